@@ -13,6 +13,7 @@ from functools import cache
 from pathlib import Path
 
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+os.environ.pop("COLUMNS", None)  # of the screen that runs the tests
 sys.dont_write_bytecode = False
 
 from needlefit.project.processes import limit_to_one_thread  # noqa: E402

@@ -88,7 +88,7 @@ def run_all_printed(first, capsys):
 @pytest.mark.usefixtures("project")
 def test_the_commands_that_a_run_prints_run(kind, world, capsys):
     found = run_all_printed(("report", f"reports/{KIND_COMMANDS[kind].folder}"), capsys)
-    advice = world.restore(kind).answer.advice
+    advice = world.restore(kind).first_page.advice
     assert advice is None or not advice.command or advice.format_command(Path("reports")) in found
 
 
@@ -126,8 +126,8 @@ def test_every_finding_has_a_sentence_and_a_placeholder_is_no_doubt():
         assert TEXT.sentence(finding, VALUES), finding
     kinds = ("placeholder", "validity", "copy", "shared_residual", "copy")
     doubts = list_doubts(ResultWarning(kind, "what") for kind in kinds)
-    assert [one.kind for one in doubts] == ["copy", "shared_residual"]
-    assert list(map(classify_doubt, doubts)) == ["dataset_doubtful", "result_doubtful"]
+    assert [one.kind for one in doubts] == ["validity", "copy", "shared_residual"]
+    assert list(map(classify_doubt, doubts)) == ["", "dataset_doubtful", "result_doubtful"]
 
 
 PASSED = {one: Finding(one, True, named="straight") for one in Check}

@@ -13,7 +13,7 @@ from needlefit.reporting import text as text_of_package
 from needlefit.reporting.document import Document, compile_html, compile_pdf
 from needlefit.reporting.table import Table, TableColumn, TableLayout
 from needlefit.reporting.text import KindText
-from needlefit.studies import advice, fit_sentences, fit_warnings, report
+from needlefit.studies import advice, check_words, fit_sentences, fit_warnings
 from needlefit.studies.fit_figures import draw_overlays
 from needlefit.studies.kinds import identification, prediction
 from needlefit.studies.kinds.reconstruction import report as reconstruction
@@ -168,7 +168,7 @@ def test_a_block_is_chosen_by_its_rule(text):
 
 TEXTS = [
     fit_sentences.TEXT,
-    report.CHECKS,
+    check_words.CHECKS,
     advice.TEXT,
     fit_warnings.TEXT,
     identification.TEXT,

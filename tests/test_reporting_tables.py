@@ -12,7 +12,7 @@ from needlefit.reporting.latex import escape_latex, format_cell
 from needlefit.reporting.number_format import NO_BREAK, bind_numbers, format_number, format_to_error
 from needlefit.reporting.table import Table, part, pivot
 from needlefit.reporting.table_files import to_records
-from needlefit.studies.fit_tables import lay_out_parameters
+from needlefit.studies.fit_tables import lay_out_estimates, lay_out_parameters
 from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import aggregate, compare_methods, list_groups, tabulate_validation
 
@@ -129,8 +129,28 @@ def test_of_several_folds_values_and_intervals_are_enveloped():
     one = {"fold": "one", "median": 0.1, "interval_low": 0.08, "interval_high": 0.12, "determined": "yes"}
     two = {"fold": "two", "median": 0.2, "interval_low": 0.15, "interval_high": 0.25}
     folds = [{**row, **one}, {**row, **two, "determined": "only together"}]
-    (cells,) = lay_out_parameters(results.with_frames(parameters=pd.DataFrame(folds))).rows
-    assert cells[2] == "0.1 to 0.2 (0.08 to 0.25)" and cells[3] == "only together"
+    frame = pd.DataFrame(folds)
+    (cells,) = lay_out_parameters(results.with_frames(parameters=frame)).rows
+    (estimate,) = lay_out_estimates(frame).rows
+    assert cells[2] == estimate[1] == "0.1 to 0.2 (0.08 to 0.25)"
+    assert "product" in estimate[2]
+    known, loose = ([{**row, **one, "determined": word}] for word in ("yes", "no"))
+    limits = [lay_out_estimates(pd.DataFrame(rows)).rows[0][2] for rows in (known, loose)]
+    assert "1.5" in limits[0] and "bound" not in limits[1]
+    at_bound = [{**row, **one, "determined": "no", "bound_high": 0.12}]
+    assert "bound" in lay_out_estimates(pd.DataFrame(at_bound)).rows[0][2]
+
+
+def test_a_value_that_is_read_in_another_unit_than_its_row_has_its_own():
+    results = study(1)
+    ours = (
+        results.frames["parameters"].query("method == 'fitted' and parameter == 'mu1_pa'").iloc[0].to_dict()
+    )
+    ends = {"status": "free", "median": 7.64e2, "interval_low": 4e2, "interval_high": 9e2}
+    least = {"method": "fitted_metric", "value": 1e8, "low": 500.0, "high": 5e8}
+    frame = pd.DataFrame([{**ours, **ends}, {**ours, **ends, **least}])
+    (cells,) = lay_out_parameters(results.with_frames(parameters=frame)).rows
+    assert "100 MPa (0.5 to 500 MPa)" in cells
 
 
 def test_pivoted_rows_have_a_column_for_each_place():

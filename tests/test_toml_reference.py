@@ -9,9 +9,9 @@ from test_cli import run
 from needlefit.project.locate import shipped_folder
 from needlefit.project.toml import load
 from needlefit.project.toml_reference import describe_files, list_files
+from needlefit.studies.check_words import lay_out_checks
 from needlefit.studies.explanations import find_topics
 from needlefit.studies.kind import list_records
-from needlefit.studies.report import lay_out_checks
 
 EXAMPLES = sorted((shipped_folder() / "docs" / "examples").glob("*.toml"))
 
@@ -38,9 +38,8 @@ def test_explain_lists_everything_and_names_what_is_near(capsys):
 
 @pytest.mark.parametrize("kind", ["cross_validation", "fit", "identification", "prediction", "tracks"])
 def test_explain_knows_every_word_of_page_one(kind, world):
-    answer = world.restore(kind).answer
-    checks = lay_out_checks(answer)
-    tables = [*answer.tables, *([checks] if checks else [])]
+    page = world.restore(kind).first_page
+    tables = [*page.tables, lay_out_checks(page.checks)]
     words = {column.label for table in tables for column in table.columns}
     rows = [row for table in tables if table.name in ("summary", "checks") for row in table.rows]
     words |= {row[0].partition(":")[0].partition(",")[0] for row in rows}

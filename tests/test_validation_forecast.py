@@ -222,7 +222,7 @@ def test_the_verdict_of_a_run_of_the_same_data_stands_first(job, monkeypatch):
         assert len(warned) == len(notes) == bool(named)
         assert found.metadata.fit_run == (None if named else "known")
         if named:
-            assert named in notes[0] and found.metadata.fit_changed in found.answer.about
+            assert named in notes[0] and found.metadata.fit_changed in found.first_page.about
             assert found.metadata.fit_verdict is None
         else:
             assert found.metadata.fit_verdict.startswith("known: ")

@@ -226,39 +226,42 @@ def run_studies(execution: Execution, todo: Sequence[StudyTask]) -> "list[Run]":
     return done
 
 
+#: how a terminal shows the beginning of an answer, by its status
+STATUS_STYLES = {"none": "bold", "pass": "bold green", "warn": "bold yellow", "fail": "bold red"}
+
+
 def show_run(invocation: Invocation, run: "Run", folder: Path, named: bool = False) -> None:
-    """Print the result of a study: what its first page has, in that order; with `--explain` all tables.
+    """Print the first page of a study, the answer first, the method last; with `--explain` all tables.
 
     `named`: before the answer stands the name of the run.
     """
     from needlefit.reporting.table import drop_repeated
+    from needlefit.studies.check_words import lay_out_checks, summarize_checks
+    from needlefit.studies.first_page import METHOD
     from needlefit.studies.kind import find_kind
-    from needlefit.studies.report import DETERMINED, lay_out_checks, subtitle
 
-    answer, checks = run.answer, lay_out_checks(run.answer)
-    screen.print_text(f"{f'{run.name}: ' if named else ''}{subtitle(run)}")
-    marked = f"{run.origin_mark}. " if run.origin_mark else ""  # which a reader cannot miss
-    for verdict in answer.verdicts[:1]:
-        screen.print_text(f"{marked}{verdict.sentence}.")
+    page, head = run.first_page, f"{run.name}: " if named else ""
+    opening = len(head + page.answer) - len(page.verdict.sentence) - 1 + len(page.verdict.opening)
+    screen.print_text(head + page.answer, STATUS_STYLES[page.verdict.status], opening)
+    screen.print_text(page.about)
     show_warnings(invocation, run)
-    shown = [*answer.tables, *([checks] if checks else [])]
-    screen.print_line()
-    for table in shown:
+    for table in page.tables:
+        screen.print_line()
         screen.show_display(replace(table, breaks=()), notes=False)
-    if answer.advice is not None:
-        show_advice(answer.advice, folder.parent)
-    if answer.determined:
-        screen.print_text(f"{DETERMINED} {answer.determined}")
+    if page.checks:
+        screen.print_text(summarize_checks(page.checks))
+    if page.advice is not None:
+        show_advice(page.advice, folder.parent)
+    if page.method:
+        screen.print_text(f"{METHOD} {page.method}")
     if invocation.explain:
-        named_tables = {table.name for table in shown}
-        further = [one for one in find_kind(run.kind).report.lay_out(run) if one.name not in named_tables]
-        for table in drop_repeated(further):
+        shown = {table.name for table in page.tables}
+        further = [one for one in find_kind(run.kind).report.lay_out(run) if one.name not in shown]
+        for table in drop_repeated([lay_out_checks(page.checks), *further]):
             screen.print_line()
             screen.show_display(table)
-    documents = [str(folder / name) for name in ("report.pdf", "report.html") if (folder / name).is_file()]
-    if documents:
-        screen.print_line(f"Report: {', '.join(documents)}")
-    screen.print_written(folder)
+    documents = [name for name in ("report.html", "report.pdf") if (folder / name).is_file()]
+    screen.print_written(folder, f" ({', '.join(documents)})" if documents else "")
 
 
 def show_advice(advice: "Advice", results: Path) -> None:
@@ -266,7 +269,7 @@ def show_advice(advice: "Advice", results: Path) -> None:
 
     `results`: the folder that holds the folders of results.
     """
-    from needlefit.studies.report import WHAT_TO_DO
+    from needlefit.studies.first_page import WHAT_TO_DO
 
     screen.print_text(f"{WHAT_TO_DO} {advice.sentence}")
     if advice.command:

@@ -230,12 +230,12 @@ def _show(
         screen.show_json({**about, "scans": rows, "failed": errors})
     elif run:
         screen.print_line()
-        for table in run.answer.tables:
+        for table in run.first_page.tables:
             screen.show_display(table, notes=False)
         for remark in REPORT.summarize(run)[1:]:
             screen.print_text(remark)
-        if run.answer.advice is not None:
-            show_advice(run.answer.advice, out.parent)
+        if (advice := run.first_page.advice) is not None:
+            show_advice(advice, out.parent)
         pictures = join_names([str(path) for path in sorted(out.glob("quality/*.pdf"))], 2)
         screen.print_written(out, f" (pictures: {pictures})")
 

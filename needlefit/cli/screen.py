@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import re
 import shutil
 import sys
@@ -9,7 +10,7 @@ import textwrap
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TextIO
+from typing import TYPE_CHECKING, Any, Literal
 
 from needlefit.cli.exit_codes import Invocation
 from needlefit.errors import without_controls
@@ -35,22 +36,33 @@ def print_written(folder: Path | str, more: str = "") -> None:
 SCREEN_COLUMNS = 100  # width of sentences and tables in a pipe or file
 
 
-def print_text(text: str) -> None:
-    """Print sentences, wrapped between words to the width of the terminal, or to `SCREEN_COLUMNS`."""
-    print_line(_wrap(text, sys.stdout, SCREEN_COLUMNS))
+def find_width() -> int:
+    """Return the columns of the screen: the variable COLUMNS, else the terminal's, else `SCREEN_COLUMNS`."""
+    return shutil.get_terminal_size((SCREEN_COLUMNS, 0)).columns
 
 
-def _wrap(text: str, stream: TextIO, piped_width: int | None = None) -> str:
-    """Return text wrapped to the width of a terminal, elsewhere to `piped_width` (None: as it is)."""
-    width = shutil.get_terminal_size().columns if stream.isatty() else piped_width
-    if width is None:
-        return text
+def print_text(text: str, style: str = "", styled: int = 0) -> None:
+    """Print sentences, wrapped between words; a terminal shows the first `styled` characters in a style."""
+    lines = without_controls(_wrap(text))
+    if not styled:
+        print(lines)
+        return
+    from rich.console import Console
+    from rich.text import Text
+
+    words = Text(lines)
+    words.stylize(style, 0, styled)
+    Console().print(words, soft_wrap=True)
+
+
+def _wrap(text: str) -> str:
+    """Return text wrapped to the width of the screen."""
     from needlefit.reporting.number_format import NO_BREAK, bind_numbers
 
     wrapped = "\n".join(
         textwrap.fill(
             line,
-            width,
+            find_width(),
             subsequent_indent=line[: len(line) - len(line.lstrip())],
             break_on_hyphens=False,
             break_long_words=False,
@@ -66,7 +78,8 @@ def print_note(text: str) -> None:
     It is wrapped on a terminal only: programs read warnings line by line.
     """
     sys.stdout.flush()  # else, where both go to one file, it stands before the result
-    print(_wrap(without_controls(text), sys.stderr), file=sys.stderr)
+    line = without_controls(text)
+    print(_wrap(line) if sys.stderr.isatty() else line, file=sys.stderr)
 
 
 def show_json(value: object) -> None:
@@ -85,6 +98,7 @@ def show_frame(frame: Any, title: str) -> None:  # noqa: ANN401  a pandas.DataFr
     columns = [(str(name), at_right) for name, at_right in zip(frame.columns, right, strict=True)]
     print_line(title)
     _show(_Grid(columns, [[text for text, _ in row] for row in rows]))
+    print_line()
 
 
 MAX_MEASURED_COLUMNS = 10_000
@@ -92,7 +106,10 @@ MAX_MEASURED_COLUMNS = 10_000
 
 def show_display(table: "TableLayout", notes: bool = True) -> None:
     """Print a table that is ready to be set: its caption, its cells, its notes if wanted."""
-    columns = [(f"{column.label} {column.unit}", column.align == "right") for column in table.columns]
+    columns = [
+        (" ".join(filter(None, (column.label, column.unit))), column.align == "right")
+        for column in table.columns
+    ]
     if table.caption:
         print_text(table.caption)
     _show(_Grid(columns, table.rows, table.breaks, table.strong))
@@ -126,7 +143,7 @@ class _Grid:
 
 
 def _show(grid: _Grid) -> None:
-    """Print a grid within the width of a terminal, or of `SCREEN_COLUMNS`, without breaking a word.
+    """Print a grid within the width of the screen, without breaking a word.
 
     A table whose numbers and longest words need more than a terminal has is turned; where that is too wide
     as well, its last columns are left out and named. In a pipe it is printed as wide as it is.
@@ -134,14 +151,14 @@ def _show(grid: _Grid) -> None:
     from rich.console import Console
     from rich.measure import Measurement
 
-    console = Console(width=None if sys.stdout.isatty() else SCREEN_COLUMNS)
+    console, is_fixed = Console(width=find_width()), sys.stdout.isatty() or "COLUMNS" in os.environ
     unlimited = console.options.update(max_width=MAX_MEASURED_COLUMNS)  # else it is the console's width
 
     def measure(one: _Grid, tight: bool = True) -> Measurement:
         return Measurement.get(console, unlimited, _tabulate(one, tight))
 
     left: Sequence[tuple[str, bool]] = ()
-    if not sys.stdout.isatty():
+    if not is_fixed:
         console.width = max(SCREEN_COLUMNS, measure(grid).minimum)
     elif measure(grid).minimum > console.width:
         if grid.rows and measure(turned := grid.turn()).minimum <= console.width:
@@ -153,14 +170,14 @@ def _show(grid: _Grid) -> None:
     tight = measure(grid, tight=False).maximum > console.width
     with console.capture() as printed:
         console.print(_tabulate(grid, tight))
-    print(printed.get().replace(_RICH_NO_BREAK, " "))
+    print(printed.get().replace(_RICH_NO_BREAK, " "), end="")
     if left:
         heads = ", ".join(" ".join(head.split()) for head, _ in left)
         print_text(f"Not shown, as the terminal is too narrow: {heads}")
 
 
 def _tabulate(grid: _Grid, tight: bool) -> "RichTable":
-    """Return the table that rich prints: words are wrapped, not numbers; `tight` without space between."""
+    """Return the table that rich prints: words are wrapped, not numbers; `tight` as narrow as it can be."""
     from rich import box
     from rich.align import Align
     from rich.table import Table as RichTable
@@ -175,7 +192,7 @@ def _tabulate(grid: _Grid, tight: bool) -> "RichTable":
     table = RichTable(box=box.SIMPLE_HEAD, padding=padding, pad_edge=False, show_edge=False)
     for head, is_right in grid.columns:
         words = bind(head.strip(" \n"))
-        text = "\n".join(re.split("[ \n]+", words)) if is_right else words
+        text = "\n".join(re.split("[ \n]+", words)) if is_right and tight else words
         side: Literal["left", "right"] = "right" if is_right else "left"
         heading = Align(Text(text, justify=side), side, vertical="bottom")
         table.add_column(heading, justify=side, no_wrap=is_right, overflow="fold")

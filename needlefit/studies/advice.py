@@ -83,13 +83,12 @@ CONTRADICTIONS = (
 )
 #: kinds of warnings that `needlefit check` prints, of a dataset alone; the others are about a result
 _OF_DATASETS = (*CONTRADICTIONS, "needle_outlier", "assumed", "curvature", "no_noise", "noise", "surfaces")
-#: kinds of warnings that are no doubt about the data: a text that reports print, the model's limits, and the
-#: choice of a point of a predictive distribution
-_NO_DOUBTS = ("placeholder", "validity", "predictive_median")
+#: kinds of warnings that are no doubt: a text that reports print, and the choice of a point of a distribution
+_NO_DOUBTS = ("placeholder", "predictive_median")
 
 
 def list_doubts(warnings: Iterable[ResultWarning]) -> list[ResultWarning]:
-    """Return the warnings that cast doubt on the data or on a parameter, the first of each kind."""
+    """Return the warnings that cast doubt on the data, the model or a parameter, the first of each kind."""
     first: dict[str, ResultWarning] = {}
     for one in warnings:
         first.setdefault(one.kind, one)
@@ -103,7 +102,9 @@ def list_contradictions(warnings: Iterable[ResultWarning]) -> list[str]:
 
 
 def classify_doubt(doubt: ResultWarning) -> str:
-    """Return what a doubt about the data found."""
+    """Return what a doubt found; "" of the model's limits, which no command removes."""
+    if doubt.kind == "validity":
+        return ""
     return "dataset_doubtful" if doubt.kind in _OF_DATASETS else "result_doubtful"
 
 

@@ -1,39 +1,40 @@
-"""What a run found, as records: verdicts, checks, faults and the parts of its first page.
+"""What a run found, as records: verdict, checks, faults and advice, of which its first page is made."""
 
-Words are made from them once, by the text of the kind; nothing reads these words again.
-"""
-
+import re
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import pandas as pd
 
 from needlefit.inference.predict import Draws
 from needlefit.project.locate import format_path
-from needlefit.reporting.table import TableLayout
 
 Status = Literal["none", "pass", "warn", "fail"]
 #: from the best to the worst; "none" where nothing was tested, as of a prediction: it has no badge
 STATUSES: tuple[Status, ...] = ("none", "pass", "warn", "fail")
 
-VERDICTS_KEY, CHECKS_KEY = "verdicts", "checks"  #: of `--json`
 MAX_NAMED_NEEDLES = 3  #: on any one of which a verdict hangs; of more their number is printed
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """The answer for a whole run, or for one group of insertions."""
+    """The answer of a run."""
 
     sentence: str  #: the answer, with its most important numbers
     #: whether the result can be relied on, only with care, or not; "none" where this was not tested
     status: Status = "pass"
-    group: str = ""  #: what it is about, such as "phantom 1, 3 layers"; empty: the whole run
     #: the numbers behind the sentence, by name with unit; None where one is not known
     numbers: Mapping[str, float | str | None] = field(default_factory=dict)
+    word: str = ""  #: the answer in tables: "closer than both"
+
+    @property
+    def opening(self) -> str:
+        """The sentence up to its numbers."""
+        return re.split(r"[:.] ", self.sentence)[0]
 
 
 class FaultKind(StrEnum):
@@ -154,29 +155,6 @@ class Advice:
         return shlex.join(words)
 
 
-@dataclass(frozen=True)
-class Answer:
-    """The parts of the first page of a run, in their order; terminal, report and `--json` have the same."""
-
-    verdicts: Sequence[Verdict]  #: the answer, first that for the whole run
-    tables: Sequence[TableLayout] = ()
-    about: str = ""  #: what was fitted and what was predicted
-    checks: Sequence[Finding] = ()
-    advice: Advice | None = None  #: what to do
-    determined: str = ""  #: what the fit determined
-
-
-def worst_status(verdicts: Sequence[Verdict]) -> Status:
-    """Return the worst status of several verdicts; "pass" of none."""
-    return max((one.status for one in verdicts), key=STATUSES.index, default="pass")
-
-
 def tabulate_checks(findings: Sequence[Finding]) -> pd.DataFrame:
     """Return one row per check."""
     return pd.DataFrame([asdict(one) for one in findings], columns=list(Finding.__dataclass_fields__))
-
-
-def answer_to_json(answer: Answer) -> dict[str, Any]:
-    """Return what `--json` has of an answer: its verdicts and checks."""
-    checks = [{**asdict(one), "check": str(one.check)} for one in answer.checks]
-    return {VERDICTS_KEY: [asdict(one) for one in answer.verdicts], CHECKS_KEY: checks}

@@ -51,8 +51,10 @@ def write_combined(runs: Sequence[Run], folder: Path) -> list[Path]:
 
 
 def compose_overview(runs: Sequence[Run], tables: Sequence[TableLayout]) -> Document:
-    """Return one report over all studies: the table of verdicts, the verdicts; then the rest."""
+    """Return one report over all studies: the data, the table of verdicts, the verdicts; then the rest."""
     studies = [run for run in runs if run.kind == "cross_validation"]
+    pages = {run.name: run.first_page for run in studies}
+    states = [block for page in pages.values() for block in state_blocks(page)]
     warned = [
         block
         for run in studies
@@ -63,21 +65,18 @@ def compose_overview(runs: Sequence[Run], tables: Sequence[TableLayout]) -> Docu
     ]
     blocks = {
         "verdicts": [
-            document.verdict(f"{run.title.partition(':')[0]}. {verdict.sentence}.", verdict.status)
-            for run in studies
-            for verdict in run.verdicts[:1]
+            document.verdict(f"{page.title.partition(':')[0]}. {page.verdict.sentence}.", page.verdict.status)
+            for page in pages.values()
         ],
         "warnings": [document.heading("Warnings"), *warned] if warned else [],
     }
     questions = [f"{run.title}: {run.question}".rstrip(": ") for run in studies]
     body = TEXT.compose("report", {"questions": questions}, tables, {}, blocks)
-    states = [block for run in studies for block in state_blocks(run)]
-    states = [block for n, block in enumerate(states) if block not in states[:n]]
     data = "; ".join(dict.fromkeys(run.name if run.origin_mark else run.dataset_title for run in studies))
     return Document(
         "Validation studies",
         data,
         ORIGIN_MARKS[combine_origins(run.origin for run in studies)],
-        (*states, *body),
+        (*(block for n, block in enumerate(states) if block not in states[:n]), *body),
         collect_explorers(studies),
     )

@@ -36,14 +36,6 @@ RULES: Mapping[str, Callable[[Any], object]] = {
     ),
     "below_margin": lambda v: v.judged.is_within_margin,
     "tracks_closer": lambda v: v.tracks.closer is not None,
-    # what the fit determined, for each word of `find_least_determined`
-    "determined_within": lambda v: v.word == "yes" and v.intervals,
-    "determined": lambda v: v.word == "yes" and not v.intervals,
-    "only_together": lambda v: v.word == "only together",
-    "with_bevel": lambda v: v.bevel and v.bevel not in v.names,
-    "with_others": lambda v: not v.bevel or [v.bevel] == v.names,
-    "not_determined": lambda v: v.word not in ("yes", "only together"),
-    "rigidity": lambda v: v.rigidity,
     # notes of tables of errors
     "row_means": lambda v: "posterior-mode fit" in v.rows,
     "row_ipe": lambda v: v.curved,

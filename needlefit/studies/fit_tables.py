@@ -1,7 +1,7 @@
 """The tables of fits and cross-validations, of one run or of several; captions stand in the text."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -15,13 +15,14 @@ from needlefit.inference.identifiability.directions import (
     UNINFORMED_SD_RATIO,
     find_least_determined,
 )
-from needlefit.inference.parameter_names import HYPERPARAMETERS, is_logarithmic
+from needlefit.inference.parameter_names import BEVEL_PARAMETERS, HYPERPARAMETERS, is_logarithmic
 from needlefit.inference.sampling.posterior import PERCENTILES
 from needlefit.metrics import IPE, Metric, headline_metrics, list_metrics
 from needlefit.reporting.columns import DIGITS
 from needlefit.reporting.labels import SPECIMEN_NAMES, medium_name, method_name
 from needlefit.reporting.number_format import (
     choose_printed_unit,
+    choose_unit,
     format_bare_symbol,
     format_metric,
     format_number,
@@ -32,14 +33,14 @@ from needlefit.reporting.number_format import (
 )
 from needlefit.reporting.table import Table, TableLayout, part, pivot
 from needlefit.reporting.table_files import Row, select_rows, to_records
-from needlefit.schemas.run_metadata import FitMetadata
+from needlefit.schemas.run_metadata import FitMetadata, RigidityMetadata
 from needlefit.studies import scored_groups as scores
 from needlefit.studies.coverage import COVERAGE_COLUMNS, tabulate_coverage
 from needlefit.studies.fit_frames import NEW_SPECIMEN, PREDICTION_METHOD, TUNED_SPECIMENS, FitFrames
 from needlefit.studies.fit_sentences import TEXT
 from needlefit.studies.identification import ParameterRow
 from needlefit.studies.identification_tables import describe_prior
-from needlefit.studies.judge import MAX_NOISE_RATIO, NOISE_GUARD, REFERENCES, find_closest_curve, judge
+from needlefit.studies.judge import MAX_NOISE_RATIO, NOISE_GUARD, REFERENCES, judge
 from needlefit.studies.run import Run
 
 
@@ -87,40 +88,31 @@ def lay_out_tuning(*runs: Run) -> TableLayout:
 
 
 def lay_out_summary(run: Run) -> TableLayout:
-    """Return the table of the first page: our errors, of b alone, of the references and the paper, by group.
+    """Return the errors of the first page: ours, those of the compared curves, of the paper.
 
-    Groups are those held out, or of a run without any those fitted to; before several stand all together, of
-    which the verdict is. The paper's parameters are scored on our data; its result is of its own needles.
+    They are means over the insertions of the verdict, held out or fitted to; those by medium and number of
+    layers are in the table "validation". The paper's parameters are scored on our data; its result is of its
+    own needles.
     """
+    frames, fitted_to = FitFrames.of(run), str(run.record.medium)
     groups = scores.list_held_out_groups(run) or scores.list_groups(scores.tabulate_tuning(run))
-    frames, several = FitFrames.of(run), len(groups) > 1
-    method = frames.method
-    ours = _RowKind("our prediction" if method == PREDICTION_METHOD else "our fit", method)
-    fitted_to, media = str(run.record.medium), {one.head.medium for one in groups}
-    of_other = "" if media == {fitted_to} else f" for {medium_name(fitted_to)}"
-    together = scores.pool_insertions(run, frames.role)
-    judged = together and judge(run, together)
-    hindsight = ", in hindsight" if judged and judged.compared else ""  # several trials are tested against it
-    if several and together is not None:
-        groups = [together, *groups]
-    paper = (
+    group = groups[0] if len(groups) == 1 else scores.pool_insertions(run, frames.role)
+    if group is None:
+        return Table("summary", [], ("row",)).lay_out()
+    of_other = "" if {one.head.medium for one in groups} == {fitted_to} else f" for {medium_name(fitted_to)}"
+    curves, judged = [*REFERENCES], judge(run, group)
+    if judged and judged.curve and judged.curve not in curves:
+        curves.append(judged.curve)
+    kinds = (
+        _RowKind("our prediction" if frames.method == PREDICTION_METHOD else "our fit", frames.method),
+        *(_RowKind(method_name(one), one) for one in curves),
         _RowKind(f"our needles, simulated with the paper's parameters{of_other}", "hand_tuned"),
         _RowKind("paper's result, on its own needles", column="paper"),
     )
-    blocks = []
-    for group in groups:
-        references = [_RowKind(method_name(one), one) for one in REFERENCES]
-        if (curve := find_closest_curve(group)) and curve not in REFERENCES:
-            references.append(_RowKind(f"closest curve{hindsight}: {method_name(curve)}", curve))
-        blocks.append((group, (ours, _B_ALONE, *references, *paper)))
-    heads = ("medium", "layers", "insertions") if several else ()
-    found = _lay_out_groups("summary", blocks, heads, short=True, medians=_count_medians([run]))
-    if several or not groups:
-        return found
-    head = groups[0].head
-    which = "held-out" if head.role == "validate" else "fitted"
-    words = f"Mean over {head.insertions} {which} insertion{'s' * (head.insertions != 1)}"
-    first, *others = found.columns
+    found = _lay_out_groups("summary", [(group, kinds)], (), short=True, medians=_count_medians([run]))
+    count, (first, *others) = group.head.insertions, found.columns
+    which = "held-out" if group.head.role == "validate" else "fitted"
+    words = f"Mean over {count} {which} insertion{'s' * (count != 1)}"
     return replace(found, columns=(replace(first, label=words), *others))
 
 
@@ -201,7 +193,6 @@ def lay_out_matrix(runs: Sequence[Run]) -> TableLayout:
     rows: list[Row] = []
     for run in runs:
         together, groups = scores.pool_insertions(run), scores.list_held_out_groups(run)
-        verdict = together and judge(run, together)
         if together is not None and len(groups) > 1:
             groups = [together, *groups]
         for number, group in enumerate(groups):
@@ -214,7 +205,7 @@ def lay_out_matrix(runs: Sequence[Run]) -> TableLayout:
                     "noise_of_te": group.get(scores.TE, "floor"),
                     "baseline_te_mm": judged and judged.curve_mm,
                     "paper_te_mm": group.get(scores.TE, "paper"),
-                    "verdict": "" if number else verdict.outcome if verdict else "not scored",
+                    "verdict": "" if number else run.first_page.verdict.word or "not scored",
                 }
             )
     columns = (
@@ -321,11 +312,7 @@ def _describe_parameter(name: str, rows: pd.DataFrame, truth: float | None) -> R
     ours, errors, paper = (methods.get(one, []) for one in ("fitted", "fitted_metric", "hand_tuned"))
     statuses = {row.status for row in ours}
     fixed = not statuses & {"free", "tied"}  # in no fold it was searched
-    ends = [end for row in ours for end in row.interval]
-    label, unit = choose_printed_unit(name, ends if any(map(is_known, ends)) else [ours[0].value])
-    # the median of the draws, without any the fit's value
-    estimates = [row.median if is_known(row.median) else row.value for row in ours]
-    own = _format_estimate(ours, estimates, unit)
+    label, unit, own = _describe_estimate(name, ours)
     if statuses == {"fixed"}:
         own = f"{own}, fixed"
     elif "prior" in statuses:
@@ -335,20 +322,80 @@ def _describe_parameter(name: str, rows: pd.DataFrame, truth: float | None) -> R
         "parameter": label,
         "mode": _join_range([row.value for row in ours if is_known(row.median)], unit),
         "posterior": own,
-        "determined": "" if fixed else _format_determined(name, ours),
-        "error_minimising": "" if fixed else _format_least_errors(errors, unit),
+        "error_minimising": "" if fixed else _format_least_errors(name, errors, unit),
         "hand_tuned": _join_range([row.value for row in paper], unit),
         "true_value": "" if truth is None else typeset(format_number(truth / unit)),
     }
 
 
-def _format_determined(name: str, rows: Sequence[ParameterRow]) -> str:
-    """Return the word of the fold in which a parameter is determined least: "yes, factor 1.6"."""
+def _describe_estimate(name: str, rows: Sequence[ParameterRow]) -> tuple[str, float, str]:
+    """Return the symbol with its unit, this unit in Pa, and "0.196 (0.12 to 0.28)".
+
+    The estimate is the median of the draws, without any the fit's value.
+    """
+    ends = [end for row in rows for end in row.interval]
+    label, unit = choose_printed_unit(name, ends if any(map(is_known, ends)) else [rows[0].value])
+    estimates = [row.median if is_known(row.median) else row.value for row in rows]
+    return label, unit, _format_estimate(rows, estimates, unit)
+
+
+def list_fitted(parameters: pd.DataFrame) -> dict[str, list[ParameterRow]]:
+    """Return the rows of every parameter that was fitted, by its name; those of a spread are left out."""
+    rows = ParameterRow.read(select_rows(parameters, method="fitted"))
+    return group_values(
+        (row.parameter, row)
+        for row in rows
+        if row.status in ("free", "tied") and row.parameter not in HYPERPARAMETERS
+    )
+
+
+def list_undetermined(run: Run) -> list[str]:
+    """Return the symbols of the fitted parameters that the data do not determine in every fold."""
+    return [
+        format_bare_symbol(name)
+        for name, rows in list_fitted(run.frames["parameters"]).items()
+        if find_least_determined(row.determined for row in rows) != "yes"
+    ]
+
+
+def lay_out_estimates(
+    parameters: pd.DataFrame, rigidity: Mapping[str, RigidityMetadata] | None = None
+) -> TableLayout:
+    """Return every parameter that was fitted with its 95 % interval and what limits it.
+
+    `parameters`: the frame of a fit, or what a prediction has of it. Moduli are in proportion to `rigidity`.
+    """
+    fitted = list_fitted(parameters)
+    bevel = next((format_bare_symbol(one) for one in BEVEL_PARAMETERS if one in fitted), "")
+    rows = [
+        {
+            **dict(zip(("parameter", "posterior"), _describe_estimate(name, some)[::2], strict=True)),
+            "limited_by": _describe_limit(name, some, bevel),
+        }
+        for name, some in fitted.items()
+    ]
+    notes = (TEXT.sentence("rigidity", {"rigidity": rigidity}),) if rigidity else ()
+    return Table("estimates", rows, ("parameter", "posterior", "limited_by"), notes=notes).lay_out()
+
+
+def _describe_limit(name: str, rows: Sequence[ParameterRow], bevel: str) -> str:
+    """Return how well a parameter is known, and what limits it, in the fold in which it is known least."""
     word = find_least_determined(row.determined for row in rows)
     lows, highs = zip(*(row.interval for row in rows), strict=True)
-    if word != "yes" or not all(map(is_known, (*lows, *highs))) or not is_logarithmic(name):
-        return word
-    return f"{word}, factor {format_plain(round_significant(max(highs) / min(lows), END_DIGITS))}"
+    if word in ("yes", ""):
+        if not all(map(is_known, (*lows, *highs))):
+            return "" if word == "" else "determined"
+        if not is_logarithmic(name):
+            return "its interval" if word == "" else "determined"
+        return f"to a factor of {format_plain(round_significant(max(highs) / min(lows), END_DIGITS))}"
+    if any(at_bound for _, at_bound in _find_outermost(rows, [row.interval for row in rows])):
+        return "not by these data: a bound limits it"
+    if conditions := {row.condition for row in rows if row.determined == word and row.condition}:
+        return min(conditions).removeprefix("determined ")
+    if word == "no":
+        return "not by these data"
+    alone = bevel in ("", format_bare_symbol(name))
+    return "only as a product with others" if alone else f"only as a product with {bevel}"
 
 
 def _join_range(values: Sequence[float], unit: float) -> str:
@@ -367,15 +414,25 @@ def _format_estimate(rows: Sequence[ParameterRow], values: Sequence[float], unit
     return f"{estimate} ({' to '.join(texts)})"
 
 
-def _format_least_errors(rows: Sequence[ParameterRow], unit: float) -> str:
+def _format_least_errors(name: str, rows: Sequence[ParameterRow], unit: float) -> str:
     """Return "0.19 (0.12 to bound)": the value of the least errors, and the range within the tolerance."""
-    value = _join_range([row.value for row in rows], unit)
+    values = [row.value for row in rows if is_known(row.value)]
+    ends = (min(values), max(values)) if values else ()
+    value = " to ".join(dict.fromkeys(_format_near(name, end, unit, 3) for end in ends))
     known = [row for row in rows if is_known(row.low) and is_known(row.high)]
     if not known:
         return value
-    ends = _find_outermost(known, [(row.low, row.high) for row in known])
-    texts = ("bound" if at_bound else _format_end(end, unit) for end, at_bound in ends)
-    return f"{value} ({' to '.join(texts)})"
+    outermost = _find_outermost(known, [(row.low, row.high) for row in known])
+    words = ("bound" if at_bound else _format_near(name, end, unit) for end, at_bound in outermost)
+    return f"{value} ({' to '.join(words)})"
+
+
+def _format_near(name: str, value: float, unit: float, digits: int = END_DIGITS) -> str:
+    """Return a value in the unit of its row; with its own unit where people read it in another one."""
+    scale, own = choose_unit(name, value)
+    near = scale == unit or not name.endswith("_pa")
+    text = format_plain(round_significant(value / (unit if near else scale), digits))
+    return text if near else f"{text} {own}"
 
 
 def _find_outermost(
@@ -410,7 +467,7 @@ def lay_out_parameters(run: Run) -> TableLayout:
         label = row.pop("parameter")
         merged.setdefault(tuple(row.values()), {**row, "names": []})["names"].append(label)
     rows = [{**row, "parameter": ", ".join(row["names"])} for row in merged.values()]
-    columns = ("parameter", "mode", "posterior", "determined", "error_minimising", "hand_tuned", "true_value")
+    columns = ("parameter", "mode", "posterior", "error_minimising", "hand_tuned", "true_value")
     used = set(frames.parameters["draw_source"])
     values = {
         "folds": int(frames.parameters["fold"].nunique()),

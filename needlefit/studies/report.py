@@ -1,6 +1,5 @@
 """The report of a run: what every kind of study provides, and the folder that is written from it."""
 
-import re
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -24,58 +23,14 @@ from needlefit.reporting.slicer import write_needles
 from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import to_records, to_tidy, write_csv, write_json
 from needlefit.reporting.text import KindText
-from needlefit.schemas.origin import ORIGIN_NOTES
-from needlefit.studies.advice import name_doubt
-from needlefit.studies.answer import (
-    MAX_NAMED_NEEDLES,
-    Advice,
-    Answer,
-    Check,
-    Finding,
-    Status,
-    Verdict,
-    answer_to_json,
-    tabulate_checks,
-)
+from needlefit.studies.answer import Status, Verdict, tabulate_checks
+from needlefit.studies.check_words import lay_out_checks, list_failed
 from needlefit.studies.explorer import collect_explorer
+from needlefit.studies.first_page import METHOD, WHAT_TO_DO, FirstPage
 from needlefit.studies.kind import find_kind
 from needlefit.studies.result_sources import read_sources, store_sources
 from needlefit.studies.run import Run, mark_faults
 from needlefit.studies.store import restore_run, store_run
-
-#: of a `Finding`: which words about a check are printed
-_CHECK_RULES: Mapping[str, Callable[[Any], object]] = {
-    "curves_tested": lambda v: v.needles is None,
-    "references_compared": lambda v: v.needles is not None,
-    "closer_on": lambda v: v.needles,
-    "hangs_on_needles": lambda v: v.hanging,
-    "one_of_few": lambda v: len(v.hanging) <= MAX_NAMED_NEEDLES,
-    "one_of_many": lambda v: len(v.hanging) > MAX_NAMED_NEEDLES,
-    "no_curve": lambda v: not v.named,
-    "below_curves": lambda v: v.named and v.needles is None,
-    "below_references": lambda v: v.named and v.needles is not None,
-    "by_noise": lambda v: v.margin_mm is None,
-    "by_margin": lambda v: v.margin_mm is not None,
-    "no_noise": lambda v: v.value is None,
-    "equals_noise": lambda v: v.equals_noise,
-    "times_noise": lambda v: v.value is not None and not v.equals_noise,
-    "missing_tips": lambda v: v.missing,
-    "one_trial": lambda v: v.trials == 1,
-    "no_intervals": lambda v: v.value is None,
-    "intervals_found": lambda v: v.value is not None,
-    "nothing_required": lambda v: v.value is None,
-    "some_covered": lambda v: v.value is not None and v.trials == 1,
-    "share_95": lambda v: v.value is not None and v.trials != 1,
-    "width_limit": lambda v: v.value is not None,
-    "tips_missed": lambda v: v.covered is False,
-    "and_width": lambda v: v.covered is False and v.is_wide,
-    "width_exceeded": lambda v: v.is_wide,
-    "none_required": lambda v: v.trials == 1,
-    "share_50": lambda v: v.trials != 1,
-    "no_doubts": lambda v: v.passed,
-    "doubts": lambda v: not v.passed,
-}
-CHECKS = KindText("checks", rules=_CHECK_RULES)
 
 
 def run_to_json(run: Run) -> dict[str, Any]:
@@ -87,7 +42,7 @@ def run_to_json(run: Run) -> dict[str, Any]:
         "dataset": run.dataset_title,
         "interrupted": run.interrupted,
         "faults": list(map(str, run.faults)),
-        **answer_to_json(run.answer),
+        **run.first_page.to_json(),
         WARNINGS_KEY: to_rows(run.warnings),
         **find_kind(run.kind).report.to_json(run),
     }
@@ -106,8 +61,8 @@ class StudyReport:
     #: run -> its figures by name, that of the first page first: forms with their frames, which are
     #: written as CSV beside them
     figures: Callable[[Run], Mapping[str, Drawing]] = lambda run: {}
-    #: run -> the parts of its first page; `Run.answer` is what others call
-    answer: Callable[[Run], Answer] = lambda run: answer_in_words(run, "none")
+    #: run -> its first page; `Run.first_page`, which adds what every run has, is what others call
+    first_page: Callable[[Run], FirstPage] = lambda run: begin_first_page(run, "none")
     #: run -> its files: tables, which are written as CSV, by name; texts by the names of their files
     files: Callable[[Run], Mapping[str, pd.DataFrame | str]] = lambda run: run.frames
     #: run -> what `--json` prints besides the answer
@@ -140,100 +95,46 @@ class StudyReport:
 
     def format_notebook_html(self, run: Run) -> str:
         """Return what a notebook shows of a run: its first page, then its tables and warnings."""
-        shown = [table.name for table in run.answer.tables]
-        blocks = compose_first_page(run)
+        page = run.first_page
+        shown, blocks = [table.name for table in page.tables], compose_first_page(page)
         if not run.interrupted:  # of an interrupted one only what is finished is laid out
             blocks += [document.table(one) for one in self.lay_out(run) if one.name not in shown]
         blocks += compose_warnings(run.warnings, linked=False)
-        return document.format_html_part(Document(run.title, subtitle(run), run.origin_mark, tuple(blocks)))
+        return document.format_html_part(Document(page.title, page.about, page.origin_mark, tuple(blocks)))
 
 
-def answer_in_words(run: Run, status: Status, **numbers: float | str | None) -> Answer:
-    """Return the answer of a kind without groups: the first sentence of its summary, and its first table."""
+def begin_first_page(run: Run, status: Status, **numbers: float | str | None) -> FirstPage:
+    """Return the first page of a kind: the first sentence of its summary, and its first table."""
     report = find_kind(run.kind).report
-    sentences = report.summarize(run)[:1]
-    verdicts = [Verdict(one.rstrip("."), status, "", numbers) for one in sentences]
-    return Answer(verdicts, report.lay_out(run)[:1])
-
-
-def lay_out_checks(answer: Answer) -> TableLayout | None:
-    """Return the checks of an answer as a table: the question, the number, yes or no; None without any."""
-    if not answer.checks:
-        return None
-    rows = [
-        {
-            "check": _word_check(one),
-            "check_found": _word_check(one, "_found"),
-            "check_required": _word_check(one, "_required"),
-            "passed": "–" if one.passed is None else one.passed,
-        }
-        for one in answer.checks
-    ]
-    return CHECKS.lay_out(Table("checks", rows, ("check", "check_found", "check_required", "passed")), {})
-
-
-def _word_check(one: Finding, part: str = "") -> str:
-    """Return the question of a check, or what was "_found", is "_required" or "_failed"."""
-    doubts = [name_doubt(kind) for kind in one.named.split(", ")] if one.check is Check.DATA else []
-    return CHECKS.sentence(
-        f"{one.check}{part}",
-        {
-            **vars(one),
-            "equals_noise": one.equals_noise,
-            "is_wide": one.is_wide,
-            "pattern": one.pattern,
-            "hanging": one.hangs_on.split(", ") if one.hangs_on else [],
-            "doubts": doubts,
-        },
-    )
+    sentence = report.summarize(run)[0]
+    return FirstPage(Verdict(sentence.rstrip("."), status, numbers), tables=report.lay_out(run)[:1])
 
 
 def recall(run: Run) -> str:
     """Return how a run's verdict opens, and the checks that failed: they stand before uses of its fit."""
-    answer = find_kind(run.kind).report.answer(run)
-    opening = re.split(r"[:.] ", answer.verdicts[0].sentence)[0]
-    failed = [_word_check(one, _find_failed(one)) for one in answer.checks if one.passed is False]
+    page = find_kind(run.kind).report.first_page(run)
+    failed = list_failed(page.checks)
     words = f" Failed checks: {'; '.join(failed)}." if failed else ""
     marked = f"{run.origin_mark}. " if run.origin_mark else ""
-    return f"{run.name}: {marked}{mark_faults(run.faults)}{opening.rstrip('.')}.{words}"
+    return f"{run.name}: {marked}{mark_faults(run.faults)}{page.verdict.opening}.{words}"
 
 
-def _find_failed(one: Finding) -> str:
-    """Return the part of a failed check that is recalled: what failed, of one that asks for two things."""
-    return "_failed" if CHECKS.has(f"{one.check}_failed") else ""
-
-
-def subtitle(run: Run) -> str:
-    """Return what stands under the title: what was fitted and predicted; else the name and the question."""
-    named = dict.fromkeys((run.name, run.question or run.dataset_title))
-    return run.answer.about or ". ".join(named)
-
-
-def compose_first_page(run: Run, pictures: Sequence[Block] = ()) -> list[Block]:
-    """Return the first page: the answer, its table, its figure, the checks, what to do, what was determined.
-
-    What must be read before any number stands first.
-    """
-    answer, checks = run.answer, lay_out_checks(run.answer)
-    verdict = [document.verdict(f"{one.sentence}.", one.status) for one in answer.verdicts[:1]]
+def compose_first_page(page: FirstPage, pictures: Sequence[Block] = ()) -> list[Block]:
+    """Return a first page as blocks; what must be read before any number stands first."""
+    checks, advice = lay_out_checks(page.checks), page.advice
+    found, *fitted = (document.table(one) for one in page.tables) if page.tables else (None,)
     return [
-        *state_blocks(run),
-        *verdict,
-        *(document.table(replace(one, notes=())) for one in answer.tables),
+        *state_blocks(page),
+        document.verdict(f"{page.verdict.sentence}.", page.verdict.status),
+        *(document.warning(f"{one.kind}: {one}.") for one in page.faults),
+        *compose_warnings(page.warnings),
+        *([found] if found else []),
         *pictures,
-        *([document.table(checks)] if checks else []),
-        *([] if answer.advice is None else [_compose_advice(answer.advice)]),
-        *([document.paragraph(DETERMINED, answer.determined)] if answer.determined else []),
-        *(document.warning(f"{one.kind}: {one}.") for one in run.faults),
+        *([document.table(checks)] if checks.rows else []),
+        *fitted,
+        *([document.paragraph(WHAT_TO_DO, advice.sentence, advice.format_command())] if advice else []),
+        *([document.paragraph(METHOD, page.method)] if page.method else []),
     ]
-
-
-#: how the last paragraphs of a first page begin
-WHAT_TO_DO, DETERMINED = "What to do.", "What the fit determined."
-
-
-def _compose_advice(advice: Advice) -> Block:
-    return document.paragraph(WHAT_TO_DO, advice.sentence, advice.format_command())
 
 
 def write_run(run: Run, folder: Path) -> Path:
@@ -270,7 +171,7 @@ def rebuild(stored: Path, folder: Path) -> Run:
 
 def list_run_files(run: Run) -> dict[str, pd.DataFrame | str]:
     """Return the checks and the files of a result, as `StudyReport.files`."""
-    return {"checks": tabulate_checks(run.answer.checks), **find_kind(run.kind).report.files(run)}
+    return {"checks": tabulate_checks(run.first_page.checks), **find_kind(run.kind).report.files(run)}
 
 
 def write_files(run: Run, folder: Path) -> None:
@@ -313,28 +214,22 @@ def write_report(report: Document, folder: Path) -> None:
 
 def compose_run_report(run: Run, figures: Mapping[str, Path]) -> Document:
     """Return the report: the first page, then everything else once."""
-    page = find_kind(run.kind).report
-    shown = {one.name for one in run.answer.tables}
-    tables = [one for one in page.lay_out(run) if one.name not in shown]
-    values, names = page.values(run), list(figures)
-    pictures = [
-        document.figure(figures[name], page.text.sentence(f"figure_{name}", values)) for name in names[:1]
-    ]
-    further = {name: figures[name] for name in names[1:]}
+    report, page = find_kind(run.kind).report, run.first_page
+    shown, values = {one.name for one in page.tables}, report.values(run)
+    tables = [one for one in report.lay_out(run) if one.name not in shown]
+    pictures = {
+        name: document.figure(path, report.text.sentence(f"figure_{name}", values))
+        for name, path in figures.items()
+    }
+    first = [pictures.pop(name) for name in page.figures or list(figures)[:1]]
     blocks = [
-        *compose_first_page(run, pictures),
+        *compose_first_page(page, first),
         document.page_break(),
-        *page.text.compose("report", values, tables, further),
-        *compose_warnings(run.warnings),
+        *report.text.compose("report", values, tables, pictures),
+        *compose_warnings(one for one in run.warnings if one not in page.warnings),
         *_run_blocks(run),
     ]
-    return Document(
-        run.title,
-        subtitle(run),
-        run.origin_mark,
-        tuple(blocks),
-        collect_explorer(run),
-    )
+    return Document(page.title, page.about, page.origin_mark, tuple(blocks), collect_explorer(run))
 
 
 def compose_warnings(warnings: Iterable[ResultWarning], linked: bool = True, head: str = "") -> list[Block]:
@@ -361,10 +256,10 @@ def _help_blocks(blocks: Iterable[Block]) -> Iterator[Block]:
                 yield from map(document.text, texts)
 
 
-def state_blocks(run: Run) -> list[Block]:
+def state_blocks(page: FirstPage) -> list[Block]:
     """Return what must be read before any number: not measured, interrupted."""
-    blocks = [document.origin(note)] if (note := ORIGIN_NOTES[run.origin]) else []
-    if run.interrupted:
+    blocks = [document.origin(page.origin_note)] if page.origin_note else []
+    if page.interrupted:
         part = "Some of the work was left undone; what is here is part."
         blocks.append(document.warning(f"INTERRUPTED. {part}"))
     return blocks

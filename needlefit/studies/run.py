@@ -12,9 +12,11 @@ from needlefit.datasets.sources import DatasetFiles
 from needlefit.errors import ConfigError
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.schemas.origin import ORIGIN_MARKS, Origin
+from needlefit.schemas.origin import ORIGIN_MARKS, ORIGIN_NOTES, Origin
 from needlefit.schemas.run_metadata import RunMetadata
-from needlefit.studies.answer import Answer, RunFault, Verdict, worst_status
+from needlefit.studies.advice import list_doubts
+from needlefit.studies.answer import STATUSES, RunFault, Verdict
+from needlefit.studies.first_page import FirstPage
 from needlefit.studies.kind import find_kind
 
 Known = TypeVar("Known", bound=RunMetadata)
@@ -32,8 +34,9 @@ def _mark(run: "Run", verdict: Verdict) -> Verdict:
     if run.metadata.recipe is not None and run.metadata.recipe.preliminary:
         recipe = Path(str(getattr(run.record, "recipe", ""))).stem
         head += f"Preliminary (recipe {recipe}). " if recipe else "Preliminary. "
-    status = verdict.status if run.reliable else worst_status([verdict, Verdict("", "warn")])
-    return replace(verdict, sentence=f"{head}{verdict.sentence}", status=status)
+    status = verdict.status if run.reliable else max(verdict.status, "warn", key=STATUSES.index)
+    word = verdict.word if run.reliable else f"not reliable: {verdict.word}"
+    return replace(verdict, sentence=f"{head}{verdict.sentence}", status=status, word=word)
 
 
 Frames = MutableMapping[str, pd.DataFrame]
@@ -144,19 +147,30 @@ class Run:
         )
 
     @cached_property
-    def answer(self) -> Answer:
-        """The parts of the first page, from the stored tables alone.
+    def first_page(self) -> FirstPage:
+        """The first page, from the stored tables alone.
 
         A run that was interrupted, or that has faults, passes nowhere; the headlines of its faults come
         first. Those of a preliminary recipe are marked.
         """
-        found = find_kind(self.kind).report.answer(self)
-        return replace(found, verdicts=tuple(_mark(self, one) for one in found.verdicts))
+        found = find_kind(self.kind).report.first_page(self)
+        named = dict.fromkeys((self.name, self.question or self.dataset_title))
+        return replace(
+            found,
+            verdict=_mark(self, found.verdict),
+            about=found.about or ". ".join(named),
+            title=self.title,
+            origin_mark=self.origin_mark,
+            origin_note=ORIGIN_NOTES[self.origin],
+            interrupted=self.interrupted,
+            faults=self.faults,
+            warnings=list_doubts(self.warnings),
+        )
 
     @property
     def verdicts(self) -> tuple[Verdict, ...]:
-        """The answer in one sentence, with its status and numbers; then that for each of several groups."""
-        return tuple(self.answer.verdicts)
+        """The answer in one sentence, with its status and numbers."""
+        return (self.first_page.verdict,)
 
     def save(self, folder: Path | str) -> Path:
         """Write tables (CSV, LaTeX), figures, report and all that `load_run` reads to `folder`; return it.

@@ -42,7 +42,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from numbers import Integral
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -177,14 +176,13 @@ class KindText:
         block: str,
         values: Mapping[str, Any],
         tables: Iterable[TableLayout] = (),
-        figures: Mapping[str, Path] | None = None,
+        figures: Mapping[str, Block] | None = None,
         further: Mapping[str, list[Block]] | None = None,
     ) -> list[Block]:
         """Return a block as blocks of a report, with all that it refers to; `further` are blocks by name."""
         known = {("table", one.name): [document.table(one)] for one in tables}
         known |= {("block", name): blocks for name, blocks in (further or {}).items()}
-        for name, path in (figures or {}).items():
-            known[("figure", name)] = [document.figure(path, self.sentence(f"figure_{name}", values))]
+        known |= {("figure", name): [block] for name, block in (figures or {}).items()}
         return list(_compose(_parser().parse(self.render(block, values)), known))
 
 

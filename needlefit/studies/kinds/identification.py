@@ -21,8 +21,9 @@ from needlefit.reporting.text import KindText
 from needlefit.schemas.analyses import TargetRecord
 from needlefit.schemas.run_metadata import IdentificationMetadata
 from needlefit.studies.advice import advise
-from needlefit.studies.answer import Answer, Verdict
+from needlefit.studies.answer import Verdict
 from needlefit.studies.candidates import CANDIDATE_COLUMNS, lay_out_candidates, rank_candidates
+from needlefit.studies.first_page import FirstPage
 from needlefit.studies.identification import (
     IDENTIFICATION_COLUMNS,
     PROFILE_COLUMNS,
@@ -134,16 +135,16 @@ def describe_identification(run: Run) -> dict[str, Any]:
     }
 
 
-def answer_identification(run: Run) -> Answer:
+def judge_design(run: Run) -> FirstPage:
     """Return which parameters are identifiable from the design."""
     values = describe_identification(run)
     count, total = len(values["known"]), sum(len(values[name]) for name in ("known", "together", "loose"))
     numbers = {"identifiable": count, "parameters": total}
-    verdict = Verdict(TEXT.sentence("answer", values), "pass" if count == total else "warn", numbers=numbers)
+    verdict = Verdict(TEXT.sentence("answer", values), "pass" if count == total else "warn", numbers)
     best = values["best"]
     ranked = [] if best is None else ["repeat_best" if best["role"] == "repeat" else "insertion_best"]
     about, advice = TEXT.sentence("about", values), advise(ranked, values)
-    return Answer([verdict], REPORT.lay_out(run)[:1], about, advice=advice)
+    return FirstPage(verdict, about, REPORT.lay_out(run)[:1], advice=advice)
 
 
 def lay_out_design(run: Run) -> list[Table | TableLayout]:
@@ -156,6 +157,4 @@ def draw_identification(run: Run) -> dict[str, Drawing]:
     return {"profiles": draw_profiles(run.frames["identify"], run.frames["profiles"], run.origin)}
 
 
-REPORT = StudyReport(
-    TEXT, describe_identification, lay_out_design, draw_identification, answer_identification
-)
+REPORT = StudyReport(TEXT, describe_identification, lay_out_design, draw_identification, judge_design)

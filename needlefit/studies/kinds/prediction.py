@@ -56,9 +56,11 @@ from needlefit.schemas.run_metadata import PredictionMetadata
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.advice import NEW_SPECIMENS, advise
-from needlefit.studies.answer import Advice, Answer, RunFault, Verdict, find_fault_kind
+from needlefit.studies.answer import Advice, RunFault, Verdict, find_fault_kind
 from needlefit.studies.coverage import MAX_AIMING_WIDTH_MM
 from needlefit.studies.explorer import choose_drawn
+from needlefit.studies.first_page import FirstPage
+from needlefit.studies.fit_tables import lay_out_estimates
 from needlefit.studies.fit_warnings import describe_point, write_warning
 from needlefit.studies.fold_draws import (
     PREDICTION_DRAWS,
@@ -67,6 +69,7 @@ from needlefit.studies.fold_draws import (
     draw_fold_parameters,
     measure_prior,
 )
+from needlefit.studies.identification import ParameterRow, intervals_of_draws
 from needlefit.studies.identity import describe_change, identify
 from needlefit.studies.job import Inputs, Job, Settings
 from needlefit.studies.kind import StudyKind, find_kind
@@ -115,6 +118,7 @@ RIGIDITY_TOLERANCE = 0.02  #: relative difference of two needles' rigidity from 
 FRAMES: Mapping[str, tuple[str, ...]] = {
     # a row per point: arc length from the entry, depth along the entry axis, y of the needle, ends of its
     # pointwise intervals ("needle") and of simultaneous bands ("band")
+    "parameters": ParameterRow._fields,  # of the fit
     "forecast": (
         *("s_mm", "x_mm", "needle_predicted_mm"),
         *(
@@ -412,6 +416,20 @@ def _warn(command: str, target: str, what: str) -> ResultWarning:
     return ResultWarning("data_changed", what, fix=f"renew it: {shlex.join(('needlefit', command, target))}")
 
 
+def list_parameters(job: Job, draws: Draws, mode: Mapping[str, float], known: Run | None) -> pd.DataFrame:
+    """Return the parameters and their 95 % intervals: of an earlier result of this fit, else of the draws."""
+    if known is not None and known.frames["parameters"]["fold"].nunique() == 1:
+        return known.frames["parameters"][list(ParameterRow._fields)]
+    intervals, fold = intervals_of_draws(job.parameters, draws, None), job.folds[0].name
+    rows = [
+        ParameterRow(fold, "fitted", name, value, job.parameters.status[name])._replace(
+            **(one.columns() | {"median": one.median} if (one := intervals.get(name)) else {})
+        )
+        for name, value in mode.items()
+    ]
+    return pd.DataFrame(rows, columns=list(ParameterRow._fields))
+
+
 # ---- the run
 
 
@@ -464,7 +482,10 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
     return replace(
         about,
         record=stored.model_copy(update=named),
-        frames={"forecast": needle},
+        frames={
+            "forecast": needle,
+            "parameters": list_parameters(job, fitted, found.mode, sampled or judged),
+        },
         metadata=about.metadata.extend(
             PredictionMetadata,
             study=about.metadata.study | named,
@@ -541,7 +562,7 @@ def find_tip(run: Run) -> Row:
     return to_records(run.frames["forecast"])[-1]
 
 
-def answer_prediction(run: Run) -> Answer:
+def describe_forecast(run: Run) -> FirstPage:
     """Return where the tip will be, with its 95 % interval; it fails without one, and nothing is tested."""
     values = describe_prediction(run)
     keys = [name for name in values if re.fullmatch(r"s_mm|needle(_z)?_(predicted|95_low|95_high)_mm", name)]
@@ -550,8 +571,9 @@ def answer_prediction(run: Run) -> Answer:
         "fail" if run.faults else "none",
         numbers={key: values[key] for key in (keys[:1] if run.faults else keys)},
     )
-    about, advice = TEXT.sentence("about", values), _advise_on_fit(run)
-    return Answer([verdict], REPORT.lay_out(run), about, advice=advice)
+    tables = [*REPORT.lay_out(run), lay_out_estimates(run.frames["parameters"])]
+    about, method = (TEXT.sentence(block, values) for block in ("about", "report"))
+    return FirstPage(verdict, about, tables, advice=_advise_on_fit(run), method=method)
 
 
 def _advise_on_fit(run: Run) -> Advice | None:
@@ -577,7 +599,7 @@ def _advise_on_fit(run: Run) -> Advice | None:
 
 def _recall_advice(judged: Run) -> dict[str, Any] | None:
     """Return what a fit needs before its predictions are used; None if it may be used."""
-    advice = find_kind(judged.kind).report.answer(judged).advice
+    advice = find_kind(judged.kind).report.first_page(judged).advice
     if advice is None or advice.finding in MAY_BE_USED:
         advice = advise(["fit_untested"], {}) if judged.kind == "fit" else None
     return None if advice is None else asdict(advice)
@@ -644,4 +666,4 @@ def draw_prediction(run: Run) -> dict[str, Drawing]:
     return {"forecast": Drawing("curves", table, options, list_bands)}
 
 
-REPORT = StudyReport(TEXT, describe_prediction, tabulate_prediction, draw_prediction, answer_prediction)
+REPORT = StudyReport(TEXT, describe_prediction, tabulate_prediction, draw_prediction, describe_forecast)

@@ -18,7 +18,7 @@ from needlefit.schemas.run_metadata import FitMetadata
 from needlefit.studies import fit_figures, fit_tables
 from needlefit.studies import scored_groups as scores
 from needlefit.studies.advice import list_contradictions, name_doubt
-from needlefit.studies.answer import Answer
+from needlefit.studies.first_page import FirstPage
 from needlefit.studies.fit_frames import FitFrames
 from needlefit.studies.fit_sentences import TEXT
 from needlefit.studies.identification_tables import lay_out_identification
@@ -181,9 +181,10 @@ def fit_to_json(run: Run) -> dict[str, Any]:
     return {name: to_records(to_tidy(one)) for name, one in frames.items() if isinstance(one, pd.DataFrame)}
 
 
-def answer_fit(run: Run) -> Answer:
-    """Return the parts of the first page."""
-    return find_observation_report(run).answer(run, collect_values(run))
+def describe_fit(run: Run) -> FirstPage:
+    return find_observation_report(run).first_page(run, collect_values(run))
 
 
-REPORT = StudyReport(TEXT, collect_values, lay_out_tables, list_figures, answer_fit, list_files, fit_to_json)
+REPORT = StudyReport(
+    TEXT, collect_values, lay_out_tables, list_figures, describe_fit, list_files, fit_to_json
+)

@@ -34,11 +34,11 @@ from needlefit.schemas.origin import combine_origins
 from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.schemas.run_metadata import RunMetadata
 from needlefit.studies.advice import advise
-from needlefit.studies.answer import Answer
+from needlefit.studies.first_page import FirstPage
 from needlefit.studies.job import Settings
 from needlefit.studies.kinds.reconstruction import KIND, ReconstructionBatchRecord
 from needlefit.studies.provenance import package_versions
-from needlefit.studies.report import StudyReport, answer_in_words, write_files
+from needlefit.studies.report import StudyReport, begin_first_page, write_files
 from needlefit.studies.result_sources import store_sources
 from needlefit.studies.run import Run
 
@@ -279,15 +279,15 @@ def _lay_out_refused(run: Run) -> list[TableLayout]:
     return [TEXT.lay_out(Table("refused", rows, ("scan", "note")), {}, drop_empty=True)]
 
 
-def answer_batch(run: Run) -> Answer:
+def describe_scans(run: Run) -> FirstPage:
     """Return how many scans were reconstructed; remarks make it a warning. The table fits a terminal."""
-    answer = answer_in_words(run, "warn" if len(run.frames["remarks"]) else "pass")
+    page = begin_first_page(run, "warn" if len(run.frames["remarks"]) else "pass")
     tables = [replace(lay_out_reconstructions(run), name="scans")]
     values = describe_batch(run)
     lost = values["unregistered"]
     finding, scan = ("scan_unregistered", lost[0]["id"]) if lost else ("scans_reconstructed", "")
     advice = advise([finding], {"scan": scan}, run.name, results=".")
-    return replace(answer, tables=tables, about=TEXT.sentence("about", values), advice=advice)
+    return replace(page, tables=tables, about=TEXT.sentence("about", values), advice=advice)
 
 
 def draw_batch(run: Run) -> dict[str, Drawing]:
@@ -302,7 +302,7 @@ REPORT = StudyReport(
     describe_batch,
     lambda found: [lay_out_reconstructions(found), *_lay_out_refused(found)],
     draw_batch,
-    answer=answer_batch,
+    first_page=describe_scans,
     keeps_files=True,
 )
 

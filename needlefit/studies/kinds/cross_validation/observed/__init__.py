@@ -13,7 +13,7 @@ import pandas as pd
 from needlefit.registry import Registry
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.table import TableLayout
-from needlefit.studies.answer import Answer
+from needlefit.studies.first_page import FirstPage
 from needlefit.studies.run import Run
 
 
@@ -24,8 +24,8 @@ class ObservationReport:
     name: str  #: of the observation
     #: whether the insertions that are scored were observed so; points are what no other one holds for
     holds: Callable[[Run], bool]
-    #: run, what its text prints -> the parts of its first page
-    answer: Callable[[Run, Mapping[str, Any]], Answer]
+    #: run, what its text prints -> its first page
+    first_page: Callable[[Run, Mapping[str, Any]], FirstPage]
     #: run, role -> its own figures, that of the first page first
     figures: Callable[[Run, str], Mapping[str, Drawing]]
     #: run -> the tables before those of all observations

@@ -12,9 +12,11 @@ from needlefit.reporting.figures import Drawing
 from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import select_rows, to_records
 from needlefit.studies.advice import advise
-from needlefit.studies.answer import Answer, Check, Finding, Verdict
+from needlefit.studies.answer import Check, Finding, Verdict
+from needlefit.studies.first_page import FirstPage
 from needlefit.studies.fit_frames import PREDICTION_METHOD, FitFrames
 from needlefit.studies.fit_sentences import TEXT
+from needlefit.studies.fit_tables import lay_out_estimates
 from needlefit.studies.judge import REFERENCES, check_data, check_intervals, judge_tracks
 from needlefit.studies.kinds.cross_validation.observed import ObservationReport
 from needlefit.studies.kinds.cross_validation.observed.points import list_overlays
@@ -83,7 +85,7 @@ def judge_readings(run: Run) -> TrackErrors:
     )
 
 
-def answer_by_readings(run: Run, values: Mapping[str, object]) -> Answer:
+def describe_tracks(run: Run, values: Mapping[str, object]) -> FirstPage:
     """Return how the predicted tracks compare with the baselines, and whether their intervals cover."""
     known, runs = judge_readings(run), FitFrames.of(run).runs
     status = known.outcome.status
@@ -109,12 +111,13 @@ def answer_by_readings(run: Run, values: Mapping[str, object]) -> Answer:
     about = asdict(known)
     numbers = {key: about[key] for key in ("outcome", "rms_mm", "curve", "curve_mm", "runs")}
     words = {**values, "tracks": known}
-    return Answer(
-        [Verdict(TEXT.sentence("tracks_predicted", words), status, numbers=numbers)],
-        [lay_out_tracks(run)],
+    return FirstPage(
+        Verdict(TEXT.sentence("tracks_predicted", words), status, numbers, known.outcome),
         TEXT.sentence("about", words),
-        [*checks, check_data(run)],
-        None if status == "pass" else advise(["tracks_missed"], about | {"name": run.name}),
+        [lay_out_tracks(run), lay_out_estimates(run.frames["parameters"])],
+        checks=[*checks, check_data(run)],
+        advice=None if status == "pass" else advise(["tracks_missed"], about | {"name": run.name}),
+        method=TEXT.sentence("method", words),
     )
 
 
@@ -137,7 +140,7 @@ def draw_tracks(run: Run, role: str) -> dict[str, Drawing]:
 TIP_TRACK = ObservationReport(
     "tip_track",
     holds_tracks,
-    answer_by_readings,
+    describe_tracks,
     draw_tracks,
     lambda run: [lay_out_tracks(run)],
     lambda run: {"methods": compare_methods_by_run(FitFrames.of(run).runs)},
