@@ -572,7 +572,7 @@ def describe_forecast(run: Run) -> FirstPage:
         numbers={key: values[key] for key in (keys[:1] if run.faults else keys)},
     )
     tables = [*REPORT.lay_out(run), lay_out_estimates(run.frames["parameters"])]
-    about, method = (TEXT.sentence(block, values) for block in ("about", "report"))
+    about, method = (TEXT.sentence(block, values) for block in ("about", "method"))
     return FirstPage(verdict, about, tables, advice=_advise_on_fit(run), method=method)
 
 
