@@ -31,7 +31,6 @@ from needlefit.planning.steering import plan_steering
 from needlefit.project.locate import find_file
 from needlefit.synthetic.design import POPULATION, draw_specimen
 from needlefit.viewer.opening import open_target
-from needlefit.viewer.plans import begin_insertion
 
 SEED, LEVELS, TARGET_RADIUS_MM = 7800, (50, 95), 1.0
 MEDIA = {"study2": ["phantom2"], "study3": ["phantom1", "phantom2"], "study5": ["chicken"]}
@@ -81,7 +80,7 @@ def test_study(study: str, seed: int, folder: str) -> list[dict]:
 
 def try_plan(row: pd.Series, target: str, seed: int) -> list[dict]:
     """Return the probability of a plan to 1 mm beside the predicted tip, and whether the true needle hits."""
-    started = begin_insertion(open_target(target, specimen="planned"))
+    started = open_target(target, specimen="planned").begin_insertion()
     goal = Goal((row["depth_mm"] - 2.0, row["tip_median_mm"] + 1.0), TARGET_RADIUS_MM)
     plan = plan_steering(started, goal, threads=1)
     specimen = draw_specimen(seed, row["medium"], row["specimen"], POPULATION)

@@ -32,13 +32,12 @@ from needlefit.planning.steering import PlanLimits, StartedInsertion, SteeringPl
 from needlefit.schemas.planning import ObstacleRecord
 from needlefit.viewer import opening
 from needlefit.viewer.opening import open_target
-from needlefit.viewer.plans import begin_insertion
 
 
 @cache
 def insertion() -> StartedInsertion:
     """Return a needle of phantom 2 at first contact."""
-    return begin_insertion(open_target("phantom2"))
+    return open_target("phantom2").begin_insertion()
 
 
 def uncertain(count: int = 96) -> StartedInsertion:

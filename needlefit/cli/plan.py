@@ -74,7 +74,6 @@ def plan(
     from needlefit.project.unit_warnings import extrapolation_warnings
     from needlefit.studies.run import mark_faults
     from needlefit.viewer.opening import open_target
-    from needlefit.viewer.plans import begin_insertion, write_plan
 
     if write_recording is not None:
         require_output_files({"--write-recording": write_recording}, [] if markups is None else [markups])
@@ -82,7 +81,7 @@ def plan(
     shown = open_target(name, specimen=specimen or "planned")
     goal = _read_goal(shown, target, radius, obstacle or [], markups, obstacle_radius)
     limits = PlanLimits(entry_shift, base, base_angle, turns)
-    insertion = begin_insertion(shown)
+    insertion = shown.begin_insertion()
     invocation = context.find_root().obj
     plane, found = plan_to_target(insertion, goal, limits, invocation.jobs)
     unfitted = found.goal.directions > shown.fitted_directions
@@ -102,7 +101,7 @@ def plan(
     if not invocation.json:
         _show_steps(shown, summary)
     if write_recording is not None:
-        write_plan(shown, found, write_recording)
+        shown.write_plan(found, write_recording)
         screen.print_note(f"written: {write_recording}")
         screen.print_note(
             f"play it: {shlex.join(('needlefit', 'view', '--recording', str(write_recording)))}"
@@ -121,11 +120,10 @@ def _read_goal(
     """Return the goal in space."""
     from needlefit.planning.goals import Goal, name_obstacles, read_goal_points
     from needlefit.schemas.planning import ObstacleRecord
-    from needlefit.viewer.plans import find_placement
 
     aim, known = None, list[ObstacleRecord]()
     if markups is not None:
-        aim, read = read_goal_points(markups, find_placement(shown), obstacle_radius)
+        aim, read = read_goal_points(markups, shown.find_placement(), obstacle_radius)
         known += read
     if target is not None:
         x, y, *rest = _read_numbers(target, (2, 3), "--target", "X,Y or X,Y,Z")

@@ -141,6 +141,7 @@ def _show_insertion(
         first_cell=scene.lattice.first_cell,
         placement=Placement(frame, insertion.patient).to_record() if placed else None,
         origin_mark=ORIGIN_MARKS[dataset.origin],
+        is_measured=True,
         measured=make_measured_overlay(dataset, insertion, floor["te_mm"], shape),
         choices=choices,
         warnings=dataset.warnings,

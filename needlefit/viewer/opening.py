@@ -51,7 +51,10 @@ def open_target(
         title = record.title or view_target.path.stem
         note = f"Parameters: those of the scene {view_target.name}. {record.note}".rstrip()
         draws = read_scene_draws(view_target.path.with_suffix(DRAWS_SUFFIX), record)
-        return ViewedScene(view_target.name, title, note, record, scene.lattice.first_cell, spread=draws)
+        return ViewedScene(
+            name=view_target.name, title=title, note=note, record=record,
+            first_cell=scene.lattice.first_cell, spread=draws,
+        )  # fmt: skip
     view_target = replace(view_target, insertion=view_target.insertion if insertion is None else insertion)
     from needlefit.viewer import measured
 
@@ -108,7 +111,10 @@ def open_recording(recording: Recording) -> ViewedScene:
     """Return the scene of a recording, with its overlays if their files still exist unchanged."""
     head = recording.head
     title, note = head.scene.title or head.target, "Opened from a recording."
-    alone = ViewedScene(head.target, title, note, head.scene, head.first_cell_mm, head.placement)
+    alone = ViewedScene(
+        name=head.target, title=title, note=note, record=head.scene, first_cell=head.first_cell_mm,
+        placement=head.placement,
+    )  # fmt: skip
     try:
         found = open_target(head.target, first="scene")  # a run's insertions have names of their own
     except NeedlefitError as error:
