@@ -292,7 +292,7 @@ def test_curvatures_are_read_in_the_frame_of_the_bevel_and_their_faults_named(tm
     head = "id,s_mm,kappa_y_1_per_mm,kappa_z_1_per_mm,sd_1_per_mm\n"
     (tmp_path / "fbg.csv").write_text(head + "a,5,1e-3,2e-3,1e-5\n")
     np.testing.assert_allclose(read(file).insertions[0].curvature, sensors[:, [0, 2, 1, 3]] * [1, 1, -1, 1])
-    for line in ("b,5,1e-3,2e-3,1e-5", "a,0.5,1e-3,2e-3,1e-5", "a,60,0,0,1e-5", "a,5,0,0,0", "a,5,x,0,1e-5"):
+    for line in ("b,5,1e-3,2e-3,1e-5", "a,0.5,1e-3,2e-3,1e-5", "a,200,0,0,1e-5", "a,5,0,0,0", "a,5,x,0,1e-5"):
         (tmp_path / "fbg.csv").write_text(f"{head}{line}\n")
         assert any("fbg.csv:2" in fault.where for fault in check(file))
 

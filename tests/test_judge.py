@@ -79,8 +79,12 @@ def test_within_twice_the_noise_no_reference_is_better():
 
 def test_other_curves_and_errors_that_are_missing_decide_nothing():
     few = compare([0.1] * 4, [0.9] * 4, [0.8] * 4, quadratic_curvature=[0.01] * 4)
-    assert (few.outcome, few.reference, few.reference_mm) == ("closer than both", "constant_curvature", 0.8)
-    assert (few.needles, few.closer, few.margin_mm) == (4, 4, pytest.approx(0.21))
+    assert (few.outcome, few.reference, few.reference_error) == (
+        "closer than both",
+        "constant_curvature",
+        0.8,
+    )
+    assert (few.needles, few.closer, few.margin) == (4, 4, pytest.approx(0.21))
     gaps = compare([np.inf, 0.1, 0.1, 0.1, 0.1], [0.9] * 5, [0.8] * 5)
     assert (gaps.outcome, gaps.needles) == ("closer than both", 4)
     nothing = compare_with_references(needles(fitted=[0.1, 0.2]), "fitted", 0.1)
@@ -101,14 +105,14 @@ def test_a_word_that_hangs_on_one_needle_names_it():
 )
 def test_a_difference_below_the_margin_is_within_it(reference, margin, within):
     found = Comparison(Outcome.AS_CLOSE, "straight", reference, margin, 16, 9, ())
-    judged = Judgement(Outcome.AS_CLOSE, 0.11, 0.7, "straight", reference, 1, 1, found)
+    judged = Judgement(Outcome.AS_CLOSE, "te_mm", 0.11, 0.7, "straight", reference, 1, 1, found)
     assert judged.is_within_margin is within and not replace(judged, compared=None).is_within_margin
 
 
 def test_depths_of_one_hole_are_one_needle():
     errors = needles(fitted=[0.1] * 4, straight=[0.9, 0.9, 0.05, 0.9], constant_curvature=[3.0] * 4)
     found = compare_with_references(errors.assign(hole=[*"aabb"] * 3), "fitted", 0.1)
-    assert (found.needles, found.closer, found.margin_mm) == (2, 2, pytest.approx(0.42 / np.sqrt(2)))
+    assert (found.needles, found.closer, found.margin) == (2, 2, pytest.approx(0.42 / np.sqrt(2)))
 
 
 def with_tip_errors(results: Run, **mm: tuple[float, float]) -> Run:
@@ -302,7 +306,7 @@ def test_paired_differences_have_students_p_values():
     gaps = np.array([-0.3, -0.1, -0.25, 0.05, -0.2])
     (found,) = compare_with_curves(pairs(gaps), "fitted").to_dict("records")
     assert (found["score"], found["curve"], found["trials"]) == ("te_mm", "straight", 5)
-    assert found["difference_mm"] == pytest.approx(gaps.mean())
+    assert found["difference"] == pytest.approx(gaps.mean())
     for side, alternative in (("p_smaller", "less"), ("p_larger", "greater")):
         exact = scipy.stats.ttest_1samp(gaps, 0, alternative=alternative).pvalue
         assert found[side] == pytest.approx(exact)
@@ -392,8 +396,8 @@ def test_the_verdict_and_its_numbers_stand_in_the_row_of_all_insertions():
     verdicts = [row[labels.index("Verdict")] for row in matrix.rows]
     assert verdicts == [pooled.outcome] + [""] * groups
     found = {row[0]: row for row in summary.rows}
-    assert f"{pooled.error_mm:.2f}" in summary.rows[0]
-    assert f"{pooled.curve_mm:.2f}" in found[method_name(pooled.curve)]
+    assert f"{pooled.error:.2f}" in summary.rows[0]
+    assert f"{pooled.curve_error:.2f}" in found[method_name(pooled.curve)]
     assert {method_name(name) for name in REFERENCES} <= found.keys()
 
 

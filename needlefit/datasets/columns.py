@@ -52,7 +52,7 @@ CURVATURE_COLUMNS = ("id", "s_mm", "kappa_y_1_per_mm", "kappa_z_1_per_mm", "sd_1
 TIP_COLUMNS = ("tip_y_mm", "tip_z_mm", "tip_sd_mm")
 OBSERVED_COLUMN = "observed"  # the name of an observation, where it is not that of the data that are there
 OBSERVED_PREFIX = "observed_"  # of the columns of numbers that the observation of a plugin has besides
-MIN_SENSOR_MM = 1.0  # least distance of a sensor from tip and entry, mm
+MIN_SENSOR_MM = 1.0  # least distance of a sensor from tip and base, mm
 DEFAULT_ROLL_SD_DEG = 5.0  # standard deviation of a bevel's roll, where none is stated
 
 # The columns of texts, which are fields of `InsertionRow`.

@@ -425,7 +425,7 @@ def _find_noise_warnings(
     insertions = [one.insertion for one in listed]
     largest = max((abs(one.deflection) for one in insertions), default=0.0)
     sd = float(np.hypot(noise.point_sd, noise.correlated_sd))
-    if not noise.stated and any(one.sd is None for one in insertions):
+    if not noise.stated and not all(one.states_errors for one in insertions):
         yield ResultWarning.of(f"""no noise of the points is stated, so fits have neither noise
                 floor nor predictive intervals
             fix: write `noise.point_sd_mm`, the standard deviation of a point per axis

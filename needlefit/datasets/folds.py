@@ -118,7 +118,7 @@ def leave_out(insertions: tuple[Insertion, ...], what: str) -> tuple[Fold, ...]:
             fix='write leave_out = "insertion" and same_specimen = true to predict insertions into this '
             "specimen, or add insertions into another one"
             if within
-            else "select more insertions",
+            else "select more insertions; of one `needlefit tune` gives the parameters, and no verdict",
             key="leave_out",
         )
     return tuple(

@@ -216,6 +216,11 @@ class Insertion(InsertionInputs):
     _curves: dict[Compared, MeasuredCurve] = field(default_factory=dict, init=False, repr=False)
 
     @property
+    def states_errors(self) -> bool:
+        """Whether the errors of what was measured stand with it, whatever noise its dataset states."""
+        return self.sd is not None or self.observed == "curvature"
+
+    @property
     def guided(self) -> bool:
         """Whether a guide moved during the insertion."""
         return self.guide is not None and self.guide.moved
@@ -289,6 +294,11 @@ class Dataset:
     notes: tuple[str, ...] = field(default=(), repr=False)
     warnings: tuple[ResultWarning, ...] = field(default=(), repr=False)
     remarks: tuple[str, ...] = field(default=(), repr=False)
+
+    @property
+    def noise_is_stated(self) -> bool:
+        """Whether an error is stated for every measurement."""
+        return self.noise.stated or all(one.states_errors for one in self.insertions)
 
     @property
     def directions(self) -> int:

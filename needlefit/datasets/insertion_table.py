@@ -1,7 +1,7 @@
 """Parse the table of insertions: from cells to rows, with the faults of each row."""
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -39,6 +39,7 @@ from needlefit.datasets.formats.csv import CsvTable, note_missing_columns, parse
 from needlefit.datasets.needles import find_unknown_needle
 from needlefit.errors import refusal
 from needlefit.geometry.frames import Frame
+from needlefit.mechanics.needle import Needle
 from needlefit.project.unit_warnings import MIN_DEPTH_MM
 from needlefit.schemas.dataset import DatasetRecord, boundaries_fault, needle_key
 from needlefit.schemas.limits import MAX_LAYERS
@@ -86,16 +87,22 @@ def add_turns(rows: Sequence[InsertionRow], table: CsvTable, found: list[Fault])
     return [replace(row, turns=tuple(turns.get(row.id, ()))) for row in rows]
 
 
-def add_curvature(rows: Sequence[InsertionRow], table: CsvTable, found: list[Fault]) -> list[InsertionRow]:
-    """Return the rows with the curvatures that a table lists; note the faults of that table."""
+def add_curvature(
+    rows: Sequence[InsertionRow], table: CsvTable, found: list[Fault], needles: Mapping[str, Needle]
+) -> list[InsertionRow]:
+    """Return the rows with the curvatures that a table lists; note the faults of that table.
+
+    Sensors lie between tip and base of the needle, which has a name in `needles`.
+    """
     curvature: dict[str, list[list[float]]] = {}
     for row, values, where in _iterate_beside(rows, table, CURVATURE_COLUMNS, found):
         (s, y, z, sd), own = values, curvature.setdefault(row.id, [])
-        if not MIN_SENSOR_MM <= s <= row.depth - MIN_SENSOR_MM:
+        farthest = needles[row.needle].length - MIN_SENSOR_MM
+        if not MIN_SENSOR_MM <= s <= farthest:
             found.append(
                 refusal(f"""has a sensor at {s:g} mm
-                expected: {MIN_SENSOR_MM:g} to {row.depth - MIN_SENSOR_MM:g} mm from the tip
-                fix: correct s_mm: from the tip, inside the tissue
+                expected: {MIN_SENSOR_MM:g} to {farthest:g} mm from the tip
+                fix: correct s_mm: from the tip, on the needle
                 where: {where}""")
             )
         elif not sd > 0:

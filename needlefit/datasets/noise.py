@@ -27,7 +27,7 @@ def estimate_noise_floor(
     of arc length, shifted across where the direction alone is known, or, for free shapes, by arc length from
     the tip after alignment. Uncertain layer depths are not in it.
     """
-    metrics = [metric for metric in list_metrics() if metric.has_floor]
+    metrics = [one for one in list_metrics("places") if one.has_floor]
     displaced = draw_measurement_errors(dataset, insertion, rng, draws, insertion.directions)
     if displaced is None:
         return dict.fromkeys((metric.name for metric in metrics), math.nan)

@@ -4,7 +4,7 @@ import math
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -218,7 +218,8 @@ def _iterate_insertions(reading: _Reading, shared: SharedSurfaces) -> Iterator[L
     elif (table := reading.read_table(root / record.insertions.file)) is None:
         return
     rows, needles = parse_rows(table, record, found), make_needles(record)
-    for name, add in ((record.insertions.turns, add_turns), (record.insertions.curvature, add_curvature)):
+    add_sensors = partial(add_curvature, needles=needles)
+    for name, add in ((record.insertions.turns, add_turns), (record.insertions.curvature, add_sensors)):
         if name is not None and not found:  # of rows with faults ids are missing
             beside = reading.read_table(root / name)
             rows = [] if beside is None else add(rows, beside, found)

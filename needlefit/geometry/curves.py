@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from numpy.polynomial.polynomial import polyval
@@ -105,6 +106,8 @@ def select_compared(points: Floats, compared: Compared, axis: int = -1) -> Float
     return np.take(points, range(points.shape[axis])[: 1 + DIRECTIONS[compared]], axis)
 
 
+#: what is compared of two needles: places along them, curvatures at sensors, or the tip that these lead to
+Quantity = Literal["places", "curvatures", "integrated"]
 COMPARISON_POINTS = 101  # points at which two curves are compared, from entry (j = 1) to tip (j = K)
 
 
@@ -112,9 +115,11 @@ COMPARISON_POINTS = 101  # points at which two curves are compared, from entry (
 class ComparedCurves:
     """Two curves of one insertion at the same stations, from the entry to the tip."""
 
-    # `simulated`, `measured`: the coordinates that are compared of points in C, (K, 2) or (K, 3) mm
+    # `simulated`, `measured`: the coordinates that are compared of points in C, (K, 2) or (K, 3) mm; of
+    # "curvatures" the place of a sensor, mm, and its readings, 1/m
     simulated: Floats
     measured: Floats
+    quantity: Quantity = "places"
 
     @cached_property
     def distances(self) -> Floats:
@@ -137,7 +142,12 @@ class ComparedCurves:
         return float(np.linalg.norm((self.measured[-1] - self.measured[0])[1:]))
 
 
-def compare_curves(simulated: ArrayLike, measured: ArrayLike, compared: Compared = "space") -> ComparedCurves:
+def compare_curves(
+    simulated: ArrayLike,
+    measured: ArrayLike,
+    compared: Compared = "space",
+    quantity: Quantity = "places",
+) -> ComparedCurves:
     """Return two curves (K, 2) or (K, 3), both in C, as compared station by station.
 
     ValueError if their shapes differ.
@@ -147,4 +157,4 @@ def compare_curves(simulated: ArrayLike, measured: ArrayLike, compared: Compared
         raise ValueError(
             f"curves of shape {sim.shape} and {meas.shape} cannot be compared; need (K, 2) or (K, 3) twice"
         )
-    return ComparedCurves(select_compared(sim, compared), select_compared(meas, compared))
+    return ComparedCurves(select_compared(sim, compared), select_compared(meas, compared), quantity)

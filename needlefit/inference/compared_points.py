@@ -8,7 +8,7 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import InsertionPose
-from needlefit.geometry.curves import select_compared
+from needlefit.geometry.curves import ComparedCurves, Quantity, compare_curves, select_compared
 from needlefit.geometry.frames import (
     align_lateral,
     align_rigid,
@@ -44,20 +44,41 @@ class ComparedPoints:
     measured: Floats  #: (K, 3) measured points, entry side first, tip last, mm
     pose: InsertionPose
     compared: Compared = "plane"
+    quantity: Quantity = "places"
+    #: (K, M) from simulated points at `s` (M,) to what is compared across; None where these are it
+    operator: Floats | None = None
+
+    def read(self, points: Floats, axis: int = -1) -> Floats:
+        """Return what is compared (..., K, 3) of simulated points (..., M, 3): combined, at measured x.
+
+        `axis` is that of the coordinates, the points stand before it. Derivatives by theta, whose last axis
+        is another, have none along x.
+        """
+        if self.operator is None:
+            return points
+        axis %= points.ndim
+        across = np.moveaxis(np.tensordot(self.operator, points, (1, axis - 1)), 0, axis - 1)
+        x = self.measured[:, 0] if axis == points.ndim - 1 else 0.0
+        np.moveaxis(across, axis, 0)[0] = x
+        return across
 
     def select(self, points: Floats, axis: int = -1) -> Floats:
-        """Return the coordinates of points (..., K, 3) that are compared."""
-        return select_compared(points, self.compared, axis)
+        """Return what is compared of points (..., M, 3): one or two coordinates across them beside x."""
+        return select_compared(self.read(points, axis), self.compared, axis)
 
     @property
     def target(self) -> Floats:
         """The compared coordinates of the measured points, (K, 2) or (K, 3) mm."""
-        return self.select(self.measured)
+        return select_compared(self.measured, self.compared)
+
+    def compare(self, curve: Curve) -> ComparedCurves:
+        """Return a simulated curve beside the measured one."""
+        return compare_curves(*align_points(self, curve), self.compared, self.quantity)
 
 
 def align_points(target: ComparedPoints, curve: Curve) -> tuple[Floats, Floats]:
     """Return the simulated and the measured points (K, 3), aligned in the plane where the pose is unknown."""
-    simulated, measured = curve(target.s), target.measured
+    simulated, measured = target.read(curve(target.s)), target.measured
     if target.pose != "free":
         return align(target.pose, simulated, measured), measured
     planar = align(target.pose, simulated[:, :2], measured[:, :2])

@@ -7,7 +7,7 @@ searched and sampled as all others are.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import ndtr
@@ -15,7 +15,7 @@ from scipy.special import ndtr
 from needlefit.arrays import Floats
 from needlefit.inference.forward_model import PreparedModel
 from needlefit.inference.identifiability.directions import NORMAL_95_HALF_WIDTH_SD
-from needlefit.inference.likelihood.observations import make_observation
+from needlefit.inference.likelihood.observations import OBSERVATIONS, make_observation
 from needlefit.inference.parameter_names import NOISE_SCALE, to_coordinate
 from needlefit.inference.parameters import Parameters, Values
 from needlefit.inference.predict import draw_from_prior
@@ -80,11 +80,8 @@ def _compare_ends(problem: Problem, sets: Sequence[Values], size: int) -> tuple[
     """
     scales = np.array([values.get(NOISE_SCALE, problem.density.scale) for values in sets[::size]])
     likelihood = problem.likelihood.model_copy(update=MEASURED_POINTS)
-    points_alone = [
-        one if one.observed == "curvature" else replace(one, curvature=None, observed_values={})
-        for one in problem.insertions
-    ]
-    known = [make_observation(problem.dataset, one, problem.noise, likelihood) for one in points_alone]
+    alone = [OBSERVATIONS[one.observed].take_alone(one) for one in problem.insertions]
+    known = [make_observation(problem.dataset, one, problem.noise, likelihood) for one in alone]
     model = PreparedModel(problem.medium, problem.insertions)
     every = model.read_points(sets, [np.append(one.nodes.s[0], one.insertion.depth) for one in known])
     tips, by_noise = [], []
@@ -92,12 +89,9 @@ def _compare_ends(problem: Problem, sets: Sequence[Values], size: int) -> tuple[
         groups = points.reshape(-1, size, *points.shape[1:])  # (N, 1 + 2 H, K, 3)
         away = groups[:, 1:] - groups[:, :1]
         tips.append(np.linalg.norm(away[..., -1, :], axis=-1))
-        shifts = one.stack(away[..., :-1, :])  # (N, 2 H, K), in space (N, 2 H, 2 K)
-        if one.covariance().shape[0] == shifts.shape[-1]:
-            sds = np.sqrt([np.diag(one.covariance(scale)) for scale in scales])[:, None]
-            relative = np.divide(shifts, sds, out=np.zeros_like(shifts), where=shifts != 0)
-        else:  # no points, but curvatures, whose errors are independent
-            relative = shifts @ one.whitening.T / scales[:, None, None]
+        shifts = one.read(away[..., :-1, :])  # (N, 2 H, K), in space (N, 2 H, 2 K)
+        sds = np.sqrt([np.diag(one.covariance(scale)) for scale in scales])[:, None]
+        relative = np.divide(shifts, sds, out=np.zeros_like(shifts), where=shifts != 0)
         by_noise.append(np.max(np.abs(relative), axis=-1))
     shape = (len(scales), -1, 2)
     return np.max(tips, axis=0).reshape(shape), np.max(by_noise, axis=0).reshape(shape)

@@ -4,17 +4,17 @@ They are of the coordinates that are compared: of points in the plane of the nee
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
 import numpy as np
 
 from needlefit.errors import ConfigError
-from needlefit.geometry.curves import ComparedCurves
+from needlefit.geometry.curves import ComparedCurves, Quantity
 from needlefit.registry import Registry
 
 #: of units that are no letters, in names
-UNIT_WORDS = {"%": "percent", "°": "deg", "mm²": "mm2", "1/mm": "1_per_mm"}
+UNIT_WORDS = {"%": "percent", "°": "deg", "mm²": "mm2", "1/mm": "1_per_mm", "1/m": "1_per_m"}
 
 
 @dataclass(frozen=True)
@@ -37,6 +37,8 @@ class Metric:
     of_curve: bool = False  #: whether it needs a measured curve: of a tip alone it is NaN
     spread_of: str = ""  #: the metric behind which it is printed as "± value"; empty: in a column of its own
     order: int = 100  #: its place in tables, from the left
+    quantity: Quantity = "places"  #: of which compared curves it is an error
+    missed: str = ""  #: what a verdict by it says is missed, such as "tips"; empty: no verdict is by it
 
     def __post_init__(self) -> None:
         """Raise ConfigError if the name does not end in the unit, which files state nowhere else."""
@@ -50,9 +52,15 @@ class Metric:
 METRICS = Registry(Metric, __name__, "metric")
 
 
-def list_metrics() -> tuple[Metric, ...]:
-    """Return all metrics in the order of tables."""
-    return tuple(sorted(METRICS.values(), key=lambda metric: (metric.order, metric.name)))
+def list_metrics(*quantities: Quantity) -> tuple[Metric, ...]:
+    """Return all metrics, or those of some quantities, in the order of tables."""
+    some = (one for one in METRICS.values() if one.quantity in (quantities or (one.quantity,)))
+    return tuple(sorted(some, key=lambda metric: (metric.order, metric.name)))
+
+
+def known_metrics(columns: Collection[str]) -> tuple[Metric, ...]:
+    """Return the metrics of a table with these columns: those of places, and others that it has."""
+    return tuple(one for one in list_metrics() if one.quantity == "places" or one.name in columns)
 
 
 def headline_metrics() -> tuple[Metric, ...]:
@@ -60,13 +68,18 @@ def headline_metrics() -> tuple[Metric, ...]:
     return tuple(one for one in list_metrics() if one.headline)
 
 
+def verdict_metrics() -> tuple[Metric, ...]:
+    """Return the metrics of verdicts; one is by the first that is known of the insertions."""
+    return tuple(one for one in list_metrics() if one.missed)
+
+
 def compute_metrics(curves: ComparedCurves) -> dict[str, float]:
-    """Return the errors of one insertion, by metric.
+    """Return the errors of one insertion, by metric: those of what is compared.
 
     Raises ConfigError if a metric of a plugin fails.
     """
     found = {}
-    for metric in list_metrics():
+    for metric in list_metrics(curves.quantity):
         with METRICS.plugin_error_context(metric.name):
             known = curves.is_curve or not metric.of_curve
             found[metric.name] = float(metric.compute(curves)) if known else math.nan
@@ -125,6 +138,31 @@ TE = Metric(
     compute=lambda curves: curves.tip_error,
     headline=True,
     order=40,
+    missed="tips",
+)
+
+CURVATURE_RMS = Metric(
+    "curvature_rms_1_per_m",
+    "RMS curvature error",
+    "1/m",
+    "Root mean square over sensors of the distance between simulated and measured curvature.",
+    compute=lambda curves: float(np.sqrt(np.mean(curves.distances**2))),
+    headline=True,
+    order=60,
+    quantity="curvatures",
+    missed="curvatures",
+)
+
+INTEGRATED_TE = Metric(
+    "te_integrated_mm",
+    "TE from the base",
+    "mm",
+    "Tip error of curvatures: distance between the tips to which the simulated and the measured readings of "
+    "all sensors lead from the needle's base, or from a guide.",
+    compute=lambda curves: curves.tip_error,
+    headline=True,
+    order=70,
+    quantity="integrated",
 )
 
 

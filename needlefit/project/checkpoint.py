@@ -202,6 +202,15 @@ def remove_checkpoint(folder: Path, note: Note) -> None:
     release_checkpoint(folder)
 
 
+def abandon_checkpoint(folder: Path, note: Note) -> None:
+    """Remove the checkpoint of a run that ended by an error, by which the same run would end again.
+
+    Of a run that did not get as far as to have it, nothing is removed.
+    """
+    if folder.resolve() in _held:
+        remove_checkpoint(folder, note)
+
+
 def release_checkpoint(folder: Path) -> None:
     """Let other processes have the checkpoint in a folder, if this one has it."""
     if (lock := _held.pop(folder.resolve(), None)) is not None:

@@ -7,7 +7,7 @@ from typing import Any
 
 from needlefit.inference.parameter_names import is_logarithmic
 from needlefit.mechanics.laws import list_shape_parameters
-from needlefit.metrics import Metric
+from needlefit.metrics import METRICS, TE, Metric
 
 MISSING = "–"
 _PARAMETER_PATTERN = re.compile(
@@ -118,8 +118,14 @@ def format_metric(metric: Metric, value: float | None, digits: int = 2) -> str:
     return format_percent(value) if metric.unit == "%" else format_number(value) or MISSING
 
 
+def format_error(value: float, metric: str = TE.name) -> str:
+    """Return an error by a metric with its unit; lengths below 0.1 mm have a third decimal."""
+    found = METRICS[metric]
+    return f"{format_metric(found, value, 3 if value < 0.1 else 2)} {found.unit}"
+
+
 NO_BREAK = "\u00a0"  #: the space at which no line is broken
-_UNITS = "mm²|mm|cm|%|kPa|MPa|GPa|Pa|N|HU|°|degrees|SD|nats|times"
+_UNITS = "mm²|mm|1/m|cm|%|kPa|MPa|GPa|Pa|N|HU|°|degrees|SD|nats|times"
 _BOUND_PATTERN = re.compile(rf"(?<=[\d⁰¹²³⁴⁵⁶⁷⁸⁹]) (?=(?:{_UNITS})(?!\w)|[±×] \d)|(?<=[±×]) (?=\d)")
 
 

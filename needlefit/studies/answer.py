@@ -11,6 +11,7 @@ from typing import Literal
 import pandas as pd
 
 from needlefit.inference.predict import Draws
+from needlefit.metrics import METRICS, TE
 from needlefit.project.locate import format_path
 
 Status = Literal["none", "pass", "warn", "fail"]
@@ -81,7 +82,8 @@ class Finding:
     threshold: float | None = None
     named: str = ""  #: the curve that is compared, or the kinds of the warnings about the data, with commas
     trials: int | None = None  #: independent ones, of comparisons and coverages
-    margin_mm: float | None = None  #: difference of tip errors that counts as none
+    #: difference of errors that counts as none, in the unit of the score
+    margin_mm: float | None = None
     needles: int | None = None  #: compared with a reference
     closer: int | None = None  #: of these, on which the model is closer
     hangs_on: str = ""  #: needles of which, if one is left out, the outcome is another, with commas
@@ -93,6 +95,12 @@ class Finding:
     max_width_mm: float | None = None
     deflection_mm: float | None = None  #: median of the tips' deflections
     beyond: int | None = None  #: tips that deflect more than the middle of their intervals, the median
+    score: str = TE.name  #: the metric of the verdict
+
+    @property
+    def missed(self) -> str:
+        """What an error is of: "tips" or "curvatures"."""
+        return METRICS[self.score].missed
 
     @property
     def is_below(self) -> bool:

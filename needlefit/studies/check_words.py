@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from needlefit.metrics import TE
 from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.text import KindText
 from needlefit.studies.advice import name_doubt
@@ -31,7 +32,9 @@ _CHECK_RULES: Mapping[str, Callable[[Any], object]] = {
     "nothing_required": lambda v: v.value is None,
     "some_covered": lambda v: v.value is not None and v.trials == 1,
     "share_95": lambda v: v.value is not None and v.trials != 1,
-    "width_limit": lambda v: v.value is not None,
+    **dict.fromkeys(("width_limit", "width_found"), lambda v: v.width_mm is not None),
+    **dict.fromkeys(("tips_covered", "one_tip"), lambda v: v.missed == TE.missed),
+    **dict.fromkeys(("needles_covered", "one_needle"), lambda v: v.missed != TE.missed),
     "tips_missed": lambda v: v.covered is False,
     "and_width": lambda v: v.covered is False and v.is_wide,
     "width_exceeded": lambda v: v.is_wide,
@@ -64,6 +67,7 @@ def _word_check(one: Finding, part: str = "") -> str:
         f"{one.check}{part}",
         {
             **vars(one),
+            "missed": one.missed,
             "equals_noise": one.equals_noise,
             "is_wide": one.is_wide,
             "pattern": one.pattern,

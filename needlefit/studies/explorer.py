@@ -163,15 +163,16 @@ def collect_explorer(run: Run, data: PageData | None = None) -> PageData | None:
     metadata = run.knows(FitMetadata)
     stored = metadata.insertions
     rows = [row for row in to_records(scored) if row["converged"] and row["insertion"] in stored]
-    if not rows:
-        return None
-    data = data or PageData({"needlefit": metadata.versions["needlefit"], "title": run.title})
     shapes = select_rows(frames.shapes, boundaries="measured")
     points = [f"{kind}_{axis}_mm" for kind in ("measured", "simulated") for axis in "xyz"]
     curves: dict[Any, Floats] = {  # stations are in order
         key: some.to_numpy().reshape(-1, 2, 3)
         for key, some in shapes.groupby(["fold", "role", "insertion", "method"], sort=False)[points]
     }
+    rows = [row for row in rows if (row["fold"], row["role"], row["insertion"], "fitted") in curves]
+    if not rows:  # of curvatures alone no place is known
+        return None
+    data = data or PageData({"needlefit": metadata.versions["needlefit"], "title": run.title})
     errors = select_rows(frames.errors, boundaries="measured", converged=True)
     order = {name: n for n, name in enumerate(list_methods())}
     errors = errors.sort_values("method", key=lambda names: names.map(order), kind="stable")

@@ -18,6 +18,8 @@ RULES: Mapping[str, Callable[[Any], object]] = {
     "predicted_insertions": lambda v: v.held_out,
     "depth_of_held_out": lambda v: "validate" in v.depths,
     "nothing_held_out": lambda v: not v.held_out,
+    "several_fitted": lambda v: v.fitted_counts != ["1"],
+    "one_fitted": lambda v: v.fitted_counts == ["1"],
     "depth_of_fitted": lambda v: "tune" in v.depths,
     "computed": lambda v: v.computation.starts and v.computation.goals,
     "drawn": lambda v: v.computation.source,
@@ -32,7 +34,7 @@ RULES: Mapping[str, Callable[[Any], object]] = {
     "hangs_on_many": lambda v: len(v.judged.compared.hangs_on) > MAX_NAMED_NEEDLES,
     "curve_closer": lambda v: not v.judged.has_reference and v.judged.curve_is_closer,
     "closest_curve": lambda v: (
-        not (v.judged.has_reference or v.judged.curve_is_closer or v.judged.curve_mm is None)
+        not (v.judged.has_reference or v.judged.curve_is_closer or v.judged.curve_error is None)
     ),
     "below_margin": lambda v: v.judged.is_within_margin,
     "tracks_closer": lambda v: v.tracks.closer is not None,

@@ -125,9 +125,10 @@ def _lay_out_groups(
 ) -> TableLayout:
     """Return a block of rows for each group, of which the first has its name (`heads`) and its noise.
 
-    A `short` table has the errors of sentences, the tip error first; else all, and as multiples of the noise.
+    A `short` table has the errors of sentences, that of the verdict first, and the noise of tips; else all,
+    and as multiples of the noise.
     """
-    rows: list[Row] = []
+    rows, by_tips = list[Row](), all(group.score == scores.TE for group, _ in blocks)
     for number, (group, kinds) in enumerate(blocks):
         noise = group.get(scores.TE, "floor")
         for row in _list_scores(group, kinds):
@@ -138,9 +139,10 @@ def _lay_out_groups(
     if short:
         metrics = [one for one in metrics if one.headline or one.relative]
     floors = [one.name for one in metrics if one.headline and one.has_floor]
-    last: list[Any] = ["noise_of_te"] if short else [part("over_floor", metric=name) for name in floors]
+    last: list[Any] = [part("over_floor", metric=name) for name in floors]
+    last = ["noise_of_te"] if short and by_tips else last
     if short:
-        metrics.sort(key=lambda one: one.name != scores.TE)
+        metrics.sort(key=lambda one: not one.missed)
     columns = (*heads, "row", *(part("metric_value", metric=one.name) for one in metrics), *last)
     lines = pivot(rows, ["number", "row"], ["metric"])
     table = Table(name, lines, columns, groups=("number",), heads=len(heads), strong="groups")
@@ -201,9 +203,9 @@ def lay_out_matrix(runs: Sequence[Run]) -> TableLayout:
                 {
                     **_head(group),
                     "study": scores.study_label(run),
-                    "te_mm": judged and judged.error_mm,
+                    "te_mm": judged and group.get(scores.TE, method=FitFrames.of(run).method),
                     "noise_of_te": group.get(scores.TE, "floor"),
-                    "baseline_te_mm": judged and judged.curve_mm,
+                    "baseline_te_mm": judged and group.get(scores.TE, method=judged.curve),
                     "paper_te_mm": group.get(scores.TE, "paper"),
                     "verdict": "" if number else run.first_page.verdict.word or "not scored",
                 }
@@ -264,8 +266,10 @@ def lay_out_baselines(run: Run, role: str) -> TableLayout:
         }
         for row in to_records(compared)
     ]
-    errors = (one.name for one in headline_metrics() if compared[one.name].notna().any())
-    columns = ("method", "insertions", *errors, "te_difference", "better_of")
+    errors = [
+        one.name for one in headline_metrics() if one.name in compared and compared[one.name].notna().any()
+    ]
+    columns = ("method", "insertions", *errors, *(("te_difference",) * (scores.TE in errors)), "better_of")
     return _lay_out(Table("baselines", rows, columns, strong="first"), role=role)
 
 

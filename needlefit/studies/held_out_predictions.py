@@ -31,10 +31,10 @@ from needlefit.inference.draw_simulation import (
     vary_bevels,
 )
 from needlefit.inference.likelihood.observation import Observation
-from needlefit.inference.likelihood.observations import make_observation
+from needlefit.inference.likelihood.observations import OBSERVATIONS, make_observation
 from needlefit.inference.likelihood.observations.curvature import append_sensors
 from needlefit.inference.point_prediction import PointPrediction, choose_point
-from needlefit.inference.predict import Draws, PredictiveMixture, find_geometric_median, rms_noise_scale
+from needlefit.inference.predict import Draws, PredictiveMixture, crps, find_geometric_median, rms_noise_scale
 from needlefit.inference.problem import Problem
 from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import run_parts
@@ -43,9 +43,11 @@ from needlefit.studies.coverage import AFTER_ONE_COLUMN, WIDTH_ERROR_COLUMN, est
 from needlefit.studies.fold_draws import Specimens, describe_specimen
 from needlefit.studies.job import Job
 from needlefit.studies.prediction_scores import (
+    CURVATURE_CRPS,
     SPATIAL_COLUMNS,
     find_end_error,
-    score_prediction,
+    score_shape,
+    score_tip,
     score_tip_in_space,
     tabulate_band,
     tabulate_sensors,
@@ -97,7 +99,7 @@ def predict_held_out(
     with the number of predictions made, and of all.
     """
     job, jobs = known.job, known.jobs
-    given = [one for one in known.fold.validate if job.dataset.noise.stated or one.sd is not None]
+    given = [one for one in known.fold.validate if job.dataset.noise.stated or one.states_errors]
     if given and known.separate and known.faults:
         return
     side_by_side = max(1, min(jobs, len(given)))
@@ -134,13 +136,15 @@ class _Predictor:
         known, job = self.known, self.known.job
         draws = known.draws_in(insertion)
         # the roll is drawn: it turns the needle as a whole
-        points = replace(insertion, curvature=None, observed_values={}, roll_sd=0.0)
-        observation = make_observation(job.dataset, points, likelihood=self.likelihood)
+        kind = OBSERVATIONS[insertion.observed]
+        alone = replace(kind.take_alone(insertion), roll_sd=0.0)
+        observation = make_observation(job.dataset, alone, likelihood=self.likelihood)
         sets = [job.parameters.values(theta) for theta in draws.thetas]
         stations = append_sensors(insertion, observation.nodes.s[0])
         needles = self._plan(insertion, stations, *self._vary(insertion, sets))
         factor = rms_noise_scale(draws, job.parameters, job.recipe.likelihood.noise_scale)
-        sd = math.sqrt(_measurement_covariance(observation, factor)[-1, -1])  # of the tip
+        # of the tip
+        sd = math.sqrt(_measurement_covariance(observation, factor)[-1, -1]) if kind.has_tip else 0.0
         return self._predict(insertion, observation, draws, needles.simulate(sd))
 
     def _vary(
@@ -183,9 +187,9 @@ class _Predictor:
         aligned = align(observation.pose, needles, observation.measured)
         factor = rms_noise_scale(draws, job.parameters, job.recipe.likelihood.noise_scale)
         covariance = _measurement_covariance(observation, factor)
-        measured = observation.stack(observation.measured)
-        mixture = PredictiveMixture(observation.stack(aligned), np.sqrt(np.diag(covariance)))
-        end_error = find_end_error(mixture, len(observation.measured))
+        measured, has_tip = observation.read(observation.measured), OBSERVATIONS[insertion.observed].has_tip
+        mixture = PredictiveMixture(observation.read(aligned), np.sqrt(np.diag(covariance)))
+        end_error = find_end_error(mixture, len(measured) // directions)
         row = {
             "fold": fold.name,
             "insertion": insertion.id,
@@ -205,11 +209,18 @@ class _Predictor:
             some = [job.parameters.values(theta) for theta in draws.thetas[solved]]
             row[AFTER_ONE_COLUMN] = self._estimate_after_one(insertion, observation, some, mixture)
         whole = predict_bands(mixture.means, covariance, rng)
-        row |= score_prediction(mixture, measured, whole.pit(measured))
-        width = row["tip_95_high_mm"] - row["tip_95_low_mm"]  # both of its ends err
-        row[WIDTH_ERROR_COLUMN] = math.sqrt(2) * end_error * width if math.isfinite(end_error) else math.nan
+        row |= score_shape(mixture, measured, whole.pit(measured))
         columns: tuple[str, ...] = PREDICTIVE_COLUMNS
-        if directions > 1:
+        if has_tip:
+            row |= score_tip(mixture, measured)
+            width = row["tip_95_high_mm"] - row["tip_95_low_mm"]  # both of its ends err
+            row[WIDTH_ERROR_COLUMN] = (
+                math.sqrt(2) * end_error * width if math.isfinite(end_error) else math.nan
+            )
+        else:
+            row[CURVATURE_CRPS] = float(crps(mixture, measured).mean())
+            columns = (*columns, CURVATURE_CRPS)
+        if has_tip and directions > 1:
             (centre,) = find_geometric_median(aligned[:, -1:, 1:])
             tips = np.array([len(measured) // 2 - 1, len(measured) - 1])  # along y and z
             errors = rng.multivariate_normal(np.zeros(2), covariance[np.ix_(tips, tips)], len(aligned))
@@ -217,9 +228,9 @@ class _Predictor:
             columns = (*columns, *SPATIAL_COLUMNS)
         band, where = tuple[Row, ...](), {"fold": fold.name, "insertion": insertion.id}
         sensors = tuple({**where, **one} for one in tabulate_sensors(insertion, about_sensors))
-        if self.bands:
+        if self.bands and has_tip:
             band = tuple({**where, **point} for point in tabulate_band(mixture, whole, observation.measured))
-        row = {name: row[name] for name in columns}
+        row = {name: row.get(name) for name in columns}
         outside = int(np.sum(~found.valid[solved]))
         chosen = self._choose_needle(insertion, s, drawn[:, : len(s)]) if self.bands else ()
         return HeldOutPrediction(row, band, sensors, len(aligned), outside, *chosen)
@@ -245,7 +256,7 @@ class _Predictor:
         if not point.is_median:
             return point, needle
         at, median = s, point.take(needle(s), drawn)
-        if len(s) == 1:  # of a tip alone; the needle begins at the entry
+        if at[0] > 0:  # of a tip or of sensors; the needle begins at the entry
             at, median = np.append(0.0, s), np.vstack([np.zeros(3), median])
         return point, PchipInterpolator(at, median)
 
@@ -288,9 +299,10 @@ class _Predictor:
 
 
 def _choose_representatives(job: Job, insertions: Iterable[Insertion]) -> frozenset[str]:
-    """Return the insertion of median depth of each medium and number of layers, by its id."""
+    """Return the insertion with a tip of median depth of each medium and number of layers, by its id."""
     rule = job.record.layer_count_rule
-    groups = group_values(((one.medium, count_layers(one, rule)), one) for one in insertions)
+    with_tips = (one for one in insertions if OBSERVATIONS[one.observed].has_tip)
+    groups = group_values(((one.medium, count_layers(one, rule)), one) for one in with_tips)
     ordered = (sorted(some, key=lambda one: (one.depth, one.id)) for some in groups.values())
     return frozenset(some[(len(some) - 1) // 2].id for some in ordered)
 

@@ -8,7 +8,8 @@ from weakref import WeakKeyDictionary
 
 from needlefit.datasets.folds import Fold
 from needlefit.datasets.insertion import Dataset, Insertion
-from needlefit.datasets.noise import NoiseFloor, estimate_noise_floor
+from needlefit.datasets.noise import NoiseFloor
+from needlefit.inference.likelihood.observations import OBSERVATIONS, estimate_floor
 from needlefit.inference.parameter_names import HYPERPARAMETERS
 from needlefit.inference.parameters import Parameters, without_bevel_spread, without_prior
 from needlefit.inference.problem import Problem
@@ -92,6 +93,7 @@ class Job:
     def searches(self) -> tuple[str, ...]:
         """The searches of one fold; the first is the fit that everything else is about."""
         metric = self.recipe.metric and self.recipe.minimize == "posterior"
+        metric = metric and all(OBSERVATIONS[one.observed].has_tip for one in self.insertions)
         published = self.hand_tuned is not None and "bevel_mm" in self.parameters.free
         others = {*self.parameters.free} - {self.medium.bevel_parameter, *HYPERPARAMETERS}
         alone = isinstance(self.record, StudyRecord) and self.record.registration_depth_mm is None
@@ -118,9 +120,7 @@ class Job:
         seed, data, known = self.recipe.seed, self.dataset, _floors.setdefault(insertion, {})
         key = (seed, data.noise, data.pose, data.drop_proximal)
         if key not in known:
-            known[key] = estimate_noise_floor(
-                data, insertion, random_stream(seed, "noise floor", insertion.id)
-            )
+            known[key] = estimate_floor(data, insertion, random_stream(seed, "noise floor", insertion.id))
         return known[key]
 
     def problem(self, fold: Fold, search: str = "fitted") -> Problem:

@@ -12,7 +12,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Protocol
 
-from needlefit.project.checkpoint import release_checkpoint
+from needlefit.errors import NeedlefitError, UnfinishedWorkError
+from needlefit.project.checkpoint import abandon_checkpoint, release_checkpoint
 from needlefit.project.processes import one_thread
 from needlefit.project.source_revision import find_source_revision
 from needlefit.project.toml import add_study_context
@@ -78,6 +79,12 @@ class StudyKind:
             with add_study_context(name):
                 run = self.compute(name, record, settings)
             complete = not run.interrupted
+        except UnfinishedWorkError:
+            raise
+        except NeedlefitError:
+            if settings.checkpoint is not None:
+                abandon_checkpoint(settings.checkpoint, settings.note)
+            raise
         finally:
             if settings.checkpoint is not None and not complete:
                 release_checkpoint(settings.checkpoint)

@@ -53,7 +53,7 @@ def read_inputs(
     recipe = given.recipe or load(find_named("recipe", record.recipe), RecipeRecord)
     if settings.seed is not None:
         recipe = recipe.model_copy(update={"seed": settings.seed})
-    if recipe.minimize == "posterior" and not dataset.noise.stated:
+    if recipe.minimize == "posterior" and not dataset.noise_is_stated:
         recipe = metric_recipe(recipe)  # without noise a posterior has no width, and no peak
     with add_key_context("paper_parameters"):
         published = None if record.paper_parameters is None else read_hand_tuned(record.paper_parameters)

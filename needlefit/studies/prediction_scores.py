@@ -77,6 +77,8 @@ def _find_intervals(mixture: PredictiveMixture) -> tuple[Floats, dict[float, Flo
     return median, dict(zip(INTERVAL_PROBABILITIES, pairs, strict=True))
 
 
+#: a column that predictions of curvatures alone have besides, the mean score of their readings
+CURVATURE_CRPS = "curvature_crps_1_per_m"
 #: columns that predictions in space have besides; there `tip_pit` is the probability of a tip nearer to the
 #: centre, by the spread of tips, `tip_crps_mm` the energy score, and `tip_in_95` is by `tip_pit`
 SPATIAL_COLUMNS = ("tip_z_measured_mm", "tip_z_median_mm", "tip_z_95_low_mm", "tip_z_95_high_mm")
@@ -129,20 +131,28 @@ def find_end_error(mixture: PredictiveMixture, count: int) -> float:
     return found
 
 
-def score_prediction(mixture: PredictiveMixture, measured: Floats, shape_pit: float) -> Row:
-    """Return what became of the prediction of points (K,), the last of them the tip."""
+def score_shape(mixture: PredictiveMixture, measured: Floats, shape_pit: float) -> Row:
+    """Return what became of the prediction of points, or of readings, (K,) as a whole."""
+    pit, row = cdf(mixture, measured), Row(shape_pit=shape_pit)
+    for level in INTERVAL_PROBABILITIES:
+        name = f"{100 * level:.0f}"
+        row |= {f"shape_in_{name}": shape_pit <= level}
+        row |= {f"points_in_{name}": bool((np.abs(pit - 0.5) <= level / 2).all())}
+    return row
+
+
+def score_tip(mixture: PredictiveMixture, measured: Floats) -> Row:
+    """Return what became of the prediction of points (K,), the last of them the tip, and of this one."""
     tip = PredictiveMixture(mixture.means[:, -1:], mixture.sd[-1:])
     at, score, pit = float(measured[-1]), crps(mixture, measured), cdf(mixture, measured)
     median, intervals = _find_intervals(tip)
     row: Row = {"tip_measured_mm": at, "tip_median_mm": float(median[0])}
     row |= {"tip_pit": float(pit[-1]), "tip_crps_mm": float(score[-1])}
-    row |= {"shape_crps_mm": float(score.mean()), "shape_pit": shape_pit}
+    row |= {"shape_crps_mm": float(score.mean())}
     for level, ends in intervals.items():
         name, (low, high) = f"{100 * level:.0f}", ends[:, 0].tolist()
         row |= {f"tip_{name}_low_mm": low, f"tip_{name}_high_mm": high}
         row |= {f"tip_in_{name}": low <= at <= high}
-        row |= {f"shape_in_{name}": shape_pit <= level}
-        row |= {f"points_in_{name}": bool((np.abs(pit - 0.5) <= level / 2).all())}
     # width, and what lies outside at 2 / (1 - level) of it: T. Gneiting, A. E. Raftery, JASA 102 (2007) 359
     beyond = max(low - at, at - high, 0.0)
     return row | {"tip_interval_score_mm": high - low + 2 / (1 - level) * beyond}

@@ -12,18 +12,18 @@ from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, Insertion, InsertionPose, find_pose
 from needlefit.datasets.noise import NoiseFloor
 from needlefit.datasets.select import count_layers, name_holes, select_same_needle
-from needlefit.geometry.curves import ComparedCurves, compare_curves
+from needlefit.geometry.curves import ComparedCurves
 from needlefit.inference.baseline_fit import FittedBaseline, fit_baselines
 from needlefit.inference.baselines import list_baselines
-from needlefit.inference.compared_points import Curve, align_points
+from needlefit.inference.compared_points import ComparedPoints, Curve, align_points
 from needlefit.inference.fit import Fit
 from needlefit.inference.forward_model import predict
-from needlefit.inference.likelihood.observations import OBSERVATIONS, SimulatedCurve, select_points
+from needlefit.inference.likelihood.observations import OBSERVATIONS, SimulatedCurve, list_comparisons
 from needlefit.inference.planned_layers import planned_layers
 from needlefit.inference.problem import Problem
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape
-from needlefit.metrics import METRICS, compute_metrics
+from needlefit.metrics import TE, compute_metrics, list_metrics
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.study import LayerCountRule
 from needlefit.studies.fit_frames import MODEL_METHODS
@@ -113,16 +113,16 @@ COMPARISONS: Mapping[InsertionPose, str] = {
 
 
 class Compared(NamedTuple):
-    """An insertion, its points beside those of a method, (K, 3) mm, and the noise floor of its TE, mm."""
+    """An insertion, its curve beside that of a method, and the noise floor of its TE, mm."""
 
     insertion: Insertion
-    simulated: Floats
-    measured: Floats
     curves: ComparedCurves
     floor: float
 
     def deflect(self, points: Floats) -> float:
-        """Return the deflection of the tip toward the bevel, mm."""
+        """Return the deflection of the tip toward the bevel, mm; NaN where no place was measured."""
+        if self.curves.quantity == "curvatures":
+            return math.nan
         return self.insertion.side * float(points[-1, 1] - points[0, 1])
 
 
@@ -150,8 +150,8 @@ INSERTION_COLUMNS: Mapping[str, Callable[["Scorer", Insertion], Any]] = {
     "compared": lambda scorer, one: scorer.dataset.compared,
 }
 CURVE_COLUMNS: Mapping[str, ErrorColumn] = {
-    "deflection_mm": ErrorColumn(lambda one: one.deflect(one.measured), math.nan),
-    "predicted_deflection_mm": ErrorColumn(lambda one: one.deflect(one.simulated), math.nan),
+    "deflection_mm": ErrorColumn(lambda one: one.deflect(one.curves.measured), math.nan),
+    "predicted_deflection_mm": ErrorColumn(lambda one: one.deflect(one.curves.simulated), math.nan),
     # a deflection below the noise floor; never where no floor is stated (NaN)
     "edp_flagged": ErrorColumn(lambda one: bool(one.curves.deflection < one.floor), False),
     "converged": ErrorColumn(lambda one: True, False, is_optional=False),
@@ -183,20 +183,21 @@ class Scorer:
             floors = self.floors[insertion.id]
             row = where | {name: find(self, insertion) for name, find in INSERTION_COLUMNS.items()}
             row |= {f"floor_{name}": value for name, value in floors.items()}
+            row |= {one.name: math.nan for one in list_metrics("places")}  # where no place was measured
+            goals = list_comparisons(self.dataset, insertion)
             if curve is None:
-                row |= dict.fromkeys(METRICS.names(), math.inf)
+                row |= {one.name: math.inf for one in list_metrics(*(goal.quantity for goal in goals))}
                 errors.append(row | {name: one.otherwise for name, one in CURVE_COLUMNS.items()})
                 continue
             if isinstance(curve, SimulatedCurve):
                 validity.append({**where, "faults": list(curve.shape.validity.faults)})
-            pose, drop = self.dataset.pose, self.dataset.drop_proximal
-            goal = select_points(pose, drop, insertion, compared=self.dataset.compared)
-            simulated, measured = align_points(goal, curve)
-            curves = compare_curves(simulated, measured, self.dataset.compared)
-            found = Compared(insertion, simulated, measured, curves, floors["te_mm"])
-            row |= compute_metrics(curves)
+            for goal in goals:
+                row |= compute_metrics(goal.compare(curve))
+            # the deflection is that of a tip, where one is known
+            first = min(goals, key=lambda one: one.quantity == "curvatures")
+            found = Compared(insertion, first.compare(curve), floors[TE.name])
             errors.append(row | {name: one.compute(found) for name, one in CURVE_COLUMNS.items()})
-            shapes += _shape_rows(where, simulated, measured)
+            shapes += _shape_rows(where, first, curve)
         return Scores(errors, shapes, validity)
 
     @cached_property
@@ -211,7 +212,11 @@ def make_scorer(job: Job) -> Scorer:
     return Scorer(job.dataset, job.record.layer_count_rule, floors)
 
 
-def _shape_rows(where: Row, simulated: Floats, measured: Floats) -> list[Row]:
+def _shape_rows(where: Row, goal: ComparedPoints, curve: Curve) -> list[Row]:
+    """Return the places that are compared; of curvatures there are none."""
+    if goal.quantity != "places":
+        return []
+    simulated, measured = align_points(goal, curve)
     names = [f"{which}_{axis}_mm" for which in ("measured", "simulated") for axis in "xyz"]
     places = enumerate(np.column_stack([measured, simulated]).tolist())
     return [{**where, "j": j, **dict(zip(names, place, strict=True))} for j, place in places]

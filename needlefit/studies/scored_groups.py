@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property
 from itertools import groupby
 from typing import Any
 
@@ -11,7 +12,7 @@ import pandas as pd
 from needlefit.arrays import Floats
 from needlefit.datasets import paper
 from needlefit.datasets.select import group_rows
-from needlefit.metrics import headline_metrics, list_metrics
+from needlefit.metrics import known_metrics, verdict_metrics
 from needlefit.reporting.table_files import Row, select_rows, to_records
 from needlefit.schemas.run_metadata import JobMetadata
 from needlefit.schemas.study import DIRECTIONS
@@ -37,7 +38,7 @@ def aggregate(errors: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
         insertions that deflect by more than their noise floor. Counts of insertions: `insertions`,
         `edp_flagged` (the others of these) and `not_converged`.
     """
-    metrics, keys = [metric.name for metric in list_metrics()], list(by)
+    metrics, keys = [metric.name for metric in known_metrics(errors.columns)], list(by)
     names = [name for metric in metrics for name in (metric, f"floor_{metric}")]
     table = errors.reindex(columns=names).to_numpy(dtype=np.float64).reshape(-1, len(metrics), 2)
     ids, places = errors["insertion"].to_numpy(), pd.Series(np.arange(len(errors)), errors.index)
@@ -57,13 +58,19 @@ def aggregate(errors: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=[*by, *AGGREGATE_COLUMNS])
 
 
+def find_score(errors: pd.DataFrame) -> str:
+    """Return the metric of verdicts on some errors: the first that is known of any."""
+    known = (one.name for one in verdict_metrics() if one.name in errors and errors[one.name].notna().any())
+    return next(known, TE)
+
+
 def count_directions(run: Run) -> int:
     """Return how many deflections of a point were compared: along y, and z."""
     return DIRECTIONS[run.knows(JobMetadata).compared]
 
 
 def compare_methods(run: Run, role: str) -> pd.DataFrame:
-    """Compare the tip errors of every method with the fit's on the same insertions and folds of a role.
+    """Compare the errors of every method with the fit's on the same insertions and folds of a role.
 
     Errors of one group are first averaged (`group_independent`): the four depths of one hole are no four
     needles.
@@ -72,18 +79,20 @@ def compare_methods(run: Run, role: str) -> pd.DataFrame:
     -------
     DataFrame
         `method`, `insertions` (or groups of repeats), the mean of every headline metric, `difference_mm`
-        (mean over them of the method's tip error minus the fit's; positive: the method is worse),
+        (mean over them of the method's tip error, without any its score, minus the fit's; positive: the
+        method is worse),
         `difference_se_mm` (its standard error) and `better` (insertions on which the fit's is smaller).
     """
     errors = FitFrames.of(run).select_errors(role)
-    names = [metric.name for metric in headline_metrics()]
+    names = [metric.name for metric in known_metrics(errors.columns) if metric.headline]
+    score = find_score(errors)
     values = errors.reindex(columns=names).astype(float)
     keys = [errors["method"], errors["fold"], list(group_rows(errors))]
     means = values.where(np.isfinite(values)).groupby(keys, sort=False).mean()
     found, rows = set(errors["method"]), []
     for method in [name for name in list_methods() if {name, "fitted"} <= found]:
         theirs = means.loc[method]
-        gaps = (theirs[TE] - means.loc["fitted"][TE]).dropna()
+        gaps = (theirs[score] - means.loc["fitted"][score]).dropna()
         averages = {name: float(theirs.loc[gaps.index, name].mean()) for name in names}
         row = {"method": method, "insertions": len(gaps), **averages}
         row |= {"difference_mm": gaps.mean(), "difference_se_mm": gaps.sem(), "better": int((gaps > 0).sum())}
@@ -105,10 +114,12 @@ def find_bevel_sides(run: Run) -> dict[str, int]:
 
 
 def orient_pits(run: Run) -> dict[str, Floats]:
-    """Return the levels of tips and shapes; those of tips are stored toward +y."""
+    """Return the levels of tips, where these were measured, and shapes; of tips they are stored toward +y."""
     predictions = FitFrames.of(run).predictive
     sides = predictions["insertion"].map(find_bevel_sides(run)).to_numpy(dtype=np.float64)
     tips, shapes = (predictions[f"{name}_pit"].to_numpy(dtype=np.float64) for name in ("tip", "shape"))
+    if np.isnan(tips).any():
+        return {"shape": shapes}
     if count_directions(run) > 1:  # those of tips are by the distance from the predicted one
         return {"tip": tips, "shape": shapes}
     # The PIT value of -y is 1 minus that of y: needles whose bevels face opposite sides become comparable.
@@ -157,6 +168,12 @@ class ScoredGroup:
 
     head: GroupHead
     rows: Mapping[tuple[str, str, str], Row]  #: by method, boundaries and metric
+
+    @cached_property
+    def score(self) -> str:
+        """The metric of its verdict: the first of `verdict_metrics` that is known."""
+        known = {metric for (_, _, metric), row in self.rows.items() if row["value"] is not None}
+        return next((one.name for one in verdict_metrics() if one.name in known), TE)
 
     def get(
         self, metric: str, column: str = "value", method: str = "fitted", boundaries: str = "measured"

@@ -289,7 +289,7 @@ def simulate_from_prior(problem: Problem, rng: np.random.Generator) -> tuple[Flo
     parameters that the design has a solution for.
     """
     dataset = problem.dataset
-    if not dataset.noise.stated:
+    if not dataset.noise_is_stated:
         raise ConfigError(
             f"the dataset `{dataset.name}` states no noise: nothing can be drawn from it",
             where=locate_key(dataset.path, "noise.point_sd_mm"),

@@ -113,7 +113,7 @@ def between_needle_sds(problem: Problem, slope: Floats, residuals: Floats, infor
 def add_estimated_noise(problem: Problem, theta: Floats) -> Problem:
     """Return the problem with a noise model: the stated one, or else the rms residual at `theta`."""
     stated = problem.dataset.noise if problem.noise is None else problem.noise
-    if stated.stated:
+    if stated.stated or problem.dataset.noise_is_stated:
         return problem
     across = slice(1, 1 + problem.dataset.directions)
     squares = [np.mean((sim - measured)[:, across] ** 2) for sim, measured in problem.points(theta)]

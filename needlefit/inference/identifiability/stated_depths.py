@@ -23,7 +23,7 @@ def examine_depths(problem: Problem, theta: Floats) -> list[DepthMetadata]:
     modulus that changes most with it, by `factor_per_mm`. None where depths are crossings of surfaces, or no
     noise is stated.
     """
-    if not problem.dataset.noise.stated or any(one.surfaces for one in problem.insertions):
+    if not problem.dataset.noise_is_stated or any(one.surfaces for one in problem.insertions):
         return []
     stated = max(one.boundary_sd for one in problem.insertions)
     exact = tuple(replace(one, boundary_sd=0.0) for one in problem.insertions)

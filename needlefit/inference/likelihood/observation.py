@@ -145,7 +145,7 @@ class Observation:
 
     measured: Floats  #: (K, 2), in space (K, 3), measured places, mm; of a tip track depth and tip
     #: (C, C) of the errors of what is compared at noise scale 1, mm^2: of the K measured y (in space of y,
-    #: then z), or of C spline coefficients
+    #: then z), or of C spline coefficients; of C curvatures, 1/m^2
     point_covariance: Floats
     #: (C, c) what a deviation of the known part of a pose adds to them, mm; c = 0 where it is free
     pose_spread: Floats
@@ -161,6 +161,8 @@ class Observation:
     pose_curves: Floats
     #: (R,) added to the residuals: what smoothing would do to points that are stored smoothed
     offset: Floats | float = 0.0
+    #: (C, K), in space (C, 2 K), from deflections to what was read; None where these were
+    operator: Floats | None = None
 
     @property
     def rows(self) -> int:
@@ -179,6 +181,11 @@ class Observation:
     def stack(self, points: Floats) -> Floats:
         """Return the deflections (..., K) of points (..., K, 3), in space (..., 2 K): along y, then z."""
         return np.concatenate([points[..., 1 + n] for n in range(self.directions)], axis=-1)
+
+    def read(self, points: Floats) -> Floats:
+        """Return what is read of points (..., K, 3): (..., C)."""
+        across = self.stack(points)
+        return across if self.operator is None else across @ self.operator.T
 
     def covariance(self, scale: float = 1.0) -> Floats:
         """Return the covariance (K, K) of the errors of the measured y, mm^2, with a scale of the noise."""

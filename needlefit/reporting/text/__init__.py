@@ -55,6 +55,7 @@ from needlefit.reporting.columns import FORMATS
 from needlefit.reporting.document import Block, Words
 from needlefit.reporting.number_format import (
     format_bare_symbol,
+    format_error,
     format_quantity,
     format_to_error,
     insert_symbols,
@@ -115,8 +116,7 @@ def _environment(package: str) -> jinja2.Environment:
     environment.filters |= {
         **FORMATS,
         "quantity": lambda value, parameter: format_quantity(parameter, value),
-        # tip errors below 0.1 mm have a third decimal
-        "error": lambda value: f"{FORMATS['mm3' if value < 0.1 else 'mm'](value)} mm",
+        "error": format_error,
         "ratio": lambda value: f"{value:.2g}",
         "rounded": format_to_error,
         "significant": lambda value, digits: f"{value:.{digits}g}",

@@ -12,6 +12,7 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import OBSERVED_COLUMN, OBSERVED_PREFIX
 from needlefit.datasets.insertion import Dataset, Insertion, Noise, Pose, find_free_reach, find_pose
+from needlefit.datasets.noise import NoiseFloor, estimate_noise_floor
 from needlefit.errors import refusal
 from needlefit.geometry.curves import COMPARISON_POINTS
 from needlefit.inference.compared_points import ComparedPoints, rotate_to_entry_axes
@@ -29,6 +30,7 @@ from needlefit.mechanics.batch import (
     differentiate_batch_positions,
 )
 from needlefit.mechanics.shape import NeedleShape, compute_positions, sample_inserted_points
+from needlefit.metrics import list_metrics
 from needlefit.registry import Registry
 from needlefit.schemas.recipe import LikelihoodRecord
 from needlefit.schemas.study import Compared
@@ -44,6 +46,25 @@ class ObservationType:
     on_the_way: bool = False
     #: whether a curve is measured: without one some metrics and baselines mean nothing
     is_curve: bool = True
+    #: whether the place of the tip is measured
+    has_tip: bool = True
+
+    def is_held(self, insertion: Insertion) -> bool:
+        """Return whether an insertion was measured by it."""
+        return insertion.observed == self.name
+
+    def take_alone(self, insertion: Insertion) -> Insertion:
+        """Return the insertion with this observation alone of what was measured."""
+        return replace(insertion, curvature=None, observed_values={})
+
+    def compare(self, dataset: Dataset, insertion: Insertion) -> tuple[ComparedPoints, ...]:
+        """Return what a curve is compared with."""
+        pose, compared = dataset.pose, dataset.compared
+        return (self.select_points(pose, dataset.drop_proximal, insertion, COMPARISON_POINTS, compared),)
+
+    def estimate_floor(self, dataset: Dataset, insertion: Insertion, rng: np.random.Generator) -> NoiseFloor:
+        """Return the mean errors of the measurement against itself, made again."""
+        return estimate_noise_floor(dataset, insertion, rng)
 
     def select_points(
         self, pose: Pose, drop: float, insertion: Insertion, stations: int, compared: Compared
@@ -156,6 +177,28 @@ def select_points(
     least-squares line through the first fifth of the scored points, from which deflections are measured.
     """
     return OBSERVATIONS[insertion.observed].select_points(pose, drop, insertion, stations, compared)
+
+
+def list_observations(insertion: Insertion) -> list[ObservationType]:
+    """Return by what an insertion was measured, first what it states in `observed`."""
+    held = (one for one in OBSERVATIONS.values() if one.is_held(insertion))
+    return sorted(held, key=lambda one: one.name != insertion.observed)
+
+
+def list_comparisons(dataset: Dataset, insertion: Insertion) -> list[ComparedPoints]:
+    """Return all that a curve is compared with of an insertion, by each of its observations."""
+    return [goal for one in list_observations(insertion) for goal in one.compare(dataset, insertion)]
+
+
+def estimate_floor(dataset: Dataset, insertion: Insertion, rng: np.random.Generator) -> NoiseFloor:
+    """Return the mean errors of all that was measured of an insertion against itself, measured again.
+
+    Those of places are NaN where none was measured.
+    """
+    found = {one.name: math.nan for one in list_metrics("places") if one.has_floor}
+    for one in list_observations(insertion):
+        found |= one.estimate_floor(dataset, insertion, rng)
+    return found
 
 
 def read_points(insertion: Insertion, shape: NeedleShape, s: Floats) -> Floats:

@@ -1,19 +1,31 @@
 """Curvatures that fibres in the needle read; errors of its pose do not change them."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import MIN_SENSOR_MM
-from needlefit.datasets.insertion import Insertion, find_pose
+from needlefit.datasets.insertion import Dataset, Insertion, Pose, find_pose
+from needlefit.datasets.noise import NoiseFloor
 from needlefit.errors import refusal
+from needlefit.geometry.curves import Quantity, compare_curves
+from needlefit.inference.compared_points import ComparedPoints
 from needlefit.inference.likelihood.nodes import make_nodes
 from needlefit.inference.likelihood.observation import QUARTER_TURN, Observation, StatedErrors, whiten
 from needlefit.inference.likelihood.observations import ObservationType
+from needlefit.metrics import compute_metrics
+from needlefit.schemas.study import Compared
 
+INTEGRATION_POINTS = 1001  #: from the clamped end to the tip
 #: to both sides of a sensor, over which the simulated curvature is taken, mm
 SENSOR_STEP_MM = MIN_SENSOR_MM
+
+
+#: from three deflections about a sensor to its curvature, 1/mm
+SECOND_DIFFERENCE = np.array([[1.0, -2.0, 1.0]]) / SENSOR_STEP_MM**2
+FLOOR_DRAWS = 200  #: of readings, of whose errors the noise floor is the mean
 
 
 def append_sensors(insertion: Insertion, s: Floats) -> Floats:
@@ -22,6 +34,64 @@ def append_sensors(insertion: Insertion, s: Floats) -> Floats:
         return s
     at = insertion.depth - insertion.curvature[:, 0]
     return np.concatenate([s, (at[:, None] + SENSOR_STEP_MM * np.array([-1.0, 0.0, 1.0])).ravel()])
+
+
+def combine_readings(pose: Pose, insertion: Insertion) -> Mapping[Quantity, tuple[Floats, Floats]]:
+    """Return what readings are compared by: the x (K,), mm, and the combinations (K, n) of n curvatures.
+
+    They are themselves in 1/m, and, where a sensor lies before the entry and the pose is known, entry and
+    tip, mm, to which they lead from the base, or from a guide: see `integrate_sensors`.
+    """
+    assert insertion.curvature is not None
+    from_tip = insertion.curvature[:, 0]
+    found: dict[Quantity, tuple[Floats, Floats]] = {
+        "curvatures": (insertion.depth - from_tip, 1e3 * np.eye(len(from_tip)))
+    }
+    if find_pose(pose, insertion) == "known" and max(from_tip) > insertion.depth:
+        weights = integrate_sensors(insertion)
+        found["integrated"] = np.array([0.0, insertion.depth]), np.vstack([0 * weights, weights])
+    return found
+
+
+def compare_sensors(pose: Pose, insertion: Insertion, compared: Compared) -> tuple[ComparedPoints, ...]:
+    """Return what a curve is compared with: the readings of the sensors, and the tip to which they lead."""
+    require_curvature(insertion)
+    assert insertion.curvature is not None
+    s, known = append_sensors(insertion, np.empty(0)), find_pose(pose, insertion)
+    second = np.kron(np.eye(len(insertion.curvature)), SECOND_DIFFERENCE)
+    return tuple(
+        ComparedPoints(
+            s,
+            np.column_stack([x, combine @ insertion.curvature[:, 1:3]]),
+            known,
+            compared,
+            quantity,
+            combine @ second,
+        )
+        for quantity, (x, combine) in combine_readings(pose, insertion).items()
+    )
+
+
+def integrate_sensors(insertion: Insertion) -> Floats:
+    """Return the weights (n,), mm^2, by which curvatures lead from the clamped end to the tip's deflection.
+
+    Curvature is 0 at the tip, linear between sensors, and goes on before the first, where the needle is free.
+    """
+    assert insertion.curvature is not None
+    clamp = insertion.depth - insertion.needle.length
+    clamp = clamp if insertion.guide_distance is None else -insertion.guide_distance
+    order = np.argsort(-insertion.curvature[:, 0])
+    at = np.append(insertion.depth - insertion.curvature[order, 0], insertion.depth)
+    s = np.linspace(clamp, insertion.depth, INTEGRATION_POINTS)
+    unit = np.eye(len(at))[:, :-1]  # of each sensor; the tip has none
+    curves = np.array([np.interp(s, at, one) for one in unit.T])  # (n, S)
+    if len(order) > 1:
+        before = s < at[0]
+        beyond = (at[0] - s[before]) / (at[1] - at[0])
+        curves[0, before], curves[1, before] = 1 + beyond, -beyond
+    weights = np.empty(len(order))
+    weights[order] = np.trapezoid((insertion.depth - s) * curves, s)
+    return weights
 
 
 def require_curvature(insertion: Insertion) -> None:
@@ -34,6 +104,36 @@ def require_curvature(insertion: Insertion) -> None:
 
 @dataclass(frozen=True)
 class _Curvature(ObservationType):
+    def select_points(
+        self, pose: Pose, drop: float, insertion: Insertion, stations: int, compared: Compared
+    ) -> ComparedPoints:
+        """Return the readings, whatever `stations`."""
+        return compare_sensors(pose, insertion, compared)[0]
+
+    def is_held(self, insertion: Insertion) -> bool:
+        """Return whether any sensor read the insertion."""
+        return insertion.curvature is not None
+
+    def take_alone(self, insertion: Insertion) -> Insertion:
+        """Return the insertion with its curvatures alone."""
+        return replace(insertion, observed_values={})
+
+    def compare(self, dataset: Dataset, insertion: Insertion) -> tuple[ComparedPoints, ...]:
+        """Return the readings, and the tip to which they lead."""
+        return compare_sensors(dataset.pose, insertion, dataset.compared)
+
+    def estimate_floor(self, dataset: Dataset, insertion: Insertion, rng: np.random.Generator) -> NoiseFloor:
+        """Return the mean errors of readings that are made again."""
+        assert insertion.curvature is not None
+        read, found = insertion.curvature, dict[str, float]()
+        errors = read[:, 3:] * rng.standard_normal((FLOOR_DRAWS, len(read), 2))  # (B, n, 2)
+        for quantity, (x, combine) in combine_readings(dataset.pose, insertion).items():
+            still = np.pad(x[:, None], ((0, 0), (0, 2)))
+            again = still + np.pad(combine @ errors, ((0, 0), (0, 0), (1, 0)))
+            each = [compute_metrics(compare_curves(one, still, dataset.compared, quantity)) for one in again]
+            found |= {name: float(np.mean([one[name] for one in each])) for name in each[0]}
+        return found
+
     def observe(self, insertion: Insertion, errors: StatedErrors) -> Observation:
         """Return the observation of an insertion by its curvatures.
 
@@ -51,13 +151,15 @@ class _Curvature(ObservationType):
         measured = np.column_stack([s, *(shape * np.repeat(part, 3) for part in kappa[:count])])
         # an error of the roll turns all curvatures alike
         turned = insertion.roll_sd * (QUARTER_TURN[:count, :count] @ kappa[:count]).ravel()
-        cov = np.diag(np.tile(sd**2, count)) + np.outer(turned, turned)
-        second = np.kron(np.eye(count * sensors), np.array([1.0, -2.0, 1.0]) / step**2)
+        cov = 1e6 * (np.diag(np.tile(sd**2, count)) + np.outer(turned, turned))  # 1/m^2
+        second = np.kron(np.eye(count * sensors), 1e3 * SECOND_DIFFERENCE).astype(np.float64)
         free, nothing = np.empty((len(cov), 0)), np.empty((0, len(cov)))
         whitening, log_norm = whiten(cov, free)
         pose = find_pose(errors.dataset.pose, insertion)
         nodes = make_nodes(insertion, s, errors.likelihood.depths, bevel=errors.bevels_vary)
-        return Observation(measured, cov, free, free, whitening @ second, log_norm, pose, nodes, nothing)
+        return Observation(
+            measured, cov, free, free, whitening @ second, log_norm, pose, nodes, nothing, operator=second
+        )
 
 
-CURVATURE = _Curvature("curvature")
+CURVATURE = _Curvature("curvature", is_curve=False, has_tip=False)

@@ -15,6 +15,7 @@ import numpy as np
 
 from needlefit.datasets.folds import Fold
 from needlefit.datasets.insertion import Insertion
+from needlefit.geometry.curves import select_compared
 from needlefit.inference.compared_points import Curve
 from needlefit.inference.error_fit import ErrorMinimisingFit, examine_errors
 from needlefit.inference.fit import MET_BY_PROFILE, Callbacks, Fit, Start, keep_fit, read_fit
@@ -27,6 +28,7 @@ from needlefit.inference.identifiability.identify import (
 )
 from needlefit.inference.identifiability.stated_depths import examine_depths
 from needlefit.inference.likelihood.observations import OBSERVATIONS
+from needlefit.inference.likelihood.observations.curvature import append_sensors
 from needlefit.inference.optimize import minimize
 from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem, find_outside_validity
@@ -64,6 +66,7 @@ from needlefit.studies.kinds.cross_validation.rows import (
     make_start_row,
 )
 from needlefit.studies.needle_placement import place_needles
+from needlefit.studies.prediction_scores import tabulate_sensors
 from needlefit.studies.score import Row, Scores, make_predictors, make_scorer, predict_needle
 from needlefit.studies.validity import MOSTLY_OUTSIDE, NO_SIMULATIONS, ValidityCounts, add_counts
 
@@ -141,6 +144,7 @@ def run_fold(job: Job, fold: Fold, services: FoldServices) -> FoldResult:
     if drawn is not None and _holds_tracks(fold) and not services.settings.stop():
         rows |= predict_tracks(job, fold, drawn.draws, services.settings.jobs)
     scored = list(_score(job, fold, usable, drawn))
+    sensors = [row for one in predicted for row in one.sensors]
     rows |= {
         "parameters": [
             *rows.get("parameters", ()),
@@ -155,7 +159,7 @@ def run_fold(job: Job, fold: Fold, services: FoldServices) -> FoldResult:
         "medians": [*rows.get("medians", ()), *_list_medians(job, predicted)],
         "predictive": [one.row for one in predicted],
         "bands": [row for one in predicted for row in one.band],
-        "curvature": [row for one in predicted for row in one.sensors],
+        "curvature": sensors or list(_list_sensors(job, fold, fitted)),
     }
     return FoldResult(
         rows=rows,
@@ -182,6 +186,18 @@ def _list_medians(job: Job, predicted: Iterable[HeldOutPrediction]) -> Iterator[
         if one.point is not None and one.point.is_median:
             place = {"fold": one.row["fold"], "insertion": one.row["insertion"]}
             yield place | describe_point(one.point, job.parameters)
+
+
+def _list_sensors(job: Job, fold: Fold, fit: Fit | None) -> Iterator[Row]:
+    """Yield the readings of the sensors of insertions fitted to, where none is held out, beside the fit's."""
+    if fit is None or fold.validate:
+        return
+    for one in fold.tune:
+        curve, s = predict_needle(fit.values, job.medium, one), append_sensors(one, np.empty(0))
+        if curve is not None and len(s):
+            about, where = curve(s)[None], {"fold": fold.name, "insertion": one.id}
+            rows = tabulate_sensors(one, select_compared(about, job.dataset.compared))
+            yield from ({**where, **row} for row in rows)
 
 
 # ---- fits and draws

@@ -1,4 +1,4 @@
-"""Points along the needle: the verdict is on the errors of tips, and every needle is drawn."""
+"""Points along the needle: the verdict is on the errors of their tips, and every needle is drawn."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -17,27 +17,27 @@ from needlefit.studies.coverage import AFTER_ONE_COLUMN
 from needlefit.studies.first_page import FirstPage
 from needlefit.studies.fit_frames import FitFrames
 from needlefit.studies.fit_sentences import TEXT
-from needlefit.studies.judge import CRPS, Judgement, judge, limit_status, list_checks
+from needlefit.studies.judge import PREDICTED, Judgement, judge, limit_status, list_checks
 from needlefit.studies.kinds.cross_validation.observed import ObservationReport
 from needlefit.studies.run import Run
 
 
-def judge_tips(run: Run, values: Mapping[str, Any]) -> FirstPage:
-    """Return the first page: the verdict is on the errors of tips."""
+def judge_errors(run: Run, values: Mapping[str, Any]) -> FirstPage:
+    """Return the first page: the verdict is on the errors of tips, or of what was read."""
     role = FitFrames.of(run).role
     checks, group = list_checks(run, role), scores.pool_insertions(run, role)
     judged = None if group is None else judge(run, group)
     if group is None or judged is None:
         return FirstPage(Verdict(TEXT.sentence("nothing_scored", values), "fail"), checks=checks)
-    undetermined = fit_tables.list_undetermined(run)
+    undetermined, score = fit_tables.list_undetermined(run), judged.score
     words = {**values, "judged": judged, "insertions": group.head.insertions}
     numbers: dict[str, float | str | None] = {
         "outcome": judged.outcome,
-        scores.TE: judged.error_mm,
-        f"floor_{scores.TE}": group.get(scores.TE, "floor"),
-        "te_over_floor": judged.noise_ratio,
+        score: judged.error,
+        f"floor_{score}": group.get(score, "floor"),
+        f"{score.removesuffix('_mm')}_over_floor": judged.noise_ratio,
         "baseline": judged.curve or None,
-        "baseline_te_mm": judged.curve_mm,
+        f"baseline_{score}": judged.curve_error,
         "trials": judged.trials,
         "insertions": group.head.insertions,
     }
@@ -49,8 +49,8 @@ def judge_tips(run: Run, values: Mapping[str, Any]) -> FirstPage:
     else:
         groups = scores.list_held_out_groups(run)
         # where there is one group, all insertions are those of the paper's row
-        crps = run.frames["predictive"][CRPS].mean()
-        numbers[CRPS] = None if pd.isna(crps) else float(crps)
+        crps = run.frames["predictive"].reindex(columns=[PREDICTED[score].crps]).mean().item()
+        numbers[PREDICTED[score].crps] = None if pd.isna(crps) else float(crps)
         numbers["paper_te_mm"] = groups[0].get(scores.TE, "paper") if len(groups) == 1 else None
         sentence, status = TEXT.sentence("predicted", words), judged.status
         tables = [fit_tables.lay_out_summary(run)]
@@ -128,4 +128,4 @@ def list_overlays(run: Run, role: str) -> dict[str, Drawing]:
     return {name: fit_figures.draw_overlays(run, role, from_above=name != names[0]) for name in names}
 
 
-POINTS = ObservationReport("points", lambda run: True, judge_tips, draw_needles)
+POINTS = ObservationReport("points", lambda run: True, judge_errors, draw_needles)

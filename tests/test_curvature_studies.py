@@ -1,0 +1,186 @@
+"""Studies of curvatures alone: scored in 1/m, predicted when held out, and integrated from the base."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from inference_cases import TRUTH, dataset, insertion, medium
+
+import needlefit as nf
+from needlefit.datasets.insertion import Insertion, Noise
+from needlefit.errors import DataError, UnfinishedWorkError
+from needlefit.geometry.curves import compare_curves
+from needlefit.inference.forward_model import predict
+from needlefit.inference.likelihood.observations import SimulatedCurve, estimate_floor, list_comparisons
+from needlefit.inference.likelihood.observations.curvature import append_sensors, integrate_sensors
+from needlefit.metrics import compute_metrics
+from needlefit.project.checkpoint import open_checkpoint
+from needlefit.studies.job import Settings
+from needlefit.studies.kind import find_kind
+
+SD = 5e-5  #: of a reading, 1/mm
+ONE_LAYER = medium(1)
+
+
+def read_sensors(depth: float, beyond: float = 0.0, seed: int | None = None) -> Insertion:
+    """An insertion of the truth of which sensors, to `beyond` mm before the entry, read the curvature."""
+    one = replace(insertion(depth, angle_sd=0.0), observed="curvature", id=f"at{depth:g}")
+    places = np.arange(8.0, depth + beyond - 2.0, 12.0)
+    still = np.column_stack([places, np.zeros((len(places), 2)), np.full(len(places), SD)])
+    one = replace(one, curvature=still)
+    curve = SimulatedCurve(predict(TRUTH, ONE_LAYER, one), one)
+    kappa = np.diff(curve(append_sensors(one, np.empty(0)))[:, 1].reshape(-1, 3), n=2)[:, 0]
+    if seed is not None:
+        kappa = kappa + SD * np.random.default_rng(seed).normal(size=len(kappa))
+    still[:, 1] = kappa
+    return replace(one, curvature=still)
+
+
+def test_readings_lead_from_the_clamped_end_to_the_tip() -> None:
+    """Of curvatures that fall linearly to 0 at the tip, a cantilever's, it is kappa L^2 / 3 off."""
+    one, s = insertion(60.0), np.array([40.0, 0.0, -40.0])
+    read = np.column_stack([60.0 - s, 1e-4 * (60.0 - s), 0 * s, np.full(3, SD)])
+    length = one.needle.length
+    found = integrate_sensors(replace(one, curvature=read)) @ read[:, 1]
+    assert found == pytest.approx(1e-4 * length**3 / 3, rel=1e-3)
+    guided = replace(one, curvature=read, guide_distance=20.0)
+    assert integrate_sensors(guided) @ read[:, 1] == pytest.approx(1e-4 * 80.0**3 / 3, rel=1e-3)
+
+
+def test_a_needle_is_scored_by_its_readings_and_by_the_tip_from_the_base() -> None:
+    """A reading that is 0.3 /m too large: RMS 0.3 / sqrt(n), and so much more of the tip."""
+    exact, data = read_sensors(60.0, 40.0), dataset([], Noise())
+    curve = SimulatedCurve(predict(TRUTH, ONE_LAYER, exact), exact)
+    wrong = exact.curvature.copy()
+    wrong[2, 1] += 3e-4
+    one = replace(exact, curvature=wrong)
+    compared = [goal.compare(curve) for goal in list_comparisons(data, one)]
+    assert [each.quantity for each in compared] == ["curvatures", "integrated"]
+    found = {name: value for each in compared for name, value in compute_metrics(each).items()}
+    assert found["curvature_rms_1_per_m"] == pytest.approx(0.3 / np.sqrt(len(wrong)), rel=1e-3)
+    assert found["te_integrated_mm"] == pytest.approx(abs(3e-4 * integrate_sensors(one)[2]), rel=1e-3)
+    inside = read_sensors(60.0)
+    assert [goal.quantity for goal in list_comparisons(data, inside)] == ["curvatures"]
+
+
+def test_the_floor_of_readings_is_that_of_their_errors() -> None:
+    one = read_sensors(60.0)
+    floor = estimate_floor(dataset([], Noise()), one, np.random.default_rng(1))
+    assert floor["curvature_rms_1_per_m"] == pytest.approx(1e3 * SD, rel=0.1)
+    assert np.isnan(floor["te_mm"]) and "te_integrated_mm" not in floor
+
+
+def test_metrics_of_places_are_not_of_curvatures() -> None:
+    readings = np.array([[10.0, 1.0, 0.0], [20.0, 2.0, 0.0]])
+    off = compare_curves(readings + np.array([0.0, 0.5, 0.0]), readings, "plane", "curvatures")
+    assert compute_metrics(off) == {"curvature_rms_1_per_m": pytest.approx(0.5)}
+
+
+DATASET = """
+schema = 1
+name = "fibres"
+origin = "synthetic"
+license = "none"
+source = "made up"
+
+[needle]
+length_mm = 150.0
+outer_diameter_mm = 1.27
+youngs_modulus_gpa = 80.0
+
+[insertions]
+file = "insertions.csv"
+curvature = "curvature.csv"
+
+[insertions.constants]
+medium = "gel"
+specimen = "block"
+layers = 1
+entry_x_mm = 0.0
+entry_y_mm = 0.0
+entry_z_mm = 0.0
+entry_dx = 1.0
+entry_dy = 0.0
+entry_dz = 0.0
+bevel_x = 0.0
+bevel_y = 1.0
+bevel_z = 0.0
+pose_source = "stage"
+pose_shift_sd_mm = 0.1
+pose_angle_sd_deg = 0.2
+
+[media.gel]
+"""
+STUDY = """
+schema = 2
+dataset = "."
+medium = "./tissue.toml"
+recipe = "quick"
+leave_out = "insertion"
+same_specimen = true
+"""
+TISSUE = """
+schema = 1
+layers = 1
+
+[parameters]
+mu1_pa = { bounds = [1e3, 1e9] }
+alpha1 = { fixed = 1.0 }
+bevel_mm = { bounds = [1e-3, 0.5] }
+"""
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("fibres")
+    made = [read_sensors(depth, seed=n) for n, depth in enumerate(np.linspace(60.0, 95.0, 5))]
+    rows = ["id,depth_mm,bevel_side", *(f"{one.id},{one.depth:g},1" for one in made)]
+    lines = ["id,s_mm,kappa_y_1_per_mm,kappa_z_1_per_mm,sd_1_per_mm"]
+    for one in made:
+        assert one.curvature is not None
+        lines += [",".join([one.id, *map(str, row)]) for row in one.curvature.tolist()]
+    written = {"dataset.toml": DATASET, "study.toml": STUDY, "tissue.toml": TISSUE}
+    written |= {"insertions.csv": "\n".join(rows), "curvature.csv": "\n".join(lines)}
+    for name, text in written.items():
+        (folder / name).write_text(text)
+    return folder / "study.toml"
+
+
+def test_a_fit_to_curvatures_finds_the_truth_and_is_judged_by_their_errors(study: Path) -> None:
+    run = nf.fit(study)
+    rows = run.frames["parameters"].set_index("parameter").query("method == 'fitted'")
+    for name in ("mu1_pa", "bevel_mm"):
+        assert rows.loc[name, "interval_low"] < TRUTH[name] < rows.loc[name, "interval_high"]
+    verdict = run.first_page.verdict
+    error, nearest = (verdict.numbers[f"{head}curvature_rms_1_per_m"] for head in ("", "baseline_"))
+    assert error == pytest.approx(1e3 * SD, rel=0.3) and nearest > 2 * error
+    assert "te_mm" not in verdict.numbers and verdict.status != "fail"
+    assert len(run.frames["curvature"]["insertion"].unique()) == 5
+
+
+def test_held_out_needles_are_predicted_by_their_readings(study: Path) -> None:
+    run = nf.validate(study)
+    predicted = run.frames["predictive"]
+    assert len(predicted) == 5 and predicted["tip_in_95"].isna().all()
+    assert predicted["shape_in_95"].sum() >= 4
+    assert predicted["curvature_crps_1_per_m"].between(0.5e3 * SD / 2, 2e3 * SD).all()
+    assert run.frames["curvature"]["kappa_in_95"].mean() > 0.85
+    (intervals,) = (one for one in run.first_page.checks if one.check == "intervals_95")
+    assert (intervals.tips, intervals.score) == (5, "curvature_rms_1_per_m")
+
+
+def test_a_run_that_ends_by_an_error_does_not_block_the_next_one(tmp_path: Path) -> None:
+    """Finished work is kept where a run was interrupted, not where the same run would fail again."""
+    kind, folder = find_kind("fit"), tmp_path / "a.partial"
+    for error, left in ((DataError("wrong"), False), (UnfinishedWorkError("a full disk"), True)):
+
+        def fail(name: str, record: object, settings: Settings, error: Exception = error) -> None:
+            open_checkpoint(folder, False, {"n": 1}).keep_row("fit", {"theta": 1.0})
+            raise error
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(type(kind), "compute", lambda self, *given: fail(*given))
+            with pytest.raises(type(error)):
+                kind.run("a", None, Settings(checkpoint=folder))
+        assert folder.exists() is left
