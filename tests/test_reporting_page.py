@@ -51,7 +51,7 @@ class Outline(HTMLParser):
 def page(tmp_path_factory):
     one = study(5)
     path = tmp_path_factory.mktemp("page") / "overlays.pdf"
-    drawn = {"overlays": draw_overlays(one, "validate").save(path)}
+    drawn = {"overlays": draw_overlays(one, "validate").save(path, one.origin)}
     return compile_html(compose_run_report(one, drawn)), one
 
 

@@ -245,8 +245,9 @@ def show_run(invocation: Invocation, run: "Run", folder: Path, named: bool = Fal
     screen.print_text(head + page.answer, STATUS_STYLES[page.verdict.status], opening)
     screen.print_text(page.about)
     show_warnings(invocation, run)
-    for table in page.tables:
-        screen.print_line()
+    for number, table in enumerate(page.tables):
+        if number:
+            screen.print_line()
         screen.show_display(replace(table, breaks=()), notes=False)
     if page.checks:
         screen.print_text(summarize_checks(page.checks))

@@ -56,7 +56,7 @@ def collect_curves(
     )
     sides = found["insertion"].map(scores.find_bevel_sides(run))
     found[forms.HEIGHT_COLUMNS] = found[forms.HEIGHT_COLUMNS].mul(sides, axis=0)
-    return found.assign(origin=run.origin)
+    return found
 
 
 def _align_bands(bands: pd.DataFrame, shapes: pd.DataFrame) -> pd.DataFrame:
@@ -95,7 +95,7 @@ def draw_first_page(run: Run, role: str) -> Drawing:
     curves = curves.merge(chosen[forms.INSERTION_KEYS], on=forms.INSERTION_KEYS)
     frame = pd.concat([curves, pd.DataFrame(_list_tip_errors(run, role))], ignore_index=True)
     options = {"heads": _title_panels(chosen), "method": method}
-    return Drawing(forms.first_page, frame.assign(origin=run.origin), options)
+    return Drawing(forms.first_page, frame, options)
 
 
 def _list_tip_errors(run: Run, role: str) -> Iterator[Row]:
@@ -174,5 +174,5 @@ def draw_predictive_check(run: Run) -> Drawing:
             }
             for number, (least, most) in enumerate(zip(low.tolist(), high.tolist(), strict=True), start=1)
         ]
-    counts = {"insertions": len(predictions), "replicates": trials, "origin": run.origin}
+    counts = {"insertions": len(predictions), "replicates": trials}
     return Drawing(forms.predictive_check, pd.DataFrame(rows).assign(**counts))

@@ -383,23 +383,22 @@ def lay_out_estimates(
 
 
 def _describe_limit(name: str, rows: Sequence[ParameterRow], bevel: str) -> str:
-    """Return how well a parameter is known, and what limits it, in the fold in which it is known least."""
-    word = find_least_determined(row.determined for row in rows)
-    lows, highs = zip(*(row.interval for row in rows), strict=True)
-    if word in ("yes", ""):
-        if not all(map(is_known, (*lows, *highs))):
-            return "" if word == "" else "determined"
-        if not is_logarithmic(name):
-            return "its interval" if word == "" else "determined"
-        return f"to a factor of {format_plain(round_significant(max(highs) / min(lows), END_DIGITS))}"
-    if any(at_bound for _, at_bound in _find_outermost(rows, [row.interval for row in rows])):
-        return "not by these data: a bound limits it"
-    if conditions := {row.condition for row in rows if row.determined == word and row.condition}:
-        return min(conditions).removeprefix("determined ")
-    if word == "no":
-        return "not by these data"
-    alone = bevel in ("", format_bare_symbol(name))
-    return "only as a product with others" if alone else f"only as a product with {bevel}"
+    """Return to what factor a parameter is known, and what limits it, in the fold that knows it least."""
+    intervals, word = [row.interval for row in rows], find_least_determined(row.determined for row in rows)
+    lows, highs = zip(*intervals, strict=True)
+    if not all(map(is_known, (*lows, *highs))):
+        return "interval not known"
+    if any(at_bound for _, at_bound in _find_outermost(rows, intervals)):
+        return "not determined: a bound limits it"
+    known = "its interval"
+    if is_logarithmic(name):
+        known = f"to a factor of {format_plain(round_significant(max(highs) / min(lows), END_DIGITS))}"
+    conditions = {row.condition.removeprefix("determined ") for row in rows if row.determined == word}
+    limits = sorted(filter(None, conditions))
+    if word == "only together" and not limits:
+        alone = bevel in ("", format_bare_symbol(name))
+        limits.append(f"better as a product with {'others' if alone else bevel}")
+    return ", ".join((known, *limits[:1]))
 
 
 def _join_range(values: Sequence[float], unit: float) -> str:

@@ -87,7 +87,7 @@ class StudyReport:
 
     def draw(self, run: Run, folder: Path) -> dict[str, Path]:
         """Draw the figures of a run to a folder, with what each shows as CSV; return the files by name."""
-        return {name: one.save(folder / f"{name}.pdf") for name, one in self.figures(run).items()}
+        return {name: one.save(folder / f"{name}.pdf", run.origin) for name, one in self.figures(run).items()}
 
     def write(self, run: Run, folder: Path) -> Path:
         """Write a result, as `write_run`; called by `Run.save`, which cannot import this module."""

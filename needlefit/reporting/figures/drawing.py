@@ -24,8 +24,8 @@ class Drawing:
     # Frame -> the frame that the form draws, where that needs columns which are not saved
     prepare: Callable[[pd.DataFrame], pd.DataFrame] = lambda frame: frame
 
-    def save(self, path: Path) -> Path:
-        """Draw the figure to `path` (PDF), its frame beside it as CSV; return the path."""
+    def save(self, path: Path, origin: str) -> Path:
+        """Draw the figure to `path` (PDF), its frame with the origin as CSV; return the path."""
         # late: matplotlib takes its time to load
         import needlefit.reporting.figures.forms as forms
         from needlefit.reporting.figures.style import plot
@@ -34,4 +34,5 @@ class Drawing:
         if isinstance(paint, str):
             here = vars(forms).get(paint)
             paint = here or import_module(f"{__package__}.{paint}").draw
-        return plot(path, self.frame, lambda frame: paint(self.prepare(frame), **self.options))
+        frame = self.frame.assign(origin=origin)
+        return plot(path, frame, lambda frame: paint(self.prepare(frame), **self.options))

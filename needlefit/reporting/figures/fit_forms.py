@@ -246,10 +246,10 @@ def to_log_coordinates(values: pd.DataFrame) -> Floats:
     return np.column_stack([np.asarray(column, dtype=np.float64) for column in columns])
 
 
-def draw_profiles(identification: pd.DataFrame, computed: pd.DataFrame, origin: str) -> Drawing:
+def draw_profiles(identification: pd.DataFrame, computed: pd.DataFrame) -> Drawing:
     """Return `profiles` of a table of computed points, beside what is known of their parameters."""
     about = identification[[*_PANEL_KEYS, *_VERDICT_COLUMNS]]
-    frame = computed.merge(about, on=_PANEL_KEYS, how="left", sort=False).assign(origin=origin)
+    frame = computed.merge(about, on=_PANEL_KEYS, how="left", sort=False)
     return Drawing(profiles, frame)
 
 

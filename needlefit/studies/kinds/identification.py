@@ -154,7 +154,7 @@ def lay_out_design(run: Run) -> list[Table | TableLayout]:
 
 
 def draw_identification(run: Run) -> dict[str, Drawing]:
-    return {"profiles": draw_profiles(run.frames["identify"], run.frames["profiles"], run.origin)}
+    return {"profiles": draw_profiles(run.frames["identify"], run.frames["profiles"])}
 
 
 REPORT = StudyReport(TEXT, describe_identification, lay_out_design, draw_identification, judge_design)

@@ -636,7 +636,7 @@ def draw_prediction(run: Run) -> dict[str, Drawing]:
     """Return the predicted needle and its 50 and 95 % simultaneous bands, mm."""
     facts = describe_prediction(run)
     title = f"{facts['title']} ({facts['faults']})" if run.faults else facts["title"]
-    table = run.frames["forecast"].assign(origin=run.origin, scene=title)
+    table = run.frames["forecast"].assign(scene=title)
     bands = {level: (f"simultaneous {level} % band", colour) for level, colour in BAND_COLOURS.items()}
     names = {name: Look(*one, width=6.0, white=0.0) for name, one in bands.items()}
     predicted = "predicted needle" if facts["mode_fault"] == "none" else "predictive median"

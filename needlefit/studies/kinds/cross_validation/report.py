@@ -148,7 +148,7 @@ def list_figures(run: Run) -> dict[str, Drawing]:
     if len(frames.predictive):
         found["predicted"] = fit_figures.draw_predictive_check(run)
     if len(frames.profiles):
-        found["profiles"] = forms.draw_profiles(frames.identification, frames.profiles, run.origin)
+        found["profiles"] = forms.draw_profiles(frames.identification, frames.profiles)
     return found
 
 

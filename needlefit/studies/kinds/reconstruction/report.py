@@ -294,7 +294,7 @@ def draw_batch(run: Run) -> dict[str, Drawing]:
     """Return the deflection of each needle, with its pointwise 95 % band."""
     panel = Panel("deflection (mm)", line="y_mm", low="low_mm", high="high_mm")
     options = {"x": "x_mm", "by": "id", "x_label": "x along the entry (mm)", "panels": (panel,)}
-    return {"deflections": Drawing("curves", run.frames["deflections"].assign(origin=run.origin), options)}
+    return {"deflections": Drawing("curves", run.frames["deflections"], options)}
 
 
 REPORT = StudyReport(

@@ -31,7 +31,7 @@ def draw_tips(run: Run, role: str) -> dict[str, Drawing]:
         low_mm=low,
         high_mm=high,
     )
-    return {"tips": Drawing("tip", frame.assign(origin=run.origin))}
+    return {"tips": Drawing("tip", frame)}
 
 
 TIP = replace(POINTS, name="tip", holds=are_tips, figures=draw_tips)

@@ -133,7 +133,7 @@ def lay_out_tracks(run: Run) -> TableLayout:
 
 def draw_tracks(run: Run, role: str) -> dict[str, Drawing]:
     """Return every predicted run, the tip at each reading and the guide below it; then those fitted to."""
-    readings = Drawing("tip_track", FitFrames.of(run).readings.assign(origin=run.origin))
+    readings = Drawing("tip_track", FitFrames.of(run).readings)
     return {"readings": readings, **list_overlays(run, role)}
 
 
