@@ -170,7 +170,8 @@ def _show(grid: _Grid) -> None:
     tight = measure(grid, tight=False).maximum > console.width
     with console.capture() as printed:
         console.print(_tabulate(grid, tight))
-    print(printed.get().replace(_RICH_NO_BREAK, " "), end="")
+    for line in printed.get().replace(_RICH_NO_BREAK, " ").splitlines():
+        print(line.rstrip())
     if left:
         heads = ", ".join(" ".join(head.split()) for head, _ in left)
         print_text(f"Not shown, as the terminal is too narrow: {heads}")
