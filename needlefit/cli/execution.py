@@ -278,15 +278,21 @@ def show_advice(advice: "Advice", results: Path) -> None:
 
 
 def show_next_steps(dataset: "Dataset", folder: Path, scene: str) -> None:
-    """Print the commands that follow on a new dataset in `folder` with a first study, if it has one."""
-    from needlefit.datasets.first_study import name_study_file
+    """Print the commands that follow on a new dataset in `folder` with a first study or fit."""
+    from needlefit.datasets.first_study import name_first_run
 
     path = format_path(folder)
-    if len(dataset.insertions) > 1 and dataset.pose != "tracker":
-        study = f"{path}/{name_study_file(dataset.name)}"
-        predict = shlex.join(("needlefit", "predict", study, "--scene", f"{path}/{scene}"))
-        screen.print_note(f"a first study: {shlex.join(('needlefit', 'validate', study))}")
-        screen.print_note(f"then a prediction: {predict}")
+    name, is_study = name_first_run(dataset)
+    run = f"{path}/{name}"
+    predict = shlex.join(("needlefit", "predict", run, "--scene", f"{path}/{scene}"))
+    if not is_study:
+        count = len(dataset.insertions)
+        held_out = "one needle" if count == 1 else "one run into each specimen"
+        screen.print_note(f"{held_out}: nothing is held out, no verdict is possible")
+    screen.print_note(f"stiffness and bevel: {shlex.join(('needlefit', 'tune', run))}")
+    if is_study:
+        screen.print_note(f"a first study: {shlex.join(('needlefit', 'validate', run))}")
+    screen.print_note(f"then a prediction: {predict}")
 
 
 def show_runs(execution: Execution, runs: "Sequence[Run]", more: dict[str, object] | None = None) -> None:

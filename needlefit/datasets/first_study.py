@@ -1,20 +1,26 @@
-"""Write a first study and scenes of a dataset that was imported or reconstructed."""
+"""Write a first study or fit, and scenes, of a dataset that was imported or reconstructed."""
 
+from collections import Counter
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from needlefit.datasets.insertion import Dataset, Insertion, InsertionInputs
+from needlefit.datasets.read import load_record
 from needlefit.mechanics.laws.ogden import OGDEN
 from needlefit.mechanics.needle import Needle
-from needlefit.project.toml import check, dumps, load
-from needlefit.schemas.dataset import DatasetRecord
+from needlefit.project.toml import check, dumps
 from needlefit.schemas.medium import BEVEL_BOUNDS, MediumRecord
 from needlefit.schemas.scene import Advance, SceneRecord, StepRecord
-from needlefit.schemas.study import StudyRecord
+from needlefit.schemas.study import FitRecord, StudyRecord
 
 TISSUE_FILE = "tissue.toml"
 SCENE_FILE = "scene.toml"
 MODULUS_BOUNDS_PA = [1e3, 1e9]  # Pa, of a first fit: beyond all soft tissues and gels
+# Of a guide before the tissue whose distance is fitted, mm: its least distance, prior median and factor.
+MIN_GUIDE_MM, GUIDE_MEDIAN_MM, GUIDE_FACTOR = 2.0, 25.0, 2.0
+MAX_GUIDE_MM = 120.0
 SCENE_MU_PA = 2e5  # Pa, of a scene before any fit
 SCENE_ALPHA = 1.0  # of the same
 SCENE_BEVELS: Mapping[Advance, Mapping[str, float]] = {
@@ -24,9 +30,24 @@ SCENE_BEVELS: Mapping[Advance, Mapping[str, float]] = {
 """Its bevel, by the rule of advance."""
 
 
-def name_study_file(name: str) -> str:
-    """Return the file of a dataset's first study; the folder of its results has this name, too."""
-    return f"{name}_study.toml"
+def name_first_run(dataset: Dataset) -> tuple[str, bool]:
+    """Return the file of a dataset's first study, or of its fit, and whether it is a study.
+
+    The folder of its results has the same name. Nothing can be held out of one insertion, nor of one tip
+    track of a specimen: tracks are predicted within a specimen.
+    """
+    insertions = dataset.insertions
+    counts = Counter(one.specimen for one in insertions)
+    is_study = len(insertions) > 1 and (dataset.pose != "tracker" or min(counts.values()) > 1)
+    return f"{dataset.name}_{'study' if is_study else 'fit'}.toml", is_study
+
+
+@dataclass(frozen=True)
+class FirstChoices:
+    """What a first study states beside what follows from the dataset: keys of the study, and parameters."""
+
+    study: Mapping[str, Any] = field(default_factory=dict)
+    parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
 
 def write_scene(file: Path, dataset: Dataset, insertion: Insertion) -> None:
@@ -39,7 +60,7 @@ def write_scene(file: Path, dataset: Dataset, insertion: Insertion) -> None:
 def describe_scene(dataset: Dataset, insertion: Insertion, advance: Advance) -> dict[str, object]:
     """Return an insertion of a dataset as the keys of a scene, under a rule of advance."""
     tops = [0.0, *insertion.boundaries.round(3).tolist()]
-    needles = load(dataset.path, DatasetRecord).all_needles.values()
+    needles = load_record(dataset.path).all_needles.values()
     needle = next(one for one in needles if Needle.from_record(one) == insertion.needle)
     path: dict[str, object] = {"depth_mm": round(insertion.depth, 3)}
     if insertion.turns:
@@ -91,15 +112,21 @@ def _state_usual_alpha() -> dict[str, object]:
     return {"bounds": list(alpha.usual), "prior": {"mean": mean, "sd": sd}}
 
 
-def write_starter_study(folder: Path, dataset: Dataset) -> bool:
-    """Write a study and its `tissue.toml` into `folder`; return False if there are too few insertions.
+def free_guide_distance(free_mm: float) -> dict[str, Any]:
+    """Return the distance of a guide as a parameter, where this much of the needle is outside, mm."""
+    upper = min(MAX_GUIDE_MM, max(free_mm - 1.0, 2.0 * MIN_GUIDE_MM))
+    prior = {"median": min(GUIDE_MEDIAN_MM, upper / 2.0), "factor": GUIDE_FACTOR}
+    return {"bounds": [MIN_GUIDE_MM, upper], "prior": prior}
 
-    The study leaves out one specimen at a time, or, of a single specimen, one insertion. The tissue model has
-    as many layers as the deepest insertion meets; of the exponents alpha it states the usual prior, as shapes
-    hardly depend on them.
+
+def write_first_run(folder: Path, dataset: Dataset, choices: FirstChoices | None = None) -> None:
+    """Write a study, or a fit where nothing can be held out, and its `tissue.toml` into `folder`.
+
+    The study leaves out one specimen at a time, or, of a single specimen and of tip tracks, one insertion.
+    The tissue model has as many layers as the deepest insertion meets; of the exponents alpha it states the
+    usual prior, as shapes hardly depend on them.
     """
-    if len(dataset.insertions) < 2:
-        return False
+    choices = choices or FirstChoices()
     layers = max(max(one.sequence) for one in dataset.insertions)
     numbers = range(1, layers + 1)
     advance = _choose_advance(dataset)
@@ -113,23 +140,30 @@ def write_starter_study(folder: Path, dataset: Dataset) -> bool:
             **{f"mu{n}_pa": {"bounds": MODULUS_BOUNDS_PA} for n in numbers},
             **{f"alpha{n}": _state_usual_alpha() for n in numbers},
             bevel: {"bounds": BEVEL_BOUNDS[bevel]},
+            **choices.parameters,
         },
     }
-    several = len({one.specimen for one in dataset.insertions}) > 1
-    unit = "specimen" if several else "insertion"
-    where = "those into a new specimen" if several else "another one into the same specimen"
-    study: dict[str, object] = {
+    name, is_study = name_first_run(dataset)
+    run: dict[str, object] = {
         "schema": 2,
-        "title": f"{dataset.name}: leave one {unit} out",
-        "question": f"Does a model fitted to all other insertions predict {where}?",
+        "title": f"{dataset.name}: a fit",
         "dataset": ".",  # paths are relative to the study
         "medium": f"./{TISSUE_FILE}",
         "recipe": "default",
-        "leave_out": unit,
-        **({} if several else {"same_specimen": True}),
     }
-    files = (TISSUE_FILE, tissue, MediumRecord), (name_study_file(dataset.name), study, StudyRecord)
-    for name, tables, record in files:
-        check(tables, record, name)
-        (folder / name).write_bytes(dumps(tables).encode())
-    return True
+    several = len({one.specimen for one in dataset.insertions}) > 1 and dataset.pose != "tracker"
+    unit = "specimen" if several else "insertion"
+    where = "those into a new specimen" if several else "another one into the same specimen"
+    if is_study:
+        run |= {
+            "title": f"{dataset.name}: leave one {unit} out",
+            "question": f"Does a model fitted to all other insertions predict {where}?",
+            "leave_out": unit,
+            **choices.study,
+        }
+    if not several:
+        run["same_specimen"] = True
+    files = (TISSUE_FILE, tissue, MediumRecord), (name, run, StudyRecord if is_study else FitRecord)
+    for file, tables, record in files:
+        check(tables, record, file)
+        (folder / file).write_bytes(dumps(tables).encode())

@@ -91,13 +91,8 @@ def inspect(path: Path, root: Path | None = None) -> Inspection:
     the checksums that it states are not verified.
     """
     file = find_dataset_file(path)
-    record: DatasetRecord | TrackDatasetRecord
     try:
-        tables = read_toml(file)
-        if of_tracks := "tip_tracks" in tables:
-            record = toml.check(tables, TrackDatasetRecord, file)
-        else:
-            record = toml.check(tables, DatasetRecord, file)
+        record = load_record(file)
         reading = _Reading(file, record, root or find_folder(record, file))
     except (ConfigError, DataError) as error:
         return Inspection(None, (error,))
@@ -106,6 +101,7 @@ def inspect(path: Path, root: Path | None = None) -> Inspection:
     reading.faults += find_record_faults(record, file)
     assumed = read_assumed(record, file)
     reading.warnings += find_record_warnings(record, file, assumed)
+    of_tracks = isinstance(record, TrackDatasetRecord)
     insertions, files, own = (_read_tracks if of_tracks else _read_shapes)(reading)
     if reading.faults:  # each once, without warnings about their places
         places = {fault.where for fault in reading.faults}
@@ -135,6 +131,12 @@ def inspect(path: Path, root: Path | None = None) -> Inspection:
     return Inspection(dataset, (), dataset.warnings)
 
 
+def load_record(file: Path) -> DatasetRecord | TrackDatasetRecord:
+    """Return a `dataset.toml`, of shapes or tip tracks."""
+    tables = read_toml(file)
+    return toml.check(tables, TrackDatasetRecord if "tip_tracks" in tables else DatasetRecord, file)
+
+
 def make_noise(record: NoiseRecord) -> Noise:
     """Return the measurement errors that a dataset states."""
     return Noise(
@@ -151,12 +153,13 @@ def find_record_faults(record: DatasetRecord | TrackDatasetRecord, file: Path) -
     """Yield what is wrong with a `dataset.toml` by itself."""
     shapes = isinstance(record, DatasetRecord)
     yield from find_needle_faults(record, file)
-    if not shapes and record.noise.point_sd_mm <= 0:  # every fit of tip tracks samples a posterior
-        key = "noise.point_sd_mm"
-        yield refusal(f"""no noise of the readings is stated
-            expected: a standard deviation above 0, mm
-            fix: write {key}
-            where: {locate_key(file, key)}""")
+    # every fit of tip tracks samples a posterior; every study places further runs by their slopes
+    for key, unit in ({} if shapes else {"point_sd_mm": "mm", "slope_sd_deg": "degrees"}).items():
+        if getattr(record.noise, key) <= 0:
+            yield refusal(f"""{key} is not stated, which tip tracks need
+                expected: a standard deviation above 0, {unit}
+                fix: write noise.{key}
+                where: {locate_key(file, f"noise.{key}")}""")
     for key in ("noise.heading_sd_deg", "noise.slope_sd_deg"):
         if shapes and getattr(record.noise, key.removeprefix("noise.")) > 0:
             yield refusal(f"""{key} is of tip tracks

@@ -341,13 +341,15 @@ def _make_steps(
     distance = values.get("guide_distance_mm", insertion.guide_distance)
     controls = Controls() if distance is None else Controls(guides=(Guide(-distance),))
     if (guide := insertion.guide) is not None:
-        end, x = find_end(insertion.depth, medium.constraint_spacing_mm), -values["guide_distance_mm"]
+        end = find_end(insertion.depth, medium.constraint_spacing_mm)
         starts = guide.depths[:-1].tolist()
         bevels = [replace(bevel, roll_deg=_find_roll(insertion.turns, depth)) for depth in starts]
         if not guide.moved and len({one.roll_deg for one in bevels}) == 1:
             return (Step(end, bevels[0], controls),)
-        places = zip(guide.y[1:].tolist(), guide.z[1:].tolist(), strict=True)
-        held = [Controls(guides=(Guide(x, y, z=z),)) for y, z in places]
+        held = [controls] * len(bevels)
+        if guide.moved:
+            places = zip(guide.y[1:].tolist(), guide.z[1:].tolist(), strict=True)
+            held = [Controls(guides=(Guide(-values["guide_distance_mm"], y, z=z),)) for y, z in places]
         return tuple(map(Step, [*starts[1:], end], bevels, held))
     turned = [(0.0, 0.0), *(turn for turn in insertion.turns if turn[0] < insertion.depth)]
     stops = [*(depth for depth, _ in turned[1:]), insertion.depth]

@@ -46,8 +46,7 @@ class Problem:
     def __post_init__(self) -> None:
         if not self.insertions:
             raise ConfigError("no insertion is selected to fit to", expected="at least one")
-        held = any(one.guide is not None for one in self.insertions)
-        if held and GUIDE_DISTANCE not in self.parameters.names:
+        if any(one.guided for one in self.insertions) and GUIDE_DISTANCE not in self.parameters.names:
             raise ConfigError.of(f"""the tissue model does not state the guide's distance
                 expected: {GUIDE_DISTANCE}: from the guide to the skin, free or fixed
                 key: parameters""")

@@ -12,7 +12,7 @@ from matplotlib.tri import Triangulation
 
 from needlefit.arrays import Floats
 from needlefit.datasets.dataset_warnings import find_bend_side
-from needlefit.datasets.first_study import SCENE_FILE, write_scene, write_starter_study
+from needlefit.datasets.first_study import SCENE_FILE, write_first_run, write_scene
 from needlefit.datasets.importing.directions import snap_to_axis
 from needlefit.datasets.importing.place import ImportPlan
 from needlefit.datasets.importing.prepare import PreparedImport
@@ -42,15 +42,15 @@ _SIDES = {"toward": "toward", "away": "AWAY", "unknown": "too straight"}
 def write_import(folder: Path, prepared: PreparedImport) -> Dataset:
     """Write a dataset with its mapping, picture, scene and first study into a new folder, or nothing.
 
-    Tip tracks get no picture, scene and study. ConfigError if `folder` holds something. DataError: listing
+    Tip tracks get no picture. ConfigError if `folder` holds something. DataError: listing
     the faults of the dataset, at their places in the imported files.
     """
     with replace_folder(folder, is_result=False) as fresh:
         plan = prepared.plan
         dataset = write_plan(fresh, prepared.content, plan, prepared.mapping)
+        write_first_run(fresh, dataset, plan.choices)
+        write_scene(fresh / SCENE_FILE, dataset, max(dataset.insertions, key=lambda one: one.depth))
         if plan.pose != "tracker":
-            write_starter_study(fresh, dataset)
-            write_scene(fresh / SCENE_FILE, dataset, max(dataset.insertions, key=lambda one: one.depth))
             draw(fresh / PICTURE_FILE, lambda: paint_import(dataset, plan))
     warnings = [replace(one, where=one.where.replace(str(fresh), str(folder))) for one in dataset.warnings]
     return replace(dataset, warnings=tuple(warnings))

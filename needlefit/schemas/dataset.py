@@ -46,8 +46,7 @@ class NoiseRecord(Record):
     heading_sd_deg: float = Field(default=0.0, ge=0, le=45)
     """Tip tracks: standard deviation of a heading; 0: headings are not used."""
     slope_sd_deg: float = Field(default=0.0, ge=0, le=45)
-    """Tip tracks: spread of the slope of the tracker's frame between runs into one specimen; 0: each run
-    has an unknown slope of its own."""
+    """Tip tracks: spread of the slope of the tracker's frame between runs into one specimen, above 0."""
     note: str = ""
     """Where the numbers come from."""
 

@@ -21,7 +21,7 @@ from needlefit.inference.parameter_changes import complete_published, load_chang
 from needlefit.inference.parameters import Parameters, with_hyperparameters, without_prior
 from needlefit.mechanics.plan import check_size, count_element_solves
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.project.toml import add_file_context, add_key_context, find_named, load, locate_key
+from needlefit.project.toml import add_file_context, add_key_context, find_named, load
 from needlefit.project.unit_warnings import medium_warnings
 from needlefit.schemas.limits import MAX_EVALUATION_ELEMENT_SOLVES
 from needlefit.schemas.medium import MediumRecord
@@ -137,12 +137,6 @@ def _check_registration(job: Job) -> None:
     tracks = [one for fold in job.folds for one in fold.validate if OBSERVATIONS[one.observed].on_the_way]
     if not tracks or not isinstance(job.record, StudyRecord):
         return
-    if not job.dataset.noise.slope_sd:
-        raise ConfigError(
-            "by how much the slopes of runs differ in the tracker's frame is not stated",
-            where=locate_key(job.dataset.path, "noise.slope_sd_deg"),
-            expected="[noise] with slope_sd_deg above 0",
-        )
     depth = job.record.registration_depth_mm
     if depth is None:
         raise ConfigError(

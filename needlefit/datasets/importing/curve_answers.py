@@ -23,13 +23,18 @@ class CurveAnswers:
         """Return what the mapping states of all needles; None if nothing."""
         return Stated(self.settler.values[key]) if key in self.settler.values else None
 
+    def is_stated(self, key: str) -> bool:
+        """Return whether the mapping or the cells of a needle state a key."""
+        return self.stated(key) is not None or any(key in one.stated for one in self.curves)
+
     def settle_sides(self) -> list[float] | None:
         """Return the direction that each bevel faces, degrees about the needle; None where nobody states it.
 
         DataError if a cell is not understood.
         """
-        has_sides = self.stated("bevel_side") or any("bevel_side" in one.stated for one in self.curves)
-        return [cell.to_angle() for cell in self.each("bevel_side")] if has_sides else None
+        if not self.is_stated("bevel_side"):
+            return None
+        return [cell.to_angle() for cell in self.each("bevel_side")]
 
     def settle_flat_sides(self, fix: str) -> list[int]:
         """Return the side of each bevel, of needles of which no shape was measured.

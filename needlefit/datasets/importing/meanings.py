@@ -48,6 +48,15 @@ VALUES = MappingProxyType(
         "modulus": Meaning(
             "Young's modulus of the needle, or steel, nitinol, titanium, peek", "GPa", "steel", "common"
         ),
+        "guide_distance": Meaning(
+            "Guide that holds the needle: mm before the tissue; `free`: fitted; `none`: held at its base",
+            "mm",
+            "none",
+            "no guide is stated",
+        ),
+        "registration_depth": Meaning(
+            "Depth down to which the readings of a predicted run place it in the frame of the tips", "mm"
+        ),
         "guide": Meaning("Which of the tracked tools is the guide: its name, or none"),
         "title": Meaning("What was inserted into what"),
         "source": Meaning("Who measured this, when, how"),
@@ -56,7 +65,7 @@ VALUES = MappingProxyType(
 )
 """What may be stated of all needles; of most keys each needle may also have a cell of its own."""
 
-OF_ALL = ("entry", "bevel", "guide", "title", "source", "license")  #: of these it may not
+OF_ALL = ("entry", "bevel", "guide", "registration_depth", "title", "source", "license")  #: of these not
 ATTRIBUTES = ("depth", *(key for key in VALUES if key not in OF_ALL))  #: what is stated of a needle
 VECTORS = ("entry_point", "pose")  #: columns x, y, z that state something of each needle
 SENSOR = ("sensor", "curvature_y", "curvature_z", "curvature_sd")  #: what a row of curvatures states

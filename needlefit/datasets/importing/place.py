@@ -3,19 +3,21 @@
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import DEFAULT_ROLL_SD_DEG, InsertionRow, PoseSource
+from needlefit.datasets.first_study import FirstChoices, free_guide_distance
 from needlefit.datasets.importing.curve_answers import CurveAnswers
 from needlefit.datasets.importing.curves import ImportContent, ImportedCurve
 from needlefit.datasets.importing.directions import MIN_SAME_SIDE, format_direction, snap_to_axis, to_sides
 from needlefit.datasets.importing.stated import Settler, Stated, name_set
 from needlefit.datasets.importing.synonyms import find_meaning, read_quantity
 from needlefit.datasets.importing.tips import make_tips, split_tips
-from needlefit.datasets.importing.tracks import make_tracks
+from needlefit.datasets.importing.tracks import choose_track_study, is_guided, make_tracks
 from needlefit.datasets.layers import (
     MAX_HEADING_DEG,
     SAME_POINT_MM,
@@ -43,6 +45,8 @@ MIN_CUT_MM = 1.0  # mm of a needle before the stated entry, from which on it is 
 STEP_MM = 0.01  # mm, steps in which the entry is looked for along a needle
 MIN_NEEDLE_MM = 150.0  # mm, length assumed of a needle, or more
 BEYOND_DEPTH_MM = 50.0  # mm, by which it is longer than the greatest depth
+# Tracks are predicted within a specimen.
+TRACK_SPECIMEN = ("specimen1", "all runs into one; specimen=each if every run had a specimen of its own")
 OTHER_END = {"first": "last", "last": "first"}  # of the answers at which end of its points a needle enters
 
 
@@ -59,6 +63,8 @@ class ImportPlan:
     point_sd_mm: float
     needles: Mapping[str, NeedleRecord] = field(default_factory=dict)  # by the names in the rows
     examples: tuple[str, ...] = ()  # needles of the workbook that ships, where others are not
+    choices: FirstChoices = field(default_factory=FirstChoices)  # of its first study
+    slope_sd_deg: float = 0.0  # of tip tracks: of the directions of runs
 
 
 class Planner(CurveAnswers):
@@ -112,7 +118,9 @@ class Planner(CurveAnswers):
             errors = [one.to_number("boundary_sd") for one in self.each("boundary_sd")]
             rows = [replace(row, boundary_sd=own) for row, own in zip(rows, errors, strict=True)]
         rows = self.add_names(rows, is_track=holds == "tracks")
-        return self.assemble(rows, pose, sd, depths, needles)
+        rows, parameters = self.settle_guide_distance(rows, needles, is_track=holds == "tracks")
+        plan = replace(self.assemble(rows, pose, sd, depths, needles), choices=FirstChoices({}, parameters))
+        return choose_track_study(self, plan) if holds == "tracks" else plan
 
     def assemble(
         self,
@@ -371,7 +379,8 @@ class Planner(CurveAnswers):
         """Return the rows with medium and specimen; a medium of tracks is in one specimen, by its name."""
         found = {}
         for what in ("medium", "specimen"):
-            cells = zip(self.curves, self.each(what), strict=True)
+            usual = TRACK_SPECIMEN if what == "specimen" and is_track else (None, "")
+            cells = zip(self.curves, self.each(what, *usual), strict=True)
             texts = {
                 one.name: one.hole or one.name if cell.text == "each" else cell.text for one, cell in cells
             }
@@ -394,6 +403,36 @@ class Planner(CurveAnswers):
             if needle.length_mm <= depth:
                 raise length.error("needle_length", f"more than the {depth:.4g} mm of {curve.name} in tissue")
         return needles
+
+    def settle_guide_distance(
+        self, rows: list[InsertionRow], needles: Sequence[NeedleRecord], is_track: bool
+    ) -> tuple[list[InsertionRow], dict[str, dict[str, Any]]]:
+        """Return the rows with the guides that hold their needles, and the parameter of one that is fitted.
+
+        Without a guide the base alone holds a needle. Of tracks it is asked, as a guide may have led them.
+        """
+        if not is_track and not self.is_stated("guide_distance"):
+            return rows, {}
+        is_moved = any(is_guided(one) for one in self.curves)
+        usual, reason = (
+            ("free", "the guide moved, and its distance is not stated") if is_moved else (None, "")
+        )
+        answers = self.each("guide_distance", usual, reason)
+        texts = {one.text for one in answers}
+        if "none" in texts and is_moved:
+            raise answers[0].error("guide_distance", "mm, or `free`: the guide moved")
+        if texts == {"free"} or (is_track and texts != {"none"}):
+            if len(texts) > 1:
+                raise answers[0].error("guide_distance", "one value of all")
+            free = min(one.length_mm - row.depth for one, row in zip(needles, rows, strict=True))
+            parameter = free_guide_distance(free)
+            if texts != {"free"}:
+                parameter = {"fixed": answers[0].to_number("guide_distance", is_above=True)}
+            return rows, {"guide_distance_mm": parameter}
+        distances = [
+            None if one.text == "none" else one.to_number("guide_distance", is_above=True) for one in answers
+        ]
+        return [replace(row, guide_distance=own) for row, own in zip(rows, distances, strict=True)], {}
 
 
 # ---- needles, points and shafts

@@ -1,6 +1,7 @@
 """Make tip tracks of imported curves: settle depths, the guide and the bevel."""
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -9,9 +10,14 @@ from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.importing.curve_answers import CurveAnswers
 from needlefit.datasets.importing.curves import ImportedCurve
 from needlefit.datasets.importing.directions import MIN_SAME_SIDE, format_direction, snap_to_axis
+from needlefit.datasets.insertion import GUIDE_STILL_MM
 from needlefit.geometry.frames import normalize
 from needlefit.project.locate import join_names
 
+if TYPE_CHECKING:
+    from needlefit.datasets.importing.place import ImportPlan
+
+PLACING_PART = 1 / 3  # of the shallowest run: its readings place a run in the tracker's frame
 MIN_TRACK_SLOPE = 0.7  # by which a tip moves for each mm of depth, if its coordinates are all in space
 
 
@@ -110,3 +116,21 @@ def measure_depths(asked: CurveAnswers) -> None:
         curve.guide = None if curve.guide is None else curve.guide[kept]
     start = "the first reading" if entry is None else "the entry point"
     asked.settler.assumed["depth"] = f"the path of the tip along {pose.text} from {start} on"
+
+
+def is_guided(curve: ImportedCurve) -> bool:
+    """Return whether the guide moved across the needle during a run."""
+    return curve.guide is not None and bool(np.ptp(curve.guide[:, :2], axis=0).max() >= GUIDE_STILL_MM)
+
+
+def choose_track_study(asked: CurveAnswers, plan: "ImportPlan") -> "ImportPlan":
+    """Return a plan with what a study of tracks needs beside them.
+
+    That is how much the directions of runs differ, and which readings place a predicted run.
+    """
+    shallowest = min(float(one.depths[-1] - one.depths[0]) for one in asked.curves)
+    usual = f"{PLACING_PART * shallowest:.3g}"
+    depth = asked.settle("registration_depth", usual, "a third of the shallowest run; deeper ones are scored")
+    study = {"registration_depth_mm": depth.to_number("registration_depth", is_above=True)}
+    sds = [one.to_number("pose_angle_sd", "deg", is_above=True) for one in asked.each("pose_angle_sd")]
+    return replace(plan, choices=replace(plan.choices, study=study), slope_sd_deg=max(sds))

@@ -56,7 +56,11 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, mapping: 
         "license": PLACEHOLDER,
         "source": f"{PLACEHOLDER}: who measured this, when, how",
         "needle": plan.needle.model_dump(),
-        "noise": {"point_sd_mm": plan.point_sd_mm, "note": f"see {MAPPING_FILE}"},
+        "noise": {
+            "point_sd_mm": plan.point_sd_mm,
+            "slope_sd_deg": plan.slope_sd_deg,
+            "note": f"see {MAPPING_FILE}",
+        },
         "import": imported.model_dump(),
         **{key: mapping.values[key] for key in TEXTS if key in mapping.values},
     }

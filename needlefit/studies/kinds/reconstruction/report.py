@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from needlefit.datasets.first_study import write_scene, write_starter_study
+from needlefit.datasets.first_study import write_first_run, write_scene
 from needlefit.datasets.formats.markups import CurveStyle, Markups, write_mrk_json
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError
@@ -343,7 +343,7 @@ def write_reconstruction(
         record = KIND.make_record(title=title, scans=[one.scan.id for one in kept], recipe=recipe)
         assert isinstance(record, ReconstructionBatchRecord)
         dataset = read(fresh)
-        write_starter_study(fresh, dataset)
+        write_first_run(fresh, dataset)
         (fresh / "scenes").mkdir()
         for insertion in dataset.insertions:
             write_scene(fresh / "scenes" / f"{insertion.id}.toml", dataset, insertion)

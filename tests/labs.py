@@ -1,0 +1,130 @@
+"""Six labs: plain files of needles of `own_model`, with what each lab states, and the true parameters."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from own_model import Floats, Inserted, Medium, Rod, insert
+
+OUTER_MM, LENGTH_MM = 0.7, 150.0  # 22 gauge, solid, of steel
+ROD = Rod(LENGTH_MM, np.pi / 64 * OUTER_MM**4 * 200e3)
+TRUTH = {"mu1_pa": 60e3, "bevel_mm": 0.12}
+BLOCK = Medium([TRUTH["mu1_pa"] / 1e6])
+NEEDLE = ("needle_length=150", "diameter=0.7", "modulus=steel", "specimen=block")
+POSE_SD = ("pose_shift_sd=0.1", "pose_angle_sd=0.3")
+SHIFT_MM, TURN_RAD = 0.1, np.radians(0.3)  # the same as numbers
+
+
+@dataclass(frozen=True)
+class Lab:
+    """A kind of measurement: what writes its file, from a random generator, and what is stated with it."""
+
+    name: str
+    write: Callable[[Path, np.random.Generator], None]
+    stated: Sequence[str]
+
+    def options(self) -> list[str]:
+        """Return the options of the import."""
+        return ["--yes", *(word for one in self.stated for word in ("--set", one))]
+
+
+def _push(depth: int, side: int = 1) -> Inserted:
+    return insert(ROD, BLOCK, TRUTH["bevel_mm"], depth, lambda _: side)
+
+
+def _misplace(points: Floats, rng: np.random.Generator) -> Floats:
+    """Return points (N, 2) of an insertion whose entry pose is not known exactly."""
+    angle = rng.normal(0.0, TURN_RAD)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    return points @ turn.T + [0.0, rng.normal(0.0, SHIFT_MM)]
+
+
+def _save(path: Path, header: str, rows: Sequence[Sequence[object]]) -> None:
+    lines = [header, *(",".join(f"{cell:.4f}" if isinstance(cell, float) else str(cell) for cell in row)
+                       for row in rows)]  # fmt: skip
+    path.write_text("\n".join(lines) + "\n")
+
+
+def write_shapes(path: Path, rng: np.random.Generator) -> None:
+    """CT: points of eight needles along x, their bevels up and down, in a frame whose entry is the origin."""
+    rows = []
+    for n, depth in enumerate((50, 55, 60, 65, 70, 75, 80, 85)):
+        side = 1 if n % 2 else -1
+        points = _misplace(_push(depth, side).place(np.linspace(0.0, depth, depth // 2 + 1)), rng)
+        points = np.column_stack([points, np.zeros(len(points))])
+        points[:, 1:] += rng.normal(0.0, 0.1, (len(points), 2))
+        rows += [(f"n{n + 1}", side, depth, *map(float, one)) for one in points]
+    _save(path, "needle,bevel side,depth [mm],x [mm],y [mm],z [mm]", rows)
+
+
+def write_stops(path: Path, rng: np.random.Generator) -> None:
+    """Camera: deflections of the tips of eight needles at stops, in a picture that is turned a little."""
+    rows = []
+    for n in range(8):
+        side, depths = 1 if n % 2 else -1, np.arange(0, 81, 8)
+        tips = side * insert(ROD, BLOCK, TRUTH["bevel_mm"], 80).tips[depths]
+        tips = tips + rng.normal(0.0, 0.2) + depths * np.tan(rng.normal(0.0, np.radians(0.5)))
+        tips += rng.normal(0.0, 0.05, len(tips))
+        rows += [(f"n{n + 1}", side, d, float(tip)) for d, tip in zip(depths, tips, strict=True)]
+    _save(path, "needle,bevel side,depth [mm],deflection [mm]", rows)
+
+
+def write_tracker(path: Path, rng: np.random.Generator) -> None:
+    """EM tracker: places of the tips of eight needles, beside the places of the guide, which moves."""
+    rows = []
+    for n in range(8):
+        side, depths = 1 if n % 2 else -1, np.arange(0, 81, 4)
+        size = 0.0 if n < 4 else rng.uniform(2.0, 4.0) * (1 if n % 4 < 2 else -1)
+        move = lambda d, size=size: size * np.sin(np.pi * max(d - 8, 0) / 72)  # noqa: E731
+        held = [0.0, *(move(d) for d in depths[1:])]
+        step = lambda d, held=held: held[int(np.ceil(d / 4))]  # on the way to a reading  # noqa: E731
+        tips = insert(ROD, BLOCK, TRUTH["bevel_mm"], 80, lambda _, s=side: s, (20.0, step)).tips[depths]
+        tips = tips + rng.normal(0.0, 0.3) + depths * np.tan(rng.normal(0.0, np.radians(0.5)))
+        tips += rng.normal(0.0, 0.05, len(tips))
+        rows += [(f"r{n + 1}", side, k, d, float(tip), float(g))
+                 for k, (d, tip, g) in enumerate(zip(depths, tips, held, strict=True))]  # fmt: skip
+    _save(path, "run,bevel side,time,depth [mm],deflection [mm],guide_mm", rows)
+
+
+def write_fibres(path: Path, rng: np.random.Generator) -> None:
+    """Fibres: curvatures at eight sensors of each of eight needles."""
+    rows = []
+    for n, depth in enumerate((50, 55, 60, 65, 70, 75, 80, 85)):
+        needle, s = _push(depth), np.arange(5.0, 45.0, 5.0)
+        bent = needle.interpolate(depth - s, 2) + rng.normal(0.0, 5e-5, len(s))
+        across = rng.normal(0.0, 5e-5, len(s))
+        rows += [(f"n{n + 1}", depth, float(at), f"{y:.6f}", f"{z:.6f}", 5e-5)
+                 for at, y, z in zip(s, bent, across, strict=True)]  # fmt: skip
+    _save(path, "needle,depth [mm],sensor from tip [mm],curvature y [1/mm],curvature z [1/mm],curvature sd [1/mm]",
+          [[f"{c:.5f}" if n == 5 else c for n, c in enumerate(row)] for row in rows])  # fmt: skip
+
+
+def write_tips(path: Path, rng: np.random.Generator) -> None:
+    """Final tips: depth and deflection of twelve insertions."""
+    rows = []
+    for n, depth in enumerate((40, 50, 60, 70, 80, 90) * 2):
+        tip = _misplace(_push(depth).place(np.array([float(depth)])), rng)[0]
+        rows.append((f"n{n + 1}", depth, float(tip[1] + rng.normal(0.0, 0.1))))
+    _save(path, "needle,depth [mm],deflection [mm]", rows)
+
+
+def write_one(path: Path, rng: np.random.Generator) -> None:
+    """One needle: its points."""
+    points = _misplace(_push(80).place(np.linspace(0.0, 80.0, 41)), rng)
+    points += rng.normal(0.0, 0.1, points.shape) * [0.0, 1.0]
+    _save(path, "x [mm],y [mm]", [[*map(float, one)] for one in points])
+
+
+ENTERED = ("pose=1,0,0", "entry_point=0,0,0", "point_sd=0.1")
+LABS = {
+    one.name: one
+    for one in (
+        Lab("shapes", write_shapes, (*NEEDLE, *ENTERED, *POSE_SD, "bevel=0,1,0", "depth.column=depth [mm]")),
+        Lab("stops", write_stops, (*NEEDLE, "point_sd=0.05", "pose_angle_sd=0.5")),
+        Lab("tracker", write_tracker, (*NEEDLE, "point_sd=0.05", "pose_angle_sd=0.5")),
+        Lab("fibres", write_fibres, (*NEEDLE, *POSE_SD)),
+        Lab("tips", write_tips, (*NEEDLE, "point_sd=0.1", *POSE_SD)),
+        Lab("one", write_one, (*NEEDLE, *ENTERED, *POSE_SD)),
+    )
+}
