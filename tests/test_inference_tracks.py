@@ -156,7 +156,7 @@ def test_runs_under_a_resting_guide_are_one_insertion():
         share_simulations([track("run", GUIDE, 0.1 * DEPTH)], 1.0)
     table = {k: v for k, v in MEDIUM.model_dump()["parameters"].items() if k != "guide_distance_mm"}
     bare = MEDIUM.model_validate({"schema": 1, "layers": 1, "parameters": table})
-    fault = refusal(ConfigError, "guide", lambda: problem([track("run", REST)], bare))
+    fault = refusal(ConfigError, "guide", lambda: problem([track("run", GUIDE)], bare))
     assert fault.key == "parameters" and "guide_distance_mm" in fault.expected
 
 
