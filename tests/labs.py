@@ -21,12 +21,16 @@ class Lab:
     """A kind of measurement: what writes its file, from a random generator, and what is stated with it."""
 
     name: str
-    write: Callable[[Path, np.random.Generator], None]
+    write: Callable[..., None]  # path, random generator, number of needles
     stated: Sequence[str]
 
     def options(self) -> list[str]:
         """Return the options of the import."""
         return ["--yes", *(word for one in self.stated for word in ("--set", one))]
+
+
+def _list_depths(count: int) -> list[int]:
+    return [round(one) for one in np.linspace(45, 85, count)]
 
 
 def _push(depth: int, side: int = 1) -> Inserted:
@@ -46,22 +50,22 @@ def _save(path: Path, header: str, rows: Sequence[Sequence[object]]) -> None:
     path.write_text("\n".join(lines) + "\n")
 
 
-def write_shapes(path: Path, rng: np.random.Generator) -> None:
-    """CT: points of eight needles along x, their bevels up and down, in a frame whose entry is the origin."""
+def write_shapes(path: Path, rng: np.random.Generator, needles: int = 8) -> None:
+    """CT: points of needles along x, 10 mm apart, their bevels up and down."""
     rows = []
-    for n, depth in enumerate((50, 55, 60, 65, 70, 75, 80, 85)):
+    for n, depth in enumerate(_list_depths(needles)):
         side = 1 if n % 2 else -1
         points = _misplace(_push(depth, side).place(np.linspace(0.0, depth, depth // 2 + 1)), rng)
-        points = np.column_stack([points, np.zeros(len(points))])
+        points = np.column_stack([points, np.full(len(points), 10.0 * n)])
         points[:, 1:] += rng.normal(0.0, 0.1, (len(points), 2))
         rows += [(f"n{n + 1}", side, depth, *map(float, one)) for one in points]
     _save(path, "needle,bevel side,depth [mm],x [mm],y [mm],z [mm]", rows)
 
 
-def write_stops(path: Path, rng: np.random.Generator) -> None:
-    """Camera: deflections of the tips of eight needles at stops, in a picture that is turned a little."""
+def write_stops(path: Path, rng: np.random.Generator, needles: int = 8) -> None:
+    """Camera: deflections of tips at stops, in a picture that is turned a little."""
     rows = []
-    for n in range(8):
+    for n in range(needles):
         side, depths = 1 if n % 2 else -1, np.arange(0, 81, 8)
         tips = side * insert(ROD, BLOCK, TRUTH["bevel_mm"], 80).tips[depths]
         tips = tips + rng.normal(0.0, 0.2) + depths * np.tan(rng.normal(0.0, np.radians(0.5)))
@@ -70,12 +74,12 @@ def write_stops(path: Path, rng: np.random.Generator) -> None:
     _save(path, "needle,bevel side,depth [mm],deflection [mm]", rows)
 
 
-def write_tracker(path: Path, rng: np.random.Generator) -> None:
-    """EM tracker: places of the tips of eight needles, beside the places of the guide, which moves."""
+def write_tracker(path: Path, rng: np.random.Generator, needles: int = 8) -> None:
+    """EM tracker: places of tips, beside those of the guide, which moves in half of the runs."""
     rows = []
-    for n in range(8):
+    for n in range(needles):
         side, depths = 1 if n % 2 else -1, np.arange(0, 81, 4)
-        size = 0.0 if n < 4 else rng.uniform(2.0, 4.0) * (1 if n % 4 < 2 else -1)
+        size = 0.0 if n < needles // 2 else rng.uniform(2.0, 4.0) * (1 if n % 4 < 2 else -1)
         move = lambda d, size=size: size * np.sin(np.pi * max(d - 8, 0) / 72)  # noqa: E731
         held = [0.0, *(move(d) for d in depths[1:])]
         step = lambda d, held=held: held[int(np.ceil(d / 4))]  # on the way to a reading  # noqa: E731
@@ -87,29 +91,29 @@ def write_tracker(path: Path, rng: np.random.Generator) -> None:
     _save(path, "run,bevel side,time,depth [mm],deflection [mm],guide_mm", rows)
 
 
-def write_fibres(path: Path, rng: np.random.Generator) -> None:
-    """Fibres: curvatures at eight sensors of each of eight needles."""
+def write_fibres(path: Path, rng: np.random.Generator, needles: int = 8) -> None:
+    """Fibres: curvatures at eight sensors of each needle."""
     rows = []
-    for n, depth in enumerate((50, 55, 60, 65, 70, 75, 80, 85)):
+    for n, depth in enumerate(_list_depths(needles)):
         needle, s = _push(depth), np.arange(5.0, 45.0, 5.0)
         bent = needle.interpolate(depth - s, 2) + rng.normal(0.0, 5e-5, len(s))
         across = rng.normal(0.0, 5e-5, len(s))
-        rows += [(f"n{n + 1}", depth, float(at), f"{y:.6f}", f"{z:.6f}", 5e-5)
-                 for at, y, z in zip(s, bent, across, strict=True)]  # fmt: skip
-    _save(path, "needle,depth [mm],sensor from tip [mm],curvature y [1/mm],curvature z [1/mm],curvature sd [1/mm]",
-          [[f"{c:.5f}" if n == 5 else c for n, c in enumerate(row)] for row in rows])  # fmt: skip
+        for at, y, z in zip(s, bent, across, strict=True):
+            rows.append((f"n{n + 1}", depth, float(at), f"{y:.6f}", f"{z:.6f}", "0.00005"))
+    curvatures = "curvature y [1/mm],curvature z [1/mm],curvature sd [1/mm]"
+    _save(path, f"needle,depth [mm],sensor from tip [mm],{curvatures}", rows)
 
 
-def write_tips(path: Path, rng: np.random.Generator) -> None:
-    """Final tips: depth and deflection of twelve insertions."""
+def write_tips(path: Path, rng: np.random.Generator, needles: int = 8) -> None:
+    """Final tips: depth and deflection of insertions."""
     rows = []
-    for n, depth in enumerate((40, 50, 60, 70, 80, 90) * 2):
+    for n, depth in enumerate(_list_depths(needles)):
         tip = _misplace(_push(depth).place(np.array([float(depth)])), rng)[0]
         rows.append((f"n{n + 1}", depth, float(tip[1] + rng.normal(0.0, 0.1))))
     _save(path, "needle,depth [mm],deflection [mm]", rows)
 
 
-def write_one(path: Path, rng: np.random.Generator) -> None:
+def write_one(path: Path, rng: np.random.Generator, needles: int = 1) -> None:
     """One needle: its points."""
     points = _misplace(_push(80).place(np.linspace(0.0, 80.0, 41)), rng)
     points += rng.normal(0.0, 0.1, points.shape) * [0.0, 1.0]
@@ -120,7 +124,7 @@ ENTERED = ("pose=1,0,0", "entry_point=0,0,0", "point_sd=0.1")
 LABS = {
     one.name: one
     for one in (
-        Lab("shapes", write_shapes, (*NEEDLE, *ENTERED, *POSE_SD, "bevel=0,1,0", "depth.column=depth [mm]")),
+        Lab("shapes", write_shapes, (*NEEDLE, "pose=1,0,0", "point_sd=0.1", *POSE_SD, "bevel=0,1,0")),
         Lab("stops", write_stops, (*NEEDLE, "point_sd=0.05", "pose_angle_sd=0.5")),
         Lab("tracker", write_tracker, (*NEEDLE, "point_sd=0.05", "pose_angle_sd=0.5")),
         Lab("fibres", write_fibres, (*NEEDLE, *POSE_SD)),

@@ -1,7 +1,7 @@
 """Needles for tests that are none of the package's: the model of docs/model.md, sections 1 to 5, by itself.
 
-It imports nothing of the package. Depths, layer boundaries and guides are whole numbers of mm, so that the tip
-always ends a whole cell and nodes lie at the constraint points.
+It imports nothing of the package. Depths are whole numbers of mm: the tip always ends a whole cell, and nodes
+lie at the constraint points.
 """
 
 import math
@@ -43,7 +43,7 @@ class Medium:
 
 @dataclass(frozen=True)
 class Inserted:
-    """A needle in tissue: nodes (M,), with displacement and slope of each, and the tip at each mm of depth."""
+    """A needle in tissue: nodes (M,), displacement and slope of each, and the tip at each mm of depth."""
 
     x: Floats
     u: Floats
@@ -59,7 +59,7 @@ class Inserted:
         return np.sum(rows * parts, axis=0)
 
     def place(self, s: Floats) -> Floats:
-        """Return the points (N, 2), mm, at arc lengths s from the entry, where the needle stands in the plane."""
+        """Return the points (N, 2), mm, of the needle in its plane at arc lengths s from the entry."""
         fine = np.arange(self.x[0], self.x[-1] + PATH_STEP / 2, PATH_STEP)
         angle = self.interpolate(fine, 1)
         path = [
@@ -90,8 +90,8 @@ def insert(
 ) -> Inserted:
     """Return a needle that was pushed in to a depth, mm.
 
-    `offset`: b, mm. `side`: of the bevel, or its part in this plane, on the way to a depth. `guide`: a clamping
-    guide this far before the tissue, mm, and where it stands on the way to a depth, mm.
+    `offset`: b, mm. `side`: of the bevel, or its part in this plane, on the way to a depth. `guide`: a
+    clamping guide this far before the tissue, mm, and where it stands on the way to a depth, mm.
     """
     cut, tips = [0.0], [0.0]
     found = None
@@ -145,7 +145,9 @@ def _balance(
         gap = np.sum(rows * values[places], axis=1) - target
         load = weight * medium.stiffness(at, gap)
         matrix, right = bending.copy(), np.zeros(size)
-        np.add.at(matrix, (places[:, :, None], places[:, None]), (load * rows.T).T[:, :, None] * rows[:, None])
+        np.add.at(
+            matrix, (places[:, :, None], places[:, None]), (load * rows.T).T[:, :, None] * rows[:, None]
+        )
         np.add.at(right, places, (load * target)[:, None] * rows)
         right -= matrix @ known
         before, values = values, known.copy()

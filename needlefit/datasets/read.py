@@ -134,7 +134,9 @@ def inspect(path: Path, root: Path | None = None) -> Inspection:
 def load_record(file: Path) -> DatasetRecord | TrackDatasetRecord:
     """Return a `dataset.toml`, of shapes or tip tracks."""
     tables = read_toml(file)
-    return toml.check(tables, TrackDatasetRecord if "tip_tracks" in tables else DatasetRecord, file)
+    if "tip_tracks" in tables:
+        return toml.check(tables, TrackDatasetRecord, file)
+    return toml.check(tables, DatasetRecord, file)
 
 
 def make_noise(record: NoiseRecord) -> Noise:

@@ -17,7 +17,7 @@ from needlefit.geometry.frames import IDENTITY_FRAME, Frame, make_entry_frame
 
 
 def split_tips(asked: CurveAnswers) -> None:
-    """Make an insertion of each depth of a tip; those of a needle that is named are of one hole."""
+    """Make an insertion of each depth of a tip; those of a needle that is named are of one hole, its own."""
     insertions: dict[str, ImportedCurve] = {}
     for curve in asked.curves:
         count = len(curve.line)
@@ -33,7 +33,7 @@ def split_tips(asked: CurveAnswers) -> None:
                 name=name,
                 points=replace(points, sd=None),
                 stated=stated,
-                hole=curve.name if count > 1 and curve.is_named else "",
+                hole=curve.name if curve.is_named else "",
             )
     asked.curves[:] = insertions.values()
 

@@ -1,0 +1,90 @@
+"""Every kind of measurement ends in an answer: a plain file, an import, and the commands that it prints."""
+
+import re
+import shlex
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from labs import LABS, TRUTH
+from light_runs import draw_blank
+from own_model import Medium, Rod, insert
+from reporting_results import skip_figures
+from test_cli import run
+
+from needlefit import Bevel, Needle, Tissue, simulate
+from needlefit.project.locate import shipped_folder
+
+PRINTED = re.compile(r"needlefit ((?:check|tune|validate|predict) \S[^\n]*)")
+
+
+def test_the_own_model_is_that_of_the_kernel():
+    medium = Medium([0.15, 0.04], [20.0], alpha=3.0)
+    needle, tissue = Needle(150.0, Rod().rigidity), Tissue([0.15, 0.04], alpha=3.0, boundaries=[20.0])
+    own, shape = insert(Rod(), medium, 0.15, 70), simulate(needle, tissue, Bevel(offset=0.15), 70.0)
+    assert own.tips[-1] == pytest.approx(shape.tip_track[-1, 0], abs=1e-6)
+    assert own.place(np.array([70.0]))[0] == pytest.approx([69.979, 1.972], abs=2e-3)
+
+
+@pytest.fixture
+def quick(tmp_path, monkeypatch):
+    """An empty working folder whose default recipe is the quick one; pages and figures are empty."""
+    recipes = tmp_path / "configs/recipes"
+    recipes.mkdir(parents=True)
+    shutil.copyfile(shipped_folder() / "configs/recipes/quick.toml", recipes / "default.toml")
+    for name in ("compile_pdf", "compile_html"):
+        monkeypatch.setattr(f"needlefit.reporting.document.{name}", lambda _: b"a page")
+    skip_figures(monkeypatch)
+    draw_blank(monkeypatch)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def import_lab(lab, seed, capsys, **sizes):
+    """Write the file of a lab, import it, and return the commands that are printed."""
+    lab.write(Path("data.csv"), np.random.default_rng(seed), **sizes)
+    code = run("import", "data.csv", "--out", "lab", *lab.options())
+    printed = "".join(capsys.readouterr())
+    assert code == 0, printed
+    return [shlex.split(line) for line in PRINTED.findall(printed)]
+
+
+def read_intervals(fit):
+    """Return the 95 % intervals of the parameters of a fit."""
+    rows = pd.read_csv(f"reports/{fit}/posterior.csv").set_index(["parameter", "probability"])["value"]
+    return {name: (rows[name, 0.025], rows[name, 0.975]) for name in TRUTH}
+
+
+@pytest.mark.parametrize("lab", LABS.values(), ids=LABS)
+def test_a_lab_ends_in_an_answer(lab, quick, capsys):
+    commands = import_lab(lab, 1, capsys, needles=3)
+    tested = [] if lab.name == "one" else ["validate"]
+    assert [one[0] for one in commands] == ["check", "tune", *tested, "predict"]
+    for command in commands:
+        if lab.name == "fibres" and command[0] == "validate":
+            continue  # held-out curvatures are not scored
+        code = run(*command)
+        assert code == 0, "".join(capsys.readouterr())
+    fit = "lab_fit" if lab.name == "one" else "lab_study-tune"
+    for name, (low, high) in read_intervals(fit).items():
+        assert low < TRUTH[name] < high, (name, low, high)
+
+
+@pytest.mark.parametrize("lab", LABS.values(), ids=LABS)
+def test_a_second_set_of_a_lab_finds_its_truth(lab, quick, capsys):
+    command = next(one for one in import_lab(lab, 2, capsys) if one[0] == "tune")
+    assert run(*command) == 0
+    fit = "lab_fit" if lab.name == "one" else "lab_study-tune"
+    for name, (low, high) in read_intervals(fit).items():
+        assert low < TRUTH[name] < high, (name, low, high)
+
+
+def test_runs_into_specimens_of_their_own_are_fitted_alone(quick, capsys):
+    lab = LABS["stops"]
+    stated = [one for one in lab.stated if not one.startswith("specimen")]
+    lab.write(Path("data.csv"), np.random.default_rng(1))
+    each = [word for one in (*stated, "specimen=each") for word in ("--set", one)]
+    assert run("import", "data.csv", "--out", "lab", "--yes", *each) == 0
+    assert "lab_fit.toml" in "".join(capsys.readouterr()) and not Path("lab/lab_study.toml").exists()
