@@ -74,7 +74,7 @@ def test_a_lab_ends_in_an_answer(lab, quick, capsys):
 
 @pytest.mark.parametrize("lab", LABS.values(), ids=LABS)
 def test_a_second_set_of_a_lab_finds_its_truth(lab, quick, capsys):
-    command = next(one for one in import_lab(lab, 2, capsys) if one[0] == "tune")
+    command = next(one for one in import_lab(lab, 3, capsys) if one[0] == "tune")
     assert run(*command) == 0
     fit = "lab_fit" if lab.name == "one" else "lab_study-tune"
     for name, (low, high) in read_intervals(fit).items():
