@@ -263,7 +263,7 @@ def test_later_readings_do_not_enter_the_prediction(runs):
     later[5:] += 9.0
     other = replace(known[-1], measured=np.column_stack([DEPTH, later]))
     one, two = (
-        track_predictions.predict_by_curve(BASELINES["straight"], known[:-1], at, 5)
+        track_predictions.predict_by_curve(BASELINES["straight"], known[:-1], at, 5, 0.01)
         for at in (known[-1], other)
     )
     assert np.array_equal(one, two)
@@ -274,15 +274,11 @@ def test_a_line_takes_its_slope_from_runs_alike():
     frames = ((REST, 0.01), (REST, 0.02), (REST, 0.03), (GUIDE, 0.07), (GUIDE, 0.08), (GUIDE, 0.09))
     tracks = [with_tip(track(f"run{n}", guide), one * DEPTH) for n, (guide, one) in enumerate(frames)]
     seen = [make_observation(dataset([]), one) for one in tracks]
-    for name, slopes in (("straight", (0.05, 0.05)), ("steered_line", (0.02, 0.08))):
+    cases = [("straight", seen, (0.05, 0.05)), ("steered_line", seen, (0.02, 0.08))]
+    for name, known, slopes in (*cases, ("straight", seen[:3], (0.02, 0.02))):
         for further, slope in zip((seen[0], seen[-1]), slopes, strict=True):
-            found = track_predictions.predict_by_curve(BASELINES[name], seen, further, 1)
+            found = track_predictions.predict_by_curve(BASELINES[name], known, further, 1, 0.01)
             assert np.diff(found) == pytest.approx(slope * np.diff(DEPTH[1:]), abs=1e-6)
-    refusal(
-        ConfigError,
-        "3 runs",
-        lambda: track_predictions.predict_by_curve(BASELINES["straight"], seen[:3], seen[0], 1),
-    )
 
 
 def test_each_predicted_run_has_a_bevel_of_its_own(monkeypatch, runs):

@@ -19,7 +19,6 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
-from needlefit.errors import ConfigError
 from needlefit.inference.baselines import BASELINES, Baseline
 from needlefit.inference.likelihood.nodes import NodeGroup
 from needlefit.inference.likelihood.observation import Observation
@@ -88,17 +87,13 @@ def predict_runs(
 
 
 def predict_by_curve(
-    baseline: Baseline, tuned: Sequence[Observation], further: Observation, observed: int
+    baseline: Baseline, tuned: Sequence[Observation], further: Observation, observed: int, slope_sd: float
 ) -> Floats:
     """Return the readings (n - observed,) of a run after the first `observed`, mm, by a baseline.
 
-    Raises ConfigError if there are too few runs `tuned` to take the scatter of slopes from.
+    `slope_sd`: of the slopes of runs, rad, that is taken where too few are `tuned` to estimate it.
     """
     assert baseline.track_basis is not None
-    if len(tuned) < MIN_TUNED_RUNS:
-        raise ConfigError.of(f"""{len(tuned)} runs determine too little of the slope of another one
-            expected: at least {MIN_TUNED_RUNS} runs to fit to
-            fix: tune on more runs""")
     with BASELINES.plugin_error_context(baseline.name):
         *known, columns = (baseline.track_basis(one.insertion) for one in (*tuned, further))  # each (n, P)
     # least squares of the readings in frames of any shift and slope
@@ -108,7 +103,9 @@ def predict_by_curve(
     variance = float(np.sum((measured - basis @ best) ** 2)) / (len(measured) - len(best))
     left = (one.measured[:, 1] - each @ best for one, each in zip(tuned, known, strict=True))
     slopes = np.array([off @ one.estimator[1] for one, off in zip(tuned, left, strict=True)])
-    slope, slope_variance = _predict_slope(slopes, [one.insertion for one in (*tuned, further)], baseline)
+    slope, slope_variance = float(slopes.mean()), slope_sd**2 * (1 + 1 / len(slopes))
+    if len(tuned) >= MIN_TUNED_RUNS:
+        slope, slope_variance = _predict_slope(slopes, [one.insertion for one in (*tuned, further)], baseline)
     design, first = further.free, slice(None, observed)  # (n, 2)
     total = variance * further.point_covariance
     total = total + design @ np.diag([SHIFT_SD_MM**2, slope_variance]) @ design.T

@@ -92,7 +92,8 @@ def _predict_runs(job: Job, fold: Fold, draws: predict.Draws, jobs: int) -> dict
                 alike = select_same_needle(fold.tune, run.needle, MIN_TUNED_RUNS)
                 kept = [own for one, own in zip(fold.tune, tuned, strict=True) if one in alike]
                 pairs = zip(zip(*kept, strict=True), observed, strict=True)  # direction by direction
-                parts = [predict_by_curve(BASELINES[method], *pair, count) for pair in pairs]
+                slope_sd = job.dataset.noise.slope_sd
+                parts = [predict_by_curve(BASELINES[method], *pair, count, slope_sd) for pair in pairs]
                 ahead.append(np.concatenate(parts)[None])
             points = [one[0] for one in ahead]
         else:
