@@ -312,16 +312,19 @@ def find_insertion_warnings(
 ) -> Iterator[ResultWarning]:
     """Yield the warnings about insertions that have no fault."""
     where = format_place(file)
-    if record.centerlines is None:
-        yield from _find_side_warnings(record, listed, noise)
-    else:
-        outlying = find_outlying_points(listed, noise)
-        yield from find_point_warnings(listed, outlying)
-        yield from find_axis_warnings(listed, noise)
-        yield from find_constant_warnings(listed, noise)
+    curves, others = ([one for one in listed if one.is_curve is part] for part in (True, False))
+    if others:
+        yield from _find_side_warnings(record, others, noise)
+    if curves:
+        outlying = find_outlying_points(curves, noise)
+        yield from find_point_warnings(curves, outlying)
+        yield from find_axis_warnings(curves, noise)
+        yield from find_constant_warnings(curves, noise)
         # what is wrong with a point alone is no finding about its needle
-        listed = [drop_outlying_points(one, outlying) for one in listed]
-        yield from _find_shape_warnings(record, listed, noise, outlying)
+        curves = [drop_outlying_points(one, outlying) for one in curves]
+        yield from _find_shape_warnings(record, curves, noise, outlying)
+    kept = {one.insertion.id: one for one in (*curves, *others)}
+    listed = [kept[one.insertion.id] for one in listed]
     insertions = [one.insertion for one in listed]
     yield from find_boundary_warnings(record, insertions, where)
     yield from _find_own_boundary_warnings(record, listed)
@@ -437,9 +440,10 @@ def _find_noise_warnings(
             fix: check its unit, mm; such data determine nothing
             where: {where(_name_larger_sd(noise))}
             kind: noise""")
-    elif record.centerlines is not None:
+    else:
         is_smoothed = record.measurement is not None and record.measurement.operator != "none"
-        yield from find_scatter_warnings(insertions, noise, where, is_smoothed)
+        curves = [one.insertion for one in listed if one.is_curve]
+        yield from find_scatter_warnings(curves, noise, where, is_smoothed)
     yield from _find_number_warnings(record, listed, where)
 
 

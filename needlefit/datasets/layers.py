@@ -344,12 +344,16 @@ def _find_entry_faults(points: Points, entry: Floats, direction: Floats) -> Iter
 
 @dataclass(frozen=True)
 class ListedInsertion:
-    """An insertion, its row, the line of it in the table, and its points as they were read."""
+    """An insertion, its row, the line of it in the table, and its points as they were read.
+
+    `is_curve`: whether these are a measured shape, or stand for a tip, or for curvatures.
+    """
 
     insertion: Insertion
     row: InsertionRow
     where: str
     points: Points
+    is_curve: bool = True
 
 
 def find_media_faults(record: DatasetRecord, file: Path) -> Iterator[Fault]:

@@ -184,7 +184,7 @@ def _read_shapes(reading: _Reading) -> tuple[list[Insertion], set[Path], dict[st
     found += find_length_faults(listed, record.frame.pose, depth_column)
     found += [*find_layer_faults(listed, record, file), *_find_use_faults(record, listed, file)]
     if not found:  # of points that have no other fault
-        found += find_operator_faults(record, listed, file)
+        found += find_operator_faults(record, [one for one in listed if one.is_curve], file)
     if found:
         return [], set(), {}
     insertions = [one.insertion for one in listed]
@@ -193,10 +193,11 @@ def _read_shapes(reading: _Reading) -> tuple[list[Insertion], set[Path], dict[st
     pattern, long = (None, None) if lines is None else (lines.pattern, lines.file)
     named = (listed_tables.file, listed_tables.turns, listed_tables.curvature, long)
     tables = [name for name in named if name is not None]
-    own = [pattern.replace("{id}", one.id) for one in insertions] if pattern is not None else []
+    curves = [one.insertion.id for one in listed if one.is_curve]
+    own = [pattern.replace("{id}", id_) for id_ in curves] if pattern is not None else []
     own += [s.file_of(one.id) for one in insertions for s in record.media[one.medium].surfaces if s.own]
     if record.measurement is not None and record.measurement.sections is not None:
-        own += [record.measurement.sections.replace("{id}", one.id) for one in insertions]
+        own += [record.measurement.sections.replace("{id}", id_) for id_ in curves]
     files = {root / name for name in (*(surface.file for surface in shared), *tables, *own)}
     format_ = None if pattern is None else find_format(Path(pattern))
     return insertions, files, {
@@ -232,14 +233,15 @@ def _iterate_insertions(reading: _Reading, shared: SharedSurfaces) -> Iterator[L
     for row in rows:
         where, patient = f"{table.path}:{row.line}", row.patient or scanned
         faults: list[Fault] = []
-        row = replace(row, observed=name_observed(row, curves is not None))
-        if curves is None:
-            faults += find_tip_faults(row, where)
+        is_curve = curves is not None and curves.is_expected(row)
+        row = replace(row, observed=name_observed(row, is_curve))
+        if curves is None or not is_curve:
+            faults += find_tip_faults(row, where, record.frame.pose)
             row, points = (row, None) if faults else place_tip(row, table.path)
         elif (points := curves.find(row, patient, faults)) is not None:
             faults += points.find_faults(row.id) or find_curve_faults(points, row, record, where)
         sections = None
-        if points is not None and not faults:
+        if points is not None and is_curve and not faults:
             sections, faults = find_sections(row, points.values, root, record)
         found += faults
         medium = make_medium(row, record, root, shared, found)
@@ -249,7 +251,7 @@ def _iterate_insertions(reading: _Reading, shared: SharedSurfaces) -> Iterator[L
         try:
             reduced = reduce_insertion(row, points, medium, needles[row.needle], patient, sections)
             digest = digest_insertion(row, points, sections, record, lambda name: hashed(root / name))
-            yield ListedInsertion(replace(reduced, digest=digest), row, where, points)
+            yield ListedInsertion(replace(reduced, digest=digest), row, where, points, is_curve)
         except DataError as error:
             found.append(error.replace(where=error.where or where, fix=error.fix or BEVEL_FIX))
 
@@ -304,6 +306,17 @@ class _Centerlines:
                     )
         return True
 
+    def is_expected(self, row: InsertionRow) -> bool:
+        """Return whether an insertion has a centreline, or states nothing that stands in its place."""
+        if row.tip_y is None and row.observed != "curvature":
+            return True
+        pattern = self.record.centerlines.pattern
+        return row.id in self.groups if pattern is None else self._name_file(row).is_file()
+
+    def _name_file(self, row: InsertionRow) -> Path:
+        """Return the file of an insertion where each has one."""
+        return self.root / str(self.record.centerlines.pattern).replace("{id}", row.id)
+
     def find(self, row: InsertionRow, patient: Frame, found: list[Fault]) -> Points | None:
         """Return an insertion's points in the world; None after a fault.
 
@@ -320,7 +333,7 @@ class _Centerlines:
                 )
                 return None
             return read_curve(_take_rows(self.long, self.groups[row.id]), lines.columns, found)
-        path = self.root / lines.pattern.replace("{id}", row.id)
+        path = self._name_file(row)
         try:
             format_ = find_format(path) or FORMATS["csv"]
             points = format_.read_one(path, lines.columns, found)

@@ -9,6 +9,7 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import POSE_COLUMNS, TIP_COLUMNS, InsertionRow
 from needlefit.datasets.faults import Fault
+from needlefit.datasets.insertion import Pose
 from needlefit.datasets.points import Points
 from needlefit.errors import refusal
 from needlefit.geometry.curves import make_normal
@@ -17,16 +18,22 @@ from needlefit.geometry.frames import make_entry_frame
 CURVE_POINTS = 101  # of the curve that curvatures give
 
 
-def name_observed(row: InsertionRow, has_points: bool) -> str:
+def name_observed(row: InsertionRow, is_curve: bool) -> str:
     """Return the observation that compares what was measured of an insertion."""
-    if row.observed or has_points:
+    if row.observed or is_curve:
         return row.observed or "points"
     return "curvature" if row.tip_y is None else "tip"
 
 
-def find_tip_faults(row: InsertionRow, where: str) -> Iterator[Fault]:
-    """Yield what is wrong with an insertion of which no shape was measured."""
+def find_tip_faults(row: InsertionRow, where: str, pose: Pose) -> Iterator[Fault]:
+    """Yield what is wrong with an insertion of which no shape was measured, in a dataset of this `pose`."""
     tip_y, tip_z, _ = TIP_COLUMNS
+    if pose != "known":
+        yield refusal(f"""no shape was measured of {row.id}, and its pose is not known
+            expected: frame.pose = "known": a tip is a deflection from the line of insertion
+            fix: add its centreline, or state poses
+            where: {where}""")
+        return
     if row.pose_source == "first_point":
         yield refusal(f"""pose_source is 'first_point', and no shape was measured
             expected: stage, shaft or fitted: the place of first contact is known

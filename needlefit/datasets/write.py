@@ -69,7 +69,8 @@ def write_dataset(
     written.
     `rows`: in the order in which the table shall list them.
     `centerlines`: (N, 3) or (N, 4); world points from entry to tip, and, where it is known, the standard
-    deviation of each in any one direction across the needle; mm; one for every row.
+    deviation of each in any one direction across the needle; mm; of a row without one a tip or curvatures
+    were measured.
     `surfaces`: the files that `record.media` names, e.g. `layers/phantom1_top.stl`; one for every row of the
     medium where the name holds `{id}`.
     `checksums`: False for files that are there to be edited.
@@ -91,7 +92,7 @@ def write_dataset(
     drawn = None if record.measurement is None else record.measurement.sections
     if drawn is not None:
         files |= {drawn.replace("{id}", row.id): format_sections(sections[row.id]) for row in rows}
-    for row in rows if pattern is not None else ():
+    for row in (one for one in rows if one.id in centerlines):
         values = np.asarray(centerlines[row.id], dtype=np.float64)
         columns = (*POINT_COLUMNS, SD_COLUMN)[: values.shape[1]]
         table_rows = [columns, *(_format_vector(point, 4) for point in values)]

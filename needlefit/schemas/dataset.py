@@ -312,7 +312,8 @@ class DatasetRecord(SourceRecord):
     insertions: InsertionsRecord
     """Table of insertions."""
     centerlines: CenterlinesRecord | None = None
-    """Measured shapes; without them, tips (`tip_y_mm` of the table of insertions) or curvatures alone."""
+    """Measured shapes. Of an insertion without one, its tip (`tip_y_mm` of the table of insertions) or its
+    curvatures are compared."""
     measurement: MeasurementRecord | None = None
     """Smoothing that the measurement did."""
     media: dict[Name, DatasetMediumRecord] = {}

@@ -1,4 +1,4 @@
-"""Studies of curvatures alone: scored in 1/m, predicted when held out, and integrated from the base."""
+"""Studies of what was measured in place of shapes: curvatures, and shapes, tips and curvatures mixed."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +9,7 @@ from inference_cases import TRUTH, dataset, insertion, medium
 
 import needlefit as nf
 from needlefit.datasets.insertion import Insertion, Noise
+from needlefit.datasets.read import check, read
 from needlefit.errors import DataError, UnfinishedWorkError
 from needlefit.geometry.curves import compare_curves
 from needlefit.inference.forward_model import predict
@@ -131,20 +132,46 @@ bevel_mm = { bounds = [1e-3, 0.5] }
 """
 
 
-@pytest.fixture(scope="module")
-def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("fibres")
-    made = [read_sensors(depth, seed=n) for n, depth in enumerate(np.linspace(60.0, 95.0, 5))]
-    rows = ["id,depth_mm,bevel_side", *(f"{one.id},{one.depth:g},1" for one in made)]
+def write_study(folder: Path, toml: str, rows: list[str], made: list[Insertion]) -> Path:
+    """Write a dataset with the rows of a table, the sensors of insertions, and a study of it."""
     lines = ["id,s_mm,kappa_y_1_per_mm,kappa_z_1_per_mm,sd_1_per_mm"]
     for one in made:
         assert one.curvature is not None
         lines += [",".join([one.id, *map(str, row)]) for row in one.curvature.tolist()]
-    written = {"dataset.toml": DATASET, "study.toml": STUDY, "tissue.toml": TISSUE}
+    written = {"dataset.toml": toml, "study.toml": STUDY, "tissue.toml": TISSUE}
     written |= {"insertions.csv": "\n".join(rows), "curvature.csv": "\n".join(lines)}
     for name, text in written.items():
         (folder / name).write_text(text)
     return folder / "study.toml"
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = [read_sensors(depth, seed=n) for n, depth in enumerate(np.linspace(60.0, 95.0, 5))]
+    rows = ["id,depth_mm,bevel_side", *(f"{one.id},{one.depth:g},1" for one in made)]
+    return write_study(tmp_path_factory.mktemp("fibres"), DATASET, rows, made)
+
+
+@pytest.fixture(scope="module")
+def mixed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three shapes and two tips with an SD of 0.05 mm, and two needles with sensors, of one truth."""
+    folder, rng = tmp_path_factory.mktemp("mixed"), np.random.default_rng(4)
+    (folder / "centerlines").mkdir()
+    rows = ["id,depth_mm,bevel_side,tip_y_mm,observed"]
+    for n, depth in enumerate(np.linspace(55.0, 95.0, 5)):
+        one = insertion(depth, angle_sd=0.0)
+        s = np.linspace(0.0, depth, 60)
+        points = SimulatedCurve(predict(TRUTH, ONE_LAYER, one), one)(s)
+        points[1:, 1] += 0.05 * rng.normal(size=59)
+        rows.append(f"m{n},{depth:g},1,{points[-1, 1] if n % 2 else ''},")
+        if not n % 2:
+            table = "\n".join(["x_mm,y_mm,z_mm", *(",".join(map(str, row)) for row in points.tolist())])
+            (folder / f"centerlines/m{n}.csv").write_text(table)
+    made = [read_sensors(depth, seed=n) for n, depth in enumerate((65.0, 85.0))]
+    rows += [f"{one.id},{one.depth:g},1,,curvature" for one in made]
+    toml = DATASET.replace("[insertions]", "[noise]\npoint_sd_mm = 0.05\n\n[insertions]")
+    toml = toml.replace("[media.gel]", '[centerlines]\npattern = "centerlines/{id}.csv"\n\n[media.gel]')
+    return write_study(folder, toml, rows, made)
 
 
 def test_a_fit_to_curvatures_finds_the_truth_and_is_judged_by_their_errors(study: Path) -> None:
@@ -184,3 +211,29 @@ def test_a_run_that_ends_by_an_error_does_not_block_the_next_one(tmp_path: Path)
             with pytest.raises(type(error)):
                 kind.run("a", None, Settings(checkpoint=folder))
         assert folder.exists() is left
+
+
+def test_a_dataset_mixes_shapes_tips_and_curvatures(mixed: Path) -> None:
+    data = read(mixed.parent)
+    kinds = ["points", "tip", "points", "tip", "points", "curvature", "curvature"]
+    assert [one.observed for one in data.insertions] == kinds
+    assert data.files is not None and "centerlines/m1.csv" not in data.files.names
+    (mixed.parent / "centerlines/m2.csv").rename(mixed.parent / "away.csv")  # which has nothing in its place
+    assert [Path(fault.where).name for fault in check(mixed.parent)] == ["m2.csv"]
+    (mixed.parent / "away.csv").rename(mixed.parent / "centerlines/m2.csv")
+
+
+def test_a_mixture_is_fitted_and_scored_by_what_each_needle_holds(mixed: Path) -> None:
+    run = nf.validate(mixed)
+    rows = run.frames["parameters"].query("method == 'fitted'")
+    for name in ("mu1_pa", "bevel_mm"):
+        some = rows[rows["parameter"] == name]
+        inside = (some["interval_low"] < TRUTH[name]) & (TRUTH[name] < some["interval_high"])
+        assert len(some) == 7 and inside.mean() >= 6 / 7
+    errors = run.frames["errors"].query("method == 'prediction'").set_index("insertion")
+    known = errors[["ipe_mean_mm", "te_mm", "curvature_rms_1_per_m"]].notna()
+    assert known.loc["m0"].tolist() == [True, True, False]
+    assert known.loc["m1"].tolist() == [False, True, False]
+    assert known.loc["at65"].tolist() == [False, False, True]
+    assert errors["curvature_rms_1_per_m"].dropna().max() < 2e3 * SD
+    assert "te_mm" in run.first_page.verdict.numbers and len(run.frames["predictive"]) == 7
