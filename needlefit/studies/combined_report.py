@@ -68,6 +68,7 @@ def compose_overview(runs: Sequence[Run], tables: Sequence[TableLayout]) -> Docu
             document.verdict(f"{page.title.partition(':')[0]}. {page.verdict.sentence}.", page.verdict.status)
             for page in pages.values()
         ],
+        "end_of_first_page": [document.page_break()],
         "warnings": [document.heading("Warnings"), *warned] if warned else [],
     }
     questions = [f"{run.title}: {run.question}".rstrip(": ") for run in studies]
@@ -79,4 +80,5 @@ def compose_overview(runs: Sequence[Run], tables: Sequence[TableLayout]) -> Docu
         ORIGIN_MARKS[combine_origins(run.origin for run in studies)],
         (*(block for n, block in enumerate(states) if block not in states[:n]), *body),
         collect_explorers(studies),
+        explorer_last=True,
     )

@@ -188,31 +188,26 @@ def _head(group: scores.ScoredGroup) -> Row:
 
 
 def lay_out_matrix(runs: Sequence[Run]) -> TableLayout:
-    """Return one row per study and held-out group: our tip error, and what it compares with.
-
-    The verdict is the study's: before several groups stands a row of all together, which alone has it.
-    """
+    """Return one row per study: its verdict, and the tip errors that this states."""
     rows: list[Row] = []
     for run in runs:
-        together, groups = scores.pool_insertions(run), scores.list_held_out_groups(run)
-        if together is not None and len(groups) > 1:
-            groups = [together, *groups]
-        for number, group in enumerate(groups):
-            judged = judge(run, group)
-            rows.append(
-                {
-                    **_head(group),
-                    "study": scores.study_label(run),
-                    "te_mm": judged and group.get(scores.TE, method=FitFrames.of(run).method),
-                    "noise_of_te": group.get(scores.TE, "floor"),
-                    "baseline_te_mm": judged and group.get(scores.TE, method=judged.curve),
-                    "paper_te_mm": group.get(scores.TE, "paper"),
-                    "verdict": "" if number else run.first_page.verdict.word or "not scored",
-                }
-            )
+        verdict, held = run.first_page.verdict, FitFrames.of(run).select_errors("validate")
+        media = list(dict.fromkeys(held["medium"]))
+        rows.append(
+            {
+                "study": scores.study_label(run),
+                "medium": media[0] if len(media) == 1 else "several",
+                "insertions": verdict.numbers.get("insertions"),
+                "te_mm": verdict.numbers.get(scores.TE),
+                "noise_of_te": verdict.numbers.get(f"floor_{scores.TE}"),
+                "baseline_te_mm": verdict.numbers.get("baseline_te_mm"),
+                "paper_te_mm": verdict.numbers.get("paper_te_mm"),
+                "verdict": verdict.word or "not scored",
+            }
+        )
     columns = (
-        *("study", "medium", "layers", "insertions", "te_mm", "noise_of_te", "baseline_te_mm"),
-        *("paper_te_mm", "verdict"),
+        *("study", "medium", "insertions", "te_mm", "noise_of_te", "baseline_te_mm", "paper_te_mm"),
+        "verdict",
     )
     table = Table("matrix", rows, columns)
     return _lay_out(table, drop_empty=True, guard=NOISE_GUARD, max_ratio=MAX_NOISE_RATIO)
