@@ -57,7 +57,6 @@ from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord, SelectionRecord
 from needlefit.studies import simulated_data
 from needlefit.studies.job import Inputs, Job, Settings
-from needlefit.studies.judge import NOISE_GUARD as NOISE_GUARD
 from needlefit.studies.judge import REFERENCES as REFERENCES
 from needlefit.studies.judge import compare_with_references as compare_with_references
 from needlefit.studies.judge import judge_fits as judge_fits

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 import numpy as np
 
@@ -51,6 +52,30 @@ def estimate_noise_floor(
             errors = [metric.compute(one) for one in curves] if known else math.nan
             floor[metric.name] = float(np.mean(errors))
     return floor
+
+
+class TipErrors(NamedTuple):
+    """The stated error of a measured tip, as standard deviations in any one direction across, mm."""
+
+    whole: float
+    registered: float  #: the part of it that needles may have in common, as they may share a registration
+
+
+def state_tip_errors(dataset: Dataset, insertion: Insertion) -> TipErrors:
+    """Return the stated error of the tip of an insertion; 0 where none is stated.
+
+    An alignment takes a part of the errors away: where there is one they are stated too large. Needles with
+    a scan of their own have no registration in common; of others it is not known whether they have.
+    """
+    noise, pose = dataset.noise, find_pose(dataset.pose, insertion)
+    correlated = noise.correlated_sd if insertion.sd is None else float(insertion.sd[-1])
+    turned = insertion.pose_angle_sd * float(insertion.points[-1, 0]) if dataset.pose == "known" else 0.0
+    shift = max(noise.registration_mean / MEAN_NORM_PER_SD, insertion.pose_shift_sd)
+    shift = shift if pose == "known" else 0.0
+    scans = [one.patient for one in dataset.insertions]
+    alone = sum(np.array_equal(one.origin, insertion.patient.origin) for one in scans) == 1
+    whole = math.hypot(noise.point_sd, correlated, turned, shift)
+    return TipErrors(whole, 0.0 if alone else shift)
 
 
 def draw_measurement_errors(

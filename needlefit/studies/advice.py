@@ -34,7 +34,7 @@ COMMANDS: Mapping[str, str] = {
     "curve_closer": "explain closer-than-curves",
     "curve_as_good": "explain closer-than-curves",
     "one_needle_decides": "explain closer-than-curves",
-    "not_clearly_closer": "explain closer-than-curves",
+    "bend_too_little": "explain closer-than-curves",
     "closer_undecided": "explain closer-than-curves",
     "margin_unstated": "explain closer-than-curves",
     "intervals_miss": "explain coverage",

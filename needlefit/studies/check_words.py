@@ -20,7 +20,6 @@ _CHECK_RULES: Mapping[str, Callable[[Any], object]] = {
     "no_curve": lambda v: not v.named,
     "below_curves": lambda v: v.named and v.needles is None,
     "below_references": lambda v: v.named and v.needles is not None,
-    "by_noise": lambda v: v.margin_mm is None,
     "by_margin": lambda v: v.margin_mm is not None,
     "no_noise": lambda v: v.value is None,
     "equals_noise": lambda v: v.equals_noise,

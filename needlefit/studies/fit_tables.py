@@ -40,7 +40,7 @@ from needlefit.studies.fit_frames import NEW_SPECIMEN, PREDICTION_METHOD, TUNED_
 from needlefit.studies.fit_sentences import TEXT
 from needlefit.studies.identification import ParameterRow
 from needlefit.studies.identification_tables import describe_prior
-from needlefit.studies.judge import MAX_NOISE_RATIO, NOISE_GUARD, REFERENCES, judge
+from needlefit.studies.judge import MAX_NOISE_RATIO, REFERENCES, judge
 from needlefit.studies.run import Run
 
 
@@ -210,7 +210,7 @@ def lay_out_matrix(runs: Sequence[Run]) -> TableLayout:
         "verdict",
     )
     table = Table("matrix", rows, columns)
-    return _lay_out(table, drop_empty=True, guard=NOISE_GUARD, max_ratio=MAX_NOISE_RATIO)
+    return _lay_out(table, drop_empty=True, max_ratio=MAX_NOISE_RATIO)
 
 
 #: by recipe that of the same fit whose specimens are of one batch

@@ -6,16 +6,18 @@ generalise". Scores are the tip error of our prediction, and the CRPS of the pre
 predicts a point; its CRPS is its error. Of two that miss alike a distribution has the smaller CRPS, and a
 wrong spread is seen in CRPS alone: both scores are needed.
 
-With fewer trials, as of one fit or one specimen, nothing is tested. The tip error is compared with those of
-two references that are fixed beforehand: "closer than both" ("closer by one needle" where that one decides),
-"not clearly closer", "as close" or "worse than one". That states what holds on these needles. How often
-either rule is wrong: `studies/judge_rates.py`, `studies/one_fit_rates.py`.
+With fewer trials, as of one fit or one specimen, our predicted tips are compared with those of two references
+that are fixed beforehand. Measured tips err as stated, so that it can be tested which of two known
+predictions is closer on these needles: "closer than both" ("closer by one needle" where that one decides),
+"as close", "worse than one", or "bend too little" where the predictions are too alike. How often either rule
+is wrong: `studies/judge_rates.py`, `studies/one_fit_rates.py`.
 """
 
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from functools import reduce
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -45,12 +47,17 @@ REFERENCES = ("straight", "constant_curvature")  #: the curves that one fit is c
 MIN_TRIALS = 3
 #: tip error over the measurement noise up to which the model errs no more than the measurements
 MAX_NOISE_RATIO = 2.0
-#: difference of tip errors that noise alone may make, over the noise floor, of one needle: errors to opposite
-#: sides differ by twice the noise, of SD 1.25 floors. Of several needles it is divided by the root of their
-#: number. By it at most 5 % of words are false (`studies/one_fit_rates.py`).
-NOISE_GUARD = 4.2
-#: probability of each error: to call fits that are as good as a curve better, or worse
+#: probability of each error: to call predictions that are as good as a curve better, or worse
 SIGNIFICANCE = 0.05
+#: probability with which a test finds an exact prediction closer, below which needles bend too little for it
+MIN_POWER = 0.8
+CLOSER_Z, POWER_Z = (float(scipy.special.ndtri(one)) for one in (1 - SIGNIFICANCE, MIN_POWER))
+#: the same for a difference from either of two references (Bonferroni)
+WORSE_Z = float(scipy.special.ndtri(1 - SIGNIFICANCE / len(REFERENCES)))
+#: columns of the table "errors": the predicted tip minus the measured one, in the needle's frame; the stated
+#: standard deviation of the measured tip in any direction across; the part of it that needles may share
+TIP_ERRORS = ("tip_error_x_mm", "tip_error_y_mm", "tip_error_z_mm")
+TIP_SD, TIP_REGISTERED_SD = "tip_across_sd_mm", "tip_registered_sd_mm"
 SIDES = {"smaller": 1.0, "larger": -1.0}  #: signs of Student's t of a smaller and of a larger score
 
 
@@ -76,10 +83,10 @@ class Comparison:
     outcome: Outcome
     reference: str = ""  #: the one with the smaller tip error; "" if none was scored
     reference_error: float | None = None
-    margin: float | None = None  #: difference of errors that counts as none; None: not stated
+    margin: float | None = None  #: difference of errors that the study counts as none
     needles: int = 0
     closer: int = 0  #: needles on which our error is smaller than that reference's
-    hangs_on: tuple[str, ...] = ()  #: needles of which, if one is left out, the outcome is another
+    hangs_on: tuple[str, ...] = ()  #: needles of which, if one is left out, the verdict is another
 
 
 @dataclass(frozen=True)
@@ -191,57 +198,97 @@ def compare_with_references(
     margin: float | None = None,
     score: str = TE,
 ) -> Comparison:
-    """Compare errors with those of the references on the same needles; nothing is tested.
+    """Compare errors with those of the references on the same needles.
 
     The references were fixed before any needle was predicted, so neither is the best of many by chance. The
     model is worse only where it errs by more than twice the noise, too: noise explains less than that.
 
-    `errors` as in `judge_fits`. `noise`: the noise floor of the `score`; it is the margin, too, unless a
-    margin is stated, but a difference that noise alone may make is always within it (`NOISE_GUARD`).
+    `errors` as in `judge_fits`; tip errors are tested, with the columns of `compare_predictions`. `noise`: the
+    noise floor of the `score`. `margin`: the difference of errors up to which a reference is as good; it
+    decides alone where nothing can be tested. Of another score than the tip error it is the noise floor.
     """
-    finite = errors.replace([np.inf, -np.inf], np.nan)
-    table = finite.pivot(index=["fold", "specimen", "hole", "insertion"], columns="method", values=score)
-    references = [name for name in REFERENCES if name in table]
-    table = table[[method, *references]].dropna()
-    if not references or table.empty:
+    keys = ["fold", "specimen", "hole", "insertion"]
+    finite = errors.replace([np.inf, -np.inf], np.nan).dropna(subset=score)
+    known = {str(name): rows.set_index(keys) for name, rows in finite.groupby("method")}
+    references = [name for name in REFERENCES if name in known]
+    if method not in known or not references:
         return Comparison(Outcome.UNDECIDED)
-    holes = [table.index.get_level_values(name) for name in ("specimen", "hole")]
-    needle = pd.Series(zip(*holes, strict=True), table.index)
-    noise, needles = noise or 0.0, needle.nunique()
-    margin = max(noise if margin is None else margin, NOISE_GUARD * noise / math.sqrt(needles))
-    nearest = str(table[references].mean().idxmin())
-    gaps = (table[nearest] - table[method]).groupby(needle).mean()
+    compared = reduce(pd.MultiIndex.intersection, (known[name].index for name in (method, *references)))
+    if compared.empty:
+        return Comparison(Outcome.UNDECIDED)
+    if score != TE:
+        margin = noise or None
 
-    def find_outcome(rows: pd.DataFrame) -> Outcome:
-        mean = rows.mean()
-        closer_by = mean[references] - mean[method]
-        if margin == 0:  # neither noise nor margin is stated
-            return Outcome.UNDECIDED
-        if (closer_by > margin).all():
+    def find_outcome(some: "pd.Index[Any]") -> Outcome:
+        ours, others = known[method].loc[some], [known[name].loc[some] for name in references]
+        error, least = ours[score].mean(), margin or 0.0
+        gaps = np.array([other[score].mean() - error for other in others])
+        z, exact_z = np.array([compare_predictions(ours, other) for other in others]).T
+        if score != TE or not np.isfinite(z).all():
+            if margin is None:
+                return Outcome.UNDECIDED
+            z, exact_z = np.copysign(np.inf, gaps), np.full(len(gaps), np.inf)
+        if ((z > CLOSER_Z) & (gaps > least)).all():
             return Outcome.CLOSER
-        if (closer_by < -margin).any() and mean[method] > MAX_NOISE_RATIO * noise:
+        if ((z < -WORSE_Z) & (gaps < -least)).any() and error > MAX_NOISE_RATIO * (noise or 0.0):
             return Outcome.WORSE
-        return Outcome.AS_CLOSE
+        told = (np.abs(z) > CLOSER_Z) | (exact_z > CLOSER_Z + POWER_Z)
+        return Outcome.AS_CLOSE if told.all() else Outcome.BEND_TOO_LITTLE
 
-    outcome, hangs_on = find_outcome(table), list[str]()
-    for rows in (table.loc[labels] for labels in needle.groupby(needle).groups.values()):
-        left = table.drop(rows.index)
-        if len(left) and find_outcome(left) != outcome:
-            *_, hole, insertion = rows.index[0]
+    means = {name: float(known[name].loc[compared, score].mean()) for name in references}
+    nearest = min(means, key=lambda name: means[name])
+    holes = [compared.get_level_values(name) for name in ("specimen", "hole")]
+    needles = pd.Series(zip(*holes, strict=True), compared)
+    gaps = (known[nearest][score] - known[method][score]).loc[compared].groupby(needles).mean()
+    outcome, hangs_on = find_outcome(compared), list[str]()
+    for needle in needles.unique():
+        rows = compared[needles == needle]
+        left = compared.difference(rows, sort=False)
+        if len(left) and find_outcome(left).passed != outcome.passed:
+            *_, hole, insertion = rows[0]
             hangs_on.append(str(insertion if len(rows) == 1 else hole))
     if outcome is Outcome.CLOSER and hangs_on:
         outcome = Outcome.CLOSER_BY_ONE_NEEDLE
-    if outcome is Outcome.AS_CLOSE and table[method].mean() < table[nearest].mean():
-        outcome = Outcome.NOT_CLEARLY_CLOSER
-    return Comparison(
-        outcome,
-        nearest,
-        float(table[nearest].mean()),
-        margin or None,
-        needles,
-        int((gaps > 0).sum()),
-        tuple(hangs_on),
-    )
+    closer = int((gaps > 0).sum())
+    return Comparison(outcome, nearest, means[nearest], margin, len(gaps), closer, tuple(hangs_on))
+
+
+def compare_predictions(ours: pd.DataFrame, other: pd.DataFrame) -> tuple[float, float]:
+    """Compare two predictions of the same tips by their squared distances from the measured ones.
+
+    With predictions p and q of tips t, measured with errors e, the difference of their sums of squares is
+
+        |q - t - e|^2 - |p - t - e|^2 = |q - t|^2 - |p - t|^2 - 2 (q - p) e
+
+    so that its standard deviation is known. How much of e needles have in common is not: of all shares of a
+    common registration that with the largest deviation is taken.
+
+    Parameters
+    ----------
+    ours, other : DataFrame
+        Rows of the table "errors" of the same insertions in one order: `TIP_ERRORS`, their `TIP_SD` and
+        `TIP_REGISTERED_SD`, and `specimen`.
+
+    Returns
+    -------
+    z : float
+        The difference in standard deviations, normal if both are as close; positive where ours is closer.
+        NaN where the errors of measured tips are not known.
+    exact_z : float
+        Its mean if our prediction is exact: how well these tips can tell the two apart.
+    """
+    if not {*TIP_ERRORS, TIP_SD, TIP_REGISTERED_SD} <= {*ours}:
+        return math.nan, math.nan
+    off, others = (rows[list(TIP_ERRORS)].to_numpy(dtype=np.float64) for rows in (ours, other))
+    sds = (ours[name].to_numpy(dtype=np.float64) for name in (TIP_SD, TIP_REGISTERED_SD))
+    whole, registered = (sd[:, None] for sd in sds)
+    apart = others - off
+    common = pd.DataFrame(registered * apart).groupby(ours.index.get_level_values("specimen")).sum()
+    alone = np.sum((whole**2 - registered**2) * apart**2)
+    sd = 2 * math.sqrt(alone + max(np.sum((registered * apart) ** 2), np.sum(common.to_numpy() ** 2)))
+    if sd == 0:  # no noise is stated, or both are the same
+        return (math.nan, math.nan) if not whole.all() else (0.0, 0.0)
+    return float(np.sum(others**2 - off**2) / sd), float(np.sum(apart**2) / sd)
 
 
 def judge_fits(errors: pd.DataFrame, method: str = PREDICTION_METHOD, score: str = TE) -> Outcome:

@@ -17,7 +17,7 @@ class Outcome(StrEnum):
 
     CLOSER = "closer than both", "pass", True, ""
     CLOSER_BY_ONE_NEEDLE = "closer by one needle", "warn", None, "one_needle_decides"
-    NOT_CLEARLY_CLOSER = "not clearly closer", "warn", None, "not_clearly_closer"
+    BEND_TOO_LITTLE = "bend too little", "warn", None, "bend_too_little"
     AS_CLOSE = "as close", "warn", None, "curve_as_good"
     WORSE = "worse than one", "fail", False, "curve_closer"
     UNDECIDED = "undecided", "warn", None, "margin_unstated"

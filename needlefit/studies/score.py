@@ -10,7 +10,7 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, Insertion, InsertionPose, find_pose
-from needlefit.datasets.noise import NoiseFloor
+from needlefit.datasets.noise import NoiseFloor, TipErrors, state_tip_errors
 from needlefit.datasets.select import count_layers, name_holes, select_same_needle
 from needlefit.geometry.curves import ComparedCurves
 from needlefit.inference.baseline_fit import FittedBaseline, fit_baselines
@@ -118,12 +118,20 @@ class Compared(NamedTuple):
     insertion: Insertion
     curves: ComparedCurves
     floor: float
+    tip_errors: TipErrors
 
     def deflect(self, points: Floats) -> float:
         """Return the deflection of the tip toward the bevel, mm; NaN where no place was measured."""
         if self.curves.quantity == "curvatures":
             return math.nan
         return self.insertion.side * float(points[-1, 1] - points[0, 1])
+
+    def miss_tip(self, axis: int) -> float:
+        """Return the simulated tip minus the measured one along x, y or z, mm; 0 where it is not compared."""
+        if self.curves.quantity == "curvatures":
+            return math.nan
+        off = self.curves.simulated[-1] - self.curves.measured[-1]
+        return float(off[axis]) if axis < len(off) else 0.0
 
 
 class ErrorColumn(NamedTuple):
@@ -152,6 +160,11 @@ INSERTION_COLUMNS: Mapping[str, Callable[["Scorer", Insertion], Any]] = {
 CURVE_COLUMNS: Mapping[str, ErrorColumn] = {
     "deflection_mm": ErrorColumn(lambda one: one.deflect(one.curves.measured), math.nan),
     "predicted_deflection_mm": ErrorColumn(lambda one: one.deflect(one.curves.simulated), math.nan),
+    "tip_error_x_mm": ErrorColumn(lambda one: one.miss_tip(0), math.nan),
+    "tip_error_y_mm": ErrorColumn(lambda one: one.miss_tip(1), math.nan),
+    "tip_error_z_mm": ErrorColumn(lambda one: one.miss_tip(2), math.nan),
+    "tip_across_sd_mm": ErrorColumn(lambda one: one.tip_errors.whole, math.nan),
+    "tip_registered_sd_mm": ErrorColumn(lambda one: one.tip_errors.registered, math.nan),
     # a deflection below the noise floor; never where no floor is stated (NaN)
     "edp_flagged": ErrorColumn(lambda one: bool(one.curves.deflection < one.floor), False),
     "converged": ErrorColumn(lambda one: True, False, is_optional=False),
@@ -195,7 +208,9 @@ class Scorer:
                 row |= compute_metrics(goal.compare(curve))
             # the deflection is that of a tip, where one is known
             first = min(goals, key=lambda one: one.quantity == "curvatures")
-            found = Compared(insertion, first.compare(curve), floors[TE.name])
+            found = Compared(
+                insertion, first.compare(curve), floors[TE.name], state_tip_errors(self.dataset, insertion)
+            )
             errors.append(row | {name: one.compute(found) for name, one in CURVE_COLUMNS.items()})
             shapes += _shape_rows(where, first, curve)
         return Scores(errors, shapes, validity)
