@@ -136,6 +136,7 @@ def parameters(layers: int, fold: int, undetermined: bool, methods: tuple[str, .
             row |= {key: KINDS[kind][key] * scale if free else NO for key in ("low", "high")}
             row |= {"interval_low": value / 1.2 if free else NO, "interval_high": value * 1.2 if free else NO}
             row |= {"median": value if free else NO, "tip_shift_mm": NO}
+            row |= {"interval_low_error": NO, "interval_high_error": NO}
             row |= {"draw_source": "importance" if free else ""}
             row |= {"determined": ("yes" if known else "no") if free else "", "condition": ""}
             rows.append(row | {"note": note})

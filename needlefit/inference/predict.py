@@ -86,14 +86,14 @@ def interval(mixture: PredictiveMixture, level: float) -> tuple[Floats, Floats]:
     return low, high
 
 
-def estimate_end_errors(draws: Floats, level: float) -> Floats:
+def estimate_end_errors(draws: Floats, level: float, independent: float | None = None) -> Floats:
     """Return the Monte Carlo standard errors (2, K) of the ends of the central interval of draws (B, K).
 
     An end is the quantile of a probability p that draws give with a standard error e: it errs by half the
-    distance between the quantiles of p - e and p + e.
+    distance between the quantiles of p - e and p + e. `independent`: number of independent draws, of chains.
     """
     p = np.array([(1 - level) / 2, (1 + level) / 2])
-    e = np.sqrt(p * (1 - p) / len(draws))
+    e = np.sqrt(p * (1 - p) / (independent or len(draws)))
     low, high = (np.quantile(draws, np.clip(at, 0.0, 1.0), axis=0) for at in (p - e, p + e))
     errors: Floats = (high - low) / 2
     return errors

@@ -13,6 +13,7 @@ from needlefit.grouping import group_values
 from needlefit.inference.identifiability.directions import (
     MAX_LOG_SD,
     UNINFORMED_SD_RATIO,
+    find_bound_side,
     find_least_determined,
 )
 from needlefit.inference.parameter_names import BEVEL_PARAMETERS, HYPERPARAMETERS, is_logarithmic
@@ -413,7 +414,12 @@ def _format_estimate(rows: Sequence[ParameterRow], values: Sequence[float], unit
 
 
 def _format_least_errors(name: str, rows: Sequence[ParameterRow], unit: float) -> str:
-    """Return "0.19 (0.12 to bound)": the value of the least errors, and the range within the tolerance."""
+    """Return "0.19 (0.12 to bound)": the value of the least errors, and the range within the tolerance.
+
+    A value at a bound is none that errors determine.
+    """
+    if any(find_bound_side(name, row.value, row.bound_low, row.bound_high) for row in rows):
+        return "not determined by errors alone"
     values = [row.value for row in rows if is_known(row.value)]
     ends = (min(values), max(values)) if values else ()
     value = " to ".join(dict.fromkeys(_format_near(name, end, unit, 3) for end in ends))

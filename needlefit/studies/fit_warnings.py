@@ -13,9 +13,10 @@ from needlefit.inference.identifiability.directions import (
     BOUND_FRACTION,
     CUT_OFF_FRACTION,
     UNINFORMED_SD_RATIO,
+    find_bound_side,
     short_name,
 )
-from needlefit.inference.parameter_names import BEVEL_SPREAD, is_logarithmic, is_shape_parameter
+from needlefit.inference.parameter_names import BEVEL_SPREAD, is_shape_parameter
 from needlefit.inference.parameters import Parameters
 from needlefit.inference.point_prediction import PointPrediction
 from needlefit.project.result_warnings import ResultWarning, to_stored_rows
@@ -109,13 +110,10 @@ def _describe_bound(
     name: str, value: float | None, low: float, high: float, near: float = BOUND_FRACTION
 ) -> str:
     """Return at which bound a value lies, to within the part `near` of the bounds; "" if at none."""
-    if value is None:
+    side = "" if value is None else find_bound_side(name, value, low, high, near)
+    if not side or (side == "lower" and name == BEVEL_SPREAD):  # next to 0 it says that bevels do not differ
         return ""
-    least, at, most = (math.log(one) if is_logarithmic(name) else one for one in (low, value, high))
-    place = (at - least) / (most - least)
-    if place < near and name != BEVEL_SPREAD:  # next to 0 it says that bevels do not differ
-        return f"lower bound, {format_quantity(name, low)}"
-    return f"upper bound, {format_quantity(name, high)}" if place > 1 - near else ""
+    return f"{side} bound, {format_quantity(name, low if side == 'lower' else high)}"
 
 
 # ---- the predictive median in place of the mode

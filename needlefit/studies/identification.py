@@ -11,6 +11,7 @@ from typing import NamedTuple, Self
 import numpy as np
 import pandas as pd
 
+from needlefit.arrays import Floats
 from needlefit.inference.held_parameters import PriorShift, central_range
 from needlefit.inference.identifiability import directions, precision
 from needlefit.inference.identifiability.identify import (
@@ -21,7 +22,7 @@ from needlefit.inference.identifiability.identify import (
 from needlefit.inference.identifiability.profile import DEVIANCE_95, LikelihoodProfile
 from needlefit.inference.parameter_names import to_coordinate, to_value
 from needlefit.inference.parameters import Parameters
-from needlefit.inference.predict import Draws
+from needlefit.inference.predict import Draws, estimate_end_errors
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.reporting.number_format import interval_width
@@ -45,10 +46,10 @@ class ParameterRow(NamedTuple):
     """A row of the table "parameters": the value of a parameter by one method, in one fold.
 
     `sd` is of ln for moduli and lengths, of the value for alpha; `low`, `high` is the range among starts
-    within tolerance of the best; `interval_low`, `interval_high` is the 95 % interval that is printed,
-    `draw_source` what it is from, `median` that of the same draws. `status` is "prior" where the posterior of
-    a parameter is its prior, which moves a tip by `tip_shift_mm` at most. `determined` is "yes", "only
-    together" (with the others held it is), or "no".
+    within tolerance of the best; `interval_low`, `interval_high` is the 95 % interval that is printed, with
+    the Monte Carlo standard errors of its ends; `draw_source` is what it is from, `median` that of the same
+    draws. `status` is "prior" where the posterior of a parameter is its prior, which moves a tip by
+    `tip_shift_mm` at most. `determined` is "yes", "only together" (with the others held it is), or "no".
     """
 
     fold: str
@@ -60,6 +61,8 @@ class ParameterRow(NamedTuple):
     bound_high: float = math.nan
     interval_low: float = math.nan
     interval_high: float = math.nan
+    interval_low_error: float = math.nan
+    interval_high_error: float = math.nan
     draw_source: str = ""
     median: float = math.nan
     sd: float = math.nan
@@ -204,6 +207,7 @@ class ParameterInterval:
     high: float
     source: str
     median: float = math.nan
+    errors: tuple[float, float] = (math.nan, math.nan)  #: Monte Carlo standard errors of the ends
 
     def is_narrow(self, name: str) -> bool:
         """Return whether it is no wider than a Gaussian one of the largest SD of a determined parameter."""
@@ -212,7 +216,8 @@ class ParameterInterval:
     def scale(self, factor: float) -> "ParameterInterval":
         """Return the interval of a parameter that is exactly so many times as large."""
         low, high, median = (factor * one for one in (self.low, self.high, self.median))
-        return replace(self, low=low, high=high, median=median)
+        at_low, at_high = (factor * one for one in self.errors)
+        return replace(self, low=low, high=high, median=median, errors=(at_low, at_high))
 
     def allow_for(self, sd: float, row: ParameterRow) -> "ParameterInterval":
         """Return the interval as wide as with an independent error of this SD (of ln for moduli and lengths).
@@ -235,7 +240,7 @@ class ParameterInterval:
         return {"interval_low": self.low, "interval_high": self.high, "draw_source": self.source}
 
 
-_PERCENTILES = (2.5, 50, 97.5)
+_LEVEL, _PERCENTILES = 0.95, (2.5, 50, 97.5)
 
 
 def intervals_of_draws(
@@ -245,16 +250,29 @@ def intervals_of_draws(
 
     Draws that are not certified have none.
     """
-    found: dict[str, tuple[float, ...]] = {}
+    found, errors = dict[str, tuple[float, ...]](), dict[str, tuple[float, float]]()
     source = "" if draws is None else draws.source
     if draws is not None and draws.certified is not None:
         sets = [parameters.values(theta) for theta in draws.thetas]
         for name in (name for name in sets[0] if parameters.status[name] in ("free", "tied")):
-            found[name] = tuple(np.percentile([values[name] for values in sets], _PERCENTILES).tolist())
+            values = np.array([one[name] for one in sets])
+            found[name] = tuple(np.percentile(values, _PERCENTILES).tolist())
+            errors[name] = _estimate_errors(values, len(values))
     if posterior is not None and not posterior.faults:
         found, source = posterior.percentiles(_PERCENTILES), "posterior"
         found = {name: ends for name, ends in found.items() if parameters.status[name] == "free"}
-    return {name: ParameterInterval(low, high, source, median) for name, (low, median, high) in found.items()}
+        drawn = dict(zip(posterior.names, posterior.draws.reshape(-1, len(posterior.names)).T, strict=True))
+        ess = dict(zip(posterior.names, posterior.ess.tolist(), strict=False))
+        errors = {name: _estimate_errors(drawn[name], ess[name]) for name in found}
+    return {
+        name: ParameterInterval(low, high, source, median, errors[name])
+        for name, (low, median, high) in found.items()
+    }
+
+
+def _estimate_errors(draws: Floats, independent: float) -> tuple[float, float]:
+    low, high = estimate_end_errors(draws, _LEVEL, independent).tolist()
+    return low, high
 
 
 def add_intervals(
@@ -285,8 +303,9 @@ def add_intervals(
             if found is None and (of_source := sampled.get(source, profiles.get(source))):
                 found = of_source.scale(factor)
         if found is not None:
-            found = found.allow_for(model_error.get(source, 0.0), row)
+            found, (at_low, at_high) = found.allow_for(model_error.get(source, 0.0), row), found.errors
             row = row._replace(**found.columns(), median=found.median)
+            row = row._replace(interval_low_error=at_low, interval_high_error=at_high)
         if row.determined == "yes" and not (found and found.is_narrow(name)):
             row = row._replace(
                 determined=directions.name_determined(False, together.get(source, False)),

@@ -203,8 +203,8 @@ def compare_with_references(
     The references were fixed before any needle was predicted, so neither is the best of many by chance. The
     model is worse only where it errs by more than twice the noise, too: noise explains less than that.
 
-    `errors` as in `judge_fits`; tip errors are tested, with the columns of `compare_predictions`. `noise`: the
-    noise floor of the `score`. `margin`: the difference of errors up to which a reference is as good; it
+    `errors` as in `judge_fits`; tip errors are tested, with the columns of `compare_predictions`. `noise`:
+    the noise floor of the `score`. `margin`: the difference of errors up to which a reference is as good; it
     decides alone where nothing can be tested. Of another score than the tip error it is the noise floor.
     """
     keys = ["fold", "specimen", "hole", "insertion"]

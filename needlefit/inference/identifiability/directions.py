@@ -126,6 +126,15 @@ BOUND_FRACTION = 1e-3  #: a parameter closer to a bound than this part of its ra
 CUT_OFF_FRACTION = 0.01
 
 
+def find_bound_side(
+    name: str, value: float, low: float, high: float, near: float = BOUND_FRACTION
+) -> Literal["lower", "upper", ""]:
+    """Return the bound at which a parameter lies, to within the part `near` of them; NaN lies at none."""
+    least, at, most = (math.log(one) if is_logarithmic(name) else one for one in (low, value, high))
+    place = (at - least) / (most - least)
+    return "lower" if place < near else "upper" if place > 1 - near else ""
+
+
 #: whether data determine a parameter: by itself, only together with others (where these are held), or not
 Determined = Literal["yes", "only together", "no"]
 DETERMINED: tuple[Determined, ...] = get_args(Determined)

@@ -1,5 +1,6 @@
 """The tables of a fit or cross-validation: each has at least the columns that its maker declares."""
 
+import math
 from collections.abc import Mapping
 from types import MappingProxyType
 
@@ -33,5 +34,6 @@ FRAMES: Mapping[str, tuple[str, ...]] = MappingProxyType(
     }
 )
 OPTIONAL: Mapping[str, Mapping[str, float]] = {
-    "errors": {name: one.otherwise for name, one in CURVE_COLUMNS.items() if one.is_optional}
+    "errors": {name: one.otherwise for name, one in CURVE_COLUMNS.items() if one.is_optional},
+    "parameters": dict.fromkeys(("interval_low_error", "interval_high_error"), math.nan),
 }
