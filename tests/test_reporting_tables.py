@@ -147,10 +147,13 @@ def test_a_value_that_is_read_in_another_unit_than_its_row_has_its_own():
         results.frames["parameters"].query("method == 'fitted' and parameter == 'mu1_pa'").iloc[0].to_dict()
     )
     ends = {"status": "free", "median": 7.64e2, "interval_low": 4e2, "interval_high": 9e2}
-    least = {"method": "fitted_metric", "value": 1e8, "low": 500.0, "high": 5e8}
+    least = {"method": "fitted_metric", "value": 1e8, "low": 500.0, "high": 5e8, "bound_high": 1e9}
     frame = pd.DataFrame([{**ours, **ends}, {**ours, **ends, **least}])
     (cells,) = lay_out_parameters(results.with_frames(parameters=frame)).rows
     assert "100 MPa (0.5 to 500 MPa)" in cells
+    at_bound = frame.assign(bound_high=1e8)
+    (cells,) = lay_out_parameters(results.with_frames(parameters=at_bound)).rows
+    assert not any("100 MPa" in cell for cell in cells)
 
 
 def test_pivoted_rows_have_a_column_for_each_place():
