@@ -148,7 +148,7 @@ def own_surface(profile):
         (
             lambda: replace(
                 changed_pose(),
-                plane="stated",
+                scan=replace(small().scan, bevel=np.array([0.0, 0.0, 1.0])),
                 frame=Frame(small().frame.origin, small().frame.rotation[:, [0, 2, 1]] * [1, 1, -1]),
             ),
             "leaves the bending plane",
@@ -156,5 +156,4 @@ def own_surface(profile):
     ],
 )
 def test_doubtful_reconstructions_give_warnings(one, words):
-
     assert any(re.search(words, warning) for warning in collect_warnings(one())), collect_warnings(one())

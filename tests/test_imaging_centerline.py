@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 from refusals import refusal
 from scanner.render import Needle3D, SceneMarkers
-from scipy.ndimage import gaussian_filter, map_coordinates, shift, zoom
+from scipy.ndimage import gaussian_filter, map_coordinates
 
 from needlefit.errors import DataError
 from needlefit.imaging.needle import centerline, follow, tip
@@ -18,7 +18,7 @@ from needlefit.imaging.needle.centerline import refuse_fold
 from needlefit.imaging.needle.segmentation import select_needle
 from needlefit.imaging.reconstruct import examine
 from needlefit.imaging.scans import Corrections, Scan
-from needlefit.imaging.volume import Volume, to_index
+from needlefit.imaging.volume import Volume
 from needlefit.project.toml import load
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
@@ -89,20 +89,17 @@ def test_slices_of_a_tilted_gantry_show_the_same_needle():
     assert np.linalg.norm(line.tip - truth[-1]) < 0.15
 
 
-def test_a_step_between_slices_and_another_diameter_are_named():
-    volume = cases.scan(cases.axis(curve=(1.0, 2.0)))
-    assert found(volume).warnings == ()
-    last = round(to_index(volume, cases.axis(curve=(1.0, 2.0))[-1:])[0, 2])
-    for beyond in (60, last - 8):  # 3.7 mm before the tip
-        values = volume.values.copy()
-        values[beyond:] = np.roll(values[beyond:], 2, axis=2)  # by 0.92 mm
-        (warning,) = found(replace(volume, values=values)).warnings
-        assert f"slices {beyond - 1} and {beyond}" in warning
-    values[last - 12 :] = np.roll(volume.values[last - 12 :], 7, axis=2)  # by 3.2 mm
-    message = refusal(DataError, "goes on", found, replace(volume, values=values)).what
-    assert f"slice {last - 13} " in message and "3.2 mm" in message
-    (warning,) = found(volume, cases.recipe(needle={"diameter_mm": 2.1})).warnings
-    assert "thinner than the 2.1 mm" in warning
+def test_an_end_that_is_no_needle_s_misfits():
+    """The misfit of needles alone is 0.02; MAX_END_MISFIT, from which on it is spoken of, 0.14."""
+    truth = cases.axis(curve=(1.0, 2.0))
+    volume = cases.scan(truth)
+    assert found(volume).misfit < 0.05
+    values = volume.values.copy()
+    values[60:] = np.roll(values[60:], 2, axis=2)  # by 0.92 mm
+    balls = {"markers": SceneMarkers(truth[-1:], radius=1.0)}
+    for changed in (replace(volume, values=values), cases.scan(truth, scene=balls)):
+        assert 0.14 < found(changed).misfit < 0.3
+    assert found(volume, cases.recipe(needle={"diameter_mm": 2.1})).misfit > 0.14
 
 
 @pytest.mark.sweep
@@ -132,23 +129,15 @@ def test_pieces_of_one_needle_are_joined():
 def test_a_marker_at_the_end_is_refused(beside):
     truth = cases.axis()
     volume = cases.scan(truth, scene={"markers": SceneMarkers(truth[-1:] + np.array([beside, 0.0, 0.0]))})
-    refusal(DataError, "wider", found, volume)
-
-
-def test_a_small_marker_at_the_end_is_named():
-    truth = cases.axis()
-    volume = cases.scan(truth, scene={"markers": SceneMarkers(truth[-1:], radius=1.0)})
-    assert any("marker" in warning for warning in found(volume).warnings)
+    refusal(DataError, "does not show", found, volume)
 
 
 def test_what_is_no_needle_is_refused():
     refusal(DataError, "tissue", lambda: select_needle(cases.scan(cases.axis() + FAR), cases.RECIPE).needle)
     balls = SceneMarkers(cases.ENTRY + np.array([[6.0, 3, 4], [-5, -6, 12], [4, -6, 20], [-7, 5, 30]]))
     volume = cases.scan(cases.axis() + FAR, scene={"markers": balls})
-    refusal(DataError, "segmentation.min_length_mm", select_needle, volume, cases.RECIPE)
+    refusal(DataError, "no needle", select_needle, volume, cases.RECIPE)
     refusal(DataError, r"volume.* tip", lambda: found(cases.scan(cases.axis(tip=(0.0, 0.0, 60.0)))))
-    recipe = cases.recipe(segmentation={"threshold_low_hu": 2000, "threshold_high_hu": 9000})
-    refusal(DataError, "9000 HU", lambda: select_needle(cases.scan(cases.axis()), recipe).needle)
     recipe = cases.recipe(centerline={"entry_direction": [0, 0, -1]})
     refusal(DataError, r"volume.* tip", lambda: found(cases.scan(cases.axis()), recipe))
 
@@ -171,21 +160,6 @@ def test_a_curve_that_turns_back_is_refused():
     for back in (there[::-1][1:20] + np.array([0, 2.5, 0]), there[::-1][1:7]):
         refused = refusal(DataError, "", refuse_fold, np.vstack([there, back]))
         assert re.search(r"by 1[78]\d degrees", refused.what) and refused.fix
-
-
-def test_a_step_between_slices_is_found_where_the_table_moved_and_not_where_slices_were_resampled():
-    volume = cases.scan(cases.axis(curve=(2.0, 1.0)))
-    moved = volume.values.copy()
-    moved[65:] = shift(moved[65:], [0, 0.8 / cases.SPACING, 0], order=1, mode="nearest")
-    factors = np.array([cases.SPACING / 1.0] * 3)
-    coarse = zoom(volume.values, factors, order=1)
-    spacing = (np.array(volume.values.shape) - 1) * cases.SPACING / (np.array(coarse.shape) - 1)
-    resampled = replace(volume, values=coarse, spacing=spacing[::-1].copy())
-    warned = [
-        any("jumps" in warning for warning in found(one).warnings)
-        for one in (volume, replace(volume, values=moved), resampled)
-    ]
-    assert warned == [False, True, False]
 
 
 def test_a_blunt_needle_has_no_side_and_the_shipped_recipe_states_the_defaults():

@@ -121,8 +121,8 @@ def test_a_shorter_tube_is_named_and_of_two_long_ones_the_stated_diameter_taken(
     assert "needle_x_mm" in refused.where
     alike = painted(rod((17.0, 6.0), 0.0, 38.0, 0.8))
     refusal(DataError, "needles", segmentation.select_needle, alike, cases.RECIPE)
-    thick = painted(rod((17.0, 6.0), 0.0, 45.0, 1.9))
-    wide = cases.recipe(needle={"diameter_mm": 1.4}, segmentation={"max_widening": 3.0})
+    thick = painted(rod((17.0, 6.0), 0.0, 45.0, 1.6))
+    wide = cases.recipe(needle={"diameter_mm": 1.4})
     found = segmentation.select_needle(thick, wide)
     assert_allclose(found.needle.width, 1.6, atol=0.4)
     assert len(found.warnings) == 1

@@ -16,6 +16,7 @@ from needlefit.errors import DataError, refusal
 from needlefit.geometry.surfaces import Surface
 from needlefit.imaging.batch import ReconstructionFailure
 from needlefit.imaging.corrections import list_control_points
+from needlefit.imaging.needle.axis_spline import KNOT_MM
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.schemas.dataset import (
     CenterlinesRecord,
@@ -86,7 +87,7 @@ def assemble_dataset(
             side=one.scan.side,
             entry=one.pose.origin,
             direction=one.pose.direction,
-            bevel={"stated": one.scan.bevel, "bevel": one.frame.rotation[:, 1], "shape": None}[one.plane],
+            bevel=one.scan.bevel,
             pose_source=one.pose.source,
             pose_shift_sd=one.pose.shift_sd,
             pose_angle_sd=one.pose.angle_sd,
@@ -148,7 +149,7 @@ def _dataset_record(
             registration_mean_mm=round(registered, 4),
             point_sd_mm=round(0.1 * sd, 4),
             correlated_sd_mm=round(sd, 4),
-            correlation_length_mm=recipe.centerline.knot_spacing_mm / 2,
+            correlation_length_mm=KNOT_MM / 2,
             note="Predicted by the reconstruction: the registration's from the markers' deviations, mean of "
             "entry and tip; the centreline's is that of a smoothing spline at its points, from the scatter "
             "of its cross-sections, without what the spline rounds.",

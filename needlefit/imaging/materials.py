@@ -8,7 +8,7 @@ from itertools import groupby, pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import least_squares
+from scipy.optimize import curve_fit
 from scipy.special import ndtr
 
 from needlefit.arrays import Floats
@@ -69,14 +69,13 @@ AIR_SD_HU = 30.0  # deviation of the level of air in a narrow gap, HU
 EDGE_REACH_MM = 8.0  # distance to either side of the edge over which the model is fitted, mm
 EDGE_MARGIN_MM = 3.0  # distance within which the blur of an edge shows, mm
 MIN_EDGE_STEP_HU = 300.0  # an edge from air to tissue rises by more than this, HU
-# A weak prior of the width of an edge, within a factor of e: between two stations nothing else fixes it.
-WIDTH_MM = 0.5
+WIDTH_MM = 0.5  # deviation of the blur of an edge as a rule, mm
+MIN_WIDTH_MM = 0.1  # deviation of the blur of an edge, mm
+MAX_WIDTH_MM = 2.0  # the same
+EDGE_SCALES = (0.2, 0.3, 50.0, 50.0, 10.0, 0.2, 50.0)  # typical changes of the parameters of an edge
+MIN_NOISE_HU = 2.0  # deviation of a median, HU
 SOFT_LOSS_SD = 2.0  # stations that stray by more than so many deviations of the noise count less
-FLANK_MM = 4.0  # stations farther than this from an edge show which points rays change, mm
-MIN_POINTS = 32  # points of a ring that a choice needs, at least
-PARTS = 4  # parts of a ring whose edges are compared
 EDGE_SD_MM = 0.015  # deviation of any edge that no scatter shows, mm: a kernel's sides are not alike
-MEDIAN_SD_MM = 0.05  # deviation of an edge, beside its scatter, where only the median can be fitted, mm
 
 
 def find_runs(profile: IntensityProfile, least: float = MIN_SIDE_LENGTH_MM) -> tuple[MaterialRun, ...]:
@@ -148,83 +147,62 @@ def _fit_edge(
 ) -> tuple[float, float] | None:
     """Return where run `target` begins, mm, and its deviation; None if nothing rises there.
 
-    All edges within reach are fitted together.
+    An error function from air to soft material, with a slope behind it for a hardened beam, is fitted to the
+    median around the needle, as far as the blur of no other edge reaches.
     """
-    guess = runs[target].begin
-    # no edge stands at the rim of the window: it is fitted, too, or its blur is left out; metal ends it
-    reach = EDGE_REACH_MM + EDGE_MARGIN_MM
-    metal = [run for run in runs if run.kind == "metal"]
-    start = max([guess - reach, *(run.end for run in metal if run.end <= guess)])
-    stop = min([guess + reach, *(run.begin for run in metal if run.begin >= guess)])
-    near = [n for n in range(1, len(runs)) if start < runs[n].begin < stop]
-    low = max([start, *(run.begin + EDGE_MARGIN_MM for run in runs[1:] if run.begin <= start)])
-    high = min([stop, *(run.begin - EDGE_MARGIN_MM for run in runs[1:] if run.begin >= stop)])
-    low = max(start, min(low, runs[near[0]].begin - EDGE_MARGIN_MM))
-    high = min(stop, max(high, runs[near[-1]].begin + EDGE_MARGIN_MM))
-    # nor is a change of soft material an edge: what lies behind it is left out, as of a plate on the tissue
-    changes = [at - STEP_MARGIN_MM for at in find_steps(profile) if at > runs[near[-1]].begin]
-    high = min([high, *changes])
-    s, median, ring = _known_stations(profile)
-    inside = (s >= low) & (s <= high)
-    s, median, ring = s[inside], median[inside], ring[inside]
-    values, hidden = median, [MEDIAN_SD_MM]
-    at = np.array([runs[n].begin for n in near])
-    shown = np.isfinite(ring).all(axis=0)
-    before, after = s < at[0] - FLANK_MM, s > at[0] + FLANK_MM
-    chosen = len(at) == 1 and shown.sum() >= MIN_POINTS and before.any() and after.any()
-    if chosen:
-        # under rays the median is at each station another point's, which moves the edge: the half of the
-        # points that differs least from it counts, at all stations
-        stray = np.abs(ring - median[:, None])[before | after].mean(axis=0)
-        least = shown & (stray + stray[::-1] <= np.median((stray + stray[::-1])[shown]))
-        ring, places = ring[:, least], RING[least]
-        # a slanting face meets opposite points early and late, as the areas under their edges say; rays seem
-        # to slant, too, but only a slanting face gets sharper if it is set upright
-        air, soft = ring[before].mean(axis=0), ring[after].mean(axis=0)
-        area = (ring[~before & ~after] - air) / np.maximum(soft - air, MIN_EDGE_STEP_HU)
-        area = area.sum(axis=0) * np.median(np.diff(s))
-        late = places @ np.linalg.lstsq(places, (area[::-1] - area) / 2, rcond=None)[0]
-        upright = np.stack([np.interp(s + way, s, one) for way, one in zip(late, ring.T, strict=True)], 1)
-        ring = max(ring, upright, key=lambda one: np.sum(np.diff(one.mean(axis=1)) ** 2))
-        values = ring.mean(axis=1)
-    parts = [values[np.searchsorted(at, s) == n] for n in range(len(at) + 1)]
-    levels = np.array([np.median(part) if len(part) else AIR_HU for part in parts])
-    beside = runs[near[0] - 1 : near[-1] + 1]
-    gaps = np.flatnonzero([run.kind == "air" and run.length < NARROW_GAP_MM for run in beside])
-    levels[gaps] = AIR_HU
-    this = near.index(target)
-    if levels[this + 1] - levels[this] < MIN_EDGE_STEP_HU:
+    s, values, _ = _known_stations(profile)
+    gap, guess = runs[target - 1], runs[target].begin
+    # the blurred air of a narrow gap shows no level: air has its own; a soft edge before it is fitted, too
+    narrow = target > 1 and gap.length < NARROW_GAP_MM
+    double = narrow and runs[target - 2].kind == "soft"
+    before = runs[target - 2].begin if double else gap.begin
+    before = max(guess - EDGE_REACH_MM, before + EDGE_MARGIN_MM * (before > s[0] and not narrow))
+    ends = [run.end for run in runs[target:-1]][:1] + [at for at in find_steps(profile) if at > guess]
+    after = max(guess + EDGE_MARGIN_MM, min([guess + EDGE_REACH_MM, *(at - STEP_MARGIN_MM for at in ends)]))
+    near = (s >= before) & (s <= after)
+    s, values = s[near], values[near]
+    air, soft = values[s < guess], values[s >= guess]
+    if len(air) < MIN_STEP_STATIONS or len(soft) < MIN_STEP_STATIONS:
         return None
-    # median of |difference of neighbours|: 1.05 = 1 / (0.6745 sqrt 2), so a slope hardly counts as noise
-    noise = max(2.0, *(1.05 * float(np.median(np.abs(np.diff(part)))) for part in parts if len(part) > 1))
-    # error functions of one width, with a slope behind the last edge for a hardened beam and further layers
-    count = len(at)
+    low, high = AIR_HU if narrow else float(np.median(air)), float(np.median(soft))
+    if high - low < MIN_EDGE_STEP_HU:
+        return None
 
-    def residuals(theta: Floats) -> Floats:
-        edges, width, level, slope = theta[:count], np.exp(theta[count]), theta[count + 1 : -1], theta[-1]
-        steps = np.repeat(np.diff(level)[:, None], len(s), axis=1)
-        steps[-1] += slope * np.clip(s - edges[-1], 0, None)
-        shown = level[0] + np.sum(steps * ndtr((s - edges[:, None]) / width), axis=0)
-        known = (level[gaps] - AIR_HU) / AIR_SD_HU
-        return np.concatenate([(shown - values) / noise, known, [theta[count] - np.log(WIDTH_MM)]])
+    def show(
+        s: Floats, at: float, width: float, low: float, high: float, slope: float, fall: float, solid: float
+    ) -> Floats:
+        edge = (high - low + slope * np.clip(s - at, 0, None)) * ndtr((s - at) / width)
+        return np.asarray(low + edge + (solid - low) * ndtr((fall - s) / width) * double, dtype=np.float64)
 
-    first = np.concatenate([at, [np.log(WIDTH_MM)], levels, [0.0]])
-    scale = np.concatenate([np.full(count, 0.2), [0.3], np.full(count + 1, 50.0), [10.0]])
-    best = least_squares(residuals, first, loss="soft_l1", f_scale=SOFT_LOSS_SD, x_scale=scale)
-    # misfit per degree of freedom; neighbouring stations are correlated, which widens it again
-    left, free = best.fun[: len(s)], 2 * count + 3
-    spread = max(1.0, 2 * best.cost / max(1, len(s) - free)) * correlation_factor(left[:, None], free)
-    jacobian = np.asarray(best.jac, dtype=np.float64)
-    variance = float(np.linalg.pinv(jacobian.T @ jacobian)[this, this]) * spread
+    free = AIR_SD_HU if narrow else np.inf
+    first = [guess, WIDTH_MM, low, high, 0.0, gap.begin, float(values[0])]
+    margin = [EDGE_MARGIN_MM, np.inf, free, np.inf, np.inf, EDGE_MARGIN_MM, np.inf]
+    bounds = np.subtract(first, margin), np.add(first, margin)
+    bounds[0][1], bounds[1][1] = MIN_WIDTH_MM, MAX_WIDTH_MM
+    noise = max(MIN_NOISE_HU, 1.05 * float(np.median(np.abs(np.diff(values)))))
+    best = curve_fit(
+        show,
+        s,
+        values,
+        first,
+        np.full(len(s), noise),
+        bounds=bounds,
+        loss="soft_l1",
+        f_scale=SOFT_LOSS_SD,
+        x_scale=np.array(EDGE_SCALES),
+        ftol=1e-6,
+        xtol=1e-6,
+    )[0]
+    left = values - show(s, *best)
+    slopes = np.stack(
+        [(show(s, *(best + step)) - show(s, *(best - step))) / 2e-3 for step in 1e-3 * np.eye(7)]
+    )
+    spread = float(np.sum(left**2)) / max(1, len(s) - (7 if double else 5))
+    spread *= correlation_factor(left[:, None], 7 if double else 5)
+    variance = float(np.linalg.pinv(slopes @ slopes.T)[0, 0]) * spread
     # an edge sharper than the stations are dense leaves no slope, but lies between two of them: uniform there
-    between = max(np.median(np.diff(s)), 2 * np.exp(best.x[count])) / np.sqrt(12)
-    scatter = min(np.sqrt(variance), between)
-    if chosen:  # what moves the edge in a part of the points, or that of the median, may move all
-        move = np.linalg.pinv(jacobian)[this, : len(s)] / noise
-        moved = np.split(move @ (ring + ring[:, ::-1] - 2 * values[:, None]) / 2, 2)[0]
-        of_parts = np.std([part.mean() for part in np.array_split(moved, PARTS)])
-        hidden = [float(of_parts), float(move @ (median - values)) / 2]
-    return float(best.x[this]), float(np.linalg.norm([scatter, *hidden, EDGE_SD_MM]))
+    between = max(float(np.median(np.diff(s))), 2 * best[1]) / np.sqrt(12)
+    return float(best[0]), float(np.hypot(min(np.sqrt(variance), between), EDGE_SD_MM))
 
 
 STEP_REACH_MM = 6.0  # distance to either side of a step over which it is fitted, mm

@@ -11,7 +11,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Literal
 
 import numpy as np
 
@@ -47,6 +46,7 @@ from needlefit.imaging.markers import (
     refine_fiducials,
 )
 from needlefit.imaging.materials import find_rises, list_materials, sample_profile
+from needlefit.imaging.needle.axis_spline import STATION_MM
 from needlefit.imaging.needle.centerline import Centerline, refuse_fold, trace_needle
 from needlefit.imaging.needle.follow import follow_points, read_mask_points, select_rod
 from needlefit.imaging.needle.segmentation import (
@@ -97,6 +97,8 @@ MAX_BEVEL_ANGLE_DEG = 30.0
 MAX_PLANE_SD_DEG = 20.0  # deviation of the bending plane, degrees, from which on a shape does not tell it
 MAX_TIP_SD_MM = 0.5  # deviation of the tip along the needle, mm, that is spoken of
 MAX_NORMAL_SD_MM = 0.3  # deviation of the tip along the slices' normal, mm, that is spoken of
+# Misfit of the needle's end that is spoken of: where slices are fitted as a whole, and else.
+MAX_SLICE_MISFIT, MAX_END_MISFIT = 0.4, 0.14
 TIP_CLEARANCE_MM = 2.0  # distance from the tip, mm, from which on its blur does not show
 MAX_STEP_DISTANCE_MM = 1.5  # distance, mm, of a layer's boundary from a change of brightness that is its own
 MAX_DEPTH_SD_MM = 2.0  # deviation of the inserted length, mm, beyond which a scan is refused
@@ -116,7 +118,6 @@ def collect_warnings(one: Reconstruction, earlier: Sequence[str] = ()) -> tuple[
                 is not, scan it away from other metal, or with thinner slices""")
     return (
         *list_tip_warnings(one),
-        *one.needle_axis.warnings,
         *earlier,
         *(() if one.markers is None else one.markers.warnings),
         *(() if one.registration is None else one.registration.warnings),
@@ -140,6 +141,12 @@ def list_tip_warnings(one: Reconstruction) -> list[str]:
         notes.append(
             "the slices do not show well where along their normal the needle lies: tip "
             f"+- {needle.normal_sd:.2f} mm; scan it across the slices, or with thinner ones"
+        )
+    if needle.misfit > (MAX_SLICE_MISFIT if needle.normal_sd else MAX_END_MISFIT):
+        notes.append(
+            f"the image of the needle's end differs from that of the model by {100 * needle.misfit:.0f} % of "
+            "its brightness: another diameter or bevel than stated, metal or air beside it, or something "
+            "moved between slices; look at it"
         )
     excess = one.profile.core - one.profile.around
     from_tip = one.profile.s - one.depth
@@ -194,25 +201,25 @@ def _plane_warnings(one: Reconstruction) -> Iterator[str]:
     local = one.local
     deflection, aside = float(local[-1, 1]), float(np.abs(local[:, 2]).max())
     error = float(np.hypot(one.sd[-1], np.hypot(one.pose.shift_sd, one.pose.angle_sd * one.depth)))
-    if one.plane == "shape" and np.degrees(error) > MAX_PLANE_SD_DEG * abs(deflection):
+    if one.scan.bevel is None and np.degrees(error) > MAX_PLANE_SD_DEG * abs(deflection):
         yield (
             f"the tip lies {abs(deflection):.2f} +- {error:.2f} mm beside the entry axis: so straight, "
             "it determines no bending plane, and its deflection is biased upward; state the bevel's direction"
         )
-    elif one.plane != "shape" and aside > MAX_DISAGREEMENT_SD * error and aside > abs(deflection) / 3:
+    elif one.scan.bevel is not None and aside > MAX_DISAGREEMENT_SD * error and aside > abs(deflection) / 3:
         yield (
             f"the needle leaves the bending plane by {aside:.2f} mm, and bends {abs(deflection):.2f} in it: "
             "check the bevel's direction"
         )
     visible_bevel = one.patient.rotation @ one.needle_axis.bevel
-    if one.plane == "stated" and np.isfinite(visible_bevel).all():
+    if one.scan.bevel is not None and np.isfinite(visible_bevel).all():
         facing = one.scan.side * one.frame.rotation[:, 1]
         across = visible_bevel - (visible_bevel @ one.frame.rotation[:, 0]) * one.frame.rotation[:, 0]
         angle = np.degrees(np.arccos(np.clip(facing @ across / np.linalg.norm(across), -1, 1)))
         if angle > MAX_BEVEL_ANGLE_DEG:
             yield f"the bevel seen at the tip points {angle:.0f} degrees away from the one stated"
     probability, seen = one.needle_axis.bevel_probability, np.isfinite(one.needle_axis.bevel).all()
-    if np.isfinite(probability) and not seen and one.plane != "stated":
+    if np.isfinite(probability) and not seen and one.scan.bevel is None:
         yield f"the scan does not show the bevel's side (probability {probability:.2f}): it is left open"
 
 
@@ -453,9 +460,6 @@ def _locate_tissue(
     return entry.at, entry.sd
 
 
-PlaneSource = Literal["stated", "bevel", "shape"]
-
-
 def derive_reconstruction(
     found: Examination, recipe: ReconstructionRecord, grid: VoxelGrid
 ) -> Reconstruction:
@@ -475,7 +479,7 @@ def derive_reconstruction(
         raise refusal(f"""the needle enters the tissue {along[-1] - begin:.2f} mm before its tip
             expected: at least {MIN_DEPTH_MM:g} mm of it in the tissue
             fix: look at entry and tip in 3D Slicer, and place the one that is wrong""")
-    count = int(np.ceil((along[-1] - begin) / recipe.centerline.station_spacing_mm)) + 1
+    count = int(np.ceil((along[-1] - begin) / STATION_MM)) + 1
     stations = np.linspace(begin, along[-1], count)
     points, sd = interpolate_at_arc(found.world, stations), np.interp(stations, along, found.axis.sd)
     if scan.bevel is None and scan.side < 0:
@@ -483,13 +487,8 @@ def derive_reconstruction(
             expected: bevel_x, bevel_y, bevel_z beside it: without them +y points to where the needle went
             fix: state the bevel's direction, or leave bevel_side empty
             where: scan {scan.id}""")
-    plane: PlaneSource = "shape"
-    bevel = found.patient.rotation @ found.axis.bevel
-    if scan.bevel is not None:
-        toward, plane = scan.bevel, "stated"
-    elif recipe.entry.plane == "bevel" and np.isfinite(bevel).all():
-        toward, plane = bevel, "bevel"
-    else:
+    toward = scan.bevel
+    if toward is None:
         toward = find_bending_direction(points, pose.direction)
     try:
         frame = make_entry_frame(pose.origin, pose.direction, toward)
@@ -517,7 +516,6 @@ def derive_reconstruction(
         pose=pose,
         shaft=shaft,
         frame=frame,
-        plane=plane,
         points=points,
         sd=sd,
         sections=None if drawn is None else drawn.seen_from(found.patient, begin),

@@ -119,8 +119,6 @@ class Reconstruction:
     pose: EntryPose
     shaft: EntryPose | None  # the pose by the shaft outside the tissue; None where too little of it shows
     frame: Frame  # the constraint frame C in the world
-    # What fixes the bending plane: "stated", "bevel" (as seen in the scan) or "shape".
-    plane: Literal["stated", "bevel", "shape"]
     points: Floats  # (N, 3); the centreline from first contact to tip, world, mm
     # (N,); of each point in any one direction across, mm; the registration's error, common to all, is not in
     # it.

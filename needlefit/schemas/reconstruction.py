@@ -1,6 +1,6 @@
 """A reconstruction recipe: what was scanned, and how needle, markers, entry and layers are found."""
 
-from typing import ClassVar, Literal, Self
+from typing import ClassVar, Self
 
 from pydantic import Field, model_validator
 
@@ -29,39 +29,9 @@ class ScannedNeedleRecord(Record):
     """Standard deviation of that angle."""
 
 
-class SegmentationRecord(Record):
-    """Which voxels are needle."""
-
-    threshold_low_hu: float | None = None
-    """Lower threshold of hysteresis; without it, taken from the volume."""
-    threshold_high_hu: float | None = None
-    """Upper threshold of hysteresis; without it, taken from the volume."""
-    min_length_mm: float = Field(default=20.0, gt=0)
-    """Shortest object that may be a needle."""
-    min_elongation: float = Field(default=6.0, gt=1)
-    """Smallest ratio of length to width of a needle."""
-    max_widening: float = Field(default=2.5, ge=1)
-    """Largest width of a needle, as a multiple of its diameter."""
-    join_gap_mm: float = Field(default=15.0, ge=0)
-    """Largest gap across which two pieces are joined."""
-
-    @model_validator(mode="after")
-    def _ordered(self) -> Self:
-        low, high = self.threshold_low_hu, self.threshold_high_hu
-        if low is not None and high is not None and low > high:
-            raise ValueError("threshold_low_hu lies above threshold_high_hu")
-        return self
-
-
 class CenterlineRecord(Record):
-    """How the axis is drawn, and which end is the tip."""
+    """Which end of the axis is the tip."""
 
-    station_spacing_mm: float = Field(default=0.5, ge=0.05, le=5)
-    """Distance between cross-sections."""
-    patch_width_mm: float = Field(default=2.4, ge=0.5, le=20)
-    """Width of the patch in which a cross-section's centre is found."""
-    knot_spacing_mm: float = Field(default=7.5, ge=2, le=200)
-    """Distance between the knots of the smoothing spline."""
     entry_direction: tuple[float, float, float] | None = None
     """Direction from base to tip (LPS), where it cannot be derived from the scan."""
     placed_tip_sd_mm: float = Field(default=0.3, gt=0)
@@ -90,7 +60,7 @@ class MarkersRecord(Record):
 
 
 class ReconstructionEntryRecord(Record):
-    """Entry pose and bending plane."""
+    """Entry pose."""
 
     entry_shift_sd_mm: float = Field(default=0.3, gt=0)
     """Standard deviation of the shift of the needle at the entry against its straight shaft outside."""
@@ -98,8 +68,6 @@ class ReconstructionEntryRecord(Record):
     """Standard deviation of its tilt there."""
     placed_contact_sd_mm: float = Field(default=0.3, gt=0)
     """Standard deviation, along the needle, of a first contact placed by hand."""
-    plane: Literal["bevel", "shape"] = "shape"
-    """Bending plane where no bevel direction is stated: from the bevel or from the shape."""
 
 
 class GuidePlateRecord(Record):
@@ -126,14 +94,12 @@ class ReconstructionRecord(FileRecord):
     """What the recipe is for."""
     needle: ScannedNeedleRecord = ScannedNeedleRecord()
     """The needle that was scanned; diameter and bevel also enter the model of the tip's edge."""
-    segmentation: SegmentationRecord = SegmentationRecord()
-    """Which voxels are needle."""
     centerline: CenterlineRecord = CenterlineRecord()
-    """How the axis is drawn, and which end is the tip."""
+    """Which end of the axis is the tip."""
     markers: MarkersRecord = MarkersRecord()
     """Radiopaque markers."""
     entry: ReconstructionEntryRecord = ReconstructionEntryRecord()
-    """Entry pose and bending plane."""
+    """Entry pose."""
     guide: GuidePlateRecord = GuidePlateRecord()
     """What guides the needle to the tissue."""
     layers: LayersRecord = LayersRecord()

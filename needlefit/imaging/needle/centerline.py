@@ -1,33 +1,30 @@
 """Trace the needle's axis from base to tip, with a standard deviation for every point."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from needlefit.arrays import Floats
-from needlefit.errors import DataError, refusal
+from needlefit.errors import refusal
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.smoothing_spline import SplineSections
 from needlefit.imaging.needle.axis_spline import (
+    KNOT_MM,
     MIN_FRACTION_IN_VOLUME,
     MIN_RELATIVE_AMPLITUDE,
+    PATCH_MM,
+    STATION_MM,
     AxisSpline,
-    CrossSections,
     axis_frames,
     axis_sd,
     disc_points,
-    estimate_shared_sd,
     extend_axis,
     find_centroids,
-    find_step,
     fit_axis,
-    fit_sections,
     sample_planes,
 )
 from needlefit.imaging.needle.hub import find_hub
-from needlefit.imaging.needle.segmentation import MAX_AIR_HU, Component, median_tissue_hu, principal_axes
+from needlefit.imaging.needle.segmentation import MAX_AIR_HU, Component, principal_axes
 from needlefit.imaging.needle.slice_fit import MIN_SLICE_MM, place_in_slices
 from needlefit.imaging.needle.tip import MAX_DISAGREEMENT_MM, TipFit, TipSource, bevel_length, fit_tip
 from needlefit.imaging.point_spread import PointSpread
@@ -49,37 +46,11 @@ END_REACH_MM = 4.0  # distance beyond an end of the needle from which on its sur
 MAX_SOFT_HU = 1000.0  # brighter surroundings are metal, HU
 # With soft material at both ends, as that of a plastic hub, the tip is where it lasts so much longer.
 CLEAR_SOFT_RATIO = 2.0
-# A step between slices is spoken of from this size on, mm. Within 2.5 mm of the tip, about its bevel's
-# length, none shows.
-MIN_STEP_MM = 0.15
-# And from so many of its deviations on: where nothing moved at most 7 show, of 0.5 mm mostly 9 and more.
-MIN_STEP_SD = 9.0
-# Something else stands at the end where the mean brightness on a circle of the needle's diameter around the
-# axis exceeds that along the shaft, by parts of the shaft's own, over two sections: that are spoken of, and
-# that are refused, the latter also where the needle runs in thick slices. Of needles alone at most 0.02, in
-# slices 0.24 (once 0.63); with balls of 3 and 5 mm 0.15 to 0.8, of 2 mm 0.05. Air there is darker.
-MAX_DARK_PART = -0.06  # of the shaft's brightness
-MIN_WIDE_PART = 0.04  # the same, spoken of
-MAX_WIDE_PART = 0.15  # the same, refused
-MAX_WIDE_PART_IN_SLICES = 0.65  # the same in thick slices
-BESIDE_SD_MM = 1.2  # deviation of the tip along by what is spoken of, over that part, mm
-# Sections around the tip, behind and ahead, and the rim's radius, mm; sine to slices of what is looked at.
-WIDE_STEP_MM = 0.5  # mm, between sections
-WIDE_BEHIND_MM = 5.0  # mm, behind the tip
-WIDE_AHEAD_MM = 3.0  # mm, ahead of it
-WIDE_RIM_MM = 3.0  # mm, radius of the rim
-MAX_RING_SINE = 0.5  # of the angle to the slices
-# Another diameter is spoken of from a factor on (logarithm) that exceeds what right ones show on the average,
-# and that is so many of its deviations; a larger one makes these wide, since the model misses the scan.
-MEAN_WIDTH_MISFIT = 0.05  # logarithm of a factor
-MIN_WIDTH_MISFITS = ((0.08, 3.0), (0.2, 2.0))  # logarithm, and its deviations
-# Where the rest of a needle that moved is looked for: behind and beyond its end, and beside it, mm.
-REST_BEHIND_MM = 15.0  # mm
-REST_AHEAD_MM = 3.0  # mm
-REST_REACH_MM = 10.0  # mm
-MIN_REST_SLICES = 8  # slices that the needle crosses, at least
-# Systematic deviation that no scatter along the needle shows, mm: the pattern of the voxel grid.
-SYSTEMATIC_SD_MM = 0.002
+# Image of an end less that of the model, in parts of its brightness, from which on a scan is refused: of
+# needles alone at most 0.13, of one with a ball of 3 mm at its end 0.33.
+MAX_MISFIT = 0.3
+# Deviation that no scatter along the needle shows, mm: the pattern of the voxel grid, and rays along it.
+SYSTEMATIC_SD_MM = 0.008
 
 
 @dataclass(frozen=True)
@@ -103,9 +74,9 @@ class Centerline:
     # By how much a threshold sees the needle end later than the fitted model ends, mm.
     tip_disagreement: float = 0.0
     tip_source: TipSource = "model"  # "model", or "threshold" where the model's tip was not to be trusted
+    misfit: float = 0.0  # how far the image of the end is from the model, in parts of its brightness
     # Deviation of the tip along the slices' normal, mm, of a needle near thick slices; otherwise 0.
     normal_sd: float = 0.0
-    warnings: tuple[str, ...] = ()  # what contradicts the stated diameter, or that nothing moved
 
 
 def trace_needle(
@@ -124,7 +95,7 @@ def trace_needle(
     DataError if the needle's tip lies outside the volume or beside the needle, or its two ends look alike.
     """
     rough = component if isinstance(component, AxisSpline) else fit_rough_axis(volume, component, recipe)
-    axis, heel, dark, wide = rough, bevel_length(recipe.needle) + BEVEL_MARGIN_MM, 0.0, 0.0
+    axis, heel = rough, bevel_length(recipe.needle) + BEVEL_MARGIN_MM
     if tip is None:
         axis = refine_axis(volume, orient_axis(volume, axis, recipe), recipe, heel)
         # a rough tip near the axis' end, or near where a threshold sees the needle end
@@ -138,14 +109,12 @@ def trace_needle(
         axis = refine_axis(volume, axis, recipe, heel, end.at)
         placed = place_in_slices(volume, axis, recipe, end.at, spread)
         axis, end = placed or (axis, fit_tip(volume, axis, recipe.needle, end.at, spread))
-        if axis.slice_sds is None:
-            _refuse_displaced_rest(volume, axis, end.at, recipe.needle.diameter_mm)
-        dark, wide = _measure_wide_end(volume, axis, end.at, recipe.needle.diameter_mm)
-        if wide > (MAX_WIDE_PART if axis.slice_sds is None else MAX_WIDE_PART_IN_SLICES):
-            raise refusal(f"""where the needle ends does not show: what stands there is wider than a needle,
-                    as a marker, or other metal in thick slices
-                expected: an end that is surrounded by tissue
-                fix: scan without it, or with thinner slices; or place the tip in 3D Slicer (--corrections)
+        if not placed and end.misfit > MAX_MISFIT and volume.resampled_top is None:
+            raise refusal(f"""where the needle ends does not show: its image differs from a needle's by
+                    {100 * end.misfit:.0f} % of its brightness
+                expected: an end that is surrounded by tissue, at most {100 * MAX_MISFIT:.0f} %
+                fix: look at it: scan without a marker or other metal there, state needle.diameter_mm and
+                    needle.bevel_deg; or place the tip in 3D Slicer (--corrections)
                 where: L, P, S = {", ".join(f"{x:.0f}" for x in end.point)} mm""")
     else:
         base, last = np.linalg.norm(axis.spline(np.array([0.0, axis.length])) - tip, axis=1)
@@ -166,16 +135,11 @@ def trace_needle(
         end = TipFit(place, point, sd, unknown, float("nan"), 0.0, "hand")
     # in thick slices its points are the fit's
     alone = axis.slice_sds is None
-    notes = _list_warnings(volume, axis, end, recipe, (dark, wide))
     # the spline is extended through the tip, so that the end is interpolated
     # near thick slices both share their error
     across = max(float(end.sd[1]), SYSTEMATIC_SD_MM) if alone else SYSTEMATIC_SD_MM
-    axis = extend_axis(axis, end.at, end.point, across, recipe.centerline.knot_spacing_mm)
-    if alone and (wide > MIN_WIDE_PART or dark < MAX_DARK_PART):
-        end = replace(end, sd=np.hypot(end.sd, [BESIDE_SD_MM * max(wide, -dark), 0.0]))
-    if misfit := _find_width_misfit(end):
-        end = replace(end, sd=np.hypot(end.sd, misfit * recipe.needle.diameter_mm / 2))
-    return replace(_sample_centerline(volume, axis, end, recipe), warnings=tuple(notes))
+    axis = extend_axis(axis, end.at, end.point, across, KNOT_MM)
+    return _sample_centerline(volume, axis, end, recipe)
 
 
 def refuse_fold(points: Floats) -> None:
@@ -192,112 +156,6 @@ def refuse_fold(points: Floats) -> None:
             fix: look at its picture in quality/; place points on the needle (--mask, or the axis in
                 --corrections), or scan it without the other metal, or with thinner slices
             where: L, P, S = {", ".join(f"{x:.0f}" for x in at)} mm""")
-
-
-def _measure_wide_end(volume: Volume, axis: AxisSpline, tip: float, diameter: float) -> tuple[float, float]:
-    """Return how much darker and brighter it is beside the tip (mm along) than beside the shaft.
-
-    In parts of the needle's own brightness, over two sections each.
-    """
-    where = axis_frames(axis, np.arange(0.0, tip + WIDE_AHEAD_MM, WIDE_STEP_MM))
-    turn = np.arange(16) * np.pi / 8
-    circle = np.column_stack([np.cos(turn), np.sin(turn)])
-    plane = np.vstack([np.zeros((1, 2)), diameter * circle, WIDE_RIM_MM * circle])
-    values = sample_planes(volume, where, plane)
-    # thick slices blur what lies beside the needle along their normal
-    steep = np.column_stack([where.u @ volume.grid.normal, where.v @ volume.grid.normal]) @ circle.T
-    ring = np.where(np.abs(steep) < MAX_RING_SINE, values[:, 1:17], np.nan)
-    known, s = np.isfinite(values).all(axis=1), np.arange(len(values)) * WIDE_STEP_MM - tip
-    rim, ring, core = np.median(values[known, 17:], axis=1), ring[known], values[known, 0]
-    shaft = s[known] < -WIDE_BEHIND_MM
-    if np.count_nonzero(shaft) < MIN_SECTIONS or np.count_nonzero(~shaft) < 2:
-        return 0.0, 0.0
-    part = (np.nanmean(ring, axis=1) - rim) / np.median((core - rim)[shaft])
-    ends = np.sort(part[~shaft])
-    usual = float(np.median(part[shaft]))
-    return float(ends[1]) - min(usual, 0.0), float(ends[-2]) - max(usual, 0.0)  # air may lie along the shaft
-
-
-def _refuse_displaced_rest(volume: Volume, axis: AxisSpline, end: float, diameter: float) -> None:
-    """Raise DataError if metal leaves the axis near its `end`, mm, and goes on beside it in the next slice.
-
-    Where the table moves by more than the needle's width, the rest is a piece by itself.
-    """
-    fine = np.arange(max(0.0, end - REST_BEHIND_MM), end + REST_AHEAD_MM, 0.1)
-    index = to_index(volume, axis_frames(axis, fine).origins)
-    slices = np.arange(max(0, int(np.ceil(index[:, 2].min()))), int(index[:, 2].max()) + 1)
-    slices = slices[slices < len(volume.values)][:: 1 if index[-1, 2] > index[0, 2] else -1]
-    if len(slices) < MIN_REST_SLICES:  # it runs along them
-        return
-    level = float(np.median(sample_planes(volume, axis_frames(axis, fine[:50]), np.zeros((1, 2)))))
-    limit = 0.5 * (level + median_tissue_hu(volume))
-    reach = np.ceil(REST_REACH_MM / volume.spacing[:2]).astype(np.int64) + 1
-    areas, places = [], []
-    for k in slices:
-        middle = index[np.argmin(np.abs(index[:, 2] - k)), :2]
-        low = np.maximum(np.rint(middle).astype(np.int64) - reach, 0)
-        columns, rows = (slice(at, at + 2 * size + 1) for at, size in zip(low, reach, strict=True))
-        metal = volume.values[k, rows, columns] > limit
-        j, i = np.indices(metal.shape)
-        across, down = i + (low[0] - middle[0]), j + (low[1] - middle[1])
-        away = np.hypot(across * volume.spacing[0], down * volume.spacing[1])
-        beside = metal & (away > diameter) & (away < REST_REACH_MM)
-        areas.append([np.count_nonzero(metal & (away <= diameter)), np.count_nonzero(beside)])
-        places.append(float(away[beside].mean()) if beside.any() else 0.0)
-    on, off = np.array(areas).T / max(1.0, float(np.median([one[0] for one in areas[: len(areas) // 2]])))
-    jumps = (on[:-1] > 0.5) & (on[1:] < 0.3) & (off[:-1] < 0.1) & (off[1:] > 0.4) & (off[1:] < 2.0)
-    if jumps.any():
-        n = int(np.flatnonzero(jumps)[0])
-        raise refusal(f"""the needle ends at slice {slices[n]} (counted from 0), and {places[n + 1]:.1f} mm
-                beside it metal as thick goes on: table or specimen moved during the scan
-            expected: one needle that does not move
-            fix: scan again; or place the tip in 3D Slicer (--corrections)""")
-
-
-def _list_warnings(
-    volume: Volume, axis: AxisSpline, end: TipFit, recipe: ReconstructionRecord, beside: tuple[float, float]
-) -> Iterator[str]:
-    """Yield what contradicts the stated needle, that nothing moved, or that the end is free, `beside` it."""
-    if end.blunt:
-        yield (
-            f"the end may be blunt: that explains the scan better than {recipe.needle.bevel_deg:g} degrees, "
-            f"and lies {end.blunt:+.2f} mm from there: state needle.bevel_deg (90: blunt)"
-        )
-    if axis.slice_sds is not None:  # what follows looks at single sections
-        return
-    diameter = recipe.needle.diameter_mm
-    if misfit := _find_width_misfit(end):
-        yield (
-            f"the needle looks {'wider' if misfit > 0 else 'thinner'} than the {diameter:g} mm stated: "
-            "check needle.diameter_mm; a wrong one moves the tip by about half its error"
-        )
-    bevel = end.at - bevel_length(recipe.needle)
-    step = find_step(volume, axis, bevel, diameter, recipe.centerline.patch_width_mm)
-    # a tip that was placed too far lets the bevel be looked at as the shaft
-    if (
-        end.source != "hand"
-        and step is not None
-        and step[1] > MIN_STEP_MM
-        and step[1] > MIN_STEP_SD * step[2]
-    ):
-        yield (
-            f"between slices {step[0]} and {step[0] + 1} (counted from 0) the needle jumps by "
-            f"{step[1]:.2f} mm: table or specimen moved during the scan, and what lies beyond is shifted; "
-            "scan again"
-        )
-    elif beside[1] > MIN_WIDE_PART or beside[0] < MAX_DARK_PART:
-        bright = beside[1] > MIN_WIDE_PART
-        yield (
-            f"beside the tip it is {'brighter' if bright else 'darker'} than beside the shaft: "
-            f"{'a marker or other metal' if bright else 'air'} there moves the tip; look at it"
-        )
-
-
-def _find_width_misfit(end: TipFit) -> float:
-    """Return by which factor's logarithm the needle looks wider than stated; 0 where that is not clear."""
-    misfit, sd = np.subtract(end.width or (MEAN_WIDTH_MISFIT, 0.0), (MEAN_WIDTH_MISFIT, 0.0))
-    clear = any(abs(misfit) > max(least, count * sd) for least, count in MIN_WIDTH_MISFITS)
-    return float(misfit) if clear else 0.0
 
 
 def _project_tip(axis: AxisSpline, tip: Floats) -> tuple[float, float]:
@@ -322,7 +180,7 @@ def fit_rough_axis(volume: Volume, component: Component, recipe: ReconstructionR
     mass = np.bincount(piece, bright)
     moments = np.stack([np.bincount(piece, bright * axis) for axis in points.T], axis=1)
     pieces: Floats = moments[mass > 0] / mass[mass > 0, None]
-    return fit_axis(arc_length(pieces), pieces, np.ones(len(pieces)), 2 * recipe.centerline.knot_spacing_mm)
+    return fit_axis(arc_length(pieces), pieces, np.ones(len(pieces)), 2 * KNOT_MM)
 
 
 def refine_axis(
@@ -332,33 +190,25 @@ def refine_axis(
 
     The tip is where the axis ends, unless it is given, mm along it.
     """
-    rules = recipe.centerline
-    plane = disc_points(rules.patch_width_mm)
-    stop = max((axis.length if tip is None else tip) - heel, 8 * rules.station_spacing_mm)
+    plane = disc_points(PATCH_MM)
+    stop = max((axis.length if tip is None else tip) - heel, 8 * STATION_MM)
     for round_ in range(AXIS_FIT_ROUNDS):
-        s = np.arange(0.0, stop, rules.station_spacing_mm)
+        s = np.arange(0.0, stop, STATION_MM)
         values = sample_planes(volume, axis_frames(axis, s), plane)
         valid = np.isfinite(values).mean(axis=1) >= MIN_FRACTION_IN_VOLUME
-        if valid.sum() < MIN_SECTIONS:
-            raise _too_few_sections_error(int(valid.sum()))
-        where, values = axis_frames(axis, s[valid]), values[valid]
-        rough = found = find_centroids(values, plane, recipe.needle.diameter_mm)
-        if round_ > 0:
-            found = fit_sections(values, plane, fit_sections(values, plane, rough))
-        reach = recipe.needle.diameter_mm if round_ == 0 else recipe.needle.diameter_mm / 2
-        good = _find_usable_sections(found, reach)
+        where = axis_frames(axis, s[valid])
+        across, amplitude = find_centroids(values[valid], plane, recipe.needle.diameter_mm)
+        good = np.linalg.norm(across, axis=1) < recipe.needle.diameter_mm / (1 if round_ == 0 else 2)
+        good &= amplitude > MIN_RELATIVE_AMPLITUDE * np.median(amplitude) if len(amplitude) else False
         if good.sum() < MIN_SECTIONS:
-            raise _too_few_sections_error(int(good.sum()))
-        points = where.origins + found.shifts[:, :1] * where.u + found.shifts[:, 1:] * where.v
-        points = points[good]
+            raise refusal(f"""the needle shows in {good.sum()} cross-sections only
+                expected: {MIN_SECTIONS} or more
+                fix: check the mask, or scan more of the needle""")
+        points = (where.origins + across[:, :1] * where.u + across[:, 1:] * where.v)[good]
         s = arc_length(points)
-        noise = found.noise[good] / found.amplitude[good]
-        weights = 1 / (1 + (noise / np.median(noise)) ** 2)
-        weights /= weights.mean()
-        axis = fit_axis(s, points, weights, rules.knot_spacing_mm, s[-1] + heel)
+        axis = fit_axis(s, points, np.ones(len(s)), KNOT_MM, s[-1] + heel)
         stop = axis.length + 1e-6
-    good = _find_usable_sections(found, reach)
-    return replace(axis, shared_sd=estimate_shared_sd(rough, found, good, rules.station_spacing_mm))
+    return axis
 
 
 def orient_axis(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) -> AxisSpline:
@@ -399,21 +249,14 @@ def orient_axis(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) 
 def _reverse_axis(axis: AxisSpline, recipe: ReconstructionRecord) -> AxisSpline:
     """Return the rough axis from its other end."""
     s = axis.length - axis.s[::-1]
-    return fit_axis(s, axis.points[::-1], axis.weights[::-1], 2 * recipe.centerline.knot_spacing_mm)
-
-
-def _find_usable_sections(found: CrossSections, reach: float) -> NDArray[np.bool_]:
-    """Whether each section is bright enough, and within `reach` of where it was looked for, mm."""
-    shown: NDArray[np.bool_] = found.amplitude > MIN_RELATIVE_AMPLITUDE * np.median(found.amplitude)
-    shown &= np.linalg.norm(found.shifts, axis=1) < reach
-    return shown
+    return fit_axis(s, axis.points[::-1], axis.weights[::-1], 2 * KNOT_MM)
 
 
 def _sample_centerline(
     volume: Volume, axis: AxisSpline, end: TipFit, recipe: ReconstructionRecord
 ) -> Centerline:
     """Return the points every station from the first cross-section to the tip."""
-    count = int(np.ceil(end.at / recipe.centerline.station_spacing_mm)) + 1
+    count = int(np.ceil(end.at / STATION_MM)) + 1
     s = np.linspace(0.0, end.at, count)
     heel = bevel_length(recipe.needle) + BEVEL_MARGIN_MM
     swung = end.sd[1] * np.clip((s - end.at + heel) / heel, 0, 1)  # the rod alone holds the axis there
@@ -426,7 +269,7 @@ def _sample_centerline(
             axis.spline(s[[0, -1]]),
         )
         steep = float((last - first) @ volume.grid.normal) / float(np.linalg.norm(last - first))
-        left = recipe.centerline.knot_spacing_mm * steep / thick
+        left = KNOT_MM * steep / thick
         hidden = float(thick / np.sqrt(24) * thick / (thick + wide) / (1 + left**2)) * (thick > MIN_SLICE_MM)
         more = float(np.hypot(SYSTEMATIC_SD_MM, hidden))
     else:  # in the spline's own deviation already
@@ -440,7 +283,7 @@ def _sample_centerline(
         weights=axis.final_weights,
         knots=axis.spline.t,
         sigma=float(np.sqrt(axis.variance)),
-        shared_sd=float(np.hypot(axis.shared_sd, SYSTEMATIC_SD_MM)),
+        shared_sd=SYSTEMATIC_SD_MM,
         shared_along=np.sqrt(2) * hidden * volume.grid.normal,  # `hidden` is that in any one direction
     )
     return Centerline(
@@ -453,14 +296,9 @@ def _sample_centerline(
         end.bevel_probability,
         end.disagreement,
         end.source,
+        end.misfit,
         0.0 if axis.slice_sds is None else float(axis.slice_sds[1, -1]),
     )
-
-
-def _too_few_sections_error(count: int) -> DataError:
-    return refusal(f"""the needle shows in {count} cross-sections only
-        expected: {MIN_SECTIONS} or more
-        fix: check the mask or the thresholds, or lower centerline.station_spacing_mm""")
 
 
 def _soft_lengths(volume: Volume, axis: AxisSpline) -> tuple[float, float]:

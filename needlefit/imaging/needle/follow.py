@@ -10,7 +10,9 @@ from needlefit.arrays import Floats, Ints
 from needlefit.errors import located, refusal
 from needlefit.geometry.curves import arc_length
 from needlefit.imaging.needle.axis_spline import (
+    KNOT_MM,
     MIN_RELATIVE_AMPLITUDE,
+    PATCH_MM,
     AxisSpline,
     disc_points,
     find_centroids,
@@ -91,7 +93,7 @@ def follow_points(volume: Volume, points: Floats, recipe: ReconstructionRecord) 
     before = [*_extend(volume, places[::-1], level, recipe)]
     whole = np.array([*before[::-1], *places, *_extend(volume, places, level, recipe)])
     s = arc_length(whole)
-    return fit_axis(s, whole, np.ones(len(whole)), 2 * recipe.centerline.knot_spacing_mm)
+    return fit_axis(s, whole, np.ones(len(whole)), 2 * KNOT_MM)
 
 
 def select_rod(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) -> Component:
@@ -112,12 +114,12 @@ def _voxels(volume: Volume, points: Floats) -> Ints:
 def _look_across(volume: Volume, places: Floats, recipe: ReconstructionRecord) -> tuple[Floats, Floats]:
     """Return by how much the needle lies beside places (N, 3), mm, and its amplitude (N,), HU."""
     where = frames_along(places)
-    plane = disc_points(recipe.centerline.patch_width_mm)
+    plane = disc_points(PATCH_MM)
     values = sample_planes(volume, where, plane)
     inside = ~np.isnan(values.sum(axis=1))
-    found = find_centroids(np.nan_to_num(values), plane, recipe.needle.diameter_mm)
-    shifts = found.shifts[:, :1] * where.u + found.shifts[:, 1:] * where.v
-    return np.where(inside[:, None], shifts, 0.0), np.where(inside, found.amplitude, 0.0)
+    across, amplitude = find_centroids(np.nan_to_num(values), plane, recipe.needle.diameter_mm)
+    shifts = across[:, :1] * where.u + across[:, 1:] * where.v
+    return np.where(inside[:, None], shifts, 0.0), np.where(inside, amplitude, 0.0)
 
 
 def _extend(volume: Volume, places: Floats, level: float, recipe: ReconstructionRecord) -> Iterator[Floats]:

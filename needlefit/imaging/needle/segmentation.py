@@ -13,7 +13,7 @@ from needlefit.arrays import Floats, Ints
 from needlefit.errors import refusal
 from needlefit.imaging.bright_voxels import BrightVoxels, list_bright_voxels
 from needlefit.imaging.needle.axis_spline import AxisSpline
-from needlefit.imaging.volume import Volume, to_index, to_patient
+from needlefit.imaging.volume import Volume, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
 # Of a component whose box holds more, wide parts are looked for on every second, third, ... voxel: distances
@@ -64,17 +64,18 @@ MAX_AIR_HU = -500.0  # HU
 # A component with more of its voxels than this on the volume's faces is the corner of something larger.
 MAX_FACE_FRACTION = 0.15
 MIN_COMPONENT_VOXELS = 8  # smaller components are noise
-MIN_DISTINCT_CHECK = 100  # points of a component of which three must differ along it to fit a parabola
-NEAR_END_MM = 5.0  # length of the end of a piece that must lie on the curve which it goes on, mm
-# A needle is followed to levels that lie above the tissue by more than so many deviations of its noise.
-MIN_GROWTH_NOISE_SD = 4.0
+# A needle is at least so long, mm, and so many times as long as wide; its image is at most so many times as
+# wide as itself.
+MIN_LENGTH_MM = 20.0
+MIN_ELONGATION = 6.0
+MAX_WIDENING = 2.5
 MIN_GROWTH_MM = 3.0  # at a lower threshold a tube must become longer by so much to be taken from there, mm
-# Distance beyond the ends of a tube, and beside it, in which it is looked for at lower thresholds, mm.
-GROWTH_REACH_MM = 60.0  # mm, beyond the ends
-GROWTH_MARGIN_MM = 5.0  # mm, beside
-SEED_PART = 1 / 3  # part of a needle's least length and elongation that a piece has from which one is joined
 # A tube that becomes wider than that at a lower threshold takes in what surrounds it.
 MAX_GROWTH_WIDENING = 1.5
+SEED_PART = 1 / 3  # part of a needle's least length and elongation from which on pieces are joined to a part
+MAX_GAP_MM = 15.0  # gap across which pieces are joined, mm
+NEAR_END_MM = 5.0  # length of the end of a piece that must lie on the curve which it goes on, mm
+MIN_DISTINCT_CHECK = 100  # points of a component of which three must differ along it to fit a parabola
 
 
 @dataclass(frozen=True)
@@ -91,93 +92,97 @@ class Component:
 def find_tubes(
     volume: Volume, recipe: ReconstructionRecord, bright: BrightVoxels | None = None
 ) -> list[Component]:
-    """Return the components that may be the needle, each with the pieces that lie on its curve.
+    """Return the components that may be the needle, the longest first.
+
+    They are those of the first threshold that shows one, or of a lower one at which the longest is longer:
+    near a hub or in rays it is darker. Each has the pieces that lie on its curve, which rays, a holder or the
+    change from one slice to the next cut off.
 
     DataError if nothing is as bright as metal, or no component is a tube.
     """
-    levels = list_thresholds(volume, recipe)
-    for n, (low, high) in enumerate(levels):
+    found: list[Component] = []
+    for low, high in list_thresholds(volume, recipe):
         parts = cut_components(volume, find_components(volume, low, high, bright), recipe)
-        # a holder, or the change from one slice to the next, may leave short pieces only
-        left = [part for part in parts if is_tube(part, recipe, SEED_PART)]
-        left, joined = sorted(left, key=lambda part: part.length, reverse=True), list[Component]()
-        while left:  # without those that are pieces of a longer one
-            tube = _join_pieces(volume, left[0], [part for part in parts if part is not left[0]], recipe)
-            left = _drop_pieces(tube, left[1:])
+        parts.sort(key=lambda part: part.length, reverse=True)
+        left, joined = [part for part in parts if is_tube(part, recipe, SEED_PART)], list[Component]()
+        while left:
+            tube, own = _join_pieces(volume, left[0], parts, recipe)
+            left = [part for part in left if not any(part is one for one in own)]
             joined += [tube] if is_tube(tube, recipe) else []
-        if joined:
-            joined.sort(key=lambda part: part.length, reverse=True)
-            _, dense = _sample_dense(volume)
-            noise = 1.4826 * float(np.median(np.abs(dense - np.median(dense)))) if dense.size else 0.0
-            floor = median_tissue_hu(volume) + MIN_GROWTH_NOISE_SD * noise
-            lower = [low for low, _ in levels[n + 1 :] if low > floor]
-            grown = _grow_tube(volume, joined[0], lower, recipe)
-            return [grown, *_drop_pieces(grown, joined[1:])]
-    largest, rules = max(parts, key=lambda part: part.length), recipe.segmentation
-    width = rules.max_widening * recipe.needle.diameter_mm
+        joined.sort(key=lambda part: part.length, reverse=True)
+        if joined and (not found or _is_longer(volume, joined[0], found[0], recipe)):
+            found = joined
+    if found:
+        return found
+    largest, width = parts[0], MAX_WIDENING * recipe.needle.diameter_mm
     raise refusal(f"""no needle was found; the longest bright object is {largest.length:.1f} mm long,
             {largest.width:.1f} mm wide, {largest.bend:.1f} mm (RMS) off a
             parabola{", and cut by the edge of the scan" * (largest.on_face > 0)}
-        expected: {rules.min_length_mm:g} mm or longer, at most {width:.1f} mm wide, {width / 2:.1f} mm off
-        fix: give a scan with more of the needle and its tip; or set segmentation.min_length_mm,
-            needle.diameter_mm or the thresholds in a recipe (--recipe); or give its voxels, or points on it
-            (--mask)""")
+        expected: {MIN_LENGTH_MM:g} mm or longer, at most {width:.1f} mm wide, {width / 2:.1f} mm off
+        fix: give a scan with more of the needle and its tip; or set needle.diameter_mm in a recipe
+            (--recipe); or give the needle's voxels, or points on it (--mask)""")
 
 
-def _grow_tube(
-    volume: Volume, tube: Component, levels: Sequence[float], recipe: ReconstructionRecord
-) -> Component:
-    """Return the tube as far as lower levels (HU) show it: near a hub or in rays it is darker."""
-    points = to_patient(volume, tube.voxels)
-    center, axes = principal_axes(points)
-    along = (points - center) @ axes[0]
-    ends = center + np.outer([along.min() - GROWTH_REACH_MM, along.max() + GROWTH_REACH_MM], axes[0])
-    index = np.vstack([to_index(volume, ends), tube.voxels])
-    margin = GROWTH_MARGIN_MM / volume.spacing
-    size = np.array(volume.grid.size)
-    low = np.clip(np.floor(index.min(axis=0) - margin), 0, size).astype(np.int64)
-    high = np.clip(np.ceil(index.max(axis=0) + margin) + 1, 0, size).astype(np.int64)
-    box = tuple(slice(a, b) for a, b in zip(low[::-1], high[::-1], strict=True))
-    own = {tuple(voxel) for voxel in tube.voxels[:: max(1, len(tube.voxels) // 1000)].tolist()}
-    grown = tube
+def _is_longer(volume: Volume, tube: Component, before: Component, recipe: ReconstructionRecord) -> bool:
+    """Whether a tube is that of a higher threshold, `before`, and more of it, without what surrounds it."""
     # a needle that runs in a slice fills its thickness
-    filled = recipe.needle.diameter_mm * max(recipe.needle.diameter_mm, float(volume.spacing.max()))
-    expected = max(tube.width, np.sqrt(4 / np.pi * filled))
-    for level in levels:
-        found = [part[:, ::-1] + low for part in _list_parts(volume.values[box] > level)]
-        whole = [measure_component(volume, one) for one in found if len(one) >= MIN_COMPONENT_VOXELS]
-        parts = cut_components(volume, whole, recipe)
-        same = [part for part in parts if own & {tuple(voxel) for voxel in part.voxels.tolist()}]
-        longest = max(same, key=lambda part: part.length, default=tube)
-        longest = _join_pieces(volume, longest, [part for part in parts if part is not longest], recipe)
-        wide = longest.width > MAX_GROWTH_WIDENING * expected
-        if is_tube(longest, recipe) and not wide and longest.length > grown.length + MIN_GROWTH_MM:
-            grown = longest
-    return grown
+    diameter = recipe.needle.diameter_mm
+    filled = np.sqrt(4 / np.pi * diameter * max(diameter, float(volume.spacing.max())))
+    if tube.width > MAX_GROWTH_WIDENING * max(before.width, filled):
+        return False
+    own = {tuple(voxel) for voxel in tube.voxels.tolist()}
+    same = any(tuple(voxel) in own for voxel in before.voxels.tolist())
+    return same and tube.length > before.length + MIN_GROWTH_MM
+
+
+def _join_pieces(
+    volume: Volume, needle: Component, parts: Sequence[Component], recipe: ReconstructionRecord
+) -> tuple[Component, list[Component]]:
+    """Return a needle together with the parts that lie on its curve, and these."""
+    own = [needle]
+    while part := next((one for one in parts if _continues(volume, needle, one, own, recipe)), None):
+        own.append(part)
+        needle = measure_component(volume, np.concatenate([needle.voxels, part.voxels]))
+    return needle, own
+
+
+def _continues(
+    volume: Volume, needle: Component, part: Component, own: Sequence[Component], recipe: ReconstructionRecord
+) -> bool:
+    """Whether a thin part beyond a gap lies on the needle's parabola, and is none of its `own`."""
+    if any(part is one for one in own) or part.width > MAX_WIDENING * recipe.needle.diameter_mm:
+        return False
+    points = to_patient(volume, needle.voxels)
+    center, axes = principal_axes(points)
+    local, piece = ((some - center) @ axes.T for some in (points, to_patient(volume, part.voxels)))
+    low, high = local[:, 0].min(), local[:, 0].max()
+    gap = max(low - piece[:, 0].max(), piece[:, 0].min() - high)
+    if gap > MAX_GAP_MM or np.ptp(piece[:, 0]) < 2 * part.width:
+        return False
+    far = np.abs(piece[:, 0] - np.clip(piece[:, 0], low, high))
+    near = piece[far <= far.min() + NEAR_END_MM]  # farther off, a parabola that is drawn on says little
+    curve = fit_parabola(local[:, 0], local[:, 1:])
+    off = near[:, 1:] - np.stack([np.polyval(c, near[:, 0]) for c in curve.T], axis=1)
+    # a needle that crosses slices stands one beside the other
+    thick = recipe.needle.diameter_mm + float(volume.spacing.max()) / 2
+    return float(np.linalg.norm(off, axis=1).mean()) <= thick * (1 + max(gap, 0.0) / MIN_LENGTH_MM)
 
 
 def cut_components(
     volume: Volume, parts: Sequence[Component], recipe: ReconstructionRecord
 ) -> list[Component]:
     """Return the components with what is wider than a needle cut off those that are as long as one."""
-    rules = recipe.segmentation
     found = []
     for part in parts:
-        if part.length < rules.min_length_mm:
+        if part.length < MIN_LENGTH_MM:
             found.append(part)
             continue
-        pieces = cut_wide_parts(volume, part.voxels, rules.max_widening * recipe.needle.diameter_mm)
+        pieces = cut_wide_parts(volume, part.voxels, MAX_WIDENING * recipe.needle.diameter_mm)
         if len(pieces) == 1 and len(pieces[0]) == len(part.voxels):
             found.append(part)
         else:
             found += [measure_component(volume, one) for one in pieces if len(one) >= MIN_COMPONENT_VOXELS]
     return found
-
-
-def _drop_pieces(tube: Component, parts: Sequence[Component]) -> list[Component]:
-    """Return the components that are not pieces of a tube."""
-    own = {tuple(voxel) for voxel in tube.voxels.tolist()}
-    return [part for part in parts if tuple(part.voxels[0].tolist()) not in own]
 
 
 def list_thresholds(volume: Volume, recipe: ReconstructionRecord) -> list[tuple[float, float]]:
@@ -186,29 +191,20 @@ def list_thresholds(volume: Volume, recipe: ReconstructionRecord) -> list[tuple[
     Tissue is the median of what is not air; metal the level that as many voxels reach as the shortest
     needle fills.
     """
-    given = recipe.segmentation
-    if given.threshold_low_hu is not None and given.threshold_high_hu is not None:
-        return [(given.threshold_low_hu, given.threshold_high_hu)]
     tissue = median_tissue_hu(volume)
     bright = np.concatenate([s[s > tissue + MIN_METAL_CONTRAST_HU] for s in volume.values])
-    rod = np.pi / 4 * recipe.needle.diameter_mm**2 * recipe.segmentation.min_length_mm
+    rod = np.pi / 4 * recipe.needle.diameter_mm**2 * MIN_LENGTH_MM
     wanted = max(MIN_COMPONENT_VOXELS, int(rod / float(np.prod(volume.spacing)) / 2))
     if len(bright) < wanted:
         raise refusal(f"""{len(bright)} voxels stand out from tissue ({tissue:.0f} HU) by
                 {MIN_METAL_CONTRAST_HU:.0f} HU
             expected: the {wanted} and more of a metal needle
-            fix: check that the scan holds the needle and is in HU; or give both thresholds, or a mask""")
+            fix: check that the scan holds the needle and is in HU; or give a mask""")
     metal = float(np.partition(bright, -wanted)[-wanted])
-    pairs = []
     heights = [part * (metal - tissue) for part in THRESHOLD_FRACTIONS]
     # beside large balls on an extended scale a starved shaft is darker than these
     heights += [part * CLIPPED_HU for part in THRESHOLD_FRACTIONS if part * CLIPPED_HU < heights[-1]]
-    for height in heights:
-        low, high = tissue + height, tissue + 1.25 * height
-        low = low if given.threshold_low_hu is None else given.threshold_low_hu
-        high = high if given.threshold_high_hu is None else given.threshold_high_hu
-        pairs.append((min(low, high), high))
-    return pairs
+    return [(tissue + height, tissue + 1.25 * height) for height in heights]
 
 
 def find_components(
@@ -228,19 +224,17 @@ def find_components(
     if not parts:
         raise refusal(f"""no voxels exceed {high:.0f} HU
             expected: a needle brighter than that
-            fix: lower segmentation.threshold_high_hu, or give a mask
-            where: segmentation.threshold_high_hu""")
+            fix: give a mask""")
     return parts
 
 
 def is_tube(part: Component, recipe: ReconstructionRecord, share: float = 1.0) -> bool:
     """Return whether a component is long, thin and smooth enough to be the needle, or a `share` of it."""
-    rules, diameter = recipe.segmentation, recipe.needle.diameter_mm
+    width = MAX_WIDENING * recipe.needle.diameter_mm
     return (
-        part.length >= share * rules.min_length_mm
-        and part.length >= share * rules.min_elongation * part.width
-        and part.width <= rules.max_widening * diameter
-        and part.bend <= rules.max_widening * diameter / 2
+        part.length >= share * max(MIN_LENGTH_MM, MIN_ELONGATION * part.width)
+        and part.width <= width
+        and part.bend <= width / 2
         and part.on_face <= MAX_FACE_FRACTION
     )
 
@@ -276,47 +270,9 @@ def measure_component(volume: Volume, voxels: Ints) -> Component:
 
 def median_tissue_hu(volume: Volume) -> float:
     """Return the median of all voxels that are not air (HU), from every third voxel along each axis."""
-    some, dense = _sample_dense(volume)
-    return float(np.median(dense if dense.size > some.size / 100 else some))
-
-
-def _sample_dense(volume: Volume) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     some = volume.values[::3, ::3, ::3]
-    return some, some[some > MAX_AIR_HU]
-
-
-def _join_pieces(
-    volume: Volume, needle: Component, others: Sequence[Component], recipe: ReconstructionRecord
-) -> Component:
-    """Return the needle together with the pieces that lie on its curve, beyond gaps that rays have cut."""
-    waiting = [p for p in others if p.width <= recipe.segmentation.max_widening * recipe.needle.diameter_mm]
-    while part := next((one for one in waiting if _continues(volume, needle, one, recipe)), None):
-        needle = measure_component(volume, np.concatenate([needle.voxels, part.voxels]))
-        waiting = [p for p in waiting if p is not part]
-    return needle
-
-
-def _continues(volume: Volume, needle: Component, part: Component, recipe: ReconstructionRecord) -> bool:
-    """Whether a piece lies on the needle's parabola, points along it, and is near its end."""
-    points = to_patient(volume, needle.voxels)
-    center, axes = principal_axes(points)
-    local = (points - center) @ axes.T
-    piece = (to_patient(volume, part.voxels) - center) @ axes.T
-    gap = max(local[:, 0].min() - piece[:, 0].max(), piece[:, 0].min() - local[:, 0].max())
-    join_gap = recipe.segmentation.join_gap_mm
-    if gap > join_gap or np.ptp(piece[:, 0]) < 2 * part.width:
-        return False
-    curve = fit_parabola(local[:, 0], local[:, 1:])
-    far = np.abs(piece[:, 0] - np.clip(piece[:, 0], local[:, 0].min(), local[:, 0].max()))
-    near = piece[far <= far.min() + NEAR_END_MM]  # farther off, a parabola that is drawn on says little
-    off = near[:, 1:] - np.stack([np.polyval(c, near[:, 0]) for c in curve.T], axis=1)
-    # a needle that crosses slices stands one beside the other
-    thick = recipe.needle.diameter_mm + float(volume.spacing.max()) / 2
-    allowed = thick * (1 + max(gap, 0.0) / recipe.segmentation.min_length_mm)
-    if np.linalg.norm(off, axis=1).mean() > allowed:
-        return False
-    both = measure_component(volume, np.concatenate([needle.voxels, part.voxels]))
-    return both.bend <= max(needle.bend, recipe.segmentation.max_widening * recipe.needle.diameter_mm / 2)
+    dense = some[some > MAX_AIR_HU]
+    return float(np.median(dense if dense.size > some.size / 100 else some))
 
 
 # A tube of this part of the longest one's length and brightness may be a needle; the second: of all wanted.

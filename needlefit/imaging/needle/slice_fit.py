@@ -20,7 +20,7 @@ from needlefit.arrays import Bools, Floats
 from needlefit.errors import refusal
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.smoothing_spline import DEGREE, make_knots
-from needlefit.imaging.needle.axis_spline import AxisSpline, axis_sd, correlation_factor, fit_axis
+from needlefit.imaging.needle.axis_spline import KNOT_MM, AxisSpline, axis_sd, correlation_factor, fit_axis
 from needlefit.imaging.needle.hub import Hub, find_hub
 from needlefit.imaging.needle.rod_projection import COLUMN_MM, SENSITIVITY_AT, Rod
 from needlefit.imaging.needle.tip import MAX_BEVEL_DEG, MIN_BEVEL_PROBABILITY, TipFit
@@ -38,7 +38,7 @@ MAX_CROSSED = 2.0  # a spline averages over the slices if more are crossed betwe
 # Lines across the needle on which slices are sampled, their distance, and where its surroundings begin, mm.
 LINE_REACH_MM = 2.4  # mm
 LINE_STEP_MM = 0.4  # mm
-STATION_MM = 1.0  # mm, between lines along the needle
+LINE_STATION_MM = 1.0  # mm, between lines along the needle
 RIM_MM = 1.7  # mm
 # Stations whose trend leads on to the end, that far ahead; slices on either side; a dark gap that ends it.
 END_STATIONS = 12  # stations
@@ -101,8 +101,6 @@ MISSED_FACTOR = 1.3  # slices per relative error
 MAX_GOOD_ERROR = 0.4  # relative error of the image
 FLAT_FACTOR = 0.18  # of a slice
 POINT_MM = 0.04  # length of a bevel's point that is too thin to show, mm: the mean of 24 volumes
-MIN_BLUNT_GAIN = 15.0  # what is minimized is less by more where a blunt end is spoken of
-MIN_BLUNT_PART = 0.03  # and by more than this part: what the model misses changes with its end, too
 SHADOW_MM = 10.0  # mm, length of the axis that a hub hides
 HUB_WEIGHT = 5.0  # of a hub's middle in a first axis
 HUB_SDS = np.array([0.1, 0.3])  # deviations of a needle from its hub's middle, mm, and slices
@@ -118,7 +116,7 @@ def place_in_slices(
     None where the needle crosses many slices between two knots, or too little of it shows. DataError if it
     ends long before a threshold sees it end.
     """
-    needle, knot = recipe.needle, recipe.centerline.knot_spacing_mm
+    needle, knot = recipe.needle, KNOT_MM
     thick, normal = volume.grid.slice_distance, volume.grid.normal
     first, last = axis.spline(np.array([0.0, axis.length]))
     steepness = abs(float((last - first) @ normal)) / float(np.linalg.norm(last - first))
@@ -126,10 +124,10 @@ def place_in_slices(
     shown = thick <= (MIN_FLAT_SLICE_MM if flat else MIN_SLICE_MM)
     if shown or steepness * knot / thick >= MAX_CROSSED:
         return None
-    rough = axis.spline(np.arange(0.0, tip, STATION_MM))
+    rough = axis.spline(np.arange(0.0, tip, LINE_STATION_MM))
     points = _find_end(volume, rough)
     if len(points) < len(rough) - MAX_SHORT_STATIONS:
-        faint = (len(rough) - len(points)) * STATION_MM
+        faint = (len(rough) - len(points)) * LINE_STATION_MM
         raise refusal(f"""the needle grows faint {faint:.0f} mm before the end that a threshold sees: where it
                 ends does not show in such thick slices
             expected: a needle that slices show as far as its tip
@@ -182,17 +180,16 @@ def place_in_slices(
     probability = float(erf(np.pi / 2 / np.sqrt(2) / (ROLL_FACTOR * roll_sd))) if rolled else np.nan
     sided = probability >= MIN_BEVEL_PROBABILITY
     bevel = np.cos(roll) * frame[1] + np.sin(roll) * normal if sided else np.full(3, np.nan)
-    blunt = problem.end_bluntly(theta) if rolled else 0.0
-    return placed, TipFit(float(s[-1]), points[-1], sd, bevel, probability, 0.0, "model", blunt=blunt)
+    return placed, TipFit(float(s[-1]), points[-1], sd, bevel, probability, 0.0, "model", error)
 
 
 def _find_end(volume: Volume, points: Floats) -> Floats:
-    """Return points (N, 3) every `STATION_MM` along a needle, cut or led on to where a slice shows its end.
+    """Return points (N, 3) of a needle, `LINE_STATION_MM` apart, cut or led on to where slices show its end.
 
     A threshold may see it end where it passes from one slice to the next, which other metal darkens there.
     """
     count = len(points)
-    s = np.arange(-count, AHEAD_STATIONS) * STATION_MM
+    s = np.arange(-count, AHEAD_STATIONS) * LINE_STATION_MM
     recent = slice(max(0, count - END_STATIONS), count)
     trend = np.polynomial.polynomial.polyfit(s[recent], points[recent], 1)
     points = np.vstack([points, trend[0] + trend[1] * s[count:, None]])
@@ -229,7 +226,7 @@ def _make_problem(
     thick, radius = volume.grid.slice_distance, needle.diameter_mm / 2
     knots = make_knots(x[0], x[-1], KNOT_FACTOR * knot)
     basis = _basis(knots)
-    stations = np.arange(x[0], x[-1] + BEYOND_MM, STATION_MM)
+    stations = np.arange(x[0], x[-1] + BEYOND_MM, LINE_STATION_MM)
     at = _extend(basis, stations)
     # where the axis follows a staircase from slice to slice, its parabola does not
     places, weights = np.column_stack([x, y, z]), np.ones(len(x))
@@ -526,19 +523,6 @@ class _SliceProblem:
         factor *= correlation_factor(np.moveaxis(left, 2, 0).reshape(left.shape[2], -1), 3)
         covariance: Floats = np.asarray(np.linalg.inv(normal) * factor / CORRELATED, dtype=np.float64)
         return theta, covariance, self.error(image)
-
-    def end_bluntly(self, theta: Floats) -> float:
-        """Return how far ahead a blunt end lies that explains the slices better, mm; 0 where none does."""
-        steep, at = 2 * self.rod.radius / COLUMN_MM, 2 * len(self.start)
-        other = replace(self, rod=replace(self.rod, steep=steep), blunter=self.rod.radius / steep)
-        image, start = self.image(self.project(theta), theta), theta.copy()
-        start[at] -= self.rod.radius / self.rod.steep - self.blunter
-        scale, robust = self.scale(image), ROBUST_SD[1]
-        blunt, shown, _ = other.descend(start, scale, robust)
-        theta, image, _ = self.descend(theta, scale, robust)  # by as many steps: else the last one gains
-        cost = self.misfit(image, theta, scale, robust)
-        gain = cost - self.misfit(shown, blunt, scale, robust)
-        return float(blunt[at] - theta[at]) if gain > max(MIN_BLUNT_GAIN, MIN_BLUNT_PART * cost) else 0.0
 
     def scale(self, image: Floats) -> Floats:
         """Return the deviations of what slices show (K, S, U) that residuals of `image` show."""

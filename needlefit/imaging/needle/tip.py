@@ -9,7 +9,7 @@ sees it darker than its end, and a dark streak beyond: both are fitted.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import product
 from typing import Literal
@@ -158,7 +158,6 @@ BLOCK_LENGTH_MM = 2.0  # length of the blocks of voxels whose residuals go toget
 EDGE_SD_MM = 0.06  # what no voxel determines of the place along, mm: a scanner's edge is not the model's
 BLUNT_COTANGENT_SD = 1e-3  # deviation of the cotangent of a blunt end's angle
 DERIVATIVE_STEP = np.array(1e-3)  # relative step of the derivatives
-WIDTH_STEP = 0.04  # change of the radius' logarithm over which the image's derivative is taken
 MAX_BEVEL_DEG = 85.0  # a bevel steeper than this has no side
 # By which artefacts near the tip weaken what its image shows of the bevel, beyond the blocks' errors.
 ARTEFACT_FACTOR = 30.0
@@ -319,23 +318,8 @@ class TipProblem:
 
     def covariance(self, best: OptimizeResult) -> Floats:
         """Return the covariance (12, 12) of the parameters: each block of voxels is one observation."""
-        return self._sum_blocks(best.jac, best.fun)[0]
-
-    def width_misfit(self, best: OptimizeResult) -> tuple[float, float]:
-        """Return by which factor's logarithm the needle is wider than stated, to first order; its SD."""
-        rod, loss = self.rod, (1 + (best.fun / SOFT_LOSS_SD) ** 2) ** -0.75
-        self.rod = replace(rod, radius=rod.radius * float(np.exp(WIDTH_STEP)))
-        wider = loss * (self.residuals(best.x) - best.fun) / WIDTH_STEP
-        self.rod = rod
-        covariance, moved = self._sum_blocks(np.column_stack([best.jac, wider]), best.fun)
-        return float(moved[-1]), float(np.sqrt(covariance[-1, -1]))
-
-    def _sum_blocks(self, jacobian: Floats, residuals: Floats) -> tuple[Floats, Floats]:
-        """Return the covariance (P, P) of parameters, and their step (P,) to the least squares.
-
-        `jacobian` (N, P) of the `residuals` (N,), scaled by the loss, (1 + (f / SOFT)^2)^(-3/4).
-        """
-        count = len(self.near.s)
+        jacobian, residuals, count = best.jac, best.fun, len(self.near.s)
+        # least squares scale the jacobian by the loss, (1 + (f / SOFT)^2)^(-3/4)
         pulls = jacobian * (residuals * (1 + (residuals / SOFT_LOSS_SD) ** 2) ** 0.25)[:, None]
         piece = np.floor((self.near.s - self.near.s.min()) / BLOCK_LENGTH_MM).astype(np.int64)
         quadrant = 2 * (self.near.u > 0) + (self.near.v > 0)
@@ -346,7 +330,15 @@ class TipProblem:
         total = np.vstack([total, jacobian[count:]])
         normal = jacobian.T @ jacobian
         inverse = np.linalg.inv(normal + 1e-9 * np.diag(np.maximum(np.diag(normal), 1e-9)))
-        return inverse @ (total.T @ total) @ inverse, -inverse @ total.sum(axis=0)
+        return inverse @ (total.T @ total) @ inverse
+
+    def misfit(self, theta: Floats) -> float:
+        """Return how far the image around the end is from the model, in parts of its brightness."""
+        near = self.near
+        u, v = near.u - theta[U] * self.swing, near.v - theta[V] * self.swing
+        shown, inner = self.show(theta, near.s - theta[TIP], u, v), np.hypot(u, v) < 2 * self.radius
+        left, over = (shown - near.values)[inner], (shown - theta[LEVEL])[inner]
+        return float(np.linalg.norm(left) / np.linalg.norm(over))
 
     def bevel_probability(self, best: OptimizeResult, covariance: Floats) -> float:
         """Return the probability that the bevel's point lies on the fitted side, within 90 degrees."""
@@ -368,15 +360,6 @@ class TipProblem:
         likelihood = np.exp(min(costs) - np.array(costs))
         near = np.cos(turns) > 1e-9
         return float(likelihood[near].sum() / likelihood.sum())
-
-    def end_bluntly(self, best: OptimizeResult) -> tuple[float, float]:
-        """Return where a blunt end would lie, mm, and by how much its cost is less than that of `best`."""
-        at, start = HELD.index(COT), best.x.copy()
-        self.means[at], self.sds[at] = 0.0, BLUNT_COTANGENT_SD
-        self.bounds[0][COT], self.bounds[1][COT] = 0.0, MAX_PRIOR_SD * BLUNT_COTANGENT_SD
-        start[TIP] -= self.radius * start[COT]
-        blunt = self._minimize(start * (np.arange(len(start)) != COT), STEPS)
-        return float(blunt.x[TIP]), float(best.cost - blunt.cost)
 
     def threshold_disagreement(self, theta: Floats) -> float:
         """Return by how much a threshold, half way up to the shaft, sees the needle end later than the model.
@@ -446,9 +429,7 @@ class TipFit:
     disagreement: float
     # What the place along comes from: "model", "threshold" where the model is not to be trusted, or "hand".
     source: TipSource
-    # By which factor's logarithm the needle looks wider than stated, and its deviation; None: not tested.
-    width: tuple[float, float] | None = None
-    blunt: float = 0.0  # how far from there a blunt end lies that explains the scan better, mm; 0: none does
+    misfit: float = 0.0  # how far the image is from the model, in parts of its brightness
 
 
 def fit_tip(
@@ -501,12 +482,8 @@ def fit_tip(
     sided = probability >= MIN_BEVEL_PROBABILITY and source == "model"
     bevel = np.cos(roll) * u + np.sin(roll) * v if sided else np.full(3, np.nan)
     point = there.origins[0] + best.x[U] * u + best.x[V] * v
-    width, blunt = None if rough else problem.width_misfit(best), 0.0
-    if problem.rolled and not rough and source == "model":
-        other, gain = problem.end_bluntly(best)
-        blunt = (other - at) * (gain > MIN_BLUNT_GAIN)
-    sd = np.array([np.hypot(along, blunt), across])
-    return TipFit(at, point, sd, bevel, float(probability), away, source, width, blunt)
+    sd = np.array([along, across])
+    return TipFit(at, point, sd, bevel, float(probability), away, source, problem.misfit(best.x))
 
 
 # Deviation of the place along, in parts of the length of the needle that rays pass: they harden, and hide its
@@ -518,7 +495,6 @@ MIN_HIDDEN_PART = 0.25  # of the deviation
 HIDING_STREAK_HU = 1000.0  # HU
 ACROSS_ERROR_MM = 0.015  # mm
 ACROSS_ERROR_PER_MM = 0.001  # mm per mm
-MIN_BLUNT_GAIN = 5.0  # what is minimized is less by more where a blunt end is spoken of
 RESAMPLED_SD = 0.25  # deviation of the place along, in voxels, in a scan resampled after its values were cut
 DISAGREEMENT_SD = 0.5  # deviation of the place along, in parts of the disagreement with a threshold
 # Deviation along, and disagreement with a threshold, up to which the model's tip is taken, mm.

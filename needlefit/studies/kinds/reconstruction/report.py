@@ -183,7 +183,7 @@ def describe_scan(one: Reconstruction) -> Row:
         "entry_along_sd_mm": one.pose.along_sd,
         "entry_shift_sd_mm": one.pose.shift_sd,
         "entry_angle_sd_deg": np.degrees(one.pose.angle_sd),
-        "bending_plane_from": one.plane,
+        "bending_plane_from": "shape" if one.scan.bevel is None else "stated",
         "out_of_plane_rms_mm": np.sqrt(np.mean(off**2)),
         "out_of_plane_max_mm": np.abs(off).max(),
         "depth_mm": one.depth,
