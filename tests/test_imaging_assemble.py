@@ -147,7 +147,7 @@ def own_surface(profile):
         ),
         (
             lambda: replace(
-                changed_pose(),
+                changed_pose(angle_sd=0.005),
                 scan=replace(small().scan, bevel=np.array([0.0, 0.0, 1.0])),
                 frame=Frame(small().frame.origin, small().frame.rotation[:, [0, 2, 1]] * [1, 1, -1]),
             ),

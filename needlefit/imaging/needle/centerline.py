@@ -50,7 +50,7 @@ CLEAR_SOFT_RATIO = 2.0
 # needles alone at most 0.13, of one with a ball of 3 mm at its end 0.33.
 MAX_MISFIT = 0.3
 # Deviation that no scatter along the needle shows, mm: the pattern of the voxel grid, and rays along it.
-SYSTEMATIC_SD_MM = 0.008
+SYSTEMATIC_SD_MM = 0.005
 
 
 @dataclass(frozen=True)
