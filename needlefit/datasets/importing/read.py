@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from functools import cached_property
+from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
@@ -84,6 +85,11 @@ class MappedTable:
             fix: {self.name_edit(f"columns.{meaning}.column", near[0] if near else "1")}
             where: {self.table.path}""")
 
+    def list_columns(self, meaning: str) -> list[int]:
+        """Return the columns of a meaning; none where a value or a name stands in their place."""
+        record = self.record.columns[meaning]
+        return [self.find(meaning, name) for name in record.columns] if record.column else []
+
     def read_cells(self, meaning: str) -> list[list[str]]:
         """Return the texts of a meaning of each row: one of each column; none where it is not mapped."""
         return self._cells.get(meaning) or [[] for _ in self.table.rows]
@@ -97,7 +103,7 @@ class MappedTable:
 
     def _list_cells(self, meaning: str, record: MeaningRecord) -> Iterator[list[str]]:
         names = {"file": self.table.path.name.partition(".")[0], "sheet": self.table.name}
-        columns = [self.find(meaning, name) for name in record.columns] if record.column else []
+        columns = self.list_columns(meaning)
         missing, words = {*self.record.missing}, record.words
         for row in self.table.rows:
             texts = [row[m] for m in columns] or [names.get(record.source, str(record.value))]
@@ -226,28 +232,27 @@ def _read_surfaces(mapping: MappingRecord, paths: Sequence[Path]) -> list[Surfac
 
 
 def _read_points(one: MappedTable, left_out: list[str]) -> Iterator[ImportedCurve]:
-    """Yield the needles of a table of points, each with its rows in their order."""
-    if one.record.layout == "wide":
-        yield from _read_wide(one)
-        return
-    rows = defaultdict[str, list[int]](list)
-    names = _read_names(one)
+    """Yield the needles of a table of points, each with its points in their order."""
+    columns = one.record.columns
+    is_deflection = "deflection" in columns or "x" not in columns
+    axes: Sequence[str] = ("depth", "y", "z") if is_deflection else ("x", "y", "z")
+    axes = ("depth", "deflection", "deflection_z") if "deflection" in columns else axes
+    if lacking := [axis for axis in axes[:2] if axis not in columns]:
+        raise refusal(f"""nothing states {" and ".join(lacking)} of its points
+            expected: x and y; or depth and deflection
+            fix: {" ".join(one.name_edit(f"columns.{axis}.column") for axis in lacking)}
+            where: {one.table.path}""")
+    cells = {axis: one.read_cells(axis) for axis in axes if axis in columns}
+    rows = defaultdict[tuple[str, int], list[int]](list)
+    names, is_wide = _read_names(one), one.record.layout == "wide"
     for n in one.kept_rows:
-        rows[names[n]].append(n)
-    is_deflection = "deflection" in one.record.columns
-    axes = ("depth", "deflection", "deflection_z") if is_deflection else ("x", "y", "z")
-    cells = {axis: one.read_cells(axis) for axis in axes if axis in one.record.columns}
-    if "y" in one.record.columns and "x" not in one.record.columns:  # deflections beside a depth
-        cells, is_deflection = (
-            {"depth": one.read_cells("depth")} | {k: v for k, v in cells.items() if k != "x"},
-            True,
-        )
-    for name, own in rows.items():
-        kept, missing = _list_measured(one, own, cells)
+        rows[names[n], n * is_wide].append(n)
+    for (name, _), own in rows.items():
+        measured, missing = _list_measured(one, own, cells)
         if missing:
-            left_out.append(f"{len(missing)} of {name or one.table.name}")
-        if kept:
-            yield _make_curve(one, name, kept, cells, is_deflection)
+            left_out.append(f"{missing} of {name or one.table.name}")
+        if measured:
+            yield _make_curve(one, name, measured, tuple(cells), is_deflection)
 
 
 def _read_names(one: MappedTable) -> list[str]:
@@ -260,52 +265,59 @@ def _read_names(one: MappedTable) -> list[str]:
     return [match[1] if match else name for match, name in zip(matches, names, strict=True)]
 
 
+@dataclass(frozen=True)
+class _Reading:
+    """A point of a needle: its row, and its numbers in the order of the axes."""
+
+    row: int
+    values: Sequence[float]
+
+
 def _list_measured(
     one: MappedTable, rows: Sequence[int], cells: Mapping[str, list[list[str]]]
-) -> tuple[list[int], list[int]]:
-    """Return the rows whose coordinates were measured, and those that lack some of them."""
-    kept, missing = list[int](), list[int]()
+) -> tuple[list[_Reading], int]:
+    """Return the points whose coordinates were measured, and how many lack some of them."""
+    columns = [one.list_columns(axis) for axis in cells]
+    measured, missing = list[_Reading](), 0
     for n in rows:
-        texts = [cells[axis][n][0] for axis in cells]
-        raw = [one.table.rows[n][m] for axis in cells for m in _columns(one, axis)]
-        if all(texts):
-            kept.append(n)
-        elif any(text for text in raw if text):
-            if one.record.if_missing == "stop":
-                raise refusal(f"""a coordinate was not measured: {", ".join(raw)}
-                    expected: {", ".join(cells)} of each point
-                    fix: {one.name_edit("if_missing", "leave_out")}, or correct the row
-                    where: {one.table.places[n]}""")
-            missing.append(n)
-    return kept, missing
-
-
-def _columns(one: MappedTable, meaning: str) -> list[int]:
-    record = one.record.columns[meaning]
-    return [one.find(meaning, name) for name in record.columns] if record.column else []
+        for k, texts in enumerate(zip_longest(*(own[n] for own in cells.values()), fillvalue="")):
+            raw = [one.table.rows[n][own[k]] for own in columns if k < len(own)]
+            if all(texts):
+                numbers = [one.read_number(axis, n, text) for axis, text in zip(cells, texts, strict=True)]
+                measured.append(_Reading(n, numbers))
+            elif any(raw):
+                if one.record.if_missing == "stop":
+                    raise refusal(f"""a coordinate was not measured: {", ".join(raw)}
+                        expected: {", ".join(cells)} of each point
+                        fix: {one.name_edit("if_missing", "leave_out")}, or correct the row
+                        where: {one.table.places[n]}""")
+                missing += 1
+    return measured, missing
 
 
 def _make_curve(
-    one: MappedTable, name: str, rows: list[int], cells: Mapping[str, list[list[str]]], is_deflection: bool
+    one: MappedTable, name: str, points: Sequence[_Reading], axes: Sequence[str], is_deflection: bool
 ) -> ImportedCurve:
+    rows = [point.row for point in points]
     values = np.zeros((len(rows), 3))
-    for k, axis in enumerate(cells):
-        place = "xyz".index(axis) if axis in ("x", "y", "z") else k
-        values[:, place] = [one.read_number(axis, n, cells[axis][n][0]) for n in rows]
+    places = [axes.index(axis) if is_deflection else "xyz".index(axis) for axis in axes]
+    values[:, places] = [point.values for point in points]
     lines = None if one.table.lines is None else np.array([one.table.lines[n] for n in rows], dtype=np.int64)
-    points = Points(one.table.path, values, lines, _read_sds(one, rows))
     stated = read_facts(one, rows)
-    depths = np.empty(0)
-    if one.record.holds == "tracks" and "depth" in one.record.columns:
+    is_track = one.record.holds == "tracks" and "depth" in one.record.columns
+    depths = [one.read_number("depth", n, one.read_cells("depth")[n][0]) for n in rows] if is_track else []
+    if is_track or is_deflection:
         stated.pop("depth", None)
-        texts = one.read_cells("depth")
-        depths = np.array([one.read_number("depth", n, texts[n][0]) for n in rows])
-    curve = ImportedCurve(name, points, one.record.holds, stated, depths, is_deflection)
-    if is_deflection:
-        stated.pop("depth", None)
-    curve.is_named = bool(name)
-    curve.name = name or one.table.name
-    curve.guide = _read_guide(one, rows)
+    curve = ImportedCurve(
+        name or one.table.name,
+        Points(one.table.path, values, lines, _read_sds(one, rows)),
+        one.record.holds,
+        stated,
+        np.array(depths),
+        is_deflection,
+        _read_guide(one, rows),
+        is_named=bool(name),
+    )
     if curve.holds == "shapes" and len(rows) < 2:
         raise refusal(f"""{curve.name} has one point: it is a tip, and no shape
             expected: the points of each needle from the entry to the tip
@@ -338,23 +350,6 @@ def _read_guide(one: MappedTable, rows: Sequence[int]) -> Floats | None:
     first = 1 if numbers.shape[1] < 3 else 0
     places[:, first : first + numbers.shape[1]] = numbers
     return places
-
-
-def _read_wide(one: MappedTable) -> Iterator[ImportedCurve]:
-    """Yield the needles of a table each row of which holds all points of one."""
-    cells = {axis: one.read_cells(axis) for axis in "xyz" if axis in one.record.columns}
-    names = _read_names(one)
-    for n in range(len(one.table.rows)):
-        count = max((len([text for text in cells[axis][n] if text]) for axis in cells), default=0)
-        if not count:
-            continue
-        values = np.zeros((count, 3))
-        for axis, texts in cells.items():
-            values[:, "xyz".index(axis)] = [one.read_number(axis, n, text) for text in texts[n][:count]]
-        lines = None if one.table.lines is None else np.full(count, one.table.lines[n])
-        curve = ImportedCurve(names[n], Points(one.table.path, values, lines), "shapes", read_facts(one, [n]))
-        curve.is_named, curve.name = bool(names[n]), names[n] or one.table.name
-        yield curve
 
 
 # ---- facts
