@@ -29,7 +29,6 @@ class Points:
     # (N,); standard deviation of each point across the curve, mm; None where the file has none.
     sd: NDArray[np.float64] | None = None
     stated: Mapping[str, str] = field(default_factory=dict)  # fields of the file beside it, as text
-    axes: str = ""  # names of its coordinates in the file; empty where their order alone tells them apart
     unit: str = ""  # that names in the file state; empty where they do not
     # Fields of the file with a text for each point; a column may then tell several curves apart.
     columns: Mapping[str, Sequence[str]] = field(default_factory=dict)

@@ -71,7 +71,7 @@ def read_variables(arrays: Arrays, path: str) -> tuple[list[str], dict[str, dict
     reader, beside = FieldReader("variable"), dict[str, dict[str, Any]]()
     for curve in reader.find_curves("", variables):
         arrays[curve.name] = np.asarray(curve.values, np.float64)
-        beside[curve.name] = {key: getattr(curve, key) for key in ("stated", "axes", "unit", "columns")}
+        beside[curve.name] = {key: getattr(curve, key) for key in ("stated", "unit", "columns")}
     return list(variables), beside, reader.unused
 
 
