@@ -1,6 +1,7 @@
 """Options and arguments that several commands share: each has one name and one sentence everywhere."""
 
 import hashlib
+import math
 import re
 import shlex
 from collections.abc import Mapping, Sequence
@@ -159,6 +160,19 @@ def scene_record(name: str, depth: float | None, assignments: list[str]) -> tupl
 
     path = find_file("scene", name)
     return change_scene(read_toml(path), file_label(path), depth, assignments)
+
+
+def read_numbers(text: str, counts: tuple[int, int], option: str, expected: str) -> list[float]:
+    """Return the numbers of an option, mm; BadParameter if there are not as many."""
+    try:
+        found = [float(part) for part in text.split(",")]
+    except ValueError:
+        found = []
+    if len(found) not in counts or not all(math.isfinite(one) and abs(one) <= 1e4 for one in found):
+        raise typer.BadParameter(
+            f"`{text}`; expected {expected} in mm, numbers up to 10000", param_hint=option
+        )
+    return found
 
 
 def note_others(command: str, name: str) -> None:

@@ -11,7 +11,7 @@ import typer
 
 from needlefit.cli import exit_codes, options, screen
 from needlefit.cli.execution import require_no_faults
-from needlefit.cli.options import argument, option
+from needlefit.cli.options import argument, option, read_numbers
 from needlefit.project.folders import require_output_files
 
 if TYPE_CHECKING:
@@ -126,7 +126,7 @@ def _read_goal(
         aim, read = read_goal_points(markups, shown.find_placement(), obstacle_radius)
         known += read
     if target is not None:
-        x, y, *rest = _read_numbers(target, (2, 3), "--target", "X,Y or X,Y,Z")
+        x, y, *rest = read_numbers(target, (2, 3), "--target", "X,Y or X,Y,Z")
         aim = (x, y, rest[0] if rest else 0.0)
     if aim is None:
         raise typer.BadParameter(
@@ -134,24 +134,12 @@ def _read_goal(
         )
     names = name_obstacles([*(one.name for one in known), *([""] * len(obstacles))])
     for name, text in zip(names[len(known) :], obstacles, strict=True):
-        x, y, *rest, size = _read_numbers(text, (3, 4), "--obstacle", "X,Y,R or X,Y,Z,R")
+        x, y, *rest, size = read_numbers(text, (3, 4), "--obstacle", "X,Y,R or X,Y,Z,R")
         if size <= 0:
             raise typer.BadParameter(f"the radius is {size:g} mm; expected above 0", param_hint="--obstacle")
         centre = (x, y, rest[0] if rest else 0.0)
         known.append(ObstacleRecord(name=name, centre_mm=centre, radius_mm=size))
     return Goal(aim, radius, tuple(known))
-
-
-def _read_numbers(text: str, counts: tuple[int, int], option: str, expected: str) -> list[float]:
-    try:
-        found = [float(part) for part in text.split(",")]
-    except ValueError:
-        found = []
-    if len(found) not in counts or not all(math.isfinite(one) and abs(one) <= 1e4 for one in found):
-        raise typer.BadParameter(
-            f"`{text}`; expected {expected} in mm, numbers up to 10000", param_hint=option
-        )
-    return found
 
 
 def _summarize(

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from needlefit.cli import options, screen
+from needlefit.cli.before_data import predict_before_data
 from needlefit.cli.execution import StudyTask, begin, require_no_faults, run_studies, show_json_of, show_runs
 from needlefit.cli.options import (
     argument,
@@ -162,11 +163,29 @@ def validate(
 
 def predict(
     context: typer.Context,
-    target: options.Target,
+    target: Annotated[
+        str | None,
+        argument("TARGET", "A study, a fit, a path, or the folder of a run; none with --medium."),
+    ] = None,
     scene: Annotated[
         str | None,
         option("The planned insertion: a name or a path (default: as the deepest fitted one).", "SCENE"),
     ] = None,
+    medium: Annotated[
+        str | None,
+        option(
+            "Before any data: a tissue model, from whose priors is drawn, or media of the published moduli, "
+            "one for all layers or one for each: gelatine,liver.",
+            "FILE|NAMES",
+        ),
+    ] = None,
+    aim: Annotated[
+        str | None,
+        option("With --medium: target in the constraint frame, mm (default: median tip).", "X,Y[,Z]"),
+    ] = None,
+    radius: Annotated[
+        float, option("With --medium: distance from it that counts as a hit.", "MM", min=0.01)
+    ] = 2.0,
     specimen: options.Specimen = None,
     depth: options.Depth = None,
     set_: options.Changes = None,
@@ -188,7 +207,17 @@ def predict(
     agree with the fit. Repeats the verdict and failed checks of OUT/TARGET, prints the tip with its
     intervals, and writes shape and figure to OUT/predict-TARGET-SCENE/ (default: ./reports). With --depth,
     --set or --specimen the folder is named after these too: predict-study3-study3-depth_mm=60.
+
+    With --medium and no TARGET: the spread of the tip before any data, the chance of a hit, and which
+    parameter dominates.
     """
+    if medium is not None or target is None:
+        if medium is None or target is not None or scene is None:
+            raise typer.BadParameter("give a TARGET, or --medium with --scene", param_hint="TARGET")
+        planned = scene_record(scene, depth, set_ or [])
+        keys = [key for key, value in map(split_pair, set_ or []) if value]
+        predict_before_data(context, planned, keys, medium, aim, radius, seed or 1)
+        return
     with begin(context) as execution:
         from needlefit.inference.parameter_changes import load_changed_medium
         from needlefit.project.input_files import is_file
@@ -203,8 +232,8 @@ def predict(
         fit = load_target(target)
         target_name, fitted, inputs, file, run = fit
         with add_file_context(file):
-            medium = inputs.medium or load_changed_medium(fitted)[0]
-            like = describe_like_deepest(fitted, inputs, medium) if scene is None else None
+            fitted_medium = inputs.medium or load_changed_medium(fitted)[0]
+            like = describe_like_deepest(fitted, inputs, fitted_medium) if scene is None else None
         if like is not None:
             scene, table, source = like
             scene_name, planned = change_scene(table, scene, depth, set_ or [])
@@ -212,7 +241,8 @@ def predict(
             assert scene is not None
             scene_name, planned = scene_record(scene, depth, set_ or [])
             source = find_file("scene", scene)
-        make_scene(planned, scene_name, medium, [key for key, value in map(split_pair, set_ or []) if value])
+        keys = [key for key, value in map(split_pair, set_ or []) if value]
+        make_scene(planned, scene_name, fitted_medium, keys)
         require_file_name(Path(scene).stem, scene)
         about = f"{target_name.removesuffix('-tune')}-{Path(scene).stem}"
         name = f"predict-{about}{name_changes(depth, set_ or [], specimen)}"

@@ -1,0 +1,99 @@
+"""`needlefit predict --medium`: the tip of a planned insertion before any data, by priors alone."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import typer
+
+from needlefit.cli import screen
+from needlefit.cli.options import read_numbers
+
+if TYPE_CHECKING:
+    from needlefit.planning.prior_forecast import PriorForecast
+    from needlefit.schemas.scene import SceneRecord
+
+MIN_SHOWN_SHARE = 0.005  # of the tip's variance, from which on a parameter is listed
+
+
+def predict_before_data(
+    context: typer.Context,
+    scene: "tuple[str, SceneRecord]",
+    changed: Sequence[str],
+    medium: str,
+    aim: str | None,
+    radius: float,
+    seed: int,
+) -> None:
+    """Print where the tip of a scene will be by draws from the priors of a tissue model, or published moduli.
+
+    `scene`: what messages call it, and its keys, of which the user `changed` some.
+    """
+    from needlefit.planning.prior_forecast import describe_published, forecast_by_prior, list_published
+    from needlefit.project.toml import find_named, load
+    from needlefit.schemas.medium import MediumRecord
+    from needlefit.studies.kinds.prediction import make_scene
+
+    name, planned = scene
+    if published := list_published(medium):
+        model = describe_published(published, len(planned.layers), planned.rules.advance)
+    else:
+        model = load(find_named("medium", medium), MediumRecord)
+    target = None if aim is None else read_numbers(aim, (2, 3), "--aim", "X,Y or X,Y,Z")
+    found = forecast_by_prior(make_scene(planned, name, model, changed), model, radius, target, seed)
+    if context.find_root().obj.json:
+        sources = [one._asdict() for one in published]
+        screen.show_json({"scene": name, "medium": medium, **_summarize(found, radius), "sources": sources})
+        return
+    _show(found, radius, "median tip" if target is None else "target")
+    for one in published:
+        screen.print_text(f"{one.medium}: {one.quantity} {one.low:g} to {one.high:g} kPa ({one.source}).")
+    if published:
+        screen.print_text("A fitted μ may differ: it belongs to the model, not to the material alone.")
+
+
+def _summarize(found: "PriorForecast", radius: float) -> dict[str, object]:
+    ends = ("median", "low", "high")
+    return {
+        **{f"tip_{axis}_mm": dict(zip(ends, found.interval(n), strict=True)) for n, axis in enumerate("xyz")},
+        "target_mm": found.target.tolist(),
+        "radius_mm": radius,
+        "hits": found.hits,
+        "parameters": [
+            {"parameter": name, "low": found.priors[name][0], "high": found.priors[name][1], "share": share}
+            for name, share in found.shares.items()
+        ],
+        "draws": len(found.tips),
+        "failed": found.failed,
+        "outside_validity": found.outside,
+    }
+
+
+def _show(found: "PriorForecast", radius: float, aim: str) -> None:
+    """Print the tip, the chance of a hit, and the parameters that matter."""
+    import pandas as pd
+
+    from needlefit.reporting.number_format import format_bare_symbol, format_quantity_range
+
+    places = []
+    for axis, (median, low, high) in (("y", found.interval(1)), ("z", found.interval(2))):
+        if axis == "y" or high > low:
+            places.append(f"{axis} = {median:.2f} mm (95 % interval {low:.2f} to {high:.2f} mm)")
+    first, most = next(iter(found.shares.items()))
+    screen.print_text(
+        f"Before any data the tip is predicted at {', '.join(places)}. It ends within {radius:g} mm of the "
+        f"{aim} in {100 * found.hits:.0f} % of {len(found.tips)} draws. {format_bare_symbol(first)} "
+        f"dominates: {100 * most:.0f} % of the variance of the tip."
+    )
+    rows = [
+        {
+            "parameter": format_bare_symbol(name),
+            "95 % of its prior": format_quantity_range(name, *found.priors[name]),
+            "part of the variance": f"{100 * share:.0f} %",
+        }
+        for name, share in found.shares.items()
+        if share >= MIN_SHOWN_SHARE
+    ]
+    screen.show_frame(pd.DataFrame(rows), "")
+    if found.failed or found.outside:
+        outside = f"{found.outside} needles are outside what the model assumes"
+        screen.print_text(f"{found.failed} draws cannot be solved; {outside}.")

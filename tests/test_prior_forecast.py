@@ -1,0 +1,67 @@
+"""Predictions before any data: published moduli, priors of a tissue model, and the command."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from inference_cases import medium
+from refusals import refusal
+from test_cli import run
+
+from needlefit import open_scene
+from needlefit.errors import ConfigError
+from needlefit.mechanics.moduli import read_moduli
+from needlefit.planning.prior_forecast import describe_published, forecast_by_prior, list_published
+
+
+def test_published_moduli_are_shear_moduli_of_incompressible_solids():
+    moduli = read_moduli()
+    assert {"gelatine", "liver", "muscle", "prostate", "chicken"} <= set(moduli)
+    assert moduli["liver"].shear_pa == pytest.approx((900.0, 2600.0))
+    assert moduli["chicken"].shear_pa == pytest.approx((25e3, 35e3))
+    assert all(0 < one.low < one.high and one.source for one in moduli.values())
+
+
+def test_a_published_range_is_95_percent_of_the_prior():
+    (liver,) = list_published("Liver")
+    prior = describe_published([liver], 2, "tangent").parameters["mu2_pa"].prior
+    assert prior.median * prior.factor**1.96 == pytest.approx(2600.0)
+    assert prior.median / prior.factor**1.96 == pytest.approx(900.0)
+    assert list_published("liver,steel") == []
+    refusal(ConfigError, "2 media", lambda: describe_published([liver, liver], 3, "tangent"))
+
+
+def test_a_tip_in_proportion_to_b_spreads_as_b_does():
+    """Deflections of small needles are proportional to b, of which alone the prior is not exact."""
+    scene = open_scene("phantom1")
+    moduli = {f"mu{n}_pa": {"fixed": 1e5} for n in range(1, 5)}
+    model = medium(4, **moduli, bevel_mm={"bounds": [1e-4, 1.0], "prior": {"median": 0.01, "factor": 1.5}})
+    found = forecast_by_prior(scene, model, radius=1e-9)
+    median, low, high = found.interval(1)
+    assert high / median == pytest.approx(1.5**1.96, rel=0.1) and low < median
+    assert next(iter(found.shares)) == "bevel_mm" and found.shares["bevel_mm"] > 0.99
+    assert found.hits < 0.01 and found.failed == 0
+    assert forecast_by_prior(scene, model, 50.0, target=(scene.depth, 0.0)).hits == 1.0
+    assert forecast_by_prior(scene, model, np.inf).target == pytest.approx(np.median(found.tips, axis=0))
+    refusal(
+        ConfigError,
+        "4 layers",
+        lambda: forecast_by_prior(
+            scene, describe_published([*read_moduli().values()][:1], 1, "tangent"), 1.0
+        ),
+    )
+
+
+def test_the_command_predicts_before_data(capsys):
+    words = ("predict", "--scene", "phantom1", "--medium", "gelatine", "--aim", "52,0.4", "--json")
+    assert run(*words) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["target_mm"] == [52.0, 0.4, 0.0] and 0.0 < found["hits"] <= 1.0
+    assert found["tip_y_mm"]["low"] < found["tip_y_mm"]["median"] < found["tip_y_mm"]["high"]
+    assert math.isclose(sum(one["share"] for one in found["parameters"]), 1.0, abs_tol=0.1)
+    assert found["sources"][0]["medium"] == "gelatine"
+    assert run("predict", "--scene", "phantom1", "--medium", "gelatine") == 0
+    assert run("predict", "--scene", "phantom1") == 2
+    assert run("predict", "study1", "--scene", "study1", "--medium", "liver") == 2
+    assert run("predict", "--scene", "phantom1", "--medium", "nowhere") == 3
