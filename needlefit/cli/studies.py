@@ -214,9 +214,9 @@ def predict(
     if medium is not None or target is None:
         if medium is None or target is not None or scene is None:
             raise typer.BadParameter("give a TARGET, or --medium with --scene", param_hint="TARGET")
-        planned = scene_record(scene, depth, set_ or [])
         keys = [key for key, value in map(split_pair, set_ or []) if value]
-        predict_before_data(context, planned, keys, medium, aim, radius, seed or 1)
+        named_scene = scene_record(scene, depth, set_ or [])
+        predict_before_data(context, named_scene, keys, medium, aim, radius, seed or 1)
         return
     with begin(context) as execution:
         from needlefit.inference.parameter_changes import load_changed_medium
