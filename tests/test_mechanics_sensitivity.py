@@ -21,6 +21,7 @@ from needlefit.mechanics.batch import (
     Batch,
     Jacobians,
     compute_batch_positions,
+    differentiate_batch_positions,
     linearize,
     linearize_batches,
     linearize_steps,
@@ -30,7 +31,7 @@ from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, St
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice, make_lattice
 from needlefit.mechanics.shape import compute_positions
-from needlefit.mechanics.simulate import simulate
+from needlefit.mechanics.simulate import simulate, simulate_steps
 from needlefit.mechanics.tissue import Tissue
 
 PHANTOM = Tissue(mu=[0.2, 33, 0.2, 33], alpha=[1, -1, 1, -1], boundaries=[20, 28, 45])
@@ -145,3 +146,40 @@ def test_what_is_prepared_serves_other_sets() -> None:
         for i in range(3):
             assert_same_bits(one[i], expected[i])
     refusal(ModelError, "mu", first.with_sets, mu=other.mu)
+
+
+FIRST, MOVED = Controls(base_y=0.2), Controls(base_y=1.2, base_slope=0.01)
+PAST = (Step(20.3, Bevel(0.1), FIRST), Step(31.7, Bevel(0.1), MOVED))
+
+
+@pytest.mark.parametrize("rules", [ModelOptions(), ModelOptions(advance="path_angle")])
+def test_derivatives_from_now_on_are_differences_of_the_last_step_alone(rules: ModelOptions) -> None:
+    rules = replace(rules, first_cell=0.4, tolerance=1e-10)  # 31.7 mm lie within a cell
+    bevel, depth = (Bevel(cut_angle=0.05) if rules.path_angle else Bevel(0.1)), np.array([45.0])
+    past = tuple(replace(step, bevel=bevel) for step in PAST)
+
+    def batch(base_y: float = 0.0, base_slope: float = 0.0, roll: float = 0.0) -> Batch:
+        base = {"base_y": 1.2 + base_y, "base_slope": 0.01 + base_slope}
+        turned = replace(bevel, roll_deg=np.degrees(roll))
+        last = Step(45.0, turned, replace(MOVED, **base))
+        return Batch(
+            NEEDLE, PHANTOM, (*past, last), rules, mu=np.array([[0.2, 33, 0.2, 33], [0.4, 20, 0.3, 20]])
+        )
+
+    def tips(**moved: float) -> np.ndarray:
+        return compute_batch_positions(simulate_batches([batch(**moved)], 1)[0], depth)[:, 0]
+
+    names = ("base_y", "base_slope", "roll")
+    ((shapes, jacobians),) = linearize_batches([batch()], names, 1, past=2)
+    exact = differentiate_batch_positions(shapes, jacobians, depth)[:, 0]
+    differences = [(tips(**{name: 1e-4}) - tips(**{name: -1e-4})) / 2e-4 for name in names]
+    assert exact == pytest.approx(np.stack(differences, axis=-1), rel=1e-4, abs=1e-7)
+
+
+def test_a_gain_scales_the_moves_of_the_base_since_contact() -> None:
+    gains = np.array([0.75, 1.0])
+    (shapes,) = simulate_batches([Batch(NEEDLE, PHANTOM, PAST, gain=gains)], 1)
+    for gain, shape in zip(gains, shapes, strict=True):
+        moved = Controls(base_y=0.2 + gain, base_slope=gain * 0.01)
+        same = simulate_steps(NEEDLE, PHANTOM, (PAST[0], replace(PAST[1], controls=moved)))
+        assert shape.tip_lateral == pytest.approx(same.tip_lateral, abs=1e-9)

@@ -391,6 +391,7 @@ class ParameterDraws:
     mu: Floats  #: (B, n) of the n layers that it meets, MPa
     shape: Floats  #: (B, p, n) shape parameters of the law
     bevel: Floats  #: (B,) b, mm; of an advance by the path angle theta, rad
+    gain: Floats | None = None  #: (B,) of the base, as of `Batch`; None: 1
 
     def __len__(self) -> int:
         return len(self.bevel)
@@ -402,14 +403,16 @@ class ParameterDraws:
         return cls(tissue.mu[None], tissue.shape[None], np.array([strength]))
 
     def only(self, rows: Ints) -> Self:
-        return replace(self, mu=self.mu[rows], shape=self.shape[rows], bevel=self.bevel[rows])
+        gain = None if self.gain is None else self.gain[rows]
+        return replace(self, mu=self.mu[rows], shape=self.shape[rows], bevel=self.bevel[rows], gain=gain)
 
     def make_batch(
         self, needle: Needle, tissue: Tissue, steps: tuple[Step, ...], rules: ModelOptions
     ) -> Batch:
         """Return the insertion of every draw, with its moduli, shape parameters and bevels."""
         name = "cut_angle" if rules.path_angle else "offset"
-        return Batch(needle, tissue, steps, rules, mu=self.mu, shape=self.shape, **{name: self.bevel})
+        given = {"mu": self.mu, "shape": self.shape, "gain": self.gain, name: self.bevel}
+        return Batch(needle, tissue, steps, rules, **given)
 
 
 def select_layer_draws(

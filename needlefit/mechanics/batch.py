@@ -77,9 +77,11 @@ class Batch:
     base_z: Floats | None = None
     base_slope_z: Floats | None = None
     roll: Floats | None = None  #: (B,) rad, added to the roll of every bevel
+    #: (B,) the share of each move of the base since first contact that the needle follows
+    gain: Floats | None = None
     guide_x: Floats | None = None  #: (B,) where the one guide before the tissue stands, mm; there must be one
-    #: the insertion as the kernel reads it, by kinds of derivatives; filled when it is first used
-    prepared: dict[tuple[str, ...] | None, PreparedInsertion] = field(
+    #: the insertion as the kernel reads it, by kinds of derivatives and steps past; filled at first use
+    prepared: dict[tuple[tuple[str, ...] | None, int], PreparedInsertion] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
 
@@ -141,7 +143,7 @@ class Batch:
         return self.with_sets(**{name: array[sets] for name, array in given.items() if array is not None})
 
     def vary_inputs(self, i: int) -> tuple[Needle, tuple[Step, ...]]:
-        """Return needle and steps with the parameters of set i, but for the roll."""
+        """Return needle and steps with the parameters of set i, but for the roll and the gain."""
 
         def choose(name: str, default: float) -> float:
             values = getattr(self, name)
@@ -424,7 +426,12 @@ def simulate_batches(batches: Sequence[Batch], threads: int | None = None) -> tu
 
 
 def linearize_batches(
-    batches: Sequence[Batch], wrt: Sequence[str], threads: int | None = None, *, tracked: bool = True
+    batches: Sequence[Batch],
+    wrt: Sequence[str],
+    threads: int | None = None,
+    *,
+    tracked: bool = True,
+    past: int = 0,
 ) -> tuple[tuple[NeedleShapes, Jacobians], ...]:
     """Simulate as `simulate_batches` does, and differentiate every shape.
 
@@ -436,13 +443,17 @@ def linearize_batches(
         Kinds of parameters, as `linearize` takes them.
     tracked : bool
         Whether `tip_track` is asked for; without it, derivatives take less time.
+    past : int
+        How many steps of each insertion are over: derivatives by bevel, base and guides are those by the
+        inputs that are stated anew behind them, which begin another cut. With a gain, they are those by what
+        arrives at the needle.
 
     Returns
     -------
     tuple of (NeedleShapes, Jacobians)
         Solved to `MAX_TOLERANCE_MM` at least; what a set gives is what `linearize_steps` gives.
     """
-    pairs = _run(batches, tuple(wrt), threads, tracked)
+    pairs = _run(batches, tuple(wrt), threads, tracked, past)
     return tuple((shapes, read_jacobians(one, shapes.converged)) for one, shapes in pairs)
 
 
@@ -495,32 +506,36 @@ def _join(parts: Sequence[tuple[np.ndarray, ...]]) -> tuple[np.ndarray, ...]:
 
 
 def _run(
-    batches: Sequence[Batch], wrt: tuple[str, ...] | None, threads: int | None, tracked: bool = False
+    batches: Sequence[Batch],
+    wrt: tuple[str, ...] | None,
+    threads: int | None,
+    tracked: bool = False,
+    past: int = 0,
 ) -> list[tuple[Evaluation, NeedleShapes]]:
     require_type("batches", batches, Sequence)
     for batch in batches:
         require_type("a batch", batch, Batch)
-    evaluations = [_evaluate(batch, wrt, tracked) for batch in batches]
+    evaluations = [_evaluate(batch, wrt, tracked, past) for batch in batches]
     run_evaluations(evaluations, threads or count_cores())
     return [(one, _read_shapes(batch, one)) for batch, one in zip(batches, evaluations, strict=True)]
 
 
-def _evaluate(batch: Batch, wrt: tuple[str, ...] | None, tracked: bool) -> Evaluation:
+def _evaluate(batch: Batch, wrt: tuple[str, ...] | None, tracked: bool, past: int = 0) -> Evaluation:
     """Return the sets of a batch, of an insertion that is prepared once for all batches of `with_sets`."""
     values = {name: getattr(batch, name) for name in VARYING_FIELDS if getattr(batch, name) is not None}
     place = max(step.depth for step in batch.steps) - batch.needle.length if "guide_x" in values else 0.0
     valid = _find_valid(batch, values, place)
-    if wrt not in batch.prepared:
+    if (wrt, past) not in batch.prepared:
         # depths and controls are alike in all valid sets: so one of them is used for all
         steps = batch.vary_inputs(int(np.argmax(valid)))[1] if valid.any() else batch.steps
         if wrt is not None and "rigidity" in wrt:
             require_roll_of_one_rigidity(batch.tissue, steps)
         steps = turn_tip(batch.needle, batch.tissue, steps)
         columns = None if wrt is None else find_columns(wrt, batch.tissue, steps, batch.rules, values)
-        batch.prepared[wrt] = PreparedInsertion(
-            batch.needle, batch.tissue, steps, batch.rules, columns=columns
+        batch.prepared[wrt, past] = PreparedInsertion(
+            batch.needle, batch.tissue, steps, batch.rules, columns=columns, past=past
         )
-    insertion = batch.prepared[wrt]
+    insertion = batch.prepared[wrt, past]
     if not valid.any():  # numbers that a needle may have, in place of what is none
         step = batch.steps[0]
         own = {name: getattr(step.controls, name) for name in BASE_VALUES} | {
@@ -528,6 +543,7 @@ def _evaluate(batch: Batch, wrt: tuple[str, ...] | None, tracked: bool) -> Evalu
             "offset": step.bevel.offset,
             "cut_angle": step.bevel.cut_angle,
             "roll": 0.0,
+            "gain": 1.0,
             "guide_x": step.controls.guides[0].x if "guide_x" in values else 0.0,
             "mu": batch.tissue.mu,
             "shape": batch.tissue.shape,

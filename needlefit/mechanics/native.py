@@ -37,7 +37,7 @@ SERIES_TERMS, SERIES_TOLERANCE, MAX_SERIES_COMPRESSION = 6, 1e-10, 0.2
 MAX_SHAPES = 16  #: most shape parameters of a law
 
 CONVERGED, NON_FINITE = 0, 3
-PERMANENT, STARTS_RAY, EXTRAPOLATES = 1, 2, 4
+PERMANENT, STARTS_RAY, EXTRAPOLATES, PAST = 1, 2, 4, 8
 STOP = np.dtype(
     [("tip", "f8"), ("cell", "i8"), ("ray", "i8"), ("bevel", "i8"), ("inputs", "i8"), ("flags", "i8")]
 )  #: a stop of the tip; `flags` is a sum of the three above

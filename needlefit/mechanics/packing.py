@@ -166,32 +166,38 @@ class PackedStops(NamedTuple):
 
 
 def pack_insertion(
-    steps: Sequence[Step], length: float, rules: ModelOptions, lattice: Lattice | None = None
+    steps: Sequence[Step],
+    length: float,
+    rules: ModelOptions,
+    lattice: Lattice | None = None,
+    past: int = 0,
 ) -> tuple[Lattice, PackedStops]:
     """Return the lattice of constraint points, by default the usual one, and the stops of a needle (mm long).
+
+    Those of the first `past` steps are marked.
 
     Raises ModelError if there are no steps, they are too many or too deep, or the needle is too short for one
     of them.
     """
-    moves = make_moves(steps, length)
+    moves = make_moves(steps, length, past)
     check_size(tuple(step.depth for step in steps), rules)
     lattice = lattice or make_lattice(steps, rules)
-    return lattice, _pack_moves(moves, lattice)
+    return lattice, _pack_moves(moves, lattice, past)
 
 
 @lru_cache(maxsize=512)  # a fit asks for the same insertions over and over
-def _pack_moves(moves: tuple[Move, ...], lattice: Lattice) -> PackedStops:
-    return pack_stops(make_stops(moves, lattice))
+def _pack_moves(moves: tuple[Move, ...], lattice: Lattice, past: int) -> PackedStops:
+    return pack_stops(make_stops(moves, lattice), len(make_stops(moves[:past], lattice)) if past else 0)
 
 
-def pack_stops(stops: Sequence[TipStop]) -> PackedStops:
-    """Return stops in the form that the kernel reads."""
+def pack_stops(stops: Sequence[TipStop], past: int = 0) -> PackedStops:
+    """Return stops in the form that the kernel reads; the first `past` are marked."""
     bevels = tuple(dict.fromkeys(stop.bevel_id for stop in stops))
     controls = tuple(dict.fromkeys(stop.controls_id for stop in stops))
     packed = np.empty(len(stops), native.STOP)
     for n, stop in enumerate(stops):
         flags = native.PERMANENT * stop.permanent + native.STARTS_RAY * stop.starts_ray
-        flags += native.EXTRAPOLATES * stop.extrapolates
+        flags += native.EXTRAPOLATES * stop.extrapolates + native.PAST * (n < past)
         places = bevels.index(stop.bevel_id), controls.index(stop.controls_id)
         packed[n] = stop.tip, stop.cell, stop.ray, *places, flags
     packed.flags.writeable = False  # kept for the next insertion of the same steps
@@ -296,6 +302,8 @@ def pack_sets(
         for name, (plane, place) in BASE_VALUES.items():
             if name in values:
                 base[i, :, plane, place] = values[name]
+        if "gain" in values:
+            base[i] += (values["gain"] - 1)[:, None, None] * (base[i] - base[0])
     of_layers, of_sets = pack_layers(tissue, sets, values)
     rigidity = values.get("rigidity")
     of_sets |= {
@@ -376,7 +384,8 @@ class PreparedInsertion:
 
     Its steps have the roll of the tip.
     By default the constraint points of the lattice lie so that the last step ends on one. With columns of
-    derivatives it is solved to `MAX_TOLERANCE_MM` at least.
+    derivatives it is solved to `MAX_TOLERANCE_MM` at least; those by the inputs are by the inputs behind the
+    first `past` steps.
 
     Raises ModelError if there are no steps, or the needle is too short for one of them.
     """
@@ -389,11 +398,12 @@ class PreparedInsertion:
         rules: ModelOptions,
         lattice: Lattice | None = None,
         columns: Columns | None = None,
+        past: int = 0,
     ) -> None:
         if columns is not None:
             rules = replace(rules, tolerance=min(rules.tolerance, MAX_TOLERANCE_MM))
         self.needle, self.tissue, self.steps, self.rules, self.columns = needle, tissue, steps, rules, columns
-        self.lattice, self._packed = pack_insertion(steps, needle.length, rules, lattice)
+        self.lattice, self._packed = pack_insertion(steps, needle.length, rules, lattice, past)
         self.points, self._inputs = self._packed.last.cell + 1, self._packed.list_inputs(steps)
         self.depth = self._packed.last.tip
         # about: it orders insertions by their cost

@@ -133,11 +133,11 @@ class Lattice:
         return 1 + max(0, math.ceil((depth - self.first_cell - SAME_DEPTH_MM) / self.spacing))
 
 
-def make_moves(steps: Sequence[Step], length: float) -> tuple[Move, ...]:
+def make_moves(steps: Sequence[Step], length: float, past: int = 0) -> tuple[Move, ...]:
     """Return the steps as moves, after a check that the needle of `length` (mm) is long enough for each.
 
     Their `bevel_id` and `controls_id` are numbers: of the first step with that bevel, and with those
-    controls.
+    controls. Inputs behind the first `past` steps count as changed.
 
     Raises ModelError if there are no steps, or the needle is too short for one of them.
     """
@@ -145,11 +145,14 @@ def make_moves(steps: Sequence[Step], length: float) -> tuple[Move, ...]:
         raise ModelError("an insertion without steps", expected="one step at least")
     bevels: dict[Bevel, int] = {}
     controls: dict[Controls, int] = {}
+    moves: list[Move] = []
     for n, step in enumerate(steps):
         check_reach(length, step.depth, step.controls)
-        bevels.setdefault(step.bevel, n)
-        controls.setdefault(step.controls, n)
-    return tuple(Move(step.depth, bevels[step.bevel], controls[step.controls]) for step in steps)
+        if n == past:
+            bevels, controls = {}, {}
+        numbers = bevels.setdefault(step.bevel, n), controls.setdefault(step.controls, n)
+        moves.append(Move(step.depth, *numbers))
+    return tuple(moves)
 
 
 @lru_cache(maxsize=512)  # a fit asks for the same insertions over and over

@@ -50,6 +50,7 @@ struct Derivatives {
     };
     Entry* entries;  // right-hand sides that touch few nodes
     Index entry_count;
+    Index past_rays;  // that were begun by bevels which are not differentiated
     bool joined;  // in place of the tip's deflection and slope the next constraint point is followed
 
     explicit Derivatives(Insertion<Vector>& given) : needle(given), problem(given.problem), columns(problem.columns) {}
@@ -76,6 +77,7 @@ struct Derivatives {
     // constraint point has a ray of its own.
     void begin(bool tracked) {
         Index cells = problem.cells() + 1, shapes = problem.shapes;
+        past_rays = 0;
         joined = P == 2 && !tracked && problem.part != LINEAR_CUT;
         for (Index s = 0; s < problem.stop_count; s++)
             if (problem.stops[s].cell > 0 && !(problem.stops[s].flags & STARTS_RAY)) joined = false;
@@ -145,6 +147,7 @@ struct Derivatives {
 
     // c_m = y + (x_m - x)(slope + turn), differentiated.
     void place_constraint(const Stop& stop) {
+        if (stop.flags & PAST) past_rays = stop.cell > 0 ? stop.ray + 1 : 0;
         bool path_angle = problem.part == LINEAR_CUT;
         Vector* ray = rays + stop.ray * 2 * columns;
         if (stop.flags & STARTS_RAY)
@@ -159,6 +162,7 @@ struct Derivatives {
         double ahead = stop.tip - get_lane(needle.rays[stop.ray].start, 0);
         Vector* found = constraints + stop.cell * columns;
         for (Index p = 0; p < columns; p++) found[p] = ray[p] + ahead * ray[columns + p];
+        if (stop.ray < past_rays) return;
         if (column(BEVEL) >= 0)
             found[column(BEVEL)] += ahead * needle.gather_vector(problem.turn_by + stop.bevel * problem.sets * P, P, 1);
         if constexpr (P == 2)
@@ -221,6 +225,13 @@ struct Derivatives {
     // List the right-hand sides of base, guides and boundaries.
     void list_entries(const Stop& stop) {
         entry_count = 0;
+        if (!(stop.flags & PAST)) list_inputs(stop);
+        if (column(BOUNDARY) >= 0)
+            for (Index b = 0; b < problem.layers - 1; b++)
+                if (0.0 <= problem.boundaries[b] && problem.boundaries[b] < stop.tip)
+                    move_boundary(b, problem.boundaries[b], column(BOUNDARY) + b);
+    }
+    void list_inputs(const Stop& stop) {
         Real one = all_lanes<Real>(1.0);
         add_entry(0, 0, column(BASE_Y), one);
         add_entry(0, 0, column(STAGE_SLOPE), all_lanes<Real>(stop.tip));
@@ -245,10 +256,6 @@ struct Derivatives {
                     add_entry(node, P * component + plane, own[1 + 2 * plane + component], one);
             if (own[0] >= 0) move_node(node, own[0]);
         }
-        if (column(BOUNDARY) >= 0)
-            for (Index b = 0; b < problem.layers - 1; b++)
-                if (0.0 <= problem.boundaries[b] && problem.boundaries[b] < stop.tip)
-                    move_boundary(b, problem.boundaries[b], column(BOUNDARY) + b);
     }
 
     // List a load on the residual, on nodes from `node` on; what is prescribed has no equation that it could enter.

@@ -14,7 +14,8 @@ struct Stop {
     double tip;
     Index cell, ray, bevel, inputs, flags;
 };
-enum StopFlags : Index { PERMANENT = 1, STARTS_RAY = 2, EXTRAPOLATES = 4 };
+// PAST: derivatives by base, guides and bevel are those of later stops alone.
+enum StopFlags : Index { PERMANENT = 1, STARTS_RAY = 2, EXTRAPOLATES = 4, PAST = 8 };
 
 // An insertion and its parameter sets, as Python hands them over. Arrays are in C order; S is `sets`.
 struct Problem {
