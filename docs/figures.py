@@ -27,7 +27,7 @@ from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import NeedleState
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate_steps
-from needlefit.planning.recording import RecordedStep, RecordingWriter, make_head
+from needlefit.planning.recording import RecordedStep, Recording, make_head, write_recording
 from needlefit.planning.steered_needle import Change, SteeredNeedle
 from needlefit.project.locate import find_file
 from needlefit.project.toml import load
@@ -222,11 +222,10 @@ def record(path: Path) -> tuple[Scene, list[NeedleState]]:
 
     Return its scene, and the needle at first contact and after every step.
     """
-    path.unlink(missing_ok=True)
     scene = load(find_file("scene", "figure1"), SceneRecord)
     scene = scene.model_copy(update={"title": TITLE})
     steering = SteeredNeedle(Scene.from_record(scene), 1.0)
-    writer = RecordingWriter(path, make_head("figure1", 1.0, scene))
+    steps = []
     states = [steering.now]
     number, begin, depth, base = 0, 0.0, 0.0, 0.0
     for seconds, end, settings in LEGS:
@@ -240,8 +239,9 @@ def record(path: Path) -> tuple[Scene, list[NeedleState]]:
             first, number = [], number + 1
             states.append(steering.apply(changes))
             time = round(begin + part * seconds, 3)
-            writer.write(RecordedStep(number, time, tuple(changes), steering.now.shape.tip_lateral))
+            steps.append(RecordedStep(number, time, tuple(changes), steering.now.shape.tip_lateral))
         begin, depth, base = begin + seconds, end, target_base
+    write_recording(Recording(make_head("figure1", 1.0, scene), tuple(steps)), path)
     return steering.scene, states
 
 

@@ -1,17 +1,16 @@
 """Take the pictures of the page in docs/figures: start_view.png and view*.png.
 
-    python docs/view_pictures.py
+    python docs/view_pictures.py [NAME ...]
 
-Opens pages in the installed Chromium (Playwright): of twin/phantom2-05 at a depth of 34 mm, and of the scene
-phantom2_fitted at 15 mm, with a target, an obstacle and the plan, and with b and mu on their ridge.
-start_view.png is of the run that the commands of start.md make.
+Opens pages in the installed Chromium (Playwright): of twin/phantom2-05, of a plan, and of the scene
+phantom2_fitted with b and mu on their ridge. start_view.png is of the run that the commands of start.md make.
 """
 
 import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -19,112 +18,70 @@ import transcripts
 from playwright.sync_api import Page, sync_playwright
 
 FIGURES = Path(__file__).parent / "figures"
-GOAL = "{ target: [46, -1], radius: 0.8, obstacles: [[30, -1.4, 0.4]] }"
+PLAN = ("plan", "phantom2_fitted", "--target", "46,-1", "--radius", "0.8", "--obstacle", "30,-1.4,0.4")
 SIZE = {"width": 1280, "height": 900}
 
 
-def wait(page: Page, condition: str) -> None:
-    """Wait until a function of the page's state holds."""
-    while not page.evaluate(f"({condition})(window.needlefit?.state)"):
-        page.wait_for_timeout(50)
-
-
-def insert(page: Page, depth: float) -> None:
-    """Insert to a depth, mm, and leave the fields as a new page has them."""
-    page.fill("#speed", "1000")
-    page.fill("#goto-depth", str(depth))
-    page.press("#goto-depth", "Enter")
-    wait(page, f"state => Math.abs(state.depth_mm - {depth}) < 1e-6 && !state.moving")
-    page.fill("#speed", "10")
-
-
-def save(page: Page, name: str, shown: str | None = None) -> None:
-    """Save the picture, a part of the panel scrolled into view."""
-    if shown:
-        page.locator(shown).scroll_into_view_if_needed()
-    page.evaluate("document.activeElement.blur()")
-    page.mouse.move(0, 0)
-    page.wait_for_timeout(1500)
-    page.screenshot(path=FIGURES / name)
+def needlefit(*words: str, cwd: Path | None = None) -> None:
+    subprocess.run([sys.executable, "-m", "needlefit", *words], check=True, cwd=cwd)
 
 
 @contextmanager
-def open_browser(address: str) -> Iterator[Callable[[], Page]]:
-    """Yield what opens the page anew."""
+def opened(path: Path) -> Iterator[Page]:
+    """Yield a page that has computed all it holds."""
     with sync_playwright() as play:
-        browser = play.chromium.launch(
-            executable_path=shutil.which("chromium"), args=["--no-sandbox", "--disable-gpu"]
-        )
-
-        def open_page() -> Page:
-            page = browser.new_context(viewport=SIZE, reduced_motion="reduce").new_page()
-            page.goto(address)
-            wait(page, "state => state && window.needlefit.connected")
-            page.click("#everything")
-            return page
-
-        yield open_page
+        flags = ["--no-sandbox", "--disable-gpu"]
+        browser = play.chromium.launch(executable_path=shutil.which("chromium"), args=flags)
+        page = browser.new_context(viewport=SIZE, reduced_motion="reduce").new_page()
+        page.goto(path.as_uri())
+        while not page.evaluate("document.getElementById('proof').dataset.count"):
+            page.wait_for_timeout(50)
+        yield page
         browser.close()
 
 
-def take(address: str) -> None:
-    with open_browser(address) as open_page:
-        page = open_page()
-        insert(page, 34)
-        save(page, "view.png")
+def save(page: Page, name: str) -> None:
+    page.evaluate("document.activeElement.blur()")
+    page.mouse.move(0, 0)
+    page.wait_for_timeout(1500)
+    page.screenshot(path=FIGURES / f"{name}.png")
 
 
-def take_ridge(address: str) -> None:
-    with open_browser(address) as open_page:
-        page = open_page()
-        page.click("#everything")
+def take_view(folder: Path) -> None:
+    needlefit("view", "twin/phantom2-05", "--no-browser", "--out", str(folder))
+    with opened(folder / "view" / "twin-phantom2-05.html") as page:
+        save(page, "view")
+
+
+def take_ridge(folder: Path) -> None:
+    needlefit("view", "phantom2_fitted", "--no-browser", "--out", str(folder))
+    with opened(folder / "view" / "phantom2_fitted.html") as page:
         page.locator("#scene-list button").last.click()
         page.locator(".ridge").wait_for()
         box = page.locator(".ridge").bounding_box()
         page.mouse.click(box["x"] + 0.45 * box["width"], box["y"] + 0.45 * box["height"])
-        save(page, "view_ridge.png")
+        save(page, "view_ridge")
 
 
-def take_plan(address: str) -> None:
-    with open_browser(address) as open_page:
-        page = open_page()
-        insert(page, 15)
-        page.evaluate(f"import('/page/aim.js').then(({{ setAim }}) => setAim({GOAL}))")
-        page.locator("details:has(#make-plan) > summary").click()
-        page.click("#make-plan")
-        wait(page, "() => window.needlefit.aim.plan")
-        save(page, "view_plan.png", "#plan-note")
+def take_plan(folder: Path) -> None:
+    needlefit(*PLAN, "--html", str(folder / "plan.html"))
+    with opened(folder / "plan.html") as page:
+        save(page, "view_plan")
 
 
-def take_start(address: str) -> None:
-    with open_browser(address) as open_page:
-        page = open_page()
-        insert(page, page.evaluate("window.needlefit.scene.measured.depth_mm"))
-        wait(page, "state => window.needlefit.band?.step === state.step")
-        save(page, "start_view.png")
+def take_start(folder: Path) -> None:
+    page = FIGURES.parent / "start.md"
+    transcripts.run_page(page.read_text(encoding="utf-8"), str(folder))
+    needlefit("view", "reports/mine_study/n8", "--no-browser", cwd=folder)
+    with opened(folder / "reports" / "view" / "mine_study-n8.html") as page:
+        save(page, "start_view")
 
 
-def serve(target: str, then: Callable[[str], None], cwd: str | None = None) -> None:
-    """Run the page of a target, from the folder `cwd`, while pictures of it are taken."""
-    with tempfile.TemporaryDirectory() as folder:
-        words = "-m", "needlefit", "view", target, "--no-browser", "--out", folder
-        command = [sys.executable, *words]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=cwd) as process:
-            try:
-                then(process.stdout.readline().strip())
-            finally:
-                process.terminate()
-
-
-def main() -> None:
-    with tempfile.TemporaryDirectory() as folder:
-        page = FIGURES.parent / "start.md"
-        transcripts.run_page(page.read_text(encoding="utf-8"), folder)
-        serve("reports/mine_study/n8", then=take_start, cwd=folder)
-    serve("twin/phantom2-05", then=take)
-    serve("phantom2_fitted", then=take_plan)
-    serve("phantom2_fitted", then=take_ridge)
-
+PICTURES = {
+    "start_view": take_start, "view": take_view, "view_plan": take_plan, "view_ridge": take_ridge,
+}  # fmt: skip
 
 if __name__ == "__main__":
-    main()
+    for name in sys.argv[1:] or PICTURES:
+        with tempfile.TemporaryDirectory() as place:
+            PICTURES[name](Path(place))

@@ -13,8 +13,8 @@ from needlefit.mechanics.torsion import find_roll
 from needlefit.metrics import compute_metrics
 from needlefit.planning.steered_needle import SteeredNeedle, guide_number
 from needlefit.reporting.needle_page import encode_layers, encode_strength
-from needlefit.viewer.messages import LENGTH_DIGITS, round_lengths
 from needlefit.viewer.overlays import MeasuredOverlay
+from needlefit.viewer.page_needle import LENGTH_DIGITS, round_lengths
 from needlefit.viewer.viewed_scene import ViewedScene
 
 POINTS_BEFORE_TISSUE = 25  # points of the needle drawn before the tissue

@@ -7,20 +7,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+from page_files import PAGE
 from test_page_model import SCENES, pytestmark  # noqa: F401 - a mark of this module, too
 
 from needlefit.mechanics import native
 from needlefit.mechanics.shape import list_planes
 from needlefit.planning.recording import begin_replay, format_head, read_recording, replay
 from needlefit.planning.steered_needle import SteeredNeedle, make_steered_scene
-from needlefit.viewer.export import PAGE
-from needlefit.viewer.messages import encode_scene
+from needlefit.viewer.page_needle import encode_scene
 
 PROGRAM = """
 import {readFileSync} from 'node:fs'
 import {compile} from KERNEL
 const load = (name) => import(PAGE + name)
-const [{SteeredNeedle}, address] = await Promise.all(['model/steered.js', 'share/address.js'].map(load))
+const [{SteeredNeedle}, address] = await Promise.all(['model/steered.js', 'address.js'].map(load))
 const {scene, head, paths, wrong} = JSON.parse(readFileSync(0, 'utf8'))
 const kernel = await compile(readFileSync(WASM))
 const toHex = (array) => Buffer.from(array.buffer, array.byteOffset, array.byteLength).toString('hex')

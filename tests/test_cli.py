@@ -106,7 +106,7 @@ def test_what_is_changed_of_a_prediction_names_its_folder():
         (PermissionError(13, "Permission denied", "/locked/run.json"), 3),
         (KeyboardInterrupt(), 130),
         (MemoryError(), 3),
-        (ModuleNotFoundError("No module named 'aiohttp'", name="aiohttp"), 3),
+        (ModuleNotFoundError("No module named 'distributed'", name="distributed"), 3),
         (BrokenPipeError(32, "Broken pipe"), 3),  # of a worker: a reader of stdout that has gone raises none
         (ZeroDivisionError("division by zero"), 1),
     ],

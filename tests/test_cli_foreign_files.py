@@ -17,8 +17,6 @@ from world import build_project
 
 from needlefit.cli.application import build
 from needlefit.mechanics import scene
-from needlefit.planning.recording import RecordedStep
-from needlefit.planning.steered_needle import Change
 from needlefit.project.checkpoint import open_checkpoint
 from needlefit.project.folders import MANIFEST, replace_folder, require_output_files, write_manifest
 from needlefit.project.locate import find_file, shipped_folder
@@ -71,7 +69,6 @@ CASES = {
         "simulate --recording log.csv --plot out/n.pdf --csv out/n.csv --slicer out/n.mrk.json"
     ),
 }
-STUBBED = {name for name in CASES if name.startswith("view")}
 """Those that take long, or serve until they are ended."""
 REFUSED = [(name, folder) for name, case in CASES.items() for folder in case.places]
 
@@ -107,14 +104,6 @@ class Stub:
         return dataclasses.replace(study(1), name=name, record=record)
 
 
-async def steer(page, port, ready, until):
-    """Stand for the server: one needle is steered by one step."""
-    trial = page.trials.open("a")
-    changes = (Change("depth_mm", None, 10.0),)
-    number, tip = len(trial.steps) + 1, trial.steering.now.shape.tip_lateral
-    trial.record(RecordedStep(number, 0.0, changes, tip))
-
-
 @pytest.fixture
 def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     folder = tmp_path / "project"
@@ -134,7 +123,6 @@ def stubs(monkeypatch: pytest.MonkeyPatch) -> None:
     draw_blank(monkeypatch)
     for name in ("compile_pdf", "compile_html"):
         monkeypatch.setattr(f"needlefit.reporting.document.{name}", lambda _: b"a page")
-    monkeypatch.setattr("needlefit.viewer.server.serve", steer)
 
 
 def leave_run(folder: Path) -> None:
@@ -181,9 +169,7 @@ def beside(project: Path) -> dict[str, bytes]:
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("command", CASES)
-def test_other_files_in_the_folder_stay(command, project, request):
-    if command in STUBBED:
-        request.getfixturevalue("stubs")
+def test_other_files_in_the_folder_stay(command, project):
     case, planted = CASES[command], beside(project)
     if "./out/run" in case.words:
         leave_run(project / "out/run")

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from page_files import PAGE
 from page_state import encode_state
 
 from needlefit.errors import ModelError
@@ -21,11 +22,9 @@ from needlefit.mechanics.shape import list_planes
 from needlefit.mechanics.simulate import compute_loads
 from needlefit.planning.steered_needle import Change, SteeredNeedle, find_changes, make_steered_scene
 from needlefit.schemas.scene import SceneRecord
-from needlefit.viewer.export import PAGE
-from needlefit.viewer.messages import encode_draws, encode_scene
 from needlefit.viewer.opening import open_target
 from needlefit.viewer.overlays import compute_band
-from needlefit.viewer.plans import continue_insertion
+from needlefit.viewer.page_needle import encode_draws, encode_scene
 from needlefit.viewer.viewed_scene import ViewedScene
 
 pytestmark = pytest.mark.skipif(
@@ -91,7 +90,7 @@ def view_scene(law: str, rules: dict[str, Any], bevel: dict[str, Any], shape: li
         "needle": {"length_mm": 150.0, "outer_diameter_mm": 1.27, "youngs_modulus_gpa": 80.0},
         "guides": guides,
     })  # fmt: skip
-    return ViewedScene("a", "A", "", record, 0.6)
+    return ViewedScene(name="a", title="A", note="", record=record, first_cell=0.6)
 
 
 SCENES = {
@@ -198,7 +197,7 @@ def test_the_page_simulates_the_bytes_of_the_program(name: str, seed: int) -> No
             (one.depth, one.bevel.side, one.bevel.roll_deg) for one in path
         ]
     assert 0 < refused < 40
-    band = compute_band(continue_insertion(steering, draws))
+    band = compute_band(replace(viewed, spread=draws).continue_insertion(steering))
     if band is not None:
         for key in ("x", "low", "high"):
             np.testing.assert_allclose(

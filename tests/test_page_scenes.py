@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from page_files import PAGE
 from test_page_model import pytestmark  # noqa: F401 - a mark of this module, too
 
 from needlefit.inference.forward_model import ParameterDraws
 from needlefit.mechanics import native
 from needlefit.planning.steered_needle import SteeredNeedle, make_steered_scene
-from needlefit.viewer.export import PAGE
-from needlefit.viewer.messages import encode_draws, encode_scene
 from needlefit.viewer.opening import open_target
+from needlefit.viewer.page_needle import encode_draws, encode_scene
 
 PROGRAM = """
 import {readFileSync} from 'node:fs'

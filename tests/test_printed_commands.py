@@ -50,7 +50,7 @@ def project(world, tmp_path, monkeypatch):
     """
     for kind in KIND_COMMANDS:
         world.find(kind)  # before anything is light: other tests read them
-    monkeypatch.setattr("needlefit.viewer.server.serve", lambda *_, **__: None)
+    monkeypatch.setattr("webbrowser.open", lambda _: True)
     for name in ("compile_pdf", "compile_html"):
         monkeypatch.setattr(f"needlefit.reporting.document.{name}", lambda _: b"a page")
     skip_figures(monkeypatch)

@@ -11,7 +11,7 @@ from needlefit.datasets.read import read as read_dataset
 from needlefit.inference.likelihood.observations import select_points
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import compute_positions
-from needlefit.planning.recording import RecordedStep, RecordingWriter, read_recording
+from needlefit.planning.recording import RecordedStep, Recording, read_recording, write_recording
 from needlefit.planning.steered_needle import Change, SteeredNeedle
 from needlefit.reporting.needles_in_scan import read_needles_in_scan
 from needlefit.studies.needle_placement import NEEDLE_POINTS
@@ -43,9 +43,8 @@ def steered(path: Path) -> None:
     steering = SteeredNeedle(Scene.from_record(viewed_scene.record), viewed_scene.first_cell)
     change = Change("depth_mm", None, DEPTH)
     steering.apply([change])
-    RecordingWriter(path, viewed_scene.make_head()).write(
-        RecordedStep(1, 0.5, (change,), steering.now.shape.tip_lateral)
-    )
+    step = RecordedStep(1, 0.5, (change,), steering.now.shape.tip_lateral)
+    write_recording(Recording(viewed_scene.make_head(), (step,)), path)
 
 
 @pytest.mark.usefixtures("few_draws")

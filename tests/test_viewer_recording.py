@@ -6,7 +6,14 @@ import pytest
 from needlefit.errors import NeedlefitError
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import compute_positions
-from needlefit.planning.recording import RecordedStep, RecordingWriter, make_head, read_recording, replay
+from needlefit.planning.recording import (
+    RecordedStep,
+    Recording,
+    make_head,
+    read_recording,
+    replay,
+    write_recording,
+)
 from needlefit.planning.steered_needle import Change, SteeredNeedle
 from needlefit.project.locate import find_file
 from needlefit.project.toml import load
@@ -46,14 +53,15 @@ def nodes_y(shape) -> np.ndarray:
 def recorded(path, changes=WANDERING) -> SteeredNeedle:
     """Write a recording of changes; return the needle, with the y of its nodes after each step as `found`."""
     steering = SteeredNeedle(Scene.from_record(PLAIN), 1.0)
-    recorder = RecordingWriter(path, make_head("study2", 1.0, PLAIN))
+    steps = []
     steering.found = [nodes_y(steering.now.shape)]
     for n, step in enumerate(changes, start=1):
         steering.apply(read(step))
         if n == 2:
             steering.keep()
-        recorder.write(RecordedStep(n, 0.25 * n, read(step), steering.now.shape.tip_lateral))
+        steps.append(RecordedStep(n, 0.25 * n, read(step), steering.now.shape.tip_lateral))
         steering.found.append(nodes_y(steering.now.shape))
+    write_recording(Recording(make_head("study2", 1.0, PLAIN), tuple(steps)), path)
     return steering
 
 

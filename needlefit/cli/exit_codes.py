@@ -95,7 +95,7 @@ def report_error(error: BaseException, invocation: Invocation) -> int:
     return UNEXPECTED
 
 
-_EXTRAS = {"aiohttp": "view", "distributed": "cluster"}  # of packages that needlefit works without
+_EXTRAS = {"distributed": "cluster"}  # of packages that needlefit works without
 
 
 # What to do where a write fails: such errors name no file, and are about the results.

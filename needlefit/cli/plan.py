@@ -1,7 +1,6 @@
 """`needlefit plan`: how to steer a needle to a target past obstacles, with the probability of success."""
 
 import math
-import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -58,6 +57,10 @@ def plan(
     write_recording: Annotated[
         Path | None, option("Write the plan as a recording for `view` and `simulate`: .csv.", "FILE")
     ] = None,
+    html: Annotated[
+        Path | None,
+        option("Write a page with the plan: target, obstacles, needles of the draws.", "FILE.html"),
+    ] = None,
     jobs: options.Jobs = None,
     json: options.Json = False,
     quiet: options.Quiet = False,
@@ -70,13 +73,16 @@ def plan(
     the plane z = 0 the bevel is rolled as the insertion begins, while the base moves along y; where that does
     not reach it, bevel and base are rolled together.
     """
+    from needlefit.planning.recording import write_recording as write_recording_file
     from needlefit.planning.steering import PlanLimits, plan_to_target
     from needlefit.project.unit_warnings import extrapolation_warnings
     from needlefit.studies.run import mark_faults
     from needlefit.viewer.opening import open_target
+    from needlefit.viewer.page_needle import compose_page
 
-    if write_recording is not None:
-        require_output_files({"--write-recording": write_recording}, [] if markups is None else [markups])
+    files = {"--write-recording": write_recording, "--html": html}
+    outputs = {option: path for option, path in files.items() if path is not None}
+    require_output_files(outputs, [] if markups is None else [markups])
     options.note_others("plan", name)
     shown = open_target(name, specimen=specimen or "planned")
     goal = _read_goal(shown, target, radius, obstacle or [], markups, obstacle_radius)
@@ -100,12 +106,15 @@ def plan(
         raise typer.Exit(exit_codes.NOT_CONVERGED)
     if not invocation.json:
         _show_steps(shown, summary)
-    if write_recording is not None:
-        shown.write_plan(found, write_recording)
-        screen.print_note(f"written: {write_recording}")
-        screen.print_note(
-            f"play it: {shlex.join(('needlefit', 'view', '--recording', str(write_recording)))}"
-        )
+    if outputs:
+        recording = shown.record_plan(found)
+        if write_recording is not None:
+            write_recording_file(recording, write_recording)
+        if html is not None:
+            page = compose_page(shown.shift_entry(found.entry_mm), recording, found)
+            html.write_text(page, "utf-8")
+        for path in outputs.values():
+            screen.print_note(f"written: {path}")
     require_no_faults(f"{shown.name}: {fault}" for fault in shown.faults)
 
 

@@ -1,21 +1,15 @@
-"""`needlefit view`: interactive simulation in the browser."""
+"""`needlefit view`: a page on which a needle is steered by hand."""
 
-import shlex
-import signal
-import threading
-from contextlib import suppress
-from typing import TYPE_CHECKING, Annotated
+import re
+import webbrowser
+from pathlib import Path, PurePath
+from typing import Annotated
 
 import typer
 
 from needlefit.cli import options, screen
-from needlefit.cli.exit_codes import STOP_SIGNALS
 from needlefit.cli.options import argument, option
 from needlefit.project.folders import require_writable
-
-if TYPE_CHECKING:
-    from needlefit.viewer.server import AccessControl
-    from needlefit.viewer.steering_page import SteeringPage
 
 
 def view(
@@ -30,65 +24,41 @@ def view(
     ] = None,
     recording: options.Recording = None,
     specimen: options.Specimen = None,
-    port: Annotated[int, option("Port on 127.0.0.1 (0: any free one).", "N", min=0, max=65535)] = 0,
     browser: Annotated[
-        bool, option("Open the page, or only print its address.", None, "--browser/--no-browser")
+        bool, option("Open the page, or only print its path.", None, "--browser/--no-browser")
     ] = True,
     out: options.Out = None,
     quiet: options.Quiet = False,
     plugins: options.Plugins = None,
 ) -> None:
-    """Steer a needle by hand in the browser.
+    """Write a page on which a needle is steered by hand, and open it.
 
-    Only this machine can open the page. Each needle is recorded to a CSV in OUT/view/ (default: ./reports);
-    `needlefit simulate --recording LOG` replays it. Ctrl-C ends.
+    The page is one HTML file, OUT/view/NAME.html (default: ./reports): it computes the needle in any browser,
+    offline. It saves the inputs as a recording, which `needlefit simulate --recording FILE` replays.
     """
     if recording is not None and target is not None:
         raise typer.BadParameter("the recording names its target: leave it out", param_hint="TARGET")
     folder = context.find_root().obj.out / "view"
     require_writable(folder)
     if target is not None:
-        options.note_others("view", target)  # a wrong name ends it before a page opens
+        options.note_others("view", target)  # before a wrong name is reported
     from needlefit.planning.recording import read_recording
     from needlefit.viewer.opening import open_recording, open_target
-    from needlefit.viewer.steering_page import SteeringPage
-    from needlefit.viewer.trials import TrialRegistry
+    from needlefit.viewer.page_needle import compose_page
 
-    source, into = None if recording is None else read_recording(recording), specimen or "shown"
-    shown = open_target(target, specimen=into) if source is None else open_recording(source)
+    source = None if recording is None else read_recording(recording)
+    shown = open_target(target, specimen=specimen or "shown") if source is None else open_recording(source)
     screen.print_warnings(context.find_root().obj, shown.warnings)
-    trials = TrialRegistry(shown, folder, lambda choice: open_target(shown.name, choice, into), source)
-    _serve(SteeringPage(trials), port, browser)
-    for path in trials.written():
-        screen.print_line(f"recorded: {path}")
-        screen.print_note(f"replay it: {shlex.join(('needlefit', 'simulate', '--recording', str(path)))}")
+    path = folder / _name_file(shown.name if recording is None else str(recording.with_suffix("")))
+    folder.mkdir(parents=True, exist_ok=True)
+    path.write_text(compose_page(shown, source), "utf-8")
+    screen.print_line(str(path))
+    if browser:
+        webbrowser.open(path.resolve().as_uri())
 
 
-def _serve(page: "SteeringPage", port: int, browser: bool) -> None:
-    import asyncio  # here, since every `--help` would wait for it
-    import webbrowser
-
-    from needlefit.viewer.server import serve
-
-    def ready(access: "AccessControl") -> None:
-        screen.print_line(access.address)
-        screen.print_note("needlefit: Ctrl-C ends")
-        if browser:  # some browsers hold up whoever calls them
-            threading.Thread(target=webbrowser.open, args=(access.address,), daemon=True).start()
-
-    async def stop() -> None:
-        """Wait for Ctrl-C, SIGTERM or SIGHUP."""
-        ended, loop = asyncio.Event(), asyncio.get_running_loop()
-        # not `add_signal_handler`, which Windows has not
-        before = {
-            number: signal.signal(number, lambda *_: loop.call_soon_threadsafe(ended.set))
-            for number in STOP_SIGNALS
-        }
-        try:
-            await ended.wait()
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
-
-    with suppress(KeyboardInterrupt):
-        asyncio.run(serve(page, port, ready, stop))
+def _name_file(name: str) -> Path:
+    """Return the file of a page, named by the last two parts of what it shows."""
+    last = "-".join(PurePath(name.removesuffix(".toml")).parts[-2:])
+    stem = re.sub(r"[^\w-]+", "-", last).strip("-")
+    return Path(f"{stem or 'needle'}.html")

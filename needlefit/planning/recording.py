@@ -1,4 +1,4 @@
-"""The recording of an interactive insertion: a CSV file that is complete after every step.
+"""The recording of an interactive insertion: a CSV file.
 
 Its first lines begin with `#`; without that they are TOML: the scene, whole, and the model's first cell. Then
 comes one row an input, `step,time_s,input,item,value,tip_lateral_mm`; the rows of one step act together, and
@@ -40,8 +40,6 @@ class RecordedStep:
     changes: tuple[Change, ...]
     tip_lateral: float
     line: int = 0
-    #: steps of the same gesture are undone together; not written. "undo" and "redo" return to a step.
-    gesture: int | str | None = None
 
 
 @dataclass(frozen=True)
@@ -51,37 +49,6 @@ class Recording:
     head: RecordingRecord
     steps: tuple[RecordedStep, ...]
     where: str = ""
-
-
-class RecordingWriter:
-    """Writes a recording step by step; a written step stays in the file however the program ends.
-
-    The file is made at the first step.
-    """
-
-    def __init__(self, path: Path, head: RecordingRecord) -> None:
-        self.path, self.head, self._begun = path, head, False
-
-    def write(self, step: RecordedStep) -> None:
-        """Append a step; OSError if the file cannot be written."""
-        self.begin()
-        rows = []
-        for change in step.changes:
-            item = "" if change.item is None else str(change.item)
-            rows.append(f"{step.number},{step.time:.4f},{change.name},{item},{change.value!r},")
-        # one write, unbuffered: the step is in the system's hands, or it is not there at all
-        with self.path.open("ab", buffering=0) as file:
-            file.write(("\n".join(rows) + f"{step.tip_lateral!r}\n").encode())
-
-    def begin(self) -> None:
-        """Create the file with its head, unless it exists; OSError if it cannot be written."""
-        if self._begun:
-            return
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        # x: an existing file is never overwritten.
-        with self.path.open("xb", buffering=0) as file:
-            file.write(format_head(self.head).encode())
-        self._begun = True
 
 
 def make_head(
@@ -95,6 +62,17 @@ def make_head(
         "scene": scene.model_dump(mode="json", by_alias=True),
     }
     return check(tables, RecordingRecord, "recording")
+
+
+def write_recording(recording: Recording, path: Path) -> None:
+    """Write a recording, which `view` and `simulate` replay; OSError if it cannot be written."""
+    rows = []
+    for step in recording.steps:
+        for change in step.changes:
+            item = "" if change.item is None else str(change.item)
+            rows.append(f"{step.number},{step.time:.4f},{change.name},{item},{change.value!r},\n")
+        rows[-1] = f"{rows[-1][:-1]}{step.tip_lateral!r}\n"
+    path.write_bytes((format_head(recording.head) + "".join(rows)).encode())
 
 
 def format_head(head: RecordingRecord) -> str:

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
@@ -11,7 +10,7 @@ import numpy as np
 from needlefit.errors import ConfigError
 from needlefit.geometry.frames import Placement
 from needlefit.mechanics.control import Step
-from needlefit.planning.recording import RecordedStep, RecordingWriter, make_head
+from needlefit.planning.recording import RecordedStep, Recording, make_head
 from needlefit.planning.steered_needle import Change, SteeredNeedle, find_changes, make_steered_scene
 from needlefit.schemas.recording import PlacementRecord, RecordingRecord
 from needlefit.schemas.scene import SceneRecord
@@ -56,6 +55,14 @@ class SteerableScene:
         start = Step(0.0, bevel, first.controls)
         return StartedInsertion(scene.needle, scene.tissue, rules, (start,), self.spread)
 
+    def continue_insertion(self, steering: SteeredNeedle) -> "StartedInsertion":
+        """Return the insertion of a steered needle of this scene from where it stands."""
+        from needlefit.planning.steering import StartedInsertion
+
+        rules = replace(steering.scene.rules, first_cell=steering.first_cell)
+        path = steering.input_path()
+        return StartedInsertion(steering.scene.needle, steering.now.tissue, rules, path, self.spread)
+
     def find_placement(self) -> Placement:
         """Return where the constraint frame lies; ConfigError if that is not known."""
         if self.placement is not None:
@@ -81,21 +88,20 @@ class SteerableScene:
             placement = replace(placed, frame=frame).to_record()
         return replace(self, record=record, placement=placement)
 
-    def write_plan(self, plan: "SteeringPlan", path: Path) -> None:
-        """Write a plan from first contact as a recording, which `view` and `simulate` replay.
+    def record_plan(self, plan: "SteeringPlan") -> Recording:
+        """Return a plan from first contact, at the entry of the plan, as a recording.
 
-        Its entry is that of the plan. OSError if it cannot be written. ModelError if a step has no needle
-        with the scene's parameters.
+        ModelError if a step has no needle with the scene's parameters.
         """
         shifted = self.shift_entry(plan.entry_mm)
         steering = SteeredNeedle(make_steered_scene(shifted.record, shifted.name), shifted.first_cell)
-        path.unlink(missing_ok=True)
-        recorder, time = RecordingWriter(path, shifted.make_head()), 0.0
+        steps, time = [], 0.0
         for changes in list_changes(steering, plan.steps):
             depths = [change.value for change in changes if change.name == "depth_mm"]
             time += sum(abs(depth - steering.now.step.depth) for depth in depths) / SPEED_MM_S
             state = steering.apply(changes)
-            recorder.write(RecordedStep(steering.number, time, changes, state.shape.tip_lateral))
+            steps.append(RecordedStep(steering.number, time, changes, state.shape.tip_lateral))
+        return Recording(shifted.make_head(), tuple(steps))
 
 
 def list_changes(steering: SteeredNeedle, steps: Sequence[Step]) -> Iterator[tuple[Change, ...]]:

@@ -33,10 +33,10 @@ from needlefit.project.help_pages import read_terms
 from needlefit.project.json_values import to_json_values
 
 SCRIPT = "reporting/needle_page.js"  #: made of the page's modules by `npm run build`
-SHARE_PAGE = "viewer/page/share/share.html"
-STAGE = "viewer/page/share/stage.html"
+PAGE = "viewer/page/page.html"
+STAGE = "viewer/page/stage.html"
 STYLES = ("viewer/page/style.css", "viewer/page/controls.css")
-SHARE_STYLE = "viewer/page/share/share.css"
+FILE_STYLE = "viewer/page/file.css"
 
 
 def read_package_file(name: str) -> str:
@@ -59,19 +59,19 @@ def read_style(within: str) -> str:
     The colours, the first rule of the page's style, are those of the whole page.
     """
     colours, _, rest = "".join(map(read_package_file, STYLES)).partition("\n}\n")
-    return f"{colours}\n}}\n{within} {{{rest}}}\n{read_package_file(SHARE_STYLE)}"
+    return f"{colours}\n}}\n{within} {{{rest}}}\n{read_package_file(FILE_STYLE)}"
 
 
 def compose_file(title: str, note: str, data: "PageData") -> str:
     """Return the text of an HTML file that is one page of needles; `title` and `note` may be any text."""
     script = read_package_file(SCRIPT)
-    style = "".join(map(read_package_file, (*STYLES, SHARE_STYLE)))
+    style = "".join(map(read_package_file, (*STYLES, FILE_STYLE)))
     parts = {
         "title": html.escape(title), "note": html.escape(note), "policy": write_policy([script]),
         "style": style, "stage": read_package_file(STAGE), "kernel": read_kernel(), "data": data.pack(),
         "script": script,
     }  # fmt: skip
-    return re.sub(r"\{\{(\w+)\}\}", lambda found: parts[found[1]], read_package_file(SHARE_PAGE))
+    return re.sub(r"\{\{(\w+)\}\}", lambda found: parts[found[1]], read_package_file(PAGE))
 
 
 # ---- the data

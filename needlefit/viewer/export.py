@@ -1,9 +1,8 @@
-"""Export a recording: its last shape, a figure, its inputs, or an HTML file that computes."""
+"""Write a recording as a table, a curve, a figure, or a page."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,18 +10,14 @@ import numpy as np
 from needlefit.geometry.frames import Placement
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import NeedleState, find_tip_force
-from needlefit.planning.recording import Recording, begin_replay, format_head, read_recording, replay
+from needlefit.planning.recording import Recording, begin_replay, replay
 from needlefit.planning.steered_needle import SteeredNeedle
-from needlefit.reporting import needle_page
-from needlefit.viewer.messages import encode_scene, encode_tables
 from needlefit.viewer.opening import open_recording
 from needlefit.viewer.overlays import compute_band
-from needlefit.viewer.plans import continue_insertion
+from needlefit.viewer.page_needle import compose_page
 
 if TYPE_CHECKING:
     from needlefit.reporting.figures.needles import SceneOverlays
-
-PAGE = Path(__file__).parent / "page"
 
 
 @dataclass(frozen=True)
@@ -90,8 +85,9 @@ def write_picture(outcome: RecordingOutcome, path: Path) -> None:
     draw_state(outcome.title, outcome.scene, outcome.state, path, outcome.tip_force, overlays)
 
 
-def write_share(outcome: RecordingOutcome, path: Path) -> None:
-    path.write_text(compose_share(outcome.recording), "utf-8")
+def write_page(outcome: RecordingOutcome, path: Path) -> None:
+    """Write the page that replays the recording and lets its reader steer on, .html."""
+    path.write_text(compose_page(open_recording(outcome.recording), outcome.recording), "utf-8")
 
 
 Write = Callable[[RecordingOutcome, Path], None]
@@ -101,35 +97,8 @@ WRITERS: dict[str, Write] = {
     "plot": write_picture,
     "csv": write_table,
     "slicer": write_curve,
-    "html": write_share,
+    "html": write_page,
 }
-
-_EXPORTS: dict[str, tuple[str, Write | None]] = {
-    "shape.csv": ("text/csv", write_table),
-    "shape.mrk.json": ("application/json", write_curve),
-    "picture.svg": ("image/svg+xml", write_picture),
-    "picture.pdf": ("application/pdf", write_picture),
-    "picture.png": ("image/png", write_picture),
-    "share.html": ("text/html", write_share),
-    "inputs.csv": ("text/csv", None),
-}
-
-#: suffixes of the exports of the page, with their media types
-EXPORT_TYPES = {suffix: media_type for suffix, (media_type, _) in _EXPORTS.items()}
-
-
-def export(path: Path, kind: str) -> bytes:
-    """Return the content of one of `EXPORT_TYPES` for the recording at `path`, as it is now.
-
-    ConfigError or DataError if the recording is damaged.
-    """
-    _, write = _EXPORTS[kind]
-    if write is None:
-        return path.read_bytes()
-    with TemporaryDirectory() as folder:
-        file = Path(folder) / kind
-        write(replay_to_end(read_recording(path)), file)
-        return file.read_bytes()
 
 
 def _find_overlays(outcome: RecordingOutcome) -> "SceneOverlays":
@@ -138,28 +107,8 @@ def _find_overlays(outcome: RecordingOutcome) -> "SceneOverlays":
 
     viewed_scene = open_recording(outcome.recording)
     points = None if viewed_scene.measured is None else viewed_scene.measured.points[:, :2]
-    found = compute_band(continue_insertion(outcome.steering, viewed_scene.spread))
+    found = compute_band(viewed_scene.continue_insertion(outcome.steering))
     if found is None:
         return SceneOverlays(points, origin_mark=viewed_scene.origin_mark)
     low, high = (np.column_stack((found.x, edge)) for edge in (found.low, found.high))
     return SceneOverlays(points, low, high, viewed_scene.origin_mark)
-
-
-def compose_share(recording: Recording) -> str:
-    """Return the text of an HTML file that replays a recording by itself, and lets its reader steer on.
-
-    ConfigError if the model does not take its scene, or this installation has no kernel in WebAssembly.
-    """
-    viewed_scene = open_recording(recording)
-    steering = begin_replay(recording)
-    scene = encode_scene(viewed_scene, steering)
-    scene["simulation"]["law"]["tables"] = encode_tables(steering.scene.tissue, recording.steps)
-    steps = [
-        [step.time, [[one.name, one.item, one.value] for one in step.changes], step.tip_lateral]
-        for step in recording.steps
-    ]
-    data = needle_page.PageData({"needlefit": recording.head.needlefit})
-    new_specimen = viewed_scene.specimen == "new"
-    head = format_head(recording.head)
-    data.needles.append({"scene": scene, "recording": steps, "new_specimen": new_specimen, "head": head})
-    return needle_page.compose_file(viewed_scene.title, viewed_scene.note, data)

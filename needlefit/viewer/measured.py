@@ -64,8 +64,7 @@ def open_dataset(view_target: ViewTarget) -> ViewedScene:
     begun = choose_start_parameters(one)
     seed = load(find_file("recipe", "default"), RecipeRecord).seed
     shown = ShownInsertion(dataset, one, begun.medium, begun.values, seed)
-    choices = {other.id: other.id for other in dataset.insertions}
-    return _show_insertion(shown, view_target.name, begun.description, choices)
+    return _show_insertion(shown, view_target.name, begun.description)
 
 
 @dataclass(frozen=True)
@@ -113,9 +112,7 @@ def _choose_insertion(insertions: tuple[Insertion, ...], view_target: ViewTarget
     return by_id[view_target.insertion]
 
 
-def _show_insertion(
-    shown: ShownInsertion, name: str, description: str, choices: Mapping[str, str]
-) -> ViewedScene:
+def _show_insertion(shown: ShownInsertion, name: str, description: str) -> ViewedScene:
     """Return the scene that shows an insertion; `name` is that of its dataset or run."""
     dataset, insertion = shown.dataset, shown.insertion
     title = f"{insertion.id} · {dataset.title}"
@@ -143,7 +140,6 @@ def _show_insertion(
         origin_mark=ORIGIN_MARKS[dataset.origin],
         is_measured=True,
         measured=make_measured_overlay(dataset, insertion, floor["te_mm"], shape),
-        choices=choices,
         warnings=dataset.warnings,
     )
 
@@ -190,7 +186,7 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
     draws = select_draws(run.frames["draws"], fold, specimen)
     crossed = "Layer depths: as measured. " if len(insertion.boundaries) else ""
     description = f"Parameters: fitted by {run.name} {role}. {crossed}{_describe_band(draws, specimen)}"
-    viewed_scene = _show_insertion(shown, view_target.name, description, {one: one for one in roles})
+    viewed_scene = _show_insertion(shown, view_target.name, description)
     measured = viewed_scene.measured
     if measured is not None and measured.target.pose == "known":
         prediction = find_prediction(run, fold, "validate", insertion.id)

@@ -1,7 +1,7 @@
 """What the viewer shows of one name of the command line: a scene, a recording, or a measured insertion."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from needlefit.mechanics.needle import DEFAULT_DIAMETER_MM
@@ -25,8 +25,6 @@ class ViewedScene(SteerableScene):
     specimen: Literal["new", "same", ""] = ""
     fitted_depths: tuple[float, ...] = ()  #: of the insertions that a run has fitted, mm
     fitted_directions: int = 2  #: how many deflections a run has fitted, along y, and z
-    #: insertions that can be shown instead: by name, with their titles
-    choices: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[ResultWarning, ...] = ()  #: what is suspicious in the dataset or the run that it is from
     #: returns the verdict of the run that it is from, with the checks that failed; no page waits for it
     recall: Callable[[], str] = str

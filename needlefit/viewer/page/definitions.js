@@ -21,8 +21,6 @@ export const DEFINITIONS = {
   "base y": "Lateral displacement of the base of the needle, as it is set; positive to the left.",
   "base slope": "Angle of the base of the needle against the entry axis, as it is set.",
   "guides": "Guides that hold the needle.",
-  "target": "Where the tip is to end; within the radius it counts as reached. x along the entry, y to its left.",
-  "obstacle": "What the needle must not touch: a circle in its plane. Distances are those of its axis.",
   "guide": "Where a guide holds the needle: x along the entry, y to its left, slope dy/dx as an angle.",
   "noise floor": "The mean error that perfect parameters would still show if measurements err as stated.",
 };

@@ -29,7 +29,19 @@ export function invalidate() {
   publish("redraw");
 }
 
-export function paint(fresh) {
+let [frame, fresh] = [0, false];
+
+/** Draw in the next frame; `drawn` is published then. */
+function redraw() {
+  frame ||= requestAnimationFrame(() => {
+    frame = 0;
+    paint();
+    fresh = false;
+    publish("drawn");
+  });
+}
+
+function paint() {
   if (!now.scene || !now.state) return;
   if (fresh) follow();
   const moved = takeChange();
@@ -65,12 +77,11 @@ function paintForeground(state) {
   within(before, () => {
     if (shown.load) needle.paintLoad(before, state);
     if (band) overlay.paintBand(before, band, band.step !== state.step);
-    if (shown.plan) overlay.paintPlan(before);
+    if (shown.plan && now.scene.plan) overlay.paintPlan(before, now.scene.plan);
     if (shown.pinned && now.pinned) overlay.paintPinned(before, now.pinned);
     needle.paintNeedle(before, state);
     overlay.paintInset(before, state);
     needle.paintTip(before, state);
-    overlay.paintGoal(before);
     if (shown.load) needle.paintTipForce(before, state);
     if (shown.path) needle.paintPath(before, state);
     if (shown.points) needle.paintPoints(before, state);
@@ -112,10 +123,13 @@ function measure() {
 new ResizeObserver(measure).observe(picture);
 onScheme(() => (readPalette(), touch()));
 readPalette();
-for (const kind of ["band", "forces", "aimed"]) listen(kind, invalidate);
+for (const kind of ["band", "forces"]) listen(kind, invalidate);
 let fitted = null;
 listen("state", () => {
-  if (fitted === now.scene.target) return;
-  fitted = now.scene.target;
+  fresh = true;
+  redraw();
+  if (fitted === now.scene) return;
+  fitted = now.scene;
   fit(view.fit ?? "tissue");
 });
+listen("redraw", redraw);

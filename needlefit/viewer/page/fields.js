@@ -5,25 +5,6 @@ import { part, press } from "./dom.js";
 import { newGesture } from "./steering.js";
 import { publish } from "./store.js";
 
-/** Watch a field; returns a function that returns its number, also while another one is being typed. */
-export function amount(input) {
-  let last = input.value;
-  const valid = () => input.value !== "" && input.checkValidity();
-  const settle = () => {
-    if (valid() && input.value !== last) publish("accepted");
-    if (valid()) last = input.value;
-    else if (input.value !== last) giveBack();
-  };
-  const giveBack = () => {
-    const expected = `a number, ${input.min} or above`;
-    publish("notice", { what: `No ${input.ariaLabel}: ${last} is kept.`, expected });
-    input.value = last;
-  };
-  input.addEventListener("change", settle);
-  input.addEventListener("blur", settle);
-  return () => Number(valid() ? input.value : last);
-}
-
 const template = part("field-template");
 const STEPS = 1000; // of a slider
 const THUMB = 16; // px, which the slider's thumb takes of its length
@@ -37,7 +18,7 @@ let made = 0;
  * Make a field and put it at the end of `into`.
  *
  * `about` has its `name`, the `symbol` by which it is defined, and `unit`, what it is a number `of` where the name alone is not enough, how to
- * `write` a value and to `read` what is written, and whom to `ask` for another: ask(value, {gesture, at}).
+ * `write` a value and to `read` what is written, and whom to `ask` for another: ask(value, {gesture, below}).
  * With `limits` [low, high] it has a slider too, if `logarithmic` a logarithmic one; what lies beyond them can
  * be typed, and the slider then stands at its end. The arrows add a `step`, or if logarithmic multiply by it.
  */
@@ -65,11 +46,11 @@ export function makeField(into, about) {
   if (!limits) part.querySelector(".track").remove();
   wireNumber(field);
   // A slider is heard while it moves; all of one movement is undone together.
-  const goHome = (event) => {
+  const goHome = () => {
     field.gesture = newGesture();
-    if (field.home !== null) ask(field, field.home, event);
+    if (field.home !== null) ask(field, field.home);
   };
-  slider.addEventListener("input", (event) => ask(field, field.at(slider.value / STEPS), event));
+  slider.addEventListener("input", () => ask(field, field.at(slider.value / STEPS)));
   slider.addEventListener("change", () => (field.gesture = newGesture()));
   slider.addEventListener("keydown", (event) => event.key in SLIDES && stepBy(field, SLIDES[event.key], event)); // as far as the number goes
   press(back, goHome);
@@ -105,10 +86,10 @@ function markHome({ part, back, write, value, home }) {
   part.querySelector(".hand").hidden = back.disabled;
 }
 
-function ask(field, value, event) {
+function ask(field, value) {
   field.latest = value;
   field.value = null; // the answer, which may come at once, is shown even where it is what was
-  field.ask(value, { gesture: field.gesture, at: event.timeStamp });
+  field.ask(value, { gesture: field.gesture, below: field.part });
 }
 
 /** A number counts once it is done: at Enter, at a step of the arrows, or when the field is left. */
@@ -116,10 +97,10 @@ function wireNumber(field) {
   const { number } = field;
   number.addEventListener("input", () => (field.editing = true));
   number.addEventListener("blur", () => giveBack(field));
-  number.addEventListener("change", (event) => {
+  number.addEventListener("change", () => {
     field.gesture = newGesture();
     field.editing = false;
-    if (number.value !== "") return ask(field, field.read(number.value), event);
+    if (number.value !== "") return ask(field, field.read(number.value));
     publish("notice", { what: `No ${number.ariaLabel}: ${field.text} is kept.`, expected: "a number" });
     giveBack(field);
   });
@@ -144,5 +125,5 @@ function stepBy(field, direction, event) {
   const from = field.editing && number.value !== "" ? field.read(number.value) : field.latest;
   field.editing = false;
   if (!event.repeat) field.gesture = newGesture();
-  ask(field, logarithmic ? from * step ** direction : from + step * direction, event);
+  ask(field, logarithmic ? from * step ** direction : from + step * direction);
 }

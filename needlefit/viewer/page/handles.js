@@ -1,6 +1,5 @@
 /** What a hand can take hold of in the picture, and what dragging it asks for. */
 
-import { aim, moveTo } from "./aim.js";
 import { turnOver } from "./model/inputs.js";
 import { now } from "./store.js";
 import { fromPx, fromPy, toPx, toPy, view } from "./view.js";
@@ -45,9 +44,6 @@ function all() {
     if (!guide.turns_freely) add(turn, "grab", turnGuide(guide, place));
     add(place, "move", dragGuide(guide));
   }
-  [aim.target, ...aim.obstacles].forEach((one, i) => {
-    if (one) add([toPx(one[0]), toPy(one[1])], "move", dragGoal(i ? i - 1 : null, one));
-  });
   add(base.turn, "grab", turnBase(state, base.place));
   add(base.place, "move", dragBase(state));
   return handles;
@@ -90,12 +86,6 @@ function turnBevel({ bevel }) {
     return [turnOver(now.state.bevel.roll_deg)];
   };
 }
-
-/** A target or an obstacle is no input of the needle: dragging it asks for no change. */
-const dragGoal = (number, [x, y]) => (from, to) => {
-  moveTo(number, x + fromPx(to[0]) - fromPx(from[0]), y + rise(from, to));
-  return [];
-};
 
 const dragTip = ({ tip }) => (from, to) => [["tip_y_mm", null, tip.input_y + rise(from, to)]];
 

@@ -1,81 +1,85 @@
-/** Starts the page: the line to the server, the picture, the readouts beside it, the line at the foot. */
+/** The page: its needles are those of the file, one is shown, and steered by who reads it. */
 
 import "./above.js";
-import { open } from "./connection.js";
-import { part, press, write } from "./dom.js";
-import { paint } from "./drawing.js";
+import { SAME } from "./address.js";
 import { computeBands } from "./bands.js";
-import "./exports.js";
-import * as frames from "./frames.js";
+import { element, part, write } from "./dom.js";
+import { handleAt } from "./handles.js";
+import { buildFields } from "./inputs.js";
 import "./keyboard.js";
-import "./notices.js";
-import * as panel from "./panel.js";
-import * as planning from "./planning.js";
-import "./pointers.js";
-import * as readouts from "./readouts.js";
+import { followAddress, nameOf } from "./link.js";
+import "./methods.js";
+import { place } from "./pointers.js";
+import { counted } from "./quantities.js";
+import { goBack, openDropped, openRecording, play, restore } from "./recording.js";
 import { offerScenes } from "./scenes.js";
-import { advance, moves, rebuild } from "./steering.js";
-import * as strip from "./strip.js";
-import { listen, now, publish } from "./store.js";
-import "./toolbar.js";
-import * as transport from "./transport.js";
-import { kernel, trial } from "./trial.js";
+import { change } from "./steering.js";
+import { listen, now, take } from "./store.js";
+import { begin, load, prove } from "./stored.js";
+import { toggle } from "./toolbar.js";
+import { fit } from "./view.js";
 
-const READOUTS = [ // beside the picture, and how often they are refreshed, ms
-  { every: 100, refresh: readouts.refresh },
-  { every: 100, refresh: transport.refresh },
-  { every: 150, refresh: strip.draw }, // sooner once the forces have come
-  { every: 200, refresh: panel.refresh },
-  { every: 200, refresh: planning.refresh },
-  { every: 1000, refresh: readouts.refreshDescription },
-];
-const STATUS_EVERY = 500; // ms
-let later = 0;
-
-/** Refresh the readouts that are due; others once they are. */
-function refreshReadouts() {
-  clearTimeout(later);
-  if (!now.state) return;
-  const t = performance.now();
-  let next = Infinity;
-  for (const one of READOUTS) {
-    if (one.step === now.state) continue;
-    const left = (one.last ?? -Infinity) + one.every - t;
-    if (left > 0) next = Math.min(next, left);
-    else {
-      [one.last, one.step] = [t, now.state];
-      one.refresh();
-    }
-  }
-  if (next < Infinity) later = setTimeout(refreshReadouts, next);
+/** Show a needle as the file has it: of a recording its end, else the fit at the depth of the measured needle. */
+async function choose(number) {
+  const { data } = now;
+  part("needle-choice").value = number;
+  const steered = await begin(data.kernel, data.needles[number]);
+  if (Number(part("needle-choice").value) !== number) return; // another one has been chosen meanwhile
+  const needle = data.needles[number];
+  Object.assign(now, { needle, steered });
+  const { scene } = needle;
+  openRecording(needle.recording);
+  take({ ...scene, kind: "scene" });
+  buildFields(needle);
+  const specimen = needle.new_specimen ? " of a specimen that was not fitted" : "";
+  const draws = counted(scene.draws?.sets ?? 0, "posterior draw");
+  write("band-note", scene.draws ? `Band: holds 95 % of the needles of ${draws}${specimen} wholly, without noise and model error.` : "");
+  if (part("origin-mark")) write("origin-mark", scene.origin_mark);
+  goBack();
 }
 
-/** Write whether the page is connected, and where it records. */
-function refreshStatus() {
-  write("line", now.connected ? "connected" : now.state ? "not connected" : "connecting …");
-  part("line").classList.toggle("up", now.connected);
-  write("recording", now.scene?.recording ? `recording ${now.scene.recording}` : "");
+/** State how what the file holds agrees with what this browser computes. */
+async function stateAgreement() {
+  const { data } = now;
+  const { count, largest } = await prove(data, SAME);
+  const [what, of] = data.needles[0].recording ? ["recorded state", "recording"] : ["needle", data.title ? "report" : "program"];
+  const [agrees, place] = [largest < SAME, part("proof")];
+  const found = largest === 0 ? `the same bytes as in the ${of}` : `up to ${largest.toExponential(1)} mm from the ${of}`;
+  place.className = `quiet ${agrees ? "good" : "bad"}`;
+  place.dataset.count = count;
+  place.dataset.largest = largest;
+  const checked = `Self-check ${agrees ? "passed" : "failed"}: ${counted(count, what)} computed here`;
+  write("proof", `${checked}, ${Number.isNaN(largest) ? "one without a result" : found} (needlefit ${data.needlefit}).`);
 }
 
-listen("refused", () => { // fields go back to what is
-  READOUTS.forEach((one) => (one.step = null));
-  refreshReadouts();
+async function start() {
+  const data = (now.data = await load());
+  const script = new Blob([part("program").textContent], { type: "text/javascript" });
+  computeBands(new Worker(URL.createObjectURL(script)), data.kernel, () => ({ name: data.needles.indexOf(now.needle), steered: now.steered }));
+  const choice = part("needle-choice");
+  choice.append(...data.needles.map((one, i) =>
+    element("option", { value: String(i) }, [nameOf(one), one.group].filter(Boolean).join(", "))));
+  part("choosing").hidden = data.needles.length < 2;
+  choice.addEventListener("change", () => choose(Number(choice.value)));
+  part("canvas").addEventListener("touchstart", (event) => { // a finger on a handle drags it, beside handles it scrolls the page
+    if (handleAt(...place(event.touches[0]), "touch")) event.preventDefault();
+  }, { passive: false });
+  addEventListener("hashchange", () => followAddress(choose));
+  openDropped(choose);
+  offerScenes(data.kernel);
+  listen("go to", (depth) => change([["depth_mm", null, depth]]));
+  if (!data.needles[0].recording) ["load", "points", "path", "errors", "strip"].forEach((name) => toggle(name, false)); // measured and fit come first
+  await choose(0);
+  const led = (await followAddress(choose)) || restore();
+  fit("tissue");
+  await stateAgreement();
+  if (!led && now.replay && !now.scene.plan && !matchMedia("(prefers-reduced-motion: reduce)").matches) play(true);
+}
+
+const NEEDED = ["WebAssembly", "DecompressionStream", "Worker"]; // of a browser
+start().catch((error) => {
+  const lacking = NEEDED.filter((name) => !(name in globalThis));
+  write("proof", lacking.length ? `This browser lacks ${lacking.join(", ")}: it cannot compute the needle.` : `The needle was not computed, for a fault in this file: ${error.message}`);
+  part("proof").classList.add("bad");
+  throw error;
 });
-offerScenes(rebuild, kernel);
-const everything = part("everything");
-const unfold = (on) => {
-  everything.ariaExpanded = String(on);
-  document.querySelector("main").classList.toggle("everything", on);
-};
-press(everything, () => unfold(everything.ariaExpanded !== "true"));
-listen("scene", ({ past }) => past.length && unfold(true)); // the needle has been steered already
-kernel.then((compiled) => {
-  const worker = new Worker("/page/model/band_worker.js", { type: "module" });
-  computeBands(worker, compiled, () => ({ name: trial.scene.needle, steered: trial.steered }));
-});
-frames.start(advance, paint, moves, () => {
-  refreshReadouts();
-  publish("drawn");
-});
-setInterval(refreshStatus, STATUS_EVERY);
-open();

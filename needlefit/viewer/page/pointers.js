@@ -1,11 +1,10 @@
 /** Mouse, pen and fingers on the picture: they drag handles, shift it and zoom. */
 
 import { part } from "./dom.js";
-import { put } from "./aim.js";
 import { handleAt } from "./handles.js";
 import { change, newGesture } from "./steering.js";
 import { now } from "./store.js";
-import { fromPx, fromPy, hold, pan, zoom } from "./view.js";
+import { hold, pan, zoom } from "./view.js";
 
 const NOTCH = { 0: 100, 1: 3, 2: 1 }; // wheel units a notch, by deltaMode
 const FINE = 0.1;
@@ -24,7 +23,6 @@ function down(event) {
   if (event.button > 0) return;
   canvas.setPointerCapture(event.pointerId);
   const at = place(event);
-  if (put(fromPx(at[0]), fromPy(at[1]))) return;
   fingers.set(event.pointerId, at);
   if (fingers.size > 1) drag = null; // two fingers pinch
   else {
@@ -37,12 +35,12 @@ function down(event) {
 
 /** A handle follows at once: this event does not wait for the next frame, as moves do. It stays under the pointer; with Shift it goes a tenth as far. */
 function follow(event) {
-  if (drag?.pointer !== event.pointerId || !now.connected) return;
+  if (drag?.pointer !== event.pointerId || !now.state) return;
   const at = place(event);
   drag.to = drag.to.map((to, i) => to + (event.shiftKey ? FINE : 1) * (at[i] - drag.last[i]));
   drag.last = at;
   const set = drag.handle.drag(drag.from, drag.to);
-  if (set.length) change(set, { gesture: drag.gesture, at: event.timeStamp });
+  if (set.length) change(set, { gesture: drag.gesture });
 }
 
 function moved(event) {
@@ -77,13 +75,10 @@ function hover(event) {
   if (canvas.style.cursor !== cursor) canvas.style.cursor = cursor;
 }
 
-/** How far a wheel was turned, notches. */
-export const notches = (event) => ((event.deltaY || event.deltaX) / NOTCH[event.deltaMode]) * (event.shiftKey ? FINE : 1);
-
 function wheel(event) {
   if (!event.ctrlKey && !event.metaKey) return;
   event.preventDefault();
-  zoom(Math.exp(-0.2 * notches(event)), ...place(event));
+  zoom(Math.exp((-0.2 * (event.deltaY || event.deltaX)) / NOTCH[event.deltaMode]), ...place(event));
 }
 
 const RAW = "onpointerrawupdate" in canvas;

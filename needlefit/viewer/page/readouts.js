@@ -36,7 +36,7 @@ export function fillReadouts(list, readouts) {
 const writeNeedle = fillReadouts(part("readouts"), NEEDLE);
 let writeErrors = (_errors) => {}; // of the comparison with a measured needle: each that is shown
 
-export function refresh() {
+function refresh() {
   const { state, scene } = now;
   writeNeedle(state);
   part("readouts").children[TIP_Z].hidden = !state.z;
@@ -69,7 +69,7 @@ let announced = false; // whether a message has stated that this needle exceeds 
 const exceeded = ({ faults }) => (faults?.length ? `outside the model: ${faults.join("; ")}` : "");
 
 listen("scene", () => (announced = false));
-listen("forces", () => {
+for (const kind of ["forces", "state"]) listen(kind, () => {
   if (!now.state) return;
   refresh();
   refreshDescription();
@@ -108,6 +108,6 @@ function inWords() {
 }
 
 /** Keep the text alternative true. */
-export const refreshDescription = () => write("described", inWords());
+const refreshDescription = () => write("described", inWords());
 
 export const describe = () => say(inWords());

@@ -7,6 +7,7 @@ import { compareWith, computePlane, equalWithin, findContour, findSlope, findTie
 import { SteeredNeedle } from "./model/steered.js";
 import { between, cross, faintly, palette, ring, segments, setFont, stroke, trace } from "./painters/strokes.js";
 import { brief, modulusLike, strengthOf } from "./quantities.js";
+import { steer } from "./steering.js";
 import { listen, now } from "./store.js";
 
 const PAD = { left: 48, right: 8, top: 22, bottom: 28 }; // px
@@ -27,8 +28,8 @@ export function prepareRidge(needle) {
   return hasRidge(needle) ? { sentence: "Which b and μ fit equally well? Drag along the valley.", see: () => words, begin: makeRidge } : null;
 }
 
-/** Make the plane of the scene that is shown. `steer` is given the changes of a moved point: other parameters stay. */
-async function makeRidge(into, steer, kernel) {
+/** Make the plane of the scene that is shown; other parameters than those of the point stay. */
+async function makeRidge(into, kernel) {
   const { scene } = now;
   const { fitted, layer_names: names } = scene;
   const { key, symbol, unit, digits, throughout, value, step } = strengthOf(fitted);
@@ -58,12 +59,12 @@ async function makeRidge(into, steer, kernel) {
   };
   const clip = (place) => place.map((one, i) => Math.min(Math.max(one, ranges[i][0]), ranges[i][1]));
 
-  const needle = await SteeredNeedle.begin(await kernel, scene);
+  const needle = await SteeredNeedle.begin(kernel, scene);
   for (const changes of listSteps(scene)) needle.apply(changes, always);
   const target = makeTarget(needle);
   const places = Array.from({ length: GRID[1] }, (_, row) => Array.from({ length: GRID[0] }, (_, column) => fromGrid([column, row])));
   const toStrength = (one) => (key === "offset_mm" ? Math.exp(one) : (Math.exp(one) * Math.PI) / 180);
-  const rows = await computePlane(await kernel, needle, target, {
+  const rows = await computePlane(kernel, needle, target, {
     strengths: places.map((row) => row.map(([at]) => toStrength(at))), factors: places.map(([[, height]]) => Math.exp(height - origin[1])), tied,
   });
   const fit = compareWith(target, readPoints(needle.session, target.s));

@@ -9,6 +9,7 @@ import { SteeredNeedle } from "./model/steered.js";
 import { labelFree, palette, ring, segments, setFont } from "./painters/strokes.js";
 import { heightAt, modulusLike } from "./quantities.js";
 import { prepareRidge } from "./ridge.js";
+import { steer } from "./steering.js";
 import { listen, now } from "./store.js";
 import { pin } from "./strip.js";
 import { toggle } from "./toolbar.js";
@@ -25,7 +26,7 @@ function prepareTurn(needle) {
   return {
     sentence: `Turn the bevel at ${from} mm: the needle makes an S.`,
     see: () => "Behind the turn the needle bends to the other side. Dotted: without the turn. Move it.",
-    begin(into, steer) {
+    begin(into) {
       const turn = (depth) => {
         marks = [{ depth, text: "turn" }];
         steer(listTurned(depth, scene));
@@ -56,7 +57,7 @@ function prepareStiffer(needle) {
       marks = [{ depth: middle, text: `${after[layer - 1].toFixed(1)} N here` }];
       return `${called}: ${before[layer - 1].toFixed(1)} to ${after[layer - 1].toFixed(1)} N of ${add(after).toFixed(0)} N across the needle. Purple: the load, where it acts. Dotted: the needle before.`;
     },
-    begin(into, steer) {
+    begin(into) {
       toggle("load", true);
       const stiffen = (value) => {
         steer([[["mu_pa", layer, value]]]);
@@ -84,8 +85,8 @@ async function prepareScenes(kernel, scene) {
   return [prepareTurn, prepareStiffer, prepareRidge].map(prepare).filter((one) => one);
 }
 
-/** Offer the scenes that the needle allows. `steer(lists)` carries out lists of changes, one after the other; `kernel` is or resolves to the compiled one. */
-export function offerScenes(steer, kernel) {
+/** Offer the scenes that the needle allows. `kernel` is the compiled one. */
+export function offerScenes(kernel) {
   let [begin, shown] = [null, null]; // of a scene, once the needle to compare with has come to rest; the scene that is shown
   const list = part("scene-list");
   const leave = () => {
@@ -100,15 +101,15 @@ export function offerScenes(steer, kernel) {
       if (now.pinned) pin();
       pin();
       shown = scene;
-      scene.begin(part("scene-control"), steer, kernel);
+      scene.begin(part("scene-control"), kernel);
     };
     steer([ANEW, ...listSteps(now.scene)]);
   };
   listen("scene", async (given) => {
     leave();
     list.replaceChildren();
-    const scenes = await prepareScenes(await kernel, given);
-    if (now.scene.target !== given.target) return; // another one has been opened meanwhile
+    const scenes = await prepareScenes(kernel, given);
+    if (now.scene !== given) return; // another one has been opened meanwhile
     list.replaceChildren(...scenes.map((scene) => {
       const pressed = button(scene.sentence, () => now.state && choose(scene, pressed), { ariaPressed: "false" });
       return element("li", {}, pressed);

@@ -1,7 +1,14 @@
-/** The last message of each kind, and the listeners to each. */
+/** What the page knows, and the listeners to what changes. */
 
-/** The page's knowledge (`forces`: on the tip, N, as it stood at each constraint point, by depth, mm); also `window.needlefit`, for whoever measures the page. */
-export const now = { scene: null, state: null, band: null, connected: false, pinned: null, marked: null, frames: [], forces: { x: [], y: [] } };
+/**
+ * All that the page knows; also `window.needlefit`, for whoever measures it. `data` is the file's, `needle` one of its needles,
+ * `steered` that needle as it is steered, `state` what is shown of it; `forces`: on the tip, N, as it stood at each constraint
+ * point, by depth, mm.
+ */
+export const now = {
+  data: null, needle: null, steered: null, replay: null,
+  scene: null, state: null, band: null, pinned: null, marked: null, forces: { x: [], y: [] }, view: null, labels: [],
+};
 Object.assign(window, { needlefit: now });
 
 const listeners = new Map();
@@ -21,11 +28,8 @@ export const tipForce = () => now.forces.y.at(-1) ?? null;
 
 /** Keep a message, then publish it. */
 export function take(message) {
-  if (message.kind === "scene") {
-    now.scene = message;
-    now.band = null;
-  } else if (message.kind === "state") now.state = message;
+  if (message.kind === "scene") Object.assign(now, { scene: message, band: null });
   else if (message.kind === "band") now.band = message.x.length ? message : null; // empty: there is none
-  else if (message.kind === "forces") now.forces = message;
+  else now[message.kind] = message;
   publish(message.kind, message);
 }

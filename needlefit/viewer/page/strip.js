@@ -30,7 +30,7 @@ function current() {
 const needles = () => [[now.pinned, palette.ghost], [current(), palette.needle]].filter(([one]) => one);
 
 /** Draw both needles as they are now. */
-export function draw() {
+function draw() {
   if (part("strip").hidden || !now.state) return;
   const [width, height] = size;
   if (canvas.width !== Math.round(width * devicePixelRatio)) canvas.width = Math.round(width * devicePixelRatio);
@@ -135,6 +135,7 @@ export function pin() {
 
 press("pin", () => now.state && pin());
 listen("scene", () => [now.forces, now.marked] = [{ x: [], y: [] }, null]);
+listen("state", draw);
 listen("forces", (forces) => {
   if (now.pinned?.step === forces.step) now.pinned.forces = forces;
   draw();

@@ -1,6 +1,5 @@
 /** The buttons above the picture: what part is seen, and what of it. */
 
-import { aim } from "./aim.js";
 import { button, element, part, press } from "./dom.js";
 import { invalidate, shown } from "./drawing.js";
 import { listen, now } from "./store.js";
@@ -40,7 +39,6 @@ offer({ measured: false, errors: false, band: false, plan: false, pinned: false 
 if (innerHeight < TALL) toggle("strip"); // the picture needs the room
 for (const one of fits) press(one, () => fit(one.dataset.fit));
 for (const [way, factor] of [["in", 1.25], ["out", 0.8]]) press(document.querySelector(`[data-zoom=${way}]`), () => zoom(factor));
-listen("scene", ({ measured, draws }) => offer({ measured, errors: measured, band: draws, plan: false }));
-listen("aimed", () => offer({ plan: aim.plan }));
+listen("scene", ({ measured, draws, plan }) => offer({ measured, errors: measured, band: draws, plan }));
 listen("pinned", () => offer({ pinned: now.pinned }));
 listen("redraw", () => fits.forEach((one) => (one.ariaPressed = String(one.dataset.fit === view.fit)))); // of another view

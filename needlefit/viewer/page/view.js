@@ -1,6 +1,5 @@
 /** Which part of the constraint frame is seen, in true millimetres; y may be drawn larger than x. */
 
-import { aim } from "./aim.js";
 import { listen, now, publish } from "./store.js";
 
 const GUTTER = { left: 56, right: 10, top: 50, bottom: 40 }; // px, for the axes, the names of layers and the load's key
@@ -8,7 +7,7 @@ const LOW_PICTURE = 260; // px; below it the name of the x axis stands in the ro
 const LOW_BOTTOM = 24; // px, for ticks alone
 const MAGNIFICATIONS = [1, 1.5, 2, 3, 4, 5, 6, 8, 10, 12, 15, 20, 30, 50]; // of y against x
 const ROOM = 56; // px above and below the needle: load, handles, labels; at most 0.2 of the height
-const LEAST_SPAN = { moving: 0.05, still: 0.01 }; // of the depth: smaller deflections are not magnified further
+const LEAST_SPAN = 0.01; // of the depth: smaller deflections are not magnified further
 const LOW = 0.45; // part of the room below which a needle at rest is magnified anew
 const SCALES = [0.5, 400]; // px per mm
 const [EDGE, AHEAD] = [0.3, 0.2]; // from the middle, parts of the window: when it follows the tip, and how far
@@ -19,6 +18,7 @@ export const view = {
   x: 0, y: 0, scale: 5, magnified: 1, held: false, fit: null, low: false, box: { left: 0, top: 0, width: 1, height: 1 },
 };
 
+Object.assign(now, { view });
 let changed = true;
 
 /** Whether the window has changed since this was last asked. */
@@ -67,14 +67,12 @@ export function fit(which) {
   const [along, across] = [room / (high - low), roomAcross() / (top - bottom)];
   view.scale = limited(Math.min(along, across));
   // How many times as large as x the y axis is drawn, so that deflections can be seen.
-  const least = LEAST_SPAN[isMoving() ? "moving" : "still"] * deepest();
+  const least = LEAST_SPAN * deepest();
   const times = roomAcross() / view.scale / Math.max(top - bottom, least);
   view.magnified = MAGNIFICATIONS.filter((one) => one <= times).at(-1) ?? 1;
   view.x = (low + high) / 2 + (after - before) / (2 * view.scale);
   view.y = (bottom + top) / 2;
 }
-
-const isMoving = () => now.state.moving || now.state.playing;
 
 /** Px that what must be seen may take of the window's height. */
 const roomAcross = () => view.box.height - 2 * Math.min(ROOM, 0.2 * view.box.height);
@@ -86,7 +84,10 @@ function deepest() {
 }
 
 /** Target and obstacles: x, y, radius. */
-const goalCircles = () => [...(aim.target ? [[...aim.target, aim.radius]] : []), ...aim.obstacles];
+function goalCircles() {
+  const { plan } = now.scene;
+  return plan ? [[...plan.target, plan.radius], ...plan.obstacles] : [];
+}
 
 /** Between which y all lies that must be seen: of the tissue alone what is in it. */
 function heights(which) {
@@ -118,7 +119,7 @@ export function follow() {
     const [bottom, top] = heights(view.fit);
     const px = view.scale * view.magnified;
     const out = (Math.max(top - view.y, view.y - bottom) * px) > roomAcross() / 2 + 1 || !seesTip();
-    const low = !isMoving() && (top - bottom) * px < LOW * roomAcross();
+    const low = (top - bottom) * px < LOW * roomAcross();
     if (out || (low && view.magnified < MAGNIFICATIONS.at(-1))) fit(view.fit);
     return;
   }
@@ -158,10 +159,4 @@ export function hold(on) {
 
 const limited = (scale) => Math.min(Math.max(scale, SCALES[0]), SCALES[1]);
 
-/** A goal that is put or comes from a file is seen; while it is dragged the picture stands. */
-listen("goal", () => {
-  if (!now.state || view.held) return;
-  if (view.fit !== "tip") fit(view.fit);
-  if (aim.target && !sees(...aim.target)) fit("tissue");
-});
 listen("band", follow);

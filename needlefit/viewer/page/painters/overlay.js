@@ -1,6 +1,5 @@
 /** What the needle is compared with and aimed at, and what the picture itself does not show. */
 
-import { aim, nameOf } from "../aim.js";
 import { heightAt, isChanged, predictionOf } from "../quantities.js";
 import { now } from "../store.js";
 import { toPx, toPy, view } from "../view.js";
@@ -8,7 +7,6 @@ import { cross, faintly, fillBetween, isFree, label, labelBeside, labelFree, lin
 
 const GAPS = 12; // parts of the shaft between which gaps are drawn
 const FAN = 0.3; // opacity of the plan's draws
-const PALE = 0.35; // of a plan that the needle has left
 const CROSS = 5; // px
 const AWAY = 19; // px, of the tip error from the needle
 const INSET = { width: 170, height: 46, edge: 10 }; // px
@@ -79,24 +77,13 @@ export function paintGaps(context, state, measured) {
   labelFree(context, `tip error (${named}) ${(prediction?.errors ?? errors)[key].toFixed(2)} mm`, [...sides, [px + 60, top - AWAY], [px + 60, bottom + AWAY], [px - 90, top - AWAY], [px - 90, bottom + AWAY]], palette.gap);
 }
 
-/** Draw the needles of the draws, and over them the one of the parameters shown. */
-export function paintPlan(context) {
-  if (!aim.plan) return;
-  const pale = aim.plan.left ? PALE : 1;
-  faintly(context, FAN * pale, () => {
-    for (const [x, y] of aim.plan.fan) line(context, x, y, palette.plan, 1);
+/** Draw target, obstacles, and the needles of the draws of a plan. */
+export function paintPlan(context, { target: [x, y], radius, obstacles, needles }) {
+  faintly(context, FAN, () => {
+    for (const [xs, ys] of needles) line(context, xs, ys, palette.plan, 1);
   });
-  faintly(context, pale, () => {
-    line(context, aim.plan.x, aim.plan.y, palette.halo, 4);
-    line(context, aim.plan.x, aim.plan.y, palette.plan, 2, [10, 4]);
-  });
-}
-
-export function paintGoal(context) {
-  aim.obstacles.forEach(([x, y, radius], i) => paintCircle(context, x, y, radius, palette.tip, nameOf(i), 0.28));
-  if (!aim.target) return;
-  const [x, y] = aim.target;
-  paintCircle(context, x, y, aim.radius, palette.guide, "target");
+  for (const [at, across, size, name] of obstacles) paintCircle(context, at, across, size, palette.tip, name, 0.28);
+  paintCircle(context, x, y, radius, palette.guide, "target");
   segments(context, cross(toPx(x), toPy(y), CROSS), palette.guide, 2);
 }
 

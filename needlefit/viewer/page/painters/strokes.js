@@ -1,6 +1,7 @@
 /** Colours, lines and shapes on the canvas, given in mm or px. */
 
 import { colour } from "../dom.js";
+import { now } from "../store.js";
 import { toPx, toPy, view } from "../view.js";
 
 const NAMES = [
@@ -133,11 +134,12 @@ export function label(context, text, px, py, colour = palette.label) {
 }
 
 const LINE = 16; // px, height of a label
-let [boxes, avoided] = [[], []]; // of this frame, px: [left, top, width, height]
+let [boxes, avoided] = [[], []]; // what is written in this frame, and what else no label may lie on, px: [left, top, width, height]
 
-/** What is written in this frame, and what else no label may lie on. */
-export const takenBoxes = () => boxes;
-export const clearBoxes = () => ([boxes, avoided] = [[], []]);
+export function clearBoxes() {
+  [boxes, avoided] = [[], []];
+  now.labels = boxes;
+}
 const overlap = ([x, y, w, h], [x2, y2, w2, h2]) => x < x2 + w2 && x2 < x + w && y < y2 + h2 && y2 < y + h;
 export const isFree = (box) => !boxes.some((one) => overlap(one, box));
 export const reserve = (...box) => boxes.push(box);

@@ -3,10 +3,10 @@
  * point to it. `roll` is that of the bevel at the end, degrees; at 20 mm it was turned by 90 degrees, at 35 mm over.
  */
 
-import { readPoints } from "../model/errors.js";
-import { ModelError, rollOf, wrap } from "../model/inputs.js";
-import { SteeredNeedle } from "../model/steered.js";
-import { strengthOf } from "../quantities.js";
+import { readPoints } from "./model/errors.js";
+import { ModelError, rollOf, wrap } from "./model/inputs.js";
+import { SteeredNeedle } from "./model/steered.js";
+import { strengthOf } from "./quantities.js";
 
 export const ANEW = [["return_to", null, 0]];
 const POINTS = 21; // of two needles that are compared
@@ -116,6 +116,8 @@ export function readAddress(address, scene) {
     throw new ModelError(`the address has ${key}=${text}`, low < 0 ? "a number" : `a number, ${low} or above`);
   };
   for (const key of values.keys()) if (!known.includes(key)) throw new ModelError(`the address has ${key}`, known.join(", "));
+  const doubled = [...values.keys()].find((key) => values.getAll(key).length > 1);
+  if (doubled) throw new ModelError(`the address has ${doubled} more than once`, "each key once");
   if (!values.has("depth")) {
     if ([...values.keys()].some((key) => key !== "needle")) throw new ModelError("the address has no depth", "depth=, in mm");
     return [];

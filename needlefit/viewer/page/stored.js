@@ -1,10 +1,10 @@
 /** The needles of a file: read, computed with the kernel in the file, and compared with what was stored. */
 
-import { compile } from "../../../mechanics/native/needle.js";
-import { part } from "../dom.js";
-import { ALIGN, computeErrors, readPoints } from "../model/errors.js";
-import { listSteps } from "../model/inputs.js";
-import { SteeredNeedle } from "../model/steered.js";
+import { compile } from "../../mechanics/native/needle.js";
+import { part } from "./dom.js";
+import { ALIGN, computeErrors, readPoints } from "./model/errors.js";
+import { listSteps } from "./model/inputs.js";
+import { SteeredNeedle } from "./model/steered.js";
 
 const SLICE = 12; // ms that work may take at a time
 
@@ -110,6 +110,7 @@ export async function prove({ needles, kernel }, same) {
         }
       } else {
         insert(steered);
+        if (needle.tip === null) continue; // the model finds no needle at its end
         compare(compareStored(steered, needle, same));
       }
     } catch (error) {

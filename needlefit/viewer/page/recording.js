@@ -1,0 +1,169 @@
+/** Recordings: one that is played, one that is saved or dropped on the page, and the one that the browser keeps. */
+
+import { writeRecording } from "./address.js";
+import { hand, part, press, write } from "./dom.js";
+import { nameOf } from "./link.js";
+import { ModelError } from "./model/inputs.js";
+import { forgetPast, goHome, refuse, show } from "./steering.js";
+import { listen, now } from "./store.js";
+import { Replay } from "./stored.js";
+
+const [SHORTEST, LONGEST] = [2, 20]; // s that a recording lasts while it is played
+const PAUSE = 400; // ms without a change, after which the browser keeps the needle
+const MOST_KEPT = 1_000_000; // characters
+const COLUMNS = "step,time_s,input,item,value,tip_lateral_mm";
+let playing = null; // {clock, last, n}: s of the recording, ms, steps carried out
+
+const timeOf = (n) => (n ? now.replay.steps[n - 1][0] : 0);
+
+/** Show a needle that was chosen as the file has it: of a recording its end. */
+export function goBack() {
+  write("link-note", "");
+  part("back").disabled = true;
+  if (now.replay) showStep(now.replay.steps.length);
+  else goHome();
+}
+
+function showStep(n, clock = timeOf(n)) {
+  const { replay } = now;
+  forgetPast();
+  replay.to(n);
+  part("scrub").value = n === replay.steps.length ? part("scrub").max : clock;
+  part("scrub").ariaValueText = `${clock.toFixed(1)} s`;
+  write("time", `${clock.toFixed(1)} s of ${timeOf(replay.steps.length).toFixed(1)} s`);
+  show();
+}
+
+export function play(on) {
+  part("play").textContent = on ? "Pause" : "Play";
+  if (!on) return void (playing = null);
+  const { replay } = now;
+  const n = replay.at === replay.steps.length || replay.changed ? 0 : replay.at;
+  playing = { clock: timeOf(n), last: performance.now(), n };
+  requestAnimationFrame(advance);
+}
+
+function advance(t) {
+  if (!playing) return;
+  const { steps } = now.replay;
+  const ends = Math.max(timeOf(steps.length), 1e-9);
+  playing.clock += ((t - playing.last) / 1000) * (ends / Math.min(Math.max(ends, SHORTEST), LONGEST));
+  playing.last = t;
+  while (playing.n < steps.length && timeOf(playing.n + 1) <= playing.clock) playing.n += 1;
+  showStep(playing.n, Math.min(playing.clock, ends));
+  if (playing.n === steps.length) return play(false);
+  requestAnimationFrame(advance);
+}
+
+/** Prepare the recording of a needle, or none. */
+export function openRecording(recording) {
+  now.replay = recording ? new Replay(now.steered, recording) : null;
+  part("transport").hidden = !recording;
+  if (recording) part("scrub").max = Math.ceil(10 * (recording.at(-1)?.[0] ?? 0)) / 10; // the step is 0.1
+}
+
+part("scrub").addEventListener("input", ({ target }) => {
+  play(false);
+  const { steps } = now.replay;
+  const clock = Math.min(Number(target.value), timeOf(steps.length));
+  showStep(steps.filter(([time]) => time <= clock).length, clock);
+});
+press("play", () => play(!playing));
+press("back", () => {
+  localStorage.removeItem(keyOf(now.needle));
+  goBack();
+});
+listen("steers", () => {
+  if (!now.replay) return;
+  play(false);
+  now.replay.changed = true;
+});
+
+// ---- files
+
+/** Save how the needle was moved, as `needlefit view --recording` opens it. */
+press("save-recording", () => {
+  const name = `${nameOf(now.needle).replace(/[^\w-]+/g, "-")}.csv`;
+  hand(new Blob([writeRecording(now.needle.head, now.steered)], { type: "text/csv" }), name);
+  write("link-note", `Saved ${name}. It opens on this page, and with: needlefit view --recording ${name}`);
+});
+
+/** The head of a recording without its comment and the version that wrote it: the same for the same needle. */
+const identify = (head) => head.split("\n").filter((one) => one.startsWith("#")).slice(1).filter((one) => !one.startsWith("# needlefit =")).join("\n");
+
+/** The steps of a recording of one of the needles of this file: {number, steps: [time, changes, tip]}. */
+function readRecording(text) {
+  const lines = text.split(/\r?\n/);
+  const count = lines.findIndex((one) => !one.startsWith("#"));
+  const number = now.data.needles.findIndex(({ head }) => head && identify(head) === identify(text));
+  if (count < 1 || lines[count] !== COLUMNS) throw new ModelError("the file is no recording", "a file of Save recording, or of needlefit plan");
+  if (number < 0) throw new ModelError("the recording is of another scene", "one of this page; needlefit view --recording opens others");
+  const steps = [];
+  for (const row of lines.slice(count + 1).filter(Boolean)) {
+    const [step, time, name, item, value, tip] = row.split(",");
+    if (Number(step) > steps.length) steps.push([Number(time), [], NaN]);
+    const last = steps.at(-1);
+    last[1].push([name, item ? Number(item) : null, Number(value)]);
+    if (tip) last[2] = Number(tip);
+  }
+  return { number, steps };
+}
+
+/** Open recordings that are dropped on the page; `choose(number)` shows another needle of the file. */
+export function openDropped(choose) {
+  addEventListener("dragover", (event) => event.preventDefault());
+  addEventListener("drop", async (event) => {
+    event.preventDefault();
+    const [file] = event.dataTransfer?.files ?? [];
+    if (!file) return;
+    try {
+      const { number, steps } = readRecording(await file.text());
+      await choose(number);
+      openRecording(steps);
+      goBack();
+      write("link-note", `Opened ${file.name}.`);
+    } catch (error) {
+      refuse(error, part("proof").parentElement);
+    }
+  });
+}
+
+// ---- the needle that the browser keeps
+
+const keyOf = (needle) => `needlefit ${location.pathname} ${nameOf(needle)}`;
+let keeping = 0;
+
+/** Have the browser keep the needle that was steered, where it lets a page do so. */
+function keep() {
+  const { needle, steered } = now;
+  const text = JSON.stringify({ head: needle.head, way: steered.listWay().map(({ changes }) => changes) });
+  try {
+    if (text.length <= MOST_KEPT) localStorage.setItem(keyOf(needle), text);
+  } catch { /* there is no room: the needle is not kept */ }
+}
+
+listen("steers", () => {
+  clearTimeout(keeping);
+  keeping = setTimeout(keep, PAUSE);
+});
+addEventListener("pagehide", () => keeping && keep());
+
+/** Show the needle as the reader left it; returns whether there was one. */
+export function restore() {
+  const { needle, steered, replay } = now;
+  const kept = JSON.parse(localStorage.getItem(keyOf(needle)) ?? "null");
+  if (!kept || kept.head !== needle.head) return false;
+  steered.rewind();
+  try {
+    for (const changes of kept.way) steered.apply(changes, { validOnly: false });
+  } catch {
+    localStorage.removeItem(keyOf(needle));
+    goBack();
+    return false;
+  }
+  if (replay) replay.changed = true;
+  part("back").disabled = false;
+  write("link-note", "The needle as you left it: this browser keeps it.");
+  show();
+  return true;
+}

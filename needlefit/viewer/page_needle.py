@@ -1,0 +1,142 @@
+"""The page of a needle: one HTML file that computes it, and its content as values for JSON; mm, frame C."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from needlefit.arrays import Floats
+from needlefit.mechanics.laws import LAWS, PowerLaw
+from needlefit.mechanics.packing import compile_law
+from needlefit.mechanics.simulate import find_last_shape
+from needlefit.mechanics.tissue import Tissue
+from needlefit.planning.recording import RecordedStep, Recording, format_head
+from needlefit.planning.steered_needle import SteeredNeedle, make_steered_scene
+from needlefit.reporting import needle_page
+from needlefit.viewer.overlays import MeasuredOverlay, choose_band_draws
+from needlefit.viewer.viewed_scene import ViewedScene
+
+if TYPE_CHECKING:
+    from needlefit.inference.forward_model import ParameterDraws
+    from needlefit.planning.steering import SteeringPlan
+
+LENGTH_DIGITS = 4  #: decimals of drawn lengths in mm
+PLAN_NEEDLES = 40  #: needles of the draws of a plan that are drawn
+
+
+def compose_page(
+    viewed_scene: ViewedScene, recording: Recording | None = None, plan: "SteeringPlan | None" = None
+) -> str:
+    """Return the text of an HTML file on which a needle is steered, from the end of `recording` if given.
+
+    ConfigError if the model does not take the scene, or this installation has no kernel in WebAssembly.
+    """
+    head = viewed_scene.make_head() if recording is None else recording.head
+    scene = make_steered_scene(head.scene, viewed_scene.name)
+    steering, steps = SteeredNeedle(scene, head.first_cell_mm), recording.steps if recording else ()
+    encoded = encode_scene(viewed_scene, steering) | {"plan": plan and encode_plan(plan)}
+    encoded["simulation"]["law"]["tables"] = encode_tables(steering.scene.tissue, steps)
+    needle = {
+        "scene": encoded, "new_specimen": viewed_scene.specimen == "new", "head": format_head(head),
+    }  # fmt: skip
+    if recording is None:
+        shape = find_last_shape(scene.needle, scene.tissue, scene.steps, scene.rules)
+        needle["tip"] = shape.tip_lateral if shape.converged else None
+    else:
+        needle["recording"] = [
+            [step.time, [[one.name, one.item, one.value] for one in step.changes], step.tip_lateral]
+            for step in steps
+        ]
+    data = needle_page.PageData({"needlefit": head.needlefit})
+    data.needles.append(needle)
+    return needle_page.compose_file(viewed_scene.title, viewed_scene.note, data)
+
+
+def encode_plan(plan: "SteeringPlan") -> dict[str, Any]:
+    """Return target, obstacles and needles of a plan in its plane, as the page draws them."""
+    solved = plan.needles[plan.solved]
+    drawn = solved[np.linspace(0, len(solved) - 1, min(PLAN_NEEDLES, len(solved))).astype(np.intp)]
+    return {
+        "target": list(plan.goal.target[:2]),
+        "radius": plan.goal.radius,
+        "obstacles": [[*one.centre_mm[:2], one.radius_mm, one.name] for one in plan.goal.obstacles],
+        "needles": [[round_lengths(column) for column in needle.T[:2]] for needle in drawn],
+    }
+
+
+def encode_scene(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str, Any]:
+    """Return all that stays constant: the needle, the layers, the overlays."""
+    scene = steering.scene
+    measured = viewed_scene.measured
+    return {
+        **needle_page.encode_scene(scene, steering.first_cell, steering.names),
+        "title": viewed_scene.title,
+        "note": viewed_scene.note,
+        "target": viewed_scene.name,
+        "origin_mark": viewed_scene.origin_mark,
+        "diameter_mm": viewed_scene.diameter,
+        "measured": measured and {
+            "id": measured.id,
+            "depth_mm": measured.depth,
+            **encode_measured(measured),
+        },
+        "draws": None if viewed_scene.spread is None else encode_draws(viewed_scene.spread, scene.tissue.law),
+    }  # fmt: skip
+
+
+def encode_measured(measured: MeasuredOverlay) -> dict[str, Any]:
+    """Return a measured needle as the page draws and compares it."""
+    target = measured.target
+    points, compared = (
+        dict(zip("xyz", one.T.tolist(), strict=True)) for one in (measured.points, target.measured)
+    )
+    return {
+        "metrics": needle_page.encode_metrics(),
+        "compared": target.compared,
+        **points,
+        "s": measured.s.tolist(),
+        "floor_mm": measured.floor,
+        "prediction": measured.prediction,
+        "target": {"pose": target.pose, "s": target.s.tolist(), **compared},
+    }
+
+
+def encode_law(law: str, shape: Floats) -> list[float]:
+    """Return the law of all layers at shape parameters (..., p, n) as the kernel has it, or a ModelError."""
+    return np.concatenate(compile_law(law, shape), axis=-1).ravel().tolist()
+
+
+def encode_tables(tissue: Tissue, steps: Sequence[RecordedStep]) -> list[Any]:
+    """Return shape parameters and law for all that occur in steps; none where the page computes the law."""
+    names = LAWS[tissue.law].shape_names
+    if isinstance(LAWS[tissue.law], PowerLaw):
+        return []
+    after, found = {0: tissue.shape}, dict[str, Any]()
+    for number, step in enumerate(steps, start=1):
+        first, shape = step.changes[0], after[number - 1]
+        if first.name == "return_to":
+            shape = after.get(int(first.value), shape)
+        for change in step.changes:
+            if change.name in names and change.item is not None and change.item <= tissue.layers:
+                shape = shape.copy()
+                shape[names.index(change.name), change.item - 1] = change.value
+        after[number] = shape
+        if shape is not tissue.shape:
+            found.setdefault(str(shape.tolist()), [shape.tolist(), encode_law(tissue.law, shape)])
+    return list(found.values())
+
+
+def encode_draws(spread: "ParameterDraws", law: str) -> dict[str, Any]:
+    """Return the draws of a band: of each, mu and law of every layer, and the strength of the bevel."""
+    drawn = spread.only(choose_band_draws(spread))
+    return {
+        "sets": len(drawn),
+        "mu": drawn.mu.ravel().tolist(),
+        "law": encode_law(law, drawn.shape),
+        "strength": drawn.bevel.tolist(),
+    }
+
+
+def round_lengths(values: Floats) -> list[float]:
+    """Return drawn lengths, mm, as numbers for JSON."""
+    return np.round(values, LENGTH_DIGITS).tolist()
