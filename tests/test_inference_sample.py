@@ -17,7 +17,7 @@ from needlefit.errors import DataError
 from needlefit.inference.fit import Callbacks
 from needlefit.inference.sampling.log_density import Evaluator
 from needlefit.inference.sampling.posterior import MAX_R_HAT, Posterior, load, save
-from needlefit.inference.sampling.sample import compute_autocorrelation_time, compute_r_hat
+from needlefit.inference.sampling.sample import compare_means, compute_autocorrelation_time, compute_r_hat
 
 MEAN, COV = np.array([0.4, -0.2]), np.array([[0.04, 0.03], [0.03, 0.09]])
 GAUSSIAN = Known(gaussian(COV, MEAN), half=2.0)
@@ -154,6 +154,23 @@ def test_walkers_that_rest_or_stay_in_their_mode_are_seen():
     assert compute_r_hat(noise + np.linspace(0, 2, 500)[:, None]) > 1.05
 
 
+def test_walkers_that_begin_alike_and_hardly_move_have_few_independent_draws():
+    """Of 640 draws that are 20 different ones in any order, 20 at most are independent."""
+    values = np.random.default_rng(5).choice(np.random.default_rng(6).normal(size=20), size=(10, 64))
+    assert values.size / compute_autocorrelation_time(values) <= 20
+
+
+def test_chains_are_compared_with_the_draws_by_importance():
+    """Of draws of one density means lie within chance; shifted by a standard deviation they do not."""
+    got = draw(GAUSSIAN, BEGIN)
+    assert got.apart.shape == (2,) and got.apart.max() < 4.0
+    shifted = replace(BEGIN, thetas=BEGIN.thetas + np.sqrt(COV[0, 0]) * np.eye(2)[0])
+    far = compare_means(got, shifted)
+    assert far[0] > 10.0 and far[1] < 4.0
+    unknown = replace(shifted, k=2.0)
+    assert compare_means(got, unknown).tolist() == [0.0, 0.0]
+
+
 def met(**changed: object) -> Posterior:
     """Draws that have converged, but for `changed`."""
     rng = np.random.default_rng(4)
@@ -186,9 +203,10 @@ def test_each_criterion_counts():
         met(autocorrelation_time=np.array([1.0, math.inf, 1.0])),
         met(wanted=401),
         met(interrupted=True),
+        met(apart=np.array([0.5, 5.1])),
     ]
     assert [len(one.faults) for one in broken] == [1] * len(broken)
-    named = [("x1", 0), ("log posterior", 1), ("log posterior", 2), ("x1", 3), ("x0", 4)]
+    named = [("x1", 0), ("log posterior", 1), ("log posterior", 2), ("x1", 3), ("x0", 4), ("x1", 6)]
     assert all(name in broken[n].faults[0] for name, n in named)
 
 

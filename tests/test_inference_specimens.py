@@ -8,8 +8,10 @@ from inference_cases import TRUTH, insertion, measure, medium, problem
 from scipy.integrate import quad
 from scipy.stats import multivariate_normal, norm, truncnorm
 
+from needlefit.inference.fit import Callbacks
 from needlefit.inference.forward_model import predict
 from needlefit.inference.parameters import Parameters
+from needlefit.inference.sampling.sample import sample_density
 from needlefit.inference.specimens import (
     Population,
     Specimen,
@@ -20,7 +22,7 @@ from needlefit.inference.specimens import (
     make_spread_model,
 )
 from needlefit.schemas.medium import MediumRecord
-from needlefit.schemas.recipe import BetweenSpecimensRecord
+from needlefit.schemas.recipe import BetweenSpecimensRecord, SampleRecord
 
 RIDGE = np.array([[0.05, -0.024], [-0.024, 0.0144]])
 BOUNDS = np.array([4.0, -7.0]), np.array([18.0, -0.5])
@@ -143,6 +145,13 @@ def gaussian(mean: np.ndarray, covariance: np.ndarray, seed: int) -> np.ndarray:
     return mean + white @ np.linalg.cholesky(covariance).T
 
 
+def walk(log_density, names, begin):
+    """Go on from weighted draws by the ensemble of walkers of the default recipe."""
+    assert len(names) == begin.thetas.shape[1] == 5
+    settings = SampleRecord(independent_draws=2000, densities=60_000)
+    return sample_density(log_density, names, begin, settings, np.random.default_rng(2), Callbacks())
+
+
 @pytest.mark.parametrize("gap", [0.05, 0.4, 2.0])
 def test_two_specimens_tell_of_the_spread_of_b_what_their_difference_does(gap):
     """Of mu nothing is known: the marginal of tau_b is an integral."""
@@ -156,8 +165,10 @@ def test_two_specimens_tell_of_the_spread_of_b_what_their_difference_does(gap):
         return tau**power * norm.pdf(tau, scale=SDS[1]) * norm.pdf(gap, scale=math.sqrt(2 * (tau**2 + 1e-4)))
 
     moments = [quad(density, 0, 3, args=(power,), points=(0.05, 0.2, 0.5, 1))[0] for power in (0, 2)]
-    assert not found.faults
-    assert found.rms[1] == pytest.approx(math.sqrt(moments[1] / moments[0]), rel=0.15)
+    walked = draw_population(one_layer(), MODEL, posteriors, 4000, np.random.default_rng(1), walk)
+    for one, source in ((found, "importance"), (walked, "posterior")):
+        assert not one.faults and one.source == source
+        assert one.rms[1] == pytest.approx(math.sqrt(moments[1] / moments[0]), rel=0.15)
 
 
 def test_a_ridge_of_specimens_is_learned_along_and_across():

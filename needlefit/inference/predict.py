@@ -25,7 +25,7 @@ from needlefit.arrays import Floats
 from needlefit.grouping import group_values
 from needlefit.inference.parameter_names import NOISE_SCALE
 from needlefit.inference.parameters import Parameters
-from needlefit.inference.sampling.posterior import Posterior
+from needlefit.inference.sampling.posterior import Posterior, thin_chains
 
 INTERVAL_PROBABILITIES = (0.50, 0.95)  #: probabilities of the central intervals that are reported
 #: draws, at most, whose pairs show how much the Gaussians add to the distances between draws
@@ -187,9 +187,9 @@ def thin_posterior(
 
     Raises KeyError if the posterior is of other parameters.
     """
-    flat = posterior.draws.reshape(-1, len(posterior.names))
-    chosen = flat[np.linspace(0, len(flat) - 1, min(count, len(flat))).astype(np.int64)]
-    sets = (dict(zip(posterior.names, values.tolist(), strict=True)) for values in chosen)
+    sets = (
+        dict(zip(posterior.names, values, strict=True)) for values in thin_chains(posterior, count).tolist()
+    )
     thetas = np.array([parameters.theta(values) for values in sets])
     return Draws(thetas, "posterior", posterior.faults, pareto_k, float(posterior.ess.min()))
 

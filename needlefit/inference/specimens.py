@@ -18,7 +18,7 @@ a prior of m: draws are chosen by its inverse, so that it counts once.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -30,9 +30,15 @@ from needlefit.arrays import Floats
 from needlefit.inference.forward_model import PreparedModel
 from needlefit.inference.parameter_names import BEVEL_PARAMETERS, dimension
 from needlefit.inference.parameters import Parameters
+from needlefit.inference.predict import Source
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.importance import Effort, WeightedDraws, resample, sample_by_importance
-from needlefit.inference.sampling.log_density import approximate_by_information, difference_information
+from needlefit.inference.sampling.log_density import (
+    LogDensityFunction,
+    approximate_by_information,
+    difference_information,
+)
+from needlefit.inference.sampling.posterior import Posterior, thin_chains
 from needlefit.schemas.recipe import BetweenSpecimensRecord
 
 #: least and largest tau, in standard deviations of its half-normal prior
@@ -86,6 +92,15 @@ class SpreadModel:
         implied = modulus_sd**2 * (common * shared + (1 - common) * apart) + bevel_sd**2 * np.sum(of_bevel**2)
         slopes = slopes * math.sqrt(max(0.0, 1 - 1 / implied)) if implied else slopes
         return cls(names, len(moduli), bool(moduli and bevels), np.array(sds), slopes)
+
+    def list_quantities(self) -> tuple[str, ...]:
+        """Return the names of m (Q,), then of the hyperparameters of T (S,)."""
+        taus = [
+            *["spread of the moduli"] * bool(self.moduli),
+            *["spread of b"] * (len(self.names) > self.moduli),
+        ]
+        rest = ["correlation"] * self.correlated + ["common part of the moduli"] * (self.moduli > 1)
+        return (*self.names, *taus, *rest)
 
     @property
     def upper(self) -> Floats:
@@ -288,6 +303,10 @@ class Population:
         return np.clip(start, self.lower, self.upper)
 
 
+#: goes on from weighted draws of a density whose quantities have names: by an ensemble of walkers
+PopulationSampler = Callable[[LogDensityFunction, tuple[str, ...], WeightedDraws], Posterior | None]
+
+
 @dataclass(frozen=True)
 class PopulationDraws:
     """Joint draws of the parameters (B, P) in each specimen, in their mean and in a new one."""
@@ -297,9 +316,10 @@ class PopulationDraws:
     new: Floats  #: in a further specimen
     covariances: Floats  #: T (B, Q, Q)
     faults: tuple[str, ...] = ()  #: why the draws do not represent the posterior; empty if they do
-    #: of the weights of several specimens' population
+    #: of the weights of several specimens' population, or of the ensemble of walkers that followed
     pareto_k: float = math.nan
     effective_sample_size: float = math.nan
+    source: Source = "importance"
 
     @property
     def rms(self) -> Floats:
@@ -340,10 +360,12 @@ def draw_population(
     posteriors: Mapping[str, Floats],
     count: int,
     rng: np.random.Generator,
+    sampler: PopulationSampler | None = None,
 ) -> PopulationDraws:
     """Draw from the population of specimens whose own posteriors are known by draws (K, P) each.
 
-    A single specimen has `count` draws, and T is drawn from its prior.
+    A single specimen has `count` draws, and T is drawn from its prior. Of several, m and T are weighted draws
+    by importance, and those of the `sampler` that goes on from there, unless these alone are certified.
     """
     columns = [parameters.free.index(name) for name in model.names]
     if len(posteriors) == 1:
@@ -353,7 +375,16 @@ def draw_population(
         return PopulationDraws(posteriors, mean, new, covariances)
     population = make_population(parameters, model, list(posteriors.values()))
     found = population.posterior(rng)
-    means, covariances = population.split(found.thetas[resample(found, count, rng)])
+    at, ess = found.thetas[resample(found, count, rng)], found.effective_sample_size
+    source: Source = "importance"
+    of = f"the population of {len(posteriors)} specimens"
+    weak = f"{of} is not certified (Pareto k {found.k:.2f}, effective sample size {ess:.0f})"
+    faults: tuple[str, ...] = () if found.certified else (weak,)
+    chains = None if sampler is None else sampler(population.log_density, model.list_quantities(), found)
+    if chains is not None and not (chains.faults and found.certified):
+        at, ess, source = thin_chains(chains, count), float(chains.ess.min()), "posterior"
+        faults = tuple(f"{of}: {fault}" for fault in chains.faults)
+    means, covariances = population.split(at)
     tuned = {}
     for (name, thetas), one in zip(posteriors.items(), population.specimens, strict=True):
         some = thetas[:, columns]
@@ -368,15 +399,10 @@ def draw_population(
     mean[:, columns] = means
     for tie in parameters.prior.ties:  # a source comes before what is tied to it
         if tie.name in parameters.free and tie.source in parameters.free:
-            of, source = parameters.free.index(tie.name), parameters.free.index(tie.source)
-            mean[:, of] = mean[:, source] + own[:, of] - own[:, source]
+            tied, other = parameters.free.index(tie.name), parameters.free.index(tie.source)
+            mean[:, tied] = mean[:, other] + own[:, tied] - own[:, other]
     new = draw_specimens(parameters, model, mean, covariances, rng)
-    fault = (
-        f"the population of {len(tuned)} specimens is not certified (Pareto k {found.k:.2f}, effective "
-        f"sample size {found.effective_sample_size:.0f})"
-    )
-    faults = () if found.certified else (fault,)
-    return PopulationDraws(tuned, mean, new, covariances, faults, found.k, found.effective_sample_size)
+    return PopulationDraws(tuned, mean, new, covariances, faults, found.k, ess, source)
 
 
 def draw_specimens(

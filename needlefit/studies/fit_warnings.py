@@ -16,7 +16,7 @@ from needlefit.inference.identifiability.directions import (
     find_bound_side,
     short_name,
 )
-from needlefit.inference.parameter_names import BEVEL_SPREAD, is_shape_parameter
+from needlefit.inference.parameter_names import BEVEL_SPREAD, HYPERPARAMETERS, is_shape_parameter
 from needlefit.inference.parameters import Parameters
 from needlefit.inference.point_prediction import PointPrediction
 from needlefit.project.result_warnings import ResultWarning, to_stored_rows
@@ -212,9 +212,20 @@ def _find_outside(run: Run) -> Iterator[Row]:
 
 #: of fits and cross-validations, by the kind of the warning, which programs may rely on: run -> the values of
 #: the text, for each case found
+def _find_outside_modes(run: Run) -> Iterator[Row]:
+    """Yield the parameters whose posterior mode lies outside their 95 % interval."""
+    rows = FitFrames.of(run).free_parameters
+    rows = rows[~rows["parameter"].isin(HYPERPARAMETERS)]
+    outside = rows[(rows["value"] < rows["interval_low"]) | (rows["value"] > rows["interval_high"])]
+    for name, some in outside.groupby("parameter", sort=False):
+        low, high = some["interval_low"].iloc[0], some["interval_high"].iloc[0]
+        yield {"parameter": str(name), "value": some["value"].iloc[0], "low": low, "high": high}
+
+
 RULES: Mapping[str, Callable[[Run], Iterable[Row]]] = {
     "validity": _find_outside,
     "parameter_at_bound": _find_bounds,
+    "mode_interval": _find_outside_modes,
     "predictive_median": _find_medians,
     "noise_too_large": partial(_find_wrong_noise, too_large=True),
     "noise_too_small": partial(_find_wrong_noise, too_large=False),

@@ -26,8 +26,9 @@ from needlefit.inference.sampling.importance import (
     sample_about_fit,
     sample_about_modes,
 )
+from needlefit.inference.sampling.log_density import LogDensityFunction
 from needlefit.inference.sampling.posterior import Posterior
-from needlefit.inference.sampling.sample import sample
+from needlefit.inference.sampling.sample import sample, sample_density
 from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import run_parts
 from needlefit.project.toml import describe_key
@@ -139,6 +140,7 @@ class Specimens:
     fold: Fold
     draws: Draws = field(default_factory=partial(Draws, np.empty((0, 0)), "importance"))
     jobs: int = 1  #: threads
+    callbacks: Callbacks | None = None  #: of an ensemble that samples the population; None: by importance
     #: draws of the posterior of each specimen by itself, by its insertions; folds may share them
     posteriors: dict[tuple[str, ...], Draws] = field(default_factory=dict)
 
@@ -189,7 +191,16 @@ class Specimens:
             nothing = np.empty((0, len(self.job.parameters.free)))
             empty = np.empty((0, len(self.model.names), len(self.model.names)))
             return specimens.PopulationDraws({}, nothing, nothing, empty, tuple(faults))
-        return specimens.draw_population(self.job.parameters, self.model, posteriors, count, rng)
+        sampler = None if self.callbacks is None else self._sample_population
+        return specimens.draw_population(self.job.parameters, self.model, posteriors, count, rng, sampler)
+
+    def _sample_population(
+        self, log_density: LogDensityFunction, names: tuple[str, ...], begin: WeightedDraws
+    ) -> Posterior | None:
+        """Return the population by an ensemble of walkers that goes on from weighted draws."""
+        rng = random_stream(self.job.recipe.seed, self.fold.name, "specimens", "ensemble")
+        assert self.callbacks is not None
+        return sample_density(log_density, names, begin, self.job.recipe.sample, rng, self.callbacks)
 
     def tabulate_population(self) -> list[Row]:
         """Return how much each parameter differs between several specimens; nothing if that is uncertain."""
@@ -230,7 +241,7 @@ class Specimens:
             return replace(self.draws, thetas=thetas)
         found = self.population
         mode = self.draws.mode
-        return Draws(thetas, "importance", found.faults, found.pareto_k, found.effective_sample_size, mode)
+        return Draws(thetas, found.source, found.faults, found.pareto_k, found.effective_sample_size, mode)
 
     def list_draws(self, thetas: Floats) -> dict[str, Floats]:
         """Return as many draws (B, P) in each specimen that has some of its own, and in a `NEW_SPECIMEN`.

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 #: largest R-hat of draws that have converged: of four parts with 100 independent draws each, of one
 #: distribution, 0.7 % exceed it. The means of the parts then have an SD of 0.2 of the draws', not of 0.1
 MAX_R_HAT = 1.02
+#: largest distance of means of the same posterior by two methods, in standard errors; by chance 1 in 2e6
+MAX_APART = 5.0
 LOG_POSTERIOR = "log posterior"
 #: what the file keeps beside arrays; of files of other versions, whatever else they have is left out
 _STORED = ("names", "wanted", "burn_in", "failures", "interrupted")
@@ -44,6 +46,9 @@ class Posterior:
     burn_in: int  #: steps thrown away before
     failures: int  #: evaluations that were not a number, or raised, and were given density 0
     interrupted: bool = False
+    #: (P,) how far the means lie from those of the certified draws by importance before, in standard errors;
+    #: empty where none are known
+    apart: Floats = field(default_factory=lambda: np.empty(0))
 
     @property
     def ess(self) -> Floats:
@@ -71,6 +76,9 @@ class Posterior:
         if not self.ess[slowest] >= self.wanted:
             has = f"{self.ess[slowest]:.0f} independent draws of {quantities[slowest]}"
             found.append(f"{has}, not {self.wanted}")
+        if self.apart.size and not (far := float(self.apart.max())) < MAX_APART:
+            name = self.names[int(np.argmax(self.apart))]
+            found.append(f"its mean of {name} is {far:.2g} standard errors from that by importance sampling")
         return tuple(found)
 
     def percentiles(self, at: Sequence[float] = PERCENTILES) -> dict[str, tuple[float, ...]]:
@@ -91,6 +99,12 @@ class Posterior:
 
         groups = {name: xarray.Dataset(*parts) for name, parts in _list_groups(self).items()}
         return xarray.DataTree.from_dict(groups)
+
+
+def thin_chains(posterior: Posterior, count: int) -> Floats:
+    """Return `count` draws (B, P), or all of fewer, evenly spread over all chains and steps."""
+    flat = posterior.draws.reshape(-1, len(posterior.names))
+    return flat[np.linspace(0, len(flat) - 1, min(count, len(flat))).astype(np.int64)]
 
 
 def save(posterior: Posterior, path: Path) -> None:
@@ -128,6 +142,7 @@ def load(path: Path) -> Posterior:
             acceptance_fraction=numbers["sample_stats/acceptance_rate"],
             r_hat=numbers["convergence/r_hat"],
             autocorrelation_time=numbers["convergence/autocorrelation_time"],
+            apart=numbers.get("convergence/apart", np.empty(0))[:-1],
             **{name: about[name] for name in about.keys() & set(_STORED)},
         )
     except (DataError, KeyError, TypeError, ValueError) as error:
@@ -148,6 +163,7 @@ def _list_groups(posterior: Posterior) -> dict[str, _Group]:
         "convergence/r_hat": posterior.r_hat,
         "convergence/autocorrelation_time": posterior.autocorrelation_time,
         "convergence/ess": posterior.ess,
+        "convergence/apart": np.resize(np.append(posterior.apart, 0.0), posterior.r_hat.shape),
     }
     about = json.dumps({name: getattr(posterior, name) for name in _STORED})
     header = {

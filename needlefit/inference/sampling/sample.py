@@ -19,7 +19,7 @@ from needlefit.inference.predict import draw_from_prior
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling import importance
 from needlefit.inference.sampling.interpolated_density import MAX_RMS_ERROR
-from needlefit.inference.sampling.log_density import Evaluator
+from needlefit.inference.sampling.log_density import Evaluator, LogDensityFunction
 from needlefit.inference.sampling.posterior import LOG_POSTERIOR, Posterior
 from needlefit.schemas.recipe import SampleRecord
 
@@ -62,6 +62,7 @@ def _add_held(found: Posterior, parameters: Parameters, rng: np.random.Generator
     # independent by construction, not as far as an estimate knows
     r_hat, time = dict.fromkeys(parameters.held, 1.0), dict.fromkeys(parameters.held, 1.0)
     r_hat |= dict(zip((*found.names, LOG_POSTERIOR), found.r_hat.tolist(), strict=True))
+    apart = dict.fromkeys(parameters.held, 0.0) | dict(zip(found.names, found.apart.tolist(), strict=True))
     time |= dict(zip((*found.names, LOG_POSTERIOR), found.autocorrelation_time.tolist(), strict=True))
     quantities = (*parameters.free, LOG_POSTERIOR)
     return replace(
@@ -70,6 +71,7 @@ def _add_held(found: Posterior, parameters: Parameters, rng: np.random.Generator
         draws=np.stack([columns[name] for name in parameters.free], axis=2),
         r_hat=np.array([r_hat[name] for name in quantities]),
         autocorrelation_time=np.array([time[name] for name in quantities]),
+        apart=np.array([apart[name] for name in parameters.free]),
     )
 
 
@@ -83,9 +85,33 @@ def _sample(
     interpolated: bool,
 ) -> Posterior | None:
     """Return the posterior of a problem of which no parameter is held, as `sample` does."""
+    nodes = begin.interpolated if interpolated and begin.certified else None
+    if nodes is not None:
+        nodes.fixed = True
+    evaluator = Evaluator(problem, callbacks.jobs, interpolated=nodes)
+    found = sample_density(evaluator, problem.names, begin, settings, rng, callbacks)
+    if found is not None and nodes is not None:
+        thetas = found.draws.reshape(-1, len(problem.names))
+        if nodes.find_error(thetas[:: -(-len(thetas) // CHECKED_DRAWS)]) > MAX_RMS_ERROR:
+            return _sample(problem, begin, settings, rng, callbacks, interpolated=False)
+    return found and replace(found, draws=problem.tabulate_values(found.draws), failures=evaluator.failures)
+
+
+def sample_density(
+    log_density: LogDensityFunction,
+    names: tuple[str, ...],
+    begin: importance.WeightedDraws,
+    settings: SampleRecord,
+    rng: np.random.Generator,
+    callbacks: Callbacks,
+) -> Posterior | None:
+    """Return draws of a density of P quantities with these `names`, as `sample` does those of a posterior.
+
+    Its `draws` are the coordinates of the density.
+    """
     import emcee  # takes 0.7 s, which only a sampling run should pay
 
-    walkers = max(settings.walkers, 2 * len(problem.names))
+    walkers = max(settings.walkers, 2 * len(names))
     most = max(1, settings.densities // walkers)
     # the largest of weights times Gumbel's noise: drawn in turn by weight
     order = np.argsort(-(begin.log_weights + rng.gumbel(size=len(begin.thetas))), kind="stable")
@@ -93,12 +119,8 @@ def _sample(
     random = np.random.RandomState(int(rng.integers(2**32))).get_state()  # the kind that emcee takes
     assert begin.proposal is not None
     proposal = begin.proposal.add_fitted(begin, rng, COMPONENTS, FITTED_SHARE, FITS)
-    nodes = begin.interpolated if interpolated and begin.certified else None
-    if nodes is not None:
-        nodes.fixed = True
-    evaluator = Evaluator(problem, callbacks.jobs, interpolated=nodes)
     moves = make_sampler_moves(proposal)
-    sampler = emcee.EnsembleSampler(walkers, len(problem.names), evaluator, moves=moves, vectorize=True)
+    sampler = emcee.EnsembleSampler(walkers, len(names), log_density, moves=moves, vectorize=True)
     state = emcee.State(begin.thetas[order], begin.log_density[order], random_state=random)
     steps, stopped, found = 0, callbacks.stop(), None
     while True:
@@ -107,24 +129,20 @@ def _sample(
             chain, density = sampler.get_chain(discard=burn_in), sampler.get_log_prob(discard=burn_in)
             quantities = [*np.moveaxis(chain, 2, 0), density]  # each (N, W)
             found = Posterior(
-                names=problem.names,
-                draws=chain.transpose(1, 0, 2),  # of theta, until the run ends
+                names=names,
+                draws=chain.transpose(1, 0, 2),
                 log_posterior=density.T,
                 acceptance_fraction=sampler.acceptance_fraction,
                 r_hat=np.array([compute_r_hat(one) for one in quantities]),
                 autocorrelation_time=np.array([compute_autocorrelation_time(one) for one in quantities]),
                 wanted=settings.independent_draws,
                 burn_in=burn_in,
-                failures=evaluator.failures,
+                failures=0,
                 interrupted=stopped,
             )
-        ended = stopped or steps == most or (found is not None and not found.faults)
-        if ended and found is not None and nodes is not None:
-            thetas = found.draws.reshape(-1, len(problem.names))
-            if nodes.find_error(thetas[:: -(-len(thetas) // CHECKED_DRAWS)]) > MAX_RMS_ERROR:
-                return _sample(problem, begin, settings, rng, callbacks, interpolated=False)
-        if ended:
-            return found and replace(found, draws=problem.tabulate_values(found.draws))
+            found = replace(found, apart=compare_means(found, begin))
+        if stopped or steps == most or (found is not None and not found.faults):
+            return found
         count = min(BLOCK_STEPS, most - steps)
         for _ in sampler.sample(state, iterations=count, skip_initial_state_check=True):
             steps += 1
@@ -149,14 +167,29 @@ def compute_autocorrelation_time(values: Floats) -> float:
     """Return the integrated autocorrelation time, in steps, of one quantity (N, W); infinite if it rests.
 
     The walkers are joined to one series. Of each walker by itself emcee takes off its own mean, which hides
-    that it never leaves its place, and in short chains most of the correlation.
+    that it never leaves its place, and in short chains most of the correlation. Equal draws count as one at
+    most: walkers that begin alike and hardly move look independent to a series.
     """
     from emcee.autocorr import integrated_time
 
     if np.ptp(values) == 0:
         return math.inf
     # anticorrelated draws do not count as more than independent ones: the estimate may be noise
-    return max(1.0, float(integrated_time(values.T.ravel(), tol=0)[0]))
+    return max(values.size / len(np.unique(values)), float(integrated_time(values.T.ravel(), tol=0)[0]))
+
+
+def compare_means(chains: Posterior, begin: importance.WeightedDraws) -> Floats:
+    """Return how far the means (P,) of chains lie from those of weighted draws, in standard errors.
+
+    Without certified draws there is nothing to compare them with: 0.
+    """
+    flat, weights = chains.draws.reshape(-1, len(chains.names)), np.exp(begin.log_weights)
+    if not begin.certified:
+        return np.zeros(len(chains.names))
+    mean = weights @ begin.thetas
+    variance = weights @ (begin.thetas - mean) ** 2
+    ess, known = chains.ess[:-1], begin.effective_sample_size
+    return np.abs(flat.mean(axis=0) - mean) * np.sqrt(ess * known / (ess + known) / variance)
 
 
 def compute_r_hat(values: Floats) -> float:

@@ -313,7 +313,8 @@ def _draw(job: Job, fold: Fold, fits: Mapping[str, Fit], services: FoldServices)
     sampled(0)
     made = draw_fold_parameters(job, fold, fit, settings, sampled)
     sampled(1)
-    specimens = Specimens(job, fold, made.draws, settings.jobs, services.specimens)
+    callbacks = Callbacks(settings.stop, sampled) if settings.sample else None
+    specimens = Specimens(job, fold, made.draws, settings.jobs, callbacks, services.specimens)
     step(0)
     known = () if specimens.faults or _holds_tracks(fold) else fold.validate
     predicted = predict_held_out(specimens, bands=True, step=step) if known else ()
@@ -375,8 +376,11 @@ def _find_search_faults(found: FoldFits) -> Iterator[str]:
 
 
 def _find_draw_faults(drawn: FoldDrawn) -> Iterator[RunFault]:
-    """Yield why draws are not certified; a posterior that was asked for has its own faults."""
-    if drawn.posterior is None:
+    """Yield why draws are not certified; a posterior that was asked for has its own faults.
+
+    That is of all insertions together, not of the population of specimens that differ.
+    """
+    if drawn.posterior is None or drawn.specimens.separate:
         kind = find_fault_kind(drawn.shown)
         yield from (RunFault(kind, f"the posterior: {why}") for why in drawn.shown.faults)
 
