@@ -24,8 +24,8 @@ A kind hands over numbers; `<kind>.md.j2` beside this module (of a plug-in: in i
     {{ figure("errors") }}
     {% endblock %}
 
-A template decides nothing: `choose("a", "b")` prints those of these blocks whose rules (`KindText.rules`)
-hold.
+A template asks only whether a value is there (`{% if floors %}`), and computes nothing. `choose("a", "b")`
+prints those of these blocks whose rules (`KindText.rules`) hold.
 Markdown is limited to headings (`##`, `###`), paragraphs, bullets, links, emphasis and code. A paragraph that
 is emphasised as a whole is set in small type. `table`, `figure` and `block` refer by name to what the kind
 hands over; what it did not make is left out. Values are data: their ASCII punctuation signs are escaped. A
@@ -133,7 +133,7 @@ class KindText:
 
     name: str  # of the file, without `.md.j2`
     package: str = __name__  # that holds the file; a plug-in names its own
-    # By block: values of the text -> whether `choose` prints it; a template decides nothing
+    # By block: values of the text -> whether `choose` prints it
     rules: Mapping[str, Callable[[Any], object]] = field(default_factory=dict, repr=False)
 
     @cached_property

@@ -62,7 +62,6 @@ def collect_values(run: Run) -> dict[str, Any]:
         },
         # the least and the greatest, one if they are equal
         "fitted_counts": list(dict.fromkeys(map(str, (*counts[:1], *counts[-1:])))),
-        "opening": observed.opening,
         **observed.values(run),
         "floors": [
             f"{one.label} {format_metric(one, floor, 3 if floor < 0.1 else 2)} {one.unit}"

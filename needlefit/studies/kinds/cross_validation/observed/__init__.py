@@ -34,7 +34,6 @@ class ObservationReport:
     files: Callable[[Run], Mapping[str, pd.DataFrame]] = lambda run: {}
     #: run -> further values of the text
     values: Callable[[Run], Mapping[str, Any]] = lambda run: {}
-    opening: str = "no_opening"  #: the block of the text with which the body of the report begins
 
 
 OBSERVATION_REPORTS = Registry(ObservationReport, __name__, "report of an observation")

@@ -145,5 +145,4 @@ TIP_TRACK = ObservationReport(
     lambda run: [lay_out_tracks(run)],
     lambda run: {"methods": compare_methods_by_run(FitFrames.of(run).runs)},
     lambda run: {"tracks": judge_readings(run)},
-    "tracks_opening",
 )
