@@ -178,9 +178,9 @@ TEXTS = [
 
 
 @pytest.mark.parametrize("text", TEXTS, ids=lambda one: one.name)
-def test_a_template_decides_nothing_and_every_rule_is_of_a_block_that_it_chooses(text):
+def test_a_template_compares_no_numbers_and_every_rule_is_of_a_block_that_it_chooses(text):
     source = (TEMPLATES / f"{text.name}.md.j2").read_text(encoding="utf-8")
-    assert not re.search(r"{%-? *(el)?if", source)
+    assert not re.search(r"{%-? *(el)?if[^%]*(<|>| [-+*/] )", source)
     chosen = {name for one in re.findall(r"choose\(([^)]*)", source) for name in re.findall(r'"(\w+)"', one)}
     blocks = set(re.findall(r"{% block (\w+) %}", source))
     assert chosen <= blocks
