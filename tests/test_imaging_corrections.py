@@ -181,7 +181,7 @@ def test_a_plate_on_the_tissue_is_asked_about_and_what_a_person_answers_is_taken
     assert run(*words, "asked") == 3
     lines = capsys.readouterr().err.splitlines()
     (command,) = (
-        line[line.index("needlefit reconstruct") :] for line in lines if line.endswith("--confirm entry")
+        line[line.index("needlefit reconstruct") :] for line in lines if line.endswith("--confirm entry=1")
     )
     points = shutil.copy("asked.refused/slicer/plate.corrections.mrk.json", "plate.mrk.json")
     (one,) = json.loads(Path(points).read_text())["markups"]
@@ -194,12 +194,16 @@ def test_a_plate_on_the_tissue_is_asked_about_and_what_a_person_answers_is_taken
         "entry of plate"
     ]
     assert run(*words, "unmoved", "--corrections", points) == 3
-    assert run(*words, "unmoved", "--corrections", points, "--confirm", "entry") == 0
+    assert run(*words, "unmoved", "--corrections", points, "--confirm", "entry=1") == 0
     assert pd.read_csv("unmoved/reconstruction.csv").iloc[0]["depth_mm"] == offered["depth_mm"]
     Path("guided.toml").write_text('schema = 2\ntitle = "Guided"\n[guide]\nthickness_mm = 14.0\n')
     assert run(*words, "guided", "--recipe", "./guided.toml") == 0
     stated = pd.read_csv("guided/reconstruction.csv").iloc[0]
     assert stated["depth_mm"] == pytest.approx(14.0, abs=0.2) and "confirmed" not in stated["warnings"]
+    assert run(*words, "behind", "--confirm", "entry=2") == 0
+    behind = pd.read_csv("behind/reconstruction.csv").iloc[0]
+    assert behind["depth_mm"] == pytest.approx(14.0, abs=0.6)
+    assert run(*words, "none", "--confirm", "entry=3") == 3
     assert run(*words, "other", "--confirm", "axis") == 2
 
 

@@ -203,6 +203,18 @@ def test_a_guide_of_any_material_is_passed(level, thickness):
         assert_allclose(entry.guide, (-gap - thickness, -gap), atol=1.0)
 
 
+def test_metal_on_the_tissue_is_passed_and_places_to_choose_from_are_numbered():
+    plate = ((-8.0, -1000.0, 2500.0), (0.0, 2500.0, 35.0))
+    entry = choose(profile(*plate), thickness=8.0)
+    assert entry.doubt is None
+    assert_allclose((entry.at, *entry.guide), (0.0, -8.0, 0.0), atol=0.2)
+    entry = choose(profile(*plate), thickness=3.0)
+    assert_allclose([one.at for one in entry.answers], [0.0], atol=0.5)
+    entry = choose(profile((-12.0, -1000.0, 95.0), (0.0, 95.0, 35.0)), thickness=12.0)
+    assert_allclose([one.at for one in entry.answers], [0.0, -12.0], atol=0.1)
+    assert "1: 40.0" in entry.doubt.what and "2: 52.0" in entry.doubt.what
+
+
 def test_what_the_needle_passes_is_listed():
     shown = profile(*PLATE, *FACE, (13.0, 35.0, -5.0))
     passed = list(list_materials(shown, TIP))

@@ -1,5 +1,6 @@
 """`needlefit reconstruct`: scans of inserted needles -> a checked dataset."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +17,7 @@ from needlefit.errors import DataError
 from needlefit.project.input_files import path_exists
 from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import WARNINGS_KEY, to_rows
-from needlefit.schemas.scan_files import NO_FILES, Confirmable, ScanFiles, SurfaceFrame
+from needlefit.schemas.scan_files import NO_FILES, ScanFiles, SurfaceFrame
 
 if TYPE_CHECKING:
     from needlefit.cli.exit_codes import Invocation
@@ -82,8 +83,8 @@ def reconstruct(
         ),
     ] = None,
     confirm: Annotated[
-        list[Confirmable] | None,
-        option("What a refusal asks about and a person confirms: taken as drawn. May be repeated."),
+        str | None,
+        option("Number of the right answer, where a refusal asks for the entry: entry=1.", "entry=NUMBER"),
     ] = None,
     title: Annotated[str, option("Title of the dataset.")] = "",
     jobs: options.Jobs = None,
@@ -134,8 +135,11 @@ def reconstruct(
             acquisition=acquisition,
             medium=medium,
         )
-        answered = tuple(confirm or ())
-        wanted = correct_scans([replace(one, confirmed=answered) for one in _scans(scans, files)], moved)
+        answer = re.fullmatch(r"entry=([1-9])", confirm or "entry=1")
+        if answer is None:
+            raise typer.BadParameter("give the number of an answer: entry=1", param_hint="--confirm")
+        number = int(answer[1]) if confirm else 0
+        wanted = correct_scans([replace(one, answered=number) for one in _scans(scans, files)], moved)
         named_by = scan_id(scans[0]) if len(wanted) == 1 or scans[0].suffix == ".csv" else "scans"
         out = out or Path(f"{named_by}-dataset")
         place = out.resolve()
@@ -256,9 +260,9 @@ def _print_failures(
     if any(one.points for one in failed):
         seen = f"needlefit: what was found is drawn in {out}/quality/"
         screen.print_note(f"{seen}; move it in 3D Slicer: {out}/slicer/, then --corrections")
-    for asked in sorted({one.asked for one in failed if one.asked}):
-        right = f"needlefit: if the {asked} drawn there is right: "
-        screen.print_note(f"{right}{invocation.repeat('--confirm', asked)}")
+    if any(one.asked and not one.scan.answered for one in failed):
+        command = invocation.repeat("--confirm", "entry=1")
+        screen.print_note(f"needlefit: if answer 1, drawn there, is right: {command}")
     if failed and not run:
         screen.print_note(f"needlefit: no scan was reconstructed; the reasons as a table: {out}/refused.csv")
     elif failed and run:

@@ -119,9 +119,9 @@ def _dataset_record(
     sd = float(np.sqrt(np.mean(np.concatenate([one.sd for one in reconstructions]) ** 2)))
     registered = float(np.mean([one.target_error.mean() for one in reconstructions]))
     confirmed = {
-        f"{name} of {one.scan.id}": f"{one.depth:.2f} mm deep; {doubt}"
+        f"entry of {one.scan.id}": f"{one.depth:.2f} mm deep; {one.confirmed}"
         for one in reconstructions
-        for name, doubt in one.confirmed
+        if one.confirmed
     }
     return DatasetRecord(
         schema_=1,

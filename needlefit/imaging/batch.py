@@ -25,7 +25,7 @@ from needlefit.imaging.corrections import make_control_points
 from needlefit.imaging.entry import choose_entry
 from needlefit.imaging.needle.centerline import fit_rough_axis
 from needlefit.imaging.needle.segmentation import MIN_DIVIDED_NEEDLE_RATIO, list_needles
-from needlefit.imaging.reconstruct import VolumeSearch, add_views, examine, picture_curve
+from needlefit.imaging.reconstruct import STAGES, VolumeSearch, add_views, examine, picture_curve
 from needlefit.imaging.reconstruction import CurvePicture, Reconstruction
 from needlefit.imaging.scans import Scan
 from needlefit.imaging.volume import list_series_files, to_patient
@@ -36,7 +36,6 @@ from needlefit.project.processes import one_thread
 from needlefit.project.progress import Progress, Stop, never_stop, no_progress
 from needlefit.project.tasks import THIS_PROCESS, TaskPool
 from needlefit.schemas.reconstruction import ReconstructionRecord
-from needlefit.schemas.scan_files import Confirmable
 
 T = TypeVar("T")
 
@@ -94,7 +93,6 @@ def _move(scan: Scan, moved: Callable[[Path], Path]) -> Scan:
 
 _HOOKS: Hooks = {
     Surface: Hook(to_triangles, from_triangles, Triangles),
-    Confirmable: Hook(str, Confirmable, str),
 }
 VERSIONED_PACKAGES = ("numpy", "scipy", "SimpleITK", "pydicom", "scikit-image", "trimesh")
 
@@ -108,7 +106,7 @@ class ReconstructionFailure:
     points: Markups | None = None  # control points of what was found in it, LPS, mm
     warnings: tuple[str, ...] = ()  # what a person should know of the scan's files
     picture: CurvePicture | None = None  # of what was taken for the needle
-    asked: Confirmable | None = None  # what a person may confirm instead
+    asked: int = 0  # how many answers about the entry a person may choose from
 
 
 @dataclass(frozen=True)
@@ -163,6 +161,8 @@ def reconstruct_all(
     remaining = [scans[n] for n in left]
     items = PackedScans(remaining) if batch.pool.remote else remaining
     work = partial(reconstruct_needles, recipe=recipe, every=batch.every)
+    if len(remaining) == 1 and not batch.pool.remote:  # it is reconstructed in this process
+        work = partial(work, progress=batch.progress)
     for at, results in batch.pool.run(work, items, batch.stop):
         scan = remaining[at]
         ones = tuple(_move_to(one, scan) for one in results)  # those of a packed one have other paths
@@ -184,25 +184,39 @@ def _move_to(one: Result, scan: Scan) -> Result:
 
 @one_thread
 def reconstruct_needles(
-    scan: Scan | PackedScan, recipe: ReconstructionRecord, every: bool = False
+    scan: Scan | PackedScan,
+    recipe: ReconstructionRecord,
+    every: bool = False,
+    progress: Progress = no_progress,
 ) -> tuple[Result, ...]:
-    """Return the reconstruction or failure of the needle of a scan, or of `every` one that it holds."""
+    """Return the reconstruction or failure of the needle of a scan, or of `every` one that it holds.
+
+    `progress` is called with the needle and the stage that begins, and the percent done, of 100 a needle.
+    """
     if isinstance(scan, Scan):
+        progress(f"{scan.id}: reading", 0, 100)
         read = partial(read_volume, scan.volume, scan.series, scan.acquisition)
         search = _try_step(scan, lambda: VolumeSearch(read(), recipe))
         if isinstance(search, ReconstructionFailure):
             return (search,)
         needles = divide_scan(search, scan) if every else (scan,)
-        return tuple(_try_step(one, partial(_reconstruct_needle, search, one)) for one in needles)
+        found = []
+        for n, part in enumerate(needles):
+
+            def report(stage: str, n: int = n, id_: str = part.id) -> None:
+                progress(f"{id_}: {stage}", 100 * n + STAGES[stage], 100 * len(needles))
+
+            found.append(_try_step(part, partial(_reconstruct_needle, search, part, report)))
+        return tuple(found)
     with TemporaryDirectory(prefix="needlefit-") as name:
         folder = Path(name)
         for path, data in scan.files:
             (folder / path).parent.mkdir(parents=True, exist_ok=True)
             (folder / path).write_bytes(data)
         unpacked = _move(scan.scan, lambda path: folder / path.relative_to(scan.root))
-        found = reconstruct_needles(unpacked, recipe, every)
+        packed = reconstruct_needles(unpacked, recipe, every)
     ones: list[Result] = []
-    for one in found:
+    for one in packed:
         if isinstance(one, ReconstructionFailure):  # it names the files that were packed
             texts = {key: text.replace(name, str(scan.root)) for key, text in vars(one.error).items()}
             one = replace(one, error=type(one.error)(**texts))
@@ -210,8 +224,9 @@ def reconstruct_needles(
     return tuple(ones)
 
 
-def _reconstruct_needle(search: VolumeSearch, scan: Scan) -> Result:
-    found = examine(search.volume, scan, search.recipe, search)
+def _reconstruct_needle(search: VolumeSearch, scan: Scan, report: Callable[[str], None]) -> Result:
+    found = examine(search.volume, scan, search.recipe, search, report)
+    report("pictures")
     if found.error is None and found.reconstruction is not None:
         one = add_views(found.reconstruction, search.volume)
         if scan.corrections is None:
@@ -224,13 +239,13 @@ def _reconstruct_needle(search: VolumeSearch, scan: Scan) -> Result:
         axis = found.selection.axis or fit_rough_axis(search.volume, found.selection.needle, search.recipe)
         needle = axis.spline(np.arange(0.0, axis.length, 1.0))
     balls = np.empty((0, 3)) if found.markers is None else found.markers.centers
-    entry, profile = None, found.profile
+    entries, profile = np.empty((0, 3)), found.profile
     if needle is not None and profile is not None:
         thickness, length = search.recipe.guide.thickness_mm, float(arc_length(needle)[-1])
         if offered := choose_entry(profile, length, thickness, scan.guide_distance):
-            (entry,) = interpolate_at_arc(needle, [offered.at])
-    points = make_control_points(scan.id, needle, entry, balls)
-    picture = None if needle is None else picture_curve(search.volume, needle, entry)
+            entries = interpolate_at_arc(needle, [one.at for one in offered.answers or (offered,)])
+    points = make_control_points(scan.id, needle, entries[0] if len(entries) else None, balls)
+    picture = None if needle is None else picture_curve(search.volume, needle, entries)
     return ReconstructionFailure(scan, failed, points, search.volume.warnings, picture, found.asked)
 
 

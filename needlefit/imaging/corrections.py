@@ -150,11 +150,11 @@ def correct_scans(scans: Sequence[Scan], files: Sequence[Path]) -> tuple[Scan, .
                     raise refusal(f"""it corrects the scan `{id_}` a second time
                         expected: one list for each scan
                         fix: move all points in one list""")
-                if all(places is None for places in vars(found).values()) and not scan.confirmed:
+                if all(places is None for places in vars(found).values()) and not scan.answered:
                     raise refusal(f"""none of the control points of `{id_}` was moved
                         expected: {", ".join(KINDS)} somewhere else than where they were found
                         fix: move those that are wrong in 3D Slicer, or remove balls that are none, and save
-                            it again; or confirm the entry as it is (--confirm entry)""")
+                            it again; or confirm the entry as it is (--confirm entry=1)""")
                 if found.balls is not None and scan.markers is None:
                     raise refusal("""balls were moved, but the scan has no known places to lay them on
                         expected: the markers' known places in the world

@@ -20,7 +20,13 @@ from needlefit.geometry.crossings import find_surface_hits
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.shaft import fit_shaft_axis
 from needlefit.geometry.surfaces import Surface
-from needlefit.imaging.materials import MIN_SIDE_LENGTH_MM, find_rises, find_runs, list_materials
+from needlefit.imaging.materials import (
+    METAL_BLUR_MM,
+    MIN_SIDE_LENGTH_MM,
+    find_rises,
+    find_runs,
+    list_materials,
+)
 from needlefit.imaging.reconstruction import EntryPose, IntensityProfile, MaterialRun
 from needlefit.imaging.registration import Registration, target_covariance
 from needlefit.imaging.scans import StagePose
@@ -165,6 +171,7 @@ SOFT_TISSUE_HU = (-150.0, 100.0)
 # Deviation of the stated thickness of a guide, with a film of air behind it that is too thin to show, mm.
 GUIDE_SD_MM = 0.2
 MATCH_MM = 1.5  # what is solid along the needle for a guide's thickness, missed by no more, is the guide, mm
+MIN_ANSWER_DISTANCE_MM = 1.0  # places nearer to each other than this are one answer, mm
 STEP_MATCH_MM = 0.6  # distance, mm, of the end of a guide on the tissue from a change of brightness there
 
 
@@ -182,6 +189,7 @@ class EntryCandidate:
     sd: float
     guide: tuple[float, float] | None = None  # where the guide before it begins and ends, mm along the needle
     doubt: DataError | None = None  # why only a person can decide whether it is the entry
+    answers: tuple["EntryCandidate", ...] = ()  # then the places to choose from, this one first
 
 
 def choose_entry(
@@ -189,41 +197,81 @@ def choose_entry(
 ) -> EntryCandidate | None:
     """Return where the needle enters the tissue; None if nothing shows it.
 
-    It has a doubt if what is stated does not decide between several places, or the scan does not show it.
+    It has a doubt, and answers, if what is stated does not decide between several places, or the scan does
+    not show it.
 
     `tip`: where it is, mm along the needle. `guide_thickness`: along the needle, mm; 0: no guide.
     `guide_distance`: from the guide to the entry, mm.
     """
     least = min(MIN_SIDE_LENGTH_MM, (guide_thickness or np.inf) / 2)
-    rises = find_rises(profile, least)
+    runs, rises = find_runs(profile, least), find_rises(profile, least)
     faces = [EntryCandidate(at, sd) for _, at, sd in rises]
-    if not faces or guide_thickness == 0:
-        return faces[0] if faces else None
+    if faces and guide_thickness == 0:
+        return faces[0]
+    metal = _list_behind_metal(profile, runs, guide_thickness, guide_distance or 0.0)
+    if not faces and not metal:
+        return None
     soft = [run for run in list_materials(profile, tip) if run.kind == "soft"]
     if guide_thickness is None:
-        offered, doubt = _choose_face(faces, soft)
+        offered, doubt = _choose_face(faces, soft) if faces else (metal[-1], "the needle leaves metal")
         if not doubt:
             return offered
+        first = next(((one, run) for one in faces for run in soft if run.begin <= one.at < run.end), None)
+        behind = [] if first is None else [_pass_guide(first[0], first[1].end - first[0].at, 0.0)]
+        others = [*faces, *behind, *metal]
         expected = "soft tissue ({:g} to {:g} HU) behind air".format(*SOFT_TISSUE_HU)
         fix = "state guide.thickness_mm in the recipe (mm; 0: there is no guide, and the first is the tissue)"
     else:
-        whole, cut = _list_behind_guide(find_runs(profile, least), rises, guide_thickness)
+        whole, cut = _list_behind_guide(runs, rises, guide_thickness)
+        whole += [one for one in metal if one.guide and abs(np.diff(one.guide)[0] - guide_thickness) < 1e-9]
         flush = [_pass_guide(face, guide_thickness, guide_distance or 0.0) for face in faces]
         found = whole or [one for one in flush if _shows_guide(one, soft)] or cut
         if len(found) == 1:
             return found[0]
-        offered = (found or (flush if len(faces) == 1 else faces))[-1]
+        offered = (found or (flush if len(faces) == 1 else faces) or metal)[-1]
+        others = [*found, *flush, *faces, *metal]
         show = f"{len(found)} guides of {guide_thickness:g} mm show" if found else ""
         doubt = f"{show or f'no guide of {guide_thickness:g} mm shows'} along the needle"
         expected = "one solid of that length before the tissue, followed by air or another material"
         fix = "correct guide.thickness_mm (0: the scan shows no guide)"
-    listed = " or ".join(f"{tip - face.at:.1f} mm before the tip" for face in faces)
-    error = refusal(f"""{doubt}: the tissue may begin {listed}
+    answers = [offered]
+    for one in sorted(others, key=lambda one: -one.at):
+        if one.at < tip and all(abs(one.at - other.at) > MIN_ANSWER_DISTANCE_MM for other in answers):
+            answers.append(one)
+    listed = "; ".join(
+        f"{n}: {tip - one.at:.1f} mm before the tip, {'behind a' if one.guide else 'no'} guide"
+        for n, one in enumerate(answers, start=1)
+    )
+    error = refusal(f"""{doubt}: where does the tissue begin? {listed}
         expected: {expected}
-        fix: {fix}; or place the entry (--corrections), or confirm that the tissue begins
-            {tip - offered.at:.1f} mm before the tip (--confirm entry)
+        fix: look at its picture in quality/ and give the number of the right answer (--confirm entry=1); or
+            {fix}; or place the entry (--corrections)
         where: guide.thickness_mm""")
-    return replace(offered, doubt=error)
+    return replace(offered, doubt=error, answers=tuple(answers))
+
+
+def _list_behind_metal(
+    profile: IntensityProfile, runs: Sequence[MaterialRun], thickness: float | None, distance: float
+) -> list[EntryCandidate]:
+    """Return the entries right behind metal; one of about the stated thickness has it exactly.
+
+    Its faces are where the brightness is half way; blur moves both outwards alike: their middle is right.
+    """
+    known = np.isfinite(profile.around)
+    s, values, found = profile.s[known], profile.around[known], list[EntryCandidate]()
+    for before, run, behind in zip(runs, runs[1:], runs[2:], strict=False):
+        if (run.kind, behind.kind) != ("metal", "soft"):
+            continue
+        inside = (s >= run.begin - METAL_BLUR_MM) & (s <= run.end)
+        begin, end = (
+            s[inside & (values > (run.level + beside.level) / 2)][side]
+            for side, beside in ((0, before), (-1, behind))
+        )
+        if thickness is not None and abs(end - begin - thickness) <= MATCH_MM:
+            middle = (begin + end) / 2
+            begin, end = middle - thickness / 2, middle + thickness / 2
+        found.append(EntryCandidate(float(end) + distance, GUIDE_SD_MM, (float(begin), float(end))))
+    return found
 
 
 def _choose_face(faces: Sequence[EntryCandidate], soft: Sequence[MaterialRun]) -> tuple[EntryCandidate, str]:

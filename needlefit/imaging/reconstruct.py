@@ -6,9 +6,9 @@ Reconstruct one scan step by step; what was found is kept, also where a step fai
 be right, and list warnings for the user.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -27,6 +27,7 @@ from needlefit.imaging.entry import (
     MIN_SHAFT_LENGTH_MM,
     SOFT_TISSUE_HU,
     SURFACE_REACH_MM,
+    EntryCandidate,
     OutsideShaft,
     choose_entry,
     compare_poses,
@@ -88,7 +89,6 @@ from needlefit.imaging.volume import (
 from needlefit.project.processes import one_thread
 from needlefit.project.unit_warnings import MIN_DEPTH_MM
 from needlefit.schemas.reconstruction import ReconstructionRecord
-from needlefit.schemas.scan_files import Confirmable
 
 MIN_P_VALUE = 0.01  # residuals of markers that the stated noise leaves less often are spoken of
 MAX_DISAGREEMENT_SD = 3.0  # deviations from which on two ways to the same quantity disagree
@@ -177,8 +177,8 @@ def _entry_warnings(one: Reconstruction) -> Iterator[str]:
         worst, sentence = compare_poses(one.pose, one.shaft)
         if worst > MAX_DISAGREEMENT_SD:
             yield sentence
-    for name, doubt in one.confirmed:
-        yield f"{name} confirmed by a person: {doubt}"
+    if one.confirmed:
+        yield f"entry confirmed by a person: {one.confirmed}"
     first = next((run for run in one.passed if one.name_part(run) == "tissue"), None)
     placed = one.confirmed or (one.scan.corrections and one.scan.corrections.entry is not None)
     if not placed and first is not None and not is_soft_tissue(first.level):
@@ -290,6 +290,14 @@ def check_layers(
 PROFILE_BEYOND_TIP_MM = 8.0
 
 
+# What the steps of a needle's reconstruction are called, and percent of its time that pass before each.
+STAGES = {"needle": 5, "markers": 10, "axis and tip": 25, "tissue and layers": 85, "pictures": 95}
+
+
+def tell_nobody(_stage: str) -> None:
+    """Report no stage."""
+
+
 @dataclass
 class Examination:
     """What the steps of a reconstruction found in a scan; None: the step failed, or was not reached."""
@@ -301,29 +309,38 @@ class Examination:
     registration: Registration | None = None
     profile: IntensityProfile | None = None  # along the whole needle, s from its first point
     guide: tuple[float, float] | None = None  # where a guide before the tissue begins and ends, likewise
-    asked: Confirmable | None = None  # what a person must confirm or correct
-    confirmed: dict[Confirmable, str] = field(
-        default_factory=dict
-    )  # what was confirmed, and what was in doubt
+    asked: int = 0  # how many answers a person may choose from
+    confirmed: str = ""  # what was in doubt, and which answer a person gave
     reconstruction: Reconstruction | None = None
     error: NeedlefitError | None = None  # why the scan is refused: of the first step that failed
+    report: Callable[[str], None] = tell_nobody  # called with the stage that begins
 
     @contextmanager
-    def step(self) -> Iterator[None]:
-        """Run a step; keep its error, if it is the first."""
+    def step(self, stage: str = "") -> Iterator[None]:
+        """Run a step, the first of its `stage` where one is stated; keep its error, if it is the first."""
+        if stage:
+            self.report(stage)
         try:
             yield
         except NeedlefitError as error:
             self.error = self.error or error
 
-    def confirm(self, name: Confirmable, doubt: DataError | None) -> None:
-        """Raise a doubt about a part of the scan, unless a person confirmed that part."""
-        if doubt is None:
-            return
-        if name not in self.scan.confirmed:
-            self.asked = name
-            raise doubt
-        self.confirmed[name] = doubt.what
+    def answer(self, entry: EntryCandidate) -> EntryCandidate:
+        """Return an entry, or, where it is in doubt, that of the answer that a person gave.
+
+        DataError if nobody gave one, or there is none of that number.
+        """
+        if entry.doubt is None:
+            return entry
+        self.asked, number = len(entry.answers), self.scan.answered
+        if not number:
+            raise entry.doubt
+        if number > self.asked:
+            raise refusal(f"""there is no answer {number}: {entry.doubt.what}
+                expected: 1 to {self.asked}
+                fix: give one of these numbers (--confirm entry=1)""")
+        self.confirmed = f"answer {number}; {entry.doubt.what}"
+        return entry.answers[number - 1]
 
     @property
     def axis(self) -> Centerline:
@@ -455,7 +472,7 @@ def _locate_tissue(
             fix: place the entry in 3D Slicer (point `entry` of --corrections); or state the stage (entry_x_mm
                 ... pose_angle_sd_deg), or add the tissue's own surface to the layers, as FILE=sheet:1 or
                 FILE=solid:1""")
-    found.confirm(Confirmable.ENTRY, entry.doubt)
+    entry = found.answer(entry)
     found.guide = entry.guide
     return entry.at, entry.sd
 
@@ -526,7 +543,7 @@ def derive_reconstruction(
         profile=replace(found.brightness, s=found.brightness.s - begin),
         passed=passed,
         guide=found.guide and (found.guide[0] - begin, found.guide[1] - begin),
-        confirmed=tuple(found.confirmed.items()),
+        confirmed=found.confirmed,
         views=(),
         warnings=(),
     )
@@ -540,25 +557,29 @@ def add_views(one: Reconstruction, volume: Volume) -> Reconstruction:
     return replace(one, views=render_views(volume, one.patient, one.frame, one.needle_axis.points))
 
 
-def picture_curve(volume: Volume, curve: Floats, entry: Floats | None = None) -> CurvePicture:
-    """Return pictures of the scan along a curve (N, 3), LPS, mm, that was refused; `entry`: as offered."""
+def picture_curve(volume: Volume, curve: Floats, entries: Floats) -> CurvePicture:
+    """Return pictures of a scan that was refused along a curve (N, 3), LPS, mm, with the `entries` (M, 3)."""
     center, axes = principal_axes(curve)
     forward = axes[0] * np.sign(axes[0] @ (curve[-1] - curve[0]) or 1.0)
     frame = Frame(center, np.stack([forward, axes[1], np.cross(forward, axes[1])], axis=1))
-    at = None if entry is None else float(frame.to_local(entry[None])[0, 0])
-    return CurvePicture(render_views(volume, IDENTITY_FRAME, frame, curve), frame.to_local(curve), at)
+    views = render_views(volume, IDENTITY_FRAME, frame, curve)
+    return CurvePicture(views, frame.to_local(curve), frame.to_local(entries)[:, 0])
 
 
 @one_thread
 def examine(
-    volume: Volume, scan: Scan, recipe: ReconstructionRecord, search: VolumeSearch | None = None
+    volume: Volume,
+    scan: Scan,
+    recipe: ReconstructionRecord,
+    search: VolumeSearch | None = None,
+    report: Callable[[str], None] = tell_nobody,
 ) -> Examination:
     """Return everything that the steps of a reconstruction find in a volume that was read, without views.
 
-    `search`: of the volume, with what was found in it before.
+    `search`: of the volume, with what was found in it before. `report` is called with the names of `STAGES`.
     """
     search, moved = search or VolumeSearch(volume, recipe), scan.corrections or Corrections()
-    volume, found = search.volume, Examination(scan)
+    volume, found = search.volume, Examination(scan, report=report)
     for name, places in vars(moved).items():
         with found.step():
             if places is not None and len(outside := find_outside(volume, np.atleast_2d(places))):
@@ -569,7 +590,7 @@ def examine(
                     where: corrections, {name}""")
     with found.step():
         require_hounsfield(volume, str(scan.volume))
-    with found.step():  # along points on it or a mask, else among the tubes of the volume
+    with found.step("needle"):  # along points on it or a mask, else among the tubes of the volume
         points = moved.axis
         if points is None and scan.mask is not None:
             listed = is_list_of_points(scan.mask)
@@ -580,7 +601,7 @@ def examine(
             axis = follow_points(volume, points, recipe)
             found.selection = NeedleSelection(select_rod(volume, axis, recipe), axis=axis)
     selection = found.selection
-    with found.step():
+    with found.step("markers"):
         voxels = None if selection is None else selection.needle.voxels
         placed, where = moved.balls, "balls of the corrections"
         if placed is None and scan.fiducials is not None:
@@ -596,7 +617,7 @@ def examine(
                 raise error.at(where) from None
         elif scan.markers is not None:
             found.markers = search.find_markers(voxels)
-    with found.step():
+    with found.step("axis and tip"):
         if selection is not None:
             spread = None if found.markers is None else found.markers.spread
             rough = selection.axis or selection.needle
@@ -623,7 +644,7 @@ def examine(
         found.profile = sample_profile(volume, points, arc_length(points))
     if found.error is not None:
         return found
-    with found.step(), located(scan.volume):
+    with found.step("tissue and layers"), located(scan.volume):
         one = derive_reconstruction(found, recipe, volume.grid)
         doubts = [*volume.warnings, *doubt_air(volume)]
         if (top := volume.resampled_top) is not None:

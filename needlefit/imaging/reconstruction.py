@@ -16,7 +16,6 @@ from needlefit.imaging.point_spread import PointSpread
 from needlefit.imaging.registration import Registration
 from needlefit.imaging.scans import Scan
 from needlefit.imaging.volume import Volume, to_index
-from needlefit.schemas.scan_files import Confirmable
 
 
 @dataclass(frozen=True)
@@ -92,7 +91,7 @@ class CurvePicture:
 
     views: tuple[ScanView, ...]
     curve: Floats  # (N, 3); what was taken for the needle, in the frame of the views, mm
-    entry: float | None = None  # x of the entry that is offered, mm
+    entries: Floats  # (M,); x of the entries to choose from, mm
 
 
 @dataclass(frozen=True)
@@ -132,7 +131,7 @@ class Reconstruction:
     profile: IntensityProfile
     passed: tuple[MaterialRun, ...]  # what the needle passes, from first contact; before it negative
     guide: tuple[float, float] | None  # where the guide that was subtracted begins and ends, likewise
-    confirmed: tuple[tuple[Confirmable, str], ...]  # what a person confirmed, and what was in doubt
+    confirmed: str  # what of the entry was in doubt, and which answer a person gave; empty if nothing was
     views: tuple[ScanView, ...]
     warnings: tuple[str, ...]  # what a person should know
     # What the centreline was drawn through, world, arc lengths from first contact, the shaft outside

@@ -31,7 +31,7 @@ from needlefit.geometry.surfaces import SurfaceKind
 from needlefit.imaging.volume import ARCHIVE_SUFFIX, IMAGE_SUFFIXES, READABLE_VOLUMES
 from needlefit.project.input_files import is_file, path_exists
 from needlefit.schemas.names import EXPECTED_NAME, name_fault
-from needlefit.schemas.scan_files import NO_FILES, Confirmable, ScanFiles
+from needlefit.schemas.scan_files import NO_FILES, ScanFiles
 
 
 @dataclass(frozen=True)
@@ -114,9 +114,9 @@ class Scan:
     needle_at: Floats | None = None  # (3,) or None; a point on the needle that is meant, LPS of the scan, mm
     divided: int = 0  # needles into which the program divided the scan, and set `needle_at`; 0: it did not
     origin: Literal["measured", "synthetic"] = "measured"
-    # As moved in 3D Slicer, and what a person confirmed; no column of a table states them.
+    # As moved in 3D Slicer, and which answer a person gave; no column of a table states them.
     corrections: Corrections | None = None
-    confirmed: tuple[Confirmable, ...] = ()
+    answered: int = 0  # number of the answer about the entry; 0: none
 
     @property
     def files(self) -> tuple[Path, ...]:

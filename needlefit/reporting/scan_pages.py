@@ -38,7 +38,7 @@ _CAPTION = (
     "deflection and the brightness around it. Lines: entry, layers, tip. Bands: pointwise 95 %."
 )
 _REFUSED_CAPTION = (
-    "The scan in slabs that follow what was taken for the needle (line); across it: the entry offered."
+    "The scan in slabs that follow what was taken for the needle (line); across it, by numbers: the answers."
 )
 
 
@@ -82,8 +82,9 @@ def paint_refusal(picture: CurvePicture) -> Figure:
         show_slab(axes, view, picture.views, span)
         up = "xyz".index(view.axes[1])
         axes.plot(picture.curve[:, 0], picture.curve[:, up], color=NEEDLE_COLOUR, lw=0.6)
-        if picture.entry is not None:
-            axes.axvline(picture.entry, color=ENTRY_COLOUR, lw=0.8)
+        for number, entry in enumerate(picture.entries, start=1):
+            axes.axvline(entry, color=ENTRY_COLOUR, lw=0.8)
+            axes.text(entry, span[1], f" {number}", va="top", color=ENTRY_COLOUR, weight="bold")
         axes.set_ylabel("across (mm)")
         axes.tick_params(labelbottom=view is picture.views[-1])
         top -= height + _PANEL_GAP_MM

@@ -1,17 +1,10 @@
 """What belongs to scans that are named one by one, without a table of scans."""
 
 from dataclasses import dataclass
-from enum import StrEnum
 from pathlib import Path
 from typing import Literal
 
 SurfaceFrame = Literal["world", "scan"]
-
-
-class Confirmable(StrEnum):
-    """What a person may confirm of a scan, where only a person can decide."""
-
-    ENTRY = "entry"
 
 
 @dataclass(frozen=True)
