@@ -308,6 +308,19 @@ def test_rows_of_means_are_no_needles_and_headers_may_stand_in_the_first_column(
     np.testing.assert_allclose(curves["b"].line, NEEDLES[0])
 
 
+def test_columns_beside_a_depth_and_tables_of_layers_are_asked_about(tmp_path):
+    rows = [["depth [mm]", "A", "B"], *([x, 1e-3 * x**2, -1e-3 * x**2] for x in range(5, 45, 5))]
+    file = write_rows(tmp_path / "a.csv", rows)
+    fix = refusal(DataError, "`A`, `B`", prepare, [file]).fix
+    assert "--set 'deflection.column=A|B' --set guide=none" in fix
+    curves, _ = curves_of([file], deflection__column="A|B")
+    assert [one.line[-1].tolist() for one in curves.values()] == [[40, 1.6, 0], [40, -1.6, 0]]
+    paths = [write_long(tmp_path, NEEDLES), write_rows(tmp_path / "l.csv", [["layer", "thickness"], [1, 20]])]
+    assert """--set 'unused=["l.csv"]'""" in refusal(DataError, "layer, thickness", prepare, paths).fix
+    assert planned(paths, unused='["l.csv"]')[0].boundaries_mm == {"medium1": ()}
+    assert planned(paths, boundaries="20")[0].boundaries_mm == {"medium1": (20.0,)}
+
+
 @pytest.mark.parametrize(
     ("separator", "make"),
     [

@@ -77,6 +77,7 @@ class TableDraft:
             headers = ", ".join(text for text in self.table.headers if text)[:200]
             what = f"no column is known to hold coordinates: {headers or 'no headers'}"
             self.draft.unused.append((f"table {self.where}", what))
+            self._ask_layers(headers)
             return
         self.keys["holds"] = holds
         self._name_unused()
@@ -178,7 +179,6 @@ class TableDraft:
                 chosen = [*chosen, n]
         if len(chosen) > 1:
             self.draft.assumed["needle"] = f"named by {', '.join(str(self._name(n)) for n in chosen)}"
-        self.draft.unused += [(f"column {self._name(n)}", self.where) for n in own if n not in chosen]
         known["needle"] = chosen
 
     # ---- what is asked
@@ -248,7 +248,15 @@ class TableDraft:
             increase = self._have_depths(_increase)
             if increase and not holds:
                 self.draft.assumed["holds"] = "tracks: the depths of each needle increase"
-            return [{}], holds or ("tracks" if increase else "tips")
+            entries = [{}]
+            if len(each := self._list_columns(columns["deflection"])) > 1:  # of a needle each
+                del columns["deflection"]
+                names = [{"value": str(self._name(n))} for n in each]
+                entries = [
+                    {"deflection": self._spell("deflection", [n]), "needle": name}
+                    for n, name in zip(each, names, strict=True)
+                ]
+            return entries, holds or ("tracks" if increase else "tips")
         if columns.keys() >= {"x", "y"}:
             entries = [{}]
         if entries and not holds:
@@ -264,14 +272,27 @@ class TableDraft:
         if "turn_depth" in columns or {"depth_mm", "bevel_roll_deg"} <= {*self.table.headers}:
             self.columns = {("turn_depth" if key == "depth" else key): one for key, one in columns.items()}
             return [{}], "turns"
+        if "depth" in columns and "needle" not in columns and len(unknown := self._list_unknown()) > 1:
+            heads = [str(self._name(n)) for n in unknown]
+            columns_text, listed = "|".join(heads), f"`{'`, `'.join(heads)}`"
+            self.draft.ask(
+                "deflections", self.where, names=listed, columns=columns_text, unused=json.dumps(heads)
+            )
         return [], ""
+
+    def _ask_layers(self, headers: str) -> None:
+        """Ask what a table that is not used states of layers."""
+        name = self.table.name if "sheet" in self.keys else self.table.path.name
+        is_of_layers = any(header.meaning in ("boundaries", "layers") for header in self.headers)
+        if is_of_layers and "boundaries" not in self.draft.values and name not in self.keys.get("unused", ()):
+            self.draft.ask("table", self.where, name=name, headers=headers)
 
     def _ask_deflection(self, entries: Sequence[Columns]) -> None:
         """Ask which of several columns is the deflection."""
         others = [
             n for n, one in enumerate(self.headers) if one.meaning == "deflection" and n not in self.used
         ]
-        names = [self.columns["deflection"]["column"], *map(self._name, others)]
+        names = [*map(self._name, [*self._list_columns(self.columns["deflection"])[:1], *others])]
         names += [one["y"]["column"] for one in entries]
         if len(names) > 1 and "deflection" not in self.stated.columns:
             answers = {str(name): {"deflection.column": str(name)} for name in names}
@@ -402,20 +423,26 @@ class TableDraft:
 
     def _name_unused(self) -> None:
         """Name columns that nothing uses; numbers under an unknown header are assumed to mean nothing."""
-        unused = [*self.keys.get("unused", [])]
         for n, header in enumerate(self.headers):
-            texts, name = self._list_texts(n), self._name(n)
-            if n in self.used or not texts or header.text.casefold() in UNIT_HEADERS:
-                continue
-            self.draft.unused.append((f"column {name}", self.where))
+            if n not in self.used and self._list_texts(n) and header.text.casefold() not in UNIT_HEADERS:
+                self.draft.unused.append((f"column {self._name(n)}", self.where))
+        names = [self._name(n) for n in self._list_unknown()]
+        for name in names:
+            self.draft.assumed[f"unused.{name}"] = "numbers under a header that is not known"
+        if unused := [*self.keys.get("unused", []), *names]:
+            self.keys["unused"] = unused
+
+    def _list_unknown(self) -> list[int]:
+        """Return the columns of numbers that nothing uses, under headers that are not known."""
+        unknown, unused = list[int](), self.keys.get("unused", [])
+        for n, header in enumerate(self.headers):
+            texts = self._list_texts(n)
             numbers = [self.table.number(text) for text in texts]
             is_count = not header.text and numbers == [*range(1, len(numbers) + 1)]
-            is_known = bool(header.meaning or header.axis) or is_count or name in unused
-            if not is_known and all(_QUANTITY.fullmatch(text) for text in texts):
-                unused.append(name)
-                self.draft.assumed[f"unused.{name}"] = "numbers under a header that is not known"
-        if unused:
-            self.keys["unused"] = unused
+            is_known = header.meaning or header.axis or is_count or header.text.casefold() in UNIT_HEADERS
+            if n not in self.used and self._name(n) not in unused and texts and not is_known:
+                unknown += [n] if all(map(_QUANTITY.fullmatch, texts)) else []
+        return unknown
 
     def _add(self, columns: Columns) -> None:
         """Add an entry, with units, words, labels of points, and what was not measured."""
@@ -472,7 +499,8 @@ class TableDraft:
         """Ask where bevels face whose sides are not understood."""
         if not texts or "bevel_side" in self.draft.values:
             return
-        pairs = [("1", "-1"), ("-1", "1")] if len(texts) == 2 else [["1"] * len(texts)]
+        orders: dict[int, list[tuple[str, ...]]] = {1: [("-1",), ("1",)], 2: [("1", "-1"), ("-1", "1")]}
+        pairs = orders.get(len(texts), [("1",) * len(texts)])
         answers = {
             " ".join(f"{text}={side}" for text, side in zip(texts, sides, strict=True)): {
                 "bevel_side.words": _to_toml(dict(zip(texts, sides, strict=True)))

@@ -162,8 +162,9 @@ def _names_groups(row: Sequence[str], below: Sequence[str]) -> bool:
 
 def _is_label(row: Sequence[str], below: Sequence[str]) -> bool:
     """Whether a row names groups of the columns below it: it has several texts, and none states a value."""
-    filled = [cell for cell in row if cell]
-    is_pair = read_header(filled[0].rstrip(":= ")).meaning in MEANINGS and len(filled) < sum(map(bool, below))
+    filled = [n for n, cell in enumerate(row) if cell]
+    known = read_header(row[filled[0]].rstrip(":= ")).meaning in MEANINGS
+    is_pair = known and len(filled) < sum(map(bool, below)) and filled[1:2] == [filled[0] + 1]
     return len(filled) > 1 and not is_pair and sum(map(bool, below)) > 2
 
 

@@ -142,6 +142,22 @@ QUESTIONS = MappingProxyType(
             "What differs between values of `{name}`: the gel (medium), or the block (specimen)",
             {"medium": {"medium.column": "{name}"}, "specimen": {"specimen.column": "{name}"}},
         ),
+        "table": Question(
+            "boundaries",
+            "What `{name}` states of layers ({headers}), in which no needle or specimen is named",
+            {
+                "boundaries": {"boundaries": "VALUE"},
+                "nothing": {"unused": '["{name}"]'},
+            },
+        ),
+        "deflections": Question(
+            "deflection.column",
+            "What {names} are beside a depth: the deflections of a needle each (`needles`), or nothing",
+            {
+                "needles": {"deflection.column": "{columns}", "guide": "none"},
+                "nothing": {"unused": "{unused}"},
+            },
+        ),
         "source": Question(
             "specimen",
             "{places} hold needles of the same names. What each {source} is: a specimen of its own "

@@ -169,7 +169,8 @@ def _ask(question: Open, prompt: Prompt) -> list[tuple[str, str]]:
         raise ConfigError.of(f"""the answer is {answer[:40]!r}
             expected: one of {", ".join(question.choices)}
             fix: answer with one of these""")
-    return [*question.choices[answer].items()]
+    keys = question.choices[answer]
+    return [(key, prompt(key, "", "") if text == "VALUE" else text) for key, text in keys.items()]
 
 
 def _find_open_columns(draft: Draft, paths: Sequence[Path]) -> list[Open]:
