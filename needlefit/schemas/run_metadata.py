@@ -135,6 +135,18 @@ class DepthMetadata(_Metadata):
     factor_per_mm: float  #: of this parameter
 
 
+class NeedleDoubtMetadata(_Metadata):
+    """A needle that the fit to the others does not predict, and what may have happened to it."""
+
+    insertion: str
+    sds: float  #: its distance from the prediction, in standard deviations
+    cause: str  #: a key of `HYPOTHESES` in `inference/doubts.py`; empty where none explains it
+    size: float | None = None  #: the number that was fitted: ln of a factor, mm or degrees
+    #: values of the parameters with it and without it, Pa and mm
+    with_it: dict[str, float] = {}
+    without_it: dict[str, float] = {}
+
+
 class MedianMetadata(_Metadata):
     """An insertion whose prediction is the predictive median, and why it is not the mode (`choose_point`)."""
 
@@ -202,6 +214,7 @@ class FitMetadata(JobMetadata):
     truth: dict[str, float] = {}  #: the true parameters, of our synthetic data
     search_faults: dict[str, list[str]]  #: by fold: why the best point may not be the best
     stated_depths: list[DepthMetadata] = []
+    odd_needles: list[NeedleDoubtMetadata] = []
     medians: list[MedianMetadata] = []
     validity: ValidityMetadata
 

@@ -82,7 +82,7 @@ CONTRADICTIONS = (
     *("bevel_side", "length", "reversed", "copy", "examples"),
 )
 #: kinds of warnings that `needlefit check` prints, of a dataset alone; the others are about a result
-_OF_DATASETS = (*CONTRADICTIONS, "needle_outlier", "assumed", "curvature", "no_noise", "noise", "surfaces")
+_OF_DATASETS = (*CONTRADICTIONS, "assumed", "curvature", "no_noise", "noise", "surfaces")
 #: kinds of warnings that are no doubt: a text that reports print, and the choice of a point of a distribution
 _NO_DOUBTS = ("placeholder", "predictive_median")
 

@@ -21,7 +21,7 @@ from needlefit.inference.parameters import Parameters
 from needlefit.inference.point_prediction import PointPrediction
 from needlefit.project.result_warnings import ResultWarning, to_stored_rows
 from needlefit.project.unit_warnings import MU_PA
-from needlefit.reporting.number_format import format_quantity
+from needlefit.reporting.number_format import format_bare_symbol, format_quantity
 from needlefit.reporting.table_files import Row, select_rows, to_records
 from needlefit.reporting.text import KindText
 from needlefit.schemas.run_metadata import FitMetadata
@@ -196,6 +196,18 @@ def _find_shifted_boundaries(run: Run) -> Iterator[Row]:
             yield {**vars(one), "sd": sd}
 
 
+def _find_odd_needles(run: Run) -> Iterator[Row]:
+    """Yield the needles that the others do not predict, with mu and b with and without each."""
+    for one in run.knows(FitMetadata).odd_needles:
+        changed = [
+            f"{format_bare_symbol(name)} {format_quantity(name, value)} without it,"
+            f" {format_quantity(name, one.with_it[name])} with it"
+            for name, value in one.without_it.items()
+        ]
+        size = None if one.size is None else math.exp(one.size) if one.cause == "scaled" else abs(one.size)
+        yield {**vars(one), "size": size, "changed": changed}
+
+
 def _find_implausible_moduli(run: Run) -> Iterator[Row]:
     """Yield the moduli that no tissue has."""
     fits = FitFrames.of(run).free_parameters
@@ -231,5 +243,6 @@ RULES: Mapping[str, Callable[[Run], Iterable[Row]]] = {
     "noise_too_small": partial(_find_wrong_noise, too_large=False),
     "shared_residual": _find_shared_residual,
     "boundary_shift": _find_shifted_boundaries,
+    "needle_outlier": _find_odd_needles,
     "units": _find_implausible_moduli,
 }

@@ -87,6 +87,8 @@ def conclude_run(job: Job, work: JobMetadata, results: Sequence[FoldResult]) -> 
         found["truth"] = truth
     if depths := [row for one in results for row in one.depths]:
         found["stated_depths"] = depths
+    if doubts := [row for one in results for row in one.doubts]:
+        found["odd_needles"] = doubts
     if medians := [row for one in results for row in one.rows.get("medians", ())]:
         found["medians"] = medians
     run = Run(

@@ -1,0 +1,83 @@
+"""Needles that the others do not predict: sound ones are not accused, and each mistake has its cause."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from inference_cases import TRUTH, dataset, insertion, measure, medium
+from inference_cases import problem as make_problem
+
+from needlefit.datasets.insertion import Noise
+from needlefit.inference.doubts import find_doubts
+
+DEPTHS = np.linspace(35.0, 65.0, 7)
+POINT_SD = 0.05
+
+
+def measure_needles(seed: int, spread: float = 0.0):
+    """Return needles into two layers, bevels both ways, in specimens whose ln mu has a standard deviation."""
+    rng, made = np.random.default_rng(seed), []
+    for n, depth in enumerate(DEPTHS):
+        planned = replace(insertion(depth, [20.0], [1, 2]), id=f"n{n}", specimen=f"s{n}", side=(-1) ** n)
+        values = {name: value * math.exp(spread * rng.normal()) for name, value in TRUTH.items()}
+        values |= {name: TRUTH[name] for name in TRUTH if not name.startswith("mu")}
+        one = measure(values, medium(), planned)
+        across = rng.normal(0, POINT_SD, (len(one.points), 2)) * [1, 0]
+        made.append(one.with_points(one.points[:, :2] + across[:, ::-1]))
+    return made
+
+
+def doubt(made, theta=None):
+    data = dataset(made, Noise(point_sd=POINT_SD))
+    problem = replace(make_problem(medium(), made), dataset=data)
+    return find_doubts(problem, problem.parameters.theta(TRUTH) if theta is None else theta)
+
+
+def change(made, number, by):
+    found = list(made)
+    found[number] = found[number].with_points(by(found[number].points))
+    return found
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.15])
+def test_sound_needles_are_not_accused(spread):
+    assert [one for seed in range(4) for one in doubt(measure_needles(seed, spread))] == []
+
+
+@pytest.mark.parametrize(
+    ("by", "cause", "size"),
+    [
+        (lambda points: points * [1, -1, 1], "mirrored", None),
+        (lambda points: points * [1, 0.3, 1], "scaled", math.log(0.3)),
+        (lambda points: points * [1, 2.0, 1], "scaled", math.log(2.0)),
+        (lambda points: points + np.outer(points[:, 0], [0, math.tan(math.radians(3)), 0]), "turned", 3.0),
+        (lambda points: points + [0, 2.0, 0], "shifted", 2.0),
+    ],
+)
+def test_a_needle_is_named_with_what_happened_to_it_and_its_size(by, cause, size):
+    (one,) = doubt(change(measure_needles(1), 4, by))
+    assert (one.insertion, one.cause) == ("n4", cause) and one.sds > 5
+    assert one.size is None if size is None else one.size == pytest.approx(size, rel=0.15)
+    # without it the parameters are the true ones
+    assert one.without_it["bevel_mm"] == pytest.approx(TRUTH["bevel_mm"], rel=0.15)
+
+
+def test_a_needle_that_no_change_explains_is_named_without_a_cause():
+    (one,) = doubt(change(measure_needles(2), 3, lambda points: points + [0, 2.0, 0] * (points[:, :1] > 20)))
+    assert (one.insertion, one.cause, one.size) == ("n3", "", None)
+
+
+def test_where_more_than_a_quarter_deviate_none_is_accused():
+    made = measure_needles(3)
+    for number in (1, 3, 5):
+        made = change(made, number, lambda points: points * [1, -1, 1])
+    assert doubt(made) == []
+
+
+def test_three_needles_and_needles_without_stated_noise_are_not_judged():
+    made = change(measure_needles(1), 1, lambda points: points * [1, -1, 1])
+    assert doubt(made[:3]) == []
+    problem = make_problem(medium(), made)
+    silent = replace(problem, dataset=dataset(made, Noise()))
+    assert find_doubts(silent, problem.parameters.theta(TRUTH)) == []
