@@ -52,7 +52,7 @@ def test_sound_needles_are_not_accused(spread):
         (lambda points: points * [1, 0.3, 1], "scaled", math.log(0.3)),
         (lambda points: points * [1, 2.0, 1], "scaled", math.log(2.0)),
         (lambda points: points + np.outer(points[:, 0], [0, math.tan(math.radians(3)), 0]), "turned", 3.0),
-        (lambda points: points + [0, 2.0, 0], "shifted", 2.0),
+        (lambda points: points + np.array([0, 2.0, 0]), "shifted", 2.0),
     ],
 )
 def test_a_needle_is_named_with_what_happened_to_it_and_its_size(by, cause, size):
