@@ -166,7 +166,7 @@ def _predict(problem: Problem, blocks: Sequence[Block], theta: Floats) -> Predic
         weighed = [_weigh(block, spread) for block in blocks]
         precision = prior_information(problem) + sum(information for _, information, _ in weighed)
         step = -np.linalg.solve(precision, sum(pull for *_, pull in weighed))
-        covariance = np.linalg.inv(precision)
+        covariance = np.asarray(np.linalg.inv(precision), dtype=np.float64)
         evidence, misfits = -0.5 * np.linalg.slogdet(precision)[1], []
         for block, (own, *_) in zip(blocks, weighed, strict=True):
             off = block.residuals + block.slope @ step
