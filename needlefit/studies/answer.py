@@ -120,7 +120,7 @@ class Finding:
 
     @property
     def pattern(self) -> str:
-        """How predicted tips lie about their intervals: a block of `checks.md.j2`."""
+        """How predicted tips lie about their intervals."""
         if self.passed is False and not self.is_below:
             return "too_wide"
         if self.tips and self.tips > 1 and self.beyond in (0, self.tips):

@@ -1,48 +1,13 @@
 """The words of checks: a table of all, and a line for those that passed, failed or are not decided."""
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
-from needlefit.metrics import TE
 from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.text import KindText
 from needlefit.studies.advice import name_doubt
 from needlefit.studies.answer import MAX_NAMED_NEEDLES, Check, Finding
 
-#: of a `Finding`: which words about a check are printed
-_CHECK_RULES: Mapping[str, Callable[[Any], object]] = {
-    "curves_tested": lambda v: v.needles is None,
-    "references_compared": lambda v: v.needles is not None,
-    "closer_on": lambda v: v.needles,
-    "hangs_on_needles": lambda v: v.hanging,
-    "one_of_few": lambda v: len(v.hanging) <= MAX_NAMED_NEEDLES,
-    "one_of_many": lambda v: len(v.hanging) > MAX_NAMED_NEEDLES,
-    "no_curve": lambda v: not v.named,
-    "below_curves": lambda v: v.named and v.needles is None,
-    "below_references": lambda v: v.named and v.needles is not None,
-    "by_margin": lambda v: v.margin_mm is not None,
-    "no_noise": lambda v: v.value is None,
-    "equals_noise": lambda v: v.equals_noise,
-    "times_noise": lambda v: v.value is not None and not v.equals_noise,
-    "missing_tips": lambda v: v.missing,
-    "one_trial": lambda v: v.trials == 1,
-    "no_intervals": lambda v: v.value is None,
-    "intervals_found": lambda v: v.value is not None,
-    "nothing_required": lambda v: v.value is None,
-    "some_covered": lambda v: v.value is not None and v.trials == 1,
-    "share_95": lambda v: v.value is not None and v.trials != 1,
-    **dict.fromkeys(("width_limit", "width_found"), lambda v: v.width_mm is not None),
-    **dict.fromkeys(("tips_covered", "one_tip"), lambda v: v.missed == TE.missed),
-    **dict.fromkeys(("needles_covered", "one_needle"), lambda v: v.missed != TE.missed),
-    "tips_missed": lambda v: v.covered is False,
-    "and_width": lambda v: v.covered is False and v.is_wide,
-    "width_exceeded": lambda v: v.is_wide,
-    "none_required": lambda v: v.trials == 1,
-    "share_50": lambda v: v.trials != 1,
-    "no_doubts": lambda v: v.passed,
-    "doubts": lambda v: not v.passed,
-}
-CHECKS = KindText("checks", rules=_CHECK_RULES)
+CHECKS = KindText("checks")
 
 
 def lay_out_checks(checks: Sequence[Finding]) -> TableLayout:
@@ -61,7 +26,7 @@ def lay_out_checks(checks: Sequence[Finding]) -> TableLayout:
 
 def _word_check(one: Finding, part: str = "") -> str:
     """Return the question of a check, or what was "_found", is "_required" or "_failed"."""
-    doubts = [name_doubt(kind) for kind in one.named.split(", ")] if one.check is Check.DATA else []
+    hanging, named = (words.split(", ") if words else [] for words in (one.hangs_on, one.named))
     return CHECKS.sentence(
         f"{one.check}{part}",
         {
@@ -70,8 +35,9 @@ def _word_check(one: Finding, part: str = "") -> str:
             "equals_noise": one.equals_noise,
             "is_wide": one.is_wide,
             "pattern": one.pattern,
-            "hanging": one.hangs_on.split(", ") if one.hangs_on else [],
-            "doubts": doubts,
+            "hanging": hanging,
+            "few_hang": len(hanging) <= MAX_NAMED_NEEDLES,
+            "doubts": [name_doubt(kind) for kind in named] if one.check is Check.DATA else [],
         },
     )
 
