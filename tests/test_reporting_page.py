@@ -13,7 +13,7 @@ from needlefit.reporting import text as text_of_package
 from needlefit.reporting.document import Document, compile_html, compile_pdf
 from needlefit.reporting.table import Table, TableColumn, TableLayout
 from needlefit.reporting.text import KindText
-from needlefit.studies import advice, check_words, fit_sentences, fit_warnings
+from needlefit.studies import advice, check_words, fit_tables, fit_warnings
 from needlefit.studies.fit_figures import draw_overlays
 from needlefit.studies.kinds import identification, prediction
 from needlefit.studies.kinds.reconstruction import report as reconstruction
@@ -167,7 +167,7 @@ def test_a_block_is_chosen_by_its_rule(text):
 
 
 TEXTS = [
-    fit_sentences.TEXT,
+    fit_tables.TEXT,
     check_words.CHECKS,
     advice.TEXT,
     fit_warnings.TEXT,

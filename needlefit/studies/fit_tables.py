@@ -34,15 +34,18 @@ from needlefit.reporting.number_format import (
 )
 from needlefit.reporting.table import Table, TableLayout, part, pivot
 from needlefit.reporting.table_files import Row, select_rows, to_records
+from needlefit.reporting.text import KindText
 from needlefit.schemas.run_metadata import FitMetadata, RigidityMetadata
 from needlefit.studies import scored_groups as scores
 from needlefit.studies.coverage import COVERAGE_COLUMNS, tabulate_coverage
 from needlefit.studies.fit_frames import NEW_SPECIMEN, PREDICTION_METHOD, TUNED_SPECIMENS, FitFrames
-from needlefit.studies.fit_sentences import TEXT
 from needlefit.studies.identification import ParameterRow
 from needlefit.studies.identification_tables import describe_prior
 from needlefit.studies.judge import MAX_NOISE_RATIO, REFERENCES, judge
 from needlefit.studies.run import Run
+
+#: the sentences of fits and cross-validations
+TEXT = KindText("cross_validation")
 
 
 def _lay_out(table: Table, drop_empty: bool = False, **values: object) -> TableLayout:

@@ -27,7 +27,7 @@ from needlefit.inference.baselines import BASELINES
 from needlefit.metrics import CURVATURE_RMS, METRICS
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.studies.advice import list_contradictions, list_doubts
-from needlefit.studies.answer import Check, Finding, Status, is_printed_as_one
+from needlefit.studies.answer import MAX_NAMED_NEEDLES, Check, Finding, Status, is_printed_as_one
 from needlefit.studies.coverage import (
     MAX_AIMING_WIDTH_MM,
     WIDTH_ERROR_COLUMN,
@@ -87,6 +87,11 @@ class Comparison:
     needles: int = 0
     closer: int = 0  #: needles on which our error is smaller than that reference's
     hangs_on: tuple[str, ...] = ()  #: needles of which, if one is left out, the verdict is another
+
+    @property
+    def hangs_on_few(self) -> bool:
+        """Whether so few that they are named."""
+        return len(self.hangs_on) <= MAX_NAMED_NEEDLES
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from needlefit.studies import scored_groups as scores
 from needlefit.studies.advice import list_contradictions, name_doubt
 from needlefit.studies.first_page import FirstPage
 from needlefit.studies.fit_frames import FitFrames
-from needlefit.studies.fit_sentences import TEXT
+from needlefit.studies.fit_tables import TEXT
 from needlefit.studies.identification_tables import lay_out_identification
 from needlefit.studies.kinds.cross_validation.frames import FRAMES, OPTIONAL
 from needlefit.studies.kinds.cross_validation.observed import find_observation_report
@@ -54,6 +54,7 @@ def collect_values(run: Run) -> dict[str, Any]:
             ),
         },
         "folds": len(folds),
+        "several_folds": len(folds) > 1,
         "held_out": len({one for fold in folds for one in fold.held_out}),
         "depths": {
             # the least and the greatest, one if they are printed alike

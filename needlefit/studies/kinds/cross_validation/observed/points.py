@@ -16,7 +16,7 @@ from needlefit.studies.answer import Advice, Check, Finding, Status, Verdict
 from needlefit.studies.coverage import AFTER_ONE_COLUMN
 from needlefit.studies.first_page import FirstPage
 from needlefit.studies.fit_frames import FitFrames
-from needlefit.studies.fit_sentences import TEXT
+from needlefit.studies.fit_tables import TEXT
 from needlefit.studies.judge import PREDICTED, Judgement, judge, limit_status, list_checks
 from needlefit.studies.kinds.cross_validation.observed import ObservationReport
 from needlefit.studies.run import Run

@@ -15,8 +15,7 @@ from needlefit.studies.advice import advise
 from needlefit.studies.answer import Check, Finding, Verdict
 from needlefit.studies.first_page import FirstPage
 from needlefit.studies.fit_frames import PREDICTION_METHOD, FitFrames
-from needlefit.studies.fit_sentences import TEXT
-from needlefit.studies.fit_tables import lay_out_estimates
+from needlefit.studies.fit_tables import TEXT, lay_out_estimates
 from needlefit.studies.judge import REFERENCES, check_data, check_intervals, judge_tracks
 from needlefit.studies.kinds.cross_validation.observed import ObservationReport
 from needlefit.studies.kinds.cross_validation.observed.points import list_overlays
