@@ -11,6 +11,7 @@ from scipy.spatial.distance import cdist
 
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
+from needlefit.imaging import markers
 from needlefit.imaging.markers import find_markers, refine_fiducials
 from needlefit.imaging.needle.segmentation import select_needle
 from needlefit.imaging.point_spread import PointSpread
@@ -100,7 +101,7 @@ def test_a_needle_alone_and_nothing_bright_hold_no_marker():
 @pytest.mark.parametrize(
     ("thick", "shown", "warned"), [(0.5, 4.2, 1), (2.4, 4.2, 0), (2.4, 6.0, 1), (0.5, 3.3, 0)]
 )
-def test_a_diameter_is_doubted_as_far_as_slices_show_it(thick, shown, warned):
+def test_a_diameter_is_doubted_as_far_as_slices_show_it(thick, shown, warned, monkeypatch):
     size = np.array([60, 60, round(32 / thick)])
     places = np.stack(np.meshgrid(*(np.arange(n) for n in size), indexing="ij"), axis=-1) * [0.5, 0.5, thick]
     centers = np.array([[8.0, 8, 7.2], [22, 9, 14.4], [9, 22, 21.6]])
@@ -110,9 +111,10 @@ def test_a_diameter_is_doubted_as_far_as_slices_show_it(thick, shown, warned):
 
     def fit(_, blob, radius):
         middle = to_patient(volume, blob.voxels.mean(axis=0)[None])[0]
-        size = shown if radius is None else 2 * radius
-        return SphereFit(middle, 0.02, PointSpread(0.4, 0.5, 0.3), 0.01, 0.01, size, 0.05)
+        parameters = np.full(15, np.log(radius))
+        return SphereFit(middle, 0.02, PointSpread(0.4, 0.5, 0.3), 0.01, 0.01, parameters)
 
+    monkeypatch.setattr(markers, "measure_diameter", lambda *_: (shown, 0.05))
     found = find_markers(volume, RECIPE, fit=fit)
     assert len(found.centers) == 3 and len(found.warnings) == warned
     assert (found.spread is None) == (shown > 4)  # what contradicts the diameter shows no blur

@@ -19,7 +19,7 @@ from needlefit.imaging.needle.segmentation import MIN_METAL_CONTRAST_HU, median_
 from needlefit.imaging.point_spread import MAX_BLUR_MM, average_spreads
 from needlefit.imaging.reconstruction import MarkerResult
 from needlefit.imaging.registration import MIN_MARKERS, check_axis_signs
-from needlefit.imaging.spheres import Blob, SphereFit, fit_sphere
+from needlefit.imaging.spheres import Blob, SphereFit, fit_sphere, measure_diameter
 from needlefit.imaging.volume import Volume, find_outside, to_index, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
@@ -70,18 +70,16 @@ DIAMETER_ERROR = 0.06  # deviation of a measured diameter by what the model does
 SLICE_DIAMETER_ERROR = 0.25  # the same by slices that were averaged, in parts of their distance
 MIN_RESOLVED_BLURS = 2.35  # the diameter of a ball that is smaller, in deviations of the blur, does not show
 MAX_DIAMETER_SD = 3.0  # deviations of the measured diameter by which the stated one may differ from it
-FitSphere = Callable[[Volume, Blob, float | None], SphereFit]
+FitSphere = Callable[[Volume, Blob, float], SphereFit]
 
 
-def _measure_diameter(
-    volume: Volume, balls: Iterable[tuple[Blob, SphereFit]], fit: FitSphere
-) -> tuple[float, float] | None:
+def _measure_diameter(volume: Volume, balls: Iterable[tuple[Blob, SphereFit]]) -> tuple[float, float] | None:
     """Return the diameter of balls, and its deviation, mm; None where the blur hides it."""
     found: list[tuple[float, float]] = []
-    for blob, _ in sorted(balls, key=lambda one: one[1].misfit)[:MEASURED_BALLS]:
-        ball = fit(volume, blob, None)
-        if ball.diameter > MIN_RESOLVED_BLURS * ball.spread.blur:
-            found.append((ball.diameter, ball.diameter_sd))
+    for blob, ball in sorted(balls, key=lambda one: one[1].misfit)[:MEASURED_BALLS]:
+        measured = measure_diameter(volume, blob, ball)
+        if measured[0] > MIN_RESOLVED_BLURS * ball.spread.blur:
+            found.append(measured)
     if not found:
         return None
     # of small balls a few are off by many of their deviations
@@ -161,7 +159,7 @@ def find_markers(
     warnings: list[str] = []
     # values that were cut before the scan was resampled do not show a ball's own edge
     shows_edge = len(balls) >= MIN_MARKERS and volume.resampled_top is None
-    measured = _measure_diameter(volume, shown, fit) if shows_edge else None
+    measured = _measure_diameter(volume, shown) if shows_edge else None
     off = abs(measured[0] - diameter) / MAX_DIAMETER_SD if measured else 0.0
     differs = measured is not None and off > measured[1]
     # nor do slices that were averaged behind the cut, as nothing shows that they were

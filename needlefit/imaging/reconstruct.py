@@ -373,7 +373,7 @@ class VolumeSearch:
 
     def __init__(self, volume: Volume, recipe: ReconstructionRecord) -> None:
         self.volume, self.recipe = turn_slices(volume), recipe
-        self._balls: dict[tuple[float, float | None, bytes], SphereFit] = {}
+        self._balls: dict[tuple[float, float, bytes], SphereFit] = {}
 
     @cached_property
     def tubes(self) -> list[Component]:
@@ -389,7 +389,7 @@ class VolumeSearch:
         """Return the balls beside the needle (N, 3); DataError if nothing is bright enough."""
         return find_markers(self.volume, self.recipe, needle, self._fit_sphere, self.bright)
 
-    def _fit_sphere(self, volume: Volume, blob: Blob, radius: float | None) -> SphereFit:
+    def _fit_sphere(self, volume: Volume, blob: Blob, radius: float) -> SphereFit:
         key = blob.level, radius, blob.voxels.tobytes()
         if key not in self._balls:
             self._balls[key] = fit_sphere(volume, blob, radius)

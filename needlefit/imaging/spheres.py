@@ -188,16 +188,27 @@ class SphereFit:
     # parts of the ball's height as shown.
     misfit: float
     noise: float
-    diameter: float  # mm
-    diameter_sd: float  # its deviation, mm; 0 where the radius was given
+    parameters: Floats  # (15,); of the model
+
+    @property
+    def diameter(self) -> float:
+        """Diameter, mm."""
+        return 2 * float(np.exp(self.parameters[RADIUS]))
 
 
-def fit_sphere(volume: Volume, blob: Blob, radius: float | None) -> SphereFit:
-    """Fit a ball of `radius` (mm) to the voxels around `blob`; None: of any."""
-    start = blob.diameter / 2 if radius is None else radius
-    near = select_voxels(volume, blob, start)
-    first = _guess_parameters(near, start)
-    theta, residuals, covariance = _fit_model(near, first, RADIUS if radius else RADIUS + 1)
+def measure_diameter(volume: Volume, blob: Blob, ball: SphereFit) -> tuple[float, float]:
+    """Return the diameter of a ball that was fitted, and its deviation, mm."""
+    near = select_voxels(volume, blob, ball.diameter / 2)
+    noise = ball.noise * max(1.0, float(min(np.exp(ball.parameters[HEIGHT]), near.ceiling)))
+    theta, _, covariance = _fit_model(near, ball.parameters, RADIUS + 1, noise)
+    diameter = 2 * float(np.exp(theta[RADIUS]))
+    return diameter, diameter * float(np.sqrt(covariance[RADIUS, RADIUS]))
+
+
+def fit_sphere(volume: Volume, blob: Blob, radius: float) -> SphereFit:
+    """Fit a ball of `radius` (mm) to the voxels around `blob`."""
+    near = select_voxels(volume, blob, radius)
+    theta, residuals, covariance = _fit_model(near, _guess_parameters(near, radius), RADIUS)
     own, spread = float(np.exp(theta[RADIUS])), read_spread(theta[SPREAD])
     height = max(1.0, float(min(np.exp(theta[HEIGHT]), near.ceiling) - theta[LEVEL]))
     inside = np.linalg.norm(near.places - theta[CENTER], axis=1) < own + near.spacing.max()
@@ -212,20 +223,23 @@ def fit_sphere(volume: Volume, blob: Blob, radius: float | None) -> SphereFit:
         spread=spread,
         misfit=misfit,
         noise=_spread(residuals[~inside] if np.count_nonzero(~inside) > 20 else residuals) / height,
-        diameter=2 * own,
-        diameter_sd=0.0 if radius else 2 * own * float(np.sqrt(covariance[RADIUS, RADIUS])),
+        parameters=theta,
     )
 
 
-def _fit_model(near: SphereVoxels, first: Floats, count: int) -> tuple[Floats, Floats, Floats]:
-    """Fit the first `count` parameters, from `first` (15,) on: without noise, then with it and robust.
+def _fit_model(
+    near: SphereVoxels, first: Floats, count: int, noise: float = 0.0
+) -> tuple[Floats, Floats, Floats]:
+    """Fit the first `count` parameters, from `first` (15,) on: robust, after a plain fit for the `noise`, HU.
 
     Return all parameters (15,), residuals (N,), HU, and the covariance (count, count) of those fitted.
     """
-    noise = FIRST_NOISE_PART * float(min(np.exp(first[HEIGHT]), near.ceiling) - first[LEVEL])
-    best = _minimize(near, first, count, noise, robust=False)
-    noise = max(1.0, noise * _spread(best.fun[: len(near.values)]))
-    best = _minimize(near, np.append(best.x, first[count:]), count, noise, robust=True)
+    if not noise:
+        rough = FIRST_NOISE_PART * float(min(np.exp(first[HEIGHT]), near.ceiling) - first[LEVEL])
+        best = _minimize(near, first, count, rough, robust=False)
+        noise = max(1.0, rough * _spread(best.fun[: len(near.values)]))
+        first = np.append(best.x, first[count:])
+    best = _minimize(near, first, count, noise, robust=True)
     theta, residuals = np.append(best.x, first[count:]), noise * best.fun[: len(near.values)]
     slopes = differentiate(near, theta, count)
     known = np.zeros(count)
