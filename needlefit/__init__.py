@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from needlefit.mechanics.tissue import Tissue
     from needlefit.schemas.scene import SceneRecord
     from needlefit.studies.run import Run
+    from needlefit.studies.steering import Steering
 
 __version__ = "0.1.0"
 
@@ -62,6 +63,7 @@ __all__ = [
     "Run",
     "Scene",
     "Session",
+    "Steering",
     "Step",
     "Tissue",
     "TrackedTip",
@@ -105,6 +107,7 @@ _HOMES = {
     "mechanics.simulate": "simulate simulate_steps",
     "mechanics.tissue": "Tissue",
     "studies.run": "Run",
+    "studies.steering": "Steering",
 }
 """Names by the module in which they are."""
 

@@ -392,6 +392,7 @@ class ParameterDraws:
     shape: Floats  #: (B, p, n) shape parameters of the law
     bevel: Floats  #: (B,) b, mm; of an advance by the path angle theta, rad
     gain: Floats | None = None  #: (B,) of the base, as of `Batch`; None: 1
+    slope: Floats | None = None  #: (B,) dy/dx of the insertion's axis in C; None: 0
 
     def __len__(self) -> int:
         return len(self.bevel)
@@ -403,8 +404,14 @@ class ParameterDraws:
         return cls(tissue.mu[None], tissue.shape[None], np.array([strength]))
 
     def only(self, rows: Ints) -> Self:
-        gain = None if self.gain is None else self.gain[rows]
-        return replace(self, mu=self.mu[rows], shape=self.shape[rows], bevel=self.bevel[rows], gain=gain)
+        given = {one.name: getattr(self, one.name) for one in fields(self)}
+        return replace(self, **{name: part[rows] for name, part in given.items() if part is not None})
+
+    def turn(self, points: Floats) -> Floats:
+        """Return points (B, K, 3) of the needles, mm, turned with the axis of each insertion."""
+        if self.slope is None:
+            return points
+        return points + self.slope[:, None, None] * points[..., :1] * np.array([0.0, 1.0, 0.0])
 
     def make_batch(
         self, needle: Needle, tissue: Tissue, steps: tuple[Step, ...], rules: ModelOptions

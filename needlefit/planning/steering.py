@@ -49,6 +49,9 @@ from needlefit.planning.goals import (
 )
 
 SEARCH_DRAWS = 32  #: draws on which a plan is sought; the others test it
+QUICK_ROUNDS = 2  #: of Gauss-Newton steps of a plan that is made again on the way
+QUICK_RAMP = 0.3  #: part of the remaining way on which the base moves: later moves hardly bend a needle
+QUICK_DRAWS = 8  #: on which these are taken; vector instructions serve so many at once
 BASE_STEP_MM = 5.0  #: the base moves in steps of so much inserted depth
 DEPTH_RANGE_MM = 5.0  #: a plan ends within so much of the target's own depth
 NEAREST_TARGET_MM = 0.5  #: a target lies at least so much deeper than the tip
@@ -233,31 +236,38 @@ def plan_steering(
     `threads` are by default as many as there are cores. Raises ModelError if the target is not ahead of the
     tip, out of the needle's reach, no needle is found on the way, or `cancelled()` while it is sought.
     """
+    search = _begin_search(insertion, goal, limits or PlanLimits(), threads, cancelled)
+    return search.describe(search.best())
+
+
+def plan_again(
+    insertion: StartedInsertion, goal: Goal, limits: PlanLimits | None = None, threads: int | None = None
+) -> SteeringPlan:
+    """Return a plan as `plan_steering` does, but in a hundredth of a second, for a loop.
+
+    Each choice of turns is brought to the target by `QUICK_ROUNDS` Gauss-Newton steps of the expected miss;
+    its risk is not lowered further, and narrower ranges are not searched.
+    """
+    search = replace(_begin_search(insertion, goal, limits or PlanLimits(), threads), ramp=QUICK_RAMP)
+    return search.describe(search.best_quickly())
+
+
+def _begin_search(
+    insertion: StartedInsertion,
+    goal: Goal,
+    limits: PlanLimits,
+    threads: int | None,
+    cancelled: Callable[[], bool] = lambda: False,
+) -> "_Search":
     goal = goal.to_space() if any(step.acts_along_z for step in insertion.path) else goal
-    search = _Search(insertion, goal, limits or PlanLimits(), threads, cancelled)
+    search = _Search(insertion, goal, limits, threads, cancelled)
     x, nearest = goal.target[0], insertion.now.depth + NEAREST_TARGET_MM
     if x <= nearest or search.end > insertion.reach:
         raise ModelError.of(f"""the target lies at a depth of {x:.1f} mm
             expected: deeper than {nearest:.1f} mm (tip + {NEAREST_TARGET_MM} mm), up to
                 {insertion.reach:.1f} mm
             fix: retract the needle, or take another target""")
-    chosen = search.best()
-    way, now = search.way(chosen), insertion.now
-    (needles,), (nominal,) = (
-        search.needles(draws, [chosen]) for draws in (insertion.samples[1], insertion.exact)
-    )
-    hits = int(np.sum(find_hits(needles, goal)))
-    low, high = wilson_interval(hits / len(needles), len(needles))
-    touched = {one.name: float(np.mean(compute_clearances(needles, one) < 0)) for one in goal.obstacles}
-    turns = (now.depth,) * (way[0].bevel != now.bevel) + chosen.turns
-    least, most = search.bounds
-    near = LIMIT_PART * (most - least)
-    at_end = (np.abs(chosen.at - search.still) > near) & (
-        (chosen.at <= least + near) | (chosen.at >= most - near)
-    )
-    at_limit = tuple(name for name, met in zip(LIMITED, at_end[[0, 2, 3]], strict=True) if met)
-    outcome = (needles, nominal[0], hits, low, high, touched, at_limit)
-    return SteeringPlan(float(chosen.at[0]), way, turns, goal, *outcome)
+    return search
 
 
 def plan_to_target(
@@ -304,6 +314,12 @@ class _Search:
     limits: PlanLimits
     threads: int | None
     cancelled: Callable[[], bool] = lambda: False
+    ramp: float = 1.0  #: part of the remaining way on which the base moves
+    sought: ParameterDraws | None = None  #: on which choices are compared; None: those of the insertion
+
+    @cached_property
+    def search_draws(self) -> ParameterDraws:
+        return self.sought or self.insertion.samples[0]
 
     @cached_property
     def end(self) -> float:
@@ -348,7 +364,9 @@ class _Search:
         for end in (*sorted({*self.base_stations, *choice.turns}), depth):
             # before contact a moved base would move the entry too
             if (steps or now.depth > SAME_DEPTH_MM) and (end in self.base_stations or end == depth):
-                part = min((end - now.depth) / (self.end - now.depth), 1.0) if end != depth else 1.0
+                part = (
+                    min((end - now.depth) / (self.end - now.depth) / self.ramp, 1.0) if end != depth else 1.0
+                )
                 begin = now.controls
                 y = begin.base_y + part * (base_y - begin.base_y)
                 slope = begin.base_slope + part * (base_slope - begin.base_slope)
@@ -368,6 +386,7 @@ class _Search:
         def place(number: int, shapes: NeedleShapes, rows: slice) -> tuple[Floats]:
             entry, depth, *_ = choices[number].at
             points = compute_batch_positions(shapes, np.linspace(0.0, depth, PATH_POINTS))
+            points = draws.only(np.arange(len(draws))[rows]).turn(points)
             points = np.where(shapes.valid[:, None, None], points + np.array([0.0, entry, 0.0]), np.nan)
             return (points[..., : len(self.goal.target)],)
 
@@ -389,7 +408,7 @@ class _Search:
 
     def residuals(self, choices: Sequence[_Choice]) -> list[Floats]:
         """Return the misses of each choice over the draws of the search, and how far it moves the base."""
-        needles = self.needles(self.insertion.samples[0], choices)
+        needles = self.needles(self.search_draws, choices)
         return [
             np.concatenate([compute_residuals(some, self.goal), EFFORT_MM * self.effort(one)])
             for some, one in zip(needles, choices, strict=True)
@@ -402,7 +421,7 @@ class _Search:
 
     def risks(self, choices: Sequence[_Choice]) -> list[float]:
         """Return the smoothed risk of each choice over the draws of the search, and what its effort costs."""
-        needles = self.needles(self.insertion.samples[0], choices)
+        needles = self.needles(self.search_draws, choices)
         return [
             _smooth_risk(some, self.goal, self.rules)
             + TURN_RISK * len(one.turns)
@@ -447,6 +466,35 @@ class _Search:
             found += [*narrower, self._lower_risk(self._rank(narrower)[0])]
         return self._rank(found)[0]
 
+    def best_quickly(self) -> _Choice:
+        """Return the choice of least risk after a few Gauss-Newton steps."""
+        every, _ = self.insertion.samples
+        rows = np.linspace(0, len(every) - 1, min(QUICK_DRAWS, len(every))).astype(np.intp)
+        quick, found = replace(self, sought=every.only(rows)), self.list_choices()
+        for number in range(QUICK_ROUNDS):
+            found = quick._step_once(found, alike=number == 0 and self.goal.directions == 1)
+            found = quick._rank(found)[: self.rules.refined]
+        return self._rank(found)[0]
+
+    def describe(self, chosen: _Choice) -> SteeringPlan:
+        """Return the plan of a choice, and what becomes of the needles of the draws that test it."""
+        way, now, goal = self.way(chosen), self.insertion.now, self.goal
+        (needles,), (nominal,) = (
+            self.needles(draws, [chosen]) for draws in (self.insertion.samples[1], self.insertion.exact)
+        )
+        hits = int(np.sum(find_hits(needles, goal)))
+        low, high = wilson_interval(hits / len(needles), len(needles))
+        touched = {one.name: float(np.mean(compute_clearances(needles, one) < 0)) for one in goal.obstacles}
+        turns = (now.depth,) * (way[0].bevel != now.bevel) + chosen.turns
+        least, most = self.bounds
+        near = LIMIT_PART * (most - least)
+        at_end = (np.abs(chosen.at - self.still) > near) & (
+            (chosen.at <= least + near) | (chosen.at >= most - near)
+        )
+        at_limit = tuple(name for name, met in zip(LIMITED, at_end[[0, 2, 3]], strict=True) if met)
+        outcome = (needles, nominal[0], hits, low, high, touched, at_limit)
+        return SteeringPlan(float(chosen.at[0]), way, turns, goal, *outcome)
+
     def _find(self) -> _Choice:
         """Return the best choice of this range alone."""
         tried, found = self._step_once(self.list_choices()), []
@@ -468,19 +516,23 @@ class _Search:
             values = [float(np.sum(one**2)) for one in self.residuals(choices)]
         return [choices[n] for n in np.argsort(values, kind="stable")]
 
-    def _step_once(self, choices: Sequence[_Choice]) -> list[_Choice]:
-        """Return choices after one Gauss-Newton step each, all their needles simulated together."""
-        count, steps = len(self.still), DIFFERENCE_STEPS[: len(self.still)]
-        moves = np.vstack([np.zeros(count), np.diag(steps)])
-        shifted = [replace(one, at=one.at + move) for one in choices for move in moves]
-        values = self.residuals(shifted)
-        stepped = []
-        for n, one in enumerate(choices):
-            here, *moved = values[(1 + count) * n : (1 + count) * (n + 1)]
-            slopes = (np.array(moved) - here).T / steps
-            low, high = self.bounds
-            weights = high - low  # of equal size within the bounds
-            step = np.linalg.lstsq(slopes * weights, -here, rcond=1e-6)[0] * weights
+    def _step_once(self, choices: Sequence[_Choice], *, alike: bool = False) -> list[_Choice]:
+        """Return choices after one Gauss-Newton step each, all their needles simulated together.
+
+        `alike`: all have the slopes of the first, which is nearly so while turns of the bevel alone differ.
+        """
+        low, high = self.bounds
+        weights = high - low  # of equal size within the bounds
+        free = np.flatnonzero(weights > 1e-3)  # what is fixed has a margin
+        moves, differed = np.diag(DIFFERENCE_STEPS[: len(weights)])[free], choices[:1] if alike else choices
+        shifted = [replace(one, at=one.at + move) for one in differed for move in moves]
+        values, stepped = self.residuals([*choices, *shifted]), []
+        for n, (one, here) in enumerate(zip(choices, values[: len(choices)], strict=True)):
+            if n < len(differed):
+                moved = values[len(choices) + len(moves) * n :][: len(moves)]
+                slopes = (np.array(moved) - here).T / DIFFERENCE_STEPS[free]
+            step = np.zeros(len(weights))
+            step[free] = np.linalg.lstsq(slopes * weights[free], -here, rcond=1e-6)[0] * weights[free]
             stepped.append(replace(one, at=np.clip(one.at + step, low, high)))
         return stepped
 

@@ -1,0 +1,189 @@
+"""The loop with feedback: exact derivatives, weights in closed form, intervals that hold, errors."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from refusals import refusal
+
+import needlefit
+from needlefit.errors import ModelError
+from needlefit.mechanics.control import Guide, Step, TrackedTip
+from needlefit.planning.steering import PlanLimits
+from needlefit.studies.steering import Steering
+
+TARGET = (80.0, 2.0)
+SCENE = {
+    "depth_mm": 80.0,
+    "needle": {"name": "18 gauge", "length_mm": 150.0, "outer_diameter_mm": 1.27, "youngs_modulus_gpa": 80.0},
+    "bevel": {"offset_mm": 0.1, "side": 1},
+    "layers": [
+        {"name": "soft", "top_mm": 0.0, "mu_pa": 5e3, "alpha": 1.0},
+        {"name": "firm", "top_mm": 25.0, "mu_pa": 2e4, "alpha": 1.0},
+    ],
+}
+
+
+def medium(mu_factor: float = 1.8, b_factor: float = 1.4) -> dict:
+    def prior(median: float, factor: float) -> dict:
+        return {"bounds": [median / 1e3, median * 1e3], "prior": {"median": median, "factor": factor}}
+
+    moduli = {"mu1_pa": prior(5e3, mu_factor), "mu2_pa": prior(2e4, mu_factor)}
+    exact = {"alpha1": {"fixed": 1.0}, "alpha2": {"fixed": 1.0}}
+    return {"layers": 2, "parameters": moduli | exact | {"bevel_mm": prior(0.1, b_factor)}}
+
+
+EXACT = medium(1 + 1e-9, 1 + 1e-9)
+
+
+def steer(known=None, **options) -> Steering:
+    return Steering(known or medium(), SCENE, **{"draws": 200, **options})
+
+
+def change(step: Step, depth: float | None = None, **base: float) -> Step:
+    return replace(
+        step, depth=step.depth if depth is None else depth, controls=replace(step.controls, **base)
+    )
+
+
+class Robot:
+    """A true needle, of other parameters than expected, that follows a part of each command."""
+
+    def __init__(self, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        scene, steering = needlefit.open_scene(SCENE), steer()
+        mu = scene.tissue.mu * np.exp(np.log(1.8) * rng.standard_normal(2))
+        self.offset, self.gain = 0.1 * np.exp(np.log(1.4) * rng.standard_normal()), 1 + 0.25 * rng.normal()
+        self.session = needlefit.Session(
+            scene.needle, replace(scene.tissue, mu=mu), replace(steering.now.bevel, offset=self.offset)
+        )
+
+    def go(self, step: Step) -> np.ndarray:
+        moved = {name: self.gain * getattr(step.controls, name) for name in ("base_y", "base_slope")}
+        bevel = replace(step.bevel, offset=self.offset)
+        self.session.go(replace(step, bevel=bevel, controls=replace(step.controls, **moved)))
+        return needlefit.compute_positions(self.session.now.shape, np.array([step.depth]))[0]
+
+
+@pytest.mark.parametrize("depth", [47.3, 60.0])
+def test_the_jacobian_is_that_of_the_last_inputs_by_differences_of_the_simulator(depth: float) -> None:
+    steering = steer(EXACT, draws=1, gain_sd=0.0)
+    steering.advance([change(steering.now, 20.0), change(steering.now, 47.3, base_y=0.8)])
+    (drawn, _), path = steering.draws, (change(steering.now, 20.0, base_y=0.0), steering.now)
+    rules = replace(steering.rules, tolerance=1e-10)
+
+    def tip(deeper: float = 0.0, roll: float = 0.0, base_y: float = 0.0, base_slope: float = 0.0):
+        now = replace(steering.now, bevel=replace(steering.now.bevel, roll_deg=np.degrees(roll)))
+        last = change(now, depth + deeper, base_y=0.8 + base_y, base_slope=base_slope)
+        (shapes,) = needlefit.simulate_batches(
+            [drawn.make_batch(steering.needle, steering.tissue, (*path, last), rules)], 1
+        )
+        return needlefit.compute_positions(shapes[0], np.array([depth + deeper]))[0]
+
+    step = 1e-4
+    ways = ({"base_y": step}, {"base_slope": step}, {"roll": step})
+    differences = [(tip(**way) - tip(**{k: -v for k, v in way.items()})) / (2 * step) for way in ways]
+    found = steering.jacobian(depth)
+    assert found[:, :3] == pytest.approx(np.stack(differences, axis=1), abs=2e-6)
+    assert found[:, 3] == pytest.approx((tip(1e-3) - tip()) / 1e-3, abs=1e-5)
+    assert found[0, 3] == pytest.approx(1.0, abs=0.01)
+
+
+def test_weights_are_the_normal_distribution_where_the_tip_is_linear() -> None:
+    """Of a slope alone: y = y0 + slope x, so precisions add; few draws are left, and new ones are made."""
+    steering, prior_sd, sd, truth = steer(EXACT, draws=1000, gain_sd=0.0, slope_sd=0.05), 0.05, 0.1, -0.03
+    expected, precision, moment, rounds = steering.predict(80.0).mean[0], prior_sd**-2, 0.0, 0
+    for depth in (20.0, 40.0, 60.0):
+        steering.advance(change(steering.now, depth))
+        straight = needlefit.simulate_steps(steering.needle, steering.tissue, (steering.now,), steering.rules)
+        y = needlefit.compute_positions(straight, np.array([depth]))[0, :2]
+        rounds += steering.measure((y[0], y[1] + truth * y[0] + 0.05), sd=sd).rounds
+        precision, moment = precision + (y[0] / sd) ** 2, moment + y[0] * (truth * y[0] + 0.05) / sd**2
+    draws, weights = steering.draws
+    mean = weights @ draws.slope
+    assert rounds > 0 and steering.effective > 200
+    assert mean == pytest.approx(moment / precision, abs=3 * precision**-0.5 / np.sqrt(steering.effective))
+    assert np.sqrt(weights @ (draws.slope - mean) ** 2) == pytest.approx(precision**-0.5, rel=0.1)
+    assert abs(expected - steering.predict(80.0).mean[0]) > 1.0
+
+
+@pytest.mark.parametrize("kind", ["tip", "shape", "curvatures"])
+def test_what_is_measured_narrows_the_prediction_about_the_truth(kind: str) -> None:
+    within, narrower = 0, 0
+    for seed in range(6):
+        rng, robot, steering = np.random.default_rng(seed), Robot(seed), steer(seed=seed)
+        for depth in (20.0, 40.0, 60.0):
+            step = change(steering.now, depth, base_y=depth / 20 - 1)
+            tip = robot.go(step)
+            steering.advance(step)
+            before = steering.predict(80.0)
+            shape, from_tip = robot.session.now.shape, np.array([10.0, 25.0, 40.0, 55.0])
+            s = depth - from_tip
+            points = needlefit.compute_positions(shape, s)
+            if kind == "tip":
+                steering.measure(np.add(tip[:2], (0.0, 0.1 * rng.normal())), sd=0.1)
+            elif kind == "shape":
+                steering.measure(shape=points[:, :2] + 0.1 * rng.normal(size=(4, 2)) * (0, 1), sd=0.1)
+            else:
+                second = [needlefit.compute_positions(shape, s + h)[:, 1] for h in (-1.0, 0.0, 1.0)]
+                kappa = 1e3 * (second[0] - 2 * second[1] + second[2]) + 0.05 * rng.normal(size=4)
+                steering.measure(curvatures=np.column_stack([from_tip, kappa]), sd=0.05)
+        after, truth = steering.predict(80.0), robot.go(change(steering.now, 80.0))[1]
+        within += after.low[0] <= truth <= after.high[0]
+        narrower += after.high[0] - after.low[0] < 0.7 * (before.high[0] - before.low[0]) + 1.0
+    assert within >= 5 and narrower == 6
+
+
+def test_with_feedback_the_needle_comes_nearer_and_the_predicted_miss_holds() -> None:
+    misses, covered = {"open": [], "closed": []}, 0
+    for seed in range(6):
+        for mode, found in misses.items():
+            rng, robot, steering = np.random.default_rng(seed), Robot(seed), steer(seed=seed)
+            plan = steering.plan(TARGET)
+            for stop in (*range(10, 80, 10), plan.steps[-1].depth):
+                way = [step for step in plan.steps if steering.now.depth < step.depth < stop]
+                after = next(step for step in plan.steps if step.depth >= min(stop, plan.steps[-1].depth))
+                for step in (*way, replace(after, depth=float(min(stop, after.depth)))):
+                    tip = robot.go(step)
+                    steering.advance(step)
+                if mode == "closed" and stop < 76:
+                    steering.measure(np.add(tip[:2], (0.0, 0.3 * rng.normal())), sd=0.3)
+                    plan = steering.plan(TARGET)
+            found.append(np.hypot(*(tip[:2] - TARGET)))
+        covered += found[-1] <= np.quantile(plan.misses, 0.975)
+    assert np.mean(misses["closed"]) < 0.5 * np.mean(misses["open"]), misses
+    assert covered >= 5
+
+
+def test_a_target_out_of_reach_is_said_with_how_near_the_needle_comes() -> None:
+    steering = steer()
+    steering.advance(change(steering.now, 60.0))
+    found = steering.plan((75.0, 12.0), limits=PlanLimits(turns=0))
+    assert found.hits == 0 and found.probability == 0 and found.misses.min() > 5
+    assert steering.plan((75.0, steering.predict(75.0).mean[0])).probability > 0.5
+    refusal(ModelError, "target lies at a depth of 50.0 mm", steering.plan, (50.0, 0.0))
+
+
+def test_an_error_changes_nothing() -> None:
+    steering = steer(draws=50)
+    steering.advance(change(steering.now, 30.0))
+    y = float(steering.predict().mean[0])
+    steering.measure((30.0, y), sd=0.3)
+    now, before, weights = steering.now, steering.predict(60.0).mean, steering.draws[1]
+    guided = replace(now.controls, guides=(Guide(-20.0),))
+    held = replace(now.controls, tip=TrackedTip(0.0))
+    for words, call in {
+        "is 30.0 mm deep": lambda: steering.measure((55.0, y), sd=0.3),
+        "at 31.0 mm": lambda: steering.measure(shape=[(10.0, 0.0), (31.0, y)], sd=0.1),
+        "of shape": lambda: steering.measure(shape=[(10.0, np.nan)], sd=0.1),
+        "2 measurements": lambda: steering.measure((30.0, y), shape=[(10.0, 0.0)], sd=0.1),
+        "SD 0": lambda: steering.measure((30.0, y), sd=0.0),
+        "another strength": lambda: steering.advance(replace(now, bevel=replace(now.bevel, offset=0.3))),
+        "other guides": lambda: steering.advance(replace(now, controls=guided)),
+        "by its tip": lambda: steering.advance(replace(now, controls=held)),
+        "cannot be inserted": lambda: steering.advance([change(now, 50.0), change(now, 160.0)]),
+        "a depth of 20 mm": lambda: steering.predict(20.0),
+    }.items():
+        refusal(ModelError, words, call)
+        assert steering.now == now and np.array_equal(steering.predict(60.0).mean, before)
+        assert np.array_equal(steering.draws[1], weights)
