@@ -53,7 +53,8 @@ def test_a_needle_is_streamed_and_steered_and_draws_are_weighted_by_tips(client,
     while (tip := wait(client, "NeedlefitTip", lambda tip: True)).matrix.tolist() != before.matrix.tolist():
         before = tip
     points = np.array(wait(client, "NeedlefitNeedle", lambda one: True).positions)
-    scene = needlefit.open_scene(str(world.folder / "configs/scenes/ahead.toml"))
+    scene_file = str(world.folder / "configs/scenes/ahead.toml")
+    scene = needlefit.open_scene(scene_file)
     session = needlefit.Session(scene.needle, scene.tissue, scene.steps[0].bevel, rules=scene.rules)
     session.step(bevel=replace(scene.steps[0].bevel, side=-1), base=(0.5, 0.0))
     shape = session.step(
@@ -65,23 +66,20 @@ def test_a_needle_is_streamed_and_steered_and_draws_are_weighted_by_tips(client,
     assert tip.matrix[1, 2] == pytest.approx(np.sin(shape.slope[-1]), abs=1e-5)
     assert np.linalg.det(tip.matrix[:3, :3]) == pytest.approx(1, abs=1e-5)
 
-    draws = needlefit.load_run(world.find("cross_validation")).frames["draws"]
-    new = draws[draws["specimen"] == "(new)"]
-    draws = new if len(new) else draws[draws["specimen"] == "(tuned)"]
-    tips = []
-    for row in draws.to_dict("records"):
-        tissue = replace(scene.tissue, mu=np.array([row["mu1_pa"], row["mu2_pa"]]) * 1e-6)
-        tips.append(session.simulate_again(tissue, row["bevel_mm"]).now.shape.tip_lateral)
-    strongest = int(np.argmin(tips))
+    steering = needlefit.Steering(needlefit.load_run(world.find("cross_validation")), scene_file)
+    now = steering.now
+    bevel = replace(now.bevel, side=-1)
+    steering.advance(replace(now, depth=session.depth, bevel=bevel, controls=session.last.controls))
+    expected = steering.predict()
     measured = np.eye(4)
-    measured[:3, 3] = points[-1, 0], tips[strongest], 0.0
+    measured[:3, 3] = points[-1, 0], expected.low[0], 0.0
     for _ in range(2):  # at the same depth a second one is not used
         client.send_message(pyigtl.TransformMessage(measured, device_name="Tip"))
     said = wait(client, "NeedlefitEstimate", lambda one: True)
     found = json.loads(
         wait(client, "NeedlefitEstimate", lambda one: one.timestamp > said.timestamp + 0.2).string
     )
-    weights = np.exp(-0.5 * ((np.array(tips) - tips[strongest]) / 0.5) ** 2)
-    assert found["count"] == 1 and found["ess"] < 0.98 * len(draws)
-    assert found["ess"] == pytest.approx(weights.sum() ** 2 / (weights**2).sum(), rel=1e-3)
-    assert len(found["mu1_pa"]) == 3 and found["bevel_mm"][1] > draws["bevel_mm"].median()
+    learned = steering.measure((points[-1, 0], expected.low[0]), sd=0.5)
+    assert found["count"] == 1 and found["ess"] == pytest.approx(learned.effective, rel=0.05)
+    low, mean, high = found["tip_y_mm"]
+    assert low < mean < high and mean < expected.mean[0]

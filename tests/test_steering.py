@@ -1,6 +1,10 @@
 """The loop with feedback: exact derivatives, weights in closed form, intervals that hold, errors."""
 
+import contextlib
+import io
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -141,9 +145,9 @@ def test_with_feedback_the_needle_comes_nearer_and_the_predicted_miss_holds() ->
             rng, robot, steering = np.random.default_rng(seed), Robot(seed), steer(seed=seed)
             plan = steering.plan(TARGET)
             for stop in (*range(10, 80, 10), plan.steps[-1].depth):
-                way = [step for step in plan.steps if steering.now.depth < step.depth < stop]
-                after = next(step for step in plan.steps if step.depth >= min(stop, plan.steps[-1].depth))
-                for step in (*way, replace(after, depth=float(min(stop, after.depth)))):
+                for step in plan.cut_at(float(stop)):
+                    if step.depth <= steering.now.depth:
+                        continue  # of a plan that is not made again
                     tip = robot.go(step)
                     steering.advance(step)
                 if mode == "closed" and stop < 76:
@@ -187,3 +191,11 @@ def test_an_error_changes_nothing() -> None:
         refusal(ModelError, words, call)
         assert steering.now == now and np.array_equal(steering.predict(60.0).mean, before)
         assert np.array_equal(steering.draws[1], weights)
+
+
+def test_the_loop_of_the_guide_prints_what_it_shows() -> None:
+    guide = (Path(__file__).parents[1] / "docs/guides/steering.md").read_text(encoding="utf-8")
+    ((code, shown),) = re.findall(r"```python\n(.*?)```\s*```text\n(.*?)```", guide, re.DOTALL)
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
+        exec(code, {})
+    assert printed.getvalue() == shown

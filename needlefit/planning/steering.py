@@ -197,6 +197,11 @@ class SteeringPlan:
         """Distance from the target of the tip with the exact parameters, mm."""
         return float(compute_misses(self.nominal[None], self.goal)[0])
 
+    def cut_at(self, depth: float) -> tuple[Step, ...]:
+        """Return the steps up to a depth (mm), or to the end if that is nearer."""
+        before = tuple(step for step in self.steps if step.depth < depth)
+        return (*before, *(replace(step, depth=depth) for step in self.steps[len(before) :][:1]))
+
     def describe_steps(self) -> list[dict[str, Any]]:
         """Return the steps, mm and 1: the bevel by its roll, degrees, in a plane by its side."""
         rows = []
@@ -364,9 +369,8 @@ class _Search:
         for end in (*sorted({*self.base_stations, *choice.turns}), depth):
             # before contact a moved base would move the entry too
             if (steps or now.depth > SAME_DEPTH_MM) and (end in self.base_stations or end == depth):
-                part = (
-                    min((end - now.depth) / (self.end - now.depth) / self.ramp, 1.0) if end != depth else 1.0
-                )
+                ramp = self.ramp * (self.end - now.depth)
+                part = min((end - now.depth) / ramp, 1.0) if end != depth else 1.0
                 begin = now.controls
                 y = begin.base_y + part * (base_y - begin.base_y)
                 slope = begin.base_slope + part * (base_slope - begin.base_slope)
