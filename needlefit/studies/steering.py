@@ -139,9 +139,8 @@ class Steering:
                 f"the scene has {count} layers, the tissue model {medium.layers}", expected="at most as many"
             )
         layers = range(1, count + 1)
-        tissue = make_tissue(
-            dict(zip(table, table.median().tolist(), strict=True)), layers, planned.tissue.boundaries, medium
-        )
+        values = {str(name): float(middle) for name, middle in table.median().items()}
+        tissue = make_tissue(values, layers, planned.tissue.boundaries, medium)
         known = select_layer_draws(table, layers, medium.law)
         strength = float(np.median(known.bevel))
         angled = medium.advance == "path_angle"
