@@ -3,15 +3,18 @@
 Conditions are JavaScript of `s`, the state of the needle, and `n`, what the page knows.
 """
 
+import io
 import re
 import shutil
 import time
 from contextlib import contextmanager
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from page_files import ALL_STATES, PAGE, open_offline
+from PIL import Image
 
 from needlefit.mechanics.shape import list_planes
 from needlefit.planning.recording import read_recording, replay
@@ -463,3 +466,75 @@ def test_axe_finds_no_violation(subject, chromium, scheme: str) -> None:
         page.click("#add-guide")
         page.wait_for_timeout(400)
         assert find_violations(page) == []
+
+
+SVG = "{http://www.w3.org/2000/svg}"
+NEEDLE, PINNED, MEASURED = (
+    re.search(rf"--{name}: light-dark\((#\w+)", (PAGE / "style.css").read_text("utf-8"))[1]
+    for name in ("needle", "ghost", "measured")
+)
+
+
+def save_figure(page, width: str, form: str) -> bytes:
+    page.select_option("#figure-width", width)
+    page.select_option("#figure-format", form)
+    with page.expect_download() as download:
+        page.click("#save-figure")
+    return Path(download.value.path()).read_bytes()
+
+
+def read_lines(drawing, colour: str) -> list[np.ndarray]:
+    """Return the lines of a colour, px, that are part of the picture."""
+    paths = [one.get("d") for one in drawing.iter(f"{SVG}path") if one.get("stroke") == colour]
+    return [np.array(re.findall(r"[ML]([-\d.]+) ([-\d.]+)", one), dtype=float) for one in paths]
+
+
+def find_curve(page, drawing, colour: str, curve: str) -> None:
+    """A curve of the page lies in the file between the same limits, point by point."""
+    view, box = get(page, "n.view"), get(page, "n.view.box")
+    frame = drawing.find(f".//{SVG}clipPath/{SVG}path").get("d")
+    left, top, width, height = (float(one) for one in re.findall(r"-?[\d.]+", frame)[:4])
+    x, y = (np.array(get(page, f"{curve}.{axis}")) for axis in "xy")
+    expected = np.column_stack(
+        (
+            left + width * (0.5 + (x - view["x"]) * view["scale"] / box["width"]),
+            top + height * (0.5 - (y - view["y"]) * view["scale"] * view["magnified"] / box["height"]),
+        )
+    )
+    count = len(expected) - 15  # the shaft of the needle ends where its bevel begins, in px
+    lines = [one[:count] for one in read_lines(drawing, colour) if len(one) >= count]
+    assert min(np.abs(one - expected[:count]).max() for one in lines) < 2e-3  # px
+
+
+@sweep
+def test_saved_figures_of_twenty_random_paths_are_the_picture(subject, chromium) -> None:
+    """Same limits, exaggeration, pin and layers as shown, in light colours; text as text."""
+    rng = np.random.default_rng(20)
+    with opened(chromium, subject, color_scheme="dark") as page:
+        for n in range(20):
+            for _ in range(int(rng.integers(1, 6))):
+                page.focus("#canvas")
+                page.keyboard.press(str(rng.choice([*"frk", "ArrowLeft", "ArrowUp", "ArrowDown"])))
+            page.click(f"[data-fit={('whole', 'tissue')[n % 2]}]")
+            if n % 3 == 0:
+                page.click("[data-show=measured]")
+            page.wait_for_timeout(250)
+            width = ("84", "174")[n % 2]
+            drawing = ElementTree.fromstring(save_figure(page, width, "svg"))
+            assert drawing.get("width") == f"{width}mm"
+            find_curve(page, drawing, NEEDLE, "s")
+            dashed = [one for one in drawing.iter(f"{SVG}path") if one.get("stroke-dasharray") == "7 4"]
+            shown = page.get_attribute("[data-show=measured]", "aria-pressed") == "true"
+            assert [one.get("stroke") for one in dashed] == [MEASURED] * shown
+            if shown:
+                find_curve(page, drawing, MEASURED, "n.scene.measured")
+            if get(page, "n.pinned"):
+                find_curve(page, drawing, PINNED, "n.pinned")
+            texts = {one.text for one in drawing.iter(f"{SVG}text")}
+            assert ("pinned" in texts) <= bool(get(page, "n.pinned"))
+            assert any(text.startswith("y (mm)") for text in texts)
+            times = get(page, "n.view.magnified")
+            assert times == 1 or any(f"drawn {times:g}×" in text for text in texts)
+        with Image.open(io.BytesIO(save_figure(page, "84", "png"))) as picture:
+            assert picture.width == pytest.approx(84 / 25.4 * 300, abs=1)
+            assert min(picture.convert("RGB").getpixel((2, picture.height - 2))) > 240  # on light paper

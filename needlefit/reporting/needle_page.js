@@ -230,11 +230,11 @@ n",{type:"button",...properties},text);return press(made2,act),made2}function sa
 "",requestAnimationFrame(()=>part("announced").textContent=words2)}function hand(blob,name){let link=element("\
 a",{href:URL.createObjectURL(blob),download:name});link.click(),setTimeout(()=>URL.revokeObjectURL(link.href),
 1e4)}function colour(name){let both=getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).match(
-/#\w+/g)??[""];return both[isDark()?both.length-1:0]}var part,press,entry,dark,isDark,onScheme,init_dom=__esm(
-{"needlefit/viewer/page/dom.js"(){part=id=>document.getElementById(id);press=(id,act)=>(typeof id=="string"?part(
-id):id).addEventListener("click",act);entry=(term,value)=>element("div",{},element("dt",{},term),element("dd",
-{},value));dark=matchMedia("(prefers-color-scheme: dark)"),isDark=()=>dark.matches,onScheme=act=>dark.addEventListener(
-"change",act)}});function checkChange([name,item,value],rules){let known=rules.inputs[name];if(!known)throw new ModelError(`the\
+/#\w+/g)??[""];return both[isDark()?both.length-1:0]}var part,press,entry,dark,paper,isDark,usePaper,onScheme,
+init_dom=__esm({"needlefit/viewer/page/dom.js"(){part=id=>document.getElementById(id);press=(id,act)=>(typeof id==
+"string"?part(id):id).addEventListener("click",act);entry=(term,value)=>element("div",{},element("dt",{},term),
+element("dd",{},value));dark=matchMedia("(prefers-color-scheme: dark)"),paper=!1,isDark=()=>dark.matches&&!paper,
+usePaper=on=>paper=on,onScheme=act=>dark.addEventListener("change",act)}});function checkChange([name,item,value],rules){let known=rules.inputs[name];if(!known)throw new ModelError(`the\
 re is no input ${name}`,`one of ${Object.keys(rules.inputs).join(", ")}`);let counted2=Number.isInteger(item)&&
 item>=1&&item<=(known.item==="guide"?rules.max_guide:1/0);if(known.item?!counted2:item!==null)throw new ModelError(
 `${name} has item ${item}`,`the number of a ${known.item}`);let lengths=name.endsWith("_mm"),most=lengths?rules.
@@ -365,8 +365,8 @@ Math.max(scale,SCALES[0]),SCALES[1]);listen("band",follow)}});function readPalet
 map(({mu_pa:mu})=>Math.log10(mu)),least=Math.min(...stiffness),decades=Math.max(Math.max(...stiffness)-least,1);
 return stiffness.map(one=>between(palette.soft,palette.stiff,(one-least)/decades))}function between(one,other,share){
 return`rgb(${[1,3,5].map(at=>{let[low,high]=[one,other].map(colour2=>parseInt(colour2.slice(at,at+2),16));return Math.
-round(low+share*(high-low))}).join(" ")})`}function faintly(context3,opacity,draw3){context3.globalAlpha=opacity,
-draw3(),context3.globalAlpha=1}function stroke(context3,colour2,width){context3.strokeStyle=colour2,context3.lineWidth=
+round(low+share*(high-low))}).join(" ")})`}function faintly(context3,opacity,draw4){context3.globalAlpha=opacity,
+draw4(),context3.globalAlpha=1}function stroke(context3,colour2,width){context3.strokeStyle=colour2,context3.lineWidth=
 width,context3.stroke()}function trace(context3,...lines){context3.beginPath();for(let places of lines)places.
 forEach(([px,py],i)=>i?context3.lineTo(px,py):context3.moveTo(px,py))}function arrow(context3,[px,py],length,colour2){
 let[end,head]=[py-length,8*Math.sign(length)];segments(context3,[[[px,py],[px,end+head]]],colour2,2.5),polygon(
@@ -377,8 +377,8 @@ context3.closePath(),context3.fillStyle=colour2,context3.fill()}function polygon
 fillStyle=colour2,context3.beginPath();for(let corner of corners)context3.lineTo(...corner);context3.fill()}function segments(context3,pairs,colour2,width){
 context3.beginPath();for(let[from,to]of pairs)context3.moveTo(...from),context3.lineTo(...to);stroke(context3,
 colour2,width)}function ring(context3,px,py,radius,edge,inside){context3.beginPath(),context3.arc(px,py,radius,
-0,2*Math.PI),context3.fillStyle=inside,context3.fill(),stroke(context3,edge,2)}function turned(context3,px,py,angle2,draw3){
-context3.save(),context3.translate(px,py),context3.rotate(-angle2),draw3(),context3.restore()}function setFont(context3,font,align="\
+0,2*Math.PI),context3.fillStyle=inside,context3.fill(),stroke(context3,edge,2)}function turned(context3,px,py,angle2,draw4){
+context3.save(),context3.translate(px,py),context3.rotate(-angle2),draw4(),context3.restore()}function setFont(context3,font,align="\
 center",baseline="middle"){context3.font=FONTS[font],context3.textAlign=align,context3.textBaseline=baseline}function label(context3,text,px,py,colour2=palette.
 label){context3.strokeStyle=palette.halo,context3.lineWidth=4,context3.strokeText(text,px,py),context3.fillStyle=
 colour2,context3.fillText(text,px,py)}function clearBoxes(){[boxes,avoided]=[[],[]],now.labels=boxes}function avoid(places){
@@ -557,25 +557,27 @@ var GAPS,FAN,CROSS2,AWAY,INSET,CLEAR,BAND_REACH,isBandNear,init_overlay=__esm({"
 /overlay.js"(){init_quantities();init_store();init_view();init_strokes();GAPS=12,FAN=.3,CROSS2=5,AWAY=19,INSET=
 {width:170,height:46,edge:10},CLEAR=30;BAND_REACH=2,isBandNear=({x},state)=>x.length>0&&Math.abs(x.at(-1)-state.
 x.at(-1))<=BAND_REACH}});function invalidate(){stale=!0,publish("redraw")}function redraw(){frame||=requestAnimationFrame(()=>{frame=0,
-paint(),fresh=!1,publish("drawn")})}function paint(){if(!now.scene||!now.state)return;fresh&&follow();let moved2=takeChange(),
-tissue=JSON.stringify(now.state.layers);(moved2||tissue!==drawnTissue)&&paintBackground(),drawnTissue=tissue,(moved2||
-fresh||stale)&&(before.clearRect(0,0,...size()),paintForeground(now.state)),stale=!1,document.body.classList.add(
-"begun")}function paintBackground(){behind.fillStyle=palette.gutter,behind.fillRect(0,0,...size()),within(behind,
-()=>paintTissue(behind)),paintAxes(behind)}function paintForeground(state){let band2=shown.band&&now.band&&isBandNear(
-now.band,state)?now.band:null;clearBoxes(),reserveNeedle(state),before.lineJoin="round",within(before,()=>{shown.
-load&&paintLoad(before,state),band2&&paintBand(before,band2,band2.step!==state.step),shown.plan&&now.scene.plan&&
-paintPlan(before,now.scene.plan),shown.pinned&&now.pinned&&paintPinned(before,now.pinned),paintNeedle(before,state),
-paintInset(before,state),paintTip(before,state),shown.load&&paintTipForce(before,state),shown.path&&paintPath(
-before,state),shown.points&&paintPoints(before,state),paintPrediction(before,state),shown.measured&&now.scene.
-measured&&(paintMeasured(before,now.scene.measured),shown.errors&&paintGaps(before,state,now.scene.measured));
-for(let draw3 of further)draw3(before);paintGuides(before,state),paintBase(before,state),band2&&nameBand(before,
-band2),now.marked!=null&&paintMark(before,state,now.marked)}),shown.load&&paintKey(before)}function within(context3,draw3){
-let{left,top,width,height}=view.box;context3.save(),context3.beginPath(),context3.rect(left,top,width,height),
-context3.clip(),draw3(),context3.restore()}function measure(){let[width,height]=measured=[picture.clientWidth,
-picture.clientHeight];for(let[canvas4,context3]of[[background,behind],[foreground,before]])canvas4.width=Math.
-round(width*devicePixelRatio),canvas4.height=Math.round(height*devicePixelRatio),context3.setTransform(devicePixelRatio,
-0,0,devicePixelRatio,0,0);resize(width,height)}var picture,background,foreground,behind,before,shown,further,drawnTissue,
-stale,frame,fresh,measured,size,fitted,init_drawing=__esm({"needlefit/viewer/page/drawing.js"(){init_dom();init_background();
+paint(),fresh=!1,publish("drawn")})}function paint(){!now.scene||!now.state||(fresh&&follow(),paintScreen(),document.
+body.classList.add("begun"))}function paintScreen(){let moved2=takeChange(),tissue=JSON.stringify(now.state.layers);
+(moved2||tissue!==drawnTissue)&&paintBackground(behind,size()),drawnTissue=tissue,(moved2||fresh||stale)&&(before.
+clearRect(0,0,...size()),paintForeground(before,now.state)),stale=!1}function paintAll(context3,figure){paintBackground(
+context3,figure),paintForeground(context3,now.state)}function paintBackground(context3,figure){context3.fillStyle=
+palette.gutter,context3.fillRect(0,0,...figure),within(context3,()=>paintTissue(context3)),paintAxes(context3)}
+function paintForeground(context3,state){let band2=shown.band&&now.band&&isBandNear(now.band,state)?now.band:null;
+clearBoxes(),reserveNeedle(state),context3.lineJoin="round",within(context3,()=>{shown.load&&paintLoad(context3,
+state),band2&&paintBand(context3,band2,band2.step!==state.step),shown.plan&&now.scene.plan&&paintPlan(context3,
+now.scene.plan),shown.pinned&&now.pinned&&paintPinned(context3,now.pinned),paintNeedle(context3,state),paintInset(
+context3,state),paintTip(context3,state),shown.load&&paintTipForce(context3,state),shown.path&&paintPath(context3,
+state),shown.points&&paintPoints(context3,state),paintPrediction(context3,state),shown.measured&&now.scene.measured&&
+(paintMeasured(context3,now.scene.measured),shown.errors&&paintGaps(context3,state,now.scene.measured));for(let draw4 of further)
+draw4(context3);paintGuides(context3,state),paintBase(context3,state),band2&&nameBand(context3,band2),now.marked!=
+null&&paintMark(context3,state,now.marked)}),shown.load&&paintKey(context3)}function within(context3,draw4){let{
+left,top,width,height}=view.box;context3.save(),context3.beginPath(),context3.rect(left,top,width,height),context3.
+clip(),draw4(),context3.restore()}function measure(){let[width,height]=measured=[picture.clientWidth,picture.clientHeight];
+for(let[canvas4,context3]of[[background,behind],[foreground,before]])canvas4.width=Math.round(width*devicePixelRatio),
+canvas4.height=Math.round(height*devicePixelRatio),context3.setTransform(devicePixelRatio,0,0,devicePixelRatio,
+0,0);resize(width,height)}var picture,background,foreground,behind,before,shown,further,drawnTissue,stale,frame,
+fresh,measured,size,fitted,init_drawing=__esm({"needlefit/viewer/page/drawing.js"(){init_dom();init_background();
 init_needle2();init_overlay();init_strokes();init_store();init_view();picture=part("picture"),background=part(
 "background"),foreground=part("canvas"),behind=background.getContext("2d",{alpha:!1}),before=foreground.getContext(
 "2d"),shown={load:!0,points:!0,path:!0,measured:!0,band:!0,errors:!0,plan:!0,pinned:!0,strip:!0},further=[],drawnTissue=
@@ -825,21 +827,19 @@ var MOST_UNDONE,always2,refusal,past,future,steps,gestures,last,newGesture,chang
 {"needlefit/viewer/page/steering.js"(){init_address();init_dom();init_state();init_stored();init_store();MOST_UNDONE=
 200,always2={validOnly:!1},refusal=part("refusal"),[past,future]=[[],[]],[steps,gestures,last]=[0,0,0],newGesture=
 ()=>gestures+=1;change=(changes,how)=>steer([changes],how);undo=()=>goTo(past,future),redo=()=>goTo(future,past);
-listen("notice",({what,expected})=>refuse({what,expected}))}});function going(what){let at=performance.now(),gesture=what===lastMove.what&&at-lastMove.at<WITHIN?lastMove.gesture:
-newGesture();return lastMove={what,at,gesture},{gesture}}function insert2(mm){let{step:{depth},scene}=now.steered,
-end=Math.max(Math.min(now.steered.reach(),scene.limits.depth_mm),depth);change([["depth_mm",null,Math.min(Math.
-max(depth+mm,0),end)]],going("insert"))}function addGuide(){let[item,x]=[freeNumber(),freePlace()];change([["g\
-uide_x_mm",item,x],["guide_y_mm",item,heightAt(now.state,x)],["guide_turns_freely",item,1]])}function freeNumber(){
-let taken=now.state.guides.map(({item:item2})=>item2),item=now.scene.guide_names.length+1;for(;taken.includes(
-item);)item+=1;return item}function freePlace(){let taken=now.state.guides.map(({x})=>x).filter(x=>x<0),edges=[
-Math.max(now.state.base.x+BASE_CLEAR,CLEAR2-REACH*now.scene.length_mm),...taken,-CLEAR2].sort((one,other)=>one-
-other),gaps=edges.slice(1).map((edge,i)=>[edge-edges[i],(edge+edges[i])/2]);return Math.round(gaps.reduce((widest,gap)=>gap[0]>
-widest[0]?gap:widest)[1]*10)/10}var WITHIN,CLEAR2,BASE_CLEAR,REACH,lastMove,flip,roll,moveBase,toggleTip,init_actions=__esm(
-{"needlefit/viewer/page/actions.js"(){init_inputs();init_quantities();init_steering();init_store();WITHIN=1e3,
-CLEAR2=2,BASE_CLEAR=5,REACH=.6,lastMove={what:"",at:-1/0,gesture:0};flip=()=>change([turnOver(now.state.bevel.
-roll_deg)]),roll=by=>change([["bevel_roll_deg",null,wrap(now.state.bevel.roll_deg+by)]],going("roll")),moveBase=
-mm=>change([["base_y_mm",null,now.state.base.input_y+mm]],going("base"));toggleTip=()=>change([["tip_held",null,
-now.state.tip.held?0:1]])}});function define(name,called=name){if(!(name in DEFINITIONS))return called;let term=element("button",{type:"but\
+listen("notice",({what,expected})=>refuse({what,expected}))}});async function followAddress(choose2){let address=location.hash.slice(1);if(!address)return!1;let{needles:needles2}=now.
+data,below=part("proof").parentElement;try{if(part(decode(address)))return!1;let name=nameIn(address),number=needles2.
+findIndex(one=>nameOf2(one)===name);if(name!==null&&number<0)throw new ModelError(`the address has needle=${name}`,
+needles2.map(nameOf2).join(", "));number>=0&&needles2[number]!==now.needle&&await choose2(number);let lists=readAddress(
+address,now.scene);return lists.length&&steer(lists,{below,whole:!0,anew:!0}),lists.length>0}catch(error){return refuse(
+error,below),!0}}function decode(address){try{return decodeURIComponent(address)}catch{throw new ModelError(`t\
+he address ends with #${address}, which is no text`,"depth=, in mm, as Copy link writes it")}}async function copy(){
+let{data:{needles:needles2,kernel},needle,scene,steered}=now,{address,lost}=await writeAddress(kernel,steered,
+needles2.length>1?nameOf2(needle):null);write("link-note",lost?`No link: an address does not carry ${lost.join(
+", ")}. A recording does.`:""),!lost&&(steer(readAddress(address,scene),{anew:!0}),history.replaceState(null,"",
+`#${address}`),await navigator.clipboard?.writeText(location.href).then(()=>say("The link is copied."),()=>null))}
+var nameOf2,init_link=__esm({"needlefit/viewer/page/link.js"(){init_address();init_dom();init_inputs();init_steering();
+init_store();nameOf2=({name,scene})=>name??scene.measured?.id??scene.title;press("copy-link",copy)}});function define(name,called=name){if(!(name in DEFINITIONS))return called;let term=element("button",{type:"but\
 ton",className:"term"},called);term.setAttribute("aria-description",DEFINITIONS[name]),term.tabIndex=-1;let show3=()=>{
 let{left,top,bottom}=term.getBoundingClientRect();shown2.textContent=DEFINITIONS[name],shown2.style.left=`${Math.
 max(8,Math.min(left,innerWidth-296))}px`;let above=top>ROOM3;shown2.style.bottom=above?`${innerHeight-top+6}px`:
@@ -861,7 +861,112 @@ dx as an angle.","noise floor":"The mean error that perfect parameters would sti
  stated."};listen("scene",({definitions,shape_parameters:shapes})=>{Object.assign(DEFINITIONS,definitions);for(let{
 symbol,explanation}of shapes)DEFINITIONS[symbol]=`${explanation[0].toUpperCase()}${explanation.slice(1)}.`});ROOM3=
 110,shown2=element("div",{id:"definition",role:"tooltip",popover:"auto"});(part("explorer")??document.body).append(
-shown2)}});function makeField(into,about){let part2=template.content.firstElementChild.cloneNode(!0),[number,slider,mark3,
+shown2)}});function fillReadouts(list,readouts){let numbers=readouts.map(([name,unit])=>{let number=element("span",{},"–");
+return list.append(entry(define(name),[number," ",element("small",{},unit)])),number});return from=>readouts.forEach(
+([,,read],i)=>write(numbers[i],from?read(from):"–"))}function refresh(){let{state,scene}=now;writeNeedle(state),
+part("readouts").children[TIP_Z].hidden=!state.z;let title=part("title");if(title&&write(title,`${isSteered(state,
+scene)?"steered by hand: ":""}${scene.title}`),!scene.measured)return;let prediction=predictionOf(state,scene);
+writeErrors(prediction?{...state.errors,...prediction.errors}:state.errors),write("against",`${prediction?"pre\
+diction ":""}against ${scene.measured.id}${state.errors?`, ${comparedUpTo(state.errors)}`:""}`)}function inWords(){
+let{state,scene}=now;if(!state)return"The needle has not been drawn yet.";let{tip,bevel,base,guides:guides2,errors}=state,
+held=guides2.length===1?"1 guide":`${guides2.length} guides`,{symbol,value,digits:digits2,unit}=strengthOf(bevel),
+sentences=[`The needle is ${state.depth_mm.toFixed(1)} mm deep, of ${scene.length_mm.toFixed(0)} mm.`,`Its tip\
+ is ${Math.abs(tip.lateral_mm).toFixed(2)} mm to the ${tip.lateral_mm<0?"right":"left"}${tip.held?" and held t\
+here":""}, at ${angle(tip)}${tip.z===null?"":`; z ${signed(tip.z,2)} mm`}.`,`The bevel turns the cut toward ${describeRoll(
+bevel)}, ${symbol} is ${value.toFixed(digits2)} ${unit}.`,`The base stands at y ${signed(base.y,2)} mm, at ${angle(
+base)}; ${held}.`,`Tip force ${load2(tipForce()??0,2)} N, base force ${load2(state.forces.base_n,2)} N.`];if(exceeded(
+state)&&sentences.push(`The needle is ${exceeded(state)}.`),errors){let prediction=predictionOf(state,scene);sentences.
+push(`${prediction?"The prediction against":"Against"} the measured needle ${comparedUpTo(errors)}: ${listErrors(
+prediction?.errors??errors,scene.measured).join(", ")}.`)}return sentences.join(" ")}var load2,NEEDLE,TIP_Z,writeNeedle,
+writeErrors,comparedUpTo,announced,exceeded,angle,refreshDescription,describe,init_readouts=__esm({"needlefit/\
+viewer/page/readouts.js"(){init_definitions();init_dom();init_quantities();init_store();init_view();load2=(value,digits2)=>now.
+state.z?value.toFixed(digits2):signed(value,digits2),NEEDLE=[["depth","mm",s=>s.depth_mm.toFixed(2)],["tip y",
+"mm",s=>signed(s.tip.lateral_mm,2)],["tip z","mm",s=>s.z?signed(s.tip.z,2):"–"],["tip slope","°",s=>signed(
+toDegrees(s.tip.rotation),2)],["tip force","N",()=>tipForce()===null?"–":load2(tipForce(),3)],["base force",
+"N",s=>load2(s.forces.base_n,3)],["base moment","N mm",s=>load2(s.forces.base_nmm,1)],["steepest slope","",s=>s.
+max_slope.toFixed(3)]],TIP_Z=NEEDLE.findIndex(([name])=>name==="tip z");writeNeedle=fillReadouts(part("readout\
+s"),NEEDLE),writeErrors=_errors=>{};comparedUpTo=({whole,upto_mm:upto})=>whole?"over the whole insertion":`ove\
+r the first ${upto.toFixed(1)} mm`;listen("scene",({measured:measured2})=>{if(part("compared").hidden=measured2===
+null,!measured2)return;let metrics=measured2.metrics.map(([name,label2,unit,text])=>(DEFINITIONS[label2]=text,
+[label2,unit,errors=>writeError(errors[name],unit)]));part("errors").replaceChildren(),writeErrors=fillReadouts(
+part("errors"),[...metrics,["noise floor","mm",e=>e.floor_mm?.toFixed(3)??"–"]])});announced=!1,exceeded=({faults})=>faults?.
+length?`outside the model: ${faults.join("; ")}`:"";listen("scene",()=>announced=!1);for(let kind of["forces",
+"state"])listen(kind,()=>{now.state&&(refresh(),refreshDescription())});listen("state",state=>{let words2=exceeded(
+state);write("beyond",words2&&`${words2[0].toUpperCase()}${words2.slice(1)}. Shape and forces cannot be relied\
+ on.`),part("beyond").classList.toggle("low",toPy(state.tip.y)<view.box.top+view.box.height/2),!(announced||!words2)&&
+(announced=!0,say(`The needle is ${words2}.`))});angle=({rotation})=>`${signed(toDegrees(rotation),1)} degrees`;
+refreshDescription=()=>write("described",inWords()),describe=()=>say(inWords())}});function paint2(name,colour2){if(colour2==="transparent")return`${name}="none"`;let[,hex,alpha]=colour2.match(
+/^(#\w{6})(\w\w)?$/)??[];if(hex)return`${name}="${hex}"${alpha?` ${name}-opacity="${round(parseInt(alpha,16)/255)}\
+"`:""}`;let parts=colour2.match(/[\d.]+/g)??[];return`${name}="#${parts.slice(0,3).map(one=>Number(one).toString(
+16).padStart(2,"0")).join("")}"`}var BASELINES,escape,round,SvgContext,init_svg=__esm({"needlefit/viewer/page/\
+svg.js"(){BASELINES={alphabetic:0,middle:.35,top:.8},escape=text=>text.replace(/[&<>"]/g,one=>`&#${one.charCodeAt(
+0)};`),round=value=>Number(value.toFixed(3));SvgContext=class{fillStyle="#000000";strokeStyle="#000000";lineWidth=1;globalAlpha=1;lineCap="\
+butt";lineJoin="miter";font="12px sans-serif";textAlign="left";textBaseline="alphabetic";#parts=[];#path=[];#dash=[];#matrix=new DOMMatrix;#stack=[];#clips=0;#halo="";#measure=document.
+createElement("canvas").getContext("2d");write([width,height],wide,title,words2){return`<svg xmlns="http://www\
+.w3.org/2000/svg" ${`width="${wide}mm" height="${round(wide*height/width)}mm" viewBox="0 0 ${round(width)} ${round(
+height)}"`} font-family="Liberation Sans, Arial, sans-serif">
+<title>${escape(title)}</title>
+<desc>${escape(words2)}</desc>
+${this.#parts.join(`
+`)}
+</svg>
+`}#add(name,attributes,content=""){let{a,b,c,d,e,f}=this.#matrix,turned2=this.#matrix.isIdentity?"":` transfor\
+m="matrix(${[a,b,c,d,e,f].map(round)})"`,opacity=this.globalAlpha<1?` opacity="${round(this.globalAlpha)}"`:"";
+this.#parts.push(`<${name} ${attributes}${opacity}${turned2}${content?`>${content}</${name}>`:"/>"}`)}#line(){
+let dash=this.#dash.length?` stroke-dasharray="${this.#dash.join(" ")}"`:"";return`${paint2("stroke",this.strokeStyle)}\
+ stroke-width="${this.lineWidth}" stroke-linecap="${this.lineCap}" stroke-linejoin="${this.lineJoin}"${dash}`}save(){
+let{fillStyle,strokeStyle,lineWidth,globalAlpha,lineCap,lineJoin,font,textAlign,textBaseline}=this;this.#stack.
+push([{fillStyle,strokeStyle,lineWidth,globalAlpha,lineCap,lineJoin,font,textAlign,textBaseline},this.#matrix,
+this.#dash,0])}restore(){let[values,matrix,dash,clips]=this.#stack.pop();for(let n=0;n<clips;n+=1)this.#parts.
+push("</g>");Object.assign(this,values),[this.#matrix,this.#dash]=[matrix,dash]}clip(){this.#clips+=1,this.#parts.
+push(`<clipPath id="clip-${this.#clips}"><path d="${this.#path.join("")}"/></clipPath>`,`<g clip-path="url(#cl\
+ip-${this.#clips})">`),this.#stack.at(-1)[3]+=1}translate(x,y){this.#matrix=this.#matrix.translate(x,y)}rotate(angle2){
+this.#matrix=this.#matrix.rotate(angle2*180/Math.PI)}setLineDash(dash){this.#dash=dash}beginPath(){this.#path=
+[]}moveTo(x,y){this.#path.push(`M${round(x)} ${round(y)}`)}lineTo(x,y){this.#path.push(`${this.#path.length?"L":
+"M"}${round(x)} ${round(y)}`)}closePath(){this.#path.push("Z")}rect(x,y,width,height){this.#path.push(`M${round(
+x)} ${round(y)}h${round(width)}v${round(height)}h${round(-width)}Z`)}arc(x,y,radius){this.ellipse(x,y,radius,radius)}ellipse(x,y,along,across){
+let half=to=>`A${round(along)} ${round(across)} 0 0 1 ${round(x+to*along)} ${round(y)}`;this.#path.push(`M${round(
+x+along)} ${round(y)}${half(-1)}${half(1)}Z`)}roundRect(x,y,width,height,r){let turn2=(dx,dy)=>`a${r} ${r} 0 0\
+ 1 ${dx} ${dy}`;this.#path.push(`M${round(x+r)} ${round(y)}h${round(width-2*r)}${turn2(r,r)}v${round(height-2*
+r)}${turn2(-r,r)}h${round(2*r-width)}${turn2(-r,-r)}v${round(2*r-height)}${turn2(r,-r)}Z`)}fill(){this.#add("p\
+ath",`d="${this.#path.join("")}" ${paint2("fill",this.fillStyle)}`)}stroke(){this.#add("path",`d="${this.#path.
+join("")}" fill="none" ${this.#line()}`)}fillRect(x,y,width,height){this.#add("rect",`x="${round(x)}" y="${round(
+y)}" width="${round(width)}" height="${round(height)}" ${paint2("fill",this.fillStyle)}`)}strokeRect(x,y,width,height){
+this.#add("rect",`x="${round(x)}" y="${round(y)}" width="${round(width)}" height="${round(height)}" fill="none\
+" ${this.#line()}`)}measureText(text){return this.#measure.font=this.font,this.#measure.measureText(text)}strokeText(){
+this.#halo=` ${paint2("stroke",this.strokeStyle)} stroke-width="${this.lineWidth}" stroke-linejoin="round" pai\
+nt-order="stroke"`}fillText(text,x,y){let[,weight="",size3]=this.font.match(/^(\d+ )?([\d.]+)px/),anchor={left:"\
+start",center:"middle",right:"end"}[this.textAlign],heavy=weight&&` font-weight="${weight.trim()}"`,below=BASELINES[this.
+textBaseline]*Number(size3);this.#add("text",`x="${round(x)}" y="${round(y)}" dy="${round(below)}" font-size="${size3}\
+"${heavy} text-anchor="${anchor}" ${paint2("fill",this.fillStyle)}${this.#halo}`,escape(text)),this.#halo=""}}}});function draw2(wide,begin2){let{box:box2,scale}=view,[whole,tall]=size(),width=wide*PX_PER_MM,share=(width-(whole-
+box2.width))/box2.width,figure=[width,tall-box2.height+share*box2.height];Object.assign(view,{scale:scale*share,
+box:{...box2,width:share*box2.width,height:share*box2.height}}),onPaper(!0);try{paintAll(begin2(figure),figure)}finally{
+Object.assign(view,{scale,box:box2}),onPaper(!1)}return figure}function onPaper(on){usePaper(on),readPalette()}
+function drawSvg(wide){let context3=new SvgContext,figure=draw2(wide,()=>context3);return new Blob([context3.write(
+figure,wide,now.scene.title,inWords())],{type:"image/svg+xml"})}function drawPng(wide){let canvas4=document.createElement(
+"canvas");return draw2(wide,figure=>{let times=DPI/96;Object.assign(canvas4,{width:Math.round(times*figure[0]),
+height:Math.round(times*figure[1])});let context3=canvas4.getContext("2d");return context3.scale(times,times),
+context3}),new Promise(resolve=>canvas4.toBlob(resolve,"image/png"))}var PX_PER_MM,DPI,init_figure=__esm({"nee\
+dlefit/viewer/page/figure.js"(){init_dom();init_drawing();init_link();init_strokes();init_readouts();init_store();
+init_svg();init_view();PX_PER_MM=96/25.4,DPI=300;press("save-figure",async()=>{if(!now.state)return;let format=part(
+"figure-format").value,figure=await(format==="svg"?drawSvg:drawPng)(Number(part("figure-width").value)),name=`${nameOf2(
+now.needle).replace(/[^\w-]+/g,"-")}.${format}`;hand(figure,name),write("link-note",`Saved ${name}: the pictur\
+e as it is shown.`),invalidate()});for(let[kind,on]of[["beforeprint",!0],["afterprint",!1]])addEventListener(kind,
+()=>{onPaper(on),touch(),now.state&&paintScreen()})}});function going(what){let at=performance.now(),gesture=what===lastMove.what&&at-lastMove.at<WITHIN?lastMove.gesture:
+newGesture();return lastMove={what,at,gesture},{gesture}}function insert2(mm){let{step:{depth},scene}=now.steered,
+end=Math.max(Math.min(now.steered.reach(),scene.limits.depth_mm),depth);change([["depth_mm",null,Math.min(Math.
+max(depth+mm,0),end)]],going("insert"))}function addGuide(){let[item,x]=[freeNumber(),freePlace()];change([["g\
+uide_x_mm",item,x],["guide_y_mm",item,heightAt(now.state,x)],["guide_turns_freely",item,1]])}function freeNumber(){
+let taken=now.state.guides.map(({item:item2})=>item2),item=now.scene.guide_names.length+1;for(;taken.includes(
+item);)item+=1;return item}function freePlace(){let taken=now.state.guides.map(({x})=>x).filter(x=>x<0),edges=[
+Math.max(now.state.base.x+BASE_CLEAR,CLEAR2-REACH*now.scene.length_mm),...taken,-CLEAR2].sort((one,other)=>one-
+other),gaps=edges.slice(1).map((edge,i)=>[edge-edges[i],(edge+edges[i])/2]);return Math.round(gaps.reduce((widest,gap)=>gap[0]>
+widest[0]?gap:widest)[1]*10)/10}var WITHIN,CLEAR2,BASE_CLEAR,REACH,lastMove,flip,roll,moveBase,toggleTip,init_actions=__esm(
+{"needlefit/viewer/page/actions.js"(){init_inputs();init_quantities();init_steering();init_store();WITHIN=1e3,
+CLEAR2=2,BASE_CLEAR=5,REACH=.6,lastMove={what:"",at:-1/0,gesture:0};flip=()=>change([turnOver(now.state.bevel.
+roll_deg)]),roll=by=>change([["bevel_roll_deg",null,wrap(now.state.bevel.roll_deg+by)]],going("roll")),moveBase=
+mm=>change([["base_y_mm",null,now.state.base.input_y+mm]],going("base"));toggleTip=()=>change([["tip_held",null,
+now.state.tip.held?0:1]])}});function makeField(into,about){let part2=template.content.firstElementChild.cloneNode(!0),[number,slider,mark3,
 back]=[".number",".slider",".mark",".home"].map(one=>part2.querySelector(one)),[to,from]=about.logarithmic?LOGARITHMIC:
 LINEAR,[low,high]=(about.limits??[0,1]).map(to),field={read:Number,step:1,...about,part:part2,number,slider,mark:mark3,
 back,value:null,latest:0,text:"",home:null,editing:!1,gesture:newGesture(),share:value=>Math.min(Math.max((to(
@@ -914,7 +1019,7 @@ steps[0].bevel)}).roll_deg);let{key,symbol,unit,digits:count,step,here,throughou
 some(([,changes])=>changes.some(([name])=>name===here))||add2("tissue-fields",[throughout,null],{name:symbol,symbol,
 unit,step,write:digits(count),limits:limits[key]},of=>(of.bevel??of)[key]),part("shape-part").hidden=!simulation.
 law.terms||!scene.shape_parameters.length;for(let{input,item,into,about}of listParameters(scene))(simulation.law.
-terms||input==="mu_pa")&&add2(into,[input,item],about,of=>of.layers[item-1][input])}function refresh(){for(let[
+terms||input==="mu_pa")&&add2(into,[input,item],about,of=>of.layers[item-1][input])}function refresh2(){for(let[
 field,current2]of fields)show2(field,current2());part("side").textContent=describeRoll(now.state.bevel),part("\
 hold-tip").textContent=now.state.tip.held?"Let go of the tip":"Hold the tip";for(let[item,row]of guides)now.state.
 guides.some(guide=>guide.item===item)||(row.part.remove(),guides.delete(item));for(let guide of now.state.guides)
@@ -931,42 +1036,8 @@ get(item);show2(row.x,x),show2(row.y,y),show2(row.slope,degrees(along??0)),row.s
 ariaPressed=String(free)}var digits,guides,fields,init_inputs2=__esm({"needlefit/viewer/page/inputs.js"(){init_actions();
 init_dom();init_fields();init_parameters();init_inputs();init_quantities();init_steering();init_store();digits=
 count=>value=>value.toFixed(count),guides=new Map,fields=[];press("add-guide",()=>addGuide());press("hold-tip",
-()=>toggleTip());for(let kind of["state","unchanged"])listen(kind,refresh)}});function fillReadouts(list,readouts){let numbers=readouts.map(([name,unit])=>{let number=element("span",{},"–");
-return list.append(entry(define(name),[number," ",element("small",{},unit)])),number});return from=>readouts.forEach(
-([,,read],i)=>write(numbers[i],from?read(from):"–"))}function refresh2(){let{state,scene}=now;writeNeedle(state),
-part("readouts").children[TIP_Z].hidden=!state.z;let title=part("title");if(title&&write(title,`${isSteered(state,
-scene)?"steered by hand: ":""}${scene.title}`),!scene.measured)return;let prediction=predictionOf(state,scene);
-writeErrors(prediction?{...state.errors,...prediction.errors}:state.errors),write("against",`${prediction?"pre\
-diction ":""}against ${scene.measured.id}${state.errors?`, ${comparedUpTo(state.errors)}`:""}`)}function inWords(){
-let{state,scene}=now;if(!state)return"The needle has not been drawn yet.";let{tip,bevel,base,guides:guides2,errors}=state,
-held=guides2.length===1?"1 guide":`${guides2.length} guides`,{symbol,value,digits:digits2,unit}=strengthOf(bevel),
-sentences=[`The needle is ${state.depth_mm.toFixed(1)} mm deep, of ${scene.length_mm.toFixed(0)} mm.`,`Its tip\
- is ${Math.abs(tip.lateral_mm).toFixed(2)} mm to the ${tip.lateral_mm<0?"right":"left"}${tip.held?" and held t\
-here":""}, at ${angle(tip)}${tip.z===null?"":`; z ${signed(tip.z,2)} mm`}.`,`The bevel turns the cut toward ${describeRoll(
-bevel)}, ${symbol} is ${value.toFixed(digits2)} ${unit}.`,`The base stands at y ${signed(base.y,2)} mm, at ${angle(
-base)}; ${held}.`,`Tip force ${load2(tipForce()??0,2)} N, base force ${load2(state.forces.base_n,2)} N.`];if(exceeded(
-state)&&sentences.push(`The needle is ${exceeded(state)}.`),errors){let prediction=predictionOf(state,scene);sentences.
-push(`${prediction?"The prediction against":"Against"} the measured needle ${comparedUpTo(errors)}: ${listErrors(
-prediction?.errors??errors,scene.measured).join(", ")}.`)}return sentences.join(" ")}var load2,NEEDLE,TIP_Z,writeNeedle,
-writeErrors,comparedUpTo,announced,exceeded,angle,refreshDescription,describe,init_readouts=__esm({"needlefit/\
-viewer/page/readouts.js"(){init_definitions();init_dom();init_quantities();init_store();init_view();load2=(value,digits2)=>now.
-state.z?value.toFixed(digits2):signed(value,digits2),NEEDLE=[["depth","mm",s=>s.depth_mm.toFixed(2)],["tip y",
-"mm",s=>signed(s.tip.lateral_mm,2)],["tip z","mm",s=>s.z?signed(s.tip.z,2):"–"],["tip slope","°",s=>signed(
-toDegrees(s.tip.rotation),2)],["tip force","N",()=>tipForce()===null?"–":load2(tipForce(),3)],["base force",
-"N",s=>load2(s.forces.base_n,3)],["base moment","N mm",s=>load2(s.forces.base_nmm,1)],["steepest slope","",s=>s.
-max_slope.toFixed(3)]],TIP_Z=NEEDLE.findIndex(([name])=>name==="tip z");writeNeedle=fillReadouts(part("readout\
-s"),NEEDLE),writeErrors=_errors=>{};comparedUpTo=({whole,upto_mm:upto})=>whole?"over the whole insertion":`ove\
-r the first ${upto.toFixed(1)} mm`;listen("scene",({measured:measured2})=>{if(part("compared").hidden=measured2===
-null,!measured2)return;let metrics=measured2.metrics.map(([name,label2,unit,text])=>(DEFINITIONS[label2]=text,
-[label2,unit,errors=>writeError(errors[name],unit)]));part("errors").replaceChildren(),writeErrors=fillReadouts(
-part("errors"),[...metrics,["noise floor","mm",e=>e.floor_mm?.toFixed(3)??"–"]])});announced=!1,exceeded=({faults})=>faults?.
-length?`outside the model: ${faults.join("; ")}`:"";listen("scene",()=>announced=!1);for(let kind of["forces",
-"state"])listen(kind,()=>{now.state&&(refresh2(),refreshDescription())});listen("state",state=>{let words2=exceeded(
-state);write("beyond",words2&&`${words2[0].toUpperCase()}${words2.slice(1)}. Shape and forces cannot be relied\
- on.`),part("beyond").classList.toggle("low",toPy(state.tip.y)<view.box.top+view.box.height/2),!(announced||!words2)&&
-(announced=!0,say(`The needle is ${words2}.`))});angle=({rotation})=>`${signed(toDegrees(rotation),1)} degrees`;
-refreshDescription=()=>write("described",inWords()),describe=()=>say(inWords())}});function current(){let{step,depth_mm:depth,depths,x,y,tip,tip_path:[,across]}=now.state;return{step,depth,x,y,
-path:{x:[...depths,depth],y:[...across,tip.y]},forces:now.forces}}function draw2(){if(part("strip").hidden||!now.
+()=>toggleTip());for(let kind of["state","unchanged"])listen(kind,refresh2)}});function current(){let{step,depth_mm:depth,depths,x,y,tip,tip_path:[,across]}=now.state;return{step,depth,x,y,
+path:{x:[...depths,depth],y:[...across,tip.y]},forces:now.forces}}function draw3(){if(part("strip").hidden||!now.
 state)return;let[width,height]=size2;canvas2.width!==Math.round(width*devicePixelRatio)&&(canvas2.width=Math.round(
 width*devicePixelRatio)),canvas2.height!==Math.round(height*devicePixelRatio)&&(canvas2.height=Math.round(height*
 devicePixelRatio)),context2.setTransform(devicePixelRatio,0,0,devicePixelRatio,0,0),context2.clearRect(0,0,width,
@@ -990,10 +1061,10 @@ map(([name,unit,digits2,curve])=>{let value=valueAt([one,curve(one)],at);return`
 "–":`${signed(value,digits2)} ${unit}`}`}).join(", "),words2=needles().map(([one])=>`${one===now.pinned?"pin\
 ned: ":""}${read(one)}`).reverse().join("; ");Object.assign(canvas2,{ariaValueNow:at.toFixed(1),ariaValueMax:deep.
 toFixed(1),ariaValueText:`At ${at.toFixed(1)} mm: ${words2}`})}function mark2(depth){now.marked=depth===null?null:
-Math.max(0,Math.min(depth,greatest())),invalidate(),draw2()}function under({clientX}){let{left,width}=canvas2.
+Math.max(0,Math.min(depth,greatest())),invalidate(),draw3()}function under({clientX}){let{left,width}=canvas2.
 getBoundingClientRect();return((clientX-left)%(width/2)-PAD.left)/(width/2-PAD.left-PAD.right)*greatest()}function pin(){
 now.pinned=now.pinned?null:current(),part("pin").ariaPressed=String(now.pinned!==null),part("pin").textContent=
-now.pinned?"Unpin":"Pin",publish("pinned"),invalidate(),draw2()}var PAD,canvas2,context2,size2,PANELS,needles,
+now.pinned?"Unpin":"Pin",publish("pinned"),invalidate(),draw3()}var PAD,canvas2,context2,size2,PANELS,needles,
 greatest,valueAt,go,KEYS,init_strip=__esm({"needlefit/viewer/page/strip.js"(){init_dom();init_drawing();init_strokes();
 init_quantities();init_store();PAD={left:46,right:12,top:18,bottom:16},canvas2=element("canvas",{id:"strip-can\
 vas",tabIndex:0,role:"slider",ariaLabel:"Depth to read at",ariaValueMin:"0",ariaValueMax:"1",ariaValueNow:"0",
@@ -1008,9 +1079,9 @@ own",event=>{!(event.key in KEYS)||!now.state||(event.preventDefault(),event.sto
 canvas2.addEventListener("pointermove",event=>now.state&&mark2(under(event)));for(let kind of["pointerleave","\
 blur"])canvas2.addEventListener(kind,()=>now.state&&mark2(null));press(canvas2,event=>now.state&&(mark2(under(
 event)),go()));press("pin",()=>now.state&&pin());listen("scene",()=>[now.forces,now.marked]=[{x:[],y:[]},null]);
-listen("state",draw2);listen("forces",forces=>{now.pinned?.step===forces.step&&(now.pinned.forces=forces),draw2()});
-new ResizeObserver(()=>{size2=[canvas2.clientWidth,canvas2.clientHeight],draw2()}).observe(canvas2);onScheme(()=>requestAnimationFrame(
-draw2))}});function hear(event){if(!now.state||event.altKey)return;let key=event.key.length===1?event.key.toLowerCase():event.
+listen("state",draw3);listen("forces",forces=>{now.pinned?.step===forces.step&&(now.pinned.forces=forces),draw3()});
+new ResizeObserver(()=>{size2=[canvas2.clientWidth,canvas2.clientHeight],draw3()}).observe(canvas2);onScheme(()=>requestAnimationFrame(
+draw3))}});function hear(event){if(!now.state||event.altKey)return;let key=event.key.length===1?event.key.toLowerCase():event.
 key,act=event.ctrlKey||event.metaKey?COMMANDS[key]:KEYS2.find(([keys])=>keys.includes(key))?.[3];act&&(event.preventDefault(),
 act(event))}var KEYS2,COMMANDS,init_keyboard=__esm({"needlefit/viewer/page/keyboard.js"(){init_actions();init_dom();
 init_quantities();init_readouts();init_steering();init_store();init_strip();init_view();KEYS2=[[["ArrowRight"],
@@ -1024,19 +1095,7 @@ m in",()=>zoom(1.25)],[["-","_"],"−","zoom out",()=>zoom(.8)],[["0","1"],"0, 1
 "whole")],[["2"],"2","show the tissue",()=>fit("tissue")],[["3"],"3","follow the tip",()=>fit("tip")]],COMMANDS=
 {z:event=>event.shiftKey?redo():undo(),y:()=>redo()};for(let[written3,what]of[...KEYS2.map(([,key,effect])=>[key,
 effect]),["Ctrl+Z, Y","undo, redo"]])part("key-list").append(entry(element("kbd",{},written3),what));part("can\
-vas").addEventListener("keydown",hear);press("undo",undo);press("redo",redo);press("flip",flip)}});async function followAddress(choose2){let address=location.hash.slice(1);if(!address)return!1;let{needles:needles2}=now.
-data,below=part("proof").parentElement;try{if(part(decode(address)))return!1;let name=nameIn(address),number=needles2.
-findIndex(one=>nameOf2(one)===name);if(name!==null&&number<0)throw new ModelError(`the address has needle=${name}`,
-needles2.map(nameOf2).join(", "));number>=0&&needles2[number]!==now.needle&&await choose2(number);let lists=readAddress(
-address,now.scene);return lists.length&&steer(lists,{below,whole:!0,anew:!0}),lists.length>0}catch(error){return refuse(
-error,below),!0}}function decode(address){try{return decodeURIComponent(address)}catch{throw new ModelError(`t\
-he address ends with #${address}, which is no text`,"depth=, in mm, as Copy link writes it")}}async function copy(){
-let{data:{needles:needles2,kernel},needle,scene,steered}=now,{address,lost}=await writeAddress(kernel,steered,
-needles2.length>1?nameOf2(needle):null);write("link-note",lost?`No link: an address does not carry ${lost.join(
-", ")}. A recording does.`:""),!lost&&(steer(readAddress(address,scene),{anew:!0}),history.replaceState(null,"",
-`#${address}`),await navigator.clipboard?.writeText(location.href).then(()=>say("The link is copied."),()=>null))}
-var nameOf2,init_link=__esm({"needlefit/viewer/page/link.js"(){init_address();init_dom();init_inputs();init_steering();
-init_store();nameOf2=({name,scene})=>name??scene.measured?.id??scene.title;press("copy-link",copy)}});var JUDGED,chosen,present,errorsOf,lighten,init_methods=__esm({"needlefit/viewer/page/methods.js"(){init_dom();
+vas").addEventListener("keydown",hear);press("undo",undo);press("redo",redo);press("flip",flip)}});var JUDGED,chosen,present,errorsOf,lighten,init_methods=__esm({"needlefit/viewer/page/methods.js"(){init_dom();
 init_drawing();init_strokes();init_quantities();init_store();JUDGED="prediction",chosen=new Set,present=[],errorsOf=
 values=>now.scene.measured.metrics.map(([name,,unit])=>writeError(values?.[name]??null,unit)),lighten=colour2=>between(
 colour2,"#ffffff",.4);listen("scene",({measured:measured2})=>{let{methods}=now.needle;if(part("methods").hidden=
@@ -1132,8 +1191,8 @@ init_inputs();ANEW2=[["return_to",null,0]],TURNS=[.5,.4,.3,.6,.2],SEEN=.1,STIFFE
 slopesOf=({session:{shape:{x,slope:slope2}}})=>[...slope2.subarray(0,x.length)].filter((_,i)=>x[i]>=0);add=values=>values.
 reduce((sum,one)=>sum+one,0)}});function covary(one,other){let[middle,centre]=[mean(one),mean(other)];return mean(one.map((value,i)=>(value-middle)*
 (other[i]-centre)))}function readDraws({draws,fitted:{layers},simulation:{model}}){let b=Array.from(draws.strength,
-one=>Math.log(model.pathAngle?toDegrees(one):one)),mu=layers.map((_,layer2)=>b.map((_2,draw3)=>Math.log(draws.
-mu[draw3*layers.length+layer2]*1e6))),related=mu.map(one=>correlate(b,one)),layer=related.indexOf(Math.min(...related));
+one=>Math.log(model.pathAngle?toDegrees(one):one)),mu=layers.map((_,layer2)=>b.map((_2,draw4)=>Math.log(draws.
+mu[draw4*layers.length+layer2]*1e6))),related=mu.map(one=>correlate(b,one)),layer=related.indexOf(Math.min(...related));
 return{b,mu,layer,related:-related[layer]}}function hasRidge(needle){let{scene}=needle;if(!scene.draws||readDraws(
 scene).related<RELATED)return!1;let target=makeTarget(needle);return compareWith(target,readPoints(needle.session,
 target.s))<=NEAR2*(scene.measured?.floor_mm??1/0)}function makeTarget({scene:{measured:measured2},session}){if(measured2&&
@@ -1203,7 +1262,7 @@ ranges[i][0])})),at=followValley(place2[1]),away=at===null?1/0:Math.abs(toPx2([a
 away<SNAP?[at,place2[1]]:place2)}function paintErrors(){let cells2=element("canvas",{width:GRID[0],height:GRID[1]}),
 painter=cells2.getContext("2d"),most=LEVELS.at(-1)*level;return rows.forEach((row,j)=>row.forEach((error,i)=>{
 painter.fillStyle=between(palette.band,palette.air,Number.isNaN(error)?1:Math.min(Math.sqrt(error/most),1)),painter.
-fillRect(i,GRID[1]-1-j,1,1)})),cells2}let cells=paintErrors();function draw3(){if(!canvas4.isConnected)return;
+fillRect(i,GRID[1]-1-j,1,1)})),cells2}let cells=paintErrors();function draw4(){if(!canvas4.isConnected)return;
 let{clientWidth:width,clientHeight:height}=canvas4;Object.assign(canvas4,{width:width*devicePixelRatio,height:height*
 devicePixelRatio}),context3.setTransform(devicePixelRatio,0,0,devicePixelRatio,0,0);let[[left,right],[bottom,top]]=box2(),
 [corner,along,up2]=[[0,0],[1,0],[0,1]].map(place2=>toPx2(fromGrid(place2))),[ex,ey]=[along,up2].map(to=>to.map(
@@ -1227,7 +1286,7 @@ return;let{bevel}=now.state,error=now.scene.measured?now.state.errors?.[now.scen
 [at,height]=current2(),text=`${writeB(at)}, ${called} ${writeModulus(height)}: ${what} ${error==null?"–":`${error.
 toFixed(3)} mm`}`,[least,most]=ranges[0].map(one=>Math.exp(one).toFixed(digits2));Object.assign(canvas4,{ariaValueMin:least,
 ariaValueMax:most,ariaValueNow:bevel[key].toFixed(digits2),ariaValueText:text}),write(note,`${text}. The cross\
- is the fit; dots are draws, whose other parameters differ too.`),draw3()}function distanceFromPinned(){let{x,
+ is the fit; dots are draws, whose other parameters differ too.`),draw4()}function distanceFromPinned(){let{x,
 y}=now.state,inserted=now.pinned?x.map((_,i)=>i).filter(i=>x[i]>=0&&now.pinned.y[i]!==void 0):[];return inserted.
 length?mean(inserted.map(i=>Math.hypot(x[i]-now.pinned.x[i],y[i]-now.pinned.y[i]))):null}function press2(event){
 if(!(event.key in KEYS3))return;event.preventDefault(),event.stopPropagation();let[across,along]=KEYS3[event.key],
@@ -1235,7 +1294,7 @@ if(!(event.key in KEYS3))return;event.preventDefault(),event.stopPropagation();l
 at);ask2([along?at+follows:Math.log(Math.max(Math.exp(at)+across*step,step)),to])}let heard={pointerdown:event=>{
 canvas4.setPointerCapture(event.pointerId),held=!0,drag2(event)},pointermove:event=>held&&drag2(event),pointerup:()=>held=
 !1,pointercancel:()=>held=!1,keydown:press2};for(let[kind,hear2]of Object.entries(heard))canvas4.addEventListener(
-kind,hear2);refreshShown=refresh3,drawShown=()=>{cells=paintErrors(),draw3()},refresh3()}var PAD2,GRID,WITHIN2,
+kind,hear2);refreshShown=refresh3,drawShown=()=>{cells=paintErrors(),draw4()},refresh3()}var PAD2,GRID,WITHIN2,
 LEAST,LEVELS,SNAP,KEYS3,PART,TICKS,always4,words,refreshShown,drawShown,init_ridge=__esm({"needlefit/viewer/pa\
 ge/ridge.js"(){init_dom();init_errors();init_inputs();init_plane();init_steered();init_strokes();init_quantities();
 init_steering();init_store();PAD2={left:48,right:8,top:22,bottom:28},GRID=[15,11],WITHIN2=[.01,.99],LEAST=[1.6,
@@ -1307,9 +1366,9 @@ choose)),openDropped(choose),offerScenes(data.kernel),listen("go to",depth=>chan
 data.needles[0].recording||["load","points","path","errors","strip"].forEach(name=>toggle(name,!1)),await choose(
 0);let led=await followAddress(choose)||restore();fit("tissue"),await stateAgreement(),!led&&now.replay&&!now.
 scene.plan&&!matchMedia("(prefers-reduced-motion: reduce)").matches&&play(!0)}var NEEDED,init_main=__esm({"nee\
-dlefit/viewer/page/main.js"(){init_above();init_address();init_bands();init_dom();init_handles();init_inputs2();
-init_keyboard();init_link();init_methods();init_pointers();init_quantities();init_recording();init_scenes();init_steering();
-init_store();init_stored();init_toolbar();init_view();NEEDED=["WebAssembly","DecompressionStream","Worker"];start().
-catch(error=>{let lacking=NEEDED.filter(name=>!(name in globalThis));throw write("proof",lacking.length?`This \
-browser lacks ${lacking.join(", ")}: it cannot compute the needle.`:`The needle was not computed, for a fault \
-in this file: ${error.message}`),part("proof").classList.add("bad"),error})}});typeof document>"u"?Promise.resolve().then(()=>(init_band_worker(),band_worker_exports)):Promise.resolve().then(()=>(init_main(),main_exports));})();
+dlefit/viewer/page/main.js"(){init_above();init_address();init_bands();init_dom();init_figure();init_handles();
+init_inputs2();init_keyboard();init_link();init_methods();init_pointers();init_quantities();init_recording();init_scenes();
+init_steering();init_store();init_stored();init_toolbar();init_view();NEEDED=["WebAssembly","DecompressionStre\
+am","Worker"];start().catch(error=>{let lacking=NEEDED.filter(name=>!(name in globalThis));throw write("proof",
+lacking.length?`This browser lacks ${lacking.join(", ")}: it cannot compute the needle.`:`The needle was not c\
+omputed, for a fault in this file: ${error.message}`),part("proof").classList.add("bad"),error})}});typeof document>"u"?Promise.resolve().then(()=>(init_band_worker(),band_worker_exports)):Promise.resolve().then(()=>(init_main(),main_exports));})();

@@ -42,7 +42,11 @@ export function hand(blob, name) {
 }
 
 const dark = matchMedia("(prefers-color-scheme: dark)");
-export const isDark = () => dark.matches;
+let paper = false;
+export const isDark = () => dark.matches && !paper;
+
+/** Have the light colours drawn, as on paper, whatever the reader's scheme is. */
+export const usePaper = (on) => (paper = on);
 
 /** Call `act` once the reader's colour scheme has changed. */
 export const onScheme = (act) => dark.addEventListener("change", act);

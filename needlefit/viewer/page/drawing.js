@@ -44,16 +44,27 @@ function redraw() {
 function paint() {
   if (!now.scene || !now.state) return;
   if (fresh) follow();
+  paintScreen();
+  document.body.classList.add("begun");
+}
+
+/** Draw what has changed. */
+export function paintScreen() {
   const moved = takeChange();
   const tissue = JSON.stringify(now.state.layers);
-  if (moved || tissue !== drawnTissue) paintBackground();
+  if (moved || tissue !== drawnTissue) paintBackground(behind, size());
   drawnTissue = tissue;
   if (moved || fresh || stale) {
     before.clearRect(0, 0, ...size());
-    paintForeground(now.state);
+    paintForeground(before, now.state);
   }
   stale = false;
-  document.body.classList.add("begun");
+}
+
+/** Draw the picture in a context of a size, px. */
+export function paintAll(context, figure) {
+  paintBackground(context, figure);
+  paintForeground(context, now.state);
 }
 
 let measured = [1, 1];
@@ -61,42 +72,42 @@ let measured = [1, 1];
 /** Width and height of the picture, px. */
 export const size = () => measured;
 
-function paintBackground() {
-  behind.fillStyle = palette.gutter;
-  behind.fillRect(0, 0, ...size());
-  within(behind, () => paintTissue(behind));
-  paintAxes(behind);
+function paintBackground(context, figure) {
+  context.fillStyle = palette.gutter;
+  context.fillRect(0, 0, ...figure);
+  within(context, () => paintTissue(context));
+  paintAxes(context);
 }
 
-function paintForeground(state) {
+function paintForeground(context, state) {
   // while a needle moves faster than draws are computed, their band is of a place that it has left
   const band = shown.band && now.band && overlay.isBandNear(now.band, state) ? now.band : null;
   clearBoxes();
   needle.reserveNeedle(state);
-  before.lineJoin = "round";
-  within(before, () => {
-    if (shown.load) needle.paintLoad(before, state);
-    if (band) overlay.paintBand(before, band, band.step !== state.step);
-    if (shown.plan && now.scene.plan) overlay.paintPlan(before, now.scene.plan);
-    if (shown.pinned && now.pinned) overlay.paintPinned(before, now.pinned);
-    needle.paintNeedle(before, state);
-    overlay.paintInset(before, state);
-    needle.paintTip(before, state);
-    if (shown.load) needle.paintTipForce(before, state);
-    if (shown.path) needle.paintPath(before, state);
-    if (shown.points) needle.paintPoints(before, state);
-    overlay.paintPrediction(before, state);
+  context.lineJoin = "round";
+  within(context, () => {
+    if (shown.load) needle.paintLoad(context, state);
+    if (band) overlay.paintBand(context, band, band.step !== state.step);
+    if (shown.plan && now.scene.plan) overlay.paintPlan(context, now.scene.plan);
+    if (shown.pinned && now.pinned) overlay.paintPinned(context, now.pinned);
+    needle.paintNeedle(context, state);
+    overlay.paintInset(context, state);
+    needle.paintTip(context, state);
+    if (shown.load) needle.paintTipForce(context, state);
+    if (shown.path) needle.paintPath(context, state);
+    if (shown.points) needle.paintPoints(context, state);
+    overlay.paintPrediction(context, state);
     if (shown.measured && now.scene.measured) {
-      overlay.paintMeasured(before, now.scene.measured);
-      if (shown.errors) overlay.paintGaps(before, state, now.scene.measured);
+      overlay.paintMeasured(context, now.scene.measured);
+      if (shown.errors) overlay.paintGaps(context, state, now.scene.measured);
     }
-    for (const draw of further) draw(before);
-    needle.paintGuides(before, state);
-    needle.paintBase(before, state);
-    if (band) overlay.nameBand(before, band);
-    if (now.marked != null) needle.paintMark(before, state, now.marked);
+    for (const draw of further) draw(context);
+    needle.paintGuides(context, state);
+    needle.paintBase(context, state);
+    if (band) overlay.nameBand(context, band);
+    if (now.marked != null) needle.paintMark(context, state, now.marked);
   });
-  if (shown.load) needle.paintKey(before);
+  if (shown.load) needle.paintKey(context);
 }
 
 function within(context, draw) {

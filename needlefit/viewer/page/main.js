@@ -4,6 +4,7 @@ import "./above.js";
 import { SAME } from "./address.js";
 import { computeBands } from "./bands.js";
 import { element, part, write } from "./dom.js";
+import "./figure.js";
 import { handleAt } from "./handles.js";
 import { buildFields } from "./inputs.js";
 import "./keyboard.js";

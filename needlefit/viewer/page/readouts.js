@@ -86,7 +86,7 @@ listen("state", (state) => {
 const angle = ({ rotation }) => `${signed(toDegrees(rotation), 1)} degrees`;
 
 /** The needle's state in a few sentences, for who does not see the picture. */
-function inWords() {
+export function inWords() {
   const { state, scene } = now;
   if (!state) return "The needle has not been drawn yet.";
   const { tip, bevel, base, guides, errors } = state;
