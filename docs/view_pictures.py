@@ -2,8 +2,8 @@
 
     python docs/view_pictures.py [NAME ...]
 
-Opens pages in the installed Chromium (Playwright): of twin/phantom2-05, of a plan, and of the scene
-phantom2_fitted with b and mu on their ridge. start_view.png is of the run that the commands of start.md make.
+Opens pages in the installed Chromium (Playwright): of twin/phantom2-05, and of a plan.
+start_view.png is of the run that the commands of start.md make.
 """
 
 import shutil
@@ -53,16 +53,6 @@ def take_view(folder: Path) -> None:
         save(page, "view")
 
 
-def take_ridge(folder: Path) -> None:
-    needlefit("view", "phantom2_fitted", "--no-browser", "--out", str(folder))
-    with opened(folder / "view" / "phantom2_fitted.html") as page:
-        page.locator("#scene-list button").last.click()
-        page.locator(".ridge").wait_for()
-        box = page.locator(".ridge").bounding_box()
-        page.mouse.click(box["x"] + 0.45 * box["width"], box["y"] + 0.45 * box["height"])
-        save(page, "view_ridge")
-
-
 def take_plan(folder: Path) -> None:
     needlefit(*PLAN, "--html", str(folder / "plan.html"))
     with opened(folder / "plan.html") as page:
@@ -77,9 +67,7 @@ def take_start(folder: Path) -> None:
         save(page, "start_view")
 
 
-PICTURES = {
-    "start_view": take_start, "view": take_view, "view_plan": take_plan, "view_ridge": take_ridge,
-}  # fmt: skip
+PICTURES = {"start_view": take_start, "view": take_view, "view_plan": take_plan}
 
 if __name__ == "__main__":
     for name in sys.argv[1:] or PICTURES:

@@ -154,7 +154,7 @@ def test_the_needles_of_a_report_are_computed_again(page, result, chromium) -> N
         assert HOSTILE in window.inner_text("#needle-choice") and window.locator("img[src=x]").count() == 0
         load = window.locator("[data-show=load]")
         assert load.get_attribute("aria-pressed") == "false"  # until it is what the scene is about
-        window.locator("#scene-list button").nth(1).click()
+        window.locator("#scene-list button").last.click()
         window.locator("#scene-control .number").wait_for()
         assert load.get_attribute("aria-pressed") == "true"
 

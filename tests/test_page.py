@@ -314,9 +314,9 @@ def test_every_kind_of_run_opens(chromium, tmp_path, world, kind: str, monkeypat
         assert page.evaluate(ALL_STATES) == [1, 0] and page.inner_text("#refusal") == ""
 
 
-def test_a_turned_bevel_a_stiffer_layer_and_the_ridge_are_one_control_each(chromium, tmp_path) -> None:
+def test_a_turned_bevel_and_a_stiffer_layer_are_one_control_each(chromium, tmp_path) -> None:
     with opened(chromium, write(tmp_path, "phantom2_fitted")) as page:
-        page.locator("#scene-list button").nth(2).wait_for()
+        page.locator("#scene-list button").nth(1).wait_for()
         try_scene(page, 0)
         side = get(page, "n.scene.simulation.steps[0].bevel.side")
         assert get(page, "s.bevel.side") == -side
@@ -330,41 +330,8 @@ def test_a_turned_bevel_a_stiffer_layer_and_the_ridge_are_one_control_each(chrom
         try_scene(page, 1)
         layer = get(page, "s.layers.findIndex(({mu_pa: mu}, i) => mu > 9 * n.scene.fitted.layers[i].mu_pa)")
         assert layer >= 0
-        before, after, total = (
-            float(one) for one in re.findall(r"[\d.]+(?= (?:to|N))", page.inner_text("#see"))
-        )
-        assert after > before and total >= after
-        try_scene(page, 2)
-        drag_along_the_ridge(page)
-
-
-def drag_along_the_ridge(page) -> None:
-    """Move the point by keys across the valley and back, then along it: the tip moves much, then little."""
-    plane = page.locator(".ridge")
-    plane.wait_for()
-    fitted = get(page, "s")
-    plane.focus()
-
-    def move(key: str, times: int) -> float:
-        for _ in range(times):
-            page.keyboard.press(key)
-            page.wait_for_timeout(60)
-        page.wait_for_timeout(300)
-        return abs(get(page, "s.tip.lateral_mm") - fitted["tip"]["lateral_mm"])
-
-    across = move("ArrowRight", 3)
-    assert move("ArrowLeft", 3) == pytest.approx(0.0, abs=1e-3)
-    along = move("ArrowDown", 5)  # less of the modulus for more of b
-    state = get(page, "s")
-    assert state["bevel"]["offset_mm"] > 1.005 * fitted["bevel"]["offset_mm"]
-    assert state["layers"] != fitted["layers"] and along < 0.6 * across
-    b, *_ = re.findall(r"[\d.]+", plane.get_attribute("aria-valuetext"))
-    assert float(b) == pytest.approx(state["bevel"]["offset_mm"], abs=5e-4)
-    plane.scroll_into_view_if_needed()
-    box = plane.bounding_box()
-    pull(page, box["x"] + 0.4 * box["width"], box["y"] + 0.4 * box["height"], 30, 20)
-    page.wait_for_timeout(300)
-    assert get(page, "s.bevel.offset_mm") != state["bevel"]["offset_mm"]
+        before, after = (float(one) for one in re.findall(r"[\d.]+(?= (?:to|N) )", page.inner_text("#see")))
+        assert after > before
 
 
 SIZES = [(1440, 900), (1280, 720), (390, 844), (320, 640)]
@@ -397,7 +364,7 @@ def test_nothing_is_cut_off_or_covered_at_any_size(subject, chromium, size) -> N
             if name == "tip":
                 continue
             rises = "(Math.max(...s.y) - Math.min(...s.y)) * n.view.scale * n.view.magnified"
-            until(page, f"n.view.magnified >= 2 && {rises} > 0.25 * n.view.box.height")
+            until(page, f"{rises} > 0.25 * n.view.box.height")
         assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
         assert page.evaluate(OVERFLOWS) == [] and page.evaluate(SMALL) == []
 

@@ -226,10 +226,10 @@ resume=>{waiting.push(resume),channel.port2.postMessage(null)});onmessage=({data
 busy||work()}}});function write(id,text){let place2=typeof id=="string"?part(id):id;place2.textContent!==text&&(place2.textContent=
 text)}function element(tag,properties={},...contents){let made2=Object.assign(document.createElement(tag),properties);
 return made2.append(...contents.flat()),made2}function button(text,act,properties={}){let made2=element("butto\
-n",{type:"button",...properties},text);return press(made2,act),made2}function say(words2){part("announced").textContent=
-"",requestAnimationFrame(()=>part("announced").textContent=words2)}function hand(blob,name){let link=element("\
-a",{href:URL.createObjectURL(blob),download:name});link.click(),setTimeout(()=>URL.revokeObjectURL(link.href),
-1e4)}function colour(name){let both=getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).match(
+n",{type:"button",...properties},text);return press(made2,act),made2}function say(words){part("announced").textContent=
+"",requestAnimationFrame(()=>part("announced").textContent=words)}function hand(blob,name){let link=element("a",
+{href:URL.createObjectURL(blob),download:name});link.click(),setTimeout(()=>URL.revokeObjectURL(link.href),1e4)}
+function colour(name){let both=getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).match(
 /#\w+/g)??[""];return both[isDark()?both.length-1:0]}var part,press,entry,dark,paper,isDark,usePaper,onScheme,
 init_dom=__esm({"needlefit/viewer/page/dom.js"(){part=id=>document.getElementById(id);press=(id,act)=>(typeof id==
 "string"?part(id):id).addEventListener("click",act);entry=(term,value)=>element("div",{},element("dt",{},term),
@@ -516,12 +516,15 @@ LINE2=2.5,CROSS={of:.28,least:1,most:3.2},BEVEL={length:7.5,half:1.5},HANDLE=7,G
 min(48,.2*view.box.height-10),SHORTEST=5,LEAST_FORCE=.5,LEAST_LOAD=1e-6,perLoad=null,greatestForce={scene:null,
 newton:0},distance=(one,other)=>Math.hypot(one[0]-other[0],one[1]-other[1]);paintPath=(context3,{tip_path:[x,y]})=>line(
 context3,x,y,palette.path,1.5)}});function paintMeasured(context3,{x,y}){context3.lineCap="round",line(context3,x,y,palette.halo,4),line(context3,
-x,y,palette.measured,2,[7,4]),context3.lineCap="butt"}function paintPinned(context3,{x,y}){line(context3,x,y,palette.
-halo,5),line(context3,x,y,palette.ghost,2.5,[2,3]),labelBeside(context3,"pinned",[[[x,y],-18],[[x,y],18]],palette.
-ghost)}function nameBand(context3,{x,low,high}){isChanged(now.state,now.scene)&&labelBeside(context3,"band of \
-the fit",[[[x,high],-14],[[x,low],14]],palette.band)}function paintBand(context3,{x,low,high},pale){faintly(context3,
-pale?.16:.4,()=>fillBetween(context3,x,low,high,palette.band)),faintly(context3,pale?.4:1,()=>{for(let edge of[
-low,high])line(context3,x,edge,palette.band,1.5)})}function paintPrediction(context3,state){let prediction=predictionOf(
+x,y,palette.measured,2,[7,4]),context3.lineCap="butt",nameLine(context3,"measured",{x,y},palette.measured)}function nameLine(context3,name,{
+x,y},colour2){labelBeside(context3,name,[[[x,y],16],[[x,y],-16]],colour2)}function nameNeedle(context3,state){
+predictionOf(state,now.scene)||nameLine(context3,isSteered(state,now.scene)?"steered":"simulated",state,state.
+faults.length?palette.bad:palette.needle)}function paintPinned(context3,{x,y}){line(context3,x,y,palette.halo,
+5),line(context3,x,y,palette.ghost,2.5,[2,3]),labelBeside(context3,"pinned",[[[x,y],-18],[[x,y],18]],palette.ghost)}
+function nameBand(context3,{x,low,high}){isChanged(now.state,now.scene)&&labelBeside(context3,"band of the fit",
+[[[x,high],-14],[[x,low],14]],palette.band)}function paintBand(context3,{x,low,high},pale){faintly(context3,pale?
+.16:.4,()=>fillBetween(context3,x,low,high,palette.band)),faintly(context3,pale?.4:1,()=>{for(let edge of[low,
+high])line(context3,x,edge,palette.band,1.5)})}function paintPrediction(context3,state){let prediction=predictionOf(
 state,now.scene);prediction&&(line(context3,prediction.x,prediction.y,palette.halo,4.5),line(context3,prediction.
 x,prediction.y,palette.accent,2.5),labelBeside(context3,"prediction",[[[prediction.x,prediction.y],-16],[[prediction.
 x,prediction.y],16]],palette.accent))}function paintGaps(context3,state,measured2){let{errors}=state;if(!errors)
@@ -549,14 +552,15 @@ high}].flatMap(one=>one?placesOf(one.x,one.y):[]),wide=Math.min(INSET.width,.36*
 height+CLEAR),rows=[top+height-INSET.height-INSET.edge,top+INSET.edge],columns2=[left+INSET.edge,left+width-wide-
 INSET.edge],corner=rows.flatMap(py2=>columns2.map(px2=>[px2,py2])).find(empty);if(!corner)return;let[px,py]=corner;
 reserve(px,py,wide,INSET.height),context3.fillStyle=palette.air,context3.fillRect(px,py,wide,INSET.height),context3.
-strokeStyle=palette.quiet,context3.lineWidth=1,context3.strokeRect(px+.5,py+.5,wide-1,INSET.height-1);let scale=(wide-
-2*INSET.edge)/Math.max(now.scene.depth_mm,now.state.depth_mm,1);context3.beginPath(),x.forEach((one,i)=>one>=0&&
-context3.lineTo(px+INSET.edge+one*scale,py+INSET.height/2+6-y[i]*scale)),stroke(context3,palette.needle,Math.max(
-now.scene.diameter_mm*scale,1)),setFont(context3,"small","left","top"),label(context3,"true scale",px+6,py+4)}
-var GAPS,FAN,CROSS2,AWAY,INSET,CLEAR,BAND_REACH,isBandNear,init_overlay=__esm({"needlefit/viewer/page/painters\
-/overlay.js"(){init_quantities();init_store();init_view();init_strokes();GAPS=12,FAN=.3,CROSS2=5,AWAY=19,INSET=
-{width:170,height:46,edge:10},CLEAR=30;BAND_REACH=2,isBandNear=({x},state)=>x.length>0&&Math.abs(x.at(-1)-state.
-x.at(-1))<=BAND_REACH}});function invalidate(){stale=!0,publish("redraw")}function redraw(){frame||=requestAnimationFrame(()=>{frame=0,
+strokeStyle=palette.quiet,context3.lineWidth=1,context3.strokeRect(px+.5,py+.5,wide-1,INSET.height-1);let inserted=y.
+filter((_,i)=>x[i]>=0),[low,high]=[Math.min(...inserted),Math.max(...inserted)],scale=Math.min((wide-2*INSET.edge)/
+Math.max(now.scene.depth_mm,now.state.depth_mm,1),(INSET.height-INSET.title-6)/(high-low||1)),middle=py+(INSET.
+height+INSET.title)/2;context3.beginPath(),x.forEach((one,i)=>one>=0&&context3.lineTo(px+INSET.edge+one*scale,
+middle-(y[i]-(low+high)/2)*scale)),stroke(context3,palette.needle,Math.max(now.scene.diameter_mm*scale,1)),setFont(
+context3,"small","left","top"),label(context3,"true scale",px+6,py+4)}var GAPS,FAN,CROSS2,AWAY,INSET,CLEAR,BAND_REACH,
+isBandNear,init_overlay=__esm({"needlefit/viewer/page/painters/overlay.js"(){init_quantities();init_store();init_view();
+init_strokes();GAPS=12,FAN=.3,CROSS2=5,AWAY=19,INSET={width:170,height:46,edge:10,title:14},CLEAR=30;BAND_REACH=
+2,isBandNear=({x},state)=>x.length>0&&Math.abs(x.at(-1)-state.x.at(-1))<=BAND_REACH}});function invalidate(){stale=!0,publish("redraw")}function redraw(){frame||=requestAnimationFrame(()=>{frame=0,
 paint(),fresh=!1,publish("drawn")})}function paint(){!now.scene||!now.state||(fresh&&follow(),paintScreen(),document.
 body.classList.add("begun"))}function paintScreen(){let moved2=takeChange(),tissue=JSON.stringify(now.state.layers);
 (moved2||tissue!==drawnTissue)&&paintBackground(behind,size()),drawnTissue=tissue,(moved2||fresh||stale)&&(before.
@@ -564,27 +568,28 @@ clearRect(0,0,...size()),paintForeground(before,now.state)),stale=!1}function pa
 context3,figure),paintForeground(context3,now.state)}function paintBackground(context3,figure){context3.fillStyle=
 palette.gutter,context3.fillRect(0,0,...figure),within(context3,()=>paintTissue(context3)),paintAxes(context3)}
 function paintForeground(context3,state){let band2=shown.band&&now.band&&isBandNear(now.band,state)?now.band:null;
-clearBoxes(),reserveNeedle(state),context3.lineJoin="round",within(context3,()=>{shown.load&&paintLoad(context3,
-state),band2&&paintBand(context3,band2,band2.step!==state.step),shown.plan&&now.scene.plan&&paintPlan(context3,
-now.scene.plan),shown.pinned&&now.pinned&&paintPinned(context3,now.pinned),paintNeedle(context3,state),paintInset(
-context3,state),paintTip(context3,state),shown.load&&paintTipForce(context3,state),shown.path&&paintPath(context3,
-state),shown.points&&paintPoints(context3,state),paintPrediction(context3,state),shown.measured&&now.scene.measured&&
-(paintMeasured(context3,now.scene.measured),shown.errors&&paintGaps(context3,state,now.scene.measured));for(let draw4 of further)
-draw4(context3);paintGuides(context3,state),paintBase(context3,state),band2&&nameBand(context3,band2),now.marked!=
-null&&paintMark(context3,state,now.marked)}),shown.load&&paintKey(context3)}function within(context3,draw4){let{
-left,top,width,height}=view.box;context3.save(),context3.beginPath(),context3.rect(left,top,width,height),context3.
-clip(),draw4(),context3.restore()}function measure(){let[width,height]=measured=[picture.clientWidth,picture.clientHeight];
-for(let[canvas4,context3]of[[background,behind],[foreground,before]])canvas4.width=Math.round(width*devicePixelRatio),
-canvas4.height=Math.round(height*devicePixelRatio),context3.setTransform(devicePixelRatio,0,0,devicePixelRatio,
-0,0);resize(width,height)}var picture,background,foreground,behind,before,shown,further,drawnTissue,stale,frame,
-fresh,measured,size,fitted,init_drawing=__esm({"needlefit/viewer/page/drawing.js"(){init_dom();init_background();
-init_needle2();init_overlay();init_strokes();init_store();init_view();picture=part("picture"),background=part(
-"background"),foreground=part("canvas"),behind=background.getContext("2d",{alpha:!1}),before=foreground.getContext(
-"2d"),shown={load:!0,points:!0,path:!0,measured:!0,band:!0,errors:!0,plan:!0,pinned:!0,strip:!0},further=[],drawnTissue=
-"",stale=!0;[frame,fresh]=[0,!1];measured=[1,1],size=()=>measured;new ResizeObserver(measure).observe(picture);
-onScheme(()=>(readPalette(),touch()));readPalette();for(let kind of["band","forces"])listen(kind,invalidate);fitted=
-null;listen("state",()=>{fresh=!0,redraw(),fitted!==now.scene&&(fitted=now.scene,fit(view.fit??"tissue"))});listen(
-"redraw",redraw)}});function turn(state){let across=([x,,z=x.map(()=>0)])=>[x,z],roll2=state.bevel.roll_deg*Math.PI/180;return{...state,
+clearBoxes(),reserveNeedle(state),context3.lineJoin="round",within(context3,()=>{let loaded=shown.load&&!state.
+faults.length;loaded&&paintLoad(context3,state),band2&&paintBand(context3,band2,band2.step!==state.step),shown.
+plan&&now.scene.plan&&paintPlan(context3,now.scene.plan),shown.pinned&&now.pinned&&paintPinned(context3,now.pinned),
+paintNeedle(context3,state),paintInset(context3,state),paintTip(context3,state),loaded&&paintTipForce(context3,
+state),shown.path&&paintPath(context3,state),shown.points&&paintPoints(context3,state),paintPrediction(context3,
+state),shown.measured&&now.scene.measured&&(paintMeasured(context3,now.scene.measured),shown.errors&&paintGaps(
+context3,state,now.scene.measured));for(let draw4 of further)draw4(context3);paintGuides(context3,state),paintBase(
+context3,state),(shown.measured&&now.scene.measured||shown.pinned&&now.pinned)&&nameNeedle(context3,state),band2&&
+nameBand(context3,band2),now.marked!=null&&paintMark(context3,state,now.marked)}),shown.load&&!state.faults.length&&
+paintKey(context3)}function within(context3,draw4){let{left,top,width,height}=view.box;context3.save(),context3.
+beginPath(),context3.rect(left,top,width,height),context3.clip(),draw4(),context3.restore()}function measure(){
+let[width,height]=measured=[picture.clientWidth,picture.clientHeight];for(let[canvas4,context3]of[[background,
+behind],[foreground,before]])canvas4.width=Math.round(width*devicePixelRatio),canvas4.height=Math.round(height*
+devicePixelRatio),context3.setTransform(devicePixelRatio,0,0,devicePixelRatio,0,0);resize(width,height)}var picture,
+background,foreground,behind,before,shown,further,drawnTissue,stale,frame,fresh,measured,size,fitted,init_drawing=__esm(
+{"needlefit/viewer/page/drawing.js"(){init_dom();init_background();init_needle2();init_overlay();init_strokes();
+init_store();init_view();picture=part("picture"),background=part("background"),foreground=part("canvas"),behind=
+background.getContext("2d",{alpha:!1}),before=foreground.getContext("2d"),shown={load:!0,points:!0,path:!0,measured:!0,
+band:!0,errors:!0,plan:!0,pinned:!0,strip:!0},further=[],drawnTissue="",stale=!0;[frame,fresh]=[0,!1];measured=
+[1,1],size=()=>measured;new ResizeObserver(measure).observe(picture);onScheme(()=>(readPalette(),touch()));readPalette();
+for(let kind of["band","forces"])listen(kind,invalidate);fitted=null;listen("state",()=>{fresh=!0,redraw(),fitted!==
+now.scene&&(fitted=now.scene,fit(view.fit??"tissue"))});listen("redraw",redraw)}});function turn(state){let across=([x,,z=x.map(()=>0)])=>[x,z],roll2=state.bevel.roll_deg*Math.PI/180;return{...state,
 y:state.z,constraints:across(state.constraints),tip_path:across(state.tip_path),bevel:{side:Math.sin(roll2)<0?
 -1:1}}}function draw(){if(canvas.hidden=!now.state||!isSpatial(),canvas.hidden)return;let{clientWidth:width,clientHeight:height}=canvas,
 size3=[width,height].map(one=>Math.round(one*devicePixelRatio));(canvas.width!==size3[0]||canvas.height!==size3[1])&&
@@ -651,7 +656,7 @@ min(Math.max((at-x[i])/span,0),1),away=bent.map(([u,slope2],p)=>{let bend=3*(u[i
 {"needlefit/viewer/page/model/validity.js"(){GAUSS=[[.5-Math.sqrt(.15),.2777777777777778],[.5,.4444444444444444],
 [.5+Math.sqrt(.15),.2777777777777778]],measure2=parts=>parts.length>1?Math.sqrt(parts[0]**2+parts[1]**2):Math.
 abs(parts[0]);listFaults=(validity,limits)=>limits.filter(([name,limit])=>!(validity[name]<=limit)).map(([name,
-limit,words2])=>{let unit=name.endsWith("_mm")?" mm":"";return`${words2} ${Number(validity[name].toPrecision(3))}${unit}\
+limit,words])=>{let unit=name.endsWith("_mm")?" mm":"";return`${words} ${Number(validity[name].toPrecision(3))}${unit}\
  (limit ${limit}${unit})`})}});function makeLaw({terms,tables},shape){if(!terms)return tables.find(([known])=>JSON.stringify(known)===JSON.stringify(
 shape))?.[1]??null;let layers=shape[0]?.length??terms.layers;return Array.from({length:layers},(_,layer)=>terms.
 at_zero.map((value,j)=>{let by=terms.slopes.findIndex(row=>row[j]);return by<0?value:value+shape[by][layer]*terms.
@@ -720,7 +725,7 @@ one.controls),read(first.controls)));return[[differs(({baseY})=>baseY),"the base
 baseSlope})=>baseSlope),"the base, which was turned"],[differs(({guides:guides2})=>guides2.map(({x,y,slope:slope2})=>[
 x,y,slope2])),"the guides"],[differs(({tip})=>tip&&[tip.y,tip.slope]),"the tip, which was held"],[all2.some(({
 bevel})=>bevel.offset!==step.bevel.offset||bevel.cutAngle!==step.bevel.cutAngle),"b, which changed on the way"]].
-filter(([is])=>is).map(([,words2])=>words2)}async function writeAddress(kernel,steered,name=null){let{scene,step}=steered,
+filter(([is])=>is).map(([,words])=>words)}async function writeAddress(kernel,steered,name=null){let{scene,step}=steered,
 path=steered.path(),lost=listLost(steered,path);if(lost.length)return{lost};let rolls=path.map(({bevel})=>wrap(
 rollOf(bevel))),values=new URLSearchParams(name===null?{}:{needle:name});values.set("depth",step.depth),values.
 set("roll",rolls.at(-1));let turns=path.slice(0,-1).map(({depth},i)=>{let by=findText(one=>wrap(rolls[i+1]-one),
@@ -891,10 +896,10 @@ null,!measured2)return;let metrics=measured2.metrics.map(([name,label2,unit,text
 [label2,unit,errors=>writeError(errors[name],unit)]));part("errors").replaceChildren(),writeErrors=fillReadouts(
 part("errors"),[...metrics,["noise floor","mm",e=>e.floor_mm?.toFixed(3)??"–"]])});announced=!1,exceeded=({faults})=>faults?.
 length?`outside the model: ${faults.join("; ")}`:"";listen("scene",()=>announced=!1);for(let kind of["forces",
-"state"])listen(kind,()=>{now.state&&(refresh(),refreshDescription())});listen("state",state=>{let words2=exceeded(
-state);write("beyond",words2&&`${words2[0].toUpperCase()}${words2.slice(1)}. Shape and forces cannot be relied\
- on.`),part("beyond").classList.toggle("low",toPy(state.tip.y)<view.box.top+view.box.height/2),!(announced||!words2)&&
-(announced=!0,say(`The needle is ${words2}.`))});angle=({rotation})=>`${signed(toDegrees(rotation),1)} degrees`;
+"state"])listen(kind,()=>{now.state&&(refresh(),refreshDescription())});listen("state",state=>{let words=exceeded(
+state);write("beyond",words&&`${words[0].toUpperCase()}${words.slice(1)}. Shape and forces cannot be relied on\
+.`),part("beyond").classList.toggle("low",toPy(state.tip.y)<view.box.top+view.box.height/2),!(announced||!words)&&
+(announced=!0,say(`The needle is ${words}.`))});angle=({rotation})=>`${signed(toDegrees(rotation),1)} degrees`;
 refreshDescription=()=>write("described",inWords()),describe=()=>say(inWords())}});function paint2(name,colour2){if(colour2==="transparent")return`${name}="none"`;let[,hex,alpha]=colour2.match(
 /^(#\w{6})(\w\w)?$/)??[];if(hex)return`${name}="${hex}"${alpha?` ${name}-opacity="${round(parseInt(alpha,16)/255)}\
 "`:""}`;let parts=colour2.match(/[\d.]+/g)??[];return`${name}="#${parts.slice(0,3).map(one=>Number(one).toString(
@@ -902,11 +907,11 @@ refreshDescription=()=>write("described",inWords()),describe=()=>say(inWords())}
 svg.js"(){BASELINES={alphabetic:0,middle:.35,top:.8},escape=text=>text.replace(/[&<>"]/g,one=>`&#${one.charCodeAt(
 0)};`),round=value=>Number(value.toFixed(3));SvgContext=class{fillStyle="#000000";strokeStyle="#000000";lineWidth=1;globalAlpha=1;lineCap="\
 butt";lineJoin="miter";font="12px sans-serif";textAlign="left";textBaseline="alphabetic";#parts=[];#path=[];#dash=[];#matrix=new DOMMatrix;#stack=[];#clips=0;#halo="";#measure=document.
-createElement("canvas").getContext("2d");write([width,height],wide,title,words2){return`<svg xmlns="http://www\
-.w3.org/2000/svg" ${`width="${wide}mm" height="${round(wide*height/width)}mm" viewBox="0 0 ${round(width)} ${round(
+createElement("canvas").getContext("2d");write([width,height],wide,title,words){return`<svg xmlns="http://www.\
+w3.org/2000/svg" ${`width="${wide}mm" height="${round(wide*height/width)}mm" viewBox="0 0 ${round(width)} ${round(
 height)}"`} font-family="Liberation Sans, Arial, sans-serif">
 <title>${escape(title)}</title>
-<desc>${escape(words2)}</desc>
+<desc>${escape(words)}</desc>
 ${this.#parts.join(`
 `)}
 </svg>
@@ -1058,9 +1063,9 @@ digits2))||0).replace("-","−"),left-4,place2);context2.textBaseline="alphabeti
 now.marked??deep,3)} mm`,now.marked===null?right:Math.min(px(at)+30,right),bottom+13),context2.textAlign="left",
 context2.fillText("0",left,bottom+13)}function describe2(deep){let at=now.marked??now.state.depth_mm,read=one=>PANELS.
 map(([name,unit,digits2,curve])=>{let value=valueAt([one,curve(one)],at);return`${name} ${Number.isNaN(value)?
-"–":`${signed(value,digits2)} ${unit}`}`}).join(", "),words2=needles().map(([one])=>`${one===now.pinned?"pin\
-ned: ":""}${read(one)}`).reverse().join("; ");Object.assign(canvas2,{ariaValueNow:at.toFixed(1),ariaValueMax:deep.
-toFixed(1),ariaValueText:`At ${at.toFixed(1)} mm: ${words2}`})}function mark2(depth){now.marked=depth===null?null:
+"–":`${signed(value,digits2)} ${unit}`}`}).join(", "),words=needles().map(([one])=>`${one===now.pinned?"pinn\
+ed: ":""}${read(one)}`).reverse().join("; ");Object.assign(canvas2,{ariaValueNow:at.toFixed(1),ariaValueMax:deep.
+toFixed(1),ariaValueText:`At ${at.toFixed(1)} mm: ${words}`})}function mark2(depth){now.marked=depth===null?null:
 Math.max(0,Math.min(depth,greatest())),invalidate(),draw3()}function under({clientX}){let{left,width}=canvas2.
 getBoundingClientRect();return((clientX-left)%(width/2)-PAD.left)/(width/2-PAD.left-PAD.right)*greatest()}function pin(){
 now.pinned=now.pinned?null:current(),part("pin").ariaPressed=String(now.pinned!==null),part("pin").textContent=
@@ -1095,24 +1100,28 @@ m in",()=>zoom(1.25)],[["-","_"],"−","zoom out",()=>zoom(.8)],[["0","1"],"0, 1
 "whole")],[["2"],"2","show the tissue",()=>fit("tissue")],[["3"],"3","follow the tip",()=>fit("tip")]],COMMANDS=
 {z:event=>event.shiftKey?redo():undo(),y:()=>redo()};for(let[written3,what]of[...KEYS2.map(([,key,effect])=>[key,
 effect]),["Ctrl+Z, Y","undo, redo"]])part("key-list").append(entry(element("kbd",{},written3),what));part("can\
-vas").addEventListener("keydown",hear);press("undo",undo);press("redo",redo);press("flip",flip)}});var JUDGED,chosen,present,errorsOf,lighten,init_methods=__esm({"needlefit/viewer/page/methods.js"(){init_dom();
-init_drawing();init_strokes();init_quantities();init_store();JUDGED="prediction",chosen=new Set,present=[],errorsOf=
-values=>now.scene.measured.metrics.map(([name,,unit])=>writeError(values?.[name]??null,unit)),lighten=colour2=>between(
-colour2,"#ffffff",.4);listen("scene",({measured:measured2})=>{let{methods}=now.needle;if(part("methods").hidden=
-!methods,!methods)return;let heads=["method",...measured2.metrics.map(([,label2,unit])=>`${label2} (${unit})`)];
-part("method-heads").replaceChildren(...heads.map(one=>element("th",{scope:"col"},one)));let row=(name,values)=>element(
+vas").addEventListener("keydown",hear);press("undo",undo);press("redo",redo);press("flip",flip)}});function makeRow(method,row){if(!method.x)return row(method.name,errorsOf(method.errors));let swatch=element("\
+i",{className:"swatch line",ariaHidden:"true"});swatch.style.background=`light-dark(${method.colour}, ${lighten(
+method.colour)})`;let toggle2=element("button",{type:"button",ariaPressed:String(chosen.has(method.key))},swatch,
+method.name);return press(toggle2,()=>{let on=chosen.has(method.key);on?chosen.delete(method.key):chosen.add(method.
+key),toggle2.ariaPressed=String(!on),invalidate()}),row(toggle2,errorsOf(method.errors))}var JUDGED,chosen,FITTED,
+own,present,errorsOf,lighten,init_methods=__esm({"needlefit/viewer/page/methods.js"(){init_dom();init_drawing();
+init_strokes();init_quantities();init_store();JUDGED="prediction",chosen=new Set,FITTED="fitted",own=new Map,present=
+[],errorsOf=values=>now.scene.measured.metrics.map(([name,,unit])=>writeError(values?.[name]??null,unit)),lighten=
+colour2=>between(colour2,"#ffffff",.4);listen("scene",({measured:measured2})=>{let{methods}=now.needle;if(part(
+"methods").hidden=!methods,!methods)return;let heads=["method",...measured2.metrics.map(([,label2,unit])=>`${label2}\
+ (${unit})`)];part("method-heads").replaceChildren(...heads.map(one=>element("th",{scope:"col"},one)));let row=(name,values)=>element(
 "tr",{},element("th",{scope:"row"},name),values.map(one=>element("td",{},one))),first=row("",errorsOf(null));present=
-[...first.cells];let rows=methods.toSorted((one,other)=>+(other.key===JUDGED)-+(one.key===JUDGED)).map(method=>{
-if(!method.x)return row(method.name,errorsOf(method.errors));let swatch=element("i",{className:"swatch line",ariaHidden:"\
-true"});swatch.style.background=`light-dark(${method.colour}, ${lighten(method.colour)})`;let toggle2=element(
-"button",{type:"button",ariaPressed:String(chosen.has(method.key))},swatch,method.name);return press(toggle2,()=>{
-let on=chosen.has(method.key);on?chosen.delete(method.key):chosen.add(method.key),toggle2.ariaPressed=String(!on),
-invalidate()}),row(toggle2,errorsOf(method.errors))});part("method-rows").replaceChildren(first,...rows)});listen(
-"state",state=>{if(!now.needle.methods)return;let{errors}=state,upto=errors&&!errors.whole?`, first ${errors.upto_mm.
-toFixed(1)} mm`:"",prediction=predictionOf(state,now.scene);[prediction?"drawn: our prediction":`the needle ab\
-ove${upto}`,...errorsOf(prediction?.errors??errors)].forEach((text,i)=>write(present[i],text))});further.push(
-context3=>{for(let{key,x,y,colour:colour2}of now.needle?.methods??[])!x||!chosen.has(key)||(line(context3,x,y,
-palette.halo,4),line(context3,x,y,isDark()?lighten(colour2):colour2,2))})}});function down(event){if(event.button>0)return;canvas3.setPointerCapture(event.pointerId);let at=place(event);if(fingers.
+[...first.cells],own.clear();let rows=methods.toSorted((one,other)=>+(other.key===JUDGED)-+(one.key===JUDGED)).
+map(method=>{let made2=makeRow(method,row);return[JUDGED,FITTED].includes(method.key)&&own.set(method.key,made2),
+made2});part("method-rows").replaceChildren(first,...rows)});listen("state",state=>{if(!now.needle.methods)return;
+let{errors}=state,upto=errors&&!errors.whole?`, first ${errors.upto_mm.toFixed(1)} mm`:"",prediction=predictionOf(
+state,now.scene),steered=isSteered(state,now.scene)||Math.abs(state.depth_mm-now.scene.depth_mm)>1e-6,known=now.
+needle.methods.find(({key})=>key===(prediction?JUDGED:FITTED)),called=steered?`steered needle${upto}`:known?.name??
+"the needle above";own.forEach((row,key)=>row.hidden=!steered||key===FITTED&&own.has(JUDGED)),[called,...errorsOf(
+prediction?.errors??errors)].forEach((text,i)=>write(present[i],text))});further.push(context3=>{for(let{key,x,
+y,colour:colour2}of now.needle?.methods??[])!x||!chosen.has(key)||(line(context3,x,y,palette.halo,4),line(context3,
+x,y,isDark()?lighten(colour2):colour2,2))})}});function down(event){if(event.button>0)return;canvas3.setPointerCapture(event.pointerId);let at=place(event);if(fingers.
 set(event.pointerId,at),fingers.size>1)drag=null;else{let handle=handleAt(...at,event.pointerType);handle&&(drag=
 {handle,from:at,last:at,to:at,gesture:newGesture(),pointer:event.pointerId})}canvas3.classList.toggle("draggin\
 g",drag!==null),hold(drag!==null)}function follow2(event){if(drag?.pointer!==event.pointerId||!now.state)return;
@@ -1172,136 +1181,26 @@ now.needle.head,now.steered)],{type:"text/csv"}),name),write("link-note",`Saved 
 `).filter(one=>one.startsWith("#")).slice(1).filter(one=>!one.startsWith("# needlefit =")).join(`
 `);keyOf=needle=>`needlefit ${location.pathname} ${nameOf2(needle)}`,keeping=0;listen("steers",()=>{clearTimeout(
 keeping),keeping=setTimeout(keep,PAUSE)});addEventListener("pagehide",()=>keeping&&keep())}});function listTurned(depth,{simulation:{steps:[first]},depth_mm:deepest2}){return[ANEW2,[["depth_mm",null,depth]],
-[turnOver(rollOf(first.bevel))],[["depth_mm",null,deepest2]]]}function findTurn(needle){let{scene}=needle,{steps:[
-first,...rest]}=scene.simulation,inputs=({bevel,controls})=>JSON.stringify([bevel,controls]);if(rest.some(one=>inputs(
-one)!==inputs(first)))return null;let makesS=depth=>{for(let changes of listTurned(depth,scene))needle.apply(changes,
-always3);let slopes=slopesOf(needle),[low,high]=[Math.min(...slopes),Math.max(...slopes)];return Math.min(-low,
-high)>SEEN*Math.max(-low,high)};return TURNS.map(one=>Math.round(one*scene.depth_mm)).find(makesS)??null}function findLayerForces(x,loads,{
-boundaries_mm:tops,spacing_mm:spacing}){let planes=loads.map(one=>smooth(x,one,spacing)),forces=Array.from({length:tops.
-length+1},()=>0);for(let i=1;i<x.length;i+=1){let[one,other]=[i-1,i].map(at=>Math.hypot(...planes.map(plane=>plane[at]))),
+[turnOver(rollOf(first.bevel))],[["depth_mm",null,deepest2]]]}function listAway({session:{shape:{x,u}}}){let first=x.
+findIndex(one=>one>=0),slope2=(u[x.length-1]-u[first])/(x[x.length-1]-x[first]);return[...x.keys()].slice(first).
+map(i=>u[i]-u[first]-slope2*(x[i]-x[first]))}function findTurn(needle){let{scene}=needle,{steps:[first,...rest]}=scene.
+simulation,inputs=({bevel,controls})=>JSON.stringify([bevel,controls]);if(rest.some(one=>inputs(one)!==inputs(
+first)))return null;let makesS=depth=>{for(let changes of listTurned(depth,scene))needle.apply(changes,always3);
+let away=listAway(needle);return Math.min(Math.max(...away),-Math.min(...away))>(scene.measured?.floor_mm??NOISE)};
+return TURNS.map(one=>Math.round(one*scene.depth_mm)).find(makesS)??null}function findLayerForces(x,loads,{boundaries_mm:tops,
+spacing_mm:spacing}){let planes=loads.map(one=>smooth(x,one,spacing)),forces=Array.from({length:tops.length+1},
+()=>0);for(let i=1;i<x.length;i+=1){let[one,other]=[i-1,i].map(at=>Math.hypot(...planes.map(plane=>plane[at]))),
 middle=(x[i]+x[i-1])/2;forces[tops.filter(top=>top<=middle).length]+=(one+other)/2*(x[i]-x[i-1])}return forces}
 function findStiffer(needle){let{scene}=needle,{fitted:{layers},limits:{mu_pa:limits},boundaries_mm:tops,depth_mm:deepest2}=scene,
 read=()=>{let{s,loads}=needle.session.forces();return findLayerForces([...s],loads.map(one=>[...one]),scene)},
-before2=read(),entered=1+tops.filter(top=>top<deepest2).length,best=layers.slice(0,entered).map(({mu_pa:from},i)=>{
-let to=Math.min(from*STIFFER,limits[1]);needle.apply([["mu_pa",i+1,to]],always3);let after=read();return needle.
-apply([["mu_pa",i+1,from]],always3),{layer:i+1,from,to,before:before2,moved:Math.abs(after[i]-before2[i]),all:add(
-after)}}).reduce((most,one)=>one.moved>most.moved?one:most);return best.moved<MOVED*best.all?null:best}var ANEW2,
-TURNS,SEEN,STIFFER,MOVED,always3,slopesOf,add,init_probes=__esm({"needlefit/viewer/page/model/probes.js"(){init_quantities();
-init_inputs();ANEW2=[["return_to",null,0]],TURNS=[.5,.4,.3,.6,.2],SEEN=.1,STIFFER=10,MOVED=.05,always3={validOnly:!1};
-slopesOf=({session:{shape:{x,slope:slope2}}})=>[...slope2.subarray(0,x.length)].filter((_,i)=>x[i]>=0);add=values=>values.
-reduce((sum,one)=>sum+one,0)}});function covary(one,other){let[middle,centre]=[mean(one),mean(other)];return mean(one.map((value,i)=>(value-middle)*
-(other[i]-centre)))}function readDraws({draws,fitted:{layers},simulation:{model}}){let b=Array.from(draws.strength,
-one=>Math.log(model.pathAngle?toDegrees(one):one)),mu=layers.map((_,layer2)=>b.map((_2,draw4)=>Math.log(draws.
-mu[draw4*layers.length+layer2]*1e6))),related=mu.map(one=>correlate(b,one)),layer=related.indexOf(Math.min(...related));
-return{b,mu,layer,related:-related[layer]}}function hasRidge(needle){let{scene}=needle;if(!scene.draws||readDraws(
-scene).related<RELATED)return!1;let target=makeTarget(needle);return compareWith(target,readPoints(needle.session,
-target.s))<=NEAR2*(scene.measured?.floor_mm??1/0)}function makeTarget({scene:{measured:measured2},session}){if(measured2&&
-Math.abs(measured2.depth_mm-session.shape.depth)<1e-6){let{pose,s:s2,x,y,z}=measured2.target;return{pose,s:s2,
-points:x.map((one,i)=>[one,y[i],z[i]]),axes:AXES[measured2.compared]}}let s=Array.from({length:POINTS3},(_,i)=>session.
-shape.depth*i/(POINTS3-1));return{pose:"known",s,points:readPoints(session,s),axes:AXES.space}}function compareWith({
-pose,points,axes},found){return mean(ALIGN[pose](found,points).map((point,i)=>Math.hypot(...axes.map(axis=>point[axis]-
-points[i][axis]))))}async function computePlane(kernel,steered,target,{strengths,factors,tied}){let{model,session}=steered,
-path=steered.path(),sets=strengths.flat().length,mu=factors.flatMap((factor,row)=>strengths[row].flatMap(()=>model.
-mu.map((one,i)=>tied.includes(i)?one*factor:one))),values={sets,mu:Float64Array.from(mu),strength:Float64Array.
-from(strengths.flat())};values.law=Float64Array.from(Array.from({length:sets},()=>model.law).flat());let{depth}=session.
-shape,{planes}=session,batch=await SessionBatch.begin(kernel,model,values,path.length+Math.ceil(depth/model.spacing)+
-2,planes),s=Float64Array.from(target.s,one=>Math.min(one,depth)),stands=Array.from({length:sets},()=>!0);for(let step of path)
-batch.hold(toInputs(step,model.pathAngle)),stands.forEach((there,i)=>stands[i]=there&&batch.go(i,step.depth));
-let errors=stands.map((there,i)=>{if(!there)return NaN;let found=batch.positions(i,s),points=target.s.map((_,k)=>[
-0,1,2].map(axis=>axis<=planes?found[(1+planes)*k+axis]:0));return compareWith(target,points)});return strengths.
-map(row=>errors.splice(0,row.length))}function findContour(rows,level){let pairs=[];for(let row=0;row+1<rows.length;row+=
-1)for(let column=0;column+1<rows[0].length;column+=1){let corners=[[0,0],[1,0],[1,1],[0,1]].map(([right,up2])=>[
-column+right,row+up2]),cuts=corners.flatMap((from,i)=>{let to=corners[(i+1)%4],[one,other]=[from,to].map(([x,y])=>rows[y][x]-
-level);return one<0==other<0||Number.isNaN(one+other)?[]:[from.map((at,axis)=>at+one/(one-other)*(to[axis]-at))]});
-for(let i=0;i+1<cuts.length;i+=2)pairs.push([cuts[i],cuts[i+1]])}return pairs}var POINTS3,SPARE,EQUAL,NEAR2,RELATED,
-TIED,correlate,findTied,findSlope,equalWithin,findValley,init_plane=__esm({"needlefit/viewer/page/model/plane.\
-js"(){init_needle();init_errors();init_inputs();init_quantities();POINTS3=51,SPARE=.25,EQUAL=.1,NEAR2=2,RELATED=
-.4,TIED=.9999;correlate=(one,other)=>covary(one,other)/Math.sqrt(covary(one,one)*covary(other,other))||0;findTied=
-(mu,layer)=>mu.map((_,i)=>i).filter(i=>i===layer||correlate(mu[i],mu[layer])>TIED),findSlope=({b,mu,layer})=>covary(
-b,mu[layer])/covary(mu[layer],mu[layer]);equalWithin=({measured:measured2})=>measured2?.floor_mm?SPARE*measured2.
-floor_mm:EQUAL;findValley=rows=>rows.map(errors=>{let least=errors.indexOf(Math.min(...errors.filter(one=>!Number.
-isNaN(one)))),[before2,here,after]=[-1,0,1].map(by2=>errors[least+by2]),curl=before2-2*here+after;if(!(curl>0))
-return null;let by=(before2-after)/(2*curl);return{column:least+by,error:here-curl*by*by/2}})}});function prepareRidge(needle){return hasRidge(needle)?{sentence:"Which b and μ fit equally well? Drag along th\
-e valley.",see:()=>words,begin:makeRidge}:null}async function makeRidge(into,kernel){let{scene}=now,{fitted:fitted2,
-layer_names:names}=scene,{key,symbol,unit,digits:digits2,throughout,value,step}=strengthOf(fitted2),drawn=readDraws(
-scene),{b,mu,layer}=drawn,origin=[value,fitted2.layers[layer].mu_pa].map(Math.log),tied=findTied(mu,layer),modulus2=modulusLike(
-fitted2.layers[layer].mu_pa),called=`μ ${names[layer]||`layer ${layer+1}`}`,ranges=[b,mu[layer]].map((values,i)=>{
-let sorted=values.toSorted((one,other)=>one-other),[low,high]=WITHIN2.map(share=>sorted[Math.round(share*(sorted.
-length-1))]);return[Math.min(low,origin[i]-Math.log(LEAST[i])),Math.max(high,origin[i]+Math.log(LEAST[i]))]}),
-canvas4=element("canvas",{className:"ridge",tabIndex:0,ariaLabel:`${symbol}, and ${called} with it: up and dow\
-n along the valley, left and right across`});canvas4.setAttribute("role","slider");let note=element("p",{className:"\
-quiet"});into.replaceChildren(canvas4,note);let context3=canvas4.getContext("2d"),current2=()=>[now.state.bevel[key],
-now.state.layers[layer].mu_pa].map(Math.log),box2=()=>[[PAD2.left,canvas4.clientWidth-PAD2.right],[canvas4.clientHeight-
-PAD2.bottom,PAD2.top]],toPx2=place2=>box2().map(([from,to],i)=>from+(place2[i]-ranges[i][0])/(ranges[i][1]-ranges[i][0])*
-(to-from)),slope2=findSlope(drawn),fromGrid=place2=>{let[at,height]=place2.map((one,i)=>ranges[i][0]+one/(GRID[i]-
-1)*(ranges[i][1]-ranges[i][0]));return[at+slope2*(height-origin[1]),height]},clip=place2=>place2.map((one,i)=>Math.
-min(Math.max(one,ranges[i][0]),ranges[i][1])),needle=await SteeredNeedle.begin(kernel,scene);for(let changes of listSteps(
-scene))needle.apply(changes,always4);let target=makeTarget(needle),places=Array.from({length:GRID[1]},(_,row)=>Array.
-from({length:GRID[0]},(_2,column)=>fromGrid([column,row]))),toStrength=one=>key==="offset_mm"?Math.exp(one):Math.
-exp(one)*Math.PI/180,rows=await computePlane(kernel,needle,target,{strengths:places.map(row=>row.map(([at])=>toStrength(
-at))),factors:places.map(([[,height]])=>Math.exp(height-origin[1])),tied}),fit2=compareWith(target,readPoints(
-needle.session,target.s)),level=Math.max(fit2,Math.min(...rows.flat().filter(one=>one>=0)))+equalWithin(scene),
-valley=findValley(rows).map((found,row)=>found&&{place:fromGrid([found.column,row]),error:found.error}),contours=LEVELS.
-map(times=>findContour(rows,times*level).map(pair=>pair.map(fromGrid)));if(!canvas4.isConnected)return;let[wanted,
-frame2,held]=[null,0,!1];function followValley(height){let after=valley.findIndex(one2=>one2&&one2.place[1]>=height),
-[one,other]=[valley[after-1],valley[after]];if(!one||!other)return null;let share=(height-one.place[1])/(other.
-place[1]-one.place[1]);return one.place[0]+share*(other.place[0]-one.place[0])}function findEqual(){let near2=Math.
-round((origin[1]-ranges[1][0])/(ranges[1][1]-ranges[1][0])*(GRID[1]-1)),good=at=>valley[at]?.error<=level;if(!good(
-near2))return null;let[from,to]=[near2,near2];for(;good(from-1);)from-=1;for(;good(to+1);)to+=1;return from<to?
-[valley[from].place,valley[to].place]:null}let writeB=one=>`${symbol} ${Math.exp(one).toFixed(digits2)} ${unit}`,
-writeModulus=other=>`${modulus2.write(Math.exp(other),2)} ${modulus2.unit}`,what=`mean distance from the ${scene.
-measured?"measured needle":"needle of the fit"}`,equal=findEqual();words=equal?`${writeB(equal[0][0])} with ${called}\
- ${writeModulus(equal[0][1])} fits as well as ${writeB(equal[1][0])} with ${writeModulus(equal[1][1])}: the ${what}\
- is at most ${level.toFixed(2)} mm. One depth does not determine ${symbol} alone.`:`Away from the fit the ${what}\
- exceeds ${level.toFixed(2)} mm, whatever ${called} is.`,write("see",words);let listChanges=place2=>{let moved2=place2[1]-
-origin[1];return[[throughout,null,Math.exp(place2[0])],...tied.map(i=>["mu_pa",i+1,fitted2.layers[i].mu_pa*Math.
-exp(moved2)])]};function ask2(place2){wanted=clip(place2),frame2||=requestAnimationFrame(()=>{frame2=0,steer([
-listChanges(wanted)])})}function drag2({clientX,clientY}){let{left,top}=canvas4.getBoundingClientRect(),place2=clip(
-[clientX-left,clientY-top].map((px,i)=>{let[from,to]=box2()[i];return ranges[i][0]+(px-from)/(to-from)*(ranges[i][1]-
-ranges[i][0])})),at=followValley(place2[1]),away=at===null?1/0:Math.abs(toPx2([at,0])[0]-toPx2(place2)[0]);ask2(
-away<SNAP?[at,place2[1]]:place2)}function paintErrors(){let cells2=element("canvas",{width:GRID[0],height:GRID[1]}),
-painter=cells2.getContext("2d"),most=LEVELS.at(-1)*level;return rows.forEach((row,j)=>row.forEach((error,i)=>{
-painter.fillStyle=between(palette.band,palette.air,Number.isNaN(error)?1:Math.min(Math.sqrt(error/most),1)),painter.
-fillRect(i,GRID[1]-1-j,1,1)})),cells2}let cells=paintErrors();function draw4(){if(!canvas4.isConnected)return;
-let{clientWidth:width,clientHeight:height}=canvas4;Object.assign(canvas4,{width:width*devicePixelRatio,height:height*
-devicePixelRatio}),context3.setTransform(devicePixelRatio,0,0,devicePixelRatio,0,0);let[[left,right],[bottom,top]]=box2(),
-[corner,along,up2]=[[0,0],[1,0],[0,1]].map(place2=>toPx2(fromGrid(place2))),[ex,ey]=[along,up2].map(to=>to.map(
-(px,i)=>px-corner[i])),begin2=corner.map((px,i)=>px-ex[i]/2+(GRID[1]-.5)*ey[i]);context3.save(),context3.beginPath(),
-context3.rect(left,top,right-left,bottom-top),context3.clip(),context3.fillStyle=palette.air,context3.fillRect(
-left,top,right-left,bottom-top),context3.save(),context3.transform(...ex,-ey[0],-ey[1],...begin2),faintly(context3,
-.75,()=>context3.drawImage(cells,0,0)),context3.restore(),contours.forEach((pairs,n)=>segments(context3,pairs.
-map(pair=>pair.map(toPx2)),palette.label,n?.75:1.5)),faintly(context3,.7,()=>b.forEach((one,i)=>{let[px,py]=toPx2(
-[one,mu[layer][i]]);context3.fillStyle=palette.points,context3.fillRect(px-1,py-1,2,2)})),trace(context3,valley.
-filter(one=>one).map(({place:place2})=>toPx2(place2))),stroke(context3,palette.ink,2),context3.restore(),context3.
-strokeStyle=palette.quiet,context3.lineWidth=1,context3.strokeRect(left+.5,top+.5,right-left-1,bottom-top-1),context3.
-fillStyle=palette.label,setFont(context3,"small","left"),context3.fillText(`${called}, ${modulus2.unit}`,2,9),
-setFont(context3,"small","right"),context3.fillText(`${symbol}, ${unit}`,right,bottom+19),paintTicks(0,one=>one,
-right-40),paintTicks(1,one=>modulus2.read(one),1/0),segments(context3,cross(...toPx2(origin),5),palette.needle,
-2),ring(context3,...toPx2(current2()),7,palette.tip,palette.air)}function paintTicks(axis,read,end){let last2=-1/0;
-for(let one of TICKS){let at=Math.log(read(one));if(!(at>=ranges[axis][0]&&at<=ranges[axis][1]))continue;let[px,
-py]=toPx2(axis?[ranges[0][0],at]:[at,ranges[1][0]]);Math.abs([px,py][axis]-last2)<30||px>end||(last2=[px,py][axis],
-segments(context3,[[[px,py],axis?[px-4,py]:[px,py+4]]],palette.quiet,1),setFont(context3,"small",axis?"right":
-"center"),context3.fillText(brief(one),px-(axis?6:0),py+(axis?0:11)))}}function refresh3(){if(!canvas4.isConnected)
-return;let{bevel}=now.state,error=now.scene.measured?now.state.errors?.[now.scene.measured.metrics[0][0]]:distanceFromPinned(),
-[at,height]=current2(),text=`${writeB(at)}, ${called} ${writeModulus(height)}: ${what} ${error==null?"–":`${error.
-toFixed(3)} mm`}`,[least,most]=ranges[0].map(one=>Math.exp(one).toFixed(digits2));Object.assign(canvas4,{ariaValueMin:least,
-ariaValueMax:most,ariaValueNow:bevel[key].toFixed(digits2),ariaValueText:text}),write(note,`${text}. The cross\
- is the fit; dots are draws, whose other parameters differ too.`),draw4()}function distanceFromPinned(){let{x,
-y}=now.state,inserted=now.pinned?x.map((_,i)=>i).filter(i=>x[i]>=0&&now.pinned.y[i]!==void 0):[];return inserted.
-length?mean(inserted.map(i=>Math.hypot(x[i]-now.pinned.x[i],y[i]-now.pinned.y[i]))):null}function press2(event){
-if(!(event.key in KEYS3))return;event.preventDefault(),event.stopPropagation();let[across,along]=KEYS3[event.key],
-[at,from]=frame2?wanted:current2(),to=from+along*Math.log(PART),follows=(followValley(to)??at)-(followValley(from)??
-at);ask2([along?at+follows:Math.log(Math.max(Math.exp(at)+across*step,step)),to])}let heard={pointerdown:event=>{
-canvas4.setPointerCapture(event.pointerId),held=!0,drag2(event)},pointermove:event=>held&&drag2(event),pointerup:()=>held=
-!1,pointercancel:()=>held=!1,keydown:press2};for(let[kind,hear2]of Object.entries(heard))canvas4.addEventListener(
-kind,hear2);refreshShown=refresh3,drawShown=()=>{cells=paintErrors(),draw4()},refresh3()}var PAD2,GRID,WITHIN2,
-LEAST,LEVELS,SNAP,KEYS3,PART,TICKS,always4,words,refreshShown,drawShown,init_ridge=__esm({"needlefit/viewer/pa\
-ge/ridge.js"(){init_dom();init_errors();init_inputs();init_plane();init_steered();init_strokes();init_quantities();
-init_steering();init_store();PAD2={left:48,right:8,top:22,bottom:28},GRID=[15,11],WITHIN2=[.01,.99],LEAST=[1.6,
-5],LEVELS=[1,2,4],SNAP=40,KEYS3={ArrowLeft:[-1,0],ArrowRight:[1,0],ArrowDown:[0,-1],ArrowUp:[0,1]},PART=1.05,TICKS=
-[1,2,5].flatMap(one=>Array.from({length:14},(_,n)=>one*10**(n-4))).sort((one,other)=>one-other),always4={validOnly:!1},
-words="";[refreshShown,drawShown]=[()=>{},()=>{}];listen("state",()=>refreshShown());onScheme(()=>requestAnimationFrame(
-drawShown))}});function toggle(name,on=chips[name].ariaPressed!=="true"){chips[name].ariaPressed=String(on),name==="strip"&&(part(
+before2=read(),entered=1+tops.filter(top=>top<deepest2).length;if(entered<2||!needle.valid)return null;let best=layers.
+slice(0,entered).map(({mu_pa:from},i)=>{let to=Math.min(from*STIFFER,limits[1]);needle.apply([["mu_pa",i+1,to]],
+always3);let[after,{valid}]=[read(),needle];return needle.apply([["mu_pa",i+1,from]],always3),{valid,layer:i+1,
+from,to,before:before2,moved:Math.abs(after[i]-before2[i]),all:add(after)}}).filter(({valid})=>valid).toSorted(
+(one,other)=>other.moved-one.moved)[0];return best&&best.moved>=MOVED*best.all?best:null}var ANEW2,TURNS,NOISE,
+STIFFER,MOVED,always3,add,init_probes=__esm({"needlefit/viewer/page/model/probes.js"(){init_quantities();init_inputs();
+ANEW2=[["return_to",null,0]],TURNS=[.5,.6,.4,.7,.3,.2],NOISE=.1,STIFFER=10,MOVED=.05,always3={validOnly:!1};add=
+values=>values.reduce((sum,one)=>sum+one,0)}});function toggle(name,on=chips[name].ariaPressed!=="true"){chips[name].ariaPressed=String(on),name==="strip"&&(part(
 "strip").hidden=!on),shown[name]=on,invalidate()}var CHIPS,TALL,fits,chips,offer,init_toolbar=__esm({"needlefi\
 t/viewer/page/toolbar.js"(){init_dom();init_drawing();init_store();init_view();CHIPS=[["load","lateral load"],
 ["points","constraint points"],["path","tip path"],["measured","measured"],["errors","errors","Gaps at the tip\
@@ -1323,28 +1222,29 @@ depth,scene)),show2(field,depth)},limits=BETWEEN.map(one=>one*scene.depth_mm),fi
 let best=findStiffer(needle);if(!best)return null;let{scene}=needle,{limits:{mu_pa:limits},layer_names:names,boundaries_mm:tops,
 depth_mm:deepest2}=scene,{layer,from,to,before:before2}=best,called=names[layer-1]||`layer ${layer}`,ends=[...tops,
 1/0],middle=((layer>1?tops[layer-2]:0)+Math.min(ends[layer-1],deepest2))/2,readShown=()=>findLayerForces(now.state.
-load.x,now.state.load.n_per_mm,scene);return{sentence:`Stiffen ${called}: where does the force go?`,see:()=>{let after=readShown();
-return marks=[{depth:middle,text:`${after[layer-1].toFixed(1)} N here`}],`${called}: ${before2[layer-1].toFixed(
-1)} to ${after[layer-1].toFixed(1)} N of ${add(after).toFixed(0)} N across the needle. Purple: the load, where\
- it acts. Dotted: the needle before.`},begin(into){toggle("load",!0);let stiffen=value=>{steer([[["mu_pa",layer,
-value]]]),show2(field,value)},about={...modulusLike(to),name:`μ ${called}`,symbol:"μ",logarithmic:!0,step:1.05},
-field=makeField(into,{...about,limits,ask:stiffen});stiffen(to)}}}async function prepareScenes(kernel,scene){let needle=await SteeredNeedle.
-begin(kernel,scene),prepare=one=>{try{for(let changes of[ANEW2,...listSteps(scene)])needle.apply(changes,{validOnly:!1});
-return one(needle)}catch(error){if(!error.expected)throw error;return null}};return[prepareTurn,prepareStiffer,
-prepareRidge].map(prepare).filter(one=>one)}function offerScenes(kernel){let[begin2,shown3]=[null,null],list=part(
-"scene-list"),leave=()=>{[begin2,shown3,marks]=[null,null,[]],part("scene-control").replaceChildren(),write("s\
-ee","")},choose2=(scene,pressed)=>{for(let one of list.querySelectorAll("button"))one.ariaPressed=String(one===
-pressed);leave(),begin2=()=>{now.pinned&&pin(),pin(),shown3=scene,scene.begin(part("scene-control"),kernel)},steer(
+load.x,now.state.load.n_per_mm,scene);return{sentence:`Stiffen ${called}: where does the force go?`,see:()=>{if(now.
+state.faults.length)return marks=[],"The needle is outside the limits of the model: its forces are not shown.";
+let after=readShown();return marks=[{depth:middle,text:`${after[layer-1].toFixed(1)} N here`}],`Lateral force \
+of ${called}: ${before2[layer-1].toFixed(1)} to ${after[layer-1].toFixed(1)} N (100 g weigh 1 N). Purple: the \
+load, where it acts. Dotted: the needle before.`},begin(into){toggle("load",!0);let stiffen=value=>{steer([[["\
+mu_pa",layer,value]]]),show2(field,value)},about={...modulusLike(to),name:`μ ${called}`,symbol:"μ",logarithmic:!0,
+step:1.05},field=makeField(into,{...about,limits,ask:stiffen});stiffen(to)}}}async function prepareScenes(kernel,scene){
+let needle=await SteeredNeedle.begin(kernel,scene),prepare=one=>{try{for(let changes of[ANEW2,...listSteps(scene)])
+needle.apply(changes,{validOnly:!1});return one(needle)}catch(error){if(!error.expected)throw error;return null}};
+return[prepareTurn,prepareStiffer].map(prepare).filter(one=>one)}function offerScenes(kernel){let[begin2,shown3]=[
+null,null],list=part("scene-list"),leave=()=>{[begin2,shown3,marks]=[null,null,[]],part("scene-control").replaceChildren(),
+write("see","")},choose2=(scene,pressed)=>{for(let one of list.querySelectorAll("button"))one.ariaPressed=String(
+one===pressed);leave(),begin2=()=>{now.pinned&&pin(),pin(),shown3=scene,scene.begin(part("scene-control"))},steer(
 [ANEW2,...listSteps(now.scene)])};listen("scene",async given=>{leave(),list.replaceChildren();let scenes=await prepareScenes(
 kernel,given);now.scene===given&&list.replaceChildren(...scenes.map(scene=>{let pressed=button(scene.sentence,
 ()=>now.state&&choose2(scene,pressed),{ariaPressed:"false"});return element("li",{},pressed)}))}),listen("stat\
 e",()=>shown3&&write("see",shown3.see())),listen("forces",({step})=>{if(step!==now.state.step||!begin2)return;
 let then=begin2;begin2=null,then()})}var BETWEEN,marks,init_scenes=__esm({"needlefit/viewer/page/scenes.js"(){
 init_dom();init_drawing();init_fields();init_inputs();init_probes();init_steered();init_strokes();init_quantities();
-init_ridge();init_steering();init_store();init_strip();init_toolbar();init_view();BETWEEN=[.1,.9],marks=[];further.
-push(context3=>{for(let{depth,text}of marks){let[px,py]=[toPx(depth),toPy(heightAt(now.state,depth))];segments(
-context3,[[[px,py-12],[px,py+12]]],palette.accent,2),ring(context3,px,py,4,palette.accent,palette.air),setFont(
-context3,"strong"),labelFree(context3,text,[[px,py-26],[px,py+26],[px+40,py-26],[px-40,py+26]],palette.accent)}})}});var main_exports={};async function choose(number){let{data}=now;part("needle-choice").value=number;let steered=await begin(
+init_steering();init_store();init_strip();init_toolbar();init_view();BETWEEN=[.1,.9],marks=[];further.push(context3=>{
+for(let{depth,text}of marks){let[px,py]=[toPx(depth),toPy(heightAt(now.state,depth))];segments(context3,[[[px,
+py-12],[px,py+12]]],palette.accent,2),ring(context3,px,py,4,palette.accent,palette.air),setFont(context3,"stro\
+ng"),labelFree(context3,text,[[px,py-26],[px,py+26],[px+40,py-26],[px-40,py+26]],palette.accent)}})}});var main_exports={};async function choose(number){let{data}=now;part("needle-choice").value=number;let steered=await begin(
 data.kernel,data.needles[number]);if(Number(part("needle-choice").value)!==number)return;let needle=data.needles[number];
 Object.assign(now,{needle,steered});let{scene}=needle;openRecording(needle.recording),take({...scene,kind:"sce\
 ne"}),buildFields(needle);let specimen=needle.new_specimen?" of a specimen that was not fitted":"",draws=counted(
@@ -1362,13 +1262,13 @@ let choice=part("needle-choice");choice.append(...data.needles.map((one,i)=>elem
 [nameOf2(one),one.group].filter(Boolean).join(", ")))),part("choosing").hidden=data.needles.length<2,choice.addEventListener(
 "change",()=>choose(Number(choice.value))),part("canvas").addEventListener("touchstart",event=>{handleAt(...place(
 event.touches[0]),"touch")&&event.preventDefault()},{passive:!1}),addEventListener("hashchange",()=>followAddress(
-choose)),openDropped(choose),offerScenes(data.kernel),listen("go to",depth=>change([["depth_mm",null,depth]])),
-data.needles[0].recording||["load","points","path","errors","strip"].forEach(name=>toggle(name,!1)),await choose(
-0);let led=await followAddress(choose)||restore();fit("tissue"),await stateAgreement(),!led&&now.replay&&!now.
-scene.plan&&!matchMedia("(prefers-reduced-motion: reduce)").matches&&play(!0)}var NEEDED,init_main=__esm({"nee\
-dlefit/viewer/page/main.js"(){init_above();init_address();init_bands();init_dom();init_figure();init_handles();
-init_inputs2();init_keyboard();init_link();init_methods();init_pointers();init_quantities();init_recording();init_scenes();
-init_steering();init_store();init_stored();init_toolbar();init_view();NEEDED=["WebAssembly","DecompressionStre\
-am","Worker"];start().catch(error=>{let lacking=NEEDED.filter(name=>!(name in globalThis));throw write("proof",
-lacking.length?`This browser lacks ${lacking.join(", ")}: it cannot compute the needle.`:`The needle was not c\
-omputed, for a fault in this file: ${error.message}`),part("proof").classList.add("bad"),error})}});typeof document>"u"?Promise.resolve().then(()=>(init_band_worker(),band_worker_exports)):Promise.resolve().then(()=>(init_main(),main_exports));})();
+choose)),openDropped(choose),offerScenes(data.kernel),listen("go to",depth=>change([["depth_mm",null,depth]]));
+for(let name of["load","points","path","errors","strip"])toggle(name,!1);await choose(0);let led=await followAddress(
+choose)||restore();fit("tissue"),await stateAgreement(),!led&&now.replay&&!now.scene.plan&&!matchMedia("(prefe\
+rs-reduced-motion: reduce)").matches&&play(!0)}var NEEDED,init_main=__esm({"needlefit/viewer/page/main.js"(){init_above();
+init_address();init_bands();init_dom();init_figure();init_handles();init_inputs2();init_keyboard();init_link();
+init_methods();init_pointers();init_quantities();init_recording();init_scenes();init_steering();init_store();init_stored();
+init_toolbar();init_view();NEEDED=["WebAssembly","DecompressionStream","Worker"];start().catch(error=>{let lacking=NEEDED.
+filter(name=>!(name in globalThis));throw write("proof",lacking.length?`This browser lacks ${lacking.join(", ")}\
+: it cannot compute the needle.`:`The needle was not computed, for a fault in this file: ${error.message}`),part(
+"proof").classList.add("bad"),error})}});typeof document>"u"?Promise.resolve().then(()=>(init_band_worker(),band_worker_exports)):Promise.resolve().then(()=>(init_main(),main_exports));})();

@@ -86,14 +86,15 @@ function paintForeground(context, state) {
   needle.reserveNeedle(state);
   context.lineJoin = "round";
   within(context, () => {
-    if (shown.load) needle.paintLoad(context, state);
+    const loaded = shown.load && !state.faults.length; // outside the model's limits a force means nothing
+    if (loaded) needle.paintLoad(context, state);
     if (band) overlay.paintBand(context, band, band.step !== state.step);
     if (shown.plan && now.scene.plan) overlay.paintPlan(context, now.scene.plan);
     if (shown.pinned && now.pinned) overlay.paintPinned(context, now.pinned);
     needle.paintNeedle(context, state);
     overlay.paintInset(context, state);
     needle.paintTip(context, state);
-    if (shown.load) needle.paintTipForce(context, state);
+    if (loaded) needle.paintTipForce(context, state);
     if (shown.path) needle.paintPath(context, state);
     if (shown.points) needle.paintPoints(context, state);
     overlay.paintPrediction(context, state);
@@ -104,10 +105,11 @@ function paintForeground(context, state) {
     for (const draw of further) draw(context);
     needle.paintGuides(context, state);
     needle.paintBase(context, state);
+    if ((shown.measured && now.scene.measured) || (shown.pinned && now.pinned)) overlay.nameNeedle(context, state);
     if (band) overlay.nameBand(context, band);
     if (now.marked != null) needle.paintMark(context, state, now.marked);
   });
-  if (shown.load) needle.paintKey(context);
+  if (shown.load && !state.faults.length) needle.paintKey(context);
 }
 
 function within(context, draw) {

@@ -69,7 +69,7 @@ async function start() {
   openDropped(choose);
   offerScenes(data.kernel);
   listen("go to", (depth) => change([["depth_mm", null, depth]]));
-  if (!data.needles[0].recording) ["load", "points", "path", "errors", "strip"].forEach((name) => toggle(name, false)); // measured and fit come first
+  for (const name of ["load", "points", "path", "errors", "strip"]) toggle(name, false); // until asked for: needles come first
   await choose(0);
   const led = (await followAddress(choose)) || restore();
   fit("tissue");

@@ -3,11 +3,13 @@
 import { element, isDark, part, press, write } from "./dom.js";
 import { further, invalidate } from "./drawing.js";
 import { between, line, palette } from "./painters/strokes.js";
-import { predictionOf, writeError } from "./quantities.js";
+import { isSteered, predictionOf, writeError } from "./quantities.js";
 import { listen, now } from "./store.js";
 
 const JUDGED = "prediction"; // the method that the verdict judges stands first
 const chosen = new Set();
+const FITTED = "fitted"; // the needle that is drawn until it is steered
+const own = new Map(); // rows of these methods, which are the needle itself until it is steered
 let present = []; // the cells of the needle's own errors
 
 const errorsOf = (values) => now.scene.measured.metrics.map(([name, , unit]) => writeError(values?.[name] ?? null, unit));
@@ -24,28 +26,39 @@ listen("scene", ({ measured }) => {
   const row = (name, values) => element("tr", {}, element("th", { scope: "row" }, name), values.map((one) => element("td", {}, one)));
   const first = row("", errorsOf(null));
   present = [...first.cells];
+  own.clear();
   const rows = methods.toSorted((one, other) => Number(other.key === JUDGED) - Number(one.key === JUDGED)).map((method) => {
-    if (!method.x) return row(method.name, errorsOf(method.errors));
-    const swatch = element("i", { className: "swatch line", ariaHidden: "true" });
-    swatch.style.background = `light-dark(${method.colour}, ${lighten(method.colour)})`;
-    const toggle = element("button", { type: "button", ariaPressed: String(chosen.has(method.key)) }, swatch, method.name);
-    press(toggle, () => {
-      const on = chosen.has(method.key);
-      on ? chosen.delete(method.key) : chosen.add(method.key);
-      toggle.ariaPressed = String(!on);
-      invalidate();
-    });
-    return row(toggle, errorsOf(method.errors));
+    const made = makeRow(method, row);
+    if ([JUDGED, FITTED].includes(method.key)) own.set(method.key, made);
+    return made;
   });
   part("method-rows").replaceChildren(first, ...rows);
 });
+
+/** The row of a method; a curve is shown and hidden by its name. */
+function makeRow(method, row) {
+  if (!method.x) return row(method.name, errorsOf(method.errors));
+  const swatch = element("i", { className: "swatch line", ariaHidden: "true" });
+  swatch.style.background = `light-dark(${method.colour}, ${lighten(method.colour)})`;
+  const toggle = element("button", { type: "button", ariaPressed: String(chosen.has(method.key)) }, swatch, method.name);
+  press(toggle, () => {
+    const on = chosen.has(method.key);
+    on ? chosen.delete(method.key) : chosen.add(method.key);
+    toggle.ariaPressed = String(!on);
+    invalidate();
+  });
+  return row(toggle, errorsOf(method.errors));
+}
 
 listen("state", (state) => {
   if (!now.needle.methods) return;
   const { errors } = state;
   const upto = errors && !errors.whole ? `, first ${errors.upto_mm.toFixed(1)} mm` : "";
   const prediction = predictionOf(state, now.scene);
-  const called = prediction ? "drawn: our prediction" : `the needle above${upto}`;
+  const steered = isSteered(state, now.scene) || Math.abs(state.depth_mm - now.scene.depth_mm) > 1e-6;
+  const known = now.needle.methods.find(({ key }) => key === (prediction ? JUDGED : FITTED));
+  const called = steered ? `steered needle${upto}` : (known?.name ?? "the needle above");
+  own.forEach((row, key) => (row.hidden = !steered || (key === FITTED && own.has(JUDGED))));
   [called, ...errorsOf(prediction?.errors ?? errors)].forEach((text, i) => write(present[i], text));
 });
 

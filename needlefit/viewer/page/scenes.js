@@ -4,11 +4,10 @@ import { button, element, part, write } from "./dom.js";
 import { further } from "./drawing.js";
 import { makeField, show } from "./fields.js";
 import { listSteps } from "./model/inputs.js";
-import { add, ANEW, findLayerForces, findStiffer, findTurn, listTurned } from "./model/probes.js";
+import { ANEW, findLayerForces, findStiffer, findTurn, listTurned } from "./model/probes.js";
 import { SteeredNeedle } from "./model/steered.js";
 import { labelFree, palette, ring, segments, setFont } from "./painters/strokes.js";
 import { heightAt, modulusLike } from "./quantities.js";
-import { prepareRidge } from "./ridge.js";
 import { steer } from "./steering.js";
 import { listen, now } from "./store.js";
 import { pin } from "./strip.js";
@@ -53,9 +52,13 @@ function prepareStiffer(needle) {
   return {
     sentence: `Stiffen ${called}: where does the force go?`,
     see: () => {
+      if (now.state.faults.length) {
+        marks = [];
+        return "The needle is outside the limits of the model: its forces are not shown.";
+      }
       const after = readShown();
       marks = [{ depth: middle, text: `${after[layer - 1].toFixed(1)} N here` }];
-      return `${called}: ${before[layer - 1].toFixed(1)} to ${after[layer - 1].toFixed(1)} N of ${add(after).toFixed(0)} N across the needle. Purple: the load, where it acts. Dotted: the needle before.`;
+      return `Lateral force of ${called}: ${before[layer - 1].toFixed(1)} to ${after[layer - 1].toFixed(1)} N (100 g weigh 1 N). Purple: the load, where it acts. Dotted: the needle before.`;
     },
     begin(into) {
       toggle("load", true);
@@ -82,7 +85,7 @@ async function prepareScenes(kernel, scene) {
       return null; // there is no needle
     }
   };
-  return [prepareTurn, prepareStiffer, prepareRidge].map(prepare).filter((one) => one);
+  return [prepareTurn, prepareStiffer].map(prepare).filter((one) => one);
 }
 
 /** Offer the scenes that the needle allows. `kernel` is the compiled one. */
@@ -101,7 +104,7 @@ export function offerScenes(kernel) {
       if (now.pinned) pin();
       pin();
       shown = scene;
-      scene.begin(part("scene-control"), kernel);
+      scene.begin(part("scene-control"));
     };
     steer([ANEW, ...listSteps(now.scene)]);
   };

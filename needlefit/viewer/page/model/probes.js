@@ -4,8 +4,8 @@ import { smooth } from "../quantities.js";
 import { rollOf, turnOver } from "./inputs.js";
 
 export const ANEW = [["return_to", null, 0]];
-const TURNS = [0.5, 0.4, 0.3, 0.6, 0.2]; // of the depth: where the turn is tried
-const SEEN = 0.1; // of the steepest slope: an S has as much to both sides
+const TURNS = [0.5, 0.6, 0.4, 0.7, 0.3, 0.2]; // of the depth: where the turn is tried
+const NOISE = 0.1; // mm, where no noise is stated: an S bends by more
 const STIFFER = 10; // times the modulus of a layer
 const MOVED = 0.05; // of all force: less is not seen to move
 const always = { validOnly: false };
@@ -15,10 +15,14 @@ export function listTurned(depth, { simulation: { steps: [first] }, depth_mm: de
   return [ANEW, [["depth_mm", null, depth]], [turnOver(rollOf(first.bevel))], [["depth_mm", null, deepest]]];
 }
 
-/** The slopes dy/dx of the inserted part of a needle, from the entry to the tip. */
-const slopesOf = ({ session: { shape: { x, slope } } }) => [...slope.subarray(0, x.length)].filter((_, i) => x[i] >= 0);
+/** How far, mm, the inserted part of a needle lies to either side of the line from its entry to its tip. */
+function listAway({ session: { shape: { x, u } } }) {
+  const first = x.findIndex((one) => one >= 0);
+  const slope = (u[x.length - 1] - u[first]) / (x[x.length - 1] - x[first]);
+  return [...x.keys()].slice(first).map((i) => u[i] - u[first] - slope * (x[i] - x[first]));
+}
 
-/** The depth, mm, at which a turn makes an S; null where there is none, or other inputs than the bevel's change. */
+/** The depth, mm, at which a turn makes an S that bends by more than the noise; null where there is none, or other inputs than the bevel's change. */
 export function findTurn(needle) {
   const { scene } = needle;
   const { steps: [first, ...rest] } = scene.simulation;
@@ -26,9 +30,8 @@ export function findTurn(needle) {
   if (rest.some((one) => inputs(one) !== inputs(first))) return null;
   const makesS = (depth) => {
     for (const changes of listTurned(depth, scene)) needle.apply(changes, always);
-    const slopes = slopesOf(needle);
-    const [low, high] = [Math.min(...slopes), Math.max(...slopes)];
-    return Math.min(-low, high) > SEEN * Math.max(-low, high);
+    const away = listAway(needle);
+    return Math.min(Math.max(...away), -Math.min(...away)) > (scene.measured?.floor_mm ?? NOISE);
   };
   return TURNS.map((one) => Math.round(one * scene.depth_mm)).find(makesS) ?? null;
 }
@@ -45,9 +48,12 @@ export function findLayerForces(x, loads, { boundaries_mm: tops, spacing_mm: spa
   return forces;
 }
 
-export const add = (values) => values.reduce((sum, one) => sum + one, 0);
+const add = (values) => values.reduce((sum, one) => sum + one, 0);
 
-/** The layer whose stiffening moves the most force: {layer, from, to: Pa, before: N by layer}; null where that is next to none. */
+/**
+ * The layer whose stiffening moves the most force: {layer, from, to: Pa, before: N by layer}; null where that is next to none,
+ * in a single layer, and where the model is left.
+ */
 export function findStiffer(needle) {
   const { scene } = needle;
   const { fitted: { layers }, limits: { mu_pa: limits }, boundaries_mm: tops, depth_mm: deepest } = scene;
@@ -57,13 +63,14 @@ export function findStiffer(needle) {
   };
   const before = read();
   const entered = 1 + tops.filter((top) => top < deepest).length;
+  if (entered < 2 || !needle.valid) return null;
   const found = layers.slice(0, entered).map(({ mu_pa: from }, i) => {
     const to = Math.min(from * STIFFER, limits[1]);
     needle.apply([["mu_pa", i + 1, to]], always);
-    const after = read();
+    const [after, { valid }] = [read(), needle];
     needle.apply([["mu_pa", i + 1, from]], always);
-    return { layer: i + 1, from, to, before, moved: Math.abs(after[i] - before[i]), all: add(after) };
+    return { valid, layer: i + 1, from, to, before, moved: Math.abs(after[i] - before[i]), all: add(after) };
   });
-  const best = found.reduce((most, one) => (one.moved > most.moved ? one : most));
-  return best.moved < MOVED * best.all ? null : best;
+  const best = found.filter(({ valid }) => valid).toSorted((one, other) => other.moved - one.moved)[0];
+  return best && best.moved >= MOVED * best.all ? best : null;
 }

@@ -1,6 +1,6 @@
 /** What the needle is compared with and aimed at, and what the picture itself does not show. */
 
-import { heightAt, isChanged, predictionOf } from "../quantities.js";
+import { heightAt, isChanged, isSteered, predictionOf } from "../quantities.js";
 import { now } from "../store.js";
 import { toPx, toPy, view } from "../view.js";
 import { cross, faintly, fillBetween, isFree, label, labelBeside, labelFree, line, palette, placesOf, reserve, segments, setFont, stroke } from "./strokes.js";
@@ -9,7 +9,7 @@ const GAPS = 12; // parts of the shaft between which gaps are drawn
 const FAN = 0.3; // opacity of the plan's draws
 const CROSS = 5; // px
 const AWAY = 19; // px, of the tip error from the needle
-const INSET = { width: 170, height: 46, edge: 10 }; // px
+const INSET = { width: 170, height: 46, edge: 10, title: 14 }; // px
 const CLEAR = 30; // px between the inset and curves, for load and crosses
 
 /** Draw the measured needle, over a halo that sets it off from the needle and from a scan. */
@@ -18,6 +18,18 @@ export function paintMeasured(context, { x, y }) {
   line(context, x, y, palette.halo, 4);
   line(context, x, y, palette.measured, 2, [7, 4]);
   context.lineCap = "butt";
+  nameLine(context, "measured", { x, y }, palette.measured);
+}
+
+/** Name a line at its end. */
+function nameLine(context, name, { x, y }, colour) {
+  labelBeside(context, name, [[[x, y], 16], [[x, y], -16]], colour);
+}
+
+/** Name the needle beside another one: it is steered, or has the parameters of the scene. */
+export function nameNeedle(context, state) {
+  if (predictionOf(state, now.scene)) return;
+  nameLine(context, isSteered(state, now.scene) ? "steered" : "simulated", state, state.faults.length ? palette.bad : palette.needle);
 }
 
 /** Draw the pinned needle: what the needle is compared with. */
@@ -122,9 +134,12 @@ export function paintInset(context, { x, y, tip }) {
   context.strokeStyle = palette.quiet;
   context.lineWidth = 1;
   context.strokeRect(px + 0.5, py + 0.5, wide - 1, INSET.height - 1);
-  const scale = (wide - 2 * INSET.edge) / Math.max(now.scene.depth_mm, now.state.depth_mm, 1);
+  const inserted = y.filter((_, i) => x[i] >= 0);
+  const [low, high] = [Math.min(...inserted), Math.max(...inserted)];
+  const scale = Math.min((wide - 2 * INSET.edge) / Math.max(now.scene.depth_mm, now.state.depth_mm, 1), (INSET.height - INSET.title - 6) / (high - low || 1));
+  const middle = py + (INSET.height + INSET.title) / 2;
   context.beginPath();
-  x.forEach((one, i) => one >= 0 && context.lineTo(px + INSET.edge + one * scale, py + INSET.height / 2 + 6 - y[i] * scale));
+  x.forEach((one, i) => one >= 0 && context.lineTo(px + INSET.edge + one * scale, middle - (y[i] - (low + high) / 2) * scale));
   stroke(context, palette.needle, Math.max(now.scene.diameter_mm * scale, 1));
   setFont(context, "small", "left", "top");
   label(context, "true scale", px + 6, py + 4);
