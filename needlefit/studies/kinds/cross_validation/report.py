@@ -26,7 +26,6 @@ from needlefit.studies.kinds.cross_validation.frames import FRAMES, OPTIONAL
 from needlefit.studies.kinds.cross_validation.observed import find_observation_report
 from needlefit.studies.report import StudyReport, list_data_notes
 from needlefit.studies.run import Run
-from needlefit.studies.validity import FITTED_METHODS
 
 __all__ = ["FRAMES", "OPTIONAL", "REPORT"]
 
@@ -90,8 +89,6 @@ class Computation(NamedTuple):
     """By what parameters were found: searches of nlopt, and draws of the posterior."""
 
     starts: int
-    evaluations: int
-    goals: list[str]  #: what was minimised
     source: str  #: of the draws; "" without any
     walkers: int | None  #: of emcee
     draws: int | None  #: independent ones
@@ -99,18 +96,11 @@ class Computation(NamedTuple):
 
 def describe_computation(run: Run) -> Computation:
     """Return by what the parameters were found: searches of nlopt, and draws of the posterior."""
-    frames = FitFrames.of(run)
-    starts, draws = frames.starts, frames.draws
-    recipe = run.knows(FitMetadata).recipe
-    searched = starts[starts["fit"].isin(FITTED_METHODS)]
-    weights = [(recipe.weights.ipe, "IPE"), (recipe.weights.te, "TE"), (recipe.weights.edp, "EDP")]
-    errors = (f"{weight:g} {name}" if weight != 1 else name for weight, name in weights if weight)
-    goals = {"posterior": "the posterior", "metric": " + ".join(errors)}
+    frames, recipe = FitFrames.of(run), run.knows(FitMetadata).recipe
+    draws = frames.draws
     source = "" if draws.empty else str(draws["draw_source"].iloc[0])
     return Computation(
-        int((searched["fit"] == "fitted").sum()),
-        int(searched["evaluations"].sum()),
-        [goals[name] for name in dict.fromkeys(searched["minimized"])],
+        int((frames.starts["fit"] == "fitted").sum()),
         source,
         recipe.sample.walkers if source == "posterior" else None,
         None if draws.empty else round(draws["ess"].min()),
