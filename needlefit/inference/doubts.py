@@ -104,7 +104,8 @@ def find_doubts(problem: Problem, theta: Floats) -> list[NeedleDoubtMetadata]:
         rest = [k for k in range(len(every)) if k not in odd]
         theta = _settle(problem, rest, theta) if odd else theta
         blocks = [_linearize(problem, one, theta) for one in every]
-        found = {k: _predict(problem, [blocks[j] for j in rest if j != k], theta) for k in range(len(every))}
+        weighed = _weigh_all(problem, blocks)
+        found = {k: _predict(problem, [j for j in rest if j != k], weighed, theta) for k in range(len(every))}
         sds = {k: _measure(blocks[k], theta, found[k]).sds for k in range(len(every))}
         worst = max(rest, key=lambda k: sds[k])
         if sds[worst] < MIN_ODD_SD:
@@ -115,7 +116,7 @@ def find_doubts(problem: Problem, theta: Floats) -> list[NeedleDoubtMetadata]:
     kept = sorted((k for k in odd if sds[k] >= MIN_ODD_SD), key=lambda k: -sds[k])
     doubts = []
     for k in kept:
-        cause, size = _find_cause(problem, every[k], theta, found[k], sds[k])
+        cause, size = _find_cause(problem, every[k], theta, found[k])
         with_it, without_it = (_list_values(problem, at) for at in (fitted, theta))
         doubts.append(
             NeedleDoubtMetadata(
@@ -150,28 +151,46 @@ def _list_spreads(problem: Problem) -> Floats:
     return np.array([BEVEL_PART if name in BEVEL_PARAMETERS else 1.0 for name in problem.names])
 
 
-def _weigh(block: Block, spread: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return covariance (R, R) with the differences between needles, information (P, P) and pull (P,)."""
+class Weighed(NamedTuple):
+    """A block with the differences between needles in its covariance (R, R)."""
+
+    block: Block
+    covariance: Floats
+    information: Floats  #: (P, P)
+    pull: Floats  #: (P,)
+
+
+def _weigh(block: Block, spread: Floats) -> Weighed:
+    """Return a block with differences between needles, of these SDs (P,)."""
     loaded = block.slope * spread
     covariance = np.eye(len(loaded)) + loaded @ loaded.T
     solved = np.linalg.solve(covariance, np.column_stack([block.slope, block.residuals]))
     both = block.slope.T @ solved
-    return covariance, both[:, :-1], both[:, -1]
+    return Weighed(block, covariance, both[:, :-1], both[:, -1])
 
 
-def _predict(problem: Problem, blocks: Sequence[Block], theta: Floats) -> Prediction:
-    """Return what needles predict of another one, linear about `theta`, with their likeliest spread."""
+#: by the SDs (P,) between needles, all blocks
+WeighedBlocks = Sequence[tuple[Floats, Sequence[Weighed]]]
+
+
+def _weigh_all(problem: Problem, blocks: Sequence[Block]) -> WeighedBlocks:
+    spreads = [size * _list_spreads(problem) for size in SPREADS]
+    return [(spread, [_weigh(block, spread) for block in blocks]) for spread in spreads]
+
+
+def _predict(problem: Problem, places: Sequence[int], weighed: WeighedBlocks, theta: Floats) -> Prediction:
+    """Return what some needles predict of another, linear about `theta`, with their likeliest spread."""
     best: tuple[float, Prediction] | None = None
-    for spread in (size * _list_spreads(problem) for size in SPREADS):
-        weighed = [_weigh(block, spread) for block in blocks]
-        precision = prior_information(problem) + sum(information for _, information, _ in weighed)
-        step = -np.linalg.solve(precision, sum(pull for *_, pull in weighed))
+    for spread, every in weighed:
+        some = [every[k] for k in places]
+        precision = prior_information(problem) + sum(one.information for one in some)
+        step = -np.linalg.solve(precision, sum(one.pull for one in some))
         covariance = np.asarray(np.linalg.inv(precision), dtype=np.float64)
         evidence, misfits = -0.5 * np.linalg.slogdet(precision)[1], []
-        for block, (own, *_) in zip(blocks, weighed, strict=True):
-            off = block.residuals + block.slope @ step
-            misfits.append(float(off @ np.linalg.solve(own, off)) / len(off))
-            evidence -= 0.5 * (misfits[-1] * len(off) + np.linalg.slogdet(own)[1])
+        for one in some:
+            off = one.block.residuals + one.block.slope @ step
+            misfits.append(float(off @ np.linalg.solve(one.covariance, off)) / len(off))
+            evidence -= 0.5 * (misfits[-1] * len(off) + np.linalg.slogdet(one.covariance)[1])
         scale = max(1.0, float(np.quantile(misfits, QUANTILE)))
         found = Prediction(theta + step, covariance + np.diag(spread**2), scale)
         if best is None or evidence > best[0]:
@@ -210,9 +229,9 @@ def _settle(problem: Problem, places: Sequence[int], theta: Floats) -> Floats:
         blocks = [_linearize(problem, problem.insertions[k], at) for k in places]
         total, precision, pull = 0.0, prior_information(problem), np.zeros(len(at))
         for block in blocks:
-            own, information, along = _weigh(block, spread)
-            total += 0.5 * float(block.residuals @ np.linalg.solve(own, block.residuals))
-            precision, pull = precision + information, pull + along
+            one = _weigh(block, spread)
+            total += 0.5 * float(block.residuals @ np.linalg.solve(one.covariance, block.residuals))
+            precision, pull = precision + one.information, pull + one.pull
         return total, precision, pull
 
     damping, (total, precision, pull) = 1e-3, weigh(theta)
@@ -234,7 +253,7 @@ def _settle(problem: Problem, places: Sequence[int], theta: Floats) -> Floats:
 
 
 def _find_cause(
-    problem: Problem, insertion: Insertion, theta: Floats, predicted: Prediction, sds: float
+    problem: Problem, insertion: Insertion, theta: Floats, predicted: Prediction
 ) -> tuple[str, float | None]:
     """Return the hypothesis that explains a needle, with its fitted number; "" if none does alone."""
     rows = sorted(_list_explanations(problem, insertion, theta, predicted), key=lambda row: -row[0])

@@ -19,6 +19,7 @@ from needlefit.inference.identifiability.directions import (
 from needlefit.inference.parameter_names import BEVEL_SPREAD, HYPERPARAMETERS, is_shape_parameter
 from needlefit.inference.parameters import Parameters
 from needlefit.inference.point_prediction import PointPrediction
+from needlefit.mechanics.moduli import read_moduli
 from needlefit.project.result_warnings import ResultWarning, to_stored_rows
 from needlefit.project.unit_warnings import MU_PA
 from needlefit.reporting.number_format import format_bare_symbol, format_quantity
@@ -213,7 +214,10 @@ def _find_implausible_moduli(run: Run) -> Iterator[Row]:
     fits = FitFrames.of(run).free_parameters
     for name, values in fits[fits["parameter"].str.startswith("mu")].groupby("parameter")["value"]:
         if not MU_PA[0] <= (value := float(values.median())) <= MU_PA[1]:
-            yield {"parameter": str(name), "value": value, "text": "modulus"}
+            ends = {one.medium: one.shear_pa[value > MU_PA[1]] for one in read_moduli().values()}
+            medium = (max if value > MU_PA[1] else min)(ends, key=lambda name: ends[name])
+            about = {"published": ends[medium], "published_of": medium, "text": "modulus"}
+            yield {"parameter": str(name), "value": value, **about}
 
 
 def _find_outside(run: Run) -> Iterator[Row]:
