@@ -1,11 +1,12 @@
 """Mistakes of people who prepare data: which are refused, which are named, which pass in silence.
 
-    python benchmarks/mistakes.py [--sets 5] [--sound 20] [--seed 1]
+    python benchmarks/mistakes.py [--sets 5] [--sound 20] [--seed 1] [--fit]
 
 Each kind of mistake is made in fresh needles like those of the start page (two layers, bevels both ways,
 specimens and errors drawn anew), which are imported as a table of points and one of needles. A mistake is
 *refused* by an error, *named* by a warning with the needle, or the word for all needles alike, that it is
-made of, *misnamed* by any other warning.
+made of, *misnamed* by any other warning. With `--fit` only a fit to the needles judges, as `tune` does: a
+mistake is *named* by the needle that it does not predict from the others; "causes" are those printed beside.
 
 Sound needles are made of ten designs, by the model of the package and by another one. A set of them is
 *accused* by any warning, and its verdict is *withheld* if the warning says that the data contradict
@@ -29,12 +30,20 @@ from scipy.spatial.transform import Rotation
 
 from needlefit.cli import main as run_command
 from needlefit.datasets.read import inspect
+from needlefit.errors import NeedlefitError
+from needlefit.inference.doubts import find_doubts, refit
+from needlefit.inference.problem import Problem
 from needlefit.mechanics.control import Bevel
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
+from needlefit.project.result_warnings import ResultWarning
+from needlefit.project.toml import load
+from needlefit.schemas.study import StudyRecord
 from needlefit.studies.advice import list_contradictions
+from needlefit.studies.job import Settings
+from needlefit.studies.load import load_study
 
 NEEDLE = Needle.from_tube(150.0, 0.908, 60e3)
 MU_MPA, TOP_MM, BEVEL_MM, SPACING_MM = (1.5, 0.044), 20.0, 0.08, 5.0
@@ -275,9 +284,9 @@ SOUND = {
 }
 
 
-def judge(needles, culprit):
+def judge(needles, culprit, fit):
     """Import needles; return "refused", "named", "misnamed" or "silent", and the words."""
-    refusal, warnings = inspect_needles(needles)
+    refusal, warnings = inspect_needles(needles, fit)
     if refusal:
         return "refused", refusal
     words = [str(one) for one in warnings]
@@ -285,8 +294,8 @@ def judge(needles, culprit):
     return ("named" if named else "misnamed") if words else "silent", "\n".join(words)
 
 
-def inspect_needles(needles):
-    """Import needles; return what refuses them, "" if nothing does, and the warnings about them."""
+def inspect_needles(needles, fit):
+    """Import needles; return what refuses them, else "", and the warnings about them, or a fit's doubts."""
     with tempfile.TemporaryDirectory() as scratch:
         printed, folder = io.StringIO(), Path(scratch)
         with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
@@ -295,16 +304,36 @@ def inspect_needles(needles):
             except SystemExit as leaving:
                 if leaving.code:
                     return printed.getvalue(), []
+        if fit:
+            try:
+                doubts = doubt(folder)
+            except NeedlefitError as error:
+                return str(error), []
+            return "", [ResultWarning(one.cause, f"{one.insertion} {one.cause}") for one in doubts]
         warnings = inspect(folder / "made").warnings
     return "", [replace(one, where="") for one in warnings if one.kind not in OF_IMPORT]
 
 
-def count_false_alarms(design, model, sets, seed):
+def doubt(folder):
+    """Return the needles that a fit to the others does not predict; the fit begins at the true parameters."""
+    file = folder / "made" / "made_study.toml"
+    with contextlib.chdir(file.parent):
+        job = load_study(file.stem, load(file, StudyRecord), Settings(file=file))
+    weights, likelihood = job.recipe.weights, job.recipe.likelihood
+    data = (job.dataset, job.insertions, job.medium, job.parameters, weights)
+    problem = Problem(*data, likelihood=likelihood)
+    true = {f"mu{k}_pa": 1e6 * mu for k, mu in enumerate(MU_MPA, start=1)} | {"bevel_mm": BEVEL_MM}
+    start = problem.parameters.theta(problem.values(problem.parameters.expected) | true)
+    every = range(len(job.insertions))
+    return find_doubts(problem, refit(problem, every, np.clip(start, problem.lower, problem.upper)))
+
+
+def count_false_alarms(design, model, sets, seed, fit):
     """Return how many sound sets are accused, how many verdicts are withheld, and the words by set."""
     accused, withheld, words = 0, 0, []
     for n in range(sets):
         needles = measure_needles(np.random.default_rng([seed, *model.encode(), n]), design, MODELS[model])
-        refusal, warnings = inspect_needles(needles)
+        refusal, warnings = inspect_needles(needles, fit)
         accused += bool(refusal or warnings)
         withheld += bool(refusal or list_contradictions(warnings))
         words += [f"  {n}: {one}" for one in ([refusal] if refusal else warnings)]
@@ -317,6 +346,7 @@ def main():
     parser.add_argument("--sets", type=int, default=5, help="datasets of each kind of mistake")
     parser.add_argument("--sound", type=int, default=20, help="sound datasets of each design and model")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--fit", action="store_true", help="judge by a fit alone")
     options = parser.parse_args()
     outcomes = ("named", "refused", "misnamed", "silent")
     print(f"{'mistake':44}" + "".join(f"{one:>10}" for one in outcomes))
@@ -326,9 +356,9 @@ def main():
         for n in range(options.sets):
             rng = np.random.default_rng([options.seed, number, n])
             needles = measure_needles(rng, mistake.design)
-            outcome, words = judge(needles, mistake.make(needles, rng))
+            outcome, words = judge(needles, mistake.make(needles, rng), options.fit)
             found[outcome] += 1
-            if outcome == "misnamed":
+            if outcome == "misnamed" or (options.fit and outcome == "named"):
                 print(f"  {kind}, {n}: {outcome}\n    " + words.replace("\n", "\n    "))
         print(f"{kind:44}" + "".join(f"{found[one] or '':>10}" for one in outcomes), flush=True)
         total += found
@@ -337,7 +367,9 @@ def main():
     totals = np.zeros(3, int)
     for name, design in SOUND.items():
         for model in MODELS:
-            accused, withheld, words = count_false_alarms(design, model, options.sound, options.seed)
+            accused, withheld, words = count_false_alarms(
+                design, model, options.sound, options.seed, options.fit
+            )
             counts = np.array([options.sound, accused, withheld])
             print(f"{name:24}{model:10}" + "".join(f"{one:>10}" for one in counts), flush=True)
             print(*words, sep="\n", end="\n" if words else "")

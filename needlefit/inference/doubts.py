@@ -102,7 +102,7 @@ def find_doubts(problem: Problem, theta: Floats) -> list[NeedleDoubtMetadata]:
     odd, fitted = list[int](), theta
     while True:
         rest = [k for k in range(len(every)) if k not in odd]
-        theta = _settle(problem, rest, theta) if odd else theta
+        theta = refit(problem, rest, theta) if odd else theta
         blocks = [_linearize(problem, one, theta) for one in every]
         weighed = _weigh_all(problem, blocks)
         found = {k: _predict(problem, [j for j in rest if j != k], weighed, theta) for k in range(len(every))}
@@ -221,7 +221,7 @@ def _measure(block: Block, theta: Floats, predicted: Prediction) -> Deviation:
     return Deviation(sds, -0.5 * (square + float(np.linalg.slogdet(covariance)[1])))
 
 
-def _settle(problem: Problem, places: Sequence[int], theta: Floats) -> Floats:
+def refit(problem: Problem, places: Sequence[int], theta: Floats) -> Floats:
     """Return the fit (P,) to some of the needles, from a fit `theta` (P,) to all."""
     spread = SPREADS[0] * _list_spreads(problem)
 
