@@ -186,6 +186,20 @@ def test_a_fit_to_curvatures_finds_the_truth_and_is_judged_by_their_errors(study
     assert len(run.frames["curvature"]["insertion"].unique()) == 5
 
 
+def test_what_a_narrow_prior_states_of_a_parameter_is_from_the_prior(study: Path) -> None:
+    """Of mu1 one needle leaves a factor of 3 or more; a prior of 5 % about the truth is not narrowed."""
+    prior = {"median": TRUTH["mu1_pa"], "factor": 1.05}
+    stated = {"mu1_pa": {"bounds": [1e3, 1e9], "prior": prior}}
+    limits = {}
+    for name, model in (("", ONE_LAYER), ("stated", medium(1, **stated))):
+        data = {"recipe": "quick", "tune": {"insertions": ["at60"]}, "name": f"one{name}"}
+        run = nf.fit(study.parent, medium=model, **data)
+        rows = run.frames["parameters"].query("method == 'fitted'").set_index("parameter")
+        limits[name] = rows.loc["mu1_pa", "condition"], rows.loc["mu1_pa", "determined"]
+        limits[name] += (rows.loc["bevel_mm", "condition"],)
+    assert limits["stated"] == ("from the prior", "no", "") and "from the prior" not in limits[""]
+
+
 def test_held_out_needles_are_predicted_by_their_readings(study: Path) -> None:
     run = nf.validate(study)
     predicted = run.frames["predictive"]

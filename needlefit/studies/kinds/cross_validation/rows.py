@@ -8,7 +8,7 @@ import numpy as np
 from needlefit.datasets.folds import Fold
 from needlefit.inference.error_fit import ErrorMinimisingFit
 from needlefit.inference.fit import Fit, Start
-from needlefit.inference.identifiability.directions import name_determined
+from needlefit.inference.identifiability.directions import UNINFORMED_SD_RATIO, name_determined
 from needlefit.inference.identifiability.identify import (
     Identifiability,
     identify,
@@ -35,6 +35,7 @@ ERROR_FIT_COLUMNS = (
     *("fold", "objective_mm", "tolerance_mm"),
     *("tolerance_by_noise_mm", "tolerance_by_insertions_mm", "evaluations"),
 )
+FROM_PRIOR = "from the prior"  #: what limits a parameter whose posterior is about its prior
 #: of the table "directions": combinations of parameters, and the SD to which each is known
 DIRECTION_COLUMNS = ("fold", "parameters", "sd", "sd_ratio", "note")
 
@@ -73,6 +74,8 @@ def list_fitted(job: Job, fold: Fold, fit: Fit, verdict: Identifiability) -> Ite
             row = row._replace(low=low, high=high)
         if status == "free":
             row = row._replace(sd=verdict.sds[name], note=verdict.notes[name])
+            if verdict.sds[name] >= UNINFORMED_SD_RATIO * parameters.prior.sd(name):
+                row = row._replace(condition=condition or FROM_PRIOR)
         elif status != "prior" or name in parameters.ties:
             tied = f"tied: {source}" if factor == 1 else f"tied: {factor:g} * {source}"
             notes = ["fixed" if status == "fixed" else tied, condition]
