@@ -159,7 +159,7 @@ def test_a_shaft_of_two_points_before_the_entry_gives_the_direction(tmp_path):
     assert made["pose"][0] == "free"
     asked = {}
     prepare_import([file], prompt=lambda key, proposal, reason: asked.setdefault(key, reason) and "")
-    assert "pose=0,1,0 " in asked["pose"]
+    assert "pose=0.02,1,0 " in asked["pose"]
 
 
 def test_a_shaft_without_an_entry_a_depth_or_enough_points_is_refused(tmp_path):
@@ -249,7 +249,7 @@ def test_tables_of_turns_and_curvatures_belong_to_needles_of_their_names(tmp_pat
     (tmp_path / "turns.csv").write_text(TURNS)
     (tmp_path / "bragg.csv").write_text(CURVATURES)
     paths = [CASES / "two_plane.csv", tmp_path]
-    assert "pose=1,0,0" in refusal(DataError, "pose", planned, paths).what
+    assert "pose=0.999,0.038,-0.037" in refusal(DataError, "pose", planned, paths).what
     refusal(DataError, "turn", planned, paths, pose="1,0,0", bevel="bend")
     plan, made = planned(paths, pose="1,0,0")
     toward = [float(text) for text in made["bevel"][0].split(",")]  # as they bend before they are turned

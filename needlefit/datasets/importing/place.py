@@ -13,7 +13,7 @@ from needlefit.datasets.columns import DEFAULT_ROLL_SD_DEG, InsertionRow, PoseSo
 from needlefit.datasets.first_study import FirstChoices, free_guide_distance
 from needlefit.datasets.importing.curve_answers import CurveAnswers
 from needlefit.datasets.importing.curves import ImportContent, ImportedCurve
-from needlefit.datasets.importing.directions import MIN_SAME_SIDE, format_direction, snap_to_axis, to_sides
+from needlefit.datasets.importing.directions import MIN_SAME_SIDE, fit_direction, format_direction, to_sides
 from needlefit.datasets.importing.stated import Settler, Stated, name_set
 from needlefit.datasets.importing.synonyms import find_meaning, read_quantity
 from needlefit.datasets.importing.tips import make_tips, split_tips
@@ -168,11 +168,14 @@ class Planner(CurveAnswers):
     # ---- entry and pose
 
     def settle_pose(self) -> list[Stated]:
-        """Return for each needle `free`, `shaft` or a direction; the hint is the one in which they run."""
+        """Return for each needle `free`, `shaft` or a direction; the hint is the one that fits them all."""
         chords = np.array([one.line[-1] - one.line[0] for one in self.curves])
         chord = chords.sum(axis=0)
-        along = format_direction(snap_to_axis(normalize(chord))) if chord.any() else "X,Y,Z"
-        reason = f"not stated; pose={along} if a stage pushed the needles as they run"
+        fitted = fit_direction([one.line for one in self.curves])
+        along, how = format_direction(normalize(chord)) if chord.any() else "X,Y,Z", "as the needles run"
+        if fitted is not None:
+            along, how = fitted.describe(), f"which fits all needles; pose_angle_sd={fitted.sd_deg:.2g} deg"
+        reason = f"not stated; pose={along} ({how}) if a stage pushed all needles in one direction"
         is_posed = bool(self.surfaces) or any(one.turns or one.sensors for one in self.curves)
         poses = self.each("pose", usual="" if is_posed else "free", reason=reason)
         kinds = {one.text if one.text in ("free", "shaft") else "direction" for one in poses}
