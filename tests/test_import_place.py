@@ -62,7 +62,7 @@ def test_the_entry_is_the_first_point_unless_another_is_stated(tmp_path):
     assert "n1" in refusal(DataError, "--set entry", planned, [file]).what
     assert planned([file], entry="first")[1]["entry"] == ("first", "stated")
     file = write_long(tmp_path, [one[::-1] for one in NEEDLES])
-    assert "--set entry=last" in refusal(DataError, "-1,0,0", planned, [file], pose="1,0,0").fix
+    assert "--set entry=last" in refusal(DataError, "-0.999", planned, [file], pose="1,0,0").fix
 
 
 def test_a_direction_that_needles_do_not_run_along_is_refused_with_the_measured_one(tmp_path):
@@ -664,3 +664,42 @@ def test_a_unit_of_a_boundary_is_guessed_only_where_it_makes_a_likely_one(value,
     ((_, what, fix),) = doubt_layers((value,), 70.0, "boundaries_mm")
     assert ("looks like" in what) == bool(unit) and unit in what
     assert fix.startswith("write" if unit else "check it, in mm")
+
+
+def write_table(path, head, rows):
+    path.write_text("\n".join([head, *(",".join(map(str, row)) for row in rows)]) + "\n")
+
+
+def test_a_guide_that_moved_beside_tips_or_shapes_is_no_reading(tmp_path):
+    file, rows = tmp_path / "a.csv", [("a", 40, 1.2, 0), ("b", 60, 2.4, 3)]
+    write_table(file, "needle,depth,deflection,guide_mm", rows)
+    error = refusal(DataError, "guide moved", planned, [file], point_sd="0.1")
+    assert error.where == f"{file}:2" and "holds=tracks" in error.fix
+    plan, made = planned([file], point_sd="0.1", guide="none")
+    assert len(plan.rows) == 2 and made["guide"][0] == "none"
+    write_table(file, "needle,depth,deflection,guide_mm", [(*row[:3], 2) for row in rows])
+    assert len(planned([file], point_sd="0.1")[0].rows) == 2  # at rest
+
+
+def test_deflections_toward_bevels_at_clock_positions(tmp_path):
+    """One deflection of each is toward the bevel if none is negative; else where up is must be stated."""
+    file, head = tmp_path / "a.csv", "needle,depth,deflection,bevel clock"
+    write_table(file, head, [("a", 40, 1.2, 3), ("b", 60, 2.4, 12), ("c", 70, 3.1, 9)])
+    plan, made = planned([file], point_sd="0.1")
+    assert [row.tip_y for row in plan.rows] == pytest.approx([1.2, 2.4, 3.1])
+    bevels = [row.bevel.round(9).tolist() for row in plan.rows]
+    assert bevels == [[0, 0, 1], [0, 1, 0], [0, 0, -1]] and made["deflection"][1] == "assumed"
+    write_table(file, head, [("a", 40, 1.2, 3), ("b", 60, -2.4, 12)])
+    assert "deflection_z.column" in refusal(DataError, "several ways", planned, [file], point_sd="0.1").fix
+
+
+def test_tracks_with_bevels_at_clock_positions_are_rolled(tmp_path):
+    rows = [(n, d, 0.001 * d**2, 0.0, clock) for n, clock in (("a", 3), ("b", 12)) for d in range(0, 61, 10)]
+    file = tmp_path / "a.csv"
+    write_table(file, "needle,depth [mm],dx [mm],dy [mm],bevel clock", rows)
+    out = tmp_path / "out"
+    write_placed(out, [file], point_sd="0.1", specimen="block")
+    tracks = read(out).insertions
+    assert [one.turns for one in tracks] == [((0.0, 90.0),), ()]
+    assert all(one.side == 1 and one.directions == 2 for one in tracks)
+    assert "advance" not in (out / "tissue.toml").read_text()  # no bevel turned on the way

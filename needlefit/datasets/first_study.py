@@ -101,7 +101,8 @@ def _choose_advance(dataset: Dataset) -> Advance:
     the tangent, the default, keeps a part of the curvature before it.
     """
     left = "bevel_plane" in {one.kind for one in dataset.warnings} and dataset.pose == "known"
-    return "path_angle" if left or any(one.turns for one in dataset.insertions) else "tangent"
+    turned = any(depth > 0 for one in dataset.insertions for depth, _ in one.turns)
+    return "path_angle" if left or turned else "tangent"
 
 
 def _state_usual_alpha() -> dict[str, object]:

@@ -18,6 +18,7 @@ from needlefit.datasets.importing.stated import Settler, Stated, name_set
 from needlefit.datasets.importing.synonyms import find_meaning, read_quantity
 from needlefit.datasets.importing.tips import make_tips, split_tips
 from needlefit.datasets.importing.tracks import choose_track_study, is_guided, make_tracks
+from needlefit.datasets.insertion import GUIDE_STILL_MM
 from needlefit.datasets.layers import (
     MAX_HEADING_DEG,
     SAME_POINT_MM,
@@ -89,6 +90,8 @@ class Planner(CurveAnswers):
         (holds,) = kinds
         for curve in self.curves:
             refuse_stray_points(curve)
+        if holds != "tracks":
+            self.refuse_moved_guide()
         if holds in ("tips", "curvatures"):
             split_tips(self)
         sds = self.each("point_sd")
@@ -144,6 +147,21 @@ class Planner(CurveAnswers):
         )  # fmt: skip
         named = dict(zip(names, needles, strict=True)) if len(kinds) > 1 else {}
         return ImportPlan(placed, pose, tuple(self.surfaces), media, kinds[0], sd, named)
+
+    def refuse_moved_guide(self) -> None:
+        """DataError if a guide moved beside shapes or tips: only readings on the way have its places."""
+        stated = self.stated("guide")
+        guided = [one for one in self.curves if one.guide is not None]
+        if not guided or (stated is not None and stated.text == "none"):
+            self.settler.assumed.pop("guide", None)
+            return
+        places = np.concatenate([one.guide for one in guided if one.guide is not None])
+        if np.ptp(places[:, :2], axis=0).max() >= GUIDE_STILL_MM:
+            raise refusal(f"""the guide moved, and its places belong to no reading of a tip on its way
+                expected: a guide at rest; or the readings of each tip, with the depth of each
+                fix: if rows are such readings: {name_set("holds", "tracks")}; if the column is no guide:
+                    {name_set("guide", "none")}
+                where: {guided[0].points.where()}""")
 
     def require_order(self) -> None:
         """DataError at the first point that goes back along its curve."""

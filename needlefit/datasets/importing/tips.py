@@ -11,7 +11,7 @@ from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.importing.curve_answers import CurveAnswers
 from needlefit.datasets.importing.curves import ImportedCurve
 from needlefit.datasets.importing.directions import to_sides
-from needlefit.datasets.importing.stated import Stated
+from needlefit.datasets.importing.stated import Stated, name_set
 from needlefit.errors import refusal
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame, make_entry_frame
 
@@ -61,12 +61,20 @@ def make_tips(asked: CurveAnswers, sds: Sequence[float]) -> list[InsertionRow]:
             fix: import the needles of each plane
             where: {curves[0].points.where()}""")
     tips = np.array([one.line[0] if len(one.line) else np.zeros(3) for one in curves])
-    if len({*sides}) > 1 and not any(turns) and (tips[:, 1] >= 0).all() and tips[:, 1].any():
-        asked.settler.assumed["deflection"] = (
-            "toward the bevel: no deflection is negative, though sides differ"
-        )
-        tips[:, 1] *= sides
     in_space = tips[:, 2].any()
+    differ = len({*sides}) > 1 or any(turns)
+    if differ and not in_space and (tips[:, 1] >= 0).all() and tips[:, 1].any():
+        asked.settler.assumed["deflection"] = (
+            "toward the bevel: no deflection is negative, though bevels differ"
+        )
+        tips = np.array([Rotation.from_rotvec([turn, 0.0, 0.0]).apply([x, side * y, 0.0])
+                         for (x, y, _), side, turn in zip(tips, sides, turns, strict=True)])  # fmt: skip
+    elif any(turns) and not in_space and tips[:, 1].any():
+        raise refusal(f"""bevels face several ways, and one deflection of each tip is stated
+            expected: deflections up and to the right (columns deflection and deflection_z), or all of
+                them toward the bevel, none negative
+            fix: {name_set("deflection_z.column", "HEADER")}; or correct the signs
+            where: {curves[0].points.where()}""")
     shifts, angle_sds = (
         asked.each("pose_shift_sd", usual=f"{point_sd:g}", reason="that of a point"),
         asked.each("pose_angle_sd"),

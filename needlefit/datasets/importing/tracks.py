@@ -9,7 +9,7 @@ from needlefit.arrays import Floats
 from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.importing.curve_answers import CurveAnswers
 from needlefit.datasets.importing.curves import ImportedCurve
-from needlefit.datasets.importing.directions import MIN_SAME_SIDE, format_direction, snap_to_axis
+from needlefit.datasets.importing.directions import MIN_SAME_SIDE, format_direction, snap_to_axis, to_sides
 from needlefit.datasets.insertion import GUIDE_STILL_MM
 from needlefit.geometry.frames import normalize
 from needlefit.project.locate import join_names
@@ -29,9 +29,9 @@ def make_tracks(asked: CurveAnswers) -> list[InsertionRow]:
         curve.depths = curve.line[:, 0] if curve.is_deflection else curve.depths
     if not all(len(curve.depths) for curve in curves):
         measure_depths(asked)
-    sides = asked.settle_flat_sides("import the runs of each plane; state bevel_roll_deg in tracks.csv")
+    sides, rolls = settle_rolls(asked)
     bends, rows = list[Floats](), list[InsertionRow]()
-    for curve, side in zip(curves, sides, strict=True):
+    for curve, side, roll in zip(curves, sides, rolls, strict=True):
         depth = curve.depths
         if len(depth) > 2:
             bend, slope, _ = np.polyfit(depth - depth[0], curve.line, 2)
@@ -39,7 +39,8 @@ def make_tracks(asked: CurveAnswers) -> list[InsertionRow]:
                 along = snap_to_axis(normalize(slope))  # at the entry
                 bend -= (bend @ along) * along
             bends.append(side * np.ptp(depth) ** 2 * bend)
-        rows.append(InsertionRow(curve.name, "", 1, float(depth[-1]), side=side))
+        turns = ((0.0, roll),) if roll else ()
+        rows.append(InsertionRow(curve.name, "", 1, float(depth[-1]), side=side, turns=turns))
     bevel = np.array([0.0, 1.0, 0.0])
     if not all(curve.is_deflection for curve in curves):
         mean = np.mean([normalize(bend) for bend in bends if bend.any()] or [np.zeros(3)], axis=0)
@@ -56,6 +57,24 @@ def make_tracks(asked: CurveAnswers) -> list[InsertionRow]:
         if curve.guide is not None:
             curve.guide = (curve.guide - curve.guide[0]) @ planes
     return rows
+
+
+def settle_rolls(asked: CurveAnswers) -> tuple[list[int], list[float]]:
+    """Return side and roll, rad, of the bevels; runs that were read along one direction have none.
+
+    DataError if bevels face other ways than up and down, and nothing states where up is.
+    """
+    angles = asked.settle_sides() or []
+    sides, rolls = to_sides(angles)
+    curves = asked.curves
+    if not any(rolls) or not all(one.is_deflection for one in curves) or any(one.turns for one in curves):
+        fix = "state deflections up and to the right; or import the runs of each plane"
+        sides = asked.settle_flat_sides(fix)
+        return sides, [0.0] * len(sides)
+    if any(one.line[:, 2].any() for one in curves):
+        return sides, rolls
+    asked.settler.assumed["deflection"] = "toward the bevel of side 1: one deflection is stated of each tip"
+    return sides, [0.0] * len(sides)
 
 
 def settle_guide(asked: CurveAnswers) -> None:

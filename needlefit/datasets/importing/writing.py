@@ -151,13 +151,16 @@ def _write_tracks(folder: Path, content: ImportContent, plan: ImportPlan, draft:
         depths = plan.boundaries_mm[row.medium] if row.boundaries is None else row.boundaries
         layers = [*range(1, len(depths) + 2)]
         media[row.medium] = {"layers": layers, "boundaries_mm": [*depths], "specimen": row.specimen}
-        named = {"id": row.id, "medium": row.medium, "needle": row.needle, "bevel_side": row.side}
+        named: dict[str, object] = {"id": row.id, "medium": row.medium, "needle": row.needle}
+        roll = float(np.degrees(row.turns[0][1])) if row.turns else 0.0
+        named |= {"bevel_side": row.side, "bevel_roll_deg": roll}
         guide = np.zeros_like(curve.line) if curve.guide is None else curve.guide
         numbers = curve.depths, *curve.line.T[:2], *guide.T[:2]
         tables.append(pd.DataFrame({**named, **dict(zip(TRACK_COLUMNS, numbers, strict=True))}))
     table = pd.concat(tables)
     source: dict[str, object] = {"file": TRACKS_FILE}
     left_out = [] if plan.needles else ["needle"]
+    left_out += [] if table["bevel_roll_deg"].any() else ["bevel_roll_deg"]
     if not table["tip_z_mm"].any():
         left_out += ["tip_z_mm", "guide_z_mm"]
     if all(curve.guide is None for curve in content.curves):
