@@ -170,6 +170,17 @@ def test_a_label_in_the_first_row_of_a_block_is_filled_down(tmp_path, count):
     assert "fill_down" not in assert_read([file], needles[:1], holds="shapes").tables[0]
 
 
+def test_a_tip_beside_shapes_is_refused_with_what_to_do(tmp_path):
+    rows = [*long_rows(), ["n4", 50, 2, 0]]
+    error = refusal(DataError, "n4 has one point", prepare, [write_rows(tmp_path / "a.csv", rows)])
+    assert error.where.endswith(f"a.csv:{len(rows)}") and "file of their own" in error.fix
+    tips = write_rows(tmp_path / "b.csv", [rows[0], *([name, 40 + n, 2, 0] for n, name in enumerate("pq"))])
+    assert [row.depth for row in prepare([tips], pose="1,0,0", bevel="0,1,0", unit="mm").plan.rows] == [
+        40,
+        41,
+    ]
+
+
 # ---- missing values
 
 

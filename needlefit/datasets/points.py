@@ -44,10 +44,6 @@ class Points:
         columns = {name: [texts[row] for row in rows] for name, texts in self.columns.items()}
         return replace(self, values=self.values[rows], lines=lines, sd=sd, columns=columns)
 
-    def scale(self, factor: float) -> "Points":
-        """Return the points with their deviations in another unit."""
-        return replace(self, values=factor * self.values, sd=None if self.sd is None else factor * self.sd)
-
     def to_columns(self) -> NDArray[np.float64]:
         """Return the columns of a centreline's file: (N, 3), or (N, 4) with deviations."""
         return self.values if self.sd is None else np.column_stack([self.values, self.sd])

@@ -21,7 +21,7 @@ from needlefit.datasets.importing.synonyms import (
     read_header,
     translate_side,
 )
-from needlefit.datasets.importing.tables import BLOCK, Table
+from needlefit.datasets.importing.tables import BLOCK, UNIT_FIELDS, Table
 from needlefit.datasets.point_labels import divide_labels
 from needlefit.datasets.points import MIN_POINTS
 from needlefit.datasets.tip_tracks import MIN_READINGS
@@ -31,7 +31,6 @@ NO_POINTS = (*VECTORS, "target", "guide", "quaternion")  # columns x, y, z that 
 COORDINATES = ("x", "y", "z", "depth", "deflection", "deflection_z", "guide")
 SEVERAL = (*VECTORS, "boundaries", "guide", "needle")  # meanings that may have several columns
 POINTS = ("shapes", "tips", "tracks")  # rows that hold points
-UNIT_HEADERS = ("unit", "units")
 EXCLUDED = "excluded"  # the word of rows that are left out
 MIN_NEEDLE_GPA = 1.0  # GPa, below which a modulus may be that of the tissue
 MAX_FLAGS = 4  # values of a column that may mark rows to be left out
@@ -424,7 +423,7 @@ class TableDraft:
     def _name_unused(self) -> None:
         """Name columns that nothing uses; numbers under an unknown header are assumed to mean nothing."""
         for n, header in enumerate(self.headers):
-            if n not in self.used and self._list_texts(n) and header.text.casefold() not in UNIT_HEADERS:
+            if n not in self.used and self._list_texts(n) and header.text.casefold() not in UNIT_FIELDS:
                 self.draft.unused.append((f"column {self._name(n)}", self.where))
         names = [self._name(n) for n in self._list_unknown()]
         for name in names:
@@ -439,7 +438,7 @@ class TableDraft:
             texts = self._list_texts(n)
             numbers = [self.table.number(text) for text in texts]
             is_count = not header.text and numbers == [*range(1, len(numbers) + 1)]
-            is_known = header.meaning or header.axis or is_count or header.text.casefold() in UNIT_HEADERS
+            is_known = header.meaning or header.axis or is_count or header.text.casefold() in UNIT_FIELDS
             if n not in self.used and self._name(n) not in unused and texts and not is_known:
                 unknown += [n] if all(map(_QUANTITY.fullmatch, texts)) else []
         return unknown
@@ -478,7 +477,7 @@ class TableDraft:
             and "unit_column" not in record
         ):
             column = next(
-                (n for n, text in enumerate(self.table.headers) if text.casefold() in UNIT_HEADERS), None
+                (n for n, text in enumerate(self.table.headers) if text.casefold() in UNIT_FIELDS), None
             )
             if column is not None and self._list_texts(column):
                 record["unit_column"] = self._name(column)

@@ -251,6 +251,14 @@ def _read_points(one: MappedTable, left_out: list[str]) -> Iterator[ImportedCurv
         measured, missing = _list_measured(one, own, cells)
         if missing:
             left_out.append(f"{missing} of {name or one.table.name}")
+        if len(measured) == 1 and one.record.holds == "shapes":
+            fix = f"import the tips by themselves: {one.name_edit('holds', 'tips')}"
+            if len(rows) < len(one.kept_rows):  # others are shapes
+                fix = "move the tips to a file of their own, and import that one by itself"
+            raise refusal(f"""{name or one.table.name} has one point: it is a tip, and no shape
+                expected: the points of each needle from the entry to the tip
+                fix: {fix}
+                where: {one.table.places[measured[0].row]}""")
         if measured:
             yield _make_curve(one, name, measured, tuple(cells), is_deflection)
 
@@ -308,7 +316,7 @@ def _make_curve(
     depths = [one.read_number("depth", n, one.read_cells("depth")[n][0]) for n in rows] if is_track else []
     if is_track or is_deflection:
         stated.pop("depth", None)
-    curve = ImportedCurve(
+    return ImportedCurve(
         name or one.table.name,
         Points(one.table.path, values, lines, _read_sds(one, rows)),
         one.record.holds,
@@ -318,12 +326,6 @@ def _make_curve(
         _read_guide(one, rows),
         is_named=bool(name),
     )
-    if curve.holds == "shapes" and len(rows) < 2:
-        raise refusal(f"""{curve.name} has one point: it is a tip, and no shape
-            expected: the points of each needle from the entry to the tip
-            fix: import the tips by themselves: {one.name_edit("holds", "tips")}
-            where: {one.table.places[rows[0]]}""")
-    return curve
 
 
 def _read_sds(one: MappedTable, rows: Sequence[int]) -> Floats | None:

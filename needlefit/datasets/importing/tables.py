@@ -28,7 +28,7 @@ MAX_TABLE_BYTES = 16 * 2**20  # of a text table
 MAX_TABLE_CELLS = 1_000_000  # of any table; empty cells count
 MAX_SHEET_BYTES = 64 * 2**20
 MAX_CELL_CHARS = 500  # longer text is no header and no number; the rest of it is dropped
-UNIT_FIELDS = ("unit", "units")  # names of fields beside a curve, in lower case
+UNIT_FIELDS = ("unit", "units")  # names of columns and of fields beside a curve, in lower case
 EXPORT_FIX = "export the points as CSV, one a row, with columns needle, x, y, z and the unit in the headers"
 EXPORT_FIXES = {
     **dict.fromkeys((".vtk", ".vtp", ".vtu"), "in ParaView: File, Save Data, CSV, a needle a file"),
