@@ -24,7 +24,7 @@ const NEEDLE = [
 const TIP_Z = NEEDLE.findIndex(([name]) => name === "tip z");
 
 /** Put readouts into a list; returns what writes them from a state, dashes without one. */
-export function fillReadouts(list, readouts) {
+function fillReadouts(list, readouts) {
   const numbers = readouts.map(([name, unit]) => {
     const number = element("span", {}, "–");
     list.append(entry(define(name), [number, " ", element("small", {}, unit)]));

@@ -106,7 +106,7 @@ function sees(x, y) {
   return px >= 0 && px <= width && py >= 0 && py <= height;
 }
 
-export const seesTip = () => sees(now.state.tip.x, now.state.tip.y);
+const seesTip = () => sees(now.state.tip.x, now.state.tip.y);
 
 /**
  * Keep the needle in sight: fit again once it leaves the room it has, or is small in it.
