@@ -12,8 +12,8 @@ from needlefit.project.locate import shipped_folder
 FOLDER = shipped_folder() / "studies"
 SCRIPTS = [*sorted(FOLDER.glob("*.py")), shipped_folder() / "docs/examples/openigtlink.py"]
 ANALYSES = (
-    *("adaptation", "calibration", "calibration_synthetic", "comparison", "next_insertion", "seeds"),
-    "sensitivity",
+    *("adaptation", "calibration", "calibration_synthetic", "closed_loop", "comparison", "next_insertion"),
+    *("seeds", "sensitivity"),
 )
 PUBLIC = {"needlefit", "needlefit.api"}
 
