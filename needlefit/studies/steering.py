@@ -264,7 +264,7 @@ class Steering:
 
     def plan(
         self,
-        target: Sequence[float],
+        target: Sequence[float] | Floats,
         obstacles: Sequence[ObstacleRecord] = (),
         *,
         radius: float = 1.0,
@@ -282,7 +282,7 @@ class Steering:
             self.needle, self.tissue, self.rules, self._session.input_path(),
             self._draws.to_parameters(self._draws.choose(len(self._draws.at))),
         )  # fmt: skip
-        goal = Goal(tuple(target), radius, tuple(obstacles))
+        goal = Goal(tuple(map(float, target)), radius, tuple(obstacles))
         return plan_again(insertion, goal, limits or PlanLimits(turns=1), threads=1)
 
     def jacobian(self, depth: float | None = None) -> Floats:
