@@ -383,6 +383,7 @@ def draw_population(
     chains = None if sampler is None else sampler(population.log_density, model.list_quantities(), found)
     if chains is not None and not (chains.faults and found.certified):
         at, ess, source = thin_chains(chains, count), float(chains.ess.min()), "posterior"
+        at = np.resize(at, (count, at.shape[1]))  # repeated where a chain that has not converged has fewer
         faults = tuple(f"{of}: {fault}" for fault in chains.faults)
     means, covariances = population.split(at)
     tuned = {}
