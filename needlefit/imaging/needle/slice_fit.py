@@ -228,14 +228,14 @@ def _make_problem(
     basis = _basis(knots)
     stations = np.arange(x[0], x[-1] + BEYOND_MM, LINE_STATION_MM)
     at = _extend(basis, stations)
-    # where the axis follows a staircase from slice to slice, its parabola does not
+    # where the axis follows a staircase from slice to slice, or rays that pull it aside, polynomials do not
     places, weights = np.column_stack([x, y, z]), np.ones(len(x))
     if hub is not None:  # its shadow pulls the axis aside where it begins
         places = np.vstack([places[x > x[0] + SHADOW_MM], hub.ends[1:]])
         weights = np.append(np.ones(len(places) - 1), HUB_WEIGHT)
     fit = np.polynomial.Polynomial.fit
     z = fit(places[:, 0], places[:, 2], 2, w=weights)(x)
-    y = y if hub is None else fit(places[:, 0], places[:, 1], 3, w=weights)(x)
+    y = fit(places[:, 0], places[:, 1], 3, w=weights)(x)
     start: Floats = np.asarray(np.linalg.lstsq(_extend(basis, x), np.column_stack([y, z]))[0], float)
     line = np.arange(-LINE_REACH_MM, LINE_REACH_MM + 1e-6, LINE_STEP_MM)
     height = at @ start[:, 1] / thick
