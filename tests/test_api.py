@@ -124,7 +124,7 @@ def test_alpha_is_freed_where_draws_alone_show_that_it_moves_points(dataset, mon
 
     monkeypatch.setattr(optimize, "measure_shifts", record)
     monkeypatch.setattr(fold_draws, "measure_shifts", record)
-    monkeypatch.setattr(fold_draws, "SHIFT_DRAWS", 20)
+    monkeypatch.setattr(fold_draws, "SHIFT_DRAWS", 60)
 
     def fit(**changes):
         run = needlefit.fit(dataset, "chicken", tune=TUNE, recipe=RECIPE, name="one", jobs=1, **changes)
