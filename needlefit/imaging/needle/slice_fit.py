@@ -40,6 +40,9 @@ LINE_REACH_MM = 2.4  # mm
 LINE_STEP_MM = 0.4  # mm
 LINE_STATION_MM = 1.0  # mm, between lines along the needle
 RIM_MM = 1.7  # mm
+# Where a fit ends farther from the middle of these lines, they are laid anew; so many fits at most.
+MAX_ASIDE_MM = 0.4  # mm
+MAX_FITS = 2  # fits
 # Stations whose trend leads on to the end, that far ahead; slices on either side; a dark gap that ends it.
 END_STATIONS = 12  # stations
 AHEAD_STATIONS = 25  # stations
@@ -141,11 +144,17 @@ def place_in_slices(
     x, y, z = ((points - origin) @ frame.T).T
     hub = find_hub(volume, points, needle.diameter_mm)
     hub = hub and replace(hub, ends=(hub.ends - origin) @ frame.T)
-    problem = _make_problem(volume, needle, frame, origin, (x, y, z), knot, spread, hub)
-    if problem is None:
-        return None
-    theta, covariance, error = problem.solve()
-    across, along, (end, roll), _ = problem.split(theta)
+    for _ in range(MAX_FITS):
+        problem = _make_problem(volume, needle, frame, origin, (x, y, z), knot, spread, hub)
+        if problem is None:
+            return None
+        theta, covariance, error = problem.solve()
+        across, along, (end, roll), _ = problem.split(theta)
+        if np.abs(problem.at @ (across - problem.start[:, 0])).max() < MAX_ASIDE_MM:
+            break
+        # the needle lies where its surroundings were looked for: sample the slices around it
+        y, z = (_extend(_basis(problem.knots), x) @ np.stack([across, along], axis=1)).T
+    assert problem is not None
     rolled = needle.bevel_deg < MAX_BEVEL_DEG
     count, end = len(across), float(x[-1] + end) + POINT_MM * rolled
     variances = np.stack([covariance[:count, :count], covariance[count : 2 * count, count : 2 * count]])
