@@ -562,12 +562,13 @@ def test_one_of_two_tools_may_be_the_guide(tmp_path, guide):
 @pytest.mark.parametrize(
     ("head", "rows", "holes", "ends"),
     [
-        # one depth of each needle; several of each; without names; along y and z; toward the bevel
+        # one depth of each needle; several of each; without names; along y and z; toward the bevel; in percents
         ("needle,depth,deflection", ["a,40,2.5", "b,60,5"], ["a", "b"], [(2.5, None), (5, None)]),
         ("needle,depth,deflection", ["a,40,2.5", "a,60,5"], ["a", "a"], [(2.5, None), (5, None)]),
         ("Tiefe [cm],Auslenkung [cm]", ["4,.2", "4,.3", "6,.5"], [""] * 3, [(2, None), (3, None), (5, None)]),
         ("needle,depth,tip y,tip z", ["a,40,2.5,1", "b,60,5,-1"], ["a", "b"], [(2.5, 1), (5, -1)]),
         ("needle,depth,deflection,side", ["a,40,2.5,1", "b,60,5,-1"], ["a", "b"], [(2.5, None), (-5, None)]),
+        ("needle,depth [cm],y [%],z [%]", ["a,4,2.5,1", "b,6,5,-1"], ["a", "b"], [(1, 0.4), (3, -0.6)]),
     ],
 )
 def test_a_table_of_depths_and_deflections_is_of_tips(tmp_path, head, rows, holes, ends):

@@ -45,6 +45,7 @@ from needlefit.schemas.mapping import MappingRecord, MeaningRecord, TableRecord
 MAX_CURVES = 2000  # of an import, and as many files: more is a wrong folder
 MAX_NAME_CHARS = 60
 MAX_LISTED_NAMES = 4  # of needles in a message
+ACROSS = ("deflection", "deflection_z")  #: meanings whose numbers may be percents of the depth
 UNITS_PER_MM = {f"1/{unit}": 1.0 / factor for unit, factor in UNITS_MM.items()}  # of curvatures
 FACTORS = UNITS_MM | UNITS_PER_MM
 
@@ -121,6 +122,9 @@ class MappedTable:
         """Return by what numbers are multiplied to be in mm or 1/mm."""
         usual = MEANINGS[meaning].unit
         unit = self.read_unit(meaning, n) or usual
+        if unit == "%" and meaning in ACROSS and (depth := self.read_cells("depth")[n]):
+            percent = self.read_number("depth", n, depth[0]) / 100  # of the depth of the row
+            return percent * self.record.columns[meaning].sign
         known = (1.0, unit) if unit in FACTORS else read_quantity(unit)
         number, plain = known or (1.0, unit)  # `0.07 mm` of a pixel
         if plain not in FACTORS or plain.startswith("1/") != usual.startswith("1/"):
