@@ -562,7 +562,7 @@ def test_one_of_two_tools_may_be_the_guide(tmp_path, guide):
 @pytest.mark.parametrize(
     ("head", "rows", "holes", "ends"),
     [
-        # one depth of each needle; several of each; without names; along y and z; toward the bevel; in percents
+        # one depth of each needle; several of each; without names; along y and z; toward the bevel; in %
         ("needle,depth,deflection", ["a,40,2.5", "b,60,5"], ["a", "b"], [(2.5, None), (5, None)]),
         ("needle,depth,deflection", ["a,40,2.5", "a,60,5"], ["a", "a"], [(2.5, None), (5, None)]),
         ("Tiefe [cm],Auslenkung [cm]", ["4,.2", "4,.3", "6,.5"], [""] * 3, [(2, None), (3, None), (5, None)]),

@@ -45,7 +45,7 @@ from needlefit.schemas.mapping import MappingRecord, MeaningRecord, TableRecord
 MAX_CURVES = 2000  # of an import, and as many files: more is a wrong folder
 MAX_NAME_CHARS = 60
 MAX_LISTED_NAMES = 4  # of needles in a message
-ACROSS = ("deflection", "deflection_z")  #: meanings whose numbers may be percents of the depth
+ACROSS = ("deflection", "deflection_z", "y", "z")  #: meanings whose numbers may be percents of the depth
 UNITS_PER_MM = {f"1/{unit}": 1.0 / factor for unit, factor in UNITS_MM.items()}  # of curvatures
 FACTORS = UNITS_MM | UNITS_PER_MM
 
