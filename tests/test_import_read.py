@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from import_cases import (
     curves_of,
@@ -170,14 +171,28 @@ def test_a_label_in_the_first_row_of_a_block_is_filled_down(tmp_path, count):
     assert "fill_down" not in assert_read([file], needles[:1], holds="shapes").tables[0]
 
 
-def test_a_tip_beside_shapes_is_refused_with_what_to_do(tmp_path):
-    rows = [*long_rows(), ["n4", 50, 2, 0]]
-    error = refusal(DataError, "n4 has one point", prepare, [write_rows(tmp_path / "a.csv", rows)])
-    assert error.where.endswith(f"a.csv:{len(rows)}") and "file of their own" in error.fix
-    tips = write_rows(tmp_path / "b.csv", [rows[0], *([name, 40 + n, 2, 0] for n, name in enumerate("pq"))])
-    assert [row.depth for row in prepare([tips], pose="1,0,0", bevel="0,1,0", unit="mm").plan.rows] == [
-        40,
-        41,
+def test_tips_beside_shapes_are_needles_of_one_dataset(tmp_path):
+    rows = [[f"n{n}", *point] for n, one in enumerate(NEEDLES, 1) for point in one - one[0]]
+    rows, tips = [["needle", "x", "y", "z"], *rows], [["n4", 50, 2, 0.5], ["n5", 60, -3, 0]]
+    stated = {"pose": "1,0,0", "bevel": "0,1,0", "unit": "mm"}
+    one = write_rows(tmp_path / "a.csv", [*rows, *tips])
+    two = [write_rows(tmp_path / "b.csv", rows), write_rows(tmp_path / "c.csv", [rows[0], *tips])]
+    for files in ([one], two):
+        folder = write_placed(tmp_path / f"{len(files)}", files, **stated)
+        data = inspect(folder).dataset
+        assert [one.id for one in data.insertions] == ["n1", "n2", "n3", "n4", "n5"]
+        assert len([*(folder / "centerlines").iterdir()]) == 3
+        table = pd.read_csv(folder / "insertions.csv").set_index("id").loc[["n4", "n5"]]
+        assert table[["depth_mm", "tip_y_mm", "tip_z_mm"]].to_numpy().tolist() == [[50, 2, 0.5], [60, -3, 0]]
+    assert "n4, n5" in refusal(DataError, "--set pose", prepare, [one], unit="mm").what
+    cut = write_rows(tmp_path / "f.csv", [*rows, ["n6", "", "", ""], ["n6", 50, 2, 0], ["n6", "", 1, 0]])
+    refusal(DataError, "n6 has one point", prepare, [cut], tables__1__if_missing="leave_out", **stated)
+    far = write_rows(tmp_path / "e.csv", [*long_rows(), *tips])  # n3 begins 6 mm from the origin
+    refusal(DataError, "--set entry_point", prepare, [far], **stated)
+    alone = write_rows(tmp_path / "d.csv", [rows[0], *tips])
+    assert [row.depth for row in prepare([alone], **stated).plan.rows] == [
+        50,
+        60,
     ]
 
 

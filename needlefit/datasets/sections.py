@@ -138,10 +138,9 @@ def from_record(record: SectionsRecord) -> SplineSections:
 def describe_measurement(dataset: Dataset) -> str:
     """Return what the measurement of a dataset does to shapes, for people."""
     stated = dataset.measurement
-    if words := [
-        MEASURED[one] for one in {each.observed: 0 for each in dataset.insertions} if one in MEASURED
-    ]:
-        return "; ".join(words)
+    kinds = dict.fromkeys(one.observed for one in dataset.insertions)
+    if any(kind in MEASURED for kind in kinds):
+        return "; ".join(MEASURED.get(kind, "shapes") for kind in kinds)
     if stated.operator == "gaussian":
         return f"points smoothed along the needle by a Gaussian of SD {stated.width_mm:g} mm"
     if stated.operator == "unknown":

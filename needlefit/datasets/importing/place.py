@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -82,48 +83,63 @@ class Planner(CurveAnswers):
         DataError if a question has no clear answer, or what is stated contradicts the files.
         """
         kinds = {one.holds for one in self.curves}
-        if len(kinds) > 1:
+        is_track = "tracks" in kinds
+        if is_track and len(kinds) > 1:
             raise refusal(f"""the needles hold {" and ".join(sorted(kinds))}
-                expected: one kind of measurement in a dataset
-                fix: import each kind by itself
+                expected: tracks alone; or shapes, tips and curvatures
+                fix: import the tracks by themselves
                 where: {self.curves[0].points.where()}""")
-        (holds,) = kinds
         for curve in self.curves:
             refuse_stray_points(curve)
-        if holds != "tracks":
+        if not is_track:
             self.refuse_moved_guide()
-        if holds in ("tips", "curvatures"):
+            self.curves.sort(key=lambda one: one.holds != "shapes")
             split_tips(self)
         sds = self.each("point_sd")
         other = next((one for one in sds if one.shown != sds[0].shown), None)
-        if other is not None and holds != "tips":
+        if other is not None and kinds != {"tips"}:
             raise other.error(
                 "point_sd", f"{sds[0].shown}, as of the others, or a column sd beside the points"
             )
         own_sds = [one.to_number("point_sd", is_above=True) for one in sds]
         sd = min(own_sds)
-        if holds != "shapes":
-            pose = "tracker" if holds == "tracks" else "known"
-            rows = make_tracks(self) if holds == "tracks" else make_tips(self, own_sds)
+        if is_track:
+            pose, rows = "tracker", make_tracks(self)
             depths = self.settle_layers()
             needles = self.settle_needles([row.depth for row in rows])
-            rows = rows if holds == "tracks" else set_layers(rows, depths)
         else:
-            self.require_order()
-            self.settle_entry()
-            poses = self.settle_pose()
-            pose = "free" if poses[0].text == "free" else "known"
-            entries = self.settle_entry_points(poses)
+            count = sum(one.holds == "shapes" for one in self.curves)
+            shapes, others = self.part(self.curves[:count]), self.part(self.curves[count:])
+            pose, poses, entries = "known", list[Stated](), list[Floats | None]()
+            without = join_names([one.name for one in others.curves], 5) if others.curves else ""
+            if count and without:
+                self.settler.note("without a shape", without)
+            if count:
+                shapes.require_order()
+                shapes.settle_entry()
+                poses = shapes.settle_pose(without)
+                pose = "free" if poses[0].text == "free" else "known"
+                entries = shapes.settle_entry_points(poses, without)
+            tips = make_tips(others, own_sds[count:]) if others.curves else []
             depths = self.settle_layers()
-            needles = self.settle_needles([one.length for one in self.curves])
-            rows = self.make_rows(poses, entries, sd, depths, needles)
+            needles = self.settle_needles(
+                [*(one.length for one in shapes.curves), *(row.depth for row in tips)]
+            )
+            rows = shapes.make_rows(poses, entries, sd, depths[:count], needles[:count]) if count else []
+            rows += set_layers(tips, depths[count:])
         if any(depths) or self.surfaces:
             errors = [one.to_number("boundary_sd") for one in self.each("boundary_sd")]
             rows = [replace(row, boundary_sd=own) for row, own in zip(rows, errors, strict=True)]
-        rows = self.add_names(rows, is_track=holds == "tracks")
-        rows, parameters = self.settle_guide_distance(rows, needles, is_track=holds == "tracks")
+        rows = self.add_names(rows, is_track=is_track)
+        rows, parameters = self.settle_guide_distance(rows, needles, is_track=is_track)
         plan = replace(self.assemble(rows, pose, sd, depths, needles), choices=FirstChoices({}, parameters))
-        return choose_track_study(self, plan) if holds == "tracks" else plan
+        return choose_track_study(self, plan) if is_track else plan
+
+    def part(self, curves: list[ImportedCurve]) -> "Planner":
+        """Return the planner of some curves, with the same answers and surfaces."""
+        part = copy(self)
+        part.curves = curves
+        return part
 
     def assemble(
         self,
@@ -185,22 +201,26 @@ class Planner(CurveAnswers):
 
     # ---- entry and pose
 
-    def settle_pose(self) -> list[Stated]:
-        """Return for each needle `free`, `shaft` or a direction; the hint is the one that fits them all."""
+    def settle_pose(self, without: str) -> list[Stated]:
+        """Return for each needle `free`, `shaft` or a direction; the hint is the one that fits them all.
+
+        `without`: names of the other needles, which have no shape and need a direction.
+        """
         chords = np.array([one.line[-1] - one.line[0] for one in self.curves])
         chord = chords.sum(axis=0)
         fitted = fit_direction([one.line for one in self.curves])
         along, how = format_direction(normalize(chord)) if chord.any() else "X,Y,Z", "as the needles run"
         if fitted is not None:
             along, how = fitted.describe(), f"which fits all needles; pose_angle_sd={fitted.sd_deg:.2g} deg"
-        reason = f"not stated; pose={along} ({how}) if a stage pushed all needles in one direction"
-        is_posed = bool(self.surfaces) or any(one.turns or one.sensors for one in self.curves)
+        reason = f"{without} without a shape" if without else "not stated"
+        reason += f"; pose={along} ({how}) if a stage pushed all needles in one direction"
+        is_posed = bool(without or self.surfaces) or any(one.turns or one.sensors for one in self.curves)
         poses = self.each("pose", usual="" if is_posed else "free", reason=reason)
         kinds = {one.text if one.text in ("free", "shaft") else "direction" for one in poses}
         if len(kinds) > 1:
             raise poses[0].error("pose", "directions of all needles, or shaft or free of all")
         if kinds == {"free"} and is_posed:
-            raise poses[0].error("pose", f"{along} or shaft, of surfaces, turns and curvatures")
+            raise poses[0].error("pose", f"{along} or shaft, of surfaces, turns, curvatures and tips")
         for pose, own in zip(poses, chords, strict=True) if kinds == {"direction"} else ():
             run = chord if len({one.text for one in poses}) == 1 else own  # one direction is that of the mean
             cosine = normalize(pose.to_vector("pose")) @ run / (np.linalg.norm(run) or 1.0)
@@ -222,8 +242,11 @@ class Planner(CurveAnswers):
         gaps = np.array([np.linalg.norm(one.line[[0, -1]] - place, axis=1) for one in self.curves])
         return bool(np.all(gaps[:, 0] < gaps[:, 1]))
 
-    def settle_entry_points(self, poses: Sequence[Stated]) -> list[Floats | None]:
-        """Return where each tip first touched the tissue, None: at the first point; cut the curves there."""
+    def settle_entry_points(self, poses: Sequence[Stated], without: str) -> list[Floats | None]:
+        """Return where each tip first touched the tissue, None: at the first point; cut the curves there.
+
+        `without`: names of the other needles, which have no shape, hence no first point.
+        """
         stated = {one.name: one.stated["depth"] for one in self.curves if "depth" in one.stated}
         depths = {name: one.to_number("depth") for name, one in stated.items()}
         surfaces = {one.name: one for one in self.surfaces}
@@ -239,6 +262,12 @@ class Planner(CurveAnswers):
             reason = f"{longer[0].name} is {longer[0].length:.1f} mm long, and {place}"
         elif poses[0].text == "shaft" or surfaces:
             guess, reason = "", "nothing states where the tissue begins"
+        elif without:
+            starts = np.array([np.linalg.norm(one.line[0]) for one in self.curves])
+            guess = "0,0,0" if starts.max() <= MIN_CUT_MM else ""
+            reason = (
+                f"the shapes begin up to {starts.max():.2g} mm from the origin; {without} without a shape"
+            )
         answers = self.each("entry_point", usual=guess, reason=reason, is_sure=guess == "depth")
         entries, cut, missed = list[Floats | None](), list[float](), list[str]()
         for one, answer in zip(self.curves, answers, strict=True):
@@ -267,7 +296,7 @@ class Planner(CurveAnswers):
             raise next(iter(used.values())).error("entry_point", expected)
         if cut:
             self.settler.note("shaft", f"{min(cut):.1f} to {max(cut):.1f} mm before the entry point cut off")
-        self.surfaces = [one for one in self.surfaces if one.name not in used]
+        self.surfaces[:] = [one for one in self.surfaces if one.name not in used]
         for one in self.curves:
             depth = depths.get(one.name, one.length)
             if abs(depth - one.length) > find_length_tolerance(depth):

@@ -255,16 +255,15 @@ def _read_points(one: MappedTable, left_out: list[str]) -> Iterator[ImportedCurv
         measured, missing = _list_measured(one, own, cells)
         if missing:
             left_out.append(f"{missing} of {name or one.table.name}")
-        if len(measured) == 1 and one.record.holds == "shapes":
-            fix = f"import the tips by themselves: {one.name_edit('holds', 'tips')}"
-            if len(rows) < len(one.kept_rows):  # others are shapes
-                fix = "move the tips to a file of their own, and import that one by itself"
+        is_point = len(measured) == 1 and one.record.holds == "shapes"
+        if is_point and (len(own) > 1 or len(rows) == len(one.kept_rows)):  # cut short; or no shape at all
             raise refusal(f"""{name or one.table.name} has one point: it is a tip, and no shape
                 expected: the points of each needle from the entry to the tip
-                fix: {fix}
+                fix: complete its points; or, if the table holds tips alone: {one.name_edit("holds", "tips")}
                 where: {one.table.places[measured[0].row]}""")
         if measured:
-            yield _make_curve(one, name, measured, tuple(cells), is_deflection)
+            curve = _make_curve(one, name, measured, tuple(cells), is_deflection)
+            yield replace(curve, holds="tips") if is_point else curve  # a tip beside shapes
 
 
 def _read_names(one: MappedTable) -> list[str]:

@@ -17,9 +17,15 @@ from needlefit.geometry.frames import IDENTITY_FRAME, Frame, make_entry_frame
 
 
 def split_tips(asked: CurveAnswers) -> None:
-    """Make an insertion of each depth of a tip; those of a needle that is named are of one hole, its own."""
+    """Make an insertion of each depth of a tip; those of a needle that is named are of one hole, its own.
+
+    Shapes stay as they are.
+    """
     insertions: dict[str, ImportedCurve] = {}
     for curve in asked.curves:
+        if curve.holds == "shapes":
+            insertions[curve.name] = curve
+            continue
         count = len(curve.line)
         for n in range(max(count, 1)):
             points, stated = curve.points.part(np.arange(n, min(n + 1, count))), dict(curve.stated)

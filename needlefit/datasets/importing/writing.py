@@ -66,7 +66,6 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, mapping: 
     }
     if plan.needles:
         draft["needles"] = {name: one.model_dump() for name, one in plan.needles.items()}
-    points = {one.name: one.points for one in content.curves}
     if plan.pose == "tracker":
         file = _write_tracks(folder, content, plan, draft)
     else:
@@ -83,11 +82,10 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, mapping: 
         if any(row.curvature is not None for row in plan.rows):
             beside["curvature"] = CURVATURE_FILE
         draft |= {"frame": {"pose": plan.pose}, "insertions": {"file": "insertions.csv", **beside}}
-        has_shapes = all(row.tip_y is None and len(points[row.id].values) for row in plan.rows)
-        if has_shapes:
+        curves = {one.name: one.points.to_columns() for one in content.curves if one.holds == "shapes"}
+        if curves:
             draft["centerlines"] = {"pattern": "centerlines/{id}.csv"}
         record = check_record(draft, DatasetRecord, str(first))
-        curves = {name: one.to_columns() for name, one in points.items()} if has_shapes else {}
         file = write_dataset(folder, record, plan.rows, curves, surfaces, checksums=False)
     file.write_bytes((_NOTE + file.read_text(encoding="utf-8")).encode("utf-8"))
     places = _list_places(content.curves)
