@@ -83,6 +83,9 @@ def test_a_lab_ends_in_an_answer(lab, quick, capsys):
     for command in commands:
         code = run(*command)
         assert code == 0, "".join(capsys.readouterr())
+    if lab.name == "tracker":
+        checks = pd.read_csv("reports/lab_study/checks.csv").set_index("check")
+        assert checks.loc["closer_than_curves", "passed"] in (True, "True")
     fit = "lab_fit" if lab.name == "one" else "lab_study-tune"
     for name, (low, high) in read_intervals(fit).items():
         assert low < TRUTH[name] < high, (name, low, high)

@@ -145,11 +145,16 @@ def is_guided(curve: ImportedCurve) -> bool:
 def choose_track_study(asked: CurveAnswers, plan: "ImportPlan") -> "ImportPlan":
     """Return a plan with what a study of tracks needs beside them.
 
-    That is how much the directions of runs differ, and which readings place a predicted run.
+    That is how much the directions of runs differ, which readings place a predicted run, and which
+    difference of errors does not matter where one fit is compared.
     """
     shallowest = min(float(one.depths[-1] - one.depths[0]) for one in asked.curves)
     usual = f"{PLACING_PART * shallowest:.3g}"
     depth = asked.settle("registration_depth", usual, "a third of the shallowest run; deeper ones are scored")
-    study = {"registration_depth_mm": depth.to_number("registration_depth", is_above=True)}
+    study = {
+        "registration_depth_mm": depth.to_number("registration_depth", is_above=True),
+        "margin_mm": plan.point_sd_mm,
+        "margin_for": "the error of a reading",
+    }
     sds = [one.to_number("pose_angle_sd", "deg", is_above=True) for one in asked.each("pose_angle_sd")]
     return replace(plan, choices=replace(plan.choices, study=study), slope_sd_deg=max(sds))
