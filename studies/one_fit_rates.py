@@ -52,11 +52,9 @@ def simulate_needles(
     shared, own = rng.standard_normal((count, 3, 1)), rng.standard_normal((count, 3, needles))
     off = error * (np.sqrt(correlation) * shared + np.sqrt(1 - correlation) * own)
     if (gaps := CASES[case]) is not None:  # the true tip errors are exactly these
-        ours, *others = NOISE_FLOOR * np.array(
-            [max(0.0, -min(gaps)), *(gap - min(0.0, *gaps) for gap in gaps)]
-        )
+        added = NOISE_FLOOR * (np.array([0.0, *gaps]) - min(0.0, *gaps))
         mean = np.sqrt(np.mean(off**2, axis=2, keepdims=True))
-        off *= (mean[:, :1] + np.array([ours, *others])[:, None]) / mean
+        off *= (mean[:, :1] + added[:, None]) / mean
     own, shared = rng.standard_normal((count, 1, needles)), rng.standard_normal((count, 1, 1))
     return off - np.sqrt(1 - registration) * own - np.sqrt(registration) * shared
 
@@ -94,8 +92,7 @@ def judge_one_fit(count: int) -> pd.DataFrame:
     for *setting, case in product(NEEDLES, CORRELATIONS, ERRORS, REGISTRATIONS, CASES):
         rng = np.random.default_rng([round(10 * one) for one in setting])
         off, registration = simulate_needles(rng, count, *setting, case), setting[-1]
-        words = judge_needles(off, registration)
-        table = tabulate_needles(off[0], registration)
+        words, table = judge_needles(off, registration), tabulate_needles(off[0], registration)
         found = api.compare_with_references(table, "fitted", NOISE_FLOOR).outcome
         if {"closer by one needle": "closer than both"}.get(found, found) != words[0]:
             raise SystemExit(f"the program has another rule: {found}, not {words[0]}")
