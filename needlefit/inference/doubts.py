@@ -62,16 +62,8 @@ class Hypothesis(NamedTuple):
     in_space: bool = False  #: whether it is seen along z alone
 
 
-def _turn(points: Floats, degrees: float, axis: int) -> Floats:
-    turned = points.copy()
-    turned[:, axis] -= math.tan(math.radians(degrees)) * points[:, 0]
-    return turned
-
-
-def _shift(points: Floats, size: float, axis: int) -> Floats:
-    shifted = points.copy()
-    shifted[:, axis] -= size
-    return shifted
+def _turn(points: Floats, degrees: float, *toward: int) -> Floats:
+    return points - math.tan(math.radians(degrees)) * points[:, :1] * np.array(toward)
 
 
 #: by cause
@@ -83,10 +75,12 @@ HYPOTHESES: Mapping[str, Hypothesis] = {
         (math.log(0.05), math.log(20.0)),
         lambda size, count: -count * size,
     ),
-    "turned": Hypothesis(lambda points, size: _turn(points, size, 1), (-15.0, 15.0)),
-    "turned_aside": Hypothesis(lambda points, size: _turn(points, size, 2), (-15.0, 15.0), in_space=True),
-    "shifted": Hypothesis(lambda points, size: _shift(points, size, 1), (-20.0, 20.0)),
-    "shifted_aside": Hypothesis(lambda points, size: _shift(points, size, 2), (-20.0, 20.0), in_space=True),
+    "turned": Hypothesis(lambda points, size: _turn(points, size, 0, 1, 0), (-15.0, 15.0)),
+    "turned_aside": Hypothesis(
+        lambda points, size: _turn(points, size, 0, 0, 1), (-15.0, 15.0), in_space=True
+    ),
+    "shifted": Hypothesis(lambda points, size: points - [0, size, 0], (-20.0, 20.0)),
+    "shifted_aside": Hypothesis(lambda points, size: points - [0, 0, size], (-20.0, 20.0), in_space=True),
 }
 
 
@@ -113,21 +107,12 @@ def find_doubts(problem: Problem, theta: Floats) -> list[NeedleDoubtMetadata]:
         odd.append(worst)
         if len(odd) > MAX_ODD_PART * len(every):
             return []
-    kept = sorted((k for k in odd if sds[k] >= MIN_ODD_SD), key=lambda k: -sds[k])
+    with_it, without_it = _list_values(problem, fitted), _list_values(problem, theta)
     doubts = []
-    for k in kept:
+    for k in sorted((k for k in odd if sds[k] >= MIN_ODD_SD), key=lambda k: -sds[k]):
         cause, size = _find_cause(problem, every[k], theta, found[k])
-        with_it, without_it = (_list_values(problem, at) for at in (fitted, theta))
-        doubts.append(
-            NeedleDoubtMetadata(
-                insertion=every[k].id,
-                sds=sds[k],
-                cause=cause,
-                size=size,
-                with_it=with_it,
-                without_it=without_it,
-            )
-        )
+        about = {"insertion": every[k].id, "sds": sds[k], "cause": cause, "size": size}
+        doubts.append(NeedleDoubtMetadata(**about, with_it=with_it, without_it=without_it))
     return doubts
 
 
