@@ -10,6 +10,7 @@ from needlefit.arrays import Floats
 from needlefit.errors import ConfigError, ModelError
 from needlefit.inference.draw_simulation import simulate_scene_draws
 from needlefit.inference.forward_model import tabulate_sets
+from needlefit.inference.identifiability.directions import NORMAL_95_HALF_WIDTH_SD
 from needlefit.inference.parameters import Parameters
 from needlefit.inference.predict import draw_from_prior
 from needlefit.mechanics.moduli import PublishedModulus, read_moduli
@@ -19,7 +20,6 @@ from needlefit.schemas.medium import BEVEL_BOUNDS, MediumRecord
 from needlefit.schemas.scene import Advance
 
 DRAWS = 1000
-NORMAL_95 = 1.96  # SD: half of a 95 % interval
 MODULUS_BOUNDS_PA = (10.0, 1e8)  # beyond all soft tissues and gels
 # The bevel's parameter before any fit: its median, in mm or degrees, and its factor of 1 SD. The paper's
 # needles have b of 0.03 to 0.085 mm.
@@ -63,7 +63,7 @@ def describe_published(moduli: Sequence[PublishedModulus], layers: int, advance:
     parameters: dict[str, object] = {}
     for n, one in enumerate(list(moduli) * (layers if len(moduli) == 1 else 1), start=1):
         low, high = one.shear_pa
-        prior = {"median": math.sqrt(low * high), "factor": (high / low) ** (0.5 / NORMAL_95)}
+        prior = {"median": math.sqrt(low * high), "factor": (high / low) ** (0.5 / NORMAL_95_HALF_WIDTH_SD)}
         parameters[f"mu{n}_pa"] = {"bounds": MODULUS_BOUNDS_PA, "prior": prior}
     bevel = "cut_angle_deg" if advance == "path_angle" else "bevel_mm"
     median, factor = BEVEL_PRIORS[bevel]

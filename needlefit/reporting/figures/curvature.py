@@ -3,6 +3,7 @@
 import pandas as pd
 from matplotlib.figure import Figure
 
+from needlefit.inference.identifiability.directions import NORMAL_95_HALF_WIDTH_SD
 from needlefit.reporting.figures.style import TEXT_WIDTH_IN, draw_grid
 from needlefit.reporting.labels import INK, SERIES_COLOURS
 
@@ -25,7 +26,7 @@ def draw(sensors: pd.DataFrame) -> Figure:
         axes.set_axis_off()
     for axes, ((insertion, direction), some) in zip(panels.flat, groups, strict=False):
         rows = some.sort_values("s_mm")
-        s, middle, half = rows["s_mm"], rows["predicted"], 1.96 * rows["sd"]
+        s, middle, half = rows["s_mm"], rows["predicted"], NORMAL_95_HALF_WIDTH_SD * rows["sd"]
         axes.fill_between(s, middle - half, middle + half, color=SERIES_COLOURS[0], alpha=0.3, lw=0)
         axes.plot(s, middle, color=SERIES_COLOURS[0], lw=1.2)
         axes.plot(s, rows["measured"], "o", color=INK, ms=2.5)

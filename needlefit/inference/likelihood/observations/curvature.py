@@ -32,8 +32,12 @@ def append_sensors(insertion: Insertion, s: Floats) -> Floats:
     """Return beam coordinates `s` (K,), mm, and behind them three about each sensor of curvature."""
     if insertion.curvature is None:
         return s
-    at = insertion.depth - insertion.curvature[:, 0]
-    return np.concatenate([s, (at[:, None] + SENSOR_STEP_MM * np.array([-1.0, 0.0, 1.0])).ravel()])
+    return np.concatenate([s, surround(insertion.depth - insertion.curvature[:, 0])])
+
+
+def surround(places: Floats) -> Floats:
+    """Return beam coordinates (3 K,), mm: the three about each place (K,) that give its curvature."""
+    return (places[:, None] + SENSOR_STEP_MM * np.array([-1.0, 0.0, 1.0])).ravel()
 
 
 def combine_readings(pose: Pose, insertion: Insertion) -> Mapping[Quantity, tuple[Floats, Floats]]:
