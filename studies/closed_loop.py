@@ -51,9 +51,9 @@ class Robot:
         self.bevel, self.gain, self.play, self.base_y = bevel, gain, 0.1 * (truth == "play 0.2 mm"), 0.0
 
     def drive(self, step: needlefit.Step) -> np.ndarray:
-        told, bevel = step.controls, replace(self.bevel, side=step.bevel.side)
-        self.base_y = float(np.clip(self.base_y, told.base_y - self.play, told.base_y + self.play))
-        moved = replace(told, base_y=self.gain * self.base_y, base_slope=self.gain * told.base_slope)
+        controls, bevel = step.controls, replace(self.bevel, side=step.bevel.side)
+        self.base_y = float(np.clip(self.base_y, controls.base_y - self.play, controls.base_y + self.play))
+        moved = replace(controls, base_y=self.gain * self.base_y, base_slope=self.gain * controls.base_slope)
         self.needle.go(replace(step, bevel=bevel, controls=moved))
         return needlefit.compute_positions(self.needle.now.shape, np.array([self.needle.depth]))[0]
 

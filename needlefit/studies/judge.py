@@ -237,8 +237,8 @@ def compare_with_references(
             return Outcome.CLOSER
         if ((z < -WORSE_Z) & (gaps < -least)).any() and error > MAX_NOISE_RATIO * (noise or 0.0):
             return Outcome.WORSE
-        told = (np.abs(z) > CLOSER_Z) | (exact_z > CLOSER_Z + POWER_Z)
-        return Outcome.AS_CLOSE if told.all() else Outcome.BEND_TOO_LITTLE
+        is_distinguished = (np.abs(z) > CLOSER_Z) | (exact_z > CLOSER_Z + POWER_Z)
+        return Outcome.AS_CLOSE if is_distinguished.all() else Outcome.BEND_TOO_LITTLE
 
     means = {name: float(known[name].loc[compared, score].mean()) for name in references}
     nearest = min(means, key=lambda name: means[name])

@@ -1,4 +1,4 @@
-"""Steer a needle with feedback: what the robot was told, what was measured, and the path that is left."""
+"""Steer a needle with feedback: the commanded inputs, the measurements, and the path that is left."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -12,10 +12,11 @@ from numpy.typing import ArrayLike
 from needlefit.arrays import Floats
 from needlefit.errors import ConfigError, ModelError
 from needlefit.inference.forward_model import ParameterDraws, make_options, select_layer_draws
-from needlefit.inference.likelihood.observations.curvature import SECOND_DIFFERENCE, SENSOR_STEP_MM
+from needlefit.inference.likelihood.observations.curvature import SECOND_DIFFERENCE, SENSOR_STEP_MM, surround
 from needlefit.inference.parameters import Parameters, make_tissue
 from needlefit.inference.predict import draw_from_prior
 from needlefit.mechanics.batch import (
+    Batch,
     NeedleShapes,
     compute_batch_positions,
     differentiate_batch_positions,
@@ -79,8 +80,7 @@ class _Reading:
         count, directions = self.values.shape
         compared = slice(1, 1 + directions)
         if self.kind == "curvatures":
-            around = self.places[:, None] + SENSOR_STEP_MM * np.array([-1.0, 0.0, 1.0])
-            points = compute_batch_positions(shapes, around.ravel())[..., compared]
+            points = compute_batch_positions(shapes, surround(self.places))[..., compared]
             return 1e3 * np.einsum(
                 "t,bktd->bkd", SECOND_DIFFERENCE[0], points.reshape(-1, count, 3, directions)
             )
@@ -159,7 +159,7 @@ class Steering:
 
     @property
     def now(self) -> Step:
-        """Depth, bevel and controls as the robot was told; to be changed by `dataclasses.replace`."""
+        """Depth, bevel and controls as commanded; to be changed by `dataclasses.replace`."""
         return self._session.last
 
     @property
@@ -173,7 +173,7 @@ class Steering:
         return self._draws.effective
 
     def advance(self, inputs: Step | Sequence[Step]) -> Step:
-        """Record what the robot was told: one step or several, as `plan` returns; return where it stands.
+        """Record commanded inputs: one step or several, as `plan` returns; return where the needle stands.
 
         Raises ModelError, and nothing has changed, if an input is that of another needle, out of its reach,
         or the model finds no needle there.
@@ -312,7 +312,7 @@ class Steering:
             )
         return replace(self.now, depth=depth)
 
-    def _make_batch(self, draws: ParameterDraws, path: tuple[Step, ...]) -> Any:  # noqa: ANN401
+    def _make_batch(self, draws: ParameterDraws, path: tuple[Step, ...]) -> Batch:
         return draws.make_batch(self.needle, self.tissue, path, self.rules)
 
     def _find_tips(self, draws: ParameterDraws, depth: float) -> Floats:
