@@ -250,10 +250,6 @@ class SteeredNeedle:
     def keep(self) -> None:
         self._saved[self.number] = self._session.copy()
 
-    def has_kept(self, number: int) -> bool:
-        """Whether the state after a step is stored."""
-        return number in self._saved
-
     def forget(self, number: int) -> None:
         """Delete the state stored at a step; the initial state stays."""
         if number:

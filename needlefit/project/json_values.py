@@ -1,10 +1,9 @@
-"""Convert values to the types that JSON knows, read them, and compute digests of them."""
+"""Convert values to the types that JSON knows, and compute digests of them."""
 
 import hashlib
 import json
 import math
 from collections.abc import Iterable, Mapping
-from typing import Any
 
 
 def to_json_values(value: object) -> object:
@@ -26,16 +25,3 @@ def digest_values(values: object) -> str:
     """Return the SHA-256 of values as JSON has them; the order of keys does not count."""
     text = json.dumps(to_json_values(values), sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-def parse_json_text(text: str | bytes) -> Any:  # noqa: ANN401 - JSON
-    """Return the value in a JSON text.
-
-    ValueError if it is none, nests too deeply, or has half of a pair of surrogates: no text is made of that.
-    """
-    try:
-        content = json.loads(text)
-        json.dumps(content, ensure_ascii=False).encode()
-    except RecursionError:
-        raise ValueError("nested too deeply") from None
-    return content
