@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from inference_cases import TRUTH, dataset, insertion, medium
+from problem_cases import ALONG_X
 
 import needlefit as nf
 from needlefit.datasets.insertion import Insertion, Noise
@@ -78,7 +79,8 @@ def test_metrics_of_places_are_not_of_curvatures() -> None:
     assert compute_metrics(off) == {"curvature_rms_1_per_m": pytest.approx(0.5)}
 
 
-DATASET = """
+DATASET = (
+    """
 schema = 1
 name = "fibres"
 origin = "synthetic"
@@ -94,25 +96,9 @@ youngs_modulus_gpa = 80.0
 file = "insertions.csv"
 curvature = "curvature.csv"
 
-[insertions.constants]
-medium = "gel"
-specimen = "block"
-layers = 1
-entry_x_mm = 0.0
-entry_y_mm = 0.0
-entry_z_mm = 0.0
-entry_dx = 1.0
-entry_dy = 0.0
-entry_dz = 0.0
-bevel_x = 0.0
-bevel_y = 1.0
-bevel_z = 0.0
-pose_source = "stage"
-pose_shift_sd_mm = 0.1
-pose_angle_sd_deg = 0.2
-
-[media.gel]
 """
+    + ALONG_X
+)
 STUDY = """
 schema = 2
 dataset = "."

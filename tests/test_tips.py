@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from conftest import TWIN
 from inference_cases import TRUTH, assert_one_density, dataset, insertion, medium
-from problem_cases import make_problem
+from problem_cases import ALONG_X, make_problem
 from refusals import refusal
 
 from needlefit.datasets.insertion import Insertion, Noise
@@ -110,7 +110,8 @@ def test_curvatures_alone_tell_modulus_and_bevel() -> None:
     assert np.array(fit.theta) == pytest.approx(THETA, abs=0.02)
 
 
-TOML = """
+TOML = (
+    """
 schema = 1
 name = "tips"
 origin = "synthetic"
@@ -127,25 +128,9 @@ point_sd_mm = 0.1
 [insertions]
 file = "insertions.csv"
 
-[insertions.constants]
-medium = "gel"
-specimen = "block"
-layers = 1
-entry_x_mm = 0.0
-entry_y_mm = 0.0
-entry_z_mm = 0.0
-entry_dx = 1.0
-entry_dy = 0.0
-entry_dz = 0.0
-bevel_x = 0.0
-bevel_y = 1.0
-bevel_z = 0.0
-pose_source = "stage"
-pose_shift_sd_mm = 0.1
-pose_angle_sd_deg = 0.2
-
-[media.gel]
 """
+    + ALONG_X
+)
 
 
 def written(folder: Path, rows: str, toml: str = TOML) -> Path:
