@@ -1,3 +1,18 @@
+/* The page of needles contains parts of d3-array, d3-color, d3-interpolate, d3-path and d3-shape.
+
+Copyright 2010-2026 Mike Bostock
+
+Permission to use, copy, modify, and/or distribute this software for any purpose
+with or without fee is hereby granted, provided that the above copyright notice
+and this permission notice appear in all copies.
+
+THE SOFTWARE IS PROVIDED "AS IS" AND THE AUTHOR DISCLAIMS ALL WARRANTIES WITH
+REGARD TO THIS SOFTWARE INCLUDING ALL IMPLIED WARRANTIES OF MERCHANTABILITY AND
+FITNESS. IN NO EVENT SHALL THE AUTHOR BE LIABLE FOR ANY SPECIAL, DIRECT,
+INDIRECT, OR CONSEQUENTIAL DAMAGES OR ANY DAMAGES WHATSOEVER RESULTING FROM LOSS
+OF USE, DATA OR PROFITS, WHETHER IN AN ACTION OF CONTRACT, NEGLIGENCE OR OTHER
+TORTIOUS ACTION, ARISING OUT OF OR IN CONNECTION WITH THE USE OR PERFORMANCE OF
+THIS SOFTWARE. */
 (()=>{var __getOwnPropNames=Object.getOwnPropertyNames;var __esm=(fn,res,err)=>function(){if(err)throw err[0];try{return fn&&(res=(0,fn[__getOwnPropNames(fn)[0]])(fn=
 0)),res}catch(e){throw err=[e],e}};function check(fault){if(fault)throw new TypeError(`the kernel refuses a problem: ${FAULTS[Number(fault)]}`)}function makeProblem(heap,fields2,arrays){
 let f=fields2,n=f.sets*f.layers,counts={boundaries:f.layers-1,rigidity:f.sets,mu:n,thickness:n,friction:n,law:n*
@@ -8,7 +23,7 @@ name!=="guide_x")&&arrays[name].length!==count)throw new TypeError(`${name} has 
 addresses),sizes=heap.take(24);check(heap.call.nf_check(at,sizes));let[room,points,quadrature]=heap.integers(sizes,
 3);return{at,sizes,fields:f,arrays:Object.fromEntries(ARRAYS.map((name,i)=>[name,addresses[i]])),room:Number(room),
 maxPoints:Number(points),maxQuadrature:Number(quadrature)}}function rewrite(heap,problem,arrays){for(let[name,
-array]of Object.entries(arrays))heap.put(array,problem.arrays[name]);check(heap.call.nf_check(problem.at,problem.
+array3]of Object.entries(arrays))heap.put(array3,problem.arrays[name]);check(heap.call.nf_check(problem.at,problem.
 sizes))}function makeShapes(heap,problem,points){let{sets,columns:columns2,planes}=problem.fields,{room}=problem,
 counts={x:sets*room,u:planes*sets*room,slope:planes*sets*room,constraints:(1+planes)*sets*points,track:2*planes*
 sets*points,status:sets,passes:sets,nodes:1,u_by:planes*sets*room*columns2,slope_by:planes*sets*room*columns2,
@@ -17,9 +32,9 @@ for(let[name,count]of Object.entries(counts))shapes[name]=columns2||!name.endsWi
 return shapes.at=heap.structure([room,points],[],Object.keys(counts).map(name=>shapes[name])),shapes}function readPlanes(heap,shapes,name,planes,nodes){
 let read=new Float64Array(planes*nodes);for(let plane=0;plane<planes;plane+=1)read.set(heap.floats(shapes[name]+
 8*plane*shapes.room,nodes),plane*nodes);return read}function readShape(heap,shapes,points){let{planes}=shapes,
-number=name=>Number(heap.integers(shapes[name],1)[0]),read=(name,count)=>heap.floats(shapes[name],count).slice(),
-nodes=number("nodes"),x=read("x",nodes);return{status:STATUS[number("status")],passes:number("passes"),depth:x.
-at(-1),planes,x,u:readPlanes(heap,shapes,"u",planes,nodes),slope:readPlanes(heap,shapes,"slope",planes,nodes),
+number3=name=>Number(heap.integers(shapes[name],1)[0]),read=(name,count)=>heap.floats(shapes[name],count).slice(),
+nodes=number3("nodes"),x2=read("x",nodes);return{status:STATUS[number3("status")],passes:number3("passes"),depth:x2.
+at(-1),planes,x:x2,u:readPlanes(heap,shapes,"u",planes,nodes),slope:readPlanes(heap,shapes,"slope",planes,nodes),
 constraints:read("constraints",(1+planes)*points),track:read("track",2*planes*points)}}var STATUS,FAULTS,SIZES,
 NUMBERS,ARRAYS,compile,Heap,makeStructure,init_memory=__esm({"needlefit/mechanics/native/memory.js"(){STATUS=[
 "converged","over-compressed","not converged","non-finite"],FAULTS=["","size","mesh","stop","guides","column",
@@ -30,55 +45,54 @@ ore within held_tip guide_x turn_by column_of guide_columns".split(" "),compile=
 Heap=class _Heap{constructor(instance){this.call=instance.exports,this.memory=instance.exports.memory,this.top=
 this.bottom=this.memory.buffer.byteLength}static async make(kernel){return new _Heap(await WebAssembly.instantiate(
 kernel,{}))}take(bytes){let at=Math.ceil(this.top/64)*64;this.top=at+Number(bytes);let missing=this.top-this.memory.
-buffer.byteLength;return missing>0&&this.memory.grow(Math.ceil(missing/65536)),at}put(array,at=this.take(array.
-byteLength)){return new Uint8Array(this.memory.buffer,at,array.byteLength).set(new Uint8Array(array.buffer,array.
-byteOffset,array.byteLength)),at}borrow(work2){let top=this.top;try{return work2()}finally{this.top=top}}evaluate(which,x){
-return this.borrow(()=>{let[at,out]=[this.put(Float64Array.of(x)),this.take(8)];return this.call.nf_function(BigInt(
-which),1n,at,out),this.floats(out,1)[0]})}floats(at,count){return new Float64Array(this.memory.buffer,at,count)}integers(at,count){
-return new BigInt64Array(this.memory.buffer,at,count)}view(at){return new DataView(this.memory.buffer,at)}structure(integers,numbers,addresses){
-let at=this.take(8*(integers.length+numbers.length)+4*addresses.length),view2=this.view(at);return integers.forEach(
-(value,i)=>view2.setBigInt64(8*i,BigInt(value),!0)),numbers.forEach((value,i)=>view2.setFloat64(8*(integers.length+
-i),value,!0)),addresses.forEach((value,i)=>view2.setUint32(8*(integers.length+numbers.length)+4*i,value,!0)),at}};
-makeStructure=(heap,fields2,addresses)=>heap.structure(SIZES.map(name=>fields2[name]),NUMBERS.map(name=>fields2[name]),
-addresses)}});function completeInputs(inputs){let{bevel={},base={},guides:guides2=[],tip=null}=inputs;return{bevel:{side:1,roll:0,
-strength:0,...bevel},base:{y:0,slope:0,stageSlope:0,...base},guides:guides2.map(guide=>({y:0,slope:0,...guide})).
-sort((a,b)=>a.x-b.x),tip}}function checkInputs(model,inputs,depth){let{guides:guides2}=inputs,base=depth-model.
-length,ends=[base,...guides2.map(guide=>guide.x)];for(let name of["mu","thickness"])if(!model[name].every(value=>value>
-0))throw new RangeError(`${name} is not above 0`);if(!(model.rigidity>0&&base<0))throw new RangeError("the nee\
-dle is too short, or its rigidity not above 0");if(guides2.length>MAX_GUIDES)throw new RangeError(`${guides2.length}\
- guides; there may be ${MAX_GUIDES}`);if(ends.some((x,i)=>i>0&&!(x>ends[i-1])))throw new RangeError(`base and \
-guides stand at ${ends} mm; they must increase`)}function findToward(heap,{side,roll:roll2}){if(roll2===0)return[
-side,0];let quarters=Math.floor(roll2/90+.5),rest=(roll2-90*quarters)*(Math.PI/180),[z,y]=[3,4].map(which=>side*
-heap.evaluate(which,rest));return[[y,z],[-z,y],[-y,-z],[z,-y]].at(quarters%4)}function listGuides(guides2,planes){
-let listed=new Float64Array((1+2*planes)*MAX_GUIDES);return guides2.forEach(({x,y,slope:slope2},i)=>listed.set(
-[x,...listHeld(y,slope2,0,planes)],i*(1+2*planes))),listed}function packInputs(heap,{bevel,base,guides:guides2,
-tip},model,{sets,strength=null},planes){let before2=guides2.filter(guide=>guide.x<0),within2=guides2.filter(guide=>guide.
-x>=0),toward=findToward(heap,bevel).slice(0,planes),turn2=(part2,set)=>part2*(strength?.[set]??bevel.strength)/
-(model.pathAngle?1:model.spacing);return{turn:Float64Array.from(Array.from({length:sets},(_,set)=>toward.map(part2=>turn2(
-part2,set))).flat()),base:repeat([...listBase(base),0,0,0].slice(0,3*planes),sets),before_first:BigInt64Array.
-of(0n,BigInt(before2.length)),within_first:BigInt64Array.of(0n,BigInt(within2.length)),before:listGuides(before2,
-planes),within:listGuides(within2,planes),held_tip:Float64Array.from(listTip(tip,planes))}}function pack(heap,model,inputs,values,planes,more){
-let{sets}=values,layers=model.mu.length,ofLayers=["mu","thickness","friction","law"].map(name=>[name,values[name]??
-repeat(model[name],sets)]),arrays={boundaries:Float64Array.from(model.boundaries),stops:new Uint8Array(STOP_BYTES),
-rigidity:repeat([model.rigidity],sets),...Object.fromEntries(ofLayers),...packInputs(heap,inputs,model,values,
-planes)};return[{planes,sets,layers,shapes:1,terms:model.terms,numbers:model.law.length/layers,stop_count:1,bevels:1,
-inputs:1,guides:MAX_GUIDES,columns:0,max_iterations:model.maxIterations??40,length:model.length,first_cell:model.
-firstCell,spacing:model.spacing,element:model.element,part:model.pathAngle?LINEAR_CUT:model.switch??.5,tangent:model.
-tangent??1,tolerance:model.tolerance??1e-7,...more},arrays]}function findPositions(heap,planes,nodes,addresses,s){
-return heap.borrow(()=>{let size3=(1+planes)*s.length,out=heap.take(8*size3),memory=heap.take(8*(1+5*planes)*(nodes+
-2)*Number(heap.call.nf_lanes())),counts=[planes,1,nodes,s.length].map(BigInt);return heap.call.nf_positions(...counts,
-...addresses,heap.put(s),memory,out),heap.floats(out,size3).slice()})}var SAME_DEPTH,MAX_ELEMENTS,MAX_GUIDES,LINEAR_CUT,
-MAX_RAYS,KEPT_IDS,STOP_BYTES,MOVE_BYTES,POSITION_BYTES,findDeepest,isPlanar,listHeld,repeat,listTip,listBase,bevelKey,
-controlsKey,Session,SessionBatch,init_needle=__esm({"needlefit/mechanics/native/needle.js"(){init_memory();SAME_DEPTH=
-1e-9,MAX_ELEMENTS=5e3,MAX_GUIDES=50,LINEAR_CUT=-1,MAX_RAYS=15e3,KEPT_IDS=256,STOP_BYTES=48,MOVE_BYTES=24,POSITION_BYTES=
-64,findDeepest=model=>Math.min(model.length,MAX_ELEMENTS*model.element);isPlanar=(heap,{bevel,tip})=>findToward(
-heap,bevel)[1]===0&&!tip?.z;listHeld=(y,slope2,z,planes)=>[y,slope2??NaN,z,(slope2??null)===null?NaN:0].slice(
-0,2*planes),repeat=(numbers,sets)=>Float64Array.from({length:sets*numbers.length},(_,i)=>numbers[i%numbers.length]),
-listTip=(tip,planes)=>tip?listHeld(tip.y,tip.slope,tip.z??0,planes):Array(2*planes).fill(NaN),listBase=base=>[
-base.y,base.slope,base.stageSlope],bevelKey=({bevel})=>JSON.stringify([bevel.side,bevel.roll,bevel.strength]),
-controlsKey=({base,guides:guides2,tip})=>JSON.stringify([listBase(base),guides2.map(guide=>[guide.x,guide.y,guide.
-slope??null]),listTip(tip,2)]);Session=class _Session{static async begin(kernel,model,inputs={}){return new _Session(
-await Heap.make(kernel),model,completeInputs(inputs))}heap;start;base;end;model;planes;depth;rays;ids;maxIds;solved;parts;stateBytes;constructor(heap,model,inputs){
+buffer.byteLength;return missing>0&&this.memory.grow(Math.ceil(missing/65536)),at}put(array3,at=this.take(array3.
+byteLength)){return new Uint8Array(this.memory.buffer,at,array3.byteLength).set(new Uint8Array(array3.buffer,array3.
+byteOffset,array3.byteLength)),at}borrow(work2){let top=this.top;try{return work2()}finally{this.top=top}}evaluate(which,x2){
+return this.borrow(()=>{let[at,out]=[this.put(Float64Array.of(x2)),this.take(8)];return this.call.nf_function(
+BigInt(which),1n,at,out),this.floats(out,1)[0]})}floats(at,count){return new Float64Array(this.memory.buffer,at,
+count)}integers(at,count){return new BigInt64Array(this.memory.buffer,at,count)}view(at){return new DataView(this.
+memory.buffer,at)}structure(integers,numbers,addresses){let at=this.take(8*(integers.length+numbers.length)+4*
+addresses.length),view2=this.view(at);return integers.forEach((value,i)=>view2.setBigInt64(8*i,BigInt(value),!0)),
+numbers.forEach((value,i)=>view2.setFloat64(8*(integers.length+i),value,!0)),addresses.forEach((value,i)=>view2.
+setUint32(8*(integers.length+numbers.length)+4*i,value,!0)),at}};makeStructure=(heap,fields2,addresses)=>heap.
+structure(SIZES.map(name=>fields2[name]),NUMBERS.map(name=>fields2[name]),addresses)}});function completeInputs(inputs){let{bevel={},base={},guides=[],tip=null}=inputs;return{bevel:{side:1,roll:0,strength:0,
+...bevel},base:{y:0,slope:0,stageSlope:0,...base},guides:guides.map(guide=>({y:0,slope:0,...guide})).sort((a2,b)=>a2.
+x-b.x),tip}}function checkInputs(model,inputs,depth){let{guides}=inputs,base=depth-model.length,ends=[base,...guides.
+map(guide=>guide.x)];for(let name of["mu","thickness"])if(!model[name].every(value=>value>0))throw new RangeError(
+`${name} is not above 0`);if(!(model.rigidity>0&&base<0))throw new RangeError("the needle is too short, or its\
+ rigidity not above 0");if(guides.length>MAX_GUIDES)throw new RangeError(`${guides.length} guides; there may b\
+e ${MAX_GUIDES}`);if(ends.some((x2,i)=>i>0&&!(x2>ends[i-1])))throw new RangeError(`base and guides stand at ${ends}\
+ mm; they must increase`)}function findToward(heap,{side,roll:roll2}){if(roll2===0)return[side,0];let quarters=Math.
+floor(roll2/90+.5),rest=(roll2-90*quarters)*(Math.PI/180),[z,y2]=[3,4].map(which=>side*heap.evaluate(which,rest));
+return[[y2,z],[-z,y2],[-y2,-z],[z,-y2]].at(quarters%4)}function listGuides(guides,planes){let listed=new Float64Array(
+(1+2*planes)*MAX_GUIDES);return guides.forEach(({x:x2,y:y2,slope:slope4},i)=>listed.set([x2,...listHeld(y2,slope4,
+0,planes)],i*(1+2*planes))),listed}function packInputs(heap,{bevel,base,guides,tip},model,{sets,strength=null},planes){
+let before=guides.filter(guide=>guide.x<0),within2=guides.filter(guide=>guide.x>=0),toward=findToward(heap,bevel).
+slice(0,planes),turn2=(part2,set)=>part2*(strength?.[set]??bevel.strength)/(model.pathAngle?1:model.spacing);return{
+turn:Float64Array.from(Array.from({length:sets},(_,set)=>toward.map(part2=>turn2(part2,set))).flat()),base:repeat(
+[...listBase(base),0,0,0].slice(0,3*planes),sets),before_first:BigInt64Array.of(0n,BigInt(before.length)),within_first:BigInt64Array.
+of(0n,BigInt(within2.length)),before:listGuides(before,planes),within:listGuides(within2,planes),held_tip:Float64Array.
+from(listTip(tip,planes))}}function pack(heap,model,inputs,values,planes,more){let{sets}=values,layers=model.mu.
+length,ofLayers=["mu","thickness","friction","law"].map(name=>[name,values[name]??repeat(model[name],sets)]),arrays={
+boundaries:Float64Array.from(model.boundaries),stops:new Uint8Array(STOP_BYTES),rigidity:repeat([model.rigidity],
+sets),...Object.fromEntries(ofLayers),...packInputs(heap,inputs,model,values,planes)};return[{planes,sets,layers,
+shapes:1,terms:model.terms,numbers:model.law.length/layers,stop_count:1,bevels:1,inputs:1,guides:MAX_GUIDES,columns:0,
+max_iterations:model.maxIterations??40,length:model.length,first_cell:model.firstCell,spacing:model.spacing,element:model.
+element,part:model.pathAngle?LINEAR_CUT:model.switch??.5,tangent:model.tangent??1,tolerance:model.tolerance??1e-7,
+...more},arrays]}function findPositions(heap,planes,nodes,addresses,s2){return heap.borrow(()=>{let size2=(1+planes)*
+s2.length,out=heap.take(8*size2),memory=heap.take(8*(1+5*planes)*(nodes+2)*Number(heap.call.nf_lanes())),counts=[
+planes,1,nodes,s2.length].map(BigInt);return heap.call.nf_positions(...counts,...addresses,heap.put(s2),memory,
+out),heap.floats(out,size2).slice()})}var SAME_DEPTH,MAX_ELEMENTS,MAX_GUIDES,LINEAR_CUT,MAX_RAYS,KEPT_IDS,STOP_BYTES,
+MOVE_BYTES,POSITION_BYTES,findDeepest,isPlanar,listHeld,repeat,listTip,listBase,bevelKey,controlsKey,Session,SessionBatch,
+init_needle=__esm({"needlefit/mechanics/native/needle.js"(){init_memory();SAME_DEPTH=1e-9,MAX_ELEMENTS=5e3,MAX_GUIDES=
+50,LINEAR_CUT=-1,MAX_RAYS=15e3,KEPT_IDS=256,STOP_BYTES=48,MOVE_BYTES=24,POSITION_BYTES=64,findDeepest=model=>Math.
+min(model.length,MAX_ELEMENTS*model.element);isPlanar=(heap,{bevel,tip})=>findToward(heap,bevel)[1]===0&&!tip?.
+z;listHeld=(y2,slope4,z,planes)=>[y2,slope4??NaN,z,(slope4??null)===null?NaN:0].slice(0,2*planes),repeat=(numbers,sets)=>Float64Array.
+from({length:sets*numbers.length},(_,i)=>numbers[i%numbers.length]),listTip=(tip,planes)=>tip?listHeld(tip.y,tip.
+slope,tip.z??0,planes):Array(2*planes).fill(NaN),listBase=base=>[base.y,base.slope,base.stageSlope],bevelKey=({
+bevel})=>JSON.stringify([bevel.side,bevel.roll,bevel.strength]),controlsKey=({base,guides,tip})=>JSON.stringify(
+[listBase(base),guides.map(guide=>[guide.x,guide.y,guide.slope??null]),listTip(tip,2)]);Session=class _Session{static async begin(kernel,model,inputs={}){
+return new _Session(await Heap.make(kernel),model,completeInputs(inputs))}heap;start;base;end;model;planes;depth;rays;ids;maxIds;solved;parts;stateBytes;constructor(heap,model,inputs){
 Object.assign(this,{heap,start:heap.top,failed:!1}),this.#begin(model,inputs)}#begin(model,inputs,planes=model.
 spatial||!isPlanar(this.heap,inputs)?2:this.planes??1){this.deepest=findDeepest(model);let rays=Math.ceil(this.
 deepest/model.spacing);this.#layOut({model,inputs,planes,depth:0,ids:new Map,maxIds:KEPT_IDS,solved:0,shape:null,
@@ -91,65 +105,65 @@ take(state),scratch:heap.take(scratch)};if(Object.assign(this,{parts,stateBytes:
 nf_session_begin(problem.at,parts.fixed,parts.now,parts.scratch),old){let{now:now2,scratch:room}=old.parts;call.
 nf_session_copy(old.problem.at,problem.at,parts.fixed,now2,room,parts.now,parts.scratch)}}go(depth,given,accepts=_shape=>!0){
 if(!(depth>=0&&depth<=this.deepest))throw new RangeError(`the needle cannot be ${depth} mm deep`);let inputs=completeInputs(
-given),{heap}=this;if(checkInputs(this.model,inputs,depth),this.planes===1&&!isPlanar(heap,inputs)){let path=this.
-path();this.#begin(this.model,path[0].inputs,2);for(let one of path)this.go(one.depth,one.inputs)}let before2=this.
+given),{heap}=this;if(checkInputs(this.model,inputs,depth),this.planes===1&&!isPlanar(heap,inputs)){let path2=this.
+path();this.#begin(this.model,path2[0].inputs,2);for(let one of path2)this.go(one.depth,one.inputs)}let before=this.
 inputs;this.inputs=inputs,rewrite(heap,this.problem,packInputs(heap,inputs,this.model,{sets:1},this.planes));let bevel=this.#number(
 bevelKey(inputs),inputs.bevel),held=this.#number(controlsKey(inputs),inputs),advance2=()=>{let{fixed,now:now2,
 next,scratch}=this.parts,{at}=this.problem;return[heap.call.nf_session_advance(at,fixed,now2,next,scratch,this.
 shapes.at,depth,BigInt(bevel),BigInt(held),this.done),...heap.integers(this.done,3)].map(Number)},[fault,stops,
-points,rays]=advance2();if(rays>MAX_RAYS)throw this.inputs=before2,new RangeError(`the needle has changed its \
-direction of cutting ${rays} times`);if(rays>this.rays){let old={problem:this.problem,parts:this.parts};Object.
+points,rays]=advance2();if(rays>MAX_RAYS)throw this.inputs=before,new RangeError(`the needle has changed its d\
+irection of cutting ${rays} times`);if(rays>this.rays){let old={problem:this.problem,parts:this.parts};Object.
 assign(this,{rays:2*rays,base:this.end}),this.#reserve(old),[fault,stops,points,rays]=advance2()}check(fault),
 this.solved+=stops;let{shape}=this;return stops>0&&(shape=readShape(heap,this.shapes,points),this.failed=shape.
-status!==STATUS[0]||!accepts(shape),this.failed)?(this.inputs=before2,shape):(this.failed=!1,[this.parts.now,this.
+status!==STATUS[0]||!accepts(shape),this.failed)?(this.inputs=before,shape):(this.failed=!1,[this.parts.now,this.
 parts.next]=[this.parts.next,this.parts.now],Object.assign(this,{depth,shape}),this.ids.size>this.maxIds&&this.#dropUnused(
 new Set([bevel,held])),shape)}#number(key,value){let found=this.ids.get(key);return found||(this.nextId=(this.
 nextId??0)+1,this.ids.set(key,found={number:this.nextId,value})),found.number}#dropUnused(used){for(let{bevel,
-held}of this.#listRays().rays)used.add(bevel).add(held);for(let[key,{number}]of this.ids)used.has(number)||this.
-ids.delete(key);this.maxIds=KEPT_IDS+2*this.ids.size}#listRays(){let{heap,parts,problem}=this;return heap.borrow(
-()=>{let cut=heap.take(MOVE_BYTES*this.rays),position=heap.take(POSITION_BYTES),count=Number(heap.call.nf_session_rays(
-problem.at,parts.fixed,parts.now,parts.scratch,cut,position)),view2=heap.view(cut),id=at=>Number(view2.getBigInt64(
-at,!0));return{rays:Array.from({length:count},(_,n)=>({start:view2.getFloat64(MOVE_BYTES*n,!0),bevel:id(MOVE_BYTES*
-n+8),held:id(MOVE_BYTES*n+16)})),changed:heap.view(position).getBigInt64(POSITION_BYTES-8,!0)!==0n}})}save(){let{
-model,inputs,planes,depth,shape,rays,ids,maxIds,solved,heap,parts,stateBytes}=this,state=new Uint8Array(heap.memory.
-buffer,parts.now,stateBytes).slice();return{model,inputs,planes,depth,shape,rays,ids:new Map(ids),maxIds,solved,
-state}}restore({state,...saved}){this.#layOut({...saved,ids:new Map(saved.ids)}),new Uint8Array(this.heap.memory.
-buffer).set(state,this.parts.now)}path(){let{firstCell,spacing}=this.model,{rays,changed:changed2}=this.#listRays(),
-values=new Map([...this.ids.values()].map(({number,value})=>[number,value])),alike=(one,other)=>one.bevel===other.
-bevel&&one.held===other.held,flip2=({depth,inputs})=>({depth,inputs:{...inputs,bevel:{...inputs.bevel,side:-inputs.
+held}of this.#listRays().rays)used.add(bevel).add(held);for(let[key,{number:number3}]of this.ids)used.has(number3)||
+this.ids.delete(key);this.maxIds=KEPT_IDS+2*this.ids.size}#listRays(){let{heap,parts,problem}=this;return heap.
+borrow(()=>{let cut=heap.take(MOVE_BYTES*this.rays),position=heap.take(POSITION_BYTES),count=Number(heap.call.
+nf_session_rays(problem.at,parts.fixed,parts.now,parts.scratch,cut,position)),view2=heap.view(cut),id=at=>Number(
+view2.getBigInt64(at,!0));return{rays:Array.from({length:count},(_,n)=>({start:view2.getFloat64(MOVE_BYTES*n,!0),
+bevel:id(MOVE_BYTES*n+8),held:id(MOVE_BYTES*n+16)})),changed:heap.view(position).getBigInt64(POSITION_BYTES-8,
+!0)!==0n}})}save(){let{model,inputs,planes,depth,shape,rays,ids,maxIds,solved,heap,parts,stateBytes}=this,state=new Uint8Array(
+heap.memory.buffer,parts.now,stateBytes).slice();return{model,inputs,planes,depth,shape,rays,ids:new Map(ids),
+maxIds,solved,state}}restore({state,...saved}){this.#layOut({...saved,ids:new Map(saved.ids)}),new Uint8Array(
+this.heap.memory.buffer).set(state,this.parts.now)}path(){let{firstCell,spacing}=this.model,{rays,changed}=this.#listRays(),
+values=new Map([...this.ids.values()].map(({number:number3,value})=>[number3,value])),alike=(one,other)=>one.bevel===
+other.bevel&&one.held===other.held,flip2=({depth,inputs})=>({depth,inputs:{...inputs,bevel:{...inputs.bevel,side:-inputs.
 bevel.side}}}),isPoint=depth=>{let cell=depth<=SAME_DEPTH?0:1+Math.max(0,Math.ceil((depth-firstCell-SAME_DEPTH)/
 spacing));return Math.abs((cell&&firstCell+(cell-1)*spacing)-depth)<=SAME_DEPTH},steps2=[];rays.forEach(({start:start2,
 bevel,held},n)=>{let depth=n+1<rays.length?rays[n+1].start:this.depth,step={depth,inputs:{...values.get(held),
 bevel:values.get(bevel)}},again=n>0&&alike(rays[n-1],rays[n]);again&&isPoint(start2)?steps2.pop():again&&steps2.
-push(flip2(steps2.at(-1))),steps2.push(step)});let last2={depth:this.depth,inputs:this.inputs},now2={bevel:this.#number(
+push(flip2(steps2.at(-1))),steps2.push(step)});let last3={depth:this.depth,inputs:this.inputs},now2={bevel:this.#number(
 bevelKey(this.inputs)),held:this.#number(controlsKey(this.inputs))};return!rays.length||!alike(rays.at(-1),now2)?
-steps2.push(last2):changed2&&steps2.push(flip2(last2),last2),steps2}again(model,steps2){this.#begin(model,completeInputs(
-steps2[0].inputs));for(let{depth,inputs}of steps2)if(this.go(depth,inputs),this.failed)return!1;return!0}deflections(s){
-let{heap,shape}=this,nodes=shape.x.length;return heap.borrow(()=>{let[x,u,slope2,at]=[shape.x,shape.u,shape.slope,
-Float64Array.from(s)].map(array=>heap.put(array)),out=heap.take(8*shape.planes*s.length);for(let plane=0;plane<
-shape.planes;plane+=1){let there=[u,slope2].map(address=>address+8*plane*nodes);heap.call.nf_deflections(BigInt(
-nodes),BigInt(s.length),x,...there,at,out+8*plane*s.length)}return heap.floats(out,shape.planes*s.length).slice()})}positions(s){
-let{heap,shape}=this,at=Float64Array.from(s);if(!at.every(one=>one>=shape.x[0]&&one<=shape.depth))throw new RangeError(
-"s lies beyond the needle");return heap.borrow(()=>findPositions(heap,shape.planes,shape.x.length,[shape.x,shape.
-u,shape.slope].map(array=>heap.put(array)),at))}forces(){let{heap,shape,inputs,model,planes}=this,{call}=heap;
-return heap.borrow(()=>{let depth=shape.depth,cells=shape.constraints.length/(1+planes)-1,depths=shape.constraints.
-filter((_,i)=>i%(1+planes)===0),first=cells>0?depths[1]:model.spacing,deepest2=Math.max(depths.length*model.spacing,
-depth)+first+2*model.spacing,problem=makeProblem(heap,...pack(heap,{...model,firstCell:first},inputs,{sets:1},
-planes,{rays:1,deepest:deepest2})),memory=heap.take(call.nf_memory(problem.at,1n)),front=shape.x.findIndex(x=>x>=
-0),room=problem.maxQuadrature,[s,weight,layer,near2]=[0,1,2,3].map(()=>heap.take(8*room)),[nodes,at]=[shape.x.
-slice(front),depths].map(array=>heap.put(array)),count=Number(call.nf_quadrature(problem.at,BigInt(shape.x.length-
-front),nodes,BigInt(cells),at,memory,s,weight,layer,near2));count<0&&check(7);let parts=[shape.x,shape.u,shape.
-slope,shape.constraints].map(array=>heap.put(array)),bent=heap.structure([shape.x.length,cells],[],parts),load3=heap.
-take(8*planes*count),nodal=heap.take(16*planes*shape.x.length);call.nf_load(problem.at,bent,BigInt(count),s,memory,
-load3),check(call.nf_balance(problem.at,bent,BigInt(front),BigInt(count),load3,memory,nodal));let each=Array.from(
-{length:planes},(_,plane)=>plane),held=heap.floats(nodal,2*planes*shape.x.length).slice(),size3=parts2=>planes===
-1?parts2[0]:Math.hypot(...parts2),support=(x,part2)=>{let i=shape.x.indexOf(x);return each.map(plane=>i<0?0:held[2*
-(plane*shape.x.length+i)+part2])},read=(x,clamped)=>({force:size3(support(x,0)),moment:clamped?size3(support(x,
-1)):0}),[places,weights]=[s,weight].map(address=>heap.floats(address,count).slice()),loads=each.map(plane=>heap.
-floats(load3+8*plane*count,count).slice()),nearest=heap.integers(near2,count),last2=loads.map(one=>one.reduce(
-(sum,q,i)=>sum+(nearest[i]===BigInt(cells)?q*weights[i]:0),0));return{s:places,loads,tipForce:size3(inputs.tip?
-support(depth,0).map((one,plane)=>last2[plane]+one):last2),base:read(shape.x[0],!0),guides:inputs.guides.map(guide=>read(
-guide.x,(guide.slope??null)!==null))}})}};SessionBatch=class _SessionBatch{static async begin(kernel,model,values,rays,planes){
+steps2.push(last3):changed&&steps2.push(flip2(last3),last3),steps2}again(model,steps2){this.#begin(model,completeInputs(
+steps2[0].inputs));for(let{depth,inputs}of steps2)if(this.go(depth,inputs),this.failed)return!1;return!0}deflections(s2){
+let{heap,shape}=this,nodes=shape.x.length;return heap.borrow(()=>{let[x2,u,slope4,at]=[shape.x,shape.u,shape.slope,
+Float64Array.from(s2)].map(array3=>heap.put(array3)),out=heap.take(8*shape.planes*s2.length);for(let plane=0;plane<
+shape.planes;plane+=1){let there=[u,slope4].map(address=>address+8*plane*nodes);heap.call.nf_deflections(BigInt(
+nodes),BigInt(s2.length),x2,...there,at,out+8*plane*s2.length)}return heap.floats(out,shape.planes*s2.length).
+slice()})}positions(s2){let{heap,shape}=this,at=Float64Array.from(s2);if(!at.every(one=>one>=shape.x[0]&&one<=
+shape.depth))throw new RangeError("s lies beyond the needle");return heap.borrow(()=>findPositions(heap,shape.
+planes,shape.x.length,[shape.x,shape.u,shape.slope].map(array3=>heap.put(array3)),at))}forces(){let{heap,shape,
+inputs,model,planes}=this,{call}=heap;return heap.borrow(()=>{let depth=shape.depth,cells=shape.constraints.length/
+(1+planes)-1,depths=shape.constraints.filter((_,i)=>i%(1+planes)===0),first=cells>0?depths[1]:model.spacing,deepest2=Math.
+max(depths.length*model.spacing,depth)+first+2*model.spacing,problem=makeProblem(heap,...pack(heap,{...model,firstCell:first},
+inputs,{sets:1},planes,{rays:1,deepest:deepest2})),memory=heap.take(call.nf_memory(problem.at,1n)),front=shape.
+x.findIndex(x2=>x2>=0),room=problem.maxQuadrature,[s2,weight,layer,near2]=[0,1,2,3].map(()=>heap.take(8*room)),
+[nodes,at]=[shape.x.slice(front),depths].map(array3=>heap.put(array3)),count=Number(call.nf_quadrature(problem.
+at,BigInt(shape.x.length-front),nodes,BigInt(cells),at,memory,s2,weight,layer,near2));count<0&&check(7);let parts=[
+shape.x,shape.u,shape.slope,shape.constraints].map(array3=>heap.put(array3)),bent=heap.structure([shape.x.length,
+cells],[],parts),load3=heap.take(8*planes*count),nodal=heap.take(16*planes*shape.x.length);call.nf_load(problem.
+at,bent,BigInt(count),s2,memory,load3),check(call.nf_balance(problem.at,bent,BigInt(front),BigInt(count),load3,
+memory,nodal));let each=Array.from({length:planes},(_,plane)=>plane),held=heap.floats(nodal,2*planes*shape.x.length).
+slice(),size2=parts2=>planes===1?parts2[0]:Math.hypot(...parts2),support=(x2,part2)=>{let i=shape.x.indexOf(x2);
+return each.map(plane=>i<0?0:held[2*(plane*shape.x.length+i)+part2])},read=(x2,clamped)=>({force:size2(support(
+x2,0)),moment:clamped?size2(support(x2,1)):0}),[places,weights]=[s2,weight].map(address=>heap.floats(address,count).
+slice()),loads=each.map(plane=>heap.floats(load3+8*plane*count,count).slice()),nearest=heap.integers(near2,count),
+last3=loads.map(one=>one.reduce((sum,q,i)=>sum+(nearest[i]===BigInt(cells)?q*weights[i]:0),0));return{s:places,
+loads,tipForce:size2(inputs.tip?support(depth,0).map((one,plane)=>last3[plane]+one):last3),base:read(shape.x[0],
+!0),guides:inputs.guides.map(guide=>read(guide.x,(guide.slope??null)!==null))}})}};SessionBatch=class _SessionBatch{static async begin(kernel,model,values,rays,planes){
 return new _SessionBatch(await Heap.make(kernel),model,values,rays,planes)}heap;model;values;planes;problem;ids;spare;scratch;bevel;held;constructor(heap,model,values,rays,planes){
 let more={rays,deepest:findDeepest(model)},problem=makeProblem(heap,...pack(heap,model,completeInputs({}),values,
 planes,more));Object.assign(this,{heap,model,values,planes,problem,ids:new Map});let{fields:fields2,arrays,maxPoints,
@@ -160,28 +174,28 @@ length:fields2.sets},(_,i)=>makeStructure(heap,alone,ARRAYS.map(name=>arrays[nam
 BigInt);Object.assign(this,{spare:heap.take(state),scratch:heap.take(scratch)}),this.needles=problems.map(at=>{
 let shapes=makeShapes(heap,{fields:alone,room},maxPoints);return{at,shapes,fixed:heap.take(fixed),state:heap.take(
 state)}}),problems.forEach((_,i)=>this.restart(i))}restart(i){let{at,fixed,state}=this.needles[i];this.heap.call.
-nf_session_begin(at,fixed,state,this.scratch)}hold(given){let{heap,ids}=this,inputs=completeInputs(given),number=key=>ids.
+nf_session_begin(at,fixed,state,this.scratch)}hold(given){let{heap,ids}=this,inputs=completeInputs(given),number3=key=>ids.
 get(key)??ids.set(key,BigInt(ids.size+1)).get(key);rewrite(heap,this.problem,packInputs(heap,inputs,this.model,
-this.values,this.planes)),Object.assign(this,{bevel:number(bevelKey(inputs)),held:number(controlsKey(inputs))})}go(i,depth){
+this.values,this.planes)),Object.assign(this,{bevel:number3(bevelKey(inputs)),held:number3(controlsKey(inputs))})}go(i,depth){
 let{heap,done:done2,scratch,spare,bevel,held}=this,needle=this.needles[i],{at,fixed,state,shapes}=needle;return check(
 heap.call.nf_session_advance(at,fixed,state,spare,scratch,shapes.at,depth,bevel,held,done2)),heap.integers(done2,
-1)[0]>0n&&heap.integers(shapes.status,1)[0]!==0n?!1:([needle.state,this.spare]=[spare,state],!0)}positions(i,s){
+1)[0]>0n&&heap.integers(shapes.status,1)[0]!==0n?!1:([needle.state,this.spare]=[spare,state],!0)}positions(i,s2){
 let{heap,planes}=this,{shapes}=this.needles[i],nodes=Number(heap.integers(shapes.nodes,1)[0]);return heap.borrow(
-()=>{let[u,slope2]=["u","slope"].map(name=>heap.put(readPlanes(heap,shapes,name,planes,nodes)));return findPositions(
-heap,planes,nodes,[shapes.x,u,slope2],s)})}}}});function mark(steps2){let changes=0;return steps2.map(({depth,inputs},n)=>{n&&inputs.bevel.strength!==steps2[n-
+()=>{let[u,slope4]=["u","slope"].map(name=>heap.put(readPlanes(heap,shapes,name,planes,nodes)));return findPositions(
+heap,planes,nodes,[shapes.x,u,slope4],s2)})}}}});function mark(steps2){let changes=0;return steps2.map(({depth,inputs},n)=>{n&&inputs.bevel.strength!==steps2[n-
 1].inputs.bevel.strength&&(changes+=1);let alike={...inputs,bevel:{...inputs.bevel,strength:changes}};return{depth,
-inputs:alike,text:JSON.stringify(alike)}})}function findWay(past2,path){let shared=0,alike=n=>past2[n]?.text===
-path[n]?.text;for(;shared<past2.length&&shared<path.length&&alike(shared)&&same(past2[shared].depth,path[shared].
-depth);)shared+=1;let[last2,rest]=[past2.at(-1),path.slice(shared)],left=past2.length-shared,begun=left>0&&rest.
-length>0&&alike(shared),turned2=shared>0&&rest.length>0&&same(last2.depth,path[shared-1].depth);if(left===0||begun&&
-left===1||!begun&&turned2)return rest;let from=begun?shared:shared-1;if(from<0)return null;let depth=(begun?Math.
-min(past2[shared].depth,path[shared].depth):path[from].depth)-BACK;return depth>0?[{...path[from],depth},...path.
-slice(from)]:null}function spanBands(planes){let sizes=new Float64Array(planes[0][0].length),scaled=planes.map(
-heights2=>heights2.map(values=>{let sorted=values.slice().sort(),[low,middle,high]=[LOW,MIDDLE,HIGH].map(share=>quantile(
+inputs:alike,text:JSON.stringify(alike)}})}function findWay(past2,path2){let shared=0,alike=n=>past2[n]?.text===
+path2[n]?.text;for(;shared<past2.length&&shared<path2.length&&alike(shared)&&same(past2[shared].depth,path2[shared].
+depth);)shared+=1;let[last3,rest]=[past2.at(-1),path2.slice(shared)],left=past2.length-shared,begun=left>0&&rest.
+length>0&&alike(shared),turned2=shared>0&&rest.length>0&&same(last3.depth,path2[shared-1].depth);if(left===0||
+begun&&left===1||!begun&&turned2)return rest;let from=begun?shared:shared-1;if(from<0)return null;let depth=(begun?
+Math.min(past2[shared].depth,path2[shared].depth):path2[from].depth)-BACK;return depth>0?[{...path2[from],depth},
+...path2.slice(from)]:null}function spanBands(planes){let sizes=new Float64Array(planes[0][0].length),scaled=planes.
+map(heights2=>heights2.map(values=>{let sorted=values.slice().sort(),[low,middle,high]=[LOW,MIDDLE,HIGH].map(share=>quantile(
 sorted,share));return values.forEach((value,i)=>{let scale=value<middle?middle-low:high-middle;scale>TINY&&(sizes[i]=
-Math.max(sizes[i],Math.abs(value-middle)/scale))}),[middle,middle-low,high-middle]})),size3=sizes.sort()[Math.
+Math.max(sizes[i],Math.abs(value-middle)/scale))}),[middle,middle-low,high-middle]})),size2=sizes.sort()[Math.
 min(Math.floor(LEVEL*sizes.length),sizes.length-1)];return scaled.map(points=>({low:points.map(([middle,below])=>middle-
-size3*below),high:points.map(([middle,,above])=>middle+size3*above)}))}function quantile(sorted,share){let place2=share*
+size2*below),high:points.map(([middle,,above])=>middle+size2*above)}))}function quantile(sorted,share){let place2=share*
 (sorted.length-1),below=Math.floor(place2);return sorted[below]+(place2-below)*((sorted[below+1]??sorted[below])-
 sorted[below])}var POINTS,LOW,MIDDLE,HIGH,LEVEL,TINY,CHUNK,SAME,BACK,Band,same,init_band=__esm({"needlefit/vie\
 wer/page/model/band.js"(){init_needle();POINTS=51,[LOW,MIDDLE,HIGH]=[.025,.5,.975],LEVEL=.95,TINY=1e-9,CHUNK=20,
@@ -189,31 +203,31 @@ SAME=1e-9,BACK=1e-6,Band=class{kernel;model;draws;values;chunks;rays;points;cons
 from({length:Math.ceil(draws.sets/CHUNK)},(_,n)=>({numbers:Array.from({length:Math.min(CHUNK,draws.sets-n*CHUNK)},
 (_2,i)=>n*CHUNK+i)})),typed=["mu","law","strength"].map(name=>[name,Float64Array.from(draws[name])]),values={sets:draws.
 sets,...Object.fromEntries(typed)};Object.assign(this,{kernel,model,draws,values,chunks,rays:0,points:[]})}async compute(steps2,planes,cancelled,pause2){
-let path=mark(steps2),{depth}=path.at(-1);if(!(depth>0))return null;let rays=path.length+Math.ceil(depth/this.
+let path2=mark(steps2),{depth}=path2.at(-1);if(!(depth>0))return null;let rays=path2.length+Math.ceil(depth/this.
 model.spacing)+2;if(rays>this.rays||planes!==this.batch.planes){this.rays=2*rays,this.batch=await SessionBatch.
 begin(this.kernel,this.model,this.values,this.rays,planes);for(let chunk of this.chunks)chunk.path=null}for(let chunk of this.
-chunks)if(this.#move(chunk,path),await pause2(),cancelled())return null;let found=this.points.filter(one=>one);
-if(!found.length)return null;let along=axis=>Array.from({length:POINTS},(_,k)=>Float64Array.from(found,one=>one[(1+
-planes)*k+axis])),[y,z]=spanBands(planes>1?[along(1),along(2)]:[along(1)]);return{x:along(0).map(values=>quantile(
-values.sort(),MIDDLE)),...y,z:z??null,failed:this.values.sets-found.length}}#move(chunk,path){let{batch,points}=this,
-way=chunk.path&&findWay(chunk.path,path);if(!way||way[0]?.depth<=chunk.failed){way=path,chunk.failed=-1/0;for(let i of chunk.
-numbers)batch.restart(i),points[i]=[]}chunk.path=path;let{depth}=path.at(-1),s=Float64Array.from({length:POINTS},
-(_,k)=>k===POINTS-1?depth:depth*k/(POINTS-1));way.forEach((step,n)=>{batch.hold(step.inputs);for(let i of chunk.
-numbers){if(!points[i])continue;batch.go(i,step.depth)?n===way.length-1&&(points[i]=batch.positions(i,s)):[points[i],
+chunks)if(this.#move(chunk,path2),await pause2(),cancelled())return null;let found=this.points.filter(one=>one);
+if(!found.length)return null;let along=axis=>Array.from({length:POINTS},(_,k2)=>Float64Array.from(found,one=>one[(1+
+planes)*k2+axis])),[y2,z]=spanBands(planes>1?[along(1),along(2)]:[along(1)]);return{x:along(0).map(values=>quantile(
+values.sort(),MIDDLE)),...y2,z:z??null,failed:this.values.sets-found.length}}#move(chunk,path2){let{batch,points}=this,
+way=chunk.path&&findWay(chunk.path,path2);if(!way||way[0]?.depth<=chunk.failed){way=path2,chunk.failed=-1/0;for(let i of chunk.
+numbers)batch.restart(i),points[i]=[]}chunk.path=path2;let{depth}=path2.at(-1),s2=Float64Array.from({length:POINTS},
+(_,k2)=>k2===POINTS-1?depth:depth*k2/(POINTS-1));way.forEach((step,n)=>{batch.hold(step.inputs);for(let i of chunk.
+numbers){if(!points[i])continue;batch.go(i,step.depth)?n===way.length-1&&(points[i]=batch.positions(i,s2)):[points[i],
 chunk.failed]=[null,Math.max(chunk.failed,step.depth)]}})}};same=(depth,other)=>Math.abs(depth-other)<=SAME}});var CHUNK2,SAME2,TipForces,init_tip_forces=__esm({"needlefit/viewer/page/model/tip_forces.js"(){init_needle();
 init_band();CHUNK2=20,SAME2=1e-9,TipForces=class{kernel;model;path;points;constructor(kernel){Object.assign(this,
-{kernel,model:"",path:null,points:[]})}async compute(model,steps2,cancelled,pause2){let path=steps2.map(one=>({
+{kernel,model:"",path:null,points:[]})}async compute(model,steps2,cancelled,pause2){let path2=steps2.map(one=>({
 ...one,text:JSON.stringify(one.inputs)})),same3=this.model===JSON.stringify(model),way=this.path&&same3&&findWay(
-this.path,path);way||await this.#begin(model,steps2[0].inputs),way||=path,this.path=null;let reached=0;for(let{
+this.path,path2);way||await this.#begin(model,steps2[0].inputs),way||=path2,this.path=null;let reached=0;for(let{
 depth,inputs}of way){depth<this.session.depth-SAME2&&(this.points=this.points.filter(one=>one.depth<=depth+SAME2));
 for(let stop of this.#listStops(depth)){if(this.session.go(stop,inputs),this.session.failed)return this.#read();
 if(this.#add(),reached+=1,!(reached%CHUNK2)&&(await pause2(),cancelled()))return null}this.session.go(depth,inputs)}
-return this.path=path,this.#read()}async#begin(model,inputs){this.session?this.session.again(model,[{depth:0,inputs}]):
-this.session=await Session.begin(this.kernel,model,inputs),[this.model,this.points]=[JSON.stringify(model),[]],
-this.#add()}#listStops(depth){let{model:{firstCell,spacing},depth:from}=this.session,first=from<firstCell-SAME2?
-0:Math.floor((from-firstCell+SAME2)/spacing)+1,count=Math.floor((depth-firstCell+SAME2)/spacing)+1-first;return Array.
-from({length:Math.max(count,0)},(_,n)=>Math.min(firstCell+(first+n)*spacing,depth))}#add(){let{session}=this;this.
-points.push({depth:session.depth,force:session.forces().tipForce})}#read(){return{x:this.points.map(({depth})=>depth),
+return this.path=path2,this.#read()}async#begin(model,inputs){this.session?this.session.again(model,[{depth:0,
+inputs}]):this.session=await Session.begin(this.kernel,model,inputs),[this.model,this.points]=[JSON.stringify(
+model),[]],this.#add()}#listStops(depth){let{model:{firstCell,spacing},depth:from}=this.session,first=from<firstCell-
+SAME2?0:Math.floor((from-firstCell+SAME2)/spacing)+1,count=Math.floor((depth-firstCell+SAME2)/spacing)+1-first;
+return Array.from({length:Math.max(count,0)},(_,n)=>Math.min(firstCell+(first+n)*spacing,depth))}#add(){let{session}=this;
+this.points.push({depth:session.depth,force:session.forces().tipForce})}#read(){return{x:this.points.map(({depth})=>depth),
 y:this.points.map(({force})=>force)}}}}});var band_worker_exports={};async function work(){busy=!0;let order=null;for(;order!==newest&&newest.steps;){order=
 newest;let{kernel,model,draws,steps:steps2,planes,id}=order,isOld=()=>newest!==order&&(newest.draws!==draws||performance.
 now()-done<STALE);tipForces??=new TipForces(kernel);let forces=await tipForces.compute(model,steps2,isOld,pause);
@@ -234,7 +248,60 @@ function colour(name){let both=getComputedStyle(document.documentElement).getPro
 init_dom=__esm({"needlefit/viewer/page/dom.js"(){part=id=>document.getElementById(id);press=(id,act)=>(typeof id==
 "string"?part(id):id).addEventListener("click",act);entry=(term,value)=>element("div",{},element("dt",{},term),
 element("dd",{},value));dark=matchMedia("(prefers-color-scheme: dark)"),paper=!1,isDark=()=>dark.matches&&!paper,
-usePaper=on=>paper=on,onScheme=act=>dark.addEventListener("change",act)}});function checkChange([name,item,value],rules){let known=rules.inputs[name];if(!known)throw new ModelError(`the\
+usePaper=on=>paper=on,onScheme=act=>dark.addEventListener("change",act)}});function ascending(a2,b){return a2==null||b==null?NaN:a2<b?-1:a2>b?1:a2>=b?0:NaN}function descending(a2,b){return a2==
+null||b==null?NaN:b<a2?-1:b>a2?1:b>=a2?0:NaN}function bisector(f){let compare1,compare2,delta;f.length!==2?(compare1=
+ascending,compare2=(d,x2)=>ascending(f(d),x2),delta=(d,x2)=>f(d)-x2):(compare1=f===ascending||f===descending?f:
+zero,compare2=f,delta=f);function left(a2,x2,lo=0,hi=a2.length){if(lo<hi){if(compare1(x2,x2)!==0)return hi;do{
+let mid=lo+hi>>>1;compare2(a2[mid],x2)<0?lo=mid+1:hi=mid}while(lo<hi)}return lo}function right(a2,x2,lo=0,hi=a2.
+length){if(lo<hi){if(compare1(x2,x2)!==0)return hi;do{let mid=lo+hi>>>1;compare2(a2[mid],x2)<=0?lo=mid+1:hi=mid}while(lo<
+hi)}return lo}function center(a2,x2,lo=0,hi=a2.length){let i=left(a2,x2,lo,hi-1);return i>lo&&delta(a2[i-1],x2)>
+-delta(a2[i],x2)?i-1:i}return{left,center,right}}function zero(){return 0}function number(x2){return x2===null?
+NaN:+x2}function Blur2(blur){return function(data,rx,ry=rx){if(!((rx=+rx)>=0))throw new RangeError("invalid rx");
+if(!((ry=+ry)>=0))throw new RangeError("invalid ry");let{data:values,width,height}=data;if(!((width=Math.floor(
+width))>=0))throw new RangeError("invalid width");if(!((height=Math.floor(height!==void 0?height:values.length/
+width))>=0))throw new RangeError("invalid height");if(!width||!height||!rx&&!ry)return data;let blurx=rx&&blur(
+rx),blury=ry&&blur(ry),temp=values.slice();return blurx&&blury?(blurh(blurx,temp,values,width,height),blurh(blurx,
+values,temp,width,height),blurh(blurx,temp,values,width,height),blurv(blury,values,temp,width,height),blurv(blury,
+temp,values,width,height),blurv(blury,values,temp,width,height)):blurx?(blurh(blurx,values,temp,width,height),
+blurh(blurx,temp,values,width,height),blurh(blurx,values,temp,width,height)):blury&&(blurv(blury,values,temp,width,
+height),blurv(blury,temp,values,width,height),blurv(blury,values,temp,width,height)),data}}function blurh(blur,T,S,w,h){
+for(let y2=0,n=w*h;y2<n;)blur(T,S,y2,y2+=w,1)}function blurv(blur,T,S,w,h){for(let x2=0,n=w*h;x2<w;++x2)blur(T,
+S,x2,x2+n,w)}function blurfImage(radius){let blur=blurf(radius);return(T,S,start2,stop,step)=>{start2<<=2,stop<<=
+2,step<<=2,blur(T,S,start2+0,stop+0,step),blur(T,S,start2+1,stop+1,step),blur(T,S,start2+2,stop+2,step),blur(T,
+S,start2+3,stop+3,step)}}function blurf(radius){let radius0=Math.floor(radius);if(radius0===radius)return bluri(
+radius);let t=radius-radius0,w=2*radius+1;return(T,S,start2,stop,step)=>{if(!((stop-=step)>=start2))return;let sum=radius0*
+S[start2],s0=step*radius0,s1=s0+step;for(let i=start2,j=start2+s0;i<j;i+=step)sum+=S[Math.min(stop,i)];for(let i=start2,
+j=stop;i<=j;i+=step)sum+=S[Math.min(stop,i+s0)],T[i]=(sum+t*(S[Math.max(start2,i-s1)]+S[Math.min(stop,i+s1)]))/
+w,sum-=S[Math.max(start2,i-s0)]}}function bluri(radius){let w=2*radius+1;return(T,S,start2,stop,step)=>{if(!((stop-=
+step)>=start2))return;let sum=radius*S[start2],s2=step*radius;for(let i=start2,j=start2+s2;i<j;i+=step)sum+=S[Math.
+min(stop,i)];for(let i=start2,j=stop;i<=j;i+=step)sum+=S[Math.min(stop,i+s2)],T[i]=sum/w,sum-=S[Math.max(start2,
+i-s2)]}}function extent(values,valueof){let min,max2;if(valueof===void 0)for(let value of values)value!=null&&
+(min===void 0?value>=value&&(min=max2=value):(min>value&&(min=value),max2<value&&(max2=value)));else{let index=-1;
+for(let value of values)(value=valueof(value,++index,values))!=null&&(min===void 0?value>=value&&(min=max2=value):
+(min>value&&(min=value),max2<value&&(max2=value)))}return[min,max2]}function tickSpec(start2,stop,count){let step=(stop-
+start2)/Math.max(0,count),power=Math.floor(Math.log10(step)),error=step/Math.pow(10,power),factor=error>=e10?10:
+error>=e5?5:error>=e2?2:1,i1,i2,inc;return power<0?(inc=Math.pow(10,-power)/factor,i1=Math.round(start2*inc),i2=
+Math.round(stop*inc),i1/inc<start2&&++i1,i2/inc>stop&&--i2,inc=-inc):(inc=Math.pow(10,power)*factor,i1=Math.round(
+start2/inc),i2=Math.round(stop/inc),i1*inc<start2&&++i1,i2*inc>stop&&--i2),i2<i1&&.5<=count&&count<2?tickSpec(
+start2,stop,count*2):[i1,i2,inc]}function ticks(start2,stop,count){if(stop=+stop,start2=+start2,count=+count,!(count>
+0))return[];if(start2===stop)return[start2];let reverse=stop<start2,[i1,i2,inc]=reverse?tickSpec(stop,start2,count):
+tickSpec(start2,stop,count);if(!(i2>=i1))return[];let n=i2-i1+1,ticks2=new Array(n);if(reverse)if(inc<0)for(let i=0;i<
+n;++i)ticks2[i]=(i2-i)/-inc;else for(let i=0;i<n;++i)ticks2[i]=(i2-i)*inc;else if(inc<0)for(let i=0;i<n;++i)ticks2[i]=
+(i1+i)/-inc;else for(let i=0;i<n;++i)ticks2[i]=(i1+i)*inc;return ticks2}function tickIncrement(start2,stop,count){
+return stop=+stop,start2=+start2,count=+count,tickSpec(start2,stop,count)[2]}function tickStep(start2,stop,count){
+stop=+stop,start2=+start2,count=+count;let reverse=stop<start2,inc=reverse?tickIncrement(stop,start2,count):tickIncrement(
+start2,stop,count);return(reverse?-1:1)*(inc<0?1/-inc:inc)}function max(values,valueof){let max2;if(valueof===
+void 0)for(let value of values)value!=null&&(max2<value||max2===void 0&&value>=value)&&(max2=value);else{let index=-1;
+for(let value of values)(value=valueof(value,++index,values))!=null&&(max2<value||max2===void 0&&value>=value)&&
+(max2=value)}return max2}function range(start2,stop,step){start2=+start2,stop=+stop,step=(n=arguments.length)<
+2?(stop=start2,start2=0,1):n<3?1:+step;for(var i=-1,n=Math.max(0,Math.ceil((stop-start2)/step))|0,range2=new Array(
+n);++i<n;)range2[i]=start2+i*step;return range2}function shuffler(random){return function(array3,i0=0,i1=array3.
+length){let m=i1-(i0=+i0);for(;m;){let i=random()*m--|0,t=array3[m+i0];array3[m+i0]=array3[i+i0],array3[i+i0]=
+t}return array3}}var ascendingBisect,bisectRight,bisectLeft,bisectCenter,blur2,blurImage,array,slice,e10,e5,e2,
+shuffle,init_d3_array=__esm({"node_modules/d3-array/dist/d3-array.mjs"(){ascendingBisect=bisector(ascending),bisectRight=
+ascendingBisect.right,bisectLeft=ascendingBisect.left,bisectCenter=bisector(number).center,blur2=Blur2(blurf),
+blurImage=Blur2(blurfImage);array=Array.prototype,slice=array.slice,e10=Math.sqrt(50),e5=Math.sqrt(10),e2=Math.
+sqrt(2);shuffle=shuffler(Math.random)}});function checkChange([name,item,value],rules){let known=rules.inputs[name];if(!known)throw new ModelError(`the\
 re is no input ${name}`,`one of ${Object.keys(rules.inputs).join(", ")}`);let counted2=Number.isInteger(item)&&
 item>=1&&item<=(known.item==="guide"?rules.max_guide:1/0);if(known.item?!counted2:item!==null)throw new ModelError(
 `${name} has item ${item}`,`the number of a ${known.item}`);let lengths=name.endsWith("_mm"),most=lengths?rules.
@@ -248,415 +315,737 @@ null?"":` of ${known.item} ${item}`} is ${written(name,value)}`,expected)}}funct
 0?Number(name.replace("guide ","")):at+1}function applyChanges(step,changes,names,stands){let values=new Map(changes.
 map(([name,item,value])=>[`${name} ${item??""}`,value])),of=(name,now2)=>values.get(`${name} `)??now2,held=step.
 controls,{tip}=held;if(of("tip_held",1)===0)tip=null;else if(tip||values.has("tip_held ")||values.has("tip_y_m\
-m ")){let[y,z]=tip?[tip.y,tip.z??0]:stands;tip={y:of("tip_y_mm",y),slope:of("tip_slope",tip?tip.slope:null),z}}
-let[angle2,side]=[of("cut_angle_deg",null),of("bevel_side",null)],roll2=side===null?rollOf(step.bevel):side>0?
-0:180;return{depth:of("depth_mm",step.depth),bevel:{...toSide(of("bevel_roll_deg",roll2)),offset:of("bevel_off\
-set_mm",step.bevel.offset),cutAngle:angle2===null?step.bevel.cutAngle:angle2*RADIANS},controls:{baseY:of("base\
-_y_mm",held.baseY),baseSlope:of("base_slope",held.baseSlope),stageSlope:held.stageSlope,guides:applyToGuides(held.
-guides,changes,names),tip}}}function applyToGuides(guides2,changes,names){let moves=new Map;for(let[name,item,
+m ")){let[y2,z]=tip?[tip.y,tip.z??0]:stands;tip={y:of("tip_y_mm",y2),slope:of("tip_slope",tip?tip.slope:null),
+z}}let[angle2,side]=[of("cut_angle_deg",null),of("bevel_side",null)],roll2=side===null?rollOf(step.bevel):side>
+0?0:180;return{depth:of("depth_mm",step.depth),bevel:{...toSide(of("bevel_roll_deg",roll2)),offset:of("bevel_o\
+ffset_mm",step.bevel.offset),cutAngle:angle2===null?step.bevel.cutAngle:angle2*RADIANS},controls:{baseY:of("ba\
+se_y_mm",held.baseY),baseSlope:of("base_slope",held.baseSlope),stageSlope:held.stageSlope,guides:applyToGuides(
+held.guides,changes,names),tip}}}function applyToGuides(guides,changes,names){let moves=new Map;for(let[name,item,
 value]of changes)item===null||!name.startsWith("guide_")||(moves.has(item)||moves.set(item,{}),moves.get(item)[name.
-slice(6)]=value);if(!moves.size)return guides2;let now2=new Map(guides2.map(guide=>[guide.name,guide]));for(let[
+slice(6)]=value);if(!moves.size)return guides;let now2=new Map(guides.map(guide=>[guide.name,guide]));for(let[
 item,moved2]of[...moves].sort(([one],[other])=>one-other)){let name=names[item-1]??`guide ${item}`;if(moved2.engaged===
 0){now2.delete(name);continue}let guide=now2.get(name);if(!guide){if(moved2.x_mm===void 0||moved2.y_mm===void 0)
 throw new ModelError(`there is no ${name}`,"guide_x_mm and guide_y_mm together, which make a guide","add it be\
-fore it is moved");guide={slope:0,name}}let slope2=moved2.slope??guide.slope;moved2.turns_freely!==void 0&&(slope2=
+fore it is moved");guide={slope:0,name}}let slope4=moved2.slope??guide.slope;moved2.turns_freely!==void 0&&(slope4=
 moved2.turns_freely?null:moved2.slope??guide.slope??0),now2.set(name,{name,x:moved2.x_mm??guide.x,y:moved2.y_mm??
-guide.y,slope:slope2})}let ordered=[...now2.values()].sort((one,other)=>one.x-other.x),twice=ordered.find((guide,i)=>guide.
+guide.y,slope:slope4})}let ordered=[...now2.values()].sort((one,other)=>one.x-other.x),twice=ordered.find((guide,i)=>guide.
 x===ordered[i+1]?.x);if(twice)throw new ModelError(`two guides stand at the same x = ${twice.x} mm`,"guides at\
  different x","move one of them, or leave it out");return ordered}function findChanges(step,now2,names){let[wanted,
 held]=[step.controls,now2.controls],changes=[step.bevel.roll||now2.bevel.roll?["bevel_roll_deg",rollOf(step.bevel),
 rollOf(now2.bevel)]:["bevel_side",step.bevel.side,now2.bevel.side],["bevel_offset_mm",step.bevel.offset,now2.bevel.
 offset],["cut_angle_deg",step.bevel.cutAngle*DEGREES,now2.bevel.cutAngle*DEGREES],["base_y_mm",wanted.baseY,held.
-baseY],["base_slope",wanted.baseSlope,held.baseSlope]].filter(([,value,before2])=>value!==before2).map(([name,
-value])=>[name,null,value]);for(let{name}of held.guides)wanted.guides.some(guide=>guide.name===name)||changes.
-push(["guide_engaged",guideNumber(name,names),0]);for(let{name,x,y,slope:slope2}of wanted.guides){if(held.guides.
-some(guide=>guide.x===x&&guide.y===y&&guide.slope===slope2))continue;let item=guideNumber(name,names);changes.
-push(["guide_x_mm",item,x],["guide_y_mm",item,y],["guide_turns_freely",item,slope2===null?1:0]),slope2!==null&&
-changes.push(["guide_slope",item,slope2])}return!wanted.tip&&held.tip?changes.push(["tip_held",null,0]):wanted.
-tip&&!(held.tip&&wanted.tip.y===held.tip.y&&wanted.tip.slope===held.tip.slope)&&(changes.push(["tip_y_mm",null,
-wanted.tip.y]),wanted.tip.slope!==null&&changes.push(["tip_slope",null,wanted.tip.slope])),changes}function toInputs({
-bevel,controls},pathAngle){if((pathAngle?bevel.offset:bevel.cutAngle)!==0)throw new ModelError("the strength o\
-f the bevel is that of the other rule of advance",pathAngle?"a cut angle alone":"an offset alone");let{baseY,baseSlope,
-stageSlope,guides:guides2,tip}=controls;return{bevel:{side:bevel.side,roll:bevel.roll,strength:pathAngle?bevel.
-cutAngle:bevel.offset},base:{y:baseY,slope:baseSlope,stageSlope},guides:guides2,tip}}function toStep({depth,inputs},pathAngle){
-let{bevel,base,guides:guides2,tip}=inputs,[offset,cutAngle]=pathAngle?[0,bevel.strength]:[bevel.strength,0];return{
-depth,bevel:{side:bevel.side,roll:bevel.roll,offset,cutAngle},controls:{baseY:base.y,baseSlope:base.slope,stageSlope:base.
-stageSlope,guides:guides2,tip}}}function listSteps({simulation:{steps:steps2},guide_names:names}){return steps2.
-map((step,i)=>[...findChanges(step,steps2[i-1]??steps2[0],names),["depth_mm",null,step.depth]])}var ModelError,
-RADIANS,DEGREES,UNITS,nameOf,significant,rollOf,toSide,wrap,turnOver,init_inputs=__esm({"needlefit/viewer/page\
-/model/inputs.js"(){ModelError=class extends Error{constructor(what,expected,fix){super(what),Object.assign(this,
-{what,expected,fix})}},RADIANS=Math.PI/180,DEGREES=180/Math.PI,UNITS=[["_mm"," mm"],["_deg","°"],["_pa"," Pa"]];
-nameOf=name=>name.replace(/_(mm|deg|pa)$/,"").replaceAll("_"," ");significant=value=>Number(value.toPrecision(
-6));rollOf=({side,roll:roll2})=>roll2+(side>0?0:180),toSide=roll2=>Math.abs(roll2%360)===180?{side:-1,roll:roll2-
-180}:{side:1,roll:roll2},wrap=roll2=>180-((180-roll2)%360+360)%360,turnOver=roll2=>roll2%180?["bevel_roll_deg",
-null,wrap(roll2+180)]:["bevel_side",null,roll2%360?1:-1]}});function signed(value,digits2){let size3=Math.abs(value).toFixed(digits2);return Number(size3)===0?size3:(value<
-0?"−":"+")+size3}function modulusLike(one){let[unit,pascals]=one<1e6?["kPa",1e3]:["MPa",1e6];return{unit,write:(value,digits2=4)=>brief(
+baseY],["base_slope",wanted.baseSlope,held.baseSlope]].filter(([,value,before])=>value!==before).map(([name,value])=>[
+name,null,value]);for(let{name}of held.guides)wanted.guides.some(guide=>guide.name===name)||changes.push(["gui\
+de_engaged",guideNumber(name,names),0]);for(let{name,x:x2,y:y2,slope:slope4}of wanted.guides){if(held.guides.some(
+guide=>guide.x===x2&&guide.y===y2&&guide.slope===slope4))continue;let item=guideNumber(name,names);changes.push(
+["guide_x_mm",item,x2],["guide_y_mm",item,y2],["guide_turns_freely",item,slope4===null?1:0]),slope4!==null&&changes.
+push(["guide_slope",item,slope4])}return!wanted.tip&&held.tip?changes.push(["tip_held",null,0]):wanted.tip&&!(held.
+tip&&wanted.tip.y===held.tip.y&&wanted.tip.slope===held.tip.slope)&&(changes.push(["tip_y_mm",null,wanted.tip.
+y]),wanted.tip.slope!==null&&changes.push(["tip_slope",null,wanted.tip.slope])),changes}function toInputs({bevel,
+controls},pathAngle){if((pathAngle?bevel.offset:bevel.cutAngle)!==0)throw new ModelError("the strength of the \
+bevel is that of the other rule of advance",pathAngle?"a cut angle alone":"an offset alone");let{baseY,baseSlope,
+stageSlope,guides,tip}=controls;return{bevel:{side:bevel.side,roll:bevel.roll,strength:pathAngle?bevel.cutAngle:
+bevel.offset},base:{y:baseY,slope:baseSlope,stageSlope},guides,tip}}function toStep({depth,inputs},pathAngle){
+let{bevel,base,guides,tip}=inputs,[offset,cutAngle]=pathAngle?[0,bevel.strength]:[bevel.strength,0];return{depth,
+bevel:{side:bevel.side,roll:bevel.roll,offset,cutAngle},controls:{baseY:base.y,baseSlope:base.slope,stageSlope:base.
+stageSlope,guides,tip}}}function listSteps({simulation:{steps:steps2},guide_names:names}){return steps2.map((step,i)=>[
+...findChanges(step,steps2[i-1]??steps2[0],names),["depth_mm",null,step.depth]])}var ModelError,RADIANS,DEGREES,
+UNITS,nameOf,significant,rollOf,toSide,wrap,turnOver,init_inputs=__esm({"needlefit/viewer/page/model/inputs.js"(){
+ModelError=class extends Error{constructor(what,expected,fix){super(what),Object.assign(this,{what,expected,fix})}},
+RADIANS=Math.PI/180,DEGREES=180/Math.PI,UNITS=[["_mm"," mm"],["_deg","°"],["_pa"," Pa"]];nameOf=name=>name.replace(
+/_(mm|deg|pa)$/,"").replaceAll("_"," ");significant=value=>Number(value.toPrecision(6));rollOf=({side,roll:roll2})=>roll2+
+(side>0?0:180),toSide=roll2=>Math.abs(roll2%360)===180?{side:-1,roll:roll2-180}:{side:1,roll:roll2},wrap=roll2=>180-
+((180-roll2)%360+360)%360,turnOver=roll2=>roll2%180?["bevel_roll_deg",null,wrap(roll2+180)]:["bevel_side",null,
+roll2%360?1:-1]}});function signed(value,digits2){let size2=Math.abs(value).toFixed(digits2);return Number(size2)===0?size2:(value<
+0?"−":"+")+size2}function modulusLike(one){let[unit,pascals]=one<1e6?["kPa",1e3]:["MPa",1e6];return{unit,write:(value,digits2=4)=>brief(
 value/pascals,digits2),read:text=>Number(text)*pascals}}function modulus(value){let{unit,write:write2}=modulusLike(
-value);return`${write2(value,3)} ${unit}`}function heightAt({x:xs,y:ys},x){let after=xs.findIndex(one=>one>=x);
-if(after<=0)return after===0?ys[0]:ys.at(-1);let share=(x-xs[after-1])/(xs[after]-xs[after-1]);return ys[after-
-1]+share*(ys[after]-ys[after-1])}function smooth(x,load3,reach){let sums=[0];for(let i=1;i<x.length;i+=1)sums.
-push(sums[i-1]+(load3[i]+load3[i-1])/2*(x[i]-x[i-1]));let sumTo=(at,i)=>{if(i===0)return 0;if(i===x.length)return sums.
-at(-1);let part2=(at-x[i-1])/(x[i]-x[i-1]||1);return sums[i-1]+(load3[i-1]+part2*(load3[i]-load3[i-1])/2)*(at-
-x[i-1])},[from,to]=[0,0];return x.map(at=>{let half=Math.min(reach,at-x[0],x.at(-1)-at);if(half<=0)return load3[at===
-x[0]?0:x.length-1];for(;from<x.length&&x[from]<=at-half;)from+=1;for(;to<x.length&&x[to]<=at+half;)to+=1;return(sumTo(
-at+half,to)-sumTo(at-half,from))/(2*half)})}function roundStep(value){let decade=10**Math.floor(Math.log10(value)),
-times=value/decade;return decade*(times>=5?5:times>=2?2:1)}function strengthOf(values){let about="cut_angle_de\
-g"in values?ANGLE:OFFSET,[here,throughout]=INPUTS[about.key];return{...about,here,throughout,value:values[about.
-key]}}function isChanged({bevel,layers},{fitted:fitted2}){let{key,value}=strengthOf(fitted2);return!near(bevel[key],
-value)||layers.some((layer,i)=>Object.entries(fitted2.layers[i]).some(([name,one])=>!near(layer[name],one)))}function isSteered(state,scene){
-let{steps:steps2}=scene.simulation,{bevel,controls}=steps2.find(({depth})=>depth>=state.depth_mm-1e-6)??steps2.
-at(-1),{base,guides:guides2,tip}=state;return isChanged(state,scene)||state.bevel.roll_deg!==wrap(rollOf(bevel))||
-tip.held!==!!controls.tip||base.input_y!==controls.baseY||base.input_slope!==controls.baseSlope||guides2.length!==
-controls.guides.length||guides2.some(({x,y},i)=>x!==controls.guides[i].x||y!==controls.guides[i].y)}var writeError,
-listErrors,brief,counted,toDegrees,degrees,slope,numbered,shortName,OFFSET,ANGLE,INPUTS,ROLL,ROLL_FIELD,describeRoll,
-near,predictionOf,init_quantities=__esm({"needlefit/viewer/page/quantities.js"(){init_inputs();writeError=(value,unit)=>value===
-null?"–":unit==="%"?brief(value,3):value.toFixed(3),listErrors=(errors,{metrics})=>metrics.map(([name,label2,
-unit])=>`${label2} ${writeError(errors[name],unit)} ${unit}`);brief=(value,digits2=4)=>String(Number(Number(value).
-toPrecision(digits2))),counted=(count,one)=>`${count} ${one}${count===1?"":"s"}`;toDegrees=rotation=>rotation*
-180/Math.PI,degrees=slope2=>Math.atan(slope2)*180/Math.PI,slope=angle2=>Math.tan(Math.min(Math.max(angle2,-90),
-90)*Math.PI/180);numbered=item=>`guide ${item}`,shortName=({item,name})=>name&&name!==numbered(item)?name:String(
-item),OFFSET={key:"offset_mm",symbol:"b",unit:"mm",digits:3,step:.005},ANGLE={key:"cut_angle_deg",symbol:"θ",
-unit:"°",digits:2,step:.1},INPUTS={offset_mm:["bevel_offset_mm","offset_throughout_mm"],cut_angle_deg:["cut_a\
-ngle_deg","cut_angle_throughout_deg"]};ROLL=10,ROLL_FIELD={name:"roll",symbol:"roll",unit:"°",step:ROLL,limits:[
--180,180],write:value=>brief(value,6)},describeRoll=({roll_deg:roll2})=>roll2%180?`roll ${brief(roll2).replace(
-"-","−")}°`:roll2?"−y":"+y",near=(one,other)=>Math.abs(one-other)<=1e-9*Math.abs(other);predictionOf=(state,scene)=>Math.
-abs(state.depth_mm-scene.depth_mm)<1e-6&&!isSteered(state,scene)?scene.measured?.prediction??null:null}});function listen(kind,hear2){listeners.has(kind)||listeners.set(kind,[]),listeners.get(kind).push(hear2)}function publish(kind,message){
+value);return`${write2(value,3)} ${unit}`}function heightAt({x:xs,y:ys},x2){let after=Math.min(Math.max(bisectLeft(
+xs,x2),1),xs.length-1),share=Math.min(Math.max((x2-xs[after-1])/(xs[after]-xs[after-1]),0),1);return ys[after-
+1]+share*(ys[after]-ys[after-1])}function strengthOf(values){let about="cut_angle_deg"in values?ANGLE:OFFSET,[
+here,throughout]=INPUTS[about.key];return{...about,here,throughout,value:values[about.key]}}function isChanged({
+bevel,layers},{fitted}){let{key,value}=strengthOf(fitted);return!near(bevel[key],value)||layers.some((layer,i)=>Object.
+entries(fitted.layers[i]).some(([name,one])=>!near(layer[name],one)))}function isSteered(state,scene){let{steps:steps2}=scene.
+simulation,{bevel,controls}=steps2.find(({depth})=>depth>=state.depth_mm-1e-6)??steps2.at(-1),{base,guides,tip}=state;
+return isChanged(state,scene)||state.bevel.roll_deg!==wrap(rollOf(bevel))||tip.held!==!!controls.tip||base.input_y!==
+controls.baseY||base.input_slope!==controls.baseSlope||guides.length!==controls.guides.length||guides.some(({x:x2,
+y:y2},i)=>x2!==controls.guides[i].x||y2!==controls.guides[i].y)}var writeError,listErrors,brief,counted,toDegrees,
+degrees,slope,shortName,OFFSET,ANGLE,INPUTS,describeRoll,near,predictionOf,init_quantities=__esm({"needlefit/v\
+iewer/page/quantities.js"(){init_d3_array();init_inputs();writeError=(value,unit)=>value===null?"–":unit==="\
+%"?brief(value,3):value.toFixed(3),listErrors=(errors,{metrics})=>metrics.map(([name,label2,unit])=>`${label2}\
+ ${writeError(errors[name],unit)} ${unit}`);brief=(value,digits2=4)=>String(Number(Number(value).toPrecision(digits2))),
+counted=(count,one)=>`${count} ${one}${count===1?"":"s"}`;toDegrees=rotation=>rotation*180/Math.PI,degrees=slope4=>Math.
+atan(slope4)*180/Math.PI,slope=angle2=>Math.tan(Math.min(Math.max(angle2,-90),90)*Math.PI/180);shortName=({item,
+name})=>name&&name!==`guide ${item}`?name:String(item),OFFSET={key:"offset_mm",symbol:"b",unit:"mm",digits:3,step:.005},
+ANGLE={key:"cut_angle_deg",symbol:"θ",unit:"°",digits:2,step:.1},INPUTS={offset_mm:["bevel_offset_mm","offse\
+t_throughout_mm"],cut_angle_deg:["cut_angle_deg","cut_angle_throughout_deg"]};describeRoll=({roll_deg:roll2})=>roll2%
+180?`roll ${brief(roll2).replace("-","−")}°`:roll2?"−y":"+y",near=(one,other)=>Math.abs(one-other)<=1e-9*
+Math.abs(other);predictionOf=(state,scene)=>Math.abs(state.depth_mm-scene.depth_mm)<1e-6&&!isSteered(state,scene)?
+scene.measured?.prediction??null:null}});function listen(kind,hear2){listeners.has(kind)||listeners.set(kind,[]),listeners.get(kind).push(hear2)}function publish(kind,message){
 for(let hear2 of listeners.get(kind)??[])hear2(message)}function take(message){message.kind==="scene"?Object.assign(
-now,{scene:message,band:null}):message.kind==="band"?now.band=message.x.length?message:null:now[message.kind]=
-message,publish(message.kind,message)}var now,listeners,tipForce,init_store=__esm({"needlefit/viewer/page/stor\
-e.js"(){now={data:null,needle:null,steered:null,replay:null,scene:null,state:null,band:null,pinned:null,marked:null,
-forces:{x:[],y:[]},view:null,labels:[]};Object.assign(window,{needlefit:now});listeners=new Map;tipForce=()=>now.
-forces.y.at(-1)??null}});function takeChange(){let was=changed;return changed=!1,was}function touch(){changed=!0,publish("redraw")}function resize(width,height){
-view.low=height<LOW_PICTURE,view.box={left:GUTTER.left,top:GUTTER.top,width:Math.max(width-GUTTER.left-GUTTER.
-right,10),height:Math.max(height-GUTTER.top-(view.low?LOW_BOTTOM:GUTTER.bottom),10)},view.held||fit(view.fit)}
-function fit(which){if(view.fit=which,touch(),!now.scene||!now.state||!which)return;if(which==="tip"){let{x,y}=now.
-state.tip;return Object.assign(view,{scale:limited(view.box.width/TIP_WINDOW),magnified:1,x,y})}let[low,high,before2,
-after]=which==="whole"?[-now.scene.length_mm,deepest()+4,Math.min(74,.1*view.box.width+20),34]:[0,1.04*deepest(),
-Math.min(84,.2*view.box.width),34],room=view.box.width-before2-after,[bottom,top]=heights(which),[along,across]=[
-room/(high-low),roomAcross()/(top-bottom)];view.scale=limited(Math.min(along,across));let least=LEAST_SPAN*deepest(),
-times=roomAcross()/view.scale/Math.max(top-bottom,least);view.magnified=MAGNIFICATIONS.filter(one=>one<=times).
-at(-1)??1,view.x=(low+high)/2+(after-before2)/(2*view.scale),view.y=(bottom+top)/2}function deepest(){let{depth_mm:depth,
-boundaries_mm:tops,measured:measured2}=now.scene,goals=goalCircles().map(([x,,radius])=>x+radius);return Math.
-max(depth,now.state.depth_mm,(tops.at(-1)??0)+5,measured2?.depth_mm??0,...goals)}function goalCircles(){let{plan}=now.
-scene;return plan?[[...plan.target,plan.radius],...plan.obstacles]:[]}function heights(which){let{x,y}=now.state,
-seen=which==="whole"?y:y.filter((_,i)=>x[i]>=0),goals=goalCircles().flatMap(([,y2,radius])=>[y2-radius,y2+radius]),
-band2=[...now.band?.low??[],...now.band?.high??[]].filter(Number.isFinite),all2=[...seen,...now.scene.measured?.
-y??[],...now.pinned?now.pinned.y.filter((_,i)=>which==="whole"||now.pinned.x[i]>=0):[],...goals,...band2,0];return[
-Math.min(...all2),Math.max(...all2)]}function sees(x,y){let{left,top,width,height}=view.box,[px,py]=[toPx(x)-left,
-toPy(y)-top];return px>=0&&px<=width&&py>=0&&py<=height}function follow(){if(view.held)return;if(view.fit&&view.
-fit!=="tip"){let[bottom,top]=heights(view.fit),px=view.scale*view.magnified,out=Math.max(top-view.y,view.y-bottom)*
-px>roomAcross()/2+1||!seesTip(),low=(top-bottom)*px<LOW2*roomAcross();(out||low&&view.magnified<MAGNIFICATIONS.
-at(-1))&&fit(view.fit);return}if(view.fit!=="tip")return;let{x,y}=now.state.tip,across=(x-view.x)*view.scale/view.
-box.width,up2=(y-view.y)*view.scale*view.magnified/view.box.height;Math.abs(across)<EDGE&&Math.abs(up2)<EDGE||
-(view.x=x+Math.sign(across)*AHEAD*view.box.width/view.scale,view.y=y,touch())}function zoom(factor,px=toPx(view.
-x),py=toPy(view.y)){let[x,y]=[fromPx(px),fromPy(py)];view.scale=limited(view.scale*factor),view.x+=x-fromPx(px),
-view.y+=y-fromPy(py),view.fit!=="tip"&&(view.fit=null),touch()}function pan(px,py){view.x-=px/view.scale,view.
-y+=py/(view.scale*view.magnified),view.fit=null,touch()}function hold(on){view.held!==on&&(view.held=on,!on&&now.
-state&&follow())}var GUTTER,LOW_PICTURE,LOW_BOTTOM,MAGNIFICATIONS,ROOM,LEAST_SPAN,LOW2,SCALES,EDGE,AHEAD,TIP_WINDOW,
-view,changed,toPx,toPy,fromPx,fromPy,roomAcross,seesTip,limited,init_view=__esm({"needlefit/viewer/page/view.j\
-s"(){init_store();GUTTER={left:56,right:10,top:50,bottom:40},LOW_PICTURE=260,LOW_BOTTOM=24,MAGNIFICATIONS=[1,1.5,
-2,3,4,5,6,8,10,12,15,20,30,50],ROOM=56,LEAST_SPAN=.01,LOW2=.45,SCALES=[.5,400],[EDGE,AHEAD]=[.3,.2],TIP_WINDOW=
-45,view={x:0,y:0,scale:5,magnified:1,held:!1,fit:null,low:!1,box:{left:0,top:0,width:1,height:1}};Object.assign(
-now,{view});changed=!0;toPx=x=>view.box.left+view.box.width/2+(x-view.x)*view.scale,toPy=y=>view.box.top+view.
-box.height/2-(y-view.y)*view.scale*view.magnified,fromPx=px=>view.x+(px-view.box.left-view.box.width/2)/view.scale,
-fromPy=py=>view.y-(py-view.box.top-view.box.height/2)/(view.scale*view.magnified);roomAcross=()=>view.box.height-
-2*Math.min(ROOM,.2*view.box.height);seesTip=()=>sees(now.state.tip.x,now.state.tip.y);limited=scale=>Math.min(
-Math.max(scale,SCALES[0]),SCALES[1]);listen("band",follow)}});function readPalette(){for(let name of NAMES)palette[name]=colour(name)}function shades(layers){let stiffness=layers.
+now,{scene:message,band:null,forces:{x:[],y:[]}}):message.kind==="band"?now.band=message.x.length?message:null:
+now[message.kind]=message,publish(message.kind,message)}var now,listeners,redraw,tipForce,init_store=__esm({"n\
+eedlefit/viewer/page/store.js"(){now={data:null,needle:null,steered:null,replay:null,playing:null,scene:null,state:null,
+band:null,pinned:null,forces:{x:[],y:[]},view:null,shown:{load:!1,points:!1,path:!1,errors:!1,measured:!0,band:!0,
+plan:!0,pinned:!0},curves:new Set,labels:[],avoided:[]};Object.assign(window,{needlefit:now});listeners=new Map;
+redraw=()=>publish("redraw"),tipForce=()=>now.forces.y.at(-1)??null}});function resize(width,height){view.low=height<LOW_PICTURE,view.box={left:GUTTER.left,top:GUTTER.top,width:Math.
+max(width-GUTTER.left-GUTTER.right,10),height:Math.max(height-GUTTER.top-(view.low?LOW_BOTTOM:GUTTER.bottom),10)},
+view.held||fit(view.fit)}function fit(which){if(view.fit=which,redraw(),!now.scene||!now.state||!which)return;
+if(which==="tip"){let{x:x2,y:y2}=now.state.tip;return Object.assign(view,{scale:limited(view.box.width/TIP_WINDOW),
+magnified:1,x:x2,y:y2})}let[low,high,before,after]=which==="whole"?[-now.scene.length_mm,deepest()+4,Math.min(
+74,.1*view.box.width+20),34]:[0,1.04*deepest(),Math.min(84,.2*view.box.width),34],room=view.box.width-before-after,
+[bottom,top]=heights(which),[along,across]=[room/(high-low),roomAcross()/(top-bottom)];view.scale=limited(Math.
+min(along,across));let least=LEAST_SPAN*deepest(),times=roomAcross()/view.scale/Math.max(top-bottom,least);view.
+magnified=MAGNIFICATIONS.filter(one=>one<=times).at(-1)??1,view.x=(low+high)/2+(after-before)/(2*view.scale),view.
+y=(bottom+top)/2}function deepest(){let{depth_mm:depth,boundaries_mm:tops,measured}=now.scene,goals=goalCircles().
+map(([x2,,radius])=>x2+radius);return Math.max(depth,now.state.depth_mm,(tops.at(-1)??0)+5,measured?.depth_mm??
+0,...goals)}function goalCircles(){let{plan}=now.scene;return plan?[[...plan.target,plan.radius],...plan.obstacles]:
+[]}function heights(which){let{state,band:band2,pinned,scene:{measured}}=now,seen=[state,pinned].flatMap(one=>one?
+one.y.filter((_,i)=>which==="whole"||one.x[i]>=0):[]),goals=goalCircles().flatMap(([,y2,radius])=>[y2-radius,y2+
+radius]);return extent([...seen,...measured?.y??[],...goals,...band2?.low??[],...band2?.high??[],0])}function sees(x2,y2){
+let{left,top,width,height}=view.box,[px,py]=[toPx(x2)-left,toPy(y2)-top];return px>=0&&px<=width&&py>=0&&py<=height}
+function follow(){if(view.of!==now.scene)return view.of=now.scene,fit(view.fit??"tissue");if(view.held)return;
+if(view.fit&&view.fit!=="tip"){let[bottom,top]=heights(view.fit),px=view.scale*view.magnified,out=Math.max(top-
+view.y,view.y-bottom)*px>roomAcross()/2+1||!seesTip(),low=(top-bottom)*px<LOW2*roomAcross();(out||low&&view.magnified<
+MAGNIFICATIONS.at(-1))&&fit(view.fit);return}if(view.fit!=="tip")return;let{x:x2,y:y2}=now.state.tip,across=(x2-
+view.x)*view.scale/view.box.width,up2=(y2-view.y)*view.scale*view.magnified/view.box.height;Math.abs(across)<EDGE&&
+Math.abs(up2)<EDGE||(view.x=x2+Math.sign(across)*AHEAD*view.box.width/view.scale,view.y=y2,redraw())}function zoom(factor,px=toPx(
+view.x),py=toPy(view.y)){let[x2,y2]=[fromPx(px),fromPy(py)];view.scale=limited(view.scale*factor),view.x+=x2-fromPx(
+px),view.y+=y2-fromPy(py),view.fit!=="tip"&&(view.fit=null),redraw()}function pan(px,py){view.x-=px/view.scale,
+view.y+=py/(view.scale*view.magnified),view.fit=null,redraw()}function hold(on){view.held!==on&&(view.held=on,
+!on&&now.state&&follow())}var GUTTER,LOW_PICTURE,LOW_BOTTOM,MAGNIFICATIONS,ROOM,LEAST_SPAN,LOW2,SCALES,EDGE,AHEAD,
+TIP_WINDOW,view,toPx,toPy,fromPx,fromPy,roomAcross,seesTip,limited,init_view=__esm({"needlefit/viewer/page/vie\
+w.js"(){init_d3_array();init_store();GUTTER={left:56,right:10,top:50,bottom:40},LOW_PICTURE=260,LOW_BOTTOM=24,
+MAGNIFICATIONS=[1,1.5,2,3,4,5,6,8,10,12,15,20,30,50],ROOM=56,LEAST_SPAN=.01,LOW2=.45,SCALES=[.5,400],[EDGE,AHEAD]=
+[.3,.2],TIP_WINDOW=45,view={x:0,y:0,scale:5,magnified:1,held:!1,fit:"tissue",of:null,low:!1,per_load:0,box:{left:0,
+top:0,width:1,height:1}};Object.assign(now,{view});toPx=x2=>view.box.left+view.box.width/2+(x2-view.x)*view.scale,
+toPy=y2=>view.box.top+view.box.height/2-(y2-view.y)*view.scale*view.magnified,fromPx=px=>view.x+(px-view.box.left-
+view.box.width/2)/view.scale,fromPy=py=>view.y-(py-view.box.top-view.box.height/2)/(view.scale*view.magnified);
+roomAcross=()=>view.box.height-2*Math.min(ROOM,.2*view.box.height);seesTip=()=>sees(now.state.tip.x,now.state.
+tip.y);limited=scale=>Math.min(Math.max(scale,SCALES[0]),SCALES[1]);listen("band",follow)}});function append(strings){this._+=strings[0];for(let i=1,n=strings.length;i<n;++i)this._+=arguments[i]+strings[i]}
+function appendRound(digits2){let d=Math.floor(digits2);if(!(d>=0))throw new Error(`invalid digits: ${digits2}`);
+if(d>15)return append;let k2=10**d;return function(strings){this._+=strings[0];for(let i=1,n=strings.length;i<
+n;++i)this._+=Math.round(arguments[i]*k2)/k2+strings[i]}}function equal(x0,y0,x1,y1){return x0===x1&&y0===y1}function equalRound(digits2){
+let d=Math.floor(digits2);if(!(d<=15))return equal;let k2=10**d,r=function(value){return Math.round(value*k2)};
+return function(x0,y0,x1,y1){return r(x0)===r(x1)&&r(y0)===r(y1)}}function path(){return new Path}var pi,tau,epsilon,
+tauEpsilon,Path,init_d3_path=__esm({"node_modules/d3-path/dist/d3-path.mjs"(){pi=Math.PI,tau=2*pi,epsilon=1e-6,
+tauEpsilon=tau-epsilon;Path=class{constructor(digits2){this._x0=this._y0=this._x1=this._y1=null,this._="",this.
+_append=digits2==null?append:appendRound(digits2),this._equal=digits2==null?equal:equalRound(digits2)}moveTo(x2,y2){
+this._append`M${this._x0=this._x1=+x2},${this._y0=this._y1=+y2}`}closePath(){this._x1!==null&&(this._x1=this._x0,
+this._y1=this._y0,this._append`Z`)}lineTo(x2,y2){this._append`L${this._x1=+x2},${this._y1=+y2}`}quadraticCurveTo(x1,y1,x2,y2){
+this._append`Q${+x1},${+y1},${this._x1=+x2},${this._y1=+y2}`}bezierCurveTo(x1,y1,x2,y2,x3,y3){this._append`C${+x1},${+y1},${+x2},${+y2},${this.
+_x1=+x3},${this._y1=+y3}`}arcTo(x1,y1,x2,y2,r){if(x1=+x1,y1=+y1,x2=+x2,y2=+y2,r=+r,r<0)throw new Error(`negati\
+ve radius: ${r}`);let x0=this._x1,y0=this._y1,x21=x2-x1,y21=y2-y1,x01=x0-x1,y01=y0-y1,l01_2=x01*x01+y01*y01;if(this.
+_x1===null)this._append`M${this._x1=x1},${this._y1=y1}`;else if(l01_2>epsilon)if(!(Math.abs(y01*x21-y21*x01)>epsilon)||
+!r)this._append`L${this._x1=x1},${this._y1=y1}`;else{let x20=x2-x0,y20=y2-y0,l21_2=x21*x21+y21*y21,l20_2=x20*x20+
+y20*y20,l21=Math.sqrt(l21_2),l01=Math.sqrt(l01_2),l=r*Math.tan((pi-Math.acos((l21_2+l01_2-l20_2)/(2*l21*l01)))/
+2),t01=l/l01,t21=l/l21;Math.abs(t01-1)>epsilon&&this._append`L${x1+t01*x01},${y1+t01*y01}`,this._append`A${r},${r},0,0,${+(y01*
+x20>x01*y20)},${this._x1=x1+t21*x21},${this._y1=y1+t21*y21}`}}arc(x2,y2,r,a0,a1,ccw){if(x2=+x2,y2=+y2,r=+r,ccw=
+!!ccw,r<0)throw new Error(`negative radius: ${r}`);let dx=r*Math.cos(a0),dy=r*Math.sin(a0),x0=x2+dx,y0=y2+dy,cw=1^
+ccw,da=ccw?a0-a1:a1-a0;if(this._x1===null?this._append`M${x0},${y0}`:(Math.abs(this._x1-x0)>epsilon||Math.abs(
+this._y1-y0)>epsilon)&&this._append`L${x0},${y0}`,!!r){if(da<0&&(da=da%tau+tau),da>tauEpsilon)this._append`A${r},${r},0,1,${cw},${x2-
+dx},${y2-dy}A${r},${r},0,1,${cw},${this._x1=x0},${this._y1=y0}`;else if(da>epsilon){let x1=x2+r*Math.cos(a1),y1=y2+
+r*Math.sin(a1);if(da>=pi&&this._equal(x0,y0,x1,y1)){da/=2;let a00=a0+da;this._append`A${r},${r},0,${+(da>=pi)},${cw},${x2+
+r*Math.cos(a00)},${y2+r*Math.sin(a00)}`}this._append`A${r},${r},0,${+(da>=pi)},${cw},${this._x1=x1},${this._y1=
+y1}`}}}rect(x2,y2,w,h){this._append`M${this._x0=this._x1=+x2},${this._y0=this._y1=+y2}h${w=+w}v${+h}h${-w}Z`}toString(){
+return this._}};path.prototype=Path.prototype}});function constant(x2){return function(){return x2}}function withPath(shape){let digits2=3;return shape.digits=
+function(_){if(!arguments.length)return digits2;if(_==null)digits2=null;else{let d=Math.floor(_);if(!(d>=0))throw new RangeError(
+`invalid digits: ${_}`);digits2=d}return shape},()=>new Path(digits2)}function array2(x2){return typeof x2=="o\
+bject"&&"length"in x2?x2:Array.from(x2)}function Linear(context2){this._context=context2}function curveLinear(context2){
+return new Linear(context2)}function x(p){return p[0]}function y(p){return p[1]}function line(x$1,y$1){var defined=constant(
+!0),context2=null,curve=curveLinear,output=null,path2=withPath(line3);x$1=typeof x$1=="function"?x$1:x$1===void 0?
+x:constant(x$1),y$1=typeof y$1=="function"?y$1:y$1===void 0?y:constant(y$1);function line3(data){var i,n=(data=
+array2(data)).length,d,defined0=!1,buffer;for(context2==null&&(output=curve(buffer=path2())),i=0;i<=n;++i)!(i<
+n&&defined(d=data[i],i,data))===defined0&&((defined0=!defined0)?output.lineStart():output.lineEnd()),defined0&&
+output.point(+x$1(d,i,data),+y$1(d,i,data));if(buffer)return output=null,buffer+""||null}return line3.x=function(_){
+return arguments.length?(x$1=typeof _=="function"?_:constant(+_),line3):x$1},line3.y=function(_){return arguments.
+length?(y$1=typeof _=="function"?_:constant(+_),line3):y$1},line3.defined=function(_){return arguments.length?
+(defined=typeof _=="function"?_:constant(!!_),line3):defined},line3.curve=function(_){return arguments.length?
+(curve=_,context2!=null&&(output=curve(context2)),line3):curve},line3.context=function(_){return arguments.length?
+(_==null?context2=output=null:output=curve(context2=_),line3):context2},line3}function area(x0,y0,y1){var x1=null,
+defined=constant(!0),context2=null,curve=curveLinear,output=null,path2=withPath(area2);x0=typeof x0=="function"?
+x0:x0===void 0?x:constant(+x0),y0=typeof y0=="function"?y0:constant(y0===void 0?0:+y0),y1=typeof y1=="function"?
+y1:y1===void 0?y:constant(+y1);function area2(data){var i,j,k2,n=(data=array2(data)).length,d,defined0=!1,buffer,
+x0z=new Array(n),y0z=new Array(n);for(context2==null&&(output=curve(buffer=path2())),i=0;i<=n;++i){if(!(i<n&&defined(
+d=data[i],i,data))===defined0)if(defined0=!defined0)j=i,output.areaStart(),output.lineStart();else{for(output.
+lineEnd(),output.lineStart(),k2=i-1;k2>=j;--k2)output.point(x0z[k2],y0z[k2]);output.lineEnd(),output.areaEnd()}
+defined0&&(x0z[i]=+x0(d,i,data),y0z[i]=+y0(d,i,data),output.point(x1?+x1(d,i,data):x0z[i],y1?+y1(d,i,data):y0z[i]))}
+if(buffer)return output=null,buffer+""||null}function arealine(){return line().defined(defined).curve(curve).context(
+context2)}return area2.x=function(_){return arguments.length?(x0=typeof _=="function"?_:constant(+_),x1=null,area2):
+x0},area2.x0=function(_){return arguments.length?(x0=typeof _=="function"?_:constant(+_),area2):x0},area2.x1=function(_){
+return arguments.length?(x1=_==null?null:typeof _=="function"?_:constant(+_),area2):x1},area2.y=function(_){return arguments.
+length?(y0=typeof _=="function"?_:constant(+_),y1=null,area2):y0},area2.y0=function(_){return arguments.length?
+(y0=typeof _=="function"?_:constant(+_),area2):y0},area2.y1=function(_){return arguments.length?(y1=_==null?null:
+typeof _=="function"?_:constant(+_),area2):y1},area2.lineX0=area2.lineY0=function(){return arealine().x(x0).y(
+y0)},area2.lineY1=function(){return arealine().x(x0).y(y1)},area2.lineX1=function(){return arealine().x(x1).y(
+y0)},area2.defined=function(_){return arguments.length?(defined=typeof _=="function"?_:constant(!!_),area2):defined},
+area2.curve=function(_){return arguments.length?(curve=_,context2!=null&&(output=curve(context2)),area2):curve},
+area2.context=function(_){return arguments.length?(_==null?context2=output=null:output=curve(context2=_),area2):
+context2},area2}function Radial(curve){this._curve=curve}function curveRadial(curve){function radial(context2){
+return new Radial(curve(context2))}return radial._curve=curve,radial}function noop(){}function point$3(that,x2,y2){
+that._context.bezierCurveTo((2*that._x0+that._x1)/3,(2*that._y0+that._y1)/3,(that._x0+2*that._x1)/3,(that._y0+
+2*that._y1)/3,(that._x0+4*that._x1+x2)/6,(that._y0+4*that._y1+y2)/6)}function Basis(context2){this._context=context2}
+function BasisClosed(context2){this._context=context2}function BasisOpen(context2){this._context=context2}function Bundle(context2,beta){
+this._basis=new Basis(context2),this._beta=beta}function point$2(that,x2,y2){that._context.bezierCurveTo(that.
+_x1+that._k*(that._x2-that._x0),that._y1+that._k*(that._y2-that._y0),that._x2+that._k*(that._x1-x2),that._y2+that.
+_k*(that._y1-y2),that._x2,that._y2)}function Cardinal(context2,tension){this._context=context2,this._k=(1-tension)/
+6}function CardinalClosed(context2,tension){this._context=context2,this._k=(1-tension)/6}function CardinalOpen(context2,tension){
+this._context=context2,this._k=(1-tension)/6}function point$1(that,x2,y2){var x1=that._x1,y1=that._y1,x22=that.
+_x2,y22=that._y2;if(that._l01_a>epsilon2){var a2=2*that._l01_2a+3*that._l01_a*that._l12_a+that._l12_2a,n=3*that.
+_l01_a*(that._l01_a+that._l12_a);x1=(x1*a2-that._x0*that._l12_2a+that._x2*that._l01_2a)/n,y1=(y1*a2-that._y0*that.
+_l12_2a+that._y2*that._l01_2a)/n}if(that._l23_a>epsilon2){var b=2*that._l23_2a+3*that._l23_a*that._l12_a+that.
+_l12_2a,m=3*that._l23_a*(that._l23_a+that._l12_a);x22=(x22*b+that._x1*that._l23_2a-x2*that._l12_2a)/m,y22=(y22*
+b+that._y1*that._l23_2a-y2*that._l12_2a)/m}that._context.bezierCurveTo(x1,y1,x22,y22,that._x2,that._y2)}function CatmullRom(context2,alpha){
+this._context=context2,this._alpha=alpha}function CatmullRomClosed(context2,alpha){this._context=context2,this.
+_alpha=alpha}function CatmullRomOpen(context2,alpha){this._context=context2,this._alpha=alpha}function LinearClosed(context2){
+this._context=context2}function sign(x2){return x2<0?-1:1}function slope3(that,x2,y2){var h0=that._x1-that._x0,
+h1=x2-that._x1,s0=(that._y1-that._y0)/(h0||h1<0&&-0),s1=(y2-that._y1)/(h1||h0<0&&-0),p=(s0*h1+s1*h0)/(h0+h1);return(sign(
+s0)+sign(s1))*Math.min(Math.abs(s0),Math.abs(s1),.5*Math.abs(p))||0}function slope2(that,t){var h=that._x1-that.
+_x0;return h?(3*(that._y1-that._y0)/h-t)/2:t}function point(that,t02,t12){var x0=that._x0,y0=that._y0,x1=that.
+_x1,y1=that._y1,dx=(x1-x0)/3;that._context.bezierCurveTo(x0+dx,y0+dx*t02,x1-dx,y1-dx*t12,x1,y1)}function MonotoneX(context2){
+this._context=context2}function MonotoneY(context2){this._context=new ReflectContext(context2)}function ReflectContext(context2){
+this._context=context2}function Natural(context2){this._context=context2}function controlPoints(x2){var i,n=x2.
+length-1,m,a2=new Array(n),b=new Array(n),r=new Array(n);for(a2[0]=0,b[0]=2,r[0]=x2[0]+2*x2[1],i=1;i<n-1;++i)a2[i]=
+1,b[i]=4,r[i]=4*x2[i]+2*x2[i+1];for(a2[n-1]=2,b[n-1]=7,r[n-1]=8*x2[n-1]+x2[n],i=1;i<n;++i)m=a2[i]/b[i-1],b[i]-=
+m,r[i]-=m*r[i-1];for(a2[n-1]=r[n-1]/b[n-1],i=n-2;i>=0;--i)a2[i]=(r[i]-a2[i+1])/b[i];for(b[n-1]=(x2[n]+a2[n-1])/
+2,i=0;i<n-1;++i)b[i]=2*x2[i+1]-a2[i+1];return[a2,b]}function Step(context2,t){this._context=context2,this._t=t}
+var cos,sin,sqrt,epsilon2,pi2,halfPi,tau2,slice2,curveRadialLinear,sqrt3$2,tan30,tan30_2,kr,kx,ky,sqrt3$1,sqrt3,
+s,k,a,bundle,cardinal,cardinalClosed,cardinalOpen,catmullRom,catmullRomClosed,catmullRomOpen,init_d3_shape=__esm(
+{"node_modules/d3-shape/dist/d3-shape.mjs"(){init_d3_path();cos=Math.cos,sin=Math.sin,sqrt=Math.sqrt,epsilon2=
+1e-12,pi2=Math.PI,halfPi=pi2/2,tau2=2*pi2;slice2=Array.prototype.slice;Linear.prototype={areaStart:function(){
+this._line=0},areaEnd:function(){this._line=NaN},lineStart:function(){this._point=0},lineEnd:function(){(this.
+_line||this._line!==0&&this._point===1)&&this._context.closePath(),this._line=1-this._line},point:function(x2,y2){
+switch(x2=+x2,y2=+y2,this._point){case 0:this._point=1,this._line?this._context.lineTo(x2,y2):this._context.moveTo(
+x2,y2);break;case 1:this._point=2;default:this._context.lineTo(x2,y2);break}}};curveRadialLinear=curveRadial(curveLinear);
+Radial.prototype={areaStart:function(){this._curve.areaStart()},areaEnd:function(){this._curve.areaEnd()},lineStart:function(){
+this._curve.lineStart()},lineEnd:function(){this._curve.lineEnd()},point:function(a2,r){this._curve.point(r*Math.
+sin(a2),r*-Math.cos(a2))}};sqrt3$2=sqrt(3),tan30=sqrt(1/3),tan30_2=tan30*2,kr=sin(pi2/10)/sin(7*pi2/10),kx=sin(
+tau2/10)*kr,ky=-cos(tau2/10)*kr,sqrt3$1=sqrt(3),sqrt3=sqrt(3),s=sqrt(3)/2,k=1/sqrt(12),a=(k/2+1)*3;Basis.prototype=
+{areaStart:function(){this._line=0},areaEnd:function(){this._line=NaN},lineStart:function(){this._x0=this._x1=
+this._y0=this._y1=NaN,this._point=0},lineEnd:function(){switch(this._point){case 3:point$3(this,this._x1,this.
+_y1);case 2:this._context.lineTo(this._x1,this._y1);break}(this._line||this._line!==0&&this._point===1)&&this.
+_context.closePath(),this._line=1-this._line},point:function(x2,y2){switch(x2=+x2,y2=+y2,this._point){case 0:this.
+_point=1,this._line?this._context.lineTo(x2,y2):this._context.moveTo(x2,y2);break;case 1:this._point=2;break;case 2:
+this._point=3,this._context.lineTo((5*this._x0+this._x1)/6,(5*this._y0+this._y1)/6);default:point$3(this,x2,y2);
+break}this._x0=this._x1,this._x1=x2,this._y0=this._y1,this._y1=y2}};BasisClosed.prototype={areaStart:noop,areaEnd:noop,
+lineStart:function(){this._x0=this._x1=this._x2=this._x3=this._x4=this._y0=this._y1=this._y2=this._y3=this._y4=
+NaN,this._point=0},lineEnd:function(){switch(this._point){case 1:{this._context.moveTo(this._x2,this._y2),this.
+_context.closePath();break}case 2:{this._context.moveTo((this._x2+2*this._x3)/3,(this._y2+2*this._y3)/3),this.
+_context.lineTo((this._x3+2*this._x2)/3,(this._y3+2*this._y2)/3),this._context.closePath();break}case 3:{this.
+point(this._x2,this._y2),this.point(this._x3,this._y3),this.point(this._x4,this._y4);break}}},point:function(x2,y2){
+switch(x2=+x2,y2=+y2,this._point){case 0:this._point=1,this._x2=x2,this._y2=y2;break;case 1:this._point=2,this.
+_x3=x2,this._y3=y2;break;case 2:this._point=3,this._x4=x2,this._y4=y2,this._context.moveTo((this._x0+4*this._x1+
+x2)/6,(this._y0+4*this._y1+y2)/6);break;default:point$3(this,x2,y2);break}this._x0=this._x1,this._x1=x2,this._y0=
+this._y1,this._y1=y2}};BasisOpen.prototype={areaStart:function(){this._line=0},areaEnd:function(){this._line=NaN},
+lineStart:function(){this._x0=this._x1=this._y0=this._y1=NaN,this._point=0},lineEnd:function(){(this._line||this.
+_line!==0&&this._point===3)&&this._context.closePath(),this._line=1-this._line},point:function(x2,y2){switch(x2=
++x2,y2=+y2,this._point){case 0:this._point=1;break;case 1:this._point=2;break;case 2:this._point=3;var x0=(this.
+_x0+4*this._x1+x2)/6,y0=(this._y0+4*this._y1+y2)/6;this._line?this._context.lineTo(x0,y0):this._context.moveTo(
+x0,y0);break;case 3:this._point=4;default:point$3(this,x2,y2);break}this._x0=this._x1,this._x1=x2,this._y0=this.
+_y1,this._y1=y2}};Bundle.prototype={lineStart:function(){this._x=[],this._y=[],this._basis.lineStart()},lineEnd:function(){
+var x2=this._x,y2=this._y,j=x2.length-1;if(j>0)for(var x0=x2[0],y0=y2[0],dx=x2[j]-x0,dy=y2[j]-y0,i=-1,t;++i<=j;)
+t=i/j,this._basis.point(this._beta*x2[i]+(1-this._beta)*(x0+t*dx),this._beta*y2[i]+(1-this._beta)*(y0+t*dy));this.
+_x=this._y=null,this._basis.lineEnd()},point:function(x2,y2){this._x.push(+x2),this._y.push(+y2)}};bundle=(function custom(beta){
+function bundle2(context2){return beta===1?new Basis(context2):new Bundle(context2,beta)}return bundle2.beta=function(beta2){
+return custom(+beta2)},bundle2})(.85);Cardinal.prototype={areaStart:function(){this._line=0},areaEnd:function(){
+this._line=NaN},lineStart:function(){this._x0=this._x1=this._x2=this._y0=this._y1=this._y2=NaN,this._point=0},
+lineEnd:function(){switch(this._point){case 2:this._context.lineTo(this._x2,this._y2);break;case 3:point$2(this,
+this._x1,this._y1);break}(this._line||this._line!==0&&this._point===1)&&this._context.closePath(),this._line=1-
+this._line},point:function(x2,y2){switch(x2=+x2,y2=+y2,this._point){case 0:this._point=1,this._line?this._context.
+lineTo(x2,y2):this._context.moveTo(x2,y2);break;case 1:this._point=2,this._x1=x2,this._y1=y2;break;case 2:this.
+_point=3;default:point$2(this,x2,y2);break}this._x0=this._x1,this._x1=this._x2,this._x2=x2,this._y0=this._y1,this.
+_y1=this._y2,this._y2=y2}};cardinal=(function custom2(tension){function cardinal2(context2){return new Cardinal(
+context2,tension)}return cardinal2.tension=function(tension2){return custom2(+tension2)},cardinal2})(0);CardinalClosed.
+prototype={areaStart:noop,areaEnd:noop,lineStart:function(){this._x0=this._x1=this._x2=this._x3=this._x4=this.
+_x5=this._y0=this._y1=this._y2=this._y3=this._y4=this._y5=NaN,this._point=0},lineEnd:function(){switch(this._point){case 1:{
+this._context.moveTo(this._x3,this._y3),this._context.closePath();break}case 2:{this._context.lineTo(this._x3,
+this._y3),this._context.closePath();break}case 3:{this.point(this._x3,this._y3),this.point(this._x4,this._y4),
+this.point(this._x5,this._y5);break}}},point:function(x2,y2){switch(x2=+x2,y2=+y2,this._point){case 0:this._point=
+1,this._x3=x2,this._y3=y2;break;case 1:this._point=2,this._context.moveTo(this._x4=x2,this._y4=y2);break;case 2:
+this._point=3,this._x5=x2,this._y5=y2;break;default:point$2(this,x2,y2);break}this._x0=this._x1,this._x1=this.
+_x2,this._x2=x2,this._y0=this._y1,this._y1=this._y2,this._y2=y2}};cardinalClosed=(function custom3(tension){function cardinal2(context2){
+return new CardinalClosed(context2,tension)}return cardinal2.tension=function(tension2){return custom3(+tension2)},
+cardinal2})(0);CardinalOpen.prototype={areaStart:function(){this._line=0},areaEnd:function(){this._line=NaN},lineStart:function(){
+this._x0=this._x1=this._x2=this._y0=this._y1=this._y2=NaN,this._point=0},lineEnd:function(){(this._line||this.
+_line!==0&&this._point===3)&&this._context.closePath(),this._line=1-this._line},point:function(x2,y2){switch(x2=
++x2,y2=+y2,this._point){case 0:this._point=1;break;case 1:this._point=2;break;case 2:this._point=3,this._line?
+this._context.lineTo(this._x2,this._y2):this._context.moveTo(this._x2,this._y2);break;case 3:this._point=4;default:
+point$2(this,x2,y2);break}this._x0=this._x1,this._x1=this._x2,this._x2=x2,this._y0=this._y1,this._y1=this._y2,
+this._y2=y2}};cardinalOpen=(function custom4(tension){function cardinal2(context2){return new CardinalOpen(context2,
+tension)}return cardinal2.tension=function(tension2){return custom4(+tension2)},cardinal2})(0);CatmullRom.prototype=
+{areaStart:function(){this._line=0},areaEnd:function(){this._line=NaN},lineStart:function(){this._x0=this._x1=
+this._x2=this._y0=this._y1=this._y2=NaN,this._l01_a=this._l12_a=this._l23_a=this._l01_2a=this._l12_2a=this._l23_2a=
+this._point=0},lineEnd:function(){switch(this._point){case 2:this._context.lineTo(this._x2,this._y2);break;case 3:
+this.point(this._x2,this._y2);break}(this._line||this._line!==0&&this._point===1)&&this._context.closePath(),this.
+_line=1-this._line},point:function(x2,y2){if(x2=+x2,y2=+y2,this._point){var x23=this._x2-x2,y23=this._y2-y2;this.
+_l23_a=Math.sqrt(this._l23_2a=Math.pow(x23*x23+y23*y23,this._alpha))}switch(this._point){case 0:this._point=1,
+this._line?this._context.lineTo(x2,y2):this._context.moveTo(x2,y2);break;case 1:this._point=2;break;case 2:this.
+_point=3;default:point$1(this,x2,y2);break}this._l01_a=this._l12_a,this._l12_a=this._l23_a,this._l01_2a=this._l12_2a,
+this._l12_2a=this._l23_2a,this._x0=this._x1,this._x1=this._x2,this._x2=x2,this._y0=this._y1,this._y1=this._y2,
+this._y2=y2}};catmullRom=(function custom5(alpha){function catmullRom2(context2){return alpha?new CatmullRom(context2,
+alpha):new Cardinal(context2,0)}return catmullRom2.alpha=function(alpha2){return custom5(+alpha2)},catmullRom2})(
+.5);CatmullRomClosed.prototype={areaStart:noop,areaEnd:noop,lineStart:function(){this._x0=this._x1=this._x2=this.
+_x3=this._x4=this._x5=this._y0=this._y1=this._y2=this._y3=this._y4=this._y5=NaN,this._l01_a=this._l12_a=this._l23_a=
+this._l01_2a=this._l12_2a=this._l23_2a=this._point=0},lineEnd:function(){switch(this._point){case 1:{this._context.
+moveTo(this._x3,this._y3),this._context.closePath();break}case 2:{this._context.lineTo(this._x3,this._y3),this.
+_context.closePath();break}case 3:{this.point(this._x3,this._y3),this.point(this._x4,this._y4),this.point(this.
+_x5,this._y5);break}}},point:function(x2,y2){if(x2=+x2,y2=+y2,this._point){var x23=this._x2-x2,y23=this._y2-y2;
+this._l23_a=Math.sqrt(this._l23_2a=Math.pow(x23*x23+y23*y23,this._alpha))}switch(this._point){case 0:this._point=
+1,this._x3=x2,this._y3=y2;break;case 1:this._point=2,this._context.moveTo(this._x4=x2,this._y4=y2);break;case 2:
+this._point=3,this._x5=x2,this._y5=y2;break;default:point$1(this,x2,y2);break}this._l01_a=this._l12_a,this._l12_a=
+this._l23_a,this._l01_2a=this._l12_2a,this._l12_2a=this._l23_2a,this._x0=this._x1,this._x1=this._x2,this._x2=x2,
+this._y0=this._y1,this._y1=this._y2,this._y2=y2}};catmullRomClosed=(function custom6(alpha){function catmullRom2(context2){
+return alpha?new CatmullRomClosed(context2,alpha):new CardinalClosed(context2,0)}return catmullRom2.alpha=function(alpha2){
+return custom6(+alpha2)},catmullRom2})(.5);CatmullRomOpen.prototype={areaStart:function(){this._line=0},areaEnd:function(){
+this._line=NaN},lineStart:function(){this._x0=this._x1=this._x2=this._y0=this._y1=this._y2=NaN,this._l01_a=this.
+_l12_a=this._l23_a=this._l01_2a=this._l12_2a=this._l23_2a=this._point=0},lineEnd:function(){(this._line||this.
+_line!==0&&this._point===3)&&this._context.closePath(),this._line=1-this._line},point:function(x2,y2){if(x2=+x2,
+y2=+y2,this._point){var x23=this._x2-x2,y23=this._y2-y2;this._l23_a=Math.sqrt(this._l23_2a=Math.pow(x23*x23+y23*
+y23,this._alpha))}switch(this._point){case 0:this._point=1;break;case 1:this._point=2;break;case 2:this._point=
+3,this._line?this._context.lineTo(this._x2,this._y2):this._context.moveTo(this._x2,this._y2);break;case 3:this.
+_point=4;default:point$1(this,x2,y2);break}this._l01_a=this._l12_a,this._l12_a=this._l23_a,this._l01_2a=this._l12_2a,
+this._l12_2a=this._l23_2a,this._x0=this._x1,this._x1=this._x2,this._x2=x2,this._y0=this._y1,this._y1=this._y2,
+this._y2=y2}};catmullRomOpen=(function custom7(alpha){function catmullRom2(context2){return alpha?new CatmullRomOpen(
+context2,alpha):new CardinalOpen(context2,0)}return catmullRom2.alpha=function(alpha2){return custom7(+alpha2)},
+catmullRom2})(.5);LinearClosed.prototype={areaStart:noop,areaEnd:noop,lineStart:function(){this._point=0},lineEnd:function(){
+this._point&&this._context.closePath()},point:function(x2,y2){x2=+x2,y2=+y2,this._point?this._context.lineTo(x2,
+y2):(this._point=1,this._context.moveTo(x2,y2))}};MonotoneX.prototype={areaStart:function(){this._line=0},areaEnd:function(){
+this._line=NaN},lineStart:function(){this._x0=this._x1=this._y0=this._y1=this._t0=NaN,this._point=0},lineEnd:function(){
+switch(this._point){case 2:this._context.lineTo(this._x1,this._y1);break;case 3:point(this,this._t0,slope2(this,
+this._t0));break}(this._line||this._line!==0&&this._point===1)&&this._context.closePath(),this._line=1-this._line},
+point:function(x2,y2){var t12=NaN;if(x2=+x2,y2=+y2,!(x2===this._x1&&y2===this._y1)){switch(this._point){case 0:
+this._point=1,this._line?this._context.lineTo(x2,y2):this._context.moveTo(x2,y2);break;case 1:this._point=2;break;case 2:
+this._point=3,point(this,slope2(this,t12=slope3(this,x2,y2)),t12);break;default:point(this,this._t0,t12=slope3(
+this,x2,y2));break}this._x0=this._x1,this._x1=x2,this._y0=this._y1,this._y1=y2,this._t0=t12}}};(MonotoneY.prototype=
+Object.create(MonotoneX.prototype)).point=function(x2,y2){MonotoneX.prototype.point.call(this,y2,x2)};ReflectContext.
+prototype={moveTo:function(x2,y2){this._context.moveTo(y2,x2)},closePath:function(){this._context.closePath()},
+lineTo:function(x2,y2){this._context.lineTo(y2,x2)},bezierCurveTo:function(x1,y1,x2,y2,x3,y3){this._context.bezierCurveTo(
+y1,x1,y2,x2,y3,x3)}};Natural.prototype={areaStart:function(){this._line=0},areaEnd:function(){this._line=NaN},
+lineStart:function(){this._x=[],this._y=[]},lineEnd:function(){var x2=this._x,y2=this._y,n=x2.length;if(n)if(this.
+_line?this._context.lineTo(x2[0],y2[0]):this._context.moveTo(x2[0],y2[0]),n===2)this._context.lineTo(x2[1],y2[1]);else
+for(var px=controlPoints(x2),py=controlPoints(y2),i0=0,i1=1;i1<n;++i0,++i1)this._context.bezierCurveTo(px[0][i0],
+py[0][i0],px[1][i0],py[1][i0],x2[i1],y2[i1]);(this._line||this._line!==0&&n===1)&&this._context.closePath(),this.
+_line=1-this._line,this._x=this._y=null},point:function(x2,y2){this._x.push(+x2),this._y.push(+y2)}};Step.prototype=
+{areaStart:function(){this._line=0},areaEnd:function(){this._line=NaN},lineStart:function(){this._x=this._y=NaN,
+this._point=0},lineEnd:function(){0<this._t&&this._t<1&&this._point===2&&this._context.lineTo(this._x,this._y),
+(this._line||this._line!==0&&this._point===1)&&this._context.closePath(),this._line>=0&&(this._t=1-this._t,this.
+_line=1-this._line)},point:function(x2,y2){switch(x2=+x2,y2=+y2,this._point){case 0:this._point=1,this._line?this.
+_context.lineTo(x2,y2):this._context.moveTo(x2,y2);break;case 1:this._point=2;default:{if(this._t<=0)this._context.
+lineTo(this._x,y2),this._context.lineTo(x2,y2);else{var x1=this._x*(1-this._t)+x2*this._t;this._context.lineTo(
+x1,this._y),this._context.lineTo(x1,y2)}break}}this._x=x2,this._y=y2}}}});function define(constructor,factory,prototype){constructor.prototype=factory.prototype=prototype,prototype.constructor=
+constructor}function extend(parent,definition){var prototype=Object.create(parent.prototype);for(var key in definition)
+prototype[key]=definition[key];return prototype}function Color(){}function color_formatHex(){return this.rgb().
+formatHex()}function color_formatHex8(){return this.rgb().formatHex8()}function color_formatHsl(){return hslConvert(
+this).formatHsl()}function color_formatRgb(){return this.rgb().formatRgb()}function color(format){var m,l;return format=
+(format+"").trim().toLowerCase(),(m=reHex.exec(format))?(l=m[1].length,m=parseInt(m[1],16),l===6?rgbn(m):l===3?
+new Rgb(m>>8&15|m>>4&240,m>>4&15|m&240,(m&15)<<4|m&15,1):l===8?rgba(m>>24&255,m>>16&255,m>>8&255,(m&255)/255):
+l===4?rgba(m>>12&15|m>>8&240,m>>8&15|m>>4&240,m>>4&15|m&240,((m&15)<<4|m&15)/255):null):(m=reRgbInteger.exec(format))?
+new Rgb(m[1],m[2],m[3],1):(m=reRgbPercent.exec(format))?new Rgb(m[1]*255/100,m[2]*255/100,m[3]*255/100,1):(m=reRgbaInteger.
+exec(format))?rgba(m[1],m[2],m[3],m[4]):(m=reRgbaPercent.exec(format))?rgba(m[1]*255/100,m[2]*255/100,m[3]*255/
+100,m[4]):(m=reHslPercent.exec(format))?hsla(m[1],m[2]/100,m[3]/100,1):(m=reHslaPercent.exec(format))?hsla(m[1],
+m[2]/100,m[3]/100,m[4]):named.hasOwnProperty(format)?rgbn(named[format]):format==="transparent"?new Rgb(NaN,NaN,
+NaN,0):null}function rgbn(n){return new Rgb(n>>16&255,n>>8&255,n&255,1)}function rgba(r,g,b,a2){return a2<=0&&
+(r=g=b=NaN),new Rgb(r,g,b,a2)}function rgbConvert(o){return o instanceof Color||(o=color(o)),o?(o=o.rgb(),new Rgb(
+o.r,o.g,o.b,o.opacity)):new Rgb}function rgb(r,g,b,opacity){return arguments.length===1?rgbConvert(r):new Rgb(
+r,g,b,opacity??1)}function Rgb(r,g,b,opacity){this.r=+r,this.g=+g,this.b=+b,this.opacity=+opacity}function rgb_formatHex(){
+return`#${hex(this.r)}${hex(this.g)}${hex(this.b)}`}function rgb_formatHex8(){return`#${hex(this.r)}${hex(this.
+g)}${hex(this.b)}${hex((isNaN(this.opacity)?1:this.opacity)*255)}`}function rgb_formatRgb(){let a2=clampa(this.
+opacity);return`${a2===1?"rgb(":"rgba("}${clampi(this.r)}, ${clampi(this.g)}, ${clampi(this.b)}${a2===1?")":`,\
+ ${a2})`}`}function clampa(opacity){return isNaN(opacity)?1:Math.max(0,Math.min(1,opacity))}function clampi(value){
+return Math.max(0,Math.min(255,Math.round(value)||0))}function hex(value){return value=clampi(value),(value<16?
+"0":"")+value.toString(16)}function hsla(h,s2,l,a2){return a2<=0?h=s2=l=NaN:l<=0||l>=1?h=s2=NaN:s2<=0&&(h=NaN),
+new Hsl(h,s2,l,a2)}function hslConvert(o){if(o instanceof Hsl)return new Hsl(o.h,o.s,o.l,o.opacity);if(o instanceof
+Color||(o=color(o)),!o)return new Hsl;if(o instanceof Hsl)return o;o=o.rgb();var r=o.r/255,g=o.g/255,b=o.b/255,
+min=Math.min(r,g,b),max2=Math.max(r,g,b),h=NaN,s2=max2-min,l=(max2+min)/2;return s2?(r===max2?h=(g-b)/s2+(g<b)*
+6:g===max2?h=(b-r)/s2+2:h=(r-g)/s2+4,s2/=l<.5?max2+min:2-max2-min,h*=60):s2=l>0&&l<1?0:h,new Hsl(h,s2,l,o.opacity)}
+function hsl(h,s2,l,opacity){return arguments.length===1?hslConvert(h):new Hsl(h,s2,l,opacity??1)}function Hsl(h,s2,l,opacity){
+this.h=+h,this.s=+s2,this.l=+l,this.opacity=+opacity}function clamph(value){return value=(value||0)%360,value<
+0?value+360:value}function clampt(value){return Math.max(0,Math.min(1,value||0))}function hsl2rgb(h,m1,m2){return(h<
+60?m1+(m2-m1)*h/60:h<180?m2:h<240?m1+(m2-m1)*(240-h)/60:m1)*255}function labConvert(o){if(o instanceof Lab)return new Lab(
+o.l,o.a,o.b,o.opacity);if(o instanceof Hcl)return hcl2lab(o);o instanceof Rgb||(o=rgbConvert(o));var r=rgb2lrgb(
+o.r),g=rgb2lrgb(o.g),b=rgb2lrgb(o.b),y2=xyz2lab((.2225045*r+.7168786*g+.0606169*b)/Yn),x2,z;return r===g&&g===
+b?x2=z=y2:(x2=xyz2lab((.4360747*r+.3850649*g+.1430804*b)/Xn),z=xyz2lab((.0139322*r+.0971045*g+.7141733*b)/Zn)),
+new Lab(116*y2-16,500*(x2-y2),200*(y2-z),o.opacity)}function lab(l,a2,b,opacity){return arguments.length===1?labConvert(
+l):new Lab(l,a2,b,opacity??1)}function Lab(l,a2,b,opacity){this.l=+l,this.a=+a2,this.b=+b,this.opacity=+opacity}
+function xyz2lab(t){return t>t3?Math.pow(t,1/3):t/t2+t0}function lab2xyz(t){return t>t1?t*t*t:t2*(t-t0)}function lrgb2rgb(x2){
+return 255*(x2<=.0031308?12.92*x2:1.055*Math.pow(x2,1/2.4)-.055)}function rgb2lrgb(x2){return(x2/=255)<=.04045?
+x2/12.92:Math.pow((x2+.055)/1.055,2.4)}function hclConvert(o){if(o instanceof Hcl)return new Hcl(o.h,o.c,o.l,o.
+opacity);if(o instanceof Lab||(o=labConvert(o)),o.a===0&&o.b===0)return new Hcl(NaN,0<o.l&&o.l<100?0:NaN,o.l,o.
+opacity);var h=Math.atan2(o.b,o.a)*degrees2;return new Hcl(h<0?h+360:h,Math.sqrt(o.a*o.a+o.b*o.b),o.l,o.opacity)}
+function hcl(h,c,l,opacity){return arguments.length===1?hclConvert(h):new Hcl(h,c,l,opacity??1)}function Hcl(h,c,l,opacity){
+this.h=+h,this.c=+c,this.l=+l,this.opacity=+opacity}function hcl2lab(o){if(isNaN(o.h))return new Lab(o.l,0,0,o.
+opacity);var h=o.h*radians;return new Lab(o.l,Math.cos(h)*o.c,Math.sin(h)*o.c,o.opacity)}function cubehelixConvert(o){
+if(o instanceof Cubehelix)return new Cubehelix(o.h,o.s,o.l,o.opacity);o instanceof Rgb||(o=rgbConvert(o));var r=o.
+r/255,g=o.g/255,b=o.b/255,l=(BC_DA*b+ED*r-EB*g)/(BC_DA+ED-EB),bl=b-l,k2=(E*(g-l)-C*bl)/D,s2=Math.sqrt(k2*k2+bl*
+bl)/(E*l*(1-l)),h=s2?Math.atan2(k2,bl)*degrees2-120:NaN;return new Cubehelix(h<0?h+360:h,s2,l,o.opacity)}function cubehelix(h,s2,l,opacity){
+return arguments.length===1?cubehelixConvert(h):new Cubehelix(h,s2,l,opacity??1)}function Cubehelix(h,s2,l,opacity){
+this.h=+h,this.s=+s2,this.l=+l,this.opacity=+opacity}var darker,brighter,reI,reN,reP,reHex,reRgbInteger,reRgbPercent,
+reRgbaInteger,reRgbaPercent,reHslPercent,reHslaPercent,named,radians,degrees2,K,Xn,Yn,Zn,t0,t1,t2,t3,A,B,C,D,E,
+ED,EB,BC_DA,init_d3_color=__esm({"node_modules/d3-color/dist/d3-color.mjs"(){darker=.7,brighter=1/darker,reI="\
+\\s*([+-]?\\d+)\\s*",reN="\\s*([+-]?(?:\\d*\\.)?\\d+(?:[eE][+-]?\\d+)?)\\s*",reP="\\s*([+-]?(?:\\d*\\.)?\\d+(?:[eE\
+][+-]?\\d+)?)%\\s*",reHex=/^#([0-9a-f]{3,8})$/,reRgbInteger=new RegExp(`^rgb\\(${reI},${reI},${reI}\\)$`),reRgbPercent=
+new RegExp(`^rgb\\(${reP},${reP},${reP}\\)$`),reRgbaInteger=new RegExp(`^rgba\\(${reI},${reI},${reI},${reN}\\)$`),
+reRgbaPercent=new RegExp(`^rgba\\(${reP},${reP},${reP},${reN}\\)$`),reHslPercent=new RegExp(`^hsl\\(${reN},${reP}\
+,${reP}\\)$`),reHslaPercent=new RegExp(`^hsla\\(${reN},${reP},${reP},${reN}\\)$`),named={aliceblue:15792383,antiquewhite:16444375,
+aqua:65535,aquamarine:8388564,azure:15794175,beige:16119260,bisque:16770244,black:0,blanchedalmond:16772045,blue:255,
+blueviolet:9055202,brown:10824234,burlywood:14596231,cadetblue:6266528,chartreuse:8388352,chocolate:13789470,coral:16744272,
+cornflowerblue:6591981,cornsilk:16775388,crimson:14423100,cyan:65535,darkblue:139,darkcyan:35723,darkgoldenrod:12092939,
+darkgray:11119017,darkgreen:25600,darkgrey:11119017,darkkhaki:12433259,darkmagenta:9109643,darkolivegreen:5597999,
+darkorange:16747520,darkorchid:10040012,darkred:9109504,darksalmon:15308410,darkseagreen:9419919,darkslateblue:4734347,
+darkslategray:3100495,darkslategrey:3100495,darkturquoise:52945,darkviolet:9699539,deeppink:16716947,deepskyblue:49151,
+dimgray:6908265,dimgrey:6908265,dodgerblue:2003199,firebrick:11674146,floralwhite:16775920,forestgreen:2263842,
+fuchsia:16711935,gainsboro:14474460,ghostwhite:16316671,gold:16766720,goldenrod:14329120,gray:8421504,green:32768,
+greenyellow:11403055,grey:8421504,honeydew:15794160,hotpink:16738740,indianred:13458524,indigo:4915330,ivory:16777200,
+khaki:15787660,lavender:15132410,lavenderblush:16773365,lawngreen:8190976,lemonchiffon:16775885,lightblue:11393254,
+lightcoral:15761536,lightcyan:14745599,lightgoldenrodyellow:16448210,lightgray:13882323,lightgreen:9498256,lightgrey:13882323,
+lightpink:16758465,lightsalmon:16752762,lightseagreen:2142890,lightskyblue:8900346,lightslategray:7833753,lightslategrey:7833753,
+lightsteelblue:11584734,lightyellow:16777184,lime:65280,limegreen:3329330,linen:16445670,magenta:16711935,maroon:8388608,
+mediumaquamarine:6737322,mediumblue:205,mediumorchid:12211667,mediumpurple:9662683,mediumseagreen:3978097,mediumslateblue:8087790,
+mediumspringgreen:64154,mediumturquoise:4772300,mediumvioletred:13047173,midnightblue:1644912,mintcream:16121850,
+mistyrose:16770273,moccasin:16770229,navajowhite:16768685,navy:128,oldlace:16643558,olive:8421376,olivedrab:7048739,
+orange:16753920,orangered:16729344,orchid:14315734,palegoldenrod:15657130,palegreen:10025880,paleturquoise:11529966,
+palevioletred:14381203,papayawhip:16773077,peachpuff:16767673,peru:13468991,pink:16761035,plum:14524637,powderblue:11591910,
+purple:8388736,rebeccapurple:6697881,red:16711680,rosybrown:12357519,royalblue:4286945,saddlebrown:9127187,salmon:16416882,
+sandybrown:16032864,seagreen:3050327,seashell:16774638,sienna:10506797,silver:12632256,skyblue:8900331,slateblue:6970061,
+slategray:7372944,slategrey:7372944,snow:16775930,springgreen:65407,steelblue:4620980,tan:13808780,teal:32896,
+thistle:14204888,tomato:16737095,turquoise:4251856,violet:15631086,wheat:16113331,white:16777215,whitesmoke:16119285,
+yellow:16776960,yellowgreen:10145074};define(Color,color,{copy(channels){return Object.assign(new this.constructor,
+this,channels)},displayable(){return this.rgb().displayable()},hex:color_formatHex,formatHex:color_formatHex,formatHex8:color_formatHex8,
+formatHsl:color_formatHsl,formatRgb:color_formatRgb,toString:color_formatRgb});define(Rgb,rgb,extend(Color,{brighter(k2){
+return k2=k2==null?brighter:Math.pow(brighter,k2),new Rgb(this.r*k2,this.g*k2,this.b*k2,this.opacity)},darker(k2){
+return k2=k2==null?darker:Math.pow(darker,k2),new Rgb(this.r*k2,this.g*k2,this.b*k2,this.opacity)},rgb(){return this},
+clamp(){return new Rgb(clampi(this.r),clampi(this.g),clampi(this.b),clampa(this.opacity))},displayable(){return-.5<=
+this.r&&this.r<255.5&&-.5<=this.g&&this.g<255.5&&-.5<=this.b&&this.b<255.5&&0<=this.opacity&&this.opacity<=1},
+hex:rgb_formatHex,formatHex:rgb_formatHex,formatHex8:rgb_formatHex8,formatRgb:rgb_formatRgb,toString:rgb_formatRgb}));
+define(Hsl,hsl,extend(Color,{brighter(k2){return k2=k2==null?brighter:Math.pow(brighter,k2),new Hsl(this.h,this.
+s,this.l*k2,this.opacity)},darker(k2){return k2=k2==null?darker:Math.pow(darker,k2),new Hsl(this.h,this.s,this.
+l*k2,this.opacity)},rgb(){var h=this.h%360+(this.h<0)*360,s2=isNaN(h)||isNaN(this.s)?0:this.s,l=this.l,m2=l+(l<
+.5?l:1-l)*s2,m1=2*l-m2;return new Rgb(hsl2rgb(h>=240?h-240:h+120,m1,m2),hsl2rgb(h,m1,m2),hsl2rgb(h<120?h+240:h-
+120,m1,m2),this.opacity)},clamp(){return new Hsl(clamph(this.h),clampt(this.s),clampt(this.l),clampa(this.opacity))},
+displayable(){return(0<=this.s&&this.s<=1||isNaN(this.s))&&0<=this.l&&this.l<=1&&0<=this.opacity&&this.opacity<=
+1},formatHsl(){let a2=clampa(this.opacity);return`${a2===1?"hsl(":"hsla("}${clamph(this.h)}, ${clampt(this.s)*
+100}%, ${clampt(this.l)*100}%${a2===1?")":`, ${a2})`}`}}));radians=Math.PI/180,degrees2=180/Math.PI,K=18,Xn=.96422,
+Yn=1,Zn=.82521,t0=4/29,t1=6/29,t2=3*t1*t1,t3=t1*t1*t1;define(Lab,lab,extend(Color,{brighter(k2){return new Lab(
+this.l+K*(k2??1),this.a,this.b,this.opacity)},darker(k2){return new Lab(this.l-K*(k2??1),this.a,this.b,this.opacity)},
+rgb(){var y2=(this.l+16)/116,x2=isNaN(this.a)?y2:y2+this.a/500,z=isNaN(this.b)?y2:y2-this.b/200;return x2=Xn*lab2xyz(
+x2),y2=Yn*lab2xyz(y2),z=Zn*lab2xyz(z),new Rgb(lrgb2rgb(3.1338561*x2-1.6168667*y2-.4906146*z),lrgb2rgb(-.9787684*
+x2+1.9161415*y2+.033454*z),lrgb2rgb(.0719453*x2-.2289914*y2+1.4052427*z),this.opacity)}}));define(Hcl,hcl,extend(
+Color,{brighter(k2){return new Hcl(this.h,this.c,this.l+K*(k2??1),this.opacity)},darker(k2){return new Hcl(this.
+h,this.c,this.l-K*(k2??1),this.opacity)},rgb(){return hcl2lab(this).rgb()}}));A=-.14861,B=1.78277,C=-.29227,D=
+-.90649,E=1.97294,ED=E*D,EB=E*B,BC_DA=B*C-D*A;define(Cubehelix,cubehelix,extend(Color,{brighter(k2){return k2=
+k2==null?brighter:Math.pow(brighter,k2),new Cubehelix(this.h,this.s,this.l*k2,this.opacity)},darker(k2){return k2=
+k2==null?darker:Math.pow(darker,k2),new Cubehelix(this.h,this.s,this.l*k2,this.opacity)},rgb(){var h=isNaN(this.
+h)?0:(this.h+120)*radians,l=+this.l,a2=isNaN(this.s)?0:this.s*l*(1-l),cosh2=Math.cos(h),sinh2=Math.sin(h);return new Rgb(
+255*(l+a2*(A*cosh2+B*sinh2)),255*(l+a2*(C*cosh2+D*sinh2)),255*(l+a2*(E*cosh2)),this.opacity)}}))}});function basis(t12,v0,v1,v2,v3){var t22=t12*t12,t32=t22*t12;return((1-3*t12+3*t22-t32)*v0+(4-6*t22+3*t32)*v1+(1+
+3*t12+3*t22-3*t32)*v2+t32*v3)/6}function basis$1(values){var n=values.length-1;return function(t){var i=t<=0?t=
+0:t>=1?(t=1,n-1):Math.floor(t*n),v1=values[i],v2=values[i+1],v0=i>0?values[i-1]:2*v1-v2,v3=i<n-1?values[i+2]:2*
+v2-v1;return basis((t-i/n)*n,v0,v1,v2,v3)}}function basisClosed(values){var n=values.length;return function(t){
+var i=Math.floor(((t%=1)<0?++t:t)*n),v0=values[(i+n-1)%n],v1=values[i%n],v2=values[(i+1)%n],v3=values[(i+2)%n];
+return basis((t-i/n)*n,v0,v1,v2,v3)}}function linear(a2,d){return function(t){return a2+t*d}}function exponential(a2,b,y2){
+return a2=Math.pow(a2,y2),b=Math.pow(b,y2)-a2,y2=1/y2,function(t){return Math.pow(a2+t*b,y2)}}function hue$1(a2,b){
+var d=b-a2;return d?linear(a2,d>180||d<-180?d-360*Math.round(d/360):d):constant2(isNaN(a2)?b:a2)}function gamma(y2){
+return(y2=+y2)==1?nogamma:function(a2,b){return b-a2?exponential(a2,b,y2):constant2(isNaN(a2)?b:a2)}}function nogamma(a2,b){
+var d=b-a2;return d?linear(a2,d):constant2(isNaN(a2)?b:a2)}function rgbSpline(spline){return function(colors){
+var n=colors.length,r=new Array(n),g=new Array(n),b=new Array(n),i,color2;for(i=0;i<n;++i)color2=rgb(colors[i]),
+r[i]=color2.r||0,g[i]=color2.g||0,b[i]=color2.b||0;return r=spline(r),g=spline(g),b=spline(b),color2.opacity=1,
+function(t){return color2.r=r(t),color2.g=g(t),color2.b=b(t),color2+""}}}function number2(a2,b){return a2=+a2,
+b=+b,function(t){return a2*(1-t)+b*t}}function decompose(a2,b,c,d,e,f){var scaleX,scaleY,skewX;return(scaleX=Math.
+sqrt(a2*a2+b*b))&&(a2/=scaleX,b/=scaleX),(skewX=a2*c+b*d)&&(c-=a2*skewX,d-=b*skewX),(scaleY=Math.sqrt(c*c+d*d))&&
+(c/=scaleY,d/=scaleY,skewX/=scaleY),a2*d<b*c&&(a2=-a2,b=-b,skewX=-skewX,scaleX=-scaleX),{translateX:e,translateY:f,
+rotate:Math.atan2(b,a2)*degrees3,skewX:Math.atan(skewX)*degrees3,scaleX,scaleY}}function parseCss(value){let m=new(typeof DOMMatrix==
+"function"?DOMMatrix:WebKitCSSMatrix)(value+"");return m.isIdentity?identity:decompose(m.a,m.b,m.c,m.d,m.e,m.f)}
+function parseSvg(value){return value==null||(svgNode||(svgNode=document.createElementNS("http://www.w3.org/20\
+00/svg","g")),svgNode.setAttribute("transform",value),!(value=svgNode.transform.baseVal.consolidate()))?identity:
+(value=value.matrix,decompose(value.a,value.b,value.c,value.d,value.e,value.f))}function interpolateTransform(parse,pxComma,pxParen,degParen){
+function pop(s2){return s2.length?s2.pop()+" ":""}function translate(xa,ya,xb,yb,s2,q){if(xa!==xb||ya!==yb){var i=s2.
+push("translate(",null,pxComma,null,pxParen);q.push({i:i-4,x:number2(xa,xb)},{i:i-2,x:number2(ya,yb)})}else(xb||
+yb)&&s2.push("translate("+xb+pxComma+yb+pxParen)}function rotate(a2,b,s2,q){a2!==b?(a2-b>180?b+=360:b-a2>180&&
+(a2+=360),q.push({i:s2.push(pop(s2)+"rotate(",null,degParen)-2,x:number2(a2,b)})):b&&s2.push(pop(s2)+"rotate("+
+b+degParen)}function skewX(a2,b,s2,q){a2!==b?q.push({i:s2.push(pop(s2)+"skewX(",null,degParen)-2,x:number2(a2,
+b)}):b&&s2.push(pop(s2)+"skewX("+b+degParen)}function scale(xa,ya,xb,yb,s2,q){if(xa!==xb||ya!==yb){var i=s2.push(
+pop(s2)+"scale(",null,",",null,")");q.push({i:i-4,x:number2(xa,xb)},{i:i-2,x:number2(ya,yb)})}else(xb!==1||yb!==
+1)&&s2.push(pop(s2)+"scale("+xb+","+yb+")")}return function(a2,b){var s2=[],q=[];return a2=parse(a2),b=parse(b),
+translate(a2.translateX,a2.translateY,b.translateX,b.translateY,s2,q),rotate(a2.rotate,b.rotate,s2,q),skewX(a2.
+skewX,b.skewX,s2,q),scale(a2.scaleX,a2.scaleY,b.scaleX,b.scaleY,s2,q),a2=b=null,function(t){for(var i=-1,n=q.length,
+o;++i<n;)s2[(o=q[i]).i]=o.x(t);return s2.join("")}}}function cosh(x2){return((x2=Math.exp(x2))+1/x2)/2}function sinh(x2){
+return((x2=Math.exp(x2))-1/x2)/2}function tanh(x2){return((x2=Math.exp(2*x2))-1)/(x2+1)}function hsl2(hue){return function(start2,end){
+var h=hue((start2=hsl(start2)).h,(end=hsl(end)).h),s2=nogamma(start2.s,end.s),l=nogamma(start2.l,end.l),opacity=nogamma(
+start2.opacity,end.opacity);return function(t){return start2.h=h(t),start2.s=s2(t),start2.l=l(t),start2.opacity=
+opacity(t),start2+""}}}function hcl2(hue){return function(start2,end){var h=hue((start2=hcl(start2)).h,(end=hcl(
+end)).h),c=nogamma(start2.c,end.c),l=nogamma(start2.l,end.l),opacity=nogamma(start2.opacity,end.opacity);return function(t){
+return start2.h=h(t),start2.c=c(t),start2.l=l(t),start2.opacity=opacity(t),start2+""}}}function cubehelix2(hue){
+return(function cubehelixGamma(y2){y2=+y2;function cubehelix3(start2,end){var h=hue((start2=cubehelix(start2)).
+h,(end=cubehelix(end)).h),s2=nogamma(start2.s,end.s),l=nogamma(start2.l,end.l),opacity=nogamma(start2.opacity,
+end.opacity);return function(t){return start2.h=h(t),start2.s=s2(t),start2.l=l(Math.pow(t,y2)),start2.opacity=
+opacity(t),start2+""}}return cubehelix3.gamma=cubehelixGamma,cubehelix3})(1)}var constant2,rgb2,rgbBasis,rgbBasisClosed,
+reA,reB,degrees3,identity,svgNode,interpolateTransformCss,interpolateTransformSvg,epsilon22,zoom2,hsl_default,
+hslLong,hcl_default,hclLong,cubehelix_default,cubehelixLong,init_d3_interpolate=__esm({"node_modules/d3-interp\
+olate/dist/d3-interpolate.mjs"(){init_d3_color();constant2=x2=>()=>x2;rgb2=(function rgbGamma(y2){var color2=gamma(
+y2);function rgb3(start2,end){var r=color2((start2=rgb(start2)).r,(end=rgb(end)).r),g=color2(start2.g,end.g),b=color2(
+start2.b,end.b),opacity=nogamma(start2.opacity,end.opacity);return function(t){return start2.r=r(t),start2.g=g(
+t),start2.b=b(t),start2.opacity=opacity(t),start2+""}}return rgb3.gamma=rgbGamma,rgb3})(1);rgbBasis=rgbSpline(
+basis$1),rgbBasisClosed=rgbSpline(basisClosed);reA=/[-+]?(?:\d+\.?\d*|\.?\d+)(?:[eE][-+]?\d+)?/g,reB=new RegExp(
+reA.source,"g"),degrees3=180/Math.PI,identity={translateX:0,translateY:0,rotate:0,skewX:0,scaleX:1,scaleY:1};interpolateTransformCss=
+interpolateTransform(parseCss,"px, ","px)","deg)"),interpolateTransformSvg=interpolateTransform(parseSvg,", ",
+")",")"),epsilon22=1e-12;zoom2=(function zoomRho(rho,rho2,rho4){function zoom3(p0,p1){var ux0=p0[0],uy0=p0[1],
+w0=p0[2],ux1=p1[0],uy1=p1[1],w1=p1[2],dx=ux1-ux0,dy=uy1-uy0,d2=dx*dx+dy*dy,i,S;if(d2<epsilon22)S=Math.log(w1/w0)/
+rho,i=function(t){return[ux0+t*dx,uy0+t*dy,w0*Math.exp(rho*t*S)]};else{var d1=Math.sqrt(d2),b0=(w1*w1-w0*w0+rho4*
+d2)/(2*w0*rho2*d1),b1=(w1*w1-w0*w0-rho4*d2)/(2*w1*rho2*d1),r0=Math.log(Math.sqrt(b0*b0+1)-b0),r1=Math.log(Math.
+sqrt(b1*b1+1)-b1);S=(r1-r0)/rho,i=function(t){var s2=t*S,coshr0=cosh(r0),u=w0/(rho2*d1)*(coshr0*tanh(rho*s2+r0)-
+sinh(r0));return[ux0+u*dx,uy0+u*dy,w0*coshr0/cosh(rho*s2+r0)]}}return i.duration=Math.abs(S)*1e3*rho/Math.SQRT2,
+i}return zoom3.rho=function(_){var _1=Math.max(.001,+_),_2=_1*_1,_4=_2*_2;return zoomRho(_1,_2,_4)},zoom3})(Math.
+SQRT2,2,4);hsl_default=hsl2(hue$1),hslLong=hsl2(nogamma);hcl_default=hcl2(hue$1),hclLong=hcl2(nogamma);cubehelix_default=
+cubehelix2(hue$1),cubehelixLong=cubehelix2(nogamma)}});function readPalette(){for(let name of NAMES)palette[name]=colour(name)}function shades(layers){let stiffness=layers.
 map(({mu_pa:mu})=>Math.log10(mu)),least=Math.min(...stiffness),decades=Math.max(Math.max(...stiffness)-least,1);
-return stiffness.map(one=>between(palette.soft,palette.stiff,(one-least)/decades))}function between(one,other,share){
-return`rgb(${[1,3,5].map(at=>{let[low,high]=[one,other].map(colour2=>parseInt(colour2.slice(at,at+2),16));return Math.
-round(low+share*(high-low))}).join(" ")})`}function faintly(context3,opacity,draw4){context3.globalAlpha=opacity,
-draw4(),context3.globalAlpha=1}function stroke(context3,colour2,width){context3.strokeStyle=colour2,context3.lineWidth=
-width,context3.stroke()}function trace(context3,...lines){context3.beginPath();for(let places of lines)places.
-forEach(([px,py],i)=>i?context3.lineTo(px,py):context3.moveTo(px,py))}function arrow(context3,[px,py],length,colour2){
-let[end,head]=[py-length,8*Math.sign(length)];segments(context3,[[[px,py],[px,end+head]]],colour2,2.5),polygon(
-context3,[[px-5,end+head],[px,end],[px+5,end+head]],colour2)}function line(context3,x,y,colour2,width,dash=[]){
-context3.setLineDash(dash),trace(context3,placesOf(x,y)),stroke(context3,colour2,width),context3.setLineDash([])}
-function fillBetween(context3,x,low,high,colour2){trace(context3,[...placesOf(x,low),...placesOf(x,high).reverse()]),
-context3.closePath(),context3.fillStyle=colour2,context3.fill()}function polygon(context3,corners,colour2){context3.
-fillStyle=colour2,context3.beginPath();for(let corner of corners)context3.lineTo(...corner);context3.fill()}function segments(context3,pairs,colour2,width){
-context3.beginPath();for(let[from,to]of pairs)context3.moveTo(...from),context3.lineTo(...to);stroke(context3,
-colour2,width)}function ring(context3,px,py,radius,edge,inside){context3.beginPath(),context3.arc(px,py,radius,
-0,2*Math.PI),context3.fillStyle=inside,context3.fill(),stroke(context3,edge,2)}function turned(context3,px,py,angle2,draw4){
-context3.save(),context3.translate(px,py),context3.rotate(-angle2),draw4(),context3.restore()}function setFont(context3,font,align="\
-center",baseline="middle"){context3.font=FONTS[font],context3.textAlign=align,context3.textBaseline=baseline}function label(context3,text,px,py,colour2=palette.
-label){context3.strokeStyle=palette.halo,context3.lineWidth=4,context3.strokeText(text,px,py),context3.fillStyle=
-colour2,context3.fillText(text,px,py)}function clearBoxes(){[boxes,avoided]=[[],[]],now.labels=boxes}function avoid(places){
-for(let[px,py]of places){let[left,top]=avoided.at(-1)??[-1/0,0];Math.hypot(px-4-left,py-4-top)>8&&avoided.push(
-[px-4,py-4,8,8])}}function labelFree(context3,text,places,colour2){let{left,top,width,height}=view.box,wide=context3.
-measureText(text).width+6,within2=(value,low,high)=>Math.max(low,Math.min(value,high)),free=places.map(([px,py])=>[
-within2(px-wide/2,left+2,left+width-wide-2),within2(py-LINE/2,top+2,top+height-LINE-2),wide,LINE]).filter(isFree),
-box2=free.find(one=>!avoided.some(other=>overlap(one,other)))??free[0];box2&&(boxes.push(box2),context3.textAlign=
-"center",context3.textBaseline="middle",label(context3,text,box2[0]+wide/2,box2[1]+LINE/2,colour2))}function labelBeside(context3,text,sides,colour2){
-setFont(context3,"strong");let half=context3.measureText(text).width/2,curves=sides.map(([points,away])=>[placesOf(
-...points),away]);for(let[places]of curves)avoid(places);let beside=SHARES.flatMap(share=>curves.flatMap(([places,
-away])=>{let[px,py]=places[Math.round(share*(places.length-1))];return[0,-half,half].map(aside=>[px+aside,py+away])}));
-labelFree(context3,text,beside,colour2)}var NAMES,FONTS,palette,placesOf,cross,LINE,boxes,avoided,overlap,isFree,
-reserve,SHARES,init_strokes=__esm({"needlefit/viewer/page/painters/strokes.js"(){init_dom();init_store();init_view();
-NAMES=["air","gutter","ink","quiet","edge","needle","points","path","tip","guide","load","measured","band","gh\
-ost","plan","gap","bad","halo","soft","stiff","label","accent"],FONTS={small:"11px system-ui, sans-serif",plain:"\
-12px system-ui, sans-serif",strong:"600 12px system-ui, sans-serif"},palette={};placesOf=(x,y)=>x.map((one,i)=>[
-toPx(one),toPy(y[i])]);cross=(px,py,arm,oblique=!1)=>(oblique?[[arm,arm],[arm,-arm]]:[[arm,0],[0,arm]]).map(([
-dx,dy])=>[[px-dx,py-dy],[px+dx,py+dy]]);LINE=16,[boxes,avoided]=[[],[]];overlap=([x,y,w,h],[x2,y2,w2,h2])=>x<x2+
-w2&&x2<x+w&&y<y2+h2&&y2<y+h,isFree=box2=>!boxes.some(one=>overlap(one,box2)),reserve=(...box2)=>boxes.push(box2);
-SHARES=[1,.8,.6,.4]}});function paintTissue(context3){let{left,top,width,height}=view.box;context3.fillStyle=palette.air,context3.fillRect(
-left,top,width,height);let layers=listLayers();for(let{from,to,shade}of layers)context3.fillStyle=shade,context3.
-fillRect(from,top,to-from,height);for(let{from,number,top:edge}of layers)edge<left||(context3.fillStyle=number===
-1?palette.ink:palette.edge,context3.fillRect(Math.round(from)-.5,top,number===1?1.5:1,height));let axis=Math.round(
-toPy(0))+.5;context3.setLineDash([5,4]),segments(context3,[[[left,axis],[left+width,axis]]],palette.quiet,1),context3.
-setLineDash([])}function listLayers(){let{boundaries_mm:tops,layer_names:names}=now.scene,{left,width}=view.box,
-depths=[0,...tops,1/0];return shades(now.state.layers).map((shade,i)=>({shade,number:i+1,name:names[i]||`layer\
- ${i+1}`,mu:now.state.layers[i].mu_pa,top:toPx(depths[i]),from:Math.max(toPx(depths[i]),left),to:Math.min(toPx(
-depths[i+1]),left+width)})).filter(({from,to})=>to>from)}function paintNames(context3){let{left,top}=view.box,
-layers=listLayers().map(layer=>({...layer,middle:(layer.from+layer.to)/2,modulus:modulus(layer.mu)})),row=write2=>layers.
-map(layer=>({px:layer.middle,text:write2(layer)})),fits2=texts=>texts.every(({px,text},i)=>{let half=context3.
-measureText(text).width/2,[before2,after]=[texts[i-1],texts[i+1]].map(other=>other?context3.measureText(other.
-text).width/2+APART:0);return(!i||px-half>=texts[i-1].px+before2)&&(!texts[i+1]||px+half<=texts[i+1].px-after)});
-setFont(context3,"plain");let whole=row(one=>`μ ${one.modulus}`),names=row(one=>one.name),called=fits2(names)?
-names:row(one=>String(one.number)),part2=(n,before2="")=>row(one=>before2+one.modulus.split(" ")[n]),values=fits2(
-part2(0,"μ "))?part2(0,"μ "):part2(0),rows=fits2(whole)?[called,whole]:[called,values,part2(1)];rows.length>
-2&&setFont(context3,"small"),rows.forEach((texts,n)=>{let end=-1/0;for(let{px,text}of texts){let half=context3.
-measureText(text).width/2;px-half<end+2||(context3.fillText(text,px,top+(rows.length>2?ROWS:TWO_ROWS)[n]),end=
-px+half)}});let skin=toPx(0);skin<=left+40||skin>left+view.box.width||(context3.textAlign="right",context3.fillText(
-"skin",skin-4,top-11))}function paintFrame(context3,name){let{left,top,width,height}=view.box,bottom=top+height;
-context3.lineWidth=1,context3.strokeStyle=palette.quiet,context3.strokeRect(left-.5,top-.5,width+1,height+1),context3.
-fillStyle=palette.label,setFont(context3,"small","right");let scale=view.scale*view.magnified,across=ticks(fromPy(
-bottom),fromPy(top),scale,height).map(y=>[y,Math.round(toPy(y))+.5]);segments(context3,across.map(([,py])=>[[left-
-TICK,py],[left,py]]),palette.quiet,1);for(let[y,py]of across)context3.fillText(written2(y),left-TICK-2,py);context3.
-textAlign="center",turned(context3,11,top+height/2,QUARTER,()=>context3.fillText(name,0,0))}function paintAxes(context3){
-let{left,top,width,height}=view.box,bottom=top+height;setFont(context3,"small"),paintFrame(context3,nameAcross(
-context3,height)),paintNames(context3),setFont(context3,"small","center","top");let along=ticks(fromPx(left),fromPx(
-left+width),view.scale,width).map(x=>[x,Math.round(toPx(x))+.5]);segments(context3,along.map(([,px])=>[[px,bottom],
-[px,bottom+TICK]]),palette.quiet,1);let end=left+width-(view.low?context3.measureText(IN_ROW).width+APART:0);for(let[
-x,px]of along)(px<end-APART||!view.low)&&context3.fillText(written2(x),px,bottom+TICK+2);view.low?context3.fillText(
-IN_ROW,(end+APART+left+width)/2,bottom+TICK+2):context3.fillText("x along the entry (mm)",left+width/2,bottom+
-26)}function ticks(low,high,scale,length){let step=roundStep(2.5*Math.min(TICKS_APART,length/6)/scale),first=Math.
-ceil(low/step);return Array.from({length:Math.max(Math.floor(high/step)-first+1,0)},(_,i)=>(first+i)*step)}function nameAcross(context3,room){
-if(view.magnified===1)return"y (mm)";let long=`y (mm), drawn ${view.magnified}× as large as x`;return context3.
-measureText(long).width<room?long:`y (mm), drawn ${view.magnified}×`}var APART,ROWS,TWO_ROWS,TICK,TICKS_APART,
-QUARTER,IN_ROW,written2,init_background=__esm({"needlefit/viewer/page/painters/background.js"(){init_quantities();
-init_store();init_view();init_strokes();APART=8,ROWS=[-34,-20,-6],TWO_ROWS=[-27,-11],TICK=5,TICKS_APART=48,QUARTER=
-Math.PI/2,IN_ROW="x (mm)";written2=value=>brief(value,6).replace("-","−")}});function basePlace({base}){let[px,py,angle2]=[toPx(base.x),toPy(base.y),angleOf(Math.tan(base.rotation))];return{
-place:[px,py],turn:[px-ARM.base*Math.cos(angle2),py+ARM.base*Math.sin(angle2)],angle:angle2}}function guidePlace({
-x,y,slope:slope2}){let[px,py,angle2]=[toPx(x),toPy(y),angleOf(slope2)];return{place:[px,py],turn:[px-ARM.guide*
-Math.sin(angle2),py-ARM.guide*Math.cos(angle2)],angle:angle2}}function bevelPlace({tip,bevel}){let[px,py]=[toPx(
-tip.x),toPy(tip.y)];return{tip:[px,py],turn:[px+AHEAD2,py-Math.cos(bevel.roll_deg*Math.PI/180)*ARM.bevel]}}function all(){
-let{state}=now,base=basePlace(state),bevel=bevelPlace(state),handles=[{at:bevel.turn,cursor:"grab",drag:turnBevel(
-state)},{at:bevel.tip,cursor:"ns-resize",drag:dragTip(state)}],add2=(at,cursor,drag2)=>handles.push({at,cursor,
-drag:drag2});for(let guide of state.guides){let{place:place2,turn:turn2}=guidePlace(guide);guide.turns_freely||
-add2(turn2,"grab",turnGuide(guide,place2)),add2(place2,"move",dragGuide(guide))}return add2(base.turn,"grab",turnBase(
-state,base.place)),add2(base.place,"move",dragBase(state)),handles}function handleAt(px,py,kind="mouse"){if(!now.
-state)return null;let[nearest,least]=[null,NEAR[kind]??NEAR.mouse];for(let handle of all()){let distance2=Math.
-hypot(handle.at[0]-px,handle.at[1]-py);distance2<least&&([nearest,least]=[handle,distance2])}return nearest}function dragBase({
-base,depth_mm:depth,guides:guides2}){let reach=now.scene.length_mm+Math.min(0,...guides2.map(({x})=>x))-.001,along=null;
+return stiffness.map(one=>rgb2(palette.soft,palette.stiff)((one-least)/decades))}function within(context2,{left,
+top,width,height},draw3){context2.save(),context2.beginPath(),context2.rect(left,top,width,height),context2.clip(),
+draw3(),context2.restore()}function faintly(context2,opacity,draw3){context2.globalAlpha=opacity,draw3(),context2.
+globalAlpha=1}function stroke(context2,shade,width,dash=[]){context2.strokeStyle=shade,context2.lineWidth=width,
+context2.setLineDash(dash),context2.stroke(),context2.setLineDash([])}function polyline(context2,lines,shade,width,dash=[]){
+context2.beginPath();for(let places of lines)line().context(context2)(places);stroke(context2,shade,width,dash)}
+function polygon(context2,corners,shade){context2.beginPath(),line().context(context2)(corners),context2.fillStyle=
+shade,context2.fill()}function arrow(context2,[px,py],length,shade){let[end,head]=[py-length,8*Math.sign(length)];
+polyline(context2,[[[px,py],[px,end+head]]],shade,2.5),polygon(context2,[[px-5,end+head],[px,end],[px+5,end+head]],
+shade)}function haloed(context2,{x:x2,y:y2},shade,width,dash=[]){line2(context2,x2,y2,palette.halo,width+2),line2(
+context2,x2,y2,shade,width,dash)}function fillBetween(context2,x2,low,high,shade){context2.beginPath(),area().
+x((_,i)=>toPx(x2[i])).y0((_,i)=>toPy(low[i])).y1((_,i)=>toPy(high[i])).context(context2)(x2),context2.fillStyle=
+shade,context2.fill()}function ring(context2,px,py,radius,edge,inside){context2.beginPath(),context2.arc(px,py,
+radius,0,2*Math.PI),context2.fillStyle=inside,context2.fill(),stroke(context2,edge,2)}function turned(context2,px,py,angle2,draw3){
+context2.save(),context2.translate(px,py),context2.rotate(-angle2),draw3(),context2.restore()}function setFont(context2,font,align="\
+center",baseline="middle"){context2.font=FONTS[font],context2.textAlign=align,context2.textBaseline=baseline}function label(context2,text,px,py,shade=palette.
+label){context2.strokeStyle=palette.halo,context2.lineWidth=4,context2.strokeText(text,px,py),context2.fillStyle=
+shade,context2.fillText(text,px,py)}function avoid(places){for(let[px,py]of places){let[left,top]=now.avoided.
+at(-1)??[-1/0,0];Math.hypot(px-4-left,py-4-top)>8&&now.avoided.push([px-4,py-4,8,8])}}function labelFree(context2,text,places,shade){
+let{left,top,width,height}=now.view.box,wide=context2.measureText(text).width+6,limit=(value,low,high)=>Math.max(
+low,Math.min(value,high)),free=places.map(([px,py])=>[limit(px-wide/2,left+2,left+width-wide-2),limit(py-LINE/
+2,top+2,top+height-LINE-2),wide,LINE]).filter(isFree),box2=free.find(one=>!now.avoided.some(other=>overlap(one,
+other)))??free[0];box2&&(reserve(...box2),context2.textAlign="center",context2.textBaseline="middle",label(context2,
+text,box2[0]+wide/2,box2[1]+LINE/2,shade))}function labelBeside(context2,text,sides,shade){setFont(context2,"s\
+trong");let half=context2.measureText(text).width/2,curves=sides.map(([{x:x2,y:y2},away])=>[placesOf(x2,y2),away]);
+for(let[places]of curves)avoid(places);let beside=SHARES.flatMap(share=>curves.flatMap(([places,away])=>{let[px,
+py]=places[Math.round(share*(places.length-1))];return[0,-half,half].map(aside=>[px+aside,py+away])}));labelFree(
+context2,text,beside,shade)}var NAMES,FAMILY,FONTS,palette,placesOf,line2,cross,LINE,SHARES,clearLabels,overlap,
+isFree,reserve,init_strokes=__esm({"needlefit/viewer/page/painters/strokes.js"(){init_d3_shape();init_d3_interpolate();
+init_dom();init_store();init_view();NAMES=["air","gutter","ink","quiet","edge","needle","points","path","tip",
+"guide","load","measured","band","ghost","plan","gap","bad","halo","soft","stiff","label","accent"],FAMILY="Ar\
+ial, 'Liberation Sans', Helvetica, sans-serif",FONTS={small:`11px ${FAMILY}`,plain:`12px ${FAMILY}`,strong:`60\
+0 12px ${FAMILY}`},palette={};placesOf=(x2,y2)=>x2.map((one,i)=>[toPx(one),toPy(y2[i])]),line2=(context2,x2,y2,shade,width,dash=[])=>polyline(
+context2,[placesOf(x2,y2)],shade,width,dash);cross=(px,py,arm,oblique=!1)=>(oblique?[[arm,arm],[arm,-arm]]:[[arm,
+0],[0,arm]]).map(([dx,dy])=>[[px-dx,py-dy],[px+dx,py+dy]]);LINE=16,SHARES=[1,.8,.6,.4],clearLabels=()=>Object.
+assign(now,{labels:[],avoided:[]}),overlap=([x2,y2,w,h],[x22,y22,w2,h2])=>x2<x22+w2&&x22<x2+w&&y2<y22+h2&&y22<
+y2+h,isFree=box2=>!now.labels.some(one=>overlap(one,box2)),reserve=(...box2)=>now.labels.push(box2)}});function paintTissue(context2){let{left,top,width,height}=view.box;context2.fillStyle=palette.air,context2.fillRect(
+left,top,width,height);let layers=listLayers();for(let{from,to,shade}of layers)context2.fillStyle=shade,context2.
+fillRect(from,top,to-from,height);for(let{from,number:number3,top:edge}of layers)edge<left||(context2.fillStyle=
+number3===1?palette.ink:palette.edge,context2.fillRect(Math.round(from)-.5,top,number3===1?1.5:1,height));let axis=Math.
+round(toPy(0))+.5;polyline(context2,[[[left,axis],[left+width,axis]]],palette.quiet,1,[5,4])}function listLayers(){
+let{boundaries_mm:tops,layer_names:names}=now.scene,{left,width}=view.box,depths=[0,...tops,1/0];return shades(
+now.state.layers).map((shade,i)=>({shade,number:i+1,name:names[i]||`layer ${i+1}`,mu:now.state.layers[i].mu_pa,
+top:toPx(depths[i]),from:Math.max(toPx(depths[i]),left),to:Math.min(toPx(depths[i+1]),left+width)})).filter(({
+from,to})=>to>from)}function paintNames(context2){let{left,top}=view.box,layers=listLayers().map(layer=>({...layer,
+middle:(layer.from+layer.to)/2,modulus:modulus(layer.mu)})),row=write2=>layers.map(layer=>({px:layer.middle,text:write2(
+layer)})),fits2=texts=>texts.every(({px,text},i)=>{let half=context2.measureText(text).width/2,[before,after]=[
+texts[i-1],texts[i+1]].map(other=>other?context2.measureText(other.text).width/2+APART:0);return(!i||px-half>=
+texts[i-1].px+before)&&(!texts[i+1]||px+half<=texts[i+1].px-after)});setFont(context2,"plain");let whole=row(one=>`\
+μ ${one.modulus}`),names=row(one=>one.name),called=fits2(names)?names:row(one=>String(one.number)),part2=(n,before="")=>row(
+one=>before+one.modulus.split(" ")[n]),values=fits2(part2(0,"μ "))?part2(0,"μ "):part2(0),rows=fits2(whole)?
+[called,whole]:[called,values,part2(1)];rows.length>2&&setFont(context2,"small"),rows.forEach((texts,n)=>{let end=-1/0;
+for(let{px,text}of texts){let half=context2.measureText(text).width/2;px-half<end+2||(context2.fillText(text,px,
+top+(rows.length>2?ROWS:TWO_ROWS)[n]),end=px+half)}});let skin=toPx(0);skin<=left+40||skin>left+view.box.width||
+(context2.textAlign="right",context2.fillText("skin",skin-4,top-11))}function paintFrame(context2,name){let{left,
+top,width,height}=view.box,bottom=top+height;context2.lineWidth=1,context2.strokeStyle=palette.quiet,context2.
+strokeRect(left-.5,top-.5,width+1,height+1),context2.fillStyle=palette.label,setFont(context2,"small","right");
+let across=ticks(fromPy(bottom),fromPy(top),Math.max(height/TICKS_APART,2)).map(y2=>[y2,Math.round(toPy(y2))+.5]);
+polyline(context2,across.map(([,py])=>[[left-TICK,py],[left,py]]),palette.quiet,1);for(let[y2,py]of across)context2.
+fillText(written2(y2),left-TICK-2,py);context2.textAlign="center",turned(context2,11,top+height/2,QUARTER,()=>context2.
+fillText(name,0,0))}function paintAxes(context2){let{left,top,width,height}=view.box,bottom=top+height;setFont(
+context2,"small"),paintFrame(context2,nameAcross(context2,height)),paintNames(context2),setFont(context2,"smal\
+l","center","top");let along=ticks(fromPx(left),fromPx(left+width),width/TICKS_APART).map(x2=>[x2,Math.round(toPx(
+x2))+.5]);polyline(context2,along.map(([,px])=>[[px,bottom],[px,bottom+TICK]]),palette.quiet,1);let end=left+width-
+(view.low?context2.measureText(IN_ROW).width+APART:0);for(let[x2,px]of along)(px<end-APART||!view.low)&&context2.
+fillText(written2(x2),px,bottom+TICK+2);view.low?context2.fillText(IN_ROW,(end+APART+left+width)/2,bottom+TICK+
+2):context2.fillText("x along the entry (mm)",left+width/2,bottom+26)}function nameAcross(context2,room){if(view.
+magnified===1)return"y (mm)";let long=`y (mm), drawn ${view.magnified}× as large as x`;return context2.measureText(
+long).width<room?long:`y (mm), drawn ${view.magnified}×`}var APART,ROWS,TWO_ROWS,TICK,TICKS_APART,QUARTER,IN_ROW,
+written2,init_background=__esm({"needlefit/viewer/page/painters/background.js"(){init_d3_array();init_quantities();
+init_store();init_view();init_strokes();APART=8,ROWS=[-34,-20,-6],TWO_ROWS=[-27,-11],TICK=5,TICKS_APART=60,QUARTER=
+Math.PI/2,IN_ROW="x (mm)";written2=value=>brief(value,6).replace("-","−")}});function bevelPlace({tip,bevel}){let[px,py]=[toPx(tip.x),toPy(tip.y)];return{tip:[px,py],turn:[px+AHEAD2,py-Math.
+cos(bevel.roll_deg*Math.PI/180)*ARM]}}function handleAt(px,py,kind="mouse"){if(!now.state)return null;let[nearest,
+least]=[null,NEAR[kind]??NEAR.mouse];for(let handle of listHandles(now.state)){let distance2=Math.hypot(handle.
+at[0]-px,handle.at[1]-py);distance2<least&&([nearest,least]=[handle,distance2])}return nearest}function dragBase({
+base,depth_mm:depth,guides}){let reach=now.scene.length_mm+Math.min(0,...guides.map(({x:x2})=>x2))-.001,along=null;
 return(from,to)=>{let[px,py]=[Math.abs(to[0]-from[0]),Math.abs(to[1]-from[1])];return px>BEGINS.along&&px>BEGINS.
 times*py?along??=!0:py>BEGINS.across&&(along??=!1),along===null?[]:along?[["depth_mm",null,Math.min(Math.max(depth+
 fromPx(to[0])-fromPx(from[0]),0),reach)]]:[["base_y_mm",null,base.input_y+rise(from,to)]]}}function turnBevel({
 bevel}){let{side}=bevel;return(_,[,py])=>(bevelPlace(now.state).tip[1]-py)*side>-BEGINS.across?[]:(side=-side,
-[turnOver(now.state.bevel.roll_deg)])}var ARM,AHEAD2,NEAR,BEGINS,angleOf,rise,dragTip,dragGuide,turnBase,turnGuide,
-init_handles=__esm({"needlefit/viewer/page/handles.js"(){init_inputs();init_store();init_view();ARM={base:56,guide:42,
-bevel:26},AHEAD2=16,NEAR={mouse:16,touch:28},BEGINS={across:3,along:8,times:2},angleOf=slope2=>Math.atan(slope2*
-view.magnified);rise=(from,to)=>fromPy(to[1])-fromPy(from[1]);dragTip=({tip})=>(from,to)=>[["tip_y_mm",null,tip.
-input_y+rise(from,to)]],dragGuide=({item,x,y})=>(from,to)=>[["guide_x_mm",item,x+fromPx(to[0])-fromPx(from[0])],
-["guide_y_mm",item,y+rise(from,to)]],turnBase=({base},place2)=>(_,to)=>{let stage=base.rotation-base.input_slope,
-along=(to[1]-place2[1])/Math.max(place2[0]-to[0],1)/view.magnified;return[["base_slope",null,Math.atan(along)-
-stage]]},turnGuide=({item},place2)=>(_,to)=>{let[across,up2]=[to[0]-place2[0],place2[1]-to[1]];return[["guide_\
-slope",item,-across/Math.max(up2,1)/view.magnified]]}}});function describeShaft({x,y,faults}){let outside=faults?.length>0,points=placesOf(x,y),tip=points.at(-1),shaft=points.
-filter(one=>distance(one,tip)>BEVEL.length),last2=shaft.at(-1)??tip,share=1-BEVEL.length/(distance(last2,tip)||
-1);return shaft.push(last2.map((from,i)=>from+share*(tip[i]-from))),{shaft,tip,outside,shown:outside?palette.bad:
-palette.needle}}function paintNeedle(context3,state){let{shaft,tip,outside,shown:shown3}=describeShaft(state);
-trace(context3,shaft),context3.lineCap="butt",context3.setLineDash(outside?[9,5]:[]),stroke(context3,shown3,LINE2),
-context3.setLineDash([]);let[end,{half},{side}]=[shaft.at(-1),BEVEL,state.bevel],size3=distance(end,tip)||1,[dx,
-dy]=tip.map((to,i)=>(to-end[i])/size3),at=([px,py],to)=>[px+to*dy*half,py-to*dx*half],[back,near2,point]=[at(end,
--side),at(end,side),at(tip,side)];polygon(context3,[back,near2,point],palette.needle),segments(context3,[[back,
-point]],palette.tip,2)}function reserveNeedle(state){let{tip:[px,py],turn:turn2}=bevelPlace(state);reserve(turn2[0]-
-9,turn2[1]-9,18,18);let arrow2=Array.from({length:5},(_,i)=>[px,py-i/6*arrowLength()]),{constraints:[along,across]}=state;
-avoid([...placesOf(state.x,state.y),...placesOf(along,across),...arrow2])}function arrowLength(){let force=tipForce()??
-0;return greatestForce.scene!==now.scene&&(greatestForce={scene:now.scene,newton:LEAST_FORCE}),greatestForce.newton=
-Math.max(greatestForce.newton,Math.abs(force)),tallest()*force/greatestForce.newton}function paintTip(context3,state){
-let{tip,turn:turn2}=bevelPlace(state);segments(context3,[[tip,turn2]],palette.tip,1.5),ring(context3,...turn2,
-6,palette.air,palette.tip),setFont(context3,"small"),labelFree(context3,"bevel",[[turn2[0]+29,turn2[1]],[turn2[0],
-turn2[1]-18*state.bevel.side]],palette.tip),state.tip.held&&ring(context3,...tip,11,palette.tip,"transparent")}
-function paintTipForce(context3,{tip,z}){if(z)return;let[force,length]=[tipForce(),arrowLength()];if(Math.abs(
-length)<SHORTEST)return;let[px,py]=[toPx(tip.x),toPy(tip.y)];arrow(context3,[px,py],length,palette.load),setFont(
-context3,"small");let[end,half]=[py-length-9*Math.sign(length),py-length/2],places=[[px,end],[px-34,end],[px+30,
-end],[px+30,half],[px-34,half],[px,end-14*Math.sign(length)]];labelFree(context3,`${brief(Math.abs(force),2)} \
-N`,places,palette.load)}function paintMark(context3,{depth_mm:depth,depths,tip,tip_path:[x,y]},at){if(at>depth)
-return;let read=places=>heightAt({x:[...depths,depth],y:places},at),[px,py]=[toPx(read([...x,tip.x])),toPy(read(
-[...y,tip.y]))];ring(context3,px,py,5,palette.accent,palette.air)}function paintPoints(context3,{constraints:[
-x,y]}){let half=Math.min(Math.max(CROSS.of*now.scene.spacing_mm*view.scale,CROSS.least),CROSS.most),crosses=placesOf(
-x,y).flatMap(place2=>cross(...place2,half,!0));segments(context3,crosses,palette.points,half>2?1.4:1)}function paintBase(context3,state){
-let{place:[px,py],turn:turn2,angle:angle2}=basePlace(state);segments(context3,[[[px,py-46],[px,py+46]]],palette.
-quiet,2),segments(context3,[-46,46].map(to=>[[px-5,py+to],[px+5,py+to]]),palette.quiet,2),segments(context3,[[
-[px,py],turn2]],palette.ink,1.5),turned(context3,px,py,angle2,()=>box(context3,-22,-7,26,14,4,palette.ink)),ring(
-context3,...turn2,HANDLE,palette.ink,palette.air)}function box(context3,px,py,width,height,radius,fill){context3.
-fillStyle=fill,context3.beginPath(),context3.roundRect(px,py,width,height,radius),context3.fill()}function paintGuides(context3,{
-guides:guides2}){for(let guide of guides2){let{place:place2,turn:turn2,angle:angle2}=guidePlace(guide),clamps=!guide.
-turns_freely;clamps&&segments(context3,[[place2,turn2]],palette.guide,1.5),turned(context3,...place2,angle2,()=>{
-for(let to of[-1,1]){let from=GAP*to;clamps?box(context3,-13,Math.min(from,from+7*to),26,7,2,palette.guide):polygon(
-context3,[[0,from],[-7,from+11*to],[7,from+11*to]],palette.guide)}}),clamps&&ring(context3,...turn2,HANDLE,palette.
-guide,palette.air)}writeNames(context3,guides2)}function writeNames(context3,guides2){setFont(context3,"strong");
-for(let guide of guides2.toSorted((one,other)=>one.item-other.item)){let[px,py]=[toPx(guide.x),toPy(guide.y)+27];
-px<view.box.left||px>view.box.left+view.box.width||labelFree(context3,shortName(guide),[[px,py]],palette.guide)}}
-function paintLoad(context3,{load:{x,y,n_per_mm:values}}){let planes=values.map(one=>smooth(x,one,now.scene.spacing_mm)),
-load3=planes.length===1?planes[0]:planes[0].map((one,i)=>Math.hypot(one,planes[1][i])),greatest2=load3.reduce(
-(most,one)=>Math.max(most,Math.abs(one)),0);if(greatest2<LEAST_LOAD||x.length<2)return;let height=greatest2*(perLoad??
-0);(height>tallest()||height<Math.min(LOWEST,tallest()/3))&&(perLoad=.75*tallest()/(2*roundStep(greatest2)));let[
-px,py]=[x.map(toPx),y.map(toPy)],[surface,ends]=[0,perLoad].map(scale=>px.map((x2,i)=>[x2,py[i]-load3[i]*scale])),
-starts=load3.map((_,i)=>i).filter(i=>i===0||load3[i]*load3[i-1]<=0),edges=starts.map((from,n)=>{let to=starts[n+
-1]??load3.length;return[surface[from],...ends.slice(from,to),surface[to-1]]});trace(context3,...edges.map((edge,n)=>[
-...edge,...surface.slice(starts[n],starts[n+1]??load3.length).reverse()])),context3.fillStyle=palette.load,faintly(
-context3,.32,()=>context3.fill()),trace(context3,...edges),stroke(context3,palette.load,1.25)}function paintKey(context3){
-if(!perLoad)return;let size3=roundStep(30/perLoad),[px,height]=[7,size3*perLoad],py=view.box.top-6-height;segments(
-context3,[[[px,py],[px,py+height]],...[py,py+height].map(end=>[[px-3,end],[px+3,end]])],palette.load,1.5),setFont(
-context3,"small","left"),label(context3,`${brief(size3)} N/mm`,px+6,py+height/2)}var LINE2,CROSS,BEVEL,HANDLE,
-GAP,LOWEST,tallest,SHORTEST,LEAST_FORCE,LEAST_LOAD,perLoad,greatestForce,distance,paintPath,init_needle2=__esm(
-{"needlefit/viewer/page/painters/needle.js"(){init_handles();init_quantities();init_store();init_view();init_strokes();
-LINE2=2.5,CROSS={of:.28,least:1,most:3.2},BEVEL={length:7.5,half:1.5},HANDLE=7,GAP=3,LOWEST=16,tallest=()=>Math.
-min(48,.2*view.box.height-10),SHORTEST=5,LEAST_FORCE=.5,LEAST_LOAD=1e-6,perLoad=null,greatestForce={scene:null,
-newton:0},distance=(one,other)=>Math.hypot(one[0]-other[0],one[1]-other[1]);paintPath=(context3,{tip_path:[x,y]})=>line(
-context3,x,y,palette.path,1.5)}});function paintMeasured(context3,{x,y}){context3.lineCap="round",line(context3,x,y,palette.halo,4),line(context3,
-x,y,palette.measured,2,[7,4]),context3.lineCap="butt",nameLine(context3,"measured",{x,y},palette.measured)}function nameLine(context3,name,{
-x,y},colour2){labelBeside(context3,name,[[[x,y],16],[[x,y],-16]],colour2)}function nameNeedle(context3,state){
-predictionOf(state,now.scene)||nameLine(context3,isSteered(state,now.scene)?"steered":"simulated",state,state.
-faults.length?palette.bad:palette.needle)}function paintPinned(context3,{x,y}){line(context3,x,y,palette.halo,
-5),line(context3,x,y,palette.ghost,2.5,[2,3]),labelBeside(context3,"pinned",[[[x,y],-18],[[x,y],18]],palette.ghost)}
-function nameBand(context3,{x,low,high}){isChanged(now.state,now.scene)&&labelBeside(context3,"band of the fit",
-[[[x,high],-14],[[x,low],14]],palette.band)}function paintBand(context3,{x,low,high},pale){faintly(context3,pale?
-.16:.4,()=>fillBetween(context3,x,low,high,palette.band)),faintly(context3,pale?.4:1,()=>{for(let edge of[low,
-high])line(context3,x,edge,palette.band,1.5)})}function paintPrediction(context3,state){let prediction=predictionOf(
-state,now.scene);prediction&&(line(context3,prediction.x,prediction.y,palette.halo,4.5),line(context3,prediction.
-x,prediction.y,palette.accent,2.5),labelBeside(context3,"prediction",[[[prediction.x,prediction.y],-16],[[prediction.
-x,prediction.y],16]],palette.accent))}function paintGaps(context3,state,measured2){let{errors}=state;if(!errors)
-return;let prediction=predictionOf(state,now.scene),needle=prediction??state,tip={x:needle.x.at(-1),y:needle.y.
-at(-1)},reach=Math.min(tip.x,measured2.x.at(-1)),gaps=Array.from({length:GAPS-1},(_,n)=>reach*(n+1)/GAPS).map(
-x2=>[needle,measured2].map(curve=>[toPx(x2),toPy(heightAt(curve,x2))]));segments(context3,gaps,palette.gap,1.25);
-let[x,y]=errors.whole?[measured2.x.at(-1),measured2.y.at(-1)]:[reach,heightAt(measured2,reach)],end=errors.whole?
-[tip.x,tip.y]:[reach,heightAt(needle,reach)];for(let[shown3,width]of[[palette.halo,5],[palette.gap,2.5]])line(
-context3,[x,end[0]],[y,end[1]],shown3,width);setFont(context3,"strong");let[px,[,[key,named]]]=[toPx(x),measured2.
-metrics],[top,bottom]=[toPy(y),toPy(end[1])].sort((one,other)=>one-other),sides=[[px,top-AWAY],[px,bottom+AWAY]];
-state.bevel.side>0&&sides.reverse(),labelFree(context3,`tip error (${named}) ${(prediction?.errors??errors)[key].
-toFixed(2)} mm`,[...sides,[px+60,top-AWAY],[px+60,bottom+AWAY],[px-90,top-AWAY],[px-90,bottom+AWAY]],palette.gap)}
-function paintPlan(context3,{target:[x,y],radius,obstacles,needles:needles2}){faintly(context3,FAN,()=>{for(let[
-xs,ys]of needles2)line(context3,xs,ys,palette.plan,1)});for(let[at,across,size3,name]of obstacles)paintCircle(
-context3,at,across,size3,palette.tip,name,.28);paintCircle(context3,x,y,radius,palette.guide,"target"),segments(
-context3,cross(toPx(x),toPy(y),CROSS2),palette.guide,2)}function paintCircle(context3,x,y,radius,shown3,name,opacity=0){
-let[px,py,across]=[toPx(x),toPy(y),radius*view.scale];if(context3.beginPath(),context3.ellipse(px,py,across,across*
-view.magnified,0,0,2*Math.PI),context3.fillStyle=shown3,faintly(context3,opacity,()=>context3.fill()),stroke(context3,
-palette.halo,4),stroke(context3,shown3,2),px<view.box.left||px>view.box.left+view.box.width)return;setFont(context3,
-"strong");let sides=[[px,toPy(y+radius)-12],[px,toPy(y-radius)+12]];now.state.bevel.side>0&&sides.reverse(),labelFree(
-context3,name,sides,shown3)}function paintInset(context3,{x,y,tip}){if(tip.x<=0)return;let{left,top,width,height}=view.
-box,places=[{x,y},now.scene.measured,now.band&&{x:now.band.x,y:now.band.low},now.band&&{x:now.band.x,y:now.band.
-high}].flatMap(one=>one?placesOf(one.x,one.y):[]),wide=Math.min(INSET.width,.36*width),empty=([px2,py2])=>isFree(
-[px2,py2,wide,INSET.height])&&places.every(([cx,cy])=>cx<px2-CLEAR||cx>px2+wide+CLEAR||cy<py2-CLEAR||cy>py2+INSET.
-height+CLEAR),rows=[top+height-INSET.height-INSET.edge,top+INSET.edge],columns2=[left+INSET.edge,left+width-wide-
-INSET.edge],corner=rows.flatMap(py2=>columns2.map(px2=>[px2,py2])).find(empty);if(!corner)return;let[px,py]=corner;
-reserve(px,py,wide,INSET.height),context3.fillStyle=palette.air,context3.fillRect(px,py,wide,INSET.height),context3.
-strokeStyle=palette.quiet,context3.lineWidth=1,context3.strokeRect(px+.5,py+.5,wide-1,INSET.height-1);let inserted=y.
-filter((_,i)=>x[i]>=0),[low,high]=[Math.min(...inserted),Math.max(...inserted)],scale=Math.min((wide-2*INSET.edge)/
-Math.max(now.scene.depth_mm,now.state.depth_mm,1),(INSET.height-INSET.title-6)/(high-low||1)),middle=py+(INSET.
-height+INSET.title)/2;context3.beginPath(),x.forEach((one,i)=>one>=0&&context3.lineTo(px+INSET.edge+one*scale,
-middle-(y[i]-(low+high)/2)*scale)),stroke(context3,palette.needle,Math.max(now.scene.diameter_mm*scale,1)),setFont(
-context3,"small","left","top"),label(context3,"true scale",px+6,py+4)}var GAPS,FAN,CROSS2,AWAY,INSET,CLEAR,BAND_REACH,
-isBandNear,init_overlay=__esm({"needlefit/viewer/page/painters/overlay.js"(){init_quantities();init_store();init_view();
-init_strokes();GAPS=12,FAN=.3,CROSS2=5,AWAY=19,INSET={width:170,height:46,edge:10,title:14},CLEAR=30;BAND_REACH=
-2,isBandNear=({x},state)=>x.length>0&&Math.abs(x.at(-1)-state.x.at(-1))<=BAND_REACH}});function invalidate(){stale=!0,publish("redraw")}function redraw(){frame||=requestAnimationFrame(()=>{frame=0,
-paint(),fresh=!1,publish("drawn")})}function paint(){!now.scene||!now.state||(fresh&&follow(),paintScreen(),document.
-body.classList.add("begun"))}function paintScreen(){let moved2=takeChange(),tissue=JSON.stringify(now.state.layers);
-(moved2||tissue!==drawnTissue)&&paintBackground(behind,size()),drawnTissue=tissue,(moved2||fresh||stale)&&(before.
-clearRect(0,0,...size()),paintForeground(before,now.state)),stale=!1}function paintAll(context3,figure){paintBackground(
-context3,figure),paintForeground(context3,now.state)}function paintBackground(context3,figure){context3.fillStyle=
-palette.gutter,context3.fillRect(0,0,...figure),within(context3,()=>paintTissue(context3)),paintAxes(context3)}
-function paintForeground(context3,state){let band2=shown.band&&now.band&&isBandNear(now.band,state)?now.band:null;
-clearBoxes(),reserveNeedle(state),context3.lineJoin="round",within(context3,()=>{let loaded=shown.load&&!state.
-faults.length;loaded&&paintLoad(context3,state),band2&&paintBand(context3,band2,band2.step!==state.step),shown.
-plan&&now.scene.plan&&paintPlan(context3,now.scene.plan),shown.pinned&&now.pinned&&paintPinned(context3,now.pinned),
-paintNeedle(context3,state),paintInset(context3,state),paintTip(context3,state),loaded&&paintTipForce(context3,
-state),shown.path&&paintPath(context3,state),shown.points&&paintPoints(context3,state),paintPrediction(context3,
-state),shown.measured&&now.scene.measured&&(paintMeasured(context3,now.scene.measured),shown.errors&&paintGaps(
-context3,state,now.scene.measured));for(let draw4 of further)draw4(context3);paintGuides(context3,state),paintBase(
-context3,state),(shown.measured&&now.scene.measured||shown.pinned&&now.pinned)&&nameNeedle(context3,state),band2&&
-nameBand(context3,band2),now.marked!=null&&paintMark(context3,state,now.marked)}),shown.load&&!state.faults.length&&
-paintKey(context3)}function within(context3,draw4){let{left,top,width,height}=view.box;context3.save(),context3.
-beginPath(),context3.rect(left,top,width,height),context3.clip(),draw4(),context3.restore()}function measure(){
-let[width,height]=measured=[picture.clientWidth,picture.clientHeight];for(let[canvas4,context3]of[[background,
-behind],[foreground,before]])canvas4.width=Math.round(width*devicePixelRatio),canvas4.height=Math.round(height*
-devicePixelRatio),context3.setTransform(devicePixelRatio,0,0,devicePixelRatio,0,0);resize(width,height)}var picture,
-background,foreground,behind,before,shown,further,drawnTissue,stale,frame,fresh,measured,size,fitted,init_drawing=__esm(
-{"needlefit/viewer/page/drawing.js"(){init_dom();init_background();init_needle2();init_overlay();init_strokes();
-init_store();init_view();picture=part("picture"),background=part("background"),foreground=part("canvas"),behind=
-background.getContext("2d",{alpha:!1}),before=foreground.getContext("2d"),shown={load:!0,points:!0,path:!0,measured:!0,
-band:!0,errors:!0,plan:!0,pinned:!0,strip:!0},further=[],drawnTissue="",stale=!0;[frame,fresh]=[0,!1];measured=
-[1,1],size=()=>measured;new ResizeObserver(measure).observe(picture);onScheme(()=>(readPalette(),touch()));readPalette();
-for(let kind of["band","forces"])listen(kind,invalidate);fitted=null;listen("state",()=>{fresh=!0,redraw(),fitted!==
-now.scene&&(fitted=now.scene,fit(view.fit??"tissue"))});listen("redraw",redraw)}});function turn(state){let across=([x,,z=x.map(()=>0)])=>[x,z],roll2=state.bevel.roll_deg*Math.PI/180;return{...state,
-y:state.z,constraints:across(state.constraints),tip_path:across(state.tip_path),bevel:{side:Math.sin(roll2)<0?
--1:1}}}function draw(){if(canvas.hidden=!now.state||!isSpatial(),canvas.hidden)return;let{clientWidth:width,clientHeight:height}=canvas,
-size3=[width,height].map(one=>Math.round(one*devicePixelRatio));(canvas.width!==size3[0]||canvas.height!==size3[1])&&
-([canvas.width,canvas.height]=size3),context.setTransform(devicePixelRatio,0,0,devicePixelRatio,0,0),context.fillStyle=
-palette.gutter,context.fillRect(0,0,width,height);let{band:band2,scene:{measured:measured2}}=now,state={...now.
-state,z:now.state.z??now.state.x.map(()=>0)},seen=[...state.z,...measured2?.z??[],...band2?.z?.low??[],...band2?.
-z?.high??[],0],[low,high]=[Math.min(...seen),Math.max(...seen)],{y,box:box2,magnified}=view,within2={...box2,top:EDGE2,
-height:height-2*EDGE2},times=Math.min(magnified,(within2.height-2*ROOM2)/(view.scale*(high-low||1)));Object.assign(
-view,{y:(low+high)/2,box:within2,magnified:times}),context.save(),context.beginPath(),context.rect(box2.left,EDGE2,
-box2.width,within2.height),context.clip(),paintTissue(context);let needle=turn(state);shown.band&&band2?.z&&isBandNear(
-band2,state)&&paintBand(context,{x:band2.x,...band2.z},band2.step!==state.step),context.lineJoin="round",paintNeedle(
-context,needle),shown.path&&paintPath(context,needle),shown.points&&paintPoints(context,needle),measured2&&shown.
-measured&&paintMeasured(context,{...measured2,y:measured2.z}),setFont(context,"small","left"),label(context,"f\
-rom above",box2.left+6,EDGE2+10),context.restore(),paintFrame(context,times===1?"z (mm)":`z (mm), drawn ${brief(
-times,2)}×`),Object.assign(view,{y,box:box2,magnified})}var EDGE2,ROOM2,canvas,context,isSpatial,init_above=__esm(
-{"needlefit/viewer/page/above.js"(){init_dom();init_drawing();init_background();init_needle2();init_overlay();
-init_strokes();init_quantities();init_store();init_view();[EDGE2,ROOM2]=[8,14],canvas=part("above"),context=canvas.
-getContext("2d",{alpha:!1}),isSpatial=()=>!!(now.state?.z??now.scene?.measured?.compared==="space");for(let kind of[
-"drawn","scene"])listen(kind,draw);new ResizeObserver(draw).observe(canvas);onScheme(()=>requestAnimationFrame(
-draw))}});function computeErrors(session,measured2){let{depth}=session.shape,upto=Math.min(depth,measured2.depth_mm);if(upto<
-1)return null;let beyond=depth-measured2.depth_mm,whole=Math.abs(beyond)<=1e-6,[simulated,other]=[null,null];if(whole){
-let{s,x,y,z,pose}=measured2.target;other=x.map((one,i)=>[one,y[i],z[i]]),simulated=readPoints(session,s.map(one=>one+
-beyond)),simulated=ALIGN[pose](simulated,other)}else if(measured2.target.pose!=="free"){let s=Array.from({length:101},
-(_,i)=>upto*i/100);other=interpolate(measured2,s),simulated=ALIGN[measured2.target.pose](readPoints(session,s),
-other)}else return null;let axes=AXES[measured2.compared],distances=simulated.map((point,i)=>Math.hypot(...axes.
-map(axis=>point[axis]-other[i][axis]))),deflection=Math.hypot(...axes.slice(1).map(axis=>other.at(-1)[axis]-other[0][axis])),
-finite=Object.entries(METRICS).map(([name,compute])=>[name,compute(distances,deflection)]).map(([name,value])=>[
-name,Number.isFinite(value)?value:null]);return{...Object.fromEntries(finite),upto_mm:upto,whole,floor_mm:measured2.
-floor_mm}}function readPoints(session,s){let{x,depth,planes}=session.shape,points=session.positions(s.map(one=>Math.
-min(Math.max(one,x[0]),depth)));return s.map((_,i)=>[points[(1+planes)*i],points[(1+planes)*i+1],planes===1?0:
-points[3*i+2]])}function interpolate({s,...axes},at){let i=0;return at.map(one=>{for(;i<s.length-2&&s[i+1]<one;)
-i+=1;let share=Math.min(Math.max((one-s[i])/(s[i+1]-s[i]),0),1);return["x","y","z"].map(axis=>axes[axis][i]+share*
-(axes[axis][i+1]-axes[axis][i]))})}function shiftAcross(moving,fixed){let[dy,dz]=[1,2].map(axis=>mean(moving.map(
-(point,i)=>fixed[i][axis]-point[axis])));return moving.map(([x,y,z])=>[x,y+dy,z+dz])}function alignRigid(moving,fixed){
-let centre=points=>[0,1].map(axis=>mean(points.map(one=>one[axis]))),[m,f]=[centre(moving),centre(fixed)],[across,
-along]=[0,0];moving.forEach(([x,y],i)=>{let[a,b,c2,d]=[x-m[0],y-m[1],fixed[i][0]-f[0],fixed[i][1]-f[1]];across+=
-a*d-b*c2,along+=a*c2+b*d});let angle2=Math.atan2(across,along),[c,s]=[Math.cos(angle2),Math.sin(angle2)];return moving.
-map(([x,y,z])=>[c*(x-m[0])-s*(y-m[1])+f[0],s*(x-m[0])+c*(y-m[1])+f[1],z])}var mean,relate,METRICS,AXES,ALIGN,init_errors=__esm(
-{"needlefit/viewer/page/model/errors.js"(){mean=values=>values.reduce((sum,one)=>sum+one,0)/values.length,relate=
-(d,deflection)=>deflection?100*d.at(-1)/deflection:d.at(-1)?1/0:0,METRICS={median_err_mm:d=>{let sorted=d.toSorted(
-(one,other)=>one-other),half=sorted.length>>1;return sorted.length%2?sorted[half]:(sorted[half-1]+sorted[half])/
-2},ipe_mean_mm:mean,ipe_std_mm:d=>{let middle=mean(d);return Math.sqrt(mean(d.map(one=>(one-middle)**2)))},ipe_max_mm:d=>Math.
-max(...d),te_mm:d=>d.at(-1),edp_percent:relate},AXES={plane:[0,1],space:[0,1,2]};ALIGN={known:simulated=>simulated,
-direction:shiftAcross,free:alignRigid}}});function computeValidity({x,u,slope:slope2,planes,constraints,track},{boundaries,thickness,spacing}){let last2=x.
-length-1,bent=Array.from({length:planes},(_,p)=>[u,slope2].map(one=>one.subarray(p*x.length,(p+1)*x.length))),
+[turnOver(now.state.bevel.roll_deg)])}var AHEAD2,ARM,NEAR,BEGINS,angleOf,basePlace,guidePlace,listHandles,rise,
+dragGuide,init_handles=__esm({"needlefit/viewer/page/handles.js"(){init_inputs();init_store();init_view();[AHEAD2,
+ARM]=[16,26],NEAR={mouse:16,touch:28},BEGINS={across:3,along:8,times:2},angleOf=slope4=>Math.atan(slope4*view.
+magnified),basePlace=({base})=>({place:[toPx(base.x),toPy(base.y)],angle:angleOf(Math.tan(base.rotation))}),guidePlace=
+({x:x2,y:y2,slope:slope4})=>({place:[toPx(x2),toPy(y2)],angle:angleOf(slope4)});listHandles=state=>[{at:bevelPlace(
+state).turn,cursor:"grab",drag:turnBevel(state)},...state.guides.map(guide=>({at:guidePlace(guide).place,cursor:"\
+move",drag:dragGuide(guide)})),{at:basePlace(state).place,cursor:"move",drag:dragBase(state)}];rise=(from,to)=>fromPy(
+to[1])-fromPy(from[1]);dragGuide=({item,x:x2,y:y2})=>(from,to)=>[["guide_x_mm",item,x2+fromPx(to[0])-fromPx(from[0])],
+["guide_y_mm",item,y2+rise(from,to)]]}});function describeShaft({x:x2,y:y2,faults}){let outside=faults?.length>0,points=placesOf(x2,y2),tip=points.at(-1),
+shaft=points.filter(one=>distance(one,tip)>BEVEL.length),last3=shaft.at(-1)??tip,share=1-BEVEL.length/(distance(
+last3,tip)||1);return shaft.push(last3.map((from,i)=>from+share*(tip[i]-from))),{shaft,tip,outside,shown:outside?
+palette.bad:palette.needle}}function paintNeedle(context2,state){let{shaft,tip,outside,shown:shown2}=describeShaft(
+state);polyline(context2,[shaft],shown2,LINE2,outside?[9,5]:[]);let[end,{half},{side}]=[shaft.at(-1),BEVEL,state.
+bevel],size2=distance(end,tip)||1,[dx,dy]=tip.map((to,i)=>(to-end[i])/size2),at=([px,py],to)=>[px+to*dy*half,py-
+to*dx*half],[back,near2,point2]=[at(end,-side),at(end,side),at(tip,side)];polygon(context2,[back,near2,point2],
+palette.needle),polyline(context2,[[back,point2]],palette.tip,2)}function reserveNeedle(state){let{tip:[px,py],
+turn:turn2}=bevelPlace(state);reserve(turn2[0]-9,turn2[1]-9,18,18);let arrow2=Array.from({length:5},(_,i)=>[px,
+py-i/6*arrowLength()]),{constraints:[along,across]}=state;avoid([...placesOf(state.x,state.y),...placesOf(along,
+across),...arrow2])}function arrowLength(){let{y:y2}=now.forces;return tallest()*(tipForce()??0)/Math.max(LEAST_FORCE,
+max(y2,Math.abs)??0)}function paintBevel(context2,state){let{tip,turn:turn2}=bevelPlace(state);polyline(context2,
+[[tip,turn2]],palette.tip,1.5),ring(context2,...turn2,6,palette.air,palette.tip),setFont(context2,"small"),labelFree(
+context2,"bevel",[[turn2[0]+29,turn2[1]],[turn2[0],turn2[1]-18*state.bevel.side]],palette.tip)}function paintTipForce(context2,{
+tip,z}){if(z)return;let[force,length]=[tipForce(),arrowLength()];if(Math.abs(length)<SHORTEST)return;let[px,py]=[
+toPx(tip.x),toPy(tip.y)];arrow(context2,[px,py],length,palette.load),setFont(context2,"small");let[end,half]=[
+py-length-9*Math.sign(length),py-length/2],places=[[px,end],[px-34,end],[px+30,end],[px+30,half],[px-34,half],
+[px,end-14*Math.sign(length)]];labelFree(context2,`${brief(Math.abs(force),2)} N`,places,palette.load)}function paintPoints(context2,{
+constraints:[x2,y2]}){let half=Math.min(Math.max(CROSS.of*now.scene.spacing_mm*view.scale,CROSS.least),CROSS.most),
+crosses=placesOf(x2,y2).flatMap(place2=>cross(...place2,half,!0));polyline(context2,crosses,palette.points,half>
+2?1.4:1)}function paintBase(context2,state){let{place:[px,py],angle:angle2}=basePlace(state),ends=[-46,46].map(
+to=>[[px-5,py+to],[px+5,py+to]]);polyline(context2,[[[px,py-46],[px,py+46]],...ends],palette.quiet,2),turned(context2,
+px,py,angle2,()=>box(context2,-22,-7,26,14,palette.ink))}function paintGuides(context2,{guides}){for(let guide of guides){
+let{place:place2,angle:angle2}=guidePlace(guide);turned(context2,...place2,angle2,()=>{for(let to of[-1,1]){let from=GAP*
+to;guide.turns_freely?polygon(context2,[[0,from],[-7,from+11*to],[7,from+11*to]],palette.guide):box(context2,-13,
+Math.min(from,from+7*to),26,7,palette.guide)}})}writeNames(context2,guides)}function writeNames(context2,guides){
+setFont(context2,"strong");for(let guide of guides.toSorted((one,other)=>one.item-other.item)){let[px,py]=[toPx(
+guide.x),toPy(guide.y)+27];px<view.box.left||px>view.box.left+view.box.width||labelFree(context2,shortName(guide),
+[[px,py]],palette.guide)}}function paintLoad(context2,{load:{x:x2,y:y2,n_per_mm:values}}){let planes=values.map(
+one=>smooth(x2,one,now.scene.spacing_mm)),load3=planes.length===1?planes[0]:planes[0].map((one,i)=>Math.hypot(
+one,planes[1][i])),greatest=load3.reduce((most,one)=>Math.max(most,Math.abs(one)),0);if(greatest<LEAST_LOAD||x2.
+length<2)return;let height=greatest*view.per_load;(height>tallest()||height<Math.min(LOWEST,tallest()/3))&&(view.
+per_load=.75*tallest()/(2*tickStep(0,greatest,1)));let[px,py]=[x2.map(toPx),y2.map(toPy)],[surface,ends]=[0,view.
+per_load].map(scale=>px.map((x3,i)=>[x3,py[i]-load3[i]*scale]));faintly(context2,.32,()=>polygon(context2,[...surface,
+...ends.toReversed()],palette.load)),polyline(context2,[[surface[0],...ends,surface.at(-1)]],palette.load,1.25)}
+function smooth(x2,load3,reach){let sums=[0];for(let i=1;i<x2.length;i+=1)sums.push(sums[i-1]+(load3[i]+load3[i-
+1])/2*(x2[i]-x2[i-1]));let sumTo=at=>{let i=bisectRight(x2,at);if(i===0||i===x2.length)return sums.at(i-1)*Math.
+sign(i);let part2=(at-x2[i-1])/(x2[i]-x2[i-1]);return sums[i-1]+(load3[i-1]+part2*(load3[i]-load3[i-1])/2)*(at-
+x2[i-1])};return x2.map((at,i)=>{let half=Math.min(reach,at-x2[0],x2.at(-1)-at);return half>0?(sumTo(at+half)-
+sumTo(at-half))/(2*half):load3[i]})}function paintKey(context2){if(!view.per_load)return;let size2=tickStep(0,
+28/view.per_load,1),[px,height]=[7,size2*view.per_load],py=view.box.top-6-height;polyline(context2,[[[px,py],[
+px,py+height]],...[py,py+height].map(end=>[[px-3,end],[px+3,end]])],palette.load,1.5),setFont(context2,"small",
+"left"),label(context2,`${brief(size2)} N/mm`,px+6,py+height/2)}var LINE2,CROSS,BEVEL,GAP,LOWEST,tallest,SHORTEST,
+LEAST_FORCE,LEAST_LOAD,distance,paintPath,box,init_needle2=__esm({"needlefit/viewer/page/painters/needle.js"(){
+init_d3_array();init_handles();init_quantities();init_store();init_view();init_strokes();LINE2=2.5,CROSS={of:.28,
+least:1,most:3.2},BEVEL={length:7.5,half:1.5},GAP=3,LOWEST=16,tallest=()=>Math.min(48,.2*view.box.height-10),SHORTEST=
+5,LEAST_FORCE=.5,LEAST_LOAD=1e-6,distance=(one,other)=>Math.hypot(one[0]-other[0],one[1]-other[1]);paintPath=(context2,{
+tip_path:[x2,y2]})=>line2(context2,x2,y2,palette.path,1.5);box=(context2,px,py,width,height,shade)=>polygon(context2,
+[[px,py],[px+width,py],[px+width,py+height],[px,py+height]],shade)}});function paintMeasured(context2,curve){haloed(context2,curve,palette.measured,2,[7,4]),nameLine(context2,"meas\
+ured",curve,palette.measured)}function nameLine(context2,name,curve,shade){labelBeside(context2,name,[[curve,16],
+[curve,-16]],shade)}function nameNeedle(context2,state){predictionOf(state,now.scene)||nameLine(context2,isSteered(
+state,now.scene)?"steered":"simulated",state,state.faults.length?palette.bad:palette.needle)}function paintPinned(context2,pinned){
+haloed(context2,pinned,palette.ghost,2.5,[2,3]),nameLine(context2,"pinned",pinned,palette.ghost)}function nameBand(context2,{
+x:x2,low,high}){isChanged(now.state,now.scene)&&labelBeside(context2,"band of the fit",[[{x:x2,y:high},-14],[{
+x:x2,y:low},14]],palette.band)}function paintBand(context2,{x:x2,low,high},pale){faintly(context2,pale?.16:.4,
+()=>fillBetween(context2,x2,low,high,palette.band)),faintly(context2,pale?.4:1,()=>{for(let edge of[low,high])
+line2(context2,x2,edge,palette.band,1.5)})}function paintPrediction(context2,state){let prediction=predictionOf(
+state,now.scene);prediction&&(haloed(context2,prediction,palette.accent,2.5),nameLine(context2,"prediction",prediction,
+palette.accent))}function paintMethods(context2){for(let{key,x:x2,y:y2,colour:colour2}of now.needle?.methods??
+[])x2&&now.curves.has(key)&&haloed(context2,{x:x2,y:y2},isDark()?lighten(colour2):colour2,2)}function paintGaps(context2,state,measured){
+let{errors}=state;if(!errors)return;let prediction=predictionOf(state,now.scene),needle=prediction??state,tip={
+x:needle.x.at(-1),y:needle.y.at(-1)},reach=Math.min(tip.x,measured.x.at(-1)),gaps=Array.from({length:GAPS-1},(_,n)=>reach*
+(n+1)/GAPS).map(x3=>[needle,measured].map(curve=>[toPx(x3),toPy(heightAt(curve,x3))]));polyline(context2,gaps,
+palette.gap,1.25);let[x2,y2]=errors.whole?[measured.x.at(-1),measured.y.at(-1)]:[reach,heightAt(measured,reach)],
+end=errors.whole?[tip.x,tip.y]:[reach,heightAt(needle,reach)];for(let[shown2,width]of[[palette.halo,5],[palette.
+gap,2.5]])line2(context2,[x2,end[0]],[y2,end[1]],shown2,width);setFont(context2,"strong");let[px,[,[key,named2]]]=[
+toPx(x2),measured.metrics],[top,bottom]=[toPy(y2),toPy(end[1])].sort((one,other)=>one-other),sides=[[px,top-AWAY],
+[px,bottom+AWAY]];state.bevel.side>0&&sides.reverse(),labelFree(context2,`tip error (${named2}) ${(prediction?.
+errors??errors)[key].toFixed(2)} mm`,[...sides,[px+60,top-AWAY],[px+60,bottom+AWAY],[px-90,top-AWAY],[px-90,bottom+
+AWAY]],palette.gap)}function paintPlan(context2,{target:[x2,y2],radius,obstacles,needles}){faintly(context2,FAN,
+()=>{for(let[xs,ys]of needles)line2(context2,xs,ys,palette.plan,1)});for(let[at,across,size2,name]of obstacles)
+paintCircle(context2,at,across,size2,palette.tip,name,.28);paintCircle(context2,x2,y2,radius,palette.guide,"ta\
+rget"),polyline(context2,cross(toPx(x2),toPy(y2),CROSS2),palette.guide,2)}function paintCircle(context2,x2,y2,radius,shade,name,opacity=0){
+let[px,py,across]=[toPx(x2),toPy(y2),radius*view.scale],edge=range(0,CORNERS+1).map(n=>2*Math.PI*n/CORNERS).map(
+angle2=>[px+across*Math.cos(angle2),py+across*view.magnified*Math.sin(angle2)]);if(faintly(context2,opacity,()=>polygon(
+context2,edge,shade)),polyline(context2,[edge],palette.halo,4),polyline(context2,[edge],shade,2),px<view.box.left||
+px>view.box.left+view.box.width)return;setFont(context2,"strong");let sides=[[px,toPy(y2+radius)-12],[px,toPy(
+y2-radius)+12]];now.state.bevel.side>0&&sides.reverse(),labelFree(context2,name,sides,shade)}function paintInset(context2,{
+x:x2,y:y2,tip}){if(tip.x<=0)return;let{left,top,width,height}=view.box,{band:band2,scene}=now,places=[{x:x2,y:y2},
+scene.measured,band2&&{x:band2.x,y:band2.low},band2&&{x:band2.x,y:band2.high}].flatMap(one=>one?placesOf(one.x,
+one.y):[]),wide=Math.min(INSET.width,.36*width),empty=([px2,py2])=>isFree([px2,py2,wide,INSET.height])&&places.
+every(([cx,cy])=>cx<px2-CLEAR||cx>px2+wide+CLEAR||cy<py2-CLEAR||cy>py2+INSET.height+CLEAR),rows=[top+height-INSET.
+height-INSET.edge,top+INSET.edge],columns2=[left+INSET.edge,left+width-wide-INSET.edge],corner=rows.flatMap(py2=>columns2.
+map(px2=>[px2,py2])).find(empty);if(!corner)return;let[px,py]=corner.map(one=>Math.round(one)+.5);reserve(px,py,
+wide,INSET.height);let frame2=[[px,py],[px+wide,py],[px+wide,py+INSET.height],[px,py+INSET.height],[px,py]];polygon(
+context2,frame2,palette.air),polyline(context2,[frame2],palette.quiet,1);let inserted=x2.map((one,i)=>[one,y2[i]]).
+filter(([one])=>one>=0),[low,high]=extent(inserted,([,one])=>one),room=[wide-2*INSET.edge,INSET.height-INSET.title-
+6],scale=Math.min(room[0]/Math.max(scene.depth_mm,now.state.depth_mm,1),room[1]/(high-low+scene.diameter_mm)),
+middle=py+(INSET.height+INSET.title)/2,drawn=inserted.map(([one,across])=>[px+INSET.edge+one*scale,middle-(across-
+(low+high)/2)*scale]);polyline(context2,[drawn],palette.needle,Math.max(scene.diameter_mm*scale,1)),setFont(context2,
+"small","left","top"),label(context2,"true scale",px+6,py+4)}var GAPS,FAN,CROSS2,CORNERS,AWAY,INSET,CLEAR,BAND_REACH,
+isBandNear,lighten,init_overlay=__esm({"needlefit/viewer/page/painters/overlay.js"(){init_d3_array();init_d3_interpolate();
+init_dom();init_quantities();init_store();init_view();init_strokes();GAPS=12,FAN=.3,CROSS2=5,CORNERS=72,AWAY=19,
+INSET={width:170,height:46,edge:10,title:14},CLEAR=30;BAND_REACH=2,isBandNear=({x:x2},state)=>x2.length>0&&Math.
+abs(x2.at(-1)-state.x.at(-1))<=BAND_REACH;lighten=shade=>rgb2(shade,"#ffffff")(.4)}});function turn(state){let across=([x2,,z=x2.map(()=>0)])=>[x2,z],roll2=state.bevel.roll_deg*Math.PI/180;return{
+...state,y:state.z,constraints:across(state.constraints),tip_path:across(state.tip_path),bevel:{side:Math.sin(
+roll2)<0?-1:1}}}function draw(){if(canvas.hidden=!now.state||!isSpatial(),canvas.hidden)return;let{clientWidth:width,
+clientHeight:height}=canvas,size2=[width,height].map(one=>Math.round(one*devicePixelRatio));(canvas.width!==size2[0]||
+canvas.height!==size2[1])&&([canvas.width,canvas.height]=size2),context.setTransform(devicePixelRatio,0,0,devicePixelRatio,
+0,0),context.fillStyle=palette.gutter,context.fillRect(0,0,width,height);let{band:band2,shown:shown2,scene:{measured}}=now,
+state={...now.state,z:now.state.z??now.state.x.map(()=>0)},seen=[...state.z,...measured?.z??[],...band2?.z?.low??
+[],...band2?.z?.high??[],0],[low,high]=[Math.min(...seen),Math.max(...seen)],{y:y2,box:box2,magnified}=view,window2={
+...box2,top:EDGE2,height:height-2*EDGE2},times=Math.min(magnified,(window2.height-2*ROOM2)/(view.scale*(high-low||
+1)));Object.assign(view,{y:(low+high)/2,box:window2,magnified:times}),within(context,window2,()=>{paintTissue(
+context);let needle=turn(state);shown2.band&&band2?.z&&isBandNear(band2,state)&&paintBand(context,{x:band2.x,...band2.
+z},band2.step!==state.step),context.lineJoin="round",paintNeedle(context,needle),shown2.path&&paintPath(context,
+needle),shown2.points&&paintPoints(context,needle),measured&&shown2.measured&&paintMeasured(context,{...measured,
+y:measured.z}),setFont(context,"small","left"),label(context,"from above",box2.left+6,EDGE2+10)}),paintFrame(context,
+times===1?"z (mm)":`z (mm), drawn ${brief(times,2)}×`),Object.assign(view,{y:y2,box:box2,magnified})}var EDGE2,
+ROOM2,canvas,context,isSpatial,init_above=__esm({"needlefit/viewer/page/above.js"(){init_dom();init_background();
+init_needle2();init_overlay();init_strokes();init_quantities();init_store();init_view();[EDGE2,ROOM2]=[8,14],canvas=
+part("above"),context=canvas.getContext("2d",{alpha:!1}),isSpatial=()=>!!(now.state?.z??now.scene?.measured?.compared===
+"space");for(let kind of["drawn","scene"])listen(kind,draw);new ResizeObserver(draw).observe(canvas);onScheme(
+()=>requestAnimationFrame(draw))}});function computeErrors(session,measured){let{depth}=session.shape,upto=Math.min(depth,measured.depth_mm);if(upto<
+1)return null;let beyond=depth-measured.depth_mm,whole=Math.abs(beyond)<=1e-6,[simulated,other]=[null,null];if(whole){
+let{s:s2,x:x2,y:y2,z,pose}=measured.target;other=x2.map((one,i)=>[one,y2[i],z[i]]),simulated=readPoints(session,
+s2.map(one=>one+beyond)),simulated=ALIGN[pose](simulated,other)}else if(measured.target.pose!=="free"){let s2=Array.
+from({length:101},(_,i)=>upto*i/100);other=interpolate(measured,s2),simulated=ALIGN[measured.target.pose](readPoints(
+session,s2),other)}else return null;let axes=AXES[measured.compared],distances=simulated.map((point2,i)=>Math.
+hypot(...axes.map(axis=>point2[axis]-other[i][axis]))),deflection=Math.hypot(...axes.slice(1).map(axis=>other.
+at(-1)[axis]-other[0][axis])),finite=Object.entries(METRICS).map(([name,compute])=>[name,compute(distances,deflection)]).
+map(([name,value])=>[name,Number.isFinite(value)?value:null]);return{...Object.fromEntries(finite),upto_mm:upto,
+whole,floor_mm:measured.floor_mm}}function readPoints(session,s2){let{x:x2,depth,planes}=session.shape,points=session.
+positions(s2.map(one=>Math.min(Math.max(one,x2[0]),depth)));return s2.map((_,i)=>[points[(1+planes)*i],points[(1+
+planes)*i+1],planes===1?0:points[3*i+2]])}function interpolate({s:s2,...axes},at){let i=0;return at.map(one=>{
+for(;i<s2.length-2&&s2[i+1]<one;)i+=1;let share=Math.min(Math.max((one-s2[i])/(s2[i+1]-s2[i]),0),1);return["x",
+"y","z"].map(axis=>axes[axis][i]+share*(axes[axis][i+1]-axes[axis][i]))})}function shiftAcross(moving,fixed){let[
+dy,dz]=[1,2].map(axis=>mean(moving.map((point2,i)=>fixed[i][axis]-point2[axis])));return moving.map(([x2,y2,z])=>[
+x2,y2+dy,z+dz])}function alignRigid(moving,fixed){let centre=points=>[0,1].map(axis=>mean(points.map(one=>one[axis]))),
+[m,f]=[centre(moving),centre(fixed)],[across,along]=[0,0];moving.forEach(([x2,y2],i)=>{let[a2,b,c2,d]=[x2-m[0],
+y2-m[1],fixed[i][0]-f[0],fixed[i][1]-f[1]];across+=a2*d-b*c2,along+=a2*c2+b*d});let angle2=Math.atan2(across,along),
+[c,s2]=[Math.cos(angle2),Math.sin(angle2)];return moving.map(([x2,y2,z])=>[c*(x2-m[0])-s2*(y2-m[1])+f[0],s2*(x2-
+m[0])+c*(y2-m[1])+f[1],z])}var mean,relate,METRICS,AXES,ALIGN,init_errors=__esm({"needlefit/viewer/page/model/\
+errors.js"(){mean=values=>values.reduce((sum,one)=>sum+one,0)/values.length,relate=(d,deflection)=>deflection?
+100*d.at(-1)/deflection:d.at(-1)?1/0:0,METRICS={median_err_mm:d=>{let sorted=d.toSorted((one,other)=>one-other),
+half=sorted.length>>1;return sorted.length%2?sorted[half]:(sorted[half-1]+sorted[half])/2},ipe_mean_mm:mean,ipe_std_mm:d=>{
+let middle=mean(d);return Math.sqrt(mean(d.map(one=>(one-middle)**2)))},ipe_max_mm:d=>Math.max(...d),te_mm:d=>d.
+at(-1),edp_percent:relate},AXES={plane:[0,1],space:[0,1,2]};ALIGN={known:simulated=>simulated,direction:shiftAcross,
+free:alignRigid}}});function computeValidity({x:x2,u,slope:slope4,planes,constraints,track},{boundaries,thickness,spacing}){let last3=x2.
+length-1,bent=Array.from({length:planes},(_,p)=>[u,slope4].map(one=>one.subarray(p*x2.length,(p+1)*x2.length))),
 cubics=bent.map(()=>[0,0,0]),[rotations,missed]=[bent.map(()=>0),bent.map(()=>0)],rotate=t=>(cubics.forEach(([
-begin2,bend,curl],p)=>rotations[p]=begin2+t*(bend+t*curl)),measure2(rotations)),steepest=0,shortening=0,miss=0;
-for(let i=0;i<=last2;i+=1)steepest=Math.max(steepest,measure2(bent.map(([,one])=>one[i])));for(let i=0;i<last2;i+=
-1){let step=x[i+1]-x[i];bent.forEach(([v,rotation],p)=>{let mean2=(v[i+1]-v[i])/step,begin2=rotation[i],end=rotation[i+
+begin2,bend,curl],p)=>rotations[p]=begin2+t*(bend+t*curl)),measure(rotations)),steepest=0,shortening=0,miss=0;
+for(let i=0;i<=last3;i+=1)steepest=Math.max(steepest,measure(bent.map(([,one])=>one[i])));for(let i=0;i<last3;i+=
+1){let step=x2[i+1]-x2[i];bent.forEach(([v,rotation],p)=>{let mean2=(v[i+1]-v[i])/step,begin2=rotation[i],end=rotation[i+
 1];cubics[p]=[begin2,6*mean2-4*begin2-2*end,3*(begin2+end)-6*mean2]});let[[,bend,curl]]=cubics,inside=planes>1?
 [.25,.5,.75]:[Math.abs(curl)>1e-12?-.5*bend/curl:0];for(let at of inside)at>0&&at<1&&(steepest=Math.max(steepest,
-rotate(at)));for(let[t,weight]of GAUSS){let angle2=rotate(t);shortening+=step*weight*2*Math.sin(angle2/2)**2,x[i]<
+rotate(at)));for(let[t,weight]of GAUSS){let angle2=rotate(t);shortening+=step*weight*2*Math.sin(angle2/2)**2,x2[i]<
 -1e-9&&angle2&&rotations.forEach((one,p)=>missed[p]+=step*weight*one*(1-Math.sin(angle2)/angle2))}miss=Math.max(
-miss,measure2(missed))}for(let i=0;i<track.length;i+=2*planes)steepest=Math.max(steepest,measure2(bent.map((_,p)=>track[i+
-2*p+1])));let entered=1+boundaries.filter(end=>end<x[last2]).length,widths=boundaries.slice(0,entered).map((end,i)=>end-
+miss,measure(missed))}for(let i=0;i<track.length;i+=2*planes)steepest=Math.max(steepest,measure(bent.map((_,p)=>track[i+
+2*p+1])));let entered=1+boundaries.filter(end=>end<x2[last3]).length,widths=boundaries.slice(0,entered).map((end,i)=>end-
 (i?boundaries[i-1]:0)).filter(width=>width>0),thinnest=widths.length?Math.max(Math.min(...widths),spacing):1/0;
-return{max_slope:steepest,deflection_per_length:measure2(bent.map(([v])=>Math.max(...v)-Math.min(...v)))/(x[last2]-
-x[0]),shortening_per_layer:shortening/thinnest,miss_mm:miss,compression:compress(x,bent,constraints)/Math.min(
-...thickness.slice(0,entered))}}function compress(x,bent,constraints){let[greatest2,i]=[0,0];for(let k=0;k<constraints.
-length;k+=1+bent.length){let at=constraints[k];for(;i<x.length-2&&x[i+1]<at-1e-9;)i+=1;let span=x[i+1]-x[i],t=Math.
-min(Math.max((at-x[i])/span,0),1),away=bent.map(([u,slope2],p)=>{let bend=3*(u[i+1]-u[i])-span*(2*slope2[i]+slope2[i+
-1]),curl=2*(u[i]-u[i+1])+span*(slope2[i]+slope2[i+1]);return u[i]+t*(span*slope2[i]+t*(bend+t*curl))-constraints[k+
-1+p]});greatest2=Math.max(greatest2,measure2(away))}return greatest2}var GAUSS,measure2,listFaults,init_validity=__esm(
+return{max_slope:steepest,deflection_per_length:measure(bent.map(([v])=>Math.max(...v)-Math.min(...v)))/(x2[last3]-
+x2[0]),shortening_per_layer:shortening/thinnest,miss_mm:miss,compression:compress(x2,bent,constraints)/Math.min(
+...thickness.slice(0,entered))}}function compress(x2,bent,constraints){let[greatest,i]=[0,0];for(let k2=0;k2<constraints.
+length;k2+=1+bent.length){let at=constraints[k2];for(;i<x2.length-2&&x2[i+1]<at-1e-9;)i+=1;let span=x2[i+1]-x2[i],
+t=Math.min(Math.max((at-x2[i])/span,0),1),away=bent.map(([u,slope4],p)=>{let bend=3*(u[i+1]-u[i])-span*(2*slope4[i]+
+slope4[i+1]),curl=2*(u[i]-u[i+1])+span*(slope4[i]+slope4[i+1]);return u[i]+t*(span*slope4[i]+t*(bend+t*curl))-
+constraints[k2+1+p]});greatest=Math.max(greatest,measure(away))}return greatest}var GAUSS,measure,listFaults,init_validity=__esm(
 {"needlefit/viewer/page/model/validity.js"(){GAUSS=[[.5-Math.sqrt(.15),.2777777777777778],[.5,.4444444444444444],
-[.5+Math.sqrt(.15),.2777777777777778]],measure2=parts=>parts.length>1?Math.sqrt(parts[0]**2+parts[1]**2):Math.
-abs(parts[0]);listFaults=(validity,limits)=>limits.filter(([name,limit])=>!(validity[name]<=limit)).map(([name,
-limit,words])=>{let unit=name.endsWith("_mm")?" mm":"";return`${words} ${Number(validity[name].toPrecision(3))}${unit}\
+[.5+Math.sqrt(.15),.2777777777777778]],measure=parts=>parts.length>1?Math.sqrt(parts[0]**2+parts[1]**2):Math.abs(
+parts[0]);listFaults=(validity,limits)=>limits.filter(([name,limit])=>!(validity[name]<=limit)).map(([name,limit,
+words])=>{let unit=name.endsWith("_mm")?" mm":"";return`${words} ${Number(validity[name].toPrecision(3))}${unit}\
  (limit ${limit}${unit})`})}});function makeLaw({terms,tables},shape){if(!terms)return tables.find(([known])=>JSON.stringify(known)===JSON.stringify(
 shape))?.[1]??null;let layers=shape[0]?.length??terms.layers;return Array.from({length:layers},(_,layer)=>terms.
 at_zero.map((value,j)=>{let by=terms.slopes.findIndex(row=>row[j]);return by<0?value:value+shape[by][layer]*terms.
@@ -670,7 +1059,7 @@ return this.session.model}reach(controls=this.step.controls){let[first]=controls
 shape.depth])[1]}path(){return this.session.path().map(one=>toStep(one,this.model.pathAngle))}listWay(){let found=[];
 for(let one=this.way;one;one=one.before)found.push(one);return found.reverse()}keep(){let{step,shape,valid,validity,
 way}=this;this.saved.has(this.number)||this.saved.set(this.number,{step,shape,valid,validity,way,session:this.
-session.save()})}forget(number){number&&this.saved.delete(number)}rewind(){let[[,first]]=this.saved;this.#return(
+session.save()})}forget(number3){number3&&this.saved.delete(number3)}rewind(){let[[,first]]=this.saved;this.#return(
 first),Object.assign(this,{number:0,saved:new Map([[0,first]])})}#return({session,...saved}){this.session.restore(
 session),Object.assign(this,saved)}shapeAfter(changes){let shape=this.shape.map(row=>[...row]);for(let[name,item,
 value]of changes){let row=this.scene.shape_parameters.findIndex(one=>one.name===name);row>=0&&(shape[row][item-
@@ -682,11 +1071,11 @@ get(changes[0][2]);if(!saved)throw new ModelError(`nothing was kept of step ${ch
 n to");this.#return(saved)}else this.#advance(changes,validOnly),this.way={changes,tip:this.tipLateral,before:this.
 way};this.number+=1}#advance(changes,validOnly){let parameters=changes.filter(([name])=>this.rules.inputs[name].
 parameter),others=changes.filter(([name])=>!this.rules.inputs[name].parameter);if(!parameters.length)return this.#move(
-others,validOnly);let{step,shape,valid,validity}=this,before2={step,shape,valid,validity,session:this.session.
-save()};try{this.#simulateAgain(parameters,validOnly),this.#move(others,validOnly)}catch(error){throw this.#return(
-before2),error}}#simulateAgain(parameters,validOnly){let mu=[...this.model.mu],[offset,angle2]=[null,null];for(let[
-name,item,value]of parameters){if(item>mu.length)throw new ModelError(`there is no layer ${item}`,`one of ${mu.
-length} layers`);if(name==="mu_pa")mu[item-1]=value*1e-6;else if(name==="offset_throughout_mm")offset=value;else if(name===
+others,validOnly);let{step,shape,valid,validity}=this,before={step,shape,valid,validity,session:this.session.save()};
+try{this.#simulateAgain(parameters,validOnly),this.#move(others,validOnly)}catch(error){throw this.#return(before),
+error}}#simulateAgain(parameters,validOnly){let mu=[...this.model.mu],[offset,angle2]=[null,null];for(let[name,
+item,value]of parameters){if(item>mu.length)throw new ModelError(`there is no layer ${item}`,`one of ${mu.length}\
+ layers`);if(name==="mu_pa")mu[item-1]=value*1e-6;else if(name==="offset_throughout_mm")offset=value;else if(name===
 "cut_angle_throughout_deg")angle2=value*(Math.PI/180);else if(!this.scene.shape_parameters.some(one=>one.name===
 name))throw new ModelError(`the tissue law has no ${name}`,"a parameter of the law")}let shape=this.shapeAfter(
 parameters),law=JSON.stringify(shape)===JSON.stringify(this.shape)?this.model.law:makeLaw(this.scene.simulation.
@@ -697,11 +1086,11 @@ steps2.map(one=>({depth:one.depth,inputs:toInputs(one,pathAngle)})))))throw new 
 ers the insertion so far fails ${this.session.depth.toFixed(1)} mm deep`,"a load that tissue and needle can be\
 ar","change them less, or retract the needle first");let was=this.valid;Object.assign(this,{shape,step:steps2.
 at(-1)}),this.#judge(),validOnly&&was&&!this.valid&&this.#refuseInvalid(this.validity)}#move(changes,validOnly){
-let{session}=this,{x,u,planes}=session.shape,step=applyChanges(this.step,changes,this.names,[u[x.length-1],planes>
-1?u.at(-1):0]);if(!changes.length)return;let[first]=step.controls.guides;if(validOnly&&first?.x<0&&step.depth>
-this.reach(step.controls)+1e-6)throw new ModelError(`the base would stand ${(first.x+this.model.length-step.depth).
-toFixed(2)} mm before the first guide`,`at least ${this.rules.clearance_mm} mm: the base stops at the guide`,"\
-retract the needle, or move the guide toward the tissue");let[refused,judged]=[!1,{}],judge=shape2=>{let validity=computeValidity(
+let{session}=this,{x:x2,u,planes}=session.shape,step=applyChanges(this.step,changes,this.names,[u[x2.length-1],
+planes>1?u.at(-1):0]);if(!changes.length)return;let[first]=step.controls.guides;if(validOnly&&first?.x<0&&step.
+depth>this.reach(step.controls)+1e-6)throw new ModelError(`the base would stand ${(first.x+this.model.length-step.
+depth).toFixed(2)} mm before the first guide`,`at least ${this.rules.clearance_mm} mm: the base stops at the g\
+uide`,"retract the needle, or move the guide toward the tissue");let[refused,judged]=[!1,{}],judge=shape2=>{let validity=computeValidity(
 shape2,this.model);return judged={validity,valid:listFaults(validity,this.rules.validity).length===0},refused=
 validOnly&&this.valid&&!judged.valid,!refused},shape=this.#guard(()=>session.go(step.depth,toInputs(step,this.
 model.pathAngle),judge));if(refused&&this.#refuseInvalid(judged.validity),session.failed)throw new ModelError(
@@ -712,23 +1101,23 @@ before guides and tissue`,"lessen the depth, or move the guides"):error}}#judge(
 this.session.shape,this.model),this.valid=listFaults(this.validity,this.rules.validity).length===0}#refuseInvalid(validity){
 throw new ModelError(`the needle would be outside the model's validity: ${listFaults(validity,this.rules.validity).
 join("; ")}`,"a needle within the limits of small deflections","move less, or bring base, guides and tip neare\
-r to the needle's own shape")}}}});function listKeys({fitted:fitted2,shape_parameters:shapes}){let{key,throughout}=strengthOf(fitted2),plain=value=>value,
+r to the needle's own shape")}}}});function listKeys({fitted,shape_parameters:shapes}){let{key,throughout}=strengthOf(fitted),plain=value=>value,
 strength=key==="offset_mm"?{key:"b",toModel:plain,read:({step})=>step.bevel.offset}:{key:"theta",toModel:value=>value*
-(Math.PI/180),read:({step})=>step.bevel.cutAngle},layers=fitted2.layers.flatMap((_,i)=>[{key:`mu${i+1}`,input:"\
+(Math.PI/180),read:({step})=>step.bevel.cutAngle},layers=fitted.layers.flatMap((_,i)=>[{key:`mu${i+1}`,input:"\
 mu_pa",item:i+1,toInput:value=>value*1e3,toModel:value=>value*1e3*1e-6,read:({model})=>model.mu[i]},...shapes.
 map(({name},row)=>({key:`${name}${i+1}`,input:name,item:i+1,toInput:plain,toModel:plain,read:({shape})=>shape[row][i]}))]);
 return[{...strength,input:throughout,item:null,toInput:plain},...layers]}function findText(toModel,value,guess){
 let near2=ULPS.map(ulps=>guess+ulps*Math.abs(guess)*11102230246251565e-32),found=[...Array.from({length:15},(_,n)=>Number(
 guess.toPrecision(n+1))),...near2].find(one=>toModel(one)===value);return found===void 0?null:String(found)}function listLost({
-scene:{simulation:{steps:[first]}},step},path){let all2=[...path,step],differs=read=>all2.some(one=>!same2(read(
+scene:{simulation:{steps:[first]}},step},path2){let all=[...path2,step],differs=read=>all.some(one=>!same2(read(
 one.controls),read(first.controls)));return[[differs(({baseY})=>baseY),"the base, which was moved"],[differs(({
-baseSlope})=>baseSlope),"the base, which was turned"],[differs(({guides:guides2})=>guides2.map(({x,y,slope:slope2})=>[
-x,y,slope2])),"the guides"],[differs(({tip})=>tip&&[tip.y,tip.slope]),"the tip, which was held"],[all2.some(({
+baseSlope})=>baseSlope),"the base, which was turned"],[differs(({guides})=>guides.map(({x:x2,y:y2,slope:slope4})=>[
+x2,y2,slope4])),"the guides"],[differs(({tip})=>tip&&[tip.y,tip.slope]),"the tip, which was held"],[all.some(({
 bevel})=>bevel.offset!==step.bevel.offset||bevel.cutAngle!==step.bevel.cutAngle),"b, which changed on the way"]].
 filter(([is])=>is).map(([,words])=>words)}async function writeAddress(kernel,steered,name=null){let{scene,step}=steered,
-path=steered.path(),lost=listLost(steered,path);if(lost.length)return{lost};let rolls=path.map(({bevel})=>wrap(
+path2=steered.path(),lost=listLost(steered,path2);if(lost.length)return{lost};let rolls=path2.map(({bevel})=>wrap(
 rollOf(bevel))),values=new URLSearchParams(name===null?{}:{needle:name});values.set("depth",step.depth),values.
-set("roll",rolls.at(-1));let turns=path.slice(0,-1).map(({depth},i)=>{let by=findText(one=>wrap(rolls[i+1]-one),
+set("roll",rolls.at(-1));let turns=path2.slice(0,-1).map(({depth},i)=>{let by=findText(one=>wrap(rolls[i+1]-one),
 rolls[i],wrap(rolls[i+1]-rolls[i]));return by==="180"?depth:`${depth}:${by}`});turns.length&&values.set("turn",
 turns.join(","));let{model,shape,steps:[first]}=scene.simulation;for(let{key,item,toModel,read}of listKeys(scene)){
 let value=read(steered);if(item&&value===read({model,shape,step:first}))continue;let text=findText(toModel,value,
@@ -737,57 +1126,158 @@ value/toModel(1));if(text===null)return{lost:[key]};values.set(key,text)}let add
 let other=await SteeredNeedle.begin(kernel,steered.scene);try{for(let changes of readAddress(address,steered.scene))
 other.apply(changes,{validOnly:!1})}catch(error){if(!error.what)throw error;return!1}let{depth}=steered.step,points=({
 session})=>readPoints(session,Array.from({length:POINTS2},(_,i)=>depth*i/(POINTS2-1))),[found,wanted]=[other,steered].
-map(points);return found.every((point,i)=>Math.hypot(...point.map((one,axis)=>one-wanted[i][axis]))<SAME3)}function settle(steered){
+map(points);return found.every((point2,i)=>Math.hypot(...point2.map((one,axis)=>one-wanted[i][axis]))<SAME3)}function settle(steered){
 let[now2]=steered.model.mu,mu=ULPS.map(ulps=>now2*1e6+ulps*now2*1e6*2**-53).find(one=>one*1e-6===now2);mu&&steered.
 apply([["mu_pa",1,mu]],{validOnly:!1})}function readAddress(address,scene){let values=new URLSearchParams(address),
-keys=listKeys(scene),known=["needle","depth","roll","turn",...keys.map(({key})=>key)],number=(key,text,low=-1/0)=>{
+keys=listKeys(scene),known=["needle","depth","roll","turn",...keys.map(({key})=>key)],number3=(key,text,low=-1/0)=>{
 let value=Number(text);if(text.trim()!==""&&Number.isFinite(value)&&value>=low)return value;throw new ModelError(
 `the address has ${key}=${text}`,low<0?"a number":`a number, ${low} or above`)};for(let key of values.keys())if(!known.
 includes(key))throw new ModelError(`the address has ${key}`,known.join(", "));let doubled=[...values.keys()].find(
 key=>values.getAll(key).length>1);if(doubled)throw new ModelError(`the address has ${doubled} more than once`,
 "each key once");if(!values.has("depth")){if([...values.keys()].some(key=>key!=="needle"))throw new ModelError(
-"the address has no depth","depth=, in mm");return[]}let[first]=scene.simulation.steps,depth=number("depth",values.
+"the address has no depth","depth=, in mm");return[]}let[first]=scene.simulation.steps,depth=number3("depth",values.
 get("depth"),0),turns=(values.get("turn")??"").split(",").filter(Boolean).map(text=>{let[at,by="180"]=text.split(
-":");return{at:number("turn",at,0),by:number("turn",by)}});if(!turns.every(({at},i)=>at>0&&at>=(turns[i-1]?.at??
-0)&&at<=depth))throw new ModelError(`the address has turn=${values.get("turn")}`,`increasing depths, up to ${depth}\
- mm`);let roll2=values.has("roll")?number("roll",values.get("roll")):rollOf(first.bevel),after=turns.toReversed().
-map(({by})=>{let end=roll2;return roll2=wrap(roll2-by),end}).reverse(),inputs=keys.filter(({key})=>values.has(
-key)).map(({key,input,item,toInput})=>[input,item,toInput(number(key,values.get(key)))]),lists=[ANEW,[["bevel_\
-roll_deg",null,roll2],...inputs]];return turns.forEach(({at},i)=>lists.push([["depth_mm",null,at]],[["bevel_ro\
-ll_deg",null,after[i]]])),[...lists,[["depth_mm",null,depth]]]}function writeRecording(head,steered){let rows=steered.
+":");return{at:number3("turn",at,0),by:number3("turn",by)}});if(!turns.every(({at},i)=>at>0&&at>=(turns[i-1]?.
+at??0)&&at<=depth))throw new ModelError(`the address has turn=${values.get("turn")}`,`increasing depths, up to\
+ ${depth} mm`);let roll2=values.has("roll")?number3("roll",values.get("roll")):rollOf(first.bevel),after=turns.
+toReversed().map(({by})=>{let end=roll2;return roll2=wrap(roll2-by),end}).reverse(),inputs=keys.filter(({key})=>values.
+has(key)).map(({key,input,item,toInput})=>[input,item,toInput(number3(key,values.get(key)))]),lists=[ANEW,[["b\
+evel_roll_deg",null,roll2],...inputs]];return turns.forEach(({at},i)=>lists.push([["depth_mm",null,at]],[["bev\
+el_roll_deg",null,after[i]]])),[...lists,[["depth_mm",null,depth]]]}function writeRecording(head,steered){let rows=steered.
 listWay().flatMap(({changes,tip},i)=>changes.map(([name,item,value],n)=>`${i+1},${(i/10).toFixed(4)},${name},${item??
 ""},${value},${n===changes.length-1?tip:""}`));return`${head}${rows.join(`
 `)}
 `}var ANEW,POINTS2,SAME3,ULPS,same2,nameIn,init_address=__esm({"needlefit/viewer/page/address.js"(){init_errors();
 init_inputs();init_steered();init_quantities();ANEW=[["return_to",null,0]],POINTS2=21,SAME3=1e-6,ULPS=[0,1,-1,
 2,-2,3,-3,4,-4],same2=(one,other)=>JSON.stringify(one)===JSON.stringify(other);nameIn=address=>new URLSearchParams(
-address).get("needle")}});function computeBands(worker,kernel,current2){let ordered="";worker.postMessage({kernel});function describeNeedle(){
-let{name,steered}=current2(),{model}=steered,steps2=steered.path().map(one=>({depth:one.depth,inputs:toInputs(
-one,model.pathAngle)}));return{id:{needle:name,step:now.state.step},model,steps:steps2,planes:steered.session.
-planes}}function order(){if(!now.state)return;let about=JSON.stringify([current2().name,now.state.step]);ordered!==
-about&&(ordered=about,worker.postMessage(describeNeedle()))}function send(){ordered="",worker.postMessage({draws:now.
-scene.draws,steps:null}),order()}worker.onmessage=({data:{id,band:band2,forces}})=>{id.needle===current2().name&&
+address).get("needle")}});function computeBands(worker,kernel,current){let ordered="";worker.postMessage({kernel});function describeNeedle(){
+let{name,steered}=current(),{model}=steered,steps2=steered.path().map(one=>({depth:one.depth,inputs:toInputs(one,
+model.pathAngle)}));return{id:{needle:name,step:now.state.step},model,steps:steps2,planes:steered.session.planes}}
+function order(){if(!now.state)return;let about=JSON.stringify([current().name,now.state.step]);ordered!==about&&
+(ordered=about,worker.postMessage(describeNeedle()))}function send(){ordered="",worker.postMessage({draws:now.
+scene.draws,steps:null}),order()}worker.onmessage=({data:{id,band:band2,forces}})=>{id.needle===current().name&&
 (forces?take({kind:"forces",step:id.step,...forces}):take(band2?{kind:"band",step:id.step,...band2}:NONE))},listen(
 "scene",send),listen("drawn",order)}var NONE,init_bands=__esm({"needlefit/viewer/page/bands.js"(){init_inputs();
-init_store();NONE={kind:"band",x:[]}}});function describeState(steered){let{scene,session,step,model,names,validity,rules}=steered,{shape}=session,{controls,
-bevel}=step,width=1+shape.planes,[x,y,z=null]=columns(session.positions(listStations(shape)),width),constraints=columns(
+init_store();NONE={kind:"band",x:[]}}});function paint(context2,figure){let{state,shown:shown2,scene,band:newest2}=now,band2=shown2.band&&newest2&&isBandNear(
+newest2,state)?newest2:null,loaded=shown2.load&&!state.faults.length,measured=shown2.measured?scene.measured:null,
+pinned=shown2.pinned?now.pinned:null;context2.fillStyle=palette.gutter,context2.fillRect(0,0,...figure),clearLabels(),
+reserveNeedle(state),context2.lineJoin="round",within(context2,now.view.box,()=>{paintTissue(context2),loaded&&
+paintLoad(context2,state),band2&&paintBand(context2,band2,band2.step!==state.step),shown2.plan&&scene.plan&&paintPlan(
+context2,scene.plan),pinned&&paintPinned(context2,pinned),paintNeedle(context2,state),paintInset(context2,state),
+paintBevel(context2,state),loaded&&paintTipForce(context2,state),shown2.path&&paintPath(context2,state),shown2.
+points&&paintPoints(context2,state),paintPrediction(context2,state),measured&&paintMeasured(context2,measured),
+measured&&shown2.errors&&paintGaps(context2,state,measured),paintMethods(context2),paintGuides(context2,state),
+paintBase(context2,state),(measured||pinned)&&nameNeedle(context2,state),band2&&nameBand(context2,band2)}),paintAxes(
+context2),loaded&&paintKey(context2)}function measure2(){let[width,height]=size();canvas2.width=Math.round(width*
+devicePixelRatio),canvas2.height=Math.round(height*devicePixelRatio),screen.setTransform(devicePixelRatio,0,0,
+devicePixelRatio,0,0),resize(width,height),redraw()}var picture,canvas2,screen,frame,size,init_drawing=__esm({
+"needlefit/viewer/page/drawing.js"(){init_dom();init_background();init_needle2();init_overlay();init_strokes();
+init_store();init_view();picture=part("picture"),canvas2=part("canvas"),screen=canvas2.getContext("2d",{alpha:!1}),
+frame=0,size=()=>[picture.clientWidth,picture.clientHeight];listen("redraw",()=>{frame||=requestAnimationFrame(
+()=>{frame=0,now.state&&(paint(screen,size()),document.body.classList.add("begun")),publish("drawn")})});listen(
+"state",()=>(follow(),redraw()));for(let kind of["band","forces"])listen(kind,redraw);new ResizeObserver(measure2).
+observe(picture);onScheme(()=>(readPalette(),redraw()));readPalette()}});function readColour(shade){let hex2=shade.match(/^#(\w\w)(\w\w)(\w\w)(\w\w)?$/)?.slice(1).map(one=>parseInt(one??
+"ff",16)),[red,green,blue,alpha=255]=hex2??shade.match(/[\d.]+/g).map(Number);return{parts:[red,green,blue],opacity:alpha/
+255}}function writePaint(name,shade,opacity=1){if(!shade)return`${name}="none"`;let{parts,opacity:own2}=readColour(
+shade),share=round(own2*opacity);return`${name}="#${parts.map(one=>one.toString(16).padStart(2,"0")).join("")}\
+"${share<1?` ${name}-opacity="${share}"`:""}`}function writeSvg(drawn,[width,height],wide,title,words){return`\
+<svg xmlns="http://www.w3.org/2000/svg" ${`width="${wide}mm" height="${round(wide*height/width)}mm" viewBox="0\
+ 0 ${round(width)} ${round(height)}"`} font-family="Arial, Liberation Sans, Helvetica, sans-serif">
+<title>${escape(title)}</title>
+<desc>${escape(words)}</desc>
+${drawn.map((one,n)=>SVG[one.kind](one,n)).join(`
+`)}
+</svg>
+`}function writePdf(drawn,[width,height],wide,title){let scale=wide*POINTS3/width,states=new Map,shade=(colour2,opacity)=>{
+let share=round(readColour(colour2).opacity*opacity);return states.has(share)||states.set(share,`G${states.size}`),
+`/${states.get(share)} gs`},content=drawn.map(one=>PDF[one.kind](one,shade)).join(`
+`),placed=`${round(scale)} 0 0 ${round(-scale)} 0 ${round(scale*height)} cm
+${content}`,differences=Object.values(GLYPHS).map(([name,code])=>`${code} /${name}`).join(" "),font=name=>`<< \
+/Type /Font /Subtype /Type1 /BaseFont /${name} /Encoding << /BaseEncoding /WinAnsiEncoding /Differences [${differences}\
+] >> >>`,looks=[...states].map(([share,name])=>`/${name} << /ca ${share} /CA ${share} >>`).join(" "),objects=[
+"<< /Type /Catalog /Pages 2 0 R >>","<< /Type /Pages /Kids [3 0 R] /Count 1 >>",`<< /Type /Page /Parent 2 0 R \
+/MediaBox [0 0 ${round(wide*POINTS3)} ${round(scale*height)}] /Contents 4 0 R /Resources << /Font << /F1 ${font(
+"Helvetica")} /F2 ${font("Helvetica-Bold")} >> /ExtGState << ${looks} >> >> >>`,`<< /Length ${placed.length} >\
+>
+stream
+${placed}
+endstream`,`<< /Title <${writeText(title)}> >>`],text=`%PDF-1.4
+`,places=objects.map((object,n)=>{let at=text.length;return text+=`${n+1} 0 obj
+${object}
+endobj
+`,`${String(at).padStart(10,"0")} 00000 n 
+`}),count=objects.length+1;return`${text}xref
+0 ${count}
+0000000000 65535 f 
+${places.join("")}trailer
+<< /Size ${count} /Root 1 0 R /Info 5 0 R >>
+startxref
+${text.length}
+%%EOF
+`}var BASELINES,ROUND,round,STYLE,FigureContext,writePath,escape,writeLine,SVG,GLYPHS,POINTS3,writeText,setColour,
+PDF,writeCurves,init_figure_context=__esm({"needlefit/viewer/page/figure_context.js"(){BASELINES={alphabetic:0,
+middle:.35,top:.8},ROUND=.5523,round=value=>Number(value.toFixed(3)),STYLE=["fillStyle","strokeStyle","lineWid\
+th","globalAlpha","lineCap","lineJoin","font","textAlign","textBaseline"],FigureContext=class{fillStyle="#0000\
+00";strokeStyle="#000000";lineWidth=1;globalAlpha=1;lineCap="butt";lineJoin="miter";font="12px sans-serif";textAlign="\
+left";textBaseline="alphabetic";drawn=[];#path=[];#dash=[];#matrix=new DOMMatrix;#stack=[];#clips=0;#halo=null;#screen=document.
+createElement("canvas").getContext("2d");save(){this.#stack.push([Object.fromEntries(STYLE.map(name=>[name,this[name]])),
+this.#matrix,this.#clips])}restore(){let[style,matrix,clips]=this.#stack.pop();for(;this.#clips>clips;this.#clips-=
+1)this.drawn.push({kind:"restore"});Object.assign(this,style),this.#matrix=matrix}clip(){this.#clips+=1,this.drawn.
+push({kind:"clip",path:this.#path})}translate(x2,y2){this.#matrix=this.#matrix.translate(x2,y2)}rotate(angle2){
+this.#matrix=this.#matrix.rotate(angle2*180/Math.PI)}setLineDash(dash){this.#dash=dash}beginPath(){this.#path=
+[]}closePath(){this.#path.push(["Z"])}moveTo(x2,y2){this.#add("M",[x2,y2])}lineTo(x2,y2){this.#add("L",[x2,y2])}rect(x2,y2,width,height){
+this.moveTo(x2,y2);for(let corner of[[x2+width,y2],[x2+width,y2+height],[x2,y2+height]])this.#add("L",corner);
+this.closePath()}arc(x2,y2,radius){this.moveTo(x2+radius,y2);for(let[ax,ay,bx,by]of[[1,0,0,1],[0,1,-1,0],[-1,0,
+0,-1],[0,-1,1,0]]){let at=(px,py)=>[x2+radius*px,y2+radius*py];this.#add("C",at(ax+ROUND*bx,ay+ROUND*by),at(bx+
+ROUND*ax,by+ROUND*ay),at(bx,by))}this.closePath()}#add(name,...points){let moved2=points.map(([x2,y2])=>this.#matrix.
+transformPoint({x:x2,y:y2}));this.#path.push([name,...moved2.flatMap(({x:x2,y:y2})=>[round(x2),round(y2)])])}fill(){
+this.#draw({fill:this.fillStyle})}stroke(){this.#draw({stroke:this.strokeStyle,width:this.lineWidth,cap:this.lineCap,
+join:this.lineJoin,dash:this.#dash})}#draw(looks){this.drawn.push({kind:"path",path:this.#path,opacity:this.globalAlpha,
+...looks})}fillRect(x2,y2,width,height){this.beginPath(),this.rect(x2,y2,width,height),this.fill()}strokeRect(x2,y2,width,height){
+this.beginPath(),this.rect(x2,y2,width,height),this.stroke()}measureText(text){return this.#screen.font=this.font,
+this.#screen.measureText(text)}strokeText(){this.#halo={stroke:this.strokeStyle,width:this.lineWidth}}fillText(text,x2,y2){
+let[,weight,size2]=this.font.match(/^(\d+ )?([\d.]+)px/),share={left:0,center:.5,right:1}[this.textAlign],place2=[
+x2-share*this.measureText(text).width,y2+BASELINES[this.textBaseline]*Number(size2)];this.drawn.push({kind:"te\
+xt",text,size:Number(size2),strong:!!weight,fill:this.fillStyle,halo:this.#halo,matrix:this.#matrix.translate(
+...place2),opacity:this.globalAlpha}),this.#halo=null}};writePath=path2=>path2.map(([name,...numbers])=>name+numbers.
+join(" ")).join(""),escape=text=>text.replace(/[&<>"]/g,one=>`&#${one.charCodeAt(0)};`);writeLine=({stroke:stroke2,
+width,cap="round",join="round",dash=[]},opacity)=>`${writePaint("stroke",stroke2,opacity)} stroke-width="${width}\
+" stroke-linecap="${cap}" stroke-linejoin="${join}"${dash.length?` stroke-dasharray="${dash.join(" ")}"`:""}`,
+SVG={clip:({path:path2},n)=>`<clipPath id="clip-${n}"><path d="${writePath(path2)}"/></clipPath><g clip-path="\
+url(#clip-${n})">`,restore:()=>"</g>",path:one=>`<path d="${writePath(one.path)}" ${writePaint("fill",one.fill,
+one.opacity)}${one.stroke?` ${writeLine(one,one.opacity)}`:""}/>`,text:({text,size:size2,strong,fill,halo,matrix:{
+a:a2,b,c,d,e,f},opacity})=>{let place2=b||c?`transform="matrix(${[a2,b,c,d,e,f].map(round).join(" ")})"`:`x="${round(
+e)}" y="${round(f)}"`,behind=halo?` ${writeLine(halo,opacity)} paint-order="stroke"`:"";return`<text ${place2}\
+ font-size="${size2}"${strong?' font-weight="600"':""} ${writePaint("fill",fill,opacity)}${behind}>${escape(text)}\
+</text>`}};GLYPHS={"−":["minus",1],μ:["mu",2]},POINTS3=72/25.4,writeText=text=>[...text].map(one=>(GLYPHS[one]?.[1]??
+(one.charCodeAt(0)<256?one.charCodeAt(0):63)).toString(16).padStart(2,"0")).join(""),setColour=(shade,name)=>`${readColour(
+shade).parts.map(one=>round(one/255)).join(" ")} ${name}`,PDF={clip:({path:path2})=>`q ${writeCurves(path2)} W\
+ n`,restore:()=>"Q",path:({path:path2,fill,stroke:stroke2,width,cap,join,dash,opacity},shade)=>[shade(fill??stroke2,
+opacity),setColour(fill??stroke2,fill?"rg":"RG"),stroke2&&`${width} w ${["butt","round"].indexOf(cap)} J ${["m\
+iter","round"].indexOf(join)} j [${dash.join(" ")}] 0 d`,writeCurves(path2),fill?"f":"S"].filter(Boolean).join(
+" "),text:({text,size:size2,strong,fill,halo,matrix:{a:a2,b,c,d,e,f},opacity},shade)=>{let write2=mode=>`BT /F${strong?
+2:1} ${size2} Tf ${mode} Tr ${[a2,b,-c,-d,e,f].map(round).join(" ")} Tm <${writeText(text)}> Tj ET`;return`${halo?
+`${shade(halo.stroke,opacity)} ${setColour(halo.stroke,"RG")} ${halo.width} w 1 J 1 j [] 0 d ${write2(1)} `:""}${shade(
+fill,opacity)} ${setColour(fill,"rg")} ${write2(0)}`}},writeCurves=path2=>path2.map(([name,...numbers])=>`${numbers.
+join(" ")} ${{M:"m",L:"l",C:"c",Z:"h"}[name]}`).join(" ")}});function describeState(steered){let{scene,session,step,model,names,validity,rules}=steered,{shape}=session,{controls,
+bevel}=step,width=1+shape.planes,[x2,y2,z=null]=columns(session.positions(listStations(shape)),width),constraints=columns(
 shape.constraints,width),track=columns(shape.track,2*shape.planes).filter((_,i)=>i%2===0),load3=session.forces(),
-loaded=columns(load3.s.length?session.positions(load3.s):[],width),last2=shape.x.length-1,roll2=wrap(rollOf(bevel)),
+loaded=columns(load3.s.length?session.positions(load3.s):[],width),last3=shape.x.length-1,roll2=wrap(rollOf(bevel)),
 items=controls.guides.map(({name})=>guideNumber(name,names));return{kind:"state",step:steered.number,depth_mm:step.
-depth,x,y,z,depths:constraints[0],constraints:mapPoints(session,constraints),tip_path:mapPoints(session,[constraints[0],
-...track]),load:{x:loaded[0],y:loaded[1],n_per_mm:load3.loads.map(one=>[...one])},forces:{base_n:load3.base.force,
-base_nmm:load3.base.moment,guides_n:Object.fromEntries(items.map((item,i)=>[item,load3.guides[i].force]))},base:{
-x:x[0],y:y[0],rotation:shape.slope[0],input_y:controls.baseY,input_slope:controls.baseSlope},guides:controls.guides.
-map(({name,x:x2,y:y2,slope:slope2},i)=>({item:items[i],name,x:x2,y:y2,slope:slope2??0,turns_freely:slope2===null})),
-tip:{x:x.at(-1),y:y.at(-1),z:z&&z.at(-1),rotation:shape.slope[last2],lateral_mm:y.at(-1),held:controls.tip!==null,
-input_y:shape.u[last2]},bevel:{side:Math.abs(roll2)>90?-1:1,roll_deg:roll2,...describeStrength(bevel,model)},layers:model.
-mu.map((mu,layer)=>({mu_pa:mu*1e6,...Object.fromEntries(scene.shape_parameters.map(({name},row)=>[name,steered.
-shape[row][layer]]))})),max_slope:validity.max_slope,faults:listFaults(validity,rules.validity),errors:scene.measured&&
-computeErrors(session,scene.measured)}}function listStations({x,depth}){let end=Math.min(0,depth),before2=Array.
-from({length:POINTS_BEFORE_TISSUE},(_,i)=>x[0]+(end-x[0])*i/(POINTS_BEFORE_TISSUE-1));return before2[POINTS_BEFORE_TISSUE-
-1]=end,Float64Array.from(new Set([...before2,...x])).sort()}function mapPoints(session,[s,...beside]){let[along,
-...places]=columns(session.positions(s),1+beside.length),deflections=session.deflections(s);return[along,...places.
-map((one,plane)=>one.map((place2,i)=>place2+(beside[plane][i]-deflections[plane*s.length+i])))]}var POINTS_BEFORE_TISSUE,
+depth,x:x2,y:y2,z,depths:constraints[0],constraints:mapPoints(session,constraints),tip_path:mapPoints(session,
+[constraints[0],...track]),load:{x:loaded[0],y:loaded[1],n_per_mm:load3.loads.map(one=>[...one])},forces:{base_n:load3.
+base.force,base_nmm:load3.base.moment,guides_n:Object.fromEntries(items.map((item,i)=>[item,load3.guides[i].force]))},
+base:{x:x2[0],y:y2[0],rotation:shape.slope[0],input_y:controls.baseY,input_slope:controls.baseSlope},guides:controls.
+guides.map(({name,x:x3,y:y3,slope:slope4},i)=>({item:items[i],name,x:x3,y:y3,slope:slope4??0,turns_freely:slope4===
+null})),tip:{x:x2.at(-1),y:y2.at(-1),z:z&&z.at(-1),rotation:shape.slope[last3],lateral_mm:y2.at(-1),held:controls.
+tip!==null,input_y:shape.u[last3]},bevel:{side:Math.abs(roll2)>90?-1:1,roll_deg:roll2,...describeStrength(bevel,
+model)},layers:model.mu.map((mu,layer)=>({mu_pa:mu*1e6,...Object.fromEntries(scene.shape_parameters.map(({name},row)=>[
+name,steered.shape[row][layer]]))})),max_slope:validity.max_slope,faults:listFaults(validity,rules.validity),errors:scene.
+measured&&computeErrors(session,scene.measured)}}function listStations({x:x2,depth}){let end=Math.min(0,depth),
+before=Array.from({length:POINTS_BEFORE_TISSUE},(_,i)=>x2[0]+(end-x2[0])*i/(POINTS_BEFORE_TISSUE-1));return before[POINTS_BEFORE_TISSUE-
+1]=end,Float64Array.from(new Set([...before,...x2])).sort()}function mapPoints(session,[s2,...beside]){let[along,
+...places]=columns(session.positions(s2),1+beside.length),deflections=session.deflections(s2);return[along,...places.
+map((one,plane)=>one.map((place2,i)=>place2+(beside[plane][i]-deflections[plane*s2.length+i])))]}var POINTS_BEFORE_TISSUE,
 columns,describeStrength,init_state=__esm({"needlefit/viewer/page/model/state.js"(){init_inputs();init_errors();
 init_validity();POINTS_BEFORE_TISSUE=25,columns=(points,width)=>Array.from({length:width},(_,axis)=>Array.from(
 {length:points.length/width},(_2,i)=>points[width*i+axis])),describeStrength=({offset,cutAngle},{pathAngle})=>pathAngle?
@@ -798,60 +1288,59 @@ async function load(){let[data,kernel]=await Promise.all([unpack("data"),unpack(
 $)?lists[value.$]:value;for(let{scene}of read.needles)if(scene.draws)for(let name of["mu","law","strength"])scene.
 draws[name]=resolve(scene.draws[name]);return{...read,kernel}}function insert(steered){for(let changes of listSteps(
 steered.scene))steered.apply(changes,always)}function compareStored(steered,{methods:[fit2]=[],tip},same3){if(!fit2)
-return Math.abs(steered.tipLateral-tip);let{target,stored}=steered.scene.measured,fixed=target.x.map((x,i)=>[x,
-target.y[i],target.z[i]]),points=ALIGN[target.pose](readPoints(steered.session,target.s),fixed),found=computeErrors(
+return Math.abs(steered.tipLateral-tip);let{target,stored}=steered.scene.measured,fixed=target.x.map((x2,i)=>[
+x2,target.y[i],target.z[i]]),points=ALIGN[target.pose](readPoints(steered.session,target.s),fixed),found=computeErrors(
 steered.session,steered.scene.measured),errors=Object.keys(fit2.errors).map(name=>Math.abs(fit2.errors[name]-found[name]));
-return Math.max(...points.flatMap((point,i)=>["x","y","z"].map((axis,n)=>Math.abs(point[n]-stored[axis][i]))),
-...errors.filter(one=>one>same3))}async function prove({needles:needles2,kernel},same3){let[count,largest,since]=[
-0,0,performance.now()],rest=async()=>{performance.now()-since<SLICE||(await new Promise(done2=>setTimeout(done2)),
-since=performance.now())};for(let needle of needles2){let compare=distance2=>{count+=1,largest=Math.max(largest,
-distance2)};try{let steered=await begin(kernel,needle);if(needle.recording){let replay=new Replay(steered,needle.
-recording);for(let n=1;n<=needle.recording.length;n+=1)replay.to(n),compare(Math.abs(steered.tipLateral-needle.
-recording[n-1][2])),await rest()}else{if(insert(steered),needle.tip===null)continue;compare(compareStored(steered,
-needle,same3))}}catch(error){if(!error.what)throw error;compare(NaN)}await rest()}return{count,largest}}var SLICE,
-begin,always,Replay,init_stored=__esm({"needlefit/viewer/page/stored.js"(){init_needle();init_dom();init_errors();
-init_inputs();init_steered();SLICE=12;begin=(kernel,{scene})=>SteeredNeedle.begin(kernel,scene),always={validOnly:!1};
-Replay=class{steered;steps;at;changed;last;constructor(steered,steps2){Object.assign(this,{steered,steps:steps2,
-at:0,changed:!1,last:new Map}),this.steps.forEach(([,changes],i)=>{for(let[name,,value]of changes)name==="retu\
-rn_to"&&this.last.set(value,i+1)})}to(n){for((this.changed||n<this.at)&&(this.steered.rewind(),Object.assign(this,
-{at:0,changed:!1}));this.at<n;)this.#next()}#next(){let[,changes]=this.steps[this.at];this.steered.apply(changes,
-always),this.at+=1,this.last.has(this.at)&&this.steered.keep();for(let[name,,value]of changes)name==="return_t\
-o"&&this.last.get(value)===this.at&&this.steered.forget(value)}}}});function refuse(error,below=part("flip").parentElement){if(!error.what)throw error;below.after(refusal),write(
+return Math.max(...points.flatMap((point2,i)=>["x","y","z"].map((axis,n)=>Math.abs(point2[n]-stored[axis][i]))),
+...errors.filter(one=>one>same3))}async function prove({needles,kernel},same3){let[count,largest,since]=[0,0,performance.
+now()],rest=async()=>{performance.now()-since<SLICE||(await new Promise(done2=>setTimeout(done2)),since=performance.
+now())};for(let needle of needles){let compare=distance2=>{count+=1,largest=Math.max(largest,distance2)};try{let steered=await begin(
+kernel,needle);if(needle.recording){let replay=new Replay(steered,needle.recording);for(let n=1;n<=needle.recording.
+length;n+=1)replay.to(n),compare(Math.abs(steered.tipLateral-needle.recording[n-1][2])),await rest()}else{if(insert(
+steered),needle.tip===null)continue;compare(compareStored(steered,needle,same3))}}catch(error){if(!error.what)
+throw error;compare(NaN)}await rest()}return{count,largest}}var SLICE,begin,always,Replay,init_stored=__esm({"\
+needlefit/viewer/page/stored.js"(){init_needle();init_dom();init_errors();init_inputs();init_steered();SLICE=12;
+begin=(kernel,{scene})=>SteeredNeedle.begin(kernel,scene),always={validOnly:!1};Replay=class{steered;steps;at;changed;last;constructor(steered,steps2){
+Object.assign(this,{steered,steps:steps2,at:0,changed:!1,last:new Map}),this.steps.forEach(([,changes],i)=>{for(let[
+name,,value]of changes)name==="return_to"&&this.last.set(value,i+1)})}to(n){for((this.changed||n<this.at)&&(this.
+steered.rewind(),Object.assign(this,{at:0,changed:!1}));this.at<n;)this.#next()}#next(){let[,changes]=this.steps[this.
+at];this.steered.apply(changes,always),this.at+=1,this.last.has(this.at)&&this.steered.keep();for(let[name,,value]of changes)
+name==="return_to"&&this.last.get(value)===this.at&&this.steered.forget(value)}}}});function refuse(error,below=part("flip").parentElement){if(!error.what)throw error;below.after(refusal),write(
 refusal,`${error.what}. Expected: ${error.expected}.`)}function show(){steps+=1,part("undo").disabled=!past.length,
 part("redo").disabled=!future.length,take({...describeState(now.steered),step:steps,kind:"state"})}function forgetPast(){
 for(let one of[past,future])one.length=0;last=0,write(refusal,"")}function goHome(){forgetPast(),now.steered.rewind();
 try{insert(now.steered)}catch(error){refuse(error)}show()}function steer(lists,{gesture=newGesture(),whole=!1,
-anew=!1,below=void 0}={}){let{steered}=now,{number}=steered;publish("steers"),write(refusal,"");let begins=gesture!==
+anew=!1,below=void 0}={}){let{steered}=now,{number:number3}=steered;publish("steers"),write(refusal,"");let begins=gesture!==
 last;(begins||whole)&&steered.keep();try{for(let changes of lists)steered.apply(changes.map(([name,item,value])=>[
-name,item,value+0]),always2);anew&&settle(steered)}catch(error){if(refuse(error,below),whole&&steered.number>number&&
-steered.apply([["return_to",null,number]]),whole||steered.number===number)return void publish("unchanged")}begins&&
-(past.push(number),future.length=0,past.length>MOST_UNDONE&&steered.forget(past.shift())),last=gesture,part("b\
-ack").disabled=!1,show()}function goTo(from,to){if(!from.length)return;publish("steers"),write(refusal,"");let{
+name,item,value+0]),always2);anew&&settle(steered)}catch(error){if(refuse(error,below),whole&&steered.number>number3&&
+steered.apply([["return_to",null,number3]]),whole||steered.number===number3)return void publish("unchanged")}begins&&
+(past.push(number3),future.length=0,past.length>MOST_UNDONE&&steered.forget(past.shift())),last=gesture,part("\
+back").disabled=!1,show()}function goTo(from,to){if(!from.length)return;publish("steers"),write(refusal,"");let{
 steered}=now;steered.keep(),to.push(steered.number),steered.apply([["return_to",null,from.pop()]]),last=0,show()}
 var MOST_UNDONE,always2,refusal,past,future,steps,gestures,last,newGesture,change,undo,redo,init_steering=__esm(
 {"needlefit/viewer/page/steering.js"(){init_address();init_dom();init_state();init_stored();init_store();MOST_UNDONE=
 200,always2={validOnly:!1},refusal=part("refusal"),[past,future]=[[],[]],[steps,gestures,last]=[0,0,0],newGesture=
 ()=>gestures+=1;change=(changes,how)=>steer([changes],how);undo=()=>goTo(past,future),redo=()=>goTo(future,past);
-listen("notice",({what,expected})=>refuse({what,expected}))}});async function followAddress(choose2){let address=location.hash.slice(1);if(!address)return!1;let{needles:needles2}=now.
-data,below=part("proof").parentElement;try{if(part(decode(address)))return!1;let name=nameIn(address),number=needles2.
-findIndex(one=>nameOf2(one)===name);if(name!==null&&number<0)throw new ModelError(`the address has needle=${name}`,
-needles2.map(nameOf2).join(", "));number>=0&&needles2[number]!==now.needle&&await choose2(number);let lists=readAddress(
+listen("notice",({what,expected})=>refuse({what,expected}))}});async function followAddress(choose2){let address=location.hash.slice(1);if(!address)return!1;let{needles}=now.
+data,below=part("proof").parentElement;try{if(part(decode(address)))return!1;let name=nameIn(address),number3=needles.
+findIndex(one=>nameOf2(one)===name);if(name!==null&&number3<0)throw new ModelError(`the address has needle=${name}`,
+needles.map(nameOf2).join(", "));number3>=0&&needles[number3]!==now.needle&&await choose2(number3);let lists=readAddress(
 address,now.scene);return lists.length&&steer(lists,{below,whole:!0,anew:!0}),lists.length>0}catch(error){return refuse(
 error,below),!0}}function decode(address){try{return decodeURIComponent(address)}catch{throw new ModelError(`t\
 he address ends with #${address}, which is no text`,"depth=, in mm, as Copy link writes it")}}async function copy(){
-let{data:{needles:needles2,kernel},needle,scene,steered}=now,{address,lost}=await writeAddress(kernel,steered,
-needles2.length>1?nameOf2(needle):null);write("link-note",lost?`No link: an address does not carry ${lost.join(
-", ")}. A recording does.`:""),!lost&&(steer(readAddress(address,scene),{anew:!0}),history.replaceState(null,"",
-`#${address}`),await navigator.clipboard?.writeText(location.href).then(()=>say("The link is copied."),()=>null))}
-var nameOf2,init_link=__esm({"needlefit/viewer/page/link.js"(){init_address();init_dom();init_inputs();init_steering();
-init_store();nameOf2=({name,scene})=>name??scene.measured?.id??scene.title;press("copy-link",copy)}});function define(name,called=name){if(!(name in DEFINITIONS))return called;let term=element("button",{type:"but\
-ton",className:"term"},called);term.setAttribute("aria-description",DEFINITIONS[name]),term.tabIndex=-1;let show3=()=>{
-let{left,top,bottom}=term.getBoundingClientRect();shown2.textContent=DEFINITIONS[name],shown2.style.left=`${Math.
-max(8,Math.min(left,innerWidth-296))}px`;let above=top>ROOM3;shown2.style.bottom=above?`${innerHeight-top+6}px`:
-"auto",shown2.style.top=above?"auto":`${bottom+6}px`,shown2.matches(":popover-open")||shown2.showPopover()},hide=()=>shown2.
-matches(":popover-open")&&shown2.hidePopover();for(let kind of["pointerenter","focus","click"])term.addEventListener(
+let{data:{needles,kernel},needle,scene,steered}=now,{address,lost}=await writeAddress(kernel,steered,needles.length>
+1?nameOf2(needle):null);write("link-note",lost?`No link: an address does not carry ${lost.join(", ")}. A recor\
+ding does.`:""),!lost&&(steer(readAddress(address,scene),{anew:!0}),history.replaceState(null,"",`#${address}`),
+await navigator.clipboard?.writeText(location.href).then(()=>say("The link is copied."),()=>null))}var nameOf2,
+init_link=__esm({"needlefit/viewer/page/link.js"(){init_address();init_dom();init_inputs();init_steering();init_store();
+nameOf2=({name,scene})=>name??scene.measured?.id??scene.title;press("copy-link",copy)}});function define2(name,called=name){if(!(name in DEFINITIONS))return called;let term=element("button",{type:"bu\
+tton",className:"term"},called);term.setAttribute("aria-description",DEFINITIONS[name]),term.tabIndex=-1;let show3=()=>{
+let{left,top,bottom}=term.getBoundingClientRect();shown.textContent=DEFINITIONS[name],shown.style.left=`${Math.
+max(8,Math.min(left,innerWidth-296))}px`;let above=top>ROOM3;shown.style.bottom=above?`${innerHeight-top+6}px`:
+"auto",shown.style.top=above?"auto":`${bottom+6}px`,shown.matches(":popover-open")||shown.showPopover()},hide=()=>shown.
+matches(":popover-open")&&shown.hidePopover();for(let kind of["pointerenter","focus","click"])term.addEventListener(
 kind,show3);for(let kind of["pointerleave","blur"])term.addEventListener(kind,hide);return term}var DEFINITIONS,
-ROOM3,shown2,init_definitions=__esm({"needlefit/viewer/page/definitions.js"(){init_dom();init_store();DEFINITIONS=
+ROOM3,shown,init_definitions=__esm({"needlefit/viewer/page/definitions.js"(){init_dom();init_store();DEFINITIONS=
 {depth:"Inserted arc length: how much of the needle is beyond the entry.","tip y":"Distance of the tip from th\
 e entry axis, y; positive to the left of the entry.","tip slope":"Angle of the needle at its tip against the e\
 ntry axis.","tip force":"Lateral force on the tip, as it stood at its last constraint point; between these poi\
@@ -865,16 +1354,16 @@ ides that hold the needle.",guide:"Where a guide holds the needle: x along the e
 dx as an angle.","noise floor":"The mean error that perfect parameters would still show if measurements err as\
  stated."};listen("scene",({definitions,shape_parameters:shapes})=>{Object.assign(DEFINITIONS,definitions);for(let{
 symbol,explanation}of shapes)DEFINITIONS[symbol]=`${explanation[0].toUpperCase()}${explanation.slice(1)}.`});ROOM3=
-110,shown2=element("div",{id:"definition",role:"tooltip",popover:"auto"});(part("explorer")??document.body).append(
-shown2)}});function fillReadouts(list,readouts){let numbers=readouts.map(([name,unit])=>{let number=element("span",{},"–");
-return list.append(entry(define(name),[number," ",element("small",{},unit)])),number});return from=>readouts.forEach(
-([,,read],i)=>write(numbers[i],from?read(from):"–"))}function refresh(){let{state,scene}=now;writeNeedle(state),
-part("readouts").children[TIP_Z].hidden=!state.z;let title=part("title");if(title&&write(title,`${isSteered(state,
-scene)?"steered by hand: ":""}${scene.title}`),!scene.measured)return;let prediction=predictionOf(state,scene);
-writeErrors(prediction?{...state.errors,...prediction.errors}:state.errors),write("against",`${prediction?"pre\
-diction ":""}against ${scene.measured.id}${state.errors?`, ${comparedUpTo(state.errors)}`:""}`)}function inWords(){
-let{state,scene}=now;if(!state)return"The needle has not been drawn yet.";let{tip,bevel,base,guides:guides2,errors}=state,
-held=guides2.length===1?"1 guide":`${guides2.length} guides`,{symbol,value,digits:digits2,unit}=strengthOf(bevel),
+110,shown=element("div",{id:"definition",role:"tooltip",popover:"auto"});(part("explorer")??document.body).append(
+shown)}});function fillReadouts(list,readouts){let numbers=readouts.map(([name,unit])=>{let number3=element("span",{},"–");
+return list.append(entry(define2(name),[number3," ",element("small",{},unit)])),number3});return from=>readouts.
+forEach(([,,read],i)=>write(numbers[i],from?read(from):"–"))}function refresh(){let{state,scene}=now;writeNeedle(
+state),part("readouts").children[TIP_Z].hidden=!state.z;let title=part("title");if(title&&write(title,`${isSteered(
+state,scene)?"steered by hand: ":""}${scene.title}`),!scene.measured)return;let prediction=predictionOf(state,
+scene);writeErrors(prediction?{...state.errors,...prediction.errors}:state.errors),write("against",`${prediction?
+"prediction ":""}against ${scene.measured.id}${state.errors?`, ${comparedUpTo(state.errors)}`:""}`)}function inWords(){
+let{state,scene}=now;if(!state)return"The needle has not been drawn yet.";let{tip,bevel,base,guides,errors}=state,
+held=guides.length===1?"1 guide":`${guides.length} guides`,{symbol,value,digits:digits2,unit}=strengthOf(bevel),
 sentences=[`The needle is ${state.depth_mm.toFixed(1)} mm deep, of ${scene.length_mm.toFixed(0)} mm.`,`Its tip\
  is ${Math.abs(tip.lateral_mm).toFixed(2)} mm to the ${tip.lateral_mm<0?"right":"left"}${tip.held?" and held t\
 here":""}, at ${angle(tip)}${tip.z===null?"":`; z ${signed(tip.z,2)} mm`}.`,`The bevel turns the cut toward ${describeRoll(
@@ -883,233 +1372,144 @@ base)}; ${held}.`,`Tip force ${load2(tipForce()??0,2)} N, base force ${load2(sta
 state)&&sentences.push(`The needle is ${exceeded(state)}.`),errors){let prediction=predictionOf(state,scene);sentences.
 push(`${prediction?"The prediction against":"Against"} the measured needle ${comparedUpTo(errors)}: ${listErrors(
 prediction?.errors??errors,scene.measured).join(", ")}.`)}return sentences.join(" ")}var load2,NEEDLE,TIP_Z,writeNeedle,
-writeErrors,comparedUpTo,announced,exceeded,angle,refreshDescription,describe,init_readouts=__esm({"needlefit/\
-viewer/page/readouts.js"(){init_definitions();init_dom();init_quantities();init_store();init_view();load2=(value,digits2)=>now.
-state.z?value.toFixed(digits2):signed(value,digits2),NEEDLE=[["depth","mm",s=>s.depth_mm.toFixed(2)],["tip y",
-"mm",s=>signed(s.tip.lateral_mm,2)],["tip z","mm",s=>s.z?signed(s.tip.z,2):"–"],["tip slope","°",s=>signed(
-toDegrees(s.tip.rotation),2)],["tip force","N",()=>tipForce()===null?"–":load2(tipForce(),3)],["base force",
-"N",s=>load2(s.forces.base_n,3)],["base moment","N mm",s=>load2(s.forces.base_nmm,1)],["steepest slope","",s=>s.
-max_slope.toFixed(3)]],TIP_Z=NEEDLE.findIndex(([name])=>name==="tip z");writeNeedle=fillReadouts(part("readout\
-s"),NEEDLE),writeErrors=_errors=>{};comparedUpTo=({whole,upto_mm:upto})=>whole?"over the whole insertion":`ove\
-r the first ${upto.toFixed(1)} mm`;listen("scene",({measured:measured2})=>{if(part("compared").hidden=measured2===
-null,!measured2)return;let metrics=measured2.metrics.map(([name,label2,unit,text])=>(DEFINITIONS[label2]=text,
-[label2,unit,errors=>writeError(errors[name],unit)]));part("errors").replaceChildren(),writeErrors=fillReadouts(
-part("errors"),[...metrics,["noise floor","mm",e=>e.floor_mm?.toFixed(3)??"–"]])});announced=!1,exceeded=({faults})=>faults?.
-length?`outside the model: ${faults.join("; ")}`:"";listen("scene",()=>announced=!1);for(let kind of["forces",
-"state"])listen(kind,()=>{now.state&&(refresh(),refreshDescription())});listen("state",state=>{let words=exceeded(
-state);write("beyond",words&&`${words[0].toUpperCase()}${words.slice(1)}. Shape and forces cannot be relied on\
-.`),part("beyond").classList.toggle("low",toPy(state.tip.y)<view.box.top+view.box.height/2),!(announced||!words)&&
-(announced=!0,say(`The needle is ${words}.`))});angle=({rotation})=>`${signed(toDegrees(rotation),1)} degrees`;
-refreshDescription=()=>write("described",inWords()),describe=()=>say(inWords())}});function paint2(name,colour2){if(colour2==="transparent")return`${name}="none"`;let[,hex,alpha]=colour2.match(
-/^(#\w{6})(\w\w)?$/)??[];if(hex)return`${name}="${hex}"${alpha?` ${name}-opacity="${round(parseInt(alpha,16)/255)}\
-"`:""}`;let parts=colour2.match(/[\d.]+/g)??[];return`${name}="#${parts.slice(0,3).map(one=>Number(one).toString(
-16).padStart(2,"0")).join("")}"`}var BASELINES,escape,round,SvgContext,init_svg=__esm({"needlefit/viewer/page/\
-svg.js"(){BASELINES={alphabetic:0,middle:.35,top:.8},escape=text=>text.replace(/[&<>"]/g,one=>`&#${one.charCodeAt(
-0)};`),round=value=>Number(value.toFixed(3));SvgContext=class{fillStyle="#000000";strokeStyle="#000000";lineWidth=1;globalAlpha=1;lineCap="\
-butt";lineJoin="miter";font="12px sans-serif";textAlign="left";textBaseline="alphabetic";#parts=[];#path=[];#dash=[];#matrix=new DOMMatrix;#stack=[];#clips=0;#halo="";#measure=document.
-createElement("canvas").getContext("2d");write([width,height],wide,title,words){return`<svg xmlns="http://www.\
-w3.org/2000/svg" ${`width="${wide}mm" height="${round(wide*height/width)}mm" viewBox="0 0 ${round(width)} ${round(
-height)}"`} font-family="Liberation Sans, Arial, sans-serif">
-<title>${escape(title)}</title>
-<desc>${escape(words)}</desc>
-${this.#parts.join(`
-`)}
-</svg>
-`}#add(name,attributes,content=""){let{a,b,c,d,e,f}=this.#matrix,turned2=this.#matrix.isIdentity?"":` transfor\
-m="matrix(${[a,b,c,d,e,f].map(round)})"`,opacity=this.globalAlpha<1?` opacity="${round(this.globalAlpha)}"`:"";
-this.#parts.push(`<${name} ${attributes}${opacity}${turned2}${content?`>${content}</${name}>`:"/>"}`)}#line(){
-let dash=this.#dash.length?` stroke-dasharray="${this.#dash.join(" ")}"`:"";return`${paint2("stroke",this.strokeStyle)}\
- stroke-width="${this.lineWidth}" stroke-linecap="${this.lineCap}" stroke-linejoin="${this.lineJoin}"${dash}`}save(){
-let{fillStyle,strokeStyle,lineWidth,globalAlpha,lineCap,lineJoin,font,textAlign,textBaseline}=this;this.#stack.
-push([{fillStyle,strokeStyle,lineWidth,globalAlpha,lineCap,lineJoin,font,textAlign,textBaseline},this.#matrix,
-this.#dash,0])}restore(){let[values,matrix,dash,clips]=this.#stack.pop();for(let n=0;n<clips;n+=1)this.#parts.
-push("</g>");Object.assign(this,values),[this.#matrix,this.#dash]=[matrix,dash]}clip(){this.#clips+=1,this.#parts.
-push(`<clipPath id="clip-${this.#clips}"><path d="${this.#path.join("")}"/></clipPath>`,`<g clip-path="url(#cl\
-ip-${this.#clips})">`),this.#stack.at(-1)[3]+=1}translate(x,y){this.#matrix=this.#matrix.translate(x,y)}rotate(angle2){
-this.#matrix=this.#matrix.rotate(angle2*180/Math.PI)}setLineDash(dash){this.#dash=dash}beginPath(){this.#path=
-[]}moveTo(x,y){this.#path.push(`M${round(x)} ${round(y)}`)}lineTo(x,y){this.#path.push(`${this.#path.length?"L":
-"M"}${round(x)} ${round(y)}`)}closePath(){this.#path.push("Z")}rect(x,y,width,height){this.#path.push(`M${round(
-x)} ${round(y)}h${round(width)}v${round(height)}h${round(-width)}Z`)}arc(x,y,radius){this.ellipse(x,y,radius,radius)}ellipse(x,y,along,across){
-let half=to=>`A${round(along)} ${round(across)} 0 0 1 ${round(x+to*along)} ${round(y)}`;this.#path.push(`M${round(
-x+along)} ${round(y)}${half(-1)}${half(1)}Z`)}roundRect(x,y,width,height,r){let turn2=(dx,dy)=>`a${r} ${r} 0 0\
- 1 ${dx} ${dy}`;this.#path.push(`M${round(x+r)} ${round(y)}h${round(width-2*r)}${turn2(r,r)}v${round(height-2*
-r)}${turn2(-r,r)}h${round(2*r-width)}${turn2(-r,-r)}v${round(2*r-height)}${turn2(r,-r)}Z`)}fill(){this.#add("p\
-ath",`d="${this.#path.join("")}" ${paint2("fill",this.fillStyle)}`)}stroke(){this.#add("path",`d="${this.#path.
-join("")}" fill="none" ${this.#line()}`)}fillRect(x,y,width,height){this.#add("rect",`x="${round(x)}" y="${round(
-y)}" width="${round(width)}" height="${round(height)}" ${paint2("fill",this.fillStyle)}`)}strokeRect(x,y,width,height){
-this.#add("rect",`x="${round(x)}" y="${round(y)}" width="${round(width)}" height="${round(height)}" fill="none\
-" ${this.#line()}`)}measureText(text){return this.#measure.font=this.font,this.#measure.measureText(text)}strokeText(){
-this.#halo=` ${paint2("stroke",this.strokeStyle)} stroke-width="${this.lineWidth}" stroke-linejoin="round" pai\
-nt-order="stroke"`}fillText(text,x,y){let[,weight="",size3]=this.font.match(/^(\d+ )?([\d.]+)px/),anchor={left:"\
-start",center:"middle",right:"end"}[this.textAlign],heavy=weight&&` font-weight="${weight.trim()}"`,below=BASELINES[this.
-textBaseline]*Number(size3);this.#add("text",`x="${round(x)}" y="${round(y)}" dy="${round(below)}" font-size="${size3}\
-"${heavy} text-anchor="${anchor}" ${paint2("fill",this.fillStyle)}${this.#halo}`,escape(text)),this.#halo=""}}}});function draw2(wide,begin2){let{box:box2,scale}=view,[whole,tall]=size(),width=wide*PX_PER_MM,share=(width-(whole-
-box2.width))/box2.width,figure=[width,tall-box2.height+share*box2.height];Object.assign(view,{scale:scale*share,
-box:{...box2,width:share*box2.width,height:share*box2.height}}),onPaper(!0);try{paintAll(begin2(figure),figure)}finally{
-Object.assign(view,{scale,box:box2}),onPaper(!1)}return figure}function onPaper(on){usePaper(on),readPalette()}
-function drawSvg(wide){let context3=new SvgContext,figure=draw2(wide,()=>context3);return new Blob([context3.write(
-figure,wide,now.scene.title,inWords())],{type:"image/svg+xml"})}function drawPng(wide){let canvas4=document.createElement(
-"canvas");return draw2(wide,figure=>{let times=DPI/96;Object.assign(canvas4,{width:Math.round(times*figure[0]),
-height:Math.round(times*figure[1])});let context3=canvas4.getContext("2d");return context3.scale(times,times),
-context3}),new Promise(resolve=>canvas4.toBlob(resolve,"image/png"))}var PX_PER_MM,DPI,init_figure=__esm({"nee\
-dlefit/viewer/page/figure.js"(){init_dom();init_drawing();init_link();init_strokes();init_readouts();init_store();
-init_svg();init_view();PX_PER_MM=96/25.4,DPI=300;press("save-figure",async()=>{if(!now.state)return;let format=part(
-"figure-format").value,figure=await(format==="svg"?drawSvg:drawPng)(Number(part("figure-width").value)),name=`${nameOf2(
-now.needle).replace(/[^\w-]+/g,"-")}.${format}`;hand(figure,name),write("link-note",`Saved ${name}: the pictur\
-e as it is shown.`),invalidate()});for(let[kind,on]of[["beforeprint",!0],["afterprint",!1]])addEventListener(kind,
-()=>{onPaper(on),touch(),now.state&&paintScreen()})}});function going(what){let at=performance.now(),gesture=what===lastMove.what&&at-lastMove.at<WITHIN?lastMove.gesture:
-newGesture();return lastMove={what,at,gesture},{gesture}}function insert2(mm){let{step:{depth},scene}=now.steered,
-end=Math.max(Math.min(now.steered.reach(),scene.limits.depth_mm),depth);change([["depth_mm",null,Math.min(Math.
-max(depth+mm,0),end)]],going("insert"))}function addGuide(){let[item,x]=[freeNumber(),freePlace()];change([["g\
-uide_x_mm",item,x],["guide_y_mm",item,heightAt(now.state,x)],["guide_turns_freely",item,1]])}function freeNumber(){
-let taken=now.state.guides.map(({item:item2})=>item2),item=now.scene.guide_names.length+1;for(;taken.includes(
-item);)item+=1;return item}function freePlace(){let taken=now.state.guides.map(({x})=>x).filter(x=>x<0),edges=[
-Math.max(now.state.base.x+BASE_CLEAR,CLEAR2-REACH*now.scene.length_mm),...taken,-CLEAR2].sort((one,other)=>one-
-other),gaps=edges.slice(1).map((edge,i)=>[edge-edges[i],(edge+edges[i])/2]);return Math.round(gaps.reduce((widest,gap)=>gap[0]>
-widest[0]?gap:widest)[1]*10)/10}var WITHIN,CLEAR2,BASE_CLEAR,REACH,lastMove,flip,roll,moveBase,toggleTip,init_actions=__esm(
-{"needlefit/viewer/page/actions.js"(){init_inputs();init_quantities();init_steering();init_store();WITHIN=1e3,
-CLEAR2=2,BASE_CLEAR=5,REACH=.6,lastMove={what:"",at:-1/0,gesture:0};flip=()=>change([turnOver(now.state.bevel.
-roll_deg)]),roll=by=>change([["bevel_roll_deg",null,wrap(now.state.bevel.roll_deg+by)]],going("roll")),moveBase=
-mm=>change([["base_y_mm",null,now.state.base.input_y+mm]],going("base"));toggleTip=()=>change([["tip_held",null,
-now.state.tip.held?0:1]])}});function makeField(into,about){let part2=template.content.firstElementChild.cloneNode(!0),[number,slider,mark3,
+writeErrors,comparedUpTo,announced,exceeded,angle,refreshDescription,init_readouts=__esm({"needlefit/viewer/pa\
+ge/readouts.js"(){init_definitions();init_dom();init_quantities();init_store();init_view();load2=(value,digits2)=>now.
+state.z?value.toFixed(digits2):signed(value,digits2),NEEDLE=[["depth","mm",s2=>s2.depth_mm.toFixed(2)],["tip y",
+"mm",s2=>signed(s2.tip.lateral_mm,2)],["tip z","mm",s2=>s2.z?signed(s2.tip.z,2):"–"],["tip slope","°",s2=>signed(
+toDegrees(s2.tip.rotation),2)],["tip force","N",()=>tipForce()===null?"–":load2(tipForce(),3)],["base force",
+"N",s2=>load2(s2.forces.base_n,3)],["base moment","N mm",s2=>load2(s2.forces.base_nmm,1)],["steepest slope","",
+s2=>s2.max_slope.toFixed(3)]],TIP_Z=NEEDLE.findIndex(([name])=>name==="tip z");writeNeedle=fillReadouts(part("\
+readouts"),NEEDLE),writeErrors=_errors=>{};comparedUpTo=({whole,upto_mm:upto})=>whole?"over the whole insertio\
+n":`over the first ${upto.toFixed(1)} mm`;listen("scene",({measured})=>{if(part("compared").hidden=measured===
+null,!measured)return;let metrics=measured.metrics.map(([name,label2,unit,text])=>(DEFINITIONS[label2]=text,[label2,
+unit,errors=>writeError(errors[name],unit)]));part("errors").replaceChildren(),writeErrors=fillReadouts(part("\
+errors"),[...metrics,["noise floor","mm",e=>e.floor_mm?.toFixed(3)??"–"]])});announced=null,exceeded=({faults})=>faults?.
+length?`outside the model: ${faults.join("; ")}`:"";for(let kind of["forces","state"])listen(kind,()=>{now.state&&
+(refresh(),refreshDescription())});listen("state",state=>{let words=exceeded(state);write("beyond",words&&`${words[0].
+toUpperCase()}${words.slice(1)}. Shape and forces cannot be relied on.`),part("beyond").classList.toggle("low",
+toPy(state.tip.y)<view.box.top+view.box.height/2),!(announced===now.scene||!words)&&(announced=now.scene,say(`\
+The needle is ${words}.`))});angle=({rotation})=>`${signed(toDegrees(rotation),1)} degrees`;refreshDescription=
+()=>write("described",inWords())}});function draw2(wide,whole,begin2){let kept={...view},[across,tall]=size();onPaper(!0);try{whole&&fit("whole");
+let{box:box2,scale}=view,width=wide*PX_PER_MM,share=(width-(across-box2.width))/box2.width,figure=[width,tall-
+box2.height+share*box2.height];return Object.assign(view,{scale:scale*share,box:{...box2,width:share*box2.width,
+height:share*box2.height}}),paint(begin2(figure),figure),figure}finally{Object.assign(view,kept),onPaper(!1),redraw()}}
+function onPaper(on){usePaper(on),readPalette()}function drawPng(wide,whole){let canvas4=document.createElement(
+"canvas");return draw2(wide,whole,figure=>{let times=DPI/96;Object.assign(canvas4,{width:Math.round(times*figure[0]),
+height:Math.round(times*figure[1])});let context2=canvas4.getContext("2d");return context2.scale(times,times),
+context2}),new Promise(resolve=>canvas4.toBlob(resolve,"image/png"))}function drawVectors(wide,whole,format){let context2=new FigureContext,
+figure=draw2(wide,whole,()=>context2),{title}=now.scene;return format==="svg"?new Blob([writeSvg(context2.drawn,
+figure,wide,title,inWords())],{type:"image/svg+xml"}):new Blob([writePdf(context2.drawn,figure,wide,title)],{type:"\
+application/pdf"})}var PX_PER_MM,DPI,init_figure=__esm({"needlefit/viewer/page/figure.js"(){init_dom();init_drawing();
+init_figure_context();init_link();init_strokes();init_readouts();init_store();init_view();PX_PER_MM=96/25.4,DPI=
+300;press("save-figure",async()=>{if(!now.state)return;let[format,wide,whole]=[part("figure-format").value,Number(
+part("figure-width").value),part("figure-view").value==="whole"],figure=await(format==="png"?drawPng(wide,whole):
+drawVectors(wide,whole,format)),name=`${nameOf2(now.needle).replace(/[^\w-]+/g,"-")}.${format}`;hand(figure,name),
+write("link-note",`Saved ${name}: ${whole?"the whole needle":"the picture as it is shown"}.`)});for(let[kind,on]of[
+["beforeprint",!0],["afterprint",!1]])addEventListener(kind,()=>{onPaper(on);let canvas4=part("canvas").getContext(
+"2d");now.state&&paint(canvas4,size())})}});function makeField(into,about){let part2=template.content.firstElementChild.cloneNode(!0),[number3,slider,mark2,
 back]=[".number",".slider",".mark",".home"].map(one=>part2.querySelector(one)),[to,from]=about.logarithmic?LOGARITHMIC:
-LINEAR,[low,high]=(about.limits??[0,1]).map(to),field={read:Number,step:1,...about,part:part2,number,slider,mark:mark3,
-back,value:null,latest:0,text:"",home:null,editing:!1,gesture:newGesture(),share:value=>Math.min(Math.max((to(
-value)-low)/(high-low),0),1),at:share=>from(low+share*(high-low))},{of,name,symbol,unit,limits}=about;made+=1,
-number.id=`field-${made}`;let term=define(symbol,name);symbol&&number.setAttribute("aria-description",DEFINITIONS[symbol]),
-part2.querySelector(".name").append(term),part2.querySelector(".unit").textContent=unit,number.ariaLabel=slider.
-ariaLabel=[of,name].filter(Boolean).join(" ")+(unit&&`, ${unit}`),slider.max=STEPS,back.ariaLabel=`${number.ariaLabel}\
-: back to its initial value`,limits||part2.querySelector(".track").remove(),wireNumber(field);let goHome2=()=>{
-field.gesture=newGesture(),field.home!==null&&ask(field,field.home)};return slider.addEventListener("input",()=>ask(
-field,field.at(slider.value/STEPS))),slider.addEventListener("change",()=>field.gesture=newGesture()),slider.addEventListener(
-"keydown",event=>event.key in SLIDES&&stepBy(field,SLIDES[event.key],event)),press(back,goHome2),setHome(field,
-null),into.append(part2),field}function show2(field,value){if(value===field.value)return;field.value=field.latest=
-value;let text=field.text=field.write(value);!field.editing&&field.number.value!==text&&(field.number.value=text),
-field.slider.value=Math.round(STEPS*field.share(value)),field.slider.ariaValueText=`${text} ${field.unit}`.trim(),
-markHome(field)}function setHome(field,home){field.home=home,field.back.hidden=field.mark.hidden=home===null,home!==
-null&&(field.mark.style.left=`calc(${THUMB/2}px + ${field.share(home)} * (100% - ${THUMB}px))`,field.back.title=
-`back to ${field.write(home)} ${field.unit}`.trim(),markHome(field))}function markHome({part:part2,back,write:write2,
-value,home}){back.disabled=home===null||value===null||write2(home)===write2(value),part2.querySelector(".hand").
-hidden=back.disabled}function ask(field,value){field.latest=value,field.value=null,field.ask(value,{gesture:field.
-gesture,below:field.part})}function wireNumber(field){let{number}=field;number.addEventListener("input",()=>field.
-editing=!0),number.addEventListener("blur",()=>giveBack(field)),number.addEventListener("change",()=>{if(field.
-gesture=newGesture(),field.editing=!1,number.value!=="")return ask(field,field.read(number.value));publish("no\
-tice",{what:`No ${number.ariaLabel}: ${field.text} is kept.`,expected:"a number"}),giveBack(field)}),number.addEventListener(
-"keydown",event=>{event.key in ARROWS&&stepBy(field,ARROWS[event.key],event),event.key==="Escape"&&giveBack(field)}),
-number.addEventListener("keyup",({key})=>{key==="Enter"&&(field.editing=!1)})}function giveBack(field){field.editing=
-!1,field.value!==null&&(field.number.value=field.text)}function stepBy(field,direction,event){event.preventDefault();
-let{number,step,logarithmic}=field,from=field.editing&&number.value!==""?field.read(number.value):field.latest;
-field.editing=!1,event.repeat||(field.gesture=newGesture()),ask(field,logarithmic?from*step**direction:from+step*
-direction)}var template,STEPS,THUMB,LINEAR,LOGARITHMIC,ARROWS,SLIDES,made,init_fields=__esm({"needlefit/viewer\
-/page/fields.js"(){init_definitions();init_dom();init_steering();init_store();template=part("field-template"),
-STEPS=1e3,THUMB=16,LINEAR=[x=>x,x=>x],LOGARITHMIC=[x=>Math.log(Math.max(x,Number.MIN_VALUE)),Math.exp],ARROWS=
-{ArrowUp:1,ArrowDown:-1},SLIDES={...ARROWS,ArrowRight:1,ArrowLeft:-1,PageUp:10,PageDown:-10},made=0}});var listParameters,init_parameters=__esm({"needlefit/viewer/page/parameters.js"(){init_quantities();listParameters=
-({layer_names:names,limits,fitted:fitted2,shape_parameters:shapes})=>fitted2.layers.flatMap((layer,i)=>{let called=names[i]||
-`layer ${i+1}`,modulus2={...modulusLike(layer.mu_pa),name:`μ ${called}`,symbol:"μ",logarithmic:!0,step:1.05,
-limits:limits.mu_pa};return[{input:"mu_pa",item:i+1,into:"tissue-fields",about:modulus2},...shapes.map(({name,
-symbol,unit})=>{let step=Math.min(.1,(limits[name][1]-limits[name][0])/100),about={name:`${symbol} ${called}`,
-symbol,unit,step,write:value=>value.toFixed(2),limits:limits[name]};return{input:name,item:i+1,into:"shape-fie\
-lds",about}})]})}});function buildFields({scene,recording}){fields=[],guides.clear();for(let id of["insertion-fields","tissue-fiel\
-ds","shape-fields","guides"])part(id).replaceChildren();let add2=(into,[input,item],about,current2,{shown:shown3=x=>x,
-meant=x=>x}={})=>{let field=makeField(part(into),{...about,ask:(value,how)=>change([[input,item,meant(value)]],
-how)}),home=recording&&into==="insertion-fields"?void 0:current2(scene.fitted);home!==void 0&&setHome(field,shown3(
-home)),fields.push([field,()=>shown3(current2(now.state))])},{limits,fitted:fitted2,simulation}=scene,mm={unit:"\
-mm",step:.1};add2("insertion-fields",["depth_mm",null],{...mm,name:"depth",symbol:"depth",step:1,write:digits(
-1),limits:[0,limits.depth_mm-.01]},of=>of.depth_mm??scene.depth_mm),add2("insertion-fields",["base_y_mm",null],
-{...mm,name:"base y",symbol:"base y",write:digits(2),limits:[-10,10]},of=>of.base?of.base.input_y:simulation.steps[0].
-controls.baseY),add2("insertion-fields",["base_slope",null],{name:"base slope",symbol:"base slope",unit:"°",step:.1,
-write:digits(2),limits:[-5,5]},of=>of.base?of.base.input_slope:simulation.steps[0].controls.baseSlope,{shown:degrees,
-meant:slope}),add2("insertion-fields",["bevel_roll_deg",null],ROLL_FIELD,of=>(of.bevel??{roll_deg:rollOf(simulation.
-steps[0].bevel)}).roll_deg);let{key,symbol,unit,digits:count,step,here,throughout}=strengthOf(fitted2);recording?.
-some(([,changes])=>changes.some(([name])=>name===here))||add2("tissue-fields",[throughout,null],{name:symbol,symbol,
-unit,step,write:digits(count),limits:limits[key]},of=>(of.bevel??of)[key]),part("shape-part").hidden=!simulation.
-law.terms||!scene.shape_parameters.length;for(let{input,item,into,about}of listParameters(scene))(simulation.law.
-terms||input==="mu_pa")&&add2(into,[input,item],about,of=>of.layers[item-1][input])}function refresh2(){for(let[
-field,current2]of fields)show2(field,current2());part("side").textContent=describeRoll(now.state.bevel),part("\
-hold-tip").textContent=now.state.tip.held?"Let go of the tip":"Hold the tip";for(let[item,row]of guides)now.state.
-guides.some(guide=>guide.item===item)||(row.part.remove(),guides.delete(item));for(let guide of now.state.guides)
-refreshGuide(guide)}function makeGuide({item,name:called=numbered(item)}){let row=part("guide-template").content.
-firstElementChild.cloneNode(!0),[free,remove,into]=[".free",".remove",".fields"].map(one=>row.querySelector(one));
-row.querySelector("strong").textContent=called,remove.ariaLabel=`Remove ${called}`,free.ariaLabel=`Needle turn\
-s freely in ${called}`;let field=(name,unit,count,input,meant=x=>x)=>makeField(into,{of:called,name,symbol:"gu\
-ide",unit,step:.1,write:digits(count),ask:(value,how)=>change([[input,item,meant(value)]],how)});return press(
-remove,()=>{change([["guide_engaged",item,0]]),part("add-guide").focus()}),press(free,()=>change([["guide_turn\
-s_freely",item,free.ariaPressed==="true"?0:1]])),part("guides").append(row),{part:row,free,x:field("x","mm",2,
-"guide_x_mm"),y:field("y","mm",3,"guide_y_mm"),slope:field("slope","°",2,"guide_slope",slope)}}function refreshGuide({
-item,name,x,y,slope:along,turns_freely:free}){guides.has(item)||guides.set(item,makeGuide({item,name}));let row=guides.
-get(item);show2(row.x,x),show2(row.y,y),show2(row.slope,degrees(along??0)),row.slope.part.hidden=free,row.free.
-ariaPressed=String(free)}var digits,guides,fields,init_inputs2=__esm({"needlefit/viewer/page/inputs.js"(){init_actions();
-init_dom();init_fields();init_parameters();init_inputs();init_quantities();init_steering();init_store();digits=
-count=>value=>value.toFixed(count),guides=new Map,fields=[];press("add-guide",()=>addGuide());press("hold-tip",
-()=>toggleTip());for(let kind of["state","unchanged"])listen(kind,refresh2)}});function current(){let{step,depth_mm:depth,depths,x,y,tip,tip_path:[,across]}=now.state;return{step,depth,x,y,
-path:{x:[...depths,depth],y:[...across,tip.y]},forces:now.forces}}function draw3(){if(part("strip").hidden||!now.
-state)return;let[width,height]=size2;canvas2.width!==Math.round(width*devicePixelRatio)&&(canvas2.width=Math.round(
-width*devicePixelRatio)),canvas2.height!==Math.round(height*devicePixelRatio)&&(canvas2.height=Math.round(height*
-devicePixelRatio)),context2.setTransform(devicePixelRatio,0,0,devicePixelRatio,0,0),context2.clearRect(0,0,width,
-height);let deep=greatest();PANELS.forEach((panel,n)=>{let[left,right]=[n*width/2+PAD.left,(n+1)*width/2-PAD.right];
-drawPanel(panel,deep,{left,right,top:PAD.top,bottom:height-PAD.bottom})}),describe2(deep)}function drawPanel([
-name,unit,digits2,curveOf],deep,{left,right,top,bottom}){let curves=needles().map(([one,colour2])=>[one,curveOf(
-one),colour2]),values=curves.flatMap(([,{y}])=>y),[low,high]=[Math.min(0,...values),Math.max(0,...values)],px=depth=>left+
-depth/deep*(right-left),py=y=>bottom-(y-low)/(high-low||1)*(bottom-top);segments(context2,[[[left,py(0)],[right,
-py(0)]],[[left,top],[left,bottom]]],palette.quiet,1);for(let[,{x,y},colour2]of curves)trace(context2,x.map((one,i)=>[
-px(one),py(y[i])])),stroke(context2,colour2,2);let at=now.marked??now.state.depth_mm;segments(context2,[[[px(at),
-top],[px(at),bottom]]],now.marked===null?palette.quiet:palette.accent,1),context2.fillStyle=palette.label,setFont(
-context2,"small","left");let read=`${name}, ${unit}`;for(let[one,curve,colour2]of curves.toReversed()){let value=valueAt(
-[one,curve],at);Number.isNaN(value)||(ring(context2,px(Math.min(at,curve.x.at(-1))),py(value),3,colour2,palette.
-air),now.marked!==null&&(read+=`${one===now.pinned?", pinned":":"} ${signed(value,digits2)}`))}context2.fillStyle=
-palette.label,context2.fillText(read,left,top-10),setFont(context2,"small","right");let ends=high-low<10**-digits2?
-[[0,py(0)]]:[[low,bottom],[high,top]];for(let[value,place2]of ends)context2.fillText(String(Number(value.toFixed(
-digits2))||0).replace("-","−"),left-4,place2);context2.textBaseline="alphabetic",context2.fillText(`depth ${brief(
-now.marked??deep,3)} mm`,now.marked===null?right:Math.min(px(at)+30,right),bottom+13),context2.textAlign="left",
-context2.fillText("0",left,bottom+13)}function describe2(deep){let at=now.marked??now.state.depth_mm,read=one=>PANELS.
-map(([name,unit,digits2,curve])=>{let value=valueAt([one,curve(one)],at);return`${name} ${Number.isNaN(value)?
-"–":`${signed(value,digits2)} ${unit}`}`}).join(", "),words=needles().map(([one])=>`${one===now.pinned?"pinn\
-ed: ":""}${read(one)}`).reverse().join("; ");Object.assign(canvas2,{ariaValueNow:at.toFixed(1),ariaValueMax:deep.
-toFixed(1),ariaValueText:`At ${at.toFixed(1)} mm: ${words}`})}function mark2(depth){now.marked=depth===null?null:
-Math.max(0,Math.min(depth,greatest())),invalidate(),draw3()}function under({clientX}){let{left,width}=canvas2.
-getBoundingClientRect();return((clientX-left)%(width/2)-PAD.left)/(width/2-PAD.left-PAD.right)*greatest()}function pin(){
-now.pinned=now.pinned?null:current(),part("pin").ariaPressed=String(now.pinned!==null),part("pin").textContent=
-now.pinned?"Unpin":"Pin",publish("pinned"),invalidate(),draw3()}var PAD,canvas2,context2,size2,PANELS,needles,
-greatest,valueAt,go,KEYS,init_strip=__esm({"needlefit/viewer/page/strip.js"(){init_dom();init_drawing();init_strokes();
-init_quantities();init_store();PAD={left:46,right:12,top:18,bottom:16},canvas2=element("canvas",{id:"strip-can\
-vas",tabIndex:0,role:"slider",ariaLabel:"Depth to read at",ariaValueMin:"0",ariaValueMax:"1",ariaValueNow:"0",
-title:"Tip against depth. Arrow keys or pointer mark a depth, Enter or a click goes there."});part("strip").append(
-canvas2);context2=canvas2.getContext("2d"),size2=[1,1],PANELS=[["tip y","mm",2,({path})=>path],["tip force","N",
-2,({forces})=>forces]];needles=()=>[[now.pinned,palette.ghost],[current(),palette.needle]].filter(([one])=>one);
-greatest=()=>Math.max(now.scene.depth_mm,...needles().map(([{depth}])=>depth),1),valueAt=([one,curve],at)=>at<=
-one.depth+1e-9&&curve.x.length?heightAt(curve,at):NaN;go=()=>now.marked!==null&&publish("go to",now.marked),KEYS=
-{ArrowRight:()=>mark2((now.marked??now.state.depth_mm)+1),ArrowLeft:()=>mark2((now.marked??now.state.depth_mm)-
-1),Home:()=>mark2(0),End:()=>mark2(greatest()),Enter:go,Escape:()=>mark2(null)};canvas2.addEventListener("keyd\
-own",event=>{!(event.key in KEYS)||!now.state||(event.preventDefault(),event.stopPropagation(),KEYS[event.key]())});
-canvas2.addEventListener("pointermove",event=>now.state&&mark2(under(event)));for(let kind of["pointerleave","\
-blur"])canvas2.addEventListener(kind,()=>now.state&&mark2(null));press(canvas2,event=>now.state&&(mark2(under(
-event)),go()));press("pin",()=>now.state&&pin());listen("scene",()=>[now.forces,now.marked]=[{x:[],y:[]},null]);
-listen("state",draw3);listen("forces",forces=>{now.pinned?.step===forces.step&&(now.pinned.forces=forces),draw3()});
-new ResizeObserver(()=>{size2=[canvas2.clientWidth,canvas2.clientHeight],draw3()}).observe(canvas2);onScheme(()=>requestAnimationFrame(
-draw3))}});function hear(event){if(!now.state||event.altKey)return;let key=event.key.length===1?event.key.toLowerCase():event.
-key,act=event.ctrlKey||event.metaKey?COMMANDS[key]:KEYS2.find(([keys])=>keys.includes(key))?.[3];act&&(event.preventDefault(),
-act(event))}var KEYS2,COMMANDS,init_keyboard=__esm({"needlefit/viewer/page/keyboard.js"(){init_actions();init_dom();
-init_quantities();init_readouts();init_steering();init_store();init_strip();init_view();KEYS2=[[["ArrowRight"],
-"→","insert 1 mm; with Shift 0.1 mm",e=>insert2(e.shiftKey?.1:1)],[["ArrowLeft"],"←","retract, likewise",e=>insert2(
-e.shiftKey?-.1:-1)],[["ArrowUp"],"↑","base up by 0.1 mm; with Shift by 1 mm",e=>moveBase(e.shiftKey?1:.1)],[
-["ArrowDown"],"↓","base down, likewise",e=>moveBase(e.shiftKey?-1:-.1)],[["f"],"F","flip the bevel",()=>flip()],
-[["r"],"R",`roll the bevel by ${ROLL}°; with Shift back`,e=>roll(e.shiftKey?-ROLL:ROLL)],[["g"],"G","add a gu\
-ide",()=>addGuide()],[["t"],"T","hold the tip, let go of it",()=>toggleTip()],[["k"],"K","pin this needle to c\
-ompare with, or unpin",()=>pin()],[["d"],"D","say where the needle stands",()=>describe()],[["+","="],"+","zoo\
-m in",()=>zoom(1.25)],[["-","_"],"−","zoom out",()=>zoom(.8)],[["0","1"],"0, 1","show the whole needle",()=>fit(
-"whole")],[["2"],"2","show the tissue",()=>fit("tissue")],[["3"],"3","follow the tip",()=>fit("tip")]],COMMANDS=
-{z:event=>event.shiftKey?redo():undo(),y:()=>redo()};for(let[written3,what]of[...KEYS2.map(([,key,effect])=>[key,
-effect]),["Ctrl+Z, Y","undo, redo"]])part("key-list").append(entry(element("kbd",{},written3),what));part("can\
-vas").addEventListener("keydown",hear);press("undo",undo);press("redo",redo);press("flip",flip)}});function makeRow(method,row){if(!method.x)return row(method.name,errorsOf(method.errors));let swatch=element("\
+LINEAR,[low,high]=(about.limits??[0,1]).map(to),field={read:Number,step:1,...about,part:part2,number:number3,slider,
+mark:mark2,back,value:null,latest:0,text:"",home:null,editing:!1,gesture:newGesture(),share:value=>Math.min(Math.
+max((to(value)-low)/(high-low),0),1),at:share=>from(low+share*(high-low))},{of,name,symbol,unit,limits}=about;
+made+=1,number3.id=`field-${made}`;let term=define2(symbol,name);symbol&&number3.setAttribute("aria-descriptio\
+n",DEFINITIONS[symbol]),part2.querySelector(".name").append(term),part2.querySelector(".unit").textContent=unit,
+number3.ariaLabel=slider.ariaLabel=[of,name].filter(Boolean).join(" ")+(unit&&`, ${unit}`),slider.max=STEPS,back.
+ariaLabel=`${number3.ariaLabel}: back to its initial value`,limits||part2.querySelector(".track").remove(),wireNumber(
+field);let goHome2=()=>{field.gesture=newGesture(),field.home!==null&&ask(field,field.home)};return slider.addEventListener(
+"input",()=>ask(field,field.at(slider.value/STEPS))),slider.addEventListener("change",()=>field.gesture=newGesture()),
+slider.addEventListener("keydown",event=>event.key in SLIDES&&stepBy(field,SLIDES[event.key],event)),press(back,
+goHome2),setHome(field,null),into.append(part2),field}function show2(field,value){if(value===field.value)return;
+field.value=field.latest=value;let text=field.text=field.write(value);!field.editing&&field.number.value!==text&&
+(field.number.value=text),field.slider.value=Math.round(STEPS*field.share(value)),field.slider.ariaValueText=`${text}\
+ ${field.unit}`.trim(),markHome(field)}function setHome(field,home){field.home=home,field.back.hidden=field.mark.
+hidden=home===null,home!==null&&(field.mark.style.left=`calc(${THUMB/2}px + ${field.share(home)} * (100% - ${THUMB}\
+px))`,field.back.title=`back to ${field.write(home)} ${field.unit}`.trim(),markHome(field))}function markHome({
+part:part2,back,write:write2,value,home}){back.disabled=home===null||value===null||write2(home)===write2(value),
+part2.querySelector(".hand").hidden=back.disabled}function ask(field,value){field.latest=value,field.value=null,
+field.ask(value,{gesture:field.gesture,below:field.part})}function wireNumber(field){let{number:number3}=field;
+number3.addEventListener("input",()=>field.editing=!0),number3.addEventListener("blur",()=>giveBack(field)),number3.
+addEventListener("change",()=>{if(field.gesture=newGesture(),field.editing=!1,number3.value!=="")return ask(field,
+field.read(number3.value));publish("notice",{what:`No ${number3.ariaLabel}: ${field.text} is kept.`,expected:"\
+a number"}),giveBack(field)}),number3.addEventListener("keydown",event=>{event.key in ARROWS&&stepBy(field,ARROWS[event.
+key],event),event.key==="Escape"&&giveBack(field)}),number3.addEventListener("keyup",({key})=>{key==="Enter"&&
+(field.editing=!1)})}function giveBack(field){field.editing=!1,field.value!==null&&(field.number.value=field.text)}
+function stepBy(field,direction,event){event.preventDefault();let{number:number3,step,logarithmic}=field,from=field.
+editing&&number3.value!==""?field.read(number3.value):field.latest;field.editing=!1,event.repeat||(field.gesture=
+newGesture()),ask(field,logarithmic?from*step**direction:from+step*direction)}var template,STEPS,THUMB,LINEAR,
+LOGARITHMIC,ARROWS,SLIDES,made,init_fields=__esm({"needlefit/viewer/page/fields.js"(){init_definitions();init_dom();
+init_steering();init_store();template=part("field-template"),STEPS=1e3,THUMB=16,LINEAR=[x2=>x2,x2=>x2],LOGARITHMIC=
+[x2=>Math.log(Math.max(x2,Number.MIN_VALUE)),Math.exp],ARROWS={ArrowUp:1,ArrowDown:-1},SLIDES={...ARROWS,ArrowRight:1,
+ArrowLeft:-1,PageUp:10,PageDown:-10},made=0}});function buildFields({scene,recording}){fields=[];for(let id of["insertion-fields","guide-fields","tissue-fiel\
+ds","shape-fields"])part(id).replaceChildren();let add=(into,[input,item],about,current,{shown:shown2=x2=>x2,meant=x2=>x2}={})=>{
+let field=makeField(part(into),{...about,ask:(value,how)=>change([[input,item,meant(value)]],how)}),home=recording&&
+["insertion-fields","guide-fields"].includes(into)?void 0:current(scene.fitted);home!==void 0&&setHome(field,shown2(
+home)),fields.push([field,()=>shown2(current(now.state))])},{limits,fitted,simulation,layer_names:names,shape_parameters:shapes}=scene,
+{steps:[first],law}=simulation,mm={unit:"mm",step:.1},tilt={unit:"°",step:.1,write:digits(2)},angle2={shown:degrees,
+meant:slope};add("insertion-fields",["depth_mm",null],{...mm,name:"depth",symbol:"depth",step:1,write:digits(1),
+limits:[0,limits.depth_mm-.01]},of=>of.depth_mm??scene.depth_mm),add("insertion-fields",["base_y_mm",null],{...mm,
+name:"base y",symbol:"base y",write:digits(2),limits:[-10,10]},of=>of.base?of.base.input_y:first.controls.baseY),
+add("insertion-fields",["base_slope",null],{...tilt,name:"base slope",symbol:"base slope",limits:[-5,5]},of=>of.
+base?of.base.input_slope:first.controls.baseSlope,angle2),add("insertion-fields",["bevel_roll_deg",null],{name:"\
+roll",symbol:"roll",unit:"°",step:10,limits:[-180,180],write:value=>brief(value,6)},of=>(of.bevel??{roll_deg:rollOf(
+first.bevel)}).roll_deg),first.controls.guides.forEach((guide,i)=>{let item=i+1,read=key2=>of=>(of.guides?.find(
+one=>one.item===item)??guide)[key2]??0,name=axis=>({name:`guide ${shortName({item,name:guide.name})}, ${axis}`,
+symbol:"guide"});add("guide-fields",["guide_x_mm",item],{...mm,...name("x"),write:digits(2)},read("x")),add("g\
+uide-fields",["guide_y_mm",item],{...mm,...name("y"),write:digits(3)},read("y")),guide.slope!==null&&add("guid\
+e-fields",["guide_slope",item],{...tilt,...name("slope")},read("slope"),angle2)}),part("guide-part").hidden=!first.
+controls.guides.length;let{key,symbol,unit,digits:count,step,here,throughout}=strengthOf(fitted);recording?.some(
+([,changes])=>changes.some(([name])=>name===here))||add("tissue-fields",[throughout,null],{name:symbol,symbol,
+unit,step,write:digits(count),limits:limits[key]},of=>(of.bevel??of)[key]),part("shape-part").hidden=!law.terms||
+!shapes.length,fitted.layers.forEach((layer,i)=>{let called=names[i]||`layer ${i+1}`;if(add("tissue-fields",["\
+mu_pa",i+1],{...modulusLike(layer.mu_pa),name:`μ ${called}`,symbol:"μ",logarithmic:!0,step:1.05,limits:limits.
+mu_pa},of=>of.layers[i].mu_pa),!!law.terms)for(let{name,symbol:symbol2,unit:unit2}of shapes){let[low,high]=limits[name],
+about={name:`${symbol2} ${called}`,symbol:symbol2,unit:unit2,step:Math.min(.1,(high-low)/100),write:digits(2),
+limits:[low,high]};add("shape-fields",[name,i+1],about,of=>of.layers[i][name])}})}function refresh2(){for(let[
+field,current]of fields)show2(field,current());part("side").textContent=describeRoll(now.state.bevel)}var digits,
+fields,init_inputs2=__esm({"needlefit/viewer/page/inputs.js"(){init_dom();init_fields();init_inputs();init_quantities();
+init_steering();init_store();digits=count=>value=>value.toFixed(count),fields=[];for(let kind of["state","unch\
+anged"])listen(kind,refresh2)}});function toggle(name){now.shown[name]=!now.shown[name],chips[name].ariaPressed=String(now.shown[name]),redraw()}
+function pin(){if(!now.state)return;let{x:x2,y:y2}=now.state;now.pinned=now.pinned?null:{x:x2,y:y2},part("pin").
+ariaPressed=String(now.pinned!==null),part("pin").textContent=now.pinned?"Unpin":"Pin",offer({pinned:now.pinned}),
+redraw()}var CHIPS,fits,chips,offer,init_toolbar=__esm({"needlefit/viewer/page/toolbar.js"(){init_dom();init_store();
+init_view();CHIPS={load:["lateral load"],points:["constraint points"],path:["tip path"],measured:["measured"],
+errors:["errors","Gaps at the tip (TE) and along the shaft (IPE)"],band:["95 % band","95 % of the needles lie \
+wholly inside"],plan:["plan"],pinned:["pinned"]},fits=document.querySelectorAll("[data-fit]"),chips=Object.fromEntries(
+Object.entries(CHIPS).map(([name,[called,title=""]])=>{let swatch=element("i",{ariaHidden:"true",className:`sw\
+atch ${name}`}),chip=button([swatch,called],()=>toggle(name),{title,ariaPressed:String(now.shown[name])});return chip.
+dataset.show=name,[name,chip]}));part("chips").append(...Object.values(chips));offer=there=>Object.entries(there).
+forEach(([name,is])=>chips[name].hidden=!is);offer({measured:!1,errors:!1,band:!1,plan:!1,pinned:!1});press("p\
+in",pin);for(let one of fits)press(one,()=>fit(one.dataset.fit));for(let[way,factor]of[["in",1.25],["out",.8]])
+press(document.querySelector(`[data-zoom=${way}]`),()=>zoom(factor));listen("scene",({measured,draws,plan})=>offer(
+{measured,errors:measured,band:draws,plan}));listen("redraw",()=>fits.forEach(one=>one.ariaPressed=String(one.
+dataset.fit===view.fit)))}});function go(key,changes){let at=performance.now(),again=key===last2.key&&at-last2.at<WITHIN;Object.assign(last2,
+{key,at,gesture:again?last2.gesture:newGesture()}),change(changes,{gesture:last2.gesture})}function insert2(mm){
+let{step:{depth},scene}=now.steered,end=Math.max(Math.min(now.steered.reach(),scene.limits.depth_mm),depth);go(
+"insert",[["depth_mm",null,Math.min(Math.max(depth+mm,0),end)]])}function hear(event){if(!now.state||event.altKey)
+return;let key=event.key.length===1?event.key.toLowerCase():event.key,act=event.ctrlKey||event.metaKey?COMMANDS[key]:
+KEYS.find(([keys])=>keys.includes(key))?.[3];act&&(event.preventDefault(),act(event))}var ROLL,WITHIN,last2,flip,
+roll,moveBase,KEYS,COMMANDS,init_keyboard=__esm({"needlefit/viewer/page/keyboard.js"(){init_dom();init_inputs();
+init_readouts();init_steering();init_store();init_toolbar();init_view();ROLL=10,WITHIN=1e3,last2={key:"",at:-1/0,
+gesture:0};flip=()=>change([turnOver(now.state.bevel.roll_deg)]),roll=by=>go("roll",[["bevel_roll_deg",null,wrap(
+now.state.bevel.roll_deg+by)]]),moveBase=mm=>go("base",[["base_y_mm",null,now.state.base.input_y+mm]]),KEYS=[[
+["ArrowRight"],"→","insert 1 mm; with Shift 0.1 mm",e=>insert2(e.shiftKey?.1:1)],[["ArrowLeft"],"←","retra\
+ct, likewise",e=>insert2(e.shiftKey?-.1:-1)],[["ArrowUp"],"↑","base up by 0.1 mm; with Shift by 1 mm",e=>moveBase(
+e.shiftKey?1:.1)],[["ArrowDown"],"↓","base down, likewise",e=>moveBase(e.shiftKey?-1:-.1)],[["f"],"F","flip \
+the bevel",flip],[["r"],"R",`roll the bevel by ${ROLL}°; with Shift back`,e=>roll(e.shiftKey?-ROLL:ROLL)],[["\
+k"],"K","pin this needle to compare with, or unpin",()=>pin()],[["d"],"D","say where the needle stands",()=>say(
+inWords())],[["+","="],"+","zoom in",()=>zoom(1.25)],[["-","_"],"−","zoom out",()=>zoom(.8)],[["0","1"],"0, \
+1","show the whole needle",()=>fit("whole")],[["2"],"2","show the tissue",()=>fit("tissue")],[["3"],"3","follo\
+w the tip",()=>fit("tip")]],COMMANDS={z:event=>event.shiftKey?redo():undo(),y:()=>redo()};for(let[written3,what]of[
+...KEYS.map(([,key,effect])=>[key,effect]),["Ctrl+Z, Y","undo, redo"]])part("key-list").append(entry(element("\
+kbd",{},written3),what));part("canvas").addEventListener("keydown",hear);press("undo",undo);press("redo",redo);
+press("flip",flip)}});function makeRow(method,row){if(!method.x)return row(method.name,errorsOf(method.errors));let swatch=element("\
 i",{className:"swatch line",ariaHidden:"true"});swatch.style.background=`light-dark(${method.colour}, ${lighten(
-method.colour)})`;let toggle2=element("button",{type:"button",ariaPressed:String(chosen.has(method.key))},swatch,
-method.name);return press(toggle2,()=>{let on=chosen.has(method.key);on?chosen.delete(method.key):chosen.add(method.
-key),toggle2.ariaPressed=String(!on),invalidate()}),row(toggle2,errorsOf(method.errors))}var JUDGED,chosen,FITTED,
-own,present,errorsOf,lighten,init_methods=__esm({"needlefit/viewer/page/methods.js"(){init_dom();init_drawing();
-init_strokes();init_quantities();init_store();JUDGED="prediction",chosen=new Set,FITTED="fitted",own=new Map,present=
-[],errorsOf=values=>now.scene.measured.metrics.map(([name,,unit])=>writeError(values?.[name]??null,unit)),lighten=
-colour2=>between(colour2,"#ffffff",.4);listen("scene",({measured:measured2})=>{let{methods}=now.needle;if(part(
-"methods").hidden=!methods,!methods)return;let heads=["method",...measured2.metrics.map(([,label2,unit])=>`${label2}\
+method.colour)})`;let toggle2=element("button",{type:"button",ariaPressed:String(now.curves.has(method.key))},
+swatch,method.name);return press(toggle2,()=>{now.curves.delete(method.key)||now.curves.add(method.key),toggle2.
+ariaPressed=String(now.curves.has(method.key)),redraw()}),row(toggle2,errorsOf(method.errors))}var JUDGED,FITTED,
+own,present,errorsOf,init_methods=__esm({"needlefit/viewer/page/methods.js"(){init_dom();init_overlay();init_quantities();
+init_store();JUDGED="prediction",FITTED="fitted",own=new Map,present=[],errorsOf=values=>now.scene.measured.metrics.
+map(([name,,unit])=>writeError(values?.[name]??null,unit));listen("scene",({measured})=>{let{methods}=now.needle;
+if(part("methods").hidden=!methods,!methods)return;let heads=["method",...measured.metrics.map(([,label2,unit])=>`${label2}\
  (${unit})`)];part("method-heads").replaceChildren(...heads.map(one=>element("th",{scope:"col"},one)));let row=(name,values)=>element(
 "tr",{},element("th",{scope:"row"},name),values.map(one=>element("td",{},one))),first=row("",errorsOf(null));present=
 [...first.cells],own.clear();let rows=methods.toSorted((one,other)=>+(other.key===JUDGED)-+(one.key===JUDGED)).
@@ -1119,19 +1519,17 @@ let{errors}=state,upto=errors&&!errors.whole?`, first ${errors.upto_mm.toFixed(1
 state,now.scene),steered=isSteered(state,now.scene)||Math.abs(state.depth_mm-now.scene.depth_mm)>1e-6,known=now.
 needle.methods.find(({key})=>key===(prediction?JUDGED:FITTED)),called=steered?`steered needle${upto}`:known?.name??
 "the needle above";own.forEach((row,key)=>row.hidden=!steered||key===FITTED&&own.has(JUDGED)),[called,...errorsOf(
-prediction?.errors??errors)].forEach((text,i)=>write(present[i],text))});further.push(context3=>{for(let{key,x,
-y,colour:colour2}of now.needle?.methods??[])!x||!chosen.has(key)||(line(context3,x,y,palette.halo,4),line(context3,
-x,y,isDark()?lighten(colour2):colour2,2))})}});function down(event){if(event.button>0)return;canvas3.setPointerCapture(event.pointerId);let at=place(event);if(fingers.
+prediction?.errors??errors)].forEach((text,i)=>write(present[i],text))})}});function down(event){if(event.button>0)return;canvas3.setPointerCapture(event.pointerId);let at=place(event);if(fingers.
 set(event.pointerId,at),fingers.size>1)drag=null;else{let handle=handleAt(...at,event.pointerType);handle&&(drag=
 {handle,from:at,last:at,to:at,gesture:newGesture(),pointer:event.pointerId})}canvas3.classList.toggle("draggin\
 g",drag!==null),hold(drag!==null)}function follow2(event){if(drag?.pointer!==event.pointerId||!now.state)return;
 let at=place(event);drag.to=drag.to.map((to,i)=>to+(event.shiftKey?FINE:1)*(at[i]-drag.last[i])),drag.last=at;
 let set=drag.handle.drag(drag.from,drag.to);set.length&&change(set,{gesture:drag.gesture})}function moved(event){
-let before2=fingers.get(event.pointerId);if(!before2)return hover(event);if(drag)return RAW?void 0:follow2(event);
-let at=place(event);fingers.size===1?pan(at[0]-before2[0],at[1]-before2[1]):fingers.size===2&&pinch(event.pointerId,
-before2,at),fingers.set(event.pointerId,at)}function pinch(id,before2,at){let other=[...fingers].find(([finger])=>finger!==
-id)[1],distance2=([x,y])=>Math.max(Math.hypot(x-other[0],y-other[1]),20);pan((at[0]-before2[0])/2,(at[1]-before2[1])/
-2),zoom(distance2(at)/distance2(before2),(at[0]+other[0])/2,(at[1]+other[1])/2)}function up(event){drag?.pointer===
+let before=fingers.get(event.pointerId);if(!before)return hover(event);if(drag)return RAW?void 0:follow2(event);
+let at=place(event);fingers.size===1?pan(at[0]-before[0],at[1]-before[1]):fingers.size===2&&pinch(event.pointerId,
+before,at),fingers.set(event.pointerId,at)}function pinch(id,before,at){let other=[...fingers].find(([finger])=>finger!==
+id)[1],distance2=([x2,y2])=>Math.max(Math.hypot(x2-other[0],y2-other[1]),20);pan((at[0]-before[0])/2,(at[1]-before[1])/
+2),zoom(distance2(at)/distance2(before),(at[0]+other[0])/2,(at[1]+other[1])/2)}function up(event){drag?.pointer===
 event.pointerId&&(event.type==="pointerup"&&follow2(event),drag=null),fingers.delete(event.pointerId),canvas3.
 classList.remove("dragging"),hold(!1)}function hover(event){let cursor=handleAt(...place(event))?.cursor??"";canvas3.
 style.cursor!==cursor&&(canvas3.style.cursor=cursor)}function wheel(event){!event.ctrlKey&&!event.metaKey||(event.
@@ -1145,107 +1543,44 @@ canvas3.addEventListener("wheel",wheel,{passive:!1})}});function goBack(){write(
 goHome()}function showStep(n,clock=timeOf(n)){let{replay}=now;forgetPast(),replay.to(n),part("scrub").value=n===
 replay.steps.length?part("scrub").max:clock,part("scrub").ariaValueText=`${clock.toFixed(1)} s`,write("time",`${clock.
 toFixed(1)} s of ${timeOf(replay.steps.length).toFixed(1)} s`),show()}function play(on){if(part("play").textContent=
-on?"Pause":"Play",!on)return void(playing=null);let{replay}=now,n=replay.at===replay.steps.length||replay.changed?
-0:replay.at;playing={clock:timeOf(n),last:performance.now(),n},requestAnimationFrame(advance)}function advance(t){
-if(!playing)return;let{steps:steps2}=now.replay,ends=Math.max(timeOf(steps2.length),1e-9);for(playing.clock+=(t-
-playing.last)/1e3*(ends/Math.min(Math.max(ends,SHORTEST2),LONGEST)),playing.last=t;playing.n<steps2.length&&timeOf(
-playing.n+1)<=playing.clock;)playing.n+=1;if(showStep(playing.n,Math.min(playing.clock,ends)),playing.n===steps2.
-length)return play(!1);requestAnimationFrame(advance)}function openRecording(recording){now.replay=recording?new Replay(
-now.steered,recording):null,part("transport").hidden=!recording,recording&&(part("scrub").max=Math.ceil(10*(recording.
-at(-1)?.[0]??0))/10)}function readRecording(text){let lines=text.split(/\r?\n/),count=lines.findIndex(one=>!one.
-startsWith("#")),number=now.data.needles.findIndex(({head})=>head&&identify(head)===identify(text));if(count<1||
-lines[count]!==COLUMNS)throw new ModelError("the file is no recording","a file of Save recording, or of needle\
-fit plan");if(number<0)throw new ModelError("the recording is of another scene","one of this page; needlefit v\
-iew --recording opens others");let steps2=[];for(let row of lines.slice(count+1).filter(Boolean)){let[step,time,
-name,item,value,tip]=row.split(",");Number(step)>steps2.length&&steps2.push([Number(time),[],NaN]);let last2=steps2.
-at(-1);last2[1].push([name,item?Number(item):null,Number(value)]),tip&&(last2[2]=Number(tip))}return{number,steps:steps2}}
-function openDropped(choose2){addEventListener("dragover",event=>event.preventDefault()),addEventListener("dro\
-p",async event=>{event.preventDefault();let[file]=event.dataTransfer?.files??[];if(file)try{let{number,steps:steps2}=readRecording(
-await file.text());await choose2(number),openRecording(steps2),goBack(),write("link-note",`Opened ${file.name}\
-.`)}catch(error){refuse(error,part("proof").parentElement)}})}function keep(){let{needle,steered}=now,text=JSON.
-stringify({head:needle.head,way:steered.listWay().map(({changes})=>changes)});try{text.length<=MOST_KEPT&&localStorage.
-setItem(keyOf(needle),text)}catch{}}function restore(){let{needle,steered,replay}=now,kept=JSON.parse(localStorage.
-getItem(keyOf(needle))??"null");if(!kept||kept.head!==needle.head)return!1;steered.rewind();try{for(let changes of kept.
-way)steered.apply(changes,{validOnly:!1})}catch{return localStorage.removeItem(keyOf(needle)),goBack(),!1}return replay&&
-(replay.changed=!0),part("back").disabled=!1,write("link-note","The needle as you left it: this browser keeps \
-it."),show(),!0}var SHORTEST2,LONGEST,PAUSE,MOST_KEPT,COLUMNS,playing,timeOf,identify,keyOf,keeping,init_recording=__esm(
-{"needlefit/viewer/page/recording.js"(){init_address();init_dom();init_link();init_inputs();init_steering();init_store();
-init_stored();[SHORTEST2,LONGEST]=[2,20],PAUSE=400,MOST_KEPT=1e6,COLUMNS="step,time_s,input,item,value,tip_lat\
-eral_mm",playing=null,timeOf=n=>n?now.replay.steps[n-1][0]:0;part("scrub").addEventListener("input",({target})=>{
-play(!1);let{steps:steps2}=now.replay,clock=Math.min(Number(target.value),timeOf(steps2.length));showStep(steps2.
-filter(([time])=>time<=clock).length,clock)});press("play",()=>play(!playing));press("back",()=>{localStorage.
-removeItem(keyOf(now.needle)),goBack()});listen("steers",()=>{now.replay&&(play(!1),now.replay.changed=!0)});press(
-"save-recording",()=>{let name=`${nameOf2(now.needle).replace(/[^\w-]+/g,"-")}.csv`;hand(new Blob([writeRecording(
-now.needle.head,now.steered)],{type:"text/csv"}),name),write("link-note",`Saved ${name}. It opens on this page\
-, and with: needlefit view --recording ${name}`)});identify=head=>head.split(`
+on?"Pause":"Play",!on)return void(now.playing=null);let{replay}=now,n=replay.at===replay.steps.length||replay.
+changed?0:replay.at;now.playing={clock:timeOf(n),last:performance.now(),n},requestAnimationFrame(advance)}function advance(t){
+let{playing}=now;if(!playing)return;let{steps:steps2}=now.replay,ends=Math.max(timeOf(steps2.length),1e-9);for(playing.
+clock+=(t-playing.last)/1e3*(ends/Math.min(Math.max(ends,SHORTEST2),LONGEST)),playing.last=t;playing.n<steps2.
+length&&timeOf(playing.n+1)<=playing.clock;)playing.n+=1;if(showStep(playing.n,Math.min(playing.clock,ends)),playing.
+n===steps2.length)return play(!1);requestAnimationFrame(advance)}function openRecording(recording){now.replay=
+recording?new Replay(now.steered,recording):null,part("transport").hidden=!recording,recording&&(part("scrub").
+max=Math.ceil(10*(recording.at(-1)?.[0]??0))/10)}function readRecording(text){let lines=text.split(/\r?\n/),count=lines.
+findIndex(one=>!one.startsWith("#")),number3=now.data.needles.findIndex(({head})=>head&&identify(head)===identify(
+text));if(count<1||lines[count]!==COLUMNS)throw new ModelError("the file is no recording","a file of Save reco\
+rding, or of needlefit plan");if(number3<0)throw new ModelError("the recording is of another scene","one of th\
+is page; needlefit view --recording opens others");let steps2=[];for(let row of lines.slice(count+1).filter(Boolean)){
+let[step,time,name,item,value,tip]=row.split(",");Number(step)>steps2.length&&steps2.push([Number(time),[],NaN]);
+let last3=steps2.at(-1);last3[1].push([name,item?Number(item):null,Number(value)]),tip&&(last3[2]=Number(tip))}
+return{number:number3,steps:steps2}}function openDropped(choose2){addEventListener("dragover",event=>event.preventDefault()),
+addEventListener("drop",async event=>{event.preventDefault();let[file]=event.dataTransfer?.files??[];if(file)try{
+let{number:number3,steps:steps2}=readRecording(await file.text());await choose2(number3),openRecording(steps2),
+goBack(),write("link-note",`Opened ${file.name}.`)}catch(error){refuse(error,part("proof").parentElement)}})}function keep(){
+let{needle,steered}=now,text=JSON.stringify({head:needle.head,way:steered.listWay().map(({changes})=>changes)});
+try{text.length<=MOST_KEPT&&localStorage.setItem(keyOf(needle),text)}catch{}}function restore(){let{needle,steered,
+replay}=now,kept=JSON.parse(localStorage.getItem(keyOf(needle))??"null");if(!kept||kept.head!==needle.head)return!1;
+steered.rewind();try{for(let changes of kept.way)steered.apply(changes,{validOnly:!1})}catch{return localStorage.
+removeItem(keyOf(needle)),goBack(),!1}return replay&&(replay.changed=!0),part("back").disabled=!1,write("link-\
+note","The needle as you left it: this browser keeps it."),show(),!0}var SHORTEST2,LONGEST,PAUSE,MOST_KEPT,COLUMNS,
+timeOf,identify,keyOf,keeping,init_recording=__esm({"needlefit/viewer/page/recording.js"(){init_address();init_dom();
+init_link();init_inputs();init_steering();init_store();init_stored();[SHORTEST2,LONGEST]=[2,20],PAUSE=400,MOST_KEPT=
+1e6,COLUMNS="step,time_s,input,item,value,tip_lateral_mm",timeOf=n=>n?now.replay.steps[n-1][0]:0;part("scrub").
+addEventListener("input",({target})=>{play(!1);let{steps:steps2}=now.replay,clock=Math.min(Number(target.value),
+timeOf(steps2.length));showStep(steps2.filter(([time])=>time<=clock).length,clock)});press("play",()=>play(!now.
+playing));press("back",()=>{localStorage.removeItem(keyOf(now.needle)),goBack()});listen("steers",()=>{now.replay&&
+(play(!1),now.replay.changed=!0)});press("save-recording",()=>{let name=`${nameOf2(now.needle).replace(/[^\w-]+/g,
+"-")}.csv`;hand(new Blob([writeRecording(now.needle.head,now.steered)],{type:"text/csv"}),name),write("link-no\
+te",`Saved ${name}. It opens on this page, and with: needlefit view --recording ${name}`)});identify=head=>head.
+split(`
 `).filter(one=>one.startsWith("#")).slice(1).filter(one=>!one.startsWith("# needlefit =")).join(`
 `);keyOf=needle=>`needlefit ${location.pathname} ${nameOf2(needle)}`,keeping=0;listen("steers",()=>{clearTimeout(
-keeping),keeping=setTimeout(keep,PAUSE)});addEventListener("pagehide",()=>keeping&&keep())}});function listTurned(depth,{simulation:{steps:[first]},depth_mm:deepest2}){return[ANEW2,[["depth_mm",null,depth]],
-[turnOver(rollOf(first.bevel))],[["depth_mm",null,deepest2]]]}function listAway({session:{shape:{x,u}}}){let first=x.
-findIndex(one=>one>=0),slope2=(u[x.length-1]-u[first])/(x[x.length-1]-x[first]);return[...x.keys()].slice(first).
-map(i=>u[i]-u[first]-slope2*(x[i]-x[first]))}function findTurn(needle){let{scene}=needle,{steps:[first,...rest]}=scene.
-simulation,inputs=({bevel,controls})=>JSON.stringify([bevel,controls]);if(rest.some(one=>inputs(one)!==inputs(
-first)))return null;let makesS=depth=>{for(let changes of listTurned(depth,scene))needle.apply(changes,always3);
-let away=listAway(needle);return Math.min(Math.max(...away),-Math.min(...away))>(scene.measured?.floor_mm??NOISE)};
-return TURNS.map(one=>Math.round(one*scene.depth_mm)).find(makesS)??null}function findLayerForces(x,loads,{boundaries_mm:tops,
-spacing_mm:spacing}){let planes=loads.map(one=>smooth(x,one,spacing)),forces=Array.from({length:tops.length+1},
-()=>0);for(let i=1;i<x.length;i+=1){let[one,other]=[i-1,i].map(at=>Math.hypot(...planes.map(plane=>plane[at]))),
-middle=(x[i]+x[i-1])/2;forces[tops.filter(top=>top<=middle).length]+=(one+other)/2*(x[i]-x[i-1])}return forces}
-function findStiffer(needle){let{scene}=needle,{fitted:{layers},limits:{mu_pa:limits},boundaries_mm:tops,depth_mm:deepest2}=scene,
-read=()=>{let{s,loads}=needle.session.forces();return findLayerForces([...s],loads.map(one=>[...one]),scene)},
-before2=read(),entered=1+tops.filter(top=>top<deepest2).length;if(entered<2||!needle.valid)return null;let best=layers.
-slice(0,entered).map(({mu_pa:from},i)=>{let to=Math.min(from*STIFFER,limits[1]);needle.apply([["mu_pa",i+1,to]],
-always3);let[after,{valid}]=[read(),needle];return needle.apply([["mu_pa",i+1,from]],always3),{valid,layer:i+1,
-from,to,before:before2,moved:Math.abs(after[i]-before2[i]),all:add(after)}}).filter(({valid})=>valid).toSorted(
-(one,other)=>other.moved-one.moved)[0];return best&&best.moved>=MOVED*best.all?best:null}var ANEW2,TURNS,NOISE,
-STIFFER,MOVED,always3,add,init_probes=__esm({"needlefit/viewer/page/model/probes.js"(){init_quantities();init_inputs();
-ANEW2=[["return_to",null,0]],TURNS=[.5,.6,.4,.7,.3,.2],NOISE=.1,STIFFER=10,MOVED=.05,always3={validOnly:!1};add=
-values=>values.reduce((sum,one)=>sum+one,0)}});function toggle(name,on=chips[name].ariaPressed!=="true"){chips[name].ariaPressed=String(on),name==="strip"&&(part(
-"strip").hidden=!on),shown[name]=on,invalidate()}var CHIPS,TALL,fits,chips,offer,init_toolbar=__esm({"needlefi\
-t/viewer/page/toolbar.js"(){init_dom();init_drawing();init_store();init_view();CHIPS=[["load","lateral load"],
-["points","constraint points"],["path","tip path"],["measured","measured"],["errors","errors","Gaps at the tip\
- (TE) and along the shaft (IPE)"],["band","95 % band","95 % of the needles lie wholly inside"],["plan","plan"],
-["pinned","pinned"],["strip","tip against depth","Deflection of the tip and tip force, against depth",!1]],TALL=
-800,fits=document.querySelectorAll("[data-fit]"),chips=Object.fromEntries(CHIPS.map(([name,called,title="",marked=!0])=>{
-let swatch=marked?[element("i",{ariaHidden:"true",className:`swatch ${name}`})]:[],pressed=String(shown[name]??
-!1),chip=button([...swatch,called],()=>toggle(name),{title,ariaPressed:pressed});return chip.dataset.show=name,
-[name,chip]}));part("chips").append(...Object.values(chips));offer=there=>Object.entries(there).forEach(([name,
-is])=>chips[name].hidden=!is);offer({measured:!1,errors:!1,band:!1,plan:!1,pinned:!1});innerHeight<TALL&&toggle(
-"strip");for(let one of fits)press(one,()=>fit(one.dataset.fit));for(let[way,factor]of[["in",1.25],["out",.8]])
-press(document.querySelector(`[data-zoom=${way}]`),()=>zoom(factor));listen("scene",({measured:measured2,draws,
-plan})=>offer({measured:measured2,errors:measured2,band:draws,plan}));listen("pinned",()=>offer({pinned:now.pinned}));
-listen("redraw",()=>fits.forEach(one=>one.ariaPressed=String(one.dataset.fit===view.fit)))}});function prepareTurn(needle){let{scene}=needle,from=findTurn(needle);return from===null?null:{sentence:`Turn t\
-he bevel at ${from} mm: the needle makes an S.`,see:()=>"Behind the turn the needle bends to the other side. D\
-otted: without the turn. Move it.",begin(into){let turn2=depth=>{marks=[{depth,text:"turn"}],steer(listTurned(
-depth,scene)),show2(field,depth)},limits=BETWEEN.map(one=>one*scene.depth_mm),field=makeField(into,{name:"turn\
- at depth",unit:"mm",write:value=>value.toFixed(1),limits,ask:turn2});turn2(from)}}}function prepareStiffer(needle){
-let best=findStiffer(needle);if(!best)return null;let{scene}=needle,{limits:{mu_pa:limits},layer_names:names,boundaries_mm:tops,
-depth_mm:deepest2}=scene,{layer,from,to,before:before2}=best,called=names[layer-1]||`layer ${layer}`,ends=[...tops,
-1/0],middle=((layer>1?tops[layer-2]:0)+Math.min(ends[layer-1],deepest2))/2,readShown=()=>findLayerForces(now.state.
-load.x,now.state.load.n_per_mm,scene);return{sentence:`Stiffen ${called}: where does the force go?`,see:()=>{if(now.
-state.faults.length)return marks=[],"The needle is outside the limits of the model: its forces are not shown.";
-let after=readShown();return marks=[{depth:middle,text:`${after[layer-1].toFixed(1)} N here`}],`Lateral force \
-of ${called}: ${before2[layer-1].toFixed(1)} to ${after[layer-1].toFixed(1)} N (100 g weigh 1 N). Purple: the \
-load, where it acts. Dotted: the needle before.`},begin(into){toggle("load",!0);let stiffen=value=>{steer([[["\
-mu_pa",layer,value]]]),show2(field,value)},about={...modulusLike(to),name:`μ ${called}`,symbol:"μ",logarithmic:!0,
-step:1.05},field=makeField(into,{...about,limits,ask:stiffen});stiffen(to)}}}async function prepareScenes(kernel,scene){
-let needle=await SteeredNeedle.begin(kernel,scene),prepare=one=>{try{for(let changes of[ANEW2,...listSteps(scene)])
-needle.apply(changes,{validOnly:!1});return one(needle)}catch(error){if(!error.expected)throw error;return null}};
-return[prepareTurn,prepareStiffer].map(prepare).filter(one=>one)}function offerScenes(kernel){let[begin2,shown3]=[
-null,null],list=part("scene-list"),leave=()=>{[begin2,shown3,marks]=[null,null,[]],part("scene-control").replaceChildren(),
-write("see","")},choose2=(scene,pressed)=>{for(let one of list.querySelectorAll("button"))one.ariaPressed=String(
-one===pressed);leave(),begin2=()=>{now.pinned&&pin(),pin(),shown3=scene,scene.begin(part("scene-control"))},steer(
-[ANEW2,...listSteps(now.scene)])};listen("scene",async given=>{leave(),list.replaceChildren();let scenes=await prepareScenes(
-kernel,given);now.scene===given&&list.replaceChildren(...scenes.map(scene=>{let pressed=button(scene.sentence,
-()=>now.state&&choose2(scene,pressed),{ariaPressed:"false"});return element("li",{},pressed)}))}),listen("stat\
-e",()=>shown3&&write("see",shown3.see())),listen("forces",({step})=>{if(step!==now.state.step||!begin2)return;
-let then=begin2;begin2=null,then()})}var BETWEEN,marks,init_scenes=__esm({"needlefit/viewer/page/scenes.js"(){
-init_dom();init_drawing();init_fields();init_inputs();init_probes();init_steered();init_strokes();init_quantities();
-init_steering();init_store();init_strip();init_toolbar();init_view();BETWEEN=[.1,.9],marks=[];further.push(context3=>{
-for(let{depth,text}of marks){let[px,py]=[toPx(depth),toPy(heightAt(now.state,depth))];segments(context3,[[[px,
-py-12],[px,py+12]]],palette.accent,2),ring(context3,px,py,4,palette.accent,palette.air),setFont(context3,"stro\
-ng"),labelFree(context3,text,[[px,py-26],[px,py+26],[px+40,py-26],[px-40,py+26]],palette.accent)}})}});var main_exports={};async function choose(number){let{data}=now;part("needle-choice").value=number;let steered=await begin(
-data.kernel,data.needles[number]);if(Number(part("needle-choice").value)!==number)return;let needle=data.needles[number];
+keeping),keeping=setTimeout(keep,PAUSE)});addEventListener("pagehide",()=>keeping&&keep())}});var main_exports={};async function choose(number3){let{data}=now;part("needle-choice").value=number3;let steered=await begin(
+data.kernel,data.needles[number3]);if(Number(part("needle-choice").value)!==number3)return;let needle=data.needles[number3];
 Object.assign(now,{needle,steered});let{scene}=needle;openRecording(needle.recording),take({...scene,kind:"sce\
 ne"}),buildFields(needle);let specimen=needle.new_specimen?" of a specimen that was not fitted":"",draws=counted(
 scene.draws?.sets??0,"posterior draw");write("band-note",scene.draws?`Band: holds 95 % of the needles of ${draws}${specimen}\
@@ -1262,13 +1597,11 @@ let choice=part("needle-choice");choice.append(...data.needles.map((one,i)=>elem
 [nameOf2(one),one.group].filter(Boolean).join(", ")))),part("choosing").hidden=data.needles.length<2,choice.addEventListener(
 "change",()=>choose(Number(choice.value))),part("canvas").addEventListener("touchstart",event=>{handleAt(...place(
 event.touches[0]),"touch")&&event.preventDefault()},{passive:!1}),addEventListener("hashchange",()=>followAddress(
-choose)),openDropped(choose),offerScenes(data.kernel),listen("go to",depth=>change([["depth_mm",null,depth]]));
-for(let name of["load","points","path","errors","strip"])toggle(name,!1);await choose(0);let led=await followAddress(
-choose)||restore();fit("tissue"),await stateAgreement(),!led&&now.replay&&!now.scene.plan&&!matchMedia("(prefe\
-rs-reduced-motion: reduce)").matches&&play(!0)}var NEEDED,init_main=__esm({"needlefit/viewer/page/main.js"(){init_above();
-init_address();init_bands();init_dom();init_figure();init_handles();init_inputs2();init_keyboard();init_link();
-init_methods();init_pointers();init_quantities();init_recording();init_scenes();init_steering();init_store();init_stored();
-init_toolbar();init_view();NEEDED=["WebAssembly","DecompressionStream","Worker"];start().catch(error=>{let lacking=NEEDED.
+choose)),openDropped(choose),await choose(0);let led=await followAddress(choose)||restore();await stateAgreement(),
+!led&&now.replay&&!now.scene.plan&&!matchMedia("(prefers-reduced-motion: reduce)").matches&&play(!0)}var NEEDED,
+init_main=__esm({"needlefit/viewer/page/main.js"(){init_above();init_address();init_bands();init_dom();init_figure();
+init_handles();init_inputs2();init_keyboard();init_link();init_methods();init_pointers();init_quantities();init_recording();
+init_store();init_stored();NEEDED=["WebAssembly","DecompressionStream","Worker"];start().catch(error=>{let lacking=NEEDED.
 filter(name=>!(name in globalThis));throw write("proof",lacking.length?`This browser lacks ${lacking.join(", ")}\
 : it cannot compute the needle.`:`The needle was not computed, for a fault in this file: ${error.message}`),part(
 "proof").classList.add("bad"),error})}});typeof document>"u"?Promise.resolve().then(()=>(init_band_worker(),band_worker_exports)):Promise.resolve().then(()=>(init_main(),main_exports));})();

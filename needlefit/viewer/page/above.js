@@ -1,11 +1,10 @@
 /** The view from above, below that from the side: x as there, z upwards, drawn at most as large as y. Shown of a needle in space. */
 
 import { onScheme, part } from "./dom.js";
-import { shown } from "./drawing.js";
 import { paintFrame, paintTissue } from "./painters/background.js";
 import { paintNeedle, paintPath, paintPoints } from "./painters/needle.js";
 import { isBandNear, paintBand, paintMeasured } from "./painters/overlay.js";
-import { label, palette, setFont } from "./painters/strokes.js";
+import { label, palette, setFont, within } from "./painters/strokes.js";
 import { brief } from "./quantities.js";
 import { listen, now } from "./store.js";
 import { view } from "./view.js";
@@ -33,29 +32,26 @@ function draw() {
   context.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
   context.fillStyle = palette.gutter;
   context.fillRect(0, 0, width, height);
-  const { band, scene: { measured } } = now;
+  const { band, shown, scene: { measured } } = now;
   const state = { ...now.state, z: now.state.z ?? now.state.x.map(() => 0) };
   const seen = [...state.z, ...(measured?.z ?? []), ...(band?.z?.low ?? []), ...(band?.z?.high ?? []), 0];
   const [low, high] = [Math.min(...seen), Math.max(...seen)];
   const { y, box, magnified } = view;
-  const within = { ...box, top: EDGE, height: height - 2 * EDGE };
-  const times = Math.min(magnified, (within.height - 2 * ROOM) / (view.scale * (high - low || 1)));
-  Object.assign(view, { y: (low + high) / 2, box: within, magnified: times }); // all painters draw in this window
-  context.save();
-  context.beginPath();
-  context.rect(box.left, EDGE, box.width, within.height);
-  context.clip();
-  paintTissue(context);
-  const needle = turn(state);
-  if (shown.band && band?.z && isBandNear(band, state)) paintBand(context, { x: band.x, ...band.z }, band.step !== state.step);
-  context.lineJoin = "round";
-  paintNeedle(context, needle);
-  if (shown.path) paintPath(context, needle);
-  if (shown.points) paintPoints(context, needle);
-  if (measured && shown.measured) paintMeasured(context, { ...measured, y: measured.z });
-  setFont(context, "small", "left");
-  label(context, "from above", box.left + 6, EDGE + 10);
-  context.restore();
+  const window = { ...box, top: EDGE, height: height - 2 * EDGE };
+  const times = Math.min(magnified, (window.height - 2 * ROOM) / (view.scale * (high - low || 1)));
+  Object.assign(view, { y: (low + high) / 2, box: window, magnified: times }); // all painters draw in this window
+  within(context, window, () => {
+    paintTissue(context);
+    const needle = turn(state);
+    if (shown.band && band?.z && isBandNear(band, state)) paintBand(context, { x: band.x, ...band.z }, band.step !== state.step);
+    context.lineJoin = "round";
+    paintNeedle(context, needle);
+    if (shown.path) paintPath(context, needle);
+    if (shown.points) paintPoints(context, needle);
+    if (measured && shown.measured) paintMeasured(context, { ...measured, y: measured.z });
+    setFont(context, "small", "left");
+    label(context, "from above", box.left + 6, EDGE + 10);
+  });
   paintFrame(context, times === 1 ? "z (mm)" : `z (mm), drawn ${brief(times, 2)}×`);
   Object.assign(view, { y, box, magnified });
 }

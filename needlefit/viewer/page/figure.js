@@ -1,34 +1,37 @@
 /** The picture as a figure: the same painters draw what the page shows, in a width of print. */
 
 import { hand, part, press, usePaper, write } from "./dom.js";
-import { invalidate, paintAll, paintScreen, size } from "./drawing.js";
+import { paint, size } from "./drawing.js";
+import { FigureContext, writePdf, writeSvg } from "./figure_context.js";
 import { nameOf } from "./link.js";
 import { readPalette } from "./painters/strokes.js";
 import { inWords } from "./readouts.js";
-import { now } from "./store.js";
-import { SvgContext } from "./svg.js";
-import { touch, view } from "./view.js";
+import { now, redraw } from "./store.js";
+import { fit, view } from "./view.js";
 
 const PX_PER_MM = 96 / 25.4;
 const DPI = 300; // of a PNG
 
-/** Draw on paper, in a width in mm, between the limits of the picture; `begin(size)` gives the context for a size in px. */
-function draw(wide, begin) {
-  const { box, scale } = view;
-  const [whole, tall] = size();
-  const width = wide * PX_PER_MM;
-  const share = (width - (whole - box.width)) / box.width;
-  /** @type {[number, number]} */
-  const figure = [width, tall - box.height + share * box.height];
-  Object.assign(view, { scale: scale * share, box: { ...box, width: share * box.width, height: share * box.height } });
+/** Draw on paper, in a width in mm, between the limits of the picture, or `whole` the needle; `begin(size)` gives the context for a size in px. */
+function draw(wide, whole, begin) {
+  const kept = { ...view };
+  const [across, tall] = size();
   onPaper(true);
   try {
-    paintAll(begin(figure), figure);
+    if (whole) fit("whole");
+    const { box, scale } = view;
+    const width = wide * PX_PER_MM;
+    const share = (width - (across - box.width)) / box.width;
+    /** @type {[number, number]} */
+    const figure = [width, tall - box.height + share * box.height];
+    Object.assign(view, { scale: scale * share, box: { ...box, width: share * box.width, height: share * box.height } });
+    paint(begin(figure), figure);
+    return figure;
   } finally {
-    Object.assign(view, { scale, box });
+    Object.assign(view, kept);
     onPaper(false);
+    redraw();
   }
-  return figure;
 }
 
 /** Draw in the light colours, or in those of the reader again. */
@@ -37,15 +40,9 @@ function onPaper(on) {
   readPalette();
 }
 
-function drawSvg(wide) {
-  const context = new SvgContext();
-  const figure = draw(wide, () => context);
-  return new Blob([context.write(figure, wide, now.scene.title, inWords())], { type: "image/svg+xml" });
-}
-
-function drawPng(wide) {
+function drawPng(wide, whole) {
   const canvas = document.createElement("canvas");
-  draw(wide, (figure) => {
+  draw(wide, whole, (figure) => {
     const times = DPI / 96;
     Object.assign(canvas, { width: Math.round(times * figure[0]), height: Math.round(times * figure[1]) });
     const context = canvas.getContext("2d");
@@ -55,20 +52,27 @@ function drawPng(wide) {
   return new Promise((resolve) => canvas.toBlob(resolve, "image/png"));
 }
 
+function drawVectors(wide, whole, format) {
+  const context = new FigureContext();
+  const figure = draw(wide, whole, () => context);
+  const { title } = now.scene;
+  if (format === "svg") return new Blob([writeSvg(context.drawn, figure, wide, title, inWords())], { type: "image/svg+xml" });
+  return new Blob([writePdf(context.drawn, figure, wide, title)], { type: "application/pdf" });
+}
+
 press("save-figure", async () => {
   if (!now.state) return;
-  const format = part("figure-format").value;
-  const figure = await (format === "svg" ? drawSvg : drawPng)(Number(part("figure-width").value));
+  const [format, wide, whole] = [part("figure-format").value, Number(part("figure-width").value), part("figure-view").value === "whole"];
+  const figure = await (format === "png" ? drawPng(wide, whole) : drawVectors(wide, whole, format));
   const name = `${nameOf(now.needle).replace(/[^\w-]+/g, "-")}.${format}`;
   hand(figure, name);
-  write("link-note", `Saved ${name}: the picture as it is shown.`);
-  invalidate();
+  write("link-note", `Saved ${name}: ${whole ? "the whole needle" : "the picture as it is shown"}.`);
 });
 
 for (const [kind, on] of /** @type {[string, boolean][]} */ ([["beforeprint", true], ["afterprint", false]])) {
   addEventListener(kind, () => {
     onPaper(on);
-    touch();
-    if (now.state) paintScreen();
+    const canvas = part("canvas").getContext("2d");
+    if (now.state) paint(canvas, size()); // the page is printed before another frame
   });
 }

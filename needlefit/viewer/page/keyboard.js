@@ -1,26 +1,46 @@
 /** The keys of the picture, while it has the focus, and the list of them. */
 
-import * as act from "./actions.js";
-import { element, entry, part, press } from "./dom.js";
-import { ROLL } from "./quantities.js";
-import { describe } from "./readouts.js";
-import { redo, undo } from "./steering.js";
+import { element, entry, part, press, say } from "./dom.js";
+import { turnOver, wrap } from "./model/inputs.js";
+import { inWords } from "./readouts.js";
+import { change, newGesture, redo, undo } from "./steering.js";
 import { now } from "./store.js";
-import { pin } from "./strip.js";
+import { pin } from "./toolbar.js";
 import { fit, zoom } from "./view.js";
+
+const ROLL = 10; // degrees
+const WITHIN = 1000; // ms; a key pressed again so soon goes on with what the one before began
+const last = { key: "", at: -Infinity, gesture: 0 };
+
+/** Change an input; the same key pressed again soon is undone with it. */
+function go(key, changes) {
+  const at = performance.now();
+  const again = key === last.key && at - last.at < WITHIN;
+  Object.assign(last, { key, at, gesture: again ? last.gesture : newGesture() });
+  change(changes, { gesture: last.gesture });
+}
+
+/** Insert, or retract if negative, by so many mm, as far as the needle goes. */
+function insert(mm) {
+  const { step: { depth }, scene } = now.steered;
+  const end = Math.max(Math.min(now.steered.reach(), scene.limits.depth_mm), depth);
+  go("insert", [["depth_mm", null, Math.min(Math.max(depth + mm, 0), end)]]);
+}
+
+const flip = () => change([turnOver(now.state.bevel.roll_deg)]);
+const roll = (by) => go("roll", [["bevel_roll_deg", null, wrap(now.state.bevel.roll_deg + by)]]);
+const moveBase = (mm) => go("base", [["base_y_mm", null, now.state.base.input_y + mm]]);
 
 /** Keys as the browser calls them, what is written for them, and what they do. @type {[string[], string, string, (event: any) => void][]} */
 const KEYS = [
-  [["ArrowRight"], "→", "insert 1 mm; with Shift 0.1 mm", (e) => act.insert(e.shiftKey ? 0.1 : 1)],
-  [["ArrowLeft"], "←", "retract, likewise", (e) => act.insert(e.shiftKey ? -0.1 : -1)],
-  [["ArrowUp"], "↑", "base up by 0.1 mm; with Shift by 1 mm", (e) => act.moveBase(e.shiftKey ? 1 : 0.1)],
-  [["ArrowDown"], "↓", "base down, likewise", (e) => act.moveBase(e.shiftKey ? -1 : -0.1)],
-  [["f"], "F", "flip the bevel", () => act.flip()],
-  [["r"], "R", `roll the bevel by ${ROLL}°; with Shift back`, (e) => act.roll(e.shiftKey ? -ROLL : ROLL)],
-  [["g"], "G", "add a guide", () => act.addGuide()],
-  [["t"], "T", "hold the tip, let go of it", () => act.toggleTip()],
+  [["ArrowRight"], "→", "insert 1 mm; with Shift 0.1 mm", (e) => insert(e.shiftKey ? 0.1 : 1)],
+  [["ArrowLeft"], "←", "retract, likewise", (e) => insert(e.shiftKey ? -0.1 : -1)],
+  [["ArrowUp"], "↑", "base up by 0.1 mm; with Shift by 1 mm", (e) => moveBase(e.shiftKey ? 1 : 0.1)],
+  [["ArrowDown"], "↓", "base down, likewise", (e) => moveBase(e.shiftKey ? -1 : -0.1)],
+  [["f"], "F", "flip the bevel", flip],
+  [["r"], "R", `roll the bevel by ${ROLL}°; with Shift back`, (e) => roll(e.shiftKey ? -ROLL : ROLL)],
   [["k"], "K", "pin this needle to compare with, or unpin", () => pin()],
-  [["d"], "D", "say where the needle stands", () => describe()],
+  [["d"], "D", "say where the needle stands", () => say(inWords())],
   [["+", "="], "+", "zoom in", () => zoom(1.25)],
   [["-", "_"], "−", "zoom out", () => zoom(0.8)],
   [["0", "1"], "0, 1", "show the whole needle", () => fit("whole")],
@@ -45,4 +65,4 @@ for (const [written, what] of [...KEYS.map(([, key, effect]) => [key, effect]), 
 part("canvas").addEventListener("keydown", hear);
 press("undo", undo);
 press("redo", redo);
-press("flip", act.flip);
+press("flip", flip);

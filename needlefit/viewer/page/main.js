@@ -13,12 +13,8 @@ import "./methods.js";
 import { place } from "./pointers.js";
 import { counted } from "./quantities.js";
 import { goBack, openDropped, openRecording, play, restore } from "./recording.js";
-import { offerScenes } from "./scenes.js";
-import { change } from "./steering.js";
-import { listen, now, take } from "./store.js";
+import { now, take } from "./store.js";
 import { begin, load, prove } from "./stored.js";
-import { toggle } from "./toolbar.js";
-import { fit } from "./view.js";
 
 /** Show a needle as the file has it: of a recording its end, else the fit at the depth of the measured needle. */
 async function choose(number) {
@@ -67,12 +63,8 @@ async function start() {
   }, { passive: false });
   addEventListener("hashchange", () => followAddress(choose));
   openDropped(choose);
-  offerScenes(data.kernel);
-  listen("go to", (depth) => change([["depth_mm", null, depth]]));
-  for (const name of ["load", "points", "path", "errors", "strip"]) toggle(name, false); // until asked for: needles come first
   await choose(0);
   const led = (await followAddress(choose)) || restore();
-  fit("tissue");
   await stateAgreement();
   if (!led && now.replay && !now.scene.plan && !matchMedia("(prefers-reduced-motion: reduce)").matches) play(true);
 }

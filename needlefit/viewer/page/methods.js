@@ -1,21 +1,16 @@
 /** The table of the errors of all methods, and the curves of those that are chosen in it. */
 
-import { element, isDark, part, press, write } from "./dom.js";
-import { further, invalidate } from "./drawing.js";
-import { between, line, palette } from "./painters/strokes.js";
+import { element, part, press, write } from "./dom.js";
+import { lighten } from "./painters/overlay.js";
 import { isSteered, predictionOf, writeError } from "./quantities.js";
-import { listen, now } from "./store.js";
+import { listen, now, redraw } from "./store.js";
 
 const JUDGED = "prediction"; // the method that the verdict judges stands first
-const chosen = new Set();
 const FITTED = "fitted"; // the needle that is drawn until it is steered
 const own = new Map(); // rows of these methods, which are the needle itself until it is steered
 let present = []; // the cells of the needle's own errors
 
 const errorsOf = (values) => now.scene.measured.metrics.map(([name, , unit]) => writeError(values?.[name] ?? null, unit));
-
-/** A colour of a line on paper, as it is on a dark page. */
-const lighten = (colour) => between(colour, "#ffffff", 0.4);
 
 listen("scene", ({ measured }) => {
   const { methods } = now.needle;
@@ -40,12 +35,11 @@ function makeRow(method, row) {
   if (!method.x) return row(method.name, errorsOf(method.errors));
   const swatch = element("i", { className: "swatch line", ariaHidden: "true" });
   swatch.style.background = `light-dark(${method.colour}, ${lighten(method.colour)})`;
-  const toggle = element("button", { type: "button", ariaPressed: String(chosen.has(method.key)) }, swatch, method.name);
+  const toggle = element("button", { type: "button", ariaPressed: String(now.curves.has(method.key)) }, swatch, method.name);
   press(toggle, () => {
-    const on = chosen.has(method.key);
-    on ? chosen.delete(method.key) : chosen.add(method.key);
-    toggle.ariaPressed = String(!on);
-    invalidate();
+    if (!now.curves.delete(method.key)) now.curves.add(method.key);
+    toggle.ariaPressed = String(now.curves.has(method.key));
+    redraw();
   });
   return row(toggle, errorsOf(method.errors));
 }
@@ -60,12 +54,4 @@ listen("state", (state) => {
   const called = steered ? `steered needle${upto}` : (known?.name ?? "the needle above");
   own.forEach((row, key) => (row.hidden = !steered || (key === FITTED && own.has(JUDGED))));
   [called, ...errorsOf(prediction?.errors ?? errors)].forEach((text, i) => write(present[i], text));
-});
-
-further.push((context) => {
-  for (const { key, x, y, colour } of now.needle?.methods ?? []) {
-    if (!x || !chosen.has(key)) continue;
-    line(context, x, y, palette.halo, 4);
-    line(context, x, y, isDark() ? lighten(colour) : colour, 2);
-  }
 });

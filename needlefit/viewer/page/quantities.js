@@ -1,5 +1,6 @@
 /** What quantities, guides and the bevel's strength are called, and how numbers are written and read. */
 
+import { bisectLeft } from "d3-array";
 import { rollOf, wrap } from "./model/inputs.js";
 
 export const writeError = (value, unit) => (value === null ? "–" : unit === "%" ? brief(value, 3) : value.toFixed(3));
@@ -38,44 +39,13 @@ export const slope = (angle) => Math.tan((Math.min(Math.max(angle, -90), 90) * M
 
 /** The y of a curve at x, its points joined by straight lines. */
 export function heightAt({ x: xs, y: ys }, x) {
-  const after = xs.findIndex((one) => one >= x);
-  if (after <= 0) return after === 0 ? ys[0] : ys.at(-1);
-  const share = (x - xs[after - 1]) / (xs[after] - xs[after - 1]);
+  const after = Math.min(Math.max(bisectLeft(xs, x), 1), xs.length - 1);
+  const share = Math.min(Math.max((x - xs[after - 1]) / (xs[after] - xs[after - 1]), 0), 1);
   return ys[after - 1] + share * (ys[after] - ys[after - 1]);
 }
 
-/** The mean of a load over so many mm to either side of each of its places; less at the ends. */
-export function smooth(x, load, reach) {
-  const sums = [0]; // of the load up to each place, trapezia
-  for (let i = 1; i < x.length; i += 1) sums.push(sums[i - 1] + ((load[i] + load[i - 1]) / 2) * (x[i] - x[i - 1]));
-  const sumTo = (at, i) => { // i: the first place beyond `at`
-    if (i === 0) return 0;
-    if (i === x.length) return sums.at(-1);
-    const part = (at - x[i - 1]) / (x[i] - x[i - 1] || 1);
-    return sums[i - 1] + (load[i - 1] + (part * (load[i] - load[i - 1])) / 2) * (at - x[i - 1]);
-  };
-  let [from, to] = [0, 0];
-  return x.map((at) => {
-    const half = Math.min(reach, at - x[0], x.at(-1) - at);
-    if (half <= 0) return load[at === x[0] ? 0 : x.length - 1];
-    while (from < x.length && x[from] <= at - half) from += 1;
-    while (to < x.length && x[to] <= at + half) to += 1;
-    return (sumTo(at + half, to) - sumTo(at - half, from)) / (2 * half);
-  });
-}
-
-/** The nearest 1, 2 or 5 times a power of ten that is not greater. */
-export function roundStep(value) {
-  const decade = 10 ** Math.floor(Math.log10(value));
-  const times = value / decade;
-  return decade * (times >= 5 ? 5 : times >= 2 ? 2 : 1);
-}
-
-/** The name of a guide that its scene gives none. */
-export const numbered = (item) => `guide ${item}`;
-
-/** What is written beside a guide in the picture: its scene's name for it, or its number alone. */
-export const shortName = ({ item, name }) => (name && name !== numbered(item) ? name : String(item));
+/** What a guide is called: its scene's name for it, or its number alone. */
+export const shortName = ({ item, name }) => (name && name !== `guide ${item}` ? name : String(item));
 
 const OFFSET = { key: "offset_mm", symbol: "b", unit: "mm", digits: 3, step: 0.005 };
 const ANGLE = { key: "cut_angle_deg", symbol: "θ", unit: "°", digits: 2, step: 0.1 };
@@ -90,11 +60,6 @@ export function strengthOf(values) {
   const [here, throughout] = INPUTS[about.key];
   return { ...about, here, throughout, value: values[about.key] };
 }
-
-export const ROLL = 10; // degrees, of a key
-
-/** The knob of the bevel's roll, as of makeField. */
-export const ROLL_FIELD = { name: "roll", symbol: "roll", unit: "°", step: ROLL, limits: [-180, 180], write: (value) => brief(value, 6) };
 
 /** Where a bevel turns the cut to. */
 export const describeRoll = ({ roll_deg: roll }) => (roll % 180 ? `roll ${brief(roll).replace("-", "−")}°` : roll ? "−y" : "+y");

@@ -63,12 +63,11 @@ listen("scene", ({ measured }) => {
   writeErrors = fillReadouts(part("errors"), [...metrics, ["noise floor", "mm", (e) => e.floor_mm?.toFixed(3) ?? "–"]]);
 });
 
-let announced = false; // whether a message has stated that this needle exceeds limits of the model
+let announced = null; // of which scene a message has stated that the needle exceeds limits of the model
 
 /** Which limits of the model the needle exceeds, in words; empty where it exceeds none. */
 const exceeded = ({ faults }) => (faults?.length ? `outside the model: ${faults.join("; ")}` : "");
 
-listen("scene", () => (announced = false));
 for (const kind of ["forces", "state"]) listen(kind, () => {
   if (!now.state) return;
   refresh();
@@ -78,8 +77,8 @@ listen("state", (state) => {
   const words = exceeded(state);
   write("beyond", words && `${words[0].toUpperCase()}${words.slice(1)}. Shape and forces cannot be relied on.`);
   part("beyond").classList.toggle("low", toPy(state.tip.y) < view.box.top + view.box.height / 2); // not on the tip
-  if (announced || !words) return;
-  announced = true;
+  if (announced === now.scene || !words) return;
+  announced = now.scene;
   say(`The needle is ${words}.`);
 });
 
@@ -109,5 +108,3 @@ export function inWords() {
 
 /** Keep the text alternative true. */
 const refreshDescription = () => write("described", inWords());
-
-export const describe = () => say(inWords());

@@ -12,7 +12,6 @@ const [SHORTEST, LONGEST] = [2, 20]; // s that a recording lasts while it is pla
 const PAUSE = 400; // ms without a change, after which the browser keeps the needle
 const MOST_KEPT = 1_000_000; // characters
 const COLUMNS = "step,time_s,input,item,value,tip_lateral_mm";
-let playing = null; // {clock, last, n}: s of the recording, ms, steps carried out
 
 const timeOf = (n) => (n ? now.replay.steps[n - 1][0] : 0);
 
@@ -34,16 +33,18 @@ function showStep(n, clock = timeOf(n)) {
   show();
 }
 
+/** Play the recording from where it stands, or pause it; `now.playing`: s of the recording, ms, steps carried out. */
 export function play(on) {
   part("play").textContent = on ? "Pause" : "Play";
-  if (!on) return void (playing = null);
+  if (!on) return void (now.playing = null);
   const { replay } = now;
   const n = replay.at === replay.steps.length || replay.changed ? 0 : replay.at;
-  playing = { clock: timeOf(n), last: performance.now(), n };
+  now.playing = { clock: timeOf(n), last: performance.now(), n };
   requestAnimationFrame(advance);
 }
 
 function advance(t) {
+  const { playing } = now;
   if (!playing) return;
   const { steps } = now.replay;
   const ends = Math.max(timeOf(steps.length), 1e-9);
@@ -68,7 +69,7 @@ part("scrub").addEventListener("input", ({ target }) => {
   const clock = Math.min(Number(target.value), timeOf(steps.length));
   showStep(steps.filter(([time]) => time <= clock).length, clock);
 });
-press("play", () => play(!playing));
+press("play", () => play(!now.playing));
 press("back", () => {
   localStorage.removeItem(keyOf(now.needle));
   goBack();

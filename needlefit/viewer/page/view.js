@@ -1,6 +1,7 @@
 /** Which part of the constraint frame is seen, in true millimetres; y may be drawn larger than x. */
 
-import { listen, now, publish } from "./store.js";
+import { extent } from "d3-array";
+import { listen, now, redraw } from "./store.js";
 
 const GUTTER = { left: 56, right: 10, top: 50, bottom: 40 }; // px, for the axes, the names of layers and the load's key
 const LOW_PICTURE = 260; // px; below it the name of the x axis stands in the row of its ticks
@@ -13,26 +14,15 @@ const SCALES = [0.5, 400]; // px per mm
 const [EDGE, AHEAD] = [0.3, 0.2]; // from the middle, parts of the window: when it follows the tip, and how far
 const TIP_WINDOW = 45; // mm seen across while the tip is followed
 
-/** The window: its centre (mm), its scale (px per mm), its box on the canvas (px), and whether that is low. */
+/**
+ * The window: its centre (mm), its scale (px per mm), its box on the canvas (px), and whether that is low; what it fits (null:
+ * the reader has moved it), of which scene; whether something is dragged; and the scale of the load (px per N/mm).
+ */
 export const view = {
-  x: 0, y: 0, scale: 5, magnified: 1, held: false, fit: null, low: false, box: { left: 0, top: 0, width: 1, height: 1 },
+  x: 0, y: 0, scale: 5, magnified: 1, held: false, fit: "tissue", of: null, low: false, per_load: 0, box: { left: 0, top: 0, width: 1, height: 1 },
 };
 
 Object.assign(now, { view });
-let changed = true;
-
-/** Whether the window has changed since this was last asked. */
-export function takeChange() {
-  const was = changed;
-  changed = false;
-  return was;
-}
-
-/** Draw the window anew in the next frame. */
-export function touch() {
-  changed = true;
-  publish("redraw");
-}
 export const toPx = (x) => view.box.left + view.box.width / 2 + (x - view.x) * view.scale;
 export const toPy = (y) => view.box.top + view.box.height / 2 - (y - view.y) * view.scale * view.magnified;
 export const fromPx = (px) => view.x + (px - view.box.left - view.box.width / 2) / view.scale;
@@ -52,7 +42,7 @@ export function resize(width, height) {
 /** Show the whole needle, the tissue, or follow the tip; null leaves it as it is. */
 export function fit(which) {
   view.fit = which;
-  touch();
+  redraw();
   if (!now.scene || !now.state || !which) return;
   if (which === "tip") {
     const { x, y } = now.state.tip;
@@ -91,12 +81,10 @@ function goalCircles() {
 
 /** Between which y all lies that must be seen: of the tissue alone what is in it. */
 function heights(which) {
-  const { x, y } = now.state;
-  const seen = which === "whole" ? y : y.filter((_, i) => x[i] >= 0);
+  const { state, band, pinned, scene: { measured } } = now;
+  const seen = [state, pinned].flatMap((one) => (one ? one.y.filter((_, i) => which === "whole" || one.x[i] >= 0) : []));
   const goals = goalCircles().flatMap(([, y, radius]) => [y - radius, y + radius]);
-  const band = [...(now.band?.low ?? []), ...(now.band?.high ?? [])].filter(Number.isFinite);
-  const all = [...seen, ...(now.scene.measured?.y ?? []), ...(now.pinned ? now.pinned.y.filter((_, i) => which === "whole" || now.pinned.x[i] >= 0) : []), ...goals, ...band, 0];
-  return [Math.min(...all), Math.max(...all)];
+  return extent([...seen, ...(measured?.y ?? []), ...goals, ...(band?.low ?? []), ...(band?.high ?? []), 0]);
 }
 
 /** Whether a place, mm, is in the window. */
@@ -114,6 +102,10 @@ const seesTip = () => sees(now.state.tip.x, now.state.tip.y);
  * Not while something is dragged: the place under the pointer would become another one.
  */
 export function follow() {
+  if (view.of !== now.scene) {
+    view.of = now.scene;
+    return fit(view.fit ?? "tissue");
+  }
   if (view.held) return;
   if (view.fit && view.fit !== "tip") {
     const [bottom, top] = heights(view.fit);
@@ -130,7 +122,7 @@ export function follow() {
   if (Math.abs(across) < EDGE && Math.abs(up) < EDGE) return;
   view.x = x + Math.sign(across) * AHEAD * view.box.width / view.scale;
   view.y = y;
-  touch();
+  redraw();
 }
 
 /** Zoom by a factor about a point on the canvas (px), by default the middle. */
@@ -140,14 +132,14 @@ export function zoom(factor, px = toPx(view.x), py = toPy(view.y)) {
   view.x += x - fromPx(px);
   view.y += y - fromPy(py);
   if (view.fit !== "tip") view.fit = null;
-  touch();
+  redraw();
 }
 
 export function pan(px, py) {
   view.x -= px / view.scale;
   view.y += py / (view.scale * view.magnified);
   view.fit = null;
-  touch();
+  redraw();
 }
 
 /** Something is dragged, or no more. */

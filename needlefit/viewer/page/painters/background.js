@@ -1,15 +1,16 @@
 /** What stands still: air, layers and their names, skin, and axes in mm. */
 
-import { brief, modulus, roundStep } from "../quantities.js";
+import { ticks } from "d3-array";
+import { brief, modulus } from "../quantities.js";
 import { now } from "../store.js";
 import { fromPx, fromPy, toPx, toPy, view } from "../view.js";
-import { palette, segments, setFont, shades, turned } from "./strokes.js";
+import { palette, polyline, setFont, shades, turned } from "./strokes.js";
 
 const APART = 8; // px between the texts of two layers
 const ROWS = [-34, -20, -6]; // px from the window's top to the middles of rows, where texts need three
 const TWO_ROWS = [-27, -11];
 const TICK = 5; // px
-const TICKS_APART = 48; // px between ticks, at least, where there is room for so few
+const TICKS_APART = 60; // px between ticks, about
 const QUARTER = Math.PI / 2;
 const IN_ROW = "x (mm)"; // where the window is low, after the ticks
 
@@ -29,9 +30,7 @@ export function paintTissue(context) {
     context.fillRect(Math.round(from) - 0.5, top, number === 1 ? 1.5 : 1, height);
   }
   const axis = Math.round(toPy(0)) + 0.5;
-  context.setLineDash([5, 4]);
-  segments(context, [[[left, axis], [left + width, axis]]], palette.quiet, 1);
-  context.setLineDash([]);
+  polyline(context, [[[left, axis], [left + width, axis]]], palette.quiet, 1, [5, 4]);
 }
 
 /** The layers that are in the window: their edges (px), shades and numbers. */
@@ -91,9 +90,8 @@ export function paintFrame(context, name) {
   context.strokeRect(left - 0.5, top - 0.5, width + 1, height + 1);
   context.fillStyle = palette.label;
   setFont(context, "small", "right");
-  const scale = view.scale * view.magnified;
-  const across = ticks(fromPy(bottom), fromPy(top), scale, height).map((y) => [y, Math.round(toPy(y)) + 0.5]);
-  segments(context, across.map(([, py]) => [[left - TICK, py], [left, py]]), palette.quiet, 1);
+  const across = ticks(fromPy(bottom), fromPy(top), Math.max(height / TICKS_APART, 2)).map((y) => [y, Math.round(toPy(y)) + 0.5]);
+  polyline(context, across.map(([, py]) => [[left - TICK, py], [left, py]]), palette.quiet, 1);
   for (const [y, py] of across) context.fillText(written(y), left - TICK - 2, py);
   context.textAlign = "center";
   turned(context, 11, top + height / 2, QUARTER, () => context.fillText(name, 0, 0));
@@ -108,19 +106,12 @@ export function paintAxes(context) {
   paintNames(context);
 
   setFont(context, "small", "center", "top");
-  const along = ticks(fromPx(left), fromPx(left + width), view.scale, width).map((x) => [x, Math.round(toPx(x)) + 0.5]);
-  segments(context, along.map(([, px]) => [[px, bottom], [px, bottom + TICK]]), palette.quiet, 1);
+  const along = ticks(fromPx(left), fromPx(left + width), width / TICKS_APART).map((x) => [x, Math.round(toPx(x)) + 0.5]);
+  polyline(context, along.map(([, px]) => [[px, bottom], [px, bottom + TICK]]), palette.quiet, 1);
   const end = left + width - (view.low ? context.measureText(IN_ROW).width + APART : 0);
   for (const [x, px] of along) if (px < end - APART || !view.low) context.fillText(written(x), px, bottom + TICK + 2);
   if (view.low) context.fillText(IN_ROW, (end + APART + left + width) / 2, bottom + TICK + 2);
   else context.fillText("x along the entry (mm)", left + width / 2, bottom + 26);
-}
-
-/** Ticks along so many px at a scale in px per mm; their step is rounded down, by 2.5 at most. */
-function ticks(low, high, scale, length) {
-  const step = roundStep((2.5 * Math.min(TICKS_APART, length / 6)) / scale);
-  const first = Math.ceil(low / step);
-  return Array.from({ length: Math.max(Math.floor(high / step) - first + 1, 0) }, (_, i) => (first + i) * step);
 }
 
 const written = (value) => brief(value, 6).replace("-", "−");

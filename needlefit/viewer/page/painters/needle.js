@@ -1,15 +1,15 @@
 /** The needle, what holds it, and what the tissue puts on its shaft. */
 
+import { bisect, max, tickStep } from "d3-array";
 import { basePlace, bevelPlace, guidePlace } from "../handles.js";
-import { brief, heightAt, roundStep, shortName, smooth } from "../quantities.js";
+import { brief, shortName } from "../quantities.js";
 import { now, tipForce } from "../store.js";
 import { toPx, toPy, view } from "../view.js";
-import { arrow, avoid, cross, faintly, label, labelFree, line, palette, placesOf, polygon, reserve, ring, segments, setFont, stroke, trace, turned } from "./strokes.js";
+import { arrow, avoid, cross, faintly, label, labelFree, line, palette, placesOf, polygon, polyline, reserve, ring, setFont, turned } from "./strokes.js";
 
 const LINE = 2.5; // px, of the needle: its width stands in the inset
 const CROSS = { of: 0.28, least: 1, most: 3.2 }; // half a cross: part of the spacing, px
 const BEVEL = { length: 7.5, half: 1.5 }; // px
-const HANDLE = 7; // px
 const GAP = 3; // px between the axis of the needle and a guide
 const LOWEST = 16; // px, of the load's curve
 const tallest = () => Math.min(48, 0.2 * view.box.height - 10); // px, of that and of the force's arrow: both have room above the needle
@@ -17,8 +17,6 @@ const SHORTEST = 5; // px, of the arrow of a force; a shorter one is not drawn
 const LEAST_FORCE = 0.5; // N, for which an arrow may be the tallest
 const LEAST_LOAD = 1e-6; // N/mm; less is drawn as nothing
 
-let perLoad = null; // px per N/mm
-let greatestForce = { scene: null, newton: 0 }; // on the tip of this scene so far: arrows of its forces have one scale
 const distance = (one, other) => Math.hypot(one[0] - other[0], one[1] - other[1]);
 
 /** The shaft on the canvas (px), which ends before the tip, where the bevel begins; its colour: outside the model it looks different. */
@@ -36,11 +34,7 @@ function describeShaft({ x, y, faults }) {
 /** Draw the shaft, and the bevel, whose point lies where it turns the cut to. */
 export function paintNeedle(context, state) {
   const { shaft, tip, outside, shown } = describeShaft(state);
-  trace(context, shaft);
-  context.lineCap = "butt";
-  context.setLineDash(outside ? [9, 5] : []);
-  stroke(context, shown, LINE);
-  context.setLineDash([]);
+  polyline(context, [shaft], shown, LINE, outside ? [9, 5] : []);
   // The cut face is drawn as a line of its own: it looks away from the side of the point.
   const [end, { half }, { side }] = [shaft.at(-1), BEVEL, state.bevel];
   const size = distance(end, tip) || 1;
@@ -48,7 +42,7 @@ export function paintNeedle(context, state) {
   const at = ([px, py], to) => [px + to * dy * half, py - to * dx * half]; // canvas y runs downwards
   const [back, near, point] = [at(end, -side), at(end, side), at(tip, side)];
   polygon(context, [back, near, point], palette.needle);
-  segments(context, [[back, point]], palette.tip, 2);
+  polyline(context, [[back, point]], palette.tip, 2);
 }
 
 /** Keep labels off the needle, the crosses, the bevel's knob and the arrow of the tip force. */
@@ -62,20 +56,17 @@ export function reserveNeedle(state) {
 
 /** Length of the arrow of the tip force, px, up if positive. */
 function arrowLength() {
-  const force = tipForce() ?? 0;
-  if (greatestForce.scene !== now.scene) greatestForce = { scene: now.scene, newton: LEAST_FORCE };
-  greatestForce.newton = Math.max(greatestForce.newton, Math.abs(force));
-  return (tallest() * force) / greatestForce.newton;
+  const { y } = now.forces;
+  return (tallest() * (tipForce() ?? 0)) / Math.max(LEAST_FORCE, max(y, Math.abs) ?? 0); // one scale along the way
 }
 
-/** Draw the knob on the side to which the bevel turns the cut, and whether the tip is held. */
-export function paintTip(context, state) {
+/** Draw the knob on the side to which the bevel turns the cut. */
+export function paintBevel(context, state) {
   const { tip, turn } = bevelPlace(state);
-  segments(context, [[tip, turn]], palette.tip, 1.5);
+  polyline(context, [[tip, turn]], palette.tip, 1.5);
   ring(context, ...turn, 6, palette.air, palette.tip);
   setFont(context, "small");
   labelFree(context, "bevel", [[turn[0] + 29, turn[1]], [turn[0], turn[1] - 18 * state.bevel.side]], palette.tip);
-  if (state.tip.held) ring(context, ...tip, 11, palette.tip, "transparent");
 }
 
 /** Draw the tip force as an arrow along y; of a needle in space it does not lie in the picture. */
@@ -93,52 +84,35 @@ export function paintTipForce(context, { tip, z }) {
 
 export const paintPath = (context, { tip_path: [x, y] }) => line(context, x, y, palette.path, 1.5);
 
-/** Draw where the tip stood at the depth (mm) that is marked in the strip. */
-export function paintMark(context, { depth_mm: depth, depths, tip, tip_path: [x, y] }, at) {
-  if (at > depth) return;
-  const read = (places) => heightAt({ x: [...depths, depth], y: places }, at);
-  const [px, py] = [toPx(read([...x, tip.x])), toPy(read([...y, tip.y]))];
-  ring(context, px, py, 5, palette.accent, palette.air);
-}
-
 /** Draw the points that hold the needle in the tissue, as crosses. */
 export function paintPoints(context, { constraints: [x, y] }) {
   const half = Math.min(Math.max(CROSS.of * now.scene.spacing_mm * view.scale, CROSS.least), CROSS.most);
   const crosses = placesOf(x, y).flatMap((place) => cross(...place, half, true));
-  segments(context, crosses, palette.points, half > 2 ? 1.4 : 1);
+  polyline(context, crosses, palette.points, half > 2 ? 1.4 : 1);
 }
 
-/** Draw the hub, the rail along which the stage moves it, and the ring that turns it. */
+/** Draw the hub, and the rail along which the stage moves it. */
 export function paintBase(context, state) {
-  const { place: [px, py], turn, angle } = basePlace(state);
-  segments(context, [[[px, py - 46], [px, py + 46]]], palette.quiet, 2);
-  segments(context, [-46, 46].map((to) => [[px - 5, py + to], [px + 5, py + to]]), palette.quiet, 2);
-  segments(context, [[[px, py], turn]], palette.ink, 1.5);
-  turned(context, px, py, angle, () => box(context, -22, -7, 26, 14, 4, palette.ink));
-  ring(context, ...turn, HANDLE, palette.ink, palette.air);
+  const { place: [px, py], angle } = basePlace(state);
+  const ends = [-46, 46].map((to) => [[px - 5, py + to], [px + 5, py + to]]);
+  polyline(context, [[[px, py - 46], [px, py + 46]], ...ends], palette.quiet, 2);
+  turned(context, px, py, angle, () => box(context, -22, -7, 26, 14, palette.ink));
 }
 
-function box(context, px, py, width, height, radius, fill) {
-  context.fillStyle = fill;
-  context.beginPath();
-  context.roundRect(px, py, width, height, radius);
-  context.fill();
-}
+const box = (context, px, py, width, height, shade) =>
+  polygon(context, [[px, py], [px + width, py], [px + width, py + height], [px, py + height]], shade);
 
 /** Draw each guide: two jaws along its direction if it clamps, two points if the needle turns in it. */
 export function paintGuides(context, { guides }) {
   for (const guide of guides) {
-    const { place, turn, angle } = guidePlace(guide);
-    const clamps = !guide.turns_freely;
-    if (clamps) segments(context, [[place, turn]], palette.guide, 1.5);
+    const { place, angle } = guidePlace(guide);
     turned(context, ...place, angle, () => {
       for (const to of [-1, 1]) {
         const from = GAP * to;
-        if (clamps) box(context, -13, Math.min(from, from + 7 * to), 26, 7, 2, palette.guide);
+        if (!guide.turns_freely) box(context, -13, Math.min(from, from + 7 * to), 26, 7, palette.guide);
         else polygon(context, [[0, from], [-7, from + 11 * to], [7, from + 11 * to]], palette.guide);
       }
     });
-    if (clamps) ring(context, ...turn, HANDLE, palette.guide, palette.air);
   }
   writeNames(context, guides);
 }
@@ -166,30 +140,37 @@ export function paintLoad(context, { load: { x, y, n_per_mm: values } }) {
   const greatest = load.reduce((most, one) => Math.max(most, Math.abs(one)), 0);
   if (greatest < LEAST_LOAD || x.length < 2) return;
   // The scale stays while the curve is neither too tall nor too low: a load that grows shall look so.
-  const height = greatest * (perLoad ?? 0);
-  if (height > tallest() || height < Math.min(LOWEST, tallest() / 3)) perLoad = (0.75 * tallest()) / (2 * roundStep(greatest));
+  const height = greatest * view.per_load;
+  if (height > tallest() || height < Math.min(LOWEST, tallest() / 3)) view.per_load = (0.75 * tallest()) / (2 * tickStep(0, greatest, 1));
   const [px, py] = [x.map(toPx), y.map(toPy)];
-  const [surface, ends] = [0, perLoad].map((scale) => px.map((x, i) => [x, py[i] - load[i] * scale]));
-  // where the load pushes to one side without a break: first point, and one behind the last
-  const starts = load.map((_, i) => i).filter((i) => i === 0 || load[i] * load[i - 1] <= 0);
-  const edges = starts.map((from, n) => {
-    const to = starts[n + 1] ?? load.length;
-    return [surface[from], ...ends.slice(from, to), surface[to - 1]];
+  const [surface, ends] = [0, view.per_load].map((scale) => px.map((x, i) => [x, py[i] - load[i] * scale]));
+  faintly(context, 0.32, () => polygon(context, [...surface, ...ends.toReversed()], palette.load));
+  polyline(context, [[surface[0], ...ends, surface.at(-1)]], palette.load, 1.25);
+}
+
+/** The mean of a load over so many mm to either side of each of its places; less at the ends. */
+function smooth(x, load, reach) {
+  const sums = [0]; // of the load up to each place, trapezia
+  for (let i = 1; i < x.length; i += 1) sums.push(sums[i - 1] + ((load[i] + load[i - 1]) / 2) * (x[i] - x[i - 1]));
+  const sumTo = (at) => {
+    const i = bisect(x, at); // the first place beyond
+    if (i === 0 || i === x.length) return sums.at(i - 1) * Math.sign(i);
+    const part = (at - x[i - 1]) / (x[i] - x[i - 1]);
+    return sums[i - 1] + (load[i - 1] + (part * (load[i] - load[i - 1])) / 2) * (at - x[i - 1]);
+  };
+  return x.map((at, i) => {
+    const half = Math.min(reach, at - x[0], x.at(-1) - at);
+    return half > 0 ? (sumTo(at + half) - sumTo(at - half)) / (2 * half) : load[i];
   });
-  trace(context, ...edges.map((edge, n) => [...edge, ...surface.slice(starts[n], starts[n + 1] ?? load.length).reverse()]));
-  context.fillStyle = palette.load;
-  faintly(context, 0.32, () => context.fill());
-  trace(context, ...edges);
-  stroke(context, palette.load, 1.25);
 }
 
 /** The length of a round load, at the upper left, outside the window. */
 export function paintKey(context) {
-  if (!perLoad) return;
-  const size = roundStep(30 / perLoad);
-  const [px, height] = [7, size * perLoad];
+  if (!view.per_load) return;
+  const size = tickStep(0, 28 / view.per_load, 1);
+  const [px, height] = [7, size * view.per_load];
   const py = view.box.top - 6 - height;
-  segments(context, [[[px, py], [px, py + height]], ...[py, py + height].map((end) => [[px - 3, end], [px + 3, end]])], palette.load, 1.5);
+  polyline(context, [[[px, py], [px, py + height]], ...[py, py + height].map((end) => [[px - 3, end], [px + 3, end]])], palette.load, 1.5);
   setFont(context, "small", "left");
   label(context, `${brief(size)} N/mm`, px + 6, py + height / 2);
 }

@@ -1,29 +1,30 @@
 /** What the needle is compared with and aimed at, and what the picture itself does not show. */
 
+import { extent, range } from "d3-array";
+import { interpolateRgb } from "d3-interpolate";
+import { isDark } from "../dom.js";
 import { heightAt, isChanged, isSteered, predictionOf } from "../quantities.js";
 import { now } from "../store.js";
 import { toPx, toPy, view } from "../view.js";
-import { cross, faintly, fillBetween, isFree, label, labelBeside, labelFree, line, palette, placesOf, reserve, segments, setFont, stroke } from "./strokes.js";
+import { cross, faintly, fillBetween, haloed, isFree, label, labelBeside, labelFree, line, palette, placesOf, polygon, polyline, reserve, setFont } from "./strokes.js";
 
 const GAPS = 12; // parts of the shaft between which gaps are drawn
 const FAN = 0.3; // opacity of the plan's draws
 const CROSS = 5; // px
+const CORNERS = 72; // of a circle, which is an ellipse where y is drawn larger
 const AWAY = 19; // px, of the tip error from the needle
 const INSET = { width: 170, height: 46, edge: 10, title: 14 }; // px
 const CLEAR = 30; // px between the inset and curves, for load and crosses
 
-/** Draw the measured needle, over a halo that sets it off from the needle and from a scan. */
-export function paintMeasured(context, { x, y }) {
-  context.lineCap = "round";
-  line(context, x, y, palette.halo, 4);
-  line(context, x, y, palette.measured, 2, [7, 4]);
-  context.lineCap = "butt";
-  nameLine(context, "measured", { x, y }, palette.measured);
+/** Draw the measured needle. */
+export function paintMeasured(context, curve) {
+  haloed(context, curve, palette.measured, 2, [7, 4]);
+  nameLine(context, "measured", curve, palette.measured);
 }
 
 /** Name a line at its end. */
-function nameLine(context, name, { x, y }, colour) {
-  labelBeside(context, name, [[[x, y], 16], [[x, y], -16]], colour);
+function nameLine(context, name, curve, shade) {
+  labelBeside(context, name, [[curve, 16], [curve, -16]], shade);
 }
 
 /** Name the needle beside another one: it is steered, or has the parameters of the scene. */
@@ -33,16 +34,15 @@ export function nameNeedle(context, state) {
 }
 
 /** Draw the pinned needle: what the needle is compared with. */
-export function paintPinned(context, { x, y }) {
-  line(context, x, y, palette.halo, 5);
-  line(context, x, y, palette.ghost, 2.5, [2, 3]);
-  labelBeside(context, "pinned", [[[x, y], -18], [[x, y], 18]], palette.ghost);
+export function paintPinned(context, pinned) {
+  haloed(context, pinned, palette.ghost, 2.5, [2, 3]);
+  nameLine(context, "pinned", pinned, palette.ghost);
 }
 
 /** State that the band is not that of the parameters shown. */
 export function nameBand(context, { x, low, high }) {
   if (!isChanged(now.state, now.scene)) return;
-  labelBeside(context, "band of the fit", [[[x, high], -14], [[x, low], 14]], palette.band);
+  labelBeside(context, "band of the fit", [[{ x, y: high }, -14], [{ x, y: low }, 14]], palette.band);
 }
 
 const BAND_REACH = 2; // mm
@@ -62,9 +62,18 @@ export function paintBand(context, { x, low, high }, pale) {
 export function paintPrediction(context, state) {
   const prediction = predictionOf(state, now.scene);
   if (!prediction) return;
-  line(context, prediction.x, prediction.y, palette.halo, 4.5);
-  line(context, prediction.x, prediction.y, palette.accent, 2.5);
-  labelBeside(context, "prediction", [[[prediction.x, prediction.y], -16], [[prediction.x, prediction.y], 16]], palette.accent);
+  haloed(context, prediction, palette.accent, 2.5);
+  nameLine(context, "prediction", prediction, palette.accent);
+}
+
+/** A colour of a line on paper, as it is on a dark page. */
+export const lighten = (shade) => interpolateRgb(shade, "#ffffff")(0.4);
+
+/** Draw the needles of the methods that are chosen in the table. */
+export function paintMethods(context) {
+  for (const { key, x, y, colour } of now.needle?.methods ?? []) {
+    if (x && now.curves.has(key)) haloed(context, { x, y }, isDark() ? lighten(colour) : colour, 2);
+  }
 }
 
 /** Draw what the errors are: the gap at the tip (TE), and gaps along the shaft, whose mean is the IPE. */
@@ -77,7 +86,7 @@ export function paintGaps(context, state, measured) {
   const reach = Math.min(tip.x, measured.x.at(-1));
   const places = Array.from({ length: GAPS - 1 }, (_, n) => (reach * (n + 1)) / GAPS);
   const gaps = places.map((x) => [needle, measured].map((curve) => [toPx(x), toPy(heightAt(curve, x))]));
-  segments(context, gaps, palette.gap, 1.25);
+  polyline(context, gaps, palette.gap, 1.25);
   const [x, y] = errors.whole ? [measured.x.at(-1), measured.y.at(-1)] : [reach, heightAt(measured, reach)];
   const end = errors.whole ? [tip.x, tip.y] : [reach, heightAt(needle, reach)];
   for (const [shown, width] of [[palette.halo, 5], [palette.gap, 2.5]]) line(context, [x, end[0]], [y, end[1]], shown, width);
@@ -96,29 +105,29 @@ export function paintPlan(context, { target: [x, y], radius, obstacles, needles 
   });
   for (const [at, across, size, name] of obstacles) paintCircle(context, at, across, size, palette.tip, name, 0.28);
   paintCircle(context, x, y, radius, palette.guide, "target");
-  segments(context, cross(toPx(x), toPy(y), CROSS), palette.guide, 2);
+  polyline(context, cross(toPx(x), toPy(y), CROSS), palette.guide, 2);
 }
 
-function paintCircle(context, x, y, radius, shown, name, opacity = 0) {
+function paintCircle(context, x, y, radius, shade, name, opacity = 0) {
   const [px, py, across] = [toPx(x), toPy(y), radius * view.scale];
-  context.beginPath();
-  context.ellipse(px, py, across, across * view.magnified, 0, 0, 2 * Math.PI);
-  context.fillStyle = shown;
-  faintly(context, opacity, () => context.fill());
-  stroke(context, palette.halo, 4);
-  stroke(context, shown, 2);
+  const edge = range(0, CORNERS + 1).map((n) => (2 * Math.PI * n) / CORNERS)
+    .map((angle) => [px + across * Math.cos(angle), py + across * view.magnified * Math.sin(angle)]);
+  faintly(context, opacity, () => polygon(context, edge, shade));
+  polyline(context, [edge], palette.halo, 4);
+  polyline(context, [edge], shade, 2);
   if (px < view.box.left || px > view.box.left + view.box.width) return;
   setFont(context, "strong");
   const sides = [[px, toPy(y + radius) - 12], [px, toPy(y - radius) + 12]];
   if (now.state.bevel.side > 0) sides.reverse(); // the knob of the bevel is on the other one
-  labelFree(context, name, sides, shown);
+  labelFree(context, name, sides, shade);
 }
 
 /** Draw the inserted part of the needle with y as large as x and its width, in a corner where nothing else is; else nowhere. */
 export function paintInset(context, { x, y, tip }) {
   if (tip.x <= 0) return;
   const { left, top, width, height } = view.box;
-  const curves = [{ x, y }, now.scene.measured, now.band && { x: now.band.x, y: now.band.low }, now.band && { x: now.band.x, y: now.band.high }];
+  const { band, scene } = now;
+  const curves = [{ x, y }, scene.measured, band && { x: band.x, y: band.low }, band && { x: band.x, y: band.high }];
   const places = curves.flatMap((one) => (one ? placesOf(one.x, one.y) : []));
   const wide = Math.min(INSET.width, 0.36 * width);
   const empty = ([px, py]) => isFree([px, py, wide, INSET.height]) && places.every(([cx, cy]) =>
@@ -127,20 +136,18 @@ export function paintInset(context, { x, y, tip }) {
   const columns = [left + INSET.edge, left + width - wide - INSET.edge];
   const corner = rows.flatMap((py) => columns.map((px) => [px, py])).find(empty);
   if (!corner) return;
-  const [px, py] = corner;
+  const [px, py] = corner.map((one) => Math.round(one) + 0.5);
   reserve(px, py, wide, INSET.height);
-  context.fillStyle = palette.air;
-  context.fillRect(px, py, wide, INSET.height);
-  context.strokeStyle = palette.quiet;
-  context.lineWidth = 1;
-  context.strokeRect(px + 0.5, py + 0.5, wide - 1, INSET.height - 1);
-  const inserted = y.filter((_, i) => x[i] >= 0);
-  const [low, high] = [Math.min(...inserted), Math.max(...inserted)];
-  const scale = Math.min((wide - 2 * INSET.edge) / Math.max(now.scene.depth_mm, now.state.depth_mm, 1), (INSET.height - INSET.title - 6) / (high - low || 1));
+  const frame = [[px, py], [px + wide, py], [px + wide, py + INSET.height], [px, py + INSET.height], [px, py]];
+  polygon(context, frame, palette.air);
+  polyline(context, [frame], palette.quiet, 1);
+  const inserted = x.map((one, i) => [one, y[i]]).filter(([one]) => one >= 0);
+  const [low, high] = /** @type {[number, number]} */ (extent(inserted, ([, one]) => one));
+  const room = [wide - 2 * INSET.edge, INSET.height - INSET.title - 6];
+  const scale = Math.min(room[0] / Math.max(scene.depth_mm, now.state.depth_mm, 1), room[1] / (high - low + scene.diameter_mm));
   const middle = py + (INSET.height + INSET.title) / 2;
-  context.beginPath();
-  x.forEach((one, i) => one >= 0 && context.lineTo(px + INSET.edge + one * scale, middle - (y[i] - (low + high) / 2) * scale));
-  stroke(context, palette.needle, Math.max(now.scene.diameter_mm * scale, 1));
+  const drawn = inserted.map(([one, across]) => [px + INSET.edge + one * scale, middle - (across - (low + high) / 2) * scale]);
+  polyline(context, [drawn], palette.needle, Math.max(scene.diameter_mm * scale, 1));
   setFont(context, "small", "left", "top");
   label(context, "true scale", px + 6, py + 4);
 }

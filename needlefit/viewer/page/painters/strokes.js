@@ -1,14 +1,17 @@
-/** Colours, lines and shapes on the canvas, given in mm or px. */
+/** Colours, lines, shapes and labels on the canvas, given in mm or px. */
 
+import { area, line as makeLine } from "d3-shape";
+import { interpolateRgb } from "d3-interpolate";
 import { colour } from "../dom.js";
 import { now } from "../store.js";
-import { toPx, toPy, view } from "../view.js";
+import { toPx, toPy } from "../view.js";
 
 const NAMES = [
   "air", "gutter", "ink", "quiet", "edge", "needle", "points", "path", "tip", "guide", "load",
   "measured", "band", "ghost", "plan", "gap", "bad", "halo", "soft", "stiff", "label", "accent",
 ];
-const FONTS = { small: "11px system-ui, sans-serif", plain: "12px system-ui, sans-serif", strong: "600 12px system-ui, sans-serif" };
+const FAMILY = "Arial, 'Liberation Sans', Helvetica, sans-serif"; // of one width everywhere, also in a saved figure
+const FONTS = { small: `11px ${FAMILY}`, plain: `12px ${FAMILY}`, strong: `600 12px ${FAMILY}` };
 
 /** Colours by name, as the style sheet has them for light and for dark; read anew when the reader's scheme changes. */
 export const palette = {};
@@ -22,16 +25,17 @@ export function shades(layers) {
   const stiffness = layers.map(({ mu_pa: mu }) => Math.log10(mu));
   const least = Math.min(...stiffness);
   const decades = Math.max(Math.max(...stiffness) - least, 1);
-  return stiffness.map((one) => between(palette.soft, palette.stiff, (one - least) / decades));
+  return stiffness.map((one) => interpolateRgb(palette.soft, palette.stiff)((one - least) / decades));
 }
 
-/** A colour between two, given as #rrggbb. */
-export function between(one, other, share) {
-  const parts = [1, 3, 5].map((at) => {
-    const [low, high] = [one, other].map((colour) => parseInt(colour.slice(at, at + 2), 16));
-    return Math.round(low + share * (high - low));
-  });
-  return `rgb(${parts.join(" ")})`;
+/** Draw what lies within a box, px. */
+export function within(context, { left, top, width, height }, draw) {
+  context.save();
+  context.beginPath();
+  context.rect(left, top, width, height);
+  context.clip();
+  draw();
+  context.restore();
 }
 
 export function faintly(context, opacity, draw) {
@@ -41,59 +45,54 @@ export function faintly(context, opacity, draw) {
 }
 
 /** Draw the current path as a line. */
-export function stroke(context, colour, width) {
-  context.strokeStyle = colour;
+export function stroke(context, shade, width, dash = []) {
+  context.strokeStyle = shade;
   context.lineWidth = width;
+  context.setLineDash(dash);
   context.stroke();
+  context.setLineDash([]);
 }
 
-/** Make the current path from lines through places (px). */
-export function trace(context, ...lines) {
+/** Draw lines through places (px). */
+export function polyline(context, lines, shade, width, dash = []) {
   context.beginPath();
-  for (const places of lines) places.forEach(([px, py], i) => (i ? context.lineTo(px, py) : context.moveTo(px, py)));
+  for (const places of lines) makeLine().context(context)(places);
+  stroke(context, shade, width, dash);
+}
+
+/** Fill a shape between corners (px). */
+export function polygon(context, corners, shade) {
+  context.beginPath();
+  makeLine().context(context)(corners);
+  context.fillStyle = shade;
+  context.fill();
 }
 
 /** Draw an arrow, which always means a force: from a place (px) along y by so many px, up if positive. */
-export function arrow(context, [px, py], length, colour) {
+export function arrow(context, [px, py], length, shade) {
   const [end, head] = [py - length, 8 * Math.sign(length)];
-  segments(context, [[[px, py], [px, end + head]]], colour, 2.5);
-  polygon(context, [[px - 5, end + head], [px, end], [px + 5, end + head]], colour);
+  polyline(context, [[[px, py], [px, end + head]]], shade, 2.5);
+  polygon(context, [[px - 5, end + head], [px, end], [px + 5, end + head]], shade);
 }
 
 /** The places (px) of points (mm). */
 export const placesOf = (x, y) => x.map((one, i) => [toPx(one), toPy(y[i])]);
 
 /** Draw a line along points (mm). */
-export function line(context, x, y, colour, width, dash = []) {
-  context.setLineDash(dash);
-  trace(context, placesOf(x, y));
-  stroke(context, colour, width);
-  context.setLineDash([]);
+export const line = (context, x, y, shade, width, dash = []) => polyline(context, [placesOf(x, y)], shade, width, dash);
+
+/** Draw a line along points (mm) over a halo that sets it off from what lies behind. */
+export function haloed(context, { x, y }, shade, width, dash = []) {
+  line(context, x, y, palette.halo, width + 2);
+  line(context, x, y, shade, width, dash);
 }
 
 /** Fill what lies between two curves over the same x (mm). */
-export function fillBetween(context, x, low, high, colour) {
-  trace(context, [...placesOf(x, low), ...placesOf(x, high).reverse()]);
-  context.closePath();
-  context.fillStyle = colour;
-  context.fill();
-}
-
-export function polygon(context, corners, colour) {
-  context.fillStyle = colour;
+export function fillBetween(context, x, low, high, shade) {
   context.beginPath();
-  for (const corner of corners) context.lineTo(...corner);
+  area().x((_, i) => toPx(x[i])).y0((_, i) => toPy(low[i])).y1((_, i) => toPy(high[i])).context(context)(x);
+  context.fillStyle = shade;
   context.fill();
-}
-
-/** Draw straight lines between pairs of places (px). */
-export function segments(context, pairs, colour, width) {
-  context.beginPath();
-  for (const [from, to] of pairs) {
-    context.moveTo(...from);
-    context.lineTo(...to);
-  }
-  stroke(context, colour, width);
 }
 
 /** The two lines of a cross about a place (px), upright or oblique. */
@@ -125,59 +124,56 @@ export function setFont(context, font, align = "center", baseline = "middle") {
 }
 
 /** Write on the picture, set off from what lies behind. */
-export function label(context, text, px, py, colour = palette.label) {
+export function label(context, text, px, py, shade = palette.label) {
   context.strokeStyle = palette.halo;
   context.lineWidth = 4;
   context.strokeText(text, px, py);
-  context.fillStyle = colour;
+  context.fillStyle = shade;
   context.fillText(text, px, py);
 }
 
-const LINE = 16; // px, height of a label
-let [boxes, avoided] = [[], []]; // what is written in this frame, and what else no label may lie on, px: [left, top, width, height]
+// ---- labels that do not overlap: what is written in this frame, and what else no label may lie on, px: [left, top, width, height]
 
-export function clearBoxes() {
-  [boxes, avoided] = [[], []];
-  now.labels = boxes;
-}
+const LINE = 16; // px, height of a label
+const SHARES = [1, 0.8, 0.6, 0.4]; // of a curve, where its label may stand
+
+export const clearLabels = () => Object.assign(now, { labels: [], avoided: [] });
 const overlap = ([x, y, w, h], [x2, y2, w2, h2]) => x < x2 + w2 && x2 < x + w && y < y2 + h2 && y2 < y + h;
-export const isFree = (box) => !boxes.some((one) => overlap(one, box));
-export const reserve = (...box) => boxes.push(box);
+export const isFree = (box) => !now.labels.some((one) => overlap(one, box));
+export const reserve = (...box) => now.labels.push(box);
 
 /** Keep labels off a line (px) where there is room for them elsewhere. */
 export function avoid(places) {
   for (const [px, py] of places) {
-    const [left, top] = avoided.at(-1) ?? [-Infinity, 0];
-    if (Math.hypot(px - 4 - left, py - 4 - top) > 8) avoided.push([px - 4, py - 4, 8, 8]);
+    const [left, top] = now.avoided.at(-1) ?? [-Infinity, 0];
+    if (Math.hypot(px - 4 - left, py - 4 - top) > 8) now.avoided.push([px - 4, py - 4, 8, 8]);
   }
 }
 
 /** Write a label at the first of some places (px, its middle) that is free, inside the window; else nowhere. */
-export function labelFree(context, text, places, colour) {
-  const { left, top, width, height } = view.box;
+export function labelFree(context, text, places, shade) {
+  const { left, top, width, height } = now.view.box;
   const wide = context.measureText(text).width + 6;
-  const within = (value, low, high) => Math.max(low, Math.min(value, high));
+  const limit = (value, low, high) => Math.max(low, Math.min(value, high));
   const free = places.map(([px, py]) =>
-    [within(px - wide / 2, left + 2, left + width - wide - 2), within(py - LINE / 2, top + 2, top + height - LINE - 2), wide, LINE]).filter(isFree);
-  const box = free.find((one) => !avoided.some((other) => overlap(one, other))) ?? free[0];
+    [limit(px - wide / 2, left + 2, left + width - wide - 2), limit(py - LINE / 2, top + 2, top + height - LINE - 2), wide, LINE]).filter(isFree);
+  const box = free.find((one) => !now.avoided.some((other) => overlap(one, other))) ?? free[0];
   if (!box) return;
-  boxes.push(box);
+  reserve(...box);
   context.textAlign = "center";
   context.textBaseline = "middle";
-  label(context, text, box[0] + wide / 2, box[1] + LINE / 2, colour);
+  label(context, text, box[0] + wide / 2, box[1] + LINE / 2, shade);
 }
 
-const SHARES = [1, 0.8, 0.6, 0.4]; // of a curve, where its label may stand
-
-/** Write a label beside curves: pairs of points [x, y] (mm), and how far below them (px), above if negative. */
-export function labelBeside(context, text, sides, colour) {
+/** Write a label at the end of curves {x, y} (mm), or beside them: each with how far below it (px), above if negative. */
+export function labelBeside(context, text, sides, shade) {
   setFont(context, "strong");
   const half = context.measureText(text).width / 2;
-  const curves = sides.map(([points, away]) => [placesOf(...points), away]);
+  const curves = sides.map(([{ x, y }, away]) => [placesOf(x, y), away]);
   for (const [places] of curves) avoid(places);
   const beside = SHARES.flatMap((share) => curves.flatMap(([places, away]) => {
     const [px, py] = places[Math.round(share * (places.length - 1))];
     return [0, -half, half].map((aside) => [px + aside, py + away]);
   }));
-  labelFree(context, text, beside, colour);
+  labelFree(context, text, beside, shade);
 }
