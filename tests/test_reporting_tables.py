@@ -83,8 +83,8 @@ def test_baselines_are_compared_on_the_same_insertions():
 
 def test_the_validation_table_has_every_cell_of_the_paper():
     published = paper.read_published_table("validation")
-    table = tabulate_validation(*(study(n) for n in range(1, 6)))
-    groups = list_groups(table)
+    runs = [study(n) for n in range(1, 6)]
+    table, groups = tabulate_validation(*runs), [group for run in runs for group in list_groups(run)]
     assert table.drop_duplicates(["study", "medium", "layers", "method", "boundaries", "metric"]).equals(
         table
     )
@@ -197,3 +197,12 @@ def test_numbers_are_bound_to_their_units(words, bound):
 )
 def test_a_number_has_the_digits_that_its_error_supports(value: float, error: float | None, text: str):
     assert format_to_error(value, error) == text
+
+
+def test_what_is_found_of_a_run_is_computed_once_and_anew_of_another_one():
+    run = two_needles((1.0, 3.0))
+    table = compare_methods(run, "validate")
+    assert compare_methods(run, "validate") is table
+    assert compare_methods(run, "tune") is not table
+    worse = run.with_frames(errors=run.frames["errors"].assign(te_mm=9.0))
+    assert list(compare_methods(worse, "validate")["te_mm"]) == [9.0]

@@ -87,6 +87,7 @@ class Execution:
         """
         from needlefit.studies.job import Inputs, Settings
         from needlefit.studies.kind import kind_of
+        from needlefit.studies.result_sources import store_sources
 
         asked = self.invocation
         with show_progress(asked.quiet) as report:
@@ -103,7 +104,9 @@ class Execution:
                 file=file,
                 inputs=self.inputs or Inputs(),
             )
-            return kind_of(record).run(name, record, settings)
+            run: Run = kind_of(record).run(name, record, settings)
+        sources = store_sources(self.sources.get(name, ()), self.folder(name))
+        return replace(run, timing={**run.timing, **sources})
 
     def run_kind(self, kind: str, name: str, **options: object) -> "Run":
         """Run the study of a kind that options describe, and write its folder.
@@ -121,13 +124,10 @@ class Execution:
 
     def write(self, run: "Run") -> Path:
         from needlefit.studies.report import write_run
-        from needlefit.studies.result_sources import store_sources
 
         with show_progress(self.invocation.quiet) as report:
             report(f"{run.name}: tables, figures and report", 0, 1)
-            folder = self.folder(run.name)
-            sources = store_sources(self.sources.get(run.name, ()), folder)
-            return write_run(replace(run, timing={**run.timing, **sources}), folder)
+            return write_run(run, self.folder(run.name))
 
     def write_reference(self, runs: "Iterable[Run]") -> None:
         """Write the reference results of runs, if wanted: their tables, rounded."""

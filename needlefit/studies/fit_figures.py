@@ -110,7 +110,7 @@ def _list_tip_errors(run: Run, role: str) -> Iterator[Row]:
         rows = frames.select_errors(role, method=key, converged=True)
         for row in to_records(rows[["fold", "insertion", scores.TE]]):
             yield {**row, "curve": forms.TIP_ERROR, "method": key, "name": name}
-    for one in scores.list_held_out_groups(run):
+    for one in scores.list_groups(run):
         if (printed := one.get(scores.TE, "paper")) is not None:
             yield {
                 "curve": forms.TIP_ERROR,

@@ -78,7 +78,7 @@ _HELD_OUT_KINDS = (
 
 def lay_out_validation(*runs: Run) -> TableLayout:
     """Return the errors by held-out group: ours, noise floor, paper."""
-    groups = scores.list_held_out_groups(*runs)
+    groups = [group for run in runs for group in scores.list_groups(run)]
     heads = ("study", "medium", "layers", "insertions")[len(runs) == 1 :]
     blocks = [(one, (*_HELD_OUT_KINDS, _FLOOR, _PAPER)) for one in groups]
     return _lay_out_groups("validation", blocks, heads, medians=_count_medians(runs))
@@ -86,7 +86,7 @@ def lay_out_validation(*runs: Run) -> TableLayout:
 
 def lay_out_tuning(*runs: Run) -> TableLayout:
     """Return the in-sample errors by medium and number of layers."""
-    groups = scores.list_groups(scores.tabulate_tuning(*runs))
+    groups = [group for run in runs for group in scores.list_groups(run, scores.BY_LAYERS)]
     heads = ("study", "medium", "layers", "insertions")[len(runs) == 1 :]
     return _lay_out_groups("tuning", [(one, (_FITTED, _FLOOR, _PAPER)) for one in groups], heads)
 
@@ -99,7 +99,7 @@ def lay_out_summary(run: Run) -> TableLayout:
     own needles.
     """
     frames, fitted_to = FitFrames.of(run), str(run.record.medium)
-    groups = scores.list_held_out_groups(run) or scores.list_groups(scores.tabulate_tuning(run))
+    groups = scores.list_groups(run) or scores.list_groups(run, scores.BY_LAYERS)
     group = groups[0] if len(groups) == 1 else scores.pool_insertions(run, frames.role)
     if group is None:
         return Table("summary", [], ("row",)).lay_out()

@@ -39,7 +39,7 @@ from needlefit.studies.coverage import (
 from needlefit.studies.fit_frames import PREDICTION_METHOD, FitFrames
 from needlefit.studies.outcome import Outcome
 from needlefit.studies.prediction_scores import CURVATURE_CRPS
-from needlefit.studies.run import Run
+from needlefit.studies.run import Run, value_of_run
 from needlefit.studies.scored_groups import TE, ScoredGroup, pool_insertions, select_group
 
 REFERENCES = ("straight", "constant_curvature")  #: the curves that one fit is compared with
@@ -159,6 +159,7 @@ class Judgement:
         return "curve_as_good" if self.outcome.passed is False and self.within_noise else self.outcome.advice
 
 
+@value_of_run
 def judge(run: Run, group: ScoredGroup) -> Judgement | None:
     """Judge the predictions of a group of insertions; None if no simulation of it converged."""
     frames = FitFrames.of(run)
@@ -354,6 +355,7 @@ def find_closest_curve(group: ScoredGroup) -> str | None:
 # ---- checks
 
 
+@value_of_run
 def list_checks(run: Run, role: str = "validate") -> tuple[Finding, ...]:
     """Return the checks of all insertions that are scored together; of a fit of those fitted to."""
     group, found = pool_insertions(run, role), list[Finding]()

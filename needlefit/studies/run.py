@@ -1,10 +1,10 @@
 """The result of a study: tables, draws, verdicts, and what a reader needs to repeat it."""
 
-from collections.abc import Mapping, MutableMapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, wraps
 from pathlib import Path
-from typing import Any, Self, TypeVar
+from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
 import pandas as pd
 
@@ -20,6 +20,8 @@ from needlefit.studies.first_page import FirstPage
 from needlefit.studies.kind import find_kind
 
 Known = TypeVar("Known", bound=RunMetadata)
+Given = ParamSpec("Given")
+Value = TypeVar("Value")
 
 
 def mark_faults(faults: Sequence[RunFault]) -> str:
@@ -86,6 +88,8 @@ class Run:
     faults: tuple[RunFault, ...] = ()
     posteriors: Mapping[str, Posterior] = field(default_factory=dict, repr=False)
     data: DatasetFiles | None = field(default=None, repr=False, compare=False)
+    #: what `value_of_run` keeps: a run with other tables or metadata is another one, and begins without
+    _values: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def run_json(self) -> dict[str, Any]:
@@ -184,3 +188,22 @@ class Run:
 
     def _repr_html_(self) -> str:
         return find_kind(self.kind).report.format_notebook_html(self)
+
+
+def value_of_run(
+    function: Callable[Concatenate[Run, Given], Value],
+) -> Callable[Concatenate[Run, Given], Value]:
+    """Return a function of a run that computes what it returns once: callers do not change it.
+
+    Its further arguments can be hashed.
+    """
+
+    @wraps(function)
+    def find_value(run: Run, /, *args: Given.args, **kwargs: Given.kwargs) -> Value:
+        key = (function, args, tuple(sorted(kwargs.items())))
+        if key not in run._values:
+            run._values[key] = function(run, *args, **kwargs)
+        value: Value = run._values[key]
+        return value
+
+    return find_value

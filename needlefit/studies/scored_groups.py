@@ -17,7 +17,7 @@ from needlefit.reporting.table_files import Row, select_rows, to_records
 from needlefit.schemas.run_metadata import JobMetadata
 from needlefit.schemas.study import DIRECTIONS
 from needlefit.studies.fit_frames import FitFrames, list_methods
-from needlefit.studies.run import Run
+from needlefit.studies.run import Run, value_of_run
 
 AGGREGATE_COLUMNS = ("metric", "value", "floor", "unflagged", "insertions", "edp_flagged", "not_converged")
 
@@ -69,6 +69,7 @@ def count_directions(run: Run) -> int:
     return DIRECTIONS[run.knows(JobMetadata).compared]
 
 
+@value_of_run
 def compare_methods(run: Run, role: str) -> pd.DataFrame:
     """Compare the errors of every method with the fit's on the same insertions and folds of a role.
 
@@ -101,6 +102,7 @@ def compare_methods(run: Run, role: str) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=columns)
 
 
+@value_of_run
 def find_bevel_sides(run: Run) -> dict[str, int]:
     """Return by insertion the side of C's x axis that its bevel faces, +1 or -1; deflections point there.
 
@@ -207,15 +209,6 @@ def tabulate_tuning(*runs: Run) -> pd.DataFrame:
     return _tabulate_groups(runs, BY_LAYERS)
 
 
-def list_groups(table: pd.DataFrame) -> list[ScoredGroup]:
-    """Return the groups of a table of errors, in its order."""
-    found = []
-    for _, group in groupby(to_records(table), key=lambda row: [row[name] for name in _GROUP_COLUMNS]):
-        if (one := _make_group(group)) is not None:
-            found.append(one)
-    return found
-
-
 def _make_group(rows: Iterable[Row], **head: Any) -> ScoredGroup | None:  # noqa: ANN401 - any of its values
     """Return the group of some rows, with what else is known of all; None without rows of the fit."""
     by_place = {(row["method"], row["boundaries"], row["metric"]): row for row in rows}
@@ -228,8 +221,11 @@ def _make_group(rows: Iterable[Row], **head: Any) -> ScoredGroup | None:  # noqa
     )
 
 
-def list_held_out_groups(*runs: Run) -> list[ScoredGroup]:
-    return list_groups(tabulate_validation(*runs))
+@value_of_run
+def list_groups(run: Run, grouping: str = HELD_OUT) -> list[ScoredGroup]:
+    """Return the groups of a run: held out, or by layers, in the order of their first insertions."""
+    rows = groupby(_list_group_rows(run, grouping), key=lambda row: [row[name] for name in _GROUP_COLUMNS])
+    return [group for _, some in rows if (group := _make_group(some)) is not None]
 
 
 def study_label(run: Run) -> str | int:
@@ -244,6 +240,7 @@ def select_group(frame: pd.DataFrame, group: ScoredGroup) -> pd.DataFrame:
     return frame if head.medium is None else select_rows(frame, medium=head.medium, layers=head.layers)
 
 
+@value_of_run
 def pool_insertions(run: Run, role: str = "validate") -> ScoredGroup | None:
     """Return all insertions of a role as one group; None without a fit to them."""
     here = select_rows(run.frames["errors"], role=role)
@@ -259,6 +256,7 @@ def _tabulate_groups(runs: Iterable[Run], grouping: str) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=list(COLUMNS)).astype({"layers": "Int64", "paper_insertions": "Int64"})
 
 
+@value_of_run
 def _list_group_rows(run: Run, grouping: str) -> list[Row]:
     errors = select_rows(run.frames["errors"], role="validate" if grouping == HELD_OUT else "tune")
     table, found = aggregate(errors, ("medium", "layers", "method", "boundaries")), list[Row]()

@@ -25,13 +25,14 @@ from needlefit.studies.identification_tables import lay_out_identification
 from needlefit.studies.kinds.cross_validation.frames import FRAMES, OPTIONAL
 from needlefit.studies.kinds.cross_validation.observed import find_observation_report
 from needlefit.studies.report import StudyReport, list_data_notes
-from needlefit.studies.run import Run
+from needlefit.studies.run import Run, value_of_run
 
 __all__ = ["FRAMES", "OPTIONAL", "REPORT"]
 
 # ---- what the text prints
 
 
+@value_of_run
 def collect_values(run: Run) -> dict[str, Any]:
     """Return what the text prints."""
     frames, stated = FitFrames.of(run), run.knows(FitMetadata)
@@ -110,6 +111,7 @@ def describe_computation(run: Run) -> Computation:
 # ---- tables and figures
 
 
+@value_of_run
 def lay_out_tables(run: Run) -> list[TableLayout]:
     """Return every table of a report, each once."""
     frames = FitFrames.of(run)

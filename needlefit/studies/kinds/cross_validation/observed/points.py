@@ -47,7 +47,7 @@ def judge_errors(run: Run, values: Mapping[str, Any]) -> FirstPage:
         numbers["not_determined"] = ", ".join(undetermined)
         sentence, tables = TEXT.sentence("fitted", words), list[TableLayout]()
     else:
-        groups = scores.list_held_out_groups(run)
+        groups = scores.list_groups(run)
         # where there is one group, all insertions are those of the paper's row
         crps = run.frames["predictive"].reindex(columns=[PREDICTED[score].crps]).mean().item()
         numbers[PREDICTED[score].crps] = None if pd.isna(crps) else float(crps)
