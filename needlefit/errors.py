@@ -58,11 +58,6 @@ class NeedlefitError(Exception):
         tail = [("expected", self.expected), ("fix", self.fix)]
         return printable("\n".join([head, *(f"  {label}: {text}" for label, text in tail if text)]))
 
-    @classmethod
-    def of(cls, text: str) -> Self:
-        """Return the error that is written as it is printed: see `split_message`."""
-        return cls(**split_message(text))
-
     def replace(self, **parts: str | Path) -> Self:
         """Return the same error with some of its parts changed."""
         return type(self)(**vars(self) | parts)
@@ -70,17 +65,6 @@ class NeedlefitError(Exception):
     def at(self, where: str | Path) -> Self:
         """Return the same error at a place that only its catcher knows, such as a file."""
         return self.replace(where=where)
-
-
-def split_message(text: str) -> dict[str, str]:
-    """Return the parts of a message that is written as it is printed: `what` is wrong, then lines with a key.
-
-    The keys are `expected:`, `fix:`, `key:`, `kind:` of a warning, and `where:`, a path or a place in words.
-    Further lines that are indented go on with what stands before them.
-    """
-    parts = re.split(r"\n +(expected|fix|key|kind|where): ", text)
-    what, *more = (re.sub(r"\n +", " ", part) for part in parts)
-    return {"what": what, **dict(zip(more[::2], more[1::2], strict=True))}
 
 
 def printable(text: str) -> str:
@@ -138,11 +122,6 @@ class FitError(NeedlefitError):
     """A fit or a chain cannot start or go on."""
 
     exit_code = 4
-
-
-def refusal(text: str) -> DataError:
-    """Return the error of data, as `NeedlefitError.of`; `located` fills in a place that is left out."""
-    return DataError.of(text)
 
 
 @contextmanager

@@ -50,10 +50,7 @@ def new_workbook(
 
     if file.suffix.lower() != ".xlsx" or file.exists():
         what = "exists already" if file.exists() else f"has the ending {file.suffix!r}"
-        raise ConfigError.of(f"""{what}
-            expected: a new .xlsx
-            fix: choose another name
-            where: {file}""")
+        raise ConfigError(what, expected="a new .xlsx", fix="choose another name", where=file)
     with replace_file(file) as fresh:
         shutil.copyfile(WORKBOOK_FILE, fresh)
     screen.print_line(str(file))

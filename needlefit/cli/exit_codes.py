@@ -110,18 +110,21 @@ def _to_user_error(error: BaseException, invocation: Invocation) -> BaseExceptio
     """Return an error of Python's of which it is known what a user can do, as one that states it."""
     if isinstance(error, OSError):
         advice = _SPACE_ADVICE.get(error.errno or 0, "")
-        return ConfigError.of(f"""cannot be read or written: {error.strerror or error}
-            expected: a place that exists, with space left, that you may read and write
-            fix: {advice or "check the path and its permissions"}, or choose another folder
-            where: {error.filename or (invocation.out if advice else "")}""")
+        return ConfigError(
+            f"cannot be read or written: {error.strerror or error}",
+            expected="a place that exists, with space left, that you may read and write",
+            fix=f"{advice or 'check the path and its permissions'}, or choose another folder",
+            where=error.filename or (invocation.out if advice else ""),
+        )
     if isinstance(error, MemoryError):
-        return ConfigError.of("""there is not enough memory for this
-            expected: inputs and results that fit into the memory of this machine
-            fix: use fewer --jobs, smaller or fewer inputs, or a machine with more memory""")
+        return ConfigError(
+            "there is not enough memory for this",
+            expected="inputs and results that fit into the memory of this machine",
+            fix="use fewer --jobs, smaller or fewer inputs, or a machine with more memory",
+        )
     extra = _EXTRAS.get((getattr(error, "name", None) or "").partition(".")[0])
     if isinstance(error, ModuleNotFoundError) and extra:
-        return ConfigError.of(f"""{error.name} is not installed
-            fix: pip install 'needlefit[{extra}]'""")
+        return ConfigError(f"{error.name} is not installed", fix=f"pip install 'needlefit[{extra}]'")
     return error
 
 

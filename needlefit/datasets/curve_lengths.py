@@ -16,7 +16,7 @@ from needlefit.datasets.faults import Fault
 from needlefit.datasets.insertion import Noise
 from needlefit.datasets.layers import ListedInsertion, find_length_tolerance
 from needlefit.datasets.planes import MAX_NAMED_INSERTIONS
-from needlefit.errors import refusal
+from needlefit.errors import DataError
 from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import ResultWarning
 
@@ -70,11 +70,12 @@ def find_length_faults(listed: Sequence[ListedInsertion], pose: str, depth_colum
     found = [one for one in every if one.is_beyond]
     for one in found:
         cause, fix = _find_cause(one, found, every, f"`{depth_column}`")
-        yield refusal(f"""is {one.length:.2f} mm long, but `{depth_column}` is {one.depth:.2f}.
-                {cause}
-            expected: the inserted length, within {one.limit:.1f} mm
-            fix: {fix}
-            where: {one.listed.points.where()}""")
+        yield DataError(
+            f"is {one.length:.2f} mm long, but `{depth_column}` is {one.depth:.2f}. {cause}",
+            expected=f"the inserted length, within {one.limit:.1f} mm",
+            fix=fix,
+            where=one.listed.points.where(),
+        )
 
 
 def find_length_warnings(
@@ -95,12 +96,16 @@ def find_length_warnings(
         worst = found[0]
         cause, fix = _find_cause(worst, found, every, f"`{depth_column}`")
         names = join_names([one.name for one in found], MAX_NAMED_INSERTIONS)
-        yield ResultWarning.of(f"""{names}: the curve is longer or shorter than `{depth_column}`
-                by more than noise explains, that of {worst.name} by {worst.gap:+.2f} mm; the
-                stated depth is used. {cause}
-            fix: {fix}
-            where: {worst.listed.where}
-            kind: length""")
+        yield ResultWarning(
+            kind="length",
+            what=(
+                f"{names}: the curve is longer or shorter than `{depth_column}` by more "
+                f"than noise explains, that of {worst.name} by {worst.gap:+.2f} mm; the "
+                f"stated depth is used. {cause}"
+            ),
+            where=worst.listed.where,
+            fix=fix,
+        )
 
 
 def _find_cause(

@@ -103,26 +103,33 @@ def find_record_warnings(
     where = format_place(file)
     texts = {key: getattr(record, key) for key in ("title", "license", "source", "notes")}
     if keys := [key for key, text in texts.items() if PLACEHOLDER in text]:
-        yield ResultWarning.of(f""""{PLACEHOLDER}" is left in
-                {", ".join(f"`{key}`" for key in keys)}
-            fix: write what was measured; reports print it
-            where: {where(keys[0])}
-            kind: placeholder""")
+        yield ResultWarning(
+            kind="placeholder",
+            what=f'"{PLACEHOLDER}" is left in {", ".join(f"`{key}`" for key in keys)}',
+            where=where(keys[0]),
+            fix="write what was measured; reports print it",
+        )
     needles = record.all_needles
     for name, needle in needles.items():
         yield from needle_warnings(needle, where, needle_key(name))
     if record.import_ is not None and (examples := record.import_.examples):
-        yield ResultWarning.of(f"""simulated examples of the workbook are among the needles:
-                {join_names(examples, len(examples))}
-            fix: delete their rows in the imported file, and import it again
-            where: {where("import.examples")}
-            kind: examples""")
+        yield ResultWarning(
+            kind="examples",
+            what=(
+                "simulated examples of the workbook are among the needles: "
+                f"{join_names(examples, len(examples))}"
+            ),
+            where=where("import.examples"),
+            fix="delete their rows in the imported file, and import it again",
+        )
     if assumed:
         listed = "; ".join(f"{key} ({why})" for key, why in assumed.items())
-        yield ResultWarning.of(f"""the import assumed {listed}
-            fix: correct what is wrong, or import again with --set; then remove its line from [assumed]
-            where: {MAPPING_FILE}
-            kind: assumed""")
+        yield ResultWarning(
+            kind="assumed",
+            what=f"the import assumed {listed}",
+            where=MAPPING_FILE,
+            fix="correct what is wrong, or import again with --set; then remove its line from [assumed]",
+        )
     pose_sd, noise = (MIN_POSE_SD_MM, MAX_POSE_SD_MM), record.noise
     larger = "point" if noise.point_sd_mm >= noise.correlated_sd_mm else "correlated"
     for name, plausible, units in (
@@ -186,30 +193,35 @@ def find_side_warnings(
     clear = sum(side != "unknown" for side in sides)
     away = [(one, where) for (one, where), side in zip(listed, sides, strict=True) if side == "away"]
     if len(away) == clear > 1:
-        yield ResultWarning.of(f"""all {clear} insertions that bend clearly bend away from their
-                bevel side
-            fix: check whether the convention of `{column}` is flipped: a needle of side 1 bends
-                along the bevel direction
-            where: {away[0][1]}
-            kind: bevel_side""")
+        yield ResultWarning(
+            kind="bevel_side",
+            what=f"all {clear} insertions that bend clearly bend away from their bevel side",
+            where=f"{away[0][1]}",
+            fix=(
+                f"check whether the convention of `{column}` is flipped: a needle of side 1 "
+                "bends along the bevel direction"
+            ),
+        )
         return
     if away:
         names = join_names([one.id for one, _ in away], MAX_NAMED_INSERTIONS)
-        yield ResultWarning.of(f"""{names} bend away from the bevel side ({len(away)} of {clear}
-                that bend clearly)
-            fix: check `{column}` and the bevel direction of these rows
-            where: {away[0][1]}
-            kind: bevel_side""")
+        yield ResultWarning(
+            kind="bevel_side",
+            what=f"{names} bend away from the bevel side ({len(away)} of {clear} that bend clearly)",
+            where=f"{away[0][1]}",
+            fix=f"check `{column}` and the bevel direction of these rows",
+        )
     for medium in dict.fromkeys(one.medium for one, _ in listed):
         group = [(_compute_bend_z(one, noise), where) for one, where in listed if one.medium == medium]
         group = [(z, where) for z, where in group if not math.isnan(z)]
         total = sum(max(-REVERSED_SD, min(z, REVERSED_SD)) for z, _ in group)
         if len(group) > 1 and total < -REVERSED_SD * math.sqrt(len(group)):
-            yield ResultWarning.of(f"""the {len(group)} insertions into {medium} together bend
-                    away from their bevels
-                fix: check `{column}` and the bevel direction of these rows
-                where: {min(group)[1]}
-                kind: bevel_side""")
+            yield ResultWarning(
+                kind="bevel_side",
+                what=f"the {len(group)} insertions into {medium} together bend away from their bevels",
+                where=min(group)[1],
+                fix=f"check `{column}` and the bevel direction of these rows",
+            )
 
 
 def _compute_bend_z(insertion: Insertion, noise: Noise) -> float:
@@ -298,12 +310,16 @@ def _find_copy_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iter
             axes = 1 + any(float(np.ptp(each.points[:, 2])) > 0 for each in (one, later))
             chance = find_chance_of_rounding(step, sd) ** axes if step > least else 0.0
             if np.median(away) <= least and scipy.special.bdtrc(same - 1, count, chance) < MAX_COPY_CHANCE:
-                yield ResultWarning.of(f"""{later.id} and {one.id} are the same in {same} of
-                        {count} points, within {least:.1g} mm, which
-                        noise{" and rounding do" if step > least else " does"} not explain
-                    fix: check whether one was exported twice, and `noise.point_sd_mm`
-                    where: {place}
-                    kind: copy""")
+                yield ResultWarning(
+                    kind="copy",
+                    what=(
+                        f"{later.id} and {one.id} are the same in {same} of {count} points, "
+                        f"within {least:.1g} mm, which "
+                        f"noise{' and rounding do' if step > least else ' does'} not explain"
+                    ),
+                    where=place,
+                    fix="check whether one was exported twice, and `noise.point_sd_mm`",
+                )
                 break
 
 
@@ -330,11 +346,12 @@ def find_insertion_warnings(
     yield from _find_own_boundary_warnings(record, listed)
     deepest = max(insertions, key=lambda one: one.depth, default=None)
     if deepest is not None and (unit := name_small_unit(deepest)):
-        yield ResultWarning.of(f"""the deepest insertion is {deepest.depth:.3g} mm deep: this
-                looks like {unit}
-            fix: check the unit of all lengths; they are read in mm ({unit} times {LENGTH_UNITS[unit]:g})
-            where: {listed[0].where}
-            kind: units""")
+        yield ResultWarning(
+            kind="units",
+            what=f"the deepest insertion is {deepest.depth:.3g} mm deep: this looks like {unit}",
+            where=f"{listed[0].where}",
+            fix=f"check the unit of all lengths; they are read in mm ({unit} times {LENGTH_UNITS[unit]:g})",
+        )
     for name in dict.fromkeys(one.medium for one in insertions if one.surfaces):
         group = [one for one in insertions if one.medium == name]
         yield from _find_surface_warnings(name, group, where(f"media.{name}.surfaces"))
@@ -377,20 +394,23 @@ def _find_surface_warnings(name: str, group: Sequence[Insertion], where: str) ->
         bounds = [surface.mesh.bounds for surface in group[0].surfaces]
         within = any(((low <= points) & (points <= high)).all() for low, high in bounds)
         fix = "they begin within its bounds: close the hole where they enter" if within else MISSED_FIX
-        yield ResultWarning.of(f"""{len(missed)} of {len(group)} insertions into {name} meet none
-                of its surfaces
-            fix: {fix}
-            where: {where}
-            kind: surfaces""")
+        yield ResultWarning(
+            kind="surfaces",
+            what=f"{len(missed)} of {len(group)} insertions into {name} meet none of its surfaces",
+            where=where,
+            fix=fix,
+        )
     orders = [[layer for layer in dict.fromkeys(one.sequence) if layer in sheets] for one in meeting]
     turned = [order != sorted(order) for order in orders if len(order) > 1]
     if turned and all(turned):
-        yield ResultWarning.of(f"""needles into {name} meet its layers in the order
-                {" > ".join(map(str, max(orders)))}
-            fix: number `into` (at an import: name the files) in the order in which needles meet
-                the surfaces
-            where: {where}
-            kind: surfaces""")
+        yield ResultWarning(
+            kind="surfaces",
+            what=f"needles into {name} meet its layers in the order {' > '.join(map(str, max(orders)))}",
+            where=where,
+            fix=(
+                "number `into` (at an import: name the files) in the order in which needles meet the surfaces"
+            ),
+        )
 
 
 def _find_reversed_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
@@ -415,10 +435,12 @@ def _find_reversed_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> 
     begin, end, sd = np.linalg.norm(slopes, axis=0) / math.sqrt(max(len(slopes) - 1, 1))
     if (is_turned := begin > max(2 * end, SIGNIFICANT_SD * sd, MIN_BEND_SLOPE)) or is_level:
         why = "begin off the entry direction, and end along it" if is_turned else "end in a plane across them"
-        yield ResultWarning.of(f"""curves seem to run from the tip to the entry: they {why}
-            fix: check the order of the points; at an import `--set entry=last` states this one
-            where: {listed[0].where}
-            kind: reversed""")
+        yield ResultWarning(
+            kind="reversed",
+            what=f"curves seem to run from the tip to the entry: they {why}",
+            where=f"{listed[0].where}",
+            fix="check the order of the points; at an import `--set entry=last` states this one",
+        )
 
 
 def _find_noise_warnings(
@@ -429,17 +451,21 @@ def _find_noise_warnings(
     largest = max((abs(one.deflection) for one in insertions), default=0.0)
     sd = float(np.hypot(noise.point_sd, noise.correlated_sd))
     if not noise.stated and not all(one.states_errors for one in insertions):
-        yield ResultWarning.of(f"""no noise of the points is stated, so fits have neither noise
-                floor nor predictive intervals
-            fix: write `noise.point_sd_mm`, the standard deviation of a point per axis
-            where: {where("noise.point_sd_mm")}
-            kind: no_noise""")
+        yield ResultWarning(
+            kind="no_noise",
+            what=(
+                "no noise of the points is stated, so fits have neither noise floor nor predictive intervals"
+            ),
+            where=where("noise.point_sd_mm"),
+            fix="write `noise.point_sd_mm`, the standard deviation of a point per axis",
+        )
     if sd > MAX_NOISE_FRACTION * largest:
-        yield ResultWarning.of(f"""the noise of the points, {sd:g} mm, hides deflections of
-                {largest:.3g} mm at most
-            fix: check its unit, mm; such data determine nothing
-            where: {where(_name_larger_sd(noise))}
-            kind: noise""")
+        yield ResultWarning(
+            kind="noise",
+            what=f"the noise of the points, {sd:g} mm, hides deflections of {largest:.3g} mm at most",
+            where=where(_name_larger_sd(noise)),
+            fix="check its unit, mm; such data determine nothing",
+        )
     else:
         is_smoothed = record.measurement is not None and record.measurement.operator != "none"
         curves = [one.insertion for one in listed if one.is_curve]
@@ -471,11 +497,14 @@ def find_scatter_warnings(
         if too_large or scatter > MAX_SCATTER_RATIO * stated:
             fix = "state the noise that the points have; too little of it narrows every interval"
             fix = "state the noise, or under [measurement] what smoothed the points" if too_large else fix
-            yield ResultWarning.of(f"""points scatter by {scatter:.2g} mm about smooth curves, and
-                    {stated:.2g} mm are stated
-                fix: {fix}
-                where: {where(_name_larger_sd(noise))}
-                kind: noise""")
+            yield ResultWarning(
+                kind="noise",
+                what=(
+                    f"points scatter by {scatter:.2g} mm about smooth curves, and {stated:.2g} mm are stated"
+                ),
+                where=where(_name_larger_sd(noise)),
+                fix=fix,
+            )
 
 
 def find_boundary_warnings(
@@ -503,10 +532,12 @@ def _find_own_boundary_warnings(
             if (doubts := list(doubt_layers(one.row.boundaries or (), deepest, column)))
         ]
         for _, what, fix in found[0][0] if found else ():
-            yield ResultWarning.of(f"""{what} ({len(found)} of {len(group)} rows of {name})
-                fix: {fix}
-                where: {found[0][1]}
-                kind: units""")
+            yield ResultWarning(
+                kind="units",
+                what=f"{what} ({len(found)} of {len(group)} rows of {name})",
+                where=f"{found[0][1]}",
+                fix=fix,
+            )
 
 
 def _find_number_warnings(
@@ -525,8 +556,12 @@ def _find_number_warnings(
         if len(bad):
             constant = name in source.constants and name not in source.columns
             place = where(f"insertions.constants.{name}") if constant else listed[bad[0]].where
-            yield ResultWarning.of(f"""`{source.columns.get(name, name)}` is {values[bad[0]]:g},
-                    not {least:g} to {most:g} ({len(bad)} of {len(listed)} rows)
-                fix: check its unit
-                where: {place}
-                kind: units""")
+            yield ResultWarning(
+                kind="units",
+                what=(
+                    f"`{source.columns.get(name, name)}` is {values[bad[0]]:g}, not "
+                    f"{least:g} to {most:g} ({len(bad)} of {len(listed)} rows)"
+                ),
+                where=place,
+                fix="check its unit",
+            )

@@ -11,7 +11,7 @@ import numpy as np
 from needlefit.arrays import Floats, pad_axis
 from needlefit.datasets.columns import DEFAULT_ROLL_SD_DEG, PoseSource
 from needlefit.datasets.sources import DatasetFiles
-from needlefit.errors import refusal
+from needlefit.errors import DataError
 from needlefit.geometry.curves import select_compared
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame
 from needlefit.geometry.measured_curve import MeasuredCurve, measure_curve
@@ -393,7 +393,8 @@ def find_free_reach(drop: float, insertion: Insertion) -> float:
     """
     reach = min(insertion.smooth("plane").length, insertion.depth) - drop
     if reach <= 0:
-        raise refusal(f"""insertion `{insertion.id}` is not longer than the {drop:g} mm that are left
-                out
-            fix: lessen frame.drop_proximal_mm, or leave the insertion out""")
+        raise DataError(
+            f"insertion `{insertion.id}` is not longer than the {drop:g} mm that are left out",
+            fix="lessen frame.drop_proximal_mm, or leave the insertion out",
+        )
     return reach

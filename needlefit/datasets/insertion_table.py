@@ -37,7 +37,7 @@ from needlefit.datasets.columns import (
 from needlefit.datasets.faults import Fault
 from needlefit.datasets.formats.csv import CsvTable, note_missing_columns, parse_numbers, rename_columns
 from needlefit.datasets.needles import find_unknown_needle
-from needlefit.errors import refusal
+from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
 from needlefit.mechanics.needle import Needle
 from needlefit.project.unit_warnings import MIN_DEPTH_MM
@@ -78,10 +78,12 @@ def add_turns(rows: Sequence[InsertionRow], table: CsvTable, found: list[Fault])
         own = turns.setdefault(row.id, [])
         if not (own[-1][0] if own else 0.0) < depth < row.depth:
             found.append(
-                refusal(f"""turns {row.id} at {depth:g} mm
-                expected: depths that increase between 0 and {row.depth:g} mm
-                fix: correct depth_mm, or remove the line
-                where: {where}""")
+                DataError(
+                    f"turns {row.id} at {depth:g} mm",
+                    expected=f"depths that increase between 0 and {row.depth:g} mm",
+                    fix="correct depth_mm, or remove the line",
+                    where=where,
+                )
             )
         own.append((depth, math.radians(roll)))
     return [replace(row, turns=tuple(turns.get(row.id, ()))) for row in rows]
@@ -100,31 +102,39 @@ def add_curvature(
         farthest = needles[row.needle].length - MIN_SENSOR_MM
         if not MIN_SENSOR_MM <= s <= farthest:
             found.append(
-                refusal(f"""has a sensor at {s:g} mm
-                expected: {MIN_SENSOR_MM:g} to {farthest:g} mm from the tip
-                fix: correct s_mm: from the tip, on the needle
-                where: {where}""")
+                DataError(
+                    f"has a sensor at {s:g} mm",
+                    expected=f"{MIN_SENSOR_MM:g} to {farthest:g} mm from the tip",
+                    fix="correct s_mm: from the tip, on the needle",
+                    where=where,
+                )
             )
         elif not sd > 0:
             found.append(
-                refusal(f"""has sd_1_per_mm {sd:g}
-                expected: a number above 0
-                fix: state the standard deviation of the curvature, 1/mm
-                where: {where}""")
+                DataError(
+                    f"has sd_1_per_mm {sd:g}",
+                    expected="a number above 0",
+                    fix="state the standard deviation of the curvature, 1/mm",
+                    where=where,
+                )
             )
         elif max(abs(y), abs(z)) > MAX_CURVATURE:
             found.append(
-                refusal(f"""has a curvature of {max(abs(y), abs(z)):g} 1/mm
-                expected: at most {MAX_CURVATURE:g}
-                fix: state it in 1/mm: divide 1/m by 1000
-                where: {where}""")
+                DataError(
+                    f"has a curvature of {max(abs(y), abs(z)):g} 1/mm",
+                    expected=f"at most {MAX_CURVATURE:g}",
+                    fix="state it in 1/mm: divide 1/m by 1000",
+                    where=where,
+                )
             )
         elif s in (one[0] for one in own):
             found.append(
-                refusal(f"""states the curvature of {row.id} at {s:g} mm again
-                expected: one line for each sensor
-                fix: remove the line
-                where: {where}""")
+                DataError(
+                    f"states the curvature of {row.id} at {s:g} mm again",
+                    expected="one line for each sensor",
+                    fix="remove the line",
+                    where=where,
+                )
             )
         own.append(values)
     read = {name: np.array(values) for name, values in curvature.items()}
@@ -144,10 +154,12 @@ def _iterate_beside(
             yield known[name], values[n], table.where(n)
         else:
             found.append(
-                refusal(f"""is of insertion {name!r:.60}
-                expected: an id of the table
-                fix: correct the id, or remove the line
-                where: {table.where(n)}""")
+                DataError(
+                    f"is of insertion {name!r:.60}",
+                    expected="an id of the table",
+                    fix="correct the id, or remove the line",
+                    where=table.where(n),
+                )
             )
 
 
@@ -199,11 +211,12 @@ def _make_rows(table: CsvTable, pose_known: bool, found: list[Fault]) -> list[In
     for n, both in enumerate(zip(rolls, sides, strict=True) if any(rolls) else ()):
         if all(both) or not any(both):
             found.append(
-                refusal(f"""states bevel_side {both[1]!r:.20} and bevel_roll_deg
-                    {both[0]!r:.20}
-                expected: one of the two, 0 too
-                fix: fill one of the two cells
-                where: {table.where(n)}""")
+                DataError(
+                    f"states bevel_side {both[1]!r:.20} and bevel_roll_deg {both[0]!r:.20}",
+                    expected="one of the two, 0 too",
+                    fix="fill one of the two cells",
+                    where=table.where(n),
+                )
             )
     rows = zip(*fields.values(), strict=True)
     return [InsertionRow(**dict(zip(fields, values, strict=True))) for values in rows]
@@ -223,10 +236,12 @@ def _parse_boundaries(table: CsvTable, row: int, found: list[Fault]) -> tuple[fl
     elif not (fault := boundaries_fault(depths)):
         return depths
     found.append(
-        refusal(f"""{describe_column(table.names, BOUNDARIES_COLUMN)} {fault}
-        expected: depths from the entry on, mm, such as 18;36, or {NO_BOUNDARY}
-        fix: correct the cell, or leave it empty: the boundaries of the medium
-        where: {table.where(row)}""")
+        DataError(
+            f"{describe_column(table.names, BOUNDARIES_COLUMN)} {fault}",
+            expected=f"depths from the entry on, mm, such as 18;36, or {NO_BOUNDARY}",
+            fix="correct the cell, or leave it empty: the boundaries of the medium",
+            where=table.where(row),
+        )
     )
     return None
 
@@ -250,57 +265,68 @@ def _to_int(value: float) -> int:
 def _find_row_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterator[Fault]:
     """Say what is wrong with one row; numbers that could not be read were noted before."""
     if not is_id(row.id):
-        yield refusal(f"""id is {row.id!r}
-            expected: {EXPECTED_ID}
-            fix: rename it, and its centreline with it
-            where: {where}""")
+        yield DataError(
+            f"id is {row.id!r}",
+            expected=EXPECTED_ID,
+            fix="rename it, and its centreline with it",
+            where=where,
+        )
     for name, value in (("specimen", row.specimen), (HOLE_COLUMN, row.hole)):
         if (value or name == "specimen") and (fault := name_fault(value)):
-            yield refusal(f"""{name} is {value!r}: {fault}
-                expected: {EXPECTED_NAME}
-                fix: rename it
-                where: {where}""")
+            yield DataError(
+                f"{name} is {value!r}: {fault}", expected=EXPECTED_NAME, fix="rename it", where=where
+            )
     if row.medium not in record.media:
         listed = ", ".join(record.media) or "(none)"
-        yield refusal(f"""medium {row.medium!r} is unknown
-            expected: one of {listed}
-            fix: correct it, or add a table [media.NAME] to dataset.toml
-            where: {where}""")
+        yield DataError(
+            f"medium {row.medium!r} is unknown",
+            expected=f"one of {listed}",
+            fix="correct it, or add a table [media.NAME] to dataset.toml",
+            where=where,
+        )
     yield from _find_boundaries_fault(row, where, record)
     if row.layers < 1 or (row.layers_alternative or 0) < 1:
-        yield refusal(f"""layers or layers_alternative is not a count
-            expected: a whole number from 1
-            fix: count the layers that the needle went through
-            where: {where}""")
+        yield DataError(
+            "layers or layers_alternative is not a count",
+            expected="a whole number from 1",
+            fix="count the layers that the needle went through",
+            where=where,
+        )
     if row.side not in (1, -1):
-        yield refusal(f"""bevel_side is unknown
-            expected: +1 (toward +y of C) or -1
-            fix: write 1 or -1, or leave the cell empty: +1
-            where: {where}""")
+        yield DataError(
+            "bevel_side is unknown",
+            expected="+1 (toward +y of C) or -1",
+            fix="write 1 or -1, or leave the cell empty: +1",
+            where=where,
+        )
     if row.roll is not None and record.frame.pose == "free":
-        yield refusal(f"""a roll is stated for a shape of unknown pose
-            expected: no bevel_roll_deg
-            fix: remove it, or state poses (pose = "known")
-            where: {where}""")
+        yield DataError(
+            "a roll is stated for a shape of unknown pose",
+            expected="no bevel_roll_deg",
+            fix='remove it, or state poses (pose = "known")',
+            where=where,
+        )
     elif row.roll is not None and row.bevel is None:
-        yield refusal(f"""bevel_roll_deg is stated without its direction of 0
-            expected: a direction
-            fix: fill {", ".join(BEVEL_COLUMNS)}: the direction of a roll of 0
-            where: {where}""")
+        yield DataError(
+            "bevel_roll_deg is stated without its direction of 0",
+            expected="a direction",
+            fix=f"fill {', '.join(BEVEL_COLUMNS)}: the direction of a roll of 0",
+            where=where,
+        )
     for name, (field, default) in NUMBER_COLUMNS.items():
         if "_sd_" in name and default is not None and (getattr(row, field) or 0.0) < 0:
             fix = "remove the sign, or leave the cell empty"
             fix += "" if math.isnan(default) else f": {default:g}"
-            yield refusal(f"""{name} is negative
-                expected: a standard deviation, 0 or more
-                fix: {fix}
-                where: {where}""")
+            yield DataError(
+                f"{name} is negative", expected="a standard deviation, 0 or more", fix=fix, where=where
+            )
     if row.boundary_shared_sd is not None and row.boundary_shared_sd > row.boundary_sd:
-        yield refusal(f"""{SHARED_COLUMN} is {row.boundary_shared_sd:g}, more than boundary_sd_mm,
-                {row.boundary_sd:g}
-            expected: the part of boundary_sd_mm that all insertions into the specimen share
-            fix: correct one of them, or leave the cell empty
-            where: {where}""")
+        yield DataError(
+            f"{SHARED_COLUMN} is {row.boundary_shared_sd:g}, more than boundary_sd_mm, {row.boundary_sd:g}",
+            expected="the part of boundary_sd_mm that all insertions into the specimen share",
+            fix="correct one of them, or leave the cell empty",
+            where=where,
+        )
     yield from _find_depth_faults(row, where, record)
     yield from _find_pose_faults(row, where, record)
 
@@ -310,10 +336,12 @@ def _find_boundaries_fault(row: InsertionRow, where: str, record: DatasetRecord)
     if row.boundaries is None or medium is None or not medium.surfaces:
         return
     column = describe_column(record.insertions.columns, BOUNDARIES_COLUMN)
-    yield refusal(f"""{column} is stated, and medium {row.medium} has surfaces
-        expected: either surfaces or depths of the boundaries
-        fix: leave the cell empty, or remove media.{row.medium}.surfaces in dataset.toml
-        where: {where}""")
+    yield DataError(
+        f"{column} is stated, and medium {row.medium} has surfaces",
+        expected="either surfaces or depths of the boundaries",
+        fix=f"leave the cell empty, or remove media.{row.medium}.surfaces in dataset.toml",
+        where=where,
+    )
 
 
 def _find_depth_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterator[Fault]:
@@ -324,54 +352,69 @@ def _find_depth_faults(row: InsertionRow, where: str, record: DatasetRecord) -> 
     length, guide = needles[row.needle].length_mm, row.guide_distance
     depth_mm = describe_column(record.insertions.columns, "depth_mm")
     if row.depth <= 0:
-        yield refusal(f"""{depth_mm} is {row.depth:g}
-            expected: an inserted length above 0
-            fix: give the length from the entry to the tip, without a sign
-            where: {where}""")
+        yield DataError(
+            f"{depth_mm} is {row.depth:g}",
+            expected="an inserted length above 0",
+            fix="give the length from the entry to the tip, without a sign",
+            where=where,
+        )
     elif row.depth < MIN_DEPTH_MM:
-        yield refusal(f"""{depth_mm} is {row.depth:g}: this looks like metres
-            expected: millimetres
-            fix: multiply the column by 1000
-            where: {where}""")
+        yield DataError(
+            f"{depth_mm} is {row.depth:g}: this looks like metres",
+            expected="millimetres",
+            fix="multiply the column by 1000",
+            where=where,
+        )
     if row.depth >= length:
         key = f"{needle_key(row.needle)}.length_mm"
-        yield refusal(f"""{depth_mm} is {row.depth:g}, but the needle is only {length:g} mm long
-            expected: a depth smaller than the needle's length, both in mm
-            fix: correct {key} in dataset.toml, or {depth_mm}
-            where: {where}""")
+        yield DataError(
+            f"{depth_mm} is {row.depth:g}, but the needle is only {length:g} mm long",
+            expected="a depth smaller than the needle's length, both in mm",
+            fix=f"correct {key} in dataset.toml, or {depth_mm}",
+            where=where,
+        )
     if guide is not None and not 0 < guide <= length - row.depth:
-        yield refusal(f"""guide_distance_mm is {guide:g} at depth {row.depth:g} mm of a {length:g}
-                mm needle
-            expected: above 0, and within the needle outside the tissue
-            fix: correct it, or leave the cell empty: held at its base
-            where: {where}""")
+        yield DataError(
+            f"guide_distance_mm is {guide:g} at depth {row.depth:g} mm of a {length:g} mm needle",
+            expected="above 0, and within the needle outside the tissue",
+            fix="correct it, or leave the cell empty: held at its base",
+            where=where,
+        )
 
 
 def _find_pose_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterator[Fault]:
     if row.bevel is not None and (np.isnan(row.bevel).any() or not np.linalg.norm(row.bevel) > 0):
-        yield refusal(f"""{", ".join(BEVEL_COLUMNS)} are {row.bevel.tolist()}
-            expected: a direction, or three empty cells
-            fix: fill all three, or none
-            where: {where}""")
+        yield DataError(
+            f"{', '.join(BEVEL_COLUMNS)} are {row.bevel.tolist()}",
+            expected="a direction, or three empty cells",
+            fix="fill all three, or none",
+            where=where,
+        )
     if row.patient is not None and np.isnan(row.patient.origin).any():
-        yield refusal(f"""{SCAN_COLUMNS[0]} ... {SCAN_COLUMNS[-1]} are filled in part
-            expected: six numbers, or six empty cells: as [frame] lps_to_world states
-            fix: fill all six, or none
-            where: {where}""")
+        yield DataError(
+            f"{SCAN_COLUMNS[0]} ... {SCAN_COLUMNS[-1]} are filled in part",
+            expected="six numbers, or six empty cells: as [frame] lps_to_world states",
+            fix="fill all six, or none",
+            where=where,
+        )
     if record.frame.pose == "free" or row.direction is None:
         return
     if row.pose_source not in POSE_SOURCES[:-1]:
-        yield refusal(f"""pose_source is {row.pose_source!r}
-            expected: one of {", ".join(POSE_SOURCES[:-1])}
-            fix: state where the entry pose comes from; where there is none, frame.pose is "free"
-            where: {where}""")
+        yield DataError(
+            f"pose_source is {row.pose_source!r}",
+            expected=f"one of {', '.join(POSE_SOURCES[:-1])}",
+            fix='state where the entry pose comes from; where there is none, frame.pose is "free"',
+            where=where,
+        )
     length = float(np.linalg.norm(row.direction))
     if abs(length - 1) > UNIT_VECTOR_TOLERANCE:
         fix = "divide the three numbers by their length" if length else "give the direction of insertion"
-        yield refusal(f"""entry direction has length {length:.4g}
-            expected: a unit vector (entry_dx, _dy, _dz)
-            fix: {fix}
-            where: {where}""")
+        yield DataError(
+            f"entry direction has length {length:.4g}",
+            expected="a unit vector (entry_dx, _dy, _dz)",
+            fix=fix,
+            where=where,
+        )
 
 
 def _find_duplicates(table: CsvTable) -> Iterator[Fault]:
@@ -379,16 +422,21 @@ def _find_duplicates(table: CsvTable) -> Iterator[Fault]:
     first: dict[str, int] = {}
     for n, name in enumerate(table.cells["id"]):
         if name.casefold() in first:
-            yield refusal(f"""id {name!r} stands on line {first[name.casefold()]} already
-                expected: a different id for every insertion
-                fix: rename one of the two, and its centreline with it, or remove the row that is
-                    there twice
-                where: {table.where(n)}""")
+            yield DataError(
+                f"id {name!r} stands on line {first[name.casefold()]} already",
+                expected="a different id for every insertion",
+                fix=(
+                    "rename one of the two, and its centreline with it, or remove the row that is there twice"
+                ),
+                where=table.where(n),
+            )
         first.setdefault(name.casefold(), int(table.lines[n]))
     spelled: dict[str, str] = {}
     for n, name in enumerate(table.cells.get("specimen", ())):
         if (other := spelled.setdefault(name.casefold(), name)) != name:
-            yield refusal(f"""specimen is {name!r}, and {other!r} above
-                expected: one spelling
-                fix: write both alike, or give them names that differ
-                where: {table.where(n)}""")
+            yield DataError(
+                f"specimen is {name!r}, and {other!r} above",
+                expected="one spelling",
+                fix="write both alike, or give them names that differ",
+                where=table.where(n),
+            )

@@ -12,7 +12,7 @@ from needlefit.datasets.columns import InsertionRow, describe_column
 from needlefit.datasets.faults import Fault
 from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.points import MIN_POINTS, Points
-from needlefit.errors import DataError, refusal
+from needlefit.errors import DataError
 from needlefit.geometry.crossings import find_crossings
 from needlefit.geometry.curves import find_bending_direction, fit_free_frame
 from needlefit.geometry.frames import Frame, make_entry_frame
@@ -92,16 +92,20 @@ def find_surface_faults(surface: Surface, path: Path) -> Iterator[Fault]:
         "sheet": "one piece with one rim, larger than the tissue it parts",
     }[surface.kind]
     for what in find_mesh_faults(surface.mesh, surface.kind):
-        yield refusal(f"""the {surface.kind} {what}
-            expected: {expected}
-            fix: fix the mesh (e.g. MeshLab, Slicer)
-            where: {path}""")
+        yield DataError(
+            f"the {surface.kind} {what}",
+            expected=expected,
+            fix="fix the mesh (e.g. MeshLab, Slicer)",
+            where=path,
+        )
     extent = float(np.ptp(surface.mesh.vertices, axis=0).max())
     if not MIN_SURFACE_MM <= extent <= MAX_SURFACE_MM:
-        yield refusal(f"""is {extent:.3g} mm across
-            expected: {MIN_SURFACE_MM:g} to {MAX_SURFACE_MM:g} mm
-            fix: convert its coordinates to mm
-            where: {path}""")
+        yield DataError(
+            f"is {extent:.3g} mm across",
+            expected=f"{MIN_SURFACE_MM:g} to {MAX_SURFACE_MM:g} mm",
+            fix="convert its coordinates to mm",
+            where=path,
+        )
 
 
 # An open mesh is a solid with a hole rather than a sheet if its opening is less than this part of its area: a
@@ -118,10 +122,12 @@ def find_hole(surface: Surface, path: Path, fix: str) -> Iterator[Fault]:
     opening = float(np.linalg.norm(areas @ surface.mesh.face_normals))
     if opening < MAX_OPENING_RATIO * areas.sum():
         sizes = f"its opening, {opening:.0f} mm^2, is small against its area, {areas.sum():.0f} mm^2"
-        yield refusal(f"""is open, but {sizes}: it looks like a solid with a hole
-            expected: a closed surface, or a sheet with its rim outside the tissue
-            fix: {fix}
-            where: {path}""")
+        yield DataError(
+            f"is open, but {sizes}: it looks like a solid with a hole",
+            expected="a closed surface, or a sheet with its rim outside the tissue",
+            fix=fix,
+            where=path,
+        )
 
 
 def find_layers(
@@ -250,10 +256,12 @@ def find_curve_faults(
     depth_mm = describe_column(record.insertions.columns, "depth_mm")
     stray = find_stray_points(curve)
     if len(stray) and not len(find_backward_points(np.delete(curve, stray, axis=0))):
-        yield refusal(f"""lies far from all other points{_describe_more(len(stray))}
-            expected: points along the needle
-            fix: correct its number, or remove it where it was not measured
-            where: {points.where(int(stray[0]))}""")
+        yield DataError(
+            f"lies far from all other points{_describe_more(len(stray))}",
+            expected="points along the needle",
+            fix="correct its number, or remove it where it was not measured",
+            where=points.where(int(stray[0])),
+        )
         return  # the length is wrong as well
     # The point farthest from the mean is one end, also of an unsorted curve; the other end is the point
     # farthest from it.
@@ -263,26 +271,31 @@ def find_curve_faults(
     for name, factor in LENGTH_UNITS.items() if not len(back) else ():  # else its length is not its span
         of_points = abs(span * factor / row.depth - 1) < UNIT_TOLERANCE
         if of_points or abs(factor * row.depth / span - 1) < UNIT_TOLERANCE:
-            yield refusal(f"""{depth_mm} is {row.depth:.4g}, and the centreline spans {span:.4g}:
-                    {"the centreline" if of_points else depth_mm} looks like {name}
-                expected: millimetres
-                fix: multiply it by {factor:g}
-                where: {points.where() if of_points else place}""")
+            yield DataError(
+                f"{depth_mm} is {row.depth:.4g}, and the centreline spans {span:.4g}: "
+                f"{'the centreline' if of_points else depth_mm} looks like {name}",
+                expected="millimetres",
+                fix=f"multiply it by {factor:g}",
+                where=points.where() if of_points else place,
+            )
             return  # every other length is wrong as well
     steps = np.diff(points.values, axis=0)
     lengths = np.linalg.norm(steps, axis=1)
     repeated = np.flatnonzero(lengths < SAME_POINT_MM)
     if len(repeated):
-        yield refusal(f"""repeats the point before it{_describe_more(len(repeated))}
-            expected: points that differ
-            fix: remove the repeated points
-            where: {points.where(int(repeated[0]) + 1)}""")
+        yield DataError(
+            f"repeats the point before it{_describe_more(len(repeated))}",
+            expected="points that differ",
+            fix="remove the repeated points",
+            where=points.where(int(repeated[0]) + 1),
+        )
     if len(back):
-        yield refusal(f"""goes back: the centreline is unsorted or folded
-                here{_describe_more(len(back))}
-            expected: points in order from the entry to the tip
-            fix: sort the points along the needle, and remove branches and loops
-            where: {points.where(int(back[0]))}""")
+        yield DataError(
+            f"goes back: the centreline is unsorted or folded here{_describe_more(len(back))}",
+            expected="points in order from the entry to the tip",
+            fix="sort the points along the needle, and remove branches and loops",
+            where=points.where(int(back[0])),
+        )
     if row.entry is not None and row.direction is not None:
         yield from _find_entry_faults(points, row.entry, row.direction)
 
@@ -326,20 +339,22 @@ def _find_entry_faults(points: Points, entry: Floats, direction: Floats) -> Iter
             how, fix = ": it seems to run from tip to entry", "reverse the points"
         elif (first - entry) @ direction > AHEAD_COSINE * off:
             how, fix = ", along the entry direction", "add the points from the entry on, or correct the entry"
-        yield refusal(f"""begins {off:.2f} mm from the entry pose{how}
-            expected: the entry first, within {MAX_START_DISTANCE_MM:g} mm of it
-            fix: {fix}
-            where: {points.where()}""")
+        yield DataError(
+            f"begins {off:.2f} mm from the entry pose{how}",
+            expected=f"the entry first, within {MAX_START_DISTANCE_MM:g} mm of it",
+            fix=fix,
+            where=points.where(),
+        )
         return
     chord = last - first
     cosine = float(chord @ direction / max(float(np.linalg.norm(chord)), SAME_POINT_MM))
     if cosine < np.cos(np.radians(MAX_HEADING_DEG)):
-        yield refusal(f"""runs {np.degrees(np.arccos(np.clip(cosine, -1, 1))):.0f} degrees off the
-                entry direction
-            expected: at most {MAX_HEADING_DEG:g} degrees
-            fix: point entry_dx, _dy, _dz into the tissue, in the frame of the centreline (LPS,
-                RAS?)
-            where: {points.where()}""")
+        yield DataError(
+            f"runs {np.degrees(np.arccos(np.clip(cosine, -1, 1))):.0f} degrees off the entry direction",
+            expected=f"at most {MAX_HEADING_DEG:g} degrees",
+            fix="point entry_dx, _dy, _dz into the tissue, in the frame of the centreline (LPS, RAS?)",
+            where=points.where(),
+        )
 
 
 @dataclass(frozen=True)
@@ -363,11 +378,12 @@ def find_media_faults(record: DatasetRecord, file: Path) -> Iterator[Fault]:
         skipped = sorted(set(range(2, max(numbers, default=1))) - numbers)
         if skipped:
             listed = ", ".join(map(str, sorted(numbers)))
-            yield refusal(f"""no surface of medium {name} leads into layer {skipped[0]}; they lead
-                    into {listed}
-                expected: layers numbered without a gap: 1, where needles begin, then 2, 3, ...
-                fix: correct `into`, or add the surface that is missing
-                where: {locate_key(file, f"media.{name}.surfaces")}""")
+            yield DataError(
+                f"no surface of medium {name} leads into layer {skipped[0]}; they lead into {listed}",
+                expected="layers numbered without a gap: 1, where needles begin, then 2, 3, ...",
+                fix="correct `into`, or add the surface that is missing",
+                where=locate_key(file, f"media.{name}.surfaces"),
+            )
 
 
 def find_layer_faults(
@@ -378,19 +394,22 @@ def find_layer_faults(
         group = [one for one in listed if one.insertion.medium == name]
         files = [one.file for one in record.media[name].surfaces]
         if len({*files}) < len(files):
-            yield refusal(f"""medium {name} lists a surface twice: {", ".join(files)}
-                expected: a surface of its own for every boundary
-                fix: name the right file, or remove one
-                where: {locate_key(file, f"media.{name}.surfaces")}""")
+            yield DataError(
+                f"medium {name} lists a surface twice: {', '.join(files)}",
+                expected="a surface of its own for every boundary",
+                fix="name the right file, or remove one",
+                where=locate_key(file, f"media.{name}.surfaces"),
+            )
             continue
         faults = [fault for one in group for fault in _find_count_fault(one)]
         deepest = max((one.insertion for one in group), key=lambda one: one.depth)
         if faults and (unit := name_small_unit(deepest)):
-            yield refusal(f"""{name} has no insertion deeper than {deepest.depth:.3g} mm: this
-                    looks like {unit}
-                expected: mm
-                fix: multiply all lengths by {LENGTH_UNITS[unit]:g}
-                where: {group[0].where}""")
+            yield DataError(
+                f"{name} has no insertion deeper than {deepest.depth:.3g} mm: this looks like {unit}",
+                expected="mm",
+                fix=f"multiply all lengths by {LENGTH_UNITS[unit]:g}",
+                where=f"{group[0].where}",
+            )
         else:
             yield from faults
 
@@ -413,8 +432,10 @@ def _find_count_fault(one: ListedInsertion) -> Iterator[Fault]:
     order = " > ".join(map(str, insertion.sequence))
     fix = f"write {met} there, or correct {stated}"
     fix += f" ({MISSED_FIX})" if insertion.surfaces and met == 1 else ""
-    yield refusal(f"""{insertion.id} meets {met} layer{"" if met == 1 else "s"} ({order};
-            boundaries at {depths} mm), but {listed}
-        expected: {met} in `layers`, or in `layers_alternative` where the tip lies at a boundary
-        fix: {fix}
-        where: {one.where}""")
+    yield DataError(
+        f"{insertion.id} meets {met} layer{'' if met == 1 else 's'} ({order}; "
+        f"boundaries at {depths} mm), but {listed}",
+        expected=f"{met} in `layers`, or in `layers_alternative` where the tip lies at a boundary",
+        fix=fix,
+        where=one.where,
+    )

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from needlefit.datasets.faults import Fault
 from needlefit.datasets.insertion import Dataset
-from needlefit.errors import refusal
+from needlefit.errors import DataError
 from needlefit.grouping import group_values
 from needlefit.mechanics.needle import Needle
 from needlefit.project.toml import locate_key
@@ -27,16 +27,20 @@ def find_needle_faults(record: DatasetRecord | TrackDatasetRecord, file: Path) -
         table = needle_key(cell)
         if (modulus := needle.youngs_modulus_gpa or 0.0) > MODULUS_GPA[1]:
             key = f"{table}.youngs_modulus_gpa"
-            yield refusal(f"""{key} is {modulus:g}
-                expected: GPa: about 200 for steel, 40 to 80 for nitinol
-                fix: write it in GPa
-                where: {locate_key(file, key)}""")
+            yield DataError(
+                f"{key} is {modulus:g}",
+                expected="GPa: about 200 for steel, 40 to 80 for nitinol",
+                fix="write it in GPa",
+                where=locate_key(file, key),
+            )
         if (other := keys.setdefault(needle.name, table)) != table:
             key = f"{table}.name"
-            yield refusal(f"""{table} and {other} are both named {needle.name}
-                expected: a name of its own for each needle
-                fix: rename one
-                where: {locate_key(file, key)}""")
+            yield DataError(
+                f"{table} and {other} are both named {needle.name}",
+                expected="a name of its own for each needle",
+                fix="rename one",
+                where=locate_key(file, key),
+            )
 
 
 def describe_rigidity(needle: NeedleRecord, assumed: Container[str]) -> str:
@@ -61,10 +65,12 @@ def describe_rigidity(needle: NeedleRecord, assumed: Container[str]) -> str:
 def find_unknown_needle(cell: str, where: str, record: DatasetRecord | TrackDatasetRecord) -> Iterator[Fault]:
     """Yield the fault of a cell of column `needle` whose needle `dataset.toml` does not describe."""
     if cell not in record.all_needles:
-        yield refusal(f"""needle {cell!r:.60} is unknown
-            expected: one of {", ".join(record.needles) or "(none)"}, or an empty cell: [needle]
-            fix: correct it, or add a table [{needle_key("NAME")}] to dataset.toml
-            where: {where}""")
+        yield DataError(
+            f"needle {cell!r:.60} is unknown",
+            expected=f"one of {', '.join(record.needles) or '(none)'}, or an empty cell: [needle]",
+            fix=f"correct it, or add a table [{needle_key('NAME')}] to dataset.toml",
+            where=where,
+        )
 
 
 def summarize_needles(dataset: Dataset) -> dict[str, NeedleMetadata]:

@@ -209,12 +209,16 @@ def _find_common_shift(placed: Sequence[NeedleEnds], noise: Noise) -> Iterator[R
     found = estimate_common(placed, values, variance, natural)
     stated = math.sqrt(np.mean([_find_shift_sd(one.insertion, noise) ** 2 for one in placed]))
     if found and found.is_beyond(stated, MIN_SHIFT_MM):
-        yield ResultWarning.of(f"""all {len(placed)} needles begin {found.size:.2g} mm from their
-                stated entries, on one side whichever way their bevels face: by
-                {_list_numbers(found.vector)} mm
-            fix: check how the entry points were measured, and in which frame the points are
-            where: {placed[0].listed.where}
-            kind: common_pose""")
+        yield ResultWarning(
+            kind="common_pose",
+            what=(
+                f"all {len(placed)} needles begin {found.size:.2g} mm from their stated "
+                "entries, on one side whichever way their bevels face: by "
+                f"{_list_numbers(found.vector)} mm"
+            ),
+            where=f"{placed[0].listed.where}",
+            fix="check how the entry points were measured, and in which frame the points are",
+        )
 
 
 def _find_common_lean(placed: Sequence[NeedleEnds]) -> Iterator[ResultWarning]:
@@ -235,10 +239,12 @@ def _find_common_lean(placed: Sequence[NeedleEnds]) -> Iterator[ResultWarning]:
         along = np.array([one.axes[0] for one in placed])
         if float(np.ptp(along, axis=0).max()) < MIN_BEND_SLOPE:
             what += f", as if inserted along {_list_numbers(normalize(along[0] + found.vector), 3)}"
-        yield ResultWarning.of(f"""{what}
-            fix: check how the entry directions were measured, and in which frame the points are
-            where: {placed[0].listed.where}
-            kind: common_pose""")
+        yield ResultWarning(
+            kind="common_pose",
+            what=what,
+            where=f"{placed[0].listed.where}",
+            fix="check how the entry directions were measured, and in which frame the points are",
+        )
 
 
 def _list_numbers(vector: Floats, digits: int = 2) -> str:
@@ -275,11 +281,12 @@ def _describe_off_entry(off: Sequence[tuple[NeedleEnds, Floats, float]]) -> Resu
         f"{one.insertion.id} by {_list_numbers(vector @ one.axes)} mm ({sds:.0f} SD)"
         for one, vector, sds in off
     ]
-    return ResultWarning.of(f"""needles begin off their stated entries:
-            {join_names(named, MAX_NAMED_INSERTIONS)}
-        fix: check how their entries and first points were measured, and with which pose_shift_sd_mm
-        where: {off[0][0].listed.points.where(0)}
-        kind: entry_offset""")
+    return ResultWarning(
+        kind="entry_offset",
+        what=f"needles begin off their stated entries: {join_names(named, MAX_NAMED_INSERTIONS)}",
+        where=f"{off[0][0].listed.points.where(0)}",
+        fix="check how their entries and first points were measured, and with which pose_shift_sd_mm",
+    )
 
 
 # ---- each needle and the others
@@ -371,10 +378,7 @@ def _find_unlike(group: Sequence[NeedleEnds]) -> Iterator[ResultWarning]:
         what, fix = describe(worst, needle)
         what = f"{needle.insertion.id} {what}, {worst.sds:.0f} SD from the other {len(left) - 1} needles"
         what += f" into {needle.insertion.medium}"
-        yield ResultWarning.of(f"""{what}
-            fix: {fix}
-            where: {needle.listed.where}
-            kind: needle_outlier""")
+        yield ResultWarning(kind="needle_outlier", what=what, where=needle.listed.where, fix=fix)
         left.remove(needle)
 
 

@@ -215,11 +215,15 @@ def find_point_warnings(listed: Sequence[ListedInsertion], found: OutlyingPoints
                 yield _warn_of_step(one, point)
                 continue
             name = {0: "the first point", last: "the tip"}.get(point.index, f"point {point.index + 1}")
-            yield ResultWarning.of(f"""{name} of {one.insertion.id} is {point.distance:.2g} mm off
-                    the curve of the others ({point.sds:.0f} SD){_name_cause(point)}
-                fix: compare this row with its source, as the image or the protocol
-                where: {one.points.where(point.index)}
-                kind: point_outlier""")
+            yield ResultWarning(
+                kind="point_outlier",
+                what=(
+                    f"{name} of {one.insertion.id} is {point.distance:.2g} mm off the curve "
+                    f"of the others ({point.sds:.0f} SD){_name_cause(point)}"
+                ),
+                where=one.points.where(point.index),
+                fix="compare this row with its source, as the image or the protocol",
+            )
 
 
 def _warn_of_step(one: ListedInsertion, point: OutlyingPoint) -> ResultWarning:
@@ -231,10 +235,12 @@ def _warn_of_step(one: ListedInsertion, point: OutlyingPoint) -> ResultWarning:
         if abs(off) > STEP_AXIS_PART * point.distance
     )
     rows = ", ".join(dict.fromkeys(one.points.where(n) for n in (point.index - 1, point.index)))
-    return ResultWarning.of(f"""{what}
-        fix: find what moved between {rows}
-        where: {one.points.where(point.index)}
-        kind: point_outlier""")
+    return ResultWarning(
+        kind="point_outlier",
+        what=what,
+        where=one.points.where(point.index),
+        fix=f"find what moved between {rows}",
+    )
 
 
 def _name_cause(point: OutlyingPoint) -> str:
@@ -287,11 +293,14 @@ def find_constant_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> I
         if still.any() and len(one.points.values) >= MIN_CURVE_POINTS:
             axis = int(np.argmax(still))
             name, value = "xyz"[axis], one.points.values[0, axis]
-            yield ResultWarning.of(f"""{one.insertion.id}: {name} is {value:g} at all points,
-                    where that of the others varies
-                fix: export its points again: an empty column may have been saved as {value:g}
-                where: {one.points.where()}
-                kind: needle_outlier""")
+            yield ResultWarning(
+                kind="needle_outlier",
+                what=(
+                    f"{one.insertion.id}: {name} is {value:g} at all points, where that of the others varies"
+                ),
+                where=one.points.where(),
+                fix=f"export its points again: an empty column may have been saved as {value:g}",
+            )
 
 
 def find_axis_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
@@ -310,9 +319,13 @@ def find_axis_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Itera
     units = {unit: abs(math.log(factor / scale)) for unit, scale in LENGTH_UNITS.items()}
     unit = min(units, key=lambda one: units[one])
     looks = f": this looks like {unit}" if units[unit] < math.log(2) else ""
-    yield ResultWarning.of(f"""points scatter by {ratios[axis] * stated:.2g} mm along {name}, and
-            by {float(np.mean(ratios[right])) * stated:.2g} mm along the other axes, as
-            stated{looks}
-        fix: check the unit of {name}: of the points alone it is {1 / factor:.2g} times too large
-        where: {listed[0].points.where()}
-        kind: axis_unit""")
+    yield ResultWarning(
+        kind="axis_unit",
+        what=(
+            f"points scatter by {ratios[axis] * stated:.2g} mm along {name}, and by "
+            f"{float(np.mean(ratios[right])) * stated:.2g} mm along the other axes, as "
+            f"stated{looks}"
+        ),
+        where=f"{listed[0].points.where()}",
+        fix=f"check the unit of {name}: of the points alone it is {1 / factor:.2g} times too large",
+    )

@@ -47,9 +47,11 @@ def _find_file(name: str) -> Path:
         path = root / "data" / "paper" / f"{name}.csv"
         if path.is_file():
             return path
-    raise ConfigError.of(f"""the published table `{name}` is missing
-        fix: restore data/paper, or install needlefit again
-        where: data/paper/{name}.csv""")
+    raise ConfigError(
+        f"the published table `{name}` is missing",
+        fix="restore data/paper, or install needlefit again",
+        where=f"data/paper/{name}.csv",
+    )
 
 
 def select_rows(name: TableName, **match: object) -> list[dict[str, Any]]:

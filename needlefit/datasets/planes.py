@@ -84,9 +84,10 @@ def set_compared(
     """
     if torsional_friction and any(one.turns for one in insertions):
         if stated == "plane":
-            raise ConfigError.of("""torsional friction leads needles that were turned out of their
-                    planes
-                expected: "space", or no torsional_friction_n of the medium""")
+            raise ConfigError(
+                "torsional friction leads needles that were turned out of their planes",
+                expected='"space", or no torsional_friction_n of the medium',
+            )
         stated = "space"
     flat = any(one.directions == 1 for one in insertions)
     if stated == "space" and (flat or dataset.pose == "free"):
@@ -133,11 +134,12 @@ def find_left_planes(
         what = f"compared in the plane of their bevels, which they leave: {named}"
         if any(one.curvature is not None for one in insertions):
             what += ", and by their curvatures along y alone"
-        yield ResultWarning.of(f"""{what}
-            fix: leave `compared` out, or write "space": needles are then simulated and compared
-                in space
-            where: {where}
-            kind: bevel_plane""")
+        yield ResultWarning(
+            kind="bevel_plane",
+            what=what,
+            where=where,
+            fix='leave `compared` out, or write "space": needles are then simulated and compared in space',
+        )
 
 
 def find_curve_roll(insertion: Insertion) -> float:
@@ -209,18 +211,24 @@ def find_plane_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iter
         names = join_names([one.insertion.id for one in aside], MAX_NAMED_INSERTIONS)
         fix = _propose_bevel([one.insertion for one in aside], noise)
         fix += '; `compared = "space"` in the study or fit compares them there'
-        yield ResultWarning.of(f"""needles are up to
-                {max(measure_aside(one.insertion) for one in aside):.1f} mm from where their
-                bevels lead them, which errors of points, pose and rolls do not explain: {names}
-            fix: {fix}
-            where: {aside[0].where}
-            kind: bevel_plane""")
+        yield ResultWarning(
+            kind="bevel_plane",
+            what=(
+                "needles are up to "
+                f"{max(measure_aside(one.insertion) for one in aside):.1f} mm from where "
+                "their bevels lead them, which errors of points, pose and rolls do not "
+                f"explain: {names}"
+            ),
+            where=f"{aside[0].where}",
+            fix=fix,
+        )
     elif twisted := _find_twisted([one.insertion for one in listed], noise):
-        yield ResultWarning.of(f"""{join_names(twisted, MAX_NAMED_INSERTIONS)} bend in no plane
-            fix: check whether the needle turned on its way, and state its turns by
-                `insertions.turns`
-            where: {listed[0].where}
-            kind: bevel_plane""")
+        yield ResultWarning(
+            kind="bevel_plane",
+            what=f"{join_names(twisted, MAX_NAMED_INSERTIONS)} bend in no plane",
+            where=f"{listed[0].where}",
+            fix="check whether the needle turned on its way, and state its turns by `insertions.turns`",
+        )
 
 
 def find_curvature_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
@@ -238,11 +246,12 @@ def find_curvature_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> 
             if led * away < 0 and min(abs(led), abs(away)) > least:
                 against.setdefault(column, []).append(one.id)
     for column, names in against.items():
-        yield ResultWarning.of(f"""`{column}` bends {join_names(names, MAX_NAMED_INSERTIONS)} away
-                from the measured tips
-            fix: check its sign: curvatures are toward +y and +z of a bevel with a roll of 0
-            where: {listed[0].where}
-            kind: curvature""")
+        yield ResultWarning(
+            kind="curvature",
+            what=f"`{column}` bends {join_names(names, MAX_NAMED_INSERTIONS)} away from the measured tips",
+            where=f"{listed[0].where}",
+            fix="check its sign: curvatures are toward +y and +z of a bevel with a roll of 0",
+        )
 
 
 def _find_aside(known: Sequence[ListedInsertion], noise: Noise) -> list[ListedInsertion]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.datasets.faults import Fault
-from needlefit.errors import refusal
+from needlefit.errors import DataError
 from needlefit.geometry.measured_curve import MeasuredCurve, measure_curve
 
 MAX_COORDINATE = 1e6  # no number of a dataset is greater: a kilometre in mm
@@ -58,21 +58,24 @@ class Points:
         """Return why the points of curve `name` can be no centreline: too few, or without a place."""
         if len(self.values) < MIN_POINTS:
             return [
-                refusal(f"""curve {name} has only {len(self.values)} points
-                expected: at least {MIN_POINTS}
-                fix: sample the needle more densely, or leave it out
-                where: {self.where()}""")
+                DataError(
+                    f"curve {name} has only {len(self.values)} points",
+                    expected=f"at least {MIN_POINTS}",
+                    fix="sample the needle more densely, or leave it out",
+                    where=self.where(),
+                )
             ]
         sound = (np.abs(np.nan_to_num(self.values, nan=np.inf)) <= MAX_COORDINATE).all(axis=1)
         bad = np.flatnonzero(~sound)
         if len(bad) == 0:
             return []
         return [
-            refusal(f"""curve {name} has {len(bad)} points that are NaN, infinite or too far
-                away
-            expected: finite numbers, mm
-            fix: remove or fix these points
-            where: {self.where(int(bad[0]))}""")
+            DataError(
+                f"curve {name} has {len(bad)} points that are NaN, infinite or too far away",
+                expected="finite numbers, mm",
+                fix="remove or fix these points",
+                where=self.where(int(bad[0])),
+            )
         ]
 
 

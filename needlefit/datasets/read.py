@@ -43,7 +43,7 @@ from needlefit.datasets.sections import find_operator_faults, find_sections
 from needlefit.datasets.sources import DatasetFiles, find_checksum_faults, find_dataset_file, find_folder
 from needlefit.datasets.tip_tracks import parse_tracks
 from needlefit.datasets.tips import find_tip_faults, name_observed, place_tip
-from needlefit.errors import ConfigError, DataError, refusal
+from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame
 from needlefit.project import toml
 from needlefit.project.folders import sha256
@@ -158,16 +158,20 @@ def find_record_faults(record: DatasetRecord | TrackDatasetRecord, file: Path) -
     # every fit of tip tracks samples a posterior; every study places further runs by their slopes
     for key, unit in ({} if shapes else {"point_sd_mm": "mm", "slope_sd_deg": "degrees"}).items():
         if getattr(record.noise, key) <= 0:
-            yield refusal(f"""{key} is not stated, which tip tracks need
-                expected: a standard deviation above 0, {unit}
-                fix: write noise.{key}
-                where: {locate_key(file, f"noise.{key}")}""")
+            yield DataError(
+                f"{key} is not stated, which tip tracks need",
+                expected=f"a standard deviation above 0, {unit}",
+                fix=f"write noise.{key}",
+                where=locate_key(file, f"noise.{key}"),
+            )
     for key in ("noise.heading_sd_deg", "noise.slope_sd_deg"):
         if shapes and getattr(record.noise, key.removeprefix("noise.")) > 0:
-            yield refusal(f"""{key} is of tip tracks
-                expected: pose_angle_sd_deg in the table of insertions
-                fix: remove the key
-                where: {locate_key(file, key)}""")
+            yield DataError(
+                f"{key} is of tip tracks",
+                expected="pose_angle_sd_deg in the table of insertions",
+                fix="remove the key",
+                where=locate_key(file, key),
+            )
     if isinstance(record, DatasetRecord):
         yield from find_media_faults(record, file)
 
@@ -282,10 +286,12 @@ class _Centerlines:
             names = [_FIELD.sub(lambda part, row=row: str(row[part[1]]), template) for row in keys]
         except KeyError:
             found.append(
-                refusal(f"""insertions.id_template is {template!r}
-                expected: text with {{...}} around columns of group_by: {", ".join(group_by)}
-                fix: use only these names in it
-                where: {path}:1""")
+                DataError(
+                    f"insertions.id_template is {template!r}",
+                    expected=f"text with {{...}} around columns of group_by: {', '.join(group_by)}",
+                    fix="use only these names in it",
+                    where=f"{path}:1",
+                )
             )
             names = []
         ids = np.array(names, dtype=object)
@@ -298,11 +304,14 @@ class _Centerlines:
                 other = np.flatnonzero(text[rows] != text[rows[0]])
                 if len(other):
                     found.append(
-                        refusal(f"""column `{column}` changes within insertion {name}
-                        expected: one value
-                        fix: fix the cells, or distinguish the insertions by this column too
-                            (group_by)
-                        where: {table.where(int(rows[other[0]]))}""")
+                        DataError(
+                            f"column `{column}` changes within insertion {name}",
+                            expected="one value",
+                            fix=(
+                                "fix the cells, or distinguish the insertions by this column too (group_by)"
+                            ),
+                            where=table.where(int(rows[other[0]])),
+                        )
                     )
         return True
 
@@ -326,10 +335,12 @@ class _Centerlines:
         if lines.pattern is None:
             if self.long is None or row.id not in self.groups:
                 found.append(
-                    refusal(f"""has no rows of insertion {row.id}
-                    expected: rows of every insertion
-                    fix: add them, or remove the insertion from the table
-                    where: {self.root / (lines.file or "")}""")
+                    DataError(
+                        f"has no rows of insertion {row.id}",
+                        expected="rows of every insertion",
+                        fix="add them, or remove the insertion from the table",
+                        where=self.root / (lines.file or ""),
+                    )
                 )
                 return None
             return read_curve(_take_rows(self.long, self.groups[row.id]), lines.columns, found)
@@ -355,12 +366,15 @@ def _find_use_faults(record: DatasetRecord, listed: Iterable[ListedInsertion], f
         except DataError as error:
             yield error.at(error.where or locate_key(file, "frame.drop_proximal_mm"))
         if not stated and one.insertion.sd is not None and (one.insertion.sd < MIN_SD_MM).any():
-            yield refusal(f"""{one.insertion.id} has points whose sd_mm is 0, and no other noise
-                    is stated
-                expected: a standard deviation above 0, mm
-                fix: correct the column, or state noise.point_sd_mm in
-                    {locate_key(file, "noise.point_sd_mm")}
-                where: {one.where}""")
+            yield DataError(
+                f"{one.insertion.id} has points whose sd_mm is 0, and no other noise is stated",
+                expected="a standard deviation above 0, mm",
+                fix=(
+                    "correct the column, or state noise.point_sd_mm in "
+                    f"{locate_key(file, 'noise.point_sd_mm')}"
+                ),
+                where=one.where,
+            )
 
 
 # ---- tip tracks
@@ -374,9 +388,11 @@ def _read_tracks(reading: _Reading) -> tuple[list[Insertion], list[Path], dict[s
     tracks = [] if table is None else list(parse_tracks(table, record, found, remarks))
     if not tracks and not found:
         found.append(
-            refusal(f"""no run is left: every one is marked invalid
-            expected: at least one valid run
-            where: {reading.file}""")
+            DataError(
+                "no run is left: every one is marked invalid",
+                expected="at least one valid run",
+                where=reading.file,
+            )
         )
     if not found:
         noise, where = make_noise(record.noise), format_place(reading.file)
@@ -410,10 +426,12 @@ def read_shapes(path: Path) -> Dataset:
 def require_shapes(dataset: Dataset) -> Dataset:
     """Return a dataset of shapes; DataError if it holds tip tracks."""
     if dataset.pose == "tracker":
-        raise refusal(f"""holds tip tracks, no shapes
-            expected: a dataset with [centerlines]
-            fix: tune and predict take it; this does not
-            where: {dataset.path}""")
+        raise DataError(
+            "holds tip tracks, no shapes",
+            expected="a dataset with [centerlines]",
+            fix="tune and predict take it; this does not",
+            where=dataset.path,
+        )
     return dataset
 
 

@@ -11,7 +11,7 @@ from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.faults import Fault
 from needlefit.datasets.insertion import Dataset, select_compared_places
 from needlefit.datasets.layers import LENGTH_TOLERANCE_MM, ListedInsertion
-from needlefit.errors import ConfigError, DataError, refusal
+from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.smoothing_spline import (
     DEGREE,
     SplineSections,
@@ -55,37 +55,42 @@ def find_sections(
         return None, [error]
     if abs(sections.s[-1] - row.depth) > LENGTH_TOLERANCE_MM:
         return None, [
-            refusal(f"""the tip lies at {sections.s[-1]:.2f} in s_mm, but depth_mm is
-                {row.depth:.2f}
-            expected: arc lengths from first contact, mm, the tip last
-            fix: count s_mm from the entry, or correct depth_mm
-            where: {path}""")
+            DataError(
+                f"the tip lies at {sections.s[-1]:.2f} in s_mm, but depth_mm is {row.depth:.2f}",
+                expected="arc lengths from first contact, mm, the tip last",
+                fix="count s_mm from the entry, or correct depth_mm",
+                where=path,
+            )
         ]
     if len(find_empty_pieces(sections.q, sections.weights, sections.knots)):
         return None, [
-            refusal(f"""the sections do not determine the spline
-            expected: a section of positive weight in every interval of knots_mm that q_mm reaches
-            fix: leave out knots without sections
-            where: {locate_key(path, "weights")}""")
+            DataError(
+                "the sections do not determine the spline",
+                expected="a section of positive weight in every interval of knots_mm that q_mm reaches",
+                fix="leave out knots without sections",
+                where=locate_key(path, "weights"),
+            )
         ]
     try:
         tip, sd = compute_tip(sections)
     except np.linalg.LinAlgError:
         return None, [
-            refusal(f"""weights of sections differ too much to draw a spline
-            expected: weights of about 1, or less
-            fix: correct weights
-            where: {path}""")
+            DataError(
+                "weights of sections differ too much to draw a spline",
+                expected="weights of about 1, or less",
+                fix="correct weights",
+                where=path,
+            )
         ]
     off, most = float(np.linalg.norm(tip - centerline[-1])), MAX_TIP_SDS * sd + MAX_TIP_MM
     if not off <= most:
         return None, [
-            refusal(f"""the spline through the sections ends {off:.3g} mm from the end
-                of the centreline
-            expected: the centreline's own sections, in world coordinates: within {most:.2g} mm
-                there
-            fix: correct points_mm, or store the centreline that was drawn through them
-            where: {path}""")
+            DataError(
+                f"the spline through the sections ends {off:.3g} mm from the end of the centreline",
+                expected=f"the centreline's own sections, in world coordinates: within {most:.2g} mm there",
+                fix="correct points_mm, or store the centreline that was drawn through them",
+                where=path,
+            )
         ]
     return sections, []
 
@@ -105,20 +110,22 @@ def find_operator_faults(
         knots = make_knots(s[0], s[-1], spacing or 0.0)
         if len(s) < len(knots) - DEGREE - 1 or len(find_empty_pieces(s, np.ones(len(s)), knots)):
             key = "measurement.knot_spacing_mm"
-            yield refusal(f"""{key} is {spacing:g}: the points of {name} are too sparse for it
-                expected: a point between all neighbouring knots
-                fix: enlarge it, or store the points more densely
-                where: {locate_key(file, key)}""")
+            yield DataError(
+                f"{key} is {spacing:g}: the points of {name} are too sparse for it",
+                expected="a point between all neighbouring knots",
+                fix="enlarge it, or store the points more densely",
+                where=locate_key(file, key),
+            )
             return
     length, name = min((float(np.ptp(s)), name) for name, s in compared.items())
     most, key = math.floor(100 * MAX_WIDTH_FRACTION * length) / 100, "measurement.width_mm"
     if stated.width_mm is not None and stated.width_mm > most:
-        yield refusal(f"""{key} is {stated.width_mm:g}: too wide for the {length:.3g} mm compared
-                of {name}
-            expected: at most a quarter of that, {most:g}
-            fix: write the standard deviation of the Gaussian, or leave out insertions that are
-                too short
-            where: {locate_key(file, key)}""")
+        yield DataError(
+            f"{key} is {stated.width_mm:g}: too wide for the {length:.3g} mm compared of {name}",
+            expected=f"at most a quarter of that, {most:g}",
+            fix="write the standard deviation of the Gaussian, or leave out insertions that are too short",
+            where=locate_key(file, key),
+        )
 
 
 def from_record(record: SectionsRecord) -> SplineSections:

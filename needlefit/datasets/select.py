@@ -39,10 +39,12 @@ def select_insertions(
         given = ", ".join(
             f"{name} = {value}" for name, value in selection.model_dump(exclude_none=True).items()
         )
-        raise ConfigError.of(f"""no insertion of dataset {dataset.name} has {given}
-            expected: a selection that leaves some of its {len(known)} insertions
-            fix: widen or correct the selection
-            key: {key}""")
+        raise ConfigError(
+            f"no insertion of dataset {dataset.name} has {given}",
+            expected=f"a selection that leaves some of its {len(known)} insertions",
+            fix="widen or correct the selection",
+            key=key,
+        )
     return chosen
 
 
@@ -84,9 +86,11 @@ def _require_known(kind: str, wanted: Iterable[str], known: Iterable[str]) -> No
     names = set(known)
     unknown = [name for name in wanted if name not in names]
     if unknown:
-        raise ConfigError.of(f"""{kind} {", ".join(unknown)} is not in the dataset
-            expected: one of {join_names(sort_by_similarity(unknown[0], names)) or "(none)"}
-            fix: correct the selection""")
+        raise ConfigError(
+            f"{kind} {', '.join(unknown)} is not in the dataset",
+            expected=f"one of {join_names(sort_by_similarity(unknown[0], names)) or '(none)'}",
+            fix="correct the selection",
+        )
 
 
 MIN_GROUPS = 5  # least number of groups from which the scatter between groups is estimated

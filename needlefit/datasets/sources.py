@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from needlefit.datasets.faults import Fault
-from needlefit.errors import refusal
+from needlefit.errors import DataError
 from needlefit.project.folders import list_all_files, sha256
 from needlefit.project.input_files import is_dir, is_file
 from needlefit.schemas.dataset import SourceRecord
@@ -27,18 +27,21 @@ def find_folder(record: SourceRecord, path: Path) -> Path:
     if record.root is None:
         return path.parent
     if "$" in os.path.expandvars(record.root):
-        raise refusal(f"""root is {record.root}, and that environment variable is not set
-            expected: the variable, naming the folder that holds the dataset folders
-            fix: {record.how_to_get or "set it and run again"}
-            where: {path}""")
+        raise DataError(
+            f"root is {record.root}, and that environment variable is not set",
+            expected="the variable, naming the folder that holds the dataset folders",
+            fix=record.how_to_get or "set it and run again",
+            where=path,
+        )
     absolute, found = _match_folders(record.root, path)
     if len(found) != 1:
         fix = "narrow root" if found else record.how_to_get or "check the path"
-        raise refusal(f"""{len(found) or "no"} folder{"s match" if found else " matches"} root
-                {record.root}
-            expected: one: {absolute}
-            fix: {fix}
-            where: {path}""")
+        raise DataError(
+            f"{len(found) or 'no'} folder{'s match' if found else ' matches'} root {record.root}",
+            expected=f"one: {absolute}",
+            fix=fix,
+            where=path,
+        )
     return found[0]
 
 
@@ -63,10 +66,7 @@ def find_checksum_faults(checksums: Mapping[str, str], folder: Path) -> list[Fau
             what = "is not the file described: wrong checksum"
             fix = f"if the change is meant, write {actual} under [checksums]"
         faults.append(
-            refusal(f"""{what}
-            expected: sha256 {expected}
-            fix: restore the file, or {fix}
-            where: {file}""")
+            DataError(what, expected=f"sha256 {expected}", fix=f"restore the file, or {fix}", where=file)
         )
     return faults
 

@@ -15,7 +15,7 @@ from needlefit.datasets.faults import Fault
 from needlefit.datasets.formats.csv import CsvTable, note_missing_columns, parse_numbers, rename_columns
 from needlefit.datasets.insertion import GuideMotion, Insertion
 from needlefit.datasets.needles import find_unknown_needle, make_needles
-from needlefit.errors import refusal
+from needlefit.errors import DataError
 from needlefit.geometry.frames import IDENTITY_FRAME
 from needlefit.mechanics.needle import Needle
 from needlefit.schemas.dataset import TrackDatasetRecord
@@ -84,10 +84,12 @@ def _parse_track_columns(
     table = rename_columns(table, source.columns, source.constants, found)
     for name in sorted((source.columns.keys() | source.constants.keys()) - {*known}):
         found.append(
-            refusal(f"""`columns` or `constants` names {name}
-            expected: one of {", ".join(known)}
-            fix: correct [tip_tracks] of dataset.toml
-            where: {table.path}""")
+            DataError(
+                f"`columns` or `constants` names {name}",
+                expected=f"one of {', '.join(known)}",
+                fix="correct [tip_tracks] of dataset.toml",
+                where=table.path,
+            )
         )
     if note_missing_columns(table, REQUIRED_TRACK_COLUMNS, found) or len(found) > before:
         return None
@@ -161,48 +163,55 @@ def _find_run_faults(
     needles = values[NEEDLE_COLUMN].tolist()
     yield from find_unknown_needle(needles[0], first, record)
     for n in [n for n, name in enumerate(needles) if name != needles[0]][:1]:
-        yield refusal(f"""the needle of run {id_} changes from {needles[0]!r} to {needles[n]!r}
-            expected: one needle for all of a run
-            fix: correct the cells
-            where: {places[n]}""")
+        yield DataError(
+            f"the needle of run {id_} changes from {needles[0]!r} to {needles[n]!r}",
+            expected="one needle for all of a run",
+            fix="correct the cells",
+            where=f"{places[n]}",
+        )
     if not id_:
-        yield refusal(f"""a reading has no id
-            expected: the run that it belongs to
-            fix: fill the cell
-            where: {first}""")
+        yield DataError(
+            "a reading has no id", expected="the run that it belongs to", fix="fill the cell", where=first
+        )
     elif fault := name_fault(id_):
-        yield refusal(f"""id is {id_!r}: {fault}
-            expected: {EXPECTED_NAME}
-            fix: rename the run
-            where: {first}""")
+        yield DataError(f"id is {id_!r}: {fault}", expected=EXPECTED_NAME, fix="rename the run", where=first)
     if medium not in record.media:
-        yield refusal(f"""run {id_} went into {medium!r}, which is not described
-            expected: {", ".join(record.media)}
-            fix: correct it, or add a table [media.NAME] to dataset.toml
-            where: {first}""")
+        yield DataError(
+            f"run {id_} went into {medium!r}, which is not described",
+            expected=", ".join(record.media),
+            fix="correct it, or add a table [media.NAME] to dataset.toml",
+            where=first,
+        )
     if len(depth) < MIN_READINGS:
-        yield refusal(f"""run {id_} has {len(depth)} reading{"s" if len(depth) > 1 else ""}
-            expected: at least {MIN_READINGS}: a shift and a slope are the tracker's
-            fix: add the others, or leave the run out
-            where: {first}""")
+        yield DataError(
+            f"run {id_} has {len(depth)} reading{'s' if len(depth) > 1 else ''}",
+            expected=f"at least {MIN_READINGS}: a shift and a slope are the tracker's",
+            fix="add the others, or leave the run out",
+            where=first,
+        )
     for n in np.flatnonzero(np.diff(depth) <= 0)[:1]:
-        yield refusal(f"""run {id_} goes from {depth[n]:g} back to {depth[n + 1]:g} mm
-            expected: depths that increase from reading to reading
-            fix: leave out the readings that follow, or the run
-            where: {places[n + 1]}""")
+        yield DataError(
+            f"run {id_} goes from {depth[n]:g} back to {depth[n + 1]:g} mm",
+            expected="depths that increase from reading to reading",
+            fix="leave out the readings that follow, or the run",
+            where=f"{places[n + 1]}",
+        )
     for n in np.flatnonzero(np.diff(depth) > MAX_STEP_MM)[:1]:
-        yield refusal(f"""run {id_} goes {depth[n + 1] - depth[n]:g} mm deeper between two
-                readings
-            expected: mm, at most {MAX_STEP_MM:g} at once
-            fix: convert to mm, or add the readings between
-            where: {places[n + 1]}""")
+        yield DataError(
+            f"run {id_} goes {depth[n + 1] - depth[n]:g} mm deeper between two readings",
+            expected=f"mm, at most {MAX_STEP_MM:g} at once",
+            fix="convert to mm, or add the readings between",
+            where=f"{places[n + 1]}",
+        )
     absent = np.flatnonzero(np.isnan(values["tip_z_mm"]))
     if 0 < len(absent) < len(depth):
-        yield refusal(f"""run {id_} has no tip_z_mm here
-            expected: the tip along z in every reading of a run, or in none
-            fix: fill the cell
-            where: {places[absent[0]]}""")
+        yield DataError(
+            f"run {id_} has no tip_z_mm here",
+            expected="the tip along z in every reading of a run, or in none",
+            fix="fill the cell",
+            where=f"{places[absent[0]]}",
+        )
     if sides[0] not in (1.0, -1.0) or np.ptp(sides) > 0:
-        yield refusal(f"""bevel_side of run {id_} is {sides[0]:g}
-            expected: 1 or -1, one for all of a run
-            where: {first}""")
+        yield DataError(
+            f"bevel_side of run {id_} is {sides[0]:g}", expected="1 or -1, one for all of a run", where=first
+        )

@@ -11,7 +11,7 @@ from needlefit.datasets.columns import POSE_COLUMNS, TIP_COLUMNS, InsertionRow
 from needlefit.datasets.faults import Fault
 from needlefit.datasets.insertion import Pose
 from needlefit.datasets.points import Points
-from needlefit.errors import refusal
+from needlefit.errors import DataError
 from needlefit.geometry.curves import make_normal
 from needlefit.geometry.frames import make_entry_frame
 
@@ -29,33 +29,42 @@ def find_tip_faults(row: InsertionRow, where: str, pose: Pose) -> Iterator[Fault
     """Yield what is wrong with an insertion of which no shape was measured, in a dataset of this `pose`."""
     tip_y, tip_z, _ = TIP_COLUMNS
     if pose != "known":
-        yield refusal(f"""no shape was measured of {row.id}, and its pose is not known
-            expected: frame.pose = "known": a tip is a deflection from the line of insertion
-            fix: add its centreline, or state poses
-            where: {where}""")
+        yield DataError(
+            f"no shape was measured of {row.id}, and its pose is not known",
+            expected='frame.pose = "known": a tip is a deflection from the line of insertion',
+            fix="add its centreline, or state poses",
+            where=where,
+        )
         return
     if row.pose_source == "first_point":
-        yield refusal(f"""pose_source is 'first_point', and no shape was measured
-            expected: stage, shaft or fitted: the place of first contact is known
-            fix: state where the tip first touched the tissue: {", ".join(POSE_COLUMNS[:3])}
-            where: {where}""")
+        yield DataError(
+            "pose_source is 'first_point', and no shape was measured",
+            expected="stage, shaft or fitted: the place of first contact is known",
+            fix=f"state where the tip first touched the tissue: {', '.join(POSE_COLUMNS[:3])}",
+            where=where,
+        )
     if row.tip_z is not None and row.tip_y is None:
-        yield refusal(f"""{tip_z} is stated without {tip_y}
-            expected: both, or the latter
-            fix: fill {tip_y}
-            where: {where}""")
+        yield DataError(
+            f"{tip_z} is stated without {tip_y}",
+            expected="both, or the latter",
+            fix=f"fill {tip_y}",
+            where=where,
+        )
     elif row.tip_y is None and row.curvature is None:
-        yield refusal(f"""nothing was measured of {row.id}
-            expected: a tip, curvatures or a shape
-            fix: fill {tip_y}, name a table of curvatures, or of centrelines under [centerlines]
-            where: {where}""")
+        yield DataError(
+            f"nothing was measured of {row.id}",
+            expected="a tip, curvatures or a shape",
+            fix=f"fill {tip_y}, name a table of curvatures, or of centrelines under [centerlines]",
+            where=where,
+        )
     across = np.hypot(row.tip_y or 0.0, row.tip_z or 0.0)
     if across >= row.depth:
-        yield refusal(f"""the tip of {row.id} is {across:g} mm off the entry line at a depth of
-                {row.depth:g} mm
-            expected: less than the inserted length
-            fix: give {tip_y} and depth_mm in mm: from the line of insertion
-            where: {where}""")
+        yield DataError(
+            f"the tip of {row.id} is {across:g} mm off the entry line at a depth of {row.depth:g} mm",
+            expected="less than the inserted length",
+            fix=f"give {tip_y} and depth_mm in mm: from the line of insertion",
+            where=where,
+        )
 
 
 def place_tip(row: InsertionRow, path: Path) -> tuple[InsertionRow, Points]:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from needlefit.arrays import Floats, pad_axis
-from needlefit.errors import refusal
+from needlefit.errors import DataError
 from needlefit.schemas.recording import PlacementRecord
 
 PARALLEL_SINE = 1e-6  # sine of the angle under which two directions count as parallel
@@ -45,8 +45,7 @@ def normalize(vector: ArrayLike, name: str = "direction") -> Floats:
     array = np.asarray(vector, dtype=np.float64)
     length = float(np.linalg.norm(array))
     if array.shape != (3,) or not np.isfinite(length) or length == 0.0:
-        raise refusal(f"""{name} is {array.tolist()}
-            expected: three finite numbers, not all zero""")
+        raise DataError(f"{name} is {array.tolist()}", expected="three finite numbers, not all zero")
     return array / length
 
 
@@ -59,8 +58,10 @@ def make_entry_frame(origin: ArrayLike, direction: ArrayLike, toward: ArrayLike)
     x, wanted = normalize(direction), normalize(toward, "bending direction")
     normal = wanted - (wanted @ x) * x
     if np.linalg.norm(normal) < PARALLEL_SINE:
-        raise refusal("""the bending direction is parallel to the entry direction
-            expected: a direction across the needle""")
+        raise DataError(
+            "the bending direction is parallel to the entry direction",
+            expected="a direction across the needle",
+        )
     y = normalize(normal)
     return Frame(np.asarray(origin, dtype=np.float64), np.column_stack([x, y, np.cross(x, y)]))
 

@@ -12,7 +12,7 @@ from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.read import check
 from needlefit.datasets.sections import SECTIONS_PATTERN
 from needlefit.datasets.write import write_dataset
-from needlefit.errors import DataError, refusal
+from needlefit.errors import DataError
 from needlefit.geometry.surfaces import Surface
 from needlefit.imaging.batch import ReconstructionFailure
 from needlefit.imaging.corrections import list_control_points
@@ -71,10 +71,12 @@ def assemble_dataset(
         records[name], files = _medium_record(name, group, (description.media or {}).get(name, ""))
         # `a` with `b_c` and `a_b` with `c` both make `a_b_c`
         if both := sorted(files.keys() & surfaces.keys()):
-            raise refusal(f"""two media would write {both[0]}
-                expected: names of media and surfaces that make different files
-                fix: rename the medium, or the file of the surface
-                where: medium {name}""")
+            raise DataError(
+                f"two media would write {both[0]}",
+                expected="names of media and surfaces that make different files",
+                fix="rename the medium, or the file of the surface",
+                where=f"medium {name}",
+            )
         surfaces |= files
     rows = [
         InsertionRow(
@@ -170,10 +172,14 @@ def _medium_record(
     first = group[0].layers.surfaces
     for one in group[1:]:
         if [(s.kind, s.into) for s in one.layers.surfaces] != [(s.kind, s.into) for s in first]:
-            raise refusal(f"""the layers of {one.scan.id} are not those of {group[0].scan.id}
-                expected: in every scan of a medium the same kinds of surfaces, leading into the same layers
-                fix: give these scans media of different names, or the same layers
-                where: medium {name}""")
+            raise DataError(
+                f"the layers of {one.scan.id} are not those of {group[0].scan.id}",
+                expected=(
+                    "in every scan of a medium the same kinds of surfaces, leading into the same layers"
+                ),
+                fix="give these scans media of different names, or the same layers",
+                where=f"medium {name}",
+            )
     shared = all(
         all(
             np.array_equal(a.mesh.vertices, b.mesh.vertices) and np.array_equal(a.mesh.faces, b.mesh.faces)

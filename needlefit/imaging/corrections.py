@@ -13,7 +13,7 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.formats.markups import Markups, read_markups
-from needlefit.errors import located, refusal
+from needlefit.errors import DataError, located
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.frames import AXIS_SIGNS
 from needlefit.imaging.needle.follow import MIN_POINTS
@@ -80,10 +80,14 @@ def read_corrections(path: Path) -> dict[str, Corrections]:
     for one in read_markups(path):
         id_, name, _ = one.name.rpartition(f" {LIST_NAME}")
         if not name or one.kind != "Fiducial":
-            raise refusal(f"""the {one.kind} `{one.name}` is no list of corrections
-                expected: the point list `ID {LIST_NAME}` that `needlefit reconstruct` wrote for the scan ID
-                fix: save that list alone
-                where: {path}""")
+            raise DataError(
+                f"the {one.kind} `{one.name}` is no list of corrections",
+                expected=(
+                    f"the point list `ID {LIST_NAME}` that `needlefit reconstruct` wrote for the scan ID"
+                ),
+                fix="save that list alone",
+                where=path,
+            )
         with located(f"{path}, list `{one.name}`"):
             found[id_] = _parse_corrections(one)
     return found
@@ -93,9 +97,11 @@ def _parse_corrections(markups: Markups) -> Corrections:
     kinds = [_LABEL.fullmatch(label.strip()) for label in markups.labels]
     unknown = [label for label, kind in zip(markups.labels, kinds, strict=True) if kind is None]
     if unknown:
-        raise refusal(f"""the point `{unknown[0]}` has no known label
-            expected: {", ".join(KINDS)}, with or without a number
-            fix: rename the point in 3D Slicer, or remove it""")
+        raise DataError(
+            f"the point `{unknown[0]}` has no known label",
+            expected=f"{', '.join(KINDS)}, with or without a number",
+            fix="rename the point in 3D Slicer, or remove it",
+        )
     stated = [_FOUND.search(text) for text in markups.descriptions]
     before = np.array([[np.nan] * 3 if one is None else [float(x) for x in one.groups()] for one in stated])
     here, turned = (
@@ -103,26 +109,30 @@ def _parse_corrections(markups: Markups) -> Corrections:
         for system in ("LPS", "RAS")
     )
     if turned.any() and not here.any():
-        raise refusal(f"""it states {markups.system}, but its points stand where they were found only with the
-                signs of x and y changed
-            expected: the coordinate system that the file states
-            fix: correct `coordinateSystem` (LPS or RAS), or save the list again in 3D Slicer""")
+        raise DataError(
+            f"it states {markups.system}, but its points stand where they were found "
+            "only with the signs of x and y changed",
+            expected="the coordinate system that the file states",
+            fix="correct `coordinateSystem` (LPS or RAS), or save the list again in 3D Slicer",
+        )
     moved = ~here
     own = {name: np.array([kind is not None and kind[1].lower() == name for kind in kinds]) for name in KINDS}
     counts = [int(one[1]) for one in map(_BALLS.search, markups.descriptions) if one]
     removed = max(counts, default=0) > np.count_nonzero(own["ball"] & np.isfinite(before).all(axis=1))
     axis = markups.points[own["axis"] & moved]
     if 0 < len(axis) < MIN_POINTS:
-        raise refusal(f"""{len(axis)} points of the axis were moved
-            expected: {MIN_POINTS} or more: the needle is then followed along these alone
-            fix: move more of them onto the needle, or move these back""")
+        raise DataError(
+            f"{len(axis)} points of the axis were moved",
+            expected=f"{MIN_POINTS} or more: the needle is then followed along these alone",
+            fix="move more of them onto the needle, or move these back",
+        )
     ends: dict[str, Floats | None] = {}
     for name in ("tip", "entry"):
         placed = markups.points[own[name] & moved]
         if len(placed) > 1:
-            raise refusal(f"""{len(placed)} points are called {name}
-                expected: one
-                fix: remove the others""")
+            raise DataError(
+                f"{len(placed)} points are called {name}", expected="one", fix="remove the others"
+            )
         ends[name] = placed[0] if len(placed) else None
     balls = markups.points[own["ball"]] if removed or (own["ball"] & moved).any() else None
     return Corrections(axis if len(axis) else None, ends["tip"], ends["entry"], balls)
@@ -140,33 +150,51 @@ def correct_scans(scans: Sequence[Scan], files: Sequence[Path]) -> tuple[Scan, .
         for id_, found in read_corrections(path).items():
             with located(path):
                 if id_ not in corrected:
-                    raise refusal(f"""it corrects the scan `{id_}`, which is not among those to be
-                            reconstructed
-                        expected: one of {", ".join(corrected)}
-                        fix: name that scan, too; of one needle of several (--all), the scans.csv of their
-                            dataset""")
+                    raise DataError(
+                        f"it corrects the scan `{id_}`, which is not among those to be reconstructed",
+                        expected=f"one of {', '.join(corrected)}",
+                        fix=(
+                            "name that scan, too; of one needle of several (--all), the "
+                            "scans.csv of their dataset"
+                        ),
+                    )
                 scan = corrected[id_]
                 if scan.corrections is not None:
-                    raise refusal(f"""it corrects the scan `{id_}` a second time
-                        expected: one list for each scan
-                        fix: move all points in one list""")
+                    raise DataError(
+                        f"it corrects the scan `{id_}` a second time",
+                        expected="one list for each scan",
+                        fix="move all points in one list",
+                    )
                 if all(places is None for places in vars(found).values()) and not scan.answered:
-                    raise refusal(f"""none of the control points of `{id_}` was moved
-                        expected: {", ".join(KINDS)} somewhere else than where they were found
-                        fix: move those that are wrong in 3D Slicer, or remove balls that are none, and save
-                            it again; or confirm the entry as it is (--confirm entry=1)""")
+                    raise DataError(
+                        f"none of the control points of `{id_}` was moved",
+                        expected=f"{', '.join(KINDS)} somewhere else than where they were found",
+                        fix=(
+                            "move those that are wrong in 3D Slicer, or remove balls that "
+                            "are none, and save it again; or confirm the entry as it is "
+                            "(--confirm entry=1)"
+                        ),
+                    )
                 if found.balls is not None and scan.markers is None:
-                    raise refusal("""balls were moved, but the scan has no known places to lay them on
-                        expected: the markers' known places in the world
-                        fix: name them with --markers, or in a table of scans""")
+                    raise DataError(
+                        "balls were moved, but the scan has no known places to lay them on",
+                        expected="the markers' known places in the world",
+                        fix="name them with --markers, or in a table of scans",
+                    )
                 if found.balls is not None and len(found.balls) < MIN_MARKERS:
-                    raise refusal(f"""{len(found.balls)} of at least {MIN_MARKERS} balls are left
-                        expected: {MIN_MARKERS} or more that are not on a line: they register the scan to the
-                            world
-                        fix: leave the others in the list""")
+                    raise DataError(
+                        f"{len(found.balls)} of at least {MIN_MARKERS} balls are left",
+                        expected=(
+                            f"{MIN_MARKERS} or more that are not on a line: they "
+                            "register the scan to the world"
+                        ),
+                        fix="leave the others in the list",
+                    )
                 if found.entry is not None and scan.stage is not None:
-                    raise refusal("""the entry is stated by the stage (entry_x_mm ...) and was moved by hand
-                        expected: one of both
-                        fix: move the entry back, or empty entry_x_mm ... pose_angle_sd_deg""")
+                    raise DataError(
+                        "the entry is stated by the stage (entry_x_mm ...) and was moved by hand",
+                        expected="one of both",
+                        fix="move the entry back, or empty entry_x_mm ... pose_angle_sd_deg",
+                    )
                 corrected[id_] = replace(scan, corrections=found)
     return tuple(corrected.values())

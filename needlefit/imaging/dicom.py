@@ -28,7 +28,7 @@ from pydicom.pixels.utils import iter_pixels
 from pydicom.uid import UID
 
 from needlefit.arrays import Floats, are_bounded
-from needlefit.errors import DataError, located, refusal
+from needlefit.errors import DataError, located
 from needlefit.imaging.volume import (
     VoxelGrid,
     begins_as_dicom,
@@ -118,10 +118,12 @@ class DicomSlice:
         except Exception:  # pydicom parses an entry when it is asked for, and raises what its bytes provoke
             values, array = ["unreadable"], np.empty(0)
         if len(array) != count * len(names) or not are_bounded(array):
-            raise refusal(f"""{" and ".join(names)} is {values}
-                expected: finite numbers, as many as the DICOM standard asks for
-                fix: export the series from the scanner or the archive again
-                where: {self.where}""")
+            raise DataError(
+                f"{' and '.join(names)} is {values}",
+                expected="finite numbers, as many as the DICOM standard asks for",
+                fix="export the series from the scanner or the archive again",
+                where=self.where,
+            )
         return array
 
     @cached_property
@@ -197,10 +199,12 @@ def read_series(arrays: Arrays, path: str, series: str | None, acquisition: str 
         plane[...] = stored
     least = np.fmin.reduce(values, axis=None)
     if np.isnan(least):
-        raise refusal(f"""holds nothing but padding
-            expected: measured values; padding is what PixelPaddingValue states
-            fix: check PixelPaddingValue, or export the series again
-            where: {slices[0].file.parent}""")
+        raise DataError(
+            "holds nothing but padding",
+            expected="measured values; padding is what PixelPaddingValue states",
+            fix="check PixelPaddingValue, or export the series again",
+            where=f"{slices[0].file.parent}",
+        )
     for plane in values:
         plane[np.isnan(plane)] = least
     return {**grid_to_json(grid), "warnings": notes}
@@ -253,10 +257,12 @@ def _damaged_unless_read(file: Path) -> Iterator[None]:
     except (DataError, MemoryError):
         raise
     except Exception as error:
-        raise refusal(f"""is damaged or cut short, or no DICOM image
-            expected: a whole DICOM file
-            fix: copy the file again, or export the series again
-            where: {file}""") from error
+        raise DataError(
+            "is damaged or cut short, or no DICOM image",
+            expected="a whole DICOM file",
+            fix="copy the file again, or export the series again",
+            where=file,
+        ) from error
 
 
 def find_series(path: Path, series: str | None, notes: list[str]) -> list[DicomSlice]:
@@ -271,12 +277,17 @@ def find_series(path: Path, series: str | None, notes: list[str]) -> list[DicomS
     path = path.parent if is_dicomdir(path) else path
     named = read_headers(path) if is_file(path) else []
     if is_file(path) and not named:
-        raise refusal(f"""is not a volume that can be read
-            expected: a DICOM image, or a file that ends in .nrrd, .nii, .nii.gz or .mha; values in HU
-            fix: name the scan's folder, or export it so; structure sets (RTSTRUCT) are read by `needlefit
-                import`; import pictures (a micro-CT's TIFF) into 3D Slicer with their spacing, turn their
-                values to HU (air -1000, water 0), and save them as NRRD
-            where: {path}""")
+        raise DataError(
+            "is not a volume that can be read",
+            expected="a DICOM image, or a file that ends in .nrrd, .nii, .nii.gz or .mha; values in HU",
+            fix=(
+                "name the scan's folder, or export it so; structure sets (RTSTRUCT) are "
+                "read by `needlefit import`; import pictures (a micro-CT's TIFF) into 3D "
+                "Slicer with their spacing, turn their values to HU (air -1000, water 0), "
+                "and save them as NRRD"
+            ),
+            where=path,
+        )
     groups: dict[str, list[DicomSlice]] = {}
     damaged: list[str] = []
     for file in list_series_files(path):
@@ -303,18 +314,24 @@ def find_series(path: Path, series: str | None, notes: list[str]) -> list[DicomS
     if not groups:
         inside = sorted(entry.name + "/" * entry.is_dir() for entry in path.iterdir())
         shown = ", ".join(inside[:MAX_LISTED]) + (", ..." if len(inside) > MAX_LISTED else "")
-        raise refusal(f"""{f"holds no DICOM image; there is {shown}" if inside else "is an empty folder"}
-            expected: the files of a DICOM series, in the folder or below it
-            fix: name the folder in which the slices lie, or the .nrrd or .nii.gz file itself
-            where: {path}""")
+        raise DataError(
+            f"holds no DICOM image; there is {shown}" if inside else "is an empty folder",
+            expected="the files of a DICOM series, in the folder or below it",
+            fix="name the folder in which the slices lie, or the .nrrd or .nii.gz file itself",
+            where=path,
+        )
     if series is None and len(groups) == 1:
         return next(iter(groups.values()))
     count = f"{len(groups)} series" if series is None else f"{len(chosen) or 'no'} series {series}"
-    raise refusal(f"""holds {count}: {_list_series(groups, path)}
-        expected: one series, or the name of the one that is meant
-        fix: give the number or the UID of the one that is meant with --series, or under `series` in a
-            table of scans
-        where: {path}""")
+    raise DataError(
+        f"holds {count}: {_list_series(groups, path)}",
+        expected="one series, or the name of the one that is meant",
+        fix=(
+            "give the number or the UID of the one that is meant with --series, or under "
+            "`series` in a table of scans"
+        ),
+        where=path,
+    )
 
 
 def _is_stack(slices: Sequence[DicomSlice]) -> bool:
@@ -363,11 +380,15 @@ def _choose_acquisition(slices: list[DicomSlice], acquisition: str | None) -> li
     if acquisition is None and not several:
         return slices
     listed = ", ".join(f"`{name}` ({len(one)} slices)" for name, one in parts.items())
-    raise refusal(f"""its slices are those of {len(parts)} acquisitions: {listed}
-        expected: one acquisition
-        fix: name the one that is meant with --acquisition, or under `acquisition` in a table of scans:
-            {" or ".join(parts)}
-        where: {slices[0].file.parent}""")
+    raise DataError(
+        f"its slices are those of {len(parts)} acquisitions: {listed}",
+        expected="one acquisition",
+        fix=(
+            "name the one that is meant with --acquisition, or under `acquisition` in a "
+            f"table of scans: {' or '.join(parts)}"
+        ),
+        where=f"{slices[0].file.parent}",
+    )
 
 
 def stack_slices(slices: Sequence[DicomSlice]) -> tuple[list[DicomSlice], VoxelGrid]:
@@ -381,24 +402,30 @@ def stack_slices(slices: Sequence[DicomSlice]) -> tuple[list[DicomSlice], VoxelG
     for item in slices:
         for wrong, what, fix in _list_faults(item):
             if wrong:
-                raise refusal(f"""{what}
-                    expected: slices of a CT volume in HU, with their places in the patient
-                    fix: {fix}
-                    where: {item.where}""")
+                raise DataError(
+                    what,
+                    expected="slices of a CT volume in HU, with their places in the patient",
+                    fix=fix,
+                    where=item.where,
+                )
     first = slices[0]
     assert first.pixel is not None and first.axes is not None
     _check_alike(slices)
     with located(first.file.parent):
         if len(slices) < 2:
-            raise refusal("""holds one slice
-                expected: a stack of slices
-                fix: copy all files of the series into the folder""")
+            raise DataError(
+                "holds one slice",
+                expected="a stack of slices",
+                fix="copy all files of the series into the folder",
+            )
         axes = first.axes.reshape(2, 3)
         if not (np.abs(axes @ axes.T - np.eye(2)) <= 2 * MAX_LEAN).all():
-            raise refusal(f"""ImageOrientationPatient is {axes.round(4).tolist()}
-                expected: two perpendicular unit vectors
-                fix: {EXPORT_FIX}
-                where: {first.where}""")
+            raise DataError(
+                f"ImageOrientationPatient is {axes.round(4).tolist()}",
+                expected="two perpendicular unit vectors",
+                fix=EXPORT_FIX,
+                where=first.where,
+            )
         direction = orthogonalize(np.vstack([axes, np.cross(*axes)]).T)
         positions = np.array([item.position for item in slices])  # (K, 3)
         order = np.argsort(positions @ direction[:, 2], kind="stable")
@@ -461,10 +488,14 @@ def _check_alike(slices: Sequence[DicomSlice]) -> None:
             own, other = ([one.data.get(tag) for tag in tags] for one in (item, first))
             same = own == other if allowed is None else np.allclose(own, other, rtol=0, atol=allowed)
             if not same:
-                raise refusal(f"""its {name} is {own}, that of {first.name} is {other}
-                    expected: the same in every slice of a series
-                    fix: move the slices of another scan to a folder of their own, or export the series again
-                    where: {item.where}""")
+                raise DataError(
+                    f"its {name} is {own}, that of {first.name} is {other}",
+                    expected="the same in every slice of a series",
+                    fix=(
+                        "move the slices of another scan to a folder of their own, or export the series again"
+                    ),
+                    where=item.where,
+                )
 
 
 def _fit_steps(ordered: Sequence[DicomSlice], positions: Floats, normal: Floats) -> tuple[Floats, Floats]:
@@ -478,28 +509,39 @@ def _fit_steps(ordered: Sequence[DicomSlice], positions: Floats, normal: Floats)
     doubled = int((steps < MIN_STEP_MM).sum())
     for (before, after), step in zip(pairwise(ordered), steps, strict=True):
         if step < MIN_STEP_MM:
-            raise refusal(f"""stands at the same place as {before.name}, with other voxels, as {doubled} of
-                    {len(ordered)} slices do: these are several scans with one AcquisitionNumber, or none
-                expected: one slice at each place
-                fix: export one scan (phase, time, kernel), or move the slices of each to a folder of its own
-                where: {after.where}""")
+            raise DataError(
+                f"stands at the same place as {before.name}, with other voxels, as "
+                f"{doubled} of {len(ordered)} slices do: these are several scans with "
+                "one AcquisitionNumber, or none",
+                expected="one slice at each place",
+                fix=(
+                    "export one scan (phase, time, kernel), or move the slices of each to a folder of its own"
+                ),
+                where=after.where,
+            )
         if usual >= MIN_STEP_MM and step > MAX_STEP_RATIO * usual:
-            raise refusal(f"""{round(step / usual) - 1 or 1} slice(s) missing between {before.name}
-                    and {after.name}: a step of {step:.4g} mm where others are {usual:.4g} mm
-                expected: a stack without gaps
-                fix: copy the missing files; a series with two spacings must be resampled to one
-                where: {before.file.parent}""")
+            raise DataError(
+                f"{round(step / usual) - 1 or 1} slice(s) missing between {before.name} "
+                f"and {after.name}: a step of {step:.4g} mm where others are "
+                f"{usual:.4g} mm",
+                expected="a stack without gaps",
+                fix="copy the missing files; a series with two spacings must be resampled to one",
+                where=before.file.parent,
+            )
     count = np.arange(len(ordered))
     step, origin = np.polyfit(count, positions, 1)
     away = np.linalg.norm(origin + np.outer(count, step) - positions, axis=1)
     if away.max() > MAX_OFFSET_MM:
         worst = int(away.argmax())
-        raise refusal(f"""stands {away[worst]:.3g} mm from its place in an even stack of
-                {np.linalg.norm(step):.4g} mm steps, as other slices may
-            expected: even steps, to {MAX_OFFSET_MM:g} mm; slices straight above each other, or all leaning
-                alike
-            fix: {EXPORT_FIX}; or resample it to even steps, e.g. in 3D Slicer, and save it as NRRD
-            where: {ordered[worst].where}""")
+        raise DataError(
+            f"stands {away[worst]:.3g} mm from its place in an even stack of "
+            f"{np.linalg.norm(step):.4g} mm steps, as other slices may",
+            expected=(
+                f"even steps, to {MAX_OFFSET_MM:g} mm; slices straight above each other, or all leaning alike"
+            ),
+            fix=f"{EXPORT_FIX}; or resample it to even steps, e.g. in 3D Slicer, and save it as NRRD",
+            where=f"{ordered[worst].where}",
+        )
     return origin, step
 
 
@@ -523,7 +565,9 @@ def _read_planes(slices: Sequence[DicomSlice]) -> Iterator[NDArray[np.float64]]:
             raise
         except Exception as error:  # whatever the bytes provoke in one of several decoders
             packed = f"; it is compressed as {items[0].syntax.name}" * items[0].syntax.is_compressed
-            raise refusal(f"""its voxels cannot be read{packed}
-                expected: a whole DICOM file
-                fix: it is cut short or damaged: copy it again, or export the series again, uncompressed
-                where: {file}""") from error
+            raise DataError(
+                f"its voxels cannot be read{packed}",
+                expected="a whole DICOM file",
+                fix="it is cut short or damaged: copy it again, or export the series again, uncompressed",
+                where=file,
+            ) from error

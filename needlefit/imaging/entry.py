@@ -15,7 +15,7 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.layers import MAX_START_DISTANCE_MM
-from needlefit.errors import DataError, refusal
+from needlefit.errors import DataError
 from needlefit.geometry.crossings import find_surface_hits
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.shaft import fit_shaft_axis
@@ -91,10 +91,11 @@ def pose_from_shaft(shaft: OutsideShaft, along_sd: float) -> EntryPose:
     """
     use = shaft.s < -SHAFT_CLEARANCE_MM
     if usable_length(shaft) < MIN_SHAFT_LENGTH_MM:
-        raise refusal(f"""{usable_length(shaft):.1f} mm of the shaft show outside the tissue, too few to draw
-                its axis
-            expected: at least {MIN_SHAFT_LENGTH_MM:g} mm, or the pose of the stage
-            fix: state the stage (entry_x_mm ... pose_angle_sd_deg), or scan more of the needle""")
+        raise DataError(
+            f"{usable_length(shaft):.1f} mm of the shaft show outside the tissue, too few to draw its axis",
+            expected=f"at least {MIN_SHAFT_LENGTH_MM:g} mm, or the pose of the stage",
+            fix="state the stage (entry_x_mm ... pose_angle_sd_deg), or scan more of the needle",
+        )
     s, points, sd = shaft.s[use], shaft.points[use], shaft.sd[use]
     # errors of the traced axis are correlated; a tenth is independent, which keeps the matrix invertible
     noise = np.outer(sd, sd) * np.exp(-np.abs(s[:, None] - s) / CORRELATION_LENGTH_MM) + np.diag(
@@ -120,10 +121,15 @@ def compare_poses(stage: EntryPose, shaft: EntryPose) -> tuple[float, str]:
     )
     worst = max(offset / offset_sd, turn / turn_sd)
     if worst > MAX_AXIS_DISAGREEMENT_SD:
-        raise refusal(f"""{sentence}
-            expected: the axis on which the needle was pushed
-            fix: check entry_x_mm ... entry_dz: their frame (the world of the markers), signs (LPS or RAS),
-                and the deviations stated; or leave the stage out, and the shaft is taken""")
+        raise DataError(
+            sentence,
+            expected="the axis on which the needle was pushed",
+            fix=(
+                "check entry_x_mm ... entry_dz: their frame (the world of the markers), "
+                "signs (LPS or RAS), and the deviations stated; or leave the stage out, and "
+                "the shaft is taken"
+            ),
+        )
     return worst, sentence
 
 
@@ -149,19 +155,25 @@ def find_entry_arc_length(points: Floats, pose: EntryPose) -> float:
     along = (points - pose.origin) @ pose.direction
     before = np.flatnonzero((along[:-1] < 0) & (along[1:] >= 0))
     if not len(before):
-        raise refusal(f"""the needle does not pass the entry: it lies {along.min():.1f} to {along.max():.1f}
-                mm from it along the entry direction
-            expected: an entry between the needle's base and its tip, a direction into the tissue
-            fix: check entry_x_mm ... entry_dz, their frame (the world of the markers), and the sign of the
-                direction""")
+        raise DataError(
+            f"the needle does not pass the entry: it lies {along.min():.1f} to "
+            f"{along.max():.1f} mm from it along the entry direction",
+            expected="an entry between the needle's base and its tip, a direction into the tissue",
+            fix=(
+                "check entry_x_mm ... entry_dz, their frame (the world of the markers), and "
+                "the sign of the direction"
+            ),
+        )
     n = int(before[0])
     s = arc_length(points)
     at: float = s[n] - along[n] / (along[n + 1] - along[n]) * (s[n + 1] - s[n])
     away = float(np.linalg.norm(interpolate_at_arc(points, [at])[0] - pose.origin))
     if away > MAX_START_DISTANCE_MM:
-        raise refusal(f"""the needle crosses the plane of first contact {away:.1f} mm from the entry
-            expected: within {MAX_START_DISTANCE_MM:g} mm of it
-            fix: check the entry pose, the known places of the markers, and that both are in one frame""")
+        raise DataError(
+            f"the needle crosses the plane of first contact {away:.1f} mm from the entry",
+            expected=f"within {MAX_START_DISTANCE_MM:g} mm of it",
+            fix="check the entry pose, the known places of the markers, and that both are in one frame",
+        )
     return at
 
 
@@ -242,11 +254,15 @@ def choose_entry(
         f"{n}: {tip - one.at:.1f} mm before the tip, {'behind a' if one.guide else 'no'} guide"
         for n, one in enumerate(answers, start=1)
     )
-    error = refusal(f"""{doubt}: where does the tissue begin? {listed}
-        expected: {expected}
-        fix: look at its picture in quality/ and give the number of the right answer (--confirm entry=1); or
-            {fix}; or place the entry (--corrections)
-        where: guide.thickness_mm""")
+    error = DataError(
+        f"{doubt}: where does the tissue begin? {listed}",
+        expected=expected,
+        fix=(
+            "look at its picture in quality/ and give the number of the right answer "
+            f"(--confirm entry=1); or {fix}; or place the entry (--corrections)"
+        ),
+        where="guide.thickness_mm",
+    )
     return replace(offered, doubt=error, answers=tuple(answers))
 
 

@@ -17,7 +17,7 @@ from nibabel.filebasedimages import ImageFileError
 from nibabel.spatialimages import HeaderDataError
 from numpy.typing import NDArray
 
-from needlefit.errors import located, refusal
+from needlefit.errors import DataError, located
 from needlefit.geometry.frames import RAS_TO_LPS
 from needlefit.imaging.volume import (
     VoxelGrid,
@@ -97,9 +97,11 @@ def _open_nifti(file: Path) -> ImageHeader:
         parts = "numbers" if kind.kind in "iuf" else "numbers of several parts"
         raise not_one_volume(f"{' x '.join(map(str, shape))} {parts}")
     if not any(codes):
-        raise refusal("""does not state where it stands in the patient: qform_code and sform_code are 0
-            expected: a NIfTI header with a qform or an sform
-            fix: convert the scan from its DICOM series again""")
+        raise DataError(
+            "does not state where it stands in the patient: qform_code and sform_code are 0",
+            expected="a NIfTI header with a qform or an sform",
+            fix="convert the scan from its DICOM series again",
+        )
     columns, rows, slices = shape
     spacing = np.linalg.norm(affine[:, :3], axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):  # what this leaves `check_grid` refuses
@@ -127,10 +129,14 @@ def _open_itk(file: Path, labels: bool) -> ImageHeader:
     parts = 2 if complex_ else reader.GetNumberOfComponents()
     if reader.GetDimension() != 3 or bits is None or parts != 1:
         if labels and parts != 1:
-            raise refusal(f"""its segments overlap, or once did: they lie in {parts} layers
-                expected: every voxel in one layer
-                fix: in the Segment Editor set "Modify other segments" to "Overwrite all", collapse the
-                    layers of the segmentation, and save it again""")
+            raise DataError(
+                f"its segments overlap, or once did: they lie in {parts} layers",
+                expected="every voxel in one layer",
+                fix=(
+                    'in the Segment Editor set "Modify other segments" to "Overwrite all", '
+                    "collapse the layers of the segmentation, and save it again"
+                ),
+            )
         size = " x ".join(map(str, reader.GetSize()))
         raise not_one_volume(f"{size} voxels of {parts} number{'s' * (parts > 1)}")
     texts = {key: reader.GetMetaData(key) for key in reader.GetMetaDataKeys()}
@@ -138,9 +144,11 @@ def _open_itk(file: Path, labels: bool) -> ImageHeader:
     # MetaImage is LPS by its definition
     if reader.GetImageIO() == "NrrdImageIO" and space != "left-posterior-superior":
         stated = f"its space is {space}, which does not describe the patient"
-        raise refusal(f"""{stated if space else "does not state its space"}
-            expected: `space: left-posterior-superior` or another anatomical one in the header
-            fix: export it from a program that knows the patient's axes, such as 3D Slicer""")
+        raise DataError(
+            stated if space else "does not state its space",
+            expected="`space: left-posterior-superior` or another anatomical one in the header",
+            fix="export it from a program that knows the patient's axes, such as 3D Slicer",
+        )
     columns, rows, slices = reader.GetSize()
     origin, spacing, direction = map(
         np.array, (reader.GetOrigin(), reader.GetSpacing(), reader.GetDirection())

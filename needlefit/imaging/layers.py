@@ -22,7 +22,7 @@ from needlefit.arrays import Floats
 from needlefit.datasets.columns import make_id
 from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.layers import compute_depths, find_hole, find_surface_faults, make_file_fault
-from needlefit.errors import DataError, located, refusal
+from needlefit.errors import DataError, located
 from needlefit.geometry.crossings import find_crossings
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.frames import RAS_TO_LPS, Frame
@@ -99,14 +99,18 @@ def _extract_surface(mask: NDArray[np.bool_], low: NDArray[np.int64], layer: int
     )
     place = f"layer {layer}{f' ({name})' if name else ''}" + " and those beyond" * (not last)
     if loose > MAX_LOOSE_FRACTION:
-        raise refusal(f"""{place} fall{"s" * last} apart: islands or cavities of {100 * loose:.0f} % of the
-                largest piece
-            expected: layers in one piece, one within or behind the other, in the order of the segments
-            fix: label bubbles and the needle as the tissue around them, remove islands, sort the segments""")
+        raise DataError(
+            f"{place} fall{'s' * last} apart: islands or cavities of {100 * loose:.0f} "
+            "% of the largest piece",
+            expected="layers in one piece, one within or behind the other, in the order of the segments",
+            fix="label bubbles and the needle as the tissue around them, remove islands, sort the segments",
+        )
     for fault in find_surface_faults(surface, Path()):
-        raise refusal(f"""the surface of {place} {fault.what}
-            expected: a closed boundary
-            fix: smooth the segmentation, and remove layers thinner than a voxel""")
+        raise DataError(
+            f"the surface of {place} {fault.what}",
+            expected="a closed boundary",
+            fix="smooth the segmentation, and remove layers thinner than a voxel",
+        )
     return surface
 
 
@@ -155,10 +159,12 @@ def read_layers(scan: Scan, patient: Frame, grid: VoxelGrid | None = None) -> tu
     if segmented is not None and len(scan.surfaces) > 1:
         names = ", ".join(source.path.name for source in scan.surfaces)
         found.append(
-            refusal(f"""lists a segmentation beside other surfaces: {names}
-            expected: meshes, or one segmentation
-            fix: list it alone
-            where: {segmented.path}""")
+            DataError(
+                f"lists a segmentation beside other surfaces: {names}",
+                expected="meshes, or one segmentation",
+                fix="list it alone",
+                where=segmented.path,
+            )
         )
     elif segmented is not None:
         try:
@@ -175,19 +181,22 @@ def read_layers(scan: Scan, patient: Frame, grid: VoxelGrid | None = None) -> tu
     for missing in sorted(set(range(2, max(numbers, default=1))) - set(numbers))[:1]:
         led = ", ".join(map(str, sorted(numbers)))
         found.append(
-            refusal(f"""no surface leads into layer {missing}; they lead into {led}
-            expected: layers numbered without a gap: 1, where needles begin, then 2, 3, ...
-            fix: correct the number, e.g. file=sheet:2, or add the surface that is missing
-            where: {scan.volume}""")
+            DataError(
+                f"no surface leads into layer {missing}; they lead into {led}",
+                expected="layers numbered without a gap: 1, where needles begin, then 2, 3, ...",
+                fix="correct the number, e.g. file=sheet:2, or add the surface that is missing",
+                where=scan.volume,
+            )
         )
     for n, one in enumerate(surfaces):
         if any(np.array_equal(one.mesh.vertices, other.mesh.vertices) for other in surfaces[:n]):
             found.append(
-                refusal(f"""lists the surface {one.name} twice: one layer would be left
-                    out
-                expected: a surface of its own for each layer
-                fix: name the file of the other layer
-                where: {scan.volume}""")
+                DataError(
+                    f"lists the surface {one.name} twice: one layer would be left out",
+                    expected="a surface of its own for each layer",
+                    fix="name the file of the other layer",
+                    where=scan.volume,
+                )
             )
     within = layers_in_scan(scan)
     world = tuple(transform_surface(one, patient) if within else one for one in surfaces)
@@ -198,12 +207,15 @@ def read_layers(scan: Scan, patient: Frame, grid: VoxelGrid | None = None) -> tu
                 # a mesh is called as its file, all others are of the first
                 own = (source.path for source in scan.surfaces if source.path.stem == surface.name)
                 found.append(
-                    refusal(f"""the surface {surface.name} lies outside the scan
-                        {scan.volume}
-                    expected: surfaces and scan in one place
-                    fix: see whether it belongs to this scan, stands in its frame or the world's,
-                        in LPS or RAS
-                    where: {next(own, scan.surfaces[0].path)}""")
+                    DataError(
+                        f"the surface {surface.name} lies outside the scan {scan.volume}",
+                        expected="surfaces and scan in one place",
+                        fix=(
+                            "see whether it belongs to this scan, stands in its frame or the "
+                            "world's, in LPS or RAS"
+                        ),
+                        where=next(own, scan.surfaces[0].path),
+                    )
                 )
     if found:
         raise as_error(found, scan.volume)

@@ -13,7 +13,7 @@ from scipy.spatial.distance import cdist
 
 from needlefit.arrays import Floats, Ints
 from needlefit.datasets.formats import FORMATS, find_format
-from needlefit.errors import refusal
+from needlefit.errors import DataError
 from needlefit.imaging.bright_voxels import BrightVoxels, list_bright_voxels
 from needlefit.imaging.needle.segmentation import MIN_METAL_CONTRAST_HU, median_tissue_hu
 from needlefit.imaging.point_spread import MAX_BLUR_MM, average_spreads
@@ -123,12 +123,18 @@ def find_markers(
         levels = levels[1:]
     wanted = _voxel_count(volume, MIN_DIAMETER_RATIO * diameter)
     if not wanted <= (count := np.count_nonzero(listed.values > levels[0])) <= MAX_BRIGHT_VOXELS:
-        raise refusal(f"""{count} voxels exceed {levels[0]:.0f} HU
-            expected: the {wanted:.0f} voxels or more of a ball of {diameter:g} mm, and no more than
-                {MAX_BRIGHT_VOXELS:.0g} in all
-            fix: check that the scan holds the markers and is in HU; set markers.threshold_hu in the recipe,
-                or place the fiducials by hand
-            where: markers in the volume""")
+        raise DataError(
+            f"{count} voxels exceed {levels[0]:.0f} HU",
+            expected=(
+                f"the {wanted:.0f} voxels or more of a ball of {diameter:g} mm, and no "
+                f"more than {MAX_BRIGHT_VOXELS:.0g} in all"
+            ),
+            fix=(
+                "check that the scan holds the markers and is in HU; set "
+                "markers.threshold_hu in the recipe, or place the fiducials by hand"
+            ),
+            where="markers in the volume",
+        )
 
     tried: list[Floats] = []
     shown: list[tuple[Blob, SphereFit]] = []
@@ -199,10 +205,12 @@ def read_markers(path: Path) -> Floats:
     format_ = find_format(path)
     if format_ is None or format_.read_markers is None:
         known = ", ".join(end for one in FORMATS.values() if one.read_markers for end in one.suffixes)
-        raise refusal(f"""has the ending {path.suffix.lower()!r}
-            expected: a list of points: {known}
-            fix: save it as that
-            where: {path}""")
+        raise DataError(
+            f"has the ending {path.suffix.lower()!r}",
+            expected=f"a list of points: {known}",
+            fix="save it as that",
+            where=path,
+        )
     return format_.read_markers(path).values
 
 
@@ -222,12 +230,15 @@ def refine_fiducials(
     outside = find_outside(volume, given)
     if len(outside):
         at = ", ".join(f"{x:.1f}" for x in given[outside[0]])
-        raise refusal(f"""{len(outside)} of {len(given)} fiducials lie outside the volume, one at
-                L, P, S = {at} mm
-            expected: places in the scan, LPS, mm
-            fix: take the fiducials of this scan; check that the file states its coordinate system (RAS or
-                LPS)
-            where: fiducials""")
+        raise DataError(
+            f"{len(outside)} of {len(given)} fiducials lie outside the volume, one at L, P, S = {at} mm",
+            expected="places in the scan, LPS, mm",
+            fix=(
+                "take the fiducials of this scan; check that the file states its coordinate "
+                "system (RAS or LPS)"
+            ),
+            where="fiducials",
+        )
     centers, sd = given.copy(), np.full(len(given), rules.fiducial_sd_mm)
     reach = rules.diameter_mm / 2 + MAX_FIDUCIAL_SD * rules.fiducial_sd_mm
     apart = cdist(given, balls.centers)

@@ -17,7 +17,7 @@ import numpy as np
 from needlefit.arrays import Floats, Ints
 from needlefit.datasets.columns import BEVEL_FIX
 from needlefit.datasets.layers import MAX_START_DISTANCE_MM
-from needlefit.errors import DataError, NeedlefitError, located, refusal
+from needlefit.errors import DataError, NeedlefitError, located
 from needlefit.geometry.crossings import find_surface_hits, measure_enclosed_length
 from needlefit.geometry.curves import arc_length, find_bending_direction, interpolate_at_arc
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame, make_entry_frame, normalize
@@ -111,11 +111,16 @@ def collect_warnings(one: Reconstruction, earlier: Sequence[str] = ()) -> tuple[
     """
     if one.depth_sd > MAX_DEPTH_SD_MM:
         tip, entry = float(one.needle_axis.tip_sd[0]), one.pose.along_sd
-        raise refusal(f"""the inserted length is known to +- {one.depth_sd:.2g} mm only (tip {tip:.2g}, entry
-                {entry:.2g})
-            expected: +- {MAX_DEPTH_SD_MM:g} mm or less
-            fix: state the stage or the tissue's own surface (into = 1) if the entry is not known; if the tip
-                is not, scan it away from other metal, or with thinner slices""")
+        raise DataError(
+            f"the inserted length is known to +- {one.depth_sd:.2g} mm only (tip "
+            f"{tip:.2g}, entry {entry:.2g})",
+            expected=f"+- {MAX_DEPTH_SD_MM:g} mm or less",
+            fix=(
+                "state the stage or the tissue's own surface (into = 1) if the entry is not "
+                "known; if the tip is not, scan it away from other metal, or with thinner "
+                "slices"
+            ),
+        )
     return (
         *list_tip_warnings(one),
         *earlier,
@@ -241,11 +246,15 @@ def refuse_tunnels(surfaces: Sequence[Surface], needle: Floats) -> None:
     ]
     around = [f"{name} (along {length:.0f} mm)" for name, length in lengths if length >= MIN_TUNNEL_LENGTH_MM]
     if around:
-        raise refusal(f"""the layers run around the needle, so that it does not cross them:
-                {", ".join(around)}
-            expected: surfaces that the needle passes through
-            fix: label the needle's voxels as the tissue around them, e.g. in 3D Slicer's Segment Editor by
-                Smoothing, Closing (fill holes), with a kernel wider than the needle, for each layer""")
+        raise DataError(
+            f"the layers run around the needle, so that it does not cross them: {', '.join(around)}",
+            expected="surfaces that the needle passes through",
+            fix=(
+                "label the needle's voxels as the tissue around them, e.g. in 3D Slicer's "
+                "Segment Editor by Smoothing, Closing (fill holes), with a kernel wider "
+                "than the needle, for each layer"
+            ),
+        )
 
 
 def check_layers(
@@ -280,10 +289,12 @@ def check_layers(
     counted = {number for number in (scan.layers, scan.layers_alternative) if number is not None}
     if counted and (count := len(layers.sequence)) not in counted:
         expected = " or ".join(map(str, sorted(counted)))
-        raise refusal(f"""{scan.id} meets {count} layer{"s" * (count > 1)}, with interfaces at
-                {", ".join(crossed) or "no depth"} mm, but {expected} were counted
-            expected: {expected} layers
-            fix: correct the count or the surfaces; look at both together in 3D Slicer (LPS, RAS?)""")
+        raise DataError(
+            f"{scan.id} meets {count} layer{'s' * (count > 1)}, with interfaces at "
+            f"{', '.join(crossed) or 'no depth'} mm, but {expected} were counted",
+            expected=f"{expected} layers",
+            fix="correct the count or the surfaces; look at both together in 3D Slicer (LPS, RAS?)",
+        )
 
 
 # Length beyond the tip over which the brightness is sampled, mm: the report shows where the needle ends.
@@ -336,9 +347,11 @@ class Examination:
         if not number:
             raise entry.doubt
         if number > self.asked:
-            raise refusal(f"""there is no answer {number}: {entry.doubt.what}
-                expected: 1 to {self.asked}
-                fix: give one of these numbers (--confirm entry=1)""")
+            raise DataError(
+                f"there is no answer {number}: {entry.doubt.what}",
+                expected=f"1 to {self.asked}",
+                fix="give one of these numbers (--confirm entry=1)",
+            )
         self.confirmed = f"answer {number}; {entry.doubt.what}"
         return entry.answers[number - 1]
 
@@ -446,10 +459,12 @@ def _locate_tissue(
         if away.min() > MAX_START_DISTANCE_MM:
             off = f"{away.min():.1f} mm beside the needle"
         if off:
-            raise refusal(f"""the first contact that was placed lies {off}
-                expected: a point within {MAX_START_DISTANCE_MM:g} mm of the needle, before its tip, LPS
-                fix: place it on the needle; RAS has x and y of the other sign
-                where: entry of the corrections""")
+            raise DataError(
+                f"the first contact that was placed lies {off}",
+                expected=f"a point within {MAX_START_DISTANCE_MM:g} mm of the needle, before its tip, LPS",
+                fix="place it on the needle; RAS has x and y of the other sign",
+                where="entry of the corrections",
+            )
         return float(fine[np.argmin(away)]), recipe.entry.placed_contact_sd_mm
     hits = [find_surface_hits(found.world, surface) for surface in surfaces if surface.into == 1]
     own = np.concatenate([np.empty(0), *hits])
@@ -457,21 +472,32 @@ def _locate_tissue(
         at, rises = float(own.min()), find_rises(found.brightness)
         edge, sd = min(((edge, sd) for _, edge, sd in rises), key=lambda e: abs(e[0] - at), default=(at, 0.0))
         if abs(at - edge) > MAX_START_DISTANCE_MM + MAX_DISAGREEMENT_SD * sd:
-            raise refusal(f"""the needle crosses the tissue's own surface {abs(at - edge):.1f} mm
-                    {"behind" if at > edge else "before"} the place where the scan shows tissue to begin
-                expected: within {MAX_START_DISTANCE_MM:g} mm of it
-                fix: see both in 3D Slicer: label the needle's voxels as the tissue around them, check the
-                    frame of the surfaces; if they are right, state the stage (entry_x_mm ...
-                    pose_angle_sd_deg)""")
+            raise DataError(
+                f"the needle crosses the tissue's own surface {abs(at - edge):.1f} mm "
+                f"{'behind' if at > edge else 'before'} the place where the scan shows "
+                "tissue to begin",
+                expected=f"within {MAX_START_DISTANCE_MM:g} mm of it",
+                fix=(
+                    "see both in 3D Slicer: label the needle's voxels as the tissue around "
+                    "them, check the frame of the surfaces; if they are right, state the "
+                    "stage (entry_x_mm ... pose_angle_sd_deg)"
+                ),
+            )
         return at, recipe.layers.surface_sd_mm
     length = float(arc_length(found.world)[-1])
     entry = choose_entry(found.brightness, length, recipe.guide.thickness_mm, scan.guide_distance)
     if entry is None:
-        raise refusal("""the scan does not show where the needle enters the tissue
-            expected: air before the tissue along the needle, the tissue's surface (into = 1), or the stage
-            fix: place the entry in 3D Slicer (point `entry` of --corrections); or state the stage (entry_x_mm
-                ... pose_angle_sd_deg), or add the tissue's own surface to the layers, as FILE=sheet:1 or
-                FILE=solid:1""")
+        raise DataError(
+            "the scan does not show where the needle enters the tissue",
+            expected=(
+                "air before the tissue along the needle, the tissue's surface (into = 1), or the stage"
+            ),
+            fix=(
+                "place the entry in 3D Slicer (point `entry` of --corrections); or state "
+                "the stage (entry_x_mm ... pose_angle_sd_deg), or add the tissue's own "
+                "surface to the layers, as FILE=sheet:1 or FILE=solid:1"
+            ),
+        )
     entry = found.answer(entry)
     found.guide = entry.guide
     return entry.at, entry.sd
@@ -493,17 +519,21 @@ def derive_reconstruction(
     begin = find_entry_arc_length(found.world, pose)
     along = arc_length(found.world)
     if along[-1] - begin < MIN_DEPTH_MM:
-        raise refusal(f"""the needle enters the tissue {along[-1] - begin:.2f} mm before its tip
-            expected: at least {MIN_DEPTH_MM:g} mm of it in the tissue
-            fix: look at entry and tip in 3D Slicer, and place the one that is wrong""")
+        raise DataError(
+            f"the needle enters the tissue {along[-1] - begin:.2f} mm before its tip",
+            expected=f"at least {MIN_DEPTH_MM:g} mm of it in the tissue",
+            fix="look at entry and tip in 3D Slicer, and place the one that is wrong",
+        )
     count = int(np.ceil((along[-1] - begin) / STATION_MM)) + 1
     stations = np.linspace(begin, along[-1], count)
     points, sd = interpolate_at_arc(found.world, stations), np.interp(stations, along, found.axis.sd)
     if scan.bevel is None and scan.side < 0:
-        raise refusal(f"""bevel_side is -1, but no bevel direction is stated
-            expected: bevel_x, bevel_y, bevel_z beside it: without them +y points to where the needle went
-            fix: state the bevel's direction, or leave bevel_side empty
-            where: scan {scan.id}""")
+        raise DataError(
+            "bevel_side is -1, but no bevel direction is stated",
+            expected="bevel_x, bevel_y, bevel_z beside it: without them +y points to where the needle went",
+            fix="state the bevel's direction, or leave bevel_side empty",
+            where=f"scan {scan.id}",
+        )
     toward = scan.bevel
     if toward is None:
         toward = find_bending_direction(points, pose.direction)
@@ -584,10 +614,12 @@ def examine(
         with found.step():
             if places is not None and len(outside := find_outside(volume, np.atleast_2d(places))):
                 at = ", ".join(f"{x:.1f}" for x in np.atleast_2d(places)[outside[0]])
-                raise refusal(f"""a control point was moved out of the volume, to L, P, S = {at} mm
-                    expected: places in the scan
-                    fix: take the list of this scan, and move the point back in 3D Slicer
-                    where: corrections, {name}""")
+                raise DataError(
+                    f"a control point was moved out of the volume, to L, P, S = {at} mm",
+                    expected="places in the scan",
+                    fix="take the list of this scan, and move the point back in 3D Slicer",
+                    where=f"corrections, {name}",
+                )
     with found.step():
         require_hounsfield(volume, str(scan.volume))
     with found.step("needle"):  # along points on it or a mask, else among the tubes of the volume

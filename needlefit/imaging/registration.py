@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import chdtrc, chdtri, elliprg
 
 from needlefit.arrays import Floats, Ints
-from needlefit.errors import refusal
+from needlefit.errors import DataError
 from needlefit.geometry.frames import AXIS_SIGNS, Frame
 
 MIN_MARKERS = 3  # markers that fix a rigid motion
@@ -136,17 +136,23 @@ def make_marker_sets(
     here, there = (np.asarray(given, dtype=np.float64).reshape(-1, 3) for given in (found, known))
     for points, name in ((here, FOUND_SET), (there, KNOWN_SET)):
         if len(points) < MIN_MARKERS:
-            raise refusal(f"""{len(points)} markers are too few
-                expected: at least three markers that are not on a line
-                fix: {TOO_FEW_FIXES[name]}
-                where: {name}""")
+            raise DataError(
+                f"{len(points)} markers are too few",
+                expected="at least three markers that are not on a line",
+                fix=f"{TOO_FEW_FIXES[name]}",
+                where=name,
+            )
     variance = np.square(np.broadcast_to(found_sd, len(here)))[:, None] + np.square(known_sd)
     variance = np.broadcast_to(variance, (len(here), len(there)))
     if variance.min() <= 0:
-        raise refusal("""the deviations of the markers are zero
-            expected: a positive deviation in the scan or in the world: it decides which pairing is believed
-            fix: state what finding a marker's centre leaves, about a tenth to a fifth of a voxel
-            where: deviations of the markers""")
+        raise DataError(
+            "the deviations of the markers are zero",
+            expected=(
+                "a positive deviation in the scan or in the world: it decides which pairing is believed"
+            ),
+            fix="state what finding a marker's centre leaves, about a tenth to a fifth of a voxel",
+            where="deviations of the markers",
+        )
     return MarkerSets(here, there, variance)
 
 
@@ -170,20 +176,30 @@ def select_pairing(sets: MarkerSets) -> Alignment:
             break
     paired = len(reached[0].pairs) if reached else 0
     if reflected > paired:
-        raise refusal(f"""the markers are mirrored: {reflected} fit reflected, {paired} as they are
-            expected: a scan of the same handedness as the world
-            fix: one axis of the scan or of the known markers has the wrong sign (x alone, y alone or z
-                alone): look at the direction of the slices and at the coordinate system of the markers'
-                file
-            where: markers""")
+        raise DataError(
+            f"the markers are mirrored: {reflected} fit reflected, {paired} as they are",
+            expected="a scan of the same handedness as the world",
+            fix=(
+                "one axis of the scan or of the known markers has the wrong sign (x alone, "
+                "y alone or z alone): look at the direction of the slices and at the "
+                "coordinate system of the markers' file"
+            ),
+            where="markers",
+        )
     if not reached:
-        raise refusal(f"""no pairing of the {len(sets.found)} found with the {len(sets.known)} known markers
-                fits within {np.sqrt(np.median(sets.variance)):.2f} mm
-            expected: three or more markers at distances as in the world, more if some are missing and others
-                spurious
-            fix: look at the markers found in the scan; check the known ones and their unit, mm, and the
-                spacing of the voxels; state larger deviations
-            where: markers""")
+        raise DataError(
+            f"no pairing of the {len(sets.found)} found with the {len(sets.known)} "
+            f"known markers fits within {np.sqrt(np.median(sets.variance)):.2f} mm",
+            expected=(
+                "three or more markers at distances as in the world, more if some are "
+                "missing and others spurious"
+            ),
+            fix=(
+                "look at the markers found in the scan; check the known ones and their "
+                "unit, mm, and the spacing of the voxels; state larger deviations"
+            ),
+            where="markers",
+        )
     best = reached[0]
     others = [one for one in reached[1:] if _contradict(best.pairs, one.pairs)]
     share = sum(np.exp((best.chi2 - one.chi2) / 2) for one in others)
@@ -191,11 +207,13 @@ def select_pairing(sets: MarkerSets) -> Alignment:
         two = (best, others[0])
         left, right = (_root_mean_square(one.residuals) for one in two)
         pairs, instead = (", ".join(f"{i}->{j}" for i, j in one.pairs.tolist()) for one in two)
-        raise refusal(f"""{1 + len(others)} pairings of {len(best.pairs)} markers are likely,
-                the best two leave {left:.2f} and {right:.2f} mm: {pairs} or {instead}
-            expected: one pairing that is at least 1000 times as likely as all others together
-            fix: move or add a marker so that no two distances are alike
-            where: markers""")
+        raise DataError(
+            f"{1 + len(others)} pairings of {len(best.pairs)} markers are likely, the "
+            f"best two leave {left:.2f} and {right:.2f} mm: {pairs} or {instead}",
+            expected="one pairing that is at least 1000 times as likely as all others together",
+            fix="move or add a marker so that no two distances are alike",
+            where="markers",
+        )
     return best
 
 
@@ -223,11 +241,12 @@ def list_pairings(sets: MarkerSets, count: int, bound: float) -> Sequence[Ints]:
                 grown += [(*row, (n, m)) for m in free if all(fits[i, j, n, m] for i, j in row)]
         rows = grown
         if len(rows) > MAX_PAIRINGS:
-            raise refusal(f"""more than {MAX_PAIRINGS} pairings of {len(sets.found)} and {len(sets.known)}
-                    markers fit
-                expected: markers whose mutual distances differ by more than their noise
-                fix: leave out spurious markers, or state smaller deviations if they are
-                where: markers""")
+            raise DataError(
+                f"more than {MAX_PAIRINGS} pairings of {len(sets.found)} and {len(sets.known)} markers fit",
+                expected="markers whose mutual distances differ by more than their noise",
+                fix="leave out spurious markers, or state smaller deviations if they are",
+                where="markers",
+            )
     return [np.array(row, dtype=np.int64) for row in rows if len(row) == count]
 
 
@@ -299,12 +318,17 @@ def _refuse_collinear(points: Floats, sd: float) -> None:
     turn = sd / max(float(np.hypot(*spread[1:])), 1e-6 * float(spread[0]))
     if turn <= MAX_TURN_SD_RAD:
         return
-    raise refusal(f"""{len(points)} markers lie on a line, or their deviation of {sd:.3g} mm is large against
-            their layout: the turn about it is known to +- {np.degrees(min(turn, np.pi)):.0f} degrees only
-        expected: three or more markers, one of them well beside the line through the others
-        fix: use markers off that line, or correct reference_sd_mm and fiducial_sd_mm of the recipe (mm, per
-            direction)
-        where: markers""")
+    raise DataError(
+        f"{len(points)} markers lie on a line, or their deviation of {sd:.3g} mm is "
+        "large against their layout: the turn about it is known to +- "
+        f"{np.degrees(min(turn, np.pi)):.0f} degrees only",
+        expected="three or more markers, one of them well beside the line through the others",
+        fix=(
+            "use markers off that line, or correct reference_sd_mm and fiducial_sd_mm of "
+            "the recipe (mm, per direction)"
+        ),
+        where="markers",
+    )
 
 
 def check_axis_signs(given: ArrayLike, detected: ArrayLike, sd: float) -> None:
@@ -317,8 +341,10 @@ def check_axis_signs(given: ArrayLike, detected: ArrayLike, sd: float) -> None:
     points, tree = np.asarray(given, dtype=np.float64), cKDTree(np.asarray(detected, dtype=np.float64))
     as_is, turned = (float(np.median(tree.query(points * AXIS_SIGNS[one])[0])) for one in ("LPS", "RAS"))
     if as_is > MIN_DISTANCE_RATIO * max(turned, sd) and turned <= MIN_DISTANCE_RATIO * sd:
-        raise refusal(f"""RAS was read as LPS: the markers given lie {as_is:.1f} mm from those in the volume,
-                with the signs of x and y changed {turned:.1f} mm
-            expected: the coordinate system that the file states, turned to LPS at the reader
-            fix: state the coordinate system of the file (RAS or LPS)
-            where: markers given in the frame of the scan""")
+        raise DataError(
+            f"RAS was read as LPS: the markers given lie {as_is:.1f} mm from those in "
+            f"the volume, with the signs of x and y changed {turned:.1f} mm",
+            expected="the coordinate system that the file states, turned to LPS at the reader",
+            fix="state the coordinate system of the file (RAS or LPS)",
+            where="markers given in the frame of the scan",
+        )

@@ -25,7 +25,7 @@ from needlefit.datasets.columns import (
 from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.formats.csv import list_columns, parse_numbers, read_table
 from needlefit.datasets.insertion_table import UNIT_VECTOR_TOLERANCE
-from needlefit.errors import DataError, refusal
+from needlefit.errors import DataError
 from needlefit.geometry.frames import PARALLEL_SINE, normalize
 from needlefit.geometry.surfaces import SurfaceKind
 from needlefit.imaging.volume import ARCHIVE_SUFFIX, IMAGE_SUFFIXES, READABLE_VOLUMES
@@ -317,19 +317,23 @@ def read_scans(path: Path) -> tuple[Scan, ...]:
     table = read_table(path)
     found, where, cells = list[Fault](), f"{table.path}:1", table.cells
     if "scan" not in cells:
-        raise refusal(f"""is no table of scans: no column is called `scan`
-            expected: a row for each scan, its path under `scan`; there are {list_columns(cells.columns)}
-            fix: rename the column; tables of needles' points are read by `needlefit import`
-            where: {where}""")
+        raise DataError(
+            "is no table of scans: no column is called `scan`",
+            expected=f"a row for each scan, its path under `scan`; there are {list_columns(cells.columns)}",
+            fix="rename the column; tables of needles' points are read by `needlefit import`",
+            where=where,
+        )
     for name in cells:  # one mistyped would silently leave its cells out
         if name not in SCAN_COLUMNS:
             near = difflib.get_close_matches(str(name), SCAN_COLUMNS, n=1, cutoff=0.5)
             fix = f"did you mean `{near[0]}`?" if near else "remove the column, or correct its name"
             found.append(
-                refusal(f"""column `{name}` is unknown
-                expected: one of {", ".join(SCAN_COLUMNS)}
-                fix: {fix}
-                where: {where}""")
+                DataError(
+                    f"column `{name}` is unknown",
+                    expected=f"one of {', '.join(SCAN_COLUMNS)}",
+                    fix=fix,
+                    where=where,
+                )
             )
     lines, stated = range(len(table.lines)), [name for name in NUMBER_COLUMNS if name in cells]
     texts = {name: cells[name].tolist() for name in SCAN_COLUMNS if name in cells}
@@ -346,10 +350,12 @@ def read_scans(path: Path) -> tuple[Scan, ...]:
     ]
     if any(row.text["markers"] for row in rows):  # the worlds of the others would be others
         found += [
-            refusal(f"""`markers` is empty, but other scans have some
-            expected: one world for all: markers for every scan, or for none
-            fix: add the markers' places, or put this scan into a table of its own
-            where: {row.where}""")
+            DataError(
+                "`markers` is empty, but other scans have some",
+                expected="one world for all: markers for every scan, or for none",
+                fix="add the markers' places, or put this scan into a table of its own",
+                where=row.where,
+            )
             for row in rows
             if not row.text["markers"]
         ]
@@ -369,10 +375,12 @@ def _build_scans(rows: Sequence[ScanRow], found: list[Fault], path: Path) -> tup
     for id_, row in zip(ids, rows, strict=True):
         if id_ in first and row.text["scan"]:
             found.append(
-                refusal(f"""has the id {id_}, as {first[id_]} has
-                expected: a different id for every scan: it names files of the dataset
-                fix: give each an id of its own in a table of scans
-                where: {row.where}""")
+                DataError(
+                    f"has the id {id_}, as {first[id_]} has",
+                    expected="a different id for every scan: it names files of the dataset",
+                    fix="give each an id of its own in a table of scans",
+                    where=row.where,
+                )
             )
         first.setdefault(id_, row.where)
     if found:
@@ -392,10 +400,9 @@ def make_scans(volumes: Sequence[Path], shared: ScanFiles = NO_FILES) -> tuple[S
     once = shared.fiducials or shared.mask or shared.series or shared.acquisition
     if len(volumes) > 1 and once:
         found.append(
-            refusal(f"""is given for {len(volumes)} scans
-            expected: one scan
-            fix: {SCAN_TABLE_FIX}
-            where: {once}""")
+            DataError(
+                f"is given for {len(volumes)} scans", expected="one scan", fix=SCAN_TABLE_FIX, where=once
+            )
         )
     stated = {"surfaces": ";".join(shared.layers), "surfaces_in": shared.layers_in}
     for name in ("medium", "series", "acquisition", *FILES):

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from needlefit.arrays import Floats, are_bounded
-from needlefit.errors import DataError, refusal
+from needlefit.errors import DataError
 from needlefit.project.input_files import is_dir, is_file, list_files, open_regular
 from needlefit.project.reader_process import MEMORY_VARIABLE, stated_memory_bytes
 
@@ -58,22 +58,30 @@ def check_grid(grid: VoxelGrid) -> None:
     """
     check_size(grid.size)
     if not all(map(are_bounded, (grid.origin, grid.spacing, grid.direction))):
-        raise refusal("""its origin, spacing or axes are not finite, or too large
-            expected: positions of voxels in mm
-            fix: export the volume again""")
+        raise DataError(
+            "its origin, spacing or axes are not finite, or too large",
+            expected="positions of voxels in mm",
+            fix="export the volume again",
+        )
     if grid.spacing.min() < MIN_SPACING_MM or grid.spacing.max() > MAX_SPACING_MM:
-        raise refusal(f"""the spacing of the voxels is {" x ".join(f"{step:g}" for step in grid.spacing)} mm
-            expected: {MIN_SPACING_MM:g} to {MAX_SPACING_MM:g} mm
-            fix: check in which unit the spacing was written; it must be mm""")
+        raise DataError(
+            f"the spacing of the voxels is {' x '.join(f'{step:g}' for step in grid.spacing)} mm",
+            expected=f"{MIN_SPACING_MM:g} to {MAX_SPACING_MM:g} mm",
+            fix="check in which unit the spacing was written; it must be mm",
+        )
     off = np.abs(grid.direction.T @ grid.direction - np.eye(3))
     allowed = np.full((3, 3), AXES_COSINE_TOLERANCE)
     if is_tilted(grid.direction):
         allowed[:2, 2] = allowed[2, :2] = np.sin(np.radians(MAX_TILT_DEG))
     if not (off <= allowed).all() or np.hypot(*off[:2, 2]) > np.sin(np.radians(MAX_TILT_DEG)):
         rows = [[round(float(value), 4) + 0.0 for value in row] for row in grid.direction.T]
-        raise refusal(f"""the axes of the voxels are not perpendicular unit vectors: {rows}
-            expected: rows and columns at right angles, slices that lean by at most {MAX_TILT_DEG:g} degrees
-            fix: resample the volume onto a straight grid and export it again""")
+        raise DataError(
+            f"the axes of the voxels are not perpendicular unit vectors: {rows}",
+            expected=(
+                f"rows and columns at right angles, slices that lean by at most {MAX_TILT_DEG:g} degrees"
+            ),
+            fix="resample the volume onto a straight grid and export it again",
+        )
 
 
 def is_tilted(direction: Floats) -> bool:
@@ -83,23 +91,29 @@ def is_tilted(direction: Floats) -> bool:
 
 def not_one_volume(what: str) -> DataError:
     """Return the error of an image that is no single volume; `what` says why."""
-    return refusal(f"""is no single volume: {what}
-        expected: three dimensions, one number a voxel
-        fix: export all slices as one volume; of several time points or segments, one""")
+    return DataError(
+        f"is no single volume: {what}",
+        expected="three dimensions, one number a voxel",
+        fix="export all slices as one volume; of several time points or segments, one",
+    )
 
 
 def unreadable_header(reason: str) -> DataError:
     """Return the error of a file whose header is no volume's."""
-    return refusal(f"""cannot be read as a volume: {reason}
-        expected: {READABLE_VOLUMES}
-        fix: check that the file is whole and its name ends as its format wants; export it again""")
+    return DataError(
+        f"cannot be read as a volume: {reason}",
+        expected=READABLE_VOLUMES,
+        fix="check that the file is whole and its name ends as its format wants; export it again",
+    )
 
 
 def missing_voxels(reason: str = "") -> DataError:
     """Return the error of a file with fewer voxels than its header claims."""
-    return refusal(f"""its header is sound, but its voxels are damaged or not all there{reason}
-        expected: all voxels that the header promises, in this file or the one that it names
-        fix: the file is cut short or damaged: copy it or export it again""")
+    return DataError(
+        f"its header is sound, but its voxels are damaged or not all there{reason}",
+        expected="all voxels that the header promises, in this file or the one that it names",
+        fix="the file is cut short or damaged: copy it or export it again",
+    )
 
 
 AIR_HU = -1000.0
@@ -115,9 +129,11 @@ def fill_unknown(values: NDArray[np.float32], notes: list[str], *, labels: bool)
     unknown = np.isnan(values)
     known = values[~unknown]
     if not known.size or not np.isfinite([known.min(), known.max()]).all():
-        raise refusal(f"""holds {np.count_nonzero(~np.isfinite(values))} voxels that are no finite number
-            expected: a number in every voxel
-            fix: give voxels outside the scan the value of air, e.g. -1000""")
+        raise DataError(
+            f"holds {np.count_nonzero(~np.isfinite(values))} voxels that are no finite number",
+            expected="a number in every voxel",
+            fix="give voxels outside the scan the value of air, e.g. -1000",
+        )
     # values that are nowhere below 0 are no HU, nor is then -1000
     filled = 0.0 if labels else min(AIR_HU if known.min() < 0 else np.inf, float(known.min()))
     values[unknown] = filled
@@ -154,14 +170,21 @@ def check_size(size: tuple[int, int, int]) -> None:
     """Refuse an empty volume, or one with more voxels than are read. Raises DataError."""
     shown, count = " x ".join(map(str, size)), math.prod(size)
     if min(size) < 2:
-        raise refusal(f"""holds {shown} voxels, no volume
-            expected: at least two voxels along each axis
-            fix: export the whole volume, not one image of it""")
+        raise DataError(
+            f"holds {shown} voxels, no volume",
+            expected="at least two voxels along each axis",
+            fix="export the whole volume, not one image of it",
+        )
     if count > max_voxels():
-        raise refusal(f"""its header claims {shown} voxels, {4 * count / 1e9:.3g} GB in memory
-            expected: at most {max_voxels():.3g} voxels
-            fix: crop the volume to the needle and its markers, or check where the file comes from; if it is
-                right and memory allows, set {MEMORY_VARIABLE} to the GiB that it may take""")
+        raise DataError(
+            f"its header claims {shown} voxels, {4 * count / 1e9:.3g} GB in memory",
+            expected=f"at most {max_voxels():.3g} voxels",
+            fix=(
+                "crop the volume to the needle and its markers, or check where the file "
+                f"comes from; if it is right and memory allows, set {MEMORY_VARIABLE} to the "
+                "GiB that it may take"
+            ),
+        )
 
 
 # What unpacks to more than `MAX_EXPANSION` times its file may take `EXEMPT_BYTES` of memory, and no more:
@@ -177,9 +200,11 @@ def check_expansion(content: int, memory: int, stored: int) -> None:
     `content`, `memory`: bytes of all voxels, unpacked and as they are kept; `stored`: bytes of the file.
     """
     if content + memory > EXEMPT_BYTES and content > MAX_EXPANSION * stored and stated_memory_bytes() is None:
-        raise refusal(f"""unpacks from {stored / 2**20:.3g} MiB to {content / 2**30:.3g} GiB
-            expected: at most {MAX_EXPANSION} times its size, or {EXEMPT_BYTES / 2**30:.0f} GiB in memory
-            fix: if you trust the file, set {MEMORY_VARIABLE} to the GiB that it may take""")
+        raise DataError(
+            f"unpacks from {stored / 2**20:.3g} MiB to {content / 2**30:.3g} GiB",
+            expected=f"at most {MAX_EXPANSION} times its size, or {EXEMPT_BYTES / 2**30:.0f} GiB in memory",
+            fix=f"if you trust the file, set {MEMORY_VARIABLE} to the GiB that it may take",
+        )
 
 
 IMAGE_SUFFIXES = (".nrrd", ".nhdr", ".nii", ".nii.gz", ".mha", ".mhd")
@@ -235,8 +260,9 @@ class Volume:
     def __post_init__(self) -> None:
         """Refuse what no file could hold."""
         if self.values.ndim != 3:
-            raise refusal(f"""the values of a volume have {self.values.ndim} axes
-                expected: slices, rows, columns""")
+            raise DataError(
+                f"the values of a volume have {self.values.ndim} axes", expected="slices, rows, columns"
+            )
         check_grid(self.grid)
 
     @property
@@ -354,11 +380,15 @@ def require_hounsfield(volume: Volume, where: str) -> None:
     if low >= 0 or high - low < MIN_RANGE_HU:
         fix = "export the original series in HU, e.g. as DICOM with its rescale; or convert attenuation"
         span = f"{low:.4g} to {high:.4g}, are" if high > low else f"all {low:.4g}, are"
-        raise refusal(f"""its values, {span} no Hounsfield units of a scan with a needle
-            expected: air near -1000, water near 0, metal above 1000
-            fix: {"subtract the offset, 1024 as a rule; or " * (high >= 1000)}{fix}: HU = 1000 (mu / mu of
-                water - 1)
-            where: {where}""")
+        raise DataError(
+            f"its values, {span} no Hounsfield units of a scan with a needle",
+            expected="air near -1000, water near 0, metal above 1000",
+            fix=(
+                f"{'subtract the offset, 1024 as a rule; or ' * (high >= 1000)}{fix}: HU = "
+                "1000 (mu / mu of water - 1)"
+            ),
+            where=where,
+        )
     if not TOP_12_BIT_HU[0] <= high <= TOP_12_BIT_HU[1]:
         return
     holes, saturated = 0, 0
@@ -368,8 +398,11 @@ def require_hounsfield(volume: Volume, where: str) -> None:
             depth = np.minimum(plane[:, :-2], plane[:, 2:]) - plane[:, 1:-1]
             holes += int(np.count_nonzero(depth > MIN_HOLE_HU))
     if holes >= MIN_HOLES and saturated < MAX_SATURATED:
-        raise refusal(f"""the values of its metal have run over 12 bits: {holes} voxels are {MIN_HOLE_HU:.0f}
-                HU darker than both neighbours, and {saturated} have the greatest number
-            expected: metal that ends at the greatest number, or an extended scale
-            fix: export the series again, with values that are cut or with 16 bits
-            where: {where}""")
+        raise DataError(
+            f"the values of its metal have run over 12 bits: {holes} voxels are "
+            f"{MIN_HOLE_HU:.0f} HU darker than both neighbours, and {saturated} have "
+            "the greatest number",
+            expected="metal that ends at the greatest number, or an extended scale",
+            fix="export the series again, with values that are cut or with 16 bits",
+            where=where,
+        )

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from needlefit.errors import ConfigError, DataError, refusal
+from needlefit.errors import ConfigError, DataError
 from needlefit.imaging.volume import (
     ARCHIVE_SUFFIX,
     EXEMPT_BYTES,
@@ -50,24 +50,24 @@ def read_volume(path: Path, series: str | None = None, acquisition: str | None =
     """
     path = Path(path)
     if not path_exists(path):
-        raise refusal(f"""there is no such file or folder
-            expected: {READABLE_VOLUMES}
-            fix: check the path
-            where: {path}""")
+        raise DataError(
+            "there is no such file or folder", expected=READABLE_VOLUMES, fix="check the path", where=path
+        )
     if any("\ud800" <= letter <= "\udfff" for letter in str(path)):  # SimpleITK takes names in UTF-8 only
-        raise refusal(f"""its name is not valid UTF-8
-            expected: a name in UTF-8
-            fix: rename it
-            where: {path}""")
+        raise DataError(
+            "its name is not valid UTF-8", expected="a name in UTF-8", fix="rename it", where=path
+        )
     with explain_missing_packages(*CT_PACKAGES), unpacked(path) as place:
         if place != path:
             place, series = _choose_member(place, series)
         if is_image_file(place):
             if series or acquisition:
-                raise refusal(f"""it is one image
-                    expected: a DICOM series
-                    fix: leave out series and acquisition
-                    where: {path}""")
+                raise DataError(
+                    "it is one image",
+                    expected="a DICOM series",
+                    fix="leave out series and acquisition",
+                    where=path,
+                )
             return _build_volume(*_read_arrays(place, labels=False), place)
         if not place.is_dir():
             with open_regular(place, sys.maxsize):  # a regular file
@@ -132,11 +132,15 @@ def _choose_member(folder: Path, series: str | None) -> tuple[Path, str | None]:
     with_dicom = any(begins_as_dicom(one) for one in files)
     if len(images) > 1 or with_dicom:
         listed = ", ".join([*images][:MAX_LISTED]) + ", ..." * (len(images) > MAX_LISTED)
-        raise refusal(f"""holds {len(images)} image files{" beside DICOM" * with_dicom}: {listed}
-            expected: one scan, or the name of the one that is meant
-            fix: give its name in the archive, or the number of a DICOM series, with --series or under
-                `series` in a table of scans
-            where: {folder}""")
+        raise DataError(
+            f"holds {len(images)} image files{' beside DICOM' * with_dicom}: {listed}",
+            expected="one scan, or the name of the one that is meant",
+            fix=(
+                "give its name in the archive, or the number of a DICOM series, with "
+                "--series or under `series` in a table of scans"
+            ),
+            where=folder,
+        )
     return next(iter(images.values())), None
 
 
@@ -174,10 +178,12 @@ def _build_volume(parts: Any, arrays: Mapping[str, NDArray[Any]], path: Path) ->
             raise ValueError
         return Volume(values, origin, spacing, direction, warnings)
     except (AttributeError, KeyError, TypeError, ValueError):
-        raise refusal(f"""the process that read it gave no volume
-            expected: {READABLE_VOLUMES}
-            fix: read it again
-            where: {path}""") from None
+        raise DataError(
+            "the process that read it gave no volume",
+            expected=READABLE_VOLUMES,
+            fix="read it again",
+            where=path,
+        ) from None
 
 
 @contextmanager
@@ -192,6 +198,8 @@ def explain_missing_packages(*needed: str) -> Iterator[None]:
                 raise ModuleNotFoundError(f"No module named {name!r}", name=name)
         yield
     except ModuleNotFoundError as error:
-        raise ConfigError.of(f"""scans need the package {error.name}, which is not installed
-            expected: the packages of the extra `ct`
-            fix: pip install 'needlefit[ct]'""") from None
+        raise ConfigError(
+            f"scans need the package {error.name}, which is not installed",
+            expected="the packages of the extra `ct`",
+            fix="pip install 'needlefit[ct]'",
+        ) from None

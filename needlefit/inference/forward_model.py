@@ -14,7 +14,7 @@ import numpy as np
 
 from needlefit.arrays import Floats, Ints
 from needlefit.datasets.insertion import Insertion, InsertionInputs
-from needlefit.errors import refusal
+from needlefit.errors import DataError
 from needlefit.inference.likelihood.observations import OBSERVATIONS
 from needlefit.inference.parameter_names import BEVEL_PARAMETERS, dimension, is_shape_parameter
 from needlefit.inference.parameters import Parameters, make_tissue
@@ -144,10 +144,11 @@ def share_simulations(insertions: Sequence[Insertion], spacing: float) -> tuple[
 def _require_distance(insertion: Insertion, least: float) -> None:
     nearest = float(np.diff(insertion.points[:, 0]).min())
     if nearest < least:
-        raise refusal(f"""run {insertion.id} has readings {nearest:.3g} mm apart while guide or bevel
-                moves
-            expected: {least:g} mm or more, {MIN_CONSTRAINT_POINTS} times the model's constraint spacing
-            fix: leave readings out, or lessen constraint_spacing_mm of the medium (b is then another)""")
+        raise DataError(
+            f"run {insertion.id} has readings {nearest:.3g} mm apart while guide or bevel moves",
+            expected=f"{least:g} mm or more, {MIN_CONSTRAINT_POINTS} times the model's constraint spacing",
+            fix="leave readings out, or lessen constraint_spacing_mm of the medium (b is then another)",
+        )
 
 
 _Known = TypeVar("_Known")  #: shapes, or shapes and their derivatives

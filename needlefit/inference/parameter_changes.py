@@ -98,24 +98,26 @@ def change_parameters(medium: MediumRecord, free: Sequence[str], fix: Mapping[st
     known = [name for name in stated.names if not is_shape_parameter(name) or dimension(name) in shape]
     for key, names in (("free", free), ("fix", fix)):
         for name in (one for one in names if one not in known):
-            raise ConfigError.of(f"""the tissue model has no parameter `{name}`
-                expected: one of {", ".join(known)}
-                fix: use one of these names
-                key: {key}""")
+            raise ConfigError(
+                f"the tissue model has no parameter `{name}`",
+                expected=f"one of {', '.join(known)}",
+                fix="use one of these names",
+                key=key,
+            )
     changed = {}
     for name in free:
         if name in fix:
-            raise ConfigError.of(f"""`{name}` is in `fix` too
-                fix: leave it out of one of them
-                key: free""")
+            raise ConfigError(f"`{name}` is in `fix` too", fix="leave it out of one of them", key="free")
         bounds = table[name].bounds
         if name in stated.held:
             continue
         if bounds is not None:
-            raise ConfigError.of(f"""`{name}` is free already, within {bounds[0]:g} to {bounds[1]:g}
-                expected: a parameter that the tissue model fixes or ties
-                fix: leave it out; its bounds are in the tissue model
-                key: free""")
+            raise ConfigError(
+                f"`{name}` is free already, within {bounds[0]:g} to {bounds[1]:g}",
+                expected="a parameter that the tissue model fixes or ties",
+                fix="leave it out; its bounds are in the tissue model",
+                key="free",
+            )
         changed[name] = _make_free(stated, name, medium.law)
     for name, value in fix.items():
         changed[name] = ParameterRecord(fixed=value)

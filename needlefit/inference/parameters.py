@@ -84,15 +84,18 @@ def resolve_ties(
             step, at = ties[at]
             factor *= step
             if at in visited:
-                raise ConfigError.of(f"""ties run in a circle: {" -> ".join([*visited, at])}
-                    fix: leave one of them free or fixed
-                    key: {key}""")
+                raise ConfigError(
+                    f"ties run in a circle: {' -> '.join([*visited, at])}",
+                    fix="leave one of them free or fixed",
+                    key=key,
+                )
             if at not in known:
-                raise ConfigError.of(f"""`{visited[-1]}` is tied to `{at}`, which is no parameter of
-                        this tissue model
-                    expected: one of {", ".join(sorted(known - set(visited)))}
-                    fix: tie it to one of these, or give it bounds
-                    key: {key}""")
+                raise ConfigError(
+                    f"`{visited[-1]}` is tied to `{at}`, which is no parameter of this tissue model",
+                    expected=f"one of {', '.join(sorted(known - set(visited)))}",
+                    fix="tie it to one of these, or give it bounds",
+                    key=key,
+                )
             visited.append(at)
         found[name] = factor, at
     return found
@@ -378,11 +381,12 @@ def find_tie_spread(name: str, parameter: ParameterRecord) -> float:
         one_material = dimension(name) == "modulus" and "*" not in str(parameter.tie)
         return MATERIAL_SPREAD if one_material else 1.0
     if is_shape_parameter(name) and parameter.spread > 1:
-        raise ConfigError.of(f"""the tie of {name} has a spread: a spread is a factor, which a shape
-                parameter cannot have
-            expected: 1: a shape parameter is tied exactly, or free with a prior
-            fix: leave out `spread`, or give the parameter bounds and a prior in place of the tie
-            key: parameters.{name}.spread""")
+        raise ConfigError(
+            f"the tie of {name} has a spread: a spread is a factor, which a shape parameter cannot have",
+            expected="1: a shape parameter is tied exactly, or free with a prior",
+            fix="leave out `spread`, or give the parameter bounds and a prior in place of the tie",
+            key=f"parameters.{name}.spread",
+        )
     return parameter.spread
 
 

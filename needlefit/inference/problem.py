@@ -47,9 +47,11 @@ class Problem:
         if not self.insertions:
             raise ConfigError("no insertion is selected to fit to", expected="at least one")
         if any(one.guided for one in self.insertions) and GUIDE_DISTANCE not in self.parameters.names:
-            raise ConfigError.of(f"""the tissue model does not state the guide's distance
-                expected: {GUIDE_DISTANCE}: from the guide to the skin, free or fixed
-                key: parameters""")
+            raise ConfigError(
+                "the tissue model does not state the guide's distance",
+                expected=f"{GUIDE_DISTANCE}: from the guide to the skin, free or fixed",
+                key="parameters",
+            )
 
     def __reduce__(self) -> tuple[type["Problem"], tuple[object, ...]]:
         # what is computed once is computed anew elsewhere: it refers to objects of this process

@@ -88,9 +88,11 @@ class Guide:
                 expected="finite numbers",
             )
         if self.in_tissue != (self.x >= 0):
-            raise ModelError.of(f"""guide stands at x = {self.x} mm
-                expected: x < 0 before the tissue, x >= 0 with in_tissue
-                fix: move it before the entry, or state that it stands in the tissue""")
+            raise ModelError(
+                f"guide stands at x = {self.x} mm",
+                expected="x < 0 before the tissue, x >= 0 with in_tissue",
+                fix="move it before the entry, or state that it stands in the tissue",
+            )
 
 
 @dataclass(frozen=True)
@@ -148,9 +150,11 @@ class Controls:
         ordered = tuple(sorted(self.guides, key=lambda guide: guide.x))
         for one, other in pairwise(ordered):
             if one.x == other.x:
-                raise ModelError.of(f"""two guides stand at the same x = {one.x:g} mm
-                    expected: guides at different x
-                    fix: move one of them, or leave it out""")
+                raise ModelError(
+                    f"two guides stand at the same x = {one.x:g} mm",
+                    expected="guides at different x",
+                    fix="move one of them, or leave it out",
+                )
         # The dataclass is frozen, hence `object.__setattr__`. Sorted, so that the order of guides in a file
         # changes nothing.
         object.__setattr__(self, "guides", ordered)
@@ -262,19 +266,24 @@ class ModelOptions:
                 expected="finite numbers",
             )
         if 0 < min(self.element, self.spacing) < MIN_ELEMENT_MM:
-            raise ModelError.of(f"""elements of {min(self.element, self.spacing):g} mm
-                expected: {MIN_ELEMENT_MM:g} mm or more: rounding grows as they shrink
-                fix: 1 mm elements leave less than 0.001 mm at the tip""")
+            raise ModelError(
+                f"elements of {min(self.element, self.spacing):g} mm",
+                expected=f"{MIN_ELEMENT_MM:g} mm or more: rounding grows as they shrink",
+                fix="1 mm elements leave less than 0.001 mm at the tip",
+            )
         if self.spacing > MAX_CONSTRAINT_SPACING_MM:
-            raise ModelError.of(f"""constraint spacing is {self.spacing:g} mm
-                expected: at most {MAX_CONSTRAINT_SPACING_MM:g} mm
-                fix: 1 mm is the model's; a larger one needs its own fit""")
+            raise ModelError(
+                f"constraint spacing is {self.spacing:g} mm",
+                expected=f"at most {MAX_CONSTRAINT_SPACING_MM:g} mm",
+                fix="1 mm is the model's; a larger one needs its own fit",
+            )
         ratio = self.spacing / self.element if self.element > 0 else 0.0
         if not (self.spacing > 0 and round(ratio) >= 1 and math.isclose(ratio, round(ratio), rel_tol=1e-3)):
-            raise ModelError.of(f"""element size {self.element} mm does not divide the constraint
-                    spacing {self.spacing} mm
-                expected: element_mm = constraint_spacing_mm / 1, 2, 3, ... (to three digits)
-                fix: leave element_mm out of the scene: it then follows the spacing""")
+            raise ModelError(
+                f"element size {self.element} mm does not divide the constraint spacing {self.spacing} mm",
+                expected="element_mm = constraint_spacing_mm / 1, 2, 3, ... (to three digits)",
+                fix="leave element_mm out of the scene: it then follows the spacing",
+            )
         object.__setattr__(self, "element", self.spacing / round(ratio))  # 0.333 means a third
 
     @property

@@ -71,10 +71,11 @@ def compile_law(name: str, shape: Floats) -> tuple[Floats, Floats]:
             f"{one.name} = {value:g}"
             for one, value in zip(law.parameters, by_layer[at].tolist(), strict=True)
         ]
-        raise ModelError.of(f"""layer {at[-1] + 1}: the tissue law `{name}` cannot be interpolated at
-                {", ".join(stated)}
-            expected: k > 0, smooth and not too steep up to |e| / t = {LEAST_COMPRESSION:g}
-            fix: choose other values, or narrower bounds for them""")
+        raise ModelError(
+            f"layer {at[-1] + 1}: the tissue law `{name}` cannot be interpolated at {', '.join(stated)}",
+            expected=f"k > 0, smooth and not too steep up to |e| / t = {LEAST_COMPRESSION:g}",
+            fix="choose other values, or narrower bounds for them",
+        )
     return tables[places], np.empty((*places.shape, 0))
 
 

@@ -36,16 +36,18 @@ def check_size(depths: tuple[float, ...], rules: ModelOptions) -> None:
     """Raise ModelError where an insertion to these depths (mm), in order, would take minutes or gigabytes."""
     deepest = max(depths, default=0.0)
     if deepest > MAX_ELEMENTS * rules.element:
-        raise ModelError.of(f"""{deepest:g} mm of depth are {deepest / rules.element:.0f} elements of
-                {rules.element:g} mm
-            expected: at most {MAX_ELEMENTS} elements
-            fix: insert less deep, or take a larger constraint spacing and longer elements""")
+        raise ModelError(
+            f"{deepest:g} mm of depth are {deepest / rules.element:.0f} elements of {rules.element:g} mm",
+            expected=f"at most {MAX_ELEMENTS} elements",
+            fix="insert less deep, or take a larger constraint spacing and longer elements",
+        )
     solves = count_element_solves(depths, rules.spacing, rules.element)
     if solves > 1.01 * MAX_ELEMENT_SOLVES:  # the deepest insertion is allowed, whatever its first cell
-        raise ModelError.of(f"""{len(depths)} steps are {solves:.3g} elements to be solved for in all
-                equilibria
-            expected: at most {MAX_ELEMENT_SOLVES:.3g}
-            fix: take fewer steps, insert less deep, or take a larger constraint spacing""")
+        raise ModelError(
+            f"{len(depths)} steps are {solves:.3g} elements to be solved for in all equilibria",
+            expected=f"at most {MAX_ELEMENT_SOLVES:.3g}",
+            fix="take fewer steps, insert less deep, or take a larger constraint spacing",
+        )
 
 
 def check_reach(length: float, depth: float, controls: Controls) -> None:
@@ -60,12 +62,16 @@ def check_reach(length: float, depth: float, controls: Controls) -> None:
         f", or a guide less than {length - depth:g} mm before the tissue" if before and depth < length else ""
     )
     if before >= length:
-        raise ModelError.of(f"""{needle} does not even reach the tissue{through}
-            expected: a needle longer than {depth + before:g} mm to go {depth:g} mm deep{nearer}
-            fix: give the needle's true length, or move the guide toward the tissue""")
-    raise ModelError.of(f"""{needle} cannot be inserted {depth:g} mm{through}
-        expected: a depth below {length - before:g} mm{nearer}
-        fix: lessen the depth,{" move the guide," if nearer else ""} or give the needle's true length""")
+        raise ModelError(
+            f"{needle} does not even reach the tissue{through}",
+            expected=f"a needle longer than {depth + before:g} mm to go {depth:g} mm deep{nearer}",
+            fix="give the needle's true length, or move the guide toward the tissue",
+        )
+    raise ModelError(
+        f"{needle} cannot be inserted {depth:g} mm{through}",
+        expected=f"a depth below {length - before:g} mm{nearer}",
+        fix=f"lessen the depth,{' move the guide,' if nearer else ''} or give the needle's true length",
+    )
 
 
 SAME_DEPTH_MM = 1e-9  #: two depths that differ by less than this, mm, are the same

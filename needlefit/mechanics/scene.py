@@ -52,10 +52,12 @@ class Entry:
         """
         turn = math.remainder(angle - self.angle, math.pi)  # an axis has no front
         if abs(turn) >= MAX_AXIS_ANGLE_RAD:
-            raise ModelError.of(f"""an axis at {math.degrees(angle):g} degrees in the world lies
-                    {math.degrees(abs(turn)):g} degrees off the insertion axis
-                expected: less than 45 degrees off the entry's {math.degrees(self.angle):g} degrees
-                fix: give the direction in which the needle slides, not the one across it""")
+            raise ModelError(
+                f"an axis at {math.degrees(angle):g} degrees in the world lies "
+                f"{math.degrees(abs(turn)):g} degrees off the insertion axis",
+                expected=f"less than 45 degrees off the entry's {math.degrees(self.angle):g} degrees",
+                fix="give the direction in which the needle slides, not the one across it",
+            )
         return math.tan(turn)
 
 

@@ -262,9 +262,11 @@ class Session:
         except native.RayRoomError as error:
             (rays,) = error.args
         if rays > MAX_STEPS + MAX_ELEMENTS:
-            raise ModelError.of(f"""the needle has changed its direction of cutting {rays} times
-                expected: at most {MAX_STEPS + MAX_ELEMENTS} times
-                fix: retract it, or begin anew""")
+            raise ModelError(
+                f"the needle has changed its direction of cutting {rays} times",
+                expected=f"at most {MAX_STEPS + MAX_ELEMENTS} times",
+                fix="retract it, or begin anew",
+            )
         # Doubled, so that a session that adds rays one by one copies its state only a few times.
         self._rays = max(2 * rays, self._rays)
         self._hold(step.controls)

@@ -13,7 +13,7 @@ import numpy as np
 
 from needlefit.arrays import Bools, Floats
 from needlefit.datasets.formats.markups import read_markups
-from needlefit.errors import refusal
+from needlefit.errors import DataError
 from needlefit.geometry.frames import Placement
 from needlefit.schemas.names import name_fault
 from needlefit.schemas.planning import ObstacleRecord
@@ -165,10 +165,12 @@ def read_goal_points(
     if not aims and len(points) == 1:
         aims = [0]
     if len(aims) > 1:
-        raise refusal(f"""names {len(aims)} targets: {", ".join(labels[n] for n in aims)}
-            expected: one point whose label begins with `target`
-            fix: rename the others
-            where: {path}""")
+        raise DataError(
+            f"names {len(aims)} targets: {', '.join(labels[n] for n in aims)}",
+            expected="one point whose label begins with `target`",
+            fix="rename the others",
+            where=path,
+        )
     others = [n for n in range(len(points)) if n not in aims]
     names = name_obstacles(labels[n] for n in others)
     obstacles = (

@@ -57,9 +57,11 @@ def describe_published(moduli: Sequence[PublishedModulus], layers: int, advance:
     The range that a source states is taken for 95 % of a lognormal prior. ConfigError if neither fits.
     """
     if len(moduli) not in (1, layers):
-        raise ConfigError.of(f"""{len(moduli)} media are named, and the scene has {layers} layers
-            expected: one medium for all layers, or one for each, from the entry on
-            fix: name as many, as in --medium gelatine,liver""")
+        raise ConfigError(
+            f"{len(moduli)} media are named, and the scene has {layers} layers",
+            expected="one medium for all layers, or one for each, from the entry on",
+            fix="name as many, as in --medium gelatine,liver",
+        )
     parameters: dict[str, object] = {}
     for n, one in enumerate(list(moduli) * (layers if len(moduli) == 1 else 1), start=1):
         low, high = one.shear_pa
@@ -81,9 +83,11 @@ def forecast_by_prior(
     ModelError if no draw can be solved.
     """
     if scene.tissue.layers > medium.layers:
-        raise ConfigError.of(f"""the scene has {scene.tissue.layers} layers, the tissue model {medium.layers}
-            expected: at most as many
-            fix: name another tissue model""")
+        raise ConfigError(
+            f"the scene has {scene.tissue.layers} layers, the tissue model {medium.layers}",
+            expected="at most as many",
+            fix="name another tissue model",
+        )
     parameters = Parameters.from_record(medium)
     rng = random_stream(seed, "before data")
     sets = [parameters.values(theta) for theta in draw_from_prior(parameters, DRAWS, rng)]

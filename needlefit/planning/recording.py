@@ -14,7 +14,7 @@ from importlib.metadata import version
 from itertools import groupby
 from pathlib import Path
 
-from needlefit.errors import DataError, ModelError, refusal
+from needlefit.errors import DataError, ModelError
 from needlefit.mechanics.session import NeedleState
 from needlefit.planning.steered_needle import Change, SteeredNeedle, make_steered_scene
 from needlefit.project.input_files import parse_toml, read_text
@@ -93,9 +93,11 @@ def read_recording(path: Path) -> Recording:
     head = "".join(line[1:].removeprefix(" ") for line in lines[:count])
     tables = parse_toml(head, f"{path}, its first lines", DataError)
     if not tables:
-        raise refusal(f"""is no recording: it does not begin with the scene
-            expected: a file that `needlefit view` recorded
-            where: {path}""")
+        raise DataError(
+            "is no recording: it does not begin with the scene",
+            expected="a file that `needlefit view` recorded",
+            where=path,
+        )
     record = check(tables, RecordingRecord, str(path))
     if count < len(lines) and lines[count].strip() != ",".join(COLUMNS):
         raise _line_error(path, count + 1, "other columns", ",".join(COLUMNS))
@@ -200,11 +202,12 @@ def replay(recording: Recording, steering: SteeredNeedle | None = None) -> Itera
         try:
             state = steering.apply(recorded.changes)
         except ModelError as error:
-            raise refusal(f"""step {recorded.number} cannot be carried out: {error.what}
-                expected: {error.expected}
-                fix: it was recorded by needlefit {recording.head.needlefit}; replay it with that
-                    version
-                where: {recording.where}, line {recorded.line}""") from error
+            raise DataError(
+                f"step {recorded.number} cannot be carried out: {error.what}",
+                expected=error.expected,
+                fix=f"it was recorded by needlefit {recording.head.needlefit}; replay it with that version",
+                where=f"{recording.where}, line {recorded.line}",
+            ) from error
         keep_for_returns(recorded, last, steering.keep, steering.forget)
         yield ReplayedStep(recorded, state)
 

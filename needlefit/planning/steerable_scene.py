@@ -69,9 +69,11 @@ class SteerableScene:
             return Placement.from_record(self.placement)
         if not self.is_measured:
             return make_steered_scene(self.record, self.name).entry.placement
-        raise ConfigError.of(f"""where {self.name} lies in its scan is not known
-            expected: a target in the constraint frame
-            fix: give it with --target X,Y,Z""")
+        raise ConfigError(
+            f"where {self.name} lies in its scan is not known",
+            expected="a target in the constraint frame",
+            fix="give it with --target X,Y,Z",
+        )
 
     def shift_entry(self, shift: float) -> Self:
         """Return the scene with its entry elsewhere, `shift` mm along y."""

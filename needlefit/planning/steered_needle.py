@@ -30,11 +30,12 @@ def make_steered_scene(record: SceneRecord, where: str) -> Scene:
     """
     scene = Scene.from_record(record, where)
     if scene.tissue.torsional_friction or any(step.controls.act_along_z for step in scene.steps):
-        raise ConfigError.of(f"""its tip lags behind the hub, or its base, guides or tip have inputs
-                along z
-            expected: a needle that the roll of the bevel alone leads out of the plane z = 0
-            fix: `needlefit simulate` computes it
-            where: {where}""")
+        raise ConfigError(
+            "its tip lags behind the hub, or its base, guides or tip have inputs along z",
+            expected="a needle that the roll of the bevel alone leads out of the plane z = 0",
+            fix="`needlefit simulate` computes it",
+            where=where,
+        )
     return scene
 
 
@@ -177,9 +178,11 @@ def _apply_to_guides(guides: Sequence[Guide], values: Values, names: Sequence[st
             continue
         if (guide := now.get(name)) is None:
             if not {"x_mm", "y_mm"} <= moved.keys():
-                raise ModelError.of(f"""there is no {name}
-                    expected: guide_x_mm and guide_y_mm together, which make a guide
-                    fix: add it before it is moved""")
+                raise ModelError(
+                    f"there is no {name}",
+                    expected="guide_x_mm and guide_y_mm together, which make a guide",
+                    fix="add it before it is moved",
+                )
             guide = Guide(moved["x_mm"], moved["y_mm"], 0.0, moved["x_mm"] >= 0, name)
         x, slope = moved.get("x_mm", guide.x), moved.get("slope", guide.slope)
         if "turns_freely" in moved:
@@ -281,9 +284,11 @@ class SteeredNeedle:
             reach, guides = self.reach(step.controls), step.controls.before
             if valid_only and guides and step.depth > reach + 1e-6:
                 gap = guides[0].x + self.scene.needle.length - step.depth
-                raise ModelError.of(f"""the base would stand {gap:.2f} mm before the first guide
-                    expected: at least {BASE_CLEARANCE_MM:g} mm: the base stops at the guide
-                    fix: retract the needle, or move the guide toward the tissue""")
+                raise ModelError(
+                    f"the base would stand {gap:.2f} mm before the first guide",
+                    expected=f"at least {BASE_CLEARANCE_MM:g} mm: the base stops at the guide",
+                    fix="retract the needle, or move the guide toward the tissue",
+                )
             shape = session.go(step, valid_only=valid_only)
             what = f"the model finds no needle there ({shape.status})"
             self._require_found(shape.converged, what, "move less at a time")
@@ -292,17 +297,16 @@ class SteeredNeedle:
 
     def _require_found(self, found: bool, what: str, fix: str) -> None:
         if not found:
-            raise ModelError.of(f"""{what}
-                expected: a load that tissue and needle can bear
-                fix: {fix}""")
+            raise ModelError(what, expected="a load that tissue and needle can bear", fix=fix)
 
     def _require_valid(self, shape: NeedleShape, valid_only: bool) -> None:
         """Raise ModelError where a needle would leave the model's validity, unless it is outside already."""
         if valid_only and not shape.valid and self.now.shape.valid:
-            raise ModelError.of(f"""the needle would be outside the model's validity:
-                    {"; ".join(shape.validity.faults)}
-                expected: a needle within the limits of small deflections
-                fix: move less, or bring base, guides and tip nearer to the needle's own shape""")
+            raise ModelError(
+                f"the needle would be outside the model's validity: {'; '.join(shape.validity.faults)}",
+                expected="a needle within the limits of small deflections",
+                fix="move less, or bring base, guides and tip nearer to the needle's own shape",
+            )
 
 
 def _with_parameters(tissue: Tissue, parameters: Sequence[Change]) -> Tissue:

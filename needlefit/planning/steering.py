@@ -268,10 +268,13 @@ def _begin_search(
     search = _Search(insertion, goal, limits, threads, cancelled)
     x, nearest = goal.target[0], insertion.now.depth + NEAREST_TARGET_MM
     if x <= nearest or search.end > insertion.reach:
-        raise ModelError.of(f"""the target lies at a depth of {x:.1f} mm
-            expected: deeper than {nearest:.1f} mm (tip + {NEAREST_TARGET_MM} mm), up to
-                {insertion.reach:.1f} mm
-            fix: retract the needle, or take another target""")
+        raise ModelError(
+            f"the target lies at a depth of {x:.1f} mm",
+            expected=(
+                f"deeper than {nearest:.1f} mm (tip + {NEAREST_TARGET_MM} mm), up to {insertion.reach:.1f} mm"
+            ),
+            fix="retract the needle, or take another target",
+        )
     return search
 
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from needlefit.errors import DataError, refusal
+from needlefit.errors import DataError
 from needlefit.project.input_files import open_regular
 
 MAX_ARCHIVE_BYTES = 8 * 2**30  # size of an archive: it may hold more than what is unpacked of it
@@ -25,10 +25,7 @@ def unpack_archive(path: Path, folder: Path, total_bytes: int, fix: str) -> None
     """
 
     def error(what: str) -> DataError:
-        return refusal(f"""{what}
-            expected: a ZIP archive of one scan
-            fix: {fix}
-            where: {path}""")
+        return DataError(what, expected="a ZIP archive of one scan", fix=fix, where=path)
 
     with open_regular(path, MAX_ARCHIVE_BYTES) as file, zipfile.ZipFile(file) as archive:
         members = archive.infolist()

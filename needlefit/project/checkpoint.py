@@ -89,10 +89,12 @@ class Checkpoint:
             with self._file(work).open("ab") as file:
                 file.write(b"\n" + line.encode("ascii") + b"\n")  # the line before may be torn
         except OSError as error:  # a full disk
-            raise UnfinishedWorkError.of(f"""what is finished cannot be kept: {error.strerror}
-                expected: a disk with space left
-                fix: free some space; what was kept before is not lost
-                where: {self.folder}""") from error
+            raise UnfinishedWorkError(
+                f"what is finished cannot be kept: {error.strerror}",
+                expected="a disk with space left",
+                fix="free some space; what was kept before is not lost",
+                where=self.folder,
+            ) from error
 
     def _file(self, work: str) -> Path:
         assert self.folder is not None
@@ -159,17 +161,20 @@ def _prepare(folder: Path, work: str, resume: bool, note: Note) -> None:
     found = _work_of(folder)
     if resume and found is not None:
         if found != work:
-            raise ConfigError.of(f"""the interrupted run was of other work
-                expected: the same data, configuration, seed and versions
-                fix: run again without --resume, which starts afresh
-                where: {folder}""")
+            raise ConfigError(
+                "the interrupted run was of other work",
+                expected="the same data, configuration, seed and versions",
+                fix="run again without --resume, which starts afresh",
+                where=folder,
+            )
         return
     if found == work and any(one.name not in (LOCK_NAME, MANIFEST) for one in folder.iterdir()):
-        raise UnfinishedWorkError.of(f"""holds the unfinished work of an earlier run, which was
-                interrupted or killed
-            expected: --resume (in Python: resume=True), which goes on with it
-            fix: to start afresh instead, remove this folder
-            where: {folder}""")
+        raise UnfinishedWorkError(
+            "holds the unfinished work of an earlier run, which was interrupted or killed",
+            expected="--resume (in Python: resume=True), which goes on with it",
+            fix="to start afresh instead, remove this folder",
+            where=folder,
+        )
     if found is None and {*list_all_files(folder)} > {LOCK_NAME}:
         note(f"{folder} is damaged: its run starts afresh")
     _remove_files(folder, keep=LOCK_NAME)

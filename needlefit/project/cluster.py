@@ -106,19 +106,22 @@ def _result_of(future: "Future[Result]") -> Result:
     try:
         return future.result()
     except KilledWorker as error:
-        raise ConfigError.of(f"""a task ended
-                {error.last_worker.address if error.last_worker else "its worker"} and others
-            expected: workers with memory for a task
-            fix: give each worker more memory, then go on with --resume
-            where: a worker of the cluster""") from None
+        raise ConfigError(
+            f"a task ended {error.last_worker.address if error.last_worker else 'its worker'} and others",
+            expected="workers with memory for a task",
+            fix="give each worker more memory, then go on with --resume",
+            where="a worker of the cluster",
+        ) from None
     except (CancelledError, OSError):
         raise _lost_scheduler() from None
 
 
 def _lost_scheduler() -> ConfigError:
-    return ConfigError.of("""the scheduler of the cluster was lost
-        expected: a scheduler that runs until the work is done
-        fix: start it again, then go on with --resume: finished tasks are kept""")
+    return ConfigError(
+        "the scheduler of the cluster was lost",
+        expected="a scheduler that runs until the work is done",
+        fix="start it again, then go on with --resume: finished tasks are kept",
+    )
 
 
 @contextmanager
@@ -136,11 +139,14 @@ def connect_cluster(scheduler: str, insecure: bool = False, note: Note = no_note
         try:
             client = Client(scheduler, timeout=CONNECT_S)
         except (OSError, TimeoutError, ValueError, TypeError) as error:
-            raise ConfigError.of(f"""no scheduler answers: {error}
-                expected: a running Dask scheduler and, for tls://, the certificates in Dask's
-                    configuration
-                fix: start one with `dask scheduler`; see docs/developers/scale.md
-                where: --scheduler {scheduler}""") from None
+            raise ConfigError(
+                f"no scheduler answers: {error}",
+                expected=(
+                    "a running Dask scheduler and, for tls://, the certificates in Dask's configuration"
+                ),
+                fix="start one with `dask scheduler`; see docs/developers/scale.md",
+                where=f"--scheduler {scheduler}",
+            ) from None
         try:
             yield ClusterPool(client, note)
         finally:
@@ -154,11 +160,12 @@ def require_secured(scheduler: str, insecure: bool = False) -> None:
     """Raise a ConfigError unless an address is encrypted, or of this machine, or `insecure` accepts it."""
     host = scheduler.partition("://")[2].rpartition(":")[0]
     if not (scheduler.startswith("tls://") or insecure or host in _THIS_MACHINE):
-        raise ConfigError.of(f"""is not encrypted: whoever can reach it could run code on its workers
-                and read the data
-            expected: tls://HOST:PORT with certificates, or tcp:// and an address of this machine
-            fix: use tls://; on a network that nobody else can reach, --insecure accepts tcp://
-            where: --scheduler {scheduler}""")
+        raise ConfigError(
+            "is not encrypted: whoever can reach it could run code on its workers and read the data",
+            expected="tls://HOST:PORT with certificates, or tcp:// and an address of this machine",
+            fix="use tls://; on a network that nobody else can reach, --insecure accepts tcp://",
+            where=f"--scheduler {scheduler}",
+        )
 
 
 def _keep(work: Callable[[Item], Result]) -> Callable[[Item], Result]:
@@ -170,10 +177,12 @@ def _run_task(work: Callable[[Item], Result], item: Item, code: dict[str, str]) 
     here = describe_code()
     other = [f"{name} {here[name]} instead of {value}" for name, value in code.items() if here[name] != value]
     if other:
-        raise ConfigError.of(f"""a worker has {", ".join(other)}
-            expected: the same versions as on the machine that sends the work
-            fix: install the same versions on all workers
-            where: worker {platform.node()}""")
+        raise ConfigError(
+            f"a worker has {', '.join(other)}",
+            expected="the same versions as on the machine that sends the work",
+            fix="install the same versions on all workers",
+            where=f"worker {platform.node()}",
+        )
     with _ONE_AT_A_TIME:
         _limit_worker()
         return work(item)

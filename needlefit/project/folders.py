@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from needlefit.errors import ConfigError, DataError, refusal
+from needlefit.errors import ConfigError, DataError
 from needlefit.project.input_files import path_exists, read_json
 from needlefit.project.locate import join_names
 from needlefit.project.progress import Note
@@ -49,16 +49,16 @@ def require_output_files(outputs: Mapping[str, Path], inputs: Iterable[Path]) ->
         require_folder(path)
         place = Path(os.path.realpath(path))
         if place.is_dir():
-            raise ConfigError.of(f"""is a folder
-                fix: name a file with {option}
-                where: {path}""")
+            raise ConfigError("is a folder", fix=f"name a file with {option}", where=path)
         others = [os.path.realpath(other) for name, other in outputs.items() if name != option]
         is_read = place.exists() and any(place.is_relative_to(one) or place.samefile(one) for one in read)
         if is_read or str(place) in others:
-            raise ConfigError.of(f"""is an input of this run, or named twice: {option} would replace it
-                expected: a new file, or one that may be lost
-                fix: choose another name with {option}
-                where: {path}""")
+            raise ConfigError(
+                f"is an input of this run, or named twice: {option} would replace it",
+                expected="a new file, or one that may be lost",
+                fix=f"choose another name with {option}",
+                where=path,
+            )
         if place.is_file() or not place.exists():  # not a pipe or a terminal
             require_writable(path)
 
@@ -66,9 +66,7 @@ def require_output_files(outputs: Mapping[str, Path], inputs: Iterable[Path]) ->
 def require_folder(path: Path) -> None:
     """Raise ConfigError unless the folder of a file to write exists."""
     if not path.parent.is_dir():
-        raise ConfigError.of(f"""there is no such folder
-            fix: make it first
-            where: {path.parent}""")
+        raise ConfigError("there is no such folder", fix="make it first", where=path.parent)
 
 
 def require_no_inputs_within(folder: Path, inputs: Iterable[Path]) -> None:
@@ -76,18 +74,22 @@ def require_no_inputs_within(folder: Path, inputs: Iterable[Path]) -> None:
     place = Path(os.path.realpath(folder))
     for path in inputs:
         if Path(os.path.realpath(path)).is_relative_to(place):
-            raise ConfigError.of(f"""holds an input of this run: {path}
-                expected: a folder of results that is not read
-                fix: choose another folder with --out
-                where: {folder}""")
+            raise ConfigError(
+                f"holds an input of this run: {path}",
+                expected="a folder of results that is not read",
+                fix="choose another folder with --out",
+                where=folder,
+            )
 
 
 def not_writable_error(place: Path, reason: str) -> ConfigError:
     """Return what is raised of a place where nothing can be written."""
-    return ConfigError.of(f"""cannot be written to: {reason}
-        expected: a folder in which you may write
-        fix: choose another one with --out, or check its permissions
-        where: {place}""")
+    return ConfigError(
+        f"cannot be written to: {reason}",
+        expected="a folder in which you may write",
+        fix="choose another one with --out, or check its permissions",
+        where=place,
+    )
 
 
 # ---- the manifest
@@ -130,9 +132,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     table = {} if path.is_symlink() else read_json(path)
     if isinstance(table, dict) and table.get("program") == "needlefit" and table.get("format") == FORMAT:
         return table
-    raise refusal(f"""is not a manifest of needlefit
-        expected: one of format {FORMAT}
-        where: {path}""")
+    raise DataError("is not a manifest of needlefit", expected=f"one of format {FORMAT}", where=path)
 
 
 def listed_files(folder: Path) -> dict[str, Any]:
@@ -169,11 +169,15 @@ def require_unchanged(folder: Path) -> None:
     """Raise DataError, which names the files, where a result does not agree with its manifest."""
     changes = [f"{name} {how}" for name, how in find_changes(folder).items()]
     if changes:
-        raise refusal(f"""does not agree with its manifest: {join_names(changes, MAX_LISTED_FILES)}
-            expected: files with the digests that {MANIFEST} lists
-            fix: take the files from a copy, or run it again; tables, figures and pages may be removed:
-                `needlefit report` makes them again
-            where: {folder}""")
+        raise DataError(
+            f"does not agree with its manifest: {join_names(changes, MAX_LISTED_FILES)}",
+            expected=f"files with the digests that {MANIFEST} lists",
+            fix=(
+                "take the files from a copy, or run it again; tables, figures and pages may "
+                "be removed: `needlefit report` makes them again"
+            ),
+            where=folder,
+        )
 
 
 def find_foreign(folder: Path) -> list[str]:
@@ -199,16 +203,19 @@ def require_replaceable(folder: Path, find: Callable[[Path], list[str]] | None =
     if (place := folder.resolve()).exists() or place.is_symlink():
         faults = (find or find_foreign)(place) if place.is_dir() else ["it is a file"]
         if faults:
-            raise ConfigError.of(f"""is not replaced: needlefit did not write all of it:
-                    {join_names(faults, MAX_LISTED_FILES)}
-                expected: a new or empty folder, or one with only what its {MANIFEST} lists, unchanged
-                fix: move those files away, or choose another folder with --out
-                where: {folder}""")
+            raise ConfigError(
+                f"is not replaced: needlefit did not write all of it: {join_names(faults, MAX_LISTED_FILES)}",
+                expected=f"a new or empty folder, or one with only what its {MANIFEST} lists, unchanged",
+                fix="move those files away, or choose another folder with --out",
+                where=folder,
+            )
         if Path.cwd().is_relative_to(place) and not _is_empty(place):
-            raise ConfigError.of(f"""is not replaced: it is the working folder, or holds it
-                expected: a folder of results in which you do not stand
-                fix: run the command from another folder, or choose another folder with --out
-                where: {folder}""")
+            raise ConfigError(
+                "is not replaced: it is the working folder, or holds it",
+                expected="a folder of results in which you do not stand",
+                fix="run the command from another folder, or choose another folder with --out",
+                where=folder,
+            )
 
 
 def remove_result(folder: Path, note: Note) -> None:
@@ -260,10 +267,12 @@ def take_lock(folder: Path) -> "BaseFileLock":
         folder.mkdir(parents=True, exist_ok=True)
         lock.acquire()
     except Timeout:
-        raise ConfigError.of(f"""another run of needlefit is writing there
-            expected: one run at a time for each folder of results
-            fix: wait until it has ended, or choose another folder with --out
-            where: {folder}""") from None
+        raise ConfigError(
+            "another run of needlefit is writing there",
+            expected="one run at a time for each folder of results",
+            fix="wait until it has ended, or choose another folder with --out",
+            where=folder,
+        ) from None
     except OSError as error:
         raise not_writable_error(folder, error.strerror or type(error).__name__) from None
     return lock
@@ -327,10 +336,9 @@ def _move_into(folder: Path, fresh: Path) -> None:
 def require_new(folder: Path) -> None:
     """Raise ConfigError if `folder` holds something, or is a file."""
     if not _is_empty(folder) and (folder.exists() or folder.is_symlink()):
-        raise ConfigError.of(f"""exists already
-            expected: a new or empty folder
-            fix: choose another folder
-            where: {folder}""")
+        raise ConfigError(
+            "exists already", expected="a new or empty folder", fix="choose another folder", where=folder
+        )
 
 
 @contextmanager

@@ -14,7 +14,7 @@ from io import BytesIO, TextIOWrapper
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from needlefit.errors import ConfigError, DataError, refusal
+from needlefit.errors import ConfigError, DataError
 
 MAX_CONFIG_BYTES = 8 * 2**20  # size of a TOML file
 MAX_TEXT_BYTES = 256 * 2**20  # size of a table, a list of markups or another text file
@@ -37,18 +37,15 @@ def open_regular(
     try:  # without waiting for somebody who writes to a pipe
         file = os.fdopen(os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0)), "rb")
     except FileNotFoundError:
-        raise error.of(f"""there is no such file
-            fix: check the name and the path, or restore the file
-            where: {where}""") from None
+        raise error(
+            "there is no such file", fix="check the name and the path, or restore the file", where=where
+        ) from None
     except (OSError, ValueError) as fault:  # ValueError: a zero byte in the name
         raise unreadable_error(fault, error, where) from None
     with file:
         status = os.fstat(file.fileno())
         if not stat.S_ISREG(status.st_mode):
-            raise error.of(f"""is no regular file
-                expected: a file
-                fix: name a file
-                where: {where}""")
+            raise error("is no regular file", expected="a file", fix="name a file", where=where)
         if status.st_size > max_bytes:
             raise _too_large(status.st_size, max_bytes, error, where)
         yield file
@@ -79,10 +76,12 @@ def read_text(
     try:
         return TextIOWrapper(BytesIO(data), encoding="utf-8-sig").read()
     except UnicodeDecodeError as fault:
-        raise error.of(f"""cannot be read as text: the byte at position {fault.start} is not UTF-8
-            expected: UTF-8 text
-            fix: {SAVE_AS_UTF8}
-            where: {where or str(path)}""") from None
+        raise error(
+            f"cannot be read as text: the byte at position {fault.start} is not UTF-8",
+            expected="UTF-8 text",
+            fix=SAVE_AS_UTF8,
+            where=where or str(path),
+        ) from None
 
 
 def read_json(path: Path, max_bytes: int = MAX_TEXT_BYTES) -> Any:  # noqa: ANN401 - whatever the file holds
@@ -95,10 +94,12 @@ def parse_json(text: str, where: str) -> Any:  # noqa: ANN401 - whatever the tex
     try:
         return json.loads(text)
     except (RecursionError, ValueError) as fault:
-        raise refusal(f"""is not valid JSON: {fault}
-            expected: JSON
-            fix: restore the file, or save it again from the program that made it
-            where: {where}""") from None
+        raise DataError(
+            f"is not valid JSON: {fault}",
+            expected="JSON",
+            fix="restore the file, or save it again from the program that made it",
+            where=where,
+        ) from None
 
 
 MAX_NESTING = 50  #: tables and lists within each other; no file of ours has more than eight
@@ -121,10 +122,12 @@ def parse_toml(text: str, where: str, error: FileErrorType = ConfigError) -> dic
             raise ValueError(f"nested more than {MAX_NESTING} deep")
         return tables
     except (RecursionError, ValueError) as fault:
-        raise error.of(f"""is not valid TOML: {fault}
-            expected: TOML: key = value, texts in quotes
-            fix: correct it
-            where: {where}""") from None
+        raise error(
+            f"is not valid TOML: {fault}",
+            expected="TOML: key = value, texts in quotes",
+            fix="correct it",
+            where=where,
+        ) from None
 
 
 @contextmanager
@@ -137,10 +140,12 @@ def convert_stored_errors(where: Path | str) -> Iterator[None]:
     try:
         yield
     except (OverflowError, TypeError, ValueError) as fault:
-        raise refusal(f"""holds values that needlefit cannot use ({type(fault).__name__})
-            expected: files as needlefit wrote them
-            fix: run it again, or take them from a copy
-            where: {where}""") from fault
+        raise DataError(
+            f"holds values that needlefit cannot use ({type(fault).__name__})",
+            expected="files as needlefit wrote them",
+            fix="run it again, or take them from a copy",
+            where=where,
+        ) from fault
 
 
 def path_exists(path: Path) -> bool:
@@ -176,10 +181,12 @@ def list_files(folder: Path) -> list[Path]:
         paths = (Path(place, name) for name in names if not name.startswith("."))
         found += filter(is_file, paths)
         if len(found) > MAX_FOLDER_FILES:
-            raise refusal(f"""holds over {MAX_FOLDER_FILES} files
-                expected: the folder of one export
-                fix: name the folder in which the files lie
-                where: {folder}""")
+            raise DataError(
+                f"holds over {MAX_FOLDER_FILES} files",
+                expected="the folder of one export",
+                fix="name the folder in which the files lie",
+                where=folder,
+            )
     return sorted(found)
 
 
@@ -190,14 +197,18 @@ def unreadable_error(
     reason = "its name is not valid"
     if isinstance(fault, OSError):
         reason = fault.strerror or type(fault).__name__
-    return error.of(f"""cannot be read: {reason}
-        expected: a file that you may read
-        fix: check the path and its permissions
-        where: {where if where.isprintable() else repr(where)}""")
+    return error(
+        f"cannot be read: {reason}",
+        expected="a file that you may read",
+        fix="check the path and its permissions",
+        where=where if where.isprintable() else repr(where),
+    )
 
 
 def _too_large(size: int, max_bytes: int, error: FileErrorType, where: str) -> DataError | ConfigError:
-    return error.of(f"""is too large: {size / 2**20:.0f} MiB
-        expected: at most {max_bytes / 2**20:.0f} MiB
-        fix: check that it is the file that you meant, or divide it
-        where: {where}""")
+    return error(
+        f"is too large: {size / 2**20:.0f} MiB",
+        expected=f"at most {max_bytes / 2**20:.0f} MiB",
+        fix="check that it is the file that you meant, or divide it",
+        where=where,
+    )

@@ -127,8 +127,10 @@ def find_study_or_fit(name: str) -> tuple[Literal["study", "fit"], Path]:
     """Return the study or the fit that `name` means; a name found as both is an error."""
     found = _find_studies("study or fit", name, [*list_names("study"), *list_names("fit")])
     if len(found) == 2:
-        raise ConfigError.of(f"""`{name}` is both a study and a fit
-            fix: state which: studies/{name}.toml or configs/fits/{name}.toml""")
+        raise ConfigError(
+            f"`{name}` is both a study and a fit",
+            fix=f"state which: studies/{name}.toml or configs/fits/{name}.toml",
+        )
     return ("study" if found[0][0] == "study" else "fit"), found[0][1]
 
 
@@ -138,10 +140,7 @@ def _find_studies(kind: str, name: str, known: list[str]) -> list[tuple[SourceKi
     if path is not None and (not found or found[0][0] == "dataset"):
         own = [str(one) for one in sorted(path.parent.glob("*_study.toml"))]
         fix = f"name {' or '.join(own)}" if own else "write a study of it, as docs/studies.md shows"
-        raise ConfigError.of(f"""is a dataset
-            expected: a {kind}
-            fix: {fix}
-            where: {name}""")
+        raise ConfigError("is a dataset", expected=f"a {kind}", fix=fix, where=name)
     if not found:
         raise unknown_name_error(kind, name, known)
     return found
@@ -153,10 +152,7 @@ def find_dataset_or_study(name: str) -> tuple[SourceKind, Path]:
         near = [folder / "dataset.toml" for folder in Path(name).parents[:2]]
         file = next(filter(is_file, near), None)
         command = f"import {shlex.quote(name)}" if file is None else f"check {shlex.quote(str(file))}"
-        raise ConfigError.of(f"""is a table
-            expected: a dataset.toml
-            fix: needlefit {command}
-            where: {name}""")
+        raise ConfigError("is a table", expected="a dataset.toml", fix=f"needlefit {command}", where=name)
     kinds: tuple[SourceKind, ...] = ("dataset", "study", "fit")
     found = _find_sources(name, kinds)
     if not found:
@@ -172,9 +168,11 @@ def find_studies(name: str) -> list[tuple[str, Path]]:
         return [(study, find_file("study", study)) for study in PAPER_STUDIES]
     kind, path = _find_studies("study", name, [*list_names("study"), EVERY_STUDY])[0]
     if kind == "fit":
-        raise ConfigError.of(f"""`{name}` is a fit, which has nothing to validate on
-            expected: a study
-            fix: use: {shlex.join(("needlefit", "tune", name))}""")
+        raise ConfigError(
+            f"`{name}` is a fit, which has nothing to validate on",
+            expected="a study",
+            fix=f"use: {shlex.join(('needlefit', 'tune', name))}",
+        )
     return [(path.stem, path)]
 
 
@@ -188,8 +186,7 @@ def find_run(name: str) -> Path:
     inside = sorted(one.parent for one in Path(name).glob("*/run.json")) if is_dir(Path(name)) else []
     if len(inside) > 1:
         listed = join_names([str(one) for one in inside])
-        raise ConfigError.of(f"""`{name}` holds several runs
-            expected: one of {listed}""")
+        raise ConfigError(f"`{name}` holds several runs", expected=f"one of {listed}")
     if not inside:
         raise unknown_name_error("run", name, list_runs())
     return inside[0]
@@ -234,9 +231,7 @@ def unknown_name_error(kind: str, name: str, known: list[str], otherwise: str = 
     here = [one for one in (name, f"{name}.toml") if path_exists(Path(one)) and not is_path(name)]
     if here:
         fix = f"write ./{here[0]} if you mean the one in this folder"
-    return ConfigError.of(f"""{what}
-        expected: one of {join_names(nearest) or "(none found)"}
-        fix: {fix}""")
+    return ConfigError(what, expected=f"one of {join_names(nearest) or '(none found)'}", fix=fix)
 
 
 def _compare(name: str, other: str) -> float:

@@ -49,10 +49,12 @@ def stated_memory_bytes() -> int | None:
     """
     text = os.environ.get(MEMORY_VARIABLE, "")
     if text and not re.fullmatch(r"(?!0*\.?0*$)\d{1,6}(\.\d*)?", text):  # a number above 0
-        raise ConfigError.of(f"""is {text[:40]!r}
-            expected: GiB, such as 16
-            fix: set a number, or unset it
-            where: {MEMORY_VARIABLE}""")
+        raise ConfigError(
+            f"is {text[:40]!r}",
+            expected="GiB, such as 16",
+            fix="set a number, or unset it",
+            where=MEMORY_VARIABLE,
+        )
     return int(float(text) * 2**30) if text else None
 
 

@@ -7,9 +7,6 @@ A fault stops a run; a warning does not. It is printed under the result, kept un
 import warnings
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
-from typing import Self
-
-from needlefit.errors import split_message
 
 WARNINGS_KEY = "warnings"  # of `--json`
 
@@ -22,11 +19,6 @@ class ResultWarning:
     what: str  # what was found, in a clause without a full stop
     where: str = ""  # file and line or key, empty if there is none
     fix: str = ""  # what the user can do
-
-    @classmethod
-    def of(cls, text: str) -> Self:
-        """Return the warning that is written as it is printed, as errors are, with a line `kind:`."""
-        return cls(**split_message(text))
 
     @property
     def help_key(self) -> str:

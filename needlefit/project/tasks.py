@@ -96,9 +96,11 @@ class LocalPool:
                     if whole:
                         yield n, result
             except BrokenProcessPool:
-                raise ConfigError.of("""one of the processes was ended from outside, or could not begin
-                    expected: processes that nobody ends, and memory for as many as --jobs states
-                    fix: run it again, with fewer --jobs if memory was short""") from None
+                raise ConfigError(
+                    "one of the processes was ended from outside, or could not begin",
+                    expected="processes that nobody ends, and memory for as many as --jobs states",
+                    fix="run it again, with fewer --jobs if memory was short",
+                ) from None
             finally:  # where a task failed, or nobody wants more, the others end early
                 event.set()
 

@@ -251,10 +251,12 @@ def override(tables: Mapping[str, Any], assignments: Sequence[tuple[str, str]], 
             else:
                 del table[name]
         except (AttributeError, IndexError, KeyError, TypeError, ValueError):
-            raise ConfigError.of(f"""there is no key `{key}`
-                expected: a key of the file; layers, guides and steps are numbered from 1
-                fix: correct the name
-                where: {where}""") from None
+            raise ConfigError(
+                f"there is no key `{key}`",
+                expected="a key of the file; layers, guides and steps are numbered from 1",
+                fix="correct the name",
+                where=where,
+            ) from None
     return changed
 
 

@@ -94,15 +94,17 @@ def extrapolation_warnings(
     `z_unfitted`: another one, as a needle is predicted in space by a fit in one plane.
     """
     if z_unfitted:
-        yield ResultWarning.of("""z is predicted, but the needles were fitted in one plane: no
-                error along z was compared
-            fix: write `compared = "space"` in the study or fit
-            kind: extrapolation""")
+        yield ResultWarning(
+            kind="extrapolation",
+            what="z is predicted, but the needles were fitted in one plane: no error along z was compared",
+            fix='write `compared = "space"` in the study or fit',
+        )
     if fitted and not _is_within(depth, (FITTED_RANGE[0] * min(fitted), FITTED_RANGE[1] * max(fitted))):
-        yield ResultWarning.of(f"""{depth:.4g} mm is no depth that was fitted, {min(fitted):.3g}
-                to {max(fitted):.3g} mm
-            fix: check its unit, mm; that the model may not hold there is not included
-            kind: extrapolation""")
+        yield ResultWarning(
+            kind="extrapolation",
+            what=f"{depth:.4g} mm is no depth that was fitted, {min(fitted):.3g} to {max(fitted):.3g} mm",
+            fix="check its unit, mm; that the model may not hold there is not included",
+        )
 
 
 def medium_warnings(medium: MediumRecord, file: Path | str) -> Iterator[ResultWarning]:

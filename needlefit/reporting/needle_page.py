@@ -86,9 +86,11 @@ def kernel_exists() -> bool:
 def read_kernel() -> str:
     """Return the kernel in WebAssembly, compressed, as base64; ConfigError if there is none."""
     if not kernel_exists():
-        raise ConfigError.of("""this installation has no kernel in WebAssembly
-            expected: a file kernel.wasm beside the compiled kernel
-            fix: install needlefit from a wheel, or with the package ziglang: pip install ziglang""")
+        raise ConfigError(
+            "this installation has no kernel in WebAssembly",
+            expected="a file kernel.wasm beside the compiled kernel",
+            fix="install needlefit from a wheel, or with the package ziglang: pip install ziglang",
+        )
     return compress((native.FOLDER / "kernel.wasm").read_bytes())
 
 

@@ -16,7 +16,7 @@ import pandas as pd
 from pydantic import BaseModel, ValidationError
 
 from needlefit.datasets.sources import DATASET_FILE, DatasetFiles
-from needlefit.errors import DataError, refusal
+from needlefit.errors import DataError
 from needlefit.inference.sampling.posterior import load, save
 from needlefit.project.folders import TIMING_FILE, require_unchanged
 from needlefit.project.input_files import (
@@ -99,10 +99,12 @@ def restore_run(folder: Path) -> Run:
             lacking = [column for column in wanted if column not in frame]
             if refused := [column for column in lacking if column not in optional]:
                 columns = ", ".join(refused)
-                raise refusal(f"""run `{table["name"]}` lacks the column {columns} in its table {name}
-                    expected: a run of this version
-                    fix: run it again, or read it with the version that wrote it
-                    where: {folder}""")
+                raise DataError(
+                    f"run `{table['name']}` lacks the column {columns} in its table {name}",
+                    expected="a run of this version",
+                    fix="run it again, or read it with the version that wrote it",
+                    where=folder,
+                )
             frames[name] = frame.assign(**{column: optional[column] for column in lacking})
         require_schema(table["run"], kind.metadata, str(folder / RESULTS_FILE))
         names = table["posteriors"]

@@ -11,7 +11,7 @@ from needlefit.datasets.insertion import Dataset, Insertion, find_pose
 from needlefit.datasets.noise import estimate_noise_floor
 from needlefit.datasets.planes import set_compared
 from needlefit.datasets.read import read_shapes, require_shapes
-from needlefit.errors import refusal
+from needlefit.errors import DataError
 from needlefit.geometry.frames import Placement, move_frame
 from needlefit.inference.forward_model import ParameterDraws, select_layer_draws
 from needlefit.inference.likelihood.observations import select_points
@@ -154,10 +154,12 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
 
     kind = unpack(view_target.path).get("kind")
     if kind not in FIT_KINDS:
-        raise refusal(f"""is a run of another kind ({kind}): it has no fitted needle to show
-            expected: a run of tune or validate that fits the shapes of needles
-            fix: name such a run, or a scene or an insertion of a dataset
-            where: {view_target.path}""")
+        raise DataError(
+            f"is a run of another kind ({kind}): it has no fitted needle to show",
+            expected="a run of tune or validate that fits the shapes of needles",
+            fix="name such a run, or a scene or an insertion of a dataset",
+            where=view_target.path,
+        )
     run = restore_run(view_target.path)
     dataset = require_shapes(read_data(run, str(view_target.path)))
     stated = run.knows(FitMetadata)
@@ -172,10 +174,12 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
     fold, role = roles[insertion.id]
     rows = select_rows(run.frames["parameters"], fold=fold, method=SHOWN_METHOD)
     if rows.empty:
-        raise refusal(f"""its fit found no parameters with which every needle can be solved
-            expected: a run whose fit ended
-            fix: look at its report, or run it again
-            where: {view_target.path}""")
+        raise DataError(
+            "its fit found no parameters with which every needle can be solved",
+            expected="a run whose fit ended",
+            fix="look at its report, or run it again",
+            where=view_target.path,
+        )
     values = dict(zip(rows["parameter"], rows["value"].astype(float), strict=True))
     shown = ShownInsertion(dataset, insertion, stated.medium, values, stated.recipe.seed)
     (names,) = (set(one.tune) for one in folds if one.name == fold)

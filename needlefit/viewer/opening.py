@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from needlefit.errors import NeedlefitError, refusal
+from needlefit.errors import DataError, NeedlefitError
 from needlefit.mechanics.laws import LAWS
 from needlefit.planning.recording import Recording
 from needlefit.planning.steered_needle import make_steered_scene
@@ -82,9 +82,7 @@ def read_scene_draws(path: Path, record: SceneRecord) -> "ParameterDraws | None"
     except (IndexError, KeyError, TypeError, ValueError):  # no row, no such column, or no number
         usable = False
     if not usable:
-        raise refusal(f"""its draws are not all positive
-            expected: {", ".join(names)}
-            where: {path}""")
+        raise DataError("its draws are not all positive", expected=", ".join(names), where=path)
     tissue = make_steered_scene(record, str(path)).tissue
     for layer, shape in zip(layers, tissue.shape.T.tolist(), strict=True):
         for name, value in zip(LAWS[record.law].shape_names, shape, strict=True):

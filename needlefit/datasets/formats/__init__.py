@@ -6,7 +6,7 @@ from pathlib import Path
 
 from needlefit.datasets.faults import Fault
 from needlefit.datasets.points import Points
-from needlefit.errors import ConfigError, refusal
+from needlefit.errors import ConfigError, DataError
 from needlefit.registry import Registry
 
 # Curves by the names that a file gives them, and remarks on how it was read.
@@ -47,10 +47,12 @@ class FileFormat:
             return self.read_centerline(path, columns, found)
         curves = {} if self.read_curves is None else self.read_curves(path)[0]
         if len(curves) != 1:
-            raise refusal(f"""holds {len(curves)} curves: {", ".join(curves)}
-                expected: one curve
-                fix: save one insertion a file
-                where: {path}""")
+            raise DataError(
+                f"holds {len(curves)} curves: {', '.join(curves)}",
+                expected="one curve",
+                fix="save one insertion a file",
+                where=path,
+            )
         return next(iter(curves.values()))
 
 
@@ -67,7 +69,8 @@ def find_format(path: Path) -> FileFormat | None:
     longest = max((length for length, _ in known), default=0)
     found = [one for length, one in known if length == longest]
     if len(found) > 1:
-        raise ConfigError.of(f"""`{path.name}` may be of two file formats:
-                {" and ".join(one.name for one in found)}
-            fix: leave out the plugin of one of them""")
+        raise ConfigError(
+            f"`{path.name}` may be of two file formats: {' and '.join(one.name for one in found)}",
+            fix="leave out the plugin of one of them",
+        )
     return found[0] if found else None

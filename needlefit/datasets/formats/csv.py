@@ -16,7 +16,7 @@ from needlefit.datasets.columns import POINT_COLUMNS, SD_COLUMN, describe_column
 from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.formats import FileFormat
 from needlefit.datasets.points import MAX_COORDINATE, Points
-from needlefit.errors import refusal
+from needlefit.errors import DataError
 from needlefit.project.input_files import read_text
 
 MAX_TABLE_BYTES = 64 * 2**20
@@ -56,23 +56,26 @@ def read_table(path: Path) -> CsvTable:
     """
     rows = _read_rows(path)
     if not rows:
-        raise refusal(f"""is empty
-            expected: a header line and rows below it
-            fix: fill it, or restore it
-            where: {path}""")
+        raise DataError(
+            "is empty", expected="a header line and rows below it", fix="fill it, or restore it", where=path
+        )
     (top, header), body = rows[0], rows[1:]
     _check_header(header, f"{path}:{top}")
     if not body:
-        raise refusal(f"""has a header but no rows
-            expected: one row a line below it
-            fix: add the rows, or restore the file
-            where: {path}:{top}""")
+        raise DataError(
+            "has a header but no rows",
+            expected="one row a line below it",
+            fix="add the rows, or restore the file",
+            where=f"{path}:{top}",
+        )
     for line, row in body:
         if len(row) > len(header):
-            raise refusal(f"""has {len(row)} cells under {len(header)} columns
-                expected: {len(header)} cells, decimal points (not decimal commas)
-                fix: remove the cells that are too many, or put text that holds a comma in quotes
-                where: {path}:{line}""")
+            raise DataError(
+                f"has {len(row)} cells under {len(header)} columns",
+                expected=f"{len(header)} cells, decimal points (not decimal commas)",
+                fix="remove the cells that are too many, or put text that holds a comma in quotes",
+                where=f"{path}:{line}",
+            )
     width = len(header)
     # Text cells: pandas must not guess types, or ids such as 007 would lose their zeros.
     cells = pd.DataFrame([row + [""] * (width - len(row)) for _, row in body], columns=header, dtype=str)
@@ -95,19 +98,22 @@ def parse_numbers(table: CsvTable, column: str, found: list[Fault], default: flo
     for row in bad[:MAX_LISTED_CELLS]:
         problem = "is empty" if empty[row] else f"is {text.iloc[row][:MAX_SHOWN_CHARS]!r}"
         found.append(
-            refusal(f"""{describe_column(table.names, column)} {problem}
-            expected: a finite number, at most {MAX_COORDINATE:g}
-            fix: fix the cell
-            where: {table.where(row)}""")
+            DataError(
+                f"{describe_column(table.names, column)} {problem}",
+                expected=f"a finite number, at most {MAX_COORDINATE:g}",
+                fix="fix the cell",
+                where=table.where(row),
+            )
         )
     if len(bad) > MAX_LISTED_CELLS:
         more, line = len(bad) - MAX_LISTED_CELLS, table.lines[bad[MAX_LISTED_CELLS]]
         found.append(
-            refusal(f"""{describe_column(table.names, column)} has {more} more such cells
-                from here on
-            expected: finite numbers
-            fix: fix the cells
-            where: {table.path}:{line}""")
+            DataError(
+                f"{describe_column(table.names, column)} has {more} more such cells from here on",
+                expected="finite numbers",
+                fix="fix the cells",
+                where=f"{table.path}:{line}",
+            )
         )
     return values if default is None else np.where(empty, default, values)
 
@@ -125,10 +131,12 @@ def read_curve(table: CsvTable, names: Mapping[str, str], found: list[Fault]) ->
         sd = parse_numbers(table, column, found)
         for row in np.flatnonzero(sd < 0)[:MAX_LISTED_CELLS]:
             found.append(
-                refusal(f"""{column} is {sd[row]:g}
-                expected: a standard deviation, 0 or more, mm
-                fix: fix the cell, or leave the whole column out
-                where: {table.where(int(row))}""")
+                DataError(
+                    f"{column} is {sd[row]:g}",
+                    expected="a standard deviation, 0 or more, mm",
+                    fix="fix the cell, or leave the whole column out",
+                    where=table.where(int(row)),
+                )
             )
     if len(found) > before:
         return None
@@ -151,10 +159,12 @@ def note_missing_columns(table: CsvTable, wanted: Sequence[str], found: list[Fau
     missing = [column for column in wanted if column not in table.cells]
     for column in missing:
         found.append(
-            refusal(f"""column `{column}` is missing
-            expected: a column of that name; there are {list_columns(table.cells.columns)}
-            fix: {MISSING_COLUMN_FIX}
-            where: {table.path}:1""")
+            DataError(
+                f"column `{column}` is missing",
+                expected=f"a column of that name; there are {list_columns(table.cells.columns)}",
+                fix=MISSING_COLUMN_FIX,
+                where=f"{table.path}:1",
+            )
         )
     return bool(missing)
 
@@ -172,20 +182,24 @@ def _read_rows(path: Path) -> list[tuple[int, list[str]]]:
                 rows.append((begin, [cell.strip() for cell in cells]))
                 check_extent(len(rows), len(rows[0][1]), f"{path}:{begin}")
     except csv.Error as error:
-        raise refusal(f"""cannot be read: {error}
-            expected: a CSV file
-            fix: save it again as CSV
-            where: {path}:{end + 1}""") from None
+        raise DataError(
+            f"cannot be read: {error}",
+            expected="a CSV file",
+            fix="save it again as CSV",
+            where=f"{path}:{end + 1}",
+        ) from None
     return rows
 
 
 def check_extent(rows: int, columns: int, where: str, most: int = MAX_CELLS) -> None:
     """Raise DataError if a table has more than `most` cells, empty ones included, or too many columns."""
     if columns > MAX_COLUMNS or rows * columns > most:
-        raise refusal(f"""is too large: {rows} rows of {columns} columns
-            expected: at most {MAX_COLUMNS} columns, and {most:,} cells
-            fix: check that it is the file that you meant, or divide it
-            where: {where}""")
+        raise DataError(
+            f"is too large: {rows} rows of {columns} columns",
+            expected=f"at most {MAX_COLUMNS} columns, and {most:,} cells",
+            fix="check that it is the file that you meant, or divide it",
+            where=where,
+        )
 
 
 def list_columns(columns: Iterable[object]) -> str:
@@ -198,17 +212,21 @@ def list_columns(columns: Iterable[object]) -> str:
 def _check_header(header: list[str], where: str) -> None:
     for sign, name in OTHER_DELIMITERS.items():
         if len(header) == 1 and sign in header[0]:
-            raise refusal(f"""columns are separated by {name}
-                expected: commas between columns, points in decimals
-                fix: save it again as comma-separated values
-                where: {where}""")
+            raise DataError(
+                f"columns are separated by {name}",
+                expected="commas between columns, points in decimals",
+                fix="save it again as comma-separated values",
+                where=where,
+            )
     repeated = sorted({name for name in header if header.count(name) > 1})
     if repeated:
-        raise refusal(f"""has more than one column
-                `{"`, `".join(name[:MAX_SHOWN_CHARS] for name in repeated[:MAX_LISTED_CELLS])}`
-            expected: a name for every column
-            fix: rename or remove one of them
-            where: {where}""")
+        raise DataError(
+            "has more than one column "
+            f"`{'`, `'.join(name[:MAX_SHOWN_CHARS] for name in repeated[:MAX_LISTED_CELLS])}`",
+            expected="a name for every column",
+            fix="rename or remove one of them",
+            where=where,
+        )
 
 
 def _read_markers(path: Path) -> Points:

@@ -8,7 +8,7 @@ import numpy as np
 
 from needlefit.datasets.fields import FieldReader
 from needlefit.datasets.formats import FileFormat, ReadCurves
-from needlefit.errors import refusal
+from needlefit.errors import DataError
 from needlefit.project.input_files import parse_json, read_text
 
 MAX_NUMBER = 2**63
@@ -26,20 +26,24 @@ def read_curves(path: Path) -> ReadCurves:
     reader = FieldReader("field")
     curves = {one.name: one.to_points(path) for one in reader.find_curves("line", objects)}
     if not curves:
-        raise refusal(f"""holds no curve
-            expected: points of a needle in each line, as N x 3 numbers, N > 3
-            fix: {_FIX}
-            where: {path}""")
+        raise DataError(
+            "holds no curve",
+            expected="points of a needle in each line, as N x 3 numbers, N > 3",
+            fix=_FIX,
+            where=path,
+        )
     return curves, [f"{one} ignored" for one in reader.unused]
 
 
 def _to_arrays(value: Any, where: str, depth: int = 0) -> object:  # noqa: ANN401 - whatever a line holds
     """Return a value with arrays for lists of numbers of one length."""
     if depth > MAX_NESTING:
-        raise refusal(f"""has more than {MAX_NESTING} levels
-            expected: an object of numbers and lists
-            fix: {_FIX}
-            where: {where}""")
+        raise DataError(
+            f"has more than {MAX_NESTING} levels",
+            expected="an object of numbers and lists",
+            fix=_FIX,
+            where=where,
+        )
     if isinstance(value, dict):
         return {key: _to_arrays(part, where, depth + 1) for key, part in value.items()}
     if isinstance(value, int) and abs(value) > MAX_NUMBER:  # more digits than a float has

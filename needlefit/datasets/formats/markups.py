@@ -17,7 +17,7 @@ from needlefit.datasets.formats import FileFormat, ReadCurves
 from needlefit.datasets.importing.synonyms import UNITS_MM
 from needlefit.datasets.point_labels import divide_labels
 from needlefit.datasets.points import MAX_COORDINATE, Points
-from needlefit.errors import refusal
+from needlefit.errors import DataError
 from needlefit.geometry.frames import PatientSystem, to_lps
 from needlefit.project.input_files import read_json, read_text
 
@@ -68,10 +68,12 @@ class Markups:
         """Return the points as a centreline; DataError if the list is not a curve."""
         if self.kind in CURVE_KINDS:
             return Points(self.path, self.points)
-        raise refusal(f"""`{self.name}` is a {self.kind}, which is no centreline
-            expected: an open curve (Curve), or points (Fiducial) from the entry to the tip
-            fix: draw the needle in Slicer as an open curve, and save that
-            where: {self.path}""")
+        raise DataError(
+            f"`{self.name}` is a {self.kind}, which is no centreline",
+            expected="an open curve (Curve), or points (Fiducial) from the entry to the tip",
+            fix="draw the needle in Slicer as an open curve, and save that",
+            where=self.path,
+        )
 
 
 def read_markups(path: Path) -> tuple[Markups, ...]:
@@ -85,17 +87,23 @@ def read_markups(path: Path) -> tuple[Markups, ...]:
     whole = read_json(path)
     lists = whole.get("markups") if isinstance(whole, dict) else None
     if not isinstance(lists, list) or not all(isinstance(one, dict) for one in lists):
-        raise refusal(f"""has no `markups`
-            expected: {{"@schema": ..., "markups": [{{"type": "Curve", ...}}]}}
-            fix: {SAVE_AGAIN_FIX}; points of other programs: an object for each needle a line, in a
-                .jsonl file
-            where: {path}""")
+        raise DataError(
+            "has no `markups`",
+            expected='{"@schema": ..., "markups": [{"type": "Curve", ...}]}',
+            fix=(
+                f"{SAVE_AGAIN_FIX}; points of other programs: an object for each needle a "
+                "line, in a .jsonl file"
+            ),
+            where=path,
+        )
     schema = str(whole.get("@schema", SCHEMA))
     if not _SCHEMA.search(schema):
-        raise refusal(f"""its schema is {schema[:120]!r}
-            expected: markups-schema-v1.x.y.json
-            fix: {SAVE_AGAIN_FIX}
-            where: {path}""")
+        raise DataError(
+            f"its schema is {schema[:120]!r}",
+            expected="markups-schema-v1.x.y.json",
+            fix=SAVE_AGAIN_FIX,
+            where=path,
+        )
     found = [
         _parse_markups(path, one, n)
         for n, one in enumerate(lists, 1)
@@ -103,10 +111,12 @@ def read_markups(path: Path) -> tuple[Markups, ...]:
     ]
     if not found:
         kinds = ", ".join(str(one.get("type")) for one in lists) or "nothing"
-        raise refusal(f"""holds no list of points, but {kinds}
-            expected: a point list, a Curve or a Line
-            fix: save such a list in Slicer
-            where: {path}""")
+        raise DataError(
+            f"holds no list of points, but {kinds}",
+            expected="a point list, a Curve or a Line",
+            fix="save such a list in Slicer",
+            where=path,
+        )
     return tuple(found)
 
 
@@ -144,10 +154,12 @@ def _to_float(text: str) -> float | str:
 def _parse_markups(path: Path, table: Mapping[str, Any], number: int) -> Markups:
     def check(is_right: bool, key: str, expected: str) -> None:
         if not is_right:
-            raise refusal(f"""list {number}, key `{key}` is missing or wrong
-                expected: {expected}
-                fix: {SAVE_AGAIN_FIX}
-                where: {path}""")
+            raise DataError(
+                f"list {number}, key `{key}` is missing or wrong",
+                expected=expected,
+                fix=SAVE_AGAIN_FIX,
+                where=path,
+            )
 
     kind, system, points = (table.get(key) for key in ("type", "coordinateSystem", "controlPoints"))
     units = table.get("coordinateUnits") or "mm"
@@ -175,10 +187,12 @@ def _parse_markups(path: Path, table: Mapping[str, Any], number: int) -> Markups
     name = str(table.get("name") or path.name.removesuffix(".json").removesuffix(".mrk"))
     if not placed:
         what = f"list `{name}` is empty" + (f": its {len(unset)} points were never placed" if unset else "")
-        raise refusal(f"""{what}
-            expected: a list with points
-            fix: place its points in Slicer and save it again, or take another file
-            where: {path}""")
+        raise DataError(
+            what,
+            expected="a list with points",
+            fix="place its points in Slicer and save it again, or take another file",
+            where=path,
+        )
     labels, notes = (tuple(str(one.get(key) or "") for one in placed) for key in ("label", "description"))
     own: PatientSystem = "LPS" if system == "LPS" else "RAS"
     values = to_lps(UNITS_MM[unit] * np.array(positions, dtype=np.float64), own)
@@ -190,10 +204,12 @@ def pick_list(lists: Sequence[Markups], path: Path) -> Markups:
     if len(lists) == 1:
         return lists[0]
     listed = ", ".join(f"`{one.name}` ({one.kind})" for one in lists)
-    raise refusal(f"""holds {len(lists)} lists: {listed}
-        expected: one list
-        fix: save the list that is meant on its own
-        where: {path}""")
+    raise DataError(
+        f"holds {len(lists)} lists: {listed}",
+        expected="one list",
+        fix="save the list that is meant on its own",
+        where=path,
+    )
 
 
 def _read_curves(path: Path) -> ReadCurves:
@@ -213,10 +229,12 @@ def _read_curves(path: Path) -> ReadCurves:
     counts = Counter(name for name, _ in named)
     for name, count in counts.most_common(1):
         if count > 1:
-            raise refusal(f"""holds {count} lists called `{name}`
-                expected: names that differ: they become ids
-                fix: rename them in Slicer, and save them again
-                where: {path}""")
+            raise DataError(
+                f"holds {count} lists called `{name}`",
+                expected="names that differ: they become ids",
+                fix="rename them in Slicer, and save them again",
+                where=path,
+            )
     return dict(named), notes
 
 

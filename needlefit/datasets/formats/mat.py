@@ -12,7 +12,7 @@ import numpy as np
 from needlefit.datasets.fields import MAX_TEXT_CHARS, FieldReader
 from needlefit.datasets.formats import FileFormat
 from needlefit.datasets.points import Points
-from needlefit.errors import refusal
+from needlefit.errors import DataError
 from needlefit.project.input_files import read_bytes
 from needlefit.project.reader_process import BYTES_PER_SECOND, Arrays, read_in_process, stated_memory_bytes
 
@@ -41,11 +41,13 @@ def read_curves(path: Path) -> tuple[dict[str, Points], list[str]]:
         reader, path, {"path": str(path)}, 2 * memory, seconds
     )
     if not found:
-        raise refusal(f"""holds no curve; its variables are
-                {", ".join(map(str, variables[:MAX_SHOWN_VARIABLES])) or "(none)"}
-            expected: {EXPECTED_ARRAYS}
-            fix: {ARRAYS_FIX}
-            where: {path}""")
+        raise DataError(
+            "holds no curve; its variables are "
+            f"{', '.join(map(str, variables[:MAX_SHOWN_VARIABLES])) or '(none)'}",
+            expected=EXPECTED_ARRAYS,
+            fix=ARRAYS_FIX,
+            where=path,
+        )
     curves = {name: Points(path, array, **beside[name]) for name, array in found.items()}
     return curves, [f"{one} ignored" for one in unused]
 

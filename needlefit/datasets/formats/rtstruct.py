@@ -11,7 +11,7 @@ import numpy as np
 
 from needlefit.datasets.formats import FileFormat
 from needlefit.datasets.points import Points
-from needlefit.errors import refusal
+from needlefit.errors import DataError
 from needlefit.project.input_files import read_bytes
 from needlefit.project.reader_process import BYTES_PER_SECOND, READER_BYTES, Arrays, read_in_process
 
@@ -30,17 +30,16 @@ def read_curves(path: Path) -> tuple[dict[str, Points], list[str]]:
     DataError if the file is missing, is no structure set, or holds no open contour, or pydicom is missing.
     """
     if find_spec("pydicom") is None:
-        raise refusal(f"""is a DICOM file, and pydicom, which reads it, is not installed
-            fix: pip install 'needlefit[ct]'
-            where: {path}""")
+        raise DataError(
+            "is a DICOM file, and pydicom, which reads it, is not installed",
+            fix="pip install 'needlefit[ct]'",
+            where=path,
+        )
     data = read_bytes(path, MAX_FILE_BYTES)
     reader, seconds = f"{__name__}:read_contours", len(data) / BYTES_PER_SECOND
     (names, left), found = read_in_process(reader, path, {"path": str(path)}, READER_BYTES, seconds)
     if not found:
-        raise refusal(f"""holds no open contour
-            expected: {_EXPECTED}
-            fix: {_FIX}
-            where: {path}""")
+        raise DataError("holds no open contour", expected=_EXPECTED, fix=_FIX, where=path)
     return {name: Points(path, found[str(n)]) for n, name in enumerate(names)}, left
 
 
@@ -53,15 +52,14 @@ def read_contours(arrays: Arrays, path: str) -> tuple[list[str], list[str]]:
     file = pydicom.dcmread(BytesIO(read_bytes(Path(path), MAX_FILE_BYTES)), force=True)
     kind = file.get("SOPClassUID")
     if kind == RT_PLAN:
-        raise refusal(f"""is an RT plan, which is not read
-            expected: {_EXPECTED}
-            fix: {_PLAN_FIX}
-            where: {path}""")
+        raise DataError("is an RT plan, which is not read", expected=_EXPECTED, fix=_PLAN_FIX, where=path)
     if kind != STRUCTURE_SET:
-        raise refusal(f"""is no RT structure set
-            expected: {_EXPECTED}
-            fix: {_FIX}; scans are read by `needlefit reconstruct`
-            where: {path}""")
+        raise DataError(
+            "is no RT structure set",
+            expected=_EXPECTED,
+            fix=f"{_FIX}; scans are read by `needlefit reconstruct`",
+            where=path,
+        )
     regions = {int(one.ROINumber): str(one.get("ROIName", "")) for one in file.StructureSetROISequence}
     for region in file.get("ROIContourSequence") or ():
         number = int(region.ReferencedROINumber)

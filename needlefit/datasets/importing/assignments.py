@@ -42,7 +42,11 @@ class Assignments:
                     override({}, [(part, text)], "--set")[part] if is_parsed else text
                 )
             else:
-                raise ConfigError.of(f"""--set {key}={text[:40]}: there is no key `{key}`
-                    expected: unit, origin, {", ".join(TABLE_KEYS)}, {", ".join(VALUES)}, or MEANING.column of
-                        {", ".join(MEANINGS)}
-                    fix: correct the key""")
+                raise ConfigError(
+                    f"--set {key}={text[:40]}: there is no key `{key}`",
+                    expected=(
+                        f"unit, origin, {', '.join(TABLE_KEYS)}, {', '.join(VALUES)}, "
+                        f"or MEANING.column of {', '.join(MEANINGS)}"
+                    ),
+                    fix="correct the key",
+                )

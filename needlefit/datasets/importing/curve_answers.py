@@ -3,7 +3,7 @@
 from needlefit.datasets.importing.curves import ImportedCurve
 from needlefit.datasets.importing.directions import to_sides
 from needlefit.datasets.importing.stated import Settler, Stated
-from needlefit.errors import refusal
+from needlefit.errors import DataError
 
 
 class CurveAnswers:
@@ -46,8 +46,10 @@ class CurveAnswers:
             angles = [self.settle("bevel_side", "1", "not stated").to_angle()] * len(self.curves)
         sides, turns = to_sides(angles)
         if any(turns) or any(one.turns or (one.sensors and len(one.line) > 1) for one in self.curves):
-            raise refusal(f"""bevels are at right angles, turned, or beside curvatures
-                expected: sides 1 and -1, without shapes
-                fix: {fix}
-                where: {self.curves[0].points.where()}""")
+            raise DataError(
+                "bevels are at right angles, turned, or beside curvatures",
+                expected="sides 1 and -1, without shapes",
+                fix=fix,
+                where=self.curves[0].points.where(),
+            )
         return sides

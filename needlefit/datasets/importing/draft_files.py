@@ -23,7 +23,7 @@ from needlefit.datasets.importing.tables import (
     read_sheets,
     read_structured,
 )
-from needlefit.errors import refusal
+from needlefit.errors import DataError
 from needlefit.geometry.surfaces import READ_SUFFIXES
 from needlefit.project.input_files import is_dir, is_file, path_exists
 from needlefit.project.locate import join_names
@@ -42,9 +42,11 @@ def draft_mapping(paths: Sequence[Path], stated: Assignments) -> tuple[Draft, li
     draft = Draft(values=dict(stated.values), origin=stated.origin or "measured")
     files = [*_list_files(paths, draft)]
     if len(files) > MAX_CURVES:
-        raise refusal(f"""{len(files)} files are named
-            expected: at most {MAX_CURVES}
-            fix: name the folder of the needles""")
+        raise DataError(
+            f"{len(files)} files are named",
+            expected=f"at most {MAX_CURVES}",
+            fix="name the folder of the needles",
+        )
     for path in files:
         suffix = path.suffix.lower()
         if suffix in READ_SUFFIXES:
@@ -76,15 +78,15 @@ def _list_files(paths: Iterable[Path], draft: Draft) -> Iterator[Path]:
     )
     for path in paths:
         if is_file(own := path if path.name == "dataset.toml" else path / "dataset.toml"):
-            raise refusal(f"""is a dataset already
-                expected: files of other programs
-                fix: use it as it is: needlefit check {own}
-                where: {path}""")
+            raise DataError(
+                "is a dataset already",
+                expected="files of other programs",
+                fix=f"use it as it is: needlefit check {own}",
+                where=path,
+            )
         if not is_dir(path):
             if not path_exists(path):
-                raise refusal(f"""there is no such file
-                    fix: check the name and the path
-                    where: {path}""")
+                raise DataError("there is no such file", fix="check the name and the path", where=path)
             yield path
             continue
         for one in sorted(path.iterdir()):

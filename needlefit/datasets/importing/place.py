@@ -28,7 +28,7 @@ from needlefit.datasets.layers import (
     select_layers,
 )
 from needlefit.datasets.points import MIN_POINTS
-from needlefit.errors import refusal
+from needlefit.errors import DataError
 from needlefit.geometry.crossings import find_crossings, find_surface_hits
 from needlefit.geometry.frames import normalize
 from needlefit.geometry.measured_curve import measure_curve
@@ -85,10 +85,12 @@ class Planner(CurveAnswers):
         kinds = {one.holds for one in self.curves}
         is_track = "tracks" in kinds
         if is_track and len(kinds) > 1:
-            raise refusal(f"""the needles hold {" and ".join(sorted(kinds))}
-                expected: tracks alone; or shapes, tips and curvatures
-                fix: import the tracks by themselves
-                where: {self.curves[0].points.where()}""")
+            raise DataError(
+                f"the needles hold {' and '.join(sorted(kinds))}",
+                expected="tracks alone; or shapes, tips and curvatures",
+                fix="import the tracks by themselves",
+                where=self.curves[0].points.where(),
+            )
         for curve in self.curves:
             refuse_stray_points(curve)
         if not is_track:
@@ -173,21 +175,29 @@ class Planner(CurveAnswers):
             return
         places = np.concatenate([one.guide for one in guided if one.guide is not None])
         if np.ptp(places[:, :2], axis=0).max() >= GUIDE_STILL_MM:
-            raise refusal(f"""the guide moved, and its places belong to no reading of a tip on its way
-                expected: a guide at rest; or the readings of each tip, with the depth of each
-                fix: if rows are such readings: {name_set("holds", "tracks")}; if the column is no guide:
-                    {name_set("guide", "none")}
-                where: {guided[0].points.where()}""")
+            raise DataError(
+                "the guide moved, and its places belong to no reading of a tip on its way",
+                expected="a guide at rest; or the readings of each tip, with the depth of each",
+                fix=(
+                    f"if rows are such readings: {name_set('holds', 'tracks')}; if the "
+                    f"column is no guide: {name_set('guide', 'none')}"
+                ),
+                where=f"{guided[0].points.where()}",
+            )
 
     def require_order(self) -> None:
         """DataError at the first point that goes back along its curve."""
         for curve in self.curves:
             if len(back := find_backward_points(curve.line)):
-                raise refusal(f"""curve {curve.name} goes back: the centreline is unsorted or folded here
-                    expected: points of one needle in order from the entry to the tip
-                    fix: sort them; or, if they are of several needles, name the column of their names:
-                        {name_set("needle.column", "HEADER")}
-                    where: {curve.points.where(int(back[0]))}""")
+                raise DataError(
+                    f"curve {curve.name} goes back: the centreline is unsorted or folded here",
+                    expected="points of one needle in order from the entry to the tip",
+                    fix=(
+                        "sort them; or, if they are of several needles, name the column of "
+                        f"their names: {name_set('needle.column', 'HEADER')}"
+                    ),
+                    where=curve.points.where(int(back[0])),
+                )
 
     def settle_entry(self) -> None:
         """Put the entry first."""
@@ -496,10 +506,12 @@ def refuse_stray_points(curve: ImportedCurve) -> None:
         return
     first, more = int(stray[0]), f", and {len(stray) - 1} more" if len(stray) > 1 else ""
     place = ", ".join(f"{value:g}" for value in curve.line[first])
-    raise refusal(f"""a point of {curve.name} lies far from all others: {place}{more}
-        expected: points along the needle
-        fix: correct its number, or empty its coordinates where it was not measured
-        where: {curve.points.where(first)}""")
+    raise DataError(
+        f"a point of {curve.name} lies far from all others: {place}{more}",
+        expected="points along the needle",
+        fix="correct its number, or empty its coordinates where it was not measured",
+        where=curve.points.where(first),
+    )
 
 
 def read_needle(length: Stated, outer: Stated, inner: Stated, modulus: Stated) -> NeedleRecord:
@@ -546,10 +558,12 @@ def cut_shaft(curve: ImportedCurve, arc: float, other_end: str) -> None:
     points, along = curve.points, curve.points.curve.s
     after = np.flatnonzero(along > arc + 10 * SAME_POINT_MM)
     if len(after) < MIN_POINTS - 1:
-        raise refusal(f"""curve {curve.name!r} has only {len(after)} points behind its entry
-            expected: points from the entry to the tip
-            fix: state another entry_point, or {name_set("entry", other_end)} and the pose that follows
-            where: {points.where()}""")
+        raise DataError(
+            f"curve {curve.name!r} has only {len(after)} points behind its entry",
+            expected="points from the entry to the tip",
+            fix=f"state another entry_point, or {name_set('entry', other_end)} and the pose that follows",
+            where=points.where(),
+        )
     entry = [np.interp(arc, along, axis) for axis in points.values.T]
     values = np.vstack([entry, points.values[after]])
     curve.shaft = np.vstack([points.values[along < arc], values[:1]])

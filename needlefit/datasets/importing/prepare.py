@@ -17,7 +17,7 @@ from needlefit.datasets.importing.place import ImportPlan, Planner
 from needlefit.datasets.importing.read import MappedTable, list_tables, read_mapped
 from needlefit.datasets.importing.stated import Settler, name_set
 from needlefit.datasets.importing.synonyms import UNITS_MM
-from needlefit.errors import ConfigError, refusal
+from needlefit.errors import ConfigError, DataError
 from needlefit.project.toml import check, load, override
 from needlefit.schemas.mapping import MappingRecord
 
@@ -105,9 +105,11 @@ def _load(mapping: Path, assignments: Sequence[tuple[str, str]]) -> MappingRecor
     if stated.origin:
         pairs.append(("origin", stated.origin))
     if stated.columns or stated.table or stated.unit:
-        raise ConfigError.of(f"""beside a mapping columns are stated by the number of their table
-            expected: tables.1.columns.y.column = "HEADER", or an edit of {mapping}
-            fix: --set tables.1.columns.MEANING.column=HEADER""")
+        raise ConfigError(
+            "beside a mapping columns are stated by the number of their table",
+            expected=f'tables.1.columns.y.column = "HEADER", or an edit of {mapping}',
+            fix="--set tables.1.columns.MEANING.column=HEADER",
+        )
     return check(override(keys, pairs, str(mapping)), MappingRecord, mapping)
 
 
@@ -141,10 +143,12 @@ def complete_draft(
         if not opens:
             return draft, files
         if prompt is None:
-            raise refusal(f"""needs an answer. {" ".join(one.question + "." for one in opens)}
-                expected: an answer to {"each" if len(opens) > 1 else "it"}
-                fix: {"; ".join(_list_fixes(opens))}
-                where: {opens[0].where or paths[0]}""")
+            raise DataError(
+                f"needs an answer. {' '.join(one.question + '.' for one in opens)}",
+                expected=f"an answer to {'each' if len(opens) > 1 else 'it'}",
+                fix="; ".join(_list_fixes(opens)),
+                where=f"{opens[0].where or paths[0]}",
+            )
         assignments += _ask(opens[0], prompt)
 
 
@@ -166,9 +170,11 @@ def _ask(question: Open, prompt: Prompt) -> list[tuple[str, str]]:
     if not question.choices:
         return [(question.key, answer)]
     if answer not in question.choices:
-        raise ConfigError.of(f"""the answer is {answer[:40]!r}
-            expected: one of {", ".join(question.choices)}
-            fix: answer with one of these""")
+        raise ConfigError(
+            f"the answer is {answer[:40]!r}",
+            expected=f"one of {', '.join(question.choices)}",
+            fix="answer with one of these",
+        )
     keys = question.choices[answer]
     return [(key, prompt(key, "", "") if text == "VALUE" else text) for key, text in keys.items()]
 
@@ -224,10 +230,14 @@ def _require_lengths(content: ImportContent) -> None:
     """DataError if no needle has a length that is possible."""
     longest, (low, high) = max(one.reach for one in content.curves), STATED_MM
     if longest and not low <= longest <= high:
-        raise refusal(f"""the longest needle is {longest:,.3g} mm long
-            expected: {low:g} to {high:g} mm
-            fix: state the unit of the coordinates, as {name_set("unit", "mm" if longest > high else "m")}
-            where: {content.curves[0].points.where()}""")
+        raise DataError(
+            f"the longest needle is {longest:,.3g} mm long",
+            expected=f"{low:g} to {high:g} mm",
+            fix=(
+                f"state the unit of the coordinates, as {name_set('unit', 'mm' if longest > high else 'm')}"
+            ),
+            where=content.curves[0].points.where(),
+        )
 
 
 def _describe_columns(record: MappingRecord, files: Sequence[Path]) -> Iterator[dict[str, str]]:

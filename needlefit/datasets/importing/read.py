@@ -29,7 +29,7 @@ from needlefit.datasets.importing.tables import (
 )
 from needlefit.datasets.layers import find_hole, find_surface_faults
 from needlefit.datasets.points import Points
-from needlefit.errors import refusal
+from needlefit.errors import DataError
 from needlefit.geometry.frames import RAS_TO_LPS
 from needlefit.geometry.surfaces import (
     READ_SUFFIXES,
@@ -81,10 +81,12 @@ class MappedTable:
             return column
         headers = [text for text in self.table.headers if text]
         near = get_close_matches(str(name), headers, 1, 0.0)
-        raise refusal(f"""has no one column {name!r}, of which {meaning} is read
-            expected: one of {", ".join(headers)}, or a number from 1 to {len(self.table.headers)}
-            fix: {self.name_edit(f"columns.{meaning}.column", near[0] if near else "1")}
-            where: {self.table.path}""")
+        raise DataError(
+            f"has no one column {name!r}, of which {meaning} is read",
+            expected=f"one of {', '.join(headers)}, or a number from 1 to {len(self.table.headers)}",
+            fix=self.name_edit(f"columns.{meaning}.column", near[0] if near else "1"),
+            where=self.table.path,
+        )
 
     def list_columns(self, meaning: str) -> list[int]:
         """Return the columns of a meaning; none where a value or a name stands in their place."""
@@ -129,10 +131,12 @@ class MappedTable:
         number, plain = known or (1.0, unit)  # `0.07 mm` of a pixel
         if plain not in FACTORS or plain.startswith("1/") != usual.startswith("1/"):
             known_units = ", ".join(UNITS_PER_MM if usual.startswith("1/") else UNITS_MM)
-            raise refusal(f"""the unit of {meaning} is {unit!r}
-                expected: {known_units}, or the length of a step: 0.07 mm
-                fix: {self.name_edit(f"columns.{meaning}.unit", usual)}
-                where: {self.where(n, meaning)}""")
+            raise DataError(
+                f"the unit of {meaning} is {unit!r}",
+                expected=f"{known_units}, or the length of a step: 0.07 mm",
+                fix=self.name_edit(f"columns.{meaning}.unit", usual),
+                where=self.where(n, meaning),
+            )
         return number * FACTORS[plain] * self.record.columns[meaning].sign
 
     def read_number(self, meaning: str, n: int, text: str) -> float:
@@ -141,10 +145,12 @@ class MappedTable:
             missing = self.name_edit("missing", f'["{text[:20]}"]')
             missing = f"; or, if it was not measured: {missing} {self.name_edit('if_missing', 'leave_out')}"
             missing = missing if not any(map(str.isdigit, text)) else ""
-            raise refusal(f"""{meaning} is {text[:40]!r}
-                expected: a number with the decimal sign {self.table.decimal!r}
-                fix: write one number in each cell{missing}
-                where: {self.where(n, meaning)}""")
+            raise DataError(
+                f"{meaning} is {text[:40]!r}",
+                expected=f"a number with the decimal sign {self.table.decimal!r}",
+                fix=f"write one number in each cell{missing}",
+                where=self.where(n, meaning),
+            )
         return value * self.read_factor(meaning, n)
 
 
@@ -165,15 +171,19 @@ def read_mapped(mapping: MappingRecord, paths: Sequence[Path], where: str) -> Im
         if one.record.holds in ("curvatures", "turns", "facts"):
             _add_rows(one, content.curves)
     if not content.curves:
-        raise refusal(f"""holds no needle
-            expected: a table with holds = "shapes", "tips", "tracks" or "curvatures"
-            fix: correct the mapping
-            where: {where}""")
+        raise DataError(
+            "holds no needle",
+            expected='a table with holds = "shapes", "tips", "tracks" or "curvatures"',
+            fix="correct the mapping",
+            where=where,
+        )
     if len(content.curves) > MAX_CURVES:
-        raise refusal(f"""holds {len(content.curves)} needles
-            expected: at most {MAX_CURVES}
-            fix: correct the column of needle
-            where: {where}""")
+        raise DataError(
+            f"holds {len(content.curves)} needles",
+            expected=f"at most {MAX_CURVES}",
+            fix="correct the column of needle",
+            where=where,
+        )
     return replace(content, left_out=left_out)
 
 
@@ -184,20 +194,24 @@ def list_tables(mapping: MappingRecord, paths: Sequence[Path], where: str) -> It
         matching = [path for path in paths if any(fnmatchcase(path.name, one) for one in record.files)]
         if not matching:
             near = get_close_matches(record.files[0], names, 1, 0.0)
-            raise refusal(f"""tables.{number} reads {join_names(record.files, 3)}, and no file has this name
-                expected: {join_names(names, MAX_LISTED_NAMES)}
-                fix: {name_set(f"tables.{number}.files", f'["{near[0] if near else "*"}"]')}
-                where: {where}""")
+            raise DataError(
+                f"tables.{number} reads {join_names(record.files, 3)}, and no file has this name",
+                expected=join_names(names, MAX_LISTED_NAMES),
+                fix=name_set(f"tables.{number}.files", f'["{near[0] if near else "*"}"]'),
+                where=where,
+            )
         found = 0
         for path in matching:
             for table in _read_tables(path, record):
                 found += 1
                 yield MappedTable(table, record, number)
         if not found:
-            raise refusal(f"""has no sheet {record.sheet!r}
-                expected: a sheet of this name
-                fix: {name_set(f"tables.{number}.sheet", "*")}
-                where: {matching[0]}""")
+            raise DataError(
+                f"has no sheet {record.sheet!r}",
+                expected="a sheet of this name",
+                fix=name_set(f"tables.{number}.sheet", "*"),
+                where=f"{matching[0]}",
+            )
 
 
 def _read_tables(path: Path, record: TableRecord) -> list[Table]:
@@ -215,9 +229,11 @@ def _read_surfaces(mapping: MappingRecord, paths: Sequence[Path]) -> list[Surfac
     for name in mapping.surfaces:
         path = next((path for path in paths if path.name == name), None)
         if path is None or path.suffix.lower() not in READ_SUFFIXES:
-            raise refusal(f"""there is no surface {name!r} among the files
-                expected: a file of {", ".join(READ_SUFFIXES)}
-                fix: name it, or correct `surfaces` of the mapping""")
+            raise DataError(
+                f"there is no surface {name!r} among the files",
+                expected=f"a file of {', '.join(READ_SUFFIXES)}",
+                fix="name it, or correct `surfaces` of the mapping",
+            )
         surface = read_surface(path, "sheet", 2)
         if read_coordinate_system(path) == "RAS":
             surface = transform_surface(surface, RAS_TO_LPS)
@@ -242,10 +258,12 @@ def _read_points(one: MappedTable, left_out: list[str]) -> Iterator[ImportedCurv
     axes: Sequence[str] = ("depth", "y", "z") if is_deflection else ("x", "y", "z")
     axes = ("depth", "deflection", "deflection_z") if "deflection" in columns else axes
     if lacking := [axis for axis in axes[:2] if axis not in columns]:
-        raise refusal(f"""nothing states {" and ".join(lacking)} of its points
-            expected: x and y; or depth and deflection
-            fix: {" ".join(one.name_edit(f"columns.{axis}.column") for axis in lacking)}
-            where: {one.table.path}""")
+        raise DataError(
+            f"nothing states {' and '.join(lacking)} of its points",
+            expected="x and y; or depth and deflection",
+            fix=" ".join(one.name_edit(f"columns.{axis}.column") for axis in lacking),
+            where=one.table.path,
+        )
     cells = {axis: one.read_cells(axis) for axis in axes if axis in columns}
     rows = defaultdict[tuple[str, int], list[int]](list)
     names, is_wide = _read_names(one), one.record.layout == "wide"
@@ -257,10 +275,15 @@ def _read_points(one: MappedTable, left_out: list[str]) -> Iterator[ImportedCurv
             left_out.append(f"{missing} of {name or one.table.name}")
         is_point = len(measured) == 1 and one.record.holds == "shapes"
         if is_point and (len(own) > 1 or len(rows) == len(one.kept_rows)):  # cut short; or no shape at all
-            raise refusal(f"""{name or one.table.name} has one point: it is a tip, and no shape
-                expected: the points of each needle from the entry to the tip
-                fix: complete its points; or, if the table holds tips alone: {one.name_edit("holds", "tips")}
-                where: {one.table.places[measured[0].row]}""")
+            raise DataError(
+                f"{name or one.table.name} has one point: it is a tip, and no shape",
+                expected="the points of each needle from the entry to the tip",
+                fix=(
+                    "complete its points; or, if the table holds tips alone: "
+                    f"{one.name_edit('holds', 'tips')}"
+                ),
+                where=one.table.places[measured[0].row],
+            )
         if measured:
             curve = _make_curve(one, name, measured, tuple(cells), is_deflection)
             yield replace(curve, holds="tips") if is_point else curve  # a tip beside shapes
@@ -298,10 +321,12 @@ def _list_measured(
                 measured.append(_Reading(n, numbers))
             elif any(raw):
                 if one.record.if_missing == "stop":
-                    raise refusal(f"""a coordinate was not measured: {", ".join(raw)}
-                        expected: {", ".join(cells)} of each point
-                        fix: {one.name_edit("if_missing", "leave_out")}, or correct the row
-                        where: {one.table.places[n]}""")
+                    raise DataError(
+                        f"a coordinate was not measured: {', '.join(raw)}",
+                        expected=f"{', '.join(cells)} of each point",
+                        fix=f"{one.name_edit('if_missing', 'leave_out')}, or correct the row",
+                        where=one.table.places[n],
+                    )
                 missing += 1
     return measured, missing
 
@@ -379,11 +404,15 @@ def read_facts(one: MappedTable, rows: Sequence[int]) -> dict[str, Stated]:
         if (other is not None and meaning in ("depth", "point_sd")) or record.divide_by_root is not None:
             continue  # those of each reading
         if other is not None:
-            raise refusal(f"""{meaning} is {texts[first][:40]!r} and {texts[other][:40]!r}
-                expected: one value
-                fix: correct the cell; or, if another column names needles:
-                    {one.name_edit("columns.needle.column")}
-                where: {one.where(other, meaning)}""")
+            raise DataError(
+                f"{meaning} is {texts[first][:40]!r} and {texts[other][:40]!r}",
+                expected="one value",
+                fix=(
+                    "correct the cell; or, if another column names needles: "
+                    f"{one.name_edit('columns.needle.column')}"
+                ),
+                where=one.where(other, meaning),
+            )
         text = texts[first]
         if one.table.number(text) is not None and meaning not in ("medium", "specimen", "bevel_side"):
             text = f"{one.table.number(text):.10g}"  # with a decimal point
@@ -418,10 +447,13 @@ def _add_rows(one: MappedTable, curves: list[ImportedCurve]) -> None:
     for n in one.kept_rows:
         name = names[n]
         if not name and any(any(one.read_cells(what)[n]) for what in one.record.columns):
-            raise refusal(f"""names no {one.record.of}
-                expected: a name in each row
-                fix: fill it in; or, if the cell above counts: {one.name_edit("fill_down", '["HEADER"]')}
-                where: {one.table.places[n]}""")
+            edit = one.name_edit("fill_down", '["HEADER"]')
+            raise DataError(
+                f"names no {one.record.of}",
+                expected="a name in each row",
+                fix=f"fill it in; or, if the cell above counts: {edit}",
+                where=one.table.places[n],
+            )
         rows[name].append(n)
     keys = {
         curve.name: curve.stated["specimen"].text
@@ -451,21 +483,24 @@ def _add_facts(curve: ImportedCurve, facts: Mapping[str, Stated]) -> None:
     for meaning, fact in facts.items():
         known = curve.stated.setdefault(meaning, fact)
         if known.text != fact.text:
-            raise refusal(f"""{meaning} of {curve.name} is {fact.text[:60]!r}, and {known.text[:60]!r} in
-                    {known.where}
-                expected: one value
-                fix: correct one of the two
-                where: {fact.where}""")
+            raise DataError(
+                f"{meaning} of {curve.name} is {fact.text[:60]!r}, and {known.text[:60]!r} in {known.where}",
+                expected="one value",
+                fix="correct one of the two",
+                where=fact.where,
+            )
 
 
 def _read_turn(one: MappedTable, n: int) -> tuple[float, Stated]:
     depth = one.read_number("turn_depth", n, one.read_cells("turn_depth")[n][0])
     text = "".join(one.read_cells("bevel_side")[n])
     if not text:
-        raise refusal(f"""nothing states where the bevel faces from this depth on
-            expected: bevel_side of each turn, as 90 deg
-            fix: fill in the cell; or {one.name_edit("columns.bevel_side.column")}
-            where: {one.table.places[n]}""")
+        raise DataError(
+            "nothing states where the bevel faces from this depth on",
+            expected="bevel_side of each turn, as 90 deg",
+            fix=f"fill in the cell; or {one.name_edit('columns.bevel_side.column')}",
+            where=one.table.places[n],
+        )
     return depth, Stated(text, one.read_unit("bevel_side", n), one.where(n, "bevel_side"))
 
 
@@ -473,10 +508,12 @@ def _read_sensor(one: MappedTable, n: int) -> Floats:
     place = "sensor" if "sensor" in one.record.columns else "sensor_from_base"
     meanings = (place, *SENSOR[1:])
     if lacking := [what for what in meanings if what not in one.record.columns]:
-        raise refusal(f"""of curvatures nothing states {", ".join(lacking)}
-            expected: the place of each sensor, its two curvatures and their standard deviation
-            fix: {" ".join(one.name_edit(f"columns.{what}.column") for what in lacking)}
-            where: {one.table.places[n]}""")
+        raise DataError(
+            f"of curvatures nothing states {', '.join(lacking)}",
+            expected="the place of each sensor, its two curvatures and their standard deviation",
+            fix=" ".join(one.name_edit(f"columns.{what}.column") for what in lacking),
+            where=one.table.places[n],
+        )
     return np.array([one.read_number(what, n, one.read_cells(what)[n][0]) for what in meanings])
 
 
@@ -546,7 +583,9 @@ def _require_found(one: MappedTable, matched: Mapping[str, list[str]], keys: Map
             if strangers
             else (f"no row is about {join_names(without, MAX_LISTED_NAMES)}")
         )
-        raise refusal(f"""{what}
-            expected: a row for each {one.record.of}: {listed}
-            fix: write the same names in both tables; or leave tables.{one.number} out of the mapping
-            where: {one.table.path}""")
+        raise DataError(
+            what,
+            expected=f"a row for each {one.record.of}: {listed}",
+            fix=f"write the same names in both tables; or leave tables.{one.number} out of the mapping",
+            where=one.table.path,
+        )

@@ -12,7 +12,7 @@ from needlefit.arrays import Floats
 from needlefit.datasets.importing.meanings import VALUES
 from needlefit.datasets.importing.synonyms import UNITS_GPA, UNITS_MM, read_quantity
 from needlefit.datasets.points import MAX_COORDINATE
-from needlefit.errors import DataError, refusal
+from needlefit.errors import DataError
 from needlefit.project.locate import join_names
 
 MAX_ANSWER_CHARS = 500  # of what is kept of an answer
@@ -98,10 +98,9 @@ class Stated:
     def error(self, what: str, expected: str, fix: str = "") -> DataError:
         """Return the error of a cell that is not understood."""
         fix = fix or "correct it" + (f", or state {name_set(what)}" if what in VALUES else "")
-        return refusal(f"""{f"{what} is {self.text[:60]!r} {self.unit}".strip()}
-            expected: {expected}
-            fix: {fix}
-            where: {self.where}""")
+        return DataError(
+            f"{what} is {self.text[:60]!r} {self.unit}".strip(), expected=expected, fix=fix, where=self.where
+        )
 
 
 def name_set(key: str, value: str = "VALUE") -> str:
@@ -149,10 +148,12 @@ class Settler:
                 answer = self.prompt(key, usual, reason).strip()[:MAX_ANSWER_CHARS]
             if not answer and (not usual or (self.is_complete and not is_sure)):
                 ways = " or ".join(name_set(key, one) for one in choices or ("VALUE",))
-                raise refusal(f"""{key} is not stated{f": {reason}" if reason else ""}
-                    expected: {f"one of {', '.join(choices)}" if choices else meaning.text}
-                    fix: {fix or f"state {ways}"}
-                    where: {where}""")
+                raise DataError(
+                    f"{key} is not stated{f': {reason}' if reason else ''}",
+                    expected=f"one of {', '.join(choices)}" if choices else meaning.text,
+                    fix=fix or f"state {ways}",
+                    where=where,
+                )
             self.values[key] = answer or usual
             if not answer and not is_sure:
                 self.assumed[key] = reason

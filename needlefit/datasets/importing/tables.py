@@ -16,7 +16,7 @@ from needlefit.datasets.formats import find_format
 from needlefit.datasets.formats.csv import check_extent
 from needlefit.datasets.importing.synonyms import find_meaning, read_header
 from needlefit.datasets.points import MAX_COORDINATE, Points
-from needlefit.errors import refusal
+from needlefit.errors import DataError
 from needlefit.geometry.frames import PatientSystem
 from needlefit.project.input_files import open_regular, path_exists, read_bytes
 from needlefit.project.reader_process import BYTES_PER_SECOND, READER_BYTES, Arrays, read_in_process
@@ -143,10 +143,12 @@ def lay_out(grid: Grid, record: TableRecord) -> Table:
 def _read_heads(grid: Grid, record: TableRecord) -> list[list[str]]:
     """Return the texts of the rows of headers; what stands above several columns is repeated."""
     if max(record.header_rows, default=0) > len(grid.rows):
-        raise refusal(f"""has {len(grid.rows)} rows, and no headers in row {max(record.header_rows)}
-            expected: the numbers of the rows of headers
-            fix: correct header_rows
-            where: {grid.path}""")
+        raise DataError(
+            f"has {len(grid.rows)} rows, and no headers in row {max(record.header_rows)}",
+            expected="the numbers of the rows of headers",
+            fix="correct header_rows",
+            where=grid.path,
+        )
     heads = [_strip_comment(grid.rows[n - 1], record.comment) for n in record.header_rows]
     for head in heads[:-1]:
         if sum(map(bool, head)) < sum(map(bool, heads[-1])):
@@ -248,10 +250,12 @@ def _require_width(grid: Grid, n: int, width: int, record: TableRecord) -> None:
     row = grid.rows[n]
     is_longer = record.separator == "," and any(row[width:])
     if record.header_rows and (is_longer or (record.separator == " " and len(row) != width)):
-        raise refusal(f"""has {len(row)} cells under {width} headers
-            expected: as many as the headers
-            fix: correct separator, decimal or header_rows, or save the file with semicolons or tabs
-            where: {grid.where(n)}""")
+        raise DataError(
+            f"has {len(row)} cells under {width} headers",
+            expected="as many as the headers",
+            fix="correct separator, decimal or header_rows, or save the file with semicolons or tabs",
+            where=grid.where(n),
+        )
 
 
 # ---- read files
@@ -281,10 +285,12 @@ def decode(data: bytes, path: Path, encoding: str = "") -> str:
             continue
         if "\0" not in text:
             return text.removeprefix("\ufeff")
-    raise refusal(f"""cannot be read as text in {names[0]}
-        expected: text in UTF-8, UTF-16 or Windows-1252
-        fix: state its encoding, or save it again as CSV (UTF-8)
-        where: {path}""")
+    raise DataError(
+        f"cannot be read as text in {names[0]}",
+        expected="text in UTF-8, UTF-16 or Windows-1252",
+        fix="state its encoding, or save it again as CSV (UTF-8)",
+        where=path,
+    )
 
 
 def split_text(text: str, path: Path, separator: str) -> Grid:
@@ -305,10 +311,12 @@ def split_text(text: str, path: Path, separator: str) -> Grid:
                 end = reader.line_num
                 rows.append([cell.strip()[:MAX_CELL_CHARS] for cell in cells])
         except csv.Error as error:
-            raise refusal(f"""a row cannot be divided into cells: {error}
-                expected: quotes around whole cells, which are closed
-                fix: close the quotes, or remove them
-                where: {path}:{end + 1}""") from None
+            raise DataError(
+                f"a row cannot be divided into cells: {error}",
+                expected="quotes around whole cells, which are closed",
+                fix="close the quotes, or remove them",
+                where=f"{path}:{end + 1}",
+            ) from None
     check_extent(len(rows), max(map(len, rows), default=0), str(path), MAX_TABLE_CELLS)
     return Grid(path, rows, lines=starts)
 
@@ -369,22 +377,24 @@ def read_structured(path: Path) -> tuple[Table, list[str]]:
     form = find_format(path)
     if form is None or form.read_curves is None or path.suffix.lower() in TEXT_SUFFIXES:
         if not path_exists(path):
-            raise refusal(f"""there is no such file
-                fix: check the name and the path
-                where: {path}""")
-        raise refusal(f"""has the ending {path.suffix!r}, which is not read
-            expected: a table, a workbook, .mat, .jsonl, markups of Slicer, or an RT structure set
-            fix: {EXPORT_FIXES.get(path.suffix.lower(), EXPORT_FIX)}
-            where: {path}""")
+            raise DataError("there is no such file", fix="check the name and the path", where=path)
+        raise DataError(
+            f"has the ending {path.suffix!r}, which is not read",
+            expected="a table, a workbook, .mat, .jsonl, markups of Slicer, or an RT structure set",
+            fix=EXPORT_FIXES.get(path.suffix.lower(), EXPORT_FIX),
+            where=path,
+        )
     curves, remarks = form.read_curves(path)
     keys = [key for points in curves.values() for key in (*points.stated, *points.columns)]
     fields = [key for key in dict.fromkeys(keys) if key.lower() not in UNIT_FIELDS and not _is_name(key)]
     units = {_read_unit(points) or ("mm" if form.in_scan else "") for points in curves.values()}
     if len(units) > 1 or any(", " in unit for unit in units):
-        raise refusal(f"""states the units {", ".join(sorted(filter(None, units)))}
-            expected: one unit
-            fix: correct the field of the unit
-            where: {path}""")
+        raise DataError(
+            f"states the units {', '.join(sorted(filter(None, units)))}",
+            expected="one unit",
+            fix="correct the field of the unit",
+            where=path,
+        )
     (unit,) = units
     headers = ("needle", *(f"{axis} [{unit}]" if unit else axis for axis in "xyz"), *fields)
     rows, places = list[list[str]](), list[str]()

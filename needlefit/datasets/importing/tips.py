@@ -12,7 +12,7 @@ from needlefit.datasets.importing.curve_answers import CurveAnswers
 from needlefit.datasets.importing.curves import ImportedCurve
 from needlefit.datasets.importing.directions import to_sides
 from needlefit.datasets.importing.stated import Stated, name_set
-from needlefit.errors import refusal
+from needlefit.errors import DataError
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame, make_entry_frame
 
 
@@ -62,10 +62,12 @@ def make_tips(asked: CurveAnswers, sds: Sequence[float]) -> list[InsertionRow]:
         angles = [asked.settle("bevel_side", "1", "not stated").to_angle()] * len(curves)
     sides, turns = to_sides(angles)
     if any(turns) and any(one.sensors for one in curves):
-        raise refusal(f"""bevels are at right angles beside curvatures
-            expected: sides 1 and -1
-            fix: import the needles of each plane
-            where: {curves[0].points.where()}""")
+        raise DataError(
+            "bevels are at right angles beside curvatures",
+            expected="sides 1 and -1",
+            fix="import the needles of each plane",
+            where=f"{curves[0].points.where()}",
+        )
     tips = np.array([one.line[0] if len(one.line) else np.zeros(3) for one in curves])
     in_space = tips[:, 2].any()
     differ = len({*sides}) > 1 or any(turns)
@@ -76,11 +78,15 @@ def make_tips(asked: CurveAnswers, sds: Sequence[float]) -> list[InsertionRow]:
         tips = np.array([Rotation.from_rotvec([turn, 0.0, 0.0]).apply([x, side * y, 0.0])
                          for (x, y, _), side, turn in zip(tips, sides, turns, strict=True)])  # fmt: skip
     elif any(turns) and not in_space and tips[:, 1].any():
-        raise refusal(f"""bevels face several ways, and one deflection of each tip is stated
-            expected: deflections up and to the right (columns deflection and deflection_z), or all of
-                them toward the bevel, none negative
-            fix: {name_set("deflection_z.column", "HEADER")}; or correct the signs
-            where: {curves[0].points.where()}""")
+        raise DataError(
+            "bevels face several ways, and one deflection of each tip is stated",
+            expected=(
+                "deflections up and to the right (columns deflection and "
+                "deflection_z), or all of them toward the bevel, none negative"
+            ),
+            fix=f"{name_set('deflection_z.column', 'HEADER')}; or correct the signs",
+            where=f"{curves[0].points.where()}",
+        )
     shifts, angle_sds = (
         asked.each("pose_shift_sd", usual=f"{point_sd:g}", reason="that of a point"),
         asked.each("pose_angle_sd"),
@@ -134,8 +140,10 @@ def find_depth(curve: ImportedCurve) -> float:
     if len(curve.line):
         return float(curve.line[0, 0])
     if "depth" not in curve.stated:
-        raise refusal(f"""the inserted length of needle {curve.name} is not stated
-            expected: a column `depth` in a table with a row for each needle
-            fix: name a table with the columns needle and depth, or the reconstructed shapes, too
-            where: {curve.points.path}""")
+        raise DataError(
+            f"the inserted length of needle {curve.name} is not stated",
+            expected="a column `depth` in a table with a row for each needle",
+            fix="name a table with the columns needle and depth, or the reconstructed shapes, too",
+            where=curve.points.path,
+        )
     return curve.stated["depth"].to_number("depth")

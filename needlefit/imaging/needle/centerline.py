@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.errors import refusal
+from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.smoothing_spline import SplineSections
 from needlefit.imaging.needle.axis_spline import (
@@ -110,12 +110,17 @@ def trace_needle(
         placed = place_in_slices(volume, axis, recipe, end.at, spread)
         axis, end = placed or (axis, fit_tip(volume, axis, recipe.needle, end.at, spread))
         if not placed and end.misfit > MAX_MISFIT and volume.resampled_top is None:
-            raise refusal(f"""where the needle ends does not show: its image differs from a needle's by
-                    {100 * end.misfit:.0f} % of its brightness
-                expected: an end that is surrounded by tissue, at most {100 * MAX_MISFIT:.0f} %
-                fix: look at it: scan without a marker or other metal there, state needle.diameter_mm and
-                    needle.bevel_deg; or place the tip in 3D Slicer (--corrections)
-                where: L, P, S = {", ".join(f"{x:.0f}" for x in end.point)} mm""")
+            raise DataError(
+                "where the needle ends does not show: its image differs from a "
+                f"needle's by {100 * end.misfit:.0f} % of its brightness",
+                expected=f"an end that is surrounded by tissue, at most {100 * MAX_MISFIT:.0f} %",
+                fix=(
+                    "look at it: scan without a marker or other metal there, state "
+                    "needle.diameter_mm and needle.bevel_deg; or place the tip in 3D Slicer "
+                    "(--corrections)"
+                ),
+                where=f"L, P, S = {', '.join(f'{x:.0f}' for x in end.point)} mm",
+            )
     else:
         base, last = np.linalg.norm(axis.spline(np.array([0.0, axis.length])) - tip, axis=1)
         axis = axis if last <= base else _reverse_axis(axis, recipe)
@@ -125,10 +130,12 @@ def trace_needle(
         place, beside = _project_tip(axis, tip)
         limit = MAX_PLACED_TIP_DISTANCE_MM + recipe.needle.diameter_mm / 2
         if beside > limit:
-            raise refusal(f"""the tip that was placed lies {beside:.1f} mm beside the needle
-                expected: a point on the needle, LPS, mm
-                fix: place it on the needle, or place points along the needle; RAS turns the signs of x, y
-                where: tip of the corrections""")
+            raise DataError(
+                f"the tip that was placed lies {beside:.1f} mm beside the needle",
+                expected="a point on the needle, LPS, mm",
+                fix="place it on the needle, or place points along the needle; RAS turns the signs of x, y",
+                where="tip of the corrections",
+            )
         here = np.array([place])
         sd = np.array([recipe.centerline.placed_tip_sd_mm, float(axis_sd(axis, here)[0])])
         point, unknown = axis_frames(axis, here).origins[0], np.full(3, np.nan)
@@ -150,12 +157,17 @@ def refuse_fold(points: Floats) -> None:
     if cosines.min() < MIN_CHORD_COSINE:
         at = points[int(np.argmin(cosines))]
         turn = float(np.degrees(np.arccos(cosines.min())))
-        raise refusal(f"""the curve that was traced turns by {turn:.0f} degrees
-                against the line from its base to its tip: it joins two things that leave bright metal
-            expected: one needle
-            fix: look at its picture in quality/; place points on the needle (--mask, or the axis in
-                --corrections), or scan it without the other metal, or with thinner slices
-            where: L, P, S = {", ".join(f"{x:.0f}" for x in at)} mm""")
+        raise DataError(
+            f"the curve that was traced turns by {turn:.0f} degrees against the line "
+            "from its base to its tip: it joins two things that leave bright metal",
+            expected="one needle",
+            fix=(
+                "look at its picture in quality/; place points on the needle (--mask, or "
+                "the axis in --corrections), or scan it without the other metal, or with "
+                "thinner slices"
+            ),
+            where=f"L, P, S = {', '.join(f'{x:.0f}' for x in at)} mm",
+        )
 
 
 def _project_tip(axis: AxisSpline, tip: Floats) -> tuple[float, float]:
@@ -201,9 +213,11 @@ def refine_axis(
         good = np.linalg.norm(across, axis=1) < recipe.needle.diameter_mm / (1 if round_ == 0 else 2)
         good &= amplitude > MIN_RELATIVE_AMPLITUDE * np.median(amplitude) if len(amplitude) else False
         if good.sum() < MIN_SECTIONS:
-            raise refusal(f"""the needle shows in {good.sum()} cross-sections only
-                expected: {MIN_SECTIONS} or more
-                fix: check the mask, or scan more of the needle""")
+            raise DataError(
+                f"the needle shows in {good.sum()} cross-sections only",
+                expected=f"{MIN_SECTIONS} or more",
+                fix="check the mask, or scan more of the needle",
+            )
         points = (where.origins + across[:, :1] * where.u + across[:, 1:] * where.v)[good]
         s = arc_length(points)
         axis = fit_axis(s, points, np.ones(len(s)), KNOT_MM, s[-1] + heel)
@@ -231,18 +245,27 @@ def orient_axis(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) 
             find_hub(volume, one, recipe.needle.diameter_mm) is not None for one in (points, points[::-1])
         ]
         if held[0] == held[1]:
-            raise refusal(f"""both ends of the needle lie in {"air" if max(soft) == 0 else "tissue"}
-                expected: one end in tissue, in a hub or beyond the volume
-                fix: place tip and entry in 3D Slicer (points `tip` and `entry` of --corrections); or set
-                    centerline.entry_direction (LPS, from base to tip) in the recipe, and state where the
-                    tissue begins: its own surface (--layers FILE=sheet:1), or the stage in a table of scans
-                where: ends at L, P, S = {where} mm""")
+            raise DataError(
+                f"both ends of the needle lie in {'air' if max(soft) == 0 else 'tissue'}",
+                expected="one end in tissue, in a hub or beyond the volume",
+                fix=(
+                    "place tip and entry in 3D Slicer (points `tip` and `entry` of "
+                    "--corrections); or set centerline.entry_direction (LPS, from base to "
+                    "tip) in the recipe, and state where the tissue begins: its own surface "
+                    "(--layers FILE=sheet:1), or the stage in a table of scans"
+                ),
+                where=f"ends at L, P, S = {where} mm",
+            )
         forward = held[0]
     if cut[1 if forward else 0]:
-        raise refusal(f"""the needle leaves the volume with its tip
-            expected: the tip and some tissue beyond it in the scan
-            fix: scan with the tip in view; or, if the other end is the tip, set centerline.entry_direction
-            where: ends at L, P, S = {where} mm""")
+        raise DataError(
+            "the needle leaves the volume with its tip",
+            expected="the tip and some tissue beyond it in the scan",
+            fix=(
+                "scan with the tip in view; or, if the other end is the tip, set centerline.entry_direction"
+            ),
+            where=f"ends at L, P, S = {where} mm",
+        )
     return axis if forward else _reverse_axis(axis, recipe)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from needlefit.arrays import Floats, Ints
-from needlefit.errors import located, refusal
+from needlefit.errors import DataError, located
 from needlefit.geometry.curves import arc_length
 from needlefit.imaging.needle.axis_spline import (
     KNOT_MM,
@@ -52,9 +52,11 @@ def read_mask_points(volume: Volume, path: Path) -> Floats:
     with located(path):
         marked = to_patient(mask, np.argwhere(mask.values > 0)[:, ::-1])
         if len(marked) < MIN_COMPONENT_VOXELS:
-            raise refusal(f"""the mask marks {len(marked)} voxels
-                expected: the needle's voxels above 0, all others 0
-                fix: segment the needle in this scan, and save the segmentation as NRRD or NIfTI""")
+            raise DataError(
+                f"the mask marks {len(marked)} voxels",
+                expected="the needle's voxels above 0, all others 0",
+                fix="segment the needle in this scan, and save the segmentation as NRRD or NIfTI",
+            )
         center, axes = principal_axes(marked)
         piece = np.floor((marked - center) @ axes[0] / MASK_PIECE_MM).astype(np.int64)
         piece -= piece.min()
@@ -69,10 +71,12 @@ def follow_points(volume: Volume, points: Floats, recipe: ReconstructionRecord) 
     The points may be in any order. DataError if they are fewer than `MIN_POINTS`, or no needle shows there.
     """
     if len(points) < MIN_POINTS:
-        raise refusal(f"""{len(points)} points are on the needle
-            expected: at least {MIN_POINTS}, from end to end
-            fix: place more points on the needle
-            where: points on the needle""")
+        raise DataError(
+            f"{len(points)} points are on the needle",
+            expected=f"at least {MIN_POINTS}, from end to end",
+            fix="place more points on the needle",
+            where="points on the needle",
+        )
     center, axes = principal_axes(points)
     ordered = points[np.argsort((points - center) @ axes[0])]
     s = arc_length(ordered)
@@ -84,11 +88,14 @@ def follow_points(volume: Volume, points: Floats, recipe: ReconstructionRecord) 
         places = places + np.where(shown[:, None], shifts, 0.0)
     level = float(np.median(amplitude))
     if level < MIN_METAL_CONTRAST_HU / 2 or shown.mean() < MIN_SHOWN_FRACTION:
-        raise refusal(f"""between the points that were placed the scan shows no needle: what lies there is
-                {level:.0f} HU brighter than its surroundings, and faint on {100 * (1 - shown.mean()):.0f} %
-            expected: points on one needle, LPS, mm
-            fix: take back those that are not on it; RAS has x and y of the other sign
-            where: points on the needle""")
+        raise DataError(
+            "between the points that were placed the scan shows no needle: what lies "
+            f"there is {level:.0f} HU brighter than its surroundings, and faint on "
+            f"{100 * (1 - shown.mean()):.0f} %",
+            expected="points on one needle, LPS, mm",
+            fix="take back those that are not on it; RAS has x and y of the other sign",
+            where="points on the needle",
+        )
     places = places[shown]
     before = [*_extend(volume, places[::-1], level, recipe)]
     whole = np.array([*before[::-1], *places, *_extend(volume, places, level, recipe)])

@@ -10,7 +10,7 @@ from scipy.ndimage import distance_transform_edt, find_objects, label
 from scipy.spatial import cKDTree
 
 from needlefit.arrays import Floats, Ints
-from needlefit.errors import refusal
+from needlefit.errors import DataError
 from needlefit.imaging.bright_voxels import BrightVoxels, list_bright_voxels
 from needlefit.imaging.needle.axis_spline import AxisSpline
 from needlefit.imaging.volume import Volume, to_patient
@@ -115,12 +115,16 @@ def find_tubes(
     if found:
         return found
     largest, width = parts[0], MAX_WIDENING * recipe.needle.diameter_mm
-    raise refusal(f"""no needle was found; the longest bright object is {largest.length:.1f} mm long,
-            {largest.width:.1f} mm wide, {largest.bend:.1f} mm (RMS) off a
-            parabola{", and cut by the edge of the scan" * (largest.on_face > 0)}
-        expected: {MIN_LENGTH_MM:g} mm or longer, at most {width:.1f} mm wide, {width / 2:.1f} mm off
-        fix: give a scan with more of the needle and its tip; or set needle.diameter_mm in a recipe
-            (--recipe); or give the needle's voxels, or points on it (--mask)""")
+    raise DataError(
+        f"no needle was found; the longest bright object is {largest.length:.1f} mm "
+        f"long, {largest.width:.1f} mm wide, {largest.bend:.1f} mm (RMS) off a "
+        f"parabola{', and cut by the edge of the scan' * (largest.on_face > 0)}",
+        expected=f"{MIN_LENGTH_MM:g} mm or longer, at most {width:.1f} mm wide, {width / 2:.1f} mm off",
+        fix=(
+            "give a scan with more of the needle and its tip; or set needle.diameter_mm in "
+            "a recipe (--recipe); or give the needle's voxels, or points on it (--mask)"
+        ),
+    )
 
 
 def _is_longer(volume: Volume, tube: Component, before: Component, recipe: ReconstructionRecord) -> bool:
@@ -196,10 +200,11 @@ def list_thresholds(volume: Volume, recipe: ReconstructionRecord) -> list[tuple[
     rod = np.pi / 4 * recipe.needle.diameter_mm**2 * MIN_LENGTH_MM
     wanted = max(MIN_COMPONENT_VOXELS, int(rod / float(np.prod(volume.spacing)) / 2))
     if len(bright) < wanted:
-        raise refusal(f"""{len(bright)} voxels stand out from tissue ({tissue:.0f} HU) by
-                {MIN_METAL_CONTRAST_HU:.0f} HU
-            expected: the {wanted} and more of a metal needle
-            fix: check that the scan holds the needle and is in HU; or give a mask""")
+        raise DataError(
+            f"{len(bright)} voxels stand out from tissue ({tissue:.0f} HU) by {MIN_METAL_CONTRAST_HU:.0f} HU",
+            expected=f"the {wanted} and more of a metal needle",
+            fix="check that the scan holds the needle and is in HU; or give a mask",
+        )
     metal = float(np.partition(bright, -wanted)[-wanted])
     heights = [part * (metal - tissue) for part in THRESHOLD_FRACTIONS]
     # beside large balls on an extended scale a starved shaft is darker than these
@@ -222,9 +227,9 @@ def find_components(
         if np.any(volume.values[tuple(ijk.T[::-1])] > high)
     ]
     if not parts:
-        raise refusal(f"""no voxels exceed {high:.0f} HU
-            expected: a needle brighter than that
-            fix: give a mask""")
+        raise DataError(
+            f"no voxels exceed {high:.0f} HU", expected="a needle brighter than that", fix="give a mask"
+        )
     return parts
 
 
@@ -310,21 +315,27 @@ def select_needle(
     if point is None:
         alike = list_needles(volume, tubes, recipe.needle.diameter_mm)
         if len(alike) > 1:
-            raise refusal(f"""{len(alike)} needles: {"; ".join(describe_tube(volume, part) for part in alike)}
-                expected: one needle
-                fix: reconstruct every one (--all); or state a point on the needle that is meant (LPS) in a
-                    table of scans: needle_x_mm, needle_y_mm, needle_z_mm; or crop the scan, or give a
-                    mask""")
+            raise DataError(
+                f"{len(alike)} needles: {'; '.join(describe_tube(volume, part) for part in alike)}",
+                expected="one needle",
+                fix=(
+                    "reconstruct every one (--all); or state a point on the needle that is "
+                    "meant (LPS) in a table of scans: needle_x_mm, needle_y_mm, "
+                    "needle_z_mm; or crop the scan, or give a mask"
+                ),
+            )
         needle = alike[0]
     else:
         distances = [float(cKDTree(to_patient(volume, part.voxels)).query(point)[0]) for part in tubes]
         nearest = int(np.argmin(distances))
         if distances[nearest] > MAX_PICK_DISTANCE_MM:
             listed = "; ".join(describe_tube(volume, part) for part in tubes)
-            raise refusal(f"""no tube passes the stated point of the needle; there is {listed}
-                expected: a tube within {MAX_PICK_DISTANCE_MM:g} mm of it
-                fix: correct the point (LPS of the scan, mm), or leave the three cells empty
-                where: needle_x_mm, needle_y_mm, needle_z_mm""")
+            raise DataError(
+                f"no tube passes the stated point of the needle; there is {listed}",
+                expected=f"a tube within {MAX_PICK_DISTANCE_MM:g} mm of it",
+                fix="correct the point (LPS of the scan, mm), or leave the three cells empty",
+                where="needle_x_mm, needle_y_mm, needle_z_mm",
+            )
         needle = tubes[nearest]
     others = tuple(part for part in tubes if part is not needle)
     if not others:

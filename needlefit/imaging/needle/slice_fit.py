@@ -17,7 +17,7 @@ from scipy.sparse import csr_array
 from scipy.special import erf
 
 from needlefit.arrays import Bools, Floats
-from needlefit.errors import refusal
+from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.smoothing_spline import DEGREE, make_knots
 from needlefit.imaging.needle.axis_spline import KNOT_MM, AxisSpline, axis_sd, correlation_factor, fit_axis
@@ -131,10 +131,12 @@ def place_in_slices(
     points = _find_end(volume, rough)
     if len(points) < len(rough) - MAX_SHORT_STATIONS:
         faint = (len(rough) - len(points)) * LINE_STATION_MM
-        raise refusal(f"""the needle grows faint {faint:.0f} mm before the end that a threshold sees: where it
-                ends does not show in such thick slices
-            expected: a needle that slices show as far as its tip
-            fix: scan it across the slices, or with thinner ones; or place the tip by --corrections""")
+        raise DataError(
+            f"the needle grows faint {faint:.0f} mm before the end that a threshold "
+            "sees: where it ends does not show in such thick slices",
+            expected="a needle that slices show as far as its tip",
+            fix="scan it across the slices, or with thinner ones; or place the tip by --corrections",
+        )
     way = points[-1] - points[0] - (points[-1] - points[0]) @ normal * normal
     way /= np.linalg.norm(way)
     frame = np.stack([way, np.cross(normal, way), normal])

@@ -22,7 +22,7 @@ from scipy.optimize import OptimizeResult, least_squares
 from scipy.spatial import cKDTree
 
 from needlefit.arrays import Floats, Ints
-from needlefit.errors import refusal
+from needlefit.errors import DataError
 from needlefit.imaging.needle.axis_spline import AxisSpline, axis_frames, axis_sd, disc_points, sample_planes
 from needlefit.imaging.point_spread import (
     HIGHEST,
@@ -470,10 +470,11 @@ def fit_tip(
     believed = along <= MAX_MODEL_SD_MM and abs(away) <= MAX_DISAGREEMENT_MM
     if not rough and not believed:
         if not np.isfinite(away):
-            raise refusal("""the end of the needle does not show: no section near it is as bright as half the
-                    shaft
-                expected: a needle that ends in the tissue, in the volume
-                fix: check that the scan holds the tip, away from other metal; or give a needle's mask""")
+            raise DataError(
+                "the end of the needle does not show: no section near it is as bright as half the shaft",
+                expected="a needle that ends in the tissue, in the volume",
+                fix="check that the scan holds the tip, away from other metal; or give a needle's mask",
+            )
         limits = [MAX_MODEL_SD_MM, DISAGREEMENT_SD * away, float(volume.spacing.max()) / 2]
         at, along, source = at + away, float(np.linalg.norm(limits)), "threshold"
     there = axis_frames(axis, np.array([at]))

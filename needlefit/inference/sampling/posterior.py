@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from needlefit.arrays import Floats
-from needlefit.errors import DataError, refusal
+from needlefit.errors import DataError
 from needlefit.inference.sampling.posterior_file import GROUPS, read_numbers
 from needlefit.project.input_files import parse_json
 
@@ -146,10 +146,12 @@ def load(path: Path) -> Posterior:
             **{name: about[name] for name in about.keys() & set(_STORED)},
         )
     except (DataError, KeyError, TypeError, ValueError) as error:
-        raise refusal(f"""is not a posterior of needlefit, or a damaged one: {error}
-            expected: the file as `needlefit tune` wrote it
-            fix: tune again, or take the file from a copy
-            where: {path}""") from error
+        raise DataError(
+            f"is not a posterior of needlefit, or a damaged one: {error}",
+            expected="the file as `needlefit tune` wrote it",
+            fix="tune again, or take the file from a copy",
+            where=path,
+        ) from error
 
 
 #: variables as xarray takes them (dimensions, values, attributes), coordinates, and attributes of a group

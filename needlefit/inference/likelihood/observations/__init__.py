@@ -13,7 +13,7 @@ from needlefit.arrays import Floats
 from needlefit.datasets.columns import OBSERVED_COLUMN, OBSERVED_PREFIX
 from needlefit.datasets.insertion import Dataset, Insertion, Noise, Pose, find_free_reach, find_pose
 from needlefit.datasets.noise import NoiseFloor, estimate_noise_floor
-from needlefit.errors import refusal
+from needlefit.errors import DataError
 from needlefit.geometry.curves import COMPARISON_POINTS
 from needlefit.inference.compared_points import ComparedPoints, rotate_to_entry_axes
 from needlefit.inference.likelihood.observation import (
@@ -114,9 +114,11 @@ class ObservationType:
 
         Fits are to both; what is predicted is that of `observe`.
         """
-        raise refusal(f"""the observation `{self.name}` has no numbers besides, and {insertion.id} has some
-            expected: no columns {OBSERVED_PREFIX}{", ".join(insertion.observed_values)}
-            fix: remove the columns, or name their observation in the column {OBSERVED_COLUMN}""")
+        raise DataError(
+            f"the observation `{self.name}` has no numbers besides, and {insertion.id} has some",
+            expected=f"no columns {OBSERVED_PREFIX}{', '.join(insertion.observed_values)}",
+            fix=f"remove the columns, or name their observation in the column {OBSERVED_COLUMN}",
+        )
 
 
 OBSERVATIONS = Registry(ObservationType, __name__, "observation")
@@ -151,9 +153,11 @@ def make_observation(
     if not insertion.observed_values:
         return found
     if dataset.pose != "known":
-        raise refusal(f"""{insertion.id} has numbers besides its points, and its pose is not known
-            expected: no columns {OBSERVED_PREFIX}{", ".join(insertion.observed_values)}
-            fix: remove the columns, or state poses (pose = "known")""")
+        raise DataError(
+            f"{insertion.id} has numbers besides its points, and its pose is not known",
+            expected=f"no columns {OBSERVED_PREFIX}{', '.join(insertion.observed_values)}",
+            fix='remove the columns, or state poses (pose = "known")',
+        )
     return join_observations(found, OBSERVATIONS[insertion.observed].observe_values(insertion, errors))
 
 

@@ -9,7 +9,7 @@ from needlefit.arrays import Floats
 from needlefit.datasets.columns import MIN_SENSOR_MM
 from needlefit.datasets.insertion import Dataset, Insertion, Pose, find_pose
 from needlefit.datasets.noise import NoiseFloor
-from needlefit.errors import refusal
+from needlefit.errors import DataError
 from needlefit.geometry.curves import Quantity, compare_curves
 from needlefit.inference.compared_points import ComparedPoints
 from needlefit.inference.likelihood.nodes import make_nodes
@@ -101,9 +101,11 @@ def integrate_sensors(insertion: Insertion) -> Floats:
 def require_curvature(insertion: Insertion) -> None:
     """Raise DataError where an insertion that is fitted to by curvatures alone has none."""
     if insertion.curvature is None:
-        raise refusal(f"""insertion `{insertion.id}` has no curvature
-            expected: those of every insertion fitted to (`measurement = "curvature"`)
-            fix: name their table under insertions.curvature""")
+        raise DataError(
+            f"insertion `{insertion.id}` has no curvature",
+            expected='those of every insertion fitted to (`measurement = "curvature"`)',
+            fix="name their table under insertions.curvature",
+        )
 
 
 @dataclass(frozen=True)
