@@ -31,7 +31,7 @@ from scipy.spatial.transform import Rotation
 from needlefit.cli import main as run_command
 from needlefit.datasets.read import inspect
 from needlefit.errors import NeedlefitError
-from needlefit.inference.doubts import find_doubts, refit
+from needlefit.inference.doubts import find_doubts, fit_quickly
 from needlefit.inference.problem import Problem
 from needlefit.mechanics.control import Bevel
 from needlefit.mechanics.needle import Needle
@@ -315,17 +315,14 @@ def inspect_needles(needles, fit):
 
 
 def doubt(folder):
-    """Return the needles that a fit to the others does not predict; the fit begins at the true parameters."""
+    """Return the needles that a quick fit to the others does not predict."""
     file = folder / "made" / "made_study.toml"
     with contextlib.chdir(file.parent):
         job = load_study(file.stem, load(file, StudyRecord), Settings(file=file))
     weights, likelihood = job.recipe.weights, job.recipe.likelihood
     data = (job.dataset, job.insertions, job.medium, job.parameters, weights)
     problem = Problem(*data, likelihood=likelihood)
-    true = {f"mu{k}_pa": 1e6 * mu for k, mu in enumerate(MU_MPA, start=1)} | {"bevel_mm": BEVEL_MM}
-    start = problem.parameters.theta(problem.values(problem.parameters.expected) | true)
-    every = range(len(job.insertions))
-    return find_doubts(problem, refit(problem, every, np.clip(start, problem.lower, problem.upper)))
+    return find_doubts(problem, fit_quickly(problem))
 
 
 def count_false_alarms(design, model, sets, seed, fit):

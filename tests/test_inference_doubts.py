@@ -63,8 +63,35 @@ def test_a_needle_is_named_with_what_happened_to_it_and_its_size(by, cause, size
     assert one.without_it["bevel_mm"] == pytest.approx(TRUTH["bevel_mm"], rel=0.15)
 
 
-def test_a_needle_that_no_change_explains_is_named_without_a_cause():
+def test_a_step_is_named_with_the_point_where_it_is_and_its_size():
     (one,) = doubt(change(measure_needles(2), 3, lambda points: points + [0, 2.0, 0] * (points[:, :1] > 20)))
+    first = 1 + int(np.argmax(measure_needles(2)[3].points[:, 0] > 20))
+    assert (one.insertion, one.cause, one.where) == ("n3", "stepped", str(first))
+    assert one.size == pytest.approx(2.0, rel=0.1)
+
+
+def test_needles_whose_points_were_exchanged_are_named_with_each_other():
+    made = [*measure_needles(4), *(replace(one, id=f"m{one.id}") for one in measure_needles(5))]
+    made[2], made[5] = made[2].with_points(made[5].points), made[5].with_points(made[2].points)
+    found = {(one.insertion, one.cause, one.where) for one in doubt(made)}
+    assert found == {("n2", "of_another", "n5"), ("n5", "of_another", "n2")}
+
+
+def test_a_needle_whose_deepest_points_are_missing_and_one_with_another_boundary_are_named():
+    made = measure_needles(5)
+    made[6] = made[6].with_points(made[6].points[made[6].points[:, 0] < 50])
+    (one,) = doubt(made)
+    assert (one.insertion, one.cause) == ("n6", "cut_short")
+    made = measure_needles(6)
+    made[5] = replace(made[5], boundaries=made[5].boundaries + 12.0)
+    (one,) = doubt(made)
+    assert (one.insertion, one.cause, one.where) == ("n5", "boundary", "1")
+    assert one.size == pytest.approx(-12.0, abs=2.0)
+
+
+def test_a_needle_that_no_change_explains_is_named_without_a_cause():
+    wave = np.sin(np.linspace(0, 12, 101))
+    (one,) = doubt(change(measure_needles(2), 3, lambda points: points + np.outer(wave, [0, 0.5, 0])))
     assert (one.insertion, one.cause, one.size) == ("n3", "", None)
 
 

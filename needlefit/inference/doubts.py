@@ -3,36 +3,38 @@
 Every needle is predicted from the others: by the fit without it, linear in the parameters, in the stated
 covariance. Needles of a medium differ besides by nature: by as much as makes the others most probable, with
 their misfit for scale, so that a model that fits none of them well accuses none. What may have happened to an
-odd needle is a table of changes of its points (`HYPOTHESES`): the one that explains it is named, if it does.
+odd needle is found in `hypotheses.py`.
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
+from needlefit.inference.fit import EvaluationRecorder
+from needlefit.inference.hypotheses import Deviation, explain
 from needlefit.inference.identifiability.precision import prior_information
+from needlefit.inference.least_squares import run_least_squares
+from needlefit.inference.optimize import starting_points
 from needlefit.inference.parameter_names import BEVEL_PARAMETERS
-from needlefit.inference.problem import Problem
+from needlefit.inference.problem import APPROACH_TOLERANCE, Problem, make_posterior_objective
+from needlefit.project.progress import never_stop
 from needlefit.schemas.run_metadata import NeedleDoubtMetadata
 
 MIN_NEEDLES = 4  #: from so many on one is predicted from the others
 MAX_ODD_PART = 0.25  #: part of the needles beyond which the model does not fit, and none is accused
 #: distance of an odd needle from its prediction, in SDs, as of all outliers that are named
 MIN_ODD_SD = 5.0
-MAX_EXPLAINED_SD = 2.0  #: of the deviation that is left of a needle that a hypothesis explains
-MIN_LOG_ODDS = 3.0  #: by which the best hypothesis must be more probable than the next, a factor of 20
 #: SDs of the moduli between needles, of ln; specimens of one medium differ by up to 40 %
 SPREADS = (0.03, 0.1, 0.2, 0.4)
 BEVEL_PART = 1 / 3  #: of this SD that the bevel has: all needles have the same
 QUANTILE = 0.75  #: of the misfits of the others, that is the scale
-GRID_SIZES = 9  #: numbers of a hypothesis from which its search begins
-MAX_STEPS, MAX_STEP = 8, 1.0  #: of the search without odd needles, and of its coordinates
+QUICK_STARTS = 3  #: beside the middle of the prior, of a quick fit
+QUICK_EVALUATIONS = 60  #: of each search
 
 
 class Block(NamedTuple):
@@ -40,6 +42,7 @@ class Block(NamedTuple):
 
     residuals: Floats
     slope: Floats
+    log_norm: float = 0.0  #: of their Gaussian in what was measured
 
 
 class Prediction(NamedTuple):
@@ -50,53 +53,19 @@ class Prediction(NamedTuple):
     scale: float = 1.0  #: of their squared misfits
 
 
-Change = Callable[[Floats, float], Floats]  #: points (N, 3) and a size -> points as they may have been
-
-
-class Hypothesis(NamedTuple):
-    """What may have happened to the points of a needle."""
-
-    change: Change
-    sizes: tuple[float, float] | None = None  #: range of the number that is fitted
-    log_volume: Callable[[float, int], float] = lambda size, count: 0.0  #: by which the data's volume grows
-    in_space: bool = False  #: whether it is seen along z alone
-
-
-def _turn(points: Floats, degrees: float, *toward: int) -> Floats:
-    return points - math.tan(math.radians(degrees)) * points[:, :1] * np.array(toward)
-
-
-#: by cause
-HYPOTHESES: Mapping[str, Hypothesis] = {
-    "mirrored": Hypothesis(lambda points, _: points * [1, -1, 1]),
-    "exchanged_axes": Hypothesis(lambda points, _: points[:, [0, 2, 1]], in_space=True),
-    "scaled": Hypothesis(
-        lambda points, size: points / [1, math.exp(size), 1],
-        (math.log(0.05), math.log(20.0)),
-        lambda size, count: -count * size,
-    ),
-    "turned": Hypothesis(lambda points, size: _turn(points, size, 0, 1, 0), (-15.0, 15.0)),
-    "turned_aside": Hypothesis(
-        lambda points, size: _turn(points, size, 0, 0, 1), (-15.0, 15.0), in_space=True
-    ),
-    "shifted": Hypothesis(lambda points, size: points - [0, size, 0], (-20.0, 20.0)),
-    "shifted_aside": Hypothesis(lambda points, size: points - [0, 0, size], (-20.0, 20.0), in_space=True),
-}
-
-
 def find_doubts(problem: Problem, theta: Floats) -> list[NeedleDoubtMetadata]:
     """Return the needles that a fit to the others does not predict, the oddest first.
 
-    `theta` (P,): the fit to all. None where nothing can be said: of few needles, of tip tracks, without
-    stated noise; or where more than a quarter of the needles deviate.
+    `theta` (P,): the fit to all. None where nothing can be said: of few needles or without stated noise; or
+    where more than a quarter of the needles deviate.
     """
     every = problem.insertions
-    if len(every) < MIN_NEEDLES or not problem.dataset.noise_is_stated or problem.dataset.pose == "tracker":
+    if len(every) < MIN_NEEDLES or not problem.dataset.noise_is_stated:
         return []
     odd, fitted = list[int](), theta
     while True:
         rest = [k for k in range(len(every)) if k not in odd]
-        theta = refit(problem, rest, theta) if odd else theta
+        theta = refit(problem, [every[k] for k in rest], theta) if odd else theta
         blocks = [_linearize(problem, one, theta) for one in every]
         weighed = _weigh_all(problem, blocks)
         found = {k: _predict(problem, [j for j in rest if j != k], weighed, theta) for k in range(len(every))}
@@ -110,8 +79,13 @@ def find_doubts(problem: Problem, theta: Floats) -> list[NeedleDoubtMetadata]:
     with_it, without_it = _list_values(problem, fitted), _list_values(problem, theta)
     doubts = []
     for k in sorted((k for k in odd if sds[k] >= MIN_ODD_SD), key=lambda k: -sds[k]):
-        cause, size = _find_cause(problem, every[k], theta, found[k])
-        about = {"insertion": every[k].id, "sds": sds[k], "cause": cause, "size": size}
+
+        def measure(insertion: Insertion, reaches_tip: bool, predicted: Prediction = found[k]) -> Deviation:
+            return _measure(_linearize(problem, insertion, theta, reaches_tip), theta, predicted)
+
+        others = [one for one in every if one is not every[k]]
+        cause, size, where = explain(every[k], others, measure, problem.dataset.directions)
+        about = {"insertion": every[k].id, "sds": sds[k], "cause": cause, "size": size, "where": where}
         doubts.append(NeedleDoubtMetadata(**about, with_it=with_it, without_it=without_it))
     return doubts
 
@@ -123,12 +97,38 @@ def _list_values(problem: Problem, theta: Floats) -> dict[str, float]:
     return {name: values[name] for name in names}
 
 
-def _linearize(problem: Problem, insertion: Insertion, theta: Floats) -> Block:
-    """Return the residuals of one needle by itself, without the prior's."""
+def fit_quickly(problem: Problem) -> Floats:
+    """Return a fit (P,) to all needles: the best of a few searches with depths as stated."""
+    rng = np.random.default_rng(0)
+    starts = starting_points(problem.lower, problem.upper, QUICK_STARTS, rng)
+    ends = [refit(problem, problem.insertions, start) for start in (problem.parameters.expected, *starts)]
+    easier = problem.plain or problem
+    return min(ends, key=lambda theta: -easier.log_posterior(theta))
+
+
+def refit(problem: Problem, some: Sequence[Insertion], theta: Floats) -> Floats:
+    """Return the fit (P,) to some of the needles, with depths as stated, from a fit `theta` (P,) to all."""
+    part = replace(problem, insertions=tuple(some))
+    goal = make_posterior_objective(part.plain or part, APPROACH_TOLERANCE)
+    recorder = EvaluationRecorder(goal, QUICK_EVALUATIONS, never_stop)
+    recorder.run(run_least_squares, theta)
+    return theta if recorder.theta is None else recorder.theta
+
+
+def _linearize(problem: Problem, insertion: Insertion, theta: Floats, reaches_tip: bool = True) -> Block:
+    """Return the residuals of one needle by itself, without the prior's.
+
+    Points that do not reach the tip lie at their own distances from the entry.
+    """
     alone = replace(problem, insertions=(insertion,))
-    residuals, slope = alone.jacobian(theta)
-    count = sum(alone.density.residual_counts)
-    return Block(residuals[:count], slope[:count])
+    density = alone.density
+    if not reaches_tip:
+        part = min(1.0, insertion.measure_arc(problem.dataset.compared)[-1] / insertion.depth)
+        cut = [replace(one, nodes=replace(one.nodes, s=part * one.nodes.s)) for one in density.observations]
+        density = replace(density, observations=tuple(cut))
+    ((residuals, slope),) = density.jacobians([problem.values(theta)])
+    count = sum(density.residual_counts)
+    return Block(residuals[:count], slope[:count], sum(one.log_norm for one in density.observations))
 
 
 def _list_spreads(problem: Problem) -> Floats:
@@ -184,13 +184,6 @@ def _predict(problem: Problem, places: Sequence[int], weighed: WeighedBlocks, th
     return best[1]
 
 
-class Deviation(NamedTuple):
-    """How far a needle lies from its prediction, in SDs, and the log density of its points."""
-
-    sds: float
-    log_density: float
-
-
 def _measure(block: Block, theta: Floats, predicted: Prediction) -> Deviation:
     """Return how far a needle lies from what is predicted, given its residuals at `theta` (P,).
 
@@ -203,85 +196,4 @@ def _measure(block: Block, theta: Floats, predicted: Prediction) -> Deviation:
     square, count = float(off @ np.linalg.solve(covariance, off)), len(off)
     shape = 2 / (9 * count)
     sds = ((square / count) ** (1 / 3) - (1 - shape)) / math.sqrt(shape)
-    return Deviation(sds, -0.5 * (square + float(np.linalg.slogdet(covariance)[1])))
-
-
-def refit(problem: Problem, places: Sequence[int], theta: Floats) -> Floats:
-    """Return the fit (P,) to some of the needles, from a fit `theta` (P,) to all."""
-    spread = SPREADS[0] * _list_spreads(problem)
-
-    def weigh(at: Floats) -> tuple[float, Floats, Floats]:
-        blocks = [_linearize(problem, problem.insertions[k], at) for k in places]
-        total, precision, pull = 0.0, prior_information(problem), np.zeros(len(at))
-        for block in blocks:
-            one = _weigh(block, spread)
-            total += 0.5 * float(block.residuals @ np.linalg.solve(one.covariance, block.residuals))
-            precision, pull = precision + one.information, pull + one.pull
-        return total, precision, pull
-
-    damping, (total, precision, pull) = 1e-3, weigh(theta)
-    for _ in range(MAX_STEPS):
-        step = -np.linalg.solve(precision + damping * np.diag(np.diag(precision)), pull)
-        new = np.clip(theta + np.clip(step, -MAX_STEP, MAX_STEP), problem.lower, problem.upper)
-        found = weigh(new)
-        if found[0] < total:
-            gain, damping = total - found[0], damping / 5
-            theta, (total, precision, pull) = new, found
-            if gain < 0.05:
-                break
-        else:
-            damping *= 10
-    return theta
-
-
-# ---- what may have happened
-
-
-def _find_cause(
-    problem: Problem, insertion: Insertion, theta: Floats, predicted: Prediction
-) -> tuple[str, float | None]:
-    """Return the hypothesis that explains a needle, with its fitted number; "" if none does alone."""
-    rows = sorted(_list_explanations(problem, insertion, theta, predicted), key=lambda row: -row[0])
-    if not rows:
-        return "", None
-    (best, deviation, cause, size), *others = rows
-    others = [row for row in others if row[2].partition("_")[0] != cause.partition("_")[0]]
-    if deviation > MAX_EXPLAINED_SD or (others and best - others[0][0] < MIN_LOG_ODDS):
-        return "", None
-    return cause, size
-
-
-def _list_explanations(
-    problem: Problem, insertion: Insertion, theta: Floats, predicted: Prediction
-) -> Iterator[tuple[float, float, str, float | None]]:
-    """Yield of each hypothesis its log density, the deviation that is left, its name and number."""
-    count = len(insertion.points)
-
-    def measure(points: Floats, log_volume: float) -> tuple[float, float]:
-        changed = _change_points(insertion, points)
-        found = _measure(_linearize(problem, changed, theta), theta, predicted)
-        return found.log_density + log_volume, found.sds
-
-    for cause, row in HYPOTHESES.items():
-        if row.in_space and problem.dataset.directions == 1:
-            continue
-        if row.sizes is None:
-            yield (*measure(row.change(insertion.points, 0.0), 0.0), cause, None)
-            continue
-
-        def cost(size: float, row: Hypothesis = row) -> float:
-            return -measure(row.change(insertion.points, size), row.log_volume(size, count))[0]
-
-        grid = np.linspace(*row.sizes, GRID_SIZES)
-        at = int(np.clip(np.argmin([cost(size) for size in grid]), 1, len(grid) - 2))
-        between = (grid[at - 1], grid[at + 1])
-        size = float(minimize_scalar(cost, bounds=between, method="bounded").x)
-        # the fitted number takes a part of what it may be: Occam's factor, as of 1 % of the range
-        density, left = measure(row.change(insertion.points, size), row.log_volume(size, count))
-        yield density - math.log(100.0), left, cause, size
-
-
-def _change_points(insertion: Insertion, points: Floats) -> Insertion:
-    """Return an insertion as if its points were `points` (N, 3), with the errors that it has."""
-    world = insertion.frame.to_world(points)
-    return replace(insertion, points=points, centerline=world, sections=None)
+    return Deviation(sds, block.log_norm - 0.5 * (square + float(np.linalg.slogdet(covariance)[1])))

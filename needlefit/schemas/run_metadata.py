@@ -140,8 +140,9 @@ class NeedleDoubtMetadata(_Metadata):
 
     insertion: str
     sds: float  #: its distance from the prediction, in standard deviations
-    cause: str  #: a key of `HYPOTHESES` in `inference/doubts.py`; empty where none explains it
+    cause: str  #: a key of `HYPOTHESES` in `inference/hypotheses.py`; empty where none explains it
     size: float | None = None  #: the number that was fitted: ln of a factor, mm or degrees
+    where: str = ""  #: the number of the point or boundary, or the other needle, by this cause
     #: values of the parameters with it and without it, Pa and mm
     with_it: dict[str, float] = {}
     without_it: dict[str, float] = {}

@@ -206,7 +206,8 @@ def _find_odd_needles(run: Run) -> Iterator[Row]:
             for name, value in one.without_it.items()
         ]
         size = None if one.size is None else math.exp(one.size) if one.cause == "scaled" else abs(one.size)
-        yield {**vars(one), "size": size, "changed": changed}
+        larger = one.size is not None and one.size > 0
+        yield {**vars(one), "size": size, "larger": larger, "changed": changed}
 
 
 def _find_implausible_moduli(run: Run) -> Iterator[Row]:

@@ -1,0 +1,175 @@
+"""What may have happened to a needle: a table of hypotheses, of which the one that explains it is found.
+
+Each says how the insertion may have been, by a small change with at most two numbers: a size that is fitted,
+and a choice, such as another needle. A further hypothesis is one row.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from needlefit.datasets.insertion import Insertion
+from needlefit.inference.likelihood.nodes import enforce_order
+
+MAX_EXPLAINED_SD = 2.0  #: of the deviation that is left of a needle that a hypothesis explains
+#: by which the best hypothesis must be more probable than the next, a factor of 20
+MIN_LOG_ODDS = math.log(20.0)
+#: what a number costs, Occam's factor: one that is fitted is known to about 1 % of its range
+LOG_FITTED = math.log(100.0)
+SIZE_TOLERANCE = 1e-4  #: of a fitted number, as part of its range
+GRID_SIZES = 7  #: numbers of a hypothesis from which its search begins
+#: part of its depth that a needle may be longer than the one whose points it has
+LENGTH_TOLERANCE = 0.02
+
+
+class Deviation(NamedTuple):
+    """How far a needle lies from its prediction, in SDs, and the log density of what was measured."""
+
+    sds: float
+    log_density: float
+
+
+#: an insertion as it may have been, and whether its points reach the tip -> its deviation
+Measure = Callable[[Insertion, bool], Deviation]
+
+
+class Hypothesis(NamedTuple):
+    """How an insertion may have been: what is changed, by a size and by what is chosen."""
+
+    change: Callable[[Insertion, float, Any], Insertion]
+    sizes: tuple[float, float] | None = None  #: range of the number that is fitted
+    #: the insertion, all others -> by its name what may be chosen
+    list_choices: Callable[[Insertion, Sequence[Insertion]], Mapping[str, Any]] = lambda *_: {"": None}
+    log_volume: Callable[[float, int], float] = lambda size, count: 0.0  #: by which the data's volume grows
+    in_space: bool = False  #: whether it is seen along z alone
+    reaches_tip: bool = True  #: whether the points do
+
+
+class Explanation(NamedTuple):
+    """What may have happened to a needle."""
+
+    cause: str = ""  #: a key of `HYPOTHESES`; "" where none explains the needle
+    size: float | None = None  #: ln of a factor, mm or degrees
+    where: str = ""  #: what was chosen: the number of a point or boundary, or another needle
+
+
+def _turn(insertion: Insertion, degrees: float, axis: int) -> Insertion:
+    x = insertion.points[:, :1]
+    return insertion.with_points(insertion.points - math.tan(math.radians(degrees)) * x * np.eye(3)[axis])
+
+
+def _shift(insertion: Insertion, size: float, axis: int, first: int = 0) -> Insertion:
+    moved = np.arange(len(insertion.points)) >= first
+    return insertion.with_points(insertion.points - size * np.outer(moved, np.eye(3)[axis]))
+
+
+def _find_step(insertion: Insertion, axis: int) -> dict[str, int]:
+    """Return the point, from 0, with which a needle steps aside most beside its course, by its number."""
+    gaps = np.diff(insertion.points[:, axis])
+    if len(gaps) < 3:
+        return {}
+    first = 2 + int(np.argmax(np.abs(gaps[1:-1] - (gaps[:-2] + gaps[2:]) / 2)))
+    return {str(first + 1): first}
+
+
+def _list_boundaries(insertion: Insertion, _: Sequence[Insertion]) -> dict[str, int]:
+    return {str(k + 1): k for k in range(len(insertion.boundaries))}
+
+
+def _move_boundary(insertion: Insertion, size: float, number: int) -> Insertion:
+    moved = insertion.boundaries + size * (np.arange(len(insertion.boundaries)) == number)
+    return replace(insertion, boundaries=enforce_order(moved))
+
+
+def _list_deeper(insertion: Insertion, others: Sequence[Insertion]) -> dict[str, Insertion]:
+    """Return the needles that are as deep as the points of one are long, or deeper."""
+    least = (1 - LENGTH_TOLERANCE) * insertion.measure_arc("plane")[-1]
+    return {one.id: one for one in others if one.depth >= least}
+
+
+def _take_points(insertion: Insertion, _: float, other: Insertion) -> Insertion:
+    """Return another insertion with the points of one."""
+    return replace(other, sd=insertion.sd).with_points(insertion.points)
+
+
+#: by cause
+HYPOTHESES: Mapping[str, Hypothesis] = {
+    "mirrored": Hypothesis(lambda one, *_: one.with_points(one.points * [1, -1, 1])),
+    "exchanged_axes": Hypothesis(lambda one, *_: one.with_points(one.points[:, [0, 2, 1]]), in_space=True),
+    "scaled": Hypothesis(
+        lambda one, size, _: one.with_points(one.points / [1, math.exp(size), 1]),
+        (math.log(0.05), math.log(20.0)),
+        log_volume=lambda size, count: -count * size,
+    ),
+    "turned": Hypothesis(lambda one, size, _: _turn(one, size, 1), (-15.0, 15.0)),
+    "turned_aside": Hypothesis(lambda one, size, _: _turn(one, size, 2), (-15.0, 15.0), in_space=True),
+    "shifted": Hypothesis(lambda one, size, _: _shift(one, size, 1), (-20.0, 20.0)),
+    "shifted_aside": Hypothesis(lambda one, size, _: _shift(one, size, 2), (-20.0, 20.0), in_space=True),
+    "stepped": Hypothesis(
+        lambda one, size, first: _shift(one, size, 1, first), (-20.0, 20.0), lambda one, _: _find_step(one, 1)
+    ),
+    "stepped_aside": Hypothesis(
+        lambda one, size, first: _shift(one, size, 2, first),
+        (-20.0, 20.0),
+        lambda one, _: _find_step(one, 2),
+        in_space=True,
+    ),
+    "boundary": Hypothesis(_move_boundary, (-30.0, 30.0), _list_boundaries),
+    "cut_short": Hypothesis(lambda one, *_: one, reaches_tip=False),
+    "of_another": Hypothesis(_take_points, list_choices=_list_deeper, reaches_tip=False),
+}
+
+
+def explain(
+    insertion: Insertion, others: Sequence[Insertion], measure: Measure, directions: int
+) -> Explanation:
+    """Return the hypothesis that explains a needle alone, and better than any other; else an empty one."""
+    rows = sorted(_list_explanations(insertion, others, measure, directions), key=lambda row: -row[0])
+    if not rows:
+        return Explanation()
+    (best, sds, found), *rest = rows
+    kind = found.cause.partition("_")[0]
+    next_best = next((odds for odds, _, one in rest if one.cause.partition("_")[0] != kind), -math.inf)
+    return found if sds <= MAX_EXPLAINED_SD and best - next_best >= MIN_LOG_ODDS else Explanation()
+
+
+def _list_explanations(
+    insertion: Insertion, others: Sequence[Insertion], measure: Measure, directions: int
+) -> Iterator[tuple[float, float, Explanation]]:
+    """Yield of each hypothesis its log odds, the deviation that is left, and what it says."""
+    for cause, row in HYPOTHESES.items():
+        choices = {} if row.in_space and directions == 1 else row.list_choices(insertion, others)
+        for where, choice in choices.items():
+            size, odds, sds = _fit(row, insertion, choice, measure)
+            if size is not None or where:
+                odds -= LOG_FITTED + math.log(len(choices))
+            yield odds, sds, Explanation(cause, size, where)
+
+
+def _fit(
+    row: Hypothesis, insertion: Insertion, choice: object, measure: Measure
+) -> tuple[float | None, float, float]:
+    """Return the size that is most probable, its log odds, and the deviation that is left."""
+
+    def weigh(size: float) -> tuple[float, float]:
+        left = measure(row.change(insertion, size, choice), row.reaches_tip)
+        return left.log_density + row.log_volume(size, len(insertion.points)), left.sds
+
+    if row.sizes is None:
+        return None, *weigh(0.0)
+    size = _search(lambda size: -weigh(size)[0], row.sizes)
+    odds, sds = weigh(size)
+    return size, odds, sds
+
+
+def _search(cost: Callable[[float], float], sizes: tuple[float, float]) -> float:
+    """Return the size of least cost."""
+    grid = np.linspace(*sizes, GRID_SIZES)
+    at = int(np.clip(np.argmin([cost(size) for size in grid]), 1, len(grid) - 2))
+    options = {"xatol": SIZE_TOLERANCE * (sizes[1] - sizes[0])}
+    bounds = (grid[at - 1], grid[at + 1])
+    return float(minimize_scalar(cost, bounds=bounds, method="bounded", options=options).x)
