@@ -56,8 +56,8 @@ class Prediction(NamedTuple):
 def find_doubts(problem: Problem, theta: Floats) -> list[NeedleDoubtMetadata]:
     """Return the needles that a fit to the others does not predict, the oddest first.
 
-    `theta` (P,): the fit to all. None where nothing can be said: of few needles or without stated noise; or
-    where more than a quarter of the needles deviate.
+    `theta` (P,): the fit to all. None where nothing can be said: of few needles, without stated noise, or
+    where a needle is not solved; and where more than a quarter of the needles deviate.
     """
     every = problem.insertions
     if len(every) < MIN_NEEDLES or not problem.dataset.noise_is_stated:
@@ -67,6 +67,8 @@ def find_doubts(problem: Problem, theta: Floats) -> list[NeedleDoubtMetadata]:
         rest = [k for k in range(len(every)) if k not in odd]
         theta = refit(problem, [every[k] for k in rest], theta) if odd else theta
         blocks = [_linearize(problem, one, theta) for one in every]
+        if not all(np.isfinite(block.residuals).all() for block in blocks):  # a solve failed
+            return []
         weighed = _weigh_all(problem, blocks)
         found = {k: _predict(problem, [j for j in rest if j != k], weighed, theta) for k in range(len(every))}
         sds = {k: _measure(blocks[k], theta, found[k]).sds for k in range(len(every))}

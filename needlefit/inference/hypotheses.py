@@ -170,6 +170,5 @@ def _search(cost: Callable[[float], float], sizes: tuple[float, float]) -> float
     """Return the size of least cost."""
     grid = np.linspace(*sizes, GRID_SIZES)
     at = int(np.clip(np.argmin([cost(size) for size in grid]), 1, len(grid) - 2))
-    options = {"xatol": SIZE_TOLERANCE * (sizes[1] - sizes[0])}
-    bounds = (grid[at - 1], grid[at + 1])
-    return float(minimize_scalar(cost, bounds=bounds, method="bounded", options=options).x)
+    bounds, near = (float(grid[at - 1]), float(grid[at + 1])), SIZE_TOLERANCE * (sizes[1] - sizes[0])
+    return float(minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": near}).x)
