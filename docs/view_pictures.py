@@ -54,8 +54,8 @@ def take_view(folder: Path) -> None:
 
 
 def take_plan(folder: Path) -> None:
-    needlefit(*PLAN, "--html", str(folder / "plan.html"))
-    with opened(folder / "plan.html") as page:
+    needlefit(*PLAN, "--out", str(folder))
+    with opened(folder / "plan" / "phantom2_fitted.html") as page:
         save(page, "view_plan")
 
 

@@ -134,12 +134,14 @@ def test_within_the_radius_the_miss_is_least_and_a_limit_that_binds_is_named() -
 
 def test_a_plan_that_fails_prints_no_steps_and_how_near_it_comes(tmp_path, capsys) -> None:
     words = ("plan", "phantom2", "--target", "45,9", "--radius", "0.5", "--base", "2", "--turns", "0")
+    words += ("--out", str(tmp_path))
     path = tmp_path / "plan.csv"
     assert run(*words, "--write-recording", str(path)) == 5
     out = capsys.readouterr().out
     assert "nan" not in out and "insert" not in out and "base is at its limit" in out and not path.exists()
     assert run(*words, "--json") == 5
     found = json.loads(capsys.readouterr().out)
+    assert found["page"] is None and not (tmp_path / "plan").exists()
     assert not found["reached"] and found["steps"] == [] and found["at_limit"] == ["base", "base angle"]
     assert found["nominal_miss_mm"] > 0.5
 
@@ -214,7 +216,7 @@ def test_points_of_slicer_are_targets_and_obstacles_in_the_constraint_frame(tmp_
 def test_the_command_prints_a_plan_and_writes_it_as_a_recording(tmp_path, capsys) -> None:
     path = tmp_path / "plan.csv"
     words = ("phantom2", "--target", "45,2", "--obstacle", "25,0.4,0.8", "--entry-shift", "5", "--json")
-    assert run("plan", *words, "--write-recording", str(path)) == 0
+    assert run("plan", *words, "--write-recording", str(path), "--out", str(tmp_path)) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["reached"] and found["nominal_miss_mm"] < 0.2 and found["draws"] == 0
     assert found["steps"][-1]["depth_mm"] == pytest.approx(45.0, abs=1.0)
@@ -242,11 +244,12 @@ def test_a_recording_is_compared_with_its_scene_by_what_both_mean(by, same) -> N
     ],
 )
 def test_a_plan_to_a_depth_or_along_z_that_was_not_fitted_says_so(
-    fitted, directions, target, count, monkeypatch, capsys
+    fitted, directions, target, count, monkeypatch, capsys, tmp_path
 ) -> None:
     shown = replace(opening.open_target("phantom2"), fitted_depths=fitted, fitted_directions=directions)
     monkeypatch.setattr(opening, "open_target", lambda *_, **__: shown)
-    assert run("plan", "phantom2", "--target", target, "--turns", "0", "--json") == 0
+    words = ("plan", "phantom2", "--target", target, "--turns", "0", "--json", "--out", str(tmp_path))
+    assert run(*words) == 0
     kinds = [one["kind"] for one in json.loads(capsys.readouterr().out)["warnings"]]
     assert kinds == ["extrapolation"] * count
 
@@ -265,9 +268,11 @@ def test_clearance_is_the_distance_from_the_rim(centre, clearance):
     assert compute_clearances(line, obstacle) == pytest.approx(clearance)
 
 
-def test_a_target_that_the_roll_does_not_reach_is_reached_by_bevel_and_base_rolled_together(capsys) -> None:
+def test_a_target_that_the_roll_does_not_reach_is_reached_by_bevel_and_base_rolled_together(
+    capsys, tmp_path
+) -> None:
     words = ("plan", "phantom2", "--target", "40,1,4", "--radius", "0.5", "--obstacle", "20,3,0,1", "--json")
-    assert run(*words) == 0
+    assert run(*words, "--out", str(tmp_path)) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["reached"] and found["roll_deg"] == pytest.approx(np.degrees(np.arctan(4)))
     assert found["target_mm"] == pytest.approx([40, np.hypot(1, 4)]) and "tip_sd_mm" not in found
@@ -282,7 +287,19 @@ def test_a_plan_from_first_contact_does_not_depend_on_the_roll_that_a_scene_stat
     steps = "\n[[steps]]\ndepth_mm = 20.0\n[[steps]]\ndepth_mm = 38.06\nroll_deg = 45.0\n"
     changed = text.replace("side = 1", f"roll_deg = {roll}").replace("depth_mm = 38.06", "", 1)
     (tmp_path / "rolled.toml").write_text(changed + steps)
-    words = ("--target", target, "--radius", "0.5", "--turns", "0", "--json", "--jobs", "2")
+    words = (
+        "--target",
+        target,
+        "--radius",
+        "0.5",
+        "--turns",
+        "0",
+        "--json",
+        "--jobs",
+        "2",
+        "--out",
+        str(tmp_path),
+    )
     found = []
     for name in ("phantom2", str(tmp_path / "rolled.toml")):
         assert run("plan", name, *words) == 0

@@ -1,10 +1,12 @@
 """A shared recording: one file that computes its needle in a browser, without server and network."""
 
+import json
 import re
 from pathlib import Path
 
 import pytest
 from page_files import ALL_STATES, open_offline, read_page_data
+from test_cli import run
 from test_page import NO_BROWSER, chromium  # noqa: F401 - a fixture
 
 from needlefit.mechanics.scene import Scene
@@ -192,3 +194,22 @@ def test_a_law_that_is_a_table_is_computed_again_by_an_accessible_page(tabulated
         assert page.locator(".hand:visible").count() == 0
         found = Axe().run(page)
         assert found.violations_count == 0, found.generate_report()
+
+
+@NO_BROWSER
+def test_the_depth_is_dragged_along_the_page_of_a_plan(chromium, tmp_path, capsys) -> None:  # noqa: F811
+    words = ("phantom2", "--target", "45,2", "--obstacle", "25,0.4,0.8", "--turns", "1", "--json")
+    assert run("plan", *words, "--out", str(tmp_path)) == 0
+    plan = json.loads(capsys.readouterr().out)
+    with open_offline(chromium, Path(plan["page"])) as page:
+        count, largest = page.evaluate(ALL_STATES)
+        assert count >= 45 and largest == 0
+        assert page.evaluate("needlefit.scene.plan.target") == [45.0, 2.0]
+        assert page.evaluate("needlefit.scene.plan.obstacles[0].slice(0, 3)") == [25.0, 0.4, 0.8]
+        assert len(page.evaluate("needlefit.scene.plan.needles")) >= 1
+        ends = page.evaluate("[needlefit.state.x.at(-1), needlefit.state.y.at(-1)]")
+        for depth in (12.0, plan["steps"][-1]["depth_mm"]):
+            page.locator("#scrub").fill(str(depth) if depth == 12.0 else page.get_attribute("#scrub", "max"))
+            assert page.evaluate("needlefit.state.depth_mm") == pytest.approx(depth, abs=1.0)
+        assert page.evaluate("[needlefit.state.x.at(-1), needlefit.state.y.at(-1)]") == ends
+        assert ends == pytest.approx([45.0, 2.0], abs=0.5)

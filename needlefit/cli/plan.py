@@ -11,7 +11,7 @@ import typer
 from needlefit.cli import exit_codes, options, screen
 from needlefit.cli.execution import require_no_faults
 from needlefit.cli.options import argument, option, read_numbers
-from needlefit.project.folders import require_output_files
+from needlefit.project.folders import require_output_files, require_writable
 
 if TYPE_CHECKING:
     from needlefit.planning.goals import Goal, PlaneGoal
@@ -57,10 +57,7 @@ def plan(
     write_recording: Annotated[
         Path | None, option("Write the plan as a recording for `view` and `simulate`: .csv.", "FILE")
     ] = None,
-    html: Annotated[
-        Path | None,
-        option("Write a page with the plan: target, obstacles, needles of the draws.", "FILE.html"),
-    ] = None,
+    out: options.Out = None,
     jobs: options.Jobs = None,
     json: options.Json = False,
     quiet: options.Quiet = False,
@@ -72,29 +69,43 @@ def plan(
     --radius and no obstacle is touched. A SCENE has one set of parameters, taken as exact. To a target off
     the plane z = 0 the bevel is rolled as the insertion begins, while the base moves along y; where that does
     not reach it, bevel and base are rolled together.
+
+    Writes OUT/plan/NAME.html (default: ./reports), a page along whose plan the depth is dragged, with target,
+    obstacles and the needles of the draws.
     """
+    from needlefit.cli.view import write_page
     from needlefit.planning.recording import write_recording as write_recording_file
     from needlefit.planning.steering import PlanLimits, plan_to_target
     from needlefit.project.unit_warnings import extrapolation_warnings
+    from needlefit.reporting.needle_page import kernel_exists
     from needlefit.studies.run import mark_faults
     from needlefit.viewer.opening import open_target
     from needlefit.viewer.page_needle import compose_page
 
-    files = {"--write-recording": write_recording, "--html": html}
-    outputs = {option: path for option, path in files.items() if path is not None}
+    outputs = {} if write_recording is None else {"--write-recording": write_recording}
     require_output_files(outputs, [] if markups is None else [markups])
+    invocation = context.find_root().obj
+    folder = invocation.out / "plan"
+    require_writable(folder)
     options.note_others("plan", name)
     shown = open_target(name, specimen=specimen or "planned")
     goal = _read_goal(shown, target, radius, obstacle or [], markups, obstacle_radius)
     limits = PlanLimits(entry_shift, base, base_angle, turns)
     insertion = shown.begin_insertion()
-    invocation = context.find_root().obj
     plane, found = plan_to_target(insertion, goal, limits, invocation.jobs)
     unfitted = found.goal.directions > shown.fitted_directions
     depth = found.steps[-1].depth
     beyond = tuple(extrapolation_warnings(depth, shown.fitted_depths, z_unfitted=unfitted))
     shown = replace(shown, warnings=(*shown.warnings, *beyond))
-    summary = _summarize(shown, plane, found, len(insertion.samples[0]))
+    recording = shown.record_plan(found) if found.hits else None
+    if recording is not None and write_recording is not None:
+        write_recording_file(recording, write_recording)
+    page = None
+    if recording is not None and kernel_exists():
+        page = write_page(
+            folder, shown.name, compose_page(shown.shift_entry(found.entry_mm), recording, found)
+        )
+    summary = _summarize(shown, plane, found, len(insertion.samples[0])) | {"page": page and str(page)}
     if invocation.json:
         screen.show_json(summary)
     else:
@@ -102,18 +113,12 @@ def plan(
             screen.print_text(verdict)
         screen.print_text(mark_faults(shown.faults) + _describe(shown, found, summary))
     screen.print_warnings(invocation, shown.warnings)
-    if not found.hits:
+    if recording is None:
         raise typer.Exit(exit_codes.NOT_CONVERGED)
     if not invocation.json:
         _show_steps(shown, summary)
-    if outputs:
-        recording = shown.record_plan(found)
-        if write_recording is not None:
-            write_recording_file(recording, write_recording)
-        if html is not None:
-            page = compose_page(shown.shift_entry(found.entry_mm), recording, found)
-            html.write_text(page, "utf-8")
-        for path in outputs.values():
+    for path in (write_recording, page):
+        if path is not None:
             screen.print_note(f"written: {path}")
     require_no_faults(f"{shown.name}: {fault}" for fault in shown.faults)
 

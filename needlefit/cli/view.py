@@ -49,16 +49,18 @@ def view(
     source = None if recording is None else read_recording(recording)
     shown = open_target(target, specimen=specimen or "shown") if source is None else open_recording(source)
     screen.print_warnings(context.find_root().obj, shown.warnings)
-    path = folder / _name_file(shown.name if recording is None else str(recording.with_suffix("")))
-    folder.mkdir(parents=True, exist_ok=True)
-    path.write_text(compose_page(shown, source), "utf-8")
+    name = shown.name if recording is None else str(recording.with_suffix(""))
+    path = write_page(folder, name, compose_page(shown, source))
     screen.print_line(str(path))
     if browser:
         webbrowser.open(path.resolve().as_uri())
 
 
-def _name_file(name: str) -> Path:
-    """Return the file of a page, named by the last two parts of what it shows."""
+def write_page(folder: Path, name: str, page: str) -> Path:
+    """Write a page to a folder, in a file named by the last two parts of what it shows; return its path."""
     last = "-".join(PurePath(name.removesuffix(".toml")).parts[-2:])
     stem = re.sub(r"[^\w-]+", "-", last).strip("-")
-    return Path(f"{stem or 'needle'}.html")
+    path = folder / f"{stem or 'needle'}.html"
+    folder.mkdir(parents=True, exist_ok=True)
+    path.write_text(page, "utf-8")
+    return path

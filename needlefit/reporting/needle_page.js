@@ -1300,12 +1300,13 @@ length;n+=1)replay.to(n),compare(Math.abs(steered.tipLateral-needle.recording[n-
 steered),needle.tip===null)continue;compare(compareStored(steered,needle,same3))}}catch(error){if(!error.what)
 throw error;compare(NaN)}await rest()}return{count,largest}}var SLICE,begin,always,Replay,init_stored=__esm({"\
 needlefit/viewer/page/stored.js"(){init_needle();init_dom();init_errors();init_inputs();init_steered();SLICE=12;
-begin=(kernel,{scene})=>SteeredNeedle.begin(kernel,scene),always={validOnly:!1};Replay=class{steered;steps;at;changed;last;constructor(steered,steps2){
-Object.assign(this,{steered,steps:steps2,at:0,changed:!1,last:new Map}),this.steps.forEach(([,changes],i)=>{for(let[
-name,,value]of changes)name==="return_to"&&this.last.set(value,i+1)})}to(n){for((this.changed||n<this.at)&&(this.
-steered.rewind(),Object.assign(this,{at:0,changed:!1}));this.at<n;)this.#next()}#next(){let[,changes]=this.steps[this.
-at];this.steered.apply(changes,always),this.at+=1,this.last.has(this.at)&&this.steered.keep();for(let[name,,value]of changes)
-name==="return_to"&&this.last.get(value)===this.at&&this.steered.forget(value)}}}});function refuse(error,below=part("flip").parentElement){if(!error.what)throw error;below.after(refusal),write(
+begin=(kernel,{scene})=>SteeredNeedle.begin(kernel,scene),always={validOnly:!1};Replay=class{steered;steps;at;changed;last;places=[];unit="\
+s";constructor(steered,steps2){Object.assign(this,{steered,steps:steps2,at:0,changed:!1,last:new Map}),this.steps.
+forEach(([,changes],i)=>{for(let[name,,value]of changes)name==="return_to"&&this.last.set(value,i+1)})}to(n){for((this.
+changed||n<this.at)&&(this.steered.rewind(),Object.assign(this,{at:0,changed:!1}));this.at<n;)this.#next()}#next(){
+let[,changes]=this.steps[this.at];this.steered.apply(changes,always),this.at+=1,this.last.has(this.at)&&this.steered.
+keep();for(let[name,,value]of changes)name==="return_to"&&this.last.get(value)===this.at&&this.steered.forget(
+value)}}}});function refuse(error,below=part("flip").parentElement){if(!error.what)throw error;below.after(refusal),write(
 refusal,`${error.what}. Expected: ${error.expected}.`)}function show(){steps+=1,part("undo").disabled=!past.length,
 part("redo").disabled=!future.length,take({...describeState(now.steered),step:steps,kind:"state"})}function forgetPast(){
 for(let one of[past,future])one.length=0;last=0,write(refusal,"")}function goHome(){forgetPast(),now.steered.rewind();
@@ -1358,38 +1359,38 @@ symbol,explanation}of shapes)DEFINITIONS[symbol]=`${explanation[0].toUpperCase()
 shown)}});function fillReadouts(list,readouts){let numbers=readouts.map(([name,unit])=>{let number3=element("span",{},"–");
 return list.append(entry(define2(name),[number3," ",element("small",{},unit)])),number3});return from=>readouts.
 forEach(([,,read],i)=>write(numbers[i],from?read(from):"–"))}function refresh(){let{state,scene}=now;writeNeedle(
-state),part("readouts").children[TIP_Z].hidden=!state.z;let title=part("title");if(title&&write(title,`${isSteered(
-state,scene)?"steered by hand: ":""}${scene.title}`),!scene.measured)return;let prediction=predictionOf(state,
-scene);writeErrors(prediction?{...state.errors,...prediction.errors}:state.errors),write("against",`${prediction?
-"prediction ":""}against ${scene.measured.id}${state.errors?`, ${comparedUpTo(state.errors)}`:""}`)}function inWords(){
-let{state,scene}=now;if(!state)return"The needle has not been drawn yet.";let{tip,bevel,base,guides,errors}=state,
-held=guides.length===1?"1 guide":`${guides.length} guides`,{symbol,value,digits:digits2,unit}=strengthOf(bevel),
-sentences=[`The needle is ${state.depth_mm.toFixed(1)} mm deep, of ${scene.length_mm.toFixed(0)} mm.`,`Its tip\
- is ${Math.abs(tip.lateral_mm).toFixed(2)} mm to the ${tip.lateral_mm<0?"right":"left"}${tip.held?" and held t\
-here":""}, at ${angle(tip)}${tip.z===null?"":`; z ${signed(tip.z,2)} mm`}.`,`The bevel turns the cut toward ${describeRoll(
-bevel)}, ${symbol} is ${value.toFixed(digits2)} ${unit}.`,`The base stands at y ${signed(base.y,2)} mm, at ${angle(
-base)}; ${held}.`,`Tip force ${load2(tipForce()??0,2)} N, base force ${load2(state.forces.base_n,2)} N.`];if(exceeded(
-state)&&sentences.push(`The needle is ${exceeded(state)}.`),errors){let prediction=predictionOf(state,scene);sentences.
-push(`${prediction?"The prediction against":"Against"} the measured needle ${comparedUpTo(errors)}: ${listErrors(
-prediction?.errors??errors,scene.measured).join(", ")}.`)}return sentences.join(" ")}var load2,NEEDLE,TIP_Z,writeNeedle,
-writeErrors,comparedUpTo,announced,exceeded,angle,refreshDescription,init_readouts=__esm({"needlefit/viewer/pa\
-ge/readouts.js"(){init_definitions();init_dom();init_quantities();init_store();init_view();load2=(value,digits2)=>now.
-state.z?value.toFixed(digits2):signed(value,digits2),NEEDLE=[["depth","mm",s2=>s2.depth_mm.toFixed(2)],["tip y",
-"mm",s2=>signed(s2.tip.lateral_mm,2)],["tip z","mm",s2=>s2.z?signed(s2.tip.z,2):"–"],["tip slope","°",s2=>signed(
-toDegrees(s2.tip.rotation),2)],["tip force","N",()=>tipForce()===null?"–":load2(tipForce(),3)],["base force",
-"N",s2=>load2(s2.forces.base_n,3)],["base moment","N mm",s2=>load2(s2.forces.base_nmm,1)],["steepest slope","",
-s2=>s2.max_slope.toFixed(3)]],TIP_Z=NEEDLE.findIndex(([name])=>name==="tip z");writeNeedle=fillReadouts(part("\
-readouts"),NEEDLE),writeErrors=_errors=>{};comparedUpTo=({whole,upto_mm:upto})=>whole?"over the whole insertio\
-n":`over the first ${upto.toFixed(1)} mm`;listen("scene",({measured})=>{if(part("compared").hidden=measured===
-null,!measured)return;let metrics=measured.metrics.map(([name,label2,unit,text])=>(DEFINITIONS[label2]=text,[label2,
-unit,errors=>writeError(errors[name],unit)]));part("errors").replaceChildren(),writeErrors=fillReadouts(part("\
-errors"),[...metrics,["noise floor","mm",e=>e.floor_mm?.toFixed(3)??"–"]])});announced=null,exceeded=({faults})=>faults?.
-length?`outside the model: ${faults.join("; ")}`:"";for(let kind of["forces","state"])listen(kind,()=>{now.state&&
-(refresh(),refreshDescription())});listen("state",state=>{let words=exceeded(state);write("beyond",words&&`${words[0].
-toUpperCase()}${words.slice(1)}. Shape and forces cannot be relied on.`),part("beyond").classList.toggle("low",
-toPy(state.tip.y)<view.box.top+view.box.height/2),!(announced===now.scene||!words)&&(announced=now.scene,say(`\
-The needle is ${words}.`))});angle=({rotation})=>`${signed(toDegrees(rotation),1)} degrees`;refreshDescription=
-()=>write("described",inWords())}});function draw2(wide,whole,begin2){let kept={...view},[across,tall]=size();onPaper(!0);try{whole&&fit("whole");
+state),part("readouts").children[TIP_Z].hidden=!state.z;let title=part("title"),follows=scene.plan&&!now.replay?.
+changed;if(title&&write(title,`${follows?"plan: ":isSteered(state,scene)?"steered by hand: ":""}${scene.title}`),
+!scene.measured)return;let prediction=predictionOf(state,scene);writeErrors(prediction?{...state.errors,...prediction.
+errors}:state.errors),write("against",`${prediction?"prediction ":""}against ${scene.measured.id}${state.errors?
+`, ${comparedUpTo(state.errors)}`:""}`)}function inWords(){let{state,scene}=now;if(!state)return"The needle ha\
+s not been drawn yet.";let{tip,bevel,base,guides,errors}=state,held=guides.length===1?"1 guide":`${guides.length}\
+ guides`,{symbol,value,digits:digits2,unit}=strengthOf(bevel),sentences=[`The needle is ${state.depth_mm.toFixed(
+1)} mm deep, of ${scene.length_mm.toFixed(0)} mm.`,`Its tip is ${Math.abs(tip.lateral_mm).toFixed(2)} mm to th\
+e ${tip.lateral_mm<0?"right":"left"}${tip.held?" and held there":""}, at ${angle(tip)}${tip.z===null?"":`; z ${signed(
+tip.z,2)} mm`}.`,`The bevel turns the cut toward ${describeRoll(bevel)}, ${symbol} is ${value.toFixed(digits2)}\
+ ${unit}.`,`The base stands at y ${signed(base.y,2)} mm, at ${angle(base)}; ${held}.`,`Tip force ${load2(tipForce()??
+0,2)} N, base force ${load2(state.forces.base_n,2)} N.`];if(exceeded(state)&&sentences.push(`The needle is ${exceeded(
+state)}.`),errors){let prediction=predictionOf(state,scene);sentences.push(`${prediction?"The prediction again\
+st":"Against"} the measured needle ${comparedUpTo(errors)}: ${listErrors(prediction?.errors??errors,scene.measured).
+join(", ")}.`)}return sentences.join(" ")}var load2,NEEDLE,TIP_Z,writeNeedle,writeErrors,comparedUpTo,announced,
+exceeded,angle,refreshDescription,init_readouts=__esm({"needlefit/viewer/page/readouts.js"(){init_definitions();
+init_dom();init_quantities();init_store();init_view();load2=(value,digits2)=>now.state.z?value.toFixed(digits2):
+signed(value,digits2),NEEDLE=[["depth","mm",s2=>s2.depth_mm.toFixed(2)],["tip y","mm",s2=>signed(s2.tip.lateral_mm,
+2)],["tip z","mm",s2=>s2.z?signed(s2.tip.z,2):"–"],["tip slope","°",s2=>signed(toDegrees(s2.tip.rotation),2)],
+["tip force","N",()=>tipForce()===null?"–":load2(tipForce(),3)],["base force","N",s2=>load2(s2.forces.base_n,
+3)],["base moment","N mm",s2=>load2(s2.forces.base_nmm,1)],["steepest slope","",s2=>s2.max_slope.toFixed(3)]],
+TIP_Z=NEEDLE.findIndex(([name])=>name==="tip z");writeNeedle=fillReadouts(part("readouts"),NEEDLE),writeErrors=
+_errors=>{};comparedUpTo=({whole,upto_mm:upto})=>whole?"over the whole insertion":`over the first ${upto.toFixed(
+1)} mm`;listen("scene",({measured})=>{if(part("compared").hidden=measured===null,!measured)return;let metrics=measured.
+metrics.map(([name,label2,unit,text])=>(DEFINITIONS[label2]=text,[label2,unit,errors=>writeError(errors[name],
+unit)]));part("errors").replaceChildren(),writeErrors=fillReadouts(part("errors"),[...metrics,["noise floor","\
+mm",e=>e.floor_mm?.toFixed(3)??"–"]])});announced=null,exceeded=({faults})=>faults?.length?`outside the mode\
+l: ${faults.join("; ")}`:"";for(let kind of["forces","state"])listen(kind,()=>{now.state&&(refresh(),refreshDescription())});
+listen("state",state=>{let words=exceeded(state);write("beyond",words&&`${words[0].toUpperCase()}${words.slice(
+1)}. Shape and forces cannot be relied on.`),part("beyond").classList.toggle("low",toPy(state.tip.y)<view.box.
+top+view.box.height/2),!(announced===now.scene||!words)&&(announced=now.scene,say(`The needle is ${words}.`))});
+angle=({rotation})=>`${signed(toDegrees(rotation),1)} degrees`;refreshDescription=()=>write("described",inWords())}});function draw2(wide,whole,begin2){let kept={...view},[across,tall]=size();onPaper(!0);try{whole&&fit("whole");
 let{box:box2,scale}=view,width=wide*PX_PER_MM,share=(width-(across-box2.width))/box2.width,figure=[width,tall-
 box2.height+share*box2.height];return Object.assign(view,{scale:scale*share,box:{...box2,width:share*box2.width,
 height:share*box2.height}}),paint(begin2(figure),figure),figure}finally{Object.assign(view,kept),onPaper(!1),redraw()}}
@@ -1540,68 +1541,70 @@ new Map,drag=null,place=event=>{let{left,top}=canvas3.getBoundingClientRect();re
 clientY-top]};RAW="onpointerrawupdate"in canvas3,HEARD={pointerdown:down,pointermove:moved,pointerrawupdate:follow2,
 pointerup:up,pointercancel:up};for(let[kind,hear2]of Object.entries(HEARD))canvas3.addEventListener(kind,hear2);
 canvas3.addEventListener("wheel",wheel,{passive:!1})}});function goBack(){write("link-note",""),part("back").disabled=!0,now.replay?showStep(now.replay.steps.length):
-goHome()}function showStep(n,clock=timeOf(n)){let{replay}=now;forgetPast(),replay.to(n),part("scrub").value=n===
-replay.steps.length?part("scrub").max:clock,part("scrub").ariaValueText=`${clock.toFixed(1)} s`,write("time",`${clock.
-toFixed(1)} s of ${timeOf(replay.steps.length).toFixed(1)} s`),show()}function play(on){if(part("play").textContent=
-on?"Pause":"Play",!on)return void(now.playing=null);let{replay}=now,n=replay.at===replay.steps.length||replay.
-changed?0:replay.at;now.playing={clock:timeOf(n),last:performance.now(),n},requestAnimationFrame(advance)}function advance(t){
-let{playing}=now;if(!playing)return;let{steps:steps2}=now.replay,ends=Math.max(timeOf(steps2.length),1e-9);for(playing.
-clock+=(t-playing.last)/1e3*(ends/Math.min(Math.max(ends,SHORTEST2),LONGEST)),playing.last=t;playing.n<steps2.
-length&&timeOf(playing.n+1)<=playing.clock;)playing.n+=1;if(showStep(playing.n,Math.min(playing.clock,ends)),playing.
-n===steps2.length)return play(!1);requestAnimationFrame(advance)}function openRecording(recording){now.replay=
-recording?new Replay(now.steered,recording):null,part("transport").hidden=!recording,recording&&(part("scrub").
-max=Math.ceil(10*(recording.at(-1)?.[0]??0))/10)}function readRecording(text){let lines=text.split(/\r?\n/),count=lines.
-findIndex(one=>!one.startsWith("#")),number3=now.data.needles.findIndex(({head})=>head&&identify(head)===identify(
-text));if(count<1||lines[count]!==COLUMNS)throw new ModelError("the file is no recording","a file of Save reco\
-rding, or of needlefit plan");if(number3<0)throw new ModelError("the recording is of another scene","one of th\
-is page; needlefit view --recording opens others");let steps2=[];for(let row of lines.slice(count+1).filter(Boolean)){
-let[step,time,name,item,value,tip]=row.split(",");Number(step)>steps2.length&&steps2.push([Number(time),[],NaN]);
-let last3=steps2.at(-1);last3[1].push([name,item?Number(item):null,Number(value)]),tip&&(last3[2]=Number(tip))}
-return{number:number3,steps:steps2}}function openDropped(choose2){addEventListener("dragover",event=>event.preventDefault()),
-addEventListener("drop",async event=>{event.preventDefault();let[file]=event.dataTransfer?.files??[];if(file)try{
-let{number:number3,steps:steps2}=readRecording(await file.text());await choose2(number3),openRecording(steps2),
-goBack(),write("link-note",`Opened ${file.name}.`)}catch(error){refuse(error,part("proof").parentElement)}})}function keep(){
-let{needle,steered}=now,text=JSON.stringify({head:needle.head,way:steered.listWay().map(({changes})=>changes)});
-try{text.length<=MOST_KEPT&&localStorage.setItem(keyOf(needle),text)}catch{}}function restore(){let{needle,steered,
-replay}=now,kept=JSON.parse(localStorage.getItem(keyOf(needle))??"null");if(!kept||kept.head!==needle.head)return!1;
-steered.rewind();try{for(let changes of kept.way)steered.apply(changes,{validOnly:!1})}catch{return localStorage.
-removeItem(keyOf(needle)),goBack(),!1}return replay&&(replay.changed=!0),part("back").disabled=!1,write("link-\
-note","The needle as you left it: this browser keeps it."),show(),!0}var SHORTEST2,LONGEST,PAUSE,MOST_KEPT,COLUMNS,
-timeOf,identify,keyOf,keeping,init_recording=__esm({"needlefit/viewer/page/recording.js"(){init_address();init_dom();
-init_link();init_inputs();init_steering();init_store();init_stored();[SHORTEST2,LONGEST]=[2,20],PAUSE=400,MOST_KEPT=
-1e6,COLUMNS="step,time_s,input,item,value,tip_lateral_mm",timeOf=n=>n?now.replay.steps[n-1][0]:0;part("scrub").
-addEventListener("input",({target})=>{play(!1);let{steps:steps2}=now.replay,clock=Math.min(Number(target.value),
-timeOf(steps2.length));showStep(steps2.filter(([time])=>time<=clock).length,clock)});press("play",()=>play(!now.
-playing));press("back",()=>{localStorage.removeItem(keyOf(now.needle)),goBack()});listen("steers",()=>{now.replay&&
-(play(!1),now.replay.changed=!0)});press("save-recording",()=>{let name=`${nameOf2(now.needle).replace(/[^\w-]+/g,
-"-")}.csv`;hand(new Blob([writeRecording(now.needle.head,now.steered)],{type:"text/csv"}),name),write("link-no\
-te",`Saved ${name}. It opens on this page, and with: needlefit view --recording ${name}`)});identify=head=>head.
-split(`
+goHome()}function showStep(n,clock=placeOf(n)){let{replay}=now;forgetPast(),replay.to(n),part("scrub").value=n===
+replay.steps.length?part("scrub").max:clock,part("scrub").ariaValueText=`${clock.toFixed(1)} ${replay.unit}`,write(
+"time",`${clock.toFixed(1)} of ${placeOf(replay.steps.length).toFixed(1)} ${replay.unit}`),show()}function play(on){
+if(part("play").textContent=on?"Pause":"Play",!on)return void(now.playing=null);let{replay}=now,n=replay.at===
+replay.steps.length||replay.changed?0:replay.at;now.playing={clock:placeOf(n),last:performance.now(),n},requestAnimationFrame(
+advance)}function advance(t){let{playing}=now;if(!playing)return;let{steps:steps2}=now.replay,ends=Math.max(placeOf(
+steps2.length),1e-9);for(playing.clock+=(t-playing.last)/1e3*(ends/Math.min(Math.max(ends,SHORTEST2),LONGEST)),
+playing.last=t;playing.n<steps2.length&&placeOf(playing.n+1)<=playing.clock;)playing.n+=1;if(showStep(playing.
+n,Math.min(playing.clock,ends)),playing.n===steps2.length)return play(!1);requestAnimationFrame(advance)}function openRecording(recording,planned=!1){
+if(part("transport").hidden=!recording,now.replay=null,!recording)return;let depthOf=([,changes])=>changes.find(
+([name])=>name==="depth_mm")[2],places=recording.map(planned?depthOf:([time])=>time);now.replay=Object.assign(
+new Replay(now.steered,recording),{places,unit:planned?"mm":"s"}),part("scrub").max=Math.ceil(10*(places.at(-1)??
+0))/10,part("scrub").ariaLabel=planned?"depth along the plan, mm":"time of the recording, s"}function readRecording(text){
+let lines=text.split(/\r?\n/),count=lines.findIndex(one=>!one.startsWith("#")),number3=now.data.needles.findIndex(
+({head})=>head&&identify(head)===identify(text));if(count<1||lines[count]!==COLUMNS)throw new ModelError("the \
+file is no recording","a file of Save recording, or of needlefit plan");if(number3<0)throw new ModelError("the\
+ recording is of another scene","one of this page; needlefit view --recording opens others");let steps2=[];for(let row of lines.
+slice(count+1).filter(Boolean)){let[step,time,name,item,value,tip]=row.split(",");Number(step)>steps2.length&&
+steps2.push([Number(time),[],NaN]);let last3=steps2.at(-1);last3[1].push([name,item?Number(item):null,Number(value)]),
+tip&&(last3[2]=Number(tip))}return{number:number3,steps:steps2}}function openDropped(choose2){addEventListener(
+"dragover",event=>event.preventDefault()),addEventListener("drop",async event=>{event.preventDefault();let[file]=event.
+dataTransfer?.files??[];if(file)try{let{number:number3,steps:steps2}=readRecording(await file.text());await choose2(
+number3),openRecording(steps2),goBack(),write("link-note",`Opened ${file.name}.`)}catch(error){refuse(error,part(
+"proof").parentElement)}})}function keep(){let{needle,steered}=now,text=JSON.stringify({head:needle.head,way:steered.
+listWay().map(({changes})=>changes)});try{text.length<=MOST_KEPT&&localStorage.setItem(keyOf(needle),text)}catch{}}
+function restore(){let{needle,steered,replay}=now,kept=JSON.parse(localStorage.getItem(keyOf(needle))??"null");
+if(!kept||kept.head!==needle.head)return!1;steered.rewind();try{for(let changes of kept.way)steered.apply(changes,
+{validOnly:!1})}catch{return localStorage.removeItem(keyOf(needle)),goBack(),!1}return replay&&(replay.changed=
+!0),part("back").disabled=!1,write("link-note","The needle as you left it: this browser keeps it."),show(),!0}
+var SHORTEST2,LONGEST,PAUSE,MOST_KEPT,COLUMNS,placeOf,identify,keyOf,keeping,init_recording=__esm({"needlefit/\
+viewer/page/recording.js"(){init_address();init_dom();init_link();init_inputs();init_steering();init_store();init_stored();
+[SHORTEST2,LONGEST]=[2,20],PAUSE=400,MOST_KEPT=1e6,COLUMNS="step,time_s,input,item,value,tip_lateral_mm",placeOf=
+n=>n?now.replay.places[n-1]:0;part("scrub").addEventListener("input",({target})=>{play(!1);let clock=Math.min(
+Number(target.value),placeOf(now.replay.steps.length));showStep(now.replay.places.filter(one=>one<=clock).length,
+clock)});press("play",()=>play(!now.playing));press("back",()=>{localStorage.removeItem(keyOf(now.needle)),goBack()});
+listen("steers",()=>{now.replay&&(play(!1),now.replay.changed=!0)});press("save-recording",()=>{let name=`${nameOf2(
+now.needle).replace(/[^\w-]+/g,"-")}.csv`;hand(new Blob([writeRecording(now.needle.head,now.steered)],{type:"t\
+ext/csv"}),name),write("link-note",`Saved ${name}. It opens on this page, and with: needlefit view --recording\
+ ${name}`)});identify=head=>head.split(`
 `).filter(one=>one.startsWith("#")).slice(1).filter(one=>!one.startsWith("# needlefit =")).join(`
 `);keyOf=needle=>`needlefit ${location.pathname} ${nameOf2(needle)}`,keeping=0;listen("steers",()=>{clearTimeout(
 keeping),keeping=setTimeout(keep,PAUSE)});addEventListener("pagehide",()=>keeping&&keep())}});var main_exports={};async function choose(number3){let{data}=now;part("needle-choice").value=number3;let steered=await begin(
 data.kernel,data.needles[number3]);if(Number(part("needle-choice").value)!==number3)return;let needle=data.needles[number3];
-Object.assign(now,{needle,steered});let{scene}=needle;openRecording(needle.recording),take({...scene,kind:"sce\
-ne"}),buildFields(needle);let specimen=needle.new_specimen?" of a specimen that was not fitted":"",draws=counted(
-scene.draws?.sets??0,"posterior draw");write("band-note",scene.draws?`Band: holds 95 % of the needles of ${draws}${specimen}\
- wholly, without noise and model error.`:""),part("origin-mark")&&write("origin-mark",scene.origin_mark),goBack()}
-async function stateAgreement(){let{data}=now,{count,largest}=await prove(data,SAME3),[what,of]=data.needles[0].
-recording?["recorded state","recording"]:["needle",data.title?"report":"program"],[agrees,place2]=[largest<SAME3,
-part("proof")],found=largest===0?`the same bytes as in the ${of}`:`up to ${largest.toExponential(1)} mm from t\
-he ${of}`;place2.className=`quiet ${agrees?"good":"bad"}`,place2.dataset.count=count,place2.dataset.largest=largest;
-let checked=`Self-check ${agrees?"passed":"failed"}: ${counted(count,what)} computed here`;write("proof",`${checked}\
-, ${Number.isNaN(largest)?"one without a result":found} (needlefit ${data.needlefit}).`)}async function start(){
-let data=now.data=await load(),script=new Blob([part("program").textContent],{type:"text/javascript"});computeBands(
-new Worker(URL.createObjectURL(script)),data.kernel,()=>({name:data.needles.indexOf(now.needle),steered:now.steered}));
-let choice=part("needle-choice");choice.append(...data.needles.map((one,i)=>element("option",{value:String(i)},
-[nameOf2(one),one.group].filter(Boolean).join(", ")))),part("choosing").hidden=data.needles.length<2,choice.addEventListener(
-"change",()=>choose(Number(choice.value))),part("canvas").addEventListener("touchstart",event=>{handleAt(...place(
-event.touches[0]),"touch")&&event.preventDefault()},{passive:!1}),addEventListener("hashchange",()=>followAddress(
-choose)),openDropped(choose),await choose(0);let led=await followAddress(choose)||restore();await stateAgreement(),
-!led&&now.replay&&!now.scene.plan&&!matchMedia("(prefers-reduced-motion: reduce)").matches&&play(!0)}var NEEDED,
-init_main=__esm({"needlefit/viewer/page/main.js"(){init_above();init_address();init_bands();init_dom();init_figure();
-init_handles();init_inputs2();init_keyboard();init_link();init_methods();init_pointers();init_quantities();init_recording();
-init_store();init_stored();NEEDED=["WebAssembly","DecompressionStream","Worker"];start().catch(error=>{let lacking=NEEDED.
-filter(name=>!(name in globalThis));throw write("proof",lacking.length?`This browser lacks ${lacking.join(", ")}\
-: it cannot compute the needle.`:`The needle was not computed, for a fault in this file: ${error.message}`),part(
-"proof").classList.add("bad"),error})}});typeof document>"u"?Promise.resolve().then(()=>(init_band_worker(),band_worker_exports)):Promise.resolve().then(()=>(init_main(),main_exports));})();
+Object.assign(now,{needle,steered});let{scene}=needle;openRecording(needle.recording,!!needle.scene.plan),take(
+{...scene,kind:"scene"}),buildFields(needle);let specimen=needle.new_specimen?" of a specimen that was not fit\
+ted":"",draws=counted(scene.draws?.sets??0,"posterior draw");write("band-note",scene.draws?`Band: holds 95 % o\
+f the needles of ${draws}${specimen} wholly, without noise and model error.`:""),part("origin-mark")&&write("o\
+rigin-mark",scene.origin_mark),goBack()}async function stateAgreement(){let{data}=now,{count,largest}=await prove(
+data,SAME3),[what,of]=data.needles[0].recording?["recorded state","recording"]:["needle",data.title?"report":"\
+program"],[agrees,place2]=[largest<SAME3,part("proof")],found=largest===0?`the same bytes as in the ${of}`:`up\
+ to ${largest.toExponential(1)} mm from the ${of}`;place2.className=`quiet ${agrees?"good":"bad"}`,place2.dataset.
+count=count,place2.dataset.largest=largest;let checked=`Self-check ${agrees?"passed":"failed"}: ${counted(count,
+what)} computed here`;write("proof",`${checked}, ${Number.isNaN(largest)?"one without a result":found} (needle\
+fit ${data.needlefit}).`)}async function start(){let data=now.data=await load(),script=new Blob([part("program").
+textContent],{type:"text/javascript"});computeBands(new Worker(URL.createObjectURL(script)),data.kernel,()=>({
+name:data.needles.indexOf(now.needle),steered:now.steered}));let choice=part("needle-choice");choice.append(...data.
+needles.map((one,i)=>element("option",{value:String(i)},[nameOf2(one),one.group].filter(Boolean).join(", ")))),
+part("choosing").hidden=data.needles.length<2,choice.addEventListener("change",()=>choose(Number(choice.value))),
+part("canvas").addEventListener("touchstart",event=>{handleAt(...place(event.touches[0]),"touch")&&event.preventDefault()},
+{passive:!1}),addEventListener("hashchange",()=>followAddress(choose)),openDropped(choose),await choose(0);let led=await followAddress(
+choose)||restore();await stateAgreement(),!led&&now.replay&&!now.scene.plan&&!matchMedia("(prefers-reduced-mot\
+ion: reduce)").matches&&play(!0)}var NEEDED,init_main=__esm({"needlefit/viewer/page/main.js"(){init_above();init_address();
+init_bands();init_dom();init_figure();init_handles();init_inputs2();init_keyboard();init_link();init_methods();
+init_pointers();init_quantities();init_recording();init_store();init_stored();NEEDED=["WebAssembly","Decompres\
+sionStream","Worker"];start().catch(error=>{let lacking=NEEDED.filter(name=>!(name in globalThis));throw write(
+"proof",lacking.length?`This browser lacks ${lacking.join(", ")}: it cannot compute the needle.`:`The needle w\
+as not computed, for a fault in this file: ${error.message}`),part("proof").classList.add("bad"),error})}});typeof document>"u"?Promise.resolve().then(()=>(init_band_worker(),band_worker_exports)):Promise.resolve().then(()=>(init_main(),main_exports));})();

@@ -25,7 +25,7 @@ async function choose(number) {
   const needle = data.needles[number];
   Object.assign(now, { needle, steered });
   const { scene } = needle;
-  openRecording(needle.recording);
+  openRecording(needle.recording, Boolean(needle.scene.plan));
   take({ ...scene, kind: "scene" });
   buildFields(needle);
   const specimen = needle.new_specimen ? " of a specimen that was not fitted" : "";

@@ -41,7 +41,8 @@ function refresh() {
   writeNeedle(state);
   part("readouts").children[TIP_Z].hidden = !state.z;
   const title = part("title"); // a report has none
-  if (title) write(title, `${isSteered(state, scene) ? "steered by hand: " : ""}${scene.title}`);
+  const follows = scene.plan && !now.replay?.changed;
+  if (title) write(title, `${follows ? "plan: " : isSteered(state, scene) ? "steered by hand: " : ""}${scene.title}`);
   if (!scene.measured) return;
   const prediction = predictionOf(state, scene);
   writeErrors(prediction ? { ...state.errors, ...prediction.errors } : state.errors);

@@ -13,7 +13,8 @@ const PAUSE = 400; // ms without a change, after which the browser keeps the nee
 const MOST_KEPT = 1_000_000; // characters
 const COLUMNS = "step,time_s,input,item,value,tip_lateral_mm";
 
-const timeOf = (n) => (n ? now.replay.steps[n - 1][0] : 0);
+/** How far a recording is after n steps: the depth of a plan, mm, or the time of another one, s. */
+const placeOf = (n) => (n ? now.replay.places[n - 1] : 0);
 
 /** Show a needle that was chosen as the file has it: of a recording its end. */
 export function goBack() {
@@ -23,13 +24,13 @@ export function goBack() {
   else goHome();
 }
 
-function showStep(n, clock = timeOf(n)) {
+function showStep(n, clock = placeOf(n)) {
   const { replay } = now;
   forgetPast();
   replay.to(n);
   part("scrub").value = n === replay.steps.length ? part("scrub").max : clock;
-  part("scrub").ariaValueText = `${clock.toFixed(1)} s`;
-  write("time", `${clock.toFixed(1)} s of ${timeOf(replay.steps.length).toFixed(1)} s`);
+  part("scrub").ariaValueText = `${clock.toFixed(1)} ${replay.unit}`;
+  write("time", `${clock.toFixed(1)} of ${placeOf(replay.steps.length).toFixed(1)} ${replay.unit}`);
   show();
 }
 
@@ -39,7 +40,7 @@ export function play(on) {
   if (!on) return void (now.playing = null);
   const { replay } = now;
   const n = replay.at === replay.steps.length || replay.changed ? 0 : replay.at;
-  now.playing = { clock: timeOf(n), last: performance.now(), n };
+  now.playing = { clock: placeOf(n), last: performance.now(), n };
   requestAnimationFrame(advance);
 }
 
@@ -47,27 +48,31 @@ function advance(t) {
   const { playing } = now;
   if (!playing) return;
   const { steps } = now.replay;
-  const ends = Math.max(timeOf(steps.length), 1e-9);
+  const ends = Math.max(placeOf(steps.length), 1e-9);
   playing.clock += ((t - playing.last) / 1000) * (ends / Math.min(Math.max(ends, SHORTEST), LONGEST));
   playing.last = t;
-  while (playing.n < steps.length && timeOf(playing.n + 1) <= playing.clock) playing.n += 1;
+  while (playing.n < steps.length && placeOf(playing.n + 1) <= playing.clock) playing.n += 1;
   showStep(playing.n, Math.min(playing.clock, ends));
   if (playing.n === steps.length) return play(false);
   requestAnimationFrame(advance);
 }
 
-/** Prepare the recording of a needle, or none. */
-export function openRecording(recording) {
-  now.replay = recording ? new Replay(now.steered, recording) : null;
+/** Prepare the recording of a needle, or none; `planned`: the depth is dragged along it, which only increases. */
+export function openRecording(recording, planned = false) {
   part("transport").hidden = !recording;
-  if (recording) part("scrub").max = Math.ceil(10 * (recording.at(-1)?.[0] ?? 0)) / 10; // the step is 0.1
+  now.replay = null;
+  if (!recording) return;
+  const depthOf = ([, changes]) => changes.find(([name]) => name === "depth_mm")[2];
+  const places = recording.map(planned ? depthOf : ([time]) => time);
+  now.replay = Object.assign(new Replay(now.steered, recording), { places, unit: planned ? "mm" : "s" });
+  part("scrub").max = Math.ceil(10 * (places.at(-1) ?? 0)) / 10; // the step is 0.1
+  part("scrub").ariaLabel = planned ? "depth along the plan, mm" : "time of the recording, s";
 }
 
 part("scrub").addEventListener("input", ({ target }) => {
   play(false);
-  const { steps } = now.replay;
-  const clock = Math.min(Number(target.value), timeOf(steps.length));
-  showStep(steps.filter(([time]) => time <= clock).length, clock);
+  const clock = Math.min(Number(target.value), placeOf(now.replay.steps.length));
+  showStep(now.replay.places.filter((one) => one <= clock).length, clock);
 });
 press("play", () => play(!now.playing));
 press("back", () => {

@@ -39,7 +39,7 @@ export function insert(steered) {
 
 /** Replays a recording: `to(n)` carries out its first n steps, from the beginning if it is beyond, or `changed` by the reader. */
 export class Replay {
-  steered; steps; at; changed; last;
+  steered; steps; at; changed; last; places = []; unit = "s";
 
   constructor(steered, steps) {
     Object.assign(this, { steered, steps, at: 0, changed: false, last: new Map() });
