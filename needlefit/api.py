@@ -184,8 +184,8 @@ def make_twin(folder: Name, seed: int, media: Sequence[str] = (), *, population:
     from needlefit.synthetic.build import build_dataset
     from needlefit.synthetic.design import POPULATION, list_designs
 
-    plan = [one for one in list_designs() if not media or one.medium in media]
-    if missing := set(media) - {one.medium for one in plan}:
+    plan = [design for design in list_designs() if not media or design.medium in media]
+    if missing := set(media) - {design.medium for design in plan}:
         raise ConfigError(f"the twin has no insertions into {', '.join(sorted(missing))}")
     return read(build_dataset(Path(folder), seed, plan, population=POPULATION if population else None))
 
@@ -542,15 +542,15 @@ def estimate_elpd(
             f"there is only one {leave_out}: none can be left out",
             expected='several, or leave_out="insertion"',
         )
-    places = {one.id: place for place, one in enumerate(problem.insertions)}
-    parts = [[places[one.id] for one in members] for members in groups.values()]
+    places = {insertion.id: place for place, insertion in enumerate(problem.insertions)}
+    parts = [[places[member.id] for member in members] for members in groups.values()]
     draws = thin_posterior(posterior, job.parameters, ELPD_DRAWS)
     elpd, k = leave_out_parts(problem.log_predictive(draws.thetas, parts, jobs))
     if any(k > MAX_PARETO_K):
         whole = _integrate(job, problem, ("elpd",), jobs)
         for n, name in enumerate(groups):
             if k[n] > MAX_PARETO_K:
-                kept = tuple(one for one in problem.insertions if one not in groups[name])
+                kept = tuple(insertion for insertion in problem.insertions if insertion not in groups[name])
                 rest = _integrate(job, replace(problem, insertions=kept), ("elpd", name), jobs)
                 elpd[n], k[n] = whole.log_evidence - rest.log_evidence, max(whole.k, rest.k)
     return pd.DataFrame({"elpd": elpd, "pareto_k": k}, index=pd.Index(groups, name=leave_out))
@@ -589,8 +589,8 @@ def estimate_evidence(
     changed = _change_fit(_open_fit(target, medium, stored=False), **changes)
     job, jobs = _prepare(changed, seed, jobs)
     problem = _require_noise(job).problem(job.folds[0])
-    found = _integrate(job, problem, ("evidence",), jobs)
-    values = (found.log_evidence, found.log_evidence_se, found.k, found.effective_sample_size)
+    results = _integrate(job, problem, ("evidence",), jobs)
+    values = (results.log_evidence, results.log_evidence_se, results.k, results.effective_sample_size)
     return pd.Series(values, index=["log_evidence", "se", "k", "ess"])
 
 
@@ -676,12 +676,12 @@ def draw_posterior(
     chosen, _ = _read_recipe(recipe)
     rng, callbacks = random_stream(seed, "posterior"), Callbacks(jobs=count_cores() if jobs is None else jobs)
     fit = minimize(problem, chosen.model_copy(update={"minimize": "posterior"}), rng, callbacks)
-    found = sample_about_fit(problem, fit, rng, callbacks.jobs)
-    draws = resample_draws(found, count, rng)
-    if not found.certified:
-        chains = ensemble.sample(problem.holding(fit.held), found, chosen.sample, rng, callbacks)
+    posterior = sample_about_fit(problem, fit, rng, callbacks.jobs)
+    draws = resample_draws(posterior, count, rng)
+    if not posterior.certified:
+        chains = ensemble.sample(problem.holding(fit.held), posterior, chosen.sample, rng, callbacks)
         assert chains is not None  # nothing stops it
-        draws = thin_posterior(chains, problem.parameters, count, found.k)
+        draws = thin_posterior(chains, problem.parameters, count, posterior.k)
     return replace(draws, mode=np.array(fit.theta))
 
 
@@ -720,7 +720,7 @@ def write_prior(
         correlation = np.clip(covariance[0, 1] / (wide * sd), -0.99, 0.99)
         median = factor * math.exp(log_mu)
         priors["mu_pa"] = {"median": median, "factor": math.exp(wide), "correlation": correlation}
-    stated = {name: {key: float(f"{x:.6g}") for key, x in one.items()} for name, one in priors.items()}
+    stated = {name: {key: float(f"{x:.6g}") for key, x in prior.items()} for name, prior in priors.items()}
     tables = {"schema": MaterialRecord.SCHEMA, **stated}
     check(tables, MaterialRecord, str(file))
     Path(file).write_text(dumps(tables), encoding="utf-8")
@@ -755,18 +755,18 @@ def _begin_fit(target: Name | Dataset | Run, medium: Medium, stored: bool) -> _S
         raise ConfigError("a run has a medium already", fix="leave `medium` out, or give the dataset")
     table = {"schema": FitRecord.SCHEMA, "dataset": IN_MEMORY, "medium": IN_MEMORY}
     empty = _Study("", check(table, FitRecord, "needlefit.fit"))
-    found = _replace_inputs(empty, target, medium, stored=stored)
-    record, inputs = _require_fit(found.record), found.inputs
+    job = _replace_inputs(empty, target, medium, stored=stored)
+    record, inputs = _require_fit(job.record), job.inputs
     dataset = load_dataset(record.dataset) if inputs.dataset is None else inputs.dataset
     inputs = replace(inputs, dataset=dataset)
     if inputs.medium:
         return _Study(dataset.name, record, inputs)
-    own = Path(record.medium).stem
-    if own in dataset.media and len(dataset.media) > 1:
+    stem = Path(record.medium).stem
+    if stem in dataset.media and len(dataset.media) > 1:
         media = f"{len(dataset.media)} media of {dataset.name}"
-        note = f"Fitted to the insertions into {own}, one of the {media}."
-        record = record.model_copy(update={"tune": SelectionRecord(medium=own), "note": note})
-    return _Study(f"{dataset.name}-{own}", record, inputs)
+        note = f"Fitted to the insertions into {stem}, one of the {media}."
+        record = record.model_copy(update={"tune": SelectionRecord(medium=stem), "note": note})
+    return _Study(f"{dataset.name}-{stem}", record, inputs)
 
 
 def _load_study(study: Name | FileRecord | Table) -> _Study:
@@ -915,10 +915,10 @@ def _plain(record: FileRecord | None, changes: Table) -> dict[str, Any]:
 def _name_dataset(dataset: Dataset) -> str:
     """Return the name by which a dataset is found again: its bare one, or its path."""
     try:
-        found: Path | None = find_file("dataset", dataset.path.parent.name)
+        stored: Path | None = find_file("dataset", dataset.path.parent.name)
     except ConfigError:
-        found = None
-    return dataset.path.parent.name if found == dataset.path else str(dataset.path)
+        stored = None
+    return dataset.path.parent.name if stored == dataset.path else str(dataset.path)
 
 
 def _require_unchanged(dataset: Dataset) -> Dataset:
@@ -936,11 +936,11 @@ def _require_unchanged(dataset: Dataset) -> Dataset:
     return dataset
 
 
-def _is_same(one: Insertion, other: Insertion) -> bool:
+def _is_same(insertion: Insertion, other: Insertion) -> bool:
     plain = (np.ndarray, float, int, str)
-    values = ((getattr(one, field.name), getattr(other, field.name)) for field in fields(one))
+    values = ((getattr(insertion, field.name), getattr(other, field.name)) for field in fields(insertion))
     same = all(np.array_equal(a, b) for a, b in values if isinstance(a, plain))
-    return same and one.needle == other.needle
+    return same and insertion.needle == other.needle
 
 
 def _run(
@@ -1008,5 +1008,5 @@ def _show_progress(progress: bool | Progress) -> Iterator[Callable[[str, int, in
     if not progress:
         yield no_progress
         return
-    yield lambda what, done, of: print(f"\r\033[K{what}: {done} of {of}", end="", file=sys.stderr, flush=True)
+    yield lambda task, done, of: print(f"\r\033[K{task}: {done} of {of}", end="", file=sys.stderr, flush=True)
     print("\r\033[K", end="", file=sys.stderr)

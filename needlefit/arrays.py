@@ -25,6 +25,6 @@ def pad_axis(array: Floats, size: int, axis: int = -1) -> Floats:
         return array
     shape, filled = list(array.shape), [slice(None)] * array.ndim
     filled[axis], shape[axis] = slice(shape[axis]), size
-    found = np.zeros(shape)
-    found[tuple(filled)] = array
-    return found
+    padded = np.zeros(shape)
+    padded[tuple(filled)] = array
+    return padded

@@ -52,7 +52,9 @@ def load_plugins() -> tuple[Plugin, ...]:
     if _loaded is None:
         _loaded = ()  # a plugin that looks up names while it is imported sees none
         before = sys.path[:]
-        sys.path[:] = trusted = [one for one in before if one and not _is_untrusted(Path(one).resolve())]
+        sys.path[:] = trusted = [
+            folder for folder in before if folder and not _is_untrusted(Path(folder).resolve())
+        ]
         try:
             stated = {**dict.fromkeys(_stated_modules(), ""), **_find_entry_points(list(trusted))}
             _loaded = tuple(_load(name, version) for name, version in sorted(stated.items()))
@@ -60,7 +62,7 @@ def load_plugins() -> tuple[Plugin, ...]:
             _loaded = None
             raise
         finally:
-            sys.path[:] = before + [one for one in sys.path if one not in before]
+            sys.path[:] = before + [folder for folder in sys.path if folder not in before]
     return _loaded
 
 
@@ -70,7 +72,7 @@ def _stated_modules() -> list[str]:
 
 def _is_untrusted(folder: Path) -> bool:
     here = Path.cwd()
-    holds_data = any((one / "dataset.toml").is_file() for one in (folder, *folder.parents))
+    holds_data = any((parent / "dataset.toml").is_file() for parent in (folder, *folder.parents))
     return folder == here or folder.is_relative_to(here / "data") or holds_data
 
 
@@ -92,9 +94,9 @@ def _load(name: str, version: str) -> Plugin:
     except ConfigError:
         raise
     except Exception as error:  # a plugin is code of others
-        what = f"the plugin module `{name}` cannot be imported: {type(error).__name__}: {error}"
+        problem = f"the plugin module `{name}` cannot be imported: {type(error).__name__}: {error}"
         raise ConfigError(
-            what, expected="a module that can be imported", fix="repair or remove it"
+            problem, expected="a module that can be imported", fix="repair or remove it"
         ) from error
     if not version:
         content = Path(module.__file__).read_bytes() if module.__file__ else b""

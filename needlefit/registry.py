@@ -58,10 +58,12 @@ class Registry(Generic[T]):
     def _get_builtin(self, name: str) -> T:
         if name not in self._builtin:
             module = import_module(f"{self._package}.{name}")
-            if name not in (found := self._instances(module)):
-                what = f"holds no {self._type.__name__} called `{name}`"
-                raise ConfigError(what, where=str(module.__file__), expected="one with the name of the file")
-            self._builtin[name] = found[name]
+            if name not in (entries := self._instances(module)):
+                problem = f"holds no {self._type.__name__} called `{name}`"
+                raise ConfigError(
+                    problem, where=str(module.__file__), expected="one with the name of the file"
+                )
+            self._builtin[name] = entries[name]
         return self._builtin[name]
 
     def plugin_of(self, name: str) -> Plugin | None:
@@ -87,19 +89,19 @@ class Registry(Generic[T]):
     def unknown_name_error(self, name: str, key: str = "") -> ConfigError:
         """Return the error about a name that is not registered; `key` is the one it was read from."""
         similar = difflib.get_close_matches(name, self.names(), 1)
-        what = f"there is no {self._noun} called `{name}`"
+        problem = f"there is no {self._noun} called `{name}`"
         fix = f"write {similar[0]}" if similar else "use one of these, or name the plugin with --plugins"
-        return ConfigError(what, expected=f"one of {', '.join(self.names())}", fix=fix, key=key)
+        return ConfigError(problem, expected=f"one of {', '.join(self.names())}", fix=fix, key=key)
 
     @cached_property
     def _builtin_names(self) -> frozenset[str]:
         package = import_module(self._package)
         self._builtin |= self._instances(package)
-        modules = (one.name for one in pkgutil.iter_modules(package.__path__))
+        modules = (module.name for module in pkgutil.iter_modules(package.__path__))
         return frozenset([*self._builtin, *(name for name in modules if not name.startswith("_"))])
 
     def _instances(self, module: ModuleType) -> dict[str, T]:
-        return {one.name: one for one in list(vars(module).values()) if isinstance(one, self._type)}
+        return {value.name: value for value in list(vars(module).values()) if isinstance(value, self._type)}
 
     def _added(self) -> dict[str, tuple[T, Plugin]]:
         """Return the entries of plugins; ConfigError if a name exists already."""
@@ -111,17 +113,19 @@ class Registry(Generic[T]):
         return self._found
 
     def _add(self, name: str, entry: T, plugin: Plugin) -> None:
-        known, place = self._found.get(name, (entry, plugin))[0], f"{self._package}.{name}"
+        existing, place = self._found.get(name, (entry, plugin))[0], f"{self._package}.{name}"
         if name in self._found:
             place = self._found[name][1].name
         elif name in self._builtin_names:
-            known = self._get_builtin(name)
+            existing = self._get_builtin(name)
         else:
             self._found[name] = entry, plugin
-        if known is not entry:  # a plugin may import one that is known
+        if existing is not entry:  # a plugin may import one that is known
             self._plugins = ()
-            what = f"the {self._noun} `{name}` of the plugin {plugin.name} exists already, in {place}"
-            raise ConfigError(what, expected="every name once", fix="rename it, or leave one of the two out")
+            problem = f"the {self._noun} `{name}` of the plugin {plugin.name} exists already, in {place}"
+            raise ConfigError(
+                problem, expected="every name once", fix="rename it, or leave one of the two out"
+            )
 
 
 def plugin_versions(*used: tuple[Registry[Any], str]) -> dict[str, str]:

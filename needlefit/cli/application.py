@@ -48,8 +48,8 @@ def build() -> typer.Typer:
         *group, word = name.split()
         holder = groups[group[0]] if group else app
         holder.command(word, epilog=f"Example: needlefit {name} {example}".rstrip())(function)
-    for one in groups.values():
-        app.add_typer(one)
+    for subgroup in groups.values():
+        app.add_typer(subgroup)
     return app
 
 

@@ -39,61 +39,73 @@ def predict_before_data(
     else:
         model = load(find_named("medium", medium), MediumRecord)
     target = None if aim is None else read_numbers(aim, (2, 3), "--aim", "X,Y or X,Y,Z")
-    found = forecast_by_prior(make_scene(planned, name, model, changed), model, radius, target, seed)
+    forecast = forecast_by_prior(make_scene(planned, name, model, changed), model, radius, target, seed)
     if context.find_root().obj.json:
-        sources = [one._asdict() for one in published]
-        screen.show_json({"scene": name, "medium": medium, **_summarize(found, radius), "sources": sources})
+        sources = [source._asdict() for source in published]
+        screen.show_json(
+            {"scene": name, "medium": medium, **_summarize(forecast, radius), "sources": sources}
+        )
         return
-    _show(found, radius, "median tip" if target is None else "target")
-    for one in published:
-        screen.print_text(f"{one.medium}: {one.quantity} {one.low:g} to {one.high:g} kPa ({one.source}).")
+    _show(forecast, radius, "median tip" if target is None else "target")
+    for source in published:
+        screen.print_text(
+            f"{source.medium}: {source.quantity} {source.low:g} to {source.high:g} kPa ({source.source})."
+        )
     if published:
         screen.print_text("A fitted μ may differ: it belongs to the model, not to the material alone.")
 
 
-def _summarize(found: "PriorForecast", radius: float) -> dict[str, object]:
+def _summarize(forecast: "PriorForecast", radius: float) -> dict[str, object]:
     ends = ("median", "low", "high")
     return {
-        **{f"tip_{axis}_mm": dict(zip(ends, found.interval(n), strict=True)) for n, axis in enumerate("xyz")},
-        "target_mm": found.target.tolist(),
+        **{
+            f"tip_{axis}_mm": dict(zip(ends, forecast.interval(n), strict=True))
+            for n, axis in enumerate("xyz")
+        },
+        "target_mm": forecast.target.tolist(),
         "radius_mm": radius,
-        "hits": found.hits,
+        "hits": forecast.hits,
         "parameters": [
-            {"parameter": name, "low": found.priors[name][0], "high": found.priors[name][1], "share": share}
-            for name, share in found.shares.items()
+            {
+                "parameter": name,
+                "low": forecast.priors[name][0],
+                "high": forecast.priors[name][1],
+                "share": share,
+            }
+            for name, share in forecast.shares.items()
         ],
-        "draws": len(found.tips),
-        "failed": found.failed,
-        "outside_validity": found.outside,
+        "draws": len(forecast.tips),
+        "failed": forecast.failed,
+        "outside_validity": forecast.outside,
     }
 
 
-def _show(found: "PriorForecast", radius: float, aim: str) -> None:
+def _show(forecast: "PriorForecast", radius: float, aim: str) -> None:
     """Print the tip, the chance of a hit, and the parameters that matter."""
     import pandas as pd
 
     from needlefit.reporting.number_format import format_bare_symbol, format_quantity_range
 
     places = []
-    for axis, (median, low, high) in (("y", found.interval(1)), ("z", found.interval(2))):
+    for axis, (median, low, high) in (("y", forecast.interval(1)), ("z", forecast.interval(2))):
         if axis == "y" or high > low:
             places.append(f"{axis} = {median:.2f} mm (95 % interval {low:.2f} to {high:.2f} mm)")
-    first, most = next(iter(found.shares.items()))
+    first, most = next(iter(forecast.shares.items()))
     screen.print_text(
         f"Before any data the tip is predicted at {', '.join(places)}. It ends within {radius:g} mm of the "
-        f"{aim} in {100 * found.hits:.0f} % of {len(found.tips)} draws. {format_bare_symbol(first)} "
+        f"{aim} in {100 * forecast.hits:.0f} % of {len(forecast.tips)} draws. {format_bare_symbol(first)} "
         f"dominates: {100 * most:.0f} % of the variance of the tip."
     )
     rows = [
         {
             "parameter": format_bare_symbol(name),
-            "95 % of its prior": format_quantity_range(name, *found.priors[name]),
+            "95 % of its prior": format_quantity_range(name, *forecast.priors[name]),
             "part of the variance": f"{100 * share:.0f} %",
         }
-        for name, share in found.shares.items()
+        for name, share in forecast.shares.items()
         if share >= MIN_SHOWN_SHARE
     ]
     screen.show_frame(pd.DataFrame(rows), "")
-    if found.failed or found.outside:
-        outside = f"{found.outside} needles are outside what the model assumes"
-        screen.print_text(f"{found.failed} draws cannot be solved; {outside}.")
+    if forecast.failed or forecast.outside:
+        outside = f"{forecast.outside} needles are outside what the model assumes"
+        screen.print_text(f"{forecast.failed} draws cannot be solved; {outside}.")

@@ -49,8 +49,8 @@ def new_workbook(
     from needlefit.project.folders import replace_file
 
     if file.suffix.lower() != ".xlsx" or file.exists():
-        what = "exists already" if file.exists() else f"has the ending {file.suffix!r}"
-        raise ConfigError(what, expected="a new .xlsx", fix="choose another name", where=file)
+        problem = "exists already" if file.exists() else f"has the ending {file.suffix!r}"
+        raise ConfigError(problem, expected="a new .xlsx", fix="choose another name", where=file)
     with replace_file(file) as fresh:
         shutil.copyfile(WORKBOOK_FILE, fresh)
     screen.print_line(str(file))
@@ -206,18 +206,18 @@ def _check_study(invocation: Invocation, kind: Literal["study", "fit"], name: st
     from needlefit.project.locate import file_label
     from needlefit.studies.study_files import check_study_file
 
-    found = check_study_file(kind, path)
+    faults = check_study_file(kind, path)
     if invocation.json:
-        folds = [{"tune": tune, "validate": held_out} for tune, held_out in found.folds]
-        rows = to_rows(found.warnings)
+        folds = [{"tune": tune, "validate": held_out} for tune, held_out in faults.folds]
+        rows = to_rows(faults.warnings)
         screen.show_json(
-            {"study": str(path), "ok": True, "kind": found.kind, "folds": folds, WARNINGS_KEY: rows}
+            {"study": str(path), "ok": True, "kind": faults.kind, "folds": folds, WARNINGS_KEY: rows}
         )
     else:
-        sizes = [f"{tune} fitted, {held_out} held out" for tune, held_out in dict.fromkeys(found.folds)]
-        folds_text = f": {'; '.join(sizes)}; {len(found.folds)} folds" if sizes else ""
-        screen.print_text(f"{_judge(found.warnings)}: {file_label(path)}, {found.kind}{folds_text}.")
-    screen.print_warnings(invocation, found.warnings)
+        sizes = [f"{tune} fitted, {held_out} held out" for tune, held_out in dict.fromkeys(faults.folds)]
+        folds_text = f": {'; '.join(sizes)}; {len(faults.folds)} folds" if sizes else ""
+        screen.print_text(f"{_judge(faults.warnings)}: {file_label(path)}, {faults.kind}{folds_text}.")
+    screen.print_warnings(invocation, faults.warnings)
     if not invocation.json:
         command = "tune" if kind == "fit" else "validate"
         screen.print_note(f"next: {shlex.join(('needlefit', command, name))}")
@@ -237,8 +237,8 @@ def _describe_planes(planes: Sequence[tuple[str, float, float]]) -> str:
     if away:
         return f"Out of plane by more than errors explain: {join_names(away, MAX_NAMED_INSERTIONS)}."
     (_, _, worst), most = planes[0], max(mm for _, mm, _ in planes)
-    known = not math.isnan(worst)
-    return f"Out of plane: at most {most:.2f} mm" + (f" ({worst:.1f} SD), as expected." if known else ".")
+    is_known = not math.isnan(worst)
+    return f"Out of plane: at most {most:.2f} mm" + (f" ({worst:.1f} SD), as expected." if is_known else ".")
 
 
 def _check_dataset(invocation: Invocation, path: Path) -> None:
@@ -249,8 +249,8 @@ def _check_dataset(invocation: Invocation, path: Path) -> None:
     from needlefit.datasets.sections import describe_measurement
     from needlefit.datasets.select import find_hole_source, name_holes
 
-    found = inspect(path)
-    faults, dataset, planes, measured, holes = found.faults, found.dataset, [], "", dict[str, str]()
+    inspection = inspect(path)
+    faults, dataset, planes, measured, holes = inspection.faults, inspection.dataset, [], "", dict[str, str]()
     needles = {} if dataset is None else summarize_needles(dataset)
     if dataset is not None:
         planes, measured = measure_out_of_plane(dataset), describe_measurement(dataset)
@@ -261,30 +261,32 @@ def _check_dataset(invocation: Invocation, path: Path) -> None:
                 "dataset": str(path),
                 "ok": not faults,
                 "measurement": measured,
-                "needles": {name: one.model_dump() for name, one in needles.items()},
+                "needles": {name: needle.model_dump() for name, needle in needles.items()},
                 "holes": holes,
                 "out_of_plane": [{"id": name, "tip_mm": mm, "tip_sds": sds} for name, mm, sds in planes],
-                "faults": [{key: getattr(one, key) for key in FAULT_PARTS} for one in faults],
-                WARNINGS_KEY: to_rows(found.warnings),
+                "faults": [{key: getattr(fault, key) for key in FAULT_PARTS} for fault in faults],
+                WARNINGS_KEY: to_rows(inspection.warnings),
             }
         )
     else:
         count = len(faults) if dataset is None else len(dataset.insertions)
         counted = f"{count} {'fault' if dataset is None else 'insertion'}{'s' * (count != 1)} in {path}"
-        screen.print_text(f"{counted}:" if dataset is None else f"{_judge(found.warnings)}: {counted}.")
+        screen.print_text(f"{counted}:" if dataset is None else f"{_judge(inspection.warnings)}: {counted}.")
         for fault in merge_like(faults):
             screen.print_line(str(fault))
-    screen.print_warnings(invocation, found.warnings, in_full=True)
+    screen.print_warnings(invocation, inspection.warnings, in_full=True)
     if dataset is not None and not invocation.json:
         origin = ORIGIN_MARKS[dataset.origin] or "Measured data"
         screen.print_text(f"{origin}: {dataset.title}. Measurement: {measured}.")
         screen.print_text(describe_needles(needles))
         table = dataset.to_frame().assign(hole=list(holes.values()))
-        table["holes by"] = [find_hole_source(dataset, one) for one in table["medium"]]
+        table["holes by"] = [find_hole_source(dataset, medium) for medium in table["medium"]]
         groups = table.groupby(["medium", "layers", "holes by"], sort=False)
         shown = groups["insertion"].size().to_frame("insertions").assign(holes=groups["hole"].nunique())
         for column, label in (("depth_mm", "depth, mm"), ("deflection_mm", "tip deflection, mm")):
-            least, most = (one.map("{:.2f}".format) for one in (groups[column].min(), groups[column].max()))
+            least, most = (
+                limit.map("{:.2f}".format) for limit in (groups[column].min(), groups[column].max())
+            )
             shown[label] = least + " to " + most
         screen.show_frame(shown.reset_index(), "")
         if planes:

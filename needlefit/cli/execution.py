@@ -257,7 +257,7 @@ def show_run(invocation: Invocation, run: "Run", folder: Path, named: bool = Fal
         screen.print_text(f"{METHOD} {page.method}")
     if invocation.explain:
         shown = {table.name for table in page.tables}
-        further = [one for one in find_kind(run.kind).report.lay_out(run) if one.name not in shown]
+        further = [table for table in find_kind(run.kind).report.lay_out(run) if table.name not in shown]
         for table in drop_repeated([lay_out_checks(page.checks), *further]):
             screen.print_line()
             screen.show_display(table)
@@ -310,21 +310,21 @@ def show_json_of(runs: "Sequence[Run]", more: dict[str, object] | None = None) -
     """Print one result as JSON, with `more` keys, or several by name."""
     from needlefit.studies.report import run_to_json
 
-    every = {run.name: run_to_json(run) | (more or {}) for run in runs}
-    screen.show_json(next(iter(every.values())) if len(every) == 1 else every)
+    results = {run.name: run_to_json(run) | (more or {}) for run in runs}
+    screen.show_json(next(iter(results.values())) if len(results) == 1 else results)
 
 
 def show_warnings(invocation: Invocation, run: "Run") -> None:
     """Print the warnings of a run to stderr, with the paths of the files that they are about."""
     data, located = Path(run.timing.get("dataset", "")).parent, []
-    for one in run.warnings:
-        if one.kind == "data_changed":  # its file is none of those that the run used
-            if any(one.what in line for line in invocation.noted):
+    for warning in run.warnings:
+        if warning.kind == "data_changed":  # its file is none of those that the run used
+            if any(warning.what in line for line in invocation.noted):
                 invocation.warned = True
             else:
-                located.append(one)
+                located.append(warning)
             continue
-        file = one.where.partition(", key ")[0].rpartition(":")[0] or one.where.partition(", key ")[0]
+        file = warning.where.partition(", key ")[0].rpartition(":")[0] or warning.where.partition(", key ")[0]
         is_there = file and (data / file).is_file()
-        located.append(replace(one, where=str(data / one.where)) if is_there else one)
+        located.append(replace(warning, where=str(data / warning.where)) if is_there else warning)
     screen.print_warnings(invocation, located)

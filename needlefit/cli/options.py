@@ -139,13 +139,13 @@ Fix = Annotated[
 
 def split_values(assignments: Sequence[str]) -> dict[str, float]:
     """Return the values of words of --fix by the name of their parameter."""
-    found = {}
-    for name, text in (split_pair(one, "--fix") for one in assignments):
+    values = {}
+    for name, text in (split_pair(assignment, "--fix") for assignment in assignments):
         try:
-            found[name] = float(text)
+            values[name] = float(text)
         except ValueError:
             raise typer.BadParameter(f"`{name}={text}` is not NAME=NUMBER", param_hint="--fix") from None
-    return found
+    return values
 
 
 def name_parameters(free: Sequence[str], fix: Mapping[str, float]) -> str:
@@ -165,14 +165,16 @@ def scene_record(name: str, depth: float | None, assignments: list[str]) -> tupl
 def read_numbers(text: str, counts: tuple[int, int], option: str, expected: str) -> list[float]:
     """Return the numbers of an option, mm; BadParameter if there are not as many."""
     try:
-        found = [float(part) for part in text.split(",")]
+        numbers = [float(part) for part in text.split(",")]
     except ValueError:
-        found = []
-    if len(found) not in counts or not all(math.isfinite(one) and abs(one) <= 1e4 for one in found):
+        numbers = []
+    if len(numbers) not in counts or not all(
+        math.isfinite(number) and abs(number) <= 1e4 for number in numbers
+    ):
         raise typer.BadParameter(
             f"`{text}`; expected {expected} in mm, numbers up to 10000", param_hint=option
         )
-    return found
+    return numbers
 
 
 def note_others(command: str, name: str) -> None:

@@ -92,26 +92,26 @@ def plan(
     goal = _read_goal(shown, target, radius, obstacle or [], markups, obstacle_radius)
     limits = PlanLimits(entry_shift, base, base_angle, turns)
     insertion = shown.begin_insertion()
-    plane, found = plan_to_target(insertion, goal, limits, invocation.jobs)
-    unfitted = found.goal.directions > shown.fitted_directions
-    depth = found.steps[-1].depth
+    plane, planned = plan_to_target(insertion, goal, limits, invocation.jobs)
+    unfitted = planned.goal.directions > shown.fitted_directions
+    depth = planned.steps[-1].depth
     beyond = tuple(extrapolation_warnings(depth, shown.fitted_depths, z_unfitted=unfitted))
     shown = replace(shown, warnings=(*shown.warnings, *beyond))
-    recording = shown.record_plan(found) if found.hits else None
+    recording = shown.record_plan(planned) if planned.hits else None
     if recording is not None and write_recording is not None:
         write_recording_file(recording, write_recording)
     page = None
     if recording is not None and kernel_exists():
         page = write_page(
-            folder, shown.name, compose_page(shown.shift_entry(found.entry_mm), recording, found)
+            folder, shown.name, compose_page(shown.shift_entry(planned.entry_mm), recording, planned)
         )
-    summary = _summarize(shown, plane, found, len(insertion.samples[0])) | {"page": page and str(page)}
+    summary = _summarize(shown, plane, planned, len(insertion.samples[0])) | {"page": page and str(page)}
     if invocation.json:
         screen.show_json(summary)
     else:
         if verdict := shown.recall():
             screen.print_text(verdict)
-        screen.print_text(mark_faults(shown.faults) + _describe(shown, found, summary))
+        screen.print_text(mark_faults(shown.faults) + _describe(shown, planned, summary))
     screen.print_warnings(invocation, shown.warnings)
     if recording is None:
         raise typer.Exit(exit_codes.NOT_CONVERGED)
@@ -135,10 +135,10 @@ def _read_goal(
     from needlefit.planning.goals import Goal, name_obstacles, read_goal_points
     from needlefit.schemas.planning import ObstacleRecord
 
-    aim, known = None, list[ObstacleRecord]()
+    aim, stated = None, list[ObstacleRecord]()
     if markups is not None:
         aim, read = read_goal_points(markups, shown.find_placement(), obstacle_radius)
-        known += read
+        stated += read
     if target is not None:
         x, y, *rest = read_numbers(target, (2, 3), "--target", "X,Y or X,Y,Z")
         aim = (x, y, rest[0] if rest else 0.0)
@@ -146,41 +146,43 @@ def _read_goal(
         raise typer.BadParameter(
             "give a target, or a point labelled `target` in --markups", param_hint="--target"
         )
-    names = name_obstacles([*(one.name for one in known), *([""] * len(obstacles))])
-    for name, text in zip(names[len(known) :], obstacles, strict=True):
+    names = name_obstacles([*(obstacle.name for obstacle in stated), *([""] * len(obstacles))])
+    for name, text in zip(names[len(stated) :], obstacles, strict=True):
         x, y, *rest, size = read_numbers(text, (3, 4), "--obstacle", "X,Y,R or X,Y,Z,R")
         if size <= 0:
             raise typer.BadParameter(f"the radius is {size:g} mm; expected above 0", param_hint="--obstacle")
         centre = (x, y, rest[0] if rest else 0.0)
-        known.append(ObstacleRecord(name=name, centre_mm=centre, radius_mm=size))
-    return Goal(aim, radius, tuple(known))
+        stated.append(ObstacleRecord(name=name, centre_mm=centre, radius_mm=size))
+    return Goal(aim, radius, tuple(stated))
 
 
 def _summarize(
-    shown: "ViewedScene", plane: "PlaneGoal", found: "SteeringPlan", search_draws: int
+    shown: "ViewedScene", plane: "PlaneGoal", planned: "SteeringPlan", search_draws: int
 ) -> dict[str, Any]:
     from needlefit.project.result_warnings import to_rows
 
-    goal, exact = found.goal, shown.spread is None
+    goal, exact = planned.goal, shown.spread is None
     return {
         "target_mm": list(goal.target),
         "radius_mm": goal.radius,
-        "obstacles": [one.model_dump(include={"name", "centre_mm", "radius_mm"}) for one in goal.obstacles],
+        "obstacles": [
+            obstacle.model_dump(include={"name", "centre_mm", "radius_mm"}) for obstacle in goal.obstacles
+        ],
         "obstacles_beside_the_plane": list(plane.beside),
         "roll_deg": plane.roll_deg,
-        "entry_mm": found.entry_mm,
-        "turns_mm": list(found.turns),
-        "steps": found.describe_steps() if found.hits else [],
-        **found.describe_misses(),
+        "entry_mm": planned.entry_mm,
+        "turns_mm": list(planned.turns),
+        "steps": planned.describe_steps() if planned.hits else [],
+        **planned.describe_misses(),
         "fit_verdict": shown.recall() or None,
         "specimen": shown.specimen or None,
-        "draws": 0 if exact else len(found.needles),
+        "draws": 0 if exact else len(planned.needles),
         "search_draws": 0 if exact else search_draws,
-        "failed_solves": int((~found.solved).sum()),
-        "probability": None if exact else found.probability,
-        "low": None if exact else found.low,
-        "high": None if exact else found.high,
-        "reached": bool(found.hits),
+        "failed_solves": int((~planned.solved).sum()),
+        "probability": None if exact else planned.probability,
+        "low": None if exact else planned.low,
+        "high": None if exact else planned.high,
+        "reached": bool(planned.hits),
         "faults": list(map(str, shown.faults)),
         "warnings": to_rows(shown.warnings),
     }
@@ -216,41 +218,41 @@ def _show_steps(shown: "ViewedScene", summary: dict[str, Any]) -> None:
         screen.print_line(f"{name} lies beside the plane of the needle.")
 
 
-def _describe(shown: "ViewedScene", found: "SteeringPlan", summary: dict[str, Any]) -> str:
-    past = " and touches no obstacle" if found.goal.obstacles else ""
-    within = f"within {found.goal.radius:g} mm of the target"
-    if not found.hits:
-        return f"No plan was found that reaches the target{past}: {_describe_failure(found, summary)}."
-    bound = "".join(f" The {one} is at its limit." for one in found.at_limit)
+def _describe(shown: "ViewedScene", planned: "SteeringPlan", summary: dict[str, Any]) -> str:
+    past = " and touches no obstacle" if planned.goal.obstacles else ""
+    within = f"within {planned.goal.radius:g} mm of the target"
+    if not planned.hits:
+        return f"No plan was found that reaches the target{past}: {_describe_failure(planned, summary)}."
+    bound = "".join(f" The {control} is at its limit." for control in planned.at_limit)
     if shown.spread is None:
-        nominal = f"{found.nominal_miss:.2f} mm from it"
+        nominal = f"{planned.nominal_miss:.2f} mm from it"
         scene = shown.measured is None
         why = "for a probability, plan with a run" if scene else "the run has no certified draws"
-        known = f"The parameters of {shown.name} are taken as exact ({why}): the tip"
+        basis = f"The parameters of {shown.name} are taken as exact ({why}): the tip"
         reaches = "would reach" if shown.faults else "reaches"
-        return f"The plan {reaches} the target{past}. {known} ends {nominal}.{bound}"
+        return f"The plan {reaches} the target{past}. {basis} ends {nominal}.{bound}"
     quantiles = (summary["median_mm"], summary["miss_95_mm"])
     median, most = ("-" if value is None else f"{value:.2f}" for value in quantiles)
     spread = ""
     if (sds := summary.get("tip_sd_mm")) is not None:  # not of a plan in the plane
         spread = f" Tips spread by {sds[0]:.2f} mm along y and {sds[1]:.2f} mm along z (SD)."
     return (
-        f"The tip ends {within}{past} with probability {100 * found.probability:.0f} % (95 % CI "
-        f"{100 * found.low:.0f} to {100 * found.high:.0f} %), by {len(found.needles)} posterior draws for "
-        f"{_SPECIMENS[shown.specimen]}. "
+        f"The tip ends {within}{past} with probability {100 * planned.probability:.0f} % (95 % CI "
+        f"{100 * planned.low:.0f} to {100 * planned.high:.0f} %), by {len(planned.needles)} posterior draws "
+        f"for {_SPECIMENS[shown.specimen]}. "
         f"Median miss {median} mm, 95 % below {most} mm.{spread} "
         f"Model error is not included.{bound}"
     )
 
 
-def _describe_failure(found: "SteeringPlan", summary: dict[str, Any]) -> str:
+def _describe_failure(planned: "SteeringPlan", summary: dict[str, Any]) -> str:
     """Return how near the best plan comes, and what keeps it from the target."""
     near = summary["median_mm"]
     if near is None:
         return "on every way the needle leaves the limits within which the model is valid"
-    why = [f"the needle touches {name}" for name, share in found.touched.items() if share]
-    why += [f"the {one} is at its limit" for one in found.at_limit]
-    within = f", {found.goal.radius:g} mm are allowed" if near > found.goal.radius else ""
+    why = [f"the needle touches {name}" for name, share in planned.touched.items() if share]
+    why += [f"the {control} is at its limit" for control in planned.at_limit]
+    within = f", {planned.goal.radius:g} mm are allowed" if near > planned.goal.radius else ""
     kept = f" ({', '.join(why)})" if why else ""
     return f"the tip of the plan that comes nearest ends {near:.2f} mm from it{within}{kept}"
 

@@ -139,7 +139,7 @@ def reconstruct(
         if answer is None:
             raise typer.BadParameter("give the number of an answer: entry=1", param_hint="--confirm")
         number = int(answer[1]) if confirm else 0
-        wanted = correct_scans([replace(one, answered=number) for one in _scans(scans, files)], moved)
+        wanted = correct_scans([replace(scan, answered=number) for scan in _scans(scans, files)], moved)
         named_by = scan_id(scans[0]) if len(wanted) == 1 or scans[0].suffix == ".csv" else "scans"
         out = out or Path(f"{named_by}-dataset")
         place = out.resolve()
@@ -152,7 +152,7 @@ def reconstruct(
         # the first names the folder; what is no path is a name
         sources = [name_source(scans[0]) if scans[0].exists() else str(scans[0])]
         require_same_sources(out, sources)
-        require_no_inputs_within(out, [*scans, *moved, *(path for one in wanted for path in one.files)])
+        require_no_inputs_within(out, [*scans, *moved, *(path for scan in wanted for path in scan.files)])
         record = load(find_file("reconstruction", recipe), ReconstructionRecord)
         checkpoint = open_checkpoint(keep, invocation.resume, CHECKPOINT_WORK, print_remark)
         with show_progress(invocation.quiet) as report:
@@ -161,9 +161,9 @@ def reconstruct(
                 scanned = reconstruct_all(wanted, record, batch)
             if len(scanned) < len(wanted):
                 raise execution.interrupted()
-            found = [one for needles in scanned for one in needles]
-            failed = [one for one in found if isinstance(one, ReconstructionFailure)]
-            ones = [one for one in found if not isinstance(one, ReconstructionFailure)]
+            results = [result for needles in scanned for result in needles]
+            failed = [result for result in results if isinstance(result, ReconstructionFailure)]
+            ones = [result for result in results if not isinstance(result, ReconstructionFailure)]
             written = None
             if ones:
                 about = DatasetDescription(place.name, title)
@@ -174,7 +174,8 @@ def reconstruct(
                     )
                 except DataError as error:  # it belongs to no single scan
                     faulty = [
-                        ReconstructionFailure(one.scan, error, list_control_points(one)) for one in ones
+                        ReconstructionFailure(needle.scan, error, list_control_points(needle))
+                        for needle in ones
                     ]
                 failed = [*failed, *faulty]
             if failed and not written:
@@ -189,7 +190,7 @@ def reconstruct(
     print_warnings(invocation, warnings)
     _show(out, written, failed, warnings if invocation.json else None)
     if inspected and inspected.dataset and not invocation.json:
-        deepest = max(inspected.dataset.insertions, key=lambda one: one.depth)
+        deepest = max(inspected.dataset.insertions, key=lambda insertion: insertion.depth)
         show_next_steps(inspected.dataset, out, f"scenes/{deepest.id}.toml")
     if failed and written:
         screen.print_note(f"needlefit: finished scans are kept in {keep}; to go on: {invocation.resuming()}")
@@ -228,7 +229,8 @@ def _show(
     if as_json is not None:
         rows = run.frames["reconstruction"].to_dict(orient="records") if run else []
         errors = [
-            {"id": one.scan.id, "scan": str(one.scan.volume), "error": str(one.error)} for one in failed
+            {"id": failure.scan.id, "scan": str(failure.scan.volume), "error": str(failure.error)}
+            for failure in failed
         ]
         about: dict[str, Any] = {"dataset": str(out) if run else None, WARNINGS_KEY: to_rows(as_json)}
         screen.show_json({**about, "scans": rows, "failed": errors})
@@ -250,17 +252,19 @@ def _print_failures(
     """Print the error of each scan, and what to do about it."""
     from needlefit.imaging.scans import scan_id
 
-    for error in dict.fromkeys(one.error for one in failed):  # one of the whole dataset is one of every scan
-        ones = [one for one in failed if one.error is error]
-        ids, scan = join_names([one.scan.id for one in ones]), ones[0].scan
+    for error in dict.fromkeys(
+        failure.error for failure in failed
+    ):  # one of the whole dataset is one of every scan
+        ones = [failure for failure in failed if failure.error is error]
+        ids, scan = join_names([failure.scan.id for failure in ones]), ones[0].scan
         named = error.where == str(scan.volume) and scan_id(scan.volume) == scan.id == ids
         screen.print_note(f"needlefit: {error if named else f'{ids}: {error}'}")
         for warning in ones[0].warnings:
             screen.print_note(f"needlefit: {ids}: {warning}")
-    if any(one.points for one in failed):
+    if any(failure.points for failure in failed):
         seen = f"needlefit: what was found is drawn in {out}/quality/"
         screen.print_note(f"{seen}; move it in 3D Slicer: {out}/slicer/, then --corrections")
-    if any(one.asked and not one.scan.answered for one in failed):
+    if any(failure.asked and not failure.scan.answered for failure in failed):
         command = invocation.repeat("--confirm", "entry=1")
         screen.print_note(f"needlefit: if answer 1, drawn there, is right: {command}")
     if failed and not run:

@@ -76,23 +76,23 @@ def diff(
     folders = find_run(run_a), find_run(run_b)
     if csv is not None:
         require_output_files({"--csv": csv}, folders)
-    found = compare_runs(*folders)
+    differences = compare_runs(*folders)
     if csv is not None:
-        found.to_csv(csv, index=False)
+        differences.to_csv(csv, index=False)
     if context.find_root().obj.json:
-        screen.show_json(to_records(found))
+        screen.show_json(to_records(differences))
         return
-    identity = found["column"] == IDENTITY
-    changes, found = found.loc[identity, "row"], found[~identity]
-    tables = found[found["table"] != RUN_JSON]
-    keys = len(found) - len(tables)
+    identity = differences["column"] == IDENTITY
+    changes, differences = differences.loc[identity, "row"], differences[~identity]
+    tables = differences[differences["table"] != RUN_JSON]
+    keys = len(differences) - len(tables)
     for changed in changes:
         screen.print_text(f"The runs are of different fits; changed: {changed}.")
     screen.print_text(f"{tables['rows'].sum()} values of tables and {keys} keys of {RUN_JSON} differ.")
-    if len(found):
-        shown = found.head(MAX_SHOWN_DIFFERENCES)
+    if len(differences):
+        shown = differences.head(MAX_SHOWN_DIFFERENCES)
         screen.show_frame(shown, "\nThe greatest change of each column, from RUN_A to RUN_B")
-        if more := len(found) - len(shown):
+        if more := len(differences) - len(shown):
             screen.print_line(f"{more} more rows: --csv FILE writes all of them")
     if csv is not None:
         screen.print_note(f"written: {csv}")
@@ -114,21 +114,21 @@ def explain(
     from needlefit.studies.explanations import find_topics, list_topics
 
     name, groups = " ".join(key or ()), list_topics()
-    topics = [one for group in groups.values() for one in group]
-    found = find_topics(name) if name else topics
-    if not found:
-        near = difflib.get_close_matches(name, [one.key for one in topics], n=3)
+    topics = [topic for group in groups.values() for topic in group]
+    chosen = find_topics(name) if name else topics
+    if not chosen:
+        near = difflib.get_close_matches(name, [topic.key for topic in topics], n=3)
         raise typer.BadParameter(
             f"`{name}` is no warning, term, column or key"
             + (f"; did you mean {' or '.join(dict.fromkeys(near))}?" if near else "")
         )
     if context.find_root().obj.json:
-        screen.show_json([asdict(one) for one in found])
+        screen.show_json([asdict(topic) for topic in chosen])
     elif name:
-        for one in found:
-            screen.print_text("\n".join([one.title, *one.paragraphs]))
+        for topic in chosen:
+            screen.print_text("\n".join([topic.title, *topic.paragraphs]))
     else:
         for group, members in groups.items():
             screen.print_line(f"\n{group}")
-            for one in members:
-                screen.print_line(f"  {one.key:32}{one.title}")
+            for topic in members:
+                screen.print_line(f"  {topic.key:32}{topic.title}")

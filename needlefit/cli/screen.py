@@ -154,8 +154,8 @@ def _show(grid: _Grid) -> None:
     console, is_fixed = Console(width=find_width()), sys.stdout.isatty() or "COLUMNS" in os.environ
     unlimited = console.options.update(max_width=MAX_MEASURED_COLUMNS)  # else it is the console's width
 
-    def measure(one: _Grid, tight: bool = True) -> Measurement:
-        return Measurement.get(console, unlimited, _tabulate(one, tight))
+    def measure(grid: _Grid, tight: bool = True) -> Measurement:
+        return Measurement.get(console, unlimited, _tabulate(grid, tight))
 
     left: Sequence[tuple[str, bool]] = ()
     if not is_fixed:
@@ -226,11 +226,11 @@ def print_warnings(invocation: Invocation, warnings: Iterable[ResultWarning], in
     `in_full`: also each of `OPEN_POINTS`. With `--strict` the command then ends with exit code 5.
     """
     left: dict[str, None] = {}
-    for one in warnings:
+    for warning in warnings:
         invocation.warned = True
-        if one.kind in OPEN_POINTS and not in_full:
-            left[OPEN_POINTS[one.kind]] = None
+        if warning.kind in OPEN_POINTS and not in_full:
+            left[OPEN_POINTS[warning.kind]] = None
         else:
-            print_note(f"needlefit: warning: {one} ({one.help_command})")
+            print_note(f"needlefit: warning: {warning} ({warning.help_command})")
     if left:
         print_note(f"needlefit: warning: the dataset has {' and '.join(left)} (listed by needlefit check)")

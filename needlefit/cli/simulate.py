@@ -100,8 +100,8 @@ def simulate(
     summary = summarize_simulation(done.scene, done.shapes, done.placement) | done.more
     warnings = [*done.warnings]
     if faults := summary["validity"]["faults"]:
-        what = f"the solution is outside what the model assumes: {'; '.join(faults)}"
-        warnings.append(ResultWarning("validity", what, fix="check stiffness, bevel offset and depth"))
+        problem = f"the solution is outside what the model assumes: {'; '.join(faults)}"
+        warnings.append(ResultWarning("validity", problem, fix="check stiffness, bevel offset and depth"))
     summary |= {WARNINGS_KEY: to_rows(warnings)}
     if invocation.json:
         screen.show_json(summary)
@@ -240,12 +240,12 @@ def _show_summary(title: str, summary: dict[str, Any]) -> None:
 
     rows: list[Row] = []
     for number, step in enumerate(summary["steps"], start=1):
-        found, row = step["converged"], {"step": number, "inserted_mm": step["depth_mm"]}
-        state = ("ok" if step["valid"] else "outside the model's limits") if found else step["status"]
-        place = _format_place(step["tip_mm"]) if found else None
+        converged, row = step["converged"], {"step": number, "inserted_mm": step["depth_mm"]}
+        state = ("ok" if step["valid"] else "outside the model's limits") if converged else step["status"]
+        place = _format_place(step["tip_mm"]) if converged else None
         named = ("tip_lateral_mm", "roll_at_tip_deg", "tip_angle_deg")
-        tip = {key: step[key] if found else None for key in named}
-        tip |= {"tip_z": step["tip_z_mm"] if found else None, "tip_position": place}
+        tip = {key: step[key] if converged else None for key in named}
+        tip |= {"tip_z": step["tip_z_mm"] if converged else None, "tip_position": place}
         rows.append(row | tip | {"step_state": state})
     columns = ["step", "inserted_mm", "tip_lateral_mm", "tip_position", "tip_angle_deg", "step_state"]
     if any(step["tip_z_mm"] or step["roll_at_tip_deg"] not in (None, 0, 180) for step in summary["steps"]):

@@ -80,8 +80,8 @@ def tune(
             execution.prepare_result(about, fit.sources)
             given = replace(execution, inputs=replace(inputs, target=(name, record)))
             with add_file_context(file):
-                found = given.run_kind("identification", about, target=target)
-            show_runs(execution, [found])
+                identified = given.run_kind("identification", about, target=target)
+            show_runs(execution, [identified])
             return
         with add_file_context(file):
             execution.prepare_result(name, fit.sources, None if inputs.dataset else record)
@@ -251,7 +251,7 @@ def predict(
         judged = execution.folder(target_name.removesuffix("-tune"))
         if run is None and is_file(judged / RESULTS_FILE):
             run = restore_run(judged)
-        found = replace(execution, inputs=replace(inputs, judged=run)).run_kind(
+        predicted = replace(execution, inputs=replace(inputs, judged=run)).run_kind(
             "prediction",
             name,
             target=target,
@@ -260,5 +260,5 @@ def predict(
             posterior=str(tuned) if is_file(tuned / POSTERIOR_FILE) else None,
             specimen=specimen,
         )
-    show_runs(execution, [found], {"scene": scene, "written": str(execution.folder(name))})
-    require_no_faults(f"{target_name}: {fault}" for fault in found.faults)
+    show_runs(execution, [predicted], {"scene": scene, "written": str(execution.folder(name))})
+    require_no_faults(f"{target_name}: {fault}" for fault in predicted.faults)

@@ -93,9 +93,9 @@ def integrate_curvature(depth: float, coefficients: Sequence[ArrayLike], s: Arra
     integral = np.array([np.zeros(np.shape(parts[0]) if parts else ()), *parts])  # (P + 1, ...)
     inside = np.maximum(along, 0.0)
     # Gauss points of the interval from 0 to s, for every s.
-    at = 0.5 * inside[:, None] * (1 + _NODES)  # (K, Q)
+    stations = 0.5 * inside[:, None] * (1 + _NODES)  # (K, Q)
     turned = polyval(np.float64(depth), integral)  # (...)
-    heading = turned[..., None, None] - polyval(depth - at, integral)  # (..., K, Q)
+    heading = turned[..., None, None] - polyval(depth - stations, integral)  # (..., K, Q)
     half = 0.5 * inside
     x, y = half * (np.cos(heading) @ _WEIGHTS), half * (np.sin(heading) @ _WEIGHTS)
     return np.stack([x + np.minimum(along, 0.0), y], axis=-1)

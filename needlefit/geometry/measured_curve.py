@@ -45,8 +45,8 @@ class MeasuredCurve:
 
     def interpolate(self, s: ArrayLike) -> Floats:
         """Return the places (K, d) of the smooth curve at arc lengths (K,), mm; the ends beyond them."""
-        at = np.asarray(s, dtype=np.float64)
-        return np.column_stack([np.interp(at, self.s, axis) for axis in self.smoothed.T])
+        stations = np.asarray(s, dtype=np.float64)
+        return np.column_stack([np.interp(stations, self.s, axis) for axis in self.smoothed.T])
 
 
 def measure_curve(points: ArrayLike, sd: float = 0.0) -> MeasuredCurve:
@@ -62,10 +62,10 @@ def measure_curve(points: ArrayLike, sd: float = 0.0) -> MeasuredCurve:
     if not new.all():
         return _repeat_points(measure_curve(array[new], sd), new)
     chords = arc_length(array)
-    found = None
+    smooth = None
     if len(array) >= MIN_SMOOTHED_POINTS and np.isfinite(chords[-1]):
-        found = _smooth_points(array, chords, sd)
-    return found or MeasuredCurve(chords, array, np.zeros_like(array), 0.0, math.sqrt(2) * sd)
+        smooth = _smooth_points(array, chords, sd)
+    return smooth or MeasuredCurve(chords, array, np.zeros_like(array), 0.0, math.sqrt(2) * sd)
 
 
 def _smooth_points(points: Floats, chords: Floats, sd: float) -> MeasuredCurve | None:
@@ -150,19 +150,19 @@ def _settle_places(feet: Floats, noise_sd: float) -> tuple[Floats, Floats, float
 
     That is by weights (N,), and the standard deviation of a foot.
     """
-    ends, own = [0, len(feet) - 1], np.zeros((2, len(feet)))
-    own[[0, 1], ends] = 1.0
+    ends, moves = [0, len(feet) - 1], np.zeros((2, len(feet)))
+    moves[[0, 1], ends] = 1.0
     even = _equalize_steps(np.diff(feet), noise_sd)
     fit = None if even is None else fit_penalized_spline(even, feet[:, None], 1)
     if even is None or fit is None or fit.noise_sd > MAX_NOISE_RATIO * noise_sd:
-        return _make_increasing(feet), own[1] - own[0], noise_sd
+        return _make_increasing(feet), moves[1] - moves[0], noise_sd
     places = fit.curve(even)[:, 0]
     rows = np.asarray(scipy.interpolate.BSpline(fit.curve.t, fit.operator, fit.curve.k)(even[ends]))
     # Many tables end with the tip, at less than a whole step.
     share = np.sqrt(np.maximum(1 - rows[[0, 1], ends], np.finfo(np.float64).tiny))
     is_odd = np.abs(feet - places)[ends] / share > END_STEP_SD * noise_sd
     places[ends] = np.where(is_odd, feet[ends], places[ends])
-    rows = np.where(is_odd[:, None], own, rows)
+    rows = np.where(is_odd[:, None], moves, rows)
     return _make_increasing(places), rows[1] - rows[0], fit.noise_sd
 
 

@@ -93,19 +93,21 @@ def _maximize_likelihood(
     squares = np.sum(parts**2, axis=1)
     outside = max(total - float(squares.sum()), 0.0)
     outside += count * max(MIN_RELATIVE_NOISE**2 * total, np.finfo(np.float64).tiny)
-    known = count + (STATED_WEIGHT if stated else 0.0)
+    weight = count + (STATED_WEIGHT if stated else 0.0)
 
     def misfit(log_ratio: Floats) -> Floats:
         return outside + (squares / (1 + np.exp(log_ratio) * sizes**2)).sum(axis=-1)
 
     def objective(log_ratio: Floats) -> Floats:
         grown = noisy_axes * np.log1p(np.exp(log_ratio) * sizes**2).sum(axis=-1)
-        return grown + known * np.log(misfit(log_ratio) + stated)
+        return grown + weight * np.log(misfit(log_ratio) + stated)
 
     # relative to the largest direction, so that the range fits values of any count and unit
     grid = np.linspace(MIN_LOG_RATIO, MAX_LOG_RATIO, LOG_RATIOS)[:, None] - 2 * np.log(sizes[0])
     best, step = float(grid[np.argmin(objective(grid)), 0]), float(grid[1, 0] - grid[0, 0])
-    found = scipy.optimize.minimize_scalar(
-        lambda one: float(objective(np.array(one))), bounds=(best - step, best + step), method="bounded"
+    optimum = scipy.optimize.minimize_scalar(
+        lambda logarithm: float(objective(np.array(logarithm))),
+        bounds=(best - step, best + step),
+        method="bounded",
     )
-    return float(np.exp(found.x)), float(misfit(np.array(found.x)))
+    return float(np.exp(optimum.x)), float(misfit(np.array(optimum.x)))

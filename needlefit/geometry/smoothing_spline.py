@@ -116,6 +116,6 @@ def compute_tip(sections: SplineSections) -> tuple[Floats, float]:
     """
     fit = fit_matrices(sections.q, sections.weights, sections.knots)
     (design,) = design_matrix(sections.q[-1:], sections.knots)[:, fit.reached]
-    own = sections.sigma * np.sqrt(design @ fit.spread @ design)
+    sds = sections.sigma * np.sqrt(design @ fit.spread @ design)
     shared = np.hypot(sections.shared_sd, np.linalg.norm(sections.shared_along))
-    return design @ (fit.operator @ sections.points), float(np.hypot(own, shared))
+    return design @ (fit.operator @ sections.points), float(np.hypot(sds, shared))

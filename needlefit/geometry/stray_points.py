@@ -23,9 +23,9 @@ def find_stray_points(curve: Floats) -> NDArray[np.int64]:
     scale = float(np.median(distances))
     is_far = distances > max(MIN_DISTANCE_RATIO * scale, MIN_DISTANCE_MM)
     is_far[1:-1] |= _find_detours(curve, MIN_DETOUR * scale)
-    found = np.flatnonzero(is_far)
-    is_few = len(found) <= max(1.0, MAX_STRAY_FRACTION * len(curve))
-    return found if is_few and len(curve) - len(found) >= MIN_REGULAR_POINTS else found[:0]
+    stray = np.flatnonzero(is_far)
+    is_few = len(stray) <= max(1.0, MAX_STRAY_FRACTION * len(curve))
+    return stray if is_few and len(curve) - len(stray) >= MIN_REGULAR_POINTS else stray[:0]
 
 
 def _find_detours(curve: Floats, least: float) -> NDArray[np.bool_]:

@@ -127,8 +127,8 @@ def _check_stl(data: bytes, path: Path) -> None:
     raise _mesh_error(path, f"has {len(data)} bytes; with the {count} triangles it claims it has {expected}")
 
 
-def _mesh_error(path: Path, what: str, fix: str = _MESH_FIX) -> DataError:
-    return DataError(what, where=path, expected="an STL, PLY or OBJ file of triangles, in mm", fix=fix)
+def _mesh_error(path: Path, problem: str, fix: str = _MESH_FIX) -> DataError:
+    return DataError(problem, where=path, expected="an STL, PLY or OBJ file of triangles, in mm", fix=fix)
 
 
 def write_surface(surface: Surface, path: Path) -> None:
@@ -189,7 +189,7 @@ def find_nearest(
     triangles = np.vstack([surface.mesh.triangles for surface in surfaces])
     normals = np.vstack([surface.mesh.face_normals for surface in surfaces])
     low, high = triangles.min(axis=1), triangles.max(axis=1)
-    distances, found = [], []
+    distances, facing = [], []
     for point in np.atleast_2d(np.asarray(points, dtype=np.float64)):
         outside = np.linalg.norm(np.maximum(np.maximum(low - point, point - high), 0.0), axis=1)
         reach = np.linalg.norm(np.maximum(high - point, point - low), axis=1).min()
@@ -197,8 +197,8 @@ def find_nearest(
         closest = closest_point(triangles[near], np.tile(point, (len(near), 1)))
         away = np.linalg.norm(closest - point, axis=1)
         distances.append(away.min())
-        found.append(normals[near[np.argmin(away)]])
-    return np.array(distances), np.array(found).reshape(-1, 3)
+        facing.append(normals[near[np.argmin(away)]])
+    return np.array(distances), np.array(facing).reshape(-1, 3)
 
 
 def make_sheet(name: str, center: ArrayLike, normal: ArrayLike, size: float, into: int) -> Surface:

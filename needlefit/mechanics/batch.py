@@ -91,13 +91,13 @@ class Batch:
             value = getattr(self, name)
             if value is None:
                 continue
-            one = getattr(self.tissue, name).shape if name in ("mu", "shape") else ()
+            of_layers = getattr(self.tissue, name).shape if name in ("mu", "shape") else ()
             try:
                 array = np.ascontiguousarray(value, dtype=np.float64)
             except (TypeError, ValueError):
                 raise ModelError(f"batch {name} is {value!r:.60}", expected="numbers") from None
-            if array.ndim != 1 + len(one) or array.shape[1:] != one:
-                expected = ", ".join(map(str, ("B", *one)))
+            if array.ndim != 1 + len(of_layers) or array.shape[1:] != of_layers:
+                expected = ", ".join(map(str, ("B", *of_layers)))
                 raise ModelError(f"batch {name} has shape {array.shape}", expected=f"({expected})")
             sizes[name] = len(array)
             object.__setattr__(self, name, array)
@@ -164,7 +164,7 @@ class Batch:
         return needle, tuple(steps)
 
 
-VARYING_FIELDS = tuple(one.name for one in fields(Batch) if one.init)[4:]  #: what a set may give
+VARYING_FIELDS = tuple(field.name for field in fields(Batch) if field.init)[4:]  #: what a set may give
 
 
 @dataclass(frozen=True)
@@ -179,13 +179,13 @@ class NeedleShapes(Solution):
         return len(self.u)
 
     def __getitem__(self, i: int) -> NeedleShape:
-        nodes: dict[str, Any] = {one.name: getattr(self, one.name)[i] for one in fields(Solution)}
+        nodes: dict[str, Any] = {field.name: getattr(self, field.name)[i] for field in fields(Solution)}
         status, iterations = STATUS_NAMES[self.status[i]], int(self.iterations[i])
         return NeedleShape(**nodes, status=status, iterations=iterations, scales=self.scales[i])
 
     def take(self, sets: slice) -> "NeedleShapes":
         """Return some of the sets; their arrays are views."""
-        return NeedleShapes(*(getattr(self, one.name)[sets] for one in fields(self)))
+        return NeedleShapes(*(getattr(self, field.name)[sets] for field in fields(self)))
 
     @property
     def converged(self) -> Bools:
@@ -283,9 +283,9 @@ def linearize(
     """
     require_depth(depth)
     steps = (Step(float(depth), bevel, controls),)
-    found = linearize_steps(needle, tissue, steps, rules, None, wrt)
+    derivatives = linearize_steps(needle, tissue, steps, rules, None, wrt)
     warn_of_units(needle, tissue, steps, rules)
-    return found
+    return derivatives
 
 
 def linearize_steps(
@@ -302,11 +302,11 @@ def linearize_steps(
     steps = turn_tip(needle, tissue, steps)
     columns = find_columns(tuple(wrt), tissue, steps, rules)
     insertion = PreparedInsertion(needle, tissue, steps, rules, lattice, columns)
-    one = Evaluation(insertion, {}, np.ones(1, dtype=bool))
-    run_evaluations([one], 1)
+    evaluation = Evaluation(insertion, {}, np.ones(1, dtype=bool))
+    run_evaluations([evaluation], 1)
     scales = compute_scales(tissue, insertion.depth, insertion.lattice.spacing)
-    shape = read_shape(one.shapes, scales)
-    return shape, read_jacobians(one, np.array([shape.converged]))[0]
+    shape = read_shape(evaluation.shapes, scales)
+    return shape, read_jacobians(evaluation, np.array([shape.converged]))[0]
 
 
 def read_jacobians(evaluation: Evaluation, converged: Bools) -> Jacobians:
@@ -369,25 +369,25 @@ def _make_columns(
     path_angle: bool,
     planes: int,
 ) -> Columns:
-    every = (*DERIVATIVE_KINDS, *INPUTS_ALONG_Z)
-    wrong = [kind for kind in wrt if kind not in every]
+    all_kinds = (*DERIVATIVE_KINDS, *INPUTS_ALONG_Z)
+    wrong = [kind for kind in wrt if kind not in all_kinds]
     if wrong:
         raise ModelError(
-            f"there is no derivative with respect to `{wrong[0]}`", expected=f"of {', '.join(every)}"
+            f"there is no derivative with respect to `{wrong[0]}`", expected=f"of {', '.join(all_kinds)}"
         )
     names: list[str] = []
     first: dict[str, int] = {}
-    for kind in every:
+    for kind in all_kinds:
         first[kind] = len(names) if kind in wrt else -1
         if kind in wrt:
             names += _list_names(kind, law, layers, len(guide_depths), planes)
-    at, size = first["guides"], 1 + 2 * planes
+    start, size = first["guides"], 1 + 2 * planes
     guides = {
-        x: (-1,) * size if at < 0 else range(at + size * i, at + size * (i + 1))
+        x: (-1,) * size if start < 0 else range(start + size * i, start + size * (i + 1))
         for i, x in enumerate(guide_depths)
     }
     # The bevel's strength has one column in the kernel; that of the rule which is not used stays 0.
-    kinds = [kind for kind in every if kind not in ("guides", "offset" if path_angle else "cut_angle")]
+    kinds = [kind for kind in all_kinds if kind not in ("guides", "offset" if path_angle else "cut_angle")]
     return Columns(tuple(names), np.array([first[kind] for kind in kinds]), guides, planes)
 
 
@@ -400,7 +400,7 @@ def _list_names(kind: str, law: str, layers: int, guides: int, planes: int) -> l
         return [f"boundary{i + 1}" for i in range(layers - 1)]
     if kind == "guides":
         parts = ("x", "y", "slope", "z", "slope_z")[: 1 + 2 * planes]
-        return [f"guide{i + 1}_{what}" for i in range(guides) for what in parts]
+        return [f"guide{i + 1}_{part}" for i in range(guides) for part in parts]
     return [kind]
 
 
@@ -454,7 +454,7 @@ def linearize_batches(
         Solved to `MAX_TOLERANCE_MM` at least; what a set gives is what `linearize_steps` gives.
     """
     pairs = _run(batches, tuple(wrt), threads, tracked, past)
-    return tuple((shapes, read_jacobians(one, shapes.converged)) for one, shapes in pairs)
+    return tuple((shapes, read_jacobians(evaluation, shapes.converged)) for evaluation, shapes in pairs)
 
 
 Found = TypeVar("Found")  #: the shapes of a batch, or these and their derivatives
@@ -475,9 +475,9 @@ def read_batches(
     """
     read_parts: list[tuple[np.ndarray, ...]] = []  # of the batch that comes next
     for parts in _divide(batches):
-        found = run([batches[number].take(sets) for number, sets in parts])
-        for (number, sets), one in zip(parts, found, strict=True):
-            read_parts.append(read(number, one, sets))
+        outcomes = run([batches[number].take(sets) for number, sets in parts])
+        for (number, sets), outcome in zip(parts, outcomes, strict=True):
+            read_parts.append(read(number, outcome, sets))
             if sets.stop == len(batches[number]):
                 yield _join(read_parts)
                 read_parts = []
@@ -517,7 +517,10 @@ def _run(
         require_type("a batch", batch, Batch)
     evaluations = [_evaluate(batch, wrt, tracked, past) for batch in batches]
     run_evaluations(evaluations, threads or count_cores())
-    return [(one, _read_shapes(batch, one)) for batch, one in zip(batches, evaluations, strict=True)]
+    return [
+        (evaluation, _read_shapes(batch, evaluation))
+        for batch, evaluation in zip(batches, evaluations, strict=True)
+    ]
 
 
 def _evaluate(batch: Batch, wrt: tuple[str, ...] | None, tracked: bool, past: int = 0) -> Evaluation:
@@ -538,7 +541,7 @@ def _evaluate(batch: Batch, wrt: tuple[str, ...] | None, tracked: bool, past: in
     insertion = batch.prepared[wrt, past]
     if not valid.any():  # numbers that a needle may have, in place of what is none
         step = batch.steps[0]
-        own = {name: getattr(step.controls, name) for name in BASE_VALUES} | {
+        usable = {name: getattr(step.controls, name) for name in BASE_VALUES} | {
             "rigidity": batch.needle.flexural_rigidity,
             "offset": step.bevel.offset,
             "cut_angle": step.bevel.cut_angle,
@@ -548,7 +551,7 @@ def _evaluate(batch: Batch, wrt: tuple[str, ...] | None, tracked: bool, past: in
             "mu": batch.tissue.mu,
             "shape": batch.tissue.shape,
         }
-        values = {name: np.full(array.shape, own[name]) for name, array in values.items()}
+        values = {name: np.full(array.shape, usable[name]) for name, array in values.items()}
     return Evaluation(insertion, values, valid, tracked)
 
 
@@ -560,7 +563,7 @@ def _find_valid(batch: Batch, values: Mapping[str, Floats], base: float) -> Bool
         if name in ("mu", "rigidity"):
             accepted &= value > 0
         if name == "shape":
-            bounds = [one.bounds for one in LAWS[batch.tissue.law].parameters]
+            bounds = [parameter.bounds for parameter in LAWS[batch.tissue.law].parameters]
             low, high = np.array(bounds).reshape(-1, 2).T[:, :, None]  # (p, 1) each
             accepted &= (value >= low) & (value <= high)
         if name == "guide_x":  # before the tissue, and where the base does not come to it

@@ -41,8 +41,8 @@ def compute_stress(mu: float, alpha: float | Floats, stretch: Floats, measure: S
     if measure not in get_args(StressMeasure):
         raise ModelError(f"measure is {measure!r:.20}", expected="nominal or true")
     if not 0 < np.min(stretch) <= np.max(stretch) <= MAX_STRETCH:
-        what = f"stretches are {np.min(stretch):g} to {np.max(stretch):g}"
-        raise ModelError(what, expected=f"above 0, at most {MAX_STRETCH:g}; 80 % are 0.8")
+        problem = f"stretches are {np.min(stretch):g} to {np.max(stretch):g}"
+        raise ModelError(problem, expected=f"above 0, at most {MAX_STRETCH:g}; 80 % are 0.8")
     h = np.log(stretch)
     true_stress = 3 * mu * h * np.exp(alpha * h / 4) * _sinhc(0.75 * alpha * h)
     return true_stress / stretch if measure == "nominal" else true_stress

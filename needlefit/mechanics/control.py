@@ -148,10 +148,10 @@ class Controls:
         if len(self.guides) > MAX_GUIDES:
             raise ModelError(f"{len(self.guides)} guides", expected=f"at most {MAX_GUIDES}")
         ordered = tuple(sorted(self.guides, key=lambda guide: guide.x))
-        for one, other in pairwise(ordered):
-            if one.x == other.x:
+        for first, other in pairwise(ordered):
+            if first.x == other.x:
                 raise ModelError(
-                    f"two guides stand at the same x = {one.x:g} mm",
+                    f"two guides stand at the same x = {first.x:g} mm",
                     expected="guides at different x",
                     fix="move one of them, or leave it out",
                 )
@@ -181,7 +181,7 @@ class Controls:
         """Whether one of them moves or turns the needle along z."""
         held: tuple[Guide | TrackedTip, ...] = (*self.guides, self.tip) if self.tip else self.guides
         moved = self.base_z or self.base_slope_z or self.stage_slope_z
-        return bool(moved) or any(one.z or (one.slope is not None and one.slope_z) for one in held)
+        return bool(moved) or any(hold.z or (hold.slope is not None and hold.slope_z) for hold in held)
 
 
 @dataclass(frozen=True)

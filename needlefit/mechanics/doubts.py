@@ -33,8 +33,8 @@ def warn_of_units(
     that the depth is not known.
     """
     if not tissue.is_checked:
-        found = _doubt_insertion(needle, tissue, steps, rules, is_open)
-        issue_warnings(warn(found, str), stacklevel=4)
+        doubts = _doubt_insertion(needle, tissue, steps, rules, is_open)
+        issue_warnings(warn(doubts, str), stacklevel=4)
 
 
 def _doubt_insertion(

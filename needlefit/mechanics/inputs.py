@@ -39,7 +39,11 @@ class Input:
 
     def to_message(self) -> dict[str, Any]:
         """Return what differs from the defaults, for JSON."""
-        return {one.name: value for one in fields(self) if (value := getattr(self, one.name)) != one.default}
+        return {
+            field.name: value
+            for field in fields(self)
+            if (value := getattr(self, field.name)) != field.default
+        }
 
 
 _SLOPE: dict[str, Any] = {
@@ -97,7 +101,7 @@ def describe_input_rules(law: str) -> dict[str, Any]:
     """Return what the inputs of a needle may be in tissue of a law, and the limits of validity, for JSON."""
     shape_inputs = {name: find_input(name) for name in LAWS[law].shape_names}
     return {
-        "inputs": {name: one.to_message() for name, one in (INPUTS | shape_inputs).items()},
+        "inputs": {name: rule.to_message() for name, rule in (INPUTS | shape_inputs).items()},
         "max": MAX_NUMBER,
         "max_mm": MAX_NEEDLE_LENGTH_MM,
         "max_guide": MAX_GUIDE_NUMBER,

@@ -30,10 +30,10 @@ def read_moduli() -> dict[str, PublishedModulus]:
     """Return the published moduli by the names of their media."""
     with FILE.open(encoding="utf-8", newline="") as lines:
         rows = csv.DictReader(lines)
-        found = [
+        moduli = [
             PublishedModulus(
                 row["medium"], float(row["low_kPa"]), float(row["high_kPa"]), row["quantity"], row["source"]
             )
             for row in rows
         ]
-    return {one.medium: one for one in found}
+    return {modulus.medium: modulus for modulus in moduli}

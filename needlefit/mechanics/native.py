@@ -149,9 +149,9 @@ class KernelProblem(ctypes.Structure):
             or (problem.columns and len(arrays["guide_columns"]) != guides)
         ):
             raise TypeError("stops, guides or their columns are not as many as the problem states")
-        found = (c_int64 * 3)()
-        check_fault(load_library().nf_check(byref(problem), found))
-        problem.room, problem.max_points, problem.max_quadrature = found
+        limits = (c_int64 * 3)()
+        check_fault(load_library().nf_check(byref(problem), limits))
+        problem.room, problem.max_points, problem.max_quadrature = limits
         return problem
 
     def with_sets(self, sets: int, arrays: Mapping[str, np.ndarray]) -> "KernelProblem":
@@ -188,8 +188,8 @@ def check_array(name: str, array: np.ndarray, dtype: Any, shape: tuple[int, ...]
     fits = isinstance(array, np.ndarray) and array.dtype == dtype and array.flags.c_contiguous
     fits = fits and len(array.shape) == len(shape)
     if not (fits and all(n in (-1, m) for n, m in zip(shape, array.shape, strict=True))):
-        found = (array.dtype, array.shape) if isinstance(array, np.ndarray) else type(array)
-        raise TypeError(f"{name} is {found}; the kernel reads a contiguous {np.dtype(dtype)} array {shape}")
+        actual = (array.dtype, array.shape) if isinstance(array, np.ndarray) else type(array)
+        raise TypeError(f"{name} is {actual}; the kernel reads a contiguous {np.dtype(dtype)} array {shape}")
 
 
 def take_arrays(**given: tuple[Floats, tuple[int, ...]]) -> list[Floats]:
@@ -302,7 +302,9 @@ def _load_own() -> ctypes.CDLL:
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise NeedlefitError(f"the library of the kernel is missing ({error})", fix=_FIX) from error
     damaged = [
-        name for name, one in contents.items() if hashlib.sha256(one).hexdigest() != index["files"][name]
+        name
+        for name, content in contents.items()
+        if hashlib.sha256(content).hexdigest() != index["files"][name]
     ]
     if damaged:
         raise NeedlefitError(f"{FOLDER / damaged[0]} is damaged", fix=_FIX)
@@ -456,8 +458,8 @@ class SessionMemory:
         """Return what the last step left: nodes, `points` constraint points; status and passes."""
         nodes, planes = self._nodes[:, : self._count[0]].copy(), self._shapes.planes
         cut, track = (part[:points].copy() for part in self._cut)
-        found = to_space(nodes[0], nodes[1 : 1 + planes], nodes[1 + planes :], cut, track)
-        return found, self._status[0], self._passes[0]
+        shape = to_space(nodes[0], nodes[1 : 1 + planes], nodes[1 + planes :], cut, track)
+        return shape, self._status[0], self._passes[0]
 
     def accept(self) -> None:
         """Let the needle stand where the last `advance` has brought it."""
@@ -466,12 +468,14 @@ class SessionMemory:
 
     def list_rays(self) -> tuple[list[CutRay], bool]:
         """Return the rays from the entry to the tip, and whether inputs have changed since it came here."""
-        found, position = np.empty((self._fits.rays, 3), np.int64), np.empty(8, np.int64)
+        ray_rows, position = np.empty((self._fits.rays, 3), np.int64), np.empty(8, np.int64)
         count = self._library.nf_session_rays(
-            self._problem, self._at[0], self._at[1], self._at[3], _at(found), _at(position)
+            self._problem, self._at[0], self._at[1], self._at[3], _at(ray_rows), _at(position)
         )
-        starts = found[:count, 0].view(np.float64)
-        rays = [CutRay(float(x), int(b), int(c)) for x, (_, b, c) in zip(starts, found[:count], strict=True)]
+        starts = ray_rows[:count, 0].view(np.float64)
+        rays = [
+            CutRay(float(x), int(b), int(c)) for x, (_, b, c) in zip(starts, ray_rows[:count], strict=True)
+        ]
         return rays, bool(position[7])
 
     def copy(self) -> "SessionMemory":
@@ -543,11 +547,11 @@ def _bend(shape: BentShape, planes: int) -> tuple[_BentNeedle, list[Floats]]:
 def compute_load(problem: KernelProblem, shape: BentShape, s: Floats) -> Floats:
     """Return the tissue's load (2, K), N/mm, along y and z on a needle at `s` (K,)."""
     needle, kept = _bend(shape, problem.planes)
-    found, memory = np.empty((problem.planes, len(s))), make_memory(measure_memory(problem, 1))
+    load, memory = np.empty((problem.planes, len(s))), make_memory(measure_memory(problem, 1))
     check_array("s", s, float, (-1,))
-    load_library().nf_load(byref(problem), byref(needle), c_int64(len(s)), _at(s), _at(memory), _at(found))
+    load_library().nf_load(byref(problem), byref(needle), c_int64(len(s)), _at(s), _at(memory), _at(load))
     del kept
-    return pad_axis(found, 2, axis=0)
+    return pad_axis(load, 2, axis=0)
 
 
 def balance_nodes(problem: KernelProblem, shape: BentShape, front: int, load: Floats) -> Floats:
@@ -555,14 +559,14 @@ def balance_nodes(problem: KernelProblem, shape: BentShape, front: int, load: Fl
     needle, kept = _bend(shape, problem.planes)
     load = np.ascontiguousarray(load[: problem.planes])
     memory = make_memory(measure_memory(problem, 1))
-    found = np.empty((problem.planes, len(kept[0]), 2))
+    balanced = np.empty((problem.planes, len(kept[0]), 2))
     check_array("load", load, float, (problem.planes, -1))
     fault = load_library().nf_balance(
         byref(problem), byref(needle), c_int64(front), c_int64(load.shape[1]),
-        *map(_at, (load, memory, found)),
+        *map(_at, (load, memory, balanced)),
     )  # fmt: skip
     check_fault(fault)
-    return pad_axis(found, 2, axis=0)
+    return pad_axis(balanced, 2, axis=0)
 
 
 def compute_positions(x: Floats, u: Floats, slope: Floats, s: Floats) -> Floats:
@@ -573,20 +577,22 @@ def compute_positions(x: Floats, u: Floats, slope: Floats, s: Floats) -> Floats:
     planes, count, nodes = size = len(u), len(x), max(x.shape[-1], 2)
     parts = take_arrays(x=(x, size[1:]), u=(u, size), slope=(slope, size), s=(s, (-1,)))
     memory = make_memory(8 * (1 + 5 * planes) * (nodes + 2) * count_lanes())
-    found = np.empty((count, len(s), 1 + planes))
+    positions = np.empty((count, len(s), 1 + planes))
     load_library().nf_positions(
-        *map(c_int64, (planes, count, nodes, len(s))), *map(_at, (*parts, memory, found))
+        *map(c_int64, (planes, count, nodes, len(s))), *map(_at, (*parts, memory, positions))
     )
-    return pad_axis(found, 3)
+    return pad_axis(positions, 3)
 
 
 def compute_deflections(x: Floats, u: Floats, slope: Floats, s: Floats) -> Floats:
     """Return the deflections u (K,) of the beam, mm, at beam coordinates: not the y of its points."""
     size = (max(len(x), 2),)
     parts = take_arrays(x=(x, size), u=(u, size), slope=(slope, size), s=(s, (-1,)))
-    found = np.empty(len(parts[3]))
-    load_library().nf_deflections(c_int64(len(parts[0])), c_int64(len(found)), *map(_at, (*parts, found)))
-    return found
+    deflections = np.empty(len(parts[3]))
+    load_library().nf_deflections(
+        c_int64(len(parts[0])), c_int64(len(deflections)), *map(_at, (*parts, deflections))
+    )
+    return deflections
 
 
 def compute_position_derivatives(
@@ -603,29 +609,29 @@ def compute_position_derivatives(
         x=(x, size[1:]), u=(u, size), slope=(slope, size), s=(s, (-1,)), x_by=(x_by, (nodes, columns)),
         u_by=(u_by, (*size, columns)), slope_by=(slope_by, (*size, columns)),
     )  # fmt: skip
-    found = np.empty((count, len(s), 1 + planes, columns))
+    derivatives = np.empty((count, len(s), 1 + planes, columns))
     by = (1 + 3 * planes) * nodes + 1 + planes
     memory = make_memory(8 * count_lanes() * ((1 + 5 * planes) * nodes + by * columns))
     load_library().nf_position_derivatives(
-        *map(c_int64, (planes, count, nodes, len(s), columns)), *map(_at, (*parts, memory, found))
+        *map(c_int64, (planes, count, nodes, len(s), columns)), *map(_at, (*parts, memory, derivatives))
     )
-    return pad_axis(found, 3, axis=2)
+    return pad_axis(derivatives, 3, axis=2)
 
 
 def compute_sine_cosine(angle: float) -> tuple[float, float]:
     """Return sine and cosine of an angle, rad, to the bit those of the page."""
-    at, found = np.array([angle]), np.empty((2, 1))
-    for which, one in zip((3, 4), found, strict=True):
-        load_library().nf_function(c_int64(which), c_int64(1), _at(at), _at(one))
-    return float(found[0, 0]), float(found[1, 0])
+    angles, values = np.array([angle]), np.empty((2, 1))
+    for which, value in zip((3, 4), values, strict=True):
+        load_library().nf_function(c_int64(which), c_int64(1), _at(angles), _at(value))
+    return float(values[0, 0]), float(values[1, 0])
 
 
 def measure_table_range(table: Floats) -> float:
     """Return the compression up to which a polynomial serves for a law's table (see `packing`)."""
     check_array("table", table, float, (2 + TABLE_PIECES * TABLE_TERMS,))
-    found = np.empty(1)
-    load_library().nf_table_range(_at(table), _at(found))
-    return float(found[0])
+    limit = np.empty(1)
+    load_library().nf_table_range(_at(table), _at(limit))
+    return float(limit[0])
 
 
 def _at(array: np.ndarray) -> c_void_p:

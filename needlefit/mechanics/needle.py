@@ -70,9 +70,9 @@ class Needle:
     ) -> Self:
         """Return the needle made of a round tube: EI = E pi (OD^4 - ID^4) / 64; lengths in mm, E in MPa."""
         if is_bounded(youngs_modulus) and not MIN_MODULUS_MPA <= youngs_modulus <= MAX_MODULUS_MPA:
-            what = f"Young's modulus of the needle is {youngs_modulus:g} MPa"
+            problem = f"Young's modulus of the needle is {youngs_modulus:g} MPa"
             expected = f"{MIN_MODULUS_MPA:g} to {MAX_MODULUS_MPA:g}; 200 GPa are 2e5 MPa"
-            raise ModelError(what, expected=expected)
+            raise ModelError(problem, expected=expected)
         rigidity = compute_rigidity(outer_diameter, youngs_modulus, inner_diameter)
         sizes = {"length": length, "outer_diameter": outer_diameter, "inner_diameter": inner_diameter}
         doubts = (*doubt_sizes(sizes), *doubt_modulus(youngs_modulus * 1e-3, "youngs_modulus"))

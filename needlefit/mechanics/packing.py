@@ -66,13 +66,13 @@ def compile_law(name: str, shape: Floats) -> tuple[Floats, Floats]:
     tables = _make_tables(name, different.tobytes(), *different.shape)
     short = tables[places, 0] < LEAST_COMPRESSION - _END  # (..., n)
     if short.any():
-        at = tuple(np.argwhere(short)[0])
+        place = tuple(np.argwhere(short)[0])
         stated = [
-            f"{one.name} = {value:g}"
-            for one, value in zip(law.parameters, by_layer[at].tolist(), strict=True)
+            f"{parameter.name} = {value:g}"
+            for parameter, value in zip(law.parameters, by_layer[place].tolist(), strict=True)
         ]
         raise ModelError(
-            f"layer {at[-1] + 1}: the tissue law `{name}` cannot be interpolated at {', '.join(stated)}",
+            f"layer {place[-1] + 1}: the tissue law `{name}` cannot be interpolated at {', '.join(stated)}",
             expected=f"k > 0, smooth and not too steep up to |e| / t = {LEAST_COMPRESSION:g}",
             fix="choose other values, or narrower bounds for them",
         )
@@ -238,10 +238,15 @@ def list_tip(controls: Controls, planes: int) -> tuple[float, ...]:
     return (math.nan,) * (2 * planes) if controls.tip is None else _list_held(controls.tip, planes)
 
 
-def _list_held(one: Guide | TrackedTip, planes: int) -> tuple[float, ...]:
-    free = one.slope is None
-    found = one.y, math.nan if one.slope is None else one.slope, one.z, math.nan if free else one.slope_z
-    return found[: 2 * planes]
+def _list_held(hold: Guide | TrackedTip, planes: int) -> tuple[float, ...]:
+    free = hold.slope is None
+    numbers = (
+        hold.y,
+        math.nan if hold.slope is None else hold.slope,
+        hold.z,
+        math.nan if free else hold.slope_z,
+    )
+    return numbers[: 2 * planes]
 
 
 def pack_layers(
@@ -252,9 +257,9 @@ def pack_layers(
     def repeat(name: str) -> Floats:
         if name in values:
             return values[name]
-        found = np.empty(size)
-        found[:] = getattr(tissue, name)
-        return found
+        repeated = np.empty(size)
+        repeated[:] = getattr(tissue, name)
+        return repeated
 
     size = (sets, tissue.layers)
     coefficients, exponents = compile_law(tissue.law, values.get("shape", tissue.shape))
@@ -298,8 +303,8 @@ def pack_sets(
             turn_by[i, :, plane] = part / length
             turn[i, :, plane] = part * strength / length if given is None else turn_by[i, :, plane] * given
     base = np.empty((len(controls), sets, planes, 3))
-    for i, one in enumerate(controls):
-        base[i].reshape(sets, 3 * planes)[:] = one.base[: 3 * planes]
+    for i, control in enumerate(controls):
+        base[i].reshape(sets, 3 * planes)[:] = control.base[: 3 * planes]
         for name, (plane, place) in BASE_VALUES.items():
             if name in values:
                 base[i, :, plane, place] = values[name]
@@ -350,7 +355,7 @@ def pack_problem(
         planes = columns.planes if columns else count_planes(steps, values)
     inputs = _, controls = packed.list_inputs(steps)
     of_layers, of_sets = pack_sets(needle, tissue, inputs, rules, planes, sets, values, columns)
-    before, within = ([getattr(one, name) for one in controls] for name in ("before", "within"))
+    before, within = ([getattr(control, name) for control in controls] for name in ("before", "within"))
     arrays: dict[str, np.ndarray] = {
         "stops": packed.stops,
         "boundaries": tissue.boundaries,
@@ -358,17 +363,17 @@ def pack_problem(
         "within_first": np.cumsum([0, *map(len, within)]),
         "before": list_guides([guide for some in before for guide in some], planes),
         "within": list_guides([guide for some in within for guide in some], planes),
-        "held_tip": np.array([list_tip(one, planes) for one in controls]).reshape(-1, planes, 2),
+        "held_tip": np.array([list_tip(control, planes) for control in controls]).reshape(-1, planes, 2),
     }
     if columns is not None and columns.total:
-        rows = [columns.guides[guide.x] for one in controls for guide in one.guides]
+        rows = [columns.guides[guide.x] for control in controls for guide in control.guides]
         arrays["column_of"] = columns.first
         arrays["guide_columns"] = np.array(rows, dtype=np.int64).reshape(-1, 1 + 2 * planes)
     numbers = {
         "planes": planes,
         "stop_count": len(packed.stops), "rays": packed.rays, "columns": columns.total if columns else 0,
         "bevels": len(packed.bevels), "inputs": len(controls), "sets": sets,
-        "guides": max(len(one.guides) for one in controls), "max_iterations": rules.max_iterations,
+        "guides": max(len(control.guides) for control in controls), "max_iterations": rules.max_iterations,
         "length": needle.length, "first_cell": lattice.first_cell, "spacing": lattice.spacing,
         "element": rules.element, "part": rules.cut_switch, "tangent": rules.tangent,
         "tolerance": rules.tolerance, "deepest": max(step.depth for step in steps),
@@ -458,22 +463,22 @@ class Evaluation:
 def run_evaluations(evaluations: Sequence[Evaluation], threads: int) -> None:
     """Let the kernel fill the shapes of all evaluations, the longest insertions first, on so many threads."""
     width = native.count_lanes()
-    tasks = [(one, start) for one in evaluations for start in range(0, one.sets, width)]
+    tasks = [(evaluation, start) for evaluation in evaluations for start in range(0, evaluation.sets, width)]
     # Longest first: a long task that begins last would leave the other threads idle.
     tasks.sort(key=lambda task: -task[0].insertion.nodes_solved)  # stable: blocks of one batch stay in order
     waiting = deque(tasks)
-    widths = [(one, 1 if one.sets == 1 else width) for one in evaluations]
-    most = max((native.measure_memory(one.problem, lanes) for one, lanes in widths), default=0)
+    widths = [(evaluation, 1 if evaluation.sets == 1 else width) for evaluation in evaluations]
+    most = max((native.measure_memory(evaluation.problem, lanes) for evaluation, lanes in widths), default=0)
 
     def run() -> None:
         memory = native.make_memory(most)
         while True:
             try:
-                one, start = waiting.popleft()
+                evaluation, start = waiting.popleft()
             except IndexError:
                 return
-            lanes = 1 if start + 1 == one.sets else width
-            native.simulate(one.problem, one.shapes, start, lanes, memory)
+            lanes = 1 if start + 1 == evaluation.sets else width
+            native.simulate(evaluation.problem, evaluation.shapes, start, lanes, memory)
 
     threads = min(threads, len(tasks))
     if threads <= 1:

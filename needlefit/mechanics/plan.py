@@ -164,13 +164,13 @@ def make_moves(steps: Sequence[Step], length: float, past: int = 0) -> tuple[Mov
 @lru_cache(maxsize=512)  # a fit asks for the same insertions over and over
 def make_stops(moves: tuple[Move, ...], lattice: Lattice) -> tuple[TipStop, ...]:
     """Return the stops of all moves, from first contact on."""
-    found = native.divide_moves(lattice.first_cell, lattice.spacing, moves).tolist()
+    stops = native.divide_moves(lattice.first_cell, lattice.spacing, moves).tolist()
     return tuple(
         TipStop(
             tip, cell, bool(flags & native.PERMANENT), ray, bool(flags & native.STARTS_RAY), bevel, controls,
             bool(flags & native.EXTRAPOLATES),
         )
-        for tip, cell, ray, bevel, controls, flags in found
+        for tip, cell, ray, bevel, controls, flags in stops
     )  # fmt: skip
 
 

@@ -154,9 +154,13 @@ def _make_step(whole: ResolvedStep, needle: Needle, entry: Entry, where: str) ->
             (x, y, _), slope = entry.placement.frame.to_local([guide.x_mm, guide.y_mm, 0.0]), 0.0
             if guide.angle_deg is not None and not guide.turns_freely:
                 slope = entry.slope_of(math.radians(guide.angle_deg))
-            at = 0.0 if abs(x) < SAME_DEPTH_MM else float(x)  # rounding must not push it out of the tissue
+            position = (
+                0.0 if abs(x) < SAME_DEPTH_MM else float(x)
+            )  # rounding must not push it out of the tissue
             axis, slope_z = None if guide.turns_freely else slope, _raise_axis(slope, guide.elevation_deg)
-            guides.append((key, Guide(at, float(y), axis, guide.in_tissue, guide.name, guide.z_mm, slope_z)))
+            guides.append(
+                (key, Guide(position, float(y), axis, guide.in_tissue, guide.name, guide.z_mm, slope_z))
+            )
     if inputs.guide_distance_mm is not None:
         guides.append(("controls.guide_distance_mm", Guide(-inputs.guide_distance_mm)))
     tip = None

@@ -84,7 +84,7 @@ LIMITS: tuple[tuple[str, float, str], ...] = (
 
 def find_worst(solutions: Sequence[Validity]) -> Validity:
     """Return the worst value of each quantity over several single solutions; failed ones are left out."""
-    worst = {name: np.array([getattr(one, name) for one in solutions]) for name, _, _ in LIMITS}
+    worst = {name: np.array([getattr(solution, name) for solution in solutions]) for name, _, _ in LIMITS}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # all failed: NaN
         return Validity(**{name: np.nanmax(values) for name, values in worst.items()})
@@ -118,7 +118,7 @@ def compute_validity(solved: Solution, scales: Floats) -> Validity:
     track = solved.tip_track
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
         steepest, shortening, misses = _find_slopes(planes, step)
-        missed = [np.where(before_entry, one.cumsum(axis=-1), 0.0) for one in misses]
+        missed = [np.where(before_entry, miss.cumsum(axis=-1), 0.0) for miss in misses]
         return Validity(
             np.maximum(
                 steepest, _find_size([track[..., 2 * i + 1] for i in range(len(planes))]).max(axis=-1)
@@ -167,8 +167,8 @@ def _find_slopes(
     if len(planes) == 1:
         # Extremes of the slope inside an element lie where u'' = 0. A cubic without curl has none.
         ((_, bend, curl),) = cubics
-        at = np.divide(-0.5 * bend, curl, out=np.zeros_like(curl), where=np.abs(curl) > 1e-12)
-        inside = [evaluate(np.where((at > 0) & (at < 1), at, 0.0))]
+        vertex = np.divide(-0.5 * bend, curl, out=np.zeros_like(curl), where=np.abs(curl) > 1e-12)
+        inside = [evaluate(np.where((vertex > 0) & (vertex < 1), vertex, 0.0))]
     else:
         inside = [evaluate(t) for t in (0.25, 0.5, 0.75)]
     places = [*inside, [slope for _, slope in planes]]
@@ -178,11 +178,15 @@ def _find_slopes(
         rotations = evaluate(t)
         angle = _find_size(rotations)
         shortening = shortening + weight * 2 * np.sin(angle / 2) ** 2
-        across = [np.sin(one) if len(planes) == 1 else one * np.sinc(angle / np.pi) for one in rotations]
-        misses = [
-            sum_ + weight * (one - part) for sum_, one, part in zip(misses, rotations, across, strict=True)
+        across = [
+            np.sin(rotation) if len(planes) == 1 else rotation * np.sinc(angle / np.pi)
+            for rotation in rotations
         ]
-    return steepest, (shortening * step).sum(axis=-1), [one * step for one in misses]
+        misses = [
+            sum_ + weight * (rotation - part)
+            for sum_, rotation, part in zip(misses, rotations, across, strict=True)
+        ]
+    return steepest, (shortening * step).sum(axis=-1), [miss * step for miss in misses]
 
 
 _GAUSS = ((0.5 - math.sqrt(0.15), 5 / 18), (0.5, 4 / 9), (0.5 + math.sqrt(0.15), 5 / 18))
@@ -192,10 +196,10 @@ def _find_compression(solved: Solution) -> Floats:
     """Return the greatest distance of the needle from a constraint point, mm."""
     depths = solved.constraints[..., 0]
     nodes = solved.x.reshape(-1, solved.x.shape[-1])[0]  # all have theirs in the same order
-    at = depths.reshape(-1, depths.shape[-1])[0]
-    before = np.clip(np.searchsorted(nodes, at - 1e-9), 1, len(nodes) - 1) - 1
+    depth = depths.reshape(-1, depths.shape[-1])[0]
+    before = np.clip(np.searchsorted(nodes, depth - 1e-9), 1, len(nodes) - 1) - 1
     start, span = solved.x[..., before], solved.x[..., before + 1] - solved.x[..., before]
-    t = np.clip((at - start) / span, 0.0, 1.0)
+    t = np.clip((depth - start) / span, 0.0, 1.0)
     away = []
     for plane, (u, slope) in enumerate(_pair_planes(solved)):
         u0, u1, s0, s1 = u[..., before], u[..., before + 1], slope[..., before], slope[..., before + 1]
@@ -272,7 +276,7 @@ class NeedleShape(Solution):
         """The direction of the tip in C, rad: its angle from x toward y, and its elevation toward z."""
         along_y, along_z = float(self.slope[-1]), float(self.slope_z[-1])
         size = math.hypot(along_y, along_z)  # of the rotation
-        y, z = (one * math.sin(size) / (size or 1.0) for one in (along_y, along_z))
+        y, z = (component * math.sin(size) / (size or 1.0) for component in (along_y, along_z))
         elevation = math.asin(z) if math.isfinite(z) else math.nan
         return (math.atan2(y, math.cos(size)) if along_z else along_y), elevation
 

@@ -157,8 +157,8 @@ class Loads:
     def tissue(self) -> SupportReaction:
         """The tissue's force on the whole shaft, N, and its moment about the entry, N mm."""
         forces = [self.weight * load for load in (self.load, self.load_z)]
-        found = [number for one in forces for number in (float(one.sum()), float(one @ self.s))]
-        return SupportReaction(0.0, *found)
+        numbers = [number for force in forces for number in (float(force.sum()), float(force @ self.s))]
+        return SupportReaction(0.0, *numbers)
 
 
 def compute_loads(

@@ -162,18 +162,22 @@ def _to_shape_array(law: TissueLaw, given: Mapping[str, ArrayLike] | ArrayLike, 
         given = dict(zip(names, rows, strict=True))
     _check_names(names, given, f"the tissue law `{law.name}`")
     array = np.array([_to_layer_array(name, given[name], size) for name in names])
-    for one, values in zip(law.parameters, array.tolist(), strict=True):
+    for parameter, values in zip(law.parameters, array.tolist(), strict=True):
         for layer, value in enumerate(values, start=1):
-            if not one.bounds[0] <= value <= one.bounds[1]:
+            if not parameter.bounds[0] <= value <= parameter.bounds[1]:
                 raise ModelError(
-                    f"layer {layer}: {one.name} = {value:g}", expected="{:g} to {:g}".format(*one.bounds)
+                    f"layer {layer}: {parameter.name} = {value:g}",
+                    expected="{:g} to {:g}".format(*parameter.bounds),
                 )
     return array
 
 
 def _check_names(names: Sequence[str], given: Iterable[str], whose: str) -> None:
     """Raise ModelError unless exactly the shape parameters `names` are given."""
-    missing, extra = [name for name in names if name not in given], [one for one in given if one not in names]
+    missing, extra = (
+        [name for name in names if name not in given],
+        [name for name in given if name not in names],
+    )
     if missing or extra:
         faults = [f"no {name} is given" for name in missing] + [f"there is no {name}" for name in extra]
         raise ModelError(f"{whose}: {', '.join(faults)}", expected=f"{', '.join(names)}")

@@ -44,9 +44,9 @@ class Metric:
         """Raise ConfigError if the name does not end in the unit, which files state nowhere else."""
         word = UNIT_WORDS.get(self.unit, self.unit.lower())
         if not self.name.endswith(f"_{word}"):
-            what = f"the metric `{self.name}` has the unit {self.unit!r}"
+            problem = f"the metric `{self.name}` has the unit {self.unit!r}"
             fix = f"rename it, or state its unit; words of units: {UNIT_WORDS}"
-            raise ConfigError(what, expected=f"a name that ends in _{word}", fix=fix)
+            raise ConfigError(problem, expected=f"a name that ends in _{word}", fix=fix)
 
 
 METRICS = Registry(Metric, __name__, "metric")
@@ -54,23 +54,23 @@ METRICS = Registry(Metric, __name__, "metric")
 
 def list_metrics(*quantities: Quantity) -> tuple[Metric, ...]:
     """Return all metrics, or those of some quantities, in the order of tables."""
-    some = (one for one in METRICS.values() if one.quantity in (quantities or (one.quantity,)))
+    some = (metric for metric in METRICS.values() if metric.quantity in (quantities or (metric.quantity,)))
     return tuple(sorted(some, key=lambda metric: (metric.order, metric.name)))
 
 
 def known_metrics(columns: Collection[str]) -> tuple[Metric, ...]:
     """Return the metrics of a table with these columns: those of places, and others that it has."""
-    return tuple(one for one in list_metrics() if one.quantity == "places" or one.name in columns)
+    return tuple(metric for metric in list_metrics() if metric.quantity == "places" or metric.name in columns)
 
 
 def headline_metrics() -> tuple[Metric, ...]:
     """Return the metrics of sentences and comparisons."""
-    return tuple(one for one in list_metrics() if one.headline)
+    return tuple(metric for metric in list_metrics() if metric.headline)
 
 
 def verdict_metrics() -> tuple[Metric, ...]:
     """Return the metrics of verdicts; one is by the first that is known of the insertions."""
-    return tuple(one for one in list_metrics() if one.missed)
+    return tuple(metric for metric in list_metrics() if metric.missed)
 
 
 def compute_metrics(curves: ComparedCurves) -> dict[str, float]:
@@ -78,12 +78,12 @@ def compute_metrics(curves: ComparedCurves) -> dict[str, float]:
 
     Raises ConfigError if a metric of a plugin fails.
     """
-    found = {}
+    values = {}
     for metric in list_metrics(curves.quantity):
         with METRICS.plugin_error_context(metric.name):
-            known = curves.is_curve or not metric.of_curve
-            found[metric.name] = float(metric.compute(curves)) if known else math.nan
-    return found
+            is_defined = curves.is_curve or not metric.of_curve
+            values[metric.name] = float(metric.compute(curves)) if is_defined else math.nan
+    return values
 
 
 MEDIAN = Metric(

@@ -24,18 +24,18 @@ def unpack_archive(path: Path, folder: Path, total_bytes: int, fix: str) -> None
     raises if it is damaged.
     """
 
-    def error(what: str) -> DataError:
-        return DataError(what, expected="a ZIP archive of one scan", fix=fix, where=path)
+    def error(problem: str) -> DataError:
+        return DataError(problem, expected="a ZIP archive of one scan", fix=fix, where=path)
 
     with open_regular(path, MAX_ARCHIVE_BYTES) as file, zipfile.ZipFile(file) as archive:
         members = archive.infolist()
-        if sum(one.file_size for one in members) > total_bytes:
+        if sum(member.file_size for member in members) > total_bytes:
             raise error(f"unpacks to more than {total_bytes / 2**20:.0f} MiB")
         if len(members) > MAX_MEMBERS:
             raise error(f"holds {len(members)} files")
-        if any(one.flag_bits & _ENCRYPTED for one in members):
+        if any(member.flag_bits & _ENCRYPTED for member in members):
             raise error("is encrypted")
-        if any(one.filename.lower().endswith(".zip") for one in members):
+        if any(member.filename.lower().endswith(".zip") for member in members):
             raise error("holds an archive inside the archive")
         archive.extractall(folder)
 

@@ -63,10 +63,10 @@ class Checkpoint:
         if self.folder is None or not self._file(work).is_file():
             return []
         lines = [line for line in read_bytes(self._file(work), MAX_CHECKPOINT_BYTES).split(b"\n") if line]
-        found = [row for line in lines if (row := _parse_row(line, keys)) is not None]
-        if len(found) < len(lines):
-            self.note(f"{self._file(work)} was damaged: {len(found)} whole rows of it are used")
-        return found
+        parsed = [row for line in lines if (row := _parse_row(line, keys)) is not None]
+        if len(parsed) < len(lines):
+            self.note(f"{self._file(work)} was damaged: {len(parsed)} whole rows of it are used")
+        return parsed
 
     def keep_row(
         self, work: str, row: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]] | None = None
@@ -110,7 +110,7 @@ def _parse_row(line: bytes, keys: Sequence[str]) -> dict[str, Any] | None:
         row = parse_json(line.decode("ascii"), "")
         if row.pop(DIGEST_KEY) == _digest_row(row) and row.keys() >= set(keys):
             if ARRAYS_KEY in row:
-                row[ARRAYS_KEY] = {name: _decode_array(one) for name, one in row[ARRAYS_KEY].items()}
+                row[ARRAYS_KEY] = {name: _decode_array(encoded) for name, encoded in row[ARRAYS_KEY].items()}
             return row
     except (AttributeError, DataError, KeyError, MemoryError, TypeError, ValueError):
         pass
@@ -158,9 +158,9 @@ def open_checkpoint(
 
 def _prepare(folder: Path, work: str, resume: bool, note: Note) -> None:
     """Leave a checkpoint of the work with this digest alone in a folder."""
-    found = _work_of(folder)
-    if resume and found is not None:
-        if found != work:
+    present = _work_of(folder)
+    if resume and present is not None:
+        if present != work:
             raise ConfigError(
                 "the interrupted run was of other work",
                 expected="the same data, configuration, seed and versions",
@@ -168,14 +168,14 @@ def _prepare(folder: Path, work: str, resume: bool, note: Note) -> None:
                 where=folder,
             )
         return
-    if found == work and any(one.name not in (LOCK_NAME, MANIFEST) for one in folder.iterdir()):
+    if present == work and any(path.name not in (LOCK_NAME, MANIFEST) for path in folder.iterdir()):
         raise UnfinishedWorkError(
             "holds the unfinished work of an earlier run, which was interrupted or killed",
             expected="--resume (in Python: resume=True), which goes on with it",
             fix="to start afresh instead, remove this folder",
             where=folder,
         )
-    if found is None and {*list_all_files(folder)} > {LOCK_NAME}:
+    if present is None and {*list_all_files(folder)} > {LOCK_NAME}:
         note(f"{folder} is damaged: its run starts afresh")
     _remove_files(folder, keep=LOCK_NAME)
     text = format_manifest({"holds": "checkpoint", "work": work})
@@ -233,8 +233,12 @@ def find_foreign_in_checkpoint(folder: Path) -> list[str]:
     A run that ended before its manifest was written leaves its lock.
     """
     names = [name for name in list_all_files(folder) if Path(name).name not in FILE_MANAGER_FILES]
-    own = is_regular(folder / LOCK_NAME) or _work_of(folder) is not None
-    return [name for name in names if not (own and _OWN_FILE.fullmatch(name) and is_regular(folder / name))]
+    is_checkpoint = is_regular(folder / LOCK_NAME) or _work_of(folder) is not None
+    return [
+        name
+        for name in names
+        if not (is_checkpoint and _OWN_FILE.fullmatch(name) and is_regular(folder / name))
+    ]
 
 
 def _work_of(folder: Path) -> str | None:

@@ -27,7 +27,7 @@ def encode(value: object, hooks: Hooks, arrays: Arrays, place: str = "") -> obje
     if type(value) in hooks:
         return encode(hooks[type(value)].to_plain(value), hooks, arrays, place)
     if is_dataclass(value) and not isinstance(value, type):
-        parts = ((one.name, getattr(value, one.name)) for one in fields(value))
+        parts = ((field.name, getattr(value, field.name)) for field in fields(value))
         return {name: encode(part, hooks, arrays, f"{place}.{name}") for name, part in parts}
     if isinstance(value, tuple):
         return [encode(part, hooks, arrays, f"{place}.{n}") for n, part in enumerate(value)]
@@ -53,23 +53,23 @@ def decode(kind: Any, value: Any, hooks: Hooks, arrays: Mapping[str, NDArray[Any
     if origin in (Union, UnionType) and value is None:
         return None
     if origin in (Union, UnionType):  # what is optional: of other unions there are none
-        (only,) = (one for one in inside if one is not NoneType)
+        (only,) = (kind for kind in inside if kind is not NoneType)
         return decode(only, value, hooks, arrays)
     if origin is tuple and isinstance(value, list):
         kinds = (inside[0],) * len(value) if len(inside) == 2 and inside[1] is Ellipsis else inside
-        return tuple(decode(one, part, hooks, arrays) for one, part in zip(kinds, value, strict=True))
+        return tuple(decode(kind, part, hooks, arrays) for kind, part in zip(kinds, value, strict=True))
     if origin is Mapping and isinstance(value, dict):
         return {key: decode(inside[1], part, hooks, arrays) for key, part in value.items()}
     if origin is np.ndarray:
         (wanted,) = get_args(inside[1])
-        found = arrays.get(value) if isinstance(value, str) else None
-        if found is not None and found.dtype == np.dtype(wanted):
-            return found
+        array = arrays.get(value) if isinstance(value, str) else None
+        if array is not None and array.dtype == np.dtype(wanted):
+            return array
     if origin is Literal and type(value) is str and value in inside:
         return value
     if is_dataclass(kind) and isinstance(kind, type) and isinstance(value, dict):
         hints = get_type_hints(kind)
-        names = [one.name for one in fields(kind)]
+        names = [field.name for field in fields(kind)]
         if sorted(value) == sorted(names):
             return kind(**{name: decode(hints[name], value[name], hooks, arrays) for name in names})
     if kind is Path and isinstance(value, str):

@@ -44,14 +44,16 @@ def require_output_files(outputs: Mapping[str, Path], inputs: Iterable[Path]) ->
     cannot be written to, or a file is a folder, an input (also by another name: a link), or named by two
     options.
     """
-    read = [Path(os.path.realpath(one)) for one in inputs]
+    read = [Path(os.path.realpath(given)) for given in inputs]
     for option, path in outputs.items():
         require_folder(path)
         place = Path(os.path.realpath(path))
         if place.is_dir():
             raise ConfigError("is a folder", fix=f"name a file with {option}", where=path)
         others = [os.path.realpath(other) for name, other in outputs.items() if name != option]
-        is_read = place.exists() and any(place.is_relative_to(one) or place.samefile(one) for one in read)
+        is_read = place.exists() and any(
+            place.is_relative_to(source) or place.samefile(source) for source in read
+        )
         if is_read or str(place) in others:
             raise ConfigError(
                 f"is an input of this run, or named twice: {option} would replace it",
@@ -234,11 +236,11 @@ def list_all_files(folder: Path) -> list[str]:
     def fail(fault: OSError) -> None:  # else a folder that may not be read counts as empty
         raise fault
 
-    found: list[Path] = []
+    paths: list[Path] = []
     for place, folders, files in os.walk(folder, onerror=fail):  # follows no link
-        found += [Path(place, name) for name in files]
-        found += [Path(place, name) for name in folders if Path(place, name).is_symlink()]
-    return sorted(path.relative_to(folder).as_posix() for path in found)
+        paths += [Path(place, name) for name in files]
+        paths += [Path(place, name) for name in folders if Path(place, name).is_symlink()]
+    return sorted(path.relative_to(folder).as_posix() for path in paths)
 
 
 def is_regular(path: Path) -> bool:

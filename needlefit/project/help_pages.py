@@ -32,7 +32,7 @@ class Topic:
     def names(self) -> frozenset[str]:
         """What it is found by: the key, the symbol, the title; of a list with commas each member."""
         listed = (self.key, self.symbol, self.title)
-        return frozenset(name for one in listed for name in (one, *one.split(", ")) if name)
+        return frozenset(name for name_list in listed for name in (name_list, *name_list.split(", ")) if name)
 
 
 @cache
@@ -43,12 +43,12 @@ def read_sections() -> dict[str, Topic]:
         path = posixpath.normpath(posixpath.join(posixpath.dirname(TROUBLESHOOTING_PAGE), link[2]))
         return f"{link[1]} ({path})" if link[2] else link[1]
 
-    found = {}
+    sections = {}
     for match in _SECTION_PATTERN.finditer(page):
         parts = re.split(r"\n\s*\n|\n(?=- )", match["body"].strip())
         plain = (_LINK_PATTERN.sub(name_page, " ".join(part.split())).replace("**", "") for part in parts)
-        found[match["key"]] = Topic(match["key"], match["title"], tuple(plain))
-    return found
+        sections[match["key"]] = Topic(match["key"], match["title"], tuple(plain))
+    return sections
 
 
 # --- the glossary ---------------------------------------------------------------------------------------
@@ -65,10 +65,10 @@ _TERM = re.compile(
 
 @cache
 def read_terms() -> list[Topic]:
-    found = []
+    terms = []
     for match in _TERM.finditer(read_text(shipped_folder() / GLOSSARY_PAGE)):
         name, symbol, unit, meaning = (
             " ".join((match[part] or "").split()) for part in ("name", "symbol", "unit", "meaning")
         )
-        found.append(Topic(name, ", ".join(filter(None, (name, symbol, unit))), (meaning,), symbol))
-    return found
+        terms.append(Topic(name, ", ".join(filter(None, (name, symbol, unit))), (meaning,), symbol))
+    return terms

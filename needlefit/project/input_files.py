@@ -117,7 +117,7 @@ def parse_toml(text: str, where: str, error: FileErrorType = ConfigError) -> dic
         tables = {} if (is_deep := _DEEP_KEY.search(text)) else tomllib.loads(text)
         level: list[Any] = [tables]
         for _ in range(MAX_NESTING):
-            level = [inner for one in level for inner in _list_members(one)]
+            level = [inner for member in level for inner in _list_members(member)]
         if level or is_deep:
             raise ValueError(f"nested more than {MAX_NESTING} deep")
         return tables
@@ -175,19 +175,19 @@ def list_files(folder: Path) -> list[Path]:
     def fail(fault: OSError) -> None:
         raise unreadable_error(fault, DataError, str(fault.filename))
 
-    found: list[Path] = []
+    files: list[Path] = []
     for place, folders, names in os.walk(folder, onerror=fail):
         folders[:] = [name for name in folders if not name.startswith(".")]
         paths = (Path(place, name) for name in names if not name.startswith("."))
-        found += filter(is_file, paths)
-        if len(found) > MAX_FOLDER_FILES:
+        files += filter(is_file, paths)
+        if len(files) > MAX_FOLDER_FILES:
             raise DataError(
                 f"holds over {MAX_FOLDER_FILES} files",
                 expected="the folder of one export",
                 fix="name the folder in which the files lie",
                 where=folder,
             )
-    return sorted(found)
+    return sorted(files)
 
 
 def unreadable_error(

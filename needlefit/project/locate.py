@@ -70,10 +70,10 @@ def find_file(kind: FileKind, name: str) -> Path:
 
     ConfigError if there is no such file; the nearest names are listed.
     """
-    found = _look_up(kind, name)
-    if found is None:
+    path = _look_up(kind, name)
+    if path is None:
         raise unknown_name_error(kind, name, list_names(kind))
-    return found
+    return path
 
 
 def _look_up(kind: FileKind, name: str) -> Path | None:
@@ -112,10 +112,10 @@ _KEYS: tuple[tuple[SourceKind, frozenset[str]], ...] = (
 
 def _find_sources(name: str, kinds: Sequence[SourceKind]) -> list[tuple[SourceKind, Path]]:
     """Return what a name means among these kinds of file, in their order; of a path, what its file is."""
-    found = [(kind, path) for kind in kinds if (path := _look_up(kind, name)) is not None]
-    if not found or not is_path(name):
-        return found
-    path = found[0][1]
+    sources = [(kind, path) for kind in kinds if (path := _look_up(kind, name)) is not None]
+    if not sources or not is_path(name):
+        return sources
+    path = sources[0][1]
     keys = read_toml(path).keys()
     if path.name != "dataset.toml":
         require_file_name(path.stem, name)
@@ -125,25 +125,25 @@ def _find_sources(name: str, kinds: Sequence[SourceKind]) -> list[tuple[SourceKi
 
 def find_study_or_fit(name: str) -> tuple[Literal["study", "fit"], Path]:
     """Return the study or the fit that `name` means; a name found as both is an error."""
-    found = _find_studies("study or fit", name, [*list_names("study"), *list_names("fit")])
-    if len(found) == 2:
+    sources = _find_studies("study or fit", name, [*list_names("study"), *list_names("fit")])
+    if len(sources) == 2:
         raise ConfigError(
             f"`{name}` is both a study and a fit",
             fix=f"state which: studies/{name}.toml or configs/fits/{name}.toml",
         )
-    return ("study" if found[0][0] == "study" else "fit"), found[0][1]
+    return ("study" if sources[0][0] == "study" else "fit"), sources[0][1]
 
 
-def _find_studies(kind: str, name: str, known: list[str]) -> list[tuple[SourceKind, Path]]:
+def _find_studies(kind: str, name: str, names: list[str]) -> list[tuple[SourceKind, Path]]:
     """Return the study and the fit of a name; ConfigError if it is none, with the studies of a dataset."""
-    found, path = _find_sources(name, ("study", "fit")), _look_up("dataset", name)
-    if path is not None and (not found or found[0][0] == "dataset"):
-        own = [str(one) for one in sorted(path.parent.glob("*_study.toml"))]
-        fix = f"name {' or '.join(own)}" if own else "write a study of it, as docs/studies.md shows"
+    sources, path = _find_sources(name, ("study", "fit")), _look_up("dataset", name)
+    if path is not None and (not sources or sources[0][0] == "dataset"):
+        studies = [str(study) for study in sorted(path.parent.glob("*_study.toml"))]
+        fix = f"name {' or '.join(studies)}" if studies else "write a study of it, as docs/studies.md shows"
         raise ConfigError("is a dataset", expected=f"a {kind}", fix=fix, where=name)
-    if not found:
-        raise unknown_name_error(kind, name, known)
-    return found
+    if not sources:
+        raise unknown_name_error(kind, name, names)
+    return sources
 
 
 def find_dataset_or_study(name: str) -> tuple[SourceKind, Path]:
@@ -154,12 +154,12 @@ def find_dataset_or_study(name: str) -> tuple[SourceKind, Path]:
         command = f"import {shlex.quote(name)}" if file is None else f"check {shlex.quote(str(file))}"
         raise ConfigError("is a table", expected="a dataset.toml", fix=f"needlefit {command}", where=name)
     kinds: tuple[SourceKind, ...] = ("dataset", "study", "fit")
-    found = _find_sources(name, kinds)
-    if not found:
+    sources = _find_sources(name, kinds)
+    if not sources:
         raise unknown_name_error(
-            "dataset or study", name, [one for kind in kinds for one in list_names(kind)]
+            "dataset or study", name, [name for kind in kinds for name in list_names(kind)]
         )
-    return found[0]
+    return sources[0]
 
 
 def find_studies(name: str) -> list[tuple[str, Path]]:
@@ -181,11 +181,11 @@ def find_run(name: str) -> Path:
 
     A folder that holds one run means that run; ConfigError if there is none, or if it holds several.
     """
-    if (found := _look_up_run(name)) is not None:
-        return found
-    inside = sorted(one.parent for one in Path(name).glob("*/run.json")) if is_dir(Path(name)) else []
+    if (folder := _look_up_run(name)) is not None:
+        return folder
+    inside = sorted(folder.parent for folder in Path(name).glob("*/run.json")) if is_dir(Path(name)) else []
     if len(inside) > 1:
-        listed = join_names([str(one) for one in inside])
+        listed = join_names([str(folder) for folder in inside])
         raise ConfigError(f"`{name}` holds several runs", expected=f"one of {listed}")
     if not inside:
         raise unknown_name_error("run", name, list_runs())
@@ -220,27 +220,27 @@ def _name(kind: FileKind, path: Path) -> str:
 LIKE = 0.7  # likeness, 0 to 1, from which a name is proposed
 
 
-def unknown_name_error(kind: str, name: str, known: list[str], otherwise: str = ", or a path") -> ConfigError:
+def unknown_name_error(kind: str, name: str, names: list[str], otherwise: str = ", or a path") -> ConfigError:
     """Return what is raised of a name that is not known: those that are, the nearest first."""
     last = name.rstrip("/").rpartition("/")[2].removesuffix(".toml")
-    nearest = sort_by_similarity(last, known)
-    what = f"there is no {kind} called `{name}`"
+    nearest = sort_by_similarity(last, names)
+    problem = f"there is no {kind} called `{name}`"
     if nearest and _compare(last, nearest[0]) >= LIKE:
-        what += f"; did you mean `{nearest[0]}`?"
+        problem += f"; did you mean `{nearest[0]}`?"
     fix = f"use one of these names{otherwise}"
-    here = [one for one in (name, f"{name}.toml") if path_exists(Path(one)) and not is_path(name)]
+    here = [file for file in (name, f"{name}.toml") if path_exists(Path(file)) and not is_path(name)]
     if here:
         fix = f"write ./{here[0]} if you mean the one in this folder"
-    return ConfigError(what, expected=f"one of {join_names(nearest) or '(none found)'}", fix=fix)
+    return ConfigError(problem, expected=f"one of {join_names(nearest) or '(none found)'}", fix=fix)
 
 
 def _compare(name: str, other: str) -> float:
     return difflib.SequenceMatcher(None, name.lower(), other.lower(), autojunk=False).ratio()
 
 
-def sort_by_similarity(name: str, known: Iterable[str]) -> list[str]:
+def sort_by_similarity(name: str, names: Iterable[str]) -> list[str]:
     """Return names, each once, those most like `name` first, equally like ones by the alphabet."""
-    return sorted(sorted(set(known)), key=lambda one: _compare(one, name), reverse=True)
+    return sorted(sorted(set(names)), key=lambda candidate: _compare(candidate, name), reverse=True)
 
 
 def join_names(names: Sequence[str], most: int = MAX_LISTED_NAMES) -> str:
@@ -274,17 +274,22 @@ def find_view_target(name: str, first: TargetKind = "run") -> ViewTarget:
     Of several the one of the kind `first`, else the run, the scene. ConfigError if there is none.
     """
     front, _, insertion = name.rstrip("/").rpartition("/")
-    found = _list_viewed(name)
-    if not found and front:
-        behind = (one for one in _list_viewed(front) if one.kind != "scene")  # a scene has no insertions
-        found = [replace(one, insertion=insertion) for one in behind]
-    if not found:
-        known = {*list_names("scene"), *list_names("dataset"), *list_runs()}
-        raise unknown_name_error("scene, run or dataset", name, list(known))
+    targets = _list_viewed(name)
+    if not targets and front:
+        behind = (
+            target for target in _list_viewed(front) if target.kind != "scene"
+        )  # a scene has no insertions
+        targets = [replace(target, insertion=insertion) for target in behind]
+    if not targets:
+        names = {*list_names("scene"), *list_names("dataset"), *list_runs()}
+        raise unknown_name_error("scene, run or dataset", name, list(names))
     order: tuple[TargetKind, ...] = (first, "run", "scene", "dataset")
-    found.sort(key=lambda one: order.index(one.kind))
-    others = ((one.kind, one.path.parent if one.kind == "dataset" else one.path) for one in found[1:])
-    return replace(found[0], others=tuple(others))
+    targets.sort(key=lambda target: order.index(target.kind))
+    others = (
+        (target.kind, target.path.parent if target.kind == "dataset" else target.path)
+        for target in targets[1:]
+    )
+    return replace(targets[0], others=tuple(others))
 
 
 def _list_viewed(name: str) -> list[ViewTarget]:

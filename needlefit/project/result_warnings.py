@@ -35,17 +35,17 @@ class ResultWarning:
         return f"{head}; {self.fix}" if self.fix else head
 
 
-def to_rows(found: Iterable[ResultWarning]) -> list[dict[str, str]]:
+def to_rows(warnings: Iterable[ResultWarning]) -> list[dict[str, str]]:
     """Return warnings as JSON values, each once, with the paths that this machine knows."""
-    return [asdict(one) for one in dict.fromkeys(found)]
+    return [asdict(warning) for warning in dict.fromkeys(warnings)]
 
 
-def to_stored_rows(found: Iterable[ResultWarning]) -> list[dict[str, str]]:
+def to_stored_rows(warnings: Iterable[ResultWarning]) -> list[dict[str, str]]:
     """Return warnings as `run.json` has them; files stand there by their names alone, wherever they lie."""
-    return to_rows(replace(one, where=one.where.rpartition("/")[2]) for one in found)
+    return to_rows(replace(warning, where=warning.where.rpartition("/")[2]) for warning in warnings)
 
 
-def issue_warnings(found: Iterable[ResultWarning], stacklevel: int = 3) -> None:
+def issue_warnings(issued: Iterable[ResultWarning], stacklevel: int = 3) -> None:
     """Issue a UserWarning for each warning; `stacklevel`: as of `warnings.warn`, counted from here."""
-    for one in found:
-        warnings.warn(f"{one.what}; {one.fix}", UserWarning, stacklevel)
+    for warning in issued:
+        warnings.warn(f"{warning.what}; {warning.fix}", UserWarning, stacklevel)

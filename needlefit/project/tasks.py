@@ -186,12 +186,12 @@ def compute_beside(
 
         def end() -> list[bytes]:
             here = {n: work[n]() for n in range(len(work))[::-1] if not futures or futures[n].cancel()}
-            while wait([one for one in futures if not one.cancelled()], STOP_POLL_S).not_done:
+            while wait([task for task in futures if not task.cancelled()], STOP_POLL_S).not_done:
                 if event is not None and stop():
                     event.set()
             return [
-                here[n] if n in here else one() if futures[n].exception() else futures[n].result()
-                for n, one in enumerate(work)
+                here[n] if n in here else task() if futures[n].exception() else futures[n].result()
+                for n, task in enumerate(work)
             ]
 
         try:

@@ -74,7 +74,9 @@ def read_given(kind: FileKind, value: str | Path | F | Mapping[str, Any], record
     if isinstance(value, record):
         return value, IN_MEMORY
     if isinstance(value, Mapping):
-        table = {key: to_json_values(one) for key, one in ({"schema": record.SCHEMA} | dict(value)).items()}
+        table = {
+            key: to_json_values(entry) for key, entry in ({"schema": record.SCHEMA} | dict(value)).items()
+        }
         return check(table, record, f"{kind} {IN_MEMORY}"), IN_MEMORY
     name = spell_name(value)  # type: ignore[arg-type]  # nothing else is left
     return load(find_file(kind, name), record), name
@@ -99,16 +101,16 @@ def _list_faults(error: ValidationError, kind: type[BaseModel]) -> list[ConfigEr
 
     A list is not called too short for members that are wrong themselves.
     """
-    found = dict[Location, list[ErrorDetails]]()
-    for one in error.errors():
-        parts = (part for part in one["loc"] if not (isinstance(part, str) and _UNION_MEMBER.match(part)))
-        missing = one["ctx"]["location"] if one["type"] == MISSING_KEY else ()
-        found.setdefault((*parts, *missing), []).append(one)
+    by_place = dict[Location, list[ErrorDetails]]()
+    for detail in error.errors():
+        parts = (part for part in detail["loc"] if not (isinstance(part, str) and _UNION_MEMBER.match(part)))
+        missing = detail["ctx"]["location"] if detail["type"] == MISSING_KEY else ()
+        by_place.setdefault((*parts, *missing), []).append(detail)
     return [
         _describe_fault(place, errors, kind)
-        for place, errors in found.items()
+        for place, errors in by_place.items()
         if errors[0]["type"] != "too_short"
-        or not any(len(other) > len(place) and other[: len(place)] == place for other in found)
+        or not any(len(other) > len(place) and other[: len(place)] == place for other in by_place)
     ]
 
 
@@ -119,19 +121,23 @@ def _describe_fault(place: Location, errors: list[ErrorDetails], kind: type[Base
         return ConfigError(f"key `{key}` is missing", fix=f"add `{key}`", key=key)
     if errors[0]["type"] == "extra_forbidden":
         table = _find_record(kind, place[:-1])
-        known = [one.alias or name for name, one in table.model_fields.items()] if table else []
-        near = difflib.get_close_matches(str(place[-1]), known, n=1, cutoff=0.5)
-        what = f"key `{key}` is unknown" + (f"; did you mean `{near[0]}`?" if near else "")
-        expected = f"one of {', '.join(known)}" if known else ""
-        return ConfigError(what, expected=expected, fix=f"correct or remove `{key}`", key=key)
+        keys = (
+            [model_field.alias or name for name, model_field in table.model_fields.items()] if table else []
+        )
+        near = difflib.get_close_matches(str(place[-1]), keys, n=1, cutoff=0.5)
+        problem = f"key `{key}` is unknown" + (f"; did you mean `{near[0]}`?" if near else "")
+        expected = f"one of {', '.join(keys)}" if keys else ""
+        return ConfigError(problem, expected=expected, fix=f"correct or remove `{key}`", key=key)
     messages = list(
-        dict.fromkeys(one["msg"].removeprefix("Value error, ").replace("Tuple", "List") for one in errors)
+        dict.fromkeys(error["msg"].removeprefix("Value error, ").replace("Tuple", "List") for error in errors)
     )
     value = errors[0].get("input")
-    if all(one.startswith(_INPUT) for one in messages) and isinstance(value, str | int | float | bool):
-        expected = " or ".join(one.removeprefix(_INPUT).replace("'", '"') for one in messages)
-        what = f"key `{key}` is {json.dumps(value)}"
-        return ConfigError(what, expected=expected, fix=f"correct `{key}`", key=key)
+    if all(message.startswith(_INPUT) for message in messages) and isinstance(
+        value, str | int | float | bool
+    ):
+        expected = " or ".join(message.removeprefix(_INPUT).replace("'", '"') for message in messages)
+        problem = f"key `{key}` is {json.dumps(value)}"
+        return ConfigError(problem, expected=expected, fix=f"correct `{key}`", key=key)
     text, fix = "; ".join(messages), f"correct `{key}`" if key else "correct the keys named"
     return ConfigError(f"key `{key}`: {text}" if key else text, fix=fix, key=key)
 
@@ -139,7 +145,7 @@ def _describe_fault(place: Location, errors: list[ErrorDetails], kind: type[Base
 def _find_record(kind: type[BaseModel], place: Location) -> type[BaseModel] | None:
     """Return the record of the table at a place of a record; None where that is no single record."""
     for part in place:
-        fields = {one.alias or name: one for name, one in kind.model_fields.items()}
+        fields = {model_field.alias or name: model_field for name, model_field in kind.model_fields.items()}
         if part not in fields:
             continue  # the number or the name of a table, whose record was found with the key of all
         inner = list(_list_records(fields[str(part)].annotation))

@@ -50,9 +50,11 @@ FILES = (
 
 def list_files(studies: Mapping[str, type[FileRecord]]) -> tuple[FileKind, ...]:
     """Return the kinds of file: those above, then the further ones of `studies`, by the kind of study."""
-    known = [one.record for one in FILES]
+    listed = [file.record for file in FILES]
     further = (
-        FileKind(name, f"Study of kind `{name}`", one) for name, one in studies.items() if one not in known
+        FileKind(name, f"Study of kind `{name}`", study)
+        for name, study in studies.items()
+        if study not in listed
     )
     return (*FILES, *further)
 
@@ -78,11 +80,11 @@ class TableDescription:
 def describe_files(files: Iterable[FileKind]) -> list[tuple[FileKind, list[TableDescription]]]:
     """Return the tables of several files; what an earlier one describes is not described again."""
     described = dict[type[BaseModel], str]()
-    found = []
+    described_files = []
     for file in files:
         described[file.record] = file.title
-        found.append((file, list(_describe_record(file.record, "", file.title, described))))
-    return found
+        described_files.append((file, list(_describe_record(file.record, "", file.title, described))))
+    return described_files
 
 
 def _describe_record(
@@ -106,8 +108,8 @@ def _describe_record(
 
 def _find_meaning(record: type[BaseModel], name: str) -> str:
     """Return the docstring of a field, of the record or of a base class; KeyError if none has it."""
-    for one in record.__mro__:
-        if name in (meanings := _field_docstrings(one)):
+    for kind in record.__mro__:
+        if name in (meanings := _field_docstrings(kind)):
             return meanings[name]
     raise KeyError(f"{record.__name__}.{name} has no docstring")
 
@@ -138,7 +140,10 @@ def _describe_value(field: FieldInfo) -> str:
     bounds = (
         (words, getattr(limit, name, None)) for limit in field.metadata for name, words in LIMITS.items()
     )
-    parts = [_describe_type(field.annotation), *(words.format(at) for words, at in bounds if at is not None)]
+    parts = [
+        _describe_type(field.annotation),
+        *(words.format(bound) for words, bound in bounds if bound is not None),
+    ]
     if field.is_required():
         parts.append("required")
     else:
@@ -152,9 +157,9 @@ def _describe_type(annotation: Any) -> str:  # noqa: ANN401 - whatever may stand
     """Return what a key takes, in words."""
     origin, inner = get_origin(annotation), get_args(annotation)
     if origin is Literal:
-        return " or ".join(f"`{_format_value(one)}`" for one in inner)
+        return " or ".join(f"`{_format_value(part)}`" for part in inner)
     if origin in (Union, types.UnionType):
-        return " or ".join(dict.fromkeys(_describe_type(one) for one in inner if one is not type(None)))
+        return " or ".join(dict.fromkeys(_describe_type(part) for part in inner if part is not type(None)))
     if hasattr(annotation, "__metadata__"):  # of Annotated
         return _describe_type(inner[0])
     if origin is dict:
@@ -168,7 +173,7 @@ def _find_record(annotation: Any) -> type[BaseModel] | None:  # noqa: ANN401 - w
     """Return the record within an annotation, also in a list or a table."""
     if inspect.isclass(annotation) and issubclass(annotation, BaseModel):
         return annotation
-    return next((found for one in get_args(annotation) if (found := _find_record(one))), None)
+    return next((record for part in get_args(annotation) if (record := _find_record(part))), None)
 
 
 def _format_value(value: Any) -> str:  # noqa: ANN401 - a TOML value

@@ -72,7 +72,7 @@ def format_place(file: Path | str) -> FormatPlace:
 
 def warn(doubts: Iterable[Doubt], where: FormatPlace) -> Iterator[ResultWarning]:
     """Yield doubts as warnings that name the places of their keys."""
-    return (ResultWarning("units", what, where(key), fix) for key, what, fix in doubts)
+    return (ResultWarning("units", problem, where(key), fix) for key, problem, fix in doubts)
 
 
 def needle_warnings(needle: NeedleRecord, where: FormatPlace, key: str = "needle") -> Iterator[ResultWarning]:
@@ -145,8 +145,10 @@ def doubt_modulus(modulus: float, key: str) -> Iterator[Doubt]:
     yield from doubt_range(modulus, MODULUS_GPA, MODULUS_UNITS, key, "GPa")
     low, high = NO_MODULUS_GPA
     if low < modulus < high:
-        what = f"`{key}` is {modulus:g} GPa: polymers have at most {low:g}, other materials {high:g} or more"
-        yield key, what, "check it, in GPa: PEEK has 3.6, nitinol 40 to 80, steel 200"
+        problem = (
+            f"`{key}` is {modulus:g} GPa: polymers have at most {low:g}, other materials {high:g} or more"
+        )
+        yield key, problem, "check it, in GPa: PEEK has 3.6, nitinol 40 to 80, steel 200"
 
 
 def doubt_rigidity(rigidity: float, key: str) -> Iterator[Doubt]:
@@ -183,7 +185,9 @@ def _doubt_scene(scene: SceneRecord) -> Iterator[Doubt]:
     yield from doubt_tops([layer.top_mm for layer in scene.layers[1:]], deepest, "layers.2.top_mm")
     yield from doubt_depth(deepest, scene.needle.length_mm, "steps" if scene.steps else "depth_mm")
     bevels = [("bevel", scene.bevel.offset_mm, scene.bevel.cut_angle_deg)]
-    bevels += [(f"steps.{n}", one.offset_mm, one.cut_angle_deg) for n, one in enumerate(scene.steps, start=1)]
+    bevels += [
+        (f"steps.{n}", step.offset_mm, step.cut_angle_deg) for n, step in enumerate(scene.steps, start=1)
+    ]
     for key, offset, angle in bevels:
         yield from doubt_offset(offset, scene.rules.constraint_spacing_mm, f"{key}.offset_mm")
         if angle:
@@ -214,7 +218,7 @@ def doubt_range(
     if _is_within(value, plausible):
         return
     low, high = plausible
-    likely = next((one for one, factor in units.items() if _is_within(factor * value, plausible)), "")
+    likely = next((unit for unit, factor in units.items() if _is_within(factor * value, plausible)), "")
     beyond = f"below {low:g}" if value < low else f"above {high:g}"
     looks = f": this looks like {likely}" if likely else ""
     fix = f"write {units[likely] * value:g}" if likely else f"check it, in {unit}"
@@ -229,14 +233,14 @@ def doubt_mu(mu: float, key: str) -> Iterator[Doubt]:
 def doubt_alpha(alpha: float, law: str, key: str) -> Iterator[Doubt]:
     """Yield a doubt about an exponent of the Ogden law."""
     if law == "ogden" and not _is_within(abs(alpha), ALPHA):
-        what = f"`{key}` is {alpha:g}; exponents are {ALPHA[0]:g} to {ALPHA[1]:g} in size, of either sign"
-        yield key, what, "write a fitted exponent, or 1 if it is not known"
+        problem = f"`{key}` is {alpha:g}; exponents are {ALPHA[0]:g} to {ALPHA[1]:g} in size, of either sign"
+        yield key, problem, "write a fitted exponent, or 1 if it is not known"
 
 
 def doubt_offset(offset: float | None, spacing: float, key: str) -> Iterator[Doubt]:
     """Yield a doubt about a bevel's offset, mm per constraint spacing; 0 is a needle without a bevel."""
     if offset:
-        low, high = (spacing * each for each in OFFSET_TO_SPACING)
+        low, high = (spacing * ratio for ratio in OFFSET_TO_SPACING)
         yield from doubt_range(offset, (low, high), {"metres": 1e3}, key, f"mm per {spacing:g} mm of depth")
 
 
@@ -257,5 +261,5 @@ def doubt_layers(boundaries: Sequence[float], deepest: float, key: str) -> Itera
     yield from doubts
     for top, end in () if doubts else pairwise((0.0, *boundaries)):
         if end - top < BOUNDARY_TO_DEPTH * deepest:
-            what = f"`{key}` has boundaries at {top:g} and {end:g}, nearly one"
-            yield key, what, "remove one of them, or correct it, in mm"
+            problem = f"`{key}` has boundaries at {top:g} and {end:g}, nearly one"
+            yield key, problem, "remove one of them, or correct it, in mm"

@@ -117,31 +117,34 @@ def _fill_template(template: str, row: Mapping[str, Any]) -> str:
 
 def _fill_values(words: str, row: Mapping[str, Any]) -> str:
     """Return words with the values of a row; a value that is missing or empty is all that is left."""
-    known = {key: format_value(form, row[key], row) for key, form in _VALUE_PATTERN.findall(words)}
-    for text in known.values():
+    values = {key: format_value(form, row[key], row) for key, form in _VALUE_PATTERN.findall(words)}
+    for text in values.values():
         if text in ("", MISSING):
             return text
-    return _VALUE_PATTERN.sub(lambda found: known[found[1]], words)
+    return _VALUE_PATTERN.sub(lambda match: values[match[1]], words)
 
 
 def list_columns() -> dict[str, Column]:
     """Return all columns by key, those of metrics among them."""
-    found = {**_read_columns()}
+    columns = {**_read_columns()}
     for metric in list_metrics():
         form = {"%": "relative", "mm": LENGTH_ERROR_FORMAT}.get(metric.unit, "number")
-        found[metric.name] = Column(metric.name, metric.unit, form, metric.label, metric.explanation)
+        columns[metric.name] = Column(metric.name, metric.unit, form, metric.label, metric.explanation)
         if metric.has_floor:
             floor = f"Noise floor of {metric.name}: the error that perfect parameters would still show."
-            found[f"floor_{metric.name}"] = Column(
+            columns[f"floor_{metric.name}"] = Column(
                 f"floor_{metric.name}", metric.unit, form, f"{metric.label} floor", floor
             )
     shape: dict[str, Column] = {}
-    for one in list_shape_parameters():  # several laws may have one of the same name
-        key = f"{one.name}{{k}}"
-        words = f"{shape[key].explanation}; {one.explanation}" if key in shape else one.explanation
-        shape[key] = Column(key, one.unit, "number", f"{one.symbol}{{k}}", words)
-    found |= {key: replace(one, explanation=f"Of layer k: {one.explanation}.") for key, one in shape.items()}
-    return dict(sorted(found.items()))
+    for column in list_shape_parameters():  # several laws may have one of the same name
+        key = f"{column.name}{{k}}"
+        words = f"{shape[key].explanation}; {column.explanation}" if key in shape else column.explanation
+        shape[key] = Column(key, column.unit, "number", f"{column.symbol}{{k}}", words)
+    columns |= {
+        key: replace(column, explanation=f"Of layer k: {column.explanation}.")
+        for key, column in shape.items()
+    }
+    return dict(sorted(columns.items()))
 
 
 def find_column(name: str) -> Column:
@@ -151,10 +154,10 @@ def find_column(name: str) -> Column:
     general = name.replace(number[0], "{k}", 1) if number else name
     if name in columns or number is None or general not in columns:
         return columns.get(name, Column(name))
-    found = columns[general]
+    column = columns[general]
     words = f"{float(number[0].replace('_', '.')):g}"
-    texts = {part: getattr(found, part).replace("{k}", words) for part in ("unit", "format", "heading")}
-    return replace(found, key=name, **texts)
+    texts = {part: getattr(column, part).replace("{k}", words) for part in ("unit", "format", "heading")}
+    return replace(column, key=name, **texts)
 
 
 @cache

@@ -49,32 +49,36 @@ def write_import(folder: Path, prepared: PreparedImport) -> Dataset:
         plan = prepared.plan
         dataset = write_plan(fresh, prepared.content, plan, prepared.mapping)
         write_first_run(fresh, dataset, plan.choices)
-        write_scene(fresh / SCENE_FILE, dataset, max(dataset.insertions, key=lambda one: one.depth))
+        write_scene(
+            fresh / SCENE_FILE, dataset, max(dataset.insertions, key=lambda insertion: insertion.depth)
+        )
         if plan.pose != "tracker":
             draw(fresh / PICTURE_FILE, lambda: paint_import(dataset, plan))
-    warnings = [replace(one, where=one.where.replace(str(fresh), str(folder))) for one in dataset.warnings]
+    warnings = [
+        replace(warning, where=warning.where.replace(str(fresh), str(folder))) for warning in dataset.warnings
+    ]
     return replace(dataset, warnings=tuple(warnings))
 
 
 def tabulate_needles(dataset: Dataset) -> pd.DataFrame:
     """Return one row for each insertion: points, depth, deflection, entry, layers, bevel against bend."""
-    return pd.DataFrame([_describe_needle(dataset, one) for one in dataset.insertions])
+    return pd.DataFrame([_describe_needle(dataset, insertion) for insertion in dataset.insertions])
 
 
-def _describe_needle(dataset: Dataset, one: Insertion) -> dict[str, object]:
-    known, is_track = dataset.pose == "known", dataset.pose == "tracker"
-    entry, tip = one.centerline[0], one.centerline[-1]
-    depths = ", ".join(f"{depth:.1f}" for depth in one.boundaries)
-    side = _SIDES[find_bend_side(one, dataset.noise)] if known else "(free shape)"
-    side = "(turned)" if one.turns else side
+def _describe_needle(dataset: Dataset, insertion: Insertion) -> dict[str, object]:
+    is_known, is_track = dataset.pose == "known", dataset.pose == "tracker"
+    entry, tip = insertion.centerline[0], insertion.centerline[-1]
+    depths = ", ".join(f"{depth:.1f}" for depth in insertion.boundaries)
+    side = _SIDES[find_bend_side(insertion, dataset.noise)] if is_known else "(free shape)"
+    side = "(turned)" if insertion.turns else side
     row: dict[str, object] = {
-        "insertion": one.id,
-        "points": len(one.centerline),
-        "depth (mm)": round(one.depth, 2),
-        "deflection (mm)": round(one.deflection, 2),
+        "insertion": insertion.id,
+        "points": len(insertion.centerline),
+        "depth (mm)": round(insertion.depth, 2),
+        "deflection (mm)": round(insertion.deflection, 2),
         "entry x, y, z (mm)": _format_point(entry),
         "tip x, y, z (mm)": _format_point(tip),
-        "layers": " > ".join(map(str, one.sequence)) + (f" at {depths} mm" if depths else ""),
+        "layers": " > ".join(map(str, insertion.sequence)) + (f" at {depths} mm" if depths else ""),
         "bends, from its bevel": side,
     }
     return dict([*row.items()][:4]) if is_track else row
@@ -103,7 +107,7 @@ def tabulate_values(prepared: PreparedImport) -> pd.DataFrame:
         }
         for key in keys
     ]
-    rows += [{"key": what, "value": text, "from": "files", "why": ""} for what, text in prepared.notes]
+    rows += [{"key": key, "value": text, "from": "files", "why": ""} for key, text in prepared.notes]
     return pd.DataFrame(rows, columns=["key", "value", "from", "why"])
 
 
@@ -113,8 +117,8 @@ def join_unused(unused: Sequence[tuple[str, str]], left_out: Sequence[str] = ())
     `unused`: what, and where it stands. `left_out`: points without a measured coordinate, counted.
     """
     by_place = dict[str, list[str]]()
-    for what, where in unused:
-        by_place.setdefault(where, []).append(what)
+    for part, where in unused:
+        by_place.setdefault(where, []).append(part)
     parts = [f"{join_names(names, MAX_LISTED_UNUSED)} ({where})" for where, names in by_place.items()]
     parts += [f"points without a measured coordinate: {text}" for text in left_out]
     return f"Not used: {'; '.join(parts)}." if parts else ""
@@ -140,8 +144,8 @@ def paint_import(dataset: Dataset, plan: ImportPlan) -> Figure:
 
 def _draw_world(axes: Axes, insertions: Sequence[Insertion], surfaces: Sequence[Surface]) -> None:
     """Draw curves and surfaces seen across the mean direction of the needles and their greatest spread."""
-    curves = [one.centerline for one in insertions]
-    along, across = _find_view([one[-1] - one[0] for one in curves], np.concatenate(curves))
+    curves = [insertion.centerline for insertion in insertions]
+    along, across = _find_view([curve[-1] - curve[0] for curve in curves], np.concatenate(curves))
     for n, surface in enumerate(surfaces):
         faces = surface.mesh.faces[:MAX_DRAWN_TRIANGLES]
         view = Triangulation(surface.mesh.vertices @ along, surface.mesh.vertices @ across, faces)
@@ -150,7 +154,7 @@ def _draw_world(axes: Axes, insertions: Sequence[Insertion], surfaces: Sequence[
         axes.plot([], [], color=colour, lw=2, label=surface.name[:24])
     for curve in curves:
         axes.plot(curve @ along, curve @ across, color=INK, lw=0.9, zorder=3)
-    ends = np.array([[one[0], one[-1]] for one in curves])
+    ends = np.array([[curve[0], curve[-1]] for curve in curves])
     axes.plot(
         ends[:, 0] @ along, ends[:, 0] @ across, "o", ms=3.5, mfc="white", mec=INK, label="entry", zorder=4
     )
@@ -192,14 +196,14 @@ def _draw_shapes(axes: Axes, dataset: Dataset, side: str) -> None:
     """Draw every needle in its own frame, deflection exaggerated, with the layers' boundaries."""
     ones = dataset.insertions
     axes.axhline(0.0, color=GREY, lw=0.6)
-    for one in ones:
-        x, y, _ = one.points.T
-        away = dataset.pose == "known" and find_bend_side(one, dataset.noise) == "away"
+    for insertion in ones:
+        x, y, _ = insertion.points.T
+        away = dataset.pose == "known" and find_bend_side(insertion, dataset.noise) == "away"
         axes.plot(x, y, color=AWAY_COLOUR if away else INK, lw=0.9)
-        axes.plot(one.boundaries, np.interp(one.boundaries, x, y), "|", color=INK, ms=6)
+        axes.plot(insertion.boundaries, np.interp(insertion.boundaries, x, y), "|", color=INK, ms=6)
     if len(ones) <= MAX_LABELLED_NEEDLES:
         _label_tips(axes, ones)
-    toward = f", toward the {side}" if all(one.side > 0 for one in ones) else ""
+    toward = f", toward the {side}" if all(insertion.side > 0 for insertion in ones) else ""
     axes.set(
         title="\n",
         xlabel="x, along the entry direction (mm)",
@@ -210,7 +214,7 @@ def _draw_shapes(axes: Axes, dataset: Dataset, side: str) -> None:
 
 def _label_tips(axes: Axes, ones: Sequence[Insertion]) -> None:
     """Write the names at the right, in the order of the tips, each with a line to its tip."""
-    tips = sorted(((*one.points[-1, :2], one.id) for one in ones), key=lambda tip: tip[1])
+    tips = sorted(((*insertion.points[-1, :2], insertion.id) for insertion in ones), key=lambda tip: tip[1])
     low, high = axes.get_ylim()
     right = 1.08 * max(tip[0] for tip in tips)
     offsets = 0.055 * (high - low) * np.arange(len(tips), dtype=np.float64)

@@ -137,9 +137,9 @@ def _bind_words(value: Any) -> Any:  # noqa: ANN401 - text, runs of text, or wha
     if isinstance(value, str):
         return bind_numbers(value)
     if isinstance(value, list | tuple):
-        return [_bind_words(one) for one in value]
+        return [_bind_words(part) for part in value]
     if isinstance(value, dict) and value.get("style") != "code":
-        return {key: _bind_words(one) if key in _WORDS_KEYS else one for key, one in value.items()}
+        return {key: _bind_words(part) if key in _WORDS_KEYS else part for key, part in value.items()}
     return value
 
 
@@ -178,8 +178,8 @@ def compile_template(
         page = folder / template
         page.write_bytes((files("needlefit.reporting") / "templates" / template).read_bytes())
         (folder / "data.json").write_text(words, encoding="utf-8")
-        for known, picture in pictures.items():
-            (folder / known).write_bytes(picture.read_bytes())
+        for path, picture in pictures.items():
+            (folder / path).write_bytes(picture.read_bytes())
         pdf = typst.compile(str(page), root=name, font_paths=open_fonts(words), ignore_system_fonts=True)
     assert isinstance(pdf, bytes)
     return pdf
@@ -279,7 +279,7 @@ def _encode_figure(pdf: bytes) -> Block:
 def _raise_exponents(words: str) -> Markup:
     """Return text with powers raised: mu * b^1.9."""
     raised = _EXPONENT_PATTERN.sub(
-        lambda found: f"<sup>{found[1].replace('-', '−')}</sup>", str(escape(words))
+        lambda match: f"<sup>{match[1].replace('-', '−')}</sup>", str(escape(words))
     )
     return Markup(raised)  # noqa: S704 - escaped first; the pattern adds only the tags
 

@@ -19,9 +19,13 @@ _FIRST_LACKING = "\u0590"  # Latin, Greek, Cyrillic and Armenian letters stand b
 
 def find_lacking(text: str) -> frozenset[str]:
     """Return the letters of a text that the fonts that ship lack."""
-    letters = {one for one in text if one >= _FIRST_LACKING and unicodedata.category(one)[0] in _CATEGORIES}
-    known = _read_letters(_bundled_folder() / f"{FAMILY.replace(' ', '')}.ttf") if letters else ()
-    return frozenset(one for one in letters if ord(one) not in known)
+    letters = {
+        letter
+        for letter in text
+        if letter >= _FIRST_LACKING and unicodedata.category(letter)[0] in _CATEGORIES
+    }
+    bundled = _read_letters(_bundled_folder() / f"{FAMILY.replace(' ', '')}.ttf") if letters else ()
+    return frozenset(letter for letter in letters if ord(letter) not in bundled)
 
 
 @cache
@@ -31,21 +35,25 @@ def find_fonts(letters: frozenset[str]) -> dict[Path, str]:
         return {}
     from matplotlib.font_manager import fontManager  # late: it looks for all fonts
 
-    found, left = dict[Path, str](), {*map(ord, letters)}
-    upright = (one for one in fontManager.ttflist if one.style == "normal" and one.weight in (400, "normal"))
-    for one in sorted(upright, key=lambda one: (one.name, one.fname)):
-        path = Path(one.fname)
-        if left and path.parent != _bundled_folder() and (known := left & _read_letters(path)):
-            found[path] = one.name
-            left -= known
-    return found
+    fonts, left = dict[Path, str](), {*map(ord, letters)}
+    upright = (
+        font for font in fontManager.ttflist if font.style == "normal" and font.weight in (400, "normal")
+    )
+    for font in sorted(upright, key=lambda font: (font.name, font.fname)):
+        path = Path(font.fname)
+        if left and path.parent != _bundled_folder() and (covered := left & _read_letters(path)):
+            fonts[path] = font.name
+            left -= covered
+    return fonts
 
 
 def spell(text: str) -> str:
     """Return a text in which letters that no font has are written as their numbers in Unicode."""
     lacking = find_lacking(text)
-    known = frozenset[int]().union(*map(_read_letters, find_fonts(lacking)))
-    return text.translate({ord(one): f"[U+{ord(one):04X}]" for one in lacking if ord(one) not in known})
+    drawable = frozenset[int]().union(*map(_read_letters, find_fonts(lacking)))
+    return text.translate(
+        {ord(letter): f"[U+{ord(letter):04X}]" for letter in lacking if ord(letter) not in drawable}
+    )
 
 
 def open_fonts(text: str) -> typst.Fonts:

@@ -57,7 +57,7 @@ def format_latex(table: TableLayout, origin_mark: str) -> str:
     )
     template = (files("needlefit.reporting") / "templates" / "table.tex").read_text(encoding="utf-8")
     units = [column.unit for column in table.columns]
-    aligns = ("p{5cm}" if one.wide else "l" if one.align == "left" else "r" for one in table.columns)
+    aligns = ("p{5cm}" if column.wide else "l" if column.align == "left" else "r" for column in table.columns)
     return environment.from_string(template).render(
         environment="table" if _count_letters(table) <= MAX_COLUMN_LETTERS else "table*",
         caption=escape_latex((f"{origin_mark}. " if origin_mark else "") + bind_numbers(table.caption)),
@@ -114,9 +114,9 @@ def _to_digits(number: str) -> str:
 
 def format_cell(cell: str) -> str:
     r"""Return a printed cell as LaTeX: numbers, ± and ranges by siunitx, all else as `escape_latex`."""
-    if found := _NUMBER_PATTERN.fullmatch(cell):
-        spread = rf" \pm {found[2]}" if found[2] else ""
-        return rf"\num{{{_to_digits(found[1])}{spread}}}"
-    if found := _RANGE_PATTERN.fullmatch(cell):
-        return rf"\numrange{{{_to_digits(found[1])}}}{{{_to_digits(found[2])}}}"
+    if match := _NUMBER_PATTERN.fullmatch(cell):
+        spread = rf" \pm {match[2]}" if match[2] else ""
+        return rf"\num{{{_to_digits(match[1])}{spread}}}"
+    if match := _RANGE_PATTERN.fullmatch(cell):
+        return rf"\numrange{{{_to_digits(match[1])}}}{{{_to_digits(match[2])}}}"
     return escape_latex(cell)

@@ -42,11 +42,11 @@ class NeedleInScan:
 def tabulate_needles_in_scan(needles: Iterable[NeedleInScan]) -> pd.DataFrame:
     """Return needles point by point: columns `NEEDLE_COLUMNS`."""
     rows = []
-    for one in needles:
-        band = one.band
-        about = (one.fold, one.role, one.insertion, one.diameter, band.source if band else "")
-        curves = {"measured": one.measured}
-        curves |= {} if one.fitted is None else {"fitted": one.fitted}
+    for needle in needles:
+        band = needle.band
+        about = (needle.fold, needle.role, needle.insertion, needle.diameter, band.source if band else "")
+        curves = {"measured": needle.measured}
+        curves |= {} if needle.fitted is None else {"fitted": needle.fitted}
         curves |= {} if band is None else {"low": band.low, "middle": band.middle, "high": band.high}
         rows += [
             (*about, curve, j, *point)
@@ -58,7 +58,7 @@ def tabulate_needles_in_scan(needles: Iterable[NeedleInScan]) -> pd.DataFrame:
 
 def read_needles_in_scan(frame: pd.DataFrame) -> dict[str, NeedleInScan]:
     """Return the needles that `tabulate_needles_in_scan` tabulated, by insertion."""
-    found = {}
+    needles = {}
     for name, rows in frame.groupby("insertion", sort=False):
         curves = {
             str(curve): points.to_numpy(dtype=np.float64)
@@ -67,7 +67,7 @@ def read_needles_in_scan(frame: pd.DataFrame) -> dict[str, NeedleInScan]:
         first, band = rows.iloc[0], None
         if "middle" in curves:
             band = Band(curves["low"], curves["middle"], curves["high"], first["band_source"])
-        found[str(name)] = NeedleInScan(
+        needles[str(name)] = NeedleInScan(
             str(name),
             str(first["fold"]),
             str(first["role"]),
@@ -76,4 +76,4 @@ def read_needles_in_scan(frame: pd.DataFrame) -> dict[str, NeedleInScan]:
             fitted=curves.get("fitted"),
             band=band,
         )
-    return found
+    return needles

@@ -120,8 +120,8 @@ def format_metric(metric: Metric, value: float | None, digits: int = 2) -> str:
 
 def format_error(value: float, metric: str = TE.name) -> str:
     """Return an error by a metric with its unit; lengths below 0.1 mm have a third decimal."""
-    found = METRICS[metric]
-    return f"{format_metric(found, value, 3 if value < 0.1 else 2)} {found.unit}"
+    error_metric = METRICS[metric]
+    return f"{format_metric(error_metric, value, 3 if value < 0.1 else 2)} {error_metric.unit}"
 
 
 NO_BREAK = "\u00a0"  #: the space at which no line is broken
@@ -141,7 +141,10 @@ def join_words(words: Sequence[str]) -> str:
 
 def format_symbol(parameter: str) -> str:
     """Return the symbol and unit of a parameter: `mu1_pa` is μ₁ (Pa)."""
-    shape = ((one.name, one.symbol, one.unit and f" ({one.unit})") for one in list_shape_parameters())
+    shape = (
+        (shape_parameter.name, shape_parameter.symbol, shape_parameter.unit and f" ({shape_parameter.unit})")
+        for shape_parameter in list_shape_parameters()
+    )
     for name, sign, unit in (("mu", "μ", " (Pa)"), *shape):
         index = parameter.removeprefix(name).removesuffix("_pa")
         if parameter.startswith(name) and index.isdigit():
@@ -165,10 +168,10 @@ def choose_printed_unit(parameter: str, values: Iterable[float | None]) -> tuple
 
     Of a parameter that is no stress the second is 1.
     """
-    known = [float(one) for one in values if one is not None and math.isfinite(one)]
-    if not known or not parameter.endswith("_pa"):
+    sizes = [float(value) for value in values if value is not None and math.isfinite(value)]
+    if not sizes or not parameter.endswith("_pa"):
         return format_symbol(parameter), 1.0
-    scale, unit = choose_unit(parameter, max(known))
+    scale, unit = choose_unit(parameter, max(sizes))
     return format_symbol(parameter).replace("(Pa)", f"({unit})"), scale
 
 
@@ -177,9 +180,9 @@ def insert_symbols(words: str) -> str:
 
     Exponents stay `^0.28`: what sets the sentence raises them, because Unicode has no raised point.
     """
-    named = _PARAMETER_PATTERN.sub(lambda found: format_bare_symbol(found[0]), words)
+    named = _PARAMETER_PATTERN.sub(lambda match: format_bare_symbol(match[0]), words)
     true = _MINUS_PATTERN.sub("−", named)
-    return _POWER_PATTERN.sub(lambda found: typeset(found[0]), true).replace(" * ", " · ")
+    return _POWER_PATTERN.sub(lambda match: typeset(match[0]), true).replace(" * ", " · ")
 
 
 # ---- the one 95 % interval of a parameter

@@ -42,17 +42,20 @@ _REFUSED_CAPTION = (
 )
 
 
-def write_quality(one: Reconstruction, facts: list[Fact], path: Path) -> Path:
+def write_quality(reconstruction: Reconstruction, facts: list[Fact], path: Path) -> Path:
     """Write the quality page (A4, PDF), completely or not at all; equal reconstructions give equal bytes.
 
     `facts`: names and numbers beside the picture.
 
     ConfigError if nothing can be written there.
     """
-    warnings, left = list(one.warnings[:MAX_LISTED_WARNINGS]), len(one.warnings) - MAX_LISTED_WARNINGS
+    warnings, left = (
+        list(reconstruction.warnings[:MAX_LISTED_WARNINGS]),
+        len(reconstruction.warnings) - MAX_LISTED_WARNINGS,
+    )
     warnings += [f"and {left} more, in reconstruction.csv"] * (left > 0)
-    words = (f"Reconstruction of {one.scan.id}", facts, warnings, _CAPTION)
-    return _write_page(path, one.scan, words, partial(paint_needle_section, one))
+    words = (f"Reconstruction of {reconstruction.scan.id}", facts, warnings, _CAPTION)
+    return _write_page(path, reconstruction.scan, words, partial(paint_needle_section, reconstruction))
 
 
 def write_refusal_page(failure: ReconstructionFailure, path: Path) -> None:
@@ -154,18 +157,18 @@ def paint_needle_section(reconstruction: Reconstruction) -> Figure:
         height = scale * (span[1] - span[0])
         panels.append(add_panel_mm(figure, (_LEFT_MM, top - height, width, height)))
         show_view(panels[-1], view, reconstruction, span)
-        for at, _, colour, _ in _marked_depths(reconstruction):
-            panels[-1].axvline(at, color=colour, lw=0.5, alpha=0.8, zorder=2)
+        for depth, _, colour, _ in _marked_depths(reconstruction):
+            panels[-1].axvline(depth, color=colour, lw=0.5, alpha=0.8, zorder=2)
         panels[-1].set_ylabel(f"{view.axes[1]} in C\n(mm)")
         top -= height + _PANEL_GAP_MM
     for paint in (_paint_deflection, _paint_brightness):
         panels.append(add_panel_mm(figure, (_LEFT_MM, top - _PLOT_HEIGHT_MM, width, _PLOT_HEIGHT_MM)))
         paint(panels[-1], reconstruction)
         panels[-1].set_xlim(left, right)
-        for at, sd, colour, _ in _marked_depths(reconstruction):
+        for depth, sd, colour, _ in _marked_depths(reconstruction):
             half = NORMAL_95_HALF_WIDTH_SD * sd
-            panels[-1].axvspan(at - half, at + half, color=colour, alpha=0.3, lw=0, zorder=0)
-            panels[-1].axvline(at, color=colour, lw=0.7, zorder=1)
+            panels[-1].axvspan(depth - half, depth + half, color=colour, alpha=0.3, lw=0, zorder=0)
+            panels[-1].axvline(depth, color=colour, lw=0.7, zorder=1)
         top -= _PLOT_HEIGHT_MM + _PANEL_GAP_MM
     for axes in panels[:-1]:
         axes.tick_params(labelbottom=False)
@@ -219,7 +222,7 @@ def _paint_materials(axes: Axes, reconstruction: Reconstruction, scale: float) -
         level = "" if run.kind == "air" else f" {run.level:.0f} HU".replace("-", "\N{MINUS SIGN}")
         names = (f"{'guide' if guided else run.kind}{level}", "guide" if guided else run.kind, "")
         low, high = max(low, axes.get_xlim()[0]), min(high, axes.get_xlim()[1])
-        name = next(one for one in names if len(one) * _LETTER_MM < scale * (high - low) or not one)
+        name = next(name for name in names if len(name) * _LETTER_MM < scale * (high - low) or not name)
         axes.text(
             (low + high) / 2, _STRIP_PART / 2, name, transform=over, ha="center", va="center", fontsize=6.5,
             color="white" if run.kind == "metal" and not guided else INK, zorder=7,
@@ -247,11 +250,11 @@ def _paint_deflection(axes: Axes, reconstruction: Reconstruction) -> None:
 def _marked_depths(reconstruction: Reconstruction) -> list[tuple[float, float, str, str]]:
     """Return place along x, deviation, colour and name of the entry, each boundary and the tip."""
     layers, tip = reconstruction.layers, reconstruction.local[-1, 0]
-    found = [(0.0, reconstruction.pose.along_sd, ENTRY_COLOUR, "entry")]
+    marks = [(0.0, reconstruction.pose.along_sd, ENTRY_COLOUR, "entry")]
     for n, (depth, sd) in enumerate(zip(layers.boundaries, layers.sd, strict=True)):
         before, after = layers.sequence[n : n + 2]
-        found.append((float(depth), float(sd), LAYER_COLOUR, f"{before} → {after}"))
-    return [*found, (float(tip), float(reconstruction.needle_axis.tip_sd[0]), TIP_COLOUR, "tip")]
+        marks.append((float(depth), float(sd), LAYER_COLOUR, f"{before} → {after}"))
+    return [*marks, (float(tip), float(reconstruction.needle_axis.tip_sd[0]), TIP_COLOUR, "tip")]
 
 
 def _name_depths(axes: Axes, reconstruction: Reconstruction) -> None:
@@ -260,16 +263,16 @@ def _name_depths(axes: Axes, reconstruction: Reconstruction) -> None:
     left, right = axes.get_xlim()
     depths = _marked_depths(reconstruction)
     stand = spread_labels(
-        [at for at, *_ in depths],
+        [depth for depth, *_ in depths],
         [name for *_, name in depths],
         (NEEDLE_SECTION_WIDTH_MM - _LEFT_MM - _RIGHT_MM) / (right - left),
     )
-    for (at, _, colour, name), over in zip(depths, stand, strict=True):
+    for (depth, _, colour, name), over in zip(depths, stand, strict=True):
         axes.annotate(
             name, (over, top), xytext=(0, 2.5), textcoords="offset points", ha="center", va="bottom",
             fontsize=7, color=INK, annotation_clip=False,
         )  # fmt: skip
-        axes.plot([at, at], [top, top], "v", color=colour, ms=3.2, mew=0, clip_on=False, zorder=6)
+        axes.plot([depth, depth], [top, top], "v", color=colour, ms=3.2, mew=0, clip_on=False, zorder=6)
     axes.annotate(
         "← base", (left, top), xytext=(0, 2.5), textcoords="offset points", va="bottom", fontsize=7,
     )  # fmt: skip

@@ -29,8 +29,8 @@ def compile_sheet(
         name, sheet = f"figure{suffix}", Path(folder, "sheet.typ")
         sheet.write_text(template.replace("{name}", name), encoding="utf-8")
         Path(folder, name).write_bytes(drawing)
-        found = typst.compile(
+        compiled = typst.compile(
             str(sheet), root=folder, format=form, font_paths=fonts, ignore_system_fonts=True
         )
-    assert isinstance(found, bytes)
-    return found
+    assert isinstance(compiled, bytes)
+    return compiled

@@ -65,15 +65,15 @@ def write_simulated_needle(placement: Placement, shapes: Sequence[NeedleShape], 
         Markups(path, f"{name}, {shape.depth:g} mm deep", "Curve", _arc_labels(s), points)
         for name, shape, (points, s) in zip(steps, shapes, curves, strict=False)
     ]
-    write_mrk_json(path, [(one, CurveStyle(rgb(_FITTED_COLOUR), LINE_WIDTH_MM)) for one in lists])
+    write_mrk_json(path, [(markups, CurveStyle(rgb(_FITTED_COLOUR), LINE_WIDTH_MM)) for markups in lists])
     return True
 
 
 def _needle_curves(needle: NeedleInScan, summary: str) -> Iterator[tuple[Markups, CurveStyle]]:
-    found = "predicted" if needle.role == "validate" else "fitted"
+    origin = "predicted" if needle.role == "validate" else "fitted"
     lines = [("measured", needle.measured, _MEASURED_COLOUR, LINE_WIDTH_MM)]
     if needle.fitted is not None:
-        lines.append((found, needle.fitted, _FITTED_COLOUR, needle.diameter))
+        lines.append((origin, needle.fitted, _FITTED_COLOUR, needle.diameter))
     if band := needle.band:
         source = "predicted" if band.source == "predicted" else "parameters"
         lines.append((f"median, {source}", band.middle, _BAND_COLOUR, LINE_WIDTH_MM))
@@ -162,7 +162,11 @@ def name_markers(reconstruction: "Reconstruction") -> tuple[str, ...]:
     markers, registration = reconstruction.markers, reconstruction.registration
     if markers is None:
         return ()
-    paired = {} if registration is None else {int(found): int(known) for found, known in registration.pairs}
+    paired = (
+        {}
+        if registration is None
+        else {int(detected): int(stated) for detected, stated in registration.pairs}
+    )
     return tuple(
         f"marker {paired[n]}" if n in paired else f"found {n}, no known marker"
         for n in range(len(markers.centers))

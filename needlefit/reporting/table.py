@@ -54,8 +54,8 @@ def drop_repeated(tables: Iterable[TableLayout]) -> Iterator[TableLayout]:
             continue
         seen.add(cells)
         split = [_SENTENCE_END.split(note) for note in table.notes]
-        notes = [" ".join(one for one in note if one not in sentences) for note in split]
-        sentences.update(one for note in split for one in note)
+        notes = [" ".join(sentence for sentence in note if sentence not in sentences) for note in split]
+        sentences.update(sentence for note in split for sentence in note)
         yield replace(table, notes=tuple(filter(None, notes)))
 
 
@@ -122,24 +122,24 @@ class Table:
         """Return the table as text, without columns that are empty if wanted."""
         rows = list(self.rows)
         columns: list[Cells] = []
-        for one in self.columns:
-            if isinstance(one, str):
-                column = find_column(one)
+        for given in self.columns:
+            if isinstance(given, str):
+                column = find_column(given)
                 unit = _find_unit(column, {row.get("metric") for row in rows})
                 align: Literal["left", "right"] = "left" if column.is_text else "right"
                 head = TableColumn(column.label, unit, align, column.format == "prose")
-                one = Cells(head, column.format_cell)
-            columns.append(one)
+                given = Cells(head, column.format_cell)
+            columns.append(given)
         begins = [k for k, row in enumerate(rows) if not k or self._key(row) != self._key(rows[k - 1])]
         cells = tuple(
             tuple(
-                "" if self.groups and number < self.heads and k not in begins else one.cell(row)
-                for number, one in enumerate(columns)
+                "" if self.groups and number < self.heads and k not in begins else column.cell(row)
+                for number, column in enumerate(columns)
             )
             for k, row in enumerate(rows)
         )
         breaks = tuple(begins[1:]) if self.groups else ()
-        heads = tuple(one.head for one in columns)
+        heads = tuple(column.head for column in columns)
         strong = {"": (), "first": (0,), "groups": tuple(begins)}.get(self.strong)
         if strong is None:
             strong = tuple(k for k, row in enumerate(rows) if row[self.strong])

@@ -42,8 +42,8 @@ def select_rows(frame: pd.DataFrame, **place: object) -> pd.DataFrame:
     chosen = np.ones(len(frame), dtype=np.bool_)
     for name, value in place.items():
         chosen &= (frame[name] == value).to_numpy(dtype=np.bool_)
-    found: pd.DataFrame = frame[chosen]
-    return found
+    rows: pd.DataFrame = frame[chosen]
+    return rows
 
 
 def _to_plain_value(value: object) -> object:
@@ -92,11 +92,11 @@ def to_tidy(frame: pd.DataFrame) -> pd.DataFrame:
         return frame
     indices = [place.index for place in places.values()]
     combinations = [  # each once, without those that are part of another one
-        one
-        for number, one in enumerate(indices)
-        if one not in indices[:number] and not any(one.items() < other.items() for other in indices)
+        index
+        for number, index in enumerate(indices)
+        if index not in indices[:number] and not any(index.items() < other.items() for other in indices)
     ]
-    keys = list(dict.fromkeys(name for one in combinations for name in one))
+    keys = list(dict.fromkeys(name for combination in combinations for name in combination))
     plain = [str(name) for name in frame if name not in places]
     values = list(dict.fromkeys(place.column for place in places.values()))
     by_detail = sorted(places.items(), key=lambda item: len(item[1].index))
@@ -105,24 +105,25 @@ def to_tidy(frame: pd.DataFrame) -> pd.DataFrame:
         taken = {place.column: name for name, place in by_detail if place.index.items() <= index.items()}
         columns = {name: frame[name] for name in plain} | {new: frame[old] for new, old in taken.items()}
         parts.append(pd.DataFrame({**columns, **index}, index=frame.index).reset_index(drop=True))
-    found = pd.concat([part for part in parts if len(part.columns)]).sort_index(kind="stable")
+    tidy = pd.concat([part for part in parts if len(part.columns)]).sort_index(kind="stable")
     first = min(position for position, name in enumerate(frame) if name in places)
     shared = [name for name in plain if name not in (*keys, *values)]
     before = [name for name in frame.columns[:first] if name in shared]
     order = [*before, *keys, *values, *(name for name in shared if name not in before)]
-    return found.reindex(columns=order).reset_index(drop=True).assign(**_unify_types(found, values))
+    return tidy.reindex(columns=order).reset_index(drop=True).assign(**_unify_types(tidy, values))
 
 
-def _unify_types(found: pd.DataFrame, names: list[str]) -> dict[str, "pd.Series"]:
+def _unify_types(frame: pd.DataFrame, names: list[str]) -> dict[str, "pd.Series"]:
     """Return as numbers the columns in which flags and numbers met."""
-    mixed = [name for name in names if found[name].dtype == object]
-    kinds = {name: {type(value) for value in found[name].dropna()} for name in mixed}
+    mixed = [name for name in names if frame[name].dtype == object]
+    kinds = {name: {type(value) for value in frame[name].dropna()} for name in mixed}
     flags = (bool, np.bool_)
     numbers = (*flags, int, float, np.floating, np.integer)
     return {
-        name: found[name].astype(float).reset_index(drop=True)
+        name: frame[name].astype(float).reset_index(drop=True)
         for name, types in kinds.items()
-        if all(issubclass(one, numbers) for one in types) and not all(issubclass(one, flags) for one in types)
+        if all(issubclass(kind, numbers) for kind in types)
+        and not all(issubclass(kind, flags) for kind in types)
     }
 
 
@@ -133,16 +134,16 @@ def _find_places(names: list[str]) -> dict[str, _Place]:
             metrics[pattern.format(metric=metric.name)] = _Place(column, {"metric": metric.name})
     scores = [name for name in names if _PREDICTION_SCORE.fullmatch(name)]
     if scores and any(name in metrics for name in names):
-        found = {name: metrics[name] for name in names if name in metrics}
-        return found | {name: _Place("value", {"metric": name}) for name in scores}
+        places = {name: metrics[name] for name in names if name in metrics}
+        return places | {name: _Place("value", {"metric": name}) for name in scores}
     return {name: place for name in names if name not in metrics and (place := _match(name))}
 
 
 def _match(name: str) -> _Place | None:
     for pattern, target in _PATTERNS.items():
-        found = re.fullmatch(pattern, name)
-        if found:
-            groups = found.groupdict()
+        match = re.fullmatch(pattern, name)
+        if match:
+            groups = match.groupdict()
             index: dict[str, object] = {
                 key: float(text.replace("_", ".")) / 100 if key in ("level", "probability") else text
                 for key, text in groups.items()

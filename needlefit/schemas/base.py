@@ -35,8 +35,8 @@ def _require_bounded(value: object) -> None:
         if abs(value) > MAX_NUMBER:
             raise ValueError(f"{value:.6g} is too large: numbers are at most {MAX_NUMBER:g}")
     elif isinstance(value, tuple | list):
-        for one in value:
-            _require_bounded(one)
+        for part in value:
+            _require_bounded(part)
     elif isinstance(value, dict):
         _require_bounded(list(value.values()))
 

@@ -292,8 +292,8 @@ def _name_needles(needle: NeedleRecord, needles: dict[str, NeedleRecord]) -> dic
     """Return all needles; tables that state no name of their own name a needle by its key."""
     default = NeedleRecord.model_fields["name"].default
     named = {
-        key: one.model_copy(update={"name": key}) if one.name == default else one
-        for key, one in needles.items()
+        key: needle.model_copy(update={"name": key}) if needle.name == default else needle
+        for key, needle in needles.items()
     }
     return {"": needle, **named}
 

@@ -38,5 +38,5 @@ def select_deciding(value: Any, but: Collection[str] = ()) -> Any:  # noqa: ANN4
             != select_deciding(field.get_default(call_default_factory=True), but)
         }
     if isinstance(value, Mapping):
-        return {key: select_deciding(one, but) for key, one in value.items()}
-    return [select_deciding(one, but) for one in value] if isinstance(value, tuple) else value
+        return {key: select_deciding(part, but) for key, part in value.items()}
+    return [select_deciding(part, but) for part in value] if isinstance(value, tuple) else value

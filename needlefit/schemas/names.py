@@ -20,7 +20,7 @@ _INVISIBLE = ("Cc", "Cf", "Cs", "Zl", "Zp")
 
 def name_fault(name: str) -> str:
     """Return why a name is refused; empty if it is not. A name may be empty where a cell may."""
-    if any(unicodedata.category(one) in _INVISIBLE for one in name):
+    if any(unicodedata.category(letter) in _INVISIBLE for letter in name):
         return "it holds a control or formatting character"
     if name and unicodedata.normalize("NFKC", name.lstrip())[:1] in FORMULA_STARTS:
         return f"a spreadsheet would run it, as it begins with {name.lstrip()[0]}"

@@ -24,5 +24,5 @@ ORIGIN_NOTES: Mapping[Origin, str] = MappingProxyType(
 
 def combine_origins(origins: Iterable[str]) -> Origin:
     """Return the origin of what was made of several data: it is measured only if all of them are."""
-    found = {*origins}
-    return "synthetic" if "synthetic" in found else "example" if "example" in found else "measured"
+    distinct = {*origins}
+    return "synthetic" if "synthetic" in distinct else "example" if "example" in distinct else "measured"

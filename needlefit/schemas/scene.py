@@ -351,8 +351,8 @@ class SceneRecord(FileRecord):
         for n, step in enumerate(self.steps, start=1):
             for name in step.guides:
                 if name not in names:
-                    known = f"only {', '.join(names) or 'none'}"
-                    raise ValueError(f"key `steps.{n}.guides.{name}`: there is no such guide, {known}")
+                    expected = f"only {', '.join(names) or 'none'}"
+                    raise ValueError(f"key `steps.{n}.guides.{name}`: there is no such guide, {expected}")
         return self
 
 

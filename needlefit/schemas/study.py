@@ -143,7 +143,7 @@ class StudyRecord(FitRecord):
             )
         if self.folds and self.tune != SelectionRecord():
             raise ValueError("each of [[folds]] has its own tune: remove that of the study")
-        names = [one.name for one in self.folds]
+        names = [fold.name for fold in self.folds]
         if len(set(names)) < len(names):
             raise ValueError(f"every one of [[folds]] needs a name of its own, got {', '.join(names)}")
         return self

@@ -80,7 +80,7 @@ def build_dataset(
     """
     with TemporaryDirectory() as scratch:
         write_layers(Path(scratch), plan)
-        ones = [_simulate_reconstruction(Path(scratch), one, seed, population) for one in plan]
+        ones = [_simulate_reconstruction(Path(scratch), design, seed, population) for design in plan]
         return assemble_dataset(folder, ones, RECIPE, describe_dataset(seed, UNSCANNED_NOTE, population))
 
 
@@ -101,8 +101,8 @@ def _simulate_reconstruction(
     axis = _simulate_axis(insertion, placed.world, rng)
     nowhere = folder / f"{planned.id}.nrrd"
     scan = make_stated_scan(folder, planned, nowhere, nowhere)
-    found = Examination(scan, None, axis, markers, registration, nothing)
-    return derive_reconstruction(found, RECIPE, placed.grid)
+    examination = Examination(scan, None, axis, markers, registration, nothing)
+    return derive_reconstruction(examination, RECIPE, placed.grid)
 
 
 def _simulate_axis(insertion: SyntheticInsertion, box: Frame, rng: np.random.Generator) -> Centerline:

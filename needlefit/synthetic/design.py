@@ -197,11 +197,11 @@ def select_designs(names: Sequence[str]) -> tuple[InsertionDesign, ...]:
 
     ConfigError if there is no such insertion; the nearest ids are listed.
     """
-    known = {planned.id: planned for planned in list_designs()}
+    designs = {planned.id: planned for planned in list_designs()}
     for name in names:
-        if name not in known:
-            raise unknown_name_error("insertion of the twin", name, list(known), "")
-    return tuple(known[name] for name in dict.fromkeys(names)) or list_designs()
+        if name not in designs:
+            raise unknown_name_error("insertion of the twin", name, list(designs), "")
+    return tuple(designs[name] for name in dict.fromkeys(names)) or list_designs()
 
 
 def _in_phantom(

@@ -82,7 +82,7 @@ class TissueLaw(ABC):
     @cached_property
     def shape_names(self) -> tuple[str, ...]:
         """Names of the shape parameters."""
-        return tuple(one.name for one in self.parameters)
+        return tuple(parameter.name for parameter in self.parameters)
 
     def name_shape(self, layers: Iterable[int]) -> list[list[str]]:
         """Return the shape parameters' names in layers of these numbers, a row for each of `parameters`."""

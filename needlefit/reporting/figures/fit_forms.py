@@ -189,10 +189,10 @@ def _find_range(values: pd.DataFrame) -> tuple[float, float]:
 
 def _find_limits(points: pd.DataFrame, near: "pd.Series[bool]") -> tuple[float, float]:
     """Return a range of heights: of the points marked as near, and of the others what is not much farther."""
-    every, own = (frame[HEIGHT_COLUMNS].to_numpy(dtype=np.float64) for frame in (points, points[near]))
-    low, high = float(np.nanmin(own)), float(np.nanmax(own))
+    whole, near_rows = (frame[HEIGHT_COLUMNS].to_numpy(dtype=np.float64) for frame in (points, points[near]))
+    low, high = float(np.nanmin(near_rows)), float(np.nanmax(near_rows))
     far, room = 0.5 * (high - low), 0.06 * max(high - low, 0.2)
-    return max(low - far, float(np.nanmin(every))) - room, min(high + far, float(np.nanmax(every))) + room
+    return max(low - far, float(np.nanmin(whole))) - room, min(high + far, float(np.nanmax(whole))) + room
 
 
 # ---- predictive check
@@ -294,18 +294,18 @@ def profiles(frame: pd.DataFrame) -> Figure:
 
 def _draw_profile(axes: Axes, row: Row, points: pd.DataFrame, unit: float) -> None:
     logarithmic = is_logarithmic(str(row["parameter"]))
-    at = to_log_coordinates(points[["value"]].rename(columns={"value": row["parameter"]}))[:, 0]
-    fine = np.linspace(at[0], at[-1], 400)
-    values, places = (np.exp(one) if logarithmic else one for one in (at, fine))
+    logs = to_log_coordinates(points[["value"]].rename(columns={"value": row["parameter"]}))[:, 0]
+    fine = np.linspace(logs[0], logs[-1], 400)
+    values, places = (np.exp(grid) if logarithmic else grid for grid in (logs, fine))
     deviance, threshold = points["deviance"].to_numpy(dtype=np.float64), float(points["threshold"].iloc[0])
-    curve = scipy.interpolate.CubicHermiteSpline(at, deviance, points["slope"])(fine)
+    curve = scipy.interpolate.CubicHermiteSpline(logs, deviance, points["slope"])(fine)
     # the interval of the tables; of a profile alone, what is within the threshold
     inside = curve <= threshold
     if _is_of_draws(row):
         inside = (places >= row["interval_low"]) & (places <= row["interval_high"])
     axes.fill_between(places, 0, MAX_DEVIANCE, where=list(inside), color=_OURS, alpha=0.1, lw=0)
     if (sd := row["fisher_sd"]) is not None:
-        parabola = ((fine - at[int(np.argmin(deviance))]) / sd) ** 2
+        parabola = ((fine - logs[int(np.argmin(deviance))]) / sd) ** 2
         look: dict[str, Any] = {"color": METHOD_COLOURS["hand_tuned"], "lw": 0.9, "ls": (0, (4, 1.5))}
         axes.plot(places, parabola, zorder=2, **look)
     axes.plot(places, curve, color=_OURS, lw=1.3, zorder=3)

@@ -48,8 +48,8 @@ def curves(
     above = GAP_IN
     if 1 < len(chosen) <= MAX_NAMED_SERIES:
         handles = [
-            Line2D([], [], color=one.colour, lw=one.width, label=one.label, solid_capstyle="butt")
-            for one in chosen.values()
+            Line2D([], [], color=curve.colour, lw=curve.width, label=curve.label, solid_capstyle="butt")
+            for curve in chosen.values()
         ]
         above = add_legend(figure, handles, 5)
     set_margins(figure, 0.58, above)

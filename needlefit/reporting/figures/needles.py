@@ -75,9 +75,11 @@ def label_layers(scene: Scene, widths: Mapping[int, float]) -> dict[int, str]:
     modulus stands below, where a layer has room for it.
     """
     numbered = {i: f"layer {i + 1}" for i in widths}
-    own = {i: (scene.layer_names[i] if scene.layer_names else "") or called for i, called in numbered.items()}
+    layer_labels = {
+        i: (scene.layer_names[i] if scene.layer_names else "") or called for i, called in numbered.items()
+    }
     labels = {i: f"{i + 1}" for i in widths}
-    for names in (own, numbered):
+    for names in (layer_labels, numbered):
         if all(_LABEL_LETTER_IN * len(name) + _LABEL_MARGIN_IN <= widths[i] for i, name in names.items()):
             labels = names
             break
@@ -135,8 +137,8 @@ def _draw_needle(axes: Axes, scene: Scene, step: Step, shape: NeedleShape, above
     """Draw a needle, its constraint points and its supports; or the reason why there is no needle."""
     for guide in _find_guides(step, above):
         axes.plot(*guide, zorder=5, **_LOOKS["guide"])
-    at, stage = step.controls.base[3 * above], step.controls.base[3 * above + 2]  # known without a solution
-    axes.plot(step.depth - scene.needle.length, at + stage * step.depth, zorder=5, **_LOOKS["base"])
+    base, stage = step.controls.base[3 * above], step.controls.base[3 * above + 2]  # known without a solution
+    axes.plot(step.depth - scene.needle.length, base + stage * step.depth, zorder=5, **_LOOKS["base"])
     if not shape.converged:
         axes.text(
             0.5, 0.7, f"no solution: {shape.status}", transform=axes.transAxes, ha="center", va="center",
@@ -198,17 +200,17 @@ def describe_inputs(step: Step) -> list[str]:
     side = f"bevel {'left' if step.bevel.side > 0 else 'right'}"
     if step.bevel.roll_deg % 180:
         side = f"bevel rolled by {_format_signed(find_roll(step.bevel))}°"
-    found = [side]
+    parts = [side]
     if held.base_y or held.base_slope:
         angle = f", {_format_signed(np.degrees(np.arctan(held.base_slope)))}°" if held.base_slope else ""
-        found.append(f"base {_format_signed(held.base_y)} mm{angle}")
+        parts.append(f"base {_format_signed(held.base_y)} mm{angle}")
     if held.tip is not None:
-        found.append(f"tip tracked at {_format_signed(held.tip.y)} mm")
-    return found
+        parts.append(f"tip tracked at {_format_signed(held.tip.y)} mm")
+    return parts
 
 
 def describe_state(
-    state: NeedleState, found: Loads, tip_force: float | None, letters: int
+    state: NeedleState, loads: Loads, tip_force: float | None, letters: int
 ) -> tuple[list[str], list[str]]:
     """Return the text above a drawing: position and supports of the needle, and its tip with the force on it.
 
@@ -221,8 +223,8 @@ def describe_state(
 
     position = [f"{step.depth:.4g} mm deep", *describe_inputs(step)]
     position.append(_describe_strength(step.bevel))
-    supports = [f"{force('base', found.base.force)}, {_replace_minus(f'{found.base.moment:+z.2f}')} N mm"]
-    for n, (guide, held) in enumerate(zip(step.controls.guides, found.guides, strict=True), start=1):
+    supports = [f"{force('base', loads.base.force)}, {_replace_minus(f'{loads.base.moment:+z.2f}')} N mm"]
+    for n, (guide, held) in enumerate(zip(step.controls.guides, loads.guides, strict=True), start=1):
         supports.append(force(guide.name or f"guide {n}", held.force))
     lines = [line for part in (position, supports) for line in textwrap.wrap(_SEPARATOR.join(part), letters)]
     tip = [_replace_minus(f"tip {_format_tip(state.shape)}")]
@@ -285,7 +287,7 @@ class StateFigure:
         loads = [self._compute_loads(state) for state in states]
         x, y, factor = self._choose_view(states)
         self._height_mm = y[1] - y[0]
-        load = max(float(np.abs(self._smooth(one)).max(initial=0.0)) for one in loads)
+        load = max(float(np.abs(self._smooth(load)).max(initial=0.0)) for load in loads)
         self.per_mm = round_up(load / (_MAX_LOAD_FRACTION * self._height_mm)) if load > 0 else 0.0
         width = PRINT_WIDTH_IN - _AXES_IN
         self._inches = width / (x[1] - x[0])
@@ -338,14 +340,14 @@ class StateFigure:
         if overlays.measured is not None:
             axes.plot(*overlays.measured.T, zorder=2.8, **_LOOKS["halo"])
             axes.plot(*overlays.measured.T, zorder=3.5, **_LOOKS["measured"])
-        found = self._compute_loads(state)
-        if len(outline := self._outline_load(state, found)):
+        loads = self._compute_loads(state)
+        if len(outline := self._outline_load(state, loads)):
             axes.fill(*outline.T, zorder=1.8, **_LOOKS["load"])
         if self._tip_force and not state.shape.leaves_plane:
             ((x, y, _),) = compute_positions(state.shape, state.shape.x[-1:])
             length = math.copysign(_MAX_FORCE_FRACTION * self._height_mm, self._tip_force)
             axes.annotate("", (x, y + length), (x, y), arrowprops=_ARROW, zorder=7)
-        lines, tip = describe_state(state, found, self._tip_force, self._letters)
+        lines, tip = describe_state(state, loads, self._tip_force, self._letters)
         axes.set_title(_pad_lines(lines, self._lines), loc="left", pad=4)
         axes.set_title(_pad_lines(tip, self._lines), loc="right", pad=4, color=COLOURS["tip"])
 
@@ -353,10 +355,10 @@ class StateFigure:
         scene = self._scene
         return compute_loads(state.shape, state.tissue, scene.needle, state.step.controls, scene.rules)
 
-    def _smooth(self, found: Loads) -> Floats:
-        if len(found.s) < 2:
-            return found.load
-        return smooth_load(found.s, found.load, self._scene.rules.spacing)
+    def _smooth(self, loads: Loads) -> Floats:
+        if len(loads.s) < 2:
+            return loads.load
+        return smooth_load(loads.s, loads.load, self._scene.rules.spacing)
 
     def _list_handles(self) -> list[Line2D | Patch]:
         """Return the handles of the legend for what is drawn beside the needle."""
@@ -378,7 +380,7 @@ class StateFigure:
         whole = deepest == 0 or any(state.step.controls != Controls() for state in states)
         traces = [_trace(state.shape, above) for state in states for above in (False, True)]
         guides = [_find_guides(state.step) for state in states]
-        curves = [one for one in (overlays.measured, overlays.low, overlays.high) if one is not None]
+        curves = [curve for curve in (overlays.measured, overlays.low, overlays.high) if curve is not None]
         points = np.concatenate([*traces, *guides, *curves, np.zeros((1, 2))])
         start = float(points[:, 0].min()) if whole else -_MARGIN_BEFORE_ENTRY * deepest
         across = points[points[:, 0] >= start, 1]
@@ -401,12 +403,12 @@ class StateFigure:
         middle = float(z.min() + z.max()) / 2
         return middle - 0.6 * room, middle + 0.6 * room
 
-    def _outline_load(self, state: NeedleState, found: Loads) -> Floats:
+    def _outline_load(self, state: NeedleState, loads: Loads) -> Floats:
         """Return the outline of the load along the shaft: from the needle to it, and back."""
-        if len(found.s) == 0 or self.per_mm == 0:
+        if len(loads.s) == 0 or self.per_mm == 0:
             return np.empty((0, 2))
-        needle = _see(compute_positions(state.shape, found.s), above=False)
-        pulled = needle + np.column_stack((np.zeros(len(needle)), self._smooth(found) / self.per_mm))
+        needle = _see(compute_positions(state.shape, loads.s), above=False)
+        pulled = needle + np.column_stack((np.zeros(len(needle)), self._smooth(loads) / self.per_mm))
         return np.concatenate((needle, pulled[::-1]))
 
 

@@ -179,7 +179,7 @@ GAP_IN = 0.12  # between panels, and at edges
 
 def add_legend(figure: Figure, handles: Sequence[Artist], most: int) -> float:
     """Draw a legend above all panels, in as many columns as have room; return its height, inches."""
-    longest = LETTER_WIDTH_IN * max(len(str(one.get_label())) for one in handles) + _HANDLE_WIDTH_IN
+    longest = LETTER_WIDTH_IN * max(len(str(handle.get_label())) for handle in handles) + _HANDLE_WIDTH_IN
     columns = max(1, min(most, int(figure.get_figwidth() / longest)))
     figure.legend(handles=handles, ncols=columns, loc="upper left", handlelength=1.3, columnspacing=1.2)
     return 0.12 + _LEGEND_LINE_IN * math.ceil(len(handles) / columns)

@@ -100,8 +100,8 @@ def choose_blocks(context: jinja2.runtime.Context, *names: str, **local: object)
 @cache
 def _environment(package: str) -> jinja2.Environment:
     """Return Jinja2 for the texts of a package, which may import ours; automatic escapes are Markdown's."""
-    own = jinja2.PackageLoader("needlefit.reporting", "text")
-    loaders = [own] if package == __name__ else [jinja2.PackageLoader(package, ""), own]
+    package_files = jinja2.PackageLoader("needlefit.reporting", "text")
+    loaders = [package_files] if package == __name__ else [jinja2.PackageLoader(package, ""), package_files]
     environment = jinja2.Environment(
         loader=jinja2.ChoiceLoader(loaders),
         undefined=jinja2.StrictUndefined,
@@ -122,7 +122,7 @@ def _environment(package: str) -> jinja2.Environment:
         "significant": lambda value, digits: f"{value:.{digits}g}",
         "bare": format_bare_symbol,
         "symbols": insert_symbols,
-        "words": lambda words: join_words([str(one) for one in words]),
+        "words": lambda words: join_words([str(word) for word in words]),
     }
     return environment
 
@@ -180,10 +180,10 @@ class KindText:
         further: Mapping[str, list[Block]] | None = None,
     ) -> list[Block]:
         """Return a block as blocks of a report, with all that it refers to; `further` are blocks by name."""
-        known = {("table", one.name): [document.table(one)] for one in tables}
-        known |= {("block", name): blocks for name, blocks in (further or {}).items()}
-        known |= {("figure", name): [block] for name, block in (figures or {}).items()}
-        return list(_compose(_parser().parse(self.render(block, values)), known))
+        parts = {("table", table.name): [document.table(table)] for table in tables}
+        parts |= {("block", name): blocks for name, blocks in (further or {}).items()}
+        parts |= {("figure", name): [block] for name, block in (figures or {}).items()}
+        return list(_compose(_parser().parse(self.render(block, values)), parts))
 
 
 @cache
@@ -191,7 +191,7 @@ def _parser() -> MarkdownIt:
     return MarkdownIt("zero").enable(["heading", "list", *_INLINE_RULES])
 
 
-def _compose(tokens: list[Token], known: Mapping[tuple[str, str], list[Block]]) -> Iterator[Block]:
+def _compose(tokens: list[Token], blocks: Mapping[tuple[str, str], list[Block]]) -> Iterator[Block]:
     items: list[Words] = []
     lists = 0
     for number, token in enumerate(tokens):
@@ -203,16 +203,16 @@ def _compose(tokens: list[Token], known: Mapping[tuple[str, str], list[Block]]) 
             continue
         reference = _REFERENCE.fullmatch(token.content)
         if reference:
-            yield from known.get((reference[1], reference[2]), [])
+            yield from blocks.get((reference[1], reference[2]), [])
         elif lists:
             items.append(_runs(token))
         elif tokens[number - 1].type == "heading_open":
             make = document.heading if tokens[number - 1].tag == "h2" else document.subheading
             yield make(_plain(token))
         else:
-            children = [one for one in token.children or [] if one.type != "text" or one.content]
+            children = [inline for inline in token.children or [] if inline.type != "text" or inline.content]
             small = len(children) > 2 and children[0].type == "em_open" and children[-1].type == "em_close"
-            if small and sum(one.type == "em_open" for one in children) == 1:
+            if small and sum(token.type == "em_open" for token in children) == 1:
                 yield document.note(_runs(replace(token, children=children[1:-1])))
             else:
                 yield document.text(_runs(token))
