@@ -1,35 +1,36 @@
 """Warn about a dataset that can be fitted all the same: placeholders, units, copies, bevel sides."""
 
-import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import scipy
 
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import BOUNDARIES_COLUMN, NUMBER_COLUMNS, ROLL_COLUMNS
 from needlefit.datasets.curve_lengths import find_length_warnings
 from needlefit.datasets.insertion import Insertion, Noise
-from needlefit.datasets.layers import MISSED_FIX, SAME_POINT_MM, ListedInsertion, name_small_unit
-from needlefit.datasets.outlying_needles import find_needle_warnings
-from needlefit.datasets.outlying_points import (
-    drop_outlying_points,
-    find_axis_warnings,
-    find_constant_warnings,
-    find_outlying_points,
-    find_point_warnings,
+from needlefit.datasets.layers import (
+    LENGTH_TOLERANCE_MM,
+    MAX_START_DISTANCE_MM,
+    MISSED_FIX,
+    SAME_POINT_MM,
+    ListedInsertion,
+    name_small_unit,
 )
+from needlefit.datasets.outlying_points import OUTLIER_SD, find_point_warnings
 from needlefit.datasets.planes import (
     MAX_NAMED_INSERTIONS,
     MIN_BEND_SLOPE,
     SIGNIFICANT_SD,
     compute_deflection_sd,
+    compute_entry_sd,
     find_curvature_warnings,
     find_plane_warnings,
 )
 from needlefit.datasets.points import find_rounding
+from needlefit.datasets.scatter import SD_MM, find_axis_warnings, find_scatter_warnings
 from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml import load
@@ -49,33 +50,9 @@ from needlefit.schemas.mapping import MappingRecord
 
 PLACEHOLDER = "TO FILL IN"  # marks values that a template cannot know
 
-# Least plausible standard deviation of a centreline's points; a smaller one was written in another unit.
-MIN_POINT_SD_MM = 5e-4
-# Least and greatest plausible standard deviation of registration and entry pose.
-MIN_POSE_SD_MM = 1e-3  # mm; a smaller one was written in another unit
-MAX_POSE_SD_MM = 5.0  # mm; with a greater one curves cannot be compared
-MAX_ROLL_SD_DEG = 45.0  # standard deviation of a roll beyond which nothing is known of it
-MAX_NOISE_FRACTION = 0.5  # fraction of the largest deflection above which noise hides the deflections
-
-# Standard deviations of a medium's insertions together beyond which bevels count as reversed; the weight of a
-# single one is limited to this.
-REVERSED_SD = 4.0
-# By how much two measurements of one curve differ at least.
-MIN_LIKENESS = 0.3  # scatters of a point
-MIN_LIKENESS_POINTS = 15  # points of a curve from which its scatter is known
-MIN_LIKENESS_MM = 0.003  # mm, of curves of fewer points, or that were smoothed
-MIN_COPY_SD_MM = 0.02  # mm, least scatter of a measurement
-MAX_COPY_CHANCE = 1e-6  # that points are rounded alike: a greater one explains a likeness
-MIRRORS = ((1, 1), (1, -1), (-1, 1), (-1, -1))  # of the coordinates across a needle
-SMOOTH_ORDER = 3  # of a polynomial across the plane of a needle, where it does not bend
-BEND_ORDER = 6  # of one in its plane
-# Scatter of points about it, over the stated errors of points, that does not contradict them.
-MIN_SCATTER_RATIO = 1 / 3  # least
-MAX_SCATTER_RATIO = 2.0  # most
-
-# Curves begin at the tips of which the first points spread along the needles, and the last ones do not.
-MIN_LEVEL_MM = 5.0  # mm, least spread of the first points
-MAX_LEVEL_PART = 0.1  # of that, most spread of the last ones
+MAX_ROLL_SD_DEG = 45.0  #: SD of a roll beyond which nothing is known of it: a uniform one has 104
+MAX_NOISE_PART = 0.5  #: SD of points over the largest deflection: beyond it no needle bends by more than 2 SD
+MIRRORED = np.array([1.0, -1.0, 1.0])  # y of a needle
 
 # ---- the record
 
@@ -130,11 +107,11 @@ def find_record_warnings(
             where=MAPPING_FILE,
             fix="correct what is wrong, or import again with --set; then remove its line from [assumed]",
         )
-    pose_sd, noise = (MIN_POSE_SD_MM, MAX_POSE_SD_MM), record.noise
+    noise = record.noise
     larger = "point" if noise.point_sd_mm >= noise.correlated_sd_mm else "correlated"
     for name, plausible, units in (
-        ("registration_mean_mm", pose_sd, LENGTH_UNITS),
-        (f"{larger}_sd_mm", (MIN_POINT_SD_MM, MAX_POSE_SD_MM), LENGTH_UNITS),
+        ("registration_mean_mm", SD_MM, LENGTH_UNITS),
+        (f"{larger}_sd_mm", SD_MM, LENGTH_UNITS),
         ("heading_sd_deg", ANGLE_SD_DEG, ANGLE_UNITS),
         ("slope_sd_deg", ANGLE_SD_DEG, ANGLE_UNITS),
     ):
@@ -185,10 +162,7 @@ def find_bend_side(insertion: Insertion, noise: Noise) -> BendSide:
 def find_side_warnings(
     listed: Sequence[tuple[Insertion, str]], noise: Noise, column: str
 ) -> Iterator[ResultWarning]:
-    """Yield warnings that name the insertions, with their places, that bend away from their bevels.
-
-    Those of a medium that bend too little to be judged alone are judged together.
-    """
+    """Yield a warning that names the insertions, with their places, that bend away from their bevels."""
     sides = [find_bend_side(one, noise) for one, _ in listed]
     clear = sum(side != "unknown" for side in sides)
     away = [(one, where) for (one, where), side in zip(listed, sides, strict=True) if side == "away"]
@@ -211,28 +185,6 @@ def find_side_warnings(
             where=f"{away[0][1]}",
             fix=f"check `{column}` and the bevel direction of these rows",
         )
-    for medium in dict.fromkeys(one.medium for one, _ in listed):
-        group = [(_compute_bend_z(one, noise), where) for one, where in listed if one.medium == medium]
-        group = [(z, where) for z, where in group if not math.isnan(z)]
-        total = sum(max(-REVERSED_SD, min(z, REVERSED_SD)) for z, _ in group)
-        if len(group) > 1 and total < -REVERSED_SD * math.sqrt(len(group)):
-            yield ResultWarning(
-                kind="bevel_side",
-                what=f"the {len(group)} insertions into {medium} together bend away from their bevels",
-                where=min(group)[1],
-                fix=f"check `{column}` and the bevel direction of these rows",
-            )
-
-
-def _compute_bend_z(insertion: Insertion, noise: Noise) -> float:
-    """Return the deflection toward the bevel in standard deviations; NaN where it cannot be judged.
-
-    They allow for noise of points and pose, and for entry directions off by a third of `MIN_BEND_SLOPE`.
-    """
-    if insertion.pose_source == "none" or insertion.base_moved or insertion.turns:
-        return math.nan
-    slope = MIN_BEND_SLOPE * insertion.depth / SIGNIFICANT_SD
-    return insertion.deflection / math.hypot(compute_deflection_sd(insertion, noise), slope)
 
 
 # ---- insertions
@@ -244,83 +196,69 @@ def is_copy(one: Insertion, other: Insertion) -> bool:
     return a.shape == b.shape and bool(np.abs(a - b).max() <= SAME_POINT_MM)
 
 
-def measure_scatter(one: Insertion) -> float:
-    """Return the standard deviation of points about a smooth curve across the plane of the needle, mm.
+def has_same_points(one: Insertion, other: Insertion) -> bool:
+    """Whether all points of one of two curves, or their mirror images, are among those of the other."""
+    few, many = sorted((one, other), key=lambda curve: len(curve.points))
+    pairs = (few.centerline, many.centerline), (few.points * MIRRORED, many.points)
+    return any(_list_points(a) <= _list_points(b) for a, b in pairs)
 
-    No needle bends there, so that a cubic takes away all but the errors of single points. Points of a plane,
-    and free shapes, are taken to scatter in their plane. NaN of few points.
+
+def _list_points(points: Floats) -> set[tuple[float, ...]]:
+    return set(map(tuple, (points / SAME_POINT_MM).round().tolist()))
+
+
+def _find_copy_warnings(listed: Sequence[ListedInsertion]) -> Iterator[ResultWarning]:
+    """Yield a warning for each insertion with the points of an earlier one."""
+    for n, later in enumerate(listed):
+        same = (one for one in listed[:n] if has_same_points(one.insertion, later.insertion))
+        if (one := next(same, None)) is not None:
+            what = f"{later.insertion.id} and {one.insertion.id} have the same points"
+            fix = "check whether one was exported twice"
+            yield ResultWarning("copy", what, where=later.where, fix=fix)
+
+
+def _find_order_warnings(listed: Sequence[ListedInsertion]) -> Iterator[ResultWarning]:
+    """Yield a warning if the last points lie in one plane across the needles, and the first ones do not."""
+    if len(listed) < 3:
+        return
+    ends = np.array([one.insertion.centerline[[0, -1]] for one in listed])
+    along = (ends[:, 1] - ends[:, 0]).sum(axis=0)
+    first, last = np.ptp(ends @ along, axis=0) / (np.linalg.norm(along) or 1.0)
+    if first > MAX_START_DISTANCE_MM and last < LENGTH_TOLERANCE_MM:
+        what = "curves seem to run from the tip to the entry: they end in a plane across them"
+        fix = "check the order of the points; at an import `--set entry=last` states this one"
+        yield ResultWarning("reversed", what, where=listed[0].where, fix=fix)
+
+
+def _find_constant_warnings(listed: Sequence[ListedInsertion]) -> Iterator[ResultWarning]:
+    """Yield a warning for each needle with one value in a coordinate that varies along most others."""
+    varies = np.mean([np.ptp(one.points.values, axis=0) > 0 for one in listed], axis=0) > 0.5  # (3,)
+    for one in listed:
+        for axis in np.flatnonzero(varies & (np.ptp(one.points.values, axis=0) == 0)):
+            value = one.points.values[0, axis]
+            what = f"{one.insertion.id}: {'xyz'[axis]} is {value:g} at all points, and varies along others"
+            fix = "look at its column in the source, and export its points again"
+            yield ResultWarning("axis_unit", what, where=one.points.where(), fix=fix)
+
+
+def _find_entry_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
+    """Yield a warning that names the insertions that begin off their stated entries.
+
+    Soft tissue gives way at the entry by nearly as much as a needle bends.
     """
-    is_flat = one.pose_source == "none" or float(np.ptp(one.points[:, 2])) < SAME_POINT_MM
-    order, values = (BEND_ORDER, one.points[:, 1]) if is_flat else (SMOOTH_ORDER, one.points[:, 2])
-    if (free := len(values) - order - 1) <= order:
-        return math.nan
-    x = one.points[:, 0] / one.depth
-    left = values - np.polynomial.Polynomial.fit(x, values, order)(x)
-    return math.sqrt(float(left @ left) / free)
-
-
-def measure_likeness(one: Insertion, other: Insertion) -> Floats:
-    """Return the distances of points of one curve from the line through those of the other, mm.
-
-    Each curve lies in the frame of its own entry, where one may be the mirror image of the other, or both in
-    the frame of one. They may have other points of the same line, of which ends may be cut. The pair with the
-    least median counts.
-    """
-    curve, again = (each.points for each in (one, other))
-    there = one.frame.to_local(other.centerline)
-    found = np.array([math.inf])
-    for pair, signs in (((curve, again), MIRRORS), ((curve, there), MIRRORS[:1])):
-        for a, b in (pair, pair[::-1]):
-            a = a[(a[:, 0] >= b[0, 0]) & (a[:, 0] <= b[-1, 0])]
-            if len(a) > 2:
-                line = np.column_stack([np.interp(a[:, 0], b[:, 0], axis) for axis in b[:, 1:].T])
-                gaps = [np.linalg.norm(a[:, 1:] * sign - line, axis=1) for sign in signs]
-                found = min(found, *gaps, key=np.median)
-    return found
-
-
-def find_chance_of_rounding(step: float, sd: float) -> float:
-    """Return the probability that a coordinate, measured twice with `sd`, is rounded to the same step, mm."""
-    ratio = step / (math.sqrt(2) * sd)  # over the SD of a difference
-    inside = math.erf(ratio / math.sqrt(2))
-    return inside - math.sqrt(2 / math.pi) * (1 - math.exp(-(ratio**2) / 2)) / ratio if ratio else 0.0
-
-
-def _find_copy_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
-    """Yield a warning for each insertion of which more points lie on an earlier curve than noise allows.
-
-    Where coordinates are rounded, it must be more than rounding of two measurements explains.
-    """
-    insertions = [one.insertion for one in listed]
-    gaps = [float(np.diff(one.measure_arc("plane")).max()) for one in insertions]
-    scatters = [
-        min(noise.point_sd, measure_scatter(one)) if len(one.points) >= MIN_LIKENESS_POINTS else 0.0
-        for one in insertions
-    ]
-    step = find_rounding([one.points.values for one in listed]) if listed else 0.0
-    sd = max(math.hypot(noise.point_sd, noise.correlated_sd), MIN_COPY_SD_MM)
-    for n, (later, place) in enumerate((one.insertion, one.where) for one in listed):
-        for k, one in enumerate(insertions[:n]):
-            if abs(one.depth - later.depth) > max(gaps[k], gaps[n]) + noise.point_sd:
-                continue  # a copy of which a point is left out is shorter by a gap
-            least = MIN_LIKENESS * min(scatters[k], scatters[n])
-            least = max(SAME_POINT_MM, least, min(MIN_LIKENESS_MM, noise.point_sd / 30))
-            away = measure_likeness(one, later)
-            same, count = int(np.sum(away <= least)), len(away)
-            axes = 1 + any(float(np.ptp(each.points[:, 2])) > 0 for each in (one, later))
-            chance = find_chance_of_rounding(step, sd) ** axes if step > least else 0.0
-            if np.median(away) <= least and scipy.special.bdtrc(same - 1, count, chance) < MAX_COPY_CHANCE:
-                yield ResultWarning(
-                    kind="copy",
-                    what=(
-                        f"{later.id} and {one.id} are the same in {same} of {count} points, "
-                        f"within {least:.1g} mm, which "
-                        f"noise{' and rounding do' if step > least else ' does'} not explain"
-                    ),
-                    where=place,
-                    fix="check whether one was exported twice, and `noise.point_sd_mm`",
-                )
-                break
+    found = []
+    for one in (each for each in listed if each.insertion.pose_source != "none"):
+        insertion = one.insertion
+        off, slope = insertion.points[0], MIN_BEND_SLOPE * insertion.depth
+        give = np.array([LENGTH_TOLERANCE_MM, slope + np.ptp(insertion.points[:, 1]), slope])
+        if np.any(np.abs(off) > OUTLIER_SD * compute_entry_sd(insertion, noise) + give):
+            by = ", ".join(f"{x:z.1f}" for x in off)
+            found.append((f"{insertion.id} by {by} mm", one.points.where()))
+    if found:
+        names = join_names([name for name, _ in found], MAX_NAMED_INSERTIONS)
+        what = f"needles begin off their stated entries (along, toward the bevel, out of plane): {names}"
+        fix = "check how their entries and first points were measured, in which frame, and pose_shift_sd_mm"
+        yield ResultWarning("entry_offset", what, where=found[0][1], fix=fix)
 
 
 def find_insertion_warnings(
@@ -328,19 +266,13 @@ def find_insertion_warnings(
 ) -> Iterator[ResultWarning]:
     """Yield the warnings about insertions that have no fault."""
     where = format_place(file)
-    curves, others = ([one for one in listed if one.is_curve is part] for part in (True, False))
-    if others:
-        yield from _find_side_warnings(record, others, noise)
-    if curves:
-        outlying = find_outlying_points(curves, noise)
-        yield from find_point_warnings(curves, outlying)
-        yield from find_axis_warnings(curves, noise)
-        yield from find_constant_warnings(curves, noise)
-        # what is wrong with a point alone is no finding about its needle
-        curves = [drop_outlying_points(one, outlying) for one in curves]
-        yield from _find_shape_warnings(record, curves, noise, outlying)
-    kept = {one.insertion.id: one for one in (*curves, *others)}
-    listed = [kept[one.insertion.id] for one in listed]
+    outlying = find_point_warnings([one for one in listed if one.is_curve], noise)
+    yield from chain.from_iterable(outlying.values())
+    # what is wrong with a point is no finding about its needle
+    sound = [one for one in listed if one.insertion.id not in outlying]
+    column = record.insertions.columns.get("bevel_side", "bevel_side")
+    yield from find_side_warnings([(one.insertion, one.where) for one in sound], noise, column)
+    yield from _find_shape_warnings(record, [one for one in sound if one.is_curve], noise)
     insertions = [one.insertion for one in listed]
     yield from find_boundary_warnings(record, insertions, where)
     yield from _find_own_boundary_warnings(record, listed)
@@ -355,32 +287,25 @@ def find_insertion_warnings(
     for name in dict.fromkeys(one.medium for one in insertions if one.surfaces):
         group = [one for one in insertions if one.medium == name]
         yield from _find_surface_warnings(name, group, where(f"media.{name}.surfaces"))
-    yield from _find_noise_warnings(record, listed, noise, where)
-
-
-def _find_side_warnings(
-    record: DatasetRecord, listed: Sequence[ListedInsertion], noise: Noise
-) -> list[ResultWarning]:
-    column = record.insertions.columns.get("bevel_side", "bevel_side")
-    return list(find_side_warnings([(one.insertion, one.where) for one in listed], noise, column))
+    yield from _find_noise_warnings(record, sound, noise, where)
+    yield from _find_number_warnings(record, listed, where)
 
 
 def _find_shape_warnings(
-    record: DatasetRecord, listed: Sequence[ListedInsertion], noise: Noise, outlying: Collection[str]
+    record: DatasetRecord, listed: Sequence[ListedInsertion], noise: Noise
 ) -> Iterator[ResultWarning]:
-    """Yield the warnings about whole curves; those whose ids are `outlying` have points that are not."""
-    sides = _find_side_warnings(record, listed, noise)
-    yield from sides
-    # wrong sides look like needles that lean alike, and like one that differs
-    needles = [] if sides else list(find_needle_warnings(listed, noise))
-    yield from needles
-    if not any(one.kind == "common_pose" for one in needles):
-        yield from find_plane_warnings(listed, noise)
+    """Yield the warnings about whole curves."""
+    yield from find_axis_warnings(listed, noise)
+    yield from _find_entry_warnings(listed, noise)
+    yield from find_plane_warnings(listed, noise)
     yield from find_curvature_warnings(listed, noise)
-    yield from _find_reversed_warnings(listed, noise)
-    measured = [one for one in listed if one.insertion.id not in outlying]  # their ends are points
-    yield from find_length_warnings(measured, noise, record.insertions.columns.get("depth_mm", "depth_mm"))
-    yield from _find_copy_warnings(listed, noise)
+    yield from _find_order_warnings(listed)
+    yield from find_length_warnings(listed, noise, record.insertions.columns.get("depth_mm", "depth_mm"))
+    # values that are rounded by more than their noise may well be equal
+    values = [one.points.values for one in listed]
+    if values and find_rounding(values) <= max(noise.point_sd, noise.correlated_sd):
+        yield from _find_copy_warnings(listed)
+        yield from _find_constant_warnings(listed)
 
 
 def _find_surface_warnings(name: str, group: Sequence[Insertion], where: str) -> Iterator[ResultWarning]:
@@ -413,36 +338,6 @@ def _find_surface_warnings(name: str, group: Sequence[Insertion], where: str) ->
         )
 
 
-def _find_reversed_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
-    """Yield a warning if curves seem to begin at the tips; of at least one insertion.
-
-    Either their last points lie in one plane across them, and their first ones do not, or they begin off the
-    entry direction, beyond errors, and end along it: a bevel bends a needle the more, the deeper it is.
-    """
-    own = [one.insertion for one in listed]
-    ends = np.array([one.centerline[[0, -1]] for one in own])
-    along = (ends[:, 1] - ends[:, 0]).sum(axis=0)
-    first, last = np.ptp(ends @ along, axis=0) / (np.linalg.norm(along) or 1.0)
-    is_level = len(own) > 2 and first > MIN_LEVEL_MM and last < MAX_LEVEL_PART * first
-    slopes = [(0.0, 0.0, 0.0)]  # at the first and last points, about the entry, and their deviation, rad
-    for one in own:
-        if one.pose_source != "none" and not one.turns and not one.base_moved:
-            s = one.measure_arc("space")
-            bend, slope, _ = np.polyfit(s, one.points[:, 1:], 2)
-            sd = math.hypot(one.pose_angle_sd, 4 * math.hypot(noise.point_sd, noise.correlated_sd) / s[-1])
-            begin, end = (float(np.linalg.norm(one)) for one in (slope, slope + 2 * bend * s[-1]))
-            slopes.append((begin, end, sd))
-    begin, end, sd = np.linalg.norm(slopes, axis=0) / math.sqrt(max(len(slopes) - 1, 1))
-    if (is_turned := begin > max(2 * end, SIGNIFICANT_SD * sd, MIN_BEND_SLOPE)) or is_level:
-        why = "begin off the entry direction, and end along it" if is_turned else "end in a plane across them"
-        yield ResultWarning(
-            kind="reversed",
-            what=f"curves seem to run from the tip to the entry: they {why}",
-            where=f"{listed[0].where}",
-            fix="check the order of the points; at an import `--set entry=last` states this one",
-        )
-
-
 def _find_noise_warnings(
     record: DatasetRecord, listed: Sequence[ListedInsertion], noise: Noise, where: FormatPlace
 ) -> Iterator[ResultWarning]:
@@ -459,7 +354,7 @@ def _find_noise_warnings(
             where=where("noise.point_sd_mm"),
             fix="write `noise.point_sd_mm`, the standard deviation of a point per axis",
         )
-    if sd > MAX_NOISE_FRACTION * largest:
+    if sd > MAX_NOISE_PART * largest:
         yield ResultWarning(
             kind="noise",
             what=f"the noise of the points, {sd:g} mm, hides deflections of {largest:.3g} mm at most",
@@ -469,42 +364,11 @@ def _find_noise_warnings(
     else:
         is_smoothed = record.measurement is not None and record.measurement.operator != "none"
         curves = [one.insertion for one in listed if one.is_curve]
-        yield from find_scatter_warnings(curves, noise, where, is_smoothed)
-    yield from _find_number_warnings(record, listed, where)
+        yield from find_scatter_warnings(curves, noise, where(_name_larger_sd(noise)), is_smoothed)
 
 
 def _name_larger_sd(noise: Noise) -> str:
     return f"noise.{'point' if noise.point_sd >= noise.correlated_sd else 'correlated'}_sd_mm"
-
-
-def find_scatter_warnings(
-    insertions: Sequence[Insertion], noise: Noise, where: FormatPlace, is_smoothed: bool = False
-) -> Iterator[ResultWarning]:
-    """Yield a warning if points scatter about smooth curves by more, or less, than their stated errors.
-
-    `is_smoothed`: the measurement smoothed the points, so that they may scatter less.
-    """
-    found = []
-    for one in insertions:
-        own = 0.0 if one.sd is None else float(np.sqrt(np.mean(one.sd**2)))
-        stated = math.hypot(own, noise.point_sd, noise.correlated_sd)
-        if stated >= MIN_POINT_SD_MM and not math.isnan(scatter := measure_scatter(one)):
-            found.append((scatter, stated))
-    if found:
-        scatter, stated = np.sqrt(np.mean(np.square(found), axis=0))
-        # errors that neighbours share, and those of a column, need not scatter
-        too_large = scatter < MIN_SCATTER_RATIO * noise.point_sd and not is_smoothed
-        if too_large or scatter > MAX_SCATTER_RATIO * stated:
-            fix = "state the noise that the points have; too little of it narrows every interval"
-            fix = "state the noise, or under [measurement] what smoothed the points" if too_large else fix
-            yield ResultWarning(
-                kind="noise",
-                what=(
-                    f"points scatter by {scatter:.2g} mm about smooth curves, and {stated:.2g} mm are stated"
-                ),
-                where=where(_name_larger_sd(noise)),
-                fix=fix,
-            )
 
 
 def find_boundary_warnings(
@@ -546,7 +410,7 @@ def _find_number_warnings(
     """Yield a warning for each column of deviations of the table that holds values hard to believe."""
     source = record.insertions
     for name, (least, most) in {
-        "pose_shift_sd_mm": (MIN_POSE_SD_MM, MAX_POSE_SD_MM),
+        "pose_shift_sd_mm": SD_MM,
         "pose_angle_sd_deg": ANGLE_SD_DEG,
         ROLL_COLUMNS[1]: (0.0, MAX_ROLL_SD_DEG),
     }.items():

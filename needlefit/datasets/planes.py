@@ -22,17 +22,19 @@ SIGNIFICANT_SD = 3.0  # standard deviations beyond which a bend is not a measure
 # Least bend over depth that counts: entry directions are hardly known better than 0.3 degrees.
 MIN_BEND_SLOPE = 0.005
 MIN_TWIST = 0.05  # of tips out of the planes of their curves, as part of the deflection, rms
-MIN_SAME_DIRECTION = 0.95  # length of the mean of unit vectors from which they are one direction
 MAX_NAMED_INSERTIONS = 8  # number of insertions that a warning names
-BEND_PLACES = 200  # along a needle, at which its curvature is integrated
 PLANAR_TURN_SINE = 1e-6  # sine of a turn up to which it is one by 0 or 180 degrees
+
+
+def compute_entry_sd(insertion: Insertion, noise: Noise) -> float:
+    """Return the standard deviation of a first point, along any axis, by points and pose, mm."""
+    shift = max(noise.registration_mean / MEAN_NORM_PER_SD, insertion.pose_shift_sd)
+    return math.hypot(shift, noise.point_sd, noise.correlated_sd)
 
 
 def compute_deflection_sd(insertion: Insertion, noise: Noise) -> float:
     """Return the standard deviation of a tip across the needle by points and pose, mm."""
-    shift = max(noise.registration_mean / MEAN_NORM_PER_SD, insertion.pose_shift_sd)
-    pose = math.hypot(shift, insertion.pose_angle_sd * insertion.depth)
-    return math.hypot(pose, noise.point_sd, noise.correlated_sd)
+    return math.hypot(compute_entry_sd(insertion, noise), insertion.pose_angle_sd * insertion.depth)
 
 
 def compute_plane_sd(insertion: Insertion, noise: Noise) -> float:
@@ -201,34 +203,27 @@ def _find_across(insertion: Insertion, depths: Sequence[float]) -> Floats:
 
 
 def find_plane_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
-    """Yield a warning that names the insertions that are not where their bevels lead them.
+    """Yield a warning that names the insertions that are not where their bevels lead them, and what would.
 
-    It proposes what leads them there. Without any it names those whose tips are far out of the planes nearest
-    to their own curves.
+    Without any it names those whose tips are far out of the planes nearest to their own curves.
     """
     aside = _find_aside([one for one in listed if one.insertion.pose_source != "none"], noise)
-    if aside:
-        names = join_names([one.insertion.id for one in aside], MAX_NAMED_INSERTIONS)
-        fix = _propose_bevel([one.insertion for one in aside], noise)
-        fix += '; `compared = "space"` in the study or fit compares them there'
-        yield ResultWarning(
-            kind="bevel_plane",
-            what=(
-                "needles are up to "
-                f"{max(measure_aside(one.insertion) for one in aside):.1f} mm from where "
-                "their bevels lead them, which errors of points, pose and rolls do not "
-                f"explain: {names}"
-            ),
-            where=f"{aside[0].where}",
-            fix=fix,
-        )
-    elif twisted := _find_twisted([one.insertion for one in listed], noise):
-        yield ResultWarning(
-            kind="bevel_plane",
-            what=f"{join_names(twisted, MAX_NAMED_INSERTIONS)} bend in no plane",
-            where=f"{listed[0].where}",
-            fix="check whether the needle turned on its way, and state its turns by `insertions.turns`",
-        )
+    if not aside:
+        if twisted := _find_twisted([one.insertion for one in listed], noise):
+            what = f"{join_names(twisted, MAX_NAMED_INSERTIONS)} bend in no plane"
+            fix = "check whether the needle turned on its way, and state its turns by `insertions.turns`"
+            yield ResultWarning("bevel_plane", what, where=listed[0].where, fix=fix)
+        return
+    most = max(measure_aside(one.insertion) for one in aside)
+    what = f"needles are up to {most:.1f} mm from where their bevels lead them, which errors of points, pose "
+    what += "and rolls do not explain: "
+    fix = f'{_name_bevel([one.insertion for one in aside])}; `compared = "space"` in the study or fit '
+    yield ResultWarning(
+        "bevel_plane",
+        what + join_names([one.insertion.id for one in aside], MAX_NAMED_INSERTIONS),
+        where=aside[0].where,
+        fix=f"{fix}compares them there",
+    )
 
 
 def find_curvature_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
@@ -238,7 +233,7 @@ def find_curvature_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> 
         if one.curvature is None:
             continue
         s, *curvatures, _ = one.curvature[np.argsort(one.curvature[:, 0])].T
-        places = np.linspace(0.0, one.depth, BEND_PLACES)  # from the tip; the entry is straight along x
+        places = np.linspace(0.0, one.depth, len(s) * 20)  # from the tip; the entry is straight along x
         least = max(SIGNIFICANT_SD * compute_deflection_sd(one, noise), MIN_BEND_SLOPE * one.depth)
         (tip,) = _find_across(one, [one.depth])
         for column, curvature, away in zip(CURVATURE_COLUMNS[2:4], curvatures, tip, strict=True):
@@ -246,18 +241,15 @@ def find_curvature_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> 
             if led * away < 0 and min(abs(led), abs(away)) > least:
                 against.setdefault(column, []).append(one.id)
     for column, names in against.items():
-        yield ResultWarning(
-            kind="curvature",
-            what=f"`{column}` bends {join_names(names, MAX_NAMED_INSERTIONS)} away from the measured tips",
-            where=f"{listed[0].where}",
-            fix="check its sign: curvatures are toward +y and +z of a bevel with a roll of 0",
-        )
+        what = f"`{column}` bends {join_names(names, MAX_NAMED_INSERTIONS)} away from the measured tips"
+        fix = "check its sign: curvatures are toward +y and +z of a bevel with a roll of 0"
+        yield ResultWarning("curvature", what, where=listed[0].where, fix=fix)
 
 
 def _find_aside(known: Sequence[ListedInsertion], noise: Noise) -> list[ListedInsertion]:
     """Return the insertions that errors do not bring to where their bevels lead them.
 
-    Of many needles one is beyond `SIGNIFICANT_SD` by chance: all of them are so as rarely as one would be.
+    Of many needles one is beyond `SIGNIFICANT_SD` by chance: any of them is so as rarely as one would be.
     Those with turns, whose rolls have errors, are judged together too: they follow one convention.
     """
     ratios = []
@@ -265,33 +257,26 @@ def _find_aside(known: Sequence[ListedInsertion], noise: Noise) -> list[ListedIn
         sd = max(compute_plane_sd(one, noise), MIN_BEND_SLOPE * one.depth / SIGNIFICANT_SD)
         ratios.append(measure_aside(one) / sd)
     turned = [ratio for ratio, one in zip(ratios, known, strict=True) if one.insertion.turns]
-    count, total = max(1, len(turned)), float(np.sum(np.square(turned)))
-    most = float(scipy.special.chdtri(count, scipy.special.chdtrc(1, SIGNIFICANT_SD**2)))  # of chi-squared
-    rare = scipy.special.chdtrc(1, SIGNIFICANT_SD**2) / max(1, len(known))
-    single = math.sqrt(scipy.special.chdtri(1, rare))
-    limit = math.sqrt(most / count) if total > most else single
+    rare = float(scipy.special.chdtrc(1, SIGNIFICANT_SD**2))
+    single = math.sqrt(scipy.special.chdtri(1, rare / max(1, len(known))))
+    together = math.sqrt(scipy.special.chdtri(len(turned) or 1, rare) / (len(turned) or 1))  # rms
+    limit = together if np.sum(np.square(turned)) > together**2 * len(turned) else single
     pairs = zip(known, ratios, strict=True)
     return [one for one, ratio in pairs if ratio > (limit if one.insertion.turns else single)]
 
 
-def _propose_bevel(aside: Sequence[Insertion], noise: Noise) -> str:
-    """Return what leads needles to where they are: turns, or rolls and the direction of side 1."""
+def _name_bevel(aside: Sequence[Insertion]) -> str:
+    """Return what would lead needles to where they are: turns, or rolls and a bevel direction."""
     if all(one.turns and measure_aside(one, -1.0) < measure_aside(one) / 2 for one in aside):
         return "check the sign of `bevel_roll_deg` in the table of turns: it is right-handed about x"
-    turned = any(one.turns for one in aside) or _find_twisted(aside, noise)
     rolls, directions = [], []
     for one in aside:
-        first, middle, last = one.side * _find_across(one, [one.depth * part for part in (0.5, 0.75, 1.0)])
-        toward = first - 2 * middle + last if turned else last
-        rolls.append(f"{math.degrees(math.atan2(toward[1], toward[0])):.0f} ({one.id})")
-        directions.append(normalize(one.frame.rotation[:, 1:] @ toward))
-    listed, mean = join_names(rolls, MAX_NAMED_INSERTIONS), np.mean(directions, axis=0)
-    if turned:
-        return f"check the turns, `insertions.turns`: the last halves bend toward rolls of {listed} degrees"
-    fix = f"check the bevel direction and the frame; rolls of {listed} degrees fit"
-    if np.linalg.norm(mean) < MIN_SAME_DIRECTION:
-        return fix
-    return f"{fix}, or the direction {', '.join(f'{x:z.2f}' for x in normalize(mean).round(2))}"
+        (last,) = one.side * _find_across(one, [one.depth])
+        rolls.append(f"{math.degrees(math.atan2(last[1], last[0])):.0f} ({one.id})")
+        directions.append(normalize(one.frame.rotation[:, 1:] @ last))
+    mean = ", ".join(f"{x:z.2f}" for x in normalize(np.mean(directions, axis=0)).round(2))
+    fix = "check the bevel direction, the turns and the frame; tips lie toward rolls of "
+    return f"{fix}{join_names(rolls, MAX_NAMED_INSERTIONS)} degrees, on the mean toward {mean}"
 
 
 def _find_twisted(insertions: Sequence[Insertion], noise: Noise) -> list[str]:

@@ -17,7 +17,6 @@ from needlefit.datasets.dataset_warnings import (
     find_boundary_warnings,
     find_insertion_warnings,
     find_record_warnings,
-    find_scatter_warnings,
     find_side_warnings,
     read_assumed,
 )
@@ -39,6 +38,7 @@ from needlefit.datasets.layers import (
 )
 from needlefit.datasets.needles import describe_rigidity, find_needle_faults, make_needles
 from needlefit.datasets.points import Points
+from needlefit.datasets.scatter import find_scatter_warnings
 from needlefit.datasets.sections import find_operator_faults, find_sections
 from needlefit.datasets.sources import DatasetFiles, find_checksum_faults, find_dataset_file, find_folder
 from needlefit.datasets.tip_tracks import parse_tracks
@@ -400,7 +400,9 @@ def _read_tracks(reading: _Reading) -> tuple[list[Insertion], list[Path], dict[s
         reading.warnings += find_side_warnings([(one, str(path)) for one in tracks], noise, column)
         reading.warnings += find_boundary_warnings(record, tracks, where)
         # under a guide that moves, a track is no smooth curve
-        reading.warnings += find_scatter_warnings([one for one in tracks if not one.guided], noise, where)
+        reading.warnings += find_scatter_warnings(
+            [one for one in tracks if not one.guided], noise, where("noise.point_sd_mm")
+        )
     return tracks, [path], {"pose": "tracker", "drop_proximal": 0.0, "remarks": tuple(remarks)}
 
 

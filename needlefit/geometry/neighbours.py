@@ -1,7 +1,5 @@
 """Predict points of a curve from their neighbours: what a point, or a step between two, adds is left over."""
 
-import math
-
 import numpy as np
 
 from needlefit.arrays import Floats
@@ -10,7 +8,6 @@ MIN_NEIGHBOURS = 4  #: on either side, at least
 MAX_NEIGHBOURS = 20  #: at most
 REACH_MM = 8.0  #: mm, within which those between are
 MAX_ORDER = 3  #: of the polynomial through neighbours
-END_ORDER = 2  #: of the one that leads on to an end
 
 
 def leave_one_out(x: Floats, values: Floats) -> tuple[Floats, Floats]:
@@ -31,18 +28,6 @@ def leave_one_out(x: Floats, values: Floats) -> tuple[Floats, Floats]:
     weights = np.linalg.pinv(powers)[:, 0, :]  # (N, near): of the polynomial's value at the point
     left = values - np.einsum("ij,ijk->ik", weights, values[others])
     return left, np.sqrt(1.0 + np.sum(weights**2, axis=1))
-
-
-def leave_last_out(x: Floats, values: Floats) -> tuple[Floats, float]:
-    """Return how far the last point (k,) is from a parabola through those before it, and the same factor.
-
-    The factor is smaller than that of a cubic. What a parabola misses is much the same of like needles.
-    """
-    near = _count_neighbours(x)
-    away = (x[-near - 1 : -1] - x[-1]) / (x[-1] - x[-near - 1])
-    weights = np.linalg.pinv(away[:, None] ** np.arange(END_ORDER + 1))[0]
-    left: Floats = values[-1] - weights @ values[-near - 1 : -1]
-    return left, math.sqrt(1.0 + float(weights @ weights))
 
 
 def find_steps(x: Floats, values: Floats) -> tuple[Floats, Floats]:

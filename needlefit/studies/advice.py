@@ -77,12 +77,13 @@ def advise(
 
 
 #: kinds of warnings about data that cannot all be right: no verdict on them is one on the model
-CONTRADICTIONS = (
-    *("point_outlier", "axis_unit", "common_pose", "entry_offset"),
-    *("bevel_side", "length", "reversed", "copy", "examples"),
-)
+CONTRADICTIONS = ("axis_unit", "bevel_side", "copy", "examples", "reversed")
 #: kinds of warnings that `needlefit check` prints, of a dataset alone; the others are about a result
-_OF_DATASETS = (*CONTRADICTIONS, "assumed", "curvature", "no_noise", "noise", "surfaces")
+_OF_DATASETS = (
+    *CONTRADICTIONS,
+    *("point_outlier", "entry_offset", "length"),
+    *("assumed", "curvature", "no_noise", "noise", "surfaces"),
+)
 #: kinds of warnings that are no doubt: a text that reports print, and the choice of a point of a distribution
 _NO_DOUBTS = ("placeholder", "predictive_median")
 

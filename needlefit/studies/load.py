@@ -30,7 +30,7 @@ from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.job import Job, Settings, metric_recipe
 
 #: kinds of warnings that are also printed before the work, which takes long and is of no use then
-DATA_WARNINGS = ("units", "bevel_side", "axis_unit", "common_pose", "data_changed")
+DATA_WARNINGS = ("units", "bevel_side", "axis_unit", "data_changed")
 _GUIDE_PARAMETER = "guide_distance_mm"
 
 
