@@ -96,11 +96,11 @@ AREAS = {
         ("validation_heldout", "inference_space", "judge", "reporting_tables"),
     ),
     "planes": Area(
-        ("datasets/planes.py", "datasets/comparison.py"),
+        ("datasets/planes.py",),
         ("dataset_warnings", "inference_space", "outliers", "datasets"),
     ),
     "outliers": Area(
-        ("datasets/outlying_needles.py", "datasets/outlying_points.py", "geometry/neighbours.py"),
+        ("datasets/outlying_points.py", "datasets/scatter.py", "geometry/neighbours.py"),
         ("outliers", "dataset_warnings"),
     ),
     "lengths": Area(

@@ -426,12 +426,8 @@ def _examine_depths(job: Job, fold: Fold, fit: Fit) -> list[DepthMetadata]:
 
 
 def _find_doubts(job: Job, fold: Fold, fit: Fit) -> list[NeedleDoubtMetadata]:
-    """Return the needles of the first fold that the others do not predict.
-
-    Where all are shifted or lean alike, the one that does not is not the odd one.
-    """
-    alike = any(one.kind == "common_pose" for one in job.dataset.warnings)
-    if fit.minimized != "posterior" or fold is not job.folds[0] or alike:
+    """Return the needles of the first fold that the others do not predict."""
+    if fit.minimized != "posterior" or fold is not job.folds[0]:
         return []
     return find_doubts(job.problem(fold), np.array(fit.theta))
 
