@@ -235,11 +235,10 @@ def _kinds_in_sources() -> set[str]:
         call
         for path in package.rglob("*.py")
         for call in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        if isinstance(call, ast.Call) and getattr(call.func, "id", "") == "ResultWarning" and call.args
+        if isinstance(call, ast.Call) and getattr(call.func, "id", "") == "ResultWarning"
     ]
-    named = {call.args[0].value for call in calls if not isinstance(call.args[0], ast.Name)}
-    for path in package.rglob("*.py"):
-        named |= {*re.findall(r'^ +kind: (\w+)"{3}\)', path.read_text(encoding="utf-8"), re.MULTILINE)}
+    stated = [[*call.args[:1], *(one.value for one in call.keywords if one.arg == "kind")] for call in calls]
+    named = {kind.value for every in stated for kind in every if isinstance(kind, ast.Constant)}
     assert len(named) > 18
     return named
 
