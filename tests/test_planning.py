@@ -146,12 +146,6 @@ def test_a_plan_that_fails_prints_no_steps_and_how_near_it_comes(tmp_path, capsy
     assert found["nominal_miss_mm"] > 0.5
 
 
-def test_a_cancelled_search_ends() -> None:
-    asked = iter([False, False, True])
-    with pytest.raises(ModelError):
-        plan_steering(insertion(), Goal((60.0, 2.0), 1.0), threads=1, cancelled=lambda: next(asked))
-
-
 @pytest.mark.parametrize("x", [10.0, 300.0])
 def test_a_target_behind_the_tip_or_out_of_reach_is_refused(x) -> None:
     with pytest.raises(ModelError):

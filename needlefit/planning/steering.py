@@ -12,7 +12,7 @@ Depths are arc lengths, as the needle is inserted; target and obstacles are in t
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations, product
@@ -233,15 +233,14 @@ def plan_steering(
     goal: Goal,
     limits: PlanLimits | None = None,
     threads: int | None = None,
-    cancelled: Callable[[], bool] = lambda: False,
 ) -> SteeringPlan:
     """Return the plan of least risk from where the needle stands.
 
     The radius of `goal` is finite; the entry is shifted within its limits only from first contact on.
     `threads` are by default as many as there are cores. Raises ModelError if the target is not ahead of the
-    tip, out of the needle's reach, no needle is found on the way, or `cancelled()` while it is sought.
+    tip, out of the needle's reach, or no needle is found on the way.
     """
-    search = _begin_search(insertion, goal, limits or PlanLimits(), threads, cancelled)
+    search = _begin_search(insertion, goal, limits or PlanLimits(), threads)
     return search.describe(search.best())
 
 
@@ -262,10 +261,9 @@ def _begin_search(
     goal: Goal,
     limits: PlanLimits,
     threads: int | None,
-    cancelled: Callable[[], bool] = lambda: False,
 ) -> "_Search":
     goal = goal.to_space() if any(step.acts_along_z for step in insertion.path) else goal
-    search = _Search(insertion, goal, limits, threads, cancelled)
+    search = _Search(insertion, goal, limits, threads)
     x, nearest = goal.target[0], insertion.now.depth + NEAREST_TARGET_MM
     if x <= nearest or search.end > insertion.reach:
         raise ModelError(
@@ -321,7 +319,6 @@ class _Search:
     goal: Goal
     limits: PlanLimits
     threads: int | None
-    cancelled: Callable[[], bool] = lambda: False
     ramp: float = 1.0  #: part of the remaining way on which the base moves
     sought: ParameterDraws | None = None  #: on which choices are compared; None: those of the insertion
 
@@ -387,8 +384,6 @@ class _Search:
 
     def needles(self, draws: ParameterDraws, choices: Sequence[_Choice]) -> list[Floats]:
         """Return the needles (B, K, D) of all draws under each choice, NaN where none is within validity."""
-        if self.cancelled():
-            raise ModelError("the search was cancelled", expected="a plan that is still wanted")
 
         def place(number: int, shapes: NeedleShapes, rows: slice) -> tuple[Floats]:
             entry, depth, *_ = choices[number].at
