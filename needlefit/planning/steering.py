@@ -50,13 +50,13 @@ from needlefit.planning.goals import (
 
 SEARCH_DRAWS = 32  #: draws on which a plan is sought; the others test it
 QUICK_ROUNDS = 2  #: of Gauss-Newton steps of a plan that is made again on the way
-QUICK_RAMP = 0.3  #: part of the remaining way on which the base moves: later moves hardly bend a needle
-QUICK_DRAWS = 8  #: on which these are taken; vector instructions serve so many at once
+QUICK_RAMP = 0.15  #: part of the remaining way on which the base moves: later moves hardly bend a needle
 BASE_STEP_MM = 5.0  #: the base moves in steps of so much inserted depth
 DEPTH_RANGE_MM = 5.0  #: a plan ends within so much of the target's own depth
 NEAREST_TARGET_MM = 0.5  #: a target lies at least so much deeper than the tip
 TURN_PLACES = {0: 0, 1: 5, 2: 4}  #: on how many places along the way so many turns of the bevel are tried
-EFFORT_MM = 0.05  #: expected miss, mm, for which the base or the entry is moved over its whole range
+#: expected miss, mm, for which the base or the entry is moved over its whole range, or the bevel turned
+EFFORT_MM = 0.05
 
 TURN_RISK = 0.005  #: risk for which a further turn is taken
 EFFORT_RISK = 0.01  #: risk for which base and entry are moved over their ranges
@@ -245,14 +245,19 @@ def plan_steering(
 
 
 def plan_again(
-    insertion: StartedInsertion, goal: Goal, limits: PlanLimits | None = None, threads: int | None = None
+    insertion: StartedInsertion,
+    goal: Goal,
+    limits: PlanLimits | None = None,
+    sought: ParameterDraws | None = None,
+    threads: int | None = None,
 ) -> SteeringPlan:
-    """Return a plan as `plan_steering` does, but in a hundredth of a second, for a loop.
+    """Return the plan of the least expected squared miss, in a hundredth of a second, for a loop.
 
-    Each choice of turns is brought to the target by `QUICK_ROUNDS` Gauss-Newton steps of the expected miss;
-    its risk is not lowered further, and narrower ranges are not searched.
+    Each choice of turns is brought to the target by `QUICK_ROUNDS` Gauss-Newton steps, on the draws `sought`
+    alone, by default those of `plan_steering`; the risk is not lowered, narrower ranges are not searched.
     """
-    search = replace(_begin_search(insertion, goal, limits or PlanLimits(), threads), ramp=QUICK_RAMP)
+    search = _begin_search(insertion, goal, limits or PlanLimits(), threads)
+    search = replace(search, ramp=QUICK_RAMP, sought=sought)
     return search.describe(search.best_quickly())
 
 
@@ -469,14 +474,12 @@ class _Search:
         return self._rank(found)[0]
 
     def best_quickly(self) -> _Choice:
-        """Return the choice of least risk after a few Gauss-Newton steps."""
-        every, _ = self.insertion.samples
-        rows = np.linspace(0, len(every) - 1, min(QUICK_DRAWS, len(every))).astype(np.intp)
-        quick, found = replace(self, sought=every.only(rows)), self.list_choices()
+        """Return the choice of the least expected squared miss after a few Gauss-Newton steps."""
+        found = self.list_choices()
         for number in range(QUICK_ROUNDS):
-            found = quick._step_once(found, alike=number == 0 and self.goal.directions == 1)
-            found = quick._rank(found)[: self.rules.refined]
-        return self._rank(found)[0]
+            found = self._step_once(found, alike=number == 0 and self.goal.directions == 1)
+            found = self._rank_by_miss(found)[: self.rules.refined]
+        return self._rank_by_miss(found)[0]
 
     def describe(self, chosen: _Choice) -> SteeringPlan:
         """Return the plan of a choice, and what becomes of the needles of the draws that test it."""
@@ -512,10 +515,18 @@ class _Search:
         return self._rank([*map(self._lower_risk, found[: count - 1]), found[0]])[0]
 
     def _rank(self, choices: Sequence[_Choice]) -> list[_Choice]:
-        """Return choices, the best one first."""
+        """Return choices, that of least risk first."""
         values = self.risks(choices)
         if not self.rules.sloped and min(values) >= CERTAIN_RISK:
-            values = [float(np.sum(one**2)) for one in self.residuals(choices)]
+            return self._rank_by_miss(choices)
+        return [choices[n] for n in np.argsort(values, kind="stable")]
+
+    def _rank_by_miss(self, choices: Sequence[_Choice]) -> list[_Choice]:
+        """Return choices, that of the least expected squared miss first."""
+        values = [
+            float(np.sum(misses**2)) + EFFORT_MM**2 * len(one.turns)
+            for one, misses in zip(choices, self.residuals(choices), strict=True)
+        ]
         return [choices[n] for n in np.argsort(values, kind="stable")]
 
     def _step_once(self, choices: Sequence[_Choice], *, alike: bool = False) -> list[_Choice]:

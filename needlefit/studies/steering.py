@@ -283,7 +283,8 @@ class Steering:
             self._draws.to_parameters(self._draws.choose(len(self._draws.at))),
         )  # fmt: skip
         goal = Goal(tuple(map(float, target)), radius, tuple(obstacles))
-        return plan_again(insertion, goal, limits or PlanLimits(turns=1), threads=1)
+        limits = limits or PlanLimits(turns=1)
+        return plan_again(insertion, goal, limits, self._draws.list_sigma_points(), threads=1)
 
     def jacobian(self, depth: float | None = None) -> Floats:
         """Return the derivatives (3, 4) of the tip, mm, by the inputs from now on, expected over the draws.
