@@ -88,14 +88,19 @@ def test_runs_tracked_in_space_are_predicted_along_both(project, compared):
     text = STUDY.replace('"track_gel"', f'"track_gel"\ncompared = "{compared}"')
     (project / "studies/mine.toml").write_text(text)
     assert run("validate", "mine", "--jobs", "1", "-q") in (0, 5)
-    found = pd.read_csv(project / "reports/mine/runs.csv").drop_duplicates(["run", "direction", "method"])
-    assert set(found["direction"]) == {"y", "z"} and len(found) == 2 * 2 * 4
-    assert set(found["readings"]) == {np.sum(DEPTH > 15)}
-    assert found.filter(like="low_mm").isna().all(axis=None)  # no fitted run has a moved guide
-    error = found.groupby(["direction", "method"])["rms_mm"].mean()
-    assert error["z", "fitted"] < 0.6 * error["z", "straight"]
-    methods = pd.read_csv(project / "reports/mine/methods.csv")
-    assert len(methods) == 2 * 4
+    found = pd.read_csv(project / "reports/mine/readings.csv").query("scored and level == 0.95")
+    count = found.groupby(["run", "direction", "method"]).size()
+    assert set(found["direction"]) == {"y", "z"} and len(count) == 2 * 2 * 4
+    assert set(count) == {np.sum(DEPTH > 15)}
+    assert not (project / "reports/mine/predictive.csv").exists()  # no fitted run has a moved guide
+    found["squared"] = (found["predicted_mm"] - found["measured_mm"]) ** 2
+    error = np.sqrt(found.groupby(["direction", "method"])["squared"].mean())
+    assert error["z", "prediction"] < 0.6 * error["z", "straight"]
+    errors = pd.read_csv(project / "reports/mine/errors.csv").query("role == 'validate'")
+    compared = found if compared == "space" else found[found["direction"] == "y"]
+    both = compared.query("method == 'straight'").groupby(["run", "depth_mm"])["squared"].sum()
+    rms = errors[errors["method"] == "straight"].set_index("insertion")["track_rms_mm"]
+    assert rms.to_numpy() == pytest.approx(np.sqrt(both.groupby("run").mean()[rms.index]), rel=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -158,9 +163,9 @@ def test_steered_runs_are_left_out_in_folds(project):
     folds = STUDY.replace("tune = { guided = false }", "tune = {}\nparts = 2")
     (project / "studies/mine.toml").write_text(folds)
     assert run("validate", "mine", "--jobs", "1", "-q") in (0, 5)
-    runs = pd.read_csv(project / "reports/mine/runs.csv")
-    held = runs[runs["method"] == "steered_line"].drop_duplicates("run")
-    assert held.set_index("run")["fold"].to_dict() == {"moved0": "gel-1", "moved2": "gel-2"}
+    errors = pd.read_csv(project / "reports/mine/errors.csv")
+    held = errors[errors["method"] == "steered_line"]
+    assert held.set_index("insertion")["fold"].to_dict() == {"moved0": "gel-1", "moved2": "gel-2"}
     (fold, _) = json.loads((project / "reports/mine/run.json").read_text())["folds"]
     assert set(fold["tune"]) == {"rest0", "rest1", "rest2", "rest3", "moved2"}
 

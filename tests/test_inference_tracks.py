@@ -42,7 +42,7 @@ from needlefit.mechanics.session import Session
 from needlefit.mechanics.tissue import Tissue
 from needlefit.schemas.recipe import RecipeRecord, TrackErrorsRecord
 from needlefit.schemas.study import FitRecord
-from needlefit.studies.held_out_tracks import simulate_runs
+from needlefit.studies.held_out.tip_track import simulate_runs
 from needlefit.studies.job import Job
 
 REST = np.zeros(len(DEPTH))
@@ -291,13 +291,13 @@ def test_each_predicted_run_has_a_bevel_of_its_own(monkeypatch, runs):
     job = Job("one", fit, data, MEDIUM, one.parameters, recipe, None, (fold,), data)
     monkeypatch.setattr(Problem, "values", lambda *_: {**TRUTH, "bevel_spread": 0.1})
     thetas = np.zeros((300, 0))
-    _, _, _, (tuned, *held) = simulate_runs(job, fold, thetas, 1, np.random.default_rng(1))
+    _, _, _, (tuned, *held) = simulate_runs(job.problem(fold), fold, thetas, 1, np.random.default_rng(1))
     (bent,) = simulate_deflections([runs[2]], [DEPTH])
     assert np.ptp(tuned, axis=0).max() < 1e-9
     ends = [curves[:, 0, -1] for curves in held]
     assert np.std(ends[1] / bent[0, -1]) == pytest.approx(0.1, rel=0.15)
     assert abs(np.corrcoef(ends)[0, 1]) < 0.2
-    *_, (_, one, other) = simulate_runs(job, fold, thetas[:1], 1)
+    *_, (_, one, other) = simulate_runs(job.problem(fold), fold, thetas[:1], 1)
     assert one.shape == other.shape and other[0, 0, -1] == pytest.approx(bent[0, -1])
 
 
@@ -341,7 +341,7 @@ class Groups:
         (found,) = track_predictions.predict_runs(
             np.ones(draws), seen[:-1], seen[-1:], curves, [observed], self.rng
         )
-        return found[:, -1], every[-1].points[-1, 1]
+        return found.values[:, -1], every[-1].points[-1, 1]
 
 
 def test_intervals_of_further_runs_cover_in_groups_with_errors():

@@ -25,7 +25,6 @@ from needlefit.studies.judge import (
     join_trials,
     judge,
     judge_fits,
-    judge_tracks,
     list_checks,
 )
 from needlefit.studies.outcome import Outcome
@@ -413,18 +412,20 @@ def test_the_crps_of_predicted_tips_is_judged_too():
     assert outcomes == ["generalises", "does not generalise"]
 
 
-def test_tracks_of_several_fits_are_judged():
-    about = {"run": list("abcd"), "specimen": list("pqrs"), "direction": "y"}
-    ours = pd.DataFrame({**about, "method": "fitted", "rms_mm": [0.5, 0.6, 0.5, 0.4], "crps_mm": 0.3})
-    line = pd.DataFrame({**about, "method": "straight", "rms_mm": 1.0, "crps_mm": 0.8})
-    runs = pd.concat([ours, line])
-    assert judge_tracks(runs.assign(fold=[*"1234"] * 2), None) == "generalises"
-    one_trial = runs.assign(fold=[*"1234"] * 2, specimen="p")
-    assert judge_tracks(one_trial, None) == "undecided"  # no noise is stated
-    assert [judge_tracks(one_trial, margin) for margin in (0.4, 0.6)] == ["closer than both", "as close"]
-    both = pd.concat([runs.assign(fold=[*"1234"] * 2, direction=axis) for axis in "yz"])  # 4 trials still
-    assert judge_tracks(both, None) == "generalises"
-    assert judge_tracks(runs.assign(fold="all"), None) == "undecided"
+def test_tracks_are_judged_by_their_readings():
+    about = {"hole": list("abcd"), "insertion": list("abcd"), "specimen": list("pqrs")}
+    ours = pd.DataFrame({**about, "method": "fitted", "track_rms_mm": [0.5, 0.6, 0.5, 0.4]})
+    line = pd.DataFrame({**about, "method": "straight", "track_rms_mm": 1.0})
+    runs = pd.concat([ours.assign(shape_crps_mm=0.3), line.assign(shape_crps_mm=0.8)])
+    several, of_one = runs.assign(fold=[*"1234"] * 2), runs.assign(fold="all", specimen="p")
+    assert judge_fits(several, "fitted", "track_rms_mm") == "generalises"
+
+    def compare(noise, margin):
+        return compare_with_references(of_one, "fitted", noise, margin, "track_rms_mm").outcome
+
+    assert compare(None, None) == "undecided"  # no noise is stated
+    assert [compare(None, margin) for margin in (0.4, 0.6)] == ["closer than both", "as close"]
+    assert [compare(noise, None) for noise in (0.4, 0.6)] == ["closer than both", "as close"]
 
 
 def test_the_verdict_and_its_numbers_stand_in_the_row_of_all_insertions():

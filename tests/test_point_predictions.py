@@ -15,7 +15,7 @@ from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.fold_draws import Specimens, draw_fold_parameters
-from needlefit.studies.held_out_predictions import predict_held_out
+from needlefit.studies.held_out import predict_held_out
 from needlefit.studies.job import Inputs, Settings
 from needlefit.studies.kinds.prediction import forecast, make_scene, tabulate_forecast
 from needlefit.studies.load import load_study
@@ -70,10 +70,11 @@ def test_a_predicted_needle_lies_in_its_interval(seed, pose):
         low, predicted, high = (table[f"needle_{name}_mm"] for name in ("95_low", "predicted", "95_high"))
         assert (low - 0.005 <= predicted).all() and (predicted <= high + 0.005).all()
     for held in predict_held_out(known, bands=True):
-        insertion = next(one for one in job.insertions if one.id == held.row["insertion"])
+        insertion = next(one for one in job.insertions if one.id == held.insertion)
+        (row,) = held.rows["predictive"]
         simulated, measured = align_points(select_points(pose, 0.0, insertion), held.curve)
-        tip = held.row["tip_measured_mm"] + simulated[-1, 1] - measured[-1, 1]
-        assert held.row["tip_95_low_mm"] <= tip <= held.row["tip_95_high_mm"]
+        tip = row["tip_measured_mm"] + simulated[-1, 1] - measured[-1, 1]
+        assert row["tip_95_low_mm"] <= tip <= row["tip_95_high_mm"]
 
 
 def test_free_shapes_leave_b_at_a_bound_and_are_predicted_by_the_median():

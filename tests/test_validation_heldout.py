@@ -27,7 +27,7 @@ from needlefit.schemas.recipe import LikelihoodRecord, RecipeRecord
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.coverage import estimate_width_after_one
 from needlefit.studies.fold_draws import Specimens, draw_fold_parameters
-from needlefit.studies.held_out_predictions import predict_held_out
+from needlefit.studies.held_out import predict_held_out
 from needlefit.studies.job import Job, Settings
 from needlefit.studies.kinds.cross_validation.frames import FRAMES
 from needlefit.studies.load import load_study
@@ -40,7 +40,7 @@ def list_rows(job, fold, draws):
     """Return the rows of all predictions, as if specimens did not differ."""
     record = job.record.model_copy(update={"specimens": "training only"})
     known = Specimens(replace(job, record=record), fold, draws)
-    return [one.row for one in predict_held_out(known)]
+    return [one.rows["predictive"][0] for one in predict_held_out(known)]
 
 
 COPIES = 200  #: draws that are all the same one
@@ -112,7 +112,7 @@ def test_readings_of_curvature_are_predicted_with_the_error_of_their_sensor(job,
     record = job.record.model_copy(update={"specimens": "training only"})
     fold = of(job, insertion)
     (one,) = predict_held_out(Specimens(replace(job, record=record), fold, sure(known)))
-    found = pd.DataFrame(one.sensors)
+    found = pd.DataFrame(one.rows["curvature"])
     assert tuple(found) == FRAMES["curvature"] and list(found["kappa_in_95"]) == [True, False]
     np.testing.assert_allclose(found["kappa_predicted_1_per_mm"], kappa, atol=1e-6)
     np.testing.assert_allclose(found["kappa_sd_1_per_mm"], sd, rtol=1e-3)
@@ -207,7 +207,7 @@ def test_one_insertion_narrows_the_interval_in_a_new_specimen(job, known):
     fold = of(job, *(replace(one, specimen="another") for one in held_out))
     few = replace(known, thetas=known.thetas[:300])
     new = Specimens(job, fold, few)
-    rows = [one.row for one in predict_held_out(new, bands=True)]
+    rows = [one.rows["predictive"][0] for one in predict_held_out(new, bands=True)]
     table = pd.DataFrame(rows)
     (after,) = table["tip_95_width_after_one_mm"].dropna()
     middle = sorted(held_out, key=lambda one: one.depth)[1]
@@ -217,7 +217,7 @@ def test_one_insertion_narrows_the_interval_in_a_new_specimen(job, known):
     assert exactly["tip_95_high_mm"] - exactly["tip_95_low_mm"] < after
     assert after < 0.7 * (row["tip_95_high_mm"] - row["tip_95_low_mm"])
     # no number of another insertion depends on it
-    plain = pd.DataFrame([one.row for one in predict_held_out(new)])
+    plain = pd.DataFrame([one.rows["predictive"][0] for one in predict_held_out(new)])
     others = [other[other["insertion"] != middle.id] for other in (plain, table)]
     pd.testing.assert_frame_equal(*others)
 

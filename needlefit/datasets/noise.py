@@ -1,14 +1,14 @@
 """Measurement noise: the noise floor that perfect parameters would show."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from needlefit.arrays import Floats, pad_axis
 from needlefit.datasets.insertion import Dataset, Insertion, InsertionPose, Noise, find_free_reach, find_pose
-from needlefit.geometry.curves import COMPARISON_POINTS, compare_curves
+from needlefit.geometry.curves import COMPARISON_POINTS, Quantity, compare_curves
 from needlefit.geometry.frames import align_lateral, align_rigid
 from needlefit.metrics import METRICS, list_metrics
 
@@ -20,15 +20,19 @@ NoiseFloor = Mapping[str, float]
 
 
 def estimate_noise_floor(
-    dataset: Dataset, insertion: Insertion, rng: np.random.Generator, draws: int = 200
+    dataset: Dataset,
+    insertion: Insertion,
+    rng: np.random.Generator,
+    draws: int = 200,
+    quantities: Sequence[Quantity] = ("places",),
 ) -> NoiseFloor:
     """Return the errors of the measured curve against itself, measured again with the stated noise.
 
-    The errors are those of `draw_measurement_errors`. Curves are compared as in a study: at equal fractions
-    of arc length, shifted across where the direction alone is known, or, for free shapes, by arc length from
-    the tip after alignment. Uncertain layer depths are not in it.
+    The errors are those of `draw_measurement_errors`, by the metrics of some quantities. Curves are compared
+    as in a study: at equal fractions of arc length, shifted across where the direction alone is known, or,
+    for free shapes, by arc length from the tip after alignment. Uncertain layer depths are not in it.
     """
-    metrics = [one for one in list_metrics("places") if one.has_floor]
+    metrics = [one for one in list_metrics(*quantities) if one.has_floor]
     displaced = draw_measurement_errors(dataset, insertion, rng, draws, insertion.directions)
     if displaced is None:
         return dict.fromkeys((metric.name for metric in metrics), math.nan)

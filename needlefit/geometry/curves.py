@@ -106,8 +106,9 @@ def select_compared(points: Floats, compared: Compared, axis: int = -1) -> Float
     return np.take(points, range(points.shape[axis])[: 1 + DIRECTIONS[compared]], axis)
 
 
-#: what is compared of two needles: places along them, curvatures at sensors, or the tip that these lead to
-Quantity = Literal["places", "curvatures", "integrated"]
+#: what is compared of two needles: places along them, the tip at each reading of a track, curvatures at
+#: sensors, or the tip that these lead to; "noise" is of errors that are divided by it
+Quantity = Literal["places", "readings", "curvatures", "integrated", "noise"]
 COMPARISON_POINTS = 101  # points at which two curves are compared, from entry (j = 1) to tip (j = K)
 
 

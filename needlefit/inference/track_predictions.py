@@ -14,6 +14,7 @@ f degrees of freedom. Their predictions are the mean given the first readings.
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,6 +28,13 @@ SHIFT_SD_MM = 100.0  #: prior deviation of a shift, mm: no reading lies as far f
 MIN_TUNED_RUNS = 4  #: runs from whose scatter the slope of a further one is estimated
 
 
+class PredictedReadings(NamedTuple):
+    """The later readings of a run by draws of the parameters, in space those along y before those along z."""
+
+    values: Floats  #: (B, R), mm
+    sd: Floats  #: (B, R) of each, mm, given the parameters and the first readings
+
+
 def predict_runs(
     scale: Floats,
     tuned: Sequence[Observation],
@@ -34,11 +42,11 @@ def predict_runs(
     curves: Sequence[Floats],
     observed: Sequence[int],
     rng: np.random.Generator | None = None,
-) -> list[Floats]:
+) -> list[PredictedReadings]:
     """Return of each run held out draws (B, n - k) of its readings after the first k, `observed`, mm.
 
     Without `rng` they are the means of the readings, given each draw of the parameters. In space they are
-    (B, 2 (n - k)), those along y before those along z, and so are curves. `scale` (B,) is what each draw
+    (B, 2 (n - k)), and curves are ordered alike. `scale` (B,) is what each draw
     multiplies the stated deviations of the noise by; `curves` are the deflections (B, m, n), mm, of the runs
     `tuned` and `held_out` at the m nodes of each. What runs share is estimated from the runs fitted to, for
     every draw, and from the first readings.
@@ -79,10 +87,11 @@ def predict_runs(
         gain = np.linalg.solve(above[..., first], cross)  # (B, k, n - k)
         off = one.stack(one.measured)[first] - mean[:, first]
         centre = mean[:, ~first] + np.einsum("bk,bkr->br", off, gain)
+        left = below[..., ~first] - gain.transpose(0, 2, 1) @ cross
         if rng is not None:
-            root = np.linalg.cholesky(below[..., ~first] - gain.transpose(0, 2, 1) @ cross)
+            root = np.linalg.cholesky(left)
             centre = centre + np.einsum("brs,bs->br", root, rng.normal(size=centre.shape))
-        predicted.append(centre)
+        predicted.append(PredictedReadings(centre, np.sqrt(np.diagonal(left, axis1=1, axis2=2))))
     return predicted
 
 

@@ -14,7 +14,14 @@ from needlefit.geometry.curves import ComparedCurves, Quantity
 from needlefit.registry import Registry
 
 #: of units that are no letters, in names
-UNIT_WORDS = {"%": "percent", "°": "deg", "mm²": "mm2", "1/mm": "1_per_mm", "1/m": "1_per_m"}
+UNIT_WORDS = {
+    "times the noise": "noise",
+    "%": "percent",
+    "°": "deg",
+    "mm²": "mm2",
+    "1/mm": "1_per_mm",
+    "1/m": "1_per_m",
+}
 
 
 @dataclass(frozen=True)
@@ -139,6 +146,32 @@ TE = Metric(
     headline=True,
     order=40,
     missed="tips",
+)
+
+TRACK_RMS = Metric(
+    "track_rms_mm",
+    "RMS",
+    "mm",
+    "Root mean square over the readings of a tip track of the distance between simulated and measured tip.",
+    compute=lambda curves: float(np.sqrt(np.mean(curves.distances**2))),
+    headline=True,
+    order=35,
+    quantity="readings",
+    missed="readings",
+)
+
+OVER_NOISE = Metric(
+    "error_over_noise",
+    "Error",
+    "times the noise",
+    "Error of the verdict on needles that were measured by different things: TE, or RMS of readings or "
+    "curvatures, divided by its noise floor.",
+    compute=lambda curves: math.nan,  # of tables of errors alone
+    has_floor=False,
+    headline=True,
+    order=5,
+    quantity="noise",
+    missed="measurements",
 )
 
 CURVATURE_RMS = Metric(

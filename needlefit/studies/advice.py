@@ -50,8 +50,6 @@ COMMANDS: Mapping[str, str] = {
     # of designs
     "repeat_best": "",
     "insertion_best": "",
-    # of tip tracks
-    "tracks_missed": "explain closer-than-curves",
     # of reconstructions
     "scan_unregistered": "predict phantom1 --scene {run}/scenes/{scan}.toml",
     "scans_reconstructed": "check {run}",

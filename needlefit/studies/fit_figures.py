@@ -34,7 +34,7 @@ def collect_curves(
     held-out insertions have: `low_mm`, `high_mm` are its ends.
     """
     frames = FitFrames.of(run)
-    shapes, bands = select_rows(frames.shapes, role=role, boundaries="measured"), frames.bands
+    shapes, bands = frames.select_curves(role), frames.bands
     shapes = shapes[shapes["method"].isin(list(shown))]
     if from_above:
         along_z = {f"{name}_y_mm": shapes[f"{name}_z_mm"] for name in ("measured", "simulated")}
@@ -89,9 +89,10 @@ def draw_first_page(run: Run, role: str) -> Drawing:
     frames = FitFrames.of(run)
     method = frames.method
     fitted = frames.select_errors(role, method=method)
-    ranked = fitted[fitted["converged"].astype(bool)].sort_values(scores.TE, kind="stable")
-    chosen = ranked.iloc[list(dict.fromkeys([0, (len(ranked) - 1) // 2, len(ranked) - 1]))]
     curves = collect_curves(run, role, (method,), _OVERLAY_POINT_STEP)
+    known = fitted["converged"].astype(bool) & fitted["insertion"].isin(curves["insertion"])
+    ranked = fitted[known].sort_values(scores.TE, kind="stable")
+    chosen = ranked.iloc[list(dict.fromkeys([0, (len(ranked) - 1) // 2, len(ranked) - 1]))]
     curves = curves.merge(chosen[forms.INSERTION_KEYS], on=forms.INSERTION_KEYS)
     frame = pd.concat([curves, pd.DataFrame(_list_tip_errors(run, role))], ignore_index=True)
     options = {"heads": _title_panels(chosen), "method": method}

@@ -37,7 +37,6 @@ class FitFrames:
     predictive: pd.DataFrame
     bands: pd.DataFrame
     curvature: pd.DataFrame
-    runs: pd.DataFrame
     readings: pd.DataFrame
     draws: pd.DataFrame
     population: pd.DataFrame
@@ -70,6 +69,11 @@ class FitFrames:
     def select_errors(self, role: str, **place: object) -> pd.DataFrame:
         """Return errors on the insertions of a role, with layers where they were measured."""
         return select_rows(self.errors, role=role, boundaries="measured", **place)
+
+    def select_curves(self, role: str, **place: object) -> pd.DataFrame:
+        """Return points of whole needles of a role, with layers where they were measured; none of tips."""
+        shapes = select_rows(self.shapes, role=role, boundaries="measured", **place)
+        return shapes[shapes.groupby("insertion")["j"].transform("max") > 1]
 
 
 def select_draws(

@@ -17,14 +17,14 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import reduce
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import scipy
 
 from needlefit.inference.baselines import BASELINES
-from needlefit.metrics import CURVATURE_RMS, METRICS
+from needlefit.metrics import METRICS
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.studies.advice import list_contradictions, list_doubts
 from needlefit.studies.answer import MAX_NAMED_NEEDLES, Check, Finding, Status, is_printed_as_one
@@ -38,7 +38,7 @@ from needlefit.studies.coverage import (
 )
 from needlefit.studies.fit_frames import PREDICTION_METHOD, FitFrames
 from needlefit.studies.outcome import Outcome
-from needlefit.studies.prediction_scores import CURVATURE_CRPS
+from needlefit.studies.prediction_scores import PREDICTED
 from needlefit.studies.run import Run, value_of_run
 from needlefit.studies.scored_groups import TE, ScoredGroup, pool_insertions, select_group
 
@@ -59,21 +59,6 @@ WORSE_Z = float(scipy.special.ndtri(1 - SIGNIFICANCE / len(REFERENCES)))
 TIP_ERRORS = ("tip_error_x_mm", "tip_error_y_mm", "tip_error_z_mm")
 TIP_SD, TIP_REGISTERED_SD = "tip_across_sd_mm", "tip_registered_sd_mm"
 SIDES = {"smaller": 1.0, "larger": -1.0}  #: signs of Student's t of a smaller and of a larger score
-
-
-class PredictedScore(NamedTuple):
-    """Columns of the table "predictive" that belong to a metric of verdicts."""
-
-    crps: str  #: continuous ranked probability score
-    covered: str  #: what their names of coverage begin with: the tip alone, or all that was read of a needle
-
-
-#: by metric of verdicts
-PREDICTED = {
-    TE: PredictedScore("tip_crps_mm", "tip"),
-    CURVATURE_RMS.name: PredictedScore(CURVATURE_CRPS, "shape"),
-}
-CRPS = PREDICTED[TE].crps
 
 
 @dataclass(frozen=True)
@@ -172,7 +157,7 @@ def judge(run: Run, group: ScoredGroup) -> Judgement | None:
     ratio, specimens = group.over_floor(score, method=method), errors["specimen"].nunique()
     if trials < MIN_TRIALS:
         noise = group.get(score, "floor")
-        margin = run.record.margin_mm if score == TE else None
+        margin = run.record.margin_mm if METRICS[score].unit == "mm" else None
         found = compare_with_references(errors, method, noise, margin, score)
         outcome, curve, nearest = found.outcome, found.reference, found.reference_error
     else:
@@ -185,16 +170,6 @@ def judge(run: Run, group: ScoredGroup) -> Judgement | None:
     if list_contradictions(run.warnings):
         outcome = Outcome.UNDECIDED
     return Judgement(outcome, score, error, ratio, curve, nearest, trials, specimens, found)
-
-
-def judge_tracks(runs: pd.DataFrame, margin_mm: float | None) -> Outcome:
-    """Judge predicted tip tracks by their table "runs"; one fit is compared if the study states a margin."""
-    named = {"run": "hole", "rms_mm": TE, "crps_mm": CRPS}
-    each = runs["run"] + runs["direction"]  # both directions of a run are one trial
-    errors = runs.rename(columns=named).assign(insertion=each)
-    if len(set(join_trials(errors))) < MIN_TRIALS:
-        return compare_with_references(errors, "fitted", None, margin_mm).outcome
-    return judge_fits(errors, "fitted")
 
 
 def compare_with_references(
@@ -211,7 +186,8 @@ def compare_with_references(
 
     `errors` as in `judge_fits`; tip errors are tested, with the columns of `compare_predictions`. `noise`:
     the noise floor of the `score`. `margin`: the difference of errors up to which a reference is as good; it
-    decides alone where nothing can be tested. Of another score than the tip error it is the noise floor.
+    decides alone where nothing can be tested. Of another score than the tip error it is the noise floor
+    where the study states none.
     """
     keys = ["fold", "specimen", "hole", "insertion"]
     finite = errors.replace([np.inf, -np.inf], np.nan).dropna(subset=score)
@@ -222,8 +198,7 @@ def compare_with_references(
     compared = reduce(pd.MultiIndex.intersection, (known[name].index for name in (method, *references)))
     if compared.empty:
         return Comparison(Outcome.UNDECIDED)
-    if score != TE:
-        margin = noise or None
+    margin = margin or (noise if score != TE else None) or None
 
     def find_outcome(some: "pd.Index[Any]") -> Outcome:
         ours, others = known[method].loc[some], [known[name].loc[some] for name in references]
@@ -411,7 +386,7 @@ def check_intervals(
     covered_by = PREDICTED[score].covered
     predictive = predictive.dropna(subset=f"{covered_by}_in_95")
     missing = max(0, held_out - len(predictive))
-    if score != TE:  # of readings no width is asked for
+    if covered_by != "tip":  # of readings no width is asked for
         for check, level in ((Check.INTERVALS, 0.95), (Check.COVERAGE_50, 0.5)):
             yield _check_coverage(predictive, check, level, score, missing)
         return

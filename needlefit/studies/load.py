@@ -6,16 +6,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
 from needlefit.datasets.folds import make_folds, warn_shared_specimens
-from needlefit.datasets.insertion import Dataset, Insertion
+from needlefit.datasets.insertion import Dataset
 from needlefit.datasets.paper import read_hand_tuned
 from needlefit.datasets.planes import describe_compared, find_left_planes, set_compared
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError, ModelError
 from needlefit.inference.forward_model import make_options as mesh
-from needlefit.inference.likelihood.observations import OBSERVATIONS
 from needlefit.inference.likelihood.observations.curvature import require_curvature
 from needlefit.inference.parameter_changes import complete_published, load_changed_medium, search_freed
 from needlefit.inference.parameters import Parameters, with_hyperparameters, without_prior
@@ -27,6 +24,7 @@ from needlefit.schemas.limits import MAX_EVALUATION_ELEMENT_SOLVES
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
+from needlefit.studies.held_out import HELD_OUT
 from needlefit.studies.job import Job, Settings, metric_recipe
 
 #: kinds of warnings that are also printed before the work, which takes long and is of no use then
@@ -89,7 +87,8 @@ def load_study(
     job = Job(
         name, record, dataset, medium, parameters, recipe, hand_tuned, folds, measured, file, medium_file
     )
-    _check_registration(job)
+    for one in HELD_OUT.values():
+        one.check(job)
     _check_layers(job)
     if recipe.likelihood.measurement == "curvature":
         for insertion in (each for fold in folds for each in fold.tune):
@@ -122,44 +121,6 @@ def print_notes(job: Job, settings: Settings) -> None:
 
 
 # ---- what is refused before the work
-
-
-MIN_SCORED_READINGS = 2  #: fewest readings of a predicted track that are scored
-
-
-def count_registered(track: Insertion, depth_mm: float) -> int:
-    """Return how many readings of a track, down to a depth, place it in the tracker's frame."""
-    return max(1, int(np.sum(track.points[:, 0] <= depth_mm)))
-
-
-def _check_registration(job: Job) -> None:
-    """Refuse tracks of which nothing is left to be predicted, or that nothing places in their frame."""
-    tracks = [one for fold in job.folds for one in fold.validate if OBSERVATIONS[one.observed].on_the_way]
-    if not tracks or not isinstance(job.record, StudyRecord):
-        return
-    depth = job.record.registration_depth_mm
-    if depth is None:
-        raise ConfigError(
-            "tip tracks are predicted, and nothing places them in the tracker's frame",
-            key="registration_depth_mm",
-            expected="the depth up to which a run's own readings do, mm",
-        )
-    for fold in job.folds:
-        if other := {one.specimen for one in fold.validate} - {one.specimen for one in fold.tune}:
-            raise ConfigError(
-                f"runs into {', '.join(sorted(other))} would be predicted, and none is fitted to",
-                key="folds" if job.record.folds else "validate",
-                expected="runs into specimens that are fitted",
-            )
-    for track in tracks:
-        if count_registered(track, depth) > len(track.points) - MIN_SCORED_READINGS:
-            raise ConfigError(
-                f"of run {track.id} nothing is left to be predicted: its readings end at "
-                f"{track.depth:g} mm, and those down to {depth:g} mm place it",
-                key="registration_depth_mm",
-                expected=f"{MIN_SCORED_READINGS} readings below it, at least",
-                fix="lower registration_depth_mm, or leave the run out",
-            )
 
 
 def _check_layers(job: Job) -> None:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -19,6 +20,7 @@ from needlefit.inference.predict import (
     interval,
     quantile,
 )
+from needlefit.metrics import CURVATURE_RMS, OVER_NOISE, TE, TRACK_RMS
 from needlefit.studies.score import Row
 
 #: of the table "bands": where each insertion held out was predicted to be measured, at its measured x: the
@@ -79,6 +81,23 @@ def _find_intervals(mixture: PredictiveMixture) -> tuple[Floats, dict[float, Flo
 
 #: a column that predictions of curvatures alone have besides, the mean score of their readings
 CURVATURE_CRPS = "curvature_crps_1_per_m"
+CRPS_OVER_NOISE = "crps_over_noise"  #: that of insertions that were measured by different things
+
+
+class PredictedScore(NamedTuple):
+    """Columns of the table "predictive" that belong to a metric of verdicts."""
+
+    crps: str  #: continuous ranked probability score
+    covered: str  #: what their names of coverage begin with: the tip alone, or all that was read of a needle
+
+
+#: by metric of verdicts
+PREDICTED = {
+    TE.name: PredictedScore("tip_crps_mm", "tip"),
+    TRACK_RMS.name: PredictedScore("shape_crps_mm", "tip"),
+    CURVATURE_RMS.name: PredictedScore(CURVATURE_CRPS, "shape"),
+    OVER_NOISE.name: PredictedScore(CRPS_OVER_NOISE, "shape"),
+}
 #: columns that predictions in space have besides; there `tip_pit` is the probability of a tip nearer to the
 #: centre, by the spread of tips, `tip_crps_mm` the energy score, and `tip_in_95` is by `tip_pit`
 SPATIAL_COLUMNS = ("tip_z_measured_mm", "tip_z_median_mm", "tip_z_95_low_mm", "tip_z_95_high_mm")

@@ -1,7 +1,7 @@
 """Score methods: the curve of every method against every measured one, as rows of the tables of `Run`."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import Any, NamedTuple
@@ -122,13 +122,13 @@ class Compared(NamedTuple):
 
     def deflect(self, points: Floats) -> float:
         """Return the deflection of the tip toward the bevel, mm; NaN where no place was measured."""
-        if self.curves.quantity == "curvatures":
+        if self.curves.quantity != "places":
             return math.nan
         return self.insertion.side * float(points[-1, 1] - points[0, 1])
 
     def miss_tip(self, axis: int) -> float:
         """Return the simulated tip minus the measured one along x, y or z, mm; 0 where it is not compared."""
-        if self.curves.quantity == "curvatures":
+        if self.curves.quantity != "places":
             return math.nan
         off = self.curves.simulated[-1] - self.curves.measured[-1]
         return float(off[axis]) if axis < len(off) else 0.0
@@ -193,10 +193,7 @@ class Scorer:
         errors, shapes, validity = list[Row](), list[Row](), list[Row]()
         for boundaries, curve in method(insertion).items():
             where = {**place, "insertion": insertion.id, "boundaries": boundaries}
-            floors = self.floors[insertion.id]
-            row = where | {name: find(self, insertion) for name, find in INSERTION_COLUMNS.items()}
-            row |= {f"floor_{name}": value for name, value in floors.items()}
-            row |= {one.name: math.nan for one in list_metrics("places")}  # where no place was measured
+            row = self.describe(where, insertion, self.floors[insertion.id])
             goals = list_comparisons(self.dataset, insertion)
             if curve is None:
                 row |= {one.name: math.inf for one in list_metrics(*(goal.quantity for goal in goals))}
@@ -204,16 +201,26 @@ class Scorer:
                 continue
             if isinstance(curve, SimulatedCurve):
                 validity.append({**where, "faults": list(curve.shape.validity.faults)})
-            for goal in goals:
-                row |= compute_metrics(goal.compare(curve))
-            # the deflection is that of a tip, where one is known
-            first = min(goals, key=lambda one: one.quantity == "curvatures")
-            found = Compared(
-                insertion, first.compare(curve), floors[TE.name], state_tip_errors(self.dataset, insertion)
-            )
-            errors.append(row | {name: one.compute(found) for name, one in CURVE_COLUMNS.items()})
-            shapes += _shape_rows(where, first, curve)
+            errors.append(row | self.compute_errors(insertion, [goal.compare(curve) for goal in goals]))
+            shapes += _shape_rows(where, goals, curve)
         return Scores(errors, shapes, validity)
+
+    def describe(self, where: Row, insertion: Insertion, floors: NoiseFloor) -> Row:
+        """Return the row of an insertion and a method before its errors."""
+        row = where | {name: find(self, insertion) for name, find in INSERTION_COLUMNS.items()}
+        row |= {f"floor_{name}": value for name, value in floors.items()}
+        return row | {one.name: math.nan for one in list_metrics("places")}  # where no place was measured
+
+    def compute_errors(self, insertion: Insertion, curves: Sequence[ComparedCurves]) -> Row:
+        """Return the errors of compared curves of an insertion, and the columns that are known of them."""
+        row = dict[str, Any]()
+        for one in curves:
+            row |= compute_metrics(one)
+        # the deflection is that of a tip, where one is known
+        first = min(curves, key=lambda one: one.quantity != "places")
+        floor = self.floors[insertion.id].get(TE.name, math.nan)
+        found = Compared(insertion, first, floor, state_tip_errors(self.dataset, insertion))
+        return row | {name: one.compute(found) for name, one in CURVE_COLUMNS.items()}
 
     @cached_property
     def holes(self) -> Mapping[str, str]:
@@ -227,11 +234,11 @@ def make_scorer(job: Job) -> Scorer:
     return Scorer(job.dataset, job.record.layer_count_rule, floors)
 
 
-def _shape_rows(where: Row, goal: ComparedPoints, curve: Curve) -> list[Row]:
-    """Return the places that are compared; of curvatures there are none."""
-    if goal.quantity != "places":
-        return []
-    simulated, measured = align_points(goal, curve)
+def _shape_rows(where: Row, goals: Iterable[ComparedPoints], curve: Curve) -> Iterator[Row]:
+    """Yield the places that are compared; of curvatures there are none."""
     names = [f"{which}_{axis}_mm" for which in ("measured", "simulated") for axis in "xyz"]
-    places = enumerate(np.column_stack([measured, simulated]).tolist())
-    return [{**where, "j": j, **dict(zip(names, place, strict=True))} for j, place in places]
+    for goal in goals:
+        if goal.quantity == "places":
+            simulated, measured = align_points(goal, curve)
+            places = enumerate(np.column_stack([measured, simulated]).tolist())
+            yield from ({**where, "j": j, **dict(zip(names, place, strict=True))} for j, place in places)

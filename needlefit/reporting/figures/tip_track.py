@@ -55,11 +55,11 @@ def draw(readings: pd.DataFrame) -> Figure:
 
 def _draw_readings(axes: Axes, run: pd.DataFrame) -> None:
     for method, some in run[run["scored"]].groupby("method", sort=False):
-        colour, fitted = method_colour(str(method)), method == "fitted"
-        for level, share in ((95, 0.84), (50, 0.68)) if fitted else ():
+        colour, ours = method_colour(str(method)), method == "prediction"
+        for level, share in ((95, 0.84), (50, 0.68)) if ours else ():
             ends = some[f"low_{level}_mm"], some[f"high_{level}_mm"]
             axes.fill_between(some["depth_mm"], *ends, color=lighten(colour, share), lw=0)
-        axes.plot(some["depth_mm"], some["predicted_mm"], color=colour, lw=1.2 if fitted else 0.9)
+        axes.plot(some["depth_mm"], some["predicted_mm"], color=colour, lw=1.2 if ours else 0.9)
     measured = select_rows(run, method=run["method"].iloc[0])
     for scored, face in ((True, INK), (False, "none")):
         some = select_rows(measured, scored=scored)

@@ -11,7 +11,8 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import Insertion, Pose
+from needlefit.datasets.insertion import Dataset, Insertion, Pose
+from needlefit.datasets.noise import NoiseFloor, estimate_noise_floor
 from needlefit.geometry.frames import make_tracker_columns
 from needlefit.inference.compared_points import ComparedPoints, count_entry_side
 from needlefit.inference.likelihood.nodes import FRAME, GROUP_GAIN, GROUP_SLOPE, ErrorAxis, make_nodes
@@ -65,6 +66,15 @@ class _TipTrack(ObservationType):
         first = frame[: count_entry_side(len(depth))]
         tip, across = (one - frame @ np.linalg.lstsq(first, one[: len(first)], rcond=None)[0] for one in tips)
         return ComparedPoints(depth, np.column_stack([depth, tip, across]), pose, compared)
+
+    def compare(self, dataset: Dataset, insertion: Insertion) -> tuple[ComparedPoints, ...]:
+        """Return the readings as places, and as readings."""
+        (places,) = super().compare(dataset, insertion)
+        return places, replace(places, quantity="readings")
+
+    def estimate_floor(self, dataset: Dataset, insertion: Insertion, rng: np.random.Generator) -> NoiseFloor:
+        """Return the mean errors of a track that is read again, after the best shift and slope."""
+        return estimate_noise_floor(dataset, insertion, rng, quantities=("places", "readings"))
 
     def read_points(self, shape: NeedleShape, s: Floats) -> Floats:
         """Return depths and tips (K, 3) at depths `s` (K,), mm."""

@@ -28,7 +28,6 @@ from needlefit.inference.identifiability.identify import (
     profile_parameters,
 )
 from needlefit.inference.identifiability.stated_depths import examine_depths
-from needlefit.inference.likelihood.observations import OBSERVATIONS
 from needlefit.inference.likelihood.observations.curvature import append_sensors
 from needlefit.inference.optimize import minimize
 from needlefit.inference.predict import Draws
@@ -45,8 +44,7 @@ from needlefit.studies.answer import RunFault, find_fault_kind
 from needlefit.studies.fit_frames import PREDICTION_METHOD, TUNED_SPECIMENS
 from needlefit.studies.fit_warnings import describe_point
 from needlefit.studies.fold_draws import Specimens, draw_fold_parameters, measure_prior
-from needlefit.studies.held_out_predictions import HeldOutPrediction, predict_held_out
-from needlefit.studies.held_out_tracks import predict_tracks
+from needlefit.studies.held_out import HeldOutPrediction, find_held_out, predict_held_out
 from needlefit.studies.identification import (
     IDENTIFICATION_COLUMNS,
     ParameterRow,
@@ -143,10 +141,8 @@ def run_fold(job: Job, fold: Fold, services: FoldServices) -> FoldResult:
     usable = {name: fit for name, fit in found.fits.items() if math.isfinite(fit.objective)}
     fitted = usable.get("fitted")
     rows: FitRows = {} if fitted is None else _describe_fit(job, fold, fitted, found, drawn)
-    if drawn is not None and _holds_tracks(fold) and not services.settings.stop():
-        rows |= predict_tracks(job, fold, drawn.draws, services.settings.jobs)
     scored = list(_score(job, fold, usable, drawn))
-    sensors = [row for one in predicted for row in one.sensors]
+    rows |= {name: _join_rows(predicted, name) for name in ("predictive", "bands", "readings")}
     rows |= {
         "parameters": [
             *rows.get("parameters", ()),
@@ -155,13 +151,11 @@ def run_fold(job: Job, fold: Fold, services: FoldServices) -> FoldResult:
         ],
         "error_fit": [] if least is None else [describe_error_fit(fold, least)],
         "draws": list(_list_draws(job, fold, drawn)) if drawn else [],
-        "errors": [row for one in scored for row in one.errors],
+        "errors": [*(row for one in scored for row in one.errors), *_join_rows(predicted, "errors")],
         "shapes": [row for one in scored for row in one.shapes],
         "starts": list(_list_starts(job, fold, found.fits)),
-        "medians": [*rows.get("medians", ()), *_list_medians(job, predicted)],
-        "predictive": [one.row for one in predicted],
-        "bands": [row for one in predicted for row in one.band],
-        "curvature": sensors or list(_list_sensors(job, fold, fitted)),
+        "medians": list(_list_medians(job, fold, predicted)),
+        "curvature": _join_rows(predicted, "curvature") or list(_list_sensors(job, fold, fitted)),
     }
     return FoldResult(
         rows=rows,
@@ -171,9 +165,7 @@ def run_fold(job: Job, fold: Fold, services: FoldServices) -> FoldResult:
         validity=ValidityCounts(
             starts=_count_starts(job, fold, found.fits),
             draws=drawn.count if drawn else NO_SIMULATIONS,
-            predicted=add_counts(
-                CountMetadata(simulations=one.solved, outside=one.outside) for one in predicted
-            ),
+            predicted=add_counts(one.simulations for one in predicted),
             scored=tuple(row for one in scored for row in one.validity),
         ),
         search_faults=tuple(_find_search_faults(found)),
@@ -183,11 +175,15 @@ def run_fold(job: Job, fold: Fold, services: FoldServices) -> FoldResult:
     )
 
 
-def _list_medians(job: Job, predicted: Iterable[HeldOutPrediction]) -> Iterator[Row]:
+def _join_rows(predicted: Iterable[HeldOutPrediction], table: str) -> list[Row]:
+    return [row for one in predicted for row in one.rows.get(table, ())]
+
+
+def _list_medians(job: Job, fold: Fold, predicted: Iterable[HeldOutPrediction]) -> Iterator[Row]:
     """Yield the insertions whose prediction is the predictive median."""
     for one in predicted:
         if one.point is not None and one.point.is_median:
-            place = {"fold": one.row["fold"], "insertion": one.row["insertion"]}
+            place = {"fold": fold.name, "insertion": one.insertion}
             yield place | describe_point(one.point, job.parameters)
 
 
@@ -319,8 +315,7 @@ def _draw(job: Job, fold: Fold, fits: Mapping[str, Fit], services: FoldServices)
     callbacks = Callbacks(settings.stop, sampled) if settings.sample else None
     specimens = Specimens(job, fold, made.draws, settings.jobs, callbacks, services.specimens)
     step(0)
-    known = () if specimens.faults or _holds_tracks(fold) else fold.validate
-    predicted = predict_held_out(specimens, bands=True, step=step) if known else ()
+    predicted = predict_held_out(specimens, bands=True, step=step)
     shown = specimens.replace_mean(made.shown)
     outside = find_outside_validity(job.problem(fold), shown.thetas)
     return FoldDrawn(
@@ -331,11 +326,6 @@ def _draw(job: Job, fold: Fold, fits: Mapping[str, Fit], services: FoldServices)
         tuple(predicted),
         CountMetadata(simulations=len(outside), outside=int(outside.sum())),
     )
-
-
-def _holds_tracks(fold: Fold) -> bool:
-    """Return whether the insertions that a fold holds out are read on the way, and predicted together."""
-    return any(OBSERVATIONS[one.observed].on_the_way for one in fold.validate)
 
 
 def _measure_shifts(
@@ -437,8 +427,8 @@ def _place_needles(
 ) -> Iterator[NeedleInScan]:
     """Yield the needles that a fold holds out in their scans, of a single fold also those fitted to."""
     predicted = drawn.predicted if drawn else ()
-    bands = [row for one in predicted for row in one.band]
-    curves = {one.row["insertion"]: one.curve for one in predicted if one.curve is not None}
+    bands = _join_rows(predicted, "bands")
+    curves = {one.insertion: one.curve for one in predicted if one.curve is not None}
     shown = drawn.shown if drawn else None
     problem, fitted = job.problem(fold), len(job.folds) == 1
     return place_needles(problem, fold, fit, shown, bands, jobs, fitted=fitted, curves=curves)
@@ -500,15 +490,14 @@ def _take(row: ParameterRow, known: Row) -> ParameterRow:
 def _score(job: Job, fold: Fold, fits: Mapping[str, Fit], drawn: FoldDrawn | None) -> Iterator[Scores]:
     """Yield the scores of every method on every insertion, then of our predictions."""
     scorer, problem = make_scorer(job), job.problem(fold)
-    # a track that is held out is scored as it is predicted, not after the best shift and slope
-    held = () if _holds_tracks(fold) else fold.validate
+    held = [one for one in fold.validate if not find_held_out(one).has_errors]
     for method, curves in make_predictors(problem, fits, job.hand_tuned).items():
         for role, insertions in (("tune", fold.tune), ("validate", held)):
             place = {"fold": fold.name, "role": role, "method": method}
             yield from (scorer.score(place, one, curves) for one in insertions)
     if (fit := fits.get("fitted")) is None:
         return
-    predicted = {} if drawn is None else {one.row["insertion"]: one.curve for one in drawn.predicted}
+    predicted = {} if drawn is None else {one.insertion: one.curve for one in drawn.predicted}
 
     def find_curves(insertion: Insertion) -> dict[str, Curve | None]:
         """Return our prediction, that of the mode where no draws are certified.

@@ -6,8 +6,8 @@ from types import MappingProxyType
 
 from needlefit.reporting.needles_in_scan import NEEDLE_COLUMNS
 from needlefit.studies.fold_draws import DRAW_COLUMNS, POPULATION_COLUMNS
-from needlefit.studies.held_out_predictions import PREDICTIVE_COLUMNS
-from needlefit.studies.held_out_tracks import READING_COLUMNS, RUN_COLUMNS
+from needlefit.studies.held_out import PREDICTIVE_COLUMNS
+from needlefit.studies.held_out.tip_track import READING_COLUMNS
 from needlefit.studies.identification import IDENTIFICATION_COLUMNS, PROFILE_COLUMNS, ParameterRow
 from needlefit.studies.kinds.cross_validation.rows import DIRECTION_COLUMNS, ERROR_FIT_COLUMNS, START_COLUMNS
 from needlefit.studies.prediction_scores import BAND_COLUMNS, SENSOR_COLUMNS
@@ -26,7 +26,6 @@ FRAMES: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "predictive": PREDICTIVE_COLUMNS,
         "bands": BAND_COLUMNS,
         "curvature": SENSOR_COLUMNS,
-        "runs": RUN_COLUMNS,
         "readings": READING_COLUMNS,
         "draws": DRAW_COLUMNS,
         "population": POPULATION_COLUMNS,

@@ -22,8 +22,9 @@ from needlefit.studies.first_page import FirstPage
 from needlefit.studies.fit_frames import FitFrames
 from needlefit.studies.fit_tables import TEXT
 from needlefit.studies.identification_tables import lay_out_identification
+from needlefit.studies.kinds.cross_validation.first_page import judge_errors
 from needlefit.studies.kinds.cross_validation.frames import FRAMES, OPTIONAL
-from needlefit.studies.kinds.cross_validation.observed import find_observation_report
+from needlefit.studies.kinds.cross_validation.observed import draw_observations
 from needlefit.studies.report import StudyReport, list_data_notes
 from needlefit.studies.run import Run, value_of_run
 
@@ -37,7 +38,6 @@ def collect_values(run: Run) -> dict[str, Any]:
     """Return what the text prints."""
     frames, stated = FitFrames.of(run), run.knows(FitMetadata)
     role, folds, starts, errors = frames.role, stated.folds, frames.starts, frames.errors
-    observed = find_observation_report(run)
     counts = sorted(len(fold.tune) for fold in folds)
     group = scores.pool_insertions(run, role)
     floors = {one: group.get(one.name, "floor") for one in list_metrics() if group is not None}
@@ -48,10 +48,7 @@ def collect_values(run: Run) -> dict[str, Any]:
         "compared_in": {1: "one plane", 2: "space"}[scores.count_directions(run)],
         "dataset": stated.dataset.name,
         "media": {
-            "tune": list(dict.fromkeys(select_rows(errors, role="tune")["medium"])),
-            "validate": list(
-                dict.fromkeys([*select_rows(errors, role="validate")["medium"], *frames.runs["medium"]])
-            ),
+            one: list(dict.fromkeys(select_rows(errors, role=one)["medium"])) for one in ("tune", "validate")
         },
         "folds": len(folds),
         "several_folds": len(folds) > 1,
@@ -63,7 +60,6 @@ def collect_values(run: Run) -> dict[str, Any]:
         },
         # the least and the greatest, one if they are equal
         "fitted_counts": list(dict.fromkeys(map(str, (*counts[:1], *counts[-1:])))),
-        **observed.values(run),
         "floors": [
             f"{one.label} {format_metric(one, floor, 3 if floor < 0.1 else 2)} {one.unit}"
             for one, floor in floors.items()
@@ -119,7 +115,6 @@ def lay_out_tables(run: Run) -> list[TableLayout]:
     known, role = frames.identification, frames.role
     explained = known[(known["note"] != "") | known["tip_shift_mm"].notna()]
     found = [
-        *find_observation_report(run).tables(run),
         fit_tables.lay_out_summary(run),
         fit_tables.lay_out_validation(run),
         *([fit_tables.lay_out_coverage(run)] if len(frames.predictive) else []),
@@ -136,7 +131,7 @@ def lay_out_tables(run: Run) -> list[TableLayout]:
 def list_figures(run: Run) -> dict[str, Drawing]:
     """Return what the tables allow to be drawn."""
     frames = FitFrames.of(run)
-    found = dict(find_observation_report(run).figures(run, frames.role))
+    found = draw_observations(run, frames.role)
     if len(frames.predictive):
         found["predicted"] = fit_figures.draw_predictive_check(run)
     if len(frames.profiles):
@@ -156,8 +151,7 @@ def list_files(run: Run) -> dict[str, pd.DataFrame | str]:
         "identify": run.frames["identification"],
         "posterior": fit_tables.tabulate_percentiles(run),
     }
-    written |= find_observation_report(run).files(run)
-    names = ("predictive", "runs", "readings", "curvature", "error_fit", "population", "draws")
+    names = ("predictive", "readings", "curvature", "error_fit", "population", "draws")
     written |= {name: run.frames[name] for name in names}
     found: dict[str, pd.DataFrame | str] = {
         name: run.frames[name] for name in ("errors", "shapes", "starts", "directions")
@@ -174,7 +168,7 @@ def fit_to_json(run: Run) -> dict[str, Any]:
 
 
 def describe_fit(run: Run) -> FirstPage:
-    return find_observation_report(run).first_page(run, collect_values(run))
+    return judge_errors(run, collect_values(run))
 
 
 REPORT = StudyReport(

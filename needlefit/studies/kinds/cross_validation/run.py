@@ -25,6 +25,7 @@ from needlefit.studies.kinds.cross_validation.fold import FoldResult, FoldServic
 from needlefit.studies.kinds.cross_validation.frames import FRAMES
 from needlefit.studies.kinds.cross_validation.progress import StudyProgress
 from needlefit.studies.load import load_study, print_notes
+from needlefit.studies.mixed_errors import add_errors_over_noise
 from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.run import Run
 from needlefit.studies.simulated_data import find_true_value
@@ -70,6 +71,7 @@ def conclude_run(job: Job, work: JobMetadata, results: Sequence[FoldResult]) -> 
     }
     needles = {needle.insertion: needle for one in results for needle in one.needles}
     frames = {name: _make_frame(job, name, results) for name in FRAMES if name != "needles"}
+    frames = add_errors_over_noise(frames)
     frames["needles"] = tabulate_needles_in_scan(needles.values())
     unconverged = [fault for posterior in posteriors.values() for fault in posterior.faults]
     faults = find_faults(frames["errors"], search_faults, unconverged)

@@ -1,19 +1,9 @@
-"""Curvatures alone: the verdict is on their errors, and the readings of every needle are drawn."""
+"""Figure of curvatures: the readings of every needle."""
 
-from dataclasses import replace
-
-from needlefit.metrics import CURVATURE_RMS
 from needlefit.reporting.figures import Drawing
 from needlefit.studies.fit_frames import FitFrames
-from needlefit.studies.kinds.cross_validation.observed.points import POINTS
+from needlefit.studies.kinds.cross_validation.observed import ObservationFigures
 from needlefit.studies.run import Run
-from needlefit.studies.scored_groups import find_score
-
-
-def are_curvatures(run: Run) -> bool:
-    """Return whether curvatures were read of every needle that is scored, and no place of it."""
-    frames = FitFrames.of(run)
-    return find_score(frames.select_errors(frames.role)) == CURVATURE_RMS.name
 
 
 def draw_sensors(run: Run, role: str) -> dict[str, Drawing]:
@@ -28,4 +18,4 @@ def draw_sensors(run: Run, role: str) -> dict[str, Drawing]:
     return {"sensors": Drawing("curvature", frame)} if len(frame) else {}
 
 
-CURVATURE = replace(POINTS, name="curvature", holds=are_curvatures, figures=draw_sensors)
+CURVATURE = ObservationFigures("curvature", draw_sensors)

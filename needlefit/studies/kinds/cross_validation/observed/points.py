@@ -1,131 +1,20 @@
-"""Points along the needle: the verdict is on the errors of their tips, and every needle is drawn."""
+"""Figures of points along the needle."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any
-
-import pandas as pd
-
-from needlefit.inference.baselines import BASELINES
 from needlefit.reporting.figures import Drawing
-from needlefit.reporting.table import TableLayout
-from needlefit.reporting.table_files import select_rows
-from needlefit.studies import fit_figures, fit_tables
+from needlefit.studies import fit_figures
 from needlefit.studies import scored_groups as scores
-from needlefit.studies.advice import advise, classify_doubt, find_failures, list_doubts, name_doubt
-from needlefit.studies.answer import Advice, Check, Finding, Status, Verdict
-from needlefit.studies.coverage import AFTER_ONE_COLUMN
-from needlefit.studies.first_page import FirstPage
 from needlefit.studies.fit_frames import FitFrames
-from needlefit.studies.fit_tables import TEXT
-from needlefit.studies.judge import PREDICTED, Judgement, judge, limit_status, list_checks
-from needlefit.studies.kinds.cross_validation.observed import ObservationReport
+from needlefit.studies.kinds.cross_validation.observed import ObservationFigures
 from needlefit.studies.run import Run
-
-
-def judge_errors(run: Run, values: Mapping[str, Any]) -> FirstPage:
-    """Return the first page: the verdict is on the errors of tips, or of what was read."""
-    role = FitFrames.of(run).role
-    checks, group = list_checks(run, role), scores.pool_insertions(run, role)
-    judged = None if group is None else judge(run, group)
-    if group is None or judged is None:
-        return FirstPage(Verdict(TEXT.sentence("nothing_scored", values), "fail"), checks=checks)
-    undetermined, score = fit_tables.list_undetermined(run), judged.score
-    words = {**values, "judged": judged, "insertions": group.head.insertions}
-    numbers: dict[str, float | str | None] = {
-        "outcome": judged.outcome,
-        score: judged.error,
-        f"floor_{score}": group.get(score, "floor"),
-        f"{score.removesuffix('_mm')}_over_floor": judged.noise_ratio,
-        "baseline": judged.curve or None,
-        f"baseline_{score}": judged.curve_error,
-        "trials": judged.trials,
-        "insertions": group.head.insertions,
-    }
-    if role == "tune":
-        words["verdict"], status = _open_fit(run, undetermined)
-        status = limit_status(run, status)
-        numbers["not_determined"] = ", ".join(undetermined)
-        sentence, tables = TEXT.sentence("fitted", words), list[TableLayout]()
-    else:
-        groups = scores.list_groups(run)
-        # where there is one group, all insertions are those of the paper's row
-        crps = run.frames["predictive"].reindex(columns=[PREDICTED[score].crps]).mean().item()
-        numbers[PREDICTED[score].crps] = None if pd.isna(crps) else float(crps)
-        numbers["paper_te_mm"] = groups[0].get(scores.TE, "paper") if len(groups) == 1 else None
-        sentence, status = TEXT.sentence("predicted", words), judged.status
-        tables = [fit_tables.lay_out_summary(run)]
-    return FirstPage(
-        Verdict(sentence, status, numbers, judged.outcome),
-        TEXT.sentence("about", words),
-        [*tables, fit_tables.lay_out_estimates(run.frames["parameters"], values["rigidity"])],
-        checks=checks,
-        advice=find_advice(run, judged, checks, undetermined, values["media"]),
-        method=TEXT.sentence("method", words),
-    )
-
-
-def find_advice(
-    run: Run,
-    judged: Judgement,
-    checks: Sequence[Finding],
-    undetermined: Sequence[str],
-    media: Mapping[str, Sequence[str]],
-) -> Advice | None:
-    """Return what to do: it follows from faults, the judgement, checks and undetermined parameters.
-
-    `media`: by role, into which insertions went.
-    """
-    frames = FitFrames.of(run)
-    role = frames.role
-    by_check = {one.check: one for one in checks}
-    other = [name for name in media["validate"] if name not in media["tune"]]
-    gain = frames.predictive[AFTER_ONE_COLUMN].astype(float).median()
-    intervals = by_check.get(Check.INTERVALS)
-    doubts = [one for one in list_doubts(run.warnings) if classify_doubt(one)][:1]
-    # curves were fitted to the needles of a fit, too: only one that is closer is advised about
-    comparison = judged.advice if role == "validate" or judged.outcome.passed is False else ""
-    found = ["predictable", *find_failures(by_check, comparison, other_medium=bool(other))]
-    if run.faults or run.interrupted:
-        found.append("not_converged")
-    found += map(classify_doubt, doubts)
-    if role == "tune" and undetermined:
-        found.append("parameters_undetermined")
-    values = {
-        "dataset": str(run.record.dataset),
-        "doubt": "".join(one.help_key for one in doubts),
-        "doubt_title": "".join(name_doubt(one.kind) for one in doubts),
-        "other_medium": other[0] if other else "",
-        "curve": BASELINES[judged.curve].description if judged.curve else "",
-        "width": None if intervals is None else intervals.width_mm,
-        "gain": None if pd.isna(gain) or intervals is None else float(gain),
-    }
-    return advise(found, values, run.name)
-
-
-def _open_fit(run: Run, undetermined: Sequence[str]) -> tuple[str, Status]:
-    """Return the block with which the verdict on a fit begins, and its status."""
-    checks = {one.check: one for one in list_checks(run, "tune")}
-    if Check.CURVES in checks and checks[Check.CURVES].passed is False:
-        return "fit_fails", "fail"
-    if "parameter_at_bound" in checks[Check.DATA].named.split(", "):
-        return "fit_at_bound", "warn"
-    if not run.reliable:
-        return "fit_unreliable", "warn"
-    return ("fit_undetermined", "warn") if undetermined else ("fit_done", "pass")
 
 
 def draw_needles(run: Run, role: str) -> dict[str, Drawing]:
     """Return the insertions with the smallest, middle and largest tip error, and all of them."""
-    frames = FitFrames.of(run)
-    if any(select_rows(one, role=role, method="fitted").empty for one in (frames.errors, frames.shapes)):
+    if FitFrames.of(run).select_curves(role, method="fitted").empty:
         return {}
-    return {"insertions": fit_figures.draw_first_page(run, role), **list_overlays(run, role)}
-
-
-def list_overlays(run: Run, role: str) -> dict[str, Drawing]:
-    """Return all insertions of a role, in space also from above."""
     names = ("overlays", "overlays_above")[: scores.count_directions(run)]
-    return {name: fit_figures.draw_overlays(run, role, from_above=name != names[0]) for name in names}
+    overlays = {name: fit_figures.draw_overlays(run, role, from_above=name != names[0]) for name in names}
+    return {"insertions": fit_figures.draw_first_page(run, role), **overlays}
 
 
-POINTS = ObservationReport("points", lambda run: True, judge_errors, draw_needles)
+POINTS = ObservationFigures("points", draw_needles)

@@ -1,26 +1,22 @@
-"""Tips alone: the verdict is that of points; deflections are drawn over depth."""
-
-from dataclasses import replace
+"""Figure of tips alone: deflections over depth."""
 
 import numpy as np
 
 from needlefit.reporting.figures import Drawing
 from needlefit.studies.fit_frames import FitFrames
-from needlefit.studies.kinds.cross_validation.observed.points import POINTS
+from needlefit.studies.kinds.cross_validation.observed import ObservationFigures
 from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import find_bevel_sides
-
-
-def are_tips(run: Run) -> bool:
-    """Return whether tips alone were compared, and no curves."""
-    places = FitFrames.of(run).shapes["j"]
-    return len(places) > 0 and int(places.max()) == 1
 
 
 def draw_tips(run: Run, role: str) -> dict[str, Drawing]:
     """Return the deflections of tips over depth, toward their bevels, and what was predicted of them."""
     frames = FitFrames.of(run)
+    places = frames.shapes.groupby("insertion")["j"].max()
     errors = frames.select_errors(role, method=frames.method)
+    errors = errors[errors["insertion"].isin(places.index[places == 1])]  # entry and tip
+    if errors.empty:
+        return {}
     sides = errors["insertion"].map(find_bevel_sides(run)).to_numpy(dtype=float)
     known = frames.predictive.set_index("insertion").reindex(errors["insertion"])
     ends = known[["tip_95_low_mm", "tip_95_high_mm"]].to_numpy(dtype=float)
@@ -34,4 +30,4 @@ def draw_tips(run: Run, role: str) -> dict[str, Drawing]:
     return {"tips": Drawing("tip", frame)}
 
 
-TIP = replace(POINTS, name="tip", holds=are_tips, figures=draw_tips)
+TIP = ObservationFigures("tip", draw_tips)

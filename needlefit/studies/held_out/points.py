@@ -10,7 +10,7 @@ its shape as a whole, which holds if no point of it leaves the simultaneous band
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -39,8 +39,10 @@ from needlefit.inference.problem import Problem
 from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import run_parts
 from needlefit.schemas.recipe import LikelihoodRecord
+from needlefit.schemas.run_metadata import CountMetadata
 from needlefit.studies.coverage import AFTER_ONE_COLUMN, WIDTH_ERROR_COLUMN, estimate_width_after_one
 from needlefit.studies.fold_draws import Specimens, describe_specimen
+from needlefit.studies.held_out import PREDICTIVE_COLUMNS, HeldOutObservation, HeldOutPrediction, Step
 from needlefit.studies.job import Job
 from needlefit.studies.prediction_scores import (
     CURVATURE_CRPS,
@@ -55,52 +57,21 @@ from needlefit.studies.prediction_scores import (
 from needlefit.studies.score import Row, predict_needle
 
 MIN_SOLVED_DRAWS = 10  #: fewer solved draws make no distribution
-#: Of the table "predictive": the distribution of every insertion held out, and how the measurement fell in
-#: it. `tip_pit` is the probability predicted of a tip up to the measured one, `shape_pit` that of the
-#: smallest simultaneous band that holds the measured shape; `points_in_95`: whether the pointwise band does.
-PREDICTIVE_COLUMNS = (
-    *("fold", "insertion", "hole", "specimen", "medium", "layers", "depth_mm", "specimen_treatment"),
-    *("between_sd_ln_mu", "between_sd_ln_b", "between_correlation", "other_specimens"),
-    *(AFTER_ONE_COLUMN, "draw_source", "certified", "draws", "failed_solves", "tip_measured_mm"),
-    *("tip_median_mm", "tip_50_low_mm", "tip_50_high_mm", "tip_95_low_mm", "tip_95_high_mm", "tip_pit"),
-    *("tip_in_50", "tip_in_95", "tip_crps_mm", "tip_interval_score_mm", "shape_pit", "shape_in_50"),
-    *("shape_in_95", "points_in_50", "points_in_95", "shape_crps_mm", WIDTH_ERROR_COLUMN),
-)
 
 
-@dataclass(frozen=True)
-class HeldOutPrediction:
-    """The prediction of one needle: its rows of the tables "predictive", "bands", "curvature".
-
-    `solved` needles were simulated, one a draw, `outside` of them outside what the model assumes. With bands,
-    `point` is which needle is reported, and `curve` that needle in C, mm: None where it has no solution.
-    """
-
-    row: Row
-    band: tuple[Row, ...]
-    sensors: tuple[Row, ...]
-    solved: int
-    outside: int
-    point: PointPrediction | None = None
-    curve: Curve | None = None
-
-
-def predict_held_out(
-    known: Specimens,
-    *,
-    bands: bool = False,
-    step: Callable[[int, int], None] = lambda done, total: None,
+def predict_needles(
+    known: Specimens, given: Sequence[Insertion], bands: bool, step: Step
 ) -> Iterator[HeldOutPrediction]:
-    """Yield the prediction of every insertion that a fold holds out, y toward +y of C, mm.
+    """Yield the prediction of every needle, y toward +y of C, mm.
 
     Of an insertion whose points have no stated noise, nothing: its measurement then has no distribution.
-    Nothing is predicted where specimens differ and their draws are not certified. Without `bands`, those are
-    left out, and what one measured insertion into a new specimen would leave of the width. `step` is called
-    with the number of predictions made, and of all.
+    Nothing is predicted where specimens differ and their draws are not certified, and no band by draws that
+    are not. Without `bands`, those are left out, and what one measured insertion into a new specimen would
+    leave of the width.
     """
     job, jobs = known.job, known.jobs
-    given = [one for one in known.fold.validate if job.dataset.noise.stated or one.states_errors]
-    if given and known.separate and known.faults:
+    given = [one for one in given if job.dataset.noise.stated or one.states_errors]
+    if given and known.faults and (bands or known.separate):
         return
     side_by_side = max(1, min(jobs, len(given)))
     # what is predicted are the stored points, as they will be measured
@@ -231,9 +202,10 @@ class _Predictor:
         if self.bands and has_tip:
             band = tuple({**where, **point} for point in tabulate_band(mixture, whole, observation.measured))
         row = {name: row.get(name) for name in columns}
-        outside = int(np.sum(~found.valid[solved]))
+        count = CountMetadata(simulations=len(aligned), outside=int(np.sum(~found.valid[solved])))
         chosen = self._choose_needle(insertion, s, drawn[:, : len(s)]) if self.bands else ()
-        return HeldOutPrediction(row, band, sensors, len(aligned), outside, *chosen)
+        rows = {"predictive": (row,), "bands": band, "curvature": sensors}
+        return HeldOutPrediction(insertion.id, rows, count, *chosen)
 
     def _choose_needle(
         self, insertion: Insertion, s: Floats, drawn: Floats
@@ -340,3 +312,6 @@ def _measurement_covariance(observation: Observation, factor: float) -> Floats:
     left = np.eye(len(moved_by)) - moved_by @ moved_by.T
     aligned: Floats = left @ covariance @ left
     return aligned
+
+
+POINTS = HeldOutObservation("points", predict_needles)

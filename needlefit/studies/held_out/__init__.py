@@ -1,0 +1,86 @@
+"""How insertions that a fold holds out are predicted: a file here for each observation that differs.
+
+Each has the name of its observation in `inference/likelihood/observations/`. What has no file is predicted as
+points along the needle are.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from needlefit.datasets.insertion import Insertion
+from needlefit.grouping import group_values
+from needlefit.inference.compared_points import Curve
+from needlefit.inference.point_prediction import PointPrediction
+from needlefit.registry import Registry
+from needlefit.schemas.run_metadata import CountMetadata
+from needlefit.studies.coverage import AFTER_ONE_COLUMN, WIDTH_ERROR_COLUMN
+from needlefit.studies.fold_draws import Specimens
+from needlefit.studies.job import Job
+from needlefit.studies.score import Row
+
+#: Of the table "predictive": the distribution of every insertion held out, and how the measurement fell in
+#: it. `tip_pit` is the probability predicted of a tip up to the measured one, `shape_pit` that of the
+#: smallest simultaneous band that holds the measured shape; `points_in_95`: whether the pointwise band does.
+PREDICTIVE_COLUMNS = (
+    *("fold", "insertion", "hole", "specimen", "medium", "layers", "depth_mm", "specimen_treatment"),
+    *("between_sd_ln_mu", "between_sd_ln_b", "between_correlation", "other_specimens"),
+    *(AFTER_ONE_COLUMN, "draw_source", "certified", "draws", "failed_solves", "tip_measured_mm"),
+    *("tip_median_mm", "tip_50_low_mm", "tip_50_high_mm", "tip_95_low_mm", "tip_95_high_mm", "tip_pit"),
+    *("tip_in_50", "tip_in_95", "tip_crps_mm", "tip_interval_score_mm", "shape_pit", "shape_in_50"),
+    *("shape_in_95", "points_in_50", "points_in_95", "shape_crps_mm", WIDTH_ERROR_COLUMN),
+)
+
+#: called with the number of predictions made, and of all
+Step = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class HeldOutPrediction:
+    """The prediction of one insertion: its rows of the tables of a run, by their names.
+
+    Where "errors" is none of them, `curve` is scored as every method's is. `simulations` counts those that
+    were solved, one a draw. `point` is which needle is reported, and `curve` that needle in C, mm: None where
+    it has no solution, or without bands.
+    """
+
+    insertion: str
+    rows: Mapping[str, Sequence[Row]]
+    simulations: CountMetadata
+    point: PointPrediction | None = None
+    curve: Curve | None = None
+
+
+@dataclass(frozen=True)
+class HeldOutObservation:
+    """How insertions that were measured alike are predicted together."""
+
+    name: str  #: of the observation
+    #: parameters of the fold, insertions, whether with bands, step -> a prediction of each that can be made
+    predict: Callable[[Specimens, Sequence[Insertion], bool, Step], Iterator[HeldOutPrediction]]
+    #: whether its predictions have their own rows of the table "errors"
+    has_errors: bool = False
+    #: raises ConfigError if insertions that folds of a study hold out cannot be predicted
+    check: Callable[[Job], None] = lambda job: None
+
+
+HELD_OUT = Registry(HeldOutObservation, __name__, "prediction of an observation")
+
+
+def find_held_out(insertion: Insertion) -> HeldOutObservation:
+    """Return how an insertion is predicted."""
+    return HELD_OUT[insertion.observed if insertion.observed in HELD_OUT else "points"]
+
+
+def predict_held_out(
+    known: Specimens, *, bands: bool = False, step: Step = lambda done, total: None
+) -> Iterator[HeldOutPrediction]:
+    """Yield the predictions of the insertions that a fold holds out, kind by kind; see the file of each."""
+    held = known.fold.validate
+    groups, done = group_values((find_held_out(one).name, one) for one in held), 0
+    for name, some in groups.items():
+
+        def count(made: int, _: int, done: int = done) -> None:
+            step(done + made, len(held))
+
+        yield from HELD_OUT[name].predict(known, some, bands, count)
+        done += len(some)

@@ -1,0 +1,324 @@
+"""Predict the runs of tip tracks that a fold holds out, reading by reading, beside baseline curves."""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from needlefit.arrays import Floats
+from needlefit.datasets.folds import Fold
+from needlefit.datasets.insertion import Insertion
+from needlefit.datasets.select import count_layers, name_holes, select_same_needle
+from needlefit.errors import ConfigError
+from needlefit.geometry.curves import compare_curves
+from needlefit.inference import predict
+from needlefit.inference.baselines import BASELINES, list_baselines
+from needlefit.inference.curve_bands import find_bands
+from needlefit.inference.draw_simulation import vary_bevels
+from needlefit.inference.forward_model import PreparedModel
+from needlefit.inference.likelihood.observation import Observation
+from needlefit.inference.likelihood.observations import make_observation
+from needlefit.inference.likelihood.observations.tip_track import split_directions
+from needlefit.inference.parameter_names import NOISE_SCALE
+from needlefit.inference.point_prediction import PointPrediction, choose_point
+from needlefit.inference.problem import Problem
+from needlefit.inference.track_predictions import (
+    MIN_TUNED_RUNS,
+    PredictedReadings,
+    predict_by_curve,
+    predict_runs,
+)
+from needlefit.metrics import TRACK_RMS
+from needlefit.project.random_streams import random_stream
+from needlefit.schemas.recipe import TrackErrorsRecord
+from needlefit.schemas.run_metadata import CountMetadata
+from needlefit.schemas.study import StudyRecord
+from needlefit.studies.fit_frames import PREDICTION_METHOD
+from needlefit.studies.fold_draws import Specimens, describe_specimen
+from needlefit.studies.held_out import PREDICTIVE_COLUMNS, HeldOutObservation, HeldOutPrediction, Step
+from needlefit.studies.job import Job
+from needlefit.studies.prediction_scores import score_shape, score_tip
+from needlefit.studies.score import Row, Scorer, make_scorer
+
+NAME = "tip_track"
+MIN_SCORED_READINGS = 2  #: fewest readings of a predicted track that are scored
+# a row per reading of a run predicted, direction and method; `measured_mm` counts from the run's first
+# reading, `scored` are those below the depth that places it in the tracker's frame
+READING_COLUMNS = (
+    *("fold", "run", "medium", "direction", "method", "depth_mm", "guide_mm", "scored", "measured_mm"),
+    *("predicted_mm", "low_50_mm", "high_50_mm", "low_95_mm", "high_95_mm"),
+)
+
+
+def check_tracks(job: Job) -> None:
+    """Refuse tracks of which nothing is left to be predicted, or that nothing places in their frame."""
+    tracks = [one for fold in job.folds for one in fold.validate if one.observed == NAME]
+    if not tracks:
+        return
+    depth = _registration_depth(job)
+    if depth is None:
+        raise ConfigError(
+            "tip tracks are predicted, and nothing places them in the tracker's frame",
+            key="registration_depth_mm",
+            expected="the depth up to which a run's own readings do, mm",
+        )
+    for fold in job.folds:
+        fitted, held = (
+            {one.specimen for one in part if one.observed == NAME} for part in (fold.tune, fold.validate)
+        )
+        if other := held - fitted:
+            raise ConfigError(
+                f"runs into {', '.join(sorted(other))} would be predicted, and none is fitted to",
+                key="folds" if isinstance(job.record, StudyRecord) and job.record.folds else "validate",
+                expected="runs into specimens that are fitted",
+            )
+    for track in tracks:
+        if count_registered(track, depth) > len(track.points) - MIN_SCORED_READINGS:
+            raise ConfigError(
+                f"of run {track.id} nothing is left to be predicted: its readings end at "
+                f"{track.depth:g} mm, and those down to {depth:g} mm place it",
+                key="registration_depth_mm",
+                expected=f"{MIN_SCORED_READINGS} readings below it, at least",
+                fix="lower registration_depth_mm, or leave the run out",
+            )
+
+
+def _registration_depth(job: Job) -> float | None:
+    return job.record.registration_depth_mm if isinstance(job.record, StudyRecord) else None
+
+
+def count_registered(track: Insertion, depth_mm: float) -> int:
+    """Return how many readings of a track, down to a depth, place it in the tracker's frame."""
+    return max(1, int(np.sum(track.points[:, 0] <= depth_mm)))
+
+
+def predict_tracks(
+    known: Specimens, tracks: Sequence[Insertion], bands: bool, step: Step
+) -> Iterator[HeldOutPrediction]:
+    """Yield the prediction of every run, with the errors of every method: root mean squares over readings.
+
+    What was fitted along y alone is compared along y; where all runs were tracked along z, too, their
+    readings there are predicted as in space.
+    """
+    job, fold = known.job, _take_tracks(known.fold, tracks)
+    every = _predict_runs(known, job, fold)
+    further = [] if (whole := _restore_directions(job, fold)) is None else _predict_runs(known, *whole)
+    for n, one in enumerate(every):
+        readings = [*one.rows["readings"]]
+        if further:
+            readings += [row for row in further[n].rows["readings"] if row["direction"] == "z"]
+        yield replace(one, rows={**one.rows, "readings": readings})
+        step(n + 1, len(every))
+
+
+def _take_tracks(fold: Fold, tracks: Sequence[Insertion]) -> Fold:
+    """Return the fold of its tracks alone."""
+    return replace(fold, tune=tuple(one for one in fold.tune if one.observed == NAME), validate=tuple(tracks))
+
+
+def _restore_directions(job: Job, fold: Fold) -> tuple[Job, Fold] | None:
+    """Return a job and its fold in space, if all its runs were tracked along more than what is compared."""
+    whole = fold.of_dataset(job.measured)
+    if min(one.directions for one in (*whole.tune, *whole.validate)) == job.dataset.directions:
+        return None
+    return replace(job, dataset=replace(job.dataset, compared="space")), whole
+
+
+def _predict_runs(known: Specimens, job: Job, fold: Fold) -> list[HeldOutPrediction]:
+    """Return the predictions of the runs of a fold; `job` may compare in space, unlike that of `known`."""
+    depth, draws = _registration_depth(job), known.replace_mean(known.draws)
+    assert depth is not None and draws.mode is not None
+    problem = job.problem(known.fold if job is known.job else known.fold.of_dataset(job.measured))
+    placed = [count_registered(track, depth) for track in fold.validate]
+    rng = random_stream(job.recipe.seed, job.name, fold.name, "fitted")
+    ahead = predict_runs(*simulate_runs(problem, fold, draws.thetas, known.jobs, rng), placed, rng)
+    chosen, fitted, points = _choose_readings(problem, fold, draws, ahead, placed, known.jobs)
+    methods = {PREDICTION_METHOD: points, "fitted": fitted, **_predict_by_curves(job, fold, placed)}
+    scorer, steered, found = make_scorer(job), any(one.guided for one in fold.tune), list[HeldOutPrediction]()
+    for n, (run, drawn) in enumerate(zip(fold.validate, ahead, strict=True)):
+        errors, readings = list[Row](), list[Row]()
+        # how a moved guide leads a needle, no run at rest has tested
+        certain = drawn if not draws.faults and (steered or not run.guided) else None
+        for method, predicted in methods.items():
+            place = {"fold": fold.name, "role": "validate", "insertion": run.id, "method": method}
+            errors.append(_score_run(scorer, place, run, placed[n], predicted[n], drawn.sd))
+            if method != "fitted":
+                shown = certain if method == PREDICTION_METHOD else None
+                readings += _list_readings(fold, run, method, placed[n], predicted[n], shown)
+        rows = {"errors": errors, "readings": readings}
+        if certain is not None:
+            rows["predictive"] = [_describe_run(known, job, run, placed[n], certain, draws)]
+        count = CountMetadata(simulations=len(drawn.values), outside=0)
+        found.append(HeldOutPrediction(run.id, rows, count, chosen))
+    return found
+
+
+def _predict_by_curves(job: Job, fold: Fold, placed: Sequence[int]) -> dict[str, list[Floats]]:
+    """Return by baseline the later readings of every run, mm; curves predict each direction by itself."""
+    # curves are of readings in a frame whose slope they estimate from their own residuals
+    exact = {"measurement": "points", "bevel_spread": 0.0, "tip_tracks": TrackErrorsRecord()}
+    plain = job.recipe.likelihood.model_copy(update=exact)
+    flat, directions = replace(job.dataset, compared="plane"), job.dataset.directions
+
+    def observe(track: Insertion) -> list[Observation]:
+        return [make_observation(flat, one, likelihood=plain) for one in split_directions(track, directions)]
+
+    tuned = {one.id: observe(one) for one in fold.tune}
+    found: dict[str, list[Floats]] = {one.name: [] for one in list_baselines("tracks")}
+    for run, count in zip(fold.validate, placed, strict=True):
+        alike = [tuned[one.id] for one in select_same_needle(fold.tune, run.needle, MIN_TUNED_RUNS)]
+        pairs = list(zip(zip(*alike, strict=True), observe(run), strict=True))  # direction by direction
+        for name, each in found.items():
+            parts = [
+                predict_by_curve(BASELINES[name], *pair, count, job.dataset.noise.slope_sd) for pair in pairs
+            ]
+            each.append(np.concatenate(parts))
+    return found
+
+
+def _choose_readings(
+    problem: Problem,
+    fold: Fold,
+    draws: predict.Draws,
+    ahead: Sequence[PredictedReadings],
+    placed: Sequence[int],
+    jobs: int,
+) -> tuple[PointPrediction, list[Floats], list[Floats]]:
+    """Return which prediction of all runs is reported, and the readings (n - k,) of the mode and of it, mm.
+
+    Of draws that are not certified there is no median.
+    """
+    assert draws.mode is not None
+    drawn = np.concatenate([one.values for one in ahead], axis=1)
+
+    def predict_all(theta: Floats) -> Floats:
+        simulated = simulate_runs(problem, fold, theta[None], jobs)
+        solved = len(simulated[0]) > 0
+        means = [one.values for one in predict_runs(*simulated, placed)]
+        return np.hstack(means)[0] if solved else np.full(drawn.shape[1], np.nan)
+
+    mode, point = predict_all(draws.mode), PointPrediction()
+    if not draws.faults:
+        point = choose_point(problem, draws.mode, drawn, predict_all)
+    ends = np.cumsum([one.values.shape[1] for one in ahead])[:-1]
+    return point, np.split(mode, ends), np.split(point.take(mode, drawn), ends)
+
+
+def simulate_runs(
+    problem: Problem, fold: Fold, thetas: Floats, jobs: int, rng: np.random.Generator | None = None
+) -> tuple[Floats, list[Observation], list[Observation], list[Floats]]:
+    """Return the scales of the noise, the runs fitted to and predicted, and the model's curves of both.
+
+    As for `predict_runs`; `thetas` (B, P) of which a solve fails are left out. Runs fitted to have the
+    needle's bevel, those predicted each one of their own, without `rng` the same.
+    """
+    dataset = problem.dataset
+    noise = replace(dataset.noise, heading_sd=0.0)
+    likelihood = problem.likelihood.model_copy(update={"bevel_spread": 0.0, "measurement": "stored"})
+    sets = [problem.values(theta) for theta in thetas]
+
+    def simulate(sets: Sequence[Mapping[str, float]], some: Sequence[Observation]) -> Iterator[Floats]:
+        pairs = [pair for one in some for pair in zip(one.nodes.insertions, one.nodes.s, strict=True)]
+        every, depths = [run for run, _ in pairs], [at for _, at in pairs]
+        points = PreparedModel(problem.medium, every).read_points(sets, depths, jobs)
+        for one in some:
+            yield np.stack([one.stack(next(points)) for _ in one.nodes.s], axis=1)  # (B, m, n or 2 n)
+
+    tuned, held = (
+        [make_observation(dataset, track, noise, likelihood) for track in tracks]
+        for tracks in (fold.tune, fold.validate)
+    )
+    curves = list(simulate(sets, tuned))
+    for one in held:
+        varied = sets if rng is None else vary_bevels(sets, problem.new_bevel_sd, rng)
+        curves += simulate(varied, [one])
+    good = np.all([np.isfinite(one).all(axis=(1, 2)) for one in curves], axis=0)
+    scale = np.array([values.get(NOISE_SCALE, 1.0) for values in sets])
+    return scale[good], tuned, held, [one[good] for one in curves]
+
+
+def _score_run(scorer: Scorer, place: Row, run: Insertion, placed: int, predicted: Floats, sd: Floats) -> Row:
+    """Return the row of "errors" of a method that predicts readings (n - placed,) after the first ones, mm.
+
+    The noise floor is what a run with the right parameters misses them by: `sd` (B, n - placed), mm.
+    """
+    directions = scorer.dataset.directions
+    depths, *across = run.points.T
+    known = np.column_stack([depths, *(one - one[0] for one in across[:directions])])
+    ours = known.copy()
+    ours[placed:, 1:] = (predicted.reshape(directions, -1) - run.points[0, 1 : 1 + directions, None]).T
+    floor = {TRACK_RMS.name: float(np.sqrt(np.mean(sd**2) * directions))}
+    curves = compare_curves(ours[placed:], known[placed:], scorer.dataset.compared, "readings")
+    row = scorer.describe({**place, "boundaries": "measured"}, run, floor)
+    row |= scorer.compute_errors(run, [curves])
+    row["deflection_mm"], row["predicted_deflection_mm"] = (
+        run.side * float(one[-1, 1]) for one in (known, ours)
+    )
+    return row
+
+
+def _describe_run(
+    known: Specimens, job: Job, run: Insertion, placed: int, drawn: PredictedReadings, draws: predict.Draws
+) -> Row:
+    """Return the row of "predictive": the tip at the last reading along y, and all readings as a shape."""
+    count = drawn.values.shape[1] // job.dataset.directions
+    first, measured = run.points[0, 1], run.points[placed:, 1 : 1 + job.dataset.directions].T.ravel()
+    mixture = predict.PredictiveMixture(drawn.values, np.zeros(drawn.values.shape[1]))
+    along_y = predict.PredictiveMixture(drawn.values[:, :count] - first, np.zeros(count))
+    row = {
+        "fold": known.fold.name,
+        "insertion": run.id,
+        "hole": name_holes(job.dataset).get(run.id, run.id),
+        "specimen": run.specimen,
+        "medium": run.medium,
+        "layers": count_layers(run, job.record.layer_count_rule),
+        "depth_mm": run.depth,
+        "draw_source": draws.source,
+        "certified": True,
+        "draws": len(draws.thetas),
+        "failed_solves": len(draws.thetas) - len(drawn.values),
+        **describe_specimen(None),
+        **score_shape(mixture, measured, find_bands(drawn.values).pit(measured)),
+        **score_tip(along_y, measured[:count] - first),
+    }
+    row["shape_crps_mm"] = float(predict.crps(mixture, measured).mean())
+    return {name: row.get(name) for name in PREDICTIVE_COLUMNS}
+
+
+def _list_readings(
+    fold: Fold,
+    run: Insertion,
+    method: str,
+    placed: int,
+    predicted: Floats,
+    drawn: PredictedReadings | None,
+) -> Iterator[Row]:
+    """Yield the rows of "readings" of a method; `predicted` (n - placed,), mm, are those along y before z.
+
+    `drawn` are those by draws, of which there are simultaneous bands; None without.
+    """
+    assert run.guide is not None
+    count = len(run.points) - placed
+    for number, one in enumerate(split_directions(run, len(predicted) // count)):
+        assert one.guide is not None
+        part = slice(number * count, (number + 1) * count)
+        columns, first = {"predicted_mm": predicted[part]}, one.points[0, 1]
+        if drawn is not None:
+            band = find_bands(drawn.values[:, part])
+            for level in predict.INTERVAL_PROBABILITIES:
+                for side, end in zip(("low", "high"), band.ends(level), strict=True):
+                    columns[f"{side}_{100 * level:.0f}_mm"] = end
+        for n, (depth, tip) in enumerate(one.points[:, :2]):
+            yield dict.fromkeys(READING_COLUMNS, math.nan) | {
+                **{"fold": fold.name, "run": run.id, "medium": run.medium, "direction": "yz"[number]},
+                **{"method": method, "depth_mm": float(depth), "guide_mm": float(one.guide.y[n])},
+                **{"scored": n >= placed, "measured_mm": float(tip - first)},
+                **{
+                    name: float(of[n - placed] - first) if n >= placed else math.nan
+                    for name, of in columns.items()
+                },
+            }
+
+
+TIP_TRACK = HeldOutObservation(NAME, predict_tracks, has_errors=True, check=check_tracks)
