@@ -236,12 +236,8 @@ def test_a_mixture_is_fitted_and_scored_by_what_each_needle_holds(mixed: Path) -
     assert known.loc["m1"].tolist() == [False, True, False]
     assert known.loc["at65"].tolist() == [False, False, True]
     assert errors["curvature_rms_1_per_m"].dropna().max() < 2e3 * SD
-    floors = errors[[f"floor_{name}" for name in ("te_mm", "curvature_rms_1_per_m")]]
-    over = (errors[["te_mm", "curvature_rms_1_per_m"]].to_numpy() / floors.to_numpy()).T
-    assert errors["error_over_noise"].to_numpy() == pytest.approx(
-        np.where(np.isnan(over[0]), over[1], over[0])
-    )
-    assert run.first_page.verdict.numbers["error_over_noise"] == pytest.approx(
-        errors["error_over_noise"].mean()
-    )
+    tips, sensors = (errors[one] / errors[f"floor_{one}"] for one in ("te_mm", "curvature_rms_1_per_m"))
+    over = errors["error_over_noise"]
+    assert over.to_numpy() == pytest.approx(tips.fillna(sensors).to_numpy())
+    assert run.first_page.verdict.numbers["error_over_noise"] == pytest.approx(over.mean())
     assert len(run.frames["predictive"]) == 7 and (run.frames["predictive"]["crps_over_noise"] < 2.0).all()
