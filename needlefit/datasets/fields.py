@@ -55,68 +55,74 @@ class FieldReader:
         are curves in a list beside them (rows of a matrix, too) each is stated of one. Vectors beside x, y
         and z of their length are `columns`.
         """
-        found = [one for entry in self._find(name, simplify(value)) for one in entry]
+        curves = [curve for entry in self._find(name, simplify(value)) for curve in entry]
         taken: dict[str, int] = {}
-        for one in found:  # `a_1` may be the first entry of `a`, and a field
-            taken[one.name] = count = taken.get(one.name, 0) + 1
-            one.name = one.name if count == 1 else f"{one.name}-{count}"
-        return found
+        for curve in curves:  # `a_1` may be the first entry of `a`, and a field
+            taken[curve.name] = count = taken.get(curve.name, 0) + 1
+            curve.name = curve.name if count == 1 else f"{curve.name}-{count}"
+        return curves
 
     def _find(self, name: str, value: object) -> Entries:
         unused = len(self.unused)
         if isinstance(value, dict):
-            found = self._find_in_struct(name, value)
+            entries = self._find_in_struct(name, value)
         elif isinstance(value, list):
             parts = [self._find(_join(name, n), part) for n, part in enumerate(value, 1)]
-            found = [[one for entry in part for one in entry] for part in parts]
+            entries = [[curve for entry in part for curve in entry] for part in parts]
         else:
-            found = self._name_curves(name, to_curves(value))
-        if any(found):
-            return found
+            entries = self._name_curves(name, to_curves(value))
+        if any(entries):
+            return entries
         self.unused[unused:] = [f"{self.noun} {name}"] if name else []  # one name for all that it holds
         return []
 
     def _find_in_struct(self, name: str, fields: Mapping[str, object]) -> Entries:
         axes = _find_coordinates(fields)
-        found: dict[str, Entries] = {}
+        by_field: dict[str, Entries] = {}
         arrays: dict[str, list[Floats]] = {}
         beside: dict[str, object] = {}  # what holds no curves
         for key, part in fields.items():
             unused, curves = len(self.unused), [] if key in axes else to_curves(part)
             is_nested = len(curves) > 1 or (isinstance(part, list | dict) and key not in axes)
             if is_nested and any(entries := self._find(_join(name, key), part)):
-                found[key] = entries
+                by_field[key] = entries
                 continue
             del self.unused[unused:]
             if curves:
                 arrays[key] = curves
             elif key not in axes:
                 beside |= _flatten(key, part)
-        counts = {len(entries) for entries in found.values()}
-        if axes and (len(axes) == 3 or not (found or arrays)):  # x and y alone may be anything
-            found[axes[0]] = self._place_coordinates(name, {key: fields[key] for key in axes}, beside)
+        counts = {len(entries) for entries in by_field.values()}
+        if axes and (len(axes) == 3 or not (by_field or arrays)):  # x and y alone may be anything
+            by_field[axes[0]] = self._place_coordinates(name, {key: fields[key] for key in axes}, beside)
         else:
             beside |= {key: fields[key] for key in axes}
         for key, curves in arrays.items():
             if len(curves[0]) in counts:  # a row for each curve of a list
                 beside[key] = fields[key]
             else:
-                found[key] = self._name_curves(
+                by_field[key] = self._name_curves(
                     name if name and len(arrays) == 1 else _join(name, key), curves
                 )
-        for key, entries in found.items():
-            for curve in (one for entry in entries for one in entry):
+        for key, entries in by_field.items():
+            for curve in (member for entry in entries for member in entry):
                 curve.unit = curve.unit or _find_unit(key)
-        used = {key for entries in found.values() for key in _state(entries, beside)}
-        self.unused += [f"{self.noun} {_join(name, key)}" for key in beside if found and key not in used]
-        groups = [found[key] for key in fields if key in found]
-        return groups[0] if len(groups) == 1 else [[one for own in groups for entry in own for one in entry]]
+        used = {key for entries in by_field.values() for key in _state(entries, beside)}
+        self.unused += [f"{self.noun} {_join(name, key)}" for key in beside if by_field and key not in used]
+        groups = [by_field[key] for key in fields if key in by_field]
+        return (
+            groups[0]
+            if len(groups) == 1
+            else [[member for group in groups for entry in group for member in entry]]
+        )
 
     def _place_coordinates(self, name: str, axes: Mapping[str, object], beside: dict[str, object]) -> Entries:
         """Return the curves of fields x, y and z; one takes the vectors of its length from `beside`."""
         columns = [_to_columns(part) for part in axes.values()]
-        zeros = [[0.0 * one for one in columns[0]]] * (3 - len(columns))  # NaN where x is
-        curves = [np.column_stack(own).astype(np.float64) for own in zip(*columns, *zeros, strict=True)]
+        zeros = [[0.0 * vector for vector in columns[0]]] * (3 - len(columns))  # NaN where x is
+        curves = [
+            np.column_stack(vectors).astype(np.float64) for vectors in zip(*columns, *zeros, strict=True)
+        ]
         is_padded = len(curves) > 1 and all(isinstance(part, np.ndarray) for part in axes.values())
         entries = self._name_curves(name or "curve", curves, is_padded)
         if len(entries) == 1 and entries[0]:
@@ -131,13 +137,13 @@ class FieldReader:
     def _name_curves(self, name: str, curves: Sequence[Floats], is_padded: bool | None = None) -> Entries:
         """Return curves by number, without their padding; an empty one gives an empty entry."""
         kept = _strip_padding(curves, len(curves) > 1 if is_padded is None else is_padded)
-        lost = [len(whole) - len(own) for whole, own in zip(curves, kept, strict=True)]
+        lost = [len(whole) - len(stripped) for whole, stripped in zip(curves, kept, strict=True)]
         if any(lost):
             padded = sum(count > 0 for count in lost)
             rows = f"{sum(lost)} rows of NaN or zeros at the end of"
             self.unused.append(f"{rows} {name if len(curves) == 1 else f'{padded} curves of {name}'}")
         names = [name if len(curves) == 1 else f"{name}_{n}" for n, _ in enumerate(kept, 1)]
-        return [[FieldCurve(*one)] if len(one[1]) else [] for one in zip(names, kept, strict=True)]
+        return [[FieldCurve(*named)] if len(named[1]) else [] for named in zip(names, kept, strict=True)]
 
 
 def _join(name: str, part: object) -> str:
@@ -148,10 +154,10 @@ def _state(entries: Entries, beside: Mapping[str, object]) -> Iterator[str]:
     """State of curves what stands beside them, its own of each or the same of all; yield what is stated."""
     filled = [entry for entry in entries if entry]
     for key, part in beside.items():
-        own = _split(part, len(entries))
-        texts: Sequence[str | None] = own or _split(part, len(filled)) or [to_text(part)] * len(filled)
-        pairs = zip(entries if own else filled, texts, strict=True)
-        for curve, text in ((one, text) for entry, text in pairs if text is not None for one in entry):
+        per_entry = _split(part, len(entries))
+        texts: Sequence[str | None] = per_entry or _split(part, len(filled)) or [to_text(part)] * len(filled)
+        pairs = zip(entries if per_entry else filled, texts, strict=True)
+        for curve, text in ((member, text) for entry, text in pairs if text is not None for member in entry):
             if curve.stated.setdefault(key.rpartition(".")[2], text) == text:
                 yield key  # else what stands nearer to the curves states something else
 
@@ -176,24 +182,24 @@ def simplify(value: object) -> Any:  # noqa: ANN401 - whatever a file holds
         return {key: simplify(part) for key, part in value.items()}
     if not isinstance(value, list) or not value:
         return value
-    if all(_is_number(one) for one in value):
+    if all(_is_number(part) for part in value):
         return np.array(value, dtype=np.float64)
-    if all(isinstance(one, dict) and one.keys() == value[0].keys() for one in value):
+    if all(isinstance(part, dict) and part.keys() == value[0].keys() for part in value):
         axes = [key for key in value[0] if _COORDINATE.fullmatch(key)]
-        if len(axes) > 1 and all(_is_number(one[key]) for one in value for key in axes):
-            return {key: simplify([one[key] for one in value]) for key in value[0]}
-    return [simplify(one) for one in value]
+        if len(axes) > 1 and all(_is_number(part[key]) for part in value for key in axes):
+            return {key: simplify([part[key] for part in value]) for key in value[0]}
+    return [simplify(part) for part in value]
 
 
 def _flatten(key: str, part: object) -> dict[str, object]:
     """Return the fields of a struct without curves, or of an array of such structs, by `key.field`."""
-    if isinstance(part, list) and part and all(isinstance(one, dict) for one in part):
-        names = dict.fromkeys(name for one in part for name in one)
-        part = {name: simplify([one.get(name, "") for one in part]) for name in names}
+    if isinstance(part, list) and part and all(isinstance(struct, dict) for struct in part):
+        names = dict.fromkeys(name for struct in part for name in struct)
+        part = {name: simplify([struct.get(name, "") for struct in part]) for name in names}
     if not isinstance(part, dict):
         return {key: part}
-    inner = [_flatten(f"{key}.{name}", one) for name, one in part.items()]
-    return {path: value for one in inner for path, value in one.items()}
+    inner = [_flatten(f"{key}.{name}", struct) for name, struct in part.items()]
+    return {path: value for struct in inner for path, value in struct.items()}
 
 
 def to_curves(value: object) -> list[Floats]:
@@ -222,7 +228,7 @@ def to_text(value: object) -> str | None:
         return None
     if not (_is_real(array) or array.dtype == bool):
         return None
-    return ", ".join(f"{float(one):.10g}" for one in array.ravel() if np.isfinite(one))
+    return ", ".join(f"{float(number):.10g}" for number in array.ravel() if np.isfinite(number))
 
 
 def _is_vector(value: object, length: int) -> bool:
@@ -255,8 +261,8 @@ def _find_coordinates(fields: Mapping[str, object]) -> list[str]:
 def _to_columns(value: object) -> list[NDArray[Any]]:
     """Return a vector, the vectors of a list, or the columns of a matrix; nothing of anything else."""
     if isinstance(value, list):
-        vectors = [_to_columns(one) for one in value]
-        return [one[0] for one in vectors] if all(len(one) == 1 for one in vectors) else []
+        vectors = [_to_columns(part) for part in value]
+        return [vector[0] for vector in vectors] if all(len(vector) == 1 for vector in vectors) else []
     if not _is_real(value) or not value.size:
         return []
     if value.size == max(value.shape, default=0):
@@ -269,14 +275,16 @@ def _strip_padding(curves: Sequence[Floats], is_padded: bool) -> list[Floats]:
 
     Zeros are padding where a curve ends with several; if every curve ends with one, that is a point.
     """
-    kept = [one[: len(one) - _count_trailing(np.isnan(one).all(axis=1))] for one in curves]
-    zeros = [_count_trailing(~one.any(axis=1)) for one in kept]
-    is_empty = [count == len(one) for count, one in zip(zeros, kept, strict=True)]
+    kept = [curve[: len(curve) - _count_trailing(np.isnan(curve).all(axis=1))] for curve in curves]
+    zeros = [_count_trailing(~curve.any(axis=1)) for curve in kept]
+    is_empty = [count == len(curve) for count, curve in zip(zeros, kept, strict=True)]
     last = min((count for count, empty in zip(zeros, is_empty, strict=True) if not empty), default=0)
     if not is_padded or max(zeros, default=0) < 2:
         return kept
     points = [0 if empty else int(last == 1) for empty in is_empty]
-    return [one[: len(one) - count + point] for one, count, point in zip(kept, zeros, points, strict=True)]
+    return [
+        curve[: len(curve) - count + point] for curve, count, point in zip(kept, zeros, points, strict=True)
+    ]
 
 
 def _count_trailing(flags: Any) -> int:  # noqa: ANN401 - numpy's stubs: a scalar, or an array (N,)

@@ -41,10 +41,10 @@ class FileFormat:
     read_markers: Callable[[Path], Points] | None = None
     in_scan: bool = False
 
-    def read_one(self, path: Path, columns: Mapping[str, str], found: list[Fault]) -> Points | None:
+    def read_one(self, path: Path, columns: Mapping[str, str], faults: list[Fault]) -> Points | None:
         """Return the one curve of a file; None after a fault, which is added to `found`."""
         if self.read_centerline is not None:
-            return self.read_centerline(path, columns, found)
+            return self.read_centerline(path, columns, faults)
         curves = {} if self.read_curves is None else self.read_curves(path)[0]
         if len(curves) != 1:
             raise DataError(
@@ -65,12 +65,12 @@ def find_format(path: Path) -> FileFormat | None:
     ConfigError if two formats have this ending.
     """
     name = path.name.lower()
-    known = [(len(end), one) for one in FORMATS.values() for end in one.suffixes if name.endswith(end)]
-    longest = max((length for length, _ in known), default=0)
-    found = [one for length, one in known if length == longest]
-    if len(found) > 1:
+    matches = [(len(end), form) for form in FORMATS.values() for end in form.suffixes if name.endswith(end)]
+    longest = max((length for length, _ in matches), default=0)
+    forms = [form for length, form in matches if length == longest]
+    if len(forms) > 1:
         raise ConfigError(
-            f"`{path.name}` may be of two file formats: {' and '.join(one.name for one in found)}",
+            f"`{path.name}` may be of two file formats: {' and '.join(form.name for form in forms)}",
             fix="leave out the plugin of one of them",
         )
-    return found[0] if found else None
+    return forms[0] if forms else None

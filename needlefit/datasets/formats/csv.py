@@ -82,7 +82,7 @@ def read_table(path: Path) -> CsvTable:
     return CsvTable(path, cells, np.array([line for line, _ in body], dtype=np.int64))
 
 
-def parse_numbers(table: CsvTable, column: str, found: list[Fault], default: float | None = None) -> Floats:
+def parse_numbers(table: CsvTable, column: str, faults: list[Fault], default: float | None = None) -> Floats:
     """Return a column as numbers (N,); NaN where a cell is faulty.
 
     What exceeds `MAX_COORDINATE` is faulty; so is an empty cell, and a missing column, without a `default`.
@@ -97,7 +97,7 @@ def parse_numbers(table: CsvTable, column: str, found: list[Fault], default: flo
     bad = np.flatnonzero(np.isnan(values) & ~(empty & (default is not None)))
     for row in bad[:MAX_LISTED_CELLS]:
         problem = "is empty" if empty[row] else f"is {text.iloc[row][:MAX_SHOWN_CHARS]!r}"
-        found.append(
+        faults.append(
             DataError(
                 f"{describe_column(table.names, column)} {problem}",
                 expected=f"a finite number, at most {MAX_COORDINATE:g}",
@@ -107,7 +107,7 @@ def parse_numbers(table: CsvTable, column: str, found: list[Fault], default: flo
         )
     if len(bad) > MAX_LISTED_CELLS:
         more, line = len(bad) - MAX_LISTED_CELLS, table.lines[bad[MAX_LISTED_CELLS]]
-        found.append(
+        faults.append(
             DataError(
                 f"{describe_column(table.names, column)} has {more} more such cells from here on",
                 expected="finite numbers",
@@ -118,19 +118,21 @@ def parse_numbers(table: CsvTable, column: str, found: list[Fault], default: flo
     return values if default is None else np.where(empty, default, values)
 
 
-def read_curve(table: CsvTable, names: Mapping[str, str], found: list[Fault]) -> Points | None:
+def read_curve(table: CsvTable, names: Mapping[str, str], faults: list[Fault]) -> Points | None:
     """Return the points under `POINT_COLUMNS` (renamed by `names`), with their deviations if it has any.
 
     None after a fault.
     """
-    before, wanted = len(found), [names.get(column, column) for column in POINT_COLUMNS]
-    note_missing_columns(table, [*wanted, *(names[one] for one in (SD_COLUMN,) if one in names)], found)
-    values = [parse_numbers(table, column, found) for column in wanted if column in table.cells]
+    before, wanted = len(faults), [names.get(column, column) for column in POINT_COLUMNS]
+    note_missing_columns(
+        table, [*wanted, *(names[column] for column in (SD_COLUMN,) if column in names)], faults
+    )
+    values = [parse_numbers(table, column, faults) for column in wanted if column in table.cells]
     column, sd = names.get(SD_COLUMN, SD_COLUMN), None
     if column in table.cells and (table.cells[column] != "").any():
-        sd = parse_numbers(table, column, found)
+        sd = parse_numbers(table, column, faults)
         for row in np.flatnonzero(sd < 0)[:MAX_LISTED_CELLS]:
-            found.append(
+            faults.append(
                 DataError(
                     f"{column} is {sd[row]:g}",
                     expected="a standard deviation, 0 or more, mm",
@@ -138,27 +140,27 @@ def read_curve(table: CsvTable, names: Mapping[str, str], found: list[Fault]) ->
                     where=table.where(int(row)),
                 )
             )
-    if len(found) > before:
+    if len(faults) > before:
         return None
     return Points(table.path, np.column_stack(values), table.lines, sd)
 
 
 def rename_columns(
-    table: CsvTable, names: Mapping[str, str], constants: Mapping[str, object], found: list[Fault]
+    table: CsvTable, names: Mapping[str, str], constants: Mapping[str, object], faults: list[Fault]
 ) -> CsvTable:
     """Return a table under our names, with constants where it has no column; note columns that it lacks."""
-    note_missing_columns(table, list(names.values()), found)
+    note_missing_columns(table, list(names.values()), faults)
     cells = table.cells.rename(columns={theirs: ours for ours, theirs in names.items()})
     cells = cells.loc[:, ~cells.columns.duplicated(keep="last")]
     absent = {name: str(value) for name, value in constants.items() if name not in cells}
     return CsvTable(table.path, cells.assign(**absent), table.lines, names)
 
 
-def note_missing_columns(table: CsvTable, wanted: Sequence[str], found: list[Fault]) -> bool:
+def note_missing_columns(table: CsvTable, wanted: Sequence[str], faults: list[Fault]) -> bool:
     """Note a fault for each column of `wanted` that is missing; return whether any was."""
     missing = [column for column in wanted if column not in table.cells]
     for column in missing:
-        found.append(
+        faults.append(
             DataError(
                 f"column `{column}` is missing",
                 expected=f"a column of that name; there are {list_columns(table.cells.columns)}",
@@ -230,16 +232,16 @@ def _check_header(header: list[str], where: str) -> None:
 
 
 def _read_markers(path: Path) -> Points:
-    found: list[Fault] = []
-    points = read_curve(read_table(path), {}, found)
+    faults: list[Fault] = []
+    points = read_curve(read_table(path), {}, faults)
     if points is None:
-        raise as_error(found, path)
+        raise as_error(faults, path)
     return points
 
 
 CSV = FileFormat(
     "csv",
     (".csv",),
-    read_centerline=lambda path, columns, found: read_curve(read_table(path), columns, found),
+    read_centerline=lambda path, columns, faults: read_curve(read_table(path), columns, faults),
     read_markers=_read_markers,
 )

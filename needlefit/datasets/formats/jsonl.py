@@ -24,7 +24,7 @@ def read_curves(path: Path) -> ReadCurves:
     lines = [(f"{path}:{n}", line) for n, line in enumerate(read_text(path).split("\n"), 1) if line.strip()]
     objects = [_to_arrays(parse_json(line, where), where) for where, line in lines]
     reader = FieldReader("field")
-    curves = {one.name: one.to_points(path) for one in reader.find_curves("line", objects)}
+    curves = {curve.name: curve.to_points(path) for curve in reader.find_curves("line", objects)}
     if not curves:
         raise DataError(
             "holds no curve",
@@ -32,7 +32,7 @@ def read_curves(path: Path) -> ReadCurves:
             fix=_FIX,
             where=path,
         )
-    return curves, [f"{one} ignored" for one in reader.unused]
+    return curves, [f"{field} ignored" for field in reader.unused]
 
 
 def _to_arrays(value: Any, where: str, depth: int = 0) -> object:  # noqa: ANN401 - whatever a line holds

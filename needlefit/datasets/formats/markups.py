@@ -86,7 +86,7 @@ def read_markups(path: Path) -> tuple[Markups, ...]:
         return (_parse_markups(path, _read_fcsv(path), 1),)
     whole = read_json(path)
     lists = whole.get("markups") if isinstance(whole, dict) else None
-    if not isinstance(lists, list) or not all(isinstance(one, dict) for one in lists):
+    if not isinstance(lists, list) or not all(isinstance(table, dict) for table in lists):
         raise DataError(
             "has no `markups`",
             expected='{"@schema": ..., "markups": [{"type": "Curve", ...}]}',
@@ -104,20 +104,20 @@ def read_markups(path: Path) -> tuple[Markups, ...]:
             fix=SAVE_AGAIN_FIX,
             where=path,
         )
-    found = [
-        _parse_markups(path, one, n)
-        for n, one in enumerate(lists, 1)
-        if one.get("type") not in ("Plane", "ROI")
+    parsed = [
+        _parse_markups(path, table, n)
+        for n, table in enumerate(lists, 1)
+        if table.get("type") not in ("Plane", "ROI")
     ]
-    if not found:
-        kinds = ", ".join(str(one.get("type")) for one in lists) or "nothing"
+    if not parsed:
+        kinds = ", ".join(str(table.get("type")) for table in lists) or "nothing"
         raise DataError(
             f"holds no list of points, but {kinds}",
             expected="a point list, a Curve or a Line",
             fix="save such a list in Slicer",
             where=path,
         )
-    return tuple(found)
+    return tuple(parsed)
 
 
 def _read_fcsv(path: Path) -> dict[str, Any]:
@@ -167,7 +167,7 @@ def _parse_markups(path: Path, table: Mapping[str, Any], number: int) -> Markups
     check(isinstance(kind, str), "type", "Fiducial, Curve, ...")
     check(system in ("LPS", "RAS"), "coordinateSystem", "LPS or RAS")
     check(isinstance(unit, str) and unit in UNITS_MM, "coordinateUnits", f"one of {', '.join(UNITS_MM)}")
-    is_list = isinstance(points, list) and all(isinstance(one, dict) for one in points)
+    is_list = isinstance(points, list) and all(isinstance(point, dict) for point in points)
     check(is_list, "controlPoints", "a list of points")
     placed, unset, positions = list[dict[str, Any]](), list[str](), list[list[float]]()
     for n, point in enumerate(points or (), start=1):
@@ -186,24 +186,26 @@ def _parse_markups(path: Path, table: Mapping[str, Any], number: int) -> Markups
         positions.append(position)
     name = str(table.get("name") or path.name.removesuffix(".json").removesuffix(".mrk"))
     if not placed:
-        what = f"list `{name}` is empty" + (f": its {len(unset)} points were never placed" if unset else "")
+        problem = f"list `{name}` is empty" + (
+            f": its {len(unset)} points were never placed" if unset else ""
+        )
         raise DataError(
-            what,
+            problem,
             expected="a list with points",
             fix="place its points in Slicer and save it again, or take another file",
             where=path,
         )
-    labels, notes = (tuple(str(one.get(key) or "") for one in placed) for key in ("label", "description"))
-    own: PatientSystem = "LPS" if system == "LPS" else "RAS"
-    values = to_lps(UNITS_MM[unit] * np.array(positions, dtype=np.float64), own)
-    return Markups(path, name, str(kind), labels, values, own, tuple(unset), notes)
+    labels, notes = (tuple(str(point.get(key) or "") for point in placed) for key in ("label", "description"))
+    stated: PatientSystem = "LPS" if system == "LPS" else "RAS"
+    values = to_lps(UNITS_MM[unit] * np.array(positions, dtype=np.float64), stated)
+    return Markups(path, name, str(kind), labels, values, stated, tuple(unset), notes)
 
 
 def pick_list(lists: Sequence[Markups], path: Path) -> Markups:
     """Return the only list of a file; DataError if there are several."""
     if len(lists) == 1:
         return lists[0]
-    listed = ", ".join(f"`{one.name}` ({one.kind})" for one in lists)
+    listed = ", ".join(f"`{markups.name}` ({markups.kind})" for markups in lists)
     raise DataError(
         f"holds {len(lists)} lists: {listed}",
         expected="one list",
@@ -214,15 +216,17 @@ def pick_list(lists: Sequence[Markups], path: Path) -> Markups:
 
 def _read_curves(path: Path) -> ReadCurves:
     lists = read_markups(path)
-    unset = sum(len(one.unset) for one in lists)
-    curves = [one for one in lists if one.kind in CURVE_KINDS] or lists  # another kind is refused by its name
+    unset = sum(len(markups.unset) for markups in lists)
+    curves = [
+        markups for markups in lists if markups.kind in CURVE_KINDS
+    ] or lists  # another kind is refused by its name
     notes = [f"{unset} points without a position ignored"] if unset else []
     named = list[tuple[str, Points]]()
-    for one in curves:
-        whole, groups = one.as_curve(), _divide(one)
-        stem = "" if len(curves) == 1 else f"{one.name}-"
+    for markups in curves:
+        whole, groups = markups.as_curve(), _divide(markups)
+        stem = "" if len(curves) == 1 else f"{markups.name}-"
         named += [(f"{stem}{name}", whole.part(np.array(rows))) for name, rows in groups.items()]
-        named += [] if groups else [(one.name, whole)]
+        named += [] if groups else [(markups.name, whole)]
         if groups:
             listed = ", ".join(f"{name} ({len(rows)})" for name, rows in groups.items())
             notes.append(f"points by their labels: {listed}")
@@ -244,7 +248,7 @@ def _divide(markups: Markups) -> dict[str, list[int]]:
 
 def _read_centerline(path: Path, _columns: Mapping[str, str], _found: list[Fault]) -> Points:
     lists = read_markups(path)
-    curves = [one for one in lists if one.kind == "Curve"]
+    curves = [markups for markups in lists if markups.kind == "Curve"]
     return (curves[0] if len(curves) == 1 else pick_list(lists, path)).as_curve()
 
 

@@ -37,10 +37,10 @@ def read_curves(path: Path) -> tuple[dict[str, Points], list[str]]:
     data = read_bytes(path)
     memory = stated_memory_bytes() or MAX_EXPANSION * len(data)
     reader, seconds = f"{__name__}:read_variables", len(data) / BYTES_PER_SECOND
-    (variables, beside, unused), found = read_in_process(
+    (variables, beside, unused), arrays = read_in_process(
         reader, path, {"path": str(path)}, 2 * memory, seconds
     )
-    if not found:
+    if not arrays:
         raise DataError(
             "holds no curve; its variables are "
             f"{', '.join(map(str, variables[:MAX_SHOWN_VARIABLES])) or '(none)'}",
@@ -48,8 +48,8 @@ def read_curves(path: Path) -> tuple[dict[str, Points], list[str]]:
             fix=ARRAYS_FIX,
             where=path,
         )
-    curves = {name: Points(path, array, **beside[name]) for name, array in found.items()}
-    return curves, [f"{one} ignored" for one in unused]
+    curves = {name: Points(path, array, **beside[name]) for name, array in arrays.items()}
+    return curves, [f"{variable} ignored" for variable in unused]
 
 
 def read_variables(arrays: Arrays, path: str) -> tuple[list[str], dict[str, dict[str, Any]], list[str]]:
@@ -60,7 +60,7 @@ def read_variables(arrays: Arrays, path: str) -> tuple[list[str], dict[str, dict
     from scipy.io import loadmat
 
     data = read_bytes(Path(path))
-    if any(data.startswith(SIGNATURE, at) for at in SIGNATURE_OFFSETS):
+    if any(data.startswith(SIGNATURE, offset) for offset in SIGNATURE_OFFSETS):
         import h5py
 
         with h5py.File(BytesIO(data), "r") as file:

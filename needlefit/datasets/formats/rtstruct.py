@@ -37,10 +37,10 @@ def read_curves(path: Path) -> tuple[dict[str, Points], list[str]]:
         )
     data = read_bytes(path, MAX_FILE_BYTES)
     reader, seconds = f"{__name__}:read_contours", len(data) / BYTES_PER_SECOND
-    (names, left), found = read_in_process(reader, path, {"path": str(path)}, READER_BYTES, seconds)
-    if not found:
+    (names, left), contours = read_in_process(reader, path, {"path": str(path)}, READER_BYTES, seconds)
+    if not contours:
         raise DataError("holds no open contour", expected=_EXPECTED, fix=_FIX, where=path)
-    return {name: Points(path, found[str(n)]) for n, name in enumerate(names)}, left
+    return {name: Points(path, contours[str(n)]) for n, name in enumerate(names)}, left
 
 
 def read_contours(arrays: Arrays, path: str) -> tuple[list[str], list[str]]:
@@ -60,16 +60,18 @@ def read_contours(arrays: Arrays, path: str) -> tuple[list[str], list[str]]:
             fix=f"{_FIX}; scans are read by `needlefit reconstruct`",
             where=path,
         )
-    regions = {int(one.ROINumber): str(one.get("ROIName", "")) for one in file.StructureSetROISequence}
+    regions = {
+        int(contour.ROINumber): str(contour.get("ROIName", "")) for contour in file.StructureSetROISequence
+    }
     for region in file.get("ROIContourSequence") or ():
         number = int(region.ReferencedROINumber)
         name = regions.get(number, "").strip() or f"region {number}"
-        for one in region.get("ContourSequence") or ():
-            kind = one.get("ContourGeometricType")
+        for contour in region.get("ContourSequence") or ():
+            kind = contour.get("ContourGeometricType")
             if kind not in OPEN_KINDS:
                 left.append(f"contour of {name} ({kind})")
                 continue
-            arrays[str(len(names))] = np.array(list(map(float, one.ContourData))).reshape(-1, 3)
+            arrays[str(len(names))] = np.array(list(map(float, contour.ContourData))).reshape(-1, 3)
             names.append(name)
     numbered = [name if names.count(name) == 1 else f"{name} ({n})" for n, name in enumerate(names, 1)]
     return numbered, left

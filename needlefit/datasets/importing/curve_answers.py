@@ -16,8 +16,8 @@ class CurveAnswers:
         self, key: str, usual: str | None = None, reason: str = "", is_sure: bool = False
     ) -> list[Stated]:
         """Return what holds of each needle, in their order."""
-        own = {one.name: one.stated for one in self.curves}
-        return [*self.settler.settle_each(key, own, usual, reason, is_sure).values()]
+        stated = {curve.name: curve.stated for curve in self.curves}
+        return [*self.settler.settle_each(key, stated, usual, reason, is_sure).values()]
 
     def stated(self, key: str) -> Stated | None:
         """Return what the mapping states of all needles; None if nothing."""
@@ -25,7 +25,7 @@ class CurveAnswers:
 
     def is_stated(self, key: str) -> bool:
         """Return whether the mapping or the cells of a needle state a key."""
-        return self.stated(key) is not None or any(key in one.stated for one in self.curves)
+        return self.stated(key) is not None or any(key in curve.stated for curve in self.curves)
 
     def settle_sides(self) -> list[float] | None:
         """Return the direction that each bevel faces, degrees about the needle; None where nobody states it.
@@ -45,7 +45,7 @@ class CurveAnswers:
         if angles is None:
             angles = [self.settle("bevel_side", "1", "not stated").to_angle()] * len(self.curves)
         sides, turns = to_sides(angles)
-        if any(turns) or any(one.turns or (one.sensors and len(one.line) > 1) for one in self.curves):
+        if any(turns) or any(curve.turns or (curve.sensors and len(curve.line) > 1) for curve in self.curves):
             raise DataError(
                 "bevels are at right angles, turned, or beside curvatures",
                 expected="sides 1 and -1, without shapes",

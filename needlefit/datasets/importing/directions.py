@@ -70,7 +70,7 @@ def fit_direction(lines: Sequence[Floats]) -> FittedDirection | None:
         return None
     # of one size: what single curvatures differ by is mostly their error, which is that of the tangents, too
     size = float(np.median(np.linalg.norm(curvatures, axis=1)))
-    toward = np.array([normalize(one) if one.any() else one for one in curvatures])
+    toward = np.array([normalize(curvature) if curvature.any() else curvature for curvature in curvatures])
     # bevels that face one way do not separate direction and turn: then the turn is an error of the direction
     is_one_way = float(np.linalg.norm(toward.mean(axis=0))) > MIN_SAME_SIDE
     turned = np.zeros_like(toward) if is_one_way else size * toward
@@ -80,9 +80,9 @@ def fit_direction(lines: Sequence[Floats]) -> FittedDirection | None:
     sd = TANGENT_SD_RAD
     for _ in range(2):  # with a scatter that is usual, then with that found
         covariance = np.linalg.inv(design.T @ design / sd**2 + precision)
-        found = covariance @ design.T @ values / sd**2
+        estimate = covariance @ design.T @ values / sd**2
         # two directions across each needle, less those of the mean and the length
-        sd = math.sqrt(float(np.sum((values - design @ found) ** 2)) / (2 * count - 3)) or TANGENT_SD_RAD
+        sd = math.sqrt(float(np.sum((values - design @ estimate) ** 2)) / (2 * count - 3)) or TANGENT_SD_RAD
     across = float(np.linalg.eigvalsh(covariance[:3, :3])[-1])
     across += (size * TURN_LENGTH_SD_MM) ** 2 if is_one_way else 0.0
-    return FittedDirection(normalize(found[:3]), math.degrees(math.sqrt(across)))
+    return FittedDirection(normalize(estimate[:3]), math.degrees(math.sqrt(across)))

@@ -39,14 +39,14 @@ class Draft:
         """Ask a question of `QUESTIONS`, whose `parts` are filled in."""
         key, text, answers = QUESTIONS[question]
         filled = {
-            answer: {own: value.format(**parts) for own, value in keys.items()}
+            answer: {key: value.format(**parts) for key, value in keys.items()}
             for answer, keys in answers.items()
         }
         self.opens.append(Open(key.format(**parts), text.format(**parts), choices or filled, where))
 
     def add(self, entry: dict[str, Any], path: Path) -> None:
         """Add the entry of a table; files that are read alike have one."""
-        same = next((one for one in self.tables if {**one, "files": 0} == {**entry, "files": 0}), None)
+        same = next((table for table in self.tables if {**table, "files": 0} == {**entry, "files": 0}), None)
         if same is not None and path.name not in same["files"]:
             same["files"] = [*same["files"], path.name]
         else:

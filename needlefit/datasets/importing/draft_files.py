@@ -70,18 +70,18 @@ def _list_files(paths: Iterable[Path], draft: Draft) -> Iterator[Path]:
     """Yield the files that are named, or stand in a folder that is."""
     from needlefit.datasets.formats import FORMATS
 
-    known = (
+    suffixes = (
         *TEXT_SUFFIXES,
         *SHEET_SUFFIXES,
         *READ_SUFFIXES,
-        *(end for one in FORMATS.values() for end in one.suffixes),
+        *(end for entry in FORMATS.values() for end in entry.suffixes),
     )
     for path in paths:
-        if is_file(own := path if path.name == "dataset.toml" else path / "dataset.toml"):
+        if is_file(dataset := path if path.name == "dataset.toml" else path / "dataset.toml"):
             raise DataError(
                 "is a dataset already",
                 expected="files of other programs",
-                fix=f"use it as it is: needlefit check {own}",
+                fix=f"use it as it is: needlefit check {dataset}",
                 where=path,
             )
         if not is_dir(path):
@@ -89,13 +89,13 @@ def _list_files(paths: Iterable[Path], draft: Draft) -> Iterator[Path]:
                 raise DataError("there is no such file", fix="check the name and the path", where=path)
             yield path
             continue
-        for one in sorted(path.iterdir()):
-            if one.is_dir():
-                draft.unused.append((f"folder {one.name}", "it is not searched: name it"))
-            elif not one.name.lower().endswith(known) or one.name.startswith((".", "~$")):
-                draft.unused.append((f"file {one.name}", "its name"))
+        for entry in sorted(path.iterdir()):
+            if entry.is_dir():
+                draft.unused.append((f"folder {entry.name}", "it is not searched: name it"))
+            elif not entry.name.lower().endswith(suffixes) or entry.name.startswith((".", "~$")):
+                draft.unused.append((f"file {entry.name}", "its name"))
             else:
-                yield one
+                yield entry
 
 
 def _ask_sources(draft: Draft) -> None:
@@ -116,10 +116,16 @@ def _ask_sources(draft: Draft) -> None:
 
 def _draft_workbook(path: Path, draft: Draft, stated: Assignments) -> None:
     """Propose the sheets of a workbook; those that begin with `example` where no other one is filled in."""
-    sheets = [one for one in read_sheets(path) if one.sheet.lower() != GUIDE_SHEET]
-    own = [one for one in sheets if not one.sheet.lower().startswith(EXAMPLE_SHEET)]
-    filled = [one for one in own if one.sheet.lower() != SETUP_SHEET and sum(map(any, one.rows)) > 1]
-    chosen = own if filled or len(own) == len(sheets) else [one for one in sheets if one not in own]
+    sheets = [sheet for sheet in read_sheets(path) if sheet.sheet.lower() != GUIDE_SHEET]
+    own_sheets = [sheet for sheet in sheets if not sheet.sheet.lower().startswith(EXAMPLE_SHEET)]
+    filled = [
+        sheet for sheet in own_sheets if sheet.sheet.lower() != SETUP_SHEET and sum(map(any, sheet.rows)) > 1
+    ]
+    chosen = (
+        own_sheets
+        if filled or len(own_sheets) == len(sheets)
+        else [sheet for sheet in sheets if sheet not in own_sheets]
+    )
     for grid in sheets:
         keys = {"files": [path.name], "sheet": grid.sheet}
         if grid not in chosen:

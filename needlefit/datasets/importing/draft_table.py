@@ -60,10 +60,10 @@ class TableDraft:
         """Propose columns, the kind of rows, and the entries."""
         self._take_stated()
         groups = self._group_axes()
-        known = self._list_known()
-        self._ask_ambiguous(known)
-        for meaning in known:
-            self._take(meaning, known[meaning])
+        known_columns = self._list_known()
+        self._ask_ambiguous(known_columns)
+        for meaning in known_columns:
+            self._take(meaning, known_columns[meaning])
         if "needle" not in self.columns and (block := self.table.find(BLOCK)) is not None:
             self._take("needle", [block])
         if self.columns.keys() & {*SENSOR[1:3]} and "point_sd" in self.columns:
@@ -74,14 +74,14 @@ class TableDraft:
         entries, holds = self._find_rows([*groups.items()])
         if not entries and not (holds := self._find_facts()):
             headers = ", ".join(text for text in self.table.headers if text)[:200]
-            what = f"no column is known to hold coordinates: {headers or 'no headers'}"
-            self.draft.unused.append((f"table {self.where}", what))
+            problem = f"no column is known to hold coordinates: {headers or 'no headers'}"
+            self.draft.unused.append((f"table {self.where}", problem))
             self._ask_layers(headers)
             return
         self.keys["holds"] = holds
         self._name_unused()
-        for own in entries or [{}]:
-            self._add(own | self.columns)
+        for entry in entries or [{}]:
+            self._add(entry | self.columns)
 
     # ---- columns
 
@@ -89,24 +89,28 @@ class TableDraft:
         """Take the columns that are stated; those of other tables are not here."""
         for meaning, parts in self.stated.columns.items():
             names = parts["column"].split("|") if "column" in parts else []
-            own = [self._find(name.strip()) for name in names]
-            if own and None not in own:
-                self._take(meaning, [n for n in own if n is not None])
+            places = [self._find(name.strip()) for name in names]
+            if places and None not in places:
+                self._take(meaning, [n for n in places if n is not None])
 
     def _find(self, name: str) -> int | None:
         column = self.table.find(name)
         return self.table.find(int(name)) if column is None and name.isdecimal() else column
 
-    def _take(self, meaning: str, own: Sequence[int]) -> None:
+    def _take(self, meaning: str, places: Sequence[int]) -> None:
         """Let columns mean something, if nothing else does."""
-        if own and meaning not in self.columns:
-            kept = own if meaning in SEVERAL or "column" in self.stated.columns.get(meaning, {}) else own[:1]
+        if places and meaning not in self.columns:
+            kept = (
+                places
+                if meaning in SEVERAL or "column" in self.stated.columns.get(meaning, {})
+                else places[:1]
+            )
             self.columns[meaning] = self._spell(meaning, kept)
             self.used |= {*kept}
 
-    def _spell(self, meaning: str, own: Sequence[int]) -> dict[str, Any]:
+    def _spell(self, meaning: str, places: Sequence[int]) -> dict[str, Any]:
         """Return how a mapping names columns, and the unit of the first."""
-        names, unit = [self._name(n) for n in own], self.headers[own[0]].unit
+        names, unit = [self._name(n) for n in places], self.headers[places[0]].unit
         unit = _per(unit) if meaning.startswith("curvature") else unit
         return {"column": names[0] if len(names) == 1 else names} | ({"unit": unit} if unit else {})
 
@@ -121,21 +125,25 @@ class TableDraft:
         blocked = {*self.columns}
         if "y" in blocked:
             blocked |= {"deflection", "deflection_z"}
-        known = dict[str, list[int]]()
+        places_by_meaning = dict[str, list[int]]()
         for n, header in enumerate(self.headers):
             if n not in self.used and header.meaning in MEANINGS and self._list_texts(n):
-                known.setdefault(header.meaning, []).append(n)
+                places_by_meaning.setdefault(header.meaning, []).append(n)
         for meaning in (*VECTORS, "guide"):  # columns x, y and z of a place
-            own = [n for n, one in enumerate(self.headers) if one.group == meaning and n not in self.used]
-            if any(self.headers[n].axis == "y" for n in own):
-                known[meaning] = own
-        known = {meaning: own for meaning, own in known.items() if meaning not in blocked}
-        if "guide" in known:
-            names = ", ".join(str(self._name(n)) for n in known["guide"])
+            places = [
+                n for n, header in enumerate(self.headers) if header.group == meaning and n not in self.used
+            ]
+            if any(self.headers[n].axis == "y" for n in places):
+                places_by_meaning[meaning] = places
+        places_by_meaning = {
+            meaning: places for meaning, places in places_by_meaning.items() if meaning not in blocked
+        }
+        if "guide" in places_by_meaning:
+            names = ", ".join(str(self._name(n)) for n in places_by_meaning["guide"])
             self.draft.assumed["guide"] = f"{names}: taken to be the guide; guide=none if it is not"
-        if "needle" in known:
-            self._choose_names(known)
-        return known
+        if "needle" in places_by_meaning:
+            self._choose_names(places_by_meaning)
+        return places_by_meaning
 
     def _list_texts(self, n: int) -> list[str]:
         """Return the cells of a column that are not blank."""
@@ -149,10 +157,10 @@ class TableDraft:
         if self.columns.keys() & {"y", "deflection"}:
             return {}
         groups: dict[tuple[int, str], Axes] = {}
-        for n, one in enumerate(self.headers):
-            if one.axis and one.group not in NO_POINTS and n not in self.used:
-                turn = next(k for k in count() if one.axis not in groups.get((k, one.group), ()))
-                groups.setdefault((turn, one.group), {})[one.axis] = n
+        for n, header in enumerate(self.headers):
+            if header.axis and header.group not in NO_POINTS and n not in self.used:
+                turn = next(k for k in count() if header.axis not in groups.get((k, header.group), ()))
+                groups.setdefault((turn, header.group), {})[header.axis] = n
         with_x = [key for key, axes in groups.items() if "x" in axes]
         lacking = [axes for axes in groups.values() if "x" not in axes]
         if len(with_x) == 1 and lacking and all("y" in axes for axes in lacking):
@@ -165,20 +173,20 @@ class TableDraft:
             for n, (name, (_, axes)) in enumerate(zip(names, named, strict=True), 1)
         }
 
-    def _choose_names(self, known: dict[str, list[int]]) -> None:
+    def _choose_names(self, known_columns: dict[str, list[int]]) -> None:
         """Keep the columns that name needles: the first in which names come again, and what divides it."""
         rows = self.table.rows
-        own = known["needle"]
-        repeated = [n for n in own if len({*self._list_texts(n)}) < len(self._list_texts(n))]
-        chosen = (repeated or own)[:1]
-        for n in (*repeated[1:], *known.get("specimen", [])[:1]):
+        candidates = known_columns["needle"]
+        repeated = [n for n in candidates if len({*self._list_texts(n)}) < len(self._list_texts(n))]
+        chosen = (repeated or candidates)[:1]
+        for n in (*repeated[1:], *known_columns.get("specimen", [])[:1]):
             names = {tuple(row[m] for m in (*chosen, n)) for row in rows}
             divided = len({tuple(row[m] for m in chosen) for row in rows})
             if divided < len(names) <= len(rows) / 2:
                 chosen = [*chosen, n]
         if len(chosen) > 1:
             self.draft.assumed["needle"] = f"named by {', '.join(str(self._name(n)) for n in chosen)}"
-        known["needle"] = chosen
+        known_columns["needle"] = chosen
 
     # ---- what is asked
 
@@ -189,30 +197,30 @@ class TableDraft:
         self.used.add(n)
         self.draft.ask(name, self.where, answers, name=str(self._name(n)), **parts)
 
-    def _ask_ambiguous(self, known: dict[str, list[int]]) -> None:
+    def _ask_ambiguous(self, known_columns: dict[str, list[int]]) -> None:
         """Ask what words mean that labs use in two ways."""
-        stated = known.keys() | self.columns.keys() | self.draft.values.keys()
-        words = {one.meaning: n for n, one in enumerate(self.headers) if self._list_texts(n)}
+        stated = known_columns.keys() | self.columns.keys() | self.draft.values.keys()
+        words = {header.meaning: n for n, header in enumerate(self.headers) if self._list_texts(n)}
         if "bevel_angle" in words and "bevel_side" not in stated:
             self._ask("bevel_angle", words["bevel_angle"])
         is_mean = any("mean" in text.casefold() for text in self.table.headers)
-        if "point_sd" in known and "trials" in words and is_mean:
-            self._ask("point_sd", known.pop("point_sd")[0], count=str(self._name(words["trials"])))
-        if "modulus" in known and "modulus" in self.draft.values:
-            self.used.add(known.pop("modulus")[0])
-        elif "modulus" in known:
-            own, unit = known["modulus"][0], self.headers[known["modulus"][0]].unit or "GPa"
-            numbers = [value for text in self._list_texts(own) if (value := self.table.number(text))]
+        if "point_sd" in known_columns and "trials" in words and is_mean:
+            self._ask("point_sd", known_columns.pop("point_sd")[0], count=str(self._name(words["trials"])))
+        if "modulus" in known_columns and "modulus" in self.draft.values:
+            self.used.add(known_columns.pop("modulus")[0])
+        elif "modulus" in known_columns:
+            place, unit = known_columns["modulus"][0], self.headers[known_columns["modulus"][0]].unit or "GPa"
+            numbers = [value for text in self._list_texts(place) if (value := self.table.number(text))]
             if any(value * UNITS_GPA.get(unit, 1.0) < MIN_NEEDLE_GPA for value in numbers):
-                self._ask("modulus", known.pop("modulus")[0], unit=unit)
+                self._ask("modulus", known_columns.pop("modulus")[0], unit=unit)
         if "phantom" in words and "medium" not in stated and words["phantom"] not in self.used:
             several = len({*self._list_texts(words["phantom"])}) > 1 and "specimen" not in stated
             if several:
                 self._ask("medium", words["phantom"])
             else:
-                known["medium"] = [words["phantom"]]
-        if EXCLUDED in known:
-            self._ask_excluded(known.pop(EXCLUDED)[0])
+                known_columns["medium"] = [words["phantom"]]
+        if EXCLUDED in known_columns:
+            self._ask_excluded(known_columns.pop(EXCLUDED)[0])
 
     def _ask_excluded(self, n: int) -> None:
         """Ask which value marks rows that are left out, if there are several."""
@@ -234,26 +242,26 @@ class TableDraft:
         columns, holds = self.columns, self.keys.get("holds", "")
         entries = list[Columns]()
         for name, axes in groups:
-            own = {axis: self._spell(axis, [n]) for axis, n in axes.items()}
-            for axis in own.keys() & self.signs.keys():
-                own[axis]["sign"] = self.signs[axis]
+            records = {axis: self._spell(axis, [n]) for axis, n in axes.items()}
+            for axis in records.keys() & self.signs.keys():
+                records[axis]["sign"] = self.signs[axis]
             if "needle" not in columns and len(groups) > 1:
-                own["needle"] = {"value": name}
-            entries.append(own)
+                records["needle"] = {"value": name}
+            entries.append(records)
             self.used |= {*axes.values()}
-        has_x = "deflection" not in self.stated.columns and any("x" in one for one in entries)
+        has_x = "deflection" not in self.stated.columns and any("x" in entry for entry in entries)
         if columns.keys() >= {"deflection", "depth"} and not has_x:
             self._ask_deflection(entries)
             increase = self._have_depths(_increase)
             if increase and not holds:
                 self.draft.assumed["holds"] = "tracks: the depths of each needle increase"
             entries = [{}]
-            if len(each := self._list_columns(columns["deflection"])) > 1:  # of a needle each
+            if len(deflections := self._list_columns(columns["deflection"])) > 1:  # of a needle each
                 del columns["deflection"]
-                names = [{"value": str(self._name(n))} for n in each]
+                names = [{"value": str(self._name(n))} for n in deflections]
                 entries = [
                     {"deflection": self._spell("deflection", [n]), "needle": name}
-                    for n, name in zip(each, names, strict=True)
+                    for n, name in zip(deflections, names, strict=True)
                 ]
             return entries, holds or ("tracks" if increase else "tips")
         if columns.keys() >= {"x", "y"}:
@@ -269,7 +277,9 @@ class TableDraft:
                     self.draft.ask("column", self.where, key=key, text=ROWS[key].text)
             return [{}], "curvatures"
         if "turn_depth" in columns or {"depth_mm", "bevel_roll_deg"} <= {*self.table.headers}:
-            self.columns = {("turn_depth" if key == "depth" else key): one for key, one in columns.items()}
+            self.columns = {
+                ("turn_depth" if key == "depth" else key): column for key, column in columns.items()
+            }
             return [{}], "turns"
         if "depth" in columns and "needle" not in columns and len(unknown := self._list_unknown()) > 1:
             heads = [str(self._name(n)) for n in unknown]
@@ -289,10 +299,12 @@ class TableDraft:
     def _ask_deflection(self, entries: Sequence[Columns]) -> None:
         """Ask which of several columns is the deflection."""
         others = [
-            n for n, one in enumerate(self.headers) if one.meaning == "deflection" and n not in self.used
+            n
+            for n, header in enumerate(self.headers)
+            if header.meaning == "deflection" and n not in self.used
         ]
         names = [*map(self._name, [*self._list_columns(self.columns["deflection"])[:1], *others])]
-        names += [one["y"]["column"] for one in entries]
+        names += [entry["y"]["column"] for entry in entries]
         if len(names) > 1 and "deflection" not in self.stated.columns:
             answers = {str(name): {"deflection.column": str(name)} for name in names}
             self.draft.ask("deflection", self.where, answers)
@@ -312,7 +324,7 @@ class TableDraft:
         is_tip = any(
             self.headers[n].beside in ("tip", "deflection") for _, axes in groups for n in axes.values()
         )
-        has_poses = any("quaternion" in (one.meaning, one.group) for one in self.headers)
+        has_poses = any("quaternion" in (header.meaning, header.group) for header in self.headers)
         is_log = has_poses or self._have_depths(_differ, "time")
         if len(groups) < 2 and self._have_depths(_differ) and (is_tip or is_log):
             self.draft.assumed["holds"] = "tracks: each row has a depth of its own"
@@ -347,7 +359,7 @@ class TableDraft:
         if len(groups) < MIN_POINTS or self.keys.get("layout") == "long":
             return False
         stems = {re.sub(r"\d+", "#", name) for name, _ in groups}
-        beside = any(one.meaning in ("time", "needle") for one in self.headers)
+        beside = any(header.meaning in ("time", "needle") for header in self.headers)
         first = self.headers[min(groups[0][1].values())].text
         return len(stems) == 1 and (beside or INDEX.search(first) is not None)
 
@@ -362,17 +374,19 @@ class TableDraft:
             axes = [axis for axis in "xyz" if axis in entries[0]]
             return [
                 {
-                    a: entries[0][a] | {"column": [one[a]["column"] for one in entries if a in one]}
+                    a: entries[0][a] | {"column": [entry[a]["column"] for entry in entries if a in entry]}
                     for a in axes
                 }
             ]
         is_version = any(find_meaning("version", name.split(" ")[0]) for name, _ in groups)
         if len(entries) > 1 and holds == "shapes" and ("needle" in self.columns or is_version):
             answers = {
-                next(iter(own.values()))["column"]: {
-                    f"{axis}.column": one["column"] for axis, one in own.items() if axis in ("x", "y", "z")
+                next(iter(entry.values()))["column"]: {
+                    f"{axis}.column": record["column"]
+                    for axis, record in entry.items()
+                    if axis in ("x", "y", "z")
                 }
-                for own in entries
+                for entry in entries
             }
             names = " and ".join(f"`{name}`" for name in answers)
             self.draft.ask(
@@ -491,8 +505,10 @@ class TableDraft:
                 record["words"] = words | record.get("words", {})
             if unit == "clock":
                 unit = record.pop("unit")
-            known = record.get("words", {})
-            self._ask_sides([text for text in texts if text not in known and not is_side(text, unit)], record)
+            translated = record.get("words", {})
+            self._ask_sides(
+                [text for text in texts if text not in translated and not is_side(text, unit)], record
+            )
 
     def _ask_sides(self, texts: Sequence[str], record: Mapping[str, Any]) -> None:
         """Ask where bevels face whose sides are not understood."""
@@ -513,13 +529,13 @@ class TableDraft:
 
     def _exclude_statistics(self, columns: Columns, names: set[str]) -> None:
         """Leave out rows that state a mean or a deviation in place of a needle."""
-        found = sorted(name for name in names if find_meaning("statistic", name))
-        if found and EXCLUDED not in columns:
+        statistics = sorted(name for name in names if find_meaning("statistic", name))
+        if statistics and EXCLUDED not in columns:
             columns[EXCLUDED] = {
                 "column": columns["needle"]["column"],
-                "words": dict.fromkeys(found, EXCLUDED),
+                "words": dict.fromkeys(statistics, EXCLUDED),
             }
-            self.draft.assumed[EXCLUDED] = f"{', '.join(found)}: no needles"
+            self.draft.assumed[EXCLUDED] = f"{', '.join(statistics)}: no needles"
 
     def _find_missing(self, entry: dict[str, Any]) -> None:
         """Propose which texts of coordinates mean that nothing was measured."""
@@ -540,9 +556,9 @@ class TableDraft:
 
 def _read_column(text: str, parts: Sequence[str]) -> Header:
     """Return what the texts above a column mean: all together, else one of them."""
-    known = [read_header(one) for one in dict.fromkeys((text, *parts)) if one]
-    best = next((one for one in known if one.meaning or one.axis), Header(text))
-    unit = best.unit or next((one.unit for one in known if one.unit), "")
+    read_headers = [read_header(header) for header in dict.fromkeys((text, *parts)) if header]
+    best = next((header for header in read_headers if header.meaning or header.axis), Header(text))
+    unit = best.unit or next((header.unit for header in read_headers if header.unit), "")
     return replace(best, text=text, unit=unit)
 
 

@@ -20,8 +20,10 @@ Places = frozenset[tuple[float, ...]]
 
 def find_examples(curves: Iterable[ImportedCurve]) -> list[str]:
     """Return the names of the curves, in mm, all of whose points are points of one example."""
-    lines = {one.name: one.line for one in curves if len(one.line) >= MIN_POINTS}
-    return [name for name, line in lines.items() if any(_place(line) <= one for one in _load_examples())]
+    lines = {curve.name: curve.line for curve in curves if len(curve.line) >= MIN_POINTS}
+    return [
+        name for name, line in lines.items() if any(_place(line) <= example for example in _load_examples())
+    ]
 
 
 @cache

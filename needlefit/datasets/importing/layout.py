@@ -134,24 +134,26 @@ def _find_header_rows(rows: Rows, decimal: str, comment: str) -> list[int]:
         sum(_is_number(cell, decimal) for cell in row) > (len(row) > 2) and not _is_head(row, comment)
         for row in rows
     ]
-    runs = [[n for n, _ in run] for is_run, run in groupby(enumerate(numeric), lambda one: one[1]) if is_run]
+    runs = [
+        [n for n, _ in run] for is_run, run in groupby(enumerate(numeric), lambda pair: pair[1]) if is_run
+    ]
     longest = max(map(len, runs), default=0)
     if not runs:
-        known = [n for n, row in enumerate(rows) if sum(map(bool, row)) > 1 and _is_head(row, comment)]
-        return [known[0] + 1] if known else []
+        heads = [n for n, row in enumerate(rows) if sum(map(bool, row)) > 1 and _is_head(row, comment)]
+        return [heads[0] + 1] if heads else []
     first = next(run[0] for run in runs if 2 * len(run) >= longest)
-    found = list[int]()
+    numbers = list[int]()
     for n in range(first - 1, max(first - 1 - MAX_HEADER_ROWS, -1), -1):
-        row, below = rows[n], rows[found[0] - 1] if found else ()
+        row, below = rows[n], rows[numbers[0] - 1] if numbers else ()
         filled = [cell for cell in row if cell]
-        if not filled or (row[0].startswith(comment) and comment and found):
+        if not filled or (row[0].startswith(comment) and comment and numbers):
             break
-        if found and (len(filled) < 2 or (read_pair(row) is not None and not _is_label(row, below))):
+        if numbers and (len(filled) < 2 or (read_pair(row) is not None and not _is_label(row, below))):
             break
-        if (len(filled) < 2 or numeric[n]) and not (found and _names_groups(row, below)):
+        if (len(filled) < 2 or numeric[n]) and not (numbers and _names_groups(row, below)):
             break
-        found.insert(0, n + 1)
-    return found
+        numbers.insert(0, n + 1)
+    return numbers
 
 
 def _names_groups(row: Sequence[str], below: Sequence[str]) -> bool:
@@ -163,15 +165,15 @@ def _names_groups(row: Sequence[str], below: Sequence[str]) -> bool:
 def _is_label(row: Sequence[str], below: Sequence[str]) -> bool:
     """Whether a row names groups of the columns below it: it has several texts, and none states a value."""
     filled = [n for n, cell in enumerate(row) if cell]
-    known = read_header(row[filled[0]].rstrip(":= ")).meaning in MEANINGS
-    is_pair = known and len(filled) < sum(map(bool, below)) and filled[1:2] == [filled[0] + 1]
+    is_meaning = read_header(row[filled[0]].rstrip(":= ")).meaning in MEANINGS
+    is_pair = is_meaning and len(filled) < sum(map(bool, below)) and filled[1:2] == [filled[0] + 1]
     return len(filled) > 1 and not is_pair and sum(map(bool, below)) > 2
 
 
 def _is_head(row: Sequence[str], comment: str) -> bool:
     """Whether texts of a row are known headers, more than numbers."""
-    known = [read_header(cell.lstrip(f"{comment} ")) for cell in row if cell]
-    return sum(bool(one.meaning or one.axis) for one in known) > len(known) / 2
+    read_headers = [read_header(cell.lstrip(f"{comment} ")) for cell in row if cell]
+    return sum(bool(header.meaning or header.axis) for header in read_headers) > len(read_headers) / 2
 
 
 def _has_blocks(rows: Rows, numbers: Sequence[int]) -> bool:

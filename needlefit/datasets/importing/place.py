@@ -82,7 +82,7 @@ class Planner(CurveAnswers):
 
         DataError if a question has no clear answer, or what is stated contradicts the files.
         """
-        kinds = {one.holds for one in self.curves}
+        kinds = {curve.holds for curve in self.curves}
         is_track = "tracks" in kinds
         if is_track and len(kinds) > 1:
             raise DataError(
@@ -95,25 +95,25 @@ class Planner(CurveAnswers):
             refuse_stray_points(curve)
         if not is_track:
             self.refuse_moved_guide()
-            self.curves.sort(key=lambda one: one.holds != "shapes")
+            self.curves.sort(key=lambda curve: curve.holds != "shapes")
             split_tips(self)
         sds = self.each("point_sd")
-        other = next((one for one in sds if one.shown != sds[0].shown), None)
+        other = next((answer for answer in sds if answer.shown != sds[0].shown), None)
         if other is not None and kinds != {"tips"}:
             raise other.error(
                 "point_sd", f"{sds[0].shown}, as of the others, or a column sd beside the points"
             )
-        own_sds = [one.to_number("point_sd", is_above=True) for one in sds]
+        own_sds = [answer.to_number("point_sd", is_above=True) for answer in sds]
         sd = min(own_sds)
         if is_track:
             pose, rows = "tracker", make_tracks(self)
             depths = self.settle_layers()
             needles = self.settle_needles([row.depth for row in rows])
         else:
-            count = sum(one.holds == "shapes" for one in self.curves)
+            count = sum(curve.holds == "shapes" for curve in self.curves)
             shapes, others = self.part(self.curves[:count]), self.part(self.curves[count:])
             pose, poses, entries = "known", list[Stated](), list[Floats | None]()
-            without = join_names([one.name for one in others.curves], 5) if others.curves else ""
+            without = join_names([curve.name for curve in others.curves], 5) if others.curves else ""
             if count and without:
                 self.settler.note("without a shape", without)
             if count:
@@ -125,13 +125,13 @@ class Planner(CurveAnswers):
             tips = make_tips(others, own_sds[count:]) if others.curves else []
             depths = self.settle_layers()
             needles = self.settle_needles(
-                [*(one.length for one in shapes.curves), *(row.depth for row in tips)]
+                [*(curve.length for curve in shapes.curves), *(row.depth for row in tips)]
             )
             rows = shapes.make_rows(poses, entries, sd, depths[:count], needles[:count]) if count else []
             rows += set_layers(tips, depths[count:])
         if any(depths) or self.surfaces:
-            errors = [one.to_number("boundary_sd") for one in self.each("boundary_sd")]
-            rows = [replace(row, boundary_sd=own) for row, own in zip(rows, errors, strict=True)]
+            errors = [answer.to_number("boundary_sd") for answer in self.each("boundary_sd")]
+            rows = [replace(row, boundary_sd=error) for row, error in zip(rows, errors, strict=True)]
         rows = self.add_names(rows, is_track=is_track)
         rows, parameters = self.settle_guide_distance(rows, needles, is_track=is_track)
         plan = replace(self.assemble(rows, pose, sd, depths, needles), choices=FirstChoices({}, parameters))
@@ -154,26 +154,34 @@ class Planner(CurveAnswers):
         """Return the plan: what all needles share is stated once, what differs with each."""
         media: dict[str, tuple[float, ...]] = {}
         for medium in dict.fromkeys(row.medium for row in rows):
-            of_all = {own for row, own in zip(rows, depths, strict=True) if row.medium == medium}
+            of_all = {
+                boundaries for row, boundaries in zip(rows, depths, strict=True) if row.medium == medium
+            }
             media[medium] = next(iter(of_all)) if len(of_all) == 1 else ()
-        kinds = [one for n, one in enumerate(needles) if one not in needles[:n]]
-        names = [f"needle{kinds.index(one) + 1}" if len(kinds) > 1 else "" for one in needles]
+        kinds = [needle for n, needle in enumerate(needles) if needle not in needles[:n]]
+        names = [f"needle{kinds.index(needle) + 1}" if len(kinds) > 1 else "" for needle in needles]
         placed = tuple(
-            replace(row, needle=name, boundaries=None if own == media[row.medium] else own,
-                    curvature=count_from_tip(one, row.curvature, needle.length_mm))
-            for row, own, name, needle, one in zip(rows, depths, names, needles, self.curves, strict=True)
-        )  # fmt: skip
+            replace(
+                row,
+                needle=name,
+                boundaries=None if boundaries == media[row.medium] else boundaries,
+                curvature=count_from_tip(curve, row.curvature, needle.length_mm),
+            )
+            for row, boundaries, name, needle, curve in zip(
+                rows, depths, names, needles, self.curves, strict=True
+            )
+        )
         named = dict(zip(names, needles, strict=True)) if len(kinds) > 1 else {}
         return ImportPlan(placed, pose, tuple(self.surfaces), media, kinds[0], sd, named)
 
     def refuse_moved_guide(self) -> None:
         """DataError if a guide moved beside shapes or tips: only readings on the way have its places."""
         stated = self.stated("guide")
-        guided = [one for one in self.curves if one.guide is not None]
+        guided = [curve for curve in self.curves if curve.guide is not None]
         if not guided or (stated is not None and stated.text == "none"):
             self.settler.assumed.pop("guide", None)
             return
-        places = np.concatenate([one.guide for one in guided if one.guide is not None])
+        places = np.concatenate([curve.guide for curve in guided if curve.guide is not None])
         if np.ptp(places[:, :2], axis=0).max() >= GUIDE_STILL_MM:
             raise DataError(
                 "the guide moved, and its places belong to no reading of a tip on its way",
@@ -201,13 +209,13 @@ class Planner(CurveAnswers):
 
     def settle_entry(self) -> None:
         """Put the entry first."""
-        chords = np.array([one.line[-1] - one.line[0] for one in self.curves])
+        chords = np.array([curve.line[-1] - curve.line[0] for curve in self.curves])
         against = [self.curves[n].name for n in np.flatnonzero(chords @ chords.sum(axis=0) < 0)]
         reason = f"{join_names(against, 5)} runs against the others" if against else "the order of the file"
         answer = self.settle("entry", "" if against else "first", reason, choices=("first", "last"))
         self.entry = answer.text
-        for one in self.curves if self.entry == "last" else ():
-            one.points = one.points.part(np.arange(len(one.line))[::-1])
+        for curve in self.curves if self.entry == "last" else ():
+            curve.points = curve.points.part(np.arange(len(curve.line))[::-1])
 
     # ---- entry and pose
 
@@ -216,23 +224,27 @@ class Planner(CurveAnswers):
 
         `without`: names of the other needles, which have no shape and need a direction.
         """
-        chords = np.array([one.line[-1] - one.line[0] for one in self.curves])
+        chords = np.array([curve.line[-1] - curve.line[0] for curve in self.curves])
         chord = chords.sum(axis=0)
-        fitted = fit_direction([one.line for one in self.curves])
+        fitted = fit_direction([curve.line for curve in self.curves])
         along, how = format_direction(normalize(chord)) if chord.any() else "X,Y,Z", "as the needles run"
         if fitted is not None:
             along, how = fitted.describe(), f"which fits all needles; pose_angle_sd={fitted.sd_deg:.2g} deg"
         reason = f"{without} without a shape" if without else "not stated"
         reason += f"; pose={along} ({how}) if a stage pushed all needles in one direction"
-        is_posed = bool(without or self.surfaces) or any(one.turns or one.sensors for one in self.curves)
+        is_posed = bool(without or self.surfaces) or any(
+            curve.turns or curve.sensors for curve in self.curves
+        )
         poses = self.each("pose", usual="" if is_posed else "free", reason=reason)
-        kinds = {one.text if one.text in ("free", "shaft") else "direction" for one in poses}
+        kinds = {pose.text if pose.text in ("free", "shaft") else "direction" for pose in poses}
         if len(kinds) > 1:
             raise poses[0].error("pose", "directions of all needles, or shaft or free of all")
         if kinds == {"free"} and is_posed:
             raise poses[0].error("pose", f"{along} or shaft, of surfaces, turns, curvatures and tips")
-        for pose, own in zip(poses, chords, strict=True) if kinds == {"direction"} else ():
-            run = chord if len({one.text for one in poses}) == 1 else own  # one direction is that of the mean
+        for pose, chord_of in zip(poses, chords, strict=True) if kinds == {"direction"} else ():
+            run = (
+                chord if len({pose.text for pose in poses}) == 1 else chord_of
+            )  # one direction is that of the mean
             cosine = normalize(pose.to_vector("pose")) @ run / (np.linalg.norm(run) or 1.0)
             if cosine < (least := np.cos(np.radians(MAX_HEADING_DEG))):
                 fix = f"state {name_set('pose', along)}"
@@ -249,7 +261,7 @@ class Planner(CurveAnswers):
         if stated is None or "," not in stated.text:
             return False
         place = stated.to_entry()
-        gaps = np.array([np.linalg.norm(one.line[[0, -1]] - place, axis=1) for one in self.curves])
+        gaps = np.array([np.linalg.norm(curve.line[[0, -1]] - place, axis=1) for curve in self.curves])
         return bool(np.all(gaps[:, 0] < gaps[:, 1]))
 
     def settle_entry_points(self, poses: Sequence[Stated], without: str) -> list[Floats | None]:
@@ -257,13 +269,14 @@ class Planner(CurveAnswers):
 
         `without`: names of the other needles, which have no shape, hence no first point.
         """
-        stated = {one.name: one.stated["depth"] for one in self.curves if "depth" in one.stated}
-        depths = {name: one.to_number("depth") for name, one in stated.items()}
-        surfaces = {one.name: one for one in self.surfaces}
+        stated = {curve.name: curve.stated["depth"] for curve in self.curves if "depth" in curve.stated}
+        depths = {name: depth.to_number("depth") for name, depth in stated.items()}
+        surfaces = {surface.name: surface for surface in self.surfaces}
         longer = [
-            one
-            for one in self.curves
-            if one.name in depths and one.length - depths[one.name] > find_length_tolerance(depths[one.name])
+            curve
+            for curve in self.curves
+            if curve.name in depths
+            and curve.length - depths[curve.name] > find_length_tolerance(depths[curve.name])
         ]
         guess, reason = "first", "the first point of each needle, with its error"
         if longer:
@@ -273,45 +286,47 @@ class Planner(CurveAnswers):
         elif poses[0].text == "shaft" or surfaces:
             guess, reason = "", "nothing states where the tissue begins"
         elif without:
-            starts = np.array([np.linalg.norm(one.line[0]) for one in self.curves])
+            starts = np.array([np.linalg.norm(curve.line[0]) for curve in self.curves])
             guess = "0,0,0" if starts.max() <= MIN_CUT_MM else ""
             reason = (
                 f"the shapes begin up to {starts.max():.2g} mm from the origin; {without} without a shape"
             )
         answers = self.each("entry_point", usual=guess, reason=reason, is_sure=guess == "depth")
         entries, cut, missed = list[Floats | None](), list[float](), list[str]()
-        for one, answer in zip(self.curves, answers, strict=True):
+        for curve, answer in zip(self.curves, answers, strict=True):
             is_place = answer.text not in ("first", "depth", *surfaces)
             entries.append(entry := answer.to_entry() if is_place else None)
             arc = 0.0
             if answer.text in surfaces:
-                hits = find_surface_hits(one.points.curve.smoothed, surfaces[answer.text])
+                hits = find_surface_hits(curve.points.curve.smoothed, surfaces[answer.text])
                 arc = min(hits, default=0.0)
-                missed += [] if len(hits) else [one.name]
+                missed += [] if len(hits) else [curve.name]
             elif answer.text == "depth":
-                if one.name not in depths:
-                    raise answer.error("entry_point", f"X,Y,Z, or a depth of {one.name}, too")
-                arc = one.length - depths[one.name]
+                if curve.name not in depths:
+                    raise answer.error("entry_point", f"X,Y,Z, or a depth of {curve.name}, too")
+                arc = curve.length - depths[curve.name]
             elif entry is not None:
-                along = np.arange(0.0, one.length, STEP_MM)
-                gaps = np.linalg.norm(one.points.curve.interpolate(along) - entry, axis=1)
+                along = np.arange(0.0, curve.length, STEP_MM)
+                gaps = np.linalg.norm(curve.points.curve.interpolate(along) - entry, axis=1)
                 arc = float(along[np.argmin(gaps)])
             if arc > MIN_CUT_MM:
-                cut_shaft(one, arc, OTHER_END[self.entry])
+                cut_shaft(curve, arc, OTHER_END[self.entry])
                 cut.append(arc)
-        used = {one.text: one for one in answers if one.text in surfaces}
+        used = {answer.text: answer for answer in answers if answer.text in surfaces}
         if used and (missed or not cut):
             which = f"needles cross on their way in ({missed[0]} does not)" if missed else "needles cross"
             expected = f"a surface that {which}; is there a hole where they enter?"
             raise next(iter(used.values())).error("entry_point", expected)
         if cut:
             self.settler.note("shaft", f"{min(cut):.1f} to {max(cut):.1f} mm before the entry point cut off")
-        self.surfaces[:] = [one for one in self.surfaces if one.name not in used]
-        for one in self.curves:
-            depth = depths.get(one.name, one.length)
-            if abs(depth - one.length) > find_length_tolerance(depth):
-                expected = f"the length of {one.name}, {one.length:.1f} mm; or entry_point, to cut its shaft"
-                raise stated[one.name].error("depth", expected)
+        self.surfaces[:] = [surface for surface in self.surfaces if surface.name not in used]
+        for curve in self.curves:
+            depth = depths.get(curve.name, curve.length)
+            if abs(depth - curve.length) > find_length_tolerance(depth):
+                expected = (
+                    f"the length of {curve.name}, {curve.length:.1f} mm; or entry_point, to cut its shaft"
+                )
+                raise stated[curve.name].error("depth", expected)
         return entries
 
     def make_rows(
@@ -326,49 +341,53 @@ class Planner(CurveAnswers):
         angles = self.settle_sides()
         sides = to_sides(angles or [0.0] * len(self.curves))[0]
         rows = []
-        for one, side in zip(self.curves, sides, strict=True):  # a stated length is believed
-            sd = 0.0 if "depth" in one.stated else measure_curve(one.line, point_sd).length_sd
-            rows.append(InsertionRow(one.name, "", 1, one.depth, side=side, depth_sd=sd))
+        for curve, side in zip(self.curves, sides, strict=True):  # a stated length is believed
+            sd = 0.0 if "depth" in curve.stated else measure_curve(curve.line, point_sd).length_sd
+            rows.append(InsertionRow(curve.name, "", 1, curve.depth, side=side, depth_sd=sd))
         rows = set_layers(rows, depths)
         if poses[0].text == "free":
             self.settler.note("bevel", "a free shape bends toward its bevel")
             return rows
-        if any(one is None for one in entries):
+        if any(entry is None for entry in entries):
             self.settler.note(
                 "shift across", "fitted: the first point, taken as the entry, has moved with the needle"
             )
         shifts = self.each("pose_shift_sd", usual=f"{point_sd:g}", reason="that of a point")
         if poses[0].text == "shaft":
             pairs = zip(self.curves, needles, strict=True)
-            axes = [fit_shaft(one, needle, point_sd, poses[0]) for one, needle in pairs]
-            ways, sds = np.array([one.direction for one in axes]), [one.angle_sd for one in axes]
+            axes = [fit_shaft(curve, needle, point_sd, poses[0]) for curve, needle in pairs]
+            ways, sds = np.array([axis.direction for axis in axes]), [axis.angle_sd for axis in axes]
             reason = f"of each shaft, which the tissue has bent: at most {np.degrees(max(sds)):.2g} degrees"
             answers = self.each("pose_angle_sd", usual="shaft", reason=reason, is_sure=True)
         else:
-            ways = np.array([normalize(one.to_vector("pose")) for one in poses])
+            ways = np.array([normalize(pose.to_vector("pose")) for pose in poses])
             answers = self.each("pose_angle_sd")
         if answers[0].text != "shaft":
-            sds = [float(np.radians(one.to_number("pose_angle_sd", "deg"))) for one in answers]
+            sds = [float(np.radians(answer.to_number("pose_angle_sd", "deg"))) for answer in answers]
         first = [
-            one.line[0] if entry is None else entry for one, entry in zip(self.curves, entries, strict=True)
+            curve.line[0] if entry is None else entry
+            for curve, entry in zip(self.curves, entries, strict=True)
         ]
-        bends = np.array([one.line[-1] - start for one, start in zip(self.curves, first, strict=True)])
+        bends = np.array([curve.line[-1] - start for curve, start in zip(self.curves, first, strict=True)])
         before = [
-            one.points.curve.interpolate([min([one.length, *(depth for depth, _ in one.turns)])])[0] - start
-            for one, start in zip(self.curves, first, strict=True)
+            curve.points.curve.interpolate([min([curve.length, *(depth for depth, _ in curve.turns)])])[0]
+            - start
+            for curve, start in zip(self.curves, first, strict=True)
         ]
         bevels = self.settle_bevel(np.array(before), ways, angles)
-        for what, ones in (("turns", "turns"), ("curvatures", "sensors")):
-            if counts := [f"{len(own)} of {one.name}" for one in self.curves if (own := getattr(one, ones))]:
-                self.settler.note(what, join_names(counts, 8))
-        if any(one.turns or one.sensors for one in self.curves):
+        for label, ones in (("turns", "turns"), ("curvatures", "sensors")):
+            if counts := [
+                f"{len(stated)} of {curve.name}" for curve in self.curves if (stated := getattr(curve, ones))
+            ]:
+                self.settler.note(label, join_names(counts, 8))
+        if any(curve.turns or curve.sensors for curve in self.curves):
             reason = "degrees, set by hand: bevel_roll_sd_deg of insertions.csv"
             self.settler.assumed["bevel_roll_sd"] = f"{DEFAULT_ROLL_SD_DEG:g} {reason}"
         zeros = to_sides(angles or [0.0] * len(rows))[1]
-        for n, one in enumerate(self.curves):
-            smoothed = one.points.curve.smoothed
+        for n, curve in enumerate(self.curves):
+            smoothed = curve.points.curve.smoothed
             crossed = find_crossings(smoothed, self.surfaces).sequence if self.surfaces else ()
-            sensors = np.array(one.sensors).reshape(-1, 4)
+            sensors = np.array(curve.sensors).reshape(-1, 4)
             read = Rotation.from_rotvec([-zeros[n], 0.0, 0.0]).apply(sensors[:, :3])
             rows[n] = replace(
                 rows[n],
@@ -379,8 +398,8 @@ class Planner(CurveAnswers):
                 pose_source=name_pose_source(poses[n], entries[n]),
                 pose_shift_sd=shifts[n].to_number("pose_shift_sd"),
                 pose_angle_sd=sds[n],
-                turns=tuple((depth, np.radians(cell.to_angle()) - zeros[n]) for depth, cell in one.turns),
-                curvature=np.column_stack([read, sensors[:, 3]]) if one.sensors else None,
+                turns=tuple((depth, np.radians(cell.to_angle()) - zeros[n]) for depth, cell in curve.turns),
+                curvature=np.column_stack([read, sensors[:, 3]]) if curve.sensors else None,
             )
         return rows
 
@@ -392,12 +411,12 @@ class Planner(CurveAnswers):
         There are none where surfaces part the layers. Surfaces are numbered in the order in which their files
         are named.
         """
-        for n, one in enumerate(self.surfaces):
-            self.surfaces[n] = replace(one, into=n + 2)
-            self.settler.note(f"surface {one.name}", f"{one.kind}, into layer {n + 2}")
+        for n, surface in enumerate(self.surfaces):
+            self.surfaces[n] = replace(surface, into=n + 2)
+            self.settler.note(f"surface {surface.name}", f"{surface.kind}, into layer {n + 2}")
         if self.surfaces:
             return [() for _ in self.curves]
-        return [() if one.text == "none" else one.to_boundaries() for one in self.each("boundaries")]
+        return [() if answer.text == "none" else answer.to_boundaries() for answer in self.each("boundaries")]
 
     # ---- bevel
 
@@ -411,7 +430,7 @@ class Planner(CurveAnswers):
         sides, turns = to_sides(angles or [0.0] * len(bends))
         turned = Rotation.from_rotvec(np.array(turns)[:, None] * along)
         guess, reason = "bend", "every needle is taken to bend toward its bevel"
-        is_turned = any(one.turns or one.sensors for one in self.curves)
+        is_turned = any(curve.turns or curve.sensors for curve in self.curves)
         if differ := is_turned or len({*sides}) > 1 or len({*turns}) > 1 or min(sides) < 0:
             across = bends - np.sum(bends * along, axis=1)[:, None] * along
             toward = np.array(sides)[:, None] * turned.inv().apply(across)
@@ -437,15 +456,16 @@ class Planner(CurveAnswers):
 
     def add_names(self, rows: Sequence[InsertionRow], is_track: bool) -> list[InsertionRow]:
         """Return the rows with medium and specimen; a medium of tracks is in one specimen, by its name."""
-        found = {}
-        for what in ("medium", "specimen"):
-            usual = TRACK_SPECIMEN if what == "specimen" and is_track else (None, "")
-            cells = zip(self.curves, self.each(what, *usual), strict=True)
+        texts_by_key = {}
+        for key in ("medium", "specimen"):
+            usual = TRACK_SPECIMEN if key == "specimen" and is_track else (None, "")
+            cells = zip(self.curves, self.each(key, *usual), strict=True)
             texts = {
-                one.name: one.hole or one.name if cell.text == "each" else cell.text for one, cell in cells
+                curve.name: curve.hole or curve.name if cell.text == "each" else cell.text
+                for curve, cell in cells
             }
-            found[what] = {name: re.sub(r'[,"]', " ", text) for name, text in texts.items()}
-        media, specimens = found["medium"], found["specimen"]
+            texts_by_key[key] = {name: re.sub(r'[,"]', " ", text) for name, text in texts.items()}
+        media, specimens = texts_by_key["medium"], texts_by_key["specimen"]
         if is_track and len({*specimens.values()}) > 1:
             media = {name: f"{medium} {specimens[name]}" for name, medium in media.items()}
         return [replace(row, medium=media[row.id], specimen=specimens[row.id]) for row in rows]
@@ -458,7 +478,7 @@ class Planner(CurveAnswers):
         least = f"{max(MIN_NEEDLE_MM, float(np.ceil(max(depths) + BEYOND_DEPTH_MM))):g}"
         answers = (self.each("needle_length", usual=least), self.each("diameter"),
                    self.each("inner_diameter"), self.each("modulus"))  # fmt: skip
-        needles = [read_needle(*own) for own in zip(*answers, strict=True)]
+        needles = [read_needle(*cells) for cells in zip(*answers, strict=True)]
         for curve, needle, depth, length in zip(self.curves, needles, depths, answers[0], strict=True):
             if needle.length_mm <= depth:
                 raise length.error("needle_length", f"more than the {depth:.4g} mm of {curve.name} in tissue")
@@ -473,26 +493,29 @@ class Planner(CurveAnswers):
         """
         if not is_track and not self.is_stated("guide_distance"):
             return rows, {}
-        is_moved = any(is_guided(one) for one in self.curves)
+        is_moved = any(is_guided(curve) for curve in self.curves)
         usual, reason = (
             ("free", "the guide moved, and its distance is not stated") if is_moved else (None, "")
         )
         answers = self.each("guide_distance", usual, reason)
-        texts = {one.text for one in answers}
+        texts = {answer.text for answer in answers}
         if "none" in texts and is_moved:
             raise answers[0].error("guide_distance", "mm, or `free`: the guide moved")
         if texts == {"free"} or (is_track and texts != {"none"}):
             if len(texts) > 1:
                 raise answers[0].error("guide_distance", "one value of all")
-            free = min(one.length_mm - row.depth for one, row in zip(needles, rows, strict=True))
+            free = min(needle.length_mm - row.depth for needle, row in zip(needles, rows, strict=True))
             parameter = free_guide_distance(free)
             if texts != {"free"}:
                 parameter = {"fixed": answers[0].to_number("guide_distance", is_above=True)}
             return rows, {"guide_distance_mm": parameter}
         distances = [
-            None if one.text == "none" else one.to_number("guide_distance", is_above=True) for one in answers
+            None if answer.text == "none" else answer.to_number("guide_distance", is_above=True)
+            for answer in answers
         ]
-        return [replace(row, guide_distance=own) for row, own in zip(rows, distances, strict=True)], {}
+        return [
+            replace(row, guide_distance=distance) for row, distance in zip(rows, distances, strict=True)
+        ], {}
 
 
 # ---- needles, points and shafts
@@ -545,8 +568,8 @@ def count_from_tip(curve: ImportedCurve, curvature: Floats | None, length: float
 def set_layers(rows: Sequence[InsertionRow], depths: Sequence[tuple[float, ...]]) -> list[InsertionRow]:
     """Return rows with the numbers of layers that they meet along their depths, by those of boundaries."""
     return [
-        replace(row, layers=len(select_layers(np.array(own), row.depth)[1]))
-        for row, own in zip(rows, depths, strict=True)
+        replace(row, layers=len(select_layers(np.array(boundaries), row.depth)[1]))
+        for row, boundaries in zip(rows, depths, strict=True)
     ]
 
 

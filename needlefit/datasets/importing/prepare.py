@@ -115,7 +115,7 @@ def _load(mapping: Path, assignments: Sequence[tuple[str, str]]) -> MappingRecor
 
 def _list_named(paths: Sequence[Path]) -> Iterator[Path]:
     for path in paths:
-        yield from sorted(one for one in path.iterdir() if one.is_file()) if path.is_dir() else (path,)
+        yield from sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else (path,)
 
 
 def _review_draft(
@@ -144,7 +144,7 @@ def complete_draft(
             return draft, files
         if prompt is None:
             raise DataError(
-                f"needs an answer. {' '.join(one.question + '.' for one in opens)}",
+                f"needs an answer. {' '.join(question.question + '.' for question in opens)}",
                 expected=f"an answer to {'each' if len(opens) > 1 else 'it'}",
                 fix="; ".join(_list_fixes(opens)),
                 where=f"{opens[0].where or paths[0]}",
@@ -154,12 +154,12 @@ def complete_draft(
 
 def _list_fixes(opens: Sequence[Open]) -> Iterator[str]:
     """Yield what states the answers: of values together, else one of several."""
-    plain = [name_set(one.key) for one in opens if not one.choices]
+    plain = [name_set(question.key) for question in opens if not question.choices]
     if plain:
         yield f"state {' '.join(plain)}"
-    for one in opens:
-        if one.choices:
-            options = (" ".join(map(name_set, keys, keys.values())) for keys in one.choices.values())
+    for question in opens:
+        if question.choices:
+            options = (" ".join(map(name_set, keys, keys.values())) for keys in question.choices.values())
             yield f"state {', or '.join(options)}"
 
 
@@ -183,7 +183,7 @@ def _find_open_columns(draft: Draft, paths: Sequence[Path]) -> list[Open]:
     """Return the questions after the coordinates, where no table holds any."""
     if any(table["holds"] not in ("facts", "turns") for table in draft.tables):
         return []
-    tables = "; ".join(f"{what}: {why}" for what, why in draft.unused if what.startswith("table"))
+    tables = "; ".join(f"{part}: {why}" for part, why in draft.unused if part.startswith("table"))
     return [
         Open(
             f"{axis}.column",
@@ -211,8 +211,8 @@ def _settle_unit(draft: Draft, files: Sequence[Path]) -> Iterator[Open]:
         yield Open("unit", f"{question}a header states pixels", {}, str(files[0]))
         return
     content = read_mapped(draft.to_record("the draft of the mapping"), files, "the draft of the mapping")
-    lines = [one.line for one in content.curves if len(one.line)]
-    longest = max((one.reach for one in content.curves), default=0.0)
+    lines = [curve.line for curve in content.curves if len(curve.line)]
+    longest = max((curve.reach for curve in content.curves), default=0.0)
     low, high = ASSUMED_MM
     if all((line == np.round(line)).all() for line in lines):
         yield Open("unit", f"{question}all coordinates are whole numbers, as of pixels", {}, str(files[0]))
@@ -228,7 +228,7 @@ def _settle_unit(draft: Draft, files: Sequence[Path]) -> Iterator[Open]:
 
 def _require_lengths(content: ImportContent) -> None:
     """DataError if no needle has a length that is possible."""
-    longest, (low, high) = max(one.reach for one in content.curves), STATED_MM
+    longest, (low, high) = max(curve.reach for curve in content.curves), STATED_MM
     if longest and not low <= longest <= high:
         raise DataError(
             f"the longest needle is {longest:,.3g} mm long",
@@ -242,23 +242,27 @@ def _require_lengths(content: ImportContent) -> None:
 
 def _describe_columns(record: MappingRecord, files: Sequence[Path]) -> Iterator[dict[str, str]]:
     """Yield a row of the screen for each meaning of each table: column, unit, first values in mm."""
-    for one in list_tables(record, files, "the mapping"):
-        for meaning, own in one.record.columns.items():
-            source = ", ".join(map(str, own.columns)) if own.column else own.source or f"= {own.value}"
+    for mapped in list_tables(record, files, "the mapping"):
+        for meaning, column in mapped.record.columns.items():
+            source = (
+                ", ".join(map(str, column.columns)) if column.column else column.source or f"= {column.value}"
+            )
             yield {
-                "table": " ".join(filter(None, [one.table.path.name, one.record.sheet.replace("*", "")])),
+                "table": " ".join(
+                    filter(None, [mapped.table.path.name, mapped.record.sheet.replace("*", "")])
+                ),
                 "meaning": meaning,
                 "column": source,
-                "unit": own.unit
-                or (f"column {own.unit_column}" if own.unit_column else MEANINGS[meaning].unit),
-                "first values": ", ".join(_list_first(one, meaning)),
+                "unit": column.unit
+                or (f"column {column.unit_column}" if column.unit_column else MEANINGS[meaning].unit),
+                "first values": ", ".join(_list_first(mapped, meaning)),
             }
 
 
-def _list_first(one: MappedTable, meaning: str) -> Iterator[str]:
+def _list_first(mapped: MappedTable, meaning: str) -> Iterator[str]:
     is_length = MEANINGS[meaning].unit == "mm" and meaning not in ("boundaries", "diameter", "entry_point")
-    for n, cells in [(n, cells) for n, cells in enumerate(one.read_cells(meaning)) if any(cells)][
+    for n, cells in [(n, cells) for n, cells in enumerate(mapped.read_cells(meaning)) if any(cells)][
         :MAX_FIRST_VALUES
     ]:
-        number = one.table.number(cells[0]) if is_length else None
-        yield "; ".join(cells[:4]) if number is None else f"{number * one.read_factor(meaning, n):.4g} mm"
+        number = mapped.table.number(cells[0]) if is_length else None
+        yield "; ".join(cells[:4]) if number is None else f"{number * mapped.read_factor(meaning, n):.4g} mm"

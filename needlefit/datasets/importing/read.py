@@ -127,8 +127,8 @@ class MappedTable:
         if unit == "%" and meaning in ACROSS and (depth := self.read_cells("depth")[n]):
             percent = self.read_number("depth", n, depth[0]) / 100  # of the depth of the row
             return percent * self.record.columns[meaning].sign
-        known = (1.0, unit) if unit in FACTORS else read_quantity(unit)
-        number, plain = known or (1.0, unit)  # `0.07 mm` of a pixel
+        quantity = (1.0, unit) if unit in FACTORS else read_quantity(unit)
+        number, plain = quantity or (1.0, unit)  # `0.07 mm` of a pixel
         if plain not in FACTORS or plain.startswith("1/") != usual.startswith("1/"):
             known_units = ", ".join(UNITS_PER_MM if usual.startswith("1/") else UNITS_MM)
             raise DataError(
@@ -163,13 +163,13 @@ def read_mapped(mapping: MappingRecord, paths: Sequence[Path], where: str) -> Im
     content = ImportContent([], _read_surfaces(mapping, paths), {path.name: sha256(path) for path in paths})
     tables = [*list_tables(mapping, paths, where)]
     left_out = list[str]()
-    for one in tables:
-        if one.record.holds in ("shapes", "tips", "tracks"):
-            content.curves.extend(_read_points(one, left_out))
+    for mapped in tables:
+        if mapped.record.holds in ("shapes", "tips", "tracks"):
+            content.curves.extend(_read_points(mapped, left_out))
     _name_curves(content.curves)
-    for one in tables:
-        if one.record.holds in ("curvatures", "turns", "facts"):
-            _add_rows(one, content.curves)
+    for mapped in tables:
+        if mapped.record.holds in ("curvatures", "turns", "facts"):
+            _add_rows(mapped, content.curves)
     if not content.curves:
         raise DataError(
             "holds no needle",
@@ -191,7 +191,9 @@ def list_tables(mapping: MappingRecord, paths: Sequence[Path], where: str) -> It
     """Yield each table that the mapping reads; DataError if one of its files or sheets is not there."""
     names = [path.name for path in paths]
     for number, record in enumerate(mapping.tables, 1):
-        matching = [path for path in paths if any(fnmatchcase(path.name, one) for one in record.files)]
+        matching = [
+            path for path in paths if any(fnmatchcase(path.name, pattern) for pattern in record.files)
+        ]
         if not matching:
             near = get_close_matches(record.files[0], names, 1, 0.0)
             raise DataError(
@@ -200,12 +202,12 @@ def list_tables(mapping: MappingRecord, paths: Sequence[Path], where: str) -> It
                 fix=name_set(f"tables.{number}.files", f'["{near[0] if near else "*"}"]'),
                 where=where,
             )
-        found = 0
+        count = 0
         for path in matching:
             for table in _read_tables(path, record):
-                found += 1
+                count += 1
                 yield MappedTable(table, record, number)
-        if not found:
+        if not count:
             raise DataError(
                 f"has no sheet {record.sheet!r}",
                 expected="a sheet of this name",
@@ -243,7 +245,7 @@ def _read_surfaces(mapping: MappingRecord, paths: Sequence[Path]) -> list[Surfac
             faults = list(find_hole(surface, path, "close the hole, or save the sheet alone"))
         if faults:
             raise as_error(faults, path)
-        taken = {one.name for one in surfaces}
+        taken = {surface.name for surface in surfaces}
         surfaces.append(replace(surface, name=make_unique(surface.name[:MAX_NAME_CHARS], taken)))
     return surfaces
 
@@ -251,9 +253,9 @@ def _read_surfaces(mapping: MappingRecord, paths: Sequence[Path]) -> list[Surfac
 # ---- points
 
 
-def _read_points(one: MappedTable, left_out: list[str]) -> Iterator[ImportedCurve]:
+def _read_points(mapped: MappedTable, left_out: list[str]) -> Iterator[ImportedCurve]:
     """Yield the needles of a table of points, each with its points in their order."""
-    columns = one.record.columns
+    columns = mapped.record.columns
     is_deflection = "deflection" in columns or "x" not in columns
     axes: Sequence[str] = ("depth", "y", "z") if is_deflection else ("x", "y", "z")
     axes = ("depth", "deflection", "deflection_z") if "deflection" in columns else axes
@@ -261,38 +263,40 @@ def _read_points(one: MappedTable, left_out: list[str]) -> Iterator[ImportedCurv
         raise DataError(
             f"nothing states {' and '.join(lacking)} of its points",
             expected="x and y; or depth and deflection",
-            fix=" ".join(one.name_edit(f"columns.{axis}.column") for axis in lacking),
-            where=one.table.path,
+            fix=" ".join(mapped.name_edit(f"columns.{axis}.column") for axis in lacking),
+            where=mapped.table.path,
         )
-    cells = {axis: one.read_cells(axis) for axis in axes if axis in columns}
+    cells = {axis: mapped.read_cells(axis) for axis in axes if axis in columns}
     rows = defaultdict[tuple[str, int], list[int]](list)
-    names, is_wide = _read_names(one), one.record.layout == "wide"
-    for n in one.kept_rows:
+    names, is_wide = _read_names(mapped), mapped.record.layout == "wide"
+    for n in mapped.kept_rows:
         rows[names[n], n * is_wide].append(n)
-    for (name, _), own in rows.items():
-        measured, missing = _list_measured(one, own, cells)
+    for (name, _), numbers in rows.items():
+        measured, missing = _list_measured(mapped, numbers, cells)
         if missing:
-            left_out.append(f"{missing} of {name or one.table.name}")
-        is_point = len(measured) == 1 and one.record.holds == "shapes"
-        if is_point and (len(own) > 1 or len(rows) == len(one.kept_rows)):  # cut short; or no shape at all
+            left_out.append(f"{missing} of {name or mapped.table.name}")
+        is_point = len(measured) == 1 and mapped.record.holds == "shapes"
+        if is_point and (
+            len(numbers) > 1 or len(rows) == len(mapped.kept_rows)
+        ):  # cut short; or no shape at all
             raise DataError(
-                f"{name or one.table.name} has one point: it is a tip, and no shape",
+                f"{name or mapped.table.name} has one point: it is a tip, and no shape",
                 expected="the points of each needle from the entry to the tip",
                 fix=(
                     "complete its points; or, if the table holds tips alone: "
-                    f"{one.name_edit('holds', 'tips')}"
+                    f"{mapped.name_edit('holds', 'tips')}"
                 ),
-                where=one.table.places[measured[0].row],
+                where=mapped.table.places[measured[0].row],
             )
         if measured:
-            curve = _make_curve(one, name, measured, tuple(cells), is_deflection)
+            curve = _make_curve(mapped, name, measured, tuple(cells), is_deflection)
             yield replace(curve, holds="tips") if is_point else curve  # a tip beside shapes
 
 
-def _read_names(one: MappedTable) -> list[str]:
+def _read_names(mapped: MappedTable) -> list[str]:
     """Return the name of the needle of each row, as its cells are written."""
-    record = one.record.columns.get("needle")
-    names = ["-".join(filter(None, cells)) for cells in one.read_cells("needle")]
+    record = mapped.record.columns.get("needle")
+    names = ["-".join(filter(None, cells)) for cells in mapped.read_cells("needle")]
     if record is None or not record.pattern:
         return names
     matches = [re.fullmatch(record.pattern, name) for name in names]
@@ -308,74 +312,84 @@ class _Reading:
 
 
 def _list_measured(
-    one: MappedTable, rows: Sequence[int], cells: Mapping[str, list[list[str]]]
+    mapped: MappedTable, rows: Sequence[int], cells: Mapping[str, list[list[str]]]
 ) -> tuple[list[_Reading], int]:
     """Return the points whose coordinates were measured, and how many lack some of them."""
-    columns = [one.list_columns(axis) for axis in cells]
+    columns = [mapped.list_columns(axis) for axis in cells]
     measured, missing = list[_Reading](), 0
     for n in rows:
-        for k, texts in enumerate(zip_longest(*(own[n] for own in cells.values()), fillvalue="")):
-            raw = [one.table.rows[n][own[k]] for own in columns if k < len(own)]
+        for k, texts in enumerate(
+            zip_longest(*(cells_of_axis[n] for cells_of_axis in cells.values()), fillvalue="")
+        ):
+            raw = [
+                mapped.table.rows[n][cells_of_axis[k]] for cells_of_axis in columns if k < len(cells_of_axis)
+            ]
             if all(texts):
-                numbers = [one.read_number(axis, n, text) for axis, text in zip(cells, texts, strict=True)]
+                numbers = [mapped.read_number(axis, n, text) for axis, text in zip(cells, texts, strict=True)]
                 measured.append(_Reading(n, numbers))
             elif any(raw):
-                if one.record.if_missing == "stop":
+                if mapped.record.if_missing == "stop":
                     raise DataError(
                         f"a coordinate was not measured: {', '.join(raw)}",
                         expected=f"{', '.join(cells)} of each point",
-                        fix=f"{one.name_edit('if_missing', 'leave_out')}, or correct the row",
-                        where=one.table.places[n],
+                        fix=f"{mapped.name_edit('if_missing', 'leave_out')}, or correct the row",
+                        where=mapped.table.places[n],
                     )
                 missing += 1
     return measured, missing
 
 
 def _make_curve(
-    one: MappedTable, name: str, points: Sequence[_Reading], axes: Sequence[str], is_deflection: bool
+    mapped: MappedTable, name: str, points: Sequence[_Reading], axes: Sequence[str], is_deflection: bool
 ) -> ImportedCurve:
     rows = [point.row for point in points]
     values = np.zeros((len(rows), 3))
     places = [axes.index(axis) if is_deflection else "xyz".index(axis) for axis in axes]
     values[:, places] = [point.values for point in points]
-    lines = None if one.table.lines is None else np.array([one.table.lines[n] for n in rows], dtype=np.int64)
-    stated = read_facts(one, rows)
-    is_track = one.record.holds == "tracks" and "depth" in one.record.columns
-    depths = [one.read_number("depth", n, one.read_cells("depth")[n][0]) for n in rows] if is_track else []
+    lines = (
+        None
+        if mapped.table.lines is None
+        else np.array([mapped.table.lines[n] for n in rows], dtype=np.int64)
+    )
+    stated = read_facts(mapped, rows)
+    is_track = mapped.record.holds == "tracks" and "depth" in mapped.record.columns
+    depths = (
+        [mapped.read_number("depth", n, mapped.read_cells("depth")[n][0]) for n in rows] if is_track else []
+    )
     if is_track or is_deflection:
         stated.pop("depth", None)
     return ImportedCurve(
-        name or one.table.name,
-        Points(one.table.path, values, lines, _read_sds(one, rows)),
-        one.record.holds,
+        name or mapped.table.name,
+        Points(mapped.table.path, values, lines, _read_sds(mapped, rows)),
+        mapped.record.holds,
         stated,
         np.array(depths),
         is_deflection,
-        _read_guide(one, rows),
+        _read_guide(mapped, rows),
         is_named=bool(name),
     )
 
 
-def _read_sds(one: MappedTable, rows: Sequence[int]) -> Floats | None:
+def _read_sds(mapped: MappedTable, rows: Sequence[int]) -> Floats | None:
     """Return the standard deviation of each point (N,), mm; None if the table states one, or none of some."""
-    if (record := one.record.columns.get("point_sd")) is None:
+    if (record := mapped.record.columns.get("point_sd")) is None:
         return None
-    texts = [one.read_cells("point_sd")[n][0] for n in rows]
+    texts = [mapped.read_cells("point_sd")[n][0] for n in rows]
     if record.divide_by_root is None and (len({*texts}) < 2 or not all(texts)):
         return None
-    sds = np.array([one.read_number("point_sd", n, text) for n, text in zip(rows, texts, strict=True)])
+    sds = np.array([mapped.read_number("point_sd", n, text) for n, text in zip(rows, texts, strict=True)])
     if record.divide_by_root is None:
         return sds
-    column = one.find("point_sd", record.divide_by_root)
-    return sds / np.sqrt([one.table.number(one.table.rows[n][column]) or 1.0 for n in rows])
+    column = mapped.find("point_sd", record.divide_by_root)
+    return sds / np.sqrt([mapped.table.number(mapped.table.rows[n][column]) or 1.0 for n in rows])
 
 
-def _read_guide(one: MappedTable, rows: Sequence[int]) -> Floats | None:
+def _read_guide(mapped: MappedTable, rows: Sequence[int]) -> Floats | None:
     """Return the places of the guide (N, 3), mm: one column is y, two are y and z, three x, y and z."""
-    if "guide" not in one.record.columns:
+    if "guide" not in mapped.record.columns:
         return None
-    cells = one.read_cells("guide")
-    numbers = np.array([[one.read_number("guide", n, text) for text in cells[n]] for n in rows])
+    cells = mapped.read_cells("guide")
+    numbers = np.array([[mapped.read_number("guide", n, text) for text in cells[n]] for n in rows])
     places = np.zeros((len(rows), 3))
     first = 1 if numbers.shape[1] < 3 else 0
     places[:, first : first + numbers.shape[1]] = numbers
@@ -385,22 +399,22 @@ def _read_guide(one: MappedTable, rows: Sequence[int]) -> Floats | None:
 # ---- facts
 
 
-def read_facts(one: MappedTable, rows: Sequence[int]) -> dict[str, Stated]:
+def read_facts(mapped: MappedTable, rows: Sequence[int]) -> dict[str, Stated]:
     """Return what columns state once of the needle, the specimen or all in some rows.
 
     DataError if two cells of one column contradict each other.
     """
     stated: dict[str, Stated] = {}
     for meaning in ATTRIBUTES:
-        if meaning not in one.record.columns:
+        if meaning not in mapped.record.columns:
             continue
-        cells = one.read_cells(meaning)
+        cells = mapped.read_cells(meaning)
         texts = {n: _join(meaning, cells[n]) for n in rows if any(cells[n])}
         if not texts:
             continue
         first = next(iter(texts))
         other = next((n for n, text in texts.items() if text != texts[first]), None)
-        record = one.record.columns[meaning]
+        record = mapped.record.columns[meaning]
         if (other is not None and meaning in ("depth", "point_sd")) or record.divide_by_root is not None:
             continue  # those of each reading
         if other is not None:
@@ -409,14 +423,14 @@ def read_facts(one: MappedTable, rows: Sequence[int]) -> dict[str, Stated]:
                 expected="one value",
                 fix=(
                     "correct the cell; or, if another column names needles: "
-                    f"{one.name_edit('columns.needle.column')}"
+                    f"{mapped.name_edit('columns.needle.column')}"
                 ),
-                where=one.where(other, meaning),
+                where=mapped.where(other, meaning),
             )
         text = texts[first]
-        if one.table.number(text) is not None and meaning not in ("medium", "specimen", "bevel_side"):
-            text = f"{one.table.number(text):.10g}"  # with a decimal point
-        stated[meaning] = Stated(text, one.read_unit(meaning, first), one.where(first, meaning))
+        if mapped.table.number(text) is not None and meaning not in ("medium", "specimen", "bevel_side"):
+            text = f"{mapped.table.number(text):.10g}"  # with a decimal point
+        stated[meaning] = Stated(text, mapped.read_unit(meaning, first), mapped.where(first, meaning))
     return stated
 
 
@@ -424,35 +438,35 @@ def _join(meaning: str, texts: Sequence[str]) -> str:
     return (", " if meaning in VECTORS else "; ").join(filter(None, texts))
 
 
-def _add_rows(one: MappedTable, curves: list[ImportedCurve]) -> None:
+def _add_rows(mapped: MappedTable, curves: list[ImportedCurve]) -> None:
     """Add to needles what the rows of a table state of them: facts, turns or curvatures."""
-    if one.record.of == "all":
+    if mapped.record.of == "all":
         for curve in curves:
-            _add_facts(curve, read_facts(one, range(len(one.table.rows))))
+            _add_facts(curve, read_facts(mapped, range(len(mapped.table.rows))))
         return
-    by_specimen = one.record.of == "specimen"
+    by_specimen = mapped.record.of == "specimen"
     names = (
-        [cells[0] if cells else "" for cells in one.read_cells("specimen")]
+        [cells[0] if cells else "" for cells in mapped.read_cells("specimen")]
         if by_specimen
-        else _read_names(one)
+        else _read_names(mapped)
     )
-    if not by_specimen and one.record.holds == "curvatures":
-        known = {curve.name for curve in curves}
+    if not by_specimen and mapped.record.holds == "curvatures":
+        known_names = {curve.name for curve in curves}
         curves += [
-            ImportedCurve(name, Points(one.table.path, np.empty((0, 3))), "curvatures")
+            ImportedCurve(name, Points(mapped.table.path, np.empty((0, 3))), "curvatures")
             for name in dict.fromkeys(names)
-            if name and _match(name, known) is None
+            if name and _match(name, known_names) is None
         ]
     rows = defaultdict[str, list[int]](list)
-    for n in one.kept_rows:
+    for n in mapped.kept_rows:
         name = names[n]
-        if not name and any(any(one.read_cells(what)[n]) for what in one.record.columns):
-            edit = one.name_edit("fill_down", '["HEADER"]')
+        if not name and any(any(mapped.read_cells(meaning)[n]) for meaning in mapped.record.columns):
+            edit = mapped.name_edit("fill_down", '["HEADER"]')
             raise DataError(
-                f"names no {one.record.of}",
+                f"names no {mapped.record.of}",
                 expected="a name in each row",
                 fix=f"fill it in; or, if the cell above counts: {edit}",
-                where=one.table.places[n],
+                where=mapped.table.places[n],
             )
         rows[name].append(n)
     keys = {
@@ -462,17 +476,17 @@ def _add_rows(one: MappedTable, curves: list[ImportedCurve]) -> None:
         for curve in curves
     }
     matched = {name: [k for k, key in keys.items() if _match(name, [key])] for name in rows}
-    _require_found(one, matched, keys)
+    _require_found(mapped, matched, keys)
     by_name = {curve.name: curve for curve in curves}
-    for name, own in rows.items():
+    for name, numbers in rows.items():
         for curve in (by_name[k] for k in matched[name]):
-            if one.record.holds == "turns":
-                curve.turns += [_read_turn(one, n) for n in own]
+            if mapped.record.holds == "turns":
+                curve.turns += [_read_turn(mapped, n) for n in numbers]
                 continue
-            if one.record.holds == "curvatures":
-                curve.sensors += [_read_sensor(one, n) for n in own]
-                curve.are_sensors_from_base |= "sensor_from_base" in one.record.columns
-            facts = read_facts(one, own)
+            if mapped.record.holds == "curvatures":
+                curve.sensors += [_read_sensor(mapped, n) for n in numbers]
+                curve.are_sensors_from_base |= "sensor_from_base" in mapped.record.columns
+            facts = read_facts(mapped, numbers)
             if by_specimen:
                 facts.pop("specimen", None)
             _add_facts(curve, facts)
@@ -481,40 +495,43 @@ def _add_rows(one: MappedTable, curves: list[ImportedCurve]) -> None:
 def _add_facts(curve: ImportedCurve, facts: Mapping[str, Stated]) -> None:
     """Add facts to a needle; DataError if it has others."""
     for meaning, fact in facts.items():
-        known = curve.stated.setdefault(meaning, fact)
-        if known.text != fact.text:
+        earlier = curve.stated.setdefault(meaning, fact)
+        if earlier.text != fact.text:
             raise DataError(
-                f"{meaning} of {curve.name} is {fact.text[:60]!r}, and {known.text[:60]!r} in {known.where}",
+                f"{meaning} of {curve.name} is {fact.text[:60]!r}, and {earlier.text[:60]!r} in "
+                f"{earlier.where}",
                 expected="one value",
                 fix="correct one of the two",
                 where=fact.where,
             )
 
 
-def _read_turn(one: MappedTable, n: int) -> tuple[float, Stated]:
-    depth = one.read_number("turn_depth", n, one.read_cells("turn_depth")[n][0])
-    text = "".join(one.read_cells("bevel_side")[n])
+def _read_turn(mapped: MappedTable, n: int) -> tuple[float, Stated]:
+    depth = mapped.read_number("turn_depth", n, mapped.read_cells("turn_depth")[n][0])
+    text = "".join(mapped.read_cells("bevel_side")[n])
     if not text:
         raise DataError(
             "nothing states where the bevel faces from this depth on",
             expected="bevel_side of each turn, as 90 deg",
-            fix=f"fill in the cell; or {one.name_edit('columns.bevel_side.column')}",
-            where=one.table.places[n],
+            fix=f"fill in the cell; or {mapped.name_edit('columns.bevel_side.column')}",
+            where=mapped.table.places[n],
         )
-    return depth, Stated(text, one.read_unit("bevel_side", n), one.where(n, "bevel_side"))
+    return depth, Stated(text, mapped.read_unit("bevel_side", n), mapped.where(n, "bevel_side"))
 
 
-def _read_sensor(one: MappedTable, n: int) -> Floats:
-    place = "sensor" if "sensor" in one.record.columns else "sensor_from_base"
+def _read_sensor(mapped: MappedTable, n: int) -> Floats:
+    place = "sensor" if "sensor" in mapped.record.columns else "sensor_from_base"
     meanings = (place, *SENSOR[1:])
-    if lacking := [what for what in meanings if what not in one.record.columns]:
+    if lacking := [meaning for meaning in meanings if meaning not in mapped.record.columns]:
         raise DataError(
             f"of curvatures nothing states {', '.join(lacking)}",
             expected="the place of each sensor, its two curvatures and their standard deviation",
-            fix=" ".join(one.name_edit(f"columns.{what}.column") for what in lacking),
-            where=one.table.places[n],
+            fix=" ".join(mapped.name_edit(f"columns.{meaning}.column") for meaning in lacking),
+            where=mapped.table.places[n],
         )
-    return np.array([one.read_number(what, n, one.read_cells(what)[n][0]) for what in meanings])
+    return np.array(
+        [mapped.read_number(meaning, n, mapped.read_cells(meaning)[n][0]) for meaning in meanings]
+    )
 
 
 # ---- names
@@ -545,13 +562,13 @@ def make_unique(name: str, taken: Iterable[str]) -> str:
     return unique
 
 
-def _match(name: str, known: Iterable[str]) -> str | None:
+def _match(name: str, candidates: Iterable[str]) -> str | None:
     """Return which of some names is the same: its id, or its number is (`1`, `1.0`, `01`)."""
     keys: tuple[Callable[[str], str], ...] = (_make_key, _make_number_key, _find_number)
     for make in keys if name.isdecimal() else keys[:2]:
-        found = [one for one in known if make(one) == make(name)]
-        if len(found) == 1:
-            return found[0]
+        same = [candidate for candidate in candidates if make(candidate) == make(name)]
+        if len(same) == 1:
+            return same[0]
     return None
 
 
@@ -571,21 +588,21 @@ def _find_number(name: str) -> str:
     return match[1] if match else name
 
 
-def _require_found(one: MappedTable, matched: Mapping[str, list[str]], keys: Mapping[str, str]) -> None:
+def _require_found(mapped: MappedTable, matched: Mapping[str, list[str]], keys: Mapping[str, str]) -> None:
     """DataError if a row is about no needle, or a needle without a row lacks what the others have."""
-    strangers = [name for name, found in matched.items() if not found]
-    found = {key for keys_ in matched.values() for key in keys_}
-    without = [name for name in keys if name not in found]
+    strangers = [name for name, about in matched.items() if not about]
+    about = {key for keys_ in matched.values() for key in keys_}
+    without = [name for name in keys if name not in about]
     listed = join_names([*dict.fromkeys(keys.values())], MAX_LISTED_NAMES)
-    if strangers or (without and one.record.holds == "facts"):
-        what = (
-            f"no {one.record.of} is called {join_names(strangers, MAX_LISTED_NAMES)}"
+    if strangers or (without and mapped.record.holds == "facts"):
+        problem = (
+            f"no {mapped.record.of} is called {join_names(strangers, MAX_LISTED_NAMES)}"
             if strangers
             else (f"no row is about {join_names(without, MAX_LISTED_NAMES)}")
         )
         raise DataError(
-            what,
-            expected=f"a row for each {one.record.of}: {listed}",
-            fix=f"write the same names in both tables; or leave tables.{one.number} out of the mapping",
-            where=one.table.path,
+            problem,
+            expected=f"a row for each {mapped.record.of}: {listed}",
+            fix=f"write the same names in both tables; or leave tables.{mapped.number} out of the mapping",
+            where=mapped.table.path,
         )

@@ -31,19 +31,19 @@ class Stated:
         """The text with the unit of its header, where it has none of its own."""
         return f"{self.text} {self.unit}".strip() if re.search(r"\d$", self.text) else self.text
 
-    def to_number(self, what: str, unit: str = "mm", is_above: bool = False) -> float:
+    def to_number(self, key: str, unit: str = "mm", is_above: bool = False) -> float:
         """Return the number of at least 0, or above 0, in a unit; DataError if it is none."""
-        value, own = read_quantity(self.text) or (-1.0, "")
-        own = own or self.unit or unit
-        known = {"mm": UNITS_MM, "GPa": UNITS_GPA}.get(unit, {unit: 1.0})
-        factor = known.get(own, 0.0)
+        value, own_unit = read_quantity(self.text) or (-1.0, "")
+        own_unit = own_unit or self.unit or unit
+        factors = {"mm": UNITS_MM, "GPa": UNITS_GPA}.get(unit, {unit: 1.0})
+        factor = factors.get(own_unit, 0.0)
         if not 0 <= value * factor <= MAX_COORDINATE or not factor or (is_above and not value):
             expected = (
                 f"a number {'above 0' if is_above else 'of 0 or more'}, at most {MAX_COORDINATE:g}, {unit}"
             )
-            if others := [one for one in known if one != unit]:
+            if others := [other for other in factors if other != unit]:
                 expected += f", or with its unit: {', '.join(others)}"
-            raise self.error(what, expected)
+            raise self.error(key, expected)
         return value * factor
 
     def to_entry(self) -> Floats:
@@ -53,7 +53,7 @@ class Stated:
             raise self.error("entry_point", f"three numbers in one of {', '.join(UNITS_MM)}")
         return UNITS_MM[unit] * self.to_vector("entry_point", is_direction=False)
 
-    def to_vector(self, what: str, is_direction: bool = True) -> Floats:
+    def to_vector(self, key: str, is_direction: bool = True) -> Floats:
         """Return the vector (3,) in a text such as `0,0,1`; DataError if it is none."""
         try:
             vector = np.array([float(part) for part in re.split("[,;]", self.text)])
@@ -64,7 +64,7 @@ class Stated:
             or not (np.abs(vector) < MAX_COORDINATE).all()
             or (is_direction and not vector.any())
         ):
-            raise self.error(what, "three numbers, such as 0,0,1")
+            raise self.error(key, "three numbers, such as 0,0,1")
         return vector
 
     def to_boundaries(self) -> tuple[float, ...]:
@@ -84,22 +84,22 @@ class Stated:
 
         1 is 0 degrees, -1 is 180. DataError if the cell is not understood.
         """
-        value, own = read_quantity(self.text) or (float("nan"), "")
-        unit = own or self.unit
+        value, own_unit = read_quantity(self.text) or (float("nan"), "")
+        unit = own_unit or self.unit
         if value in (1.0, -1.0) and not unit:
             return 90.0 - 90.0 * value
         turn = round(np.degrees(value) / 45.0) if 0.5 < abs(value) < 6.3 else 0  # in eighths, were it rad
-        if unit == "deg" and not own and turn and abs(np.degrees(value) - 45.0 * turn) < 0.5:
+        if unit == "deg" and not own_unit and turn and abs(np.degrees(value) - 45.0 * turn) < 0.5:
             raise self.error("bevel_side", f"degrees; in radians it would be {np.degrees(value):.4g}")
         if unit == "deg" and abs(value) <= 360.0:
             return value
         raise self.error("bevel_side", "1 or -1, or degrees: 90 deg")
 
-    def error(self, what: str, expected: str, fix: str = "") -> DataError:
+    def error(self, key: str, expected: str, fix: str = "") -> DataError:
         """Return the error of a cell that is not understood."""
-        fix = fix or "correct it" + (f", or state {name_set(what)}" if what in VALUES else "")
+        fix = fix or "correct it" + (f", or state {name_set(key)}" if key in VALUES else "")
         return DataError(
-            f"{what} is {self.text[:60]!r} {self.unit}".strip(), expected=expected, fix=fix, where=self.where
+            f"{key} is {self.text[:60]!r} {self.unit}".strip(), expected=expected, fix=fix, where=self.where
         )
 
 
@@ -147,7 +147,7 @@ class Settler:
             if self.prompt is not None and not is_sure:
                 answer = self.prompt(key, usual, reason).strip()[:MAX_ANSWER_CHARS]
             if not answer and (not usual or (self.is_complete and not is_sure)):
-                ways = " or ".join(name_set(key, one) for one in choices or ("VALUE",))
+                ways = " or ".join(name_set(key, choice) for choice in choices or ("VALUE",))
                 raise DataError(
                     f"{key} is not stated{f': {reason}' if reason else ''}",
                     expected=f"one of {', '.join(choices)}" if choices else meaning.text,
@@ -165,7 +165,7 @@ class Settler:
     def settle_each(
         self,
         key: str,
-        own: Mapping[str, Mapping[str, Stated]],
+        stated_by_needle: Mapping[str, Mapping[str, Stated]],
         usual: str | None = None,
         reason: str = "",
         is_sure: bool = False,
@@ -175,17 +175,17 @@ class Settler:
         A value that is stated beside cells of all needles takes their place. `own`: what cells state of each
         needle, by its name. DataError if nothing states it of some needles.
         """
-        cells = {name: stated[key] for name, stated in own.items() if key in stated}
-        missing = [name for name in own if name not in cells]
+        cells = {name: stated[key] for name, stated in stated_by_needle.items() if key in stated}
+        missing = [name for name in stated_by_needle if name not in cells]
         if not cells:
-            return dict.fromkeys(own, self.settle(key, usual, reason, is_sure=is_sure))
+            return dict.fromkeys(stated_by_needle, self.settle(key, usual, reason, is_sure=is_sure))
         if not missing:
-            return cells if key not in self.values else dict.fromkeys(own, self.settle(key))
+            return cells if key not in self.values else dict.fromkeys(stated_by_needle, self.settle(key))
         reason = f"stated of {join_names([*cells], 5)}, not of {join_names(missing, 5)}"
         fix = f"fill in their cells, or state {name_set(key)} of all that are blank"
         rest = self.settle(key, "", reason, fix=fix, where=next(iter(cells.values())).where)
-        return {name: cells.get(name, rest) for name in own}
+        return {name: cells.get(name, rest) for name in stated_by_needle}
 
-    def note(self, what: str, text: str) -> None:
+    def note(self, subject: str, text: str) -> None:
         """Keep what was done with the curves, for the screen."""
-        self.notes.append((what, text))
+        self.notes.append((subject, text))

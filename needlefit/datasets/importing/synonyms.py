@@ -61,15 +61,15 @@ def _load_axes() -> tuple[tuple[str, str, tuple[str, ...]], ...]:
 def _split(text: str) -> list[str]:
     """Return the words of a text, in small letters without accents."""
     plain = unicodedata.normalize("NFKD", _CAMEL.sub(" ", text.replace("°", " deg")))
-    return _WORD.findall("".join(one for one in plain if not unicodedata.combining(one)).casefold())
+    return _WORD.findall("".join(letter for letter in plain if not unicodedata.combining(letter)).casefold())
 
 
 def _look_up(kind: str, words: Sequence[str]) -> tuple[str, str]:
-    known = _load()
-    kept = [word for word in words if ("filler", word) not in known]
+    synonyms = _load()
+    kept = [word for word in words if ("filler", word) not in synonyms]
     if words and not kept and kind == "column":
         kept = ["point"]  # `No.`, `Nr` and `number` count the rows
-    return known.get((kind, "".join(words))) or known.get((kind, "".join(kept)), ("", ""))
+    return synonyms.get((kind, "".join(words))) or synonyms.get((kind, "".join(kept)), ("", ""))
 
 
 def find_meaning(kind: str, text: str) -> str:
@@ -81,7 +81,9 @@ def split_unit(text: str) -> tuple[str, str]:
     """Return a header without its unit, and the unit: `x [mm]`, `x_mm`. One in brackets may be unknown."""
     text = INDEX.sub(r" \1 ", text)
     brackets, ending = [*_BRACKET.finditer(text)], _ENDING.search(text)
-    bracket = next((one for one in brackets if find_meaning("unit", one[1])), next(iter(brackets), None))
+    bracket = next(
+        (bracket for bracket in brackets if find_meaning("unit", bracket[1])), next(iter(brackets), None)
+    )
     inside = bracket[1] if bracket is not None else ""
     is_word = len(inside) > 1 and any(find_meaning(kind, inside) for kind in ("column", "filler"))
     if bracket is not None and not is_word:
@@ -103,8 +105,8 @@ def read_header(text: str) -> Header:
         numbered, usual = _look_up("column", words[:-1])  # `boundary 2` is one of several, `deflection 2` too
         meaning = numbered if numbered in ("boundaries", "deflection") else ""
     if meaning:  # lengths without a unit have that of the coordinates
-        known = unit if usual in UNITS_MM or find_meaning("unit", unit) else ""
-        return Header(text, meaning, unit=known or ("" if usual in UNITS_MM else usual))
+        known_unit = unit if usual in UNITS_MM or find_meaning("unit", unit) else ""
+        return Header(text, meaning, unit=known_unit or ("" if usual in UNITS_MM else usual))
     words = [_TRACKER_AXES.get(word, word) for word in words]
     axes = [word for word in words if word in [*"xyz"]]
     if any(_look_up("column", [word])[0] == "quaternion" for word in words):
@@ -113,20 +115,22 @@ def read_header(text: str) -> Header:
         return Header(text, unit=unit)
     rest = [word for word in words if word != axes[0] and ("filler", word) not in _load()]
     beside = _look_up("column", rest)[0] if rest else ""
-    own = re.sub(rf"(?<![a-z]){axes[0]}(?![a-z])", " ", _CAMEL.sub(" ", plain), count=1, flags=re.IGNORECASE)
-    group = "" if beside in _POINT_WORDS or not rest else beside or own.strip(" _-.:#")
+    beside_axis = re.sub(
+        rf"(?<![a-z]){axes[0]}(?![a-z])", " ", _CAMEL.sub(" ", plain), count=1, flags=re.IGNORECASE
+    )
+    group = "" if beside in _POINT_WORDS or not rest else beside or beside_axis.strip(" _-.:#")
     return Header(text, "", axes[0], group, unit, beside)
 
 
 def name_axes(headers: Sequence[Header]) -> tuple[list[Header], dict[str, int]]:
     """Return headers some of which are axes only together, as `r, a, s`; and the signs of axes in LPS."""
-    words = ["".join(split_unit(one.text)[0].casefold().split()) for one in headers]
+    words = ["".join(split_unit(header.text)[0].casefold().split()) for header in headers]
     for system, usual, names in _load_axes():
         if {*names} <= {*words}:
             axes = dict(zip(names, "xyz", strict=False))
             named = [
-                Header(one.text, "", axes[word], "", one.unit or usual) if word in axes else one
-                for one, word in zip(headers, words, strict=True)
+                Header(header.text, "", axes[word], "", header.unit or usual) if word in axes else header
+                for header, word in zip(headers, words, strict=True)
             ]
             return named, {"x": -1, "y": -1} if system == "RAS" else {}
     return [*headers], {}
@@ -137,15 +141,15 @@ def translate_side(text: str, unit: str) -> str:
     text = {"+": "1", "-": "-1"}.get(text, text)
     if (word := find_meaning("value", text)).endswith(" deg"):
         return word
-    value, own = read_quantity(text) or (0.0, "")
-    is_clock = (own or unit) == "clock" and 0 < value <= 12
+    value, unit_of_text = read_quantity(text) or (0.0, "")
+    is_clock = (unit_of_text or unit) == "clock" and 0 < value <= 12
     return f"{30 * (value % 12):g} deg" if is_clock else text
 
 
 def is_side(text: str, unit: str) -> bool:
     """Whether a text states a side of a bevel by itself: 1 or -1, or degrees."""
-    value, own = read_quantity(text) or (0.0, "")
-    return (own or unit) == "deg" or (value in (1.0, -1.0) and not own)
+    value, unit_of_text = read_quantity(text) or (0.0, "")
+    return (unit_of_text or unit) == "deg" or (value in (1.0, -1.0) and not unit_of_text)
 
 
 def read_quantity(text: str) -> tuple[float, str] | None:

@@ -81,9 +81,9 @@ class Table:
         if isinstance(name, int):
             return name - 1 if 1 <= name <= len(self.headers) else None
         for texts in (self.headers, *self.first_headers):
-            found = [n for n, text in enumerate(texts) if text == name]
-            if len(found) == 1:
-                return found[0]
+            matches = [n for n, text in enumerate(texts) if text == name]
+            if len(matches) == 1:
+                return matches[0]
         return None
 
     def number(self, text: str) -> float | None:
@@ -122,11 +122,15 @@ def lay_out(grid: Grid, record: TableRecord) -> Table:
         width += 1
     for n in body:
         _require_width(grid, n, width, record)
-    names = dict.fromkeys(name for own in pairs for name in own)
+    names = dict.fromkeys(name for block_pairs in pairs for name in block_pairs)
     headers = [*(headers or [""] * width), *names]
     rows = [
-        [*grid.rows[n][:width], *[""] * (width - len(grid.rows[n])), *(own.get(name, "") for name in names)]
-        for n, own in zip(body, pairs, strict=True)
+        [
+            *grid.rows[n][:width],
+            *[""] * (width - len(grid.rows[n])),
+            *(block_pairs.get(name, "") for name in names),
+        ]
+        for n, block_pairs in zip(body, pairs, strict=True)
     ]
     table = Table(
         grid.path, grid.sheet or grid.path.name.partition(".")[0], tuple(headers), rows,
@@ -194,8 +198,8 @@ def _divide_blocks(grid: Grid, record: TableRecord) -> tuple[list[int], list[dic
     ends = {
         name
         for meaning in OWN_PAIRS
-        if (own := record.columns.get(meaning)) is not None
-        for name in own.columns
+        if (column := record.columns.get(meaning)) is not None
+        for name in column.columns
     }
     body, pairs = list[int](), list[dict[str, str]]()
     stated, is_above, block = dict[str, str](), True, 0
@@ -363,7 +367,7 @@ def _to_text(cell: Any) -> str:  # noqa: ANN401 - whatever a sheet holds
         return str(cell)
     if isinstance(cell, int | float):
         return repr(int(cell)) if float(cell).is_integer() and abs(cell) < 2**53 else repr(float(cell))
-    return "".join(one if one.isprintable() else " " for one in str(cell))[:MAX_CELL_CHARS].strip()
+    return "".join(letter if letter.isprintable() else " " for letter in str(cell))[:MAX_CELL_CHARS].strip()
 
 
 # ---- formats with a structure of their own
@@ -421,5 +425,5 @@ def _is_name(key: str) -> bool:
 def _read_unit(points: Points) -> str:
     """Return the unit that names and fields of a curve state; several as one text."""
     texts = {text for key, text in points.stated.items() if key.lower() in UNIT_FIELDS}
-    known = {find_meaning("unit", text) or text for text in {*texts, points.unit} if text}
-    return ", ".join(sorted(known))
+    units = {find_meaning("unit", text) or text for text in {*texts, points.unit} if text}
+    return ", ".join(sorted(units))

@@ -53,7 +53,7 @@ def make_tips(asked: CurveAnswers, sds: Sequence[float]) -> list[InsertionRow]:
     """
     point_sd = min(sds)
     curves = asked.curves
-    if any(len(one.line) and not one.is_deflection for one in curves):
+    if any(len(curve.line) and not curve.is_deflection for curve in curves):
         frames = place_tips(asked)
     else:
         frames = [IDENTITY_FRAME for _ in curves]
@@ -61,14 +61,14 @@ def make_tips(asked: CurveAnswers, sds: Sequence[float]) -> list[InsertionRow]:
     if angles is None:
         angles = [asked.settle("bevel_side", "1", "not stated").to_angle()] * len(curves)
     sides, turns = to_sides(angles)
-    if any(turns) and any(one.sensors for one in curves):
+    if any(turns) and any(curve.sensors for curve in curves):
         raise DataError(
             "bevels are at right angles beside curvatures",
             expected="sides 1 and -1",
             fix="import the needles of each plane",
             where=f"{curves[0].points.where()}",
         )
-    tips = np.array([one.line[0] if len(one.line) else np.zeros(3) for one in curves])
+    tips = np.array([curve.line[0] if len(curve.line) else np.zeros(3) for curve in curves])
     in_space = tips[:, 2].any()
     differ = len({*sides}) > 1 or any(turns)
     if differ and not in_space and (tips[:, 1] >= 0).all() and tips[:, 1].any():
@@ -121,7 +121,7 @@ def make_tips(asked: CurveAnswers, sds: Sequence[float]) -> list[InsertionRow]:
 
 def place_tips(asked: CurveAnswers) -> list[Frame]:
     """Turn places of tips into depths and deflections; return the frame of each."""
-    chords = [one.line[0] for one in asked.curves if len(one.line)]
+    chords = [curve.line[0] for curve in asked.curves if len(curve.line)]
     reason = "tips alone tell nothing of the direction in which needles were inserted"
     poses = asked.each("pose", usual="", reason=reason)
     ups = asked.settle("bevel", "", "the direction that is up (0 degrees, 12 o'clock) of tips in space")

@@ -67,11 +67,15 @@ def settle_rolls(asked: CurveAnswers) -> tuple[list[int], list[float]]:
     angles = asked.settle_sides() or []
     sides, rolls = to_sides(angles)
     curves = asked.curves
-    if not any(rolls) or not all(one.is_deflection for one in curves) or any(one.turns for one in curves):
+    if (
+        not any(rolls)
+        or not all(curve.is_deflection for curve in curves)
+        or any(curve.turns for curve in curves)
+    ):
         fix = "state deflections up and to the right; or import the runs of each plane"
         sides = asked.settle_flat_sides(fix)
         return sides, [0.0] * len(sides)
-    if any(one.line[:, 2].any() for one in curves):
+    if any(curve.line[:, 2].any() for curve in curves):
         return sides, rolls
     asked.settler.assumed["deflection"] = "toward the bevel of side 1: one deflection is stated of each tip"
     return sides, [0.0] * len(sides)
@@ -83,7 +87,9 @@ def settle_guide(asked: CurveAnswers) -> None:
     DataError if several tools of a file may be the tip, or no tool has the stated name.
     """
     curves, stated = asked.curves, asked.stated("guide")
-    beside = {one.name for one in curves for other in curves if one is not other and _is_beside(one, other)}
+    beside = {
+        curve.name for curve in curves for other in curves if curve is not other and _is_beside(curve, other)
+    }
     if stated is not None and stated.text == "none":
         for curve in curves:
             curve.guide = None
@@ -95,9 +101,9 @@ def settle_guide(asked: CurveAnswers) -> None:
     answer = asked.settle("guide", "", f"{names} were tracked in the same rows")
     if answer.text == "none":
         return
-    guides = [one for one in curves if f"-{one.name}".endswith(f"-{answer.text}")]
-    tips = [one for one in curves if not any(one is guide for guide in guides)]
-    pairs = [(guide, [one for one in tips if _is_paired(one, guide)]) for guide in guides]
+    guides = [curve for curve in curves if f"-{curve.name}".endswith(f"-{answer.text}")]
+    tips = [curve for curve in curves if not any(curve is guide for guide in guides)]
+    pairs = [(guide, [tip for tip in tips if _is_paired(tip, guide)]) for guide in guides]
     if not pairs or any(len(paired) != 1 for _, paired in pairs):
         raise answer.error("guide", f"none, or one of {names}, tracked beside one tip at the same times")
     for guide, (tip,) in pairs:
@@ -105,17 +111,17 @@ def settle_guide(asked: CurveAnswers) -> None:
     curves[:] = tips
 
 
-def _is_beside(one: ImportedCurve, other: ImportedCurve) -> bool:
+def _is_beside(curve: ImportedCurve, other: ImportedCurve) -> bool:
     """Whether two tools stand in the same rows of one file."""
-    own, theirs = one.points.lines, other.points.lines
-    if one.points.path != other.points.path or own is None or theirs is None:
+    lines, theirs = curve.points.lines, other.points.lines
+    if curve.points.path != other.points.path or lines is None or theirs is None:
         return False
-    return np.array_equal(own, theirs)
+    return np.array_equal(lines, theirs)
 
 
-def _is_paired(one: ImportedCurve, other: ImportedCurve) -> bool:
+def _is_paired(curve: ImportedCurve, other: ImportedCurve) -> bool:
     """Whether two tools of one file have as many readings."""
-    return one.points.path == other.points.path and len(one.line) == len(other.line)
+    return curve.points.path == other.points.path and len(curve.line) == len(other.line)
 
 
 def measure_depths(asked: CurveAnswers) -> None:
@@ -148,7 +154,7 @@ def choose_track_study(asked: CurveAnswers, plan: "ImportPlan") -> "ImportPlan":
     That is how much the directions of runs differ, which readings place a predicted run, and which
     difference of errors does not matter where one fit is compared.
     """
-    shallowest = min(float(one.depths[-1] - one.depths[0]) for one in asked.curves)
+    shallowest = min(float(curve.depths[-1] - curve.depths[0]) for curve in asked.curves)
     usual = f"{PLACING_PART * shallowest:.3g}"
     depth = asked.settle("registration_depth", usual, "a third of the shallowest run; deeper ones are scored")
     study = {
@@ -156,5 +162,5 @@ def choose_track_study(asked: CurveAnswers, plan: "ImportPlan") -> "ImportPlan":
         "margin_mm": plan.point_sd_mm,
         "margin_for": "the error of a reading",
     }
-    sds = [one.to_number("pose_angle_sd", "deg", is_above=True) for one in asked.each("pose_angle_sd")]
+    sds = [answer.to_number("pose_angle_sd", "deg", is_above=True) for answer in asked.each("pose_angle_sd")]
     return replace(plan, choices=replace(plan.choices, study=study), slope_sd_deg=max(sds))

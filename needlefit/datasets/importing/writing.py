@@ -65,15 +65,17 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, mapping: 
         **{key: mapping.values[key] for key in TEXTS if key in mapping.values},
     }
     if plan.needles:
-        draft["needles"] = {name: one.model_dump() for name, one in plan.needles.items()}
+        draft["needles"] = {name: needle.model_dump() for name, needle in plan.needles.items()}
     if plan.pose == "tracker":
         file = _write_tracks(folder, content, plan, draft)
     else:
         stems = dict[str, Surface]()
-        for one in plan.surfaces:
-            stems[make_unique(make_id(one.name, "surface"), stems)] = one
-        surfaces = {f"layers/{stem}.stl": one for stem, one in stems.items()}
-        parts = [{"file": name, "kind": one.kind, "into": one.into} for name, one in surfaces.items()]
+        for surface in plan.surfaces:
+            stems[make_unique(make_id(surface.name, "surface"), stems)] = surface
+        surfaces = {f"layers/{stem}.stl": surface for stem, surface in stems.items()}
+        parts = [
+            {"file": name, "kind": surface.kind, "into": surface.into} for name, surface in surfaces.items()
+        ]
         draft["media"] = {
             medium: {"surfaces": parts} if parts else {"boundaries_mm": [*depths]}
             for medium, depths in plan.boundaries_mm.items()
@@ -82,7 +84,9 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, mapping: 
         if any(row.curvature is not None for row in plan.rows):
             beside["curvature"] = CURVATURE_FILE
         draft |= {"frame": {"pose": plan.pose}, "insertions": {"file": "insertions.csv", **beside}}
-        curves = {one.name: one.points.to_columns() for one in content.curves if one.holds == "shapes"}
+        curves = {
+            curve.name: curve.points.to_columns() for curve in content.curves if curve.holds == "shapes"
+        }
         if curves:
             draft["centerlines"] = {"pattern": "centerlines/{id}.csv"}
         record = check_record(draft, DatasetRecord, str(first))
@@ -107,21 +111,21 @@ def write_mapping(file: Path, mapping: MappingRecord) -> None:
 def _list_places(curves: Sequence[ImportedCurve]) -> dict[str, list[_Place]]:
     """Return what each row of the tables that are written was made of, by the names of their files."""
     places: dict[str, list[_Place]] = {}
-    for one in curves:
-        rows, is_table = range(len(one.points.values)), one.points.lines is not None
-        points = [one.points.where(n) for n in rows]
-        places[f"centerlines/{one.name}.csv"] = [
-            _Place(where, f"curve {one.name} ", is_table) for where in points
+    for curve in curves:
+        rows, is_table = range(len(curve.points.values)), curve.points.lines is not None
+        points = [curve.points.where(n) for n in rows]
+        places[f"centerlines/{curve.name}.csv"] = [
+            _Place(where, f"curve {curve.name} ", is_table) for where in points
         ]
-        sensors = [f"curvature {n} of needle {one.name}" for n, _ in enumerate(one.sensors, 1)]
-        turns = [cell.where.partition(", column")[0] for _, cell in one.turns]
-        for name, own in (
-            ("insertions.csv", [_Place(one.points.where(), f"curve {one.name}: ")]),
+        sensors = [f"curvature {n} of needle {curve.name}" for n, _ in enumerate(curve.sensors, 1)]
+        turns = [cell.where.partition(", column")[0] for _, cell in curve.turns]
+        for name, row_places in (
+            ("insertions.csv", [_Place(curve.points.where(), f"curve {curve.name}: ")]),
             (TRACKS_FILE, [*map(_Place, points)]),
             (TURNS_FILE, [*map(_Place, turns)]),
             (CURVATURE_FILE, [*map(_Place, sensors)]),
         ):
-            places.setdefault(name, []).extend(own)
+            places.setdefault(name, []).extend(row_places)
     return places
 
 
@@ -138,8 +142,8 @@ def _trace_fault(fault: Fault, places: Mapping[str, Sequence[_Place]], folder: P
         if is_joined
         else ""
     )
-    what, fix = f"{place.subject}{fault.what}", f"{fault.fix}{hint}"
-    return fault.replace(what=what, where=place.where, fix=fix)
+    problem, fix = f"{place.subject}{fault.what}", f"{fault.fix}{hint}"
+    return fault.replace(what=problem, where=place.where, fix=fix)
 
 
 def _write_tracks(folder: Path, content: ImportContent, plan: ImportPlan, draft: dict[str, object]) -> Path:
