@@ -25,7 +25,6 @@ from needlefit.imaging.registration import (
     Registration,
     align,
     list_pairings,
-    make_marker_sets,
     predict_mean_target_error,
     register,
     target_covariance,
@@ -77,8 +76,9 @@ def draw(
 def count_turns(layout: Floats) -> int:
     """Return how many turns map a layout onto itself so nearly that noise hides it; 1: none."""
     count = len(layout)
-    sets = make_marker_sets(layout, layout, SD, 0.0)
-    return sum(align(sets, pairs).chi2 <= HIDDEN_CHI2 for pairs in list_pairings(sets, count, HIDDEN_CHI2))
+    given = layout, layout, np.full((count, count), SD**2)
+    pairings = list_pairings(*given, count, HIDDEN_CHI2)
+    return sum(align(*given, pairs).chi2 <= HIDDEN_CHI2 for pairs in pairings)
 
 
 def asymmetric(rng: np.random.Generator, left_out: list[int]) -> Floats:

@@ -114,17 +114,6 @@ def test_ends_in_tissue():
     assert np.linalg.norm(line.tip - truth[-1]) < 0.15
 
 
-@pytest.mark.sweep
-def test_pieces_of_one_needle_are_joined():
-    truth = cases.axis()
-    volume = cases.scan(truth)
-    volume.values[60:70] = 40.0  # 4.6 mm wiped out by a ray
-    line = found(volume)
-    assert line.points[0, 2] < 8.0
-    assert np.linalg.norm(line.tip - truth[-1]) < 0.12
-    assert cases.off(line.points, truth).max() < 0.1
-
-
 @pytest.mark.parametrize("beside", [0.0, 0.5])
 def test_a_marker_at_the_end_is_refused(beside):
     truth = cases.axis()

@@ -1,19 +1,13 @@
-"""Scans as image archives export them: folders in folders, DICOMDIR, ZIP, enhanced multi-frame files."""
+"""Scans as image archives export them: folders in folders, DICOMDIR, ZIP."""
 
 import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
-from dicom_series import COUNT, NUMBERS, STEP, a_slice, save, series
+from dicom_series import COUNT, NUMBERS, a_slice, save, series
 from pydicom.dataset import Dataset, FileMetaDataset
-from pydicom.uid import (
-    EnhancedCTImageStorage,
-    ExplicitVRLittleEndian,
-    MediaStorageDirectoryStorage,
-    RLELossless,
-    generate_uid,
-)
+from pydicom.uid import ExplicitVRLittleEndian, MediaStorageDirectoryStorage, generate_uid
 from reading_here import child_process_reader, read_here  # noqa: F401
 from scanner.write import write_volume
 from test_imaging_volume_dicom import refused
@@ -144,50 +138,3 @@ def test_damaged_encrypted_and_bloated_archives_are_refused(tmp_path, monkeypatc
     assert "unpacks" in refused(bomb).what
     monkeypatch.setenv("NEEDLEFIT_READ_GIB", "1")
     assert "unpacks" not in refused(bomb).what
-
-
-# ---- enhanced multi-frame
-
-
-def sequence(**entries):
-    one = Dataset()
-    for name, value in entries.items():
-        setattr(one, name, value)
-    return [one]
-
-
-def enhanced(order=range(COUNT), **entries):
-    """An enhanced file whose frames stand in some order, each with a rescaling of its own."""
-    data = a_slice(0, NUMBERS[0])
-    for name in ("ImagePositionPatient", "ImageOrientationPatient", "PixelSpacing"):
-        delattr(data, name)
-    del data.RescaleSlope, data.RescaleIntercept
-    data.SOPClassUID = data.file_meta.MediaStorageSOPClassUID = EnhancedCTImageStorage
-    data.NumberOfFrames = COUNT
-    data.PixelData = NUMBERS[list(order)].tobytes()
-    data.SharedFunctionalGroupsSequence = sequence(
-        PixelMeasuresSequence=sequence(PixelSpacing=[0.5, 0.4]),
-        PlaneOrientationSequence=sequence(ImageOrientationPatient=[1, 0, 0, 0, 1, 0]),
-    )
-    data.PerFrameFunctionalGroupsSequence = [
-        sequence(
-            PlanePositionSequence=sequence(ImagePositionPatient=[-10, 20, 30 + STEP * k]),
-            PixelValueTransformationSequence=sequence(
-                RescaleSlope=1 + k, RescaleIntercept=-k, RescaleType="HU"
-            ),
-        )[0]
-        for k in order
-    ]
-    for name, value in entries.items():
-        setattr(data, name, value)
-    return data
-
-
-@pytest.mark.parametrize("packed", [False, True])
-@pytest.mark.usefixtures("child_process_reader")
-def test_frames_in_any_order_with_their_own_rescaling(tmp_path, packed):
-    data = enhanced(order=[3, 0, 5, 1, 4, 2])
-    if packed:
-        data.compress(RLELossless)
-    k = np.arange(COUNT)[:, None, None]
-    assert np.array_equal(read_volume(save(tmp_path / "a", [data])).values, NUMBERS * (1 + k) - k)

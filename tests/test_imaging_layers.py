@@ -104,16 +104,16 @@ def test_the_last_solid_that_holds_a_point_is_its_layer_and_a_needle_meets_them_
 @pytest.mark.parametrize(
     ("parts", "planes", "segments", "words"),
     [
-        (1, 2, [(1, "fat"), (1, "muscle")], "overlap"),
-        (1, 1, [(1, "fat"), (2, "muscle")], "segment muscle (label 2)"),
-        (1, 1, [(2, "muscle")], "muscle (label 2)"),
-        (2, 1, [(1, "fat")], " labels 2, "),
+        (1, 2, [(1, "fat"), (1, "muscle")], "number"),
+        (1, 1, [(1, "fat"), (1, "muscle")], "overlap"),
+        (1, 1, [(1, "fat"), (2, "muscle")], "muscle (label 2)"),
+        (2, 1, [(1, "fat")], "labels 1, 2"),
     ],
 )
 def test_segments_that_are_not_those_of_the_voxels_are_refused(tmp_path, parts, planes, segments, words):
     volume = labelled(lambda p: parts - 1 + (p[:, 0] > 0))
     message = refused(save_segments(tmp_path / "l.seg.nrrd", planes * [volume], segments))
-    assert words in message and ("Segment Editor" in message) == ("overlap" in words)
+    assert words in message and ("Segment Editor" in message) == (words in ("overlap", "number"))
 
 
 @pytest.mark.parametrize(

@@ -1,22 +1,19 @@
 """Balls at known places in small synthetic scans, and the files that say where markers are."""
 
-import re
-
 import numpy as np
 import pytest
-from ct_cases import ENTRY, RECIPE, SHAPE, SPACING, axis, recipe, scan
+from ct_cases import ENTRY, RECIPE, SHAPE, SPACING, axis, scan
 from refusals import refusal
 from scanner.render import ScannerTable, SceneMarkers
 from scipy.spatial.distance import cdist
 
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
-from needlefit.imaging import markers
 from needlefit.imaging.markers import find_markers, refine_fiducials
 from needlefit.imaging.needle.segmentation import select_needle
 from needlefit.imaging.point_spread import PointSpread
-from needlefit.imaging.spheres import SphereFit, _transform_sphere
-from needlefit.imaging.volume import Volume, to_patient
+from needlefit.imaging.spheres import _transform_sphere
+from needlefit.imaging.volume import Volume
 
 PLACES = np.array([[4.13, 4.71, 20.05], [17.32, 5.28, 31.77], [5.55, 16.92, 40.4], [16.4, 17.2, 24.81]])
 
@@ -45,25 +42,18 @@ def plain():
 
 
 @pytest.mark.parametrize(
-    ("stated", "hu", "warned"),
+    "hu",
     [
-        (3.0, 5000.0, False),  # cut at 3071 HU: their flanks alone show
-        (2.2, 5000.0, True),
-        pytest.param(3.0, 12000.0, False, marks=pytest.mark.sweep),
-        pytest.param(1.8, 12000.0, True, marks=pytest.mark.sweep),
-        pytest.param(3.0, 1500.0, False, marks=pytest.mark.sweep),
-        pytest.param(2.2, 1500.0, True, marks=pytest.mark.sweep),
+        5000.0,  # cut at 3071 HU: their flanks alone show
+        pytest.param(12000.0, marks=pytest.mark.sweep),
+        pytest.param(1500.0, marks=pytest.mark.sweep),
     ],
 )
-def test_a_diameter_that_the_image_contradicts_is_a_warning_with_both(plain, stated, hu, warned):
+def test_balls_of_any_metal_are_found(plain, hu):
     volume = plain if hu == 5000 else with_balls(hu=hu)
-    found = find_markers(volume, recipe(markers={"diameter_mm": stated}), needle_of(volume))
+    found = find_markers(volume, RECIPE, needle_of(volume))
     assert found.source == "volume" and off(found).max() < 0.05
     assert (found.sd > 0.002).all() and (found.sd < 0.05).all()
-    assert len(found.warnings) == warned
-    for warning in found.warnings:
-        measured, sd, given = (float(x) for x in re.findall(r"\d+\.\d+", warning))
-        assert given == stated and sd < 0.25 and abs(measured - 3.0) <= 3 * sd
 
 
 @pytest.mark.sweep
@@ -96,28 +86,6 @@ def test_a_needle_alone_and_nothing_bright_hold_no_marker():
     caught = refusal(DataError, "", find_markers, dull, RECIPE)
     assert caught.expected
     assert caught.fix
-
-
-@pytest.mark.parametrize(
-    ("thick", "shown", "warned"), [(0.5, 4.2, 1), (2.4, 4.2, 0), (2.4, 6.0, 1), (0.5, 3.3, 0)]
-)
-def test_a_diameter_is_doubted_as_far_as_slices_show_it(thick, shown, warned, monkeypatch):
-    size = np.array([60, 60, round(32 / thick)])
-    places = np.stack(np.meshgrid(*(np.arange(n) for n in size), indexing="ij"), axis=-1) * [0.5, 0.5, thick]
-    centers = np.array([[8.0, 8, 7.2], [22, 9, 14.4], [9, 22, 21.6]])
-    near = [np.linalg.norm(places - center, axis=-1) < 1.7 for center in centers]
-    values = np.where(np.any(near, axis=0), 5000.0, 0.0).T.astype(np.float32)
-    volume = Volume(values, np.zeros(3), np.array([0.5, 0.5, thick]), np.eye(3))
-
-    def fit(_, blob, radius):
-        middle = to_patient(volume, blob.voxels.mean(axis=0)[None])[0]
-        parameters = np.full(15, np.log(radius))
-        return SphereFit(middle, 0.02, PointSpread(0.4, 0.5, 0.3), 0.01, 0.01, parameters)
-
-    monkeypatch.setattr(markers, "measure_diameter", lambda *_: (shown, 0.05))
-    found = find_markers(volume, RECIPE, fit=fit)
-    assert len(found.centers) == 3 and len(found.warnings) == warned
-    assert (found.spread is None) == (shown > 4)  # what contradicts the diameter shows no blur
 
 
 # files

@@ -145,15 +145,6 @@ def test_nrrd_spaces_become_lps(tmp_path, space, signs):
     check_plain(read_volume(nrrd(tmp_path / "a.nrrd", space=space)), signs, np.array(CORNER) * signs)
 
 
-@pytest.mark.parametrize(("code", "scale", "count"), [(0, 1.0, 1), (1, 1e3, 0), (2, 1.0, 0), (3, 1e-3, 0)])
-def test_a_nifti_file_without_a_unit_of_length_is_read_in_mm_with_a_warning(tmp_path, code, scale, count):
-    rows = np.array([0.4, 0, 0, 1.0, 0, 0.5, 0, 2.0, 0, 0, 0.9, 3.0]) / scale
-    form = {"sform": ("<12f", 280, *rows), "spacing": ("<4f", 76, 1.0, *np.array(STEPS) / scale)}
-    volume = read_volume(nifti(tmp_path / "a.nii", units=("<b", 123, code), **form))
-    np.testing.assert_allclose(volume.spacing, [0.4, 0.5, 0.9], rtol=1e-6)
-    assert len(volume.warnings) == count and all("xyzt_units" in one for one in volume.warnings)
-
-
 def test_nifti_is_ras_and_metaimage_lps(tmp_path):
     for name in ("a.nii", "a.nii.gz"):
         check_plain(read_volume(nifti(tmp_path / name)), (-1, -1, 1), (-1.0, -2.0, 3.0))
@@ -326,17 +317,10 @@ FOUR_AXES = {
     "Offset": "0 0 0 0",
     "ElementSpacing": "1 1 1 1",
 }
-SINGLE, SHEARED = ("no single volume", "time points"), ("not perpendicular", "resample")
+SINGLE, SHEARED = ("be read as a volume", "time points"), ("not perpendicular", "resample")
 SPACED = ("spacing", "")
 VECTORS = {"space_directions": "none (1,0,0) (0,1,0) (0,0,1)", "kinds": "vector domain domain domain"}
 TIMES = {"space_directions": "(1,0,0) (0,1,0) (0,0,1) none"}
-
-
-def test_a_header_that_may_not_state_its_spacing_gives_a_warning(tmp_path):
-    file = metaimage(tmp_path / "a.mha")
-    file.write_bytes(file.read_bytes().replace(b"ElementSpacing = 0.4 0.5 0.9\n", b""))
-    volume = read_volume(file)
-    assert volume.spacing.tolist() == [1, 1, 1] and len(volume.warnings) == 1
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ A ball that hangs together with its neighbour at one level stands alone at a hig
 shows at a low one.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,8 +18,8 @@ from needlefit.imaging.bright_voxels import BrightVoxels, list_bright_voxels
 from needlefit.imaging.needle.segmentation import MIN_METAL_CONTRAST_HU, median_tissue_hu
 from needlefit.imaging.point_spread import MAX_BLUR_MM, average_spreads
 from needlefit.imaging.reconstruction import MarkerResult
-from needlefit.imaging.registration import MIN_MARKERS, check_axis_signs
-from needlefit.imaging.spheres import Blob, SphereFit, fit_sphere, measure_diameter
+from needlefit.imaging.registration import check_axis_signs
+from needlefit.imaging.spheres import Blob, SphereFit, fit_sphere
 from needlefit.imaging.volume import Volume, find_outside, to_index, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
@@ -64,28 +64,7 @@ def _voxel_count(volume: Volume, diameter: float) -> float:
     return max(4.0, np.pi / 6 * diameter**3 / float(np.prod(volume.spacing)))
 
 
-# Balls whose diameter is measured: those that the stated one explains best.
-MEASURED_BALLS = 3
-DIAMETER_ERROR = 0.06  # deviation of a measured diameter by what the model does not explain, in parts of it
-SLICE_DIAMETER_ERROR = 0.25  # the same by slices that were averaged, in parts of their distance
-MIN_RESOLVED_BLURS = 2.35  # the diameter of a ball that is smaller, in deviations of the blur, does not show
-MAX_DIAMETER_SD = 3.0  # deviations of the measured diameter by which the stated one may differ from it
 FitSphere = Callable[[Volume, Blob, float], SphereFit]
-
-
-def _measure_diameter(volume: Volume, balls: Iterable[tuple[Blob, SphereFit]]) -> tuple[float, float] | None:
-    """Return the diameter of balls, and its deviation, mm; None where the blur hides it."""
-    found: list[tuple[float, float]] = []
-    for blob, ball in sorted(balls, key=lambda one: one[1].misfit)[:MEASURED_BALLS]:
-        measured = measure_diameter(volume, blob, ball)
-        if measured[0] > MIN_RESOLVED_BLURS * ball.spread.blur:
-            found.append(measured)
-    if not found:
-        return None
-    # of small balls a few are off by many of their deviations
-    diameter, sd = np.median(found, axis=0)
-    return float(diameter), float(np.hypot(sd, DIAMETER_ERROR * diameter))
-
 
 # A ball's misfit may be so many deviations of the noise around it, besides `markers.max_misfit`.
 MAX_MISFIT_NOISE = 1.5
@@ -102,8 +81,7 @@ def find_markers(
     """Return the balls of `recipe.markers.diameter_mm` in a scan: as many as there are, be it none.
 
     A ball is left out that hangs together with the needle however high the threshold, or that a face of the
-    volume cuts: its centre would be pulled aside. The diameter of a few is measured: one that contradicts the
-    stated one is a warning.
+    volume cuts: its centre would be pulled aside.
 
     `exclude`: (N, 3); voxels i, j, k of the needle, never a marker.
     `fit`: `fit_sphere`, or what keeps its results.
@@ -137,7 +115,7 @@ def find_markers(
         )
 
     tried: list[Floats] = []
-    shown: list[tuple[Blob, SphereFit]] = []
+    balls: list[SphereFit] = []
     rejected: list[tuple[float, Floats, str]] = []  # misfit over the one allowed, place, and in words
     for blob in find_blobs(volume, listed, levels, diameter, exclude):
         middle = to_patient(volume, blob.voxels.mean(axis=0)[None])[0]
@@ -154,34 +132,19 @@ def find_markers(
             rejected.append((ball.misfit / limit, middle, words))
         else:
             tried.append(ball.center)
-            shown.append((blob, ball))
-    balls = [ball for _, ball in shown]
+            balls.append(ball)
     centers = [ball.center for ball in balls]
     others = [one for one in rejected if not _is_near(one[1], centers, diameter / 2)]
     seen = f"{len(balls)} balls of {diameter:g} mm were found"
     if others:
         likest = min(others, key=lambda one: one[0])[2]
         seen += f"; {len(others)} other candidates, the most similar {likest}"
-    warnings: list[str] = []
-    # values that were cut before the scan was resampled do not show a ball's own edge
-    shows_edge = len(balls) >= MIN_MARKERS and volume.resampled_top is None
-    measured = _measure_diameter(volume, shown) if shows_edge else None
-    off = abs(measured[0] - diameter) / MAX_DIAMETER_SD if measured else 0.0
-    differs = measured is not None and off > measured[1]
-    # nor do slices that were averaged behind the cut, as nothing shows that they were
-    if measured and off > np.hypot(measured[1], SLICE_DIAMETER_ERROR * volume.grid.slice_distance):
-        warnings.append(
-            f"the balls in the scan are {measured[0]:.2f} +- {measured[1]:.2f} mm wide, but {diameter:g} mm "
-            "are stated: check markers.diameter_mm"
-        )
     return MarkerResult(
         centers=np.array(centers).reshape(-1, 3),
         sd=np.array([ball.sd for ball in balls]),
         source="volume",
         candidates=seen,
-        # with a wrong diameter the blur is wrong
-        spread=None if differs else average_spreads([ball.spread for ball in balls]),
-        warnings=tuple(warnings),
+        spread=average_spreads([ball.spread for ball in balls]),
     )
 
 

@@ -23,14 +23,14 @@ RING = RING[np.hypot(*RING.T) >= RING_RADII_MM[0]]
 # Brighter points of a ring are a marker's, HU; where most of a ring is as bright, a hub's or a holder's.
 MIN_METAL_HU = 1000.0
 CORE_RADIUS_MM = 0.45  # radius within which the needle itself is read, mm
-MIN_RING_FRACTION = 0.3  # part of a ring that must lie in the volume, with the points opposite
+MIN_RING_FRACTION = 0.3  # part of a ring that must lie in the volume
 
 
 def sample_profile(volume: Volume, points: ArrayLike, s: ArrayLike) -> IntensityProfile:
     """Return the brightness of the needle and of its surroundings at each station.
 
     The surroundings are the median of a ring: rays, which fill a part of it, do not count. Points outside the
-    volume and on markers are left out, with those opposite. Where most of the ring is metal, it is a hub or a
+    volume and on markers are left out. Where most of the ring is metal, it is a hub or a
     holder, and its brightness is returned.
 
     `points`: (N, 3); along the needle, LPS, mm; what lies beyond its tip is welcome.
@@ -40,10 +40,9 @@ def sample_profile(volume: Volume, points: ArrayLike, s: ArrayLike) -> Intensity
     ring = sample_planes(volume, where, RING)
     metal = _row_medians(ring, MIN_RING_FRACTION)
     ring = np.where(ring < MIN_METAL_HU, ring, np.nan)
-    ring = np.where(np.isfinite(ring[:, ::-1]), ring, np.nan)  # the same disc, turned round
     core = sample_planes(volume, where, disc_points(CORE_RADIUS_MM))
     around = np.where(metal > MIN_METAL_HU, metal, _row_medians(ring, MIN_RING_FRACTION))
-    return IntensityProfile(np.asarray(s, dtype=np.float64), _row_medians(core, 1.0), around, ring)
+    return IntensityProfile(np.asarray(s, dtype=np.float64), _row_medians(core, 1.0), around)
 
 
 def _row_medians(values: Floats, least: float) -> Floats:
@@ -83,7 +82,7 @@ def find_runs(profile: IntensityProfile, least: float = MIN_SIDE_LENGTH_MM) -> t
 
     What is shorter than `least`, mm, or than blur makes it belongs to its neighbours.
     """
-    s, values, _ = _known_stations(profile)
+    s, values = _known_stations(profile)
     if len(s) < 8:
         return ()
     step = float(np.median(np.diff(s)))
@@ -104,13 +103,13 @@ def find_runs(profile: IntensityProfile, least: float = MIN_SIDE_LENGTH_MM) -> t
     return tuple(map(MaterialRun, parts, bounds[:-1], bounds[1:], levels))
 
 
-def _known_stations(profile: IntensityProfile) -> tuple[Floats, Floats, Floats]:
-    """Return stations (n,) before the tip with known surroundings, these (n,), and the ring (n, N)."""
+def _known_stations(profile: IntensityProfile) -> tuple[Floats, Floats]:
+    """Return stations (n,) before the tip with known surroundings, and these (n,)."""
     known, shown = np.isfinite(profile.around), np.isfinite(profile.core)
     if shown.any():  # beyond the needle's end nothing is entered by it
         bright = profile.s[shown & (profile.core > np.nanmedian(profile.core) / 2)]
         known &= profile.s <= max(bright, default=np.inf) + 1e-6
-    return profile.s[known], profile.around[known], profile.ring[known]
+    return profile.s[known], profile.around[known]
 
 
 def _absorb_short_runs(kinds: NDArray[np.int_], step: float, shortest: float) -> NDArray[np.int_]:
@@ -150,7 +149,7 @@ def _fit_edge(
     An error function from air to soft material, with a slope behind it for a hardened beam, is fitted to the
     median around the needle, as far as the blur of no other edge reaches.
     """
-    s, values, _ = _known_stations(profile)
+    s, values = _known_stations(profile)
     gap, guess = runs[target - 1], runs[target].begin
     # the blurred air of a narrow gap shows no level: air has its own; a soft edge before it is fitted, too
     narrow = target > 1 and gap.length < NARROW_GAP_MM
@@ -214,7 +213,7 @@ MIN_STEP_STATIONS = 3  # stations on either side of a step
 
 def find_steps(profile: IntensityProfile) -> list[float]:
     """Return the places inside soft material where its brightness changes, mm, from the base on."""
-    s, values, _ = _known_stations(profile)
+    s, values = _known_stations(profile)
     runs, found = find_runs(profile), list[float]()
     for n, run in enumerate(runs):
         low = run.begin + STEP_MARGIN_MM * (n > 0)
@@ -252,7 +251,7 @@ def _fit_step(s: Floats, values: Floats, place: float) -> tuple[float, float, fl
 
 def list_materials(profile: IntensityProfile, tip: float) -> Iterator[MaterialRun]:
     """Yield what the needle passes, from its base to its `tip`, mm: runs, and the parts of soft ones."""
-    s, values, _ = _known_stations(profile)
+    s, values = _known_stations(profile)
     runs, rises = find_runs(profile), {n: at for n, at, _ in find_rises(profile)}
     begins = [rises.get(n, run.begin) for n, run in enumerate(runs)]
     steps = find_steps(profile)

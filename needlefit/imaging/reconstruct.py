@@ -124,7 +124,6 @@ def collect_warnings(one: Reconstruction, earlier: Sequence[str] = ()) -> tuple[
     return (
         *list_tip_warnings(one),
         *earlier,
-        *(() if one.markers is None else one.markers.warnings),
         *(() if one.registration is None else one.registration.warnings),
         *_entry_warnings(one),
         *_plane_warnings(one),

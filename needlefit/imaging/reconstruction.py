@@ -27,7 +27,6 @@ class MarkerResult:
     source: Literal["volume", "fiducials"]  # "volume", or "fiducials": placed by hand
     candidates: str = ""  # what was seen where balls were looked for
     spread: PointSpread | None = None  # the scanner's, as the balls show it
-    warnings: tuple[str, ...] = ()  # what a person should know of the balls
 
 
 @dataclass(frozen=True)
@@ -52,7 +51,6 @@ class IntensityProfile:
     # (P,); of the needle itself and of what surrounds it, HU; nan outside the volume.
     core: Floats
     around: Floats
-    ring: Floats  # (P, N); of every point around, opposite the N-th last the N-th, HU; nan also on metal
 
 
 MaterialKind = Literal["air", "soft", "metal"]

@@ -15,7 +15,7 @@ with equal deviations eq. 46 of J. M. Fitzpatrick et al., IEEE Trans. Med. Imagi
 
 import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,11 +32,6 @@ MIN_MARKERS = 3  # markers that fix a rigid motion
 # Location named in errors of a single set.
 FOUND_SET = "markers found in the scan"
 KNOWN_SET = "known markers"
-# Fixes for a set with too few markers.
-TOO_FEW_FIXES = {
-    FOUND_SET: "lower the markers' threshold, give their places by hand, or scan with all markers in view",
-    KNOWN_SET: "list every marker of the layout; where there are no more, add markers and scan again",
-}
 # Probability that the noise as stated makes the right pairing look too bad to be believed.
 FALSE_ALARM_PROBABILITY = 1e-4
 # Probability of another pairing that is tolerated.
@@ -49,20 +44,9 @@ MAX_PAIRINGS = 50_000  # pairings that are kept at once; beyond, the markers are
 MAX_TURN_SD_RAD = 0.1  # deviation of a turn, rad, from which on the markers count as lying on a line
 # By how much nearer everything must lie with the signs of x and y changed before they count as wrong.
 MIN_DISTANCE_RATIO = 4.0
-
-
-@dataclass(frozen=True)
-class MarkerSets:
-    """Markers in two frames, not yet paired."""
-
-    found: Floats  # (M, 3); centres in the scan, mm
-    known: Floats  # (N, 3); places in the world, mm
-    variance: Floats  # (M, N); of each pair in any one direction, mm^2
-
-    @property
-    def mirrored(self) -> "MarkerSets":
-        """The sets with the found markers reflected; any mirror plane is equivalent."""
-        return replace(self, found=-self.found)
+LAYOUT_FIX = (
+    "look at the markers that were found; check the known ones, their unit and the spacing of the voxels (mm)"
+)
 
 
 @dataclass(frozen=True)
@@ -72,7 +56,13 @@ class Alignment:
     pairs: Ints  # (P, 2); number of the found marker, number of the known one, counted from 0
     frame: Frame  # the scan's axes and origin in the world
     residuals: Floats  # (P, 3); known minus found, in the world, mm
+    variance: Floats  # (P,); of each pair in any one direction, mm^2
     chi2: float  # sum of squared residuals over their variances; 3 P - 6 on average
+
+    @property
+    def fre(self) -> float:
+        """Fiducial registration error: root mean square length of the residuals, mm."""
+        return float(np.sqrt(np.mean(np.sum(self.residuals**2, axis=1))))
 
 
 @dataclass(frozen=True)
@@ -104,42 +94,14 @@ def register(
     DataError: fewer than three markers; markers on a line; no pairing within the noise (and whether they are
     mirrored); several pairings as likely.
     """
-    sets = make_marker_sets(found, known, found_sd, known_sd)
-    _refuse_collinear(sets.known, float(np.sqrt(np.median(sets.variance))))
-    best = select_pairing(sets)
-    i, j = best.pairs.T
-    # the residuals of markers on a line say nothing of the turn about it
-    variance = sets.variance[i, j]
-    _refuse_collinear(sets.known[j], float(np.sqrt(variance.max())))
-    count, centre = len(best.pairs), sets.known[j].mean(axis=0)
-    covariance: Floats = np.asarray(
-        np.linalg.inv(information_matrix(sets.known[j] - best.residuals - centre, variance)), np.float64
-    )
-    return Registration(
-        frame=best.frame,
-        pairs=best.pairs,
-        residuals=best.residuals,
-        fre=_root_mean_square(best.residuals),
-        expected_fre=float(np.sqrt((3 - 6 / count) * variance.mean())),
-        p_value=float(chdtrc(3 * count - 6, best.chi2)),
-        known=len(sets.known),
-        centre=centre,
-        covariance=covariance,
-        warnings=tuple(_list_warnings(sets, best)),
-    )
-
-
-def make_marker_sets(
-    found: ArrayLike, known: ArrayLike, found_sd: ArrayLike, known_sd: ArrayLike
-) -> MarkerSets:
-    """Return both sets of markers; arguments and errors as those of `register`."""
     here, there = (np.asarray(given, dtype=np.float64).reshape(-1, 3) for given in (found, known))
     for points, name in ((here, FOUND_SET), (there, KNOWN_SET)):
         if len(points) < MIN_MARKERS:
             raise DataError(
                 f"{len(points)} markers are too few",
                 expected="at least three markers that are not on a line",
-                fix=f"{TOO_FEW_FIXES[name]}",
+                fix="scan with all markers in view, list every marker of the layout, or place fiducials by "
+                "hand",
                 where=name,
             )
     variance = np.square(np.broadcast_to(found_sd, len(here)))[:, None] + np.square(known_sd)
@@ -147,69 +109,73 @@ def make_marker_sets(
     if variance.min() <= 0:
         raise DataError(
             "the deviations of the markers are zero",
-            expected=(
-                "a positive deviation in the scan or in the world: it decides which pairing is believed"
-            ),
+            expected="a positive deviation in the scan or in the world: it decides which pairing is believed",
             fix="state what finding a marker's centre leaves, about a tenth to a fifth of a voxel",
             where="deviations of the markers",
         )
-    return MarkerSets(here, there, variance)
+    _refuse_collinear(there, float(np.sqrt(np.median(variance))))
+    best = select_pairing(here, there, variance)
+    paired = there[best.pairs[:, 1]]
+    # the residuals of markers on a line say nothing of the turn about it
+    _refuse_collinear(paired, float(np.sqrt(best.variance.max())))
+    count, centre = len(best.pairs), paired.mean(axis=0)
+    information = information_matrix(paired - best.residuals - centre, best.variance)
+    return Registration(
+        frame=best.frame,
+        pairs=best.pairs,
+        residuals=best.residuals,
+        fre=best.fre,
+        expected_fre=float(np.sqrt((3 - 6 / count) * best.variance.mean())),
+        p_value=float(chdtrc(3 * count - 6, best.chi2)),
+        known=len(there),
+        centre=centre,
+        covariance=np.asarray(np.linalg.inv(information), np.float64),
+        warnings=tuple(_list_warnings(here, there, variance, best)),
+    )
 
 
-def select_pairing(sets: MarkerSets) -> Alignment:
-    """Return the likeliest pairing.
+def select_pairing(found: Floats, known: Floats, variance: Floats) -> Alignment:
+    """Return the likeliest pairing of markers (M, 3) and (N, 3); `variance` (M, N) is that of each pair.
 
     One of as many pairs that gives a marker, found or known, to a different one must be much less likely.
     DataError if none fits or several do.
     """
-    most, reached, reflected = min(len(sets.found), len(sets.known)), list[Alignment](), 0
+    most = min(len(found), len(known))
     # three among many agree by chance, unless one of the sets has no more
     least = max(MIN_MARKERS + 1, int(np.ceil(MIN_PAIRED_FRACTION * most)))
     for count in (most, *range(most - 1, least - 1, -1)):
         limit = float(chdtri(3 * count - 6, FALSE_ALARM_PROBABILITY))  # that a right pairing hardly exceeds
-        listed = list_pairings(sets, count, limit + MIN_CHI2_GAP)
-        fitted = sorted((align(sets, pairs) for pairs in listed), key=lambda one: one.chi2)
-        if not reflected and any(align(sets.mirrored, pairs).chi2 <= limit for pairs in listed):
-            reflected = count
+        listed = list_pairings(found, known, variance, count, limit + MIN_CHI2_GAP)
+        fitted = [align(found, known, variance, pairs) for pairs in listed]
+        fitted = sorted((one for one in fitted if one.chi2 <= limit + MIN_CHI2_GAP), key=lambda one: one.chi2)
         if fitted and fitted[0].chi2 <= limit:
-            reached = [one for one in fitted if one.chi2 <= limit + MIN_CHI2_GAP]
             break
-    paired = len(reached[0].pairs) if reached else 0
-    if reflected > paired:
+        if any(align(-found, known, variance, pairs).chi2 <= limit for pairs in listed):
+            raise DataError(
+                f"the markers are mirrored: {count} fit reflected, fewer as they are",
+                expected="a scan of the same handedness as the world",
+                fix="one axis of the scan or of the known markers has the wrong sign: look at the "
+                "direction of "
+                "the slices and at the coordinate system of the markers' file",
+                where="markers",
+            )
+    else:
         raise DataError(
-            f"the markers are mirrored: {reflected} fit reflected, {paired} as they are",
-            expected="a scan of the same handedness as the world",
-            fix=(
-                "one axis of the scan or of the known markers has the wrong sign (x alone, "
-                "y alone or z alone): look at the direction of the slices and at the "
-                "coordinate system of the markers' file"
-            ),
+            f"no pairing of the {len(found)} found with the {len(known)} known markers fits within "
+            f"{np.sqrt(np.median(variance)):.2f} mm",
+            expected="three or more markers at distances as in the world, more if some are missing",
+            fix=f"{LAYOUT_FIX}; state larger deviations",
             where="markers",
         )
-    if not reached:
+    best = fitted[0]
+    # markers, found or known, that two pairings give to different ones
+    shared = [best.pairs[:, None] == one.pairs[None] for one in fitted]
+    others = [one for one, same in zip(fitted, shared, strict=True) if (same[..., 0] != same[..., 1]).any()]
+    odds = sum(np.exp((best.chi2 - one.chi2) / 2) for one in others)
+    if odds / (1 + odds) > MAX_WRONG_PAIRING_PROBABILITY:
         raise DataError(
-            f"no pairing of the {len(sets.found)} found with the {len(sets.known)} "
-            f"known markers fits within {np.sqrt(np.median(sets.variance)):.2f} mm",
-            expected=(
-                "three or more markers at distances as in the world, more if some are "
-                "missing and others spurious"
-            ),
-            fix=(
-                "look at the markers found in the scan; check the known ones and their "
-                "unit, mm, and the spacing of the voxels; state larger deviations"
-            ),
-            where="markers",
-        )
-    best = reached[0]
-    others = [one for one in reached[1:] if _contradict(best.pairs, one.pairs)]
-    share = sum(np.exp((best.chi2 - one.chi2) / 2) for one in others)
-    if share / (1 + share) > MAX_WRONG_PAIRING_PROBABILITY:
-        two = (best, others[0])
-        left, right = (_root_mean_square(one.residuals) for one in two)
-        pairs, instead = (", ".join(f"{i}->{j}" for i, j in one.pairs.tolist()) for one in two)
-        raise DataError(
-            f"{1 + len(others)} pairings of {len(best.pairs)} markers are likely, the "
-            f"best two leave {left:.2f} and {right:.2f} mm: {pairs} or {instead}",
+            f"{1 + len(others)} pairings of {len(best.pairs)} markers are likely, the best two leave "
+            f"{best.fre:.2f} and {others[0].fre:.2f} mm",
             expected="one pairing that is at least 1000 times as likely as all others together",
             fix="move or add a marker so that no two distances are alike",
             where="markers",
@@ -217,32 +183,26 @@ def select_pairing(sets: MarkerSets) -> Alignment:
     return best
 
 
-def _contradict(pairs: Ints, others: Ints) -> bool:
-    """Whether two pairings give a marker, found or known, to different ones."""
-    shared = pairs[:, None] == others[None]
-    return bool((shared[..., 0] != shared[..., 1]).any())
-
-
-def list_pairings(sets: MarkerSets, count: int, bound: float) -> Sequence[Ints]:
+def list_pairings(found: Floats, known: Floats, variance: Floats, count: int, bound: float) -> Sequence[Ints]:
     """Return the pairings (count, 2) at which no distance of two markers costs more than `bound`.
 
     A distance that two pairs change by D costs at least D^2 / (v_1 + v_2) in chi-squared however the sets are
     laid on each other. DataError if they are more than `MAX_PAIRINGS`.
     """
-    changes = cdist(sets.found, sets.found)[:, None, :, None] - cdist(sets.known, sets.known)[:, None]
-    fits = changes**2 <= bound * (sets.variance[..., None, None] + sets.variance)  # (M, N, M, N)
+    changes = cdist(found, found)[:, None, :, None] - cdist(known, known)[:, None]
+    fits = changes**2 <= bound * (variance[..., None, None] + variance)  # (M, N, M, N)
     rows: list[tuple[tuple[int, int], ...]] = [()]
-    for n in range(len(sets.found)):
-        left = len(sets.found) - n - 1  # found markers that may still be paired
+    for n in range(len(found)):
+        left = len(found) - n - 1  # found markers that may still be paired
         grown = [row for row in rows if len(row) + left >= count]  # this one has no partner
         for row in rows:
             if len(row) < count:
-                free = set(range(len(sets.known))) - {j for _, j in row}
+                free = set(range(len(known))) - {j for _, j in row}
                 grown += [(*row, (n, m)) for m in free if all(fits[i, j, n, m] for i, j in row)]
         rows = grown
         if len(rows) > MAX_PAIRINGS:
             raise DataError(
-                f"more than {MAX_PAIRINGS} pairings of {len(sets.found)} and {len(sets.known)} markers fit",
+                f"more than {MAX_PAIRINGS} pairings of {len(found)} and {len(known)} markers fit",
                 expected="markers whose mutual distances differ by more than their noise",
                 fix="leave out spurious markers, or state smaller deviations if they are",
                 where="markers",
@@ -250,30 +210,31 @@ def list_pairings(sets: MarkerSets, count: int, bound: float) -> Sequence[Ints]:
     return [np.array(row, dtype=np.int64) for row in rows if len(row) == count]
 
 
-def align(sets: MarkerSets, pairs: Ints) -> Alignment:
+def align(found: Floats, known: Floats, variance: Floats, pairs: Ints) -> Alignment:
     """Return the likeliest motion given the pairs."""
     i, j = pairs.T
-    found, known, weights = sets.found[i], sets.known[j], 1 / sets.variance[i, j]
-    here, there = (np.average(points, axis=0, weights=weights) for points in (found, known))
+    own, weights = variance[i, j], 1 / variance[i, j]
+    here, there = (np.average(points, axis=0, weights=weights) for points in (found[i], known[j]))
     with warnings.catch_warnings():  # of points on a line, which are refused later
         warnings.simplefilter("ignore", UserWarning)
-        rotation = Rotation.align_vectors(known - there, found - here, weights)[0].as_matrix()
+        rotation = Rotation.align_vectors(known[j] - there, found[i] - here, weights)[0].as_matrix()
     frame = Frame(there - rotation @ here, rotation)
-    residuals = known - frame.to_world(found)
-    return Alignment(pairs, frame, residuals, float(weights @ np.sum(residuals**2, axis=1)))
+    residuals = known[j] - frame.to_world(found[i])
+    return Alignment(pairs, frame, residuals, own, float(weights @ np.sum(residuals**2, axis=1)))
 
 
-def _list_warnings(sets: MarkerSets, best: Alignment) -> Iterator[str]:
+def _list_warnings(found: Floats, known: Floats, variance: Floats, best: Alignment) -> Iterator[str]:
     """Yield the warnings about a pairing, the most important first."""
-    found = np.setdiff1d(np.arange(len(sets.found)), best.pairs[:, 0])
-    known = np.setdiff1d(np.arange(len(sets.known)), best.pairs[:, 1])
-    listed, missing = (", ".join(map(str, numbers.tolist())) for numbers in (found, known))
-    if found.size:
+    listed, missing = (
+        ", ".join(map(str, np.setdiff1d(np.arange(len(points)), best.pairs[:, n]).tolist()))
+        for n, points in enumerate((found, known))
+    )
+    if listed:
         yield f"found markers {listed} (counted from 0) belong to no known one"
-    if known.size:
+    if missing:
         yield f"known markers {missing} (counted from 0) were not found"
     # flat layouts always fit a mirrored scan nearly as well
-    if align(sets.mirrored, best.pairs).chi2 - best.chi2 <= MIN_CHI2_GAP:
+    if align(-found, known, variance, best.pairs).chi2 - best.chi2 <= MIN_CHI2_GAP:
         yield "the paired markers are flat within the noise: a mirrored scan would pass unseen"
 
 
@@ -304,11 +265,6 @@ def predict_mean_target_error(registration: Registration, points: ArrayLike) -> 
     """
     a, b, c = np.maximum(np.linalg.eigvalsh(target_covariance(registration, points)), 0.0).T
     return np.sqrt(8 / np.pi) * elliprg(a, b, c)
-
-
-def _root_mean_square(difference: Floats) -> float:
-    """Return the root mean square length of vectors (N, 3)."""
-    return float(np.sqrt(np.mean(np.sum(difference**2, axis=1))))
 
 
 def _refuse_collinear(points: Floats, sd: float) -> None:

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +12,13 @@ from needlefit.imaging.volume import Volume
 from needlefit.imaging.volume_files import is_image_file, open_member, read_labels_file
 
 MAX_SEGMENTS = 64  # layers of a segmentation; a volume with more labels is a scan
-SEGMENTS_FIX = "name the layers from the outside inwards: FILE=segments:NAME,NAME"
 MAX_NAME_CHARS = 200
-EXPECTED_LABELS = "a whole number of each voxel's layer, 0 outside the tissue, and no more than a few layers"
-SAVE_AGAIN_FIX = "save the segmentation again from 3D Slicer"
+EXPECTED_LABELS = (
+    "a .seg.nrrd, or another volume (NRRD, NIfTI, MetaImage) of a whole number for each voxel's layer, 0 "
+    "outside the tissue"
+)
+SAVE_FIX = "load the segmentation in 3D Slicer, contours (RTSTRUCT) too, and save it as .seg.nrrd"
+OVERLAP_FIX = '; in the Segment Editor set "Modify other segments" to "Overwrite all" first'
 
 
 @dataclass(frozen=True)
@@ -46,97 +49,55 @@ def read_labels(path: Path, names: Sequence[str] = ()) -> Labels:
     """
     with open_member(path) as place, located(place):
         if not is_image_file(place):
-            raise DataError(
-                "is no label map",
-                expected=".seg.nrrd, or another volume of labels (NRRD, NIfTI, MetaImage)",
-                fix="load it in 3D Slicer, contours (RTSTRUCT) too, and save the segmentation as .seg.nrrd",
-            )
+            raise DataError("is no label map", expected=EXPECTED_LABELS, fix=SAVE_FIX)
         volume, texts = read_labels_file(place)
-        labels = _check_labels(volume, _parse_segments(texts))
-        chosen = choose_segments([one.name or str(one.value) for one in labels.segments], names)
-        return replace(labels, segments=tuple(labels.segments[n] for n in chosen))
-
-
-def _check_labels(volume: Volume, stated: tuple[Segment, ...]) -> Labels:
-    """Return the labels of a volume as those of the stated segments, or of nameless ones without any."""
-    low, high = float(volume.values.min()), float(volume.values.max())
-    labels_only = all(np.array_equal(slice_, np.rint(slice_)) for slice_ in volume.values)
-    if low < 0 or high >= 2**16 or not labels_only:
-        raise DataError(
-            f"its voxels run from {low:g} to "
-            f"{high:g}{', with fractions' * (not labels_only)}: this is a scan",
-            expected=EXPECTED_LABELS,
-            fix="give the segmentation, not the scan that it was made from",
-        )
-    size = int(high) + 1
-    counts = sum(np.bincount(s.ravel().astype(np.int64), minlength=size) for s in volume.values)
-    present: list[int] = [value for value in np.flatnonzero(counts).tolist() if value]
-    if not 1 <= len(present) <= MAX_SEGMENTS:
-        none = "holds no label: all voxels are 0"
-        fix = "give the segmentation of the layers" if present else "segment the layers, and save it again"
-        raise DataError(
-            f"holds {len(present)} labels: this is a scan" if present else none,
-            expected=EXPECTED_LABELS,
-            fix=fix,
-        )
-    if not stated:
-        return Labels(volume, tuple(Segment(value, "") for value in present))
-    empty = [f"{segment.name} (label {segment.value})" for segment in stated if segment.value not in present]
-    if empty:
-        raise DataError(
-            f"no voxel belongs to segment {', '.join(empty)}",
-            expected="voxels in every segment",
-            fix=f"fill the empty segments, or leave them out, or {SEGMENTS_FIX}",
-        )
-    unnamed = sorted(set(present) - {segment.value for segment in stated})
-    if unnamed:
-        raise DataError(
-            f"voxels have the labels {', '.join(map(str, unnamed))}, which no segment has",
-            expected=f"labels {', '.join(str(segment.value) for segment in stated)}",
-            fix=SAVE_AGAIN_FIX,
-        )
-    return Labels(volume, stated)
+        low, high = float(volume.values.min()), float(volume.values.max())
+        labels_only = all(np.array_equal(plane, np.rint(plane)) for plane in volume.values)
+        if low < 0 or high >= 2**16 or not labels_only:
+            fractions = ", with fractions" * (not labels_only)
+            what = f"its voxels run from {low:g} to {high:g}{fractions}: this is a scan"
+            raise DataError(what, expected=EXPECTED_LABELS, fix=SAVE_FIX)
+        counts = sum(np.bincount(plane.ravel().astype(np.int64), minlength=2**16) for plane in volume.values)
+        present: list[int] = [value for value in np.flatnonzero(counts).tolist() if value]
+        if not 1 <= len(present) <= MAX_SEGMENTS:
+            none = "holds no label: all voxels are 0"
+            what = f"holds {len(present)} labels: this is a scan" if present else none
+            raise DataError(what, expected=EXPECTED_LABELS, fix=SAVE_FIX)
+        segments = _parse_segments(texts) or tuple(Segment(value, "") for value in present)
+        values = [segment.value for segment in segments]
+        if sorted(values) != present:
+            stated = ", ".join(f"{segment.name} (label {segment.value})" for segment in segments)
+            overlap = "its segments overlap: " * (len(set(values)) < len(values))
+            raise DataError(
+                f"{overlap}its voxels have the labels {', '.join(map(str, present))}, its segments are "
+                f"{stated}",
+                expected="each voxel in one segment, and voxels in every segment",
+                fix=SAVE_FIX + (OVERLAP_FIX if overlap else ""),
+            )
+        return Labels(volume, _choose_segments(segments, names))
 
 
 def _parse_segments(texts: Mapping[str, str]) -> tuple[Segment, ...]:
-    """Return the segments that the texts of a header name, in its order; DataError if two are the same."""
+    """Return the segments that the texts of a header name, in its order."""
     segments: list[Segment] = []
     while any(f"Segment{len(segments)}_{key}" in texts for key in ("ID", "LabelValue")):
         n = len(segments)
         text = texts.get(f"Segment{n}_LabelValue", f"{n + 1}").strip()
         if not re.fullmatch(r"[0-9]{1,5}", text):
-            raise DataError(
-                f"its header states {text[:40]!r} where a segment has a whole number",
-                expected="numbers of up to 5 digits",
-                fix=SAVE_AGAIN_FIX,
-            )
+            what = f"its header states {text[:40]!r} where a segment has a whole number"
+            raise DataError(what, expected="numbers of up to 5 digits", fix=SAVE_FIX)
         segments.append(Segment(int(text), texts.get(f"Segment{n}_Name", "").strip()[:MAX_NAME_CHARS]))
-    if len({segment.value for segment in segments}) < len(segments):
-        raise DataError(
-            f"its segments overlap: {', '.join(segment.name for segment in segments)}",
-            expected="every voxel in one layer",
-            fix='in the Segment Editor set "Modify other segments" to "Overwrite all", and save it again',
-        )
     return tuple(segments)
 
 
-def choose_segments(present: Sequence[str], names: Sequence[str]) -> list[int]:
-    """Return the places of the segments that are named, in that order; all where none is.
-
-    DataError if a name is not there or twice, or there are no segments or too many.
-    """
-    chosen = [] if names else list(range(len(present)))
-    for name in names:
-        found = [n for n, one in enumerate(present) if one.casefold() == name.casefold()]
-        if len(found) != 1:
-            raise DataError(
-                f"holds {len(found) or 'no'} segment{'s' * (len(found) > 1)} called {name!r}",
-                expected=f"one of {', '.join(present[:MAX_SEGMENTS])}",
-                fix="correct the name",
-            )
-        chosen += found
-    if not 1 <= len(chosen) <= MAX_SEGMENTS:
+def _choose_segments(segments: Sequence[Segment], names: Sequence[str]) -> tuple[Segment, ...]:
+    """Return the segments that are named, in that order; all where none is."""
+    called = {(one.name or str(one.value)).casefold(): one for one in segments}
+    unknown = [name for name in names if name.casefold() not in called]
+    if unknown or len(set(names)) < len(names):
         raise DataError(
-            f"holds {len(chosen)} segments", expected=f"1 to {MAX_SEGMENTS} layers", fix=SEGMENTS_FIX
+            f"holds no segment called {unknown[0]!r}" if unknown else "one segment is named twice",
+            expected=f"names among {', '.join(called)}, from the outside inwards: FILE=segments:NAME,NAME",
+            fix="correct the name",
         )
-    return chosen
+    return tuple(called[name.casefold()] for name in names) or tuple(segments)

@@ -78,11 +78,11 @@ def _list_waves(reach: float) -> tuple[Floats, Floats]:
     return j0(np.outer(grid, across)), np.cos(np.outer(along, grid))
 
 
-# What the 15 parameters are: centre of the ball, mm; logarithm of its own HU; by which part the hardened beam
+# What the 14 parameters are: centre of the ball, mm; logarithm of its own HU; by which part the hardened beam
 # sees its middle darker, negative; logarithm of the blur in the slices, mm, and the kernel's boost; logarithm
 # of the blur across them; the background's lower level and its step, HU; the step's direction over its width,
-# 1/mm, and its offset; logarithm of the ball's radius, mm.
-CENTER, SPREAD, FACE, OFFSET, RADIUS = slice(0, 3), slice(5, 8), slice(10, 13), 13, 14
+# 1/mm, and its offset.
+CENTER, SPREAD, FACE, OFFSET = slice(0, 3), slice(5, 8), slice(10, 13), 13
 HEIGHT, DARK, _, _, _, LEVEL, STEP = range(3, 10)
 
 
@@ -101,6 +101,7 @@ class SphereVoxels:
 
     places: Floats  # (N, 3); from the blob's middle along `axes`, mm
     values: Floats  # (N,); HU
+    radius: float  # of the ball, mm
     spacing: Floats  # (3,); of the voxels along `axes`, mm
     axes: Floats  # (3, 3); its columns are the LPS directions of rows, of columns, and the slices' normal
     # Where the scanner's numbers begin and end, HU; infinite if they do not.
@@ -114,31 +115,28 @@ class SphereVoxels:
 
 
 @lru_cache(maxsize=16)  # of a step's derivatives half are of one ball
-def _show_ball(
-    near: SphereVoxels, center: tuple[float, ...], radius: float, spread: PointSpread
-) -> tuple[Floats, Floats]:
+def _show_ball(near: SphereVoxels, center: tuple[float, ...], spread: PointSpread) -> tuple[Floats, Floats]:
     """Return the images (N,) of a ball of height 1, and of its shortfall."""
     d = near.places - center
     at = np.stack([np.hypot(d[:, 0], d[:, 1]), np.abs(d[:, 2])]) / TABLE_STEP_MM
     ball, dark = (
         map_coordinates(table, at, order=3, mode="mirror", prefilter=False)
-        for table in make_tables(near.reach, radius, spread)
+        for table in make_tables(near.reach, near.radius, spread)
     )
     return ball, dark
 
 
 def render_sphere(near: SphereVoxels, theta: Floats) -> Floats:
     """Return the image (N,), HU, of a ball."""
-    radius, spread = float(np.exp(theta[RADIUS])), read_spread(theta[SPREAD])
-    ball, dark = _show_ball(near, tuple(theta[CENTER].tolist()), radius, spread)
+    ball, dark = _show_ball(near, tuple(theta[CENTER].tolist()), read_spread(theta[SPREAD]))
     around = theta[LEVEL] + theta[STEP] * ndtr(near.places @ theta[FACE] + theta[OFFSET])
     shown = around + (float(np.exp(theta[HEIGHT])) - around) * (ball + theta[DARK] * dark)
     return np.clip(shown, near.floor, near.ceiling)
 
 
-def differentiate(near: SphereVoxels, theta: Floats, count: int) -> Floats:
-    """Return the derivatives (N, count) of the image by the first parameters."""
-    here, steps = render_sphere(near, theta), STEP_SIZE * np.eye(len(theta))[:count]
+def differentiate(near: SphereVoxels, theta: Floats) -> Floats:
+    """Return the derivatives (N, 14) of the image by the parameters."""
+    here, steps = render_sphere(near, theta), STEP_SIZE * np.eye(len(theta))
     return np.stack([(render_sphere(near, theta + step) - here) / STEP_SIZE for step in steps], axis=1)
 
 
@@ -160,7 +158,6 @@ _RANGES = (
     (0.0, 3e3, 100.0),
     *3 * [(-3.0, 3.0, 0.3)],
     (-10.0, 10.0, 0.5),
-    (np.log(0.1), np.log(25.0), 0.1),
 )
 LOWER_BOUNDS, UPPER_BOUNDS, PARAMETER_SCALES = np.array(list(zip(*_RANGES, strict=True)))
 PRIOR_COLUMNS = [HEIGHT, DARK, *range(5, 8)]
@@ -188,34 +185,19 @@ class SphereFit:
     # parts of the ball's height as shown.
     misfit: float
     noise: float
-    parameters: Floats  # (15,); of the model
-
-    @property
-    def diameter(self) -> float:
-        """Diameter, mm."""
-        return 2 * float(np.exp(self.parameters[RADIUS]))
-
-
-def measure_diameter(volume: Volume, blob: Blob, ball: SphereFit) -> tuple[float, float]:
-    """Return the diameter of a ball that was fitted, and its deviation, mm."""
-    near = select_voxels(volume, blob, ball.diameter / 2)
-    noise = ball.noise * max(1.0, float(min(np.exp(ball.parameters[HEIGHT]), near.ceiling)))
-    theta, _, covariance = _fit_model(near, ball.parameters, RADIUS + 1, noise)
-    diameter = 2 * float(np.exp(theta[RADIUS]))
-    return diameter, diameter * float(np.sqrt(covariance[RADIUS, RADIUS]))
 
 
 def fit_sphere(volume: Volume, blob: Blob, radius: float) -> SphereFit:
     """Fit a ball of `radius` (mm) to the voxels around `blob`."""
     near = select_voxels(volume, blob, radius)
-    theta, residuals, covariance = _fit_model(near, _guess_parameters(near, radius), RADIUS)
-    own, spread = float(np.exp(theta[RADIUS])), read_spread(theta[SPREAD])
+    theta, residuals, covariance = _fit_model(near, _guess_parameters(near))
+    spread = read_spread(theta[SPREAD])
     height = max(1.0, float(min(np.exp(theta[HEIGHT]), near.ceiling) - theta[LEVEL]))
-    inside = np.linalg.norm(near.places - theta[CENTER], axis=1) < own + near.spacing.max()
+    inside = np.linalg.norm(near.places - theta[CENTER], axis=1) < radius + near.spacing.max()
     left = residuals[inside] if inside.any() else residuals
     misfit = float(np.sqrt(np.mean(left**2))) / height
     # thick slices average rays before the logarithm
-    systematic = np.hypot(SLICE_ERROR * near.spacing[2] ** 2 / own, MISFIT_ERROR * misfit * spread.blur)
+    systematic = np.hypot(SLICE_ERROR * near.spacing[2] ** 2 / radius, MISFIT_ERROR * misfit * spread.blur)
     formal = FORMAL_SD_FACTOR * float(np.sqrt(np.trace(covariance[CENTER, CENTER]) / 3))
     return SphereFit(
         center=to_patient(volume, blob.voxels.mean(axis=0)[None])[0] + near.axes @ theta[CENTER],
@@ -223,26 +205,21 @@ def fit_sphere(volume: Volume, blob: Blob, radius: float) -> SphereFit:
         spread=spread,
         misfit=misfit,
         noise=_spread(residuals[~inside] if np.count_nonzero(~inside) > 20 else residuals) / height,
-        parameters=theta,
     )
 
 
-def _fit_model(
-    near: SphereVoxels, first: Floats, count: int, noise: float = 0.0
-) -> tuple[Floats, Floats, Floats]:
-    """Fit the first `count` parameters, from `first` (15,) on: robust, after a plain fit for the `noise`, HU.
+def _fit_model(near: SphereVoxels, first: Floats) -> tuple[Floats, Floats, Floats]:
+    """Fit the parameters, from `first` (14,) on: robust, after a plain fit for the noise.
 
-    Return all parameters (15,), residuals (N,), HU, and the covariance (count, count) of those fitted.
+    Return them, residuals (N,), HU, and their covariance (14, 14).
     """
-    if not noise:
-        rough = FIRST_NOISE_PART * float(min(np.exp(first[HEIGHT]), near.ceiling) - first[LEVEL])
-        best = _minimize(near, first, count, rough, robust=False)
-        noise = max(1.0, rough * _spread(best.fun[: len(near.values)]))
-        first = np.append(best.x, first[count:])
-    best = _minimize(near, first, count, noise, robust=True)
-    theta, residuals = np.append(best.x, first[count:]), noise * best.fun[: len(near.values)]
-    slopes = differentiate(near, theta, count)
-    known = np.zeros(count)
+    rough = FIRST_NOISE_PART * float(min(np.exp(first[HEIGHT]), near.ceiling) - first[LEVEL])
+    best = _minimize(near, first, rough, robust=False)
+    noise = max(1.0, rough * _spread(best.fun[: len(near.values)]))
+    best = _minimize(near, best.x, noise, robust=True)
+    residuals = noise * best.fun[: len(near.values)]
+    slopes = differentiate(near, best.x)
+    known = np.zeros(len(first))
     known[PRIOR_COLUMNS] = (noise / _list_prior(near)[1]) ** 2
     bread = np.linalg.pinv(slopes.T @ slopes + np.diag(known), hermitian=True)
     scores = slopes * residuals[:, None]
@@ -251,7 +228,7 @@ def _fit_model(
     apart = tree.sparse_distance_matrix(tree, length, output_type="ndarray")
     weight = (1 - apart["v"] / length)[:, None]
     meat = scores[apart["i"]].T @ (weight * scores[apart["j"]])
-    return theta, residuals, bread @ (meat + np.diag(known)) @ bread
+    return best.x, residuals, bread @ (meat + np.diag(known)) @ bread
 
 
 def _spread(values: Floats) -> float:
@@ -284,15 +261,15 @@ def select_voxels(volume: Volume, blob: Blob, radius: float) -> SphereVoxels:
     floor = bottom if np.count_nonzero(values == bottom) > 3 else -np.inf
     every = int(np.ceil(np.count_nonzero(use) / MAX_FITTED_VOXELS))
     return SphereVoxels(
-        places[use][::every], values[use][::every].astype(np.float64), spacing, axes, floor, ceiling
+        places[use][::every], values[use][::every].astype(np.float64), radius, spacing, axes, floor, ceiling
     )
 
 
-def _guess_parameters(near: SphereVoxels, radius: float) -> Floats:
+def _guess_parameters(near: SphereVoxels) -> Floats:
     """Return where the fit begins: the blob's middle, the brightness there, and a face across the slope."""
     r = np.linalg.norm(near.places, axis=1)
-    peak = float(near.values[r <= max(radius, float(r.min()))].max())
-    rim = r >= min(radius + 0.4 * FIT_MARGIN_MM, float(np.quantile(r, 0.7)))
+    peak = float(near.values[r <= max(near.radius, float(r.min()))].max())
+    rim = r >= min(near.radius + 0.4 * FIT_MARGIN_MM, float(np.quantile(r, 0.7)))
     places, values = near.places[rim], near.values[rim]
     design = np.column_stack([places, np.ones(len(places))])
     slope = np.linalg.lstsq(design, values)[0][:3]
@@ -304,7 +281,7 @@ def _guess_parameters(near: SphereVoxels, radius: float) -> Floats:
     face = float(np.quantile(places @ slope / size, 1 - share))
     begin = [np.log(max(1.5 * peak, 100.0)), *_list_prior(near)[0][1:]]
     face_slope = steep * slope / size
-    return np.array([0.0, 0.0, 0.0, *begin, low, step, *face_slope, -steep * face, np.log(radius)])
+    return np.array([0.0, 0.0, 0.0, *begin, low, step, *face_slope, -steep * face])
 
 
 def _list_prior(near: SphereVoxels) -> tuple[Floats, Floats]:
@@ -313,31 +290,24 @@ def _list_prior(near: SphereVoxels) -> tuple[Floats, Floats]:
     return np.array([*PRIOR_MEANS, *spread.parameters]), np.array([*PRIOR_SDS, *spread.sds])
 
 
-def _minimize(near: SphereVoxels, first: Floats, count: int, noise: float, *, robust: bool) -> OptimizeResult:
-    """Return the least squares over the first `count` parameters, from `first` (15,) on.
-
-    In deviations of the noise (HU); what is known comes last.
-    """
+def _minimize(near: SphereVoxels, first: Floats, noise: float, *, robust: bool) -> OptimizeResult:
+    """Return the least squares from `first` (14,) on, in deviations of the noise (HU); the prior is last."""
     means, sds = _list_prior(near)
-    held = np.zeros((len(PRIOR_COLUMNS), count))
+    held = np.zeros((len(PRIOR_COLUMNS), len(first)))
     held[np.arange(len(PRIOR_COLUMNS)), PRIOR_COLUMNS] = 1 / sds
-    free = slice(count)
 
     def residuals(theta: Floats) -> Floats:
-        left = (render_sphere(near, np.append(theta, first[count:])) - near.values) / noise
+        left = (render_sphere(near, theta) - near.values) / noise
         return np.append(left, (theta[PRIOR_COLUMNS] - means) / sds)
-
-    def slopes(theta: Floats) -> Floats:
-        return np.vstack([differentiate(near, np.append(theta, first[count:]), count) / noise, held])
 
     return least_squares(
         residuals,
-        np.clip(first, LOWER_BOUNDS + 1e-6, UPPER_BOUNDS - 1e-6)[free],
-        jac=slopes,
-        bounds=(LOWER_BOUNDS[free], UPPER_BOUNDS[free]),
+        np.clip(first, LOWER_BOUNDS + 1e-6, UPPER_BOUNDS - 1e-6),
+        jac=lambda theta: np.vstack([differentiate(near, theta) / noise, held]),
+        bounds=(LOWER_BOUNDS, UPPER_BOUNDS),
         loss="soft_l1" if robust else "linear",
         f_scale=SOFT_LOSS_SD,
-        x_scale=PARAMETER_SCALES[free],
+        x_scale=PARAMETER_SCALES,
         ftol=FINAL_TOLERANCE if robust else FIRST_TOLERANCE,
         max_nfev=40,
     )

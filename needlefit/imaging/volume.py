@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -47,6 +46,16 @@ class VoxelGrid:
     def slice_distance(self) -> float:
         """The distance of the slices' planes, mm."""
         return float(self.spacing[2] * (self.normal @ self.direction[:, 2]))
+
+    def to_array(self) -> Floats:
+        """Return the grid as rows (6, 3): size, origin, spacing, axes; see `read_grid`."""
+        return np.vstack([self.size, self.origin, self.spacing, self.direction])
+
+
+def read_grid(rows: Floats) -> VoxelGrid:
+    """Return the grid of `VoxelGrid.to_array`."""
+    columns, lines, slices = rows[0].astype(int).tolist()
+    return VoxelGrid((columns, lines, slices), rows[1], rows[2], rows[3:])
 
 
 def check_grid(grid: VoxelGrid) -> None:
@@ -89,33 +98,6 @@ def is_tilted(direction: Floats) -> bool:
     return bool((np.abs(direction[:, :2].T @ direction[:, 2]) > AXES_COSINE_TOLERANCE).any())
 
 
-def not_one_volume(what: str) -> DataError:
-    """Return the error of an image that is no single volume; `what` says why."""
-    return DataError(
-        f"is no single volume: {what}",
-        expected="three dimensions, one number a voxel",
-        fix="export all slices as one volume; of several time points or segments, one",
-    )
-
-
-def unreadable_header(reason: str) -> DataError:
-    """Return the error of a file whose header is no volume's."""
-    return DataError(
-        f"cannot be read as a volume: {reason}",
-        expected=READABLE_VOLUMES,
-        fix="check that the file is whole and its name ends as its format wants; export it again",
-    )
-
-
-def missing_voxels(reason: str = "") -> DataError:
-    """Return the error of a file with fewer voxels than its header claims."""
-    return DataError(
-        f"its header is sound, but its voxels are damaged or not all there{reason}",
-        expected="all voxels that the header promises, in this file or the one that it names",
-        fix="the file is cut short or damaged: copy it or export it again",
-    )
-
-
 AIR_HU = -1000.0
 
 
@@ -142,12 +124,6 @@ def fill_unknown(values: NDArray[np.float32], notes: list[str], *, labels: bool)
         f"{np.count_nonzero(unknown)} voxels of the file ({part:.1f} %) have no value (NaN): they were taken "
         f"for {'no label' if labels else f'air, {filled:g} HU'}"
     )
-
-
-def grid_to_json(grid: VoxelGrid) -> dict[str, list[Any]]:
-    """Return a grid as JSON values that restore it exactly."""
-    parts = {"origin": grid.origin, "spacing": grid.spacing, "direction": grid.direction}
-    return {"size": list(grid.size), **{name: array.tolist() for name, array in parts.items()}}
 
 
 def orthogonalize(direction: Floats) -> Floats:
@@ -233,14 +209,9 @@ def list_series_files(path: Path) -> list[Path]:
 
 
 def begins_as_dicom(path: Path) -> bool:
-    """Return whether a file begins like a DICOM file: with a preamble, or with its first entry."""
+    """Return whether a file begins like a DICOM file: with a preamble."""
     with open_regular(path, sys.maxsize) as content:
-        head = content.read(DICOM_PREAMBLE_BYTES)
-    if len(head) < 8 or head.endswith(b"DICM"):
-        return len(head) >= 8
-    # an entry of the groups 2 or 8, and the name of its type, or (in group 8 alone) a length
-    typed = head[4:6].isalpha() and head[4:6].isupper()
-    return head[1] == head[3] == 0 and (head[0] in b"\x02\x08" if typed else head[::7][:2] == b"\x08\x00")
+        return content.read(DICOM_PREAMBLE_BYTES).endswith(b"DICM")
 
 
 @dataclass(frozen=True)
@@ -318,17 +289,13 @@ def find_outside(volume: Volume, points: ArrayLike) -> NDArray[np.int64]:
     return np.flatnonzero(((index < -1) | (index > last + 1)).any(axis=1))
 
 
-# The greatest number of 12 bits lies there, HU. Few voxels have it where values run over it.
+# The greatest number of 12 bits lies there, HU.
 TOP_12_BIT_HU = (2900.0, 3100.0)
-MAX_SATURATED = 10
 # Metal that is cut at it has it in nearly all of its brightest voxels: of those above a part of the top, at
 # least `MIN_BRIGHTEST`, fewer than `MAX_SHARED_FRACTION` have it in a scan that was resampled.
 BRIGHTEST_FRACTION = 0.97  # of the top, from which voxels count as brightest
 MIN_BRIGHTEST = 20  # voxels
 MAX_SHARED_FRACTION = 0.85  # of the brightest voxels
-# In metal they leave single voxels darker than both neighbours by more, HU; fewer are noise.
-MIN_HOLE_HU = 800.0  # HU
-MIN_HOLES = 30  # voxels
 MIN_RANGE_HU = 100.0  # air, tissue and metal differ by more, HU; attenuation per length never does
 
 
@@ -374,35 +341,14 @@ def require_hounsfield(volume: Volume, where: str) -> None:
     """Refuse values that cannot be HU: files without a modality hold MR, stored or attenuation values, too.
 
     HU have a fixed zero: what lies around any needle has values below it, be it air, or the noise of water.
-    Metal whose values have run over 12 bits, and begin again at the lowest, is refused, too.
     """
     low, high = float(volume.values.min()), float(volume.values.max())
     if low >= 0 or high - low < MIN_RANGE_HU:
-        fix = "export the original series in HU, e.g. as DICOM with its rescale; or convert attenuation"
-        span = f"{low:.4g} to {high:.4g}, are" if high > low else f"all {low:.4g}, are"
         raise DataError(
-            f"its values, {span} no Hounsfield units of a scan with a needle",
+            f"its values, {low:.4g} to {high:.4g}, are no Hounsfield units of a scan with a needle",
             expected="air near -1000, water near 0, metal above 1000",
-            fix=(
-                f"{'subtract the offset, 1024 as a rule; or ' * (high >= 1000)}{fix}: HU = "
-                "1000 (mu / mu of water - 1)"
-            ),
-            where=where,
-        )
-    if not TOP_12_BIT_HU[0] <= high <= TOP_12_BIT_HU[1]:
-        return
-    holes, saturated = 0, 0
-    for plane in volume.values:
-        if plane.max() > TOP_12_BIT_HU[0] / 2:
-            saturated += int(np.count_nonzero(plane >= high - 1))
-            depth = np.minimum(plane[:, :-2], plane[:, 2:]) - plane[:, 1:-1]
-            holes += int(np.count_nonzero(depth > MIN_HOLE_HU))
-    if holes >= MIN_HOLES and saturated < MAX_SATURATED:
-        raise DataError(
-            f"the values of its metal have run over 12 bits: {holes} voxels are "
-            f"{MIN_HOLE_HU:.0f} HU darker than both neighbours, and {saturated} have "
-            "the greatest number",
-            expected="metal that ends at the greatest number, or an extended scale",
-            fix="export the series again, with values that are cut or with 16 bits",
+            fix="subtract the offset, 1024 as a rule; or export the original series in HU, e.g. as DICOM "
+            "with its "
+            "rescale; or convert attenuation: HU = 1000 (mu / mu of water - 1)",
             where=where,
         )

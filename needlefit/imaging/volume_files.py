@@ -2,14 +2,13 @@
 
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.errors import ConfigError, DataError
@@ -23,6 +22,7 @@ from needlefit.imaging.volume import (
     begins_as_dicom,
     list_series_files,
     max_voxels,
+    read_grid,
 )
 from needlefit.project.archives import MAX_ARCHIVE_BYTES, name_archive, unpack_archive
 from needlefit.project.input_files import is_file, list_files, open_regular, path_exists, unreadable_error
@@ -39,8 +39,8 @@ UNPACKED_BYTES_PER_SECOND = 2**20  # the same for a DICOM header, and for compre
 def read_volume(path: Path, series: str | None = None, acquisition: str | None = None) -> Volume:
     """Read the volume in a file or folder; its geometry is checked first.
 
-    `path`: a folder with a DICOM series in it or below, its DICOMDIR, one file of the series (also an
-    enhanced multi-frame one), an NRRD, NIfTI or MetaImage file, or a .zip of any of these.
+    `path`: a folder with a DICOM series in it or below, its DICOMDIR, one file of the series,
+    an NRRD, NIfTI or MetaImage file, or a .zip of any of these.
     `series`: number or UID of the DICOM series, where a folder holds several; a file's name, where a .zip
     does.
     `acquisition`: number of the acquisition, where the series holds several.
@@ -50,25 +50,16 @@ def read_volume(path: Path, series: str | None = None, acquisition: str | None =
     """
     path = Path(path)
     if not path_exists(path):
-        raise DataError(
-            "there is no such file or folder", expected=READABLE_VOLUMES, fix="check the path", where=path
-        )
-    if any("\ud800" <= letter <= "\udfff" for letter in str(path)):  # SimpleITK takes names in UTF-8 only
-        raise DataError(
-            "its name is not valid UTF-8", expected="a name in UTF-8", fix="rename it", where=path
-        )
+        what = "there is no such file or folder"
+        raise DataError(what, expected=READABLE_VOLUMES, fix="check the path", where=path)
     with explain_missing_packages(*CT_PACKAGES), unpacked(path) as place:
         if place != path:
             place, series = _choose_member(place, series)
         if is_image_file(place):
             if series or acquisition:
-                raise DataError(
-                    "it is one image",
-                    expected="a DICOM series",
-                    fix="leave out series and acquisition",
-                    where=path,
-                )
-            return _build_volume(*_read_arrays(place, labels=False), place)
+                fix = "leave out series and acquisition"
+                raise DataError("it is one image", expected="a DICOM series", fix=fix, where=path)
+            return _read_image(place, labels=False)[0]
         if not place.is_dir():
             with open_regular(place, sys.maxsize):  # a regular file
                 pass
@@ -80,9 +71,8 @@ def read_volume(path: Path, series: str | None = None, acquisition: str | None =
         seconds = len(sizes) * SECONDS_PER_DICOM_HEADER + sum(sizes) / UNPACKED_BYTES_PER_SECOND
         arguments = {"path": str(place), "series": series, "acquisition": acquisition}
         reader = "needlefit.imaging.dicom:read_series"
-        return _build_volume(
-            *read_in_process(reader, place, arguments, max(sizes, default=0), seconds), place
-        )
+        notes, arrays = read_in_process(reader, place, arguments, max(sizes, default=0), seconds)
+        return _build_volume(arrays, notes)
 
 
 @contextmanager
@@ -147,9 +137,7 @@ def _choose_member(folder: Path, series: str | None) -> tuple[Path, str | None]:
 def read_labels_file(path: Path) -> tuple[Volume, dict[str, str]]:
     """Read an image file of labels; see `read_volume`. Also the texts of its header about segments."""
     with explain_missing_packages(*CT_PACKAGES):
-        parts, arrays = _read_arrays(path, labels=True)
-    texts = {str(key): str(text) for key, text in parts.get("texts", {}).items()}
-    return _build_volume(parts, arrays, path), texts
+        return _read_image(path, labels=True)
 
 
 def is_image_file(place: Path) -> bool:
@@ -157,33 +145,23 @@ def is_image_file(place: Path) -> bool:
     return not place.is_dir() and place.name.lower().endswith(IMAGE_SUFFIXES)
 
 
-def _read_arrays(path: Path, labels: bool) -> tuple[Any, dict[str, NDArray[Any]]]:
-    """Return the header of an image file, and its voxels as "values"."""
+def _read_image(path: Path, labels: bool) -> tuple[Volume, dict[str, str]]:
+    """Return the volume in an image file, and texts of its header."""
     with open_regular(path, sys.maxsize) as file:
         stored = file.seek(0, os.SEEK_END)
     if path.suffix.lower() in (".nhdr", ".mhd"):  # its voxels are in another file beside it
         stored = sum(one.stat().st_size for one in path.parent.iterdir() if is_file(one))
     seconds = min(4 * max_voxels(), MAX_EXPANSION * stored) / READ_BYTES_PER_SECOND
     arguments = {"path": str(path), "stored": stored, "labels": labels}
-    return read_in_process("needlefit.imaging.image_files:read_image", path, arguments, seconds=seconds)
+    reader = "needlefit.imaging.image_files:read_image"
+    header, arrays = read_in_process(reader, path, arguments, seconds=seconds)
+    return _build_volume(arrays, header["warnings"]), header["texts"]
 
 
-def _build_volume(parts: Any, arrays: Mapping[str, NDArray[Any]], path: Path) -> Volume:  # noqa: ANN401 - JSON
-    """Return the volume that a reader described and filled; DataError if the two do not agree."""
-    try:
-        names = ("origin", "spacing", "direction")
-        origin, spacing, direction = (np.array(parts[name], np.float64) for name in names)
-        values, warnings = arrays["values"], tuple(map(str, parts.get("warnings", ())))
-        if values.shape != tuple(parts["size"])[::-1] or direction.shape != (3, 3):
-            raise ValueError
-        return Volume(values, origin, spacing, direction, warnings)
-    except (AttributeError, KeyError, TypeError, ValueError):
-        raise DataError(
-            "the process that read it gave no volume",
-            expected=READABLE_VOLUMES,
-            fix="read it again",
-            where=path,
-        ) from None
+def _build_volume(arrays: Mapping[str, NDArray[Any]], warnings: Sequence[str]) -> Volume:
+    """Return the volume of what a reader has read."""
+    grid = read_grid(arrays["grid"])
+    return Volume(arrays["values"], grid.origin, grid.spacing, grid.direction, tuple(warnings))
 
 
 @contextmanager

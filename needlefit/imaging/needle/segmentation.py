@@ -69,12 +69,6 @@ MIN_COMPONENT_VOXELS = 8  # smaller components are noise
 MIN_LENGTH_MM = 20.0
 MIN_ELONGATION = 6.0
 MAX_WIDENING = 2.5
-MIN_GROWTH_MM = 3.0  # at a lower threshold a tube must become longer by so much to be taken from there, mm
-# A tube that becomes wider than that at a lower threshold takes in what surrounds it.
-MAX_GROWTH_WIDENING = 1.5
-SEED_PART = 1 / 3  # part of a needle's least length and elongation from which on pieces are joined to a part
-MAX_GAP_MM = 15.0  # gap across which pieces are joined, mm
-NEAR_END_MM = 5.0  # length of the end of a piece that must lie on the curve which it goes on, mm
 MIN_DISTINCT_CHECK = 100  # points of a component of which three must differ along it to fit a parabola
 
 
@@ -94,26 +88,15 @@ def find_tubes(
 ) -> list[Component]:
     """Return the components that may be the needle, the longest first.
 
-    They are those of the first threshold that shows one, or of a lower one at which the longest is longer:
-    near a hub or in rays it is darker. Each has the pieces that lie on its curve, which rays, a holder or the
-    change from one slice to the next cut off.
+    They are those of the first threshold that shows one.
 
     DataError if nothing is as bright as metal, or no component is a tube.
     """
-    found: list[Component] = []
     for low, high in list_thresholds(volume, recipe):
         parts = cut_components(volume, find_components(volume, low, high, bright), recipe)
         parts.sort(key=lambda part: part.length, reverse=True)
-        left, joined = [part for part in parts if is_tube(part, recipe, SEED_PART)], list[Component]()
-        while left:
-            tube, own = _join_pieces(volume, left[0], parts, recipe)
-            left = [part for part in left if not any(part is one for one in own)]
-            joined += [tube] if is_tube(tube, recipe) else []
-        joined.sort(key=lambda part: part.length, reverse=True)
-        if joined and (not found or _is_longer(volume, joined[0], found[0], recipe)):
-            found = joined
-    if found:
-        return found
+        if tubes := [part for part in parts if is_tube(part, recipe)]:
+            return tubes
     largest, width = parts[0], MAX_WIDENING * recipe.needle.diameter_mm
     raise DataError(
         f"no needle was found; the longest bright object is {largest.length:.1f} mm "
@@ -125,51 +108,6 @@ def find_tubes(
             "a recipe (--recipe); or give the needle's voxels, or points on it (--mask)"
         ),
     )
-
-
-def _is_longer(volume: Volume, tube: Component, before: Component, recipe: ReconstructionRecord) -> bool:
-    """Whether a tube is that of a higher threshold, `before`, and more of it, without what surrounds it."""
-    # a needle that runs in a slice fills its thickness
-    diameter = recipe.needle.diameter_mm
-    filled = np.sqrt(4 / np.pi * diameter * max(diameter, float(volume.spacing.max())))
-    if tube.width > MAX_GROWTH_WIDENING * max(before.width, filled):
-        return False
-    own = {tuple(voxel) for voxel in tube.voxels.tolist()}
-    same = any(tuple(voxel) in own for voxel in before.voxels.tolist())
-    return same and tube.length > before.length + MIN_GROWTH_MM
-
-
-def _join_pieces(
-    volume: Volume, needle: Component, parts: Sequence[Component], recipe: ReconstructionRecord
-) -> tuple[Component, list[Component]]:
-    """Return a needle together with the parts that lie on its curve, and these."""
-    own = [needle]
-    while part := next((one for one in parts if _continues(volume, needle, one, own, recipe)), None):
-        own.append(part)
-        needle = measure_component(volume, np.concatenate([needle.voxels, part.voxels]))
-    return needle, own
-
-
-def _continues(
-    volume: Volume, needle: Component, part: Component, own: Sequence[Component], recipe: ReconstructionRecord
-) -> bool:
-    """Whether a thin part beyond a gap lies on the needle's parabola, and is none of its `own`."""
-    if any(part is one for one in own) or part.width > MAX_WIDENING * recipe.needle.diameter_mm:
-        return False
-    points = to_patient(volume, needle.voxels)
-    center, axes = principal_axes(points)
-    local, piece = ((some - center) @ axes.T for some in (points, to_patient(volume, part.voxels)))
-    low, high = local[:, 0].min(), local[:, 0].max()
-    gap = max(low - piece[:, 0].max(), piece[:, 0].min() - high)
-    if gap > MAX_GAP_MM or np.ptp(piece[:, 0]) < 2 * part.width:
-        return False
-    far = np.abs(piece[:, 0] - np.clip(piece[:, 0], low, high))
-    near = piece[far <= far.min() + NEAR_END_MM]  # farther off, a parabola that is drawn on says little
-    curve = fit_parabola(local[:, 0], local[:, 1:])
-    off = near[:, 1:] - np.stack([np.polyval(c, near[:, 0]) for c in curve.T], axis=1)
-    # a needle that crosses slices stands one beside the other
-    thick = recipe.needle.diameter_mm + float(volume.spacing.max()) / 2
-    return float(np.linalg.norm(off, axis=1).mean()) <= thick * (1 + max(gap, 0.0) / MIN_LENGTH_MM)
 
 
 def cut_components(
@@ -233,11 +171,11 @@ def find_components(
     return parts
 
 
-def is_tube(part: Component, recipe: ReconstructionRecord, share: float = 1.0) -> bool:
-    """Return whether a component is long, thin and smooth enough to be the needle, or a `share` of it."""
+def is_tube(part: Component, recipe: ReconstructionRecord) -> bool:
+    """Return whether a component is long, thin and smooth enough to be the needle."""
     width = MAX_WIDENING * recipe.needle.diameter_mm
     return (
-        part.length >= share * max(MIN_LENGTH_MM, MIN_ELONGATION * part.width)
+        part.length >= max(MIN_LENGTH_MM, MIN_ELONGATION * part.width)
         and part.width <= width
         and part.bend <= width / 2
         and part.on_face <= MAX_FACE_FRACTION
