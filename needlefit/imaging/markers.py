@@ -216,7 +216,7 @@ def refine_fiducials(
 def _find_fault(volume: Volume, ball: SphereFit, middle: Floats, max_misfit: float) -> str:
     """Return why a fit, begun at `middle`, shows no ball, or not the whole of it; empty if it does."""
     index, last = to_index(volume, ball.center[None])[0], np.array(volume.values.shape[::-1]) - 1
-    if float((np.minimum(index, last - index) * volume.spacing).min()) < ball.diameter / 2:
+    if float((np.minimum(index, last - index) * volume.spacing).min()) < ball.radius:
         return "cut by the volume's face"
     # a blur at its upper bound means that the fit did not find a ball
     moved = np.linalg.norm(ball.center - middle) >= ball.diameter / 2

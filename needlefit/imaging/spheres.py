@@ -179,6 +179,7 @@ class SphereFit:
     """A fitted ball."""
 
     center: Floats  # (3,); LPS, mm
+    radius: float  # mm
     sd: float  # deviation in any one direction, mm
     spread: PointSpread  # with which it is blurred
     # Root mean square of what the fit leaves in and at the ball, and the deviation of the noise around it, in
@@ -201,6 +202,7 @@ def fit_sphere(volume: Volume, blob: Blob, radius: float) -> SphereFit:
     formal = FORMAL_SD_FACTOR * float(np.sqrt(np.trace(covariance[CENTER, CENTER]) / 3))
     return SphereFit(
         center=to_patient(volume, blob.voxels.mean(axis=0)[None])[0] + near.axes @ theta[CENTER],
+        radius=radius,
         sd=float(np.linalg.norm([formal, systematic, SYSTEMATIC_SD_MM])),
         spread=spread,
         misfit=misfit,
