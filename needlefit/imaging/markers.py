@@ -219,7 +219,7 @@ def _find_fault(volume: Volume, ball: SphereFit, middle: Floats, max_misfit: flo
     if float((np.minimum(index, last - index) * volume.spacing).min()) < ball.radius:
         return "cut by the volume's face"
     # a blur at its upper bound means that the fit did not find a ball
-    moved = np.linalg.norm(ball.center - middle) >= ball.diameter / 2
+    moved = np.linalg.norm(ball.center - middle) >= ball.radius
     if moved or ball.spread.blur >= 0.99 * MAX_BLUR_MM:
         return "no ball of this size explains it"
     return f"misfit {ball.misfit:.2f}, at most {max_misfit:.2f} allowed" * (ball.misfit > max_misfit)

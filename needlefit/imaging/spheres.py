@@ -302,10 +302,13 @@ def _minimize(near: SphereVoxels, first: Floats, noise: float, *, robust: bool) 
         left = (render_sphere(near, theta) - near.values) / noise
         return np.append(left, (theta[PRIOR_COLUMNS] - means) / sds)
 
+    def slopes(theta: Floats) -> Floats:
+        return np.vstack([differentiate(near, theta) / noise, held])
+
     return least_squares(
         residuals,
         np.clip(first, LOWER_BOUNDS + 1e-6, UPPER_BOUNDS - 1e-6),
-        jac=lambda theta: np.vstack([differentiate(near, theta) / noise, held]),
+        jac=slopes,
         bounds=(LOWER_BOUNDS, UPPER_BOUNDS),
         loss="soft_l1" if robust else "linear",
         f_scale=SOFT_LOSS_SD,
