@@ -113,7 +113,7 @@ def profile(*edges, width=0.5, noise=3.0, seed=1, s=S):
     for at, before, behind in edges:
         around = around + (behind - before) * ndtr((s - at) / width)
     around += noise * np.random.default_rng(seed).normal(size=len(s))
-    return IntensityProfile(s, np.where(s <= TIP, 3000.0, 35.0), around, np.empty((len(s), 0)))
+    return IntensityProfile(s, np.where(s <= TIP, 3000.0, 35.0), around)
 
 
 def choose(shown, thickness=None, distance=None):
@@ -148,7 +148,7 @@ def test_a_first_material_unlike_tissue_may_be_a_guide_that_lies_on_it(level, is
     assert (entry.doubt is None) == is_tissue
     behind = choose(shown, thickness=12.0)
     assert_allclose(behind.at, 0.0, atol=0.1)
-    assert (behind.doubt is None) == (not is_tissue)
+    assert behind.doubt is None  # it changes by 50 HU or more there
 
 
 @pytest.mark.parametrize("dip", [0.0, -100.0])
@@ -210,7 +210,7 @@ def test_metal_on_the_tissue_is_passed_and_places_to_choose_from_are_numbered():
     assert_allclose((entry.at, *entry.guide), (0.0, -8.0, 0.0), atol=0.2)
     entry = choose(profile(*plate), thickness=3.0)
     assert_allclose([one.at for one in entry.answers], [0.0], atol=0.5)
-    entry = choose(profile((-12.0, -1000.0, 95.0), (0.0, 95.0, 35.0)), thickness=12.0)
+    entry = choose(profile((-12.0, -1000.0, 75.0), (0.0, 75.0, 35.0)), thickness=12.0)
     assert_allclose([one.at for one in entry.answers], [0.0, -12.0], atol=0.1)
     assert "1: 40.0" in entry.doubt.what and "2: 52.0" in entry.doubt.what
 

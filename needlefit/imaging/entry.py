@@ -187,6 +187,11 @@ MIN_ANSWER_DISTANCE_MM = 1.0  # places nearer to each other than this are one an
 STEP_MATCH_MM = 0.6  # distance, mm, of the end of a guide on the tissue from a change of brightness there
 
 
+GUIDE_STEP_HU = (
+    50.0  # change of brightness behind a guide as bright as tissue, HU; layers of gels differ by less
+)
+
+
 def is_soft_tissue(level: float) -> bool:
     """Whether a median brightness, HU, may be that of tissue or of a gel."""
     return SOFT_TISSUE_HU[0] <= level <= SOFT_TISSUE_HU[1]
@@ -308,12 +313,16 @@ def _pass_guide(face: EntryCandidate, thickness: float, distance: float) -> Entr
 
 
 def _shows_guide(entry: EntryCandidate, soft: Sequence[MaterialRun]) -> bool:
-    """Whether what begins with the guide before an entry is no tissue, and changes where that ends."""
+    """Whether what begins with the guide before an entry is unlike tissue, and changes where that ends."""
     assert entry.guide is not None
     begin, end = entry.guide
     behind = [run for run in soft if run.end > begin]
-    changes = any(end - STEP_MATCH_MM <= run.end <= entry.at + STEP_MATCH_MM for run in behind)
-    return changes and not is_soft_tissue(behind[0].level)
+    ends = [n for n, run in enumerate(behind) if end - STEP_MATCH_MM <= run.end <= entry.at + STEP_MATCH_MM]
+    if not ends:
+        return False
+    after = behind[ends[0] + 1 :]
+    clear = bool(after) and abs(after[0].level - behind[ends[0]].level) >= GUIDE_STEP_HU
+    return clear or not is_soft_tissue(behind[0].level)
 
 
 def _list_behind_guide(

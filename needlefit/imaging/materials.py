@@ -23,14 +23,14 @@ RING = RING[np.hypot(*RING.T) >= RING_RADII_MM[0]]
 # Brighter points of a ring are a marker's, HU; where most of a ring is as bright, a hub's or a holder's.
 MIN_METAL_HU = 1000.0
 CORE_RADIUS_MM = 0.45  # radius within which the needle itself is read, mm
-MIN_RING_FRACTION = 0.3  # part of a ring that must lie in the volume
+MIN_RING_FRACTION = 0.3  # part of a ring that must lie in the volume, with the points opposite
 
 
 def sample_profile(volume: Volume, points: ArrayLike, s: ArrayLike) -> IntensityProfile:
     """Return the brightness of the needle and of its surroundings at each station.
 
     The surroundings are the median of a ring: rays, which fill a part of it, do not count. Points outside the
-    volume and on markers are left out. Where most of the ring is metal, it is a hub or a
+    volume and on markers are left out, with those opposite. Where most of the ring is metal, it is a hub or a
     holder, and its brightness is returned.
 
     `points`: (N, 3); along the needle, LPS, mm; what lies beyond its tip is welcome.
@@ -40,6 +40,7 @@ def sample_profile(volume: Volume, points: ArrayLike, s: ArrayLike) -> Intensity
     ring = sample_planes(volume, where, RING)
     metal = _row_medians(ring, MIN_RING_FRACTION)
     ring = np.where(ring < MIN_METAL_HU, ring, np.nan)
+    ring = np.where(np.isfinite(ring[:, ::-1]), ring, np.nan)  # the same disc, turned round
     core = sample_planes(volume, where, disc_points(CORE_RADIUS_MM))
     around = np.where(metal > MIN_METAL_HU, metal, _row_medians(ring, MIN_RING_FRACTION))
     return IntensityProfile(np.asarray(s, dtype=np.float64), _row_medians(core, 1.0), around)

@@ -97,7 +97,7 @@ def _simulate_reconstruction(
     registration = register(centers, placed.stated, sd, WHOLE_BOX_SETUP.known_sd)
     markers = MarkerResult(centers, sd, "volume")
     # no voxels, so no brightness along the needle
-    nothing = IntensityProfile(np.empty(0), np.empty(0), np.empty(0), np.empty((0, 0)))
+    nothing = IntensityProfile(np.empty(0), np.empty(0), np.empty(0))
     axis = _simulate_axis(insertion, placed.world, rng)
     nowhere = folder / f"{planned.id}.nrrd"
     scan = make_stated_scan(folder, planned, nowhere, nowhere)

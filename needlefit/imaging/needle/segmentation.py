@@ -69,6 +69,9 @@ MIN_COMPONENT_VOXELS = 8  # smaller components are noise
 MIN_LENGTH_MM = 20.0
 MIN_ELONGATION = 6.0
 MAX_WIDENING = 2.5
+SEED_PART = 1 / 3  # part of a needle's least length and elongation from which on pieces are joined to a part
+MAX_GAP_MM = 15.0  # gap across which pieces are joined, mm
+NEAR_END_MM = 5.0  # length of the end of a piece that must lie on the curve which it goes on, mm
 MIN_DISTINCT_CHECK = 100  # points of a component of which three must differ along it to fit a parabola
 
 
@@ -88,15 +91,21 @@ def find_tubes(
 ) -> list[Component]:
     """Return the components that may be the needle, the longest first.
 
-    They are those of the first threshold that shows one.
+    They are those of the first threshold that shows one. Each has the pieces that lie on its curve, which
+    rays, a holder or the change from one slice to the next cut off.
 
     DataError if nothing is as bright as metal, or no component is a tube.
     """
     for low, high in list_thresholds(volume, recipe):
         parts = cut_components(volume, find_components(volume, low, high, bright), recipe)
         parts.sort(key=lambda part: part.length, reverse=True)
-        if tubes := [part for part in parts if is_tube(part, recipe)]:
-            return tubes
+        left, tubes = [part for part in parts if is_tube(part, recipe, SEED_PART)], list[Component]()
+        while left:
+            tube, joined = _join_pieces(volume, left[0], parts, recipe)
+            left = [part for part in left if not any(part is one for one in joined)]
+            tubes += [tube] if is_tube(tube, recipe) else []
+        if tubes:
+            return sorted(tubes, key=lambda tube: tube.length, reverse=True)
     largest, width = parts[0], MAX_WIDENING * recipe.needle.diameter_mm
     raise DataError(
         f"no needle was found; the longest bright object is {largest.length:.1f} mm "
@@ -108,6 +117,39 @@ def find_tubes(
             "a recipe (--recipe); or give the needle's voxels, or points on it (--mask)"
         ),
     )
+
+
+def _join_pieces(
+    volume: Volume, needle: Component, parts: Sequence[Component], recipe: ReconstructionRecord
+) -> tuple[Component, list[Component]]:
+    """Return a needle together with the parts that lie on its curve, and these."""
+    own = [needle]
+    while part := next((one for one in parts if _continues(volume, needle, one, own, recipe)), None):
+        own.append(part)
+        needle = measure_component(volume, np.concatenate([needle.voxels, part.voxels]))
+    return needle, own
+
+
+def _continues(
+    volume: Volume, needle: Component, part: Component, own: Sequence[Component], recipe: ReconstructionRecord
+) -> bool:
+    """Whether a thin part beyond a gap lies on the needle's parabola, and is none of its `own`."""
+    if any(part is one for one in own) or part.width > MAX_WIDENING * recipe.needle.diameter_mm:
+        return False
+    points = to_patient(volume, needle.voxels)
+    center, axes = principal_axes(points)
+    local, piece = ((some - center) @ axes.T for some in (points, to_patient(volume, part.voxels)))
+    low, high = local[:, 0].min(), local[:, 0].max()
+    gap = max(low - piece[:, 0].max(), piece[:, 0].min() - high)
+    if gap > MAX_GAP_MM or np.ptp(piece[:, 0]) < 2 * part.width:
+        return False
+    far = np.abs(piece[:, 0] - np.clip(piece[:, 0], low, high))
+    near = piece[far <= far.min() + NEAR_END_MM]  # farther off, a parabola that is drawn on says little
+    curve = fit_parabola(local[:, 0], local[:, 1:])
+    off = near[:, 1:] - np.stack([np.polyval(c, near[:, 0]) for c in curve.T], axis=1)
+    # a needle that crosses slices stands one beside the other
+    thick = recipe.needle.diameter_mm + float(volume.spacing.max()) / 2
+    return float(np.linalg.norm(off, axis=1).mean()) <= thick * (1 + max(gap, 0.0) / MIN_LENGTH_MM)
 
 
 def cut_components(
@@ -171,11 +213,11 @@ def find_components(
     return parts
 
 
-def is_tube(part: Component, recipe: ReconstructionRecord) -> bool:
-    """Return whether a component is long, thin and smooth enough to be the needle."""
+def is_tube(part: Component, recipe: ReconstructionRecord, share: float = 1.0) -> bool:
+    """Return whether a component is long, thin and smooth enough to be the needle, or a `share` of it."""
     width = MAX_WIDENING * recipe.needle.diameter_mm
     return (
-        part.length >= max(MIN_LENGTH_MM, MIN_ELONGATION * part.width)
+        part.length >= share * max(MIN_LENGTH_MM, MIN_ELONGATION * part.width)
         and part.width <= width
         and part.bend <= width / 2
         and part.on_face <= MAX_FACE_FRACTION
