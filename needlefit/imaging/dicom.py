@@ -53,7 +53,7 @@ EXPORT_FIX = "export the series from the scanner or the archive again, as origin
 CONVERT_FIX = "load it in 3D Slicer, and save the volume as NRRD, in HU: air -1000, water 0"
 MAX_LISTED = 10  # series, files
 SLICE_BYTES_PER_PIXEL = 32  # a slice stands in memory packed, unpacked, and in double precision
-ELEMENT_HEADER_BYTES = 12  # of the voxels' entry, 8 where types are not stated
+ELEMENT_HEADER_BYTES = (12, 8)  # of the voxels' entry, where types are stated and where not
 SUFFIXES = (".dcm", ".ima", ".dicom")
 NUMBERS = {  # entries that are numbers, and of how many
     "ImagePositionPatient": 3,
@@ -137,9 +137,10 @@ def read_header(file: Path) -> DicomSlice | None:
             if stated.name != stated and "Image Storage" not in stated.name:
                 return None
             stored = file.stat().st_size - content.tell()
-            needed = ELEMENT_HEADER_BYTES + data.get("BitsAllocated", 16) * data.Rows * data.Columns // 8
+            header = ELEMENT_HEADER_BYTES[bool(data.original_encoding[0])]
+            needed = header + data.get("BitsAllocated", 16) * data.Rows * data.Columns // 8
             syntax = UID(str(data.file_meta.get("TransferSyntaxUID") or ""))
-            if stored <= ELEMENT_HEADER_BYTES or (not syntax.is_compressed and stored < needed):
+            if stored <= header or (not syntax.is_compressed and stored < needed):
                 raise EOFError
             given = {name: data.get(name) for name in NUMBERS}
             number = {

@@ -152,6 +152,12 @@ def list_tip_warnings(one: Reconstruction) -> list[str]:
             "its brightness: another diameter or bevel than stated, metal or air beside it, or something "
             "moved between slices; look at it"
         )
+    if np.isfinite(needle.bevel_deg):
+        notes.append(
+            f"the image shows a bevel of {needle.bevel_deg:.0f} degrees, which contradicts "
+            "needle.bevel_deg: the "
+            "tip was fitted with the angle that the image shows; correct the recipe"
+        )
     excess = one.profile.core - one.profile.around
     from_tip = one.profile.s - one.depth
     shaft = excess[(from_tip > -END_LENGTH_MM) & (from_tip < -TIP_CLEARANCE_MM)]

@@ -75,6 +75,7 @@ class Centerline:
     tip_disagreement: float = 0.0
     tip_source: TipSource = "model"  # "model", or "threshold" where the model's tip was not to be trusted
     misfit: float = 0.0  # how far the image of the end is from the model, in parts of its brightness
+    bevel_deg: float = np.nan  # angle of the bevel that the image shows, where it contradicts the stated one
     # Deviation of the tip along the slices' normal, mm, of a needle near thick slices; otherwise 0.
     normal_sd: float = 0.0
 
@@ -320,6 +321,7 @@ def _sample_centerline(
         end.disagreement,
         end.source,
         end.misfit,
+        end.bevel_deg,
         0.0 if axis.slice_sds is None else float(axis.slice_sds[1, -1]),
     )
 

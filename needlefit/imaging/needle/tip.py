@@ -156,7 +156,6 @@ ROUGH_STEPS = 8  # of a first fit
 STEPS = 30  # of a last fit
 BLOCK_LENGTH_MM = 2.0  # length of the blocks of voxels whose residuals go together, mm
 EDGE_SD_MM = 0.06  # what no voxel determines of the place along, mm: a scanner's edge is not the model's
-BLUNT_COTANGENT_SD = 1e-3  # deviation of the cotangent of a blunt end's angle
 DERIVATIVE_STEP = np.array(1e-3)  # relative step of the derivatives
 MAX_BEVEL_DEG = 85.0  # a bevel steeper than this has no side
 # By which artefacts near the tip weaken what its image shows of the bevel, beyond the blocks' errors.
@@ -185,6 +184,10 @@ PARAMETER_SCALES = np.array([0.2, 0.3, 0.1, 0.1, 0.1, 50, 0.3, 0.1, 0.3, 0.2, 0.
 HELD = [U, V, HEIGHT, COT, *range(7, 10), DARK, STREAK]  # parameters of which something is known before
 # What is known before is not left by more deviations: artefacts would be taken for the needle's image.
 MAX_PRIOR_SD = 3.0
+# Deviations of the stated angle from which on the image contradicts it (right ones: at most 1.0, bevels of 20
+# and 60 degrees for 30: 3.0), and the deviation of the cotangent where it is then fitted.
+MAX_BEVEL_PULL_SD = 2.5
+FREE_COTANGENT_SD = 3.0
 
 
 @dataclass(frozen=True)
@@ -241,7 +244,7 @@ class TipProblem:
         steep = max(float(np.abs(end.tangents @ normal).min()), 1e-6)
         self.ray = min(MAX_RAY_MM, (needle.diameter_mm + volume.grid.slice_distance) / steep)
         cot = heel / needle.diameter_mm
-        cot_sd = np.deg2rad(needle.bevel_sd_deg) * (1 + cot**2) if self.rolled else BLUNT_COTANGENT_SD
+        cot_sd = np.deg2rad(needle.bevel_sd_deg) * (1 + cot**2)
         cot_sd /= np.hypot(1.0, self.ray / BEVEL_RAY_MM)
         dark_sd = np.clip(DARK_SD_PER_MM * self.ray, MIN_DARK_SD, MAX_DARK_SD)
         known = spread or expected_spread(volume.grid.slice_distance)
@@ -303,6 +306,17 @@ class TipProblem:
         turned = best.x + np.pi * np.eye(12)[ROLL]
         starts = [best.x, turned] if self.rolled else [best.x]
         return min((self._minimize(start, STEPS) for start in starts), key=lambda one: one.cost)
+
+    def contradicts_bevel(self, best: OptimizeResult) -> bool:
+        """Return whether the image shows another bevel than the stated one, `MAX_BEVEL_PULL_SD` from it."""
+        known = HELD.index(COT)
+        return bool(abs(best.x[COT] - self.means[known]) > MAX_BEVEL_PULL_SD * self.sds[known])
+
+    def free_bevel(self) -> None:
+        """Forget the stated angle of the bevel."""
+        self.rolled, self.sds[HELD.index(COT)] = True, FREE_COTANGENT_SD
+        for bound, limit in zip(self.bounds, (LOWER_BOUNDS, UPPER_BOUNDS), strict=True):
+            bound[COT] = limit[COT]
 
     def _minimize(self, start: Floats, steps: int) -> OptimizeResult:
         return least_squares(
@@ -430,6 +444,7 @@ class TipFit:
     # What the place along comes from: "model", "threshold" where the model is not to be trusted, or "hand".
     source: TipSource
     misfit: float = 0.0  # how far the image is from the model, in parts of its brightness
+    bevel_deg: float = np.nan  # angle of the bevel as the image shows it, where it contradicts the stated one
 
 
 def fit_tip(
@@ -451,7 +466,11 @@ def fit_tip(
     of a millimetre is enough.
     """
     problem = TipProblem(volume, axis, needle, guess, spread)
-    best = problem.fit(rough=rough)
+    best, bevel_deg = problem.fit(rough=rough), np.nan
+    if not rough and problem.contradicts_bevel(best):
+        problem.free_bevel()
+        best = problem.fit(rough=False)
+        bevel_deg = float(np.degrees(np.arctan2(1.0, best.x[COT])))
     covariance = problem.covariance(best)
     variance = np.diag(covariance)
     away = problem.threshold_disagreement(best.x)
@@ -484,7 +503,8 @@ def fit_tip(
     bevel = np.cos(roll) * u + np.sin(roll) * v if sided else np.full(3, np.nan)
     point = there.origins[0] + best.x[U] * u + best.x[V] * v
     sd = np.array([along, across])
-    return TipFit(at, point, sd, bevel, float(probability), away, source, problem.misfit(best.x))
+    misfit = problem.misfit(best.x)
+    return TipFit(at, point, sd, bevel, float(probability), away, source, misfit, bevel_deg)
 
 
 # Deviation of the place along, in parts of the length of the needle that rays pass: they harden, and hide its
