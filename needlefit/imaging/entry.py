@@ -9,7 +9,7 @@ Where the tissue begins is chosen among the places where air turns into soft mat
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import takewhile
+from itertools import pairwise, takewhile
 
 import numpy as np
 
@@ -180,8 +180,8 @@ def find_entry_arc_length(points: Floats, pose: EntryPose) -> float:
 # Medians of soft tissue and of gels, HU: fat has -120 or more, connective tissue 100 (Schneider et al., 2000,
 # doi:10.1088/0031-9155/45/2/314); near metal both are darker. Acrylic, of which guides are made, has 120.
 SOFT_TISSUE_HU = (-150.0, 100.0)
-# Deviation of the stated thickness of a guide, with a film of air behind it that is too thin to show, mm.
-GUIDE_SD_MM = 0.2
+GUIDE_SD_MM = 0.05  # deviation of the stated thickness of a guide, mm
+METAL_FACE_SD_MM = 0.2  # of the faces of metal, whose streaks hide what lies beside it, mm
 MATCH_MM = 1.5  # what is solid along the needle for a guide's thickness, missed by no more, is the guide, mm
 MIN_ANSWER_DISTANCE_MM = 1.0  # places nearer to each other than this are one answer, mm
 STEP_MATCH_MM = 0.6  # distance, mm, of the end of a guide on the tissue from a change of brightness there
@@ -242,7 +242,13 @@ def choose_entry(
         whole, cut = _list_behind_guide(runs, rises, guide_thickness)
         whole += [one for one in metal if one.guide and abs(np.diff(one.guide)[0] - guide_thickness) < 1e-9]
         flush = [_pass_guide(face, guide_thickness, guide_distance or 0.0) for face in faces]
-        found = whole or [one for one in flush if _shows_guide(one, soft)] or cut
+        shown = [(one, _find_guide_end(one, soft)) for one in flush]
+        ended = [
+            replace(one, sd=float(np.hypot(one.sd, end - one.guide[1])))
+            for one, end in shown
+            if one.guide is not None and end is not None
+        ]
+        found = whole or ended or cut
         if len(found) == 1:
             return found[0]
         offered = (found or (flush if len(faces) == 1 else faces) or metal)[-1]
@@ -291,7 +297,7 @@ def _list_behind_metal(
         if thickness is not None and abs(end - begin - thickness) <= MATCH_MM:
             middle = (begin + end) / 2
             begin, end = middle - thickness / 2, middle + thickness / 2
-        found.append(EntryCandidate(float(end) + distance, GUIDE_SD_MM, (float(begin), float(end))))
+        found.append(EntryCandidate(float(end) + distance, METAL_FACE_SD_MM, (float(begin), float(end))))
     return found
 
 
@@ -312,17 +318,16 @@ def _pass_guide(face: EntryCandidate, thickness: float, distance: float) -> Entr
     return EntryCandidate(end + distance, float(np.hypot(face.sd, GUIDE_SD_MM)), (face.at, end))
 
 
-def _shows_guide(entry: EntryCandidate, soft: Sequence[MaterialRun]) -> bool:
-    """Whether what begins with the guide before an entry is unlike tissue, and changes where that ends."""
+def _find_guide_end(entry: EntryCandidate, soft: Sequence[MaterialRun]) -> float | None:
+    """Return where what begins with the guide before an entry ends; None if that is elsewhere, or no guide."""
     assert entry.guide is not None
     begin, end = entry.guide
     behind = [run for run in soft if run.end > begin]
-    ends = [n for n, run in enumerate(behind) if end - STEP_MATCH_MM <= run.end <= entry.at + STEP_MATCH_MM]
-    if not ends:
-        return False
-    after = behind[ends[0] + 1 :]
-    clear = bool(after) and abs(after[0].level - behind[ends[0]].level) >= GUIDE_STEP_HU
-    return clear or not is_soft_tissue(behind[0].level)
+    for run, after in pairwise(behind):
+        if end - STEP_MATCH_MM <= run.end <= entry.at + STEP_MATCH_MM:
+            clear = abs(after.level - run.level) >= GUIDE_STEP_HU or not is_soft_tissue(behind[0].level)
+            return run.end if clear else None
+    return None
 
 
 def _list_behind_guide(

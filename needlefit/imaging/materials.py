@@ -75,7 +75,7 @@ MAX_WIDTH_MM = 2.0  # the same
 EDGE_SCALES = (0.2, 0.3, 50.0, 50.0, 10.0, 0.2, 50.0)  # typical changes of the parameters of an edge
 MIN_NOISE_HU = 2.0  # deviation of a median, HU
 SOFT_LOSS_SD = 2.0  # stations that stray by more than so many deviations of the noise count less
-EDGE_SD_MM = 0.015  # deviation of any edge that no scatter shows, mm: a kernel's sides are not alike
+EDGE_SD_MM = 0.02  # deviation of any edge that no scatter shows, mm: a kernel's sides are not alike
 
 
 def find_runs(profile: IntensityProfile, least: float = MIN_SIDE_LENGTH_MM) -> tuple[MaterialRun, ...]:
@@ -200,9 +200,12 @@ def _fit_edge(
     spread = float(np.sum(left**2)) / max(1, len(s) - (7 if double else 5))
     spread *= correlation_factor(left[:, None], 7 if double else 5)
     variance = float(np.linalg.pinv(slopes @ slopes.T)[0, 0]) * spread
-    # an edge sharper than the stations are dense leaves no slope, but lies between two of them: uniform there
-    between = max(float(np.median(np.diff(s))), 2 * best[1]) / np.sqrt(12)
-    return float(best[0]), float(np.hypot(min(np.sqrt(variance), between), EDGE_SD_MM))
+    # an edge sharper than the stations are dense leaves no slope: it lies between two, where the misfit
+    # in parts of its height says
+    step, sd = float(np.median(np.diff(s))), np.sqrt(variance)
+    if best[1] < step:
+        sd = min(sd, step * np.sqrt(np.mean(left**2)) / (best[3] - best[2]))
+    return float(best[0]), float(np.hypot(min(sd, 2 * max(step, best[1]) / np.sqrt(12)), EDGE_SD_MM))
 
 
 STEP_REACH_MM = 6.0  # distance to either side of a step over which it is fitted, mm
