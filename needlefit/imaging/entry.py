@@ -319,7 +319,7 @@ def _pass_guide(face: EntryCandidate, thickness: float, distance: float) -> Entr
 
 
 def _find_guide_end(entry: EntryCandidate, soft: Sequence[MaterialRun]) -> float | None:
-    """Return where what begins with the guide before an entry ends; None if that is elsewhere, or no guide."""
+    """Return where the material of the guide before an entry ends; None if elsewhere, or it is no guide."""
     assert entry.guide is not None
     begin, end = entry.guide
     behind = [run for run in soft if run.end > begin]
