@@ -151,7 +151,7 @@ def test_a_first_material_unlike_tissue_may_be_a_guide_that_lies_on_it(level, is
     assert behind.doubt is None  # it changes by 50 HU or more there
 
 
-@pytest.mark.parametrize("dip", [0.0, -100.0])
+@pytest.mark.parametrize("dip", [0.0, -800.0])
 @pytest.mark.parametrize("level", [360.0, 900.0])
 def test_a_plate_on_the_tissue_ends_after_its_thickness_and_what_is_stated_of_the_gap(level, dip):
     # a film of air, of which blur leaves a dip, moves the change of brightness
@@ -161,7 +161,7 @@ def test_a_plate_on_the_tissue_ends_after_its_thickness_and_what_is_stated_of_th
     assert entry.doubt is None
     assert_allclose((entry.at, *entry.guide), (face.at + 8.0, face.at, face.at + 8.0), atol=1e-9)
     assert_allclose(entry.at, 0.0, atol=0.05)
-    assert entry.sd > 0.1
+    assert entry.sd > (0.2 if dip else 0.05)  # what is darker than both may be a film
     entry = choose(flush, thickness=8.0, distance=0.5)
     assert_allclose((entry.at, *entry.guide), (0.5, -8.0, 0.0), atol=0.05)
 

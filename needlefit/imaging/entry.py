@@ -23,6 +23,7 @@ from needlefit.geometry.surfaces import Surface
 from needlefit.imaging.materials import (
     METAL_BLUR_MM,
     MIN_SIDE_LENGTH_MM,
+    STEP_MARGIN_MM,
     find_rises,
     find_runs,
     list_materials,
@@ -181,6 +182,7 @@ def find_entry_arc_length(points: Floats, pose: EntryPose) -> float:
 # doi:10.1088/0031-9155/45/2/314); near metal both are darker. Acrylic, of which guides are made, has 120.
 SOFT_TISSUE_HU = (-150.0, 100.0)
 GUIDE_SD_MM = 0.05  # deviation of the stated thickness of a guide, mm
+FILM_SD_MM = 0.2  # of its end, where a film of air may lie behind it, mm
 METAL_FACE_SD_MM = 0.2  # of the faces of metal, whose streaks hide what lies beside it, mm
 MATCH_MM = 1.5  # what is solid along the needle for a guide's thickness, missed by no more, is the guide, mm
 MIN_ANSWER_DISTANCE_MM = 1.0  # places nearer to each other than this are one answer, mm
@@ -242,12 +244,8 @@ def choose_entry(
         whole, cut = _list_behind_guide(runs, rises, guide_thickness)
         whole += [one for one in metal if one.guide and abs(np.diff(one.guide)[0] - guide_thickness) < 1e-9]
         flush = [_pass_guide(face, guide_thickness, guide_distance or 0.0) for face in faces]
-        shown = [(one, _find_guide_end(one, soft)) for one in flush]
-        ended = [
-            replace(one, sd=float(np.hypot(one.sd, end - one.guide[1])))
-            for one, end in shown
-            if one.guide is not None and end is not None
-        ]
+        ends = [(one, _doubt_guide_end(profile, one, soft)) for one in flush]
+        ended = [replace(one, sd=float(np.hypot(one.sd, sd))) for one, sd in ends if sd is not None]
         found = whole or ended or cut
         if len(found) == 1:
             return found[0]
@@ -318,15 +316,23 @@ def _pass_guide(face: EntryCandidate, thickness: float, distance: float) -> Entr
     return EntryCandidate(end + distance, float(np.hypot(face.sd, GUIDE_SD_MM)), (face.at, end))
 
 
-def _find_guide_end(entry: EntryCandidate, soft: Sequence[MaterialRun]) -> float | None:
-    """Return where the material of the guide before an entry ends; None if elsewhere, or it is no guide."""
+def _doubt_guide_end(
+    profile: IntensityProfile, entry: EntryCandidate, soft: Sequence[MaterialRun]
+) -> float | None:
+    """Return how uncertain the scan leaves the end of the guide before an entry, mm; None: it shows no guide.
+
+    What is darker there than the guide and what follows may be a film of air that is too thin to show.
+    """
     assert entry.guide is not None
     begin, end = entry.guide
     behind = [run for run in soft if run.end > begin]
     for run, after in pairwise(behind):
         if end - STEP_MATCH_MM <= run.end <= entry.at + STEP_MATCH_MM:
-            clear = abs(after.level - run.level) >= GUIDE_STEP_HU or not is_soft_tissue(behind[0].level)
-            return run.end if clear else None
+            if abs(after.level - run.level) < GUIDE_STEP_HU and is_soft_tissue(behind[0].level):
+                return None
+            near = np.abs(profile.s - run.end) < STEP_MARGIN_MM
+            film = np.nanmin(profile.around[near]) < min(run.level, after.level) - GUIDE_STEP_HU
+            return float(np.hypot(run.end - end, FILM_SD_MM * film))
     return None
 
 

@@ -185,9 +185,12 @@ HELD = [U, V, HEIGHT, COT, *range(7, 10), DARK, STREAK]  # parameters of which s
 # What is known before is not left by more deviations: artefacts would be taken for the needle's image.
 MAX_PRIOR_SD = 3.0
 # Deviations of the stated angle from which on the image contradicts it (right ones: at most 1.0, bevels of 20
-# and 60 degrees for 30: 3.0), and the deviation of the cotangent where it is then fitted.
+# and 60 degrees for 30: 3.0), and the deviation of an angle that is not known, degrees.
 MAX_BEVEL_PULL_SD = 2.5
-FREE_COTANGENT_SD = 3.0
+FREE_BEVEL_SD_DEG = 45.0
+# Misfit of that fit over that with the stated angle, up to which it is believed: of wrong angles at most
+# 0.85, of right ones that artefacts contradict 0.99 and more.
+MAX_BEVEL_MISFIT_RATIO = 0.9
 
 
 @dataclass(frozen=True)
@@ -311,12 +314,6 @@ class TipProblem:
         """Return whether the image shows another bevel than the stated one, `MAX_BEVEL_PULL_SD` from it."""
         known = HELD.index(COT)
         return bool(abs(best.x[COT] - self.means[known]) > MAX_BEVEL_PULL_SD * self.sds[known])
-
-    def free_bevel(self) -> None:
-        """Forget the stated angle of the bevel."""
-        self.rolled, self.sds[HELD.index(COT)] = True, FREE_COTANGENT_SD
-        for bound, limit in zip(self.bounds, (LOWER_BOUNDS, UPPER_BOUNDS), strict=True):
-            bound[COT] = limit[COT]
 
     def _minimize(self, start: Floats, steps: int) -> OptimizeResult:
         return least_squares(
@@ -468,9 +465,12 @@ def fit_tip(
     problem = TipProblem(volume, axis, needle, guess, spread)
     best, bevel_deg = problem.fit(rough=rough), np.nan
     if not rough and problem.contradicts_bevel(best):
-        problem.free_bevel()
-        best = problem.fit(rough=False)
-        bevel_deg = float(np.degrees(np.arctan2(1.0, best.x[COT])))
+        any_bevel = {"bevel_deg": min(needle.bevel_deg, MAX_BEVEL_DEG - 1), "bevel_sd_deg": FREE_BEVEL_SD_DEG}
+        free = TipProblem(volume, axis, needle.model_copy(update=any_bevel), guess, spread)
+        fitted = free.fit(rough=False)
+        if free.misfit(fitted.x) < MAX_BEVEL_MISFIT_RATIO * problem.misfit(best.x):
+            problem, best = free, fitted
+            bevel_deg = float(np.degrees(np.arctan2(1.0, best.x[COT])))
     covariance = problem.covariance(best)
     variance = np.diag(covariance)
     away = problem.threshold_disagreement(best.x)
