@@ -165,6 +165,23 @@ def test_needles_that_cannot_be_interpolated_over_depths_are_simulated_each():
     assert np.ptp(each.points[:, -1, 1]) > 1.0
 
 
+def test_draws_with_depths_far_beyond_the_nodes_are_simulated():
+    rng = np.random.default_rng(3)
+    planned = replace(insertion(55.0, (20.0, 40.0), (1, 2, 1)), boundary_sd=0.3)
+    moduli = TRUTH["mu1_pa"] * np.exp(0.5 * rng.standard_normal(200))
+    sets = [{**TRUTH, "mu1_pa": mu} for mu in moduli.tolist()]
+    deep, wrong = draw_depth_errors(planned, len(sets), rng)
+    wrong[7, 1] = 2.5  # mm: eight standard deviations
+    needles = DrawSimulation(sets, medium(), planned, np.linspace(0.0, 55.0, 5), deep, wrong)
+    # a tip that is measured to 1 mm allows for interpolation
+    together, each = needles.simulate(1.0).points, needles.simulate_each(np.arange(len(sets))).points
+    errors = np.abs(together - each).max(axis=(1, 2))
+    far = np.abs(wrong[:, :2]).max(axis=1) > 1.1  # 2.6 deviations
+    assert far[7] and far.sum() < 10
+    assert errors[far].max() < 1e-9
+    assert (errors > 1e-9).sum() > 150 and np.sqrt(np.mean(errors**2)) < 0.1
+
+
 def test_few_draws_of_a_long_tail_do_not_give_the_end_of_an_interval():
     draws = np.exp(0.8 * np.random.default_rng(2).standard_normal(125))
     for means, least, most in ((draws, 0.1, 1.0), (np.linspace(-1, 1, 125), 0.0, 0.03)):

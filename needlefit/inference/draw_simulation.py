@@ -4,9 +4,9 @@ Each draw has layers of its own: its needle bends otherwise, and meets the surfa
 simulated together (`mechanics.batch`) with the same layer depths, and some of them with other depths too. The
 effect of the depths on these is interpolated over the parameters, and by a spline in each depth. Where the
 surfaces lie is tabulated along parallels to the entry axis, since draws deviate by millimetres from each
-other. Some draws are simulated at their own depths as well. What cannot be interpolated (a surface that some
-draws meet and others miss), and tips that err by more than `MAX_INTERPOLATION_ERROR`, are simulated draw by
-draw.
+other. Draws whose depths lie far beyond those that were simulated are simulated one by one, and some others,
+to be compared. What cannot be interpolated (a surface that some draws meet and others miss), and tips that
+err by more than `MAX_INTERPOLATION_ERROR`, are simulated draw by draw.
 """
 
 import math
@@ -14,7 +14,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import CubicSpline, RBFInterpolator
+from scipy.interpolate import CubicSpline
 from scipy.spatial.distance import cdist
 
 from needlefit.arrays import Bools, Floats, Ints
@@ -26,6 +26,7 @@ from needlefit.inference.likelihood.observations import read_points
 from needlefit.inference.parameter_names import BEVEL_PARAMETERS, BEVEL_SPREAD, find_bevel_factors
 from needlefit.inference.parameters import make_tissue
 from needlefit.inference.planned_layers import MAX_DRAWN_LAYERS, with_planned_layers
+from needlefit.inference.radial_basis import interpolate_points
 from needlefit.mechanics.batch import (
     Batch,
     NeedleShapes,
@@ -36,7 +37,7 @@ from needlefit.mechanics.batch import (
 from needlefit.mechanics.scene import Scene
 from needlefit.schemas.medium import MediumRecord
 
-PATH_POINTS = 101  #: points of a needle among which its crossings are looked for
+PATH_POINTS = 31  #: points of a needle among which its crossings are looked for
 TABLE_POINTS = 9  #: parallels to the entry axis along which the places of surfaces are tabulated
 OUTERMOST = (0.002, 0.998)  #: quantiles of the points of all draws between which surfaces are tabulated
 #: distance of the outermost parallels from the outermost draws, mm, and of surfaces that no tip reaches
@@ -44,6 +45,9 @@ TABLE_MARGIN_MM = 0.5
 BEYOND_TIP_MM = 10.0  #: length of the parallels beyond the tip, mm
 #: where each depth is simulated besides its middle, in units of so many deviations over the draws
 NODE_PLACES, NODE_SD = (-1.0, 1.0), 1.2
+#: a depth farther from its middle, in units of that of the nodes, is simulated: interpolated tips of
+#: study 3 err by up to 1 mm within, and by up to 8.7 mm beyond
+MAX_NODE_DISTANCE = 2.0
 MIN_NODE_MM = 0.05  #: least distance of the depths at which needles are simulated, mm
 NODE_DRAWS = 96  #: draws, at most, that are simulated with other depths than the middle
 #: draws of these that are chosen because they lie farthest from the others: nothing is extrapolated far
@@ -77,23 +81,32 @@ class DrawnNeedles:
         """Which draws have a solution, (B,)."""
         return np.asarray(np.isfinite(self.points).all(axis=(1, 2)), dtype=np.bool_)
 
-    def check(self, simulate: "Callable[[Ints], DrawnNeedles]", tip: int, sd: float) -> "DrawnNeedles":
-        """Return these interpolated needles, or all of them simulated where some are far from these.
-
-        `simulate` gives the needles of some draws, `tip` is the place of the tip among the points.
-        """
-        solved = np.flatnonzero(self.solved)
-        if not len(solved):
+    def simulate_some(self, rows: Ints, simulate: "Callable[[Ints], DrawnNeedles]") -> "DrawnNeedles":
+        """Return these needles, some draws (M,) of which are simulated."""
+        if not len(rows):
             return self
-        some = solved[np.unique(np.linspace(0, len(solved) - 1, CHECKED_DRAWS).round().astype(np.int64))]
+        each, points, valid = simulate(rows), self.points.copy(), self.valid.copy()
+        points[rows], valid[rows] = each.points, each.valid
+        return DrawnNeedles(points, valid)
+
+    def check(
+        self, interpolated: Ints, simulate: "Callable[[Ints], DrawnNeedles]", tip: int, sd: float
+    ) -> "DrawnNeedles":
+        """Return these needles; those that were interpolated simulated too where some are far from these.
+
+        `interpolated` (M,) are draws with a solution. `simulate` gives the needles of some draws, `tip` is
+        the place of the tip among the points.
+        """
+        if not len(interpolated):
+            return self
+        last = len(interpolated) - 1
+        some = interpolated[np.unique(np.linspace(0, last, CHECKED_DRAWS).round().astype(np.int64))]
         errors = simulate(some).points[:, tip, 1:] - self.points[some, tip, 1:]
         errors = errors[np.isfinite(errors).all(axis=1)]
-        spread = math.hypot(sd, math.sqrt(self.points[solved, tip, 1:].var(axis=0).sum()))
+        spread = math.hypot(sd, math.sqrt(self.points[interpolated, tip, 1:].var(axis=0).sum()))
         if math.sqrt(np.sum(errors**2) / max(1, len(errors))) <= MAX_INTERPOLATION_ERROR * spread:
             return self
-        each, points, valid = simulate(solved), self.points.copy(), self.valid.copy()
-        points[solved], valid[solved] = each.points, each.valid
-        return DrawnNeedles(points, valid)
+        return self.simulate_some(interpolated, simulate)
 
 
 def draw_depth_errors(insertion: Insertion, count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
@@ -191,14 +204,13 @@ class DrawSimulation:
         for _ in range(CROSSING_ROUNDS if self._insertion.surfaces else 0):
             shifts = self._table.find_crossings(path.at(shifts, still)) - self._centre.boundaries
         shifts = shifts + self._wrong[:, : len(self._reach)]
-        interpolated = whole.take(slice(PATH_POINTS, None)).at(shifts, deep)
 
         def simulate(rows: Ints) -> DrawnNeedles:
             moved = [shift_depths(self._centre, self._s, shifts[n] + deep[n], deep[n]) for n in rows]
             return _join([self._simulate_one(n, *at) for n, at in zip(rows.tolist(), moved, strict=True)])
 
-        drawn = DrawnNeedles(interpolated, self._draws.valid)
-        return drawn.check(simulate, int(np.argmax(self._s)), sd)
+        points = slice(PATH_POINTS, None)
+        return self._draws.read(points, shifts, deep, simulate, int(np.argmax(self._s)), sd)
 
     def simulate_each(self, rows: Ints) -> DrawnNeedles:
         """Return the needles of some sets, each simulated by itself through its own layers."""
@@ -265,7 +277,7 @@ def simulate_scene_draws(
 
     if draws.needles is None:
         return simulate(np.arange(len(sets)))
-    return DrawnNeedles(draws.needles.at(wrong, deep), draws.valid).check(simulate, len(s) - 1, 0.0)
+    return draws.read(slice(None), wrong, deep, simulate, len(s) - 1, 0.0)
 
 
 class _InterpolatedDraws:
@@ -296,6 +308,27 @@ class _InterpolatedDraws:
             (points[others],), self.valid[others] = move([sets[n] for n in others.tolist()], [middle])
         steps = interpolate(coordinates).reshape(len(sets), -1, *points.shape[1:])
         self.needles = _Interpolation(points, steps, np.append(reach, entry) if entry else reach)
+
+    def read(
+        self,
+        points: slice,
+        shifts: Floats,
+        deep: Floats,
+        simulate: Callable[[Ints], DrawnNeedles],
+        tip: int,
+        sd: float,
+    ) -> DrawnNeedles:
+        """Return some points of all needles, boundaries shifted by (B, n - 1) and the entry by (B,), mm.
+
+        Those whose depths lie beyond the nodes are simulated; `simulate`, `tip`, `sd` as of
+        `DrawnNeedles.check`.
+        """
+        assert self.needles is not None
+        part = self.needles.take(points)
+        needles = DrawnNeedles(part.at(shifts, deep), self.valid)
+        near, solved = part.is_near(shifts, deep), needles.solved
+        needles = needles.simulate_some(np.flatnonzero(solved & ~near), simulate)
+        return needles.check(np.flatnonzero(solved & near), simulate, tip, sd)
 
 
 def make_coordinates(sets: Sets, hidden: Collection[str] = ()) -> Floats:
@@ -340,10 +373,7 @@ def interpolate_draws(coordinates: Floats, chosen: Ints, known: Floats) -> Calla
     if not (coordinates.shape[1] and known.shape[1]):
         return lambda at: np.broadcast_to(known[solved][:1], (len(at), known.shape[1]))
     # cubic: with 96 of 1000 draws it errs less than a thin plate, or a quadratic regression
-    # its evaluation takes a value of each draw after the other: of weights, which a product then applies
-    nodes, values = coordinates[chosen[solved]], known[solved]
-    weigh = RBFInterpolator(nodes, np.eye(len(nodes)), kernel="cubic")
-    return lambda at: np.asarray(weigh(at) @ values, dtype=np.float64)
+    return interpolate_points(coordinates[chosen[solved]], known[solved], 3)
 
 
 @dataclass(frozen=True)
@@ -419,7 +449,7 @@ class _Interpolation:
         Between the nodes of each depth is a natural cubic spline, beyond them a line: its cubic would run
         away.
         """
-        t = (np.column_stack([shifts, deep])[:, : len(self.reach)] / self.reach).ravel()  # (B d,)
+        t = self._measure(shifts, deep).ravel()  # (B d,)
         low, high = NODE_PLACES
         spline = CubicSpline((low, 0.0, high), np.eye(3), bc_type="natural")
         held = np.clip(t, low, high)
@@ -427,3 +457,11 @@ class _Interpolation:
         count, nodes = self.steps.shape[:2]  # no nodes where no depth is open
         steps = weights.reshape(count, 1, nodes) @ self.steps.reshape(count, nodes, self.points[0].size)
         return self.points + steps.reshape(self.points.shape)
+
+    def is_near(self, shifts: Floats, deep: Floats) -> Bools:
+        """Return which draws (B,) have no depth far beyond the nodes."""
+        return np.asarray(np.abs(self._measure(shifts, deep)).max(axis=1, initial=0.0) <= MAX_NODE_DISTANCE)
+
+    def _measure(self, shifts: Floats, deep: Floats) -> Floats:
+        """Return the distances (B, d) of depths from their middle, in units of the nodes'."""
+        return np.asarray(np.column_stack([shifts, deep])[:, : len(self.reach)] / self.reach)

@@ -11,13 +11,19 @@ def to_json_values(value: object) -> object:
 
     What is none of these becomes its text.
     """
-    value = value.tolist() if hasattr(value, "tolist") else value  # numpy arrays and scalars
+    if hasattr(value, "tolist"):  # numpy arrays and scalars
+        is_finite = (
+            type(value).__module__ == "numpy" and value.dtype.kind == "f" and math.isfinite(value.sum())
+        )
+        value = value.tolist()
+        if is_finite:  # each number as it is: the sum of others is not finite
+            return value
+    if isinstance(value, str | int) or value is None:
+        return value
     if isinstance(value, Mapping):
         return {str(key): to_json_values(inner) for key, inner in value.items()}
     if isinstance(value, float):
         return value if math.isfinite(value) else None
-    if value is None or isinstance(value, str | int):
-        return value
     return [to_json_values(inner) for inner in value] if isinstance(value, Iterable) else str(value)
 
 

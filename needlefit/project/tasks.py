@@ -154,7 +154,10 @@ def run_parts(
 
     After an error no further part begins.
     """
-    with ThreadPoolExecutor(max(threads, 1)) as pool:
+    if threads <= 1:
+        yield from ((n, work(item)) for n, item in enumerate(items))
+        return
+    with ThreadPoolExecutor(threads) as pool:
         futures = {pool.submit(work, item): n for n, item in enumerate(items)}
         try:
             for future in as_completed(futures):
