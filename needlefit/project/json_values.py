@@ -4,9 +4,10 @@ import hashlib
 import json
 import math
 from collections.abc import Iterable, Mapping
+from typing import Any
 
 
-def to_json_values(value: object) -> object:
+def to_json_values(value: Any) -> Any:  # noqa: ANN401 - of any type
     """Return mappings, lists, text, numbers and None; numpy's become Python's, NaN and infinity None.
 
     What is none of these becomes its text.
