@@ -5,14 +5,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 from test_datasets import record, row
 
+from needlefit.datasets.interpolated import count_independent
 from needlefit.datasets.needles import describe_rigidity
 from needlefit.datasets.points import find_rounding
 from needlefit.datasets.read import inspect
 from needlefit.datasets.write import write_dataset
 from needlefit.geometry.neighbours import find_steps, leave_one_out
+from needlefit.inference.likelihood.observation import StatedErrors
+from needlefit.inference.likelihood.observations.points import POINTS
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.schemas.scene import NeedleRecord
 from needlefit.studies.advice import classify_doubt, list_contradictions
@@ -230,3 +234,30 @@ def test_a_needle_with_one_value_where_others_vary_is_named(tmp_path, value, ste
     curves["n4"][:, 1] = value
     found = [one.what for one in find_warnings(tmp_path, curves, step=step) if "at all points" in one.what]
     assert [what.partition(":")[0] for what in found] == ["n4"] * named
+
+
+@pytest.mark.parametrize("interpolate", [np.interp, lambda at, x, y: CubicSpline(x, y)(at)])
+def test_points_interpolated_between_few_count_as_these(tmp_path, interpolate):
+    curves = measure_needles(6)
+    for name in ("n4", "n7"):
+        few = curves[name][np.linspace(0, len(curves[name]) - 1, 6).round().astype(int)]
+        at = np.linspace(0.0, few[-1, 0], 100)
+        curves[name] = np.column_stack([interpolate(at, few[:, 0], axis) for axis in few.T])
+    found = inspect(write_needles(tmp_path, curves))
+    assert [one.kind for one in found.warnings] == ["interpolated"]
+    counts = {one.id: one.independent for one in found.dataset.insertions}
+    assert {name for name, count in counts.items() if count} == {"n4", "n7"}
+    assert all(6 <= counts[name] <= 12 for name in ("n4", "n7"))
+    for one in found.dataset.insertions:  # errors of the mean of all points
+        points = POINTS.observe(one, StatedErrors(found.dataset, found.dataset.noise))
+        variance = np.diag(points.point_covariance).mean() / len(points.measured)
+        assert variance == pytest.approx(POINT_SD**2 / (counts[one.id] or len(one.points)), rel=0.05)
+
+
+def test_independent_points_are_all_counted():
+    rng, x = np.random.default_rng(12), np.linspace(0.0, 60.0, 30)
+    for _ in range(200):
+        points = np.column_stack([x, 1.5e-3 * x**2, 0 * x]) + [0, POINT_SD, POINT_SD] * rng.normal(
+            size=(30, 3)
+        )
+        assert count_independent(points, POINT_SD) == 30

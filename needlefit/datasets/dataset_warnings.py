@@ -11,6 +11,7 @@ from needlefit.arrays import Floats
 from needlefit.datasets.columns import BOUNDARIES_COLUMN, NUMBER_COLUMNS, ROLL_COLUMNS
 from needlefit.datasets.curve_lengths import find_length_warnings
 from needlefit.datasets.insertion import Insertion, Noise
+from needlefit.datasets.interpolated import find_interpolated_warnings
 from needlefit.datasets.layers import (
     LENGTH_TOLERANCE_MM,
     MAX_START_DISTANCE_MM,
@@ -300,6 +301,7 @@ def _find_shape_warnings(
     yield from find_plane_warnings(listed, noise)
     yield from find_curvature_warnings(listed, noise)
     yield from _find_order_warnings(listed)
+    yield from find_interpolated_warnings(listed)
     yield from find_length_warnings(listed, noise, record.insertions.columns.get("depth_mm", "depth_mm"))
     # values that are rounded by more than their noise may well be equal
     values = [one.points.values for one in listed]
@@ -363,7 +365,7 @@ def _find_noise_warnings(
         )
     else:
         is_smoothed = record.measurement is not None and record.measurement.operator != "none"
-        curves = [one.insertion for one in listed if one.is_curve]
+        curves = [one.insertion for one in listed if one.is_curve and not one.insertion.independent]
         yield from find_scatter_warnings(curves, noise, where(_name_larger_sd(noise)), is_smoothed)
 
 

@@ -148,6 +148,8 @@ class Insertion(InsertionInputs):
         Distance from a clamping guide to the entry, mm, where it is known.
     sd : (N,) array or None
         Standard deviation of each point in any one direction across the needle, mm, where it is known.
+    independent : int or None
+        Number of points with errors of their own, where the others were interpolated; None: all.
     surfaces : tuple of Surface
         Every boundary of its medium as it lay at this insertion, world; empty where depths are given.
     patient : Frame
@@ -199,6 +201,7 @@ class Insertion(InsertionInputs):
     points: Floats
     boundary_sd: float
     sd: Floats | None = None
+    independent: int | None = None
     surfaces: tuple[Surface, ...] = ()
     patient: Frame = IDENTITY_FRAME
     depth_sd: float = 0.0

@@ -26,6 +26,7 @@ from needlefit.datasets.formats import FORMATS, find_format
 from needlefit.datasets.formats.csv import CsvTable, note_missing_columns, read_curve, read_table
 from needlefit.datasets.insertion import DEFAULT_MEASUREMENT, Dataset, Insertion, Noise, find_free_reach
 from needlefit.datasets.insertion_table import add_curvature, add_turns, parse_rows
+from needlefit.datasets.interpolated import mark_interpolated
 from needlefit.datasets.layers import (
     ListedInsertion,
     SharedSurfaces,
@@ -191,6 +192,8 @@ def _read_shapes(reading: _Reading) -> tuple[list[Insertion], set[Path], dict[st
         found += find_operator_faults(record, [one for one in listed if one.is_curve], file)
     if found:
         return [], set(), {}
+    if record.measurement is None or record.measurement.operator == "none":
+        listed = mark_interpolated(listed, make_noise(record.noise))
     insertions = [one.insertion for one in listed]
     reading.warnings += find_insertion_warnings(record, listed, make_noise(record.noise), file)
     lines, listed_tables = record.centerlines, record.insertions

@@ -4,13 +4,13 @@ Equations: docs/inference.md, sections 1 to 3.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import DEFAULT_MEASUREMENT, Insertion, select_compared_places
+from needlefit.datasets.insertion import DEFAULT_MEASUREMENT, Insertion, Noise, select_compared_places
 from needlefit.geometry.frames import make_tracker_columns
 from needlefit.geometry.smoothing_spline import fit_matrices, make_knots
 from needlefit.inference.compared_points import rotate_to_entry_axes
@@ -53,6 +53,7 @@ class _Points(ObservationType):
         measured = np.column_stack([np.interp(along, arc, axis) for axis in axes])
         measured = measured if dataset.pose == "known" else rotate_to_entry_axes(measured)
         sd = None if insertion.sd is None else np.interp(along, arc, insertion.sd)
+        noise = _share_noise(insertion, noise, s)
         cov, free = points_covariance(s, noise, sd), make_tracker_columns(measured[:, 0])  # across, and turn
         if measurement.bias_sd_mm is not None and measurement.bias_length_mm is not None:
             # An unknown operator: a smooth bias that all insertions of a fit share. Its covariance counts as
@@ -75,6 +76,14 @@ class _Points(ObservationType):
             stored = measured[:, 1:].T.ravel()
             shift = _apply(operator, stored) - stored
         return complete_observation(insertion, errors, s, measured, cov, pose, free, operator, shift)
+
+
+def _share_noise(insertion: Insertion, noise: Noise, s: Floats) -> Noise:
+    """Return the noise with which points at `s` (K,) count as often as the independent ones among them."""
+    if insertion.independent is None:
+        return noise
+    independent = insertion.independent * float(np.ptp(s)) / insertion.depth
+    return replace(noise, point_sd=noise.point_sd * math.sqrt(max(1.0, len(s) / independent)))
 
 
 def _apply(operator: Floats | None, values: Floats) -> Floats:

@@ -1,0 +1,83 @@
+"""Find curves most of whose points were interpolated between fewer measured ones, which alone count in fits.
+
+Points between measured ones lie on smooth pieces: they scatter less about their neighbours than they err. The
+fewer of them are left, the more they scatter; where half of the variance shows, they are independent.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from needlefit.arrays import Floats
+from needlefit.datasets.insertion import Noise
+from needlefit.datasets.layers import ListedInsertion
+from needlefit.datasets.outlying_points import MIN_CURVE_POINTS
+from needlefit.datasets.planes import MAX_NAMED_INSERTIONS
+from needlefit.datasets.scatter import MIN_AXIS_POINTS, SCATTER_RATIOS
+from needlefit.project.locate import join_names
+from needlefit.project.result_warnings import ResultWarning
+
+
+def count_independent(points: Floats, sd: float) -> int:
+    """Return how many points of a curve (N, 3) have errors of their own, of SD `sd` (mm) across it.
+
+    All of few points, and of those that scatter by more than a third of it.
+    """
+    count = len(points)
+    if count < MIN_AXIS_POINTS or _measure_scatter(points) >= SCATTER_RATIOS[0] * sd:
+        return count
+    thinned = (points[::-1][::step] for step in range(2, _find_largest_step(count)))  # with the tip
+    enough = (len(few) for few in thinned if _measure_scatter(few) >= math.sqrt(0.5) * sd)
+    return next(enough, MIN_CURVE_POINTS)
+
+
+def _find_largest_step(count: int) -> int:
+    """Return the step by which fewest of so many points are left that scatter about a cubic."""
+    return max(1, (count - 1) // (MIN_CURVE_POINTS - 1))
+
+
+def _measure_scatter(points: Floats) -> float:
+    """Return the SD of points (N, 3) about cubics through their neighbours along the axes that vary, mm.
+
+    Fourth differences of independent errors have 70 times their variance; those of a cubic are 0.
+    """
+    bent = np.diff(points[:, 1:][:, np.ptp(points[:, 1:], axis=0) > 0], 4, axis=0)
+    return math.sqrt(np.mean(bent**2) / 70) if bent.size else 0.0
+
+
+def mark_interpolated(listed: Sequence[ListedInsertion], noise: Noise) -> list[ListedInsertion]:
+    """Return insertions of which each knows how many of its points are independent.
+
+    Where even few points of all needles hardly scatter, the stated SD is too large, and nothing is known.
+    """
+    every = [one.insertion.points for one in listed if one.is_curve]
+    few = [_measure_scatter(points[::-1][:: _find_largest_step(len(points))]) for points in every]
+    least = SCATTER_RATIOS[0] * noise.point_sd
+    if not noise.point_sd or math.hypot(*few) < least * math.sqrt(len(few)):
+        return list(listed)
+    return [
+        replace(one, insertion=replace(one.insertion, independent=count))
+        if one.is_curve
+        and (count := count_independent(one.insertion.points, noise.point_sd)) < len(one.insertion.points)
+        else one
+        for one in listed
+    ]
+
+
+def find_interpolated_warnings(listed: Sequence[ListedInsertion]) -> Iterator[ResultWarning]:
+    """Yield a warning that names the curves whose points are not independent, and how many count."""
+    found = [one for one in listed if one.insertion.independent]
+    if found:
+        curves = [one.insertion for one in found]
+        counts = [f"{one.id} ({one.independent} of {len(one.points)})" for one in curves]
+        yield ResultWarning(
+            kind="interpolated",
+            what=(
+                "points are interpolated between fewer measured ones; in fits they count as so many: "
+                f"{join_names(counts, MAX_NAMED_INSERTIONS)}"
+            ),
+            where=found[0].points.where(),
+            fix="export the measured points alone",
+        )
