@@ -95,7 +95,7 @@ def _describe(one: ListedInsertion, point: OutlyingPoint) -> ResultWarning:
     away = f"{point.off[axis]:+.2g} mm along {'xyz'[axis]} ({point.sds:.0f} SD)"
     if point.is_step:
         what = f"{name} has a step of {away} between points {n} and {n + 1}"
-        fix = f"look at what moved between {one.points.where(n - 1)} and {one.points.where(n)}"
+        fix = "look at what moved between this row and the one above it, as the specimen or the image"
     else:
         place = {0: "the first point", len(one.insertion.points) - 1: "the tip"}.get(n, f"point {n + 1}")
         what = f"{place} of {name} is off the curve of its neighbours by {away}"
