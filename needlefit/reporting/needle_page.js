@@ -13,7 +13,7 @@ INDIRECT, OR CONSEQUENTIAL DAMAGES OR ANY DAMAGES WHATSOEVER RESULTING FROM LOSS
 OF USE, DATA OR PROFITS, WHETHER IN AN ACTION OF CONTRACT, NEGLIGENCE OR OTHER
 TORTIOUS ACTION, ARISING OUT OF OR IN CONNECTION WITH THE USE OR PERFORMANCE OF
 THIS SOFTWARE. */
-(()=>{var __getOwnPropNames=Object.getOwnPropertyNames;var __esm=(fn,res,err)=>function(){if(err)throw err[0];try{return fn&&(res=(0,fn[__getOwnPropNames(fn)[0]])(fn=
+"use strict";(()=>{var __getOwnPropNames=Object.getOwnPropertyNames;var __esm=(fn,res,err)=>function(){if(err)throw err[0];try{return fn&&(res=(0,fn[__getOwnPropNames(fn)[0]])(fn=
 0)),res}catch(e){throw err=[e],e}};function check(fault){if(fault)throw new TypeError(`the kernel refuses a problem: ${FAULTS[Number(fault)]}`)}function makeProblem(heap,fields2,arrays){
 let f=fields2,n=f.sets*f.layers,counts={boundaries:f.layers-1,rigidity:f.sets,mu:n,thickness:n,friction:n,law:n*
 f.numbers,turn:f.bevels*f.sets*f.planes,base:3*f.inputs*f.sets*f.planes,before_first:f.inputs+1,within_first:f.
@@ -36,24 +36,24 @@ number3=name=>Number(heap.integers(shapes[name],1)[0]),read=(name,count)=>heap.f
 nodes=number3("nodes"),x2=read("x",nodes);return{status:STATUS[number3("status")],passes:number3("passes"),depth:x2.
 at(-1),planes,x:x2,u:readPlanes(heap,shapes,"u",planes,nodes),slope:readPlanes(heap,shapes,"slope",planes,nodes),
 constraints:read("constraints",(1+planes)*points),track:read("track",2*planes*points)}}var STATUS,FAULTS,SIZES,
-NUMBERS,ARRAYS,compile,Heap,makeStructure,init_memory=__esm({"needlefit/mechanics/native/memory.js"(){STATUS=[
-"converged","over-compressed","not converged","non-finite"],FAULTS=["","size","mesh","stop","guides","column",
-"output","points"],SIZES="planes sets layers shapes terms numbers stop_count bevels inputs rays guides columns\
- max_iterations".split(" "),NUMBERS="length first_cell spacing element part tangent tolerance deepest".split("\
- "),ARRAYS="boundaries stops rigidity mu thickness friction law law_by turn base before_first within_first bef\
-ore within held_tip guide_x turn_by column_of guide_columns".split(" "),compile=bytes=>WebAssembly.compile(bytes),
-Heap=class _Heap{constructor(instance){this.call=instance.exports,this.memory=instance.exports.memory,this.top=
-this.bottom=this.memory.buffer.byteLength}static async make(kernel){return new _Heap(await WebAssembly.instantiate(
-kernel,{}))}take(bytes){let at=Math.ceil(this.top/64)*64;this.top=at+Number(bytes);let missing=this.top-this.memory.
-buffer.byteLength;return missing>0&&this.memory.grow(Math.ceil(missing/65536)),at}put(array3,at=this.take(array3.
-byteLength)){return new Uint8Array(this.memory.buffer,at,array3.byteLength).set(new Uint8Array(array3.buffer,array3.
-byteOffset,array3.byteLength)),at}borrow(work2){let top=this.top;try{return work2()}finally{this.top=top}}evaluate(which,x2){
-return this.borrow(()=>{let[at,out]=[this.put(Float64Array.of(x2)),this.take(8)];return this.call.nf_function(
-BigInt(which),1n,at,out),this.floats(out,1)[0]})}floats(at,count){return new Float64Array(this.memory.buffer,at,
-count)}integers(at,count){return new BigInt64Array(this.memory.buffer,at,count)}view(at){return new DataView(this.
-memory.buffer,at)}structure(integers,numbers,addresses){let at=this.take(8*(integers.length+numbers.length)+4*
-addresses.length),view2=this.view(at);return integers.forEach((value,i)=>view2.setBigInt64(8*i,BigInt(value),!0)),
-numbers.forEach((value,i)=>view2.setFloat64(8*(integers.length+i),value,!0)),addresses.forEach((value,i)=>view2.
+NUMBERS,ARRAYS,compile,Heap,makeStructure,init_memory=__esm({"needlefit/mechanics/native/memory.js"(){"use str\
+ict";STATUS=["converged","over-compressed","not converged","non-finite"],FAULTS=["","size","mesh","stop","guid\
+es","column","output","points"],SIZES="planes sets layers shapes terms numbers stop_count bevels inputs rays g\
+uides columns max_iterations".split(" "),NUMBERS="length first_cell spacing element part tangent tolerance dee\
+pest".split(" "),ARRAYS="boundaries stops rigidity mu thickness friction law law_by turn base before_first wit\
+hin_first before within held_tip guide_x turn_by column_of guide_columns".split(" "),compile=bytes=>WebAssembly.
+compile(bytes),Heap=class _Heap{constructor(instance){this.call=instance.exports,this.memory=instance.exports.
+memory,this.top=this.bottom=this.memory.buffer.byteLength}static async make(kernel){return new _Heap(await WebAssembly.
+instantiate(kernel,{}))}take(bytes){let at=Math.ceil(this.top/64)*64;this.top=at+Number(bytes);let missing=this.
+top-this.memory.buffer.byteLength;return missing>0&&this.memory.grow(Math.ceil(missing/65536)),at}put(array3,at=this.
+take(array3.byteLength)){return new Uint8Array(this.memory.buffer,at,array3.byteLength).set(new Uint8Array(array3.
+buffer,array3.byteOffset,array3.byteLength)),at}borrow(work2){let top=this.top;try{return work2()}finally{this.
+top=top}}evaluate(which,x2){return this.borrow(()=>{let[at,out]=[this.put(Float64Array.of(x2)),this.take(8)];return this.
+call.nf_function(BigInt(which),1n,at,out),this.floats(out,1)[0]})}floats(at,count){return new Float64Array(this.
+memory.buffer,at,count)}integers(at,count){return new BigInt64Array(this.memory.buffer,at,count)}view(at){return new DataView(
+this.memory.buffer,at)}structure(integers,numbers,addresses){let at=this.take(8*(integers.length+numbers.length)+
+4*addresses.length),view2=this.view(at);return integers.forEach((value,i)=>view2.setBigInt64(8*i,BigInt(value),
+!0)),numbers.forEach((value,i)=>view2.setFloat64(8*(integers.length+i),value,!0)),addresses.forEach((value,i)=>view2.
 setUint32(8*(integers.length+numbers.length)+4*i,value,!0)),at}};makeStructure=(heap,fields2,addresses)=>heap.
 structure(SIZES.map(name=>fields2[name]),NUMBERS.map(name=>fields2[name]),addresses)}});function completeInputs(inputs){let{bevel={},base={},guides=[],tip=null}=inputs;return{bevel:{side:1,roll:0,strength:0,
 ...bevel},base:{y:0,slope:0,stageSlope:0,...base},guides:guides.map(guide=>({y:0,slope:0,...guide})).sort((a2,b)=>a2.
@@ -64,7 +64,7 @@ map(guide=>guide.x)];for(let name of["mu","thickness"])if(!model[name].every(val
 e ${MAX_GUIDES}`);if(ends.some((x2,i)=>i>0&&!(x2>ends[i-1])))throw new RangeError(`base and guides stand at ${ends}\
  mm; they must increase`)}function findToward(heap,{side,roll:roll2}){if(roll2===0)return[side,0];let quarters=Math.
 floor(roll2/90+.5),rest=(roll2-90*quarters)*(Math.PI/180),[z,y2]=[3,4].map(which=>side*heap.evaluate(which,rest));
-return[[y2,z],[-z,y2],[-y2,-z],[z,-y2]].at(quarters%4)}function listGuides(guides,planes){let listed=new Float64Array(
+return[[y2,z],[-z,y2],[-y2,-z],[z,-y2]][(quarters%4+4)%4]}function listGuides(guides,planes){let listed=new Float64Array(
 (1+2*planes)*MAX_GUIDES);return guides.forEach(({x:x2,y:y2,slope:slope4},i)=>listed.set([x2,...listHeld(y2,slope4,
 0,planes)],i*(1+2*planes))),listed}function packInputs(heap,{bevel,base,guides,tip},model,{sets,strength=null},planes){
 let before=guides.filter(guide=>guide.x<0),within2=guides.filter(guide=>guide.x>=0),toward=findToward(heap,bevel).
@@ -84,15 +84,15 @@ s2.length,out=heap.take(8*size2),memory=heap.take(8*(1+5*planes)*(nodes+2)*Numbe
 planes,1,nodes,s2.length].map(BigInt);return heap.call.nf_positions(...counts,...addresses,heap.put(s2),memory,
 out),heap.floats(out,size2).slice()})}var SAME_DEPTH,MAX_ELEMENTS,MAX_GUIDES,LINEAR_CUT,MAX_RAYS,KEPT_IDS,STOP_BYTES,
 MOVE_BYTES,POSITION_BYTES,findDeepest,isPlanar,listHeld,repeat,listTip,listBase,bevelKey,controlsKey,Session,SessionBatch,
-init_needle=__esm({"needlefit/mechanics/native/needle.js"(){init_memory();SAME_DEPTH=1e-9,MAX_ELEMENTS=5e3,MAX_GUIDES=
-50,LINEAR_CUT=-1,MAX_RAYS=15e3,KEPT_IDS=256,STOP_BYTES=48,MOVE_BYTES=24,POSITION_BYTES=64,findDeepest=model=>Math.
-min(model.length,MAX_ELEMENTS*model.element);isPlanar=(heap,{bevel,tip})=>findToward(heap,bevel)[1]===0&&!tip?.
-z;listHeld=(y2,slope4,z,planes)=>[y2,slope4??NaN,z,(slope4??null)===null?NaN:0].slice(0,2*planes),repeat=(numbers,sets)=>Float64Array.
-from({length:sets*numbers.length},(_,i)=>numbers[i%numbers.length]),listTip=(tip,planes)=>tip?listHeld(tip.y,tip.
-slope,tip.z??0,planes):Array(2*planes).fill(NaN),listBase=base=>[base.y,base.slope,base.stageSlope],bevelKey=({
-bevel})=>JSON.stringify([bevel.side,bevel.roll,bevel.strength]),controlsKey=({base,guides,tip})=>JSON.stringify(
-[listBase(base),guides.map(guide=>[guide.x,guide.y,guide.slope??null]),listTip(tip,2)]);Session=class _Session{static async begin(kernel,model,inputs={}){
-return new _Session(await Heap.make(kernel),model,completeInputs(inputs))}heap;start;base;end;model;planes;depth;rays;ids;maxIds;solved;parts;stateBytes;constructor(heap,model,inputs){
+init_needle=__esm({"needlefit/mechanics/native/needle.js"(){"use strict";init_memory();SAME_DEPTH=1e-9,MAX_ELEMENTS=
+5e3,MAX_GUIDES=50,LINEAR_CUT=-1,MAX_RAYS=15e3,KEPT_IDS=256,STOP_BYTES=48,MOVE_BYTES=24,POSITION_BYTES=64,findDeepest=
+model=>Math.min(model.length,MAX_ELEMENTS*model.element);isPlanar=(heap,{bevel,tip})=>findToward(heap,bevel)[1]===
+0&&!tip?.z;listHeld=(y2,slope4,z,planes)=>[y2,slope4??NaN,z,(slope4??null)===null?NaN:0].slice(0,2*planes),repeat=
+(numbers,sets)=>Float64Array.from({length:sets*numbers.length},(_,i)=>numbers[i%numbers.length]),listTip=(tip,planes)=>tip?
+listHeld(tip.y,tip.slope,tip.z??0,planes):Array(2*planes).fill(NaN),listBase=base=>[base.y,base.slope,base.stageSlope],
+bevelKey=({bevel})=>JSON.stringify([bevel.side,bevel.roll,bevel.strength]),controlsKey=({base,guides,tip})=>JSON.
+stringify([listBase(base),guides.map(guide=>[guide.x,guide.y,guide.slope??null]),listTip(tip,2)]);Session=class _Session{static async begin(kernel,model,inputs={}){
+return new _Session(await Heap.make(kernel),model,completeInputs(inputs))}heap;start;base;end;model;planes;depth;rays;ids;maxIds;solved;parts;stateBytes;problem;shapes;deepest=0;constructor(heap,model,inputs){
 Object.assign(this,{heap,start:heap.top,failed:!1}),this.#begin(model,inputs)}#begin(model,inputs,planes=model.
 spatial||!isPlanar(this.heap,inputs)?2:this.planes??1){this.deepest=findDeepest(model);let rays=Math.ceil(this.
 deepest/model.spacing);this.#layOut({model,inputs,planes,depth:0,ids:new Map,maxIds:KEPT_IDS,solved:0,shape:null,
@@ -198,29 +198,30 @@ min(Math.floor(LEVEL*sizes.length),sizes.length-1)];return scaled.map(points=>({
 size2*below),high:points.map(([middle,,above])=>middle+size2*above)}))}function quantile(sorted,share){let place2=share*
 (sorted.length-1),below=Math.floor(place2);return sorted[below]+(place2-below)*((sorted[below+1]??sorted[below])-
 sorted[below])}var POINTS,LOW,MIDDLE,HIGH,LEVEL,TINY,CHUNK,SAME,BACK,Band,same,init_band=__esm({"needlefit/vie\
-wer/page/model/band.js"(){init_needle();POINTS=51,[LOW,MIDDLE,HIGH]=[.025,.5,.975],LEVEL=.95,TINY=1e-9,CHUNK=20,
-SAME=1e-9,BACK=1e-6,Band=class{kernel;model;draws;values;chunks;rays;points;constructor(kernel,model,draws){let chunks=Array.
-from({length:Math.ceil(draws.sets/CHUNK)},(_,n)=>({numbers:Array.from({length:Math.min(CHUNK,draws.sets-n*CHUNK)},
-(_2,i)=>n*CHUNK+i)})),typed=["mu","law","strength"].map(name=>[name,Float64Array.from(draws[name])]),values={sets:draws.
-sets,...Object.fromEntries(typed)};Object.assign(this,{kernel,model,draws,values,chunks,rays:0,points:[]})}async compute(steps2,planes,cancelled,pause2){
-let path2=mark(steps2),{depth}=path2.at(-1);if(!(depth>0))return null;let rays=path2.length+Math.ceil(depth/this.
-model.spacing)+2;if(rays>this.rays||planes!==this.batch.planes){this.rays=2*rays,this.batch=await SessionBatch.
-begin(this.kernel,this.model,this.values,this.rays,planes);for(let chunk of this.chunks)chunk.path=null}for(let chunk of this.
-chunks)if(this.#move(chunk,path2),await pause2(),cancelled())return null;let found=this.points.filter(one=>one);
-if(!found.length)return null;let along=axis=>Array.from({length:POINTS},(_,k2)=>Float64Array.from(found,one=>one[(1+
-planes)*k2+axis])),[y2,z]=spanBands(planes>1?[along(1),along(2)]:[along(1)]);return{x:along(0).map(values=>quantile(
-values.sort(),MIDDLE)),...y2,z:z??null,failed:this.values.sets-found.length}}#move(chunk,path2){let{batch,points}=this,
-way=chunk.path&&findWay(chunk.path,path2);if(!way||way[0]?.depth<=chunk.failed){way=path2,chunk.failed=-1/0;for(let i of chunk.
-numbers)batch.restart(i),points[i]=[]}chunk.path=path2;let{depth}=path2.at(-1),s2=Float64Array.from({length:POINTS},
-(_,k2)=>k2===POINTS-1?depth:depth*k2/(POINTS-1));way.forEach((step,n)=>{batch.hold(step.inputs);for(let i of chunk.
-numbers){if(!points[i])continue;batch.go(i,step.depth)?n===way.length-1&&(points[i]=batch.positions(i,s2)):[points[i],
-chunk.failed]=[null,Math.max(chunk.failed,step.depth)]}})}};same=(depth,other)=>Math.abs(depth-other)<=SAME}});var CHUNK2,SAME2,TipForces,init_tip_forces=__esm({"needlefit/viewer/page/model/tip_forces.js"(){init_needle();
-init_band();CHUNK2=20,SAME2=1e-9,TipForces=class{kernel;model;path;points;constructor(kernel){Object.assign(this,
-{kernel,model:"",path:null,points:[]})}async compute(model,steps2,cancelled,pause2){let path2=steps2.map(one=>({
-...one,text:JSON.stringify(one.inputs)})),same3=this.model===JSON.stringify(model),way=this.path&&same3&&findWay(
-this.path,path2);way||await this.#begin(model,steps2[0].inputs),way||=path2,this.path=null;let reached=0;for(let{
-depth,inputs}of way){depth<this.session.depth-SAME2&&(this.points=this.points.filter(one=>one.depth<=depth+SAME2));
-for(let stop of this.#listStops(depth)){if(this.session.go(stop,inputs),this.session.failed)return this.#read();
+wer/page/model/band.js"(){"use strict";init_needle();POINTS=51,[LOW,MIDDLE,HIGH]=[.025,.5,.975],LEVEL=.95,TINY=
+1e-9,CHUNK=20,SAME=1e-9,BACK=1e-6,Band=class{kernel;model;draws;values;chunks;rays;points;batch;constructor(kernel,model,draws){
+let chunks=Array.from({length:Math.ceil(draws.sets/CHUNK)},(_,n)=>({numbers:Array.from({length:Math.min(CHUNK,
+draws.sets-n*CHUNK)},(_2,i)=>n*CHUNK+i)})),typed=["mu","law","strength"].map(name=>[name,Float64Array.from(draws[name])]),
+values={sets:draws.sets,...Object.fromEntries(typed)};Object.assign(this,{kernel,model,draws,values,chunks,rays:0,
+points:[]})}async compute(steps2,planes,cancelled,pause2){let path2=mark(steps2),{depth}=path2.at(-1);if(!(depth>
+0))return null;let rays=path2.length+Math.ceil(depth/this.model.spacing)+2;if(rays>this.rays||planes!==this.batch.
+planes){this.rays=2*rays,this.batch=await SessionBatch.begin(this.kernel,this.model,this.values,this.rays,planes);
+for(let chunk of this.chunks)chunk.path=null}for(let chunk of this.chunks)if(this.#move(chunk,path2),await pause2(),
+cancelled())return null;let found=this.points.filter(one=>one);if(!found.length)return null;let along=axis=>Array.
+from({length:POINTS},(_,k2)=>Float64Array.from(found,one=>one[(1+planes)*k2+axis])),[y2,z]=spanBands(planes>1?
+[along(1),along(2)]:[along(1)]);return{x:along(0).map(values=>quantile(values.sort(),MIDDLE)),...y2,z:z??null,
+failed:this.values.sets-found.length}}#move(chunk,path2){let{batch,points}=this,way=chunk.path&&findWay(chunk.
+path,path2);if(!way||way[0]?.depth<=chunk.failed){way=path2,chunk.failed=-1/0;for(let i of chunk.numbers)batch.
+restart(i),points[i]=[]}chunk.path=path2;let{depth}=path2.at(-1),s2=Float64Array.from({length:POINTS},(_,k2)=>k2===
+POINTS-1?depth:depth*k2/(POINTS-1));way.forEach((step,n)=>{batch.hold(step.inputs);for(let i of chunk.numbers){
+if(!points[i])continue;batch.go(i,step.depth)?n===way.length-1&&(points[i]=batch.positions(i,s2)):[points[i],chunk.
+failed]=[null,Math.max(chunk.failed,step.depth)]}})}};same=(depth,other)=>Math.abs(depth-other)<=SAME}});var CHUNK2,SAME2,TipForces,init_tip_forces=__esm({"needlefit/viewer/page/model/tip_forces.js"(){"use strict";init_needle();
+init_band();CHUNK2=20,SAME2=1e-9,TipForces=class{kernel;model;path;points;session;constructor(kernel){Object.assign(
+this,{kernel,model:"",path:null,points:[]})}async compute(model,steps2,cancelled,pause2){let path2=steps2.map(
+one=>({...one,text:JSON.stringify(one.inputs)})),same3=this.model===JSON.stringify(model),way=this.path&&same3&&
+findWay(this.path,path2);way||await this.#begin(model,steps2[0].inputs),way||=path2,this.path=null;let reached=0;
+for(let{depth,inputs}of way){depth<this.session.depth-SAME2&&(this.points=this.points.filter(one=>one.depth<=depth+
+SAME2));for(let stop of this.#listStops(depth)){if(this.session.go(stop,inputs),this.session.failed)return this.#read();
 if(this.#add(),reached+=1,!(reached%CHUNK2)&&(await pause2(),cancelled()))return null}this.session.go(depth,inputs)}
 return this.path=path2,this.#read()}async#begin(model,inputs){this.session?this.session.again(model,[{depth:0,
 inputs}]):this.session=await Session.begin(this.kernel,model,inputs),[this.model,this.points]=[JSON.stringify(
@@ -234,10 +235,10 @@ now()-done<STALE);tipForces??=new TipForces(kernel);let forces=await tipForces.c
 if(!isOld()){if(postMessage({id,forces}),draws){band?.draws!==draws&&(band=new Band(kernel,model,draws));let found=await band.
 compute(steps2,planes,isOld,pause);if(isOld())continue;postMessage({id,band:found})}done=performance.now()}}busy=
 !1}var STALE,newest,band,tipForces,busy,done,channel,waiting,pause,init_band_worker=__esm({"needlefit/viewer/p\
-age/model/band_worker.js"(){init_band();init_tip_forces();STALE=100,newest={},[band,tipForces]=[null,null],busy=
-!1,done=0,channel=new MessageChannel,waiting=[];channel.port1.onmessage=()=>waiting.shift()();pause=()=>new Promise(
-resume=>{waiting.push(resume),channel.port2.postMessage(null)});onmessage=({data})=>{newest={...newest,...data},
-busy||work()}}});function write(id,text){let place2=typeof id=="string"?part(id):id;place2.textContent!==text&&(place2.textContent=
+age/model/band_worker.js"(){"use strict";init_band();init_tip_forces();STALE=100,newest={},band=null,tipForces=
+null,busy=!1,done=0,channel=new MessageChannel,waiting=[];channel.port1.onmessage=()=>waiting.shift()();pause=
+()=>new Promise(resume=>{waiting.push(resume),channel.port2.postMessage(null)});onmessage=({data})=>{newest={...newest,
+...data},busy||work()}}});function write(id,text){let place2=typeof id=="string"?part(id):id;place2.textContent!==text&&(place2.textContent=
 text)}function element(tag,properties={},...contents){let made2=Object.assign(document.createElement(tag),properties);
 return made2.append(...contents.flat()),made2}function button(text,act,properties={}){let made2=element("butto\
 n",{type:"button",...properties},text);return press(made2,act),made2}function say(words){part("announced").textContent=
@@ -245,10 +246,11 @@ n",{type:"button",...properties},text);return press(made2,act),made2}function sa
 {href:URL.createObjectURL(blob),download:name});link.click(),setTimeout(()=>URL.revokeObjectURL(link.href),1e4)}
 function colour(name){let both=getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).match(
 /#\w+/g)??[""];return both[isDark()?both.length-1:0]}var part,press,entry,dark,paper,isDark,usePaper,onScheme,
-init_dom=__esm({"needlefit/viewer/page/dom.js"(){part=id=>document.getElementById(id);press=(id,act)=>(typeof id==
-"string"?part(id):id).addEventListener("click",act);entry=(term,value)=>element("div",{},element("dt",{},term),
-element("dd",{},value));dark=matchMedia("(prefers-color-scheme: dark)"),paper=!1,isDark=()=>dark.matches&&!paper,
-usePaper=on=>paper=on,onScheme=act=>dark.addEventListener("change",act)}});function ascending(a2,b){return a2==null||b==null?NaN:a2<b?-1:a2>b?1:a2>=b?0:NaN}function descending(a2,b){return a2==
+getContext,init_dom=__esm({"needlefit/viewer/page/dom.js"(){"use strict";part=id=>document.getElementById(id);
+press=(id,act)=>(typeof id=="string"?part(id):id).addEventListener("click",act);entry=(term,value)=>element("d\
+iv",{},element("dt",{},term),element("dd",{},value));dark=matchMedia("(prefers-color-scheme: dark)"),paper=!1,
+isDark=()=>dark.matches&&!paper,usePaper=on=>paper=on,onScheme=act=>dark.addEventListener("change",act),getContext=
+canvas4=>canvas4.getContext("2d",{alpha:!1})}});function ascending(a2,b){return a2==null||b==null?NaN:a2<b?-1:a2>b?1:a2>=b?0:NaN}function descending(a2,b){return a2==
 null||b==null?NaN:b<a2?-1:b>a2?1:b>=a2?0:NaN}function bisector(f){let compare1,compare2,delta;f.length!==2?(compare1=
 ascending,compare2=(d,x2)=>ascending(f(d),x2),delta=(d,x2)=>f(d)-x2):(compare1=f===ascending||f===descending?f:
 zero,compare2=f,delta=f);function left(a2,x2,lo=0,hi=a2.length){if(lo<hi){if(compare1(x2,x2)!==0)return hi;do{
@@ -351,12 +353,12 @@ bevel:{side:bevel.side,roll:bevel.roll,offset,cutAngle},controls:{baseY:base.y,b
 stageSlope,guides,tip}}}function listSteps({simulation:{steps:steps2},guide_names:names}){return steps2.map((step,i)=>[
 ...findChanges(step,steps2[i-1]??steps2[0],names),["depth_mm",null,step.depth]])}var ModelError,RADIANS,DEGREES,
 UNITS,nameOf,significant,rollOf,toSide,wrap,turnOver,init_inputs=__esm({"needlefit/viewer/page/model/inputs.js"(){
-ModelError=class extends Error{constructor(what,expected,fix){super(what),Object.assign(this,{what,expected,fix})}},
-RADIANS=Math.PI/180,DEGREES=180/Math.PI,UNITS=[["_mm"," mm"],["_deg","°"],["_pa"," Pa"]];nameOf=name=>name.replace(
-/_(mm|deg|pa)$/,"").replaceAll("_"," ");significant=value=>Number(value.toPrecision(6));rollOf=({side,roll:roll2})=>roll2+
-(side>0?0:180),toSide=roll2=>Math.abs(roll2%360)===180?{side:-1,roll:roll2-180}:{side:1,roll:roll2},wrap=roll2=>180-
-((180-roll2)%360+360)%360,turnOver=roll2=>roll2%180?["bevel_roll_deg",null,wrap(roll2+180)]:["bevel_side",null,
-roll2%360?1:-1]}});function signed(value,digits2){let size2=Math.abs(value).toFixed(digits2);return Number(size2)===0?size2:(value<
+"use strict";ModelError=class extends Error{constructor(what,expected,fix){super(what),Object.assign(this,{what,
+expected,fix})}},RADIANS=Math.PI/180,DEGREES=180/Math.PI,UNITS=[["_mm"," mm"],["_deg","°"],["_pa"," Pa"]];nameOf=
+name=>name.replace(/_(mm|deg|pa)$/,"").replaceAll("_"," ");significant=value=>Number(value.toPrecision(6));rollOf=
+({side,roll:roll2})=>roll2+(side>0?0:180),toSide=roll2=>Math.abs(roll2%360)===180?{side:-1,roll:roll2-180}:{side:1,
+roll:roll2},wrap=roll2=>180-((180-roll2)%360+360)%360,turnOver=roll2=>roll2%180?["bevel_roll_deg",null,wrap(roll2+
+180)]:["bevel_side",null,roll2%360?1:-1]}});function signed(value,digits2){let size2=Math.abs(value).toFixed(digits2);return Number(size2)===0?size2:(value<
 0?"−":"+")+size2}function modulusLike(one){let[unit,pascals]=one<1e6?["kPa",1e3]:["MPa",1e6];return{unit,write:(value,digits2=4)=>brief(
 value/pascals,digits2),read:text=>Number(text)*pascals}}function modulus(value){let{unit,write:write2}=modulusLike(
 value);return`${write2(value,3)} ${unit}`}function heightAt({x:xs,y:ys},x2){let after=Math.min(Math.max(bisectLeft(
@@ -370,8 +372,8 @@ return isChanged(state,scene)||state.bevel.roll_deg!==wrap(rollOf(bevel))||tip.h
 controls.baseY||base.input_slope!==controls.baseSlope||guides.length!==controls.guides.length||guides.some(({x:x2,
 y:y2},i)=>x2!==controls.guides[i].x||y2!==controls.guides[i].y)}var writeError,listErrors,brief,counted,toDegrees,
 degrees,slope,shortName,OFFSET,ANGLE,INPUTS,describeRoll,near,predictionOf,init_quantities=__esm({"needlefit/v\
-iewer/page/quantities.js"(){init_d3_array();init_inputs();writeError=(value,unit)=>value===null?"–":unit==="\
-%"?brief(value,3):value.toFixed(3),listErrors=(errors,{metrics})=>metrics.map(([name,label2,unit])=>`${label2}\
+iewer/page/quantities.js"(){"use strict";init_d3_array();init_inputs();writeError=(value,unit)=>value===null?"\
+–":unit==="%"?brief(value,3):value.toFixed(3),listErrors=(errors,{metrics})=>metrics.map(([name,label2,unit])=>`${label2}\
  ${writeError(errors[name],unit)} ${unit}`);brief=(value,digits2=4)=>String(Number(Number(value).toPrecision(digits2))),
 counted=(count,one)=>`${count} ${one}${count===1?"":"s"}`;toDegrees=rotation=>rotation*180/Math.PI,degrees=slope4=>Math.
 atan(slope4)*180/Math.PI,slope=angle2=>Math.tan(Math.min(Math.max(angle2,-90),90)*Math.PI/180);shortName=({item,
@@ -384,44 +386,45 @@ scene.measured?.prediction??null:null}});function listen(kind,hear2){listeners.h
 for(let hear2 of listeners.get(kind)??[])hear2(message)}function take(message){message.kind==="scene"?Object.assign(
 now,{scene:message,band:null,forces:{x:[],y:[]}}):message.kind==="band"?now.band=message.x.length?message:null:
 now[message.kind]=message,publish(message.kind,message)}var now,listeners,redraw,tipForce,init_store=__esm({"n\
-eedlefit/viewer/page/store.js"(){now={data:null,needle:null,steered:null,replay:null,playing:null,scene:null,state:null,
-band:null,pinned:null,forces:{x:[],y:[]},view:null,shown:{load:!1,points:!1,path:!1,errors:!1,measured:!0,band:!0,
-plan:!0,pinned:!0},curves:new Set,labels:[],avoided:[]};Object.assign(window,{needlefit:now});listeners=new Map;
-redraw=()=>publish("redraw"),tipForce=()=>now.forces.y.at(-1)??null}});function resize(width,height){view.low=height<LOW_PICTURE,view.box={left:GUTTER.left,top:GUTTER.top,width:Math.
+eedlefit/viewer/page/store.js"(){"use strict";now={replay:null,playing:null,band:null,pinned:null,forces:{x:[],
+y:[]},shown:{load:!1,points:!1,path:!1,errors:!1,measured:!0,band:!0,plan:!0,pinned:!0},curves:new Set,labels:[],
+avoided:[]};Object.assign(window,{needlefit:now});listeners=new Map;redraw=()=>publish("redraw"),tipForce=()=>now.
+forces.y.at(-1)??null}});function resize(width,height){view.low=height<LOW_PICTURE,view.box={left:GUTTER.left,top:GUTTER.top,width:Math.
 max(width-GUTTER.left-GUTTER.right,10),height:Math.max(height-GUTTER.top-(view.low?LOW_BOTTOM:GUTTER.bottom),10)},
 view.held||fit(view.fit)}function fit(which){if(view.fit=which,redraw(),!now.scene||!now.state||!which)return;
 if(which==="tip"){let{x:x2,y:y2}=now.state.tip;return Object.assign(view,{scale:limited(view.box.width/TIP_WINDOW),
 magnified:1,x:x2,y:y2})}let[low,high,before,after]=which==="whole"?[-now.scene.length_mm,deepest()+4,Math.min(
-74,.1*view.box.width+20),34]:[0,1.04*deepest(),Math.min(84,.2*view.box.width),34],room=view.box.width-before-after,
-[bottom,top]=heights(which),[along,across]=[room/(high-low),roomAcross()/(top-bottom)];view.scale=limited(Math.
-min(along,across));let least=LEAST_SPAN*deepest(),times=roomAcross()/view.scale/Math.max(top-bottom,least);view.
-magnified=MAGNIFICATIONS.filter(one=>one<=times).at(-1)??1,view.x=(low+high)/2+(after-before)/(2*view.scale),view.
-y=(bottom+top)/2}function deepest(){let{depth_mm:depth,boundaries_mm:tops,measured}=now.scene,goals=goalCircles().
-map(([x2,,radius])=>x2+radius);return Math.max(depth,now.state.depth_mm,(tops.at(-1)??0)+5,measured?.depth_mm??
-0,...goals)}function goalCircles(){let{plan}=now.scene;return plan?[[...plan.target,plan.radius],...plan.obstacles]:
-[]}function heights(which){let{state,band:band2,pinned,scene:{measured}}=now,seen=[state,pinned].flatMap(one=>one?
-one.y.filter((_,i)=>which==="whole"||one.x[i]>=0):[]),goals=goalCircles().flatMap(([,y2,radius])=>[y2-radius,y2+
-radius]);return extent([...seen,...measured?.y??[],...goals,...band2?.low??[],...band2?.high??[],0])}function sees(x2,y2){
-let{left,top,width,height}=view.box,[px,py]=[toPx(x2)-left,toPy(y2)-top];return px>=0&&px<=width&&py>=0&&py<=height}
-function follow(){if(view.of!==now.scene)return view.of=now.scene,fit(view.fit??"tissue");if(view.held)return;
-if(view.fit&&view.fit!=="tip"){let[bottom,top]=heights(view.fit),px=view.scale*view.magnified,out=Math.max(top-
-view.y,view.y-bottom)*px>roomAcross()/2+1||!seesTip(),low=(top-bottom)*px<LOW2*roomAcross();(out||low&&view.magnified<
-MAGNIFICATIONS.at(-1))&&fit(view.fit);return}if(view.fit!=="tip")return;let{x:x2,y:y2}=now.state.tip,across=(x2-
-view.x)*view.scale/view.box.width,up2=(y2-view.y)*view.scale*view.magnified/view.box.height;Math.abs(across)<EDGE&&
-Math.abs(up2)<EDGE||(view.x=x2+Math.sign(across)*AHEAD*view.box.width/view.scale,view.y=y2,redraw())}function zoom(factor,px=toPx(
-view.x),py=toPy(view.y)){let[x2,y2]=[fromPx(px),fromPy(py)];view.scale=limited(view.scale*factor),view.x+=x2-fromPx(
-px),view.y+=y2-fromPy(py),view.fit!=="tip"&&(view.fit=null),redraw()}function pan(px,py){view.x-=px/view.scale,
-view.y+=py/(view.scale*view.magnified),view.fit=null,redraw()}function hold(on){view.held!==on&&(view.held=on,
-!on&&now.state&&follow())}var GUTTER,LOW_PICTURE,LOW_BOTTOM,MAGNIFICATIONS,ROOM,LEAST_SPAN,LOW2,SCALES,EDGE,AHEAD,
-TIP_WINDOW,view,toPx,toPy,fromPx,fromPy,roomAcross,seesTip,limited,init_view=__esm({"needlefit/viewer/page/vie\
-w.js"(){init_d3_array();init_store();GUTTER={left:56,right:10,top:50,bottom:40},LOW_PICTURE=260,LOW_BOTTOM=24,
-MAGNIFICATIONS=[1,1.5,2,3,4,5,6,8,10,12,15,20,30,50],ROOM=56,LEAST_SPAN=.01,LOW2=.45,SCALES=[.5,400],[EDGE,AHEAD]=
-[.3,.2],TIP_WINDOW=45,view={x:0,y:0,scale:5,magnified:1,held:!1,fit:"tissue",of:null,low:!1,per_load:0,box:{left:0,
-top:0,width:1,height:1}};Object.assign(now,{view});toPx=x2=>view.box.left+view.box.width/2+(x2-view.x)*view.scale,
-toPy=y2=>view.box.top+view.box.height/2-(y2-view.y)*view.scale*view.magnified,fromPx=px=>view.x+(px-view.box.left-
-view.box.width/2)/view.scale,fromPy=py=>view.y-(py-view.box.top-view.box.height/2)/(view.scale*view.magnified);
-roomAcross=()=>view.box.height-2*Math.min(ROOM,.2*view.box.height);seesTip=()=>sees(now.state.tip.x,now.state.
-tip.y);limited=scale=>Math.min(Math.max(scale,SCALES[0]),SCALES[1]);listen("band",follow)}});function append(strings){this._+=strings[0];for(let i=1,n=strings.length;i<n;++i)this._+=arguments[i]+strings[i]}
+74,.1*view.box.width+20),34]:[0,1.04*deepest(),Math.min(84,.2*view.box.width),Math.min(84,.12*view.box.width)],
+room=view.box.width-before-after,[bottom,top]=heights(which),[along,across]=[room/(high-low),roomAcross()/(top-
+bottom)];view.scale=limited(Math.min(along,across));let least=LEAST_SPAN*deepest(),times=roomAcross()/view.scale/
+Math.max(top-bottom,least);view.magnified=MAGNIFICATIONS.filter(one=>one<=times).at(-1)??1,view.x=(low+high)/2+
+(after-before)/(2*view.scale),view.y=(bottom+top)/2}function deepest(){let{depth_mm:depth,boundaries_mm:tops,measured}=now.
+scene,goals=goalCircles().map(([x2,,radius])=>x2+radius);return Math.max(depth,now.state.depth_mm,(tops.at(-1)??
+0)+5,measured?.depth_mm??0,...goals)}function goalCircles(){let{plan}=now.scene;return plan?[[...plan.target,plan.
+radius],...plan.obstacles]:[]}function heights(which){let{state,band:band2,pinned,scene:{measured}}=now,seen=[
+state,pinned].flatMap(one=>one?one.y.filter((_,i)=>which==="whole"||one.x[i]>=0):[]),goals=goalCircles().flatMap(
+([,y2,radius])=>[y2-radius,y2+radius]);return extent([...seen,...measured?.y??[],...goals,...band2?.low??[],...band2?.
+high??[],0])}function sees(x2,y2){let{left,top,width,height}=view.box,[px,py]=[toPx(x2)-left,toPy(y2)-top];return px>=
+0&&px<=width&&py>=0&&py<=height}function follow(){if(view.of!==now.scene)return view.of=now.scene,fit(view.fit??
+"tissue");if(view.held)return;if(view.fit&&view.fit!=="tip"){let[bottom,top]=heights(view.fit),px=view.scale*view.
+magnified,out=Math.max(top-view.y,view.y-bottom)*px>roomAcross()/2+1||!seesTip(),low=(top-bottom)*px<LOW2*roomAcross();
+(out||low&&view.magnified<MAGNIFICATIONS[MAGNIFICATIONS.length-1])&&fit(view.fit);return}if(view.fit!=="tip")return;
+let{x:x2,y:y2}=now.state.tip,across=(x2-view.x)*view.scale/view.box.width,up2=(y2-view.y)*view.scale*view.magnified/
+view.box.height;Math.abs(across)<EDGE&&Math.abs(up2)<EDGE||(view.x=x2+Math.sign(across)*AHEAD*view.box.width/view.
+scale,view.y=y2,redraw())}function zoom(factor,px=toPx(view.x),py=toPy(view.y)){let[x2,y2]=[fromPx(px),fromPy(
+py)];view.scale=limited(view.scale*factor),view.x+=x2-fromPx(px),view.y+=y2-fromPy(py),view.fit!=="tip"&&(view.
+fit=null),redraw()}function pan(px,py){view.x-=px/view.scale,view.y+=py/(view.scale*view.magnified),view.fit=null,
+redraw()}function hold(on){view.held!==on&&(view.held=on,!on&&now.state&&follow())}var GUTTER,LOW_PICTURE,LOW_BOTTOM,
+MAGNIFICATIONS,ROOM,LEAST_SPAN,LOW2,SCALES,EDGE,AHEAD,TIP_WINDOW,view,toPx,toPy,fromPx,fromPy,roomAcross,seesTip,
+limited,init_view=__esm({"needlefit/viewer/page/view.js"(){"use strict";init_d3_array();init_store();GUTTER={left:56,
+right:10,top:50,bottom:40},LOW_PICTURE=260,LOW_BOTTOM=24,MAGNIFICATIONS=[1,1.5,2,3,4,5,6,8,10,12,15,20,30,50],
+ROOM=56,LEAST_SPAN=.01,LOW2=.45,SCALES=[.5,400],[EDGE,AHEAD]=[.3,.2],TIP_WINDOW=45,view={x:0,y:0,scale:5,magnified:1,
+held:!1,fit:"tissue",of:null,low:!1,per_load:0,box:{left:0,top:0,width:1,height:1}};Object.assign(now,{view});
+toPx=x2=>view.box.left+view.box.width/2+(x2-view.x)*view.scale,toPy=y2=>view.box.top+view.box.height/2-(y2-view.
+y)*view.scale*view.magnified,fromPx=px=>view.x+(px-view.box.left-view.box.width/2)/view.scale,fromPy=py=>view.
+y-(py-view.box.top-view.box.height/2)/(view.scale*view.magnified);roomAcross=()=>view.box.height-2*Math.min(ROOM,
+.2*view.box.height);seesTip=()=>sees(now.state.tip.x,now.state.tip.y);limited=scale=>Math.min(Math.max(scale,SCALES[0]),
+SCALES[1]);listen("band",follow)}});function append(strings){this._+=strings[0];for(let i=1,n=strings.length;i<n;++i)this._+=arguments[i]+strings[i]}
 function appendRound(digits2){let d=Math.floor(digits2);if(!(d>=0))throw new Error(`invalid digits: ${digits2}`);
 if(d>15)return append;let k2=10**d;return function(strings){this._+=strings[0];for(let i=1,n=strings.length;i<
 n;++i)this._+=Math.round(arguments[i]*k2)/k2+strings[i]}}function equal(x0,y0,x1,y1){return x0===x1&&y0===y1}function equalRound(digits2){
@@ -818,17 +821,18 @@ at(-1)??[-1/0,0];Math.hypot(px-4-left,py-4-top)>8&&now.avoided.push([px-4,py-4,8
 let{left,top,width,height}=now.view.box,wide=context2.measureText(text).width+6,limit=(value,low,high)=>Math.max(
 low,Math.min(value,high)),free=places.map(([px,py])=>[limit(px-wide/2,left+2,left+width-wide-2),limit(py-LINE/
 2,top+2,top+height-LINE-2),wide,LINE]).filter(isFree),box2=free.find(one=>!now.avoided.some(other=>overlap(one,
-other)))??free[0];box2&&(reserve(...box2),context2.textAlign="center",context2.textBaseline="middle",label(context2,
-text,box2[0]+wide/2,box2[1]+LINE/2,shade))}function labelBeside(context2,text,sides,shade){setFont(context2,"s\
-trong");let half=context2.measureText(text).width/2,curves=sides.map(([{x:x2,y:y2},away])=>[placesOf(x2,y2),away]);
-for(let[places]of curves)avoid(places);let beside=SHARES.flatMap(share=>curves.flatMap(([places,away])=>{let[px,
-py]=places[Math.round(share*(places.length-1))];return[0,-half,half].map(aside=>[px+aside,py+away])}));labelFree(
-context2,text,beside,shade)}var NAMES,FAMILY,FONTS,palette,placesOf,line2,cross,LINE,SHARES,clearLabels,overlap,
-isFree,reserve,init_strokes=__esm({"needlefit/viewer/page/painters/strokes.js"(){init_d3_shape();init_d3_interpolate();
-init_dom();init_store();init_view();NAMES=["air","gutter","ink","quiet","edge","needle","points","path","tip",
-"guide","load","measured","band","ghost","plan","gap","bad","halo","soft","stiff","label","accent"],FAMILY="Ar\
-ial, 'Liberation Sans', Helvetica, sans-serif",FONTS={small:`11px ${FAMILY}`,plain:`12px ${FAMILY}`,strong:`60\
-0 12px ${FAMILY}`},palette={};placesOf=(x2,y2)=>x2.map((one,i)=>[toPx(one),toPy(y2[i])]),line2=(context2,x2,y2,shade,width,dash=[])=>polyline(
+other)))??free[0];box2&&(now.labels.push(box2),context2.textAlign="center",context2.textBaseline="middle",label(
+context2,text,box2[0]+wide/2,box2[1]+LINE/2,shade))}function labelBeside(context2,text,sides,shade){setFont(context2,
+"strong");let half=context2.measureText(text).width/2,curves=sides.map(([{x:x2,y:y2},away])=>[placesOf(x2,y2),
+away]);for(let[places]of curves)avoid(places);let ends=curves.map(([places])=>[places.at(-1)[0]+half+8,places.
+at(-1)[1]]),beside=SHARES.flatMap(share=>curves.flatMap(([places,away])=>{let[px,py]=places[Math.round(share*(places.
+length-1))];return[0,-half,half].map(aside=>[px+aside,py+away])}));labelFree(context2,text,[...ends,...beside],
+shade)}var NAMES,FAMILY,FONTS,palette,placesOf,line2,cross,LINE,SHARES,clearLabels,overlap,isFree,reserve,init_strokes=__esm(
+{"needlefit/viewer/page/painters/strokes.js"(){"use strict";init_d3_shape();init_d3_interpolate();init_dom();init_store();
+init_view();NAMES=["air","gutter","ink","quiet","edge","needle","points","path","tip","guide","load","measured",
+"band","ghost","plan","gap","bad","halo","soft","stiff","label","accent"],FAMILY="Arial, 'Liberation Sans', He\
+lvetica, sans-serif",FONTS={small:`11px ${FAMILY}`,plain:`12px ${FAMILY}`,strong:`600 12px ${FAMILY}`},palette=
+{};placesOf=(x2,y2)=>x2.map((one,i)=>[toPx(one),toPy(y2[i])]),line2=(context2,x2,y2,shade,width,dash=[])=>polyline(
 context2,[placesOf(x2,y2)],shade,width,dash);cross=(px,py,arm,oblique=!1)=>(oblique?[[arm,arm],[arm,-arm]]:[[arm,
 0],[0,arm]]).map(([dx,dy])=>[[px-dx,py-dy],[px+dx,py+dy]]);LINE=16,SHARES=[1,.8,.6,.4],clearLabels=()=>Object.
 assign(now,{labels:[],avoided:[]}),overlap=([x2,y2,w,h],[x22,y22,w2,h2])=>x2<x22+w2&&x22<x2+w&&y2<y22+h2&&y22<
@@ -865,30 +869,30 @@ fillText(written2(x2),px,bottom+TICK+2);view.low?context2.fillText(IN_ROW,(end+A
 2):context2.fillText("x along the entry (mm)",left+width/2,bottom+26)}function nameAcross(context2,room){if(view.
 magnified===1)return"y (mm)";let long=`y (mm), drawn ${view.magnified}× as large as x`;return context2.measureText(
 long).width<room?long:`y (mm), drawn ${view.magnified}×`}var APART,ROWS,TWO_ROWS,TICK,TICKS_APART,QUARTER,IN_ROW,
-written2,init_background=__esm({"needlefit/viewer/page/painters/background.js"(){init_d3_array();init_quantities();
-init_store();init_view();init_strokes();APART=8,ROWS=[-34,-20,-6],TWO_ROWS=[-27,-11],TICK=5,TICKS_APART=60,QUARTER=
-Math.PI/2,IN_ROW="x (mm)";written2=value=>brief(value,6).replace("-","−")}});function bevelPlace({tip,bevel}){let[px,py]=[toPx(tip.x),toPy(tip.y)];return{tip:[px,py],turn:[px+AHEAD2,py-Math.
-cos(bevel.roll_deg*Math.PI/180)*ARM]}}function handleAt(px,py,kind="mouse"){if(!now.state)return null;let[nearest,
-least]=[null,NEAR[kind]??NEAR.mouse];for(let handle of listHandles(now.state)){let distance2=Math.hypot(handle.
-at[0]-px,handle.at[1]-py);distance2<least&&([nearest,least]=[handle,distance2])}return nearest}function dragBase({
-base,depth_mm:depth,guides}){let reach=now.scene.length_mm+Math.min(0,...guides.map(({x:x2})=>x2))-.001,along=null;
-return(from,to)=>{let[px,py]=[Math.abs(to[0]-from[0]),Math.abs(to[1]-from[1])];return px>BEGINS.along&&px>BEGINS.
-times*py?along??=!0:py>BEGINS.across&&(along??=!1),along===null?[]:along?[["depth_mm",null,Math.min(Math.max(depth+
-fromPx(to[0])-fromPx(from[0]),0),reach)]]:[["base_y_mm",null,base.input_y+rise(from,to)]]}}function turnBevel({
-bevel}){let{side}=bevel;return(_,[,py])=>(bevelPlace(now.state).tip[1]-py)*side>-BEGINS.across?[]:(side=-side,
-[turnOver(now.state.bevel.roll_deg)])}var AHEAD2,ARM,NEAR,BEGINS,angleOf,basePlace,guidePlace,listHandles,rise,
-dragGuide,init_handles=__esm({"needlefit/viewer/page/handles.js"(){init_inputs();init_store();init_view();[AHEAD2,
-ARM]=[16,26],NEAR={mouse:16,touch:28},BEGINS={across:3,along:8,times:2},angleOf=slope4=>Math.atan(slope4*view.
-magnified),basePlace=({base})=>({place:[toPx(base.x),toPy(base.y)],angle:angleOf(Math.tan(base.rotation))}),guidePlace=
-({x:x2,y:y2,slope:slope4})=>({place:[toPx(x2),toPy(y2)],angle:angleOf(slope4)});listHandles=state=>[{at:bevelPlace(
-state).turn,cursor:"grab",drag:turnBevel(state)},...state.guides.map(guide=>({at:guidePlace(guide).place,cursor:"\
-move",drag:dragGuide(guide)})),{at:basePlace(state).place,cursor:"move",drag:dragBase(state)}];rise=(from,to)=>fromPy(
+written2,init_background=__esm({"needlefit/viewer/page/painters/background.js"(){"use strict";init_d3_array();
+init_quantities();init_store();init_view();init_strokes();APART=8,ROWS=[-34,-20,-6],TWO_ROWS=[-27,-11],TICK=5,
+TICKS_APART=60,QUARTER=Math.PI/2,IN_ROW="x (mm)";written2=value=>brief(value,6).replace("-","−")}});function bevelPlace({tip,bevel}){let[px,py]=[toPx(tip.x),toPy(tip.y)];return{tip:[px,py],turn:[px+AHEAD2,py-Math.
+cos(bevel.roll_deg*Math.PI/180)*ARM]}}function handleAt(px,py,kind="mouse"){let nearest=null,least=NEAR[kind]??
+NEAR.mouse;for(let handle of now.state?listHandles(now.state):[]){let distance2=Math.hypot(handle.at[0]-px,handle.
+at[1]-py);distance2<least&&([nearest,least]=[handle,distance2])}return nearest}function dragBase({base,depth_mm:depth,
+guides}){let reach=now.scene.length_mm+Math.min(0,...guides.map(({x:x2})=>x2))-.001,along=null;return(from,to)=>{
+let[px,py]=[Math.abs(to[0]-from[0]),Math.abs(to[1]-from[1])];return px>BEGINS.along&&px>BEGINS.times*py?along??=
+!0:py>BEGINS.across&&(along??=!1),along===null?[]:along?[["depth_mm",null,Math.min(Math.max(depth+fromPx(to[0])-
+fromPx(from[0]),0),reach)]]:[["base_y_mm",null,base.input_y+rise(from,to)]]}}function turnBevel({bevel}){let{side}=bevel;
+return(_,[,py])=>(bevelPlace(now.state).tip[1]-py)*side>-BEGINS.across?[]:(side=-side,[turnOver(now.state.bevel.
+roll_deg)])}var AHEAD2,ARM,NEAR,BEGINS,angleOf,basePlace,guidePlace,listHandles,rise,dragGuide,init_handles=__esm(
+{"needlefit/viewer/page/handles.js"(){"use strict";init_inputs();init_store();init_view();[AHEAD2,ARM]=[16,26],
+NEAR={mouse:16,touch:28},BEGINS={across:3,along:8,times:2},angleOf=slope4=>Math.atan(slope4*view.magnified),basePlace=
+({base})=>({place:[toPx(base.x),toPy(base.y)],angle:angleOf(Math.tan(base.rotation))}),guidePlace=({x:x2,y:y2,
+slope:slope4})=>({place:[toPx(x2),toPy(y2)],angle:angleOf(slope4)});listHandles=state=>[{at:bevelPlace(state).
+turn,cursor:"grab",drag:turnBevel(state)},...state.guides.map(guide=>({at:guidePlace(guide).place,cursor:"move",
+drag:dragGuide(guide)})),{at:basePlace(state).place,cursor:"move",drag:dragBase(state)}];rise=(from,to)=>fromPy(
 to[1])-fromPy(from[1]);dragGuide=({item,x:x2,y:y2})=>(from,to)=>[["guide_x_mm",item,x2+fromPx(to[0])-fromPx(from[0])],
 ["guide_y_mm",item,y2+rise(from,to)]]}});function describeShaft({x:x2,y:y2,faults}){let outside=faults?.length>0,points=placesOf(x2,y2),tip=points.at(-1),
 shaft=points.filter(one=>distance(one,tip)>BEVEL.length),last3=shaft.at(-1)??tip,share=1-BEVEL.length/(distance(
 last3,tip)||1);return shaft.push(last3.map((from,i)=>from+share*(tip[i]-from))),{shaft,tip,outside,shown:outside?
-palette.bad:palette.needle}}function paintNeedle(context2,state){let{shaft,tip,outside,shown:shown2}=describeShaft(
-state);polyline(context2,[shaft],shown2,LINE2,outside?[9,5]:[]);let[end,{half},{side}]=[shaft.at(-1),BEVEL,state.
+palette.bad:palette.needle}}function paintNeedle(context2,state){let{shaft,tip,outside,shown:shown3}=describeShaft(
+state);polyline(context2,[shaft],shown3,LINE2,outside?[9,5]:[]);let[end,{half},{side}]=[shaft.at(-1),BEVEL,state.
 bevel],size2=distance(end,tip)||1,[dx,dy]=tip.map((to,i)=>(to-end[i])/size2),at=([px,py],to)=>[px+to*dy*half,py-
 to*dx*half],[back,near2,point2]=[at(end,-side),at(end,side),at(tip,side)];polygon(context2,[back,near2,point2],
 palette.needle),polyline(context2,[[back,point2]],palette.tip,2)}function reserveNeedle(state){let{tip:[px,py],
@@ -901,7 +905,7 @@ context2,"bevel",[[turn2[0]+29,turn2[1]],[turn2[0],turn2[1]-18*state.bevel.side]
 tip,z}){if(z)return;let[force,length]=[tipForce(),arrowLength()];if(Math.abs(length)<SHORTEST)return;let[px,py]=[
 toPx(tip.x),toPy(tip.y)];arrow(context2,[px,py],length,palette.load),setFont(context2,"small");let[end,half]=[
 py-length-9*Math.sign(length),py-length/2],places=[[px,end],[px-34,end],[px+30,end],[px+30,half],[px-34,half],
-[px,end-14*Math.sign(length)]];labelFree(context2,`${brief(Math.abs(force),2)} N`,places,palette.load)}function paintPoints(context2,{
+[px,end-14*Math.sign(length)]];labelFree(context2,`${brief(Math.abs(force??0),2)} N`,places,palette.load)}function paintPoints(context2,{
 constraints:[x2,y2]}){let half=Math.min(Math.max(CROSS.of*now.scene.spacing_mm*view.scale,CROSS.least),CROSS.most),
 crosses=placesOf(x2,y2).flatMap(place2=>cross(...place2,half,!0));polyline(context2,crosses,palette.points,half>
 2?1.4:1)}function paintBase(context2,state){let{place:[px,py],angle:angle2}=basePlace(state),ends=[-46,46].map(
@@ -918,21 +922,21 @@ one,planes[1][i])),greatest=load3.reduce((most,one)=>Math.max(most,Math.abs(one)
 length<2)return;let height=greatest*view.per_load;(height>tallest()||height<Math.min(LOWEST,tallest()/3))&&(view.
 per_load=.75*tallest()/(2*tickStep(0,greatest,1)));let[px,py]=[x2.map(toPx),y2.map(toPy)],[surface,ends]=[0,view.
 per_load].map(scale=>px.map((x3,i)=>[x3,py[i]-load3[i]*scale]));faintly(context2,.32,()=>polygon(context2,[...surface,
-...ends.toReversed()],palette.load)),polyline(context2,[[surface[0],...ends,surface.at(-1)]],palette.load,1.25)}
-function smooth(x2,load3,reach){let sums=[0];for(let i=1;i<x2.length;i+=1)sums.push(sums[i-1]+(load3[i]+load3[i-
-1])/2*(x2[i]-x2[i-1]));let sumTo=at=>{let i=bisectRight(x2,at);if(i===0||i===x2.length)return sums.at(i-1)*Math.
-sign(i);let part2=(at-x2[i-1])/(x2[i]-x2[i-1]);return sums[i-1]+(load3[i-1]+part2*(load3[i]-load3[i-1])/2)*(at-
-x2[i-1])};return x2.map((at,i)=>{let half=Math.min(reach,at-x2[0],x2.at(-1)-at);return half>0?(sumTo(at+half)-
+...ends.toReversed()],palette.load)),polyline(context2,[[...surface.slice(0,1),...ends,...surface.slice(-1)]],
+palette.load,1.25)}function smooth(x2,load3,reach){let sums=[0];for(let i=1;i<x2.length;i+=1)sums.push(sums[i-
+1]+(load3[i]+load3[i-1])/2*(x2[i]-x2[i-1]));let sumTo=at=>{let i=bisectRight(x2,at);if(i===0||i===x2.length)return sums[Math.
+max(i-1,0)];let part2=(at-x2[i-1])/(x2[i]-x2[i-1]);return sums[i-1]+(load3[i-1]+part2*(load3[i]-load3[i-1])/2)*
+(at-x2[i-1])};return x2.map((at,i)=>{let half=Math.min(reach,at-x2[0],x2.at(-1)-at);return half>0?(sumTo(at+half)-
 sumTo(at-half))/(2*half):load3[i]})}function paintKey(context2){if(!view.per_load)return;let size2=tickStep(0,
 28/view.per_load,1),[px,height]=[7,size2*view.per_load],py=view.box.top-6-height;polyline(context2,[[[px,py],[
 px,py+height]],...[py,py+height].map(end=>[[px-3,end],[px+3,end]])],palette.load,1.5),setFont(context2,"small",
 "left"),label(context2,`${brief(size2)} N/mm`,px+6,py+height/2)}var LINE2,CROSS,BEVEL,GAP,LOWEST,tallest,SHORTEST,
 LEAST_FORCE,LEAST_LOAD,distance,paintPath,box,init_needle2=__esm({"needlefit/viewer/page/painters/needle.js"(){
-init_d3_array();init_handles();init_quantities();init_store();init_view();init_strokes();LINE2=2.5,CROSS={of:.28,
-least:1,most:3.2},BEVEL={length:7.5,half:1.5},GAP=3,LOWEST=16,tallest=()=>Math.min(48,.2*view.box.height-10),SHORTEST=
-5,LEAST_FORCE=.5,LEAST_LOAD=1e-6,distance=(one,other)=>Math.hypot(one[0]-other[0],one[1]-other[1]);paintPath=(context2,{
-tip_path:[x2,y2]})=>line2(context2,x2,y2,palette.path,1.5);box=(context2,px,py,width,height,shade)=>polygon(context2,
-[[px,py],[px+width,py],[px+width,py+height],[px,py+height]],shade)}});function paintMeasured(context2,curve){haloed(context2,curve,palette.measured,2,[7,4]),nameLine(context2,"meas\
+"use strict";init_d3_array();init_handles();init_quantities();init_store();init_view();init_strokes();LINE2=2.5,
+CROSS={of:.28,least:1,most:3.2},BEVEL={length:7.5,half:1.5},GAP=3,LOWEST=16,tallest=()=>Math.min(48,.2*view.box.
+height-10),SHORTEST=5,LEAST_FORCE=.5,LEAST_LOAD=1e-6,distance=(one,other)=>Math.hypot(one[0]-other[0],one[1]-other[1]);
+paintPath=(context2,{tip_path:[x2,y2]})=>line2(context2,x2,y2,palette.path,1.5);box=(context2,px,py,width,height,shade)=>polygon(
+context2,[[px,py],[px+width,py],[px+width,py+height],[px,py+height]],shade)}});function paintMeasured(context2,curve){haloed(context2,curve,palette.measured,2,[7,4]),nameLine(context2,"meas\
 ured",curve,palette.measured)}function nameLine(context2,name,curve,shade){labelBeside(context2,name,[[curve,16],
 [curve,-16]],shade)}function nameNeedle(context2,state){predictionOf(state,now.scene)||nameLine(context2,isSteered(
 state,now.scene)?"steered":"simulated",state,state.faults.length?palette.bad:palette.needle)}function paintPinned(context2,pinned){
@@ -948,8 +952,8 @@ let{errors}=state;if(!errors)return;let prediction=predictionOf(state,now.scene)
 x:needle.x.at(-1),y:needle.y.at(-1)},reach=Math.min(tip.x,measured.x.at(-1)),gaps=Array.from({length:GAPS-1},(_,n)=>reach*
 (n+1)/GAPS).map(x3=>[needle,measured].map(curve=>[toPx(x3),toPy(heightAt(curve,x3))]));polyline(context2,gaps,
 palette.gap,1.25);let[x2,y2]=errors.whole?[measured.x.at(-1),measured.y.at(-1)]:[reach,heightAt(measured,reach)],
-end=errors.whole?[tip.x,tip.y]:[reach,heightAt(needle,reach)];for(let[shown2,width]of[[palette.halo,5],[palette.
-gap,2.5]])line2(context2,[x2,end[0]],[y2,end[1]],shown2,width);setFont(context2,"strong");let[px,[,[key,named2]]]=[
+end=errors.whole?[tip.x,tip.y]:[reach,heightAt(needle,reach)];for(let[shown3,width]of[[palette.halo,5],[palette.
+gap,2.5]])line2(context2,[x2,end[0]],[y2,end[1]],shown3,width);setFont(context2,"strong");let[px,[,[key,named2]]]=[
 toPx(x2),measured.metrics],[top,bottom]=[toPy(y2),toPy(end[1])].sort((one,other)=>one-other),sides=[[px,top-AWAY],
 [px,bottom+AWAY]];state.bevel.side>0&&sides.reverse(),labelFree(context2,`tip error (${named2}) ${(prediction?.
 errors??errors)[key].toFixed(2)} mm`,[...sides,[px+60,top-AWAY],[px+60,bottom+AWAY],[px-90,top-AWAY],[px-90,bottom+
@@ -970,54 +974,54 @@ height-INSET.edge,top+INSET.edge],columns2=[left+INSET.edge,left+width-wide-INSE
 map(px2=>[px2,py2])).find(empty);if(!corner)return;let[px,py]=corner.map(one=>Math.round(one)+.5);reserve(px,py,
 wide,INSET.height);let frame2=[[px,py],[px+wide,py],[px+wide,py+INSET.height],[px,py+INSET.height],[px,py]];polygon(
 context2,frame2,palette.air),polyline(context2,[frame2],palette.quiet,1);let inserted=x2.map((one,i)=>[one,y2[i]]).
-filter(([one])=>one>=0),[low,high]=extent(inserted,([,one])=>one),room=[wide-2*INSET.edge,INSET.height-INSET.title-
-6],scale=Math.min(room[0]/Math.max(scene.depth_mm,now.state.depth_mm,1),room[1]/(high-low+scene.diameter_mm)),
+filter(([one])=>one>=0),[low,high]=extent(inserted.map(([,one])=>one)),room=[wide-2*INSET.edge,INSET.height-INSET.
+title-6],scale=Math.min(room[0]/Math.max(scene.depth_mm,now.state.depth_mm,1),room[1]/(high-low+scene.diameter_mm)),
 middle=py+(INSET.height+INSET.title)/2,drawn=inserted.map(([one,across])=>[px+INSET.edge+one*scale,middle-(across-
 (low+high)/2)*scale]);polyline(context2,[drawn],palette.needle,Math.max(scene.diameter_mm*scale,1)),setFont(context2,
 "small","left","top"),label(context2,"true scale",px+6,py+4)}var GAPS,FAN,CROSS2,CORNERS,AWAY,INSET,CLEAR,BAND_REACH,
-isBandNear,lighten,init_overlay=__esm({"needlefit/viewer/page/painters/overlay.js"(){init_d3_array();init_d3_interpolate();
-init_dom();init_quantities();init_store();init_view();init_strokes();GAPS=12,FAN=.3,CROSS2=5,CORNERS=72,AWAY=19,
-INSET={width:170,height:46,edge:10,title:14},CLEAR=30;BAND_REACH=2,isBandNear=({x:x2},state)=>x2.length>0&&Math.
-abs(x2.at(-1)-state.x.at(-1))<=BAND_REACH;lighten=shade=>rgb2(shade,"#ffffff")(.4)}});function turn(state){let across=([x2,,z=x2.map(()=>0)])=>[x2,z],roll2=state.bevel.roll_deg*Math.PI/180;return{
+isBandNear,lighten,init_overlay=__esm({"needlefit/viewer/page/painters/overlay.js"(){"use strict";init_d3_array();
+init_d3_interpolate();init_dom();init_quantities();init_store();init_view();init_strokes();GAPS=12,FAN=.3,CROSS2=
+5,CORNERS=72,AWAY=19,INSET={width:170,height:46,edge:10,title:14},CLEAR=30;BAND_REACH=2,isBandNear=({x:x2},state)=>x2.
+length>0&&Math.abs(x2.at(-1)-state.x.at(-1))<=BAND_REACH;lighten=shade=>rgb2(shade,"#ffffff")(.4)}});function turn(state){let across=([x2,,z=x2.map(()=>0)])=>[x2,z],roll2=state.bevel.roll_deg*Math.PI/180;return{
 ...state,y:state.z,constraints:across(state.constraints),tip_path:across(state.tip_path),bevel:{side:Math.sin(
 roll2)<0?-1:1}}}function draw(){if(canvas.hidden=!now.state||!isSpatial(),canvas.hidden)return;let{clientWidth:width,
 clientHeight:height}=canvas,size2=[width,height].map(one=>Math.round(one*devicePixelRatio));(canvas.width!==size2[0]||
 canvas.height!==size2[1])&&([canvas.width,canvas.height]=size2),context.setTransform(devicePixelRatio,0,0,devicePixelRatio,
-0,0),context.fillStyle=palette.gutter,context.fillRect(0,0,width,height);let{band:band2,shown:shown2,scene:{measured}}=now,
+0,0),context.fillStyle=palette.gutter,context.fillRect(0,0,width,height);let{band:band2,shown:shown3,scene:{measured}}=now,
 state={...now.state,z:now.state.z??now.state.x.map(()=>0)},seen=[...state.z,...measured?.z??[],...band2?.z?.low??
 [],...band2?.z?.high??[],0],[low,high]=[Math.min(...seen),Math.max(...seen)],{y:y2,box:box2,magnified}=view,window2={
 ...box2,top:EDGE2,height:height-2*EDGE2},times=Math.min(magnified,(window2.height-2*ROOM2)/(view.scale*(high-low||
 1)));Object.assign(view,{y:(low+high)/2,box:window2,magnified:times}),within(context,window2,()=>{paintTissue(
-context);let needle=turn(state);shown2.band&&band2?.z&&isBandNear(band2,state)&&paintBand(context,{x:band2.x,...band2.
-z},band2.step!==state.step),context.lineJoin="round",paintNeedle(context,needle),shown2.path&&paintPath(context,
-needle),shown2.points&&paintPoints(context,needle),measured&&shown2.measured&&paintMeasured(context,{...measured,
+context);let needle=turn(state);shown3.band&&band2?.z&&isBandNear(band2,state)&&paintBand(context,{x:band2.x,...band2.
+z},band2.step!==state.step),context.lineJoin="round",paintNeedle(context,needle),shown3.path&&paintPath(context,
+needle),shown3.points&&paintPoints(context,needle),measured&&shown3.measured&&paintMeasured(context,{...measured,
 y:measured.z}),setFont(context,"small","left"),label(context,"from above",box2.left+6,EDGE2+10)}),paintFrame(context,
 times===1?"z (mm)":`z (mm), drawn ${brief(times,2)}×`),Object.assign(view,{y:y2,box:box2,magnified})}var EDGE2,
-ROOM2,canvas,context,isSpatial,init_above=__esm({"needlefit/viewer/page/above.js"(){init_dom();init_background();
+ROOM2,canvas,context,isSpatial,init_above=__esm({"needlefit/viewer/page/above.js"(){"use strict";init_dom();init_background();
 init_needle2();init_overlay();init_strokes();init_quantities();init_store();init_view();[EDGE2,ROOM2]=[8,14],canvas=
-part("above"),context=canvas.getContext("2d",{alpha:!1}),isSpatial=()=>!!(now.state?.z??now.scene?.measured?.compared===
-"space");for(let kind of["drawn","scene"])listen(kind,draw);new ResizeObserver(draw).observe(canvas);onScheme(
-()=>requestAnimationFrame(draw))}});function computeErrors(session,measured){let{depth}=session.shape,upto=Math.min(depth,measured.depth_mm);if(upto<
-1)return null;let beyond=depth-measured.depth_mm,whole=Math.abs(beyond)<=1e-6,[simulated,other]=[null,null];if(whole){
+part("above"),context=getContext(canvas),isSpatial=()=>!!(now.state?.z??now.scene?.measured?.compared==="space");
+for(let kind of["drawn","scene"])listen(kind,draw);new ResizeObserver(draw).observe(canvas);onScheme(()=>requestAnimationFrame(
+draw))}});function computeErrors(session,measured){let{depth}=session.shape,upto=Math.min(depth,measured.depth_mm);if(upto<
+1)return null;let beyond=depth-measured.depth_mm,whole=Math.abs(beyond)<=1e-6,[simulated,other]=[[],[]];if(whole){
 let{s:s2,x:x2,y:y2,z,pose}=measured.target;other=x2.map((one,i)=>[one,y2[i],z[i]]),simulated=readPoints(session,
 s2.map(one=>one+beyond)),simulated=ALIGN[pose](simulated,other)}else if(measured.target.pose!=="free"){let s2=Array.
 from({length:101},(_,i)=>upto*i/100);other=interpolate(measured,s2),simulated=ALIGN[measured.target.pose](readPoints(
 session,s2),other)}else return null;let axes=AXES[measured.compared],distances=simulated.map((point2,i)=>Math.
-hypot(...axes.map(axis=>point2[axis]-other[i][axis]))),deflection=Math.hypot(...axes.slice(1).map(axis=>other.
-at(-1)[axis]-other[0][axis])),finite=Object.entries(METRICS).map(([name,compute])=>[name,compute(distances,deflection)]).
-map(([name,value])=>[name,Number.isFinite(value)?value:null]);return{...Object.fromEntries(finite),upto_mm:upto,
-whole,floor_mm:measured.floor_mm}}function readPoints(session,s2){let{x:x2,depth,planes}=session.shape,points=session.
-positions(s2.map(one=>Math.min(Math.max(one,x2[0]),depth)));return s2.map((_,i)=>[points[(1+planes)*i],points[(1+
-planes)*i+1],planes===1?0:points[3*i+2]])}function interpolate({s:s2,...axes},at){let i=0;return at.map(one=>{
-for(;i<s2.length-2&&s2[i+1]<one;)i+=1;let share=Math.min(Math.max((one-s2[i])/(s2[i+1]-s2[i]),0),1);return["x",
-"y","z"].map(axis=>axes[axis][i]+share*(axes[axis][i+1]-axes[axis][i]))})}function shiftAcross(moving,fixed){let[
-dy,dz]=[1,2].map(axis=>mean(moving.map((point2,i)=>fixed[i][axis]-point2[axis])));return moving.map(([x2,y2,z])=>[
-x2,y2+dy,z+dz])}function alignRigid(moving,fixed){let centre=points=>[0,1].map(axis=>mean(points.map(one=>one[axis]))),
+hypot(...axes.map(axis=>point2[axis]-other[i][axis]))),deflection=Math.hypot(...axes.slice(1).map(axis=>other[other.
+length-1][axis]-other[0][axis])),finite=Object.entries(METRICS).map(([name,compute])=>[name,compute(distances,
+deflection)]).map(([name,value])=>[name,Number.isFinite(value)?value:null]);return{...Object.fromEntries(finite),
+upto_mm:upto,whole,floor_mm:measured.floor_mm}}function readPoints(session,s2){let{x:x2,depth,planes}=session.
+shape,points=session.positions(s2.map(one=>Math.min(Math.max(one,x2[0]),depth)));return s2.map((_,i)=>[points[(1+
+planes)*i],points[(1+planes)*i+1],planes===1?0:points[3*i+2]])}function interpolate({s:s2,...axes},at){let i=0;
+return at.map(one=>{for(;i<s2.length-2&&s2[i+1]<one;)i+=1;let share=Math.min(Math.max((one-s2[i])/(s2[i+1]-s2[i]),
+0),1);return["x","y","z"].map(axis=>axes[axis][i]+share*(axes[axis][i+1]-axes[axis][i]))})}function shiftAcross(moving,fixed){
+let[dy,dz]=[1,2].map(axis=>mean(moving.map((point2,i)=>fixed[i][axis]-point2[axis])));return moving.map(([x2,y2,
+z])=>[x2,y2+dy,z+dz])}function alignRigid(moving,fixed){let centre=points=>[0,1].map(axis=>mean(points.map(one=>one[axis]))),
 [m,f]=[centre(moving),centre(fixed)],[across,along]=[0,0];moving.forEach(([x2,y2],i)=>{let[a2,b,c2,d]=[x2-m[0],
 y2-m[1],fixed[i][0]-f[0],fixed[i][1]-f[1]];across+=a2*d-b*c2,along+=a2*c2+b*d});let angle2=Math.atan2(across,along),
 [c,s2]=[Math.cos(angle2),Math.sin(angle2)];return moving.map(([x2,y2,z])=>[c*(x2-m[0])-s2*(y2-m[1])+f[0],s2*(x2-
 m[0])+c*(y2-m[1])+f[1],z])}var mean,relate,METRICS,AXES,ALIGN,init_errors=__esm({"needlefit/viewer/page/model/\
-errors.js"(){mean=values=>values.reduce((sum,one)=>sum+one,0)/values.length,relate=(d,deflection)=>deflection?
+errors.js"(){"use strict";mean=values=>values.reduce((sum,one)=>sum+one,0)/values.length,relate=(d,deflection)=>deflection?
 100*d.at(-1)/deflection:d.at(-1)?1/0:0,METRICS={median_err_mm:d=>{let sorted=d.toSorted((one,other)=>one-other),
 half=sorted.length>>1;return sorted.length%2?sorted[half]:(sorted[half-1]+sorted[half])/2},ipe_mean_mm:mean,ipe_std_mm:d=>{
 let middle=mean(d);return Math.sqrt(mean(d.map(one=>(one-middle)**2)))},ipe_max_mm:d=>Math.max(...d),te_mm:d=>d.
@@ -1042,16 +1046,17 @@ length;k2+=1+bent.length){let at=constraints[k2];for(;i<x2.length-2&&x2[i+1]<at-
 t=Math.min(Math.max((at-x2[i])/span,0),1),away=bent.map(([u,slope4],p)=>{let bend=3*(u[i+1]-u[i])-span*(2*slope4[i]+
 slope4[i+1]),curl=2*(u[i]-u[i+1])+span*(slope4[i]+slope4[i+1]);return u[i]+t*(span*slope4[i]+t*(bend+t*curl))-
 constraints[k2+1+p]});greatest=Math.max(greatest,measure(away))}return greatest}var GAUSS,measure,listFaults,init_validity=__esm(
-{"needlefit/viewer/page/model/validity.js"(){GAUSS=[[.5-Math.sqrt(.15),.2777777777777778],[.5,.4444444444444444],
+{"needlefit/viewer/page/model/validity.js"(){"use strict";GAUSS=[[.5-Math.sqrt(.15),.2777777777777778],[.5,.4444444444444444],
 [.5+Math.sqrt(.15),.2777777777777778]],measure=parts=>parts.length>1?Math.sqrt(parts[0]**2+parts[1]**2):Math.abs(
 parts[0]);listFaults=(validity,limits)=>limits.filter(([name,limit])=>!(validity[name]<=limit)).map(([name,limit,
 words])=>{let unit=name.endsWith("_mm")?" mm":"";return`${words} ${Number(validity[name].toPrecision(3))}${unit}\
  (limit ${limit}${unit})`})}});function makeLaw({terms,tables},shape){if(!terms)return tables.find(([known])=>JSON.stringify(known)===JSON.stringify(
 shape))?.[1]??null;let layers=shape[0]?.length??terms.layers;return Array.from({length:layers},(_,layer)=>terms.
 at_zero.map((value,j)=>{let by=terms.slopes.findIndex(row=>row[j]);return by<0?value:value+shape[by][layer]*terms.
-slopes[by][j]})).flat()}var SteeredNeedle,init_steered=__esm({"needlefit/viewer/page/model/steered.js"(){init_needle();
-init_inputs();init_validity();SteeredNeedle=class _SteeredNeedle{static async begin(kernel,scene){let{model,steps:steps2}=scene.
-simulation;return new _SteeredNeedle(scene,await Session.begin(kernel,model,toInputs(steps2[0],model.pathAngle)))}scene;session;rules;shape;names;number;saved;valid;validity;way=null;constructor(scene,session){
+slopes[by][j]})).flat()}var SteeredNeedle,init_steered=__esm({"needlefit/viewer/page/model/steered.js"(){"use \
+strict";init_needle();init_inputs();init_validity();SteeredNeedle=class _SteeredNeedle{static async begin(kernel,scene){
+let{model,steps:steps2}=scene.simulation;return new _SteeredNeedle(scene,await Session.begin(kernel,model,toInputs(
+steps2[0],model.pathAngle)))}scene;session;rules;shape;names;number;saved;valid;validity;way=null;constructor(scene,session){
 let{shape,steps:steps2,rules}=scene.simulation;Object.assign(this,{scene,session,rules,shape,names:scene.guide_names}),
 Object.assign(this,{number:0,saved:new Map,valid:!0}),this.step={...steps2[0],depth:0},this.#judge(),this.keep()}get model(){
 return this.session.model}reach(controls=this.step.controls){let[first]=controls.guides;return this.model.length+
@@ -1124,12 +1129,12 @@ let value=read(steered);if(item&&value===read({model,shape,step:first}))continue
 value/toModel(1));if(text===null)return{lost:[key]};values.set(key,text)}let address=values.toString().replaceAll(
 "%2C",",").replaceAll("%3A",":");return await leadsTo(kernel,address,steered)?{address}:{lost:["the path"]}}async function leadsTo(kernel,address,steered){
 let other=await SteeredNeedle.begin(kernel,steered.scene);try{for(let changes of readAddress(address,steered.scene))
-other.apply(changes,{validOnly:!1})}catch(error){if(!error.what)throw error;return!1}let{depth}=steered.step,points=({
-session})=>readPoints(session,Array.from({length:POINTS2},(_,i)=>depth*i/(POINTS2-1))),[found,wanted]=[other,steered].
-map(points);return found.every((point2,i)=>Math.hypot(...point2.map((one,axis)=>one-wanted[i][axis]))<SAME3)}function settle(steered){
-let[now2]=steered.model.mu,mu=ULPS.map(ulps=>now2*1e6+ulps*now2*1e6*2**-53).find(one=>one*1e-6===now2);mu&&steered.
-apply([["mu_pa",1,mu]],{validOnly:!1})}function readAddress(address,scene){let values=new URLSearchParams(address),
-keys=listKeys(scene),known=["needle","depth","roll","turn",...keys.map(({key})=>key)],number3=(key,text,low=-1/0)=>{
+other.apply(changes,{validOnly:!1})}catch(error){if(!(error instanceof ModelError))throw error;return!1}let{depth}=steered.
+step,points=({session})=>readPoints(session,Array.from({length:POINTS2},(_,i)=>depth*i/(POINTS2-1))),[found,wanted]=[
+other,steered].map(points);return found.every((point2,i)=>Math.hypot(...point2.map((one,axis)=>one-wanted[i][axis]))<
+SAME3)}function settle(steered){let[now2]=steered.model.mu,mu=ULPS.map(ulps=>now2*1e6+ulps*now2*1e6*2**-53).find(
+one=>one*1e-6===now2);mu&&steered.apply([["mu_pa",1,mu]],{validOnly:!1})}function readAddress(address,scene){let values=new URLSearchParams(
+address),keys=listKeys(scene),known=["needle","depth","roll","turn",...keys.map(({key})=>key)],number3=(key,text,low=-1/0)=>{
 let value=Number(text);if(text.trim()!==""&&Number.isFinite(value)&&value>=low)return value;throw new ModelError(
 `the address has ${key}=${text}`,low<0?"a number":`a number, ${low} or above`)};for(let key of values.keys())if(!known.
 includes(key))throw new ModelError(`the address has ${key}`,known.join(", "));let doubled=[...values.keys()].find(
@@ -1147,9 +1152,9 @@ el_roll_deg",null,after[i]]])),[...lists,[["depth_mm",null,depth]]]}function wri
 listWay().flatMap(({changes,tip},i)=>changes.map(([name,item,value],n)=>`${i+1},${(i/10).toFixed(4)},${name},${item??
 ""},${value},${n===changes.length-1?tip:""}`));return`${head}${rows.join(`
 `)}
-`}var ANEW,POINTS2,SAME3,ULPS,same2,nameIn,init_address=__esm({"needlefit/viewer/page/address.js"(){init_errors();
-init_inputs();init_steered();init_quantities();ANEW=[["return_to",null,0]],POINTS2=21,SAME3=1e-6,ULPS=[0,1,-1,
-2,-2,3,-3,4,-4],same2=(one,other)=>JSON.stringify(one)===JSON.stringify(other);nameIn=address=>new URLSearchParams(
+`}var ANEW,POINTS2,SAME3,ULPS,same2,nameIn,init_address=__esm({"needlefit/viewer/page/address.js"(){"use stric\
+t";init_errors();init_inputs();init_steered();init_quantities();ANEW=[["return_to",null,0]],POINTS2=21,SAME3=1e-6,
+ULPS=[0,1,-1,2,-2,3,-3,4,-4],same2=(one,other)=>JSON.stringify(one)===JSON.stringify(other);nameIn=address=>new URLSearchParams(
 address).get("needle")}});function computeBands(worker,kernel,current){let ordered="";worker.postMessage({kernel});function describeNeedle(){
 let{name,steered}=current(),{model}=steered,steps2=steered.path().map(one=>({depth:one.depth,inputs:toInputs(one,
 model.pathAngle)}));return{id:{needle:name,step:now.state.step},model,steps:steps2,planes:steered.session.planes}}
@@ -1157,26 +1162,26 @@ function order(){if(!now.state)return;let about=JSON.stringify([current().name,n
 (ordered=about,worker.postMessage(describeNeedle()))}function send(){ordered="",worker.postMessage({draws:now.
 scene.draws,steps:null}),order()}worker.onmessage=({data:{id,band:band2,forces}})=>{id.needle===current().name&&
 (forces?take({kind:"forces",step:id.step,...forces}):take(band2?{kind:"band",step:id.step,...band2}:NONE))},listen(
-"scene",send),listen("drawn",order)}var NONE,init_bands=__esm({"needlefit/viewer/page/bands.js"(){init_inputs();
-init_store();NONE={kind:"band",x:[]}}});function paint(context2,figure){let{state,shown:shown2,scene,band:newest2}=now,band2=shown2.band&&newest2&&isBandNear(
-newest2,state)?newest2:null,loaded=shown2.load&&!state.faults.length,measured=shown2.measured?scene.measured:null,
-pinned=shown2.pinned?now.pinned:null;context2.fillStyle=palette.gutter,context2.fillRect(0,0,...figure),clearLabels(),
-reserveNeedle(state),context2.lineJoin="round",within(context2,now.view.box,()=>{paintTissue(context2),loaded&&
-paintLoad(context2,state),band2&&paintBand(context2,band2,band2.step!==state.step),shown2.plan&&scene.plan&&paintPlan(
-context2,scene.plan),pinned&&paintPinned(context2,pinned),paintNeedle(context2,state),paintInset(context2,state),
-paintBevel(context2,state),loaded&&paintTipForce(context2,state),shown2.path&&paintPath(context2,state),shown2.
-points&&paintPoints(context2,state),paintPrediction(context2,state),measured&&paintMeasured(context2,measured),
-measured&&shown2.errors&&paintGaps(context2,state,measured),paintMethods(context2),paintGuides(context2,state),
-paintBase(context2,state),(measured||pinned)&&nameNeedle(context2,state),band2&&nameBand(context2,band2)}),paintAxes(
-context2),loaded&&paintKey(context2)}function measure2(){let[width,height]=size();canvas2.width=Math.round(width*
-devicePixelRatio),canvas2.height=Math.round(height*devicePixelRatio),screen.setTransform(devicePixelRatio,0,0,
-devicePixelRatio,0,0),resize(width,height),redraw()}var picture,canvas2,screen,frame,size,init_drawing=__esm({
-"needlefit/viewer/page/drawing.js"(){init_dom();init_background();init_needle2();init_overlay();init_strokes();
-init_store();init_view();picture=part("picture"),canvas2=part("canvas"),screen=canvas2.getContext("2d",{alpha:!1}),
-frame=0,size=()=>[picture.clientWidth,picture.clientHeight];listen("redraw",()=>{frame||=requestAnimationFrame(
-()=>{frame=0,now.state&&(paint(screen,size()),document.body.classList.add("begun")),publish("drawn")})});listen(
-"state",()=>(follow(),redraw()));for(let kind of["band","forces"])listen(kind,redraw);new ResizeObserver(measure2).
-observe(picture);onScheme(()=>(readPalette(),redraw()));readPalette()}});function readColour(shade){let hex2=shade.match(/^#(\w\w)(\w\w)(\w\w)(\w\w)?$/)?.slice(1).map(one=>parseInt(one??
+"scene",send),listen("drawn",order)}var NONE,init_bands=__esm({"needlefit/viewer/page/bands.js"(){"use strict";
+init_inputs();init_store();NONE={kind:"band",x:[]}}});function paint(context2,figure){let{state,shown:shown3,scene,band:newest2}=now,band2=shown3.band&&newest2&&isBandNear(
+newest2,state)?newest2:null,loaded=shown3.load&&!state.faults.length,measured=shown3.measured?scene.measured:null,
+pinned=shown3.pinned?now.pinned:null;context2.fillStyle=palette.gutter,context2.fillRect(0,0,...figure),clearLabels(),
+reserveNeedle(state);for(let curve of[measured,pinned])curve&&avoid(placesOf(curve.x,curve.y));context2.lineJoin=
+"round",within(context2,now.view.box,()=>{paintTissue(context2),loaded&&paintLoad(context2,state),band2&&paintBand(
+context2,band2,band2.step!==state.step),shown3.plan&&scene.plan&&paintPlan(context2,scene.plan),pinned&&paintPinned(
+context2,pinned),paintNeedle(context2,state),paintInset(context2,state),paintBevel(context2,state),loaded&&paintTipForce(
+context2,state),shown3.path&&paintPath(context2,state),shown3.points&&paintPoints(context2,state),paintPrediction(
+context2,state),measured&&paintMeasured(context2,measured),measured&&shown3.errors&&paintGaps(context2,state,measured),
+paintMethods(context2),paintGuides(context2,state),paintBase(context2,state),(measured||pinned)&&nameNeedle(context2,
+state),band2&&nameBand(context2,band2)}),paintAxes(context2),loaded&&paintKey(context2)}function measure2(){let[
+width,height]=size();canvas2.width=Math.round(width*devicePixelRatio),canvas2.height=Math.round(height*devicePixelRatio),
+screen.setTransform(devicePixelRatio,0,0,devicePixelRatio,0,0),resize(width,height),redraw()}var picture,canvas2,
+screen,frame,size,init_drawing=__esm({"needlefit/viewer/page/drawing.js"(){"use strict";init_dom();init_background();
+init_needle2();init_overlay();init_strokes();init_store();init_view();picture=part("picture"),canvas2=part("ca\
+nvas"),screen=getContext(canvas2),frame=0,size=()=>[picture.clientWidth,picture.clientHeight];listen("redraw",
+()=>{frame||=requestAnimationFrame(()=>{frame=0,now.state&&(paint(screen,size()),document.body.classList.add("\
+begun")),publish("drawn")})});listen("state",()=>(follow(),redraw()));for(let kind of["band","forces"])listen(
+kind,redraw);new ResizeObserver(measure2).observe(picture);onScheme(()=>(readPalette(),redraw()));readPalette()}});function readColour(shade){let hex2=shade.match(/^#(\w\w)(\w\w)(\w\w)(\w\w)?$/)?.slice(1).map(one=>parseInt(one??
 "ff",16)),[red,green,blue,alpha=255]=hex2??shade.match(/[\d.]+/g).map(Number);return{parts:[red,green,blue],opacity:alpha/
 255}}function writePaint(name,shade,opacity=1){if(!shade)return`${name}="none"`;let{parts,opacity:own2}=readColour(
 shade),share=round(own2*opacity);return`${name}="#${parts.map(one=>one.toString(16).padStart(2,"0")).join("")}\
@@ -1215,12 +1220,12 @@ startxref
 ${text.length}
 %%EOF
 `}var BASELINES,ROUND,round,STYLE,FigureContext,writePath,escape,writeLine,SVG,GLYPHS,POINTS3,writeText,setColour,
-PDF,writeCurves,init_figure_context=__esm({"needlefit/viewer/page/figure_context.js"(){BASELINES={alphabetic:0,
-middle:.35,top:.8},ROUND=.5523,round=value=>Number(value.toFixed(3)),STYLE=["fillStyle","strokeStyle","lineWid\
-th","globalAlpha","lineCap","lineJoin","font","textAlign","textBaseline"],FigureContext=class{fillStyle="#0000\
-00";strokeStyle="#000000";lineWidth=1;globalAlpha=1;lineCap="butt";lineJoin="miter";font="12px sans-serif";textAlign="\
-left";textBaseline="alphabetic";drawn=[];#path=[];#dash=[];#matrix=new DOMMatrix;#stack=[];#clips=0;#halo=null;#screen=document.
-createElement("canvas").getContext("2d");save(){this.#stack.push([Object.fromEntries(STYLE.map(name=>[name,this[name]])),
+PDF,writeCurves,init_figure_context=__esm({"needlefit/viewer/page/figure_context.js"(){"use strict";init_dom();
+BASELINES={alphabetic:0,middle:.35,top:.8},ROUND=.5523,round=value=>Number(value.toFixed(3)),STYLE=["fillStyle",
+"strokeStyle","lineWidth","globalAlpha","lineCap","lineJoin","font","textAlign","textBaseline"],FigureContext=
+class{fillStyle="#000000";strokeStyle="#000000";lineWidth=1;globalAlpha=1;lineCap="butt";lineJoin="miter";font="\
+12px sans-serif";textAlign="left";textBaseline="alphabetic";drawn=[];#path=[];#dash=[];#matrix=new DOMMatrix;#stack=[];#clips=0;#halo=null;#screen=getContext(
+document.createElement("canvas"));save(){this.#stack.push([Object.fromEntries(STYLE.map(name=>[name,this[name]])),
 this.#matrix,this.#clips])}restore(){let[style,matrix,clips]=this.#stack.pop();for(;this.#clips>clips;this.#clips-=
 1)this.drawn.push({kind:"restore"});Object.assign(this,style),this.#matrix=matrix}clip(){this.#clips+=1,this.drawn.
 push({kind:"clip",path:this.#path})}translate(x2,y2){this.#matrix=this.#matrix.translate(x2,y2)}rotate(angle2){
@@ -1236,9 +1241,9 @@ join:this.lineJoin,dash:this.#dash})}#draw(looks){this.drawn.push({kind:"path",p
 ...looks})}fillRect(x2,y2,width,height){this.beginPath(),this.rect(x2,y2,width,height),this.fill()}strokeRect(x2,y2,width,height){
 this.beginPath(),this.rect(x2,y2,width,height),this.stroke()}measureText(text){return this.#screen.font=this.font,
 this.#screen.measureText(text)}strokeText(){this.#halo={stroke:this.strokeStyle,width:this.lineWidth}}fillText(text,x2,y2){
-let[,weight,size2]=this.font.match(/^(\d+ )?([\d.]+)px/),share={left:0,center:.5,right:1}[this.textAlign],place2=[
-x2-share*this.measureText(text).width,y2+BASELINES[this.textBaseline]*Number(size2)];this.drawn.push({kind:"te\
-xt",text,size:Number(size2),strong:!!weight,fill:this.fillStyle,halo:this.#halo,matrix:this.#matrix.translate(
+let[,weight,size2]=this.font.match(/^(\d+ )?([\d.]+)px/)??["","","12"],share={left:0,center:.5,right:1}[this.textAlign],
+place2=[x2-share*this.measureText(text).width,y2+BASELINES[this.textBaseline]*Number(size2)];this.drawn.push({
+kind:"text",text,size:Number(size2),strong:!!weight,fill:this.fillStyle,halo:this.#halo,matrix:this.#matrix.translate(
 ...place2),opacity:this.globalAlpha}),this.#halo=null}};writePath=path2=>path2.map(([name,...numbers])=>name+numbers.
 join(" ")).join(""),escape=text=>text.replace(/[&<>"]/g,one=>`&#${one.charCodeAt(0)};`);writeLine=({stroke:stroke2,
 width,cap="round",join="round",dash=[]},opacity)=>`${writePaint("stroke",stroke2,opacity)} stroke-width="${width}\
@@ -1278,9 +1283,9 @@ before=Array.from({length:POINTS_BEFORE_TISSUE},(_,i)=>x2[0]+(end-x2[0])*i/(POIN
 1]=end,Float64Array.from(new Set([...before,...x2])).sort()}function mapPoints(session,[s2,...beside]){let[along,
 ...places]=columns(session.positions(s2),1+beside.length),deflections=session.deflections(s2);return[along,...places.
 map((one,plane)=>one.map((place2,i)=>place2+(beside[plane][i]-deflections[plane*s2.length+i])))]}var POINTS_BEFORE_TISSUE,
-columns,describeStrength,init_state=__esm({"needlefit/viewer/page/model/state.js"(){init_inputs();init_errors();
-init_validity();POINTS_BEFORE_TISSUE=25,columns=(points,width)=>Array.from({length:width},(_,axis)=>Array.from(
-{length:points.length/width},(_2,i)=>points[width*i+axis])),describeStrength=({offset,cutAngle},{pathAngle})=>pathAngle?
+columns,describeStrength,init_state=__esm({"needlefit/viewer/page/model/state.js"(){"use strict";init_inputs();
+init_errors();init_validity();POINTS_BEFORE_TISSUE=25,columns=(points,width)=>Array.from({length:width},(_,axis)=>Array.
+from({length:points.length/width},(_2,i)=>points[width*i+axis])),describeStrength=({offset,cutAngle},{pathAngle})=>pathAngle?
 {cut_angle_deg:cutAngle*(180/Math.PI)}:{offset_mm:offset}}});async function unpack(id){let bytes=Uint8Array.from(atob(part(id).textContent),one=>one.charCodeAt(0)),stream=new Blob(
 [bytes]).stream().pipeThrough(new DecompressionStream("deflate-raw"));return new Response(stream).arrayBuffer()}
 async function load(){let[data,kernel]=await Promise.all([unpack("data"),unpack("kernel").then(compile)]),{lists,
@@ -1297,10 +1302,10 @@ now()],rest=async()=>{performance.now()-since<SLICE||(await new Promise(done2=>s
 now())};for(let needle of needles){let compare=distance2=>{count+=1,largest=Math.max(largest,distance2)};try{let steered=await begin(
 kernel,needle);if(needle.recording){let replay=new Replay(steered,needle.recording);for(let n=1;n<=needle.recording.
 length;n+=1)replay.to(n),compare(Math.abs(steered.tipLateral-needle.recording[n-1][2])),await rest()}else{if(insert(
-steered),needle.tip===null)continue;compare(compareStored(steered,needle,same3))}}catch(error){if(!error.what)
-throw error;compare(NaN)}await rest()}return{count,largest}}var SLICE,begin,always,Replay,init_stored=__esm({"\
-needlefit/viewer/page/stored.js"(){init_needle();init_dom();init_errors();init_inputs();init_steered();SLICE=12;
-begin=(kernel,{scene})=>SteeredNeedle.begin(kernel,scene),always={validOnly:!1};Replay=class{steered;steps;at;changed;last;places=[];unit="\
+steered),needle.tip===null)continue;compare(compareStored(steered,needle,same3))}}catch(error){if(!(error instanceof
+ModelError))throw error;compare(NaN)}await rest()}return{count,largest}}var SLICE,begin,always,Replay,init_stored=__esm(
+{"needlefit/viewer/page/stored.js"(){"use strict";init_needle();init_dom();init_errors();init_inputs();init_steered();
+SLICE=12;begin=(kernel,{scene})=>SteeredNeedle.begin(kernel,scene),always={validOnly:!1};Replay=class{steered;steps;at;changed;last;places=[];unit="\
 s";constructor(steered,steps2){Object.assign(this,{steered,steps:steps2,at:0,changed:!1,last:new Map}),this.steps.
 forEach(([,changes],i)=>{for(let[name,,value]of changes)name==="return_to"&&this.last.set(value,i+1)})}to(n){for((this.
 changed||n<this.at)&&(this.steered.rewind(),Object.assign(this,{at:0,changed:!1}));this.at<n;)this.#next()}#next(){
@@ -1319,10 +1324,10 @@ steered.apply([["return_to",null,number3]]),whole||steered.number===number3)retu
 back").disabled=!1,show()}function goTo(from,to){if(!from.length)return;publish("steers"),write(refusal,"");let{
 steered}=now;steered.keep(),to.push(steered.number),steered.apply([["return_to",null,from.pop()]]),last=0,show()}
 var MOST_UNDONE,always2,refusal,past,future,steps,gestures,last,newGesture,change,undo,redo,init_steering=__esm(
-{"needlefit/viewer/page/steering.js"(){init_address();init_dom();init_state();init_stored();init_store();MOST_UNDONE=
-200,always2={validOnly:!1},refusal=part("refusal"),[past,future]=[[],[]],[steps,gestures,last]=[0,0,0],newGesture=
-()=>gestures+=1;change=(changes,how)=>steer([changes],how);undo=()=>goTo(past,future),redo=()=>goTo(future,past);
-listen("notice",({what,expected})=>refuse({what,expected}))}});async function followAddress(choose2){let address=location.hash.slice(1);if(!address)return!1;let{needles}=now.
+{"needlefit/viewer/page/steering.js"(){"use strict";init_address();init_dom();init_state();init_stored();init_store();
+MOST_UNDONE=200,always2={validOnly:!1},refusal=part("refusal"),[past,future]=[[],[]],[steps,gestures,last]=[0,
+0,0],newGesture=()=>gestures+=1;change=(changes,how)=>steer([changes],how);undo=()=>goTo(past,future),redo=()=>goTo(
+future,past);listen("notice",({what,expected})=>refuse({what,expected}))}});async function followAddress(choose2){let address=location.hash.slice(1);if(!address)return!1;let{needles}=now.
 data,below=part("proof").parentElement;try{if(part(decode(address)))return!1;let name=nameIn(address),number3=needles.
 findIndex(one=>nameOf2(one)===name);if(name!==null&&number3<0)throw new ModelError(`the address has needle=${name}`,
 needles.map(nameOf2).join(", "));number3>=0&&needles[number3]!==now.needle&&await choose2(number3);let lists=readAddress(
@@ -1333,31 +1338,32 @@ let{data:{needles,kernel},needle,scene,steered}=now,{address,lost}=await writeAd
 1?nameOf2(needle):null);write("link-note",lost?`No link: an address does not carry ${lost.join(", ")}. A recor\
 ding does.`:""),!lost&&(steer(readAddress(address,scene),{anew:!0}),history.replaceState(null,"",`#${address}`),
 await navigator.clipboard?.writeText(location.href).then(()=>say("The link is copied."),()=>null))}var nameOf2,
-init_link=__esm({"needlefit/viewer/page/link.js"(){init_address();init_dom();init_inputs();init_steering();init_store();
-nameOf2=({name,scene})=>name??scene.measured?.id??scene.title;press("copy-link",copy)}});function define2(name,called=name){if(!(name in DEFINITIONS))return called;let term=element("button",{type:"bu\
+init_link=__esm({"needlefit/viewer/page/link.js"(){"use strict";init_address();init_dom();init_inputs();init_steering();
+init_store();nameOf2=({name,scene})=>name??scene.measured?.id??scene.title;press("copy-link",copy)}});function define2(name,called=name){if(!(name in DEFINITIONS))return called;let term=element("button",{type:"bu\
 tton",className:"term"},called);term.setAttribute("aria-description",DEFINITIONS[name]),term.tabIndex=-1;let show3=()=>{
 let{left,top,bottom}=term.getBoundingClientRect();shown.textContent=DEFINITIONS[name],shown.style.left=`${Math.
 max(8,Math.min(left,innerWidth-296))}px`;let above=top>ROOM3;shown.style.bottom=above?`${innerHeight-top+6}px`:
 "auto",shown.style.top=above?"auto":`${bottom+6}px`,shown.matches(":popover-open")||shown.showPopover()},hide=()=>shown.
 matches(":popover-open")&&shown.hidePopover();for(let kind of["pointerenter","focus","click"])term.addEventListener(
 kind,show3);for(let kind of["pointerleave","blur"])term.addEventListener(kind,hide);return term}var DEFINITIONS,
-ROOM3,shown,init_definitions=__esm({"needlefit/viewer/page/definitions.js"(){init_dom();init_store();DEFINITIONS=
-{depth:"Inserted arc length: how much of the needle is beyond the entry.","tip y":"Distance of the tip from th\
-e entry axis, y; positive to the left of the entry.","tip slope":"Angle of the needle at its tip against the e\
-ntry axis.","tip force":"Lateral force on the tip, as it stood at its last constraint point; between these poi\
-nts it rises and falls. In space forces are magnitudes.","base force":"Lateral force that holds the base.","ba\
-se moment":"Moment that holds the base.","steepest slope":"Largest slope dy/dx of the needle; the model takes \
-it for small.",bevel:"Side, or roll, to which the bevel turns the cut.",roll:"Roll of the bevel from here on, \
-about x: 0 turns the cut toward +y, 90 toward +z, ±180 toward −y.","tip z":"Distance of the tip from the pl\
-ane of the entry axis and y.","base y":"Lateral displacement of the base of the needle, as it is set; positive\
- to the left.","base slope":"Angle of the base of the needle against the entry axis, as it is set.",guides:"Gu\
-ides that hold the needle.",guide:"Where a guide holds the needle: x along the entry, y to its left, slope dy/\
-dx as an angle.","noise floor":"The mean error that perfect parameters would still show if measurements err as\
- stated."};listen("scene",({definitions,shape_parameters:shapes})=>{Object.assign(DEFINITIONS,definitions);for(let{
-symbol,explanation}of shapes)DEFINITIONS[symbol]=`${explanation[0].toUpperCase()}${explanation.slice(1)}.`});ROOM3=
-110,shown=element("div",{id:"definition",role:"tooltip",popover:"auto"});(part("explorer")??document.body).append(
-shown)}});function fillReadouts(list,readouts){let numbers=readouts.map(([name,unit])=>{let number3=element("span",{},"–");
-return list.append(entry(define2(name),[number3," ",element("small",{},unit)])),number3});return from=>readouts.
+ROOM3,shown,init_definitions=__esm({"needlefit/viewer/page/definitions.js"(){"use strict";init_dom();init_store();
+DEFINITIONS={depth:"Inserted arc length: how much of the needle is beyond the entry.","tip y":"Distance of the\
+ tip from the entry axis, y; positive to the left of the entry.","tip slope":"Angle of the needle at its tip a\
+gainst the entry axis.","tip force":"Lateral force on the tip (1 N is the weight of 100 g), as it stood at its\
+ last constraint point; between these points it rises and falls. In space forces are magnitudes.","base force":"\
+Lateral force that holds the base.","base moment":"Moment that holds the base.","steepest slope":"Largest slop\
+e dy/dx of the needle; the model takes it for small.",bevel:"Side, or roll, to which the bevel turns the cut.",
+roll:"Roll of the bevel from here on, about x: 0 turns the cut toward +y, 90 toward +z, ±180 toward −y.","t\
+ip z":"Distance of the tip from the plane of the entry axis and y.","base y":"Lateral displacement of the base\
+ of the needle, as it is set; positive to the left.","base slope":"Angle of the base of the needle against the\
+ entry axis, as it is set.",guides:"Guides that hold the needle.",guide:"Where a guide holds the needle: x alo\
+ng the entry, y to its left, slope dy/dx as an angle.","noise floor":"The mean error that perfect parameters w\
+ould still show if measurements err as stated."};listen("scene",({definitions,shape_parameters:shapes})=>{Object.
+assign(DEFINITIONS,definitions);for(let{symbol,explanation}of shapes)DEFINITIONS[symbol]=`${explanation[0].toUpperCase()}${explanation.
+slice(1)}.`});ROOM3=110,shown=element("div",{id:"definition",role:"tooltip",popover:"auto"});(part("explorer")??
+document.body).append(shown)}});function load2(value,digits2){let{z,faults}=now.state;return value===null||faults.length?"–":z?value.toFixed(
+digits2):signed(value,digits2)}function fillReadouts(list,readouts){let numbers=readouts.map(([name,unit])=>{let number3=element(
+"span",{},"–");return list.append(entry(define2(name),[number3," ",element("small",{},unit)])),number3});return from=>readouts.
 forEach(([,,read],i)=>write(numbers[i],from?read(from):"–"))}function refresh(){let{state,scene}=now;writeNeedle(
 state),part("readouts").children[TIP_Z].hidden=!state.z;let title=part("title"),follows=scene.plan&&!now.replay?.
 changed;if(title&&write(title,`${follows?"plan: ":isSteered(state,scene)?"steered by hand: ":""}${scene.title}`),
@@ -1369,18 +1375,17 @@ s not been drawn yet.";let{tip,bevel,base,guides,errors}=state,held=guides.lengt
 1)} mm deep, of ${scene.length_mm.toFixed(0)} mm.`,`Its tip is ${Math.abs(tip.lateral_mm).toFixed(2)} mm to th\
 e ${tip.lateral_mm<0?"right":"left"}${tip.held?" and held there":""}, at ${angle(tip)}${tip.z===null?"":`; z ${signed(
 tip.z,2)} mm`}.`,`The bevel turns the cut toward ${describeRoll(bevel)}, ${symbol} is ${value.toFixed(digits2)}\
- ${unit}.`,`The base stands at y ${signed(base.y,2)} mm, at ${angle(base)}; ${held}.`,`Tip force ${load2(tipForce()??
-0,2)} N, base force ${load2(state.forces.base_n,2)} N.`];if(exceeded(state)&&sentences.push(`The needle is ${exceeded(
+ ${unit}.`,`The base stands at y ${signed(base.y,2)} mm, at ${angle(base)}; ${held}.`,`Tip force ${load2(tipForce(),
+2)} N, base force ${load2(state.forces.base_n,2)} N.`];if(exceeded(state)&&sentences.push(`The needle is ${exceeded(
 state)}.`),errors){let prediction=predictionOf(state,scene);sentences.push(`${prediction?"The prediction again\
 st":"Against"} the measured needle ${comparedUpTo(errors)}: ${listErrors(prediction?.errors??errors,scene.measured).
-join(", ")}.`)}return sentences.join(" ")}var load2,NEEDLE,TIP_Z,writeNeedle,writeErrors,comparedUpTo,announced,
-exceeded,angle,refreshDescription,init_readouts=__esm({"needlefit/viewer/page/readouts.js"(){init_definitions();
-init_dom();init_quantities();init_store();init_view();load2=(value,digits2)=>now.state.z?value.toFixed(digits2):
-signed(value,digits2),NEEDLE=[["depth","mm",s2=>s2.depth_mm.toFixed(2)],["tip y","mm",s2=>signed(s2.tip.lateral_mm,
-2)],["tip z","mm",s2=>s2.z?signed(s2.tip.z,2):"–"],["tip slope","°",s2=>signed(toDegrees(s2.tip.rotation),2)],
-["tip force","N",()=>tipForce()===null?"–":load2(tipForce(),3)],["base force","N",s2=>load2(s2.forces.base_n,
-3)],["base moment","N mm",s2=>load2(s2.forces.base_nmm,1)],["steepest slope","",s2=>s2.max_slope.toFixed(3)]],
-TIP_Z=NEEDLE.findIndex(([name])=>name==="tip z");writeNeedle=fillReadouts(part("readouts"),NEEDLE),writeErrors=
+join(", ")}.`)}return sentences.join(" ")}var NEEDLE,TIP_Z,writeNeedle,writeErrors,comparedUpTo,announced,exceeded,
+angle,refreshDescription,init_readouts=__esm({"needlefit/viewer/page/readouts.js"(){"use strict";init_definitions();
+init_dom();init_quantities();init_store();init_view();NEEDLE=[["depth","mm",s2=>s2.depth_mm.toFixed(2)],["tip \
+y","mm",s2=>signed(s2.tip.lateral_mm,2)],["tip z","mm",s2=>s2.z?signed(s2.tip.z,2):"–"],["tip slope","°",s2=>signed(
+toDegrees(s2.tip.rotation),2)],["tip force","N",()=>load2(tipForce(),3)],["base force","N",s2=>load2(s2.forces.
+base_n,3)],["base moment","N mm",s2=>load2(s2.forces.base_nmm,1)],["steepest slope","",s2=>s2.max_slope.toFixed(
+3)]],TIP_Z=NEEDLE.findIndex(([name])=>name==="tip z");writeNeedle=fillReadouts(part("readouts"),NEEDLE),writeErrors=
 _errors=>{};comparedUpTo=({whole,upto_mm:upto})=>whole?"over the whole insertion":`over the first ${upto.toFixed(
 1)} mm`;listen("scene",({measured})=>{if(part("compared").hidden=measured===null,!measured)return;let metrics=measured.
 metrics.map(([name,label2,unit,text])=>(DEFINITIONS[label2]=text,[label2,unit,errors=>writeError(errors[name],
@@ -1396,18 +1401,18 @@ box2.height+share*box2.height];return Object.assign(view,{scale:scale*share,box:
 height:share*box2.height}}),paint(begin2(figure),figure),figure}finally{Object.assign(view,kept),onPaper(!1),redraw()}}
 function onPaper(on){usePaper(on),readPalette()}function drawPng(wide,whole){let canvas4=document.createElement(
 "canvas");return draw2(wide,whole,figure=>{let times=DPI/96;Object.assign(canvas4,{width:Math.round(times*figure[0]),
-height:Math.round(times*figure[1])});let context2=canvas4.getContext("2d");return context2.scale(times,times),
-context2}),new Promise(resolve=>canvas4.toBlob(resolve,"image/png"))}function drawVectors(wide,whole,format){let context2=new FigureContext,
+height:Math.round(times*figure[1])});let context2=getContext(canvas4);return context2.scale(times,times),context2}),
+new Promise(resolve=>canvas4.toBlob(resolve,"image/png"))}function drawVectors(wide,whole,format){let context2=new FigureContext,
 figure=draw2(wide,whole,()=>context2),{title}=now.scene;return format==="svg"?new Blob([writeSvg(context2.drawn,
 figure,wide,title,inWords())],{type:"image/svg+xml"}):new Blob([writePdf(context2.drawn,figure,wide,title)],{type:"\
-application/pdf"})}var PX_PER_MM,DPI,init_figure=__esm({"needlefit/viewer/page/figure.js"(){init_dom();init_drawing();
-init_figure_context();init_link();init_strokes();init_readouts();init_store();init_view();PX_PER_MM=96/25.4,DPI=
-300;press("save-figure",async()=>{if(!now.state)return;let[format,wide,whole]=[part("figure-format").value,Number(
-part("figure-width").value),part("figure-view").value==="whole"],figure=await(format==="png"?drawPng(wide,whole):
-drawVectors(wide,whole,format)),name=`${nameOf2(now.needle).replace(/[^\w-]+/g,"-")}.${format}`;hand(figure,name),
-write("link-note",`Saved ${name}: ${whole?"the whole needle":"the picture as it is shown"}.`)});for(let[kind,on]of[
-["beforeprint",!0],["afterprint",!1]])addEventListener(kind,()=>{onPaper(on);let canvas4=part("canvas").getContext(
-"2d");now.state&&paint(canvas4,size())})}});function makeField(into,about){let part2=template.content.firstElementChild.cloneNode(!0),[number3,slider,mark2,
+application/pdf"})}var PX_PER_MM,DPI,init_figure=__esm({"needlefit/viewer/page/figure.js"(){"use strict";init_dom();
+init_drawing();init_figure_context();init_link();init_strokes();init_readouts();init_store();init_view();PX_PER_MM=
+96/25.4,DPI=300;press("save-figure",async()=>{if(!now.state)return;let[format,wide,whole]=[part("figure-format").
+value,Number(part("figure-width").value),part("figure-view").value==="whole"],figure=await(format==="png"?drawPng(
+wide,whole):drawVectors(wide,whole,format)),name=`${nameOf2(now.needle).replace(/[^\w-]+/g,"-")}.${format}`;hand(
+figure,name),write("link-note",`Saved ${name}: ${whole?"the whole needle":"the picture as it is shown"}.`)});for(let[
+kind,on]of[["beforeprint",!0],["afterprint",!1]])addEventListener(kind,()=>{onPaper(on),now.state&&paint(getContext(
+part("canvas")),size())})}});function makeField(into,about){let part2=template.content.firstElementChild.cloneNode(!0),[number3,slider,mark2,
 back]=[".number",".slider",".mark",".home"].map(one=>part2.querySelector(one)),[to,from]=about.logarithmic?LOGARITHMIC:
 LINEAR,[low,high]=(about.limits??[0,1]).map(to),field={read:Number,step:1,...about,part:part2,number:number3,slider,
 mark:mark2,back,value:null,latest:0,text:"",home:null,editing:!1,gesture:newGesture(),share:value=>Math.min(Math.
@@ -1437,14 +1442,14 @@ key],event),event.key==="Escape"&&giveBack(field)}),number3.addEventListener("ke
 function stepBy(field,direction,event){event.preventDefault();let{number:number3,step,logarithmic}=field,from=field.
 editing&&number3.value!==""?field.read(number3.value):field.latest;field.editing=!1,event.repeat||(field.gesture=
 newGesture()),ask(field,logarithmic?from*step**direction:from+step*direction)}var template,STEPS,THUMB,LINEAR,
-LOGARITHMIC,ARROWS,SLIDES,made,init_fields=__esm({"needlefit/viewer/page/fields.js"(){init_definitions();init_dom();
-init_steering();init_store();template=part("field-template"),STEPS=1e3,THUMB=16,LINEAR=[x2=>x2,x2=>x2],LOGARITHMIC=
-[x2=>Math.log(Math.max(x2,Number.MIN_VALUE)),Math.exp],ARROWS={ArrowUp:1,ArrowDown:-1},SLIDES={...ARROWS,ArrowRight:1,
-ArrowLeft:-1,PageUp:10,PageDown:-10},made=0}});function buildFields({scene,recording}){fields=[];for(let id of["insertion-fields","guide-fields","tissue-fiel\
-ds","shape-fields"])part(id).replaceChildren();let add=(into,[input,item],about,current,{shown:shown2=x2=>x2,meant=x2=>x2}={})=>{
+LOGARITHMIC,ARROWS,SLIDES,made,init_fields=__esm({"needlefit/viewer/page/fields.js"(){"use strict";init_definitions();
+init_dom();init_steering();init_store();template=part("field-template"),STEPS=1e3,THUMB=16,LINEAR=[x2=>x2,x2=>x2],
+LOGARITHMIC=[x2=>Math.log(Math.max(x2,Number.MIN_VALUE)),Math.exp],ARROWS={ArrowUp:1,ArrowDown:-1},SLIDES={...ARROWS,
+ArrowRight:1,ArrowLeft:-1,PageUp:10,PageDown:-10},made=0}});function buildFields({scene,recording}){fields=[];for(let id of["insertion-fields","guide-fields","tissue-fiel\
+ds","shape-fields"])part(id).replaceChildren();let add=(into,[input,item],about,current,{shown:shown3=x2=>x2,meant=x2=>x2}={})=>{
 let field=makeField(part(into),{...about,ask:(value,how)=>change([[input,item,meant(value)]],how)}),home=recording&&
-["insertion-fields","guide-fields"].includes(into)?void 0:current(scene.fitted);home!==void 0&&setHome(field,shown2(
-home)),fields.push([field,()=>shown2(current(now.state))])},{limits,fitted,simulation,layer_names:names,shape_parameters:shapes}=scene,
+["insertion-fields","guide-fields"].includes(into)?void 0:current(scene.fitted);home!==void 0&&setHome(field,shown3(
+home)),fields.push([field,()=>shown3(current(now.state))])},{limits,fitted,simulation,layer_names:names,shape_parameters:shapes}=scene,
 {steps:[first],law}=simulation,mm={unit:"mm",step:.1},tilt={unit:"°",step:.1,write:digits(2)},angle2={shown:degrees,
 meant:slope};add("insertion-fields",["depth_mm",null],{...mm,name:"depth",symbol:"depth",step:1,write:digits(1),
 limits:[0,limits.depth_mm-.01]},of=>of.depth_mm??scene.depth_mm),add("insertion-fields",["base_y_mm",null],{...mm,
@@ -1466,61 +1471,61 @@ mu_pa},of=>of.layers[i].mu_pa),!!law.terms)for(let{name,symbol:symbol2,unit:unit
 about={name:`${symbol2} ${called}`,symbol:symbol2,unit:unit2,step:Math.min(.1,(high-low)/100),write:digits(2),
 limits:[low,high]};add("shape-fields",[name,i+1],about,of=>of.layers[i][name])}})}function refresh2(){for(let[
 field,current]of fields)show2(field,current());part("side").textContent=describeRoll(now.state.bevel)}var digits,
-fields,init_inputs2=__esm({"needlefit/viewer/page/inputs.js"(){init_dom();init_fields();init_inputs();init_quantities();
-init_steering();init_store();digits=count=>value=>value.toFixed(count),fields=[];for(let kind of["state","unch\
-anged"])listen(kind,refresh2)}});function toggle(name){now.shown[name]=!now.shown[name],chips[name].ariaPressed=String(now.shown[name]),redraw()}
+fields,init_inputs2=__esm({"needlefit/viewer/page/inputs.js"(){"use strict";init_dom();init_fields();init_inputs();
+init_quantities();init_steering();init_store();digits=count=>value=>value.toFixed(count),fields=[];for(let kind of[
+"state","unchanged"])listen(kind,refresh2)}});function toggle(name){now.shown[name]=!now.shown[name],chips[name].ariaPressed=String(now.shown[name]),redraw()}
 function pin(){if(!now.state)return;let{x:x2,y:y2}=now.state;now.pinned=now.pinned?null:{x:x2,y:y2},part("pin").
 ariaPressed=String(now.pinned!==null),part("pin").textContent=now.pinned?"Unpin":"Pin",offer({pinned:now.pinned}),
-redraw()}var CHIPS,fits,chips,offer,init_toolbar=__esm({"needlefit/viewer/page/toolbar.js"(){init_dom();init_store();
-init_view();CHIPS={load:["lateral load"],points:["constraint points"],path:["tip path"],measured:["measured"],
-errors:["errors","Gaps at the tip (TE) and along the shaft (IPE)"],band:["95 % band","95 % of the needles lie \
-wholly inside"],plan:["plan"],pinned:["pinned"]},fits=document.querySelectorAll("[data-fit]"),chips=Object.fromEntries(
-Object.entries(CHIPS).map(([name,[called,title=""]])=>{let swatch=element("i",{ariaHidden:"true",className:`sw\
-atch ${name}`}),chip=button([swatch,called],()=>toggle(name),{title,ariaPressed:String(now.shown[name])});return chip.
-dataset.show=name,[name,chip]}));part("chips").append(...Object.values(chips));offer=there=>Object.entries(there).
-forEach(([name,is])=>chips[name].hidden=!is);offer({measured:!1,errors:!1,band:!1,plan:!1,pinned:!1});press("p\
-in",pin);for(let one of fits)press(one,()=>fit(one.dataset.fit));for(let[way,factor]of[["in",1.25],["out",.8]])
-press(document.querySelector(`[data-zoom=${way}]`),()=>zoom(factor));listen("scene",({measured,draws,plan})=>offer(
-{measured,errors:measured,band:draws,plan}));listen("redraw",()=>fits.forEach(one=>one.ariaPressed=String(one.
-dataset.fit===view.fit)))}});function go(key,changes){let at=performance.now(),again=key===last2.key&&at-last2.at<WITHIN;Object.assign(last2,
+redraw()}var CHIPS,fits,chips,offer,init_toolbar=__esm({"needlefit/viewer/page/toolbar.js"(){"use strict";init_dom();
+init_store();init_view();CHIPS={load:["lateral load"],points:["constraint points"],path:["tip path"],measured:[
+"measured"],errors:["errors","Gaps at the tip (TE) and along the shaft (IPE)"],band:["95 % band","95 % of the \
+needles lie wholly inside"],plan:["plan"],pinned:["pinned"]},fits=document.querySelectorAll("[data-fit]"),chips=
+Object.fromEntries(Object.entries(CHIPS).map(([name,[called,title=""]])=>{let swatch=element("i",{ariaHidden:"\
+true",className:`swatch ${name}`}),chip=button([swatch,called],()=>toggle(name),{title,ariaPressed:String(now.
+shown[name])});return chip.dataset.show=name,[name,chip]}));part("chips").append(...Object.values(chips));offer=
+there=>Object.entries(there).forEach(([name,is])=>chips[name].hidden=!is);offer({measured:!1,errors:!1,band:!1,
+plan:!1,pinned:!1});press("pin",pin);for(let one of fits)press(one,()=>fit(one.dataset.fit));for(let[way,factor]of[
+["in",1.25],["out",.8]])press(document.querySelector(`[data-zoom=${way}]`),()=>zoom(factor));listen("scene",({
+measured,draws,plan})=>offer({measured,errors:measured,band:draws,plan}));listen("redraw",()=>fits.forEach(one=>one.
+ariaPressed=String(one.dataset.fit===view.fit)))}});function go(key,changes){let at=performance.now(),again=key===last2.key&&at-last2.at<WITHIN;Object.assign(last2,
 {key,at,gesture:again?last2.gesture:newGesture()}),change(changes,{gesture:last2.gesture})}function insert2(mm){
 let{step:{depth},scene}=now.steered,end=Math.max(Math.min(now.steered.reach(),scene.limits.depth_mm),depth);go(
 "insert",[["depth_mm",null,Math.min(Math.max(depth+mm,0),end)]])}function hear(event){if(!now.state||event.altKey)
 return;let key=event.key.length===1?event.key.toLowerCase():event.key,act=event.ctrlKey||event.metaKey?COMMANDS[key]:
 KEYS.find(([keys])=>keys.includes(key))?.[3];act&&(event.preventDefault(),act(event))}var ROLL,WITHIN,last2,flip,
-roll,moveBase,KEYS,COMMANDS,init_keyboard=__esm({"needlefit/viewer/page/keyboard.js"(){init_dom();init_inputs();
-init_readouts();init_steering();init_store();init_toolbar();init_view();ROLL=10,WITHIN=1e3,last2={key:"",at:-1/0,
-gesture:0};flip=()=>change([turnOver(now.state.bevel.roll_deg)]),roll=by=>go("roll",[["bevel_roll_deg",null,wrap(
-now.state.bevel.roll_deg+by)]]),moveBase=mm=>go("base",[["base_y_mm",null,now.state.base.input_y+mm]]),KEYS=[[
-["ArrowRight"],"→","insert 1 mm; with Shift 0.1 mm",e=>insert2(e.shiftKey?.1:1)],[["ArrowLeft"],"←","retra\
-ct, likewise",e=>insert2(e.shiftKey?-.1:-1)],[["ArrowUp"],"↑","base up by 0.1 mm; with Shift by 1 mm",e=>moveBase(
-e.shiftKey?1:.1)],[["ArrowDown"],"↓","base down, likewise",e=>moveBase(e.shiftKey?-1:-.1)],[["f"],"F","flip \
-the bevel",flip],[["r"],"R",`roll the bevel by ${ROLL}°; with Shift back`,e=>roll(e.shiftKey?-ROLL:ROLL)],[["\
-k"],"K","pin this needle to compare with, or unpin",()=>pin()],[["d"],"D","say where the needle stands",()=>say(
-inWords())],[["+","="],"+","zoom in",()=>zoom(1.25)],[["-","_"],"−","zoom out",()=>zoom(.8)],[["0","1"],"0, \
-1","show the whole needle",()=>fit("whole")],[["2"],"2","show the tissue",()=>fit("tissue")],[["3"],"3","follo\
-w the tip",()=>fit("tip")]],COMMANDS={z:event=>event.shiftKey?redo():undo(),y:()=>redo()};for(let[written3,what]of[
-...KEYS.map(([,key,effect])=>[key,effect]),["Ctrl+Z, Y","undo, redo"]])part("key-list").append(entry(element("\
-kbd",{},written3),what));part("canvas").addEventListener("keydown",hear);press("undo",undo);press("redo",redo);
-press("flip",flip)}});function makeRow(method,row){if(!method.x)return row(method.name,errorsOf(method.errors));let swatch=element("\
+roll,moveBase,KEYS,COMMANDS,init_keyboard=__esm({"needlefit/viewer/page/keyboard.js"(){"use strict";init_dom();
+init_inputs();init_readouts();init_steering();init_store();init_toolbar();init_view();ROLL=10,WITHIN=1e3,last2=
+{key:"",at:-1/0,gesture:0};flip=()=>change([turnOver(now.state.bevel.roll_deg)]),roll=by=>go("roll",[["bevel_r\
+oll_deg",null,wrap(now.state.bevel.roll_deg+by)]]),moveBase=mm=>go("base",[["base_y_mm",null,now.state.base.input_y+
+mm]]),KEYS=[[["ArrowRight"],"→","insert 1 mm; with Shift 0.1 mm",e=>insert2(e.shiftKey?.1:1)],[["ArrowLeft"],
+"←","retract, likewise",e=>insert2(e.shiftKey?-.1:-1)],[["ArrowUp"],"↑","base up by 0.1 mm; with Shift by \
+1 mm",e=>moveBase(e.shiftKey?1:.1)],[["ArrowDown"],"↓","base down, likewise",e=>moveBase(e.shiftKey?-1:-.1)],
+[["f"],"F","flip the bevel",flip],[["r"],"R",`roll the bevel by ${ROLL}°; with Shift back`,e=>roll(e.shiftKey?
+-ROLL:ROLL)],[["k"],"K","pin this needle to compare with, or unpin",()=>pin()],[["d"],"D","say where the needl\
+e stands",()=>say(inWords())],[["+","="],"+","zoom in",()=>zoom(1.25)],[["-","_"],"−","zoom out",()=>zoom(.8)],
+[["0","1"],"0, 1","show the whole needle",()=>fit("whole")],[["2"],"2","show the tissue",()=>fit("tissue")],[[
+"3"],"3","follow the tip",()=>fit("tip")]],COMMANDS={z:event=>event.shiftKey?redo():undo(),y:()=>redo()};for(let[
+written3,what]of[...KEYS.map(([,key,effect])=>[key,effect]),["Ctrl+Z, Y","undo, redo"]])part("key-list").append(
+entry(element("kbd",{},written3),what));part("canvas").addEventListener("keydown",hear);press("undo",undo);press(
+"redo",redo);press("flip",flip)}});function makeRow(method,row){if(!method.x)return row(method.name,errorsOf(method.errors));let swatch=element("\
 i",{className:"swatch line",ariaHidden:"true"});swatch.style.background=`light-dark(${method.colour}, ${lighten(
 method.colour)})`;let toggle2=element("button",{type:"button",ariaPressed:String(now.curves.has(method.key))},
 swatch,method.name);return press(toggle2,()=>{now.curves.delete(method.key)||now.curves.add(method.key),toggle2.
 ariaPressed=String(now.curves.has(method.key)),redraw()}),row(toggle2,errorsOf(method.errors))}var JUDGED,FITTED,
-own,present,errorsOf,init_methods=__esm({"needlefit/viewer/page/methods.js"(){init_dom();init_overlay();init_quantities();
-init_store();JUDGED="prediction",FITTED="fitted",own=new Map,present=[],errorsOf=values=>now.scene.measured.metrics.
-map(([name,,unit])=>writeError(values?.[name]??null,unit));listen("scene",({measured})=>{let{methods}=now.needle;
-if(part("methods").hidden=!methods,!methods)return;let heads=["method",...measured.metrics.map(([,label2,unit])=>`${label2}\
- (${unit})`)];part("method-heads").replaceChildren(...heads.map(one=>element("th",{scope:"col"},one)));let row=(name,values)=>element(
-"tr",{},element("th",{scope:"row"},name),values.map(one=>element("td",{},one))),first=row("",errorsOf(null));present=
-[...first.cells],own.clear();let rows=methods.toSorted((one,other)=>+(other.key===JUDGED)-+(one.key===JUDGED)).
-map(method=>{let made2=makeRow(method,row);return[JUDGED,FITTED].includes(method.key)&&own.set(method.key,made2),
-made2});part("method-rows").replaceChildren(first,...rows)});listen("state",state=>{if(!now.needle.methods)return;
-let{errors}=state,upto=errors&&!errors.whole?`, first ${errors.upto_mm.toFixed(1)} mm`:"",prediction=predictionOf(
-state,now.scene),steered=isSteered(state,now.scene)||Math.abs(state.depth_mm-now.scene.depth_mm)>1e-6,known=now.
-needle.methods.find(({key})=>key===(prediction?JUDGED:FITTED)),called=steered?`steered needle${upto}`:known?.name??
-"the needle above";own.forEach((row,key)=>row.hidden=!steered||key===FITTED&&own.has(JUDGED)),[called,...errorsOf(
-prediction?.errors??errors)].forEach((text,i)=>write(present[i],text))})}});function down(event){if(event.button>0)return;canvas3.setPointerCapture(event.pointerId);let at=place(event);if(fingers.
+own,present,errorsOf,init_methods=__esm({"needlefit/viewer/page/methods.js"(){"use strict";init_dom();init_overlay();
+init_quantities();init_store();JUDGED="prediction",FITTED="fitted",own=new Map,present=[],errorsOf=values=>(now.
+scene.measured?.metrics??[]).map(([name,,unit])=>writeError(values?.[name]??null,unit));listen("scene",({measured})=>{
+let{methods}=now.needle;if(part("methods").hidden=!methods,!methods)return;let heads=["method",...measured.metrics.
+map(([,label2,unit])=>`${label2} (${unit})`)];part("method-heads").replaceChildren(...heads.map(one=>element("\
+th",{scope:"col"},one)));let row=(name,values)=>element("tr",{},element("th",{scope:"row"},name),values.map(one=>element(
+"td",{},one))),first=row("",errorsOf(null));present=[...first.cells],own.clear();let rows=methods.toSorted((one,other)=>+(other.
+key===JUDGED)-+(one.key===JUDGED)).map(method=>{let made2=makeRow(method,row);return[JUDGED,FITTED].includes(method.
+key)&&own.set(method.key,made2),made2});part("method-rows").replaceChildren(first,...rows)});listen("state",state=>{
+if(!now.needle.methods)return;let{errors}=state,upto=errors&&!errors.whole?`, first ${errors.upto_mm.toFixed(1)}\
+ mm`:"",prediction=predictionOf(state,now.scene),steered=isSteered(state,now.scene)||Math.abs(state.depth_mm-now.
+scene.depth_mm)>1e-6,known=now.needle.methods.find(({key})=>key===(prediction?JUDGED:FITTED)),called=steered?`\
+steered needle${upto}`:known?.name??"the needle above";own.forEach((row,key)=>row.hidden=!steered||key===FITTED&&
+own.has(JUDGED)),[called,...errorsOf(prediction?.errors??errors)].forEach((text,i)=>write(present[i],text))})}});function down(event){if(event.button>0)return;canvas3.setPointerCapture(event.pointerId);let at=place(event);if(fingers.
 set(event.pointerId,at),fingers.size>1)drag=null;else{let handle=handleAt(...at,event.pointerType);handle&&(drag=
 {handle,from:at,last:at,to:at,gesture:newGesture(),pointer:event.pointerId})}canvas3.classList.toggle("draggin\
 g",drag!==null),hold(drag!==null)}function follow2(event){if(drag?.pointer!==event.pointerId||!now.state)return;
@@ -1528,25 +1533,25 @@ let at=place(event);drag.to=drag.to.map((to,i)=>to+(event.shiftKey?FINE:1)*(at[i
 let set=drag.handle.drag(drag.from,drag.to);set.length&&change(set,{gesture:drag.gesture})}function moved(event){
 let before=fingers.get(event.pointerId);if(!before)return hover(event);if(drag)return RAW?void 0:follow2(event);
 let at=place(event);fingers.size===1?pan(at[0]-before[0],at[1]-before[1]):fingers.size===2&&pinch(event.pointerId,
-before,at),fingers.set(event.pointerId,at)}function pinch(id,before,at){let other=[...fingers].find(([finger])=>finger!==
-id)[1],distance2=([x2,y2])=>Math.max(Math.hypot(x2-other[0],y2-other[1]),20);pan((at[0]-before[0])/2,(at[1]-before[1])/
-2),zoom(distance2(at)/distance2(before),(at[0]+other[0])/2,(at[1]+other[1])/2)}function up(event){drag?.pointer===
-event.pointerId&&(event.type==="pointerup"&&follow2(event),drag=null),fingers.delete(event.pointerId),canvas3.
-classList.remove("dragging"),hold(!1)}function hover(event){let cursor=handleAt(...place(event))?.cursor??"";canvas3.
-style.cursor!==cursor&&(canvas3.style.cursor=cursor)}function wheel(event){!event.ctrlKey&&!event.metaKey||(event.
-preventDefault(),zoom(Math.exp(-.2*(event.deltaY||event.deltaX)/NOTCH[event.deltaMode]),...place(event)))}var NOTCH,
-FINE,canvas3,fingers,drag,place,RAW,HEARD,init_pointers=__esm({"needlefit/viewer/page/pointers.js"(){init_dom();
-init_handles();init_steering();init_store();init_view();NOTCH={0:100,1:3,2:1},FINE=.1,canvas3=part("canvas"),fingers=
-new Map,drag=null,place=event=>{let{left,top}=canvas3.getBoundingClientRect();return[event.clientX-left,event.
-clientY-top]};RAW="onpointerrawupdate"in canvas3,HEARD={pointerdown:down,pointermove:moved,pointerrawupdate:follow2,
-pointerup:up,pointercancel:up};for(let[kind,hear2]of Object.entries(HEARD))canvas3.addEventListener(kind,hear2);
-canvas3.addEventListener("wheel",wheel,{passive:!1})}});function goBack(){write("link-note",""),part("back").disabled=!0,now.replay?showStep(now.replay.steps.length):
-goHome()}function showStep(n,clock=placeOf(n)){let{replay}=now;forgetPast(),replay.to(n),part("scrub").value=n===
-replay.steps.length?part("scrub").max:clock,part("scrub").ariaValueText=`${clock.toFixed(1)} ${replay.unit}`,write(
-"time",`${clock.toFixed(1)} of ${placeOf(replay.steps.length).toFixed(1)} ${replay.unit}`),show()}function play(on){
-if(part("play").textContent=on?"Pause":"Play",!on)return void(now.playing=null);let{replay}=now,n=replay.at===
+before,at),fingers.set(event.pointerId,at)}function pinch(id,before,at){let[other]=[...fingers].filter(([finger])=>finger!==
+id).map(([,at2])=>at2),distance2=([x2,y2])=>Math.max(Math.hypot(x2-other[0],y2-other[1]),20);pan((at[0]-before[0])/
+2,(at[1]-before[1])/2),zoom(distance2(at)/distance2(before),(at[0]+other[0])/2,(at[1]+other[1])/2)}function up(event){
+drag?.pointer===event.pointerId&&(event.type==="pointerup"&&follow2(event),drag=null),fingers.delete(event.pointerId),
+canvas3.classList.remove("dragging"),hold(!1)}function hover(event){let cursor=handleAt(...place(event))?.cursor??
+"";canvas3.style.cursor!==cursor&&(canvas3.style.cursor=cursor)}function wheel(event){!event.ctrlKey&&!event.metaKey||
+(event.preventDefault(),zoom(Math.exp(-.2*(event.deltaY||event.deltaX)/NOTCH[event.deltaMode]),...place(event)))}
+var NOTCH,FINE,canvas3,fingers,drag,place,RAW,HEARD,init_pointers=__esm({"needlefit/viewer/page/pointers.js"(){
+"use strict";init_dom();init_handles();init_steering();init_store();init_view();NOTCH={0:100,1:3,2:1},FINE=.1,
+canvas3=part("canvas"),fingers=new Map,drag=null,place=event=>{let{left,top}=canvas3.getBoundingClientRect();return[
+event.clientX-left,event.clientY-top]};RAW="onpointerrawupdate"in canvas3,HEARD={pointerdown:down,pointermove:moved,
+pointerrawupdate:follow2,pointerup:up,pointercancel:up};for(let[kind,hear2]of Object.entries(HEARD))canvas3.addEventListener(
+kind,hear2);canvas3.addEventListener("wheel",wheel,{passive:!1})}});function goBack(){write("link-note",""),part("back").disabled=!0,now.replay?showStep(now.replay.steps.length):
+goHome()}function showStep(n,clock=placeOf(n)){let replay=shown2();forgetPast(),replay.to(n),part("scrub").value=
+n===replay.steps.length?part("scrub").max:clock,part("scrub").ariaValueText=`${clock.toFixed(1)} ${replay.unit}`,
+write("time",`${clock.toFixed(1)} of ${placeOf(replay.steps.length).toFixed(1)} ${replay.unit}`),show()}function play(on){
+if(part("play").textContent=on?"Pause":"Play",!on)return void(now.playing=null);let replay=shown2(),n=replay.at===
 replay.steps.length||replay.changed?0:replay.at;now.playing={clock:placeOf(n),last:performance.now(),n},requestAnimationFrame(
-advance)}function advance(t){let{playing}=now;if(!playing)return;let{steps:steps2}=now.replay,ends=Math.max(placeOf(
+advance)}function advance(t){let{playing}=now;if(!playing)return;let{steps:steps2}=shown2(),ends=Math.max(placeOf(
 steps2.length),1e-9);for(playing.clock+=(t-playing.last)/1e3*(ends/Math.min(Math.max(ends,SHORTEST2),LONGEST)),
 playing.last=t;playing.n<steps2.length&&placeOf(playing.n+1)<=playing.clock;)playing.n+=1;if(showStep(playing.
 n,Math.min(playing.clock,ends)),playing.n===steps2.length)return play(!1);requestAnimationFrame(advance)}function openRecording(recording,planned=!1){
@@ -1570,16 +1575,16 @@ function restore(){let{needle,steered,replay}=now,kept=JSON.parse(localStorage.g
 if(!kept||kept.head!==needle.head)return!1;steered.rewind();try{for(let changes of kept.way)steered.apply(changes,
 {validOnly:!1})}catch{return localStorage.removeItem(keyOf(needle)),goBack(),!1}return replay&&(replay.changed=
 !0),part("back").disabled=!1,write("link-note","The needle as you left it: this browser keeps it."),show(),!0}
-var SHORTEST2,LONGEST,PAUSE,MOST_KEPT,COLUMNS,placeOf,identify,keyOf,keeping,init_recording=__esm({"needlefit/\
-viewer/page/recording.js"(){init_address();init_dom();init_link();init_inputs();init_steering();init_store();init_stored();
-[SHORTEST2,LONGEST]=[2,20],PAUSE=400,MOST_KEPT=1e6,COLUMNS="step,time_s,input,item,value,tip_lateral_mm",placeOf=
-n=>n?now.replay.places[n-1]:0;part("scrub").addEventListener("input",({target})=>{play(!1);let clock=Math.min(
-Number(target.value),placeOf(now.replay.steps.length));showStep(now.replay.places.filter(one=>one<=clock).length,
-clock)});press("play",()=>play(!now.playing));press("back",()=>{localStorage.removeItem(keyOf(now.needle)),goBack()});
-listen("steers",()=>{now.replay&&(play(!1),now.replay.changed=!0)});press("save-recording",()=>{let name=`${nameOf2(
-now.needle).replace(/[^\w-]+/g,"-")}.csv`;hand(new Blob([writeRecording(now.needle.head,now.steered)],{type:"t\
-ext/csv"}),name),write("link-note",`Saved ${name}. It opens on this page, and with: needlefit view --recording\
- ${name}`)});identify=head=>head.split(`
+var SHORTEST2,LONGEST,PAUSE,MOST_KEPT,COLUMNS,shown2,placeOf,identify,keyOf,keeping,init_recording=__esm({"nee\
+dlefit/viewer/page/recording.js"(){"use strict";init_address();init_dom();init_link();init_inputs();init_steering();
+init_store();init_stored();[SHORTEST2,LONGEST]=[2,20],PAUSE=400,MOST_KEPT=1e6,COLUMNS="step,time_s,input,item,\
+value,tip_lateral_mm",shown2=()=>now.replay,placeOf=n=>n?shown2().places[n-1]:0;part("scrub").addEventListener(
+"input",({target})=>{play(!1);let clock=Math.min(Number(target.value),placeOf(shown2().steps.length));showStep(
+shown2().places.filter(one=>one<=clock).length,clock)});press("play",()=>play(!now.playing));press("back",()=>{
+localStorage.removeItem(keyOf(now.needle)),goBack()});listen("steers",()=>{now.replay&&(play(!1),now.replay.changed=
+!0)});press("save-recording",()=>{let name=`${nameOf2(now.needle).replace(/[^\w-]+/g,"-")}.csv`;hand(new Blob(
+[writeRecording(now.needle.head,now.steered)],{type:"text/csv"}),name),write("link-note",`Saved ${name}. It op\
+ens on this page, and with: needlefit view --recording ${name}`)});identify=head=>head.split(`
 `).filter(one=>one.startsWith("#")).slice(1).filter(one=>!one.startsWith("# needlefit =")).join(`
 `);keyOf=needle=>`needlefit ${location.pathname} ${nameOf2(needle)}`,keeping=0;listen("steers",()=>{clearTimeout(
 keeping),keeping=setTimeout(keep,PAUSE)});addEventListener("pagehide",()=>keeping&&keep())}});var main_exports={};async function choose(number3){let{data}=now;part("needle-choice").value=number3;let steered=await begin(
@@ -1602,9 +1607,9 @@ part("choosing").hidden=data.needles.length<2,choice.addEventListener("change",(
 part("canvas").addEventListener("touchstart",event=>{handleAt(...place(event.touches[0]),"touch")&&event.preventDefault()},
 {passive:!1}),addEventListener("hashchange",()=>followAddress(choose)),openDropped(choose),await choose(0);let led=await followAddress(
 choose)||restore();await stateAgreement(),!led&&now.replay&&!now.scene.plan&&!matchMedia("(prefers-reduced-mot\
-ion: reduce)").matches&&play(!0)}var NEEDED,init_main=__esm({"needlefit/viewer/page/main.js"(){init_above();init_address();
-init_bands();init_dom();init_figure();init_handles();init_inputs2();init_keyboard();init_link();init_methods();
-init_pointers();init_quantities();init_recording();init_store();init_stored();NEEDED=["WebAssembly","Decompres\
-sionStream","Worker"];start().catch(error=>{let lacking=NEEDED.filter(name=>!(name in globalThis));throw write(
-"proof",lacking.length?`This browser lacks ${lacking.join(", ")}: it cannot compute the needle.`:`The needle w\
-as not computed, for a fault in this file: ${error.message}`),part("proof").classList.add("bad"),error})}});typeof document>"u"?Promise.resolve().then(()=>(init_band_worker(),band_worker_exports)):Promise.resolve().then(()=>(init_main(),main_exports));})();
+ion: reduce)").matches&&play(!0)}var NEEDED,init_main=__esm({"needlefit/viewer/page/main.js"(){"use strict";init_above();
+init_address();init_bands();init_dom();init_figure();init_handles();init_inputs2();init_keyboard();init_link();
+init_methods();init_pointers();init_quantities();init_recording();init_store();init_stored();NEEDED=["WebAssem\
+bly","DecompressionStream","Worker"];start().catch(error=>{let lacking=NEEDED.filter(name=>!(name in globalThis));
+throw write("proof",lacking.length?`This browser lacks ${lacking.join(", ")}: it cannot compute the needle.`:`\
+The needle was not computed, for a fault in this file: ${error.message}`),part("proof").classList.add("bad"),error})}});typeof document>"u"?Promise.resolve().then(()=>(init_band_worker(),band_worker_exports)):Promise.resolve().then(()=>(init_main(),main_exports));})();

@@ -84,7 +84,7 @@ function findToward(heap, { side, roll }) {
   const quarters = Math.floor(roll / 90 + 0.5),
     rest = (roll - 90 * quarters) * (Math.PI / 180);
   const [z, y] = [3, 4].map((which) => side * heap.evaluate(which, rest));
-  return [[y, z], [-z, y], [-y, -z], [z, -y]].at(quarters % 4); // prettier-ignore
+  return [[y, z], [-z, y], [-y, -z], [z, -y]][((quarters % 4) + 4) % 4]; // prettier-ignore
 }
 
 /** Whether inputs leave the needle in the plane z = 0. */
@@ -168,6 +168,11 @@ export class Session {
   }
 
   heap; start; base; end; model; planes; depth; rays; ids; maxIds; solved; parts; stateBytes;
+  /** @type {any} */
+  problem;
+  /** @type {any} */
+  shapes;
+  deepest = 0;
 
   constructor(heap, model, inputs) {
     Object.assign(this, { heap, start: heap.top, failed: false });

@@ -23,7 +23,7 @@
     }
   };
   const sort = (table, column) => {
-    const body = table.tBodies[0], heads = [...table.tHead.rows[0].cells];
+    const body = table.tBodies[0], heads = [...(table.tHead?.rows[0].cells ?? [])];
     const up = heads[column].getAttribute("aria-sort") !== "ascending";
     if (!table.dataset.filled) { fill(body); table.dataset.filled = "yes"; }
     heads.forEach((head) => head.removeAttribute("aria-sort"));
@@ -34,7 +34,7 @@
   /** @type {NodeListOf<HTMLTableElement>} */
   const tables = document.querySelectorAll("main figure table");
   for (const table of tables) {
-    [...table.tHead.rows[0].cells].forEach((head, column) => {
+    [...(table.tHead?.rows[0].cells ?? [])].forEach((head, column) => {
       head.tabIndex = 0;
       head.title = "Sort";
       head.addEventListener("click", () => sort(table, column));

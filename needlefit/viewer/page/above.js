@@ -1,6 +1,6 @@
 /** The view from above, below that from the side: x as there, z upwards, drawn at most as large as y. Shown of a needle in space. */
 
-import { onScheme, part } from "./dom.js";
+import { getContext, onScheme, part } from "./dom.js";
 import { paintFrame, paintTissue } from "./painters/background.js";
 import { paintNeedle, paintPath, paintPoints } from "./painters/needle.js";
 import { isBandNear, paintBand, paintMeasured } from "./painters/overlay.js";
@@ -11,7 +11,7 @@ import { view } from "./view.js";
 
 const [EDGE, ROOM] = [8, 14]; // px above and below the window, and in it
 const canvas = part("above");
-const context = canvas.getContext("2d", { alpha: false });
+const context = getContext(canvas);
 
 /** Whether something is seen from above: a needle in space, or one that is compared there. */
 const isSpatial = () => Boolean(now.state?.z ?? now.scene?.measured?.compared === "space");

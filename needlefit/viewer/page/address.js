@@ -54,7 +54,7 @@ function listLost({ scene: { simulation: { steps: [first] } }, step }, path) {
  *
  * It carries depth, turns and roll of the bevel, and parameters of the whole insertion.
  */
-export async function writeAddress(kernel, steered, name = null) {
+export async function writeAddress(kernel, steered, name = /** @type {string | null} */ (null)) {
   const { scene, step } = steered;
   const path = steered.path();
   const lost = listLost(steered, path);
@@ -86,7 +86,7 @@ async function leadsTo(kernel, address, steered) {
   try {
     for (const changes of readAddress(address, steered.scene)) other.apply(changes, { validOnly: false });
   } catch (error) {
-    if (!error.what) throw error;
+    if (!(error instanceof ModelError)) throw error;
     return false;
   }
   const { depth } = steered.step;

@@ -11,7 +11,7 @@ export const DEFINITIONS = {
   "depth": "Inserted arc length: how much of the needle is beyond the entry.",
   "tip y": "Distance of the tip from the entry axis, y; positive to the left of the entry.",
   "tip slope": "Angle of the needle at its tip against the entry axis.",
-  "tip force": "Lateral force on the tip, as it stood at its last constraint point; between these points it rises and falls. In space forces are magnitudes.",
+  "tip force": "Lateral force on the tip (1 N is the weight of 100 g), as it stood at its last constraint point; between these points it rises and falls. In space forces are magnitudes.",
   "base force": "Lateral force that holds the base.",
   "base moment": "Moment that holds the base.",
   "steepest slope": "Largest slope dy/dx of the needle; the model takes it for small.",

@@ -51,6 +51,9 @@ export const usePaper = (on) => (paper = on);
 /** Call `act` once the reader's colour scheme has changed. */
 export const onScheme = (act) => dark.addEventListener("change", act);
 
+/** What is drawn with on a canvas. */
+export const getContext = (canvas) => /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d", { alpha: false }));
+
 /** A colour of the style sheet: light-dark(one, other), or one for both. */
 export function colour(name) {
   const both = getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).match(/#\w+/g) ?? [""];

@@ -1,16 +1,16 @@
 /** The picture, drawn anew in the next frame after something has changed. */
 
-import { onScheme, part } from "./dom.js";
+import { getContext, onScheme, part } from "./dom.js";
 import { paintAxes, paintTissue } from "./painters/background.js";
 import * as needle from "./painters/needle.js";
 import * as overlay from "./painters/overlay.js";
-import { clearLabels, palette, readPalette, within } from "./painters/strokes.js";
+import { avoid, clearLabels, palette, placesOf, readPalette, within } from "./painters/strokes.js";
 import { listen, now, publish, redraw } from "./store.js";
 import { follow, resize } from "./view.js";
 
 const picture = part("picture");
 const canvas = part("canvas");
-const screen = canvas.getContext("2d", { alpha: false });
+const screen = getContext(canvas);
 let frame = 0;
 
 /** Width and height of the picture, px. */
@@ -28,6 +28,7 @@ export function paint(context, figure) {
   context.fillRect(0, 0, ...figure);
   clearLabels();
   needle.reserveNeedle(state);
+  for (const curve of [measured, pinned]) if (curve) avoid(placesOf(curve.x, curve.y));
   context.lineJoin = "round";
   within(context, now.view.box, () => {
     paintTissue(context);

@@ -1,6 +1,6 @@
 /** The picture as a figure: the same painters draw what the page shows, in a width of print. */
 
-import { hand, part, press, usePaper, write } from "./dom.js";
+import { getContext, hand, part, press, usePaper, write } from "./dom.js";
 import { paint, size } from "./drawing.js";
 import { FigureContext, writePdf, writeSvg } from "./figure_context.js";
 import { nameOf } from "./link.js";
@@ -45,7 +45,7 @@ function drawPng(wide, whole) {
   draw(wide, whole, (figure) => {
     const times = DPI / 96;
     Object.assign(canvas, { width: Math.round(times * figure[0]), height: Math.round(times * figure[1]) });
-    const context = canvas.getContext("2d");
+    const context = getContext(canvas);
     context.scale(times, times);
     return context;
   });
@@ -72,7 +72,6 @@ press("save-figure", async () => {
 for (const [kind, on] of /** @type {[string, boolean][]} */ ([["beforeprint", true], ["afterprint", false]])) {
   addEventListener(kind, () => {
     onPaper(on);
-    const canvas = part("canvas").getContext("2d");
-    if (now.state) paint(canvas, size()); // the page is printed before another frame
+    if (now.state) paint(getContext(part("canvas")), size()); // the page is printed before another frame
   });
 }

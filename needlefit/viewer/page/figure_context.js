@@ -1,5 +1,7 @@
 /** A drawing context that records what the painters draw, and writes it as SVG or as PDF; px. */
 
+import { getContext } from "./dom.js";
+
 const BASELINES = { alphabetic: 0, middle: 0.35, top: 0.8 }; // em that a text stands below its place
 const ROUND = 0.5523; // of a quarter of a circle: its control points, in radii
 const round = (value) => Number(value.toFixed(3));
@@ -10,8 +12,10 @@ export class FigureContext {
   lineCap = "butt"; lineJoin = "miter"; font = "12px sans-serif"; textAlign = "left"; textBaseline = "alphabetic";
   /** What was drawn, in order: {kind: path, text, clip or restore, and of each its numbers and looks}. */
   drawn = [];
-  #path = []; #dash = []; #matrix = new DOMMatrix(); #stack = []; #clips = 0; #halo = null;
-  #screen = document.createElement("canvas").getContext("2d");
+  #path = []; #dash = []; #matrix = new DOMMatrix(); #stack = []; #clips = 0;
+  /** @type {{stroke: string, width: number} | null} */
+  #halo = null;
+  #screen = getContext(document.createElement("canvas"));
 
   save() {
     this.#stack.push([Object.fromEntries(STYLE.map((name) => [name, this[name]])), this.#matrix, this.#clips]);
@@ -83,7 +87,7 @@ export class FigureContext {
   strokeText() { this.#halo = { stroke: this.strokeStyle, width: this.lineWidth }; }
 
   fillText(text, x, y) {
-    const [, weight, size] = this.font.match(/^(\d+ )?([\d.]+)px/);
+    const [, weight, size] = this.font.match(/^(\d+ )?([\d.]+)px/) ?? ["", "", "12"];
     const share = { left: 0, center: 0.5, right: 1 }[this.textAlign];
     const place = [x - share * this.measureText(text).width, y + BASELINES[this.textBaseline] * Number(size)];
     this.drawn.push({ kind: "text", text, size: Number(size), strong: Boolean(weight), fill: this.fillStyle, halo: this.#halo,

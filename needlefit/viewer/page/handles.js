@@ -31,9 +31,10 @@ const listHandles = (state) => [
 
 /** The handle nearest to a place in px, or null; `drag(from, to)` returns what dragging it asks for. */
 export function handleAt(px, py, kind = "mouse") {
-  if (!now.state) return null;
-  let [nearest, least] = [null, NEAR[kind] ?? NEAR.mouse];
-  for (const handle of listHandles(now.state)) {
+  /** @type {any} */
+  let nearest = null;
+  let least = NEAR[kind] ?? NEAR.mouse;
+  for (const handle of now.state ? listHandles(now.state) : []) {
     const distance = Math.hypot(handle.at[0] - px, handle.at[1] - py);
     if (distance < least) [nearest, least] = [handle, distance];
   }
@@ -45,6 +46,7 @@ const rise = (from, to) => fromPy(to[1]) - fromPy(from[1]);
 /** The base moves across, or pushes the needle along: whichever a drag begins with. */
 function dragBase({ base, depth_mm: depth, guides }) {
   const reach = now.scene.length_mm + Math.min(0, ...guides.map(({ x }) => x)) - 0.001; // it stays before tissue and guides
+  /** @type {boolean | null} */
   let along = null;
   return (from, to) => {
     const [px, py] = [Math.abs(to[0] - from[0]), Math.abs(to[1] - from[1])];

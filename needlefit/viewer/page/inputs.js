@@ -10,7 +10,9 @@ import { listen, now } from "./store.js";
 const digits = (count) => (value) => value.toFixed(count);
 let fields = []; // [field, () => value]
 
-/** Make the fields of a scene. Depth, base and guides of a recording have no values to go back to. */
+/** @typedef {import("./types").Needle} Needle */
+
+/** Make the fields of a scene. Depth, base and guides of a recording have no values to go back to. @param {Needle} needle */
 export function buildFields({ scene, recording }) {
   fields = [];
   for (const id of ["insertion-fields", "guide-fields", "tissue-fields", "shape-fields"]) part(id).replaceChildren();

@@ -10,7 +10,7 @@ const FITTED = "fitted"; // the needle that is drawn until it is steered
 const own = new Map(); // rows of these methods, which are the needle itself until it is steered
 let present = []; // the cells of the needle's own errors
 
-const errorsOf = (values) => now.scene.measured.metrics.map(([name, , unit]) => writeError(values?.[name] ?? null, unit));
+const errorsOf = (values) => (now.scene.measured?.metrics ?? []).map(([name, , unit]) => writeError(values?.[name] ?? null, unit));
 
 listen("scene", ({ measured }) => {
   const { methods } = now.needle;

@@ -11,6 +11,7 @@ const FINE = 0.1;
 
 const canvas = part("canvas");
 const fingers = new Map(); // pointers that are down, and where
+/** @type {any} */
 let drag = null; // {handle, from, last, to, gesture, pointer}: where it began, where the pointer is, to where it drags
 
 /** Where an event is on the picture, px. */
@@ -54,7 +55,7 @@ function moved(event) {
 }
 
 function pinch(id, before, at) {
-  const other = [...fingers].find(([finger]) => finger !== id)[1];
+  const [other] = [...fingers].filter(([finger]) => finger !== id).map(([, at]) => at);
   const distance = ([x, y]) => Math.max(Math.hypot(x - other[0], y - other[1]), 20);
   pan((at[0] - before[0]) / 2, (at[1] - before[1]) / 2);
   zoom(distance(at) / distance(before), (at[0] + other[0]) / 2, (at[1] + other[1]) / 2);

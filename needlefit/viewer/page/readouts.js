@@ -6,8 +6,14 @@ import { describeRoll, isSteered, listErrors, predictionOf, signed, strengthOf, 
 import { listen, now, tipForce } from "./store.js";
 import { toPy, view } from "./view.js";
 
-/** A force or moment: with its sign along y, or in space a magnitude. */
-const load = (value, digits) => (now.state.z ? value.toFixed(digits) : signed(value, digits));
+/** @typedef {import("./types").Measured} Measured */
+
+/** A force or moment: with its sign along y, or in space a magnitude; a dash outside the limits of the model. */
+function load(value, digits) {
+  const { z, faults } = now.state;
+  if (value === null || faults.length) return "–";
+  return z ? value.toFixed(digits) : signed(value, digits);
+}
 
 /** What is read of the needle: a name, a unit, and how it is written from a state. */
 const NEEDLE = [
@@ -15,7 +21,7 @@ const NEEDLE = [
   ["tip y", "mm", (s) => signed(s.tip.lateral_mm, 2)],
   ["tip z", "mm", (s) => (s.z ? signed(s.tip.z, 2) : "–")],
   ["tip slope", "°", (s) => signed(toDegrees(s.tip.rotation), 2)],
-  ["tip force", "N", () => tipForce() === null ? "–" : load(tipForce(), 3)],
+  ["tip force", "N", () => load(tipForce(), 3)],
   ["base force", "N", (s) => load(s.forces.base_n, 3)],
   ["base moment", "N mm", (s) => load(s.forces.base_nmm, 1)],
   ["steepest slope", "", (s) => s.max_slope.toFixed(3)],
@@ -64,6 +70,7 @@ listen("scene", ({ measured }) => {
   writeErrors = fillReadouts(part("errors"), [...metrics, ["noise floor", "mm", (e) => e.floor_mm?.toFixed(3) ?? "–"]]);
 });
 
+/** @type {unknown} */
 let announced = null; // of which scene a message has stated that the needle exceeds limits of the model
 
 /** Which limits of the model the needle exceeds, in words; empty where it exceeds none. */
@@ -97,12 +104,12 @@ export function inWords() {
     `Its tip is ${Math.abs(tip.lateral_mm).toFixed(2)} mm to the ${tip.lateral_mm < 0 ? "right" : "left"}${tip.held ? " and held there" : ""}, at ${angle(tip)}${tip.z === null ? "" : `; z ${signed(tip.z, 2)} mm`}.`,
     `The bevel turns the cut toward ${describeRoll(bevel)}, ${symbol} is ${value.toFixed(digits)} ${unit}.`,
     `The base stands at y ${signed(base.y, 2)} mm, at ${angle(base)}; ${held}.`,
-    `Tip force ${load(tipForce() ?? 0, 2)} N, base force ${load(state.forces.base_n, 2)} N.`,
+    `Tip force ${load(tipForce(), 2)} N, base force ${load(state.forces.base_n, 2)} N.`,
   ];
   if (exceeded(state)) sentences.push(`The needle is ${exceeded(state)}.`);
   if (errors) {
     const prediction = predictionOf(state, scene);
-    sentences.push(`${prediction ? "The prediction against" : "Against"} the measured needle ${comparedUpTo(errors)}: ${listErrors(prediction?.errors ?? errors, scene.measured).join(", ")}.`);
+    sentences.push(`${prediction ? "The prediction against" : "Against"} the measured needle ${comparedUpTo(errors)}: ${listErrors(prediction?.errors ?? errors, /** @type {Measured} */ (scene.measured)).join(", ")}.`);
   }
   return sentences.join(" ");
 }

@@ -13,8 +13,11 @@ const PAUSE = 400; // ms without a change, after which the browser keeps the nee
 const MOST_KEPT = 1_000_000; // characters
 const COLUMNS = "step,time_s,input,item,value,tip_lateral_mm";
 
+/** The recording that is shown, where there is one. */
+const shown = () => /** @type {Replay} */ (now.replay);
+
 /** How far a recording is after n steps: the depth of a plan, mm, or the time of another one, s. */
-const placeOf = (n) => (n ? now.replay.places[n - 1] : 0);
+const placeOf = (n) => (n ? shown().places[n - 1] : 0);
 
 /** Show a needle that was chosen as the file has it: of a recording its end. */
 export function goBack() {
@@ -25,7 +28,7 @@ export function goBack() {
 }
 
 function showStep(n, clock = placeOf(n)) {
-  const { replay } = now;
+  const replay = shown();
   forgetPast();
   replay.to(n);
   part("scrub").value = n === replay.steps.length ? part("scrub").max : clock;
@@ -38,7 +41,7 @@ function showStep(n, clock = placeOf(n)) {
 export function play(on) {
   part("play").textContent = on ? "Pause" : "Play";
   if (!on) return void (now.playing = null);
-  const { replay } = now;
+  const replay = shown();
   const n = replay.at === replay.steps.length || replay.changed ? 0 : replay.at;
   now.playing = { clock: placeOf(n), last: performance.now(), n };
   requestAnimationFrame(advance);
@@ -47,7 +50,7 @@ export function play(on) {
 function advance(t) {
   const { playing } = now;
   if (!playing) return;
-  const { steps } = now.replay;
+  const { steps } = shown();
   const ends = Math.max(placeOf(steps.length), 1e-9);
   playing.clock += ((t - playing.last) / 1000) * (ends / Math.min(Math.max(ends, SHORTEST), LONGEST));
   playing.last = t;
@@ -71,8 +74,8 @@ export function openRecording(recording, planned = false) {
 
 part("scrub").addEventListener("input", ({ target }) => {
   play(false);
-  const clock = Math.min(Number(target.value), placeOf(now.replay.steps.length));
-  showStep(now.replay.places.filter((one) => one <= clock).length, clock);
+  const clock = Math.min(Number(target.value), placeOf(shown().steps.length));
+  showStep(shown().places.filter((one) => one <= clock).length, clock);
 });
 press("play", () => play(!now.playing));
 press("back", () => {

@@ -9,6 +9,7 @@ import { listen, now, publish, take } from "./store.js";
 const MOST_UNDONE = 200; // gestures
 const always = { validOnly: false }; // a needle outside the limits of the model is shown, and said to be
 const refusal = part("refusal");
+/** @type {number[][]} */
 const [past, future] = [[], []]; // numbers of states that are kept to return to
 let [steps, gestures, last] = [0, 0, 0];
 

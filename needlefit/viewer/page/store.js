@@ -1,16 +1,17 @@
 /** What the page knows, and the listeners to what changes. */
 
+/** @typedef {import("./types").Now} Now */
+
 /**
  * All that the page knows; also `window.needlefit`, for whoever measures it. `data` is the file's, `needle` one of its needles,
  * `steered` that needle as it is steered, `state` what is shown of it; `forces`: on the tip, N, as it stood at each constraint
  * point, by depth, mm. `shown` are the layers of the picture, `curves` the methods whose needles are drawn.
  */
-export const now = {
-  data: null, needle: null, steered: null, replay: null, playing: null,
-  scene: null, state: null, band: null, pinned: null, forces: { x: [], y: [] }, view: null,
+export const now = /** @type {Now} */ (/** @type {Partial<Now>} */ ({
+  replay: null, playing: null, band: null, pinned: null, forces: { x: [], y: [] },
   shown: { load: false, points: false, path: false, errors: false, measured: true, band: true, plan: true, pinned: true },
   curves: new Set(), labels: [], avoided: [],
-};
+}));
 Object.assign(window, { needlefit: now });
 
 const listeners = new Map();

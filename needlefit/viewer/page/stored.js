@@ -3,7 +3,7 @@
 import { compile } from "../../mechanics/native/needle.js";
 import { part } from "./dom.js";
 import { ALIGN, computeErrors, readPoints } from "./model/errors.js";
-import { listSteps } from "./model/inputs.js";
+import { listSteps, ModelError } from "./model/inputs.js";
 import { SteeredNeedle } from "./model/steered.js";
 
 const SLICE = 12; // ms that work may take at a time
@@ -114,7 +114,7 @@ export async function prove({ needles, kernel }, same) {
         compare(compareStored(steered, needle, same));
       }
     } catch (error) {
-      if (!error.what) throw error;
+      if (!(error instanceof ModelError)) throw error;
       compare(NaN);
     }
     await rest();

@@ -18,9 +18,9 @@ const TIP_WINDOW = 45; // mm seen across while the tip is followed
  * The window: its centre (mm), its scale (px per mm), its box on the canvas (px), and whether that is low; what it fits (null:
  * the reader has moved it), of which scene; whether something is dragged; and the scale of the load (px per N/mm).
  */
-export const view = {
+export const view = /** @type {import("./types").View} */ ({
   x: 0, y: 0, scale: 5, magnified: 1, held: false, fit: "tissue", of: null, low: false, per_load: 0, box: { left: 0, top: 0, width: 1, height: 1 },
-};
+});
 
 Object.assign(now, { view });
 export const toPx = (x) => view.box.left + view.box.width / 2 + (x - view.x) * view.scale;
@@ -49,9 +49,9 @@ export function fit(which) {
     return Object.assign(view, { scale: limited(view.box.width / TIP_WINDOW), magnified: 1, x, y });
   }
   // From the base at first contact, or from the skin, to the greatest depth that is known; room in px for the base's
-  // handle, or for the key of the load before the skin.
+  // handle, or for the key of the load before the skin, and for the names of lines behind their ends.
   const [low, high, before, after] = which === "whole"
-    ? [-now.scene.length_mm, deepest() + 4, Math.min(74, 0.1 * view.box.width + 20), 34] : [0, 1.04 * deepest(), Math.min(84, 0.2 * view.box.width), 34];
+    ? [-now.scene.length_mm, deepest() + 4, Math.min(74, 0.1 * view.box.width + 20), 34] : [0, 1.04 * deepest(), Math.min(84, 0.2 * view.box.width), Math.min(84, 0.12 * view.box.width)];
   const room = view.box.width - before - after;
   const [bottom, top] = heights(which);
   const [along, across] = [room / (high - low), roomAcross() / (top - bottom)];
@@ -84,7 +84,7 @@ function heights(which) {
   const { state, band, pinned, scene: { measured } } = now;
   const seen = [state, pinned].flatMap((one) => (one ? one.y.filter((_, i) => which === "whole" || one.x[i] >= 0) : []));
   const goals = goalCircles().flatMap(([, y, radius]) => [y - radius, y + radius]);
-  return extent([...seen, ...(measured?.y ?? []), ...goals, ...(band?.low ?? []), ...(band?.high ?? []), 0]);
+  return /** @type {[number, number]} */ (extent([...seen, ...(measured?.y ?? []), ...goals, ...(band?.low ?? []), ...(band?.high ?? []), 0]));
 }
 
 /** Whether a place, mm, is in the window. */
@@ -112,7 +112,7 @@ export function follow() {
     const px = view.scale * view.magnified;
     const out = (Math.max(top - view.y, view.y - bottom) * px) > roomAcross() / 2 + 1 || !seesTip();
     const low = (top - bottom) * px < LOW * roomAcross();
-    if (out || (low && view.magnified < MAGNIFICATIONS.at(-1))) fit(view.fit);
+    if (out || (low && view.magnified < MAGNIFICATIONS[MAGNIFICATIONS.length - 1])) fit(view.fit);
     return;
   }
   if (view.fit !== "tip") return;

@@ -14,6 +14,8 @@ const BACK = 1e-6; // mm; a needle retracted by that much has left inputs under 
 export class Band {
   /** draws: {sets, mu, law, strength} in place of the model's. */
   kernel; model; draws; values; chunks; rays; points;
+  /** @type {any} */
+  batch;
 
   constructor(kernel, model, draws) {
     const chunks = Array.from({ length: Math.ceil(draws.sets / CHUNK) }, (_, n) => ({

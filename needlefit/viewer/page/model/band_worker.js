@@ -4,8 +4,11 @@ import { Band } from "./band.js";
 import { TipForces } from "./tip_forces.js";
 
 const STALE = 100; // ms; while orders come without a pause, what is that old is completed
-let newest = {};
-let [band, tipForces] = [null, null];
+let newest = /** @type {any} */ ({});
+/** @type {Band | null} */
+let band = null;
+/** @type {TipForces | null} */
+let tipForces = null;
 let busy = false;
 let done = 0; // ms, when the last order was completed
 const channel = new MessageChannel();
@@ -20,6 +23,7 @@ const pause = () => new Promise((resume) => {
 
 async function work() {
   busy = true;
+  /** @type {any} */
   let order = null;
   while (order !== newest && newest.steps) {
     order = newest;
@@ -31,7 +35,7 @@ async function work() {
     postMessage({ id, forces });
     if (draws) {
       if (band?.draws !== draws) band = new Band(kernel, model, draws);
-      const found = await band.compute(steps, planes, isOld, pause);
+      const found = await /** @type {Band} */ (band).compute(steps, planes, isOld, pause);
       if (isOld()) continue;
       postMessage({ id, band: found });
     }

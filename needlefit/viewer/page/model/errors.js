@@ -39,7 +39,8 @@ export function computeErrors(session, measured) {
   if (upto < LEAST) return null;
   const beyond = depth - measured.depth_mm;
   const whole = Math.abs(beyond) <= DEPTH_TOLERANCE;
-  let [simulated, other] = [null, null];
+  /** @type {number[][]} */
+  let [simulated, other] = [[], []];
   if (whole) {
     const { s, x, y, z, pose } = measured.target;
     other = x.map((one, i) => [one, y[i], z[i]]);
@@ -52,7 +53,7 @@ export function computeErrors(session, measured) {
   } else return null;
   const axes = AXES[measured.compared];
   const distances = simulated.map((point, i) => Math.hypot(...axes.map((axis) => point[axis] - other[i][axis])));
-  const deflection = Math.hypot(...axes.slice(1).map((axis) => other.at(-1)[axis] - other[0][axis]));
+  const deflection = Math.hypot(...axes.slice(1).map((axis) => other[other.length - 1][axis] - other[0][axis]));
   const values = Object.entries(METRICS).map(([name, compute]) => [name, compute(distances, deflection)]);
   const finite = values.map(([name, value]) => [name, Number.isFinite(value) ? value : null]);
   return { ...Object.fromEntries(finite), upto_mm: upto, whole, floor_mm: measured.floor_mm };

@@ -22,6 +22,7 @@ export class SteeredNeedle {
   }
 
   scene; session; rules; shape; names; number; saved; valid; validity;
+  /** @type {any} */
   way = null; // the newest of the changes that led here: {changes, tip: y, mm, before: the one before}
 
   constructor(scene, session) {
@@ -135,6 +136,7 @@ export class SteeredNeedle {
 
   #simulateAgain(parameters, validOnly) {
     const mu = [...this.model.mu];
+    /** @type {(number | null)[]} */
     let [offset, angle] = [null, null];
     for (const [name, item, value] of parameters) {
       if (item > mu.length) throw new ModelError(`there is no layer ${item}`, `one of ${mu.length} layers`);

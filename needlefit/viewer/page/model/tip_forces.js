@@ -9,6 +9,8 @@ const SAME = 1e-9; // mm; depths that differ by less are one
 /** A needle that goes on from where it stands, so that a small step costs little. */
 export class TipForces {
   kernel; model; path; points;
+  /** @type {any} */
+  session;
 
   constructor(kernel) {
     Object.assign(this, { kernel, model: "", path: null, points: [] });

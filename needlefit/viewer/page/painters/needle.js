@@ -79,7 +79,7 @@ export function paintTipForce(context, { tip, z }) {
   setFont(context, "small");
   const [end, half] = [py - length - 9 * Math.sign(length), py - length / 2];
   const places = [[px, end], [px - 34, end], [px + 30, end], [px + 30, half], [px - 34, half], [px, end - 14 * Math.sign(length)]];
-  labelFree(context, `${brief(Math.abs(force), 2)} N`, places, palette.load);
+  labelFree(context, `${brief(Math.abs(force ?? 0), 2)} N`, places, palette.load);
 }
 
 export const paintPath = (context, { tip_path: [x, y] }) => line(context, x, y, palette.path, 1.5);
@@ -145,7 +145,7 @@ export function paintLoad(context, { load: { x, y, n_per_mm: values } }) {
   const [px, py] = [x.map(toPx), y.map(toPy)];
   const [surface, ends] = [0, view.per_load].map((scale) => px.map((x, i) => [x, py[i] - load[i] * scale]));
   faintly(context, 0.32, () => polygon(context, [...surface, ...ends.toReversed()], palette.load));
-  polyline(context, [[surface[0], ...ends, surface.at(-1)]], palette.load, 1.25);
+  polyline(context, [[...surface.slice(0, 1), ...ends, ...surface.slice(-1)]], palette.load, 1.25);
 }
 
 /** The mean of a load over so many mm to either side of each of its places; less at the ends. */
@@ -154,7 +154,7 @@ function smooth(x, load, reach) {
   for (let i = 1; i < x.length; i += 1) sums.push(sums[i - 1] + ((load[i] + load[i - 1]) / 2) * (x[i] - x[i - 1]));
   const sumTo = (at) => {
     const i = bisect(x, at); // the first place beyond
-    if (i === 0 || i === x.length) return sums.at(i - 1) * Math.sign(i);
+    if (i === 0 || i === x.length) return sums[Math.max(i - 1, 0)];
     const part = (at - x[i - 1]) / (x[i] - x[i - 1]);
     return sums[i - 1] + (load[i - 1] + (part * (load[i] - load[i - 1])) / 2) * (at - x[i - 1]);
   };

@@ -130,6 +130,7 @@ export function paintInset(context, { x, y, tip }) {
   const curves = [{ x, y }, scene.measured, band && { x: band.x, y: band.low }, band && { x: band.x, y: band.high }];
   const places = curves.flatMap((one) => (one ? placesOf(one.x, one.y) : []));
   const wide = Math.min(INSET.width, 0.36 * width);
+  /** @param {number[]} at */
   const empty = ([px, py]) => isFree([px, py, wide, INSET.height]) && places.every(([cx, cy]) =>
     cx < px - CLEAR || cx > px + wide + CLEAR || cy < py - CLEAR || cy > py + INSET.height + CLEAR);
   const rows = [top + height - INSET.height - INSET.edge, top + INSET.edge];
@@ -142,7 +143,7 @@ export function paintInset(context, { x, y, tip }) {
   polygon(context, frame, palette.air);
   polyline(context, [frame], palette.quiet, 1);
   const inserted = x.map((one, i) => [one, y[i]]).filter(([one]) => one >= 0);
-  const [low, high] = /** @type {[number, number]} */ (extent(inserted, ([, one]) => one));
+  const [low, high] = /** @type {[number, number]} */ (extent(/** @type {number[]} */ (inserted.map(([, one]) => one))));
   const room = [wide - 2 * INSET.edge, INSET.height - INSET.title - 6];
   const scale = Math.min(room[0] / Math.max(scene.depth_mm, now.state.depth_mm, 1), room[1] / (high - low + scene.diameter_mm));
   const middle = py + (INSET.height + INSET.title) / 2;

@@ -139,7 +139,9 @@ const SHARES = [1, 0.8, 0.6, 0.4]; // of a curve, where its label may stand
 
 export const clearLabels = () => Object.assign(now, { labels: [], avoided: [] });
 const overlap = ([x, y, w, h], [x2, y2, w2, h2]) => x < x2 + w2 && x2 < x + w && y < y2 + h2 && y2 < y + h;
+/** @param {import("../types").Place} box */
 export const isFree = (box) => !now.labels.some((one) => overlap(one, box));
+/** @param {import("../types").Place} box */
 export const reserve = (...box) => now.labels.push(box);
 
 /** Keep labels off a line (px) where there is room for them elsewhere. */
@@ -155,11 +157,11 @@ export function labelFree(context, text, places, shade) {
   const { left, top, width, height } = now.view.box;
   const wide = context.measureText(text).width + 6;
   const limit = (value, low, high) => Math.max(low, Math.min(value, high));
-  const free = places.map(([px, py]) =>
-    [limit(px - wide / 2, left + 2, left + width - wide - 2), limit(py - LINE / 2, top + 2, top + height - LINE - 2), wide, LINE]).filter(isFree);
+  const free = places.map(([px, py]) => /** @type {import("../types").Place} */ (
+    [limit(px - wide / 2, left + 2, left + width - wide - 2), limit(py - LINE / 2, top + 2, top + height - LINE - 2), wide, LINE])).filter(isFree);
   const box = free.find((one) => !now.avoided.some((other) => overlap(one, other))) ?? free[0];
   if (!box) return;
-  reserve(...box);
+  now.labels.push(box);
   context.textAlign = "center";
   context.textBaseline = "middle";
   label(context, text, box[0] + wide / 2, box[1] + LINE / 2, shade);
@@ -171,9 +173,10 @@ export function labelBeside(context, text, sides, shade) {
   const half = context.measureText(text).width / 2;
   const curves = sides.map(([{ x, y }, away]) => [placesOf(x, y), away]);
   for (const [places] of curves) avoid(places);
+  const ends = curves.map(([places]) => [places.at(-1)[0] + half + 8, places.at(-1)[1]]); // the needle before its bevel's knob
   const beside = SHARES.flatMap((share) => curves.flatMap(([places, away]) => {
     const [px, py] = places[Math.round(share * (places.length - 1))];
     return [0, -half, half].map((aside) => [px + aside, py + away]);
   }));
-  labelFree(context, text, beside, shade);
+  labelFree(context, text, [...ends, ...beside], shade);
 }
