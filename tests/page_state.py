@@ -1,19 +1,25 @@
 """What the page shows of a needle, computed in Python: the reference of `page/model/state.js`."""
 
 import math
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from needlefit.arrays import Floats
 from needlefit.geometry.curves import COMPARISON_POINTS, compare_curves
 from needlefit.inference.compared_points import align, align_points
+from needlefit.inference.curve_bands import find_bands
+from needlefit.mechanics.batch import compute_batch_positions, simulate_batches
 from needlefit.mechanics.shape import NeedleShape, compute_positions, list_planes, map_beam_points
 from needlefit.mechanics.simulate import compute_loads
 from needlefit.mechanics.torsion import find_roll
 from needlefit.metrics import compute_metrics
 from needlefit.planning.steered_needle import SteeredNeedle, guide_number
+from needlefit.planning.steering import StartedInsertion
 from needlefit.reporting.needle_page import encode_layers, encode_strength
-from needlefit.viewer.overlays import MeasuredOverlay
+from needlefit.studies.needle_placement import BAND_PROBABILITY, NEEDLE_POINTS
+from needlefit.viewer.overlays import MeasuredOverlay, choose_band_draws
 from needlefit.viewer.page_needle import LENGTH_DIGITS, round_lengths
 from needlefit.viewer.viewed_scene import ViewedScene
 
@@ -113,3 +119,44 @@ def encode_state(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
         "faults": list(shape.validity.faults),
         "errors": errors,
     }
+
+
+@dataclass(frozen=True)
+class NeedleBand:
+    """The simultaneous band that holds 95 % of the drawn needles from entry to tip, in C."""
+
+    x: Floats  #: (K,) Depth along the entry axis, median over the needles, mm
+    low: Floats  #: low, high: (K,) Of y, mm
+    high: Floats
+    failed: int  #: draws whose needle was not found; they are left out
+
+
+def compute_band(insertion: StartedInsertion) -> NeedleBand | None:
+    """Return the band of a needle where it stands: it holds 95 % of the needles of posterior draws.
+
+    Every draw replaces moduli and shape parameters of all layers and the strength of the bevel of all steps;
+    the layers stay where they are, guides and base where the user holds them. It includes neither the noise
+    of measured points, nor errors of the layers' depths, nor model error. Runs on one core, and lets the
+    interpreter go. None without draws, before the tip is in, and where no draw can be solved.
+    """
+    spread, path = insertion.draws, insertion.path
+    if spread is None or not path[-1].depth > 0:
+        return None
+    drawn = spread.only(choose_band_draws(spread))
+    batch = drawn.make_batch(insertion.needle, insertion.tissue, path, insertion.rules)
+    # One thread: the other cores are left to the needles that users control at the same time.
+    (shapes,) = simulate_batches([batch], threads=1)
+    points = compute_batch_positions(shapes, np.linspace(0.0, path[-1].depth, NEEDLE_POINTS))
+    found = points[shapes.converged]  # (B, K, 3)
+    if not len(found):
+        return None
+    across = found[:, :, 1:].transpose(0, 2, 1).reshape(len(found), -1)  # y, then z, which is 0 in a plane
+    low, high = (end[:NEEDLE_POINTS] for end in find_bands(across).ends(BAND_PROBABILITY))
+    return NeedleBand(np.median(found[:, :, 0], axis=0), low, high, len(shapes) - len(found))
+
+
+def continue_insertion(viewed_scene: ViewedScene, steering: SteeredNeedle) -> StartedInsertion:
+    """Return the insertion of a steered needle of a scene from where it stands."""
+    rules = replace(steering.scene.rules, first_cell=steering.first_cell)
+    tissue, path = steering.now.tissue, steering.input_path()
+    return StartedInsertion(steering.scene.needle, tissue, rules, path, viewed_scene.spread)

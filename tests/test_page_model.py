@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from page_files import PAGE
-from page_state import encode_state
+from page_state import compute_band, continue_insertion, encode_state
 
 from needlefit.errors import ModelError
 from needlefit.inference.forward_model import ParameterDraws
@@ -23,7 +23,6 @@ from needlefit.mechanics.simulate import compute_loads
 from needlefit.planning.steered_needle import Change, SteeredNeedle, find_changes, make_steered_scene
 from needlefit.schemas.scene import SceneRecord
 from needlefit.viewer.opening import open_target
-from needlefit.viewer.overlays import compute_band
 from needlefit.viewer.page_needle import encode_draws, encode_scene
 from needlefit.viewer.viewed_scene import ViewedScene
 
@@ -197,7 +196,7 @@ def test_the_page_simulates_the_bytes_of_the_program(name: str, seed: int) -> No
             (one.depth, one.bevel.side, one.bevel.roll_deg) for one in path
         ]
     assert 0 < refused < 40
-    band = compute_band(replace(viewed, spread=draws).continue_insertion(steering))
+    band = compute_band(continue_insertion(replace(viewed, spread=draws), steering))
     if band is not None:
         for key in ("x", "low", "high"):
             np.testing.assert_allclose(

@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 from inference_cases import TRUTH, dataset, insertion, measure, medium
 from page_files import PAGE
+from page_state import compute_band
 
 from needlefit.geometry.curves import arc_length, compare_curves
 from needlefit.geometry.frames import align_rigid
@@ -24,7 +25,7 @@ from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.mechanics.tissue import Tissue
 from needlefit.planning.insertion_scene import make_scene_record
 from needlefit.planning.steering import StartedInsertion
-from needlefit.viewer.overlays import compute_band, make_measured_overlay
+from needlefit.viewer.overlays import make_measured_overlay
 from needlefit.viewer.page_needle import encode_measured
 
 PLAN = insertion(40.0, [17.5], (1, 2))

@@ -55,14 +55,6 @@ class SteerableScene:
         start = Step(0.0, bevel, first.controls)
         return StartedInsertion(scene.needle, scene.tissue, rules, (start,), self.spread)
 
-    def continue_insertion(self, steering: SteeredNeedle) -> "StartedInsertion":
-        """Return the insertion of a steered needle of this scene from where it stands."""
-        from needlefit.planning.steering import StartedInsertion
-
-        rules = replace(steering.scene.rules, first_cell=steering.first_cell)
-        path = steering.input_path()
-        return StartedInsertion(steering.scene.needle, steering.now.tissue, rules, path, self.spread)
-
     def find_placement(self) -> Placement:
         """Return where the constraint frame lies; ConfigError if that is not known."""
         if self.placement is not None:

@@ -3,9 +3,6 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-import numpy as np
 
 from needlefit.geometry.frames import Placement
 from needlefit.mechanics.scene import Scene
@@ -13,11 +10,7 @@ from needlefit.mechanics.session import NeedleState, find_tip_force
 from needlefit.planning.recording import Recording, begin_replay, replay
 from needlefit.planning.steered_needle import SteeredNeedle
 from needlefit.viewer.opening import open_recording
-from needlefit.viewer.overlays import compute_band
 from needlefit.viewer.page_needle import compose_page
-
-if TYPE_CHECKING:
-    from needlefit.reporting.figures.needles import SceneOverlays
 
 
 @dataclass(frozen=True)
@@ -78,11 +71,10 @@ def write_curve(outcome: RecordingOutcome, path: Path) -> None:
 
 
 def write_picture(outcome: RecordingOutcome, path: Path) -> None:
-    """Draw the needle with its overlays, .svg, .png or .pdf."""
+    """Draw the needle, .svg, .png or .pdf."""
     from needlefit.reporting.figures.needles import draw_state
 
-    overlays = _find_overlays(outcome)
-    draw_state(outcome.title, outcome.scene, outcome.state, path, outcome.tip_force, overlays)
+    draw_state(outcome.title, outcome.scene, outcome.state, path, outcome.tip_force)
 
 
 def write_page(outcome: RecordingOutcome, path: Path) -> None:
@@ -99,16 +91,3 @@ WRITERS: dict[str, Write] = {
     "slicer": write_curve,
     "html": write_page,
 }
-
-
-def _find_overlays(outcome: RecordingOutcome) -> "SceneOverlays":
-    """Return what was shown beside the needle, if it is still there."""
-    from needlefit.reporting.figures.needles import SceneOverlays
-
-    viewed_scene = open_recording(outcome.recording)
-    points = None if viewed_scene.measured is None else viewed_scene.measured.points[:, :2]
-    found = compute_band(viewed_scene.continue_insertion(outcome.steering))
-    if found is None:
-        return SceneOverlays(points, origin_mark=viewed_scene.origin_mark)
-    low, high = (np.column_stack((found.x, edge)) for edge in (found.low, found.high))
-    return SceneOverlays(points, low, high, viewed_scene.origin_mark)

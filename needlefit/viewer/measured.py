@@ -189,7 +189,9 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
     )
     draws = select_draws(run.frames["draws"], fold, specimen)
     crossed = "Layer depths: as measured. " if len(insertion.boundaries) else ""
-    description = f"Parameters: fitted by {run.name} {role}. {crossed}{_describe_band(draws, specimen)}"
+    certified = len(draws) > 0 and bool(draws["certified"].all())
+    band = "" if certified else "No band: the run has no certified draws of its parameters."
+    description = f"Parameters: fitted by {run.name} {role}. {crossed}{band}".rstrip()
     viewed_scene = _show_insertion(shown, view_target.name, description)
     measured = viewed_scene.measured
     if measured is not None and measured.target.pose == "known":
@@ -202,7 +204,7 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
         viewed_scene, recall=partial(_recall, run), faults=run.faults, warnings=tuple(warnings),
         fitted_depths=tuple(one.depth for one in fitted), fitted_directions=DIRECTIONS[stated.compared],
     )  # fmt: skip
-    if draws.empty or not draws["certified"].all():
+    if not certified:
         return viewed_scene
     new = specimen == NEW_SPECIMEN
     separate = new and len({one.specimen for one in fitted}) > 1
@@ -227,16 +229,3 @@ def _vary_draws(shown: ShownInsertion, draws: pd.DataFrame, new_bevel_sd: float)
     varied = vary_draws(draws, shown.medium, shown.insertion.id, shown.seed, new_bevel_sd)
     layers = [layer for _, layer in find_layers(shown.insertion)]
     return select_layer_draws(varied, layers, shown.medium.law)
-
-
-def _describe_band(draws: pd.DataFrame, specimen: str) -> str:
-    if draws.empty:
-        return "No band: the run stored no draws of its parameters, as it was interrupted."
-    sources = {"posterior": "sampled", "importance": "by importance sampling"}
-    from needlefit.studies.fit_frames import NEW_SPECIMEN
-
-    how = sources[draws.iloc[0]["draw_source"]]
-    if not draws["certified"].all():
-        return f"No band: the posterior draws ({how}) are not certified."
-    new = ", in a specimen that was not tuned on" if specimen == NEW_SPECIMEN else ""
-    return f"Band: from entry to tip it holds 95 % of the needles of posterior draws ({how}){new}."

@@ -1,4 +1,4 @@
-"""Overlays of the simulated needle: a measured needle, and the band of a fit."""
+"""Overlays of the simulated needle: a measured needle, and the draws of the band of a fit."""
 
 import math
 from collections.abc import Mapping
@@ -15,49 +15,10 @@ if TYPE_CHECKING:
     from needlefit.datasets.insertion import Dataset, Insertion
     from needlefit.inference.compared_points import ComparedPoints
     from needlefit.inference.forward_model import ParameterDraws
-    from needlefit.planning.steering import StartedInsertion
 
 # What takes long to import, or only measured insertions need, is imported where it is used.
 #: needles of a band, evenly chosen from all draws: it is computed again whenever the needle moves
 MAX_BAND_DRAWS = 100
-
-
-@dataclass(frozen=True)
-class NeedleBand:
-    """The simultaneous band that holds 95 % of the drawn needles from entry to tip, in C."""
-
-    x: Floats  #: (K,) Depth along the entry axis, median over the needles, mm
-    low: Floats  #: low, high: (K,) Of y, mm
-    high: Floats
-    failed: int  #: draws whose needle was not found; they are left out
-
-
-def compute_band(insertion: "StartedInsertion") -> NeedleBand | None:
-    """Return the band of a needle where it stands: it holds 95 % of the needles of posterior draws.
-
-    Every draw replaces moduli and shape parameters of all layers and the strength of the bevel of all steps;
-    the layers stay where they are, guides and base where the user holds them. It includes neither the noise
-    of measured points, nor errors of the layers' depths, nor model error. Runs on one core, and lets the
-    interpreter go. None without draws, before the tip is in, and where no draw can be solved.
-    """
-    from needlefit.inference.curve_bands import find_bands
-    from needlefit.mechanics.batch import compute_batch_positions, simulate_batches
-    from needlefit.studies.needle_placement import BAND_PROBABILITY, NEEDLE_POINTS
-
-    spread, path = insertion.draws, insertion.path
-    if spread is None or not path[-1].depth > 0:
-        return None
-    drawn = spread.only(choose_band_draws(spread))
-    batch = drawn.make_batch(insertion.needle, insertion.tissue, path, insertion.rules)
-    # One thread: the other cores are left to the needles that users control at the same time.
-    (shapes,) = simulate_batches([batch], threads=1)
-    points = compute_batch_positions(shapes, np.linspace(0.0, path[-1].depth, NEEDLE_POINTS))
-    found = points[shapes.converged]  # (B, K, 3)
-    if not len(found):
-        return None
-    across = found[:, :, 1:].transpose(0, 2, 1).reshape(len(found), -1)  # y, then z, which is 0 in a plane
-    low, high = (end[:NEEDLE_POINTS] for end in find_bands(across).ends(BAND_PROBABILITY))
-    return NeedleBand(np.median(found[:, :, 0], axis=0), low, high, len(shapes) - len(found))
 
 
 def choose_band_draws(spread: "ParameterDraws") -> Ints:

@@ -3,7 +3,7 @@
 import math
 import textwrap
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -23,13 +23,13 @@ from needlefit.mechanics.session import NeedleState
 from needlefit.mechanics.shape import NeedleShape, compute_positions, map_beam_points
 from needlefit.mechanics.simulate import Loads, compute_loads
 from needlefit.mechanics.torsion import find_roll
-from needlefit.reporting.figures.style import choose_vertical_scale, draw, fit_height, label_origin
+from needlefit.reporting.figures.style import choose_vertical_scale, draw, fit_height
 from needlefit.reporting.labels import GREY, INK
 from needlefit.reporting.number_format import format_quantity
 
 COLOURS = {
     **{"ink": "#1a1a1a", "needle": "#4b5158", "points": "#b84f00", "path": "#0a2f4a", "tip": "#c8102e"},
-    **{"guide": "#007a58", "load": "#a2457b", "measured": "#1a1a1a", "band": "#0072b2", "halo": "#ffffffd8"},
+    **{"guide": "#007a58", "load": "#a2457b"},
 }
 """Colours of the page of `needlefit view` in its light theme, by the names in its style sheet."""
 
@@ -40,10 +40,7 @@ _LOOKS: dict[str, dict[str, Any]] = {
     "tip": {"color": COLOURS["tip"], "marker": "o", "ms": 4.0, "mec": "white", "mew": 0.4, "lw": 0},
     "needle": {"color": COLOURS["needle"], "lw": 1.4},
     "path": {"color": COLOURS["path"], "lw": 0.9},
-    "halo": {"color": COLOURS["halo"], "lw": 2.6},
-    "measured": {"color": COLOURS["measured"], "lw": 1.3, "ls": (0, (3.5, 2.0)), "dash_capstyle": "round"},
     "load": {"fc": to_rgba(COLOURS["load"], 0.32), "ec": COLOURS["load"], "lw": 0.5},
-    "band": {"color": COLOURS["band"], "alpha": 0.4, "lw": 0},
 }
 _ARROW = {
     "arrowstyle": "-|>,head_width=0.12,head_length=0.3",
@@ -247,22 +244,7 @@ _AXES_IN = 0.6  # inches beside the panel
 _TIP_TEXT_WIDTH_IN = 1.5  # inches, of the text on the tip
 _LEGEND_COLUMN_WIDTH_IN = 1.35  # inches, on an average
 _ONE_LINE = 10_000  # letters: no text is broken
-_ORIGIN_GAP_LETTERS = 8  # before the mark of data that were not measured
 PRINT_WIDTH_IN = 174 / 25.4  # inches, of both columns of a paper
-
-
-@dataclass(frozen=True)
-class SceneOverlays:
-    """Curves to compare a needle with, in its constraint frame C, mm."""
-
-    measured: Floats | None = None  # a measured needle (K, 2)
-    # `low`, `high` (K, 2): the edges of the simultaneous 95 % band of fitted ones
-    low: Floats | None = None
-    high: Floats | None = None
-    origin_mark: str = ""  # of data that were not measured
-
-
-NO_OVERLAYS = SceneOverlays()
 
 
 class StateFigure:
@@ -279,11 +261,10 @@ class StateFigure:
         title: str,
         scene: Scene,
         states: Sequence[NeedleState],
-        overlays: SceneOverlays = NO_OVERLAYS,
         tip_force: float | None = None,
     ) -> None:
         from_above = len(list_views([state.shape for state in states])) > 1
-        self._scene, self._overlays, self._tip_force = scene, overlays, tip_force
+        self._scene, self._tip_force = scene, tip_force
         loads = [self._compute_loads(state) for state in states]
         x, y, factor = self._choose_view(states)
         self._height_mm = y[1] - y[0]
@@ -316,14 +297,12 @@ class StateFigure:
             self.axes = self.figure.add_subplot(xlabel=x_name)
         short = len(y_name) * _LETTER_WIDTH_IN > height
         self.axes.set(xlim=x, ylim=y, aspect=factor, ylabel=y_name.replace(", ", ",\n") if short else y_name)
-        mark_letters = _ORIGIN_GAP_LETTERS + len(overlays.origin_mark) if overlays.origin_mark else 0
-        letters = int(width / _LETTER_WIDTH_IN) - mark_letters
+        letters = int(width / _LETTER_WIDTH_IN)
         _draw_legend(self.figure, textwrap.fill(title, letters), supports, more_handles, columns)
-        label_origin(self.figure, overlays.origin_mark)
 
     def paint(self, state: NeedleState) -> None:
         """Draw one state, in place of an earlier one."""
-        axes, scene, overlays = self.axes, replace(self._scene, tissue=state.tissue), self._overlays
+        axes, scene = self.axes, replace(self._scene, tissue=state.tissue)
         # Only what was drawn is removed: the axes, their limits and the layout stay the same in every frame.
         for axis in self.figure.axes:
             for old in (*axis.lines, *axis.patches, *axis.texts):
@@ -334,12 +313,6 @@ class StateFigure:
             path = map_beam_points(state.shape, state.shape.tip_path)
             panel.plot(*_see(path, above).T, zorder=2.5, **_LOOKS["path"])
             _draw_needle(panel, scene, state.step, state.shape, above)
-        if overlays.low is not None and overlays.high is not None:
-            band = np.concatenate((overlays.low, overlays.high[::-1]))
-            axes.fill(*band.T, zorder=1.5, **_LOOKS["band"])
-        if overlays.measured is not None:
-            axes.plot(*overlays.measured.T, zorder=2.8, **_LOOKS["halo"])
-            axes.plot(*overlays.measured.T, zorder=3.5, **_LOOKS["measured"])
         loads = self._compute_loads(state)
         if len(outline := self._outline_load(state, loads)):
             axes.fill(*outline.T, zorder=1.8, **_LOOKS["load"])
@@ -362,26 +335,19 @@ class StateFigure:
 
     def _list_handles(self) -> list[Line2D | Patch]:
         """Return the handles of the legend for what is drawn beside the needle."""
-        overlays = self._overlays
         handles: list[Line2D | Patch] = [Line2D([], [], label="tip path", **_LOOKS["path"])]
         if self.per_mm:
             label = f"load, {self.per_mm:g} N/mm to 1 mm of y"
             handles.append(Patch(label=label, **_LOOKS["load"]))
-        if overlays.measured is not None:
-            handles.append(Line2D([], [], label="measured", **_LOOKS["measured"]))
-        if overlays.low is not None:
-            handles.append(Patch(label="simultaneous 95 % band", **_LOOKS["band"]))
         return handles
 
     def _choose_view(self, states: Sequence[NeedleState]) -> tuple[Span, Span, float]:
-        """Return limits, mm, that hold all these states, their guides and overlays, and the scale of y."""
-        overlays = self._overlays
+        """Return limits, mm, that hold all these states and their guides, and the scale of y."""
         deepest = max(state.shape.depth for state in states)
         whole = deepest == 0 or any(state.step.controls != Controls() for state in states)
         traces = [_trace(state.shape, above) for state in states for above in (False, True)]
         guides = [_find_guides(state.step) for state in states]
-        curves = [curve for curve in (overlays.measured, overlays.low, overlays.high) if curve is not None]
-        points = np.concatenate([*traces, *guides, *curves, np.zeros((1, 2))])
+        points = np.concatenate([*traces, *guides, np.zeros((1, 2))])
         start = float(points[:, 0].min()) if whole else -_MARGIN_BEFORE_ENTRY * deepest
         across = points[points[:, 0] >= start, 1]
         least = _MIN_BEND_FRACTION * max(deepest, 1.0)
@@ -430,7 +396,6 @@ def draw_state(
     state: NeedleState,
     path: Path,
     tip_force: float,
-    overlays: SceneOverlays = NO_OVERLAYS,
 ) -> None:
     """Draw one state of an insertion with its forces to a .pdf, .png or .svg file; else as `StateFigure`.
 
@@ -439,7 +404,7 @@ def draw_state(
     """
 
     def paint() -> Figure:
-        drawn = StateFigure(title, scene, [state], overlays, tip_force)
+        drawn = StateFigure(title, scene, [state], tip_force)
         drawn.paint(state)
         fit_height(drawn.figure)
         return drawn.figure
