@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from needlefit.errors import NeedlefitError, UnfinishedWorkError
 from needlefit.project.checkpoint import abandon_checkpoint, release_checkpoint
@@ -21,14 +21,19 @@ from needlefit.registry import Registry
 from needlefit.schemas.base import FileRecord
 from needlefit.schemas.run_metadata import RunMetadata
 
+if TYPE_CHECKING:  # these import this module
+    from needlefit.studies.job import Settings
+    from needlefit.studies.report import StudyReport
+    from needlefit.studies.run import Run
+
 
 class KindModule(Protocol):
-    """What the module of a kind, or the module `run` of its package, has; they cannot be imported here."""
+    """What the module of a kind, or the module `run` of its package, has."""
 
     FRAMES: Mapping[str, Sequence[str]]  #: the columns that every frame of its runs has
 
-    #: run a study by its name, its file and its `Settings`; return the `Run`
-    run: Callable[[str, Any, Any], Any]
+    #: run a study by its name, its file (of the type that the kind's `record` is) and settings
+    run: Callable[[str, Any, "Settings"], "Run"]
 
 
 @dataclass(frozen=True)
@@ -55,9 +60,10 @@ class StudyKind:
         return getattr(self._import("report"), "OPTIONAL", {})
 
     @property
-    def report(self) -> Any:  # noqa: ANN401 - a module that imports this one has its type
-        """How its results are reported: a `StudyReport`."""
-        return self._import("report").REPORT
+    def report(self) -> "StudyReport":
+        """How its results are reported."""
+        report: StudyReport = self._import("report").REPORT
+        return report
 
     def _import(self, part: str) -> ModuleType:
         """Return the kind's module, or the one of this name in its package."""
@@ -65,8 +71,8 @@ class StudyKind:
         return import_module(f"{self.package}.{part}") if hasattr(found, "__path__") else found
 
     @one_thread
-    def run(self, name: str, record: FileRecord, settings: Any) -> Any:  # noqa: ANN401 - see `report`
-        """Run a study of this kind by its `Settings`; return the `Run`.
+    def run(self, name: str, record: FileRecord, settings: "Settings") -> "Run":
+        """Run a study of this kind.
 
         The same record, data, seed and versions give the same frames for any number of jobs, and after an
         interruption with `resume`. A run that is complete still has the lock of its checkpoint: the caller
@@ -94,7 +100,7 @@ class StudyKind:
             state["source_revision"] = revision
         return replace(run.with_metadata(**state), timing=timing | run.timing)
 
-    def compute(self, name: str, record: FileRecord, settings: Any) -> Any:  # noqa: ANN401 - see `report`
+    def compute(self, name: str, record: FileRecord, settings: "Settings") -> "Run":
         """Run a study as a part of another one, which has the checkpoint and states the surroundings."""
         module: KindModule = self._import("run")
         return module.run(name, record, settings)

@@ -5,7 +5,7 @@ A fit is a study of one fold, which scores only its own insertions. The report j
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TypedDict
 
 import pandas as pd
 
@@ -15,7 +15,15 @@ from needlefit.project.locate import read_toml
 from needlefit.project.processes import one_thread
 from needlefit.reporting.needles_in_scan import tabulate_needles_in_scan
 from needlefit.reporting.table_files import select_rows
-from needlefit.schemas.run_metadata import FitMetadata, JobMetadata
+from needlefit.schemas.run_metadata import (
+    DepthMetadata,
+    FitMetadata,
+    InsertionMetadata,
+    JobMetadata,
+    MedianMetadata,
+    NeedleDoubtMetadata,
+    ValidityMetadata,
+)
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.answer import FaultKind, RunFault
 from needlefit.studies.explorer import describe_insertions, find_bevel_sd
@@ -57,6 +65,20 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
     return conclude_run(job, work, results)
 
 
+class FitConclusions(TypedDict, total=False):
+    """What a run knows of its fits besides their tables: keys of `FitMetadata`."""
+
+    layers: dict[str, list[tuple[int, float]]]
+    insertions: dict[str, InsertionMetadata]
+    new_bevel_sd: dict[str, float]
+    search_faults: dict[str, list[str]]
+    validity: ValidityMetadata
+    truth: dict[str, float]
+    stated_depths: list[DepthMetadata]
+    odd_needles: list[NeedleDoubtMetadata]
+    medians: list[MedianMetadata]
+
+
 def conclude_run(job: Job, work: JobMetadata, results: Sequence[FoldResult]) -> Run:
     """Return the run of a job by the results of its folds, with warnings about data, fits and predictions.
 
@@ -75,7 +97,7 @@ def conclude_run(job: Job, work: JobMetadata, results: Sequence[FoldResult]) -> 
     frames["needles"] = tabulate_needles_in_scan(needles.values())
     unconverged = [fault for posterior in posteriors.values() for fault in posterior.faults]
     faults = find_faults(frames["errors"], search_faults, unconverged)
-    found: dict[str, Any] = {
+    concluded: FitConclusions = {
         "layers": {
             one.id: list(zip(one.sequence, (0.0, *one.boundaries.tolist()), strict=True))
             for one in job.insertions
@@ -86,13 +108,13 @@ def conclude_run(job: Job, work: JobMetadata, results: Sequence[FoldResult]) -> 
         "validity": tabulate_validity([one.validity for one in results]),
     }
     if truth := _find_truth(job):
-        found["truth"] = truth
+        concluded["truth"] = truth
     if depths := [row for one in results for row in one.depths]:
-        found["stated_depths"] = depths
+        concluded["stated_depths"] = depths
     if doubts := [row for one in results for row in one.doubts]:
-        found["odd_needles"] = doubts
+        concluded["odd_needles"] = doubts
     if medians := [row for one in results for row in one.rows.get("medians", ())]:
-        found["medians"] = medians
+        concluded["medians"] = medians
     run = Run(
         kind="cross_validation" if isinstance(job.record, StudyRecord) else "fit",
         name=job.name,
@@ -101,7 +123,7 @@ def conclude_run(job: Job, work: JobMetadata, results: Sequence[FoldResult]) -> 
         dataset_title=job.dataset.title or job.dataset.name,
         frames=frames,
         posteriors=posteriors,
-        metadata=work.extend(FitMetadata, **found),
+        metadata=work.extend(FitMetadata, **concluded),
         timing={"dataset": str(job.dataset.path)},
         interrupted=results[-1].interrupted,
         faults=(*faults, *(fault for one in results for fault in one.faults)),
