@@ -361,10 +361,8 @@ roll:roll2},wrap=roll2=>180-((180-roll2)%360+360)%360,turnOver=roll2=>roll2%180?
 180)]:["bevel_side",null,roll2%360?1:-1]}});function signed(value,digits2){let size2=Math.abs(value).toFixed(digits2);return Number(size2)===0?size2:(value<
 0?"−":"+")+size2}function modulusLike(one){let[unit,pascals]=one<1e6?["kPa",1e3]:["MPa",1e6];return{unit,write:(value,digits2=4)=>brief(
 value/pascals,digits2),read:text=>Number(text)*pascals}}function modulus(value){let{unit,write:write2}=modulusLike(
-value);return`${write2(value,3)} ${unit}`}function heightAt({x:xs,y:ys},x2){let after=Math.min(Math.max(bisectLeft(
-xs,x2),1),xs.length-1),share=Math.min(Math.max((x2-xs[after-1])/(xs[after]-xs[after-1]),0),1);return ys[after-
-1]+share*(ys[after]-ys[after-1])}function strengthOf(values){let about="cut_angle_deg"in values?ANGLE:OFFSET,[
-here,throughout]=INPUTS[about.key];return{...about,here,throughout,value:values[about.key]}}function isChanged({
+value);return`${write2(value,3)} ${unit}`}function strengthOf(values){let about="cut_angle_deg"in values?ANGLE:
+OFFSET,[here,throughout]=INPUTS[about.key];return{...about,here,throughout,value:values[about.key]}}function isChanged({
 bevel,layers},{fitted}){let{key,value}=strengthOf(fitted);return!near(bevel[key],value)||layers.some((layer,i)=>Object.
 entries(fitted.layers[i]).some(([name,one])=>!near(layer[name],one)))}function isSteered(state,scene){let{steps:steps2}=scene.
 simulation,{bevel,controls}=steps2.find(({depth})=>depth>=state.depth_mm-1e-6)??steps2.at(-1),{base,guides,tip}=state;
@@ -372,11 +370,11 @@ return isChanged(state,scene)||state.bevel.roll_deg!==wrap(rollOf(bevel))||tip.h
 controls.baseY||base.input_slope!==controls.baseSlope||guides.length!==controls.guides.length||guides.some(({x:x2,
 y:y2},i)=>x2!==controls.guides[i].x||y2!==controls.guides[i].y)}var writeError,listErrors,brief,counted,toDegrees,
 degrees,slope,shortName,OFFSET,ANGLE,INPUTS,describeRoll,near,predictionOf,init_quantities=__esm({"needlefit/v\
-iewer/page/quantities.js"(){"use strict";init_d3_array();init_inputs();writeError=(value,unit)=>value===null?"\
-–":unit==="%"?brief(value,3):value.toFixed(3),listErrors=(errors,{metrics})=>metrics.map(([name,label2,unit])=>`${label2}\
- ${writeError(errors[name],unit)} ${unit}`);brief=(value,digits2=4)=>String(Number(Number(value).toPrecision(digits2))),
-counted=(count,one)=>`${count} ${one}${count===1?"":"s"}`;toDegrees=rotation=>rotation*180/Math.PI,degrees=slope4=>Math.
-atan(slope4)*180/Math.PI,slope=angle2=>Math.tan(Math.min(Math.max(angle2,-90),90)*Math.PI/180);shortName=({item,
+iewer/page/quantities.js"(){"use strict";init_inputs();writeError=(value,unit)=>value===null?"–":unit==="%"?
+brief(value,3):value.toFixed(3),listErrors=(errors,{metrics})=>metrics.map(([name,label2,unit])=>`${label2} ${writeError(
+errors[name],unit)} ${unit}`);brief=(value,digits2=4)=>String(Number(Number(value).toPrecision(digits2))),counted=
+(count,one)=>`${count} ${one}${count===1?"":"s"}`;toDegrees=rotation=>rotation*180/Math.PI,degrees=slope4=>Math.
+atan(slope4)*180/Math.PI,slope=angle2=>Math.tan(Math.min(Math.max(angle2,-90),90)*Math.PI/180),shortName=({item,
 name})=>name&&name!==`guide ${item}`?name:String(item),OFFSET={key:"offset_mm",symbol:"b",unit:"mm",digits:3,step:.005},
 ANGLE={key:"cut_angle_deg",symbol:"θ",unit:"°",digits:2,step:.1},INPUTS={offset_mm:["bevel_offset_mm","offse\
 t_throughout_mm"],cut_angle_deg:["cut_angle_deg","cut_angle_throughout_deg"]};describeRoll=({roll_deg:roll2})=>roll2%
@@ -947,7 +945,9 @@ x:x2,y:low},14]],palette.band)}function paintBand(context2,{x:x2,low,high},pale)
 line2(context2,x2,edge,palette.band,1.5)})}function paintPrediction(context2,state){let prediction=predictionOf(
 state,now.scene);prediction&&(haloed(context2,prediction,palette.accent,2.5),nameLine(context2,"prediction",prediction,
 palette.accent))}function paintMethods(context2){for(let{key,x:x2,y:y2,colour:colour2}of now.needle?.methods??
-[])x2&&now.curves.has(key)&&haloed(context2,{x:x2,y:y2},isDark()?lighten(colour2):colour2,2)}function paintGaps(context2,state,measured){
+[])x2&&now.curves.has(key)&&haloed(context2,{x:x2,y:y2},isDark()?lighten(colour2):colour2,2)}function heightAt({
+x:xs,y:ys},x2){let after=Math.min(Math.max(bisectLeft(xs,x2),1),xs.length-1),share=Math.min(Math.max((x2-xs[after-
+1])/(xs[after]-xs[after-1]),0),1);return ys[after-1]+share*(ys[after]-ys[after-1])}function paintGaps(context2,state,measured){
 let{errors}=state;if(!errors)return;let prediction=predictionOf(state,now.scene),needle=prediction??state,tip={
 x:needle.x.at(-1),y:needle.y.at(-1)},reach=Math.min(tip.x,measured.x.at(-1)),gaps=Array.from({length:GAPS-1},(_,n)=>reach*
 (n+1)/GAPS).map(x3=>[needle,measured].map(curve=>[toPx(x3),toPy(heightAt(curve,x3))]));polyline(context2,gaps,

@@ -1,6 +1,5 @@
 /** What quantities, guides and the bevel's strength are called, and how numbers are written and read. */
 
-import { bisectLeft } from "d3-array";
 import { rollOf, wrap } from "./model/inputs.js";
 
 export const writeError = (value, unit) => (value === null ? "–" : unit === "%" ? brief(value, 3) : value.toFixed(3));
@@ -36,13 +35,6 @@ export function modulus(value) {
 export const toDegrees = (rotation) => (rotation * 180) / Math.PI;
 export const degrees = (slope) => (Math.atan(slope) * 180) / Math.PI;
 export const slope = (angle) => Math.tan((Math.min(Math.max(angle, -90), 90) * Math.PI) / 180);
-
-/** The y of a curve at x, its points joined by straight lines. */
-export function heightAt({ x: xs, y: ys }, x) {
-  const after = Math.min(Math.max(bisectLeft(xs, x), 1), xs.length - 1);
-  const share = Math.min(Math.max((x - xs[after - 1]) / (xs[after] - xs[after - 1]), 0), 1);
-  return ys[after - 1] + share * (ys[after] - ys[after - 1]);
-}
 
 /** What a guide is called: its scene's name for it, or its number alone. */
 export const shortName = ({ item, name }) => (name && name !== `guide ${item}` ? name : String(item));

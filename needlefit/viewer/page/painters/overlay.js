@@ -1,9 +1,9 @@
 /** What the needle is compared with and aimed at, and what the picture itself does not show. */
 
-import { extent, range } from "d3-array";
+import { bisectLeft, extent, range } from "d3-array";
 import { interpolateRgb } from "d3-interpolate";
 import { isDark } from "../dom.js";
-import { heightAt, isChanged, isSteered, predictionOf } from "../quantities.js";
+import { isChanged, isSteered, predictionOf } from "../quantities.js";
 import { now } from "../store.js";
 import { toPx, toPy, view } from "../view.js";
 import { cross, faintly, fillBetween, haloed, isFree, label, labelBeside, labelFree, line, palette, placesOf, polygon, polyline, reserve, setFont } from "./strokes.js";
@@ -74,6 +74,13 @@ export function paintMethods(context) {
   for (const { key, x, y, colour } of now.needle?.methods ?? []) {
     if (x && now.curves.has(key)) haloed(context, { x, y }, isDark() ? lighten(colour) : colour, 2);
   }
+}
+
+/** The y of a curve at x, its points joined by straight lines. */
+function heightAt({ x: xs, y: ys }, x) {
+  const after = Math.min(Math.max(bisectLeft(xs, x), 1), xs.length - 1);
+  const share = Math.min(Math.max((x - xs[after - 1]) / (xs[after] - xs[after - 1]), 0), 1);
+  return ys[after - 1] + share * (ys[after] - ys[after - 1]);
 }
 
 /** Draw what the errors are: the gap at the tip (TE), and gaps along the shaft, whose mean is the IPE. */
