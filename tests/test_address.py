@@ -8,21 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 from page_files import PAGE
-from test_page_model import SCENES
-from test_page_model import pytestmark as needs_node
+from test_page_model import SCENES, pytestmark  # noqa: F401 - a mark of this module, too
 
 from needlefit.mechanics import native
 from needlefit.mechanics.shape import list_planes
 from needlefit.planning.recording import begin_replay, format_head, read_recording, replay
 from needlefit.planning.steered_needle import SteeredNeedle, make_steered_scene
 from needlefit.viewer.page_needle import encode_scene
-
-pytestmark = [
-    needs_node,
-    pytest.mark.skipif(
-        not (PAGE.parents[2] / "node_modules" / "d3-array").is_dir(), reason="`npm ci` has installed no d3"
-    ),
-]
 
 PROGRAM = """
 import {readFileSync} from 'node:fs'
