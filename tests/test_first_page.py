@@ -1,10 +1,13 @@
 """The first page: its parts agree, and every output prints this one record."""
 
+import json
 from dataclasses import replace
+from pathlib import Path
 from shutil import which
 from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 from reporting_results import stereo, study, with_predictions
 from test_judge import with_tip_errors
@@ -12,15 +15,20 @@ from world import COMMANDS
 
 from needlefit.cli.execution import show_run
 from needlefit.project.result_warnings import ResultWarning, to_stored_rows
+from needlefit.project.toml import load
 from needlefit.reporting.document import compile_html
 from needlefit.reporting.figures import style
+from needlefit.schemas.run_metadata import FitMetadata
+from needlefit.schemas.study import StudyRecord
 from needlefit.studies.answer import Check, FaultKind, RunFault
 from needlefit.studies.combined_report import compose_overview
 from needlefit.studies.fit_tables import lay_out_matrix
 from needlefit.studies.kind import find_kind
+from needlefit.studies.kinds.cross_validation.frames import FRAMES
 from needlefit.studies.report import compose_first_page, compose_run_report, run_to_json, write_report
 from needlefit.studies.run import Run
 
+PROJECT = Path(__file__).parents[1]
 BROWSER = which("chromium") or which("google-chrome")
 TERMINAL = SimpleNamespace(explain=False, noted=(), warned=False, json=False)
 KINDS = ("point_outlier", "noise_too_large", "validity", "predictive_median", "placeholder")
@@ -45,9 +53,8 @@ def read(block) -> str:
     return block["text"] if isinstance(block["text"], str) else "".join(run["text"] for run in block["text"])
 
 
-@pytest.mark.parametrize("seed", range(30))
-def test_title_table_checks_and_advice_agree(seed, tmp_path, capsys):
-    results = make_finding(seed)
+def check_agreement(results: Run):
+    """Check that title, table, checks and advice of a first page agree, and return the page."""
     page = results.first_page
     verdict, checks = page.verdict, {one.check: one.passed for one in page.checks}
     closer, numbers = checks[Check.CURVES], verdict.numbers
@@ -60,21 +67,59 @@ def test_title_table_checks_and_advice_agree(seed, tmp_path, capsys):
     if page.advice.finding == "predictable":
         assert verdict.status == "pass" and False not in checks.values()
     assert checks[Check.DATA] is not bool(page.warnings)
-    assert set(KINDS[:3]) & {one.kind for one in results.warnings} == {one.kind for one in page.warnings}
     if not results.reliable:
         assert page.advice.finding == "not_converged" and verdict.word != numbers["outcome"]
-
     row = lay_out_matrix([results]).rows[0]
     assert row[-1] == verdict.word
     (shown,) = (one for one in compose_first_page(page) if one["kind"] == "verdict")
     assert (read(shown), shown["status"]) == (f"{verdict.sentence}.", verdict.status)
     combined = [one for one in compose_overview([results], []).blocks if one["kind"] == "verdict"]
     assert all(read(one).endswith(read(shown)) and one["status"] == verdict.status for one in combined)
-    assert run_to_json(results)["verdicts"][0]["sentence"] == verdict.sentence
+    return page
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_title_table_checks_and_advice_agree(seed, tmp_path, capsys):
+    results = make_finding(seed)
+    page = check_agreement(results)
+    assert set(KINDS[:3]) & {one.kind for one in results.warnings} == {one.kind for one in page.warnings}
+    assert run_to_json(results)["verdicts"][0]["sentence"] == page.verdict.sentence
     show_run(TERMINAL, results, tmp_path / "run")
     printed = " ".join(capsys.readouterr().out.split())
     assert printed.startswith(page.answer) and page.advice.words in printed
     assert printed.index(page.advice.words) < printed.index(page.method)
+
+
+def restore_shipped(number: int) -> Run:
+    """Return a shipped study by its stored tables of errors and parameters, without intervals of its tips."""
+    folder = PROJECT / f"reports/reference/study{number}"
+    stated = json.loads((folder / "run.json").read_text("utf-8"))
+    counts = {key: {} for key in ("scored", "starts", "draws", "predicted")}
+    stated |= {"validity": {**counts, "limits": {}, "fitted_outside": 0, "scored_outside": []}}
+    kind = stated.pop("kind")
+    frames = {name: pd.DataFrame(columns=list(columns)) for name, columns in FRAMES.items()}
+    for name in ("errors", "parameters"):
+        frame = pd.read_csv(folder / f"{name}.csv")
+        words = {"condition", "determined"} & {*frame.columns}
+        frames[name] = frame.assign(**{one: frame[one].astype(object).fillna("") for one in words})
+    return Run(
+        kind=kind,
+        name=f"study{number}",
+        record=load(PROJECT / f"studies/study{number}.toml", StudyRecord),
+        origin="synthetic",
+        dataset_title="",
+        frames=frames,
+        metadata=FitMetadata.model_validate(stated),
+        timing={},
+    )
+
+
+@pytest.mark.parametrize("number", range(1, 6))
+def test_title_table_checks_and_advice_of_shipped_studies_agree(number):
+    page = check_agreement(restore_shipped(number))
+    assert page.verdict.word == page.verdict.numbers["outcome"]
+    findings = {1: "predictable", 2: "predictable", 3: "other_medium_missed", 4: "other_medium_missed"}
+    assert page.advice.finding == findings.get(number, "result_doubtful")
 
 
 def test_the_first_page_of_a_study_has_its_parameters_and_at_most_25_lines(capsys, tmp_path):
