@@ -180,7 +180,7 @@ def test_a_model_that_is_not_to_be_trusted_gives_way_to_the_threshold(monkeypatc
     by_model = found(volume)
     assert by_model.tip_source == "model"
     assert abs(by_model.tip_disagreement) < 0.5
-    monkeypatch.setattr(tip, "MAX_MODEL_SD_MM", 1e-6)
+    monkeypatch.setattr(tip.MM, "MODEL_TIP_SD", 1e-6)
     by_threshold = found(volume)
     assert by_threshold.tip_source == "threshold"
     assert np.isnan(by_threshold.bevel).all()

@@ -15,8 +15,8 @@ from needlefit.datasets.write import write_dataset
 from needlefit.errors import DataError
 from needlefit.geometry.surfaces import Surface
 from needlefit.imaging.batch import ReconstructionFailure
+from needlefit.imaging.constants import MM
 from needlefit.imaging.corrections import list_control_points
-from needlefit.imaging.needle.axis_spline import KNOT_MM
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.schemas.dataset import (
     CenterlinesRecord,
@@ -151,7 +151,7 @@ def _dataset_record(
             registration_mean_mm=round(registered, 4),
             point_sd_mm=round(0.1 * sd, 4),
             correlated_sd_mm=round(sd, 4),
-            correlation_length_mm=KNOT_MM / 2,
+            correlation_length_mm=MM.KNOT / 2,
             note="Predicted by the reconstruction: the registration's from the markers' deviations, mean of "
             "entry and tip; the centreline's is that of a smoothing spline at its points, from the scatter "
             "of its cross-sections, without what the spline rounds.",

@@ -21,10 +21,11 @@ from needlefit.datasets.formats.markups import Markups
 from needlefit.errors import DataError, NeedlefitError
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.surfaces import Surface, Triangles, from_triangles, to_triangles
+from needlefit.imaging.constants import PART
 from needlefit.imaging.corrections import make_control_points
 from needlefit.imaging.entry import choose_entry
 from needlefit.imaging.needle.centerline import fit_rough_axis
-from needlefit.imaging.needle.segmentation import MIN_DIVIDED_NEEDLE_RATIO, list_needles
+from needlefit.imaging.needle.segmentation import list_needles
 from needlefit.imaging.reconstruct import STAGES, VolumeSearch, add_views, examine, picture_curve
 from needlefit.imaging.reconstruction import CurvePicture, Reconstruction
 from needlefit.imaging.scans import Scan
@@ -130,7 +131,7 @@ def divide_scan(search: VolumeSearch, scan: Scan) -> tuple[Scan, ...]:
         return (scan,)
     with suppress(NeedlefitError):  # its reconstruction says why
         size = search.recipe.needle.diameter_mm
-        parts = list_needles(search.volume, search.tubes, size, MIN_DIVIDED_NEEDLE_RATIO)
+        parts = list_needles(search.volume, search.tubes, size, PART.DIVIDED_NEEDLE)
         points = [to_patient(search.volume, part.voxels) for part in parts]
         middles = [some[np.argmin(np.linalg.norm(some - some.mean(axis=0), axis=1))] for some in points]
         if len(middles) > 1:

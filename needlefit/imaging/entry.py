@@ -20,25 +20,12 @@ from needlefit.geometry.crossings import find_surface_hits
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.shaft import fit_shaft_axis
 from needlefit.geometry.surfaces import Surface
-from needlefit.imaging.materials import (
-    METAL_BLUR_MM,
-    MIN_SIDE_LENGTH_MM,
-    STEP_MARGIN_MM,
-    find_rises,
-    find_runs,
-    list_materials,
-)
+from needlefit.imaging.constants import HU, MM
+from needlefit.imaging.materials import find_rises, find_runs, list_materials
 from needlefit.imaging.reconstruction import EntryPose, IntensityProfile, MaterialRun
 from needlefit.imaging.registration import Registration, target_covariance
 from needlefit.imaging.scans import StagePose
 
-MIN_SHAFT_LENGTH_MM = 10.0  # length of shaft outside the tissue, mm, below which no axis is drawn through it
-# The shaft is used up to this far from the entry, mm, where the surface still shows in it.
-SHAFT_CLEARANCE_MM = 1.0
-# Length along the needle over which errors of the traced axis hang together, mm: half a knot's distance.
-CORRELATION_LENGTH_MM = 7.5
-# How far from the place where the needle enters the axis is followed to the tissue's surface, mm.
-SURFACE_REACH_MM = 80.0
 # Deviations from which on the stage's axis and the shaft's are not one needle's.
 MAX_AXIS_DISAGREEMENT_SD = 10.0
 
@@ -80,7 +67,7 @@ def pose_from_stage(stage: StagePose, registration: Registration | None, patient
 
 def usable_length(shaft: OutsideShaft) -> float:
     """Return the usable length of the shaft, mm."""
-    use = shaft.s[shaft.s < -SHAFT_CLEARANCE_MM]
+    use = shaft.s[shaft.s < -MM.SHAFT_CLEARANCE]
     return float(np.ptp(use)) if len(use) else 0.0
 
 
@@ -90,18 +77,16 @@ def pose_from_shaft(shaft: OutsideShaft, along_sd: float) -> EntryPose:
 
     DataError if too little of the shaft shows.
     """
-    use = shaft.s < -SHAFT_CLEARANCE_MM
-    if usable_length(shaft) < MIN_SHAFT_LENGTH_MM:
+    use = shaft.s < -MM.SHAFT_CLEARANCE
+    if usable_length(shaft) < MM.SHAFT:
         raise DataError(
             f"{usable_length(shaft):.1f} mm of the shaft show outside the tissue, too few to draw its axis",
-            expected=f"at least {MIN_SHAFT_LENGTH_MM:g} mm, or the pose of the stage",
+            expected=f"at least {MM.SHAFT:g} mm, or the pose of the stage",
             fix="state the stage (entry_x_mm ... pose_angle_sd_deg), or scan more of the needle",
         )
     s, points, sd = shaft.s[use], shaft.points[use], shaft.sd[use]
     # errors of the traced axis are correlated; a tenth is independent, which keeps the matrix invertible
-    noise = np.outer(sd, sd) * np.exp(-np.abs(s[:, None] - s) / CORRELATION_LENGTH_MM) + np.diag(
-        (0.1 * sd) ** 2
-    )
+    noise = np.outer(sd, sd) * np.exp(-np.abs(s[:, None] - s) / MM.KNOT) + np.diag((0.1 * sd) ** 2)
     axis = fit_shaft_axis(points, s, noise, shaft.free, shaft.bend, shaft.turn)
     return EntryPose(axis.origin, axis.direction, "shaft", axis.shift_sd, axis.angle_sd, along_sd)
 
@@ -139,12 +124,12 @@ def move_to_surface(pose: EntryPose, surfaces: tuple[Surface, ...]) -> EntryPose
 
     Of several such places the one nearest to the origin counts; where there is none, the origin stays.
     """
-    ends = pose.origin + np.outer([-SURFACE_REACH_MM, SURFACE_REACH_MM], pose.direction)
+    ends = pose.origin + np.outer([-MM.SURFACE_REACH, MM.SURFACE_REACH], pose.direction)
     hits = [find_surface_hits(ends, surface) for surface in surfaces if surface.into == 1]
     arcs = np.concatenate(hits) if hits else np.empty(0)
     if not len(arcs):
         return pose
-    nearest = float(arcs[np.argmin(np.abs(arcs - SURFACE_REACH_MM))])
+    nearest = float(arcs[np.argmin(np.abs(arcs - MM.SURFACE_REACH))])
     return replace(pose, origin=ends[0] + nearest * pose.direction)
 
 
@@ -178,25 +163,9 @@ def find_entry_arc_length(points: Floats, pose: EntryPose) -> float:
     return at
 
 
-# Medians of soft tissue and of gels, HU: fat has -120 or more, connective tissue 100 (Schneider et al., 2000,
-# doi:10.1088/0031-9155/45/2/314); near metal both are darker. Acrylic, of which guides are made, has 120.
-SOFT_TISSUE_HU = (-150.0, 100.0)
-GUIDE_SD_MM = 0.05  # deviation of the stated thickness of a guide, mm
-FILM_SD_MM = 0.2  # of its end, where a film of air may lie behind it, mm
-METAL_FACE_SD_MM = 0.2  # of the faces of metal, whose streaks hide what lies beside it, mm
-MATCH_MM = 1.5  # what is solid along the needle for a guide's thickness, missed by no more, is the guide, mm
-MIN_ANSWER_DISTANCE_MM = 1.0  # places nearer to each other than this are one answer, mm
-STEP_MATCH_MM = 0.6  # distance, mm, of the end of a guide on the tissue from a change of brightness there
-
-
-GUIDE_STEP_HU = (
-    50.0  # change of brightness behind a guide as bright as tissue, HU; layers of gels differ by less
-)
-
-
 def is_soft_tissue(level: float) -> bool:
     """Whether a median brightness, HU, may be that of tissue or of a gel."""
-    return SOFT_TISSUE_HU[0] <= level <= SOFT_TISSUE_HU[1]
+    return HU.SOFT_TISSUE[0] <= level <= HU.SOFT_TISSUE[1]
 
 
 @dataclass(frozen=True)
@@ -222,7 +191,7 @@ def choose_entry(
     `tip`: where it is, mm along the needle. `guide_thickness`: along the needle, mm; 0: no guide.
     `guide_distance`: from the guide to the entry, mm.
     """
-    least = min(MIN_SIDE_LENGTH_MM, (guide_thickness or np.inf) / 2)
+    least = min(MM.SOFT, (guide_thickness or np.inf) / 2)
     runs, rises = find_runs(profile, least), find_rises(profile, least)
     faces = [EntryCandidate(at, sd) for _, at, sd in rises]
     if faces and guide_thickness == 0:
@@ -238,7 +207,7 @@ def choose_entry(
         first = next(((one, run) for one in faces for run in soft if run.begin <= one.at < run.end), None)
         behind = [] if first is None else [_pass_guide(first[0], first[1].end - first[0].at, 0.0)]
         others = [*faces, *behind, *metal]
-        expected = "soft tissue ({:g} to {:g} HU) behind air".format(*SOFT_TISSUE_HU)
+        expected = "soft tissue ({:g} to {:g} HU) behind air".format(*HU.SOFT_TISSUE)
         fix = "state guide.thickness_mm in the recipe (mm; 0: there is no guide, and the first is the tissue)"
     else:
         whole, cut = _list_behind_guide(runs, rises, guide_thickness)
@@ -257,7 +226,7 @@ def choose_entry(
         fix = "correct guide.thickness_mm (0: the scan shows no guide)"
     answers = [offered]
     for one in sorted(others, key=lambda one: -one.at):
-        if one.at < tip and all(abs(one.at - other.at) > MIN_ANSWER_DISTANCE_MM for other in answers):
+        if one.at < tip and all(abs(one.at - other.at) > MM.ANSWERS for other in answers):
             answers.append(one)
     listed = "; ".join(
         f"{n}: {tip - one.at:.1f} mm before the tip, {'behind a' if one.guide else 'no'} guide"
@@ -287,15 +256,15 @@ def _list_behind_metal(
     for before, run, behind in zip(runs, runs[1:], runs[2:], strict=False):
         if (run.kind, behind.kind) != ("metal", "soft"):
             continue
-        inside = (s >= run.begin - METAL_BLUR_MM) & (s <= run.end)
+        inside = (s >= run.begin - MM.METAL_BLUR) & (s <= run.end)
         begin, end = (
             s[inside & (values > (run.level + beside.level) / 2)][side]
             for side, beside in ((0, before), (-1, behind))
         )
-        if thickness is not None and abs(end - begin - thickness) <= MATCH_MM:
+        if thickness is not None and abs(end - begin - thickness) <= MM.GUIDE_MATCH:
             middle = (begin + end) / 2
             begin, end = middle - thickness / 2, middle + thickness / 2
-        found.append(EntryCandidate(float(end) + distance, METAL_FACE_SD_MM, (float(begin), float(end))))
+        found.append(EntryCandidate(float(end) + distance, MM.METAL_FACE_SD, (float(begin), float(end))))
     return found
 
 
@@ -313,7 +282,7 @@ def _choose_face(faces: Sequence[EntryCandidate], soft: Sequence[MaterialRun]) -
 def _pass_guide(face: EntryCandidate, thickness: float, distance: float) -> EntryCandidate:
     """Return the place behind a guide that begins at `face`."""
     end = face.at + thickness
-    return EntryCandidate(end + distance, float(np.hypot(face.sd, GUIDE_SD_MM)), (face.at, end))
+    return EntryCandidate(end + distance, float(np.hypot(face.sd, MM.GUIDE_SD)), (face.at, end))
 
 
 def _doubt_guide_end(
@@ -327,12 +296,12 @@ def _doubt_guide_end(
     begin, end = entry.guide
     behind = [run for run in soft if run.end > begin]
     for run, after in pairwise(behind):
-        if end - STEP_MATCH_MM <= run.end <= entry.at + STEP_MATCH_MM:
-            if abs(after.level - run.level) < GUIDE_STEP_HU and is_soft_tissue(behind[0].level):
+        if end - MM.STEP_MATCH <= run.end <= entry.at + MM.STEP_MATCH:
+            if abs(after.level - run.level) < HU.GUIDE_STEP and is_soft_tissue(behind[0].level):
                 return None
-            near = np.abs(profile.s - run.end) < STEP_MARGIN_MM
-            film = np.nanmin(profile.around[near]) < min(run.level, after.level) - GUIDE_STEP_HU
-            return float(np.hypot(run.end - end, FILM_SD_MM * film))
+            near = np.abs(profile.s - run.end) < MM.STEP_MARGIN
+            film = np.nanmin(profile.around[near]) < min(run.level, after.level) - HU.GUIDE_STEP
+            return float(np.hypot(run.end - end, MM.FILM_SD * film))
     return None
 
 
@@ -348,7 +317,7 @@ def _list_behind_guide(
             continue
         length = solid[0].end - solid[-1].begin
         passed = EntryCandidate(at, sd, (solid[-1].begin, solid[0].end))
-        if abs(length - thickness) <= MATCH_MM:
+        if abs(length - thickness) <= MM.GUIDE_MATCH:
             whole.append(passed)
         elif len(solid) == len(before) == 1 and solid[0].kind == "soft" and length < thickness:
             cut.append(passed)

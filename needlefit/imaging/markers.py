@@ -15,8 +15,9 @@ from needlefit.arrays import Floats, Ints
 from needlefit.datasets.formats import FORMATS, find_format
 from needlefit.errors import DataError
 from needlefit.imaging.bright_voxels import BrightVoxels, list_bright_voxels
-from needlefit.imaging.needle.segmentation import MIN_METAL_CONTRAST_HU, median_tissue_hu
-from needlefit.imaging.point_spread import MAX_BLUR_MM, average_spreads
+from needlefit.imaging.constants import HU, MM, PART
+from needlefit.imaging.needle.segmentation import median_tissue_hu
+from needlefit.imaging.point_spread import average_spreads
 from needlefit.imaging.reconstruction import MarkerResult
 from needlefit.imaging.registration import check_axis_signs
 from needlefit.imaging.spheres import Blob, SphereFit, fit_sphere
@@ -25,14 +26,6 @@ from needlefit.schemas.reconstruction import ReconstructionRecord
 
 MAX_BRIGHT_VOXELS = 4_000_000  # largest number of voxels above a level; with more the level separates nothing
 LEVEL_RATIO = 1.35  # ratio of one level above tissue to the one before
-# Diameter of a ball of as many voxels, in those of the ball sought: noise, blur and bloom change it.
-MIN_DIAMETER_RATIO = 0.65  # of the diameter sought
-MAX_DIAMETER_RATIO = 1.45  # of the diameter sought
-# By so much a ball far brighter than the level may also look larger, mm: four deviations of a wide blur.
-MAX_BLOOM_MM = 2.0
-MAX_ELONGATION = 1.7  # longest over shortest extent of what may be a ball, a voxel's own extent included
-# Extent, as a deviation, mm, by which blur makes a small ball longer in the slices than across them.
-BLOOM_EXTENT_MM = 0.25
 
 
 def find_blobs(
@@ -44,8 +37,8 @@ def find_blobs(
 
     `exclude`: (N, 3) or None; voxels of the needle: what holds one of them is left out.
     """
-    low = _voxel_count(volume, MIN_DIAMETER_RATIO * diameter)
-    high = _voxel_count(volume, max(MAX_DIAMETER_RATIO * diameter, diameter + MAX_BLOOM_MM))
+    low = _voxel_count(volume, PART.BALL_DIAMETERS[0] * diameter)
+    high = _voxel_count(volume, max(PART.BALL_DIAMETERS[1] * diameter, diameter + MM.BALL_BLOOM))
     steps, found = volume.direction * volume.spacing, list[Blob]()
     for level in levels:
         for voxels in bright.list_parts(level, (low, high), without=exclude):
@@ -54,7 +47,7 @@ def find_blobs(
             # 1/12 is the variance within a voxel: a single layer of voxels still has a thickness
             moments = steps @ (np.cov(voxels.T, bias=True) + np.eye(3) / 12) @ steps.T
             extents = np.sqrt(np.linalg.eigvalsh(moments))
-            if extents[-1] <= MAX_ELONGATION * extents[0] + BLOOM_EXTENT_MM:
+            if extents[-1] <= PART.BALL_ELONGATION * extents[0] + MM.BALL_EXTENT:
                 found.append(Blob(voxels, level, own))
     return sorted(found, key=lambda blob: abs(np.log(blob.diameter / diameter)))
 
@@ -94,12 +87,12 @@ def find_markers(
     levels = [] if given is None else [given]
     if not levels:  # levels up to the brightest voxel
         start, top = median_tissue_hu(volume), float(volume.values.max())
-        number = int(np.log(max((top - start) / MIN_METAL_CONTRAST_HU, 1.0)) / np.log(LEVEL_RATIO)) + 1
-        levels = [start + MIN_METAL_CONTRAST_HU * LEVEL_RATIO**n for n in range(number)]
+        number = int(np.log(max((top - start) / HU.METAL_CONTRAST, 1.0)) / np.log(LEVEL_RATIO)) + 1
+        levels = [start + HU.METAL_CONTRAST * LEVEL_RATIO**n for n in range(number)]
     listed = bright if bright and bright.level <= levels[0] else list_bright_voxels(volume, levels[0])
     while len(levels) > 1 and np.count_nonzero(listed.values > levels[0]) > MAX_BRIGHT_VOXELS:
         levels = levels[1:]
-    wanted = _voxel_count(volume, MIN_DIAMETER_RATIO * diameter)
+    wanted = _voxel_count(volume, PART.BALL_DIAMETERS[0] * diameter)
     if not wanted <= (count := np.count_nonzero(listed.values > levels[0])) <= MAX_BRIGHT_VOXELS:
         raise DataError(
             f"{count} voxels exceed {levels[0]:.0f} HU",
@@ -220,7 +213,7 @@ def _find_fault(volume: Volume, ball: SphereFit, middle: Floats, max_misfit: flo
         return "cut by the volume's face"
     # a blur at its upper bound means that the fit did not find a ball
     moved = np.linalg.norm(ball.center - middle) >= ball.radius
-    if moved or ball.spread.blur >= 0.99 * MAX_BLUR_MM:
+    if moved or ball.spread.blur >= 0.99 * MM.BLURS[1]:
         return "no ball of this size explains it"
     return f"misfit {ball.misfit:.2f}, at most {max_misfit:.2f} allowed" * (ball.misfit > max_misfit)
 

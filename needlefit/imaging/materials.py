@@ -12,18 +12,13 @@ from scipy.optimize import curve_fit
 from scipy.special import ndtr
 
 from needlefit.arrays import Floats
+from needlefit.imaging.constants import HU, MM, PART
 from needlefit.imaging.needle.axis_spline import correlation_factor, disc_points, frames_along, sample_planes
 from needlefit.imaging.reconstruction import IntensityProfile, MaterialKind, MaterialRun
-from needlefit.imaging.volume import AIR_HU, Volume
+from needlefit.imaging.volume import Volume
 
-# Radii between which the surroundings are read, mm: beyond bloom, within the nearest marker as a rule.
-RING_RADII_MM = (3.5, 6.0)
-RING = disc_points(RING_RADII_MM[1])  # (N, 2); its points, mm
-RING = RING[np.hypot(*RING.T) >= RING_RADII_MM[0]]
-# Brighter points of a ring are a marker's, HU; where most of a ring is as bright, a hub's or a holder's.
-MIN_METAL_HU = 1000.0
-CORE_RADIUS_MM = 0.45  # radius within which the needle itself is read, mm
-MIN_RING_FRACTION = 0.3  # part of a ring that must lie in the volume, with the points opposite
+RING = disc_points(MM.RING[1])  # (N, 2); its points, mm
+RING = RING[np.hypot(*RING.T) >= MM.RING[0]]
 
 
 def sample_profile(volume: Volume, points: ArrayLike, s: ArrayLike) -> IntensityProfile:
@@ -38,11 +33,11 @@ def sample_profile(volume: Volume, points: ArrayLike, s: ArrayLike) -> Intensity
     """
     where = frames_along(np.asarray(points, dtype=np.float64))
     ring = sample_planes(volume, where, RING)
-    metal = _row_medians(ring, MIN_RING_FRACTION)
-    ring = np.where(ring < MIN_METAL_HU, ring, np.nan)
+    metal = _row_medians(ring, PART.RING_IN_VOLUME)
+    ring = np.where(ring < HU.METAL, ring, np.nan)
     ring = np.where(np.isfinite(ring[:, ::-1]), ring, np.nan)  # the same disc, turned round
-    core = sample_planes(volume, where, disc_points(CORE_RADIUS_MM))
-    around = np.where(metal > MIN_METAL_HU, metal, _row_medians(ring, MIN_RING_FRACTION))
+    core = sample_planes(volume, where, disc_points(MM.CORE))
+    around = np.where(metal > HU.METAL, metal, _row_medians(ring, PART.RING_IN_VOLUME))
     return IntensityProfile(np.asarray(s, dtype=np.float64), _row_medians(core, 1.0), around)
 
 
@@ -55,30 +50,11 @@ def _row_medians(values: Floats, least: float) -> Floats:
     return middle
 
 
-# Air, also that of a gap so narrow that blur fills it half, is darker; fat (-120) and water are not, HU.
-MAX_GAP_HU = -250.0
-# Brighter than air, HU, and darker than fat is also a light material, as foam, that lasts for so long, mm.
-MAX_AIR_HU = -600.0  # HU
-MIN_LIGHT_MM = 5.0  # mm
-# Soft material must last so long along the needle to be a run, and air before the tissue, mm.
-MIN_SIDE_LENGTH_MM = 2.0
-MIN_GAP_LENGTH_MM = 1.0  # air between two soft runs must last so long, mm
-METAL_BLUR_MM = 2.0  # soft values this near to a hub or holder are its blur, mm
-NARROW_GAP_MM = 4.0  # in a narrower gap blur hides the level of the air, mm: it is taken as known
-AIR_SD_HU = 30.0  # deviation of the level of air in a narrow gap, HU
-EDGE_REACH_MM = 8.0  # distance to either side of the edge over which the model is fitted, mm
-EDGE_MARGIN_MM = 3.0  # distance within which the blur of an edge shows, mm
-MIN_EDGE_STEP_HU = 300.0  # an edge from air to tissue rises by more than this, HU
-WIDTH_MM = 0.5  # deviation of the blur of an edge as a rule, mm
-MIN_WIDTH_MM = 0.1  # deviation of the blur of an edge, mm
-MAX_WIDTH_MM = 2.0  # the same
 EDGE_SCALES = (0.2, 0.3, 50.0, 50.0, 10.0, 0.2, 50.0)  # typical changes of the parameters of an edge
-MIN_NOISE_HU = 2.0  # deviation of a median, HU
 SOFT_LOSS_SD = 2.0  # stations that stray by more than so many deviations of the noise count less
-EDGE_SD_MM = 0.02  # deviation of any edge that no scatter shows, mm: a kernel's sides are not alike
 
 
-def find_runs(profile: IntensityProfile, least: float = MIN_SIDE_LENGTH_MM) -> tuple[MaterialRun, ...]:
+def find_runs(profile: IntensityProfile, least: float = MM.SOFT) -> tuple[MaterialRun, ...]:
     """Return the runs of air, soft material and metal around the needle, from its base to its tip.
 
     What is shorter than `least`, mm, or than blur makes it belongs to its neighbours.
@@ -87,13 +63,13 @@ def find_runs(profile: IntensityProfile, least: float = MIN_SIDE_LENGTH_MM) -> t
     if len(s) < 8:
         return ()
     step = float(np.median(np.diff(s)))
-    kinds = np.where(values > MIN_METAL_HU, 2, np.where(values < MAX_GAP_HU, 0, 1))
-    light = (values > MAX_AIR_HU) & (kinds == 0)
+    kinds = np.where(values > HU.METAL, 2, np.where(values < HU.GAP, 0, 1))
+    light = (values > HU.LIGHT) & (kinds == 0)
     for part in np.split(np.arange(len(s)), np.flatnonzero(np.diff(light)) + 1):
-        if light[part[0]] and s[part[-1]] - s[part[0]] >= MIN_LIGHT_MM:
+        if light[part[0]] and s[part[-1]] - s[part[0]] >= MM.LIGHT:
             kinds[part] = 1
     for at in s[kinds == 2]:
-        kinds[(np.abs(s - at) <= METAL_BLUR_MM) & (kinds == 1)] = 2
+        kinds[(np.abs(s - at) <= MM.METAL_BLUR) & (kinds == 1)] = 2
     kinds = _absorb_short_runs(kinds, step, least)
     ends = np.flatnonzero(np.diff(kinds)) + 1
     names: tuple[MaterialKind, ...] = ("air", "soft", "metal")
@@ -121,7 +97,7 @@ def _absorb_short_runs(kinds: NDArray[np.int_], step: float, shortest: float) ->
         starts = np.concatenate([[0], np.cumsum(lengths)[:-1]]).astype(int)
         between = [0 < n < len(lengths) - 1 for n in range(len(lengths))]
         least = [  # to the nearest station: those of a curve are not exactly as far apart as stated
-            round((MIN_GAP_LENGTH_MM if inner and kinds[at] == 0 else shortest) / step)
+            round((MM.GAP if inner and kinds[at] == 0 else shortest) / step)
             for at, inner in zip(starts, between, strict=True)
         ]
         short = [n for n, length in enumerate(lengths) if length < least[n]]
@@ -133,9 +109,7 @@ def _absorb_short_runs(kinds: NDArray[np.int_], step: float, shortest: float) ->
         kinds[starts[n] : starts[n] + lengths[n]] = kinds[starts[longer]]
 
 
-def find_rises(
-    profile: IntensityProfile, least: float = MIN_SIDE_LENGTH_MM
-) -> tuple[tuple[int, float, float], ...]:
+def find_rises(profile: IntensityProfile, least: float = MM.SOFT) -> tuple[tuple[int, float, float], ...]:
     """Return every place where air turns into soft material: the run that begins, mm and its deviation."""
     runs = find_runs(profile, least)
     rising = [n for n in range(1, len(runs)) if (runs[n - 1].kind, runs[n].kind) == ("air", "soft")]
@@ -153,19 +127,19 @@ def _fit_edge(
     s, values = _known_stations(profile)
     gap, guess = runs[target - 1], runs[target].begin
     # the blurred air of a narrow gap shows no level: air has its own; a soft edge before it is fitted, too
-    narrow = target > 1 and gap.length < NARROW_GAP_MM
+    narrow = target > 1 and gap.length < MM.NARROW_GAP
     double = narrow and runs[target - 2].kind == "soft"
     before = runs[target - 2].begin if double else gap.begin
-    before = max(guess - EDGE_REACH_MM, before + EDGE_MARGIN_MM * (before > s[0] and not narrow))
+    before = max(guess - MM.EDGE_REACH, before + MM.EDGE_BLUR * (before > s[0] and not narrow))
     ends = [run.end for run in runs[target:-1]][:1] + [at for at in find_steps(profile) if at > guess]
-    after = max(guess + EDGE_MARGIN_MM, min([guess + EDGE_REACH_MM, *(at - STEP_MARGIN_MM for at in ends)]))
+    after = max(guess + MM.EDGE_BLUR, min([guess + MM.EDGE_REACH, *(at - MM.STEP_MARGIN for at in ends)]))
     near = (s >= before) & (s <= after)
     s, values = s[near], values[near]
     air, soft = values[s < guess], values[s >= guess]
     if len(air) < MIN_STEP_STATIONS or len(soft) < MIN_STEP_STATIONS:
         return None
-    low, high = AIR_HU if narrow else float(np.median(air)), float(np.median(soft))
-    if high - low < MIN_EDGE_STEP_HU:
+    low, high = HU.AIR if narrow else float(np.median(air)), float(np.median(soft))
+    if high - low < HU.EDGE:
         return None
 
     def show(
@@ -174,12 +148,12 @@ def _fit_edge(
         edge = (high - low + slope * np.clip(s - at, 0, None)) * ndtr((s - at) / width)
         return np.asarray(low + edge + (solid - low) * ndtr((fall - s) / width) * double, dtype=np.float64)
 
-    free = AIR_SD_HU if narrow else np.inf
-    first = [guess, WIDTH_MM, low, high, 0.0, gap.begin, float(values[0])]
-    margin = [EDGE_MARGIN_MM, np.inf, free, np.inf, np.inf, EDGE_MARGIN_MM, np.inf]
+    free = HU.AIR_SD if narrow else np.inf
+    first = [guess, MM.EDGE_WIDTH, low, high, 0.0, gap.begin, float(values[0])]
+    margin = [MM.EDGE_BLUR, np.inf, free, np.inf, np.inf, MM.EDGE_BLUR, np.inf]
     bounds = np.subtract(first, margin), np.add(first, margin)
-    bounds[0][1], bounds[1][1] = MIN_WIDTH_MM, MAX_WIDTH_MM
-    noise = max(MIN_NOISE_HU, 1.05 * float(np.median(np.abs(np.diff(values)))))
+    bounds[0][1], bounds[1][1] = MM.EDGE_WIDTHS[0], MM.EDGE_WIDTHS[1]
+    noise = max(HU.LEAST_NOISE, 1.05 * float(np.median(np.abs(np.diff(values)))))
     best = curve_fit(
         show,
         s,
@@ -205,12 +179,9 @@ def _fit_edge(
     step, sd = float(np.median(np.diff(s))), np.sqrt(variance)
     if best[1] < step:
         sd = min(sd, step * np.sqrt(np.mean(left**2)) / (best[3] - best[2]))
-    return float(best[0]), float(np.hypot(min(sd, 2 * max(step, best[1]) / np.sqrt(12)), EDGE_SD_MM))
+    return float(best[0]), float(np.hypot(min(sd, 2 * max(step, best[1]) / np.sqrt(12)), MM.EDGE_SD))
 
 
-STEP_REACH_MM = 6.0  # distance to either side of a step over which it is fitted, mm
-STEP_MARGIN_MM = 1.5  # distance from air or metal within which its blur hides a step, mm
-MIN_STEP_HU = 20.0  # a smaller change of soft material is no step, HU
 MIN_STEP_SD = 5.0  # deviations of its own noise that a step exceeds
 MIN_STEP_STATIONS = 3  # stations on either side of a step
 
@@ -220,8 +191,8 @@ def find_steps(profile: IntensityProfile) -> list[float]:
     s, values = _known_stations(profile)
     runs, found = find_runs(profile), list[float]()
     for n, run in enumerate(runs):
-        low = run.begin + STEP_MARGIN_MM * (n > 0)
-        high = run.end - STEP_MARGIN_MM * (n < len(runs) - 1)
+        low = run.begin + MM.STEP_MARGIN * (n > 0)
+        high = run.end - MM.STEP_MARGIN * (n < len(runs) - 1)
         inside = (s >= low) & (s <= high)
         if run.kind == "soft" and inside.sum() > 2 * MIN_STEP_STATIONS:
             found += _find_steps_within(s[inside], values[inside])
@@ -234,19 +205,19 @@ def _find_steps_within(s: Floats, values: Floats) -> list[float]:
     changes, sds, alike = np.array([_fit_step(s, values, place) for place in places]).reshape(-1, 3).T
     clear, found = np.abs(changes) / np.maximum(sds, 1e-9), list[float]()
     sure = clear / np.sqrt(alike)  # the scatter of a sum of correlated stations, where it is clearest
-    left = (np.abs(changes) >= MIN_STEP_HU) & (sure >= MIN_STEP_SD)
+    left = (np.abs(changes) >= HU.STEP) & (sure >= MIN_STEP_SD)
     while left.any():
         best = int(np.argmax(np.where(left, clear, 0.0)))
-        left &= np.abs(places - places[best]) > STEP_REACH_MM / 2
+        left &= np.abs(places - places[best]) > MM.STEP_REACH / 2
         found.append(float(places[best]))
     return sorted(found)
 
 
 def _fit_step(s: Floats, values: Floats, place: float) -> tuple[float, float, float]:
     """Return the change at a place on a common slope, its deviation, HU, and how many stations are as one."""
-    near = np.abs(s - place) <= STEP_REACH_MM
+    near = np.abs(s - place) <= MM.STEP_REACH
     x, y = s[near] - place, values[near]
-    design = np.stack([np.ones(len(x)), x, ndtr(x / WIDTH_MM)], axis=1)
+    design = np.stack([np.ones(len(x)), x, ndtr(x / MM.EDGE_WIDTH)], axis=1)
     inverse = np.linalg.pinv(design)
     left = y - design @ (inverse @ y)
     sd = np.linalg.norm(left) / np.sqrt(max(1, len(x) - 3)) * np.linalg.norm(inverse[2])

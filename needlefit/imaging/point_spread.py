@@ -15,28 +15,18 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from needlefit.arrays import Floats
+from needlefit.imaging.constants import MM, PART
 
 # Of more voxels every second, third ... is fitted: neighbours in fine voxels are one in the blur.
 MAX_FITTED_VOXELS = 4000
-BOX_PART = 0.8  # part of the variance of a slice's profile that is a box's, the rest is a Gaussian's
 # Scanners' blur, mm, and boost; deviation of a slice's profile over the slices' distance, and the least, mm:
 # a box has 0.29, helical scans more. Deviations of the logarithm of the blur, of the boost, and of the
 # logarithm of the blur across slices; and the same where balls in the scan show them.
-MEAN_BLUR_MM = 0.45  # mm
-MEAN_BOOST = 0.5  # of middle frequencies
-SLICE_BLUR_RATIO = 0.33  # of the distance of slices
-MIN_EXPECTED_SLICE_BLUR_MM = 0.2  # mm
 EXPECTED_SDS = (0.3, 1.0, 0.5)  # of log blur, boost, log blur across
 BALL_SDS = (0.04, 0.15, 0.08)  # the same
 # Ranges of blur, boost and blur across slices that scanners have, mm.
-MIN_BLUR_MM = 0.15  # mm
-MAX_BLUR_MM = 1.2  # mm
-MIN_BOOST = -0.2  # of middle frequencies
-MAX_BOOST = 5.0  # of middle frequencies
-MIN_SLICE_BLUR_MM = 0.1  # mm
-MAX_SLICE_BLUR_MM = 2.0  # mm
-LOWEST = np.array([np.log(MIN_BLUR_MM), MIN_BOOST, np.log(MIN_SLICE_BLUR_MM)])
-HIGHEST = np.array([np.log(MAX_BLUR_MM), MAX_BOOST, np.log(MAX_SLICE_BLUR_MM)])
+LOWEST = np.array([np.log(MM.BLURS[0]), PART.BOOSTS[0], np.log(MM.SLICE_BLURS[0])])
+HIGHEST = np.array([np.log(MM.BLURS[1]), PART.BOOSTS[1], np.log(MM.SLICE_BLURS[1])])
 Reals = NDArray[np.floating[Any]]  # of single precision where the frequencies are
 
 
@@ -63,12 +53,12 @@ class PointSpread:
     def pass_across(self, frequency: Reals) -> Reals:
         """Return what passes of angular frequencies along the slices' normal, 1/mm."""
         y = frequency * self.slice_blur
-        box = np.sinc(y * float(np.sqrt(3 * BOX_PART) / np.pi))
-        return np.exp(-(y**2) * ((1 - BOX_PART) / 2)) * box
+        box = np.sinc(y * float(np.sqrt(3 * PART.BOX) / np.pi))
+        return np.exp(-(y**2) * ((1 - PART.BOX) / 2)) * box
 
     def weigh_planes(self, away: Floats) -> Floats:
         """Return the sensitivity of a slice at distances from its middle, mm, over that of its middle."""
-        half, edge = np.sqrt(3 * BOX_PART) * self.slice_blur, np.sqrt(1 - BOX_PART) * self.slice_blur
+        half, edge = np.sqrt(3 * PART.BOX) * self.slice_blur, np.sqrt(1 - PART.BOX) * self.slice_blur
         return (ndtr((half - away) / edge) - ndtr((-half - away) / edge)) / (2 * ndtr(half / edge) - 1)
 
 
@@ -79,8 +69,8 @@ def read_spread(parameters: Floats) -> PointSpread:
 
 def expected_spread(slice_distance: float) -> PointSpread:
     """Return what one expects of a scanner whose slices are `slice_distance` mm apart."""
-    slice_blur = max(SLICE_BLUR_RATIO * slice_distance, MIN_EXPECTED_SLICE_BLUR_MM)
-    return PointSpread(MEAN_BLUR_MM, MEAN_BOOST, slice_blur)
+    slice_blur = max(PART.SLICE_BLUR * slice_distance, MM.LEAST_SLICE_BLUR)
+    return PointSpread(MM.BLUR, PART.BOOST, slice_blur)
 
 
 def average_spreads(spreads: Sequence[PointSpread]) -> PointSpread | None:

@@ -23,10 +23,8 @@ from needlefit.geometry.curves import arc_length, find_bending_direction, interp
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame, make_entry_frame, normalize
 from needlefit.geometry.surfaces import Surface, find_nearest
 from needlefit.imaging.bright_voxels import BrightVoxels, list_bright_voxels
+from needlefit.imaging.constants import HU, MM, PART
 from needlefit.imaging.entry import (
-    MIN_SHAFT_LENGTH_MM,
-    SOFT_TISSUE_HU,
-    SURFACE_REACH_MM,
     EntryCandidate,
     OutsideShaft,
     choose_entry,
@@ -47,7 +45,6 @@ from needlefit.imaging.markers import (
     refine_fiducials,
 )
 from needlefit.imaging.materials import find_rises, list_materials, sample_profile
-from needlefit.imaging.needle.axis_spline import STATION_MM
 from needlefit.imaging.needle.centerline import Centerline, refuse_fold, trace_needle
 from needlefit.imaging.needle.follow import follow_points, read_mask_points, select_rod
 from needlefit.imaging.needle.segmentation import (
@@ -58,7 +55,6 @@ from needlefit.imaging.needle.segmentation import (
     principal_axes,
     select_needle,
 )
-from needlefit.imaging.needle.tip import END_LENGTH_MM
 from needlefit.imaging.reconstruction import (
     CurvePicture,
     EntryPose,
@@ -95,26 +91,19 @@ MAX_DISAGREEMENT_SD = 3.0  # deviations from which on two ways to the same quant
 # Degrees between the stated bevel and the one seen from which on something was mixed up.
 MAX_BEVEL_ANGLE_DEG = 30.0
 MAX_PLANE_SD_DEG = 20.0  # deviation of the bending plane, degrees, from which on a shape does not tell it
-MAX_TIP_SD_MM = 0.5  # deviation of the tip along the needle, mm, that is spoken of
-MAX_NORMAL_SD_MM = 0.3  # deviation of the tip along the slices' normal, mm, that is spoken of
-# Misfit of the needle's end that is spoken of: where slices are fitted as a whole, and else.
-MAX_SLICE_MISFIT, MAX_END_MISFIT = 0.4, 0.14
-TIP_CLEARANCE_MM = 2.0  # distance from the tip, mm, from which on its blur does not show
-MAX_STEP_DISTANCE_MM = 1.5  # distance, mm, of a layer's boundary from a change of brightness that is its own
-MAX_DEPTH_SD_MM = 2.0  # deviation of the inserted length, mm, beyond which a scan is refused
 
 
 def collect_warnings(one: Reconstruction, earlier: Sequence[str] = ()) -> tuple[str, ...]:
     """Return the warnings about a reconstruction, the most important first: its tip, then `earlier` ones.
 
-    DataError if the inserted length is not known to `MAX_DEPTH_SD_MM`.
+    DataError if the inserted length is not known to `MM.DEPTH_SD`.
     """
-    if one.depth_sd > MAX_DEPTH_SD_MM:
+    if one.depth_sd > MM.DEPTH_SD:
         tip, entry = float(one.needle_axis.tip_sd[0]), one.pose.along_sd
         raise DataError(
             f"the inserted length is known to +- {one.depth_sd:.2g} mm only (tip "
             f"{tip:.2g}, entry {entry:.2g})",
-            expected=f"+- {MAX_DEPTH_SD_MM:g} mm or less",
+            expected=f"+- {MM.DEPTH_SD:g} mm or less",
             fix=(
                 "state the stage or the tissue's own surface (into = 1) if the entry is not "
                 "known; if the tip is not, scan it away from other metal, or with thinner "
@@ -139,14 +128,14 @@ def list_tip_warnings(one: Reconstruction) -> list[str]:
             "the model of the needle's end does not explain the scan: the tip is taken where a threshold "
             f"sees it, {needle.tip_disagreement:+.2f} mm from there, {sd} along the needle"
         )
-    elif needle.tip_sd[0] > MAX_TIP_SD_MM:
+    elif needle.tip_sd[0] > MM.TIP_DOUBT:
         notes.append(f"the tip is known to {sd} only along the needle")
-    if needle.normal_sd > MAX_NORMAL_SD_MM:
+    if needle.normal_sd > MM.NORMAL_DOUBT:
         notes.append(
             "the slices do not show well where along their normal the needle lies: tip "
             f"+- {needle.normal_sd:.2f} mm; scan it across the slices, or with thinner ones"
         )
-    if needle.misfit > (MAX_SLICE_MISFIT if needle.normal_sd else MAX_END_MISFIT):
+    if needle.misfit > (PART.SLICE_MISFIT if needle.normal_sd else PART.END_MISFIT):
         notes.append(
             f"the image of the needle's end differs from that of the model by {100 * needle.misfit:.0f} % of "
             "its brightness: another diameter or bevel than stated, metal or air beside it, or something "
@@ -160,9 +149,9 @@ def list_tip_warnings(one: Reconstruction) -> list[str]:
         )
     excess = one.profile.core - one.profile.around
     from_tip = one.profile.s - one.depth
-    shaft = excess[(from_tip > -END_LENGTH_MM) & (from_tip < -TIP_CLEARANCE_MM)]
+    shaft = excess[(from_tip > -MM.HIDDEN_END) & (from_tip < -MM.TIP_CLEARANCE)]
     if np.isfinite(shaft).any():
-        bright = (from_tip > TIP_CLEARANCE_MM) & (excess > np.nanmedian(shaft) / 2)
+        bright = (from_tip > MM.TIP_CLEARANCE) & (excess > np.nanmedian(shaft) / 2)
         if bright.any():
             notes.append(
                 f"{from_tip[bright][0]:.1f} mm beyond the tip found, on the needle's axis, something is as "
@@ -194,7 +183,7 @@ def _entry_warnings(one: Reconstruction) -> Iterator[str]:
     if not placed and first is not None and not is_soft_tissue(first.level):
         yield (
             f"the tissue begins with {first.length:.1f} mm of {first.level:.0f} HU, which is no soft tissue "
-            "({:g} to {:g} HU): it may be a guide".format(*SOFT_TISSUE_HU)
+            "({:g} to {:g} HU): it may be a guide".format(*HU.SOFT_TISSUE)
         )
     # nothing else says where the tissue begins where that is the brightness of the scan itself
     own = any(surface.into == 1 for surface in one.layers.surfaces)
@@ -233,9 +222,8 @@ def _plane_warnings(one: Reconstruction) -> Iterator[str]:
         yield f"the scan does not show the bevel's side (probability {probability:.2f}): it is left open"
 
 
-TUNNEL_RADIUS_MM = 2.0
 # A surface runs along a needle from this length on, mm: no ball of that radius is passed through so long.
-MIN_TUNNEL_LENGTH_MM = 2 * TUNNEL_RADIUS_MM
+MIN_TUNNEL_LENGTH_MM = 2 * MM.TUNNEL
 
 
 def refuse_tunnels(surfaces: Sequence[Surface], needle: Floats) -> None:
@@ -246,9 +234,7 @@ def refuse_tunnels(surfaces: Sequence[Surface], needle: Floats) -> None:
 
     DataError if a surface, the tissue's own or another, runs around the needle.
     """
-    lengths = [
-        (surface.name, measure_enclosed_length(needle, surface, TUNNEL_RADIUS_MM)) for surface in surfaces
-    ]
+    lengths = [(surface.name, measure_enclosed_length(needle, surface, MM.TUNNEL)) for surface in surfaces]
     around = [f"{name} (along {length:.0f} mm)" for name, length in lengths if length >= MIN_TUNNEL_LENGTH_MM]
     if around:
         raise DataError(
@@ -271,7 +257,7 @@ def check_layers(
     """
     course = points
     if len(layers.boundaries):  # deeper ones may lie ahead
-        course = np.vstack([points, points[-1] + SURFACE_REACH_MM * normalize(points[-1] - points[-2])])
+        course = np.vstack([points, points[-1] + MM.SURFACE_REACH * normalize(points[-1] - points[-2])])
     beyond = [surface for surface in layers.surfaces if surface.into > 1]
     missed = [one for one in beyond if not len(find_surface_hits(course, one))]
     if missed:
@@ -281,7 +267,7 @@ def check_layers(
     soft = [(before, run) for before, run in pairwise(passed) if before.kind == run.kind == "soft"]
     arcs = [run.begin for _, run in soft if run.begin > 0]
     steps = np.interp(arcs, arc_length(points), frame.to_local(points)[:, 0])
-    allowed = np.maximum(MAX_STEP_DISTANCE_MM, MAX_DISAGREEMENT_SD * layers.sd)
+    allowed = np.maximum(MM.LAYER_MATCH, MAX_DISAGREEMENT_SD * layers.sd)
     near = np.abs(np.subtract.outer(layers.boundaries, steps)) <= allowed[:, None]
     shown, explained = np.any(near, axis=1), np.any(near, axis=0)
     if not shown.all() and not explained.all():
@@ -383,9 +369,6 @@ class Examination:
         return self.patient.to_world(self.axis.points)
 
 
-BRIGHT_CONTRAST_HU = 400.0  # what exceeds the tissue by more is listed, HU: balls and metal do
-
-
 class VolumeSearch:
     """What is looked for in a whole volume, which takes long: once for all needles of a scan."""
 
@@ -401,7 +384,7 @@ class VolumeSearch:
     @cached_property
     def bright(self) -> BrightVoxels:
         """The bright voxels, in which needle and balls are looked for."""
-        return list_bright_voxels(self.volume, median_tissue_hu(self.volume) + BRIGHT_CONTRAST_HU)
+        return list_bright_voxels(self.volume, median_tissue_hu(self.volume) + HU.LISTED_CONTRAST)
 
     def find_markers(self, needle: Ints | None) -> MarkerResult:
         """Return the balls beside the needle (N, 3); DataError if nothing is bright enough."""
@@ -438,7 +421,7 @@ def estimate_first_contact(
     if stage is None:
         shaft = move_to_surface(pose_from_shaft(outside, along_sd), surfaces)
         return shaft, shaft
-    if usable_length(outside) < MIN_SHAFT_LENGTH_MM:
+    if usable_length(outside) < MM.SHAFT:
         return stage, None
     other = pose_from_shaft(outside, along_sd)
     compare_poses(stage, other)
@@ -529,7 +512,7 @@ def derive_reconstruction(
             expected=f"at least {MIN_DEPTH_MM:g} mm of it in the tissue",
             fix="look at entry and tip in 3D Slicer, and place the one that is wrong",
         )
-    count = int(np.ceil((along[-1] - begin) / STATION_MM)) + 1
+    count = int(np.ceil((along[-1] - begin) / MM.STATION)) + 1
     stations = np.linspace(begin, along[-1], count)
     points, sd = interpolate_at_arc(found.world, stations), np.interp(stations, along, found.axis.sd)
     if scan.bevel is None and scan.side < 0:

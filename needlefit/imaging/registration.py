@@ -27,6 +27,7 @@ from scipy.special import chdtrc, chdtri, elliprg
 from needlefit.arrays import Floats, Ints
 from needlefit.errors import DataError
 from needlefit.geometry.frames import AXIS_SIGNS, Frame
+from needlefit.imaging.constants import PART
 
 MIN_MARKERS = 3  # markers that fix a rigid motion
 # Location named in errors of a single set.
@@ -39,7 +40,6 @@ MAX_WRONG_PAIRING_PROBABILITY = 1e-3
 # Chi-squared by which an alternative must be worse to leave no more than that doubt.
 MIN_CHI2_GAP = 2 * np.log(1 / MAX_WRONG_PAIRING_PROBABILITY)
 # Share of the smaller set that must pair: few that agree among many are part of something else.
-MIN_PAIRED_FRACTION = 0.6
 MAX_PAIRINGS = 50_000  # pairings that are kept at once; beyond, the markers are too alike or too many
 MAX_TURN_SD_RAD = 0.1  # deviation of a turn, rad, from which on the markers count as lying on a line
 # By how much nearer everything must lie with the signs of x and y changed before they count as wrong.
@@ -142,7 +142,7 @@ def select_pairing(found: Floats, known: Floats, variance: Floats) -> Alignment:
     """
     most = min(len(found), len(known))
     # three among many agree by chance, unless one of the sets has no more
-    least = max(MIN_MARKERS + 1, int(np.ceil(MIN_PAIRED_FRACTION * most)))
+    least = max(MIN_MARKERS + 1, int(np.ceil(PART.PAIRED * most)))
     for count in (most, *range(most - 1, least - 1, -1)):
         limit = float(chdtri(3 * count - 6, FALSE_ALARM_PROBABILITY))  # that a right pairing hardly exceeds
         listed = list_pairings(found, known, variance, count, limit + MIN_CHI2_GAP)

@@ -20,12 +20,11 @@ from scipy.spatial import cKDTree
 from scipy.special import j0, j1, ndtr
 
 from needlefit.arrays import Floats, Ints
+from needlefit.imaging.constants import MM, PART
 from needlefit.imaging.point_spread import (
     HIGHEST,
     LOWEST,
     MAX_FITTED_VOXELS,
-    MIN_BLUR_MM,
-    MIN_SLICE_BLUR_MM,
     PointSpread,
     expected_spread,
     read_spread,
@@ -41,7 +40,7 @@ MAX_PASSED_SD = 6.5  # in the slices, those beyond so many over the blur are lef
 
 def _list_frequencies() -> tuple[Floats, Floats]:
     """Return the middles of the steps of frequency in the slices, and across them, 1/mm."""
-    ends = [MAX_FREQUENCY_SD / blur for blur in (MIN_BLUR_MM, MIN_SLICE_BLUR_MM)]
+    ends = [MAX_FREQUENCY_SD / blur for blur in (MM.BLURS[0], MM.SLICE_BLURS[0])]
     across, along = (np.arange(0.5, end / FREQUENCY_STEP_PER_MM) * FREQUENCY_STEP_PER_MM for end in ends)
     return across, along
 
@@ -141,8 +140,6 @@ def differentiate(near: SphereVoxels, theta: Floats) -> Floats:
 
 
 # How far beyond the ball's surface the fit reaches, mm, or so many of the longest voxel edges.
-FIT_MARGIN_MM = 1.5
-GUARD_DISTANCE_MM = 1.0  # voxels this near to another bright thing are left out, mm
 SOFT_LOSS_SD = 2.0  # residuals beyond so many deviations of the noise count less
 # Relative change of the cost at which the first fit ends, for the noise, and the second.
 FIRST_TOLERANCE = 1e-3  # of the first fit
@@ -164,14 +161,8 @@ PRIOR_COLUMNS = [HEIGHT, DARK, *range(5, 8)]
 # What is known before: metal and glass lie between 2 000 and 50 000 HU.
 PRIOR_MEANS = (np.log(1e4), -0.1)  # of the logarithm of HU, and of the shortfall
 PRIOR_SDS = (1.0, 0.2)  # deviations of both
-CORRELATION_LENGTH_MM = 1.0  # errors of voxels farther apart than this are unrelated, mm
 # What the formal deviation is multiplied by, and what no scatter shows, mm.
 FORMAL_SD_FACTOR = 0.9  # times the formal deviation
-SYSTEMATIC_SD_MM = 0.003  # mm
-SLICE_ERROR = 0.02  # deviation by thick slices, in squares of their distance over the ball's radius
-# Deviation by what the model does not explain, in misfits times the blur. Both set on the part `tuning` of
-# `benchmarks/real_scanners.py`.
-MISFIT_ERROR = 0.35
 
 
 @dataclass(frozen=True)
@@ -198,12 +189,14 @@ def fit_sphere(volume: Volume, blob: Blob, radius: float) -> SphereFit:
     left = residuals[inside] if inside.any() else residuals
     misfit = float(np.sqrt(np.mean(left**2))) / height
     # thick slices average rays before the logarithm
-    systematic = np.hypot(SLICE_ERROR * near.spacing[2] ** 2 / radius, MISFIT_ERROR * misfit * spread.blur)
+    systematic = np.hypot(
+        PART.BALL_SLICE_SD * near.spacing[2] ** 2 / radius, PART.BALL_MISFIT_SD * misfit * spread.blur
+    )
     formal = FORMAL_SD_FACTOR * float(np.sqrt(np.trace(covariance[CENTER, CENTER]) / 3))
     return SphereFit(
         center=to_patient(volume, blob.voxels.mean(axis=0)[None])[0] + near.axes @ theta[CENTER],
         radius=radius,
-        sd=float(np.linalg.norm([formal, systematic, SYSTEMATIC_SD_MM])),
+        sd=float(np.linalg.norm([formal, systematic, MM.BALL_SD])),
         spread=spread,
         misfit=misfit,
         noise=_spread(residuals[~inside] if np.count_nonzero(~inside) > 20 else residuals) / height,
@@ -225,7 +218,7 @@ def _fit_model(near: SphereVoxels, first: Floats) -> tuple[Floats, Floats, Float
     known[PRIOR_COLUMNS] = (noise / _list_prior(near)[1]) ** 2
     bread = np.linalg.pinv(slopes.T @ slopes + np.diag(known), hermitian=True)
     scores = slopes * residuals[:, None]
-    length = max(CORRELATION_LENGTH_MM, float(near.spacing.max()))
+    length = max(MM.BALL_CORRELATION, float(near.spacing.max()))
     tree = cKDTree(near.places)
     apart = tree.sparse_distance_matrix(tree, length, output_type="ndarray")
     weight = (1 - apart["v"] / length)[:, None]
@@ -244,7 +237,7 @@ def select_voxels(volume: Volume, blob: Blob, radius: float) -> SphereVoxels:
     axes = np.column_stack([volume.direction[:, :2], volume.grid.normal])
     steps = axes.T @ volume.direction * volume.spacing  # one step of i, j, k (columns) along the axes
     spacing = np.diag(steps).copy()
-    reach = radius + FIT_MARGIN_MM * max(1.0, float(spacing.max()))
+    reach = radius + MM.BALL_MARGIN * max(1.0, float(spacing.max()))
     size = reach * np.linalg.norm(np.linalg.inv(steps), axis=1)
     low = np.floor(middle - size).astype(int)
     high = np.ceil(middle + size).astype(int) + 1
@@ -257,7 +250,7 @@ def select_voxels(volume: Volume, blob: Blob, radius: float) -> SphereVoxels:
     others[tuple((blob.voxels - low).T)] = False
     use = np.linalg.norm(places, axis=-1) <= reach
     if others.any():
-        use &= distance_transform_edt(~others, sampling=spacing) > GUARD_DISTANCE_MM
+        use &= distance_transform_edt(~others, sampling=spacing) > MM.BALL_GUARD
     top, bottom = float(values.max()), float(values.min())
     ceiling = top if np.count_nonzero(values == top) > 3 else np.inf
     floor = bottom if np.count_nonzero(values == bottom) > 3 else -np.inf
@@ -271,7 +264,7 @@ def _guess_parameters(near: SphereVoxels) -> Floats:
     """Return where the fit begins: the blob's middle, the brightness there, and a face across the slope."""
     r = np.linalg.norm(near.places, axis=1)
     peak = float(near.values[r <= max(near.radius, float(r.min()))].max())
-    rim = r >= min(near.radius + 0.4 * FIT_MARGIN_MM, float(np.quantile(r, 0.7)))
+    rim = r >= min(near.radius + 0.4 * MM.BALL_MARGIN, float(np.quantile(r, 0.7)))
     places, values = near.places[rim], near.values[rim]
     design = np.column_stack([places, np.ones(len(places))])
     slope = np.linalg.lstsq(design, values)[0][:3]

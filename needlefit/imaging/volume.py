@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from needlefit.arrays import Floats, are_bounded
 from needlefit.errors import DataError
+from needlefit.imaging.constants import HU
 from needlefit.project.input_files import is_dir, is_file, list_files, open_regular
 from needlefit.project.reader_process import MEMORY_VARIABLE, stated_memory_bytes
 
@@ -98,9 +99,6 @@ def is_tilted(direction: Floats) -> bool:
     return bool((np.abs(direction[:, :2].T @ direction[:, 2]) > AXES_COSINE_TOLERANCE).any())
 
 
-AIR_HU = -1000.0
-
-
 def fill_unknown(values: NDArray[np.float32], notes: list[str], *, labels: bool) -> None:
     """Give voxels without a value (NaN) that of air, or of `labels` 0; note how many they were.
 
@@ -117,7 +115,7 @@ def fill_unknown(values: NDArray[np.float32], notes: list[str], *, labels: bool)
             fix="give voxels outside the scan the value of air, e.g. -1000",
         )
     # values that are nowhere below 0 are no HU, nor is then -1000
-    filled = 0.0 if labels else min(AIR_HU if known.min() < 0 else np.inf, float(known.min()))
+    filled = 0.0 if labels else min(HU.AIR if known.min() < 0 else np.inf, float(known.min()))
     values[unknown] = filled
     part = 100 * len(values[unknown]) / values.size
     notes.append(
@@ -249,7 +247,7 @@ class Volume:
         Interpolated values end nowhere in particular: without this the metal seems less bright, and longer.
         """
         top = float(self.values.max())
-        if not TOP_12_BIT_HU[0] <= top <= TOP_12_BIT_HU[1]:
+        if not HU.TOP_12_BITS[0] <= top <= HU.TOP_12_BITS[1]:
             return None
         bright = np.concatenate([plane[plane > BRIGHTEST_FRACTION * top] for plane in self.values])
         shared = np.count_nonzero(bright == top)
@@ -289,20 +287,14 @@ def find_outside(volume: Volume, points: ArrayLike) -> NDArray[np.int64]:
     return np.flatnonzero(((index < -1) | (index > last + 1)).any(axis=1))
 
 
-# The greatest number of 12 bits lies there, HU.
-TOP_12_BIT_HU = (2900.0, 3100.0)
 # Metal that is cut at it has it in nearly all of its brightest voxels: of those above a part of the top, at
 # least `MIN_BRIGHTEST`, fewer than `MAX_SHARED_FRACTION` have it in a scan that was resampled.
 BRIGHTEST_FRACTION = 0.97  # of the top, from which voxels count as brightest
 MIN_BRIGHTEST = 20  # voxels
 MAX_SHARED_FRACTION = 0.85  # of the brightest voxels
-MIN_RANGE_HU = 100.0  # air, tissue and metal differ by more, HU; attenuation per length never does
 
 
 # Level of air, HU, and values between which it is looked for: soft material but lung and foam is brighter.
-AIR_RANGE_HU = (-1100.0, -900.0)  # HU, calibrated scanners
-DARKEST_HU = -2000.0  # HU
-DARK_HU = -250.0  # HU
 MIN_AIR_FRACTION = 0.005  # of all voxels, least that show the level of air
 AIR_BIN_HU = 10.0  # HU, width of the bins in which the level is found
 MAX_VALLEY = 0.5  # fewest voxels of a bin between air and soft material, over those of the peak
@@ -314,7 +306,7 @@ def find_dark_level(volume: Volume) -> float | None:
     The lowest value of all is left out: it fills what lies outside the scanner's field, or is where values
     were cut.
     """
-    low, edges = float(volume.values.min()), np.arange(DARKEST_HU, DARK_HU + AIR_BIN_HU, AIR_BIN_HU)
+    low, edges = float(volume.values.min()), np.arange(HU.DARKEST, HU.GAP + AIR_BIN_HU, AIR_BIN_HU)
     counts = sum(
         (np.histogram(plane[plane > low], edges)[0] for plane in volume.values), np.zeros(len(edges) - 1)
     )
@@ -329,7 +321,7 @@ def find_dark_level(volume: Volume) -> float | None:
 def doubt_air(volume: Volume) -> Iterator[str]:
     """Yield a warning if air has another value than in HU, as grey values of cone beams have."""
     level = find_dark_level(volume)
-    if level is not None and not AIR_RANGE_HU[0] <= level <= AIR_RANGE_HU[1]:
+    if level is not None and not HU.AIR_RANGE[0] <= level <= HU.AIR_RANGE[1]:
         yield (
             f"the values may be no Hounsfield units: the darkest material, unless it is lung or foam, has "
             f"{level:.0f}, and air would have -1000; export HU, or turn the values so that air has -1000 and "
@@ -343,7 +335,7 @@ def require_hounsfield(volume: Volume, where: str) -> None:
     HU have a fixed zero: what lies around any needle has values below it, be it air, or the noise of water.
     """
     low, high = float(volume.values.min()), float(volume.values.max())
-    if low >= 0 or high - low < MIN_RANGE_HU:
+    if low >= 0 or high - low < HU.LEAST_RANGE:
         raise DataError(
             f"its values, {low:.4g} to {high:.4g}, are no Hounsfield units of a scan with a needle",
             expected="air near -1000, water near 0, metal above 1000",

@@ -9,7 +9,7 @@ import numpy as np
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.frames import Frame
 from needlefit.imaging.assembly import DatasetDescription, assemble_dataset
-from needlefit.imaging.needle.axis_spline import KNOT_MM, STATION_MM
+from needlefit.imaging.constants import MM
 from needlefit.imaging.needle.centerline import Centerline
 from needlefit.imaging.reconstruct import Examination, derive_reconstruction
 from needlefit.imaging.reconstruction import IntensityProfile, MarkerResult, Reconstruction
@@ -111,13 +111,13 @@ def _simulate_axis(insertion: SyntheticInsertion, box: Frame, rng: np.random.Gen
     length = float(arc_length(whole)[-1])
     end = length + TIP_SD_MM[0] * rng.normal()
     begin = length - insertion.true_insertion.shape.depth - WHOLE_BOX_SETUP.outside
-    s = np.linspace(begin, end, int(np.ceil((end - begin) / STATION_MM)) + 1)
+    s = np.linspace(begin, end, int(np.ceil((end - begin) / MM.STATION)) + 1)
     last = whole[-1] - whole[-2]
     beyond = np.outer(np.maximum(s - length, 0), last / np.linalg.norm(last))
     true = interpolate_at_arc(whole, np.minimum(s, length)) + beyond
     apart = np.abs(s[:, None] - s)
     # tracing errors are correlated over about half a knot spacing, since the spline smooths over it
-    hang_together = np.linalg.cholesky(np.exp(-apart / (KNOT_MM / 2)))
+    hang_together = np.linalg.cholesky(np.exp(-apart / (MM.KNOT / 2)))
     sideways = AXIS_SD_MM * hang_together @ rng.normal(size=(len(s), 2))
     sideways += np.outer(np.exp((s - end) / TIP_REACH_MM), TIP_SD_MM[1] * rng.normal(size=2))
     world = true + sideways @ insertion.true_insertion.frame.rotation[:, 1:].T

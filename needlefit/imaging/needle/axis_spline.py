@@ -11,14 +11,9 @@ from needlefit.geometry.curves import make_normal
 from needlefit.geometry.smoothing_spline import DEGREE, design_matrix, free_end_basis, make_knots
 from needlefit.imaging.volume import Volume, to_index
 
-STATION_MM = 0.5  # distance of cross-sections, mm
-PATCH_MM = 2.4  # radius of the disc in which a cross-section is looked at, mm
-KNOT_MM = 7.5  # distance of the knots of the axis, mm
 AXIS_HUBER_SD = 1.5  # residuals beyond so many deviations count less
 MAX_POINT_WEIGHT = 30.0  # a point counts at most for so many cross-sections
 REWEIGHTING_ROUNDS = 4  # rounds of reweighting
-# Sections fainter than this part of the needle's middle one show no needle.
-MIN_RELATIVE_AMPLITUDE = 0.3
 
 
 @dataclass(frozen=True)
@@ -149,7 +144,6 @@ def frames_along(points: Floats) -> AxisFrames:
 
 
 PLANE_SPACING_MM = 0.3  # spacing of the points in a plane, mm
-MIN_FRACTION_IN_VOLUME = 0.7  # part of a plane's points that must lie in the volume
 
 
 def disc_points(radius: float) -> Floats:

@@ -8,12 +8,8 @@ from needlefit.arrays import Floats
 from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.smoothing_spline import SplineSections
+from needlefit.imaging.constants import HU, MM, PART
 from needlefit.imaging.needle.axis_spline import (
-    KNOT_MM,
-    MIN_FRACTION_IN_VOLUME,
-    MIN_RELATIVE_AMPLITUDE,
-    PATCH_MM,
-    STATION_MM,
     AxisSpline,
     axis_frames,
     axis_sd,
@@ -24,33 +20,17 @@ from needlefit.imaging.needle.axis_spline import (
     sample_planes,
 )
 from needlefit.imaging.needle.hub import find_hub
-from needlefit.imaging.needle.segmentation import MAX_AIR_HU, Component, principal_axes
-from needlefit.imaging.needle.slice_fit import MIN_SLICE_MM, place_in_slices
-from needlefit.imaging.needle.tip import MAX_DISAGREEMENT_MM, TipFit, TipSource, bevel_length, fit_tip
+from needlefit.imaging.needle.segmentation import Component, principal_axes
+from needlefit.imaging.needle.slice_fit import place_in_slices
+from needlefit.imaging.needle.tip import TipFit, TipSource, bevel_length, fit_tip
 from needlefit.imaging.point_spread import PointSpread
 from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
 BIN_LENGTH_MM = 2.0  # length of the pieces whose centroids are the first axis, mm
-BEVEL_MARGIN_MM = 1.2  # length at its end by which a needle may look shorter than it is, mm
 AXIS_FIT_ROUNDS = 3  # rounds of fits across the axis, each on the axis of the one before
 MIN_SECTIONS = 8  # fewer do not make an axis
-MAX_EDGE_DISTANCE_MM = 3.0  # an end this near to the volume's face (mm) has left it
-# A tip placed by hand so far beside the needle's surface shows that the axis is wrong there, mm; a nearer one
-# is moved onto the axis.
-MAX_PLACED_TIP_DISTANCE_MM = 0.7
-# Least cosine of the axis to the line from base to tip: steered needles bend by 90 degrees in all, at most.
-MIN_CHORD_COSINE = 0.5
 MAX_TIPS = 4  # how often a tip is looked for: rays may hide the shaft before it
-END_REACH_MM = 4.0  # distance beyond an end of the needle from which on its surroundings are looked at, mm
-MAX_SOFT_HU = 1000.0  # brighter surroundings are metal, HU
-# With soft material at both ends, as that of a plastic hub, the tip is where it lasts so much longer.
-CLEAR_SOFT_RATIO = 2.0
-# Image of an end less that of the model, in parts of its brightness, from which on a scan is refused: of
-# needles alone at most 0.13, of one with a ball of 3 mm at its end 0.33.
-MAX_MISFIT = 0.3
-# Deviation that no scatter along the needle shows, mm: the pattern of the voxel grid, and rays along it.
-SYSTEMATIC_SD_MM = 0.005
 
 
 @dataclass(frozen=True)
@@ -96,13 +76,13 @@ def trace_needle(
     DataError if the needle's tip lies outside the volume or beside the needle, or its two ends look alike.
     """
     rough = component if isinstance(component, AxisSpline) else fit_rough_axis(volume, component, recipe)
-    axis, heel = rough, bevel_length(recipe.needle) + BEVEL_MARGIN_MM
+    axis, heel = rough, bevel_length(recipe.needle) + MM.BEVEL_MARGIN
     if tip is None:
         axis = refine_axis(volume, orient_axis(volume, axis, recipe), recipe, heel)
         # a rough tip near the axis' end, or near where a threshold sees the needle end
         guess = axis.length + heel
         ends = [fit_tip(volume, axis, recipe.needle, guess, spread, rough=True)]
-        while len(ends) < MAX_TIPS and MAX_DISAGREEMENT_MM < abs(ends[-1].disagreement) < np.inf:
+        while len(ends) < MAX_TIPS and MM.THRESHOLD < abs(ends[-1].disagreement) < np.inf:
             at, away = ends[-1].at, ends[-1].disagreement
             guess = (max(guess, at) if away > 0 else at) + away  # a threshold sees 4 mm ahead only
             ends.append(fit_tip(volume, axis, recipe.needle, guess, spread, rough=True))
@@ -110,11 +90,11 @@ def trace_needle(
         axis = refine_axis(volume, axis, recipe, heel, end.at)
         placed = place_in_slices(volume, axis, recipe, end.at, spread)
         axis, end = placed or (axis, fit_tip(volume, axis, recipe.needle, end.at, spread))
-        if not placed and end.misfit > MAX_MISFIT and volume.resampled_top is None:
+        if not placed and end.misfit > PART.REFUSED_MISFIT and volume.resampled_top is None:
             raise DataError(
                 "where the needle ends does not show: its image differs from a "
                 f"needle's by {100 * end.misfit:.0f} % of its brightness",
-                expected=f"an end that is surrounded by tissue, at most {100 * MAX_MISFIT:.0f} %",
+                expected=f"an end that is surrounded by tissue, at most {100 * PART.REFUSED_MISFIT:.0f} %",
                 fix=(
                     "look at it: scan without a marker or other metal there, state "
                     "needle.diameter_mm and needle.bevel_deg; or place the tip in 3D Slicer "
@@ -129,7 +109,7 @@ def trace_needle(
         if (placed := place_in_slices(volume, axis, recipe, _project_tip(axis, tip)[0], spread)) is not None:
             axis = placed[0]
         place, beside = _project_tip(axis, tip)
-        limit = MAX_PLACED_TIP_DISTANCE_MM + recipe.needle.diameter_mm / 2
+        limit = MM.PLACED_TIP + recipe.needle.diameter_mm / 2
         if beside > limit:
             raise DataError(
                 f"the tip that was placed lies {beside:.1f} mm beside the needle",
@@ -145,8 +125,8 @@ def trace_needle(
     alone = axis.slice_sds is None
     # the spline is extended through the tip, so that the end is interpolated
     # near thick slices both share their error
-    across = max(float(end.sd[1]), SYSTEMATIC_SD_MM) if alone else SYSTEMATIC_SD_MM
-    axis = extend_axis(axis, end.at, end.point, across, KNOT_MM)
+    across = max(float(end.sd[1]), MM.AXIS_SD) if alone else MM.AXIS_SD
+    axis = extend_axis(axis, end.at, end.point, across, MM.KNOT)
     return _sample_centerline(volume, axis, end, recipe)
 
 
@@ -155,7 +135,7 @@ def refuse_fold(points: Floats) -> None:
     ways = np.diff(points, axis=0)
     chord = points[-1] - points[0]
     cosines = ways @ chord / (np.linalg.norm(ways, axis=1) * np.linalg.norm(chord))
-    if cosines.min() < MIN_CHORD_COSINE:
+    if cosines.min() < PART.CHORD_COSINE:
         at = points[int(np.argmin(cosines))]
         turn = float(np.degrees(np.arccos(cosines.min())))
         raise DataError(
@@ -193,7 +173,7 @@ def fit_rough_axis(volume: Volume, component: Component, recipe: ReconstructionR
     mass = np.bincount(piece, bright)
     moments = np.stack([np.bincount(piece, bright * axis) for axis in points.T], axis=1)
     pieces: Floats = moments[mass > 0] / mass[mass > 0, None]
-    return fit_axis(arc_length(pieces), pieces, np.ones(len(pieces)), 2 * KNOT_MM)
+    return fit_axis(arc_length(pieces), pieces, np.ones(len(pieces)), 2 * MM.KNOT)
 
 
 def refine_axis(
@@ -203,16 +183,16 @@ def refine_axis(
 
     The tip is where the axis ends, unless it is given, mm along it.
     """
-    plane = disc_points(PATCH_MM)
-    stop = max((axis.length if tip is None else tip) - heel, 8 * STATION_MM)
+    plane = disc_points(MM.PATCH)
+    stop = max((axis.length if tip is None else tip) - heel, 8 * MM.STATION)
     for round_ in range(AXIS_FIT_ROUNDS):
-        s = np.arange(0.0, stop, STATION_MM)
+        s = np.arange(0.0, stop, MM.STATION)
         values = sample_planes(volume, axis_frames(axis, s), plane)
-        valid = np.isfinite(values).mean(axis=1) >= MIN_FRACTION_IN_VOLUME
+        valid = np.isfinite(values).mean(axis=1) >= PART.IN_VOLUME
         where = axis_frames(axis, s[valid])
         across, amplitude = find_centroids(values[valid], plane, recipe.needle.diameter_mm)
         good = np.linalg.norm(across, axis=1) < recipe.needle.diameter_mm / (1 if round_ == 0 else 2)
-        good &= amplitude > MIN_RELATIVE_AMPLITUDE * np.median(amplitude) if len(amplitude) else False
+        good &= amplitude > PART.FAINT * np.median(amplitude) if len(amplitude) else False
         if good.sum() < MIN_SECTIONS:
             raise DataError(
                 f"the needle shows in {good.sum()} cross-sections only",
@@ -221,7 +201,7 @@ def refine_axis(
             )
         points = (where.origins + across[:, :1] * where.u + across[:, 1:] * where.v)[good]
         s = arc_length(points)
-        axis = fit_axis(s, points, np.ones(len(s)), KNOT_MM, s[-1] + heel)
+        axis = fit_axis(s, points, np.ones(len(s)), MM.KNOT, s[-1] + heel)
         stop = axis.length + 1e-6
     return axis
 
@@ -230,11 +210,11 @@ def orient_axis(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) 
     """Return the axis directed from base to tip; DataError if the direction cannot be determined."""
     ends = axis.spline(np.array([0.0, axis.length]))
     index, last = to_index(volume, ends), np.array(volume.values.shape[::-1]) - 1
-    cut = (np.minimum(index, last - index) * volume.spacing).min(axis=1) < MAX_EDGE_DISTANCE_MM
+    cut = (np.minimum(index, last - index) * volume.spacing).min(axis=1) < MM.FACE
     where = "; ".join(", ".join(f"{x:.0f}" for x in end) for end in ends)
     direction = recipe.centerline.entry_direction
     soft = _soft_lengths(volume, axis)
-    clear = max(soft) >= CLEAR_SOFT_RATIO * min(soft) and max(soft) > 0
+    clear = max(soft) >= PART.CLEAR_SOFT * min(soft) and max(soft) > 0
     forward = soft[1] > soft[0]
     if direction is not None:
         forward = bool((ends[1] - ends[0]) @ np.asarray(direction) > 0)
@@ -273,16 +253,16 @@ def orient_axis(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) 
 def _reverse_axis(axis: AxisSpline, recipe: ReconstructionRecord) -> AxisSpline:
     """Return the rough axis from its other end."""
     s = axis.length - axis.s[::-1]
-    return fit_axis(s, axis.points[::-1], axis.weights[::-1], 2 * KNOT_MM)
+    return fit_axis(s, axis.points[::-1], axis.weights[::-1], 2 * MM.KNOT)
 
 
 def _sample_centerline(
     volume: Volume, axis: AxisSpline, end: TipFit, recipe: ReconstructionRecord
 ) -> Centerline:
     """Return the points every station from the first cross-section to the tip."""
-    count = int(np.ceil(end.at / STATION_MM)) + 1
+    count = int(np.ceil(end.at / MM.STATION)) + 1
     s = np.linspace(0.0, end.at, count)
-    heel = bevel_length(recipe.needle) + BEVEL_MARGIN_MM
+    heel = bevel_length(recipe.needle) + MM.BEVEL_MARGIN
     swung = end.sd[1] * np.clip((s - end.at + heel) / heel, 0, 1)  # the rod alone holds the axis there
     # what neighbours share: of a needle near thick slices by their fit, otherwise by the slices' thickness
     if axis.slice_sds is None:
@@ -293,11 +273,13 @@ def _sample_centerline(
             axis.spline(s[[0, -1]]),
         )
         steep = float((last - first) @ volume.grid.normal) / float(np.linalg.norm(last - first))
-        left = KNOT_MM * steep / thick
-        hidden = float(thick / np.sqrt(24) * thick / (thick + wide) / (1 + left**2)) * (thick > MIN_SLICE_MM)
-        more = float(np.hypot(SYSTEMATIC_SD_MM, hidden))
+        left = MM.KNOT * steep / thick
+        hidden = float(thick / np.sqrt(24) * thick / (thick + wide) / (1 + left**2)) * (
+            thick > MM.THICK_SLICE
+        )
+        more = float(np.hypot(MM.AXIS_SD, hidden))
     else:  # in the spline's own deviation already
-        hidden, more = float(np.sqrt(np.mean(axis.slice_sds[1] ** 2) / 2)), SYSTEMATIC_SD_MM
+        hidden, more = float(np.sqrt(np.mean(axis.slice_sds[1] ** 2) / 2)), MM.AXIS_SD
     sd = np.hypot(np.maximum(axis_sd(axis, s), swung), more)
     points, tip_sd = axis.spline(s), np.array([end.sd[0], sd[-1]])
     drawn = SplineSections(
@@ -307,7 +289,7 @@ def _sample_centerline(
         weights=axis.final_weights,
         knots=axis.spline.t,
         sigma=float(np.sqrt(axis.variance)),
-        shared_sd=SYSTEMATIC_SD_MM,
+        shared_sd=MM.AXIS_SD,
         shared_along=np.sqrt(2) * hidden * volume.grid.normal,  # `hidden` is that in any one direction
     )
     return Centerline(
@@ -332,11 +314,11 @@ def _soft_lengths(volume: Volume, axis: AxisSpline) -> tuple[float, float]:
     0 where an end stands in air or, held by a hub, in metal. An end that leaves the volume is where the
     volume ends.
     """
-    s = np.arange(-END_REACH_MM, axis.length + END_REACH_MM + 1e-6, 1.0)
+    s = np.arange(-MM.BEYOND_END, axis.length + MM.BEYOND_END + 1e-6, 1.0)
     plane = disc_points(5.0)
     values = sample_planes(volume, axis_frames(axis, s), plane[np.hypot(*plane.T) > 3.0])
     middle: Floats = np.nanmedian(values[np.isfinite(values).any(axis=1)], axis=1)
-    hard = np.flatnonzero((middle <= MAX_AIR_HU) | (middle >= MAX_SOFT_HU))
+    hard = np.flatnonzero((middle <= HU.NOT_AIR) | (middle >= HU.METAL))
     if not len(hard):
         return float(len(middle)), float(len(middle))
     return float(hard[0]), float(len(middle) - 1 - hard[-1])

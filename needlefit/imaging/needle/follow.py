@@ -9,10 +9,8 @@ from scipy.interpolate import PchipInterpolator
 from needlefit.arrays import Floats, Ints
 from needlefit.errors import DataError, located
 from needlefit.geometry.curves import arc_length
+from needlefit.imaging.constants import HU, MM, PART
 from needlefit.imaging.needle.axis_spline import (
-    KNOT_MM,
-    MIN_RELATIVE_AMPLITUDE,
-    PATCH_MM,
     AxisSpline,
     disc_points,
     find_centroids,
@@ -22,7 +20,6 @@ from needlefit.imaging.needle.axis_spline import (
 )
 from needlefit.imaging.needle.segmentation import (
     MIN_COMPONENT_VOXELS,
-    MIN_METAL_CONTRAST_HU,
     Component,
     measure_component,
     principal_axes,
@@ -35,10 +32,6 @@ MASK_PIECE_MM = 4.0  # mm, length along a mask of which one point is taken
 MIN_POINTS = 3  # fewer do not show which way a needle bends
 STEP_MM = 1.0  # distance of the places at which the needle is looked for, mm
 ROUNDS = 3  # of moving the places to the needle's middle
-# The needle ends where it is faint for longer, mm; a longer gap must have points on both sides.
-MAX_FAINT_MM = 3.0
-END_LENGTH_MM = 12.0  # length at an end by whose line the next place is predicted, mm
-MIN_SHOWN_FRACTION = 0.5  # part of the way between the points on which the needle must show
 
 
 def read_mask_points(volume: Volume, path: Path) -> Floats:
@@ -84,10 +77,10 @@ def follow_points(volume: Volume, points: Floats, recipe: ReconstructionRecord) 
     places = PchipInterpolator(s, ordered)(np.linspace(0.0, s[-1], count))
     for _ in range(ROUNDS):  # to the needle's middle; where it is faint they stay
         shifts, amplitude = _look_across(volume, places, recipe)
-        shown = amplitude > MIN_RELATIVE_AMPLITUDE * np.median(amplitude)
+        shown = amplitude > PART.FAINT * np.median(amplitude)
         places = places + np.where(shown[:, None], shifts, 0.0)
     level = float(np.median(amplitude))
-    if level < MIN_METAL_CONTRAST_HU / 2 or shown.mean() < MIN_SHOWN_FRACTION:
+    if level < HU.METAL_CONTRAST / 2 or shown.mean() < PART.FOLLOWED:
         raise DataError(
             "between the points that were placed the scan shows no needle: what lies "
             f"there is {level:.0f} HU brighter than its surroundings, and faint on "
@@ -100,7 +93,7 @@ def follow_points(volume: Volume, points: Floats, recipe: ReconstructionRecord) 
     before = [*_extend(volume, places[::-1], level, recipe)]
     whole = np.array([*before[::-1], *places, *_extend(volume, places, level, recipe)])
     s = arc_length(whole)
-    return fit_axis(s, whole, np.ones(len(whole)), 2 * KNOT_MM)
+    return fit_axis(s, whole, np.ones(len(whole)), 2 * MM.KNOT)
 
 
 def select_rod(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) -> Component:
@@ -121,7 +114,7 @@ def _voxels(volume: Volume, points: Floats) -> Ints:
 def _look_across(volume: Volume, places: Floats, recipe: ReconstructionRecord) -> tuple[Floats, Floats]:
     """Return by how much the needle lies beside places (N, 3), mm, and its amplitude (N,), HU."""
     where = frames_along(places)
-    plane = disc_points(PATCH_MM)
+    plane = disc_points(MM.PATCH)
     values = sample_planes(volume, where, plane)
     inside = ~np.isnan(values.sum(axis=1))
     across, amplitude = find_centroids(np.nan_to_num(values), plane, recipe.needle.diameter_mm)
@@ -131,16 +124,16 @@ def _look_across(volume: Volume, places: Floats, recipe: ReconstructionRecord) -
 
 def _extend(volume: Volume, places: Floats, level: float, recipe: ReconstructionRecord) -> Iterator[Floats]:
     """Yield the places of the needle beyond the last of `places` (N, 3), until it is faint or ends."""
-    known, faint = list(places[-round(END_LENGTH_MM / STEP_MM) :]), 0.0
-    while faint <= MAX_FAINT_MM:
-        recent = np.array(known[-round(END_LENGTH_MM / STEP_MM) :])
+    known, faint = list(places[-round(MM.FOLLOW_END / STEP_MM) :]), 0.0
+    while faint <= MM.FAINT:
+        recent = np.array(known[-round(MM.FOLLOW_END / STEP_MM) :])
         way = np.linalg.svd(recent - recent.mean(axis=0), full_matrices=False)[2][0]
         way *= np.sign(way @ (recent[-1] - recent[0]))
         start = recent.mean(axis=0) + way * ((recent[-1] - recent.mean(axis=0)) @ way)
         here = start + way * (STEP_MM + faint)
         shifts, amplitude = _look_across(volume, np.stack([here - way, here, here + way]), recipe)
         beside = float(np.linalg.norm(shifts[1]))
-        if amplitude[1] > MIN_RELATIVE_AMPLITUDE * level and beside < recipe.needle.diameter_mm:
+        if amplitude[1] > PART.FAINT * level and beside < recipe.needle.diameter_mm:
             known.append(here + shifts[1])
             yield known[-1]
             faint = 0.0

@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from needlefit.arrays import Floats, Ints
 from needlefit.errors import DataError
 from needlefit.imaging.bright_voxels import BrightVoxels, list_bright_voxels
+from needlefit.imaging.constants import HU, MM, PART
 from needlefit.imaging.needle.axis_spline import AxisSpline
 from needlefit.imaging.volume import Volume, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
@@ -56,25 +57,7 @@ def _distance(mask: NDArray[np.bool_], spacing: Floats) -> NDArray[np.float32]:
     return distance_transform_edt(mask, sampling=spacing).astype(np.float32)
 
 
-# Low thresholds to try, as parts of the way from tissue to metal; the high one lies a quarter higher.
-THRESHOLD_FRACTIONS = (0.4, 0.25, 0.15)
-CLIPPED_HU = 3071.0  # largest number of 12 bits, HU: on such a scale metal stands out by about this
-MIN_METAL_CONTRAST_HU = 500.0  # what must stand out from tissue by less than this (HU) is no metal
-MAX_AIR_HU = -500.0  # HU
-# A component with more of its voxels than this on the volume's faces is the corner of something larger.
-MAX_FACE_FRACTION = 0.15
 MIN_COMPONENT_VOXELS = 8  # smaller components are noise
-# A needle is at least so long, mm, and so many times as long as wide; its image is at most so many times as
-# wide as itself.
-MIN_LENGTH_MM = 20.0
-MIN_ELONGATION = 6.0
-MAX_WIDENING = 2.5
-MIN_GROWTH_MM = 3.0  # at a lower threshold a tube must become longer by so much to be taken from there, mm
-# A tube that becomes wider than that at a lower threshold takes in what surrounds it.
-MAX_GROWTH_WIDENING = 1.5
-SEED_PART = 1 / 3  # part of a needle's least length and elongation from which on pieces are joined to a part
-MAX_GAP_MM = 15.0  # gap across which pieces are joined, mm
-NEAR_END_MM = 5.0  # length of the end of a piece that must lie on the curve which it goes on, mm
 MIN_DISTINCT_CHECK = 100  # points of a component of which three must differ along it to fit a parabola
 
 
@@ -104,7 +87,7 @@ def find_tubes(
     for low, high in list_thresholds(volume, recipe):
         parts = cut_components(volume, find_components(volume, low, high, bright), recipe)
         parts.sort(key=lambda part: part.length, reverse=True)
-        left, joined = [part for part in parts if is_tube(part, recipe, SEED_PART)], list[Component]()
+        left, joined = [part for part in parts if is_tube(part, recipe, PART.SEED)], list[Component]()
         while left:
             tube, own = _join_pieces(volume, left[0], parts, recipe)
             left = [part for part in left if not any(part is one for one in own)]
@@ -114,12 +97,12 @@ def find_tubes(
             found = joined
     if found:
         return found
-    largest, width = parts[0], MAX_WIDENING * recipe.needle.diameter_mm
+    largest, width = parts[0], PART.WIDENING * recipe.needle.diameter_mm
     raise DataError(
         f"no needle was found; the longest bright object is {largest.length:.1f} mm "
         f"long, {largest.width:.1f} mm wide, {largest.bend:.1f} mm (RMS) off a "
         f"parabola{', and cut by the edge of the scan' * (largest.on_face > 0)}",
-        expected=f"{MIN_LENGTH_MM:g} mm or longer, at most {width:.1f} mm wide, {width / 2:.1f} mm off",
+        expected=f"{MM.NEEDLE_LENGTH:g} mm or longer, at most {width:.1f} mm wide, {width / 2:.1f} mm off",
         fix=(
             "give a scan with more of the needle and its tip; or set needle.diameter_mm in "
             "a recipe (--recipe); or give the needle's voxels, or points on it (--mask)"
@@ -132,11 +115,11 @@ def _is_longer(volume: Volume, tube: Component, before: Component, recipe: Recon
     # a needle that runs in a slice fills its thickness
     diameter = recipe.needle.diameter_mm
     filled = np.sqrt(4 / np.pi * diameter * max(diameter, float(volume.spacing.max())))
-    if tube.width > MAX_GROWTH_WIDENING * max(before.width, filled):
+    if tube.width > PART.GROWTH_WIDENING * max(before.width, filled):
         return False
     own = {tuple(voxel) for voxel in tube.voxels.tolist()}
     same = any(tuple(voxel) in own for voxel in before.voxels.tolist())
-    return same and tube.length > before.length + MIN_GROWTH_MM
+    return same and tube.length > before.length + MM.GROWTH
 
 
 def _join_pieces(
@@ -154,22 +137,22 @@ def _continues(
     volume: Volume, needle: Component, part: Component, own: Sequence[Component], recipe: ReconstructionRecord
 ) -> bool:
     """Whether a thin part beyond a gap lies on the needle's parabola, and is none of its `own`."""
-    if any(part is one for one in own) or part.width > MAX_WIDENING * recipe.needle.diameter_mm:
+    if any(part is one for one in own) or part.width > PART.WIDENING * recipe.needle.diameter_mm:
         return False
     points = to_patient(volume, needle.voxels)
     center, axes = principal_axes(points)
     local, piece = ((some - center) @ axes.T for some in (points, to_patient(volume, part.voxels)))
     low, high = local[:, 0].min(), local[:, 0].max()
     gap = max(low - piece[:, 0].max(), piece[:, 0].min() - high)
-    if gap > MAX_GAP_MM or np.ptp(piece[:, 0]) < 2 * part.width:
+    if gap > MM.PIECE_GAP or np.ptp(piece[:, 0]) < 2 * part.width:
         return False
     far = np.abs(piece[:, 0] - np.clip(piece[:, 0], low, high))
-    near = piece[far <= far.min() + NEAR_END_MM]  # farther off, a parabola that is drawn on says little
+    near = piece[far <= far.min() + MM.PIECE_END]  # farther off, a parabola that is drawn on says little
     curve = fit_parabola(local[:, 0], local[:, 1:])
     off = near[:, 1:] - np.stack([np.polyval(c, near[:, 0]) for c in curve.T], axis=1)
     # a needle that crosses slices stands one beside the other
     thick = recipe.needle.diameter_mm + float(volume.spacing.max()) / 2
-    return float(np.linalg.norm(off, axis=1).mean()) <= thick * (1 + max(gap, 0.0) / MIN_LENGTH_MM)
+    return float(np.linalg.norm(off, axis=1).mean()) <= thick * (1 + max(gap, 0.0) / MM.NEEDLE_LENGTH)
 
 
 def cut_components(
@@ -178,10 +161,10 @@ def cut_components(
     """Return the components with what is wider than a needle cut off those that are as long as one."""
     found = []
     for part in parts:
-        if part.length < MIN_LENGTH_MM:
+        if part.length < MM.NEEDLE_LENGTH:
             found.append(part)
             continue
-        pieces = cut_wide_parts(volume, part.voxels, MAX_WIDENING * recipe.needle.diameter_mm)
+        pieces = cut_wide_parts(volume, part.voxels, PART.WIDENING * recipe.needle.diameter_mm)
         if len(pieces) == 1 and len(pieces[0]) == len(part.voxels):
             found.append(part)
         else:
@@ -196,19 +179,19 @@ def list_thresholds(volume: Volume, recipe: ReconstructionRecord) -> list[tuple[
     needle fills.
     """
     tissue = median_tissue_hu(volume)
-    bright = np.concatenate([s[s > tissue + MIN_METAL_CONTRAST_HU] for s in volume.values])
-    rod = np.pi / 4 * recipe.needle.diameter_mm**2 * MIN_LENGTH_MM
+    bright = np.concatenate([s[s > tissue + HU.METAL_CONTRAST] for s in volume.values])
+    rod = np.pi / 4 * recipe.needle.diameter_mm**2 * MM.NEEDLE_LENGTH
     wanted = max(MIN_COMPONENT_VOXELS, int(rod / float(np.prod(volume.spacing)) / 2))
     if len(bright) < wanted:
         raise DataError(
-            f"{len(bright)} voxels stand out from tissue ({tissue:.0f} HU) by {MIN_METAL_CONTRAST_HU:.0f} HU",
+            f"{len(bright)} voxels stand out from tissue ({tissue:.0f} HU) by {HU.METAL_CONTRAST:.0f} HU",
             expected=f"the {wanted} and more of a metal needle",
             fix="check that the scan holds the needle and is in HU; or give a mask",
         )
     metal = float(np.partition(bright, -wanted)[-wanted])
-    heights = [part * (metal - tissue) for part in THRESHOLD_FRACTIONS]
+    heights = [part * (metal - tissue) for part in PART.THRESHOLDS]
     # beside large balls on an extended scale a starved shaft is darker than these
-    heights += [part * CLIPPED_HU for part in THRESHOLD_FRACTIONS if part * CLIPPED_HU < heights[-1]]
+    heights += [part * HU.CLIPPED for part in PART.THRESHOLDS if part * HU.CLIPPED < heights[-1]]
     return [(tissue + height, tissue + 1.25 * height) for height in heights]
 
 
@@ -235,12 +218,12 @@ def find_components(
 
 def is_tube(part: Component, recipe: ReconstructionRecord, share: float = 1.0) -> bool:
     """Return whether a component is long, thin and smooth enough to be the needle, or a `share` of it."""
-    width = MAX_WIDENING * recipe.needle.diameter_mm
+    width = PART.WIDENING * recipe.needle.diameter_mm
     return (
-        part.length >= share * max(MIN_LENGTH_MM, MIN_ELONGATION * part.width)
+        part.length >= share * max(MM.NEEDLE_LENGTH, PART.ELONGATION * part.width)
         and part.width <= width
         and part.bend <= width / 2
-        and part.on_face <= MAX_FACE_FRACTION
+        and part.on_face <= PART.FACE_VOXELS
     )
 
 
@@ -276,16 +259,8 @@ def measure_component(volume: Volume, voxels: Ints) -> Component:
 def median_tissue_hu(volume: Volume) -> float:
     """Return the median of all voxels that are not air (HU), from every third voxel along each axis."""
     some = volume.values[::3, ::3, ::3]
-    dense = some[some > MAX_AIR_HU]
+    dense = some[some > HU.NOT_AIR]
     return float(np.median(dense if dense.size > some.size / 100 else some))
-
-
-# A tube of this part of the longest one's length and brightness may be a needle; the second: of all wanted.
-MIN_SECOND_NEEDLE_RATIO = 0.6  # of length and brightness
-MIN_DIVIDED_NEEDLE_RATIO = 0.4  # the same, where all needles are wanted
-# Of two such tubes that of the stated diameter is the needle if the other misses it by so much more.
-CLEAR_WIDTH_RATIO = 1.5
-MAX_PICK_DISTANCE_MM = 5.0  # a point stated on the needle lies at most so far from it, mm
 
 
 @dataclass(frozen=True)
@@ -328,11 +303,11 @@ def select_needle(
     else:
         distances = [float(cKDTree(to_patient(volume, part.voxels)).query(point)[0]) for part in tubes]
         nearest = int(np.argmin(distances))
-        if distances[nearest] > MAX_PICK_DISTANCE_MM:
+        if distances[nearest] > MM.PICK:
             listed = "; ".join(describe_tube(volume, part) for part in tubes)
             raise DataError(
                 f"no tube passes the stated point of the needle; there is {listed}",
-                expected=f"a tube within {MAX_PICK_DISTANCE_MM:g} mm of it",
+                expected=f"a tube within {MM.PICK:g} mm of it",
                 fix="correct the point (LPS of the scan, mm), or leave the three cells empty",
                 where="needle_x_mm, needle_y_mm, needle_z_mm",
             )
@@ -360,13 +335,13 @@ def find_ends(volume: Volume, part: Component) -> Floats:
 
 
 def list_needles(
-    volume: Volume, tubes: Sequence[Component], diameter: float, ratio: float = MIN_SECOND_NEEDLE_RATIO
+    volume: Volume, tubes: Sequence[Component], diameter: float, ratio: float = PART.SECOND_NEEDLE
 ) -> list[Component]:
     """Return the tubes, of those given longest first, that may be a needle beside the longest one."""
     level, length = ratio * _mean_hu(volume, tubes[0]), ratio * tubes[0].length
     alike = [part for part in tubes if part.length >= length and _mean_hu(volume, part) >= level]
     misses = [abs(math.log(part.width / diameter)) for part in alike]
-    clear = min(misses) + math.log(CLEAR_WIDTH_RATIO)
+    clear = min(misses) + math.log(PART.CLEAR_WIDTH)
     return [part for part, miss in zip(alike, misses, strict=True) if miss < clear]
 
 

@@ -20,7 +20,8 @@ from needlefit.arrays import Bools, Floats
 from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.smoothing_spline import DEGREE, make_knots
-from needlefit.imaging.needle.axis_spline import KNOT_MM, AxisSpline, axis_sd, correlation_factor, fit_axis
+from needlefit.imaging.constants import MM, PART
+from needlefit.imaging.needle.axis_spline import AxisSpline, axis_sd, correlation_factor, fit_axis
 from needlefit.imaging.needle.hub import Hub, find_hub
 from needlefit.imaging.needle.rod_projection import COLUMN_MM, SENSITIVITY_AT, Rod
 from needlefit.imaging.needle.tip import MAX_BEVEL_DEG, MIN_BEVEL_PROBABILITY, TipFit
@@ -28,18 +29,9 @@ from needlefit.imaging.point_spread import PointSpread, expected_spread
 from needlefit.imaging.volume import Volume, to_index
 from needlefit.schemas.reconstruction import ReconstructionRecord, ScannedNeedleRecord
 
-MIN_SLICE_MM = 0.6 + 1e-9  # slices up to this thickness show the needle in several at once, mm
-# Voxels that are longer by this factor than wide are a scanner's slices, those of cone beams are cubes.
-MIN_FLATNESS = 1.15
-# Such slices are fitted as a whole from this thickness on, mm: rays hide the end in single voxels, where tips
-# are off by 0.25 mm in place of 0.08.
-MIN_FLAT_SLICE_MM = 0.5 - 1e-9
 MAX_CROSSED = 2.0  # a spline averages over the slices if more are crossed between two of its knots
-# Lines across the needle on which slices are sampled, their distance, and where its surroundings begin, mm.
-LINE_REACH_MM = 2.4  # mm
-LINE_STEP_MM = 0.4  # mm
+LINE_STEP_MM = 0.4  # mm, between samples across the needle
 LINE_STATION_MM = 1.0  # mm, between lines along the needle
-RIM_MM = 1.7  # mm
 # Where a fit ends farther from the middle of these lines, they are laid anew; so many fits at most.
 MAX_ASIDE_MM = 0.4  # mm
 MAX_FITS = 2  # fits
@@ -50,14 +42,12 @@ END_SLICES = 1  # slices
 MAX_DARK_STATIONS = 6  # stations
 MAX_SHORT_STATIONS = 4  # an end so far before that of a threshold is not believed; of others 1 at most
 MIN_END_MM = 0.5  # length of the axis beyond its last cross-section, at least, mm
-BEYOND_MM = 5.0  # length beyond the end that is looked at, mm
 REACH_SLICES = 1.5  # distance, in slices beyond the radius, out to which slices are looked at
 SWAY_MM = 5.0  # how much farther across than the first axis rods are projected, mm
 KNOT_FACTOR = 1.6  # distance of the knots over that of the axis
 # A needle between supports is a beam: the third derivative of its axis is the shear force over its stiffness.
 SHEAR_SD_N = 8.0  # N, deviation of the shear force
 STEEL_MPA = 200e3  # MPa, Young's modulus
-END_MOMENT_MM = 5.0  # lever of that force at the end of what is fitted: the tip itself carries no moment, mm
 # What the beam does: logarithms of the attenuation, 1/mm, of its relative variance over the spectrum, of the
 # scatter in parts of the open beam, and of a factor by which the slices are more linear than a scanner's.
 # Means and deviations. Then follow the blur's logarithm and the boost, and logarithms of the sensitivity of
@@ -91,20 +81,13 @@ CORRELATED = 10.0  # samples
 SIDE_FACTOR = 0.75  # across, in the slices
 END_FACTOR = 1.26  # of the end
 ROLL_FACTOR = 1.5  # of the roll
-ERROR_MM = 0.012  # mm, across
-END_ERROR_MM = 0.07  # mm, of the end
-TIP_ERROR_MM = 0.04  # mm, across at the end
 SLICE_ERROR = 0.02  # slices
 CROSSED_SLICES = 4.0  # slices over which it falls
 BASE_ERROR = 0.04  # slices, at the base
-BASE_MM = 8.0  # mm over which that falls
-# What a fit adds to these deviations, in slices, by which the model's error exceeds this, and by which part
+# What a fit adds to these deviations, in slices, by which its misfit exceeds a good one's, and by which part
 # of a slice the needle does not cross: its mirror image looks the same. At the end twice.
 MISSED_FACTOR = 1.3  # slices per relative error
-MAX_GOOD_ERROR = 0.4  # relative error of the image
 FLAT_FACTOR = 0.18  # of a slice
-POINT_MM = 0.04  # length of a bevel's point that is too thin to show, mm: the mean of 24 volumes
-SHADOW_MM = 10.0  # mm, length of the axis that a hub hides
 HUB_WEIGHT = 5.0  # of a hub's middle in a first axis
 HUB_SDS = np.array([0.1, 0.3])  # deviations of a needle from its hub's middle, mm, and slices
 BRIGHT = 0.3  # of the needle's brightness: bright
@@ -119,12 +102,12 @@ def place_in_slices(
     None where the needle crosses many slices between two knots, or too little of it shows. DataError if it
     ends long before a threshold sees it end.
     """
-    needle, knot = recipe.needle, KNOT_MM
+    needle, knot = recipe.needle, MM.KNOT
     thick, normal = volume.grid.slice_distance, volume.grid.normal
     first, last = axis.spline(np.array([0.0, axis.length]))
     steepness = abs(float((last - first) @ normal)) / float(np.linalg.norm(last - first))
-    flat = thick > MIN_FLATNESS * volume.spacing[:2].max()
-    shown = thick <= (MIN_FLAT_SLICE_MM if flat else MIN_SLICE_MM)
+    flat = thick > PART.FLATNESS * volume.spacing[:2].max()
+    shown = thick <= (MM.FLAT_SLICE if flat else MM.THICK_SLICE)
     if shown or steepness * knot / thick >= MAX_CROSSED:
         return None
     rough = axis.spline(np.arange(0.0, tip, LINE_STATION_MM))
@@ -158,11 +141,11 @@ def place_in_slices(
         y, z = (_extend(_basis(problem.knots), x) @ np.stack([across, along], axis=1)).T
     assert problem is not None
     rolled = needle.bevel_deg < MAX_BEVEL_DEG
-    count, end = len(across), float(x[-1] + end) + POINT_MM * rolled
+    count, end = len(across), float(x[-1] + end) + MM.BEVEL_POINT * rolled
     variances = np.stack([covariance[:count, :count], covariance[count : 2 * count, count : 2 * count]])
     end_sd, roll_sd = np.sqrt(np.diag(covariance)[2 * count : 2 * count + 2])
     crossed = float(np.ptp(problem.at @ along)) / thick
-    excess = max(0.0, error - MAX_GOOD_ERROR)
+    excess = max(0.0, error - PART.SLICE_MISFIT)
     missed = thick * float(np.hypot(MISSED_FACTOR * excess, FLAT_FACTOR * max(0.0, 1 - crossed)))
     # where the axis lies at the sections of the one that was traced, and at its end: a curve that passes
     # sections beyond it, or others twice, and comes back would be too long
@@ -175,17 +158,17 @@ def place_in_slices(
     s = arc_length(points)
     sds = np.array([[SIDE_FACTOR], [1.0]]) * np.sqrt(np.einsum("nc,kcd,nd->kn", basis, variances, basis))
     unseen = SLICE_ERROR / (1 + (crossed / CROSSED_SLICES) ** 2)
-    hidden = thick * np.stack([0 * s, np.hypot(unseen, BASE_ERROR * np.exp(-s / BASE_MM))])
+    hidden = thick * np.stack([0 * s, np.hypot(unseen, BASE_ERROR * np.exp(-s / MM.SLICE_BASE))])
     # the tip's stands for that of the last section
-    sds = np.delete(np.hypot(np.hypot(sds, hidden), np.hypot(ERROR_MM, missed)), -2, axis=1)
+    sds = np.delete(np.hypot(np.hypot(sds, hidden), np.hypot(MM.SLICE_AXIS_SD, missed)), -2, axis=1)
     placed = fit_axis(s[:-1], points[:-1], axis.weights[traced], knot, s[-1])
     # its points are the fit's and do not scatter: its deviation in the slices is the fit's, too
     wider = np.mean(sds[0] ** 2) / np.mean(axis_sd(placed, s[:-1]) ** 2)
     placed = replace(placed, variance=placed.variance * wider, slice_sds=sds)
     sd = np.array(
         [
-            np.linalg.norm([END_FACTOR * end_sd, END_ERROR_MM, 2 * missed]),
-            np.linalg.norm([*sds[:, -1] / np.sqrt(2), TIP_ERROR_MM]),
+            np.linalg.norm([END_FACTOR * end_sd, MM.SLICE_END_SD, 2 * missed]),
+            np.linalg.norm([*sds[:, -1] / np.sqrt(2), MM.SLICE_TIP_SD]),
         ]
     )
     probability = float(erf(np.pi / 2 / np.sqrt(2) / (ROLL_FACTOR * roll_sd))) if rolled else np.nan
@@ -205,7 +188,7 @@ def _find_end(volume: Volume, points: Floats) -> Floats:
     trend = np.polynomial.polynomial.polyfit(s[recent], points[recent], 1)
     points = np.vstack([points, trend[0] + trend[1] * s[count:, None]])
     side = np.cross(volume.grid.normal, trend[1])
-    line = np.arange(-LINE_REACH_MM, LINE_REACH_MM + 1e-6, LINE_STEP_MM)
+    line = np.arange(-MM.PATCH, MM.PATCH + 1e-6, LINE_STEP_MM)
     across = (points[:, None] + line[:, None] * side / np.linalg.norm(side)).reshape(-1, 3)
     k = to_index(volume, across)[:, 2]
     rises = [np.rint(k) + n - k for n in range(-END_SLICES, END_SLICES + 1)]  # to the slices, in slices
@@ -214,7 +197,7 @@ def _find_end(volume: Volume, points: Floats) -> Floats:
     shown = np.stack(
         [map_coordinates(volume.values, index, output=float, order=1, mode="nearest") for index in there]
     ).reshape(-1, len(points), len(line))
-    rim = np.abs(line) > RIM_MM
+    rim = np.abs(line) > MM.RIM
     over = (shown[..., ~rim].max(axis=-1) - np.median(shown[..., rim], axis=-1)).max(axis=0)
     # in tissue a needle is less bright over its surroundings than in air
     bright = np.flatnonzero(over > END_BRIGHT * np.median(over[max(0, count - 2 * END_STATIONS) : count]))
@@ -237,18 +220,18 @@ def _make_problem(
     thick, radius = volume.grid.slice_distance, needle.diameter_mm / 2
     knots = make_knots(x[0], x[-1], KNOT_FACTOR * knot)
     basis = _basis(knots)
-    stations = np.arange(x[0], x[-1] + BEYOND_MM, LINE_STATION_MM)
+    stations = np.arange(x[0], x[-1] + MM.BEYOND_TIP, LINE_STATION_MM)
     at = _extend(basis, stations)
     # where the axis follows a staircase from slice to slice, or rays that pull it aside, polynomials do not
     places, weights = np.column_stack([x, y, z]), np.ones(len(x))
     if hub is not None:  # its shadow pulls the axis aside where it begins
-        places = np.vstack([places[x > x[0] + SHADOW_MM], hub.ends[1:]])
+        places = np.vstack([places[x > x[0] + MM.HUB_SHADOW], hub.ends[1:]])
         weights = np.append(np.ones(len(places) - 1), HUB_WEIGHT)
     fit = np.polynomial.Polynomial.fit
     z = fit(places[:, 0], places[:, 2], 2, w=weights)(x)
     y = fit(places[:, 0], places[:, 1], 3, w=weights)(x)
     start: Floats = np.asarray(np.linalg.lstsq(_extend(basis, x), np.column_stack([y, z]))[0], float)
-    line = np.arange(-LINE_REACH_MM, LINE_REACH_MM + 1e-6, LINE_STEP_MM)
+    line = np.arange(-MM.PATCH, MM.PATCH + 1e-6, LINE_STEP_MM)
     height = at @ start[:, 1] / thick
     last = volume.values.shape[0] - 1
     slices = np.arange(max(0, int(height.min()) - 1), min(last, int(height.max()) + 2) + 1)
@@ -275,10 +258,10 @@ def _make_problem(
     bent = np.vstack(
         [
             basis.derivative(3)((unique[1:] + unique[:-1]) / 2),
-            basis.derivative(2)(unique[-1:]) / END_MOMENT_MM,
+            basis.derivative(2)(unique[-1:]) / MM.END_MOMENT,
         ]
     )
-    columns = np.arange(x[-1] + BEYOND_MM, x[-1] - needle.length_mm, -COLUMN_MM)
+    columns = np.arange(x[-1] + MM.BEYOND_TIP, x[-1] - needle.length_mm, -COLUMN_MM)
     # a blunt end is a bevel of one piece of the rod, too, whose middle is where it ends
     true = np.tan(np.radians(needle.bevel_deg))
     steep = min(true, needle.diameter_mm / COLUMN_MM)
@@ -294,7 +277,7 @@ def _make_problem(
         x[-1],
         shown,
         seen,
-        np.abs(line) > RIM_MM,
+        np.abs(line) > MM.RIM,
         cut,
         spread or expected_spread(thick),
         hub,

@@ -23,6 +23,7 @@ from scipy.spatial import cKDTree
 
 from needlefit.arrays import Floats, Ints
 from needlefit.errors import DataError
+from needlefit.imaging.constants import HU, MM, PART
 from needlefit.imaging.needle.axis_spline import AxisSpline, axis_frames, axis_sd, disc_points, sample_planes
 from needlefit.imaging.point_spread import (
     HIGHEST,
@@ -139,44 +140,24 @@ SPREAD = slice(7, 10)
 # How far the fit reaches back from the bevel's heel, and on from the first guess of the tip, mm.
 REACH_BEFORE_MM = 3.0  # mm
 REACH_AFTER_MM = 4.0  # mm
-# Radius around the axis that the fit uses, mm, and that from which on voxels count less: streaks.
-RADIAL_REACH_MM = 2.4  # mm
-CORE_REACH_MM = 0.9  # mm
-# Length over which the end of a shaft is brighter than the rest, mm: about a needle's width.
-DARKENING_LENGTH_MM = 1.5
-# Length over which a streak beyond the tip fades, and its deviation across, mm.
-STREAK_LENGTH_MM = 2.0  # mm
-STREAK_RADIUS_MM = 0.8  # mm
+CORE_REACH_MM = 0.9  # radius from which on voxels count less, mm: streaks
 START_OFFSETS_MM = np.arange(-3.0, 3.1, 0.75)  # starting points of the search around the first guess, mm
 # Positions around the best of these at which the side of the bevel is tried, mm.
 FINE_OFFSETS_MM = np.arange(-0.8, 0.9, 0.4)
 SOFT_LOSS_SD = 3.0  # residuals beyond so many deviations of the noise count less
-SIGNAL_ERROR = 0.04  # deviation of what a voxel shows of metal, in parts of that: the model's own error
 ROUGH_STEPS = 8  # of a first fit
 STEPS = 30  # of a last fit
 BLOCK_LENGTH_MM = 2.0  # length of the blocks of voxels whose residuals go together, mm
-EDGE_SD_MM = 0.06  # what no voxel determines of the place along, mm: a scanner's edge is not the model's
 DERIVATIVE_STEP = np.array(1e-3)  # relative step of the derivatives
 MAX_BEVEL_DEG = 85.0  # a bevel steeper than this has no side
 # By which artefacts near the tip weaken what its image shows of the bevel, beyond the blocks' errors.
 ARTEFACT_FACTOR = 30.0
 ROLL_STEPS = 24  # angles of the bevel, all round, at which its likelihood is evaluated
-# Metal, HU, and the deviation of its logarithm: titanium has 8 000, steel 30 000, hardened 15 000.
-MEAN_HEIGHT_HU = 20_000.0  # HU
-HEIGHT_SD = 0.7  # of the logarithm
-# Deviation by which a needle leaves, within the length of its bevel, the course of its shaft, mm.
-SWING_SD_MM = 0.1
-# Deviations of the streak, and of the darkening: by the length of the needle that rays pass.
-STREAK_SD_HU = 2000.0  # HU
+HEIGHT_SD = 0.7  # deviation of the logarithm of the metal's brightness
+# Deviation of the darkening, by the length of the needle that rays pass [R].
 DARK_SD_PER_MM = 0.02  # of the logarithm, 1/mm
 MIN_DARK_SD = 0.05  # of the logarithm
 MAX_DARK_SD = 0.5  # of the logarithm
-# From so much of the needle on that rays pass, its image shows them rather than the bevel's angle, mm. Set,
-# as those of the darkening, on volumes of `benchmarks/real_scanners.py` and `benchmarks/reconstruction.py`.
-BEVEL_RAY_MM = 6.0
-END_LENGTH_MM = 15.0  # length of a needle's end, mm, along which rays hide its tip
-MAX_RAY_MM = 30.0  # rays pass more of a needle in the slices than counts: it is bent, mm
-FLOOR_HU = -1024.0  # where scanners' numbers begin, HU
 LOWER_BOUNDS = np.array([*4 * [-np.inf], np.log(4e3), -1100, 0, *LOWEST, -0.3, -3000])
 UPPER_BOUNDS = np.array([*4 * [np.inf], np.log(5e4), 1000, 6, *HIGHEST, 2, 3000])
 # Bounds and typical changes of the parameters. No metal of needles exceeds 50 000 HU.
@@ -188,9 +169,6 @@ MAX_PRIOR_SD = 3.0
 # and 60 degrees for 30: 3.0), and the deviation of an angle that is not known, degrees.
 MAX_BEVEL_PULL_SD = 2.5
 FREE_BEVEL_SD_DEG = 45.0
-# Misfit of that fit over that with the stated angle, up to which it is believed: of wrong angles at most
-# 0.85, of right ones that artefacts contradict 0.99 and more.
-MAX_BEVEL_MISFIT_RATIO = 0.9
 
 
 @dataclass(frozen=True)
@@ -229,7 +207,7 @@ class TipProblem:
         # the tip may be found 4 mm from where it is looked for
         back, ahead = heel + REACH_BEFORE_MM + 4.0, REACH_AFTER_MM + 4.0
         slices = (float(frame.tangents[0] @ normal), float(frame.u[0] @ normal), float(frame.v[0] @ normal))
-        self.rod = RodModel(needle.diameter_mm / 2, back, ahead, RADIAL_REACH_MM + 0.5, slices)
+        self.rod = RodModel(needle.diameter_mm / 2, back, ahead, MM.PATCH + 0.5, slices)
         top = float(near.values.max())  # where several voxels share it the scanner's numbers end
         self.ceiling = top if np.count_nonzero(near.values == top) > 3 else np.inf
         self.offsets = np.zeros((1, 3))
@@ -238,22 +216,22 @@ class TipProblem:
             corners = np.array(list(product((-1, 1), repeat=3))) * volume.spacing / np.sqrt(12)
             axes = np.column_stack([frame.tangents[0], frame.u[0], frame.v[0]])
             self.offsets = corners @ volume.direction.T @ axes
-        self.level = float(np.median(near.values[np.hypot(near.u, near.v) > 0.8 * RADIAL_REACH_MM]))
+        self.level = float(np.median(near.values[np.hypot(near.u, near.v) > 0.8 * MM.PATCH]))
         self.swing = np.clip((self.near.s - axis.length) / max(guess - axis.length, 0.25), 0, None)
-        swing_sd = float(np.hypot(SWING_SD_MM, axis_sd(axis, np.array([axis.length]))[0]))
+        swing_sd = float(np.hypot(MM.SWING_SD, axis_sd(axis, np.array([axis.length]))[0]))
         # the length of the needle that rays within one slice pass along its end, where it lies flattest: its
         # direction right at a hidden end is what is least known
-        end = axis_frames(axis, np.linspace(max(0.0, axis.length - END_LENGTH_MM), axis.length, 16))
+        end = axis_frames(axis, np.linspace(max(0.0, axis.length - MM.HIDDEN_END), axis.length, 16))
         steep = max(float(np.abs(end.tangents @ normal).min()), 1e-6)
-        self.ray = min(MAX_RAY_MM, (needle.diameter_mm + volume.grid.slice_distance) / steep)
+        self.ray = min(MM.RAY, (needle.diameter_mm + volume.grid.slice_distance) / steep)
         cot = heel / needle.diameter_mm
         cot_sd = np.deg2rad(needle.bevel_sd_deg) * (1 + cot**2)
-        cot_sd /= np.hypot(1.0, self.ray / BEVEL_RAY_MM)
+        cot_sd /= np.hypot(1.0, self.ray / MM.BEVEL_RAY)
         dark_sd = np.clip(DARK_SD_PER_MM * self.ray, MIN_DARK_SD, MAX_DARK_SD)
         known = spread or expected_spread(volume.grid.slice_distance)
         # means and deviations of the parameters `HELD`
-        self.means = np.array([0.0, 0.0, np.log(MEAN_HEIGHT_HU), cot, *known.parameters, 0.0, 0.0])
-        sds = (swing_sd, swing_sd, HEIGHT_SD, cot_sd, *known.sds, dark_sd, STREAK_SD_HU)
+        self.means = np.array([0.0, 0.0, np.log(HU.NEEDLE), cot, *known.parameters, 0.0, 0.0])
+        sds = (swing_sd, swing_sd, HEIGHT_SD, cot_sd, *known.sds, dark_sd, HU.STREAK_SD)
         self.sds = np.array(sds)
         low, high = LOWER_BOUNDS.copy(), UPPER_BOUNDS.copy()
         low[HELD] = np.maximum(low[HELD], self.means - MAX_PRIOR_SD * self.sds)
@@ -264,18 +242,18 @@ class TipProblem:
         beyond, noise = near.values[near.s > guess + 0.5 * REACH_AFTER_MM], 50.0
         if beyond.size >= 20:
             noise = max(10.0, 1.48 * float(np.median(np.abs(beyond - np.median(beyond)))))
-        self.sigma = core * np.hypot(noise, SIGNAL_ERROR * metal)
+        self.sigma = core * np.hypot(noise, PART.SIGNAL_ERROR * metal)
 
     def show(self, theta: Floats, s: Floats, u: Floats, v: Floats) -> Floats:
         """Return what the scanner shows (N,), HU, at places from the tip."""
         spread = read_spread(theta[SPREAD])
-        darker = theta[DARK] * (1 - np.exp(np.minimum(s, 0) / DARKENING_LENGTH_MM))
-        streak = np.exp(-np.maximum(s, 0) / STREAK_LENGTH_MM - (u**2 + v**2) / (2 * STREAK_RADIUS_MM**2))
+        darker = theta[DARK] * (1 - np.exp(np.minimum(s, 0) / MM.BRIGHT_END))
+        streak = np.exp(-np.maximum(s, 0) / MM.STREAK_LENGTH - (u**2 + v**2) / (2 * MM.STREAK_RADIUS**2))
         places, total = np.stack([s, u, v]), np.zeros(len(s))
         for offset in self.offsets:
             image = self.rod.image(float(theta[ROLL]), float(theta[COT]), spread, places + offset[:, None])
             shown = theta[LEVEL] + np.exp(theta[HEIGHT] - darker) * image + theta[STREAK] * streak
-            total += np.clip(shown, FLOOR_HU, self.ceiling)
+            total += np.clip(shown, HU.FLOOR, self.ceiling)
         return total / len(self.offsets)
 
     def residuals(self, theta: Floats) -> Floats:
@@ -334,7 +312,7 @@ class TipProblem:
         pulls = jacobian * (residuals * (1 + (residuals / SOFT_LOSS_SD) ** 2) ** 0.25)[:, None]
         piece = np.floor((self.near.s - self.near.s.min()) / BLOCK_LENGTH_MM).astype(np.int64)
         quadrant = 2 * (self.near.u > 0) + (self.near.v > 0)
-        outer = np.hypot(self.near.u, self.near.v) > RADIAL_REACH_MM / 2
+        outer = np.hypot(self.near.u, self.near.v) > MM.PATCH / 2
         block = 8 * piece + 2 * quadrant + outer
         total = np.zeros((block.max() + 1, jacobian.shape[1]))
         np.add.at(total, block, pulls[:count])
@@ -388,7 +366,7 @@ class TipProblem:
             (u - theta[U] * swing[:, None]).ravel(),
             (v - theta[V] * swing[:, None]).ravel(),
         ).reshape(len(s), -1)
-        seen = np.nan_to_num(sample_planes(self.volume, where, plane), nan=FLOOR_HU)
+        seen = np.nan_to_num(sample_planes(self.volume, where, plane), nan=HU.FLOOR)
         shaft = s < theta[TIP] - 4.0
         half = (self.level + float(np.median(seen[shaft].max(axis=1)))) / 2
         ends = [s[np.flatnonzero(one.max(axis=1) > half)] for one in (seen, model)]
@@ -399,16 +377,16 @@ END_STEP_MM = 0.05  # spacing of the sections in which a threshold looks for the
 
 
 def select_axis_voxels(volume: Volume, axis: AxisSpline, start: float, stop: float) -> AxisVoxels:
-    """Return the voxels within `RADIAL_REACH_MM` of the axis between `start` and `stop` (mm along it)."""
+    """Return the voxels within `MM.PATCH` of the axis between `start` and `stop` (mm along it)."""
     fine = np.arange(start - 1, stop + 1, 0.1)
     where = axis_frames(axis, fine)
     index = to_index(volume, where.origins)
-    margin = RADIAL_REACH_MM / volume.spacing
+    margin = MM.PATCH / volume.spacing
     low = np.maximum(np.floor(index.min(axis=0) - margin), 0).astype(int)
     high = np.minimum(np.ceil(index.max(axis=0) + margin) + 1, volume.values.shape[::-1]).astype(int)
     ijk = np.stack(np.meshgrid(*map(np.arange, low, high), indexing="ij"), axis=-1).reshape(-1, 3)
     points = to_patient(volume, ijk)
-    distance, nearest = cKDTree(where.origins).query(points, distance_upper_bound=RADIAL_REACH_MM + 0.1)
+    distance, nearest = cKDTree(where.origins).query(points, distance_upper_bound=MM.PATCH + 0.1)
     close = np.isfinite(distance)
     at = np.asarray(nearest)[close]
     d = points[close] - where.origins[at]
@@ -468,25 +446,25 @@ def fit_tip(
         any_bevel = {"bevel_deg": min(needle.bevel_deg, MAX_BEVEL_DEG - 1), "bevel_sd_deg": FREE_BEVEL_SD_DEG}
         free = TipProblem(volume, axis, needle.model_copy(update=any_bevel), guess, spread)
         fitted = free.fit(rough=False)
-        if free.misfit(fitted.x) < MAX_BEVEL_MISFIT_RATIO * problem.misfit(best.x):
+        if free.misfit(fitted.x) < PART.BEVEL_MISFIT * problem.misfit(best.x):
             problem, best = free, fitted
             bevel_deg = float(np.degrees(np.arctan2(1.0, best.x[COT])))
     covariance = problem.covariance(best)
     variance = np.diag(covariance)
     away = problem.threshold_disagreement(best.x)
     # how dark the streak beyond the end is shows how much the rays hide of it
-    hidden = HIDDEN_END_SD_PER_MM * problem.ray
-    hidden *= min(1.0, float(np.hypot(MIN_HIDDEN_PART, best.x[STREAK] / HIDING_STREAK_HU)))
-    parts = [np.sqrt(variance[TIP]), EDGE_SD_MM, DISAGREEMENT_SD * away, hidden]
+    hidden = PART.HIDDEN_END_SD * problem.ray
+    hidden *= min(1.0, float(np.hypot(PART.HIDDEN, best.x[STREAK] / HU.HIDING_STREAK)))
+    parts = [np.sqrt(variance[TIP]), MM.TIP_SD, PART.THRESHOLD_SD * away, hidden]
     if volume.resampled_top is not None:
-        parts.append(RESAMPLED_SD * float(volume.spacing.max()))
+        parts.append(PART.RESAMPLED_SD * float(volume.spacing.max()))
     along = float(np.linalg.norm(parts))
     heel = float(axis_sd(axis, np.array([axis.length]))[0])  # from where the rod swings
-    missed = ACROSS_ERROR_MM + ACROSS_ERROR_PER_MM * problem.ray
+    missed = MM.TIP_ACROSS_SD + PART.ACROSS_SD * problem.ray
     across = float(np.linalg.norm([np.sqrt(variance[[U, V]].mean()), heel, missed]))
     at = float(best.x[TIP])
     source: TipSource = "model"
-    believed = along <= MAX_MODEL_SD_MM and abs(away) <= MAX_DISAGREEMENT_MM
+    believed = along <= MM.MODEL_TIP_SD and abs(away) <= MM.THRESHOLD
     if not rough and not believed:
         if not np.isfinite(away):
             raise DataError(
@@ -494,7 +472,7 @@ def fit_tip(
                 expected="a needle that ends in the tissue, in the volume",
                 fix="check that the scan holds the tip, away from other metal; or give a needle's mask",
             )
-        limits = [MAX_MODEL_SD_MM, DISAGREEMENT_SD * away, float(volume.spacing.max()) / 2]
+        limits = [MM.MODEL_TIP_SD, PART.THRESHOLD_SD * away, float(volume.spacing.max()) / 2]
         at, along, source = at + away, float(np.linalg.norm(limits)), "threshold"
     there = axis_frames(axis, np.array([at]))
     u, v, roll = there.u[0], there.v[0], best.x[ROLL]
@@ -505,19 +483,3 @@ def fit_tip(
     sd = np.array([along, across])
     misfit = problem.misfit(best.x)
     return TipFit(at, point, sd, bevel, float(probability), away, source, misfit, bevel_deg)
-
-
-# Deviation of the place along, in parts of the length of the needle that rays pass: they harden, and hide its
-# end. Set as `BEVEL_RAY_MM`.
-HIDDEN_END_SD_PER_MM = 0.02
-# It is less where no dark streak lies beyond the end: in parts, and brightness of a streak from which on all
-# counts, HU. And what no residual shows across: mm, and in parts of that length. Set as `BEVEL_RAY_MM`.
-MIN_HIDDEN_PART = 0.25  # of the deviation
-HIDING_STREAK_HU = 1000.0  # HU
-ACROSS_ERROR_MM = 0.015  # mm
-ACROSS_ERROR_PER_MM = 0.001  # mm per mm
-RESAMPLED_SD = 0.25  # deviation of the place along, in voxels, in a scan resampled after its values were cut
-DISAGREEMENT_SD = 0.5  # deviation of the place along, in parts of the disagreement with a threshold
-# Deviation along, and disagreement with a threshold, up to which the model's tip is taken, mm.
-MAX_MODEL_SD_MM = 1.0  # mm
-MAX_DISAGREEMENT_MM = 1.5  # mm

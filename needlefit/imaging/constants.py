@@ -1,0 +1,165 @@
+"""What the reconstruction takes as given of scanners, needles and tissue, by its physical meaning.
+
+Each value has the unit of its class, and its source: a definition, a reason, or the volumes that set it. [R]:
+the part `tuning` of `benchmarks/real_scanners.py`, and `benchmarks/reconstruction.py`; [S]: its `--seeds` of
+14060 and below; [G]: `--guides 500:525`. Steps and tolerances of an algorithm stand beside it.
+"""
+
+
+class HU:
+    """Values of a scan, HU."""
+
+    AIR = -1000.0  # by the definition of HU
+    AIR_RANGE = (-1100.0, -900.0)  # of calibrated scanners; cone beams leave it
+    DARKEST = -2000.0  # below it values fill what lies outside a scanner's field
+    GAP = -250.0  # fat has -120 and is brighter; air that blur fills half is darker
+    LIGHT = -600.0  # foam and lung are brighter, air is darker
+    NOT_AIR = -500.0  # half way from air to water: what is not air
+    # Fat to connective tissue (Schneider 2000, doi:10.1088/0031-9155/45/2/314), near metal darker
+    SOFT_TISSUE = (-150.0, 100.0)
+    GUIDE_STEP = 50.0  # change behind a guide as bright as tissue; layers of gels differ by less
+    STEP = 20.0  # least change inside soft material [R]
+    EDGE = 300.0  # least rise from air to tissue [R]
+    AIR_SD = 30.0  # of air in a narrow gap [R]
+    LEAST_NOISE = 2.0  # of a median around the needle [R]
+    METAL = 1000.0  # bone of a hand is darker, metal and glass are brighter
+    METAL_CONTRAST = 500.0  # by which metal stands out from tissue, at least
+    LISTED_CONTRAST = 400.0  # by which voxels that are listed do; below the least threshold
+    HUB = 1500.0  # of a metal hub, least [S]
+    LEAST_RANGE = 100.0  # air, tissue and metal differ by more, attenuation per length never
+    FLOOR = -1024.0  # where scanners' numbers begin
+    CLIPPED = 3071.0  # the largest number of 12 bits
+    TOP_12_BITS = (2900.0, 3100.0)  # where a scan's largest value may be that number
+    NEEDLE = 20_000.0  # titanium has 8 000, steel 30 000, hardened 15 000
+    STREAK_SD = 2000.0  # of a streak beyond the tip [R]
+    HIDING_STREAK = 1000.0  # of a streak from which on all of the hidden end counts [R]
+
+
+class MM:
+    """Lengths, mm."""
+
+    STATION = 0.5  # between cross-sections: a voxel of a cone beam
+    PATCH = 2.4  # radius of what is looked at around the needle: its blur ends there
+    KNOT = 7.5  # of the axis: needles in gels bend over longer lengths [R]
+    CORE = 0.45  # radius within which the needle itself is read
+    RING = (3.5, 6.0)  # of the surroundings: beyond bloom, within the nearest marker as a rule
+    LIGHT = 5.0  # least length of foam or lung
+    SOFT = 2.0  # least length of a run of soft material, and of air before tissue
+    GAP = 1.0  # least length of air between two soft runs
+    METAL_BLUR = 2.0  # soft values this near to a hub or holder are its blur
+    NARROW_GAP = 4.0  # in a narrower one blur hides the level of the air [R]
+    EDGE_REACH = 8.0  # to either side of an edge over which it is fitted
+    EDGE_BLUR = 3.0  # within which the blur of an edge shows
+    EDGE_WIDTH = 0.5  # deviation of an edge's blur as a rule
+    EDGE_WIDTHS = (0.1, 2.0)  # range of it
+    EDGE_SD = 0.02  # of an edge that no scatter shows: a kernel's sides are not alike [G]
+    STEP_REACH = 6.0  # to either side of a step over which it is fitted
+    STEP_MARGIN = 1.5  # from air or metal within which its blur hides a step
+    SHAFT = 10.0  # least length of shaft outside the tissue through which an axis is drawn
+    SHAFT_CLEARANCE = 1.0  # from the entry, where the surface still shows in the shaft
+    SURFACE_REACH = 80.0  # along the entry axis to the tissue's surface
+    GUIDE_SD = 0.05  # of the stated thickness of a guide
+    FILM_SD = 0.2  # of its end, where a film of air may lie behind it
+    METAL_FACE_SD = 0.2  # of the faces of metal, whose streaks hide what lies beside it [G]
+    GUIDE_MATCH = 1.5  # by which a solid may miss a guide's thickness
+    STEP_MATCH = 0.6  # of a guide's end from a change of brightness
+    ANSWERS = 1.0  # places nearer to each other are one answer
+    BEVEL_MARGIN = 1.2  # by which a needle may look shorter at its end
+    FACE = 3.0  # an end this near to the volume's face has left it
+    PLACED_TIP = 0.7  # of a placed tip from the needle's surface: the axis is wrong beyond
+    AXIS_SD = 0.005  # that no scatter along the needle shows: the voxel grid, rays [R]
+    BEYOND_END = 4.0  # beyond a needle's end, where its surroundings are looked at
+    NEEDLE_LENGTH = 20.0  # least length of a needle in the scan
+    PICK = 5.0  # of a point stated on the needle from it
+    PIECE_GAP = 15.0  # across which pieces of a needle are joined [R]
+    PIECE_END = 5.0  # length of a piece's end that lies on the curve which it goes on
+    GROWTH = 3.0  # by which a tube is longer at a lower threshold
+    FAINT = 3.0  # over which a needle may be faint
+    FOLLOW_END = 12.0  # by whose line the next place is predicted
+    HUB_REACH = 60.0  # before the needle, where a hub is looked for
+    HUB_SIDE = 7.0  # beside it
+    HUB_RADIUS = 5.0  # largest
+    HUB_LENGTH = 4.0  # least
+    HUB_END = 3.0  # length of a hub that shows its axis
+    HUB_HIDDEN = 20.0  # of a hub that leaves the volume, beyond its face
+    HUB_LEVER = 25.0  # from a hub to the place that shows its direction
+    THICK_SLICE = 0.6 + 1e-9  # thinner slices show the needle in several at once
+    FLAT_SLICE = 0.5 - 1e-9  # of slices, where voxels are longer than wide
+    RIM = 1.7  # from the needle, where its surroundings begin
+    BEYOND_TIP = 5.0  # beyond the end that is fitted
+    END_MOMENT = 5.0  # lever of the shear force at the end: the tip itself carries no moment
+    BEVEL_POINT = 0.04  # of a bevel's point that is too thin to show: mean of 24 volumes [S]
+    HUB_SHADOW = 10.0  # of the axis that a hub hides [S]
+    SLICE_AXIS_SD = 0.012  # across, that no residual shows [S]
+    SLICE_END_SD = 0.07  # along, at the end [S]
+    SLICE_TIP_SD = 0.04  # across, at the end [S]
+    SLICE_BASE = 8.0  # over which the base's error falls [S]
+    BRIGHT_END = 1.5  # over which a shaft's end is brighter: about a needle's width
+    STREAK_LENGTH = 2.0  # over which a streak beyond the tip fades [R]
+    STREAK_RADIUS = 0.8  # its deviation across [R]
+    HIDDEN_END = 15.0  # of a needle's end along which rays hide its tip
+    RAY = 30.0  # of a needle in the slices that rays pass at most: it is bent
+    BEVEL_RAY = 6.0  # from which on its image shows the rays rather than the bevel [R]
+    TIP_SD = 0.06  # along, that no voxel shows: a scanner's edge is not the model's [R]
+    SWING_SD = 0.1  # by which a needle leaves its shaft's course within its bevel
+    TIP_ACROSS_SD = 0.015  # across, that no residual shows [R]
+    MODEL_TIP_SD = 1.0  # up to which the model's tip is taken
+    THRESHOLD = 1.5  # of a threshold's end from the model's, up to which that is taken
+    BLUR = 0.45  # of scanners, in the slices [R]
+    BLURS = (0.15, 1.2)  # range of it
+    SLICE_BLURS = (0.1, 2.0)  # the same across slices
+    LEAST_SLICE_BLUR = 0.2  # of scanners, across slices
+    BALL_MARGIN = 1.5  # beyond a ball's surface that is fitted
+    BALL_GUARD = 1.0  # from other bright things, where voxels are left out
+    BALL_CORRELATION = 1.0  # beyond which errors of voxels are unrelated
+    BALL_SD = 0.003  # that no scatter shows [R]
+    BALL_BLOOM = 2.0  # by which a bright ball looks larger: four deviations of a wide blur
+    BALL_EXTENT = 0.25  # by which blur makes it longer in the slices than across
+    TIP_DOUBT = 0.5  # deviation of the tip along that is spoken of
+    NORMAL_DOUBT = 0.3  # the same along the slices' normal
+    DEPTH_SD = 2.0  # of the inserted length, beyond which a scan is refused
+    TIP_CLEARANCE = 2.0  # from the tip, where its blur does not show
+    LAYER_MATCH = 1.5  # of a layer's boundary from the change of brightness that is its own
+    TUNNEL = 2.0  # radius of a tunnel that a segmentation leaves around a needle
+
+
+class PART:
+    """Fractions and factors, without a unit."""
+
+    FACE_VOXELS = 0.15  # of a component on the volume's faces: more is a corner of something larger
+    ELONGATION = 6.0  # length of a needle over its width, least
+    WIDENING = 2.5  # width of a needle's image over its own [R]
+    GROWTH_WIDENING = 1.5  # of a tube at a lower threshold: it takes in what surrounds it
+    SEED = 1 / 3  # of a needle's least length, from which on pieces are joined
+    SECOND_NEEDLE = 0.6  # of the longest one's length and brightness
+    DIVIDED_NEEDLE = 0.4  # the same, where all needles are wanted
+    CLEAR_WIDTH = 1.5  # by which another tube misses the stated diameter more
+    THRESHOLDS = (0.4, 0.25, 0.15)  # of the way from tissue to metal
+    FAINT = 0.3  # of a needle's brightness: fainter sections show none
+    IN_VOLUME = 0.7  # of a cross-section
+    RING_IN_VOLUME = 0.3  # of a ring
+    FOLLOWED = 0.5  # of the way between points on which a needle shows
+    CLEAR_SOFT = 2.0  # of soft lengths at both ends, of which the longer is the tip's
+    CHORD_COSINE = 0.5  # of the axis to its chord: steered needles bend by 90 degrees in all
+    REFUSED_MISFIT = 0.3  # of an end's image: needles alone have 0.13, with a ball at the end 0.33
+    END_MISFIT = 0.14  # of an end's image, that is spoken of
+    SLICE_MISFIT = 0.4  # of slices that are fitted as a whole [S]
+    FLATNESS = 1.15  # voxels' length over width of a scanner's slices; those of cone beams are cubes
+    HUB_RADIUS = 1.8  # least, over the needle's diameter
+    BOX = 0.8  # of the variance of a slice's profile: the rest is a Gaussian's
+    BOOST = 0.5  # of middle frequencies, by scanners' kernels [R]
+    BOOSTS = (-0.2, 5.0)  # range of it
+    SLICE_BLUR = 0.33  # of the distance of slices: a box has 0.29, helical scans more
+    SIGNAL_ERROR = 0.04  # of what a voxel shows of metal: the model's own error [R]
+    HIDDEN_END_SD = 0.02  # of the length that rays pass: they hide the end [R]
+    HIDDEN = 0.25  # of that, where no dark streak lies beyond the end [R]
+    ACROSS_SD = 0.001  # of that length, across [R]
+    RESAMPLED_SD = 0.25  # of a voxel, along, in a scan resampled after its values were cut [R]
+    THRESHOLD_SD = 0.5  # of the disagreement with a threshold [R]
+    # Of a fitted bevel over that of the stated one: wrong ones 0.85 at most, right ones 0.99 at least
+    BEVEL_MISFIT = 0.9
+    BALL_MISFIT_SD = 0.35  # of its blur, per misfit [R]
+    BALL_SLICE_SD = 0.02  # of the squared distance of slices over a ball's radius [R]
+    BALL_DIAMETERS = (0.65, 1.45)  # of a ball of as many voxels over that sought [R]
+    BALL_ELONGATION = 1.7  # longest over shortest extent of what may be a ball
+    PAIRED = 0.6  # of the smaller set of markers: few among many are part of something else
