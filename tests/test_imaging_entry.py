@@ -203,6 +203,13 @@ def test_a_guide_of_any_material_is_passed(level, thickness):
         assert_allclose(entry.guide, (-gap - thickness, -gap), atol=1.0)
 
 
+def test_a_thin_plate_on_the_tissue_is_passed_if_it_is_unlike_it():
+    for level, is_plate in ((110.0, True), (-70.0, True), (35.0, False)):
+        entry = choose(profile((-2.0, -1000.0, level), (0.0, level, 35.0), width=0.4), thickness=2.0)
+        assert_allclose(entry.at, 0.0, atol=0.1)
+        assert (entry.doubt is None) == is_plate
+
+
 def test_metal_on_the_tissue_is_passed_and_places_to_choose_from_are_numbered():
     plate = ((-8.0, -1000.0, 2500.0), (0.0, 2500.0, 35.0))
     entry = choose(profile(*plate), thickness=8.0)

@@ -59,6 +59,9 @@ class MM:
     SHAFT_CLEARANCE = 1.0  # from the entry, where the surface still shows in the shaft
     SURFACE_REACH = 80.0  # along the entry axis to the tissue's surface
     GUIDE_SD = 0.05  # of the stated thickness of a guide
+    THIN = 3.0  # thickness of a guide up to which its end shows no step
+    THIN_BLUR = 0.75  # from its faces, beyond which its own brightness shows [G]
+    THIN_SD = 0.15  # of its end [G]
     FILM_SD = 0.2  # of its end, where a film of air may lie behind it
     METAL_FACE_SD = 0.2  # of the faces of metal, whose streaks hide what lies beside it [G]
     GUIDE_MATCH = 1.5  # by which a solid may miss a guide's thickness

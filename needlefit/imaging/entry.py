@@ -212,13 +212,17 @@ def choose_entry(
     else:
         whole, cut = _list_behind_guide(runs, rises, guide_thickness)
         whole += [one for one in metal if one.guide and abs(np.diff(one.guide)[0] - guide_thickness) < 1e-9]
-        flush = [_pass_guide(face, guide_thickness, guide_distance or 0.0) for face in faces]
+        flush = [  # what lies before metal is its blur, or a streak
+            _pass_guide(face, guide_thickness, guide_distance or 0.0)
+            for face, (n, *_) in zip(faces, rises, strict=True)
+            if all(run.kind != "metal" for run in runs[n + 1 : n + 2])
+        ]
         ends = [(one, _doubt_guide_end(profile, one, soft)) for one in flush]
         ended = [replace(one, sd=float(np.hypot(one.sd, sd))) for one, sd in ends if sd is not None]
         found = whole or ended or cut
         if len(found) == 1:
             return found[0]
-        offered = (found or (flush if len(faces) == 1 else faces) or metal)[-1]
+        offered = (found or (flush if len(faces) == 1 else faces) or metal or faces)[-1]
         others = [*found, *flush, *faces, *metal]
         show = f"{len(found)} guides of {guide_thickness:g} mm show" if found else ""
         doubt = f"{show or f'no guide of {guide_thickness:g} mm shows'} along the needle"
@@ -302,7 +306,13 @@ def _doubt_guide_end(
             near = np.abs(profile.s - run.end) < MM.STEP_MARGIN
             film = np.nanmin(profile.around[near]) < min(run.level, after.level) - HU.GUIDE_STEP
             return float(np.hypot(run.end - end, MM.FILM_SD * film))
-    return None
+    # of a thin guide blur leaves no step
+    inside = (profile.s > begin + MM.THIN_BLUR) & (profile.s < end)
+    after = (profile.s > end + MM.THIN_BLUR) & (profile.s < end + MM.STEP_REACH / 2)
+    if end - begin > MM.THIN or not inside.any() or not after.any():
+        return None
+    change = np.nanmedian(profile.around[inside]) - np.nanmedian(profile.around[after])
+    return MM.THIN_SD if abs(change) >= HU.GUIDE_STEP else None
 
 
 def _list_behind_guide(
