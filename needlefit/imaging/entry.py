@@ -308,10 +308,10 @@ def _doubt_guide_end(
             return float(np.hypot(run.end - end, MM.FILM_SD * film))
     # of a thin guide blur leaves no step
     inside = (profile.s > begin + MM.THIN_BLUR) & (profile.s < end)
-    after = (profile.s > end + MM.THIN_BLUR) & (profile.s < end + MM.STEP_REACH / 2)
-    if end - begin > MM.THIN or not inside.any() or not after.any():
+    beyond = (profile.s > end + MM.THIN_BLUR) & (profile.s < end + MM.STEP_REACH / 2)
+    if end - begin > MM.THIN or not inside.any() or not beyond.any():
         return None
-    change = np.nanmedian(profile.around[inside]) - np.nanmedian(profile.around[after])
+    change = np.nanmedian(profile.around[inside]) - np.nanmedian(profile.around[beyond])
     return MM.THIN_SD if abs(change) >= HU.GUIDE_STEP else None
 
 
