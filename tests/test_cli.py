@@ -42,6 +42,26 @@ def shell(line: str, **environment: str) -> subprocess.CompletedProcess[bytes]:
     return subprocess.run(command, capture_output=True, check=False, env={**os.environ, **environment})
 
 
+def list_loaded(*words, **options) -> set[str]:
+    """Return the modules that a command has loaded."""
+    code = (
+        "import json, sys, needlefit.cli\n"
+        "try: needlefit.cli.main(sys.argv[1:])\n"
+        "finally: print(json.dumps(list(sys.modules)), file=sys.__stdout__)"
+    )
+    command = [sys.executable, "-c", code, *words]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, **options)
+    return set(json.loads(done.stdout.splitlines()[-1]))
+
+
+def test_a_fit_loads_no_statistics_of_scipy(tmp_path):
+    fit = find_file("fit", "chicken").read_text()
+    (tmp_path / "quick.toml").write_text(fit.replace('"default"', '"quick"'))
+    loaded = list_loaded("tune", "./quick.toml", "--no-sample", "--quiet", cwd=tmp_path)
+    assert "scipy.stats" not in loaded  # 0.4 s
+    assert {"matplotlib", "scipy.optimize"} <= loaded
+
+
 @pytest.mark.parametrize(
     ("words", "libraries"),
     [
@@ -52,13 +72,7 @@ def shell(line: str, **environment: str) -> subprocess.CompletedProcess[bytes]:
     ],
 )
 def test_a_command_imports_what_it_uses(words, libraries):
-    code = (
-        "import json, sys, needlefit.cli\n"
-        "try: needlefit.cli.main(sys.argv[1:])\n"
-        "finally: print(json.dumps(list(sys.modules)), file=sys.__stdout__)"
-    )
-    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=True)
-    loaded = set(json.loads(done.stdout.splitlines()[-1]))
+    loaded = list_loaded(*words)
     names = {re.match(r"[\w.-]+", one)[0].lower() for one in metadata.requires("needlefit")} - {"needlefit"}
     found = metadata.packages_distributions()  # of the extras too
     required = {module for module, packages in found.items() if names & {one.lower() for one in packages}}

@@ -12,9 +12,9 @@ from needlefit.datasets.tip_tracks import TipReadings, make_track
 from needlefit.inference.forward_model import PreparedModel
 from needlefit.inference.problem import Problem
 from needlefit.mechanics.needle import Needle
+from needlefit.schemas.compared import Compared
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import WeightsRecord
-from needlefit.schemas.study import Compared
 
 NEEDLE = Needle(200.0, 2.5e4)
 NOISE = Noise(point_sd=0.02)

@@ -22,6 +22,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     _prepare_streams()
     limit_to_one_thread()
     os.environ.setdefault("MPLBACKEND", "agg")  # else matplotlib loads pyplot to look for a display
+    # else pydantic reads the metadata of all installed packages, a tenth of `simulate`
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     invocation = Invocation(tuple(sys.argv[1:] if arguments is None else arguments))
     code = _run(invocation)
     try:

@@ -1,10 +1,9 @@
 """Run studies as options state: progress, folders of results and checkpoints, what is printed of them."""
 
 import shlex
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,6 +20,7 @@ if TYPE_CHECKING:
     from needlefit.datasets.insertion import Dataset
     from needlefit.project.tasks import TaskPool
     from needlefit.schemas.base import FileRecord
+    from needlefit.schemas.study import FitRecord, StudyRecord
     from needlefit.studies.answer import Advice
     from needlefit.studies.job import Inputs
     from needlefit.studies.run import Run
@@ -197,33 +197,86 @@ def require_no_faults(faults: Iterable[str]) -> None:
         raise typer.Exit(exit_codes.NOT_CONVERGED)
 
 
-def run_studies(execution: Execution, todo: Sequence[StudyTask]) -> "list[Run]":
-    """Run, write and print every work; their checkpoints stay. A dataset is read once for all."""
-    from needlefit.datasets.read import read
-    from needlefit.project.toml import add_file_context, find_named
-    from needlefit.schemas.study import FitRecord, StudyRecord
-    from needlefit.studies.job import Inputs
+@dataclass(frozen=True)
+class StudyRunner:
+    """Runs and writes one study after another; it travels with the `datasets` to copies of this process."""
 
-    done, read_once = [], cache(read)
-    for work in todo:
+    execution: Execution
+    datasets: "Mapping[Path, Dataset]"  #: by the files or folders that studies name
+
+    def __call__(self, work: StudyTask) -> "tuple[Run, list[str]]":
+        """Return the run, and the notes that were printed; an interrupted one is not written."""
+        from needlefit.project.toml import add_file_context
+        from needlefit.schemas.study import FitRecord, StudyRecord
+        from needlefit.studies.job import Inputs
+
+        noted, record, inputs = list[str](), work.record, self.execution.inputs
+        if isinstance(record, FitRecord | StudyRecord):
+            inputs = Inputs(dataset=self.datasets[find_dataset_path(record)])
+        asked = replace(self.execution.invocation, noted=noted)
+        execution = replace(self.execution, invocation=asked, inputs=inputs)
         # a fit by itself is sampled as by `tune`; folds of studies are not
-        sample = not isinstance(work.record, StudyRecord)
+        sample = not isinstance(record, StudyRecord)
         with add_file_context(work.file):
-            if isinstance(work.record, FitRecord | StudyRecord):
-                dataset = read_once(find_named("dataset", work.record.dataset))
-                execution = replace(execution, inputs=Inputs(dataset=dataset))
-            run = execution.run(work.name, work.record, sample, work.file)
-            if run.interrupted:
-                raise execution.interrupted()
-            execution.write(run)
-        if execution.invocation.json:
-            show_warnings(execution.invocation, run)
-        else:
-            show_run(execution.invocation, run, execution.folder(run.name), len(todo) > 1)
-            if len(todo) > 1:
-                screen.print_line()
-        done.append(run)
+            run = execution.run(work.name, record, sample, work.file)
+            if not run.interrupted:
+                execution.write(run)
+        return run, noted
+
+
+def find_dataset_path(record: "FitRecord | StudyRecord") -> Path:
+    """Return the file or folder of the dataset that a study or fit names."""
+    from needlefit.project.toml import find_named
+
+    return find_named("dataset", record.dataset)
+
+
+def run_studies(execution: Execution, todo: Sequence[StudyTask]) -> "list[Run]":
+    """Run, write and print every work; their checkpoints stay. A dataset is read once for all.
+
+    Several run side by side in as many copies of this process as there are jobs, the results are the same.
+    """
+    from needlefit.datasets.read import read
+    from needlefit.project.tasks import LocalPool, can_fork, stop_requested
+    from needlefit.project.toml import add_file_context
+    from needlefit.schemas.study import FitRecord, StudyRecord
+
+    datasets: dict[Path, Dataset] = {}
+    for work in todo:
+        if isinstance(work.record, FitRecord | StudyRecord):
+            with add_file_context(work.file):
+                path = find_dataset_path(work.record)
+                datasets[path] = datasets.get(path) or read(path)
+    asked = execution.invocation
+    jobs = asked.jobs or count_cores()
+    processes = min(jobs, len(todo)) if can_fork() else 1
+    runner = StudyRunner(execution, datasets)
+    if processes > 1:
+        print_remark(f"{len(todo)} runs in {processes} processes")
+        alone = replace(asked, jobs=jobs // processes, quiet=True)
+        runner = replace(runner, execution=replace(execution, invocation=alone, stop=stop_requested))
+    found, done = dict[int, "Run"](), list["Run"]()
+    for number, (run, noted) in LocalPool(processes).run(runner, todo, execution.stop):
+        if run.interrupted:
+            break
+        asked.noted += noted
+        found[number] = run
+        while len(done) in found:  # in their order
+            done.append(found[len(done)])
+            _show_study(execution, done[-1], len(todo))
+    if len(done) < len(todo):
+        raise execution.interrupted()
     return done
+
+
+def _show_study(execution: Execution, run: "Run", count: int) -> None:
+    """Print one of so many studies, as JSON its warnings alone."""
+    if execution.invocation.json:
+        show_warnings(execution.invocation, run)
+        return
+    show_run(execution.invocation, run, execution.folder(run.name), count > 1)
+    if count > 1:
+        screen.print_line()
 
 
 #: how a terminal shows the beginning of an answer, by its status

@@ -1,7 +1,6 @@
 """`needlefit view`: a page on which a needle is steered by hand."""
 
 import re
-import webbrowser
 from pathlib import Path, PurePath
 from typing import Annotated
 
@@ -53,6 +52,8 @@ def view(
     path = write_page(folder, name, compose_page(shown, source))
     screen.print_line(str(path))
     if browser:
+        import webbrowser
+
         webbrowser.open(path.resolve().as_uri())
 
 

@@ -19,9 +19,9 @@ from needlefit.geometry.smoothing_spline import SplineSections
 from needlefit.geometry.surfaces import Surface
 from needlefit.mechanics.needle import Needle
 from needlefit.project.result_warnings import ResultWarning
+from needlefit.schemas.compared import DIRECTIONS, Compared
 from needlefit.schemas.dataset import MeasurementRecord
 from needlefit.schemas.origin import Origin
-from needlefit.schemas.study import DIRECTIONS, Compared
 
 if TYPE_CHECKING:
     import pandas as pd

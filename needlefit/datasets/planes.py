@@ -16,7 +16,7 @@ from needlefit.errors import ConfigError
 from needlefit.geometry.frames import normalize
 from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.schemas.study import Compared
+from needlefit.schemas.compared import Compared
 
 SIGNIFICANT_SD = 3.0  # standard deviations beyond which a bend is not a measurement error
 # Least bend over depth that counts: entry directions are hardly known better than 0.3 degrees.

@@ -15,7 +15,7 @@ from needlefit.geometry.frames import (
     differentiate_align_lateral,
     differentiate_align_rigid,
 )
-from needlefit.schemas.study import Compared
+from needlefit.schemas.compared import Compared
 
 
 def turn_about_x(points: Floats, angle: Floats | float) -> Floats:

@@ -8,9 +8,9 @@ from typing import Any, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer
 
+from needlefit.schemas.compared import Compared
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
-from needlefit.schemas.study import Compared
 
 Table = dict[str, Any]  #: what is stored for a reader alone
 Other = TypeVar("Other", bound="RunMetadata")

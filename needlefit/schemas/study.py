@@ -5,12 +5,10 @@ from typing import ClassVar, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from needlefit.schemas.base import FileName, FileRecord, Record
+from needlefit.schemas.compared import Compared
 from needlefit.schemas.medium import spell_parameter
 
 LayerCountRule = Literal["listed", "alternative"]
-Compared = Literal["plane", "space"]  #: where needles are compared: in their planes, or in space
-#: how many deflections of a point are compared there: along y, or along y and z
-DIRECTIONS: dict[Compared, int] = {"plane": 1, "space": 2}
 
 
 class SelectionRecord(Record):

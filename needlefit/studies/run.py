@@ -197,10 +197,11 @@ def value_of_run(
 
     Its further arguments can be hashed.
     """
+    name = f"{function.__module__}.{function.__qualname__}"  # not the function: runs travel between processes
 
     @wraps(function)
     def find_value(run: Run, /, *args: Given.args, **kwargs: Given.kwargs) -> Value:
-        key = (function, args, tuple(sorted(kwargs.items())))
+        key = (name, args, tuple(sorted(kwargs.items())))
         if key not in run._values:
             run._values[key] = function(run, *args, **kwargs)
         value: Value = run._values[key]

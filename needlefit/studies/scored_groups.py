@@ -14,8 +14,8 @@ from needlefit.datasets import paper
 from needlefit.datasets.select import group_rows
 from needlefit.metrics import known_metrics, verdict_metrics
 from needlefit.reporting.table_files import Row, select_rows, to_records
+from needlefit.schemas.compared import DIRECTIONS
 from needlefit.schemas.run_metadata import JobMetadata
-from needlefit.schemas.study import DIRECTIONS
 from needlefit.studies.fit_frames import FitFrames, list_methods
 from needlefit.studies.run import Run, value_of_run
 

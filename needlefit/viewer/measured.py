@@ -24,11 +24,11 @@ from needlefit.project.locate import ViewTarget, find_file, list_names, unknown_
 from needlefit.project.random_streams import random_stream
 from needlefit.project.toml import load
 from needlefit.reporting.table_files import select_rows
+from needlefit.schemas.compared import DIRECTIONS
 from needlefit.schemas.medium import MediumRecord, ParameterRecord
 from needlefit.schemas.origin import ORIGIN_MARKS
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.run_metadata import FitMetadata
-from needlefit.schemas.study import DIRECTIONS
 from needlefit.viewer.overlays import make_measured_overlay
 from needlefit.viewer.viewed_scene import ViewedScene
 

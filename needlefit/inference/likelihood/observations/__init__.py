@@ -32,8 +32,8 @@ from needlefit.mechanics.batch import (
 from needlefit.mechanics.shape import NeedleShape, compute_positions, sample_inserted_points
 from needlefit.metrics import list_metrics
 from needlefit.registry import Registry
+from needlefit.schemas.compared import Compared
 from needlefit.schemas.recipe import LikelihoodRecord
-from needlefit.schemas.study import Compared
 
 
 @dataclass(frozen=True)

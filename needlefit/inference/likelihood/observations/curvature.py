@@ -16,7 +16,7 @@ from needlefit.inference.likelihood.nodes import make_nodes
 from needlefit.inference.likelihood.observation import QUARTER_TURN, Observation, StatedErrors, whiten
 from needlefit.inference.likelihood.observations import ObservationType
 from needlefit.metrics import compute_metrics
-from needlefit.schemas.study import Compared
+from needlefit.schemas.compared import Compared
 
 INTEGRATION_POINTS = 1001  #: from the clamped end to the tip
 #: to both sides of a sensor, over which the simulated curvature is taken, mm

@@ -22,7 +22,7 @@ from needlefit.inference.likelihood.observation import (
 from needlefit.inference.likelihood.observations import ObservationType
 from needlefit.mechanics.batch import Jacobians, NeedleShapes
 from needlefit.mechanics.shape import NeedleShape
-from needlefit.schemas.study import Compared
+from needlefit.schemas.compared import Compared
 
 
 @dataclass(frozen=True)

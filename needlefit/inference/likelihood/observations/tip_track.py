@@ -27,8 +27,8 @@ from needlefit.inference.likelihood.observation import (
 from needlefit.inference.likelihood.observations import ObservationType
 from needlefit.mechanics.batch import Jacobians, NeedleShapes
 from needlefit.mechanics.shape import NeedleShape
+from needlefit.schemas.compared import Compared
 from needlefit.schemas.recipe import TrackErrorsRecord
-from needlefit.schemas.study import Compared
 
 #: length over which the direction of a simulated path is taken, mm: shorter than constraints are apart
 HEADING_STEP_MM = 0.25
