@@ -32,14 +32,12 @@ const found = []
 for (const path of paths) {
   const steered = await SteeredNeedle.begin(kernel, scene)
   for (const changes of path) attempt(() => steered.apply(changes))
-  address.settle(steered)
   const [recorded, recording] = [hex(steered), address.writeRecording(head, steered)]
   const {address: written, lost} = await address.writeAddress(kernel, steered)
   const reopened = await SteeredNeedle.begin(kernel, scene)
   const before = steered.tipLateral
   for (const one of written ? [steered, reopened] : []) { // the page shows what it copies
     for (const changes of address.readAddress(written, scene)) one.apply(changes, {validOnly: false})
-    address.settle(one)
   }
   const moved = Math.abs(steered.tipLateral - before)
   const bits = {recorded, shown: hex(steered), reopened: hex(reopened)}

@@ -1106,56 +1106,51 @@ before guides and tissue`,"lessen the depth, or move the guides"):error}}#judge(
 this.session.shape,this.model),this.valid=listFaults(this.validity,this.rules.validity).length===0}#refuseInvalid(validity){
 throw new ModelError(`the needle would be outside the model's validity: ${listFaults(validity,this.rules.validity).
 join("; ")}`,"a needle within the limits of small deflections","move less, or bring base, guides and tip neare\
-r to the needle's own shape")}}}});function listKeys({fitted,shape_parameters:shapes}){let{key,throughout}=strengthOf(fitted),plain=value=>value,
-strength=key==="offset_mm"?{key:"b",toModel:plain,read:({step})=>step.bevel.offset}:{key:"theta",toModel:value=>value*
-(Math.PI/180),read:({step})=>step.bevel.cutAngle},layers=fitted.layers.flatMap((_,i)=>[{key:`mu${i+1}`,input:"\
-mu_pa",item:i+1,toInput:value=>value*1e3,toModel:value=>value*1e3*1e-6,read:({model})=>model.mu[i]},...shapes.
-map(({name},row)=>({key:`${name}${i+1}`,input:name,item:i+1,toInput:plain,toModel:plain,read:({shape})=>shape[row][i]}))]);
-return[{...strength,input:throughout,item:null,toInput:plain},...layers]}function findText(toModel,value,guess){
-let near2=ULPS.map(ulps=>guess+ulps*Math.abs(guess)*11102230246251565e-32),found=[...Array.from({length:15},(_,n)=>Number(
-guess.toPrecision(n+1))),...near2].find(one=>toModel(one)===value);return found===void 0?null:String(found)}function listLost({
-scene:{simulation:{steps:[first]}},step},path2){let all=[...path2,step],differs=read=>all.some(one=>!same2(read(
-one.controls),read(first.controls)));return[[differs(({baseY})=>baseY),"the base, which was moved"],[differs(({
-baseSlope})=>baseSlope),"the base, which was turned"],[differs(({guides})=>guides.map(({x:x2,y:y2,slope:slope4})=>[
-x2,y2,slope4])),"the guides"],[differs(({tip})=>tip&&[tip.y,tip.slope]),"the tip, which was held"],[all.some(({
-bevel})=>bevel.offset!==step.bevel.offset||bevel.cutAngle!==step.bevel.cutAngle),"b, which changed on the way"]].
-filter(([is])=>is).map(([,words])=>words)}async function writeAddress(kernel,steered,name=null){let{scene,step}=steered,
-path2=steered.path(),lost=listLost(steered,path2);if(lost.length)return{lost};let rolls=path2.map(({bevel})=>wrap(
-rollOf(bevel))),values=new URLSearchParams(name===null?{}:{needle:name});values.set("depth",step.depth),values.
-set("roll",rolls.at(-1));let turns=path2.slice(0,-1).map(({depth},i)=>{let by=findText(one=>wrap(rolls[i+1]-one),
-rolls[i],wrap(rolls[i+1]-rolls[i]));return by==="180"?depth:`${depth}:${by}`});turns.length&&values.set("turn",
-turns.join(","));let{model,shape,steps:[first]}=scene.simulation;for(let{key,item,toModel,read}of listKeys(scene)){
-let value=read(steered);if(item&&value===read({model,shape,step:first}))continue;let text=findText(toModel,value,
-value/toModel(1));if(text===null)return{lost:[key]};values.set(key,text)}let address=values.toString().replaceAll(
-"%2C",",").replaceAll("%3A",":");return await leadsTo(kernel,address,steered)?{address}:{lost:["the path"]}}async function leadsTo(kernel,address,steered){
-let other=await SteeredNeedle.begin(kernel,steered.scene);try{for(let changes of readAddress(address,steered.scene))
-other.apply(changes,{validOnly:!1})}catch(error){if(!(error instanceof ModelError))throw error;return!1}let{depth}=steered.
-step,points=({session})=>readPoints(session,Array.from({length:POINTS2},(_,i)=>depth*i/(POINTS2-1))),[found,wanted]=[
-other,steered].map(points);return found.every((point2,i)=>Math.hypot(...point2.map((one,axis)=>one-wanted[i][axis]))<
-SAME3)}function settle(steered){let[now2]=steered.model.mu,mu=ULPS.map(ulps=>now2*1e6+ulps*now2*1e6*2**-53).find(
-one=>one*1e-6===now2);mu&&steered.apply([["mu_pa",1,mu]],{validOnly:!1})}function readAddress(address,scene){let values=new URLSearchParams(
-address),keys=listKeys(scene),known=["needle","depth","roll","turn",...keys.map(({key})=>key)],number3=(key,text,low=-1/0)=>{
-let value=Number(text);if(text.trim()!==""&&Number.isFinite(value)&&value>=low)return value;throw new ModelError(
-`the address has ${key}=${text}`,low<0?"a number":`a number, ${low} or above`)};for(let key of values.keys())if(!known.
-includes(key))throw new ModelError(`the address has ${key}`,known.join(", "));let doubled=[...values.keys()].find(
-key=>values.getAll(key).length>1);if(doubled)throw new ModelError(`the address has ${doubled} more than once`,
-"each key once");if(!values.has("depth")){if([...values.keys()].some(key=>key!=="needle"))throw new ModelError(
-"the address has no depth","depth=, in mm");return[]}let[first]=scene.simulation.steps,depth=number3("depth",values.
-get("depth"),0),turns=(values.get("turn")??"").split(",").filter(Boolean).map(text=>{let[at,by="180"]=text.split(
-":");return{at:number3("turn",at,0),by:number3("turn",by)}});if(!turns.every(({at},i)=>at>0&&at>=(turns[i-1]?.
-at??0)&&at<=depth))throw new ModelError(`the address has turn=${values.get("turn")}`,`increasing depths, up to\
- ${depth} mm`);let roll2=values.has("roll")?number3("roll",values.get("roll")):rollOf(first.bevel),after=turns.
-toReversed().map(({by})=>{let end=roll2;return roll2=wrap(roll2-by),end}).reverse(),inputs=keys.filter(({key})=>values.
-has(key)).map(({key,input,item,toInput})=>[input,item,toInput(number3(key,values.get(key)))]),lists=[ANEW,[["b\
-evel_roll_deg",null,roll2],...inputs]];return turns.forEach(({at},i)=>lists.push([["depth_mm",null,at]],[["bev\
-el_roll_deg",null,after[i]]])),[...lists,[["depth_mm",null,depth]]]}function writeRecording(head,steered){let rows=steered.
-listWay().flatMap(({changes,tip},i)=>changes.map(([name,item,value],n)=>`${i+1},${(i/10).toFixed(4)},${name},${item??
-""},${value},${n===changes.length-1?tip:""}`));return`${head}${rows.join(`
+r to the needle's own shape")}}}});function listKeys({fitted,shape_parameters:shapes}){let{key,throughout}=strengthOf(fitted),plain={toInput:value=>value,
+unit:1},strength=key==="offset_mm"?{...plain,key:"b",read:({step})=>step.bevel.offset}:{...plain,key:"theta",unit:Math.
+PI/180,read:({step})=>step.bevel.cutAngle},layers=fitted.layers.flatMap((_,i)=>[{key:`mu${i+1}`,input:"mu_pa",
+item:i+1,toInput:value=>value*1e3,unit:.001,read:({model})=>model.mu[i]},...shapes.map(({name},row)=>({...plain,
+key:`${name}${i+1}`,input:name,item:i+1,read:({shape})=>shape[row][i]}))]);return[{...strength,input:throughout,
+item:null},...layers]}function listLost({scene:{simulation:{steps:[first]}},step},path2){let all=[...path2,step],
+differs=read=>all.some(one=>!same2(read(one.controls),read(first.controls)));return[[differs(({baseY})=>baseY),
+"the base, which was moved"],[differs(({baseSlope})=>baseSlope),"the base, which was turned"],[differs(({guides})=>guides.
+map(({x:x2,y:y2,slope:slope4})=>[x2,y2,slope4])),"the guides"],[differs(({tip})=>tip&&[tip.y,tip.slope]),"the \
+tip, which was held"],[all.some(({bevel})=>bevel.offset!==step.bevel.offset||bevel.cutAngle!==step.bevel.cutAngle),
+"b, which changed on the way"]].filter(([is])=>is).map(([,words])=>words)}async function writeAddress(kernel,steered,name=null){
+let{scene,step}=steered,path2=steered.path(),lost=listLost(steered,path2);if(lost.length)return{lost};let rolls=path2.
+map(({bevel})=>wrap(rollOf(bevel))),values=new URLSearchParams(name===null?{}:{needle:name});values.set("depth",
+step.depth),values.set("roll",rolls.at(-1));let turns=path2.slice(0,-1).map(({depth},i)=>{let by=shorten(wrap(
+rolls[i+1]-rolls[i]));return by===180?depth:`${depth}:${by}`});turns.length&&values.set("turn",turns.join(","));
+let{model,shape,steps:[first]}=scene.simulation;for(let{key,item,unit,read}of listKeys(scene)){let value=read(
+steered);item&&value===read({model,shape,step:first})||values.set(key,String(shorten(value/unit)))}let address=values.
+toString().replaceAll("%2C",",").replaceAll("%3A",":");return await leadsTo(kernel,address,steered)?{address}:
+{lost:["the path"]}}async function leadsTo(kernel,address,steered){let other=await SteeredNeedle.begin(kernel,
+steered.scene);try{for(let changes of readAddress(address,steered.scene))other.apply(changes,{validOnly:!1})}catch(error){
+if(!(error instanceof ModelError))throw error;return!1}let{depth}=steered.step,points=({session})=>readPoints(
+session,Array.from({length:POINTS2},(_,i)=>depth*i/(POINTS2-1))),[found,wanted]=[other,steered].map(points);return found.
+every((point2,i)=>Math.hypot(...point2.map((one,axis)=>one-wanted[i][axis]))<SAME3)}function readAddress(address,scene){
+let values=new URLSearchParams(address),keys=listKeys(scene),known=["needle","depth","roll","turn",...keys.map(
+({key})=>key)],number3=(key,text,low=-1/0)=>{let value=Number(text);if(text.trim()!==""&&Number.isFinite(value)&&
+value>=low)return value;throw new ModelError(`the address has ${key}=${text}`,low<0?"a number":`a number, ${low}\
+ or above`)};for(let key of values.keys())if(!known.includes(key))throw new ModelError(`the address has ${key}`,
+known.join(", "));let doubled=[...values.keys()].find(key=>values.getAll(key).length>1);if(doubled)throw new ModelError(
+`the address has ${doubled} more than once`,"each key once");if(!values.has("depth")){if([...values.keys()].some(
+key=>key!=="needle"))throw new ModelError("the address has no depth","depth=, in mm");return[]}let[first]=scene.
+simulation.steps,depth=number3("depth",values.get("depth"),0),turns=(values.get("turn")??"").split(",").filter(
+Boolean).map(text=>{let[at,by="180"]=text.split(":");return{at:number3("turn",at,0),by:number3("turn",by)}});if(!turns.
+every(({at},i)=>at>0&&at>=(turns[i-1]?.at??0)&&at<=depth))throw new ModelError(`the address has turn=${values.
+get("turn")}`,`increasing depths, up to ${depth} mm`);let roll2=values.has("roll")?number3("roll",values.get("\
+roll")):rollOf(first.bevel),after=turns.toReversed().map(({by})=>{let end=roll2;return roll2=wrap(roll2-by),end}).
+reverse(),inputs=keys.filter(({key})=>values.has(key)).map(({key,input,item,toInput})=>[input,item,toInput(number3(
+key,values.get(key)))]),lists=[ANEW,[["bevel_roll_deg",null,roll2],...inputs]];return turns.forEach(({at},i)=>lists.
+push([["depth_mm",null,at]],[["bevel_roll_deg",null,after[i]]])),[...lists,[["depth_mm",null,depth]]]}function writeRecording(head,steered){
+let rows=steered.listWay().flatMap(({changes,tip},i)=>changes.map(([name,item,value],n)=>`${i+1},${(i/10).toFixed(
+4)},${name},${item??""},${value},${n===changes.length-1?tip:""}`));return`${head}${rows.join(`
 `)}
-`}var ANEW,POINTS2,SAME3,ULPS,same2,nameIn,init_address=__esm({"needlefit/viewer/page/address.js"(){"use stric\
-t";init_errors();init_inputs();init_steered();init_quantities();ANEW=[["return_to",null,0]],POINTS2=21,SAME3=1e-6,
-ULPS=[0,1,-1,2,-2,3,-3,4,-4],same2=(one,other)=>JSON.stringify(one)===JSON.stringify(other);nameIn=address=>new URLSearchParams(
-address).get("needle")}});function computeBands(worker,kernel,current){let ordered="";worker.postMessage({kernel});function describeNeedle(){
+`}var ANEW,POINTS2,SAME3,DIGITS,same2,shorten,nameIn,init_address=__esm({"needlefit/viewer/page/address.js"(){
+"use strict";init_errors();init_inputs();init_steered();init_quantities();ANEW=[["return_to",null,0]],POINTS2=
+21,SAME3=1e-6,DIGITS=12,same2=(one,other)=>JSON.stringify(one)===JSON.stringify(other);shorten=value=>Number(value.
+toPrecision(DIGITS));nameIn=address=>new URLSearchParams(address).get("needle")}});function computeBands(worker,kernel,current){let ordered="";worker.postMessage({kernel});function describeNeedle(){
 let{name,steered}=current(),{model}=steered,steps2=steered.path().map(one=>({depth:one.depth,inputs:toInputs(one,
 model.pathAngle)}));return{id:{needle:name,step:now.state.step},model,steps:steps2,planes:steered.session.planes}}
 function order(){if(!now.state)return;let about=JSON.stringify([current().name,now.state.step]);ordered!==about&&
@@ -1316,30 +1311,30 @@ refusal,`${error.what}. Expected: ${error.expected}.`)}function show(){steps+=1,
 part("redo").disabled=!future.length,take({...describeState(now.steered),step:steps,kind:"state"})}function forgetPast(){
 for(let one of[past,future])one.length=0;last=0,write(refusal,"")}function goHome(){forgetPast(),now.steered.rewind();
 try{insert(now.steered)}catch(error){refuse(error)}show()}function steer(lists,{gesture=newGesture(),whole=!1,
-anew=!1,below=void 0}={}){let{steered}=now,{number:number3}=steered;publish("steers"),write(refusal,"");let begins=gesture!==
+below=void 0}={}){let{steered}=now,{number:number3}=steered;publish("steers"),write(refusal,"");let begins=gesture!==
 last;(begins||whole)&&steered.keep();try{for(let changes of lists)steered.apply(changes.map(([name,item,value])=>[
-name,item,value+0]),always2);anew&&settle(steered)}catch(error){if(refuse(error,below),whole&&steered.number>number3&&
-steered.apply([["return_to",null,number3]]),whole||steered.number===number3)return void publish("unchanged")}begins&&
-(past.push(number3),future.length=0,past.length>MOST_UNDONE&&steered.forget(past.shift())),last=gesture,part("\
-back").disabled=!1,show()}function goTo(from,to){if(!from.length)return;publish("steers"),write(refusal,"");let{
-steered}=now;steered.keep(),to.push(steered.number),steered.apply([["return_to",null,from.pop()]]),last=0,show()}
-var MOST_UNDONE,always2,refusal,past,future,steps,gestures,last,newGesture,change,undo,redo,init_steering=__esm(
-{"needlefit/viewer/page/steering.js"(){"use strict";init_address();init_dom();init_state();init_stored();init_store();
-MOST_UNDONE=200,always2={validOnly:!1},refusal=part("refusal"),[past,future]=[[],[]],[steps,gestures,last]=[0,
-0,0],newGesture=()=>gestures+=1;change=(changes,how)=>steer([changes],how);undo=()=>goTo(past,future),redo=()=>goTo(
-future,past);listen("notice",({what,expected})=>refuse({what,expected}))}});async function followAddress(choose2){let address=location.hash.slice(1);if(!address)return!1;let{needles}=now.
+name,item,value+0]),always2)}catch(error){if(refuse(error,below),whole&&steered.number>number3&&steered.apply(
+[["return_to",null,number3]]),whole||steered.number===number3)return void publish("unchanged")}begins&&(past.push(
+number3),future.length=0,past.length>MOST_UNDONE&&steered.forget(past.shift())),last=gesture,part("back").disabled=
+!1,show()}function goTo(from,to){if(!from.length)return;publish("steers"),write(refusal,"");let{steered}=now;steered.
+keep(),to.push(steered.number),steered.apply([["return_to",null,from.pop()]]),last=0,show()}var MOST_UNDONE,always2,
+refusal,past,future,steps,gestures,last,newGesture,change,undo,redo,init_steering=__esm({"needlefit/viewer/pag\
+e/steering.js"(){"use strict";init_dom();init_state();init_stored();init_store();MOST_UNDONE=200,always2={validOnly:!1},
+refusal=part("refusal"),[past,future]=[[],[]],[steps,gestures,last]=[0,0,0],newGesture=()=>gestures+=1;change=
+(changes,how)=>steer([changes],how);undo=()=>goTo(past,future),redo=()=>goTo(future,past);listen("notice",({what,
+expected})=>refuse({what,expected}))}});async function followAddress(choose2){let address=location.hash.slice(1);if(!address)return!1;let{needles}=now.
 data,below=part("proof").parentElement;try{if(part(decode(address)))return!1;let name=nameIn(address),number3=needles.
 findIndex(one=>nameOf2(one)===name);if(name!==null&&number3<0)throw new ModelError(`the address has needle=${name}`,
 needles.map(nameOf2).join(", "));number3>=0&&needles[number3]!==now.needle&&await choose2(number3);let lists=readAddress(
-address,now.scene);return lists.length&&steer(lists,{below,whole:!0,anew:!0}),lists.length>0}catch(error){return refuse(
+address,now.scene);return lists.length&&steer(lists,{below,whole:!0}),lists.length>0}catch(error){return refuse(
 error,below),!0}}function decode(address){try{return decodeURIComponent(address)}catch{throw new ModelError(`t\
 he address ends with #${address}, which is no text`,"depth=, in mm, as Copy link writes it")}}async function copy(){
 let{data:{needles,kernel},needle,scene,steered}=now,{address,lost}=await writeAddress(kernel,steered,needles.length>
 1?nameOf2(needle):null);write("link-note",lost?`No link: an address does not carry ${lost.join(", ")}. A recor\
-ding does.`:""),!lost&&(steer(readAddress(address,scene),{anew:!0}),history.replaceState(null,"",`#${address}`),
-await navigator.clipboard?.writeText(location.href).then(()=>say("The link is copied."),()=>null))}var nameOf2,
-init_link=__esm({"needlefit/viewer/page/link.js"(){"use strict";init_address();init_dom();init_inputs();init_steering();
-init_store();nameOf2=({name,scene})=>name??scene.measured?.id??scene.title;press("copy-link",copy)}});function define2(name,called=name){if(!(name in DEFINITIONS))return called;let term=element("button",{type:"bu\
+ding does.`:""),!lost&&(steer(readAddress(address,scene)),history.replaceState(null,"",`#${address}`),await navigator.
+clipboard?.writeText(location.href).then(()=>say("The link is copied."),()=>null))}var nameOf2,init_link=__esm(
+{"needlefit/viewer/page/link.js"(){"use strict";init_address();init_dom();init_inputs();init_steering();init_store();
+nameOf2=({name,scene})=>name??scene.measured?.id??scene.title;press("copy-link",copy)}});function define2(name,called=name){if(!(name in DEFINITIONS))return called;let term=element("button",{type:"bu\
 tton",className:"term"},called);term.setAttribute("aria-description",DEFINITIONS[name]),term.tabIndex=-1;let show3=()=>{
 let{left,top,bottom}=term.getBoundingClientRect();shown.textContent=DEFINITIONS[name],shown.style.left=`${Math.
 max(8,Math.min(left,innerWidth-296))}px`;let above=top>ROOM3;shown.style.bottom=above?`${innerHeight-top+6}px`:

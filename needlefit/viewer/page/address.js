@@ -11,30 +11,24 @@ import { strengthOf } from "./quantities.js";
 export const ANEW = [["return_to", null, 0]];
 const POINTS = 21; // of two needles that are compared
 export const SAME = 1e-6; // mm: what differs by more is another needle
-const ULPS = [0, 1, -1, 2, -2, 3, -3, 4, -4]; // of a number, within which products are rounded
+const DIGITS = 12; // of a number of an address
 const same = (one, other) => JSON.stringify(one) === JSON.stringify(other);
 
-/** What can stand in the address besides depth, turns and roll: {key, input, item, toInput: of its number, toModel, read: from a needle}. */
+/** What can stand in the address besides depth, turns and roll: {key, input, item, toInput: of its number, unit: in that of the model, read: from a needle}. */
 function listKeys({ fitted, shape_parameters: shapes }) {
   const { key, throughout } = strengthOf(fitted);
-  const plain = (value) => value;
+  const plain = { toInput: (value) => value, unit: 1 };
   const strength = key === "offset_mm"
-    ? { key: "b", toModel: plain, read: ({ step }) => step.bevel.offset }
-    : { key: "theta", toModel: (value) => value * (Math.PI / 180), read: ({ step }) => step.bevel.cutAngle };
+    ? { ...plain, key: "b", read: ({ step }) => step.bevel.offset }
+    : { ...plain, key: "theta", unit: Math.PI / 180, read: ({ step }) => step.bevel.cutAngle };
   const layers = fitted.layers.flatMap((_, i) => [
-    { key: `mu${i + 1}`, input: "mu_pa", item: i + 1, toInput: (value) => value * 1e3, toModel: (value) => value * 1e3 * 1e-6, read: ({ model }) => model.mu[i] },
-    ...shapes.map(({ name }, row) => ({ key: `${name}${i + 1}`, input: name, item: i + 1, toInput: plain, toModel: plain, read: ({ shape }) => shape[row][i] })),
+    { key: `mu${i + 1}`, input: "mu_pa", item: i + 1, toInput: (value) => value * 1e3, unit: 1e-3, read: ({ model }) => model.mu[i] },
+    ...shapes.map(({ name }, row) => ({ ...plain, key: `${name}${i + 1}`, input: name, item: i + 1, read: ({ shape }) => shape[row][i] })),
   ]);
-  return [{ ...strength, input: throughout, item: null, toInput: plain }, ...layers];
+  return [{ ...strength, input: throughout, item: null }, ...layers];
 }
 
-/** The shortest text of a number near a guess that `toModel` turns into a value to the bit; null where there is none. */
-function findText(toModel, value, guess) {
-  const near = ULPS.map((ulps) => guess + ulps * Math.abs(guess) * 2 ** -53);
-  const short = Array.from({ length: 15 }, (_, n) => Number(guess.toPrecision(n + 1)));
-  const found = [...short, ...near].find((one) => toModel(one) === value);
-  return found === undefined ? null : String(found);
-}
+const shorten = (value) => Number(value.toPrecision(DIGITS));
 
 /** What an address cannot have of the path of a needle, in words. */
 function listLost({ scene: { simulation: { steps: [first] } }, step }, path) {
@@ -64,17 +58,15 @@ export async function writeAddress(kernel, steered, name = /** @type {string | n
   values.set("depth", step.depth);
   values.set("roll", rolls.at(-1));
   const turns = path.slice(0, -1).map(({ depth }, i) => {
-    const by = findText((one) => wrap(rolls[i + 1] - one), rolls[i], wrap(rolls[i + 1] - rolls[i]));
-    return by === "180" ? depth : `${depth}:${by}`;
+    const by = shorten(wrap(rolls[i + 1] - rolls[i]));
+    return by === 180 ? depth : `${depth}:${by}`;
   });
   if (turns.length) values.set("turn", turns.join(","));
   const { model, shape, steps: [first] } = scene.simulation;
-  for (const { key, item, toModel, read } of listKeys(scene)) {
+  for (const { key, item, unit, read } of listKeys(scene)) {
     const value = read(steered);
     if (item && value === read({ model, shape, step: first })) continue;
-    const text = findText(toModel, value, value / toModel(1));
-    if (text === null) return { lost: [key] };
-    values.set(key, text);
+    values.set(key, String(shorten(value / unit)));
   }
   const address = values.toString().replaceAll("%2C", ",").replaceAll("%3A", ":");
   return (await leadsTo(kernel, address, steered)) ? { address } : { lost: ["the path"] };
@@ -93,13 +85,6 @@ async function leadsTo(kernel, address, steered) {
   const points = ({ session }) => readPoints(session, Array.from({ length: POINTS }, (_, i) => (depth * i) / (POINTS - 1)));
   const [found, wanted] = [other, steered].map(points);
   return found.every((point, i) => Math.hypot(...point.map((one, axis) => one - wanted[i][axis])) < SAME);
-}
-
-/** Simulate a needle anew along its shortest path: where it stands no longer depends, within the tolerance of the solver, on the moves that led there. */
-export function settle(steered) {
-  const [now] = steered.model.mu;
-  const mu = ULPS.map((ulps) => now * 1e6 + ulps * now * 1e6 * 2 ** -53).find((one) => one * 1e-6 === now);
-  if (mu) steered.apply([["mu_pa", 1, mu]], { validOnly: false });
 }
 
 /** The name of the needle that an address has; null without one. */

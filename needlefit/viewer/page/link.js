@@ -22,7 +22,7 @@ export async function followAddress(choose) {
     if (name !== null && number < 0) throw new ModelError(`the address has needle=${name}`, needles.map(nameOf).join(", "));
     if (number >= 0 && needles[number] !== now.needle) await choose(number);
     const lists = readAddress(address, now.scene);
-    if (lists.length) steer(lists, { below, whole: true, anew: true });
+    if (lists.length) steer(lists, { below, whole: true });
     return lists.length > 0;
   } catch (error) {
     refuse(error, below);
@@ -44,7 +44,7 @@ async function copy() {
   const { address, lost } = await writeAddress(kernel, steered, needles.length > 1 ? nameOf(needle) : null);
   write("link-note", lost ? `No link: an address does not carry ${lost.join(", ")}. A recording does.` : "");
   if (lost) return;
-  steer(readAddress(address, scene), { anew: true }); // the same needle within the solver's tolerance: from now on to the bit
+  steer(readAddress(address, scene)); // the same needle within the solver's tolerance: from now on to the bit
   history.replaceState(null, "", `#${address}`); // no change of the needle
   await navigator.clipboard?.writeText(location.href).then(() => say("The link is copied."), () => null);
 }

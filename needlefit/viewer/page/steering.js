@@ -1,6 +1,5 @@
 /** The needle that is steered: what is asked for is carried out at once, and can be undone. */
 
-import { settle } from "./address.js";
 import { part, write } from "./dom.js";
 import { describeState } from "./model/state.js";
 import { insert } from "./stored.js";
@@ -53,10 +52,9 @@ export function goHome() {
 /**
  * Carry out lists of changes, one after the other, as one gesture.
  *
- * What the model does not take is stated `below` a part, and the needle stays there, or if `whole` as it was. With `anew` it
- * is simulated again along its shortest path, so that it does not depend on the moves that led there.
+ * What the model does not take is stated `below` a part, and the needle stays there, or if `whole` as it was.
  */
-export function steer(lists, { gesture = newGesture(), whole = false, anew = false, below = undefined } = {}) {
+export function steer(lists, { gesture = newGesture(), whole = false, below = undefined } = {}) {
   const { steered } = now;
   const { number } = steered;
   publish("steers");
@@ -65,7 +63,6 @@ export function steer(lists, { gesture = newGesture(), whole = false, anew = fal
   if (begins || whole) steered.keep();
   try {
     for (const changes of lists) steered.apply(changes.map(([name, item, value]) => [name, item, value + 0]), always); // a file has no -0
-    if (anew) settle(steered);
   } catch (error) {
     refuse(error, below);
     if (whole && steered.number > number) steered.apply([["return_to", null, number]]);
