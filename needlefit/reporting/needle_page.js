@@ -451,151 +451,150 @@ y1}`}}}rect(x2,y2,w,h){this._append`M${this._x0=this._x1=+x2},${this._y0=this._y
 return this._}};path.prototype=Path.prototype}});function constant(x2){return function(){return x2}}function withPath(shape){let digits2=3;return shape.digits=
 function(_){if(!arguments.length)return digits2;if(_==null)digits2=null;else{let d=Math.floor(_);if(!(d>=0))throw new RangeError(
 `invalid digits: ${_}`);digits2=d}return shape},()=>new Path(digits2)}function array2(x2){return typeof x2=="o\
-bject"&&"length"in x2?x2:Array.from(x2)}function Linear(context2){this._context=context2}function curveLinear(context2){
-return new Linear(context2)}function x(p){return p[0]}function y(p){return p[1]}function line(x$1,y$1){var defined=constant(
-!0),context2=null,curve=curveLinear,output=null,path2=withPath(line3);x$1=typeof x$1=="function"?x$1:x$1===void 0?
+bject"&&"length"in x2?x2:Array.from(x2)}function Linear(context){this._context=context}function curveLinear(context){
+return new Linear(context)}function x(p){return p[0]}function y(p){return p[1]}function line(x$1,y$1){var defined=constant(
+!0),context=null,curve=curveLinear,output=null,path2=withPath(line3);x$1=typeof x$1=="function"?x$1:x$1===void 0?
 x:constant(x$1),y$1=typeof y$1=="function"?y$1:y$1===void 0?y:constant(y$1);function line3(data){var i,n=(data=
-array2(data)).length,d,defined0=!1,buffer;for(context2==null&&(output=curve(buffer=path2())),i=0;i<=n;++i)!(i<
-n&&defined(d=data[i],i,data))===defined0&&((defined0=!defined0)?output.lineStart():output.lineEnd()),defined0&&
-output.point(+x$1(d,i,data),+y$1(d,i,data));if(buffer)return output=null,buffer+""||null}return line3.x=function(_){
-return arguments.length?(x$1=typeof _=="function"?_:constant(+_),line3):x$1},line3.y=function(_){return arguments.
-length?(y$1=typeof _=="function"?_:constant(+_),line3):y$1},line3.defined=function(_){return arguments.length?
-(defined=typeof _=="function"?_:constant(!!_),line3):defined},line3.curve=function(_){return arguments.length?
-(curve=_,context2!=null&&(output=curve(context2)),line3):curve},line3.context=function(_){return arguments.length?
-(_==null?context2=output=null:output=curve(context2=_),line3):context2},line3}function area(x0,y0,y1){var x1=null,
-defined=constant(!0),context2=null,curve=curveLinear,output=null,path2=withPath(area2);x0=typeof x0=="function"?
-x0:x0===void 0?x:constant(+x0),y0=typeof y0=="function"?y0:constant(y0===void 0?0:+y0),y1=typeof y1=="function"?
-y1:y1===void 0?y:constant(+y1);function area2(data){var i,j,k2,n=(data=array2(data)).length,d,defined0=!1,buffer,
-x0z=new Array(n),y0z=new Array(n);for(context2==null&&(output=curve(buffer=path2())),i=0;i<=n;++i){if(!(i<n&&defined(
-d=data[i],i,data))===defined0)if(defined0=!defined0)j=i,output.areaStart(),output.lineStart();else{for(output.
-lineEnd(),output.lineStart(),k2=i-1;k2>=j;--k2)output.point(x0z[k2],y0z[k2]);output.lineEnd(),output.areaEnd()}
-defined0&&(x0z[i]=+x0(d,i,data),y0z[i]=+y0(d,i,data),output.point(x1?+x1(d,i,data):x0z[i],y1?+y1(d,i,data):y0z[i]))}
-if(buffer)return output=null,buffer+""||null}function arealine(){return line().defined(defined).curve(curve).context(
-context2)}return area2.x=function(_){return arguments.length?(x0=typeof _=="function"?_:constant(+_),x1=null,area2):
-x0},area2.x0=function(_){return arguments.length?(x0=typeof _=="function"?_:constant(+_),area2):x0},area2.x1=function(_){
-return arguments.length?(x1=_==null?null:typeof _=="function"?_:constant(+_),area2):x1},area2.y=function(_){return arguments.
-length?(y0=typeof _=="function"?_:constant(+_),y1=null,area2):y0},area2.y0=function(_){return arguments.length?
-(y0=typeof _=="function"?_:constant(+_),area2):y0},area2.y1=function(_){return arguments.length?(y1=_==null?null:
-typeof _=="function"?_:constant(+_),area2):y1},area2.lineX0=area2.lineY0=function(){return arealine().x(x0).y(
-y0)},area2.lineY1=function(){return arealine().x(x0).y(y1)},area2.lineX1=function(){return arealine().x(x1).y(
-y0)},area2.defined=function(_){return arguments.length?(defined=typeof _=="function"?_:constant(!!_),area2):defined},
-area2.curve=function(_){return arguments.length?(curve=_,context2!=null&&(output=curve(context2)),area2):curve},
-area2.context=function(_){return arguments.length?(_==null?context2=output=null:output=curve(context2=_),area2):
-context2},area2}function Radial(curve){this._curve=curve}function curveRadial(curve){function radial(context2){
-return new Radial(curve(context2))}return radial._curve=curve,radial}function noop(){}function point$3(that,x2,y2){
-that._context.bezierCurveTo((2*that._x0+that._x1)/3,(2*that._y0+that._y1)/3,(that._x0+2*that._x1)/3,(that._y0+
-2*that._y1)/3,(that._x0+4*that._x1+x2)/6,(that._y0+4*that._y1+y2)/6)}function Basis(context2){this._context=context2}
-function BasisClosed(context2){this._context=context2}function BasisOpen(context2){this._context=context2}function Bundle(context2,beta){
-this._basis=new Basis(context2),this._beta=beta}function point$2(that,x2,y2){that._context.bezierCurveTo(that.
-_x1+that._k*(that._x2-that._x0),that._y1+that._k*(that._y2-that._y0),that._x2+that._k*(that._x1-x2),that._y2+that.
-_k*(that._y1-y2),that._x2,that._y2)}function Cardinal(context2,tension){this._context=context2,this._k=(1-tension)/
-6}function CardinalClosed(context2,tension){this._context=context2,this._k=(1-tension)/6}function CardinalOpen(context2,tension){
-this._context=context2,this._k=(1-tension)/6}function point$1(that,x2,y2){var x1=that._x1,y1=that._y1,x22=that.
-_x2,y22=that._y2;if(that._l01_a>epsilon2){var a2=2*that._l01_2a+3*that._l01_a*that._l12_a+that._l12_2a,n=3*that.
-_l01_a*(that._l01_a+that._l12_a);x1=(x1*a2-that._x0*that._l12_2a+that._x2*that._l01_2a)/n,y1=(y1*a2-that._y0*that.
-_l12_2a+that._y2*that._l01_2a)/n}if(that._l23_a>epsilon2){var b=2*that._l23_2a+3*that._l23_a*that._l12_a+that.
-_l12_2a,m=3*that._l23_a*(that._l23_a+that._l12_a);x22=(x22*b+that._x1*that._l23_2a-x2*that._l12_2a)/m,y22=(y22*
-b+that._y1*that._l23_2a-y2*that._l12_2a)/m}that._context.bezierCurveTo(x1,y1,x22,y22,that._x2,that._y2)}function CatmullRom(context2,alpha){
-this._context=context2,this._alpha=alpha}function CatmullRomClosed(context2,alpha){this._context=context2,this.
-_alpha=alpha}function CatmullRomOpen(context2,alpha){this._context=context2,this._alpha=alpha}function LinearClosed(context2){
-this._context=context2}function sign(x2){return x2<0?-1:1}function slope3(that,x2,y2){var h0=that._x1-that._x0,
-h1=x2-that._x1,s0=(that._y1-that._y0)/(h0||h1<0&&-0),s1=(y2-that._y1)/(h1||h0<0&&-0),p=(s0*h1+s1*h0)/(h0+h1);return(sign(
-s0)+sign(s1))*Math.min(Math.abs(s0),Math.abs(s1),.5*Math.abs(p))||0}function slope2(that,t){var h=that._x1-that.
-_x0;return h?(3*(that._y1-that._y0)/h-t)/2:t}function point(that,t02,t12){var x0=that._x0,y0=that._y0,x1=that.
-_x1,y1=that._y1,dx=(x1-x0)/3;that._context.bezierCurveTo(x0+dx,y0+dx*t02,x1-dx,y1-dx*t12,x1,y1)}function MonotoneX(context2){
-this._context=context2}function MonotoneY(context2){this._context=new ReflectContext(context2)}function ReflectContext(context2){
-this._context=context2}function Natural(context2){this._context=context2}function controlPoints(x2){var i,n=x2.
-length-1,m,a2=new Array(n),b=new Array(n),r=new Array(n);for(a2[0]=0,b[0]=2,r[0]=x2[0]+2*x2[1],i=1;i<n-1;++i)a2[i]=
-1,b[i]=4,r[i]=4*x2[i]+2*x2[i+1];for(a2[n-1]=2,b[n-1]=7,r[n-1]=8*x2[n-1]+x2[n],i=1;i<n;++i)m=a2[i]/b[i-1],b[i]-=
-m,r[i]-=m*r[i-1];for(a2[n-1]=r[n-1]/b[n-1],i=n-2;i>=0;--i)a2[i]=(r[i]-a2[i+1])/b[i];for(b[n-1]=(x2[n]+a2[n-1])/
-2,i=0;i<n-1;++i)b[i]=2*x2[i+1]-a2[i+1];return[a2,b]}function Step(context2,t){this._context=context2,this._t=t}
-var cos,sin,sqrt,epsilon2,pi2,halfPi,tau2,slice2,curveRadialLinear,sqrt3$2,tan30,tan30_2,kr,kx,ky,sqrt3$1,sqrt3,
-s,k,a,bundle,cardinal,cardinalClosed,cardinalOpen,catmullRom,catmullRomClosed,catmullRomOpen,init_d3_shape=__esm(
-{"node_modules/d3-shape/dist/d3-shape.mjs"(){init_d3_path();cos=Math.cos,sin=Math.sin,sqrt=Math.sqrt,epsilon2=
-1e-12,pi2=Math.PI,halfPi=pi2/2,tau2=2*pi2;slice2=Array.prototype.slice;Linear.prototype={areaStart:function(){
-this._line=0},areaEnd:function(){this._line=NaN},lineStart:function(){this._point=0},lineEnd:function(){(this.
-_line||this._line!==0&&this._point===1)&&this._context.closePath(),this._line=1-this._line},point:function(x2,y2){
-switch(x2=+x2,y2=+y2,this._point){case 0:this._point=1,this._line?this._context.lineTo(x2,y2):this._context.moveTo(
-x2,y2);break;case 1:this._point=2;default:this._context.lineTo(x2,y2);break}}};curveRadialLinear=curveRadial(curveLinear);
-Radial.prototype={areaStart:function(){this._curve.areaStart()},areaEnd:function(){this._curve.areaEnd()},lineStart:function(){
-this._curve.lineStart()},lineEnd:function(){this._curve.lineEnd()},point:function(a2,r){this._curve.point(r*Math.
-sin(a2),r*-Math.cos(a2))}};sqrt3$2=sqrt(3),tan30=sqrt(1/3),tan30_2=tan30*2,kr=sin(pi2/10)/sin(7*pi2/10),kx=sin(
-tau2/10)*kr,ky=-cos(tau2/10)*kr,sqrt3$1=sqrt(3),sqrt3=sqrt(3),s=sqrt(3)/2,k=1/sqrt(12),a=(k/2+1)*3;Basis.prototype=
-{areaStart:function(){this._line=0},areaEnd:function(){this._line=NaN},lineStart:function(){this._x0=this._x1=
-this._y0=this._y1=NaN,this._point=0},lineEnd:function(){switch(this._point){case 3:point$3(this,this._x1,this.
-_y1);case 2:this._context.lineTo(this._x1,this._y1);break}(this._line||this._line!==0&&this._point===1)&&this.
-_context.closePath(),this._line=1-this._line},point:function(x2,y2){switch(x2=+x2,y2=+y2,this._point){case 0:this.
-_point=1,this._line?this._context.lineTo(x2,y2):this._context.moveTo(x2,y2);break;case 1:this._point=2;break;case 2:
-this._point=3,this._context.lineTo((5*this._x0+this._x1)/6,(5*this._y0+this._y1)/6);default:point$3(this,x2,y2);
-break}this._x0=this._x1,this._x1=x2,this._y0=this._y1,this._y1=y2}};BasisClosed.prototype={areaStart:noop,areaEnd:noop,
-lineStart:function(){this._x0=this._x1=this._x2=this._x3=this._x4=this._y0=this._y1=this._y2=this._y3=this._y4=
-NaN,this._point=0},lineEnd:function(){switch(this._point){case 1:{this._context.moveTo(this._x2,this._y2),this.
-_context.closePath();break}case 2:{this._context.moveTo((this._x2+2*this._x3)/3,(this._y2+2*this._y3)/3),this.
-_context.lineTo((this._x3+2*this._x2)/3,(this._y3+2*this._y2)/3),this._context.closePath();break}case 3:{this.
-point(this._x2,this._y2),this.point(this._x3,this._y3),this.point(this._x4,this._y4);break}}},point:function(x2,y2){
-switch(x2=+x2,y2=+y2,this._point){case 0:this._point=1,this._x2=x2,this._y2=y2;break;case 1:this._point=2,this.
-_x3=x2,this._y3=y2;break;case 2:this._point=3,this._x4=x2,this._y4=y2,this._context.moveTo((this._x0+4*this._x1+
-x2)/6,(this._y0+4*this._y1+y2)/6);break;default:point$3(this,x2,y2);break}this._x0=this._x1,this._x1=x2,this._y0=
-this._y1,this._y1=y2}};BasisOpen.prototype={areaStart:function(){this._line=0},areaEnd:function(){this._line=NaN},
-lineStart:function(){this._x0=this._x1=this._y0=this._y1=NaN,this._point=0},lineEnd:function(){(this._line||this.
-_line!==0&&this._point===3)&&this._context.closePath(),this._line=1-this._line},point:function(x2,y2){switch(x2=
-+x2,y2=+y2,this._point){case 0:this._point=1;break;case 1:this._point=2;break;case 2:this._point=3;var x0=(this.
-_x0+4*this._x1+x2)/6,y0=(this._y0+4*this._y1+y2)/6;this._line?this._context.lineTo(x0,y0):this._context.moveTo(
-x0,y0);break;case 3:this._point=4;default:point$3(this,x2,y2);break}this._x0=this._x1,this._x1=x2,this._y0=this.
-_y1,this._y1=y2}};Bundle.prototype={lineStart:function(){this._x=[],this._y=[],this._basis.lineStart()},lineEnd:function(){
-var x2=this._x,y2=this._y,j=x2.length-1;if(j>0)for(var x0=x2[0],y0=y2[0],dx=x2[j]-x0,dy=y2[j]-y0,i=-1,t;++i<=j;)
-t=i/j,this._basis.point(this._beta*x2[i]+(1-this._beta)*(x0+t*dx),this._beta*y2[i]+(1-this._beta)*(y0+t*dy));this.
-_x=this._y=null,this._basis.lineEnd()},point:function(x2,y2){this._x.push(+x2),this._y.push(+y2)}};bundle=(function custom(beta){
-function bundle2(context2){return beta===1?new Basis(context2):new Bundle(context2,beta)}return bundle2.beta=function(beta2){
-return custom(+beta2)},bundle2})(.85);Cardinal.prototype={areaStart:function(){this._line=0},areaEnd:function(){
-this._line=NaN},lineStart:function(){this._x0=this._x1=this._x2=this._y0=this._y1=this._y2=NaN,this._point=0},
-lineEnd:function(){switch(this._point){case 2:this._context.lineTo(this._x2,this._y2);break;case 3:point$2(this,
+array2(data)).length,d,defined0=!1,buffer;for(context==null&&(output=curve(buffer=path2())),i=0;i<=n;++i)!(i<n&&
+defined(d=data[i],i,data))===defined0&&((defined0=!defined0)?output.lineStart():output.lineEnd()),defined0&&output.
+point(+x$1(d,i,data),+y$1(d,i,data));if(buffer)return output=null,buffer+""||null}return line3.x=function(_){return arguments.
+length?(x$1=typeof _=="function"?_:constant(+_),line3):x$1},line3.y=function(_){return arguments.length?(y$1=typeof _==
+"function"?_:constant(+_),line3):y$1},line3.defined=function(_){return arguments.length?(defined=typeof _=="fu\
+nction"?_:constant(!!_),line3):defined},line3.curve=function(_){return arguments.length?(curve=_,context!=null&&
+(output=curve(context)),line3):curve},line3.context=function(_){return arguments.length?(_==null?context=output=
+null:output=curve(context=_),line3):context},line3}function area(x0,y0,y1){var x1=null,defined=constant(!0),context=null,
+curve=curveLinear,output=null,path2=withPath(area2);x0=typeof x0=="function"?x0:x0===void 0?x:constant(+x0),y0=
+typeof y0=="function"?y0:constant(y0===void 0?0:+y0),y1=typeof y1=="function"?y1:y1===void 0?y:constant(+y1);function area2(data){
+var i,j,k2,n=(data=array2(data)).length,d,defined0=!1,buffer,x0z=new Array(n),y0z=new Array(n);for(context==null&&
+(output=curve(buffer=path2())),i=0;i<=n;++i){if(!(i<n&&defined(d=data[i],i,data))===defined0)if(defined0=!defined0)
+j=i,output.areaStart(),output.lineStart();else{for(output.lineEnd(),output.lineStart(),k2=i-1;k2>=j;--k2)output.
+point(x0z[k2],y0z[k2]);output.lineEnd(),output.areaEnd()}defined0&&(x0z[i]=+x0(d,i,data),y0z[i]=+y0(d,i,data),
+output.point(x1?+x1(d,i,data):x0z[i],y1?+y1(d,i,data):y0z[i]))}if(buffer)return output=null,buffer+""||null}function arealine(){
+return line().defined(defined).curve(curve).context(context)}return area2.x=function(_){return arguments.length?
+(x0=typeof _=="function"?_:constant(+_),x1=null,area2):x0},area2.x0=function(_){return arguments.length?(x0=typeof _==
+"function"?_:constant(+_),area2):x0},area2.x1=function(_){return arguments.length?(x1=_==null?null:typeof _=="\
+function"?_:constant(+_),area2):x1},area2.y=function(_){return arguments.length?(y0=typeof _=="function"?_:constant(
++_),y1=null,area2):y0},area2.y0=function(_){return arguments.length?(y0=typeof _=="function"?_:constant(+_),area2):
+y0},area2.y1=function(_){return arguments.length?(y1=_==null?null:typeof _=="function"?_:constant(+_),area2):y1},
+area2.lineX0=area2.lineY0=function(){return arealine().x(x0).y(y0)},area2.lineY1=function(){return arealine().
+x(x0).y(y1)},area2.lineX1=function(){return arealine().x(x1).y(y0)},area2.defined=function(_){return arguments.
+length?(defined=typeof _=="function"?_:constant(!!_),area2):defined},area2.curve=function(_){return arguments.
+length?(curve=_,context!=null&&(output=curve(context)),area2):curve},area2.context=function(_){return arguments.
+length?(_==null?context=output=null:output=curve(context=_),area2):context},area2}function Radial(curve){this.
+_curve=curve}function curveRadial(curve){function radial(context){return new Radial(curve(context))}return radial.
+_curve=curve,radial}function noop(){}function point$3(that,x2,y2){that._context.bezierCurveTo((2*that._x0+that.
+_x1)/3,(2*that._y0+that._y1)/3,(that._x0+2*that._x1)/3,(that._y0+2*that._y1)/3,(that._x0+4*that._x1+x2)/6,(that.
+_y0+4*that._y1+y2)/6)}function Basis(context){this._context=context}function BasisClosed(context){this._context=
+context}function BasisOpen(context){this._context=context}function Bundle(context,beta){this._basis=new Basis(
+context),this._beta=beta}function point$2(that,x2,y2){that._context.bezierCurveTo(that._x1+that._k*(that._x2-that.
+_x0),that._y1+that._k*(that._y2-that._y0),that._x2+that._k*(that._x1-x2),that._y2+that._k*(that._y1-y2),that._x2,
+that._y2)}function Cardinal(context,tension){this._context=context,this._k=(1-tension)/6}function CardinalClosed(context,tension){
+this._context=context,this._k=(1-tension)/6}function CardinalOpen(context,tension){this._context=context,this.
+_k=(1-tension)/6}function point$1(that,x2,y2){var x1=that._x1,y1=that._y1,x22=that._x2,y22=that._y2;if(that._l01_a>
+epsilon2){var a2=2*that._l01_2a+3*that._l01_a*that._l12_a+that._l12_2a,n=3*that._l01_a*(that._l01_a+that._l12_a);
+x1=(x1*a2-that._x0*that._l12_2a+that._x2*that._l01_2a)/n,y1=(y1*a2-that._y0*that._l12_2a+that._y2*that._l01_2a)/
+n}if(that._l23_a>epsilon2){var b=2*that._l23_2a+3*that._l23_a*that._l12_a+that._l12_2a,m=3*that._l23_a*(that._l23_a+
+that._l12_a);x22=(x22*b+that._x1*that._l23_2a-x2*that._l12_2a)/m,y22=(y22*b+that._y1*that._l23_2a-y2*that._l12_2a)/
+m}that._context.bezierCurveTo(x1,y1,x22,y22,that._x2,that._y2)}function CatmullRom(context,alpha){this._context=
+context,this._alpha=alpha}function CatmullRomClosed(context,alpha){this._context=context,this._alpha=alpha}function CatmullRomOpen(context,alpha){
+this._context=context,this._alpha=alpha}function LinearClosed(context){this._context=context}function sign(x2){
+return x2<0?-1:1}function slope3(that,x2,y2){var h0=that._x1-that._x0,h1=x2-that._x1,s0=(that._y1-that._y0)/(h0||
+h1<0&&-0),s1=(y2-that._y1)/(h1||h0<0&&-0),p=(s0*h1+s1*h0)/(h0+h1);return(sign(s0)+sign(s1))*Math.min(Math.abs(
+s0),Math.abs(s1),.5*Math.abs(p))||0}function slope2(that,t){var h=that._x1-that._x0;return h?(3*(that._y1-that.
+_y0)/h-t)/2:t}function point(that,t02,t12){var x0=that._x0,y0=that._y0,x1=that._x1,y1=that._y1,dx=(x1-x0)/3;that.
+_context.bezierCurveTo(x0+dx,y0+dx*t02,x1-dx,y1-dx*t12,x1,y1)}function MonotoneX(context){this._context=context}
+function MonotoneY(context){this._context=new ReflectContext(context)}function ReflectContext(context){this._context=
+context}function Natural(context){this._context=context}function controlPoints(x2){var i,n=x2.length-1,m,a2=new Array(
+n),b=new Array(n),r=new Array(n);for(a2[0]=0,b[0]=2,r[0]=x2[0]+2*x2[1],i=1;i<n-1;++i)a2[i]=1,b[i]=4,r[i]=4*x2[i]+
+2*x2[i+1];for(a2[n-1]=2,b[n-1]=7,r[n-1]=8*x2[n-1]+x2[n],i=1;i<n;++i)m=a2[i]/b[i-1],b[i]-=m,r[i]-=m*r[i-1];for(a2[n-
+1]=r[n-1]/b[n-1],i=n-2;i>=0;--i)a2[i]=(r[i]-a2[i+1])/b[i];for(b[n-1]=(x2[n]+a2[n-1])/2,i=0;i<n-1;++i)b[i]=2*x2[i+
+1]-a2[i+1];return[a2,b]}function Step(context,t){this._context=context,this._t=t}var cos,sin,sqrt,epsilon2,pi2,
+halfPi,tau2,slice2,curveRadialLinear,sqrt3$2,tan30,tan30_2,kr,kx,ky,sqrt3$1,sqrt3,s,k,a,bundle,cardinal,cardinalClosed,
+cardinalOpen,catmullRom,catmullRomClosed,catmullRomOpen,init_d3_shape=__esm({"node_modules/d3-shape/dist/d3-sh\
+ape.mjs"(){init_d3_path();cos=Math.cos,sin=Math.sin,sqrt=Math.sqrt,epsilon2=1e-12,pi2=Math.PI,halfPi=pi2/2,tau2=
+2*pi2;slice2=Array.prototype.slice;Linear.prototype={areaStart:function(){this._line=0},areaEnd:function(){this.
+_line=NaN},lineStart:function(){this._point=0},lineEnd:function(){(this._line||this._line!==0&&this._point===1)&&
+this._context.closePath(),this._line=1-this._line},point:function(x2,y2){switch(x2=+x2,y2=+y2,this._point){case 0:
+this._point=1,this._line?this._context.lineTo(x2,y2):this._context.moveTo(x2,y2);break;case 1:this._point=2;default:
+this._context.lineTo(x2,y2);break}}};curveRadialLinear=curveRadial(curveLinear);Radial.prototype={areaStart:function(){
+this._curve.areaStart()},areaEnd:function(){this._curve.areaEnd()},lineStart:function(){this._curve.lineStart()},
+lineEnd:function(){this._curve.lineEnd()},point:function(a2,r){this._curve.point(r*Math.sin(a2),r*-Math.cos(a2))}};
+sqrt3$2=sqrt(3),tan30=sqrt(1/3),tan30_2=tan30*2,kr=sin(pi2/10)/sin(7*pi2/10),kx=sin(tau2/10)*kr,ky=-cos(tau2/10)*
+kr,sqrt3$1=sqrt(3),sqrt3=sqrt(3),s=sqrt(3)/2,k=1/sqrt(12),a=(k/2+1)*3;Basis.prototype={areaStart:function(){this.
+_line=0},areaEnd:function(){this._line=NaN},lineStart:function(){this._x0=this._x1=this._y0=this._y1=NaN,this.
+_point=0},lineEnd:function(){switch(this._point){case 3:point$3(this,this._x1,this._y1);case 2:this._context.lineTo(
 this._x1,this._y1);break}(this._line||this._line!==0&&this._point===1)&&this._context.closePath(),this._line=1-
 this._line},point:function(x2,y2){switch(x2=+x2,y2=+y2,this._point){case 0:this._point=1,this._line?this._context.
-lineTo(x2,y2):this._context.moveTo(x2,y2);break;case 1:this._point=2,this._x1=x2,this._y1=y2;break;case 2:this.
-_point=3;default:point$2(this,x2,y2);break}this._x0=this._x1,this._x1=this._x2,this._x2=x2,this._y0=this._y1,this.
-_y1=this._y2,this._y2=y2}};cardinal=(function custom2(tension){function cardinal2(context2){return new Cardinal(
-context2,tension)}return cardinal2.tension=function(tension2){return custom2(+tension2)},cardinal2})(0);CardinalClosed.
-prototype={areaStart:noop,areaEnd:noop,lineStart:function(){this._x0=this._x1=this._x2=this._x3=this._x4=this.
-_x5=this._y0=this._y1=this._y2=this._y3=this._y4=this._y5=NaN,this._point=0},lineEnd:function(){switch(this._point){case 1:{
-this._context.moveTo(this._x3,this._y3),this._context.closePath();break}case 2:{this._context.lineTo(this._x3,
-this._y3),this._context.closePath();break}case 3:{this.point(this._x3,this._y3),this.point(this._x4,this._y4),
-this.point(this._x5,this._y5);break}}},point:function(x2,y2){switch(x2=+x2,y2=+y2,this._point){case 0:this._point=
-1,this._x3=x2,this._y3=y2;break;case 1:this._point=2,this._context.moveTo(this._x4=x2,this._y4=y2);break;case 2:
-this._point=3,this._x5=x2,this._y5=y2;break;default:point$2(this,x2,y2);break}this._x0=this._x1,this._x1=this.
-_x2,this._x2=x2,this._y0=this._y1,this._y1=this._y2,this._y2=y2}};cardinalClosed=(function custom3(tension){function cardinal2(context2){
-return new CardinalClosed(context2,tension)}return cardinal2.tension=function(tension2){return custom3(+tension2)},
-cardinal2})(0);CardinalOpen.prototype={areaStart:function(){this._line=0},areaEnd:function(){this._line=NaN},lineStart:function(){
-this._x0=this._x1=this._x2=this._y0=this._y1=this._y2=NaN,this._point=0},lineEnd:function(){(this._line||this.
-_line!==0&&this._point===3)&&this._context.closePath(),this._line=1-this._line},point:function(x2,y2){switch(x2=
-+x2,y2=+y2,this._point){case 0:this._point=1;break;case 1:this._point=2;break;case 2:this._point=3,this._line?
-this._context.lineTo(this._x2,this._y2):this._context.moveTo(this._x2,this._y2);break;case 3:this._point=4;default:
-point$2(this,x2,y2);break}this._x0=this._x1,this._x1=this._x2,this._x2=x2,this._y0=this._y1,this._y1=this._y2,
-this._y2=y2}};cardinalOpen=(function custom4(tension){function cardinal2(context2){return new CardinalOpen(context2,
-tension)}return cardinal2.tension=function(tension2){return custom4(+tension2)},cardinal2})(0);CatmullRom.prototype=
-{areaStart:function(){this._line=0},areaEnd:function(){this._line=NaN},lineStart:function(){this._x0=this._x1=
-this._x2=this._y0=this._y1=this._y2=NaN,this._l01_a=this._l12_a=this._l23_a=this._l01_2a=this._l12_2a=this._l23_2a=
-this._point=0},lineEnd:function(){switch(this._point){case 2:this._context.lineTo(this._x2,this._y2);break;case 3:
-this.point(this._x2,this._y2);break}(this._line||this._line!==0&&this._point===1)&&this._context.closePath(),this.
-_line=1-this._line},point:function(x2,y2){if(x2=+x2,y2=+y2,this._point){var x23=this._x2-x2,y23=this._y2-y2;this.
-_l23_a=Math.sqrt(this._l23_2a=Math.pow(x23*x23+y23*y23,this._alpha))}switch(this._point){case 0:this._point=1,
-this._line?this._context.lineTo(x2,y2):this._context.moveTo(x2,y2);break;case 1:this._point=2;break;case 2:this.
-_point=3;default:point$1(this,x2,y2);break}this._l01_a=this._l12_a,this._l12_a=this._l23_a,this._l01_2a=this._l12_2a,
-this._l12_2a=this._l23_2a,this._x0=this._x1,this._x1=this._x2,this._x2=x2,this._y0=this._y1,this._y1=this._y2,
-this._y2=y2}};catmullRom=(function custom5(alpha){function catmullRom2(context2){return alpha?new CatmullRom(context2,
-alpha):new Cardinal(context2,0)}return catmullRom2.alpha=function(alpha2){return custom5(+alpha2)},catmullRom2})(
-.5);CatmullRomClosed.prototype={areaStart:noop,areaEnd:noop,lineStart:function(){this._x0=this._x1=this._x2=this.
-_x3=this._x4=this._x5=this._y0=this._y1=this._y2=this._y3=this._y4=this._y5=NaN,this._l01_a=this._l12_a=this._l23_a=
-this._l01_2a=this._l12_2a=this._l23_2a=this._point=0},lineEnd:function(){switch(this._point){case 1:{this._context.
-moveTo(this._x3,this._y3),this._context.closePath();break}case 2:{this._context.lineTo(this._x3,this._y3),this.
-_context.closePath();break}case 3:{this.point(this._x3,this._y3),this.point(this._x4,this._y4),this.point(this.
-_x5,this._y5);break}}},point:function(x2,y2){if(x2=+x2,y2=+y2,this._point){var x23=this._x2-x2,y23=this._y2-y2;
-this._l23_a=Math.sqrt(this._l23_2a=Math.pow(x23*x23+y23*y23,this._alpha))}switch(this._point){case 0:this._point=
-1,this._x3=x2,this._y3=y2;break;case 1:this._point=2,this._context.moveTo(this._x4=x2,this._y4=y2);break;case 2:
-this._point=3,this._x5=x2,this._y5=y2;break;default:point$1(this,x2,y2);break}this._l01_a=this._l12_a,this._l12_a=
-this._l23_a,this._l01_2a=this._l12_2a,this._l12_2a=this._l23_2a,this._x0=this._x1,this._x1=this._x2,this._x2=x2,
-this._y0=this._y1,this._y1=this._y2,this._y2=y2}};catmullRomClosed=(function custom6(alpha){function catmullRom2(context2){
-return alpha?new CatmullRomClosed(context2,alpha):new CardinalClosed(context2,0)}return catmullRom2.alpha=function(alpha2){
+lineTo(x2,y2):this._context.moveTo(x2,y2);break;case 1:this._point=2;break;case 2:this._point=3,this._context.
+lineTo((5*this._x0+this._x1)/6,(5*this._y0+this._y1)/6);default:point$3(this,x2,y2);break}this._x0=this._x1,this.
+_x1=x2,this._y0=this._y1,this._y1=y2}};BasisClosed.prototype={areaStart:noop,areaEnd:noop,lineStart:function(){
+this._x0=this._x1=this._x2=this._x3=this._x4=this._y0=this._y1=this._y2=this._y3=this._y4=NaN,this._point=0},lineEnd:function(){
+switch(this._point){case 1:{this._context.moveTo(this._x2,this._y2),this._context.closePath();break}case 2:{this.
+_context.moveTo((this._x2+2*this._x3)/3,(this._y2+2*this._y3)/3),this._context.lineTo((this._x3+2*this._x2)/3,
+(this._y3+2*this._y2)/3),this._context.closePath();break}case 3:{this.point(this._x2,this._y2),this.point(this.
+_x3,this._y3),this.point(this._x4,this._y4);break}}},point:function(x2,y2){switch(x2=+x2,y2=+y2,this._point){case 0:
+this._point=1,this._x2=x2,this._y2=y2;break;case 1:this._point=2,this._x3=x2,this._y3=y2;break;case 2:this._point=
+3,this._x4=x2,this._y4=y2,this._context.moveTo((this._x0+4*this._x1+x2)/6,(this._y0+4*this._y1+y2)/6);break;default:
+point$3(this,x2,y2);break}this._x0=this._x1,this._x1=x2,this._y0=this._y1,this._y1=y2}};BasisOpen.prototype={areaStart:function(){
+this._line=0},areaEnd:function(){this._line=NaN},lineStart:function(){this._x0=this._x1=this._y0=this._y1=NaN,
+this._point=0},lineEnd:function(){(this._line||this._line!==0&&this._point===3)&&this._context.closePath(),this.
+_line=1-this._line},point:function(x2,y2){switch(x2=+x2,y2=+y2,this._point){case 0:this._point=1;break;case 1:
+this._point=2;break;case 2:this._point=3;var x0=(this._x0+4*this._x1+x2)/6,y0=(this._y0+4*this._y1+y2)/6;this.
+_line?this._context.lineTo(x0,y0):this._context.moveTo(x0,y0);break;case 3:this._point=4;default:point$3(this,
+x2,y2);break}this._x0=this._x1,this._x1=x2,this._y0=this._y1,this._y1=y2}};Bundle.prototype={lineStart:function(){
+this._x=[],this._y=[],this._basis.lineStart()},lineEnd:function(){var x2=this._x,y2=this._y,j=x2.length-1;if(j>
+0)for(var x0=x2[0],y0=y2[0],dx=x2[j]-x0,dy=y2[j]-y0,i=-1,t;++i<=j;)t=i/j,this._basis.point(this._beta*x2[i]+(1-
+this._beta)*(x0+t*dx),this._beta*y2[i]+(1-this._beta)*(y0+t*dy));this._x=this._y=null,this._basis.lineEnd()},point:function(x2,y2){
+this._x.push(+x2),this._y.push(+y2)}};bundle=(function custom(beta){function bundle2(context){return beta===1?
+new Basis(context):new Bundle(context,beta)}return bundle2.beta=function(beta2){return custom(+beta2)},bundle2})(
+.85);Cardinal.prototype={areaStart:function(){this._line=0},areaEnd:function(){this._line=NaN},lineStart:function(){
+this._x0=this._x1=this._x2=this._y0=this._y1=this._y2=NaN,this._point=0},lineEnd:function(){switch(this._point){case 2:
+this._context.lineTo(this._x2,this._y2);break;case 3:point$2(this,this._x1,this._y1);break}(this._line||this._line!==
+0&&this._point===1)&&this._context.closePath(),this._line=1-this._line},point:function(x2,y2){switch(x2=+x2,y2=
++y2,this._point){case 0:this._point=1,this._line?this._context.lineTo(x2,y2):this._context.moveTo(x2,y2);break;case 1:
+this._point=2,this._x1=x2,this._y1=y2;break;case 2:this._point=3;default:point$2(this,x2,y2);break}this._x0=this.
+_x1,this._x1=this._x2,this._x2=x2,this._y0=this._y1,this._y1=this._y2,this._y2=y2}};cardinal=(function custom2(tension){
+function cardinal2(context){return new Cardinal(context,tension)}return cardinal2.tension=function(tension2){return custom2(
++tension2)},cardinal2})(0);CardinalClosed.prototype={areaStart:noop,areaEnd:noop,lineStart:function(){this._x0=
+this._x1=this._x2=this._x3=this._x4=this._x5=this._y0=this._y1=this._y2=this._y3=this._y4=this._y5=NaN,this._point=
+0},lineEnd:function(){switch(this._point){case 1:{this._context.moveTo(this._x3,this._y3),this._context.closePath();
+break}case 2:{this._context.lineTo(this._x3,this._y3),this._context.closePath();break}case 3:{this.point(this.
+_x3,this._y3),this.point(this._x4,this._y4),this.point(this._x5,this._y5);break}}},point:function(x2,y2){switch(x2=
++x2,y2=+y2,this._point){case 0:this._point=1,this._x3=x2,this._y3=y2;break;case 1:this._point=2,this._context.
+moveTo(this._x4=x2,this._y4=y2);break;case 2:this._point=3,this._x5=x2,this._y5=y2;break;default:point$2(this,
+x2,y2);break}this._x0=this._x1,this._x1=this._x2,this._x2=x2,this._y0=this._y1,this._y1=this._y2,this._y2=y2}};
+cardinalClosed=(function custom3(tension){function cardinal2(context){return new CardinalClosed(context,tension)}
+return cardinal2.tension=function(tension2){return custom3(+tension2)},cardinal2})(0);CardinalOpen.prototype={
+areaStart:function(){this._line=0},areaEnd:function(){this._line=NaN},lineStart:function(){this._x0=this._x1=this.
+_x2=this._y0=this._y1=this._y2=NaN,this._point=0},lineEnd:function(){(this._line||this._line!==0&&this._point===
+3)&&this._context.closePath(),this._line=1-this._line},point:function(x2,y2){switch(x2=+x2,y2=+y2,this._point){case 0:
+this._point=1;break;case 1:this._point=2;break;case 2:this._point=3,this._line?this._context.lineTo(this._x2,this.
+_y2):this._context.moveTo(this._x2,this._y2);break;case 3:this._point=4;default:point$2(this,x2,y2);break}this.
+_x0=this._x1,this._x1=this._x2,this._x2=x2,this._y0=this._y1,this._y1=this._y2,this._y2=y2}};cardinalOpen=(function custom4(tension){
+function cardinal2(context){return new CardinalOpen(context,tension)}return cardinal2.tension=function(tension2){
+return custom4(+tension2)},cardinal2})(0);CatmullRom.prototype={areaStart:function(){this._line=0},areaEnd:function(){
+this._line=NaN},lineStart:function(){this._x0=this._x1=this._x2=this._y0=this._y1=this._y2=NaN,this._l01_a=this.
+_l12_a=this._l23_a=this._l01_2a=this._l12_2a=this._l23_2a=this._point=0},lineEnd:function(){switch(this._point){case 2:
+this._context.lineTo(this._x2,this._y2);break;case 3:this.point(this._x2,this._y2);break}(this._line||this._line!==
+0&&this._point===1)&&this._context.closePath(),this._line=1-this._line},point:function(x2,y2){if(x2=+x2,y2=+y2,
+this._point){var x23=this._x2-x2,y23=this._y2-y2;this._l23_a=Math.sqrt(this._l23_2a=Math.pow(x23*x23+y23*y23,this.
+_alpha))}switch(this._point){case 0:this._point=1,this._line?this._context.lineTo(x2,y2):this._context.moveTo(
+x2,y2);break;case 1:this._point=2;break;case 2:this._point=3;default:point$1(this,x2,y2);break}this._l01_a=this.
+_l12_a,this._l12_a=this._l23_a,this._l01_2a=this._l12_2a,this._l12_2a=this._l23_2a,this._x0=this._x1,this._x1=
+this._x2,this._x2=x2,this._y0=this._y1,this._y1=this._y2,this._y2=y2}};catmullRom=(function custom5(alpha){function catmullRom2(context){
+return alpha?new CatmullRom(context,alpha):new Cardinal(context,0)}return catmullRom2.alpha=function(alpha2){return custom5(
++alpha2)},catmullRom2})(.5);CatmullRomClosed.prototype={areaStart:noop,areaEnd:noop,lineStart:function(){this.
+_x0=this._x1=this._x2=this._x3=this._x4=this._x5=this._y0=this._y1=this._y2=this._y3=this._y4=this._y5=NaN,this.
+_l01_a=this._l12_a=this._l23_a=this._l01_2a=this._l12_2a=this._l23_2a=this._point=0},lineEnd:function(){switch(this.
+_point){case 1:{this._context.moveTo(this._x3,this._y3),this._context.closePath();break}case 2:{this._context.
+lineTo(this._x3,this._y3),this._context.closePath();break}case 3:{this.point(this._x3,this._y3),this.point(this.
+_x4,this._y4),this.point(this._x5,this._y5);break}}},point:function(x2,y2){if(x2=+x2,y2=+y2,this._point){var x23=this.
+_x2-x2,y23=this._y2-y2;this._l23_a=Math.sqrt(this._l23_2a=Math.pow(x23*x23+y23*y23,this._alpha))}switch(this._point){case 0:
+this._point=1,this._x3=x2,this._y3=y2;break;case 1:this._point=2,this._context.moveTo(this._x4=x2,this._y4=y2);
+break;case 2:this._point=3,this._x5=x2,this._y5=y2;break;default:point$1(this,x2,y2);break}this._l01_a=this._l12_a,
+this._l12_a=this._l23_a,this._l01_2a=this._l12_2a,this._l12_2a=this._l23_2a,this._x0=this._x1,this._x1=this._x2,
+this._x2=x2,this._y0=this._y1,this._y1=this._y2,this._y2=y2}};catmullRomClosed=(function custom6(alpha){function catmullRom2(context){
+return alpha?new CatmullRomClosed(context,alpha):new CardinalClosed(context,0)}return catmullRom2.alpha=function(alpha2){
 return custom6(+alpha2)},catmullRom2})(.5);CatmullRomOpen.prototype={areaStart:function(){this._line=0},areaEnd:function(){
 this._line=NaN},lineStart:function(){this._x0=this._x1=this._x2=this._y0=this._y1=this._y2=NaN,this._l01_a=this.
 _l12_a=this._l23_a=this._l01_2a=this._l12_2a=this._l23_2a=this._point=0},lineEnd:function(){(this._line||this.
@@ -605,8 +604,8 @@ y23,this._alpha))}switch(this._point){case 0:this._point=1;break;case 1:this._po
 3,this._line?this._context.lineTo(this._x2,this._y2):this._context.moveTo(this._x2,this._y2);break;case 3:this.
 _point=4;default:point$1(this,x2,y2);break}this._l01_a=this._l12_a,this._l12_a=this._l23_a,this._l01_2a=this._l12_2a,
 this._l12_2a=this._l23_2a,this._x0=this._x1,this._x1=this._x2,this._x2=x2,this._y0=this._y1,this._y1=this._y2,
-this._y2=y2}};catmullRomOpen=(function custom7(alpha){function catmullRom2(context2){return alpha?new CatmullRomOpen(
-context2,alpha):new CardinalOpen(context2,0)}return catmullRom2.alpha=function(alpha2){return custom7(+alpha2)},
+this._y2=y2}};catmullRomOpen=(function custom7(alpha){function catmullRom2(context){return alpha?new CatmullRomOpen(
+context,alpha):new CardinalOpen(context,0)}return catmullRom2.alpha=function(alpha2){return custom7(+alpha2)},
 catmullRom2})(.5);LinearClosed.prototype={areaStart:noop,areaEnd:noop,lineStart:function(){this._point=0},lineEnd:function(){
 this._point&&this._context.closePath()},point:function(x2,y2){x2=+x2,y2=+y2,this._point?this._context.lineTo(x2,
 y2):(this._point=1,this._context.moveTo(x2,y2))}};MonotoneX.prototype={areaStart:function(){this._line=0},areaEnd:function(){
@@ -797,79 +796,78 @@ i}return zoom3.rho=function(_){var _1=Math.max(.001,+_),_2=_1*_1,_4=_2*_2;return
 SQRT2,2,4);hsl_default=hsl2(hue$1),hslLong=hsl2(nogamma);hcl_default=hcl2(hue$1),hclLong=hcl2(nogamma);cubehelix_default=
 cubehelix2(hue$1),cubehelixLong=cubehelix2(nogamma)}});function readPalette(){for(let name of NAMES)palette[name]=colour(name)}function shades(layers){let stiffness=layers.
 map(({mu_pa:mu})=>Math.log10(mu)),least=Math.min(...stiffness),decades=Math.max(Math.max(...stiffness)-least,1);
-return stiffness.map(one=>rgb2(palette.soft,palette.stiff)((one-least)/decades))}function within(context2,{left,
-top,width,height},draw3){context2.save(),context2.beginPath(),context2.rect(left,top,width,height),context2.clip(),
-draw3(),context2.restore()}function faintly(context2,opacity,draw3){context2.globalAlpha=opacity,draw3(),context2.
-globalAlpha=1}function stroke(context2,shade,width,dash=[]){context2.strokeStyle=shade,context2.lineWidth=width,
-context2.setLineDash(dash),context2.stroke(),context2.setLineDash([])}function polyline(context2,lines,shade,width,dash=[]){
-context2.beginPath();for(let places of lines)line().context(context2)(places);stroke(context2,shade,width,dash)}
-function polygon(context2,corners,shade){context2.beginPath(),line().context(context2)(corners),context2.fillStyle=
-shade,context2.fill()}function arrow(context2,[px,py],length,shade){let[end,head]=[py-length,8*Math.sign(length)];
-polyline(context2,[[[px,py],[px,end+head]]],shade,2.5),polygon(context2,[[px-5,end+head],[px,end],[px+5,end+head]],
-shade)}function haloed(context2,{x:x2,y:y2},shade,width,dash=[]){line2(context2,x2,y2,palette.halo,width+2),line2(
-context2,x2,y2,shade,width,dash)}function fillBetween(context2,x2,low,high,shade){context2.beginPath(),area().
-x((_,i)=>toPx(x2[i])).y0((_,i)=>toPy(low[i])).y1((_,i)=>toPy(high[i])).context(context2)(x2),context2.fillStyle=
-shade,context2.fill()}function ring(context2,px,py,radius,edge,inside){context2.beginPath(),context2.arc(px,py,
-radius,0,2*Math.PI),context2.fillStyle=inside,context2.fill(),stroke(context2,edge,2)}function turned(context2,px,py,angle2,draw3){
-context2.save(),context2.translate(px,py),context2.rotate(-angle2),draw3(),context2.restore()}function setFont(context2,font,align="\
-center",baseline="middle"){context2.font=FONTS[font],context2.textAlign=align,context2.textBaseline=baseline}function label(context2,text,px,py,shade=palette.
-label){context2.strokeStyle=palette.halo,context2.lineWidth=4,context2.strokeText(text,px,py),context2.fillStyle=
-shade,context2.fillText(text,px,py)}function avoid(places){for(let[px,py]of places){let[left,top]=now.avoided.
-at(-1)??[-1/0,0];Math.hypot(px-4-left,py-4-top)>8&&now.avoided.push([px-4,py-4,8,8])}}function labelFree(context2,text,places,shade){
-let{left,top,width,height}=now.view.box,wide=context2.measureText(text).width+6,limit=(value,low,high)=>Math.max(
+return stiffness.map(one=>rgb2(palette.soft,palette.stiff)((one-least)/decades))}function within(context,{left,
+top,width,height},draw3){context.save(),context.beginPath(),context.rect(left,top,width,height),context.clip(),
+draw3(),context.restore()}function faintly(context,opacity,draw3){context.globalAlpha=opacity,draw3(),context.
+globalAlpha=1}function stroke(context,shade,width,dash=[]){context.strokeStyle=shade,context.lineWidth=width,context.
+setLineDash(dash),context.stroke(),context.setLineDash([])}function polyline(context,lines,shade,width,dash=[]){
+context.beginPath();for(let places of lines)line().context(context)(places);stroke(context,shade,width,dash)}function polygon(context,corners,shade){
+context.beginPath(),line().context(context)(corners),context.fillStyle=shade,context.fill()}function arrow(context,[
+px,py],length,shade){let[end,head]=[py-length,8*Math.sign(length)];polyline(context,[[[px,py],[px,end+head]]],
+shade,2.5),polygon(context,[[px-5,end+head],[px,end],[px+5,end+head]],shade)}function haloed(context,{x:x2,y:y2},shade,width,dash=[]){
+line2(context,x2,y2,palette.halo,width+2),line2(context,x2,y2,shade,width,dash)}function fillBetween(context,x2,low,high,shade){
+context.beginPath(),area().x((_,i)=>toPx(x2[i])).y0((_,i)=>toPy(low[i])).y1((_,i)=>toPy(high[i])).context(context)(
+x2),context.fillStyle=shade,context.fill()}function ring(context,px,py,radius,edge,inside){context.beginPath(),
+context.arc(px,py,radius,0,2*Math.PI),context.fillStyle=inside,context.fill(),stroke(context,edge,2)}function turned(context,px,py,angle2,draw3){
+context.save(),context.translate(px,py),context.rotate(-angle2),draw3(),context.restore()}function setFont(context,font,align="\
+center",baseline="middle"){context.font=FONTS[font],context.textAlign=align,context.textBaseline=baseline}function label(context,text,px,py,shade=palette.
+label){context.strokeStyle=palette.halo,context.lineWidth=4,context.strokeText(text,px,py),context.fillStyle=shade,
+context.fillText(text,px,py)}function avoid(places){for(let[px,py]of places){let[left,top]=now.avoided.at(-1)??
+[-1/0,0];Math.hypot(px-4-left,py-4-top)>8&&now.avoided.push([px-4,py-4,8,8])}}function labelFree(context,text,places,shade){
+let{left,top,width,height}=now.view.box,wide=context.measureText(text).width+6,limit=(value,low,high)=>Math.max(
 low,Math.min(value,high)),free=places.map(([px,py])=>[limit(px-wide/2,left+2,left+width-wide-2),limit(py-LINE/
 2,top+2,top+height-LINE-2),wide,LINE]).filter(isFree),box2=free.find(one=>!now.avoided.some(other=>overlap(one,
-other)))??free[0];box2&&(now.labels.push(box2),context2.textAlign="center",context2.textBaseline="middle",label(
-context2,text,box2[0]+wide/2,box2[1]+LINE/2,shade))}function labelBeside(context2,text,sides,shade){setFont(context2,
-"strong");let half=context2.measureText(text).width/2,curves=sides.map(([{x:x2,y:y2},away])=>[placesOf(x2,y2),
-away]);for(let[places]of curves)avoid(places);let ends=curves.map(([places])=>[places.at(-1)[0]+half+8,places.
-at(-1)[1]]),beside=SHARES.flatMap(share=>curves.flatMap(([places,away])=>{let[px,py]=places[Math.round(share*(places.
-length-1))];return[0,-half,half].map(aside=>[px+aside,py+away])}));labelFree(context2,text,[...ends,...beside],
-shade)}var NAMES,FAMILY,FONTS,palette,placesOf,line2,cross,LINE,SHARES,clearLabels,overlap,isFree,reserve,init_strokes=__esm(
+other)))??free[0];box2&&(now.labels.push(box2),context.textAlign="center",context.textBaseline="middle",label(
+context,text,box2[0]+wide/2,box2[1]+LINE/2,shade))}function labelBeside(context,text,sides,shade){setFont(context,
+"strong");let half=context.measureText(text).width/2,curves=sides.map(([{x:x2,y:y2},away])=>[placesOf(x2,y2),away]);
+for(let[places]of curves)avoid(places);let ends=curves.map(([places])=>[places.at(-1)[0]+half+8,places.at(-1)[1]]),
+beside=SHARES.flatMap(share=>curves.flatMap(([places,away])=>{let[px,py]=places[Math.round(share*(places.length-
+1))];return[0,-half,half].map(aside=>[px+aside,py+away])}));labelFree(context,text,[...ends,...beside],shade)}
+var NAMES,FAMILY,FONTS,palette,placesOf,line2,cross,LINE,SHARES,clearLabels,overlap,isFree,reserve,init_strokes=__esm(
 {"needlefit/viewer/page/painters/strokes.js"(){"use strict";init_d3_shape();init_d3_interpolate();init_dom();init_store();
 init_view();NAMES=["air","gutter","ink","quiet","edge","needle","points","path","tip","guide","load","measured",
 "band","ghost","plan","gap","bad","halo","soft","stiff","label","accent"],FAMILY="Arial, 'Liberation Sans', He\
 lvetica, sans-serif",FONTS={small:`11px ${FAMILY}`,plain:`12px ${FAMILY}`,strong:`600 12px ${FAMILY}`},palette=
-{};placesOf=(x2,y2)=>x2.map((one,i)=>[toPx(one),toPy(y2[i])]),line2=(context2,x2,y2,shade,width,dash=[])=>polyline(
-context2,[placesOf(x2,y2)],shade,width,dash);cross=(px,py,arm,oblique=!1)=>(oblique?[[arm,arm],[arm,-arm]]:[[arm,
+{};placesOf=(x2,y2)=>x2.map((one,i)=>[toPx(one),toPy(y2[i])]),line2=(context,x2,y2,shade,width,dash=[])=>polyline(
+context,[placesOf(x2,y2)],shade,width,dash);cross=(px,py,arm,oblique=!1)=>(oblique?[[arm,arm],[arm,-arm]]:[[arm,
 0],[0,arm]]).map(([dx,dy])=>[[px-dx,py-dy],[px+dx,py+dy]]);LINE=16,SHARES=[1,.8,.6,.4],clearLabels=()=>Object.
 assign(now,{labels:[],avoided:[]}),overlap=([x2,y2,w,h],[x22,y22,w2,h2])=>x2<x22+w2&&x22<x2+w&&y2<y22+h2&&y22<
-y2+h,isFree=box2=>!now.labels.some(one=>overlap(one,box2)),reserve=(...box2)=>now.labels.push(box2)}});function paintTissue(context2){let{left,top,width,height}=view.box;context2.fillStyle=palette.air,context2.fillRect(
-left,top,width,height);let layers=listLayers();for(let{from,to,shade}of layers)context2.fillStyle=shade,context2.
-fillRect(from,top,to-from,height);for(let{from,number:number3,top:edge}of layers)edge<left||(context2.fillStyle=
-number3===1?palette.ink:palette.edge,context2.fillRect(Math.round(from)-.5,top,number3===1?1.5:1,height));let axis=Math.
-round(toPy(0))+.5;polyline(context2,[[[left,axis],[left+width,axis]]],palette.quiet,1,[5,4])}function listLayers(){
+y2+h,isFree=box2=>!now.labels.some(one=>overlap(one,box2)),reserve=(...box2)=>now.labels.push(box2)}});function paintTissue(context){let{left,top,width,height}=view.box;context.fillStyle=palette.air,context.fillRect(
+left,top,width,height);let layers=listLayers();for(let{from,to,shade}of layers)context.fillStyle=shade,context.
+fillRect(from,top,to-from,height);for(let{from,number:number3,top:edge}of layers)edge<left||(context.fillStyle=
+number3===1?palette.ink:palette.edge,context.fillRect(Math.round(from)-.5,top,number3===1?1.5:1,height));let axis=Math.
+round(toPy(0))+.5;polyline(context,[[[left,axis],[left+width,axis]]],palette.quiet,1,[5,4])}function listLayers(){
 let{boundaries_mm:tops,layer_names:names}=now.scene,{left,width}=view.box,depths=[0,...tops,1/0];return shades(
 now.state.layers).map((shade,i)=>({shade,number:i+1,name:names[i]||`layer ${i+1}`,mu:now.state.layers[i].mu_pa,
 top:toPx(depths[i]),from:Math.max(toPx(depths[i]),left),to:Math.min(toPx(depths[i+1]),left+width)})).filter(({
-from,to})=>to>from)}function paintNames(context2){let{left,top}=view.box,layers=listLayers().map(layer=>({...layer,
+from,to})=>to>from)}function paintNames(context){let{left,top}=view.box,layers=listLayers().map(layer=>({...layer,
 middle:(layer.from+layer.to)/2,modulus:modulus(layer.mu)})),row=write2=>layers.map(layer=>({px:layer.middle,text:write2(
-layer)})),fits2=texts=>texts.every(({px,text},i)=>{let half=context2.measureText(text).width/2,[before,after]=[
-texts[i-1],texts[i+1]].map(other=>other?context2.measureText(other.text).width/2+APART:0);return(!i||px-half>=
-texts[i-1].px+before)&&(!texts[i+1]||px+half<=texts[i+1].px-after)});setFont(context2,"plain");let whole=row(one=>`\
-μ ${one.modulus}`),names=row(one=>one.name),called=fits2(names)?names:row(one=>String(one.number)),part2=(n,before="")=>row(
+layer)})),fits2=texts=>texts.every(({px,text},i)=>{let half=context.measureText(text).width/2,[before,after]=[
+texts[i-1],texts[i+1]].map(other=>other?context.measureText(other.text).width/2+APART:0);return(!i||px-half>=texts[i-
+1].px+before)&&(!texts[i+1]||px+half<=texts[i+1].px-after)});setFont(context,"plain");let whole=row(one=>`μ ${one.
+modulus}`),names=row(one=>one.name),called=fits2(names)?names:row(one=>String(one.number)),part2=(n,before="")=>row(
 one=>before+one.modulus.split(" ")[n]),values=fits2(part2(0,"μ "))?part2(0,"μ "):part2(0),rows=fits2(whole)?
-[called,whole]:[called,values,part2(1)];rows.length>2&&setFont(context2,"small"),rows.forEach((texts,n)=>{let end=-1/0;
-for(let{px,text}of texts){let half=context2.measureText(text).width/2;px-half<end+2||(context2.fillText(text,px,
+[called,whole]:[called,values,part2(1)];rows.length>2&&setFont(context,"small"),rows.forEach((texts,n)=>{let end=-1/0;
+for(let{px,text}of texts){let half=context.measureText(text).width/2;px-half<end+2||(context.fillText(text,px,
 top+(rows.length>2?ROWS:TWO_ROWS)[n]),end=px+half)}});let skin=toPx(0);skin<=left+40||skin>left+view.box.width||
-(context2.textAlign="right",context2.fillText("skin",skin-4,top-11))}function paintFrame(context2,name){let{left,
-top,width,height}=view.box,bottom=top+height;context2.lineWidth=1,context2.strokeStyle=palette.quiet,context2.
-strokeRect(left-.5,top-.5,width+1,height+1),context2.fillStyle=palette.label,setFont(context2,"small","right");
-let across=ticks(fromPy(bottom),fromPy(top),Math.max(height/TICKS_APART,2)).map(y2=>[y2,Math.round(toPy(y2))+.5]);
-polyline(context2,across.map(([,py])=>[[left-TICK,py],[left,py]]),palette.quiet,1);for(let[y2,py]of across)context2.
-fillText(written2(y2),left-TICK-2,py);context2.textAlign="center",turned(context2,11,top+height/2,QUARTER,()=>context2.
-fillText(name,0,0))}function paintAxes(context2){let{left,top,width,height}=view.box,bottom=top+height;setFont(
-context2,"small"),paintFrame(context2,nameAcross(context2,height)),paintNames(context2),setFont(context2,"smal\
-l","center","top");let along=ticks(fromPx(left),fromPx(left+width),width/TICKS_APART).map(x2=>[x2,Math.round(toPx(
-x2))+.5]);polyline(context2,along.map(([,px])=>[[px,bottom],[px,bottom+TICK]]),palette.quiet,1);let end=left+width-
-(view.low?context2.measureText(IN_ROW).width+APART:0);for(let[x2,px]of along)(px<end-APART||!view.low)&&context2.
-fillText(written2(x2),px,bottom+TICK+2);view.low?context2.fillText(IN_ROW,(end+APART+left+width)/2,bottom+TICK+
-2):context2.fillText("x along the entry (mm)",left+width/2,bottom+26)}function nameAcross(context2,room){if(view.
-magnified===1)return"y (mm)";let long=`y (mm), drawn ${view.magnified}× as large as x`;return context2.measureText(
-long).width<room?long:`y (mm), drawn ${view.magnified}×`}var APART,ROWS,TWO_ROWS,TICK,TICKS_APART,QUARTER,IN_ROW,
-written2,init_background=__esm({"needlefit/viewer/page/painters/background.js"(){"use strict";init_d3_array();
-init_quantities();init_store();init_view();init_strokes();APART=8,ROWS=[-34,-20,-6],TWO_ROWS=[-27,-11],TICK=5,
-TICKS_APART=60,QUARTER=Math.PI/2,IN_ROW="x (mm)";written2=value=>brief(value,6).replace("-","−")}});function bevelPlace({tip,bevel}){let[px,py]=[toPx(tip.x),toPy(tip.y)];return{tip:[px,py],turn:[px+AHEAD2,py-Math.
+(context.textAlign="right",context.fillText("skin",skin-4,top-11))}function paintFrame(context,name){let{left,
+top,width,height}=view.box,bottom=top+height;context.lineWidth=1,context.strokeStyle=palette.quiet,context.strokeRect(
+left-.5,top-.5,width+1,height+1),context.fillStyle=palette.label,setFont(context,"small","right");let across=ticks(
+fromPy(bottom),fromPy(top),Math.max(height/TICKS_APART,2)).map(y2=>[y2,Math.round(toPy(y2))+.5]);polyline(context,
+across.map(([,py])=>[[left-TICK,py],[left,py]]),palette.quiet,1);for(let[y2,py]of across)context.fillText(written2(
+y2),left-TICK-2,py);context.textAlign="center",turned(context,11,top+height/2,QUARTER,()=>context.fillText(name,
+0,0))}function paintAxes(context){let{left,top,width,height}=view.box,bottom=top+height;setFont(context,"small"),
+paintFrame(context,nameAcross(context,height)),paintNames(context),setFont(context,"small","center","top");let along=ticks(
+fromPx(left),fromPx(left+width),width/TICKS_APART).map(x2=>[x2,Math.round(toPx(x2))+.5]);polyline(context,along.
+map(([,px])=>[[px,bottom],[px,bottom+TICK]]),palette.quiet,1);let end=left+width-(view.low?context.measureText(
+IN_ROW).width+APART:0);for(let[x2,px]of along)(px<end-APART||!view.low)&&context.fillText(written2(x2),px,bottom+
+TICK+2);view.low?context.fillText(IN_ROW,(end+APART+left+width)/2,bottom+TICK+2):context.fillText("x along the\
+ entry (mm)",left+width/2,bottom+26)}function nameAcross(context,room){if(view.magnified===1)return"y (mm)";let long=`\
+y (mm), drawn ${view.magnified}× as large as x`;return context.measureText(long).width<room?long:`y (mm), dra\
+wn ${view.magnified}×`}var APART,ROWS,TWO_ROWS,TICK,TICKS_APART,QUARTER,IN_ROW,written2,init_background=__esm(
+{"needlefit/viewer/page/painters/background.js"(){"use strict";init_d3_array();init_quantities();init_store();
+init_view();init_strokes();APART=8,ROWS=[-34,-20,-6],TWO_ROWS=[-27,-11],TICK=5,TICKS_APART=60,QUARTER=Math.PI/
+2,IN_ROW="x (mm)";written2=value=>brief(value,6).replace("-","−")}});function bevelPlace({tip,bevel}){let[px,py]=[toPx(tip.x),toPy(tip.y)];return{tip:[px,py],turn:[px+AHEAD2,py-Math.
 cos(bevel.roll_deg*Math.PI/180)*ARM]}}function handleAt(px,py,kind="mouse"){let nearest=null,least=NEAR[kind]??
 NEAR.mouse;for(let handle of now.state?listHandles(now.state):[]){let distance2=Math.hypot(handle.at[0]-px,handle.
 at[1]-py);distance2<least&&([nearest,least]=[handle,distance2])}return nearest}function dragBase({base,depth_mm:depth,
@@ -889,96 +887,96 @@ to[1])-fromPy(from[1]);dragGuide=({item,x:x2,y:y2})=>(from,to)=>[["guide_x_mm",i
 ["guide_y_mm",item,y2+rise(from,to)]]}});function describeShaft({x:x2,y:y2,faults}){let outside=faults?.length>0,points=placesOf(x2,y2),tip=points.at(-1),
 shaft=points.filter(one=>distance(one,tip)>BEVEL.length),last3=shaft.at(-1)??tip,share=1-BEVEL.length/(distance(
 last3,tip)||1);return shaft.push(last3.map((from,i)=>from+share*(tip[i]-from))),{shaft,tip,outside,shown:outside?
-palette.bad:palette.needle}}function paintNeedle(context2,state){let{shaft,tip,outside,shown:shown3}=describeShaft(
-state);polyline(context2,[shaft],shown3,LINE2,outside?[9,5]:[]);let[end,{half},{side}]=[shaft.at(-1),BEVEL,state.
+palette.bad:palette.needle}}function paintNeedle(context,state){let{shaft,tip,outside,shown:shown3}=describeShaft(
+state);polyline(context,[shaft],shown3,LINE2,outside?[9,5]:[]);let[end,{half},{side}]=[shaft.at(-1),BEVEL,state.
 bevel],size2=distance(end,tip)||1,[dx,dy]=tip.map((to,i)=>(to-end[i])/size2),at=([px,py],to)=>[px+to*dy*half,py-
-to*dx*half],[back,near2,point2]=[at(end,-side),at(end,side),at(tip,side)];polygon(context2,[back,near2,point2],
-palette.needle),polyline(context2,[[back,point2]],palette.tip,2)}function reserveNeedle(state){let{tip:[px,py],
+to*dx*half],[back,near2,point2]=[at(end,-side),at(end,side),at(tip,side)];polygon(context,[back,near2,point2],
+palette.needle),polyline(context,[[back,point2]],palette.tip,2)}function reserveNeedle(state){let{tip:[px,py],
 turn:turn2}=bevelPlace(state);reserve(turn2[0]-9,turn2[1]-9,18,18);let arrow2=Array.from({length:5},(_,i)=>[px,
 py-i/6*arrowLength()]),{constraints:[along,across]}=state;avoid([...placesOf(state.x,state.y),...placesOf(along,
 across),...arrow2])}function arrowLength(){let{y:y2}=now.forces;return tallest()*(tipForce()??0)/Math.max(LEAST_FORCE,
-max(y2,Math.abs)??0)}function paintBevel(context2,state){let{tip,turn:turn2}=bevelPlace(state);polyline(context2,
-[[tip,turn2]],palette.tip,1.5),ring(context2,...turn2,6,palette.air,palette.tip),setFont(context2,"small"),labelFree(
-context2,"bevel",[[turn2[0]+29,turn2[1]],[turn2[0],turn2[1]-18*state.bevel.side]],palette.tip)}function paintTipForce(context2,{
+max(y2,Math.abs)??0)}function paintBevel(context,state){let{tip,turn:turn2}=bevelPlace(state);polyline(context,
+[[tip,turn2]],palette.tip,1.5),ring(context,...turn2,6,palette.air,palette.tip),setFont(context,"small"),labelFree(
+context,"bevel",[[turn2[0]+29,turn2[1]],[turn2[0],turn2[1]-18*state.bevel.side]],palette.tip)}function paintTipForce(context,{
 tip,z}){if(z)return;let[force,length]=[tipForce(),arrowLength()];if(Math.abs(length)<SHORTEST)return;let[px,py]=[
-toPx(tip.x),toPy(tip.y)];arrow(context2,[px,py],length,palette.load),setFont(context2,"small");let[end,half]=[
-py-length-9*Math.sign(length),py-length/2],places=[[px,end],[px-34,end],[px+30,end],[px+30,half],[px-34,half],
-[px,end-14*Math.sign(length)]];labelFree(context2,`${brief(Math.abs(force??0),2)} N`,places,palette.load)}function paintPoints(context2,{
+toPx(tip.x),toPy(tip.y)];arrow(context,[px,py],length,palette.load),setFont(context,"small");let[end,half]=[py-
+length-9*Math.sign(length),py-length/2],places=[[px,end],[px-34,end],[px+30,end],[px+30,half],[px-34,half],[px,
+end-14*Math.sign(length)]];labelFree(context,`${brief(Math.abs(force??0),2)} N`,places,palette.load)}function paintPoints(context,{
 constraints:[x2,y2]}){let half=Math.min(Math.max(CROSS.of*now.scene.spacing_mm*view.scale,CROSS.least),CROSS.most),
-crosses=placesOf(x2,y2).flatMap(place2=>cross(...place2,half,!0));polyline(context2,crosses,palette.points,half>
-2?1.4:1)}function paintBase(context2,state){let{place:[px,py],angle:angle2}=basePlace(state),ends=[-46,46].map(
-to=>[[px-5,py+to],[px+5,py+to]]);polyline(context2,[[[px,py-46],[px,py+46]],...ends],palette.quiet,2),turned(context2,
-px,py,angle2,()=>box(context2,-22,-7,26,14,palette.ink))}function paintGuides(context2,{guides}){for(let guide of guides){
-let{place:place2,angle:angle2}=guidePlace(guide);turned(context2,...place2,angle2,()=>{for(let to of[-1,1]){let from=GAP*
-to;guide.turns_freely?polygon(context2,[[0,from],[-7,from+11*to],[7,from+11*to]],palette.guide):box(context2,-13,
-Math.min(from,from+7*to),26,7,palette.guide)}})}writeNames(context2,guides)}function writeNames(context2,guides){
-setFont(context2,"strong");for(let guide of guides.toSorted((one,other)=>one.item-other.item)){let[px,py]=[toPx(
-guide.x),toPy(guide.y)+27];px<view.box.left||px>view.box.left+view.box.width||labelFree(context2,shortName(guide),
-[[px,py]],palette.guide)}}function paintLoad(context2,{load:{x:x2,y:y2,n_per_mm:values}}){let planes=values.map(
+crosses=placesOf(x2,y2).flatMap(place2=>cross(...place2,half,!0));polyline(context,crosses,palette.points,half>
+2?1.4:1)}function paintBase(context,state){let{place:[px,py],angle:angle2}=basePlace(state),ends=[-46,46].map(
+to=>[[px-5,py+to],[px+5,py+to]]);polyline(context,[[[px,py-46],[px,py+46]],...ends],palette.quiet,2),turned(context,
+px,py,angle2,()=>box(context,-22,-7,26,14,palette.ink))}function paintGuides(context,{guides}){for(let guide of guides){
+let{place:place2,angle:angle2}=guidePlace(guide);turned(context,...place2,angle2,()=>{for(let to of[-1,1]){let from=GAP*
+to;guide.turns_freely?polygon(context,[[0,from],[-7,from+11*to],[7,from+11*to]],palette.guide):box(context,-13,
+Math.min(from,from+7*to),26,7,palette.guide)}})}writeNames(context,guides)}function writeNames(context,guides){
+setFont(context,"strong");for(let guide of guides.toSorted((one,other)=>one.item-other.item)){let[px,py]=[toPx(
+guide.x),toPy(guide.y)+27];px<view.box.left||px>view.box.left+view.box.width||labelFree(context,shortName(guide),
+[[px,py]],palette.guide)}}function paintLoad(context,{load:{x:x2,y:y2,n_per_mm:values}}){let planes=values.map(
 one=>smooth(x2,one,now.scene.spacing_mm)),load3=planes.length===1?planes[0]:planes[0].map((one,i)=>Math.hypot(
 one,planes[1][i])),greatest=load3.reduce((most,one)=>Math.max(most,Math.abs(one)),0);if(greatest<LEAST_LOAD||x2.
 length<2)return;let height=greatest*view.per_load;(height>tallest()||height<Math.min(LOWEST,tallest()/3))&&(view.
 per_load=.75*tallest()/(2*tickStep(0,greatest,1)));let[px,py]=[x2.map(toPx),y2.map(toPy)],[surface,ends]=[0,view.
-per_load].map(scale=>px.map((x3,i)=>[x3,py[i]-load3[i]*scale]));faintly(context2,.32,()=>polygon(context2,[...surface,
-...ends.toReversed()],palette.load)),polyline(context2,[[...surface.slice(0,1),...ends,...surface.slice(-1)]],
-palette.load,1.25)}function smooth(x2,load3,reach){let sums=[0];for(let i=1;i<x2.length;i+=1)sums.push(sums[i-
-1]+(load3[i]+load3[i-1])/2*(x2[i]-x2[i-1]));let sumTo=at=>{let i=bisectRight(x2,at);if(i===0||i===x2.length)return sums[Math.
+per_load].map(scale=>px.map((x3,i)=>[x3,py[i]-load3[i]*scale]));faintly(context,.32,()=>polygon(context,[...surface,
+...ends.toReversed()],palette.load)),polyline(context,[[...surface.slice(0,1),...ends,...surface.slice(-1)]],palette.
+load,1.25)}function smooth(x2,load3,reach){let sums=[0];for(let i=1;i<x2.length;i+=1)sums.push(sums[i-1]+(load3[i]+
+load3[i-1])/2*(x2[i]-x2[i-1]));let sumTo=at=>{let i=bisectRight(x2,at);if(i===0||i===x2.length)return sums[Math.
 max(i-1,0)];let part2=(at-x2[i-1])/(x2[i]-x2[i-1]);return sums[i-1]+(load3[i-1]+part2*(load3[i]-load3[i-1])/2)*
 (at-x2[i-1])};return x2.map((at,i)=>{let half=Math.min(reach,at-x2[0],x2.at(-1)-at);return half>0?(sumTo(at+half)-
-sumTo(at-half))/(2*half):load3[i]})}function paintKey(context2){if(!view.per_load)return;let size2=tickStep(0,
-28/view.per_load,1),[px,height]=[7,size2*view.per_load],py=view.box.top-6-height;polyline(context2,[[[px,py],[
-px,py+height]],...[py,py+height].map(end=>[[px-3,end],[px+3,end]])],palette.load,1.5),setFont(context2,"small",
-"left"),label(context2,`${brief(size2)} N/mm`,px+6,py+height/2)}var LINE2,CROSS,BEVEL,GAP,LOWEST,tallest,SHORTEST,
-LEAST_FORCE,LEAST_LOAD,distance,paintPath,box,init_needle2=__esm({"needlefit/viewer/page/painters/needle.js"(){
-"use strict";init_d3_array();init_handles();init_quantities();init_store();init_view();init_strokes();LINE2=2.5,
-CROSS={of:.28,least:1,most:3.2},BEVEL={length:7.5,half:1.5},GAP=3,LOWEST=16,tallest=()=>Math.min(48,.2*view.box.
-height-10),SHORTEST=5,LEAST_FORCE=.5,LEAST_LOAD=1e-6,distance=(one,other)=>Math.hypot(one[0]-other[0],one[1]-other[1]);
-paintPath=(context2,{tip_path:[x2,y2]})=>line2(context2,x2,y2,palette.path,1.5);box=(context2,px,py,width,height,shade)=>polygon(
-context2,[[px,py],[px+width,py],[px+width,py+height],[px,py+height]],shade)}});function paintMeasured(context2,curve){haloed(context2,curve,palette.measured,2,[7,4]),nameLine(context2,"meas\
-ured",curve,palette.measured)}function nameLine(context2,name,curve,shade){labelBeside(context2,name,[[curve,16],
-[curve,-16]],shade)}function nameNeedle(context2,state){predictionOf(state,now.scene)||nameLine(context2,isSteered(
-state,now.scene)?"steered":"simulated",state,state.faults.length?palette.bad:palette.needle)}function paintPinned(context2,pinned){
-haloed(context2,pinned,palette.ghost,2.5,[2,3]),nameLine(context2,"pinned",pinned,palette.ghost)}function nameBand(context2,{
-x:x2,low,high}){isChanged(now.state,now.scene)&&labelBeside(context2,"band of the fit",[[{x:x2,y:high},-14],[{
-x:x2,y:low},14]],palette.band)}function paintBand(context2,{x:x2,low,high},pale){faintly(context2,pale?.16:.4,
-()=>fillBetween(context2,x2,low,high,palette.band)),faintly(context2,pale?.4:1,()=>{for(let edge of[low,high])
-line2(context2,x2,edge,palette.band,1.5)})}function paintPrediction(context2,state){let prediction=predictionOf(
-state,now.scene);prediction&&(haloed(context2,prediction,palette.accent,2.5),nameLine(context2,"prediction",prediction,
-palette.accent))}function paintMethods(context2){for(let{key,x:x2,y:y2,colour:colour2}of now.needle?.methods??
-[])x2&&now.curves.has(key)&&haloed(context2,{x:x2,y:y2},isDark()?lighten(colour2):colour2,2)}function heightAt({
-x:xs,y:ys},x2){let after=Math.min(Math.max(bisectLeft(xs,x2),1),xs.length-1),share=Math.min(Math.max((x2-xs[after-
-1])/(xs[after]-xs[after-1]),0),1);return ys[after-1]+share*(ys[after]-ys[after-1])}function paintGaps(context2,state,measured){
-let{errors}=state;if(!errors)return;let prediction=predictionOf(state,now.scene),needle=prediction??state,tip={
-x:needle.x.at(-1),y:needle.y.at(-1)},reach=Math.min(tip.x,measured.x.at(-1)),gaps=Array.from({length:GAPS-1},(_,n)=>reach*
-(n+1)/GAPS).map(x3=>[needle,measured].map(curve=>[toPx(x3),toPy(heightAt(curve,x3))]));polyline(context2,gaps,
-palette.gap,1.25);let[x2,y2]=errors.whole?[measured.x.at(-1),measured.y.at(-1)]:[reach,heightAt(measured,reach)],
-end=errors.whole?[tip.x,tip.y]:[reach,heightAt(needle,reach)];for(let[shown3,width]of[[palette.halo,5],[palette.
-gap,2.5]])line2(context2,[x2,end[0]],[y2,end[1]],shown3,width);setFont(context2,"strong");let[px,[,[key,named2]]]=[
-toPx(x2),measured.metrics],[top,bottom]=[toPy(y2),toPy(end[1])].sort((one,other)=>one-other),sides=[[px,top-AWAY],
-[px,bottom+AWAY]];state.bevel.side>0&&sides.reverse(),labelFree(context2,`tip error (${named2}) ${(prediction?.
-errors??errors)[key].toFixed(2)} mm`,[...sides,[px+60,top-AWAY],[px+60,bottom+AWAY],[px-90,top-AWAY],[px-90,bottom+
-AWAY]],palette.gap)}function paintPlan(context2,{target:[x2,y2],radius,obstacles,needles}){faintly(context2,FAN,
-()=>{for(let[xs,ys]of needles)line2(context2,xs,ys,palette.plan,1)});for(let[at,across,size2,name]of obstacles)
-paintCircle(context2,at,across,size2,palette.tip,name,.28);paintCircle(context2,x2,y2,radius,palette.guide,"ta\
-rget"),polyline(context2,cross(toPx(x2),toPy(y2),CROSS2),palette.guide,2)}function paintCircle(context2,x2,y2,radius,shade,name,opacity=0){
-let[px,py,across]=[toPx(x2),toPy(y2),radius*view.scale],edge=range(0,CORNERS+1).map(n=>2*Math.PI*n/CORNERS).map(
-angle2=>[px+across*Math.cos(angle2),py+across*view.magnified*Math.sin(angle2)]);if(faintly(context2,opacity,()=>polygon(
-context2,edge,shade)),polyline(context2,[edge],palette.halo,4),polyline(context2,[edge],shade,2),px<view.box.left||
-px>view.box.left+view.box.width)return;setFont(context2,"strong");let sides=[[px,toPy(y2+radius)-12],[px,toPy(
-y2-radius)+12]];now.state.bevel.side>0&&sides.reverse(),labelFree(context2,name,sides,shade)}function paintInset(context2,{
-x:x2,y:y2,tip}){if(tip.x<=0)return;let{left,top,width,height}=view.box,{band:band2,scene}=now,places=[{x:x2,y:y2},
-scene.measured,band2&&{x:band2.x,y:band2.low},band2&&{x:band2.x,y:band2.high}].flatMap(one=>one?placesOf(one.x,
-one.y):[]),wide=Math.min(INSET.width,.36*width),empty=([px2,py2])=>isFree([px2,py2,wide,INSET.height])&&places.
-every(([cx,cy])=>cx<px2-CLEAR||cx>px2+wide+CLEAR||cy<py2-CLEAR||cy>py2+INSET.height+CLEAR),rows=[top+height-INSET.
-height-INSET.edge,top+INSET.edge],columns2=[left+INSET.edge,left+width-wide-INSET.edge],corner=rows.flatMap(py2=>columns2.
-map(px2=>[px2,py2])).find(empty);if(!corner)return;let[px,py]=corner.map(one=>Math.round(one)+.5);reserve(px,py,
-wide,INSET.height);let frame2=[[px,py],[px+wide,py],[px+wide,py+INSET.height],[px,py+INSET.height],[px,py]];polygon(
-context2,frame2,palette.air),polyline(context2,[frame2],palette.quiet,1);let inserted=x2.map((one,i)=>[one,y2[i]]).
-filter(([one])=>one>=0),[low,high]=extent(inserted.map(([,one])=>one)),room=[wide-2*INSET.edge,INSET.height-INSET.
-title-6],scale=Math.min(room[0]/Math.max(scene.depth_mm,now.state.depth_mm,1),room[1]/(high-low+scene.diameter_mm)),
+sumTo(at-half))/(2*half):load3[i]})}function paintKey(context){if(!view.per_load)return;let size2=tickStep(0,28/
+view.per_load,1),[px,height]=[7,size2*view.per_load],py=view.box.top-6-height;polyline(context,[[[px,py],[px,py+
+height]],...[py,py+height].map(end=>[[px-3,end],[px+3,end]])],palette.load,1.5),setFont(context,"small","left"),
+label(context,`${brief(size2)} N/mm`,px+6,py+height/2)}var LINE2,CROSS,BEVEL,GAP,LOWEST,tallest,SHORTEST,LEAST_FORCE,
+LEAST_LOAD,distance,paintPath,box,init_needle2=__esm({"needlefit/viewer/page/painters/needle.js"(){"use strict";
+init_d3_array();init_handles();init_quantities();init_store();init_view();init_strokes();LINE2=2.5,CROSS={of:.28,
+least:1,most:3.2},BEVEL={length:7.5,half:1.5},GAP=3,LOWEST=16,tallest=()=>Math.min(48,.2*view.box.height-10),SHORTEST=
+5,LEAST_FORCE=.5,LEAST_LOAD=1e-6,distance=(one,other)=>Math.hypot(one[0]-other[0],one[1]-other[1]);paintPath=(context,{
+tip_path:[x2,y2]})=>line2(context,x2,y2,palette.path,1.5);box=(context,px,py,width,height,shade)=>polygon(context,
+[[px,py],[px+width,py],[px+width,py+height],[px,py+height]],shade)}});function paintMeasured(context,curve){haloed(context,curve,palette.measured,2,[7,4]),nameLine(context,"measure\
+d",curve,palette.measured)}function nameLine(context,name,curve,shade){labelBeside(context,name,[[curve,16],[curve,
+-16]],shade)}function nameNeedle(context,state){predictionOf(state,now.scene)||nameLine(context,isSteered(state,
+now.scene)?"steered":"simulated",state,state.faults.length?palette.bad:palette.needle)}function paintPinned(context,pinned){
+haloed(context,pinned,palette.ghost,2.5,[2,3]),nameLine(context,"pinned",pinned,palette.ghost)}function nameBand(context,{
+x:x2,low,high}){isChanged(now.state,now.scene)&&labelBeside(context,"band of the fit",[[{x:x2,y:high},-14],[{x:x2,
+y:low},14]],palette.band)}function paintBand(context,{x:x2,low,high},pale){faintly(context,pale?.16:.4,()=>fillBetween(
+context,x2,low,high,palette.band)),faintly(context,pale?.4:1,()=>{for(let edge of[low,high])line2(context,x2,edge,
+palette.band,1.5)})}function paintPrediction(context,state){let prediction=predictionOf(state,now.scene);prediction&&
+(haloed(context,prediction,palette.accent,2.5),nameLine(context,"prediction",prediction,palette.accent))}function paintMethods(context){
+for(let{key,x:x2,y:y2,colour:colour2}of now.needle?.methods??[])x2&&now.curves.has(key)&&haloed(context,{x:x2,
+y:y2},isDark()?lighten(colour2):colour2,2)}function heightAt({x:xs,y:ys},x2){let after=Math.min(Math.max(bisectLeft(
+xs,x2),1),xs.length-1),share=Math.min(Math.max((x2-xs[after-1])/(xs[after]-xs[after-1]),0),1);return ys[after-
+1]+share*(ys[after]-ys[after-1])}function paintGaps(context,state,measured){let{errors}=state;if(!errors)return;
+let prediction=predictionOf(state,now.scene),needle=prediction??state,tip={x:needle.x.at(-1),y:needle.y.at(-1)},
+reach=Math.min(tip.x,measured.x.at(-1)),gaps=Array.from({length:GAPS-1},(_,n)=>reach*(n+1)/GAPS).map(x3=>[needle,
+measured].map(curve=>[toPx(x3),toPy(heightAt(curve,x3))]));polyline(context,gaps,palette.gap,1.25);let[x2,y2]=errors.
+whole?[measured.x.at(-1),measured.y.at(-1)]:[reach,heightAt(measured,reach)],end=errors.whole?[tip.x,tip.y]:[reach,
+heightAt(needle,reach)];for(let[shown3,width]of[[palette.halo,5],[palette.gap,2.5]])line2(context,[x2,end[0]],
+[y2,end[1]],shown3,width);setFont(context,"strong");let[px,[,[key,named2]]]=[toPx(x2),measured.metrics],[top,bottom]=[
+toPy(y2),toPy(end[1])].sort((one,other)=>one-other),sides=[[px,top-AWAY],[px,bottom+AWAY]];state.bevel.side>0&&
+sides.reverse(),labelFree(context,`tip error (${named2}) ${(prediction?.errors??errors)[key].toFixed(2)} mm`,[
+...sides,[px+60,top-AWAY],[px+60,bottom+AWAY],[px-90,top-AWAY],[px-90,bottom+AWAY]],palette.gap)}function paintPlan(context,{
+target:[x2,y2],radius,obstacles,needles}){faintly(context,FAN,()=>{for(let[xs,ys]of needles)line2(context,xs,ys,
+palette.plan,1)});for(let[at,across,size2,name]of obstacles)paintCircle(context,at,across,size2,palette.tip,name,
+.28);paintCircle(context,x2,y2,radius,palette.guide,"target"),polyline(context,cross(toPx(x2),toPy(y2),CROSS2),
+palette.guide,2)}function paintCircle(context,x2,y2,radius,shade,name,opacity=0){let[px,py,across]=[toPx(x2),toPy(
+y2),radius*view.scale],edge=range(0,CORNERS+1).map(n=>2*Math.PI*n/CORNERS).map(angle2=>[px+across*Math.cos(angle2),
+py+across*view.magnified*Math.sin(angle2)]);if(faintly(context,opacity,()=>polygon(context,edge,shade)),polyline(
+context,[edge],palette.halo,4),polyline(context,[edge],shade,2),px<view.box.left||px>view.box.left+view.box.width)
+return;setFont(context,"strong");let sides=[[px,toPy(y2+radius)-12],[px,toPy(y2-radius)+12]];now.state.bevel.side>
+0&&sides.reverse(),labelFree(context,name,sides,shade)}function paintInset(context,{x:x2,y:y2,tip}){if(tip.x<=
+0)return;let{left,top,width,height}=view.box,{band:band2,scene}=now,places=[{x:x2,y:y2},scene.measured,band2&&
+{x:band2.x,y:band2.low},band2&&{x:band2.x,y:band2.high}].flatMap(one=>one?placesOf(one.x,one.y):[]),wide=Math.
+min(INSET.width,.36*width),empty=([px2,py2])=>isFree([px2,py2,wide,INSET.height])&&places.every(([cx,cy])=>cx<
+px2-CLEAR||cx>px2+wide+CLEAR||cy<py2-CLEAR||cy>py2+INSET.height+CLEAR),rows=[top+height-INSET.height-INSET.edge,
+top+INSET.edge],columns2=[left+INSET.edge,left+width-wide-INSET.edge],corner=rows.flatMap(py2=>columns2.map(px2=>[
+px2,py2])).find(empty);if(!corner)return;let[px,py]=corner.map(one=>Math.round(one)+.5);reserve(px,py,wide,INSET.
+height);let frame2=[[px,py],[px+wide,py],[px+wide,py+INSET.height],[px,py+INSET.height],[px,py]];polygon(context,
+frame2,palette.air),polyline(context,[frame2],palette.quiet,1);let inserted=x2.map((one,i)=>[one,y2[i]]).filter(
+([one])=>one>=0),[low,high]=extent(inserted.map(([,one])=>one)),room=[wide-2*INSET.edge,INSET.height-INSET.title-
+6],scale=Math.min(room[0]/Math.max(scene.depth_mm,now.state.depth_mm,1),room[1]/(high-low+scene.diameter_mm)),
 middle=py+(INSET.height+INSET.title)/2,drawn=inserted.map(([one,across])=>[px+INSET.edge+one*scale,middle-(across-
-(low+high)/2)*scale]);polyline(context2,[drawn],palette.needle,Math.max(scene.diameter_mm*scale,1)),setFont(context2,
-"small","left","top"),label(context2,"true scale",px+6,py+4)}var GAPS,FAN,CROSS2,CORNERS,AWAY,INSET,CLEAR,BAND_REACH,
+(low+high)/2)*scale]);polyline(context,[drawn],palette.needle,Math.max(scene.diameter_mm*scale,1)),setFont(context,
+"small","left","top"),label(context,"true scale",px+6,py+4)}var GAPS,FAN,CROSS2,CORNERS,AWAY,INSET,CLEAR,BAND_REACH,
 isBandNear,lighten,init_overlay=__esm({"needlefit/viewer/page/painters/overlay.js"(){"use strict";init_d3_array();
 init_d3_interpolate();init_dom();init_quantities();init_store();init_view();init_strokes();GAPS=12,FAN=.3,CROSS2=
 5,CORNERS=72,AWAY=19,INSET={width:170,height:46,edge:10,title:14},CLEAR=30;BAND_REACH=2,isBandNear=({x:x2},state)=>x2.
@@ -986,22 +984,23 @@ length>0&&Math.abs(x2.at(-1)-state.x.at(-1))<=BAND_REACH;lighten=shade=>rgb2(sha
 ...state,y:state.z,constraints:across(state.constraints),tip_path:across(state.tip_path),bevel:{side:Math.sin(
 roll2)<0?-1:1}}}function draw(){if(canvas.hidden=!now.state||!isSpatial(),canvas.hidden)return;let{clientWidth:width,
 clientHeight:height}=canvas,size2=[width,height].map(one=>Math.round(one*devicePixelRatio));(canvas.width!==size2[0]||
-canvas.height!==size2[1])&&([canvas.width,canvas.height]=size2),context.setTransform(devicePixelRatio,0,0,devicePixelRatio,
-0,0),context.fillStyle=palette.gutter,context.fillRect(0,0,width,height);let{band:band2,shown:shown3,scene:{measured}}=now,
-state={...now.state,z:now.state.z??now.state.x.map(()=>0)},seen=[...state.z,...measured?.z??[],...band2?.z?.low??
-[],...band2?.z?.high??[],0],[low,high]=[Math.min(...seen),Math.max(...seen)],{y:y2,box:box2,magnified}=view,window2={
-...box2,top:EDGE2,height:height-2*EDGE2},times=Math.min(magnified,(window2.height-2*ROOM2)/(view.scale*(high-low||
-1)));Object.assign(view,{y:(low+high)/2,box:window2,magnified:times}),within(context,window2,()=>{paintTissue(
+canvas.height!==size2[1])&&([canvas.width,canvas.height]=size2),screen.setTransform(devicePixelRatio,0,0,devicePixelRatio,
+0,0),paintAbove(screen,width,height)}function paintAbove(context,width,height){context.fillStyle=palette.gutter,
+context.fillRect(0,0,width,height);let{band:band2,shown:shown3,labels,avoided,scene:{measured}}=now;clearLabels();
+let state={...now.state,z:now.state.z??now.state.x.map(()=>0)},seen=[...state.z,...measured?.z??[],...band2?.z?.
+low??[],...band2?.z?.high??[],0],[low,high]=[Math.min(...seen),Math.max(...seen)],{y:y2,box:box2,magnified}=view,
+window2={...box2,top:EDGE2,height:height-2*EDGE2},times=Math.min(magnified,(window2.height-2*ROOM2)/(view.scale*
+(high-low||1)));Object.assign(view,{y:(low+high)/2,box:window2,magnified:times}),within(context,window2,()=>{paintTissue(
 context);let needle=turn(state);shown3.band&&band2?.z&&isBandNear(band2,state)&&paintBand(context,{x:band2.x,...band2.
 z},band2.step!==state.step),context.lineJoin="round",paintNeedle(context,needle),shown3.path&&paintPath(context,
 needle),shown3.points&&paintPoints(context,needle),measured&&shown3.measured&&paintMeasured(context,{...measured,
 y:measured.z}),setFont(context,"small","left"),label(context,"from above",box2.left+6,EDGE2+10)}),paintFrame(context,
-times===1?"z (mm)":`z (mm), drawn ${brief(times,2)}×`),Object.assign(view,{y:y2,box:box2,magnified})}var EDGE2,
-ROOM2,canvas,context,isSpatial,init_above=__esm({"needlefit/viewer/page/above.js"(){"use strict";init_dom();init_background();
-init_needle2();init_overlay();init_strokes();init_quantities();init_store();init_view();[EDGE2,ROOM2]=[8,14],canvas=
-part("above"),context=getContext(canvas),isSpatial=()=>!!(now.state?.z??now.scene?.measured?.compared==="space");
-for(let kind of["drawn","scene"])listen(kind,draw);new ResizeObserver(draw).observe(canvas);onScheme(()=>requestAnimationFrame(
-draw))}});function computeErrors(session,measured){let{depth}=session.shape,upto=Math.min(depth,measured.depth_mm);if(upto<
+times===1?"z (mm)":`z (mm), drawn ${brief(times,2)}×`),Object.assign(view,{y:y2,box:box2,magnified}),Object.assign(
+now,{labels,avoided})}var EDGE2,ROOM2,canvas,screen,isSpatial,init_above=__esm({"needlefit/viewer/page/above.j\
+s"(){"use strict";init_dom();init_background();init_needle2();init_overlay();init_strokes();init_quantities();
+init_store();init_view();[EDGE2,ROOM2]=[8,14],canvas=part("above"),screen=getContext(canvas),isSpatial=()=>!!(now.
+state?.z??now.scene?.measured?.compared==="space");for(let kind of["drawn","scene"])listen(kind,draw);new ResizeObserver(
+draw).observe(canvas);onScheme(()=>requestAnimationFrame(draw))}});function computeErrors(session,measured){let{depth}=session.shape,upto=Math.min(depth,measured.depth_mm);if(upto<
 1)return null;let beyond=depth-measured.depth_mm,whole=Math.abs(beyond)<=1e-6,[simulated,other]=[[],[]];if(whole){
 let{s:s2,x:x2,y:y2,z,pose}=measured.target;other=x2.map((one,i)=>[one,y2[i],z[i]]),simulated=readPoints(session,
 s2.map(one=>one+beyond)),simulated=ALIGN[pose](simulated,other)}else if(measured.target.pose!=="free"){let s2=Array.
@@ -1158,24 +1157,24 @@ function order(){if(!now.state)return;let about=JSON.stringify([current().name,n
 scene.draws,steps:null}),order()}worker.onmessage=({data:{id,band:band2,forces}})=>{id.needle===current().name&&
 (forces?take({kind:"forces",step:id.step,...forces}):take(band2?{kind:"band",step:id.step,...band2}:NONE))},listen(
 "scene",send),listen("drawn",order)}var NONE,init_bands=__esm({"needlefit/viewer/page/bands.js"(){"use strict";
-init_inputs();init_store();NONE={kind:"band",x:[]}}});function paint(context2,figure){let{state,shown:shown3,scene,band:newest2}=now,band2=shown3.band&&newest2&&isBandNear(
+init_inputs();init_store();NONE={kind:"band",x:[]}}});function paint(context,figure){let{state,shown:shown3,scene,band:newest2}=now,band2=shown3.band&&newest2&&isBandNear(
 newest2,state)?newest2:null,loaded=shown3.load&&!state.faults.length,measured=shown3.measured?scene.measured:null,
-pinned=shown3.pinned?now.pinned:null;context2.fillStyle=palette.gutter,context2.fillRect(0,0,...figure),clearLabels(),
-reserveNeedle(state);for(let curve of[measured,pinned])curve&&avoid(placesOf(curve.x,curve.y));context2.lineJoin=
-"round",within(context2,now.view.box,()=>{paintTissue(context2),loaded&&paintLoad(context2,state),band2&&paintBand(
-context2,band2,band2.step!==state.step),shown3.plan&&scene.plan&&paintPlan(context2,scene.plan),pinned&&paintPinned(
-context2,pinned),paintNeedle(context2,state),paintInset(context2,state),paintBevel(context2,state),loaded&&paintTipForce(
-context2,state),shown3.path&&paintPath(context2,state),shown3.points&&paintPoints(context2,state),paintPrediction(
-context2,state),measured&&paintMeasured(context2,measured),measured&&shown3.errors&&paintGaps(context2,state,measured),
-paintMethods(context2),paintGuides(context2,state),paintBase(context2,state),(measured||pinned)&&nameNeedle(context2,
-state),band2&&nameBand(context2,band2)}),paintAxes(context2),loaded&&paintKey(context2)}function measure2(){let[
-width,height]=size();canvas2.width=Math.round(width*devicePixelRatio),canvas2.height=Math.round(height*devicePixelRatio),
-screen.setTransform(devicePixelRatio,0,0,devicePixelRatio,0,0),resize(width,height),redraw()}var picture,canvas2,
-screen,frame,size,init_drawing=__esm({"needlefit/viewer/page/drawing.js"(){"use strict";init_dom();init_background();
+pinned=shown3.pinned?now.pinned:null;context.fillStyle=palette.gutter,context.fillRect(0,0,...figure),clearLabels(),
+reserveNeedle(state);for(let curve of[measured,pinned])curve&&avoid(placesOf(curve.x,curve.y));context.lineJoin=
+"round",within(context,now.view.box,()=>{paintTissue(context),loaded&&paintLoad(context,state),band2&&paintBand(
+context,band2,band2.step!==state.step),shown3.plan&&scene.plan&&paintPlan(context,scene.plan),pinned&&paintPinned(
+context,pinned),paintNeedle(context,state),paintInset(context,state),paintBevel(context,state),loaded&&paintTipForce(
+context,state),shown3.path&&paintPath(context,state),shown3.points&&paintPoints(context,state),paintPrediction(
+context,state),measured&&paintMeasured(context,measured),measured&&shown3.errors&&paintGaps(context,state,measured),
+paintMethods(context),paintGuides(context,state),paintBase(context,state),(measured||pinned)&&nameNeedle(context,
+state),band2&&nameBand(context,band2)}),paintAxes(context),loaded&&paintKey(context)}function measure2(){let[width,
+height]=size();canvas2.width=Math.round(width*devicePixelRatio),canvas2.height=Math.round(height*devicePixelRatio),
+screen2.setTransform(devicePixelRatio,0,0,devicePixelRatio,0,0),resize(width,height),redraw()}var picture,canvas2,
+screen2,frame,size,init_drawing=__esm({"needlefit/viewer/page/drawing.js"(){"use strict";init_dom();init_background();
 init_needle2();init_overlay();init_strokes();init_store();init_view();picture=part("picture"),canvas2=part("ca\
-nvas"),screen=getContext(canvas2),frame=0,size=()=>[picture.clientWidth,picture.clientHeight];listen("redraw",
-()=>{frame||=requestAnimationFrame(()=>{frame=0,now.state&&(paint(screen,size()),document.body.classList.add("\
-begun")),publish("drawn")})});listen("state",()=>(follow(),redraw()));for(let kind of["band","forces"])listen(
+nvas"),screen2=getContext(canvas2),frame=0,size=()=>[picture.clientWidth,picture.clientHeight];listen("redraw",
+()=>{frame||=requestAnimationFrame(()=>{frame=0,now.state&&(paint(screen2,size()),document.body.classList.add(
+"begun")),publish("drawn")})});listen("state",()=>(follow(),redraw()));for(let kind of["band","forces"])listen(
 kind,redraw);new ResizeObserver(measure2).observe(picture);onScheme(()=>(readPalette(),redraw()));readPalette()}});function readColour(shade){let hex2=shade.match(/^#(\w\w)(\w\w)(\w\w)(\w\w)?$/)?.slice(1).map(one=>parseInt(one??
 "ff",16)),[red,green,blue,alpha=255]=hex2??shade.match(/[\d.]+/g).map(Number);return{parts:[red,green,blue],opacity:alpha/
 255}}function writePaint(name,shade,opacity=1){if(!shade)return`${name}="none"`;let{parts,opacity:own2}=readColour(
@@ -1392,22 +1391,23 @@ listen("state",state=>{let words=exceeded(state);write("beyond",words&&`${words[
 top+view.box.height/2),!(announced===now.scene||!words)&&(announced=now.scene,say(`The needle is ${words}.`))});
 angle=({rotation})=>`${signed(toDegrees(rotation),1)} degrees`;refreshDescription=()=>write("described",inWords())}});function draw2(wide,whole,begin2){let kept={...view},[across,tall]=size();onPaper(!0);try{whole&&fit("whole");
 let{box:box2,scale}=view,width=wide*PX_PER_MM,share=(width-(across-box2.width))/box2.width,figure=[width,tall-
-box2.height+share*box2.height];return Object.assign(view,{scale:scale*share,box:{...box2,width:share*box2.width,
-height:share*box2.height}}),paint(begin2(figure),figure),figure}finally{Object.assign(view,kept),onPaper(!1),redraw()}}
-function onPaper(on){usePaper(on),readPalette()}function drawPng(wide,whole){let canvas4=document.createElement(
-"canvas");return draw2(wide,whole,figure=>{let times=DPI/96;Object.assign(canvas4,{width:Math.round(times*figure[0]),
-height:Math.round(times*figure[1])});let context2=getContext(canvas4);return context2.scale(times,times),context2}),
-new Promise(resolve=>canvas4.toBlob(resolve,"image/png"))}function drawVectors(wide,whole,format){let context2=new FigureContext,
-figure=draw2(wide,whole,()=>context2),{title}=now.scene;return format==="svg"?new Blob([writeSvg(context2.drawn,
-figure,wide,title,inWords())],{type:"image/svg+xml"}):new Blob([writePdf(context2.drawn,figure,wide,title)],{type:"\
-application/pdf"})}var PX_PER_MM,DPI,init_figure=__esm({"needlefit/viewer/page/figure.js"(){"use strict";init_dom();
-init_drawing();init_figure_context();init_link();init_strokes();init_readouts();init_store();init_view();PX_PER_MM=
-96/25.4,DPI=300;press("save-figure",async()=>{if(!now.state)return;let[format,wide,whole]=[part("figure-format").
-value,Number(part("figure-width").value),part("figure-view").value==="whole"],figure=await(format==="png"?drawPng(
-wide,whole):drawVectors(wide,whole,format)),name=`${nameOf2(now.needle).replace(/[^\w-]+/g,"-")}.${format}`;hand(
-figure,name),write("link-note",`Saved ${name}: ${whole?"the whole needle":"the picture as it is shown"}.`)});for(let[
-kind,on]of[["beforeprint",!0],["afterprint",!1]])addEventListener(kind,()=>{onPaper(on),now.state&&paint(getContext(
-part("canvas")),size())})}});function makeField(into,about){let part2=template.content.firstElementChild.cloneNode(!0),[number3,slider,mark2,
+box2.height+share*box2.height],above=isSpatial()?part("above").clientHeight:0,all=[width,figure[1]+above];Object.
+assign(view,{scale:scale*share,box:{...box2,width:share*box2.width,height:share*box2.height}});let context=begin2(
+all);return paint(context,figure),context.translate(0,figure[1]),above&&paintAbove(context,width,above),all}finally{
+Object.assign(view,kept),onPaper(!1),redraw()}}function onPaper(on){usePaper(on),readPalette()}function drawPng(wide,whole){
+let canvas4=document.createElement("canvas");return draw2(wide,whole,figure=>{let times=DPI/96;Object.assign(canvas4,
+{width:Math.round(times*figure[0]),height:Math.round(times*figure[1])});let context=getContext(canvas4);return context.
+scale(times,times),context}),new Promise(resolve=>canvas4.toBlob(resolve,"image/png"))}function drawVectors(wide,whole,format){
+let context=new FigureContext,figure=draw2(wide,whole,()=>context),{title}=now.scene;return format==="svg"?new Blob(
+[writeSvg(context.drawn,figure,wide,title,inWords())],{type:"image/svg+xml"}):new Blob([writePdf(context.drawn,
+figure,wide,title)],{type:"application/pdf"})}var PX_PER_MM,DPI,init_figure=__esm({"needlefit/viewer/page/figu\
+re.js"(){"use strict";init_above();init_dom();init_drawing();init_figure_context();init_link();init_strokes();
+init_readouts();init_store();init_view();PX_PER_MM=96/25.4,DPI=300;press("save-figure",async()=>{if(!now.state)
+return;let[format,wide,whole]=[part("figure-format").value,Number(part("figure-width").value),part("figure-vie\
+w").value==="whole"],figure=await(format==="png"?drawPng(wide,whole):drawVectors(wide,whole,format)),name=`${nameOf2(
+now.needle).replace(/[^\w-]+/g,"-")}.${format}`;hand(figure,name),write("link-note",`Saved ${name}: ${whole?"t\
+he whole needle":"the picture as it is shown"}.`)});for(let[kind,on]of[["beforeprint",!0],["afterprint",!1]])addEventListener(
+kind,()=>{onPaper(on),now.state&&paint(getContext(part("canvas")),size())})}});function makeField(into,about){let part2=template.content.firstElementChild.cloneNode(!0),[number3,slider,mark2,
 back]=[".number",".slider",".mark",".home"].map(one=>part2.querySelector(one)),[to,from]=about.logarithmic?LOGARITHMIC:
 LINEAR,[low,high]=(about.limits??[0,1]).map(to),field={read:Number,step:1,...about,part:part2,number:number3,slider,
 mark:mark2,back,value:null,latest:0,text:"",home:null,editing:!1,gesture:newGesture(),share:value=>Math.min(Math.

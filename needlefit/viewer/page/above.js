@@ -4,17 +4,17 @@ import { getContext, onScheme, part } from "./dom.js";
 import { paintFrame, paintTissue } from "./painters/background.js";
 import { paintNeedle, paintPath, paintPoints } from "./painters/needle.js";
 import { isBandNear, paintBand, paintMeasured } from "./painters/overlay.js";
-import { label, palette, setFont, within } from "./painters/strokes.js";
+import { clearLabels, label, palette, setFont, within } from "./painters/strokes.js";
 import { brief } from "./quantities.js";
 import { listen, now } from "./store.js";
 import { view } from "./view.js";
 
 const [EDGE, ROOM] = [8, 14]; // px above and below the window, and in it
 const canvas = part("above");
-const context = getContext(canvas);
+const screen = getContext(canvas);
 
 /** Whether something is seen from above: a needle in space, or one that is compared there. */
-const isSpatial = () => Boolean(now.state?.z ?? now.scene?.measured?.compared === "space");
+export const isSpatial = () => Boolean(now.state?.z ?? now.scene?.measured?.compared === "space");
 
 /** The needle as it is seen from above: z in place of y. */
 function turn(state) {
@@ -29,10 +29,16 @@ function draw() {
   const { clientWidth: width, clientHeight: height } = canvas;
   const size = [width, height].map((one) => Math.round(one * devicePixelRatio));
   if (canvas.width !== size[0] || canvas.height !== size[1]) [canvas.width, canvas.height] = size;
-  context.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
+  screen.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
+  paintAbove(screen, width, height);
+}
+
+/** Draw the view from above in a context of a size, px. */
+export function paintAbove(context, width, height) {
   context.fillStyle = palette.gutter;
   context.fillRect(0, 0, width, height);
-  const { band, shown, scene: { measured } } = now;
+  const { band, shown, labels, avoided, scene: { measured } } = now;
+  clearLabels(); // those of the picture lie elsewhere
   const state = { ...now.state, z: now.state.z ?? now.state.x.map(() => 0) };
   const seen = [...state.z, ...(measured?.z ?? []), ...(band?.z?.low ?? []), ...(band?.z?.high ?? []), 0];
   const [low, high] = [Math.min(...seen), Math.max(...seen)];
@@ -54,6 +60,7 @@ function draw() {
   });
   paintFrame(context, times === 1 ? "z (mm)" : `z (mm), drawn ${brief(times, 2)}×`);
   Object.assign(view, { y, box, magnified });
+  Object.assign(now, { labels, avoided });
 }
 
 for (const kind of ["drawn", "scene"]) listen(kind, draw);

@@ -1,5 +1,6 @@
 /** The picture as a figure: the same painters draw what the page shows, in a width of print. */
 
+import { isSpatial, paintAbove } from "./above.js";
 import { getContext, hand, part, press, usePaper, write } from "./dom.js";
 import { paint, size } from "./drawing.js";
 import { FigureContext, writePdf, writeSvg } from "./figure_context.js";
@@ -24,9 +25,15 @@ function draw(wide, whole, begin) {
     const share = (width - (across - box.width)) / box.width;
     /** @type {[number, number]} */
     const figure = [width, tall - box.height + share * box.height];
+    const above = isSpatial() ? part("above").clientHeight : 0;
+    /** @type {[number, number]} */
+    const all = [width, figure[1] + above];
     Object.assign(view, { scale: scale * share, box: { ...box, width: share * box.width, height: share * box.height } });
-    paint(begin(figure), figure);
-    return figure;
+    const context = begin(all);
+    paint(context, figure);
+    context.translate(0, figure[1]);
+    if (above) paintAbove(context, width, above);
+    return all;
   } finally {
     Object.assign(view, kept);
     onPaper(false);
