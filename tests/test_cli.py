@@ -205,7 +205,8 @@ def test_a_pipe_gets_one_line_a_minute(capsys):
         report("study3: starts", done, 16)
     lines = stream.getvalue().splitlines()
     assert [line.split(": ") for line in lines] == [
-        ["needlefit", "study3", "starts", f"{done} of 16"] for done in (2, 5)
+        ["needlefit", "study3", "starts", f"{done} of 16, about {left} min left"]
+        for done, left in ((2, 7), (5, 4))
     ]
     with show_progress(quiet=True) as report:
         report("study3", 1, 2)

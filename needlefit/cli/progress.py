@@ -24,15 +24,21 @@ def show_progress(quiet: bool = False) -> Iterator[Report]:
 
 
 def report_lines(stream: TextIO, clock: Callable[[], float] = time.monotonic) -> Report:
-    """Return a reporter that writes at most one line a minute."""
-    lock, last = threading.Lock(), [clock()]
+    """Return a reporter that writes at most one line a minute, with the time left at the mean pace."""
+    lock, last, first = threading.Lock(), [clock()], list[tuple[float, int]]()
 
     def report(label: str, done: int, total: int) -> None:
         with lock:
             now = clock()
+            if not first:  # what an earlier run has done says nothing of the pace
+                first.append((now, done))
             if now - last[0] >= LINE_INTERVAL_SECONDS:
                 last[0] = now
-                print(f"needlefit: {label}: {done} of {total}", file=stream, flush=True)
+                (begin, before), left = first[0], ""
+                if done > before:
+                    minutes = (now - begin) / (done - before) * (total - done) / 60
+                    left = f", about {minutes:.0f} min left"
+                print(f"needlefit: {label}: {done} of {total}{left}", file=stream, flush=True)
 
     return report
 

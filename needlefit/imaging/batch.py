@@ -116,7 +116,7 @@ class ReconstructionBatch:
 
     pool: TaskPool = THIS_PROCESS  # where scans are reconstructed; each takes several times its own memory
     checkpoint: Checkpoint = NO_CHECKPOINT  # what it has of the same scans and versions is taken as it is
-    progress: Progress = no_progress  # called with the scan that was finished, how many are, and of how many
+    progress: Progress = no_progress  # called with a scan and its stage, and percent done, of 100 a scan
     stop: Stop = never_stop  # whether to begin no further scan
     every: bool = False  # whether each needle of a scan is reconstructed
 
@@ -158,12 +158,16 @@ def reconstruct_all(
         if finished is not None:
             found[n] = finished
     left = [n for n in range(len(scans)) if n not in found]
-    batch.progress("reconstructing", len(found), len(scans))
     remaining = [scans[n] for n in left]
+
+    def report(stage: str, done: int = 0, total: int = 1) -> None:
+        batch.progress(stage, 100 * len(found) + 100 * done // total, 100 * len(scans))
+
+    report("reconstructing")
     items = PackedScans(remaining) if batch.pool.remote else remaining
     work = partial(reconstruct_needles, recipe=recipe, every=batch.every)
-    if len(remaining) == 1 and not batch.pool.remote:  # it is reconstructed in this process
-        work = partial(work, progress=batch.progress)
+    if batch.pool == THIS_PROCESS or (len(remaining) == 1 and not batch.pool.remote):
+        work = partial(work, progress=report)  # not from other processes
     for at, results in batch.pool.run(work, items, batch.stop):
         scan = remaining[at]
         ones = tuple(_move_to(one, scan) for one in results)  # those of a packed one have other paths
@@ -173,7 +177,7 @@ def reconstruct_all(
             plain = [encode(one, _HOOKS, arrays) for one in ones]
             kept = {"inputs": _digest_inputs(scan, recipe, batch.every), "reconstructions": plain}
             batch.checkpoint.keep_row(f"scan {scan.id}", kept, arrays)
-        batch.progress(scan.id, len(found), len(scans))
+        report(scan.id)
     return tuple(found[n] for n in sorted(found))
 
 

@@ -197,9 +197,10 @@ def choose_entry(
     if faces and guide_thickness == 0:
         return faces[0]
     metal = _list_behind_metal(profile, runs, guide_thickness, guide_distance or 0.0)
-    if not faces and not metal:
-        return None
     soft = [run for run in list_materials(profile, tip) if run.kind == "soft"]
+    inside = _leave_guide(runs, soft, guide_thickness, guide_distance or 0.0)
+    if not faces and not metal and not inside:
+        return None
     if guide_thickness is None:
         offered, doubt = _choose_face(faces, soft) if faces else (metal[-1], "the needle leaves metal")
         if not doubt:
@@ -219,7 +220,7 @@ def choose_entry(
         ]
         ends = [(one, _doubt_guide_end(profile, one, soft)) for one in flush]
         ended = [replace(one, sd=float(np.hypot(one.sd, sd))) for one, sd in ends if sd is not None]
-        found = whole or ended or cut
+        found = whole or ended or cut or inside
         if len(found) == 1:
             return found[0]
         offered = (found or (flush if len(faces) == 1 else faces) or metal or faces)[-1]
@@ -315,6 +316,17 @@ def _doubt_guide_end(
     return MM.THIN_SD if abs(change) >= HU.GUIDE_STEP else None
 
 
+def _leave_guide(
+    runs: Sequence[MaterialRun], soft: Sequence[MaterialRun], thickness: float | None, distance: float
+) -> list[EntryCandidate]:
+    """Return the entry behind a guide on the tissue of which the scan shows the end alone, if it does."""
+    if not thickness or len(soft) < 2 or runs[0].kind != "soft" or soft[0].length > thickness:
+        return []
+    if is_soft_tissue(soft[0].level) or not is_soft_tissue(soft[1].level):
+        return []
+    return [EntryCandidate(soft[0].end + distance, MM.THIN_SD, (soft[0].begin, soft[0].end))]
+
+
 def _list_behind_guide(
     runs: Sequence[MaterialRun], rises: Sequence[tuple[int, float, float]], thickness: float
 ) -> tuple[list[EntryCandidate], list[EntryCandidate]]:
@@ -329,6 +341,6 @@ def _list_behind_guide(
         passed = EntryCandidate(at, sd, (solid[-1].begin, solid[0].end))
         if abs(length - thickness) <= MM.GUIDE_MATCH:
             whole.append(passed)
-        elif len(solid) == len(before) == 1 and solid[0].kind == "soft" and length < thickness:
+        elif len(solid) == len(before) == 1 and length < thickness:
             cut.append(passed)
     return whole, cut
