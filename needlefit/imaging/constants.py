@@ -2,7 +2,7 @@
 
 Each value has the unit of its class, and its source: a definition, a reason, or the volumes that set it. [R]:
 the part `tuning` of `benchmarks/real_scanners.py`, and `benchmarks/reconstruction.py`; [S]: its `--seeds` of
-14060 and below; [G]: `--guides 500:525`. Steps and tolerances of an algorithm stand beside it.
+14060 and below; [G]: `--guides 0:8, 500:517`. Steps and tolerances of an algorithm stand beside it.
 """
 
 
@@ -59,6 +59,7 @@ class MM:
     SHAFT_CLEARANCE = 1.0  # from the entry, where the surface still shows in the shaft
     SURFACE_REACH = 80.0  # along the entry axis to the tissue's surface
     GUIDE_SD = 0.05  # of the stated thickness of a guide
+    BEHIND_GUIDE_SD = 0.03  # of a face behind a guide and air, which the guide's blur and streaks reach [G]
     THIN = 3.0  # thickness of a guide up to which its end shows no step
     THIN_BLUR = 0.75  # from its faces, beyond which its own brightness shows [G]
     THIN_SD = 0.15  # of its end [G]

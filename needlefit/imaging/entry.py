@@ -338,6 +338,7 @@ def _list_behind_guide(
         if not solid:
             continue
         length = solid[0].end - solid[-1].begin
+        sd = float(np.hypot(sd, MM.BEHIND_GUIDE_SD))
         passed = EntryCandidate(at, sd, (solid[-1].begin, solid[0].end))
         if abs(length - thickness) <= MM.GUIDE_MATCH:
             whole.append(passed)
