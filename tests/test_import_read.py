@@ -21,10 +21,11 @@ from import_cases import (
 from refusals import refusal
 from test_cli import run
 
+import needlefit.datasets.read as reading
 from needlefit.datasets.importing.examples import WORKBOOK_FILE
 from needlefit.datasets.importing.prepare import prepare_import
 from needlefit.datasets.importing.tables import read_sheets
-from needlefit.datasets.read import inspect, read
+from needlefit.datasets.read import inspect, load_record, read
 from needlefit.errors import ConfigError, DataError
 from needlefit.project.locate import read_toml
 from needlefit.studies.advice import CONTRADICTIONS
@@ -368,8 +369,11 @@ def test_a_study_of_an_import_works_from_another_folder_and_moves_with_its_data(
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
     write_long(Path(), NEEDLES)
-    words = ("--set", "pose=1,0,0", "--set", "bevel=0,1,0")
-    assert run("import", "points.csv", "--out", "gel", *words) == 0
+    words, records = ("--set", "pose=1,0,0", "--set", "bevel=0,1,0"), []
+    with monkeypatch.context() as counted:
+        counted.setattr(reading, "load_record", lambda file: records.append(file) or load_record(file))
+        assert run("import", "points.csv", "--out", "gel", *words) == 0
+    assert len(records) == 1  # it is read again, and checked, once
     (tmp_path / "there").mkdir()
     Path("gel").rename(tmp_path / "there" / "moved")
     monkeypatch.chdir(tmp_path)

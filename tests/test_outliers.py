@@ -13,6 +13,7 @@ from needlefit.datasets.interpolated import count_independent
 from needlefit.datasets.needles import describe_rigidity
 from needlefit.datasets.points import find_rounding
 from needlefit.datasets.read import inspect
+from needlefit.datasets.spellings import find_spellings
 from needlefit.datasets.write import write_dataset
 from needlefit.geometry.neighbours import find_steps, leave_one_out
 from needlefit.inference.likelihood.observation import StatedErrors
@@ -261,3 +262,18 @@ def test_independent_points_are_all_counted():
             size=(30, 3)
         )
         assert count_independent(points, POINT_SD) == 30
+
+
+@pytest.mark.parametrize(
+    ("names", "count"),
+    [
+        (("gel", "gle"), 1),
+        (("chicken", "chiken", "pork"), 1),
+        (("pork-1", "Pork 1"), 1),
+        (("phantom1", "phantom2"), 0),
+        (("gel 5 %", "gel 10 %", "soft gel", "stiff gel"), 0),
+        (("pva", "pvc", "pork a", "pork b", "gel"), 0),
+    ],
+)
+def test_one_name_in_two_spellings_is_found(names, count):
+    assert len([*find_spellings(names)]) == count

@@ -32,6 +32,7 @@ from needlefit.datasets.planes import (
 )
 from needlefit.datasets.points import find_rounding
 from needlefit.datasets.scatter import SD_MM, find_axis_warnings, find_scatter_warnings
+from needlefit.datasets.spellings import find_spellings
 from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml import load
@@ -262,11 +263,25 @@ def _find_entry_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Ite
         yield ResultWarning("entry_offset", what, where=found[0][1], fix=fix)
 
 
+def _find_spelling_warnings(listed: Sequence[ListedInsertion]) -> Iterator[ResultWarning]:
+    """Yield a warning for each two media, and specimens, that are most likely one."""
+    for what in ("medium", "specimen"):
+        places = {getattr(one.insertion, what): one.where for one in reversed(listed)}
+        for one, other in find_spellings(sorted(places)):
+            yield ResultWarning(
+                kind="spelling",
+                what=f"{one!r} and {other!r} count as two: are they one {what} in two spellings?",
+                where=places[other],
+                fix=f"write one name in all rows of this {what}",
+            )
+
+
 def find_insertion_warnings(
     record: DatasetRecord, listed: Sequence[ListedInsertion], noise: Noise, file: Path
 ) -> Iterator[ResultWarning]:
     """Yield the warnings about insertions that have no fault."""
     where = format_place(file)
+    yield from _find_spelling_warnings(listed)
     outlying = find_point_warnings([one for one in listed if one.is_curve], noise)
     yield from chain.from_iterable(outlying.values())
     # what is wrong with a point is no finding about its needle

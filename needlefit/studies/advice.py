@@ -80,7 +80,7 @@ CONTRADICTIONS = ("axis_unit", "bevel_side", "copy", "examples", "reversed")
 _OF_DATASETS = (
     *CONTRADICTIONS,
     *("point_outlier", "entry_offset", "length"),
-    *("assumed", "curvature", "interpolated", "no_noise", "noise", "surfaces"),
+    *("assumed", "curvature", "interpolated", "no_noise", "noise", "spelling", "surfaces"),
 )
 #: kinds of warnings that are no doubt: a text that reports print, and the choice of a point of a distribution
 _NO_DOUBTS = ("placeholder", "predictive_median")
