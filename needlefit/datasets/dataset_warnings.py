@@ -270,9 +270,9 @@ def _find_spelling_warnings(listed: Sequence[ListedInsertion]) -> Iterator[Resul
         for one, other in find_spellings(sorted(places)):
             yield ResultWarning(
                 kind="spelling",
-                what=f"{one!r} and {other!r} count as two: are they one {what} in two spellings?",
+                what=f"{one!r} and {other!r} count as two, and may be one {what} in two spellings",
                 where=places[other],
-                fix=f"write one name in all rows of this {what}",
+                fix="look at both rows; if they mean one, write one name",
             )
 
 

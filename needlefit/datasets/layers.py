@@ -259,7 +259,7 @@ def find_curve_faults(
         yield DataError(
             f"lies far from all other points{_describe_more(len(stray))}",
             expected="points along the needle",
-            fix="correct its number, or remove it where it was not measured",
+            fix="look at its row in the source; remove it where it was not measured",
             where=points.where(int(stray[0])),
         )
         return  # the length is wrong as well
@@ -338,7 +338,10 @@ def _find_entry_faults(points: Points, entry: Floats, direction: Floats) -> Iter
         if np.linalg.norm(last - entry) < off:
             how, fix = ": it seems to run from tip to entry", "reverse the points"
         elif (first - entry) @ direction > AHEAD_COSINE * off:
-            how, fix = ", along the entry direction", "add the points from the entry on, or correct the entry"
+            how, fix = (
+                ", along the entry direction",
+                "look at where the entry is, and whether first points are missing",
+            )
         yield DataError(
             f"begins {off:.2f} mm from the entry pose{how}",
             expected=f"the entry first, within {MAX_START_DISTANCE_MM:g} mm of it",
@@ -430,12 +433,12 @@ def _find_count_fault(one: ListedInsertion) -> Iterator[Fault]:
     listed = f"{' or '.join(map(str, sorted(allowed)))} {'is' if len(allowed) == 1 else 'are'} listed"
     depths = ", ".join(f"{depth:.2f}" for depth in insertion.boundaries) or "none"
     order = " > ".join(map(str, insertion.sequence))
-    fix = f"write {met} there, or correct {stated}"
+    fix = f"look at which layers it met, and at {stated}"
     fix += f" ({MISSED_FIX})" if insertion.surfaces and met == 1 else ""
     yield DataError(
         f"{insertion.id} meets {met} layer{'' if met == 1 else 's'} ({order}; "
         f"boundaries at {depths} mm), but {listed}",
-        expected=f"{met} in `layers`, or in `layers_alternative` where the tip lies at a boundary",
+        expected="as many in `layers`, or in `layers_alternative` where the tip lies at a boundary",
         fix=fix,
         where=one.where,
     )

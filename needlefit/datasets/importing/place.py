@@ -322,11 +322,13 @@ class Planner(CurveAnswers):
         self.surfaces[:] = [surface for surface in self.surfaces if surface.name not in used]
         for curve in self.curves:
             depth = depths.get(curve.name, curve.length)
-            if abs(depth - curve.length) > find_length_tolerance(depth):
-                expected = (
-                    f"the length of {curve.name}, {curve.length:.1f} mm; or entry_point, to cut its shaft"
+            if abs(depth - curve.length) > (limit := find_length_tolerance(depth)):
+                raise stated[curve.name].error(
+                    "depth",
+                    f"within {limit:.1f} mm the length of {curve.name}, which is {curve.length:.1f} mm",
+                    "look at its depth in the protocol, and whether its points go from the entry to the tip; "
+                    "a shaft before the entry is cut off by entry_point",
                 )
-                raise stated[curve.name].error("depth", expected)
         return entries
 
     def make_rows(
@@ -532,7 +534,7 @@ def refuse_stray_points(curve: ImportedCurve) -> None:
     raise DataError(
         f"a point of {curve.name} lies far from all others: {place}{more}",
         expected="points along the needle",
-        fix="correct its number, or empty its coordinates where it was not measured",
+        fix="look at its row in the source; empty its coordinates where it was not measured",
         where=curve.points.where(first),
     )
 
