@@ -192,7 +192,7 @@ FAULTS = [
         ("deep", "is 'deep'"), ("18;", "is '18;'"), ("18;inf", "is '18;inf'"), ("None", "is 'None'"),
         ("-3", "must be positive"), ("36;18", "must be positive and increase, got [36.0, 18.0]"))),
     (f"{ROWS}:2", "medium block has surfaces", "leave the cell empty", own(2, boundaries_mm="18")),
-    (f"{ROWS}:3", "b meets 4 layers", "correct boundaries_mm", own(3, boundaries_mm="18; 36;40")),
+    (f"{ROWS}:3", "b meets 4 layers", "boundaries_mm", own(3, boundaries_mm="18; 36;40")),
     (f"{ROWS}:1", "`depth_mm`", "columns", text(ROWS, "depth_mm", "depth")),
     (f"{ROWS}:3", "scan_", "", scan("12")),
     (f"{ROWS}:3", "scan_ry_deg is 'east'", "", scan("east")),
