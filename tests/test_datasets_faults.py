@@ -179,7 +179,7 @@ FAULTS = [
     (f"{ROWS}:2", "guide_distance_mm is 110", "", row(guide_distance_mm="110")),
     (f"{ROWS}:2", "id is '../a'", "", row(id="../a")),
     (f"{ROWS}:4", "line 2", "", cell(ROWS, 4, id="a")),
-    *((f"{ROWS}:2", "a meets 4 layers (1 > 2 > 3 > 2", "boundaries of medium", row(**dict.fromkeys(NO_COUNT, layers)))
+    *((f"{ROWS}:2", "a meets 4 layers (1 > 2 > 3 > 2", "boundaries", row(**dict.fromkeys(NO_COUNT, layers)))
       for layers in "35"),
     # needles and boundaries of single insertions
     (f"{ROWS}:2", "needle '25G' is unknown", "[needles.NAME]", own(2, needle="25G")),
