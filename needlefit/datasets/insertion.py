@@ -81,12 +81,6 @@ class GuideMotion:
         """Whether it moved along z."""
         return bool(np.ptp(self.z) > GUIDE_STILL_MM)
 
-    def scale(self, factor: float) -> Self:
-        """Return the motion of a guide that went `factor` times as far from where it first stood."""
-        first = self.y[0], self.z[0]
-        y, z = (at + factor * (axis - at) for at, axis in zip(first, (self.y, self.z), strict=True))
-        return replace(self, y=y, z=z)
-
     def flatten(self) -> Self:
         """Return the motion along y alone."""
         return replace(self, z=np.zeros(len(self.z)))

@@ -37,8 +37,7 @@ class TrackErrorsRecord(Record):
     """
 
     gain_sd: float = Field(default=0.0, ge=0, le=1)
-    """Relative standard deviation of the tip's response to the guide's moves: once of each group, once of
-    each run."""
+    """Relative standard deviation of the tip's response to each move of the guide."""
     slope_sd_deg: float = Field(default=0.0, ge=0, le=45)
     """Standard deviation of the slope of a group of runs in the tracker's frame, where the dataset states
     that of a run."""

@@ -8,6 +8,7 @@ and each term is a line through simulated nodes: r(t) = sum_k phi_k(t) r_k.
 """
 
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -15,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from needlefit.arrays import Floats, Ints
-from needlefit.datasets.insertion import Insertion, split_boundary_sd
+from needlefit.datasets.insertion import GUIDE_STILL_MM, Insertion, split_boundary_sd
 
 DepthTreatment = Literal["fixed", "linear"]
 
@@ -24,9 +25,7 @@ DEPTH_STEPS_SD = (-1.0, 1.0)  #: where an uncertain depth is simulated besides a
 FRAME = -1  #: the tracker's frame
 BEVEL = -2  #: the bevel of one insertion that was measured at several depths
 GROUP_SLOPE = -3  #: the slope of a group of runs
-GROUP_GAIN = -4  #: its response to the guide
-#: part of the guide's moves by which they are changed to simulate their effect, to both sides
-GAIN_STEP = 0.1
+GAIN_STEP = 0.1  #: part of a move of the guide by which it is changed to simulate its effect, which is linear
 ROLL_STEP_DEG = 5.0  #: by which a bevel's roll is changed to simulate its effect, to both sides
 BEVEL_STEP = 0.1  #: part of the bevel's offset by which it is changed to simulate its effect, to both sides
 MIN_GAP_MM = 1e-3  #: smallest distance, mm, of moved boundaries from each other and from the entry
@@ -41,7 +40,7 @@ class ErrorAxis:
     own: float = 1.0
     shared: float = 0.0
     #: what z belongs to: a specimen and two layers, or `FRAME` and a part of a tracker's frame, or
-    #: `GROUP_SLOPE` or `GROUP_GAIN` and a group of runs, or `BEVEL` and the number of an insertion, whose t
+    #: `GROUP_SLOPE` and a group of runs, or `BEVEL` and the number of an insertion, whose t
     #: is the deviation of its bevel in SDs between insertions; empty where nothing is shared
     surface: tuple[str, int, int | str] | tuple[()] = ()
 
@@ -81,23 +80,21 @@ def make_nodes(
     bevel: bool = False,
     constants: int = 0,
     shared: tuple[ErrorAxis, ...] = (),
-    gain: tuple[ErrorAxis, float] | None = None,
+    gain_sd: float = 0.0,
     roll_sd_deg: float = 0.0,
 ) -> Nodes:
     """Return the nodes of an insertion whose measured points have beam coordinates `s` (K,).
 
     With `bevel` its offset may differ from that of other insertions. `constants` curves stand behind those of
-    the nodes; the last of these lie along the axes `shared` with other insertions. Of tip tracks, `gain`: the
-    axis and relative SD of a moved guide's effect, and `roll_sd_deg`: the SD of the bevel's roll.
+    the nodes; the last of these lie along the axes `shared` with other insertions. Of tip tracks, `gain_sd`:
+    the relative SD of the effect of each move of the guide, and `roll_sd_deg`: the SD of the bevel's roll.
     """
     pairs: list[tuple[ErrorAxis | None, float, list[tuple[Insertion, Floats]]]] = []
     for axis, boundaries, depth in _list_depth_errors(insertion) if depths == "linear" else ():
         moved = [shift_depths(insertion, s, t * boundaries, t * depth) for t in DEPTH_STEPS_SD]
         pairs.append((axis, 0.5, moved))
-    if gain is not None:
-        axis, sd = gain
-        both = [(scale_guide(insertion, 1 + step), s) for step in (-GAIN_STEP, GAIN_STEP)]
-        pairs.append((axis, 0.5 * sd / GAIN_STEP, both))
+    for moved in scale_moves(insertion, 1 + GAIN_STEP) if gain_sd else ():
+        pairs.append((ErrorAxis(), gain_sd / GAIN_STEP, [(moved, s)]))
     if roll_sd_deg:
         both = [(roll_bevel(insertion, step), s) for step in (-ROLL_STEP_DEG, ROLL_STEP_DEG)]
         pairs.append((ErrorAxis(), 0.5 * roll_sd_deg / ROLL_STEP_DEG, both))
@@ -107,8 +104,10 @@ def make_nodes(
     insertions, at = zip((insertion, s), *(one for *_, both in pairs for one in both), strict=True)
     curves = np.eye(len(insertions) + constants)
     rows = [curves[0]]
-    for j, (_, weight, _) in enumerate(pairs):  # central differences
-        rows.append(weight * (curves[2 + 2 * j] - curves[1 + 2 * j]))
+    last = 0
+    for _, weight, changed in pairs:  # differences from what was changed the other way, or not at all
+        last += len(changed)
+        rows.append(weight * (curves[last] - curves[last - 1 if len(changed) > 1 else 0]))
     axes = [axis for axis, *_ in pairs if axis is not None]
     along, apart = 1 + len(axes), len(curves) - len(shared)  # the last constant curves lie along axes
     linear = np.array([*rows[:along], *curves[apart:]])
@@ -116,10 +115,14 @@ def make_nodes(
     return Nodes(insertions, np.array(at), (*axes, *shared), linear, effects, bevel)
 
 
-def scale_guide(insertion: Insertion, factor: float) -> Insertion:
-    """Return an insertion whose guide moved `factor` times as far from where it first stood."""
-    assert insertion.guide is not None
-    return replace(insertion, guide=insertion.guide.scale(factor))
+def scale_moves(insertion: Insertion, factor: float) -> Iterator[Insertion]:
+    """Yield an insertion with each move of its guide, from one depth to the next, `factor` times as far."""
+    guide = insertion.guide
+    assert guide is not None
+    for step in np.flatnonzero(np.hypot(np.diff(guide.y), np.diff(guide.z)) > GUIDE_STILL_MM):
+        after = (factor - 1) * (np.arange(len(guide.depths)) > step)
+        y, z = (at + after * (at[step + 1] - at[step]) for at in (guide.y, guide.z))
+        yield replace(insertion, guide=replace(guide, y=y, z=z))
 
 
 def roll_bevel(insertion: Insertion, angle: float) -> Insertion:

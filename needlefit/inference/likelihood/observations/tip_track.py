@@ -15,7 +15,7 @@ from needlefit.datasets.insertion import Dataset, Insertion, Pose
 from needlefit.datasets.noise import NoiseFloor, estimate_noise_floor
 from needlefit.geometry.frames import make_tracker_columns
 from needlefit.inference.compared_points import ComparedPoints, count_entry_side
-from needlefit.inference.likelihood.nodes import FRAME, GROUP_GAIN, GROUP_SLOPE, ErrorAxis, make_nodes
+from needlefit.inference.likelihood.nodes import FRAME, GROUP_SLOPE, ErrorAxis, make_nodes
 from needlefit.inference.likelihood.observation import (
     Discrepancy,
     Observation,
@@ -149,11 +149,10 @@ class _TipTrack(ObservationType):
         except np.linalg.LinAlgError:
             raise no_errors_error(dataset, insertion) from None
         curves = (whitening @ session).T
-        gain = make_gain(insertion, further.gain_sd)
         roll_sd_deg = further.roll_sd_deg * (len(directions) - 1)
         nodes = make_nodes(
             insertion, at, "fixed", bevel=errors.bevels_vary, constants=len(curves), shared=tuple(axes),
-            gain=gain, roll_sd_deg=roll_sd_deg,
+            gain_sd=further.gain_sd * insertion.guided, roll_sd_deg=roll_sd_deg,
         )  # fmt: skip
         measured, whitening = np.column_stack([at, *across]), whitening @ operator
         return Observation(measured, cov, session, free, whitening, log_norm, dataset.pose, nodes, curves)
@@ -167,14 +166,6 @@ def _name_group(track: Insertion) -> str:
 def make_group_slope(track: Insertion, direction: int = 0) -> ErrorAxis:
     """Return the axis of the slope that a run's group has along y (0) or z (1)."""
     return ErrorAxis(0.0, 1.0, (track.specimen, GROUP_SLOPE, _name_group(track) + ", along z" * direction))
-
-
-def make_gain(track: Insertion, sd: float) -> tuple[ErrorAxis, float] | None:
-    """Return the axis of a run's gain, and its SD, `sd` of the group and as much of the run; or None."""
-    if not (track.guided and sd):
-        return None
-    part = math.sqrt(0.5)
-    return ErrorAxis(part, part, (track.specimen, GROUP_GAIN, _name_group(track))), sd / part
 
 
 def entry_covariance(track: Insertion, depths: Floats, errors: TrackErrorsRecord) -> Floats:
