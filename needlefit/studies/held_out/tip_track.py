@@ -135,11 +135,12 @@ def _predict_runs(known: Specimens, job: Job, fold: Fold) -> list[HeldOutPredict
     ahead = predict_runs(*simulate_runs(problem, fold, draws.thetas, known.jobs, rng), placed, rng)
     chosen, fitted, points = _choose_readings(problem, fold, draws, ahead, placed, known.jobs)
     methods = {PREDICTION_METHOD: points, "fitted": fitted, **_predict_by_curves(job, fold, placed)}
-    scorer, steered, found = make_scorer(job), any(one.guided for one in fold.tune), list[HeldOutPrediction]()
+    scorer, found = make_scorer(job), list[HeldOutPrediction]()
+    # how a moved guide leads a needle is known from runs with one, or as well as the recipe states
+    led = any(one.guided for one in fold.tune) or job.recipe.likelihood.tip_tracks.gain_sd > 0
     for n, (run, drawn) in enumerate(zip(fold.validate, ahead, strict=True)):
         errors, readings = list[Row](), list[Row]()
-        # how a moved guide leads a needle, no run at rest has tested
-        certain = drawn if not draws.faults and (steered or not run.guided) else None
+        certain = drawn if not draws.faults and (led or not run.guided) else None
         for method, predicted in methods.items():
             place = {"fold": fold.name, "role": "validate", "insertion": run.id, "method": method}
             errors.append(_score_run(scorer, place, run, placed[n], predicted[n], drawn.sd))
