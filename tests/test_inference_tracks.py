@@ -188,7 +188,9 @@ def in_session(runs):
 SESSION_NOISE = replace(NOISE, heading_sd=0.01, slope_sd=0.005)
 
 
-ERRORS = TrackErrorsRecord(gain_sd=0.2, slope_sd_deg=0.4, entry_sd_mm=0.3, entry_yield=0.5, entry_length_mm=8)
+ERRORS = TrackErrorsRecord(
+    gain_sd=0.2, carried_sd=0.1, slope_sd_deg=0.4, entry_sd_mm=0.3, entry_yield=0.5, entry_length_mm=8
+)
 
 
 def respond_to_moves(one, depths):
@@ -210,7 +212,7 @@ def test_a_session_is_one_gaussian_of_all_readings_and_headings(runs, errors):
         dataset=replace(asked.dataset, noise=SESSION_NOISE),
         likelihood=observation.PLAIN_LIKELIHOOD.model_copy(update={"tip_tracks": errors}),
     )
-    n, off, cov, columns = len(DEPTH), [], [], []
+    n, off, cov, columns, carried = len(DEPTH), [], [], [], []
     step, at = tip_track.HEADING_STEP_MM, np.append(DEPTH, DEPTH[1:] - tip_track.HEADING_STEP_MM)
     take = np.block(
         [[np.eye(n), np.zeros((n, n - 1))], [np.eye(n)[1:] / step, -np.eye(n - 1) / step]]
@@ -226,12 +228,15 @@ def test_a_session_is_one_gaussian_of_all_readings_and_headings(runs, errors):
         fading = np.exp(-at / errors.entry_length_mm)
         size = np.exp(-0.5 * ((at[:, None] - at) / errors.entry_length_mm) ** 2) * np.outer(fading, fading)
         entry = errors.entry_sd_mm**2 + errors.entry_yield**2 * np.outer(moved, moved)
-        gains = errors.gain_sd * take @ respond_to_moves(one, at).T
+        responses = take @ respond_to_moves(one, at).T
+        gains = errors.gain_sd * responses
+        follow = np.append(one.guide.y, np.zeros(n - 1))  # a tissue that is shifted turns no heading
+        carried.append(errors.carried_sd * (follow - responses.sum(axis=1)))
         cov.append(own + take @ (entry * size) @ take.T + 0.005**2 * np.outer(turn, turn) + gains @ gains.T)
     whole = block_diag(*cov)
     steered, rest = (np.repeat([one.guided == of for one in tracks], 2 * n - 1) for of in (True, False))
     turns = np.radians(errors.slope_sd_deg) * np.concatenate([one[1] for one in columns])
-    for shared in (steered * turns, rest * turns):
+    for shared in (steered * np.concatenate(carried), steered * turns, rest * turns):
         whole += np.outer(shared, shared)
     for part in (1, 2):
         shared = tip_track.SESSION_SD_RAD * np.concatenate([one[part] for one in columns])
@@ -311,20 +316,21 @@ class Groups:
         self.tips = [tip[0] for tip in simulate_tips(self.plain)]
         self.responses = [respond_to_moves(one, DEPTH) for one in self.plain]
 
-    def measure(self, kind, slope):
-        """A run of a kind, its group with this slope."""
+    def measure(self, kind, slope, carried):
+        """A run of a kind, its group with this slope, its tissue carried along by this share."""
         normal, error, responses = self.rng.standard_normal, self.errors, self.responses[kind]
         one, noise = self.plain[kind], NOISE.point_sd * self.rng.standard_normal(len(DEPTH))
         covariance = tip_track.entry_covariance(one, DEPTH, error) + 1e-12 * np.eye(len(DEPTH))
         entry = np.linalg.cholesky(covariance) @ normal(len(DEPTH))
         gains, slope = error.gain_sd * normal(len(responses)), slope + SESSION_NOISE.slope_sd * normal()
         tip = self.tips[kind] + gains @ responses + slope * DEPTH + 5 * normal() + entry + noise
-        return with_tip(one, tip)
+        return with_tip(one, tip + carried * (one.guide.y - responses.sum(axis=0)))
 
     def predict(self, kinds, draws, observed=4):
         """Draws of the last reading of a further run of the last kind, and what was measured."""
         slope = 0.03 + np.radians(self.errors.slope_sd_deg) * self.rng.standard_normal()
-        every = [self.measure(kind, slope) for kind in kinds]
+        carried = self.errors.carried_sd * self.rng.standard_normal()
+        every = [self.measure(kind, slope, carried) for kind in kinds]
         seen = [make_observation(self.data, one, likelihood=self.likelihood) for one in every]
         curves = []
         for kind in kinds:

@@ -198,7 +198,9 @@ class Problem:
         """
         if all(len(known.nodes.insertions) == 1 for known in self.density.observations):
             return None
-        tracks = self.likelihood.tip_tracks.model_copy(update={"gain_sd": 0.0, "roll_sd_deg": 0.0})
+        tracks = self.likelihood.tip_tracks.model_copy(
+            update={"gain_sd": 0.0, "carried_sd": 0.0, "roll_sd_deg": 0.0}
+        )
         plain = {"depths": "fixed", "bevel_spread": 0.0, "tip_tracks": tracks}
         return replace(self, likelihood=self.likelihood.model_copy(update=plain))
 

@@ -38,6 +38,8 @@ class TrackErrorsRecord(Record):
 
     gain_sd: float = Field(default=0.0, ge=0, le=1)
     """Relative standard deviation of the tip's response to each move of the guide."""
+    carried_sd: float = Field(default=0.0, ge=0, le=1)
+    """Standard deviation of the share of the guide's displacement that the tissue of a group follows."""
     slope_sd_deg: float = Field(default=0.0, ge=0, le=45)
     """Standard deviation of the slope of a group of runs in the tracker's frame, where the dataset states
     that of a run."""
@@ -49,6 +51,14 @@ class TrackErrorsRecord(Record):
     """The same as a part of the guide's move until then."""
     entry_length_mm: float = Field(default=10.0, gt=0)
     """Depth over which both fade by a factor of e."""
+
+    @model_validator(mode="after")
+    def _carried_with_gain(self) -> Self:
+        if self.carried_sd and not self.gain_sd:
+            raise ValueError(
+                "carried_sd is given without gain_sd: the response to the guide is uncertain too"
+            )
+        return self
 
 
 class LikelihoodRecord(Record):

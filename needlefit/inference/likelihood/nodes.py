@@ -25,6 +25,7 @@ DEPTH_STEPS_SD = (-1.0, 1.0)  #: where an uncertain depth is simulated besides a
 FRAME = -1  #: the tracker's frame
 BEVEL = -2  #: the bevel of one insertion that was measured at several depths
 GROUP_SLOPE = -3  #: the slope of a group of runs
+CARRIED = -4  #: the share of the guide's displacement that the tissue of a group follows
 GAIN_STEP = 0.1  #: part of a move of the guide by which it is changed to simulate its effect, which is linear
 ROLL_STEP_DEG = 5.0  #: by which a bevel's roll is changed to simulate its effect, to both sides
 BEVEL_STEP = 0.1  #: part of the bevel's offset by which it is changed to simulate its effect, to both sides
@@ -40,7 +41,7 @@ class ErrorAxis:
     own: float = 1.0
     shared: float = 0.0
     #: what z belongs to: a specimen and two layers, or `FRAME` and a part of a tracker's frame, or
-    #: `GROUP_SLOPE` and a group of runs, or `BEVEL` and the number of an insertion, whose t
+    #: `GROUP_SLOPE` or `CARRIED` and a group of runs, or `BEVEL` and the number of an insertion, whose t
     #: is the deviation of its bevel in SDs between insertions; empty where nothing is shared
     surface: tuple[str, int, int | str] | tuple[()] = ()
 
@@ -81,20 +82,22 @@ def make_nodes(
     constants: int = 0,
     shared: tuple[ErrorAxis, ...] = (),
     gain_sd: float = 0.0,
+    carried_sd: float = 0.0,
     roll_sd_deg: float = 0.0,
 ) -> Nodes:
     """Return the nodes of an insertion whose measured points have beam coordinates `s` (K,).
 
     With `bevel` its offset may differ from that of other insertions. `constants` curves stand behind those of
     the nodes; the last of these lie along the axes `shared` with other insertions. Of tip tracks, `gain_sd`:
-    the relative SD of the effect of each move of the guide, and `roll_sd_deg`: the SD of the bevel's roll.
+    the relative SD of the effect of each move of the guide; `carried_sd`: that of the share of its path that
+    the tissue follows, of which the last curve is the effect; `roll_sd_deg`: the SD of the bevel's roll.
     """
     pairs: list[tuple[ErrorAxis | None, float, list[tuple[Insertion, Floats]]]] = []
     for axis, boundaries, depth in _list_depth_errors(insertion) if depths == "linear" else ():
         moved = [shift_depths(insertion, s, t * boundaries, t * depth) for t in DEPTH_STEPS_SD]
         pairs.append((axis, 0.5, moved))
-    for moved in scale_moves(insertion, 1 + GAIN_STEP) if gain_sd else ():
-        pairs.append((ErrorAxis(), gain_sd / GAIN_STEP, [(moved, s)]))
+    moves = [(moved, s) for moved in scale_moves(insertion, 1 + GAIN_STEP)] if gain_sd else []
+    pairs += [(ErrorAxis(), gain_sd / GAIN_STEP, [moved]) for moved in moves]
     if roll_sd_deg:
         both = [(roll_bevel(insertion, step), s) for step in (-ROLL_STEP_DEG, ROLL_STEP_DEG)]
         pairs.append((ErrorAxis(), 0.5 * roll_sd_deg / ROLL_STEP_DEG, both))
@@ -111,6 +114,9 @@ def make_nodes(
     axes = [axis for axis, *_ in pairs if axis is not None]
     along, apart = 1 + len(axes), len(curves) - len(shared)  # the last constant curves lie along axes
     linear = np.array([*rows[:along], *curves[apart:]])
+    if carried_sd:  # tissue that follows the guide is moved less against it; the moves come last but the roll
+        last_move = along - bool(roll_sd_deg)
+        linear[-1] -= carried_sd / gain_sd * linear[last_move - len(moves) : last_move].sum(axis=0)
     effects = np.array([*rows[along:], *curves[len(insertions) : apart]]).reshape(-1, len(curves))
     return Nodes(insertions, np.array(at), (*axes, *shared), linear, effects, bevel)
 

@@ -15,7 +15,7 @@ from needlefit.datasets.insertion import Dataset, Insertion, Pose
 from needlefit.datasets.noise import NoiseFloor, estimate_noise_floor
 from needlefit.geometry.frames import make_tracker_columns
 from needlefit.inference.compared_points import ComparedPoints, count_entry_side
-from needlefit.inference.likelihood.nodes import FRAME, GROUP_SLOPE, ErrorAxis, make_nodes
+from needlefit.inference.likelihood.nodes import CARRIED, FRAME, GROUP_SLOPE, ErrorAxis, make_nodes
 from needlefit.inference.likelihood.observation import (
     Discrepancy,
     Observation,
@@ -148,11 +148,16 @@ class _TipTrack(ObservationType):
             whitening, log_norm = whiten(cov, free)
         except np.linalg.LinAlgError:
             raise no_errors_error(dataset, insertion) from None
+        carried_sd = further.carried_sd * insertion.guided
+        if carried_sd:
+            moved = np.concatenate([follow_guide(one, at) for one in directions])
+            session = np.column_stack([session, carried_sd * operator @ moved])
+            axes.append(ErrorAxis(0.0, 1.0, (insertion.specimen, CARRIED, _name_group(insertion))))
         curves = (whitening @ session).T
         roll_sd_deg = further.roll_sd_deg * (len(directions) - 1)
         nodes = make_nodes(
             insertion, at, "fixed", bevel=errors.bevels_vary, constants=len(curves), shared=tuple(axes),
-            gain_sd=further.gain_sd * insertion.guided, roll_sd_deg=roll_sd_deg,
+            gain_sd=further.gain_sd * insertion.guided, carried_sd=carried_sd, roll_sd_deg=roll_sd_deg,
         )  # fmt: skip
         measured, whitening = np.column_stack([at, *across]), whitening @ operator
         return Observation(measured, cov, session, free, whitening, log_norm, dataset.pose, nodes, curves)
@@ -166,6 +171,13 @@ def _name_group(track: Insertion) -> str:
 def make_group_slope(track: Insertion, direction: int = 0) -> ErrorAxis:
     """Return the axis of the slope that a run's group has along y (0) or z (1)."""
     return ErrorAxis(0.0, 1.0, (track.specimen, GROUP_SLOPE, _name_group(track) + ", along z" * direction))
+
+
+def follow_guide(track: Insertion, depths: Floats) -> Floats:
+    """Return how far the guide has moved on the way to each of the depths (K,) of the tip, mm."""
+    assert track.guide is not None
+    reading = np.searchsorted(track.guide.depths, depths - DEPTH_TOLERANCE_MM)
+    return np.asarray(track.guide.y[np.minimum(reading, len(track.guide.y) - 1)] - track.guide.y[0])
 
 
 def entry_covariance(track: Insertion, depths: Floats, errors: TrackErrorsRecord) -> Floats:
