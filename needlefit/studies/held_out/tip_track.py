@@ -15,12 +15,12 @@ from needlefit.geometry.curves import compare_curves
 from needlefit.inference import predict
 from needlefit.inference.baselines import BASELINES, list_baselines
 from needlefit.inference.curve_bands import find_bands
-from needlefit.inference.draw_simulation import vary_bevels
+from needlefit.inference.draw_simulation import choose_draws, interpolate_draws, make_coordinates, vary_bevels
 from needlefit.inference.forward_model import PreparedModel
 from needlefit.inference.likelihood.observation import Observation
 from needlefit.inference.likelihood.observations import make_observation
 from needlefit.inference.likelihood.observations.tip_track import split_directions
-from needlefit.inference.parameter_names import NOISE_SCALE
+from needlefit.inference.parameter_names import HYPERPARAMETERS, NOISE_SCALE
 from needlefit.inference.point_prediction import PointPrediction, choose_point
 from needlefit.inference.problem import Problem
 from needlefit.inference.track_predictions import (
@@ -220,11 +220,24 @@ def simulate_runs(
     sets = [problem.values(theta) for theta in thetas]
 
     def simulate(sets: Sequence[Mapping[str, float]], some: Sequence[Observation]) -> Iterator[Floats]:
-        pairs = [pair for one in some for pair in zip(one.nodes.insertions, one.nodes.s, strict=True)]
-        every, depths = [run for run, _ in pairs], [at for _, at in pairs]
-        points = PreparedModel(problem.medium, every).read_points(sets, depths, jobs)
+        """Yield the curves (B, m, n) of runs: of all sets as measured, how others differ is interpolated."""
+        coordinates = make_coordinates(sets, HYPERPARAMETERS)
+        chosen = choose_draws(coordinates)
+        first = PreparedModel(problem.medium, [one.insertion for one in some])
+        as_measured = first.read_points(sets, [one.nodes.s[0] for one in some], jobs)
+        nodes = [pair for one in some for pair in zip(one.nodes.insertions[1:], one.nodes.s[1:], strict=True)]
+        others = PreparedModel(problem.medium, [run for run, _ in nodes])
+        points = others.read_points([sets[n] for n in chosen], [at for _, at in nodes], jobs)
         for one in some:
-            yield np.stack([one.stack(next(points)) for _ in one.nodes.s], axis=1)  # (B, m, n or 2 n)
+            curves = one.stack(next(as_measured))[:, None]
+            found = [one.stack(next(points)) - curves[chosen, 0] for _ in one.nodes.s[1:]]
+            changes = np.stack(found, axis=1) if found else np.empty((len(chosen), 0, curves.shape[2]))
+            interpolate = interpolate_draws(coordinates, chosen, changes.reshape(len(chosen), -1))
+            if interpolate is None:  # too few of them have a solution
+                yield np.full((len(sets), len(one.nodes.s), curves.shape[2]), np.nan)
+                continue
+            moved = interpolate(coordinates).reshape(len(sets), *changes.shape[1:])
+            yield np.concatenate([curves, curves + moved], axis=1)
 
     tuned, held = (
         [make_observation(dataset, track, noise, likelihood) for track in tracks]
