@@ -5,7 +5,7 @@
 Each run left out is placed by its readings down to a depth, and its end is predicted from there. Beside the
 model: the deflection of the last reading kept, the line through the last four readings, and the curves of
 the study. Printed are mean absolute errors of the end, mm, how many ends along y lie in the 95 % interval,
-and its median width, as a table in Markdown. What came out: docs/real_needles.md, *Replay*.
+and its median width, as a table in Markdown.
 """
 
 import argparse
