@@ -33,7 +33,7 @@ def fit_lab(lab: Lab, seed: int, recipe: str, folder: Path) -> dict[str, tuple[f
     recipes.mkdir(parents=True)
     shutil.copyfile(HERE.parent / f"configs/recipes/{recipe}.toml", recipes / "default.toml")
     lab.write(folder / "data.csv", np.random.default_rng(seed))
-    words = [*NEEDLEFIT, "import", "data.csv", "--out", "lab", *lab.options()]
+    words = [*NEEDLEFIT, "import", *lab.files, "--out", "lab", *lab.options()]
     done = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=True)
     (command,) = re.findall(r"needlefit (tune [^\n]*)", done.stdout + done.stderr)
     subprocess.run([*NEEDLEFIT, *shlex.split(command)], cwd=folder, capture_output=True, check=True)

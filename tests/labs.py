@@ -1,4 +1,4 @@
-"""Six labs: plain files of needles of `own_model`, with what each lab states, and the true parameters."""
+"""Labs: plain files of needles of `own_model`, with what each lab states, and the true parameters."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -18,11 +18,12 @@ SHIFT_MM, TURN_RAD = 0.1, np.radians(0.3)  # the same as numbers
 
 @dataclass(frozen=True)
 class Lab:
-    """A kind of measurement: what writes its file, from a random generator, and what is stated with it."""
+    """One or two kinds of measurement: what writes the files, by a random generator, and what is stated."""
 
     name: str
     write: Callable[..., None]  # path, random generator, number of needles
     stated: Sequence[str]
+    files: Sequence[str] = ("data.csv",)
 
     def options(self) -> list[str]:
         """Return the options of the import."""
@@ -120,6 +121,22 @@ def write_one(path: Path, rng: np.random.Generator, needles: int = 1) -> None:
     _save(path, "x [mm],y [mm]", [[*map(float, one)] for one in points])
 
 
+def write_mixture(path: Path, rng: np.random.Generator, needles: int = 8) -> None:
+    """CT of half of the needles, and a camera of the tips of the others on their way: two files."""
+    for write, name in ((write_shapes, "ct"), (write_stops, "camera")):
+        write(path.with_name(f"{name}.csv"), rng, (needles + 1) // 2)
+    camera = path.with_name("camera.csv")
+    camera.write_text(camera.read_text().replace("\nn", "\nc"))
+
+
+def write_tips_and_fibres(path: Path, rng: np.random.Generator, needles: int = 8) -> None:
+    """Final tips of half of the needles, curvatures of the others: two files."""
+    for write, name in ((write_tips, "tips"), (write_fibres, "fibres")):
+        write(path.with_name(f"{name}.csv"), rng, (needles + 1) // 2)
+    tips = path.with_name("tips.csv")
+    tips.write_text(tips.read_text().replace("\nn", "\nt"))
+
+
 ENTERED = ("pose=1,0,0", "entry_point=0,0,0", "point_sd=0.1")
 LABS = {
     one.name: one
@@ -130,5 +147,17 @@ LABS = {
         Lab("fibres", write_fibres, (*NEEDLE, *POSE_SD)),
         Lab("tips", write_tips, (*NEEDLE, "point_sd=0.1", *POSE_SD)),
         Lab("one", write_one, (*NEEDLE, *ENTERED, *POSE_SD)),
+        Lab(
+            "ct and camera",
+            write_mixture,
+            (*NEEDLE, "pose=1,0,0", "point_sd=0.1", "pose_shift_sd=0.1", "pose_angle_sd=0.5", "bevel=0,1,0"),
+            ("ct.csv", "camera.csv"),
+        ),
+        Lab(
+            "tips and fibres",
+            write_tips_and_fibres,
+            (*NEEDLE, "point_sd=0.1", *POSE_SD),
+            ("tips.csv", "fibres.csv"),
+        ),
     )
 }

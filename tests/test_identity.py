@@ -28,7 +28,7 @@ from needlefit.mechanics.tissue import Tissue
 from needlefit.project.checkpoint import open_checkpoint, release_checkpoint
 from needlefit.project.folders import sha256, write_manifest
 from needlefit.project.toml import dumps
-from needlefit.schemas.dataset import DatasetRecord, TrackDatasetRecord
+from needlefit.schemas.dataset import DatasetRecord
 from needlefit.schemas.deciding import UNDECIDING
 from needlefit.schemas.medium import MaterialRecord, MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
@@ -40,7 +40,7 @@ from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.store import pack, restore_run, store_run, unpack
 from needlefit.studies.study_files import load_study_file
 
-ROOTS = (StudyRecord, MediumRecord, MaterialRecord, RecipeRecord, DatasetRecord, TrackDatasetRecord)
+ROOTS = (StudyRecord, MediumRecord, MaterialRecord, RecipeRecord, DatasetRecord)
 DEPTHS = {"n1": 24.0, "n2": 30.5, "n3": 36.25, "n4": 41.0, "n5": 33.0, "n6": 15.0}
 NEEDLE_TABLE = {"length_mm": 150, "outer_diameter_mm": 1.27, "youngs_modulus_gpa": 80}
 DATASET = {
@@ -265,9 +265,7 @@ PLACES = {
     "MeasurementRecord": ("s", SHAPES, "measurement"),
     "DatasetMediumRecord": ("s", SHAPES, "media.flat"),
     "SurfaceRecord": ("s", SHAPES, "media.gel.surfaces.0"),
-    "TrackDatasetRecord": ("tracks", TIPS, ""),
     "TipTracksRecord": ("tracks", TIPS, "tip_tracks"),
-    "TrackMediumRecord": ("tracks", TIPS, "media.gel"),
 }
 
 FREE = {"frame.pose": "free", "measurement": None, "media.gel": {"boundaries_mm": [INTERFACE]}}
@@ -354,7 +352,7 @@ EDITS = {
     },
     **{
         f"{dataset}.{key}": {key.strip("_"): value}
-        for dataset in ("DatasetRecord", "TrackDatasetRecord")
+        for dataset in ("DatasetRecord",)
         for key, value in {"import_": {"files": {"table.csv": "0"}}, "checksums": None}.items()
     },
     "SurfaceRecord.file": {"file": "layers/other.stl"},
@@ -364,8 +362,10 @@ EDITS = {
     "TipTracksRecord.file": {"file": "other.csv"},
     "TipTracksRecord.columns": {"columns.tip_mm": "other"},
     "TipTracksRecord.constants": {"constants": {"bevel_side": -1}},
-    "TrackMediumRecord.layers": {"layers": [2]},
-    "TrackMediumRecord.boundaries_mm": {"layers": [1, 2], "boundaries_mm": [10.0]},
+    **{
+        f"DatasetMediumRecord.{key}": ("tracks", TIPS, "media.gel", {key: value})
+        for key, value in {"layers": [2], "specimen": "other"}.items()
+    },
 }
 
 

@@ -216,7 +216,7 @@ def test_known_answers_of_single_files():
     assert planned([CASES / "gauge_22.csv"])[0].needle.outer_diameter_mm == GAUGES_MM[22]
     assert [row.side for row in planned([CASES / "bevel_side_and_angle.csv"])[0].rows] == [1, -1] * 3
     plan, made = planned([CASES / "matrices.csv"], holds="tracks")
-    assert made["pose"] == ("1,0,0", "assumed") and plan.pose == "tracker"
+    assert made["pose"] == ("1,0,0", "assumed") and plan.rows[0].entry is None
     plan, _ = planned([CASES / "n18_boundary_by_specimen.xlsx"])
     assert plan.boundaries_mm == {"medium1": (22.0,)} and {row.layers for row in plan.rows} == {2}
     plan, _ = planned([CASES / "n29_entry_tip.csv"], pose="1,0,0", bevel="0,1,0")
@@ -420,4 +420,4 @@ def test_answers_and_proposals_of_a_terminal(tmp_path):
     assert "medium" not in prepared.mapping.assumed and "point_sd" in prepared.mapping.assumed
     answers = iter(["tracks"])
     prepared = prepare_import([CASES / "matrices.csv"], prompt=lambda key, *_: next(answers, ""))
-    assert prepared.plan.pose == "tracker"
+    assert {one.holds for one in prepared.content.curves} == {"tracks"}

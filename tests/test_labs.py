@@ -63,7 +63,7 @@ def quick(tmp_path, monkeypatch):
 def import_lab(lab, seed, capsys, **sizes):
     """Write the file of a lab, import it, and return the commands that are printed."""
     lab.write(Path("data.csv"), np.random.default_rng(seed), **sizes)
-    code = run("import", "data.csv", "--out", "lab", *lab.options())
+    code = run("import", *lab.files, "--out", "lab", *lab.options())
     printed = "".join(capsys.readouterr())
     assert code == 0, printed
     return [shlex.split(line) for line in PRINTED.findall(printed)]

@@ -12,8 +12,9 @@ from needlefit.geometry.frames import Frame
 from needlefit.schemas.names import MAX_NAME_BYTES
 
 # Where an entry pose comes from. "first_point": its direction from stage or shaft, its place from the first
-# point of the inserted needle, which has moved with the needle. "none": of free shapes and tip tracks.
-PoseSource = Literal["stage", "shaft", "fitted", "first_point", "none"]
+# point of the inserted needle, which has moved with the needle. "none" is of free shapes, "tracker" of tip
+# tracks.
+PoseSource = Literal["stage", "shaft", "fitted", "first_point", "none", "tracker"]
 
 POINT_COLUMNS = ("x_mm", "y_mm", "z_mm")
 SD_COLUMN = "sd_mm"  # the column of a centreline with the standard deviation of each point across the needle
@@ -74,7 +75,7 @@ NUMBER_COLUMNS: dict[str, tuple[str, float | None]] = {
     ROLL_COLUMNS[0]: ("roll", math.nan),
     ROLL_COLUMNS[1]: ("roll_sd", DEFAULT_ROLL_SD_DEG),
 }
-POSE_SOURCES: tuple[PoseSource, ...] = get_args(PoseSource)
+STATED_POSE_SOURCES: tuple[PoseSource, ...] = get_args(PoseSource)[:-2]
 
 MAX_ID_CHARS = 100
 EXPECTED_ID = (

@@ -38,7 +38,7 @@ def find_length_warnings(
     Free shapes need not begin at the entry.
     """
     ends, found = math.sqrt(2) * math.hypot(noise.point_sd, noise.correlated_sd), list[tuple[str, str]]()
-    for one in (each for each in listed if each.insertion.pose_source != "none"):
+    for one in (each for each in listed if each.insertion.is_posed):
         insertion, curve = one.insertion, one.insertion.smooth("space")
         sd, gap = math.hypot(ends, curve.length_sd, insertion.depth_sd), curve.length - insertion.depth
         if abs(gap) > max(OUTLIER_SD * math.hypot(sd, insertion.pose_shift_sd), SAME_LENGTH_MM):

@@ -47,7 +47,7 @@ from needlefit.project.unit_warnings import (
     needle_warnings,
     warn,
 )
-from needlefit.schemas.dataset import DatasetRecord, TrackDatasetRecord, needle_key
+from needlefit.schemas.dataset import DatasetRecord, needle_key
 from needlefit.schemas.mapping import MappingRecord
 
 PLACEHOLDER = "TO FILL IN"  # marks values that a template cannot know
@@ -62,7 +62,7 @@ MIRRORED = np.array([1.0, -1.0, 1.0])  # y of a needle
 MAPPING_FILE = "mapping.toml"  # beside dataset.toml: how an import read its files
 
 
-def read_assumed(record: DatasetRecord | TrackDatasetRecord, file: Path) -> dict[str, str]:
+def read_assumed(record: DatasetRecord, file: Path) -> dict[str, str]:
     """Return what the import of a dataset assumed, by key, with its value and the reason."""
     path = file.parent / MAPPING_FILE
     if record.import_ is None or record.import_.mapping is None or not path.is_file():
@@ -73,7 +73,7 @@ def read_assumed(record: DatasetRecord | TrackDatasetRecord, file: Path) -> dict
 
 
 def find_record_warnings(
-    record: DatasetRecord | TrackDatasetRecord, file: Path, assumed: Mapping[str, str]
+    record: DatasetRecord, file: Path, assumed: Mapping[str, str]
 ) -> Iterator[ResultWarning]:
     """Yield the warnings about a `dataset.toml`, without regard to its tables.
 
@@ -141,7 +141,7 @@ def find_bend_side(insertion: Insertion, noise: Noise) -> BendSide:
     too: they show nothing.
     """
     guide = insertion.guide
-    if guide.moved if guide else insertion.pose_source == "none" or insertion.base_moved:
+    if guide.moved if guide else not insertion.is_posed or insertion.base_moved:
         return "unknown"
     if insertion.turns:
         return "unknown"
@@ -249,7 +249,7 @@ def _find_entry_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Ite
     Soft tissue gives way at the entry by nearly as much as a needle bends.
     """
     found = []
-    for one in (each for each in listed if each.insertion.pose_source != "none"):
+    for one in (each for each in listed if each.insertion.is_posed):
         insertion = one.insertion
         off, slope = insertion.points[0], MIN_BEND_SLOPE * insertion.depth
         give = np.array([LENGTH_TOLERANCE_MM, slope + np.ptp(insertion.points[:, 1]), slope])
@@ -389,7 +389,7 @@ def _name_larger_sd(noise: Noise) -> str:
 
 
 def find_boundary_warnings(
-    record: DatasetRecord | TrackDatasetRecord, insertions: Sequence[Insertion], where: FormatPlace
+    record: DatasetRecord, insertions: Sequence[Insertion], where: FormatPlace
 ) -> Iterator[ResultWarning]:
     """Yield a warning for each medium with boundaries at depths that no tissue has."""
     for name, medium in record.media.items():

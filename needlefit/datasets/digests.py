@@ -15,7 +15,7 @@ from needlefit.datasets.columns import NEEDLE_COLUMN, InsertionRow
 from needlefit.datasets.points import Points
 from needlefit.geometry.smoothing_spline import SplineSections
 from needlefit.project.json_values import digest_values
-from needlefit.schemas.dataset import DatasetRecord, TrackDatasetRecord
+from needlefit.schemas.dataset import DatasetRecord
 from needlefit.schemas.deciding import select_deciding
 
 #: keys of a `dataset.toml` of which what was read for an insertion counts
@@ -58,7 +58,7 @@ def _round(values: Floats) -> Floats:
     return values.round(DECIMALS) + 0.0  # no -0
 
 
-def digest_track(medium: str, readings: Mapping[str, Any], record: TrackDatasetRecord) -> str:
+def digest_track(medium: str, readings: Mapping[str, Any], record: DatasetRecord) -> str:
     """Return the digest of a run, by the columns of its readings and the medium that it went into."""
     values = {
         "dataset": select_deciding(record, _READ),

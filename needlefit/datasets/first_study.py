@@ -37,8 +37,8 @@ def name_first_run(dataset: Dataset) -> tuple[str, bool]:
     track of a specimen: tracks are predicted within a specimen.
     """
     insertions = dataset.insertions
-    counts = Counter(one.specimen for one in insertions)
-    is_study = len(insertions) > 1 and (dataset.pose != "tracker" or min(counts.values()) > 1)
+    counts = Counter(one.specimen for one in insertions if one.is_track)
+    is_study = len(insertions) > 1 and min(counts.values(), default=2) > 1
     return f"{dataset.name}_{'study' if is_study else 'fit'}.toml", is_study
 
 
@@ -152,7 +152,9 @@ def write_first_run(folder: Path, dataset: Dataset, choices: FirstChoices | None
         "medium": f"./{TISSUE_FILE}",
         "recipe": "default",
     }
-    several = len({one.specimen for one in dataset.insertions}) > 1 and dataset.pose != "tracker"
+    several = len({one.specimen for one in dataset.insertions}) > 1 and not any(
+        one.is_track for one in dataset.insertions
+    )
     unit = "specimen" if several else "insertion"
     where = "those into a new specimen" if several else "another one into the same specimen"
     if is_study:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal, Self
 import numpy as np
 
 from needlefit.arrays import Floats, pad_axis
-from needlefit.datasets.columns import DEFAULT_ROLL_SD_DEG, PoseSource
+from needlefit.datasets.columns import DEFAULT_ROLL_SD_DEG, STATED_POSE_SOURCES, PoseSource
 from needlefit.datasets.sources import DatasetFiles
 from needlefit.errors import DataError
 from needlefit.geometry.curves import select_compared
@@ -26,8 +26,9 @@ from needlefit.schemas.origin import Origin
 if TYPE_CHECKING:
     import pandas as pd
 
-Pose = Literal["known", "free", "tracker"]
-# What is known of the pose of one insertion: that of its dataset, or the direction alone.
+Pose = Literal["known", "free"]
+# What is known of the pose of one insertion: that of its dataset, the direction alone, or of a tip track what
+# a shift and a slope of the tracker's frame leave.
 InsertionPose = Literal["known", "direction", "free", "tracker"]
 
 DEFAULT_MEASUREMENT = MeasurementRecord()
@@ -121,7 +122,7 @@ class Insertion(InsertionInputs):
     frame : Frame
         C in the world: origin at the tip's first contact, x along the entry, y in the bending plane.
     pose_source : str
-        "stage", "shaft", "fitted", "first_point" or "none".
+        "stage", "shaft", "fitted", "first_point", "tracker" or "none".
     pose_shift_sd, pose_angle_sd : float
         Standard deviation of the entry pose in the plane, mm and rad.
     centerline : (N, 3) array
@@ -218,6 +219,16 @@ class Insertion(InsertionInputs):
         return self.sd is not None or self.observed == "curvature"
 
     @property
+    def is_posed(self) -> bool:
+        """Whether its entry pose is known, or its direction alone."""
+        return self.pose_source in STATED_POSE_SOURCES
+
+    @property
+    def is_track(self) -> bool:
+        """Whether a tracker has read it, in a frame of its own."""
+        return self.pose_source == "tracker"
+
+    @property
     def guided(self) -> bool:
         """Whether a guide moved during the insertion."""
         return self.guide is not None and self.guide.moved
@@ -254,8 +265,7 @@ class Dataset:
     media : tuple of str
         Names of the media described; every insertion went into one of them.
     pose : str
-        "known"; "free" where shapes are known only up to a rigid motion; "tracker" of tip tracks, which are
-        known up to a shift and a slope of the tracker's frame.
+        Of shapes: "known"; "free" where they are known only up to a rigid motion. See `find_pose`.
     drop_proximal : float
         Proximal length left out of comparisons of free shapes, mm.
     digest : str
@@ -356,11 +366,13 @@ def split_boundary_sd(insertion: Insertion) -> tuple[float, float]:
 
 
 def find_pose(pose: Pose, insertion: Insertion) -> InsertionPose:
-    """Return what is known of the pose of an insertion of a dataset with this `pose`.
+    """Return what is known of the pose of an insertion of a dataset whose shapes have this `pose`.
 
     The first point of the inserted needle lies beside the entry by as much as the needle has moved there: of
     an entry that is this point the direction alone is known.
     """
+    if insertion.is_track:
+        return "tracker"
     return "direction" if pose == "known" and insertion.pose_source == "first_point" else pose
 
 

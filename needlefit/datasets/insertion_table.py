@@ -23,11 +23,11 @@ from needlefit.datasets.columns import (
     NUMBER_COLUMNS,
     OBSERVED_PREFIX,
     POSE_COLUMNS,
-    POSE_SOURCES,
     REQUIRED_COLUMNS,
     ROLL_COLUMNS,
     SCAN_COLUMNS,
     SHARED_COLUMN,
+    STATED_POSE_SOURCES,
     TEXT_COLUMNS,
     TURN_COLUMNS,
     InsertionRow,
@@ -399,10 +399,10 @@ def _find_pose_faults(row: InsertionRow, where: str, record: DatasetRecord) -> I
         )
     if record.frame.pose == "free" or row.direction is None:
         return
-    if row.pose_source not in POSE_SOURCES[:-1]:
+    if row.pose_source not in STATED_POSE_SOURCES:
         yield DataError(
             f"pose_source is {row.pose_source!r}",
-            expected=f"one of {', '.join(POSE_SOURCES[:-1])}",
+            expected=f"one of {', '.join(STATED_POSE_SOURCES)}",
             fix='state where the entry pose comes from; where there is none, frame.pose is "free"',
             where=where,
         )

@@ -10,17 +10,17 @@ from needlefit.grouping import group_values
 from needlefit.mechanics.needle import Needle
 from needlefit.project.toml import locate_key
 from needlefit.project.unit_warnings import MODULUS_GPA
-from needlefit.schemas.dataset import DatasetRecord, TrackDatasetRecord, needle_key
+from needlefit.schemas.dataset import DatasetRecord, needle_key
 from needlefit.schemas.run_metadata import NeedleMetadata
 from needlefit.schemas.scene import NeedleRecord
 
 
-def make_needles(record: DatasetRecord | TrackDatasetRecord) -> dict[str, Needle]:
+def make_needles(record: DatasetRecord) -> dict[str, Needle]:
     """Return the needles of a dataset by what a cell of column `needle` holds."""
     return {cell: Needle.from_record(one) for cell, one in record.all_needles.items()}
 
 
-def find_needle_faults(record: DatasetRecord | TrackDatasetRecord, file: Path) -> Iterator[Fault]:
+def find_needle_faults(record: DatasetRecord, file: Path) -> Iterator[Fault]:
     """Yield what is wrong with the needles of a `dataset.toml`."""
     keys = dict[str, str]()
     for cell, needle in record.all_needles.items():
@@ -62,7 +62,7 @@ def describe_rigidity(needle: NeedleRecord, assumed: Container[str]) -> str:
     return "; ".join(f"{', '.join(parts)} {origin}" for origin, parts in group_values(origins).items())
 
 
-def find_unknown_needle(cell: str, where: str, record: DatasetRecord | TrackDatasetRecord) -> Iterator[Fault]:
+def find_unknown_needle(cell: str, where: str, record: DatasetRecord) -> Iterator[Fault]:
     """Yield the fault of a cell of column `needle` whose needle `dataset.toml` does not describe."""
     if cell not in record.all_needles:
         yield DataError(

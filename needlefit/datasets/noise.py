@@ -38,16 +38,16 @@ def estimate_noise_floor(
         return dict.fromkeys((metric.name for metric in metrics), math.nan)
     whole = insertion.points
     again = whole + pad_axis(displaced, 3)
-    free = find_free_reach(dataset.drop_proximal, insertion) if dataset.pose == "free" else None
-    tracker = dataset.pose == "tracker"
-    is_tip = tracker or len(whole) == 2
+    pose = find_pose(dataset.pose, insertion)
+    free = find_free_reach(dataset.drop_proximal, insertion) if pose == "free" else None
+    is_tip = insertion.is_track or len(whole) == 2
     if is_tip:
         again[..., 0] = whole[:, 0]  # depths are known
-    if tracker:
+    if insertion.is_track:
         again = align_lateral(again, whole)  # the best shifts and slopes are taken off
     pairs = [(one, whole) for one in again]
     if not is_tip:
-        along, pose = insertion.measure_arc("plane"), find_pose(dataset.pose, insertion)
+        along = insertion.measure_arc("plane")
         pairs = list(map(_prepare_comparison(whole, along, pose, free), again))
     curves, floor = [compare_curves(*pair, dataset.compared) for pair in pairs], dict[str, float]()
     for metric in metrics:
@@ -73,7 +73,9 @@ def state_tip_errors(dataset: Dataset, insertion: Insertion) -> TipErrors:
     """
     noise, pose = dataset.noise, find_pose(dataset.pose, insertion)
     correlated = noise.correlated_sd if insertion.sd is None else float(insertion.sd[-1])
-    turned = insertion.pose_angle_sd * float(insertion.points[-1, 0]) if dataset.pose == "known" else 0.0
+    turned = (
+        insertion.pose_angle_sd * float(insertion.points[-1, 0]) if pose in ("known", "direction") else 0.0
+    )
     shift = max(noise.registration_mean / MEAN_NORM_PER_SD, insertion.pose_shift_sd)
     shift = shift if pose == "known" else 0.0
     scans = [one.patient for one in dataset.insertions]
@@ -96,7 +98,7 @@ def draw_measurement_errors(
     noise, curve = dataset.noise, insertion.points
     shift = max(noise.registration_mean / MEAN_NORM_PER_SD, insertion.pose_shift_sd)
     angle = insertion.pose_angle_sd
-    if dataset.pose != "known":
+    if find_pose(dataset.pose, insertion) in ("free", "tracker"):
         shift = angle = 0.0
     if not (shift or angle or noise.point_sd or noise.correlated_sd):
         return None
@@ -115,7 +117,7 @@ def _draw_errors_along_z(
     """Draw by how much each measured point errs out of the plane, (draws, N, 1) mm."""
     s = insertion.measure_arc("plane")
     points = draw_point_noise(s, dataset.noise, rng, draws)[..., :1]
-    if dataset.pose != "known":
+    if find_pose(dataset.pose, insertion) in ("free", "tracker"):
         return points
     shift = max(dataset.noise.registration_mean / MEAN_NORM_PER_SD, insertion.pose_shift_sd)
     normal = rng.normal(size=(2, draws, 1, 1))

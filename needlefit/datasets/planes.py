@@ -58,7 +58,7 @@ def leaves_plane(insertion: Insertion, noise: Noise) -> bool:
         return False
     if turns_out_of_plane(insertion) or (guide is not None and guide.moved_along_z):
         return True
-    if insertion.pose_source == "none":
+    if not insertion.is_posed:
         return False
     if (read := insertion.curvature) is not None:
         sds = np.hypot(read[:, 3], insertion.roll_sd * np.abs(read[:, 1]).max())
@@ -130,7 +130,9 @@ def find_left_planes(
 ) -> Iterator[ResultWarning]:
     """Yield a warning that names the insertions that leave the planes in which they are to be compared."""
     known = stated == "plane" and dataset.pose == "known"
-    left = sorted({one.id for one in insertions if known and leaves_plane(one, dataset.noise)})
+    left = sorted(
+        {one.id for one in insertions if known and one.is_posed and leaves_plane(one, dataset.noise)}
+    )
     if left:
         named = join_names(left, MAX_NAMED_INSERTIONS)
         what = f"compared in the plane of their bevels, which they leave: {named}"
@@ -174,7 +176,7 @@ def measure_out_of_plane(dataset: Dataset) -> list[tuple[str, float, float]]:
     See `measure_aside`. The plane of a free shape is the one nearest to it. None of tip tracks, and of tips
     that were not measured out of their planes.
     """
-    known = [one for one in dataset.insertions if dataset.pose != "tracker" and one.directions == 2]
+    known = [one for one in dataset.insertions if not one.is_track and one.directions == 2]
     gaps = [(one.id, measure_aside(one), compute_deflection_sd(one, dataset.noise)) for one in known]
     return sorted(((name, gap, gap / (sd or math.nan)) for name, gap, sd in gaps), key=lambda one: -one[2])
 
@@ -207,7 +209,7 @@ def find_plane_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iter
 
     Without any it names those whose tips are far out of the planes nearest to their own curves.
     """
-    aside = _find_aside([one for one in listed if one.insertion.pose_source != "none"], noise)
+    aside = _find_aside([one for one in listed if one.insertion.is_posed], noise)
     if not aside:
         if twisted := _find_twisted([one.insertion for one in listed], noise):
             what = f"{join_names(twisted, MAX_NAMED_INSERTIONS)} bend in no plane"

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
@@ -52,7 +52,7 @@ from needlefit.project.locate import read_toml
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml import locate_key
 from needlefit.project.unit_warnings import format_place
-from needlefit.schemas.dataset import MIN_SD_MM, DatasetRecord, NoiseRecord, TrackDatasetRecord
+from needlefit.schemas.dataset import MIN_SD_MM, DatasetRecord, NoiseRecord
 
 _FIELD = re.compile(r"\{([^{}]*)\}")  # a column in `id_template`
 
@@ -102,8 +102,12 @@ def inspect(path: Path, root: Path | None = None) -> Inspection:
     reading.faults += find_record_faults(record, file)
     assumed = read_assumed(record, file)
     reading.warnings += find_record_warnings(record, file, assumed)
-    of_tracks = isinstance(record, TrackDatasetRecord)
-    insertions, files, own = (_read_tracks if of_tracks else _read_shapes)(reading)
+    insertions, files, own = _read_shapes(reading) if record.lists_insertions else ([], set(), {})
+    remarks = list[str]()
+    if record.tip_tracks is not None:
+        tracks, table = _read_tracks(reading, remarks)
+        _find_double_ids(insertions, tracks, table, reading)
+        insertions, files = [*insertions, *tracks], {*files, table}
     if reading.faults:  # each once, without warnings about their places
         places = {fault.where for fault in reading.faults}
         remaining = tuple(one for one in reading.warnings if one.where not in places)
@@ -127,17 +131,15 @@ def inspect(path: Path, root: Path | None = None) -> Inspection:
         notes=tuple(head + text.strip() for head, text in parts if text.strip()),
         warnings=tuple(reading.warnings),
         rigidities={one.name: describe_rigidity(one, assumed) for one in record.all_needles.values()},
+        remarks=tuple(remarks),
         **own,
     )
     return Inspection(dataset, (), dataset.warnings)
 
 
-def load_record(file: Path) -> DatasetRecord | TrackDatasetRecord:
-    """Return a `dataset.toml`, of shapes or tip tracks."""
-    tables = read_toml(file)
-    if "tip_tracks" in tables:
-        return toml.check(tables, TrackDatasetRecord, file)
-    return toml.check(tables, DatasetRecord, file)
+def load_record(file: Path) -> DatasetRecord:
+    """Return a `dataset.toml`."""
+    return toml.check(read_toml(file), DatasetRecord, file)
 
 
 def make_noise(record: NoiseRecord) -> Noise:
@@ -152,13 +154,13 @@ def make_noise(record: NoiseRecord) -> Noise:
     )
 
 
-def find_record_faults(record: DatasetRecord | TrackDatasetRecord, file: Path) -> Iterator[Fault]:
+def find_record_faults(record: DatasetRecord, file: Path) -> Iterator[Fault]:
     """Yield what is wrong with a `dataset.toml` by itself."""
-    shapes = isinstance(record, DatasetRecord)
+    of_tracks = record.tip_tracks is not None
     yield from find_needle_faults(record, file)
     # every fit of tip tracks samples a posterior; every study places further runs by their slopes
-    for key, unit in ({} if shapes else {"point_sd_mm": "mm", "slope_sd_deg": "degrees"}).items():
-        if getattr(record.noise, key) <= 0:
+    for key, unit in {"point_sd_mm": "mm", "slope_sd_deg": "degrees"}.items():
+        if of_tracks and getattr(record.noise, key) <= 0:
             yield DataError(
                 f"{key} is not stated, which tip tracks need",
                 expected=f"a standard deviation above 0, {unit}",
@@ -166,15 +168,14 @@ def find_record_faults(record: DatasetRecord | TrackDatasetRecord, file: Path) -
                 where=locate_key(file, f"noise.{key}"),
             )
     for key in ("noise.heading_sd_deg", "noise.slope_sd_deg"):
-        if shapes and getattr(record.noise, key.removeprefix("noise.")) > 0:
+        if not of_tracks and getattr(record.noise, key.removeprefix("noise.")) > 0:
             yield DataError(
                 f"{key} is of tip tracks",
                 expected="pose_angle_sd_deg in the table of insertions",
                 fix="remove the key",
                 where=locate_key(file, key),
             )
-    if isinstance(record, DatasetRecord):
-        yield from find_media_faults(record, file)
+    yield from find_media_faults(record, file)
 
 
 # ---- shapes
@@ -383,13 +384,13 @@ def _find_use_faults(record: DatasetRecord, listed: Iterable[ListedInsertion], f
 # ---- tip tracks
 
 
-def _read_tracks(reading: _Reading) -> tuple[list[Insertion], list[Path], dict[str, Any]]:
-    """Return the runs, the tables read, and what a dataset of tip tracks states alone."""
-    record, found, remarks = reading.record, reading.faults, list[str]()
-    path = reading.root / record.tip_tracks.file
+def _read_tracks(reading: _Reading, remarks: list[str]) -> tuple[list[Insertion], Path]:
+    """Return the runs, and their table; note which are left out."""
+    record, found = reading.record, reading.faults
+    path, before = reading.root / record.tip_tracks.file, len(found)
     table = reading.read_table(path)
     tracks = [] if table is None else list(parse_tracks(table, record, found, remarks))
-    if not tracks and not found:
+    if not tracks and len(found) == before:
         found.append(
             DataError(
                 "no run is left: every one is marked invalid",
@@ -406,14 +407,25 @@ def _read_tracks(reading: _Reading) -> tuple[list[Insertion], list[Path], dict[s
         reading.warnings += find_scatter_warnings(
             [one for one in tracks if not one.guided], noise, where("noise.point_sd_mm")
         )
-    return tracks, [path], {"pose": "tracker", "drop_proximal": 0.0, "remarks": tuple(remarks)}
+    return tracks, path
+
+
+def _find_double_ids(
+    insertions: Sequence[Insertion], tracks: Sequence[Insertion], table: Path, reading: _Reading
+) -> None:
+    """Note runs whose name an insertion of the other table has."""
+    if double := sorted({one.id for one in insertions} & {one.id for one in tracks}):
+        what = f"run {double[0]} has the name of an insertion"
+        reading.faults.append(
+            DataError(what, expected="names that are used once", fix="rename it", where=str(table))
+        )
 
 
 # ---- what others call
 
 
 def read(path: Path, root: Path | None = None) -> Dataset:
-    """Return the dataset, of shapes or tip tracks, whose folder or `dataset.toml` is `path`; see `inspect`.
+    """Return the dataset whose folder or `dataset.toml` is `path`; see `inspect`.
 
     DataError listing every fault that `check` finds.
     """
@@ -430,7 +442,7 @@ def read_shapes(path: Path) -> Dataset:
 
 def require_shapes(dataset: Dataset) -> Dataset:
     """Return a dataset of shapes; DataError if it holds tip tracks."""
-    if dataset.pose == "tracker":
+    if any(one.is_track for one in dataset.insertions):
         raise DataError(
             "holds tip tracks, no shapes",
             expected="a dataset with [centerlines]",

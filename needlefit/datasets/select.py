@@ -121,7 +121,7 @@ def find_hole_source(dataset: Dataset, medium: str) -> HoleSource:
     into = [one for one in dataset.insertions if one.medium == medium]
     if any(one.hole for one in into):
         return "stated"
-    if dataset.pose == "tracker":
+    if all(one.is_track for one in into):
         return "separate"
     if dataset.pose == "known":
         return "entry"
@@ -153,7 +153,7 @@ def find_repeats(dataset: Dataset) -> dict[str, tuple[str, int]]:
 
 def _make_hole_key(source: HoleSource, one: Insertion) -> tuple[object, ...]:
     """Return what insertions of one hole have in common."""
-    if source == "separate" or (source == "stated" and not one.hole):
+    if source == "separate" or (source == "stated" and not one.hole) or one.is_track:
         return (one.id,)
     if source == "stated":
         return (one.specimen, one.hole)

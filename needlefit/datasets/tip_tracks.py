@@ -18,7 +18,7 @@ from needlefit.datasets.needles import find_unknown_needle, make_needles
 from needlefit.errors import DataError
 from needlefit.geometry.frames import IDENTITY_FRAME
 from needlefit.mechanics.needle import Needle
-from needlefit.schemas.dataset import TrackDatasetRecord
+from needlefit.schemas.dataset import DatasetRecord
 from needlefit.schemas.names import EXPECTED_NAME, name_fault
 
 REQUIRED_TRACK_COLUMNS = ("id", "medium", "depth_mm", "tip_mm", "guide_mm")
@@ -66,7 +66,7 @@ def make_track(
     return Insertion(
         id=name, medium=medium, specimen=specimen, needle=needle, layers=len(sequence),
         layers_alternative=len(sequence), depth=float(readings.depth[-1]), side=side,
-        frame=IDENTITY_FRAME, pose_source="none", pose_shift_sd=0.0, pose_angle_sd=0.0,
+        frame=IDENTITY_FRAME, pose_source="tracker", pose_shift_sd=0.0, pose_angle_sd=0.0,
         centerline=points, points=points,
         turns=turns, boundaries=boundaries, sequence=sequence, boundary_sd=0.0,
         guide=GuideMotion(readings.depth, *guide.T), observed="tip_track", directions=directions,
@@ -75,10 +75,11 @@ def make_track(
 
 
 def _parse_track_columns(
-    table: CsvTable, record: TrackDatasetRecord, found: list[Fault]
+    table: CsvTable, record: DatasetRecord, found: list[Fault]
 ) -> dict[str, NDArray[Any]] | None:
     """Return every column (N,) under our names; None after a fault."""
     source = record.tip_tracks
+    assert source is not None
     known = (*REQUIRED_TRACK_COLUMNS, *OPTIONAL_TRACK_COLUMNS, NEEDLE_COLUMN)
     before = len(found)
     table = rename_columns(table, source.columns, source.constants, found)
@@ -103,7 +104,7 @@ def _parse_track_columns(
 
 
 def parse_tracks(
-    table: CsvTable, record: TrackDatasetRecord, found: list[Fault], remarks: list[str]
+    table: CsvTable, record: DatasetRecord, found: list[Fault], remarks: list[str]
 ) -> Iterator[Insertion]:
     """Yield the runs of a table; note every fault. A run with a reading marked invalid is left out."""
     if (values := _parse_track_columns(table, record, found)) is None:
@@ -145,7 +146,7 @@ def parse_tracks(
                 guide=np.column_stack([one - one[0] for one in guides]),
                 headings=tuple(np.radians(one) for one in turned_to if not np.isnan(one).any()),
             ),
-            (np.array(medium.boundaries_mm), medium.layers),
+            (np.array(medium.boundaries_mm or ()), medium.sequence),
             tuple((float(depth[n]), float(roll[n])) for n in turned),
         )
         yield replace(track, digest=digest_track(str(media[rows[0]]), own, record))
@@ -156,7 +157,7 @@ def _find_run_faults(
     medium: str,
     values: Mapping[str, NDArray[Any]],
     places: Sequence[str],
-    record: TrackDatasetRecord,
+    record: DatasetRecord,
 ) -> Iterator[Fault]:
     """Say what is wrong with one run; `places` are those of its readings."""
     first, depth, sides = places[0], values["depth_mm"], values["bevel_side"]

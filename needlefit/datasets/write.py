@@ -77,15 +77,15 @@ def write_dataset(
     `sections`: of every row, world, where `record.measurement.sections` names files of them.
     """
     surfaces, sections = surfaces or {}, sections or {}
-    table = record.insertions.file
+    listed = record.insertions
     pattern = None if record.centerlines is None else record.centerlines.pattern
-    assert table is not None and (pattern is None) == (record.centerlines is None), "files of both"
-    files = {table: _format_rows(rows)}
-    if (turns := record.insertions.turns) is not None:
+    assert (pattern is None) == (record.centerlines is None), "a file for each"
+    files = {} if listed.file is None else {listed.file: _format_rows(rows)}
+    if (turns := listed.turns) is not None:
         turned = ((row.id, depth, math.degrees(roll)) for row in rows for depth, roll in row.turns)
         cells = ((name, _format_number(depth), _format_number(roll)) for name, depth, roll in turned)
         files[turns] = _to_csv([TURN_COLUMNS, *cells])
-    if (curvature := record.insertions.curvature) is not None:
+    if (curvature := listed.curvature) is not None:
         sensed = ((row.id, row.curvature) for row in rows if row.curvature is not None)
         lines = ((name, *(f"{value:.7g}" for value in one)) for name, ones in sensed for one in ones.tolist())
         files[curvature] = _to_csv([CURVATURE_COLUMNS, *lines])

@@ -154,7 +154,7 @@ def _draw_errors(
     if measured is None:
         return None
     along = insertion.measure_arc("plane")
-    scale = along[-1] / insertion.depth if problem.dataset.pose == "known" else 1
+    scale = along[-1] / insertion.depth if goal.pose in ("known", "direction") else 1
     at = along[-1] - (insertion.depth - goal.s) * scale
     drawn = np.stack([_interpolate(at, along, one) for one in np.moveaxis(measured, -1, 0)], axis=-1)
     rolls = draw_rolls(insertion.roll_sd, directions, REPLICATES, rng)

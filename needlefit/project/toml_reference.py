@@ -15,7 +15,7 @@ from pydantic.fields import FieldInfo
 
 from needlefit.project.toml import dumps
 from needlefit.schemas.base import FileRecord
-from needlefit.schemas.dataset import DatasetRecord, SectionsRecord, TrackDatasetRecord
+from needlefit.schemas.dataset import DatasetRecord, SectionsRecord
 from needlefit.schemas.mapping import MappingRecord
 from needlefit.schemas.medium import MaterialRecord, MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
@@ -39,10 +39,9 @@ FILES = (
     FileKind("medium", "Tissue model", MediumRecord),
     FileKind("prior", "Prior of a material", MaterialRecord),
     FileKind("recipe", "Recipe", RecipeRecord),
-    FileKind("dataset", "Dataset of needle shapes", DatasetRecord),
+    FileKind("dataset", "Dataset", DatasetRecord),
     FileKind("mapping", "Mapping of an import", MappingRecord),
     FileKind("sections", "Cross-sections of a needle", SectionsRecord),
-    FileKind("tracks_dataset", "Dataset of tip tracks", TrackDatasetRecord),
     FileKind("scene", "Scene", SceneRecord),
     FileKind("reconstruction", "Reconstruction", ReconstructionRecord),
 )

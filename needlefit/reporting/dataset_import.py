@@ -52,7 +52,7 @@ def write_import(folder: Path, prepared: PreparedImport) -> Dataset:
         write_scene(
             fresh / SCENE_FILE, dataset, max(dataset.insertions, key=lambda insertion: insertion.depth)
         )
-        if plan.pose != "tracker":
+        if not all(insertion.is_track for insertion in dataset.insertions):
             draw(fresh / PICTURE_FILE, lambda: paint_import(dataset, plan))
     warnings = [
         replace(warning, where=warning.where.replace(str(fresh), str(folder))) for warning in dataset.warnings
@@ -66,7 +66,7 @@ def tabulate_needles(dataset: Dataset) -> pd.DataFrame:
 
 
 def _describe_needle(dataset: Dataset, insertion: Insertion) -> dict[str, object]:
-    is_known, is_track = dataset.pose == "known", dataset.pose == "tracker"
+    is_known = dataset.pose == "known"
     entry, tip = insertion.centerline[0], insertion.centerline[-1]
     depths = ", ".join(f"{depth:.1f}" for depth in insertion.boundaries)
     side = _SIDES[find_bend_side(insertion, dataset.noise)] if is_known else "(free shape)"
@@ -81,7 +81,7 @@ def _describe_needle(dataset: Dataset, insertion: Insertion) -> dict[str, object
         "layers": " > ".join(map(str, insertion.sequence)) + (f" at {depths} mm" if depths else ""),
         "bends, from its bevel": side,
     }
-    return dict([*row.items()][:4]) if is_track else row
+    return dict([*row.items()][:4]) if insertion.is_track else row
 
 
 def _format_point(point: Floats) -> str:

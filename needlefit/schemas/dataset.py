@@ -194,6 +194,17 @@ class CenterlinesRecord(Record):
         return self
 
 
+class TipTracksRecord(Record):
+    """The table of tracked tips, one row for each reading."""
+
+    file: str
+    """Table with one row for each reading."""
+    columns: dict[str, str] = {}
+    """Names of needlefit's columns in your table, where they differ."""
+    constants: dict[str, Scalar] = {}
+    """Values that hold for every row, by column."""
+
+
 class SurfaceRecord(Record):
     """A boundary between layers, as a surface."""
 
@@ -221,14 +232,32 @@ class DatasetMediumRecord(Record):
     """Boundaries between the layers, as surfaces."""
     boundaries_mm: tuple[float, ...] | None = Field(default=None, max_length=MAX_LAYERS - 1)
     """Depths of the boundaries along the needle, of every insertion whose row states none of its own."""
+    layers: tuple[int, ...] = (1,)
+    """Tip tracks: layers of the tissue model that are met, in their order; `[2]`: its second layer alone."""
+    specimen: Name = ""
+    """Tip tracks: specimen that was punctured, where several media are parts of one."""
     note: str = ""
     """Free text."""
+
+    @property
+    def sequence(self) -> tuple[int, ...]:
+        """The layers that a track meets."""
+        if self.layers != (1,):
+            return self.layers
+        return tuple(range(1, len(self.boundaries_mm or ()) + 2))
 
     @model_validator(mode="after")
     def _one_way(self) -> Self:
         depths = self.boundaries_mm
         if depths is not None and self.surfaces:
             raise ValueError("give either surfaces or boundaries_mm, not both")
+        if not self.layers or min(self.layers) < 1:
+            raise ValueError(f"layers must name at least one layer, from 1, got {list(self.layers)}")
+        if len(self.sequence) != len(depths or ()) + 1:
+            raise ValueError(
+                f"{len(self.layers)} layers have {len(self.layers) - 1} boundaries between them, "
+                f"got boundaries_mm = {list(depths or ())}"
+            )
         if depths is not None and (fault := boundaries_fault(depths)):
             raise ValueError(f"boundaries_mm {fault}")
         return self
@@ -299,7 +328,7 @@ def _name_needles(needle: NeedleRecord, needles: dict[str, NeedleRecord]) -> dic
 
 
 class DatasetRecord(SourceRecord):
-    """`data/<name>/dataset.toml` of measured needle shapes."""
+    """`data/<name>/dataset.toml`: insertions, measured as shapes, tips, curvatures or tip tracks."""
 
     frame: FrameRecord = FrameRecord()
     """Coordinates."""
@@ -309,8 +338,10 @@ class DatasetRecord(SourceRecord):
     """Further needles, by the name in column `needle`."""
     noise: NoiseRecord = NoiseRecord()
     """Measurement errors."""
-    insertions: InsertionsRecord
-    """Table of insertions."""
+    insertions: InsertionsRecord = InsertionsRecord()
+    """Table of insertions, but for tip tracks."""
+    tip_tracks: TipTracksRecord | None = None
+    """Table of the readings of tip tracks."""
     centerlines: CenterlinesRecord | None = None
     """Measured shapes. Of an insertion without one, its tip (`tip_y_mm` of the table of insertions) or its
     curvatures are compared."""
@@ -324,12 +355,19 @@ class DatasetRecord(SourceRecord):
     """SHA-256 of files, by path; `needlefit check` compares them."""
 
     @property
+    def lists_insertions(self) -> bool:
+        """Whether it has others than tip tracks."""
+        return self.insertions.file is not None or self.centerlines is not None
+
+    @property
     def all_needles(self) -> dict[str, NeedleRecord]:
         """The needles by what a cell of column `needle` holds; of an empty one `[needle]`."""
         return _name_needles(self.needle, self.needles)
 
     @model_validator(mode="after")
     def _has_insertions(self) -> Self:
+        if self.tip_tracks is not None and not self.lists_insertions:
+            return self
         if self.insertions.file is None and (self.centerlines is None or self.centerlines.file is None):
             raise ValueError("without insertions.file the insertions must be the groups of centerlines.file")
         if self.insertions.file is None and self.insertions.id_template is None:
@@ -347,67 +385,6 @@ class DatasetRecord(SourceRecord):
                 'cross-sections stand in the world: with frame.pose = "free" give measurement.knot_spacing_mm'
             )
         return self
-
-
-class TipTracksRecord(Record):
-    """The table of tracked tips, one row for each reading."""
-
-    file: str
-    """Table with one row for each reading."""
-    columns: dict[str, str] = {}
-    """Names of needlefit's columns in your table, where they differ."""
-    constants: dict[str, Scalar] = {}
-    """Values that hold for every row, by column."""
-
-
-class TrackMediumRecord(Record):
-    """Layers that a tracked needle meets, and the depths of their boundaries."""
-
-    layers: tuple[int, ...] = (1,)
-    """Layers of the tissue model that are met, from the entry on: `[2]` is its second layer alone."""
-    boundaries_mm: tuple[float, ...] = ()
-    """Depths of the boundaries between them."""
-    specimen: Name = ""
-    """Specimen that was punctured, where several media are parts of one."""
-    note: str = ""
-    """Free text."""
-
-    @model_validator(mode="after")
-    def _fits(self) -> Self:
-        if not self.layers or min(self.layers) < 1:
-            raise ValueError(f"layers must name at least one layer, from 1, got {list(self.layers)}")
-        if len(self.boundaries_mm) != len(self.layers) - 1:
-            raise ValueError(
-                f"{len(self.layers)} layers have {len(self.layers) - 1} boundaries between them, "
-                f"got boundaries_mm = {list(self.boundaries_mm)}"
-            )
-        if fault := boundaries_fault(self.boundaries_mm):
-            raise ValueError(f"boundaries_mm {fault}")
-        return self
-
-
-class TrackDatasetRecord(SourceRecord):
-    """`data/<name>/dataset.toml` of tracked tips."""
-
-    needle: NeedleRecord
-    """The needle of every insertion whose cell of column `needle` is empty."""
-    needles: dict[NeedleName, NeedleRecord] = {}
-    """Further needles, by the name in column `needle`."""
-    noise: NoiseRecord = NoiseRecord()
-    """Measurement errors."""
-    tip_tracks: TipTracksRecord
-    """Table of readings."""
-    media: dict[Name, TrackMediumRecord] = Field(min_length=1)
-    """Layers of each medium, by the name in column `medium`."""
-    import_: ImportRecord | None = Field(default=None, alias="import")
-    """Decisions of `needlefit import`."""
-    checksums: dict[str, str] = {}
-    """SHA-256 of files, by path; `needlefit check` compares them."""
-
-    @property
-    def all_needles(self) -> dict[str, NeedleRecord]:
-        """The needles by what a cell of column `needle` holds; of an empty one `[needle]`."""
-        return _name_needles(self.needle, self.needles)
 
 
 def needle_key(name: str) -> str:

@@ -282,7 +282,8 @@ def _encode_needle(data: PageData, run: Run, row: Row, curve: Floats) -> dict[st
         "draws": None,
     }
     fold = next(one for one in metadata.folds if one.name == row["fold"])
-    tuned = {metadata.insertions[one].specimen for one in fold.tune}
+    specimens = dict(zip(*(run.frames["errors"][key] for key in ("insertion", "specimen")), strict=True))
+    tuned = {specimens[one] for one in fold.tune}
     specimen = choose_drawn_specimen(run, stored.specimen, tuned)
     draws = select_draws(run.frames["draws"], row["fold"], specimen)
     if len(draws) and draws["certified"].all():

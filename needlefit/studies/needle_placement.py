@@ -47,11 +47,9 @@ def place_needles(
     `predicted` are the rows of the table "bands", `curves` the predicted needles by insertion; without one it
     is that of the fit. Tip tracks were never in a scan: of them there is none.
     """
-    if problem.dataset.pose == "tracker":
-        return
     bands = group_values((row["insertion"], row) for row in predicted if row["fold"] == fold.name)
     for role, insertions in (("tune", fold.tune if fitted else ()), ("validate", fold.validate)):
-        for insertion in insertions:
+        for insertion in (one for one in insertions if not one.is_track):
             placement, band = Placement(insertion.frame, insertion.patient), None
             curve = curves.get(insertion.id) if role == "validate" else None
             points = _place_needle(problem, insertion, curve or _simulate_fit(problem, insertion, fit))

@@ -122,7 +122,7 @@ def _show_insertion(shown: ShownInsertion, name: str, description: str) -> Viewe
     floor = estimate_noise_floor(dataset, insertion, random_stream(shown.seed, "noise floor", insertion.id))
     # As in a run's files for 3D Slicer: where shapes are known only up to a motion, the needle is laid on the
     # measured one, and what is steered from then on lies in the frame in which it came to lie.
-    frame, placed = insertion.frame, dataset.pose == "known" or shape.converged
+    frame, placed = insertion.frame, insertion.is_posed or shape.converged
     if find_pose(dataset.pose, insertion) != "known" and shape.converged:
         from needlefit.studies.needle_placement import NEEDLE_POINTS, place_points
 

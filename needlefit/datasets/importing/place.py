@@ -54,10 +54,10 @@ OTHER_END = {"first": "last", "last": "first"}  # of the answers at which end of
 
 @dataclass(frozen=True)
 class ImportPlan:
-    """What an import writes of its curves: shapes or tip tracks, with a row for each."""
+    """What an import writes of its curves: a row for each, those of tip tracks last."""
 
     rows: tuple[InsertionRow, ...]
-    pose: str  # "known", "free", or "tracker" of tip tracks
+    pose: str  # of shapes: "known" or "free"
     surfaces: tuple[Surface, ...]  # between the layers
     # By medium: depths of the boundaries between its layers, mm, where there are no surfaces.
     boundaries_mm: Mapping[str, tuple[float, ...]]
@@ -82,60 +82,57 @@ class Planner(CurveAnswers):
 
         DataError if a question has no clear answer, or what is stated contradicts the files.
         """
-        kinds = {curve.holds for curve in self.curves}
-        is_track = "tracks" in kinds
-        if is_track and len(kinds) > 1:
-            raise DataError(
-                f"the needles hold {' and '.join(sorted(kinds))}",
-                expected="tracks alone; or shapes, tips and curvatures",
-                fix="import the tracks by themselves",
-                where=self.curves[0].points.where(),
-            )
         for curve in self.curves:
             refuse_stray_points(curve)
-        if not is_track:
-            self.refuse_moved_guide()
-            self.curves.sort(key=lambda curve: curve.holds != "shapes")
-            split_tips(self)
+        tracks = self.part([curve for curve in self.curves if curve.holds == "tracks"])
+        others = self.part([curve for curve in self.curves if curve.holds != "tracks"])
+        others.refuse_moved_guide(is_alone=not tracks.curves)
+        others.curves.sort(key=lambda curve: curve.holds != "shapes")
+        split_tips(others)
+        shapes = self.part([curve for curve in others.curves if curve.holds == "shapes"])
+        tips = self.part(others.curves[len(shapes.curves) :])
+        runs = make_tracks(tracks) if tracks.curves else []
+        self.curves[:] = (*shapes.curves, *tips.curves, *tracks.curves)
+        own_sds = self.settle_point_sds()
+        sd, pose, poses, entries = min(own_sds), "known", list[Stated](), list[Floats | None]()
+        without = join_names([curve.name for curve in tips.curves], 5)
+        if shapes.curves and tips.curves:
+            self.settler.note("without a shape", without)
+        if shapes.curves:
+            shapes.require_order()
+            shapes.settle_entry()
+            poses = shapes.settle_pose(without)
+            pose = "free" if poses[0].text == "free" else "known"
+            entries = shapes.settle_entry_points(poses, without)
+        first, last = len(shapes.curves), len(shapes.curves) + len(tips.curves)
+        beside = make_tips(tips, own_sds[first:last]) if tips.curves else []
+        depths = self.settle_layers()
+        further = [*beside, *runs]
+        needles = self.settle_needles(
+            [*(curve.length for curve in shapes.curves), *(row.depth for row in further)]
+        )
+        rows = shapes.make_rows(poses, entries, sd, depths[:first], needles[:first]) if first else []
+        rows += set_layers(beside, depths[first:last])
+        if any(depths[:last]) or self.surfaces:
+            errors = [
+                answer.to_number("boundary_sd")
+                for answer in self.part(self.curves[:last]).each("boundary_sd")
+            ]
+            rows = [replace(row, boundary_sd=error) for row, error in zip(rows, errors, strict=True)]
+        rows = self.add_names([*rows, *runs], is_track=bool(runs))
+        rows, parameters = self.settle_guide_distance(rows, needles, is_track=bool(runs))
+        plan = replace(self.assemble(rows, pose, sd, depths, needles), choices=FirstChoices({}, parameters))
+        return choose_track_study(tracks, plan) if runs else plan
+
+    def settle_point_sds(self) -> list[float]:
+        """Return the standard deviation of a point of each needle, mm; DataError if of curves it differs."""
         sds = self.each("point_sd")
         other = next((answer for answer in sds if answer.shown != sds[0].shown), None)
-        if other is not None and kinds != {"tips"}:
+        if other is not None and {curve.holds for curve in self.curves} != {"tips"}:
             raise other.error(
                 "point_sd", f"{sds[0].shown}, as of the others, or a column sd beside the points"
             )
-        own_sds = [answer.to_number("point_sd", is_above=True) for answer in sds]
-        sd = min(own_sds)
-        if is_track:
-            pose, rows = "tracker", make_tracks(self)
-            depths = self.settle_layers()
-            needles = self.settle_needles([row.depth for row in rows])
-        else:
-            count = sum(curve.holds == "shapes" for curve in self.curves)
-            shapes, others = self.part(self.curves[:count]), self.part(self.curves[count:])
-            pose, poses, entries = "known", list[Stated](), list[Floats | None]()
-            without = join_names([curve.name for curve in others.curves], 5) if others.curves else ""
-            if count and without:
-                self.settler.note("without a shape", without)
-            if count:
-                shapes.require_order()
-                shapes.settle_entry()
-                poses = shapes.settle_pose(without)
-                pose = "free" if poses[0].text == "free" else "known"
-                entries = shapes.settle_entry_points(poses, without)
-            tips = make_tips(others, own_sds[count:]) if others.curves else []
-            depths = self.settle_layers()
-            needles = self.settle_needles(
-                [*(curve.length for curve in shapes.curves), *(row.depth for row in tips)]
-            )
-            rows = shapes.make_rows(poses, entries, sd, depths[:count], needles[:count]) if count else []
-            rows += set_layers(tips, depths[count:])
-        if any(depths) or self.surfaces:
-            errors = [answer.to_number("boundary_sd") for answer in self.each("boundary_sd")]
-            rows = [replace(row, boundary_sd=error) for row, error in zip(rows, errors, strict=True)]
-        rows = self.add_names(rows, is_track=is_track)
-        rows, parameters = self.settle_guide_distance(rows, needles, is_track=is_track)
-        plan = replace(self.assemble(rows, pose, sd, depths, needles), choices=FirstChoices({}, parameters))
-        return choose_track_study(self, plan) if is_track else plan
+        return [answer.to_number("point_sd", is_above=True) for answer in sds]
 
     def part(self, curves: list[ImportedCurve]) -> "Planner":
         """Return the planner of some curves, with the same answers and surfaces."""
@@ -174,12 +171,16 @@ class Planner(CurveAnswers):
         named = dict(zip(names, needles, strict=True)) if len(kinds) > 1 else {}
         return ImportPlan(placed, pose, tuple(self.surfaces), media, kinds[0], sd, named)
 
-    def refuse_moved_guide(self) -> None:
-        """DataError if a guide moved beside shapes or tips: only readings on the way have its places."""
+    def refuse_moved_guide(self, is_alone: bool) -> None:
+        """DataError if a guide moved beside shapes or tips: only readings on the way have its places.
+
+        `is_alone`: there are no such readings.
+        """
         stated = self.stated("guide")
         guided = [curve for curve in self.curves if curve.guide is not None]
         if not guided or (stated is not None and stated.text == "none"):
-            self.settler.assumed.pop("guide", None)
+            if is_alone:
+                self.settler.assumed.pop("guide", None)
             return
         places = np.concatenate([curve.guide for curve in guided if curve.guide is not None])
         if np.ptp(places[:, :2], axis=0).max() >= GUIDE_STILL_MM:

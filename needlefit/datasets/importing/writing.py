@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from needlefit.datasets.columns import make_id
+from needlefit.datasets.columns import InsertionRow, make_id
 from needlefit.datasets.dataset_warnings import MAPPING_FILE, PLACEHOLDER
 from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.importing.curves import ImportContent, ImportedCurve
@@ -20,7 +20,7 @@ from needlefit.datasets.write import write_dataset
 from needlefit.geometry.surfaces import Surface
 from needlefit.project.toml import check as check_record
 from needlefit.project.toml import dumps
-from needlefit.schemas.dataset import DatasetRecord, ImportRecord, TrackDatasetRecord
+from needlefit.schemas.dataset import DatasetRecord, ImportRecord
 from needlefit.schemas.mapping import MappingRecord
 
 TRACKS_FILE = "tracks.csv"
@@ -66,31 +66,30 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, mapping: 
     }
     if plan.needles:
         draft["needles"] = {name: needle.model_dump() for name, needle in plan.needles.items()}
-    if plan.pose == "tracker":
-        file = _write_tracks(folder, content, plan, draft)
-    else:
-        stems = dict[str, Surface]()
-        for surface in plan.surfaces:
-            stems[make_unique(make_id(surface.name, "surface"), stems)] = surface
-        surfaces = {f"layers/{stem}.stl": surface for stem, surface in stems.items()}
-        parts = [
-            {"file": name, "kind": surface.kind, "into": surface.into} for name, surface in surfaces.items()
-        ]
-        draft["media"] = {
-            medium: {"surfaces": parts} if parts else {"boundaries_mm": [*depths]}
-            for medium, depths in plan.boundaries_mm.items()
-        }
-        beside = {"turns": TURNS_FILE} if any(row.turns for row in plan.rows) else {}
-        if any(row.curvature is not None for row in plan.rows):
+    pairs = list(zip(plan.rows, content.curves, strict=True))
+    rows = [row for row, curve in pairs if curve.holds != "tracks"]
+    tracks = [(row, curve) for row, curve in pairs if curve.holds == "tracks"]
+    stems = dict[str, Surface]()
+    for surface in plan.surfaces:
+        stems[make_unique(make_id(surface.name, "surface"), stems)] = surface
+    surfaces = {f"layers/{stem}.stl": surface for stem, surface in stems.items()}
+    parts = [{"file": name, "kind": surface.kind, "into": surface.into} for name, surface in surfaces.items()]
+    media: dict[str, dict[str, object]] = {
+        medium: {"surfaces": parts} if parts else {"boundaries_mm": [*depths]}
+        for medium, depths in plan.boundaries_mm.items()
+    }
+    curves = {curve.name: curve.points.to_columns() for curve in content.curves if curve.holds == "shapes"}
+    if rows:
+        beside = {"turns": TURNS_FILE} if any(row.turns for row in rows) else {}
+        if any(row.curvature is not None for row in rows):
             beside["curvature"] = CURVATURE_FILE
         draft |= {"frame": {"pose": plan.pose}, "insertions": {"file": "insertions.csv", **beside}}
-        curves = {
-            curve.name: curve.points.to_columns() for curve in content.curves if curve.holds == "shapes"
-        }
-        if curves:
-            draft["centerlines"] = {"pattern": "centerlines/{id}.csv"}
-        record = check_record(draft, DatasetRecord, str(first))
-        file = write_dataset(folder, record, plan.rows, curves, surfaces, checksums=False)
+    if curves:
+        draft["centerlines"] = {"pattern": "centerlines/{id}.csv"}
+    if tracks:
+        draft["tip_tracks"] = _write_tracks(folder, tracks, plan, media)
+    record = check_record(draft | {"media": media}, DatasetRecord, str(first))
+    file = write_dataset(folder, record, rows, curves, surfaces, checksums=False)
     file.write_bytes((_NOTE + file.read_text(encoding="utf-8")).encode("utf-8"))
     places = _list_places(content.curves)
     write_mapping(folder / MAPPING_FILE, mapping)
@@ -146,13 +145,18 @@ def _trace_fault(fault: Fault, places: Mapping[str, Sequence[_Place]], folder: P
     return fault.replace(what=problem, where=place.where, fix=fix)
 
 
-def _write_tracks(folder: Path, content: ImportContent, plan: ImportPlan, draft: dict[str, object]) -> Path:
-    """Write a dataset of tip tracks."""
-    tables, media = list[pd.DataFrame](), dict[str, object]()
-    for row, curve in zip(plan.rows, content.curves, strict=True):
+def _write_tracks(
+    folder: Path,
+    tracks: Sequence[tuple[InsertionRow, ImportedCurve]],
+    plan: ImportPlan,
+    media: dict[str, dict[str, object]],
+) -> dict[str, object]:
+    """Write the table of tip tracks, and into `media` what they meet; return what the dataset states."""
+    tables = list[pd.DataFrame]()
+    for row, curve in tracks:
         depths = plan.boundaries_mm[row.medium] if row.boundaries is None else row.boundaries
-        layers = [*range(1, len(depths) + 2)]
-        media[row.medium] = {"layers": layers, "boundaries_mm": [*depths], "specimen": row.specimen}
+        media[row.medium] |= {"layers": [*range(1, len(depths) + 2)], "boundaries_mm": [*depths]}
+        media[row.medium]["specimen"] = row.specimen
         named: dict[str, object] = {"id": row.id, "medium": row.medium, "needle": row.needle}
         roll = float(np.degrees(row.turns[0][1])) if row.turns else 0.0
         named |= {"bevel_side": row.side, "bevel_roll_deg": roll}
@@ -165,12 +169,9 @@ def _write_tracks(folder: Path, content: ImportContent, plan: ImportPlan, draft:
     left_out += [] if table["bevel_roll_deg"].any() else ["bevel_roll_deg"]
     if not table["tip_z_mm"].any():
         left_out += ["tip_z_mm", "guide_z_mm"]
-    if all(curve.guide is None for curve in content.curves):
+    if all(curve.guide is None for _, curve in tracks):
         left_out += ["guide_mm", "guide_z_mm"]
         source["constants"] = {"guide_mm": 0.0}  # at rest
-    record = check_record(draft | {"tip_tracks": source, "media": media}, TrackDatasetRecord, folder)
     table = table.drop(columns=left_out)
     table.to_csv(folder / TRACKS_FILE, index=False, float_format="%.4f", lineterminator="\n")
-    file = folder / "dataset.toml"
-    file.write_bytes(dumps(record.model_dump(mode="json", by_alias=True)).encode("utf-8"))
-    return file
+    return source

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import Dataset, Insertion, Pose
+from needlefit.datasets.insertion import Dataset, Insertion, Pose, find_pose
 from needlefit.datasets.noise import NoiseFloor, estimate_noise_floor
 from needlefit.geometry.frames import make_tracker_columns
 from needlefit.inference.compared_points import ComparedPoints, count_entry_side
@@ -65,7 +65,8 @@ class _TipTrack(ObservationType):
         frame = make_tracker_columns(depth)
         first = frame[: count_entry_side(len(depth))]
         tip, across = (one - frame @ np.linalg.lstsq(first, one[: len(first)], rcond=None)[0] for one in tips)
-        return ComparedPoints(depth, np.column_stack([depth, tip, across]), pose, compared)
+        measured = np.column_stack([depth, tip, across])
+        return ComparedPoints(depth, measured, find_pose(pose, insertion), compared)
 
     def compare(self, dataset: Dataset, insertion: Insertion) -> tuple[ComparedPoints, ...]:
         """Return the readings as places, and as readings."""
@@ -160,7 +161,8 @@ class _TipTrack(ObservationType):
             gain_sd=further.gain_sd * insertion.guided, carried_sd=carried_sd, roll_sd_deg=roll_sd_deg,
         )  # fmt: skip
         measured, whitening = np.column_stack([at, *across]), whitening @ operator
-        return Observation(measured, cov, session, free, whitening, log_norm, dataset.pose, nodes, curves)
+        pose = find_pose(dataset.pose, insertion)
+        return Observation(measured, cov, session, free, whitening, log_norm, pose, nodes, curves)
 
 
 def _name_group(track: Insertion) -> str:
