@@ -17,7 +17,7 @@ from needlefit.planning.prior_forecast import describe_published, forecast_by_pr
 
 def test_published_moduli_are_shear_moduli_of_incompressible_solids():
     moduli = read_moduli()
-    assert {"gelatine", "liver", "muscle", "prostate", "chicken"} <= set(moduli)
+    assert {"gelatine", "pvc", "liver", "muscle", "prostate", "chicken"} <= set(moduli)
     assert moduli["liver"].shear_pa == pytest.approx((900.0, 2600.0))
     assert moduli["chicken"].shear_pa == pytest.approx((25e3, 35e3))
     assert all(0 < one.low < one.high and one.source for one in moduli.values())
@@ -53,13 +53,24 @@ def test_a_tip_in_proportion_to_b_spreads_as_b_does():
     )
 
 
+def test_errors_of_the_entry_pose_move_the_tip():
+    scene = open_scene("phantom1")
+    moduli = {f"mu{n}_pa": {"fixed": 1e5} for n in range(1, 5)}
+    model = medium(4, **moduli, bevel_mm={"bounds": [1e-4, 1.0], "prior": {"median": 0.01, "factor": 1.01}})
+    found = forecast_by_prior(scene, model, 1.0, pose_sds=(0.4, 0.5))
+    turned = scene.depth * math.radians(0.5)
+    assert np.std(found.tips[:, 1:], axis=0) == pytest.approx(math.hypot(0.4, turned), rel=0.1)
+    shares = [found.shares[name] for name in ("pose_shift_mm", "pose_angle_deg")]
+    assert shares == pytest.approx(np.array([0.4, turned]) ** 2 / (0.4**2 + turned**2), abs=0.1)
+
+
 def test_the_command_predicts_before_data(capsys):
     words = ("predict", "--scene", "phantom1", "--medium", "gelatine", "--aim", "52,0.4", "--json")
     assert run(*words) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["target_mm"] == [52.0, 0.4, 0.0] and 0.0 < found["hits"] <= 1.0
     assert found["tip_y_mm"]["low"] < found["tip_y_mm"]["median"] < found["tip_y_mm"]["high"]
-    assert math.isclose(sum(one["share"] for one in found["parameters"]), 1.0, abs_tol=0.1)
+    assert 0.8 < sum(one["share"] for one in found["parameters"]) < 1.1
     assert found["sources"][0]["medium"] == "gelatine"
     assert run("predict", "--scene", "phantom1", "--medium", "gelatine") == 0
     assert run("predict", "--scene", "phantom1") == 2

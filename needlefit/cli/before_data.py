@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from needlefit.planning.prior_forecast import PriorForecast
     from needlefit.schemas.scene import SceneRecord
 
+_POSE_ERRORS = {"pose_shift_mm": "place of the entry", "pose_angle_deg": "direction at the entry"}
 MIN_SHOWN_SHARE = 0.005  # of the tip's variance, from which on a parameter is listed
 
 
@@ -22,6 +23,7 @@ def predict_before_data(
     medium: str,
     aim: str | None,
     radius: float,
+    pose_sds: str,
     seed: int,
 ) -> None:
     """Print where the tip of a scene will be by draws from the priors of a tissue model, or published moduli.
@@ -39,7 +41,9 @@ def predict_before_data(
     else:
         model = load(find_named("medium", medium), MediumRecord)
     target = None if aim is None else read_numbers(aim, (2, 3), "--aim", "X,Y or X,Y,Z")
-    forecast = forecast_by_prior(make_scene(planned, name, model, changed), model, radius, target, seed)
+    shift, angle = map(abs, read_numbers(pose_sds, (2, 2), "--pose-sd", "SHIFT,DEGREES"))
+    known = make_scene(planned, name, model, changed)
+    forecast = forecast_by_prior(known, model, radius, target, seed, (shift, angle))
     if context.find_root().obj.json:
         sources = [source._asdict() for source in published]
         screen.show_json(
@@ -89,16 +93,18 @@ def _show(forecast: "PriorForecast", radius: float, aim: str) -> None:
     places = []
     for axis, (median, low, high) in (("y", forecast.interval(1)), ("z", forecast.interval(2))):
         if axis == "y" or high > low:
-            places.append(f"{axis} = {median:.2f} mm (95 % interval {low:.2f} to {high:.2f} mm)")
+            places.append(f"{axis} = {median:z.2f} mm (95 % interval {low:z.2f} to {high:z.2f} mm)")
     first, most = next(iter(forecast.shares.items()))
+    subject = f"The {_POSE_ERRORS[first]}" if first in _POSE_ERRORS else format_bare_symbol(first)
+    names = {name: _POSE_ERRORS.get(name) or format_bare_symbol(name) for name in forecast.shares}
     screen.print_text(
         f"Before any data the tip is predicted at {', '.join(places)}. It ends within {radius:g} mm of the "
-        f"{aim} in {100 * forecast.hits:.0f} % of {len(forecast.tips)} draws. {format_bare_symbol(first)} "
+        f"{aim} in {100 * forecast.hits:.0f} % of {len(forecast.tips)} draws. {subject} "
         f"dominates: {100 * most:.0f} % of the variance of the tip."
     )
     rows = [
         {
-            "parameter": format_bare_symbol(name),
+            "parameter": names[name],
             "95 % of its prior": format_quantity_range(name, *forecast.priors[name]),
             "part of the variance": f"{100 * share:.0f} %",
         }

@@ -186,6 +186,10 @@ def predict(
     radius: Annotated[
         float, option("With --medium: distance from it that counts as a hit.", "MM", min=0.01)
     ] = 2.0,
+    pose_sd: Annotated[
+        str,
+        option("With --medium: standard deviations of entry point and direction, per axis.", "MM,DEGREES"),
+    ] = "0.5,0.5",
     specimen: options.Specimen = None,
     depth: options.Depth = None,
     set_: options.Changes = None,
@@ -209,14 +213,14 @@ def predict(
     --set or --specimen the folder is named after these too: predict-study3-study3-depth_mm=60.
 
     With --medium and no TARGET: the spread of the tip before any data, the chance of a hit, and which
-    parameter dominates.
+    parameter, or error of the entry pose, dominates.
     """
     if medium is not None or target is None:
         if medium is None or target is not None or scene is None:
             raise typer.BadParameter("give a TARGET, or --medium with --scene", param_hint="TARGET")
         keys = [key for key, value in map(split_pair, set_ or []) if value]
         named_scene = scene_record(scene, depth, set_ or [])
-        predict_before_data(context, named_scene, keys, medium, aim, radius, seed or 1)
+        predict_before_data(context, named_scene, keys, medium, aim, radius, pose_sd, seed or 1)
         return
     with begin(context) as execution:
         from needlefit.inference.parameter_changes import load_changed_medium

@@ -27,7 +27,7 @@ class PublishedModulus(NamedTuple):
 
 @cache
 def read_moduli() -> dict[str, PublishedModulus]:
-    """Return the published moduli by the names of their media."""
+    """Return the published moduli by the names of their media, in small letters."""
     with FILE.open(encoding="utf-8", newline="") as lines:
         rows = csv.DictReader(lines)
         moduli = [
@@ -36,4 +36,4 @@ def read_moduli() -> dict[str, PublishedModulus]:
             )
             for row in rows
         ]
-    return {modulus.medium: modulus for modulus in moduli}
+    return {modulus.medium.lower(): modulus for modulus in moduli}

@@ -23,6 +23,8 @@ DRAWS = 1000
 MODULUS_BOUNDS_PA = (10.0, 1e8)  # beyond all soft tissues and gels
 # The bevel's parameter before any fit: its median, in mm or degrees, and its factor of 1 SD. The paper's
 # needles have b of 0.03 to 0.085 mm.
+# Errors of the entry pose, beside the parameters of a tissue model.
+POSE_SHIFT, POSE_ANGLE = "pose_shift_mm", "pose_angle_deg"
 BEVEL_PRIORS: Mapping[str, tuple[float, float]] = {"bevel_mm": (0.05, 1.7), "cut_angle_deg": (1.0, 2.0)}
 
 
@@ -33,8 +35,9 @@ class PriorForecast:
     tips: Floats  #: (B, 3) in the constraint frame, mm, of draws that can be solved
     target: Floats  #: (3,), mm: as stated, or the median of the tips
     hits: float  #: share of the tips within the radius about the target
-    priors: Mapping[str, tuple[float, float]]  #: by parameter, ends of 95 % of its draws (Pa, mm, degrees)
-    shares: Mapping[str, float]  #: by parameter, its squared rank correlation with the deflection of the tip
+    #: by parameter, and error of the pose, ends of 95 % of its draws (Pa, mm, degrees)
+    priors: Mapping[str, tuple[float, float]]
+    shares: Mapping[str, float]  #: by the same, its squared rank correlation with the deflection of the tip
     failed: int  #: draws that cannot be solved
     outside: int  #: tips of needles outside what the model assumes
 
@@ -75,12 +78,18 @@ def describe_published(moduli: Sequence[PublishedModulus], layers: int, advance:
 
 
 def forecast_by_prior(
-    scene: Scene, medium: MediumRecord, radius: float, target: Sequence[float] | None = None, seed: int = 1
+    scene: Scene,
+    medium: MediumRecord,
+    radius: float,
+    target: Sequence[float] | None = None,
+    seed: int = 1,
+    pose_sds: tuple[float, float] = (0.0, 0.0),
 ) -> PriorForecast:
     """Predict the tip of a scene by draws of all parameters of a tissue model from their prior.
 
-    `radius`, mm, about the target counts as a hit. ConfigError if the scene has more layers than the model,
-    ModelError if no draw can be solved.
+    `radius`, mm, about the target counts as a hit. `pose_sds`: standard deviations of the entry point, mm,
+    and of the direction there, degrees, in each of both directions across. ConfigError if the scene has more
+    layers than the model, ModelError if no draw can be solved.
     """
     if scene.tissue.layers > medium.layers:
         raise ConfigError(
@@ -95,22 +104,27 @@ def forecast_by_prior(
     found = simulate_scene_draws(
         sets, medium, scene, np.array([scene.depth]), exact[:, 0], exact[:, 1:], parameters.held
     )
-    tips = found.points[found.solved][:, 0]
+    tips = found.points[found.solved][:, 0].copy()
     if not len(tips):
         raise ModelError(
             "no draw of the parameters can be solved for this scene",
             expected="an insertion that the model can follow",
             fix="lessen its depth, or narrow the priors of the tissue model",
         )
+    pose = random_stream(seed, "pose before data").standard_normal((2, DRAWS, 2))[:, found.solved]
+    terms = zip((POSE_SHIFT, POSE_ANGLE), pose_sds, pose, strict=True)
+    errors = {name: sd * deviations for name, sd, deviations in terms if sd}
+    tips[:, 1:] += errors.get(POSE_SHIFT, 0.0) + np.radians(errors.get(POSE_ANGLE, 0.0)) * tips[:, :1]
     aim = np.median(tips, axis=0) if target is None else np.array([*target, 0.0][:3])
     table = {name: values[found.solved] for name, values in tabulate_sets(sets).items()}
     free = [name for name in parameters.free if np.ptp(table[name]) > 0]
+    drawn = {name: table[name] for name in free} | errors
     return PriorForecast(
         tips,
         aim,
         hits=float(np.mean(np.linalg.norm(tips - aim, axis=1) <= radius)),
-        priors={name: tuple(np.quantile(table[name], [0.025, 0.975]).tolist()) for name in free},
-        shares=_share_variance({name: table[name] for name in free}, tips[:, 1:]),
+        priors={name: tuple(np.quantile(values, [0.025, 0.975]).tolist()) for name, values in drawn.items()},
+        shares=_share_variance(drawn, tips[:, 1:]),
         failed=len(sets) - len(tips),
         outside=int(np.sum(~found.valid[found.solved])),
     )
@@ -119,11 +133,12 @@ def forecast_by_prior(
 def _share_variance(table: Mapping[str, Floats], across: Floats) -> dict[str, float]:
     """Return the squared rank correlation of each parameter with tips (B, 2), greatest first.
 
-    Tips are taken along the direction in which they spread most. Draws of the parameters are independent, so
-    that the shares add up to 1 where the tip depends on each monotonically.
+    Tips, and what is drawn across the needle (B, 2), are taken along the direction in which tips spread most.
+    Draws are independent, so that the shares add up to 1 where the tip depends on each monotonically.
     """
     direction = np.linalg.svd(across - across.mean(axis=0), full_matrices=False)[2][0]
     tip = np.argsort(np.argsort(across @ direction))
-    ranks = {name: np.argsort(np.argsort(values)) for name, values in table.items()}
+    along = {name: values if values.ndim == 1 else values @ direction for name, values in table.items()}
+    ranks = {name: np.argsort(np.argsort(values)) for name, values in along.items()}
     shares = {name: float(np.corrcoef(one, tip)[0, 1] ** 2) for name, one in ranks.items()}
     return dict(sorted(shares.items(), key=lambda pair: -pair[1]))
