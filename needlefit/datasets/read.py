@@ -102,7 +102,9 @@ def inspect(path: Path, root: Path | None = None) -> Inspection:
     reading.faults += find_record_faults(record, file)
     assumed = read_assumed(record, file)
     reading.warnings += find_record_warnings(record, file, assumed)
-    insertions, files, own = _read_shapes(reading) if record.lists_insertions else ([], set(), {})
+    insertions, files, own = list[Insertion](), set[Path](), dict[str, Any]()
+    if record.lists_insertions:
+        insertions, files, own = _read_shapes(reading)
     remarks = list[str]()
     if record.tip_tracks is not None:
         tracks, table = _read_tracks(reading, remarks)
@@ -131,6 +133,8 @@ def inspect(path: Path, root: Path | None = None) -> Inspection:
         notes=tuple(head + text.strip() for head, text in parts if text.strip()),
         warnings=tuple(reading.warnings),
         rigidities={one.name: describe_rigidity(one, assumed) for one in record.all_needles.values()},
+        pose=record.frame.pose,
+        drop_proximal=record.frame.drop_proximal_mm,
         remarks=tuple(remarks),
         **own,
     )
@@ -209,8 +213,6 @@ def _read_shapes(reading: _Reading) -> tuple[list[Insertion], set[Path], dict[st
     files = {root / name for name in (*(surface.file for surface in shared), *tables, *own)}
     format_ = None if pattern is None else find_format(Path(pattern))
     return insertions, files, {
-        "pose": record.frame.pose,
-        "drop_proximal": record.frame.drop_proximal_mm,
         "centerline_format": format_.name if format_ else "",
         "measurement": record.measurement or DEFAULT_MEASUREMENT,
     }  # fmt: skip
