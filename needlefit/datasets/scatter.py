@@ -68,6 +68,7 @@ def find_axis_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Itera
         return
     rounding = find_rounding([one.points.values for one in listed])
     ratios = np.maximum(_measure_axes(listed), rounding / 2) / stated
+    ratios[ratios == 0] = math.nan  # points that are exact show none
     off = np.abs(np.log(ratios)) / math.log(SCATTER_RATIOS[1])  # NaN where an axis shows none
     odd, right = np.flatnonzero(off > 2), np.flatnonzero(off < 1)
     if len(odd) == 1 and len(right):
