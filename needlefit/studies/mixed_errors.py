@@ -22,12 +22,13 @@ def add_errors_over_noise(frames: Mapping[str, pd.DataFrame]) -> dict[str, pd.Da
     if not mixed.any():
         return {**frames}
     over = pd.Series(float("nan"), errors.index)
-    crps, floors = pd.Series(float("nan"), predictive.index), pd.Series(dtype=float)
+    crps = pd.Series(float("nan"), predictive.index)
     for name in metrics:
         rows = errors[mixed & (metric == name)]
         over[rows.index] = rows[name] / rows[f"floor_{name}"]
         floors = rows[rows["role"] == "validate"].groupby("insertion")[f"floor_{name}"].first()
         floor = predictive["insertion"].map(floors)
-        crps = crps.fillna(predictive[PREDICTED[name].crps] / floor)
+        if (column := PREDICTED[name].crps) in predictive:
+            crps = crps.fillna(predictive[column] / floor)
     errors = errors.assign(**{OVER_NOISE.name: over, f"floor_{OVER_NOISE.name}": over.notna().astype(float)})
     return {**frames, "errors": errors, "predictive": predictive.assign(**{CRPS_OVER_NOISE: crps})}
