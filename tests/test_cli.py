@@ -213,20 +213,21 @@ def test_a_pipe_gets_one_line_a_minute(capsys):
     assert capsys.readouterr() == ("", "")
 
 
-def test_ctrl_c_twice_ends_at_once():
+@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])
+def test_a_second_signal_ends_what_never_asks_whether_to_stop(end):
     code = (
-        "import time\n"
         "from needlefit.cli.exit_codes import Invocation, catch_interrupts\n"
         "with catch_interrupts(Invocation(('tune', 'gel'))):\n"
         "    print('ready', flush=True)\n"
-        "    time.sleep(60)\n"
+        "    while True:\n"
+        "        sum(range(1000))\n"
     )
     words, started = [sys.executable, "-c", code], time.monotonic()
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as running:
         running.stdout.readline()
-        running.send_signal(signal.SIGINT)
+        running.send_signal(end)
         running.stderr.read(10)  # the first one has been heard
-        running.send_signal(signal.SIGINT)
+        running.send_signal(end)
         assert running.wait(timeout=30) == 130
         assert b"needlefit tune gel --resume" in running.stderr.read()
     assert time.monotonic() - started < 30

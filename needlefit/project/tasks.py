@@ -237,8 +237,8 @@ def can_fork() -> bool:
 def _open_processes(count: int) -> Iterator[tuple[ProcessPoolExecutor, Event]]:
     copied = can_fork()
     context = get_context("fork" if copied else "spawn")
-    event, parent = context.Event(), os.getpid() if copied else None
-    with ProcessPoolExecutor(count, context, _begin_process, (event, parent)) as pool:
+    event = context.Event()
+    with ProcessPoolExecutor(count, context, _begin_process, (event, os.getpid(), copied)) as pool:
         if copied:
             # a copy has this process's handlers at first, which only note a signal: it comes later
             before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING_SIGNALS)
@@ -249,17 +249,16 @@ def _open_processes(count: int) -> Iterator[tuple[ProcessPoolExecutor, Event]]:
         yield pool, event
 
 
-def _begin_process(stop: Event, parent: int | None) -> None:
-    """Keep linear algebra to one thread, and leave Ctrl-C to the process that started this one.
+def _begin_process(stop: Event, parent: int, is_copy: bool) -> None:
+    """Keep linear algebra to one thread, end with `parent`, and leave Ctrl-C to it.
 
-    `parent` is the process that this one is a copy of: it then has loaded its linear algebra already. A copy
-    ends with it, and by signals.
+    A copy of its parent has loaded its linear algebra already, and has its handlers of signals.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if parent is not None:
+    end_with(parent)  # whatever it computes: nobody would read what it returns
+    if is_copy:
         from threadpoolctl import threadpool_limits
 
-        end_with(parent)
         for number in _ENDING_SIGNALS - {signal.SIGINT}:
             signal.signal(number, signal.SIG_DFL)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDING_SIGNALS)

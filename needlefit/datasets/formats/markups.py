@@ -14,12 +14,12 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.datasets.faults import Fault
 from needlefit.datasets.formats import FileFormat, ReadCurves
-from needlefit.datasets.importing.synonyms import UNITS_MM
 from needlefit.datasets.point_labels import divide_labels
 from needlefit.datasets.points import MAX_COORDINATE, Points
 from needlefit.errors import DataError
 from needlefit.geometry.frames import PatientSystem, to_lps
 from needlefit.project.input_files import read_json, read_text
+from needlefit.project.units import UNITS_MM
 
 # What Slicer itself writes: an identifier, no address.
 SCHEMA = (

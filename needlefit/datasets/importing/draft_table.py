@@ -13,7 +13,6 @@ from needlefit.datasets.importing.layout import MISSING
 from needlefit.datasets.importing.meanings import ATTRIBUTES, MEANINGS, ROWS, SENSOR, VECTORS
 from needlefit.datasets.importing.synonyms import (
     INDEX,
-    UNITS_GPA,
     Header,
     find_meaning,
     is_side,
@@ -25,6 +24,7 @@ from needlefit.datasets.importing.tables import BLOCK, UNIT_FIELDS, Table
 from needlefit.datasets.point_labels import divide_labels
 from needlefit.datasets.points import MIN_POINTS
 from needlefit.datasets.tip_tracks import MIN_READINGS
+from needlefit.project.units import UNITS_GPA
 
 CODES = ("-999", "-999.0", "-9999", "-9999.0", "-99", "999", "9999")  # numbers that stand for no measurement
 NO_POINTS = (*VECTORS, "target", "guide", "quaternion")  # columns x, y, z that are no points of a needle

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from needlefit.datasets.importing.meanings import MEANINGS
-from needlefit.datasets.importing.synonyms import UNITS_MM, find_meaning, read_header
+from needlefit.datasets.importing.synonyms import find_meaning, read_header
 from needlefit.datasets.importing.tables import (
     MAX_TABLE_BYTES,
     Grid,
@@ -18,6 +18,7 @@ from needlefit.datasets.importing.tables import (
 )
 from needlefit.errors import DataError
 from needlefit.project.input_files import read_bytes
+from needlefit.project.units import UNITS_MM
 
 MISSING = ("nan", "na", "n/a", "-", "--", "null", "none", "missing", "#n/a", "#div/0!", "inf", "-inf", "+inf")
 MAX_HEADER_ROWS = 6

@@ -16,9 +16,9 @@ from needlefit.datasets.importing.meanings import MEANINGS
 from needlefit.datasets.importing.place import ImportPlan, Planner
 from needlefit.datasets.importing.read import MappedTable, list_tables, read_mapped
 from needlefit.datasets.importing.stated import Settler, name_set
-from needlefit.datasets.importing.synonyms import UNITS_MM
 from needlefit.errors import ConfigError, DataError
 from needlefit.project.toml import check, load, override
+from needlefit.project.units import UNITS_MM
 from needlefit.schemas.mapping import MappingRecord
 
 # Length of the longest needle, from and to.

@@ -18,7 +18,7 @@ from needlefit.datasets.faults import as_error
 from needlefit.datasets.importing.curves import ImportContent, ImportedCurve
 from needlefit.datasets.importing.meanings import ATTRIBUTES, MEANINGS, SENSOR, VECTORS
 from needlefit.datasets.importing.stated import Stated, name_set
-from needlefit.datasets.importing.synonyms import UNITS_MM, find_meaning, read_quantity
+from needlefit.datasets.importing.synonyms import find_meaning, read_quantity
 from needlefit.datasets.importing.tables import (
     SHEET_SUFFIXES,
     TEXT_SUFFIXES,
@@ -40,6 +40,7 @@ from needlefit.geometry.surfaces import (
 )
 from needlefit.project.folders import sha256
 from needlefit.project.locate import join_names
+from needlefit.project.units import UNITS_MM
 from needlefit.schemas.mapping import MappingRecord, MeaningRecord, TableRecord
 
 MAX_CURVES = 2000  # of an import, and as many files: more is a wrong folder

@@ -10,10 +10,11 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.importing.meanings import VALUES
-from needlefit.datasets.importing.synonyms import UNITS_GPA, UNITS_MM, read_quantity
+from needlefit.datasets.importing.synonyms import read_quantity
 from needlefit.datasets.points import MAX_COORDINATE
 from needlefit.errors import DataError
 from needlefit.project.locate import join_names
+from needlefit.project.units import UNITS_GPA, UNITS_MM
 
 MAX_ANSWER_CHARS = 500  # of what is kept of an answer
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from functools import cache, lru_cache
 from pathlib import Path
 
+from needlefit.project.units import UNITS_MM
+
 FILE = Path(__file__).with_name("synonyms.csv")
-UNITS_MM = {"mm": 1.0, "cm": 10.0, "dm": 100.0, "m": 1e3, "um": 1e-3, "in": 25.4}
-UNITS_GPA = {"GPa": 1.0, "MPa": 1e-3, "kPa": 1e-6, "Pa": 1e-9}
 
 # What a word beside an axis may mean without being the name of a needle: `needle x`, `depth x`.
 _POINT_WORDS = ("needle", "tip", "depth", "deflection")
