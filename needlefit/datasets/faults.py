@@ -22,19 +22,19 @@ def merge_like(faults: Sequence[Fault]) -> list[Fault]:
     They are of one kind if the same is expected, and fixes them.
     """
     groups: dict[tuple[str, ...], list[Fault]] = {}
-    for n, one in enumerate(faults):
-        kind = (one.expected, one.fix) if one.expected or one.fix else (str(n),)
-        groups.setdefault((_PLACE.sub("", one.where), *kind), []).append(one)
-    return [one for group in groups.values() for one in _merge(group)]
+    for n, fault in enumerate(faults):
+        kind = (fault.expected, fault.fix) if fault.expected or fault.fix else (str(n),)
+        groups.setdefault((_PLACE.sub("", fault.where), *kind), []).append(fault)
+    return [fault for group in groups.values() for fault in _merge(group)]
 
 
 def _merge(group: Sequence[Fault]) -> Sequence[Fault]:
     if len(group) <= MAX_LIKE_FAULTS:
         return group
     first, *others = group
-    places = [match["place"] for one in others if (match := _PLACE.search(one.where))]
+    places = [match["place"] for other in others if (match := _PLACE.search(other.where))]
     is_placed = len({*places}) == len(others)
-    listed = (places if is_placed else [one.what for one in others])[:MAX_LISTED_PLACES]
+    listed = (places if is_placed else [other.what for other in others])[:MAX_LISTED_PLACES]
     if is_placed and all(place.isdecimal() for place in listed):
         listed[0] = f"lines {listed[0]}"
     more = ", ..." if len(others) > len(listed) else ""

@@ -24,8 +24,10 @@ class Fold:
 
     def of_dataset(self, dataset: Dataset) -> "Fold":
         """Return the fold with the insertions of these ids as a dataset has them."""
-        known = {one.id: one for one in dataset.insertions}
-        tune, validate = (tuple(known[one.id] for one in part) for part in (self.tune, self.validate))
+        by_id = {insertion.id: insertion for insertion in dataset.insertions}
+        tune, validate = (
+            tuple(by_id[insertion.id] for insertion in part) for part in (self.tune, self.validate)
+        )
         return replace(self, tune=tune, validate=validate)
 
 
@@ -41,7 +43,7 @@ def make_folds(record: FitRecord | StudyRecord, dataset: Dataset) -> tuple[Fold,
     if record.leave_out is not None:
         return tuple(map(_require_no_copies, leave_out(tune, record.leave_out)))
     if record.folds:
-        divided = (_divide(n, one, record, dataset) for n, one in enumerate(record.folds, start=1))
+        divided = (_divide(n, fold, record, dataset) for n, fold in enumerate(record.folds, start=1))
         return tuple(_require_no_copies(fold) for folds in divided for fold in folds)
     validate: dict[str, Insertion] = {}
     for n, selection in enumerate(record.validate_, start=1):
@@ -58,30 +60,30 @@ def make_folds(record: FitRecord | StudyRecord, dataset: Dataset) -> tuple[Fold,
     return (_require_no_copies(Fold("all", tune, tuple(validate.values()))),)
 
 
-def _divide(number: int, one: FoldsRecord, record: StudyRecord, dataset: Dataset) -> Iterator[Fold]:
+def _divide(number: int, stated: FoldsRecord, record: StudyRecord, dataset: Dataset) -> Iterator[Fold]:
     """Yield the folds of one of [[folds]], by its number; insertions that are predicted are not fitted to."""
     rule, key = record.layer_count_rule, f"folds.{number}"
-    held = select_insertions(dataset, one.validate_, rule, f"{key}.validate")
-    tuned = select_insertions(dataset, one.tune, rule, f"{key}.tune")
-    count = min(one.parts or 1, len(held))
+    held = select_insertions(dataset, stated.validate_, rule, f"{key}.validate")
+    tuned = select_insertions(dataset, stated.tune, rule, f"{key}.tune")
+    count = min(stated.parts or 1, len(held))
     for k in range(count):
         left = held[k::count]
-        kept = tuple(each for each in tuned if each not in left)
+        kept = tuple(insertion for insertion in tuned if insertion not in left)
         if not kept:
             raise ConfigError("all insertions are predicted, and none is fitted to", key=f"{key}.tune")
-        name = one.name if one.parts is None else f"{one.name}-{k + 1}"
+        name = stated.name if stated.parts is None else f"{stated.name}-{k + 1}"
         yield Fold(name, kept, left)
 
 
 def _require_no_copies(fold: Fold) -> Fold:
     """Return a fold; ConfigError if it holds out a copy of an insertion fitted to: it tests nothing."""
-    pairs = ((one, other) for one in fold.validate for other in fold.tune if is_copy(one, other))
-    if found := next(pairs, None):
-        one, other = found
+    pairs = ((first, other) for first in fold.validate for other in fold.tune if is_copy(first, other))
+    if copies := next(pairs, None):
+        first, other = copies
         raise ConfigError(
-            f"{one.id} is held out, and is a copy of {other.id}, which is fitted to",
+            f"{first.id} is held out, and is a copy of {other.id}, which is fitted to",
             expected="an insertion of its own: errors on a copy are those of the fit",
-            fix=f"remove {one.id} from the dataset, or restore its own file",
+            fix=f"remove {first.id} from the dataset, or restore its own file",
             key="validate",
         )
     return fold
@@ -94,27 +96,27 @@ def warn_shared_specimens(name: str, folds: Iterable[Fold], where: str = "") -> 
     """
     shared: dict[str, None] = {}
     for fold in folds:
-        held = {one.specimen for one in fold.validate}
-        shared |= dict.fromkeys(one.specimen for one in fold.tune if one.specimen in held)
+        held = {insertion.specimen for insertion in fold.validate}
+        shared |= dict.fromkeys(insertion.specimen for insertion in fold.tune if insertion.specimen in held)
     if not shared:
         return []
     named = join_names(list(shared), MAX_NAMED_SPECIMENS)
-    what = f"insertions into a specimen are fitted to and held out ({named}): errors in new specimens may "
+    problem = f"insertions into a specimen are fitted to and held out ({named}): errors in new specimens may "
     fix = "hold out whole specimens, or write same_specimen = true in the study if it is meant"
-    return [ResultWarning("same_specimen", f"{what}be larger", where or f"study {name}", fix)]
+    return [ResultWarning("same_specimen", f"{problem}be larger", where or f"study {name}", fix)]
 
 
-def leave_out(insertions: tuple[Insertion, ...], what: str) -> tuple[Fold, ...]:
+def leave_out(insertions: tuple[Insertion, ...], kind: str) -> tuple[Fold, ...]:
     """Return one fold for each "insertion" or "specimen", which it leaves out.
 
     Raises ConfigError if there is only one.
     """
-    held = divide_insertions(insertions, what)
+    held = divide_insertions(insertions, kind)
     if len(held) < 2:
-        within = what == "specimen" and len(insertions) > 1
+        within = kind == "specimen" and len(insertions) > 1
         raise ConfigError(
-            f"there is only one {what}: none can be left out",
-            expected=f"insertions into two {what}s or more" if within else f"two {what}s or more",
+            f"there is only one {kind}: none can be left out",
+            expected=f"insertions into two {kind}s or more" if within else f"two {kind}s or more",
             fix='write leave_out = "insertion" and same_specimen = true to predict insertions into this '
             "specimen, or add insertions into another one"
             if within
@@ -127,10 +129,10 @@ def leave_out(insertions: tuple[Insertion, ...], what: str) -> tuple[Fold, ...]:
     )
 
 
-def divide_insertions(insertions: tuple[Insertion, ...], what: str) -> dict[str, tuple[Insertion, ...]]:
+def divide_insertions(insertions: tuple[Insertion, ...], kind: str) -> dict[str, tuple[Insertion, ...]]:
     """Group the insertions by "specimen", or each "insertion" by itself, in their order."""
-    names = [insertion.specimen if what == "specimen" else insertion.id for insertion in insertions]
+    names = [insertion.specimen if kind == "specimen" else insertion.id for insertion in insertions]
     return {
-        name: tuple(i for i, own in zip(insertions, names, strict=True) if own == name)
+        name: tuple(i for i, own_name in zip(insertions, names, strict=True) if own_name == name)
         for name in dict.fromkeys(names)
     }

@@ -52,26 +52,26 @@ def mark_interpolated(listed: Sequence[ListedInsertion], noise: Noise) -> list[L
 
     Where even few points of all needles hardly scatter, the stated SD is too large, and nothing is known.
     """
-    every = [one.insertion.points for one in listed if one.is_curve]
+    every = [entry.insertion.points for entry in listed if entry.is_curve]
     few = [_measure_scatter(points[::-1][:: _find_largest_step(len(points))]) for points in every]
     least = SCATTER_RATIOS[0] * noise.point_sd
     if not noise.point_sd or math.hypot(*few) < least * math.sqrt(len(few)):
         return list(listed)
     return [
-        replace(one, insertion=replace(one.insertion, independent=count))
-        if one.is_curve
-        and (count := count_independent(one.insertion.points, noise.point_sd)) < len(one.insertion.points)
-        else one
-        for one in listed
+        replace(entry, insertion=replace(entry.insertion, independent=count))
+        if entry.is_curve
+        and (count := count_independent(entry.insertion.points, noise.point_sd)) < len(entry.insertion.points)
+        else entry
+        for entry in listed
     ]
 
 
 def find_interpolated_warnings(listed: Sequence[ListedInsertion]) -> Iterator[ResultWarning]:
     """Yield a warning that names the curves whose points are not independent, and how many count."""
-    found = [one for one in listed if one.insertion.independent]
+    found = [entry for entry in listed if entry.insertion.independent]
     if found:
         curves = [one.insertion for one in found]
-        counts = [f"{one.id} ({one.independent} of {len(one.points)})" for one in curves]
+        counts = [f"{curve.id} ({curve.independent} of {len(curve.points)})" for curve in curves]
         yield ResultWarning(
             kind="interpolated",
             what=(

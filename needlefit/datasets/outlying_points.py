@@ -34,32 +34,32 @@ class OutlyingPoint:
 
 def find_point_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> dict[str, list[ResultWarning]]:
     """Return the warnings about points and steps off the curves of their needles, by insertion."""
-    curves = [one for one in listed if len(one.insertion.points) >= MIN_CURVE_POINTS]
+    curves = [entry for entry in listed if len(entry.insertion.points) >= MIN_CURVE_POINTS]
     if not curves:
         return {}
-    rounding = find_rounding([one.points.values for one in curves])
-    every = [(one, sd_of_points(one.insertion, noise, rounding)) for one in curves]
-    larger = max(1.0, _measure_excess(every))
-    found = {one.insertion.id: [*_find_in_curve(one.insertion, larger * sd)] for one, sd in every}
+    rounding = find_rounding([curve.points.values for curve in curves])
+    pairs = [(curve, sd_of_points(curve.insertion, noise, rounding)) for curve in curves]
+    larger = max(1.0, _measure_excess(pairs))
+    outlying = {entry.insertion.id: [*_find_in_curve(entry.insertion, larger * sd)] for entry, sd in pairs}
     return {
-        one.insertion.id: [_describe(one, point) for point in found[one.insertion.id]]
-        for one in curves
-        if 0 < len(found[one.insertion.id]) <= MAX_OUTLYING_PART * len(one.insertion.points)
+        curve.insertion.id: [_describe(curve, point) for point in outlying[curve.insertion.id]]
+        for curve in curves
+        if 0 < len(outlying[curve.insertion.id]) <= MAX_OUTLYING_PART * len(curve.insertion.points)
     }
 
 
 def sd_of_points(insertion: Insertion, noise: Noise, rounding: float) -> Floats:
     """Return the standard deviation of each point (N,), mm; that of rounding counts as half a step."""
-    own = np.zeros(len(insertion.points)) if insertion.sd is None else insertion.sd
+    own_sds = np.zeros(len(insertion.points)) if insertion.sd is None else insertion.sd
     shared = (noise.point_sd, noise.correlated_sd, rounding / 2, MIN_SCATTER_MM)
-    return np.hypot(own, math.hypot(*shared))
+    return np.hypot(own_sds, math.hypot(*shared))
 
 
-def _measure_excess(every: Sequence[tuple[ListedInsertion, Floats]]) -> float:
+def _measure_excess(pairs: Sequence[tuple[ListedInsertion, Floats]]) -> float:
     """Return the factor by which the points of all needles scatter more than their SDs, by the median."""
     sizes = []
-    for one, sd in every:
-        left, factor = leave_one_out(one.insertion.points[:, 0], one.insertion.points[:, 1:])
+    for entry, sd in pairs:
+        left, factor = leave_one_out(entry.insertion.points[:, 0], entry.insertion.points[:, 1:])
         sizes.append(np.abs(left) / (factor * sd)[:, None])
     return float(np.median(np.vstack(sizes)) / ndtri(0.75))
 
@@ -89,15 +89,15 @@ def _find_in_curve(insertion: Insertion, sd: Floats) -> Iterator[OutlyingPoint]:
             kept = np.delete(kept, worst)
 
 
-def _describe(one: ListedInsertion, point: OutlyingPoint) -> ResultWarning:
+def _describe(entry: ListedInsertion, point: OutlyingPoint) -> ResultWarning:
     """Return a point as a warning that names its row, and the coordinate that is off most."""
-    n, name, axis = point.index, one.insertion.id, int(np.argmax(np.abs(point.off)))
+    n, name, axis = point.index, entry.insertion.id, int(np.argmax(np.abs(point.off)))
     away = f"{point.off[axis]:+.2g} mm along {'xyz'[axis]} ({point.sds:.0f} SD)"
     if point.is_step:
-        what = f"{name} has a step of {away} between points {n} and {n + 1}"
+        problem = f"{name} has a step of {away} between points {n} and {n + 1}"
         fix = "look at what moved between this row and the one above it, as the specimen or the image"
     else:
-        place = {0: "the first point", len(one.insertion.points) - 1: "the tip"}.get(n, f"point {n + 1}")
-        what = f"{place} of {name} is off the curve of its neighbours by {away}"
+        place = {0: "the first point", len(entry.insertion.points) - 1: "the tip"}.get(n, f"point {n + 1}")
+        problem = f"{place} of {name} is off the curve of its neighbours by {away}"
         fix = "compare this row with its source, as the image or the protocol"
-    return ResultWarning("point_outlier", what, where=one.points.where(n), fix=fix)
+    return ResultWarning("point_outlier", problem, where=entry.points.where(n), fix=fix)

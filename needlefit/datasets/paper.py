@@ -30,11 +30,11 @@ def read_hand_tuned(name: str) -> dict[str, float]:
     Raises ConfigError if there is no such row.
     """
     with convert_stored_errors(_find_file("parameters")):
-        found = select_rows("parameters", set=name)
-    if not found:
-        known = ", ".join(read_hand_tuned_names())
-        raise ConfigError(f"the paper has no parameter set called `{name}`", expected=f"one of {known}")
-    return {key: float(value) for key, value in found[0].items() if isinstance(value, int | float)}
+        rows = select_rows("parameters", set=name)
+    if not rows:
+        names = ", ".join(read_hand_tuned_names())
+        raise ConfigError(f"the paper has no parameter set called `{name}`", expected=f"one of {names}")
+    return {key: float(value) for key, value in rows[0].items() if isinstance(value, int | float)}
 
 
 def read_hand_tuned_names() -> tuple[str, ...]:

@@ -103,8 +103,8 @@ def find_operator_faults(
     if stated is None or (stated.knot_spacing_mm is None and stated.width_mm is None):
         return
     pose, drop = record.frame.pose, record.frame.drop_proximal_mm
-    insertions = [one.insertion for one in listed]
-    compared = {one.id: select_compared_places(pose, drop, one)[1] for one in insertions}
+    insertions = [entry.insertion for entry in listed]
+    compared = {insertion.id: select_compared_places(pose, drop, insertion)[1] for insertion in insertions}
     spacing = stated.knot_spacing_mm
     for name, s in () if spacing is None else compared.items():
         knots = make_knots(s[0], s[-1], spacing or 0.0)
@@ -145,7 +145,7 @@ def from_record(record: SectionsRecord) -> SplineSections:
 def describe_measurement(dataset: Dataset) -> str:
     """Return what the measurement of a dataset does to shapes, for people."""
     stated = dataset.measurement
-    kinds = dict.fromkeys(one.observed for one in dataset.insertions)
+    kinds = dict.fromkeys(insertion.observed for insertion in dataset.insertions)
     if any(kind in MEASURED for kind in kinds):
         return "; ".join(MEASURED.get(kind, "shapes") for kind in kinds)
     if stated.operator == "gaussian":
@@ -155,11 +155,11 @@ def describe_measurement(dataset: Dataset) -> str:
         return f"points with an unknown smooth bias, {size}"
     if stated.operator == "spline" and stated.sections is None:
         return f"points on a smoothing spline, a knot every {stated.knot_spacing_mm:g} mm"
-    sections = [one.sections for one in dataset.insertions if one.sections is not None]
+    sections = [insertion.sections for insertion in dataset.insertions if insertion.sections is not None]
     if not sections:
         return "points of the needle itself, with stated errors"
-    counts = [len(one.q) for one in sections]
-    sigma = float(np.sqrt(np.mean([one.sigma**2 for one in sections])))
+    counts = [len(section.q) for section in sections]
+    sigma = float(np.sqrt(np.mean([section.sigma**2 for section in sections])))
     return (
         f"smoothing splines through {min(counts)} to {max(counts)} stored cross-sections each, "
         f"SD {sigma:.3f} mm per direction"

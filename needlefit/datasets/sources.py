@@ -33,16 +33,16 @@ def find_folder(record: SourceRecord, path: Path) -> Path:
             fix=record.how_to_get or "set it and run again",
             where=path,
         )
-    absolute, found = _match_folders(record.root, path)
-    if len(found) != 1:
-        fix = "narrow root" if found else record.how_to_get or "check the path"
+    absolute, folder = _match_folders(record.root, path)
+    if len(folder) != 1:
+        fix = "narrow root" if folder else record.how_to_get or "check the path"
         raise DataError(
-            f"{len(found) or 'no'} folder{'s match' if found else ' matches'} root {record.root}",
+            f"{len(folder) or 'no'} folder{'s match' if folder else ' matches'} root {record.root}",
             expected=f"one: {absolute}",
             fix=fix,
             where=path,
         )
-    return found[0]
+    return folder[0]
 
 
 def _match_folders(root: str, path: Path) -> tuple[Path, tuple[Path, ...]]:
@@ -59,14 +59,14 @@ def find_checksum_faults(checksums: Mapping[str, str], folder: Path) -> list[Fau
     faults = list[Fault]()
     for name, expected in checksums.items():
         file = folder / name
-        what, fix = "there is no such file, but [checksums] lists it", "remove its line under [checksums]"
+        problem, fix = "there is no such file, but [checksums] lists it", "remove its line under [checksums]"
         if is_file(file):
             if (actual := sha256(file)) == expected.lower():
                 continue
-            what = "is not the file described: wrong checksum"
+            problem = "is not the file described: wrong checksum"
             fix = f"if the change is meant, write {actual} under [checksums]"
         faults.append(
-            DataError(what, expected=f"sha256 {expected}", fix=f"restore the file, or {fix}", where=file)
+            DataError(problem, expected=f"sha256 {expected}", fix=f"restore the file, or {fix}", where=file)
         )
     return faults
 
@@ -128,7 +128,7 @@ class DatasetFiles:
     def differ_from(self, file: Path) -> bool:
         """Return whether another `dataset.toml`, or a file beside it, differs from that of the same name."""
         pairs = [(self.file, file), *((self.root / name, file.parent / name) for name in self.names)]
-        return any(is_file(other) and sha256(other) != sha256(own) for own, other in pairs)
+        return any(is_file(other) and sha256(other) != sha256(file) for file, other in pairs)
 
     def _others(self) -> list[Path]:
         return [self.root / name for name in self.names]

@@ -89,9 +89,9 @@ def _integrate_curvature(row: InsertionRow) -> Floats:
     assert row.curvature is not None
     places, *curvatures, _ = row.curvature[np.argsort(-row.curvature[:, 0])].T
     s = np.linspace(0.0, row.depth, CURVE_POINTS)
-    slopes = [_integrate(np.interp(s, row.depth - places, one), s) for one in curvatures]
+    slopes = [_integrate(np.interp(s, row.depth - places, curvature), s) for curvature in curvatures]
     along = np.sqrt(np.maximum(1.0 - np.sum(np.square(slopes), axis=0), 0.0))
-    return np.column_stack([_integrate(one, s) for one in (along, *slopes)])
+    return np.column_stack([_integrate(slope_values, s) for slope_values in (along, *slopes)])
 
 
 def _integrate(values: Floats, s: Floats) -> Floats:

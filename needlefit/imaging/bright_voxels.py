@@ -33,20 +33,20 @@ class BrightVoxels:
         Those have the same number that hang together, by their faces, or by their corners, too.
         """
         if (level, corners) not in self._labels:
-            at = np.flatnonzero(self.values > level)
-            flat = self.flat[at]
+            above = np.flatnonzero(self.values > level)
+            flat = self.flat[above]
             if len(flat) > MAX_LISTED_VOXELS:
                 mask = np.zeros(self.shape, dtype=np.bool_)
                 mask.reshape(-1)[flat] = True
                 parts, _ = label(mask, generate_binary_structure(3, 3 if corners else 1))
-                self._labels[level, corners] = at, parts.reshape(-1)[flat].astype(np.int64)
+                self._labels[level, corners] = above, parts.reshape(-1)[flat].astype(np.int64)
                 return self._labels[level, corners]
             places = np.stack(np.unravel_index(flat, self.shape), axis=1)
             # a little beyond the distance of neighbours: 1 by faces, sqrt(3) by corners
             links = cKDTree(places).query_pairs(1.8 if corners else 1.1, output_type="ndarray")
             graph = coo_array((np.ones(len(links), np.int8), links.T), shape=(len(flat), len(flat)))
             labels = connected_components(graph, directed=False)[1]
-            self._labels[level, corners] = at, np.asarray(labels, dtype=np.int64)
+            self._labels[level, corners] = above, np.asarray(labels, dtype=np.int64)
         return self._labels[level, corners]
 
     def list_parts(
@@ -61,16 +61,16 @@ class BrightVoxels:
 
         Parts that hold one of the voxels `without` (M, 3) are left out.
         """
-        at, labels = self.label(level, corners=corners)
+        places, labels = self.label(level, corners=corners)
         size = np.bincount(labels)
         fits = (size >= sizes[0]) & (size <= sizes[1])
-        if without is not None and len(at):
+        if without is not None and len(places):
             wanted = np.ravel_multi_index(tuple(without.T[::-1]), self.shape)
-            found = np.minimum(np.searchsorted(self.flat[at], wanted), len(at) - 1)
-            fits[labels[found[self.flat[at[found]] == wanted]]] = False
+            nearest = np.minimum(np.searchsorted(self.flat[places], wanted), len(places) - 1)
+            fits[labels[nearest[self.flat[places[nearest]] == wanted]]] = False
         members = np.flatnonzero(fits[labels])
         members = members[np.argsort(labels[members], kind="stable")]
-        for group in np.split(at[members], np.flatnonzero(np.diff(labels[members])) + 1):
+        for group in np.split(places[members], np.flatnonzero(np.diff(labels[members])) + 1):
             if len(group):
                 yield np.stack(np.unravel_index(self.flat[group], self.shape)[::-1], axis=1)
 

@@ -44,28 +44,28 @@ def make_control_points(
     if needle is not None:
         s = arc_length(needle)
         middles = s[-1] * (np.arange(AXIS_POINTS) + 0.5) / AXIS_POINTS
-        points += [(f"axis {n}", at) for n, at in enumerate(interpolate_at_arc(needle, middles), 1)]
+        points += [(f"axis {n}", place) for n, place in enumerate(interpolate_at_arc(needle, middles), 1)]
         points.append(("tip", needle[-1]))
     if entry is not None:
         points.append(("entry", entry))
-    points += [(f"ball {n}", at) for n, at in enumerate(balls, 1)]
+    points += [(f"ball {n}", ball) for n, ball in enumerate(balls, 1)]
     if not points:
         return None
-    places = np.array([at for _, at in points]).round(3)
+    places = np.array([place for _, place in points]).round(3)
     labels = tuple(label for label, _ in points)
-    found = tuple(
-        "found at L, P, S = {:.3f}, {:.3f}, {:.3f} mm".format(*at)
+    named = tuple(
+        "found at L, P, S = {:.3f}, {:.3f}, {:.3f} mm".format(*place)
         + f", one of {len(balls)} balls" * label.startswith("ball")
-        for label, at in zip(labels, places.tolist(), strict=True)
+        for label, place in zip(labels, places.tolist(), strict=True)
     )
-    return Markups(Path(id_), f"{id_} {LIST_NAME}", "Fiducial", labels, places, descriptions=found)
+    return Markups(Path(id_), f"{id_} {LIST_NAME}", "Fiducial", labels, places, descriptions=named)
 
 
-def list_control_points(one: Reconstruction) -> Markups | None:
+def list_control_points(reconstruction: Reconstruction) -> Markups | None:
     """Return the control points by which a reconstruction is corrected, LPS."""
-    (entry,) = one.patient.to_local(one.points[:1])
-    balls = np.empty((0, 3)) if one.markers is None else one.markers.centers
-    return make_control_points(one.scan.id, one.needle_axis.points, entry, balls)
+    (entry,) = reconstruction.patient.to_local(reconstruction.points[:1])
+    balls = np.empty((0, 3)) if reconstruction.markers is None else reconstruction.markers.centers
+    return make_control_points(reconstruction.scan.id, reconstruction.needle_axis.points, entry, balls)
 
 
 def read_corrections(path: Path) -> dict[str, Corrections]:
@@ -76,21 +76,21 @@ def read_corrections(path: Path) -> dict[str, Corrections]:
 
     DataError if the file is none of 3D Slicer, or a list or a point in it has another name.
     """
-    found: dict[str, Corrections] = {}
-    for one in read_markups(path):
-        id_, name, _ = one.name.rpartition(f" {LIST_NAME}")
-        if not name or one.kind != "Fiducial":
+    corrections: dict[str, Corrections] = {}
+    for markup in read_markups(path):
+        id_, name, _ = markup.name.rpartition(f" {LIST_NAME}")
+        if not name or markup.kind != "Fiducial":
             raise DataError(
-                f"the {one.kind} `{one.name}` is no list of corrections",
+                f"the {markup.kind} `{markup.name}` is no list of corrections",
                 expected=(
                     f"the point list `ID {LIST_NAME}` that `needlefit reconstruct` wrote for the scan ID"
                 ),
                 fix="save that list alone",
                 where=path,
             )
-        with located(f"{path}, list `{one.name}`"):
-            found[id_] = _parse_corrections(one)
-    return found
+        with located(f"{path}, list `{markup.name}`"):
+            corrections[id_] = _parse_corrections(markup)
+    return corrections
 
 
 def _parse_corrections(markups: Markups) -> Corrections:
@@ -103,7 +103,9 @@ def _parse_corrections(markups: Markups) -> Corrections:
             fix="rename the point in 3D Slicer, or remove it",
         )
     stated = [_FOUND.search(text) for text in markups.descriptions]
-    before = np.array([[np.nan] * 3 if one is None else [float(x) for x in one.groups()] for one in stated])
+    before = np.array(
+        [[np.nan] * 3 if match is None else [float(x) for x in match.groups()] for match in stated]
+    )
     here, turned = (
         np.linalg.norm(markups.points * AXIS_SIGNS[system] - before, axis=1) <= MIN_MOVE_MM
         for system in ("LPS", "RAS")
@@ -116,10 +118,12 @@ def _parse_corrections(markups: Markups) -> Corrections:
             fix="correct `coordinateSystem` (LPS or RAS), or save the list again in 3D Slicer",
         )
     moved = ~here
-    own = {name: np.array([kind is not None and kind[1].lower() == name for kind in kinds]) for name in KINDS}
-    counts = [int(one[1]) for one in map(_BALLS.search, markups.descriptions) if one]
-    removed = max(counts, default=0) > np.count_nonzero(own["ball"] & np.isfinite(before).all(axis=1))
-    axis = markups.points[own["axis"] & moved]
+    is_kind = {
+        name: np.array([kind is not None and kind[1].lower() == name for kind in kinds]) for name in KINDS
+    }
+    counts = [int(match[1]) for match in map(_BALLS.search, markups.descriptions) if match]
+    removed = max(counts, default=0) > np.count_nonzero(is_kind["ball"] & np.isfinite(before).all(axis=1))
+    axis = markups.points[is_kind["axis"] & moved]
     if 0 < len(axis) < MIN_POINTS:
         raise DataError(
             f"{len(axis)} points of the axis were moved",
@@ -128,13 +132,13 @@ def _parse_corrections(markups: Markups) -> Corrections:
         )
     ends: dict[str, Floats | None] = {}
     for name in ("tip", "entry"):
-        placed = markups.points[own[name] & moved]
+        placed = markups.points[is_kind[name] & moved]
         if len(placed) > 1:
             raise DataError(
                 f"{len(placed)} points are called {name}", expected="one", fix="remove the others"
             )
         ends[name] = placed[0] if len(placed) else None
-    balls = markups.points[own["ball"]] if removed or (own["ball"] & moved).any() else None
+    balls = markups.points[is_kind["ball"]] if removed or (is_kind["ball"] & moved).any() else None
     return Corrections(axis if len(axis) else None, ends["tip"], ends["entry"], balls)
 
 
@@ -147,7 +151,7 @@ def correct_scans(scans: Sequence[Scan], files: Sequence[Path]) -> tuple[Scan, .
     """
     corrected = {scan.id: scan for scan in scans}
     for path in files:
-        for id_, found in read_corrections(path).items():
+        for id_, correction in read_corrections(path).items():
             with located(path):
                 if id_ not in corrected:
                     raise DataError(
@@ -165,7 +169,7 @@ def correct_scans(scans: Sequence[Scan], files: Sequence[Path]) -> tuple[Scan, .
                         expected="one list for each scan",
                         fix="move all points in one list",
                     )
-                if all(places is None for places in vars(found).values()) and not scan.answered:
+                if all(places is None for places in vars(correction).values()) and not scan.answered:
                     raise DataError(
                         f"none of the control points of `{id_}` was moved",
                         expected=f"{', '.join(KINDS)} somewhere else than where they were found",
@@ -175,26 +179,26 @@ def correct_scans(scans: Sequence[Scan], files: Sequence[Path]) -> tuple[Scan, .
                             "(--confirm entry=1)"
                         ),
                     )
-                if found.balls is not None and scan.markers is None:
+                if correction.balls is not None and scan.markers is None:
                     raise DataError(
                         "balls were moved, but the scan has no known places to lay them on",
                         expected="the markers' known places in the world",
                         fix="name them with --markers, or in a table of scans",
                     )
-                if found.balls is not None and len(found.balls) < MIN_MARKERS:
+                if correction.balls is not None and len(correction.balls) < MIN_MARKERS:
                     raise DataError(
-                        f"{len(found.balls)} of at least {MIN_MARKERS} balls are left",
+                        f"{len(correction.balls)} of at least {MIN_MARKERS} balls are left",
                         expected=(
                             f"{MIN_MARKERS} or more that are not on a line: they "
                             "register the scan to the world"
                         ),
                         fix="leave the others in the list",
                     )
-                if found.entry is not None and scan.stage is not None:
+                if correction.entry is not None and scan.stage is not None:
                     raise DataError(
                         "the entry is stated by the stage (entry_x_mm ...) and was moved by hand",
                         expected="one of both",
                         fix="move the entry back, or empty entry_x_mm ... pose_angle_sd_deg",
                     )
-                corrected[id_] = replace(scan, corrections=found)
+                corrected[id_] = replace(scan, corrections=correction)
     return tuple(corrected.values())

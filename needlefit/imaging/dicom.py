@@ -212,10 +212,12 @@ def find_series(path: Path, series: str | None, notes: list[str]) -> list[DicomS
         return groups[named.series]
     if series is None:  # stacks of slices made with X-rays, if there are any
         for wanted in (_is_stack, lambda slices: slices[0].text("Modality").upper() in XRAY_MODALITIES):
-            groups = {uid: one for uid, one in groups.items() if wanted(one)} or groups
+            groups = {uid: group for uid, group in groups.items() if wanted(group)} or groups
     meant = (series or "").strip()
     chosen = [
-        one for uid, one in groups.items() if series is None or meant in (uid, one[0].text("SeriesNumber"))
+        group
+        for uid, group in groups.items()
+        if series is None or meant in (uid, group[0].text("SeriesNumber"))
     ]
     if len(chosen) == 1:
         return chosen[0]
@@ -228,7 +230,7 @@ def find_series(path: Path, series: str | None, notes: list[str]) -> list[DicomS
             fix="name the folder in which the slices lie, or the .nrrd or .nii.gz file itself",
             where=path,
         )
-    listed = "; ".join(_describe(one, path) for one in [*groups.values()][:MAX_LISTED])
+    listed = "; ".join(_describe(item, path) for item in [*groups.values()][:MAX_LISTED])
     raise DataError(
         f"holds {len(chosen) or 'no'} series{f' {series}' if series else ''}: {listed}",
         expected="one series, or the name of the one that is meant",
@@ -280,7 +282,7 @@ def _choose_acquisition(slices: list[DicomSlice], acquisition: str | None) -> li
     places = {item.text("ImagePositionPatient") for item in slices}
     if acquisition is None and (len(parts) == 1 or len(places) == len(slices)):
         return slices
-    listed = ", ".join(f"`{name}` ({len(one)} slices)" for name, one in parts.items())
+    listed = ", ".join(f"`{name}` ({len(part)} slices)" for name, part in parts.items())
     raise DataError(
         f"its slices are those of {len(parts)} acquisitions: {listed}",
         expected="one acquisition",
@@ -300,9 +302,9 @@ def stack_slices(slices: Sequence[DicomSlice]) -> tuple[list[DicomSlice], VoxelG
     """
     first = slices[0]
     for item in slices:
-        for what, fix in _list_faults(item, first):
+        for problem, fix in _list_faults(item, first):
             expected = "plain slices of one CT volume in HU, with their places in the patient"
-            raise DataError(what, expected=expected, fix=fix, where=item.file)
+            raise DataError(problem, expected=expected, fix=fix, where=item.file)
     with located(first.file.parent):
         if len(slices) < 2:
             raise DataError(
@@ -360,8 +362,8 @@ def _list_faults(item: DicomSlice, first: DicomSlice) -> Iterator[tuple[str, str
     if missing := [name for name in needed if name not in item.number]:
         yield f"has no {', '.join(missing)}", EXPORT_FIX
     if samples != 1 or table or shown == "MONOCHROME1":
-        what = f"SamplesPerPixel {samples}, PhotometricInterpretation {shown}"
-        yield f"its voxels are no plain attenuations: {what}{', ModalityLUTSequence' * table}", EXPORT_FIX
+        problem = f"SamplesPerPixel {samples}, PhotometricInterpretation {shown}"
+        yield f"its voxels are no plain attenuations: {problem}{', ModalityLUTSequence' * table}", EXPORT_FIX
     if not {"RescaleSlope", "RescaleIntercept"} <= item.number.keys():
         yield "has no RescaleSlope, RescaleIntercept: its values are no HU", CONVERT_FIX
     elif item.number["RescaleSlope"] == 0:

@@ -114,7 +114,7 @@ def _extract_surface(mask: NDArray[np.bool_], low: NDArray[np.int64], layer: int
     return surface
 
 
-def read_mesh(source: LayerSource, into: int, found: list[Fault]) -> Surface | None:
+def read_mesh(source: LayerSource, into: int, all_faults: list[Fault]) -> Surface | None:
     """Return the surface in an STL, PLY or OBJ file; None after a fault.
 
     A file of which 3D Slicer says that it stands in RAS is turned to LPS; one that says nothing is taken as
@@ -123,7 +123,7 @@ def read_mesh(source: LayerSource, into: int, found: list[Fault]) -> Surface | N
     try:
         surface = read_surface(source.path, source.kind or "sheet", into)
     except DataError as error:
-        found.append(make_file_fault(error, source.path))
+        all_faults.append(make_file_fault(error, source.path))
         return None
     if source.kind is None and surface.mesh.is_watertight:
         surface = Surface(surface.name, surface.mesh, "solid", into)
@@ -131,7 +131,7 @@ def read_mesh(source: LayerSource, into: int, found: list[Fault]) -> Surface | N
     if source.kind is None and surface.kind == "sheet" and not faults:
         fix = f"close the hole, or list it as {source.path.name}=sheet:{into}"
         faults = list(find_hole(surface, source.path, fix))
-    found += faults
+    all_faults += faults
     if faults:
         return None
     stands_in_ras = read_coordinate_system(source.path) == "RAS"
@@ -154,11 +154,11 @@ def read_layers(scan: Scan, patient: Frame, grid: VoxelGrid | None = None) -> tu
 
     DataError: listing every fault of every file.
     """
-    found, surfaces, numbers, place = list[Fault](), list[Surface](), list[int](), 2
+    faults, surfaces, numbers, place = list[Fault](), list[Surface](), list[int](), 2
     segmented = next((source for source in scan.surfaces if source.is_segmentation), None)
     if segmented is not None and len(scan.surfaces) > 1:
         names = ", ".join(source.path.name for source in scan.surfaces)
-        found.append(
+        faults.append(
             DataError(
                 f"lists a segmentation beside other surfaces: {names}",
                 expected="meshes, or one segmentation",
@@ -171,16 +171,16 @@ def read_layers(scan: Scan, patient: Frame, grid: VoxelGrid | None = None) -> tu
             with explain_missing_packages():
                 surfaces += extract_label_surfaces(segmented.path, segmented.segments)
         except DataError as error:
-            found.append(error)
+            faults.append(error)
     else:
         for source in scan.surfaces:
             numbers.append(place if source.into is None else source.into)
             place += source.into != 1  # the tissue's own takes no place
-            if (mesh := read_mesh(source, numbers[-1], found)) is not None:
+            if (mesh := read_mesh(source, numbers[-1], faults)) is not None:
                 surfaces.append(mesh)
     for missing in sorted(set(range(2, max(numbers, default=1))) - set(numbers))[:1]:
         led = ", ".join(map(str, sorted(numbers)))
-        found.append(
+        faults.append(
             DataError(
                 f"no surface leads into layer {missing}; they lead into {led}",
                 expected="layers numbered without a gap: 1, where needles begin, then 2, 3, ...",
@@ -188,25 +188,25 @@ def read_layers(scan: Scan, patient: Frame, grid: VoxelGrid | None = None) -> tu
                 where=scan.volume,
             )
         )
-    for n, one in enumerate(surfaces):
-        if any(np.array_equal(one.mesh.vertices, other.mesh.vertices) for other in surfaces[:n]):
-            found.append(
+    for n, layer_surface in enumerate(surfaces):
+        if any(np.array_equal(layer_surface.mesh.vertices, other.mesh.vertices) for other in surfaces[:n]):
+            faults.append(
                 DataError(
-                    f"lists the surface {one.name} twice: one layer would be left out",
+                    f"lists the surface {layer_surface.name} twice: one layer would be left out",
                     expected="a surface of its own for each layer",
                     fix="name the file of the other layer",
                     where=scan.volume,
                 )
             )
     within = layers_in_scan(scan)
-    world = tuple(transform_surface(one, patient) if within else one for one in surfaces)
+    world = tuple(transform_surface(surface, patient) if within else surface for surface in surfaces)
     if grid is not None and within:  # those of the world may be larger than what was scanned
         for surface in world:
             steps = to_index(grid, patient.to_local(surface.mesh.vertices))
             if (steps.max(axis=0) < -0.5).any() or (steps.min(axis=0) > np.array(grid.size) - 0.5).any():
                 # a mesh is called as its file, all others are of the first
-                own = (source.path for source in scan.surfaces if source.path.stem == surface.name)
-                found.append(
+                paths = (source.path for source in scan.surfaces if source.path.stem == surface.name)
+                faults.append(
                     DataError(
                         f"the surface {surface.name} lies outside the scan {scan.volume}",
                         expected="surfaces and scan in one place",
@@ -214,11 +214,11 @@ def read_layers(scan: Scan, patient: Frame, grid: VoxelGrid | None = None) -> tu
                             "see whether it belongs to this scan, stands in its frame or the "
                             "world's, in LPS or RAS"
                         ),
-                        where=next(own, scan.surfaces[0].path),
+                        where=next(paths, scan.surfaces[0].path),
                     )
                 )
-    if found:
-        raise as_error(found, scan.volume)
+    if faults:
+        raise as_error(faults, scan.volume)
     return world
 
 

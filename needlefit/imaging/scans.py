@@ -173,8 +173,8 @@ class ScanRow:
         return [parse_layer_source(part, self.folder, self.where) for part in files]
 
 
-def _make_fault(where: str | Path, what: str, expected: str, fix: str) -> Fault:
-    return DataError(what, where=where, expected=expected, fix=fix)
+def _make_fault(where: str | Path, problem: str, expected: str, fix: str) -> Fault:
+    return DataError(problem, where=where, expected=expected, fix=fix)
 
 
 def parse_layer_source(text: str, folder: Path, where: str = "") -> LayerSource | Fault:
@@ -265,8 +265,12 @@ def _word_faults(row: ScanRow) -> Iterator[tuple[str, str, str]]:
         if path is not None and not is_file(path):
             yield f"there is no file {path}", f"the {name} of this scan", fix
     if row.text["fiducials"] and not row.text["markers"]:
-        what = "fiducials are given, but no markers: they would be laid on nothing"
-        yield what, "the known places of the markers, too", "state them: --markers, or the cell under markers"
+        problem = "fiducials are given, but no markers: they would be laid on nothing"
+        yield (
+            problem,
+            "the known places of the markers, too",
+            "state them: --markers, or the cell under markers",
+        )
 
 
 def _number_checks(row: ScanRow) -> Iterator[tuple[bool, str, str, str]]:
@@ -274,16 +278,19 @@ def _number_checks(row: ScanRow) -> Iterator[tuple[bool, str, str, str]]:
     number, direction, bevel = row.number, row.vector(DIRECTION_COLUMNS), row.vector(BEVEL_COLUMNS)
     for names in (STAGE_COLUMNS, *VECTORS.values()):
         empty = [name for name in names if math.isnan(number[name])]
-        what = f"{', '.join(empty)} are empty"
-        yield 0 < len(empty) < len(names), what, "all of them, or none", "fill these, or empty the others"
+        problem = f"{', '.join(empty)} are empty"
+        yield 0 < len(empty) < len(names), problem, "all of them, or none", "fill these, or empty the others"
     length = float(np.linalg.norm(direction))  # nan, which no check finds wrong, where cells are empty
-    what, expected = f"entry direction has length {length:.4g}", "a unit vector (entry_dx, _dy, _dz)"
+    problem, expected = f"entry direction has length {length:.4g}", "a unit vector (entry_dx, _dy, _dz)"
     fix = "divide the three numbers by their length" if length else "give the direction of insertion"
-    yield abs(length - 1) > UNIT_VECTOR_TOLERANCE, what, expected, fix
+    yield abs(length - 1) > UNIT_VECTOR_TOLERANCE, problem, expected, fix
     turned, zero = np.linalg.norm(np.cross(direction, bevel)), not bevel.any()
     along = not zero and bool(turned < PARALLEL_SINE * np.linalg.norm(bevel))
-    what, fix = "the bevel is parallel to the entry direction", "correct it, or leave the three cells empty"
-    yield along, what, "a direction across the needle", fix
+    problem, fix = (
+        "the bevel is parallel to the entry direction",
+        "correct it, or leave the three cells empty",
+    )
+    yield along, problem, "a direction across the needle", fix
     yield zero, f"{', '.join(BEVEL_COLUMNS)} are all 0", "a direction", "give it, or empty the cells"
     for name in ("pose_shift_sd_mm", "pose_angle_sd_deg"):
         expected = "a standard deviation, 0 or more"
@@ -295,11 +302,11 @@ def _number_checks(row: ScanRow) -> Iterator[tuple[bool, str, str, str]]:
         wrong, fix = number[name] < 1 or number[name] % 1 > 0, "count the layers, or leave the cell empty"
         yield wrong, f"{name} is {number[name]:g}", "a whole number from 1", fix
     alone = math.isnan(number["layers"]) and not math.isnan(number["layers_alternative"])
-    what, fix = "layers_alternative is given without layers", "fill the cell under layers, too"
-    yield alone, what, "both counts, or none", fix
+    problem, fix = "layers_alternative is given without layers", "fill the cell under layers, too"
+    yield alone, problem, "both counts, or none", fix
     distance = number["guide_distance_mm"]
-    what, expected = f"guide_distance_mm is {distance:g}", "a length, or 0: the guide lies on the tissue"
-    yield distance < 0, what, expected, "leave it empty: held at its base"
+    problem, expected = f"guide_distance_mm is {distance:g}", "a length, or 0: the guide lies on the tissue"
+    yield distance < 0, problem, expected, "leave it empty: held at its base"
 
 
 SCAN_TABLE_FIX = "write a table of scans, with a column for it"
@@ -315,7 +322,7 @@ def read_scans(path: Path) -> tuple[Scan, ...]:
     missing.
     """
     table = read_table(path)
-    found, where, cells = list[Fault](), f"{table.path}:1", table.cells
+    faults, where, cells = list[Fault](), f"{table.path}:1", table.cells
     if "scan" not in cells:
         raise DataError(
             "is no table of scans: no column is called `scan`",
@@ -327,7 +334,7 @@ def read_scans(path: Path) -> tuple[Scan, ...]:
         if name not in SCAN_COLUMNS:
             near = difflib.get_close_matches(str(name), SCAN_COLUMNS, n=1, cutoff=0.5)
             fix = f"did you mean `{near[0]}`?" if near else "remove the column, or correct its name"
-            found.append(
+            faults.append(
                 DataError(
                     f"column `{name}` is unknown",
                     expected=f"one of {', '.join(SCAN_COLUMNS)}",
@@ -337,7 +344,7 @@ def read_scans(path: Path) -> tuple[Scan, ...]:
             )
     lines, stated = range(len(table.lines)), [name for name in NUMBER_COLUMNS if name in cells]
     texts = {name: cells[name].tolist() for name in SCAN_COLUMNS if name in cells}
-    numbers = {name: parse_numbers(table, name, found, math.nan) for name in stated}
+    numbers = {name: parse_numbers(table, name, faults, math.nan) for name in stated}
     rows = [
         ScanRow(
             table.where(n),
@@ -349,7 +356,7 @@ def read_scans(path: Path) -> tuple[Scan, ...]:
         for n in lines
     ]
     if any(row.text["markers"] for row in rows):  # the worlds of the others would be others
-        found += [
+        faults += [
             DataError(
                 "`markers` is empty, but other scans have some",
                 expected="one world for all: markers for every scan, or for none",
@@ -359,22 +366,22 @@ def read_scans(path: Path) -> tuple[Scan, ...]:
             for row in rows
             if not row.text["markers"]
         ]
-    return _build_scans(rows, found, path)
+    return _build_scans(rows, faults, path)
 
 
-def _build_scans(rows: Sequence[ScanRow], found: list[Fault], path: Path) -> tuple[Scan, ...]:
+def _build_scans(rows: Sequence[ScanRow], faults: list[Fault], path: Path) -> tuple[Scan, ...]:
     """Return the scans of rows; DataError listing the faults that were `found`, and all others."""
-    unread = {fault.where for fault in found}
+    unread = {fault.where for fault in faults}
     for row in rows:
-        found += (_make_fault(row.where, *fault) for fault in _word_faults(row))
-        found += (layer for layer in row.layers() if isinstance(layer, Fault))
+        faults += (_make_fault(row.where, *fault) for fault in _word_faults(row))
+        faults += (layer for layer in row.layers() if isinstance(layer, Fault))
         if row.where not in unread:
-            found += (_make_fault(row.where, *fault) for bad, *fault in _number_checks(row) if bad)
+            faults += (_make_fault(row.where, *fault) for bad, *fault in _number_checks(row) if bad)
     ids = [row.text["id"] or scan_id(Path(row.text["scan"])) for row in rows]
     first: dict[str, str] = {}
     for id_, row in zip(ids, rows, strict=True):
         if id_ in first and row.text["scan"]:
-            found.append(
+            faults.append(
                 DataError(
                     f"has the id {id_}, as {first[id_]} has",
                     expected="a different id for every scan: it names files of the dataset",
@@ -383,8 +390,8 @@ def _build_scans(rows: Sequence[ScanRow], found: list[Fault], path: Path) -> tup
                 )
             )
         first.setdefault(id_, row.where)
-    if found:
-        raise as_error(found, path)
+    if faults:
+        raise as_error(faults, path)
     return tuple(build_scan(row, id_) for row, id_ in zip(rows, ids, strict=True))
 
 
@@ -396,10 +403,10 @@ def make_scans(volumes: Sequence[Path], shared: ScanFiles = NO_FILES) -> tuple[S
     DataError: listing every file that is missing, every layer that is not understood, names that are alike or
     name no file, and fiducials without markers.
     """
-    found: list[Fault] = []
+    faults: list[Fault] = []
     once = shared.fiducials or shared.mask or shared.series or shared.acquisition
     if len(volumes) > 1 and once:
-        found.append(
+        faults.append(
             DataError(
                 f"is given for {len(volumes)} scans", expected="one scan", fix=SCAN_TABLE_FIX, where=once
             )
@@ -409,7 +416,7 @@ def make_scans(volumes: Sequence[Path], shared: ScanFiles = NO_FILES) -> tuple[S
         stated[name] = str(getattr(shared, name) or "")
     text, number = dict.fromkeys(SCAN_COLUMNS, ""), dict.fromkeys(NUMBER_COLUMNS, math.nan)
     rows = [ScanRow(str(volume), Path(), text | stated | {"scan": str(volume)}, number) for volume in volumes]
-    return _build_scans(rows, found, volumes[0])
+    return _build_scans(rows, faults, volumes[0])
 
 
 def scan_id(volume: Path) -> str:

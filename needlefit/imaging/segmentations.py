@@ -55,14 +55,14 @@ def read_labels(path: Path, names: Sequence[str] = ()) -> Labels:
         labels_only = all(np.array_equal(plane, np.rint(plane)) for plane in volume.values)
         if low < 0 or high >= 2**16 or not labels_only:
             fractions = ", with fractions" * (not labels_only)
-            what = f"its voxels run from {low:g} to {high:g}{fractions}: this is a scan"
-            raise DataError(what, expected=EXPECTED_LABELS, fix=SAVE_FIX)
+            problem = f"its voxels run from {low:g} to {high:g}{fractions}: this is a scan"
+            raise DataError(problem, expected=EXPECTED_LABELS, fix=SAVE_FIX)
         counts = sum(np.bincount(plane.ravel().astype(np.int64), minlength=2**16) for plane in volume.values)
         present: list[int] = [value for value in np.flatnonzero(counts).tolist() if value]
         if not 1 <= len(present) <= MAX_SEGMENTS:
             none = "holds no label: all voxels are 0"
-            what = f"holds {len(present)} labels: this is a scan" if present else none
-            raise DataError(what, expected=EXPECTED_LABELS, fix=SAVE_FIX)
+            problem = f"holds {len(present)} labels: this is a scan" if present else none
+            raise DataError(problem, expected=EXPECTED_LABELS, fix=SAVE_FIX)
         segments = _parse_segments(texts) or tuple(Segment(value, "") for value in present)
         values = [segment.value for segment in segments]
         if sorted(values) != present:
@@ -84,15 +84,15 @@ def _parse_segments(texts: Mapping[str, str]) -> tuple[Segment, ...]:
         n = len(segments)
         text = texts.get(f"Segment{n}_LabelValue", f"{n + 1}").strip()
         if not re.fullmatch(r"[0-9]{1,5}", text):
-            what = f"its header states {text[:40]!r} where a segment has a whole number"
-            raise DataError(what, expected="numbers of up to 5 digits", fix=SAVE_FIX)
+            problem = f"its header states {text[:40]!r} where a segment has a whole number"
+            raise DataError(problem, expected="numbers of up to 5 digits", fix=SAVE_FIX)
         segments.append(Segment(int(text), texts.get(f"Segment{n}_Name", "").strip()[:MAX_NAME_CHARS]))
     return tuple(segments)
 
 
 def _choose_segments(segments: Sequence[Segment], names: Sequence[str]) -> tuple[Segment, ...]:
     """Return the segments that are named, in that order; all where none is."""
-    called = {(one.name or str(one.value)).casefold(): one for one in segments}
+    called = {(segment.name or str(segment.value)).casefold(): segment for segment in segments}
     unknown = [name for name in names if name.casefold() not in called]
     if unknown or len(set(names)) < len(names):
         raise DataError(

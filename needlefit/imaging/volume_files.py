@@ -50,8 +50,8 @@ def read_volume(path: Path, series: str | None = None, acquisition: str | None =
     """
     path = Path(path)
     if not path_exists(path):
-        what = "there is no such file or folder"
-        raise DataError(what, expected=READABLE_VOLUMES, fix="check the path", where=path)
+        problem = "there is no such file or folder"
+        raise DataError(problem, expected=READABLE_VOLUMES, fix="check the path", where=path)
     with explain_missing_packages(*CT_PACKAGES), unpacked(path) as place:
         if place != path:
             place, series = _choose_member(place, series)
@@ -113,13 +113,15 @@ def unpack_scan(_arrays: Arrays, path: str, folder: str, total_bytes: int) -> No
 def _choose_member(folder: Path, series: str | None) -> tuple[Path, str | None]:
     """Return what is meant in an unpacked archive: an image file, or the folder and a series in it."""
     files = list_files(folder)
-    images = {str(one.relative_to(folder)): one for one in files if one.name.lower().endswith(IMAGE_SUFFIXES)}
+    images = {
+        str(file.relative_to(folder)): file for file in files if file.name.lower().endswith(IMAGE_SUFFIXES)
+    }
     if series is not None:
-        meant = [one for name, one in images.items() if series in (name, one.name)]
+        meant = [image for name, image in images.items() if series in (name, image.name)]
         return (meant[0], None) if len(meant) == 1 else (folder, series)
     if not images:
         return folder, series
-    with_dicom = any(begins_as_dicom(one) for one in files)
+    with_dicom = any(begins_as_dicom(file) for file in files)
     if len(images) > 1 or with_dicom:
         listed = ", ".join([*images][:MAX_LISTED]) + ", ..." * (len(images) > MAX_LISTED)
         raise DataError(

@@ -53,25 +53,27 @@ def fit_baseline(name: str, pose: Pose, drop: float, insertions: Sequence[Insert
     baseline = BASELINES[name]
     if not insertions:
         raise ConfigError("no insertion is selected to fit a baseline to", expected="at least one")
-    insertions = [_turn_back(one) for one in insertions]
+    insertions = [_turn_back(insertion) for insertion in insertions]
     pairs = [(insertion, select_points(pose, drop, insertion)) for insertion in insertions]
     with BASELINES.plugin_error_context(name):
         scales = np.array(baseline.scales)
         if baseline.fit is not None:
-            found = np.array(baseline.fit(pose, drop, insertions), dtype=np.float64)
+            coefficients = np.array(baseline.fit(pose, drop, insertions), dtype=np.float64)
         elif not len(scales):
-            found = np.empty(0)
+            coefficients = np.empty(0)
         else:
 
             def residuals(scaled: Floats) -> Floats:
                 return _residuals(baseline, scales * scaled, pairs)
 
-            found = scales * least_squares(residuals, np.zeros(len(scales)), xtol=1e-12).x
-    return FittedBaseline(baseline, tuple(found.tolist()))
+            coefficients = scales * least_squares(residuals, np.zeros(len(scales)), xtol=1e-12).x
+    return FittedBaseline(baseline, tuple(coefficients.tolist()))
 
 
 def fit_baselines(pose: Pose, drop: float, insertions: Sequence[Insertion]) -> Mapping[str, FittedBaseline]:
-    return {one.name: fit_baseline(one.name, pose, drop, insertions) for one in list_baselines()}
+    return {
+        baseline.name: fit_baseline(baseline.name, pose, drop, insertions) for baseline in list_baselines()
+    }
 
 
 def _residuals(

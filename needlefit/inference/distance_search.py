@@ -24,37 +24,37 @@ def run_gauss_newton(recorder: EvaluationRecorder, start: Floats) -> str:
     Raises SearchEnded where the recorder ends it.
     """
     lower, upper = recorder.objective_function.lower, recorder.objective_function.upper
-    theta, radius, at = start, FIRST_RADIUS, recorder.distances(start)
-    if at is None:
+    theta, radius, distances = start, FIRST_RADIUS, recorder.distances(start)
+    if distances is None:
         return "failed at its start"
     while True:
-        step = _solve_linear(at, np.maximum(lower - theta, -radius), np.minimum(upper - theta, radius))
-        gain = at.total - at.move(step).total
-        if gain <= MIN_GAIN * at.total:
+        step = _solve_linear(distances, np.maximum(lower - theta, -radius), np.minimum(upper - theta, radius))
+        gain = distances.total - distances.move(step).total
+        if gain <= MIN_GAIN * distances.total:
             return "tolerance"
         trial = recorder.distances(theta + step)
-        gain_ratio = -1.0 if trial is None else (at.total - trial.total) / gain
+        gain_ratio = -1.0 if trial is None else (distances.total - trial.total) / gain
         if gain_ratio > 0.75:
             radius *= 2
         elif gain_ratio < 0.25:
             radius = 0.25 * float(np.max(np.abs(step)))
         if trial is not None and gain_ratio > 0:
-            theta, at = np.clip(theta + step, lower, upper), trial
+            theta, distances = np.clip(theta + step, lower, upper), trial
 
 
-def _solve_linear(at: WeightedDistances, low: Floats, high: Floats) -> Floats:
+def _solve_linear(distances: WeightedDistances, low: Floats, high: Floats) -> Floats:
     """Return the step (P,) between two bounds that makes the sum of the distances made linear least."""
     step = np.zeros(len(low))
-    width = float(np.median(np.linalg.norm(at.off, axis=1)))
+    width = float(np.median(np.linalg.norm(distances.off, axis=1)))
     for smoothing in np.geomspace(max(width, SMOOTHING_MM), SMOOTHING_MM, REWEIGHTINGS):
-        off = at.move(step).off
-        pull = at.weights / np.sqrt(np.sum(off**2, axis=1) + smoothing**2)
-        each = np.repeat(pull, at.off.shape[1])
-        curvature = (at.rows.T * each) @ at.rows
+        off = distances.move(step).off
+        pull = distances.weights / np.sqrt(np.sum(off**2, axis=1) + smoothing**2)
+        pulls = np.repeat(pull, distances.off.shape[1])
+        curvature = (distances.rows.T * pulls) @ distances.rows
         # singular where a combination of parameters moves nothing
         curvature[np.diag_indices(len(low))] += 1e-12 * max(float(np.trace(curvature)), 1e-300)
-        found = find_step((at.off.ravel() * each) @ at.rows, curvature, low, high)
-        if found is None:
+        best_step = find_step((distances.off.ravel() * pulls) @ distances.rows, curvature, low, high)
+        if best_step is None:
             break
-        step = np.clip(found, low, high)
+        step = np.clip(best_step, low, high)
     return step

@@ -184,7 +184,7 @@ class DrawSimulation:
         self._reach, self._centre = np.maximum(NODE_SD * spread, MIN_NODE_MM), centre
 
         def move(which: Sets, moves: Sequence[tuple[Floats, float]]) -> tuple[Floats, Bools]:
-            return self._simulate(which, [shift_depths(centre, stations, *one) for one in moves])
+            return self._simulate(which, [shift_depths(centre, stations, *move) for move in moves])
 
         self._draws = _InterpolatedDraws(sets, self._coordinates, move, self._reach, insertion.depth_sd)
 
@@ -273,7 +273,7 @@ def simulate_scene_draws(
     def simulate(some: Ints) -> DrawnNeedles:
         each = [move([sets[n]], [(wrong[n] + deep[n], float(deep[n]))]) for n in some]
         points, valid = zip(*each, strict=True)
-        return DrawnNeedles(np.concatenate([one[0] for one in points]), np.concatenate(valid))
+        return DrawnNeedles(np.concatenate([point[0] for point in points]), np.concatenate(valid))
 
     if draws.needles is None:
         return simulate(np.arange(len(sets)))
@@ -292,7 +292,7 @@ class _InterpolatedDraws:
         chosen, middle = choose_draws(coordinates), (np.zeros(len(reach)), 0.0)
         moves = [(row, 0.0) for row in np.diag(reach)]
         moves += [(np.full(len(reach), entry), entry)] if entry else []
-        nodes = [(at * shifts, at * deep) for shifts, deep in moves for at in NODE_PLACES]
+        nodes = [(place * shifts, place * deep) for shifts, deep in moves for place in NODE_PLACES]
         at_nodes, valid = move([sets[n] for n in chosen], [middle, *nodes])  # (1 + 2 d, C, K, 3)
         steps = (at_nodes[1:] - at_nodes[0]).swapaxes(0, 1).reshape(len(chosen), -1)
         interpolate = interpolate_draws(coordinates, chosen, steps)
@@ -336,7 +336,7 @@ def make_coordinates(sets: Sets, hidden: Collection[str] = ()) -> Floats:
 
     Without `hidden` parameters.
     """
-    table = np.array([[at for name, at in values.items() if name not in hidden] for values in sets])
+    table = np.array([[value for name, value in values.items() if name not in hidden] for values in sets])
     finite = np.isfinite(table).all(axis=1)
     if not finite.any():
         return np.empty((len(table), 0))
@@ -392,7 +392,7 @@ class _SurfaceTable:
     def find_crossings(self, paths: Floats) -> Floats:
         """Return the depths (B, n - 1) at which paths (B, P, 2) cross; of the parallel if they end before."""
         x, y = paths[..., 0], paths[..., 1]
-        found = np.empty((len(paths), self.depths.shape[1]))
+        crossings = np.empty((len(paths), self.depths.shape[1]))
         rows = np.arange(len(paths))
         for j, depths in enumerate(self.depths.T):
             ahead = np.interp(y, self.y, depths) - x  # (B, P), positive before the surface
@@ -405,8 +405,8 @@ class _SurfaceTable:
             depth = x[rows, before] + part * (x[rows, after] - x[rows, before])
             # of a needle that ends before it
             end = x[:, -1] + ahead[:, -1]
-            found[:, j] = np.where(beyond.any(axis=1), depth, end)
-        return found
+            crossings[:, j] = np.where(beyond.any(axis=1), depth, end)
+        return crossings
 
 
 def _tabulate_surfaces(insertion: Insertion, low: float, high: float) -> _SurfaceTable | None:

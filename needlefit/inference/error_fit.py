@@ -94,8 +94,8 @@ def find_error_ranges(
     searches = [_EndSearch(problem, end, limit, tolerance, max(inside, key=end.reach)) for end in ends]
     begun: list[Floats] = []  # where searches of all ends began
     for _ in range(MAX_ROUNDS):
-        found = dict(run_side_by_side(_EndSearch.run, searches, jobs, TaskStop(stop)))
-        inside += [found[number] for number in sorted(found)]
+        found_ends = dict(run_side_by_side(_EndSearch.run, searches, jobs, TaskStop(stop)))
+        inside += [found_ends[number] for number in sorted(found_ends)]
         outermost = {end: max(inside, key=end.reach) for end in ends}
         starts: list[Floats] = []
         for theta in outermost.values():
@@ -162,11 +162,11 @@ class _EndSearch:
         """Return the outermost theta (P,) found within the limit."""
         problem, end = self.problem, self.end
         theta, radius, best = self.start, FIRST_RADIUS, self.start
-        at = self._evaluate(theta)
+        distances = self._evaluate(theta)
         for _ in range(MAX_STEPS):
-            if at is None or end.is_at_bound(problem, best):
+            if distances is None or end.is_at_bound(problem, best):
                 break
-            step = self._step(at, theta, radius)
+            step = self._step(distances, theta, radius)
             ahead = np.clip(theta + step, problem.lower, problem.upper)
             trial, farther = self._evaluate(ahead), end.reach(ahead) - end.reach(theta) > MIN_PROGRESS
             excess = math.inf if trial is None else self._exceed(trial)
@@ -175,30 +175,30 @@ class _EndSearch:
                 best = ahead if progress > 0 else best
                 if progress < MIN_PROGRESS:
                     break
-            if excess > MAX_EXCESS or not (excess <= SLACK or farther or excess < self._exceed(at)):
+            if excess > MAX_EXCESS or not (excess <= SLACK or farther or excess < self._exceed(distances)):
                 radius = 0.25 * float(np.max(np.abs(step)))
                 continue
-            theta, at = ahead, trial
+            theta, distances = ahead, trial
             radius *= 2 if excess <= SMALL_EXCESS else 1
         return best
 
-    def _exceed(self, at: WeightedDistances) -> float:
-        return (at.total - self.limit) / self.tolerance
+    def _exceed(self, distances: WeightedDistances) -> float:
+        return (distances.total - self.limit) / self.tolerance
 
     def _evaluate(self, theta: Floats) -> WeightedDistances | None:
         try:
-            found = self.problem.distances(theta)
+            distances = self.problem.distances(theta)
         except EVALUATION_ERRORS:
             return None
-        return found if np.isfinite(found.total) and np.all(np.isfinite(found.slopes)) else None
+        return distances if np.isfinite(distances.total) and np.all(np.isfinite(distances.slopes)) else None
 
-    def _step(self, at: WeightedDistances, theta: Floats, radius: float) -> Floats:
+    def _step(self, distances: WeightedDistances, theta: Floats, radius: float) -> Floats:
         """Return the step (P,) that leads farthest toward the end where the distances are linear."""
         along = np.zeros(len(theta))
         along[self.end.k] = self.end.side
 
         def excess(step: Floats) -> tuple[float, Floats]:
-            moved = at.move(step)
+            moved = distances.move(step)
             return self._exceed(moved), moved.differentiate() / self.tolerance
 
         low = np.maximum(self.problem.lower - theta, -radius)

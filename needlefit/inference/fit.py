@@ -97,8 +97,8 @@ def read_fit(checkpoint: Checkpoint, search: str) -> Fit | None:
     """Return the fit of one search that a checkpoint keeps; None if it keeps none."""
     for row in checkpoint.rows(search):
         with suppress(ValueError):  # a row of something else, however whole
-            found: Fit = decode(Fit, row, {}, {})
-            return found
+            fit: Fit = decode(Fit, row, {}, {})
+            return fit
     return None
 
 
@@ -200,45 +200,45 @@ class EvaluationRecorder:
         assert self.objective_function.gradient is not None
         point = self._begin_evaluation(theta)
         self.gradients += 1
-        found = self._evaluate(self.objective_function.gradient, point)
-        if found is None or not np.all(np.isfinite(found[1])):
+        result = self._evaluate(self.objective_function.gradient, point)
+        if result is None or not np.all(np.isfinite(result[1])):
             return self._record(point, None), np.zeros(len(point))
-        value = self._record(point, found[0])
-        return value, found[1] if math.isfinite(value) else np.zeros(len(point))
+        value = self._record(point, result[0])
+        return value, result[1] if math.isfinite(value) else np.zeros(len(point))
 
     def jacobian(self, theta: Floats) -> tuple[Floats, Floats] | None:
         """Return the residuals (R,) and their Jacobian (R, P); None where either failed."""
         assert self.objective_function.jacobian is not None
         point = self._begin_evaluation(theta)
         self.gradients += 1
-        found = self._evaluate(self.objective_function.jacobian, point)
-        if found is None or not np.all(np.isfinite(found[1])):
+        result = self._evaluate(self.objective_function.jacobian, point)
+        if result is None or not np.all(np.isfinite(result[1])):
             self._record(point, None)
             return None
-        value = self._record(point, self.constant + half_square(found[0]), found)
-        return found if math.isfinite(value) else None
+        value = self._record(point, self.constant + half_square(result[0]), result)
+        return result if math.isfinite(value) else None
 
     def distances(self, theta: Floats) -> WeightedDistances | None:
         """Return the weighted distances whose sum is the value; None where they failed."""
         assert self.objective_function.distances is not None
         point = self._begin_evaluation(theta)
         self.gradients += 1
-        found = self._evaluate(self.objective_function.distances, point)
-        value = self._record(point, None if found is None else found.total)
-        return found if math.isfinite(value) else None
+        result = self._evaluate(self.objective_function.distances, point)
+        value = self._record(point, None if result is None else result.total)
+        return result if math.isfinite(value) else None
 
     def find_constant(self, theta: Floats) -> bool:
         """Find the constant between value and half the sum of squares; return whether theta was solved."""
         assert self.objective_function.jacobian is not None
         value, point = self.value(theta), self._begin_evaluation(theta)
         self.gradients += 1
-        found = self._evaluate(self.objective_function.jacobian, point)
-        if found is None or not math.isfinite(value) or not np.all(np.isfinite(found[0])):
+        result = self._evaluate(self.objective_function.jacobian, point)
+        if result is None or not math.isfinite(value) or not np.all(np.isfinite(result[0])):
             self._record(point, None)
             return False
-        self.constant = value - half_square(found[0])
-        if np.all(np.isfinite(found[1])) and self.theta is not None and np.array_equal(point, self.theta):
-            self.linearized = found
+        self.constant = value - half_square(result[0])
+        if np.all(np.isfinite(result[1])) and self.theta is not None and np.array_equal(point, self.theta):
+            self.linearized = result
         return True
 
     def _begin_evaluation(self, theta: Floats) -> Floats:

@@ -127,18 +127,20 @@ def share_simulations(insertions: Sequence[Insertion], spacing: float) -> tuple[
     """
     deepest: dict[tuple[object, ...], Insertion] = {}
     keys = []
-    for one in insertions:
+    for insertion in insertions:
         key = None
-        if OBSERVATIONS[one.observed].on_the_way:
-            if one.guided or any(depth for depth, _ in one.turns):
-                _require_distance(one, MIN_CONSTRAINT_POINTS * spacing)
+        if OBSERVATIONS[insertion.observed].on_the_way:
+            if insertion.guided or any(depth for depth, _ in insertion.turns):
+                _require_distance(insertion, MIN_CONSTRAINT_POINTS * spacing)
             else:
-                layers = one.sequence, tuple(one.boundaries.tolist())
-                key = one.needle, one.side, one.turns, one.bevel_factor, layers
-                if one.depth > deepest.setdefault(key, one).depth:
-                    deepest[key] = one
+                layers = insertion.sequence, tuple(insertion.boundaries.tolist())
+                key = insertion.needle, insertion.side, insertion.turns, insertion.bevel_factor, layers
+                if insertion.depth > deepest.setdefault(key, insertion).depth:
+                    deepest[key] = insertion
         keys.append(key)
-    return tuple(one if key is None else deepest[key] for one, key in zip(insertions, keys, strict=True))
+    return tuple(
+        insertion if key is None else deepest[key] for insertion, key in zip(insertions, keys, strict=True)
+    )
 
 
 def _require_distance(insertion: Insertion, least: float) -> None:
@@ -166,35 +168,37 @@ class PreparedModel:
     def __init__(self, medium: MediumRecord, insertions: Sequence[Insertion]) -> None:
         self._medium = medium
         self._places: list[tuple[_Simulation, int]] = []  # of each insertion, and the number of its bevel
-        found: dict[tuple[int, ...], _Simulation] = {}
-        for one in share_simulations(insertions, medium.constraint_spacing_mm):
+        simulations: dict[tuple[int, ...], _Simulation] = {}
+        for shared in share_simulations(insertions, medium.constraint_spacing_mm):
             # the parts of an insertion that was changed in its bevel alone are the same objects
-            parts = (part.name for part in fields(one) if part.name != "bevel_factor")
-            key = tuple(id(getattr(one, name)) for name in parts)
-            if key not in found:
-                found[key] = _Simulation(replace(one, bevel_factor=1.0), [])
-            factors = found[key].factors
-            if one.bevel_factor not in factors:
-                factors.append(one.bevel_factor)
-            self._places.append((found[key], factors.index(one.bevel_factor)))
-        self._simulations = tuple(found.values())
+            parts = (part.name for part in fields(shared) if part.name != "bevel_factor")
+            key = tuple(id(getattr(shared, name)) for name in parts)
+            if key not in simulations:
+                simulations[key] = _Simulation(replace(shared, bevel_factor=1.0), [])
+            factors = simulations[key].factors
+            if shared.bevel_factor not in factors:
+                factors.append(shared.bevel_factor)
+            self._places.append((simulations[key], factors.index(shared.bevel_factor)))
+        self._simulations = tuple(simulations.values())
 
     def simulate(self, sets: Sequence[Mapping[str, float]], jobs: int = 1) -> list[NeedleShapes]:
         """Return the shapes of B sets of values in each insertion."""
         # all go into one call, so that threads stay busy
         shapes = dict(zip(self._simulations, simulate_batches(self._make_batches(sets), jobs), strict=True))
-        return [shapes[one].take(slice(row * len(sets), (row + 1) * len(sets))) for one, row in self._places]
+        return [
+            shapes[number].take(slice(row * len(sets), (row + 1) * len(sets))) for number, row in self._places
+        ]
 
     def read_points(
         self, sets: Sequence[Mapping[str, float]], s: Sequence[Floats], jobs: int = 1
     ) -> Iterator[Floats]:
         """Return, one by one, `read_points` (B, K, 2) of each insertion at its `s` (K,), mm."""
 
-        def read(one: _Simulation, shapes: NeedleShapes, at: Floats, rows: slice) -> tuple[Floats]:
-            return (OBSERVATIONS[one.insertion.observed].read_batch_points(shapes, at),)
+        def read(simulation: _Simulation, shapes: NeedleShapes, places: Floats, rows: slice) -> tuple[Floats]:
+            return (OBSERVATIONS[simulation.insertion.observed].read_batch_points(shapes, places),)
 
-        found = self._read(sets, s, lambda batches: simulate_batches(batches, jobs), read)
-        return (points for (points,) in found)
+        read_values = self._read(sets, s, lambda batches: simulate_batches(batches, jobs), read)
+        return (points for (points,) in read_values)
 
     def differentiate(
         self, sets: Sequence[Mapping[str, float]], parameters: Parameters, s: Sequence[Floats], jobs: int = 1
@@ -204,24 +208,29 @@ class PreparedModel:
         starts = (("mu", "mu"), ("bevel", "offset"), ("cut", "cut_angle"), ("guide", "guides"))
         kinds = [kind for start, kind in starts if any(name.startswith(start) for name in moving)]
         kinds += ["shape"] * any(map(is_shape_parameter, moving))
-        tracked = any(OBSERVATIONS[one.insertion.observed].on_the_way for one in self._simulations)
-        every = [parameters.slopes(values) for values in sets]
-        slopes = {name: np.array([one[name] for one in every]) for name in every[0]}  # (B, P) each
+        tracked = any(
+            OBSERVATIONS[simulation.insertion.observed].on_the_way for simulation in self._simulations
+        )
+        slopes_of_sets = [parameters.slopes(values) for values in sets]
+        slopes = {
+            name: np.array([slopes_of_set[name] for slopes_of_set in slopes_of_sets])
+            for name in slopes_of_sets[0]
+        }  # (B, P) each
         chained: dict[object, Floats] = {}
 
         def read(
-            one: _Simulation, known: tuple[NeedleShapes, Jacobians], at: Floats, rows: slice
+            simulation: _Simulation, solved: tuple[NeedleShapes, Jacobians], places: Floats, rows: slice
         ) -> tuple[Floats, Floats]:
-            (shapes, jacobians), kind = known, OBSERVATIONS[one.insertion.observed]
-            by = kind.read_batch_derivatives(shapes, jacobians, at)  # (some of F B, K, 2 or 3, Q)
-            key = one.layers, jacobians.names
+            (shapes, jacobians), kind = solved, OBSERVATIONS[simulation.insertion.observed]
+            by = kind.read_batch_derivatives(shapes, jacobians, places)  # (some of F B, K, 2 or 3, Q)
+            key = simulation.layers, jacobians.names
             if key not in chained:
-                chained[key] = one.chain(slopes, parameters, jacobians.names)
+                chained[key] = simulation.chain(slopes, parameters, jacobians.names)
             by_theta = chained[key][rows]
             moves = by.reshape(len(by), math.prod(by.shape[1:3]), by.shape[-1]) @ by_theta
             moves[~shapes.converged] = np.nan
             moves = moves.reshape(*by.shape[:3], by_theta.shape[-1])
-            return kind.read_batch_points(shapes, at), moves
+            return kind.read_batch_points(shapes, places), moves
 
         def run(batches: list[Batch]) -> tuple[tuple[NeedleShapes, Jacobians], ...]:
             return linearize_batches(batches, kinds, jobs, tracked=tracked)
@@ -231,9 +240,12 @@ class PreparedModel:
     def _make_batches(self, sets: Sequence[Mapping[str, float]]) -> list[Batch]:
         table = tabulate_sets(sets)
         # the same arrays serve all insertions that meet the same layers: the mechanics pack them once
-        different = {one.layers: one for one in self._simulations}
-        stacked = {key: one.stack_sets(table, self._medium) for key, one in different.items()}
-        return [one.make_batch(sets[0], stacked[one.layers], self._medium) for one in self._simulations]
+        different = {simulation.layers: simulation for simulation in self._simulations}
+        stacked = {key: difference.stack_sets(table, self._medium) for key, difference in different.items()}
+        return [
+            simulation.make_batch(sets[0], stacked[simulation.layers], self._medium)
+            for simulation in self._simulations
+        ]
 
     def _read(
         self,
@@ -246,21 +258,27 @@ class PreparedModel:
 
         Equal ones are read once. `read` is given some of the needles of a simulation at a time.
         """
-        keys = [(one, at.tobytes()) for (one, _), at in zip(self._places, s, strict=True)]
-        wanted: dict[_Simulation, dict[bytes, Floats]] = {one: {} for one in self._simulations}
-        for (one, place), at in zip(keys, s, strict=True):
-            wanted[one][place] = at
+        keys = [(number, places.tobytes()) for (number, _), places in zip(self._places, s, strict=True)]
+        wanted: dict[_Simulation, dict[bytes, Floats]] = {simulation: {} for simulation in self._simulations}
+        for (one, place), places in zip(keys, s, strict=True):
+            wanted[one][place] = places
         left, kept = Counter(keys), dict[tuple[_Simulation, bytes], tuple[Floats, ...]]()
         count = len(sets)
 
-        def read_places(number: int, known: _Known, rows: slice) -> tuple[Floats, ...]:
-            one = self._simulations[number]
-            return tuple(part for at in wanted[one].values() for part in read(one, known, at, rows))
+        def read_places(number: int, solved: _Known, rows: slice) -> tuple[Floats, ...]:
+            simulation = self._simulations[number]
+            return tuple(
+                part
+                for place in wanted[simulation].values()
+                for part in read(simulation, solved, place, rows)
+            )
 
-        found = zip(self._simulations, read_batches(self._make_batches(sets), run, read_places), strict=True)
+        read_values = zip(
+            self._simulations, read_batches(self._make_batches(sets), run, read_places), strict=True
+        )
         for key, (_, row) in zip(keys, self._places, strict=True):
             while key not in kept:  # simulations stand in the order in which they are first read
-                one, parts = next(found)
+                one, parts = next(read_values)
                 size = len(parts) // len(wanted[one])
                 for n, place in enumerate(wanted[one]):
                     kept[one, place] = parts[n * size : (n + 1) * size]
@@ -320,10 +338,10 @@ class _Simulation:
         for interval, layer in enumerate(self.insertion.sequence, start=1):
             rows[f"mu{interval}"] = 1e-6 * slopes[f"mu{layer}_pa"]
             rows |= {f"{kind}{interval}": slopes[f"{kind}{layer}"] for kind in shape}
-        found = np.empty((len(self.factors), sets, len(names), free))
+        chained = np.empty((len(self.factors), sets, len(names), free))
         for q, name in enumerate(names):
-            found[:, :, q] = rows[name]
-        return found.reshape(len(self.factors) * sets, len(names), free)
+            chained[:, :, q] = rows[name]
+        return chained.reshape(len(self.factors) * sets, len(names), free)
 
 
 def _make_steps(
@@ -345,7 +363,7 @@ def _make_steps(
         end = find_end(insertion.depth, medium.constraint_spacing_mm)
         starts = guide.depths[:-1].tolist()
         bevels = [replace(bevel, roll_deg=_find_roll(insertion.turns, depth)) for depth in starts]
-        if not guide.moved and len({one.roll_deg for one in bevels}) == 1:
+        if not guide.moved and len({bevel.roll_deg for bevel in bevels}) == 1:
             return (Step(end, bevels[0], controls),)
         held = [controls] * len(bevels)
         if guide.moved:
@@ -405,7 +423,7 @@ class ParameterDraws:
         return cls(tissue.mu[None], tissue.shape[None], np.array([strength]))
 
     def only(self, rows: Ints) -> Self:
-        given = {one.name: getattr(self, one.name) for one in fields(self)}
+        given = {field.name: getattr(self, field.name) for field in fields(self)}
         return replace(self, **{name: part[rows] for name, part in given.items() if part is not None})
 
     def turn(self, points: Floats) -> Floats:

@@ -52,24 +52,24 @@ def measure_shifts(problem: Problem, thetas: Floats) -> dict[str, PriorShift]:
     From the centre of its prior to either end, all other parameters as they are. A theta without a solution
     at the centre is left out.
     """
-    known, sets = problem.parameters, list[Values]()
-    for theta in known.extend(known.restrict(thetas)):
+    parameters, sets = problem.parameters, list[Values]()
+    for theta in parameters.extend(parameters.restrict(thetas)):
         centre = problem.values(theta)
         sets.append(centre)
-        for name in known.held:
-            for end in central_range(known, name):
+        for name in parameters.held:
+            for end in central_range(parameters, name):
                 moved = theta.copy()
-                moved[known.free.index(name)] = to_coordinate(name, end)
+                moved[parameters.free.index(name)] = to_coordinate(name, end)
                 sets.append(problem.values(moved))
-    tips, by_noise = _compare_ends(problem, sets, 1 + 2 * len(known.held))  # (N, H, 2) each
+    tips, by_noise = _compare_ends(problem, sets, 1 + 2 * len(parameters.held))  # (N, H, 2) each
     solved = np.isfinite(by_noise).any(axis=(1, 2))
-    found = {}
-    for number, name in enumerate(known.held):
+    shifts = {}
+    for number, name in enumerate(parameters.held):
         moved_tips, moved = (part[solved, number].ravel() for part in (tips, by_noise))
         in_noise = float(np.max(moved, initial=0.0))  # NaN where a solve fails
         tip_mm = float(np.nanmax(moved_tips, initial=0.0))
-        found[name] = PriorShift(tip_mm, math.inf if math.isnan(in_noise) else in_noise)
-    return found
+        shifts[name] = PriorShift(tip_mm, math.inf if math.isnan(in_noise) else in_noise)
+    return shifts
 
 
 def _compare_ends(problem: Problem, sets: Sequence[Values], size: int) -> tuple[Floats, Floats]:
@@ -80,17 +80,21 @@ def _compare_ends(problem: Problem, sets: Sequence[Values], size: int) -> tuple[
     """
     scales = np.array([values.get(NOISE_SCALE, problem.density.scale) for values in sets[::size]])
     likelihood = problem.likelihood.model_copy(update=MEASURED_POINTS)
-    alone = [OBSERVATIONS[one.observed].take_alone(one) for one in problem.insertions]
-    known = [make_observation(problem.dataset, one, problem.noise, likelihood) for one in alone]
+    alone = [OBSERVATIONS[insertion.observed].take_alone(insertion) for insertion in problem.insertions]
+    observations = [
+        make_observation(problem.dataset, observation, problem.noise, likelihood) for observation in alone
+    ]
     model = PreparedModel(problem.medium, problem.insertions)
-    every = model.read_points(sets, [np.append(one.nodes.s[0], one.insertion.depth) for one in known])
+    ends = model.read_points(
+        sets, [np.append(observation.nodes.s[0], observation.insertion.depth) for observation in observations]
+    )
     tips, by_noise = [], []
-    for one, points in zip(known, every, strict=True):
+    for observation, points in zip(observations, ends, strict=True):
         groups = points.reshape(-1, size, *points.shape[1:])  # (N, 1 + 2 H, K, 3)
         away = groups[:, 1:] - groups[:, :1]
         tips.append(np.linalg.norm(away[..., -1, :], axis=-1))
-        shifts = one.read(away[..., :-1, :])  # (N, 2 H, K), in space (N, 2 H, 2 K)
-        sds = np.sqrt([np.diag(one.covariance(scale)) for scale in scales])[:, None]
+        shifts = observation.read(away[..., :-1, :])  # (N, 2 H, K), in space (N, 2 H, 2 K)
+        sds = np.sqrt([np.diag(observation.covariance(scale)) for scale in scales])[:, None]
         relative = np.divide(shifts, sds, out=np.zeros_like(shifts), where=shifts != 0)
         by_noise.append(np.max(np.abs(relative), axis=-1))
     shape = (len(scales), -1, 2)

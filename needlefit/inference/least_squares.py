@@ -46,7 +46,7 @@ def run_least_squares(recorder: EvaluationRecorder, start: Floats) -> str:
     lower, upper = recorder.objective_function.lower, recorder.objective_function.upper
     steps = _ScipySteps(recorder, small)
     try:
-        found = least_squares(
+        solution = least_squares(
             steps.residuals,
             np.clip(start, lower, upper),
             jac=steps.slopes,
@@ -57,7 +57,7 @@ def run_least_squares(recorder: EvaluationRecorder, start: Floats) -> str:
             gtol=None,  # absolute: it would depend on the units of theta
             max_nfev=recorder.budget,  # the recorder ends it, which counts the Jacobians too
         )
-        reason = "tolerance" if found.status > 0 else "budget"
+        reason = "tolerance" if solution.status > 0 else "budget"
     except _Converged:
         reason = "tolerance"
     # of large squares at the start their constant lost digits; this evaluation is no part of the search
@@ -72,14 +72,14 @@ class _Converged(Exception):  # noqa: N818  (no error: the way out of SciPy's me
 
 
 def _run_newton(
-    recorder: EvaluationRecorder, theta: Floats, found: tuple[Floats, Floats], small: float
+    recorder: EvaluationRecorder, theta: Floats, linearized: tuple[Floats, Floats], small: float
 ) -> bool:
     """Take Newton's steps from theta (P,), with its residuals and Jacobian; return whether they converged."""
     lower, upper = recorder.objective_function.lower, recorder.objective_function.upper
     curvature = np.zeros((len(theta), len(theta)))  # what J^T J lacks
     failed = 0
     while failed < MAX_FAILED_STEPS:
-        residuals, jacobian = found
+        residuals, jacobian = linearized
         value, slope = half_square(residuals), residuals @ jacobian
         step = find_step(slope, jacobian.T @ jacobian + curvature, lower - theta, upper - theta)
         if step is None:
@@ -94,7 +94,7 @@ def _run_newton(
         change = tried[0] @ (tried[1] - jacobian)
         curvature = _update_curvature(curvature, step, change, tried[0] @ tried[1] - slope)
         if half_square(tried[0]) <= (1 + VALUE_ROUNDING) * value:
-            theta, found, failed = np.clip(theta + step, lower, upper), tried, 0
+            theta, linearized, failed = np.clip(theta + step, lower, upper), tried, 0
         else:
             failed += 1
     return False
@@ -142,12 +142,12 @@ class _ScipySteps:
 
     def residuals(self, theta: Floats) -> Floats:
         """Return (R,); a single infinite one where they failed."""
-        best, found = self._recorder.theta, self._recorder.linearized
-        if best is None or found is None or not np.array_equal(theta, best):
-            found = self._recorder.jacobian(theta)
-        self._theta, self._found = theta.copy(), found
+        best, linearized = self._recorder.theta, self._recorder.linearized
+        if best is None or linearized is None or not np.array_equal(theta, best):
+            linearized = self._recorder.jacobian(theta)
+        self._theta, self._found = theta.copy(), linearized
         # one infinite residual is enough: SciPy rejects the step and shortens it
-        return np.array([np.inf]) if found is None else found[0]
+        return np.array([np.inf]) if linearized is None else linearized[0]
 
     def slopes(self, theta: Floats) -> Floats:
         """Return the Jacobian (R, P) at a point that SciPy accepted.
@@ -188,11 +188,11 @@ def certify_minimum(recorder: EvaluationRecorder, reason: str) -> str:
     squares, theta = recorder.objective_function.jacobian is not None, recorder.theta
     if not settled or not squares or theta is None or not len(theta):
         return reason
-    found, recorder.reason = recorder.linearized, ""
+    linearized, recorder.reason = recorder.linearized, ""
     recorder.budget = recorder.evaluations + 1  # this evaluation is no part of the search
     with suppress(SearchEnded):
-        found = found or recorder.jacobian(theta)
-    return recorder.reason or reason if found is None else _classify_minimum(recorder, *found)
+        linearized = linearized or recorder.jacobian(theta)
+    return recorder.reason or reason if linearized is None else _classify_minimum(recorder, *linearized)
 
 
 def _classify_minimum(recorder: EvaluationRecorder, residuals: Floats, jacobian: Floats) -> str:

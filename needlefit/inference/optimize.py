@@ -131,37 +131,37 @@ def minimize(
     if wider is problem:
         return fit
     further = wider.parameters.restrict(_spread_over_prior(problem, wider, modes))
-    found = _search_from(further, wider.searched, recipe, callbacks, len(design))
-    return _join(fit, _extend(found, wider))
+    minima = _search_from(further, wider.searched, recipe, callbacks, len(design))
+    return _join(fit, _extend(minima, wider))
 
 
 def _spread_over_prior(problem: Problem, wider: Problem, modes: Floats) -> Floats:
     """Return `modes` (M, P), and each with one of the freed parameters at either end of its prior."""
-    found = [*modes]
+    starts = [*modes]
     for name in (name for name in problem.parameters.held if name not in wider.parameters.held):
         for end in central_range(problem.parameters, name):
             moved = modes.copy()
             moved[:, problem.names.index(name)] = end
-            found += [*moved]
-    return np.array(found)
+            starts += [*moved]
+    return np.array(starts)
 
 
 def _extend(fit: Fit, problem: Problem) -> Fit:
     """Return a fit of the searched parameters of a problem as one of all free ones."""
-    known = problem.parameters
-    if not known.held:
+    parameters = problem.parameters
+    if not parameters.held:
         return fit
 
     def extend(theta: tuple[float, ...]) -> tuple[float, ...]:
-        return tuple(known.extend(np.array(theta)).tolist())
+        return tuple(parameters.extend(np.array(theta)).tolist())
 
     starts = tuple(replace(s, theta0=extend(s.theta0), theta=extend(s.theta)) for s in fit.starts)
-    return replace(fit, theta=extend(fit.theta), starts=starts, held=known.held)
+    return replace(fit, theta=extend(fit.theta), starts=starts, held=parameters.held)
 
 
 def _join(first: Fit, then: Fit) -> Fit:
     """Return the fit of two searches, of which the second went on with more parameters free."""
-    best = min(first, then, key=lambda one: one.objective)
+    best = min(first, then, key=lambda fit: fit.objective)
     return replace(
         then,
         theta=best.theta,
@@ -203,11 +203,11 @@ class _SearchTask:
     @cached_property
     def objective_function(self) -> ObjectiveFunction:
         """What is minimised."""
-        found = make_objective(self.problem, self.recipe.minimize)
+        objective = make_objective(self.problem, self.recipe.minimize)
         if not self.of_approach:
-            return found
-        assert found.approach is not None
-        return found.approach
+            return objective
+        assert objective.approach is not None
+        return objective.approach
 
     def run(self, stop: Stop, start_point: StartPoint) -> Start:
         """Return what came of one start."""
@@ -247,26 +247,26 @@ def _search_by_approach(
         return
     leader = group_approaches([ends[start_point.index] for start_point in start_points])
     continuing = select_leaders(easier, [ends[k] for k in sorted(set(leader.values()))])
-    one = half.model_copy(update={"evaluations": 1})
-    for recipe, chosen in ((half, True), (one, False)):
+    single = half.model_copy(update={"evaluations": 1})
+    for recipe, chosen in ((half, True), (single, False)):
         begin = [
             replace(p, theta=ends[p.index].theta)
             for p in start_points
             if leader[p.index] == p.index and (p.index in continuing) == chosen
         ]
-        for found in _SearchTask(whole.problem, recipe).run_each(begin, callbacks):
-            ended = chosen or found.stopped == INTERRUPTED
-            continued = found if ended else replace(found, stopped=BEHIND)
+        for minimum in _SearchTask(whole.problem, recipe).run_each(begin, callbacks):
+            ended = chosen or minimum.stopped == INTERRUPTED
+            continued = minimum if ended else replace(minimum, stopped=BEHIND)
             for index in (k for k in leader if leader[k] == continued.index):
-                end, own = ends[index], index == continued.index
+                end, is_own = ends[index], index == continued.index
                 yield replace(
                     continued,
                     index=index,
                     theta0=end.theta0,
-                    joined=None if own else continued.index,
-                    evaluations=end.evaluations + own * continued.evaluations,
-                    gradients=end.gradients + own * continued.gradients,
-                    failures=end.failures + own * continued.failures,
+                    joined=None if is_own else continued.index,
+                    evaluations=end.evaluations + is_own * continued.evaluations,
+                    gradients=end.gradients + is_own * continued.gradients,
+                    failures=end.failures + is_own * continued.failures,
                 )
 
 

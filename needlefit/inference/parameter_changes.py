@@ -64,7 +64,7 @@ def change_fit(
     values = {spell_parameter(name): value for name, value in fix.items()}
     changes: dict[str, Any] = {
         "free": [*(name for name in record.free if name not in values), *names],
-        "fix": to_json_values({n: at for n, at in record.fix.items() if n not in names} | values),
+        "fix": to_json_values({n: value for n, value in record.fix.items() if n not in names} | values),
     }
     if medium is not None:
         medium = change_parameters(medium, names, values)
@@ -97,7 +97,7 @@ def change_parameters(medium: MediumRecord, free: Sequence[str], fix: Mapping[st
     free, shape = name_layers(medium, free), LAWS[medium.law].shape_names
     known = [name for name in stated.names if not is_shape_parameter(name) or dimension(name) in shape]
     for key, names in (("free", free), ("fix", fix)):
-        for name in (one for one in names if one not in known):
+        for name in (name for name in names if name not in known):
             raise ConfigError(
                 f"the tissue model has no parameter `{name}`",
                 expected=f"one of {', '.join(known)}",
@@ -128,12 +128,12 @@ def change_parameters(medium: MediumRecord, free: Sequence[str], fix: Mapping[st
 
 def name_layers(medium: MediumRecord, names: Sequence[str]) -> list[str]:
     """Return the names of parameters, "alpha" as those of all layers of which it is not tied."""
-    table, found = state_usual_bounds(medium) | medium.parameters, list[str]()
+    table, layer_names = state_usual_bounds(medium) | medium.parameters, list[str]()
     for name in names:
         layers = [f"{name}{number}" for number in range(1, medium.layers + 1)]
         is_shape = name in LAWS[medium.law].shape_names
-        found += [one for one in layers if table[one].tie is None] if is_shape else [name]
-    return list(dict.fromkeys(found))
+        layer_names += [layer for layer in layers if table[layer].tie is None] if is_shape else [name]
+    return list(dict.fromkeys(layer_names))
 
 
 def search_freed(parameters: Parameters, medium: MediumRecord, free: Sequence[str]) -> Parameters:
@@ -146,13 +146,13 @@ def complete_published(
     name: str, published: Mapping[str, float], parameters: Parameters, medium: str
 ) -> dict[str, float]:
     """Return a set of the paper with what the medium of a name fixes; ConfigError if its layers differ."""
-    known = {**parameters.fixed, **published}
-    if missing := [one for one in parameters.names if one not in known]:
+    complete = {**parameters.fixed, **published}
+    if missing := [name for name in parameters.names if name not in complete]:
         raise ConfigError(
             f"the paper's set `{name}` has no {', '.join(missing)}, which medium `{medium}` needs",
             fix="name a set of the same layers, or leave paper_parameters out",
         )
-    return {one: known[one] for one in parameters.names}
+    return {name: complete[name] for name in parameters.names}
 
 
 def _make_free(parameters: Parameters, name: str, law: str) -> ParameterRecord:
@@ -161,7 +161,9 @@ def _make_free(parameters: Parameters, name: str, law: str) -> ParameterRecord:
     factor, source = exact.ties.get(name, (1.0, ""))
     prior = None
     if is_shape_parameter(name):
-        usual = {one.name: state_usual(one) for one in LAWS[law].parameters}[dimension(name)]
+        usual = {parameter.name: state_usual(parameter) for parameter in LAWS[law].parameters}[
+            dimension(name)
+        ]
         assert usual.bounds is not None
         (low, high), prior = usual.bounds, usual.prior
     elif source in exact.bounds:
@@ -172,10 +174,10 @@ def _make_free(parameters: Parameters, name: str, law: str) -> ParameterRecord:
         high = max((bounds[1] for bounds in moduli), default=MODULUS_BOUNDS_PA[1])
     else:
         low, high = FREED_BOUNDS[name]
-    at = exact.fixed.get(name)
+    value = exact.fixed.get(name)
     # a bevel of 0 steers nowhere, and has no logarithm
-    if at is not None and (at != 0 or is_shape_parameter(name)):
-        low, high = min(low, at), max(high, at)
+    if value is not None and (value != 0 or is_shape_parameter(name)):
+        low, high = min(low, value), max(high, value)
     return ParameterRecord(bounds=(low, high), prior=prior)
 
 

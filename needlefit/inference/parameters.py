@@ -71,34 +71,34 @@ def parse_tie(name: str, tie: str) -> tuple[float, str]:
 
 
 def resolve_ties(
-    ties: Mapping[str, tuple[float, str]], known: frozenset[str]
+    ties: Mapping[str, tuple[float, str]], names_of_parameters: frozenset[str]
 ) -> dict[str, tuple[float, str]]:
     """Return each tied parameter's (factor, source) with a source that is itself not tied.
 
     Raises ConfigError if a tie leads to no parameter of the medium, or in a circle.
     """
-    found = {}
+    ends = {}
     for name in ties:
-        factor, at, visited, key = 1.0, name, [name], f"parameters.{name}.tie"
-        while at in ties:
-            step, at = ties[at]
+        factor, source, visited, key = 1.0, name, [name], f"parameters.{name}.tie"
+        while source in ties:
+            step, source = ties[source]
             factor *= step
-            if at in visited:
+            if source in visited:
                 raise ConfigError(
-                    f"ties run in a circle: {' -> '.join([*visited, at])}",
+                    f"ties run in a circle: {' -> '.join([*visited, source])}",
                     fix="leave one of them free or fixed",
                     key=key,
                 )
-            if at not in known:
+            if source not in names_of_parameters:
                 raise ConfigError(
-                    f"`{visited[-1]}` is tied to `{at}`, which is no parameter of this tissue model",
-                    expected=f"one of {', '.join(sorted(known - set(visited)))}",
+                    f"`{visited[-1]}` is tied to `{source}`, which is no parameter of this tissue model",
+                    expected=f"one of {', '.join(sorted(names_of_parameters - set(visited)))}",
                     fix="tie it to one of these, or give it bounds",
                     key=key,
                 )
-            visited.append(at)
-        found[name] = factor, at
-    return found
+            visited.append(source)
+        ends[name] = factor, source
+    return ends
 
 
 def _tie_error(name: str, tie: str, fault: str) -> ConfigError:
@@ -138,24 +138,24 @@ class Parameters:
             raise LAWS.unknown_name_error(record.law, key="law")
         names = _ordered_names(record)
         table = state_usual_bounds(record) | record.parameters
-        every = {name: parse_tie(name, p.tie) for name, p in table.items() if p.tie is not None}
-        resolve_ties(every, frozenset(names))  # checks those with a spread too
-        soft = {name: spread for name in every if (spread := find_tie_spread(name, table[name])) > 1}
+        stated_ties = {name: parse_tie(name, p.tie) for name, p in table.items() if p.tie is not None}
+        resolve_ties(stated_ties, frozenset(names))  # checks those with a spread too
+        soft = {name: spread for name in stated_ties if (spread := find_tie_spread(name, table[name])) > 1}
         for name in names:
             check_values(name, table[name], record.law)
         fixed = {name: value for name in names if (value := table[name].fixed) is not None}
-        exact = {name: tie for name, tie in every.items() if name not in soft}
+        exact = {name: tie for name, tie in stated_ties.items() if name not in soft}
         ends = resolve_ties(exact, frozenset(names))
         # what is tied to a fixed parameter is fixed too
-        fixed |= {name: factor * fixed[at] for name, (factor, at) in ends.items() if at in fixed}
-        found = []
-        for name, (factor, source) in ((name, every[name]) for name in names if name in soft):
+        fixed |= {name: factor * fixed[source] for name, (factor, source) in ends.items() if source in fixed}
+        faults = []
+        for name, (factor, source) in ((name, stated_ties[name]) for name in names if name in soft):
             more, source = ends.get(source, (1.0, source))
-            found.append(SoftTie(name, source, factor * more, soft[name]))
+            faults.append(SoftTie(name, source, factor * more, soft[name]))
         ties: list[SoftTie] = []
-        while found:  # each behind that of its source
-            ties += [tie for tie in found if tie.source not in {other.name for other in found}]
-            found = [tie for tie in found if tie not in ties]
+        while faults:  # each behind that of its source
+            ties += [tie for tie in faults if tie.source not in {other.name for other in faults}]
+            faults = [tie for tie in faults if tie not in ties]
         bounds = {name: bounds for name in names if (bounds := table[name].bounds) is not None}
         for tie in ties:
             bounds[tie.name] = _find_tied_bounds(tie, bounds, fixed)
@@ -191,11 +191,11 @@ class Parameters:
     @property
     def status(self) -> dict[str, Status]:
         """Whether each parameter is free, its prior alone is known, or it is fixed or tied."""
-        found: dict[str, Status] = {}
+        statuses: dict[str, Status] = {}
         for name in self.names:
-            found[name] = "free" if name in self.bounds else "fixed" if name in self.fixed else "tied"
+            statuses[name] = "free" if name in self.bounds else "fixed" if name in self.fixed else "tied"
         tied = [name for name, (_, source) in self.ties.items() if source in self.held]
-        return found | dict.fromkeys([*self.held, *tied], "prior")
+        return statuses | dict.fromkeys([*self.held, *tied], "prior")
 
     def holding(self, names: Collection[str]) -> Self:
         """Return the parameters of which only `names` are held, among those that are."""
@@ -207,8 +207,8 @@ class Parameters:
         if not self.held:
             return self
         free = [name for name in self.free if name not in self.held]
-        found = self.with_only(free, self.values(self.expected))
-        return replace(found, prior=self.prior.without(self.held))
+        narrowed = self.with_only(free, self.values(self.expected))
+        return replace(narrowed, prior=self.prior.without(self.held))
 
     @cached_property
     def _is_searched(self) -> Bools:
@@ -223,50 +223,50 @@ class Parameters:
 
         `held` (..., H) are theta of the others, by default the centre of their prior.
         """
-        found = np.broadcast_to(self.expected, (*thetas.shape[:-1], len(self.free))).copy()
-        found[..., self._is_searched] = thetas
+        extended = np.broadcast_to(self.expected, (*thetas.shape[:-1], len(self.free))).copy()
+        extended[..., self._is_searched] = thetas
         if held is not None:
-            found[..., ~self._is_searched] = held
-        return found
+            extended[..., ~self._is_searched] = held
+        return extended
 
     def values(self, theta: Theta) -> dict[str, float]:
         """Return every parameter's value (Pa, mm), ties and fixed ones resolved, for `theta` (P,)."""
         if len(theta) != len(self.bounds):
             raise ValueError(f"theta has {len(theta)} entries, {len(self.bounds)} parameters are free")
         entries = theta.tolist() if isinstance(theta, np.ndarray) else theta
-        known = dict(self.fixed)
+        complete = dict(self.fixed)
         for (name, logarithmic), entry in zip(self._coordinates, entries, strict=True):
-            known[name] = math.exp(entry) if logarithmic else float(entry)
+            complete[name] = math.exp(entry) if logarithmic else float(entry)
         for name, (factor, source) in self.ties.items():
-            known[name] = factor * known[source]
-        return {name: known[name] for name in self.names}
+            complete[name] = factor * complete[source]
+        return {name: complete[name] for name in self.names}
 
     def slopes(self, values: Mapping[str, float]) -> dict[str, Floats]:
         """Return d value / d theta (P,) of every parameter, through logarithms and ties; 0 where fixed."""
         unit = dict(zip(self.free, np.eye(len(self.bounds)), strict=True))
-        known = {n: (values[n] if is_logarithmic(n) else 1.0) * row for n, row in unit.items()}
-        tied = {name: factor * known[source] for name, (factor, source) in self.ties.items()}
+        scaled = {n: (values[n] if is_logarithmic(n) else 1.0) * row for n, row in unit.items()}
+        tied = {name: factor * scaled[source] for name, (factor, source) in self.ties.items()}
         held = {name: np.zeros(len(self.bounds)) for name in self.fixed}
-        return held | known | tied
+        return held | scaled | tied
 
     def theta(self, values: Mapping[str, float]) -> Floats:
         """Return theta (P,) of the free parameters among `values` (Pa, mm).
 
         Hyperparameters may be missing: they are what they are before any data.
         """
-        known = {**choose_hyperparameters(self), **values}
-        return np.array([to_coordinate(name, known[name]) for name in self.free])
+        complete = {**choose_hyperparameters(self), **values}
+        return np.array([to_coordinate(name, complete[name]) for name in self.free])
 
     @property
     def expected(self) -> Floats:
         """Theta (P,) before any data: the means that are stated, else the middle of the bounds."""
-        known = dict(zip(self.free, (0.5 * (self.lower + self.upper)).tolist(), strict=True))
-        known |= {name: mean for name, (mean, _) in self.prior.marginals.items() if name in known}
-        known |= {name: math.log(sd) for name, sd in self.half_normal.items() if name in known}
+        means = dict(zip(self.free, (0.5 * (self.lower + self.upper)).tolist(), strict=True))
+        means |= {name: mean for name, (mean, _) in self.prior.marginals.items() if name in means}
+        means |= {name: math.log(sd) for name, sd in self.half_normal.items() if name in means}
         for tie in self.prior.ties:  # a source comes before what is tied to it
-            if tie.name in known and tie.source in known and tie.name not in self.prior.marginals:
-                known[tie.name] = known[tie.source] + math.log(tie.factor)
-        return np.array([known[name] for name in self.free])
+            if tie.name in means and tie.source in means and tie.name not in self.prior.marginals:
+                means[tie.name] = means[tie.source] + math.log(tie.factor)
+        return np.array([means[name] for name in self.free])
 
     def with_only(self, free: Sequence[str], values: Mapping[str, float]) -> Self:
         """Return parameters of which only `free` stay free, all others fixed at `values`.
@@ -281,14 +281,14 @@ class Parameters:
             )
         ties = {name: tie for name, tie in self.ties.items() if tie[1] in free}
         held = [name for name in self.names if name not in free and name not in ties]
-        known = {**choose_hyperparameters(self), **self.fixed, **values}
-        missing = [name for name in held if name not in known]
+        complete = {**choose_hyperparameters(self), **self.fixed, **values}
+        missing = [name for name in held if name not in complete]
         if missing:
             raise ConfigError(f"no value is given for {', '.join(missing)}", fix="give one, or leave it free")
         return replace(
             self,
             bounds={name: self.bounds[name] for name in self.free if name in free},
-            fixed={name: float(known[name]) for name in held},
+            fixed={name: float(complete[name]) for name in held},
             ties=ties,
         ).holding(free)
 
@@ -453,15 +453,15 @@ def _has_own_prior(name: str, table: Mapping[str, ParameterRecord]) -> bool:
     """Return whether a shape parameter has a normal prior that no modulus is correlated with."""
     if not is_shape_parameter(name) or table[name].prior is None:
         return False
-    priors = {other: one.prior for other, one in table.items() if dimension(other) == "modulus"}
-    return all(one is None or not one.correlation or alpha_of(mu) != name for mu, one in priors.items())
+    priors = {other: record.prior for other, record in table.items() if dimension(other) == "modulus"}
+    return all(prior is None or not prior.correlation or alpha_of(mu) != name for mu, prior in priors.items())
 
 
 def state_usual_bounds(record: MediumRecord) -> dict[str, ParameterRecord]:
     """Return the law's shape parameters, free within the usual bounds: for those that a medium leaves out."""
     law = LAWS[record.law]
     rows = zip(law.parameters, law.name_shape(range(1, record.layers + 1)), strict=True)
-    return {name: state_usual(one) for one, row in rows for name in row}
+    return {name: state_usual(usual) for usual, row in rows for name in row}
 
 
 def state_usual(parameter: ShapeParameter) -> ParameterRecord:
@@ -479,7 +479,7 @@ def check_values(name: str, parameter: ParameterRecord, law: str) -> None:
     if not stated:
         return
     low, high, fault = stated[0], max(stated), None
-    of_law = {one.name: one.bounds for one in LAWS[law].parameters}
+    of_law = {parameter.name: parameter.bounds for parameter in LAWS[law].parameters}
     bounds = of_law.get(dimension(name), (-math.inf, math.inf))
     symmetric = low == 0 and name in BEVEL_PARAMETERS and parameter.bounds is None
     if is_logarithmic(name) and low <= 0 and not symmetric:
@@ -490,7 +490,8 @@ def check_values(name: str, parameter: ParameterRecord, law: str) -> None:
         )
     elif any(not bounds[0] <= value <= bounds[1] for value in stated):
         fault = (
-            f"the tissue law `{law}` is not meant for {name} = {' to '.join(f'{one:g}' for one in stated)}",
+            f"the tissue law `{law}` is not meant for {name} = "
+            f"{' to '.join(f'{value:g}' for value in stated)}",
             f"{bounds[0]:g} to {bounds[1]:g}",
             "change the bounds or the fixed value, or take another law",
         )

@@ -34,13 +34,13 @@ def with_planned_layers(
     """
     if not insertion.surfaces:
         return insertion
-    found = planned_layers(
+    layers = planned_layers(
         insertion,
         lambda boundaries, sequence: predict(values, medium, insertion, boundaries, sequence),
     )
-    if found is None or max(found[1]) > medium.layers:
+    if layers is None or max(layers[1]) > medium.layers:
         return None
-    return replace(insertion, boundaries=found[0], sequence=found[1])
+    return replace(insertion, boundaries=layers[0], sequence=layers[1])
 
 
 def planned_layers(

@@ -48,18 +48,18 @@ def choose_point(
 
     `predict` returns what a theta predicts (...), mm, NaN where it has no solution.
     """
-    found, known = predict(mode), problem.parameters
+    predicted, parameters = predict(mode), problem.parameters
     at_bound = dict[str, str]()
-    for k, (name, end) in enumerate(zip(known.free, find_bounds(problem, mode), strict=True)):
-        if not end or name in (*HYPERPARAMETERS, *known.held):
+    for k, (name, end) in enumerate(zip(parameters.free, find_bounds(problem, mode), strict=True)):
+        if not end or name in (*HYPERPARAMETERS, *parameters.held):
             continue
         inside = mode.copy()
         inside[k] = (problem.lower[k] + problem.upper[k]) / 2
-        if not np.abs(predict(inside) - found).max() < PRINTED_MM:  # NaN: it is not known to move nothing
+        if not np.abs(predict(inside) - predicted).max() < PRINTED_MM:  # NaN: it is not known to move nothing
             at_bound[name] = end
     if at_bound:
         return PointPrediction("at_bound", at_bound)
     level = max(INTERVAL_PROBABILITIES)
     low, high = np.quantile(draws, [(1 - level) / 2, (1 + level) / 2], axis=0)
-    within = (low - PRINTED_MM <= found) & (found <= high + PRINTED_MM)
+    within = (low - PRINTED_MM <= predicted) & (predicted <= high + PRINTED_MM)
     return PointPrediction("none" if within.all() else "outside")

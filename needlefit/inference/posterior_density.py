@@ -59,7 +59,7 @@ class PosteriorDensity:
 
     def split(self, count: int, needles: int = NEEDLES_AT_ONCE) -> list[slice]:
         """Return the parts of so many sets of values of which so many needles are held at once."""
-        most = max(1, needles // sum(len(one.nodes.insertions) for one in self.observations))
+        most = max(1, needles // sum(len(observation.nodes.insertions) for observation in self.observations))
         return [slice(start, start + most) for start in range(0, count, most)]
 
     def add_up(self, white: Sequence[Floats], sets: Sequence[Values]) -> Floats:
@@ -73,13 +73,13 @@ class PosteriorDensity:
         and frames: given a set of values, what the rest tells of these counts too (P.-C. Buerkner, J. Gabry,
         A. Vehtari, Comput. Stat. 36 (2021) 1243). NaN where a solve fails.
         """
-        found = []
+        logs = []
         for some in (sets[part] for part in self.split(len(sets))):
             white, zero = list(self.whitened_residuals(some, jobs)), np.zeros(len(some))
             whole = self._add_likelihoods(zero, white, some)
             rest = np.column_stack([self._add_likelihoods(zero, white, some, part) for part in parts])
-            found.append(whole[:, None] - rest)
-        return np.concatenate(found)
+            logs.append(whole[:, None] - rest)
+        return np.concatenate(logs)
 
     def _add_likelihoods(
         self, total: Floats, white: Sequence[Floats], sets: Sequence[Values], left_out: Collection[int] = ()
@@ -90,9 +90,9 @@ class PosteriorDensity:
             total = total + sum(self.observations[k].log_norm for k in members if k not in left_out)
             # residuals of 0 under all conditions weigh them alike, as if nothing had been measured; they are
             # normalised by the scale nevertheless
-            known = [np.zeros_like(white[k]) if k in left_out else white[k] for k in members]
+            kept = [np.zeros_like(white[k]) if k in left_out else white[k] for k in members]
             rows = sum(white[k].shape[2] for k in members if k in left_out)
-            total = total + (log_marginals(known, group, scale, spread) + rows * np.log(scale))
+            total = total + (log_marginals(kept, group, scale, spread) + rows * np.log(scale))
         return total
 
     def whitened_residuals(
@@ -104,10 +104,10 @@ class PosteriorDensity:
         """
         nodes = self._first_nodes if as_measured else self._nodes
         points = nodes.model.read_points(sets, nodes.places, jobs)
-        for one, some in zip(self.observations, nodes.nodes, strict=True):
+        for observation, some in zip(self.observations, nodes.nodes, strict=True):
             stacked = np.stack([next(points) for _ in some.s], axis=1)  # (B, m, K, 3)
-            white = whiten_residuals(one, stacked)
-            yield white if as_measured else append_pose_curves(one, white)
+            white = whiten_residuals(observation, stacked)
+            yield white if as_measured else append_pose_curves(observation, white)
 
     def estimate_bevel(
         self, sets: Sequence[Values], insertion: tuple[str, int], jobs: int
@@ -118,14 +118,16 @@ class PosteriorDensity:
         measured. The insertion is its specimen and number in it, as `find_repeats` names it.
         """
         surface = (insertion[0], BEVEL, insertion[1])
-        known = tuple(
-            one for one in self.observations if surface in {axis.surface for axis in one.nodes.axes}
+        observations = tuple(
+            observation
+            for observation in self.observations
+            if surface in {axis.surface for axis in observation.nodes.axes}
         )
-        if not known:
+        if not observations:
             return np.zeros(len(sets)), np.ones(len(sets))
-        white = list(replace(self, observations=known).whitened_residuals(sets, jobs))
+        white = list(replace(self, observations=observations).whitened_residuals(sets, jobs))
         scale, spread = self._scales(sets)
-        group = NodeGroup(tuple(one.nodes for one in known), (surface,))
+        group = NodeGroup(tuple(observation.nodes for observation in observations), (surface,))
         mean, covariance = solve_shared(white, group, scale, spread)
         return mean[:, 0], np.sqrt(covariance[:, 0, 0])
 
@@ -148,19 +150,21 @@ class PosteriorDensity:
         self, sets: Sequence[Values], jobs: int, points: NodePoints | None
     ) -> list[tuple[Floats, Floats]]:
         """Return the `jacobians` of sets whose needles are held at once."""
-        pairs, at = self._differentiate(sets, jobs, points), self._scales(sets)
+        pairs, scales = self._differentiate(sets, jobs, points), self._scales(sets)
         log_det, by_det = np.zeros(len(sets)), np.zeros((len(sets), len(self.parameters.free)))
         parts, slopes = [], []
         for members, group in self._nodes.groups:
             white = [pairs[k][0] for k in members]
             # residuals are white / scale: d/d(ln scale) is minus the residual
             by = [pairs[k][1] - pairs[k][0][..., None] * self._by_scale for k in members]
-            part, more, part_slopes, more_slopes = linearize_residuals(white, by, group, at, self._by_spread)
+            part, more, part_slopes, more_slopes = linearize_residuals(
+                white, by, group, scales, self._by_spread
+            )
             log_det, by_det = log_det + more, by_det + more_slopes
             parts.append(part)
             slopes.append(part_slopes)
         whole, by_whole = (np.concatenate(self._in_order(some), axis=1) for some in (parts, slopes))
-        found = []
+        linearized = []
         for b, values in enumerate(sets):
             normal = self._normal(values, float(log_det[b]))
             # derivative of normal^2 / 2; divided by normal below, since d(normal) = d(normal^2 / 2) / normal
@@ -169,8 +173,10 @@ class PosteriorDensity:
             if self._by_half_normal.any():
                 stated.append(self._spread_in_sd(values) * self._by_half_normal[None])
             residuals = np.concatenate([whole[b], normal, self._prior_residuals(values)])
-            found.append((residuals, np.concatenate([by_whole[b], by_normal / normal[:, None], *stated])))
-        return found
+            linearized.append(
+                (residuals, np.concatenate([by_whole[b], by_normal / normal[:, None], *stated]))
+            )
+        return linearized
 
     @cached_property
     def residual_counts(self) -> tuple[int, ...]:
@@ -184,28 +190,30 @@ class PosteriorDensity:
 
     def _in_order(self, parts: Iterable[Floats]) -> list[Floats]:
         """Return the residuals of groups, (B, R) or (B, R, P) each, insertion by insertion."""
-        found: dict[int, Floats] = {}
+        by_member: dict[int, Floats] = {}
         for (members, _), part in zip(self._nodes.groups, parts, strict=True):
             ends = np.cumsum([self.residual_counts[k] for k in members])[:-1]
-            found |= dict(zip(members, np.split(part, ends, axis=1), strict=True))
-        return [found[k] for k in sorted(found)]
+            by_member |= dict(zip(members, np.split(part, ends, axis=1), strict=True))
+        return [by_member[k] for k in sorted(by_member)]
 
     @cached_property
     def _nodes(self) -> "_ModelledNodes":
-        return self._model_nodes(tuple(one.nodes for one in self.observations))
+        return self._model_nodes(tuple(observation.nodes for observation in self.observations))
 
     @cached_property
     def _first_nodes(self) -> "_ModelledNodes":
         return self._model_nodes(
             tuple(
-                replace(one.nodes, insertions=one.nodes.insertions[:1], s=one.nodes.s[:1])
-                for one in self.observations
+                replace(
+                    observation.nodes, insertions=observation.nodes.insertions[:1], s=observation.nodes.s[:1]
+                )
+                for observation in self.observations
             )
         )
 
     def _model_nodes(self, nodes: tuple[Nodes, ...]) -> "_ModelledNodes":
-        every = [insertion for some in nodes for insertion in some.insertions]
-        model = PreparedModel(self.medium, every)
+        insertions = [insertion for some in nodes for insertion in some.insertions]
+        model = PreparedModel(self.medium, insertions)
         return _ModelledNodes(nodes, model, group_nodes(nodes, self.centred_bevels))
 
     @property
@@ -252,8 +260,15 @@ class PosteriorDensity:
         scale, spread = values.get(NOISE_SCALE, self.scale), self._spread_in_sd(values)
         moving = NOISE_SCALE in self.parameters.free
         # depths or bevel enter a group's log det; that of a pose is constant
-        spreads, every = values.get(BEVEL_SPREAD, 0.0) > 0, (one.nodes for one in self.observations)
-        if not moving and not spread and not any(one.axes or (one.bevel and spreads) for one in every):
+        spreads, all_nodes = (
+            values.get(BEVEL_SPREAD, 0.0) > 0,
+            (observation.nodes for observation in self.observations),
+        )
+        if (
+            not moving
+            and not spread
+            and not any(nodes.axes or (nodes.bevel and spreads) for nodes in all_nodes)
+        ):
             return np.empty(0)
         # 1 keeps it from 0, where its derivative would be infinite
         grown = 2 * self._rows * np.log(scale / NOISE_SCALE_BOUNDS[0]) if moving else 0.0
@@ -273,19 +288,23 @@ class PosteriorDensity:
         self, sets: Sequence[Values], jobs: int, points: NodePoints | None = None
     ) -> list[tuple[Floats, Floats]]:
         """Return of each insertion `whitened_residuals`, and the derivatives (B, m + c, R, P) by theta."""
-        found, nodes = [], self._first_nodes if self.node_slopes else self._nodes
+        derivatives, nodes = [], self._first_nodes if self.node_slopes else self._nodes
         pairs = iter(points or nodes.model.differentiate(sets, self.parameters, nodes.places, jobs))
         exact = iter(self.whitened_residuals(sets, jobs)) if self.node_slopes else None
-        for k, (one, some) in enumerate(zip(self.observations, nodes.nodes, strict=True)):
+        for k, (observation, some) in enumerate(zip(self.observations, nodes.nodes, strict=True)):
             places, slopes = zip(*(next(pairs) for _ in some.s), strict=True)
             stacked, by = np.stack(places, axis=1), np.stack(slopes, axis=1)
-            white = next(exact) if exact else append_pose_curves(one, whiten_residuals(one, stacked))
-            by_white, moved = np.zeros((*white.shape, by.shape[-1])), len(one.nodes.s)
-            by_white[:, :moved] = whiten_derivatives(one, stacked, by)  # of one node, or of all
+            white = (
+                next(exact)
+                if exact
+                else append_pose_curves(observation, whiten_residuals(observation, stacked))
+            )
+            by_white, moved = np.zeros((*white.shape, by.shape[-1])), len(observation.nodes.s)
+            by_white[:, :moved] = whiten_derivatives(observation, stacked, by)  # of one node, or of all
             if exact:
                 by_white[:, :moved] += self.node_slopes[k][:moved]
-            found.append((white, by_white))
-        return found
+            derivatives.append((white, by_white))
+        return derivatives
 
 
 @dataclass(frozen=True)

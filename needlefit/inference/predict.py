@@ -44,9 +44,9 @@ class PredictiveMixture:
     sd: Floats  #: (K,) 0 where a draw leaves nothing open
 
 
-def cdf(mixture: PredictiveMixture, at: ArrayLike) -> Floats:
+def cdf(mixture: PredictiveMixture, places: ArrayLike) -> Floats:
     """Return the probability (K,) of values up to `at` (K,)."""
-    values = np.asarray(at, dtype=np.float64)
+    values = np.asarray(places, dtype=np.float64)
     away = values - mixture.means  # (B, K)
     with np.errstate(divide="ignore", invalid="ignore"):
         scaled = away / mixture.sd
@@ -66,18 +66,18 @@ def quantile(mixture: PredictiveMixture, p: ArrayLike) -> Floats:
     # the quantile lies between two draws of the ranks about p B, within the width of their Gaussians
     first, last = np.floor(wanted[..., 0] * count) - 1, np.ceil(wanted[..., 0] * count)
     low, high = (ranked[np.clip(rank, 0, count - 1).astype(np.int64)] for rank in (first, last))
-    at, low, high = (low + high) / 2, low - beyond, high + beyond
+    middle, low, high = (low + high) / 2, low - beyond, high + beyond
     means = mixture.means.reshape(count, *(1,) * (wanted.ndim - 1), -1)
     for _ in range(MAX_STEPS):
-        excess = cdf(PredictiveMixture(means, sd), at) - wanted
-        low, high = np.where(excess < 0, at, low), np.where(excess < 0, high, at)
+        excess = cdf(PredictiveMixture(means, sd), middle) - wanted
+        low, high = np.where(excess < 0, middle, low), np.where(excess < 0, high, middle)
         with np.errstate(all="ignore"):  # no density where a draw leaves nothing open, or far from all draws
-            density = np.exp(-(((at - means) / sd) ** 2) / 2).mean(axis=0) / (math.sqrt(2 * math.pi) * sd)
-            before, at = at, at - excess / density
-        at = np.where((low <= at) & (at <= high), at, (low + high) / 2)
-        if (np.abs(at - before) <= LAST_STEP_SD * sd + TINY_MM**2).all():
+            density = np.exp(-(((middle - means) / sd) ** 2) / 2).mean(axis=0) / (math.sqrt(2 * math.pi) * sd)
+            before, middle = middle, middle - excess / density
+        middle = np.where((low <= middle) & (middle <= high), middle, (low + high) / 2)
+        if (np.abs(middle - before) <= LAST_STEP_SD * sd + TINY_MM**2).all():
             break
-    return at
+    return middle
 
 
 def interval(mixture: PredictiveMixture, level: float) -> tuple[Floats, Floats]:
@@ -94,7 +94,7 @@ def estimate_end_errors(draws: Floats, level: float, independent: float | None =
     """
     p = np.array([(1 - level) / 2, (1 + level) / 2])
     e = np.sqrt(p * (1 - p) / (independent or len(draws)))
-    low, high = (np.quantile(draws, np.clip(at, 0.0, 1.0), axis=0) for at in (p - e, p + e))
+    low, high = (np.quantile(draws, np.clip(probability, 0.0, 1.0), axis=0) for probability in (p - e, p + e))
     errors: Floats = (high - low) / 2
     return errors
 
@@ -126,11 +126,11 @@ MEDIAN_STEPS = 60  #: of the search for a geometric median; each leaves about ha
 
 def find_geometric_median(points: Floats) -> Floats:
     """Return the points (K, d) whose mean distance from `points` (B, K, d) is least (E. Weiszfeld, 1937)."""
-    found: Floats = np.median(points, axis=0)
+    geometric_median: Floats = np.median(points, axis=0)
     for _ in range(MEDIAN_STEPS if points.shape[-1] > 1 else 0):  # of numbers that is their median
-        weights = 1 / np.maximum(np.linalg.norm(points - found, axis=-1, keepdims=True), TINY_MM)
-        found = (weights * points).sum(axis=0) / weights.sum(axis=0)
-    return found
+        weights = 1 / np.maximum(np.linalg.norm(points - geometric_median, axis=-1, keepdims=True), TINY_MM)
+        geometric_median = (weights * points).sum(axis=0) / weights.sum(axis=0)
+    return geometric_median
 
 
 def _mean_absolute(mean: Floats, sd: Floats) -> Floats:

@@ -38,8 +38,8 @@ class Prior:
         """Return the whitened deviations (R,) of `values` (Pa, mm) from the prior mean."""
         if not self.names:
             return np.empty(0)
-        at = np.array([to_coordinate(name, values[name]) for name in self.names])
-        return np.array(self.whitening) @ at - np.array(self.centre)
+        coordinates = np.array([to_coordinate(name, values[name]) for name in self.names])
+        return np.array(self.whitening) @ coordinates - np.array(self.centre)
 
     def log_density(self, values: Mapping[str, float]) -> float:
         """Return the logarithm of the density of `values`, not normalised: 0 at its peak."""
@@ -49,7 +49,9 @@ class Prior:
     def slopes(self, names: Sequence[str]) -> Floats:
         """Return the derivatives (R, P) of `residuals` by theta of the free parameters `names`."""
         # a fixed parameter has no column: its residual is constant
-        chosen = np.array([[float(name == own) for name in names] for own in self.names])  # (Q, P)
+        chosen = np.array(
+            [[float(name == stated_name) for name in names] for stated_name in self.names]
+        )  # (Q, P)
         if not self.names:
             return np.zeros((0, len(names)))
         return np.array(self.whitening) @ chosen
@@ -65,9 +67,11 @@ class Prior:
         white = np.array(self.whitening).reshape(len(self.whitening), len(self.names))
         inverse = np.linalg.pinv(white)  # (Q, R)
         # a parameter that is only tied to another one has any value: it is not in the span of the rows
-        known = np.isclose(np.diag(inverse @ white), 1.0)
+        is_independent = np.isclose(np.diag(inverse @ white), 1.0)
         mean, sd = inverse @ np.array(self.centre), np.linalg.norm(inverse, axis=1)
-        return {name: (float(mean[k]), float(sd[k])) for k, name in enumerate(self.names) if known[k]}
+        return {
+            name: (float(mean[k]), float(sd[k])) for k, name in enumerate(self.names) if is_independent[k]
+        }
 
     def sd(self, name: str) -> float:
         """Return the standard deviation of one parameter's coordinate; infinite where nothing is stated."""
@@ -106,30 +110,33 @@ def make_prior(table: Mapping[str, ParameterRecord], ties: Sequence[SoftTie] = (
     partner.
     """
     stated = {name: record.prior for name, record in table.items() if record.prior is not None}
-    for name, one in stated.items():
+    for name, stated_prior in stated.items():
         normal, bounds = is_shape_parameter(name), table[name].bounds
         refused = partial(ConfigError, key=f"parameters.{name}.prior")
-        if normal != (one.mean is not None):
+        if normal != (stated_prior.mean is not None):
             expected = "mean and sd" if normal else "median and factor: it is positive"
             raise refused("is a prior of the wrong kind", expected=expected)
-        if bounds is not None and not bounds[0] <= _peak(one) <= bounds[1]:
+        if bounds is not None and not bounds[0] <= _peak(stated_prior) <= bounds[1]:
             raise refused(
-                f"peaks at {_peak(one):g}, outside the bounds {bounds[0]:g} to {bounds[1]:g}",
+                f"peaks at {_peak(stated_prior):g}, outside the bounds {bounds[0]:g} to {bounds[1]:g}",
                 fix="widen the bounds, or look whether prior and bounds mean the same unit",
             )
-        if one.correlation and (dimension(name) != "modulus" or alpha_of(name) not in stated):
+        if stated_prior.correlation and (dimension(name) != "modulus" or alpha_of(name) not in stated):
             expected = "a prior of mu whose layer's alpha has a prior too"
             raise refused("states a correlation that has no partner", expected=expected)
     if not stated:
         return add_ties(Prior(), ties)
     names = tuple(stated)
-    sds = [one.sd if one.sd is not None else math.log(one.factor or math.nan) for one in stated.values()]
+    sds = [
+        record.sd if record.sd is not None else math.log(record.factor or math.nan)
+        for record in stated.values()
+    ]
     correlations = np.eye(len(names))
-    for k, (name, one) in enumerate(stated.items()):
-        if one.correlation:
+    for k, (name, stated_prior) in enumerate(stated.items()):
+        if stated_prior.correlation:
             j = names.index(alpha_of(name))
-            correlations[j, k] = correlations[k, j] = one.correlation
-    peaks = np.array([to_coordinate(name, _peak(one)) for name, one in stated.items()])
+            correlations[j, k] = correlations[k, j] = stated_prior.correlation
+    peaks = np.array([to_coordinate(name, _peak(record)) for name, record in stated.items()])
     whitening = np.linalg.inv(np.linalg.cholesky(correlations * np.outer(sds, sds)))
     rows = tuple(tuple(row) for row in whitening.tolist())
     return add_ties(Prior(names, rows, tuple((whitening @ peaks).tolist())), ties)
@@ -140,5 +147,5 @@ def alpha_of(mu: str) -> str:
     return mu.replace("mu", "alpha").removesuffix("_pa")
 
 
-def _peak(one: PriorRecord) -> float:
-    return float(one.mean if one.mean is not None else one.median or math.nan)
+def _peak(record: PriorRecord) -> float:
+    return float(record.mean if record.mean is not None else record.median or math.nan)

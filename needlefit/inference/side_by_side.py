@@ -99,8 +99,8 @@ class _Group:
                 continue
             requests, self._waiting = self._waiting, []
             while requests:
-                same = [one for one in requests if one.function == requests[0].function]
-                requests = [one for one in requests if one.function != same[0].function]
+                same = [request for request in requests if request.function == requests[0].function]
+                requests = [request for request in requests if request.function != same[0].function]
                 self._evaluate_together(same)
             self.turn.notify_all()
         if request.error is not None:
@@ -109,13 +109,13 @@ class _Group:
 
     def _evaluate_together(self, requests: Sequence[_Request]) -> None:
         try:
-            values = requests[0].function(np.array([one.theta for one in requests]), self._jobs)
-            for one, value in zip(requests, values, strict=True):
-                one.value, one.ended = value, True
+            values = requests[0].function(np.array([request.theta for request in requests]), self._jobs)
+            for request, value in zip(requests, values, strict=True):
+                request.value, request.ended = value, True
         except Exception as error:  # each search gets its own, and goes on or ends by it
             if len(requests) > 1 and isinstance(error, EVALUATION_ERRORS):
-                for one in requests:
-                    self._evaluate_together([one])
+                for request in requests:
+                    self._evaluate_together([request])
                 return
-            for one in requests:
-                one.error, one.ended = error, True
+            for request in requests:
+                request.error, request.ended = error, True

@@ -79,8 +79,8 @@ class SpreadModel:
         """
         # what is tied to a fixed parameter varies as the others do
         tied = {tie.name for tie in parameters.prior.ties if tie.source in parameters.free}
-        moduli = [one for one in parameters.free if dimension(one) == "modulus" and one not in tied]
-        bevels = [one for one in parameters.free if one in BEVEL_PARAMETERS]
+        moduli = [name for name in parameters.free if dimension(name) == "modulus" and name not in tied]
+        bevels = [name for name in parameters.free if name in BEVEL_PARAMETERS]
         moduli, bevels = moduli if modulus_sd else [], bevels if bevel_sd else []
         sds = [*[modulus_sd] * bool(moduli), *[bevel_sd] * len(bevels)]
         names, stated = (*moduli, *bevels), tip_slopes or {}
@@ -129,31 +129,31 @@ class SpreadModel:
         drawn = np.hstack([np.log(np.maximum(taus, TAU_RANGE[0] * self.sds)), rho, share])
         return np.clip(drawn, self.lower, self.upper)
 
-    def log_prior(self, at: Floats) -> Floats:
+    def log_prior(self, points: Floats) -> Floats:
         """Return the log prior density (W,) of hyperparameters (W, S), but for a constant."""
-        logs, rest = np.split(at, [len(self.sds)], axis=1)
-        found = np.sum(logs - 0.5 * (np.exp(logs) / self.sds) ** 2, axis=1)
+        logs, rest = np.split(points, [len(self.sds)], axis=1)
+        logs_of_prior = np.sum(logs - 0.5 * (np.exp(logs) / self.sds) ** 2, axis=1)
         if self.correlated:  # the derivative of tanh
-            found = found - 2 * np.log(np.cosh(rest[:, 0]))
+            logs_of_prior = logs_of_prior - 2 * np.log(np.cosh(rest[:, 0]))
         if self.moduli > 1:  # the derivative of expit
-            found = found + np.log(expit(rest[:, -1])) + np.log(expit(-rest[:, -1]))
-        return found + self._log_tip_prior(at)
+            logs_of_prior = logs_of_prior + np.log(expit(rest[:, -1])) + np.log(expit(-rest[:, -1]))
+        return logs_of_prior + self._log_tip_prior(points)
 
-    def _log_tip_prior(self, at: Floats) -> Floats:
-        return -0.5 * np.einsum("p,wpq,q->w", self.tip_slopes, self.covariances(at), self.tip_slopes)
+    def _log_tip_prior(self, points: Floats) -> Floats:
+        return -0.5 * np.einsum("p,wpq,q->w", self.tip_slopes, self.covariances(points), self.tip_slopes)
 
-    def covariances(self, at: Floats) -> Floats:
+    def covariances(self, points: Floats) -> Floats:
         """Return T (W, Q, Q) of hyperparameters (W, S)."""
-        taus, rest = np.exp(at[:, : len(self.sds)]), at[:, len(self.sds) :]
-        rho = np.tanh(rest[:, 0]) if self.correlated else np.zeros(len(at))
-        share = expit(rest[:, -1]) if self.moduli > 1 else np.ones(len(at))
+        taus, rest = np.exp(points[:, : len(self.sds)]), points[:, len(self.sds) :]
+        rho = np.tanh(rest[:, 0]) if self.correlated else np.zeros(len(points))
+        share = expit(rest[:, -1]) if self.moduli > 1 else np.ones(len(points))
         modulus = np.arange(len(self.names)) < self.moduli
         both, mixed = np.outer(modulus, modulus), np.not_equal.outer(modulus, modulus)
         correlations = both * share[:, None, None] + mixed * (rho * np.sqrt(share))[:, None, None]
         correlations[:, np.eye(len(self.names), dtype=bool)] = 1.0
         # a row of `each` for each parameter: the tau of the moduli is that of all of them
-        each = taus[:, [0] * self.moduli + list(range(bool(self.moduli), taus.shape[1]))]
-        return correlations * each[:, :, None] * each[:, None, :]
+        scales = taus[:, [0] * self.moduli + list(range(bool(self.moduli), taus.shape[1]))]
+        return correlations * scales[:, :, None] * scales[:, None, :]
 
 
 def make_spread_model(problem: Problem, stated: BetweenSpecimensRecord, theta: Floats) -> SpreadModel:
@@ -169,19 +169,19 @@ def differentiate_log_tip(problem: Problem, theta: Floats) -> Floats:
     Of a parameter to which others are tied they are of all together; 0 where no insertion has a solution.
     """
     model = PreparedModel(problem.medium, problem.insertions)
-    tips = [np.array([one.depth]) for one in problem.insertions]
+    tips = [np.array([insertion.depth]) for insertion in problem.insertions]
     pairs = model.differentiate([problem.values(theta)], problem.parameters, tips)
     points, moves = zip(*pairs, strict=True)
     # along y, in space along z too: (I,), (I, P), or twice as many rows
-    tip = np.concatenate([one[0, 0, 1:] for one in points])
-    by_theta = np.concatenate([one[0, 0, 1:] for one in moves])
+    tip = np.concatenate([point[0, 0, 1:] for point in points])
+    by_theta = np.concatenate([move[0, 0, 1:] for move in moves])
     solved = np.isfinite(tip) & np.isfinite(by_theta).all(axis=1)
     tip, by_theta = tip[solved], by_theta[solved]
     slopes = tip @ by_theta / max(float(tip @ tip), np.finfo(float).tiny)
     for tie in reversed(problem.parameters.prior.ties):  # a source comes before what is tied to it
         if tie.name in problem.names and tie.source in problem.names:
-            own, source = (problem.names.index(name) for name in (tie.name, tie.source))
-            slopes[source] += slopes[own]
+            column, source = (problem.names.index(name) for name in (tie.name, tie.source))
+            slopes[source] += slopes[column]
     return slopes
 
 
@@ -249,45 +249,45 @@ class Population:
         """Upper bounds of m and the hyperparameters of T: (Q + S,)."""
         return np.concatenate([self.bounds[1], self.model.upper])
 
-    def split(self, at: Floats) -> tuple[Floats, Floats]:
+    def split(self, points: Floats) -> tuple[Floats, Floats]:
         """Return m (W, Q) and T (W, Q, Q) of points (W, Q + S)."""
-        means, spread = np.split(at, [len(self.bounds[0])], axis=1)
+        means, spread = np.split(points, [len(self.bounds[0])], axis=1)
         return means, self.model.covariances(spread)
 
-    def log_density(self, at: Floats) -> Floats:
+    def log_density(self, points: Floats) -> Floats:
         """Return the log posterior densities (W,) of points (W, Q + S), not normalised; -inf outside."""
-        inside = np.all((at >= self.lower) & (at <= self.upper), axis=1)
-        density = np.full(len(at), -np.inf)
-        means, covariances = self.split(at[inside])
-        found = self.model.log_prior(at[inside][:, means.shape[1] :])
+        inside = np.all((points >= self.lower) & (points <= self.upper), axis=1)
+        density = np.full(len(points), -np.inf)
+        means, covariances = self.split(points[inside])
+        found = self.model.log_prior(points[inside][:, means.shape[1] :])
         found = found + self.log_stated(means)
-        for one in self.specimens:
-            logs = one.log_densities(means, covariances)
+        for specimen in self.specimens:
+            logs = specimen.log_densities(means, covariances)
             found = found + logsumexp(logs, axis=1) - np.log(logs.shape[1])
         density[inside] = found
         return density
 
-    def log_stated(self, at: Floats) -> Floats:
+    def log_stated(self, points: Floats) -> Floats:
         """Return the log density (W,) of what is stated of m, at (W, Q), but for a constant."""
         means, sds = self.stated
-        return -0.5 * np.sum(((at - means) / sds) ** 2, axis=1)
+        return -0.5 * np.sum(((points - means) / sds) ** 2, axis=1)
 
     def posterior(self, rng: np.random.Generator) -> WeightedDraws:
         """Return weighted draws of m and the hyperparameters of T: (N, Q + S)."""
 
-        def height(at: Floats) -> float:
-            return -float(self.log_density(at[None])[0])
+        def height(points: Floats) -> float:
+            return -float(self.log_density(points[None])[0])
 
         bounds = list(zip(self.lower.tolist(), self.upper.tolist(), strict=True))
-        found = minimize(height, self._guess(), method="Nelder-Mead", bounds=bounds)
-        information = difference_information(self.log_density, found.x)
-        about = approximate_by_information(information, found.x, self.lower, self.upper)
+        optimum = minimize(height, self._guess(), method="Nelder-Mead", bounds=bounds)
+        information = difference_information(self.log_density, optimum.x)
+        about = approximate_by_information(information, optimum.x, self.lower, self.upper)
         return sample_by_importance(self.log_density, [about], (self.lower, self.upper), rng, SPREAD_EFFORTS)
 
     def _guess(self) -> Floats:
         """Return where the search begins, (Q + S,), by the method of moments."""
-        model, means = self.model, np.array([one.mean for one in self.specimens])
-        within = np.mean([np.diag(one.covariance) for one in self.specimens], axis=0)
+        model, means = self.model, np.array([specimen.mean for specimen in self.specimens])
+        within = np.mean([np.diag(specimen.covariance) for specimen in self.specimens], axis=0)
         variances = means.var(axis=0) - within
         first = [0] * bool(model.moduli) + list(range(model.moduli, len(model.names)))
         moments = np.array([variances[k] for k in first])
@@ -331,8 +331,8 @@ class PopulationDraws:
         """Median correlation of the first parameter (ln mu) with the last (ln b) between specimens."""
         variances = np.diagonal(self.covariances, axis1=1, axis2=2)
         with np.errstate(invalid="ignore"):
-            found = self.covariances[:, 0, -1] / np.sqrt(variances[:, 0] * variances[:, -1])
-        return float(np.median(found))
+            correlations = self.covariances[:, 0, -1] / np.sqrt(variances[:, 0] * variances[:, -1])
+        return float(np.median(correlations))
 
 
 def make_population(parameters: Parameters, model: SpreadModel, posteriors: Sequence[Floats]) -> Population:
@@ -344,14 +344,14 @@ def make_population(parameters: Parameters, model: SpreadModel, posteriors: Sequ
     marginals = [parameters.prior.marginals.get(name, (0.0, math.inf)) for name in model.names]
     stated = np.array(marginals).T[0], np.array(marginals).T[1]
     population = Population((), (parameters.lower[columns], parameters.upper[columns]), model, stated)
-    known = []
+    specimens = []
     for thetas in posteriors:
         counted = population.log_stated(thetas[:, columns])
         weights = np.exp(counted.min() - counted)
         # systematic, so that without a stated prior the draws are taken evenly
         places = (np.arange(KERNELS_PER_SPECIMEN) + 0.5) / KERNELS_PER_SPECIMEN * weights.sum()
-        known.append(make_specimen(thetas[np.searchsorted(np.cumsum(weights), places)][:, columns]))
-    return replace(population, specimens=tuple(known))
+        specimens.append(make_specimen(thetas[np.searchsorted(np.cumsum(weights), places)][:, columns]))
+    return replace(population, specimens=tuple(specimens))
 
 
 def draw_population(
@@ -374,36 +374,38 @@ def draw_population(
         new = draw_specimens(parameters, model, mean, 2 * covariances, rng)
         return PopulationDraws(posteriors, mean, new, covariances)
     population = make_population(parameters, model, list(posteriors.values()))
-    found = population.posterior(rng)
-    at, ess = found.thetas[resample(found, count, rng)], found.effective_sample_size
+    draws = population.posterior(rng)
+    points, ess = draws.thetas[resample(draws, count, rng)], draws.effective_sample_size
     source: Source = "importance"
     of = f"the population of {len(posteriors)} specimens"
-    weak = f"{of} is not certified (Pareto k {found.k:.2f}, effective sample size {ess:.0f})"
-    faults: tuple[str, ...] = () if found.certified else (weak,)
-    chains = None if sampler is None else sampler(population.log_density, model.list_quantities(), found)
-    if chains is not None and not (chains.faults and found.certified):
-        at, ess, source = thin_chains(chains, count), float(chains.ess.min()), "posterior"
-        at = np.resize(at, (count, at.shape[1]))  # repeated where a chain that has not converged has fewer
+    weak = f"{of} is not certified (Pareto k {draws.k:.2f}, effective sample size {ess:.0f})"
+    faults: tuple[str, ...] = () if draws.certified else (weak,)
+    chains = None if sampler is None else sampler(population.log_density, model.list_quantities(), draws)
+    if chains is not None and not (chains.faults and draws.certified):
+        points, ess, source = thin_chains(chains, count), float(chains.ess.min()), "posterior"
+        points = np.resize(
+            points, (count, points.shape[1])
+        )  # repeated where a chain that has not converged has fewer
         faults = tuple(f"{of}: {fault}" for fault in chains.faults)
-    means, covariances = population.split(at)
+    means, covariances = population.split(points)
     tuned = {}
-    for (name, thetas), one in zip(posteriors.items(), population.specimens, strict=True):
+    for (name, thetas), specimen in zip(posteriors.items(), population.specimens, strict=True):
         some = thetas[:, columns]
-        logs = replace(one, centres=some).log_densities(means, covariances)
+        logs = replace(specimen, centres=some).log_densities(means, covariances)
         # the largest of these: drawn by weight
         keys = logs - population.log_stated(some) + rng.gumbel(size=logs.shape)
         tuned[name] = thetas[np.argmax(keys, axis=1)]
     # What does not vary is as in one of them, another for each draw: a mean over specimens would be narrower
     # also where nothing is known.
-    own = np.array(list(tuned.values()))[rng.integers(len(tuned), size=count), np.arange(count)]
-    mean = own.copy()
+    chosen = np.array(list(tuned.values()))[rng.integers(len(tuned), size=count), np.arange(count)]
+    mean = chosen.copy()
     mean[:, columns] = means
     for tie in parameters.prior.ties:  # a source comes before what is tied to it
         if tie.name in parameters.free and tie.source in parameters.free:
             tied, other = parameters.free.index(tie.name), parameters.free.index(tie.source)
-            mean[:, tied] = mean[:, other] + own[:, tied] - own[:, other]
+            mean[:, tied] = mean[:, other] + chosen[:, tied] - chosen[:, other]
     new = draw_specimens(parameters, model, mean, covariances, rng)
-    return PopulationDraws(tuned, mean, new, covariances, faults, found.k, ess, source)
+    return PopulationDraws(tuned, mean, new, covariances, faults, draws.k, ess, source)
 
 
 def draw_specimens(
@@ -428,9 +430,9 @@ def draw_specimens(
         )
         for tie in parameters.prior.ties:  # a source comes before what is tied to it
             if tie.name in parameters.free and tie.source in parameters.free:
-                own, source = (parameters.free.index(name) for name in (tie.name, tie.source))
+                column, source = (parameters.free.index(name) for name in (tie.name, tie.source))
                 ratio = math.log(tie.factor) + math.log(tie.spread) * rng.standard_normal(len(some))
-                some[:, own] = some[:, source] + ratio
+                some[:, column] = some[:, source] + ratio
         drawn[left] = some
         outside = (some < parameters.lower) | (some > parameters.upper)
         left = left[np.any(outside, axis=1)]

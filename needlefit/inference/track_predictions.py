@@ -51,41 +51,43 @@ def predict_runs(
     `tuned` and `held_out` at the m nodes of each. What runs share is estimated from the runs fitted to, for
     every draw, and from the first readings.
     """
-    every = (*tuned, *held_out)
-    surfaces = sorted({axis.surface for one in every for axis in one.nodes.axes if axis.surface})
-    group = NodeGroup(tuple(one.nodes for one in every), tuple(surfaces))
+    runs = (*tuned, *held_out)
+    surfaces = sorted({axis.surface for run in runs for axis in run.nodes.axes if axis.surface})
+    group = NodeGroup(tuple(run.nodes for run in runs), tuple(surfaces))
 
     def spread(k: int) -> tuple[Floats, Floats]:
         """Return the covariance (B, n, n) of a run's own errors, and the columns (B, n, K) of the shared."""
-        pose = every[k].pose_spread.T
+        pose = runs[k].pose_spread.T
         frame = np.broadcast_to(pose, (len(scale), *pose.shape))
         # (B, d, n): the changes by one SD along the d axes of the run's errors
-        columns = every[k].nodes.linear[1:] @ np.concatenate([curves[k], frame], axis=1)
-        own = group.own[k][:, None] * columns
-        shifts = SHIFT_SD_MM**2 * every[k].free @ every[k].free.T
-        noise = scale[:, None, None] ** 2 * every[k].point_covariance + shifts
-        return noise + own.transpose(0, 2, 1) @ own, columns.transpose(0, 2, 1) @ group.shared[k]
+        columns = runs[k].nodes.linear[1:] @ np.concatenate([curves[k], frame], axis=1)
+        own_columns = group.own[k][:, None] * columns
+        shifts = SHIFT_SD_MM**2 * runs[k].free @ runs[k].free.T
+        noise = scale[:, None, None] ** 2 * runs[k].point_covariance + shifts
+        return noise + own_columns.transpose(0, 2, 1) @ own_columns, columns.transpose(
+            0, 2, 1
+        ) @ group.shared[k]
 
     pull = np.zeros((len(scale), len(surfaces)))
     precision = np.tile(np.eye(len(surfaces)), (len(pull), 1, 1))
-    for k, one in enumerate(tuned):
+    for k, run in enumerate(tuned):
         covariance, shared = spread(k)
         weighted = np.linalg.solve(covariance, shared).transpose(0, 2, 1)  # (B, K, n)
         precision = precision + weighted @ shared
-        pull = pull + np.einsum("bkn,bn->bk", weighted, one.stack(one.measured) - curves[k][:, 0])
-    found = np.linalg.inv(precision)
-    best = np.einsum("bkl,bl->bk", found, pull)
+        pull = pull + np.einsum("bkn,bn->bk", weighted, run.stack(run.measured) - curves[k][:, 0])
+    inverse = np.linalg.inv(precision)
+    best = np.einsum("bkl,bl->bk", inverse, pull)
     predicted = []
-    for k, (one, count) in enumerate(zip(held_out, observed, strict=True), start=len(tuned)):
+    for k, (run, count) in enumerate(zip(held_out, observed, strict=True), start=len(tuned)):
         covariance, shared = spread(k)
         mean = curves[k][:, 0] + np.einsum("bnk,bk->bn", shared, best)
-        total = covariance + shared @ found @ shared.transpose(0, 2, 1)
+        total = covariance + shared @ inverse @ shared.transpose(0, 2, 1)
         # conditioning of a joint Gaussian: gain^T takes the residuals of the first readings to the later ones
-        first = np.tile(np.arange(len(one.measured)) < count, one.directions)
+        first = np.tile(np.arange(len(run.measured)) < count, run.directions)
         above, below = total[:, first], total[:, ~first]
         cross = above[..., ~first]
         gain = np.linalg.solve(above[..., first], cross)  # (B, k, n - k)
-        off = one.stack(one.measured)[first] - mean[:, first]
+        off = run.stack(run.measured)[first] - mean[:, first]
         centre = mean[:, ~first] + np.einsum("bk,bkr->br", off, gain)
         left = below[..., ~first] - gain.transpose(0, 2, 1) @ cross
         if rng is not None:
@@ -104,17 +106,17 @@ def predict_by_curve(
     """
     assert baseline.track_basis is not None
     with BASELINES.plugin_error_context(baseline.name):
-        *known, columns = (baseline.track_basis(one.insertion) for one in (*tuned, further))  # each (n, P)
+        *bases, columns = (baseline.track_basis(run.insertion) for run in (*tuned, further))  # each (n, P)
     # least squares of the readings in frames of any shift and slope
-    basis = np.concatenate([one.whitening @ each for one, each in zip(tuned, known, strict=True)])
-    measured = np.concatenate([one.whitening @ one.measured[:, 1] for one in tuned])
+    basis = np.concatenate([run.whitening @ run_basis for run, run_basis in zip(tuned, bases, strict=True)])
+    measured = np.concatenate([run.whitening @ run.measured[:, 1] for run in tuned])
     best = np.linalg.solve(basis.T @ basis, basis.T @ measured)
     variance = float(np.sum((measured - basis @ best) ** 2)) / (len(measured) - len(best))
-    left = (one.measured[:, 1] - each @ best for one, each in zip(tuned, known, strict=True))
-    slopes = np.array([off @ one.estimator[1] for one, off in zip(tuned, left, strict=True)])
+    left = (run.measured[:, 1] - run_basis @ best for run, run_basis in zip(tuned, bases, strict=True))
+    slopes = np.array([off @ run.estimator[1] for run, off in zip(tuned, left, strict=True)])
     slope, slope_variance = float(slopes.mean()), slope_sd**2 * (1 + 1 / len(slopes))
     if len(tuned) >= MIN_TUNED_RUNS:
-        slope, slope_variance = _predict_slope(slopes, [one.insertion for one in (*tuned, further)], baseline)
+        slope, slope_variance = _predict_slope(slopes, [run.insertion for run in (*tuned, further)], baseline)
     design, first = further.free, slice(None, observed)  # (n, 2)
     total = variance * further.point_covariance
     total = total + design @ np.diag([SHIFT_SD_MM**2, slope_variance]) @ design.T
@@ -129,10 +131,14 @@ def _predict_slope(slopes: Floats, runs: Sequence[Insertion], baseline: Baseline
     By runs alike, where there are any: the scatter is taken from both kinds, each about its own mean.
     """
     k = len(slopes)
-    *guided, like = (one.guided for one in runs)
+    *guided, like = (run.guided for run in runs)
     apart = baseline.track_slope == "alike" and k > MIN_TUNED_RUNS and like in guided
     kinds = np.array(guided) if apart else np.full(k, like)
     alike = slopes[kinds == like]
-    squares = sum(len(one) * one.var() for one in (alike, slopes[kinds != like]) if len(one))
+    squares = sum(
+        len(slopes_of_kind) * slopes_of_kind.var()
+        for slopes_of_kind in (alike, slopes[kinds != like])
+        if len(slopes_of_kind)
+    )
     freedom = k - len(set(kinds.tolist()))
     return float(alike.mean()), float(squares / freedom * (1 + 1 / len(alike)) * freedom / (freedom - 2))

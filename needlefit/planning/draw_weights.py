@@ -50,16 +50,16 @@ class WeightedDraws:
             rows = np.arange(count) % len(draws)
         some = draws.only(rows)
         effects = rng.standard_normal((count, 2)) * (gain_sd, slope_sd) + (1.0, 0.0)
-        known = np.column_stack([np.log(some.mu), np.log(some.bevel)])
-        mean = np.append(known.mean(axis=0), (1.0, 0.0))
+        logs = np.column_stack([np.log(some.mu), np.log(some.bevel)])
+        mean = np.append(logs.mean(axis=0), (1.0, 0.0))
         covariance = np.zeros((len(mean), len(mean)))
-        covariance[:-2, :-2] = np.cov(known, rowvar=False) if count > 1 else 0.0
+        covariance[:-2, :-2] = np.cov(logs, rowvar=False) if count > 1 else 0.0
         covariance[[-2, -1], [-2, -1]] = gain_sd**2, slope_sd**2
         variances, directions = np.linalg.eigh(covariance)
         kept = variances > KEPT_VARIANCE * max(variances.max(), 1e-12)
         sizes = np.sqrt(variances[kept])
-        at = (np.column_stack([known, effects]) - mean) @ directions[:, kept] / sizes
-        return cls(mean, (directions[:, kept] * sizes).T, at, some.shape, np.zeros(count))
+        coordinates = (np.column_stack([logs, effects]) - mean) @ directions[:, kept] / sizes
+        return cls(mean, (directions[:, kept] * sizes).T, coordinates, some.shape, np.zeros(count))
 
     @property
     def weights(self) -> Floats:
@@ -75,9 +75,9 @@ class WeightedDraws:
     def to_parameters(self, rows: Ints | None = None) -> ParameterDraws:
         """Return the parameters of all draws, or of some."""
         rows = np.arange(len(self.at)) if rows is None else rows
-        found = self.mean + self.at[rows] @ self.axes
-        mu, bevel = np.exp(found[:, :-3]), np.exp(found[:, -3])
-        return ParameterDraws(mu, self.shape[rows], bevel, found[:, -2], found[:, -1])
+        parameters = self.mean + self.at[rows] @ self.axes
+        mu, bevel = np.exp(parameters[:, :-3]), np.exp(parameters[:, -3])
+        return ParameterDraws(mu, self.shape[rows], bevel, parameters[:, -2], parameters[:, -1])
 
     def list_sigma_points(self) -> ParameterDraws:
         """Return 2 R draws of equal weights, two along each direction, with mean and covariance of all.
@@ -87,9 +87,9 @@ class WeightedDraws:
         centre = self.weights @ self.at
         away = (self.at - centre) * np.sqrt(len(centre) * self.weights)[:, None]
         root = np.linalg.qr(away).R  # root^T root is R times the covariance
-        at = centre + np.concatenate([root, -root]) if len(root) else centre[None]
+        points = centre + np.concatenate([root, -root]) if len(root) else centre[None]
         shape = np.tensordot(self.weights, self.shape, 1)
-        return replace(self, at=at, shape=np.tile(shape, (len(at), 1, 1))).to_parameters()
+        return replace(self, at=points, shape=np.tile(shape, (len(points), 1, 1))).to_parameters()
 
     def choose(self, count: int) -> Ints:
         """Return which draws (count,) stand for all with equal weights: by systematic resampling."""
@@ -108,13 +108,13 @@ class WeightedDraws:
 
         Raises ModelError where no draw has a needle.
         """
-        found, rounds = replace(self, log_weights=self.log_weights + now), 0
-        if not np.isfinite(found.log_weights.max()):
+        learned, rounds = replace(self, log_weights=self.log_weights + now), 0
+        if not np.isfinite(learned.log_weights.max()):
             raise ModelError("no draw of the parameters has a needle there", expected="one that is solved")
         fewest = FEWEST_DRAWS * min(1.0, len(self.at) / 500.0)
-        while found.effective < fewest and rounds < MAX_ROUNDS and len(self.axes):
-            found, rounds = found._draw_anew(fewest, weigh, rng), rounds + 1
-        return found, rounds
+        while learned.effective < fewest and rounds < MAX_ROUNDS and len(self.axes):
+            learned, rounds = learned._draw_anew(fewest, weigh, rng), rounds + 1
+        return learned, rounds
 
     def _draw_anew(
         self, fewest: float, weigh: Callable[["WeightedDraws"], Floats], rng: np.random.Generator
@@ -134,9 +134,9 @@ class WeightedDraws:
 
     def _flatten(self, fewest: float) -> Floats:
         """Return the weights to the greatest power up to 1 that leaves so many effective draws."""
-        low, high, found = 0.0, 1.0, self
+        low, high, flattened = 0.0, 1.0, self
         for _ in range(30 if self.effective < fewest else 0):
             power = (low + high) / 2
-            found = replace(self, log_weights=power * np.maximum(self.log_weights, -1e300))
-            low, high = (power, high) if found.effective >= fewest else (low, power)
-        return found.weights
+            flattened = replace(self, log_weights=power * np.maximum(self.log_weights, -1e300))
+            low, high = (power, high) if flattened.effective >= fewest else (low, power)
+        return flattened.weights

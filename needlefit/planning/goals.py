@@ -47,7 +47,10 @@ class Goal:
 
     def to_space(self) -> "Goal":
         """Return the same goal in space; circles become spheres."""
-        spheres = [one.model_copy(update={"centre_mm": (*one.centre_mm, 0.0)[:3]}) for one in self.obstacles]
+        spheres = [
+            obstacle.model_copy(update={"centre_mm": (*obstacle.centre_mm, 0.0)[:3]})
+            for obstacle in self.obstacles
+        ]
         return Goal((*self.target, 0.0)[:3], self.radius, tuple(spheres))
 
 
@@ -77,8 +80,8 @@ def compute_residuals(needles: Floats, goal: Goal) -> Floats:
     """Return what is squared and summed: misses, and how far needles go into obstacles."""
     solved = np.isfinite(needles[:, -1, 0])
     parts = [np.where(solved[:, None], needles[:, -1] - goal.target, UNSOLVED_MISS_MM)]
-    for one in goal.obstacles:
-        near = np.maximum(0.0, -compute_clearances(needles, one))
+    for obstacle in goal.obstacles:
+        near = np.maximum(0.0, -compute_clearances(needles, obstacle))
         parts.append(OBSTACLE_PENALTY * np.where(solved, near, 0.0)[:, None])
     return np.hstack(parts).ravel() / math.sqrt(len(needles))
 
@@ -96,17 +99,19 @@ def minimize_miss(
     """
     low, high = bounds
 
-    def slopes(at: Floats) -> Floats:
-        moves = np.diag(np.where(at + steps > high, -steps, steps))
-        still, *moved = residuals([at, *(at + move for move in moves)])
-        return np.stack([(one - still) / move.sum() for one, move in zip(moved, moves, strict=True)], axis=1)
+    def slopes(inputs: Floats) -> Floats:
+        moves = np.diag(np.where(inputs + steps > high, -steps, steps))
+        still, *moved = residuals([inputs, *(inputs + move for move in moves)])
+        return np.stack(
+            [(place - still) / move.sum() for place, move in zip(moved, moves, strict=True)], axis=1
+        )
 
-    def here(at: Floats) -> Floats:
-        return residuals([at])[0]
+    def here(inputs: Floats) -> Floats:
+        return residuals([inputs])[0]
 
     from scipy.optimize import least_squares  # late: it takes 0.3 s to load
 
-    found = least_squares(
+    solution = least_squares(
         here,
         np.clip(start, low + 1e-6, high - 1e-6),
         slopes,
@@ -115,7 +120,7 @@ def minimize_miss(
         ftol=SEARCH_TOLERANCE,
         max_nfev=MAX_EVALUATIONS,
     )
-    return found.x, math.sqrt(2 * found.cost)
+    return solution.x, math.sqrt(2 * solution.cost)
 
 
 @dataclass(frozen=True)
@@ -134,15 +139,15 @@ def cut_plane(goal: Goal) -> PlaneGoal:
     roll = math.atan(z / y) if y else math.copysign(math.pi / 2, z) if z else 0.0
     cos, sin = math.cos(roll), math.sin(roll)
     circles, beside = [], []
-    for one in goal.obstacles:
-        along, left, up = one.centre_mm[0], one.centre_mm[1], one.centre_mm[-1]
+    for obstacle in goal.obstacles:
+        along, left, up = obstacle.centre_mm[0], obstacle.centre_mm[1], obstacle.centre_mm[-1]
         off = up * cos - left * sin
-        if abs(off) >= one.radius_mm:
-            beside.append(one.name)
+        if abs(off) >= obstacle.radius_mm:
+            beside.append(obstacle.name)
             continue
-        cut = math.sqrt(one.radius_mm**2 - off**2)
+        cut = math.sqrt(obstacle.radius_mm**2 - off**2)
         centre = along, left * cos + up * sin
-        circles.append(ObstacleRecord(name=one.name, centre_mm=centre, radius_mm=cut))
+        circles.append(ObstacleRecord(name=obstacle.name, centre_mm=centre, radius_mm=cut))
     flat = Goal((x, y * cos + z * sin if z else y), goal.radius, tuple(circles))
     return PlaneGoal(flat, math.degrees(roll), tuple(beside))
 
@@ -158,8 +163,8 @@ def read_goal_points(
     Raises DataError if the file is wrong, or names two targets.
     """
     lists = read_markups(path)
-    labels = [label for one in lists for label in one.labels]
-    world = placement.patient.to_world(np.concatenate([one.points for one in lists]))
+    labels = [label for list_ in lists for label in list_.labels]
+    world = placement.patient.to_world(np.concatenate([list_.points for list_ in lists]))
     points: list[SpacePoint] = [tuple(point) for point in placement.frame.to_local(world).tolist()]
     aims = [n for n, label in enumerate(labels) if label.lower().startswith(TARGET_LABEL)]
     if not aims and len(points) == 1:
@@ -186,13 +191,13 @@ def name_obstacles(labels: Iterable[str]) -> tuple[str, ...]:
     One without a label, or with one that is no name, gets the first free `obstacle 1`, `obstacle 2`, ...
     """
     wanted = [" ".join(label.split())[:MAX_NAME_LENGTH] for label in labels]
-    taken, found = set(wanted), list[str]()
+    taken, names = set(wanted), list[str]()
     for name in wanted:
         usable = bool(name) and not name_fault(name)
-        if usable and name not in found:
-            found.append(name)
+        if usable and name not in names:
+            names.append(name)
             continue
         stem, first = (name, 2) if usable else ("obstacle", 1)
-        found.append(next(one for n in count(first) if (one := f"{stem} {n}") not in taken))
-        taken.add(found[-1])
-    return tuple(found)
+        names.append(next(candidate for n in count(first) if (candidate := f"{stem} {n}") not in taken))
+        taken.add(names[-1])
+    return tuple(names)

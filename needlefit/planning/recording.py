@@ -109,9 +109,9 @@ def read_recording(path: Path) -> Recording:
     return Recording(record, tuple(_list_steps(rows)), str(path))
 
 
-def _line_error(path: Path, line: int, what: str, expected: str) -> DataError:
+def _line_error(path: Path, line: int, problem: str, expected: str) -> DataError:
     fix = "replay the file as it was recorded"
-    return DataError(what, where=f"{path}, line {line}", expected=expected, fix=fix)
+    return DataError(problem, where=f"{path}, line {line}", expected=expected, fix=fix)
 
 
 class _Row:
@@ -123,8 +123,8 @@ class _Row:
             raise self.refuse(f"{len(cells)} cells", f"{len(COLUMNS)}: {','.join(COLUMNS)}")
         self.step, self.time, self.name, self.item, self.value, self.tip_lateral = cells
 
-    def refuse(self, what: str, expected: str) -> DataError:
-        return _line_error(self.path, self.line, what, expected)
+    def refuse(self, problem: str, expected: str) -> DataError:
+        return _line_error(self.path, self.line, problem, expected)
 
     def number(self, text: str) -> float:
         try:

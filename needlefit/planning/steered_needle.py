@@ -58,21 +58,21 @@ class Change:
     value: float
 
     def __post_init__(self) -> None:
-        known = find_input(self.name)
-        if (self.item is None) != (known.item is None) or (self.item is not None and self.item < 1):
-            wanted = f"the number of a {known.item}, from 1" if known.item else "no item"
+        input_ = find_input(self.name)
+        if (self.item is None) != (input_.item is None) or (self.item is not None and self.item < 1):
+            wanted = f"the number of a {input_.item}, from 1" if input_.item else "no item"
             raise ModelError(f"{self.name} has item {self.item!s:.20}", expected=wanted)
-        if known.item == "guide" and self.item is not None and self.item > MAX_GUIDE_NUMBER:
+        if input_.item == "guide" and self.item is not None and self.item > MAX_GUIDE_NUMBER:
             raise ModelError(
                 f"guides have no number {self.item!s:.20}", expected=f"a number from 1 to {MAX_GUIDE_NUMBER}"
             )
         most = MAX_NEEDLE_LENGTH_MM if self.name.endswith("_mm") else MAX_NUMBER
         finite = abs(self.value) <= most
         whole = self.name != "return_to" or float(self.value).is_integer()
-        if not finite or not known.allows(self.value) or not whole:
+        if not finite or not input_.allows(self.value) or not whole:
             largest = f"a finite number, at most {most:g}"
-            where = "" if self.item is None else f" of {known.item} {self.item}"
-            expected = known.expected if finite and known.expected else largest
+            where = "" if self.item is None else f" of {input_.item} {self.item}"
+            expected = input_.expected if finite and input_.expected else largest
             raise ModelError(f"{self.name}{where} is {self.value:g}", expected=expected)
 
     @property
@@ -290,14 +290,14 @@ class SteeredNeedle:
                     fix="retract the needle, or move the guide toward the tissue",
                 )
             shape = session.go(step, valid_only=valid_only)
-            what = f"the model finds no needle there ({shape.status})"
-            self._require_found(shape.converged, what, "move less at a time")
+            problem = f"the model finds no needle there ({shape.status})"
+            self._require_found(shape.converged, problem, "move less at a time")
             self._require_valid(shape, valid_only)
         return session
 
-    def _require_found(self, found: bool, what: str, fix: str) -> None:
-        if not found:
-            raise ModelError(what, expected="a load that tissue and needle can bear", fix=fix)
+    def _require_found(self, is_found: bool, problem: str, fix: str) -> None:
+        if not is_found:
+            raise ModelError(problem, expected="a load that tissue and needle can bear", fix=fix)
 
     def _require_valid(self, shape: NeedleShape, valid_only: bool) -> None:
         """Raise ModelError where a needle would leave the model's validity, unless it is outside already."""

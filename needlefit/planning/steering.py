@@ -292,11 +292,11 @@ def plan_to_target(
     plane = cut_plane(goal)
     if not goal.target[2]:
         return plane, plan_steering(insertion, plane.goal, limits, threads)
-    found = plan_steering(insertion, goal, limits, threads)
-    if not found.hits:
+    planned = plan_steering(insertion, goal, limits, threads)
+    if not planned.hits:
         rolled = plan_steering(insertion, plane.goal, limits, threads)
-        found = rolled if rolled.hits else found
-    return (replace(plane, roll_deg=0.0, beside=()) if found.goal.directions > 1 else plane), found
+        planned = rolled if rolled.hits else planned
+    return (replace(plane, roll_deg=0.0, beside=()) if planned.goal.directions > 1 else plane), planned
 
 
 @dataclass(frozen=True)
@@ -397,9 +397,9 @@ class _Search:
             points = np.where(shapes.valid[:, None, None], points + np.array([0.0, entry, 0.0]), np.nan)
             return (points[..., : len(self.goal.target)],)
 
-        batches = self.insertion.make_batches(draws, [self.way(one) for one in choices])
-        found = read_batches(batches, lambda some: simulate_batches(some, self.threads), place)
-        return [needles for (needles,) in found]
+        batches = self.insertion.make_batches(draws, [self.way(choice) for choice in choices])
+        placed = read_batches(batches, lambda some: simulate_batches(some, self.threads), place)
+        return [needles for (needles,) in placed]
 
     @cached_property
     def still(self) -> Floats:
@@ -417,8 +417,8 @@ class _Search:
         """Return the misses of each choice over the draws of the search, and how far it moves the base."""
         needles = self.needles(self.search_draws, choices)
         return [
-            np.concatenate([compute_residuals(some, self.goal), EFFORT_MM * self.effort(one)])
-            for some, one in zip(needles, choices, strict=True)
+            np.concatenate([compute_residuals(some, self.goal), EFFORT_MM * self.effort(choice)])
+            for some, choice in zip(needles, choices, strict=True)
         ]
 
     @property
@@ -431,9 +431,9 @@ class _Search:
         needles = self.needles(self.search_draws, choices)
         return [
             _smooth_risk(some, self.goal, self.rules)
-            + TURN_RISK * len(one.turns)
-            + EFFORT_RISK * float(np.sum(self.effort(one) ** 2))
-            for some, one in zip(needles, choices, strict=True)
+            + TURN_RISK * len(choice.turns)
+            + EFFORT_RISK * float(np.sum(self.effort(choice) ** 2))
+            for some, choice in zip(needles, choices, strict=True)
         ]
 
     def list_choices(self) -> list[_Choice]:
@@ -454,7 +454,7 @@ class _Search:
             begin[4] = math.degrees(math.atan2(z, y - begin[0])) if bends else begin[4]
             away = begin + np.array([0.0, 0.0, 0.0, 0.0, -math.copysign(180.0, begin[4])])
             starts = (begin, away) if bends else (begin,)
-            return [_Choice(1, turned, at) for turned, at in product(turns, starts)]
+            return [_Choice(1, turned, start) for turned, start in product(turns, starts)]
         return [_Choice(side, turned, begin) for turned, side in product(turns, sides)]
 
     def best(self) -> _Choice:
@@ -462,24 +462,24 @@ class _Search:
 
         Where all miss the target, it is the one of the least expected miss.
         """
-        found = [self._find()]
-        if self.risks(found)[0] > self.rules.sure_risk:
+        choices = [self._find()]
+        if self.risks(choices)[0] > self.rules.sure_risk:
             limits = self.limits  # with parts of the range of the base, then with half of all ranges
             parts = NESTED_RANGES if limits.base_mm else ()
             ranges = [replace(limits, base_mm=part * limits.base_mm) for part in parts]
             entry, base, angle = limits.entry_mm / 2, limits.base_mm / 2, limits.base_angle_deg / 2
             ranges.append(replace(limits, entry_mm=entry, base_mm=base, base_angle_deg=angle))
-            narrower = [replace(self, limits=one)._find() for one in ranges]
-            found += [*narrower, self._lower_risk(self._rank(narrower)[0])]
-        return self._rank(found)[0]
+            narrower = [replace(self, limits=range_)._find() for range_ in ranges]
+            choices += [*narrower, self._lower_risk(self._rank(narrower)[0])]
+        return self._rank(choices)[0]
 
     def best_quickly(self) -> _Choice:
         """Return the choice of the least expected squared miss after a few Gauss-Newton steps."""
-        found = self.list_choices()
+        choices = self.list_choices()
         for number in range(QUICK_ROUNDS):
-            found = self._step_once(found, alike=number == 0 and self.goal.directions == 1)
-            found = self._rank_by_miss(found)[: self.rules.refined]
-        return self._rank_by_miss(found)[0]
+            choices = self._step_once(choices, alike=number == 0 and self.goal.directions == 1)
+            choices = self._rank_by_miss(choices)[: self.rules.refined]
+        return self._rank_by_miss(choices)[0]
 
     def describe(self, chosen: _Choice) -> SteeringPlan:
         """Return the plan of a choice, and what becomes of the needles of the draws that test it."""
@@ -489,7 +489,10 @@ class _Search:
         )
         hits = int(np.sum(find_hits(needles, goal)))
         low, high = wilson_interval(hits / len(needles), len(needles))
-        touched = {one.name: float(np.mean(compute_clearances(needles, one) < 0)) for one in goal.obstacles}
+        touched = {
+            obstacle.name: float(np.mean(compute_clearances(needles, obstacle) < 0))
+            for obstacle in goal.obstacles
+        }
         turns = (now.depth,) * (way[0].bevel != now.bevel) + chosen.turns
         least, most = self.bounds
         near = LIMIT_PART * (most - least)
@@ -502,17 +505,17 @@ class _Search:
 
     def _find(self) -> _Choice:
         """Return the best choice of this range alone."""
-        tried, found = self._step_once(self.list_choices()), []
+        tried, minima = self._step_once(self.list_choices()), []
         count = self.rules.refined
-        for one in self._rank(tried)[:count]:
+        for choice in self._rank(tried)[:count]:
 
-            def residuals(places: Sequence[Floats], one: _Choice = one) -> list[Floats]:
-                return self.residuals([replace(one, at=at) for at in places])
+            def residuals(places: Sequence[Floats], choice: _Choice = choice) -> list[Floats]:
+                return self.residuals([replace(choice, at=place) for place in places])
 
-            at, _ = minimize_miss(residuals, one.at, self.bounds, DIFFERENCE_STEPS[: len(one.at)])
-            found.append(replace(one, at=at))
-        found = self._rank(found)
-        return self._rank([*map(self._lower_risk, found[: count - 1]), found[0]])[0]
+            minimum, _ = minimize_miss(residuals, choice.at, self.bounds, DIFFERENCE_STEPS[: len(choice.at)])
+            minima.append(replace(choice, at=minimum))
+        minima = self._rank(minima)
+        return self._rank([*map(self._lower_risk, minima[: count - 1]), minima[0]])[0]
 
     def _rank(self, choices: Sequence[_Choice]) -> list[_Choice]:
         """Return choices, that of least risk first."""
@@ -524,8 +527,8 @@ class _Search:
     def _rank_by_miss(self, choices: Sequence[_Choice]) -> list[_Choice]:
         """Return choices, that of the least expected squared miss first."""
         values = [
-            float(np.sum(misses**2)) + EFFORT_MM**2 * len(one.turns)
-            for one, misses in zip(choices, self.residuals(choices), strict=True)
+            float(np.sum(misses**2)) + EFFORT_MM**2 * len(choice.turns)
+            for choice, misses in zip(choices, self.residuals(choices), strict=True)
         ]
         return [choices[n] for n in np.argsort(values, kind="stable")]
 
@@ -538,15 +541,15 @@ class _Search:
         weights = high - low  # of equal size within the bounds
         free = np.flatnonzero(weights > 1e-3)  # what is fixed has a margin
         moves, differed = np.diag(DIFFERENCE_STEPS[: len(weights)])[free], choices[:1] if alike else choices
-        shifted = [replace(one, at=one.at + move) for one in differed for move in moves]
+        shifted = [replace(choice, at=choice.at + move) for choice in differed for move in moves]
         values, stepped = self.residuals([*choices, *shifted]), []
-        for n, (one, here) in enumerate(zip(choices, values[: len(choices)], strict=True)):
+        for n, (choice, here) in enumerate(zip(choices, values[: len(choices)], strict=True)):
             if n < len(differed):
                 moved = values[len(choices) + len(moves) * n :][: len(moves)]
                 slopes = (np.array(moved) - here).T / DIFFERENCE_STEPS[free]
             step = np.zeros(len(weights))
             step[free] = np.linalg.lstsq(slopes * weights[free], -here, rcond=1e-6)[0] * weights[free]
-            stepped.append(replace(one, at=np.clip(one.at + step, low, high)))
+            stepped.append(replace(choice, at=np.clip(choice.at + step, low, high)))
         return stepped
 
     def _lower_risk(self, choice: _Choice) -> _Choice:
@@ -559,20 +562,20 @@ class _Search:
         low, high = self.bounds
         size = 0.05 * (high - low)
 
-        def risk(at: Floats) -> float:
-            return self.risks([replace(choice, at=np.clip(at, low, high))])[0]
+        def risk(inputs: Floats) -> float:
+            return self.risks([replace(choice, at=np.clip(inputs, low, high))])[0]
 
         simplex = np.vstack([choice.at, choice.at + np.diag(np.where(choice.at + size > high, -size, size))])
         from scipy.optimize import minimize  # late: it takes 0.3 s to load
 
-        found = minimize(
+        solution = minimize(
             risk,
             choice.at,
             method="Nelder-Mead",
             options={"maxfev": self.rules.evaluations, "initial_simplex": simplex},
         )
-        at = np.clip(found.x, low, high)
-        return replace(choice, at=at) if found.fun < risk(choice.at) - 1e-3 else choice
+        inputs = np.clip(solution.x, low, high)
+        return replace(choice, at=inputs) if solution.fun < risk(choice.at) - 1e-3 else choice
 
 
 def _spread(stations: Sequence[float], count: int) -> tuple[float, ...]:
@@ -586,7 +589,9 @@ def _spread(stations: Sequence[float], count: int) -> tuple[float, ...]:
 def _smooth_risk(needles: Floats, goal: Goal, rules: _RiskRules) -> float:
     """Return the mean over draws of a smooth step from 1, far outside the target or in an obstacle, to 0."""
     misses = compute_misses(needles, goal)
-    margins = np.array([goal.radius - misses, *(compute_clearances(needles, one) for one in goal.obstacles)])
+    margins = np.array(
+        [goal.radius - misses, *(compute_clearances(needles, obstacle) for obstacle in goal.obstacles)]
+    )
     margins = np.nan_to_num(margins, nan=-1e3)
     off = np.minimum(np.nan_to_num(misses, nan=np.inf) / goal.radius, 1.0)
     with np.errstate(over="ignore"):

@@ -54,13 +54,17 @@ MIN_ESS = 10.0  #: with fewer draws left, in the median, a gain is rough
 
 def list_insertion_candidates(job: Job, fold: Fold) -> Iterator[tuple[str, Insertion]]:
     """Yield role and insertion: those that are not tuned on, by depth, then the deepest of those that are."""
-    tuned, media = {one.id for one in fold.tune}, {one.medium for one in fold.tune}
-    others = [one for one in job.dataset.insertions if one.medium in media and one.id not in tuned]
-    others = [one for one in others if max(one.sequence) <= job.medium.layers]
-    others.sort(key=lambda one: (one.depth, one.id))
+    tuned, media = {insertion.id for insertion in fold.tune}, {insertion.medium for insertion in fold.tune}
+    others = [
+        insertion
+        for insertion in job.dataset.insertions
+        if insertion.medium in media and insertion.id not in tuned
+    ]
+    others = [other for other in others if max(other.sequence) <= job.medium.layers]
+    others.sort(key=lambda other: (other.depth, other.id))
     places = np.linspace(0, len(others) - 1, min(len(others), MAX_CANDIDATES)).round().astype(int)
     yield from (("candidate", others[place]) for place in places)
-    yield "repeat", max(fold.tune, key=lambda one: one.depth)
+    yield "repeat", max(fold.tune, key=lambda insertion: insertion.depth)
 
 
 def rank_candidates(
@@ -73,14 +77,14 @@ def rank_candidates(
     """
     problem, theta = problem.searched, problem.parameters.restrict(theta)
     rng = random_stream(job.recipe.seed, job.name, "candidates")
-    found = sample_about_modes(problem, [minimize_squares(problem, theta)], rng, settings.jobs, (EFFORT,))
-    weights = np.exp(found.log_weights)
+    draws = sample_about_modes(problem, [minimize_squares(problem, theta)], rng, settings.jobs, (EFFORT,))
+    weights = np.exp(draws.log_weights)
     order = np.argsort(weights, kind="stable")
     heavy = np.sort(order[np.cumsum(weights[order]) > DROPPED_WEIGHT])
     weights = weights[heavy] / weights[heavy].sum()
     # b is the mean of all needles, not of those tuned on: of a further one it deviates independently
     sd = math.sqrt(max(0.0, problem.new_bevel_sd**2 - 1))
-    sets = vary_bevels([problem.values(one) for one in found.thetas[heavy]], sd, rng)
+    sets = vary_bevels([problem.values(values) for values in draws.thetas[heavy]], sd, rng)
     thetas = np.array([problem.parameters.theta(values) for values in sets])
     away = thetas - weights @ thetas
     worst = away @ np.linalg.eigh((away * weights[:, None]).T @ away)[1][:, -1]  # (B,) the widest axis
@@ -103,13 +107,13 @@ def rank_candidates(
         kept = [values for values, has in zip(sets, solved, strict=True) if has]
         data = PredictedData(
             np.log(weights[solved] / weights[solved].sum()),
-            np.array([one.get(NOISE_SCALE, alone.density.scale) for one in kept]),
-            np.array([one.get(BEVEL_SPREAD, 0.0) for one in kept]),
+            np.array([values.get(NOISE_SCALE, alone.density.scale) for values in kept]),
+            np.array([values.get(BEVEL_SPREAD, 0.0) for values in kept]),
             white[solved],
             make_group(alone.density.observations[0].nodes),
         )
         gain = nested_gain(data, places[outer[solved[outer]]], worst[solved, None], rng)
-        rough = gain.effective_sample_size < MIN_ESS or found.k > MAX_PARETO_K
+        rough = gain.effective_sample_size < MIN_ESS or draws.k > MAX_PARETO_K
         rows.append(
             row
             | {"layers": "-".join(map(str, made.sequence)), "deflection_mm": made.deflection}
@@ -128,16 +132,16 @@ def _whiten_draws(problem: Problem, sets: Sets, jobs: int) -> Floats:
     interpolated between them: rms errors are below 1e-3 of a standard deviation where the bevel adds 1.
     """
     density, coordinates = problem.density, make_coordinates(sets)
-    (one,), chosen = density.observations, choose_draws(coordinates)
+    (observation,), chosen = density.observations, choose_draws(coordinates)
     (first,) = density.whitened_residuals(sets, jobs, as_measured=True)  # (B, 1, R)
     (some,) = density.whitened_residuals([sets[n] for n in chosen], jobs)
-    moves = (some - first[chosen])[:, 1 : len(one.nodes.insertions)]  # (C, m - 1, R)
-    found = interpolate_draws(coordinates, chosen, moves.reshape(len(chosen), -1))
-    if found is None:
+    moves = (some - first[chosen])[:, 1 : len(observation.nodes.insertions)]  # (C, m - 1, R)
+    interpolated = interpolate_draws(coordinates, chosen, moves.reshape(len(chosen), -1))
+    if interpolated is None:
         (white,) = density.whitened_residuals(sets, jobs)
         return white
-    moved = first + found(coordinates).reshape(len(sets), *moves.shape[1:])
-    return append_pose_curves(one, np.concatenate([first, moved], axis=1))
+    moved = first + interpolated(coordinates).reshape(len(sets), *moves.shape[1:])
+    return append_pose_curves(observation, np.concatenate([first, moved], axis=1))
 
 
 def lay_out_candidates(candidates: pd.DataFrame) -> list[Table]:

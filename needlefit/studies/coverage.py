@@ -23,7 +23,7 @@ def join_trials(rows: pd.DataFrame) -> list[int]:
         first: dict[Any, int] = {}
         for number, name in enumerate(key):
             old, new = trial[number], trial[first.setdefault(name, number)]
-            trial = [new if one == old else one for one in trial]
+            trial = [new if number == old else number for number in trial]
     return trial
 
 
@@ -32,7 +32,7 @@ def count_covered(predictive: pd.DataFrame, column: str) -> Proportion:
 
     Its interval counts trials (`join_trials`); of one trial it says nothing.
     """
-    return estimate_proportion(list(predictive[column]), [str(one) for one in join_trials(predictive)])
+    return estimate_proportion(list(predictive[column]), [str(trial) for trial in join_trials(predictive)])
 
 
 def measure_tips(predictive: pd.DataFrame, which: str) -> "pd.Series[float]":
@@ -68,10 +68,12 @@ COVERAGE_COLUMNS = (
 
 def tabulate_coverage(predictions: pd.DataFrame) -> Row:
     """Return the cells of `COVERAGE_COLUMNS` for some needles: shares within intervals, width, mean score."""
-    found = {name: count_covered(predictions, name) for name in COVERAGE_COLUMNS if "_in_" in name}
+    proportions = {name: count_covered(predictions, name) for name in COVERAGE_COLUMNS if "_in_" in name}
     shares = {
-        name: f"{one.hits} ({100 * one.low:.0f}–{100 * one.high:.0f} %)" if one.groups > 1 else str(one.hits)
-        for name, one in found.items()
+        name: f"{proportion.hits} ({100 * proportion.low:.0f}–{100 * proportion.high:.0f} %)"
+        if proportion.groups > 1
+        else str(proportion.hits)
+        for name, proportion in proportions.items()
     }
     return {
         **shares,
@@ -86,14 +88,14 @@ def tabulate_coverage(predictions: pd.DataFrame) -> Row:
 MAX_AIMING_WIDTH_MM = 2.0
 
 
-def estimate_width_after_one(tips: Floats, known: Floats) -> float:
+def estimate_width_after_one(tips: Floats, known_tips: Floats) -> float:
     """Return how wide the central 95 % of tips are once the tip of another insertion is measured, mm.
 
     `tips` (B,) are those of an insertion, one for each draw of the parameters, mm; NaN where there is none.
     `known` (B,) are measured tips of another insertion into the same specimen with the same parameters, mm:
     what tips share with them is subtracted, linear in them.
     """
-    solved = np.isfinite(tips) & np.isfinite(known)
-    (variance, shared), _ = np.cov(known[solved], tips[solved])
-    low, high = np.nanquantile(tips - shared / variance * known, [0.025, 0.975])
+    solved = np.isfinite(tips) & np.isfinite(known_tips)
+    (variance, shared), _ = np.cov(known_tips[solved], tips[solved])
+    low, high = np.nanquantile(tips - shared / variance * known_tips, [0.025, 0.975])
     return float(high - low)

@@ -28,12 +28,12 @@ def list_topics() -> Mapping[str, tuple[Topic, ...]]:
 def find_topics(name: str) -> list[Topic]:
     """Return the topics of a name, as it stands in a file or on a page; none if it is not known."""
     wanted = _fold(name)
-    topics = (one for group in list_topics().values() for one in group)
-    found = [one for one in topics if wanted in {_fold(each) for each in one.names}]
+    topics = (insertion for group in list_topics().values() for insertion in group)
+    matching = [topic for topic in topics if wanted in {_fold(name) for name in topic.names}]
     column = find_column(name)  # its name may have a number, such as mu3_pa
-    if not found and column.explanation:
-        found = [Topic(name, column.label, (column.explanation,))]
-    return found
+    if not matching and column.explanation:
+        matching = [Topic(name, column.label, (column.explanation,))]
+    return matching
 
 
 def _fold(name: str) -> str:
@@ -43,35 +43,41 @@ def _fold(name: str) -> str:
 
 
 def _describe_columns() -> Iterator[Topic]:
-    for one in list_columns().values():
-        title = f"{one.label} ({one.unit})" if one.unit else one.label
-        yield Topic(one.key, title, (one.explanation,), one.label)
+    for column in list_columns().values():
+        title = f"{column.label} ({column.unit})" if column.unit else column.label
+        yield Topic(column.key, title, (column.explanation,), column.label)
 
 
 def _describe_input_columns() -> Iterator[Topic]:
-    for one in read_input_columns():
-        empty = f"Empty: {one.default}." if one.default else ""
-        yield Topic(one.column, f"{one.column}, of {one.table}", tuple(filter(None, (one.meaning, empty))))
+    for input_column in read_input_columns():
+        empty = f"Empty: {input_column.default}." if input_column.default else ""
+        yield Topic(
+            input_column.column,
+            f"{input_column.column}, of {input_column.table}",
+            tuple(filter(None, (input_column.meaning, empty))),
+        )
 
 
 def _describe_files() -> Iterator[Topic]:
     for file, tables in describe_files(list_files(list_records())):
         paragraphs = [line for table in tables for line in _list_keys(table)]
         yield Topic(file.name, f"Keys of the file: {file.title}", tuple(paragraphs), file.title)
-    for name, columns in group_values((one.table, one) for one in read_input_columns()).items():
-        lines = (f"- {one.column}: {one.meaning}" for one in columns)
+    for name, columns in group_values(
+        (input_column.table, input_column) for input_column in read_input_columns()
+    ).items():
+        lines = (f"- {column.column}: {column.meaning}" for column in columns)
         yield Topic(name, f"Columns of {name}", tuple(lines))
 
 
 def _list_keys(table: TableDescription) -> Iterator[str]:
     yield f"{table.title}. {table.summary}"
-    yield from (f"- {one.key} ({one.value}): {one.meaning}" for one in table.keys)
+    yield from (f"- {key.key} ({key.value}): {key.meaning}" for key in table.keys)
 
 
 def _describe_keys() -> Iterator[Topic]:
     described = describe_files(list_files(list_records()))
     pairs = (
-        (one.key, (table.title, one)) for _, tables in described for table in tables for one in table.keys
+        (key.key, (table.title, key)) for _, tables in described for table in tables for key in table.keys
     )
     for key, places in group_values(pairs).items():
         titles = ", ".join(dict.fromkeys(title for title, _ in places))
@@ -80,7 +86,7 @@ def _describe_keys() -> Iterator[Topic]:
 
 def _list_meanings(places: list[tuple[str, KeyDescription]]) -> Iterator[str]:
     """Yield each meaning of a key once, with the tables in which it has it."""
-    meanings = group_values(((one.value, one.meaning), title) for title, one in places)
+    meanings = group_values(((entry.value, entry.meaning), title) for title, entry in places)
     for (value, meaning), titles in meanings.items():
         head = f"{', '.join(dict.fromkeys(titles))}: " if len(meanings) > 1 else ""
         yield f"{head}{meaning} ({value})"

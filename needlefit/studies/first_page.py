@@ -46,5 +46,5 @@ class FirstPage:
 
     def to_json(self) -> dict[str, Any]:
         """Return what `--json` has of it: the verdict and the checks."""
-        checks = [{**asdict(one), "check": str(one.check)} for one in self.checks]
+        checks = [{**asdict(check), "check": str(check.check)} for check in self.checks]
         return {VERDICTS_KEY: [asdict(self.verdict)], CHECKS_KEY: checks}

@@ -51,12 +51,12 @@ def collect_curves(
         number = level.removesuffix(" %")
         ends = {f"low_{number}_mm": "low_mm", f"high_{number}_mm": "high_mm"}
         parts.append(bands.rename(columns=ends).assign(curve=level))
-    found = pd.concat(
+    curves = pd.concat(
         [part.reindex(columns=_POINT_COLUMNS) for part in parts if len(part)], ignore_index=True
     )
-    sides = found["insertion"].map(scores.find_bevel_sides(run))
-    found[forms.HEIGHT_COLUMNS] = found[forms.HEIGHT_COLUMNS].mul(sides, axis=0)
-    return found
+    sides = curves["insertion"].map(scores.find_bevel_sides(run))
+    curves[forms.HEIGHT_COLUMNS] = curves[forms.HEIGHT_COLUMNS].mul(sides, axis=0)
+    return curves
 
 
 def _align_bands(bands: pd.DataFrame, shapes: pd.DataFrame) -> pd.DataFrame:
@@ -90,8 +90,8 @@ def draw_first_page(run: Run, role: str) -> Drawing:
     method = frames.method
     fitted = frames.select_errors(role, method=method)
     curves = collect_curves(run, role, (method,), _OVERLAY_POINT_STEP)
-    known = fitted["converged"].astype(bool) & fitted["insertion"].isin(curves["insertion"])
-    ranked = fitted[known].sort_values(scores.TE, kind="stable")
+    is_drawn = fitted["converged"].astype(bool) & fitted["insertion"].isin(curves["insertion"])
+    ranked = fitted[is_drawn].sort_values(scores.TE, kind="stable")
     chosen = ranked.iloc[list(dict.fromkeys([0, (len(ranked) - 1) // 2, len(ranked) - 1]))]
     curves = curves.merge(chosen[forms.INSERTION_KEYS], on=forms.INSERTION_KEYS)
     frame = pd.concat([curves, pd.DataFrame(_list_tip_errors(run, role))], ignore_index=True)
@@ -111,8 +111,8 @@ def _list_tip_errors(run: Run, role: str) -> Iterator[Row]:
         rows = frames.select_errors(role, method=key, converged=True)
         for row in to_records(rows[["fold", "insertion", scores.TE]]):
             yield {**row, "curve": forms.TIP_ERROR, "method": key, "name": name}
-    for one in scores.list_groups(run):
-        if (printed := one.get(scores.TE, "paper")) is not None:
+    for scored in scores.list_groups(run):
+        if (printed := scored.get(scores.TE, "paper")) is not None:
             yield {
                 "curve": forms.TIP_ERROR,
                 "method": "paper",
@@ -129,8 +129,8 @@ def draw_overlays(run: Run, role: str, *, from_above: bool = False) -> Drawing:
     ours = frames.method
     titles = _title_panels(frames.select_errors(role, method=ours))
     names = {method: labels.method_name(method) for method in (ours, "hand_tuned")}
-    every = _OVERLAY_POINT_STEP if len(titles) <= MAX_LARGE_PANELS else 2 * _OVERLAY_POINT_STEP
-    curves = collect_curves(run, role, names, every, from_above=from_above)
+    step = _OVERLAY_POINT_STEP if len(titles) <= MAX_LARGE_PANELS else 2 * _OVERLAY_POINT_STEP
+    curves = collect_curves(run, role, names, step, from_above=from_above)
     options: dict[str, object] = {"heads": titles, "names": names}
     options |= {"height": "deflection out\nof the plane (mm)"} if from_above else {}
     return Drawing(forms.insertions, curves, options)

@@ -44,7 +44,7 @@ class FitFrames:
 
     @classmethod
     def of(cls, run: Run) -> Self:
-        return cls(**{one.name: run.frames[one.name] for one in fields(cls)})
+        return cls(**{field.name: run.frames[field.name] for field in fields(cls)})
 
     @property
     def role(self) -> str:

@@ -80,7 +80,7 @@ def lay_out_validation(*runs: Run) -> TableLayout:
     """Return the errors by held-out group: ours, noise floor, paper."""
     groups = [group for run in runs for group in scores.list_groups(run)]
     heads = ("study", "medium", "layers", "insertions")[len(runs) == 1 :]
-    blocks = [(one, (*_HELD_OUT_KINDS, _FLOOR, _PAPER)) for one in groups]
+    blocks = [(group, (*_HELD_OUT_KINDS, _FLOOR, _PAPER)) for group in groups]
     return _lay_out_groups("validation", blocks, heads, medians=_count_medians(runs))
 
 
@@ -88,7 +88,7 @@ def lay_out_tuning(*runs: Run) -> TableLayout:
     """Return the in-sample errors by medium and number of layers."""
     groups = [group for run in runs for group in scores.list_groups(run, scores.BY_LAYERS)]
     heads = ("study", "medium", "layers", "insertions")[len(runs) == 1 :]
-    return _lay_out_groups("tuning", [(one, (_FITTED, _FLOOR, _PAPER)) for one in groups], heads)
+    return _lay_out_groups("tuning", [(group, (_FITTED, _FLOOR, _PAPER)) for group in groups], heads)
 
 
 def lay_out_summary(run: Run) -> TableLayout:
@@ -103,21 +103,23 @@ def lay_out_summary(run: Run) -> TableLayout:
     group = groups[0] if len(groups) == 1 else scores.pool_insertions(run, frames.role)
     if group is None:
         return Table("summary", [], ("row",)).lay_out()
-    of_other = "" if {one.head.medium for one in groups} == {fitted_to} else f" for {medium_name(fitted_to)}"
+    of_other = (
+        "" if {group.head.medium for group in groups} == {fitted_to} else f" for {medium_name(fitted_to)}"
+    )
     curves, judged = [*REFERENCES], judge(run, group)
     if judged and judged.curve and judged.curve not in curves:
         curves.append(judged.curve)
     kinds = (
         _RowKind("our prediction" if frames.method == PREDICTION_METHOD else "our fit", frames.method),
-        *(_RowKind(method_name(one), one) for one in curves),
+        *(_RowKind(method_name(curve), curve) for curve in curves),
         _RowKind(f"our needles, simulated with the paper's parameters{of_other}", "hand_tuned"),
         _RowKind("paper's result, on its own needles", column="paper"),
     )
-    found = _lay_out_groups("summary", [(group, kinds)], (), short=True, medians=_count_medians([run]))
-    count, (first, *others) = group.head.insertions, found.columns
+    table = _lay_out_groups("summary", [(group, kinds)], (), short=True, medians=_count_medians([run]))
+    count, (first, *others) = group.head.insertions, table.columns
     which = "held-out" if group.head.role == "validate" else "fitted"
     words = f"Mean over {count} {which} insertion{'s' * (count != 1)}"
-    return replace(found, columns=(replace(first, label=words), *others))
+    return replace(table, columns=(replace(first, label=words), *others))
 
 
 def _lay_out_groups(
@@ -139,15 +141,15 @@ def _lay_out_groups(
             beside = noise if row["row"] == kinds[0].name else None
             rows.append({**_head(group), **row, "number": number, "noise_of_te": beside})
     shown = {row["metric"] for row in rows if row["value"] is not None and not math.isnan(row["value"])}
-    metrics = [one for one in list_metrics() if one.name in shown and not one.spread_of]
+    metrics = [metric for metric in list_metrics() if metric.name in shown and not metric.spread_of]
     if short:
-        metrics = [one for one in metrics if one.headline or one.relative]
-    floors = [one.name for one in metrics if one.headline and one.has_floor]
+        metrics = [metric for metric in metrics if metric.headline or metric.relative]
+    floors = [metric.name for metric in metrics if metric.headline and metric.has_floor]
     last: list[Any] = [part("over_floor", metric=name) for name in floors]
     last = ["noise_of_te"] if short and by_tips else last
     if short:
-        metrics.sort(key=lambda one: not one.missed)
-    columns = (*heads, "row", *(part("metric_value", metric=one.name) for one in metrics), *last)
+        metrics.sort(key=lambda metric: not metric.missed)
+    columns = (*heads, "row", *(part("metric_value", metric=metric.name) for metric in metrics), *last)
     lines = pivot(rows, ["number", "row"], ["metric"])
     table = Table(name, lines, columns, groups=("number",), heads=len(heads), strong="groups")
     heads_of_groups = [SimpleNamespace(**_head(group)) for group, _ in blocks]
@@ -164,22 +166,22 @@ def _count_medians(runs: Sequence[Run]) -> int:
 def _list_scores(group: scores.ScoredGroup, kinds: Sequence[_RowKind]) -> Iterator[Row]:
     """Yield a row per kind and metric, of kinds that have any value."""
     for kind in kinds:
-        found = [_describe_score(group, kind, metric) for metric in list_metrics()]
-        if any(row["value"] is not None for row in found):
-            yield from found
+        described = [_describe_score(group, kind, metric) for metric in list_metrics()]
+        if any(row["value"] is not None for row in described):
+            yield from described
 
 
 def _describe_score(group: scores.ScoredGroup, kind: _RowKind, metric: Metric) -> Row:
     where = {"column": kind.column, "method": kind.method, "boundaries": kind.boundaries}
     digits = 3 if group.head.comparison == "aligned" and kind.column != "paper" else 2
     value = group.get(metric.name, **where)
-    spread = next((one for one in list_metrics() if one.spread_of == metric.name), None)
+    spread = next((other for other in list_metrics() if other.spread_of == metric.name), None)
     flagged = metric.relative and group.head.edp_flagged and kind.column != "paper" and value is not None
-    known = kind.column == "value"
+    is_value = kind.column == "value"
     return {
         **{"row": kind.name, "metric": metric.name, "value": value, "mark": "†" if flagged else ""},
         "spread": spread and group.get(spread.name, **where),
-        "over_floor": group.over_floor(metric.name, **where) if known else None,
+        "over_floor": group.over_floor(metric.name, **where) if is_value else None,
         DIGITS: digits,
     }
 
@@ -248,7 +250,7 @@ def lay_out_coverage(run: Run) -> TableLayout:
         count, recipe = int(other["other_specimens"].min()), BATCH_RECIPES.get(run.record.recipe, "")
         spread = SpecimenSpread(mu, b, count, recipe)
     sources = [str(source) for source in pd.unique(predicted["draw_source"])]
-    columns = (one for one in COVERAGE_COLUMNS if frames.curved or not one.startswith("shape_"))
+    columns = (column for column in COVERAGE_COLUMNS if frames.curved or not column.startswith("shape_"))
     table = Table("coverage", rows, (*keys, *columns))
     read = frames.curvature["kappa_in_95"].astype(float)
     return _lay_out(table, sources=sources, spread=spread, readings=read, curved=frames.curved)
@@ -266,7 +268,9 @@ def lay_out_baselines(run: Run, role: str) -> TableLayout:
         for row in to_records(compared)
     ]
     errors = [
-        one.name for one in headline_metrics() if one.name in compared and compared[one.name].notna().any()
+        metric.name
+        for metric in headline_metrics()
+        if metric.name in compared and compared[metric.name].notna().any()
     ]
     columns = ("method", "insertions", *errors, *(("te_difference",) * (scores.TE in errors)), "better_of")
     return _lay_out(Table("baselines", rows, columns, strong="first"), role=role)
@@ -278,11 +282,11 @@ def lay_out_insertions(run: Run, role: str) -> TableLayout:
     method = frames.method if role == "validate" else "fitted"
     chosen = frames.select_errors(role, method=method)
     # a metric that was added since the run has no column
-    known = [one for one in list_metrics() if not one.spread_of and one.name in chosen]
-    metrics = [one for one in known if chosen[one.name].notna().any()]
+    candidates = [metric for metric in list_metrics() if not metric.spread_of and metric.name in chosen]
+    metrics = [metric for metric in candidates if chosen[metric.name].notna().any()]
     columns = (
         *("insertion", "medium", "layers", "depth_mm", "deflection_mm", "predicted_deflection_mm"),
-        *(one.name for one in metrics),
+        *(metric.name for metric in metrics),
     )
     rows = [
         {
@@ -290,9 +294,9 @@ def lay_out_insertions(run: Run, role: str) -> TableLayout:
             DIGITS: 3 if row["comparison"] == "aligned" else 2,
             "insertion": str(row["insertion"]) + ("" if row["converged"] else " (did not converge)"),
             **{
-                one.name: f"{format_metric(one, row.get(one.name))}†"
-                for one in list_metrics()
-                if one.relative and row["edp_flagged"]
+                metric.name: f"{format_metric(metric, row.get(metric.name))}†"
+                for metric in list_metrics()
+                if metric.relative and row["edp_flagged"]
             },
         }
         for row in to_records(chosen)
@@ -312,19 +316,19 @@ def _describe_parameter(name: str, rows: pd.DataFrame, truth: float | None) -> R
     The posterior's value stands with its 95 % interval, that of the least errors with its range.
     """
     methods = group_values((row.method, row) for row in ParameterRow.read(rows))
-    ours, errors, paper = (methods.get(one, []) for one in ("fitted", "fitted_metric", "hand_tuned"))
+    ours, errors, paper = (methods.get(method, []) for method in ("fitted", "fitted_metric", "hand_tuned"))
     statuses = {row.status for row in ours}
     fixed = not statuses & {"free", "tied"}  # in no fold it was searched
-    label, unit, own = _describe_estimate(name, ours)
+    label, unit, estimate = _describe_estimate(name, ours)
     if statuses == {"fixed"}:
-        own = f"{own}, fixed"
+        estimate = f"{estimate}, fixed"
     elif "prior" in statuses:
         shifts = (row.tip_shift_mm for row in ours if is_known(row.tip_shift_mm))
-        own = f"{own}, {describe_prior(max(shifts, default=None))}"
+        estimate = f"{estimate}, {describe_prior(max(shifts, default=None))}"
     return {
         "parameter": label,
         "mode": _join_range([row.value for row in ours if is_known(row.median)], unit),
-        "posterior": own,
+        "posterior": estimate,
         "error_minimising": "" if fixed else _format_least_errors(name, errors, unit),
         "hand_tuned": _join_range([row.value for row in paper], unit),
         "true_value": "" if truth is None else typeset(format_number(truth / unit)),
@@ -369,7 +373,10 @@ def lay_out_estimates(
     `parameters`: the frame of a fit, or what a prediction has of it. Moduli are in proportion to `rigidity`.
     """
     fitted = list_fitted(parameters)
-    bevel = next((format_bare_symbol(one) for one in BEVEL_PARAMETERS if one in fitted), "")
+    bevel = next(
+        (format_bare_symbol(parameter) for parameter in BEVEL_PARAMETERS if parameter in fitted),
+        "",
+    )
     rows = [
         {
             **dict(zip(("parameter", "posterior"), _describe_estimate(name, some)[::2], strict=True)),
@@ -389,21 +396,23 @@ def _describe_limit(name: str, rows: Sequence[ParameterRow], bevel: str) -> str:
         return "interval not known"
     if any(at_bound for _, at_bound in _find_outermost(rows, intervals)):
         return "not determined: a bound limits it"
-    known = "its interval"
+    limit = "its interval"
     if is_logarithmic(name):
-        known = f"to a factor of {format_plain(round_significant(max(highs) / min(lows), END_DIGITS))}"
+        limit = f"to a factor of {format_plain(round_significant(max(highs) / min(lows), END_DIGITS))}"
     conditions = {row.condition.removeprefix("determined ") for row in rows if row.determined == word}
     limits = sorted(filter(None, conditions))
     if word == "only together" and not limits:
         alone = bevel in ("", format_bare_symbol(name))
         limits.append(f"better as a product with {'others' if alone else bevel}")
-    return ", ".join((known, *limits[:1]))
+    return ", ".join((limit, *limits[:1]))
 
 
 def _join_range(values: Sequence[float], unit: float) -> str:
     """Return "0.196", or "0.19 to 0.21" for several values."""
-    known = [value / unit for value in values if is_known(value)]
-    return " to ".join(dict.fromkeys(format_plain(end) for end in (min(known), max(known)))) if known else ""
+    scaled = [value / unit for value in values if is_known(value)]
+    return (
+        " to ".join(dict.fromkeys(format_plain(end) for end in (min(scaled), max(scaled)))) if scaled else ""
+    )
 
 
 def _format_estimate(rows: Sequence[ParameterRow], values: Sequence[float], unit: float) -> str:
@@ -426,20 +435,20 @@ def _format_least_errors(name: str, rows: Sequence[ParameterRow], unit: float) -
     values = [row.value for row in rows if is_known(row.value)]
     ends = (min(values), max(values)) if values else ()
     value = " to ".join(dict.fromkeys(_format_near(name, end, unit, 3) for end in ends))
-    known = [row for row in rows if is_known(row.low) and is_known(row.high)]
-    if not known:
+    bounded = [row for row in rows if is_known(row.low) and is_known(row.high)]
+    if not bounded:
         return value
-    outermost = _find_outermost(known, [(row.low, row.high) for row in known])
+    outermost = _find_outermost(bounded, [(row.low, row.high) for row in bounded])
     words = ("bound" if at_bound else _format_near(name, end, unit) for end, at_bound in outermost)
     return f"{value} ({' to '.join(words)})"
 
 
 def _format_near(name: str, value: float, unit: float, digits: int = END_DIGITS) -> str:
     """Return a value in the unit of its row; with its own unit where people read it in another one."""
-    scale, own = choose_unit(name, value)
+    scale, own_unit = choose_unit(name, value)
     near = scale == unit or not name.endswith("_pa")
     text = format_plain(round_significant(value / (unit if near else scale), digits))
-    return text if near else f"{text} {own}"
+    return text if near else f"{text} {own_unit}"
 
 
 def _find_outermost(
@@ -449,7 +458,7 @@ def _find_outermost(
     bounds = ([row.bound_low for row in rows], [row.bound_high for row in rows])
     for ends, limits, choose in zip(zip(*ranges, strict=True), bounds, (min, max), strict=True):
         end = choose(ends)
-        yield end, any(math.isclose(end, one, rel_tol=1e-6) for one in limits if is_known(one))
+        yield end, any(math.isclose(end, limit, rel_tol=1e-6) for limit in limits if is_known(limit))
 
 
 def _format_end(end: float, unit: float) -> str:
@@ -488,7 +497,11 @@ def lay_out_parameters(run: Run) -> TableLayout:
         "truth": any(row["true_value"] for row in rows),
         "sources": [words for source, words in SOURCES.items() if source in used],
         "of_mean": bool(set(frames.draws["specimen"]) - {TUNED_SPECIMENS, NEW_SPECIMEN}),
-        "leaning": [one for one in run.knows(FitMetadata).stated_depths if one.sd_mm > one.stated_sd_mm],
+        "leaning": [
+            stated_depth
+            for stated_depth in run.knows(FitMetadata).stated_depths
+            if stated_depth.sd_mm > stated_depth.stated_sd_mm
+        ],
     }
     return _lay_out(Table("parameters", rows, columns), drop_empty=True, **values)
 
@@ -509,8 +522,8 @@ def find_known_combination(run: Run) -> str:
     if (free["determined"][~free["parameter"].isin(HYPERPARAMETERS)] == "yes").all():
         return ""
     rows = to_records(frames.directions)
-    known = (row for row in rows if row["sd"] < MAX_LOG_SD and row["sd_ratio"] < UNINFORMED_SD_RATIO)
-    return next((str(row["note"]) for row in known if row["parameters"] > 1), "")
+    determined = (row for row in rows if row["sd"] < MAX_LOG_SD and row["sd_ratio"] < UNINFORMED_SD_RATIO)
+    return next((str(row["note"]) for row in determined if row["parameters"] > 1), "")
 
 
 CHAIN_COLUMNS = ("r_hat", "ess", "autocorrelation_time", "acceptance")  #: how a sampled posterior converged
@@ -522,7 +535,7 @@ def tabulate_percentiles(run: Run) -> pd.DataFrame:
     `acceptance` is the fold's. `converged` is false where the criteria, which concern more than the
     parameters, are not met: percentiles are then not final.
     """
-    names, found = [f"p{percentile:g}" for percentile in PERCENTILES], list[Row]()
+    names, percentile_rows = [f"p{percentile:g}" for percentile in PERCENTILES], list[Row]()
     for fold, posterior in run.posteriors.items():
         about: Row = {
             "acceptance": float(np.mean(posterior.acceptance_fraction)),
@@ -535,9 +548,11 @@ def tabulate_percentiles(run: Run) -> pd.DataFrame:
                 "ess": float(posterior.ess[number]),
                 "autocorrelation_time": float(posterior.autocorrelation_time[number]),
             }
-            found.append({"parameter": name, **dict(zip(names, values, strict=True)), **about, **of_chain})
+            percentile_rows.append(
+                {"parameter": name, **dict(zip(names, values, strict=True)), **about, **of_chain}
+            )
     columns = ("fold", "parameter", *names, *CHAIN_COLUMNS, "converged", "origin")
-    return pd.DataFrame(found, columns=columns)
+    return pd.DataFrame(percentile_rows, columns=columns)
 
 
 def lay_out_chains(run: Run) -> TableLayout:

@@ -72,10 +72,10 @@ def sample_posterior(
 
     `step` is called with the number of steps made, and of all.
     """
-    known = add_estimated_noise(problem.holding(fit.held), np.array(fit.theta))
+    noisy = add_estimated_noise(problem.holding(fit.held), np.array(fit.theta))
     rng = random_stream(job.recipe.seed, *key, "posterior")
     callbacks = Callbacks(stop=settings.stop, step=step, jobs=settings.jobs)
-    return sample(known, begin, job.recipe.sample, rng, callbacks)
+    return sample(noisy, begin, job.recipe.sample, rng, callbacks)
 
 
 @dataclass(frozen=True)
@@ -108,14 +108,14 @@ def draw_fold_parameters(
         priors = (draw_held(job.parameters, np.empty((count, 0)), rng) for count in counts)
         few, many = (Draws(thetas, "importance", mode=np.array(fit.theta)) for thetas in priors)
         return FoldDraws(few, many)
-    found = sample_about_fit(problem, fit, rng, settings.jobs)
+    draws = sample_about_fit(problem, fit, rng, settings.jobs)
     # both sets come from one generator: their order is part of the result
-    few, many = (resample_draws(found, count, rng) for count in counts)
+    few, many = (resample_draws(draws, count, rng) for count in counts)
     posterior = None
-    if (settings.sample or not found.certified) and not settings.stop():
-        posterior = sample_posterior(job, problem, fit, found, key, settings, step)
-    if posterior is not None and not (posterior.faults and found.certified):
-        few, many = (thin_posterior(posterior, job.parameters, count, found.k) for count in counts)
+    if (settings.sample or not draws.certified) and not settings.stop():
+        posterior = sample_posterior(job, problem, fit, draws, key, settings, step)
+    if posterior is not None and not (posterior.faults and draws.certified):
+        few, many = (thin_posterior(posterior, job.parameters, count, draws.k) for count in counts)
     return FoldDraws(replace(few, mode=np.array(fit.theta)), many, posterior)
 
 
@@ -179,13 +179,17 @@ class Specimens:
         count = len(self.draws.thetas) or PREDICTION_DRAWS  # none where all together have no certified ones
         faults: list[str] = []
         if self.separate:
-            wanted = {name: tuple(one.id for one in group) for name, group in self.tuned.items()}
+            wanted = {name: tuple(insertion.id for insertion in group) for name, group in self.tuned.items()}
             missing = [name for name, ids in wanted.items() if ids not in self.posteriors]
-            found = dict(run_parts(self._sample_specimen, missing, self.jobs))
-            self.posteriors |= {wanted[name]: found[n] for n, name in enumerate(missing)}
-            known = {name: self.posteriors[ids] for name, ids in wanted.items()}
-            posteriors = {name: one.thetas for name, one in known.items()}
-            faults = [f"specimen {name}: {fault}" for name, one in known.items() for fault in one.faults]
+            sampled = dict(run_parts(self._sample_specimen, missing, self.jobs))
+            self.posteriors |= {wanted[name]: sampled[n] for n, name in enumerate(missing)}
+            by_specimen = {name: self.posteriors[ids] for name, ids in wanted.items()}
+            posteriors = {name: posterior.thetas for name, posterior in by_specimen.items()}
+            faults = [
+                f"specimen {name}: {fault}"
+                for name, posterior in by_specimen.items()
+                for fault in posterior.faults
+            ]
         rng = random_stream(self.job.recipe.seed, self.fold.name, "specimens", count)
         if faults:
             nothing = np.empty((0, len(self.job.parameters.free)))
@@ -204,28 +208,28 @@ class Specimens:
 
     def tabulate_population(self) -> list[Row]:
         """Return how much each parameter differs between several specimens; nothing if that is uncertain."""
-        found = self.population
-        if found.faults:
+        population = self.population
+        if population.faults:
             return []
-        correlation = found.correlation if self.model.correlated else np.nan
+        correlation = population.correlation if self.model.correlated else np.nan
         about = {"between_correlation": correlation, "other_specimens": len(self.tuned)}
         return [
             {"fold": self.fold.name, "parameter": name, "between_sd": sd, **about}
-            for name, sd in zip(self.model.names, found.rms.tolist(), strict=True)
+            for name, sd in zip(self.model.names, population.rms.tolist(), strict=True)
         ]
 
     def draws_in(self, insertion: Insertion | None) -> Draws:
         """Return draws in the specimen of an insertion; of None in one that is not in the dataset."""
         if insertion is None or self.differs(insertion):
             return self._describe(self.population.new)
-        found = self.population.tuned.get(insertion.specimen) if self.separate else None
-        return self.draws if found is None else self._describe(found)
+        tuned = self.population.tuned.get(insertion.specimen) if self.separate else None
+        return self.draws if tuned is None else self._describe(tuned)
 
     def mode_in(self, insertion: Insertion | None) -> Floats | None:
         """Return theta (P,) of the posterior mode: in the specimen of an insertion, in a new one of all."""
         if insertion is None or not self.separate or insertion.specimen not in self.population.tuned:
             return self.draws.mode
-        return self.posteriors[tuple(one.id for one in self.tuned[insertion.specimen])].mode
+        return self.posteriors[tuple(tuned.id for tuned in self.tuned[insertion.specimen])].mode
 
     def replace_mean(self, draws: Draws) -> Draws:
         """Return draws of the specimens' mean in place of as many draws of all insertions together."""
@@ -239,9 +243,16 @@ class Specimens:
         """Return draws (B, P) of the population with how they were made."""
         if not self.separate:
             return replace(self.draws, thetas=thetas)
-        found = self.population
+        population = self.population
         mode = self.draws.mode
-        return Draws(thetas, found.source, found.faults, found.pareto_k, found.effective_sample_size, mode)
+        return Draws(
+            thetas,
+            population.source,
+            population.faults,
+            population.pareto_k,
+            population.effective_sample_size,
+            mode,
+        )
 
     def list_draws(self, thetas: Floats) -> dict[str, Floats]:
         """Return as many draws (B, P) in each specimen that has some of its own, and in a `NEW_SPECIMEN`.
@@ -249,15 +260,15 @@ class Specimens:
         `thetas` (B, P) are draws of all insertions together, about which a single specimen's lie.
         """
         about = replace(self.draws, thetas=thetas)
-        found = self.population if self.separate else replace(self, draws=about).population
-        own = found.tuned if self.separate else {}
-        return {name: some[: len(thetas)] for name, some in {**own, NEW_SPECIMEN: found.new}.items()}
+        population = self.population if self.separate else replace(self, draws=about).population
+        tuned = population.tuned if self.separate else {}
+        return {name: some[: len(thetas)] for name, some in {**tuned, NEW_SPECIMEN: population.new}.items()}
 
     def problem_of(self, insertion: Insertion | None) -> Problem:
         """Return the problem whose bevels an insertion's is one of: of its specimen, or of all tuned on."""
         everything = self.job.problem(self.fold)
-        own = self.tuned.get(insertion.specimen) if insertion is not None and self.separate else None
-        return everything if own is None else replace(everything, insertions=own)
+        tuned = self.tuned.get(insertion.specimen) if insertion is not None and self.separate else None
+        return everything if tuned is None else replace(everything, insertions=tuned)
 
     def bevel_sd_in(self, insertion: Insertion | None) -> float:
         """By how many SDs a further bevel in the specimen of an insertion deviates, as an SD; None: a new."""
@@ -278,24 +289,24 @@ class Specimens:
         minimum = minimize_squares(searched, near)
         rng = random_stream(job.recipe.seed, *key)
         if minimum.converged:
-            known = add_estimated_noise(problem, job.parameters.extend(minimum.theta))
-            modes = [minimize_squares(known.searched, minimum.theta)]
-            found = sample_about_modes(known, modes, rng, efforts=SPECIMEN_EFFORTS)
-            if found.certified:
+            noisy = add_estimated_noise(problem, job.parameters.extend(minimum.theta))
+            modes = [minimize_squares(noisy.searched, minimum.theta)]
+            draws = sample_about_modes(noisy, modes, rng, efforts=SPECIMEN_EFFORTS)
+            if draws.certified:
                 mode = job.parameters.extend(minimum.theta)
-                return replace(resample_draws(found, PREDICTION_DRAWS, rng), mode=mode)
+                return replace(resample_draws(draws, PREDICTION_DRAWS, rng), mode=mode)
         fit = find_fit(job, problem, key, Settings())
         rng, mode = random_stream(job.recipe.seed, job.name, *key, "weighed"), np.array(fit.theta)
-        found = sample_about_fit(problem, fit, rng)
-        if found.certified:
-            return replace(resample_draws(found, PREDICTION_DRAWS, rng), mode=mode)
-        posterior = sample_posterior(job, problem, fit, found, key, Settings())
+        draws = sample_about_fit(problem, fit, rng)
+        if draws.certified:
+            return replace(resample_draws(draws, PREDICTION_DRAWS, rng), mode=mode)
+        posterior = sample_posterior(job, problem, fit, draws, key, Settings())
         if posterior is None:
             return Draws(np.empty((0, len(mode))), "posterior", mode=mode)
-        return replace(thin_posterior(posterior, job.parameters, PREDICTION_DRAWS, found.k), mode=mode)
+        return replace(thin_posterior(posterior, job.parameters, PREDICTION_DRAWS, draws.k), mode=mode)
 
 
-def choose_specimen(known: Specimens, into: str) -> Insertion | None:
+def choose_specimen(specimens: Specimens, into: str) -> Insertion | None:
     """Return an insertion tuned on in the specimen named `into`; None for a "new" one.
 
     Where specimens do not differ, other words are any of those tuned on.
@@ -304,15 +315,15 @@ def choose_specimen(known: Specimens, into: str) -> Insertion | None:
     """
     if into == "new":
         return None
-    if into not in known.tuned and (known.separate or into not in ("same", "training only")):
-        words = "each has parameters of its own" if known.separate else f"{into!r} is none of them"
+    if into not in specimens.tuned and (specimens.separate or into not in ("same", "training only")):
+        words = "each has parameters of its own" if specimens.separate else f"{into!r} is none of them"
         raise ConfigError(
-            f"the specimens tuned on are {', '.join(known.tuned)}: {words}",
-            where=describe_key(known.job.name, "specimen"),
+            f"the specimens tuned on are {', '.join(specimens.tuned)}: {words}",
+            where=describe_key(specimens.job.name, "specimen"),
             key="specimen",
-            expected=f"new, or one of {', '.join(known.tuned)}",
+            expected=f"new, or one of {', '.join(specimens.tuned)}",
         )
-    return known.tuned.get(into, known.fold.tune)[0]
+    return specimens.tuned.get(into, specimens.fold.tune)[0]
 
 
 def describe_specimen(new: Specimens | None, otherwise: str = "same") -> Row:

@@ -111,21 +111,21 @@ def identify_parameters(
     spread = np.linalg.inv(precision.prior_information(problem)) if problem.names else np.zeros((0, 0))
     before = dict(zip(problem.names, np.sqrt(np.diag(spread)).tolist(), strict=True))
     by_profile, rows, points = {}, [], []
-    for k, one in enumerate(examination.parameters):
-        prior_sd = before[one.name]
-        sd = sds.get(one.name, 1 / math.hypot(1 / one.sd, 1 / prior_sd))
-        by_profile[one.name] = is_determined_by_profile(one, prior_sd)
+    for k, parameter in enumerate(examination.parameters):
+        prior_sd = before[parameter.name]
+        sd = sds.get(parameter.name, 1 / math.hypot(1 / parameter.sd, 1 / prior_sd))
+        by_profile[parameter.name] = is_determined_by_profile(parameter, prior_sd)
         if verdict is None:
-            is_determined = directions.is_determined_by_data(one.name, sd, prior_sd)
-            condition = precision.find_condition(one.name, prior_sd, loosened) if is_determined else ""
+            is_determined = directions.is_determined_by_data(parameter.name, sd, prior_sd)
+            condition = precision.find_condition(parameter.name, prior_sd, loosened) if is_determined else ""
         else:
-            is_determined = verdict.determined.get(one.name, False)
-            condition = verdict.conditions.get(one.name, "")
-        known = is_determined and not condition and by_profile[one.name]
-        word = directions.name_determined(known, held.get(one.name, False))
+            is_determined = verdict.determined.get(parameter.name, False)
+            condition = verdict.conditions.get(parameter.name, "")
+        is_known = is_determined and not condition and by_profile[parameter.name]
+        word = directions.name_determined(is_known, held.get(parameter.name, False))
         ends = float(problem.lower[k]), float(problem.upper[k])
-        rows.append(_parameter_row(one, ends, prior_sd, sd) | {"determined": word, "note": condition})
-        points += _profile_rows(problem.parameters, one)
+        rows.append(_parameter_row(parameter, ends, prior_sd, sd) | {"determined": word, "note": condition})
+        points += _profile_rows(problem.parameters, parameter)
     return IdentificationRows(by_profile, tuple(rows), tuple(points))
 
 
@@ -153,46 +153,51 @@ def list_held(parameters: Parameters, shifts: Mapping[str, PriorShift]) -> list[
 
 def reconcile_verdict(verdict: Identifiability, by_profile: Mapping[str, bool]) -> Identifiability:
     """Return the verdict without the parameters whose profiles contradict it; notes state that."""
-    denied = {n for n, found in by_profile.items() if verdict.determined.get(n) and not found}
-    known = {n: found and n not in denied for n, found in verdict.determined.items()}
+    denied = {n for n, is_found in by_profile.items() if verdict.determined.get(n) and not is_found}
+    determined = {n: is_found and n not in denied for n, is_found in verdict.determined.items()}
     notes = {**verdict.notes, **dict.fromkeys(denied, "not determined: its profile is open or wide")}
-    return replace(verdict, determined=known, notes=notes)
+    return replace(verdict, determined=determined, notes=notes)
 
 
-def _parameter_row(one: LikelihoodProfile, bounds: tuple[float, float], prior_sd: float, sd: float) -> Row:
+def _parameter_row(
+    profile: LikelihoodProfile, bounds: tuple[float, float], prior_sd: float, sd: float
+) -> Row:
     """Return what is known of a parameter; `bounds` are those of its coordinate of theta."""
-    low, high = (to_value(one.name, end) for end in (one.low, one.high))
+    low, high = (to_value(profile.name, end) for end in (profile.low, profile.high))
     return {
-        "parameter": one.name,
-        "value": to_value(one.name, one.best),
+        "parameter": profile.name,
+        "value": to_value(profile.name, profile.best),
         "prior_sd": prior_sd,
         "sd": sd,
-        "fisher_sd": one.sd,
+        "fisher_sd": profile.sd,
         "sd_ratio": sd / prior_sd,
         "low": low,
         "high": high,
-        "end_low": one.ends[0],
-        "end_high": one.ends[1],
+        "end_low": profile.ends[0],
+        "end_high": profile.ends[1],
         **ParameterInterval(low, high, "profile").columns(),
-        "bound_low": to_value(one.name, bounds[0]),
-        "bound_high": to_value(one.name, bounds[1]),
-        "rise": one.rise,
+        "bound_low": to_value(profile.name, bounds[0]),
+        "bound_high": to_value(profile.name, bounds[1]),
+        "rise": profile.rise,
         "tip_shift_mm": math.nan,
     }
 
 
-def _profile_rows(parameters: Parameters, one: LikelihoodProfile) -> list[Row]:
+def _profile_rows(parameters: Parameters, profile: LikelihoodProfile) -> list[Row]:
     """Return the computed points of one profile, with where all other parameters went."""
     return [
         {
-            "parameter": one.name,
-            "value": to_value(one.name, float(one.at[k])),
-            "deviance": float(one.deviance[k]),
-            "slope": float(one.slope[k]),
+            "parameter": profile.name,
+            "value": to_value(profile.name, float(profile.at[k])),
+            "deviance": float(profile.deviance[k]),
+            "slope": float(profile.slope[k]),
             "threshold": DEVIANCE_95,
-            **{n: to_value(n, float(at)) for n, at in zip(parameters.free, one.thetas[k], strict=True)},
+            **{
+                n: to_value(n, float(coordinate))
+                for n, coordinate in zip(parameters.free, profile.thetas[k], strict=True)
+            },
         }
-        for k in range(len(one.at))
+        for k in range(len(profile.at))
     ]
 
 
@@ -215,8 +220,8 @@ class ParameterInterval:
 
     def scale(self, factor: float) -> "ParameterInterval":
         """Return the interval of a parameter that is exactly so many times as large."""
-        low, high, median = (factor * one for one in (self.low, self.high, self.median))
-        at_low, at_high = (factor * one for one in self.errors)
+        low, high, median = (factor * value for value in (self.low, self.high, self.median))
+        at_low, at_high = (factor * error for error in self.errors)
         return replace(self, low=low, high=high, median=median, errors=(at_low, at_high))
 
     def allow_for(self, sd: float, row: ParameterRow) -> "ParameterInterval":
@@ -225,8 +230,8 @@ class ParameterInterval:
         Its median, else the value of `row`, is kept; the bounds of `row` stay the limits.
         """
         name = row.parameter
-        own = interval_width(name, self.low, self.high) / (2 * directions.NORMAL_95_HALF_WIDTH_SD)
-        wider = math.hypot(own, sd) / own if own > 0 else 1.0
+        half_width = interval_width(name, self.low, self.high) / (2 * directions.NORMAL_95_HALF_WIDTH_SD)
+        wider = math.hypot(half_width, sd) / half_width if half_width > 0 else 1.0
         centre = to_coordinate(name, row.value if math.isnan(self.median) else self.median)
         low, high = (
             to_value(name, centre + wider * (to_coordinate(name, end) - centre))
@@ -250,23 +255,23 @@ def intervals_of_draws(
 
     Draws that are not certified have none.
     """
-    found, errors = dict[str, tuple[float, ...]](), dict[str, tuple[float, float]]()
+    intervals, errors = dict[str, tuple[float, ...]](), dict[str, tuple[float, float]]()
     source = "" if draws is None else draws.source
     if draws is not None and draws.certified is not None:
         sets = [parameters.values(theta) for theta in draws.thetas]
         for name in (name for name in sets[0] if parameters.status[name] in ("free", "tied")):
-            values = np.array([one[name] for one in sets])
-            found[name] = tuple(np.percentile(values, _PERCENTILES).tolist())
+            values = np.array([values_of_draw[name] for values_of_draw in sets])
+            intervals[name] = tuple(np.percentile(values, _PERCENTILES).tolist())
             errors[name] = _estimate_errors(values, len(values))
     if posterior is not None and not posterior.faults:
-        found, source = posterior.percentiles(_PERCENTILES), "posterior"
-        found = {name: ends for name, ends in found.items() if parameters.status[name] == "free"}
+        intervals, source = posterior.percentiles(_PERCENTILES), "posterior"
+        intervals = {name: ends for name, ends in intervals.items() if parameters.status[name] == "free"}
         drawn = dict(zip(posterior.names, posterior.draws.reshape(-1, len(posterior.names)).T, strict=True))
         ess = dict(zip(posterior.names, posterior.ess.tolist(), strict=False))
-        errors = {name: _estimate_errors(drawn[name], ess[name]) for name in found}
+        errors = {name: _estimate_errors(drawn[name], ess[name]) for name in intervals}
     return {
         name: ParameterInterval(low, high, source, median, errors[name])
-        for name, (low, median, high) in found.items()
+        for name, (low, median, high) in intervals.items()
     }
 
 
@@ -297,23 +302,26 @@ def add_intervals(
             rows.append(row)
             continue
         name, (factor, source) = row.parameter, ties.get(row.parameter, (1.0, row.parameter))
-        found = None
+        intervals = None
         if row.status != "fixed":
-            found = sampled.get(name, profiles.get(name))
-            if found is None and (of_source := sampled.get(source, profiles.get(source))):
-                found = of_source.scale(factor)
-        if found is not None:
-            found, (at_low, at_high) = found.allow_for(model_error.get(source, 0.0), row), found.errors
-            row = row._replace(**found.columns(), median=found.median)
+            intervals = sampled.get(name, profiles.get(name))
+            if intervals is None and (of_source := sampled.get(source, profiles.get(source))):
+                intervals = of_source.scale(factor)
+        if intervals is not None:
+            intervals, (at_low, at_high) = (
+                intervals.allow_for(model_error.get(source, 0.0), row),
+                intervals.errors,
+            )
+            row = row._replace(**intervals.columns(), median=intervals.median)
             row = row._replace(interval_low_error=at_low, interval_high_error=at_high)
-        if row.determined == "yes" and not (found and found.is_narrow(name)):
+        if row.determined == "yes" and not (intervals and intervals.is_narrow(name)):
             row = row._replace(
                 determined=directions.name_determined(False, together.get(source, False)),
                 condition="",
-                note=f"its 95 % interval is {'too wide' if found else 'not known'}",
+                note=f"its 95 % interval is {'too wide' if intervals else 'not known'}",
             )
         if name in judged:
-            ends = (found or profiles[name]).columns()
+            ends = (intervals or profiles[name]).columns()
             judged[name] = {**judged[name], **ends, "determined": row.determined}
         rows.append(row)
     return rows, list(judged.values())

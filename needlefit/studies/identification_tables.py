@@ -23,8 +23,8 @@ def lay_out_identification(identification: pd.DataFrame, expected: bool = False)
         {**row, **_format_cells(row, expected), "fold": row["fold"] if several else ""}
         for row in to_records(identification)
     ]
-    known = ("sd", "profile_low", "profile_high", "sd_ratio") if expected else ("interval_95",)
-    columns = ("fold", "parameter", "determined", *known, "note")
+    columns_shown = ("sd", "profile_low", "profile_high", "sd_ratio") if expected else ("interval_95",)
+    columns = ("fold", "parameter", "determined", *columns_shown, "note")
     caption = f"Identifiability of each parameter from the {'design' if expected else 'data'}."
     notes = () if expected else (_INTERVAL_NOTE,)  # what a design has stands in the text of its report
     table = Table("identification", rows, columns, groups=("fold",), caption=caption, notes=notes)

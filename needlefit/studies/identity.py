@@ -54,7 +54,10 @@ def identify(job: Job, analysis: object = None) -> FitIdentity:
         "tissue model": select_deciding(job.medium),
         "recipe": select_deciding(job.recipe, JUDGING),
         "folds": {
-            fold.name: [[(one.id, holes[one.id]) for one in side] for side in (fold.tune, fold.validate)]
+            fold.name: [
+                [(insertion.id, holes[insertion.id]) for insertion in side]
+                for side in (fold.tune, fold.validate)
+            ]
             for fold in job.folds
         },
         "version": [VERSION, plugins],
@@ -66,7 +69,7 @@ def identify(job: Job, analysis: object = None) -> FitIdentity:
         }
     if analysis is not None:
         parts["options of the analysis"] = analysis
-    return make_identity(parts, {one.id: one.digest for one in job.insertions})
+    return make_identity(parts, {insertion.id: insertion.digest for insertion in job.insertions})
 
 
 def make_identity(parts: Mapping[str, object], data: Mapping[str, str]) -> FitIdentity:
@@ -78,7 +81,7 @@ def make_identity(parts: Mapping[str, object], data: Mapping[str, str]) -> FitId
 
 def list_fit_plugins(medium: MediumRecord, dataset: Dataset) -> list[tuple[Any, str]]:
     """Return what may be a plugin's and decides a fit: its registry, and its name there."""
-    observed = {(OBSERVATIONS, one.observed) for one in dataset.insertions}
+    observed = {(OBSERVATIONS, insertion.observed) for insertion in dataset.insertions}
     return [(LAWS, medium.law), (FORMATS, dataset.centerline_format), *observed]
 
 
@@ -105,7 +108,7 @@ def describe_change(before: FitIdentity | None, after: FitIdentity | None) -> st
     changed = {key for key in parts if before.parts.get(key) != after.parts.get(key)}
     if old.keys() != new.keys():
         changed.discard("folds")  # which follow
-    named = "; ".join(f"{join_names(sorted(names))} {what}" for what, names in ids.items() if names)
+    named = "; ".join(f"{join_names(sorted(names))} {change}" for change, names in ids.items() if names)
     return ", ".join([*([f"insertions ({named})"] if named else []), *sorted(changed)])
 
 
@@ -113,6 +116,6 @@ def has_data(recorded: RunMetadata, dataset: Dataset) -> bool:
     """Return whether a dataset has the files of a result, or at least the data of all its insertions."""
     if recorded.dataset is not None and dataset.digest == recorded.dataset.sha256:
         return True
-    digests = {one.id: one.digest[:PART_DIGITS] for one in dataset.insertions}
+    digests = {insertion.id: insertion.digest[:PART_DIGITS] for insertion in dataset.insertions}
     identity = recorded.identity
     return identity is not None and identity.insertions.items() <= digests.items()

@@ -93,7 +93,7 @@ class Job:
     def searches(self) -> tuple[str, ...]:
         """The searches of one fold; the first is the fit that everything else is about."""
         metric = self.recipe.metric and self.recipe.minimize == "posterior"
-        metric = metric and all(OBSERVATIONS[one.observed].has_tip for one in self.insertions)
+        metric = metric and all(OBSERVATIONS[insertion.observed].has_tip for insertion in self.insertions)
         published = self.hand_tuned is not None and "bevel_mm" in self.parameters.free
         others = {*self.parameters.free} - {self.medium.bevel_parameter, *HYPERPARAMETERS}
         alone = isinstance(self.record, StudyRecord) and self.record.registration_depth_mm is None
@@ -112,16 +112,16 @@ class Job:
     @property
     def insertions(self) -> tuple[Insertion, ...]:
         """Every insertion that is fitted to or scored in any fold, once."""
-        found = {i.id: i for fold in self.folds for i in (*fold.tune, *fold.validate)}
-        return tuple(found.values())
+        by_id = {i.id: i for fold in self.folds for i in (*fold.tune, *fold.validate)}
+        return tuple(by_id.values())
 
     def floor(self, insertion: Insertion) -> NoiseFloor:
         """Return the noise floor of an insertion; it is estimated once for all studies of a command."""
-        seed, data, known = self.recipe.seed, self.dataset, _floors.setdefault(insertion, {})
+        seed, data, computed = self.recipe.seed, self.dataset, _floors.setdefault(insertion, {})
         key = (seed, data.noise, data.pose, data.drop_proximal)
-        if key not in known:
-            known[key] = estimate_floor(data, insertion, random_stream(seed, "noise floor", insertion.id))
-        return known[key]
+        if key not in computed:
+            computed[key] = estimate_floor(data, insertion, random_stream(seed, "noise floor", insertion.id))
+        return computed[key]
 
     def problem(self, fold: Fold, search: str = "fitted") -> Problem:
         """Return the problem of one search of a fold: all parameters free, or the bevel alone.
@@ -137,11 +137,11 @@ class Job:
             likelihood=self.recipe.likelihood,
         )
         if search in ("b_alone", "hand_tuned_b"):
-            known = self.parameters.values(self.parameters.expected)
+            values = self.parameters.values(self.parameters.expected)
             if search == "hand_tuned_b" and self.hand_tuned is not None:
-                known = dict(self.hand_tuned)
+                values = dict(self.hand_tuned)
             one_bevel = without_bevel_spread(self.parameters)
-            return everything.with_parameters(one_bevel.with_only((self.medium.bevel_parameter,), known))
+            return everything.with_parameters(one_bevel.with_only((self.medium.bevel_parameter,), values))
         if self.recipe_of(search).minimize == "metric":
             return everything.with_parameters(without_prior(self.parameters))
         return everything

@@ -78,7 +78,7 @@ def load_study(
     parameters = with_hyperparameters(stated, recipe.likelihood) if is_posterior else without_prior(stated)
 
     folds = make_folds(record, measured)
-    chosen = [one for fold in folds for one in (*fold.tune, *fold.validate)]
+    chosen = [insertion for fold in folds for insertion in (*fold.tune, *fold.validate)]
     with add_key_context("compared"):
         dataset = set_compared(measured, chosen, record.compared, medium.torsional_friction_n)
     folds = tuple(fold.of_dataset(dataset) for fold in folds)
@@ -87,11 +87,11 @@ def load_study(
     job = Job(
         name, record, dataset, medium, parameters, recipe, hand_tuned, folds, measured, file, medium_file
     )
-    for one in HELD_OUT.values():
-        one.check(job)
+    for held_out in HELD_OUT.values():
+        held_out.check(job)
     _check_layers(job)
     if recipe.likelihood.measurement == "curvature":
-        for insertion in (each for fold in folds for each in fold.tune):
+        for insertion in (insertion_of_fold for fold in folds for insertion_of_fold in fold.tune):
             require_curvature(insertion)
     check_reach(job)
     _check_size(job)
@@ -103,11 +103,15 @@ def _find_warnings(job: Job) -> Iterator[ResultWarning]:
     record, measured = job.record, job.measured
     yield from measured.warnings
     yield from medium_warnings(job.medium, job.medium_file or record.medium)
-    ids = {one.id for one in job.insertions}
-    chosen = [one for one in measured.insertions if one.id in ids]  # before turns were projected
+    ids = {insertion.id for insertion in job.insertions}
+    chosen = [
+        insertion for insertion in measured.insertions if insertion.id in ids
+    ]  # before turns were projected
     yield from find_left_planes(measured, chosen, record.compared, job.place("compared"))
     if isinstance(record, StudyRecord) and not record.same_specimen:
-        key = next(one for one in ("leave_out", "folds", "validate") if getattr(record, one, True))
+        key = next(
+            key_name for key_name in ("leave_out", "folds", "validate") if getattr(record, key_name, True)
+        )
         yield from warn_shared_specimens(job.name, job.folds, job.place(key))
 
 
@@ -115,9 +119,9 @@ def print_notes(job: Job, settings: Settings) -> None:
     """Print what a user wants to know of the data before the work, which takes long."""
     if job.record.compared is None and (note := describe_compared(job.dataset)):
         settings.note(note)
-    for one in dict.fromkeys(job.warnings):
-        if one.kind in DATA_WARNINGS:
-            settings.note(f"warning: {one} ({one.help_command})")
+    for warning in dict.fromkeys(job.warnings):
+        if warning.kind in DATA_WARNINGS:
+            settings.note(f"warning: {warning} ({warning.help_command})")
 
 
 # ---- what is refused before the work

@@ -15,9 +15,13 @@ from needlefit.studies.prediction_scores import CRPS_OVER_NOISE, PREDICTED
 def add_errors_over_noise(frames: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
     """Return the frames of a run, with errors and CRPS over the noise of roles whose insertions differ."""
     errors, predictive = (frames[name] for name in ("errors", "predictive"))
-    metrics = [one.name for one in verdict_metrics() if one.name in errors and f"floor_{one.name}" in errors]
-    known = errors[metrics].notna()
-    metric = known.idxmax(axis=1).where(known.any(axis=1)) if len(errors) else pd.Series(dtype=object)
+    metrics = [
+        metric.name
+        for metric in verdict_metrics()
+        if metric.name in errors and f"floor_{metric.name}" in errors
+    ]
+    is_known = errors[metrics].notna()
+    metric = is_known.idxmax(axis=1).where(is_known.any(axis=1)) if len(errors) else pd.Series(dtype=object)
     mixed = metric.groupby(errors["role"]).transform("nunique") > 1
     if not mixed.any():
         return {**frames}

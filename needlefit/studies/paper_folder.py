@@ -35,8 +35,8 @@ def write_paper_folder(run: Run, run_folder: Path, folder: Path) -> list[Path]:
             path.with_suffix(".csv").unlink(missing_ok=True)  # the run's folder has it
             figures[name] = path.rename(path.with_stem(f"{path.stem}-{word}"))
         report = compose_run_report(run, figures)
-        found = [block for block in report.blocks if block["kind"] == "figure"]
-        kept = [block for block in found if is_half_width(block["path"]) == (word == "single")]
+        blocks = [block for block in report.blocks if block["kind"] == "figure"]
+        kept = [block for block in blocks if is_half_width(block["path"]) == (word == "single")]
         label_figures({str(n): block["path"] for n, block in enumerate(kept)}, run.origin_mark)
         for path in set(figures.values()) - {block["path"] for block in kept}:
             path.unlink()

@@ -74,8 +74,8 @@ def tabulate_sensors(insertion: Insertion, about: Floats) -> Iterator[Row]:
 def _find_intervals(mixture: PredictiveMixture) -> tuple[Floats, dict[float, Floats]]:
     """Return the median (K,), and by level the ends (2, K) of the intervals: one search finds them all."""
     ends = [(1 + side * level) / 2 for level in INTERVAL_PROBABILITIES for side in (-1, 1)]
-    median, *found = quantile(mixture, (0.5, *ends))
-    pairs = np.array(found).reshape(len(INTERVAL_PROBABILITIES), 2, -1)
+    median, *ends_found = quantile(mixture, (0.5, *ends))
+    pairs = np.array(ends_found).reshape(len(INTERVAL_PROBABILITIES), 2, -1)
     return median, dict(zip(INTERVAL_PROBABILITIES, pairs, strict=True))
 
 
@@ -117,7 +117,7 @@ def score_tip_in_space(tips: Floats, centre: Floats, measured: Floats) -> Row:
     for level in INTERVAL_PROBABILITIES:  # along y
         pair = np.quantile(tips[:, 0], [(1 - level) / 2, (1 + level) / 2]).tolist()
         ends |= {
-            f"tip_{100 * level:.0f}_{end}_mm": one for end, one in zip(("low", "high"), pair, strict=True)
+            f"tip_{100 * level:.0f}_{end}_mm": value for end, value in zip(("low", "high"), pair, strict=True)
         }
     (y, z), (y_median, z_median) = measured.tolist(), centre.tolist()
     return {
@@ -138,16 +138,18 @@ def find_end_error(mixture: PredictiveMixture, count: int) -> float:
     error.
     """
     draws, level = len(mixture.means), max(INTERVAL_PROBABILITIES)
-    p, found = np.array([(1 - level) / 2, (1 + level) / 2]), 0.0
+    p, end_error = np.array([(1 - level) / 2, (1 + level) / 2]), 0.0
     for tip in range(count - 1, mixture.means.shape[1], count):
-        one = PredictiveMixture(mixture.means[:, [tip]], mixture.sd[[tip]])
-        if not one.sd.all():
+        tip_mixture = PredictiveMixture(mixture.means[:, [tip]], mixture.sd[[tip]])
+        if not tip_mixture.sd.all():
             return math.inf
-        ends = quantile(one, p)[:, 0]
-        error = scipy.special.ndtr((ends - one.means) / one.sd).std(axis=0) / math.sqrt(draws)
-        low, high = quantile(one, np.clip([p - error, p + error], 0.5 / draws, 1 - 0.5 / draws))[..., 0]
-        found = max(found, float((high - low).max() / 2 / np.ptp(ends)))
-    return found
+        ends = quantile(tip_mixture, p)[:, 0]
+        error = scipy.special.ndtr((ends - tip_mixture.means) / tip_mixture.sd).std(axis=0) / math.sqrt(draws)
+        low, high = quantile(tip_mixture, np.clip([p - error, p + error], 0.5 / draws, 1 - 0.5 / draws))[
+            ..., 0
+        ]
+        end_error = max(end_error, float((high - low).max() / 2 / np.ptp(ends)))
+    return end_error
 
 
 def score_shape(mixture: PredictiveMixture, measured: Floats, shape_pit: float) -> Row:
@@ -163,15 +165,15 @@ def score_shape(mixture: PredictiveMixture, measured: Floats, shape_pit: float) 
 def score_tip(mixture: PredictiveMixture, measured: Floats) -> Row:
     """Return what became of the prediction of points (K,), the last of them the tip, and of this one."""
     tip = PredictiveMixture(mixture.means[:, -1:], mixture.sd[-1:])
-    at, score, pit = float(measured[-1]), crps(mixture, measured), cdf(mixture, measured)
+    tip_place, score, pit = float(measured[-1]), crps(mixture, measured), cdf(mixture, measured)
     median, intervals = _find_intervals(tip)
-    row: Row = {"tip_measured_mm": at, "tip_median_mm": float(median[0])}
+    row: Row = {"tip_measured_mm": tip_place, "tip_median_mm": float(median[0])}
     row |= {"tip_pit": float(pit[-1]), "tip_crps_mm": float(score[-1])}
     row |= {"shape_crps_mm": float(score.mean())}
     for level, ends in intervals.items():
         name, (low, high) = f"{100 * level:.0f}", ends[:, 0].tolist()
         row |= {f"tip_{name}_low_mm": low, f"tip_{name}_high_mm": high}
-        row |= {f"tip_in_{name}": low <= at <= high}
+        row |= {f"tip_in_{name}": low <= tip_place <= high}
     # width, and what lies outside at 2 / (1 - level) of it: T. Gneiting, A. E. Raftery, JASA 102 (2007) 359
-    beyond = max(low - at, at - high, 0.0)
+    beyond = max(low - tip_place, tip_place - high, 0.0)
     return row | {"tip_interval_score_mm": high - low + 2 / (1 - level) * beyond}

@@ -34,8 +34,8 @@ def describe_configuration(job: Job) -> JobMetadata:
         folds=[
             FoldMetadata(
                 name=fold.name,
-                tune=[one.id for one in fold.tune],
-                held_out=[one.id for one in fold.validate],
+                tune=[insertion.id for insertion in fold.tune],
+                held_out=[insertion.id for insertion in fold.validate],
             )
             for fold in job.folds
         ],
@@ -50,11 +50,15 @@ def summarize_dataset(dataset: Dataset) -> DatasetMetadata:
     A single needle stands alone; several stand by their names.
     """
     stated = dataset.measurement.model_dump(mode="json", exclude_none=True, exclude={"note"})
-    shared = {split_boundary_sd(one)[0] for one in dataset.insertions if len(one.boundaries)}
+    shared = {
+        split_boundary_sd(insertion)[0] for insertion in dataset.insertions if len(insertion.boundaries)
+    }
     needles: dict[str, Any] = {"needles": summarize_needles(dataset)}
     if len(dataset.needles) == 1:
-        (one,) = dataset.needles.values()
-        needles = {"needle": {"length": one.length, "flexural_rigidity": one.flexural_rigidity}}
+        (only_needle,) = dataset.needles.values()
+        needles = {
+            "needle": {"length": only_needle.length, "flexural_rigidity": only_needle.flexural_rigidity}
+        }
     return DatasetMetadata(
         name=dataset.name,
         origin=dataset.origin,
@@ -72,10 +76,10 @@ def summarize_dataset(dataset: Dataset) -> DatasetMetadata:
 
 def package_versions(packages: Sequence[str]) -> dict[str, str]:
     """Return the versions of Python, of needlefit and of these packages; and which other kernel computes."""
-    each = {package: version(package) for package in ("needlefit", *packages)}
+    versions = {package: version(package) for package in ("needlefit", *packages)}
     if other := identify_other_library():
-        each["kernel"] = f"not the package's: SHA-256 {other}"
-    return {"python": platform.python_version(), **each}
+        versions["kernel"] = f"not the package's: SHA-256 {other}"
+    return {"python": platform.python_version(), **versions}
 
 
 def plugin_versions_of(medium: MediumRecord, dataset: Dataset) -> dict[str, str]:

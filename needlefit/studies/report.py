@@ -81,13 +81,16 @@ class StudyReport:
         """Return the tables of a run."""
         values = self.values(run)
         return [
-            one if isinstance(one, TableLayout) else self.text.lay_out(one, values)
-            for one in self.tables(run)
+            table if isinstance(table, TableLayout) else self.text.lay_out(table, values)
+            for table in self.tables(run)
         ]
 
     def draw(self, run: Run, folder: Path) -> dict[str, Path]:
         """Draw the figures of a run to a folder, with what each shows as CSV; return the files by name."""
-        return {name: one.save(folder / f"{name}.pdf", run.origin) for name, one in self.figures(run).items()}
+        return {
+            name: figure.save(folder / f"{name}.pdf", run.origin)
+            for name, figure in self.figures(run).items()
+        }
 
     def write(self, run: Run, folder: Path) -> Path:
         """Write a result, as `write_run`; called by `Run.save`, which cannot import this module."""
@@ -98,7 +101,7 @@ class StudyReport:
         page = run.first_page
         shown, blocks = [table.name for table in page.tables], compose_first_page(page)
         if not run.interrupted:  # of an interrupted one only what is finished is laid out
-            blocks += [document.table(one) for one in self.lay_out(run) if one.name not in shown]
+            blocks += [document.table(table) for table in self.lay_out(run) if table.name not in shown]
         blocks += compose_warnings(run.warnings, linked=False)
         return document.format_html_part(Document(page.title, page.about, page.origin_mark, tuple(blocks)))
 
@@ -122,13 +125,13 @@ def recall(run: Run) -> str:
 def compose_first_page(page: FirstPage, pictures: Sequence[Block] = ()) -> list[Block]:
     """Return a first page as blocks; what must be read before any number stands first."""
     checks, advice = lay_out_checks(page.checks), page.advice
-    found, *fitted = (document.table(one) for one in page.tables) if page.tables else (None,)
+    first_table, *fitted = (document.table(table) for table in page.tables) if page.tables else (None,)
     return [
         *state_blocks(page),
         document.verdict(f"{page.verdict.sentence}.", page.verdict.status),
-        *(document.warning(f"{one.kind}: {one}.") for one in page.faults),
+        *(document.warning(f"{fault.kind}: {fault}.") for fault in page.faults),
         *compose_warnings(page.warnings),
-        *([found] if found else []),
+        *([first_table] if first_table else []),
         *pictures,
         *([document.table(checks)] if checks.rows else []),
         *fitted,
@@ -215,8 +218,8 @@ def write_report(report: Document, folder: Path) -> None:
 def compose_run_report(run: Run, figures: Mapping[str, Path]) -> Document:
     """Return the report: the first page, then everything else once."""
     report, page = find_kind(run.kind).report, run.first_page
-    shown, values = {one.name for one in page.tables}, report.values(run)
-    tables = [one for one in report.lay_out(run) if one.name not in shown]
+    shown, values = {table.name for table in page.tables}, report.values(run)
+    tables = [table for table in report.lay_out(run) if table.name not in shown]
     pictures = {
         name: document.figure(path, report.text.sentence(f"figure_{name}", values))
         for name, path in figures.items()
@@ -226,7 +229,7 @@ def compose_run_report(run: Run, figures: Mapping[str, Path]) -> Document:
         *compose_first_page(page, first),
         document.page_break(),
         *report.text.compose("report", values, tables, pictures),
-        *compose_warnings(one for one in run.warnings if one not in page.warnings),
+        *compose_warnings(warning for warning in run.warnings if warning not in page.warnings),
         *_run_blocks(run),
     ]
     return Document(page.title, page.about, page.origin_mark, tuple(blocks), collect_explorer(run))
@@ -235,10 +238,10 @@ def compose_run_report(run: Run, figures: Mapping[str, Path]) -> Document:
 def compose_warnings(warnings: Iterable[ResultWarning], linked: bool = True, head: str = "") -> list[Block]:
     """Return warnings, each linked to its section of the report, or with the command that prints it."""
     return [
-        document.warning(f"Warning: {head}{one}.", (one.help_key, "What to do"))
+        document.warning(f"Warning: {head}{warning}.", (warning.help_key, "What to do"))
         if linked
-        else document.warning(f"Warning: {head}{one} ({one.help_command}).")
-        for one in warnings
+        else document.warning(f"Warning: {head}{warning} ({warning.help_command}).")
+        for warning in warnings
     ]
 
 
@@ -268,8 +271,8 @@ def state_blocks(page: FirstPage) -> list[Block]:
 def _run_blocks(run: Run) -> list[Block]:
     """Return the note of a study and its settings; what the report shows elsewhere is left to run.json."""
     stated = ("dataset", "datasets", "recipe", "rules", "versions")
-    known = run.run_json
-    settings = {key: _format_value(known[key]) for key in stated if key in known}
+    metadata = run.run_json
+    settings = {key: _format_value(metadata[key]) for key in stated if key in metadata}
     if (identity := run.metadata.identity) is not None:
         settings["identity"] = _format_value(identity.sha256)
     rows = [{"setting": key, "setting_value": line} for key, line in settings.items() if line]

@@ -29,13 +29,14 @@ def name_source(file: Path) -> str:
 
 def store_sources(sources: Sequence[str], folder: Path) -> dict[str, list[str]]:
     """Return the entry of `timing.json` for a result in `folder` that is made of these files."""
-    return {SOURCES_KEY: [_relate(one, folder) for one in sources]}
+    return {SOURCES_KEY: [_relate(source, folder) for source in sources]}
 
 
 def read_sources(timing: Mapping[str, Any], folder: Path) -> list[str]:
     """Return the files of which the result in `folder` was made; none of earlier versions."""
     return [
-        str((folder / one).resolve()) if one.startswith(".") else one for one in timing.get(SOURCES_KEY, ())
+        str((folder / source).resolve()) if source.startswith(".") else source
+        for source in timing.get(SOURCES_KEY, ())
     ]
 
 

@@ -31,17 +31,19 @@ def compare_runs(before: Path, after: Path) -> pd.DataFrame:
     """
     runs = [restore_run(folder) for folder in (before, after)]
     if runs[0].kind != runs[1].kind:
-        what, expected = f"is of kind {runs[1].kind}, and {before} of kind {runs[0].kind}", "one kind"
-        raise DataError(what, where=after, expected=expected, fix="compare runs of the same command")
-    first, second = ({f"{name}.csv": one for name, one in list_run_files(run).items()} for run in runs)
+        problem, expected = f"is of kind {runs[1].kind}, and {before} of kind {runs[0].kind}", "one kind"
+        raise DataError(problem, where=after, expected=expected, fix="compare runs of the same command")
+    first, second = (
+        {f"{name}.csv": run_file for name, run_file in list_run_files(run).items()} for run in runs
+    )
     changed = describe_change(runs[0].metadata.identity, runs[1].metadata.identity)
     first[RUN_JSON], second[RUN_JSON] = (_tabulate_keys(run) for run in runs)
     joined = []
-    for table, one in first.items():
+    for table, frame in first.items():
         other = second.get(table)
-        if isinstance(one, pd.DataFrame) and isinstance(other, pd.DataFrame):
-            keys = [key for key in one if key in KEYS and key in other] if table != RUN_JSON else []
-            a, b = _melt(one, keys, "before"), _melt(other, keys, "after")
+        if isinstance(frame, pd.DataFrame) and isinstance(other, pd.DataFrame):
+            keys = [key for key in frame if key in KEYS and key in other] if table != RUN_JSON else []
+            a, b = _melt(frame, keys, "before"), _melt(other, keys, "after")
             joined.append(a.merge(b, how="outer", sort=False).assign(table=table))
     both = pd.concat(joined, ignore_index=True)
     both = both[(both["before"] != both["after"]) & both[["before", "after"]].notna().any(axis=1)]
@@ -64,7 +66,7 @@ def _tabulate_keys(run: Run) -> pd.DataFrame:
 def _melt(frame: pd.DataFrame, keys: list[str], value: str) -> pd.DataFrame:
     """Return a row for each cell of the columns that are no keys; `repeat` numbers rows of equal keys."""
     words = frame[keys].astype(object).fillna("").astype(str)
-    rows = pd.Series([", ".join(filter(None, one)) for one in words.itertuples(index=False)], frame.index)
+    rows = pd.Series([", ".join(filter(None, row)) for row in words.itertuples(index=False)], frame.index)
     units = words[[key for key in keys if key in ("parameter", "metric", "quantity")]].agg(" ".join, axis=1)
     names = pd.DataFrame({"row": rows, "unit": units, "repeat": rows.groupby(rows).cumcount()})
     named = pd.concat([frame.drop(columns=keys).astype(object), names], axis=1)

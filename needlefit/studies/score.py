@@ -50,13 +50,13 @@ def model_predictor(values: Mapping[str, float], medium: MediumRecord) -> Predic
     """
 
     def curves(insertion: Insertion) -> dict[str, Curve | None]:
-        def at(boundaries: Floats | None, sequence: tuple[int, ...] | None) -> NeedleShape:
+        def shape_at(boundaries: Floats | None, sequence: tuple[int, ...] | None) -> NeedleShape:
             return predict(values, medium, insertion, boundaries, sequence)
 
-        shapes: dict[str, NeedleShape | None] = {"measured": at(None, None)}
+        shapes: dict[str, NeedleShape | None] = {"measured": shape_at(None, None)}
         if insertion.surfaces:
-            planned = planned_layers(insertion, at)
-            shapes["planned"] = None if planned is None else at(*planned)
+            planned = planned_layers(insertion, shape_at)
+            shapes["planned"] = None if planned is None else shape_at(*planned)
         return {
             kind: SimulatedCurve(shape, insertion) if shape is not None and shape.converged else None
             for kind, shape in shapes.items()
@@ -67,8 +67,8 @@ def model_predictor(values: Mapping[str, float], medium: MediumRecord) -> Predic
 
 def predict_needle(values: Mapping[str, float], medium: MediumRecord, insertion: Insertion) -> Curve | None:
     """Return the needle of given values through the layers that it meets itself; None without a solution."""
-    found = model_predictor(values, medium)(insertion)
-    return found.get("planned", found["measured"])
+    needle = model_predictor(values, medium)(insertion)
+    return needle.get("planned", needle["measured"])
 
 
 def curve_predictor(curve: Callable[[Insertion], Curve]) -> Predictor:
@@ -99,8 +99,10 @@ def _fit_curves(problem: Problem) -> dict[str, Predictor]:
     def make(name: str) -> Predictor:
         return curve_predictor(lambda insertion: fit(insertion.needle)[name].curve(insertion))
 
-    curved = all(OBSERVATIONS[one.observed].is_curve for one in problem.insertions)
-    return {one.name: make(one.name) for one in list_baselines() if curved or not one.of_curve}
+    curved = all(OBSERVATIONS[insertion.observed].is_curve for insertion in problem.insertions)
+    return {
+        baseline.name: make(baseline.name) for baseline in list_baselines() if curved or not baseline.of_curve
+    }
 
 
 #: how curves are compared, by what is known of their poses
@@ -149,25 +151,27 @@ class ErrorColumn(NamedTuple):
 #: `comparison` is "world", "shifted" across where the direction of the entry alone is known, or "aligned"
 #: for shapes known only up to a rigid motion.
 INSERTION_COLUMNS: Mapping[str, Callable[["Scorer", Insertion], Any]] = {
-    "medium": lambda scorer, one: one.medium,
-    "hole": lambda scorer, one: scorer.holes.get(one.id, one.id),
-    "specimen": lambda scorer, one: one.specimen,
-    "layers": lambda scorer, one: count_layers(one, scorer.layer_count_rule),
-    "depth_mm": lambda scorer, one: one.depth,
-    "comparison": lambda scorer, one: COMPARISONS[find_pose(scorer.dataset.pose, one)],
-    "compared": lambda scorer, one: scorer.dataset.compared,
+    "medium": lambda scorer, insertion: insertion.medium,
+    "hole": lambda scorer, insertion: scorer.holes.get(insertion.id, insertion.id),
+    "specimen": lambda scorer, insertion: insertion.specimen,
+    "layers": lambda scorer, insertion: count_layers(insertion, scorer.layer_count_rule),
+    "depth_mm": lambda scorer, insertion: insertion.depth,
+    "comparison": lambda scorer, insertion: COMPARISONS[find_pose(scorer.dataset.pose, insertion)],
+    "compared": lambda scorer, insertion: scorer.dataset.compared,
 }
 CURVE_COLUMNS: Mapping[str, ErrorColumn] = {
-    "deflection_mm": ErrorColumn(lambda one: one.deflect(one.curves.measured), math.nan),
-    "predicted_deflection_mm": ErrorColumn(lambda one: one.deflect(one.curves.simulated), math.nan),
-    "tip_error_x_mm": ErrorColumn(lambda one: one.miss_tip(0), math.nan),
-    "tip_error_y_mm": ErrorColumn(lambda one: one.miss_tip(1), math.nan),
-    "tip_error_z_mm": ErrorColumn(lambda one: one.miss_tip(2), math.nan),
-    "tip_across_sd_mm": ErrorColumn(lambda one: one.tip_errors.whole, math.nan),
-    "tip_registered_sd_mm": ErrorColumn(lambda one: one.tip_errors.registered, math.nan),
+    "deflection_mm": ErrorColumn(lambda compared: compared.deflect(compared.curves.measured), math.nan),
+    "predicted_deflection_mm": ErrorColumn(
+        lambda compared: compared.deflect(compared.curves.simulated), math.nan
+    ),
+    "tip_error_x_mm": ErrorColumn(lambda compared: compared.miss_tip(0), math.nan),
+    "tip_error_y_mm": ErrorColumn(lambda compared: compared.miss_tip(1), math.nan),
+    "tip_error_z_mm": ErrorColumn(lambda compared: compared.miss_tip(2), math.nan),
+    "tip_across_sd_mm": ErrorColumn(lambda compared: compared.tip_errors.whole, math.nan),
+    "tip_registered_sd_mm": ErrorColumn(lambda compared: compared.tip_errors.registered, math.nan),
     # a deflection below the noise floor; never where no floor is stated (NaN)
-    "edp_flagged": ErrorColumn(lambda one: bool(one.curves.deflection < one.floor), False),
-    "converged": ErrorColumn(lambda one: True, False, is_optional=False),
+    "edp_flagged": ErrorColumn(lambda compared: bool(compared.curves.deflection < compared.floor), False),
+    "converged": ErrorColumn(lambda compared: True, False, is_optional=False),
 }
 ERROR_COLUMNS = (*SCORE_KEYS, *INSERTION_COLUMNS, *CURVE_COLUMNS)
 
@@ -196,8 +200,8 @@ class Scorer:
             row = self.describe(where, insertion, self.floors[insertion.id])
             goals = list_comparisons(self.dataset, insertion)
             if curve is None:
-                row |= {one.name: math.inf for one in list_metrics(*(goal.quantity for goal in goals))}
-                errors.append(row | {name: one.otherwise for name, one in CURVE_COLUMNS.items()})
+                row |= {metric.name: math.inf for metric in list_metrics(*(goal.quantity for goal in goals))}
+                errors.append(row | {name: column.otherwise for name, column in CURVE_COLUMNS.items()})
                 continue
             if isinstance(curve, SimulatedCurve):
                 validity.append({**where, "faults": list(curve.shape.validity.faults)})
@@ -209,18 +213,20 @@ class Scorer:
         """Return the row of an insertion and a method before its errors."""
         row = where | {name: find(self, insertion) for name, find in INSERTION_COLUMNS.items()}
         row |= {f"floor_{name}": value for name, value in floors.items()}
-        return row | {one.name: math.nan for one in list_metrics("places")}  # where no place was measured
+        return row | {
+            metric.name: math.nan for metric in list_metrics("places")
+        }  # where no place was measured
 
     def compute_errors(self, insertion: Insertion, curves: Sequence[ComparedCurves]) -> Row:
         """Return the errors of compared curves of an insertion, and the columns that are known of them."""
         row = dict[str, Any]()
-        for one in curves:
-            row |= compute_metrics(one)
+        for curve in curves:
+            row |= compute_metrics(curve)
         # the deflection is that of a tip, where one is known
-        first = min(curves, key=lambda one: one.quantity != "places")
+        first = min(curves, key=lambda curve: curve.quantity != "places")
         floor = self.floors[insertion.id].get(TE.name, math.nan)
-        found = Compared(insertion, first, floor, state_tip_errors(self.dataset, insertion))
-        return row | {name: one.compute(found) for name, one in CURVE_COLUMNS.items()}
+        compared = Compared(insertion, first, floor, state_tip_errors(self.dataset, insertion))
+        return row | {name: column.compute(compared) for name, column in CURVE_COLUMNS.items()}
 
     @cached_property
     def holes(self) -> Mapping[str, str]:
@@ -230,7 +236,7 @@ class Scorer:
 
 def make_scorer(job: Job) -> Scorer:
     """Return what scores the insertions of a job."""
-    floors = {one.id: job.floor(one) for one in job.insertions}
+    floors = {insertion.id: job.floor(insertion) for insertion in job.insertions}
     return Scorer(job.dataset, job.record.layer_count_rule, floors)
 
 

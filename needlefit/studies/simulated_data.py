@@ -62,10 +62,10 @@ def simulate_measurement(
     """
     errors = {} if shared is None else shared
     scale = values.get(NOISE_SCALE, 1.0)
-    known = select_sections(insertion) if dataset.pose == "known" else None
+    sections = select_sections(insertion) if dataset.pose == "known" else None
     # where the points of an insertion lie on the needle, (K,) mm
-    if known is not None:
-        s = known.s
+    if sections is not None:
+        s = sections.s
     else:
         along = insertion.measure_arc(dataset.compared)
         s = along * (insertion.depth / along[-1])
@@ -75,23 +75,23 @@ def simulate_measurement(
     ((specimen, number),) = list_bevels(dataset, (insertion,))
     deviation = errors.setdefault((specimen, nodes.BEVEL, number), float(rng.standard_normal()))
     factor = float(find_bevel_factors(values.get(BEVEL_SPREAD, 0.0), deviation))
-    true, at = nodes.shift_depths(replace(insertion, bevel_factor=factor), s, deep + wrong, deep)
+    true, places = nodes.shift_depths(replace(insertion, bevel_factor=factor), s, deep + wrong, deep)
     shape = predict(values, medium, true)
     if not shape.converged:
         return None
     if insertion.curvature is not None:
         insertion = replace(insertion, curvature=_measure_curvature(true, shape, rng))
     (roll,) = draw_rolls(insertion.roll_sd, dataset.directions, 1, rng)
-    points = select_compared(turn_about_x(read_points(true, shape, at), roll), dataset.compared)
+    points = select_compared(turn_about_x(read_points(true, shape, places), roll), dataset.compared)
     x, across = points[:, 0], points[:, 1:]  # (K,), (K, 1 or 2)
     # the roll, which turned the needle as a whole, is none of these
     sds = pose_sds(insertion, dataset.noise, dataset.directions)[:5]
-    if known is not None:
+    if sections is not None:
         slopes = np.gradient(across, x, axis=0)
         modes = pose_modes(points, slopes)[:, :5]
         moved = modes @ (sds * rng.standard_normal(len(sds)))
         return _measure_sections(
-            insertion, known, x, across + moved.reshape(dataset.directions, -1).T, scale, rng
+            insertion, sections, x, across + moved.reshape(dataset.directions, -1).T, scale, rng
         )
     # x such that arc lengths are kept: the model's own, of small slopes, keeps them to their fourth power.
     # They are those of the needle, whatever the noise of its points.
@@ -139,7 +139,7 @@ def draw_bevels(
 
 def _measure_sections(
     insertion: Insertion,
-    known: SectionData,
+    sections: SectionData,
     x: Floats,
     across: Floats,
     scale: float,
@@ -148,14 +148,14 @@ def _measure_sections(
     """Return the insertion with cross-sections at `x` (K,) and `across` (K, 1 or 2), and the spline through
     them, with noise.
     """
-    stored = known.stored
+    stored = sections.stored
     sds = stored.sigma / np.sqrt(np.maximum(stored.weights, MIN_WEIGHT))
     size = across.size
-    root = np.linalg.cholesky(known.shared[:size, :size] + MIN_WEIGHT * np.eye(size))
+    root = np.linalg.cholesky(sections.shared[:size, :size] + MIN_WEIGHT * np.eye(size))
     noise = np.resize(sds, size) * rng.standard_normal(size) + root @ rng.standard_normal(size)
     seen = pad_axis(np.column_stack([x, across + scale * noise.reshape(-1, len(x)).T]), 3)
-    q = np.interp(np.linspace(0.0, insertion.depth, len(insertion.points)), known.s, stored.q)
-    points = design_matrix(q, stored.knots)[:, known.reached] @ known.operator @ seen
+    q = np.interp(np.linspace(0.0, insertion.depth, len(insertion.points)), sections.s, stored.q)
+    points = design_matrix(q, stored.knots)[:, sections.reached] @ sections.operator @ seen
     measured = insertion.with_points(points)
     return replace(measured, sections=replace(stored, points=insertion.frame.to_world(seen)))
 
@@ -184,25 +184,25 @@ def simulate_dataset(name: str, record: SyntheticDataRecord, medium: MediumRecor
     )
     measurements = []
     for number, stated in enumerate(record.insertions, start=1):
-        one = _make_straight_insertion(number, stated, record)
-        rng = random_stream(seed, name, "made", one.id)
-        found = simulate_measurement(dataset, one, record.values, medium, rng)
-        if found is None:
+        straight = _make_straight_insertion(number, stated, record)
+        rng = random_stream(seed, name, "made", straight.id)
+        measured = simulate_measurement(dataset, straight, record.values, medium, rng)
+        if measured is None:
             raise ConfigError(
-                f"made insertion {one.id} has no solution",
+                f"made insertion {straight.id} has no solution",
                 where=f"study {name}",
                 key="synthetic",
                 fix="move the base less",
             )
-        measurements.append(found)
+        measurements.append(measured)
     return replace(dataset, insertions=tuple(measurements))
 
 
 def _make_straight_insertion(
-    number: int, one: SyntheticInsertionRecord, record: SyntheticDataRecord
+    number: int, stated: SyntheticInsertionRecord, record: SyntheticDataRecord
 ) -> Insertion:
     """Return one insertion as it is planned: straight along x."""
-    x = np.linspace(0.0, one.depth_mm, math.ceil(one.depth_mm / POINT_SPACING_MM) + 1)
+    x = np.linspace(0.0, stated.depth_mm, math.ceil(stated.depth_mm / POINT_SPACING_MM) + 1)
     straight = np.column_stack([x, np.zeros((len(x), 2))])
     return Insertion(
         id=f"made-{number:02d}",
@@ -211,8 +211,8 @@ def _make_straight_insertion(
         needle=Needle.from_record(record.needle),
         layers=1,
         layers_alternative=1,
-        depth=one.depth_mm,
-        side=one.side,
+        depth=stated.depth_mm,
+        side=stated.side,
         frame=Frame(np.zeros(3), np.eye(3)),
         pose_source="stage",
         pose_shift_sd=0.0,
@@ -223,7 +223,7 @@ def _make_straight_insertion(
         sequence=(1,),
         boundary_sd=0.0,
         depth_sd=record.depth_sd_mm,
-        base_moved=one.base_moved_mm,
+        base_moved=stated.base_moved_mm,
     )
 
 
@@ -235,30 +235,33 @@ def find_true_value(problem: Problem, name: str, seed: int, drawn: bool = False)
     which has none.
     """
     population = POPULATION if drawn else None
-    planned = {one.id: one for one in list_designs()}
-    if any(one.id not in planned for one in problem.insertions):
+    planned = {design.id: design for design in list_designs()}
+    if any(insertion.id not in planned for insertion in problem.insertions):
         return math.nan
-    tuned = [planned[one.id] for one in problem.insertions]
-    specimens = [draw_specimen(seed, one.medium, one.specimen, population) for one in tuned]
+    tuned = [planned[insertion.id] for insertion in problem.insertions]
+    specimens = [draw_specimen(seed, insertion.medium, insertion.specimen, population) for insertion in tuned]
     if name == "bevel_mm":
         pairs = zip(specimens, tuned, strict=True)
-        known = [bevel_offset(specimen, one, draw_deviations(seed, one)) for specimen, one in pairs]
-        return float(np.exp(np.mean(np.log(known))))
+        offsets = [
+            bevel_offset(specimen, insertion, draw_deviations(seed, insertion))
+            for specimen, insertion in pairs
+        ]
+        return float(np.exp(np.mean(np.log(offsets))))
     same = [name, *(tied for tied, (_, source) in problem.parameters.ties.items() if source == name)]
     quantity = dimension(name)
     if quantity == "modulus":
-        known = _list_true(same, "mu", [specimen.mu for specimen in specimens])
-        return float(1e6 * np.exp(np.mean(np.log(known)))) if known else math.nan
+        offsets = _list_true(same, "mu", [specimen.mu for specimen in specimens])
+        return float(1e6 * np.exp(np.mean(np.log(offsets)))) if offsets else math.nan
     if quantity == "alpha" and population is None:
-        known = _list_true(same, "alpha", [specimen.alpha for specimen in specimens])
-        return float(np.mean(known)) if known else math.nan
+        offsets = _list_true(same, "alpha", [specimen.alpha for specimen in specimens])
+        return float(np.mean(offsets)) if offsets else math.nan
     return math.nan
 
 
 def _list_true(names: Sequence[str], prefix: str, specimens: Sequence[Floats]) -> list[float]:
     """Return the true values of the layers that `names` name, of all specimens (layers,)."""
-    layers = [int(one.removeprefix(prefix).removesuffix("_pa")) - 1 for one in names]
-    return [float(own[layer]) for own in specimens for layer in layers if layer < len(own)]
+    layers = [int(name.removeprefix(prefix).removesuffix("_pa")) - 1 for name in names]
+    return [float(specimen[layer]) for specimen in specimens for layer in layers if layer < len(specimen)]
 
 
 def simulate_design(problem: Problem, values: Mapping[str, float]) -> Problem | None:
@@ -268,13 +271,13 @@ def simulate_design(problem: Problem, values: Mapping[str, float]) -> Problem | 
     poses, noise and the number of points stay. None where a needle has no solution, or leaves the medium.
     """
     made = list[Insertion]()
-    for one in problem.insertions:
-        met = with_planned_layers(one, values, problem.medium)
+    for insertion in problem.insertions:
+        met = with_planned_layers(insertion, values, problem.medium)
         shape = None if met is None else predict(values, problem.medium, met)
         if met is None or shape is None or not shape.converged:
             return None
-        points = OBSERVATIONS[one.observed].simulate_places(one, shape)
-        measured = one.with_points(points)
+        points = OBSERVATIONS[insertion.observed].simulate_places(insertion, shape)
+        measured = insertion.with_points(points)
         made.append(replace(measured, boundaries=met.boundaries, sequence=met.sequence))
     return replace(problem, insertions=tuple(made))
 
@@ -295,7 +298,7 @@ def simulate_from_prior(problem: Problem, rng: np.random.Generator) -> tuple[Flo
             where=locate_key(dataset.path, "noise.point_sd_mm"),
             expected="[noise] with point_sd_mm or correlated_sd_mm above 0",
         )
-    if any(OBSERVATIONS[one.observed].on_the_way for one in problem.insertions):
+    if any(OBSERVATIONS[insertion.observed].on_the_way for insertion in problem.insertions):
         raise ConfigError(
             f"the dataset `{dataset.name}` holds tip tracks, which are not simulated",
             expected="measured shapes",
@@ -309,12 +312,13 @@ def simulate_from_prior(problem: Problem, rng: np.random.Generator) -> tuple[Flo
         true = {NOISE_SCALE: problem.density.scale, **values}
         shared = draw_bevels(dataset, design.insertions, rng) if problem.bevels_differ else {}
         made = [
-            simulate_measurement(dataset, one, true, problem.medium, rng, shared) for one in design.insertions
+            simulate_measurement(dataset, insertion, true, problem.medium, rng, shared)
+            for insertion in design.insertions
         ]
-        known = tuple(one for one in made if one is not None)
-        if len(known) < len(made):
+        complete = tuple(simulated for simulated in made if simulated is not None)
+        if len(complete) < len(made):
             continue
-        simulated = replace(problem, insertions=known)
+        simulated = replace(problem, insertions=complete)
         if np.isfinite(simulated.log_posterior(theta)):
             return theta, simulated
     raise FitError(

@@ -87,9 +87,9 @@ class _Reading:
         if self.kind == "tip":
             return draws.turn(compute_batch_positions(shapes, self.places))[..., compared]
         near = draws.turn(compute_batch_positions(shapes, np.append(self.places - 1.0, self.places)))
-        before, at = near[:, :count], near[:, count:]
-        part = (self.places - before[..., 0]) / (at[..., 0] - before[..., 0])  # the needle lags in x
-        return (before + part[..., None] * (at - before))[..., compared]
+        before, here = near[:, :count], near[:, count:]
+        part = (self.places - before[..., 0]) / (here[..., 0] - before[..., 0])  # the needle lags in x
+        return (before + part[..., None] * (here - before))[..., compared]
 
 
 class Steering:
@@ -141,8 +141,8 @@ class Steering:
         layers = range(1, count + 1)
         values = {str(name): float(middle) for name, middle in table.median().items()}
         tissue = make_tissue(values, layers, planned.tissue.boundaries, medium)
-        known = select_layer_draws(table, layers, medium.law)
-        strength = float(np.median(known.bevel))
+        layer_draws = select_layer_draws(table, layers, medium.law)
+        strength = float(np.median(layer_draws.bevel))
         angled = medium.advance == "path_angle"
         first = planned.steps[0]
         bevel = replace(
@@ -154,7 +154,7 @@ class Steering:
         )
         #: needle, median tissue, rules: what commands are checked by; draws vary the tissue
         self.needle, self.tissue, self.rules = planned.needle, tissue, rules
-        self._draws = WeightedDraws.begin(known, draws, gain_sd, slope_sd, self._rng)
+        self._draws = WeightedDraws.begin(layer_draws, draws, gain_sd, slope_sd, self._rng)
         self._readings: tuple[_Reading, ...] = ()
 
     @property
@@ -234,8 +234,10 @@ class Steering:
         readings = (*self._readings, reading)
 
         def weigh(draws: WeightedDraws) -> Floats:
-            each = ((one, self._expect(one, draws)) for one in readings)
-            return np.sum([_log_likelihood(one.values - at, one.sd) for one, at in each], axis=0)
+            expected = ((reading, self._expect(reading, draws)) for reading in readings)
+            return np.sum(
+                [_log_likelihood(reading.values - place, reading.sd) for reading, place in expected], axis=0
+            )
 
         weights = self._draws.weights
         solved = np.isfinite(log)
@@ -299,12 +301,12 @@ class Steering:
         batch = self._make_batch(draws, (*path, self._ahead(depth)))
         kinds = ("base_y", "base_slope", "roll")
         ((shapes, jacobians),) = linearize_batches([batch], kinds, 1, tracked=False, past=len(path))
-        found = differentiate_batch_positions(shapes, jacobians, np.array([depth]))[:, 0]  # (B, 3, 3)
+        derivatives = differentiate_batch_positions(shapes, jacobians, np.array([depth]))[:, 0]  # (B, 3, 3)
         gain = np.ones(len(draws)) if draws.gain is None else draws.gain
-        found = found * np.stack([gain, gain, np.ones(len(draws))], axis=1)[:, None]
+        derivatives = derivatives * np.stack([gain, gain, np.ones(len(draws))], axis=1)[:, None]
         deeper = self._find_tips(draws, depth + DEPTH_STEP_MM)
         by_depth = (deeper - self._find_tips(draws, depth)) / DEPTH_STEP_MM
-        return np.nanmean(np.concatenate([found, by_depth[..., None]], axis=2), axis=0)
+        return np.nanmean(np.concatenate([derivatives, by_depth[..., None]], axis=2), axis=0)
 
     def _ahead(self, depth: float) -> Step:
         if depth < self.now.depth:
@@ -368,7 +370,9 @@ def _draw_table(
         raise ConfigError(f"{source.name} is of kind {source.kind}", expected="a run of a fit or validation")
     stated = source.knows(FitMetadata)
     fold = stated.folds[0]
-    tuned = {stated.insertions[one].specimen for one in fold.tune if one in stated.insertions}
+    tuned = {
+        stated.insertions[insertion].specimen for insertion in fold.tune if insertion in stated.insertions
+    }
     specimen = choose_drawn_specimen(source, "", tuned, "planned")
     draws = select_draws(source.frames["draws"], fold.name, specimen)
     if draws.empty or not draws["certified"].all():

@@ -56,7 +56,7 @@ def store_run(run: Run, folder: Path) -> Path:
         "record": run.record.model_dump(mode="json", by_alias=True),
         **{key: getattr(run, key) for key in _PLAIN},
         "run": to_json_values(run.metadata.to_json()),
-        "faults": [{"kind": one.kind.name, "what": one.what} for one in run.faults],
+        "faults": [{"kind": fault.kind.name, "what": fault.what} for fault in run.faults],
         "frames": {name: _pack_frame(frame) for name, frame in run.frames.items()},
     }
     stated = run.metadata.dataset
@@ -91,7 +91,7 @@ def restore_run(folder: Path) -> Run:
             raise damage_error(folder / RESULTS_FILE, f"there is no kind of study called {table['kind']!r}")
         kind = find_kind(table["kind"])
         about: dict[str, Any] = {key: table[key] for key in _PLAIN}
-        faults = [RunFault(FaultKind[one["kind"]], one["what"]) for one in table["faults"]]
+        faults = [RunFault(FaultKind[fault["kind"]], fault["what"]) for fault in table["faults"]]
         frames: Frames = {name: _unpack_frame(frame) for name, frame in table["frames"].items()}
         for name, wanted in kind.frames.items():
             frame = frames.setdefault(name, pd.DataFrame(columns=list(wanted)))  # one of a later version

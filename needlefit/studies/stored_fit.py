@@ -108,11 +108,11 @@ def _list_files(run: Run, before: Path) -> Iterator[Path]:
     if is_file(before):
         yield before
     try:
-        found = find_dataset_file(find_file("dataset", run.record.dataset))
+        dataset_file = find_dataset_file(find_file("dataset", run.record.dataset))
     except ConfigError:
         return
-    if found.absolute() != before.absolute():
-        yield found
+    if dataset_file.absolute() != before.absolute():
+        yield dataset_file
 
 
 def _warn_changed(dataset: Dataset, run: Run, before: Path) -> Dataset:
@@ -122,7 +122,7 @@ def _warn_changed(dataset: Dataset, run: Run, before: Path) -> Dataset:
     now = inspect(before).dataset if is_file(before) else None
     if now is not None and has_data(run.metadata, now):
         return dataset  # a comment was changed, or another insertion
-    what = f"the dataset has changed since {run.name} was computed, which uses its copy of it"
+    problem = f"the dataset has changed since {run.name} was computed, which uses its copy of it"
     fix = f"run {run.name} again to use the data as they are now"
-    warning = ResultWarning("data_changed", what, str(before), fix)
+    warning = ResultWarning("data_changed", problem, str(before), fix)
     return replace(dataset, warnings=(*dataset.warnings, warning))

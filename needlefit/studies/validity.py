@@ -36,13 +36,13 @@ class ValidityCounts:
 
 def tabulate_validity(folds: Sequence[ValidityCounts]) -> ValidityMetadata:
     """Return the counts of all folds."""
-    scored = [row for one in folds for row in one.scored]
+    scored = [row for fold in folds for row in fold.scored]
     beyond = [row for row in scored if row["faults"]]
     return ValidityMetadata(
         scored=CountMetadata(simulations=len(scored), outside=len(beyond)),
-        starts=add_counts(one.starts for one in folds),
-        draws=add_counts(one.draws for one in folds),
-        predicted=add_counts(one.predicted for one in folds),
+        starts=add_counts(fold.starts for fold in folds),
+        draws=add_counts(fold.draws for fold in folds),
+        predicted=add_counts(fold.predicted for fold in folds),
         limits={name: limit for name, limit, _ in LIMITS},
         fitted_outside=sum(row["method"] in FITTED_METHODS for row in beyond),
         scored_outside=beyond[:MAX_LISTED_ROWS],
@@ -53,7 +53,7 @@ def add_counts(counts: Iterable[CountMetadata]) -> CountMetadata:
     """Return the sum of some counts."""
     listed = list(counts)
     return CountMetadata(
-        simulations=sum(one.simulations for one in listed), outside=sum(one.outside for one in listed)
+        simulations=sum(entry.simulations for entry in listed), outside=sum(entry.outside for entry in listed)
     )
 
 
@@ -64,8 +64,8 @@ def list_outside(validity: ValidityMetadata) -> list[str]:
     return [
         *([f"{fitted} scored simulations of the fit"] if fitted else []),
         *(
-            f"{one.outside} of {one.simulations} {words}"
-            for words, one in counts.items()
-            if one.outside > MAX_OUTSIDE_SHARE * one.simulations
+            f"{count.outside} of {count.simulations} {words}"
+            for words, count in counts.items()
+            if count.outside > MAX_OUTSIDE_SHARE * count.simulations
         ),
     ]

@@ -93,16 +93,16 @@ def read_scene_draws(path: Path, record: SceneRecord) -> "ParameterDraws | None"
 SAME = 1e-6  #: difference of two numbers of a scene, mm, degrees or parts of the value, that no one states
 
 
-def _is_same(one: object, other: object) -> bool:
+def _is_same(first: object, other: object) -> bool:
     """Return whether the values of two scenes mean the same, to whatever tolerance they are solved."""
-    if isinstance(one, dict) and isinstance(other, dict):
-        keys = (one.keys() | other.keys()) - {"tolerance_mm"}
-        return all(_is_same(one.get(key), other.get(key)) for key in keys)
-    if isinstance(one, list | tuple) and isinstance(other, list | tuple):
-        return len(one) == len(other) and all(map(_is_same, one, other))
-    if isinstance(one, float | int) and isinstance(other, float | int):
-        return math.isclose(one, other, rel_tol=SAME, abs_tol=SAME)
-    return bool(one == other)
+    if isinstance(first, dict) and isinstance(other, dict):
+        keys = (first.keys() | other.keys()) - {"tolerance_mm"}
+        return all(_is_same(first.get(key), other.get(key)) for key in keys)
+    if isinstance(first, list | tuple) and isinstance(other, list | tuple):
+        return len(first) == len(other) and all(map(_is_same, first, other))
+    if isinstance(first, float | int) and isinstance(other, float | int):
+        return math.isclose(first, other, rel_tol=SAME, abs_tol=SAME)
+    return bool(first == other)
 
 
 def open_recording(recording: Recording) -> ViewedScene:
@@ -114,12 +114,12 @@ def open_recording(recording: Recording) -> ViewedScene:
         placement=head.placement,
     )  # fmt: skip
     try:
-        found = open_target(head.target, first="scene")  # a run's insertions have names of their own
+        target = open_target(head.target, first="scene")  # a run's insertions have names of their own
     except NeedlefitError as error:
         return replace(alone, note=f"{note} What was shown beside it is not found: {error.what}.")
-    if found.record.title != head.scene.title:  # a title of its own changes no needle
-        record = found.record.model_copy(update={"title": head.scene.title})
-        found = replace(found, record=record, title=title)
-    if not _is_same(found.record.model_dump(), head.scene.model_dump()):
+    if target.record.title != head.scene.title:  # a title of its own changes no needle
+        record = target.record.model_copy(update={"title": head.scene.title})
+        target = replace(target, record=record, title=title)
+    if not _is_same(target.record.model_dump(), head.scene.model_dump()):
         return replace(alone, note=f"{note} {head.target} has another scene and is not shown beside it.")
-    return replace(found, record=head.scene, first_cell=head.first_cell_mm)
+    return replace(target, record=head.scene, first_cell=head.first_cell_mm)

@@ -44,7 +44,11 @@ def compose_page(
         needle["tip"] = shape.tip_lateral if shape.converged else None
     else:
         needle["recording"] = [
-            [step.time, [[one.name, one.item, one.value] for one in step.changes], step.tip_lateral]
+            [
+                step.time,
+                [[change.name, change.item, change.value] for change in step.changes],
+                step.tip_lateral,
+            ]
             for step in steps
         ]
     data = needle_page.PageData({"needlefit": head.needlefit})
@@ -59,7 +63,9 @@ def encode_plan(plan: "SteeringPlan") -> dict[str, Any]:
     return {
         "target": list(plan.goal.target[:2]),
         "radius": plan.goal.radius,
-        "obstacles": [[*one.centre_mm[:2], one.radius_mm, one.name] for one in plan.goal.obstacles],
+        "obstacles": [
+            [*obstacle.centre_mm[:2], obstacle.radius_mm, obstacle.name] for obstacle in plan.goal.obstacles
+        ],
         "needles": [[round_lengths(column) for column in needle.T[:2]] for needle in drawn],
     }
 
@@ -88,7 +94,7 @@ def encode_measured(measured: MeasuredOverlay) -> dict[str, Any]:
     """Return a measured needle as the page draws and compares it."""
     target = measured.target
     points, compared = (
-        dict(zip("xyz", one.T.tolist(), strict=True)) for one in (measured.points, target.measured)
+        dict(zip("xyz", points.T.tolist(), strict=True)) for points in (measured.points, target.measured)
     )
     return {
         "metrics": needle_page.encode_metrics(),
@@ -111,7 +117,7 @@ def encode_tables(tissue: Tissue, steps: Sequence[RecordedStep]) -> list[Any]:
     names = LAWS[tissue.law].shape_names
     if isinstance(LAWS[tissue.law], PowerLaw):
         return []
-    after, found = {0: tissue.shape}, dict[str, Any]()
+    after, tables = {0: tissue.shape}, dict[str, Any]()
     for number, step in enumerate(steps, start=1):
         first, shape = step.changes[0], after[number - 1]
         if first.name == "return_to":
@@ -122,8 +128,8 @@ def encode_tables(tissue: Tissue, steps: Sequence[RecordedStep]) -> list[Any]:
                 shape[names.index(change.name), change.item - 1] = change.value
         after[number] = shape
         if shape is not tissue.shape:
-            found.setdefault(str(shape.tolist()), [shape.tolist(), encode_law(tissue.law, shape)])
-    return list(found.values())
+            tables.setdefault(str(shape.tolist()), [shape.tolist(), encode_law(tissue.law, shape)])
+    return list(tables.values())
 
 
 def encode_draws(spread: "ParameterDraws", law: str) -> dict[str, Any]:

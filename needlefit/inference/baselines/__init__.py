@@ -54,8 +54,8 @@ def list_baselines(of: Literal["shapes", "tracks"] = "shapes") -> tuple[Baseline
     """Return the baselines that predict shapes, or tip tracks, in the order of tables."""
     ordered = sorted(BASELINES.values(), key=lambda baseline: (baseline.order, baseline.name))
     if of == "tracks":
-        return tuple(one for one in ordered if one.track_basis is not None)
-    return tuple(one for one in ordered if not one.tracks_only)
+        return tuple(baseline for baseline in ordered if baseline.track_basis is not None)
+    return tuple(baseline for baseline in ordered if not baseline.tracks_only)
 
 
 def make_curvature_curve(coefficients: Iterable[ArrayLike], insertion: "Insertion") -> "Curve":

@@ -21,9 +21,11 @@ STEP_MM = 0.25  #: step of the integration along the curve, mm
 
 def average_turns(pose: Pose, drop: float, insertions: Sequence[Insertion]) -> Floats:
     """Return the mean turn (P,) at each multiple of `CHORD_MM` from the tip, rad."""
-    each = [_find_turns(pose, drop, one) for one in insertions]
-    longest = max(len(turns) for turns in each)
-    padded = np.array([np.pad(turns, (0, longest - len(turns)), constant_values=np.nan) for turns in each])
+    all_turns = [_find_turns(pose, drop, insertion) for insertion in insertions]
+    longest = max(len(turns) for turns in all_turns)
+    padded = np.array(
+        [np.pad(turns, (0, longest - len(turns)), constant_values=np.nan) for turns in all_turns]
+    )
     return np.nanmean(padded, axis=0)
 
 
@@ -34,8 +36,8 @@ def _find_turns(pose: Pose, drop: float, insertion: Insertion) -> Floats:
     to_tip = np.arange(0.0, length, CHORD_MM)
     if len(to_tip) < 3:  # shorter than two chords: it has no turn
         return np.zeros(1)
-    at = points.s[-1] - to_tip
-    chords = -np.diff([np.interp(at, points.s, axis) for axis in points.measured.T], axis=1).T
+    places = points.s[-1] - to_tip
+    chords = -np.diff([np.interp(places, points.s, axis) for axis in points.measured.T], axis=1).T
     angles = insertion.side * np.arctan2(chords[:, 1], chords[:, 0])
     turns = -np.diff(angles)
     if pose == "free":

@@ -53,20 +53,20 @@ class PredictedData:
 
     def log_likelihoods(self, outer_draws: NDArray[np.intp], rng: np.random.Generator) -> Floats:
         """Return the log likelihood (O, B) of every draw, of data predicted by draws `outer_draws` (O,)."""
-        at = self.scales, self.spreads
+        hyperparameters = self.scales, self.spreads
         # (B, R) and (B, D, R), both in standard deviations of each draw's own noise
-        first, slopes = stack_residuals([self.white], self.group, *at)
+        first, slopes = stack_residuals([self.white], self.group, *hyperparameters)
         stiff = np.eye(slopes.shape[1]) + slopes @ slopes.transpose(0, 2, 1)
         weights = np.linalg.solve(stiff, slopes)  # the same for all data
         _, log_det = np.linalg.slogdet(stiff)
-        norm, found = -first.shape[1] * np.log(self.scales) - 0.5 * log_det, []
+        norm, logs = -first.shape[1] * np.log(self.scales) - 0.5 * log_det, []
         for draw in outer_draws:
             data = first[draw] + rng.standard_normal(slopes.shape[1]) @ slopes[draw]
             data = self.scales[draw] * (data + rng.standard_normal(len(data)))
             off = first - data / self.scales[:, None]
             explained = (slopes @ off[..., None]) * (weights @ off[..., None])
-            found.append(norm - 0.5 * (np.sum(off**2, axis=1) - explained.sum(axis=(1, 2))))
-        return np.array(found)
+            logs.append(norm - 0.5 * (np.sum(off**2, axis=1) - explained.sum(axis=(1, 2))))
+        return np.array(logs)
 
 
 def nested_gain(

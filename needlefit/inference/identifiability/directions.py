@@ -54,7 +54,7 @@ def principal_directions(
     """
     precision, vectors = np.linalg.eigh(information)
     before = None if prior is None else np.linalg.inv(prior)
-    found = []
+    directions = []
     for value, vector in zip(precision[::-1], vectors.T[::-1], strict=True):
         sd = 1 / math.sqrt(value) if value > 0 else math.inf
         # the sign of an eigenvector is arbitrary: the largest component is made positive, so that words do
@@ -66,14 +66,16 @@ def principal_directions(
         # of the combination whose largest weight is 1, and whether that is a logarithm
         scaled_sd, logarithm = sd / float(np.max(np.abs(vector))), all(map(is_logarithmic, kept))
         free = scaled_sd >= NEARLY_FREE_SD
-        known = f"to {format_sd(scaled_sd, logarithm)}"
+        words_of_sd = f"to {format_sd(scaled_sd, logarithm)}"
         if logarithm and free:
-            known = f"within a factor of {_print_factor(scaled_sd)} only"
+            words_of_sd = f"within a factor of {_print_factor(scaled_sd)} only"
         nearly = "is nearly free: known" if free else "is known"
-        words = f"{describe_combination(vector, names)} {nearly} {known}"
-        one = Direction(sd, tuple(vector.tolist()), words, prior_sd)
-        found.append(one if one.is_informed else replace(one, words=f"{words}{KNOWN_BY_PRIOR}"))
-    return tuple(found)
+        words = f"{describe_combination(vector, names)} {nearly} {words_of_sd}"
+        direction = Direction(sd, tuple(vector.tolist()), words, prior_sd)
+        directions.append(
+            direction if direction.is_informed else replace(direction, words=f"{words}{KNOWN_BY_PRIOR}")
+        )
+    return tuple(directions)
 
 
 def describe_combination(weights: Floats, names: Sequence[str]) -> str:
@@ -130,8 +132,10 @@ def find_bound_side(
     name: str, value: float, low: float, high: float, near: float = BOUND_FRACTION
 ) -> Literal["lower", "upper", ""]:
     """Return the bound at which a parameter lies, to within the part `near` of them; NaN lies at none."""
-    least, at, most = (math.log(one) if is_logarithmic(name) else one for one in (low, value, high))
-    place = (at - least) / (most - least)
+    least, coordinate, most = (
+        math.log(bound) if is_logarithmic(name) else bound for bound in (low, value, high)
+    )
+    place = (coordinate - least) / (most - least)
     return "lower" if place < near else "upper" if place > 1 - near else ""
 
 
@@ -147,8 +151,8 @@ def name_determined(alone: bool, together: bool) -> Determined:
 
 def find_least_determined(words: Iterable[str]) -> str:
     """Return the word of the fold, of several, in which a parameter is determined least; "" for no word."""
-    found = set(words)
-    return next((word for word in reversed(DETERMINED) if word in found), "")
+    determined = set(words)
+    return next((word for word in reversed(DETERMINED) if word in determined), "")
 
 
 def widest_interval(name: str) -> float:

@@ -89,13 +89,13 @@ def identify(
     draws, further = (None if some is None else restrict(some) for some in (draws, further))
     names = problem.names
     noisy = add_estimated_noise(problem, theta)
-    at = linearize(noisy, theta)
-    known, information = compute_sds(noisy, theta, draws, at)
-    sds, before = dict(zip(names, known.tolist(), strict=True)), prior_information(noisy)
-    added = add_model_error(noisy, theta, at)
+    linearized = linearize(noisy, theta)
+    computed_sds, information = compute_sds(noisy, theta, draws, linearized)
+    sds, before = dict(zip(names, computed_sds.tolist(), strict=True)), prior_information(noisy)
+    added = add_model_error(noisy, theta, linearized)
     # pinv: a direction without information has no variance to add to
     wider = np.linalg.pinv(np.linalg.pinv(information, hermitian=True) + added, hermitian=True)
-    found = principal_directions(wider.astype(np.float64), names, before)
+    directions = principal_directions(wider.astype(np.float64), names, before)
     together = find_together(names, information, before)
     bounds = dict(zip(names, find_bounds(problem, theta), strict=True))
     ranges = dict(zip(names, np.ptp(equal, axis=0).tolist(), strict=True))
@@ -105,7 +105,7 @@ def identify(
     nominally = {
         n: informed[n] and sds[n] < limits[n] and ranges[n] < MAX_RANGE_SD * limits[n] for n in names
     }
-    loosened = loosen(noisy, theta, sds, at) if any(nominally.values()) else ()
+    loosened = loosen(noisy, theta, sds, linearized) if any(nominally.values()) else ()
     if loosened and further is not None:
         apart = dict(zip(names, np.std(further, axis=0).tolist(), strict=True))
         apart |= {name: apart.get(source, 0.0) for name, (_, source) in problem.parameters.ties.items()}
@@ -125,9 +125,11 @@ def identify(
         else:
             # the best-known combination that the parameter is part of, if any is known
             combinations = [
-                one.words
-                for one in found
-                if abs(one.weights[k]) >= MIN_NAMED_WEIGHT and one.sd < MAX_LOG_SD and one.is_informed
+                direction.words
+                for direction in directions
+                if abs(direction.weights[k]) >= MIN_NAMED_WEIGHT
+                and direction.sd < MAX_LOG_SD
+                and direction.is_informed
             ]
             note = "not determined" + (" alone" if combinations else "")
             if is_logarithmic(n):
@@ -144,7 +146,7 @@ def identify(
         at_bound=bounds,
         spread_low={n: low[n] for n in names},
         spread_high={n: high[n] for n in names},
-        directions=found,
+        directions=directions,
         notes=notes,
     )
 
@@ -152,7 +154,7 @@ def identify(
 def find_together(names: Sequence[str], information: Floats, prior: Floats) -> dict[str, bool]:
     """Return which parameters the data determine while all others are held, by information (P, P)."""
     # the diagonal of the information is that on each parameter given all others
-    held = zip(names, *(1 / np.sqrt(np.diag(one)) for one in (information, prior)), strict=True)
+    held = zip(names, *(1 / np.sqrt(np.diag(matrix)) for matrix in (information, prior)), strict=True)
     return {name: is_determined_by_data(name, sd, prior_sd) for name, sd, prior_sd in held}
 
 
@@ -191,16 +193,16 @@ def profile_parameters(
     Where the dataset states no noise, the fit's residuals stand for it. `stop` leaves out what has not begun.
     `step` is as of `trace_profiles`.
     """
-    known, theta = problem.parameters, np.array(fit.theta)
-    noisy, theta = add_estimated_noise(problem, theta).searched, known.restrict(theta)
+    parameters, theta = problem.parameters, np.array(fit.theta)
+    noisy, theta = add_estimated_noise(problem, theta).searched, parameters.restrict(theta)
     optimum = minimize_squares(noisy, theta)
     scale = max(1.0, linearize(noisy, optimum.theta)[2])
     paths = trace_profiles(noisy, range(len(noisy.names)), optimum, jobs, stop, scale, step=step)
-    found = tuple(summarize_profile(noisy, k, path, scale) for k, path in sorted(paths.items()))
+    profiles = tuple(summarize_profile(noisy, k, path, scale) for k, path in sorted(paths.items()))
     at_fit = noisy.jacobian(theta)[0]
     # residuals are those of the posterior: of a metric fit their gain means nothing
     gain = 0.5 * (float(at_fit @ at_fit) - optimum.value) if fit.minimized == "posterior" else 0.0
-    return FitProfiles(found, scale, gain, tuple(known.extend(optimum.theta).tolist()))
+    return FitProfiles(profiles, scale, gain, tuple(parameters.extend(optimum.theta).tolist()))
 
 
 def is_determined_by_profile(profile: LikelihoodProfile, prior_sd: float) -> bool:

@@ -44,13 +44,15 @@ class Linearized(NamedTuple):
     points: NodePoints  #: from which all of this follows, also with other errors of the observations
 
 
-def posterior_sds(problem: Problem, theta: Floats, at: Linearized | None = None) -> dict[str, float]:
+def posterior_sds(problem: Problem, theta: Floats, linearized: Linearized | None = None) -> dict[str, float]:
     """Return the standard deviations of theta by the information, or the scatter between needles, by name."""
-    return dict(zip(problem.names, compute_sds(problem, theta, at=at)[0].tolist(), strict=True))
+    return dict(
+        zip(problem.names, compute_sds(problem, theta, linearized=linearized)[0].tolist(), strict=True)
+    )
 
 
 def compute_sds(
-    problem: Problem, theta: Floats, draws: Floats | None = None, at: Linearized | None = None
+    problem: Problem, theta: Floats, draws: Floats | None = None, linearized: Linearized | None = None
 ) -> tuple[Floats, Floats]:
     """Return the standard deviations (P,) and the information (P, P), given the observations linearised `at`.
 
@@ -58,7 +60,7 @@ def compute_sds(
     Gaussian, the information at one point is smaller or larger. Where bounds cut the draws off, deviations
     are not smaller than by the information, which the bounds hardly limit.
     """
-    residuals, slope, chi_square, _ = at or linearize(problem, theta)
+    residuals, slope, chi_square, _ = linearized or linearize(problem, theta)
     prior_part = prior_and_noise_information(problem)
     # a chi-square above 1 means that the noise is understated; one below 1 is not taken as extra precision
     information = slope.T @ slope / max(1.0, chi_square) + prior_part
@@ -128,11 +130,11 @@ def linearize(problem: Problem, theta: Floats, points: NodePoints | None = None)
     points = points or density.differentiate_points(values)
     # residuals of the observations come first; the normalising one and the prior's follow, and the prior is
     # added by `prior_information`
-    count, (found,) = sum(density.residual_counts), density.jacobians([values], points=points)
-    residuals, slope = (np.nan_to_num(part[:count]) for part in found)
+    count, (jacobian,) = sum(density.residual_counts), density.jacobians([values], points=points)
+    residuals, slope = (np.nan_to_num(part[:count]) for part in jacobian)
     # what a scale of the noise does to residuals is no information on the other parameters, on average
     slope = slope * [float(name not in HYPERPARAMETERS) for name in problem.names]
-    rows = sum(known.rows for known in density.observations)
+    rows = sum(observation.rows for observation in density.observations)
     chi_square = float(residuals @ residuals) / max(1, rows - len(problem.names))
     return Linearized(residuals, slope, chi_square, points)
 
@@ -140,8 +142,8 @@ def linearize(problem: Problem, theta: Floats, points: NodePoints | None = None)
 def prior_information(problem: Problem) -> Floats:
     """Return the information (P, P) of the stated prior; parameters without one get that of their bounds."""
     stated, half_normal = problem.parameters.prior, problem.parameters.half_normal
-    known = {*stated.marginals, *half_normal, *(tie.name for tie in stated.ties)}
-    flat = np.array([name not in known for name in problem.names])
+    stated_names = {*stated.marginals, *half_normal, *(tie.name for tie in stated.ties)}
+    flat = np.array([name not in stated_names for name in problem.names])
     # 12 / width^2 is the precision of a uniform distribution of this width
     bounds: Floats = np.diag(np.where(flat, 12.0 / (problem.upper - problem.lower) ** 2, 0.0))
     # of a half-normal prior: 2 at its deviation, which is the peak of the logarithm's density
@@ -151,9 +153,11 @@ def prior_information(problem: Problem) -> Floats:
 
 def prior_and_noise_information(problem: Problem) -> Floats:
     """Return `prior_information` plus the information that the residuals hold on the noise scale."""
-    rows = sum(known.rows for known in problem.density.observations)  # Fisher: 2 of each, of the logarithm
-    known: Floats = prior_information(problem)
-    return known + np.diag([2.0 * rows * (name == NOISE_SCALE) for name in problem.names])
+    rows = sum(
+        observation.rows for observation in problem.density.observations
+    )  # Fisher: 2 of each, of the logarithm
+    information: Floats = prior_information(problem)
+    return information + np.diag([2.0 * rows * (name == NOISE_SCALE) for name in problem.names])
 
 
 #: length over which the model's error fades along the needle: about that of a layer
@@ -179,38 +183,41 @@ class Loosened:
 
 
 def loosen(
-    problem: Problem, theta: Floats, sds: Mapping[str, float] | None = None, at: Linearized | None = None
+    problem: Problem,
+    theta: Floats,
+    sds: Mapping[str, float] | None = None,
+    linearized: Linearized | None = None,
 ) -> tuple[Loosened, ...]:
     """Return the standard deviations at `theta` (P,) with ties loosened, and then with a model error.
 
     By `sds`, the standard deviations before, or by default those of the information: loosening adds to their
     squares what it adds by the information.
     """
-    at = at or linearize(problem, theta)
-    stated = posterior_sds(problem, theta, at)
-    known = stated if sds is None else sds
+    linearized = linearized or linearize(problem, theta)
+    stated = posterior_sds(problem, theta, linearized)
+    sds_before = stated if sds is None else sds
     values, parameters = problem.values(theta), loosen_ties(problem.parameters)
-    found, problems = list[Loosened](), list[tuple[str, Problem, Linearized]]()
+    loosened, problems = list[Loosened](), list[tuple[str, Problem, Linearized]]()
     if parameters != problem.parameters:
         problem, theta = problem.with_parameters(parameters), parameters.theta(values)
-        at = linearize(problem, theta)
-        problems.append((STATED_TIES, problem, at))
-    allowing = replace(problem, model_error=estimate_model_error(problem, at))
-    problems.append((NO_MODEL_ERROR, allowing, linearize(allowing, theta, at.points)))
-    for condition, one, there in problems:
-        loose = posterior_sds(one, theta, there)
+        linearized = linearize(problem, theta)
+        problems.append((STATED_TIES, problem, linearized))
+    allowing = replace(problem, model_error=estimate_model_error(problem, linearized))
+    problems.append((NO_MODEL_ERROR, allowing, linearize(allowing, theta, linearized.points)))
+    for condition, loosened_problem, there in problems:
+        loose = posterior_sds(loosened_problem, theta, there)
         added = {name: math.sqrt(max(0.0, sd**2 - stated.get(name, 0.0) ** 2)) for name, sd in loose.items()}
-        found.append(
-            Loosened(condition, {n: math.hypot(known.get(n, 0.0), more) for n, more in added.items()})
+        loosened.append(
+            Loosened(condition, {n: math.hypot(sds_before.get(n, 0.0), more) for n, more in added.items()})
         )
-    return tuple(found)
+    return tuple(loosened)
 
 
 def find_condition(name: str, prior_sd: float, loosened: Sequence[Loosened]) -> str:
     """Return the condition under which alone a parameter is determined; empty if there is none."""
-    for one in loosened:
-        if not is_determined_by_data(name, one.sds[name], prior_sd):
-            return one.condition
+    for condition in loosened:
+        if not is_determined_by_data(name, condition.sds[name], prior_sd):
+            return condition.condition
     return ""
 
 
@@ -225,41 +232,49 @@ def find_tie_conditions(
     Where the source is not determined, what is tied to it is neither. `determined` and `conditions` are of
     free parameters.
     """
-    found = {}
+    tie_conditions = {}
     for name, (_, source) in parameters.ties.items():
         if determined.get(source, False) and is_logarithmic(name):  # the tie alone gives it its spread
-            found[name] = find_condition(name, math.log(MATERIAL_SPREAD), loosened)
+            tie_conditions[name] = find_condition(name, math.log(MATERIAL_SPREAD), loosened)
         else:
-            found[name] = conditions.get(source, "")
-    return found
+            tie_conditions[name] = conditions.get(source, "")
+    return tie_conditions
 
 
-def add_model_error(problem: Problem, theta: Floats, at: Linearized) -> Floats:
+def add_model_error(problem: Problem, theta: Floats, linearized: Linearized) -> Floats:
     """Return the covariance (P, P) that a model error adds to that of theta, by the information there."""
-    allowing = replace(problem, model_error=estimate_model_error(problem, at))
+    allowing = replace(problem, model_error=estimate_model_error(problem, linearized))
     covariances = [
-        np.linalg.pinv(slope.T @ slope + prior_and_noise_information(one), hermitian=True)
-        for one, slope in ((problem, at.slope), (allowing, linearize(allowing, theta, at.points).slope))
+        np.linalg.pinv(slope.T @ slope + prior_and_noise_information(variant), hermitian=True)
+        for variant, slope in (
+            (problem, linearized.slope),
+            (allowing, linearize(allowing, theta, linearized.points).slope),
+        )
     ]
     # the allowance adds variance in every direction; rounding may say otherwise where it adds none
     added, vectors = np.linalg.eigh(covariances[1] - covariances[0])
     return vectors * np.maximum(added, 0.0) @ vectors.T
 
 
-def estimate_model_error(problem: Problem, at: Linearized) -> Discrepancy:
+def estimate_model_error(problem: Problem, linearized: Linearized) -> Discrepancy:
     """Return a model error of the size of the residuals beyond the noise, `MIN_MODEL_ERROR` at least.
 
     By moments: chi^2 exceeds the degrees of freedom by the sum of the variances that the error adds to the
     whitened residuals.
     """
     unit = Discrepancy(1.0, MODEL_ERROR_LENGTH_MM)
-    squares = float(at.residuals @ at.residuals)
-    excess = squares * (1.0 - 1.0 / at.chi_square) if at.chi_square > 1 else 0.0
+    squares = float(linearized.residuals @ linearized.residuals)
+    excess = squares * (1.0 - 1.0 / linearized.chi_square) if linearized.chi_square > 1 else 0.0
     added = sum(
-        float(np.sum((one.whitening @ block_diag(*[unit.covariance(s)] * one.directions)) * one.whitening))
-        for one in problem.density.observations
-        for s in one.nodes.s[:1]
+        float(
+            np.sum(
+                (observation.whitening @ block_diag(*[unit.covariance(s)] * observation.directions))
+                * observation.whitening
+            )
+        )
+        for observation in problem.density.observations
+        for s in observation.nodes.s[:1]
     )
-    tips = [one.deflection for one in problem.insertions]
+    tips = [insertion.deflection for insertion in problem.insertions]
     least = MIN_MODEL_ERROR * math.sqrt(float(np.mean(np.square(tips))))
     return Discrepancy(max(math.sqrt(excess / added), least), MODEL_ERROR_LENGTH_MM)

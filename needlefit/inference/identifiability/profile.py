@@ -51,46 +51,46 @@ def minimize_squares(
     """Return the minimum nearest to `theta` (P,); the parameter numbered `held` keeps its value."""
     moving = np.arange(len(theta)) != held
     lower, upper = target.lower[moving], target.upper[moving]
-    at = _evaluate(target, np.clip(theta, target.lower, target.upper))
+    minimum = _evaluate(target, np.clip(theta, target.lower, target.upper))
     radius, evaluations, converged = FIRST_RADIUS, 1, not moving.any()
-    while math.isfinite(at.value) and evaluations < MAX_EVALUATIONS and not converged:
+    while math.isfinite(minimum.value) and evaluations < MAX_EVALUATIONS and not converged:
         step_bounds = (
-            np.maximum(lower - at.theta[moving], -radius),
-            np.minimum(upper - at.theta[moving], radius),
+            np.maximum(lower - minimum.theta[moving], -radius),
+            np.minimum(upper - minimum.theta[moving], radius),
         )
-        step = _step(at, moving, step_bounds)
-        gain = _predict_gain(at, moving, step)
+        step = _step(minimum, moving, step_bounds)
+        gain = _predict_gain(minimum, moving, step)
         converged = gain < min_gain
         if converged:
             break
-        ahead = at.theta.copy()
+        ahead = minimum.theta.copy()
         ahead[moving] += step
         trial = _evaluate(target, np.clip(ahead, target.lower, target.upper))
         evaluations += 1
-        gain_ratio = (at.value - trial.value) / gain
+        gain_ratio = (minimum.value - trial.value) / gain
         if gain_ratio > 0.75:
             radius *= 2
         # written with `not`, so that a NaN shrinks the radius too
         elif not gain_ratio > 0.25:
             radius = 0.25 * float(np.max(np.abs(step)))
-        at = trial if gain_ratio > 0 else at
-    return LocalMinimum(at.theta, at.value, at.slope, at.information, converged)
+        minimum = trial if gain_ratio > 0 else minimum
+    return LocalMinimum(minimum.theta, minimum.value, minimum.slope, minimum.information, converged)
 
 
-def _predict_gain(at: LocalMinimum, moving: Bools, step: Floats) -> float:
+def _predict_gain(minimum: LocalMinimum, moving: Bools, step: Floats) -> float:
     """Return the decrease that the linear model predicts."""
     # slope is 2 J^T r, so this is -(2 r^T J s + |J s|^2)
-    return -float(at.slope[moving] @ step + step @ at.information[np.ix_(moving, moving)] @ step)
+    return -float(minimum.slope[moving] @ step + step @ minimum.information[np.ix_(moving, moving)] @ step)
 
 
-def _step(at: LocalMinimum, moving: Bools, step_bounds: tuple[Floats, Floats]) -> Floats:
+def _step(minimum: LocalMinimum, moving: Bools, step_bounds: tuple[Floats, Floats]) -> Floats:
     """Return the step (Q,) within `step_bounds` that would be best if residuals were linear."""
-    information = at.information[np.ix_(moving, moving)]
+    information = minimum.information[np.ix_(moving, moving)]
     precision, axes = np.linalg.eigh(information)
     # least squares needs a root of the information: eigenvalues are kept above rounding, 1e-300 guards a zero
     # matrix
     root = np.sqrt(np.maximum(precision, 1e-12 * max(float(precision[-1]), 1e-300)))
-    rows, wanted = (root[:, None] * axes.T, -0.5 * (axes.T @ at.slope[moving]) / root)
+    rows, wanted = (root[:, None] * axes.T, -0.5 * (axes.T @ minimum.slope[moving]) / root)
     # bvls solves the box exactly; the default, trf, only approaches active bounds
     return lsq_linear(rows, wanted, bounds=step_bounds, method="bvls").x
 
@@ -210,23 +210,23 @@ class _ProfileSide:
         remaining = max(float(self.optimum.information[self.k, self.k] - cross @ rest), 0.0)
         slope = np.sqrt(remaining / self.scale)
         step = float(min(self.steps.root_rise / max(slope, 1e-9), MAX_STEP_FRACTION * self.range))
-        found = [self.optimum]
-        while len(found) <= MAX_SIDE_POINTS:
-            last = found[-1]
-            at, root = float(last.theta[self.k]), self._deviance_root(last)
-            if at == self.bound or root**2 > self.steps.stop_deviance:
+        path = [self.optimum]
+        while len(path) <= MAX_SIDE_POINTS:
+            last = path[-1]
+            coordinate, root = float(last.theta[self.k]), self._deviance_root(last)
+            if coordinate == self.bound or root**2 > self.steps.stop_deviance:
                 break
             # a remainder of less than a fifth of a step is not worth a point of its own
-            place = self.bound if abs(self.bound - at) < 1.2 * step else at + self.side * step
+            place = self.bound if abs(self.bound - coordinate) < 1.2 * step else coordinate + self.side * step
             point = self._compute_point(last, place)
-            rise, step = self._deviance_root(point) - root, abs(place - at)
+            rise, step = self._deviance_root(point) - root, abs(place - coordinate)
             # the root of the deviance is linear where the profile is a parabola, so steps are judged by it
             if rise > 2 * self.steps.root_rise and step > MIN_STEP_FRACTION * self.range:
                 if np.isfinite(point.value):
                     self.points.append(point)  # it is a point of the profile all the same
                 step *= float(np.clip(self.steps.root_rise / rise, 0.1, 0.6))
             elif np.isfinite(point.value):
-                found.append(point)
+                path.append(point)
                 # the step at which the root should have risen as wanted; at the optimum the root is 0, and
                 # its derivative is divided by it
                 root = max(self._deviance_root(point), 1e-3)
@@ -236,8 +236,8 @@ class _ProfileSide:
                 step = float(np.clip(wanted, MIN_STEP_FRACTION * self.range, longest))
             else:
                 break
-        self.at_bound = bool(found[-1].theta[self.k] == self.bound)
-        self.points += found[1:]
+        self.at_bound = bool(path[-1].theta[self.k] == self.bound)
+        self.points += path[1:]
 
     def _compute_point(self, last: LocalMinimum, place: float) -> LocalMinimum:
         """Return the best with the parameter held at `place`, by more starts if the search fails or jumps."""
@@ -249,7 +249,9 @@ class _ProfileSide:
         # a fall of the root, or a jump, means that the search has changed to another branch
         if point.converged and before - 0.3 < after < expected + MAX_ROOT_JUMP:
             return point
-        return select_best([point, *(self._minimize(one.theta, place) for one in (last, self.optimum))])
+        return select_best(
+            [point, *(self._minimize(neighbour.theta, place) for neighbour in (last, self.optimum))]
+        )
 
     def _minimize(self, start: Floats, place: float) -> LocalMinimum:
         theta = start.copy()
@@ -320,13 +322,13 @@ def summarize_profile(target: Problem, k: int, path: ProfilePath, scale: float =
             points[-1] = select_best([points[-1], point])
         else:
             points.append(point)
-    at = np.array([point.theta[k] for point in points])
+    coordinates = np.array([point.theta[k] for point in points])
     best = select_best(points)
     deviance = np.array([(point.value - best.value) / scale for point in points])
     slope = np.array([point.slope[k] / scale for point in points])
     # at the optimum the derivative is 0 up to the tolerance; exactly 0 keeps the cubic from dipping below it
     slope[deviance == 0] = 0.0
-    (low, below), (high, above) = (_find_end(path, (at, deviance, slope), side) for side in (-1, 1))
+    (low, below), (high, above) = (_find_end(path, (coordinates, deviance, slope), side) for side in (-1, 1))
     # Schur complement: the information on k that is left when the others are known within their bounds alone
     information, others = best.information / scale, np.arange(len(width)) != k
     cross = information[others, k]
@@ -334,7 +336,7 @@ def summarize_profile(target: Problem, k: int, path: ProfilePath, scale: float =
     remaining = float(information[k, k] - cross @ np.linalg.solve(bounded, cross))
     return LikelihoodProfile(
         name=target.names[k],
-        at=at,
+        at=coordinates,
         deviance=deviance,
         slope=slope,
         thetas=np.array([point.theta for point in points]),
@@ -348,10 +350,10 @@ def summarize_profile(target: Problem, k: int, path: ProfilePath, scale: float =
 
 
 def _find_end(path: ProfilePath, curve: tuple[Floats, Floats, Floats], side: int) -> tuple[float, End]:
-    at, deviance, _ = curve
+    coordinates, deviance, _ = curve
     outermost = -1 if side > 0 else 0
     if deviance[outermost] <= DEVIANCE_95:
-        return float(at[outermost]), "bound" if path.at_bound[side > 0] else "lost"
+        return float(coordinates[outermost]), "bound" if path.at_bound[side > 0] else "lost"
     # it may cross more than once: the outermost crossing counts
     crossings = scipy.interpolate.CubicHermiteSpline(*curve).solve(DEVIANCE_95, extrapolate=False)
     return float(crossings[outermost]), "closed"

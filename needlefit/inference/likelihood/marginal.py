@@ -85,11 +85,11 @@ def _sum_over_group(products: Sequence[Floats], group: NodeGroup, spread: Floats
     """
     size, count = 1 + len(group.surfaces), len(products[0])
     total, log_det = np.zeros((count, size, size)), np.zeros(count)
-    for part, nodes, own, place in _members(products, group):
+    for part, nodes, own_columns, place in _members(products, group):
         linear = weigh_linear(nodes, spread)
         gram = linear @ part @ linear.transpose(0, 2, 1)  # (B, 1 + d, 1 + d)
-        loaded = own[:, None] * gram[:, 1:]
-        stiff = np.eye(len(own)) + loaded[:, :, 1:] * own
+        loaded = own_columns[:, None] * gram[:, 1:]
+        stiff = np.eye(len(own_columns)) + loaded[:, :, 1:] * own_columns
         gram = gram - loaded.transpose(0, 2, 1) @ np.linalg.solve(stiff, loaded)
         total, log_det = total + place @ gram @ place.T, log_det + _log_det(stiff)
     return total, log_det
@@ -97,10 +97,10 @@ def _sum_over_group(products: Sequence[Floats], group: NodeGroup, spread: Floats
 
 def _members(products: Sequence[Floats], group: NodeGroup) -> Iterator[tuple[Floats, Nodes, Floats, Floats]]:
     """Yield of each insertion its products, nodes, own deviations (d,), and what takes (1, t) to (1, z)."""
-    for part, nodes, own, shared in zip(products, group.nodes, group.own, group.shared, strict=True):
-        place = np.zeros((1 + shared.shape[1], 1 + len(own)))
+    for part, nodes, own_columns, shared in zip(products, group.nodes, group.own, group.shared, strict=True):
+        place = np.zeros((1 + shared.shape[1], 1 + len(own_columns)))
         place[0, 0], place[1:, 1:] = 1.0, shared.T
-        yield part, nodes, own, place
+        yield part, nodes, own_columns, place
 
 
 def _integrate_effects(products: Floats, nodes: Nodes, spread: Floats) -> tuple[Floats, Floats]:
@@ -125,7 +125,7 @@ def linearize_residuals(
     whites: Sequence[Floats],
     by: Sequence[Floats],
     group: NodeGroup,
-    at: tuple[Floats, Floats],
+    residuals_at: tuple[Floats, Floats],
     by_log_spread: Floats,
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Return residuals (B, R + D) and log det (B,) of the density, -(|residuals|^2 + log det) / 2, and their
@@ -135,31 +135,33 @@ def linearize_residuals(
     deviations, insertion by insertion; `count_residuals` says how many belong to each. `at` are scale and
     spread; `by_log_spread` (P,) are the derivatives of the latter's logarithm.
     """
-    sets, free = len(at[0]), by[0].shape[-1]
+    sets, free = len(residuals_at[0]), by[0].shape[-1]
     # the conditions of an insertion meet those of the others in what is shared alone: with that at last, the
     # precision of all conditions is block-diagonal with a border
     corner, constant = _begin_precision(group, sets)
-    pull, log_det, known = np.zeros(corner.shape[:2]), np.full(sets, constant), []
+    pull, log_det, given = np.zeros(corner.shape[:2]), np.full(sets, constant), []
     for white, by_white, (own_group, places) in zip(whites, by, group.members, strict=True):
-        first, slopes = stack_residuals([white], own_group, *at)
-        by_first, by_slopes = stack_residuals([by_white], own_group, *at)
+        first, slopes = stack_residuals([white], own_group, *residuals_at)
+        by_first, by_slopes = stack_residuals([by_white], own_group, *residuals_at)
         bevels = np.array(_list_bevel_conditions(own_group), dtype=np.float64)
         by_slopes = by_slopes + (bevels[:, None] * slopes)[..., None] * by_log_spread
-        own, held = np.split(slopes, [slopes.shape[1] - len(places)], axis=1)  # conditions of its own, shared
-        border = own @ held.transpose(0, 2, 1)
-        stiff = np.eye(own.shape[1]) + own @ own.transpose(0, 2, 1)
-        pulled = np.concatenate([own @ first[..., None], border, own], axis=2)
+        own_slopes, held = np.split(
+            slopes, [slopes.shape[1] - len(places)], axis=1
+        )  # conditions of its own, shared
+        border = own_slopes @ held.transpose(0, 2, 1)
+        stiff = np.eye(own_slopes.shape[1]) + own_slopes @ own_slopes.transpose(0, 2, 1)
+        pulled = np.concatenate([own_slopes @ first[..., None], border, own_slopes], axis=2)
         solved = np.linalg.solve(stiff, pulled)
         to_pull, to_border, to_own = np.split(solved, [1, 1 + len(places)], axis=2)
         turned = border.transpose(0, 2, 1)
         corner[:, places[:, None], places] += held @ held.transpose(0, 2, 1) - turned @ to_border
         pull[:, places] += (held @ first[..., None] - turned @ to_pull)[..., 0]
         log_det = log_det + _log_det(stiff)
-        known.append((places, first, slopes, border, stiff, to_pull, to_border, to_own, by_first, by_slopes))
+        given.append((places, first, slopes, border, stiff, to_pull, to_border, to_own, by_first, by_slopes))
     inverse, log_det = np.linalg.inv(corner), log_det + _log_det(corner)
     best = -(inverse @ pull[..., None])[..., 0]
     by_pull, by_det, parts = np.zeros((*pull.shape, free)), np.zeros((sets, free)), []
-    for places, first, slopes, border, stiff, to_pull, to_border, to_own, by_first, by_slopes in known:
+    for places, first, slopes, border, stiff, to_pull, to_border, to_own, by_first, by_slopes in given:
         count, rows, conditions = len(stiff[0]), first.shape[1], slopes.shape[1]
         own_best = -(to_pull + to_border @ best[:, places, None])[..., 0]
         fits = np.concatenate([own_best, best[:, places]], axis=1)
@@ -191,11 +193,11 @@ def linearize_residuals(
 
 def _list_bevel_conditions(group: NodeGroup) -> list[bool]:
     """Return which of the conditions are a bevel's."""
-    found: list[bool] = []
+    conditions: list[bool] = []
     for nodes in group.nodes:
-        found += [axis.of_bevel for axis in nodes.axes]
-        found += [nodes.bevel and k == 0 for k in range(len(nodes.effects))]
-    return [*found, *(surface[1] == BEVEL for surface in group.surfaces)]
+        conditions += [axis.of_bevel for axis in nodes.axes]
+        conditions += [nodes.bevel and k == 0 for k in range(len(nodes.effects))]
+    return [*conditions, *(surface[1] == BEVEL for surface in group.surfaces)]
 
 
 def count_residuals(group: NodeGroup, rows: Sequence[int]) -> list[int]:
@@ -222,18 +224,20 @@ def stack_residuals(
     first = np.empty((sets, ends[-1], *more))
     slopes = np.zeros((sets, sizes[-1] + len(group.surfaces), ends[-1], *more))
     members = zip(whites, group.nodes, group.own, group.shared, strict=True)
-    for k, (white, nodes, own, shared) in enumerate(members):
+    for k, (white, nodes, own_columns, shared) in enumerate(members):
         rest = white.shape[2:]  # (R,) or (R, P)
         flat = white.reshape(sets, white.shape[1], math.prod(rest)) / scale[:, None, None]  # (B, m, R P)
         turned = weigh_linear(nodes, spread) @ flat  # (B, 1 + d, R P)
-        at, here = slice(ends[k], ends[k + 1]), sizes[k]
-        first[:, at] = turned[:, 0].reshape(sets, *rest)
-        slopes[:, here : here + len(own), at] = (own[:, None] * turned[:, 1:]).reshape(sets, len(own), *rest)
+        rows, here = slice(ends[k], ends[k + 1]), sizes[k]
+        first[:, rows] = turned[:, 0].reshape(sets, *rest)
+        slopes[:, here : here + len(own_columns), rows] = (own_columns[:, None] * turned[:, 1:]).reshape(
+            sets, len(own_columns), *rest
+        )
         loads = load_effects(nodes, spread)  # (B, l)
         effects = loads[:, :, None] * (nodes.effects @ flat)
-        here += len(own)
-        slopes[:, here : here + loads.shape[1], at] = effects.reshape(sets, loads.shape[1], *rest)
-        slopes[:, sizes[-1] :, at] = (shared.T @ turned[:, 1:]).reshape(sets, shared.shape[1], *rest)
+        here += len(own_columns)
+        slopes[:, here : here + loads.shape[1], rows] = effects.reshape(sets, loads.shape[1], *rest)
+        slopes[:, sizes[-1] :, rows] = (shared.T @ turned[:, 1:]).reshape(sets, shared.shape[1], *rest)
     return first, slopes
 
 
@@ -243,5 +247,5 @@ def _count_own(group: NodeGroup) -> list[int]:
 
 def _log_det(stiff: Floats) -> Floats:
     with np.errstate(invalid="ignore"):  # of a NaN
-        found: Floats = np.linalg.slogdet(stiff)[1]
-    return found
+        log_det: Floats = np.linalg.slogdet(stiff)[1]
+    return log_det

@@ -84,10 +84,12 @@ def pose_modes(measured: Floats, slopes: Floats | None = None) -> Floats:
     """
     count, directions = len(measured), measured.shape[1] - 1
     x, y, z = pad_axis(measured, 3).T
-    slope_y, slope_z = [_fit_slope(x, one) for one in (y, z)] if slopes is None else pad_axis(slopes, 2).T
-    one, nothing = np.ones(count), np.zeros(count)
-    along_y = [one, x, -slope_y, nothing, nothing, -z]
-    along_z = [nothing, nothing, -slope_z, one, x, y]
+    slope_y, slope_z = (
+        [_fit_slope(x, values) for values in (y, z)] if slopes is None else pad_axis(slopes, 2).T
+    )
+    ones, nothing = np.ones(count), np.zeros(count)
+    along_y = [ones, x, -slope_y, nothing, nothing, -z]
+    along_z = [nothing, nothing, -slope_z, ones, x, y]
     modes = np.concatenate([np.column_stack(along_y), np.column_stack(along_z)])
     return modes[: directions * count, : 3 * directions]
 
@@ -302,25 +304,27 @@ def complete_observation(
     nodes = make_nodes(insertion, s, depths, bevel=varies, constants=len(curves))
     offset: Floats | float = 0.0 if shift is None else whitening @ shift
     whitening = whitening if operator is None else whitening @ operator
-    known = find_pose(errors.dataset.pose, insertion)
-    return Observation(measured, covariance, pose, free, whitening, log_norm, known, nodes, curves, offset)
+    pose_known = find_pose(errors.dataset.pose, insertion)
+    return Observation(
+        measured, covariance, pose, free, whitening, log_norm, pose_known, nodes, curves, offset
+    )
 
 
-def join_observations(one: Observation, other: Observation) -> Observation:
+def join_observations(first: Observation, other: Observation) -> Observation:
     """Return the observation of an insertion by both; errors of its pose do not change the `other`."""
-    directions, counts = one.directions, [len(one.measured), len(other.measured)]
+    directions, counts = first.directions, [len(first.measured), len(other.measured)]
     is_other = np.tile(np.repeat([False, True], counts), directions)
-    whitening = np.zeros((one.rows + other.rows, directions * sum(counts)))
-    whitening[: one.rows, ~is_other] = one.whitening
-    whitening[one.rows :, is_other] = other.whitening
-    nothing = np.zeros((len(one.pose_curves), other.rows))
-    offsets = [np.broadcast_to(part.offset, part.rows) for part in (one, other)]
+    whitening = np.zeros((first.rows + other.rows, directions * sum(counts)))
+    whitening[: first.rows, ~is_other] = first.whitening
+    whitening[first.rows :, is_other] = other.whitening
+    nothing = np.zeros((len(first.pose_curves), other.rows))
+    offsets = [np.broadcast_to(part.offset, part.rows) for part in (first, other)]
     return replace(
-        one,
-        measured=np.concatenate([one.measured, other.measured]),
+        first,
+        measured=np.concatenate([first.measured, other.measured]),
         whitening=whitening,
-        log_norm=other.log_norm + one.log_norm,
-        nodes=replace(one.nodes, s=np.concatenate([one.nodes.s, other.nodes.s], axis=1)),
+        log_norm=other.log_norm + first.log_norm,
+        nodes=replace(first.nodes, s=np.concatenate([first.nodes.s, other.nodes.s], axis=1)),
         offset=np.concatenate(offsets),
-        pose_curves=np.column_stack([one.pose_curves, nothing]),
+        pose_curves=np.column_stack([first.pose_curves, nothing]),
     )

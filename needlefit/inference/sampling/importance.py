@@ -64,22 +64,22 @@ def smooth_weights(log_weights: Floats) -> tuple[Floats, float]:
 
     k is infinite where too few weights are not 0, and so is no estimate. Weights of 0 (-inf) stay.
     """
-    found = log_weights - np.max(log_weights)
-    count = math.ceil(min(len(found) / 5, 3 * math.sqrt(len(found))))
-    order = np.argsort(found, kind="stable")
+    smoothed = log_weights - np.max(log_weights)
+    count = math.ceil(min(len(smoothed) / 5, 3 * math.sqrt(len(smoothed))))
+    order = np.argsort(smoothed, kind="stable")
     # weights that underflow to 0 cannot be distinguished, and must not become the threshold
-    cut = max(float(found[order[-count - 1]]), math.log(np.finfo(float).tiny))
-    tail = order[found[order] > cut]
+    cut = max(float(smoothed[order[-count - 1]]), math.log(np.finfo(float).tiny))
+    tail = order[smoothed[order] > cut]
     if len(tail) < MIN_TAIL_WEIGHTS:
-        return found - logsumexp(found), math.inf
-    above = np.exp(found[tail]) - math.exp(cut)  # ascending
+        return smoothed - logsumexp(smoothed), math.inf
+    above = np.exp(smoothed[tail]) - math.exp(cut)  # ascending
     k, scale = fit_pareto(above)
     levels = (np.arange(len(tail)) + 0.5) / len(tail)
     with np.errstate(over="ignore"):  # of a k beyond all use
         quantiles = scale * (np.expm1(-k * np.log1p(-levels)) / k if k else -np.log1p(-levels))
     # no smoothed weight may exceed the largest raw one, which is 1 here
-    found[tail] = np.minimum(np.log(quantiles + math.exp(cut)), 0.0)
-    return found - logsumexp(found), k
+    smoothed[tail] = np.minimum(np.log(quantiles + math.exp(cut)), 0.0)
+    return smoothed - logsumexp(smoothed), k
 
 
 def leave_out_parts(log_predictive: Floats) -> tuple[Floats, Floats]:
@@ -128,20 +128,20 @@ class StudentMixture:
         spread = np.sqrt(DEGREES_OF_FREEDOM / rng.chisquare(DEGREES_OF_FREEDOM, size=count))
         return self.centres[which] + spread[:, None] * np.einsum("npq,nq->np", self.factors[which], normal)
 
-    def log_density(self, at: Floats) -> Floats:
+    def log_density(self, thetas: Floats) -> Floats:
         """Return the log density (N,) at points (N, P)."""
-        return logsumexp(self._joint(at, self._distances(at)), axis=1)
+        return logsumexp(self._joint(thetas, self._distances(thetas)), axis=1)
 
-    def _distances(self, at: Floats) -> Floats:
+    def _distances(self, thetas: Floats) -> Floats:
         """Return squared distances (N, M) from the centres in units of the scales."""
         # inverses of small triangular factors, which all points share
         inverses = np.linalg.inv(self.factors)
-        white = inverses @ at.T - inverses @ self.centres[:, :, None]  # (M, P, N)
+        white = inverses @ thetas.T - inverses @ self.centres[:, :, None]  # (M, P, N)
         return np.einsum("mpn,mpn->nm", white, white)
 
-    def _joint(self, at: Floats, squares: Floats) -> Floats:
+    def _joint(self, thetas: Floats, squares: Floats) -> Floats:
         """Return log weight and density (N, M) of every component."""
-        p = at.shape[1]
+        p = thetas.shape[1]
         norm = (
             gammaln(0.5 * (DEGREES_OF_FREEDOM + p))
             - gammaln(0.5 * DEGREES_OF_FREEDOM)
@@ -149,18 +149,18 @@ class StudentMixture:
         )
         volume = np.sum(np.log(np.diagonal(self.factors, axis1=1, axis2=2)), axis=1)  # (M,)
         with np.errstate(divide="ignore"):
-            own = np.log(self.weights) + norm - volume
-        return own - 0.5 * (DEGREES_OF_FREEDOM + p) * np.log1p(squares / DEGREES_OF_FREEDOM)
+            logs = np.log(self.weights) + norm - volume
+        return logs - 0.5 * (DEGREES_OF_FREEDOM + p) * np.log1p(squares / DEGREES_OF_FREEDOM)
 
-    def refit(self, at: Floats, weights: Floats, least: Floats) -> "StudentMixture":
+    def refit(self, thetas: Floats, weights: Floats, least: Floats) -> "StudentMixture":
         """Return the mixture after one EM step towards points (N, P) of `weights` (N,), which sum to 1.
 
         `least` (P, P) is added to every scale matrix; components that hardly any point belongs to go.
         """
-        squares = self._distances(at)
-        joint = self._joint(at, squares)
+        squares = self._distances(thetas)
+        joint = self._joint(thetas, squares)
         belongs = weights[:, None] * np.exp(joint - logsumexp(joint, axis=1, keepdims=True))  # (N, M)
-        p = at.shape[1]
+        p = thetas.shape[1]
         # weights of the Student likelihood: points far out pull less, as in robust regression
         pulls = belongs * (DEGREES_OF_FREEDOM + p) / (DEGREES_OF_FREEDOM + squares)
         parts, count = belongs.sum(axis=0), belongs.sum(axis=0) ** 2 / np.sum(belongs**2, axis=0).clip(1e-300)
@@ -168,8 +168,8 @@ class StudentMixture:
         kept = np.flatnonzero(count > p + 1)
         if not len(kept):
             return self
-        centres = (pulls[:, kept].T @ at) / pulls[:, kept].sum(axis=0)[:, None]
-        away = at[None] - centres[:, None]  # (M, N, P)
+        centres = (pulls[:, kept].T @ thetas) / pulls[:, kept].sum(axis=0)[:, None]
+        away = thetas[None] - centres[:, None]  # (M, N, P)
         scales = (pulls[:, kept].T[:, None] * away.transpose(0, 2, 1)) @ away / parts[kept, None, None]
         return StudentMixture(parts[kept] / parts[kept].sum(), centres, np.linalg.cholesky(scales + least))
 
@@ -206,11 +206,11 @@ class Proposal:
 
     def draw(self, count: int, rng: np.random.Generator) -> Floats:
         """Return `count` draws (N, P); those of the mixture may lie outside the bounds."""
-        found = np.empty((count, len(self.uniform)))
-        found[:, ~self.uniform] = self.mixture.draw(count, rng)
+        drawn = np.empty((count, len(self.uniform)))
+        drawn[:, ~self.uniform] = self.mixture.draw(count, rng)
         ends = self.lower[self.uniform], self.upper[self.uniform]
-        found[:, self.uniform] = rng.uniform(*ends, size=(count, len(ends[0])))
-        return found
+        drawn[:, self.uniform] = rng.uniform(*ends, size=(count, len(ends[0])))
+        return drawn
 
     def draw_inside(self, count: int, rng: np.random.Generator) -> tuple[Floats, float]:
         """Return `count` draws (N, P) within the bounds, and the logarithm of how many tries that took.
@@ -223,24 +223,24 @@ class Proposal:
         drawn = self.mixture.draw(MAX_TRIES * count, rng)
         inside = np.flatnonzero(np.all((drawn >= ends[0]) & (drawn <= ends[1]), axis=1))[:count]
         tries = int(inside[-1]) + 1 if len(inside) == count else len(drawn)
-        found = np.empty((len(inside), len(self.uniform)))
-        found[:, ~self.uniform] = drawn[inside]
+        drawn_inside = np.empty((len(inside), len(self.uniform)))
+        drawn_inside[:, ~self.uniform] = drawn[inside]
         ends = self.lower[self.uniform], self.upper[self.uniform]
-        found[:, self.uniform] = rng.uniform(*ends, size=(len(inside), len(ends[0])))
-        return found, math.log(tries) - float(np.sum(np.log(ends[1] - ends[0])))
+        drawn_inside[:, self.uniform] = rng.uniform(*ends, size=(len(inside), len(ends[0])))
+        return drawn_inside, math.log(tries) - float(np.sum(np.log(ends[1] - ends[0])))
 
-    def log_density(self, at: Floats) -> Floats:
+    def log_density(self, thetas: Floats) -> Floats:
         """Return the log density (N,) at points (N, P) within the bounds, but for a constant."""
-        return self.mixture.log_density(at[:, ~self.uniform])
+        return self.mixture.log_density(thetas[:, ~self.uniform])
 
     def add_fitted(
-        self, found: "WeightedDraws", rng: np.random.Generator, components: int, share: float, fits: int = 1
+        self, draws: "WeightedDraws", rng: np.random.Generator, components: int, share: float, fits: int = 1
     ) -> "Proposal":
         """Return the proposal joined with mixtures fitted to draws, each from other beginnings.
 
         Together the `fits` have this `share`.
         """
-        some = replace(found, thetas=found.thetas[:, ~self.uniform])
+        some = replace(draws, thetas=draws.thetas[:, ~self.uniform])
         mixtures = [self.mixture, *(_fit_mixture(some, rng, components) for _ in range(fits))]
         return replace(self, mixture=_join_mixtures(mixtures, [1 - share, *[share / fits] * fits]))
 
@@ -282,20 +282,22 @@ class WeightedDraws:
 MIN_ESS_PER_DISTINCT_DRAW = 3.0
 
 
-def resample(found: WeightedDraws, count: int, rng: np.random.Generator) -> NDArray[np.intp]:
+def resample(draws: WeightedDraws, count: int, rng: np.random.Generator) -> NDArray[np.intp]:
     """Return indices (`count`,) of draws that represent the posterior without weights.
 
     Of few, none stands twice: so they are nearer to independent ones (O. Skare, E. Bolviken, L. Holden,
     Scand. J. Stat. 30 (2003) 719). Of many that would flatten the weights, up to the proposal itself where
     all are taken: each then stands as often as its weight says, to within one (systematic resampling).
     """
-    known = np.flatnonzero(np.isfinite(found.log_weights))
-    if len(known) >= count and found.effective_sample_size >= MIN_ESS_PER_DISTINCT_DRAW * count:
-        keys = found.log_weights[known] + rng.gumbel(size=len(known))  # the largest: drawn in turn by weight
-        return known[np.argsort(-keys, kind="stable")[:count]]
-    ends = np.cumsum(np.exp(found.log_weights[known]))
+    finite = np.flatnonzero(np.isfinite(draws.log_weights))
+    if len(finite) >= count and draws.effective_sample_size >= MIN_ESS_PER_DISTINCT_DRAW * count:
+        keys = draws.log_weights[finite] + rng.gumbel(
+            size=len(finite)
+        )  # the largest: drawn in turn by weight
+        return finite[np.argsort(-keys, kind="stable")[:count]]
+    ends = np.cumsum(np.exp(draws.log_weights[finite]))
     places = (np.arange(count) + rng.uniform()) / count * ends[-1]
-    return rng.permutation(known[np.searchsorted(ends[:-1], places, side="right")])
+    return rng.permutation(finite[np.searchsorted(ends[:-1], places, side="right")])
 
 
 def compute_ess(log_weights: Floats) -> float:
@@ -318,10 +320,10 @@ def sample_by_importance(
     """
     uniform = np.zeros(len(bounds[0]), dtype=bool) if uniform is None else uniform
     for effort in efforts:
-        found = _make_effort(log_density, approximations, bounds, rng, effort, uniform)
-        if found.certified:
+        by_importance = _make_effort(log_density, approximations, bounds, rng, effort, uniform)
+        if by_importance.certified:
             break
-    return found
+    return by_importance
 
 
 def _make_effort(
@@ -348,18 +350,20 @@ def _make_effort(
     while True:
         new, log_tries = proposal.draw_inside(effort.draws, rng)
         thetas, density = np.concatenate([thetas, new]), np.concatenate([density, log_density(new)])
-        earlier = [tries + one.log_density(new) for one, tries in proposals]
+        earlier = [tries + proposal.log_density(new) for proposal, tries in proposals]
         proposals.append((proposal, log_tries))
-        own = log_tries + proposal.log_density(thetas)
-        proposed = np.vstack([np.hstack([proposed, np.reshape(earlier, (len(earlier), len(new)))]), own])
+        log_proposed = log_tries + proposal.log_density(thetas)
+        proposed = np.vstack(
+            [np.hstack([proposed, np.reshape(earlier, (len(earlier), len(new)))]), log_proposed]
+        )
         # deterministic mixture: each draw against all proposals together, not only the one that drew it
         heavy, wanted = logsumexp(proposed, axis=0), min(effort.min_ess, ADAPTED_ESS)
-        found = _weigh(thetas, density, heavy, wanted, proposal)
-        adapted = found.certified and len(proposals) >= MIN_ROUNDS
+        draws = _weigh(thetas, density, heavy, wanted, proposal)
+        adapted = draws.certified and len(proposals) >= MIN_ROUNDS
         if adapted or len(proposals) == effort.rounds:
             break
-        proposal = first.add_fitted(found, rng, effort.components, 0.5)
-    last = found
+        proposal = first.add_fitted(draws, rng, effort.components, 0.5)
+    last = draws
     # The weights of draws that a proposal was fitted to make the evidence too small: new draws of the last
     # proposal alone count. Where they do not suffice, another one is fitted to them.
     for _ in range(LAST_PROPOSALS * adapted):
@@ -373,7 +377,7 @@ def _make_effort(
             last = _weigh(thetas, density, total + proposal.log_density(thetas), effort.min_ess, proposal)
             if last.certified:
                 return last
-    return replace(found, min_ess=effort.min_ess)  # of draws to which a proposal was fitted
+    return replace(draws, min_ess=effort.min_ess)  # of draws to which a proposal was fitted
 
 
 def _weigh(
@@ -411,44 +415,44 @@ def _join_mixtures(parts: Sequence[StudentMixture], shares: Sequence[float]) -> 
     )
 
 
-def _fit_mixture(found: WeightedDraws, rng: np.random.Generator, components: int) -> StudentMixture:
+def _fit_mixture(draws: WeightedDraws, rng: np.random.Generator, components: int) -> StudentMixture:
     """Return a mixture fitted to the draws as they stand for the density, or a power of it."""
-    weights = _flatten_weights(found, MIN_ESS_PER_COMPONENT * components)
-    at = found.thetas
-    mean = weights @ at
-    whole = (at - mean).T @ ((at - mean) * weights[:, None])
+    weights = _flatten_weights(draws, MIN_ESS_PER_COMPONENT * components)
+    thetas = draws.thetas
+    mean = weights @ thetas
+    whole = (thetas - mean).T @ ((thetas - mean) * weights[:, None])
     least = MIN_COVARIANCE_FRACTION * whole + 1e-12 * np.eye(len(mean))
     # components that share the volume of the whole covariance among them
     factor = components ** (-1 / len(mean)) * np.linalg.cholesky(whole + least)
-    centres = at[rng.choice(len(at), size=components, p=weights)]
+    centres = thetas[rng.choice(len(thetas), size=components, p=weights)]
     fitted = StudentMixture(
         np.full(components, 1 / components), centres, np.repeat(factor[None], components, 0)
     )
     for _ in range(EM_STEPS):
-        fitted = fitted.refit(at, weights, least)
+        fitted = fitted.refit(thetas, weights, least)
     return StudentMixture(fitted.weights, fitted.centres, WIDENING * fitted.factors)
 
 
-def _flatten_weights(found: WeightedDraws, fewest: float) -> Floats:
+def _flatten_weights(draws: WeightedDraws, fewest: float) -> Floats:
     """Return weights (N,) of the highest power, at most 1, of the density that leaves `fewest` independent
     draws.
     """
-    known = np.flatnonzero(np.isfinite(found.log_weights))
-    density = found.log_density[known]
-    drawn = density - found.log_weights[known]  # log density of all rounds together, but for a constant
+    finite = np.flatnonzero(np.isfinite(draws.log_weights))
+    density = draws.log_density[finite]
+    drawn = density - draws.log_weights[finite]  # log density of all rounds together, but for a constant
 
-    def log_weights(at: float) -> Floats:
-        return at * (density - density.max()) - drawn
+    def log_weights(power: float) -> Floats:
+        return power * (density - density.max()) - drawn
 
-    def missing(at: float) -> float:
-        return compute_ess(log_weights(at)) - min(fewest, 0.5 * len(known))
+    def missing(power: float) -> float:
+        return compute_ess(log_weights(power)) - min(fewest, 0.5 * len(finite))
 
     power = 1.0
     if missing(1.0) < 0:
         # the effective sample size falls as the power rises; at power 0 it is the largest possible
         power = float(brentq(missing, 0.0, 1.0, xtol=1e-3)) if missing(0.0) > 0 else 0.0
-    weights = np.zeros(len(found.thetas))
-    weights[known] = np.exp(log_weights(power) - logsumexp(log_weights(power)))
+    weights = np.zeros(len(draws.thetas))
+    weights[finite] = np.exp(log_weights(power) - logsumexp(log_weights(power)))
     return weights
 
 
@@ -463,11 +467,11 @@ def find_modes(fit: Fit, width: Floats) -> Floats:
     """Return the distinct modes (M, P) that a fit found, the best first; `width` (P,) of the bounds."""
     starts = sorted(fit.starts, key=lambda start: (start.objective, start.index))
     plausible = [start for start in starts if start.objective <= fit.objective + MAX_LOG_DENSITY_GAP]
-    found: list[Floats] = []
+    modes: list[Floats] = []
     for end in (np.array(start.theta) for start in plausible):
-        if all(np.max(np.abs(end - other) / width) > MIN_MODE_DISTANCE for other in found):
-            found.append(end)
-    return np.array(found)
+        if all(np.max(np.abs(end - other) / width) > MIN_MODE_DISTANCE for other in modes):
+            modes.append(end)
+    return np.array(modes)
 
 
 def sample_about_modes(
@@ -481,18 +485,18 @@ def sample_about_modes(
 
     Draws and modes are of the parameters that are searched.
     """
-    known, problem = problem.parameters, problem.searched
+    parameters, problem = problem.parameters, problem.searched
     uniform = find_uninformed(problem, modes[0])
     traced = list_profile_points(problem, modes[0], jobs, uniform) if efforts[0].profiles else []
     points = [*modes, *traced]
     bounds = (problem.lower, problem.upper)
     # each with the information of its search: that costs no density
-    approximations = [approximate_by_information(one.information, one.theta, *bounds) for one in points]
+    approximations = [approximate_by_information(point.information, point.theta, *bounds) for point in points]
     nodes = None if problem.plain is None else InterpolatedDensity(problem, jobs)
     evaluator = Evaluator(problem, jobs, interpolated=nodes)
-    found = sample_by_importance(evaluator, approximations, bounds, rng, efforts, uniform)
-    log_evidence = found.log_evidence + log_prior_integral(known)
-    return replace(found, interpolated=nodes, log_evidence=log_evidence, parameters=known)
+    about_modes = sample_by_importance(evaluator, approximations, bounds, rng, efforts, uniform)
+    log_evidence = about_modes.log_evidence + log_prior_integral(parameters)
+    return replace(about_modes, interpolated=nodes, log_evidence=log_evidence, parameters=parameters)
 
 
 def find_uninformed(problem: Problem, mode: LocalMinimum) -> Bools:
@@ -503,10 +507,10 @@ def find_uninformed(problem: Problem, mode: LocalMinimum) -> Bools:
     width = problem.upper - problem.lower
     axes = approximate_by_information(mode.information, mode.theta, problem.lower, problem.upper).axes
     ratios = np.sqrt(UNIFORM_PRECISION * np.sum(axes**2, axis=1)) / width
-    known = {*problem.parameters.prior.names, *problem.parameters.half_normal}
-    found = np.array([name not in known for name in problem.names]) & (ratios >= UNINFORMED_SD_RATIO)
-    found[int(np.argmin(ratios))] = False
-    return found
+    informed = {*problem.parameters.prior.names, *problem.parameters.half_normal}
+    uninformed = np.array([name not in informed for name in problem.names]) & (ratios >= UNINFORMED_SD_RATIO)
+    uninformed[int(np.argmin(ratios))] = False
+    return uninformed
 
 
 def list_profile_points(
@@ -524,8 +528,8 @@ def list_profile_points(
     traced = [k for k, name in enumerate(problem.names) if name not in stated and not uninformed[k]]
     paths = trace_profiles(problem.near(mode.theta), traced, mode, jobs, steps=PROFILE_STEPS)
     # without the optimum, which comes first
-    points = [one for path in paths.values() for one in path.points[1:]]
-    return [one for one in points if one.value - mode.value <= 2 * MAX_LOG_DENSITY_GAP]
+    points = [point for path in paths.values() for point in path.points[1:]]
+    return [point for point in points if point.value - mode.value <= 2 * MAX_LOG_DENSITY_GAP]
 
 
 def sample_about_fit(
@@ -541,22 +545,22 @@ def sample_about_fit(
     first led to the posterior's peak. What the fit held is held here, too.
     """
     theta = np.array(fit.theta)
-    known = add_estimated_noise(problem.holding(fit.held), theta)
+    noisy = add_estimated_noise(problem.holding(fit.held), theta)
     # the minimum of the metric is no mode of the posterior
     of_posterior = fit.minimized == "posterior"
     ends = find_modes(fit, problem.upper - problem.lower) if of_posterior else theta[None]
-    modes = [minimize_squares(known.searched, end) for end in known.parameters.restrict(ends)]
-    return sample_about_modes(known, modes, rng, jobs, efforts)
+    modes = [minimize_squares(noisy.searched, end) for end in noisy.parameters.restrict(ends)]
+    return sample_about_modes(noisy, modes, rng, jobs, efforts)
 
 
-def resample_draws(found: WeightedDraws, count: int, rng: np.random.Generator) -> Draws:
+def resample_draws(draws: WeightedDraws, count: int, rng: np.random.Generator) -> Draws:
     """Return `count` unweighted draws; their `faults` say so if the weights are not certified."""
     warning = (
-        f"draws by importance are not certified: Pareto k is {found.k:.2f} (at most {MAX_PARETO_K}), the "
-        f"effective sample size is {found.effective_sample_size:.0f} (at least {found.min_ess:.0f})"
+        f"draws by importance are not certified: Pareto k is {draws.k:.2f} (at most {MAX_PARETO_K}), the "
+        f"effective sample size is {draws.effective_sample_size:.0f} (at least {draws.min_ess:.0f})"
     )
-    thetas = found.thetas[resample(found, count, rng)]
-    if found.parameters is not None:  # of a stream of its own: the others do not depend on it
-        thetas = draw_held(found.parameters, thetas, rng.spawn(1)[0])
-    faults = () if found.certified else (warning,)
-    return Draws(thetas, "importance", faults, found.k, found.effective_sample_size)
+    thetas = draws.thetas[resample(draws, count, rng)]
+    if draws.parameters is not None:  # of a stream of its own: the others do not depend on it
+        thetas = draw_held(draws.parameters, thetas, rng.spawn(1)[0])
+    faults = () if draws.certified else (warning,)
+    return Draws(thetas, "importance", faults, draws.k, draws.effective_sample_size)

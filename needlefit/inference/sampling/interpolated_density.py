@@ -37,49 +37,49 @@ class InterpolatedDensity:
         self._problem, self._density, self._jobs = problem, problem.density, jobs
         #: the coordinates that needles depend on
         self._columns = [k for k, name in enumerate(problem.names) if name not in HYPERPARAMETERS]
-        self._nodes = [len(one.nodes.insertions) for one in self._density.observations]
+        self._nodes = [len(observation.nodes.insertions) for observation in self._density.observations]
         #: what moved nodes add to the residuals (F,), and the residuals (R,) as measured, of all insertions
         self._moves, self._first = _Interpolation(), _Interpolation()
         self.fixed = False  #: whether nothing is added any more, and calls check nothing
 
     def __call__(self, thetas: Floats) -> Floats:
         """Return the log densities (N,) of thetas (N, P) within the bounds; NaN where a solve fails."""
-        found, exact = np.full(len(thetas), np.nan), np.zeros(len(thetas), dtype=bool)
+        logs, exact = np.full(len(thetas), np.nan), np.zeros(len(thetas), dtype=bool)
         count = 0 if self.fixed else min(max(FIRST_POINTS - self._moves.count, 0), len(thetas))
         if count:
-            found[:count], moves = self._evaluate(thetas[:count])
+            logs[:count], moves = self._evaluate(thetas[:count])
             exact[:count] = True
             self._moves.add(thetas[:count, self._columns], moves)
-        sets, at = [self._problem.values(theta) for theta in thetas], thetas[:, self._columns]
+        sets, columns = [self._problem.values(theta) for theta in thetas], thetas[:, self._columns]
         simulated = self._first.failed or self._first.count < SIMULATED_POINTS
-        first = self._simulate(at, sets) if simulated else self._first(at)
+        first = self._simulate(columns, sets) if simulated else self._first(columns)
         for _ in range(MAX_REFINEMENTS):
             rest = np.flatnonzero(~exact)
-            found[rest] = self._add_up(at[rest], [sets[k] for k in rest], first[rest])
-            rows = np.arange(0) if self.fixed else self._choose_checks(found, exact)
+            logs[rest] = self._add_up(columns[rest], [sets[k] for k in rest], first[rest])
+            rows = np.arange(0) if self.fixed else self._choose_checks(logs, exact)
             if not len(rows):
-                return found
-            claimed = found[rows]
-            found[rows], moves = self._evaluate(thetas[rows])
+                return logs
+            claimed = logs[rows]
+            logs[rows], moves = self._evaluate(thetas[rows])
             exact[rows] = True
-            if find_rms(found[rows] - claimed) <= MAX_RMS_ERROR:
-                return found
-            self._moves.add(at[rows], moves)
+            if find_rms(logs[rows] - claimed) <= MAX_RMS_ERROR:
+                return logs
+            self._moves.add(columns[rows], moves)
             if not simulated:
-                first, simulated = self._simulate(at, sets), True
-        rest = np.flatnonzero(~exact & (found > np.nanmax(found) - NEGLIGIBLE_FALL))
-        found[rest] = self._evaluate(thetas[rest])[0]
-        return found
+                first, simulated = self._simulate(columns, sets), True
+        rest = np.flatnonzero(~exact & (logs > np.nanmax(logs) - NEGLIGIBLE_FALL))
+        logs[rest] = self._evaluate(thetas[rest])[0]
+        return logs
 
     def find_error(self, thetas: Floats) -> float:
         """Return the rms error of the interpolated log densities of thetas (N, P)."""
         return find_rms(self._evaluate(thetas)[0] - self(thetas))
 
-    def _choose_checks(self, found: Floats, exact: Bools) -> Ints:
+    def _choose_checks(self, logs: Floats, exact: Bools) -> Ints:
         """Return the rows to be checked: of those that matter, more of the largest densities."""
-        rows = np.flatnonzero(~exact & (found > np.nanmax(found, initial=-np.inf) - NEGLIGIBLE_FALL))
-        order = rows[np.argsort(-found[rows], kind="stable")]
-        count = math.ceil(len(found) / THETAS_PER_CHECK)
+        rows = np.flatnonzero(~exact & (logs > np.nanmax(logs, initial=-np.inf) - NEGLIGIBLE_FALL))
+        order = rows[np.argsort(-logs[rows], kind="stable")]
+        count = math.ceil(len(logs) / THETAS_PER_CHECK)
         return order[np.unique((len(order) * (np.arange(count) / count) ** 2).astype(np.intp))[: len(order)]]
 
     def _evaluate(self, thetas: Floats) -> tuple[Floats, Floats]:
@@ -89,32 +89,35 @@ class InterpolatedDensity:
             sets = [self._problem.values(theta) for theta in thetas[some]]
             white = list(self._density.whitened_residuals(sets, self._jobs))
             densities.append(self._density.add_up(white, sets))
-            parts = [one[:, 1:nodes] - one[:, :1] for one, nodes in zip(white, self._nodes, strict=True)]
+            parts = [
+                whitened[:, 1:nodes] - whitened[:, :1]
+                for whitened, nodes in zip(white, self._nodes, strict=True)
+            ]
             moves.append(np.concatenate([part.reshape(len(sets), -1) for part in parts], axis=1))
         return np.concatenate(densities), np.concatenate(moves) if moves else np.empty((0, 0))
 
-    def _simulate(self, at: Floats, sets: Sequence[Mapping[str, float]]) -> Floats:
+    def _simulate(self, columns: Floats, sets: Sequence[Mapping[str, float]]) -> Floats:
         """Return the residuals (N, R) of the needles as measured, from simulations; keep them."""
-        found = []
+        simulated = []
         for some in self._density.split(len(sets)):
             parts = self._density.whitened_residuals(sets[some], self._jobs, as_measured=True)
-            found.append(np.concatenate([one[:, 0] for one in parts], axis=1))
-        first = np.concatenate(found)
+            simulated.append(np.concatenate([part[:, 0] for part in parts], axis=1))
+        first = np.concatenate(simulated)
         if not self.fixed:
-            self._first.add(at, first)
+            self._first.add(columns, first)
         return first
 
-    def _add_up(self, at: Floats, sets: Sequence[Mapping[str, float]], first: Floats) -> Floats:
+    def _add_up(self, columns: Floats, sets: Sequence[Mapping[str, float]], first: Floats) -> Floats:
         """Return the log densities (N,), given the residuals (N, R) of the needles as measured."""
         densities = [np.empty(0)]
-        for some in self._density.split(len(at)):
-            moves, white, place, row = self._moves(at[some]), [], 0, 0
+        for some in self._density.split(len(columns)):
+            moves, white, place, row = self._moves(columns[some]), [], 0, 0
             for nodes, observation in zip(self._nodes, self._density.observations, strict=True):
                 rows = observation.rows
                 shape, end = (len(moves), nodes - 1, rows), place + (nodes - 1) * rows
-                one = first[some, None, row : row + rows]
-                moved = one + moves[:, place:end].reshape(shape)
-                white.append(append_pose_curves(observation, np.concatenate([one, moved], axis=1)))
+                block = first[some, None, row : row + rows]
+                moved = block + moves[:, place:end].reshape(shape)
+                white.append(append_pose_curves(observation, np.concatenate([block, moved], axis=1)))
                 place, row = end, row + rows
             densities.append(self._density.add_up(white, sets[some]))
         return np.concatenate(densities)
@@ -138,9 +141,9 @@ class _Interpolation:
         least, fitting = 2 * points.shape[1] + 2, MAX_VALUES // max(1, values.shape[1])
         most = min(MAX_POINTS, max(least, fitting))
         new = points[solved], values[solved]
-        both = zip(self._known, new, strict=True) if self._known else ((one,) for one in new)
-        known, those = (np.concatenate(parts)[-most:] for parts in both)
-        self._known, self._function = (known, those), None
+        both = zip(self._known, new, strict=True) if self._known else ((part,) for part in new)
+        places, those = (np.concatenate(parts)[-most:] for parts in both)
+        self._known, self._function = (places, those), None
         self.count += int(solved.sum())
         self.failed |= not solved.all()
 
@@ -150,11 +153,11 @@ class _Interpolation:
             from scipy.interpolate import RBFInterpolator  # late: it takes 0.3 s to load
 
             assert self._known is not None
-            known, values = self._known
+            places, values = self._known
             # a quadratic has so many terms, and wants as many points again
-            smooth = len(known) >= (known.shape[1] + 1) * (known.shape[1] + 2)
+            smooth = len(places) >= (places.shape[1] + 1) * (places.shape[1] + 2)
             kernel: Literal["quintic", "cubic"] = "quintic" if smooth else "cubic"
-            self._function = RBFInterpolator(known, values, kernel=kernel, degree=1 + smooth)
+            self._function = RBFInterpolator(places, values, kernel=kernel, degree=1 + smooth)
         return np.asarray(self._function(points), dtype=np.float64)
 
 

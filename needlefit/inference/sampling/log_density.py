@@ -29,9 +29,9 @@ class Evaluator:
         inside = np.all((thetas >= self.problem.lower) & (thetas <= self.problem.upper), axis=1)
         density = np.full(len(thetas), -math.inf)
         if np.any(inside):
-            found = self._guarded(thetas[inside])
-            failed_rows = np.isnan(found) | (found == math.inf)
-            density[inside] = np.where(failed_rows, -math.inf, found)
+            logs = self._guarded(thetas[inside])
+            failed_rows = np.isnan(logs) | (logs == math.inf)
+            density[inside] = np.where(failed_rows, -math.inf, logs)
             self.failures += int(failed_rows.sum())
         return density
 
@@ -76,14 +76,14 @@ def approximate_by_information(
     return LaplaceApproximation(lower + inner * width, width[:, None] * directions * sds)
 
 
-def difference_information(log_density: LogDensityFunction, at: Floats) -> Floats:
+def difference_information(log_density: LogDensityFunction, theta: Floats) -> Floats:
     """Return the information (P, P) of a density at its peak (P,), by second differences; 0 where unknown."""
     from scipy.differentiate import hessian  # late: it takes 0.1 s to load
 
     def evaluate(points: Floats) -> Floats:  # (P, ...) -> (...)
         flat = np.moveaxis(points, 0, -1)
-        return log_density(flat.reshape(-1, len(at))).reshape(flat.shape[:-1])
+        return log_density(flat.reshape(-1, len(theta))).reshape(flat.shape[:-1])
 
     with np.errstate(invalid="ignore"):  # -inf less -inf: no curvature is known there
-        found = hessian(evaluate, at, maxiter=1, order=2, initial_step=DIFFERENCE_STEP).ddf
-    return -np.nan_to_num(found, posinf=0.0, neginf=0.0)
+        information = hessian(evaluate, theta, maxiter=1, order=2, initial_step=DIFFERENCE_STEP).ddf
+    return -np.nan_to_num(information, posinf=0.0, neginf=0.0)

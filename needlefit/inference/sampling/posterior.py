@@ -69,21 +69,26 @@ class Posterior:
     @property
     def faults(self) -> tuple[str, ...]:
         """Why the draws have not converged; empty if they have."""
-        found, quantities = ["the sampler was interrupted"] * self.interrupted, (*self.names, LOG_POSTERIOR)
+        problems, quantities = (
+            ["the sampler was interrupted"] * self.interrupted,
+            (*self.names, LOG_POSTERIOR),
+        )
         worst, slowest = int(np.argmax(self.r_hat)), int(np.argmin(self.ess))
         if not self.r_hat[worst] < MAX_R_HAT:
-            found.append(f"R-hat of {quantities[worst]} is {self.r_hat[worst]:.3g}, not below {MAX_R_HAT}")
+            problems.append(f"R-hat of {quantities[worst]} is {self.r_hat[worst]:.3g}, not below {MAX_R_HAT}")
         if not self.ess[slowest] >= self.wanted:
             has = f"{self.ess[slowest]:.0f} independent draws of {quantities[slowest]}"
-            found.append(f"{has}, not {self.wanted}")
+            problems.append(f"{has}, not {self.wanted}")
         if self.apart.size and not (far := float(self.apart.max())) < MAX_APART:
             name = self.names[int(np.argmax(self.apart))]
-            found.append(f"its mean of {name} is {far:.2g} standard errors from that by importance sampling")
-        return tuple(found)
+            problems.append(
+                f"its mean of {name} is {far:.2g} standard errors from that by importance sampling"
+            )
+        return tuple(problems)
 
-    def percentiles(self, at: Sequence[float] = PERCENTILES) -> dict[str, tuple[float, ...]]:
+    def percentiles(self, percents: Sequence[float] = PERCENTILES) -> dict[str, tuple[float, ...]]:
         """Return each parameter's percentiles over all draws (Pa, mm)."""
-        table = np.percentile(self.draws.reshape(-1, len(self.names)), at, axis=0)  # (Q, P)
+        table = np.percentile(self.draws.reshape(-1, len(self.names)), percents, axis=0)  # (Q, P)
         return {name: tuple(column.tolist()) for name, column in zip(self.names, table.T, strict=True)}
 
     def to_frame(self) -> pd.DataFrame:
@@ -176,9 +181,9 @@ def _list_groups(posterior: Posterior) -> dict[str, _Group]:
     frame = dict(zip(("chain", "draw"), map(np.arange, posterior.log_posterior.shape), strict=True))
     coordinates: dict[str, dict[str, Any]] = dict.fromkeys(GROUPS, frame)
     coordinates["convergence"] = {"quantity": [*posterior.names, LOG_POSTERIOR]}
-    found: dict[str, _Group] = {group: ({}, coordinates[group], header) for group in GROUPS}
+    groups: dict[str, _Group] = {group: ({}, coordinates[group], header) for group in GROUPS}
     for key, array in numbers.items():
         group, name = key.split("/")
         unit = UNITS.get(name.rpartition("_")[2], "1")
-        found[group][0][name] = (tuple(coordinates[group])[: array.ndim], array, {"units": unit})
-    return found
+        groups[group][0][name] = (tuple(coordinates[group])[: array.ndim], array, {"units": unit})
+    return groups

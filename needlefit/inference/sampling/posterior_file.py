@@ -36,12 +36,12 @@ def fill_numbers(arrays: Arrays, path: str) -> dict[str, str]:
     """Add an array for every float64 variable of the file, in the child process; return the attributes."""
     import h5py
 
-    found: dict[str, str] = {}
+    texts: dict[str, str] = {}
     with h5py.File(path, "r") as file:
         for group in GROUPS:
             for name, value in file[group].attrs.items():
-                found |= {f"{group}/{name}": value} if isinstance(value, str) else {}
+                texts |= {f"{group}/{name}": value} if isinstance(value, str) else {}
             for name, variable in file[group].items():
                 if isinstance(variable, h5py.Dataset) and variable.dtype == np.float64:
                     arrays[f"{group}/{name}"] = np.asarray(variable[()])
-    return found
+    return texts

@@ -76,7 +76,7 @@ def predict_held_out(
 ) -> Iterator[HeldOutPrediction]:
     """Yield the predictions of the insertions that a fold holds out, kind by kind; see the file of each."""
     held = known.fold.validate
-    groups, done = group_values((find_held_out(one).name, one) for one in held), 0
+    groups, done = group_values((find_held_out(insertion).name, insertion) for insertion in held), 0
     for name, some in groups.items():
 
         def count(made: int, _: int, done: int = done) -> None:

@@ -70,7 +70,7 @@ def predict_needles(
     leave of the width.
     """
     job, jobs = known.job, known.jobs
-    given = [one for one in given if job.dataset.noise.stated or one.states_errors]
+    given = [insertion for insertion in given if job.dataset.noise.stated or insertion.states_errors]
     if given and known.faults and (bands or known.separate):
         return
     side_by_side = max(1, min(jobs, len(given)))
@@ -84,11 +84,11 @@ def predict_needles(
         bands,
         _choose_representatives(job, filter(known.differs, given)) if bands else frozenset(),
     )
-    found: dict[int, HeldOutPrediction | None] = {}
-    for n, one in run_parts(predictor.predict, given, side_by_side):
-        found[n] = one
-        step(len(found), len(given))
-    yield from filter(None, (found[n] for n in range(len(given))))
+    predictions: dict[int, HeldOutPrediction | None] = {}
+    for n, insertion in run_parts(predictor.predict, given, side_by_side):
+        predictions[n] = insertion
+        step(len(predictions), len(given))
+    yield from filter(None, (predictions[n] for n in range(len(given))))
 
 
 @dataclass(frozen=True)
@@ -125,13 +125,17 @@ class _Predictor:
         known, job, fold = self.known, self.known.job, self.known.fold
         rng = random_stream(job.recipe.seed, job.name, fold.name, "foretold", insertion.id)
         # the depths of one insertion have one specimen and one bevel
-        own = self.repeats.get(insertion.id)
-        once = rng if own is None else random_stream(job.recipe.seed, job.name, fold.name, "foretold", *own)
+        repeat = self.repeats.get(insertion.id)
+        once = (
+            rng
+            if repeat is None
+            else random_stream(job.recipe.seed, job.name, fold.name, "foretold", *repeat)
+        )
         deviations = once.standard_normal(len(sets))
         if known.differs(insertion) and known.separate:
             deviations = known.bevel_sd_in(insertion) * deviations
         elif fold.tune and len(sets):
-            deviations = _condition_bevels(known.problem_of(insertion), sets, own, deviations, self.jobs)
+            deviations = _condition_bevels(known.problem_of(insertion), sets, repeat, deviations, self.jobs)
         return scale_bevels(sets, deviations), rng
 
     def _predict(
@@ -139,19 +143,19 @@ class _Predictor:
         insertion: Insertion,
         observation: Observation,
         draws: Draws,
-        found: DrawnNeedles,
+        drawn_needles: DrawnNeedles,
     ) -> HeldOutPrediction | None:
         """Return the prediction by draws and their needles."""
         known, job, fold = self.known, self.known.job, self.known.fold
         rng = random_stream(job.recipe.seed, job.name, fold.name, "scored", insertion.id)
-        tuned = any(insertion.specimen == one.specimen for one in fold.tune)
+        tuned = any(insertion.specimen == fitted.specimen for fitted in fold.tune)
         differing = known if known.differs(insertion) else None
         about = describe_specimen(differing, "same" if tuned else "training only")
         s = observation.nodes.s[0]
-        solved = found.solved
+        solved = drawn_needles.solved
         if np.sum(solved) < MIN_SOLVED_DRAWS:
             return None
-        drawn, directions = found.points[solved], job.dataset.directions
+        drawn, directions = drawn_needles.points[solved], job.dataset.directions
         drawn = turn_about_x(drawn, draw_rolls(insertion.roll_sd, directions, len(drawn), rng))
         needles = select_compared(drawn, job.dataset.compared)
         needles, about_sensors = needles[:, : len(s)], needles[:, len(s) :]
@@ -198,11 +202,11 @@ class _Predictor:
             row |= score_tip_in_space(aligned[:, -1, 1:] + errors, centre, measured[tips])
             columns = (*columns, *SPATIAL_COLUMNS)
         band, where = tuple[Row, ...](), {"fold": fold.name, "insertion": insertion.id}
-        sensors = tuple({**where, **one} for one in tabulate_sensors(insertion, about_sensors))
+        sensors = tuple({**where, **sensor} for sensor in tabulate_sensors(insertion, about_sensors))
         if self.bands and has_tip:
             band = tuple({**where, **point} for point in tabulate_band(mixture, whole, observation.measured))
         row = {name: row.get(name) for name in columns}
-        count = CountMetadata(simulations=len(aligned), outside=int(np.sum(~found.valid[solved])))
+        count = CountMetadata(simulations=len(aligned), outside=int(np.sum(~drawn_needles.valid[solved])))
         chosen = self._choose_needle(insertion, s, drawn[:, : len(s)]) if self.bands else ()
         rows = {"predictive": (row,), "bands": band, "curvature": sensors}
         return HeldOutPrediction(insertion.id, rows, count, *chosen)
@@ -227,10 +231,10 @@ class _Predictor:
         point = choose_point(problem, mode, drawn[..., across], predict)
         if not point.is_median:
             return point, needle
-        at, median = s, point.take(needle(s), drawn)
-        if at[0] > 0:  # of a tip or of sensors; the needle begins at the entry
-            at, median = np.append(0.0, s), np.vstack([np.zeros(3), median])
-        return point, PchipInterpolator(at, median)
+        places, median = s, point.take(needle(s), drawn)
+        if places[0] > 0:  # of a tip or of sensors; the needle begins at the entry
+            places, median = np.append(0.0, s), np.vstack([np.zeros(3), median])
+        return point, PchipInterpolator(places, median)
 
     def _plan(
         self,
@@ -262,10 +266,10 @@ class _Predictor:
         further = vary_bevels(sets, self.known.bevel_sd_in(insertion), rng)
         tip = len(observation.measured) - 1
         planned = self._plan(insertion, observation.nodes.s[0], further, rng)
-        found, again = planned.simulate(float(first.sd[tip])), np.full(len(sets), np.nan)
-        points = select_compared(found.points[found.solved], job.dataset.compared)
+        simulated, again = planned.simulate(float(first.sd[tip])), np.full(len(sets), np.nan)
+        points = select_compared(simulated.points[simulated.solved], job.dataset.compared)
         aligned = align(observation.pose, points, observation.measured)
-        again[found.solved] = aligned[:, -1, 1]
+        again[simulated.solved] = aligned[:, -1, 1]
         errors = first.sd[tip] * rng.standard_normal((2, len(sets)))
         return estimate_width_after_one(again + errors[0], first.means[:, tip] + errors[1])
 
@@ -273,16 +277,20 @@ class _Predictor:
 def _choose_representatives(job: Job, insertions: Iterable[Insertion]) -> frozenset[str]:
     """Return the insertion with a tip of median depth of each medium and number of layers, by its id."""
     rule = job.record.layer_count_rule
-    with_tips = (one for one in insertions if OBSERVATIONS[one.observed].has_tip)
-    groups = group_values(((one.medium, count_layers(one, rule)), one) for one in with_tips)
-    ordered = (sorted(some, key=lambda one: (one.depth, one.id)) for some in groups.values())
+    with_tips = (insertion for insertion in insertions if OBSERVATIONS[insertion.observed].has_tip)
+    groups = group_values(
+        ((with_tip.medium, count_layers(with_tip, rule)), with_tip) for with_tip in with_tips
+    )
+    ordered = (
+        sorted(some, key=lambda insertion: (insertion.depth, insertion.id)) for some in groups.values()
+    )
     return frozenset(some[(len(some) - 1) // 2].id for some in ordered)
 
 
 def _condition_bevels(
     problem: Problem,
     sets: Sequence[Mapping[str, float]],
-    own: tuple[str, int] | None,
+    repeat: tuple[str, int] | None,
     deviations: Floats,
     jobs: int,
 ) -> Floats:
@@ -291,11 +299,11 @@ def _condition_bevels(
     `own` names it where it was measured at several depths. What was fitted to may be one of them.
     """
     fitted = list_bevels(problem.dataset, problem.insertions)
-    if own not in fitted:
+    if repeat not in fitted:
         return problem.new_bevel_sd * deviations
     if len(set(fitted)) == 1:
         return 0.0 * deviations
-    mean, sd = problem.density.estimate_bevel(sets, own, jobs)
+    mean, sd = problem.density.estimate_bevel(sets, repeat, jobs)
     # with a set that has no solution nothing is predicted
     return np.nan_to_num(mean + sd * deviations)
 

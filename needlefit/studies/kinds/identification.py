@@ -81,20 +81,20 @@ def run(name: str, record: IdentificationRecord, settings: Settings) -> Run:
         )
     theta = problem.parameters.theta(values)
     shifts = measure_shifts(problem, theta[None])
-    problem = problem.holding([name for name, one in shifts.items() if one.is_hidden])
+    problem = problem.holding([name for name, shift in shifts.items() if shift.is_hidden])
     parameters, problem = problem.parameters, problem.searched
     theta = parameters.restrict(theta)
     here = Fit(tuple(theta.tolist()), problem.values(theta), 0.0, (), 0, 0, False)
     sds = dict(zip(problem.names, cramer_rao(fisher_information(problem, theta)).tolist(), strict=True))
     profiles = profile_parameters(problem, here, settings.jobs, settings.stop)
-    at = precision.linearize(problem, theta)
-    information = precision.compute_sds(problem, theta, at=at)[1]
+    linearized = precision.linearize(problem, theta)
+    information = precision.compute_sds(problem, theta, linearized=linearized)[1]
     together = find_together(problem.names, information, precision.prior_information(problem))
-    loosened = precision.loosen(problem, theta, at=at)
-    found = identify_parameters(problem, profiles, sds, loosened=loosened, together=together)
-    rows = [{"fold": fold.name, **row, "value": values[row["parameter"]]} for row in found.rows]
+    loosened = precision.loosen(problem, theta, linearized=linearized)
+    identified = identify_parameters(problem, profiles, sds, loosened=loosened, together=together)
+    rows = [{"fold": fold.name, **row, "value": values[row["parameter"]]} for row in identified.rows]
     rows += [{"fold": fold.name, **row} for row in list_held(parameters, shifts)]
-    columns = [n for n in job.parameters.names if any(n in row for row in found.points)]
+    columns = [n for n in job.parameters.names if any(n in row for row in identified.points)]
     depths = [insertion.depth for insertion in fold.tune]
     metadata = about.metadata.extend(
         IdentificationMetadata,
@@ -106,7 +106,7 @@ def run(name: str, record: IdentificationRecord, settings: Settings) -> Run:
     frames = {
         "identify": pd.DataFrame(rows, columns=list(FRAMES["identify"])),
         "profiles": pd.DataFrame(
-            [{"fold": fold.name, **row} for row in found.points], columns=[*PROFILE_COLUMNS, *columns]
+            [{"fold": fold.name, **row} for row in identified.points], columns=[*PROFILE_COLUMNS, *columns]
         ),
         "candidates": rank_candidates(job, fold, problem, theta, settings),
     }

@@ -122,8 +122,8 @@ FRAMES: Mapping[str, tuple[str, ...]] = {
     "forecast": (
         *("s_mm", "x_mm", "needle_predicted_mm"),
         *(
-            f"{what}_{level}_{end}_mm"
-            for what in ("needle", "band")
+            f"{part}_{level}_{end}_mm"
+            for part in ("needle", "band")
             for level in ("50", "95")
             for end in ("low", "high")
         ),
@@ -145,7 +145,7 @@ def describe_like_deepest(
     """
     dataset = inputs.dataset or read(find_named("dataset", fit.dataset))
     fitted = select_insertions(dataset, fit.tune, fit.layer_count_rule)
-    deepest = max(fitted, key=lambda one: one.depth)
+    deepest = max(fitted, key=lambda insertion: insertion.depth)
     return deepest.id, describe_scene(dataset, deepest, medium.advance), dataset.path
 
 
@@ -247,13 +247,13 @@ def tabulate_forecast(forecast: Forecast) -> pd.DataFrame:
         for level in INTERVAL_PROBABILITIES:
             pointwise = np.quantile(forecast.across[..., n], [(1 - level) / 2, (1 + level) / 2], axis=0)
             whole = (end.reshape(directions, points)[n] for end in bands.ends(level))
-            for what, ends in (("needle", pointwise), ("band", whole)):
-                named = (f"{what}_{axis}{100 * level:.0f}_{end}_mm" for end in ("low", "high"))
+            for part, ends in (("needle", pointwise), ("band", whole)):
+                named = (f"{part}_{axis}{100 * level:.0f}_{end}_mm" for end in ("low", "high"))
                 columns |= dict(zip(named, ends, strict=True))
     return pd.DataFrame(columns)
 
 
-def forecast(scene: Scene, known: Specimens, into: Insertion | None) -> Forecast:
+def forecast(scene: Scene, specimens: Specimens, into: Insertion | None) -> Forecast:
     """Predict the needle of a planned insertion.
 
     The scene is under the rules of the fit (`make_scene`); draws replace its moduli and bevel offset: layer n
@@ -264,19 +264,21 @@ def forecast(scene: Scene, known: Specimens, into: Insertion | None) -> Forecast
 
     Raises ModelError if no draw can be solved, or the mode cannot.
     """
-    job, draws, mode = known.job, known.draws_in(into), known.mode_in(into)
-    thetas = draws.thetas if len(draws.thetas) else known.draws.thetas
+    job, draws, mode = specimens.job, specimens.draws_in(into), specimens.mode_in(into)
+    thetas = draws.thetas if len(draws.thetas) else specimens.draws.thetas
     assert mode is not None
     rng = random_stream(job.recipe.seed, job.name, "forecast")
     s = np.linspace(0.0, scene.depth, FORECAST_POINTS)
-    sets = vary_bevels([job.parameters.values(theta) for theta in thetas], known.bevel_sd_in(into), rng)
-    typical = [(one.depth_sd, np.hypot(*split_boundary_sd(one))) for one in job.dataset.insertions]
+    sets = vary_bevels([job.parameters.values(theta) for theta in thetas], specimens.bevel_sd_in(into), rng)
+    typical = [
+        (insertion.depth_sd, np.hypot(*split_boundary_sd(insertion))) for insertion in job.dataset.insertions
+    ]
     entry_sd, boundary_sd = np.sqrt(np.mean(np.square(typical), axis=0))
     deep = entry_sd * rng.standard_normal(len(sets))
     wrong = boundary_sd * rng.standard_normal((len(sets), scene.tissue.layers - 1))
     held = job.parameters.held
-    found = simulate_scene_draws(sets, job.medium, scene, s, deep, wrong, held)
-    points = found.points[found.solved]  # (B, K, 3)
+    drawn = simulate_scene_draws(sets, job.medium, scene, s, deep, wrong, held)
+    points = drawn.points[drawn.solved]  # (B, K, 3)
 
     def simulate(values: Mapping[str, float]) -> Floats:
         """Return the needle (K, 3) of one set of values at the depths as they are stated."""
@@ -292,20 +294,20 @@ def forecast(scene: Scene, known: Specimens, into: Insertion | None) -> Forecast
             expected="an insertion that the model can follow",
             fix="look at `needlefit simulate` of the scene; lessen its depth or its deflection",
         )
-    outside = int(np.sum(~found.valid[found.solved]))
+    outside = int(np.sum(~drawn.valid[drawn.solved]))
     directions = max(job.dataset.directions, 1 + int(points[..., 2].any()))
-    roll_sd = math.sqrt(np.mean([one.roll_sd**2 for one in job.dataset.insertions]))
+    roll_sd = math.sqrt(np.mean([insertion.roll_sd**2 for insertion in job.dataset.insertions]))
     points = turn_about_x(points, draw_rolls(roll_sd, directions, len(points), rng))
     compared, point = slice(1, 1 + directions), PointPrediction()
     if not draws.faults:
-        problem = job.problem(known.fold)
+        problem = job.problem(specimens.fold)
         point = choose_point(
             problem, mode, points[..., compared], lambda theta: simulate(problem.values(theta))[:, compared]
         )
     needle, nearest = point.take(needle, points), None
     if point.is_median:
         away = np.linalg.norm(points[:, -1] - needle[-1], axis=1)
-        near = np.flatnonzero(found.solved)[np.argsort(away)[:NEAR_DRAWS]]
+        near = np.flatnonzero(drawn.solved)[np.argsort(away)[:NEAR_DRAWS]]
         nearest = min(
             (sets[n] for n in near), key=lambda values: np.linalg.norm(simulate(values)[-1] - needle[-1])
         )
@@ -331,9 +333,9 @@ def require_fitted_kind(scene: Scene, job: Job) -> None:
             fix="name a scene of the fitted medium, or fit a medium with more layers",
         )
     ours = scene.needle.flexural_rigidity
-    fitted = dict.fromkeys(one.needle.flexural_rigidity for one in job.insertions)
-    if all(abs(ours - one) > RIGIDITY_TOLERANCE * one for one in fitted):
-        stated = " or ".join(f"{one:.4g}" for one in fitted)
+    fitted = dict.fromkeys(insertion.needle.flexural_rigidity for insertion in job.insertions)
+    if all(abs(ours - rigidity) > RIGIDITY_TOLERANCE * rigidity for rigidity in fitted):
+        stated = " or ".join(f"{rigidity:.4g}" for rigidity in fitted)
         raise ConfigError(
             f"the scene's needle has a flexural rigidity of {ours:.4g} N mm^2, the fitted one {stated}",
             expected="a needle that the parameters were fitted with: mu and b depend on it",
@@ -366,8 +368,8 @@ def draw_parameters(
         keep_fit(checkpoint, "fitted", fit)
     draws = draw_fold_parameters(job, fold, fit, settings).draws
     # without a search that has converged nothing is certified
-    found = replace(draws, faults=(fit.fault, *draws.faults)) if fit.fault else draws
-    return None if settings.stop() else found
+    judged = replace(draws, faults=(fit.fault, *draws.faults)) if fit.fault else draws
+    return None if settings.stop() else judged
 
 
 def _thin_with_mode(job: Job, posterior: Posterior) -> Draws:
@@ -392,38 +394,40 @@ class _Known(NamedTuple):
 
 def _find_known(record: PredictionRecord, job: Job, settings: Settings) -> _Known:
     """Return the results of the fit; those of another one, or of earlier versions, are not used."""
-    inputs, found = settings.inputs, list[ResultWarning]()
+    inputs, run_warnings = settings.inputs, list[ResultWarning]()
     if inputs.target is not None:  # a run, from which the job was made
-        return _Known(None, inputs.judged, found)
+        return _Known(None, inputs.judged, run_warnings)
     sampled = None if record.posterior is None else restore_run(Path(record.posterior))
     if sampled is not None and (changed := describe_change(sampled.metadata.identity, identify(job))):
-        what = f"the posterior of {sampled.name} is not used; changed since: {changed}"
-        found.append(_warn("tune", record.target, what))
+        problem = f"the posterior of {sampled.name} is not used; changed since: {changed}"
+        run_warnings.append(_warn("tune", record.target, problem))
         sampled = None
     if (judged := inputs.judged) is None:
-        return _Known(sampled, sampled, found)
+        return _Known(sampled, sampled, run_warnings)
     quiet = replace(settings, note=no_note, inputs=Inputs(dataset=job.measured))
     study = prepare_with_held_out(record, job.name, quiet)
     if changed := describe_change(judged.metadata.identity, identify(study)):
-        what = f"the verdict of {judged.name} is not repeated; changed since: {changed}"
+        problem = f"the verdict of {judged.name} is not repeated; changed since: {changed}"
         command = "validate" if judged.kind == "cross_validation" else "tune"
-        found.append(_warn(command, record.target, what))
+        run_warnings.append(_warn(command, record.target, problem))
         judged = None
-    return _Known(sampled, judged, found)
+    return _Known(sampled, judged, run_warnings)
 
 
-def _warn(command: str, target: str, what: str) -> ResultWarning:
-    return ResultWarning("data_changed", what, fix=f"renew it: {shlex.join(('needlefit', command, target))}")
+def _warn(command: str, target: str, problem: str) -> ResultWarning:
+    return ResultWarning(
+        "data_changed", problem, fix=f"renew it: {shlex.join(('needlefit', command, target))}"
+    )
 
 
-def list_parameters(job: Job, draws: Draws, mode: Mapping[str, float], known: Run | None) -> pd.DataFrame:
+def list_parameters(job: Job, draws: Draws, mode: Mapping[str, float], judged: Run | None) -> pd.DataFrame:
     """Return the parameters and their 95 % intervals: of an earlier result of this fit, else of the draws."""
-    if known is not None and known.frames["parameters"]["fold"].nunique() == 1:
-        return known.frames["parameters"][list(ParameterRow._fields)]
+    if judged is not None and judged.frames["parameters"]["fold"].nunique() == 1:
+        return judged.frames["parameters"][list(ParameterRow._fields)]
     intervals, fold = intervals_of_draws(job.parameters, draws, None), job.folds[0].name
     rows = [
         ParameterRow(fold, "fitted", name, value, job.parameters.status[name])._replace(
-            **(one.columns() | {"median": one.median} if (one := intervals.get(name)) else {})
+            **(interval.columns() | {"median": interval.median} if (interval := intervals.get(name)) else {})
         )
         for name, value in mode.items()
     ]
@@ -443,37 +447,37 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
     scene = make_scene(record.scene, record.scene_name, job.medium)
     scene_name = record.scene_name.rpartition("/")[2]
     title = record.scene.title or scene_name
-    known = Specimens(job, job.folds[0], jobs=settings.jobs)
+    specimens = Specimens(job, job.folds[0], jobs=settings.jobs)
     where = record.specimen or ("new" if job.record.specimens == "others" else "training only")
-    if record.specimen is None and job.record.same_specimen and not known.separate:
+    if record.specimen is None and job.record.same_specimen and not specimens.separate:
         where = "same"
-    into = choose_specimen(known, where)
+    into = choose_specimen(specimens, where)
     about = begin_run(name, record, job, f"Prediction: {title}")
     require_fitted_kind(scene, job)
     sampled, judged, changed = _find_known(record, job, settings)
     checkpoint = open_checkpoint(settings.checkpoint, settings.resume, about.metadata.work, settings.note)
-    for one in changed:
-        settings.note(f"warning: {one} ({one.help_command})")  # before the work, which takes long
+    for change in changed:
+        settings.note(f"warning: {change} ({change.help_command})")  # before the work, which takes long
     fitted = draw_parameters(job, sampled, settings, checkpoint)
     if fitted is None:
         return replace(about, interrupted=True)
     if shifts := measure_prior(job, job.folds[0], fitted.thetas):
-        job = job.holding([held for held, one in shifts.items() if one.is_hidden])
-    known = replace(known, job=job, draws=fitted)
-    draws = known.draws_in(into)
-    found = forecast(scene, known, into)
-    needle = tabulate_forecast(found).assign(scene=title, converged=not draws.faults)
+        job = job.holding([held for held, shift in shifts.items() if shift.is_hidden])
+    specimens = replace(specimens, job=job, draws=fitted)
+    draws = specimens.draws_in(into)
+    forecasted = forecast(scene, specimens, into)
+    needle = tabulate_forecast(forecasted).assign(scene=title, converged=not draws.faults)
     warned = [*job.warnings, *changed, *scene_warnings(record.scene, record.scene_name)]
-    if found.outside:
-        share = f"{found.outside} of {len(found.across)} predicted needles"
-        what = f"{share} are outside what the model assumes (slopes, shortening, compression)"
+    if forecasted.outside:
+        share = f"{forecasted.outside} of {len(forecasted.across)} predicted needles"
+        problem = f"{share} are outside what the model assumes (slopes, shortening, compression)"
         fix = "read the bands with care; `needlefit simulate` of the scene names what is exceeded"
-        warned.append(ResultWarning("validity", what, fix=fix))
-    depths = [one.depth for one in job.folds[0].tune]
-    z_unfitted = found.across.shape[2] > job.dataset.directions
+        warned.append(ResultWarning("validity", problem, fix=fix))
+    depths = [insertion.depth for insertion in job.folds[0].tune]
+    z_unfitted = forecasted.across.shape[2] > job.dataset.directions
     warned += extrapolation_warnings(scene.depth, depths, z_unfitted=z_unfitted)
-    chosen = describe_point(found.point, job.parameters)
-    if found.point.is_median:
+    chosen = describe_point(forecasted.point, job.parameters)
+    if forecasted.point.is_median:
         warned.append(write_warning("predictive_median", {**chosen, "text": "median_of_scene"}))
     if draws.faults:
         needle.loc[:, needle.columns.str.contains("_low_|_high_")] = np.nan
@@ -484,7 +488,7 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
         record=stored.model_copy(update=named),
         frames={
             "forecast": needle,
-            "parameters": list_parameters(job, fitted, found.mode, sampled or judged),
+            "parameters": list_parameters(job, fitted, forecasted.mode, sampled or judged),
         },
         metadata=about.metadata.extend(
             PredictionMetadata,
@@ -492,20 +496,20 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
             draw_source=draws.source,
             pareto_k=draws.pareto_k,
             ess=draws.effective_sample_size,
-            draws=len(found.across),
+            draws=len(forecasted.across),
             specimen="others" if into is None else where,
             fit_verdict=None if judged is None else recall(judged),
             fit_run=None if judged is None else judged.name,
             fit_changed=changed[-1].what if changed else "",
             fit_advice=None if judged is None else _recall_advice(judged),
             held_out_by_target=settings.inputs.target is None and is_study(record.target),
-            failed_solves=found.failed,
-            outside_validity=found.outside,
+            failed_solves=forecasted.failed,
+            outside_validity=forecasted.outside,
             not_converged=list(draws.faults),
-            mode=dict(found.mode),
-            nearest=found.nearest and dict(found.nearest),
+            mode=dict(forecasted.mode),
+            nearest=forecasted.nearest and dict(forecasted.nearest),
             **chosen,
-            drawn=None if draws.faults else choose_drawn(found.sets),
+            drawn=None if draws.faults else choose_drawn(forecasted.sets),
             warnings=to_stored_rows(warned),
         ),
         faults=tuple(RunFault(find_fault_kind(draws), words) for words in draws.faults),
@@ -553,7 +557,7 @@ def describe_prediction(run: Run) -> dict[str, Any]:
         "title": study.scene.title or study.scene_name,
         "scene": study.scene_name,
         "target": study.target,
-        "faults": ", ".join(dict.fromkeys(one.kind for one in run.faults)),
+        "faults": ", ".join(dict.fromkeys(fault.kind for fault in run.faults)),
     }
 
 
@@ -638,7 +642,7 @@ def draw_prediction(run: Run) -> dict[str, Drawing]:
     title = f"{facts['title']} ({facts['faults']})" if run.faults else facts["title"]
     table = run.frames["forecast"].assign(scene=title)
     bands = {level: (f"simultaneous {level} % band", colour) for level, colour in BAND_COLOURS.items()}
-    names = {name: Look(*one, width=6.0, white=0.0) for name, one in bands.items()}
+    names = {name: Look(*band, width=6.0, white=0.0) for name, band in bands.items()}
     predicted = "predicted needle" if facts["mode_fault"] == "none" else "predictive median"
     names["needle"] = Look(predicted, METHOD_COLOURS["fitted"], width=1.4)
     if run.faults:  # whose bands are left out

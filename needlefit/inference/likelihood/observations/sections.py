@@ -59,8 +59,8 @@ def select_sections(insertion: Insertion) -> SectionData | None:
     along = insertion.frame.rotation.T @ stored.shared_along
     further = np.outer(along[1:], along[1:])  # of y and z
     shared = stored.shared_sd**2 * fade
-    own = stored.sigma**2 * fit.spread + fit.operator @ shared @ fit.operator.T
-    covariance = block_diag(own, own) + np.kron(further, fit.operator @ fade @ fit.operator.T)
+    spread = stored.sigma**2 * fit.spread + fit.operator @ shared @ fit.operator.T
+    covariance = block_diag(spread, spread) + np.kron(further, fit.operator @ fade @ fit.operator.T)
     shared = block_diag(shared, shared) + np.kron(further, fade)
     by_q = fit.slope @ (fit.operator @ places)  # (K, 3)
     slope = by_q[:, 1:] / by_q[:, :1]
@@ -71,21 +71,21 @@ def select_sections(insertion: Insertion) -> SectionData | None:
 class _Sections(ObservationType):
     def observe(self, insertion: Insertion, errors: StatedErrors) -> Observation:
         """Return the observation of an insertion by the coefficients of the spline through its sections."""
-        known, dataset, model_error = select_sections(insertion), errors.dataset, errors.model_error
-        assert known is not None
+        sections, dataset, model_error = select_sections(insertion), errors.dataset, errors.model_error
+        assert sections is not None
         count = dataset.directions
-        operator, measured = block_diag(*[known.operator] * count), known.places[:, : 1 + count]
-        cov = known.covariance[: len(operator), : len(operator)]
+        operator, measured = block_diag(*[sections.operator] * count), sections.places[:, : 1 + count]
+        cov = sections.covariance[: len(operator), : len(operator)]
         if model_error is not None:
-            misfit = block_diag(*[model_error.covariance(known.s)] * count)
+            misfit = block_diag(*[model_error.covariance(sections.s)] * count)
             cov = cov + operator @ misfit @ operator.T
         # the roll turns the needle, not what sections share; the modes turn both
         quarter = np.kron(insertion.roll_sd * QUARTER_TURN[:count, :count], np.eye(len(measured)))
-        turned, shared = operator @ quarter, known.shared[: len(quarter), : len(quarter)]
+        turned, shared = operator @ quarter, sections.shared[: len(quarter), : len(quarter)]
         cov = cov + turned @ shared @ turned.T
-        modes, sds = list_pose_modes(insertion, errors, measured, known.slope)
+        modes, sds = list_pose_modes(insertion, errors, measured, sections.slope)
         pose, free = (operator @ part for part in split_pose_modes(insertion, modes, sds))
-        return complete_observation(insertion, errors, known.s, measured, cov, pose, free, operator)
+        return complete_observation(insertion, errors, sections.s, measured, cov, pose, free, operator)
 
 
 SECTIONS = _Sections("sections")

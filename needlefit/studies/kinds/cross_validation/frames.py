@@ -33,6 +33,6 @@ FRAMES: Mapping[str, tuple[str, ...]] = MappingProxyType(
     }
 )
 OPTIONAL: Mapping[str, Mapping[str, float]] = {
-    "errors": {name: one.otherwise for name, one in CURVE_COLUMNS.items() if one.is_optional},
+    "errors": {name: column.otherwise for name, column in CURVE_COLUMNS.items() if column.is_optional},
     "parameters": dict.fromkeys(("interval_low_error", "interval_high_error"), math.nan),
 }

@@ -33,14 +33,14 @@ class StudyProgress:
         """Report so many steps of a phase of a fold as done."""
         self._done[fold.name, phase] = step / steps
         sizes = [(name, *item) for name, phases in self._sizes.items() for item in phases.items()]
-        done = sum(self._done.get((name, one), 0.0) * size for name, one, size in sizes)
+        done = sum(self._done.get((name, task), 0.0) * size for name, task, size in sizes)
         number, count = [*self._sizes].index(fold.name) + 1, len(self._sizes)
         place = f"{self._name}: {fold.name} (fold {number} of {count})" if count > 1 else self._name
         self._progress(f"{place}: {phase}", round(done), sum(size for *_, size in sizes))
 
     def finish(self, fold: Fold, phase: str) -> None:
         """Report all other phases of a fold as done; `phase` goes on."""
-        self._done |= {(fold.name, one): 1.0 for one in self._sizes[fold.name]}
+        self._done |= {(fold.name, task): 1.0 for task in self._sizes[fold.name]}
         self.report(fold, phase)
 
 

@@ -65,10 +65,10 @@ def list_fitted(job: Job, fold: Fold, fit: Fit, verdict: Identifiability) -> Ite
         low, high = parameters.bounds.get(name, (math.nan, math.nan))
         condition = verdict.conditions.get(name, "")
         row = ParameterRow(fold.name, "fitted", name, value, status, low, high, condition=condition)
-        known, together = (some.get(source, False) for some in (verdict.determined, verdict.together))
+        determined, together = (some.get(source, False) for some in (verdict.determined, verdict.together))
         if status in ("free", "tied"):
-            together = bool(condition) or known or together
-            row = row._replace(determined=name_determined(known and not condition, together))
+            together = bool(condition) or determined or together
+            row = row._replace(determined=name_determined(determined and not condition, together))
         if source in verdict.sds:
             low, high = factor * verdict.spread_low[source], factor * verdict.spread_high[source]
             row = row._replace(low=low, high=high)
@@ -83,16 +83,16 @@ def list_fitted(job: Job, fold: Fold, fit: Fit, verdict: Identifiability) -> Ite
         yield row
 
 
-def list_error_fit(job: Job, fold: Fold, found: ErrorMinimisingFit | None) -> Iterator[ParameterRow]:
+def list_error_fit(job: Job, fold: Fold, error_fit: ErrorMinimisingFit | None) -> Iterator[ParameterRow]:
     """Yield the values with the least errors, each with its range (`low`, `high`) within the tolerance.
 
     Hyperparameters are of the likelihood alone.
     """
-    if found is None:
+    if error_fit is None:
         return
     parameters = job.problem(fold, "fitted_metric").parameters
-    ranges = {one.name: one for one in found.ranges}
-    for name, value in found.fit.values.items():
+    ranges = {error_range.name: error_range for error_range in error_fit.ranges}
+    for name, value in error_fit.fit.values.items():
         if name in HYPERPARAMETERS:
             continue
         factor, source = parameters.ties.get(name, (1.0, name))
@@ -106,22 +106,27 @@ def list_error_fit(job: Job, fold: Fold, found: ErrorMinimisingFit | None) -> It
         yield row
 
 
-def describe_error_fit(fold: Fold, found: ErrorMinimisingFit) -> Row:
+def describe_error_fit(fold: Fold, error_fit: ErrorMinimisingFit) -> Row:
     """Return the objective of the fit that minimises the errors, and its tolerance."""
     return {
         "fold": fold.name,
-        "objective_mm": found.fit.objective,
-        "tolerance_mm": found.tolerance.value,
-        "tolerance_by_noise_mm": found.tolerance.by_noise,
-        "tolerance_by_insertions_mm": found.tolerance.by_insertions,
-        "evaluations": found.fit.evaluations,
+        "objective_mm": error_fit.fit.objective,
+        "tolerance_mm": error_fit.tolerance.value,
+        "tolerance_by_noise_mm": error_fit.tolerance.by_noise,
+        "tolerance_by_insertions_mm": error_fit.tolerance.by_insertions,
+        "evaluations": error_fit.fit.evaluations,
     }
 
 
 def list_directions(fold: Fold, fit: Fit, verdict: Identifiability) -> Iterator[Row]:
     """Yield the combinations of parameters that the posterior determines best; others have no SD."""
-    for one in verdict.directions if fit.minimized == "posterior" else ():
-        row = {"parameters": one.parameters, "sd": one.sd, "sd_ratio": one.sd_ratio, "note": one.words}
+    for direction in verdict.directions if fit.minimized == "posterior" else ():
+        row = {
+            "parameters": direction.parameters,
+            "sd": direction.sd,
+            "sd_ratio": direction.sd_ratio,
+            "note": direction.words,
+        }
         yield {"fold": fold.name, **row}
 
 
@@ -133,9 +138,9 @@ def list_published(job: Job, fold: Fold, retuned: Fit | None) -> Iterator[Parame
         yield ParameterRow(fold.name, "hand_tuned", name, value, "published")
     if retuned is None:
         return
-    found = identify(job.problem(fold, "hand_tuned_b"), retuned).determined
+    determined = identify(job.problem(fold, "hand_tuned_b"), retuned).determined
     for name, value in retuned.values.items():
         row = ParameterRow(fold.name, "hand_tuned_b", name, value, "published")
         if name == "bevel_mm":
-            row = row._replace(status="free", determined=name_determined(found.get(name, False), False))
+            row = row._replace(status="free", determined=name_determined(determined.get(name, False), False))
         yield row

@@ -99,12 +99,14 @@ def tabulate_batch(
     warnings: Iterable[ResultWarning] = (),
 ) -> Run:
     """Return the result of a batch; `warnings` are those of the dataset."""
-    remarks = [(one.scan.id, remark) for one in ones for remark in one.warnings]
+    remarks = [
+        (reconstruction.scan.id, remark) for reconstruction in ones for remark in reconstruction.warnings
+    ]
     return Run(
         kind=record.kind,
         name=name,
         record=record,
-        origin=combine_origins(one.scan.origin for one in ones),
+        origin=combine_origins(reconstruction.scan.origin for reconstruction in ones),
         dataset_title=record.title.removeprefix("Reconstruction: "),
         frames={
             "reconstruction": pd.DataFrame(map(describe_scan, ones), columns=list(_SCAN_COLUMNS)),
@@ -130,12 +132,18 @@ def tabulate_markers(reconstructions: Sequence[Reconstruction]) -> pd.DataFrame:
     """
     rows = [
         (
-            *(one.scan.id, found, known, *one.markers.centers[found], one.markers.sd[found]),
+            *(
+                reconstruction.scan.id,
+                detected,
+                stated,
+                *reconstruction.markers.centers[detected],
+                reconstruction.markers.sd[detected],
+            ),
             *(*fit.residuals[n], np.linalg.norm(fit.residuals[n])),
         )
-        for one in reconstructions
-        if one.markers is not None and (fit := one.registration) is not None
-        for n, (found, known) in enumerate(fit.pairs)
+        for reconstruction in reconstructions
+        if reconstruction.markers is not None and (fit := reconstruction.registration) is not None
+        for n, (detected, stated) in enumerate(fit.pairs)
     ]
     return pd.DataFrame(rows, columns=list(_MARKER_COLUMNS))
 
@@ -143,9 +151,9 @@ def tabulate_markers(reconstructions: Sequence[Reconstruction]) -> pd.DataFrame:
 def tabulate_crossings(reconstructions: Sequence[Reconstruction]) -> pd.DataFrame:
     """Return a row per crossing: depth along C's x and its deviation, layers, position in the world."""
     rows = [
-        (one.scan.id, n + 1, *layers.sequence[n : n + 2], depth, sd, *layers.points[n])
-        for one in reconstructions
-        for layers in [one.layers]
+        (reconstruction.scan.id, n + 1, *layers.sequence[n : n + 2], depth, sd, *layers.points[n])
+        for reconstruction in reconstructions
+        for layers in [reconstruction.layers]
         for n, (depth, sd) in enumerate(zip(layers.boundaries, layers.sd, strict=True))
     ]
     return pd.DataFrame(rows, columns=list(_CROSSING_COLUMNS))
@@ -154,9 +162,9 @@ def tabulate_crossings(reconstructions: Sequence[Reconstruction]) -> pd.DataFram
 def tabulate_passed(reconstructions: Sequence[Reconstruction]) -> pd.DataFrame:
     """Return a row per material that a needle passes, from its base on; mm from first contact."""
     rows = [
-        (one.scan.id, n, one.name_part(run), run.kind, run.begin, run.end, run.level)
-        for one in reconstructions
-        for n, run in enumerate(one.passed, start=1)
+        (reconstruction.scan.id, n, reconstruction.name_part(run), run.kind, run.begin, run.end, run.level)
+        for reconstruction in reconstructions
+        for n, run in enumerate(reconstruction.passed, start=1)
     ]
     return pd.DataFrame(rows, columns=list(_PASSED_COLUMNS))
 
@@ -164,37 +172,52 @@ def tabulate_passed(reconstructions: Sequence[Reconstruction]) -> pd.DataFrame:
 def tabulate_deflections(reconstructions: Sequence[Reconstruction]) -> pd.DataFrame:
     """Return points of each centreline in its bending plane, with the ends of its pointwise 95 % band, mm."""
     frames = [pd.DataFrame(columns=list(_DEFLECTION_COLUMNS))]
-    for one in reconstructions:
-        points = np.linspace(0, len(one.local) - 1, min(len(one.local), MAX_DRAWN_POINTS)).round().astype(int)
-        (x, y), half = one.local[points, :2].T, NORMAL_95_HALF_WIDTH_SD * one.sd[points]
-        columns = {"id": one.scan.id, "x_mm": x, "y_mm": y, "low_mm": y - half, "high_mm": y + half}
+    for reconstruction in reconstructions:
+        points = (
+            np.linspace(0, len(reconstruction.local) - 1, min(len(reconstruction.local), MAX_DRAWN_POINTS))
+            .round()
+            .astype(int)
+        )
+        (x, y), half = reconstruction.local[points, :2].T, NORMAL_95_HALF_WIDTH_SD * reconstruction.sd[points]
+        columns = {
+            "id": reconstruction.scan.id,
+            "x_mm": x,
+            "y_mm": y,
+            "low_mm": y - half,
+            "high_mm": y + half,
+        }
         frames.append(pd.DataFrame(columns))
     return pd.concat(frames[len(frames) > 1 :], ignore_index=True)
 
 
-def describe_scan(one: Reconstruction) -> Row:
+def describe_scan(reconstruction: Reconstruction) -> Row:
     """Return the row of a scan; without markers it lacks what is known by them."""
-    scan, markers, fit, off = one.scan, one.markers, one.registration, one.local[:, 2]
+    scan, markers, fit, off = (
+        reconstruction.scan,
+        reconstruction.markers,
+        reconstruction.registration,
+        reconstruction.local[:, 2],
+    )
     row: Row = {
         **{name: getattr(scan, name) for name in ("id", "origin", "medium", "specimen")},
         "scan": scan.volume.name,
-        **dict(zip(("voxel_i_mm", "voxel_j_mm", "voxel_k_mm"), one.spacing, strict=True)),
-        "entry_pose_from": one.pose.source,
-        "entry_along_sd_mm": one.pose.along_sd,
-        "entry_shift_sd_mm": one.pose.shift_sd,
-        "entry_angle_sd_deg": np.degrees(one.pose.angle_sd),
-        "bending_plane_from": "shape" if one.scan.bevel is None else "stated",
+        **dict(zip(("voxel_i_mm", "voxel_j_mm", "voxel_k_mm"), reconstruction.spacing, strict=True)),
+        "entry_pose_from": reconstruction.pose.source,
+        "entry_along_sd_mm": reconstruction.pose.along_sd,
+        "entry_shift_sd_mm": reconstruction.pose.shift_sd,
+        "entry_angle_sd_deg": np.degrees(reconstruction.pose.angle_sd),
+        "bending_plane_from": "shape" if reconstruction.scan.bevel is None else "stated",
         "out_of_plane_rms_mm": np.sqrt(np.mean(off**2)),
         "out_of_plane_max_mm": np.abs(off).max(),
-        "depth_mm": one.depth,
-        "depth_sd_mm": one.depth_sd,
-        "deflection_mm": one.deflection,
-        **dict(zip(TIP_COLUMNS, one.needle_axis.tip, strict=True)),
-        **dict(zip(("tip_along_sd_mm", "tip_across_sd_mm"), one.needle_axis.tip_sd, strict=True)),
-        "bevel_probability": one.needle_axis.bevel_probability,
-        "centerline_sd_rms_mm": np.sqrt(np.mean(one.sd**2)),
-        "layers": " ".join(map(str, one.layers.sequence)),
-        "warnings": "; ".join(one.warnings),
+        "depth_mm": reconstruction.depth,
+        "depth_sd_mm": reconstruction.depth_sd,
+        "deflection_mm": reconstruction.deflection,
+        **dict(zip(TIP_COLUMNS, reconstruction.needle_axis.tip, strict=True)),
+        **dict(zip(("tip_along_sd_mm", "tip_across_sd_mm"), reconstruction.needle_axis.tip_sd, strict=True)),
+        "bevel_probability": reconstruction.needle_axis.bevel_probability,
+        "centerline_sd_rms_mm": np.sqrt(np.mean(reconstruction.sd**2)),
+        "layers": " ".join(map(str, reconstruction.layers.sequence)),
+        "warnings": "; ".join(reconstruction.warnings),
     }
     if markers is None or fit is None:
         return row
@@ -206,15 +229,17 @@ def describe_scan(one: Reconstruction) -> Row:
         "fre_mm": fit.fre,
         "expected_fre_mm": fit.expected_fre,
         "fre_p_value": fit.p_value,
-        **dict(zip(("target_error_entry_mm", "target_error_tip_mm"), one.target_error, strict=True)),
+        **dict(
+            zip(("target_error_entry_mm", "target_error_tip_mm"), reconstruction.target_error, strict=True)
+        ),
     }
 
 
-def list_facts(one: Reconstruction) -> list[tuple[str, str]]:
+def list_facts(reconstruction: Reconstruction) -> list[tuple[str, str]]:
     """Return name and value, with its unit, of what the page of a scan states."""
-    crossed = zip(one.layers.boundaries, one.layers.sd, strict=True)
+    crossed = zip(reconstruction.layers.boundaries, reconstruction.layers.sd, strict=True)
     row = {"crossing_depths": ", ".join(f"{depth:.2f} ± {sd:.2f}" for depth, sd in crossed) or None}
-    row |= describe_scan(one)
+    row |= describe_scan(reconstruction)
     columns = [find_column(name) for name in _FACT_COLUMNS if row.get(name) is not None]
     return [(column.label, f"{column.format_cell(row)} {column.unit}") for column in columns]
 
@@ -222,10 +247,13 @@ def list_facts(one: Reconstruction) -> list[tuple[str, str]]:
 def tabulate_failures(failures: Sequence[ReconstructionFailure]) -> pd.DataFrame:
     """Return the table of refused scans: why, and what would fix it."""
     rows = []
-    for one in failures:
-        named = {"where": one.error.where, "expected": one.error.expected, "fix": one.error.fix}
-        parts = [f"refused: {one.error.what}", *(f"{name}: {text}" for name, text in named.items() if text)]
-        rows.append((one.scan.id, one.scan.volume.name, ". ".join(parts)))
+    for failure in failures:
+        named = {"where": failure.error.where, "expected": failure.error.expected, "fix": failure.error.fix}
+        parts = [
+            f"refused: {failure.error.what}",
+            *(f"{name}: {text}" for name, text in named.items() if text),
+        ]
+        rows.append((failure.scan.id, failure.scan.volume.name, ". ".join(parts)))
     return pd.DataFrame(rows, columns=list(_REFUSED_COLUMNS))
 
 
@@ -248,7 +276,7 @@ def describe_batch(run: Run) -> dict[str, Any]:
         "passed": {name: parts for name, parts in passed.items() if parts},
         "remarked": len({row["id"] for row in remarks}),
         "remarks": remarks,
-        "poor": [one for one in poor if one["sd_mm"] > POOR_DEPTH_SD_MM],
+        "poor": [row for row in poor if row["sd_mm"] > POOR_DEPTH_SD_MM],
         "named": MAX_NAMED_SCANS,
         "origin_mark": run.origin_mark,
     }
@@ -261,7 +289,7 @@ def lay_out_reconstructions(run: Run) -> TableLayout:
         crossings, remarks = (
             frame[frame["id"] == row["id"]] for frame in (run.frames["crossings"], run.frames["remarks"])
         )
-        depths = (f"{one['depth_mm']:.2f} ± {one['depth_sd_mm']:.2f}" for one in to_records(crossings))
+        depths = (f"{row['depth_mm']:.2f} ± {row['depth_sd_mm']:.2f}" for row in to_records(crossings))
         about = {"scan": row["id"], "remark_count": len(remarks) or ""}
         about["crossing_depths"] = ", ".join(depths) or None
         unregistered = {"target_error_tip_mm": None} if row["markers_known"] is None else {}
@@ -300,7 +328,7 @@ def draw_batch(run: Run) -> dict[str, Drawing]:
 REPORT = StudyReport(
     TEXT,
     describe_batch,
-    lambda found: [lay_out_reconstructions(found), *_lay_out_refused(found)],
+    lambda run: [lay_out_reconstructions(run), *_lay_out_refused(run)],
     draw_batch,
     first_page=describe_scans,
     keeps_files=True,
@@ -332,15 +360,23 @@ def write_reconstruction(
         if not kept:
             return None, failures
         refused = (*refused, *failures)
-        if any(one.scan.divided for one in kept):  # to correct one needle, and for the next run
-            write_scan_table([one.scan for one in kept], fresh / SCANS_FILE, folder)
-        for done, one in enumerate(kept):
-            progress(f"{one.scan.id}: quality page", done, len(kept))
-            write_scan(one, fresh / "slicer")
-            write_control_points(list_control_points(one), fresh / "slicer")
-            write_quality(one, list_facts(one), fresh / "quality" / f"{one.scan.id}.pdf")
+        if any(
+            reconstruction.scan.divided for reconstruction in kept
+        ):  # to correct one needle, and for the next run
+            write_scan_table([reconstruction.scan for reconstruction in kept], fresh / SCANS_FILE, folder)
+        for done, reconstruction in enumerate(kept):
+            progress(f"{reconstruction.scan.id}: quality page", done, len(kept))
+            write_scan(reconstruction, fresh / "slicer")
+            write_control_points(list_control_points(reconstruction), fresh / "slicer")
+            write_quality(
+                reconstruction,
+                list_facts(reconstruction),
+                fresh / "quality" / f"{reconstruction.scan.id}.pdf",
+            )
         title = f"Reconstruction: {description.title or description.name}"
-        record = KIND.make_record(title=title, scans=[one.scan.id for one in kept], recipe=recipe)
+        record = KIND.make_record(
+            title=title, scans=[reconstruction.scan.id for reconstruction in kept], recipe=recipe
+        )
         assert isinstance(record, ReconstructionBatchRecord)
         dataset = read(fresh)
         write_first_run(fresh, dataset)

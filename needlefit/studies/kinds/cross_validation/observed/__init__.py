@@ -25,5 +25,5 @@ OBSERVATION_FIGURES = Registry(ObservationFigures, __name__, "figures of an obse
 
 def draw_observations(run: Run, role: str) -> dict[str, Drawing]:
     """Return the figures of all that was measured of insertions of a role, those of whole needles first."""
-    ordered = sorted(OBSERVATION_FIGURES.values(), key=lambda one: one.name != "points")
-    return {name: drawing for one in ordered for name, drawing in one.draw(run, role).items()}
+    ordered = sorted(OBSERVATION_FIGURES.values(), key=lambda figure: figure.name != "points")
+    return {name: drawing for observation in ordered for name, drawing in observation.draw(run, role).items()}

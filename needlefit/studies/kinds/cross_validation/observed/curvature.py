@@ -8,11 +8,11 @@ from needlefit.studies.run import Run
 
 def draw_sensors(run: Run, role: str) -> dict[str, Drawing]:
     """Return the readings of all needles, toward +y and +z of C, and what was predicted of them."""
-    found = FitFrames.of(run).curvature
-    frame = found[["insertion", "direction", "s_mm"]].assign(
-        measured=1e3 * found["kappa_1_per_mm"],
-        predicted=1e3 * found["kappa_predicted_1_per_mm"],
-        sd=1e3 * found["kappa_sd_1_per_mm"],
+    sensors = FitFrames.of(run).curvature
+    frame = sensors[["insertion", "direction", "s_mm"]].assign(
+        measured=1e3 * sensors["kappa_1_per_mm"],
+        predicted=1e3 * sensors["kappa_predicted_1_per_mm"],
+        sd=1e3 * sensors["kappa_sd_1_per_mm"],
         origin=run.origin,
     )
     return {"sensors": Drawing("curvature", frame)} if len(frame) else {}

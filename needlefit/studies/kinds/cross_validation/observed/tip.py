@@ -18,8 +18,8 @@ def draw_tips(run: Run, role: str) -> dict[str, Drawing]:
     if errors.empty:
         return {}
     sides = errors["insertion"].map(find_bevel_sides(run)).to_numpy(dtype=float)
-    known = frames.predictive.set_index("insertion").reindex(errors["insertion"])
-    ends = known[["tip_95_low_mm", "tip_95_high_mm"]].to_numpy(dtype=float)
+    predicted = frames.predictive.set_index("insertion").reindex(errors["insertion"])
+    ends = predicted[["tip_95_low_mm", "tip_95_high_mm"]].to_numpy(dtype=float)
     low, high = np.sort(sides[:, None] * ends, axis=1).T
     frame = errors[["insertion", "medium", "depth_mm"]].assign(
         measured_mm=errors["deflection_mm"],
