@@ -658,10 +658,14 @@ def examine(
                 raise DataError(what, where=error.where, expected=error.expected, fix=fix) from None
     if found.needle_axis is not None:
         needle = found.needle_axis.points
-        ahead = needle[-1] - needle[-5]  # over four stations: the last step alone is too noisy a direction
-        beyond = np.arange(0.5, PROFILE_BEYOND_TIP_MM + 0.5, 0.5)[:, None] * ahead / np.linalg.norm(ahead)
-        points = np.vstack([needle, needle[-1] + beyond])
-        found.profile = sample_profile(volume, points, arc_length(points))
+        # over four stations: the last step alone is too noisy a direction
+        ahead, back = normalize(needle[-1] - needle[-5]), normalize(needle[0] - needle[4])
+        beyond = np.arange(0.5, PROFILE_BEYOND_TIP_MM + 0.5, 0.5)[:, None] * ahead
+        # a guide of metal cuts the needle: it is looked for before what was traced
+        reach = recipe.guide.thickness_mm + PROFILE_BEYOND_TIP_MM if recipe.guide.thickness_mm else 0.0
+        before = np.arange(reach, 0.0, -0.5)[:, None] * back
+        points = np.vstack([needle[0] + before, needle, needle[-1] + beyond])
+        found.profile = sample_profile(volume, points, arc_length(points) - reach)
     if found.error is not None:
         return found
     with found.step("tissue and layers"), located(scan.volume):
