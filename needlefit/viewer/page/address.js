@@ -8,7 +8,7 @@ import { ModelError, rollOf, wrap } from "./model/inputs.js";
 import { SteeredNeedle } from "./model/steered.js";
 import { strengthOf } from "./quantities.js";
 
-export const ANEW = [["return_to", null, 0]];
+const ANEW = [["return_to", null, 0]];
 const POINTS = 21; // of two needles that are compared
 export const SAME = 1e-6; // mm: what differs by more is another needle
 const DIGITS = 12; // of a number of an address

@@ -3,10 +3,7 @@
 import { element, part } from "./dom.js";
 import { listen } from "./store.js";
 
-/**
- * One or two sentences each, which `docs/_site/columns_page.py` copies. Those of the model's parameters, from the
- * glossary, and of error metrics come with the scene.
- */
+/** One or two sentences each. Those of the model's parameters, from the glossary, and of error metrics come with the scene. */
 export const DEFINITIONS = {
   "depth": "Inserted arc length: how much of the needle is beyond the entry.",
   "tip y": "Distance of the tip from the entry axis, y; positive to the left of the entry.",
@@ -40,7 +37,7 @@ export function define(name, called = name) {
   if (!(name in DEFINITIONS)) return called;
   const term = element("button", { type: "button", className: "term" }, called);
   term.setAttribute("aria-description", DEFINITIONS[name]);
-  term.tabIndex = -1; // Help lists all definitions: a stop for each would stand before every input
+  term.tabIndex = -1; // a stop for each would stand before every input
   const show = () => {
     const { left, top, bottom } = term.getBoundingClientRect();
     shown.textContent = DEFINITIONS[name];

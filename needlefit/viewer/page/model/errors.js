@@ -4,7 +4,7 @@ const DEPTH_TOLERANCE = 1e-6; // mm; a needle this near to the measured depth ha
 const LEAST = 1; // mm; shorter overlaps are not compared
 const POINTS = 101;
 
-export const mean = (values) => values.reduce((sum, one) => sum + one, 0) / values.length;
+const mean = (values) => values.reduce((sum, one) => sum + one, 0) / values.length;
 
 const relate = (d, deflection) => (deflection ? (100 * d.at(-1)) / deflection : d.at(-1) ? Infinity : 0);
 
@@ -26,7 +26,7 @@ const METRICS = {
 };
 
 /** The axes of the coordinates that are compared. */
-export const AXES = { plane: [0, 1], space: [0, 1, 2] };
+const AXES = { plane: [0, 1], space: [0, 1, 2] };
 
 /**
  * The errors of a session's needle against `measured` of the scene, or null where they are undefined.

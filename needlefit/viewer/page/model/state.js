@@ -10,7 +10,7 @@ const columns = (points, width) =>
   Array.from({ length: width }, (_, axis) => Array.from({ length: points.length / width }, (_, i) => points[width * i + axis]));
 
 /** How strongly a bevel turns the cut, under the key of the rule of advance. */
-export const describeStrength = ({ offset, cutAngle }, { pathAngle }) =>
+const describeStrength = ({ offset, cutAngle }, { pathAngle }) =>
   pathAngle ? { cut_angle_deg: cutAngle * (180 / Math.PI) } : { offset_mm: offset };
 
 /** All that changes from step to step; `z`, and a third row of points, are of a needle in space. */

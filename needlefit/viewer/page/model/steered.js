@@ -5,7 +5,7 @@ import { applyChanges, checkChange, ModelError, toInputs, toStep } from "./input
 import { computeValidity, listFaults } from "./validity.js";
 
 /** The law of all layers for shape parameters (rows of layers), or null: only the program can compute it. */
-export function makeLaw({ terms, tables }, shape) {
+function makeLaw({ terms, tables }, shape) {
   if (!terms) return tables.find(([known]) => JSON.stringify(known) === JSON.stringify(shape))?.[1] ?? null;
   const layers = shape[0]?.length ?? terms.layers;
   return Array.from({ length: layers }, (_, layer) => terms.at_zero.map((value, j) => {

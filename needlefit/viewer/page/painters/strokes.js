@@ -45,7 +45,7 @@ export function faintly(context, opacity, draw) {
 }
 
 /** Draw the current path as a line. */
-export function stroke(context, shade, width, dash = []) {
+function stroke(context, shade, width, dash = []) {
   context.strokeStyle = shade;
   context.lineWidth = width;
   context.setLineDash(dash);
