@@ -461,6 +461,7 @@ def main():
         made = {
             kind: [pool.submit(judge_mistake, kind, options.seed, n, fits) for n in range(options.sets)]
             for kind in KINDS
+            if options.sets
         }
         sound = {
             (design, model): [
@@ -468,6 +469,7 @@ def main():
             ]
             for design in SOUND
             for model in MODELS
+            if options.sound
         }
         print(f"{'mistake':48}" + "".join(f"{one:>10}" for one in outcomes))
         for kind, rows in made.items():
