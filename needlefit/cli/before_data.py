@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from needlefit.schemas.scene import SceneRecord
 
 _POSE_ERRORS = {"pose_shift_mm": "place of the entry", "pose_angle_deg": "direction at the entry"}
-MIN_SHOWN_SHARE = 0.005  # of the tip's variance, from which on a parameter is listed
+MIN_SHOWN_SHARE = 0.005  # smallest share of the tip's variance of a parameter that is listed
 
 
 def predict_before_data(

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from needlefit.arrays import Floats
 from needlefit.datasets.points import Points
 
-MAX_TEXT_CHARS = 200  # of a text that is stated of a curve
-MAX_STATED_NUMBERS = 20  # numbers of a vector that is
+MAX_TEXT_CHARS = 200  # longest text that is stated of a curve (characters)
+MAX_STATED_NUMBERS = 20  # largest number of numbers in a vector that is stated of a curve
 _COORDINATE = re.compile(r"([xyz])(?:_(mm|cm|dm|um|m))?", re.IGNORECASE)  # `x`, `X_mm`
 _UNIT_ENDING = re.compile(r"(\w+)_(mm|cm|um)", re.IGNORECASE)  # of a name of points: `needles_cm`
 

@@ -16,14 +16,14 @@ from needlefit.arrays import Floats
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.penalized_spline import PenalizedSpline, fit_penalized_spline
 
-MIN_SMOOTHED_POINTS = 5  # fewer are joined by chords: they cannot show their noise
-MAX_FITS = 8  # of the curve, while feet move
-MAX_FOOT_SHIFT = 1e-4  # by more than this part of its length
-SAMPLES_PER_POINT = 4  # at which a smooth curve is integrated
-MIN_SAMPLES = 200  # of a whole curve
+MIN_SMOOTHED_POINTS = 5  # smallest number of points that show their noise; fewer are joined by chords
+MAX_FITS = 8  # largest number of fits of the curve while the feet of its points move
+MAX_FOOT_SHIFT = 1e-4  # largest movement of a foot (part of the length) at which fitting ends
+SAMPLES_PER_POINT = 4  # number of places per point at which a smooth curve is integrated
+MIN_SAMPLES = 200  # smallest number of places at which a whole curve is integrated
 # A step that differs from the usual one by no more than so many deviations of its noise is the usual one.
 EQUAL_STEP_SD = 4.0
-END_STEP_SD = 3.0  # the same of the first and the last step, by the foot of the end
+END_STEP_SD = 3.0  # the same for the first and the last step, by the foot of the end
 MIN_EQUAL_STEPS = 0.9  # part of the steps that must be the usual one, that points may be evenly spaced
 MAX_NOISE_RATIO = 1.5  # noise along the needle over that across it, beyond which spacing is uneven
 

@@ -4,10 +4,10 @@ import numpy as np
 
 from needlefit.arrays import Floats
 
-MIN_NEIGHBOURS = 4  #: on either side, at least
-MAX_NEIGHBOURS = 20  #: at most
-REACH_MM = 8.0  #: mm, within which those between are
-MAX_ORDER = 3  #: of the polynomial through neighbours
+MIN_NEIGHBOURS = 4  #: smallest number of neighbours on either side of a point
+MAX_NEIGHBOURS = 20  #: largest number of neighbours on either side of a point
+REACH_MM = 8.0  #: distance (mm) within which points are neighbours, between these numbers
+MAX_ORDER = 3  #: greatest order of the polynomial through neighbours
 
 
 def leave_one_out(x: Floats, values: Floats) -> tuple[Floats, Floats]:

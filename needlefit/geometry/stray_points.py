@@ -9,10 +9,10 @@ from needlefit.arrays import Floats
 MIN_DISTANCE_RATIO = 10.0  # over the median of all: evenly spaced points have at most 2
 MIN_DISTANCE_MM = 300.0  # mm: a tip may lie far from all other points that were measured
 # The way over a stray point against the way without it.
-MIN_DETOUR_RATIO = 5.0  # over it
-MIN_DETOUR = 0.5  # their difference over that median
-MAX_STRAY_FRACTION = 0.25  # of the points; more are no mistakes of single ones
-MIN_REGULAR_POINTS = 4
+MIN_DETOUR_RATIO = 5.0  # smallest detour over the direct way
+MIN_DETOUR = 0.5  # smallest difference of detour and direct way over that median
+MAX_STRAY_FRACTION = 0.25  # largest fraction of stray points; more are no mistakes of single points
+MIN_REGULAR_POINTS = 4  # number of points up to which no point of a curve counts as stray
 
 
 def find_stray_points(curve: Floats) -> NDArray[np.int64]:

@@ -39,7 +39,7 @@ ANGLE_SD_DEG = (0.02, 20.0)
 BOUNDARY_TO_DEPTH = 2e-3
 """Thickness of a layer over the depth of the insertion: a skin of 0.1 mm before 50 mm."""
 BOUNDARIES_TO_DEPTH = 0.1  # depth of the last of several boundaries over that of the deepest insertion
-MIN_DEPTH_MM = 1.0  # of an insertion, where in metres it would be one of the needle
+MIN_DEPTH_MM = 1.0  # least depth (mm) of an insertion: smaller ones are likely in metres
 LENGTH_UNITS = {"metres": 1e3, "inches": 25.4, "centimetres": 10.0, "micrometres": 1e-3}
 """Millimetres in each."""
 MICROMETRES = 1e3  # in a millimetre

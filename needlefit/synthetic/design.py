@@ -295,12 +295,12 @@ POPULATION = TrueSpread()
 NOMINAL_NEEDLE = Needle.from_tube(length=150.0, outer_diameter=1.27, youngs_modulus=80e3)
 RIGIDITY_DEVIATION = (0.02, 0.05)  # relative deviation of the true EI from the nominal one, up or down
 FIELD_LOG_MU_SD = 0.4  # of ln mu within a piece of chicken
-FIELD_LENGTH_MM = 12.0  # mm, over which it varies
+FIELD_LENGTH_MM = 12.0  # distance (mm) over which ln mu varies within a piece of chicken
 LAYER_SD_MM = 0.1  # of a layer's boundary about the place its surface file states, mm along x
 ROLL_SD_DEG = 3.0  # degrees between the stated and the true bevel plane
 # Of the stage axis in the world, per direction.
-POSE_SHIFT_SD_MM = 0.05  # mm
-POSE_ANGLE_SD_DEG = 0.05  # degrees
+POSE_SHIFT_SD_MM = 0.05  # standard deviation (mm) of the stage axis, per direction
+POSE_ANGLE_SD_DEG = 0.05  # standard deviation (degrees) of the stage axis, per direction
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from needlefit.datasets.formats import FileFormat, ReadCurves
 from needlefit.errors import DataError
 from needlefit.project.input_files import parse_json, read_text
 
-MAX_NUMBER = 2**63
-MAX_NESTING = 20  # objects and lists within each other
+MAX_NUMBER = 2**63  # largest whole number that is read: beyond it numpy has no integer
+MAX_NESTING = 20  # largest depth of objects and lists within each other
 _FIX = 'write an object a line: {"id": "n1", "points": [[0, 0, 0], [5, 0.1, 0], ...]}'
 
 

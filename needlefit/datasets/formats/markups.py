@@ -34,7 +34,7 @@ FCSV_COLUMNS = ("id", "x", "y", "z", "ow", "ox", "oy", "oz", "vis", "sel", "lock
 FCSV_KEYS = {"label": "label", "description": "desc"}
 FCSV_SYSTEMS = {"0": "RAS", "1": "LPS"}  # until 2019 by numbers
 FCSV_DEFINED = "2"  # status of a point that was placed
-MAX_FCSV_CHARS = 10_000  # of a line; longer cells are no numbers
+MAX_FCSV_CHARS = 10_000  # longest line that is read (characters)
 _FCSV_HEADER = re.compile(r"#\s*([^=]*?)\s*=\s*(.*?)\s*$")
 
 _SCHEMA = re.compile(r"markups-schema-v1\.\d+\.\d+\.json#*$", re.IGNORECASE)

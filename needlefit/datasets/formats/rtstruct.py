@@ -15,7 +15,7 @@ from needlefit.errors import DataError
 from needlefit.project.input_files import read_bytes
 from needlefit.project.reader_process import BYTES_PER_SECOND, READER_BYTES, Arrays, read_in_process
 
-MAX_FILE_BYTES = 64 * 2**20
+MAX_FILE_BYTES = 64 * 2**20  # largest structure set (bytes)
 STRUCTURE_SET = "1.2.840.10008.5.1.4.1.1.481.3"  # SOP class of RT structure sets
 RT_PLAN = "1.2.840.10008.5.1.4.1.1.481.5"  # SOP class of RT plans, brachytherapy among them
 OPEN_KINDS = ("OPEN_PLANAR", "OPEN_NONPLANAR")

@@ -10,13 +10,13 @@ from needlefit.arrays import Floats
 from needlefit.geometry.frames import normalize
 from needlefit.geometry.measured_curve import measure_curve
 
-MIN_SAME_SIDE = 0.9  # length of the mean of unit deflections from which on they have one direction
-MIN_FITTED_NEEDLES = 3  # from which a common direction is fitted
-MIN_CURVE_POINTS = 5  # of a needle that counts in it
+MIN_SAME_SIDE = 0.9  # smallest length of the mean of unit deflections that have one direction
+MIN_FITTED_NEEDLES = 3  # smallest number of needles to which a common direction is fitted
+MIN_CURVE_POINTS = 5  # smallest number of points of a needle that counts in the common direction
 # Tissue turns a needle at its entry toward its bevel: by its curvature, times a length of this size.
 TURN_LENGTH_SD_MM = 80.0
 TANGENT_SD_RAD = math.radians(0.5)  # of single needles, before their scatter is known
-SAME_AXIS_DEG = 10.0  # within which a proposed direction is a world axis
+SAME_AXIS_DEG = 10.0  # largest angle (degrees) to a world axis at which that axis is proposed
 
 
 def to_sides(angles: Sequence[float]) -> tuple[list[int], list[float]]:

@@ -32,8 +32,8 @@ COORDINATES = ("x", "y", "z", "depth", "deflection", "deflection_z", "guide")
 SEVERAL = (*VECTORS, "boundaries", "guide", "needle")  # meanings that may have several columns
 POINTS = ("shapes", "tips", "tracks")  # rows that hold points
 EXCLUDED = "excluded"  # the word of rows that are left out
-MIN_NEEDLE_GPA = 1.0  # GPa, below which a modulus may be that of the tissue
-MAX_FLAGS = 4  # values of a column that may mark rows to be left out
+MIN_NEEDLE_GPA = 1.0  # smallest modulus (GPa) that can only be that of a needle
+MAX_FLAGS = 4  # largest number of values of a column that may mark rows to be left out
 _QUANTITY = re.compile(r"\D{0,3}[-+]?\d+([.,]\d+)?\s*\S{0,4}")  # a number with a unit: 22G, 0,7 mm
 
 Axes = dict[str, int]  # columns by axis

@@ -13,7 +13,7 @@ from needlefit.datasets.points import MIN_POINTS
 
 WORKBOOK_FILE = Path(__file__).with_name("workbook.xlsx")
 EXAMPLE_SHEET = "example"  # how names of its sheets of examples begin
-POINT_DECIMALS = 3  # of mm, to which the examples are recognised: in another unit they are not quite the same
+POINT_DECIMALS = 3  # decimals (of mm) by which examples are recognised: another unit rounds them otherwise
 
 Places = frozenset[tuple[float, ...]]
 

@@ -21,8 +21,8 @@ from needlefit.project.input_files import read_bytes
 from needlefit.project.units import UNITS_MM
 
 MISSING = ("nan", "na", "n/a", "-", "--", "null", "none", "missing", "#n/a", "#div/0!", "inf", "-inf", "+inf")
-MAX_HEADER_ROWS = 6
-SAMPLE_ROWS = 300  # rows by which separator and decimal sign are found
+MAX_HEADER_ROWS = 6  # largest number of rows of headers
+SAMPLE_ROWS = 300  # number of rows by which separator and decimal sign are found
 _SEPARATORS = (";", "\t", ",", " ")  # in the order in which equally good ones are taken
 # Numbers in which a sign parts thousands, by their decimal sign: what is no other number.
 _GROUPED = {

@@ -40,13 +40,12 @@ from needlefit.project.unit_warnings import GAUGES_MM
 from needlefit.schemas.reconstruction import ReconstructionEntryRecord
 from needlefit.schemas.scene import NeedleRecord
 
-# Of a needle up to its entry, from which its direction is taken.
-MIN_SHAFT_MM = 10.0  # mm, length
-MIN_SHAFT_POINTS = 3  # points
-MIN_CUT_MM = 1.0  # mm of a needle before the stated entry, from which on it is cut
-STEP_MM = 0.01  # mm, steps in which the entry is looked for along a needle
-MIN_NEEDLE_MM = 150.0  # mm, length assumed of a needle, or more
-BEYOND_DEPTH_MM = 50.0  # mm, by which it is longer than the greatest depth
+MIN_SHAFT_MM = 10.0  # shortest length (mm) before the entry from which the direction of a needle is taken
+MIN_SHAFT_POINTS = 3  # smallest number of points before the entry from which a direction is taken
+MIN_CUT_MM = 1.0  # shortest length (mm) before the stated entry that is cut off
+STEP_MM = 0.01  # distance (mm) between the places along a needle at which the entry is looked for
+MIN_NEEDLE_MM = 150.0  # smallest length (mm) that is assumed of a needle
+BEYOND_DEPTH_MM = 50.0  # length (mm) by which the assumed needle is longer than the greatest depth
 # Tracks are predicted within a specimen.
 TRACK_SPECIMEN = ("specimen1", "all runs into one; specimen=each if every run had a specimen of its own")
 OTHER_END = {"first": "last", "last": "first"}  # of the answers at which end of its points a needle enters

@@ -21,10 +21,9 @@ from needlefit.project.toml import check, load, override
 from needlefit.project.units import UNITS_MM
 from needlefit.schemas.mapping import MappingRecord
 
-# Length of the longest needle, from and to.
-ASSUMED_MM = (20.0, 300.0)  # mm, that may be assumed to be in mm
-STATED_MM = (1.0, 2000.0)  # mm, that a stated unit may give
-MAX_FIRST_VALUES = 3  # of a column on the screen
+ASSUMED_MM = (20.0, 300.0)  # least and greatest length (mm) of the longest needle where mm are assumed
+STATED_MM = (1.0, 2000.0)  # least and greatest length (mm) of the longest needle by a stated unit
+MAX_FIRST_VALUES = 3  # number of values of a column on the screen
 
 Prompt = Callable[[str, str, str], str]  #: key or question, proposal, reason -> answer; "" takes the proposal
 #: rows of the screen, what is not used and where -> `KEY=VALUE` that changes the mapping; "" takes it

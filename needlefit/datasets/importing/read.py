@@ -43,9 +43,9 @@ from needlefit.project.locate import join_names
 from needlefit.project.units import UNITS_MM
 from needlefit.schemas.mapping import MappingRecord, MeaningRecord, TableRecord
 
-MAX_CURVES = 2000  # of an import, and as many files: more is a wrong folder
-MAX_NAME_CHARS = 60
-MAX_LISTED_NAMES = 4  # of needles in a message
+MAX_CURVES = 2000  # largest number of needles, and of files: more is a wrong folder
+MAX_NAME_CHARS = 60  # longest name of a needle (characters)
+MAX_LISTED_NAMES = 4  # largest number of names in a message
 ACROSS = ("deflection", "deflection_z", "y", "z")  #: meanings whose numbers may be percents of the depth
 UNITS_PER_MM = {f"1/{unit}": 1.0 / factor for unit, factor in UNITS_MM.items()}  # of curvatures
 FACTORS = UNITS_MM | UNITS_PER_MM

@@ -16,7 +16,7 @@ from needlefit.errors import DataError
 from needlefit.project.locate import join_names
 from needlefit.project.units import UNITS_GPA, UNITS_MM
 
-MAX_ANSWER_CHARS = 500  # of what is kept of an answer
+MAX_ANSWER_CHARS = 500  # longest answer (characters) that is kept
 
 
 @dataclass(frozen=True)

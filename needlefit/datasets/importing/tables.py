@@ -24,10 +24,10 @@ from needlefit.schemas.mapping import ColumnName, TableRecord
 
 TEXT_SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc", ".lvm")
 SHEET_SUFFIXES = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
-MAX_TABLE_BYTES = 16 * 2**20  # of a text table
-MAX_TABLE_CELLS = 1_000_000  # of any table; empty cells count
-MAX_SHEET_BYTES = 64 * 2**20
-MAX_CELL_CHARS = 500  # longer text is no header and no number; the rest of it is dropped
+MAX_TABLE_BYTES = 16 * 2**20  # largest text table (bytes)
+MAX_TABLE_CELLS = 1_000_000  # largest table (cells, empty ones included)
+MAX_SHEET_BYTES = 64 * 2**20  # largest workbook (bytes)
+MAX_CELL_CHARS = 500  # longest text of a cell (characters): longer text is no header and no number
 UNIT_FIELDS = ("unit", "units")  # names of columns and of fields beside a curve, in lower case
 EXPORT_FIX = "export the points as CSV, one a row, with columns needle, x, y, z and the unit in the headers"
 EXPORT_FIXES = {

@@ -17,8 +17,8 @@ from needlefit.project.locate import join_names
 if TYPE_CHECKING:
     from needlefit.datasets.importing.place import ImportPlan
 
-PLACING_PART = 1 / 3  # of the shallowest run: its readings place a run in the tracker's frame
-MIN_TRACK_SLOPE = 0.7  # by which a tip moves for each mm of depth, if its coordinates are all in space
+PLACING_PART = 1 / 3  # fraction of the shallowest run whose readings place a run in the tracker's frame
+MIN_TRACK_SLOPE = 0.7  # smallest movement (mm per mm of depth) of a tip whose coordinates are all in space
 
 
 def make_tracks(asked: CurveAnswers) -> list[InsertionRow]:
