@@ -185,6 +185,10 @@ def differentiate_log_tip(problem: Problem, theta: Floats) -> Floats:
     return slopes
 
 
+#: means of which distances to all kernels are held at once: 4 MB of five parameters
+MEANS_AT_ONCE = 100
+
+
 @dataclass(frozen=True)
 class Specimen:
     """The posterior of one specimen as a mixture of equally weighted Gaussian kernels."""
@@ -206,9 +210,13 @@ class Specimen:
         """Return ln N( c_k; m, H + T ) (W, K) of means (W, Q) and covariances T (W, Q, Q)."""
         factor = np.linalg.cholesky(self.kernel + covariances)
         whiten = np.linalg.inv(factor)
-        white = whiten @ self.centres.T - whiten @ means[..., None]  # (W, Q, K)
         volume = np.sum(np.log(np.diagonal(factor, axis1=1, axis2=2)), axis=1)
-        return -0.5 * np.sum(white**2, axis=1) - volume[:, None]
+        found = np.empty((len(means), len(self.centres)))
+        for start in range(0, len(means), MEANS_AT_ONCE):
+            some = slice(start, start + MEANS_AT_ONCE)
+            white = whiten[some] @ self.centres.T - whiten[some] @ means[some, :, None]  # (W, Q, K)
+            found[some] = -0.5 * np.sum(white**2, axis=1) - volume[some, None]
+        return found
 
 
 def make_specimen(draws: Floats) -> Specimen:
