@@ -21,7 +21,7 @@ data is the ratio of two evidences: the mean of their likelihood over draws woul
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -123,10 +123,16 @@ class StudentMixture:
 
     def draw(self, count: int, rng: np.random.Generator) -> Floats:
         """Return `count` draws (N, P)."""
+        return np.concatenate([*self.draw_parts(count, rng, max(1, count))])
+
+    def draw_parts(self, count: int, rng: np.random.Generator, size: int) -> Iterator[Floats]:
+        """Yield `count` draws (N, P), `size` at a time; all random numbers are drawn with the first."""
         which = rng.choice(len(self.weights), size=count, p=self.weights)
         normal = rng.standard_normal((count, self.centres.shape[1]))
         spread = np.sqrt(DEGREES_OF_FREEDOM / rng.chisquare(DEGREES_OF_FREEDOM, size=count))
-        return self.centres[which] + spread[:, None] * np.einsum("npq,nq->np", self.factors[which], normal)
+        for some in (slice(start, start + size) for start in range(0, max(1, count), size)):
+            moves = np.einsum("npq,nq->np", self.factors[which[some]], normal[some])
+            yield self.centres[which[some]] + spread[some, None] * moves
 
     def log_density(self, thetas: Floats) -> Floats:
         """Return the log density (N,) at points (N, P)."""
@@ -219,14 +225,19 @@ class Proposal:
         There are fewer draws where hardly any is within the bounds.
         """
         ends = self.lower[~self.uniform], self.upper[~self.uniform]
-        # drawn at once, so that the random numbers do not depend on how many fall outside the bounds
-        drawn = self.mixture.draw(MAX_TRIES * count, rng)
-        inside = np.flatnonzero(np.all((drawn >= ends[0]) & (drawn <= ends[1]), axis=1))[:count]
-        tries = int(inside[-1]) + 1 if len(inside) == count else len(drawn)
-        drawn_inside = np.empty((len(inside), len(self.uniform)))
-        drawn_inside[:, ~self.uniform] = drawn[inside]
+        # the random numbers do not depend on how many fall outside the bounds
+        kept, missing, tries = list[Floats](), count, 0
+        for drawn in self.mixture.draw_parts(MAX_TRIES * count, rng, count):
+            inside = np.flatnonzero(np.all((drawn >= ends[0]) & (drawn <= ends[1]), axis=1))[:missing]
+            kept.append(drawn[inside])
+            missing -= len(inside)
+            tries += len(drawn) if missing else int(inside[-1]) + 1
+            if not missing:
+                break
+        drawn_inside = np.empty((count - missing, len(self.uniform)))
+        drawn_inside[:, ~self.uniform] = np.concatenate(kept)
         ends = self.lower[self.uniform], self.upper[self.uniform]
-        drawn_inside[:, self.uniform] = rng.uniform(*ends, size=(len(inside), len(ends[0])))
+        drawn_inside[:, self.uniform] = rng.uniform(*ends, size=(len(drawn_inside), len(ends[0])))
         return drawn_inside, math.log(tries) - float(np.sum(np.log(ends[1] - ends[0])))
 
     def log_density(self, thetas: Floats) -> Floats:
