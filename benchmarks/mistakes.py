@@ -426,7 +426,7 @@ def doubt(folder):
         job = load_study(file.stem, load(file, StudyRecord), Settings(file=file))
     data = (job.dataset, job.insertions, job.medium, job.parameters, job.recipe.weights)
     problem = Problem(*data, likelihood=job.recipe.likelihood)
-    return [(one.insertion, one.cause) for one in find_doubts(problem, fit_quickly(problem))]
+    return [(one.insertion, one.cause) for one in find_doubts(problem, fit_quickly(problem)).odd]
 
 
 def judge_mistake(kind, seed, n, fits):

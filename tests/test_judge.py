@@ -13,6 +13,7 @@ from reporting_results import stereo, study, with_predictions
 from needlefit.project.result_warnings import ResultWarning, to_stored_rows
 from needlefit.reporting.labels import method_name
 from needlefit.studies.answer import Check
+from needlefit.studies.check_words import lay_out_checks
 from needlefit.studies.coverage import tabulate_coverage
 from needlefit.studies.fit_tables import lay_out_matrix, lay_out_summary
 from needlefit.studies.judge import (
@@ -476,6 +477,25 @@ def test_data_that_contradict_themselves_forbid_every_word():
             warned = good.with_metadata(warnings=to_stored_rows([ResultWarning(kind, "")]))
             assert judge(warned, pool_insertions(warned)).outcome == (outcome or word)
             assert warned.verdicts[0].status == ("warn" if outcome else good.verdicts[0].status)
+
+
+@pytest.mark.parametrize("turns", [True, False])
+def test_a_verdict_is_withheld_only_if_it_turns_without_the_odd_needles(turns):
+    good = with_tip_errors(study(4), **{**CURVES, "fitted": (0.1, 0.0), "straight": (1.0, 0.0)})
+    effect = {"insertions": ["n5"], "outcome": "as close", "turns": turns, "values": {"mu1_pa": [2e5, 4e5]}}
+    run = good.with_metadata(effect=effect)
+    assert judge(run, pool_insertions(run)).outcome == ("undecided" if turns else "closer than both")
+    found = {one.check: one for one in run.first_page.checks}[Check.SAME]
+    assert (found.passed, found.left_out, found.outcome) == (not turns, "n5", "as close")
+    printed = [row for row in lay_out_checks(run.first_page.checks).rows if "n5" in str(row)]
+    assert len(printed) == 1 and all(part in str(printed) for part in ("as close", "200 kPa", "400 kPa"))
+    assert ("n5" in run.verdicts[0].sentence) == turns
+
+
+def test_needles_without_which_the_verdict_is_another_stand_in_one_check():
+    off = {**CURVES, "fitted": (0.1, 0.0), "straight": (1.0, 0.0)}
+    found = {one.check: one for one in list_checks(with_tip_errors(study(4), **off))}[Check.SAME]
+    assert (found.passed, found.hangs_on, found.left_out) == (True, "", "")
 
 
 def test_a_margin_and_what_it_is_for_are_keys_of_the_study():

@@ -184,8 +184,9 @@ def check(
     """Check a dataset or study: list faults, fixes and warnings.
 
     For a dataset it checks files, ids, units, centrelines, surfaces, bevel sides and checksums; for a study
-    its keys and all files that it names. Every fit makes the same checks. Exit code 3: there is a fault; with
-    --strict, 5: there is a warning.
+    its keys and all files that it names, and by a quick fit whether the needles predict each other: those
+    that they do not are drawn to NAME_odd_needles.pdf. Every fit makes the same checks. Exit code 3: there is
+    a fault; with --strict, 5: there is a warning.
     """
     from needlefit.project.locate import find_dataset_or_study
 
@@ -219,6 +220,11 @@ def _check_study(invocation: Invocation, kind: Literal["study", "fit"], name: st
         screen.print_text(f"{_judge(faults.warnings)}: {file_label(path)}, {faults.kind}{folds_text}.")
     screen.print_warnings(invocation, faults.warnings)
     if not invocation.json:
+        if faults.odd:
+            from needlefit.studies.odd_needles import draw_odd_needles
+
+            picture = draw_odd_needles(faults.odd).save(Path(f"{path.stem}_odd_needles.pdf"), faults.origin)
+            screen.print_note(f"written: {picture}")
         command = "tune" if kind == "fit" else "validate"
         screen.print_note(f"next: {shlex.join(('needlefit', command, name))}")
 

@@ -179,6 +179,8 @@ class Insertion(InsertionInputs):
         Directions of the tip, rad, along y, and z, as a tracker reports them; empty where it does not.
     digest : str
         SHA-256 of what was read of it and decides a fit (`digests`); empty of one that was made in memory.
+    where : str
+        File and line of its row; empty of one that was made in memory.
     curve_roll : float
         Roll about x of the plane in which curves without mechanics bend, rad; 0 of one compared in its plane.
     """
@@ -210,6 +212,7 @@ class Insertion(InsertionInputs):
     directions: int = 2
     headings: tuple[Floats, ...] = ()
     digest: str = ""
+    where: str = ""
     curve_roll: float = 0.0
     _curves: dict[Compared, MeasuredCurve] = field(default_factory=dict, init=False, repr=False)
 

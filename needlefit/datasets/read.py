@@ -261,7 +261,7 @@ def _iterate_insertions(reading: _Reading, shared: SharedSurfaces) -> Iterator[L
         try:
             reduced = reduce_insertion(row, points, medium, needles[row.needle], patient, sections)
             digest = digest_insertion(row, points, sections, record, lambda name: hashed(root / name))
-            yield ListedInsertion(replace(reduced, digest=digest), row, where, points, is_curve)
+            yield ListedInsertion(replace(reduced, digest=digest, where=where), row, where, points, is_curve)
         except DataError as error:
             found.append(error.replace(where=error.where or where, fix=error.fix or BEVEL_FIX))
 

@@ -53,50 +53,69 @@ class Prediction(NamedTuple):
     scale: float = 1.0  #: of their squared misfits
 
 
-def find_doubts(problem: Problem, theta: Floats) -> list[NeedleDoubtMetadata]:
-    """Return the needles that a fit to the others does not predict, the oddest first.
+class Doubts(NamedTuple):
+    """The needles that a fit to the others does not predict, the oddest first."""
+
+    odd: Sequence[NeedleDoubtMetadata] = ()
+    #: how many of how many needles deviate, where so many do that the model does not fit
+    deviating: tuple[int, int] | None = None
+
+
+def find_doubts(problem: Problem, theta: Floats) -> Doubts:
+    """Return the needles that a fit to the others does not predict.
 
     `theta` (P,): the fit to all. None where nothing can be said: of few needles, without stated noise, or
-    where a needle is not solved; and where more than a quarter of the needles deviate.
+    where a needle is not solved.
     """
     every = problem.insertions
     if len(every) < MIN_NEEDLES or not problem.dataset.noise_is_stated:
-        return []
-    odd, fitted = list[int](), theta
+        return Doubts()
+    odd = list[int]()
     while True:
         rest = [k for k in range(len(every)) if k not in odd]
         theta = refit(problem, [every[k] for k in rest], theta) if odd else theta
         blocks = [_linearize(problem, one, theta) for one in every]
         if not all(np.isfinite(block.residuals).all() for block in blocks):  # a solve failed
-            return []
+            return Doubts()
         weighed = _weigh_all(problem, blocks)
         found = {k: _predict(problem, [j for j in rest if j != k], weighed, theta) for k in range(len(every))}
         sds = {k: _measure(blocks[k], theta, found[k]).sds for k in range(len(every))}
         worst = max(rest, key=lambda k: sds[k])
-        if sds[worst] < MIN_ODD_SD:
+        if sds[worst] < MIN_ODD_SD or len(odd) + 1 > MAX_ODD_PART * len(every):
             break
         odd.append(worst)
-        if len(odd) > MAX_ODD_PART * len(every):
-            return []
-    with_it, without_it = _list_values(problem, fitted), _list_values(problem, theta)
-    doubts = []
-    for k in sorted((k for k in odd if sds[k] >= MIN_ODD_SD), key=lambda k: -sds[k]):
-
-        def measure(insertion: Insertion, reaches_tip: bool, predicted: Prediction = found[k]) -> Deviation:
-            return _measure(_linearize(problem, insertion, theta, reaches_tip), theta, predicted)
-
-        others = [one for one in every if one is not every[k]]
-        cause, size, where = explain(every[k], others, measure, problem.dataset.directions)
-        about = {"insertion": every[k].id, "sds": sds[k], "cause": cause, "size": size, "where": where}
-        doubts.append(NeedleDoubtMetadata(**about, with_it=with_it, without_it=without_it))
-    return doubts
+    # in the stated errors alone, whatever the misfit of the others is
+    stated = (_measure(blocks[k], theta, found[k]._replace(scale=1.0)).sds for k in range(len(every)))
+    deviating = sum(sds >= MIN_ODD_SD for sds in stated)
+    if deviating > MAX_ODD_PART * len(every):
+        return Doubts(deviating=(deviating, len(every)))
+    odd = sorted((k for k in odd if sds[k] >= MIN_ODD_SD), key=lambda k: -sds[k])
+    return Doubts([_describe(problem, k, theta, found[k], sds[k]) for k in odd])
 
 
-def _list_values(problem: Problem, theta: Floats) -> dict[str, float]:
-    """Return the free moduli and the bevel's parameter, Pa and mm."""
-    names = [name for name in problem.names if name.startswith("mu") or name in BEVEL_PARAMETERS]
-    values = problem.values(theta)
-    return {name: values[name] for name in names}
+def _describe(
+    problem: Problem, number: int, theta: Floats, predicted: Prediction, sds: float
+) -> NeedleDoubtMetadata:
+    """Return what is known of an odd needle, given what the others predict."""
+
+    def measure(insertion: Insertion, reaches_tip: bool) -> Deviation:
+        return _measure(_linearize(problem, insertion, theta, reaches_tip), theta, predicted)
+
+    one = problem.insertions[number]
+    others = [other for other in problem.insertions if other is not one]
+    cause, size, where = explain(one, others, measure, problem.dataset.directions)
+    at = np.clip(predicted.theta, problem.lower, problem.upper)
+    ((simulated, measured),) = replace(problem, insertions=(one,)).points(at)
+    points = np.column_stack([measured[:, 0], one.side * measured[:, 1], one.side * simulated[:, 1]])
+    return NeedleDoubtMetadata(
+        insertion=one.id,
+        place=one.where.rpartition("/")[2],
+        sds=sds,
+        cause=cause,
+        size=size,
+        where=where,
+        points=points.round(3).tolist(),
+    )
 
 
 def fit_quickly(problem: Problem) -> Floats:

@@ -15,7 +15,8 @@ from scipy.optimize import minimize_scalar
 from needlefit.datasets.insertion import Insertion
 from needlefit.inference.likelihood.nodes import enforce_order
 
-MAX_EXPLAINED_SD = 2.0  #: of the deviation that is left of a needle that a hypothesis explains
+#: of the deviation that is left of a needle that a hypothesis explains: sound ones lie as far
+MAX_EXPLAINED_SD = 3.0
 #: by which the best hypothesis must be more probable than the next, a factor of 20
 MIN_LOG_ODDS = math.log(20.0)
 #: what a number costs, Occam's factor: one that is fitted is known to about 1 % of its range

@@ -128,6 +128,7 @@ class DepthMetadata(_Metadata):
     """Whether the data would show a boundary at another depth than stated, and which modulus leans on it."""
 
     boundary: int
+    depth_mm: float | None = None  #: as stated; None of earlier versions
     sd_mm: float  #: to which the data know a shift of it
     shift_mm: float  #: that they suggest
     stated_sd_mm: float
@@ -139,13 +140,23 @@ class NeedleDoubtMetadata(_Metadata):
     """A needle that the fit to the others does not predict, and what may have happened to it."""
 
     insertion: str
+    place: str = ""  #: file and line of its row
     sds: float  #: its distance from the prediction, in standard deviations
     cause: str  #: a key of `HYPOTHESES` in `inference/hypotheses.py`; empty where none explains it
     size: float | None = None  #: the number that was fitted: ln of a factor, mm or degrees
     where: str = ""  #: the number of the point or boundary, or the other needle, by this cause
-    #: values of the parameters with it and without it, Pa and mm
-    with_it: dict[str, float] = {}
-    without_it: dict[str, float] = {}
+    #: along the entry, and deflections toward the bevel as measured and as the others predict them, mm
+    points: list[tuple[float, float, float]] = []
+
+
+class EffectMetadata(_Metadata):
+    """What a study finds without the needles that the others do not predict."""
+
+    insertions: list[str]
+    outcome: str  #: without them
+    turns: bool  #: whether it is another than with them
+    #: by parameter its value with them and without them, Pa and mm; of the first fit
+    values: dict[str, tuple[float, float]]
 
 
 class MedianMetadata(_Metadata):
@@ -216,6 +227,9 @@ class FitMetadata(JobMetadata):
     search_faults: dict[str, list[str]]  #: by fold: why the best point may not be the best
     stated_depths: list[DepthMetadata] = []
     odd_needles: list[NeedleDoubtMetadata] = []
+    effect: EffectMetadata | None = None  #: of the odd needles
+    #: how many of how many needles the others do not predict, where the model does not fit
+    deviating: tuple[int, int] | None = None
     medians: list[MedianMetadata] = []
     validity: ValidityMetadata
 

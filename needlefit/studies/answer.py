@@ -69,6 +69,7 @@ class Check(StrEnum):
     NOISE = "within_noise"
     INTERVALS = "intervals_95"  #: whether tips lie in their 95 % intervals, and these are narrow
     COVERAGE_50 = "coverage_50"
+    SAME = "same_without"  #: whether the verdict is the same without single needles
     DATA = "data_as_stated"
 
 
@@ -87,6 +88,10 @@ class Finding:
     needles: int | None = None  #: compared with a reference
     closer: int | None = None  #: of these, on which the model is closer
     hangs_on: str = ""  #: needles of which, if one is left out, the outcome is another, with commas
+    left_out: str = ""  #: needles that the others do not predict, with commas
+    outcome: str = ""  #: without these
+    #: by parameter its value with these and without them, Pa and mm
+    values: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     tips: int | None = None  #: that have an interval
     missing: int = 0  #: held-out tips that have none
     covered: bool | None = None  #: of intervals: whether tips lie in them; None: one trial
@@ -165,4 +170,5 @@ class Advice:
 
 def tabulate_checks(findings: Sequence[Finding]) -> pd.DataFrame:
     """Return one row per check."""
-    return pd.DataFrame([asdict(one) for one in findings], columns=list(Finding.__dataclass_fields__))
+    columns = [name for name in Finding.__dataclass_fields__ if name != "values"]  # stand in run.json
+    return pd.DataFrame([asdict(one) for one in findings], columns=columns)

@@ -37,6 +37,7 @@ def _word_check(one: Finding, part: str = "") -> str:
             "pattern": one.pattern,
             "hanging": hanging,
             "few_hang": len(hanging) <= MAX_NAMED_NEEDLES,
+            "values": list(one.values.items()),
             "doubts": [name_doubt(kind) for kind in named] if one.check is Check.DATA else [],
         },
     )

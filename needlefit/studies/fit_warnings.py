@@ -22,10 +22,10 @@ from needlefit.inference.point_prediction import PointPrediction
 from needlefit.mechanics.moduli import read_moduli
 from needlefit.project.result_warnings import ResultWarning, to_stored_rows
 from needlefit.project.unit_warnings import MU_PA
-from needlefit.reporting.number_format import format_bare_symbol, format_quantity
+from needlefit.reporting.number_format import format_quantity
 from needlefit.reporting.table_files import Row, select_rows, to_records
 from needlefit.reporting.text import KindText
-from needlefit.schemas.run_metadata import FitMetadata
+from needlefit.schemas.run_metadata import FitMetadata, NeedleDoubtMetadata
 from needlefit.studies.fit_frames import FitFrames
 from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import find_bevel_sides
@@ -61,7 +61,8 @@ def list_warnings(run: Run) -> list[ResultWarning]:
 def write_warning(kind: str, values: Mapping[str, Any]) -> ResultWarning:
     """Return a warning in the words of `warnings.md.j2`, those of `values["text"]` if it has any."""
     key = values.get("text", kind)
-    return ResultWarning(kind, TEXT.sentence(key, values), fix=TEXT.sentence(f"{key}_fix", values))
+    fix = TEXT.sentence(f"{key}_fix", values)
+    return ResultWarning(kind, TEXT.sentence(key, values), values.get("place", ""), fix)
 
 
 # ---- parameters at their bounds
@@ -198,16 +199,29 @@ def _find_shifted_boundaries(run: Run) -> Iterator[Row]:
 
 
 def _find_odd_needles(run: Run) -> Iterator[Row]:
-    """Yield the needles that the others do not predict, with mu and b with and without each."""
-    for one in run.knows(FitMetadata).odd_needles:
-        changed = [
-            f"{format_bare_symbol(name)} {format_quantity(name, value)} without it,"
-            f" {format_quantity(name, one.with_it[name])} with it"
-            for name, value in one.without_it.items()
-        ]
-        size = None if one.size is None else math.exp(one.size) if one.cause == "scaled" else abs(one.size)
-        larger = one.size is not None and one.size > 0
-        yield {**vars(one), "size": size, "larger": larger, "changed": changed}
+    """Yield the needles that the others do not predict."""
+    known = run.knows(FitMetadata)
+    yield from _describe_odd_needles(known.odd_needles, known.deviating)
+
+
+def warn_of_odd_needles(
+    odd: Iterable[NeedleDoubtMetadata], deviating: tuple[int, int] | None
+) -> list[ResultWarning]:
+    """Return a warning about each needle that the others do not predict, or one where many deviate."""
+    return [write_warning("needle_outlier", values) for values in _describe_odd_needles(odd, deviating)]
+
+
+def _describe_odd_needles(
+    odd: Iterable[NeedleDoubtMetadata], deviating: tuple[int, int] | None
+) -> Iterator[Row]:
+    yield from map(_describe_odd_needle, odd)
+    if deviating is not None:
+        yield {"text": "needles_deviate", "count": deviating[0], "total": deviating[1]}
+
+
+def _describe_odd_needle(one: NeedleDoubtMetadata) -> Row:
+    size = None if one.size is None else math.exp(one.size) if one.cause == "scaled" else abs(one.size)
+    return {**vars(one), "size": size, "larger": one.size is not None and one.size > 0}
 
 
 def _find_implausible_moduli(run: Run) -> Iterator[Row]:
@@ -218,7 +232,8 @@ def _find_implausible_moduli(run: Run) -> Iterator[Row]:
             ends = {one.medium: one.shear_pa[value > MU_PA[1]] for one in read_moduli().values()}
             medium = (max if value > MU_PA[1] else min)(ends, key=lambda name: ends[name])
             about = {"published": ends[medium], "published_of": medium, "text": "modulus"}
-            yield {"parameter": str(name), "value": value, **about}
+            factor = max(value / ends[medium], ends[medium] / value)
+            yield {"parameter": str(name), "value": value, "factor": factor, **about}
 
 
 def _find_outside(run: Run) -> Iterator[Row]:

@@ -26,8 +26,9 @@ import scipy
 from needlefit.inference.baselines import BASELINES
 from needlefit.metrics import METRICS
 from needlefit.schemas.recipe import RecipeRecord
+from needlefit.schemas.run_metadata import FitMetadata
 from needlefit.studies.advice import list_contradictions, list_doubts
-from needlefit.studies.answer import MAX_NAMED_NEEDLES, Check, Finding, Status, is_printed_as_one
+from needlefit.studies.answer import Check, Finding, Status, is_printed_as_one
 from needlefit.studies.coverage import (
     MAX_AIMING_WIDTH_MM,
     WIDTH_ERROR_COLUMN,
@@ -73,11 +74,6 @@ class Comparison:
     closer: int = 0  #: needles on which our error is smaller than that reference's
     hangs_on: tuple[str, ...] = ()  #: needles of which, if one is left out, the verdict is another
 
-    @property
-    def hangs_on_few(self) -> bool:
-        """Whether so few that they are named."""
-        return len(self.hangs_on) <= MAX_NAMED_NEEDLES
-
 
 @dataclass(frozen=True)
 class Judgement:
@@ -92,6 +88,7 @@ class Judgement:
     trials: int  #: independent ones
     specimens: int  #: into which the insertions went
     compared: Comparison | None = None  #: where the trials are too few for a test
+    turned_by: tuple[str, ...] = ()  #: odd needles without which the outcome is another
 
     @property
     def missed(self) -> str:
@@ -167,9 +164,11 @@ def judge(run: Run, group: ScoredGroup) -> Judgement | None:
         found, outcome = None, judge_fits(errors, method, score)
         curve = find_closest_curve(group) or ""
         nearest = group.get(score, method=curve)
-    if list_contradictions(run.warnings):
+    effect = run.knows(FitMetadata).effect
+    turned_by = tuple(effect.insertions) if effect and effect.turns else ()
+    if list_contradictions(run.warnings) or turned_by:
         outcome = Outcome.UNDECIDED
-    return Judgement(outcome, score, error, ratio, curve, nearest, trials, specimens, found)
+    return Judgement(outcome, score, error, ratio, curve, nearest, trials, specimens, found, turned_by)
 
 
 def compare_with_references(
@@ -338,7 +337,7 @@ def list_checks(run: Run, role: str = "validate") -> tuple[Finding, ...]:
     if role == "tune":
         found.append(Finding(Check.HELD_OUT, None))
     if judged is not None:
-        found += (check_curves(judged), check_noise(judged))
+        found += (check_curves(judged), check_noise(judged), *check_needles(run, judged))
     predictive = FitFrames.of(run).predictive
     if len(predictive) and role == "validate":
         held_out, score = (group.head.insertions, group.score) if group else (0, TE)
@@ -364,8 +363,21 @@ def check_curves(judged: Judgement) -> Finding:
         margin_mm=found.margin,
         needles=found.needles,
         closer=found.closer,
-        hangs_on=", ".join(found.hangs_on),
     )
+
+
+def check_needles(run: Run, judged: Judgement) -> Iterator[Finding]:
+    """Yield whether the outcome is the same without those needles that the others do not predict, and without
+    any single one that is compared.
+    """
+    effect, hangs_on = run.knows(FitMetadata).effect, judged.compared.hangs_on if judged.compared else ()
+    if effect is None and judged.compared is None:
+        return
+    found = Finding(Check.SAME, not (hangs_on or judged.turned_by), hangs_on=", ".join(hangs_on))
+    if effect is not None:
+        left_out = ", ".join(effect.insertions)
+        found = replace(found, left_out=left_out, outcome=effect.outcome, values=effect.values)
+    yield found
 
 
 def check_noise(judged: Judgement) -> Finding:

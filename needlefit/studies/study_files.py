@@ -2,7 +2,7 @@
 
 import os
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -17,12 +17,15 @@ from needlefit.project.toml import add_file_context, add_key_context, check
 from needlefit.schemas.analyses import TargetRecord
 from needlefit.schemas.base import FileRecord
 from needlefit.schemas.deciding import select_deciding
-from needlefit.schemas.run_metadata import AnalysisMetadata
+from needlefit.schemas.origin import Origin
+from needlefit.schemas.run_metadata import AnalysisMetadata, NeedleDoubtMetadata
 from needlefit.schemas.study import FitRecord, StudyRecord
+from needlefit.studies.fit_warnings import warn_of_odd_needles
 from needlefit.studies.identity import identify
 from needlefit.studies.job import Inputs, Job, Settings
 from needlefit.studies.kind import find_kind
 from needlefit.studies.load import load_study, print_notes
+from needlefit.studies.odd_needles import find_odd_needles
 from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.result_sources import name_source, read_sources
 from needlefit.studies.run import Run
@@ -95,12 +98,15 @@ class StudyCheck:
     #: insertions fitted to and held out, in each fold; empty of other kinds
     folds: tuple[tuple[int, int], ...] = ()
     warnings: tuple[ResultWarning, ...] = ()  #: about the data and the study
+    origin: Origin = "measured"  #: of the data
+    odd: Sequence[NeedleDoubtMetadata] = ()  #: needles that a quick fit to the others does not predict
 
 
 def check_study_file(kind: Literal["study", "fit"], path: Path) -> StudyCheck:
-    """Check a study or fit and everything that it names, without a simulation.
+    """Check a study or fit and everything that it names.
 
-    Of a fit or a cross-validation all its data are read; of other kinds the files named must exist.
+    Of a fit or a cross-validation all its data are read, and a quick fit judges its needles; of other kinds
+    the files named must exist.
 
     Raises ConfigError, DataError if anything in it is missing or wrong.
     """
@@ -111,7 +117,10 @@ def check_study_file(kind: Literal["study", "fit"], path: Path) -> StudyCheck:
             return StudyCheck(str(record.kind))  # type: ignore[attr-defined]  # of every other kind
         job = load_study(path.stem, record, Settings(file=path))
     folds = tuple((len(fold.tune), len(fold.validate)) for fold in job.folds)
-    return StudyCheck("cross-validation" if isinstance(record, StudyRecord) else "fit", folds, job.warnings)
+    named = "cross-validation" if isinstance(record, StudyRecord) else "fit"
+    doubts = find_odd_needles(job)
+    warnings = (*job.warnings, *warn_of_odd_needles(doubts.odd, doubts.deviating))
+    return StudyCheck(named, folds, warnings, job.dataset.origin, doubts.odd)
 
 
 def _find_files(table: Mapping[str, object]) -> None:

@@ -41,7 +41,7 @@ def judge_errors(run: Run, values: Mapping[str, Any]) -> FirstPage:
     }
     if role == "tune":
         words["verdict"], status = _open_fit(run, undetermined)
-        status = limit_status(run, status)
+        status = "warn" if judged.turned_by else limit_status(run, status)
         numbers["not_determined"] = ", ".join(undetermined)
         sentence, tables = TEXT.sentence("fitted", words), list[TableLayout]()
     else:

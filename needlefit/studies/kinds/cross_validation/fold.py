@@ -17,7 +17,6 @@ from needlefit.datasets.folds import Fold
 from needlefit.datasets.insertion import Insertion
 from needlefit.geometry.curves import select_compared
 from needlefit.inference.compared_points import Curve
-from needlefit.inference.doubts import find_doubts
 from needlefit.inference.error_fit import ErrorMinimisingFit, examine_errors
 from needlefit.inference.fit import MET_BY_PROFILE, Callbacks, Fit, Start, keep_fit, read_fit
 from needlefit.inference.held_parameters import PriorShift
@@ -39,7 +38,7 @@ from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import compute_beside, stop_requested
 from needlefit.reporting.needles_in_scan import NeedleInScan
 from needlefit.reporting.number_format import format_bare_symbol, format_quantity
-from needlefit.schemas.run_metadata import CountMetadata, DepthMetadata, NeedleDoubtMetadata
+from needlefit.schemas.run_metadata import CountMetadata, DepthMetadata
 from needlefit.studies.answer import RunFault, find_fault_kind
 from needlefit.studies.fit_frames import PREDICTION_METHOD, TUNED_SPECIMENS
 from needlefit.studies.fit_warnings import describe_point
@@ -98,7 +97,7 @@ class FoldResult:
     rows: FitRows
     needles: tuple[NeedleInScan, ...]
     depths: tuple[DepthMetadata, ...]  #: what leans on stated depths of boundaries; of the first fold
-    doubts: tuple[NeedleDoubtMetadata, ...]  #: needles that the others do not predict; of the first fold
+    mode: tuple[float, ...] | None  #: theta of the fit, if it maximises the posterior
     validity: ValidityCounts
     search_faults: tuple[str, ...]
     faults: tuple[RunFault, ...]  #: of draws that are not certified
@@ -161,7 +160,7 @@ def run_fold(job: Job, fold: Fold, services: FoldServices) -> FoldResult:
         rows=rows,
         needles=tuple(_place_needles(job, fold, fitted, drawn, services.settings.jobs)) if fitted else (),
         depths=tuple(_examine_depths(job, fold, fitted)) if fitted else (),
-        doubts=tuple(_find_doubts(job, fold, fitted)) if fitted and not found.interrupted else (),
+        mode=fitted.theta if fitted and fitted.minimized == "posterior" else None,
         validity=ValidityCounts(
             starts=_count_starts(job, fold, found.fits),
             draws=drawn.count if drawn else NO_SIMULATIONS,
@@ -413,13 +412,6 @@ def _examine_depths(job: Job, fold: Fold, fit: Fit) -> list[DepthMetadata]:
     if fit.minimized != "posterior" or fold is not job.folds[0]:
         return []
     return examine_depths(job.problem(fold), np.array(fit.theta))
-
-
-def _find_doubts(job: Job, fold: Fold, fit: Fit) -> list[NeedleDoubtMetadata]:
-    """Return the needles of the first fold that the others do not predict."""
-    if fit.minimized != "posterior" or fold is not job.folds[0]:
-        return []
-    return find_doubts(job.problem(fold), np.array(fit.theta))
 
 
 def _place_needles(

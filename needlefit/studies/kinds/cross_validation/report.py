@@ -25,6 +25,7 @@ from needlefit.studies.identification_tables import lay_out_identification
 from needlefit.studies.kinds.cross_validation.first_page import judge_errors
 from needlefit.studies.kinds.cross_validation.frames import FRAMES, OPTIONAL
 from needlefit.studies.kinds.cross_validation.observed import draw_observations
+from needlefit.studies.odd_needles import draw_odd_needles
 from needlefit.studies.report import StudyReport, list_data_notes
 from needlefit.studies.run import Run, value_of_run
 
@@ -134,6 +135,8 @@ def list_figures(run: Run) -> dict[str, Drawing]:
     found = draw_observations(run, frames.role)
     if len(frames.predictive):
         found["predicted"] = fit_figures.draw_predictive_check(run)
+    if odd := run.knows(FitMetadata).odd_needles:
+        found["odd_needles"] = draw_odd_needles(odd)
     if len(frames.profiles):
         found["profiles"] = forms.draw_profiles(frames.identification, frames.profiles)
     return found

@@ -29,11 +29,13 @@ from needlefit.studies.answer import FaultKind, RunFault
 from needlefit.studies.explorer import describe_insertions, find_bevel_sd
 from needlefit.studies.fit_warnings import add_warnings
 from needlefit.studies.job import Job, Settings
+from needlefit.studies.kinds.cross_validation.effect import leave_out, measure_effect, repeat_folds
 from needlefit.studies.kinds.cross_validation.fold import FoldResult, FoldServices, run_fold
 from needlefit.studies.kinds.cross_validation.frames import FRAMES
 from needlefit.studies.kinds.cross_validation.progress import StudyProgress
 from needlefit.studies.load import load_study, print_notes
 from needlefit.studies.mixed_errors import add_errors_over_noise
+from needlefit.studies.odd_needles import find_odd_needles
 from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.run import Run
 from needlefit.studies.simulated_data import find_true_value
@@ -62,7 +64,15 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
         results.append(run_fold(job, fold, services))
         if results[-1].interrupted:
             break
-    return conclude_run(job, work, results)
+    found = conclude_run(job, work, results)
+    if not (odd := found.knows(FitMetadata).odd_needles):
+        return found
+    others = leave_out(job, [one.insertion for one in odd])
+    repeated = repeat_folds(others, services)
+    if not repeated or repeated[0].mode is None or repeated[-1].interrupted:
+        return found
+    effect = measure_effect(found, conclude_run(others, work, repeated), job, results, repeated)
+    return found.with_metadata(effect=effect)
 
 
 class FitConclusions(TypedDict, total=False):
@@ -76,6 +86,7 @@ class FitConclusions(TypedDict, total=False):
     truth: dict[str, float]
     stated_depths: list[DepthMetadata]
     odd_needles: list[NeedleDoubtMetadata]
+    deviating: tuple[int, int]
     medians: list[MedianMetadata]
 
 
@@ -111,8 +122,12 @@ def conclude_run(job: Job, work: JobMetadata, results: Sequence[FoldResult]) -> 
         concluded["truth"] = truth
     if depths := [row for one in results for row in one.depths]:
         concluded["stated_depths"] = depths
-    if doubts := [row for one in results for row in one.doubts]:
-        concluded["odd_needles"] = doubts
+    if (mode := results[0].mode) is not None and not results[-1].interrupted:
+        doubts = find_odd_needles(job, mode)
+        if doubts.odd:
+            concluded["odd_needles"] = list(doubts.odd)
+        if doubts.deviating:
+            concluded["deviating"] = doubts.deviating
     if medians := [row for one in results for row in one.rows.get("medians", ())]:
         concluded["medians"] = medians
     run = Run(

@@ -1,0 +1,60 @@
+"""What a study finds without the needles that the others do not predict."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from needlefit.datasets.folds import Fold
+from needlefit.inference.parameter_names import BEVEL_PARAMETERS
+from needlefit.project.progress import no_note
+from needlefit.schemas.run_metadata import EffectMetadata, FitMetadata
+from needlefit.studies.fit_frames import FitFrames
+from needlefit.studies.job import Job
+from needlefit.studies.judge import judge
+from needlefit.studies.kinds.cross_validation.fold import FoldResult, FoldServices, run_fold
+from needlefit.studies.kinds.cross_validation.progress import StudyProgress
+from needlefit.studies.outcome import Outcome
+from needlefit.studies.run import Run
+from needlefit.studies.scored_groups import pool_insertions
+
+
+def leave_out(job: Job, names: Sequence[str]) -> Job:
+    """Return the work of a study without some needles; folds that are left with nothing to predict go."""
+    folds = []
+    for fold in job.folds:
+        tune, held_out = (
+            tuple(one for one in part if one.id not in names) for part in (fold.tune, fold.validate)
+        )
+        if tune and (held_out or not fold.validate):
+            folds.append(Fold(f"{fold.name} without {', '.join(names)}", tune, held_out))
+    return replace(job, folds=tuple(folds))
+
+
+def repeat_folds(job: Job, services: FoldServices) -> list[FoldResult]:
+    """Return the results of a study without its odd needles; nothing is printed of them."""
+    settings = replace(services.settings, first=no_note, sample=False)
+    services = replace(services, settings=settings, progress=StudyProgress(job, settings.progress))
+    return [run_fold(job, fold, services) for fold in job.folds]
+
+
+def measure_effect(
+    run: Run, without: Run, job: Job, results: Sequence[FoldResult], repeated: Sequence[FoldResult]
+) -> EffectMetadata:
+    """Return what the odd needles change: the outcome, and the parameters of the first fit."""
+    outcomes = [_find_outcome(one) for one in (run, without)]
+    values = [job.parameters.values(np.array(one[0].mode)) for one in (results, repeated)]
+    names = [name for name in job.parameters.free if name.startswith("mu") or name in BEVEL_PARAMETERS]
+    return EffectMetadata(
+        insertions=[one.insertion for one in run.knows(FitMetadata).odd_needles],
+        outcome=outcomes[1],
+        turns=outcomes[0].passed != outcomes[1].passed,
+        values={name: tuple(one[name] for one in values) for name in names},
+    )
+
+
+def _find_outcome(run: Run) -> Outcome:
+    """Return the outcome whatever the warnings are: those about an odd needle stay without it."""
+    group = pool_insertions(run, FitFrames.of(run).role)
+    judged = None if group is None else judge(run.with_metadata(warnings=[]), group)
+    return Outcome.UNDECIDED if judged is None else judged.outcome
