@@ -127,7 +127,8 @@ def draw_overlays(run: Run, role: str, *, from_above: bool = False) -> Drawing:
     """Return all insertions, seen from the side or from above."""
     frames = FitFrames.of(run)
     ours = frames.method
-    titles = _title_panels(frames.select_errors(role, method=ours))
+    errors, drawn = frames.select_errors(role, method=ours), frames.select_curves(role)["insertion"]
+    titles = _title_panels(errors[errors["insertion"].isin(drawn)])
     names = {method: labels.method_name(method) for method in (ours, "hand_tuned")}
     step = _OVERLAY_POINT_STEP if len(titles) <= MAX_LARGE_PANELS else 2 * _OVERLAY_POINT_STEP
     curves = collect_curves(run, role, names, step, from_above=from_above)
