@@ -292,6 +292,7 @@ EDITS = {
         *("tracks", "tracks.toml", "folds.0"),
         {"tune.guided": True, "validate.guided": False},
     ),
+    "TrackErrorsRecord.carried_sd": {"carried_sd": 0.1, "gain_sd": 0.2},
     "StudyRecord.leave_out": {"leave_out": "insertion", "validate": None},
     "FoldsRecord.parts": {"parts": 2},
     "AdvanceRecord.constraint_spacing_mm": {"constraint_spacing_mm": 0.9},

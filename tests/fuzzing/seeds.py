@@ -231,7 +231,6 @@ def dicom() -> list[Seed]:
     """A series of slices, plain and compressed, one of which is damaged, and the slices that took 4 GB."""
     import numpy as np
     from dicom_series import COUNT, a_slice, packed_as, save
-    from test_imaging_exports import enhanced
 
     def plain(k: int):
         return a_slice(k, np.full((8, 6), k, dtype=np.int16))
@@ -248,7 +247,6 @@ def dicom() -> list[Seed]:
             series(lambda k, folder, kind=kind: packed_as(plain(k), kind, folder))
             for kind in ("JPEGLS", "JPEG2000")
         ),
-        series(lambda *_: enhanced(), 1),
         *(
             Seed({"series/000.dcm": path.read_bytes()}, "series", ("series/000.dcm",))
             for path in sorted(CORPUS.glob("*.dcm"))
