@@ -84,14 +84,20 @@ _OF_DATASETS = (
 )
 #: kinds of warnings that are no doubt: a text that reports print, and the choice of a point of a distribution
 _NO_DOUBTS = ("placeholder", "predictive_median")
+#: kinds of warnings that explain others, the most urgent first; and those that explain least
+_FIRST_DOUBTS, _LAST_DOUBTS = (*CONTRADICTIONS, "needle_outlier"), ("assumed",)
 
 
 def list_doubts(warnings: Iterable[ResultWarning]) -> list[ResultWarning]:
-    """Return the warnings that cast doubt on the data, the model or a parameter, the first of each kind."""
+    """Return the warnings that cast doubt on the data, the model or a parameter, the first of each kind.
+
+    The most urgent one stands first: a needle that differs explains errors above the noise floor.
+    """
     first: dict[str, ResultWarning] = {}
-    for one in warnings:
-        first.setdefault(one.kind, one)
-    return [one for kind, one in first.items() if kind not in _NO_DOUBTS]
+    for warning in warnings:
+        first.setdefault(warning.kind, warning)
+    doubts = [warning for kind, warning in first.items() if kind not in _NO_DOUBTS]
+    return sorted(doubts, key=lambda doubt: (doubt.kind in _LAST_DOUBTS, doubt.kind not in _FIRST_DOUBTS))
 
 
 def list_contradictions(warnings: Iterable[ResultWarning]) -> list[str]:
