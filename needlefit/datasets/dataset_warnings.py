@@ -183,7 +183,7 @@ def find_side_warnings(
         names = join_names([one.id for one, _ in away], MAX_NAMED_INSERTIONS)
         yield ResultWarning(
             kind="bevel_side",
-            what=f"{names} bend away from the bevel side ({len(away)} of {clear} that bend clearly)",
+            what=f"bent away from the bevel side: {names} ({len(away)} of {clear} that bend clearly)",
             where=f"{away[0][1]}",
             fix=f"check `{column}` and the bevel direction of these rows",
         )
