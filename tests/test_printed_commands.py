@@ -126,8 +126,8 @@ def test_every_finding_has_a_sentence_and_a_placeholder_is_no_doubt():
         assert TEXT.sentence(finding, VALUES), finding
     kinds = ("placeholder", "validity", "copy", "shared_residual", "copy")
     doubts = list_doubts(ResultWarning(kind, "what") for kind in kinds)
-    assert [one.kind for one in doubts] == ["validity", "copy", "shared_residual"]
-    assert list(map(classify_doubt, doubts)) == ["", "dataset_doubtful", "result_doubtful"]
+    assert [one.kind for one in doubts] == ["copy", "validity", "shared_residual"]
+    assert list(map(classify_doubt, doubts)) == ["dataset_doubtful", "", "result_doubtful"]
 
 
 PASSED = {one: Finding(one, True, named="straight") for one in Check}
