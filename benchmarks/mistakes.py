@@ -379,14 +379,14 @@ SOUND = {
 
 @dataclass(frozen=True)
 class Judgement:
-    """What is said of a dataset: what refuses it, else the warnings about it, then the doubts of a fit."""
+    """Messages about a dataset: the refusal, or the warnings and then the doubts of a fit."""
 
     refusal: str = ""
     warnings: tuple[ResultWarning, ...] = ()
     doubts: tuple[tuple[str, str], ...] = ()  # needles and causes
 
     def list_words(self):
-        """Return all that is said."""
+        """Return all messages."""
         doubts = [f"{name} ({cause or 'no cause'})" for name, cause in self.doubts]
         return [self.refusal] * bool(self.refusal) + [str(one) for one in self.warnings] + doubts
 
@@ -430,7 +430,7 @@ def doubt(folder):
 
 
 def judge_mistake(kind, seed, n, fits):
-    """Return the outcome of one set of a kind of mistake, and what is said."""
+    """Return the outcome of one set of a kind of mistake, and what is reported."""
     mistake = KINDS[kind]
     rng = np.random.default_rng([seed, list(KINDS).index(kind), n])
     needles = measure_needles(rng, mistake.design)
@@ -440,7 +440,7 @@ def judge_mistake(kind, seed, n, fits):
 
 
 def judge_sound(design, model, seed, n, fits):
-    """Return whether one set of sound needles is accused, its verdict withheld, and what is said."""
+    """Return whether one set of sound needles is accused, its verdict withheld, and what is reported."""
     rng = np.random.default_rng([seed, *f"{design}{model}".encode(), n])
     found = inspect_needles(measure_needles(rng, SOUND[design], MODELS[model]), fits)
     words = found.list_words()
@@ -486,8 +486,8 @@ def main():
             accused, withheld, words = zip(*(row.result() for row in rows), strict=True)
             counts = np.array([len(rows), sum(accused), sum(withheld)])
             print(f"{design:24}{model:24}" + "".join(f"{one:>10}" for one in counts), flush=True)
-            for said in words:
-                print(*(f"    {one}" for one in said), sep="\n", end="\n" if said else "")
+            for messages in words:
+                print(*(f"    {one}" for one in messages), sep="\n", end="\n" if messages else "")
             totals += counts
         print(f"{'all':48}" + "".join(f"{one:>10}" for one in totals))
 

@@ -64,8 +64,8 @@ class Doubts(NamedTuple):
 def find_doubts(problem: Problem, theta: Floats) -> Doubts:
     """Return the needles that a fit to the others does not predict.
 
-    `theta` (P,): the fit to all. None where nothing can be said: of few needles, without stated noise, or
-    where a needle is not solved.
+    `theta` (P,): the fit to all. None of too few needles, without stated noise, or where a needle is not
+    solved: these are not judged.
     """
     every = problem.insertions
     if len(every) < MIN_NEEDLES or not problem.dataset.noise_is_stated:

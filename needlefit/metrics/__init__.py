@@ -59,6 +59,11 @@ class Metric:
 METRICS = Registry(Metric, __name__, "metric")
 
 
+def _compute_rms(curves: ComparedCurves) -> float:
+    """Return the root mean square of the distances, in their unit."""
+    return float(np.sqrt(np.mean(curves.distances**2)))
+
+
 def list_metrics(*quantities: Quantity) -> tuple[Metric, ...]:
     """Return all metrics, or those of some quantities, in the order of tables."""
     some = (metric for metric in METRICS.values() if metric.quantity in (quantities or (metric.quantity,)))
@@ -153,7 +158,7 @@ TRACK_RMS = Metric(
     "RMS",
     "mm",
     "Root mean square over the readings of a tip track of the distance between simulated and measured tip.",
-    compute=lambda curves: float(np.sqrt(np.mean(curves.distances**2))),
+    compute=_compute_rms,
     headline=True,
     order=35,
     quantity="readings",
@@ -179,7 +184,7 @@ CURVATURE_RMS = Metric(
     "RMS curvature error",
     "1/m",
     "Root mean square over sensors of the distance between simulated and measured curvature.",
-    compute=lambda curves: float(np.sqrt(np.mean(curves.distances**2))),
+    compute=_compute_rms,
     headline=True,
     order=60,
     quantity="curvatures",

@@ -8,9 +8,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from needlefit.datasets.insertion import Insertion
+from needlefit.datasets.select import count_layers, name_holes
 from needlefit.grouping import group_values
 from needlefit.inference.compared_points import Curve
 from needlefit.inference.point_prediction import PointPrediction
+from needlefit.inference.predict import Draws
 from needlefit.registry import Registry
 from needlefit.schemas.run_metadata import CountMetadata
 from needlefit.studies.coverage import AFTER_ONE_COLUMN, WIDTH_ERROR_COLUMN
@@ -84,3 +86,24 @@ def predict_held_out(
 
         yield from HELD_OUT[name].predict(known, some, bands, count)
         done += len(some)
+
+
+def describe_held_out(known: Specimens, insertion: Insertion, draws: Draws, failed: int) -> Row:
+    """Return the cells of "predictive" that state an insertion, and by which draws it is predicted.
+
+    `failed`: how many of them have no solution.
+    """
+    job = known.job
+    return {
+        "fold": known.fold.name,
+        "insertion": insertion.id,
+        "hole": name_holes(job.dataset).get(insertion.id, insertion.id),
+        "specimen": insertion.specimen,
+        "medium": insertion.medium,
+        "layers": count_layers(insertion, job.record.layer_count_rule),
+        "depth_mm": insertion.depth,
+        "draw_source": draws.source,
+        "certified": not draws.faults,
+        "draws": len(draws.thetas),
+        "failed_solves": failed,
+    }

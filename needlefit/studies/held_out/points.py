@@ -18,7 +18,7 @@ from scipy.interpolate import PchipInterpolator
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
-from needlefit.datasets.select import count_layers, find_repeats, list_bevels, name_holes
+from needlefit.datasets.select import count_layers, find_repeats, list_bevels
 from needlefit.geometry.curves import select_compared
 from needlefit.grouping import group_values
 from needlefit.inference.compared_points import Curve, align, draw_rolls, turn_about_x
@@ -42,7 +42,13 @@ from needlefit.schemas.recipe import LikelihoodRecord
 from needlefit.schemas.run_metadata import CountMetadata
 from needlefit.studies.coverage import AFTER_ONE_COLUMN, WIDTH_ERROR_COLUMN, estimate_width_after_one
 from needlefit.studies.fold_draws import Specimens, describe_specimen
-from needlefit.studies.held_out import PREDICTIVE_COLUMNS, HeldOutObservation, HeldOutPrediction, Step
+from needlefit.studies.held_out import (
+    PREDICTIVE_COLUMNS,
+    HeldOutObservation,
+    HeldOutPrediction,
+    Step,
+    describe_held_out,
+)
 from needlefit.studies.job import Job
 from needlefit.studies.prediction_scores import (
     CURVATURE_CRPS,
@@ -166,17 +172,7 @@ class _Predictor:
         mixture = PredictiveMixture(observation.read(aligned), np.sqrt(np.diag(covariance)))
         end_error = find_end_error(mixture, len(measured) // directions)
         row = {
-            "fold": fold.name,
-            "insertion": insertion.id,
-            "hole": name_holes(job.dataset).get(insertion.id, insertion.id),
-            "specimen": insertion.specimen,
-            "medium": insertion.medium,
-            "layers": count_layers(insertion, job.record.layer_count_rule),
-            "depth_mm": insertion.depth,
-            "draw_source": draws.source,
-            "certified": not draws.faults,
-            "draws": len(draws.thetas),
-            "failed_solves": int(np.sum(~solved)),
+            **describe_held_out(known, insertion, draws, int(np.sum(~solved))),
             AFTER_ONE_COLUMN: math.nan,
             **about,
         }

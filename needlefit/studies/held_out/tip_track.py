@@ -9,7 +9,7 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.datasets.folds import Fold
 from needlefit.datasets.insertion import Insertion
-from needlefit.datasets.select import count_layers, name_holes, select_same_needle
+from needlefit.datasets.select import select_same_needle
 from needlefit.errors import ConfigError
 from needlefit.geometry.curves import compare_curves
 from needlefit.inference import predict
@@ -36,7 +36,13 @@ from needlefit.schemas.run_metadata import CountMetadata
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.fit_frames import PREDICTION_METHOD
 from needlefit.studies.fold_draws import Specimens, describe_specimen
-from needlefit.studies.held_out import PREDICTIVE_COLUMNS, HeldOutObservation, HeldOutPrediction, Step
+from needlefit.studies.held_out import (
+    PREDICTIVE_COLUMNS,
+    HeldOutObservation,
+    HeldOutPrediction,
+    Step,
+    describe_held_out,
+)
 from needlefit.studies.job import Job
 from needlefit.studies.prediction_scores import score_shape, score_tip
 from needlefit.studies.score import Row, Scorer, make_scorer
@@ -281,17 +287,7 @@ def _describe_run(
     mixture = predict.PredictiveMixture(drawn.values, np.zeros(drawn.values.shape[1]))
     along_y = predict.PredictiveMixture(drawn.values[:, :count] - first, np.zeros(count))
     row = {
-        "fold": known.fold.name,
-        "insertion": run.id,
-        "hole": name_holes(job.dataset).get(run.id, run.id),
-        "specimen": run.specimen,
-        "medium": run.medium,
-        "layers": count_layers(run, job.record.layer_count_rule),
-        "depth_mm": run.depth,
-        "draw_source": draws.source,
-        "certified": True,
-        "draws": len(draws.thetas),
-        "failed_solves": len(draws.thetas) - len(drawn.values),
+        **describe_held_out(known, run, draws, len(draws.thetas) - len(drawn.values)),
         **describe_specimen(None),
         **score_shape(mixture, measured, find_bands(drawn.values).pit(measured)),
         **score_tip(along_y, measured[:count] - first),
