@@ -31,7 +31,7 @@ from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.curves import compare_curves
 from needlefit.inference import track_predictions
 from needlefit.inference.baselines import BASELINES
-from needlefit.inference.forward_model import find_end, share_simulations
+from needlefit.inference.forward_model import find_end, respond_to_moves, scale_moves, share_simulations
 from needlefit.inference.likelihood import observation
 from needlefit.inference.likelihood.observations import make_observation, tip_track
 from needlefit.inference.optimize import minimize
@@ -193,13 +193,25 @@ ERRORS = TrackErrorsRecord(
 )
 
 
-def respond_to_moves(one, depths):
-    """The changes (moves, n) of the tip at `depths` by moves that go twice as far, linearised."""
-    moves = np.diff(one.guide.y)
-    further = [np.where(np.arange(len(DEPTH)) > n, moves[n], 0.0) for n in np.flatnonzero(moves)]
-    guides = [replace(one.guide, y=one.guide.y + 0.1 * path) for path in (REST, *further)]
-    tips = simulate_deflections([replace(one, guide=guide) for guide in guides], [depths] * len(guides))
-    return np.array([tip[0] - tips[0][0] for tip in tips[1:]]).reshape(-1, len(depths)) / 0.1
+EXPECTED = {"mu1_pa": 1e5, "alpha1": 1.0, "bevel_mm": (1e-4 * 0.3) ** 0.5, "guide_distance_mm": 200**0.5}
+
+
+def find_responses(one, depths, values=EXPECTED):
+    """The changes (moves, n) of the tip at `depths` with the gain of each move, before any data."""
+    return respond_to_moves(values, MEDIUM, one, depths)[..., 1]
+
+
+def test_a_tip_follows_the_gains_of_moves_linearly():
+    """Each move by its gain, and all by theirs together: within 1 % of the sum of their effects."""
+    one = track("run", GUIDE)
+    responses = find_responses(one, DEPTH, TRUTH)
+    for gain in (-0.76, 0.38, 0.76):
+        moved = list(scale_moves(one, 1 + gain))
+        whole = replace(one, guide=replace(one.guide, y=(1 + gain) * one.guide.y))
+        tips = np.array([tip[0] for tip in simulate_tips([one, *moved, whole])])
+        change, linear = tips[1:] - tips[0], gain * np.vstack([responses, responses.sum(axis=0)])
+        assert np.abs(change - linear).max() < 0.01 * np.abs(change).max()
+    assert len(moved) == np.count_nonzero(np.diff(GUIDE))
 
 
 @pytest.mark.parametrize("errors", [TrackErrorsRecord(), ERRORS])
@@ -228,7 +240,7 @@ def test_a_session_is_one_gaussian_of_all_readings_and_headings(runs, errors):
         fading = np.exp(-at / errors.entry_length_mm)
         size = np.exp(-0.5 * ((at[:, None] - at) / errors.entry_length_mm) ** 2) * np.outer(fading, fading)
         entry = errors.entry_sd_mm**2 + errors.entry_yield**2 * np.outer(moved, moved)
-        responses = take @ respond_to_moves(one, at).T
+        responses = take @ find_responses(one, at).T
         gains = errors.gain_sd * responses
         follow = np.append(one.guide.y, np.zeros(n - 1))  # a tissue that is shifted turns no heading
         carried.append(errors.carried_sd * (follow - responses.sum(axis=1)))
@@ -283,16 +295,15 @@ def test_a_line_takes_its_slope_from_runs_alike():
             assert np.diff(found) == pytest.approx(slope * np.diff(DEPTH[1:]), abs=1e-6)
 
 
-def test_how_moves_change_a_run_is_interpolated_between_draws(runs):
-    likelihood = observation.PLAIN_LIKELIHOOD.model_copy(update={"tip_tracks": ERRORS})
-    asked = replace(problem(runs[:1]), likelihood=likelihood)
-    fold = Fold("one", asked.insertions, tuple(runs[1:]))
+def test_how_a_roll_changes_a_run_is_interpolated_between_draws(runs_in_space):
+    asked = in_space(runs_in_space[:1])
+    fold = Fold("one", asked.insertions, tuple(runs_in_space[1:]))
     thetas = THETA + 0.15 * np.random.default_rng(1).normal(size=(240, 3))
     *_, found = simulate_runs(asked, fold, thetas, 1)
     parts = [simulate_runs(asked, fold, some, 1)[-1] for some in np.split(thetas, 4)]
     for one, *exact in zip(found, *parts, strict=True):
         assert np.sqrt(np.mean((one - np.concatenate(exact)) ** 2)) < 5e-5
-    assert np.ptp(found[0][:, 1] - found[0][:, 0]) > 0.05
+    assert np.ptp(found[0][:, 1] - found[0][:, 0]) > 0.01
 
 
 def test_each_predicted_run_has_a_bevel_of_its_own(monkeypatch, runs):
@@ -326,7 +337,7 @@ class Groups:
         self.data = replace(dataset([]), noise=replace(SESSION_NOISE, heading_sd=0.0))
         self.errors, self.plain = errors, [track(f"run{n}", guide) for n, guide in enumerate((GUIDE, -GUIDE))]
         self.tips = [tip[0] for tip in simulate_tips(self.plain)]
-        self.responses = [respond_to_moves(one, DEPTH) for one in self.plain]
+        self.responses = [find_responses(one, DEPTH) for one in self.plain]
 
     def measure(self, kind, slope, carried):
         """A run of a kind, its group with this slope, its tissue carried along by this share."""
@@ -343,11 +354,12 @@ class Groups:
         slope = 0.03 + np.radians(self.errors.slope_sd_deg) * self.rng.standard_normal()
         carried = self.errors.carried_sd * self.rng.standard_normal()
         every = [self.measure(kind, slope, carried) for kind in kinds]
-        seen = [make_observation(self.data, one, likelihood=self.likelihood) for one in every]
-        curves = []
-        for kind in kinds:
-            nodes = np.vstack([self.tips[kind], self.tips[kind] + 0.1 * self.responses[kind]])
-            curves.append(np.repeat(nodes[None], draws, axis=0))
+        asked = replace(problem(self.plain), likelihood=self.likelihood)
+        seen = [
+            make_observation(self.data, one, likelihood=self.likelihood, respond=asked.respond)
+            for one in every
+        ]
+        curves = [np.tile(self.tips[kind], (draws, 1, 1)) for kind in kinds]
         (found,) = track_predictions.predict_runs(
             np.ones(draws), seen[:-1], seen[-1:], curves, [observed], self.rng
         )

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar
 import numpy as np
 
 from needlefit.arrays import Floats, Ints
-from needlefit.datasets.insertion import Insertion, InsertionInputs
-from needlefit.errors import DataError
+from needlefit.datasets.insertion import GUIDE_STILL_MM, Insertion, InsertionInputs
+from needlefit.errors import ConfigError, DataError
 from needlefit.inference.likelihood.observations import OBSERVATIONS
 from needlefit.inference.parameter_names import BEVEL_PARAMETERS, dimension, is_shape_parameter
 from needlefit.inference.parameters import Parameters, make_tissue
@@ -286,6 +286,38 @@ class PreparedModel:
             left[key] -= 1
             if not left[key]:
                 del kept[key]
+
+
+GAIN_STEP = 0.1  #: part of a move of the guide by which it is changed to simulate its effect, which is linear
+
+
+def scale_moves(insertion: Insertion, factor: float) -> Iterator[Insertion]:
+    """Yield an insertion with each move of its guide, from one depth to the next, `factor` times as far."""
+    guide = insertion.guide
+    assert guide is not None
+    for step in np.flatnonzero(np.hypot(np.diff(guide.y), np.diff(guide.z)) > GUIDE_STILL_MM):
+        after = (factor - 1) * (np.arange(len(guide.depths)) > step)
+        y, z = (at + after * (at[step + 1] - at[step]) for at in (guide.y, guide.z))
+        yield replace(insertion, guide=replace(guide, y=y, z=z))
+
+
+def respond_to_moves(
+    values: Mapping[str, float], medium: MediumRecord, insertion: Insertion, s: Floats
+) -> Floats:
+    """Return how the points read at `s` (K,) change with the gain of each of M moves: (M, K, 3), mm.
+
+    Raises ConfigError where the model has no needle.
+    """
+    moved = [insertion, *scale_moves(insertion, 1 + GAIN_STEP)]
+    points = np.concatenate([*PreparedModel(medium, moved).read_points([values], [s] * len(moved))])
+    responses = (points[1:] - points[0]) / GAIN_STEP
+    if not np.isfinite(responses).all():
+        raise ConfigError(
+            f"the parameters that are expected before any data have no needle in {insertion.id}",
+            fix="state a prior, or narrow the bounds",
+            key="parameters",
+        )
+    return responses
 
 
 @dataclass(eq=False)

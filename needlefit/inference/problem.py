@@ -14,7 +14,7 @@ from needlefit.datasets.select import list_bevels
 from needlefit.errors import ConfigError
 from needlefit.inference.compared_points import ComparedPoints, align, align_points, differentiate_align
 from needlefit.inference.fit import ObjectiveFunction
-from needlefit.inference.forward_model import PreparedModel, predict
+from needlefit.inference.forward_model import PreparedModel, predict, respond_to_moves
 from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD, Discrepancy
 from needlefit.inference.likelihood.observations import SimulatedCurve, make_observation, select_points
 from needlefit.inference.metric_objective import WeightedDistances, metric_misfits, station_weights
@@ -198,9 +198,7 @@ class Problem:
         """
         if all(len(known.nodes.insertions) == 1 for known in self.density.observations):
             return None
-        tracks = self.likelihood.tip_tracks.model_copy(
-            update={"gain_sd": 0.0, "carried_sd": 0.0, "roll_sd_deg": 0.0}
-        )
+        tracks = self.likelihood.tip_tracks.model_copy(update={"roll_sd_deg": 0.0})
         plain = {"depths": "fixed", "bevel_spread": 0.0, "tip_tracks": tracks}
         return replace(self, likelihood=self.likelihood.model_copy(update=plain))
 
@@ -237,15 +235,21 @@ class Problem:
             likelihood = likelihood.model_copy(update={"bevel_spread": 0.0})
         known = [
             make_observation(
-                self.dataset, insertion, self.noise, likelihood, len(self.insertions), self.model_error
+                self.dataset, insertion, self.noise, likelihood, len(self.insertions), self.model_error,
+                self.respond,
             )
             for insertion in self.insertions
-        ]
+        ]  # fmt: skip
         if self.bevels_differ and not one_bevel:
             pairs = zip(known, bevels, strict=True)
             known = [replace(one, nodes=one.nodes.share_bevel(bevel)) for one, bevel in pairs]
         scale = 1.0 if likelihood.noise_scale == "estimated" else likelihood.noise_scale
         return PosteriorDensity(self.parameters, self.medium, tuple(known), scale, self.centred_bevels)
+
+    def respond(self, insertion: Insertion, s: Floats) -> Floats:
+        """Return `respond_to_moves` of the parameters that are expected before any data."""
+        values = self.parameters.values(self.parameters.expected)
+        return respond_to_moves(values, self.medium, insertion, s)
 
     @property
     def bevels_differ(self) -> bool:

@@ -8,7 +8,6 @@ and each term is a line through simulated nodes: r(t) = sum_k phi_k(t) r_k.
 """
 
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -16,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from needlefit.arrays import Floats, Ints
-from needlefit.datasets.insertion import GUIDE_STILL_MM, Insertion, split_boundary_sd
+from needlefit.datasets.insertion import Insertion, split_boundary_sd
 
 DepthTreatment = Literal["fixed", "linear"]
 
@@ -26,7 +25,6 @@ FRAME = -1  #: the tracker's frame
 BEVEL = -2  #: the bevel of one insertion that was measured at several depths
 GROUP_SLOPE = -3  #: the slope of a group of runs
 CARRIED = -4  #: the share of the guide's displacement that the tissue of a group follows
-GAIN_STEP = 0.1  #: part of a move of the guide by which it is changed to simulate its effect, which is linear
 ROLL_STEP_DEG = 5.0  #: by which a bevel's roll is changed to simulate its effect, to both sides
 BEVEL_STEP = 0.1  #: part of the bevel's offset by which it is changed to simulate its effect, to both sides
 MIN_GAP_MM = 1e-3  #: smallest distance, mm, of moved boundaries from each other and from the entry
@@ -80,24 +78,18 @@ def make_nodes(
     *,
     bevel: bool = False,
     constants: int = 0,
-    shared: tuple[ErrorAxis, ...] = (),
-    gain_sd: float = 0.0,
-    carried_sd: float = 0.0,
+    along: tuple[ErrorAxis, ...] = (),
     roll_sd_deg: float = 0.0,
 ) -> Nodes:
     """Return the nodes of an insertion whose measured points have beam coordinates `s` (K,).
 
     With `bevel` its offset may differ from that of other insertions. `constants` curves stand behind those of
-    the nodes; the last of these lie along the axes `shared` with other insertions. Of tip tracks, `gain_sd`:
-    the relative SD of the effect of each move of the guide; `carried_sd`: that of the share of its path that
-    the tissue follows, of which the last curve is the effect; `roll_sd_deg`: the SD of the bevel's roll.
+    the nodes; the last of these lie along the axes `along`. `roll_sd_deg`: SD of the bevel's roll in a run.
     """
     pairs: list[tuple[ErrorAxis | None, float, list[tuple[Insertion, Floats]]]] = []
     for axis, boundaries, depth in _list_depth_errors(insertion) if depths == "linear" else ():
         moved = [shift_depths(insertion, s, t * boundaries, t * depth) for t in DEPTH_STEPS_SD]
         pairs.append((axis, 0.5, moved))
-    moves = [(moved, s) for moved in scale_moves(insertion, 1 + GAIN_STEP)] if gain_sd else []
-    pairs += [(ErrorAxis(), gain_sd / GAIN_STEP, [moved]) for moved in moves]
     if roll_sd_deg:
         both = [(roll_bevel(insertion, step), s) for step in (-ROLL_STEP_DEG, ROLL_STEP_DEG)]
         pairs.append((ErrorAxis(), 0.5 * roll_sd_deg / ROLL_STEP_DEG, both))
@@ -108,27 +100,14 @@ def make_nodes(
     curves = np.eye(len(insertions) + constants)
     rows = [curves[0]]
     last = 0
-    for _, weight, changed in pairs:  # differences from what was changed the other way, or not at all
+    for _, weight, changed in pairs:  # differences from what was changed the other way
         last += len(changed)
-        rows.append(weight * (curves[last] - curves[last - 1 if len(changed) > 1 else 0]))
+        rows.append(weight * (curves[last] - curves[last - 1]))
     axes = [axis for axis, *_ in pairs if axis is not None]
-    along, apart = 1 + len(axes), len(curves) - len(shared)  # the last constant curves lie along axes
-    linear = np.array([*rows[:along], *curves[apart:]])
-    if carried_sd:  # tissue that follows the guide is moved less against it; the moves come last but the roll
-        last_move = along - bool(roll_sd_deg)
-        linear[-1] -= carried_sd / gain_sd * linear[last_move - len(moves) : last_move].sum(axis=0)
-    effects = np.array([*rows[along:], *curves[len(insertions) : apart]]).reshape(-1, len(curves))
-    return Nodes(insertions, np.array(at), (*axes, *shared), linear, effects, bevel)
-
-
-def scale_moves(insertion: Insertion, factor: float) -> Iterator[Insertion]:
-    """Yield an insertion with each move of its guide, from one depth to the next, `factor` times as far."""
-    guide = insertion.guide
-    assert guide is not None
-    for step in np.flatnonzero(np.hypot(np.diff(guide.y), np.diff(guide.z)) > GUIDE_STILL_MM):
-        after = (factor - 1) * (np.arange(len(guide.depths)) > step)
-        y, z = (at + after * (at[step + 1] - at[step]) for at in (guide.y, guide.z))
-        yield replace(insertion, guide=replace(guide, y=y, z=z))
+    moved, apart = 1 + len(axes), len(curves) - len(along)  # the last constant curves lie along axes
+    linear = np.array([*rows[:moved], *curves[apart:]])
+    effects = np.array([*rows[moved:], *curves[len(insertions) : apart]]).reshape(-1, len(curves))
+    return Nodes(insertions, np.array(at), (*axes, *along), linear, effects, bevel)
 
 
 def roll_bevel(insertion: Insertion, angle: float) -> Insertion:

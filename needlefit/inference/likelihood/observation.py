@@ -8,6 +8,7 @@ errors, is of each kind of observation: see `observations/`. Equations: docs/inf
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -55,6 +56,8 @@ class StatedErrors:
     smoothed : bool
         Whether the smoothing that the dataset states is applied to the simulation; else the stored points are
         taken as the needle's own.
+    respond : callable or None
+        Gives how points read at s (K,) change with the gain of each of M moves of the guide, (M, K, 3), mm.
     """
 
     dataset: Dataset
@@ -63,6 +66,7 @@ class StatedErrors:
     insertions: int = 1
     model_error: Discrepancy | None = None
     smoothed: bool = False
+    respond: Callable[[Insertion, Floats], Floats] | None = None
 
     @property
     def bevels_vary(self) -> bool:

@@ -246,7 +246,7 @@ def simulate_runs(
             yield np.concatenate([curves, curves + moved], axis=1)
 
     tuned, held = (
-        [make_observation(dataset, track, noise, likelihood) for track in tracks]
+        [make_observation(dataset, track, noise, likelihood, respond=problem.respond) for track in tracks]
         for tracks in (fold.tune, fold.validate)
     )
     curves = list(simulate(sets, tuned))

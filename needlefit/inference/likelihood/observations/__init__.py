@@ -5,6 +5,7 @@ that of points along the needle, read at the end of the insertion.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -131,6 +132,7 @@ def make_observation(
     likelihood: LikelihoodRecord = PLAIN_LIKELIHOOD,
     insertions: int = 1,
     model_error: Discrepancy | None = None,
+    respond: Callable[[Insertion, Floats], Floats] | None = None,
 ) -> Observation:
     """Return the observation of one insertion, by all that was measured of it.
 
@@ -141,7 +143,7 @@ def make_observation(
     """
     smoothed = noise is None and likelihood.measurement == "stored" and likelihood.noise == "correlated"
     stated = dataset.noise if noise is None else noise
-    errors = StatedErrors(dataset, stated, likelihood, insertions, model_error, smoothed)
+    errors = StatedErrors(dataset, stated, likelihood, insertions, model_error, smoothed, respond)
     if likelihood.measurement == "curvature":
         return OBSERVATIONS["curvature"].observe(insertion, errors)
     # the cross-sections are what the points were drawn through, and stand in their place alone

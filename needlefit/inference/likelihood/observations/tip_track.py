@@ -149,16 +149,21 @@ class _TipTrack(ObservationType):
             whitening, log_norm = whiten(cov, free)
         except np.linalg.LinAlgError:
             raise no_errors_error(dataset, insertion) from None
-        carried_sd = further.carried_sd * insertion.guided
-        if carried_sd:
-            moved = np.concatenate([follow_guide(one, at) for one in directions])
-            session = np.column_stack([session, carried_sd * operator @ moved])
-            axes.append(ErrorAxis(0.0, 1.0, (insertion.specimen, CARRIED, _name_group(insertion))))
+        if further.gain_sd and insertion.guided:
+            assert errors.respond is not None
+            moves = errors.respond(insertion, at)[..., 1 : 1 + len(directions)]  # (M, K, D)
+            moves = operator @ moves.transpose(2, 1, 0).reshape(-1, len(moves))
+            axes += [ErrorAxis()] * moves.shape[1]
+            session = np.column_stack([session, further.gain_sd * moves])
+            if further.carried_sd:  # tissue that follows moves the tip, and is moved less against the needle
+                followed = operator @ np.concatenate([follow_guide(one, at) for one in directions])
+                axes.append(ErrorAxis(0.0, 1.0, (insertion.specimen, CARRIED, _name_group(insertion))))
+                session = np.column_stack([session, further.carried_sd * (followed - moves.sum(axis=1))])
         curves = (whitening @ session).T
         roll_sd_deg = further.roll_sd_deg * (len(directions) - 1)
         nodes = make_nodes(
-            insertion, at, "fixed", bevel=errors.bevels_vary, constants=len(curves), shared=tuple(axes),
-            gain_sd=further.gain_sd * insertion.guided, carried_sd=carried_sd, roll_sd_deg=roll_sd_deg,
+            insertion, at, "fixed", bevel=errors.bevels_vary, constants=len(curves), along=tuple(axes),
+            roll_sd_deg=roll_sd_deg,
         )  # fmt: skip
         measured, whitening = np.column_stack([at, *across]), whitening @ operator
         pose = find_pose(dataset.pose, insertion)
