@@ -313,7 +313,7 @@ def respond_to_moves(
     responses = (points[1:] - points[0]) / GAIN_STEP
     if not np.isfinite(responses).all():
         raise ConfigError(
-            f"the parameters that are expected before any data have no needle in {insertion.id}",
+            f"the expected parameters have no needle in {insertion.id}",
             fix="state a prior, or narrow the bounds",
             key="parameters",
         )

@@ -19,7 +19,7 @@ from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD, Discrep
 from needlefit.inference.likelihood.observations import SimulatedCurve, make_observation, select_points
 from needlefit.inference.metric_objective import WeightedDistances, metric_misfits, station_weights
 from needlefit.inference.parameter_names import BEVEL_SPREAD
-from needlefit.inference.parameters import Parameters, Theta
+from needlefit.inference.parameters import Parameters, Theta, Values
 from needlefit.inference.posterior_density import PosteriorDensity
 from needlefit.inference.side_by_side import evaluate
 from needlefit.schemas.medium import MediumRecord
@@ -42,6 +42,8 @@ class Problem:
     model_error: Discrepancy | None = None  #: a misfit of the model that is allowed for beside the noise
     #: whether b is the mean of these insertions' own; else of others, from which all may differ
     centred_bevels: bool = True
+    #: values at which the response to moves of a guide is computed; None: those expected before any data
+    response_at: Values | None = None
 
     def __post_init__(self) -> None:
         if not self.insertions:
@@ -247,8 +249,8 @@ class Problem:
         return PosteriorDensity(self.parameters, self.medium, tuple(known), scale, self.centred_bevels)
 
     def respond(self, insertion: Insertion, s: Floats) -> Floats:
-        """Return `respond_to_moves` of the parameters that are expected before any data."""
-        values = self.parameters.values(self.parameters.expected)
+        """Return `respond_to_moves` of an insertion at `response_at`."""
+        values = self.response_at or self.parameters.values(self.parameters.expected)
         return respond_to_moves(values, self.medium, insertion, s)
 
     @property

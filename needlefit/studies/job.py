@@ -76,6 +76,7 @@ class Job:
     file: Path | None = None
     medium_file: Path | None = None
     warnings: tuple[ResultWarning, ...] = ()
+    response_at: Mapping[str, float] | None = None  #: as of `Problem`
 
     def place(self, key: str) -> str:
         """Return how messages name a key of the study's file; "" where it is not known."""
@@ -88,6 +89,11 @@ class Job:
     def holding(self, names: Collection[str]) -> "Job":
         """Return the work of which only `names` are held, among the parameters that are."""
         return replace(self, parameters=self.parameters.holding(names))
+
+    def responds_to_moves(self, fold: Fold) -> bool:
+        """Return whether errors depend on how the tips of a fold respond to moves of a guide."""
+        guided = any(one.guided for one in (*fold.tune, *fold.validate))
+        return guided and self.recipe.likelihood.tip_tracks.gain_sd > 0
 
     @property
     def searches(self) -> tuple[str, ...]:
@@ -135,6 +141,7 @@ class Job:
             self.parameters,
             self.recipe.weights,
             likelihood=self.recipe.likelihood,
+            response_at=self.response_at,
         )
         if search in ("b_alone", "hand_tuned_b"):
             values = self.parameters.values(self.parameters.expected)

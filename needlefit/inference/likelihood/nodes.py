@@ -104,9 +104,9 @@ def make_nodes(
         last += len(changed)
         rows.append(weight * (curves[last] - curves[last - 1]))
     axes = [axis for axis, *_ in pairs if axis is not None]
-    moved, apart = 1 + len(axes), len(curves) - len(along)  # the last constant curves lie along axes
-    linear = np.array([*rows[:moved], *curves[apart:]])
-    effects = np.array([*rows[moved:], *curves[len(insertions) : apart]]).reshape(-1, len(curves))
+    behind, apart = 1 + len(axes), len(curves) - len(along)  # the last constant curves lie along axes
+    linear = np.array([*rows[:behind], *curves[apart:]])
+    effects = np.array([*rows[behind:], *curves[len(insertions) : apart]]).reshape(-1, len(curves))
     return Nodes(insertions, np.array(at), (*axes, *along), linear, effects, bevel)
 
 

@@ -210,6 +210,8 @@ def fit_fold(job: Job, fold: Fold, services: FoldServices) -> FoldFits:
     stop = services.settings.stop
     (first, *others), profiles = job.searches, None
     fits = search_fits(job, fold, [first], services)
+    if first in fits and job.response_at is None and job.responds_to_moves(fold):
+        return fit_fold(replace(job, response_at=fits[first].values), fold, services)
     job = job.holding(fits[first].held) if first in fits else job
     _note_fit(job, fits, services)
     beside: list[Callable[[], bytes]] = [
@@ -247,7 +249,7 @@ def search_fits(job: Job, fold: Fold, searches: Iterable[str], services: FoldSer
 
 def _search(job: Job, fold: Fold, search: str, services: FoldServices) -> Fit:
     """Return the fit of one search, which is kept once it has ended."""
-    key = "/".join([fold.name, search, *job.parameters.held])
+    key = "/".join([fold.name, search, *job.parameters.held, *["again"] * (job.response_at is not None)])
     if kept := read_fit(services.checkpoint, key):
         return kept
     settings, step = services.settings, services.progress.phase(fold, SEARCH_PHASES[search])
