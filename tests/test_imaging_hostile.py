@@ -1,6 +1,5 @@
 """Files that crash native readers, fill the memory or point elsewhere; and those that only look unusual."""
 
-import gzip
 import resource
 import shutil
 import time
@@ -8,14 +7,11 @@ from pathlib import Path
 
 import pytest
 from refusals import refusal
-from test_imaging_volume import metaimage, nifti, nrrd
 
 from needlefit.datasets.formats.mat import read_curves
 from needlefit.errors import DataError
 from needlefit.imaging.segmentations import read_labels
-from needlefit.imaging.volume import MAX_EXPANSION
 from needlefit.imaging.volume_files import read_volume
-from needlefit.project.reader_process import MEMORY_VARIABLE
 
 CORPUS = sorted((Path(__file__).parent / "fuzz" / "corpus").iterdir())
 MAX_SECONDS, MAX_KIB = 10, 2**20
@@ -43,21 +39,3 @@ def test_a_file_that_crashed_a_reader_is_a_data_error(path, tmp_path, peak_befor
     assert time.monotonic() - begin < MAX_SECONDS
     own = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss  # a child begins with the memory of this process
     assert peak_kib() <= max(peak_before, MAX_KIB, own)
-
-
-@pytest.mark.parametrize("name", ["a.nrrd", "a.mha", "a.nii.gz"])
-def test_a_bomb_that_promises_what_it_unpacks_to(tmp_path, name):
-    """1 MiB of deflated zeros stand for 1 GiB of voxels, 3 GiB in memory."""
-    sizes, path = (1024, 1024, 512), tmp_path / name
-    size = " ".join(map(str, sizes))
-    packed = gzip.compress(bytes(2**20), 9) * 1024
-    if name == "a.nrrd":
-        nrrd(path, sizes=size, encoding="gzip", data=packed)
-    elif name == "a.mha":
-        metaimage(path, DimSize=size)
-        path.write_bytes(b"CompressedData = True\n" + path.read_bytes() + packed)
-    else:
-        nifti(path, sizes=sizes)
-        path.write_bytes(path.read_bytes() + packed)
-    found = refusal(DataError, "", read_volume, path)
-    assert MEMORY_VARIABLE in found.fix and f"{MAX_EXPANSION} times" in found.expected

@@ -9,7 +9,6 @@ SimpleITK would refuse these, and make up the places of missing slices: it unpac
 import math
 import sys
 import warnings
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -27,7 +26,6 @@ from needlefit.errors import DataError, located
 from needlefit.imaging.volume import (
     VoxelGrid,
     begins_as_dicom,
-    check_expansion,
     check_grid,
     is_dicomdir,
     list_series_files,
@@ -53,7 +51,6 @@ EXPORT_FIX = "export the series from the scanner or the archive again, as origin
 CONVERT_FIX = "load it in 3D Slicer, and save the volume as NRRD, in HU: air -1000, water 0"
 MAX_LISTED = 10  # series, files
 SLICE_BYTES_PER_PIXEL = 32  # a slice stands in memory packed, unpacked, and in double precision
-ELEMENT_HEADER_BYTES = (12, 8)  # of the voxels' entry, where types are stated and where not
 SUFFIXES = (".dcm", ".ima", ".dicom")
 NUMBERS = {  # entries that are numbers, and of how many
     "ImagePositionPatient": 3,
@@ -136,11 +133,7 @@ def read_header(file: Path) -> DicomSlice | None:
             stated = UID(str(data.file_meta.get("MediaStorageSOPClassUID") or data.get("SOPClassUID") or ""))
             if stated.name != stated and "Image Storage" not in stated.name:
                 return None
-            stored = file.stat().st_size - content.tell()
-            header = ELEMENT_HEADER_BYTES[bool(data.original_encoding[0])]
-            needed = header + data.get("BitsAllocated", 16) * data.Rows * data.Columns // 8
-            syntax = UID(str(data.file_meta.get("TransferSyntaxUID") or ""))
-            if stored <= header or (not syntax.is_compressed and stored < needed):
+            if not (data.Rows and data.Columns) or file.stat().st_size <= content.tell():
                 raise EOFError
             given = {name: data.get(name) for name in NUMBERS}
             number = {
@@ -256,18 +249,12 @@ def _describe(slices: Sequence[DicomSlice], path: Path) -> str:
 
 
 def _drop_others(slices: list[DicomSlice], notes: list[str]) -> list[DicomSlice]:
-    """Return the slices without copies and localizers; an unmarked localizer stands across the others."""
+    """Return the slices without copies and localizers."""
     unique = {item.text("SOPInstanceUID") or str(item.file): item for item in slices}
-    if len(unique) < len(slices):
-        notes.append(f"{len(slices) - len(unique)} slice(s) that repeat another one were left out")
     kept = [item for item in unique.values() if not item.is_localizer] or list(unique.values())
-    axes = [item.number.get("ImageOrientationPatient", np.full(6, np.nan)) for item in kept]
-    normals = [np.cross(*both.reshape(2, 3)) for both in axes]
-    [(usual, _)] = Counter(tuple(normal.round(1)) for normal in normals).most_common(1)
-    turns = np.abs(normals @ np.array(usual))  # cosines; nan where the axes are not stated
-    kept = [item for item, turn in zip(kept, turns, strict=True) if not turn < 0.5] or kept
-    if left := len(unique) - len(kept):
-        notes.append(f"{left} image(s) of the series, localizers or across its slices, were left out")
+    for left, kind in ((len(slices) - len(unique), "copies"), (len(unique) - len(kept), "localizers")):
+        if left:
+            notes.append(f"{left} {kind} of slices were left out")
     return kept
 
 
@@ -338,8 +325,6 @@ def stack_slices(slices: Sequence[DicomSlice]) -> tuple[list[DicomSlice], VoxelG
         steps = np.array([*first.number["PixelSpacing"][::-1], spacing])
         grid = VoxelGrid((columns, rows, len(ordered)), origin, steps, direction)
         check_grid(grid)
-        voxels, bits = math.prod(grid.size), int(first.data.get("BitsAllocated", 16))
-        check_expansion(voxels * bits // 8, 4 * voxels, sum(item.file.stat().st_size for item in ordered))
     return ordered, grid
 
 

@@ -19,14 +19,7 @@ from numpy.typing import NDArray
 
 from needlefit.errors import DataError, located
 from needlefit.geometry.frames import RAS_TO_LPS
-from needlefit.imaging.volume import (
-    READABLE_VOLUMES,
-    VoxelGrid,
-    check_expansion,
-    check_grid,
-    fill_unknown,
-    orthogonalize,
-)
+from needlefit.imaging.volume import READABLE_VOLUMES, VoxelGrid, check_grid, fill_unknown, orthogonalize
 from needlefit.project.reader_process import Arrays, allow_memory
 
 IMAGE_IOS = {".nrrd": "NrrdImageIO", ".nhdr": "NrrdImageIO", ".mha": "MetaImageIO", ".mhd": "MetaImageIO"}
@@ -61,9 +54,7 @@ def read_image(arrays: Arrays, path: str, stored: int, labels: bool = False) -> 
                 "Overwrite all in the Segment Editor, and save again",
             ) from error
         check_grid(grid)
-        content, memory = (math.prod(grid.size) * size for size in (voxel_bytes, 4))
-        check_expansion(content, memory, stored)
-        allow_memory(2 * (content + memory) + stored)  # a buffer, one to convert into
+        allow_memory(2 * math.prod(grid.size) * (voxel_bytes + 4) + stored)  # a buffer, one to convert into
         try:
             values = arrays["values"] = read()
         except (RuntimeError, OSError, EOFError, ValueError) as error:

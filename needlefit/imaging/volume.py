@@ -161,26 +161,6 @@ def check_size(size: tuple[int, int, int]) -> None:
         )
 
 
-# What unpacks to more than `MAX_EXPANSION` times its file may take `EXEMPT_BYTES` of memory, and no more:
-# scans unpack to 2 to 5 times their file, segmentations to 20 to 200 times, a file made to fill the memory to
-# 1000 times.
-MAX_EXPANSION = 200  # times the file
-EXEMPT_BYTES = 2**30  # bytes
-
-
-def check_expansion(content: int, memory: int, stored: int) -> None:
-    """Refuse a small file that would fill the memory, unless the user has stated how much it may take.
-
-    `content`, `memory`: bytes of all voxels, unpacked and as they are kept; `stored`: bytes of the file.
-    """
-    if content + memory > EXEMPT_BYTES and content > MAX_EXPANSION * stored and stated_memory_bytes() is None:
-        raise DataError(
-            f"unpacks from {stored / 2**20:.3g} MiB to {content / 2**30:.3g} GiB",
-            expected=f"at most {MAX_EXPANSION} times its size, or {EXEMPT_BYTES / 2**30:.0f} GiB in memory",
-            fix=f"if you trust the file, set {MEMORY_VARIABLE} to the GiB that it may take",
-        )
-
-
 IMAGE_SUFFIXES = (".nrrd", ".nhdr", ".nii", ".nii.gz", ".mha", ".mhd")
 ARCHIVE_SUFFIX = ".zip"
 READABLE_VOLUMES = (

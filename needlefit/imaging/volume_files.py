@@ -14,9 +14,7 @@ from numpy.typing import NDArray
 from needlefit.errors import ConfigError, DataError
 from needlefit.imaging.volume import (
     ARCHIVE_SUFFIX,
-    EXEMPT_BYTES,
     IMAGE_SUFFIXES,
-    MAX_EXPANSION,
     READABLE_VOLUMES,
     Volume,
     begins_as_dicom,
@@ -24,16 +22,13 @@ from needlefit.imaging.volume import (
     max_voxels,
     read_grid,
 )
-from needlefit.project.archives import MAX_ARCHIVE_BYTES, name_archive, unpack_archive
+from needlefit.project.archives import name_archive, unpack_archive
 from needlefit.project.input_files import is_file, list_files, open_regular, path_exists, unreadable_error
-from needlefit.project.reader_process import MEMORY_VARIABLE, Arrays, read_in_process, stated_memory_bytes
+from needlefit.project.reader_process import MEMORY_VARIABLE, Arrays, read_in_process
 
 CT_PACKAGES = ("SimpleITK", "pydicom", "nibabel")
-# A volume that is read more slowly, in processor time, is taken for one that never ends.
-READ_BYTES_PER_SECOND = 8 * 2**20
-SECONDS_PER_DICOM_HEADER = 0.1
-MAX_LISTED = 10
-UNPACKED_BYTES_PER_SECOND = 2**20  # the same for a DICOM header, and for compressed slices
+READ_SECONDS = 600.0  # of the processor, within which a file must be read: a damaged one may never end
+MAX_LISTED = 10  # files
 
 
 def read_volume(path: Path, series: str | None = None, acquisition: str | None = None) -> Volume:
@@ -68,10 +63,9 @@ def read_volume(path: Path, series: str | None = None, acquisition: str | None =
         except OSError as fault:
             folder = place if place.is_dir() else place.parent
             raise unreadable_error(fault, DataError, str(folder)) from None
-        seconds = len(sizes) * SECONDS_PER_DICOM_HEADER + sum(sizes) / UNPACKED_BYTES_PER_SECOND
         arguments = {"path": str(place), "series": series, "acquisition": acquisition}
         reader = "needlefit.imaging.dicom:read_series"
-        notes, arrays = read_in_process(reader, place, arguments, max(sizes, default=0), seconds)
+        notes, arrays = read_in_process(reader, place, arguments, max(sizes, default=0), READ_SECONDS)
         return _build_volume(arrays, notes)
 
 
@@ -86,14 +80,10 @@ def unpacked(path: Path) -> Iterator[Path]:
         return
     with TemporaryDirectory(prefix="needlefit-scan-") as name:
         folder = Path(name)
-        with open_regular(path, MAX_ARCHIVE_BYTES) as file:
-            size = file.seek(0, os.SEEK_END)
-        stated = stated_memory_bytes()
-        most = min(4 * max_voxels(), max(EXEMPT_BYTES, MAX_EXPANSION * size)) if stated is None else stated
+        most = 4 * max_voxels()
         arguments = {"path": str(path), "folder": name, "total_bytes": most}
-        seconds = most / READ_BYTES_PER_SECOND
         with name_archive(path, folder):
-            read_in_process(f"{__name__}:unpack_scan", path, arguments, seconds=seconds)
+            read_in_process(f"{__name__}:unpack_scan", path, arguments, seconds=READ_SECONDS)
             yield folder
 
 
@@ -153,10 +143,9 @@ def _read_image(path: Path, labels: bool) -> tuple[Volume, dict[str, str]]:
         stored = file.seek(0, os.SEEK_END)
     if path.suffix.lower() in (".nhdr", ".mhd"):  # its voxels are in another file beside it
         stored = sum(one.stat().st_size for one in path.parent.iterdir() if is_file(one))
-    seconds = min(4 * max_voxels(), MAX_EXPANSION * stored) / READ_BYTES_PER_SECOND
     arguments = {"path": str(path), "stored": stored, "labels": labels}
     reader = "needlefit.imaging.image_files:read_image"
-    header, arrays = read_in_process(reader, path, arguments, seconds=seconds)
+    header, arrays = read_in_process(reader, path, arguments, seconds=READ_SECONDS)
     return _build_volume(arrays, header["warnings"]), header["texts"]
 
 

@@ -61,9 +61,9 @@ TIP_SDS = np.array([1.0, 10.0])  # of where the needle ends, mm, and of its beve
 # of a fit each, and how often.
 HOPS = (0.3, 0.6)  # slices
 ROLL_HOPS = (np.pi / 2, np.pi, 3 * np.pi / 2)  # rad
-TRIED_HOPS = 8  # moves
+TRIED_HOPS = 6  # moves
 HOP_STEPS = 2  # steps of a fit
-MAX_HOPS = 8  # times
+MAX_HOPS = 3  # times
 START_STEPS = (0.5, 0.25, 0.12)  # of shift, tilt and bow along the normal, slices
 START_ENDS_MM = (-1.0, -0.5, 0.0, 0.5, 1.0)  # ends that are tried, from the one stated, mm
 ROLLS = tuple(np.arange(6) * 2 * np.pi / 6)  # of the bevel, that are tried with each
@@ -413,16 +413,11 @@ class _SliceProblem:
     def hop(self, theta: Floats) -> Floats:
         """Return the parameters of the smallest minimum found next to `theta`."""
         theta, *_ = self.descend(theta, self.first_scale, ROBUST_SD[1])
-        lowest, count = self.first_misfit(theta), len(self.start)
+        lowest = self.first_misfit(theta)
         for _ in range(MAX_HOPS):
             near = [one for step in HOPS for one in self.move(theta, step)]
             near += self.roll(theta, (0.0,), ROLL_HOPS)
             near = sorted(near, key=self.first_misfit)[:TRIED_HOPS]
-            # slices show nearly the same of a needle and of its mirror image about a slice, or between two
-            middle = float(np.mean(self.at @ theta[count : 2 * count])) / self.rod.thick
-            for plane in (np.rint(middle), np.floor(middle) + 0.5):
-                near.insert(0, theta.copy())
-                near[0][count : 2 * count] = 2 * plane * self.rod.thick - theta[count : 2 * count]
             for one in near:
                 there, *_ = self.descend(one, self.first_scale, ROBUST_SD[1], HOP_STEPS)
                 if self.first_misfit(there) < lowest - CONVERGED:

@@ -147,6 +147,7 @@ FINE_OFFSETS_MM = np.arange(-0.8, 0.9, 0.4)
 SOFT_LOSS_SD = 3.0  # residuals beyond so many deviations of the noise count less
 ROUGH_STEPS = 8  # of a first fit
 STEPS = 30  # of a last fit
+TOLERANCE = 1e-4  # relative, of the cost, the parameters and the gradient: the end moves by less than 0.01 mm
 BLOCK_LENGTH_MM = 2.0  # length of the blocks of voxels whose residuals go together, mm
 DERIVATIVE_STEP = np.array(1e-3)  # relative step of the derivatives
 MAX_BEVEL_DEG = 85.0  # a bevel steeper than this has no side
@@ -165,10 +166,9 @@ PARAMETER_SCALES = np.array([0.2, 0.3, 0.1, 0.1, 0.1, 50, 0.3, 0.1, 0.3, 0.2, 0.
 HELD = [U, V, HEIGHT, COT, *range(7, 10), DARK, STREAK]  # parameters of which something is known before
 # What is known before is not left by more deviations: artefacts would be taken for the needle's image.
 MAX_PRIOR_SD = 3.0
-# Deviations of the stated angle from which on the image contradicts it (right ones: at most 1.0, bevels of 20
-# and 60 degrees for 30: 3.0), and the deviation of an angle that is not known, degrees.
+# Deviations of the stated angle from which on the image contradicts it: right ones at most 1.0, bevels of 20
+# and 60 degrees for 30 have 3.0.
 MAX_BEVEL_PULL_SD = 2.5
-FREE_BEVEL_SD_DEG = 45.0
 
 
 @dataclass(frozen=True)
@@ -264,7 +264,7 @@ class TipProblem:
         return np.append(left, (theta[HELD] - self.means) / self.sds)
 
     def fit(self, *, rough: bool) -> OptimizeResult:
-        """Return the least squares, of the better side of the bevel."""
+        """Return the least squares."""
         first = np.zeros(12)
         first[TIP], first[LEVEL] = self.guess, self.level
         first[HELD] = self.means
@@ -284,14 +284,23 @@ class TipProblem:
         left = 1.48 * float(np.median(np.abs(best.fun[: len(self.near.s)])))
         blurs = 8 * float(np.exp(2 * best.x[BLUR] + best.x[SLICE])) / float(np.prod(self.volume.spacing))
         self.sigma = self.sigma * max(1.0, left) * np.sqrt(max(1.0, blurs))
-        turned = best.x + np.pi * np.eye(12)[ROLL]
-        starts = [best.x, turned] if self.rolled else [best.x]
-        return min((self._minimize(start, STEPS) for start in starts), key=lambda one: one.cost)
+        return self._minimize(best.x, STEPS)
 
-    def contradicts_bevel(self, best: OptimizeResult) -> bool:
-        """Return whether the image shows another bevel than the stated one, `MAX_BEVEL_PULL_SD` from it."""
+    def free_bevel(self, best: OptimizeResult) -> tuple[OptimizeResult, float]:
+        """Return the fit, and, degrees, the angle of the bevel where the image contradicts the stated one.
+
+        There it is fitted freely, and the fit kept if the image is clearly nearer; else the angle is nan.
+        """
         known = HELD.index(COT)
-        return bool(abs(best.x[COT] - self.means[known]) > MAX_BEVEL_PULL_SD * self.sds[known])
+        if abs(best.x[COT] - self.means[known]) <= MAX_BEVEL_PULL_SD * self.sds[known]:
+            return best, np.nan
+        stated, self.sds[known] = self.sds[known], np.inf
+        self.bounds[0][COT], self.bounds[1][COT] = LOWER_BOUNDS[COT], UPPER_BOUNDS[COT]
+        free = self._minimize(best.x, STEPS)
+        if self.misfit(free.x) < PART.BEVEL_MISFIT * self.misfit(best.x):
+            return free, float(np.degrees(np.arctan2(1.0, free.x[COT])))
+        self.sds[known] = stated
+        return best, np.nan
 
     def _minimize(self, start: Floats, steps: int) -> OptimizeResult:
         return least_squares(
@@ -302,6 +311,9 @@ class TipProblem:
             f_scale=SOFT_LOSS_SD,
             x_scale=PARAMETER_SCALES,
             diff_step=DERIVATIVE_STEP,
+            ftol=TOLERANCE,
+            xtol=TOLERANCE,
+            gtol=TOLERANCE,
             max_nfev=steps,
         )
 
@@ -442,13 +454,8 @@ def fit_tip(
     """
     problem = TipProblem(volume, axis, needle, guess, spread)
     best, bevel_deg = problem.fit(rough=rough), np.nan
-    if not rough and problem.contradicts_bevel(best):
-        any_bevel = {"bevel_deg": min(needle.bevel_deg, MAX_BEVEL_DEG - 1), "bevel_sd_deg": FREE_BEVEL_SD_DEG}
-        free = TipProblem(volume, axis, needle.model_copy(update=any_bevel), guess, spread)
-        fitted = free.fit(rough=False)
-        if free.misfit(fitted.x) < PART.BEVEL_MISFIT * problem.misfit(best.x):
-            problem, best = free, fitted
-            bevel_deg = float(np.degrees(np.arctan2(1.0, best.x[COT])))
+    if not rough:
+        best, bevel_deg = problem.free_bevel(best)
     covariance = problem.covariance(best)
     variance = np.diag(covariance)
     away = problem.threshold_disagreement(best.x)
