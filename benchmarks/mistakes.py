@@ -34,8 +34,6 @@ from needlefit.datasets.first_study import write_first_run
 from needlefit.datasets.importing.prepare import prepare_import
 from needlefit.datasets.importing.writing import write_plan
 from needlefit.errors import NeedlefitError
-from needlefit.inference.doubts import find_doubts, fit_quickly
-from needlefit.inference.problem import Problem
 from needlefit.mechanics.control import Bevel
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import compute_positions
@@ -45,8 +43,10 @@ from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml import load
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.advice import list_contradictions
+from needlefit.studies.fit_warnings import warn_of_doubts
 from needlefit.studies.job import Settings
 from needlefit.studies.load import load_study
+from needlefit.studies.odd_needles import check_quickly
 
 NEEDLE = Needle.from_tube(150.0, 0.908, 60e3)
 MU_MPA, TOPS_MM, BEVEL_MM, SPACING_MM = (1.5, 0.044), (20.0,), 0.08, 5.0
@@ -412,21 +412,25 @@ def inspect_needles(needles, fits=True):
             prepared = prepare_import(files, stated, None, None, None)
             dataset = write_plan(made, prepared.content, prepared.plan, prepared.mapping)
             write_first_run(made, dataset, prepared.plan.choices)
-            doubts = doubt(made) if fits else ()
+            found, doubts = doubt(made) if fits else ((), ())
         except NeedlefitError as error:
             return Judgement(refusal=str(error))
-    warnings = (replace(one, where="") for one in dataset.warnings if one.kind not in OF_IMPORT)
+    found = (*dataset.warnings, *found)
+    warnings = (replace(one, where="") for one in found if one.kind not in OF_IMPORT)
     return Judgement("", tuple(warnings), tuple(doubts))
 
 
 def doubt(folder):
-    """Return the needles that a quick fit to the others does not predict, with the causes that it names."""
+    """Return the warnings of a quick fit, and the needles that it names with their causes.
+
+    That no needle is described by the model is no word about the data.
+    """
     (file,) = folder.glob("*_study.toml")
     with contextlib.chdir(file.parent):
         job = load_study(file.stem, load(file, StudyRecord), Settings(file=file))
-    data = (job.dataset, job.insertions, job.medium, job.parameters, job.recipe.weights)
-    problem = Problem(*data, likelihood=job.recipe.likelihood)
-    return [(one.insertion, one.cause) for one in find_doubts(problem, fit_quickly(problem)).odd]
+    doubts, depths = check_quickly(job)
+    about_all = doubts._replace(odd=(), deviating=None)
+    return warn_of_doubts(about_all, depths), [(one.insertion, one.cause) for one in doubts.odd]
 
 
 def judge_mistake(kind, seed, n, fits):

@@ -9,8 +9,9 @@ from inference_cases import TRUTH, dataset, insertion, measure, medium
 from inference_cases import problem as make_problem
 
 from needlefit.datasets.insertion import Noise
-from needlefit.inference.doubts import find_doubts, fit_quickly
+from needlefit.inference.doubts import find_doubts
 from needlefit.inference.identifiability.stated_depths import examine_depths
+from needlefit.inference.linear_needles import fit_quickly
 
 DEPTHS = np.linspace(35.0, 65.0, 7)
 POINT_SD = 0.05
@@ -108,6 +109,32 @@ def test_where_more_than_a_quarter_deviate_none_is_accused():
     found = find_doubts(problem, theta)
     assert found.odd == () and found.deviating in [(n, 7) for n in range(3, 8)]
     assert all(find_doubts(make(measure_needles(seed)), theta).deviating is None for seed in range(3))
+
+
+@pytest.mark.parametrize(
+    ("by", "cause", "size"),
+    [
+        (lambda points: points + np.outer(points[:, 0], [0, math.tan(math.radians(2)), 0]), "turned", 2.0),
+        (lambda points: points + np.array([0, 1.0, 0]), "shifted", 1.0),
+    ],
+)
+def test_what_happened_to_all_needles_alike_is_named_with_its_size_and_none_is_accused(by, cause, size):
+    made = measure_needles(1)
+    for number in range(len(made)):
+        made = change(made, number, by)
+    problem = make(made)
+    found = find_doubts(problem, fit_quickly(problem))
+    assert list(found.odd) == [] and found.deviating is None and found.common is not None
+    assert found.common.cause == cause and found.common.size == pytest.approx(size, abs=3 * found.common.sd)
+    made[2] = made[2].with_points(made[2].points * [1, -1, 1])
+    assert find_doubts(make(made), problem.parameters.theta(TRUTH)).common.cause == cause
+
+
+def test_bevels_that_all_face_one_way_do_not_tell_a_turn_of_all_from_an_error_of_the_model():
+    made = [replace(one, side=1).with_points(one.points * [1, one.side, 1]) for one in measure_needles(1)]
+    turned = [one.with_points(one.points + np.outer(one.points[:, 0], [0, 0.03, 0])) for one in made]
+    problem = make(turned)
+    assert find_doubts(problem, fit_quickly(problem)).common is None
 
 
 def test_a_boundary_that_is_stated_far_from_where_it_is_is_found():

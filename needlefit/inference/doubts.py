@@ -1,9 +1,7 @@
-"""Find needles that a fit to the others does not predict, and name what may have happened to each.
+"""Find needles that a fit to the others does not predict, and name what may have happened to each, or to all.
 
-Every needle is predicted from the others: by the fit without it, linear in the parameters, in the stated
-covariance. Needles of a medium differ besides by nature: by as much as makes the others most probable, with
-their misfit for scale, so that a model that fits none of them well accuses none. What may have happened to an
-odd needle is found in `hypotheses.py`.
+The misfit of the others is the scale, so that a model that fits none of them well accuses none. What may have
+happened to a needle is found in `hypotheses.py`; all alike may be turned or shifted.
 """
 
 import math
@@ -15,42 +13,29 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
-from needlefit.inference.fit import EvaluationRecorder
-from needlefit.inference.hypotheses import Deviation, explain
+from needlefit.inference.hypotheses import HYPOTHESES, LOG_FITTED, MIN_LOG_ODDS, Deviation, explain
 from needlefit.inference.identifiability.precision import prior_information
-from needlefit.inference.least_squares import run_least_squares
-from needlefit.inference.optimize import starting_points
-from needlefit.inference.parameter_names import BEVEL_PARAMETERS
-from needlefit.inference.problem import APPROACH_TOLERANCE, Problem, make_posterior_objective
-from needlefit.project.progress import never_stop
-from needlefit.schemas.run_metadata import NeedleDoubtMetadata
+from needlefit.inference.linear_needles import (
+    Block,
+    Prediction,
+    linearize_needle,
+    measure_deviation,
+    predict_from,
+    refit,
+    weigh,
+    weigh_all,
+)
+from needlefit.inference.problem import Problem
+from needlefit.schemas.run_metadata import CommonDoubtMetadata, NeedleDoubtMetadata
 
 MIN_NEEDLES = 4  #: from so many on one is predicted from the others
 MAX_ODD_PART = 0.25  #: part of the needles beyond which the model does not fit, and none is accused
 #: distance of an odd needle from its prediction, in SDs, as of all outliers that are named
 MIN_ODD_SD = 5.0
-#: SDs of the moduli between needles, of ln; specimens of one medium differ by up to 40 %
-SPREADS = (0.03, 0.1, 0.2, 0.4)
-BEVEL_PART = 1 / 3  #: of this SD that the bevel has: all needles have the same
-QUANTILE = 0.75  #: of the misfits of the others, that is the scale
-QUICK_STARTS = 3  #: beside the middle of the prior, of a quick fit
-QUICK_EVALUATIONS = 60  #: of each search
-
-
-class Block(NamedTuple):
-    """Residuals (R,) of one needle at some theta, of unit variance, and their derivatives (R, P)."""
-
-    residuals: Floats
-    slope: Floats
-    log_norm: float = 0.0  #: of their Gaussian in what was measured
-
-
-class Prediction(NamedTuple):
-    """What the others predict of theta in one needle: its mean (P,) and covariance (P, P)."""
-
-    theta: Floats
-    covariance: Floats
-    scale: float = 1.0  #: of their squared misfits
+#: what may have happened to all needles alike, in the world's frame: keys of `HYPOTHESES` with a size
+COMMON = ("turned", "shifted", "turned_aside", "shifted_aside")
+COMMON_STEPS = 2  #: in which their size is found, a fit each
+MIN_COMMON_SD = 3.0  #: of this size at first, from which on it is searched
 
 
 class Doubts(NamedTuple):
@@ -59,6 +44,7 @@ class Doubts(NamedTuple):
     odd: Sequence[NeedleDoubtMetadata] = ()
     #: how many of how many needles deviate, where so many do that the model does not fit
     deviating: tuple[int, int] | None = None
+    common: CommonDoubtMetadata | None = None  #: what may have happened to all needles alike
 
 
 def find_doubts(problem: Problem, theta: Floats) -> Doubts:
@@ -67,28 +53,33 @@ def find_doubts(problem: Problem, theta: Floats) -> Doubts:
     `theta` (P,): the fit to all. None of too few needles, without stated noise, or where a needle is not
     solved: these are not judged.
     """
-    every = problem.insertions
-    if len(every) < MIN_NEEDLES or not problem.dataset.noise_is_stated:
+    every, count = problem.insertions, len(problem.insertions)
+    if count < MIN_NEEDLES or not problem.dataset.noise_is_stated:
         return Doubts()
     odd = list[int]()
     while True:
-        rest = [k for k in range(len(every)) if k not in odd]
+        rest = [k for k in range(count) if k not in odd]
         theta = refit(problem, [every[k] for k in rest], theta) if odd else theta
-        blocks = [_linearize(problem, one, theta) for one in every]
+        blocks = [linearize_needle(problem, one, theta) for one in every]
         if not all(np.isfinite(block.residuals).all() for block in blocks):  # a solve failed
             return Doubts()
-        weighed = _weigh_all(problem, blocks)
-        found = {k: _predict(problem, [j for j in rest if j != k], weighed, theta) for k in range(len(every))}
-        sds = {k: _measure(blocks[k], theta, found[k]).sds for k in range(len(every))}
+        weighed = weigh_all(problem, blocks)
+        found = [predict_from(problem, [j for j in rest if j != k], weighed, theta) for k in range(count)]
+        sds = [measure_deviation(block, theta, found[k]).sds for k, block in enumerate(blocks)]
         worst = max(rest, key=lambda k: sds[k])
-        if sds[worst] < MIN_ODD_SD or len(odd) + 1 > MAX_ODD_PART * len(every):
+        if sds[worst] < MIN_ODD_SD or len(odd) + 1 > MAX_ODD_PART * count:
             break
         odd.append(worst)
+    all_but_odd = replace(problem, insertions=tuple(every[k] for k in rest))
+    if (common := _find_common(all_but_odd, [blocks[k] for k in rest], theta)) is not None:
+        changed = _change_all(problem, common.cause, common.size)
+        return find_doubts(changed, refit(changed, changed.insertions, theta))._replace(common=common)
     # in the stated errors alone, whatever the misfit of the others is
-    stated = (_measure(blocks[k], theta, found[k]._replace(scale=1.0)).sds for k in range(len(every)))
+    pairs = zip(blocks, found, strict=True)
+    stated = (measure_deviation(block, theta, one._replace(scale=1.0)).sds for block, one in pairs)
     deviating = sum(sds >= MIN_ODD_SD for sds in stated)
-    if deviating > MAX_ODD_PART * len(every):
-        return Doubts(deviating=(deviating, len(every)))
+    if deviating > MAX_ODD_PART * count:
+        return Doubts(deviating=(deviating, count))
     odd = sorted((k for k in odd if sds[k] >= MIN_ODD_SD), key=lambda k: -sds[k])
     return Doubts([_describe(problem, k, theta, found[k], sds[k]) for k in odd])
 
@@ -99,7 +90,7 @@ def _describe(
     """Return what is known of an odd needle, given what the others predict."""
 
     def measure(insertion: Insertion, reaches_tip: bool) -> Deviation:
-        return _measure(_linearize(problem, insertion, theta, reaches_tip), theta, predicted)
+        return measure_deviation(linearize_needle(problem, insertion, theta, reaches_tip), theta, predicted)
 
     one = problem.insertions[number]
     others = [other for other in problem.insertions if other is not one]
@@ -118,103 +109,59 @@ def _describe(
     )
 
 
-def fit_quickly(problem: Problem) -> Floats:
-    """Return a fit (P,) to all needles: the best of a few searches with depths as stated."""
-    rng = np.random.default_rng(0)
-    starts = starting_points(problem.lower, problem.upper, QUICK_STARTS, rng)
-    ends = [refit(problem, problem.insertions, start) for start in (problem.parameters.expected, *starts)]
-    easier = problem.plain or problem
-    return min(ends, key=lambda theta: -easier.log_posterior(theta))
+def _find_common(problem: Problem, blocks: Sequence[Block], theta: Floats) -> CommonDoubtMetadata | None:
+    """Return what may have happened to all needles alike, if that makes them far more probable.
 
-
-def refit(problem: Problem, some: Sequence[Insertion], theta: Floats) -> Floats:
-    """Return the fit (P,) to some of the needles, with depths as stated, from a fit `theta` (P,) to all."""
-    part = replace(problem, insertions=tuple(some))
-    goal = make_posterior_objective(part.plain or part, APPROACH_TOLERANCE)
-    recorder = EvaluationRecorder(goal, QUICK_EVALUATIONS, never_stop)
-    recorder.run(run_least_squares, theta)
-    return theta if recorder.theta is None else recorder.theta
-
-
-def _linearize(problem: Problem, insertion: Insertion, theta: Floats, reaches_tip: bool = True) -> Block:
-    """Return the residuals of one needle by itself, without the prior's.
-
-    Points that do not reach the tip lie at their own distances from the entry.
+    Of bevels that all face one way an error of the model looks like a turn or a shift in their plane.
     """
-    alone = replace(problem, insertions=(insertion,))
-    density = alone.density
-    if not reaches_tip:
-        part = min(1.0, insertion.measure_arc(problem.dataset.compared)[-1] / insertion.depth)
-        cut = [replace(one, nodes=replace(one.nodes, s=part * one.nodes.s)) for one in density.observations]
-        density = replace(density, observations=tuple(cut))
-    ((residuals, slope),) = density.jacobians([problem.values(theta)])
-    count = sum(density.residual_counts)
-    return Block(residuals[:count], slope[:count], sum(one.log_norm for one in density.observations))
+    places = range(len(blocks))
+    before = predict_from(problem, places, weigh_all(problem, blocks), theta)
+    is_one_sided = len({one.side for one in problem.insertions}) == 1
+    spatial = problem.dataset.directions == 2
+    causes = [one for one in COMMON if (spatial if HYPOTHESES[one].in_space else not is_one_sided)]
+    rows = []
+    for cause in causes:
+        size, sd = _estimate_common(problem, blocks, theta, before.spread, cause)
+        if abs(size) < MIN_COMMON_SD * sd:
+            continue
+        at = theta
+        for _ in range(COMMON_STEPS):
+            changed = _change_all(problem, cause, size)
+            at = refit(changed, changed.insertions, at)
+            moved = [linearize_needle(changed, one, at) for one in changed.insertions]
+            if not all(np.isfinite(block.residuals).all() for block in moved):
+                break
+            after = predict_from(changed, places, weigh_all(changed, moved), at)
+            odds = (after.log_density - before.log_density) / max(1.0, after.chi_square)
+            rows.append((odds, CommonDoubtMetadata(cause=cause, size=size, sd=sd)))
+            step, sd = _estimate_common(changed, moved, at, after.spread, cause)
+            size += step
+    ranked = sorted(rows, key=lambda row: -row[0])
+    if not ranked:
+        return None
+    best, common = ranked[0]
+    next_best = max((odds for odds, one in ranked if one.cause != common.cause), default=0.0)
+    by_chance = max(next_best, LOG_FITTED + math.log(len(causes)))
+    return common if best - by_chance >= MIN_LOG_ODDS else None
 
 
-def _list_spreads(problem: Problem) -> Floats:
-    """Return the SD (P,) of each parameter between needles, over that of the moduli."""
-    return np.array([BEVEL_PART if name in BEVEL_PARAMETERS else 1.0 for name in problem.names])
+def _change_all(problem: Problem, cause: str, size: float) -> Problem:
+    """Return the problem with all needles as they may have been."""
+    change = HYPOTHESES[cause].change
+    return replace(problem, insertions=tuple(change(one, size, None) for one in problem.insertions))
 
 
-class Weighed(NamedTuple):
-    """A block with the differences between needles in its covariance (R, R)."""
-
-    block: Block
-    covariance: Floats
-    information: Floats  #: (P, P)
-    pull: Floats  #: (P,)
-
-
-def _weigh(block: Block, spread: Floats) -> Weighed:
-    """Return a block with differences between needles, of these SDs (P,)."""
-    loaded = block.slope * spread
-    covariance = np.eye(len(loaded)) + loaded @ loaded.T
-    solved = np.linalg.solve(covariance, np.column_stack([block.slope, block.residuals]))
-    both = block.slope.T @ solved
-    return Weighed(block, covariance, both[:, :-1], both[:, -1])
-
-
-#: by the SDs (P,) between needles, all blocks
-WeighedBlocks = Sequence[tuple[Floats, Sequence[Weighed]]]
-
-
-def _weigh_all(problem: Problem, blocks: Sequence[Block]) -> WeighedBlocks:
-    spreads = [size * _list_spreads(problem) for size in SPREADS]
-    return [(spread, [_weigh(block, spread) for block in blocks]) for spread in spreads]
-
-
-def _predict(problem: Problem, places: Sequence[int], weighed: WeighedBlocks, theta: Floats) -> Prediction:
-    """Return what some needles predict of another, linear about `theta`, with their likeliest spread."""
-    best: tuple[float, Prediction] | None = None
-    for spread, every in weighed:
-        some = [every[k] for k in places]
-        precision = prior_information(problem) + sum(one.information for one in some)
-        step = -np.linalg.solve(precision, sum(one.pull for one in some))
-        covariance = np.asarray(np.linalg.inv(precision), dtype=np.float64)
-        evidence, misfits = -0.5 * np.linalg.slogdet(precision)[1], []
-        for one in some:
-            off = one.block.residuals + one.block.slope @ step
-            misfits.append(float(off @ np.linalg.solve(one.covariance, off)) / len(off))
-            evidence -= 0.5 * (misfits[-1] * len(off) + np.linalg.slogdet(one.covariance)[1])
-        scale = max(1.0, float(np.quantile(misfits, QUANTILE)))
-        found = Prediction(theta + step, covariance + np.diag(spread**2), scale)
-        if best is None or evidence > best[0]:
-            best = evidence, found
-    assert best is not None
-    return best[1]
-
-
-def _measure(block: Block, theta: Floats, predicted: Prediction) -> Deviation:
-    """Return how far a needle lies from what is predicted, given its residuals at `theta` (P,).
-
-    The squared distance is chi-square; its cube root is nearly normal (E. B. Wilson, M. M. Hilferty, Proc.
-    Natl. Acad. Sci. 17 (1931) 684).
-    """
-    off = block.residuals + block.slope @ (predicted.theta - theta)
-    covariance = np.eye(len(off)) + block.slope @ predicted.covariance @ block.slope.T
-    covariance *= predicted.scale
-    square, count = float(off @ np.linalg.solve(covariance, off)), len(off)
-    shape = 2 / (9 * count)
-    sds = ((square / count) ** (1 / 3) - (1 - shape)) / math.sqrt(shape)
-    return Deviation(sds, block.log_norm - 0.5 * (square + float(np.linalg.slogdet(covariance)[1])))
+def _estimate_common(
+    problem: Problem, blocks: Sequence[Block], theta: Floats, spread: Floats, cause: str
+) -> tuple[float, float]:
+    """Return the size by which all needles were changed alike, linear about `theta`, and its SD."""
+    free = len(theta)
+    precision = np.zeros((free + 1, free + 1))
+    precision[:free, :free] = prior_information(problem)
+    pull = np.zeros(free + 1)
+    for one, block in zip(_change_all(problem, cause, 1.0).insertions, blocks, strict=True):
+        by_size = linearize_needle(problem, one, theta).residuals - block.residuals
+        both = weigh(Block(block.residuals, np.column_stack([block.slope, by_size])), np.append(spread, 0.0))
+        precision, pull = precision + both.information, pull + both.pull
+    covariance = np.linalg.inv(precision)
+    return float(-covariance[-1] @ pull), math.sqrt(covariance[-1, -1])

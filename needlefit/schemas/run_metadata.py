@@ -134,6 +134,7 @@ class DepthMetadata(_Metadata):
     stated_sd_mm: float
     parameter: str
     factor_per_mm: float  #: of this parameter
+    describes: bool = True  #: whether the model describes the needles with the boundary there
 
 
 class NeedleDoubtMetadata(_Metadata):
@@ -147,6 +148,14 @@ class NeedleDoubtMetadata(_Metadata):
     where: str = ""  #: the number of the point or boundary, or the other needle, by this cause
     #: along the entry, and deflections toward the bevel as measured and as the others predict them, mm
     points: list[tuple[float, float, float]] = []
+
+
+class CommonDoubtMetadata(_Metadata):
+    """What may have happened to all needles alike."""
+
+    cause: str  #: a key of `HYPOTHESES` in `inference/hypotheses.py`
+    size: float  #: mm or degrees, toward +y or +z of their frames
+    sd: float  #: of it
 
 
 class EffectMetadata(_Metadata):
@@ -230,6 +239,7 @@ class FitMetadata(JobMetadata):
     effect: EffectMetadata | None = None  #: of the odd needles
     #: how many of how many needles the others do not predict, where the model does not fit
     deviating: tuple[int, int] | None = None
+    common_doubt: CommonDoubtMetadata | None = None
     medians: list[MedianMetadata] = []
     validity: ValidityMetadata
 

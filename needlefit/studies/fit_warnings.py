@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import scipy
 
+from needlefit.inference.doubts import Doubts
 from needlefit.inference.identifiability.directions import (
     BOUND_FRACTION,
     CUT_OFF_FRACTION,
@@ -25,7 +26,7 @@ from needlefit.project.unit_warnings import MU_PA
 from needlefit.reporting.number_format import format_quantity
 from needlefit.reporting.table_files import Row, select_rows, to_records
 from needlefit.reporting.text import KindText
-from needlefit.schemas.run_metadata import FitMetadata, NeedleDoubtMetadata
+from needlefit.schemas.run_metadata import DepthMetadata, FitMetadata
 from needlefit.studies.fit_frames import FitFrames
 from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import find_bevel_sides
@@ -192,36 +193,37 @@ def _find_shared_residual(run: Run) -> Iterator[Row]:
 
 def _find_shifted_boundaries(run: Run) -> Iterator[Row]:
     """Yield the boundaries at stated depths that the data put elsewhere, beyond their errors."""
-    for one in run.knows(FitMetadata).stated_depths:
+    yield from _describe_shifted_boundaries(run.knows(FitMetadata).stated_depths)
+
+
+def _describe_shifted_boundaries(depths: Iterable[DepthMetadata]) -> Iterator[Row]:
+    for one in depths:
         sd = math.hypot(one.sd_mm, one.stated_sd_mm)
-        if abs(one.shift_mm) > SHIFT_SD * sd:
+        if one.describes and abs(one.shift_mm) > SHIFT_SD * sd:
             yield {**vars(one), "sd": sd}
 
 
 def _find_odd_needles(run: Run) -> Iterator[Row]:
     """Yield the needles that the others do not predict."""
     known = run.knows(FitMetadata)
-    yield from _describe_odd_needles(known.odd_needles, known.deviating)
+    yield from _describe_doubts(Doubts(known.odd_needles, known.deviating, known.common_doubt))
 
 
-def warn_of_odd_needles(
-    odd: Iterable[NeedleDoubtMetadata], deviating: tuple[int, int] | None
-) -> list[ResultWarning]:
-    """Return a warning about each needle that the others do not predict, or one where many deviate."""
-    return [write_warning("needle_outlier", values) for values in _describe_odd_needles(odd, deviating)]
+def warn_of_doubts(doubts: Doubts, depths: Iterable[DepthMetadata]) -> list[ResultWarning]:
+    """Return the warnings about needles that the others do not predict, and about stated boundaries."""
+    found = [write_warning("needle_outlier", values) for values in _describe_doubts(doubts)]
+    shifted = _describe_shifted_boundaries(depths)
+    return found + [write_warning("boundary_shift", values) for values in shifted]
 
 
-def _describe_odd_needles(
-    odd: Iterable[NeedleDoubtMetadata], deviating: tuple[int, int] | None
-) -> Iterator[Row]:
-    yield from map(_describe_odd_needle, odd)
-    if deviating is not None:
-        yield {"text": "needles_deviate", "count": deviating[0], "total": deviating[1]}
-
-
-def _describe_odd_needle(one: NeedleDoubtMetadata) -> Row:
-    size = None if one.size is None else math.exp(one.size) if one.cause == "scaled" else abs(one.size)
-    return {**vars(one), "size": size, "larger": one.size is not None and one.size > 0}
+def _describe_doubts(doubts: Doubts) -> Iterator[Row]:
+    if doubts.common is not None:
+        yield {**vars(doubts.common), "text": "all_needles"}
+    for one in doubts.odd:
+        size = None if one.size is None else math.exp(one.size) if one.cause == "scaled" else abs(one.size)
+        yield {**vars(one), "size": size, "larger": one.size is not None and one.size > 0}
+    if doubts.deviating is not None:
+        yield {"text": "needles_deviate", "count": doubts.deviating[0], "total": doubts.deviating[1]}
 
 
 def _find_implausible_moduli(run: Run) -> Iterator[Row]:

@@ -1,29 +1,51 @@
 """Needles that the others do not predict: found before a fit by a quick one, or by the fit itself; drawn."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 
 from needlefit.datasets.folds import Fold
-from needlefit.inference.doubts import Doubts, find_doubts, fit_quickly
+from needlefit.inference.doubts import Doubts, find_doubts
+from needlefit.inference.identifiability.stated_depths import examine_depths
+from needlefit.inference.linear_needles import fit_quickly
+from needlefit.inference.problem import Problem
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.figures import fit_forms as forms
 from needlefit.reporting.table_files import Row
-from needlefit.schemas.run_metadata import NeedleDoubtMetadata
+from needlefit.schemas.run_metadata import DepthMetadata, NeedleDoubtMetadata
 from needlefit.studies.job import Job
 
 
-def find_odd_needles(job: Job, mode: Sequence[float] | None = None) -> Doubts:
+def find_odd_needles(job: Job, mode: Sequence[float]) -> Doubts:
     """Return the needles that any fold fits to, and the others of these do not predict.
 
-    `mode` (P,): the most probable parameters of a fit; without it a quick one is made.
+    `mode` (P,): the most probable parameters of a fit.
     """
+    return find_doubts(_join_folds(job), np.array(mode))
+
+
+def check_quickly(job: Job) -> tuple[Doubts, list[DepthMetadata]]:
+    """Return the odd needles of a study by a quick fit, and what it knows of stated boundaries without them.
+
+    None without stated noise, or where the study does not fit by it.
+    """
+    if not (job.dataset.noise_is_stated and job.recipe.minimize == "posterior"):
+        return Doubts(), []
+    problem = _join_folds(job)
+    theta = fit_quickly(problem)
+    doubts = find_doubts(problem, theta)
+    if doubts.deviating is not None or doubts.common is not None:
+        return doubts, []
+    odd = {one.insertion for one in doubts.odd}
+    others = tuple(one for one in problem.insertions if one.id not in odd)
+    return doubts, examine_depths(replace(problem, insertions=others), theta)
+
+
+def _join_folds(job: Job) -> Problem:
     fitted = {one.id: one for fold in job.folds for one in fold.tune}
-    problem = job.problem(Fold("all", tuple(fitted.values()), ()))
-    if mode is None and not (job.dataset.noise_is_stated and job.recipe.minimize == "posterior"):
-        return Doubts()
-    return find_doubts(problem, fit_quickly(problem) if mode is None else np.array(mode))
+    return job.problem(Fold("all", tuple(fitted.values()), ()))
 
 
 def draw_odd_needles(odd: Sequence[NeedleDoubtMetadata]) -> Drawing:

@@ -20,12 +20,12 @@ from needlefit.schemas.deciding import select_deciding
 from needlefit.schemas.origin import Origin
 from needlefit.schemas.run_metadata import AnalysisMetadata, NeedleDoubtMetadata
 from needlefit.schemas.study import FitRecord, StudyRecord
-from needlefit.studies.fit_warnings import warn_of_odd_needles
+from needlefit.studies.fit_warnings import warn_of_doubts
 from needlefit.studies.identity import identify
 from needlefit.studies.job import Inputs, Job, Settings
 from needlefit.studies.kind import find_kind
 from needlefit.studies.load import load_study, print_notes
-from needlefit.studies.odd_needles import find_odd_needles
+from needlefit.studies.odd_needles import check_quickly
 from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.result_sources import name_source, read_sources
 from needlefit.studies.run import Run
@@ -118,8 +118,8 @@ def check_study_file(kind: Literal["study", "fit"], path: Path) -> StudyCheck:
         job = load_study(path.stem, record, Settings(file=path))
     folds = tuple((len(fold.tune), len(fold.validate)) for fold in job.folds)
     named = "cross-validation" if isinstance(record, StudyRecord) else "fit"
-    doubts = find_odd_needles(job)
-    warnings = (*job.warnings, *warn_of_odd_needles(doubts.odd, doubts.deviating))
+    doubts, depths = check_quickly(job)
+    warnings = (*job.warnings, *warn_of_doubts(doubts, depths))
     return StudyCheck(named, folds, warnings, job.dataset.origin, doubts.odd)
 
 

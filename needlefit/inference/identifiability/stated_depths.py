@@ -3,26 +3,23 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
-from needlefit.inference.doubts import refit
 from needlefit.inference.identifiability.precision import linearize, prior_and_noise_information
 from needlefit.inference.likelihood.nodes import shift_depths
+from needlefit.inference.linear_needles import Prediction, linearize_needle, predict_from, refit, weigh_all
 from needlefit.inference.problem import Problem
 from needlefit.schemas.run_metadata import DepthMetadata
 
 #: of a boundary, either way, for derivatives, mm: that of constraint points, between which they jump
 STEP_MM = 1.0
-#: standard deviations of a shift, by the derivatives, from which on the boundary is profiled: a boundary far
-#: from where it is stated has flat derivatives there
-MIN_PROFILED_SD = 1.0
-PROFILE_STEP_MM = 0.3  #: to which the best depth of a profile is found
-GRID_DEPTHS = 8  #: of a profile, between the neighbouring boundaries
-FOUND_SD = 3.0  #: deviance of the stated depth in a profile, as standard deviations, that counts
+GRID_DEPTHS = 5  #: of a profile, between the neighbouring boundaries
+PROFILE_STEPS = 3  #: from there toward the most probable depth, by parabolas
+MIN_PROFILE_STEP_MM = 0.5
 
 
 def examine_depths(problem: Problem, theta: Floats) -> list[DepthMetadata]:
@@ -30,8 +27,8 @@ def examine_depths(problem: Problem, theta: Floats) -> list[DepthMetadata]:
 
     Of a shift that all insertions share: `sd_mm` to which the data know it, with the parameters free;
     `shift_mm` that the residuals suggest, positive where the boundary is deeper; `stated_sd_mm`; and the
-    modulus that changes most with it, by `factor_per_mm`. A boundary far from where it is stated is found by
-    its profile. None where depths are crossings of surfaces, or no noise is stated.
+    modulus that changes most with it, by `factor_per_mm`. The shift is found by a profile, as derivatives are
+    flat far from where a boundary is. None where depths are crossings of surfaces, or no noise is stated.
     """
     if not problem.dataset.noise_is_stated or any(one.surfaces for one in problem.insertions):
         return []
@@ -57,9 +54,8 @@ def examine_depths(problem: Problem, theta: Floats) -> list[DepthMetadata]:
         if not known > 0 or not moduli:
             continue
         worst = max(moduli, key=lambda n: abs(taken[n]))
-        shift, sd = -float(left @ residuals) / scale / known, 1 / math.sqrt(known)
-        if abs(shift) > MIN_PROFILED_SD * math.hypot(sd, stated):
-            shift, sd = _profile(base, theta, k, scale) or (shift, sd)
+        sd, near = 1 / math.sqrt(known), -float(left @ residuals) / scale / known
+        shift, sd, describes = _profile(problem, theta, k, near) or (0.0, sd, True)
         found.append(
             DepthMetadata(
                 boundary=k + 1,
@@ -69,6 +65,7 @@ def examine_depths(problem: Problem, theta: Floats) -> list[DepthMetadata]:
                 stated_sd_mm=stated,
                 parameter=problem.names[worst],
                 factor_per_mm=math.exp(abs(taken[worst])),
+                describes=describes,
             )
         )
     return found
@@ -81,32 +78,54 @@ def _find_depth(problem: Problem, number: int) -> float:
     )
 
 
-def _profile(problem: Problem, theta: Floats, number: int, scale: float) -> tuple[float, float] | None:
-    """Return by how much a boundary is deeper than stated where the fit is best, and to which SD, mm.
+class _Profile(NamedTuple):
+    """Where the fit is best with a boundary moved in all insertions."""
 
-    It is moved in all insertions, between its neighbours, and all parameters are fitted again. None unless
-    the stated depth is beyond chance. `scale`: of the squared misfits.
+    shift: float  #: mm, positive where it is deeper than stated
+    sd: float
+    describes: bool
+
+
+def _profile(problem: Problem, theta: Floats, number: int, near: float) -> _Profile | None:
+    """Return by how much a boundary is deeper than stated where the needles are most probable.
+
+    It is moved in all insertions, between its neighbours, and all parameters are fitted again; differences
+    between needles are integrated out. `near`: by the derivatives. None if no other depth is more probable.
     """
     stated = _find_depth(problem, number)
     longest = max(problem.insertions, key=lambda one: len(one.boundaries))
     ends = np.array([0.0, *longest.boundaries, max(one.depth for one in problem.insertions)])
     low, high = ends[number] - stated, ends[number + 2] - stated
 
-    def weigh(shift: float) -> float:
+    found: dict[float, tuple[Floats, Prediction]] = {}  # by shift
+
+    def add(shift: float) -> None:
         moved = [_move(one, number, stated, shift, longest.sequence) for one in problem.insertions]
         part = replace(problem, insertions=tuple(moved))
-        return -(part.plain or part).log_posterior(refit(part, moved, theta)) / scale
+        nearest = min(found, key=lambda other: abs(other - shift), default=None)
+        at = refit(part, moved, theta if nearest is None else found[nearest][0])
+        blocks = [linearize_needle(part, one, at) for one in moved]
+        found[shift] = at, predict_from(part, range(len(moved)), weigh_all(part, blocks), at)
 
-    grid = np.linspace(low, high, GRID_DEPTHS + 2)[1:-1]
-    step, start = float(grid[1] - grid[0]), weigh(0.0)
-    nearest = float(min(grid, key=weigh))
-    best = minimize_scalar(
-        weigh, bounds=(nearest - step, nearest + step), method="bounded", options={"xatol": PROFILE_STEP_MM}
-    )
-    gain, shift = start - float(best.fun), float(best.x)
-    if not gain > 0.5 * FOUND_SD**2:
+    grid = [0.0, *[near] * bool(low < near < high), *np.linspace(low, high, GRID_DEPTHS + 2)[1:-1].tolist()]
+    for shift in sorted(grid, key=abs):
+        add(shift)
+    stated_density, count = found[0.0][1].log_density, sum(problem.density.residual_counts)
+    if max(one.log_density for _, one in found.values()) <= stated_density:
         return None
-    return shift, abs(shift) / math.sqrt(2 * gain)
+    for _ in range(PROFILE_STEPS):
+        shifts = sorted(found)
+        peak = int(np.clip(np.argmax([found[one][1].log_density for one in shifts]), 1, len(shifts) - 2))
+        three = np.array(shifts[peak - 1 : peak + 2])
+        square, slope, _ = np.polyfit(three, [found[one][1].log_density for one in three.tolist()], 2)
+        vertex = float(-slope / (2 * square)) if square < 0 else three.mean()
+        if not three[0] < vertex < three[-1] or np.min(np.abs(three - vertex)) < MIN_PROFILE_STEP_MM:
+            break
+        add(vertex)
+    shift = max(found, key=lambda one: (found[one][1].describes(count), found[one][1].log_density))
+    best = found[shift][1]
+    gain = (best.log_density - stated_density) / max(1.0, best.chi_square)
+    return _Profile(shift, abs(shift) / math.sqrt(2 * gain), best.describes(count)) if gain > 0 else None
 
 
 def _move(

@@ -15,6 +15,7 @@ from needlefit.project.processes import one_thread
 from needlefit.reporting.needles_in_scan import tabulate_needles_in_scan
 from needlefit.reporting.table_files import select_rows
 from needlefit.schemas.run_metadata import (
+    CommonDoubtMetadata,
     DepthMetadata,
     FitMetadata,
     InsertionMetadata,
@@ -85,6 +86,7 @@ class FitConclusions(TypedDict, total=False):
     stated_depths: list[DepthMetadata]
     odd_needles: list[NeedleDoubtMetadata]
     deviating: tuple[int, int]
+    common_doubt: CommonDoubtMetadata
     medians: list[MedianMetadata]
 
 
@@ -126,6 +128,8 @@ def conclude_run(job: Job, work: JobMetadata, results: Sequence[FoldResult]) -> 
             concluded["odd_needles"] = list(doubts.odd)
         if doubts.deviating:
             concluded["deviating"] = doubts.deviating
+        if doubts.common:
+            concluded["common_doubt"] = doubts.common
     if medians := [row for one in results for row in one.rows.get("medians", ())]:
         concluded["medians"] = medians
     run = Run(
