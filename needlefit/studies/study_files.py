@@ -12,6 +12,7 @@ from needlefit.errors import ConfigError
 from needlefit.project.input_files import is_file
 from needlefit.project.json_values import to_json_values
 from needlefit.project.locate import FileKind, find_file, find_study_or_fit, is_path, read_toml
+from needlefit.project.processes import one_thread
 from needlefit.project.result_warnings import ResultWarning, to_stored_rows
 from needlefit.project.toml import add_file_context, add_key_context, check
 from needlefit.schemas.analyses import TargetRecord
@@ -102,6 +103,7 @@ class StudyCheck:
     odd: Sequence[NeedleDoubtMetadata] = ()  #: needles that a quick fit to the others does not predict
 
 
+@one_thread
 def check_study_file(kind: Literal["study", "fit"], path: Path) -> StudyCheck:
     """Check a study or fit and everything that it names.
 
