@@ -66,8 +66,8 @@ def fitted(values: dict[str, float], folds_: int = 1) -> Run:
     ("values", "names"),
     [
         ({}, []),
-        ({"mu1_pa": 1e9}, ["mu1"]),
-        ({"mu1_pa": 1.001e3, "bevel_mm": 0.4999}, ["mu1", "b"]),
+        ({"mu1_pa": 1e9}, ["μ₁"]),
+        ({"mu1_pa": 1.001e3, "bevel_mm": 0.4999}, ["μ₁", "b"]),
     ],
 )
 def test_a_parameter_at_its_bound_is_named(values, names):

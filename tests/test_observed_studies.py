@@ -6,7 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from inference_cases import TRUTH, dataset, insertion, medium
+from page_files import ALL_STATES, open_offline
 from problem_cases import ALONG_X
+from test_page import NO_BROWSER, chromium  # noqa: F401 - a fixture
 
 import needlefit as nf
 from needlefit.datasets.insertion import Insertion, Noise
@@ -18,8 +20,12 @@ from needlefit.inference.likelihood.observations import SimulatedCurve, estimate
 from needlefit.inference.likelihood.observations.curvature import append_sensors, integrate_sensors
 from needlefit.metrics import compute_metrics
 from needlefit.project.checkpoint import open_checkpoint
+from needlefit.reporting.document import compile_html
+from needlefit.reporting.needle_page import kernel_exists
+from needlefit.studies.explorer import collect_explorer
 from needlefit.studies.job import Settings
 from needlefit.studies.kind import find_kind
+from needlefit.studies.report import compose_run_report
 
 SD = 5e-5  #: of a reading, 1/mm
 ONE_LAYER = medium(1)
@@ -223,8 +229,35 @@ def test_a_dataset_mixes_shapes_tips_and_curvatures(mixed: Path) -> None:
     (mixed.parent / "away.csv").rename(mixed.parent / "centerlines/m2.csv")
 
 
-def test_a_mixture_is_fitted_and_scored_by_what_each_needle_holds(mixed: Path) -> None:
-    run = nf.validate(mixed)
+@pytest.fixture(scope="module")
+def validated(mixed: Path) -> nf.Run:
+    return nf.validate(mixed)
+
+
+@NO_BROWSER
+@pytest.mark.skipif(not kernel_exists(), reason="a system compiler has built no WebAssembly")
+def test_the_page_of_a_mixture_shows_of_a_tip_the_tip_alone(validated, chromium, tmp_path) -> None:  # noqa: F811
+    data = collect_explorer(validated)
+    shown = {needle["scene"]["target"]: needle["scene"]["measured"] for needle in data.needles}
+    assert {name: len(measured["x"]) for name, measured in shown.items()} == {
+        "m0": 101, "m1": 1, "m2": 101, "m3": 1, "m4": 101,
+    }  # fmt: skip
+    assert [metric for metric, *_ in shown["m1"]["metrics"]] == ["te_mm", "edp_percent"]
+    assert shown["m1"]["prediction"] is None and shown["m0"]["prediction"] is not None
+    page = tmp_path / "report.html"
+    page.write_bytes(compile_html(compose_run_report(validated, {})))
+    with open_offline(chromium, page) as window:
+        assert window.evaluate(ALL_STATES) == [5, 0]
+        window.select_option("#needle-choice", "1")
+        window.click("[data-show=errors]")
+        window.wait_for_timeout(300)
+        wanted = "insertion == 'm1' and method == 'fitted' and role == 'validate'"
+        (error,) = validated.frames["errors"].query(wanted)["te_mm"]
+        assert window.evaluate("needlefit.state.errors.te_mm") == pytest.approx(error)
+
+
+def test_a_mixture_is_fitted_and_scored_by_what_each_needle_holds(validated: nf.Run) -> None:
+    run = validated
     rows = run.frames["parameters"].query("method == 'fitted'")
     for name in ("mu1_pa", "bevel_mm"):
         some = rows[rows["parameter"] == name]

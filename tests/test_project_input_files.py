@@ -209,9 +209,14 @@ def test_a_name_that_is_nearly_right_is_proposed(name, tmp_path, monkeypatch):
             find(name)
         assert fault.value.expected.startswith("one of study3, ")
     Path("study.toml").touch()
-    with pytest.raises(ConfigError) as fault:
-        locate.find_file("study", "study")
-    assert "./study.toml" in fault.value.fix
+    Path("gel").mkdir()
+    Path("gel/gel_study.toml").touch()
+    for asked, proposed in (("study", "./study.toml"), ("gel_study", "./gel/gel_study.toml")):
+        with pytest.raises(ConfigError) as fault:
+            locate.find_file("study", asked)
+        assert proposed in fault.value.fix
+    with pytest.raises(ConfigError, match=r"did you mean `\./gel/gel_study\.toml`"):
+        locate.find_studies("./gel/gel_studi.toml")
 
 
 @pytest.fixture

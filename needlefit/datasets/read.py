@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from needlefit.datasets.columns import BEVEL_FIX, InsertionRow
 from needlefit.datasets.curve_lengths import find_length_faults
 from needlefit.datasets.dataset_warnings import (
+    PLACEHOLDER,
     find_boundary_warnings,
     find_insertion_warnings,
     find_record_warnings,
@@ -122,7 +123,7 @@ def inspect(path: Path, root: Path | None = None) -> Inspection:
     parts = (("", record.notes), *needles, ("Noise: ", record.noise.note))
     dataset = Dataset(
         name=record.name,
-        title=record.title or record.name,
+        title=record.name if not record.title or PLACEHOLDER in record.title else record.title,
         origin=record.origin,
         insertions=tuple(insertions),
         media=tuple(record.media),

@@ -1,6 +1,7 @@
 """Find the file of a name: in the working folder's project, then in the copy that ships with needlefit."""
 
 import difflib
+import glob
 import shlex
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -224,14 +225,30 @@ def unknown_name_error(kind: str, name: str, names: list[str], otherwise: str = 
     """Return what is raised of a name that is not known: those that are, the nearest first."""
     last = name.rstrip("/").rpartition("/")[2].removesuffix(".toml")
     nearest = sort_by_similarity(last, names)
+    beside = _list_beside(name) if is_path(name) else []
+    alike = [
+        candidate for candidate in (*beside[:1], *nearest[:1]) if _compare_stems(name, candidate) >= LIKE
+    ]
     problem = f"there is no {kind} called `{name}`"
-    if nearest and _compare(last, nearest[0]) >= LIKE:
-        problem += f"; did you mean `{nearest[0]}`?"
+    if alike:
+        problem += f"; did you mean `{alike[0]}`?"
     fix = f"use one of these names{otherwise}"
-    here = [file for file in (name, f"{name}.toml") if path_exists(Path(file)) and not is_path(name)]
-    if here:
-        fix = f"write ./{here[0]} if you mean the one in this folder"
+    if not is_path(name):
+        files = [Path(name), Path(f"{name}.toml"), *sorted(Path().glob(f"*/{glob.escape(name)}.toml"))]
+        if here := next(filter(path_exists, files), None):
+            fix = f"write ./{here} if you mean that file"
     return ConfigError(problem, expected=f"one of {join_names(nearest) or '(none found)'}", fix=fix)
+
+
+def _list_beside(name: str) -> list[str]:
+    """Return the files of the same suffix in the folder of a path, those most like it first."""
+    folder, suffix = Path(name).parent, Path(name).suffix
+    files = [format_path(path) for path in folder.glob(f"*{glob.escape(suffix)}")] if suffix else []
+    return sort_by_similarity(format_path(Path(name)), files)
+
+
+def _compare_stems(name: str, other: str) -> float:
+    return _compare(Path(name).name.removesuffix(".toml"), Path(other).name.removesuffix(".toml"))
 
 
 def _compare(name: str, other: str) -> float:

@@ -932,29 +932,30 @@ init_d3_array();init_handles();init_quantities();init_store();init_view();init_s
 least:1,most:3.2},BEVEL={length:7.5,half:1.5},GAP=3,LOWEST=16,tallest=()=>Math.min(48,.2*view.box.height-10),SHORTEST=
 5,LEAST_FORCE=.5,LEAST_LOAD=1e-6,distance=(one,other)=>Math.hypot(one[0]-other[0],one[1]-other[1]);paintPath=(context,{
 tip_path:[x2,y2]})=>line2(context,x2,y2,palette.path,1.5);box=(context,px,py,width,height,shade)=>polygon(context,
-[[px,py],[px+width,py],[px+width,py+height],[px,py+height]],shade)}});function paintMeasured(context,curve){haloed(context,curve,palette.measured,2,[7,4]),nameLine(context,"measure\
-d",curve,palette.measured)}function nameLine(context,name,curve,shade){labelBeside(context,name,[[curve,16],[curve,
--16]],shade)}function nameNeedle(context,state){predictionOf(state,now.scene)||nameLine(context,isSteered(state,
-now.scene)?"steered":"simulated",state,state.faults.length?palette.bad:palette.needle)}function paintPinned(context,pinned){
-haloed(context,pinned,palette.ghost,2.5,[2,3]),nameLine(context,"pinned",pinned,palette.ghost)}function nameBand(context,{
-x:x2,low,high}){isChanged(now.state,now.scene)&&labelBeside(context,"band of the fit",[[{x:x2,y:high},-14],[{x:x2,
-y:low},14]],palette.band)}function paintBand(context,{x:x2,low,high},pale){faintly(context,pale?.16:.4,()=>fillBetween(
-context,x2,low,high,palette.band)),faintly(context,pale?.4:1,()=>{for(let edge of[low,high])line2(context,x2,edge,
-palette.band,1.5)})}function paintPrediction(context,state){let prediction=predictionOf(state,now.scene);prediction&&
-(haloed(context,prediction,palette.accent,2.5),nameLine(context,"prediction",prediction,palette.accent))}function paintMethods(context){
-for(let{key,x:x2,y:y2,colour:colour2}of now.needle?.methods??[])x2&&now.curves.has(key)&&haloed(context,{x:x2,
-y:y2},isDark()?lighten(colour2):colour2,2)}function heightAt({x:xs,y:ys},x2){let after=Math.min(Math.max(bisectLeft(
-xs,x2),1),xs.length-1),share=Math.min(Math.max((x2-xs[after-1])/(xs[after]-xs[after-1]),0),1);return ys[after-
-1]+share*(ys[after]-ys[after-1])}function paintGaps(context,state,measured){let{errors}=state;if(!errors)return;
-let prediction=predictionOf(state,now.scene),needle=prediction??state,tip={x:needle.x.at(-1),y:needle.y.at(-1)},
-reach=Math.min(tip.x,measured.x.at(-1)),gaps=Array.from({length:GAPS-1},(_,n)=>reach*(n+1)/GAPS).map(x3=>[needle,
-measured].map(curve=>[toPx(x3),toPy(heightAt(curve,x3))]));polyline(context,gaps,palette.gap,1.25);let[x2,y2]=errors.
-whole?[measured.x.at(-1),measured.y.at(-1)]:[reach,heightAt(measured,reach)],end=errors.whole?[tip.x,tip.y]:[reach,
-heightAt(needle,reach)];for(let[shown3,width]of[[palette.halo,5],[palette.gap,2.5]])line2(context,[x2,end[0]],
-[y2,end[1]],shown3,width);setFont(context,"strong");let[px,[,[key,named2]]]=[toPx(x2),measured.metrics],[top,bottom]=[
-toPy(y2),toPy(end[1])].sort((one,other)=>one-other),sides=[[px,top-AWAY],[px,bottom+AWAY]];state.bevel.side>0&&
-sides.reverse(),labelFree(context,`tip error (${named2}) ${(prediction?.errors??errors)[key].toFixed(2)} mm`,[
-...sides,[px+60,top-AWAY],[px+60,bottom+AWAY],[px-90,top-AWAY],[px-90,bottom+AWAY]],palette.gap)}function paintPlan(context,{
+[[px,py],[px+width,py],[px+width,py+height],[px,py+height]],shade)}});function paintMeasured(context,curve){let{x:[x2],y:[y2]}=curve;isTip(curve)?ring(context,toPx(x2),toPy(y2),DOT,
+palette.measured,palette.halo):haloed(context,curve,palette.measured,2,[7,4]),nameLine(context,isTip(curve)?"m\
+easured tip":"measured",curve,palette.measured)}function nameLine(context,name,curve,shade){labelBeside(context,
+name,[[curve,16],[curve,-16]],shade)}function nameNeedle(context,state){predictionOf(state,now.scene)||nameLine(
+context,isSteered(state,now.scene)?"steered":"simulated",state,state.faults.length?palette.bad:palette.needle)}
+function paintPinned(context,pinned){haloed(context,pinned,palette.ghost,2.5,[2,3]),nameLine(context,"pinned",
+pinned,palette.ghost)}function nameBand(context,{x:x2,low,high}){isChanged(now.state,now.scene)&&labelBeside(context,
+"band of the fit",[[{x:x2,y:high},-14],[{x:x2,y:low},14]],palette.band)}function paintBand(context,{x:x2,low,high},pale){
+faintly(context,pale?.16:.4,()=>fillBetween(context,x2,low,high,palette.band)),faintly(context,pale?.4:1,()=>{
+for(let edge of[low,high])line2(context,x2,edge,palette.band,1.5)})}function paintPrediction(context,state){let prediction=predictionOf(
+state,now.scene);prediction&&(haloed(context,prediction,palette.accent,2.5),nameLine(context,"prediction",prediction,
+palette.accent))}function paintMethods(context){for(let{key,x:x2,y:y2,colour:colour2}of now.needle?.methods??[])
+x2&&now.curves.has(key)&&haloed(context,{x:x2,y:y2},isDark()?lighten(colour2):colour2,2)}function heightAt({x:xs,
+y:ys},x2){let after=Math.min(Math.max(bisectLeft(xs,x2),1),xs.length-1),share=Math.min(Math.max((x2-xs[after-1])/
+(xs[after]-xs[after-1]),0),1);return ys[after-1]+share*(ys[after]-ys[after-1])}function paintGaps(context,state,measured){
+let{errors}=state;if(!errors)return;let prediction=predictionOf(state,now.scene),needle=prediction??state,tip={
+x:needle.x.at(-1),y:needle.y.at(-1)},reach=Math.min(tip.x,measured.x.at(-1)),gaps=(isTip(measured)?[]:Array.from(
+{length:GAPS-1},(_,n)=>reach*(n+1)/GAPS)).map(x3=>[needle,measured].map(curve=>[toPx(x3),toPy(heightAt(curve,x3))]));
+polyline(context,gaps,palette.gap,1.25);let[x2,y2]=errors.whole?[measured.x.at(-1),measured.y.at(-1)]:[reach,heightAt(
+measured,reach)],end=errors.whole?[tip.x,tip.y]:[reach,heightAt(needle,reach)];for(let[shown3,width]of[[palette.
+halo,5],[palette.gap,2.5]])line2(context,[x2,end[0]],[y2,end[1]],shown3,width);setFont(context,"strong");let px=toPx(
+x2),[top,bottom]=[toPy(y2),toPy(end[1])].sort((one,other)=>one-other),sides=[[px,top-AWAY],[px,bottom+AWAY]];state.
+bevel.side>0&&sides.reverse(),labelFree(context,`tip error (TE) ${(prediction?.errors??errors).te_mm.toFixed(2)}\
+ mm`,[...sides,[px+60,top-AWAY],[px+60,bottom+AWAY],[px-90,top-AWAY],[px-90,bottom+AWAY]],palette.gap)}function paintPlan(context,{
 target:[x2,y2],radius,obstacles,needles}){faintly(context,FAN,()=>{for(let[xs,ys]of needles)line2(context,xs,ys,
 palette.plan,1)});for(let[at,across,size2,name]of obstacles)paintCircle(context,at,across,size2,palette.tip,name,
 .28);paintCircle(context,x2,y2,radius,palette.guide,"target"),polyline(context,cross(toPx(x2),toPy(y2),CROSS2),
@@ -976,11 +977,12 @@ frame2,palette.air),polyline(context,[frame2],palette.quiet,1);let inserted=x2.m
 6],scale=Math.min(room[0]/Math.max(scene.depth_mm,now.state.depth_mm,1),room[1]/(high-low+scene.diameter_mm)),
 middle=py+(INSET.height+INSET.title)/2,drawn=inserted.map(([one,across])=>[px+INSET.edge+one*scale,middle-(across-
 (low+high)/2)*scale]);polyline(context,[drawn],palette.needle,Math.max(scene.diameter_mm*scale,1)),setFont(context,
-"small","left","top"),label(context,"true scale",px+6,py+4)}var GAPS,FAN,CROSS2,CORNERS,AWAY,INSET,CLEAR,BAND_REACH,
-isBandNear,lighten,init_overlay=__esm({"needlefit/viewer/page/painters/overlay.js"(){"use strict";init_d3_array();
+"small","left","top"),label(context,"true scale",px+6,py+4)}var GAPS,FAN,CROSS2,CORNERS,DOT,AWAY,INSET,CLEAR,isTip,
+BAND_REACH,isBandNear,lighten,init_overlay=__esm({"needlefit/viewer/page/painters/overlay.js"(){"use strict";init_d3_array();
 init_d3_interpolate();init_dom();init_quantities();init_store();init_view();init_strokes();GAPS=12,FAN=.3,CROSS2=
-5,CORNERS=72,AWAY=19,INSET={width:170,height:46,edge:10,title:14},CLEAR=30;BAND_REACH=2,isBandNear=({x:x2},state)=>x2.
-length>0&&Math.abs(x2.at(-1)-state.x.at(-1))<=BAND_REACH;lighten=shade=>rgb2(shade,"#ffffff")(.4)}});function turn(state){let across=([x2,,z=x2.map(()=>0)])=>[x2,z],roll2=state.bevel.roll_deg*Math.PI/180;return{
+5,CORNERS=72,DOT=4,AWAY=19,INSET={width:170,height:46,edge:10,title:14},CLEAR=30;isTip=({x:x2})=>x2.length===1;
+BAND_REACH=2,isBandNear=({x:x2},state)=>x2.length>0&&Math.abs(x2.at(-1)-state.x.at(-1))<=BAND_REACH;lighten=shade=>rgb2(
+shade,"#ffffff")(.4)}});function turn(state){let across=([x2,,z=x2.map(()=>0)])=>[x2,z],roll2=state.bevel.roll_deg*Math.PI/180;return{
 ...state,y:state.z,constraints:across(state.constraints),tip_path:across(state.tip_path),bevel:{side:Math.sin(
 roll2)<0?-1:1}}}function draw(){if(canvas.hidden=!now.state||!isSpatial(),canvas.hidden)return;let{clientWidth:width,
 clientHeight:height}=canvas,size2=[width,height].map(one=>Math.round(one*devicePixelRatio));(canvas.width!==size2[0]||
@@ -1001,30 +1003,32 @@ s"(){"use strict";init_dom();init_background();init_needle2();init_overlay();ini
 init_store();init_view();[EDGE2,ROOM2]=[8,14],canvas=part("above"),screen=getContext(canvas),isSpatial=()=>!!(now.
 state?.z??now.scene?.measured?.compared==="space");for(let kind of["drawn","scene"])listen(kind,draw);new ResizeObserver(
 draw).observe(canvas);onScheme(()=>requestAnimationFrame(draw))}});function computeErrors(session,measured){let{depth}=session.shape,upto=Math.min(depth,measured.depth_mm);if(upto<
-1)return null;let beyond=depth-measured.depth_mm,whole=Math.abs(beyond)<=1e-6,[simulated,other]=[[],[]];if(whole){
-let{s:s2,x:x2,y:y2,z,pose}=measured.target;other=x2.map((one,i)=>[one,y2[i],z[i]]),simulated=readPoints(session,
-s2.map(one=>one+beyond)),simulated=ALIGN[pose](simulated,other)}else if(measured.target.pose!=="free"){let s2=Array.
-from({length:101},(_,i)=>upto*i/100);other=interpolate(measured,s2),simulated=ALIGN[measured.target.pose](readPoints(
-session,s2),other)}else return null;let axes=AXES[measured.compared],distances=simulated.map((point2,i)=>Math.
-hypot(...axes.map(axis=>point2[axis]-other[i][axis]))),deflection=Math.hypot(...axes.slice(1).map(axis=>other[other.
-length-1][axis]-other[0][axis])),finite=Object.entries(METRICS).map(([name,compute])=>[name,compute(distances,
-deflection)]).map(([name,value])=>[name,Number.isFinite(value)?value:null]);return{...Object.fromEntries(finite),
-upto_mm:upto,whole,floor_mm:measured.floor_mm}}function readPoints(session,s2){let{x:x2,depth,planes}=session.
-shape,points=session.positions(s2.map(one=>Math.min(Math.max(one,x2[0]),depth)));return s2.map((_,i)=>[points[(1+
-planes)*i],points[(1+planes)*i+1],planes===1?0:points[3*i+2]])}function interpolate({s:s2,...axes},at){let i=0;
-return at.map(one=>{for(;i<s2.length-2&&s2[i+1]<one;)i+=1;let share=Math.min(Math.max((one-s2[i])/(s2[i+1]-s2[i]),
-0),1);return["x","y","z"].map(axis=>axes[axis][i]+share*(axes[axis][i+1]-axes[axis][i]))})}function shiftAcross(moving,fixed){
-let[dy,dz]=[1,2].map(axis=>mean(moving.map((point2,i)=>fixed[i][axis]-point2[axis])));return moving.map(([x2,y2,
-z])=>[x2,y2+dy,z+dz])}function alignRigid(moving,fixed){let centre=points=>[0,1].map(axis=>mean(points.map(one=>one[axis]))),
+1)return null;let beyond=depth-measured.depth_mm,whole=Math.abs(beyond)<=1e-6,[simulated,other]=[[],[]];if(whole)
+[simulated,other]=readTarget(session,measured.target,beyond);else if(measured.target.pose!=="free"&&measured.x.
+length>1){let s2=Array.from({length:101},(_,i)=>upto*i/100);other=interpolate(measured,s2),simulated=ALIGN[measured.
+target.pose](readPoints(session,s2),other)}else return null;let axes=AXES[measured.compared],distances=simulated.
+map((point2,i)=>Math.hypot(...axes.map(axis=>point2[axis]-other[i][axis]))),deflection=Math.hypot(...axes.slice(
+1).map(axis=>other[other.length-1][axis]-other[0][axis])),finite=Object.entries(METRICS).map(([name,compute])=>[
+name,compute(distances,deflection)]).map(([name,value])=>[name,Number.isFinite(value)?value:null]);return{...Object.
+fromEntries(finite),upto_mm:upto,whole,floor_mm:measured.floor_mm}}function readTarget(session,{s:s2,x:x2,y:y2,
+z,pose},beyond=0){let measured=x2.map((one,i)=>[one,y2[i],z[i]]),points=readPoints(session,s2.map(one=>one+beyond)),
+compared=s2.length>TIP_POINTS?points:points.map(([,...across],i)=>[x2[i],...across]);return[ALIGN[pose](compared,
+measured),measured]}function readPoints(session,s2){let{x:x2,depth,planes}=session.shape,points=session.positions(
+s2.map(one=>Math.min(Math.max(one,x2[0]),depth)));return s2.map((_,i)=>[points[(1+planes)*i],points[(1+planes)*
+i+1],planes===1?0:points[3*i+2]])}function interpolate({s:s2,...axes},at){let i=0;return at.map(one=>{for(;i<s2.
+length-2&&s2[i+1]<one;)i+=1;let share=Math.min(Math.max((one-s2[i])/(s2[i+1]-s2[i]),0),1);return["x","y","z"].
+map(axis=>axes[axis][i]+share*(axes[axis][i+1]-axes[axis][i]))})}function shiftAcross(moving,fixed){let[dy,dz]=[
+1,2].map(axis=>mean(moving.map((point2,i)=>fixed[i][axis]-point2[axis])));return moving.map(([x2,y2,z])=>[x2,y2+
+dy,z+dz])}function alignRigid(moving,fixed){let centre=points=>[0,1].map(axis=>mean(points.map(one=>one[axis]))),
 [m,f]=[centre(moving),centre(fixed)],[across,along]=[0,0];moving.forEach(([x2,y2],i)=>{let[a2,b,c2,d]=[x2-m[0],
 y2-m[1],fixed[i][0]-f[0],fixed[i][1]-f[1]];across+=a2*d-b*c2,along+=a2*c2+b*d});let angle2=Math.atan2(across,along),
 [c,s2]=[Math.cos(angle2),Math.sin(angle2)];return moving.map(([x2,y2,z])=>[c*(x2-m[0])-s2*(y2-m[1])+f[0],s2*(x2-
-m[0])+c*(y2-m[1])+f[1],z])}var mean,relate,METRICS,AXES,ALIGN,init_errors=__esm({"needlefit/viewer/page/model/\
-errors.js"(){"use strict";mean=values=>values.reduce((sum,one)=>sum+one,0)/values.length,relate=(d,deflection)=>deflection?
+m[0])+c*(y2-m[1])+f[1],z])}var mean,relate,METRICS,AXES,TIP_POINTS,ALIGN,init_errors=__esm({"needlefit/viewer/\
+page/model/errors.js"(){"use strict";mean=values=>values.reduce((sum,one)=>sum+one,0)/values.length,relate=(d,deflection)=>deflection?
 100*d.at(-1)/deflection:d.at(-1)?1/0:0,METRICS={median_err_mm:d=>{let sorted=d.toSorted((one,other)=>one-other),
 half=sorted.length>>1;return sorted.length%2?sorted[half]:(sorted[half-1]+sorted[half])/2},ipe_mean_mm:mean,ipe_std_mm:d=>{
 let middle=mean(d);return Math.sqrt(mean(d.map(one=>(one-middle)**2)))},ipe_max_mm:d=>Math.max(...d),te_mm:d=>d.
-at(-1),edp_percent:relate},AXES={plane:[0,1],space:[0,1,2]};ALIGN={known:simulated=>simulated,direction:shiftAcross,
+at(-1),edp_percent:relate},AXES={plane:[0,1],space:[0,1,2]};TIP_POINTS=2;ALIGN={known:simulated=>simulated,direction:shiftAcross,
 free:alignRigid}}});function computeValidity({x:x2,u,slope:slope4,planes,constraints,track},{boundaries,thickness,spacing}){let last3=x2.
 length-1,bent=Array.from({length:planes},(_,p)=>[u,slope4].map(one=>one.subarray(p*x2.length,(p+1)*x2.length))),
 cubics=bent.map(()=>[0,0,0]),[rotations,missed]=[bent.map(()=>0),bent.map(()=>0)],rotate=t=>(cubics.forEach(([
@@ -1287,19 +1291,19 @@ async function load(){let[data,kernel]=await Promise.all([unpack("data"),unpack(
 $)?lists[value.$]:value;for(let{scene}of read.needles)if(scene.draws)for(let name of["mu","law","strength"])scene.
 draws[name]=resolve(scene.draws[name]);return{...read,kernel}}function insert(steered){for(let changes of listSteps(
 steered.scene))steered.apply(changes,always)}function compareStored(steered,{methods:[fit2]=[],tip},same3){if(!fit2)
-return Math.abs(steered.tipLateral-tip);let{target,stored}=steered.scene.measured,fixed=target.x.map((x2,i)=>[
-x2,target.y[i],target.z[i]]),points=ALIGN[target.pose](readPoints(steered.session,target.s),fixed),found=computeErrors(
-steered.session,steered.scene.measured),errors=Object.keys(fit2.errors).map(name=>Math.abs(fit2.errors[name]-found[name]));
-return Math.max(...points.flatMap((point2,i)=>["x","y","z"].map((axis,n)=>Math.abs(point2[n]-stored[axis][i]))),
-...errors.filter(one=>one>same3))}async function prove({needles,kernel},same3){let[count,largest,since]=[0,0,performance.
-now()],rest=async()=>{performance.now()-since<SLICE||(await new Promise(done2=>setTimeout(done2)),since=performance.
-now())};for(let needle of needles){let compare=distance2=>{count+=1,largest=Math.max(largest,distance2)};try{let steered=await begin(
-kernel,needle);if(needle.recording){let replay=new Replay(steered,needle.recording);for(let n=1;n<=needle.recording.
-length;n+=1)replay.to(n),compare(Math.abs(steered.tipLateral-needle.recording[n-1][2])),await rest()}else{if(insert(
-steered),needle.tip===null)continue;compare(compareStored(steered,needle,same3))}}catch(error){if(!(error instanceof
-ModelError))throw error;compare(NaN)}await rest()}return{count,largest}}var SLICE,begin,always,Replay,init_stored=__esm(
-{"needlefit/viewer/page/stored.js"(){"use strict";init_needle();init_dom();init_errors();init_inputs();init_steered();
-SLICE=12;begin=(kernel,{scene})=>SteeredNeedle.begin(kernel,scene),always={validOnly:!1};Replay=class{steered;steps;at;changed;last;places=[];unit="\
+return Math.abs(steered.tipLateral-tip);let{target,stored}=steered.scene.measured,[points]=readTarget(steered.
+session,target),found=computeErrors(steered.session,steered.scene.measured),errors=Object.keys(fit2.errors).map(
+name=>Math.abs(fit2.errors[name]-found[name]));return Math.max(...points.flatMap((point2,i)=>["x","y","z"].map(
+(axis,n)=>Math.abs(point2[n]-stored[axis][i]))),...errors.filter(one=>one>same3))}async function prove({needles,
+kernel},same3){let[count,largest,since]=[0,0,performance.now()],rest=async()=>{performance.now()-since<SLICE||
+(await new Promise(done2=>setTimeout(done2)),since=performance.now())};for(let needle of needles){let compare=distance2=>{
+count+=1,largest=Math.max(largest,distance2)};try{let steered=await begin(kernel,needle);if(needle.recording){
+let replay=new Replay(steered,needle.recording);for(let n=1;n<=needle.recording.length;n+=1)replay.to(n),compare(
+Math.abs(steered.tipLateral-needle.recording[n-1][2])),await rest()}else{if(insert(steered),needle.tip===null)
+continue;compare(compareStored(steered,needle,same3))}}catch(error){if(!(error instanceof ModelError))throw error;
+compare(NaN)}await rest()}return{count,largest}}var SLICE,begin,always,Replay,init_stored=__esm({"needlefit/vi\
+ewer/page/stored.js"(){"use strict";init_needle();init_dom();init_errors();init_inputs();init_steered();SLICE=
+12;begin=(kernel,{scene})=>SteeredNeedle.begin(kernel,scene),always={validOnly:!1};Replay=class{steered;steps;at;changed;last;places=[];unit="\
 s";constructor(steered,steps2){Object.assign(this,{steered,steps:steps2,at:0,changed:!1,last:new Map}),this.steps.
 forEach(([,changes],i)=>{for(let[name,,value]of changes)name==="return_to"&&this.last.set(value,i+1)})}to(n){for((this.
 changed||n<this.at)&&(this.steered.rewind(),Object.assign(this,{at:0,changed:!1}));this.at<n;)this.#next()}#next(){

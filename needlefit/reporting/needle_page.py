@@ -122,10 +122,22 @@ class PageData:
 SHOWN_METRICS = ("ipe_mean_mm", "te_mm", "edp_percent")
 
 
-def encode_metrics() -> list[list[str]]:
-    """Return name, label, unit and explanation of the errors that the page shows: IPE, TE, EDP."""
-    shown = [one for one in list_metrics() if one.name in SHOWN_METRICS]
-    return [[one.name, one.label, one.unit, one.explanation] for one in shown]
+def encode_metrics(count: int) -> list[list[str]]:
+    """Return name, label, unit and explanation of the errors that the page shows of so many points."""
+    shown = [metric for metric in list_metrics() if metric.name in SHOWN_METRICS]
+    return [
+        [metric.name, metric.label, metric.unit, metric.explanation]
+        for metric in shown
+        if count > TIP_POINTS or not metric.of_curve
+    ]
+
+
+TIP_POINTS = 2  #: that stand for a tip: its entry, which is stated, and the tip, which is measured
+
+
+def find_measured(count: int) -> slice:
+    """Return which of the points of an insertion are drawn as measured: of a tip it alone."""
+    return slice(1 if count == TIP_POINTS else 0, None)
 
 
 def encode_layers(tissue: Tissue) -> dict[str, Any]:

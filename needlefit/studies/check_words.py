@@ -49,14 +49,19 @@ def list_failed(checks: Sequence[Finding]) -> list[str]:
     return [_word_check(one, "_failed" if CHECKS.has(f"{one.check}_failed") else "") for one in failed]
 
 
+def _word_failure(check: Finding) -> str:
+    found, required = (_word_check(check, part) for part in ("_found", "_required"))
+    return f"{_word_check(check)} ({found}; required: {required})"
+
+
 def summarize_checks(checks: Sequence[Finding]) -> str:
     """Return which checks passed, failed (and what was found), and are not decided."""
     sentences = []
     for opening, passed in (("Passed", True), ("Not passed", False), ("Not decided", None)):
         words = [
-            _word_check(one) if passed is not False else f"{_word_check(one)} ({_word_check(one, '_found')})"
-            for one in checks
-            if one.passed is passed
+            _word_check(check) if passed is not False else _word_failure(check)
+            for check in checks
+            if check.passed is passed
         ]
         if words:
             sentences.append(f"{opening}: {'; '.join(words)}.")

@@ -12,7 +12,6 @@ import pandas as pd
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import InsertionInputs, InsertionPose, find_free_reach
 from needlefit.errors import ConfigError
-from needlefit.geometry.curves import COMPARISON_POINTS
 from needlefit.inference.parameter_names import BEVEL_PARAMETERS, BEVEL_SPREAD, find_bevel_factors
 from needlefit.inference.parameters import Parameters
 from needlefit.mechanics.laws import LAWS, PowerLaw
@@ -34,7 +33,14 @@ from needlefit.planning.steered_needle import make_steered_scene, name_guides
 from needlefit.project.locate import unknown_name_error
 from needlefit.project.random_streams import random_stream
 from needlefit.reporting import labels
-from needlefit.reporting.needle_page import PageData, encode_metrics, encode_scene, kernel_exists
+from needlefit.reporting.needle_page import (
+    TIP_POINTS,
+    PageData,
+    encode_metrics,
+    encode_scene,
+    find_measured,
+    kernel_exists,
+)
 from needlefit.reporting.table_files import Row, select_rows, to_records
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.run_metadata import DatasetMetadata, FitMetadata, InsertionMetadata, PredictionMetadata
@@ -248,12 +254,12 @@ def _collect_prediction(run: Run, data: PageData | None) -> PageData | None:
 def find_prediction(run: Run, fold: str, role: str, insertion: str) -> dict[str, Any] | None:
     """Return our prediction of an insertion, which the verdict judges: its curve, mm, and its errors.
 
-    None of an insertion that was not held out.
+    None of an insertion that was not held out, or of which its tip alone is compared.
     """
     place = {"fold": fold, "role": role, "insertion": insertion}
     place |= {"method": PREDICTION_METHOD, "boundaries": "measured"}
     shapes, errors = (select_rows(run.frames[name], **place) for name in ("shapes", "errors"))
-    if shapes.empty or errors.empty:
+    if len(shapes) <= TIP_POINTS or errors.empty:
         return None
     (row,) = to_records(errors)
     curve = {axis: shapes[f"simulated_{axis}_mm"].tolist() for axis in "xy"}
@@ -307,23 +313,24 @@ def _encode_measured(
     measured, simulated = curve[:, 0], curve[:, 1]
     if stored.compared is None:
         pose: InsertionPose = "direction" if row["comparison"] == "shifted" else "known"
-        s = stored.depth * np.linspace(0.0, 1.0, COMPARISON_POINTS)
+        s = stored.depth * np.linspace(0.0, 1.0, len(curve))
     else:
-        pose, s = "free", stored.depth - np.linspace(stored.compared, 0.0, COMPARISON_POINTS)
+        pose, s = "free", stored.depth - np.linspace(stored.compared, 0.0, len(curve))
     shown = measured[:, :2]
     if pose != "known":  # laid on the needle of the fit
         shape = find_last_shape(scene.needle, scene.tissue, scene.steps, scene.rules, lattice)
         shown = align(pose, shown, compute_positions(shape, s)[:, :2])
-    (x, y, z), (drawn_x, drawn_y) = measured.T.tolist(), shown.T.tolist()
+    drawn = find_measured(len(curve))
+    (x, y, z), (drawn_x, drawn_y) = measured.T.tolist(), shown[drawn].T.tolist()
     return {
         "id": row["insertion"],
         "depth_mm": stored.depth,
-        "metrics": encode_metrics(),
+        "metrics": encode_metrics(len(curve)),
         "compared": compared,
         "x": drawn_x,
         "y": drawn_y,
-        "z": z,
-        "s": s.tolist(),
+        "z": z[drawn],
+        "s": s[drawn].tolist(),
         "floor_mm": row["floor_te_mm"],
         "target": {"pose": pose, "s": s.tolist(), "x": x, "y": y, "z": z},
         "stored": dict(zip("xyz", simulated.T.tolist(), strict=True)),
@@ -364,10 +371,12 @@ def _encode_method(row: Row, curve: Floats | None, origin: str) -> dict[str, Any
         "key": name,
         "name": labels.method_name(name, origin),
         "colour": labels.method_colour(name),
-        # a metric that was added since the run has no value in it
-        "errors": {metric.name: row.get(metric.name) for metric in list_metrics()},
+        # a metric that was added since the run has no value in it, and one of curves has none of a tip
+        "errors": {
+            metric.name: row[metric.name] for metric in list_metrics() if row.get(metric.name) is not None
+        },
     }
-    if curve is None or name == "fitted":
+    if curve is None or len(curve) <= TIP_POINTS or name == "fitted":
         return found
     points = np.round(curve[::2, 1, :2], CURVE_DECIMALS)
     return found | dict(zip("xy", points.T.tolist(), strict=True))

@@ -15,7 +15,6 @@ from needlefit.inference.identifiability.directions import (
     CUT_OFF_FRACTION,
     UNINFORMED_SD_RATIO,
     find_bound_side,
-    short_name,
 )
 from needlefit.inference.parameter_names import BEVEL_SPREAD, HYPERPARAMETERS, is_shape_parameter
 from needlefit.inference.parameters import Parameters
@@ -101,7 +100,7 @@ def _list_bounds(fits: pd.DataFrame, many: str) -> list[Row]:
             cut = [_describe_bound(str(name), end, *bounds, CUT_OFF_FRACTION) for end in interval]
             ends["parameter_at_bound"] += [at]
             ends["interval_at_bound"] += [] if at else cut
-        about = {"parameter": short_name(str(name)), "total": len(rows), "many": many}
+        about = {"parameter": str(name), "total": len(rows), "many": many}
         for text, every in ends.items():
             if reached := list(filter(None, every)):
                 bounds_reached = list(dict.fromkeys(reached))
@@ -116,7 +115,7 @@ def _describe_bound(
     side = "" if value is None else find_bound_side(name, value, low, high, near)
     if not side or (side == "lower" and name == BEVEL_SPREAD):  # next to 0 it says that bevels do not differ
         return ""
-    return f"{side} bound, {format_quantity(name, low if side == 'lower' else high)}"
+    return f"{side} bound ({format_quantity(name, low if side == 'lower' else high)})"
 
 
 # ---- the predictive median in place of the mode
@@ -125,7 +124,7 @@ def _describe_bound(
 def describe_point(point: PointPrediction, parameters: Parameters) -> Row:
     """Return what runs store of a choice between mode and median."""
     bounds = {
-        short_name(name): f"{end} bound, {format_quantity(name, parameters.bounds[name][end == 'upper'])}"
+        name: f"{end} bound ({format_quantity(name, parameters.bounds[name][end == 'upper'])})"
         for name, end in point.at_bound.items()
     }
     return {"mode_fault": point.mode_fault, "at_bound": bounds}
@@ -247,10 +246,15 @@ def _find_outside(run: Run) -> Iterator[Row]:
 #: of fits and cross-validations, by the kind of the warning, which programs may rely on: run -> the values of
 #: the text, for each case found
 def _find_outside_modes(run: Run) -> Iterator[Row]:
-    """Yield the parameters whose posterior mode lies outside their 95 % interval."""
+    """Yield the parameters whose posterior mode lies outside their 95 % interval, and at no bound."""
     rows = FitFrames.of(run).free_parameters
     rows = rows[~rows["parameter"].isin(HYPERPARAMETERS)]
     outside = rows[(rows["value"] < rows["interval_low"]) | (rows["value"] > rows["interval_high"])]
+    at_bound = [
+        bool(_describe_bound(row["parameter"], row["value"], row["bound_low"], row["bound_high"]))
+        for row in to_records(outside)
+    ]
+    outside = outside[~np.array(at_bound, dtype=bool)]
     for name, some in outside.groupby("parameter", sort=False):
         low, high = some["interval_low"].iloc[0], some["interval_high"].iloc[0]
         yield {"parameter": str(name), "value": some["value"].iloc[0], "low": low, "high": high}

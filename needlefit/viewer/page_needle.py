@@ -93,14 +93,16 @@ def encode_scene(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
 def encode_measured(measured: MeasuredOverlay) -> dict[str, Any]:
     """Return a measured needle as the page draws and compares it."""
     target = measured.target
+    drawn = needle_page.find_measured(len(measured.points))
     points, compared = (
-        dict(zip("xyz", points.T.tolist(), strict=True)) for points in (measured.points, target.measured)
+        dict(zip("xyz", points.T.tolist(), strict=True))
+        for points in (measured.points[drawn], target.measured)
     )
     return {
-        "metrics": needle_page.encode_metrics(),
+        "metrics": needle_page.encode_metrics(len(measured.points)),
         "compared": target.compared,
         **points,
-        "s": measured.s.tolist(),
+        "s": measured.s[drawn].tolist(),
         "floor_mm": measured.floor,
         "prediction": measured.prediction,
         "target": {"pose": target.pose, "s": target.s.tolist(), **compared},

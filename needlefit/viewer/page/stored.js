@@ -2,7 +2,7 @@
 
 import { compile } from "../../mechanics/native/needle.js";
 import { part } from "./dom.js";
-import { ALIGN, computeErrors, readPoints } from "./model/errors.js";
+import { computeErrors, readTarget } from "./model/errors.js";
 import { listSteps, ModelError } from "./model/inputs.js";
 import { SteeredNeedle } from "./model/steered.js";
 
@@ -71,8 +71,7 @@ export class Replay {
 function compareStored(steered, { methods: [fit] = [], tip }, same) {
   if (!fit) return Math.abs(steered.tipLateral - tip);
   const { target, stored } = steered.scene.measured;
-  const fixed = target.x.map((x, i) => [x, target.y[i], target.z[i]]);
-  const points = ALIGN[target.pose](readPoints(steered.session, target.s), fixed);
+  const [points] = readTarget(steered.session, target);
   const found = computeErrors(steered.session, steered.scene.measured);
   const errors = Object.keys(fit.errors).map((name) => Math.abs(fit.errors[name] - found[name]));
   return Math.max(

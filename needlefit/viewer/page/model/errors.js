@@ -41,12 +41,8 @@ export function computeErrors(session, measured) {
   const whole = Math.abs(beyond) <= DEPTH_TOLERANCE;
   /** @type {number[][]} */
   let [simulated, other] = [[], []];
-  if (whole) {
-    const { s, x, y, z, pose } = measured.target;
-    other = x.map((one, i) => [one, y[i], z[i]]);
-    simulated = readPoints(session, s.map((one) => one + beyond));
-    simulated = ALIGN[pose](simulated, other);
-  } else if (measured.target.pose !== "free") {
+  if (whole) [simulated, other] = readTarget(session, measured.target, beyond);
+  else if (measured.target.pose !== "free" && measured.x.length > 1) {
     const s = Array.from({ length: POINTS }, (_, i) => (upto * i) / (POINTS - 1));
     other = interpolate(measured, s);
     simulated = ALIGN[measured.target.pose](readPoints(session, s), other);
@@ -57,6 +53,16 @@ export function computeErrors(session, measured) {
   const values = Object.entries(METRICS).map(([name, compute]) => [name, compute(distances, deflection)]);
   const finite = values.map(([name, value]) => [name, Number.isFinite(value) ? value : null]);
   return { ...Object.fromEntries(finite), upto_mm: upto, whole, floor_mm: measured.floor_mm };
+}
+
+const TIP_POINTS = 2; // that stand for a measured tip: its entry, and the tip, of which the deflection is compared
+
+/** The simulated points as a study compares them, and the measured ones; `beyond`: by how much it is deeper, mm. */
+export function readTarget(session, { s, x, y, z, pose }, beyond = 0) {
+  const measured = x.map((one, i) => [one, y[i], z[i]]);
+  const points = readPoints(session, s.map((one) => one + beyond));
+  const compared = s.length > TIP_POINTS ? points : points.map(([, ...across], i) => [x[i], ...across]);
+  return [ALIGN[pose](compared, measured), measured];
 }
 
 /** Points [x, y, z], z 0 of a needle in its plane, at beam coordinates; the last may lie beyond the tip by rounding. */
@@ -77,7 +83,7 @@ function interpolate({ s, ...axes }, at) {
 }
 
 /** By what is known of the pose, simulated points as they are compared with others, as `align` in Python. */
-export const ALIGN = { known: (simulated) => simulated, direction: shiftAcross, free: alignRigid };
+const ALIGN = { known: (simulated) => simulated, direction: shiftAcross, free: alignRigid };
 
 /** Points after the shift across that brings them closest to others, as `align_lateral` with one term in Python. */
 function shiftAcross(moving, fixed) {

@@ -6,21 +6,26 @@ import { isDark } from "../dom.js";
 import { isChanged, isSteered, predictionOf } from "../quantities.js";
 import { now } from "../store.js";
 import { toPx, toPy, view } from "../view.js";
-import { cross, faintly, fillBetween, haloed, isFree, label, labelBeside, labelFree, line, palette, placesOf, polygon, polyline, reserve, setFont } from "./strokes.js";
+import { cross, faintly, fillBetween, haloed, isFree, label, labelBeside, labelFree, line, palette, placesOf, polygon, polyline, reserve, ring, setFont } from "./strokes.js";
 
 const GAPS = 12; // parts of the shaft between which gaps are drawn
 const FAN = 0.3; // opacity of the plan's draws
 const CROSS = 5; // px
 const CORNERS = 72; // of a circle, which is an ellipse where y is drawn larger
+const DOT = 4; // px, radius of a measured tip
 const AWAY = 19; // px, of the tip error from the needle
 const INSET = { width: 170, height: 46, edge: 10, title: 14 }; // px
 const CLEAR = 30; // px between the inset and curves, for load and crosses
 
-/** Draw the measured needle. */
+/** Draw the measured needle, or its tip where no more was measured. */
 export function paintMeasured(context, curve) {
-  haloed(context, curve, palette.measured, 2, [7, 4]);
-  nameLine(context, "measured", curve, palette.measured);
+  const { x: [x], y: [y] } = curve;
+  if (isTip(curve)) ring(context, toPx(x), toPy(y), DOT, palette.measured, palette.halo);
+  else haloed(context, curve, palette.measured, 2, [7, 4]);
+  nameLine(context, isTip(curve) ? "measured tip" : "measured", curve, palette.measured);
 }
+
+const isTip = ({ x }) => x.length === 1;
 
 /** Name a line at its end. */
 function nameLine(context, name, curve, shade) {
@@ -91,18 +96,18 @@ export function paintGaps(context, state, measured) {
   const needle = prediction ?? state;
   const tip = { x: needle.x.at(-1), y: needle.y.at(-1) };
   const reach = Math.min(tip.x, measured.x.at(-1));
-  const places = Array.from({ length: GAPS - 1 }, (_, n) => (reach * (n + 1)) / GAPS);
+  const places = isTip(measured) ? [] : Array.from({ length: GAPS - 1 }, (_, n) => (reach * (n + 1)) / GAPS);
   const gaps = places.map((x) => [needle, measured].map((curve) => [toPx(x), toPy(heightAt(curve, x))]));
   polyline(context, gaps, palette.gap, 1.25);
   const [x, y] = errors.whole ? [measured.x.at(-1), measured.y.at(-1)] : [reach, heightAt(measured, reach)];
   const end = errors.whole ? [tip.x, tip.y] : [reach, heightAt(needle, reach)];
   for (const [shown, width] of [[palette.halo, 5], [palette.gap, 2.5]]) line(context, [x, end[0]], [y, end[1]], shown, width);
   setFont(context, "strong");
-  const [px, [, [key, named]]] = [toPx(x), measured.metrics];
+  const px = toPx(x);
   const [top, bottom] = [toPy(y), toPy(end[1])].sort((one, other) => one - other);
   const sides = [[px, top - AWAY], [px, bottom + AWAY]]; // first the one that has no knob of the bevel
   if (state.bevel.side > 0) sides.reverse();
-  labelFree(context, `tip error (${named}) ${(prediction?.errors ?? errors)[key].toFixed(2)} mm`, [...sides, [px + 60, top - AWAY], [px + 60, bottom + AWAY], [px - 90, top - AWAY], [px - 90, bottom + AWAY]], palette.gap);
+  labelFree(context, `tip error (TE) ${(prediction?.errors ?? errors).te_mm.toFixed(2)} mm`, [...sides, [px + 60, top - AWAY], [px + 60, bottom + AWAY], [px - 90, top - AWAY], [px - 90, bottom + AWAY]], palette.gap);
 }
 
 /** Draw target, obstacles, and the needles of the draws of a plan. */
