@@ -3,11 +3,10 @@
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 
-from needlefit.arrays import Floats
 from needlefit.datasets.columns import BOUNDARIES_COLUMN, NUMBER_COLUMNS, ROLL_COLUMNS
 from needlefit.datasets.curve_lengths import find_length_warnings
 from needlefit.datasets.insertion import Insertion, Noise
@@ -198,23 +197,29 @@ def is_copy(one: Insertion, other: Insertion) -> bool:
     return a.shape == b.shape and bool(np.abs(a - b).max() <= SAME_POINT_MM)
 
 
-def has_same_points(one: Insertion, other: Insertion) -> bool:
-    """Whether all points of one of two curves, or their mirror images, are among those of the other."""
-    few, many = sorted((one, other), key=lambda curve: len(curve.points))
-    pairs = (few.centerline, many.centerline), (few.points * MIRRORED, many.points)
-    return any(_list_points(a) <= _list_points(b) for a, b in pairs)
+class _PointSets:
+    """The points of a curve in the world, in its own frame, and mirrored there, rounded to one place each."""
 
+    def __init__(self, insertion: Insertion) -> None:
+        self.count = len(insertion.points)
+        self.world, self.own, self.mirrored = (
+            set(map(tuple, (points / SAME_POINT_MM).round().tolist()))
+            for points in (insertion.centerline, insertion.points, insertion.points * MIRRORED)
+        )
 
-def _list_points(points: Floats) -> set[tuple[float, ...]]:
-    return set(map(tuple, (points / SAME_POINT_MM).round().tolist()))
+    def are_those_of(self, other: Self) -> bool:
+        """Whether all points of one of two curves, or their mirror images, are among those of the other."""
+        few, many = sorted((self, other), key=lambda curve: curve.count)
+        return few.world <= many.world or few.mirrored <= many.own
 
 
 def _find_copy_warnings(listed: Sequence[ListedInsertion]) -> Iterator[ResultWarning]:
     """Yield a warning for each insertion with the points of an earlier one."""
+    points = [_PointSets(entry.insertion) for entry in listed]
     for n, later in enumerate(listed):
-        same = (one for one in listed[:n] if has_same_points(one.insertion, later.insertion))
-        if (one := next(same, None)) is not None:
-            what = f"{later.insertion.id} and {one.insertion.id} have the same points"
+        same = (m for m in range(n) if points[m].are_those_of(points[n]))
+        if (m := next(same, None)) is not None:
+            what = f"{later.insertion.id} and {listed[m].insertion.id} have the same points"
             fix = "check whether one was exported twice"
             yield ResultWarning("copy", what, where=later.where, fix=fix)
 

@@ -214,7 +214,8 @@ class Insertion(InsertionInputs):
     digest: str = ""
     where: str = ""
     curve_roll: float = 0.0
-    _curves: dict[Compared, MeasuredCurve] = field(default_factory=dict, init=False, repr=False)
+    #: smooth curves, with the points that they were drawn through; copies of the insertion share them
+    curves: dict[Compared, tuple[Floats, MeasuredCurve]] = field(default_factory=dict, repr=False)
 
     @property
     def states_errors(self) -> bool:
@@ -239,7 +240,8 @@ class Insertion(InsertionInputs):
     def with_points(self, points: Floats) -> Self:
         """Return the insertion as if its measured points were `points` in C: (N, 3), or (N, 2) at z = 0."""
         points = pad_axis(points, 3)
-        return replace(self, points=points, centerline=self.frame.to_world(points), sections=None)
+        centerline = self.frame.to_world(points)
+        return replace(self, points=points, centerline=centerline, sections=None, curves={})
 
     def measure_arc(self, compared: Compared) -> Floats:
         """Return the arc lengths (N,) of the measured points, mm: of the curve in its plane, or in space."""
@@ -247,9 +249,11 @@ class Insertion(InsertionInputs):
 
     def smooth(self, compared: Compared) -> MeasuredCurve:
         """Return the measured points as a curve smoothed to its noise, in its plane or in space."""
-        if compared not in self._curves:
-            self._curves[compared] = measure_curve(select_compared(self.points, compared))
-        return self._curves[compared]
+        points, curve = self.curves.get(compared, (None, None))
+        if curve is None or points is not self.points:
+            curve = measure_curve(select_compared(self.points, compared))
+            self.curves[compared] = self.points, curve
+        return curve
 
     @property
     def deflection(self) -> float:

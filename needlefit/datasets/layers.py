@@ -197,6 +197,7 @@ def reduce_insertion(
             "curvature": _turn_curvature(row),
             "observed": row.observed or "points",
             "directions": 1 if row.tip_y is not None and row.tip_z is None else 2,
+            "curves": {"space": (local, points.curve.to_local(frame))},
         }
     )
 
@@ -304,13 +305,14 @@ def find_backward_points(curve: Floats) -> np.ndarray:
     """Return the points that lie behind an earlier one, along the chord or along the step before."""
     chord = curve[-1] - curve[0]
     along = curve @ (chord / max(float(np.linalg.norm(chord)), SAME_POINT_MM))
-    least = -_find_backward_tolerance(curve, along)
-    behind = along < np.maximum.accumulate(along) + least
     steps = np.diff(curve, axis=0)
     headings = steps / np.maximum(np.linalg.norm(steps, axis=1), SAME_POINT_MM)[:, None]
     # Two criteria: along the chord finds swapped parts of a curve, along the step before finds a fold.
-    behind[2:] |= np.einsum("ij,ij->i", steps[1:], headings[:-1]) < least
-    return np.flatnonzero(behind)
+    back = np.maximum.accumulate(along) - along
+    back[2:] = np.maximum(back[2:], -np.einsum("ij,ij->i", steps[1:], headings[:-1]))
+    if back.max() <= MAX_BACKWARD_MM:  # whatever the noise
+        return np.empty(0, dtype=np.int64)
+    return np.flatnonzero(back > _find_backward_tolerance(curve, along))
 
 
 def _find_backward_tolerance(curve: Floats, along: Floats) -> float:

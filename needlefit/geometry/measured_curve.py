@@ -7,6 +7,7 @@ smooth curve, and points that are evenly spaced but for their noise are taken as
 
 import math
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 import scipy
@@ -14,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from needlefit.arrays import Floats
 from needlefit.geometry.curves import arc_length
+from needlefit.geometry.frames import Frame
 from needlefit.geometry.penalized_spline import PenalizedSpline, fit_penalized_spline
 
 MIN_SMOOTHED_POINTS = 5  # smallest number of points that show their noise; fewer are joined by chords
@@ -47,6 +49,12 @@ class MeasuredCurve:
         """Return the places (K, d) of the smooth curve at arc lengths (K,), mm; the ends beyond them."""
         stations = np.asarray(s, dtype=np.float64)
         return np.column_stack([np.interp(stations, self.s, axis) for axis in self.smoothed.T])
+
+    def to_local(self, frame: Frame) -> Self:
+        """Return the curve of points in the world (d = 3) in a frame."""
+        return replace(
+            self, smoothed=frame.to_local(self.smoothed), residuals=self.residuals @ frame.rotation
+        )
 
 
 def measure_curve(points: ArrayLike, sd: float = 0.0) -> MeasuredCurve:

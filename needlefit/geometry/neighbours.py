@@ -1,8 +1,10 @@
 """Predict points of a curve from their neighbours: what a point, or a step between two, adds is left over."""
 
+from functools import lru_cache
+
 import numpy as np
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Floats, Ints
 
 MIN_NEIGHBOURS = 4  #: smallest number of neighbours on either side of a point
 MAX_NEIGHBOURS = 20  #: largest number of neighbours on either side of a point
@@ -16,6 +18,14 @@ def leave_one_out(x: Floats, values: Floats) -> tuple[Floats, Floats]:
     The factor is that by which the standard deviation of this distance is larger than that of a point, of
     independent errors. At the ends all neighbours lie on one side. `x` (N,) increases; N is at least 4.
     """
+    others, weights, factor = _weigh_others(x.tobytes())
+    return values - np.einsum("ij,ijk->ik", weights, values[others]), factor
+
+
+@lru_cache(maxsize=256)  # several checks of a dataset ask for the points of the same needles
+def _weigh_others(places: bytes) -> tuple[Ints, Floats, Floats]:
+    """Return the neighbours (N, n) of each point of a curve, their weights (N, n), and the factor (N,)."""
+    x = np.frombuffer(places)
     count = len(x)
     near = _count_neighbours(x)
     order = min(MAX_ORDER, near - 2)
@@ -26,8 +36,7 @@ def leave_one_out(x: Floats, values: Floats) -> tuple[Floats, Floats]:
     scale = np.abs(away).max(axis=1, keepdims=True)
     powers = (away / scale)[..., None] ** np.arange(order + 1)
     weights = np.linalg.pinv(powers)[:, 0, :]  # (N, near): of the polynomial's value at the point
-    left = values - np.einsum("ij,ijk->ik", weights, values[others])
-    return left, np.sqrt(1.0 + np.sum(weights**2, axis=1))
+    return others, weights, np.sqrt(1.0 + np.sum(weights**2, axis=1))
 
 
 def find_steps(x: Floats, values: Floats) -> tuple[Floats, Floats]:
