@@ -137,6 +137,17 @@ def write_tips_and_fibres(path: Path, rng: np.random.Generator, needles: int = 8
     tips.write_text(tips.read_text().replace("\nn", "\nt"))
 
 
+def write_shapes_with_tips(path: Path, rng: np.random.Generator, needles: int = 8) -> None:
+    """CT: points of two thirds of the needles, of the others the tip alone: one file."""
+    rows = []
+    for n, depth in enumerate(_list_depths(needles)):
+        side, s = 1 if n % 2 else -1, np.linspace(0.0, depth, depth // 2 + 1)
+        points = _misplace(_push(depth, side).place(s[-1:] if n % 3 == 2 else s), rng)
+        points[:, 1] += rng.normal(0.0, 0.1, len(points))
+        rows += [(f"n{n + 1}", side, depth, *map(float, one)) for one in points]
+    _save(path, "needle,bevel side,depth [mm],x [mm],y [mm]", rows)
+
+
 ENTERED = ("pose=1,0,0", "entry_point=0,0,0", "point_sd=0.1")
 LABS = {
     one.name: one
@@ -147,6 +158,7 @@ LABS = {
         Lab("fibres", write_fibres, (*NEEDLE, *POSE_SD)),
         Lab("tips", write_tips, (*NEEDLE, "point_sd=0.1", *POSE_SD)),
         Lab("one", write_one, (*NEEDLE, *ENTERED, *POSE_SD)),
+        Lab("shapes with tips", write_shapes_with_tips, (*NEEDLE, *ENTERED, *POSE_SD, "bevel=0,1,0")),
         Lab(
             "ct and camera",
             write_mixture,

@@ -568,6 +568,13 @@ def test_one_of_two_tools_may_be_the_guide(tmp_path, guide):
         ("Tiefe [cm],Auslenkung [cm]", ["4,.2", "4,.3", "6,.5"], [""] * 3, [(2, None), (3, None), (5, None)]),
         ("needle,depth,tip y,tip z", ["a,40,2.5,1", "b,60,5,-1"], ["a", "b"], [(2.5, 1), (5, -1)]),
         ("needle,depth,deflection,side", ["a,40,2.5,1", "b,60,5,-1"], ["a", "b"], [(2.5, None), (-5, None)]),
+        ("needle,depth_mm,tip_mm", ["a,40,2.5", "b,60,5.0"], ["a", "b"], [(2.5, None), (5, None)]),
+        (
+            "needle,depth,deflection (% of depth)",
+            ["a,40,5.5", "b,60,5.5"],
+            ["a", "b"],
+            [(2.2, None), (3.3, None)],
+        ),
         ("needle,depth [cm],y [%],z [%]", ["a,4,2.5,1", "b,6,5,-1"], ["a", "b"], [(1, 0.4), (3, -0.6)]),
     ],
 )
@@ -627,6 +634,26 @@ def test_needles_that_do_not_bend_need_a_stated_bevel_alone(tmp_path):
     assert "--set bevel" in refusal(DataError, "bevel", planned, [file], pose="1,0,0").fix
     _, plan, _ = placed([file], pose="1,0,0", bevel="0,1,0")
     assert [row.side for row in plan.rows] == [1, -1, 1]
+
+
+def test_tips_stand_beside_shapes(tmp_path):
+    """Of tips in a plane up is across the needle in it; what is assumed of them changes no stated side."""
+    shapes = [("a", -1, x, -6e-4 * x**2) for x in range(0, 61, 5)] + [("b", 1, 50, 1.4)]
+    write_table(file := tmp_path / "a.csv", "needle,bevel side,x [mm],y [mm]", shapes)
+    entered = {"pose": "1,0,0", "entry_point": "0,0,0", "point_sd": "0.1"}
+    plan, made = planned([file], **entered)
+    assert [row.tip_y for row in plan.rows] == [None, pytest.approx(1.4)] and made["bevel"][0] == "0,1,0"
+    write_table(file, "needle,bevel side,x [mm],y [mm],z [mm]", [(*row, 9) for row in shapes[:-1]])
+    write_table(tips := tmp_path / "b.csv", "needle,depth [mm],deflection [mm]", [("b", 50, 1.4)])
+    plan, made = planned([file, tips], pose="1,0,0", bevel="0,1,0", point_sd="0.1")
+    assert [row.side for row in plan.rows] == [-1, 1] and made["entry_point"] == ("first", "assumed")
+
+
+def test_times_and_places_of_a_tip_beside_its_guide_are_tracks(tmp_path):
+    rows = [("r", 0.5 * n, 4 * n, 0.004 * n**2, 80, 0) for n in range(9)]
+    write_table(file := tmp_path / "a.csv", "run,time [s],tip x,tip y,guide x,guide y", rows)
+    (curve,) = placed([file])[0].curves
+    assert curve.holds == "tracks" and curve.depths == pytest.approx(np.arange(0, 33, 4), abs=0.2)
 
 
 def test_a_stated_depth_is_kept_where_that_of_another_run_is_measured(tmp_path):

@@ -138,12 +138,20 @@ class TableDraft:
         places_by_meaning = {
             meaning: places for meaning, places in places_by_meaning.items() if meaning not in blocked
         }
+        if "depth" in places_by_meaning and not places_by_meaning.keys() & {"y", "deflection"}:
+            tips = [n for n, header in enumerate(self.headers) if header.meaning == "tip"]
+            tips = [n for n in tips if all(map(self._is_number, self._list_texts(n)))]
+            if tips and not {"y", "deflection"} & blocked:
+                places_by_meaning["deflection"] = tips
         if "guide" in places_by_meaning:
             names = ", ".join(str(self._name(n)) for n in places_by_meaning["guide"])
             self.draft.assumed["guide"] = f"{names}: taken to be the guide; guide=none if it is not"
         if "needle" in places_by_meaning:
             self._choose_names(places_by_meaning)
         return places_by_meaning
+
+    def _is_number(self, text: str) -> bool:
+        return self.table.number(text) is not None
 
     def _list_texts(self, n: int) -> list[str]:
         """Return the cells of a column that are not blank."""
@@ -328,6 +336,9 @@ class TableDraft:
         is_log = has_poses or self._have_depths(_differ, "time")
         if len(groups) < 2 and self._have_depths(_differ) and (is_tip or is_log):
             self.draft.assumed["holds"] = "tracks: each row has a depth of its own"
+            return "tracks"
+        if len(groups) < 2 and is_tip and is_log:
+            self.draft.assumed["holds"] = "tracks: each row has a time, and the place of a tip"
             return "tracks"
         if (is_log and not self._is_array(groups)) or (len(groups) < 2 and self._have_depths(_differ)):
             self.draft.ask("readings", self.where)

@@ -1,6 +1,7 @@
 """Place imported needles: entry, direction, layers and bevel, as the mapping or an answer states them."""
 
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
@@ -73,6 +74,8 @@ class Planner(CurveAnswers):
 
     def __init__(self, content: ImportContent, settler: Settler) -> None:
         super().__init__(content.curves, settler)
+        counts = Counter(key for curve in content.curves for key in curve.stated)
+        settler.partly_stated = frozenset(key for key in counts if counts[key] < len(content.curves))
         self.surfaces = [*content.surfaces]
         self.entry = "first"  # the end of the curves that is the entry
 
@@ -102,7 +105,8 @@ class Planner(CurveAnswers):
             shapes.settle_entry()
             poses = shapes.settle_pose(without)
             pose = "free" if poses[0].text == "free" else "known"
-            entries = shapes.settle_entry_points(poses, without)
+            placed = [curve.name for curve in tips.curves if len(curve.line) and not curve.is_deflection]
+            entries = shapes.settle_entry_points(poses, join_names(placed, 5))
         first, last = len(shapes.curves), len(shapes.curves) + len(tips.curves)
         beside = make_tips(tips, own_sds[first:last]) if tips.curves else []
         depths = self.settle_layers()
@@ -267,7 +271,7 @@ class Planner(CurveAnswers):
     def settle_entry_points(self, poses: Sequence[Stated], without: str) -> list[Floats | None]:
         """Return where each tip first touched the tissue, None: at the first point; cut the curves there.
 
-        `without`: names of the other needles, which have no shape, hence no first point.
+        `without`: names of needles of which the place of the tip alone is known: they have no first point.
         """
         stated = {curve.name: curve.stated["depth"] for curve in self.curves if "depth" in curve.stated}
         depths = {name: depth.to_number("depth") for name, depth in stated.items()}

@@ -120,6 +120,7 @@ class Settler:
     assumed: dict[str, str] = field(default_factory=dict)
     # Key, proposal, reason -> answer of the user, "" takes the proposal; None: nobody is asked.
     prompt: Callable[[str, str, str], str] | None = None
+    partly_stated: frozenset[str] = frozenset()  # keys of which some needles of the import have cells
     is_complete: bool = False  # nothing may be assumed: the mapping was written before
     notes: list[tuple[str, str]] = field(
         default_factory=list
@@ -173,15 +174,16 @@ class Settler:
     ) -> dict[str, Stated]:
         """Return what holds of each needle: its own cell, else the value of all.
 
-        A value that is stated beside cells of all needles takes their place. `own`: what cells state of each
-        needle, by its name. DataError if nothing states it of some needles.
+        A value that is stated beside cells of all needles of the import takes their place.
+        `stated_by_needle`: what cells state of each. DataError if nothing states it of some needles.
         """
         cells = {name: stated[key] for name, stated in stated_by_needle.items() if key in stated}
         missing = [name for name in stated_by_needle if name not in cells]
         if not cells:
             return dict.fromkeys(stated_by_needle, self.settle(key, usual, reason, is_sure=is_sure))
         if not missing:
-            return cells if key not in self.values else dict.fromkeys(stated_by_needle, self.settle(key))
+            is_stated = key in self.values and key not in self.partly_stated
+            return cells if not is_stated else dict.fromkeys(stated_by_needle, self.settle(key))
         reason = f"stated of {join_names([*cells], 5)}, not of {join_names(missing, 5)}"
         fix = f"fill in their cells, or state {name_set(key)} of all that are blank"
         rest = self.settle(key, "", reason, fix=fix, where=next(iter(cells.values())).where)

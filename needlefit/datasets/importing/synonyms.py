@@ -19,7 +19,7 @@ _WORD = re.compile(r"[a-z]+|\d+|[^\W\d_a-z]+", re.IGNORECASE)  # Latin and Chine
 _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])")
 INDEX = re.compile(r"\[(\d+)\]")  # of an element of an array: `poses[3]`
 _BRACKET = re.compile(r"\s*[\[(（【]\s*([^\[\]()（）【】]+?)\s*[\])）】]")
-_ENDING = re.compile(r"(?:\s*[/,]\s*|[_\s])([^\W\d_]+|°)$")
+_ENDING = re.compile(r"(?:\s*[/,]\s*|[_\s])([^\W\d_]+|[°%])$")
 _QUANTITY = re.compile(r"([-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:e[-+]?\d+)?)\s*(\D*)", re.IGNORECASE)
 
 
@@ -60,7 +60,8 @@ def _load_axes() -> tuple[tuple[str, str, tuple[str, ...]], ...]:
 
 def _split(text: str) -> list[str]:
     """Return the words of a text, in small letters without accents."""
-    plain = unicodedata.normalize("NFKD", _CAMEL.sub(" ", text.replace("°", " deg")))
+    text = text.replace("°", " deg").replace("%", " percent ")
+    plain = unicodedata.normalize("NFKD", _CAMEL.sub(" ", text))
     return _WORD.findall("".join(letter for letter in plain if not unicodedata.combining(letter)).casefold())
 
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.importing.curve_answers import CurveAnswers
 from needlefit.datasets.importing.curves import ImportedCurve
-from needlefit.datasets.importing.directions import to_sides
+from needlefit.datasets.importing.directions import format_direction, to_sides
 from needlefit.datasets.importing.stated import Stated, name_set
 from needlefit.errors import DataError
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame, make_entry_frame
@@ -114,6 +114,7 @@ def make_tips(asked: CurveAnswers, sds: Sequence[float]) -> list[InsertionRow]:
             tip_z=z if is_tip and in_space else None,
             tip_sd=further or None,
             curvature=np.array(curve.sensors).reshape(-1, 4) if curve.sensors else None,
+            observed="" if is_tip else "curvature",
         )
         rows.append(row)
     return rows
@@ -124,7 +125,12 @@ def place_tips(asked: CurveAnswers) -> list[Frame]:
     chords = [curve.line[0] for curve in asked.curves if len(curve.line)]
     reason = "tips alone tell nothing of the direction in which needles were inserted"
     poses = asked.each("pose", usual="", reason=reason)
-    ups = asked.settle("bevel", "", "the direction that is up (0 degrees, 12 o'clock) of tips in space")
+    guess, reason = "", "the direction that is up (0 degrees, 12 o'clock) of tips in space"
+    normal = np.array([0.0, 0.0, 1.0])
+    if not any(curve.line[:, 2].any() for curve in asked.curves):
+        up = np.cross(normal, poses[0].to_vector("pose"))
+        guess, reason = format_direction(up / (np.linalg.norm(up) or 1.0)), "across the needle, in the plane"
+    ups = asked.settle("bevel", guess, reason)
     entries = asked.each("entry_point", usual="0,0,0" if chords else "", reason="the origin")
     frames = []
     for curve, pose, entry in zip(asked.curves, poses, entries, strict=True):
