@@ -1,63 +1,73 @@
 """Where does a steered tip end, predicted again as it goes deeper?
 
-    python studies/replay.py [--study guided_tip] [--depths 40,60,80]
+    python studies/replay.py [--study guided_tip]
 
-Each run left out is placed by its readings down to a depth, and its end is predicted from there. Beside the
-model: the deflection of the last reading kept, the line through the last four readings, and the curves of
-the study. Printed are mean absolute errors of the end, mm, how many ends along y lie in the 95 % interval,
-and its median width, as a table in Markdown.
+Each run left out is registered by its readings down to a depth, and its end is predicted from there. Beside
+the model: the deflection of the last reading kept, the line through the last four, and the curves of the
+study. Printed are mean absolute errors of the end, mm, how many ends lie in the 95 % interval, and its median
+width, as a table in Markdown. The figure has the error of each end with its interval.
 """
 
 import argparse
-import tomllib
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 
 import needlefit
 
 LAST = 4  #: readings whose line is extended
+OUT = Path("reports")
+KEYS = ["direction", "registered_mm", "run"]
 
 
-def extend_readings(readings: pd.DataFrame) -> pd.Series:
-    """Return how far the end of one run is missed by its readings alone, mm."""
-    known, end = readings[~readings["scored"]], readings.iloc[-1]
+def extend_readings(readings: pd.DataFrame, depth: float) -> pd.Series:
+    """Return how far the end of one run is missed by its readings down to a depth alone, mm."""
+    known, end = readings[readings["depth_mm"] <= depth + 1e-6], readings.iloc[-1]
     line = np.polyfit(known["depth_mm"][-LAST:], known["measured_mm"][-LAST:], 1)
     ends = {"last kept": known["measured_mm"].iloc[-1], "last four": np.polyval(line, end["depth_mm"])}
     return (pd.Series(ends) - end["measured_mm"]).abs()
 
 
-def replay(study: dict, depth: float) -> tuple[pd.DataFrame, str]:
-    """Return the errors of all ends, mm, by direction and run, and in words how 95 % intervals cover."""
-    run = needlefit.validate({**study, "registration_depth_mm": depth}, name=f"replay-{depth:g}")
-    readings, keys = run.frames["readings"].sort_values("depth_mm"), ["direction", "run"]
-    ends = readings.groupby([*keys, "method"])[["predicted_mm", "measured_mm"]].last()
-    errors = ends.diff(axis=1)["measured_mm"].abs().unstack()
-    model = readings.query("method == 'prediction'").set_index(keys)
-    alone = {key: extend_readings(part) for key, part in model.groupby(level=keys)}
-    predicted = run.frames["predictive"]
-    width = (predicted["tip_95_high_mm"] - predicted["tip_95_low_mm"]).median()
-    covered = f"{int(predicted['tip_in_95'].sum())} of {len(predicted)} | {width:.2f}"
-    return errors.join(pd.DataFrame(alone).T.rename_axis(keys)), covered
+def draw_errors(ends: pd.DataFrame, path: Path) -> None:
+    """Save a figure of the errors of all ends with their intervals, the depths one below the other."""
+    depths, directions = (sorted(ends[name].unique()) for name in ("registered_mm", "direction"))
+    size = {"figsize": (6.5, 1.6 * len(depths)), "layout": "constrained", "sharex": True, "squeeze": False}
+    figure, axes = plt.subplots(len(depths), len(directions), **size)
+    for (direction, depth), part in ends.groupby(["direction", "registered_mm"]):
+        ax = axes[depths.index(depth), directions.index(direction)]
+        span = np.abs(part[["low_95_mm", "high_95_mm"]].sub(part["predicted_mm"], axis=0)).T
+        ax.errorbar(range(len(part)), part["predicted_mm"] - part["measured_mm"], span, fmt=".", lw=0.8)
+        ax.axhline(0, color="0.6", lw=0.8)
+        ax.set(title=f"{direction}, readings to {depth:.0f} mm", ylabel="error (mm)", xticks=[])
+    figure.savefig(path, dpi=150)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--study", default="guided_tip")
-    parser.add_argument("--depths", default="40,60,80", help="mm, with commas between them")
-    options = parser.parse_args()
-    study = tomllib.loads(Path(__file__).with_name(f"{options.study}.toml").read_text(encoding="utf-8"))
-    for n, depth in enumerate(map(float, options.depths.split(","))):
-        errors, covered = replay(study, depth)
-        if not n:
-            print("| readings to, mm | direction |", " | ".join(errors.columns), "| in 95 % | width |")
-            print("|---" * (len(errors.columns) + 4) + "|")
-        for direction, means in errors.groupby(level="direction").mean().iterrows():
-            row = " | ".join(f"{mean:.2f}" for mean in means)
-            print(
-                f"| {depth:g} | {direction} | {row} | {covered if direction == 'y' else ' | '} |", flush=True
-            )
+    study = parser.parse_args().study
+    run = needlefit.validate(study)
+    # readings of runs differ by parts of a mm in depth
+    ends = run.frames["ends"].assign(registered_mm=lambda table: 5 * (table["registered_mm"] / 5).round())
+    readings = run.frames["readings"].query("method == 'prediction'").sort_values("depth_mm")
+    errors = (ends["predicted_mm"] - ends["measured_mm"]).abs()
+    errors = errors.groupby([*(ends[key] for key in KEYS), ends["method"]]).first().unstack()
+    of_runs = dict(iter(readings.groupby(["direction", "run"])))
+    alone = {key: extend_readings(of_runs[key[0], key[2]], key[1] + 2.5) for key in errors.index}
+    errors = errors.join(pd.DataFrame(alone).T.rename_axis(KEYS))
+    model = ends[ends["method"] == "prediction"].set_index(KEYS)
+    inside = model["measured_mm"].between(model["low_95_mm"], model["high_95_mm"])
+    width = model["high_95_mm"] - model["low_95_mm"]
+    print("| direction | readings to, mm |", " | ".join(errors.columns), "| in 95 % | width |")
+    print("|---" * (len(errors.columns) + 4) + "|")
+    for place, some in errors.groupby(level=KEYS[:2]):
+        means = " | ".join(f"{mean:.2f}" for mean in some.mean())
+        covered, of, wide = inside[place].sum(), len(some), width[place].median()
+        print(f"| {place[0]} | {place[1]:.0f} | {means} | {covered} of {of} | {wide:.2f} |")
+    OUT.mkdir(exist_ok=True)
+    draw_errors(model.reset_index(), OUT / f"replay_{study}.png")
 
 
 if __name__ == "__main__":

@@ -55,6 +55,12 @@ READING_COLUMNS = (
     *("fold", "run", "medium", "direction", "method", "depth_mm", "guide_mm", "scored", "measured_mm"),
     *("predicted_mm", "low_50_mm", "high_50_mm", "low_95_mm", "high_95_mm"),
 )
+# a row per run, direction, method and depth down to which its readings register it; `depth_mm` is its end
+END_COLUMNS = (
+    *("fold", "run", "medium", "direction", "method", "registered_mm", "depth_mm", "measured_mm"),
+    *("predicted_mm", "low_95_mm", "high_95_mm"),
+)
+END_PARTS = 4  #: an end is predicted again after each of so many parts of the readings ahead
 
 
 def check_tracks(job: Job) -> None:
@@ -111,10 +117,10 @@ def predict_tracks(
     every = _predict_runs(known, job, fold)
     further = [] if (whole := _restore_directions(job, fold)) is None else _predict_runs(known, *whole)
     for n, one in enumerate(every):
-        readings = [*one.rows["readings"]]
-        if further:
-            readings += [row for row in further[n].rows["readings"] if row["direction"] == "z"]
-        yield replace(one, rows={**one.rows, "readings": readings})
+        rows = dict(one.rows)
+        for table in ("readings", "ends") if further else ():
+            rows[table] = [*rows[table], *(row for row in further[n].rows[table] if row["direction"] == "z")]
+        yield replace(one, rows=rows)
         step(n + 1, len(every))
 
 
@@ -138,12 +144,14 @@ def _predict_runs(known: Specimens, job: Job, fold: Fold) -> list[HeldOutPredict
     problem = job.problem(known.fold if job is known.job else known.fold.of_dataset(job.measured))
     placed = [count_registered(track, depth) for track in fold.validate]
     rng = random_stream(job.recipe.seed, job.name, fold.name, "fitted")
-    ahead = predict_runs(*simulate_runs(problem, fold, draws.thetas, known.jobs, rng), placed, rng)
+    simulated = simulate_runs(problem, fold, draws.thetas, known.jobs, rng)
+    ahead = predict_runs(*simulated, placed, rng)
     chosen, fitted, points = _choose_readings(problem, fold, draws, ahead, placed, known.jobs)
     methods = {PREDICTION_METHOD: points, "fitted": fitted, **_predict_by_curves(job, fold, placed)}
     scorer, found = make_scorer(job), list[HeldOutPrediction]()
     # how a moved guide leads a needle is known from runs with one, or as well as the recipe states
     led = any(one.guided for one in fold.tune) or job.recipe.likelihood.tip_tracks.gain_sd > 0
+    ends = [] if draws.faults else _predict_ends(job, fold, simulated, placed, rng)
     for n, (run, drawn) in enumerate(zip(fold.validate, ahead, strict=True)):
         errors, readings = list[Row](), list[Row]()
         certain = drawn if not draws.faults and (led or not run.guided) else None
@@ -153,12 +161,51 @@ def _predict_runs(known: Specimens, job: Job, fold: Fold) -> list[HeldOutPredict
             if method != "fitted":
                 shown = certain if method == PREDICTION_METHOD else None
                 readings += _list_readings(fold, run, method, placed[n], predicted[n], shown)
-        rows = {"errors": errors, "readings": readings}
+        rows = {"errors": errors, "readings": readings, "ends": ends[n] if certain is not None else []}
         if certain is not None:
             rows["predictive"] = [_describe_run(known, job, run, placed[n], certain, draws)]
         count = CountMetadata(simulations=len(drawn.values), outside=0)
         found.append(HeldOutPrediction(run.id, rows, count, chosen))
     return found
+
+
+def _predict_ends(
+    job: Job,
+    fold: Fold,
+    simulated: tuple[Floats, list[Observation], list[Observation], list[Floats]],
+    placed: Sequence[int],
+    rng: np.random.Generator,
+) -> list[list[Row]]:
+    """Return the rows of "ends" of every run, predicted again as its readings come."""
+    rows: list[list[Row]] = [[] for _ in fold.validate]
+    for part in range(END_PARTS):
+        counts = [
+            count + part * (len(run.points) - count) // END_PARTS
+            for run, count in zip(fold.validate, placed, strict=True)
+        ]
+        ahead = predict_runs(*simulated, counts, rng)
+        curves = _predict_by_curves(job, fold, counts)
+        for n, (run, count) in enumerate(zip(fold.validate, counts, strict=True)):
+            left = len(run.points) - count
+            for number in range(job.dataset.directions):
+                last, first = (number + 1) * left - 1, run.points[0, 1 + number]
+                about: Row = {
+                    "fold": fold.name,
+                    "run": run.id,
+                    "medium": run.medium,
+                    "direction": "yz"[number],
+                }
+                about |= {"registered_mm": float(run.points[count - 1, 0]), "depth_mm": run.depth}
+                about["measured_mm"] = float(run.points[-1, 1 + number] - first)
+                low, middle, high = np.quantile(
+                    ahead[n].values[:, last] - first, [0.025, 0.5, 0.975]
+                ).tolist()
+                ends = {"predicted_mm": middle, "low_95_mm": low, "high_95_mm": high}
+                rows[n].append({**about, "method": PREDICTION_METHOD, **ends})
+                for name, predicted in curves.items():
+                    end = {"predicted_mm": float(predicted[n][last] - first)}
+                    rows[n].append(dict.fromkeys(END_COLUMNS, math.nan) | {**about, "method": name, **end})
+    return rows
 
 
 def _predict_by_curves(job: Job, fold: Fold, placed: Sequence[int]) -> dict[str, list[Floats]]:

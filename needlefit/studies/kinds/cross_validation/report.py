@@ -154,7 +154,7 @@ def list_files(run: Run) -> dict[str, pd.DataFrame | str]:
         "identify": run.frames["identification"],
         "posterior": fit_tables.tabulate_percentiles(run),
     }
-    names = ("predictive", "readings", "curvature", "error_fit", "population", "draws")
+    names = ("predictive", "readings", "ends", "curvature", "error_fit", "population", "draws")
     written |= {name: run.frames[name] for name in names}
     found: dict[str, pd.DataFrame | str] = {
         name: run.frames[name] for name in ("errors", "shapes", "starts", "directions")
@@ -165,7 +165,9 @@ def list_files(run: Run) -> dict[str, pd.DataFrame | str]:
 def fit_to_json(run: Run) -> dict[str, Any]:
     """Return the tables that are written as CSV, but for points and draws."""
     frames = {
-        name: frame for name, frame in list_files(run).items() if name not in ("shapes", "draws", "readings")
+        name: frame
+        for name, frame in list_files(run).items()
+        if name not in ("shapes", "draws", "readings", "ends")
     }
     return {name: to_records(to_tidy(one)) for name, one in frames.items() if isinstance(one, pd.DataFrame)}
 
