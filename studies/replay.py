@@ -19,7 +19,7 @@ import needlefit
 
 LAST = 4  #: readings whose line is extended
 OUT = Path("reports")
-KEYS = ["direction", "registered_mm", "run"]
+KEYS = ["direction", "part", "run"]
 
 
 def extend_readings(readings: pd.DataFrame, depth: float) -> pd.Series:
@@ -32,11 +32,11 @@ def extend_readings(readings: pd.DataFrame, depth: float) -> pd.Series:
 
 def draw_errors(ends: pd.DataFrame, path: Path) -> None:
     """Save a figure of the errors of all ends with their intervals, the depths one below the other."""
-    depths, directions = (sorted(ends[name].unique()) for name in ("registered_mm", "direction"))
-    size = {"figsize": (6.5, 1.6 * len(depths)), "layout": "constrained", "sharex": True, "squeeze": False}
-    figure, axes = plt.subplots(len(depths), len(directions), **size)
-    for (direction, depth), part in ends.groupby(["direction", "registered_mm"]):
-        ax = axes[depths.index(depth), directions.index(direction)]
+    parts, directions = (sorted(ends[name].unique()) for name in ("part", "direction"))
+    size = {"figsize": (6.5, 1.6 * len(parts)), "layout": "constrained", "sharex": True, "squeeze": False}
+    figure, axes = plt.subplots(len(parts), len(directions), **size)
+    for (direction, number), part in ends.groupby(["direction", "part"]):
+        ax, depth = axes[parts.index(number), directions.index(direction)], part["registered_mm"].median()
         span = np.abs(part[["low_95_mm", "high_95_mm"]].sub(part["predicted_mm"], axis=0)).T
         ax.errorbar(range(len(part)), part["predicted_mm"] - part["measured_mm"], span, fmt=".", lw=0.8)
         ax.axhline(0, color="0.6", lw=0.8)
@@ -49,23 +49,25 @@ def main() -> None:
     parser.add_argument("--study", default="guided_tip")
     study = parser.parse_args().study
     run = needlefit.validate(study)
-    # readings of runs differ by parts of a mm in depth
-    ends = run.frames["ends"].assign(registered_mm=lambda table: 5 * (table["registered_mm"] / 5).round())
+    ends = run.frames["ends"]
+    # runs are predicted again after each quarter of their readings, at about the same depths
+    ends["part"] = ends.groupby(["direction", "run", "method"])["registered_mm"].rank()
     readings = run.frames["readings"].query("method == 'prediction'").sort_values("depth_mm")
     errors = (ends["predicted_mm"] - ends["measured_mm"]).abs()
     errors = errors.groupby([*(ends[key] for key in KEYS), ends["method"]]).first().unstack()
     of_runs = dict(iter(readings.groupby(["direction", "run"])))
-    alone = {key: extend_readings(of_runs[key[0], key[2]], key[1] + 2.5) for key in errors.index}
+    model = ends[ends["method"] == "prediction"].set_index(KEYS).sort_index()
+    depths = model["registered_mm"]
+    alone = {key: extend_readings(of_runs[key[0], key[2]], depth) for key, depth in depths.items()}
     errors = errors.join(pd.DataFrame(alone).T.rename_axis(KEYS))
-    model = ends[ends["method"] == "prediction"].set_index(KEYS)
     inside = model["measured_mm"].between(model["low_95_mm"], model["high_95_mm"])
     width = model["high_95_mm"] - model["low_95_mm"]
     print("| direction | readings to, mm |", " | ".join(errors.columns), "| in 95 % | width |")
     print("|---" * (len(errors.columns) + 4) + "|")
     for place, some in errors.groupby(level=KEYS[:2]):
         means = " | ".join(f"{mean:.2f}" for mean in some.mean())
-        covered, of, wide = inside[place].sum(), len(some), width[place].median()
-        print(f"| {place[0]} | {place[1]:.0f} | {means} | {covered} of {of} | {wide:.2f} |")
+        covered, wide, depth = inside[place].sum(), width[place].median(), depths[place].median()
+        print(f"| {place[0]} | {depth:.0f} | {means} | {covered} of {len(some)} | {wide:.2f} |")
     OUT.mkdir(exist_ok=True)
     draw_errors(model.reset_index(), OUT / f"replay_{study}.png")
 
