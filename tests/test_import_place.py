@@ -19,6 +19,7 @@ from needlefit.geometry.surfaces import make_sheet, write_surface
 from needlefit.project.locate import read_toml
 from needlefit.project.toml import load
 from needlefit.project.unit_warnings import GAUGES_MM, doubt_layers
+from needlefit.reporting.dataset_import import write_import
 from needlefit.schemas.scene import SceneRecord, resolve_steps
 
 CASES = Path(__file__).with_name("imports")
@@ -731,3 +732,33 @@ def test_tracks_with_bevels_at_clock_positions_are_rolled(tmp_path):
     assert [one.turns for one in tracks] == [((0.0, 90.0),), ()]
     assert all(one.side == 1 and one.directions == 2 for one in tracks)
     assert "advance" not in (out / "tissue.toml").read_text()  # no bevel turned on the way
+
+
+@pytest.mark.parametrize(
+    ("header", "stated", "first"),
+    [
+        ("depth", {}, 10.0),
+        ("depth", {"depth_zero": "first_reading"}, 0.0),
+        ("travel", {"depth__column": "travel"}, 0.0),
+        ("travel", {"depth__column": "travel", "depth_zero": "tissue"}, 10.0),
+    ],
+)
+def test_a_column_called_depth_counts_from_the_tissue_and_a_travel_from_the_first_reading(
+    tmp_path, header, stated, first
+):
+    rows = [[k, x, 1e-3 * x**2] for k in range(2) for x in range(10, 90, 10)]
+    file = write_rows(tmp_path / "a.csv", [["run", f"{header} (mm)", "deflection (mm)"], *rows])
+    stated = {key: value + " (mm)" if key == "depth__column" else value for key, value in stated.items()}
+    prepared = prepare([file], **stated)
+    assert ("depth_zero" in prepared.mapping.assumed) == ("depth_zero" not in stated)
+    dataset = write_import(tmp_path / "t", prepared)
+    for run in dataset.insertions:
+        np.testing.assert_allclose(run.points[:, 0], first + np.arange(0.0, 80.0, 10.0))
+        assert run.depth == first + 70.0
+
+
+def test_readings_before_the_tissue_are_no_depths(tmp_path):
+    rows = [["run", "depth", "deflection"], *([1, x, 1e-3 * x**2] for x in range(-5, 60, 8))]
+    file = write_rows(tmp_path / "a.csv", rows)
+    assert planned([file])[1]["depth_zero"] == ("first_reading", "assumed")
+    refusal(DataError, "depth_zero", planned, [file], depth_zero="tissue")

@@ -14,6 +14,7 @@ from track_cases import (
     MEDIUM,
     NEEDLE,
     NOISE,
+    TOML,
     TRUTH,
     dataset,
     measured,
@@ -24,9 +25,11 @@ from track_cases import (
     simulate_tips,
     track,
     with_tip,
+    written,
 )
 
 from needlefit.datasets.folds import Fold
+from needlefit.datasets.read import read
 from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.curves import compare_curves
 from needlefit.inference import track_predictions
@@ -65,6 +68,17 @@ def test_a_track_is_where_a_stepwise_insertion_has_its_tip(beyond):
     for n, more in enumerate(np.diff(depth), start=1):
         shape = session.step(insert=float(more), guides=(Guide(-20.0, float(GUIDE[n])),))
         assert found[0, n] == pytest.approx(shape.u[-1], abs=0.002)
+
+
+def test_a_run_that_is_first_read_in_the_tissue_has_the_tips_of_one_read_from_contact_on(tmp_path):
+    (whole,), (part,) = (simulate_tips([track("run", GUIDE[n:], DEPTH[n:])]) for n in (0, 1))
+    np.testing.assert_allclose(part[0], whole[0, 1:], atol=1e-9)
+    in_tissue = TOML.replace('"steps.csv"', '"steps.csv"\ndepth_zero = "tissue"')
+    for toml, first in ((TOML, 0.0), (in_tissue, 0.7)):
+        (run,) = read(written(tmp_path, [track("run", GUIDE)], toml)).insertions
+        np.testing.assert_allclose(run.points[:, 0], DEPTH + first)
+        np.testing.assert_allclose(run.guide.y[-len(GUIDE) :], GUIDE)
+        assert run.guide.depths[0] == run.guide.y[0] == 0.0
 
 
 def test_a_track_in_space_is_where_a_stepwise_insertion_has_its_tip():

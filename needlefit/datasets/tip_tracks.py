@@ -33,9 +33,9 @@ MAX_STEP_MM = 100.0  # greatest distance of two readings, mm; a larger one was w
 
 
 class TipReadings(NamedTuple):
-    """The readings of a run; the first is first contact."""
+    """The readings of a run."""
 
-    depth: Floats  # (n,); inserted length at each reading, mm, from 0
+    depth: Floats  # (n,); inserted length at each reading, mm; of the first one 0 or more
     # (n, 1), or (n, 2) with z, right-handed with the depth; lateral place of the tip in the tracker's frame,
     # mm: known up to a shift and a slope
     tip: Floats
@@ -62,6 +62,7 @@ def make_track(
     boundaries, sequence = layers
     directions = readings.tip.shape[1]
     tip, guide = (pad_axis(one, 2) for one in (readings.tip, readings.guide))
+    before = count_before(readings.depth)
     points = np.column_stack([readings.depth, tip])
     return Insertion(
         id=name, medium=medium, specimen=specimen, needle=needle, layers=len(sequence),
@@ -69,9 +70,15 @@ def make_track(
         frame=IDENTITY_FRAME, pose_source="tracker", pose_shift_sd=0.0, pose_angle_sd=0.0,
         centerline=points, points=points,
         turns=turns, boundaries=boundaries, sequence=sequence, boundary_sd=0.0,
-        guide=GuideMotion(readings.depth, *guide.T), observed="tip_track", directions=directions,
+        guide=GuideMotion(np.pad(readings.depth, (before, 0)), *np.pad(guide, ((before, 0), (0, 0))).T),
+        observed="tip_track", directions=directions,
         headings=readings.headings,
     )  # fmt: skip
+
+
+def count_before(depth: Floats) -> int:
+    """Return 1 if the needle was in the tissue at the first of the depths (n,), mm: it got there from 0."""
+    return int(depth[0] > 0.0)
 
 
 def _parse_track_columns(
@@ -126,13 +133,14 @@ def parse_tracks(
         found += faults
         if faults:
             continue
-        medium, depth = record.media[media[rows[0]]], own["depth_mm"] - own["depth_mm"][0]
+        medium, depth = record.media[media[rows[0]]], own["depth_mm"] - _find_zero(own["depth_mm"], record)
         tips = [own[name] for name in ("tip_mm", "tip_z_mm") if not np.isnan(own[name]).any()]
         guides, turned_to = (
             [own[name] for name in names[: len(tips)]]
             for names in (("guide_mm", "guide_z_mm"), ("heading_deg", "heading_z_deg"))
         )
-        roll = own["bevel_roll_deg"][1:]
+        before = count_before(depth)
+        starts, roll = np.pad(depth, (before, 0)), own["bevel_roll_deg"][1 - before :]
         turned = np.flatnonzero(np.diff(roll, prepend=0.0))  # a roll is that on the way to a reading
         track = make_track(
             id_,
@@ -147,9 +155,15 @@ def parse_tracks(
                 headings=tuple(np.radians(one) for one in turned_to if not np.isnan(one).any()),
             ),
             (np.array(medium.boundaries_mm or ()), medium.sequence),
-            tuple((float(depth[n]), float(roll[n])) for n in turned),
+            tuple((float(starts[n]), float(roll[n])) for n in turned),
         )
         yield replace(track, digest=digest_track(str(media[rows[0]]), own, record))
+
+
+def _find_zero(depths: Floats, record: DatasetRecord) -> float:
+    """Return the depth (mm), as a table counts it, of the surface of the tissue."""
+    assert record.tip_tracks is not None
+    return float(depths[0]) if record.tip_tracks.depth_zero == "first_reading" else 0.0
 
 
 def _find_run_faults(
@@ -196,6 +210,13 @@ def _find_run_faults(
             expected="depths that increase from reading to reading",
             fix="leave out the readings that follow, or the run",
             where=f"{places[n + 1]}",
+        )
+    if depth[0] < _find_zero(depth, record):
+        yield DataError(
+            f"run {id_} begins at {depth[0]:g} mm",
+            expected="depths of 0 or more, from the surface of the tissue",
+            fix='correct them; or, if they are of a stage: depth_zero = "first_reading" of [tip_tracks]',
+            where=first,
         )
     for n in np.flatnonzero(np.diff(depth) > MAX_STEP_MM)[:1]:
         yield DataError(

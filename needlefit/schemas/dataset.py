@@ -203,6 +203,8 @@ class TipTracksRecord(Record):
     """Names of needlefit's columns in your table, where they differ."""
     constants: dict[str, Scalar] = {}
     """Values that hold for every row, by column."""
+    depth_zero: Literal["first_reading", "tissue"] = "first_reading"
+    """Where depths count from: each run's first reading (a stage), or the surface of the tissue."""
 
 
 class SurfaceRecord(Record):

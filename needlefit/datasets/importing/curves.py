@@ -21,6 +21,7 @@ class ImportedCurve:
     holds: Holds = "shapes"
     stated: dict[str, Stated] = field(default_factory=dict)  # of `ATTRIBUTES`
     depths: Floats = field(default_factory=lambda: np.empty(0))  # (N,), mm; of readings, empty: not stated
+    depth_column: str = ""  # the header of the depths of readings
     is_deflection: bool = False  # the points are (depth, deflection up, to the right)
     guide: Floats | None = None  # (N, 3), mm; places of the guide at the readings
     is_named: bool = True  # a cell names it; else it has the name of its file or sheet

@@ -57,6 +57,9 @@ VALUES = MappingProxyType(
         "registration_depth": Meaning(
             "Depth down to which the readings of a predicted run place it in the frame of the tips", "mm"
         ),
+        "depth_zero": Meaning(
+            "Where depths of readings count from: surface of the `tissue`, or `first_reading` of each run"
+        ),
         "guide": Meaning("Which of the tracked tools is the guide: its name, or none"),
         "title": Meaning("What was inserted into what"),
         "source": Meaning("Who measured this, when, how"),
@@ -65,7 +68,16 @@ VALUES = MappingProxyType(
 )
 """What may be stated of all needles; of most keys each needle may also have a cell of its own."""
 
-OF_ALL = ("entry", "bevel", "guide", "registration_depth", "title", "source", "license")  #: of these not
+OF_ALL = (  #: of these not
+    "entry",
+    "bevel",
+    "guide",
+    "depth_zero",
+    "registration_depth",
+    "title",
+    "source",
+    "license",
+)
 ATTRIBUTES = ("depth", *(key for key in VALUES if key not in OF_ALL))  #: what is stated of a needle
 VECTORS = ("entry_point", "pose")  #: columns x, y, z that state something of each needle
 SENSOR = ("sensor", "curvature_y", "curvature_z", "curvature_sd")  #: what a row of curvatures states

@@ -124,6 +124,9 @@ class Planner(CurveAnswers):
             rows = [replace(row, boundary_sd=error) for row, error in zip(rows, errors, strict=True)]
         rows = self.add_names([*rows, *runs], is_track=bool(runs))
         rows, parameters = self.settle_guide_distance(rows, needles, is_track=bool(runs))
+        if any(curve.is_deflection for curve in self.curves) and "deflection" not in self.settler.assumed:
+            zero = "shift and slope of each run are fitted" if runs else "from the line of insertion"
+            self.settler.note("deflection", f"positive where a bevel of side 1 bends; {zero}")
         plan = replace(self.assemble(rows, pose, sd, depths, needles), choices=FirstChoices({}, parameters))
         return choose_track_study(tracks, plan) if runs else plan
 

@@ -365,6 +365,7 @@ def _make_curve(
         mapped.record.holds,
         stated,
         np.array(depths),
+        str(mapped.record.columns["depth"].columns[0]) if is_track else "",
         is_deflection,
         _read_guide(mapped, rows),
         is_named=bool(name),

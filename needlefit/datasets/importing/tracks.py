@@ -10,6 +10,7 @@ from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.importing.curve_answers import CurveAnswers
 from needlefit.datasets.importing.curves import ImportedCurve
 from needlefit.datasets.importing.directions import MIN_SAME_SIDE, format_direction, snap_to_axis, to_sides
+from needlefit.datasets.importing.synonyms import read_header
 from needlefit.datasets.insertion import GUIDE_STILL_MM
 from needlefit.geometry.frames import normalize
 from needlefit.project.locate import join_names
@@ -27,6 +28,7 @@ def make_tracks(asked: CurveAnswers) -> list[InsertionRow]:
     curves = asked.curves
     for curve in curves:
         curve.depths = curve.line[:, 0] if curve.is_deflection else curve.depths
+    settle_depth_zero(asked)
     if not all(len(curve.depths) for curve in curves):
         measure_depths(asked)
     sides, rolls = settle_rolls(asked)
@@ -124,6 +126,29 @@ def _is_paired(curve: ImportedCurve, other: ImportedCurve) -> bool:
     return curve.points.path == other.points.path and len(curve.line) == len(other.line)
 
 
+def settle_depth_zero(asked: CurveAnswers) -> None:
+    """Count the stated depths of readings from the surface of the tissue.
+
+    DataError if depths that are said to count from there begin before it.
+    """
+    curves = [curve for curve in asked.curves if len(curve.depths) and curve.depths[0]]
+    if not curves:
+        return
+    first = min(curves, key=lambda curve: curve.depths[0])
+    other = next((curve for curve in curves if read_header(curve.depth_column).meaning != "depth"), None)
+    usual, reason = "tissue", f"column {first.depth_column} is called a depth"
+    if other is not None:
+        usual, reason = "first_reading", f"column {other.depth_column} is not called a depth"
+    if first.depths[0] < 0:
+        usual, reason = "first_reading", f"{first.name} begins at {first.depths[0]:g} mm"
+    answer = asked.settle("depth_zero", usual, reason, ("tissue", "first_reading"))
+    if answer.text == "first_reading":
+        for curve in curves:
+            curve.depths = curve.depths - curve.depths[0]
+    elif first.depths[0] < 0:
+        raise answer.error("depth_zero", f"first_reading: {first.name} begins at {first.depths[0]:g} mm")
+
+
 def measure_depths(asked: CurveAnswers) -> None:
     """Take the path of each tip along the stage axis as its depth, from the first reading or the entry on."""
     chord = sum(curve.line[-1] - curve.line[0] for curve in asked.curves)
@@ -154,8 +179,8 @@ def choose_track_study(asked: CurveAnswers, plan: "ImportPlan") -> "ImportPlan":
     That is how much the directions of runs differ, which readings place a predicted run, and which
     difference of errors does not matter where one fit is compared.
     """
-    shallowest = min(float(curve.depths[-1] - curve.depths[0]) for curve in asked.curves)
-    usual = f"{PLACING_PART * shallowest:.3g}"
+    ends = [curve.depths[[0, -1]] for curve in asked.curves]
+    usual = f"{min(float(first + PLACING_PART * (last - first)) for first, last in ends):.3g}"
     depth = asked.settle("registration_depth", usual, "a third of the shallowest run; deeper ones are scored")
     study = {
         "registration_depth_mm": depth.to_number("registration_depth", is_above=True),

@@ -164,7 +164,7 @@ def _write_tracks(
         numbers = curve.depths, *curve.line.T[:2], *guide.T[:2]
         tables.append(pd.DataFrame({**named, **dict(zip(TRACK_COLUMNS, numbers, strict=True))}))
     table = pd.concat(tables)
-    source: dict[str, object] = {"file": TRACKS_FILE}
+    source: dict[str, object] = {"file": TRACKS_FILE, "depth_zero": "tissue"}
     left_out = [] if plan.needles else ["needle"]
     left_out += [] if table["bevel_roll_deg"].any() else ["bevel_roll_deg"]
     if not table["tip_z_mm"].any():

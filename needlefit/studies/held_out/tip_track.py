@@ -19,7 +19,7 @@ from needlefit.inference.draw_simulation import choose_draws, interpolate_draws,
 from needlefit.inference.forward_model import PreparedModel
 from needlefit.inference.likelihood.observation import Observation
 from needlefit.inference.likelihood.observations import make_observation
-from needlefit.inference.likelihood.observations.tip_track import split_directions
+from needlefit.inference.likelihood.observations.tip_track import follow_guide, split_directions
 from needlefit.inference.parameter_names import HYPERPARAMETERS, NOISE_SCALE
 from needlefit.inference.point_prediction import PointPrediction, choose_point
 from needlefit.inference.problem import Problem
@@ -361,6 +361,7 @@ def _list_readings(
         assert one.guide is not None
         part = slice(number * count, (number + 1) * count)
         columns, first = {"predicted_mm": predicted[part]}, one.points[0, 1]
+        guide = follow_guide(one, one.points[:, 0])
         if drawn is not None:
             band = find_bands(drawn.values[:, part])
             for level in predict.INTERVAL_PROBABILITIES:
@@ -369,7 +370,7 @@ def _list_readings(
         for n, (depth, tip) in enumerate(one.points[:, :2]):
             yield dict.fromkeys(READING_COLUMNS, math.nan) | {
                 **{"fold": fold.name, "run": run.id, "medium": run.medium, "direction": "yz"[number]},
-                **{"method": method, "depth_mm": float(depth), "guide_mm": float(one.guide.y[n])},
+                **{"method": method, "depth_mm": float(depth), "guide_mm": float(guide[n])},
                 **{"scored": n >= placed, "measured_mm": float(tip - first)},
                 **{
                     name: float(of[n - placed] - first) if n >= placed else math.nan
