@@ -105,7 +105,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 SourceKind = Literal["dataset", "study", "fit"]
 _KEYS: tuple[tuple[SourceKind, frozenset[str]], ...] = (
-    ("study", frozenset({"validate", "leave_out", "folds", "observable", "kind"})),
+    ("study", frozenset({"validate", "leave_out", "folds", "kind", "question"})),
     ("dataset", frozenset({"origin", "needle", "insertions", "centerlines", "tip_tracks"})),
 )
 """Keys by which the kind of a file is known that a path names; one with none of them is a fit."""

@@ -219,7 +219,7 @@ def doubt_range(
         return
     low, high = plausible
     likely = next((unit for unit, factor in units.items() if _is_within(factor * value, plausible)), "")
-    beyond = f"below {low:g}" if value < low else f"above {high:g}"
+    beyond = f"below {low:.4g}" if value < low else f"above {high:.4g}"
     looks = f": this looks like {likely}" if likely else ""
     fix = f"write {units[likely] * value:g}" if likely else f"check it, in {unit}"
     yield key, f"`{key}` is {value:g} {unit}, {beyond}{looks}", fix
@@ -258,7 +258,8 @@ def doubt_layers(boundaries: Sequence[float], deepest: float, key: str) -> Itera
     if deepest < last < MICROMETRES * BOUNDARIES_TO_DEPTH * deepest:
         units = {}  # a layer that ends so near the entry is no better guess than a slip of a digit
     doubts = list(doubt_range(last, (least, deepest), units, key, "mm"))
-    yield from doubts
+    unmet = f"; no needle reaches layer {len(boundaries) + 1}" if last > deepest else ""
+    yield from ((key, f"{problem}{unmet}", fix) for key, problem, fix in doubts)
     for top, end in () if doubts else pairwise((0.0, *boundaries)):
         if end - top < BOUNDARY_TO_DEPTH * deepest:
             problem = f"`{key}` has boundaries at {top:g} and {end:g}, nearly one"
