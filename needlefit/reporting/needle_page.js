@@ -1589,10 +1589,10 @@ ens on this page, and with: needlefit view --recording ${name}`)});identify=head
 keeping),keeping=setTimeout(keep,PAUSE)});addEventListener("pagehide",()=>keeping&&keep())}});var main_exports={};async function choose(number3){let{data}=now;part("needle-choice").value=number3;let steered=await begin(
 data.kernel,data.needles[number3]);if(Number(part("needle-choice").value)!==number3)return;let needle=data.needles[number3];
 Object.assign(now,{needle,steered});let{scene}=needle;openRecording(needle.recording,!!needle.scene.plan),take(
-{...scene,kind:"scene"}),buildFields(needle);let specimen=needle.new_specimen?" of a specimen that was not fit\
-ted":"",draws=counted(scene.draws?.sets??0,"posterior draw");write("band-note",scene.draws?`Band: holds 95 % o\
-f the needles of ${draws}${specimen} wholly, without noise and model error.`:""),part("origin-mark")&&write("o\
-rigin-mark",scene.origin_mark),goBack()}async function stateAgreement(){let{data}=now,{count,largest}=await prove(
+{...scene,kind:"scene"}),buildFields(needle);let specimen=needle.new_specimen?" (of a specimen that was not fi\
+tted)":"",draws=counted(scene.draws?.sets??0,"posterior draw");write("band-note",scene.draws?`Band: 95 % of th\
+e needles of ${draws}${specimen} lie wholly in it. Noise and model error are not included.`:""),part("origin-m\
+ark")&&write("origin-mark",scene.origin_mark),goBack()}async function stateAgreement(){let{data}=now,{count,largest}=await prove(
 data,SAME3),[what,of]=data.needles[0].recording?["recorded state","recording"]:["needle",data.title?"report":"\
 program"],[agrees,place2]=[largest<SAME3,part("proof")],found=largest===0?`the same bytes as in the ${of}`:`up\
  to ${largest.toExponential(1)} mm from the ${of}`;place2.className=`quiet ${agrees?"good":"bad"}`,place2.dataset.

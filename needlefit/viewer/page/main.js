@@ -28,9 +28,9 @@ async function choose(number) {
   openRecording(needle.recording, Boolean(needle.scene.plan));
   take({ ...scene, kind: "scene" });
   buildFields(needle);
-  const specimen = needle.new_specimen ? " of a specimen that was not fitted" : "";
+  const specimen = needle.new_specimen ? " (of a specimen that was not fitted)" : "";
   const draws = counted(scene.draws?.sets ?? 0, "posterior draw");
-  write("band-note", scene.draws ? `Band: holds 95 % of the needles of ${draws}${specimen} wholly, without noise and model error.` : "");
+  write("band-note", scene.draws ? `Band: 95 % of the needles of ${draws}${specimen} lie wholly in it. Noise and model error are not included.` : "");
   if (part("origin-mark")) write("origin-mark", scene.origin_mark);
   goBack();
 }
