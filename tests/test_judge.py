@@ -490,6 +490,10 @@ def test_a_verdict_is_withheld_only_if_it_turns_without_the_odd_needles(turns):
     printed = [row for row in lay_out_checks(run.first_page.checks).rows if "n5" in str(row)]
     assert len(printed) == 1 and all(part in str(printed) for part in ("as close", "200 kPa", "400 kPa"))
     assert ("n5" in run.verdicts[0].sentence) == turns
+    copied = run.with_metadata(warnings=to_stored_rows([ResultWarning("copy", "", insertions=("n5",))]))
+    assert copied.verdicts[0].numbers["outcome"] == ("undecided" if turns else "closer than both")
+    both = run.with_metadata(warnings=to_stored_rows([ResultWarning("copy", "", insertions=("n5", "n6"))]))
+    assert both.verdicts[0].numbers["outcome"] == "undecided"
 
 
 def test_needles_without_which_the_verdict_is_another_stand_in_one_check():

@@ -21,7 +21,6 @@ from needlefit.inference.likelihood.observations.points import POINTS
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.schemas.scene import NeedleRecord
 from needlefit.studies.advice import classify_doubt, list_contradictions
-from needlefit.studies.judge import limit_status
 
 UP, POINT_SD, SHIFT_SD, ANGLE_SD_DEG = np.array([0.0, 1.0, 0.0]), 0.05, 0.05, 0.1
 SIDES = (-1, 1, -1, 1, -1, 1, -1, 1)
@@ -205,17 +204,15 @@ def test_steps_between_polynomials_are_found_with_their_errors():
     assert not np.isfinite(factors[[0, -1]]).any()
 
 
-def test_a_verdict_on_data_that_contradict_themselves_does_not_pass():
-    def make(*kinds):
-        return type("Result", (), {"warnings": [ResultWarning(kind, "") for kind in kinds]})()
-
-    found = [ResultWarning(kind, "") for kind in ("placeholder", "needle_outlier", "point_outlier", "copy")]
-    assert list_contradictions(found) == ["copy"]
+def test_contradictions_of_needles_that_are_left_out_do_not_count():
+    kinds = ("placeholder", "needle_outlier", "point_outlier", "copy")
+    found = [ResultWarning(kind, "", insertions=("n1", "n2") * (kind == "copy")) for kind in kinds]
+    assert list_contradictions(found) == list_contradictions(found, ["n1"]) == ["copy"]
+    assert list_contradictions(found, ["n3", "n2", "n1"]) == []
+    assert list_contradictions([ResultWarning("bevel_side", "")], ["n1"]) == ["bevel_side"]
     # a needle is named by a fit, a point before it
     doubts = ["result_doubtful", "dataset_doubtful", "dataset_doubtful"]
     assert list(map(classify_doubt, found[1:])) == doubts
-    assert {limit_status(make("copy"), one) for one in ("pass", "warn", "fail")} == {"warn"}
-    assert limit_status(make("noise"), "pass") == "pass"
 
 
 def test_the_values_behind_a_rigidity_stand_with_their_origins():

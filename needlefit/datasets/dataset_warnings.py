@@ -185,6 +185,7 @@ def find_side_warnings(
             what=f"bent away from the bevel side: {names} ({len(away)} of {clear} that bend clearly)",
             where=f"{away[0][1]}",
             fix=f"check `{column}` and the bevel direction of these rows",
+            insertions=tuple(one.id for one, _ in away),
         )
 
 
@@ -219,9 +220,9 @@ def _find_copy_warnings(listed: Sequence[ListedInsertion]) -> Iterator[ResultWar
     for n, later in enumerate(listed):
         same = (m for m in range(n) if points[m].are_those_of(points[n]))
         if (m := next(same, None)) is not None:
-            what = f"{later.insertion.id} and {listed[m].insertion.id} have the same points"
-            fix = "check whether one was exported twice"
-            yield ResultWarning("copy", what, where=later.where, fix=fix)
+            names = (later.insertion.id, listed[m].insertion.id)
+            what, fix = f"{' and '.join(names)} have the same points", "check whether one was exported twice"
+            yield ResultWarning("copy", what, later.where, fix, names)
 
 
 def _find_order_warnings(listed: Sequence[ListedInsertion]) -> Iterator[ResultWarning]:
@@ -245,7 +246,7 @@ def _find_constant_warnings(listed: Sequence[ListedInsertion]) -> Iterator[Resul
             value = one.points.values[0, axis]
             what = f"{one.insertion.id}: {'xyz'[axis]} is {value:g} at all points, and varies along others"
             fix = "look at its column in the source, and export its points again"
-            yield ResultWarning("axis_unit", what, where=one.points.where(), fix=fix)
+            yield ResultWarning("axis_unit", what, one.points.where(), fix, (one.insertion.id,))
 
 
 def _find_entry_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:

@@ -1,7 +1,7 @@
 """Types of measured data: an insertion, the dataset, its stated measurement errors."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Self
@@ -242,6 +242,14 @@ class Insertion(InsertionInputs):
         points = pad_axis(points, 3)
         centerline = self.frame.to_world(points)
         return replace(self, points=points, centerline=centerline, sections=None, curves={})
+
+    def map_points(self, change: Callable[[Floats], Floats]) -> Self:
+        """Return the insertion as if its points and cross-sections (N, 3) in C lay where `change` puts them."""
+        moved = self.with_points(change(self.points))
+        if self.sections is None:
+            return moved
+        sections = self.frame.to_world(change(self.frame.to_local(self.sections.points)))
+        return replace(moved, sections=replace(self.sections, points=sections))
 
     def measure_arc(self, compared: Compared) -> Floats:
         """Return the arc lengths (N,) of the measured points, mm: of the curve in its plane, or in space."""

@@ -59,13 +59,13 @@ class Explanation(NamedTuple):
 
 
 def _turn(insertion: Insertion, degrees: float, axis: int) -> Insertion:
-    x = insertion.points[:, :1]
-    return insertion.with_points(insertion.points - math.tan(math.radians(degrees)) * x * np.eye(3)[axis])
+    slope = math.tan(math.radians(degrees)) * np.eye(3)[axis]
+    return insertion.map_points(lambda points: points - points[:, :1] * slope)
 
 
 def _shift(insertion: Insertion, size: float, axis: int, first: int = 0) -> Insertion:
-    moved = np.arange(len(insertion.points)) >= first
-    return insertion.with_points(insertion.points - size * np.outer(moved, np.eye(3)[axis]))
+    shift, begin = size * np.eye(3)[axis], insertion.points[first, 0] if first else -math.inf
+    return insertion.map_points(lambda points: points - np.outer(points[:, 0] >= begin, shift))
 
 
 def _find_step(insertion: Insertion, axis: int) -> dict[str, int]:
@@ -94,15 +94,18 @@ def _list_deeper(insertion: Insertion, others: Sequence[Insertion]) -> dict[str,
 
 def _take_points(insertion: Insertion, _: float, other: Insertion) -> Insertion:
     """Return another insertion with the points of one."""
-    return replace(other, sd=insertion.sd).with_points(insertion.points)
+    pasted = replace(other, sd=insertion.sd).with_points(insertion.points)
+    return replace(pasted, sections=insertion.sections)
 
 
 #: by cause
 HYPOTHESES: Mapping[str, Hypothesis] = {
-    "mirrored": Hypothesis(lambda one, *_: one.with_points(one.points * [1, -1, 1])),
-    "exchanged_axes": Hypothesis(lambda one, *_: one.with_points(one.points[:, [0, 2, 1]]), in_space=True),
+    "mirrored": Hypothesis(lambda one, *_: one.map_points(lambda points: points * [1, -1, 1])),
+    "exchanged_axes": Hypothesis(
+        lambda one, *_: one.map_points(lambda points: points[:, [0, 2, 1]]), in_space=True
+    ),
     "scaled": Hypothesis(
-        lambda one, size, _: one.with_points(one.points / [1, math.exp(size), 1]),
+        lambda one, size, _: one.map_points(lambda points: points / [1, math.exp(size), 1]),
         (math.log(0.05), math.log(20.0)),
         log_volume=lambda size, count: -count * size,
     ),

@@ -7,6 +7,7 @@ A fault stops a run; a warning does not. It is printed under the result, kept un
 import warnings
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 WARNINGS_KEY = "warnings"  # of `--json`
 
@@ -19,6 +20,7 @@ class ResultWarning:
     what: str  # what was found, in a clause without a full stop
     where: str = ""  # file and line or key, empty if there is none
     fix: str = ""  # what the user can do
+    insertions: tuple[str, ...] = ()  # that it is about alone, where the others can be judged without them
 
     @property
     def help_key(self) -> str:
@@ -35,12 +37,13 @@ class ResultWarning:
         return f"{head}; {self.fix}" if self.fix else head
 
 
-def to_rows(warnings: Iterable[ResultWarning]) -> list[dict[str, str]]:
+def to_rows(warnings: Iterable[ResultWarning]) -> list[dict[str, Any]]:
     """Return warnings as JSON values, each once, with the paths that this machine knows."""
-    return [asdict(warning) for warning in dict.fromkeys(warnings)]
+    rows = map(asdict, dict.fromkeys(warnings))
+    return [{key: value for key, value in row.items() if key != "insertions" or value} for row in rows]
 
 
-def to_stored_rows(warnings: Iterable[ResultWarning]) -> list[dict[str, str]]:
+def to_stored_rows(warnings: Iterable[ResultWarning]) -> list[dict[str, Any]]:
     """Return warnings as `run.json` has them; files stand there by their names alone, wherever they lie."""
     return to_rows(replace(warning, where=warning.where.rpartition("/")[2]) for warning in warnings)
 

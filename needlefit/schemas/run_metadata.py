@@ -43,6 +43,7 @@ class WarningMetadata(_Metadata):
     what: str
     where: str = ""
     fix: str = ""
+    insertions: tuple[str, ...] = ()
 
 
 class NeedleMetadata(_Metadata):
@@ -159,7 +160,7 @@ class CommonDoubtMetadata(_Metadata):
 
 
 class EffectMetadata(_Metadata):
-    """What a study finds without the needles that the others do not predict."""
+    """What a study finds without the needles that are in doubt: contradictory, or not predicted by others."""
 
     insertions: list[str]
     outcome: str  #: without them

@@ -4,7 +4,7 @@ A kind of study lists what it found in its run; of these the row that stands fir
 Its sentence is the block of this name in `reporting/text/advice.md.j2`; its command runs as it is printed.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any
 
 from needlefit.project.help_pages import read_sections
@@ -100,9 +100,9 @@ def list_doubts(warnings: Iterable[ResultWarning]) -> list[ResultWarning]:
     return sorted(doubts, key=lambda doubt: (doubt.kind in _LAST_DOUBTS, doubt.kind not in _FIRST_DOUBTS))
 
 
-def list_contradictions(warnings: Iterable[ResultWarning]) -> list[str]:
-    """Return the kinds of warnings by which the data contradict themselves."""
-    kinds = {one.kind for one in warnings}
+def list_contradictions(warnings: Iterable[ResultWarning], left_out: Collection[str] = ()) -> list[str]:
+    """Return the kinds of warnings by which the data contradict themselves without the needles left out."""
+    kinds = {one.kind for one in warnings if not one.insertions or not set(one.insertions) <= set(left_out)}
     return [kind for kind in CONTRADICTIONS if kind in kinds]
 
 

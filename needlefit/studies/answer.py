@@ -88,7 +88,7 @@ class Finding:
     needles: int | None = None  #: compared with a reference
     closer: int | None = None  #: of these, on which the model is closer
     hangs_on: str = ""  #: needles of which, if one is left out, the outcome is another, with commas
-    left_out: str = ""  #: needles that the others do not predict, with commas
+    left_out: str = ""  #: needles in doubt, with commas
     outcome: str = ""  #: without these
     #: by parameter its value with these and without them, Pa and mm
     values: Mapping[str, tuple[float, float]] = field(default_factory=dict)

@@ -166,7 +166,7 @@ def judge(run: Run, group: ScoredGroup) -> Judgement | None:
         nearest = group.get(score, method=curve)
     effect = run.knows(FitMetadata).effect
     turned_by = tuple(effect.insertions) if effect and effect.turns else ()
-    if list_contradictions(run.warnings) or turned_by:
+    if find_contradictions(run) or turned_by:
         outcome = Outcome.UNDECIDED
     return Judgement(outcome, score, error, ratio, curve, nearest, trials, specimens, found, turned_by)
 
@@ -367,8 +367,8 @@ def check_curves(judged: Judgement) -> Finding:
 
 
 def check_needles(run: Run, judged: Judgement) -> Iterator[Finding]:
-    """Yield whether the outcome is the same without those needles that the others do not predict, and without
-    any single one that is compared.
+    """Yield whether the outcome is the same without those needles that are in doubt, and without any single
+    one that is compared.
     """
     effect, hangs_on = run.knows(FitMetadata).effect, judged.compared.hangs_on if judged.compared else ()
     if effect is None and judged.compared is None:
@@ -456,4 +456,10 @@ def check_data(run: Run) -> Finding:
 
 def limit_status(run: Run, status: Status) -> Status:
     """Return the status of a verdict; of data that contradict themselves nothing is shown, good or bad."""
-    return "warn" if list_contradictions(run.warnings) else status
+    return "warn" if find_contradictions(run) else status
+
+
+def find_contradictions(run: Run) -> list[str]:
+    """Return the kinds of warnings by which data contradict themselves, also without the needles in doubt."""
+    effect = run.knows(FitMetadata).effect
+    return list_contradictions(run.warnings, effect.insertions if effect else ())

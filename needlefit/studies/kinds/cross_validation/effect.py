@@ -1,4 +1,4 @@
-"""What a study finds without the needles that the others do not predict."""
+"""What a study finds without the needles that are in doubt."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -9,6 +9,7 @@ from needlefit.datasets.folds import Fold
 from needlefit.inference.parameter_names import BEVEL_PARAMETERS
 from needlefit.project.progress import no_note
 from needlefit.schemas.run_metadata import EffectMetadata, FitMetadata
+from needlefit.studies.advice import CONTRADICTIONS
 from needlefit.studies.fit_frames import FitFrames
 from needlefit.studies.job import Job
 from needlefit.studies.judge import judge
@@ -17,6 +18,14 @@ from needlefit.studies.kinds.cross_validation.progress import StudyProgress
 from needlefit.studies.outcome import Outcome
 from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import pool_insertions
+
+
+def list_doubtful(run: Run, job: Job) -> list[str]:
+    """Return the needles that contradict their own statements, and those that the others do not predict."""
+    named = [name for one in run.warnings if one.kind in CONTRADICTIONS for name in one.insertions]
+    named += [one.insertion for one in run.knows(FitMetadata).odd_needles]
+    known = {one.id for one in job.insertions}
+    return [name for name in dict.fromkeys(named) if name in known]
 
 
 def leave_out(job: Job, names: Sequence[str]) -> Job:
@@ -32,21 +41,26 @@ def leave_out(job: Job, names: Sequence[str]) -> Job:
 
 
 def repeat_folds(job: Job, services: FoldServices) -> list[FoldResult]:
-    """Return the results of a study without its odd needles; nothing is printed of them."""
+    """Return the results of a study without its doubtful needles; nothing is printed of them."""
     settings = replace(services.settings, first=no_note, sample=False)
     services = replace(services, settings=settings, progress=StudyProgress(job, settings.progress))
     return [run_fold(job, fold, services) for fold in job.folds]
 
 
 def measure_effect(
-    run: Run, without: Run, job: Job, results: Sequence[FoldResult], repeated: Sequence[FoldResult]
+    run: Run,
+    without: Run,
+    left_out: Sequence[str],
+    job: Job,
+    results: Sequence[FoldResult],
+    repeated: Sequence[FoldResult],
 ) -> EffectMetadata:
-    """Return what the odd needles change: the outcome, and the parameters of the first fit."""
+    """Return what the needles left out change: the outcome, and the parameters of the first fit."""
     outcomes = [_find_outcome(one) for one in (run, without)]
     values = [job.parameters.values(np.array(one[0].mode)) for one in (results, repeated)]
     names = [name for name in job.parameters.free if name.startswith("mu") or name in BEVEL_PARAMETERS]
     return EffectMetadata(
-        insertions=[one.insertion for one in run.knows(FitMetadata).odd_needles],
+        insertions=list(left_out),
         outcome=outcomes[1],
         turns=outcomes[0].passed != outcomes[1].passed,
         values={name: tuple(one[name] for one in values) for name in names},
@@ -54,7 +68,7 @@ def measure_effect(
 
 
 def _find_outcome(run: Run) -> Outcome:
-    """Return the outcome whatever the warnings are: those about an odd needle stay without it."""
+    """Return the outcome whatever the warnings are: those about a needle stay without it."""
     group = pool_insertions(run, FitFrames.of(run).role)
     judged = None if group is None else judge(run.with_metadata(warnings=[]), group)
     return Outcome.UNDECIDED if judged is None else judged.outcome

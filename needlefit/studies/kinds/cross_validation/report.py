@@ -17,11 +17,12 @@ from needlefit.reporting.table_files import select_rows, to_records, to_tidy
 from needlefit.schemas.run_metadata import FitMetadata
 from needlefit.studies import fit_figures, fit_tables
 from needlefit.studies import scored_groups as scores
-from needlefit.studies.advice import list_contradictions, name_doubt
+from needlefit.studies.advice import name_doubt
 from needlefit.studies.first_page import FirstPage
 from needlefit.studies.fit_frames import FitFrames
 from needlefit.studies.fit_tables import TEXT
 from needlefit.studies.identification_tables import lay_out_identification
+from needlefit.studies.judge import find_contradictions
 from needlefit.studies.kinds.cross_validation.first_page import judge_errors
 from needlefit.studies.kinds.cross_validation.frames import FRAMES, OPTIONAL
 from needlefit.studies.kinds.cross_validation.observed import draw_observations
@@ -79,7 +80,7 @@ def collect_values(run: Run) -> dict[str, Any]:
         "chains": fit_tables.tabulate_percentiles(run),
         "notes": list_data_notes(run),
         "rigidity": stated.dataset.rigidity,
-        "contradictions": [name_doubt(kind) for kind in list_contradictions(run.warnings)],
+        "contradictions": [name_doubt(kind) for kind in find_contradictions(run)],
     }
 
 

@@ -29,7 +29,12 @@ from needlefit.studies.answer import FaultKind, RunFault
 from needlefit.studies.explorer import describe_insertions, find_bevel_sd
 from needlefit.studies.fit_warnings import add_warnings
 from needlefit.studies.job import Job, Settings
-from needlefit.studies.kinds.cross_validation.effect import leave_out, measure_effect, repeat_folds
+from needlefit.studies.kinds.cross_validation.effect import (
+    leave_out,
+    list_doubtful,
+    measure_effect,
+    repeat_folds,
+)
 from needlefit.studies.kinds.cross_validation.fold import FoldResult, FoldServices, run_fold
 from needlefit.studies.kinds.cross_validation.frames import FRAMES
 from needlefit.studies.kinds.cross_validation.progress import StudyProgress
@@ -64,13 +69,13 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
         if results[-1].interrupted:
             break
     found = conclude_run(job, work, results)
-    if not (odd := found.knows(FitMetadata).odd_needles):
+    if not (doubtful := list_doubtful(found, job)):
         return found
-    others = leave_out(job, [one.insertion for one in odd])
+    others = leave_out(job, doubtful)
     repeated = repeat_folds(others, services)
     if not repeated or repeated[0].mode is None or repeated[-1].interrupted:
         return found
-    effect = measure_effect(found, conclude_run(others, work, repeated), job, results, repeated)
+    effect = measure_effect(found, conclude_run(others, work, repeated), doubtful, job, results, repeated)
     return found.with_metadata(effect=effect)
 
 
