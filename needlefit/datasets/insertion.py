@@ -244,7 +244,7 @@ class Insertion(InsertionInputs):
         return replace(self, points=points, centerline=centerline, sections=None, curves={})
 
     def map_points(self, change: Callable[[Floats], Floats]) -> Self:
-        """Return the insertion as if its points and cross-sections (N, 3) in C lay where `change` puts them."""
+        """Return the insertion as if its points and sections (N, 3) in C lay where `change` puts them."""
         moved = self.with_points(change(self.points))
         if self.sections is None:
             return moved
