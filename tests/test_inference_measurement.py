@@ -54,7 +54,7 @@ def scanned(tmp_path_factory):
 
 def test_cross_sections_move_with_the_points(scanned):
     one = scanned.insertions[-1]
-    moved = one.map_points(lambda points: points + [0, 0.5, 0])
+    moved = one.map_points(lambda points: points + np.array([0, 0.5, 0]))
     before, after = (make_observation(scanned, each) for each in (one, moved))
     assert after.rows == before.rows
     assert_allclose(after.measured - before.measured, [[0, 0.5]] * len(before.measured), atol=1e-9)
