@@ -1,5 +1,6 @@
 """Every kind of measurement ends in an answer: a plain file, an import, and the commands that it prints."""
 
+import json
 import re
 import shlex
 import shutil
@@ -98,6 +99,24 @@ def test_a_second_set_of_a_lab_finds_its_truth(lab, quick, capsys):
     fit = "lab_fit" if lab.name == "one" else "lab_study-tune"
     for name, (low, high) in read_intervals(fit).items():
         assert low < TRUTH[name] < high, (name, low, high)
+
+
+def test_a_fit_of_free_shapes_knows_what_their_direction_would_determine(quick, capsys):
+    """The factors that it states are those of a fit to the same shapes with their direction."""
+    lab, factors = LABS["shapes"], {}
+    lab.write(Path("data.csv"), np.random.default_rng(1))
+    of_pose = ("pose", "bevel")
+    free = [one for one in lab.stated if not one.startswith(of_pose)]
+    for name, stated in (("free", free), ("lab", [*free, "pose=1,0,0", "bevel=0,1,0", "pose_angle_sd=0.5"])):
+        words = [word for one in stated for word in ("--set", one)]
+        assert run("import", "data.csv", "--out", name, "--yes", *words) == 0
+        assert run("tune", f"./{name}/{name}_study.toml") == 0
+        factors[name] = {key: high / low for key, (low, high) in read_intervals(f"{name}_study-tune").items()}
+    predicted = json.loads(Path("reports/free_study-tune/run.json").read_text())["with_direction"]
+    assert predicted.keys() == TRUTH.keys()
+    for name, factor in factors["lab"].items():
+        assert predicted[name] == pytest.approx(factor, rel=0.5) and factors["free"][name] > 2 * factor
+    assert "would be known to a factor of" in " ".join(capsys.readouterr().out.split())
 
 
 def test_runs_into_specimens_of_their_own_are_fitted_alone(quick, capsys):

@@ -12,7 +12,13 @@ from needlefit.reporting.latex import escape_latex, format_cell
 from needlefit.reporting.number_format import NO_BREAK, bind_numbers, format_number, format_to_error
 from needlefit.reporting.table import Table, part, pivot
 from needlefit.reporting.table_files import to_records
-from needlefit.studies.fit_tables import lay_out_estimates, lay_out_parameters
+from needlefit.studies.fit_tables import (
+    describe_largest_factor,
+    lay_out_estimates,
+    lay_out_parameters,
+    list_undetermined,
+)
+from needlefit.studies.identification import FROM_PRIOR
 from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import aggregate, compare_methods, list_groups, tabulate_validation
 
@@ -140,6 +146,19 @@ def test_of_several_folds_values_and_intervals_are_enveloped():
     assert "1.5" in limits[0] and "bound" not in limits[1]
     at_bound = [{**row, **one, "determined": "no", "bound_high": 0.12}]
     assert "bound" in lay_out_estimates(pd.DataFrame(at_bound)).rows[0][2]
+
+
+def test_what_reaches_a_bound_or_follows_its_prior_is_not_determined():
+    """A wide interval is a measurement: only its factor is stated."""
+    results = study(1)
+    row = results.frames["parameters"].query("method == 'fitted' and parameter == 'mu1_pa'").iloc[0].to_dict()
+    row |= {"interval_low": 1e4, "interval_high": 1e6, "determined": "no"}
+    runs = [
+        results.with_frames(parameters=pd.DataFrame([{**row, **changes}]))
+        for changes in ({}, {"condition": FROM_PRIOR}, {"interval_high": row["bound_high"]})
+    ]
+    assert [len(list_undetermined(run)) for run in runs] == [0, 1, 1]
+    assert [describe_largest_factor(run) for run in runs[:2]] == ["100", "100"]
 
 
 def test_a_value_that_is_read_in_another_unit_than_its_row_has_its_own():

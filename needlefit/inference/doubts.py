@@ -112,8 +112,11 @@ def _describe(
 def _find_common(problem: Problem, blocks: Sequence[Block], theta: Floats) -> CommonDoubtMetadata | None:
     """Return what may have happened to all needles alike, if that makes them far more probable.
 
-    Of bevels that all face one way an error of the model looks like a turn or a shift in their plane.
+    Of bevels that all face one way an error of the model looks like a turn or a shift in their plane. Shapes
+    of unknown pose are aligned: a turn or shift of all changes nothing.
     """
+    if problem.dataset.pose == "free":
+        return None
     places = range(len(blocks))
     before = predict_from(problem, places, weigh_all(problem, blocks), theta)
     is_one_sided = len({one.side for one in problem.insertions}) == 1

@@ -242,6 +242,9 @@ class FitMetadata(JobMetadata):
     deviating: tuple[int, int] | None = None
     common_doubt: CommonDoubtMetadata | None = None
     medians: list[MedianMetadata] = []
+    #: of shapes of unknown pose: by parameter the factor between the ends of its 95 % interval if the
+    #: directions of insertion were stated
+    with_direction: dict[str, float] = {}
     validity: ValidityMetadata
 
 

@@ -39,7 +39,7 @@ from needlefit.schemas.run_metadata import FitMetadata, RigidityMetadata
 from needlefit.studies import scored_groups as scores
 from needlefit.studies.coverage import COVERAGE_COLUMNS, tabulate_coverage
 from needlefit.studies.fit_frames import NEW_SPECIMEN, PREDICTION_METHOD, TUNED_SPECIMENS, FitFrames
-from needlefit.studies.identification import ParameterRow
+from needlefit.studies.identification import FROM_PRIOR, ParameterRow
 from needlefit.studies.identification_tables import describe_prior
 from needlefit.studies.judge import MAX_NOISE_RATIO, REFERENCES, judge
 from needlefit.studies.run import Run
@@ -357,12 +357,59 @@ def list_fitted(parameters: pd.DataFrame) -> dict[str, list[ParameterRow]]:
 
 
 def list_undetermined(run: Run) -> list[str]:
-    """Return the symbols of the fitted parameters that the data do not determine in every fold."""
+    """Return the symbols of moduli and lengths of which an interval reaches a bound, or is that of the prior.
+
+    Shape parameters are left out: shapes hardly depend on them.
+    """
+    return [
+        format_bare_symbol(name)
+        for name, rows in list_fitted(run.frames["parameters"]).items()
+        if is_logarithmic(name)
+        and (
+            any(row.condition == FROM_PRIOR for row in rows)
+            or any(at_bound for _, at_bound in _find_outermost(rows, [row.interval for row in rows]))
+        )
+    ]
+
+
+def list_wide(run: Run) -> list[str]:
+    """Return the symbols of the fitted parameters that are not known to a factor of 2 in every fold."""
     return [
         format_bare_symbol(name)
         for name, rows in list_fitted(run.frames["parameters"]).items()
         if find_least_determined(row.determined for row in rows) != "yes"
     ]
+
+
+MIN_GAIN = 2.0  #: how many times smaller a factor must be by a stated direction to be named
+
+
+def list_gains_of_direction(run: Run) -> list[tuple[str, str, str]]:
+    """Return symbol, factor now, and the factor by stated directions, of parameters known far better by them.
+
+    They are those of shapes of unknown pose, to whose directions of insertion a fit would know them.
+    """
+    fitted, gains = list_fitted(run.frames["parameters"]), list[tuple[str, str, str]]()
+    for name, factor in run.knows(FitMetadata).with_direction.items():
+        now = _find_factor(fitted[name])
+        if now > MIN_GAIN * factor:
+            before, after = (format_plain(round_significant(one, END_DIGITS)) for one in (now, factor))
+            gains.append((format_bare_symbol(name), before, after))
+    return gains
+
+
+def describe_largest_factor(run: Run) -> str:
+    """Return the largest factor between the ends of intervals of moduli and lengths; empty if unknown."""
+    fitted = list_fitted(run.frames["parameters"])
+    factors = [_find_factor(rows) for name, rows in fitted.items() if is_logarithmic(name)]
+    known = [*filter(is_known, factors)]
+    return format_plain(round_significant(max(known), END_DIGITS)) if known else ""
+
+
+def _find_factor(rows: Sequence[ParameterRow]) -> float:
+    """Return the factor between the outermost ends of intervals; NaN if one is not known."""
+    lows, highs = zip(*(row.interval for row in rows), strict=True)
+    return max(highs) / min(lows) if all(map(is_known, (*lows, *highs))) else math.nan
 
 
 def lay_out_estimates(
@@ -398,7 +445,7 @@ def _describe_limit(name: str, rows: Sequence[ParameterRow], bevel: str) -> str:
         return "not determined: a bound limits it"
     limit = "its interval"
     if is_logarithmic(name):
-        limit = f"to a factor of {format_plain(round_significant(max(highs) / min(lows), END_DIGITS))}"
+        limit = f"to a factor of {format_plain(round_significant(_find_factor(rows), END_DIGITS))}"
     conditions = {row.condition.removeprefix("determined ") for row in rows if row.determined == word}
     limits = sorted(filter(None, conditions))
     if word == "only together" and not limits:

@@ -41,6 +41,8 @@ IDENTIFICATION_COLUMNS = (
 #: parameter.
 PROFILE_COLUMNS = ("fold", "parameter", "value", "deviance", "slope", "threshold")
 
+FROM_PRIOR = "from the prior"  #: what limits a parameter whose posterior is about its prior
+
 
 class ParameterRow(NamedTuple):
     """A row of the table "parameters": the value of a parameter by one method, in one fold.

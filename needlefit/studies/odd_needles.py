@@ -23,7 +23,7 @@ def find_odd_needles(job: Job, mode: Sequence[float]) -> Doubts:
 
     `mode` (P,): the most probable parameters of a fit.
     """
-    return find_doubts(_join_folds(job), np.array(mode))
+    return find_doubts(join_folds(job), np.array(mode))
 
 
 def check_quickly(job: Job) -> tuple[Doubts, list[DepthMetadata]]:
@@ -33,7 +33,7 @@ def check_quickly(job: Job) -> tuple[Doubts, list[DepthMetadata]]:
     """
     if not (job.dataset.noise_is_stated and job.recipe.minimize == "posterior"):
         return Doubts(), []
-    problem = _join_folds(job)
+    problem = join_folds(job)
     theta = fit_quickly(problem)
     doubts = find_doubts(problem, theta)
     if doubts.deviating is not None or doubts.common is not None:
@@ -43,7 +43,8 @@ def check_quickly(job: Job) -> tuple[Doubts, list[DepthMetadata]]:
     return doubts, examine_depths(replace(problem, insertions=others), theta)
 
 
-def _join_folds(job: Job) -> Problem:
+def join_folds(job: Job) -> Problem:
+    """Return the problem of all insertions that any fold fits to."""
     fitted = {one.id: one for fold in job.folds for one in fold.tune}
     return job.problem(Fold("all", tuple(fitted.values()), ()))
 

@@ -6,6 +6,7 @@ from typing import Any
 import pandas as pd
 
 from needlefit.inference.baselines import BASELINES
+from needlefit.inference.identifiability.known_direction import DIRECTION_SD_DEG
 from needlefit.reporting.table import TableLayout
 from needlefit.studies import fit_tables
 from needlefit.studies import scored_groups as scores
@@ -28,7 +29,9 @@ def judge_errors(run: Run, values: Mapping[str, Any]) -> FirstPage:
     if group is None or judged is None:
         return FirstPage(Verdict(TEXT.sentence("nothing_scored", values), "fail"), checks=checks)
     undetermined, score = fit_tables.list_undetermined(run), judged.score
-    words = {**values, "judged": judged, "insertions": group.head.insertions}
+    words = {**values, "judged": judged, "insertions": group.head.insertions, "undetermined": undetermined}
+    words |= {"gains": fit_tables.list_gains_of_direction(run), "direction_sd": DIRECTION_SD_DEG}
+    wide = fit_tables.list_wide(run)
     numbers: dict[str, float | str | None] = {
         "outcome": judged.outcome,
         score: judged.error,
@@ -40,7 +43,8 @@ def judge_errors(run: Run, values: Mapping[str, Any]) -> FirstPage:
         "insertions": group.head.insertions,
     }
     if role == "tune":
-        words["verdict"], status = _open_fit(run, undetermined)
+        words["verdict"], status = _open_fit(run, undetermined, wide)
+        words["factor"] = fit_tables.describe_largest_factor(run)
         status = "warn" if judged.turned_by else limit_status(run, status)
         numbers["not_determined"] = ", ".join(undetermined)
         sentence, tables = TEXT.sentence("fitted", words), list[TableLayout]()
@@ -57,7 +61,7 @@ def judge_errors(run: Run, values: Mapping[str, Any]) -> FirstPage:
         TEXT.sentence("about", words),
         [*tables, fit_tables.lay_out_estimates(run.frames["parameters"], values["rigidity"])],
         checks=checks,
-        advice=find_advice(run, judged, checks, undetermined, values["media"]),
+        advice=find_advice(run, judged, checks, wide, values["media"]),
         method=TEXT.sentence("method", words),
     )
 
@@ -66,10 +70,10 @@ def find_advice(
     run: Run,
     judged: Judgement,
     checks: Sequence[Finding],
-    undetermined: Sequence[str],
+    wide: Sequence[str],
     media: Mapping[str, Sequence[str]],
 ) -> Advice | None:
-    """Return what to do: it follows from faults, the judgement, checks and undetermined parameters.
+    """Return what to do: it follows from faults, the judgement, checks and `wide` intervals of parameters.
 
     `media`: by role, into which insertions went.
     """
@@ -86,7 +90,7 @@ def find_advice(
     if run.faults or run.interrupted:
         found.append("not_converged")
     found += map(classify_doubt, doubts)
-    if role == "tune" and undetermined:
+    if role == "tune" and wide:
         found.append("parameters_undetermined")
     values = {
         "dataset": str(run.record.dataset),
@@ -100,7 +104,7 @@ def find_advice(
     return advise(found, values, run.name)
 
 
-def _open_fit(run: Run, undetermined: Sequence[str]) -> tuple[str, Status]:
+def _open_fit(run: Run, undetermined: Sequence[str], wide: Sequence[str]) -> tuple[str, Status]:
     """Return the block with which the verdict on a fit begins, and its status."""
     checks = {one.check: one for one in list_checks(run, "tune")}
     if Check.CURVES in checks and checks[Check.CURVES].passed is False:
@@ -109,4 +113,4 @@ def _open_fit(run: Run, undetermined: Sequence[str]) -> tuple[str, Status]:
         return "fit_at_bound", "warn"
     if not run.reliable:
         return "fit_unreliable", "warn"
-    return ("fit_undetermined", "warn") if undetermined else ("fit_done", "pass")
+    return "fit_undetermined" if undetermined else "fit_done", "warn" if undetermined or wide else "pass"

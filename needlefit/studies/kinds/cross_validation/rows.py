@@ -17,7 +17,7 @@ from needlefit.inference.identifiability.identify import (
 )
 from needlefit.inference.parameter_names import HYPERPARAMETERS, to_value
 from needlefit.inference.problem import Problem
-from needlefit.studies.identification import ParameterRow
+from needlefit.studies.identification import FROM_PRIOR, ParameterRow
 from needlefit.studies.job import Job
 from needlefit.studies.score import Row
 
@@ -35,7 +35,6 @@ ERROR_FIT_COLUMNS = (
     *("fold", "objective_mm", "tolerance_mm"),
     *("tolerance_by_noise_mm", "tolerance_by_insertions_mm", "evaluations"),
 )
-FROM_PRIOR = "from the prior"  #: what limits a parameter whose posterior is about its prior
 #: of the table "directions": combinations of parameters, and the SD to which each is known
 DIRECTION_COLUMNS = ("fold", "parameters", "sd", "sd_ratio", "note")
 

@@ -9,6 +9,7 @@ from typing import TypedDict
 import pandas as pd
 
 from needlefit.grouping import group_values
+from needlefit.inference.identifiability.known_direction import predict_factors
 from needlefit.project.checkpoint import open_checkpoint
 from needlefit.project.locate import read_toml
 from needlefit.project.processes import one_thread
@@ -40,7 +41,7 @@ from needlefit.studies.kinds.cross_validation.frames import FRAMES
 from needlefit.studies.kinds.cross_validation.progress import StudyProgress
 from needlefit.studies.load import load_study, print_notes
 from needlefit.studies.mixed_errors import add_errors_over_noise
-from needlefit.studies.odd_needles import find_odd_needles
+from needlefit.studies.odd_needles import find_odd_needles, join_folds
 from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.run import Run
 from needlefit.studies.validity import tabulate_validity
@@ -93,6 +94,7 @@ class FitConclusions(TypedDict, total=False):
     deviating: tuple[int, int]
     common_doubt: CommonDoubtMetadata
     medians: list[MedianMetadata]
+    with_direction: dict[str, float]
 
 
 def conclude_run(job: Job, work: JobMetadata, results: Sequence[FoldResult]) -> Run:
@@ -135,6 +137,8 @@ def conclude_run(job: Job, work: JobMetadata, results: Sequence[FoldResult]) -> 
             concluded["deviating"] = doubts.deviating
         if doubts.common:
             concluded["common_doubt"] = doubts.common
+    if mode is not None and job.dataset.pose == "free" and job.dataset.noise_is_stated:
+        concluded["with_direction"] = predict_factors(join_folds(job), mode)
     if medians := [row for one in results for row in one.rows.get("medians", ())]:
         concluded["medians"] = medians
     run = Run(
