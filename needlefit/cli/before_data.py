@@ -42,8 +42,8 @@ def predict_before_data(
         model = load(find_named("medium", medium), MediumRecord)
     target = None if aim is None else read_numbers(aim, (2, 3), "--aim", "X,Y or X,Y,Z")
     shift, angle = map(abs, read_numbers(pose_sds, (2, 2), "--pose-sd", "SHIFT,DEGREES"))
-    known = make_scene(planned, name, model, changed)
-    forecast = forecast_by_prior(known, model, radius, target, seed, (shift, angle))
+    planned_scene = make_scene(planned, name, model, changed)
+    forecast = forecast_by_prior(planned_scene, model, radius, target, seed, (shift, angle))
     if context.find_root().obj.json:
         sources = [source._asdict() for source in published]
         screen.show_json(

@@ -255,14 +255,14 @@ def run_studies(execution: Execution, todo: Sequence[StudyTask]) -> "list[Run]":
         print_remark(f"{len(todo)} runs in {processes} processes")
         alone = replace(asked, jobs=jobs // processes, quiet=True)
         runner = replace(runner, execution=replace(execution, invocation=alone, stop=stop_requested))
-    found, done = dict[int, "Run"](), list["Run"]()
+    finished, done = dict[int, "Run"](), list["Run"]()
     for number, (run, noted) in LocalPool(processes).run(runner, todo, execution.stop):
         if run.interrupted:
             break
         asked.noted += noted
-        found[number] = run
-        while len(done) in found:  # in their order
-            done.append(found[len(done)])
+        finished[number] = run
+        while len(done) in finished:  # in their order
+            done.append(finished[len(done)])
             _show_study(execution, done[-1], len(todo))
     if len(done) < len(todo):
         raise execution.interrupted()

@@ -98,9 +98,10 @@ def make_id(text: str, default: str) -> str:
     """
     letters = unicodedata.normalize("NFC", text)
     kept = "".join(
-        one if one in "._-" or unicodedata.category(one)[0] in _ID_CATEGORIES else " " for one in letters
+        letter if letter in "._-" or unicodedata.category(letter)[0] in _ID_CATEGORIES else " "
+        for letter in letters
     )
-    start = next((n for n, one in enumerate(kept) if one.isalnum()), len(kept))
+    start = next((n for n, letter in enumerate(kept) if letter.isalnum()), len(kept))
     return re.sub(" +", "_", kept[start:]) or default
 
 

@@ -18,15 +18,15 @@ FIX = "check the depth, and whether the points go from the entry to the tip"
 
 def find_length_faults(listed: Sequence[ListedInsertion], pose: str, depth_column: str) -> Iterator[Fault]:
     """Yield a fault for each curve that is far from as long as its depth."""
-    for one in listed:
-        length, depth = one.insertion.smooth("space").length, one.insertion.depth
+    for entry in listed:
+        length, depth = entry.insertion.smooth("space").length, entry.insertion.depth
         limit = find_length_tolerance(depth, pose)
         if abs(length - depth) > limit:
             yield DataError(
                 f"is {length:.2f} mm long, but `{depth_column}` is {depth:.2f}",
                 expected=f"the inserted length, within {limit:.1f} mm",
                 fix=FIX,
-                where=one.points.where(),
+                where=entry.points.where(),
             )
 
 
@@ -37,13 +37,15 @@ def find_length_warnings(
 
     Free shapes need not begin at the entry.
     """
-    ends, found = math.sqrt(2) * math.hypot(noise.point_sd, noise.correlated_sd), list[tuple[str, str]]()
-    for one in (each for each in listed if each.insertion.is_posed):
-        insertion, curve = one.insertion, one.insertion.smooth("space")
+    ends, differing = math.sqrt(2) * math.hypot(noise.point_sd, noise.correlated_sd), list[tuple[str, str]]()
+    for entry in (entry for entry in listed if entry.insertion.is_posed):
+        insertion, curve = entry.insertion, entry.insertion.smooth("space")
         sd, gap = math.hypot(ends, curve.length_sd, insertion.depth_sd), curve.length - insertion.depth
         if abs(gap) > max(OUTLIER_SD * math.hypot(sd, insertion.pose_shift_sd), SAME_LENGTH_MM):
-            found.append((f"{insertion.id} by {gap:+.2f} mm", one.where))
-    if found:
-        names = join_names([name for name, _ in found], MAX_NAMED_INSERTIONS)
-        what = f"curves are longer or shorter than `{depth_column}` beyond their errors: {names}; the stated "
-        yield ResultWarning("length", f"{what}depth is used", where=found[0][1], fix=FIX)
+            differing.append((f"{insertion.id} by {gap:+.2f} mm", entry.where))
+    if differing:
+        names = join_names([name for name, _ in differing], MAX_NAMED_INSERTIONS)
+        problem = (
+            f"curves are longer or shorter than `{depth_column}` beyond their errors: {names}; the stated "
+        )
+        yield ResultWarning("length", f"{problem}depth is used", where=differing[0][1], fix=FIX)

@@ -35,7 +35,7 @@ def digest_insertion(
     values = {
         "dataset": select_deciding(record, _READ),
         "medium": select_deciding(medium, ("file",)),
-        "surfaces": [digest_file(one.file_of(row.id)) for one in medium.surfaces],
+        "surfaces": [digest_file(surface.file_of(row.id)) for surface in medium.surfaces],
         "needle": select_deciding(record.all_needles[row.needle]),
         "row": _list_stated(replace(row, line=0, patient=None)),
         "scan": patient and [_round(patient.origin), _round(patient.rotation)],

@@ -37,7 +37,7 @@ def name_first_run(dataset: Dataset) -> tuple[str, bool]:
     track of a specimen: tracks are predicted within a specimen.
     """
     insertions = dataset.insertions
-    counts = Counter(one.specimen for one in insertions if one.is_track)
+    counts = Counter(insertion.specimen for insertion in insertions if insertion.is_track)
     is_study = len(insertions) > 1 and min(counts.values(), default=2) > 1
     return f"{dataset.name}_{'study' if is_study else 'fit'}.toml", is_study
 
@@ -61,10 +61,12 @@ def describe_scene(dataset: Dataset, insertion: Insertion, advance: Advance) -> 
     """Return an insertion of a dataset as the keys of a scene, under a rule of advance."""
     tops = [0.0, *insertion.boundaries.round(3).tolist()]
     needles = load_record(dataset.path).all_needles.values()
-    needle = next(one for one in needles if Needle.from_record(one) == insertion.needle)
+    needle = next(
+        needle_record for needle_record in needles if Needle.from_record(needle_record) == insertion.needle
+    )
     path: dict[str, object] = {"depth_mm": round(insertion.depth, 3)}
     if insertion.turns:
-        path = {"steps": [one.model_dump(exclude_defaults=True) for one in record_steps(insertion)]}
+        path = {"steps": [step.model_dump(exclude_defaults=True) for step in record_steps(insertion)]}
     return {
         "schema": SceneRecord.SCHEMA,
         "title": f"A planned insertion as {insertion.id} of {dataset.name}",
@@ -100,8 +102,8 @@ def _choose_advance(dataset: Dataset) -> Advance:
     Needles that leave their planes were turned, and advance by the path angle: after a turn the rule along
     the tangent, the default, keeps a part of the curvature before it.
     """
-    left = "bevel_plane" in {one.kind for one in dataset.warnings} and dataset.pose == "known"
-    turned = any(depth > 0 for one in dataset.insertions for depth, _ in one.turns)
+    left = "bevel_plane" in {warning.kind for warning in dataset.warnings} and dataset.pose == "known"
+    turned = any(depth > 0 for insertion in dataset.insertions for depth, _ in insertion.turns)
     return "path_angle" if left or turned else "tangent"
 
 
@@ -128,7 +130,7 @@ def write_first_run(folder: Path, dataset: Dataset, choices: FirstChoices | None
     usual prior, as shapes hardly depend on them.
     """
     choices = choices or FirstChoices()
-    layers = max(max(one.sequence) for one in dataset.insertions)
+    layers = max(max(insertion.sequence) for insertion in dataset.insertions)
     numbers = range(1, layers + 1)
     advance = _choose_advance(dataset)
     bevel = "cut_angle_deg" if advance == "path_angle" else "bevel_mm"
@@ -152,8 +154,8 @@ def write_first_run(folder: Path, dataset: Dataset, choices: FirstChoices | None
         "medium": f"./{TISSUE_FILE}",
         "recipe": "default",
     }
-    several = len({one.specimen for one in dataset.insertions}) > 1 and not any(
-        one.is_track for one in dataset.insertions
+    several = len({insertion.specimen for insertion in dataset.insertions}) > 1 and not any(
+        insertion.is_track for insertion in dataset.insertions
     )
     unit = "specimen" if several else "insertion"
     where = "those into a new specimen" if several else "another one into the same specimen"

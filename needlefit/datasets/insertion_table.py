@@ -48,13 +48,13 @@ from needlefit.schemas.names import EXPECTED_NAME, name_fault
 UNIT_VECTOR_TOLERANCE = 1e-3  # greatest deviation of a direction's length from 1
 
 
-def parse_rows(table: CsvTable, record: DatasetRecord, found: list[Fault]) -> list[InsertionRow]:
+def parse_rows(table: CsvTable, record: DatasetRecord, all_faults: list[Fault]) -> list[InsertionRow]:
     """Return the rows without faults; note the faults of the others."""
     pose_known = record.frame.pose == "known"
-    named = rename_columns(table, record.insertions.columns, record.insertions.constants, found)
+    named = rename_columns(table, record.insertions.columns, record.insertions.constants, all_faults)
     has_scan = any(column in named.cells for column in SCAN_COLUMNS)
     wanted = (*REQUIRED_COLUMNS, *(POSE_COLUMNS if pose_known else ()), *(SCAN_COLUMNS if has_scan else ()))
-    if note_missing_columns(named, wanted, found):
+    if note_missing_columns(named, wanted, all_faults):
         return []
     cell_faults: list[Fault] = []
     rows = _make_rows(named, pose_known, cell_faults)
@@ -63,7 +63,7 @@ def parse_rows(table: CsvTable, record: DatasetRecord, found: list[Fault]) -> li
     for n, row in enumerate(rows):
         if named.where(n) not in unread and _is_finite(row):
             faults += _find_row_faults(row, named.where(n), record)
-    found += [*cell_faults, *faults]
+    all_faults += [*cell_faults, *faults]
     bad = unread | {fault.where for fault in faults}
     return [row for n, row in enumerate(rows) if named.where(n) not in bad and _is_finite(row)]
 
@@ -71,13 +71,13 @@ def parse_rows(table: CsvTable, record: DatasetRecord, found: list[Fault]) -> li
 MAX_CURVATURE = 0.1  # of a needle, 1/mm: a radius of 10 mm
 
 
-def add_turns(rows: Sequence[InsertionRow], table: CsvTable, found: list[Fault]) -> list[InsertionRow]:
+def add_turns(rows: Sequence[InsertionRow], table: CsvTable, faults: list[Fault]) -> list[InsertionRow]:
     """Return the rows with the turns of the bevel that a table lists; note the faults of that table."""
     turns: dict[str, list[tuple[float, float]]] = {}
-    for row, (depth, roll), where in _iterate_beside(rows, table, TURN_COLUMNS, found):
-        own = turns.setdefault(row.id, [])
-        if not (own[-1][0] if own else 0.0) < depth < row.depth:
-            found.append(
+    for row, (depth, roll), where in _iterate_beside(rows, table, TURN_COLUMNS, faults):
+        turns_of_row = turns.setdefault(row.id, [])
+        if not (turns_of_row[-1][0] if turns_of_row else 0.0) < depth < row.depth:
+            faults.append(
                 DataError(
                     f"turns {row.id} at {depth:g} mm",
                     expected=f"depths that increase between 0 and {row.depth:g} mm",
@@ -85,23 +85,23 @@ def add_turns(rows: Sequence[InsertionRow], table: CsvTable, found: list[Fault])
                     where=where,
                 )
             )
-        own.append((depth, math.radians(roll)))
+        turns_of_row.append((depth, math.radians(roll)))
     return [replace(row, turns=tuple(turns.get(row.id, ()))) for row in rows]
 
 
 def add_curvature(
-    rows: Sequence[InsertionRow], table: CsvTable, found: list[Fault], needles: Mapping[str, Needle]
+    rows: Sequence[InsertionRow], table: CsvTable, faults: list[Fault], needles: Mapping[str, Needle]
 ) -> list[InsertionRow]:
     """Return the rows with the curvatures that a table lists; note the faults of that table.
 
     Sensors lie between tip and base of the needle, which has a name in `needles`.
     """
     curvature: dict[str, list[list[float]]] = {}
-    for row, values, where in _iterate_beside(rows, table, CURVATURE_COLUMNS, found):
-        (s, y, z, sd), own = values, curvature.setdefault(row.id, [])
+    for row, values, where in _iterate_beside(rows, table, CURVATURE_COLUMNS, faults):
+        (s, y, z, sd), sensors = values, curvature.setdefault(row.id, [])
         farthest = needles[row.needle].length - MIN_SENSOR_MM
         if not MIN_SENSOR_MM <= s <= farthest:
-            found.append(
+            faults.append(
                 DataError(
                     f"has a sensor at {s:g} mm",
                     expected=f"{MIN_SENSOR_MM:g} to {farthest:g} mm from the tip",
@@ -110,7 +110,7 @@ def add_curvature(
                 )
             )
         elif not sd > 0:
-            found.append(
+            faults.append(
                 DataError(
                     f"has sd_1_per_mm {sd:g}",
                     expected="a number above 0",
@@ -119,7 +119,7 @@ def add_curvature(
                 )
             )
         elif max(abs(y), abs(z)) > MAX_CURVATURE:
-            found.append(
+            faults.append(
                 DataError(
                     f"has a curvature of {max(abs(y), abs(z)):g} 1/mm",
                     expected=f"at most {MAX_CURVATURE:g}",
@@ -127,8 +127,8 @@ def add_curvature(
                     where=where,
                 )
             )
-        elif s in (one[0] for one in own):
-            found.append(
+        elif s in (sensor[0] for sensor in sensors):
+            faults.append(
                 DataError(
                     f"states the curvature of {row.id} at {s:g} mm again",
                     expected="one line for each sensor",
@@ -136,24 +136,24 @@ def add_curvature(
                     where=where,
                 )
             )
-        own.append(values)
+        sensors.append(values)
     read = {name: np.array(values) for name, values in curvature.items()}
     return [replace(row, curvature=read.get(row.id)) for row in rows]
 
 
 def _iterate_beside(
-    rows: Sequence[InsertionRow], table: CsvTable, columns: Sequence[str], found: list[Fault]
+    rows: Sequence[InsertionRow], table: CsvTable, columns: Sequence[str], faults: list[Fault]
 ) -> Iterator[tuple[InsertionRow, list[float], str]]:
     """Yield the row, the numbers and the place of each line of a table of an id and numbers; note faults."""
-    if note_missing_columns(table, columns, found):
+    if note_missing_columns(table, columns, faults):
         return
-    known = {row.id: row for row in rows}
-    values = np.column_stack([parse_numbers(table, name, found) for name in columns[1:]]).tolist()
+    rows_by_id = {row.id: row for row in rows}
+    values = np.column_stack([parse_numbers(table, name, faults) for name in columns[1:]]).tolist()
     for n, name in enumerate(table.cells[columns[0]]):
-        if name in known:
-            yield known[name], values[n], table.where(n)
+        if name in rows_by_id:
+            yield rows_by_id[name], values[n], table.where(n)
         else:
-            found.append(
+            faults.append(
                 DataError(
                     f"is of insertion {name!r:.60}",
                     expected="an id of the table",
@@ -169,21 +169,23 @@ def _is_finite(row: InsertionRow) -> bool:
     return bool(np.isfinite([row.depth, *pose]).all())
 
 
-def _make_rows(table: CsvTable, pose_known: bool, found: list[Fault]) -> list[InsertionRow]:
+def _make_rows(table: CsvTable, pose_known: bool, faults: list[Fault]) -> list[InsertionRow]:
     """Turn cells into rows; a faulty number leaves a NaN and a note."""
 
     def vectors(names: tuple[str, ...], default: float | None = None) -> Floats:
-        return np.column_stack([parse_numbers(table, name, found, default) for name in names])
+        return np.column_stack([parse_numbers(table, name, faults, default) for name in names])
 
     def texts(name: str) -> list[str]:
         return list(table.cells[name]) if name in table.cells else [""] * len(table.lines)
 
-    count, layers = range(len(table.lines)), parse_numbers(table, "layers", found)
-    alternative = parse_numbers(table, "layers_alternative", found, math.nan)
+    count, layers = range(len(table.lines)), parse_numbers(table, "layers", faults)
+    alternative = parse_numbers(table, "layers_alternative", faults, math.nan)
     fields: dict[str, Iterable[Any]] = {name: texts(name) for name in TEXT_COLUMNS} | {
         "layers": map(_to_int, layers),
         "layers_alternative": map(_to_int, np.where(np.isnan(alternative), layers, alternative)),
-        "bevel": [None if np.isnan(one).all() else one for one in vectors(BEVEL_COLUMNS, math.nan)],
+        "bevel": [
+            None if np.isnan(direction).all() else direction for direction in vectors(BEVEL_COLUMNS, math.nan)
+        ],
         "patient": map(_make_patient_frame, vectors(SCAN_COLUMNS, math.nan)),
         "line": table.lines.tolist(),
     }
@@ -192,25 +194,25 @@ def _make_rows(table: CsvTable, pose_known: bool, found: list[Fault]) -> list[In
     else:
         fields["pose_source"] = ["none" for _ in count]
     for name, (field, default) in NUMBER_COLUMNS.items():
-        values = parse_numbers(table, name, found, default)
+        values = parse_numbers(table, name, faults, default)
         values = np.radians(values) if name.endswith("_deg") else values
         fields[field] = [None if math.isnan(x) and default is not None else x for x in values.tolist()]
     observed = {
-        str(name).removeprefix(OBSERVED_PREFIX): parse_numbers(table, str(name), found, math.nan).tolist()
+        str(name).removeprefix(OBSERVED_PREFIX): parse_numbers(table, str(name), faults, math.nan).tolist()
         for name in table.cells
         if str(name).startswith(OBSERVED_PREFIX)
     }
     fields["observed_values"] = [
         {name: values[n] for name, values in observed.items() if not math.isnan(values[n])} for n in count
     ]
-    fields["boundaries"] = [_parse_boundaries(table, n, found) for n in count]
-    fields["side"] = map(_to_int, parse_numbers(table, "bevel_side", found, 1.0))
+    fields["boundaries"] = [_parse_boundaries(table, n, faults) for n in count]
+    fields["side"] = map(_to_int, parse_numbers(table, "bevel_side", faults, 1.0))
     names = zip(*(texts(name) for name in ("specimen", HOLE_COLUMN, "id")), strict=True)
-    fields["specimen"] = [next(filter(None, one), "") for one in names]
+    fields["specimen"] = [next(filter(None, specimen_names), "") for specimen_names in names]
     rolls, sides = texts(ROLL_COLUMNS[0]), texts("bevel_side")
     for n, both in enumerate(zip(rolls, sides, strict=True) if any(rolls) else ()):
         if all(both) or not any(both):
-            found.append(
+            faults.append(
                 DataError(
                     f"states bevel_side {both[1]!r:.20} and bevel_roll_deg {both[0]!r:.20}",
                     expected="one of the two, 0 too",
@@ -222,7 +224,7 @@ def _make_rows(table: CsvTable, pose_known: bool, found: list[Fault]) -> list[In
     return [InsertionRow(**dict(zip(fields, values, strict=True))) for values in rows]
 
 
-def _parse_boundaries(table: CsvTable, row: int, found: list[Fault]) -> tuple[float, ...] | None:
+def _parse_boundaries(table: CsvTable, row: int, faults: list[Fault]) -> tuple[float, ...] | None:
     """Return the depths of an insertion's own boundaries, mm; None of an empty cell, or after a fault."""
     text = table.cells[BOUNDARIES_COLUMN].iloc[row] if BOUNDARIES_COLUMN in table.cells else ""
     if text in ("", NO_BOUNDARY):
@@ -235,7 +237,7 @@ def _parse_boundaries(table: CsvTable, row: int, found: list[Fault]) -> tuple[fl
         fault = f"has {len(depths)} depths, more than {MAX_LAYERS - 1}"
     elif not (fault := boundaries_fault(depths)):
         return depths
-    found.append(
+    faults.append(
         DataError(
             f"{describe_column(table.names, BOUNDARIES_COLUMN)} {fault}",
             expected=f"depths from the entry on, mm, such as 18;36, or {NO_BOUNDARY}",

@@ -52,8 +52,8 @@ def mark_interpolated(listed: Sequence[ListedInsertion], noise: Noise) -> list[L
 
     Where even few points of all needles hardly scatter, the stated SD is too large, and nothing is known.
     """
-    every = [entry.insertion.points for entry in listed if entry.is_curve]
-    few = [_measure_scatter(points[::-1][:: _find_largest_step(len(points))]) for points in every]
+    curves = [entry.insertion.points for entry in listed if entry.is_curve]
+    few = [_measure_scatter(points[::-1][:: _find_largest_step(len(points))]) for points in curves]
     least = SCATTER_RATIOS[0] * noise.point_sd
     if not noise.point_sd or math.hypot(*few) < least * math.sqrt(len(few)):
         return list(listed)
@@ -68,9 +68,9 @@ def mark_interpolated(listed: Sequence[ListedInsertion], noise: Noise) -> list[L
 
 def find_interpolated_warnings(listed: Sequence[ListedInsertion]) -> Iterator[ResultWarning]:
     """Yield a warning that names the curves whose points are not independent, and how many count."""
-    found = [entry for entry in listed if entry.insertion.independent]
-    if found:
-        curves = [one.insertion for one in found]
+    interpolated = [entry for entry in listed if entry.insertion.independent]
+    if interpolated:
+        curves = [entry.insertion for entry in interpolated]
         counts = [f"{curve.id} ({curve.independent} of {len(curve.points)})" for curve in curves]
         yield ResultWarning(
             kind="interpolated",
@@ -78,6 +78,6 @@ def find_interpolated_warnings(listed: Sequence[ListedInsertion]) -> Iterator[Re
                 "points are interpolated between fewer measured ones; in fits they count as so many: "
                 f"{join_names(counts, MAX_NAMED_INSERTIONS)}"
             ),
-            where=found[0].points.where(),
+            where=interpolated[0].points.where(),
             fix="export the measured points alone",
         )

@@ -46,37 +46,43 @@ class Medium:
 SharedSurfaces = Mapping[SurfaceRecord, Surface | None]
 
 
-def read_shared_surfaces(record: DatasetRecord, folder: Path, found: list[Fault]) -> SharedSurfaces:
+def read_shared_surfaces(record: DatasetRecord, folder: Path, faults: list[Fault]) -> SharedSurfaces:
     """Read the surfaces of all media that insertions share; note their faults."""
     listed = [surface for medium in record.media.values() for surface in medium.surfaces]
-    return {one: _read_surface(one, folder / one.file, found) for one in listed if not one.own}
+    return {
+        surface_record: _read_surface(surface_record, folder / surface_record.file, faults)
+        for surface_record in listed
+        if not surface_record.own
+    }
 
 
 def make_medium(
-    row: InsertionRow, record: DatasetRecord, folder: Path, shared: SharedSurfaces, found: list[Fault]
+    row: InsertionRow, record: DatasetRecord, folder: Path, shared: SharedSurfaces, faults: list[Fault]
 ) -> Medium | None:
     """Return an insertion's medium, surfaces in its `folder` in place of shared ones; None after a fault."""
     medium = record.media[row.medium]
     depths = medium.boundaries_mm if row.boundaries is None else row.boundaries
     surfaces = [
-        _read_surface(one, folder / one.file_of(row.id), found) if one.own else shared[one]
-        for one in medium.surfaces
+        _read_surface(surface_record, folder / surface_record.file_of(row.id), faults)
+        if surface_record.own
+        else shared[surface_record]
+        for surface_record in medium.surfaces
     ]
     sound = tuple(surface for surface in surfaces if surface is not None)
     boundaries = None if depths is None else np.array(depths, dtype=np.float64)
     return Medium(sound, boundaries) if len(sound) == len(surfaces) else None
 
 
-def _read_surface(record: SurfaceRecord, path: Path, found: list[Fault]) -> Surface | None:
+def _read_surface(record: SurfaceRecord, path: Path, surface_faults: list[Fault]) -> Surface | None:
     try:
         surface = read_surface(path, record.kind, record.into)
     except DataError as error:
         fault = make_file_fault(error, path)
-        if fault not in found:  # two media may share a surface
-            found.append(fault)
+        if fault not in surface_faults:  # two media may share a surface
+            surface_faults.append(fault)
         return None
     faults = list(find_surface_faults(surface, path))
-    found += [fault for fault in faults if fault not in found]
+    surface_faults += [fault for fault in faults if fault not in surface_faults]
     return None if faults else surface
 
 
@@ -91,9 +97,9 @@ def find_surface_faults(surface: Surface, path: Path) -> Iterator[Fault]:
         "solid": "a closed surface in one piece, its triangles turned outward",
         "sheet": "one piece with one rim, larger than the tissue it parts",
     }[surface.kind]
-    for what in find_mesh_faults(surface.mesh, surface.kind):
+    for mesh_fault in find_mesh_faults(surface.mesh, surface.kind):
         yield DataError(
-            f"the {surface.kind} {what}",
+            f"the {surface.kind} {mesh_fault}",
             expected=expected,
             fix="fix the mesh (e.g. MeshLab, Slicer)",
             where=path,
@@ -395,9 +401,9 @@ def find_layer_faults(
     listed: Sequence[ListedInsertion], record: DatasetRecord, file: Path
 ) -> Iterator[Fault]:
     """Return the insertions that do not meet their listed layers, and surfaces that are listed twice."""
-    for name in dict.fromkeys(one.insertion.medium for one in listed):
-        group = [one for one in listed if one.insertion.medium == name]
-        files = [one.file for one in record.media[name].surfaces]
+    for name in dict.fromkeys(entry.insertion.medium for entry in listed):
+        group = [entry for entry in listed if entry.insertion.medium == name]
+        files = [surface_record.file for surface_record in record.media[name].surfaces]
         if len({*files}) < len(files):
             yield DataError(
                 f"medium {name} lists a surface twice: {', '.join(files)}",
@@ -406,8 +412,8 @@ def find_layer_faults(
                 where=locate_key(file, f"media.{name}.surfaces"),
             )
             continue
-        faults = [fault for one in group for fault in _find_count_fault(one)]
-        deepest = max((one.insertion for one in group), key=lambda one: one.depth)
+        faults = [fault for entry in group for fault in _find_count_fault(entry)]
+        deepest = max((insertion.insertion for insertion in group), key=lambda insertion: insertion.depth)
         if faults and (unit := name_small_unit(deepest)):
             yield DataError(
                 f"{name} has no insertion deeper than {deepest.depth:.3g} mm: this looks like {unit}",
@@ -426,9 +432,11 @@ def name_small_unit(deepest: Insertion) -> str:
     return next(likely, "") if deepest.depth < MIN_DEEPEST_MM else ""
 
 
-def _find_count_fault(one: ListedInsertion) -> Iterator[Fault]:
-    insertion, met = one.insertion, len(one.insertion.sequence)
-    stated = f"the boundaries of medium {insertion.medium}" if one.row.boundaries is None else "boundaries_mm"
+def _find_count_fault(entry: ListedInsertion) -> Iterator[Fault]:
+    insertion, met = entry.insertion, len(entry.insertion.sequence)
+    stated = (
+        f"the boundaries of medium {insertion.medium}" if entry.row.boundaries is None else "boundaries_mm"
+    )
     allowed = {insertion.layers, insertion.layers_alternative}
     if met in allowed:
         return
@@ -442,5 +450,5 @@ def _find_count_fault(one: ListedInsertion) -> Iterator[Fault]:
         f"boundaries at {depths} mm), but {listed}",
         expected="as many in `layers`, or in `layers_alternative` where the tip lies at a boundary",
         fix=fix,
-        where=one.where,
+        where=entry.where,
     )

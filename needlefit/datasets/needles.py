@@ -17,7 +17,7 @@ from needlefit.schemas.scene import NeedleRecord
 
 def make_needles(record: DatasetRecord) -> dict[str, Needle]:
     """Return the needles of a dataset by what a cell of column `needle` holds."""
-    return {cell: Needle.from_record(one) for cell, one in record.all_needles.items()}
+    return {cell: Needle.from_record(needle_record) for cell, needle_record in record.all_needles.items()}
 
 
 def find_needle_faults(record: DatasetRecord, file: Path) -> Iterator[Fault]:
@@ -75,26 +75,26 @@ def find_unknown_needle(cell: str, where: str, record: DatasetRecord) -> Iterato
 
 def summarize_needles(dataset: Dataset) -> dict[str, NeedleMetadata]:
     """Return the numbers of each needle and how many insertions it has, by its name."""
-    names = [one.needle.name for one in dataset.insertions]
+    names = [insertion.needle.name for insertion in dataset.insertions]
     return {
         name: NeedleMetadata(
-            outer_diameter=one.outer_diameter,
-            flexural_rigidity=one.flexural_rigidity,
-            length=one.length,
+            outer_diameter=needle.outer_diameter,
+            flexural_rigidity=needle.flexural_rigidity,
+            length=needle.length,
             insertions=names.count(name),
         )
-        for name, one in sorted(dataset.needles.items())
+        for name, needle in sorted(dataset.needles.items())
     }
 
 
 def describe_needles(needles: Mapping[str, NeedleMetadata]) -> str:
     """Return what `summarize_needles` found, for people; of a single needle without its name."""
     described = []
-    for name, one in needles.items():
-        outer = f"diameter {one.outer_diameter:g} mm, " if one.outer_diameter is not None else ""
-        rigidity = float(f"{one.flexural_rigidity:.4g}")
-        numbers = f"{outer}EI {rigidity:g} N mm², {one.length:g} mm long"
-        count = one.insertions
+    for name, needle in needles.items():
+        outer = f"diameter {needle.outer_diameter:g} mm, " if needle.outer_diameter is not None else ""
+        rigidity = float(f"{needle.flexural_rigidity:.4g}")
+        numbers = f"{outer}EI {rigidity:g} N mm², {needle.length:g} mm long"
+        count = needle.insertions
         counted = f"{name}: {numbers}, {count} insertion{'s' * (count != 1)}"
         described.append(counted if len(needles) > 1 else numbers)
     return f"Needle{'s' * (len(needles) > 1)}: {'; '.join(described)}."

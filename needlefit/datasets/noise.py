@@ -32,7 +32,7 @@ def estimate_noise_floor(
     as in a study: at equal fractions of arc length, shifted across where the direction alone is known, or,
     for free shapes, by arc length from the tip after alignment. Uncertain layer depths are not in it.
     """
-    metrics = [one for one in list_metrics(*quantities) if one.has_floor]
+    metrics = [metric for metric in list_metrics(*quantities) if metric.has_floor]
     displaced = draw_measurement_errors(dataset, insertion, rng, draws, insertion.directions)
     if displaced is None:
         return dict.fromkeys((metric.name for metric in metrics), math.nan)
@@ -45,15 +45,15 @@ def estimate_noise_floor(
         again[..., 0] = whole[:, 0]  # depths are known
     if insertion.is_track:
         again = align_lateral(again, whole)  # the best shifts and slopes are taken off
-    pairs = [(one, whole) for one in again]
+    pairs = [(curve, whole) for curve in again]
     if not is_tip:
         along = insertion.measure_arc("plane")
         pairs = list(map(_prepare_comparison(whole, along, pose, free), again))
     curves, floor = [compare_curves(*pair, dataset.compared) for pair in pairs], dict[str, float]()
     for metric in metrics:
         with METRICS.plugin_error_context(metric.name):
-            known = curves[0].is_curve or not metric.of_curve
-            errors = [metric.compute(one) for one in curves] if known else math.nan
+            has_metric = curves[0].is_curve or not metric.of_curve
+            errors = [metric.compute(curve) for curve in curves] if has_metric else math.nan
             floor[metric.name] = float(np.mean(errors))
     return floor
 
@@ -78,8 +78,8 @@ def state_tip_errors(dataset: Dataset, insertion: Insertion) -> TipErrors:
     )
     shift = max(noise.registration_mean / MEAN_NORM_PER_SD, insertion.pose_shift_sd)
     shift = shift if pose == "known" else 0.0
-    scans = [one.patient for one in dataset.insertions]
-    alone = sum(np.array_equal(one.origin, insertion.patient.origin) for one in scans) == 1
+    scans = [insertion.patient for insertion in dataset.insertions]
+    alone = sum(np.array_equal(scan.origin, insertion.patient.origin) for scan in scans) == 1
     whole = math.hypot(noise.point_sd, correlated, turned, shift)
     return TipErrors(whole, 0.0 if alone else shift)
 

@@ -84,14 +84,14 @@ def set_compared(
     Raises ConfigError if space is stated for shapes of unknown pose, or tips that were tracked along y alone,
     or the plane for needles that are turned against friction.
     """
-    if torsional_friction and any(one.turns for one in insertions):
+    if torsional_friction and any(insertion.turns for insertion in insertions):
         if stated == "plane":
             raise ConfigError(
                 "torsional friction leads needles that were turned out of their planes",
                 expected='"space", or no torsional_friction_n of the medium',
             )
         stated = "space"
-    flat = any(one.directions == 1 for one in insertions)
+    flat = any(insertion.directions == 1 for insertion in insertions)
     if stated == "space" and (flat or dataset.pose == "free"):
         raise ConfigError(
             f"the needles of {dataset.name} have no known " + ("place along z" if flat else "pose"),
@@ -99,15 +99,20 @@ def set_compared(
             expected='"plane"'
             + (", or tip_z_mm of every run" if flat else ": their plane is that of their shape"),
         )
-    known = not flat and dataset.pose != "free"
-    if stated is None and known and any(leaves_plane(one, dataset.noise) for one in insertions):
+    is_space_known = not flat and dataset.pose != "free"
+    if (
+        stated is None
+        and is_space_known
+        and any(leaves_plane(insertion, dataset.noise) for insertion in insertions)
+    ):
         stated = "space"
     if stated == "space":
         rolled = (
-            replace(one, curve_roll=find_curve_roll(one)) if one.turns else one for one in dataset.insertions
+            replace(insertion, curve_roll=find_curve_roll(insertion)) if insertion.turns else insertion
+            for insertion in dataset.insertions
         )
         return replace(dataset, insertions=tuple(rolled), compared="space")
-    kept = (_project_turns(one) if one.turns else one for one in dataset.insertions)
+    kept = (_project_turns(insertion) if insertion.turns else insertion for insertion in dataset.insertions)
     return replace(dataset, insertions=tuple(map(_flatten_guide, kept)))
 
 
@@ -117,7 +122,7 @@ def describe_compared(dataset: Dataset) -> str:
         return (
             'needles are fitted in space, since some leave their planes (`compared = "plane"`: in one plane)'
         )
-    if dataset.pose == "known" and "bevel_plane" in {one.kind for one in dataset.warnings}:
+    if dataset.pose == "known" and "bevel_plane" in {warning.kind for warning in dataset.warnings}:
         return (
             "needles are fitted in one plane: errors explain what is out of it "
             '(`compared = "space"`: in space)'
@@ -129,18 +134,22 @@ def find_left_planes(
     dataset: Dataset, insertions: Sequence[Insertion], stated: Compared | None, where: str
 ) -> Iterator[ResultWarning]:
     """Yield a warning that names the insertions that leave the planes in which they are to be compared."""
-    known = stated == "plane" and dataset.pose == "known"
+    is_plane_stated = stated == "plane" and dataset.pose == "known"
     left = sorted(
-        {one.id for one in insertions if known and one.is_posed and leaves_plane(one, dataset.noise)}
+        {
+            insertion.id
+            for insertion in insertions
+            if is_plane_stated and insertion.is_posed and leaves_plane(insertion, dataset.noise)
+        }
     )
     if left:
         named = join_names(left, MAX_NAMED_INSERTIONS)
-        what = f"compared in the plane of their bevels, which they leave: {named}"
-        if any(one.curvature is not None for one in insertions):
-            what += ", and by their curvatures along y alone"
+        problem = f"compared in the plane of their bevels, which they leave: {named}"
+        if any(insertion.curvature is not None for insertion in insertions):
+            problem += ", and by their curvatures along y alone"
         yield ResultWarning(
             kind="bevel_plane",
-            what=what,
+            what=problem,
             where=where,
             fix='leave `compared` out, or write "space": needles are then simulated and compared in space',
         )
@@ -176,9 +185,14 @@ def measure_out_of_plane(dataset: Dataset) -> list[tuple[str, float, float]]:
     See `measure_aside`. The plane of a free shape is the one nearest to it. None of tip tracks, and of tips
     that were not measured out of their planes.
     """
-    known = [one for one in dataset.insertions if not one.is_track and one.directions == 2]
-    gaps = [(one.id, measure_aside(one), compute_deflection_sd(one, dataset.noise)) for one in known]
-    return sorted(((name, gap, gap / (sd or math.nan)) for name, gap, sd in gaps), key=lambda one: -one[2])
+    in_space = [
+        insertion for insertion in dataset.insertions if not insertion.is_track and insertion.directions == 2
+    ]
+    gaps = [
+        (insertion.id, measure_aside(insertion), compute_deflection_sd(insertion, dataset.noise))
+        for insertion in in_space
+    ]
+    return sorted(((name, gap, gap / (sd or math.nan)) for name, gap, sd in gaps), key=lambda row: -row[2])
 
 
 def measure_aside(insertion: Insertion, handedness: float = 1.0) -> float:
@@ -201,7 +215,7 @@ def _find_across(insertion: Insertion, depths: Sequence[float]) -> Floats:
     """Return y and z (n, 2) of the needle at depths along it, mm."""
     along = insertion.measure_arc("space")
     along = along * (insertion.depth / along[-1])
-    return np.column_stack([np.interp(depths, along, one) for one in insertion.points.T[1:]])
+    return np.column_stack([np.interp(depths, along, coordinates) for coordinates in insertion.points.T[1:]])
 
 
 def find_plane_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
@@ -209,20 +223,22 @@ def find_plane_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iter
 
     Without any it names those whose tips are far out of the planes nearest to their own curves.
     """
-    aside = _find_aside([one for one in listed if one.insertion.is_posed], noise)
+    aside = _find_aside([entry for entry in listed if entry.insertion.is_posed], noise)
     if not aside:
-        if twisted := _find_twisted([one.insertion for one in listed], noise):
-            what = f"{join_names(twisted, MAX_NAMED_INSERTIONS)} bend in no plane"
+        if twisted := _find_twisted([entry.insertion for entry in listed], noise):
+            problem = f"{join_names(twisted, MAX_NAMED_INSERTIONS)} bend in no plane"
             fix = "check whether the needle turned on its way, and state its turns by `insertions.turns`"
-            yield ResultWarning("bevel_plane", what, where=listed[0].where, fix=fix)
+            yield ResultWarning("bevel_plane", problem, where=listed[0].where, fix=fix)
         return
-    most = max(measure_aside(one.insertion) for one in aside)
-    what = f"needles are up to {most:.1f} mm from where their bevels lead them, which errors of points, pose "
-    what += "and rolls do not explain: "
-    fix = f'{_name_bevel([one.insertion for one in aside])}; `compared = "space"` in the study or fit '
+    most = max(measure_aside(entry.insertion) for entry in aside)
+    problem = (
+        f"needles are up to {most:.1f} mm from where their bevels lead them, which errors of points, pose "
+    )
+    problem += "and rolls do not explain: "
+    fix = f'{_name_bevel([entry.insertion for entry in aside])}; `compared = "space"` in the study or fit '
     yield ResultWarning(
         "bevel_plane",
-        what + join_names([one.insertion.id for one in aside], MAX_NAMED_INSERTIONS),
+        problem + join_names([entry.insertion.id for entry in aside], MAX_NAMED_INSERTIONS),
         where=aside[0].where,
         fix=f"{fix}compares them there",
     )
@@ -231,51 +247,56 @@ def find_plane_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iter
 def find_curvature_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
     """Yield a warning that names the insertions whose stated curvatures bend them away from their tips."""
     against: dict[str, list[str]] = {}
-    for one in (each.insertion for each in listed):
-        if one.curvature is None:
+    for insertion in (entry.insertion for entry in listed):
+        if insertion.curvature is None:
             continue
-        s, *curvatures, _ = one.curvature[np.argsort(one.curvature[:, 0])].T
-        places = np.linspace(0.0, one.depth, len(s) * 20)  # from the tip; the entry is straight along x
-        least = max(SIGNIFICANT_SD * compute_deflection_sd(one, noise), MIN_BEND_SLOPE * one.depth)
-        (tip,) = _find_across(one, [one.depth])
+        s, *curvatures, _ = insertion.curvature[np.argsort(insertion.curvature[:, 0])].T
+        places = np.linspace(0.0, insertion.depth, len(s) * 20)  # from the tip; the entry is straight along x
+        least = max(
+            SIGNIFICANT_SD * compute_deflection_sd(insertion, noise), MIN_BEND_SLOPE * insertion.depth
+        )
+        (tip,) = _find_across(insertion, [insertion.depth])
         for column, curvature, away in zip(CURVATURE_COLUMNS[2:4], curvatures, tip, strict=True):
             led = np.trapezoid(places * np.interp(places, s, curvature), places)
             if led * away < 0 and min(abs(led), abs(away)) > least:
-                against.setdefault(column, []).append(one.id)
+                against.setdefault(column, []).append(insertion.id)
     for column, names in against.items():
-        what = f"`{column}` bends {join_names(names, MAX_NAMED_INSERTIONS)} away from the measured tips"
+        problem = f"`{column}` bends {join_names(names, MAX_NAMED_INSERTIONS)} away from the measured tips"
         fix = "check its sign: curvatures are toward +y and +z of a bevel with a roll of 0"
-        yield ResultWarning("curvature", what, where=listed[0].where, fix=fix)
+        yield ResultWarning("curvature", problem, where=listed[0].where, fix=fix)
 
 
-def _find_aside(known: Sequence[ListedInsertion], noise: Noise) -> list[ListedInsertion]:
+def _find_aside(listed: Sequence[ListedInsertion], noise: Noise) -> list[ListedInsertion]:
     """Return the insertions that errors do not bring to where their bevels lead them.
 
     Of many needles one is beyond `SIGNIFICANT_SD` by chance: any of them is so as rarely as one would be.
     Those with turns, whose rolls have errors, are judged together too: they follow one convention.
     """
     ratios = []
-    for one in (each.insertion for each in known):
-        sd = max(compute_plane_sd(one, noise), MIN_BEND_SLOPE * one.depth / SIGNIFICANT_SD)
-        ratios.append(measure_aside(one) / sd)
-    turned = [ratio for ratio, one in zip(ratios, known, strict=True) if one.insertion.turns]
+    for insertion in (entry.insertion for entry in listed):
+        sd = max(compute_plane_sd(insertion, noise), MIN_BEND_SLOPE * insertion.depth / SIGNIFICANT_SD)
+        ratios.append(measure_aside(insertion) / sd)
+    turned = [ratio for ratio, entry in zip(ratios, listed, strict=True) if entry.insertion.turns]
     rare = float(scipy.special.chdtrc(1, SIGNIFICANT_SD**2))
-    single = math.sqrt(scipy.special.chdtri(1, rare / max(1, len(known))))
+    single = math.sqrt(scipy.special.chdtri(1, rare / max(1, len(listed))))
     together = math.sqrt(scipy.special.chdtri(len(turned) or 1, rare) / (len(turned) or 1))  # rms
     limit = together if np.sum(np.square(turned)) > together**2 * len(turned) else single
-    pairs = zip(known, ratios, strict=True)
-    return [one for one, ratio in pairs if ratio > (limit if one.insertion.turns else single)]
+    pairs = zip(listed, ratios, strict=True)
+    return [entry for entry, ratio in pairs if ratio > (limit if entry.insertion.turns else single)]
 
 
 def _name_bevel(aside: Sequence[Insertion]) -> str:
     """Return what would lead needles to where they are: turns, or rolls and a bevel direction."""
-    if all(one.turns and measure_aside(one, -1.0) < measure_aside(one) / 2 for one in aside):
+    if all(
+        insertion.turns and measure_aside(insertion, -1.0) < measure_aside(insertion) / 2
+        for insertion in aside
+    ):
         return "check the sign of `bevel_roll_deg` in the table of turns: it is right-handed about x"
     rolls, directions = [], []
-    for one in aside:
-        (last,) = one.side * _find_across(one, [one.depth])
-        rolls.append(f"{math.degrees(math.atan2(last[1], last[0])):.0f} ({one.id})")
-        directions.append(normalize(one.frame.rotation[:, 1:] @ last))
+    for insertion in aside:
+        (last,) = insertion.side * _find_across(insertion, [insertion.depth])
+        rolls.append(f"{math.degrees(math.atan2(last[1], last[0])):.0f} ({insertion.id})")
+        directions.append(normalize(insertion.frame.rotation[:, 1:] @ last))
     mean = ", ".join(f"{x:z.2f}" for x in normalize(np.mean(directions, axis=0)).round(2))
     fix = "check the bevel direction, the turns and the frame; tips lie toward rolls of "
     return f"{fix}{join_names(rolls, MAX_NAMED_INSERTIONS)} degrees, on the mean toward {mean}"
@@ -283,12 +304,12 @@ def _name_bevel(aside: Sequence[Insertion]) -> str:
 
 def _find_twisted(insertions: Sequence[Insertion], noise: Noise) -> list[str]:
     """Return the needles without turns that bend in no plane; none unless they do so together (rms)."""
-    own, twists = [one for one in insertions if not one.turns], dict[str, float]()
-    for one in own:  # how far the tip is out of the plane nearest to the whole curve, mm
-        points = one.centerline - one.centerline.mean(axis=0)
-        twists[one.id] = abs(float(points[-1] @ np.linalg.svd(points, full_matrices=False)[2][2]))
+    unturned, twists = [insertion for insertion in insertions if not insertion.turns], dict[str, float]()
+    for insertion in unturned:  # how far the tip is out of the plane nearest to the whole curve, mm
+        points = insertion.centerline - insertion.centerline.mean(axis=0)
+        twists[insertion.id] = abs(float(points[-1] @ np.linalg.svd(points, full_matrices=False)[2][2]))
     errors = SIGNIFICANT_SD * math.hypot(noise.point_sd, noise.correlated_sd)
-    away, bend = math.hypot(*twists.values()), math.hypot(*(one.deflection for one in own))
-    if not errors or away <= max(errors * math.sqrt(len(own)), MIN_TWIST * bend):
+    away, bend = math.hypot(*twists.values()), math.hypot(*(insertion.deflection for insertion in unturned))
+    if not errors or away <= max(errors * math.sqrt(len(unturned)), MIN_TWIST * bend):
         return []
     return [name for name, twist in twists.items() if twist > errors]

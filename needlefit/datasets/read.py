@@ -103,9 +103,9 @@ def inspect(path: Path, root: Path | None = None) -> Inspection:
     reading.faults += find_record_faults(record, file)
     assumed = read_assumed(record, file)
     reading.warnings += find_record_warnings(record, file, assumed)
-    insertions, files, own = list[Insertion](), set[Path](), dict[str, Any]()
+    insertions, files, tables = list[Insertion](), set[Path](), dict[str, Any]()
     if record.lists_insertions:
-        insertions, files, own = _read_shapes(reading)
+        insertions, files, tables = _read_shapes(reading)
     remarks = list[str]()
     if record.tip_tracks is not None:
         tracks, table = _read_tracks(reading, remarks)
@@ -113,12 +113,13 @@ def inspect(path: Path, root: Path | None = None) -> Inspection:
         insertions, files = [*insertions, *tracks], {*files, table}
     if reading.faults:  # each once, without warnings about their places
         places = {fault.where for fault in reading.faults}
-        remaining = tuple(one for one in reading.warnings if one.where not in places)
-        return Inspection(None, tuple({str(one): one for one in reading.faults}.values()), remaining)
+        remaining = tuple(warning for warning in reading.warnings if warning.where not in places)
+        return Inspection(None, tuple({str(fault): fault for fault in reading.faults}.values()), remaining)
     names = sorted(str(path.relative_to(reading.root)) for path in files)
     sources = DatasetFiles(file.absolute(), reading.root.absolute(), tuple(names))
     needles = [
-        (f"Needle {name}: " if name else "Needle: ", one.note) for name, one in record.all_needles.items()
+        (f"Needle {name}: " if name else "Needle: ", needle_record.note)
+        for name, needle_record in record.all_needles.items()
     ]
     parts = (("", record.notes), *needles, ("Noise: ", record.noise.note))
     dataset = Dataset(
@@ -133,11 +134,14 @@ def inspect(path: Path, root: Path | None = None) -> Inspection:
         files=sources,
         notes=tuple(head + text.strip() for head, text in parts if text.strip()),
         warnings=tuple(reading.warnings),
-        rigidities={one.name: describe_rigidity(one, assumed) for one in record.all_needles.values()},
+        rigidities={
+            needle_record.name: describe_rigidity(needle_record, assumed)
+            for needle_record in record.all_needles.values()
+        },
         pose=record.frame.pose,
         drop_proximal=record.frame.drop_proximal_mm,
         remarks=tuple(remarks),
-        **own,
+        **tables,
     )
     return Inspection(dataset, (), dataset.warnings)
 
@@ -188,30 +192,35 @@ def find_record_faults(record: DatasetRecord, file: Path) -> Iterator[Fault]:
 
 def _read_shapes(reading: _Reading) -> tuple[list[Insertion], set[Path], dict[str, Any]]:
     """Return the insertions, all files read, and what a dataset of shapes states alone."""
-    record, file, root, found = reading.record, reading.file, reading.root, reading.faults
-    shared = read_shared_surfaces(record, root, found)
+    record, file, root, faults = reading.record, reading.file, reading.root, reading.faults
+    shared = read_shared_surfaces(record, root, faults)
     listed = list(_iterate_insertions(reading, shared))
     depth_column = record.insertions.columns.get("depth_mm", "depth_mm")
-    found += find_length_faults(listed, record.frame.pose, depth_column)
-    found += [*find_layer_faults(listed, record, file), *_find_use_faults(record, listed, file)]
-    if not found:  # of points that have no other fault
-        found += find_operator_faults(record, [one for one in listed if one.is_curve], file)
-    if found:
+    faults += find_length_faults(listed, record.frame.pose, depth_column)
+    faults += [*find_layer_faults(listed, record, file), *_find_use_faults(record, listed, file)]
+    if not faults:  # of points that have no other fault
+        faults += find_operator_faults(record, [entry for entry in listed if entry.is_curve], file)
+    if faults:
         return [], set(), {}
     if record.measurement is None or record.measurement.operator == "none":
         listed = mark_interpolated(listed, make_noise(record.noise))
-    insertions = [one.insertion for one in listed]
+    insertions = [entry.insertion for entry in listed]
     reading.warnings += find_insertion_warnings(record, listed, make_noise(record.noise), file)
     lines, listed_tables = record.centerlines, record.insertions
     pattern, long = (None, None) if lines is None else (lines.pattern, lines.file)
     named = (listed_tables.file, listed_tables.turns, listed_tables.curvature, long)
     tables = [name for name in named if name is not None]
-    curves = [one.insertion.id for one in listed if one.is_curve]
-    own = [pattern.replace("{id}", id_) for id_ in curves] if pattern is not None else []
-    own += [s.file_of(one.id) for one in insertions for s in record.media[one.medium].surfaces if s.own]
+    curves = [entry.insertion.id for entry in listed if entry.is_curve]
+    own_files = [pattern.replace("{id}", id_) for id_ in curves] if pattern is not None else []
+    own_files += [
+        s.file_of(insertion.id)
+        for insertion in insertions
+        for s in record.media[insertion.medium].surfaces
+        if s.own
+    ]
     if record.measurement is not None and record.measurement.sections is not None:
-        own += [record.measurement.sections.replace("{id}", id_) for id_ in curves]
-    files = {root / name for name in (*(surface.file for surface in shared), *tables, *own)}
+        own_files += [record.measurement.sections.replace("{id}", id_) for id_ in curves]
+    files = {root / name for name in (*(surface.file for surface in shared), *tables, *own_files)}
     format_ = None if pattern is None else find_format(Path(pattern))
     return insertions, files, {
         "centerline_format": format_.name if format_ else "",
@@ -221,7 +230,7 @@ def _read_shapes(reading: _Reading) -> tuple[list[Insertion], set[Path], dict[st
 
 def _iterate_insertions(reading: _Reading, shared: SharedSurfaces) -> Iterator[ListedInsertion]:
     """Yield the sound insertions; note the faults of the others, and unused or open cells."""
-    record, root, found = reading.record, reading.root, reading.faults
+    record, root, all_faults = reading.record, reading.root, reading.faults
     curves = None if record.centerlines is None else _Centerlines(reading)
     motion = record.frame.lps_to_world
     scanned = IDENTITY_FRAME if motion is None else Frame.from_rows(motion)  # where a row states no other
@@ -234,12 +243,12 @@ def _iterate_insertions(reading: _Reading, shared: SharedSurfaces) -> Iterator[L
         table = replace(table, cells=table.cells.assign(id=list(curves.groups)))
     elif (table := reading.read_table(root / record.insertions.file)) is None:
         return
-    rows, needles = parse_rows(table, record, found), make_needles(record)
+    rows, needles = parse_rows(table, record, all_faults), make_needles(record)
     add_sensors = partial(add_curvature, needles=needles)
     for name, add in ((record.insertions.turns, add_turns), (record.insertions.curvature, add_sensors)):
-        if name is not None and not found:  # of rows with faults ids are missing
+        if name is not None and not all_faults:  # of rows with faults ids are missing
             beside = reading.read_table(root / name)
-            rows = [] if beside is None else add(rows, beside, found)
+            rows = [] if beside is None else add(rows, beside, all_faults)
     hashed = cache(sha256)  # insertions share surfaces
     for row in rows:
         where, patient = f"{table.path}:{row.line}", row.patient or scanned
@@ -254,8 +263,8 @@ def _iterate_insertions(reading: _Reading, shared: SharedSurfaces) -> Iterator[L
         sections = None
         if points is not None and is_curve and not faults:
             sections, faults = find_sections(row, points.values, root, record)
-        found += faults
-        medium = make_medium(row, record, root, shared, found)
+        all_faults += faults
+        medium = make_medium(row, record, root, shared, all_faults)
         # All faults of a row are collected before it is skipped, so that one run lists them all.
         if points is None or faults or medium is None:
             continue
@@ -264,7 +273,7 @@ def _iterate_insertions(reading: _Reading, shared: SharedSurfaces) -> Iterator[L
             digest = digest_insertion(row, points, sections, record, lambda name: hashed(root / name))
             yield ListedInsertion(replace(reduced, digest=digest, where=where), row, where, points, is_curve)
         except DataError as error:
-            found.append(error.replace(where=error.where or where, fix=error.fix or BEVEL_FIX))
+            all_faults.append(error.replace(where=error.where or where, fix=error.fix or BEVEL_FIX))
 
 
 def _take_rows(table: CsvTable, rows: list[int] | NDArray[np.int64]) -> CsvTable:
@@ -281,10 +290,10 @@ class _Centerlines:
 
     def read_long_table(self) -> bool:
         """Read the long table and sort its rows by insertion; return False after a fault."""
-        record, found, group_by = self.record, self.reading.faults, list(self.record.centerlines.group_by)
+        record, faults, group_by = self.record, self.reading.faults, list(self.record.centerlines.group_by)
         path = self.root / str(record.centerlines.file)
         table = self.reading.read_table(path)
-        if table is None or note_missing_columns(table, group_by, found):
+        if table is None or note_missing_columns(table, group_by, faults):
             return False
         template = record.insertions.id_template or "_".join(f"{{{column}}}" for column in group_by)
         keys = table.cells[group_by].to_dict("records")
@@ -292,7 +301,7 @@ class _Centerlines:
             # not str.format, whose attributes and widths a dataset from elsewhere could misuse
             names = [_FIELD.sub(lambda part, row=row: str(row[part[1]]), template) for row in keys]
         except KeyError:
-            found.append(
+            faults.append(
                 DataError(
                     f"insertions.id_template is {template!r}",
                     expected=f"text with {{...}} around columns of group_by: {', '.join(group_by)}",
@@ -310,7 +319,7 @@ class _Centerlines:
             for name, rows in self.groups.items():
                 other = np.flatnonzero(text[rows] != text[rows[0]])
                 if len(other):
-                    found.append(
+                    faults.append(
                         DataError(
                             f"column `{column}` changes within insertion {name}",
                             expected="one value",
@@ -333,7 +342,7 @@ class _Centerlines:
         """Return the file of an insertion where each has one."""
         return self.root / str(self.record.centerlines.pattern).replace("{id}", row.id)
 
-    def find(self, row: InsertionRow, patient: Frame, found: list[Fault]) -> Points | None:
+    def find(self, row: InsertionRow, patient: Frame, faults: list[Fault]) -> Points | None:
         """Return an insertion's points in the world; None after a fault.
 
         Points of a format that holds coordinates of the scan are brought from there into the world.
@@ -341,7 +350,7 @@ class _Centerlines:
         lines = self.record.centerlines
         if lines.pattern is None:
             if self.long is None or row.id not in self.groups:
-                found.append(
+                faults.append(
                     DataError(
                         f"has no rows of insertion {row.id}",
                         expected="rows of every insertion",
@@ -350,13 +359,13 @@ class _Centerlines:
                     )
                 )
                 return None
-            return read_curve(_take_rows(self.long, self.groups[row.id]), lines.columns, found)
+            return read_curve(_take_rows(self.long, self.groups[row.id]), lines.columns, faults)
         path = self._name_file(row)
         try:
             format_ = find_format(path) or FORMATS["csv"]
-            points = format_.read_one(path, lines.columns, found)
+            points = format_.read_one(path, lines.columns, faults)
         except DataError as error:
-            found.append(error)
+            faults.append(error)
             return None
         if points is None or not format_.in_scan:
             return points
@@ -366,21 +375,21 @@ class _Centerlines:
 def _find_use_faults(record: DatasetRecord, listed: Iterable[ListedInsertion], file: Path) -> Iterator[Fault]:
     """Yield free shapes of which comparisons leave nothing, and points without error and without noise."""
     stated = make_noise(record.noise).stated
-    for one in listed:
+    for entry in listed:
         try:
             if record.frame.pose == "free":
-                find_free_reach(record.frame.drop_proximal_mm, one.insertion)
+                find_free_reach(record.frame.drop_proximal_mm, entry.insertion)
         except DataError as error:
             yield error.at(error.where or locate_key(file, "frame.drop_proximal_mm"))
-        if not stated and one.insertion.sd is not None and (one.insertion.sd < MIN_SD_MM).any():
+        if not stated and entry.insertion.sd is not None and (entry.insertion.sd < MIN_SD_MM).any():
             yield DataError(
-                f"{one.insertion.id} has points whose sd_mm is 0, and no other noise is stated",
+                f"{entry.insertion.id} has points whose sd_mm is 0, and no other noise is stated",
                 expected="a standard deviation above 0, mm",
                 fix=(
                     "correct the column, or state noise.point_sd_mm in "
                     f"{locate_key(file, 'noise.point_sd_mm')}"
                 ),
-                where=one.where,
+                where=entry.where,
             )
 
 
@@ -389,26 +398,26 @@ def _find_use_faults(record: DatasetRecord, listed: Iterable[ListedInsertion], f
 
 def _read_tracks(reading: _Reading, remarks: list[str]) -> tuple[list[Insertion], Path]:
     """Return the runs, and their table; note which are left out."""
-    record, found = reading.record, reading.faults
-    path, before = reading.root / record.tip_tracks.file, len(found)
+    record, faults = reading.record, reading.faults
+    path, before = reading.root / record.tip_tracks.file, len(faults)
     table = reading.read_table(path)
-    tracks = [] if table is None else list(parse_tracks(table, record, found, remarks))
-    if not tracks and len(found) == before:
-        found.append(
+    tracks = [] if table is None else list(parse_tracks(table, record, faults, remarks))
+    if not tracks and len(faults) == before:
+        faults.append(
             DataError(
                 "no run is left: every one is marked invalid",
                 expected="at least one valid run",
                 where=reading.file,
             )
         )
-    if not found:
+    if not faults:
         noise, where = make_noise(record.noise), format_place(reading.file)
         column = record.tip_tracks.columns.get("bevel_side", "bevel_side")
-        reading.warnings += find_side_warnings([(one, str(path)) for one in tracks], noise, column)
+        reading.warnings += find_side_warnings([(track, str(path)) for track in tracks], noise, column)
         reading.warnings += find_boundary_warnings(record, tracks, where)
         # under a guide that moves, a track is no smooth curve
         reading.warnings += find_scatter_warnings(
-            [one for one in tracks if not one.guided], noise, where("noise.point_sd_mm")
+            [track for track in tracks if not track.guided], noise, where("noise.point_sd_mm")
         )
     return tracks, path
 
@@ -417,10 +426,10 @@ def _find_double_ids(
     insertions: Sequence[Insertion], tracks: Sequence[Insertion], table: Path, reading: _Reading
 ) -> None:
     """Note runs whose name an insertion of the other table has."""
-    if double := sorted({one.id for one in insertions} & {one.id for one in tracks}):
-        what = f"run {double[0]} has the name of an insertion"
+    if double := sorted({insertion.id for insertion in insertions} & {track.id for track in tracks}):
+        problem = f"run {double[0]} has the name of an insertion"
         reading.faults.append(
-            DataError(what, expected="names that are used once", fix="rename it", where=str(table))
+            DataError(problem, expected="names that are used once", fix="rename it", where=str(table))
         )
 
 
@@ -432,10 +441,10 @@ def read(path: Path, root: Path | None = None) -> Dataset:
 
     DataError listing every fault that `check` finds.
     """
-    found = inspect(path, root)
-    if found.dataset is None:
-        raise as_error(found.faults, find_dataset_file(path))
-    return found.dataset
+    inspection = inspect(path, root)
+    if inspection.dataset is None:
+        raise as_error(inspection.faults, find_dataset_file(path))
+    return inspection.dataset
 
 
 def read_shapes(path: Path) -> Dataset:
@@ -445,7 +454,7 @@ def read_shapes(path: Path) -> Dataset:
 
 def require_shapes(dataset: Dataset) -> Dataset:
     """Return a dataset of shapes; DataError if it holds tip tracks."""
-    if any(one.is_track for one in dataset.insertions):
+    if any(insertion.is_track for insertion in dataset.insertions):
         raise DataError(
             "holds tip tracks, no shapes",
             expected="a dataset with [centerlines]",

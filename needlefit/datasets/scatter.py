@@ -23,15 +23,15 @@ MIN_AXIS_POINTS = 20  #: of fewer points the scatter along an axis is known to w
 AXIS_COSINE = 0.9  #: least, between an axis and the plane across a needle in which points show their scatter
 
 
-def measure_scatter(one: Insertion) -> float:
+def measure_scatter(insertion: Insertion) -> float:
     """Return the SD of points about the curve of their neighbours across the plane of the needle, mm.
 
     Points of a plane, and free shapes, are taken to scatter in their plane. NaN of few points.
     """
-    if len(one.points) < MIN_CURVE_POINTS:
+    if len(insertion.points) < MIN_CURVE_POINTS:
         return math.nan
-    is_flat = one.pose_source == "none" or float(np.ptp(one.points[:, 2])) < SAME_POINT_MM
-    left, factor = leave_one_out(one.points[:, 0], one.points[:, 1 if is_flat else 2, None])
+    is_flat = insertion.pose_source == "none" or float(np.ptp(insertion.points[:, 2])) < SAME_POINT_MM
+    left, factor = leave_one_out(insertion.points[:, 0], insertion.points[:, 1 if is_flat else 2, None])
     return math.sqrt(np.mean((left[:, 0] / factor) ** 2))
 
 
@@ -42,23 +42,23 @@ def find_scatter_warnings(
 
     `is_smoothed`: the measurement smoothed the points, so that they may scatter less.
     """
-    found = []
-    for one in insertions:
-        own = 0.0 if one.sd is None else float(np.sqrt(np.mean(one.sd**2)))
-        stated = math.hypot(own, noise.point_sd, noise.correlated_sd)
-        if stated >= SD_MM[0] and not math.isnan(scatter := measure_scatter(one)):
-            found.append((scatter, stated))
-    if not found:
+    scattered = []
+    for insertion in insertions:
+        stated_sd = 0.0 if insertion.sd is None else float(np.sqrt(np.mean(insertion.sd**2)))
+        stated = math.hypot(stated_sd, noise.point_sd, noise.correlated_sd)
+        if stated >= SD_MM[0] and not math.isnan(scatter := measure_scatter(insertion)):
+            scattered.append((scatter, stated))
+    if not scattered:
         return
-    scatter, stated = np.sqrt(np.mean(np.square(found), axis=0))
+    scatter, stated = np.sqrt(np.mean(np.square(scattered), axis=0))
     # errors that neighbours share, and those of a column, need not scatter
     too_large = scatter < SCATTER_RATIOS[0] * noise.point_sd and not is_smoothed
     if too_large or scatter > SCATTER_RATIOS[1] * stated:
-        what = f"points scatter by {scatter:.2g} mm about smooth curves, and {stated:.2g} mm are stated"
+        problem = f"points scatter by {scatter:.2g} mm about smooth curves, and {stated:.2g} mm are stated"
         fix = "state the noise of repeated measurements" + (
             ", or under [measurement] what smoothed the points" if too_large else ""
         )
-        yield ResultWarning("noise", what, where=place, fix=fix)
+        yield ResultWarning("noise", problem, where=place, fix=fix)
 
 
 def find_axis_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
@@ -66,17 +66,17 @@ def find_axis_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Itera
     stated = math.hypot(noise.point_sd, noise.correlated_sd)
     if not listed or stated == 0:
         return
-    rounding = find_rounding([one.points.values for one in listed])
+    rounding = find_rounding([entry.points.values for entry in listed])
     ratios = np.maximum(_measure_axes(listed), rounding / 2) / stated
     ratios[ratios == 0] = math.nan  # points that are exact show none
     off = np.abs(np.log(ratios)) / math.log(SCATTER_RATIOS[1])  # NaN where an axis shows none
     odd, right = np.flatnonzero(off > 2), np.flatnonzero(off < 1)
     if len(odd) == 1 and len(right):
         (axis,) = odd
-        what = f"points scatter by {ratios[axis] * stated:.2g} mm along {'xyz'[axis]}, and by "
-        what += f"{float(np.mean(ratios[right])) * stated:.2g} mm along the other axes, as stated"
+        problem = f"points scatter by {ratios[axis] * stated:.2g} mm along {'xyz'[axis]}, and by "
+        problem += f"{float(np.mean(ratios[right])) * stated:.2g} mm along the other axes, as stated"
         fix = f"check the unit of {'xyz'[axis]}"
-        yield ResultWarning("axis_unit", what, where=listed[0].points.where(), fix=fix)
+        yield ResultWarning("axis_unit", problem, where=listed[0].points.where(), fix=fix)
 
 
 def _measure_axes(listed: Sequence[ListedInsertion]) -> Floats:
@@ -85,13 +85,13 @@ def _measure_axes(listed: Sequence[ListedInsertion]) -> Floats:
     An axis shows it across needles, and unless no coordinate of it differs.
     """
     sizes: list[list[Floats]] = [[], [], []]
-    for one in (each.insertion for each in listed):
-        if len(one.points) >= MIN_CURVE_POINTS:
-            left, factor = leave_one_out(one.points[:, 0], one.points[:, 1:])
-            across = one.frame.rotation[:, 1:]  # (3, 2)
+    for insertion in (entry.insertion for entry in listed):
+        if len(insertion.points) >= MIN_CURVE_POINTS:
+            left, factor = leave_one_out(insertion.points[:, 0], insertion.points[:, 1:])
+            across = insertion.frame.rotation[:, 1:]  # (3, 2)
             for axis in np.flatnonzero(np.linalg.norm(across, axis=1) > AXIS_COSINE):
-                if np.ptp(one.centerline[:, axis]) > 0:
+                if np.ptp(insertion.centerline[:, axis]) > 0:
                     sizes[axis].append(np.abs(left @ across[axis]) / factor)
     joined = [np.concatenate([np.empty(0), *some]) for some in sizes]
-    known = [np.median(some) if len(some) >= MIN_AXIS_POINTS else np.nan for some in joined]
-    return np.array(known) / ndtri(0.75)
+    medians = [np.median(some) if len(some) >= MIN_AXIS_POINTS else np.nan for some in joined]
+    return np.array(medians) / ndtri(0.75)

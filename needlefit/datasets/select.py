@@ -27,21 +27,23 @@ def select_insertions(
     where the selection stands in its file. ConfigError if a medium, specimen or insertion is unknown, or no
     insertion is left.
     """
-    known = dataset.insertions
+    insertions = dataset.insertions
     with add_key_context(f"{key}.medium"):
         _require_known("medium", _list_media(selection) or (), dataset.media)
     with add_key_context(f"{key}.specimens"):
-        _require_known("specimen", selection.specimens or (), {insertion.specimen for insertion in known})
+        _require_known(
+            "specimen", selection.specimens or (), {insertion.specimen for insertion in insertions}
+        )
     with add_key_context(f"{key}.insertions"):
-        _require_known("insertion", selection.insertions or (), {insertion.id for insertion in known})
-    chosen = tuple(insertion for insertion in known if _matches(insertion, selection, layer_count_rule))
+        _require_known("insertion", selection.insertions or (), {insertion.id for insertion in insertions})
+    chosen = tuple(insertion for insertion in insertions if _matches(insertion, selection, layer_count_rule))
     if not chosen:
         given = ", ".join(
             f"{name} = {value}" for name, value in selection.model_dump(exclude_none=True).items()
         )
         raise ConfigError(
             f"no insertion of dataset {dataset.name} has {given}",
-            expected=f"a selection that leaves some of its {len(known)} insertions",
+            expected=f"a selection that leaves some of its {len(insertions)} insertions",
             fix="widen or correct the selection",
             key=key,
         )
@@ -53,7 +55,7 @@ _I = TypeVar("_I", bound=Insertion)
 
 def select_same_needle(insertions: Sequence[_I], needle: Needle, least: int = 1) -> tuple[_I, ...]:
     """Return the insertions of a needle, or, where fewer than `least` are, all: curves differ by needle."""
-    same = tuple(one for one in insertions if one.needle == needle)
+    same = tuple(insertion for insertion in insertions if insertion.needle == needle)
     return same if len(same) >= least else tuple(insertions)
 
 
@@ -82,8 +84,8 @@ def _list_media(selection: SelectionRecord) -> tuple[str, ...]:
     return (wanted,) if isinstance(wanted, str) else (wanted or ())
 
 
-def _require_known(kind: str, wanted: Iterable[str], known: Iterable[str]) -> None:
-    names = set(known)
+def _require_known(kind: str, wanted: Iterable[str], available: Iterable[str]) -> None:
+    names = set(available)
     unknown = [name for name in wanted if name not in names]
     if unknown:
         raise ConfigError(
@@ -118,15 +120,15 @@ specimen and bevel side, or not at all."""
 
 def find_hole_source(dataset: Dataset, medium: str) -> HoleSource:
     """Return how the insertions of a medium are divided into holes; all by the column where a row has it."""
-    into = [one for one in dataset.insertions if one.medium == medium]
-    if any(one.hole for one in into):
+    into = [insertion for insertion in dataset.insertions if insertion.medium == medium]
+    if any(insertion.hole for insertion in into):
         return "stated"
-    if all(one.is_track for one in into):
+    if all(insertion.is_track for insertion in into):
         return "separate"
     if dataset.pose == "known":
         return "entry"
     # in a few specimens, separate insertions to different depths would be joined
-    return "assumed" if len({one.specimen for one in into}) >= MIN_GROUPS else "separate"
+    return "assumed" if len({insertion.specimen for insertion in into}) >= MIN_GROUPS else "separate"
 
 
 def find_repeats(dataset: Dataset) -> dict[str, tuple[str, int]]:
@@ -136,44 +138,49 @@ def find_repeats(dataset: Dataset) -> dict[str, tuple[str, int]]:
     went into one specimen with the bevel on the same side and the same turns, to different depths, and, where
     the pose is known, from the same entry in the same direction. A tip track is a whole insertion.
     """
-    found: dict[str, tuple[str, int]] = {}
-    for medium in dict.fromkeys(one.medium for one in dataset.insertions):
+    repeats: dict[str, tuple[str, int]] = {}
+    for medium in dict.fromkeys(insertion.medium for insertion in dataset.insertions):
         source = find_hole_source(dataset, medium)
         holes, count = dict[object, list[Insertion]](), Counter[object]()
-        for one in (one for one in dataset.insertions if one.medium == medium):
-            key = _make_hole_key(source, one)
+        for insertion in (insertion for insertion in dataset.insertions if insertion.medium == medium):
+            key = _make_hole_key(source, insertion)
             # another insertion that is as deep is another hole
-            turn = 0 if source == "stated" else count[key, one.depth]
-            holes.setdefault((key, turn), []).append(one)
-            count[key, one.depth] += 1
+            turn = 0 if source == "stated" else count[key, insertion.depth]
+            holes.setdefault((key, turn), []).append(insertion)
+            count[key, insertion.depth] += 1
         for number, hole in enumerate(holes.values()):
-            found |= {one.id: (one.specimen, number) for one in hole if len(hole) > 1}
-    return found
+            repeats |= {insertion.id: (insertion.specimen, number) for insertion in hole if len(hole) > 1}
+    return repeats
 
 
-def _make_hole_key(source: HoleSource, one: Insertion) -> tuple[object, ...]:
+def _make_hole_key(source: HoleSource, insertion: Insertion) -> tuple[object, ...]:
     """Return what insertions of one hole have in common."""
-    if source == "separate" or (source == "stated" and not one.hole) or one.is_track:
-        return (one.id,)
+    if source == "separate" or (source == "stated" and not insertion.hole) or insertion.is_track:
+        return (insertion.id,)
     if source == "stated":
-        return (one.specimen, one.hole)
-    entry = np.concatenate([one.frame.origin, one.frame.rotation[:, 0]]).round(ENTRY_DECIMALS)
+        return (insertion.specimen, insertion.hole)
+    entry = np.concatenate([insertion.frame.origin, insertion.frame.rotation[:, 0]]).round(ENTRY_DECIMALS)
     # adding 0 makes -0 the same as 0
-    return (one.specimen, one.side, one.turns, *((entry + 0.0).tolist() if source == "entry" else ()))
+    return (
+        insertion.specimen,
+        insertion.side,
+        insertion.turns,
+        *((entry + 0.0).tolist() if source == "entry" else ()),
+    )
 
 
 def name_holes(dataset: Dataset) -> dict[str, str]:
     """Return the hole of each insertion of a dataset, by ids: the id of the first insertion into it."""
     first: dict[tuple[str, int], str] = {}
     bevels = zip(dataset.insertions, list_bevels(dataset, dataset.insertions), strict=True)
-    return {one.id: first.setdefault(bevel, one.id) for one, bevel in bevels}
+    return {insertion.id: first.setdefault(bevel, insertion.id) for insertion, bevel in bevels}
 
 
 def group_insertions(dataset: Dataset, insertions: Sequence[Insertion]) -> tuple[str, ...]:
     """Return the independent group of some insertions of a dataset, as `group_independent`."""
     holes = name_holes(dataset)
-    own = [holes.get(one.id, one.id) for one in insertions]
-    return group_independent(own, [one.specimen for one in insertions])
+    own_holes = [holes.get(insertion.id, insertion.id) for insertion in insertions]
+    return group_independent(own_holes, [insertion.specimen for insertion in insertions])
 
 
 def list_bevels(dataset: Dataset, insertions: Sequence[Insertion]) -> tuple[tuple[str, int], ...]:
@@ -182,4 +189,4 @@ def list_bevels(dataset: Dataset, insertions: Sequence[Insertion]) -> tuple[tupl
     A specimen and a number in it, as of `find_repeats`; the insertion's id and 0 where it has one depth.
     """
     repeats = find_repeats(dataset)
-    return tuple(repeats.get(one.id, (one.id, 0)) for one in insertions)
+    return tuple(repeats.get(insertion.id, (insertion.id, 0)) for insertion in insertions)

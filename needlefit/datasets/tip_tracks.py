@@ -61,7 +61,7 @@ def make_track(
     """
     boundaries, sequence = layers
     directions = readings.tip.shape[1]
-    tip, guide = (pad_axis(one, 2) for one in (readings.tip, readings.guide))
+    tip, guide = (pad_axis(places, 2) for places in (readings.tip, readings.guide))
     before = count_before(readings.depth)
     points = np.column_stack([readings.depth, tip])
     return Insertion(
@@ -82,82 +82,91 @@ def count_before(depth: Floats) -> int:
 
 
 def _parse_track_columns(
-    table: CsvTable, record: DatasetRecord, found: list[Fault]
+    table: CsvTable, record: DatasetRecord, faults: list[Fault]
 ) -> dict[str, NDArray[Any]] | None:
     """Return every column (N,) under our names; None after a fault."""
     source = record.tip_tracks
     assert source is not None
-    known = (*REQUIRED_TRACK_COLUMNS, *OPTIONAL_TRACK_COLUMNS, NEEDLE_COLUMN)
-    before = len(found)
-    table = rename_columns(table, source.columns, source.constants, found)
-    for name in sorted((source.columns.keys() | source.constants.keys()) - {*known}):
-        found.append(
+    known_columns = (*REQUIRED_TRACK_COLUMNS, *OPTIONAL_TRACK_COLUMNS, NEEDLE_COLUMN)
+    before = len(faults)
+    table = rename_columns(table, source.columns, source.constants, faults)
+    for name in sorted((source.columns.keys() | source.constants.keys()) - {*known_columns}):
+        faults.append(
             DataError(
                 f"`columns` or `constants` names {name}",
-                expected=f"one of {', '.join(known)}",
+                expected=f"one of {', '.join(known_columns)}",
                 fix="correct [tip_tracks] of dataset.toml",
                 where=table.path,
             )
         )
-    if note_missing_columns(table, REQUIRED_TRACK_COLUMNS, found) or len(found) > before:
+    if note_missing_columns(table, REQUIRED_TRACK_COLUMNS, faults) or len(faults) > before:
         return None
-    values = {name: parse_numbers(table, name, found) for name in REQUIRED_TRACK_COLUMNS[2:]}
+    values = {name: parse_numbers(table, name, faults) for name in REQUIRED_TRACK_COLUMNS[2:]}
     optional = OPTIONAL_TRACK_COLUMNS.items()
-    values |= {name: parse_numbers(table, name, found, default) for name, default in optional}
+    values |= {name: parse_numbers(table, name, faults, default) for name, default in optional}
     texts = {name: table.cells[name].to_numpy(dtype=str) for name in ("id", "medium")}
     no_needle = np.full(len(table.lines), "")
     texts[NEEDLE_COLUMN] = table.cells.get(NEEDLE_COLUMN, pd.Series(no_needle)).to_numpy(dtype=str)
-    return texts | values if len(found) == before else None
+    return texts | values if len(faults) == before else None
 
 
 def parse_tracks(
-    table: CsvTable, record: DatasetRecord, found: list[Fault], remarks: list[str]
+    table: CsvTable, record: DatasetRecord, all_faults: list[Fault], remarks: list[str]
 ) -> Iterator[Insertion]:
     """Yield the runs of a table; note every fault. A run with a reading marked invalid is left out."""
-    if (values := _parse_track_columns(table, record, found)) is None:
+    if (values := _parse_track_columns(table, record, all_faults)) is None:
         return
     ids, media, needles = values.pop("id"), values.pop("medium"), make_needles(record)
     for id_ in dict.fromkeys(ids.tolist()):
         rows = np.flatnonzero(ids == id_)
-        own = {name: column[rows] for name, column in values.items()}
-        bad = np.flatnonzero(own["valid"] == 0)
+        columns_of_track = {name: column[rows] for name, column in values.items()}
+        bad = np.flatnonzero(columns_of_track["valid"] == 0)
         if len(bad):
             remarks.append(
                 f"Run {id_} is left out: {len(bad)} of its {len(rows)} readings are marked invalid, "
-                f"from {own['depth_mm'][bad[0]]:.0f} mm on."
+                f"from {columns_of_track['depth_mm'][bad[0]]:.0f} mm on."
             )
             continue
         faults = list(
-            _find_run_faults(id_, str(media[rows[0]]), own, [table.where(int(n)) for n in rows], record)
+            _find_run_faults(
+                id_, str(media[rows[0]]), columns_of_track, [table.where(int(n)) for n in rows], record
+            )
         )
-        found += faults
+        all_faults += faults
         if faults:
             continue
-        medium, depth = record.media[media[rows[0]]], own["depth_mm"] - _find_zero(own["depth_mm"], record)
-        tips = [own[name] for name in ("tip_mm", "tip_z_mm") if not np.isnan(own[name]).any()]
+        medium, depth = (
+            record.media[media[rows[0]]],
+            columns_of_track["depth_mm"] - _find_zero(columns_of_track["depth_mm"], record),
+        )
+        tips = [
+            columns_of_track[name]
+            for name in ("tip_mm", "tip_z_mm")
+            if not np.isnan(columns_of_track[name]).any()
+        ]
         guides, turned_to = (
-            [own[name] for name in names[: len(tips)]]
+            [columns_of_track[name] for name in names[: len(tips)]]
             for names in (("guide_mm", "guide_z_mm"), ("heading_deg", "heading_z_deg"))
         )
         before = count_before(depth)
-        starts, roll = np.pad(depth, (before, 0)), own["bevel_roll_deg"][1 - before :]
+        starts, roll = np.pad(depth, (before, 0)), columns_of_track["bevel_roll_deg"][1 - before :]
         turned = np.flatnonzero(np.diff(roll, prepend=0.0))  # a roll is that on the way to a reading
         track = make_track(
             id_,
             str(media[rows[0]]),
             medium.specimen or str(media[rows[0]]),
-            needles[str(own[NEEDLE_COLUMN][0])],
-            int(own["bevel_side"][0]),
+            needles[str(columns_of_track[NEEDLE_COLUMN][0])],
+            int(columns_of_track["bevel_side"][0]),
             TipReadings(
                 depth=depth,
                 tip=np.column_stack(tips),
-                guide=np.column_stack([one - one[0] for one in guides]),
-                headings=tuple(np.radians(one) for one in turned_to if not np.isnan(one).any()),
+                guide=np.column_stack([guide - guide[0] for guide in guides]),
+                headings=tuple(np.radians(heading) for heading in turned_to if not np.isnan(heading).any()),
             ),
             (np.array(medium.boundaries_mm or ()), medium.sequence),
             tuple((float(starts[n]), float(roll[n])) for n in turned),
         )
-        yield replace(track, digest=digest_track(str(media[rows[0]]), own, record))
+        yield replace(track, digest=digest_track(str(media[rows[0]]), columns_of_track, record))
 
 
 def _find_zero(depths: Floats, record: DatasetRecord) -> float:

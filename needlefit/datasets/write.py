@@ -87,12 +87,14 @@ def write_dataset(
         files[turns] = _to_csv([TURN_COLUMNS, *cells])
     if (curvature := listed.curvature) is not None:
         sensed = ((row.id, row.curvature) for row in rows if row.curvature is not None)
-        lines = ((name, *(f"{value:.7g}" for value in one)) for name, ones in sensed for one in ones.tolist())
+        lines = (
+            (name, *(f"{value:.7g}" for value in sensor)) for name, ones in sensed for sensor in ones.tolist()
+        )
         files[curvature] = _to_csv([CURVATURE_COLUMNS, *lines])
     drawn = None if record.measurement is None else record.measurement.sections
     if drawn is not None:
         files |= {drawn.replace("{id}", row.id): format_sections(sections[row.id]) for row in rows}
-    for row in (one for one in rows if one.id in centerlines):
+    for row in (row for row in rows if row.id in centerlines):
         values = np.asarray(centerlines[row.id], dtype=np.float64)
         columns = (*POINT_COLUMNS, SD_COLUMN)[: values.shape[1]]
         table_rows = [columns, *(_format_vector(point, 4) for point in values)]
@@ -113,7 +115,7 @@ def _write_text(path: Path, text: str) -> None:
 
 
 def _to_csv(lines: Sequence[Sequence[str]]) -> str:
-    return "".join(f"{','.join(one)}\n" for one in lines)
+    return "".join(f"{','.join(cells)}\n" for cells in lines)
 
 
 def _format_rows(rows: Sequence[InsertionRow]) -> str:

@@ -14,44 +14,44 @@ def lay_out_checks(checks: Sequence[Finding]) -> TableLayout:
     """Return checks as a table: the question, what was found, what is required, yes or no."""
     rows = [
         {
-            "check": _word_check(one),
-            "check_found": _word_check(one, "_found"),
-            "check_required": _word_check(one, "_required"),
-            "passed": "–" if one.passed is None else one.passed,
+            "check": _word_check(check),
+            "check_found": _word_check(check, "_found"),
+            "check_required": _word_check(check, "_required"),
+            "passed": "–" if check.passed is None else check.passed,
         }
-        for one in checks
+        for check in checks
     ]
     return CHECKS.lay_out(Table("checks", rows, ("check", "check_found", "check_required", "passed")), {})
 
 
-def _word_check(one: Finding, part: str = "") -> str:
+def _word_check(finding: Finding, part: str = "") -> str:
     """Return the question of a check, or what was "_found", is "_required" or "_failed"."""
-    hanging, named = (words.split(", ") if words else [] for words in (one.hangs_on, one.named))
+    hanging, named = (words.split(", ") if words else [] for words in (finding.hangs_on, finding.named))
     return CHECKS.sentence(
-        f"{one.check}{part}",
+        f"{finding.check}{part}",
         {
-            **vars(one),
-            "missed": one.missed,
-            "equals_noise": one.equals_noise,
-            "is_wide": one.is_wide,
-            "pattern": one.pattern,
+            **vars(finding),
+            "missed": finding.missed,
+            "equals_noise": finding.equals_noise,
+            "is_wide": finding.is_wide,
+            "pattern": finding.pattern,
             "hanging": hanging,
             "few_hang": len(hanging) <= MAX_NAMED_NEEDLES,
-            "values": list(one.values.items()),
-            "doubts": [name_doubt(kind) for kind in named] if one.check is Check.DATA else [],
+            "values": list(finding.values.items()),
+            "doubts": [name_doubt(kind) for kind in named] if finding.check is Check.DATA else [],
         },
     )
 
 
 def list_failed(checks: Sequence[Finding]) -> list[str]:
     """Return what failed, of a check that asks for two things the one that did."""
-    failed = (one for one in checks if one.passed is False)
-    return [_word_check(one, "_failed" if CHECKS.has(f"{one.check}_failed") else "") for one in failed]
+    failed = (check for check in checks if check.passed is False)
+    return [_word_check(check, "_failed" if CHECKS.has(f"{check.check}_failed") else "") for check in failed]
 
 
 def _word_failure(check: Finding) -> str:
-    found, required = (_word_check(check, part) for part in ("_found", "_required"))
-    return f"{_word_check(check)} ({found}; required: {required})"
+    result, required = (_word_check(check, part) for part in ("_found", "_required"))
+    return f"{_word_check(check)} ({result}; required: {required})"
 
 
 def summarize_checks(checks: Sequence[Finding]) -> str:

@@ -26,7 +26,7 @@ _OVERLAY_POINT_STEP = 5  # of the points compared, one in so many is drawn
 
 
 def collect_curves(
-    run: Run, role: str, shown: Iterable[str], every: int = 1, *, from_above: bool = False
+    run: Run, role: str, shown: Iterable[str], step: int = 1, *, from_above: bool = False
 ) -> pd.DataFrame:
     """Return one row per drawn point of a role's insertions; y is toward the bevel, mm, `from_above` it is z.
 
@@ -45,7 +45,7 @@ def collect_curves(
     simulated = shapes.set_axis([c.replace("simulated_", "") for c in shapes.columns], axis=1)
     dots = shapes.drop_duplicates([*forms.INSERTION_KEYS, "j"])
     bands = _align_bands(bands, dots)
-    dots = dots[dots["j"] % every == 0].set_axis([c.replace("measured_", "") for c in shapes.columns], axis=1)
+    dots = dots[dots["j"] % step == 0].set_axis([c.replace("measured_", "") for c in shapes.columns], axis=1)
     parts = [simulated.assign(curve=simulated["method"]), dots.assign(curve="measured")]
     for level in forms.BANDS if role == "validate" else ():
         number = level.removesuffix(" %")

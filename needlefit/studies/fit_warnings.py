@@ -48,8 +48,8 @@ TEXT = KindText(
 
 def add_warnings(run: Run, job: "Job") -> Run:
     """Return results whose `run` also has the warnings about data, study, fit and predictions."""
-    found = [*run.warnings, *job.warnings, *list_warnings(run)]
-    return run.with_metadata(warnings=to_stored_rows(found))
+    warnings = [*run.warnings, *job.warnings, *list_warnings(run)]
+    return run.with_metadata(warnings=to_stored_rows(warnings))
 
 
 def list_warnings(run: Run) -> list[ResultWarning]:
@@ -75,8 +75,8 @@ def _find_bounds(run: Run) -> list[Row]:
     """
     keys = ["fold", "parameter"]
     frames = FitFrames.of(run)
-    known = frames.identification.reindex(columns=[*keys, "sd_ratio", "end_low", "end_high"])
-    fits = frames.free_parameters.merge(known, on=keys, how="left")
+    identified = frames.identification.reindex(columns=[*keys, "sd_ratio", "end_low", "end_high"])
+    fits = frames.free_parameters.merge(identified, on=keys, how="left")
     shape = fits["parameter"].map(is_shape_parameter).to_numpy(dtype=bool)
     fits = fits[~(shape & (fits["sd_ratio"] >= UNINFORMED_SD_RATIO).to_numpy(dtype=bool))]
     for side in ("low", "high"):  # one whose profile is open reaches the bound
@@ -90,22 +90,22 @@ def _list_bounds(fits: pd.DataFrame, many: str) -> list[Row]:
 
     `fits`: a row per fit and parameter, with its bounds.
     """
-    found = []
+    described = []
     for name, rows in fits.groupby("parameter", sort=False):
         ends: dict[str, list[str]] = {"parameter_at_bound": [], "interval_at_bound": []}
         for row in to_records(rows):
             bounds = row["bound_low"], row["bound_high"]
-            at = _describe_bound(str(name), row["value"], *bounds)
+            end_text = _describe_bound(str(name), row["value"], *bounds)
             interval = (row.get("interval_low"), row.get("interval_high"))
             cut = [_describe_bound(str(name), end, *bounds, CUT_OFF_FRACTION) for end in interval]
-            ends["parameter_at_bound"] += [at]
-            ends["interval_at_bound"] += [] if at else cut
+            ends["parameter_at_bound"] += [end_text]
+            ends["interval_at_bound"] += [] if end_text else cut
         about = {"parameter": str(name), "total": len(rows), "many": many}
-        for text, every in ends.items():
-            if reached := list(filter(None, every)):
+        for text, all_of_end in ends.items():
+            if reached := list(filter(None, all_of_end)):
                 bounds_reached = list(dict.fromkeys(reached))
-                found.append({**about, "text": text, "count": len(reached), "bounds": bounds_reached})
-    return sorted(found, key=lambda values: values["text"], reverse=True)
+                described.append({**about, "text": text, "count": len(reached), "bounds": bounds_reached})
+    return sorted(described, key=lambda values: values["text"], reverse=True)
 
 
 def _describe_bound(
@@ -133,10 +133,10 @@ def describe_point(point: PointPrediction, parameters: Parameters) -> Row:
 def _find_medians(run: Run) -> Iterator[Row]:
     """Yield how many predictions are medians, and what is wrong with their modes."""
     if medians := run.knows(FitMetadata).medians:
-        outside = any(one.mode_fault == "outside" for one in medians)
+        outside = any(median.mode_fault == "outside" for median in medians)
         yield {
             "count": len(medians),
-            "at_bound": {name: bound for one in medians for name, bound in one.at_bound.items()},
+            "at_bound": {name: bound for median in medians for name, bound in median.at_bound.items()},
             "mode_fault": "outside" if outside else "at_bound",
         }
 
@@ -175,18 +175,18 @@ def _find_shared_residual(run: Run) -> Iterator[Row]:
     """
     frames = FitFrames.of(run)
     place = {"role": "tune", "method": "fitted", "boundaries": "measured"}
-    errors, shapes = (select_rows(one, **place) for one in (frames.errors, frames.shapes))
+    errors, shapes = (select_rows(frame, **place) for frame in (frames.errors, frames.shapes))
     residuals = shapes["measured_y_mm"] - shapes["simulated_y_mm"]
     holes = shapes["insertion"].map(errors.drop_duplicates("insertion").set_index("insertion")["hole"])
     sides = shapes["insertion"].map(find_bevel_sides(run))
     for toward, signs in (("bevels", sides), ("axis", 1)) if len(shapes) else ():
         table = shapes.assign(hole=holes, residual=residuals * signs)
         curves = table.pivot_table(index="j", columns="hole", values="residual").to_numpy()
-        shared, every = np.mean(curves.mean(axis=1) ** 2), np.mean(curves**2)
+        shared, total = np.mean(curves.mean(axis=1) ** 2), np.mean(curves**2)
         count, rms = curves.shape[1], math.sqrt(shared)
-        t = math.sqrt((count - 1) * shared / max(every - shared, 1e-12))
+        t = math.sqrt((count - 1) * shared / max(total - shared, 1e-12))
         if rms > errors["floor_ipe_mean_mm"].mean() and 2 * scipy.special.stdtr(count - 1, -t) < CHANCE:
-            yield {"count": count, "rms": rms, "part": shared / every, "toward": toward}
+            yield {"count": count, "rms": rms, "part": shared / total, "toward": toward}
             return
 
 
@@ -196,31 +196,37 @@ def _find_shifted_boundaries(run: Run) -> Iterator[Row]:
 
 
 def _describe_shifted_boundaries(depths: Iterable[DepthMetadata]) -> Iterator[Row]:
-    for one in depths:
-        sd = math.hypot(one.sd_mm, one.stated_sd_mm)
-        if one.describes and abs(one.shift_mm) > SHIFT_SD * sd:
-            yield {**vars(one), "sd": sd}
+    for depth in depths:
+        sd = math.hypot(depth.sd_mm, depth.stated_sd_mm)
+        if depth.describes and abs(depth.shift_mm) > SHIFT_SD * sd:
+            yield {**vars(depth), "sd": sd}
 
 
 def _find_odd_needles(run: Run) -> Iterator[Row]:
     """Yield the needles that the others do not predict."""
-    known = run.knows(FitMetadata)
-    yield from _describe_doubts(Doubts(known.odd_needles, known.deviating, known.common_doubt))
+    metadata = run.knows(FitMetadata)
+    yield from _describe_doubts(Doubts(metadata.odd_needles, metadata.deviating, metadata.common_doubt))
 
 
 def warn_of_doubts(doubts: Doubts, depths: Iterable[DepthMetadata]) -> list[ResultWarning]:
     """Return the warnings about needles that the others do not predict, and about stated boundaries."""
-    found = [write_warning("needle_outlier", values) for values in _describe_doubts(doubts)]
+    warnings = [write_warning("needle_outlier", values) for values in _describe_doubts(doubts)]
     shifted = _describe_shifted_boundaries(depths)
-    return found + [write_warning("boundary_shift", values) for values in shifted]
+    return warnings + [write_warning("boundary_shift", values) for values in shifted]
 
 
 def _describe_doubts(doubts: Doubts) -> Iterator[Row]:
     if doubts.common is not None:
         yield {**vars(doubts.common), "text": "all_needles"}
-    for one in doubts.odd:
-        size = None if one.size is None else math.exp(one.size) if one.cause == "scaled" else abs(one.size)
-        yield {**vars(one), "size": size, "larger": one.size is not None and one.size > 0}
+    for needle in doubts.odd:
+        size = (
+            None
+            if needle.size is None
+            else math.exp(needle.size)
+            if needle.cause == "scaled"
+            else abs(needle.size)
+        )
+        yield {**vars(needle), "size": size, "larger": needle.size is not None and needle.size > 0}
     if doubts.deviating is not None:
         yield {"text": "needles_deviate", "count": doubts.deviating[0], "total": doubts.deviating[1]}
 
@@ -230,7 +236,7 @@ def _find_implausible_moduli(run: Run) -> Iterator[Row]:
     fits = FitFrames.of(run).free_parameters
     for name, values in fits[fits["parameter"].str.startswith("mu")].groupby("parameter")["value"]:
         if not MU_PA[0] <= (value := float(values.median())) <= MU_PA[1]:
-            ends = {one.medium: one.shear_pa[value > MU_PA[1]] for one in read_moduli().values()}
+            ends = {modulus.medium: modulus.shear_pa[value > MU_PA[1]] for modulus in read_moduli().values()}
             medium = (max if value > MU_PA[1] else min)(ends, key=lambda name: ends[name])
             about = {"published": ends[medium], "published_of": medium, "text": "modulus"}
             factor = max(value / ends[medium], ends[medium] / value)

@@ -92,7 +92,7 @@ class Job:
 
     def responds_to_moves(self, fold: Fold) -> bool:
         """Return whether errors depend on how the tips of a fold respond to moves of a guide."""
-        guided = any(one.guided for one in (*fold.tune, *fold.validate))
+        guided = any(insertion.guided for insertion in (*fold.tune, *fold.validate))
         return guided and self.recipe.likelihood.tip_tracks.gain_sd > 0
 
     @property

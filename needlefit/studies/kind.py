@@ -67,8 +67,8 @@ class StudyKind:
 
     def _import(self, part: str) -> ModuleType:
         """Return the kind's module, or the one of this name in its package."""
-        found = import_module(self.package)
-        return import_module(f"{self.package}.{part}") if hasattr(found, "__path__") else found
+        module = import_module(self.package)
+        return import_module(f"{self.package}.{part}") if hasattr(module, "__path__") else module
 
     @one_thread
     def run(self, name: str, record: FileRecord, settings: "Settings") -> "Run":

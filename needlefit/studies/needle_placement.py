@@ -49,7 +49,7 @@ def place_needles(
     """
     bands = group_values((row["insertion"], row) for row in predicted if row["fold"] == fold.name)
     for role, insertions in (("tune", fold.tune if fitted else ()), ("validate", fold.validate)):
-        for insertion in (one for one in insertions if not one.is_track):
+        for insertion in (insertion for insertion in insertions if not insertion.is_track):
             placement, band = Placement(insertion.frame, insertion.patient), None
             curve = curves.get(insertion.id) if role == "validate" else None
             points = _place_needle(problem, insertion, curve or _simulate_fit(problem, insertion, fit))
@@ -96,8 +96,8 @@ def place_points(dataset: Dataset, insertion: Insertion, s: Floats, points: Floa
         return points
     if pose == "free":
         along = insertion.measure_arc("plane")
-        at = along[-1] - (insertion.depth - s)
-        measured = np.column_stack([np.interp(at, along, axis) for axis in insertion.points.T[:2]])
+        places = along[-1] - (insertion.depth - s)
+        measured = np.column_stack([np.interp(places, along, axis) for axis in insertion.points.T[:2]])
     else:
         goal = select_points(dataset.pose, dataset.drop_proximal, insertion, len(s), dataset.compared)
         measured = goal.target

@@ -26,7 +26,7 @@ Value = TypeVar("Value")
 
 def mark_faults(faults: Sequence[RunFault]) -> str:
     """Return the headlines of faults, each once, as sentences that stand before a result; "" without any."""
-    kinds = dict.fromkeys(one.kind for one in faults)
+    kinds = dict.fromkeys(fault.kind for fault in faults)
     return "".join(f"{kind}. " for kind in kinds)
 
 
@@ -99,7 +99,7 @@ class Run:
     @property
     def warnings(self) -> tuple[ResultWarning, ...]:
         """What is suspicious about the data or the result."""
-        return tuple(ResultWarning(**vars(one)) for one in self.metadata.warnings)
+        return tuple(ResultWarning(**vars(warning)) for warning in self.metadata.warnings)
 
     def knows(self, kind: type[Known]) -> Known:
         """Return the metadata of a run of a kind; TypeError for a run of another one."""
@@ -157,12 +157,12 @@ class Run:
         A run that was interrupted, or that has faults, passes nowhere; the headlines of its faults come
         first. Those of a preliminary recipe are marked.
         """
-        found = find_kind(self.kind).report.first_page(self)
+        page = find_kind(self.kind).report.first_page(self)
         named = dict.fromkeys((self.name, self.question or self.dataset_title))
         return replace(
-            found,
-            verdict=_mark(self, found.verdict),
-            about=found.about or ". ".join(named),
+            page,
+            verdict=_mark(self, page.verdict),
+            about=page.about or ". ".join(named),
             title=self.title,
             origin_mark=self.origin_mark,
             origin_note=ORIGIN_NOTES[self.origin],

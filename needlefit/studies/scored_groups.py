@@ -52,16 +52,20 @@ def aggregate(errors: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
             "edp_flagged": len(set(ids[members[flagged[members]]])),
             "not_converged": len(set(ids[members[~converged[members]]])),
         }
-        every, unflagged = (_average_finite(table[some]) for some in (members, members[~flagged[members]]))
-        for name, (value, floor), (kept, _) in zip(metrics, every.tolist(), unflagged.tolist(), strict=True):
+        means, unflagged = (_average_finite(table[some]) for some in (members, members[~flagged[members]]))
+        for name, (value, floor), (kept, _) in zip(metrics, means.tolist(), unflagged.tolist(), strict=True):
             rows.append({**head, "metric": name, "value": value, "floor": floor, "unflagged": kept})
     return pd.DataFrame(rows, columns=[*by, *AGGREGATE_COLUMNS])
 
 
 def find_score(errors: pd.DataFrame) -> str:
     """Return the metric of verdicts on some errors: the first that is known of any."""
-    known = (one.name for one in verdict_metrics() if one.name in errors and errors[one.name].notna().any())
-    return next(known, TE)
+    scores = (
+        metric.name
+        for metric in verdict_metrics()
+        if metric.name in errors and errors[metric.name].notna().any()
+    )
+    return next(scores, TE)
 
 
 def count_directions(run: Run) -> int:
@@ -90,8 +94,8 @@ def compare_methods(run: Run, role: str) -> pd.DataFrame:
     values = errors.reindex(columns=names).astype(float)
     keys = [errors["method"], errors["fold"], list(group_rows(errors))]
     means = values.where(np.isfinite(values)).groupby(keys, sort=False).mean()
-    found, rows = set(errors["method"]), []
-    for method in [name for name in list_methods() if {name, "fitted"} <= found]:
+    present, rows = set(errors["method"]), []
+    for method in [name for name in list_methods() if {name, "fitted"} <= present]:
         theirs = means.loc[method]
         gaps = (theirs[score] - means.loc["fitted"][score]).dropna()
         averages = {name: float(theirs.loc[gaps.index, name].mean()) for name in names}
@@ -130,9 +134,9 @@ def orient_pits(run: Run) -> dict[str, Floats]:
 
 def _average_finite(rows: Floats) -> Floats:
     """Return the means (M, C) of rows (N, M, C) without what is not finite: a failed solve; NaN of none."""
-    known = np.isfinite(rows)
+    is_finite = np.isfinite(rows)
     with np.errstate(invalid="ignore"):  # summed along contiguous columns: pairwise, as pandas does
-        return np.asarray(np.where(known, rows, 0.0).T.copy().sum(axis=-1).T / known.sum(axis=0))
+        return np.asarray(np.where(is_finite, rows, 0.0).T.copy().sum(axis=-1).T / is_finite.sum(axis=0))
 
 
 _GROUP_COLUMNS = ("study", "grouping", "medium", "layers")
@@ -174,8 +178,8 @@ class ScoredGroup:
     @cached_property
     def score(self) -> str:
         """The metric of its verdict: the first of `verdict_metrics` that is known."""
-        known = {metric for (_, _, metric), row in self.rows.items() if row["value"] is not None}
-        return next((one.name for one in verdict_metrics() if one.name in known), TE)
+        known_scores = {metric for (_, _, metric), row in self.rows.items() if row["value"] is not None}
+        return next((metric.name for metric in verdict_metrics() if metric.name in known_scores), TE)
 
     def get(
         self, metric: str, column: str = "value", method: str = "fitted", boundaries: str = "measured"
@@ -215,9 +219,10 @@ def _make_group(rows: Iterable[Row], **head: Any) -> ScoredGroup | None:  # noqa
     fitted = next((row for key, row in by_place.items() if key[:2] == ("fitted", "measured")), None)
     if fitted is None:
         return None
-    known = {**fitted, **head}
+    values = {**fitted, **head}
     return ScoredGroup(
-        GroupHead(**{one.name: known[one.name] for one in fields(GroupHead) if one.name in known}), by_place
+        GroupHead(**{field.name: values[field.name] for field in fields(GroupHead) if field.name in values}),
+        by_place,
     )
 
 
@@ -260,7 +265,7 @@ def _tabulate_groups(run: Run, grouping: str) -> pd.DataFrame:
 @value_of_run
 def _list_group_rows(run: Run, grouping: str) -> list[Row]:
     errors = select_rows(run.frames["errors"], role="validate" if grouping == HELD_OUT else "tune")
-    table, found = aggregate(errors, ("medium", "layers", "method", "boundaries")), list[Row]()
+    table, all_rows = aggregate(errors, ("medium", "layers", "method", "boundaries")), list[Row]()
     for _, group in table.groupby(["medium", "layers"], sort=False):
         rows = to_records(group)
         medium, layers = rows[0]["medium"], rows[0]["layers"]
@@ -276,8 +281,8 @@ def _list_group_rows(run: Run, grouping: str) -> list[Row]:
             "comparison": str(errors["comparison"].iloc[0]),
             "compared": run.knows(JobMetadata).compared,
         }
-        found += [{**about, **row, "paper": printed.get(row["metric"]), **beside} for row in rows]
-    return found
+        all_rows += [{**about, **row, "paper": printed.get(row["metric"]), **beside} for row in rows]
+    return all_rows
 
 
 def _find_paper_row(group: Row) -> tuple[Row, int | None]:

@@ -50,10 +50,10 @@ def _rebase(key: str, value: Any, folder: Path) -> Any:  # noqa: ANN401 - whatev
         # never absolute unless the file says so: it is kept with the results
         return value if Path(value).is_absolute() else f"./{Path(os.path.relpath(folder / value)).as_posix()}"
     if isinstance(value, list):
-        return [_rebase(key, one, folder) for one in value]
+        return [_rebase(key, part, folder) for part in value]
     if isinstance(value, Mapping) and key not in ("tune", "validate"):  # there `medium` is a name in the data
         return {
-            inner: _rebase(key if key == "priors" else inner, one, folder) for inner, one in value.items()
+            inner: _rebase(key if key == "priors" else inner, part, folder) for inner, part in value.items()
         }
     return value
 
@@ -130,7 +130,7 @@ def _find_files(table: Mapping[str, object]) -> None:
     for key, value in table.items():
         with add_key_context(key):
             for name in (
-                one for one in (value if isinstance(value, list) else [value]) if isinstance(one, str)
+                name for name in (value if isinstance(value, list) else [value]) if isinstance(name, str)
             ):
                 if key in _NAMED_FILES:
                     find_file(_NAMED_FILES[key], name)
@@ -156,8 +156,8 @@ class Target(NamedTuple):
     @property
     def sources(self) -> list[str]:
         """The file that it stands in; of a run, the one of which that was made."""
-        found = [] if self.run is None else read_sources(self.run.timing, self.file.parent)
-        return found or [name_source(self.file)]
+        run_sources = [] if self.run is None else read_sources(self.run.timing, self.file.parent)
+        return run_sources or [name_source(self.file)]
 
 
 def load_target(target: str) -> Target:
@@ -177,13 +177,13 @@ def load_target(target: str) -> Target:
     record = load_fit_file(path) if kind == "fit" else load_study_file(path)
     if isinstance(record, StudyRecord) and record.folds:
         wanted = wanted if study else ""
-        for one in record.folds:
-            if one.name == wanted or (not wanted and len(record.folds) == 1):
-                return Target(f"{path.stem}-{one.name}-tune", record.tuning(one), Inputs(), path)
+        for fold in record.folds:
+            if fold.name == wanted or (not wanted and len(record.folds) == 1):
+                return Target(f"{path.stem}-{fold.name}-tune", record.tuning(fold), Inputs(), path)
         raise ConfigError(
             f"is a study of {len(record.folds)} fits" + (f", none of them {wanted}" if wanted else ""),
             where=path,
-            expected=f"one of {', '.join(f'{path.stem}:{one.name}' for one in record.folds)}",
+            expected=f"one of {', '.join(f'{path.stem}:{fold.name}' for fold in record.folds)}",
             fix="name the study and the fit, with a colon between them",
         )
     if study:
@@ -214,11 +214,11 @@ def prepare_target(record: TargetRecord, name: str, settings: Settings) -> Job:
     """Return the work of the fit that a record names; `name` keys its random numbers."""
     if settings.inputs.target is not None:
         return _prepare_noted(name, settings.inputs.target[1], settings)
-    found = load_target(record.target)
-    if found.run is not None:
-        settings = replace(settings, inputs=found.inputs)
-    with add_file_context(found.file):
-        return _prepare_noted(name, found.record, settings)
+    loaded = load_target(record.target)
+    if loaded.run is not None:
+        settings = replace(settings, inputs=loaded.inputs)
+    with add_file_context(loaded.file):
+        return _prepare_noted(name, loaded.record, settings)
 
 
 def prepare_with_held_out(record: TargetRecord, name: str, settings: Settings) -> Job:

@@ -74,28 +74,28 @@ def find_held_out(insertion: Insertion) -> HeldOutObservation:
 
 
 def predict_held_out(
-    known: Specimens, *, bands: bool = False, step: Step = lambda done, total: None
+    specimens: Specimens, *, bands: bool = False, step: Step = lambda done, total: None
 ) -> Iterator[HeldOutPrediction]:
     """Yield the predictions of the insertions that a fold holds out, kind by kind; see the file of each."""
-    held = known.fold.validate
+    held = specimens.fold.validate
     groups, done = group_values((find_held_out(insertion).name, insertion) for insertion in held), 0
     for name, some in groups.items():
 
         def count(made: int, _: int, done: int = done) -> None:
             step(done + made, len(held))
 
-        yield from HELD_OUT[name].predict(known, some, bands, count)
+        yield from HELD_OUT[name].predict(specimens, some, bands, count)
         done += len(some)
 
 
-def describe_held_out(known: Specimens, insertion: Insertion, draws: Draws, failed: int) -> Row:
+def describe_held_out(specimens: Specimens, insertion: Insertion, draws: Draws, failed: int) -> Row:
     """Return the cells of "predictive" that state an insertion, and by which draws it is predicted.
 
     `failed`: how many of them have no solution.
     """
-    job = known.job
+    job = specimens.job
     return {
-        "fold": known.fold.name,
+        "fold": specimens.fold.name,
         "insertion": insertion.id,
         "hole": name_holes(job.dataset).get(insertion.id, insertion.id),
         "specimen": insertion.specimen,

@@ -66,7 +66,7 @@ MIN_SOLVED_DRAWS = 10  #: fewer solved draws make no distribution
 
 
 def predict_needles(
-    known: Specimens, given: Sequence[Insertion], bands: bool, step: Step
+    specimens: Specimens, given: Sequence[Insertion], bands: bool, step: Step
 ) -> Iterator[HeldOutPrediction]:
     """Yield the prediction of every needle, y toward +y of C, mm.
 
@@ -75,20 +75,20 @@ def predict_needles(
     are not. Without `bands`, those are left out, and what one measured insertion into a new specimen would
     leave of the width.
     """
-    job, jobs = known.job, known.jobs
+    job, jobs = specimens.job, specimens.jobs
     given = [insertion for insertion in given if job.dataset.noise.stated or insertion.states_errors]
-    if given and known.faults and (bands or known.separate):
+    if given and specimens.faults and (bands or specimens.separate):
         return
     side_by_side = max(1, min(jobs, len(given)))
     # what is predicted are the stored points, as they will be measured
     update = {"depths": "fixed", "bevel_spread": 0.0, "measurement": "points"}
     predictor = _Predictor(
-        known,
+        specimens,
         job.recipe.likelihood.model_copy(update=update),
         find_repeats(job.dataset),
         jobs // side_by_side,
         bands,
-        _choose_representatives(job, filter(known.differs, given)) if bands else frozenset(),
+        _choose_representatives(job, filter(specimens.differs, given)) if bands else frozenset(),
     )
     predictions: dict[int, HeldOutPrediction | None] = {}
     for n, insertion in run_parts(predictor.predict, given, side_by_side):
@@ -101,7 +101,7 @@ def predict_needles(
 class _Predictor:
     """Predicts insertions that a fold holds out, each on `jobs` threads."""
 
-    known: Specimens
+    specimens: Specimens
     likelihood: LikelihoodRecord
     repeats: Mapping[str, tuple[str, int]]
     jobs: int
@@ -110,8 +110,8 @@ class _Predictor:
 
     def predict(self, insertion: Insertion) -> HeldOutPrediction | None:
         """Return the prediction of an insertion; None where too few draws have a solution."""
-        known, job = self.known, self.known.job
-        draws = known.draws_in(insertion)
+        specimens, job = self.specimens, self.specimens.job
+        draws = specimens.draws_in(insertion)
         # the roll is drawn: it turns the needle as a whole
         kind = OBSERVATIONS[insertion.observed]
         alone = replace(kind.take_alone(insertion), roll_sd=0.0)
@@ -128,7 +128,7 @@ class _Predictor:
         self, insertion: Insertion, sets: Sequence[Mapping[str, float]]
     ) -> tuple[list[dict[str, float]], np.random.Generator]:
         """Return sets of values with a bevel of this insertion, and what its depths are drawn by."""
-        known, job, fold = self.known, self.known.job, self.known.fold
+        specimens, job, fold = self.specimens, self.specimens.job, self.specimens.fold
         rng = random_stream(job.recipe.seed, job.name, fold.name, "foretold", insertion.id)
         # the depths of one insertion have one specimen and one bevel
         repeat = self.repeats.get(insertion.id)
@@ -138,10 +138,12 @@ class _Predictor:
             else random_stream(job.recipe.seed, job.name, fold.name, "foretold", *repeat)
         )
         deviations = once.standard_normal(len(sets))
-        if known.differs(insertion) and known.separate:
-            deviations = known.bevel_sd_in(insertion) * deviations
+        if specimens.differs(insertion) and specimens.separate:
+            deviations = specimens.bevel_sd_in(insertion) * deviations
         elif fold.tune and len(sets):
-            deviations = _condition_bevels(known.problem_of(insertion), sets, repeat, deviations, self.jobs)
+            deviations = _condition_bevels(
+                specimens.problem_of(insertion), sets, repeat, deviations, self.jobs
+            )
         return scale_bevels(sets, deviations), rng
 
     def _predict(
@@ -152,10 +154,10 @@ class _Predictor:
         drawn_needles: DrawnNeedles,
     ) -> HeldOutPrediction | None:
         """Return the prediction by draws and their needles."""
-        known, job, fold = self.known, self.known.job, self.known.fold
+        specimens, job, fold = self.specimens, self.specimens.job, self.specimens.fold
         rng = random_stream(job.recipe.seed, job.name, fold.name, "scored", insertion.id)
         tuned = any(insertion.specimen == fitted.specimen for fitted in fold.tune)
-        differing = known if known.differs(insertion) else None
+        differing = specimens if specimens.differs(insertion) else None
         about = describe_specimen(differing, "same" if tuned else "training only")
         s = observation.nodes.s[0]
         solved = drawn_needles.solved
@@ -172,7 +174,7 @@ class _Predictor:
         mixture = PredictiveMixture(observation.read(aligned), np.sqrt(np.diag(covariance)))
         end_error = find_end_error(mixture, len(measured) // directions)
         row = {
-            **describe_held_out(known, insertion, draws, int(np.sum(~solved))),
+            **describe_held_out(specimens, insertion, draws, int(np.sum(~solved))),
             AFTER_ONE_COLUMN: math.nan,
             **about,
         }
@@ -211,8 +213,8 @@ class _Predictor:
         self, insertion: Insertion, s: Floats, drawn: Floats
     ) -> tuple[PointPrediction, Curve | None]:
         """Return which needle is reported, and its curve; `drawn` (B, K, 3) are those of draws at `s`."""
-        job, mode = self.known.job, self.known.mode_in(insertion)
-        problem, across = job.problem(self.known.fold), slice(1, 1 + job.dataset.directions)
+        job, mode = self.specimens.job, self.specimens.mode_in(insertion)
+        problem, across = job.problem(self.specimens.fold), slice(1, 1 + job.dataset.directions)
         assert mode is not None
 
         def simulate(theta: Floats) -> Curve | None:
@@ -241,7 +243,7 @@ class _Predictor:
     ) -> DrawSimulation:
         """Return the needles of sets of values at beam coordinates (K,), each with depths of its own."""
         deep, wrong = draw_depth_errors(insertion, len(sets), rng)
-        job, jobs = self.known.job, self.jobs
+        job, jobs = self.specimens.job, self.jobs
         return DrawSimulation(sets, job.medium, insertion, s, deep, wrong, jobs, job.parameters.held)
 
     def _estimate_after_one(
@@ -256,10 +258,10 @@ class _Predictor:
         The second one has the parameters of the `first` (`sets`, before its bevel was drawn), and a bevel,
         depths and errors of measurement of its own.
         """
-        job, fold = self.known.job, self.known.fold
+        job, fold = self.specimens.job, self.specimens.fold
         # a stream of its own: no other number depends on it
         rng = random_stream(job.recipe.seed, job.name, fold.name, "after one", insertion.id)
-        further = vary_bevels(sets, self.known.bevel_sd_in(insertion), rng)
+        further = vary_bevels(sets, self.specimens.bevel_sd_in(insertion), rng)
         tip = len(observation.measured) - 1
         planned = self._plan(insertion, observation.nodes.s[0], further, rng)
         simulated, again = planned.simulate(float(first.sd[tip])), np.full(len(sets), np.nan)

@@ -65,7 +65,7 @@ END_PARTS = 4  #: an end is predicted again after each of so many parts of the r
 
 def check_tracks(job: Job) -> None:
     """Refuse tracks of which nothing is left to be predicted, or that nothing places in their frame."""
-    tracks = [one for fold in job.folds for one in fold.validate if one.observed == NAME]
+    tracks = [track for fold in job.folds for track in fold.validate if track.observed == NAME]
     if not tracks:
         return
     depth = _registration_depth(job)
@@ -77,7 +77,8 @@ def check_tracks(job: Job) -> None:
         )
     for fold in job.folds:
         fitted, held = (
-            {one.specimen for one in part if one.observed == NAME} for part in (fold.tune, fold.validate)
+            {track.specimen for track in part if track.observed == NAME}
+            for part in (fold.tune, fold.validate)
         )
         if other := held - fitted:
             raise ConfigError(
@@ -106,51 +107,55 @@ def count_registered(track: Insertion, depth_mm: float) -> int:
 
 
 def predict_tracks(
-    known: Specimens, tracks: Sequence[Insertion], bands: bool, step: Step
+    specimens: Specimens, tracks: Sequence[Insertion], bands: bool, step: Step
 ) -> Iterator[HeldOutPrediction]:
     """Yield the prediction of every run, with the errors of every method: root mean squares over readings.
 
     What was fitted along y alone is compared along y; where all runs were tracked along z, too, their
     readings there are predicted as in space.
     """
-    job, fold = known.job, _take_tracks(known.fold, tracks)
-    every = _predict_runs(known, job, fold)
-    further = [] if (whole := _restore_directions(job, fold)) is None else _predict_runs(known, *whole)
-    for n, one in enumerate(every):
-        rows = dict(one.rows)
+    job, fold = specimens.job, _take_tracks(specimens.fold, tracks)
+    predictions = _predict_runs(specimens, job, fold)
+    further = [] if (whole := _restore_directions(job, fold)) is None else _predict_runs(specimens, *whole)
+    for n, prediction in enumerate(predictions):
+        rows = dict(prediction.rows)
         for table in ("readings", "ends") if further else ():
             rows[table] = [*rows[table], *(row for row in further[n].rows[table] if row["direction"] == "z")]
-        yield replace(one, rows=rows)
-        step(n + 1, len(every))
+        yield replace(prediction, rows=rows)
+        step(n + 1, len(predictions))
 
 
 def _take_tracks(fold: Fold, tracks: Sequence[Insertion]) -> Fold:
     """Return the fold of its tracks alone."""
-    return replace(fold, tune=tuple(one for one in fold.tune if one.observed == NAME), validate=tuple(tracks))
+    return replace(
+        fold,
+        tune=tuple(insertion for insertion in fold.tune if insertion.observed == NAME),
+        validate=tuple(tracks),
+    )
 
 
 def _restore_directions(job: Job, fold: Fold) -> tuple[Job, Fold] | None:
     """Return a job and its fold in space, if all its runs were tracked along more than what is compared."""
     whole = fold.of_dataset(job.measured)
-    if min(one.directions for one in (*whole.tune, *whole.validate)) == job.dataset.directions:
+    if min(insertion.directions for insertion in (*whole.tune, *whole.validate)) == job.dataset.directions:
         return None
     return replace(job, dataset=replace(job.dataset, compared="space")), whole
 
 
-def _predict_runs(known: Specimens, job: Job, fold: Fold) -> list[HeldOutPrediction]:
+def _predict_runs(specimens: Specimens, job: Job, fold: Fold) -> list[HeldOutPrediction]:
     """Return the predictions of the runs of a fold; `job` may compare in space, unlike that of `known`."""
-    depth, draws = _registration_depth(job), known.replace_mean(known.draws)
+    depth, draws = _registration_depth(job), specimens.replace_mean(specimens.draws)
     assert depth is not None and draws.mode is not None
-    problem = job.problem(known.fold if job is known.job else known.fold.of_dataset(job.measured))
+    problem = job.problem(specimens.fold if job is specimens.job else specimens.fold.of_dataset(job.measured))
     placed = [count_registered(track, depth) for track in fold.validate]
     rng = random_stream(job.recipe.seed, job.name, fold.name, "fitted")
-    simulated = simulate_runs(problem, fold, draws.thetas, known.jobs, rng)
+    simulated = simulate_runs(problem, fold, draws.thetas, specimens.jobs, rng)
     ahead = predict_runs(*simulated, placed, rng)
-    chosen, fitted, points = _choose_readings(problem, fold, draws, ahead, placed, known.jobs)
+    chosen, fitted, points = _choose_readings(problem, fold, draws, ahead, placed, specimens.jobs)
     methods = {PREDICTION_METHOD: points, "fitted": fitted, **_predict_by_curves(job, fold, placed)}
-    scorer, found = make_scorer(job), list[HeldOutPrediction]()
+    scorer, predictions = make_scorer(job), list[HeldOutPrediction]()
     # how a moved guide leads a needle is known from runs with one, or as well as the recipe states
-    led = any(one.guided for one in fold.tune) or job.recipe.likelihood.tip_tracks.gain_sd > 0
+    led = any(insertion.guided for insertion in fold.tune) or job.recipe.likelihood.tip_tracks.gain_sd > 0
     ends = [] if draws.faults else _predict_ends(job, fold, simulated, placed, rng)
     for n, (run, drawn) in enumerate(zip(fold.validate, ahead, strict=True)):
         errors, readings = list[Row](), list[Row]()
@@ -163,10 +168,10 @@ def _predict_runs(known: Specimens, job: Job, fold: Fold) -> list[HeldOutPredict
                 readings += _list_readings(fold, run, method, placed[n], predicted[n], shown)
         rows = {"errors": errors, "readings": readings, "ends": ends[n] if certain is not None else []}
         if certain is not None:
-            rows["predictive"] = [_describe_run(known, job, run, placed[n], certain, draws)]
+            rows["predictive"] = [_describe_run(specimens, job, run, placed[n], certain, draws)]
         count = CountMetadata(simulations=len(drawn.values), outside=0)
-        found.append(HeldOutPrediction(run.id, rows, count, chosen))
-    return found
+        predictions.append(HeldOutPrediction(run.id, rows, count, chosen))
+    return predictions
 
 
 def _predict_ends(
@@ -216,19 +221,24 @@ def _predict_by_curves(job: Job, fold: Fold, placed: Sequence[int]) -> dict[str,
     flat, directions = replace(job.dataset, compared="plane"), job.dataset.directions
 
     def observe(track: Insertion) -> list[Observation]:
-        return [make_observation(flat, one, likelihood=plain) for one in split_directions(track, directions)]
+        return [
+            make_observation(flat, flat_track, likelihood=plain)
+            for flat_track in split_directions(track, directions)
+        ]
 
-    tuned = {one.id: observe(one) for one in fold.tune}
-    found: dict[str, list[Floats]] = {one.name: [] for one in list_baselines("tracks")}
+    tuned = {insertion.id: observe(insertion) for insertion in fold.tune}
+    by_curves: dict[str, list[Floats]] = {baseline.name: [] for baseline in list_baselines("tracks")}
     for run, count in zip(fold.validate, placed, strict=True):
-        alike = [tuned[one.id] for one in select_same_needle(fold.tune, run.needle, MIN_TUNED_RUNS)]
+        alike = [
+            tuned[insertion.id] for insertion in select_same_needle(fold.tune, run.needle, MIN_TUNED_RUNS)
+        ]
         pairs = list(zip(zip(*alike, strict=True), observe(run), strict=True))  # direction by direction
-        for name, each in found.items():
+        for name, curves in by_curves.items():
             parts = [
                 predict_by_curve(BASELINES[name], *pair, count, job.dataset.noise.slope_sd) for pair in pairs
             ]
-            each.append(np.concatenate(parts))
-    return found
+            curves.append(np.concatenate(parts))
+    return by_curves
 
 
 def _choose_readings(
@@ -244,18 +254,18 @@ def _choose_readings(
     Of draws that are not certified there is no median.
     """
     assert draws.mode is not None
-    drawn = np.concatenate([one.values for one in ahead], axis=1)
+    drawn = np.concatenate([observation.values for observation in ahead], axis=1)
 
     def predict_all(theta: Floats) -> Floats:
         simulated = simulate_runs(problem, fold, theta[None], jobs)
         solved = len(simulated[0]) > 0
-        means = [one.values for one in predict_runs(*simulated, placed)]
+        means = [readings.values for readings in predict_runs(*simulated, placed)]
         return np.hstack(means)[0] if solved else np.full(drawn.shape[1], np.nan)
 
     mode, point = predict_all(draws.mode), PointPrediction()
     if not draws.faults:
         point = choose_point(problem, draws.mode, drawn, predict_all)
-    ends = np.cumsum([one.values.shape[1] for one in ahead])[:-1]
+    ends = np.cumsum([observation.values.shape[1] for observation in ahead])[:-1]
     return point, np.split(mode, ends), np.split(point.take(mode, drawn), ends)
 
 
@@ -276,18 +286,26 @@ def simulate_runs(
         """Yield the curves (B, m, n) of runs: of all sets as measured, how others differ is interpolated."""
         coordinates = make_coordinates(sets, HYPERPARAMETERS)
         chosen = choose_draws(coordinates)
-        first = PreparedModel(problem.medium, [one.insertion for one in some])
-        as_measured = first.read_points(sets, [one.nodes.s[0] for one in some], jobs)
-        nodes = [pair for one in some for pair in zip(one.nodes.insertions[1:], one.nodes.s[1:], strict=True)]
+        first = PreparedModel(problem.medium, [observation.insertion for observation in some])
+        as_measured = first.read_points(sets, [observation.nodes.s[0] for observation in some], jobs)
+        nodes = [
+            pair
+            for observation in some
+            for pair in zip(observation.nodes.insertions[1:], observation.nodes.s[1:], strict=True)
+        ]
         others = PreparedModel(problem.medium, [run for run, _ in nodes])
-        points = others.read_points([sets[n] for n in chosen], [at for _, at in nodes], jobs)
-        for one in some:
-            curves = one.stack(next(as_measured))[:, None]
-            found = [one.stack(next(points)) - curves[chosen, 0] for _ in one.nodes.s[1:]]
-            changes = np.stack(found, axis=1) if found else np.empty((len(chosen), 0, curves.shape[2]))
+        points = others.read_points([sets[n] for n in chosen], [s for _, s in nodes], jobs)
+        for observation in some:
+            curves = observation.stack(next(as_measured))[:, None]
+            moved_runs = [
+                observation.stack(next(points)) - curves[chosen, 0] for _ in observation.nodes.s[1:]
+            ]
+            changes = (
+                np.stack(moved_runs, axis=1) if moved_runs else np.empty((len(chosen), 0, curves.shape[2]))
+            )
             interpolate = interpolate_draws(coordinates, chosen, changes.reshape(len(chosen), -1))
             if interpolate is None:  # too few of them have a solution
-                yield np.full((len(sets), len(one.nodes.s), curves.shape[2]), np.nan)
+                yield np.full((len(sets), len(observation.nodes.s), curves.shape[2]), np.nan)
                 continue
             moved = interpolate(coordinates).reshape(len(sets), *changes.shape[1:])
             yield np.concatenate([curves, curves + moved], axis=1)
@@ -297,12 +315,12 @@ def simulate_runs(
         for tracks in (fold.tune, fold.validate)
     )
     curves = list(simulate(sets, tuned))
-    for one in held:
+    for observation in held:
         varied = sets if rng is None else vary_bevels(sets, problem.new_bevel_sd, rng)
-        curves += simulate(varied, [one])
-    good = np.all([np.isfinite(one).all(axis=(1, 2)) for one in curves], axis=0)
+        curves += simulate(varied, [observation])
+    good = np.all([np.isfinite(curve).all(axis=(1, 2)) for curve in curves], axis=0)
     scale = np.array([values.get(NOISE_SCALE, 1.0) for values in sets])
-    return scale[good], tuned, held, [one[good] for one in curves]
+    return scale[good], tuned, held, [curve[good] for curve in curves]
 
 
 def _score_run(scorer: Scorer, place: Row, run: Insertion, placed: int, predicted: Floats, sd: Floats) -> Row:
@@ -312,21 +330,26 @@ def _score_run(scorer: Scorer, place: Row, run: Insertion, placed: int, predicte
     """
     directions = scorer.dataset.directions
     depths, *across = run.points.T
-    known = np.column_stack([depths, *(one - one[0] for one in across[:directions])])
-    ours = known.copy()
+    measured = np.column_stack([depths, *(coordinate - coordinate[0] for coordinate in across[:directions])])
+    ours = measured.copy()
     ours[placed:, 1:] = (predicted.reshape(directions, -1) - run.points[0, 1 : 1 + directions, None]).T
     floor = {TRACK_RMS.name: float(np.sqrt(np.mean(sd**2) * directions))}
-    curves = compare_curves(ours[placed:], known[placed:], scorer.dataset.compared, "readings")
+    curves = compare_curves(ours[placed:], measured[placed:], scorer.dataset.compared, "readings")
     row = scorer.describe({**place, "boundaries": "measured"}, run, floor)
     row |= scorer.compute_errors(run, [curves])
     row["deflection_mm"], row["predicted_deflection_mm"] = (
-        run.side * float(one[-1, 1]) for one in (known, ours)
+        run.side * float(coordinate[-1, 1]) for coordinate in (measured, ours)
     )
     return row
 
 
 def _describe_run(
-    known: Specimens, job: Job, run: Insertion, placed: int, drawn: PredictedReadings, draws: predict.Draws
+    specimens: Specimens,
+    job: Job,
+    run: Insertion,
+    placed: int,
+    drawn: PredictedReadings,
+    draws: predict.Draws,
 ) -> Row:
     """Return the row of "predictive": the tip at the last reading along y, and all readings as a shape."""
     count = drawn.values.shape[1] // job.dataset.directions
@@ -334,7 +357,7 @@ def _describe_run(
     mixture = predict.PredictiveMixture(drawn.values, np.zeros(drawn.values.shape[1]))
     along_y = predict.PredictiveMixture(drawn.values[:, :count] - first, np.zeros(count))
     row = {
-        **describe_held_out(known, run, draws, len(draws.thetas) - len(drawn.values)),
+        **describe_held_out(specimens, run, draws, len(draws.thetas) - len(drawn.values)),
         **describe_specimen(None),
         **score_shape(mixture, measured, find_bands(drawn.values).pit(measured)),
         **score_tip(along_y, measured[:count] - first),
@@ -357,17 +380,17 @@ def _list_readings(
     """
     assert run.guide is not None
     count = len(run.points) - placed
-    for number, one in enumerate(split_directions(run, len(predicted) // count)):
-        assert one.guide is not None
+    for number, flat_track in enumerate(split_directions(run, len(predicted) // count)):
+        assert flat_track.guide is not None
         part = slice(number * count, (number + 1) * count)
-        columns, first = {"predicted_mm": predicted[part]}, one.points[0, 1]
-        guide = follow_guide(one, one.points[:, 0])
+        columns, first = {"predicted_mm": predicted[part]}, flat_track.points[0, 1]
+        guide = follow_guide(flat_track, flat_track.points[:, 0])
         if drawn is not None:
             band = find_bands(drawn.values[:, part])
             for level in predict.INTERVAL_PROBABILITIES:
                 for side, end in zip(("low", "high"), band.ends(level), strict=True):
                     columns[f"{side}_{100 * level:.0f}_mm"] = end
-        for n, (depth, tip) in enumerate(one.points[:, :2]):
+        for n, (depth, tip) in enumerate(flat_track.points[:, :2]):
             yield dict.fromkeys(READING_COLUMNS, math.nan) | {
                 **{"fold": fold.name, "run": run.id, "medium": run.medium, "direction": "yz"[number]},
                 **{"method": method, "depth_mm": float(depth), "guide_mm": float(guide[n])},

@@ -132,14 +132,14 @@ class FoldFits:
 
 def run_fold(job: Job, fold: Fold, services: FoldServices) -> FoldResult:
     """Fit to the insertions of a fold, learn what they determine, score and predict the others."""
-    found = fit_fold(job, fold, services)
+    fits = fit_fold(job, fold, services)
     services.progress.finish(fold, "errors")
-    job = found.job
-    drawn, least = found.drawn, found.error_fit
+    job = fits.job
+    drawn, least = fits.drawn, fits.error_fit
     predicted = drawn.predicted if drawn else ()
-    usable = {name: fit for name, fit in found.fits.items() if math.isfinite(fit.objective)}
+    usable = {name: fit for name, fit in fits.fits.items() if math.isfinite(fit.objective)}
     fitted = usable.get("fitted")
-    rows: FitRows = {} if fitted is None else _describe_fit(job, fold, fitted, found, drawn)
+    rows: FitRows = {} if fitted is None else _describe_fit(job, fold, fitted, fits, drawn)
     scored = list(_score(job, fold, usable, drawn))
     rows |= {name: _join_rows(predicted, name) for name in ("predictive", "bands", "readings", "ends")}
     rows |= {
@@ -150,9 +150,9 @@ def run_fold(job: Job, fold: Fold, services: FoldServices) -> FoldResult:
         ],
         "error_fit": [] if least is None else [describe_error_fit(fold, least)],
         "draws": list(_list_draws(job, fold, drawn)) if drawn else [],
-        "errors": [*(row for one in scored for row in one.errors), *_join_rows(predicted, "errors")],
-        "shapes": [row for one in scored for row in one.shapes],
-        "starts": list(_list_starts(job, fold, found.fits)),
+        "errors": [*(row for part in scored for row in part.errors), *_join_rows(predicted, "errors")],
+        "shapes": [row for part in scored for row in part.shapes],
+        "starts": list(_list_starts(job, fold, fits.fits)),
         "medians": list(_list_medians(job, fold, predicted)),
         "curvature": _join_rows(predicted, "curvature") or list(_list_sensors(job, fold, fitted)),
     }
@@ -162,39 +162,39 @@ def run_fold(job: Job, fold: Fold, services: FoldServices) -> FoldResult:
         depths=tuple(_examine_depths(job, fold, fitted)) if fitted else (),
         mode=fitted.theta if fitted and fitted.minimized == "posterior" else None,
         validity=ValidityCounts(
-            starts=_count_starts(job, fold, found.fits),
+            starts=_count_starts(job, fold, fits.fits),
             draws=drawn.count if drawn else NO_SIMULATIONS,
-            predicted=add_counts(one.simulations for one in predicted),
-            scored=tuple(row for one in scored for row in one.validity),
+            predicted=add_counts(part.simulations for part in predicted),
+            scored=tuple(row for part in scored for row in part.validity),
         ),
-        search_faults=tuple(_find_search_faults(found)),
+        search_faults=tuple(_find_search_faults(fits)),
         faults=tuple(_find_draw_faults(drawn)) if drawn else (),
         posterior=drawn.posterior if drawn else None,
-        interrupted=found.interrupted,
+        interrupted=fits.interrupted,
     )
 
 
 def _join_rows(predicted: Iterable[HeldOutPrediction], table: str) -> list[Row]:
-    return [row for one in predicted for row in one.rows.get(table, ())]
+    return [row for prediction in predicted for row in prediction.rows.get(table, ())]
 
 
 def _list_medians(job: Job, fold: Fold, predicted: Iterable[HeldOutPrediction]) -> Iterator[Row]:
     """Yield the insertions whose prediction is the predictive median."""
-    for one in predicted:
-        if one.point is not None and one.point.is_median:
-            place = {"fold": fold.name, "insertion": one.insertion}
-            yield place | describe_point(one.point, job.parameters)
+    for prediction in predicted:
+        if prediction.point is not None and prediction.point.is_median:
+            place = {"fold": fold.name, "insertion": prediction.insertion}
+            yield place | describe_point(prediction.point, job.parameters)
 
 
 def _list_sensors(job: Job, fold: Fold, fit: Fit | None) -> Iterator[Row]:
     """Yield the readings of the sensors of insertions fitted to, where none is held out, beside the fit's."""
     if fit is None or fold.validate:
         return
-    for one in fold.tune:
-        curve, s = predict_needle(fit.values, job.medium, one), append_sensors(one, np.empty(0))
+    for insertion in fold.tune:
+        curve, s = predict_needle(fit.values, job.medium, insertion), append_sensors(insertion, np.empty(0))
         if curve is not None and len(s):
-            about, where = curve(s)[None], {"fold": fold.name, "insertion": one.id}
-            rows = tabulate_sensors(one, select_compared(about, job.dataset.compared))
+            about, where = curve(s)[None], {"fold": fold.name, "insertion": insertion.id}
+            rows = tabulate_sensors(insertion, select_compared(about, job.dataset.compared))
             yield from ({**where, **row} for row in rows)
 
 
@@ -230,7 +230,7 @@ def fit_fold(job: Job, fold: Fold, services: FoldServices) -> FoldFits:
     drawn = drawn or _draw(job, fold, fits, services)
     interrupted = interrupted or stop()
     shifts = _measure_shifts(job, fold, fits, drawn)
-    hidden = [name for name, one in shifts.items() if one.is_hidden]
+    hidden = [name for name, shift in shifts.items() if shift.is_hidden]
     if len(hidden) < len(shifts) and not interrupted:  # one moves needles of draws, not of the fit
         return fit_fold(job.holding(hidden), fold, services)
     error_fit = _minimise_errors(job, fold, fits, drawn, services)
@@ -336,8 +336,8 @@ def _measure_shifts(
     fit = fits.get("fitted")
     if fit is None or not math.isfinite(fit.objective):
         return {}
-    found = np.array([fit.theta])
-    return measure_prior(job, fold, found if drawn is None else np.concatenate([found, drawn.draws.thetas]))
+    thetas = np.array([fit.theta])
+    return measure_prior(job, fold, thetas if drawn is None else np.concatenate([thetas, drawn.draws.thetas]))
 
 
 def _minimise_errors(
@@ -357,9 +357,9 @@ def _minimise_errors(
     return examine_errors(problem, fit, draws, job.parameters, rng, callbacks)
 
 
-def _find_search_faults(found: FoldFits) -> Iterator[str]:
+def _find_search_faults(fits: FoldFits) -> Iterator[str]:
     """Yield why the best point of the fit may not be the best."""
-    fit, profiles = found.fits.get("fitted"), found.profiles
+    fit, profiles = fits.fits.get("fitted"), fits.profiles
     if fit is not None and fit.fault:
         yield fit.fault
     if profiles is not None and profiles.gain > LOG_POSTERIOR_TOLERANCE:
@@ -401,10 +401,10 @@ def _count_starts(job: Job, fold: Fold, fits: Mapping[str, Fit]) -> CountMetadat
 
 def _list_draws(job: Job, fold: Fold, drawn: FoldDrawn) -> Iterator[Row]:
     """Yield draws in Pa and mm: of the specimens' mean, of each and of a new one."""
-    draws, every = drawn.shown, {TUNED_SPECIMENS: drawn.shown.thetas}
+    draws, thetas_by_specimen = drawn.shown, {TUNED_SPECIMENS: drawn.shown.thetas}
     if not draws.faults:
-        every |= drawn.specimens.list_draws(draws.thetas)
-    for specimen, thetas in every.items():
+        thetas_by_specimen |= drawn.specimens.list_draws(draws.thetas)
+    for specimen, thetas in thetas_by_specimen.items():
         where = {"fold": fold.name, **draws.describe(), "specimen": specimen}
         yield from ({**where, **job.parameters.values(theta)} for theta in thetas)
 
@@ -422,13 +422,15 @@ def _place_needles(
     """Yield the needles that a fold holds out in their scans, of a single fold also those fitted to."""
     predicted = drawn.predicted if drawn else ()
     bands = _join_rows(predicted, "bands")
-    curves = {one.insertion: one.curve for one in predicted if one.curve is not None}
+    curves = {
+        prediction.insertion: prediction.curve for prediction in predicted if prediction.curve is not None
+    }
     shown = drawn.shown if drawn else None
     problem, fitted = job.problem(fold), len(job.folds) == 1
     return place_needles(problem, fold, fit, shown, bands, jobs, fitted=fitted, curves=curves)
 
 
-def _describe_fit(job: Job, fold: Fold, fit: Fit, found: FoldFits, drawn: FoldDrawn | None) -> FitRows:
+def _describe_fit(job: Job, fold: Fold, fit: Fit, fits: FoldFits, drawn: FoldDrawn | None) -> FitRows:
     """Return the fitted parameters of a fold and what the data determine.
 
     They are judged by draws of the posterior; without certified ones, by the information.
@@ -450,18 +452,20 @@ def _describe_fit(job: Job, fold: Fold, fit: Fit, found: FoldFits, drawn: FoldDr
         verdict = replace(verdict, determined=nothing, together=nothing, conditions={})
         verdict = replace(verdict, notes=notes) if invalid else verdict
     judged, points = list[Row](), list[Row]()
-    if found.profiles is not None:
-        known = identify_parameters(problem.searched, found.profiles, verdict.sds, verdict, verdict.loosened)
-        judged = [{**place, **row} for row in known.rows]
-        points = [{**place, **row} for row in known.points]
-        verdict = reconcile_verdict(verdict, known.by_profile)
-    held = {row["parameter"]: row for row in list_held(job.parameters, found.shifts)}
+    if fits.profiles is not None:
+        identified = identify_parameters(
+            problem.searched, fits.profiles, verdict.sds, verdict, verdict.loosened
+        )
+        judged = [{**place, **row} for row in identified.rows]
+        points = [{**place, **row} for row in identified.points]
+        verdict = reconcile_verdict(verdict, identified.by_profile)
+    held = {row["parameter"]: row for row in list_held(job.parameters, fits.shifts)}
     fitted = [_take(row, held.get(row.parameter, {})) for row in list_fitted(job, fold, fit, verdict)]
     sampled = intervals_of_draws(job.parameters, draws, posterior)
     fitted, judged = add_intervals(
         fitted, judged, sampled, job.parameters.ties, verdict.together, verdict.model_error
     )
-    if found.profiles is not None:
+    if fits.profiles is not None:
         for row in held.values():
             judged.append(place | {key: row[key] for key in IDENTIFICATION_COLUMNS if key in row})
     return {
@@ -473,9 +477,9 @@ def _describe_fit(job: Job, fold: Fold, fit: Fit, found: FoldFits, drawn: FoldDr
     }
 
 
-def _take(row: ParameterRow, known: Row) -> ParameterRow:
+def _take(row: ParameterRow, identification: Row) -> ParameterRow:
     """Return a row with those of its values that are known otherwise."""
-    return row._replace(**{key: value for key, value in known.items() if key in row._fields})
+    return row._replace(**{key: value for key, value in identification.items() if key in row._fields})
 
 
 # ---- scores
@@ -484,14 +488,16 @@ def _take(row: ParameterRow, known: Row) -> ParameterRow:
 def _score(job: Job, fold: Fold, fits: Mapping[str, Fit], drawn: FoldDrawn | None) -> Iterator[Scores]:
     """Yield the scores of every method on every insertion, then of our predictions."""
     scorer, problem = make_scorer(job), job.problem(fold)
-    held = [one for one in fold.validate if not find_held_out(one).has_errors]
+    held = [insertion for insertion in fold.validate if not find_held_out(insertion).has_errors]
     for method, curves in make_predictors(problem, fits, job.hand_tuned).items():
         for role, insertions in (("tune", fold.tune), ("validate", held)):
             place = {"fold": fold.name, "role": role, "method": method}
-            yield from (scorer.score(place, one, curves) for one in insertions)
+            yield from (scorer.score(place, insertion, curves) for insertion in insertions)
     if (fit := fits.get("fitted")) is None:
         return
-    predicted = {} if drawn is None else {one.insertion: one.curve for one in drawn.predicted}
+    predicted = (
+        {} if drawn is None else {insertion.insertion: insertion.curve for insertion in drawn.predicted}
+    )
 
     def find_curves(insertion: Insertion) -> dict[str, Curve | None]:
         """Return our prediction, that of the mode where no draws are certified.
@@ -505,4 +511,4 @@ def _score(job: Job, fold: Fold, fits: Mapping[str, Fit], drawn: FoldDrawn | Non
         return {"measured": predict_needle(values, problem.medium, insertion)}
 
     place = {"fold": fold.name, "role": "validate", "method": PREDICTION_METHOD}
-    yield from (scorer.score(place, one, find_curves) for one in held)
+    yield from (scorer.score(place, insertion, find_curves) for insertion in held)
