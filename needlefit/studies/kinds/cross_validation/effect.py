@@ -13,8 +13,9 @@ from needlefit.studies.advice import CONTRADICTIONS
 from needlefit.studies.fit_frames import FitFrames
 from needlefit.studies.job import Job
 from needlefit.studies.judge import judge
-from needlefit.studies.kinds.cross_validation.fold import FoldResult, FoldServices, run_fold
+from needlefit.studies.kinds.cross_validation.fold import FoldResult, FoldServices
 from needlefit.studies.kinds.cross_validation.progress import StudyProgress
+from needlefit.studies.kinds.cross_validation.side_by_side import run_folds
 from needlefit.studies.outcome import Outcome
 from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import pool_insertions
@@ -44,7 +45,7 @@ def repeat_folds(job: Job, services: FoldServices) -> list[FoldResult]:
     """Return the results of a study without its doubtful needles; nothing is printed of them."""
     settings = replace(services.settings, first=no_note, sample=False)
     services = replace(services, settings=settings, progress=StudyProgress(job, settings.progress))
-    return [run_fold(job, fold, services) for fold in job.folds]
+    return run_folds(job, services)
 
 
 def measure_effect(

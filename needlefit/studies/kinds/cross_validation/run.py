@@ -36,9 +36,10 @@ from needlefit.studies.kinds.cross_validation.effect import (
     measure_effect,
     repeat_folds,
 )
-from needlefit.studies.kinds.cross_validation.fold import FoldResult, FoldServices, run_fold
+from needlefit.studies.kinds.cross_validation.fold import FoldResult, FoldServices
 from needlefit.studies.kinds.cross_validation.frames import FRAMES
 from needlefit.studies.kinds.cross_validation.progress import StudyProgress
+from needlefit.studies.kinds.cross_validation.side_by_side import run_folds
 from needlefit.studies.load import load_study, print_notes
 from needlefit.studies.mixed_errors import add_errors_over_noise
 from needlefit.studies.odd_needles import find_odd_needles, join_folds
@@ -64,11 +65,7 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
     work = describe_configuration(job)
     checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work.work, settings.note)
     services = FoldServices(settings, checkpoint, StudyProgress(job, settings.progress))
-    results: list[FoldResult] = []
-    for fold in job.folds:
-        results.append(run_fold(job, fold, services))
-        if results[-1].interrupted:
-            break
+    results = run_folds(job, services)
     found = conclude_run(job, work, results)
     if not (doubtful := list_doubtful(found, job)):
         return found
