@@ -340,6 +340,18 @@ def test_leaving_one_out_scores_each_insertion_once_by_a_fit_to_the_others(proje
 
 
 @pytest.mark.usefixtures("few_draws")
+def test_folds_side_by_side_give_the_same_frames_and_stop_alike(project: Path) -> None:
+    (project / "configs" / "recipes" / "gel.toml").write_text(ONE_EVALUATION)
+    record = study(tune={}, validate=[], leave_out="insertion")
+    one, two = (run("loo", record, Settings(jobs=jobs)) for jobs in (1, 2))
+    for name, frame in one.frames.items():
+        pd.testing.assert_frame_equal(frame, two.frames[name], check_exact=True)
+    assert one.metadata == two.metadata and not two.interrupted
+    stopped = run("loo", record, Settings(jobs=2, stop=lambda: True))
+    assert stopped.interrupted and stopped.frames["errors"]["fold"].nunique() <= 1
+
+
+@pytest.mark.usefixtures("few_draws")
 def test_a_fold_has_the_same_rows_whichever_folds_ran_before(project: Path) -> None:
     (project / "configs" / "recipes" / "gel.toml").write_text(ONE_EVALUATION)
     record = study(tune={}, validate=[], leave_out="insertion")
