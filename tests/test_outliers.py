@@ -178,6 +178,11 @@ def test_rounded_needles_are_no_copies_and_a_copy_is_one(tmp_path, step):
     curves["n5"] = curves["n7"].copy()
     found = [one for one in find_warnings(tmp_path / "fine", curves, SIDES, 0.01) if one.kind == "copy"]
     assert len(found) == 1 and "n7 and n5" in found[0].what
+    pasted = measure_needles(5)
+    count = min(len(pasted["n5"]), len(pasted["n7"]))
+    pasted["n5"][:count, 1] = pasted["n7"][:count, 1]
+    found = [one for one in find_warnings(tmp_path / "y", pasted, SIDES, 0.01) if one.kind == "copy"]
+    assert [one.insertions for one in found] == [("n7", "n5")] and f"y at {count}" in found[0].what
 
 
 def test_rounding_is_found_from_coordinates():

@@ -1,11 +1,13 @@
 """Warn about a dataset that can be fitted all the same: placeholders, units, copies, bevel sides."""
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import Literal, Self
 
 import numpy as np
+from scipy.special import bdtrc
 
 from needlefit.datasets.columns import BOUNDARIES_COLUMN, NUMBER_COLUMNS, ROLL_COLUMNS
 from needlefit.datasets.curve_lengths import find_length_warnings
@@ -30,7 +32,7 @@ from needlefit.datasets.planes import (
     find_plane_warnings,
 )
 from needlefit.datasets.points import find_rounding
-from needlefit.datasets.scatter import SD_MM, find_axis_warnings, find_scatter_warnings
+from needlefit.datasets.scatter import AXIS_COSINE, SD_MM, find_axis_warnings, find_scatter_warnings
 from needlefit.datasets.spellings import find_spellings
 from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import ResultWarning
@@ -53,6 +55,8 @@ PLACEHOLDER = "TO FILL IN"  # marks values that a template cannot know
 
 MAX_ROLL_SD_DEG = 45.0  #: SD of a roll beyond which nothing is known of it: a uniform one has 104
 MAX_NOISE_PART = 0.5  #: SD of points over the largest deflection: beyond it no needle bends by more than 2 SD
+#: of a coordinate that two needles share by errors alone, for so many pairs as a thousand datasets have
+MAX_PASTED_CHANCE = 1e-9
 MIRRORED = np.array([1.0, -1.0, 1.0])  # y of a needle
 
 # ---- the record
@@ -225,6 +229,34 @@ def _find_copy_warnings(listed: Sequence[ListedInsertion]) -> Iterator[ResultWar
             yield ResultWarning("copy", what, later.where, fix, names)
 
 
+def _find_pasted_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
+    """Yield a warning for each two needles with the same coordinate across, though not the same points.
+
+    Errors alone make rounded coordinates differ: they are equal with a probability of at most the step over
+    2 sqrt(pi) SD.
+    """
+    values = [one.points.values for one in listed]
+    step = max(find_rounding(values), SAME_POINT_MM)
+    chance = step / (2 * math.sqrt(math.pi) * noise.point_sd) if noise.point_sd else 1.0
+    counts = np.array([len(points) for points in values])
+    padded = np.full((len(values), max(counts), 3), np.nan)
+    for points, row in zip(values, padded, strict=True):
+        row[: len(points)] = points
+    for n, later in enumerate(listed if chance < 1 else ()):
+        entry = later.insertion.frame.rotation[:, 0]
+        same = np.sum(np.abs(padded[:n] - padded[n]) < SAME_POINT_MM, axis=1)  # (n, 3)
+        common = np.minimum(counts[:n], counts[n])[:, None]
+        # along the needles all may be sampled alike, and what does not vary is no measurement
+        is_measured = (np.abs(entry) < AXIS_COSINE) & (np.ptp(values[n], axis=0) > 0)
+        is_pasted = is_measured & (same > common / 2) & (bdtrc(same - 1, common, chance) < MAX_PASTED_CHANCE)
+        for m in np.flatnonzero(is_pasted.any(axis=1) & ~(same == common).all(axis=1)).tolist():
+            axis = int(np.argmax(is_pasted[m]))
+            names = (later.insertion.id, listed[m].insertion.id)
+            what = f"{' and '.join(names)} have the same {'xyz'[axis]} at {same[m, axis]} points"
+            fix = "look whether it was pasted from one into the other"
+            yield ResultWarning("copy", what, later.where, fix, names)
+
+
 def _find_order_warnings(listed: Sequence[ListedInsertion]) -> Iterator[ResultWarning]:
     """Yield a warning if the last points lie in one plane across the needles, and the first ones do not."""
     if len(listed) < 3:
@@ -328,6 +360,7 @@ def _find_shape_warnings(
     values = [one.points.values for one in listed]
     if values and find_rounding(values) <= max(noise.point_sd, noise.correlated_sd):
         yield from _find_copy_warnings(listed)
+        yield from _find_pasted_warnings(listed, noise)
         yield from _find_constant_warnings(listed)
 
 

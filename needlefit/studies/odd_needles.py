@@ -23,7 +23,7 @@ def find_odd_needles(job: Job, mode: Sequence[float]) -> Doubts:
 
     `mode` (P,): the most probable parameters of a fit.
     """
-    return find_doubts(join_folds(job), np.array(mode))
+    return find_doubts(_leave_out_copies(job), np.array(mode))
 
 
 def check_quickly(job: Job) -> tuple[Doubts, list[DepthMetadata]]:
@@ -33,7 +33,7 @@ def check_quickly(job: Job) -> tuple[Doubts, list[DepthMetadata]]:
     """
     if not (job.dataset.noise_is_stated and job.recipe.minimize == "posterior"):
         return Doubts(), []
-    problem = join_folds(job)
+    problem = _leave_out_copies(job)
     theta = fit_quickly(problem)
     doubts = find_doubts(problem, theta)
     if doubts.deviating is not None or doubts.common is not None:
@@ -41,6 +41,14 @@ def check_quickly(job: Job) -> tuple[Doubts, list[DepthMetadata]]:
     odd = {one.insertion for one in doubts.odd}
     others = tuple(one for one in problem.insertions if one.id not in odd)
     return doubts, examine_depths(replace(problem, insertions=others), theta)
+
+
+def _leave_out_copies(job: Job) -> Problem:
+    """Return the problem of all insertions but those that have values of each other, unless all have."""
+    copied = {name for one in job.dataset.warnings if one.kind == "copy" for name in one.insertions}
+    problem = join_folds(job)
+    others = tuple(one for one in problem.insertions if one.id not in copied)
+    return replace(problem, insertions=others or problem.insertions)
 
 
 def join_folds(job: Job) -> Problem:
