@@ -146,8 +146,8 @@ def _find_medians(run: Run) -> Iterator[Row]:
 #: factor between in-sample errors and their noise floor, either way, below which no warning is given
 FAR_FROM_FLOOR = 2.0
 SHIFT_SD = 3.0  #: standard deviations beyond which a boundary lies elsewhere than stated
-#: least such shift: beside a boundary a needle bends over (EI / mu)^(1/4), 6 to 15 mm, and an error of the model
-#: looks like a shift by a part of it
+#: least such shift: beside a boundary a needle bends over (EI / mu)^(1/4), 6 to 15 mm, and an error of the
+#: model looks like a shift by a part of it
 MIN_SHIFT_MM = 5.0
 CHANCE = 1e-3  #: probability of such a factor by chance, below which it is one
 
