@@ -53,35 +53,39 @@ def find_doubts(problem: Problem, theta: Floats) -> Doubts:
     `theta` (P,): the fit to all. None of too few needles, without stated noise, or where a needle is not
     solved: these are not judged.
     """
-    every, count = problem.insertions, len(problem.insertions)
+    insertions, count = problem.insertions, len(problem.insertions)
     if count < MIN_NEEDLES or not problem.dataset.noise_is_stated:
         return Doubts()
     odd = list[int]()
     while True:
         rest = [k for k in range(count) if k not in odd]
-        theta = refit(problem, [every[k] for k in rest], theta) if odd else theta
-        blocks = [linearize_needle(problem, one, theta) for one in every]
+        theta = refit(problem, [insertions[k] for k in rest], theta) if odd else theta
+        blocks = [linearize_needle(problem, insertion, theta) for insertion in insertions]
         if not all(np.isfinite(block.residuals).all() for block in blocks):  # a solve failed
             return Doubts()
         weighed = weigh_all(problem, blocks)
-        found = [predict_from(problem, [j for j in rest if j != k], weighed, theta) for k in range(count)]
-        sds = [measure_deviation(block, theta, found[k]).sds for k, block in enumerate(blocks)]
+        predictions = [
+            predict_from(problem, [j for j in rest if j != k], weighed, theta) for k in range(count)
+        ]
+        sds = [measure_deviation(block, theta, predictions[k]).sds for k, block in enumerate(blocks)]
         worst = max(rest, key=lambda k: sds[k])
         if sds[worst] < MIN_ODD_SD or len(odd) + 1 > MAX_ODD_PART * count:
             break
         odd.append(worst)
-    all_but_odd = replace(problem, insertions=tuple(every[k] for k in rest))
+    all_but_odd = replace(problem, insertions=tuple(insertions[k] for k in rest))
     if (common := _find_common(all_but_odd, [blocks[k] for k in rest], theta)) is not None:
         changed = _change_all(problem, common.cause, common.size)
         return find_doubts(changed, refit(changed, changed.insertions, theta))._replace(common=common)
     # in the stated errors alone, whatever the misfit of the others is
-    pairs = zip(blocks, found, strict=True)
-    stated = (measure_deviation(block, theta, one._replace(scale=1.0)).sds for block, one in pairs)
+    pairs = zip(blocks, predictions, strict=True)
+    stated = (
+        measure_deviation(block, theta, prediction._replace(scale=1.0)).sds for block, prediction in pairs
+    )
     deviating = sum(sds >= MIN_ODD_SD for sds in stated)
     if deviating > MAX_ODD_PART * count:
         return Doubts(deviating=(deviating, count))
     odd = sorted((k for k in odd if sds[k] >= MIN_ODD_SD), key=lambda k: -sds[k])
-    return Doubts([_describe(problem, k, theta, found[k], sds[k]) for k in odd])
+    return Doubts([_describe(problem, k, theta, predictions[k], sds[k]) for k in odd])
 
 
 def _describe(
@@ -92,15 +96,17 @@ def _describe(
     def measure(insertion: Insertion, reaches_tip: bool) -> Deviation:
         return measure_deviation(linearize_needle(problem, insertion, theta, reaches_tip), theta, predicted)
 
-    one = problem.insertions[number]
-    others = [other for other in problem.insertions if other is not one]
-    cause, size, where = explain(one, others, measure, problem.dataset.directions)
-    at = np.clip(predicted.theta, problem.lower, problem.upper)
-    ((simulated, measured),) = replace(problem, insertions=(one,)).points(at)
-    points = np.column_stack([measured[:, 0], one.side * measured[:, 1], one.side * simulated[:, 1]])
+    left_out = problem.insertions[number]
+    others = [other for other in problem.insertions if other is not left_out]
+    cause, size, where = explain(left_out, others, measure, problem.dataset.directions)
+    within_bounds = np.clip(predicted.theta, problem.lower, problem.upper)
+    ((simulated, measured),) = replace(problem, insertions=(left_out,)).points(within_bounds)
+    points = np.column_stack(
+        [measured[:, 0], left_out.side * measured[:, 1], left_out.side * simulated[:, 1]]
+    )
     return NeedleDoubtMetadata(
-        insertion=one.id,
-        place=one.where.rpartition("/")[2],
+        insertion=left_out.id,
+        place=left_out.where.rpartition("/")[2],
         sds=sds,
         cause=cause,
         size=size,
@@ -119,31 +125,31 @@ def _find_common(problem: Problem, blocks: Sequence[Block], theta: Floats) -> Co
         return None
     places = range(len(blocks))
     before = predict_from(problem, places, weigh_all(problem, blocks), theta)
-    is_one_sided = len({one.side for one in problem.insertions}) == 1
+    is_one_sided = len({insertion.side for insertion in problem.insertions}) == 1
     spatial = problem.dataset.directions == 2
-    causes = [one for one in COMMON if (spatial if HYPOTHESES[one].in_space else not is_one_sided)]
+    causes = [cause for cause in COMMON if (spatial if HYPOTHESES[cause].in_space else not is_one_sided)]
     rows = []
     for cause in causes:
         size, sd = _estimate_common(problem, blocks, theta, before.spread, cause)
         if abs(size) < MIN_COMMON_SD * sd:
             continue
-        at = theta
+        changed_theta = theta
         for _ in range(COMMON_STEPS):
             changed = _change_all(problem, cause, size)
-            at = refit(changed, changed.insertions, at)
-            moved = [linearize_needle(changed, one, at) for one in changed.insertions]
+            changed_theta = refit(changed, changed.insertions, changed_theta)
+            moved = [linearize_needle(changed, insertion, changed_theta) for insertion in changed.insertions]
             if not all(np.isfinite(block.residuals).all() for block in moved):
                 break
-            after = predict_from(changed, places, weigh_all(changed, moved), at)
+            after = predict_from(changed, places, weigh_all(changed, moved), changed_theta)
             odds = (after.log_density - before.log_density) / max(1.0, after.chi_square)
             rows.append((odds, CommonDoubtMetadata(cause=cause, size=size, sd=sd)))
-            step, sd = _estimate_common(changed, moved, at, after.spread, cause)
+            step, sd = _estimate_common(changed, moved, changed_theta, after.spread, cause)
             size += step
     ranked = sorted(rows, key=lambda row: -row[0])
     if not ranked:
         return None
     best, common = ranked[0]
-    next_best = max((odds for odds, one in ranked if one.cause != common.cause), default=0.0)
+    next_best = max((odds for odds, estimate in ranked if estimate.cause != common.cause), default=0.0)
     by_chance = max(next_best, LOG_FITTED + math.log(len(causes)))
     return common if best - by_chance >= MIN_LOG_ODDS else None
 
@@ -151,7 +157,9 @@ def _find_common(problem: Problem, blocks: Sequence[Block], theta: Floats) -> Co
 def _change_all(problem: Problem, cause: str, size: float) -> Problem:
     """Return the problem with all needles as they may have been."""
     change = HYPOTHESES[cause].change
-    return replace(problem, insertions=tuple(change(one, size, None) for one in problem.insertions))
+    return replace(
+        problem, insertions=tuple(change(insertion, size, None) for insertion in problem.insertions)
+    )
 
 
 def _estimate_common(
@@ -162,8 +170,8 @@ def _estimate_common(
     precision = np.zeros((free + 1, free + 1))
     precision[:free, :free] = prior_information(problem)
     pull = np.zeros(free + 1)
-    for one, block in zip(_change_all(problem, cause, 1.0).insertions, blocks, strict=True):
-        by_size = linearize_needle(problem, one, theta).residuals - block.residuals
+    for insertion, block in zip(_change_all(problem, cause, 1.0).insertions, blocks, strict=True):
+        by_size = linearize_needle(problem, insertion, theta).residuals - block.residuals
         both = weigh(Block(block.residuals, np.column_stack([block.slope, by_size])), np.append(spread, 0.0))
         precision, pull = precision + both.information, pull + both.pull
     covariance = np.linalg.inv(precision)

@@ -85,8 +85,8 @@ class DrawnNeedles:
         """Return these needles, some draws (M,) of which are simulated."""
         if not len(rows):
             return self
-        each, points, valid = simulate(rows), self.points.copy(), self.valid.copy()
-        points[rows], valid[rows] = each.points, each.valid
+        simulated, points, valid = simulate(rows), self.points.copy(), self.valid.copy()
+        points[rows], valid[rows] = simulated.points, simulated.valid
         return DrawnNeedles(points, valid)
 
     def check(
@@ -190,9 +190,11 @@ class DrawSimulation:
 
     def _simulate(self, which: Sets, nodes: Sequence[tuple[Insertion, Floats]]) -> tuple[Floats, Bools]:
         """Return the points (m, B, K, 2) at some nodes, and the validity (B,) at the first."""
-        shapes = PreparedModel(self._medium, [one for one, _ in nodes]).simulate(which, self._jobs)
+        shapes = PreparedModel(self._medium, [insertion for insertion, _ in nodes]).simulate(
+            which, self._jobs
+        )
         pairs = zip(nodes, shapes, strict=True)
-        return np.array([compute_batch_positions(shape, at) for (_, at), shape in pairs]), shapes[0].valid
+        return np.array([compute_batch_positions(shape, s) for (_, s), shape in pairs]), shapes[0].valid
 
     def simulate(self, sd: float = 0.0) -> DrawnNeedles:
         """Return the needles of all sets; `sd` is the deviation of a measured tip from one, mm."""
@@ -207,28 +209,30 @@ class DrawSimulation:
 
         def simulate(rows: Ints) -> DrawnNeedles:
             moved = [shift_depths(self._centre, self._s, shifts[n] + deep[n], deep[n]) for n in rows]
-            return _join([self._simulate_one(n, *at) for n, at in zip(rows.tolist(), moved, strict=True)])
+            return _join(
+                [self._simulate_one(n, *placed) for n, placed in zip(rows.tolist(), moved, strict=True)]
+            )
 
         points = slice(PATH_POINTS, None)
         return self._draws.read(points, shifts, deep, simulate, int(np.argmax(self._s)), sd)
 
     def simulate_each(self, rows: Ints) -> DrawnNeedles:
         """Return the needles of some sets, each simulated by itself through its own layers."""
-        found: list[tuple[Floats, bool]] = []
+        needles: list[tuple[Floats, bool]] = []
         for row in rows:
             values, entry = self._sets[row], float(self._deep[row])
             met = with_planned_layers(self._insertion, values, self._medium)
             if met is None:
-                found.append((np.full((len(self._s), 3), np.nan), False))
+                needles.append((np.full((len(self._s), 3), np.nan), False))
             else:
                 wrong = entry + self._wrong[row, : len(met.boundaries)]
-                found.append(self._simulate_one(row, *shift_depths(met, self._s, wrong, entry)))
-        return _join(found)
+                needles.append(self._simulate_one(row, *shift_depths(met, self._s, wrong, entry)))
+        return _join(needles)
 
-    def _simulate_one(self, row: int, insertion: Insertion, at: Floats) -> tuple[Floats, bool]:
+    def _simulate_one(self, row: int, insertion: Insertion, s: Floats) -> tuple[Floats, bool]:
         """Return the points (K, 3) of the needle of a set at beam coordinates (K,), and its validity."""
         shape = predict(self._sets[row], self._medium, insertion)
-        return read_points(insertion, shape, at), shape.valid
+        return read_points(insertion, shape, s), shape.valid
 
 
 def _join(needles: Sequence[tuple[Floats, bool]]) -> DrawnNeedles:
@@ -263,16 +267,16 @@ def simulate_scene_draws(
         def read(number: int, shapes: NeedleShapes, rows: slice) -> tuple[Floats, Bools]:
             return compute_batch_positions(shapes, s + moves[number][1]), shapes.valid
 
-        found = read_batches(batches, lambda some: simulate_batches(some, 1), read)
-        points, valid = zip(*found, strict=True)
+        curves = read_batches(batches, lambda some: simulate_batches(some, 1), read)
+        points, valid = zip(*curves, strict=True)
         return np.array(points), valid[0]
 
     reach = np.maximum(NODE_SD * np.std(wrong, axis=0), MIN_NODE_MM)
     draws = _InterpolatedDraws(sets, make_coordinates(sets, hidden), move, reach, float(np.std(deep)))
 
     def simulate(some: Ints) -> DrawnNeedles:
-        each = [move([sets[n]], [(wrong[n] + deep[n], float(deep[n]))]) for n in some]
-        points, valid = zip(*each, strict=True)
+        needles = [move([sets[n]], [(wrong[n] + deep[n], float(deep[n]))]) for n in some]
+        points, valid = zip(*needles, strict=True)
         return DrawnNeedles(np.concatenate([point[0] for point in points]), np.concatenate(valid))
 
     if draws.needles is None:
@@ -362,18 +366,18 @@ def choose_draws(coordinates: Floats) -> Ints:
     return np.sort(chosen)
 
 
-def interpolate_draws(coordinates: Floats, chosen: Ints, known: Floats) -> Callable[[Floats], Floats] | None:
+def interpolate_draws(coordinates: Floats, chosen: Ints, points: Floats) -> Callable[[Floats], Floats] | None:
     """Return a function of coordinates (N, P) that gives values (N, F), known (C, F) at chosen draws.
 
     None if too few are finite.
     """
-    solved = np.isfinite(known).all(axis=1)
+    solved = np.isfinite(points).all(axis=1)
     if np.sum(solved) <= coordinates.shape[1]:  # not even a plane through them
         return None
-    if not (coordinates.shape[1] and known.shape[1]):
-        return lambda at: np.broadcast_to(known[solved][:1], (len(at), known.shape[1]))
+    if not (coordinates.shape[1] and points.shape[1]):
+        return lambda places: np.broadcast_to(points[solved][:1], (len(places), points.shape[1]))
     # cubic: with 96 of 1000 draws it errs less than a thin plate, or a quadratic regression
-    return interpolate_points(coordinates[chosen[solved]], known[solved], 3)
+    return interpolate_points(coordinates[chosen[solved]], points[solved], 3)
 
 
 @dataclass(frozen=True)
@@ -414,17 +418,17 @@ def _tabulate_surfaces(insertion: Insertion, low: float, high: float) -> _Surfac
     if not insertion.surfaces:
         return _SurfaceTable(np.zeros(1), insertion.boundaries[None], insertion.sequence)
     y = np.linspace(low - TABLE_MARGIN_MM, high + TABLE_MARGIN_MM, TABLE_POINTS)
-    found = []
-    for at in y:
-        local = np.array([[0.0, at, 0.0], [insertion.depth + BEYOND_TIP_MM, at, 0.0]])
-        found.append(find_layers(insertion.frame.to_world(local), insertion.frame, insertion.surfaces))
-    count = min(len(depths) for depths, _ in found)
-    sequences = {sequence[: count + 1] for _, sequence in found}
+    tables = []
+    for height in y:
+        local = np.array([[0.0, height, 0.0], [insertion.depth + BEYOND_TIP_MM, height, 0.0]])
+        tables.append(find_layers(insertion.frame.to_world(local), insertion.frame, insertion.surfaces))
+    count = min(len(depths) for depths, _ in tables)
+    sequences = {sequence[: count + 1] for _, sequence in tables}
     # a further surface that some parallels do not meet must be one that no needle reaches
-    near = any(np.any(depths[count:] < insertion.depth + TABLE_MARGIN_MM) for depths, _ in found)
+    near = any(np.any(depths[count:] < insertion.depth + TABLE_MARGIN_MM) for depths, _ in tables)
     if len(sequences) > 1 or near:
         return None
-    return _SurfaceTable(y, np.array([depths[:count] for depths, _ in found]), sequences.pop())
+    return _SurfaceTable(y, np.array([depths[:count] for depths, _ in tables]), sequences.pop())
 
 
 @dataclass(frozen=True)

@@ -64,33 +64,33 @@ def estimate_tolerance(
     parts, replicates = zip(*_linearize(problem, stated, theta, rng), strict=True)
     bounds = problem.lower - theta, problem.upper - theta
     by_noise = by_insertions = math.nan
-    drawn = [one for one in replicates if one is not None]
+    drawn = [replicate for replicate in replicates if replicate is not None]
     if len(drawn) == len(parts):
-        found = [_find_excess(_join(parts, off), *bounds) for off in zip(*drawn, strict=True)]
-        by_noise = float(np.quantile(found, PROBABILITY))
+        excesses = [_find_excess(_join(parts, off), *bounds) for off in zip(*drawn, strict=True)]
+        by_noise = float(np.quantile(excesses, PROBABILITY))
     _, group = np.unique(group_insertions(problem.dataset, problem.insertions), return_inverse=True)
     count = int(group.max()) + 1
     if count >= MIN_GROUPS:
         counts = rng.multinomial(count, np.full(count, 1 / count), size=REPLICATES)  # (B, G)
         times = counts[:, group]  # (B, insertions) how often each is drawn
-        off, repeats = [one.off for one in parts], times * (len(group) / times.sum(axis=1, keepdims=True))
-        found = [_find_excess(_join(parts, off, row), *bounds) for row in repeats]
-        by_insertions = float(np.quantile(found, PROBABILITY))
+        off, repeats = [part.off for part in parts], times * (len(group) / times.sum(axis=1, keepdims=True))
+        excesses = [_find_excess(_join(parts, off, row), *bounds) for row in repeats]
+        by_insertions = float(np.quantile(excesses, PROBABILITY))
     smallest = find_search_tolerance(problem.objective(theta))
     return ErrorTolerance(by_noise, by_insertions, smallest)
 
 
-def _find_excess(at: WeightedDistances, lower: Floats, upper: Floats) -> float:
+def _find_excess(distances: WeightedDistances, lower: Floats, upper: Floats) -> float:
     """Return the linear objective minus its least value, for steps within bounds (P,)."""
 
     def gradient(step: Floats) -> tuple[float, Floats]:
-        moved = at.move(step)
+        moved = distances.move(step)
         return moved.total, moved.differentiate()
 
-    function = ObjectiveFunction(lower, upper, lambda step: at.move(step).total, gradient)
+    function = ObjectiveFunction(lower, upper, lambda step: distances.move(step).total, gradient)
     recorder = EvaluationRecorder(function, REPLICATE_EVALUATIONS, never_stop)
     run_slsqp(recorder, np.zeros(len(lower)), REPLICATE_ACCURACY)
-    return at.total - recorder.objective
+    return distances.total - recorder.objective
 
 
 def _join(
@@ -98,8 +98,8 @@ def _join(
 ) -> WeightedDistances:
     """Return the mean objective of insertions, each with other differences, and so many times."""
     times = np.ones(len(parts)) if repeats is None else repeats
-    weights = [n / len(parts) * one.weights for n, one in zip(times, parts, strict=True)]
-    slopes = np.concatenate([one.slopes for one in parts])
+    weights = [n / len(parts) * part.weights for n, part in zip(times, parts, strict=True)]
+    slopes = np.concatenate([part.slopes for part in parts])
     return WeightedDistances(np.concatenate(weights), np.concatenate(off), slopes)
 
 
@@ -112,8 +112,8 @@ def _linearize(
     """
     values, some = problem.values(theta), []
     for goal in problem.compared_points:
-        at = np.unique(np.linspace(0, len(goal.s) - 1, STATIONS).round().astype(np.int64))
-        some.append(replace(goal, s=goal.s[at], measured=goal.measured[at]))
+        stations = np.unique(np.linspace(0, len(goal.s) - 1, STATIONS).round().astype(np.int64))
+        some.append(replace(goal, s=goal.s[stations], measured=goal.measured[stations]))
     model, s = PreparedModel(problem.medium, problem.insertions), [g.s for g in some]
     pairs = model.differentiate([values], problem.parameters, s)
     stated_pairs = model.differentiate([values], stated, s)
@@ -121,11 +121,11 @@ def _linearize(
     columns = [stated.free.index(tie.name) for tie in ties]
     spreads = rng.standard_normal((REPLICATES, len(ties))) * [math.log(tie.spread) for tie in ties]
     shared: dict[Surface, Floats] = {}
-    found = []
+    parts = []
     for insertion, goal, (simulated, by), (_, by_stated) in zip(
         problem.insertions, some, pairs, stated_pairs, strict=True
     ):
-        by_stated, by = (goal.select(one[0], axis=-2) for one in (by_stated, by))
+        by_stated, by = (goal.select(derivatives[0], axis=-2) for derivatives in (by_stated, by))
         measured, place = goal.target, (goal.pose, goal.select(simulated[0]), goal.target)
         drawn = _draw_errors(problem, insertion, goal, values, shared, rng)
         if drawn is not None:
@@ -133,8 +133,8 @@ def _linearize(
             # as an alignment changes simulated points, so it changes these
             drawn = np.moveaxis(differentiate_align(*place, np.moveaxis(drawn, 0, -1)), -1, 0)
         weights, off = station_weights(measured, problem.weights), align(*place) - measured
-        found.append((WeightedDistances(weights, off, differentiate_align(*place, by)), drawn))
-    return found
+        parts.append((WeightedDistances(weights, off, differentiate_align(*place, by)), drawn))
+    return parts
 
 
 def _draw_errors(
@@ -155,8 +155,10 @@ def _draw_errors(
         return None
     along = insertion.measure_arc("plane")
     scale = along[-1] / insertion.depth if goal.pose in ("known", "direction") else 1
-    at = along[-1] - (insertion.depth - goal.s) * scale
-    drawn = np.stack([_interpolate(at, along, one) for one in np.moveaxis(measured, -1, 0)], axis=-1)
+    places = along[-1] - (insertion.depth - goal.s) * scale
+    drawn = np.stack(
+        [_interpolate(places, along, heights) for heights in np.moveaxis(measured, -1, 0)], axis=-1
+    )
     rolls = draw_rolls(insertion.roll_sd, directions, REPLICATES, rng)
     _, y, z = goal.measured.T
     turned = np.stack([0.0 * z, -z, y], axis=-1)[:, : 1 + directions]
@@ -164,7 +166,7 @@ def _draw_errors(
     nodes = make_nodes(insertion, goal.s, "linear")
     model = PreparedModel(problem.medium, nodes.insertions)
     points = model.read_points([values], list(nodes.s))
-    curves = np.stack([goal.select(one[0]) for one in points])  # (m, K, 2 or 3)
+    curves = np.stack([goal.select(point[0]) for point in points])  # (m, K, 2 or 3)
     for axis, effect in zip(nodes.axes, np.tensordot(nodes.linear[1:], curves, axes=1), strict=True):
         deviation = axis.own * rng.standard_normal(REPLICATES)
         if axis.surface:
@@ -175,8 +177,8 @@ def _draw_errors(
     return drawn
 
 
-def _interpolate(at: Floats, along: Floats, heights: Floats) -> Floats:
+def _interpolate(places: Floats, along: Floats, heights: Floats) -> Floats:
     """Return the rows of `heights` (B, N), known at `along` (N,), at other places (K,): (B, K)."""
-    left = np.clip(np.searchsorted(along, at) - 1, 0, len(along) - 2)
-    part = (at - along[left]) / (along[left + 1] - along[left])
+    left = np.clip(np.searchsorted(along, places) - 1, 0, len(along) - 2)
+    part = (places - along[left]) / (along[left + 1] - along[left])
     return heights[:, left] * (1 - part) + heights[:, left + 1] * part

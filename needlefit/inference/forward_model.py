@@ -261,8 +261,8 @@ class PreparedModel:
         """
         keys = [(number, places.tobytes()) for (number, _), places in zip(self._places, s, strict=True)]
         wanted: dict[_Simulation, dict[bytes, Floats]] = {simulation: {} for simulation in self._simulations}
-        for (one, place), places in zip(keys, s, strict=True):
-            wanted[one][place] = places
+        for (insertion, place), places in zip(keys, s, strict=True):
+            wanted[insertion][place] = places
         left, kept = Counter(keys), dict[tuple[_Simulation, bytes], tuple[Floats, ...]]()
         count = len(sets)
 
@@ -279,10 +279,10 @@ class PreparedModel:
         )
         for key, (_, row) in zip(keys, self._places, strict=True):
             while key not in kept:  # simulations stand in the order in which they are first read
-                one, parts = next(read_values)
-                size = len(parts) // len(wanted[one])
-                for n, place in enumerate(wanted[one]):
-                    kept[one, place] = parts[n * size : (n + 1) * size]
+                insertion, parts = next(read_values)
+                size = len(parts) // len(wanted[insertion])
+                for n, place in enumerate(wanted[insertion]):
+                    kept[insertion, place] = parts[n * size : (n + 1) * size]
             yield tuple(part[row * count : (row + 1) * count] for part in kept[key])
             left[key] -= 1
             if not left[key]:
@@ -300,7 +300,7 @@ def scale_moves(insertion: Insertion, factor: float) -> Iterator[Insertion]:
     assert guide is not None
     for step in np.flatnonzero(np.hypot(np.diff(guide.y), np.diff(guide.z)) > GUIDE_STILL_MM):
         after = (factor - 1) * (np.arange(len(guide.depths)) > step)
-        y, z = (at + after * (at[step + 1] - at[step]) for at in (guide.y, guide.z))
+        y, z = (moves + after * (moves[step + 1] - moves[step]) for moves in (guide.y, guide.z))
         yield replace(insertion, guide=replace(guide, y=y, z=z))
 
 
@@ -312,12 +312,12 @@ def respond_to_moves(
     It is computed once for all problems. Raises ConfigError where the model has no needle.
     """
     key = id(medium), tuple(values.items()), s.tobytes()
-    known = _responses.setdefault(insertion, {})
-    if key not in known:
+    known_responses = _responses.setdefault(insertion, {})
+    if key not in known_responses:
         moved = [insertion, *scale_moves(insertion, 1 + GAIN_STEP)]
         points = np.concatenate([*PreparedModel(medium, moved).read_points([values], [s] * len(moved))])
-        known[key] = medium, (points[1:] - points[0]) / GAIN_STEP
-    _, responses = known[key]
+        known_responses[key] = medium, (points[1:] - points[0]) / GAIN_STEP
+    _, responses = known_responses[key]
     if not np.isfinite(responses).all():
         raise ConfigError(
             f"the expected parameters have no needle in {insertion.id}",

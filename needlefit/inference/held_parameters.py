@@ -82,8 +82,8 @@ def _compare_ends(problem: Problem, sets: Sequence[Values], size: int) -> tuple[
     likelihood = problem.likelihood.model_copy(update=MEASURED_POINTS)
     alone = [OBSERVATIONS[insertion.observed].take_alone(insertion) for insertion in problem.insertions]
     observations = [
-        make_observation(problem.dataset, one, problem.noise, likelihood, respond=problem.respond)
-        for one in alone
+        make_observation(problem.dataset, curve, problem.noise, likelihood, respond=problem.respond)
+        for curve in alone
     ]
     model = PreparedModel(problem.medium, problem.insertions)
     ends = model.read_points(

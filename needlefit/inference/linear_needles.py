@@ -84,11 +84,16 @@ def linearize_needle(
     density = alone.density
     if not reaches_tip:
         part = min(1.0, insertion.measure_arc(problem.dataset.compared)[-1] / insertion.depth)
-        cut = [replace(one, nodes=replace(one.nodes, s=part * one.nodes.s)) for one in density.observations]
+        cut = [
+            replace(observation, nodes=replace(observation.nodes, s=part * observation.nodes.s))
+            for observation in density.observations
+        ]
         density = replace(density, observations=tuple(cut))
     ((residuals, slope),) = density.jacobians([problem.values(theta)])
     count = sum(density.residual_counts)
-    return Block(residuals[:count], slope[:count], sum(one.log_norm for one in density.observations))
+    return Block(
+        residuals[:count], slope[:count], sum(observation.log_norm for observation in density.observations)
+    )
 
 
 def _list_spreads(problem: Problem) -> Floats:
@@ -129,24 +134,24 @@ def predict_from(
     """Return what some needles predict of another, linear about `theta`, with their likeliest spread."""
     best: tuple[float, Prediction] | None = None
     prior = problem.parameters.prior.log_density(problem.values(theta))
-    for spread, every in weighed:
-        some = [every[k] for k in places]
-        precision = prior_information(problem) + sum(one.information for one in some)
-        step = -np.linalg.solve(precision, sum(one.pull for one in some))
+    for spread, weighed_blocks in weighed:
+        some = [weighed_blocks[k] for k in places]
+        precision = prior_information(problem) + sum(weighed_block.information for weighed_block in some)
+        step = -np.linalg.solve(precision, sum(weighed_block.pull for weighed_block in some))
         covariance = np.asarray(np.linalg.inv(precision), dtype=np.float64)
         density, squares = prior, []
-        for one in some:
-            off = one.block.residuals + one.block.slope @ step
-            squares.append(float(off @ np.linalg.solve(one.covariance, off)))
-            density -= 0.5 * (squares[-1] + np.linalg.slogdet(one.covariance)[1])
+        for weighed_block in some:
+            off = weighed_block.block.residuals + weighed_block.block.slope @ step
+            squares.append(float(off @ np.linalg.solve(weighed_block.covariance, off)))
+            density -= 0.5 * (squares[-1] + np.linalg.slogdet(weighed_block.covariance)[1])
         evidence = float(density - 0.5 * np.linalg.slogdet(precision)[1])  # all parameters integrated out
         if best is None or evidence > best[0]:
-            counts = np.array([len(one.block.residuals) for one in some])
+            counts = np.array([len(weighed_block.block.residuals) for weighed_block in some])
             scale = max(1.0, float(np.quantile(squares / counts, QUANTILE)))
             chi_square = sum(squares) / int(counts.sum())
             covariance = covariance + np.diag(spread**2)
-            found = Prediction(theta + step, covariance, spread, scale, float(density), chi_square)
-            best = evidence, found
+            prediction = Prediction(theta + step, covariance, spread, scale, float(density), chi_square)
+            best = evidence, prediction
     assert best is not None
     return best[1]
 

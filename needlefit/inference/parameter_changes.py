@@ -95,12 +95,12 @@ def change_parameters(medium: MediumRecord, free: Sequence[str], fix: Mapping[st
         return medium
     stated, table = Parameters.from_record(medium), state_usual_bounds(medium) | medium.parameters
     free, shape = name_layers(medium, free), LAWS[medium.law].shape_names
-    known = [name for name in stated.names if not is_shape_parameter(name) or dimension(name) in shape]
+    known_names = [name for name in stated.names if not is_shape_parameter(name) or dimension(name) in shape]
     for key, names in (("free", free), ("fix", fix)):
-        for name in (name for name in names if name not in known):
+        for name in (name for name in names if name not in known_names):
             raise ConfigError(
                 f"the tissue model has no parameter `{name}`",
-                expected=f"one of {', '.join(known)}",
+                expected=f"one of {', '.join(known_names)}",
                 fix="use one of these names",
                 key=key,
             )

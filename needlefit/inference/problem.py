@@ -48,7 +48,10 @@ class Problem:
     def __post_init__(self) -> None:
         if not self.insertions:
             raise ConfigError("no insertion is selected to fit to", expected="at least one")
-        if any(one.guided for one in self.insertions) and GUIDE_DISTANCE not in self.parameters.names:
+        if (
+            any(insertion.guided for insertion in self.insertions)
+            and GUIDE_DISTANCE not in self.parameters.names
+        ):
             raise ConfigError(
                 "the tissue model does not state the guide's distance",
                 expected=f"{GUIDE_DISTANCE}: from the guide to the skin, free or fixed",
@@ -81,15 +84,15 @@ class Problem:
     def tabulate_values(self, thetas: Floats) -> Floats:
         """Return the values (..., P) of the free parameters (Pa, mm) of thetas (..., P)."""
         sets = map(self.values, thetas.reshape(-1, len(self.names)))
-        return np.array([[one[name] for name in self.names] for one in sets]).reshape(thetas.shape)
+        return np.array([[values[name] for name in self.names] for values in sets]).reshape(thetas.shape)
 
     def points(self, theta: Theta) -> tuple[tuple[Floats, Floats], ...]:
         """Return the simulated and the measured points (K, 3) compared in each insertion, mm."""
-        values, found = self.values(theta), []
-        for one, goal in zip(self.insertions, self.compared_points, strict=True):
-            shape = predict(values, self.medium, one)
-            found.append(align_points(goal, SimulatedCurve(shape, one)))
-        return tuple(found)
+        values, pairs = self.values(theta), []
+        for insertion, goal in zip(self.insertions, self.compared_points, strict=True):
+            shape = predict(values, self.medium, insertion)
+            pairs.append(align_points(goal, SimulatedCurve(shape, insertion)))
+        return tuple(pairs)
 
     def objective(self, theta: Theta) -> float:
         """Return the mean of `metric_misfits` over insertions, mm; infinite if any solve fails."""
@@ -97,8 +100,8 @@ class Problem:
 
     def objective_gradient(self, theta: Theta) -> tuple[float, Floats]:
         """Return `objective` and its exact gradient (P,); NaN where a solve fails."""
-        found = self.distances(theta)
-        return found.total, found.differentiate()
+        distances = self.distances(theta)
+        return distances.total, distances.differentiate()
 
     def objectives(self, thetas: Floats, jobs: int = 1) -> Floats:
         """Return `objective` (B,) of many thetas (B, P) at once, on `jobs` threads."""
@@ -110,24 +113,27 @@ class Problem:
         for goal, simulated, weights in zip(goals, points, self._station_weights, strict=True):
             aligned = align(goal.pose, goal.select(simulated), goal.target)
             total += metric_misfits(aligned - goal.target, weights)
-        return [math.inf if math.isnan(one) else float(one) / len(goals) for one in total]
+        return [
+            math.inf if math.isnan(total_of_set) else float(total_of_set) / len(goals)
+            for total_of_set in total
+        ]
 
     def distances(self, theta: Theta) -> WeightedDistances:
         """Return the distances whose weighted sum is `objective`, with exact derivatives."""
         return evaluate(self._distances, np.asarray(theta))
 
     def _distances(self, thetas: Floats, jobs: int) -> list[WeightedDistances]:
-        goals, every = self.compared_points, []
-        found = self._model.differentiate(
+        goals, distances = self.compared_points, []
+        points = self._model.differentiate(
             self._list_values(thetas), self.parameters, [goal.s for goal in goals], jobs
         )
-        for goal, (simulated, by) in zip(goals, found, strict=True):
+        for goal, (simulated, by) in zip(goals, points, strict=True):
             measured, simulated, by = goal.target, goal.select(simulated), goal.select(by, axis=-2)
             slopes = differentiate_align(goal.pose, simulated, measured, by)
-            every.append((align(goal.pose, simulated, measured) - measured, slopes))
-        off, slopes = (np.concatenate(part, axis=1) for part in zip(*every, strict=True))
+            distances.append((align(goal.pose, simulated, measured) - measured, slopes))
+        off, slopes = (np.concatenate(part, axis=1) for part in zip(*distances, strict=True))
         weights = np.concatenate(self._station_weights) / len(goals)
-        return [WeightedDistances(weights, *one) for one in zip(off, slopes, strict=True)]
+        return [WeightedDistances(weights, *pair) for pair in zip(off, slopes, strict=True)]
 
     @cached_property
     def _station_weights(self) -> list[Floats]:
@@ -159,9 +165,9 @@ class Problem:
         The prior is flat in theta within the bounds (moduli and lengths are log-uniform), times what the
         medium states. -inf outside, NaN where a solve fails: the density is not known there.
         """
-        at = np.asarray(theta)
-        inside = np.all(at >= self.lower) and np.all(at <= self.upper)
-        return evaluate(self._log_densities, at) if inside else float("-inf")
+        point = np.asarray(theta)
+        inside = np.all(point >= self.lower) and np.all(point <= self.upper)
+        return evaluate(self._log_densities, point) if inside else float("-inf")
 
     def log_posteriors(self, thetas: Floats, jobs: int = 1) -> Floats:
         """Return `log_posterior` (W,) of many thetas (W, P) at once, on `jobs` threads."""
@@ -186,7 +192,7 @@ class Problem:
 
     def near(self, theta: Theta) -> "Problem":
         """Return the same problem with a Jacobian that is exact at theta (P,): see `PosteriorDensity`."""
-        if all(len(one.nodes.insertions) == 1 for one in self.density.observations):
+        if all(len(observation.nodes.insertions) == 1 for observation in self.density.observations):
             return self
         other = replace(self)
         other.__dict__["density"] = self.density.near(self.values(theta))
@@ -198,7 +204,7 @@ class Problem:
 
         None where nothing else is known of them. It is made once: searches that use it evaluate it together.
         """
-        if all(len(known.nodes.insertions) == 1 for known in self.density.observations):
+        if all(len(observation.nodes.insertions) == 1 for observation in self.density.observations):
             return None
         tracks = self.likelihood.tip_tracks.model_copy(update={"roll_sd_deg": 0.0})
         plain = {"depths": "fixed", "bevel_spread": 0.0, "tip_tracks": tracks}
@@ -235,7 +241,7 @@ class Problem:
         one_bevel = self.bevels_differ and self.centred_bevels and len(set(bevels)) == 1
         if one_bevel or BEVEL_SPREAD not in self.parameters.names:
             likelihood = likelihood.model_copy(update={"bevel_spread": 0.0})
-        known = [
+        observations = [
             make_observation(
                 self.dataset, insertion, self.noise, likelihood, len(self.insertions), self.model_error,
                 self.respond,
@@ -243,10 +249,13 @@ class Problem:
             for insertion in self.insertions
         ]  # fmt: skip
         if self.bevels_differ and not one_bevel:
-            pairs = zip(known, bevels, strict=True)
-            known = [replace(one, nodes=one.nodes.share_bevel(bevel)) for one, bevel in pairs]
+            pairs = zip(observations, bevels, strict=True)
+            observations = [
+                replace(observation, nodes=observation.nodes.share_bevel(bevel))
+                for observation, bevel in pairs
+            ]
         scale = 1.0 if likelihood.noise_scale == "estimated" else likelihood.noise_scale
-        return PosteriorDensity(self.parameters, self.medium, tuple(known), scale, self.centred_bevels)
+        return PosteriorDensity(self.parameters, self.medium, tuple(observations), scale, self.centred_bevels)
 
     def respond(self, insertion: Insertion, s: Floats) -> Floats:
         """Return `respond_to_moves` of an insertion at `response_at`."""
@@ -276,7 +285,7 @@ def find_new_bevel_sd(
     bevels = list_bevels(dataset, insertions)
     if not new_specimen:
         return math.sqrt(1 + 1 / len(set(bevels)))
-    counts = Counter(one.specimen for one in dict(zip(bevels, insertions, strict=True)).values())
+    counts = Counter(insertion.specimen for insertion in dict(zip(bevels, insertions, strict=True)).values())
     return math.sqrt(1 - sum(1 / n for n in counts.values()) / len(counts))
 
 
@@ -291,10 +300,10 @@ def make_objective(problem: Problem, minimized: ObjectiveName) -> ObjectiveFunct
         box = (problem.lower, problem.upper, problem.objective)
         by_distances = ObjectiveFunction(*box, distances=problem.distances)
         return ObjectiveFunction(*box, problem.objective_gradient, approach=by_distances)
-    found, easier = make_posterior_objective(problem), problem.plain
+    objective, easier = make_posterior_objective(problem), problem.plain
     if easier is None:
-        return found
-    return replace(found, approach=make_posterior_objective(easier, APPROACH_TOLERANCE))
+        return objective
+    return replace(objective, approach=make_posterior_objective(easier, APPROACH_TOLERANCE))
 
 
 def make_posterior_objective(
@@ -316,11 +325,11 @@ def find_outside_validity(problem: Problem, thetas: Sequence[Theta] | Floats) ->
 
     A solve that fails is none of these: it is counted as failed.
     """
-    found = np.zeros(len(thetas), dtype=bool)
+    is_outside = np.zeros(len(thetas), dtype=bool)
     if not len(thetas):
-        return found
+        return is_outside
     sets = [problem.values(theta) for theta in thetas]
     model = PreparedModel(problem.medium, problem.insertions)
     for shapes in model.simulate(sets):
-        found |= shapes.converged & ~shapes.validity.ok
-    return found
+        is_outside |= shapes.converged & ~shapes.validity.ok
+    return is_outside

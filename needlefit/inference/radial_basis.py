@@ -30,13 +30,13 @@ def interpolate_points(points: Floats, values: Floats, power: int) -> Callable[[
     matrix[:count] = evaluate_basis(points)
     matrix[count:, :count] = matrix[:count, count:].T
     varied = np.flatnonzero((values != values[:1]).any(axis=0))  # of a needle in a plane its z does not
-    known = np.zeros((len(matrix), len(varied)))
-    known[:count] = values[:, varied]
-    factors = np.linalg.solve(matrix, known)
+    values_at_points = np.zeros((len(matrix), len(varied)))
+    values_at_points[:count] = values[:, varied]
+    factors = np.linalg.solve(matrix, values_at_points)
 
     def interpolate(places: Floats) -> Floats:
-        found = np.tile(values[0], (len(places), 1))
-        found[:, varied] = evaluate_basis(places) @ factors
-        return found
+        interpolated = np.tile(values[0], (len(places), 1))
+        interpolated[:, varied] = evaluate_basis(places) @ factors
+        return interpolated
 
     return interpolate

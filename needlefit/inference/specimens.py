@@ -211,12 +211,12 @@ class Specimen:
         factor = np.linalg.cholesky(self.kernel + covariances)
         whiten = np.linalg.inv(factor)
         volume = np.sum(np.log(np.diagonal(factor, axis1=1, axis2=2)), axis=1)
-        found = np.empty((len(means), len(self.centres)))
+        densities = np.empty((len(means), len(self.centres)))
         for start in range(0, len(means), MEANS_AT_ONCE):
             some = slice(start, start + MEANS_AT_ONCE)
             white = whiten[some] @ self.centres.T - whiten[some] @ means[some, :, None]  # (W, Q, K)
-            found[some] = -0.5 * np.sum(white**2, axis=1) - volume[some, None]
-        return found
+            densities[some] = -0.5 * np.sum(white**2, axis=1) - volume[some, None]
+        return densities
 
 
 def make_specimen(draws: Floats) -> Specimen:
@@ -267,12 +267,12 @@ class Population:
         inside = np.all((points >= self.lower) & (points <= self.upper), axis=1)
         density = np.full(len(points), -np.inf)
         means, covariances = self.split(points[inside])
-        found = self.model.log_prior(points[inside][:, means.shape[1] :])
-        found = found + self.log_stated(means)
+        log_prior = self.model.log_prior(points[inside][:, means.shape[1] :])
+        log_prior = log_prior + self.log_stated(means)
         for specimen in self.specimens:
             logs = specimen.log_densities(means, covariances)
-            found = found + logsumexp(logs, axis=1) - np.log(logs.shape[1])
-        density[inside] = found
+            log_prior = log_prior + logsumexp(logs, axis=1) - np.log(logs.shape[1])
+        density[inside] = log_prior
         return density
 
     def log_stated(self, points: Floats) -> Floats:

@@ -49,9 +49,9 @@ class PriorForecast:
 
 def list_published(names: str) -> list[PublishedModulus]:
     """Return the published moduli of media by their names, as `gelatine,liver`; none if it names others."""
-    known = read_moduli()
+    published = read_moduli()
     parts = [part.strip().lower() for part in names.split(",")]
-    return [known[part] for part in parts] if all(part in known for part in parts) else []
+    return [published[part] for part in parts] if all(part in published for part in parts) else []
 
 
 def describe_published(moduli: Sequence[PublishedModulus], layers: int, advance: Advance) -> MediumRecord:
@@ -66,8 +66,8 @@ def describe_published(moduli: Sequence[PublishedModulus], layers: int, advance:
             fix="name as many, as in --medium gelatine,liver",
         )
     parameters: dict[str, object] = {}
-    for n, one in enumerate(list(moduli) * (layers if len(moduli) == 1 else 1), start=1):
-        low, high = one.shear_pa
+    for n, modulus in enumerate(list(moduli) * (layers if len(moduli) == 1 else 1), start=1):
+        low, high = modulus.shear_pa
         prior = {"median": math.sqrt(low * high), "factor": (high / low) ** (0.5 / NORMAL_95_HALF_WIDTH_SD)}
         parameters[f"mu{n}_pa"] = {"bounds": MODULUS_BOUNDS_PA, "prior": prior}
     bevel = "cut_angle_deg" if advance == "path_angle" else "bevel_mm"
@@ -101,22 +101,22 @@ def forecast_by_prior(
     rng = random_stream(seed, "before data")
     sets = [parameters.values(theta) for theta in draw_from_prior(parameters, DRAWS, rng)]
     exact = np.zeros((DRAWS, scene.tissue.layers))
-    found = simulate_scene_draws(
+    simulated = simulate_scene_draws(
         sets, medium, scene, np.array([scene.depth]), exact[:, 0], exact[:, 1:], parameters.held
     )
-    tips = found.points[found.solved][:, 0].copy()
+    tips = simulated.points[simulated.solved][:, 0].copy()
     if not len(tips):
         raise ModelError(
             "no draw of the parameters can be solved for this scene",
             expected="an insertion that the model can follow",
             fix="lessen its depth, or narrow the priors of the tissue model",
         )
-    pose = random_stream(seed, "pose before data").standard_normal((2, DRAWS, 2))[:, found.solved]
+    pose = random_stream(seed, "pose before data").standard_normal((2, DRAWS, 2))[:, simulated.solved]
     terms = zip((POSE_SHIFT, POSE_ANGLE), pose_sds, pose, strict=True)
     errors = {name: sd * deviations for name, sd, deviations in terms if sd}
     tips[:, 1:] += errors.get(POSE_SHIFT, 0.0) + np.radians(errors.get(POSE_ANGLE, 0.0)) * tips[:, :1]
     aim = np.median(tips, axis=0) if target is None else np.array([*target, 0.0][:3])
-    table = {name: values[found.solved] for name, values in tabulate_sets(sets).items()}
+    table = {name: values[simulated.solved] for name, values in tabulate_sets(sets).items()}
     free = [name for name in parameters.free if np.ptp(table[name]) > 0]
     drawn = {name: table[name] for name in free} | errors
     return PriorForecast(
@@ -126,7 +126,7 @@ def forecast_by_prior(
         priors={name: tuple(np.quantile(values, [0.025, 0.975]).tolist()) for name, values in drawn.items()},
         shares=_share_variance(drawn, tips[:, 1:]),
         failed=len(sets) - len(tips),
-        outside=int(np.sum(~found.valid[found.solved])),
+        outside=int(np.sum(~simulated.valid[simulated.solved])),
     )
 
 
@@ -140,5 +140,5 @@ def _share_variance(table: Mapping[str, Floats], across: Floats) -> dict[str, fl
     tip = np.argsort(np.argsort(across @ direction))
     along = {name: values if values.ndim == 1 else values @ direction for name, values in table.items()}
     ranks = {name: np.argsort(np.argsort(values)) for name, values in along.items()}
-    shares = {name: float(np.corrcoef(one, tip)[0, 1] ** 2) for name, one in ranks.items()}
+    shares = {name: float(np.corrcoef(rank, tip)[0, 1] ** 2) for name, rank in ranks.items()}
     return dict(sorted(shares.items(), key=lambda pair: -pair[1]))

@@ -58,18 +58,18 @@ COMMANDS: Mapping[str, str] = {
 
 
 def advise(
-    found: Iterable[str], values: Mapping[str, Any], name: str = "", results: str = RESULTS
+    findings: Iterable[str], values: Mapping[str, Any], name: str = "", results: str = RESULTS
 ) -> Advice | None:
     """Return the advice on what a run found, whose text and command take `values`; None if nothing has any.
 
     The command takes `results/name`, the folder of a run, too, unless `values` state another `run`.
     """
-    listed = set(found)
-    finding = next((one for one in COMMANDS if one in listed), None)
+    listed = set(findings)
+    finding = next((command for command in COMMANDS if command in listed), None)
     if finding is None:
         return None
-    known = {"run": f"{results}/{name}", **values}
-    words = [word.format_map(known) for word in COMMANDS[finding].split()]
+    values_of_run = {"run": f"{results}/{name}", **values}
+    words = [word.format_map(values_of_run) for word in COMMANDS[finding].split()]
     command = ("needlefit", *words) if words else ()
     return Advice(finding, TEXT.sentence(finding, values), command, results)
 
@@ -102,7 +102,11 @@ def list_doubts(warnings: Iterable[ResultWarning]) -> list[ResultWarning]:
 
 def list_contradictions(warnings: Iterable[ResultWarning], left_out: Collection[str] = ()) -> list[str]:
     """Return the kinds of warnings by which the data contradict themselves without the needles left out."""
-    kinds = {one.kind for one in warnings if not one.insertions or not set(one.insertions) <= set(left_out)}
+    kinds = {
+        warning.kind
+        for warning in warnings
+        if not warning.insertions or not set(warning.insertions) <= set(left_out)
+    }
     return [kind for kind in CONTRADICTIONS if kind in kinds]
 
 
@@ -126,15 +130,15 @@ def find_failures(checks: Mapping[Check, Finding], comparison: str, other_medium
     `comparison`: what the comparison with curves found, the `advice` of a judgement. `other_medium`: whether
     the insertions are into a medium that was not fitted.
     """
-    failed = {one for one, found in checks.items() if found.passed is False}
-    found = [comparison] if comparison else []
+    failed = {check for check, finding in checks.items() if finding.passed is False}
+    failures = [comparison] if comparison else []
     if other_medium and failed & {Check.CURVES, Check.NOISE}:
-        found.append("other_medium_missed")
-    half, intervals = (checks.get(one) for one in (Check.COVERAGE_50, Check.INTERVALS))
+        failures.append("other_medium_missed")
+    half, intervals = (checks.get(check) for check in (Check.COVERAGE_50, Check.INTERVALS))
     if (intervals and intervals.covered is False) or (Check.COVERAGE_50 in failed and half and half.is_below):
-        found.append("intervals_miss")
+        failures.append("intervals_miss")
     elif Check.INTERVALS in failed:
-        found.append("intervals_wide")
+        failures.append("intervals_wide")
     if Check.NOISE in failed:
-        found.append("beyond_noise")
-    return found
+        failures.append("beyond_noise")
+    return failures

@@ -171,4 +171,4 @@ class Advice:
 def tabulate_checks(findings: Sequence[Finding]) -> pd.DataFrame:
     """Return one row per check."""
     columns = [name for name in Finding.__dataclass_fields__ if name != "values"]  # stand in run.json
-    return pd.DataFrame([asdict(one) for one in findings], columns=columns)
+    return pd.DataFrame([asdict(finding) for finding in findings], columns=columns)

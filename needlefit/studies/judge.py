@@ -52,7 +52,7 @@ MAX_NOISE_RATIO = 2.0
 SIGNIFICANCE = 0.05
 #: probability with which a test finds an exact prediction closer, below which needles bend too little for it
 MIN_POWER = 0.8
-CLOSER_Z, POWER_Z = (float(scipy.special.ndtri(one)) for one in (1 - SIGNIFICANCE, MIN_POWER))
+CLOSER_Z, POWER_Z = (float(scipy.special.ndtri(probability)) for probability in (1 - SIGNIFICANCE, MIN_POWER))
 #: the same for a difference from either of two references (Bonferroni)
 WORSE_Z = float(scipy.special.ndtri(1 - SIGNIFICANCE / len(REFERENCES)))
 #: columns of the table "errors": the predicted tip minus the measured one, in the needle's frame; the stated
@@ -117,10 +117,10 @@ class Judgement:
     @property
     def is_within_margin(self) -> bool:
         """Whether the errors of the model and of the closer reference differ by less than the margin."""
-        found = self.compared
-        if found is None or found.reference_error is None or found.margin is None:
+        comparison = self.compared
+        if comparison is None or comparison.reference_error is None or comparison.margin is None:
             return False
-        return abs(self.error - found.reference_error) < found.margin
+        return abs(self.error - comparison.reference_error) < comparison.margin
 
     @property
     def within_noise(self) -> bool | None:
@@ -155,20 +155,20 @@ def judge(run: Run, group: ScoredGroup) -> Judgement | None:
     if trials < MIN_TRIALS:
         noise = group.get(score, "floor")
         margin = run.record.margin_mm if METRICS[score].unit == "mm" else None
-        found = compare_with_references(errors, method, noise, margin, score)
-        outcome, curve, nearest = found.outcome, found.reference, found.reference_error
+        comparison = compare_with_references(errors, method, noise, margin, score)
+        outcome, curve, nearest = comparison.outcome, comparison.reference, comparison.reference_error
     else:
         if method == PREDICTION_METHOD:
             scores = frames.predictive[["fold", "insertion", PREDICTED[score].crps]]
             errors = errors.merge(scores.assign(method=method), "left", ["fold", "insertion", "method"])
-        found, outcome = None, judge_fits(errors, method, score)
+        comparison, outcome = None, judge_fits(errors, method, score)
         curve = find_closest_curve(group) or ""
         nearest = group.get(score, method=curve)
     effect = run.knows(FitMetadata).effect
     turned_by = tuple(effect.insertions) if effect and effect.turns else ()
     if find_contradictions(run) or turned_by:
         outcome = Outcome.UNDECIDED
-    return Judgement(outcome, score, error, ratio, curve, nearest, trials, specimens, found, turned_by)
+    return Judgement(outcome, score, error, ratio, curve, nearest, trials, specimens, comparison, turned_by)
 
 
 def compare_with_references(
@@ -190,17 +190,22 @@ def compare_with_references(
     """
     keys = ["fold", "specimen", "hole", "insertion"]
     finite = errors.replace([np.inf, -np.inf], np.nan).dropna(subset=score)
-    known = {str(name): rows.set_index(keys) for name, rows in finite.groupby("method")}
-    references = [name for name in REFERENCES if name in known]
-    if method not in known or not references:
+    errors_by_method = {str(name): rows.set_index(keys) for name, rows in finite.groupby("method")}
+    references = [name for name in REFERENCES if name in errors_by_method]
+    if method not in errors_by_method or not references:
         return Comparison(Outcome.UNDECIDED)
-    compared = reduce(pd.MultiIndex.intersection, (known[name].index for name in (method, *references)))
+    compared = reduce(
+        pd.MultiIndex.intersection, (errors_by_method[name].index for name in (method, *references))
+    )
     if compared.empty:
         return Comparison(Outcome.UNDECIDED)
     margin = margin or (noise if score != TE else None) or None
 
     def find_outcome(some: "pd.Index[Any]") -> Outcome:
-        ours, others = known[method].loc[some], [known[name].loc[some] for name in references]
+        ours, others = (
+            errors_by_method[method].loc[some],
+            [errors_by_method[name].loc[some] for name in references],
+        )
         error, least = ours[score].mean(), margin or 0.0
         gaps = np.array([other[score].mean() - error for other in others])
         z, exact_z = np.array([compare_predictions(ours, other) for other in others]).T
@@ -215,11 +220,16 @@ def compare_with_references(
         is_distinguished = (np.abs(z) > CLOSER_Z) | (exact_z > CLOSER_Z + POWER_Z)
         return Outcome.AS_CLOSE if is_distinguished.all() else Outcome.BEND_TOO_LITTLE
 
-    means = {name: float(known[name].loc[compared, score].mean()) for name in references}
+    means = {name: float(errors_by_method[name].loc[compared, score].mean()) for name in references}
     nearest = min(means, key=lambda name: means[name])
     holes = [compared.get_level_values(name) for name in ("specimen", "hole")]
     needles = pd.Series(zip(*holes, strict=True), compared)
-    gaps = (known[nearest][score] - known[method][score]).loc[compared].groupby(needles).mean()
+    gaps = (
+        (errors_by_method[nearest][score] - errors_by_method[method][score])
+        .loc[compared]
+        .groupby(needles)
+        .mean()
+    )
     outcome, hangs_on = find_outcome(compared), list[str]()
     for needle in needles.unique():
         rows = compared[needles == needle]
@@ -283,10 +293,10 @@ def judge_fits(errors: pd.DataFrame, method: str = PREDICTION_METHOD, score: str
     (mm) of `method`, and of curves if it is not their tip error; without this column a point was predicted,
     and tip errors decide.
     """
-    found = compare_with_curves(errors, method, score)
-    if (found["p_larger"] * len(found) <= SIGNIFICANCE).any():
+    comparison = compare_with_curves(errors, method, score)
+    if (comparison["p_larger"] * len(comparison) <= SIGNIFICANCE).any():
         return Outcome.DOES_NOT_GENERALISE
-    better = len(found) and (found["p_smaller"] <= SIGNIFICANCE).all()
+    better = len(comparison) and (comparison["p_smaller"] <= SIGNIFICANCE).all()
     return Outcome.GENERALISES if better else Outcome.NOT_SHOWN
 
 
@@ -309,8 +319,10 @@ def compare_with_curves(errors: pd.DataFrame, method: str, error: str = TE) -> p
     )
     curves = [name for name in BASELINES.names() if (error, name) in table]
     gaps = {score: -table[score][curves].fillna(table[error][curves]) for score in scores}
-    found = pd.concat({score: gaps[score].add(table[score][method], axis=0) for score in scores}, axis=1)
-    trials = found.groupby(join_trials(table.index.to_frame(index=False))).mean()
+    gaps_of_scores = pd.concat(
+        {score: gaps[score].add(table[score][method], axis=0) for score in scores}, axis=1
+    )
+    trials = gaps_of_scores.groupby(join_trials(table.index.to_frame(index=False))).mean()
     count, mean = trials.count(), trials.mean()
     with np.errstate(divide="ignore", invalid="ignore"):  # equal differences have no scatter
         t = np.where(trials.std() > 0, mean * np.sqrt(count) / trials.std(), np.copysign(np.inf, mean))
@@ -322,8 +334,8 @@ def compare_with_curves(errors: pd.DataFrame, method: str, error: str = TE) -> p
 def find_closest_curve(group: ScoredGroup) -> str | None:
     """Return the curve without mechanics with the smallest error."""
     errors = {name: group.get(group.score, method=name) for name in BASELINES.names()}
-    known = {name: error for name, error in errors.items() if error is not None}
-    return min(known, key=lambda name: known[name], default=None)
+    errors_of_curves = {name: error for name, error in errors.items() if error is not None}
+    return min(errors_of_curves, key=lambda name: errors_of_curves[name], default=None)
 
 
 # ---- checks
@@ -332,22 +344,22 @@ def find_closest_curve(group: ScoredGroup) -> str | None:
 @value_of_run
 def list_checks(run: Run, role: str = "validate") -> tuple[Finding, ...]:
     """Return the checks of all insertions that are scored together; of a fit of those fitted to."""
-    group, found = pool_insertions(run, role), list[Finding]()
+    group, findings = pool_insertions(run, role), list[Finding]()
     judged = None if group is None else judge(run, group)
     if role == "tune":
-        found.append(Finding(Check.HELD_OUT, None))
+        findings.append(Finding(Check.HELD_OUT, None))
     if judged is not None:
-        found += (check_curves(judged), check_noise(judged), *check_needles(run, judged))
+        findings += (check_curves(judged), check_noise(judged), *check_needles(run, judged))
     predictive = FitFrames.of(run).predictive
     if len(predictive) and role == "validate":
         held_out, score = (group.head.insertions, group.score) if group else (0, TE)
-        found += check_intervals(predictive, run.metadata.recipe, held_out, score)
-    return (*found, check_data(run))
+        findings += check_intervals(predictive, run.metadata.recipe, held_out, score)
+    return (*findings, check_data(run))
 
 
 def check_curves(judged: Judgement) -> Finding:
     """Return whether the model is closer than the curves that it was compared with."""
-    one = Finding(
+    finding = Finding(
         Check.CURVES,
         judged.outcome.passed,
         judged.error,
@@ -356,13 +368,13 @@ def check_curves(judged: Judgement) -> Finding:
         judged.trials,
         score=judged.score,
     )
-    if (found := judged.compared) is None:
-        return one
+    if (comparison := judged.compared) is None:
+        return finding
     return replace(
-        one,
-        margin_mm=found.margin,
-        needles=found.needles,
-        closer=found.closer,
+        finding,
+        margin_mm=comparison.margin,
+        needles=comparison.needles,
+        closer=comparison.closer,
     )
 
 
@@ -373,11 +385,11 @@ def check_needles(run: Run, judged: Judgement) -> Iterator[Finding]:
     effect, hangs_on = run.knows(FitMetadata).effect, judged.compared.hangs_on if judged.compared else ()
     if effect is None and judged.compared is None:
         return
-    found = Finding(Check.SAME, not (hangs_on or judged.turned_by), hangs_on=", ".join(hangs_on))
+    finding = Finding(Check.SAME, not (hangs_on or judged.turned_by), hangs_on=", ".join(hangs_on))
     if effect is not None:
         left_out = ", ".join(effect.insertions)
-        found = replace(found, left_out=left_out, outcome=effect.outcome, values=effect.values)
-    yield found
+        finding = replace(finding, left_out=left_out, outcome=effect.outcome, values=effect.values)
+    yield finding
 
 
 def check_noise(judged: Judgement) -> Finding:
@@ -450,7 +462,7 @@ def _count_beyond(predictive: pd.DataFrame) -> int:
 
 def check_data(run: Run) -> Finding:
     """Return whether any warning casts doubt on the data or on a parameter."""
-    named = [one.kind for one in list_doubts(run.warnings)]
+    named = [doubt.kind for doubt in list_doubts(run.warnings)]
     return Finding(Check.DATA, not named, len(named), 0, ", ".join(named))
 
 

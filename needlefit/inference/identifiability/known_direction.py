@@ -20,13 +20,14 @@ def predict_factors(problem: Problem, theta: Sequence[float]) -> dict[str, float
     By the information at `theta` (P,), without the measured residuals: these are of shapes that were turned.
     Only moduli and lengths have a factor.
     """
-    at, problem = problem.parameters.restrict(np.array(theta)), problem.searched
+    searched, problem = problem.parameters.restrict(np.array(theta)), problem.searched
     angle_sd = math.radians(DIRECTION_SD_DEG)
     insertions = tuple(
-        replace(one, pose_source="first_point", pose_angle_sd=angle_sd) for one in problem.insertions
+        replace(insertion, pose_source="first_point", pose_angle_sd=angle_sd)
+        for insertion in problem.insertions
     )
     stated = replace(problem, dataset=replace(problem.dataset, pose="known"), insertions=insertions)
-    slope = linearize(stated, at).slope
+    slope = linearize(stated, searched).slope
     sds = cramer_rao(slope.T @ slope + prior_and_noise_information(stated))
     return {
         name: math.exp(2 * NORMAL_95_HALF_WIDTH_SD * sd)

@@ -30,33 +30,33 @@ def examine_depths(problem: Problem, theta: Floats) -> list[DepthMetadata]:
     modulus that changes most with it, by `factor_per_mm`. The shift is found by a profile, as derivatives are
     flat far from where a boundary is. None where depths are crossings of surfaces, or no noise is stated.
     """
-    if not problem.dataset.noise_is_stated or any(one.surfaces for one in problem.insertions):
+    if not problem.dataset.noise_is_stated or any(insertion.surfaces for insertion in problem.insertions):
         return []
-    stated = max(one.boundary_sd for one in problem.insertions)
-    exact = tuple(replace(one, boundary_sd=0.0) for one in problem.insertions)
+    stated = max(insertion.boundary_sd for insertion in problem.insertions)
+    exact = tuple(replace(insertion, boundary_sd=0.0) for insertion in problem.insertions)
     base = replace(problem, insertions=exact)
     residuals, slope, chi_square, _ = linearize(base, theta)
     scale = max(1.0, chi_square)
     covariance = np.linalg.pinv(slope.T @ slope / scale + prior_and_noise_information(base), hermitian=True)
     moduli = [k for k, name in enumerate(problem.names) if name.startswith("mu")]
-    found: list[DepthMetadata] = []
-    for k in range(max(len(one.boundaries) for one in exact)):
+    rows: list[DepthMetadata] = []
+    for k in range(max(len(insertion.boundaries) for insertion in exact)):
         ends = []
         for step in (STEP_MM, -STEP_MM):
-            by = [step * (np.arange(len(one.boundaries)) == k) for one in exact]
+            by = [step * (np.arange(len(insertion.boundaries)) == k) for insertion in exact]
             pairs = zip(exact, by, strict=True)
-            moved = tuple(shift_depths(one, np.zeros(1), shift, 0.0)[0] for one, shift in pairs)
+            moved = tuple(shift_depths(insertion, np.zeros(1), shift, 0.0)[0] for insertion, shift in pairs)
             ends.append(linearize(replace(problem, insertions=moved), theta)[0])
         by_depth = (ends[0] - ends[1]) / (2 * STEP_MM)
         taken = covariance @ (slope.T @ by_depth) / scale  # what the parameters take up of a mm
         left = by_depth - slope @ taken
-        known = float(left @ by_depth) / scale
-        if not known > 0 or not moduli:
+        log_factor_per_mm = float(left @ by_depth) / scale
+        if not log_factor_per_mm > 0 or not moduli:
             continue
         worst = max(moduli, key=lambda n: abs(taken[n]))
-        sd, near = 1 / math.sqrt(known), -float(left @ residuals) / scale / known
+        sd, near = 1 / math.sqrt(log_factor_per_mm), -float(left @ residuals) / scale / log_factor_per_mm
         shift, sd, describes = _profile(problem, theta, k, near) or (0.0, sd, True)
-        found.append(
+        rows.append(
             DepthMetadata(
                 boundary=k + 1,
                 depth_mm=_find_depth(base, k),
@@ -68,13 +68,19 @@ def examine_depths(problem: Problem, theta: Floats) -> list[DepthMetadata]:
                 describes=describes,
             )
         )
-    return found
+    return rows
 
 
 def _find_depth(problem: Problem, number: int) -> float:
     """Return the mean depth of a boundary over the insertions that cross it, mm."""
     return float(
-        np.mean([one.boundaries[number] for one in problem.insertions if len(one.boundaries) > number])
+        np.mean(
+            [
+                insertion.boundaries[number]
+                for insertion in problem.insertions
+                if len(insertion.boundaries) > number
+            ]
+        )
     )
 
 
@@ -93,37 +99,43 @@ def _profile(problem: Problem, theta: Floats, number: int, near: float) -> _Prof
     between needles are integrated out. `near`: by the derivatives. None if no other depth is more probable.
     """
     stated = _find_depth(problem, number)
-    longest = max(problem.insertions, key=lambda one: len(one.boundaries))
-    ends = np.array([0.0, *longest.boundaries, max(one.depth for one in problem.insertions)])
+    longest = max(problem.insertions, key=lambda insertion: len(insertion.boundaries))
+    ends = np.array([0.0, *longest.boundaries, max(insertion.depth for insertion in problem.insertions)])
     low, high = ends[number] - stated, ends[number + 2] - stated
 
-    found: dict[float, tuple[Floats, Prediction]] = {}  # by shift
+    profile: dict[float, tuple[Floats, Prediction]] = {}  # by shift
 
     def add(shift: float) -> None:
-        moved = [_move(one, number, stated, shift, longest.sequence) for one in problem.insertions]
+        moved = [
+            _move(insertion, number, stated, shift, longest.sequence) for insertion in problem.insertions
+        ]
         part = replace(problem, insertions=tuple(moved))
-        nearest = min(found, key=lambda other: abs(other - shift), default=None)
-        at = refit(part, moved, theta if nearest is None else found[nearest][0])
-        blocks = [linearize_needle(part, one, at) for one in moved]
-        found[shift] = at, predict_from(part, range(len(moved)), weigh_all(part, blocks), at)
+        nearest = min(profile, key=lambda other: abs(other - shift), default=None)
+        refitted = refit(part, moved, theta if nearest is None else profile[nearest][0])
+        blocks = [linearize_needle(part, insertion, refitted) for insertion in moved]
+        profile[shift] = refitted, predict_from(part, range(len(moved)), weigh_all(part, blocks), refitted)
 
     grid = [0.0, *[near] * bool(low < near < high), *np.linspace(low, high, GRID_DEPTHS + 2)[1:-1].tolist()]
     for shift in sorted(grid, key=abs):
         add(shift)
-    stated_density, count = found[0.0][1].log_density, sum(problem.density.residual_counts)
-    if max(one.log_density for _, one in found.values()) <= stated_density:
+    stated_density, count = profile[0.0][1].log_density, sum(problem.density.residual_counts)
+    if max(prediction.log_density for _, prediction in profile.values()) <= stated_density:
         return None
     for _ in range(PROFILE_STEPS):
-        shifts = sorted(found)
-        peak = int(np.clip(np.argmax([found[one][1].log_density for one in shifts]), 1, len(shifts) - 2))
+        shifts = sorted(profile)
+        peak = int(
+            np.clip(np.argmax([profile[shift][1].log_density for shift in shifts]), 1, len(shifts) - 2)
+        )
         three = np.array(shifts[peak - 1 : peak + 2])
-        square, slope, _ = np.polyfit(three, [found[one][1].log_density for one in three.tolist()], 2)
+        square, slope, _ = np.polyfit(three, [profile[place][1].log_density for place in three.tolist()], 2)
         vertex = float(-slope / (2 * square)) if square < 0 else three.mean()
         if not three[0] < vertex < three[-1] or np.min(np.abs(three - vertex)) < MIN_PROFILE_STEP_MM:
             break
         add(vertex)
-    shift = max(found, key=lambda one: (found[one][1].describes(count), found[one][1].log_density))
-    best = found[shift][1]
+    shift = max(
+        profile, key=lambda place: (profile[place][1].describes(count), profile[place][1].log_density)
+    )
+    best = profile[shift][1]
     gain = (best.log_density - stated_density) / max(1.0, best.chi_square)
     return _Profile(shift, abs(shift) / math.sqrt(2 * gain), best.describes(count)) if gain > 0 else None
 

@@ -47,26 +47,28 @@ def sample(
 
     Parameters that are held are independent draws of their prior.
     """
-    found = _sample(problem.searched, begin, settings, rng, callbacks or Callbacks(), interpolated=True)
-    return found and _add_held(found, problem.parameters, rng.spawn(1)[0])
+    posterior = _sample(problem.searched, begin, settings, rng, callbacks or Callbacks(), interpolated=True)
+    return posterior and _add_held(posterior, problem.parameters, rng.spawn(1)[0])
 
 
-def _add_held(found: Posterior, parameters: Parameters, rng: np.random.Generator) -> Posterior:
+def _add_held(posterior: Posterior, parameters: Parameters, rng: np.random.Generator) -> Posterior:
     """Return a posterior of the searched parameters as one of all free ones."""
     if not parameters.held:
-        return found
-    drawn = draw_from_prior(parameters, found.log_posterior.size, rng)
+        return posterior
+    drawn = draw_from_prior(parameters, posterior.log_posterior.size, rng)
     table = dict(zip(parameters.free, drawn.T, strict=True))
-    columns = {name: table[name].reshape(found.log_posterior.shape) for name in parameters.held}
-    columns |= dict(zip(found.names, np.moveaxis(found.draws, 2, 0), strict=True))
+    columns = {name: table[name].reshape(posterior.log_posterior.shape) for name in parameters.held}
+    columns |= dict(zip(posterior.names, np.moveaxis(posterior.draws, 2, 0), strict=True))
     # independent by construction, not as far as an estimate knows
     r_hat, time = dict.fromkeys(parameters.held, 1.0), dict.fromkeys(parameters.held, 1.0)
-    r_hat |= dict(zip((*found.names, LOG_POSTERIOR), found.r_hat.tolist(), strict=True))
-    apart = dict.fromkeys(parameters.held, 0.0) | dict(zip(found.names, found.apart.tolist(), strict=True))
-    time |= dict(zip((*found.names, LOG_POSTERIOR), found.autocorrelation_time.tolist(), strict=True))
+    r_hat |= dict(zip((*posterior.names, LOG_POSTERIOR), posterior.r_hat.tolist(), strict=True))
+    apart = dict.fromkeys(parameters.held, 0.0) | dict(
+        zip(posterior.names, posterior.apart.tolist(), strict=True)
+    )
+    time |= dict(zip((*posterior.names, LOG_POSTERIOR), posterior.autocorrelation_time.tolist(), strict=True))
     quantities = (*parameters.free, LOG_POSTERIOR)
     return replace(
-        found,
+        posterior,
         names=parameters.free,
         draws=np.stack([columns[name] for name in parameters.free], axis=2),
         r_hat=np.array([r_hat[name] for name in quantities]),
@@ -89,12 +91,14 @@ def _sample(
     if nodes is not None:
         nodes.fixed = True
     evaluator = Evaluator(problem, callbacks.jobs, interpolated=nodes)
-    found = sample_density(evaluator, problem.names, begin, settings, rng, callbacks)
-    if found is not None and nodes is not None:
-        thetas = found.draws.reshape(-1, len(problem.names))
+    posterior = sample_density(evaluator, problem.names, begin, settings, rng, callbacks)
+    if posterior is not None and nodes is not None:
+        thetas = posterior.draws.reshape(-1, len(problem.names))
         if nodes.find_error(thetas[:: -(-len(thetas) // CHECKED_DRAWS)]) > MAX_RMS_ERROR:
             return _sample(problem, begin, settings, rng, callbacks, interpolated=False)
-    return found and replace(found, draws=problem.tabulate_values(found.draws), failures=evaluator.failures)
+    return posterior and replace(
+        posterior, draws=problem.tabulate_values(posterior.draws), failures=evaluator.failures
+    )
 
 
 def sample_density(
@@ -122,27 +126,29 @@ def sample_density(
     moves = make_sampler_moves(proposal)
     sampler = emcee.EnsembleSampler(walkers, len(names), log_density, moves=moves, vectorize=True)
     state = emcee.State(begin.thetas[order], begin.log_density[order], random_state=random)
-    steps, stopped, found = 0, callbacks.stop(), None
+    steps, stopped, posterior = 0, callbacks.stop(), None
     while True:
         if steps:
             burn_in = 0 if begin.certified else steps // 2
             chain, density = sampler.get_chain(discard=burn_in), sampler.get_log_prob(discard=burn_in)
             quantities = [*np.moveaxis(chain, 2, 0), density]  # each (N, W)
-            found = Posterior(
+            posterior = Posterior(
                 names=names,
                 draws=chain.transpose(1, 0, 2),
                 log_posterior=density.T,
                 acceptance_fraction=sampler.acceptance_fraction,
-                r_hat=np.array([compute_r_hat(one) for one in quantities]),
-                autocorrelation_time=np.array([compute_autocorrelation_time(one) for one in quantities]),
+                r_hat=np.array([compute_r_hat(quantity) for quantity in quantities]),
+                autocorrelation_time=np.array(
+                    [compute_autocorrelation_time(quantity) for quantity in quantities]
+                ),
                 wanted=settings.independent_draws,
                 burn_in=burn_in,
                 failures=0,
                 interrupted=stopped,
             )
-            found = replace(found, apart=compare_means(found, begin))
-        if stopped or steps == most or (found is not None and not found.faults):
-            return found
+            posterior = replace(posterior, apart=compare_means(posterior, begin))
+        if stopped or steps == most or (posterior is not None and not posterior.faults):
+            return posterior
         count = min(BLOCK_STEPS, most - steps)
         for _ in sampler.sample(state, iterations=count, skip_initial_state_check=True):
             steps += 1
@@ -188,8 +194,8 @@ def compare_means(chains: Posterior, begin: importance.WeightedDraws) -> Floats:
         return np.zeros(len(chains.names))
     mean = weights @ begin.thetas
     variance = weights @ (begin.thetas - mean) ** 2
-    ess, known = chains.ess[:-1], begin.effective_sample_size
-    return np.abs(flat.mean(axis=0) - mean) * np.sqrt(ess * known / (ess + known) / variance)
+    ess, begin_ess = chains.ess[:-1], begin.effective_sample_size
+    return np.abs(flat.mean(axis=0) - mean) * np.sqrt(ess * begin_ess / (ess + begin_ess) / variance)
 
 
 def compute_r_hat(values: Floats) -> float:

@@ -48,26 +48,26 @@ def combine_readings(pose: Pose, insertion: Insertion) -> Mapping[Quantity, tupl
     """
     assert insertion.curvature is not None
     from_tip = insertion.curvature[:, 0]
-    found: dict[Quantity, tuple[Floats, Floats]] = {
+    combined: dict[Quantity, tuple[Floats, Floats]] = {
         "curvatures": (insertion.depth - from_tip, 1e3 * np.eye(len(from_tip)))
     }
     if find_pose(pose, insertion) == "known" and max(from_tip) > insertion.depth:
         weights = integrate_sensors(insertion)
-        found["integrated"] = np.array([0.0, insertion.depth]), np.vstack([0 * weights, weights])
-    return found
+        combined["integrated"] = np.array([0.0, insertion.depth]), np.vstack([0 * weights, weights])
+    return combined
 
 
 def compare_sensors(pose: Pose, insertion: Insertion, compared: Compared) -> tuple[ComparedPoints, ...]:
     """Return what a curve is compared with: the readings of the sensors, and the tip to which they lead."""
     require_curvature(insertion)
     assert insertion.curvature is not None
-    s, known = append_sensors(insertion, np.empty(0)), find_pose(pose, insertion)
+    s, known_pose = append_sensors(insertion, np.empty(0)), find_pose(pose, insertion)
     second = np.kron(np.eye(len(insertion.curvature)), SECOND_DIFFERENCE)
     return tuple(
         ComparedPoints(
             s,
             np.column_stack([x, combine @ insertion.curvature[:, 1:3]]),
-            known,
+            known_pose,
             compared,
             quantity,
             combine @ second,
@@ -85,13 +85,13 @@ def integrate_sensors(insertion: Insertion) -> Floats:
     clamp = insertion.depth - insertion.needle.length
     clamp = clamp if insertion.guide_distance is None else -insertion.guide_distance
     order = np.argsort(-insertion.curvature[:, 0])
-    at = np.append(insertion.depth - insertion.curvature[order, 0], insertion.depth)
+    places = np.append(insertion.depth - insertion.curvature[order, 0], insertion.depth)
     s = np.linspace(clamp, insertion.depth, INTEGRATION_POINTS)
-    unit = np.eye(len(at))[:, :-1]  # of each sensor; the tip has none
-    curves = np.array([np.interp(s, at, one) for one in unit.T])  # (n, S)
+    unit = np.eye(len(places))[:, :-1]  # of each sensor; the tip has none
+    curves = np.array([np.interp(s, places, curve) for curve in unit.T])  # (n, S)
     if len(order) > 1:
-        before = s < at[0]
-        beyond = (at[0] - s[before]) / (at[1] - at[0])
+        before = s < places[0]
+        beyond = (places[0] - s[before]) / (places[1] - places[0])
         curves[0, before], curves[1, before] = 1 + beyond, -beyond
     weights = np.empty(len(order))
     weights[order] = np.trapezoid((insertion.depth - s) * curves, s)
@@ -131,14 +131,19 @@ class _Curvature(ObservationType):
     def estimate_floor(self, dataset: Dataset, insertion: Insertion, rng: np.random.Generator) -> NoiseFloor:
         """Return the mean errors of readings that are made again."""
         assert insertion.curvature is not None
-        read, found = insertion.curvature, dict[str, float]()
+        read, floors = insertion.curvature, dict[str, float]()
         errors = read[:, 3:] * rng.standard_normal((FLOOR_DRAWS, len(read), 2))  # (B, n, 2)
         for quantity, (x, combine) in combine_readings(dataset.pose, insertion).items():
             still = np.pad(x[:, None], ((0, 0), (0, 2)))
             again = still + np.pad(combine @ errors, ((0, 0), (0, 0), (1, 0)))
-            each = [compute_metrics(compare_curves(one, still, dataset.compared, quantity)) for one in again]
-            found |= {name: float(np.mean([one[name] for one in each])) for name in each[0]}
-        return found
+            errors_of_draws = [
+                compute_metrics(compare_curves(noisy, still, dataset.compared, quantity)) for noisy in again
+            ]
+            floors |= {
+                name: float(np.mean([errors_of_draw[name] for errors_of_draw in errors_of_draws]))
+                for name in errors_of_draws[0]
+            }
+        return floors
 
     def observe(self, insertion: Insertion, errors: StatedErrors) -> Observation:
         """Return the observation of an insertion by its curvatures.

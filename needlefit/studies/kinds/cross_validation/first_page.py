@@ -79,34 +79,34 @@ def find_advice(
     """
     frames = FitFrames.of(run)
     role = frames.role
-    by_check = {one.check: one for one in checks}
+    by_check = {check.check: check for check in checks}
     other = [name for name in media["validate"] if name not in media["tune"]]
     gain = frames.predictive[AFTER_ONE_COLUMN].astype(float).median()
     intervals = by_check.get(Check.INTERVALS)
-    doubts = [one for one in list_doubts(run.warnings) if classify_doubt(one)][:1]
+    doubts = [doubt for doubt in list_doubts(run.warnings) if classify_doubt(doubt)][:1]
     # curves were fitted to the needles of a fit, too: only one that is closer is advised about
     comparison = judged.advice if role == "validate" or judged.outcome.passed is False else ""
-    found = ["predictable", *find_failures(by_check, comparison, other_medium=bool(other))]
+    advice = ["predictable", *find_failures(by_check, comparison, other_medium=bool(other))]
     if run.faults or run.interrupted:
-        found.append("not_converged")
-    found += map(classify_doubt, doubts)
+        advice.append("not_converged")
+    advice += map(classify_doubt, doubts)
     if role == "tune" and wide:
-        found.append("parameters_undetermined")
+        advice.append("parameters_undetermined")
     values = {
         "dataset": str(run.record.dataset),
-        "doubt": "".join(one.help_key for one in doubts),
-        "doubt_title": "".join(name_doubt(one.kind) for one in doubts),
+        "doubt": "".join(doubt.help_key for doubt in doubts),
+        "doubt_title": "".join(name_doubt(doubt.kind) for doubt in doubts),
         "other_medium": other[0] if other else "",
         "curve": BASELINES[judged.curve].description if judged.curve else "",
         "width": None if intervals is None else intervals.width_mm,
         "gain": None if pd.isna(gain) or intervals is None else float(gain),
     }
-    return advise(found, values, run.name)
+    return advise(advice, values, run.name)
 
 
 def _open_fit(run: Run, undetermined: Sequence[str], wide: Sequence[str]) -> tuple[str, Status]:
     """Return the block with which the verdict on a fit begins, and its status."""
-    checks = {one.check: one for one in list_checks(run, "tune")}
+    checks = {check.check: check for check in list_checks(run, "tune")}
     if Check.CURVES in checks and checks[Check.CURVES].passed is False:
         return "fit_fails", "fail"
     if "parameter_at_bound" in checks[Check.DATA].named.split(", "):

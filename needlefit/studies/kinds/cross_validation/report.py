@@ -42,7 +42,7 @@ def collect_values(run: Run) -> dict[str, Any]:
     role, folds, starts, errors = frames.role, stated.folds, frames.starts, frames.errors
     counts = sorted(len(fold.tune) for fold in folds)
     group = scores.pool_insertions(run, role)
-    floors = {one: group.get(one.name, "floor") for one in list_metrics() if group is not None}
+    floors = {metric: group.get(metric.name, "floor") for metric in list_metrics() if group is not None}
     return {
         "run": run,
         "frames": frames,
@@ -50,22 +50,23 @@ def collect_values(run: Run) -> dict[str, Any]:
         "compared_in": {1: "one plane", 2: "space"}[scores.count_directions(run)],
         "dataset": stated.dataset.name,
         "media": {
-            one: list(dict.fromkeys(select_rows(errors, role=one)["medium"])) for one in ("tune", "validate")
+            part: list(dict.fromkeys(select_rows(errors, role=part)["medium"]))
+            for part in ("tune", "validate")
         },
         "folds": len(folds),
         "several_folds": len(folds) > 1,
-        "held_out": len({one for fold in folds for one in fold.held_out}),
+        "held_out": len({insertion for fold in folds for insertion in fold.held_out}),
         "depths": {
             # the least and the greatest, one if they are printed alike
-            str(name): list(dict.fromkeys(f"{one:.0f}" for one in (found.min(), found.max())))
-            for name, found in select_rows(errors, method="fitted").groupby("role")["depth_mm"]
+            str(name): list(dict.fromkeys(f"{depth:.0f}" for depth in (depths.min(), depths.max())))
+            for name, depths in select_rows(errors, method="fitted").groupby("role")["depth_mm"]
         },
         # the least and the greatest, one if they are equal
         "fitted_counts": list(dict.fromkeys(map(str, (*counts[:1], *counts[-1:])))),
         "floors": [
-            f"{one.label} {format_metric(one, floor, 3 if floor < 0.1 else 2)} {one.unit}"
-            for one, floor in floors.items()
-            if floor is not None and one.has_floor
+            f"{metric.label} {format_metric(metric, floor, 3 if floor < 0.1 else 2)} {metric.unit}"
+            for metric, floor in floors.items()
+            if floor is not None and metric.has_floor
         ],
         "no_bands": role == "validate" and not frames.draws["certified"].astype(bool).all(),
         "starts": len(starts),
@@ -114,9 +115,9 @@ def lay_out_tables(run: Run) -> list[TableLayout]:
     """Return every table of a report, each once."""
     frames = FitFrames.of(run)
     # the parameters of which more is to say than their interval
-    known, role = frames.identification, frames.role
-    explained = known[(known["note"] != "") | known["tip_shift_mm"].notna()]
-    found = [
+    identified, role = frames.identification, frames.role
+    explained = identified[(identified["note"] != "") | identified["tip_shift_mm"].notna()]
+    tables = [
         fit_tables.lay_out_summary(run),
         fit_tables.lay_out_validation(run),
         *([fit_tables.lay_out_coverage(run)] if len(frames.predictive) else []),
@@ -127,20 +128,20 @@ def lay_out_tables(run: Run) -> list[TableLayout]:
         fit_tables.lay_out_chains(run),
         fit_tables.lay_out_tuning(run),
     ]
-    return [table for table in found if table.rows]
+    return [table for table in tables if table.rows]
 
 
 def list_figures(run: Run) -> dict[str, Drawing]:
     """Return what the tables allow to be drawn."""
     frames = FitFrames.of(run)
-    found = draw_observations(run, frames.role)
+    figures = draw_observations(run, frames.role)
     if len(frames.predictive):
-        found["predicted"] = fit_figures.draw_predictive_check(run)
+        figures["predicted"] = fit_figures.draw_predictive_check(run)
     if odd := run.knows(FitMetadata).odd_needles:
-        found["odd_needles"] = draw_odd_needles(odd)
+        figures["odd_needles"] = draw_odd_needles(odd)
     if len(frames.profiles):
-        found["profiles"] = forms.draw_profiles(frames.identification, frames.profiles)
-    return found
+        figures["profiles"] = forms.draw_profiles(frames.identification, frames.profiles)
+    return figures
 
 
 # ---- files
@@ -157,10 +158,10 @@ def list_files(run: Run) -> dict[str, pd.DataFrame | str]:
     }
     names = ("predictive", "readings", "ends", "curvature", "error_fit", "population", "draws")
     written |= {name: run.frames[name] for name in names}
-    found: dict[str, pd.DataFrame | str] = {
+    files: dict[str, pd.DataFrame | str] = {
         name: run.frames[name] for name in ("errors", "shapes", "starts", "directions")
     }
-    return found | {name: frame for name, frame in written.items() if len(frame)}
+    return files | {name: frame for name, frame in written.items() if len(frame)}
 
 
 def fit_to_json(run: Run) -> dict[str, Any]:
@@ -170,7 +171,9 @@ def fit_to_json(run: Run) -> dict[str, Any]:
         for name, frame in list_files(run).items()
         if name not in ("shapes", "draws", "readings", "ends")
     }
-    return {name: to_records(to_tidy(one)) for name, one in frames.items() if isinstance(one, pd.DataFrame)}
+    return {
+        name: to_records(to_tidy(frame)) for name, frame in frames.items() if isinstance(frame, pd.DataFrame)
+    }
 
 
 def describe_fit(run: Run) -> FirstPage:
