@@ -16,10 +16,12 @@ from world import COMMANDS
 from needlefit.cli.execution import show_run
 from needlefit.project.result_warnings import ResultWarning, to_stored_rows
 from needlefit.project.toml import load
+from needlefit.reporting.document import compile_html
 from needlefit.reporting.figures import style
 from needlefit.schemas.run_metadata import FitMetadata
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.answer import Check, FaultKind, RunFault
+from needlefit.studies.combined_report import compose_overview
 from needlefit.studies.fit_tables import lay_out_matrix
 from needlefit.studies.kind import find_kind
 from needlefit.studies.kinds.cross_validation.frames import FRAMES
@@ -71,6 +73,8 @@ def check_agreement(results: Run):
     assert row[-1] == verdict.word
     (shown,) = (one for one in compose_first_page(page) if one["kind"] == "verdict")
     assert (read(shown), shown["status"]) == (f"{verdict.sentence}.", verdict.status)
+    combined = [one for one in compose_overview([results], []).blocks if one["kind"] == "verdict"]
+    assert all(read(one).endswith(read(shown)) and one["status"] == verdict.status for one in combined)
     return page
 
 
@@ -161,6 +165,32 @@ def test_a_second_figure_stands_on_the_first_page_too(world, tmp_path):
     assert places[1] < end < places[2]
     write_report(report, tmp_path)
     assert (tmp_path / "report.pdf").read_bytes().startswith(b"%PDF")
+
+
+PLACES = """() => {
+  const top = (found) => document.querySelector(found).getBoundingClientRect().top;
+  return [".origin", ".first table", ".verdict", "main > details"].map(top);
+}"""
+CUT = """() => [...document.querySelectorAll(".first .wide, body")].filter(
+  (one) => one.scrollWidth > one.clientWidth + 1).length"""
+
+
+@pytest.mark.skipif(not BROWSER, reason="needs chromium")
+def test_a_combined_report_has_data_table_verdicts_and_last_a_closed_page_and_cuts_nothing(world, tmp_path):
+    results = world.restore("cross_validation")
+    page = tmp_path / "report.html"
+    page.write_bytes(compile_html(compose_overview([results], [lay_out_matrix([results])])))
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as play:
+        browser = play.chromium.launch(executable_path=BROWSER, args=["--no-sandbox", "--disable-gpu"])
+        for width in (320, 1280):
+            window = browser.new_page(viewport={"width": width, "height": 800})
+            window.goto(page.as_uri())
+            places = window.evaluate(PLACES)
+            assert places == sorted(places) and window.evaluate(CUT) == 0
+            assert not window.evaluate("document.querySelector('main > details').open")
+        browser.close()
 
 
 @pytest.mark.parametrize("kind", list(COMMANDS))

@@ -90,8 +90,7 @@ def test_baselines_are_compared_on_the_same_insertions():
 def test_the_validation_table_has_every_cell_of_the_paper():
     published = paper.read_published_table("validation")
     runs = [study(n) for n in range(1, 6)]
-    table = pd.concat([tabulate_validation(run) for run in runs])
-    groups = [group for run in runs for group in list_groups(run)]
+    table, groups = tabulate_validation(*runs), [group for run in runs for group in list_groups(run)]
     assert table.drop_duplicates(["study", "medium", "layers", "method", "boundaries", "metric"]).equals(
         table
     )

@@ -133,21 +133,26 @@ def validate(
         from needlefit.studies.result_sources import name_source
         from needlefit.studies.study_files import load_study_file
 
-        is_paper = study == EVERY_STUDY
-        fits = [(name, find_file("fit", name)) for name in PAPER_FITS if is_paper]
+        combined = [study] if study == EVERY_STUDY else []
+        fits = [(name, find_file("fit", name)) for name in PAPER_FITS if combined]
         todo = [StudyTask(name, load_study_file(path), path) for name, path in find_studies(study)]
         todo += [StudyTask(name, load(path, FitRecord), path) for name, path in fits]
         names = [work.name for work in todo]
-        execution.prepare(names, names)
+        execution.prepare([*names, *combined], names)
         for work in todo:
             with add_file_context(work.file):
                 execution.prepare_result(work.name, [name_source(work.file)], work.record)
         runs = run_studies(execution, todo)
-        if is_paper and not execution.invocation.json:
+        if combined:
+            from needlefit.studies.combined_report import write_combined
             from needlefit.studies.fit_tables import lay_out_matrix
 
-            studies = [run for run in runs if run.kind == "cross_validation"]
-            screen.show_display(lay_out_matrix(studies), notes=False)
+            write_combined(runs, execution.folder(study))
+            if not execution.invocation.json:
+                screen.print_written(execution.folder(study))
+                screen.print_line()
+                studies = [run for run in runs if run.kind == "cross_validation"]
+                screen.show_display(lay_out_matrix(studies), notes=False)
         execution.write_reference(runs)
         if execution.invocation.json:
             show_json_of(runs)

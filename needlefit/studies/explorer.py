@@ -139,6 +139,17 @@ def vary_draws(draws: pd.DataFrame, medium: MediumRecord, name: str, seed: int, 
     return found.assign(**{one: found[one] * factors for one in BEVEL_PARAMETERS if one in names})
 
 
+def collect_explorers(runs: Sequence[Run]) -> PageData | None:
+    """Return the data of one page of several runs, its needles named by their runs; None without any."""
+    found: PageData | None = None
+    for run in runs:
+        before = len(found.needles) if found else 0
+        found = collect_explorer(run, found) or found
+        for needle in found.needles[before:] if found else ():
+            needle["name"] = f"{run.name}/{needle['scene']['target']}"
+    return found
+
+
 def collect_explorer(run: Run, data: PageData | None = None) -> PageData | None:
     """Return the data of the page of a fit, cross-validation or prediction; None where there is no needle.
 

@@ -1,4 +1,4 @@
-"""The first page of a result: one record for terminal, HTML, PDF and JSON.
+"""The first page of a result: one record for terminal, HTML, PDF, JSON and the combined report.
 
 A kind of study fills in what it found (`StudyReport.first_page`); `Run.first_page` adds what every run has.
 Its words are made once: a renderer chooses what it shows and where, and composes no sentence.

@@ -76,19 +76,19 @@ _HELD_OUT_KINDS = (
 )
 
 
-_HEADS = ("medium", "layers", "insertions")
-
-
-def lay_out_validation(run: Run) -> TableLayout:
+def lay_out_validation(*runs: Run) -> TableLayout:
     """Return the errors by held-out group: ours, noise floor, paper."""
-    blocks = [(group, (*_HELD_OUT_KINDS, _FLOOR, _PAPER)) for group in scores.list_groups(run)]
-    return _lay_out_groups("validation", blocks, _HEADS, medians=_count_medians(run))
+    groups = [group for run in runs for group in scores.list_groups(run)]
+    heads = ("study", "medium", "layers", "insertions")[len(runs) == 1 :]
+    blocks = [(group, (*_HELD_OUT_KINDS, _FLOOR, _PAPER)) for group in groups]
+    return _lay_out_groups("validation", blocks, heads, medians=_count_medians(runs))
 
 
-def lay_out_tuning(run: Run) -> TableLayout:
+def lay_out_tuning(*runs: Run) -> TableLayout:
     """Return the in-sample errors by medium and number of layers."""
-    groups = scores.list_groups(run, scores.BY_LAYERS)
-    return _lay_out_groups("tuning", [(group, (_FITTED, _FLOOR, _PAPER)) for group in groups], _HEADS)
+    groups = [group for run in runs for group in scores.list_groups(run, scores.BY_LAYERS)]
+    heads = ("study", "medium", "layers", "insertions")[len(runs) == 1 :]
+    return _lay_out_groups("tuning", [(group, (_FITTED, _FLOOR, _PAPER)) for group in groups], heads)
 
 
 def lay_out_summary(run: Run) -> TableLayout:
@@ -115,7 +115,7 @@ def lay_out_summary(run: Run) -> TableLayout:
         _RowKind(f"our needles, simulated with the paper's parameters{of_other}", "hand_tuned"),
         _RowKind("paper's result, on its own needles", column="paper"),
     )
-    table = _lay_out_groups("summary", [(group, kinds)], (), short=True, medians=_count_medians(run))
+    table = _lay_out_groups("summary", [(group, kinds)], (), short=True, medians=_count_medians([run]))
     count, (first, *others) = group.head.insertions, table.columns
     which = "held-out" if group.head.role == "validate" else "fitted"
     words = f"Mean over {count} {which} insertion{'s' * (count != 1)}"
@@ -158,9 +158,9 @@ def _lay_out_groups(
     return _lay_out(table, short, rows=names, **about)
 
 
-def _count_medians(run: Run) -> int:
+def _count_medians(runs: Sequence[Run]) -> int:
     """Return of how many insertions the prediction is the predictive median."""
-    return len(run.knows(FitMetadata).medians)
+    return sum(len(run.knows(FitMetadata).medians) for run in runs)
 
 
 def _list_scores(group: scores.ScoredGroup, kinds: Sequence[_RowKind]) -> Iterator[Row]:

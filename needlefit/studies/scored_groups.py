@@ -194,7 +194,7 @@ class ScoredGroup:
         return None if error is None or not floor else error / floor
 
 
-def tabulate_validation(run: Run) -> pd.DataFrame:
+def tabulate_validation(*runs: Run) -> pd.DataFrame:
     """Return the errors on held-out insertions: one row per study, group, method, boundaries and metric.
 
     `value` is the mean over insertions of each one's own error, as in the paper, `floor` what perfect
@@ -202,15 +202,15 @@ def tabulate_validation(run: Run) -> pd.DataFrame:
     none. With `boundaries` "planned" layers are those that the predicted needle crosses, because the measured
     crossings of a held-out insertion leak its outcome.
     """
-    return _tabulate_groups(run, HELD_OUT)
+    return _tabulate_groups(runs, HELD_OUT)
 
 
-def tabulate_tuning(run: Run) -> pd.DataFrame:
-    """Return the in-sample errors by medium and number of layers, beside the paper's.
+def tabulate_tuning(*runs: Run) -> pd.DataFrame:
+    """Return the in-sample errors of every fit by medium and number of layers, beside the paper's.
 
     Columns as in `tabulate_validation`.
     """
-    return _tabulate_groups(run, BY_LAYERS)
+    return _tabulate_groups(runs, BY_LAYERS)
 
 
 def _make_group(rows: Iterable[Row], **head: Any) -> ScoredGroup | None:  # noqa: ANN401 - any of its values
@@ -255,11 +255,10 @@ def pool_insertions(run: Run, role: str = "validate") -> ScoredGroup | None:
     return _make_group(rows, grouping=grouping, medium=None, layers=None, comparison=comparison)
 
 
-def _tabulate_groups(run: Run, grouping: str) -> pd.DataFrame:
+def _tabulate_groups(runs: Iterable[Run], grouping: str) -> pd.DataFrame:
     """Return the rows as a frame in which counts stay whole numbers where some are missing."""
-    return pd.DataFrame(_list_group_rows(run, grouping), columns=list(COLUMNS)).astype(
-        {"layers": "Int64", "paper_insertions": "Int64"}
-    )
+    rows = [row for run in runs for row in _list_group_rows(run, grouping)]
+    return pd.DataFrame(rows, columns=list(COLUMNS)).astype({"layers": "Int64", "paper_insertions": "Int64"})
 
 
 @value_of_run
