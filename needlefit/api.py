@@ -53,6 +53,7 @@ from needlefit.schemas.medium import MaterialRecord, MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord, SelectionRecord
+from needlefit.studies import simulated_data
 from needlefit.studies.job import Inputs, Job, Settings
 from needlefit.studies.judge import REFERENCES as REFERENCES
 from needlefit.studies.judge import compare_with_references as compare_with_references
@@ -529,6 +530,29 @@ def make_problem(
     changed = _change_fit(_open_fit(target, medium, stored=False), **changes)
     job, _ = _prepare(changed, None, None)
     return job.problem(job.folds[0])
+
+
+def simulate_from_prior(problem: Problem, seed: int) -> tuple[Floats, Problem]:
+    """Draw parameters from the prior, and simulate and measure the insertions of a problem with them.
+
+    Depths, poses and points err as the dataset states, whatever the likelihood neglects. Parameters for
+    which a needle has no solution are drawn again.
+
+    Returns
+    -------
+    theta : (P,) array
+        The true parameters.
+    Problem
+        That of inferring them: the same one, with other measured shapes.
+
+    Raises
+    ------
+    ConfigError
+        If the dataset states no noise, or has tip tracks.
+    FitError
+        If there are hardly any parameters with a solution.
+    """
+    return simulated_data.simulate_from_prior(problem, random_stream(seed, "prior"))
 
 
 def draw_posterior(

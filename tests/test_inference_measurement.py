@@ -10,7 +10,6 @@ from inference_cases import TRUTH, assert_one_density, medium
 from numpy.testing import assert_allclose
 from problem_cases import make_problem
 from refusals import refusal
-from synthetic.measurement import simulate_measurement
 
 from needlefit.datasets.read import check, read
 from needlefit.datasets.sections import format_sections
@@ -24,6 +23,7 @@ from needlefit.inference.likelihood.observations.sections import SHARED_ERROR_LE
 from needlefit.project.toml import load
 from needlefit.schemas.dataset import MeasurementRecord, SectionsRecord
 from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
+from needlefit.studies.simulated_data import simulate_measurement
 
 TRUE, MEDIUM = TRUTH | {"bevel_mm": needles.BEVEL}, medium()
 KNOT, SIGMA = 15.0, 0.02

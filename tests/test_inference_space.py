@@ -9,7 +9,6 @@ import pytest
 import scipy
 from inference_cases import NEEDLE, TRUTH, assert_one_density, dataset, insertion, medium
 from problem_cases import make_problem
-from synthetic.measurement import simulate_measurement
 from test_datasets import CURVE, record, row
 
 from needlefit.datasets.planes import find_curve_roll, leaves_plane, set_compared, turns_out_of_plane
@@ -37,6 +36,7 @@ from needlefit.schemas.study import FitRecord
 from needlefit.studies.job import Inputs, Settings
 from needlefit.studies.load import load_study, print_notes
 from needlefit.studies.prediction_scores import score_tip_in_space
+from needlefit.studies.simulated_data import simulate_measurement
 
 TURNED = {
     "insertions": {"file": "insertions.csv", "turns": "turns.csv"},

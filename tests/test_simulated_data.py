@@ -8,7 +8,6 @@ import pytest
 from inference_cases import NEEDLE, insertion, measure, medium
 from synthetic.build import build_dataset
 from synthetic.design import POPULATION, draw_deviations, draw_specimen, list_designs, select_designs
-from synthetic.measurement import simulate_from_prior, simulate_measurement
 from synthetic.truth import find_true_value
 from track_cases import GUIDE, track
 
@@ -25,6 +24,7 @@ from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
 from needlefit.project.locate import find_file
 from needlefit.schemas.recipe import RecipeRecord
+from needlefit.studies.simulated_data import simulate_from_prior, simulate_measurement
 
 SEEN = {"mu1_pa": 3e5, "alpha1": 1.0, "bevel_mm": 0.08}
 
@@ -70,7 +70,7 @@ def test_depths_err_as_stated_and_the_noise_s_scale_is_drawn_too():
 
 def test_a_truth_from_the_prior_differs_by_seed_and_keeps_the_design():
     problem = small_problem()
-    drawn = [simulate_from_prior(problem, seed) for seed in (1, 1, 2)]
+    drawn = [api.simulate_from_prior(problem, seed) for seed in (1, 1, 2)]
     (one, first), (again, same), (other, second) = drawn
     assert one.tolist() == again.tolist() != other.tolist()
     assert np.all((problem.lower <= one) & (one <= problem.upper))
@@ -85,10 +85,10 @@ def test_tip_tracks_and_data_without_noise_are_refused():
     with pytest.raises(ConfigError, match="tip tracks"):
         guided = Parameters.from_record(medium(1, guide_distance_mm={"fixed": 20.0}))
         tracks = replace(problem, parameters=guided, insertions=(track("run", GUIDE),))
-        simulate_from_prior(tracks, 1)
+        simulate_from_prior(tracks, np.random.default_rng(1))
     with pytest.raises(ConfigError, match="no noise"):
         silent = replace(problem, dataset=replace(problem.dataset, noise=Noise()))
-        simulate_from_prior(silent, 1)
+        simulate_from_prior(silent, np.random.default_rng(1))
 
 
 def test_the_true_value_of_a_tied_modulus_is_that_of_its_own_layers():

@@ -19,7 +19,7 @@ from needlefit.project.toml import check, read_given
 from needlefit.schemas.dataset import NoiseRecord
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.scene import NeedleRecord
-from synthetic.measurement import simulate_measurement
+from needlefit.studies.simulated_data import simulate_measurement
 
 MEDIUM = "made"
 POINT_SPACING_MM = 1.0  # distance of measured points along a needle, mm
