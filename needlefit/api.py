@@ -1,7 +1,7 @@
 """Fit, sample, predict and validate from Python; each returns a `Run`, as the commands write it.
 
 Inputs are names (of what ships, or lies in the working folder), paths, or records, tables and datasets in
-memory. Nothing is written but by `Run.save`, `write_prior`, and with `checkpoint`.
+memory. Nothing is written but by `Run.save`, `make_twin`, `write_prior`, and with `checkpoint`.
 """
 
 import math
@@ -18,6 +18,7 @@ from typing import Any, Literal, TypedDict, Unpack
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
 from needlefit.arrays import Floats
 from needlefit.datasets.folds import divide_insertions
@@ -48,6 +49,7 @@ from needlefit.project.progress import Progress, Stop, never_stop, no_progress
 from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import LocalPool as LocalPool
 from needlefit.project.toml import IN_MEMORY, add_file_context, check, dumps, read_given, spell_name
+from needlefit.schemas.analyses import SyntheticDataRecord
 from needlefit.schemas.base import FileRecord
 from needlefit.schemas.medium import MaterialRecord, MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
@@ -156,6 +158,87 @@ def load_medium(name: Name) -> dict[str, Any]:
     """
     record, _ = read_given("medium", name, MediumRecord)
     return record.model_dump(mode="json", by_alias=True, exclude_none=True)
+
+
+def make_twin(folder: Name, seed: int, media: Sequence[str] = (), *, population: bool = False) -> Dataset:
+    """Write the synthetic dataset of another seed to `folder`, and return it.
+
+    It is measured as a scan would, but not rendered: a second for two insertions.
+
+    Parameters
+    ----------
+    folder : str or Path
+        A new folder for its files.
+    seed : int
+        Of specimens, bevels and errors of measurement; the plan of the 47 insertions is the same.
+    media : sequence of str
+        Insertions into these media only, such as `["chicken"]`.
+    population : bool
+        Whether the tissues, too, are drawn, from a wide population, instead of the paper's values.
+
+    Raises
+    ------
+    ConfigError
+        If there is no insertion into such a medium.
+    """
+    from needlefit.synthetic.build import build_dataset
+    from needlefit.synthetic.design import POPULATION, list_designs
+
+    plan = [design for design in list_designs() if not media or design.medium in media]
+    if missing := set(media) - {design.medium for design in plan}:
+        raise ConfigError(f"the twin has no insertions into {', '.join(sorted(missing))}")
+    return read(build_dataset(Path(folder), seed, plan, population=POPULATION if population else None))
+
+
+def simulate_twin_needle(name: str, from_tip: ArrayLike) -> Floats:
+    """Return the points (N, 3) of a true needle of the shipped twin, world, mm: without any error.
+
+    Parameters
+    ----------
+    name : str
+        An insertion of the dataset `twin`, such as "phantom2-01".
+    from_tip : (N,) array_like
+        Arc lengths from the tip, mm.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such insertion.
+    """
+    from needlefit.synthetic.design import select_designs
+    from needlefit.synthetic.insertion import TWIN_SEED, needle_points, simulate_insertion
+
+    (planned,) = select_designs([name])
+    made = simulate_insertion(planned, TWIN_SEED)
+    shape, frame = made.true_insertion.shape, made.true_insertion.frame
+    return needle_points(shape, frame, made.deviations, shape.depth - np.asarray(from_tip, dtype=np.float64))
+
+
+def simulate_dataset(data: Table, medium: Medium, seed: int) -> Dataset:
+    """Return a dataset of simulated insertions into one layer, for `score_study` and `estimate_evidence`.
+
+    It has no files.
+
+    Parameters
+    ----------
+    data : table
+        `title`; the true `values` (Pa, mm); the `needle`, as in a scene; `noise`, as in a dataset;
+        optionally `pose_angle_sd_deg` and `depth_sd_mm`; and `insertions`: a list of tables with
+        `depth_mm`, `side` (1 or -1) and `base_moved_mm`, how far the base moves across afterwards.
+    medium : str, Path, MediumRecord or table
+        The tissue model that generates the shapes.
+    seed : int
+        Of the errors of measurement.
+
+    Raises
+    ------
+    ConfigError
+        If a key is wrong, or an insertion has no solution.
+    """
+    record = check(_plain(None, data), SyntheticDataRecord, "needlefit.api.simulate_dataset")
+    return simulated_data.simulate_dataset(
+        "simulated", record, read_given("medium", medium, MediumRecord)[0], seed
+    )
 
 
 def load_run(folder: Name) -> Run:
@@ -331,7 +414,8 @@ def validate(
     study : str, Path, record or table
         A name such as `study3`, a path, or the keys of a study file.
     dataset : str, Path or Dataset, optional
-        Of a study that fits and scores: another dataset, with insertions of the same names.
+        Of a study that fits and scores: another dataset, with insertions of the same names, such as
+        `make_twin(folder, 2)`.
     medium : str, Path, MediumRecord or table, optional
         Another tissue model: `load_medium("phantom2") | {"tangent_part": 0.5}`.
     recipe : str, Path, RecipeRecord or table, optional

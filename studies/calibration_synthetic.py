@@ -15,9 +15,9 @@ from tempfile import TemporaryDirectory
 
 import pandas as pd
 from calibration import place, run_truths
-from synthetic import find_truth, make_twin
 
 import needlefit
+from needlefit.api import make_twin
 
 MEDIA = {
     "study1": ["phantom2"],
@@ -39,7 +39,7 @@ def score_study(study: str, seed: int) -> list[dict]:
         run = needlefit.validate(study, dataset=twin, recipe={"metric": False}, seed=seed)
     draws, predictive = run.frames["draws"].query("specimen == '(tuned)'"), run.frames["predictive"]
     fitted = run.frames["parameters"].query("method == 'fitted'").set_index("parameter")
-    known = fitted.assign(truth=pd.Series(find_truth(run, seed, population=True))).dropna(subset="truth")
+    known = fitted.assign(truth=pd.Series(run.metadata.truth)).dropna(subset="truth")
     if not known["truth"].between(known["bound_low"], known["bound_high"]).all():
         return []
     rows = [place(name, (draws[name] < truth).mean()) for name, truth in known["truth"].items()]

@@ -9,6 +9,7 @@ law is ahead, or behind, if the 95 % interval of its sum over folds less Ogden's
 Student's, of the scatter over folds and the Monte Carlo errors of the evidences. "twin": insertions into
 phantom 2. "stereo": measured shapes in gel (data/README.md). "control": needles of Ogden's law in thin gel
 whose base moves, where the stretch is large: no difference elsewhere means something if one is found there.
+
 What came out with --data control: docs/studies.md.
 """
 
@@ -20,10 +21,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 from scipy.special import stdtrit
-from synthetic.straight import simulate_dataset
 
 import needlefit
-from needlefit.api import estimate_evidence, load_medium
+from needlefit.api import estimate_evidence, load_medium, simulate_dataset
 
 LAWS = ("ogden", "linear", "neo_hookean")
 RECIPE = {"starts": 2, "likelihood": {"noise_scale": "estimated", "measurement": "points"}}

@@ -7,6 +7,7 @@ is fitted as the shipped fits do. A row has the truth (the mean over what the fi
 (the posterior's median), its interval, the range of the least errors, and what the fit calls determined.
 Where `status` is "prior", the interval is the prior's, whose centre is the truth of every twin. A run that
 was stopped goes on at its rows (CSV).
+
 What came out of 20 seeds (docs/fitting.md): of 400 truths 383 lie in intervals, all in ranges.
 """
 
@@ -17,10 +18,10 @@ from tempfile import TemporaryDirectory
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from synthetic import find_truth, make_twin
 from thin_gel import write_truth
 
 import needlefit
+from needlefit.api import make_twin
 
 TWIN_MEDIA = ("phantom1", "phantom2", "phantom3", "chicken")
 FITS = (*TWIN_MEDIA, "thin_gel")
@@ -39,12 +40,11 @@ def fit_truth(seed: int, fits: tuple[str, ...], recipe: dict) -> list[dict]:
             (folder / f"{fit}.toml").write_text(shipped.replace('dataset = "', f'dataset = "{folder}/'))
             run = needlefit.fit(folder / f"{fit}.toml", recipe=recipe)
             found = run.frames["parameters"]
-            truth = find_truth(run, seed)
             ranges = found[found["method"] == "fitted_metric"].set_index("parameter")[["low", "high"]]
             fitted = found[(found["method"] == "fitted") & found["status"].isin(["free", "prior"])]
             for row in fitted.to_dict("records"):
-                if (name := row["parameter"]) in truth:
-                    scores = score(row, truth[name], *ranges.loc[name])
+                if (name := row["parameter"]) in run.metadata.truth:
+                    scores = score(row, run.metadata.truth[name], *ranges.loc[name])
                     rows.append({"seed": seed, "fit": fit, **scores})
     return rows
 

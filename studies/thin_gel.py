@@ -12,9 +12,8 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from synthetic.straight import simulate_dataset
 
-from needlefit.api import load_dataset
+from needlefit.api import load_dataset, simulate_dataset
 
 HEAD = """schema = 1
 name = "thin_gel"

@@ -30,7 +30,6 @@ from world import World, open_world  # noqa: E402
 TWIN = Path(__file__).parents[1] / "data" / "twin"
 
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))  # of their renderer of scans
-sys.path.append(str(Path(__file__).parents[1] / "studies"))  # of their synthetic needles
 
 settings.register_profile("busy cores", deadline=None)  # the first example of a test also loads what it needs
 settings.load_profile("busy cores")

@@ -13,7 +13,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from docs_scripts import load_script
-from synthetic.straight import simulate_dataset
 
 import needlefit
 from needlefit import api
@@ -315,9 +314,9 @@ def test_a_simulated_dataset_has_its_insertions_and_no_files():
         "noise": noise,
         "insertions": [{"depth_mm": 30.0}, {"depth_mm": 40.0, "side": -1, "base_moved_mm": 5.0}],
     }
-    one, same, other = (simulate_dataset(table, "thin_gel", seed) for seed in (1, 1, 2))
+    one, same, other = (api.simulate_dataset(table, "thin_gel", seed) for seed in (1, 1, 2))
     assert [insertion.depth for insertion in one.insertions] == [30.0, 40.0] and one.origin == "synthetic"
     assert np.array_equal(one.insertions[1].points, same.insertions[1].points)
     assert not np.array_equal(one.insertions[1].points, other.insertions[1].points)
     with pytest.raises(ConfigError):
-        simulate_dataset(table | {"noise": {"point_sd": 1.0}}, "thin_gel", 1)
+        api.simulate_dataset(table | {"noise": {"point_sd": 1.0}}, "thin_gel", 1)

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from synthetic.straight import simulate_dataset
 
+from needlefit import api
 from needlefit.inference.compared_points import align_points
 from needlefit.inference.likelihood.observations import select_points
 from needlefit.inference.optimize import minimize
@@ -42,7 +42,7 @@ def load_needles(seed: int, pose: str):
         "noise": {"point_sd_mm": float(rng.uniform(0.03, 0.2))},
         "insertions": insertions,
     }
-    dataset = replace(simulate_dataset(data, MEDIUM, seed), pose=pose)
+    dataset = replace(api.simulate_dataset(data, MEDIUM, seed), pose=pose)
     ids = [one.id for one in dataset.insertions]
     folds = {"tune": {"insertions": ids[:4]}, "validate": [{"insertions": ids[4:]}]}
     names = {"title": "needles", "question": "?", "dataset": "needles", "medium": "gel", "recipe": "quick"}

@@ -6,9 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from inference_cases import NEEDLE, insertion, measure, medium
-from synthetic.build import build_dataset
-from synthetic.design import POPULATION, draw_deviations, draw_specimen, list_designs, select_designs
-from synthetic.truth import find_true_value
 from track_cases import GUIDE, track
 
 from needlefit import api
@@ -24,7 +21,15 @@ from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
 from needlefit.project.locate import find_file
 from needlefit.schemas.recipe import RecipeRecord
-from needlefit.studies.simulated_data import simulate_from_prior, simulate_measurement
+from needlefit.studies.simulated_data import find_true_value, simulate_from_prior, simulate_measurement
+from needlefit.synthetic.build import build_dataset
+from needlefit.synthetic.design import (
+    POPULATION,
+    draw_deviations,
+    draw_specimen,
+    list_designs,
+    select_designs,
+)
 
 SEEN = {"mu1_pa": 3e5, "alpha1": 1.0, "bevel_mm": 0.08}
 
@@ -93,24 +98,22 @@ def test_tip_tracks_and_data_without_noise_are_refused():
 
 def test_the_true_value_of_a_tied_modulus_is_that_of_its_own_layers():
     problem = api.make_problem("study1")
-    tuned = [needle.id for needle in problem.insertions]
     mu = 1e6 * draw_specimen(7, "phantom2", "phantom2").mu
-    assert find_true_value(tuned, problem.parameters, "mu1_pa", 7) == pytest.approx(mu[0])
-    assert find_true_value(tuned, problem.parameters, "mu4_pa", 7) == pytest.approx(mu[3])
-    assert find_true_value(tuned, problem.parameters, "bevel_mm", 7) == pytest.approx(0.103)
-    assert np.isnan(find_true_value(tuned, problem.parameters, "bevel_spread", 7))
+    assert find_true_value(problem, "mu1_pa", 7) == pytest.approx(mu[0])
+    assert find_true_value(problem, "mu4_pa", 7) == pytest.approx(mu[3])
+    assert find_true_value(problem, "bevel_mm", 7) == pytest.approx(0.103)
+    assert np.isnan(find_true_value(problem, "bevel_spread", 7))
 
 
 def test_the_true_bevel_offset_of_a_drawn_truth_is_the_mean_of_the_insertions_fitted_to():
     problem = api.make_problem("study1")
-    tuned = [needle.id for needle in problem.insertions]
     specimen = draw_specimen(9, "phantom2", "phantom2", POPULATION)
     planned = {one.id: one for one in list_designs()}
     deviations = [draw_deviations(9, planned[one.id]).bevel for one in problem.insertions]
     expected = specimen.bevel * np.exp(specimen.insertion_bevel_sd * np.mean(deviations))
-    found = find_true_value(tuned, problem.parameters, "bevel_mm", 9, drawn=True)
+    found = find_true_value(problem, "bevel_mm", 9, drawn=True)
     assert found == pytest.approx(expected) and found != pytest.approx(specimen.bevel, rel=1e-4)
-    found = find_true_value(tuned, problem.parameters, "mu2_pa", 9, drawn=True)
+    found = find_true_value(problem, "mu2_pa", 9, drawn=True)
     assert found == pytest.approx(1e6 * specimen.mu[1])
 
 

@@ -1,9 +1,7 @@
 """Render needles, balls and soft tissue as CT values: voxels of metal, and its streaks."""
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,14 +11,11 @@ from scipy.ndimage import gaussian_filter, gaussian_filter1d
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
-sys.path.append(str(Path(__file__).resolve().parents[2] / "studies"))
-
-from synthetic.design import BOX_MM, Phantom
-
 from needlefit.arrays import Floats
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.frames import Frame, normalize
 from needlefit.imaging.volume import Volume, VoxelGrid
+from needlefit.synthetic.design import BOX_MM, Phantom
 
 WATER_PER_MM = 0.02  # attenuation of water at the energies of a cone-beam scanner, 1/mm
 

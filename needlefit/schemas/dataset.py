@@ -300,9 +300,9 @@ class SourceRecord(FileRecord):
     source: str
     """Who measured, where it is published."""
     truth_seed: int | None = Field(default=None, ge=0, le=MAX_SEED)
-    """Of a twin of the paper's insertions: seed of `studies/synthetic`, from which the truth follows."""
+    """Of synthetic data: seed of `needlefit.api.make_twin`, from which the true parameters follow."""
     truth_population: bool = False
-    """Whether its tissues were drawn from a population."""
+    """Whether these were drawn from the population that `make_twin(..., population=True)` states."""
     truth: dict[str, float] = {}
     """Of other synthetic data: the true parameters by name, such as `mu1_pa`, in Pa and mm."""
     how_to_get: str = ""

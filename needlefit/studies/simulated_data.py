@@ -1,16 +1,20 @@
 """Simulate measured needles in memory: single ones, or a dataset, with the errors that it states."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import scipy
 
 from needlefit.arrays import Floats, pad_axis
 from needlefit.datasets.insertion import Dataset, Insertion
+from needlefit.datasets.read import make_noise
 from needlefit.datasets.select import list_bevels
 from needlefit.errors import ConfigError, FitError
 from needlefit.geometry.curves import select_compared
+from needlefit.geometry.frames import Frame
 from needlefit.geometry.smoothing_spline import design_matrix
 from needlefit.inference.compared_points import draw_rolls, turn_about_x
 from needlefit.inference.forward_model import predict
@@ -19,14 +23,19 @@ from needlefit.inference.likelihood.observation import points_covariance, pose_m
 from needlefit.inference.likelihood.observations import OBSERVATIONS, read_points
 from needlefit.inference.likelihood.observations.curvature import SENSOR_STEP_MM, append_sensors
 from needlefit.inference.likelihood.observations.sections import SectionData, select_sections
-from needlefit.inference.parameter_names import BEVEL_SPREAD, NOISE_SCALE, find_bevel_factors
+from needlefit.inference.parameter_names import BEVEL_SPREAD, NOISE_SCALE, dimension, find_bevel_factors
 from needlefit.inference.planned_layers import with_planned_layers
 from needlefit.inference.predict import draw_from_prior
 from needlefit.inference.problem import Problem
+from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape
+from needlefit.project.json_values import digest_values
+from needlefit.project.random_streams import random_stream
 from needlefit.project.toml import locate_key
+from needlefit.schemas.analyses import SyntheticDataRecord, SyntheticInsertionRecord
 from needlefit.schemas.medium import MediumRecord
 from needlefit.studies.job import Job
+from needlefit.synthetic.design import POPULATION, bevel_offset, draw_deviations, draw_specimen, list_designs
 
 MIN_WEIGHT = 1e-12  #: of a cross-section that counts for nothing: its noise must stay finite
 FREE_POSE_SHIFT_SD_MM = 10.0  #: standard deviation of where a shape lies whose pose is free, mm
@@ -149,6 +158,110 @@ def _measure_sections(
     points = design_matrix(q, stored.knots)[:, sections.reached] @ sections.operator @ seen
     measured = insertion.with_points(points)
     return replace(measured, sections=replace(stored, points=insertion.frame.to_world(seen)))
+
+
+POINT_SPACING_MM = 1.0  #: distance of measured points along a needle, mm
+
+DATASET_MEDIUM = "made"
+
+
+def simulate_dataset(name: str, record: SyntheticDataRecord, medium: MediumRecord, seed: int) -> Dataset:
+    """Return the dataset that a record describes, of a medium of one layer.
+
+    Raises ConfigError if a needle has no solution.
+    """
+    dataset = Dataset(
+        name=name,
+        title=record.title,
+        origin="synthetic",
+        insertions=(),
+        media=(DATASET_MEDIUM,),
+        noise=make_noise(record.noise),
+        pose="known",
+        drop_proximal=0.0,
+        path=Path(),
+        digest=digest_values(record.model_dump()),
+    )
+    measurements = []
+    for number, stated in enumerate(record.insertions, start=1):
+        straight = _make_straight_insertion(number, stated, record)
+        rng = random_stream(seed, name, "made", straight.id)
+        measured = simulate_measurement(dataset, straight, record.values, medium, rng)
+        if measured is None:
+            raise ConfigError(
+                f"made insertion {straight.id} has no solution",
+                where=f"study {name}",
+                key="synthetic",
+                fix="move the base less",
+            )
+        measurements.append(measured)
+    return replace(dataset, insertions=tuple(measurements))
+
+
+def _make_straight_insertion(
+    number: int, stated: SyntheticInsertionRecord, record: SyntheticDataRecord
+) -> Insertion:
+    """Return one insertion as it is planned: straight along x."""
+    x = np.linspace(0.0, stated.depth_mm, math.ceil(stated.depth_mm / POINT_SPACING_MM) + 1)
+    straight = np.column_stack([x, np.zeros((len(x), 2))])
+    return Insertion(
+        id=f"made-{number:02d}",
+        medium=DATASET_MEDIUM,
+        specimen=f"made-{number:02d}",
+        needle=Needle.from_record(record.needle),
+        layers=1,
+        layers_alternative=1,
+        depth=stated.depth_mm,
+        side=stated.side,
+        frame=Frame(np.zeros(3), np.eye(3)),
+        pose_source="stage",
+        pose_shift_sd=0.0,
+        pose_angle_sd=math.radians(record.pose_angle_sd_deg),
+        centerline=straight,
+        points=straight,
+        boundaries=np.empty(0),
+        sequence=(1,),
+        boundary_sd=0.0,
+        depth_sd=record.depth_sd_mm,
+        base_moved=stated.base_moved_mm,
+    )
+
+
+def find_true_value(problem: Problem, name: str, seed: int, drawn: bool = False) -> float:
+    """Return the mean of a parameter over specimens, layers and bevels that a fit learns from.
+
+    The geometric mean, of exponents the arithmetic one. NaN for what the truth has not: hyperparameters, the
+    angle of a cut, needles of other data; and for exponents where media are `drawn` from the population,
+    which has none.
+    """
+    population = POPULATION if drawn else None
+    planned = {design.id: design for design in list_designs()}
+    if any(insertion.id not in planned for insertion in problem.insertions):
+        return math.nan
+    tuned = [planned[insertion.id] for insertion in problem.insertions]
+    specimens = [draw_specimen(seed, insertion.medium, insertion.specimen, population) for insertion in tuned]
+    if name == "bevel_mm":
+        pairs = zip(specimens, tuned, strict=True)
+        offsets = [
+            bevel_offset(specimen, insertion, draw_deviations(seed, insertion))
+            for specimen, insertion in pairs
+        ]
+        return float(np.exp(np.mean(np.log(offsets))))
+    same = [name, *(tied for tied, (_, source) in problem.parameters.ties.items() if source == name)]
+    quantity = dimension(name)
+    if quantity == "modulus":
+        offsets = _list_true(same, "mu", [specimen.mu for specimen in specimens])
+        return float(1e6 * np.exp(np.mean(np.log(offsets)))) if offsets else math.nan
+    if quantity == "alpha" and population is None:
+        offsets = _list_true(same, "alpha", [specimen.alpha for specimen in specimens])
+        return float(np.mean(offsets)) if offsets else math.nan
+    return math.nan
+
+
+def _list_true(names: Sequence[str], prefix: str, specimens: Sequence[Floats]) -> list[float]:
+    """Return the true values of the layers that `names` name, of all specimens (layers,)."""
+    layers = [int(name.removeprefix(prefix).removesuffix("_pa")) - 1 for name in names]
+    return [float(specimen[layer]) for specimen in specimens for layer in layers if layer < len(specimen)]
 
 
 def simulate_design(problem: Problem, values: Mapping[str, float]) -> Problem | None:

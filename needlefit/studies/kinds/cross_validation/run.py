@@ -3,6 +3,7 @@
 A fit is a study of one fold, which scores only its own insertions. The report judges the run by its tables.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import TypedDict
 
@@ -45,6 +46,7 @@ from needlefit.studies.mixed_errors import add_errors_over_noise
 from needlefit.studies.odd_needles import find_odd_needles, join_folds
 from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.run import Run
+from needlefit.studies.simulated_data import find_true_value
 from needlefit.studies.validity import tabulate_validity
 
 __all__ = ["FRAMES", "Settings", "run"]
@@ -122,7 +124,7 @@ def conclude_run(job: Job, work: JobMetadata, results: Sequence[FoldResult]) -> 
         "search_faults": search_faults,
         "validity": tabulate_validity([one.validity for one in results]),
     }
-    if truth := _read_truth(job):
+    if truth := _find_truth(job):
         concluded["truth"] = truth
     if depths := [row for one in results for row in one.depths]:
         concluded["stated_depths"] = depths
@@ -162,13 +164,19 @@ def _make_frame(job: Job, name: str, results: Sequence[FoldResult]) -> pd.DataFr
     return pd.DataFrame(rows) if rows else pd.DataFrame(columns=[*FRAMES[name], *values])
 
 
-def _read_truth(job: Job) -> dict[str, float]:
-    """Return the true parameters that a dataset of simulated needles states; nothing that fits knows them."""
+def _find_truth(job: Job) -> dict[str, float]:
+    """Return the true parameters, where the data are our synthetic ones; nothing that fits knows them."""
     path = job.dataset.path / "dataset.toml" if job.dataset.path.is_dir() else job.dataset.path
     if job.dataset.origin != "synthetic" or len(job.folds) > 1 or not path.is_file():
         return {}
-    truth = read_toml(path).get("truth", {})
-    return {name: float(truth[name]) for name in job.parameters.names if name in truth}
+    stated = read_toml(path)
+    seed, known = stated.get("truth_seed"), stated.get("truth", {})
+    if not isinstance(seed, int):
+        return {name: float(known[name]) for name in job.parameters.names if name in known}
+    problem = job.problem(job.folds[0])
+    drawn = bool(stated.get("truth_population"))
+    known = {name: find_true_value(problem, name, seed, drawn) for name in job.parameters.names}
+    return {name: value for name, value in known.items() if math.isfinite(value)}
 
 
 def find_faults(
