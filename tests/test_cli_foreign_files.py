@@ -51,6 +51,7 @@ CASES = {
     "view": Case("view study2 --no-browser --out out"),
     "plan": Case("plan study2 --target 40,1 --write-recording out/plan.csv -q"),
     "check": Case("check twin"),
+    "diff": Case("diff ./out/run ./out/run"),
     "explain": Case("explain coverage"),
     "tune": Case("tune held_out --out out -q", "held_out-tune held_out-tune.partial"),
     "validate": Case(

@@ -61,6 +61,7 @@ def test_results_that_do_not_agree_with_the_manifest_are_not_reported_on(written
     again = tmp_path / "again"
     words = (
         ("report", str(written), "--out", str(again)),
+        ("diff", str(written), str(written)),
         ("view", str(written), "--no-browser", "--out", str(again)),
     )
     for command in words:

@@ -15,6 +15,7 @@ from world import COMMANDS, find_words
 
 from needlefit.errors import ConfigError
 from needlefit.studies.kind import KINDS
+from needlefit.studies.run_differences import compare_runs
 from needlefit.studies.store import read_run
 from needlefit.studies.study_files import load_target
 
@@ -62,7 +63,8 @@ def test_files_name_neither_folder_nor_time_and_rows_name_their_origin(world, ki
 def test_a_run_is_written_again_from_its_stored_results_and_differs_in_nothing(world, kind):
     folder = world.find(kind)
     with chdir(world.folder):
-        assert_made_again(folder, has_data=kind == "reconstruction")
+        again = assert_made_again(folder, has_data=kind == "reconstruction")
+    assert compare_runs(folder, again).empty
 
 
 @pytest.mark.sweep

@@ -37,7 +37,7 @@ from needlefit.studies.identity import describe_change, identify
 from needlefit.studies.job import Settings
 from needlefit.studies.load import load_study
 from needlefit.studies.provenance import describe_configuration
-from needlefit.studies.store import pack, unpack
+from needlefit.studies.store import pack, restore_run, store_run, unpack
 from needlefit.studies.study_files import load_study_file
 
 ROOTS = (StudyRecord, MediumRecord, MaterialRecord, RecipeRecord, DatasetRecord)
@@ -582,6 +582,7 @@ def test_a_result_of_an_earlier_version_is_reported_and_its_verdict_is_not_repea
     assert found["fit_verdict"] is None and "earlier version" in found["fit_changed"]
     assert "needlefit validate ./studies/held_out.toml" in capsys.readouterr().err
     assert run("report", "reports/held_out", "--quiet") == 0
+    assert run("diff", "reports/held_out", "reports/held_out") == 0
 
 
 def test_a_posterior_of_another_fit_is_not_used(validated, capsys):
@@ -595,3 +596,16 @@ def test_a_posterior_of_another_fit_is_not_used(validated, capsys):
     found = json.loads(result.read_text())
     assert found["draw_source"] == "importance" and found["fit_verdict"] is None
     assert "needlefit tune gel" in capsys.readouterr().err
+
+
+def test_diff_names_what_changed(validated, capsys):
+    before = restore_run(validated / "reports/held_out")
+    edit(validated / "configs/recipes/tiny.toml", "", {"starts": 3})
+    job = load(validated / "studies", "held_out")
+    other = before.with_metadata(identity=identify(job))
+    shutil.copytree(validated / "reports/held_out", validated / "reports/other")
+    store_run(other, validated / "reports/other")
+    write_manifest(validated / "reports/other")
+    assert run("diff", "reports/held_out", "reports/other", "--json") == 0
+    (row,) = json.loads(capsys.readouterr().out)
+    assert (row["column"], row["row"]) == ("identity", "recipe")

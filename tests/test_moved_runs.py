@@ -72,6 +72,7 @@ def test_a_run_holds_the_files_of_its_data_with_their_digest(world):
     "words",
     [
         *[("report", f"../moved/{name}", *out) for name in RUNS for out in ((), ("--out", "again"))],
+        ("diff", "../moved/gel", "../moved/gel"),
         ("predict", "../moved/gel", "--scene", "./ahead.toml", *OPTIONS),
         ("predict", "../moved/held_out", "--scene", "./ahead.toml", *OPTIONS),
         ("tune", "../moved/held_out", "--no-sample", *OPTIONS),

@@ -49,6 +49,7 @@ def test_a_kind_of_study_is_run_reported_and_compared(
     assert run("report", "deep", "--out", "reports/again", "-q") == 0
     for name in ("depths.csv", "depths.tex", "report.html", "report.pdf", "results.json.gz"):
         assert Path("reports/again", name).read_bytes() == Path("reports/deep", name).read_bytes()
+    assert run("diff", "deep", "again") == 0
 
 
 MEDIUM = """schema = 1

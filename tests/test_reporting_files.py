@@ -1,6 +1,7 @@
 """Files: whole or not there, the same bytes every time, synthetic data called so."""
 
 import json
+import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -9,8 +10,10 @@ import pandas as pd
 import pytest
 from reporting_results import study
 
+from needlefit.errors import ConfigError
 from needlefit.metrics import METRICS, Metric
 from needlefit.studies.kinds.cross_validation.frames import FRAMES
+from needlefit.studies.paper_folder import write_paper_folder
 from needlefit.studies.report import rebuild, write_run
 
 FIGURES = ("insertions", "overlays")
@@ -73,12 +76,35 @@ def test_a_run_that_was_stopped_before_its_first_start_can_be_written(tmp_path):
     assert "validation.csv" not in {path.name for path in files.iterdir()}
 
 
+@pytest.fixture
+def written(tmp_path):
+    """The paths of a run's folder and of a paper's folder made from it."""
+    folder = write_run(study(1), tmp_path / "study1")
+    write_paper_folder(study(1), folder, tmp_path / "paper")
+    return folder, tmp_path / "paper"
+
+
 @pytest.mark.skipif(shutil.which("pdflatex") is None, reason="LaTeX is not installed")
 @pytest.mark.sweep
-def test_the_latex_files_compile(tmp_path):
-    folder = write_run(study(1), tmp_path / "study1")
+def test_the_latex_files_compile(written):
     head = r"\documentclass[journal]{IEEEtran}\usepackage[T1]{fontenc}\usepackage{textcomp,booktabs,siunitx}"
     words = ("pdflatex", "-interaction=nonstopmode", "-halt-on-error", "all.tex")
-    body = "\n".join(rf"\input{{{path.stem}}}" for path in sorted(folder.glob("*.tex")))
-    (folder / "all.tex").write_text(f"{head}\n\\begin{{document}}\n{body}\n\\end{{document}}\n")
-    subprocess.run(words, cwd=folder, check=True, stdout=subprocess.DEVNULL)
+    for folder in written:
+        names = sorted(path.stem for path in folder.glob("*.tex"))
+        body = "\n".join(rf"\input{{{name}}}" for name in names)
+        text = f"{head}\n\\begin{{document}}\n{body}\n\\end{{document}}\n"
+        (folder / "all.tex").write_text(text)
+        subprocess.run(words, cwd=folder, check=True, stdout=subprocess.DEVNULL)
+
+
+@pytest.mark.sweep
+def test_a_paper_has_every_figure_in_both_widths_with_letters_of_8_points(written):
+    run, paper = written
+    names = {path.stem for path in run.glob("*.pdf")} - {"report"}
+    widths = {"single": 3.5, "double": 7.16}
+    assert {path.stem for path in paper.glob("*.pdf")} == {f"{n}-{word}" for n in names for word in widths}
+    for path in paper.glob("*.pdf"):
+        width = float(re.search(rb"/MediaBox *\[ *0 +0 +([\d.]+)", path.read_bytes())[1]) / 72
+        assert width == pytest.approx(widths[path.stem.rpartition("-")[2]], abs=0.01)
+    with pytest.raises(ConfigError, match="not empty"):
+        write_paper_folder(study(1), run, paper)

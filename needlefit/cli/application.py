@@ -19,6 +19,7 @@ COMMANDS: tuple[tuple[str, Callable[..., None], str], ...] = (
     ("plan", plan.plan, "phantom2 --target 45,2 --obstacle 25,0.5,1"),
     ("explain", results.explain, "coverage"),
     ("report", results.report, "study3 --explain"),
+    ("diff", results.diff, "reports/study3 old/study3"),
     ("reconstruct", reconstruct.reconstruct, "scans.csv --out data/mine"),
     ("new project", data.new_project, "myproject"),
     ("new workbook", data.new_workbook, "needles.xlsx"),

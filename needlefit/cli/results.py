@@ -1,20 +1,27 @@
-"""Commands about results: report, explain."""
+"""Commands about results: report, diff, explain."""
 
 import difflib
 from dataclasses import asdict
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from needlefit.cli import options, screen
 from needlefit.cli.execution import show_json_of, show_run, show_warnings
-from needlefit.cli.options import argument
+from needlefit.cli.options import argument, option
+
+MAX_SHOWN_DIFFERENCES = 40  #: rows of the table of differences on the screen
 
 
 def report(
     context: typer.Context,
     run: options.RunName,
     out: options.Out = None,
+    paper: Annotated[
+        Path | None,
+        option("Also write figures 3.5 and 7.16 in wide, and the LaTeX files, to a new folder.", "DIR"),
+    ] = None,
     explain: options.Explain = False,
     strict: options.Strict = False,
     json: options.Json = False,
@@ -38,6 +45,57 @@ def report(
         show_warnings(invocation, done)
     else:
         show_run(invocation, done, written)
+    if paper is not None:
+        from needlefit.studies.paper_folder import write_paper_folder
+
+        write_paper_folder(done, written, paper)
+        screen.print_note(f"written: {paper}")
+
+
+def diff(
+    context: typer.Context,
+    run_a: Annotated[str, argument("RUN_A", "What RUN_B is compared with.")],
+    run_b: Annotated[
+        str,
+        argument("RUN_B", "A folder of results, or its bare name in reports/."),
+    ],
+    csv: Annotated[Path | None, option("Write all rows of the printed table.", "FILE")] = None,
+    json: options.Json = False,
+    plugins: options.Plugins = None,
+) -> None:
+    """Compare two runs: inputs, states, every number.
+
+    Prints the greatest change of each column, and how many rows differ; of unlike runs the first 40 rows.
+    Runs with files that do not agree with their manifest are not compared.
+    """
+    from needlefit.project.folders import require_output_files
+    from needlefit.project.locate import find_run
+    from needlefit.reporting.table_files import to_records
+    from needlefit.studies.run_differences import IDENTITY, RUN_JSON, compare_runs
+
+    folders = find_run(run_a), find_run(run_b)
+    if csv is not None:
+        require_output_files({"--csv": csv}, folders)
+    differences = compare_runs(*folders)
+    if csv is not None:
+        differences.to_csv(csv, index=False)
+    if context.find_root().obj.json:
+        screen.show_json(to_records(differences))
+        return
+    identity = differences["column"] == IDENTITY
+    changes, differences = differences.loc[identity, "row"], differences[~identity]
+    tables = differences[differences["table"] != RUN_JSON]
+    keys = len(differences) - len(tables)
+    for changed in changes:
+        screen.print_text(f"The runs are of different fits; changed: {changed}.")
+    screen.print_text(f"{tables['rows'].sum()} values of tables and {keys} keys of {RUN_JSON} differ.")
+    if len(differences):
+        shown = differences.head(MAX_SHOWN_DIFFERENCES)
+        screen.show_frame(shown, "\nThe greatest change of each column, from RUN_A to RUN_B")
+        if more := len(differences) - len(shown):
+            screen.print_line(f"{more} more rows: --csv FILE writes all of them")
+    if csv is not None:
+        screen.print_note(f"written: {csv}")
 
 
 def explain(

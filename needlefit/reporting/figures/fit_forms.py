@@ -23,11 +23,11 @@ from needlefit.reporting.figures.style import (
     GAP_IN,
     LABEL_IN,
     LETTER_WIDTH_IN,
-    TEXT_WIDTH_IN,
     TICKS_IN,
     TITLE_IN,
     add_legend,
     choose_vertical_scale,
+    choose_width,
     describe_scale,
     set_margins,
 )
@@ -55,7 +55,7 @@ def insertions(
     points: pd.DataFrame,
     heads: Mapping[InsertionKey, str],  # what stands above the panel of each insertion
     names: Mapping[str, str],  # printed names of the methods, the foremost line first
-    most_columns: int = 4,  # panels side by side
+    most_columns: int = 4,  # panels side by side on a page; half as many in a column
     height: str = "deflection toward\nthe bevel (mm)",  # what `y_mm` is: z, of needles from above
 ) -> Figure:
     """Draw a panel for each insertion: the measured needle as dots, methods as lines, bands behind.
@@ -64,17 +64,18 @@ def insertions(
     `points` has a row per point: `fold`, `insertion`, `curve` (a method, "measured", or the level of a band),
     `x_mm`, `y_mm`, `low_mm`, `high_mm`.
     """
-    columns = min(len(heads), most_columns)
+    width = choose_width()
+    columns = min(len(heads), most_columns if width > COLUMN_WIDTH_IN else max(1, most_columns // 2))
     left, right = _find_range(points[["x_mm"]])
     y = _find_limits(points, points["curve"].isin(["measured", *names]))
     factor = choose_vertical_scale(right - left, y[1] - y[0])
     locator = MaxNLocator(3, steps=[1, 2, 5, 10])
     letters = max(len(f"{tick:.3g}") for tick in locator.tick_values(*y)[1:-1])
     beside = LABEL_IN * (height.count("\n") + 2) + LETTER_WIDTH_IN * letters + GAP_IN
-    wide = (TEXT_WIDTH_IN - beside - columns * GAP_IN) / columns
+    wide = (width - beside - columns * GAP_IN) / columns
     high, rows = min(factor * (y[1] - y[0]) / (right - left), 1.0) * wide, math.ceil(len(heads) / columns)
     down = TITLE_IN + GAP_IN + (TICKS_IN if len(heads) % columns and rows > 1 else 0.0)
-    figure = Figure(figsize=(TEXT_WIDTH_IN, 1.0))
+    figure = Figure(figsize=(width, 1.0))
     for axes, which, mine in _iterate_panels(figure, points, columns, list(heads)):
         _draw_panel(axes, mine, list(names))
         axes.set_title(heads[which], loc="right", pad=3, color=_OURS)
@@ -87,7 +88,7 @@ def insertions(
     middle = (below + figure.get_figheight() - above) / 2
     figure.supxlabel("depth (mm)", x=0.5, y=0.0)
     figure.supylabel(
-        f"{height},\n{describe_scale(factor)}", x=0.04 / TEXT_WIDTH_IN, y=middle / figure.get_figheight()
+        f"{height},\n{describe_scale(factor)}", x=0.04 / width, y=middle / figure.get_figheight()
     )
     return figure
 
@@ -117,7 +118,8 @@ def first_page(points: pd.DataFrame, heads: Mapping[InsertionKey, str], method: 
     insertion, the mean of the paper's, and the measurement noise, which is a grey bar.
     """
     tips = select_rows(points, curve=TIP_ERROR)
-    figure = Figure(figsize=(TEXT_WIDTH_IN, 2.0))
+    width = choose_width()
+    figure = Figure(figsize=(width, 2.0))
     grid = figure.subplots(1, len(heads) + 1, width_ratios=[*[1.0] * len(heads), 1.15])
     set_margins(figure, 0.52, TITLE_IN, gaps=(0.18, 0.0))
     curves = points[points["curve"] != TIP_ERROR]
@@ -201,7 +203,7 @@ _BAND_COLOUR = lighten(GREY, 0.75)
 
 def predictive_check(rows: pd.DataFrame) -> Figure:
     """Draw the ECDFs of PIT values, and the band of uniform ones."""
-    figure = Figure(figsize=(COLUMN_WIDTH_IN, 2.2))
+    figure = Figure(figsize=(choose_width(COLUMN_WIDTH_IN), 2.2))
     axes = figure.add_subplot()
     count, trials = int(rows["insertions"].iloc[0]), int(rows["replicates"].iloc[0])
     chance = select_rows(rows, mark="band")
@@ -258,13 +260,13 @@ def profiles(frame: pd.DataFrame) -> Figure:
     them what is known of its parameter.
     """
     rows = to_records(frame.drop_duplicates(_PANEL_KEYS)[[*_PANEL_KEYS, *_VERDICT_COLUMNS]])
-    count = len(rows)
-    across = min(count, MAX_PANEL_COLUMNS)
+    count, width = len(rows), choose_width()
+    across = min(count, MAX_PANEL_COLUMNS) if width > COLUMN_WIDTH_IN else min(2, count)
     if across == MAX_PANEL_COLUMNS and -count % (across - 1) < -count % across:
         across -= 1  # the last row is then fuller
     down = math.ceil(count / across)
     words = 2 * TITLE_IN  # above each panel: the parameter, and its interval
-    figure = Figure(figsize=(TEXT_WIDTH_IN, TITLE_IN + down * (0.7 + words + TICKS_IN)))
+    figure = Figure(figsize=(width, TITLE_IN + down * (0.7 + words + TICKS_IN)))
     panels = figure.subplots(down, across, squeeze=False, sharey=True)
     set_margins(figure, 0.42, TITLE_IN + words, 0.36, TICKS_IN, (2 * GAP_IN, words + TICKS_IN))
     for n, axes in enumerate(panels.flat):

@@ -5,7 +5,9 @@ of labels.
 import json
 import math
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from io import BytesIO
 from pathlib import Path
 
@@ -32,6 +34,23 @@ from needlefit.reporting.table_files import write_csv
 TEXT_WIDTH_IN = 7.16  # inches: the text width of the report, and of both columns of a paper together (IEEE)
 COLUMN_WIDTH_IN = 3.5  # inches: one column of a paper; two such figures stand side by side in the report
 FONT_SIZE_PT = 8.0  # points: letters of figures at the size in which they are printed
+_fixed_width: ContextVar[float | None] = ContextVar("fixed width of figures", default=None)
+
+
+@contextmanager
+def fix_width(inches: float) -> Iterator[None]:
+    """Draw figures whose painters ask `choose_width` in one width, that of a column or of a page."""
+    token = _fixed_width.set(inches)
+    try:
+        yield
+    finally:
+        _fixed_width.reset(token)
+
+
+def choose_width(natural: float = TEXT_WIDTH_IN) -> float:
+    """Return the width of a figure in inches: its own in the report, or the one of `fix_width`."""
+    return _fixed_width.get() or natural
+
 
 _VERTICAL_SCALES = (1, 2, 5, 10, 20, 50, 100)
 _METADATA: dict[str, dict[str, None]] = {".svg": {"Date": None}, ".png": {"Software": None}}
