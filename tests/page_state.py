@@ -11,13 +11,12 @@ from needlefit.geometry.curves import COMPARISON_POINTS, compare_curves
 from needlefit.inference.compared_points import align, align_points
 from needlefit.inference.curve_bands import find_bands
 from needlefit.mechanics.batch import compute_batch_positions, simulate_batches
-from needlefit.mechanics.shape import NeedleShape, compute_positions, list_planes, map_beam_points
-from needlefit.mechanics.simulate import compute_loads
+from needlefit.mechanics.shape import NeedleShape, compute_positions, list_planes
 from needlefit.mechanics.torsion import find_roll
 from needlefit.metrics import compute_metrics
 from needlefit.planning.steered_needle import SteeredNeedle, guide_number
 from needlefit.planning.steering import StartedInsertion
-from needlefit.reporting.needle_page import encode_layers, encode_strength
+from needlefit.reporting.needle_page import SHOWN_METRICS, encode_layers, encode_strength
 from needlefit.studies.needle_placement import BAND_PROBABILITY, NEEDLE_POINTS
 from needlefit.viewer.overlays import MeasuredOverlay, choose_band_draws
 from needlefit.viewer.page_needle import LENGTH_DIGITS, round_lengths
@@ -48,7 +47,7 @@ def compute_live_errors(measured: MeasuredOverlay, shape: NeedleShape) -> dict[s
     else:
         return None
     found = compute_metrics(errors)
-    values = {name: one if math.isfinite(one) else None for name, one in found.items()}
+    values = {name: found[name] if math.isfinite(found[name]) else None for name in SHOWN_METRICS}
     return {**values, "upto_mm": upto, "whole": whole, "floor_mm": measured.floor}
 
 
@@ -58,10 +57,7 @@ def encode_state(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
     shape, step, controls = now.shape, now.step, now.step.controls
     before = np.linspace(float(shape.x[0]), min(0.0, shape.depth), POINTS_BEFORE_TISSUE)
     needle = compute_positions(shape, np.unique(np.concatenate([before, shape.x])))  # (K, 3)
-    load = compute_loads(shape, now.tissue, scene.needle, controls, scene.rules)
     planes = len(list_planes(shape)[0])  # the page has no z of a needle that it solves for in one
-    measure = (lambda y, _: y) if planes == 1 else math.hypot  # in space a magnitude
-    loaded = compute_positions(shape, load.s) if len(load.s) else np.empty((0, 2))
     items = [guide_number(guide, steering.names) for guide in controls.guides]
     errors = None if measured is None else compute_live_errors(measured, shape)
     base, tip = (
@@ -77,23 +73,6 @@ def encode_state(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
         "x": round_lengths(needle[:, 0]),
         "y": round_lengths(needle[:, 1]),
         "z": round_lengths(needle[:, 2]) if planes == 2 else None,
-        "depths": shape.constraints[:, 0].tolist(),
-        **{
-            name: [round_lengths(column) for column in map_beam_points(shape, points).T[: 1 + planes]]
-            for name, points in (("constraints", shape.constraints), ("tip_path", shape.tip_path))
-        },
-        "load": {
-            "x": round_lengths(loaded[:, 0]),
-            "y": round_lengths(loaded[:, 1]),
-            "n_per_mm": [one.tolist() for one in (load.load, load.load_z)[:planes]],
-        },
-        "forces": {
-            "base_n": measure(load.base.force, load.base.force_z),
-            "base_nmm": measure(load.base.moment, load.base.moment_z),
-            "guides_n": {
-                str(n): measure(one.force, one.force_z) for n, one in zip(items, load.guides, strict=True)
-            },
-        },
         "base": {k: base[k] for k in ("x", "y", "rotation")}
         | {"input_y": controls.base_y, "input_slope": controls.base_slope},
         "guides": [

@@ -37,7 +37,7 @@ for (const path of paths) {
   const reopened = await SteeredNeedle.begin(kernel, scene)
   const before = steered.tipLateral
   for (const one of written ? [steered, reopened] : []) { // the page shows what it copies
-    for (const changes of address.readAddress(written, scene)) one.apply(changes, {validOnly: false})
+    for (const changes of address.readAddress(written, scene)) one.apply(changes)
   }
   const moved = Math.abs(steered.tipLateral - before)
   const bits = {recorded, shown: hex(steered), reopened: hex(reopened)}

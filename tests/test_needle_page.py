@@ -60,7 +60,7 @@ def test_the_page_holds_every_scored_insertion(page, result) -> None:
     needles, errors = read_page_data(text)["needles"], result.frames["errors"]
     scored = errors.query("role == 'validate' and boundaries == 'measured' and method == 'fitted'")
     assert [one["scene"]["measured"]["id"] for one in needles] == scored["insertion"].tolist()
-    assert [one["methods"][0]["errors"]["te_mm"] for one in needles] == scored["te_mm"].tolist()
+    assert [one["errors"]["te_mm"] for one in needles] == scored["te_mm"].tolist()
     shapes = result.frames["shapes"].query("method == 'fitted' and boundaries == 'measured'")
     judged = errors.query("role == 'validate' and boundaries == 'measured' and method == 'prediction'")
     judged = judged.set_index("insertion")["te_mm"]
@@ -71,9 +71,6 @@ def test_the_page_holds_every_scored_insertion(page, result) -> None:
         rows = shapes[(shapes["insertion"] == measured["id"]) & (shapes["role"] == "validate")]
         assert measured["stored"]["y"] == rows["simulated_y_mm"].tolist()
         assert measured["target"]["y"] == rows["measured_y_mm"].tolist()
-        assert {"key", "name", "colour", "errors", "x", "y"} == set(one["methods"][1])
-        colours = [method["colour"] for method in one["methods"]]
-        assert len(set(colours)) == len(colours)
         draws = one["scene"]["draws"]
         layers = len(one["scene"]["layer_names"])
         assert len(draws["mu"]) == layers * draws["sets"] and len(draws["strength"]) == draws["sets"] <= 200
@@ -136,7 +133,7 @@ def test_the_needles_of_a_report_are_computed_again(page, result, chromium) -> N
             window.select_option("#needle-choice", str(number))
             window.wait_for_timeout(300)
             found = window.evaluate("needlefit.state.errors")
-            for name in ("median_err_mm", "ipe_mean_mm", "ipe_std_mm", "ipe_max_mm", "te_mm", "edp_percent"):
+            for name in needle_page.SHOWN_METRICS:
                 assert found[name] == pytest.approx(row[name], rel=1e-9)
         for _ in range(100):
             if band := window.evaluate("needlefit.band"):
@@ -150,10 +147,8 @@ def test_the_needles_of_a_report_are_computed_again(page, result, chromium) -> N
         window.click("#back")
         window.wait_for_timeout(300)
         assert window.evaluate("needlefit.state.tip.lateral_mm") == tip
-        assert window.locator("#method-rows button").count() >= 2
         assert HOSTILE in window.inner_text("#needle-choice") and window.locator("img[src=x]").count() == 0
-        for name in ("load", "points", "path", "errors"):  # until they are asked for
-            assert window.get_attribute(f"[data-show={name}]", "aria-pressed") == "false"
+        assert window.get_attribute("[data-show=errors]", "aria-pressed") == "false"  # until asked for
 
 
 @pytest.mark.sweep
@@ -194,7 +189,7 @@ def test_a_stored_number_that_was_changed_fails_the_self_check(page, chromium, t
         needle = data["needles"][0]
         values, key = {
             "place": (needle["scene"]["measured"]["stored"]["y"], 50),
-            "error": (needle["methods"][0]["errors"], "te_mm"),
+            "error": (needle["errors"], "te_mm"),
         }[kind]
         values[key] += 0.001  # mm
 
@@ -217,7 +212,6 @@ def test_the_page_is_accessible(page, chromium, size) -> None:  # noqa: F811
         found = Axe().run(window)
         assert found.violations_count == 0, found.generate_report()
         assert window.evaluate("document.documentElement.scrollWidth") <= width
-        assert window.evaluate("methods.scrollWidth <= methods.clientWidth")
         window.evaluate("document.getElementById('picture').scrollIntoView()")
         for part in ("#picture", "#flip"):  # both are in one window
             box = window.locator(part).bounding_box()
@@ -237,6 +231,4 @@ def test_no_table_of_page_one_is_wider_than_its_column(page, chromium) -> None: 
         for width in WIDTHS:
             window.set_viewport_size({"width": width, "height": 900})
             window.wait_for_timeout(100)
-            # on the narrowest the table of methods, of four columns, is scrolled to the side
-            tables = PAGE_ONE if width < 390 else f"{PAGE_ONE}, #methods"
-            assert window.evaluate(CUT, tables) == [], width
+            assert window.evaluate(CUT, PAGE_ONE) == [], width

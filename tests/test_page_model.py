@@ -1,7 +1,6 @@
 """The needle that the page simulates, run in Node.js: the same bytes as the program's after every step."""
 
 import json
-import math
 import shutil
 import subprocess
 from dataclasses import replace
@@ -17,10 +16,8 @@ from needlefit.inference.forward_model import ParameterDraws
 from needlefit.mechanics import native
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.scene import Scene
-from needlefit.mechanics.session import Session, find_tip_force
 from needlefit.mechanics.shape import list_planes
-from needlefit.mechanics.simulate import compute_loads
-from needlefit.planning.steered_needle import Change, SteeredNeedle, find_changes, make_steered_scene
+from needlefit.planning.steered_needle import Change, SteeredNeedle, make_steered_scene
 from needlefit.schemas.scene import SceneRecord
 from needlefit.viewer.opening import open_target
 from needlefit.viewer.page_needle import encode_draws, encode_scene
@@ -33,18 +30,15 @@ pytestmark = pytest.mark.skipif(
 
 PROGRAM = """
 import {readFileSync} from 'node:fs'
-import {compile} from KERNEL
+import {compile, Session} from KERNEL
 const load = (name) => import(PAGE + name)
-const [{SteeredNeedle}, {describeState}, {Band}, {TipForces}, {findChanges, toInputs}] = await Promise.all(
-  ['steered.js', 'state.js', 'band.js', 'tip_forces.js', 'inputs.js'].map(load))
+const [{SteeredNeedle}, {describeState}, {computeBand}, {computeValidity}, {toInputs}] = await Promise.all(
+  ['steered.js', 'state.js', 'band.js', 'validity.js', 'inputs.js'].map(load))
 const {scene, orders, draws} = JSON.parse(readFileSync(0, 'utf8'))
 const kernel = await compile(readFileSync(WASM))
 const hex = array => Buffer.from(array.buffer, array.byteOffset, array.byteLength).toString('hex')
 const steered = await SteeredNeedle.begin(kernel, scene)
 const found = []
-const bands = draws && new Band(kernel, steered.model, draws)
-const tip = new TipForces(kernel)
-let [band, forces] = [null, null]
 for (const {changes, keep, forget} of orders) {
   if (keep) steered.keep()
   let fault = null
@@ -56,14 +50,13 @@ for (const {changes, keep, forget} of orders) {
   }
   const {x, u, slope, constraints} = steered.session.shape
   found.push({fault, tip: steered.tipLateral, shape: [x, u, slope, constraints].map(hex),
-    path: steered.path(), state: describeState(steered), validity: steered.validity, reach: steered.reach(),
-    back: findChanges(scene.simulation.steps[0], steered.step, scene.guide_names)})
-  const {pathAngle} = steered.model
-  const steps = steered.path().map(one => ({depth: one.depth, inputs: toInputs(one, pathAngle)}))
-  if (bands) band = await bands.compute(steps, steered.session.planes, () => false, () => null)
-  forces = await tip.compute(steered.model, steps, () => false, () => null)
+    path: steered.path(), state: describeState(steered), reach: steered.reach(),
+    validity: computeValidity(steered.session.shape, steered.model)})
 }
-console.log(JSON.stringify({found, band, forces}))
+const {pathAngle} = steered.model
+const steps = steered.path().map(one => ({depth: one.depth, inputs: toInputs(one, pathAngle)}))
+const session = await Session.begin(kernel, steered.model, steps[0].inputs)
+console.log(JSON.stringify({found, band: computeBand(session, draws, steps)}))
 """
 
 
@@ -171,7 +164,7 @@ def test_the_page_simulates_the_bytes_of_the_program(name: str, seed: int) -> No
         if order["keep"]:
             steering.keep()
         try:
-            steering.apply([Change(*change) for change in order["changes"]], valid_only=True)
+            steering.apply([Change(*change) for change in order["changes"]])
         except ModelError:
             assert found["fault"], order
             refused += 1
@@ -189,8 +182,6 @@ def test_the_page_simulates_the_bytes_of_the_program(name: str, seed: int) -> No
         assert found["validity"] == pytest.approx(
             {key: float(getattr(expected, key)) for key in found["validity"]}, rel=1e-9, abs=1e-12
         )
-        back = find_changes(scene.steps[0], steering.now.step, steering.names)
-        assert found["back"] == [[one.name, one.item, one.value] for one in back]
         path = steering.input_path()
         assert [(one["depth"], one["bevel"]["side"], one["bevel"]["roll"]) for one in found["path"]] == [
             (one.depth, one.bevel.side, one.bevel.roll_deg) for one in path
@@ -203,29 +194,6 @@ def test_the_page_simulates_the_bytes_of_the_program(name: str, seed: int) -> No
                 done["band"][key], getattr(band, key), atol=1e-7
             )  # each step ends within 1e-7 mm
         assert done["band"]["failed"] == band.failed
-    x, y = done["forces"]["x"], done["forces"]["y"]
-    depths = steering.now.shape.constraints[:, 0]  # where the tip stands is the last, also within a cell
-    assert len(depths) - len(y) in {0, 1}
-    for depth, *found in list(zip(depths, x, y, strict=False))[1:-1:7]:
-        assert found == pytest.approx([depth, find_force_at(steering, depth)], abs=1e-5)
-    rules, path = scene.rules, steering.input_path()
-    last = find_tip_force(scene.needle, steering.now.tissue, path, steering.first_cell, rules)
-    assert y[-1] == pytest.approx(last, abs=1e-5)
-
-
-def find_force_at(steering: SteeredNeedle, depth: float) -> float:
-    """Return the tip force, N, in space its size, as it was when the tip of a needle stood at a depth."""
-    scene, path = steering.scene, steering.input_path()
-    tissue, (first, *_) = steering.now.tissue, path
-    session = Session(scene.needle, tissue, first.bevel, steering.first_cell, first.controls, scene.rules)
-    for step in path:
-        shape = session.go(replace(step, depth=min(step.depth, depth)))
-        if step.depth >= depth - 1e-9:
-            break
-    loads = compute_loads(shape, tissue, scene.needle, step.controls, scene.rules)
-    if len(list_planes(steering.now.shape)[0]) == 1:
-        return loads.tip_force
-    return math.hypot(loads.tip_force, loads.tip_region_force_z + loads.tip.force_z)
 
 
 def assert_same(found: Any, expected: Any, atol: float) -> None:

@@ -107,9 +107,6 @@ def test_it_computes_every_recorded_state_and_can_be_steered(shared, chromium) -
         page.click("#back")
         page.wait_for_timeout(300)
         assert page.evaluate("needlefit.state.tip.lateral_mm") == states[-1].state.shape.tip_lateral
-        page.get_by_role("button", name="Play").click()
-        page.wait_for_timeout(1500)
-        assert float(page.locator("#scrub").input_value()) > 0
 
 
 @pytest.mark.sweep
@@ -174,7 +171,7 @@ def test_the_printed_file_has_the_values_of_its_inputs(shared, chromium) -> None
         page.emulate_media(media="print")
         fields = page.locator(".field")
         assert fields.count() == fields.locator(".number:visible").count() == 16
-        assert page.locator(".slider:visible, button:not(.term):visible").count() == 0
+        assert page.locator(".slider:visible, button:visible").count() == 0
 
 
 @pytest.mark.sweep

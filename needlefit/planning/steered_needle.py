@@ -161,6 +161,20 @@ def find_changes(step: Step, now: Step, names: Sequence[str]) -> tuple[Change, .
     return tuple(changes)
 
 
+def list_scene_changes(
+    steps: Sequence[Step], names: Sequence[str]
+) -> list[list[tuple[str, int | None, float]]]:
+    """Return the changes of each step of a scene, which lead its needle from first contact to its end."""
+    before = (steps[0], *steps)
+    return [
+        [
+            *((one.name, one.item, one.value) for one in find_changes(step, now, names)),
+            ("depth_mm", None, step.depth),
+        ]
+        for step, now in zip(steps, before, strict=False)
+    ]
+
+
 def guide_number(guide: Guide, names: Sequence[str]) -> int:
     """Return the number of a guide, counted from 1."""
     return names.index(guide.name) + 1 if guide.name in names else int(guide.name.removeprefix("guide "))

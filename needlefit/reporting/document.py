@@ -285,12 +285,11 @@ def _raise_exponents(words: str) -> Markup:
 
 
 def _compose_page(data: PageData | None) -> dict[str, Any]:
-    """Return scripts, policy, and of a page that computes needles its part, style and data.
+    """Return policy, and of a page that computes needles its part, style and data.
 
     Nothing in them can end their elements.
     """
     parts = {"script": "", "style": "", "data": ""}
-    parts["sorting"] = needle_page.read_package_file("reporting/templates/tables.js")
     if data is not None:
         parts |= {
             "script": needle_page.read_package_file(needle_page.SCRIPT),
@@ -299,5 +298,5 @@ def _compose_page(data: PageData | None) -> dict[str, Any]:
             "kernel": needle_page.read_kernel(),
             "data": data.pack(),
         }
-    policy = needle_page.write_policy(filter(None, (parts["script"], parts["sorting"])))
+    policy = needle_page.write_policy([parts["script"]] if data else [])
     return {name: Markup(part) for name, part in (parts | {"policy": policy}).items()}  # noqa: S704

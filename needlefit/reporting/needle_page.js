@@ -20,42 +20,41 @@ f.numbers,turn:f.bevels*f.sets*f.planes,base:3*f.inputs*f.sets*f.planes,before_f
 inputs+1,held_tip:2*f.inputs*f.planes,guide_x:f.sets};for(let[name,count]of Object.entries(counts))if((arrays[name]||
 name!=="guide_x")&&arrays[name].length!==count)throw new TypeError(`${name} has ${arrays[name].length} numbers\
 , not ${count}`);let addresses=ARRAYS.map(name=>arrays[name]?heap.put(arrays[name]):0),at=makeStructure(heap,f,
-addresses),sizes=heap.take(24);check(heap.call.nf_check(at,sizes));let[room,points,quadrature]=heap.integers(sizes,
-3);return{at,sizes,fields:f,arrays:Object.fromEntries(ARRAYS.map((name,i)=>[name,addresses[i]])),room:Number(room),
-maxPoints:Number(points),maxQuadrature:Number(quadrature)}}function rewrite(heap,problem,arrays){for(let[name,
-array3]of Object.entries(arrays))heap.put(array3,problem.arrays[name]);check(heap.call.nf_check(problem.at,problem.
-sizes))}function makeShapes(heap,problem,points){let{sets,columns:columns2,planes}=problem.fields,{room}=problem,
-counts={x:sets*room,u:planes*sets*room,slope:planes*sets*room,constraints:(1+planes)*sets*points,track:2*planes*
-sets*points,status:sets,passes:sets,nodes:1,u_by:planes*sets*room*columns2,slope_by:planes*sets*room*columns2,
-constraints_by:planes*sets*points*columns2,track_by:planes*sets*points*columns2},shapes={points,counts,room,planes};
-for(let[name,count]of Object.entries(counts))shapes[name]=columns2||!name.endsWith("_by")?heap.take(8*count):0;
-return shapes.at=heap.structure([room,points],[],Object.keys(counts).map(name=>shapes[name])),shapes}function readPlanes(heap,shapes,name,planes,nodes){
-let read=new Float64Array(planes*nodes);for(let plane=0;plane<planes;plane+=1)read.set(heap.floats(shapes[name]+
-8*plane*shapes.room,nodes),plane*nodes);return read}function readShape(heap,shapes,points){let{planes}=shapes,
-number3=name=>Number(heap.integers(shapes[name],1)[0]),read=(name,count)=>heap.floats(shapes[name],count).slice(),
-nodes=number3("nodes"),x2=read("x",nodes);return{status:STATUS[number3("status")],passes:number3("passes"),depth:x2.
-at(-1),planes,x:x2,u:readPlanes(heap,shapes,"u",planes,nodes),slope:readPlanes(heap,shapes,"slope",planes,nodes),
-constraints:read("constraints",(1+planes)*points),track:read("track",2*planes*points)}}var STATUS,FAULTS,SIZES,
-NUMBERS,ARRAYS,compile,Heap,makeStructure,init_memory=__esm({"needlefit/mechanics/native/memory.js"(){"use str\
-ict";STATUS=["converged","over-compressed","not converged","non-finite"],FAULTS=["","size","mesh","stop","guid\
-es","column","output","points"],SIZES="planes sets layers shapes terms numbers stop_count bevels inputs rays g\
-uides columns max_iterations".split(" "),NUMBERS="length first_cell spacing element part tangent tolerance dee\
-pest".split(" "),ARRAYS="boundaries stops rigidity mu thickness friction law law_by turn base before_first wit\
-hin_first before within held_tip guide_x turn_by column_of guide_columns".split(" "),compile=bytes=>WebAssembly.
-compile(bytes),Heap=class _Heap{constructor(instance){this.call=instance.exports,this.memory=instance.exports.
-memory,this.top=this.bottom=this.memory.buffer.byteLength}static async make(kernel){return new _Heap(await WebAssembly.
-instantiate(kernel,{}))}take(bytes){let at=Math.ceil(this.top/64)*64;this.top=at+Number(bytes);let missing=this.
-top-this.memory.buffer.byteLength;return missing>0&&this.memory.grow(Math.ceil(missing/65536)),at}put(array3,at=this.
-take(array3.byteLength)){return new Uint8Array(this.memory.buffer,at,array3.byteLength).set(new Uint8Array(array3.
-buffer,array3.byteOffset,array3.byteLength)),at}borrow(work2){let top=this.top;try{return work2()}finally{this.
-top=top}}evaluate(which,x2){return this.borrow(()=>{let[at,out]=[this.put(Float64Array.of(x2)),this.take(8)];return this.
-call.nf_function(BigInt(which),1n,at,out),this.floats(out,1)[0]})}floats(at,count){return new Float64Array(this.
-memory.buffer,at,count)}integers(at,count){return new BigInt64Array(this.memory.buffer,at,count)}view(at){return new DataView(
-this.memory.buffer,at)}structure(integers,numbers,addresses){let at=this.take(8*(integers.length+numbers.length)+
-4*addresses.length),view2=this.view(at);return integers.forEach((value,i)=>view2.setBigInt64(8*i,BigInt(value),
-!0)),numbers.forEach((value,i)=>view2.setFloat64(8*(integers.length+i),value,!0)),addresses.forEach((value,i)=>view2.
-setUint32(8*(integers.length+numbers.length)+4*i,value,!0)),at}};makeStructure=(heap,fields2,addresses)=>heap.
-structure(SIZES.map(name=>fields2[name]),NUMBERS.map(name=>fields2[name]),addresses)}});function completeInputs(inputs){let{bevel={},base={},guides=[],tip=null}=inputs;return{bevel:{side:1,roll:0,strength:0,
+addresses),sizes=heap.take(24);check(heap.call.nf_check(at,sizes));let[room,points]=heap.integers(sizes,2);return{
+at,sizes,fields:f,arrays:Object.fromEntries(ARRAYS.map((name,i)=>[name,addresses[i]])),room:Number(room),maxPoints:Number(
+points)}}function rewrite(heap,problem,arrays){for(let[name,array3]of Object.entries(arrays))heap.put(array3,problem.
+arrays[name]);check(heap.call.nf_check(problem.at,problem.sizes))}function makeShapes(heap,problem,points){let{
+sets,columns:columns2,planes}=problem.fields,{room}=problem,counts={x:sets*room,u:planes*sets*room,slope:planes*
+sets*room,constraints:(1+planes)*sets*points,track:2*planes*sets*points,status:sets,passes:sets,nodes:1,u_by:planes*
+sets*room*columns2,slope_by:planes*sets*room*columns2,constraints_by:planes*sets*points*columns2,track_by:planes*
+sets*points*columns2},shapes={points,counts,room,planes};for(let[name,count]of Object.entries(counts))shapes[name]=
+columns2||!name.endsWith("_by")?heap.take(8*count):0;return shapes.at=heap.structure([room,points],[],Object.keys(
+counts).map(name=>shapes[name])),shapes}function readPlanes(heap,shapes,name,planes,nodes){let read=new Float64Array(
+planes*nodes);for(let plane=0;plane<planes;plane+=1)read.set(heap.floats(shapes[name]+8*plane*shapes.room,nodes),
+plane*nodes);return read}function readShape(heap,shapes,points){let{planes}=shapes,number3=name=>Number(heap.integers(
+shapes[name],1)[0]),read=(name,count)=>heap.floats(shapes[name],count).slice(),nodes=number3("nodes"),x2=read(
+"x",nodes);return{status:STATUS[number3("status")],passes:number3("passes"),depth:x2.at(-1),planes,x:x2,u:readPlanes(
+heap,shapes,"u",planes,nodes),slope:readPlanes(heap,shapes,"slope",planes,nodes),constraints:read("constraints",
+(1+planes)*points),track:read("track",2*planes*points)}}var STATUS,FAULTS,SIZES,NUMBERS,ARRAYS,compile,Heap,makeStructure,
+init_memory=__esm({"needlefit/mechanics/native/memory.js"(){"use strict";STATUS=["converged","over-compressed",
+"not converged","non-finite"],FAULTS=["","size","mesh","stop","guides","column","output","points"],SIZES="plan\
+es sets layers shapes terms numbers stop_count bevels inputs rays guides columns max_iterations".split(" "),NUMBERS=
+"length first_cell spacing element part tangent tolerance deepest".split(" "),ARRAYS="boundaries stops rigidit\
+y mu thickness friction law law_by turn base before_first within_first before within held_tip guide_x turn_by \
+column_of guide_columns".split(" "),compile=bytes=>WebAssembly.compile(bytes),Heap=class _Heap{constructor(instance){
+this.call=instance.exports,this.memory=instance.exports.memory,this.top=this.bottom=this.memory.buffer.byteLength}static async make(kernel){
+return new _Heap(await WebAssembly.instantiate(kernel,{}))}take(bytes){let at=Math.ceil(this.top/64)*64;this.top=
+at+Number(bytes);let missing=this.top-this.memory.buffer.byteLength;return missing>0&&this.memory.grow(Math.ceil(
+missing/65536)),at}put(array3,at=this.take(array3.byteLength)){return new Uint8Array(this.memory.buffer,at,array3.
+byteLength).set(new Uint8Array(array3.buffer,array3.byteOffset,array3.byteLength)),at}borrow(work){let top=this.
+top;try{return work()}finally{this.top=top}}evaluate(which,x2){return this.borrow(()=>{let[at,out]=[this.put(Float64Array.
+of(x2)),this.take(8)];return this.call.nf_function(BigInt(which),1n,at,out),this.floats(out,1)[0]})}floats(at,count){
+return new Float64Array(this.memory.buffer,at,count)}integers(at,count){return new BigInt64Array(this.memory.buffer,
+at,count)}view(at){return new DataView(this.memory.buffer,at)}structure(integers,numbers,addresses){let at=this.
+take(8*(integers.length+numbers.length)+4*addresses.length),view2=this.view(at);return integers.forEach((value,i)=>view2.
+setBigInt64(8*i,BigInt(value),!0)),numbers.forEach((value,i)=>view2.setFloat64(8*(integers.length+i),value,!0)),
+addresses.forEach((value,i)=>view2.setUint32(8*(integers.length+numbers.length)+4*i,value,!0)),at}};makeStructure=
+(heap,fields2,addresses)=>heap.structure(SIZES.map(name=>fields2[name]),NUMBERS.map(name=>fields2[name]),addresses)}});function completeInputs(inputs){let{bevel={},base={},guides=[],tip=null}=inputs;return{bevel:{side:1,roll:0,strength:0,
 ...bevel},base:{y:0,slope:0,stageSlope:0,...base},guides:guides.map(guide=>({y:0,slope:0,...guide})).sort((a2,b)=>a2.
 x-b.x),tip}}function checkInputs(model,inputs,depth){let{guides}=inputs,base=depth-model.length,ends=[base,...guides.
 map(guide=>guide.x)];for(let name of["mu","thickness"])if(!model[name].every(value=>value>0))throw new RangeError(
@@ -66,179 +65,99 @@ e ${MAX_GUIDES}`);if(ends.some((x2,i)=>i>0&&!(x2>ends[i-1])))throw new RangeErro
 floor(roll2/90+.5),rest=(roll2-90*quarters)*(Math.PI/180),[z,y2]=[3,4].map(which=>side*heap.evaluate(which,rest));
 return[[y2,z],[-z,y2],[-y2,-z],[z,-y2]][(quarters%4+4)%4]}function listGuides(guides,planes){let listed=new Float64Array(
 (1+2*planes)*MAX_GUIDES);return guides.forEach(({x:x2,y:y2,slope:slope4},i)=>listed.set([x2,...listHeld(y2,slope4,
-0,planes)],i*(1+2*planes))),listed}function packInputs(heap,{bevel,base,guides,tip},model,{sets,strength=null},planes){
-let before=guides.filter(guide=>guide.x<0),within2=guides.filter(guide=>guide.x>=0),toward=findToward(heap,bevel).
-slice(0,planes),turn2=(part2,set)=>part2*(strength?.[set]??bevel.strength)/(model.pathAngle?1:model.spacing);return{
-turn:Float64Array.from(Array.from({length:sets},(_,set)=>toward.map(part2=>turn2(part2,set))).flat()),base:repeat(
-[...listBase(base),0,0,0].slice(0,3*planes),sets),before_first:BigInt64Array.of(0n,BigInt(before.length)),within_first:BigInt64Array.
+0,planes)],i*(1+2*planes))),listed}function packInputs(heap,{bevel,base,guides,tip},model,planes){let before=guides.
+filter(guide=>guide.x<0),within2=guides.filter(guide=>guide.x>=0),toward=findToward(heap,bevel).slice(0,planes);
+return{turn:Float64Array.from(toward,part2=>part2*bevel.strength/(model.pathAngle?1:model.spacing)),base:Float64Array.
+from([...listBase(base),0,0,0].slice(0,3*planes)),before_first:BigInt64Array.of(0n,BigInt(before.length)),within_first:BigInt64Array.
 of(0n,BigInt(within2.length)),before:listGuides(before,planes),within:listGuides(within2,planes),held_tip:Float64Array.
-from(listTip(tip,planes))}}function pack(heap,model,inputs,values,planes,more){let{sets}=values,layers=model.mu.
-length,ofLayers=["mu","thickness","friction","law"].map(name=>[name,values[name]??repeat(model[name],sets)]),arrays={
-boundaries:Float64Array.from(model.boundaries),stops:new Uint8Array(STOP_BYTES),rigidity:repeat([model.rigidity],
-sets),...Object.fromEntries(ofLayers),...packInputs(heap,inputs,model,values,planes)};return[{planes,sets,layers,
-shapes:1,terms:model.terms,numbers:model.law.length/layers,stop_count:1,bevels:1,inputs:1,guides:MAX_GUIDES,columns:0,
-max_iterations:model.maxIterations??40,length:model.length,first_cell:model.firstCell,spacing:model.spacing,element:model.
-element,part:model.pathAngle?LINEAR_CUT:model.switch??.5,tangent:model.tangent??1,tolerance:model.tolerance??1e-7,
-...more},arrays]}function findPositions(heap,planes,nodes,addresses,s2){return heap.borrow(()=>{let size2=(1+planes)*
-s2.length,out=heap.take(8*size2),memory=heap.take(8*(1+5*planes)*(nodes+2)*Number(heap.call.nf_lanes())),counts=[
-planes,1,nodes,s2.length].map(BigInt);return heap.call.nf_positions(...counts,...addresses,heap.put(s2),memory,
-out),heap.floats(out,size2).slice()})}var SAME_DEPTH,MAX_ELEMENTS,MAX_GUIDES,LINEAR_CUT,MAX_RAYS,KEPT_IDS,STOP_BYTES,
-MOVE_BYTES,POSITION_BYTES,findDeepest,isPlanar,listHeld,repeat,listTip,listBase,bevelKey,controlsKey,Session,SessionBatch,
-init_needle=__esm({"needlefit/mechanics/native/needle.js"(){"use strict";init_memory();SAME_DEPTH=1e-9,MAX_ELEMENTS=
-5e3,MAX_GUIDES=50,LINEAR_CUT=-1,MAX_RAYS=15e3,KEPT_IDS=256,STOP_BYTES=48,MOVE_BYTES=24,POSITION_BYTES=64,findDeepest=
-model=>Math.min(model.length,MAX_ELEMENTS*model.element);isPlanar=(heap,{bevel,tip})=>findToward(heap,bevel)[1]===
-0&&!tip?.z;listHeld=(y2,slope4,z,planes)=>[y2,slope4??NaN,z,(slope4??null)===null?NaN:0].slice(0,2*planes),repeat=
-(numbers,sets)=>Float64Array.from({length:sets*numbers.length},(_,i)=>numbers[i%numbers.length]),listTip=(tip,planes)=>tip?
-listHeld(tip.y,tip.slope,tip.z??0,planes):Array(2*planes).fill(NaN),listBase=base=>[base.y,base.slope,base.stageSlope],
-bevelKey=({bevel})=>JSON.stringify([bevel.side,bevel.roll,bevel.strength]),controlsKey=({base,guides,tip})=>JSON.
-stringify([listBase(base),guides.map(guide=>[guide.x,guide.y,guide.slope??null]),listTip(tip,2)]);Session=class _Session{static async begin(kernel,model,inputs={}){
+from(listTip(tip,planes))}}function pack(heap,model,inputs,planes,rays,deepest2){let layers=model.mu.length,arrays={
+boundaries:Float64Array.from(model.boundaries),stops:new Uint8Array(STOP_BYTES),rigidity:Float64Array.of(model.
+rigidity),...Object.fromEntries(["mu","thickness","friction","law"].map(name=>[name,Float64Array.from(model[name])])),
+...packInputs(heap,inputs,model,planes)};return[{planes,sets:1,layers,shapes:1,terms:model.terms,numbers:model.
+law.length/layers,stop_count:1,bevels:1,inputs:1,rays,guides:MAX_GUIDES,columns:0,max_iterations:model.maxIterations??
+40,length:model.length,first_cell:model.firstCell,spacing:model.spacing,element:model.element,part:model.pathAngle?
+LINEAR_CUT:model.switch??.5,tangent:model.tangent??1,tolerance:model.tolerance??1e-7,deepest:deepest2},arrays]}
+var SAME_DEPTH,MAX_ELEMENTS,MAX_GUIDES,LINEAR_CUT,MAX_RAYS,KEPT_IDS,STOP_BYTES,MOVE_BYTES,POSITION_BYTES,findDeepest,
+isPlanar,listHeld,listTip,listBase,bevelKey,controlsKey,Session,init_needle=__esm({"needlefit/mechanics/native\
+/needle.js"(){"use strict";init_memory();SAME_DEPTH=1e-9,MAX_ELEMENTS=5e3,MAX_GUIDES=50,LINEAR_CUT=-1,MAX_RAYS=
+15e3,KEPT_IDS=256,STOP_BYTES=48,MOVE_BYTES=24,POSITION_BYTES=64,findDeepest=model=>Math.min(model.length,MAX_ELEMENTS*
+model.element);isPlanar=(heap,{bevel,tip})=>findToward(heap,bevel)[1]===0&&!tip?.z;listHeld=(y2,slope4,z,planes)=>[
+y2,slope4??NaN,z,(slope4??null)===null?NaN:0].slice(0,2*planes),listTip=(tip,planes)=>tip?listHeld(tip.y,tip.slope,
+tip.z??0,planes):Array(2*planes).fill(NaN),listBase=base=>[base.y,base.slope,base.stageSlope],bevelKey=({bevel})=>JSON.
+stringify([bevel.side,bevel.roll,bevel.strength]),controlsKey=({base,guides,tip})=>JSON.stringify([listBase(base),
+guides.map(guide=>[guide.x,guide.y,guide.slope??null]),listTip(tip,2)]);Session=class _Session{static async begin(kernel,model,inputs={}){
 return new _Session(await Heap.make(kernel),model,completeInputs(inputs))}heap;start;base;end;model;planes;depth;rays;ids;maxIds;solved;parts;stateBytes;problem;shapes;deepest=0;constructor(heap,model,inputs){
 Object.assign(this,{heap,start:heap.top,failed:!1}),this.#begin(model,inputs)}#begin(model,inputs,planes=model.
 spatial||!isPlanar(this.heap,inputs)?2:this.planes??1){this.deepest=findDeepest(model);let rays=Math.ceil(this.
 deepest/model.spacing);this.#layOut({model,inputs,planes,depth:0,ids:new Map,maxIds:KEPT_IDS,solved:0,shape:null,
 rays}),this.shape=this.go(0,inputs)}#layOut(fields2){Object.assign(this,fields2,{base:this.start}),this.#reserve()}#reserve(old){
 let{heap,model,inputs,planes,rays,deepest:deepest2}=this,{call}=heap;heap.top=this.base;let problem=makeProblem(
-heap,...pack(heap,model,inputs,{sets:1},planes,{rays,deepest:deepest2}));this.problem=problem,this.shapes=makeShapes(
-heap,problem,problem.maxPoints),this.done=heap.take(24),call.nf_session_memory(problem.at,this.done);let[fixed,
-state,scratch]=heap.integers(this.done,3).map(BigInt),parts={fixed:heap.take(fixed),now:heap.take(state),next:heap.
-take(state),scratch:heap.take(scratch)};if(Object.assign(this,{parts,stateBytes:Number(state),end:heap.top}),call.
-nf_session_begin(problem.at,parts.fixed,parts.now,parts.scratch),old){let{now:now2,scratch:room}=old.parts;call.
-nf_session_copy(old.problem.at,problem.at,parts.fixed,now2,room,parts.now,parts.scratch)}}go(depth,given,accepts=_shape=>!0){
-if(!(depth>=0&&depth<=this.deepest))throw new RangeError(`the needle cannot be ${depth} mm deep`);let inputs=completeInputs(
-given),{heap}=this;if(checkInputs(this.model,inputs,depth),this.planes===1&&!isPlanar(heap,inputs)){let path2=this.
-path();this.#begin(this.model,path2[0].inputs,2);for(let one of path2)this.go(one.depth,one.inputs)}let before=this.
-inputs;this.inputs=inputs,rewrite(heap,this.problem,packInputs(heap,inputs,this.model,{sets:1},this.planes));let bevel=this.#number(
-bevelKey(inputs),inputs.bevel),held=this.#number(controlsKey(inputs),inputs),advance2=()=>{let{fixed,now:now2,
-next,scratch}=this.parts,{at}=this.problem;return[heap.call.nf_session_advance(at,fixed,now2,next,scratch,this.
-shapes.at,depth,BigInt(bevel),BigInt(held),this.done),...heap.integers(this.done,3)].map(Number)},[fault,stops,
-points,rays]=advance2();if(rays>MAX_RAYS)throw this.inputs=before,new RangeError(`the needle has changed its d\
-irection of cutting ${rays} times`);if(rays>this.rays){let old={problem:this.problem,parts:this.parts};Object.
-assign(this,{rays:2*rays,base:this.end}),this.#reserve(old),[fault,stops,points,rays]=advance2()}check(fault),
-this.solved+=stops;let{shape}=this;return stops>0&&(shape=readShape(heap,this.shapes,points),this.failed=shape.
-status!==STATUS[0]||!accepts(shape),this.failed)?(this.inputs=before,shape):(this.failed=!1,[this.parts.now,this.
-parts.next]=[this.parts.next,this.parts.now],Object.assign(this,{depth,shape}),this.ids.size>this.maxIds&&this.#dropUnused(
-new Set([bevel,held])),shape)}#number(key,value){let found=this.ids.get(key);return found||(this.nextId=(this.
-nextId??0)+1,this.ids.set(key,found={number:this.nextId,value})),found.number}#dropUnused(used){for(let{bevel,
-held}of this.#listRays().rays)used.add(bevel).add(held);for(let[key,{number:number3}]of this.ids)used.has(number3)||
-this.ids.delete(key);this.maxIds=KEPT_IDS+2*this.ids.size}#listRays(){let{heap,parts,problem}=this;return heap.
-borrow(()=>{let cut=heap.take(MOVE_BYTES*this.rays),position=heap.take(POSITION_BYTES),count=Number(heap.call.
-nf_session_rays(problem.at,parts.fixed,parts.now,parts.scratch,cut,position)),view2=heap.view(cut),id=at=>Number(
-view2.getBigInt64(at,!0));return{rays:Array.from({length:count},(_,n)=>({start:view2.getFloat64(MOVE_BYTES*n,!0),
-bevel:id(MOVE_BYTES*n+8),held:id(MOVE_BYTES*n+16)})),changed:heap.view(position).getBigInt64(POSITION_BYTES-8,
-!0)!==0n}})}save(){let{model,inputs,planes,depth,shape,rays,ids,maxIds,solved,heap,parts,stateBytes}=this,state=new Uint8Array(
-heap.memory.buffer,parts.now,stateBytes).slice();return{model,inputs,planes,depth,shape,rays,ids:new Map(ids),
-maxIds,solved,state}}restore({state,...saved}){this.#layOut({...saved,ids:new Map(saved.ids)}),new Uint8Array(
-this.heap.memory.buffer).set(state,this.parts.now)}path(){let{firstCell,spacing}=this.model,{rays,changed}=this.#listRays(),
-values=new Map([...this.ids.values()].map(({number:number3,value})=>[number3,value])),alike=(one,other)=>one.bevel===
-other.bevel&&one.held===other.held,flip2=({depth,inputs})=>({depth,inputs:{...inputs,bevel:{...inputs.bevel,side:-inputs.
-bevel.side}}}),isPoint=depth=>{let cell=depth<=SAME_DEPTH?0:1+Math.max(0,Math.ceil((depth-firstCell-SAME_DEPTH)/
-spacing));return Math.abs((cell&&firstCell+(cell-1)*spacing)-depth)<=SAME_DEPTH},steps2=[];rays.forEach(({start:start2,
-bevel,held},n)=>{let depth=n+1<rays.length?rays[n+1].start:this.depth,step={depth,inputs:{...values.get(held),
-bevel:values.get(bevel)}},again=n>0&&alike(rays[n-1],rays[n]);again&&isPoint(start2)?steps2.pop():again&&steps2.
-push(flip2(steps2.at(-1))),steps2.push(step)});let last3={depth:this.depth,inputs:this.inputs},now2={bevel:this.#number(
-bevelKey(this.inputs)),held:this.#number(controlsKey(this.inputs))};return!rays.length||!alike(rays.at(-1),now2)?
-steps2.push(last3):changed&&steps2.push(flip2(last3),last3),steps2}again(model,steps2){this.#begin(model,completeInputs(
-steps2[0].inputs));for(let{depth,inputs}of steps2)if(this.go(depth,inputs),this.failed)return!1;return!0}deflections(s2){
-let{heap,shape}=this,nodes=shape.x.length;return heap.borrow(()=>{let[x2,u,slope4,at]=[shape.x,shape.u,shape.slope,
-Float64Array.from(s2)].map(array3=>heap.put(array3)),out=heap.take(8*shape.planes*s2.length);for(let plane=0;plane<
-shape.planes;plane+=1){let there=[u,slope4].map(address=>address+8*plane*nodes);heap.call.nf_deflections(BigInt(
-nodes),BigInt(s2.length),x2,...there,at,out+8*plane*s2.length)}return heap.floats(out,shape.planes*s2.length).
-slice()})}positions(s2){let{heap,shape}=this,at=Float64Array.from(s2);if(!at.every(one=>one>=shape.x[0]&&one<=
-shape.depth))throw new RangeError("s lies beyond the needle");return heap.borrow(()=>findPositions(heap,shape.
-planes,shape.x.length,[shape.x,shape.u,shape.slope].map(array3=>heap.put(array3)),at))}forces(){let{heap,shape,
-inputs,model,planes}=this,{call}=heap;return heap.borrow(()=>{let depth=shape.depth,cells=shape.constraints.length/
-(1+planes)-1,depths=shape.constraints.filter((_,i)=>i%(1+planes)===0),first=cells>0?depths[1]:model.spacing,deepest2=Math.
-max(depths.length*model.spacing,depth)+first+2*model.spacing,problem=makeProblem(heap,...pack(heap,{...model,firstCell:first},
-inputs,{sets:1},planes,{rays:1,deepest:deepest2})),memory=heap.take(call.nf_memory(problem.at,1n)),front=shape.
-x.findIndex(x2=>x2>=0),room=problem.maxQuadrature,[s2,weight,layer,near2]=[0,1,2,3].map(()=>heap.take(8*room)),
-[nodes,at]=[shape.x.slice(front),depths].map(array3=>heap.put(array3)),count=Number(call.nf_quadrature(problem.
-at,BigInt(shape.x.length-front),nodes,BigInt(cells),at,memory,s2,weight,layer,near2));count<0&&check(7);let parts=[
-shape.x,shape.u,shape.slope,shape.constraints].map(array3=>heap.put(array3)),bent=heap.structure([shape.x.length,
-cells],[],parts),load3=heap.take(8*planes*count),nodal=heap.take(16*planes*shape.x.length);call.nf_load(problem.
-at,bent,BigInt(count),s2,memory,load3),check(call.nf_balance(problem.at,bent,BigInt(front),BigInt(count),load3,
-memory,nodal));let each=Array.from({length:planes},(_,plane)=>plane),held=heap.floats(nodal,2*planes*shape.x.length).
-slice(),size2=parts2=>planes===1?parts2[0]:Math.hypot(...parts2),support=(x2,part2)=>{let i=shape.x.indexOf(x2);
-return each.map(plane=>i<0?0:held[2*(plane*shape.x.length+i)+part2])},read=(x2,clamped)=>({force:size2(support(
-x2,0)),moment:clamped?size2(support(x2,1)):0}),[places,weights]=[s2,weight].map(address=>heap.floats(address,count).
-slice()),loads=each.map(plane=>heap.floats(load3+8*plane*count,count).slice()),nearest=heap.integers(near2,count),
-last3=loads.map(one=>one.reduce((sum,q,i)=>sum+(nearest[i]===BigInt(cells)?q*weights[i]:0),0));return{s:places,
-loads,tipForce:size2(inputs.tip?support(depth,0).map((one,plane)=>last3[plane]+one):last3),base:read(shape.x[0],
-!0),guides:inputs.guides.map(guide=>read(guide.x,(guide.slope??null)!==null))}})}};SessionBatch=class _SessionBatch{static async begin(kernel,model,values,rays,planes){
-return new _SessionBatch(await Heap.make(kernel),model,values,rays,planes)}heap;model;values;planes;problem;ids;spare;scratch;bevel;held;constructor(heap,model,values,rays,planes){
-let more={rays,deepest:findDeepest(model)},problem=makeProblem(heap,...pack(heap,model,completeInputs({}),values,
-planes,more));Object.assign(this,{heap,model,values,planes,problem,ids:new Map});let{fields:fields2,arrays,maxPoints,
-room}=problem,{layers,numbers}=fields2,stride={rigidity:1,mu:layers,thickness:layers,friction:layers,law:layers*
-numbers,turn:planes,base:3*planes},alone={...fields2,sets:1};this.done=heap.take(24);let problems=Array.from({
-length:fields2.sets},(_,i)=>makeStructure(heap,alone,ARRAYS.map(name=>arrays[name]&&arrays[name]+8*i*(stride[name]??
-0))));heap.call.nf_session_memory(problems[0],this.done);let[fixed,state,scratch]=heap.integers(this.done,3).map(
-BigInt);Object.assign(this,{spare:heap.take(state),scratch:heap.take(scratch)}),this.needles=problems.map(at=>{
-let shapes=makeShapes(heap,{fields:alone,room},maxPoints);return{at,shapes,fixed:heap.take(fixed),state:heap.take(
-state)}}),problems.forEach((_,i)=>this.restart(i))}restart(i){let{at,fixed,state}=this.needles[i];this.heap.call.
-nf_session_begin(at,fixed,state,this.scratch)}hold(given){let{heap,ids}=this,inputs=completeInputs(given),number3=key=>ids.
-get(key)??ids.set(key,BigInt(ids.size+1)).get(key);rewrite(heap,this.problem,packInputs(heap,inputs,this.model,
-this.values,this.planes)),Object.assign(this,{bevel:number3(bevelKey(inputs)),held:number3(controlsKey(inputs))})}go(i,depth){
-let{heap,done:done2,scratch,spare,bevel,held}=this,needle=this.needles[i],{at,fixed,state,shapes}=needle;return check(
-heap.call.nf_session_advance(at,fixed,state,spare,scratch,shapes.at,depth,bevel,held,done2)),heap.integers(done2,
-1)[0]>0n&&heap.integers(shapes.status,1)[0]!==0n?!1:([needle.state,this.spare]=[spare,state],!0)}positions(i,s2){
-let{heap,planes}=this,{shapes}=this.needles[i],nodes=Number(heap.integers(shapes.nodes,1)[0]);return heap.borrow(
-()=>{let[u,slope4]=["u","slope"].map(name=>heap.put(readPlanes(heap,shapes,name,planes,nodes)));return findPositions(
-heap,planes,nodes,[shapes.x,u,slope4],s2)})}}}});function mark(steps2){let changes=0;return steps2.map(({depth,inputs},n)=>{n&&inputs.bevel.strength!==steps2[n-
-1].inputs.bevel.strength&&(changes+=1);let alike={...inputs,bevel:{...inputs.bevel,strength:changes}};return{depth,
-inputs:alike,text:JSON.stringify(alike)}})}function findWay(past2,path2){let shared=0,alike=n=>past2[n]?.text===
-path2[n]?.text;for(;shared<past2.length&&shared<path2.length&&alike(shared)&&same(past2[shared].depth,path2[shared].
-depth);)shared+=1;let[last3,rest]=[past2.at(-1),path2.slice(shared)],left=past2.length-shared,begun=left>0&&rest.
-length>0&&alike(shared),turned2=shared>0&&rest.length>0&&same(last3.depth,path2[shared-1].depth);if(left===0||
-begun&&left===1||!begun&&turned2)return rest;let from=begun?shared:shared-1;if(from<0)return null;let depth=(begun?
-Math.min(past2[shared].depth,path2[shared].depth):path2[from].depth)-BACK;return depth>0?[{...path2[from],depth},
-...path2.slice(from)]:null}function spanBands(planes){let sizes=new Float64Array(planes[0][0].length),scaled=planes.
-map(heights2=>heights2.map(values=>{let sorted=values.slice().sort(),[low,middle,high]=[LOW,MIDDLE,HIGH].map(share=>quantile(
-sorted,share));return values.forEach((value,i)=>{let scale=value<middle?middle-low:high-middle;scale>TINY&&(sizes[i]=
-Math.max(sizes[i],Math.abs(value-middle)/scale))}),[middle,middle-low,high-middle]})),size2=sizes.sort()[Math.
-min(Math.floor(LEVEL*sizes.length),sizes.length-1)];return scaled.map(points=>({low:points.map(([middle,below])=>middle-
-size2*below),high:points.map(([middle,,above])=>middle+size2*above)}))}function quantile(sorted,share){let place2=share*
-(sorted.length-1),below=Math.floor(place2);return sorted[below]+(place2-below)*((sorted[below+1]??sorted[below])-
-sorted[below])}var POINTS,LOW,MIDDLE,HIGH,LEVEL,TINY,CHUNK,SAME,BACK,Band,same,init_band=__esm({"needlefit/vie\
-wer/page/model/band.js"(){"use strict";init_needle();POINTS=51,[LOW,MIDDLE,HIGH]=[.025,.5,.975],LEVEL=.95,TINY=
-1e-9,CHUNK=20,SAME=1e-9,BACK=1e-6,Band=class{kernel;model;draws;values;chunks;rays;points;batch;constructor(kernel,model,draws){
-let chunks=Array.from({length:Math.ceil(draws.sets/CHUNK)},(_,n)=>({numbers:Array.from({length:Math.min(CHUNK,
-draws.sets-n*CHUNK)},(_2,i)=>n*CHUNK+i)})),typed=["mu","law","strength"].map(name=>[name,Float64Array.from(draws[name])]),
-values={sets:draws.sets,...Object.fromEntries(typed)};Object.assign(this,{kernel,model,draws,values,chunks,rays:0,
-points:[]})}async compute(steps2,planes,cancelled,pause2){let path2=mark(steps2),{depth}=path2.at(-1);if(!(depth>
-0))return null;let rays=path2.length+Math.ceil(depth/this.model.spacing)+2;if(rays>this.rays||planes!==this.batch.
-planes){this.rays=2*rays,this.batch=await SessionBatch.begin(this.kernel,this.model,this.values,this.rays,planes);
-for(let chunk of this.chunks)chunk.path=null}for(let chunk of this.chunks)if(this.#move(chunk,path2),await pause2(),
-cancelled())return null;let found=this.points.filter(one=>one);if(!found.length)return null;let along=axis=>Array.
-from({length:POINTS},(_,k2)=>Float64Array.from(found,one=>one[(1+planes)*k2+axis])),[y2,z]=spanBands(planes>1?
-[along(1),along(2)]:[along(1)]);return{x:along(0).map(values=>quantile(values.sort(),MIDDLE)),...y2,z:z??null,
-failed:this.values.sets-found.length}}#move(chunk,path2){let{batch,points}=this,way=chunk.path&&findWay(chunk.
-path,path2);if(!way||way[0]?.depth<=chunk.failed){way=path2,chunk.failed=-1/0;for(let i of chunk.numbers)batch.
-restart(i),points[i]=[]}chunk.path=path2;let{depth}=path2.at(-1),s2=Float64Array.from({length:POINTS},(_,k2)=>k2===
-POINTS-1?depth:depth*k2/(POINTS-1));way.forEach((step,n)=>{batch.hold(step.inputs);for(let i of chunk.numbers){
-if(!points[i])continue;batch.go(i,step.depth)?n===way.length-1&&(points[i]=batch.positions(i,s2)):[points[i],chunk.
-failed]=[null,Math.max(chunk.failed,step.depth)]}})}};same=(depth,other)=>Math.abs(depth-other)<=SAME}});var CHUNK2,SAME2,TipForces,init_tip_forces=__esm({"needlefit/viewer/page/model/tip_forces.js"(){"use strict";init_needle();
-init_band();CHUNK2=20,SAME2=1e-9,TipForces=class{kernel;model;path;points;session;constructor(kernel){Object.assign(
-this,{kernel,model:"",path:null,points:[]})}async compute(model,steps2,cancelled,pause2){let path2=steps2.map(
-one=>({...one,text:JSON.stringify(one.inputs)})),same3=this.model===JSON.stringify(model),way=this.path&&same3&&
-findWay(this.path,path2);way||await this.#begin(model,steps2[0].inputs),way||=path2,this.path=null;let reached=0;
-for(let{depth,inputs}of way){depth<this.session.depth-SAME2&&(this.points=this.points.filter(one=>one.depth<=depth+
-SAME2));for(let stop of this.#listStops(depth)){if(this.session.go(stop,inputs),this.session.failed)return this.#read();
-if(this.#add(),reached+=1,!(reached%CHUNK2)&&(await pause2(),cancelled()))return null}this.session.go(depth,inputs)}
-return this.path=path2,this.#read()}async#begin(model,inputs){this.session?this.session.again(model,[{depth:0,
-inputs}]):this.session=await Session.begin(this.kernel,model,inputs),[this.model,this.points]=[JSON.stringify(
-model),[]],this.#add()}#listStops(depth){let{model:{firstCell,spacing},depth:from}=this.session,first=from<firstCell-
-SAME2?0:Math.floor((from-firstCell+SAME2)/spacing)+1,count=Math.floor((depth-firstCell+SAME2)/spacing)+1-first;
-return Array.from({length:Math.max(count,0)},(_,n)=>Math.min(firstCell+(first+n)*spacing,depth))}#add(){let{session}=this;
-this.points.push({depth:session.depth,force:session.forces().tipForce})}#read(){return{x:this.points.map(({depth})=>depth),
-y:this.points.map(({force})=>force)}}}}});var band_worker_exports={};async function work(){busy=!0;let order=null;for(;order!==newest&&newest.steps;){order=
-newest;let{kernel,model,draws,steps:steps2,planes,id}=order,isOld=()=>newest!==order&&(newest.draws!==draws||performance.
-now()-done<STALE);tipForces??=new TipForces(kernel);let forces=await tipForces.compute(model,steps2,isOld,pause);
-if(!isOld()){if(postMessage({id,forces}),draws){band?.draws!==draws&&(band=new Band(kernel,model,draws));let found=await band.
-compute(steps2,planes,isOld,pause);if(isOld())continue;postMessage({id,band:found})}done=performance.now()}}busy=
-!1}var STALE,newest,band,tipForces,busy,done,channel,waiting,pause,init_band_worker=__esm({"needlefit/viewer/p\
-age/model/band_worker.js"(){"use strict";init_band();init_tip_forces();STALE=100,newest={},band=null,tipForces=
-null,busy=!1,done=0,channel=new MessageChannel,waiting=[];channel.port1.onmessage=()=>waiting.shift()();pause=
-()=>new Promise(resume=>{waiting.push(resume),channel.port2.postMessage(null)});onmessage=({data})=>{newest={...newest,
-...data},busy||work()}}});function write(id,text){let place2=typeof id=="string"?part(id):id;place2.textContent!==text&&(place2.textContent=
+heap,...pack(heap,model,inputs,planes,rays,deepest2));this.problem=problem,this.shapes=makeShapes(heap,problem,
+problem.maxPoints),this.done=heap.take(24),call.nf_session_memory(problem.at,this.done);let[fixed,state,scratch]=heap.
+integers(this.done,3).map(BigInt),parts={fixed:heap.take(fixed),now:heap.take(state),next:heap.take(state),scratch:heap.
+take(scratch)};if(Object.assign(this,{parts,stateBytes:Number(state),end:heap.top}),call.nf_session_begin(problem.
+at,parts.fixed,parts.now,parts.scratch),old){let{now:now2,scratch:room}=old.parts;call.nf_session_copy(old.problem.
+at,problem.at,parts.fixed,now2,room,parts.now,parts.scratch)}}go(depth,given){if(!(depth>=0&&depth<=this.deepest))
+throw new RangeError(`the needle cannot be ${depth} mm deep`);let inputs=completeInputs(given),{heap}=this;if(checkInputs(
+this.model,inputs,depth),this.planes===1&&!isPlanar(heap,inputs)){let path2=this.path();this.#begin(this.model,
+path2[0].inputs,2);for(let one of path2)this.go(one.depth,one.inputs)}let before=this.inputs;this.inputs=inputs,
+rewrite(heap,this.problem,packInputs(heap,inputs,this.model,this.planes));let bevel=this.#number(bevelKey(inputs),
+inputs.bevel),held=this.#number(controlsKey(inputs),inputs),advance=()=>{let{fixed,now:now2,next,scratch}=this.
+parts,{at}=this.problem;return[heap.call.nf_session_advance(at,fixed,now2,next,scratch,this.shapes.at,depth,BigInt(
+bevel),BigInt(held),this.done),...heap.integers(this.done,3)].map(Number)},[fault,stops,points,rays]=advance();
+if(rays>MAX_RAYS)throw this.inputs=before,new RangeError(`the needle has changed its direction of cutting ${rays}\
+ times`);if(rays>this.rays){let old={problem:this.problem,parts:this.parts};Object.assign(this,{rays:2*rays,base:this.
+end}),this.#reserve(old),[fault,stops,points,rays]=advance()}check(fault),this.solved+=stops;let{shape}=this;return stops>
+0&&(shape=readShape(heap,this.shapes,points),this.failed=shape.status!==STATUS[0],this.failed)?(this.inputs=before,
+shape):(this.failed=!1,[this.parts.now,this.parts.next]=[this.parts.next,this.parts.now],Object.assign(this,{depth,
+shape}),this.ids.size>this.maxIds&&this.#dropUnused(new Set([bevel,held])),shape)}#number(key,value){let found=this.
+ids.get(key);return found||(this.nextId=(this.nextId??0)+1,this.ids.set(key,found={number:this.nextId,value})),
+found.number}#dropUnused(used){for(let{bevel,held}of this.#listRays().rays)used.add(bevel).add(held);for(let[key,
+{number:number3}]of this.ids)used.has(number3)||this.ids.delete(key);this.maxIds=KEPT_IDS+2*this.ids.size}#listRays(){
+let{heap,parts,problem}=this;return heap.borrow(()=>{let cut=heap.take(MOVE_BYTES*this.rays),position=heap.take(
+POSITION_BYTES),count=Number(heap.call.nf_session_rays(problem.at,parts.fixed,parts.now,parts.scratch,cut,position)),
+view2=heap.view(cut),id=at=>Number(view2.getBigInt64(at,!0));return{rays:Array.from({length:count},(_,n)=>({start:view2.
+getFloat64(MOVE_BYTES*n,!0),bevel:id(MOVE_BYTES*n+8),held:id(MOVE_BYTES*n+16)})),changed:heap.view(position).getBigInt64(
+POSITION_BYTES-8,!0)!==0n}})}save(){let{model,inputs,planes,depth,shape,rays,ids,maxIds,solved,heap,parts,stateBytes}=this,
+state=new Uint8Array(heap.memory.buffer,parts.now,stateBytes).slice();return{model,inputs,planes,depth,shape,rays,
+ids:new Map(ids),maxIds,solved,state}}restore({state,...saved}){this.#layOut({...saved,ids:new Map(saved.ids)}),
+new Uint8Array(this.heap.memory.buffer).set(state,this.parts.now)}path(){let{firstCell,spacing}=this.model,{rays,
+changed}=this.#listRays(),values=new Map([...this.ids.values()].map(({number:number3,value})=>[number3,value])),
+alike=(one,other)=>one.bevel===other.bevel&&one.held===other.held,flip2=({depth,inputs})=>({depth,inputs:{...inputs,
+bevel:{...inputs.bevel,side:-inputs.bevel.side}}}),isPoint=depth=>{let cell=depth<=SAME_DEPTH?0:1+Math.max(0,Math.
+ceil((depth-firstCell-SAME_DEPTH)/spacing));return Math.abs((cell&&firstCell+(cell-1)*spacing)-depth)<=SAME_DEPTH},
+steps2=[];rays.forEach(({start:start2,bevel,held},n)=>{let depth=n+1<rays.length?rays[n+1].start:this.depth,step={
+depth,inputs:{...values.get(held),bevel:values.get(bevel)}},again=n>0&&alike(rays[n-1],rays[n]);again&&isPoint(
+start2)?steps2.pop():again&&steps2.push(flip2(steps2.at(-1))),steps2.push(step)});let last3={depth:this.depth,
+inputs:this.inputs},now2={bevel:this.#number(bevelKey(this.inputs)),held:this.#number(controlsKey(this.inputs))};
+return!rays.length||!alike(rays.at(-1),now2)?steps2.push(last3):changed&&steps2.push(flip2(last3),last3),steps2}again(model,steps2){
+this.#begin(model,completeInputs(steps2[0].inputs));for(let{depth,inputs}of steps2)if(this.go(depth,inputs),this.
+failed)return!1;return!0}positions(s2){let{heap,shape}=this,{planes}=shape,at=Float64Array.from(s2);if(!at.every(
+one=>one>=shape.x[0]&&one<=shape.depth))throw new RangeError("s lies beyond the needle");return heap.borrow(()=>{
+let nodes=shape.x.length,size2=(1+planes)*at.length,out=heap.take(8*size2),memory=heap.take(8*(1+5*planes)*(nodes+
+2)*Number(heap.call.nf_lanes())),counts=[planes,1,nodes,at.length].map(BigInt),addresses=[shape.x,shape.u,shape.
+slope,at].map(array3=>heap.put(array3));return heap.call.nf_positions(...counts,...addresses,memory,out),heap.
+floats(out,size2).slice()})}}}});function computeBand(session,draws,steps2){let{depth}=steps2.at(-1);if(!(depth>0))return null;let s2=Array.from(
+{length:POINTS},(_,k2)=>k2===POINTS-1?depth:depth*k2/(POINTS-1)),needles=[];for(let n=0;n<draws.sets;n+=1){let part2=values=>values.
+slice(n*values.length/draws.sets,(n+1)*values.length/draws.sets),path2=steps2.map(step=>({depth:step.depth,inputs:{
+...step.inputs,bevel:{...step.inputs.bevel,strength:draws.strength[n]}}}));session.again({...session.model,mu:part2(
+draws.mu),law:part2(draws.law)},path2)&&needles.push(session.positions(s2))}if(!needles.length)return null;let{
+planes}=session,along=axis=>Array.from({length:POINTS},(_,k2)=>Float64Array.from(needles,points=>points[(1+planes)*
+k2+axis])),[y2,z=null]=spanBands(planes>1?[along(1),along(2)]:[along(1)]);return{x:along(0).map(values=>quantile(
+values.sort(),MIDDLE)),...y2,z,failed:draws.sets-needles.length}}function spanBands(planes){let sizes=new Float64Array(
+planes[0][0].length),scaled=planes.map(heights2=>heights2.map(values=>{let sorted=values.slice().sort(),[low,middle,
+high]=[LOW,MIDDLE,HIGH].map(share=>quantile(sorted,share));return values.forEach((value,i)=>{let scale=value<middle?
+middle-low:high-middle;scale>TINY&&(sizes[i]=Math.max(sizes[i],Math.abs(value-middle)/scale))}),[middle,middle-
+low,high-middle]})),size2=sizes.sort()[Math.min(Math.floor(LEVEL*sizes.length),sizes.length-1)];return scaled.
+map(points=>({low:points.map(([middle,below])=>middle-size2*below),high:points.map(([middle,,above])=>middle+size2*
+above)}))}function quantile(sorted,share){let place=share*(sorted.length-1),below=Math.floor(place);return sorted[below]+
+(place-below)*((sorted[below+1]??sorted[below])-sorted[below])}var POINTS,LOW,MIDDLE,HIGH,LEVEL,TINY,init_band=__esm(
+{"needlefit/viewer/page/model/band.js"(){"use strict";init_needle();POINTS=51,[LOW,MIDDLE,HIGH]=[.025,.5,.975],
+LEVEL=.95,TINY=1e-9}});var band_worker_exports={};var newest,busy,init_band_worker=__esm({"needlefit/viewer/page/model/band_worker.js"(){
+"use strict";init_needle();init_band();newest={},busy=!1;onmessage=async({data})=>{if(newest={...newest,...data},
+!busy){busy=!0;for(let order=null;order!==newest;){order=newest;let{kernel,model,draws,steps:steps2,id}=order;
+draws&&steps2&&postMessage({id,band:computeBand(await Session.begin(kernel,model,steps2[0].inputs),draws,steps2)}),
+await new Promise(resume=>setTimeout(resume))}busy=!1}}}});function write(id,text){let place=typeof id=="string"?part(id):id;place.textContent!==text&&(place.textContent=
 text)}function element(tag,properties={},...contents){let made2=Object.assign(document.createElement(tag),properties);
 return made2.append(...contents.flat()),made2}function button(text,act,properties={}){let made2=element("butto\
 n",{type:"button",...properties},text);return press(made2,act),made2}function say(words){part("announced").textContent=
@@ -250,7 +169,7 @@ getContext,init_dom=__esm({"needlefit/viewer/page/dom.js"(){"use strict";part=id
 press=(id,act)=>(typeof id=="string"?part(id):id).addEventListener("click",act);entry=(term,value)=>element("d\
 iv",{},element("dt",{},term),element("dd",{},value));dark=matchMedia("(prefers-color-scheme: dark)"),paper=!1,
 isDark=()=>dark.matches&&!paper,usePaper=on=>paper=on,onScheme=act=>dark.addEventListener("change",act),getContext=
-canvas4=>canvas4.getContext("2d",{alpha:!1})}});function ascending(a2,b){return a2==null||b==null?NaN:a2<b?-1:a2>b?1:a2>=b?0:NaN}function descending(a2,b){return a2==
+canvas3=>canvas3.getContext("2d",{alpha:!1})}});function ascending(a2,b){return a2==null||b==null?NaN:a2<b?-1:a2>b?1:a2>=b?0:NaN}function descending(a2,b){return a2==
 null||b==null?NaN:b<a2?-1:b>a2?1:b>=a2?0:NaN}function bisector(f){let compare1,compare2,delta;f.length!==2?(compare1=
 ascending,compare2=(d,x2)=>ascending(f(d),x2),delta=(d,x2)=>f(d)-x2):(compare1=f===ascending||f===descending?f:
 zero,compare2=f,delta=f);function left(a2,x2,lo=0,hi=a2.length){if(lo<hi){if(compare1(x2,x2)!==0)return hi;do{
@@ -277,27 +196,21 @@ j=stop;i<=j;i+=step)sum+=S[Math.min(stop,i+s0)],T[i]=(sum+t*(S[Math.max(start2,i
 w,sum-=S[Math.max(start2,i-s0)]}}function bluri(radius){let w=2*radius+1;return(T,S,start2,stop,step)=>{if(!((stop-=
 step)>=start2))return;let sum=radius*S[start2],s2=step*radius;for(let i=start2,j=start2+s2;i<j;i+=step)sum+=S[Math.
 min(stop,i)];for(let i=start2,j=stop;i<=j;i+=step)sum+=S[Math.min(stop,i+s2)],T[i]=sum/w,sum-=S[Math.max(start2,
-i-s2)]}}function extent(values,valueof){let min,max2;if(valueof===void 0)for(let value of values)value!=null&&
-(min===void 0?value>=value&&(min=max2=value):(min>value&&(min=value),max2<value&&(max2=value)));else{let index=-1;
-for(let value of values)(value=valueof(value,++index,values))!=null&&(min===void 0?value>=value&&(min=max2=value):
-(min>value&&(min=value),max2<value&&(max2=value)))}return[min,max2]}function tickSpec(start2,stop,count){let step=(stop-
-start2)/Math.max(0,count),power=Math.floor(Math.log10(step)),error=step/Math.pow(10,power),factor=error>=e10?10:
-error>=e5?5:error>=e2?2:1,i1,i2,inc;return power<0?(inc=Math.pow(10,-power)/factor,i1=Math.round(start2*inc),i2=
-Math.round(stop*inc),i1/inc<start2&&++i1,i2/inc>stop&&--i2,inc=-inc):(inc=Math.pow(10,power)*factor,i1=Math.round(
-start2/inc),i2=Math.round(stop/inc),i1*inc<start2&&++i1,i2*inc>stop&&--i2),i2<i1&&.5<=count&&count<2?tickSpec(
-start2,stop,count*2):[i1,i2,inc]}function ticks(start2,stop,count){if(stop=+stop,start2=+start2,count=+count,!(count>
-0))return[];if(start2===stop)return[start2];let reverse=stop<start2,[i1,i2,inc]=reverse?tickSpec(stop,start2,count):
-tickSpec(start2,stop,count);if(!(i2>=i1))return[];let n=i2-i1+1,ticks2=new Array(n);if(reverse)if(inc<0)for(let i=0;i<
-n;++i)ticks2[i]=(i2-i)/-inc;else for(let i=0;i<n;++i)ticks2[i]=(i2-i)*inc;else if(inc<0)for(let i=0;i<n;++i)ticks2[i]=
-(i1+i)/-inc;else for(let i=0;i<n;++i)ticks2[i]=(i1+i)*inc;return ticks2}function tickIncrement(start2,stop,count){
-return stop=+stop,start2=+start2,count=+count,tickSpec(start2,stop,count)[2]}function tickStep(start2,stop,count){
-stop=+stop,start2=+start2,count=+count;let reverse=stop<start2,inc=reverse?tickIncrement(stop,start2,count):tickIncrement(
-start2,stop,count);return(reverse?-1:1)*(inc<0?1/-inc:inc)}function max(values,valueof){let max2;if(valueof===
-void 0)for(let value of values)value!=null&&(max2<value||max2===void 0&&value>=value)&&(max2=value);else{let index=-1;
-for(let value of values)(value=valueof(value,++index,values))!=null&&(max2<value||max2===void 0&&value>=value)&&
-(max2=value)}return max2}function range(start2,stop,step){start2=+start2,stop=+stop,step=(n=arguments.length)<
-2?(stop=start2,start2=0,1):n<3?1:+step;for(var i=-1,n=Math.max(0,Math.ceil((stop-start2)/step))|0,range2=new Array(
-n);++i<n;)range2[i]=start2+i*step;return range2}function shuffler(random){return function(array3,i0=0,i1=array3.
+i-s2)]}}function extent(values,valueof){let min,max;if(valueof===void 0)for(let value of values)value!=null&&(min===
+void 0?value>=value&&(min=max=value):(min>value&&(min=value),max<value&&(max=value)));else{let index=-1;for(let value of values)
+(value=valueof(value,++index,values))!=null&&(min===void 0?value>=value&&(min=max=value):(min>value&&(min=value),
+max<value&&(max=value)))}return[min,max]}function tickSpec(start2,stop,count){let step=(stop-start2)/Math.max(
+0,count),power=Math.floor(Math.log10(step)),error=step/Math.pow(10,power),factor=error>=e10?10:error>=e5?5:error>=
+e2?2:1,i1,i2,inc;return power<0?(inc=Math.pow(10,-power)/factor,i1=Math.round(start2*inc),i2=Math.round(stop*inc),
+i1/inc<start2&&++i1,i2/inc>stop&&--i2,inc=-inc):(inc=Math.pow(10,power)*factor,i1=Math.round(start2/inc),i2=Math.
+round(stop/inc),i1*inc<start2&&++i1,i2*inc>stop&&--i2),i2<i1&&.5<=count&&count<2?tickSpec(start2,stop,count*2):
+[i1,i2,inc]}function ticks(start2,stop,count){if(stop=+stop,start2=+start2,count=+count,!(count>0))return[];if(start2===
+stop)return[start2];let reverse=stop<start2,[i1,i2,inc]=reverse?tickSpec(stop,start2,count):tickSpec(start2,stop,
+count);if(!(i2>=i1))return[];let n=i2-i1+1,ticks2=new Array(n);if(reverse)if(inc<0)for(let i=0;i<n;++i)ticks2[i]=
+(i2-i)/-inc;else for(let i=0;i<n;++i)ticks2[i]=(i2-i)*inc;else if(inc<0)for(let i=0;i<n;++i)ticks2[i]=(i1+i)/-inc;else
+for(let i=0;i<n;++i)ticks2[i]=(i1+i)*inc;return ticks2}function range(start2,stop,step){start2=+start2,stop=+stop,
+step=(n=arguments.length)<2?(stop=start2,start2=0,1):n<3?1:+step;for(var i=-1,n=Math.max(0,Math.ceil((stop-start2)/
+step))|0,range2=new Array(n);++i<n;)range2[i]=start2+i*step;return range2}function shuffler(random){return function(array3,i0=0,i1=array3.
 length){let m=i1-(i0=+i0);for(;m;){let i=random()*m--|0,t=array3[m+i0];array3[m+i0]=array3[i+i0],array3[i+i0]=
 t}return array3}}var ascendingBisect,bisectRight,bisectLeft,bisectCenter,blur2,blurImage,array,slice,e10,e5,e2,
 shuffle,init_d3_array=__esm({"node_modules/d3-array/dist/d3-array.mjs"(){ascendingBisect=bisector(ascending),bisectRight=
@@ -325,40 +238,26 @@ se_y_mm",held.baseY),baseSlope:of("base_slope",held.baseSlope),stageSlope:held.s
 held.guides,changes,names),tip}}}function applyToGuides(guides,changes,names){let moves=new Map;for(let[name,item,
 value]of changes)item===null||!name.startsWith("guide_")||(moves.has(item)||moves.set(item,{}),moves.get(item)[name.
 slice(6)]=value);if(!moves.size)return guides;let now2=new Map(guides.map(guide=>[guide.name,guide]));for(let[
-item,moved2]of[...moves].sort(([one],[other])=>one-other)){let name=names[item-1]??`guide ${item}`;if(moved2.engaged===
-0){now2.delete(name);continue}let guide=now2.get(name);if(!guide){if(moved2.x_mm===void 0||moved2.y_mm===void 0)
-throw new ModelError(`there is no ${name}`,"guide_x_mm and guide_y_mm together, which make a guide","add it be\
-fore it is moved");guide={slope:0,name}}let slope4=moved2.slope??guide.slope;moved2.turns_freely!==void 0&&(slope4=
-moved2.turns_freely?null:moved2.slope??guide.slope??0),now2.set(name,{name,x:moved2.x_mm??guide.x,y:moved2.y_mm??
-guide.y,slope:slope4})}let ordered=[...now2.values()].sort((one,other)=>one.x-other.x),twice=ordered.find((guide,i)=>guide.
-x===ordered[i+1]?.x);if(twice)throw new ModelError(`two guides stand at the same x = ${twice.x} mm`,"guides at\
- different x","move one of them, or leave it out");return ordered}function findChanges(step,now2,names){let[wanted,
-held]=[step.controls,now2.controls],changes=[step.bevel.roll||now2.bevel.roll?["bevel_roll_deg",rollOf(step.bevel),
-rollOf(now2.bevel)]:["bevel_side",step.bevel.side,now2.bevel.side],["bevel_offset_mm",step.bevel.offset,now2.bevel.
-offset],["cut_angle_deg",step.bevel.cutAngle*DEGREES,now2.bevel.cutAngle*DEGREES],["base_y_mm",wanted.baseY,held.
-baseY],["base_slope",wanted.baseSlope,held.baseSlope]].filter(([,value,before])=>value!==before).map(([name,value])=>[
-name,null,value]);for(let{name}of held.guides)wanted.guides.some(guide=>guide.name===name)||changes.push(["gui\
-de_engaged",guideNumber(name,names),0]);for(let{name,x:x2,y:y2,slope:slope4}of wanted.guides){if(held.guides.some(
-guide=>guide.x===x2&&guide.y===y2&&guide.slope===slope4))continue;let item=guideNumber(name,names);changes.push(
-["guide_x_mm",item,x2],["guide_y_mm",item,y2],["guide_turns_freely",item,slope4===null?1:0]),slope4!==null&&changes.
-push(["guide_slope",item,slope4])}return!wanted.tip&&held.tip?changes.push(["tip_held",null,0]):wanted.tip&&!(held.
-tip&&wanted.tip.y===held.tip.y&&wanted.tip.slope===held.tip.slope)&&(changes.push(["tip_y_mm",null,wanted.tip.
-y]),wanted.tip.slope!==null&&changes.push(["tip_slope",null,wanted.tip.slope])),changes}function toInputs({bevel,
+item,moved]of[...moves].sort(([one],[other])=>one-other)){let name=names[item-1]??`guide ${item}`;if(moved.engaged===
+0){now2.delete(name);continue}let guide=now2.get(name);if(!guide){if(moved.x_mm===void 0||moved.y_mm===void 0)
+throw new ModelError(`there is no ${name}`,"guide_x_mm and guide_y_mm together, which make a guide");guide={slope:0,
+name}}let slope4=moved.slope??guide.slope;moved.turns_freely!==void 0&&(slope4=moved.turns_freely?null:moved.slope??
+guide.slope??0),now2.set(name,{name,x:moved.x_mm??guide.x,y:moved.y_mm??guide.y,slope:slope4})}let ordered=[...now2.
+values()].sort((one,other)=>one.x-other.x),twice=ordered.find((guide,i)=>guide.x===ordered[i+1]?.x);if(twice)throw new ModelError(
+`two guides stand at the same x = ${twice.x} mm`,"guides at different x");return ordered}function toInputs({bevel,
 controls},pathAngle){if((pathAngle?bevel.offset:bevel.cutAngle)!==0)throw new ModelError("the strength of the \
 bevel is that of the other rule of advance",pathAngle?"a cut angle alone":"an offset alone");let{baseY,baseSlope,
 stageSlope,guides,tip}=controls;return{bevel:{side:bevel.side,roll:bevel.roll,strength:pathAngle?bevel.cutAngle:
 bevel.offset},base:{y:baseY,slope:baseSlope,stageSlope},guides,tip}}function toStep({depth,inputs},pathAngle){
 let{bevel,base,guides,tip}=inputs,[offset,cutAngle]=pathAngle?[0,bevel.strength]:[bevel.strength,0];return{depth,
 bevel:{side:bevel.side,roll:bevel.roll,offset,cutAngle},controls:{baseY:base.y,baseSlope:base.slope,stageSlope:base.
-stageSlope,guides,tip}}}function listSteps({simulation:{steps:steps2},guide_names:names}){return steps2.map((step,i)=>[
-...findChanges(step,steps2[i-1]??steps2[0],names),["depth_mm",null,step.depth]])}var ModelError,RADIANS,DEGREES,
-UNITS,nameOf,significant,rollOf,toSide,wrap,turnOver,init_inputs=__esm({"needlefit/viewer/page/model/inputs.js"(){
-"use strict";ModelError=class extends Error{constructor(what,expected,fix){super(what),Object.assign(this,{what,
-expected,fix})}},RADIANS=Math.PI/180,DEGREES=180/Math.PI,UNITS=[["_mm"," mm"],["_deg","°"],["_pa"," Pa"]];nameOf=
-name=>name.replace(/_(mm|deg|pa)$/,"").replaceAll("_"," ");significant=value=>Number(value.toPrecision(6));rollOf=
-({side,roll:roll2})=>roll2+(side>0?0:180),toSide=roll2=>Math.abs(roll2%360)===180?{side:-1,roll:roll2-180}:{side:1,
-roll:roll2},wrap=roll2=>180-((180-roll2)%360+360)%360,turnOver=roll2=>roll2%180?["bevel_roll_deg",null,wrap(roll2+
-180)]:["bevel_side",null,roll2%360?1:-1]}});function signed(value,digits2){let size2=Math.abs(value).toFixed(digits2);return Number(size2)===0?size2:(value<
+stageSlope,guides,tip}}}var ModelError,RADIANS,DEGREES,UNITS,nameOf,significant,rollOf,toSide,wrap,turnOver,init_inputs=__esm(
+{"needlefit/viewer/page/model/inputs.js"(){"use strict";ModelError=class extends Error{constructor(what,expected){
+super(what),Object.assign(this,{what,expected})}},RADIANS=Math.PI/180,DEGREES=180/Math.PI,UNITS=[["_mm"," mm"],
+["_deg","°"],["_pa"," Pa"]];nameOf=name=>name.replace(/_(mm|deg|pa)$/,"").replaceAll("_"," ");significant=value=>Number(
+value.toPrecision(6));rollOf=({side,roll:roll2})=>roll2+(side>0?0:180),toSide=roll2=>Math.abs(roll2%360)===180?
+{side:-1,roll:roll2-180}:{side:1,roll:roll2},wrap=roll2=>180-((180-roll2)%360+360)%360,turnOver=roll2=>roll2%180?
+["bevel_roll_deg",null,wrap(roll2+180)]:["bevel_side",null,roll2%360?1:-1]}});function signed(value,digits2){let size2=Math.abs(value).toFixed(digits2);return Number(size2)===0?size2:(value<
 0?"−":"+")+size2}function modulusLike(one){let[unit,pascals]=one<1e6?["kPa",1e3]:["MPa",1e6];return{unit,write:(value,digits2=4)=>brief(
 value/pascals,digits2),read:text=>Number(text)*pascals}}function modulus(value){let{unit,write:write2}=modulusLike(
 value);return`${write2(value,3)} ${unit}`}function strengthOf(values){let about="cut_angle_deg"in values?ANGLE:
@@ -382,47 +281,36 @@ t_throughout_mm"],cut_angle_deg:["cut_angle_deg","cut_angle_throughout_deg"]};de
 Math.abs(other);predictionOf=(state,scene)=>Math.abs(state.depth_mm-scene.depth_mm)<1e-6&&!isSteered(state,scene)?
 scene.measured?.prediction??null:null}});function listen(kind,hear2){listeners.has(kind)||listeners.set(kind,[]),listeners.get(kind).push(hear2)}function publish(kind,message){
 for(let hear2 of listeners.get(kind)??[])hear2(message)}function take(message){message.kind==="scene"?Object.assign(
-now,{scene:message,band:null,forces:{x:[],y:[]}}):message.kind==="band"?now.band=message.x.length?message:null:
-now[message.kind]=message,publish(message.kind,message)}var now,listeners,redraw,tipForce,init_store=__esm({"n\
-eedlefit/viewer/page/store.js"(){"use strict";now={replay:null,playing:null,band:null,pinned:null,forces:{x:[],
-y:[]},shown:{load:!1,points:!1,path:!1,errors:!1,measured:!0,band:!0,plan:!0,pinned:!0},curves:new Set,labels:[],
-avoided:[]};Object.assign(window,{needlefit:now});listeners=new Map;redraw=()=>publish("redraw"),tipForce=()=>now.
-forces.y.at(-1)??null}});function resize(width,height){view.low=height<LOW_PICTURE,view.box={left:GUTTER.left,top:GUTTER.top,width:Math.
+now,{scene:message,band:null}):message.kind==="band"?now.band=message.x.length?message:null:now[message.kind]=
+message,publish(message.kind,message)}var now,listeners,redraw,init_store=__esm({"needlefit/viewer/page/store.\
+js"(){"use strict";now={replay:null,band:null,shown:{errors:!1,measured:!0,band:!0,plan:!0},labels:[],avoided:[]};
+Object.assign(window,{needlefit:now});listeners=new Map;redraw=()=>publish("redraw")}});function resize(width,height){view.low=height<LOW_PICTURE,view.box={left:GUTTER.left,top:GUTTER.top,width:Math.
 max(width-GUTTER.left-GUTTER.right,10),height:Math.max(height-GUTTER.top-(view.low?LOW_BOTTOM:GUTTER.bottom),10)},
-view.held||fit(view.fit)}function fit(which){if(view.fit=which,redraw(),!now.scene||!now.state||!which)return;
-if(which==="tip"){let{x:x2,y:y2}=now.state.tip;return Object.assign(view,{scale:limited(view.box.width/TIP_WINDOW),
-magnified:1,x:x2,y:y2})}let[low,high,before,after]=which==="whole"?[-now.scene.length_mm,deepest()+4,Math.min(
-74,.1*view.box.width+20),34]:[0,1.04*deepest(),Math.min(84,.2*view.box.width),Math.min(84,.12*view.box.width)],
-room=view.box.width-before-after,[bottom,top]=heights(which),[along,across]=[room/(high-low),roomAcross()/(top-
-bottom)];view.scale=limited(Math.min(along,across));let least=LEAST_SPAN*deepest(),times=roomAcross()/view.scale/
-Math.max(top-bottom,least);view.magnified=MAGNIFICATIONS.filter(one=>one<=times).at(-1)??1,view.x=(low+high)/2+
-(after-before)/(2*view.scale),view.y=(bottom+top)/2}function deepest(){let{depth_mm:depth,boundaries_mm:tops,measured}=now.
-scene,goals=goalCircles().map(([x2,,radius])=>x2+radius);return Math.max(depth,now.state.depth_mm,(tops.at(-1)??
-0)+5,measured?.depth_mm??0,...goals)}function goalCircles(){let{plan}=now.scene;return plan?[[...plan.target,plan.
-radius],...plan.obstacles]:[]}function heights(which){let{state,band:band2,pinned,scene:{measured}}=now,seen=[
-state,pinned].flatMap(one=>one?one.y.filter((_,i)=>which==="whole"||one.x[i]>=0):[]),goals=goalCircles().flatMap(
-([,y2,radius])=>[y2-radius,y2+radius]);return extent([...seen,...measured?.y??[],...goals,...band2?.low??[],...band2?.
-high??[],0])}function sees(x2,y2){let{left,top,width,height}=view.box,[px,py]=[toPx(x2)-left,toPy(y2)-top];return px>=
-0&&px<=width&&py>=0&&py<=height}function follow(){if(view.of!==now.scene)return view.of=now.scene,fit(view.fit??
-"tissue");if(view.held)return;if(view.fit&&view.fit!=="tip"){let[bottom,top]=heights(view.fit),px=view.scale*view.
-magnified,out=Math.max(top-view.y,view.y-bottom)*px>roomAcross()/2+1||!seesTip(),low=(top-bottom)*px<LOW2*roomAcross();
-(out||low&&view.magnified<MAGNIFICATIONS[MAGNIFICATIONS.length-1])&&fit(view.fit);return}if(view.fit!=="tip")return;
-let{x:x2,y:y2}=now.state.tip,across=(x2-view.x)*view.scale/view.box.width,up2=(y2-view.y)*view.scale*view.magnified/
-view.box.height;Math.abs(across)<EDGE&&Math.abs(up2)<EDGE||(view.x=x2+Math.sign(across)*AHEAD*view.box.width/view.
-scale,view.y=y2,redraw())}function zoom(factor,px=toPx(view.x),py=toPy(view.y)){let[x2,y2]=[fromPx(px),fromPy(
-py)];view.scale=limited(view.scale*factor),view.x+=x2-fromPx(px),view.y+=y2-fromPy(py),view.fit!=="tip"&&(view.
-fit=null),redraw()}function pan(px,py){view.x-=px/view.scale,view.y+=py/(view.scale*view.magnified),view.fit=null,
-redraw()}function hold(on){view.held!==on&&(view.held=on,!on&&now.state&&follow())}var GUTTER,LOW_PICTURE,LOW_BOTTOM,
-MAGNIFICATIONS,ROOM,LEAST_SPAN,LOW2,SCALES,EDGE,AHEAD,TIP_WINDOW,view,toPx,toPy,fromPx,fromPy,roomAcross,seesTip,
-limited,init_view=__esm({"needlefit/viewer/page/view.js"(){"use strict";init_d3_array();init_store();GUTTER={left:56,
-right:10,top:50,bottom:40},LOW_PICTURE=260,LOW_BOTTOM=24,MAGNIFICATIONS=[1,1.5,2,3,4,5,6,8,10,12,15,20,30,50],
-ROOM=56,LEAST_SPAN=.01,LOW2=.45,SCALES=[.5,400],[EDGE,AHEAD]=[.3,.2],TIP_WINDOW=45,view={x:0,y:0,scale:5,magnified:1,
-held:!1,fit:"tissue",of:null,low:!1,per_load:0,box:{left:0,top:0,width:1,height:1}};Object.assign(now,{view});
-toPx=x2=>view.box.left+view.box.width/2+(x2-view.x)*view.scale,toPy=y2=>view.box.top+view.box.height/2-(y2-view.
-y)*view.scale*view.magnified,fromPx=px=>view.x+(px-view.box.left-view.box.width/2)/view.scale,fromPy=py=>view.
-y-(py-view.box.top-view.box.height/2)/(view.scale*view.magnified);roomAcross=()=>view.box.height-2*Math.min(ROOM,
-.2*view.box.height);seesTip=()=>sees(now.state.tip.x,now.state.tip.y);limited=scale=>Math.min(Math.max(scale,SCALES[0]),
-SCALES[1]);listen("band",follow)}});function append(strings){this._+=strings[0];for(let i=1,n=strings.length;i<n;++i)this._+=arguments[i]+strings[i]}
+fit(view.fit)}function fit(which){if(view.fit=which,redraw(),!now.scene||!now.state)return;if(which==="tip"){let{
+x:x2,y:y2}=now.state.tip;return Object.assign(view,{scale:view.box.width/TIP_WINDOW,magnified:1,x:x2,y:y2})}let[
+low,high,before,after]=which==="whole"?[-now.scene.length_mm,deepest()+4,Math.min(74,.1*view.box.width+20),34]:
+[0,1.04*deepest(),Math.min(44,.1*view.box.width),Math.min(84,.12*view.box.width)],room=view.box.width-before-after,
+[bottom,top]=heights(which),[along,across]=[room/(high-low),roomAcross()/(top-bottom)];view.scale=Math.min(along,
+across);let least=LEAST_SPAN*deepest(),times=roomAcross()/view.scale/Math.max(top-bottom,least);view.magnified=
+MAGNIFICATIONS.filter(one=>one<=times).at(-1)??1,view.x=(low+high)/2+(after-before)/(2*view.scale),view.y=(bottom+
+top)/2}function deepest(){let{depth_mm:depth,boundaries_mm:tops,measured}=now.scene,goals=goalCircles().map(([
+x2,,radius])=>x2+radius);return Math.max(depth,now.state.depth_mm,(tops.at(-1)??0)+5,measured?.depth_mm??0,...goals)}
+function goalCircles(){let{plan}=now.scene;return plan?[[...plan.target,plan.radius],...plan.obstacles]:[]}function heights(which){
+let{state,band,scene:{measured}}=now,seen=state.y.filter((_,i)=>which==="whole"||state.x[i]>=0),goals=goalCircles().
+flatMap(([,y2,radius])=>[y2-radius,y2+radius]);return extent([...seen,...measured?.y??[],...goals,...band?.low??
+[],...band?.high??[],0])}function seesTip(){let{left,top,width,height}=view.box,{x:x2,y:y2}=now.state.tip,[px,
+py]=[toPx(x2)-left,toPy(y2)-top];return px>=0&&px<=width&&py>=0&&py<=height}function follow(){let anew=view.of!==
+now.scene;if(view.of=now.scene,anew||view.fit==="tip")return fit(view.fit);let[bottom,top]=heights(view.fit),px=view.
+scale*view.magnified,out=Math.max(top-view.y,view.y-bottom)*px>roomAcross()/2+1||!seesTip(),low=(top-bottom)*px<
+LOW2*roomAcross();(out||low&&view.magnified<MAGNIFICATIONS[MAGNIFICATIONS.length-1])&&fit(view.fit)}var GUTTER,
+LOW_PICTURE,LOW_BOTTOM,MAGNIFICATIONS,ROOM,LEAST_SPAN,LOW2,TIP_WINDOW,view,toPx,toPy,fromPx,fromPy,roomAcross,
+init_view=__esm({"needlefit/viewer/page/view.js"(){"use strict";init_d3_array();init_store();GUTTER={left:56,right:10,
+top:50,bottom:40},LOW_PICTURE=260,LOW_BOTTOM=24,MAGNIFICATIONS=[1,1.5,2,3,4,5,6,8,10,12,15,20,30,50],ROOM=56,LEAST_SPAN=
+.01,LOW2=.45,TIP_WINDOW=45,view={x:0,y:0,scale:5,magnified:1,fit:"tissue",of:null,low:!1,box:{left:0,top:0,width:1,
+height:1}};Object.assign(now,{view});toPx=x2=>view.box.left+view.box.width/2+(x2-view.x)*view.scale,toPy=y2=>view.
+box.top+view.box.height/2-(y2-view.y)*view.scale*view.magnified,fromPx=px=>view.x+(px-view.box.left-view.box.width/
+2)/view.scale,fromPy=py=>view.y-(py-view.box.top-view.box.height/2)/(view.scale*view.magnified);roomAcross=()=>view.
+box.height-2*Math.min(ROOM,.2*view.box.height);listen("band",follow)}});function append(strings){this._+=strings[0];for(let i=1,n=strings.length;i<n;++i)this._+=arguments[i]+strings[i]}
 function appendRound(digits2){let d=Math.floor(digits2);if(!(d>=0))throw new Error(`invalid digits: ${digits2}`);
 if(d>15)return append;let k2=10**d;return function(strings){this._+=strings[0];for(let i=1,n=strings.length;i<
 n;++i)this._+=Math.round(arguments[i]*k2)/k2+strings[i]}}function equal(x0,y0,x1,y1){return x0===x1&&y0===y1}function equalRound(digits2){
@@ -655,13 +543,13 @@ return Math.max(0,Math.min(255,Math.round(value)||0))}function hex(value){return
 "0":"")+value.toString(16)}function hsla(h,s2,l,a2){return a2<=0?h=s2=l=NaN:l<=0||l>=1?h=s2=NaN:s2<=0&&(h=NaN),
 new Hsl(h,s2,l,a2)}function hslConvert(o){if(o instanceof Hsl)return new Hsl(o.h,o.s,o.l,o.opacity);if(o instanceof
 Color||(o=color(o)),!o)return new Hsl;if(o instanceof Hsl)return o;o=o.rgb();var r=o.r/255,g=o.g/255,b=o.b/255,
-min=Math.min(r,g,b),max2=Math.max(r,g,b),h=NaN,s2=max2-min,l=(max2+min)/2;return s2?(r===max2?h=(g-b)/s2+(g<b)*
-6:g===max2?h=(b-r)/s2+2:h=(r-g)/s2+4,s2/=l<.5?max2+min:2-max2-min,h*=60):s2=l>0&&l<1?0:h,new Hsl(h,s2,l,o.opacity)}
-function hsl(h,s2,l,opacity){return arguments.length===1?hslConvert(h):new Hsl(h,s2,l,opacity??1)}function Hsl(h,s2,l,opacity){
-this.h=+h,this.s=+s2,this.l=+l,this.opacity=+opacity}function clamph(value){return value=(value||0)%360,value<
-0?value+360:value}function clampt(value){return Math.max(0,Math.min(1,value||0))}function hsl2rgb(h,m1,m2){return(h<
-60?m1+(m2-m1)*h/60:h<180?m2:h<240?m1+(m2-m1)*(240-h)/60:m1)*255}function labConvert(o){if(o instanceof Lab)return new Lab(
-o.l,o.a,o.b,o.opacity);if(o instanceof Hcl)return hcl2lab(o);o instanceof Rgb||(o=rgbConvert(o));var r=rgb2lrgb(
+min=Math.min(r,g,b),max=Math.max(r,g,b),h=NaN,s2=max-min,l=(max+min)/2;return s2?(r===max?h=(g-b)/s2+(g<b)*6:g===
+max?h=(b-r)/s2+2:h=(r-g)/s2+4,s2/=l<.5?max+min:2-max-min,h*=60):s2=l>0&&l<1?0:h,new Hsl(h,s2,l,o.opacity)}function hsl(h,s2,l,opacity){
+return arguments.length===1?hslConvert(h):new Hsl(h,s2,l,opacity??1)}function Hsl(h,s2,l,opacity){this.h=+h,this.
+s=+s2,this.l=+l,this.opacity=+opacity}function clamph(value){return value=(value||0)%360,value<0?value+360:value}
+function clampt(value){return Math.max(0,Math.min(1,value||0))}function hsl2rgb(h,m1,m2){return(h<60?m1+(m2-m1)*
+h/60:h<180?m2:h<240?m1+(m2-m1)*(240-h)/60:m1)*255}function labConvert(o){if(o instanceof Lab)return new Lab(o.
+l,o.a,o.b,o.opacity);if(o instanceof Hcl)return hcl2lab(o);o instanceof Rgb||(o=rgbConvert(o));var r=rgb2lrgb(
 o.r),g=rgb2lrgb(o.g),b=rgb2lrgb(o.b),y2=xyz2lab((.2225045*r+.7168786*g+.0606169*b)/Yn),x2,z;return r===g&&g===
 b?x2=z=y2:(x2=xyz2lab((.4360747*r+.3850649*g+.1430804*b)/Xn),z=xyz2lab((.0139322*r+.0971045*g+.7141733*b)/Zn)),
 new Lab(116*y2-16,500*(x2-y2),200*(y2-z),o.opacity)}function lab(l,a2,b,opacity){return arguments.length===1?labConvert(
@@ -777,24 +665,24 @@ return(function cubehelixGamma(y2){y2=+y2;function cubehelix3(start2,end){var h=
 h,(end=cubehelix(end)).h),s2=nogamma(start2.s,end.s),l=nogamma(start2.l,end.l),opacity=nogamma(start2.opacity,
 end.opacity);return function(t){return start2.h=h(t),start2.s=s2(t),start2.l=l(Math.pow(t,y2)),start2.opacity=
 opacity(t),start2+""}}return cubehelix3.gamma=cubehelixGamma,cubehelix3})(1)}var constant2,rgb2,rgbBasis,rgbBasisClosed,
-reA,reB,degrees3,identity,svgNode,interpolateTransformCss,interpolateTransformSvg,epsilon22,zoom2,hsl_default,
-hslLong,hcl_default,hclLong,cubehelix_default,cubehelixLong,init_d3_interpolate=__esm({"node_modules/d3-interp\
-olate/dist/d3-interpolate.mjs"(){init_d3_color();constant2=x2=>()=>x2;rgb2=(function rgbGamma(y2){var color2=gamma(
-y2);function rgb3(start2,end){var r=color2((start2=rgb(start2)).r,(end=rgb(end)).r),g=color2(start2.g,end.g),b=color2(
+reA,reB,degrees3,identity,svgNode,interpolateTransformCss,interpolateTransformSvg,epsilon22,zoom,hsl_default,hslLong,
+hcl_default,hclLong,cubehelix_default,cubehelixLong,init_d3_interpolate=__esm({"node_modules/d3-interpolate/di\
+st/d3-interpolate.mjs"(){init_d3_color();constant2=x2=>()=>x2;rgb2=(function rgbGamma(y2){var color2=gamma(y2);
+function rgb3(start2,end){var r=color2((start2=rgb(start2)).r,(end=rgb(end)).r),g=color2(start2.g,end.g),b=color2(
 start2.b,end.b),opacity=nogamma(start2.opacity,end.opacity);return function(t){return start2.r=r(t),start2.g=g(
 t),start2.b=b(t),start2.opacity=opacity(t),start2+""}}return rgb3.gamma=rgbGamma,rgb3})(1);rgbBasis=rgbSpline(
 basis$1),rgbBasisClosed=rgbSpline(basisClosed);reA=/[-+]?(?:\d+\.?\d*|\.?\d+)(?:[eE][-+]?\d+)?/g,reB=new RegExp(
 reA.source,"g"),degrees3=180/Math.PI,identity={translateX:0,translateY:0,rotate:0,skewX:0,scaleX:1,scaleY:1};interpolateTransformCss=
 interpolateTransform(parseCss,"px, ","px)","deg)"),interpolateTransformSvg=interpolateTransform(parseSvg,", ",
-")",")"),epsilon22=1e-12;zoom2=(function zoomRho(rho,rho2,rho4){function zoom3(p0,p1){var ux0=p0[0],uy0=p0[1],
-w0=p0[2],ux1=p1[0],uy1=p1[1],w1=p1[2],dx=ux1-ux0,dy=uy1-uy0,d2=dx*dx+dy*dy,i,S;if(d2<epsilon22)S=Math.log(w1/w0)/
-rho,i=function(t){return[ux0+t*dx,uy0+t*dy,w0*Math.exp(rho*t*S)]};else{var d1=Math.sqrt(d2),b0=(w1*w1-w0*w0+rho4*
-d2)/(2*w0*rho2*d1),b1=(w1*w1-w0*w0-rho4*d2)/(2*w1*rho2*d1),r0=Math.log(Math.sqrt(b0*b0+1)-b0),r1=Math.log(Math.
-sqrt(b1*b1+1)-b1);S=(r1-r0)/rho,i=function(t){var s2=t*S,coshr0=cosh(r0),u=w0/(rho2*d1)*(coshr0*tanh(rho*s2+r0)-
-sinh(r0));return[ux0+u*dx,uy0+u*dy,w0*coshr0/cosh(rho*s2+r0)]}}return i.duration=Math.abs(S)*1e3*rho/Math.SQRT2,
-i}return zoom3.rho=function(_){var _1=Math.max(.001,+_),_2=_1*_1,_4=_2*_2;return zoomRho(_1,_2,_4)},zoom3})(Math.
-SQRT2,2,4);hsl_default=hsl2(hue$1),hslLong=hsl2(nogamma);hcl_default=hcl2(hue$1),hclLong=hcl2(nogamma);cubehelix_default=
-cubehelix2(hue$1),cubehelixLong=cubehelix2(nogamma)}});function readPalette(){for(let name of NAMES)palette[name]=colour(name)}function shades(layers){let stiffness=layers.
+")",")"),epsilon22=1e-12;zoom=(function zoomRho(rho,rho2,rho4){function zoom2(p0,p1){var ux0=p0[0],uy0=p0[1],w0=p0[2],
+ux1=p1[0],uy1=p1[1],w1=p1[2],dx=ux1-ux0,dy=uy1-uy0,d2=dx*dx+dy*dy,i,S;if(d2<epsilon22)S=Math.log(w1/w0)/rho,i=
+function(t){return[ux0+t*dx,uy0+t*dy,w0*Math.exp(rho*t*S)]};else{var d1=Math.sqrt(d2),b0=(w1*w1-w0*w0+rho4*d2)/
+(2*w0*rho2*d1),b1=(w1*w1-w0*w0-rho4*d2)/(2*w1*rho2*d1),r0=Math.log(Math.sqrt(b0*b0+1)-b0),r1=Math.log(Math.sqrt(
+b1*b1+1)-b1);S=(r1-r0)/rho,i=function(t){var s2=t*S,coshr0=cosh(r0),u=w0/(rho2*d1)*(coshr0*tanh(rho*s2+r0)-sinh(
+r0));return[ux0+u*dx,uy0+u*dy,w0*coshr0/cosh(rho*s2+r0)]}}return i.duration=Math.abs(S)*1e3*rho/Math.SQRT2,i}return zoom2.
+rho=function(_){var _1=Math.max(.001,+_),_2=_1*_1,_4=_2*_2;return zoomRho(_1,_2,_4)},zoom2})(Math.SQRT2,2,4);hsl_default=
+hsl2(hue$1),hslLong=hsl2(nogamma);hcl_default=hcl2(hue$1),hclLong=hcl2(nogamma);cubehelix_default=cubehelix2(hue$1),
+cubehelixLong=cubehelix2(nogamma)}});function readPalette(){for(let name of NAMES)palette[name]=colour(name)}function shades(layers){let stiffness=layers.
 map(({mu_pa:mu})=>Math.log10(mu)),least=Math.min(...stiffness),decades=Math.max(Math.max(...stiffness)-least,1);
 return stiffness.map(one=>rgb2(palette.soft,palette.stiff)((one-least)/decades))}function within(context,{left,
 top,width,height},draw3){context.save(),context.beginPath(),context.rect(left,top,width,height),context.clip(),
@@ -802,37 +690,35 @@ draw3(),context.restore()}function faintly(context,opacity,draw3){context.global
 globalAlpha=1}function stroke(context,shade,width,dash=[]){context.strokeStyle=shade,context.lineWidth=width,context.
 setLineDash(dash),context.stroke(),context.setLineDash([])}function polyline(context,lines,shade,width,dash=[]){
 context.beginPath();for(let places of lines)line().context(context)(places);stroke(context,shade,width,dash)}function polygon(context,corners,shade){
-context.beginPath(),line().context(context)(corners),context.fillStyle=shade,context.fill()}function arrow(context,[
-px,py],length,shade){let[end,head]=[py-length,8*Math.sign(length)];polyline(context,[[[px,py],[px,end+head]]],
-shade,2.5),polygon(context,[[px-5,end+head],[px,end],[px+5,end+head]],shade)}function haloed(context,{x:x2,y:y2},shade,width,dash=[]){
-line2(context,x2,y2,palette.halo,width+2),line2(context,x2,y2,shade,width,dash)}function fillBetween(context,x2,low,high,shade){
-context.beginPath(),area().x((_,i)=>toPx(x2[i])).y0((_,i)=>toPy(low[i])).y1((_,i)=>toPy(high[i])).context(context)(
-x2),context.fillStyle=shade,context.fill()}function ring(context,px,py,radius,edge,inside){context.beginPath(),
-context.arc(px,py,radius,0,2*Math.PI),context.fillStyle=inside,context.fill(),stroke(context,edge,2)}function turned(context,px,py,angle2,draw3){
-context.save(),context.translate(px,py),context.rotate(-angle2),draw3(),context.restore()}function setFont(context,font,align="\
-center",baseline="middle"){context.font=FONTS[font],context.textAlign=align,context.textBaseline=baseline}function label(context,text,px,py,shade=palette.
-label){context.strokeStyle=palette.halo,context.lineWidth=4,context.strokeText(text,px,py),context.fillStyle=shade,
-context.fillText(text,px,py)}function avoid(places){for(let[px,py]of places){let[left,top]=now.avoided.at(-1)??
-[-1/0,0];Math.hypot(px-4-left,py-4-top)>8&&now.avoided.push([px-4,py-4,8,8])}}function labelFree(context,text,places,shade){
-let{left,top,width,height}=now.view.box,wide=context.measureText(text).width+6,limit=(value,low,high)=>Math.max(
-low,Math.min(value,high)),free=places.map(([px,py])=>[limit(px-wide/2,left+2,left+width-wide-2),limit(py-LINE/
-2,top+2,top+height-LINE-2),wide,LINE]).filter(isFree),box2=free.find(one=>!now.avoided.some(other=>overlap(one,
-other)))??free[0];box2&&(now.labels.push(box2),context.textAlign="center",context.textBaseline="middle",label(
-context,text,box2[0]+wide/2,box2[1]+LINE/2,shade))}function labelBeside(context,text,sides,shade){setFont(context,
-"strong");let half=context.measureText(text).width/2,curves=sides.map(([{x:x2,y:y2},away])=>[placesOf(x2,y2),away]);
-for(let[places]of curves)avoid(places);let ends=curves.map(([places])=>[places.at(-1)[0]+half+8,places.at(-1)[1]]),
-beside=SHARES.flatMap(share=>curves.flatMap(([places,away])=>{let[px,py]=places[Math.round(share*(places.length-
-1))];return[0,-half,half].map(aside=>[px+aside,py+away])}));labelFree(context,text,[...ends,...beside],shade)}
-var NAMES,FAMILY,FONTS,palette,placesOf,line2,cross,LINE,SHARES,clearLabels,overlap,isFree,reserve,init_strokes=__esm(
-{"needlefit/viewer/page/painters/strokes.js"(){"use strict";init_d3_shape();init_d3_interpolate();init_dom();init_store();
-init_view();NAMES=["air","gutter","ink","quiet","edge","needle","points","path","tip","guide","load","measured",
-"band","ghost","plan","gap","bad","halo","soft","stiff","label","accent"],FAMILY="Arial, 'Liberation Sans', He\
-lvetica, sans-serif",FONTS={small:`11px ${FAMILY}`,plain:`12px ${FAMILY}`,strong:`600 12px ${FAMILY}`},palette=
-{};placesOf=(x2,y2)=>x2.map((one,i)=>[toPx(one),toPy(y2[i])]),line2=(context,x2,y2,shade,width,dash=[])=>polyline(
-context,[placesOf(x2,y2)],shade,width,dash);cross=(px,py,arm,oblique=!1)=>(oblique?[[arm,arm],[arm,-arm]]:[[arm,
-0],[0,arm]]).map(([dx,dy])=>[[px-dx,py-dy],[px+dx,py+dy]]);LINE=16,SHARES=[1,.8,.6,.4],clearLabels=()=>Object.
-assign(now,{labels:[],avoided:[]}),overlap=([x2,y2,w,h],[x22,y22,w2,h2])=>x2<x22+w2&&x22<x2+w&&y2<y22+h2&&y22<
-y2+h,isFree=box2=>!now.labels.some(one=>overlap(one,box2)),reserve=(...box2)=>now.labels.push(box2)}});function paintTissue(context){let{left,top,width,height}=view.box;context.fillStyle=palette.air,context.fillRect(
+context.beginPath(),line().context(context)(corners),context.fillStyle=shade,context.fill()}function haloed(context,{
+x:x2,y:y2},shade,width,dash=[]){line2(context,x2,y2,palette.halo,width+2),line2(context,x2,y2,shade,width,dash)}
+function fillBetween(context,x2,low,high,shade){context.beginPath(),area().x((_,i)=>toPx(x2[i])).y0((_,i)=>toPy(
+low[i])).y1((_,i)=>toPy(high[i])).context(context)(x2),context.fillStyle=shade,context.fill()}function ring(context,px,py,radius,edge,inside){
+context.beginPath(),context.arc(px,py,radius,0,2*Math.PI),context.fillStyle=inside,context.fill(),stroke(context,
+edge,2)}function turned(context,px,py,angle2,draw3){context.save(),context.translate(px,py),context.rotate(-angle2),
+draw3(),context.restore()}function setFont(context,font,align="center",baseline="middle"){context.font=FONTS[font],
+context.textAlign=align,context.textBaseline=baseline}function label(context,text,px,py,shade=palette.label){context.
+strokeStyle=palette.halo,context.lineWidth=4,context.strokeText(text,px,py),context.fillStyle=shade,context.fillText(
+text,px,py)}function avoid(places){for(let[px,py]of places){let[left,top]=now.avoided.at(-1)??[-1/0,0];Math.hypot(
+px-4-left,py-4-top)>8&&now.avoided.push([px-4,py-4,8,8])}}function labelFree(context,text,places,shade){let{left,
+top,width,height}=now.view.box,wide=context.measureText(text).width+6,limit=(value,low,high)=>Math.max(low,Math.
+min(value,high)),free=places.map(([px,py])=>[limit(px-wide/2,left+2,left+width-wide-2),limit(py-LINE/2,top+2,top+
+height-LINE-2),wide,LINE]).filter(isFree),box2=free.find(one=>!now.avoided.some(other=>overlap(one,other)))??free[0];
+box2&&(now.labels.push(box2),context.textAlign="center",context.textBaseline="middle",label(context,text,box2[0]+
+wide/2,box2[1]+LINE/2,shade))}function labelBeside(context,text,sides,shade){setFont(context,"strong");let half=context.
+measureText(text).width/2,curves=sides.map(([{x:x2,y:y2},away])=>[placesOf(x2,y2),away]);for(let[places]of curves)
+avoid(places);let ends=curves.map(([places])=>[places.at(-1)[0]+half+8,places.at(-1)[1]]),beside=SHARES.flatMap(
+share=>curves.flatMap(([places,away])=>{let[px,py]=places[Math.round(share*(places.length-1))];return[0,-half,
+half].map(aside=>[px+aside,py+away])}));labelFree(context,text,[...ends,...beside],shade)}var NAMES,FAMILY,FONTS,
+palette,placesOf,line2,cross,LINE,SHARES,clearLabels,overlap,isFree,init_strokes=__esm({"needlefit/viewer/page\
+/painters/strokes.js"(){"use strict";init_d3_shape();init_d3_interpolate();init_dom();init_store();init_view();
+NAMES=["air","gutter","ink","quiet","edge","needle","tip","guide","measured","band","plan","gap","bad","halo",
+"soft","stiff","label","accent"],FAMILY="Arial, 'Liberation Sans', Helvetica, sans-serif",FONTS={small:`11px ${FAMILY}`,
+plain:`12px ${FAMILY}`,strong:`600 12px ${FAMILY}`},palette={};placesOf=(x2,y2)=>x2.map((one,i)=>[toPx(one),toPy(
+y2[i])]),line2=(context,x2,y2,shade,width,dash=[])=>polyline(context,[placesOf(x2,y2)],shade,width,dash);cross=
+(px,py,arm)=>[[arm,0],[0,arm]].map(([dx,dy])=>[[px-dx,py-dy],[px+dx,py+dy]]);LINE=16,SHARES=[1,.8,.6,.4],clearLabels=
+()=>Object.assign(now,{labels:[],avoided:[]}),overlap=([x2,y2,w,h],[x22,y22,w2,h2])=>x2<x22+w2&&x22<x2+w&&y2<y22+
+h2&&y22<y2+h,isFree=box2=>!now.labels.some(one=>overlap(one,box2))}});function paintTissue(context){let{left,top,width,height}=view.box;context.fillStyle=palette.air,context.fillRect(
 left,top,width,height);let layers=listLayers();for(let{from,to,shade}of layers)context.fillStyle=shade,context.
 fillRect(from,top,to-from,height);for(let{from,number:number3,top:edge}of layers)edge<left||(context.fillStyle=
 number3===1?palette.ink:palette.edge,context.fillRect(Math.round(from)-.5,top,number3===1?1.5:1,height));let axis=Math.
@@ -840,168 +726,98 @@ round(toPy(0))+.5;polyline(context,[[[left,axis],[left+width,axis]]],palette.qui
 let{boundaries_mm:tops,layer_names:names}=now.scene,{left,width}=view.box,depths=[0,...tops,1/0];return shades(
 now.state.layers).map((shade,i)=>({shade,number:i+1,name:names[i]||`layer ${i+1}`,mu:now.state.layers[i].mu_pa,
 top:toPx(depths[i]),from:Math.max(toPx(depths[i]),left),to:Math.min(toPx(depths[i+1]),left+width)})).filter(({
-from,to})=>to>from)}function paintNames(context){let{left,top}=view.box,layers=listLayers().map(layer=>({...layer,
-middle:(layer.from+layer.to)/2,modulus:modulus(layer.mu)})),row=write2=>layers.map(layer=>({px:layer.middle,text:write2(
-layer)})),fits2=texts=>texts.every(({px,text},i)=>{let half=context.measureText(text).width/2,[before,after]=[
-texts[i-1],texts[i+1]].map(other=>other?context.measureText(other.text).width/2+APART:0);return(!i||px-half>=texts[i-
-1].px+before)&&(!texts[i+1]||px+half<=texts[i+1].px-after)});setFont(context,"plain");let whole=row(one=>`μ ${one.
-modulus}`),names=row(one=>one.name),called=fits2(names)?names:row(one=>String(one.number)),part2=(n,before="")=>row(
-one=>before+one.modulus.split(" ")[n]),values=fits2(part2(0,"μ "))?part2(0,"μ "):part2(0),rows=fits2(whole)?
-[called,whole]:[called,values,part2(1)];rows.length>2&&setFont(context,"small"),rows.forEach((texts,n)=>{let end=-1/0;
-for(let{px,text}of texts){let half=context.measureText(text).width/2;px-half<end+2||(context.fillText(text,px,
-top+(rows.length>2?ROWS:TWO_ROWS)[n]),end=px+half)}});let skin=toPx(0);skin<=left+40||skin>left+view.box.width||
-(context.textAlign="right",context.fillText("skin",skin-4,top-11))}function paintFrame(context,name){let{left,
-top,width,height}=view.box,bottom=top+height;context.lineWidth=1,context.strokeStyle=palette.quiet,context.strokeRect(
-left-.5,top-.5,width+1,height+1),context.fillStyle=palette.label,setFont(context,"small","right");let across=ticks(
-fromPy(bottom),fromPy(top),Math.max(height/TICKS_APART,2)).map(y2=>[y2,Math.round(toPy(y2))+.5]);polyline(context,
-across.map(([,py])=>[[left-TICK,py],[left,py]]),palette.quiet,1);for(let[y2,py]of across)context.fillText(written2(
-y2),left-TICK-2,py);context.textAlign="center",turned(context,11,top+height/2,QUARTER,()=>context.fillText(name,
-0,0))}function paintAxes(context){let{left,top,width,height}=view.box,bottom=top+height;setFont(context,"small"),
-paintFrame(context,nameAcross(context,height)),paintNames(context),setFont(context,"small","center","top");let along=ticks(
-fromPx(left),fromPx(left+width),width/TICKS_APART).map(x2=>[x2,Math.round(toPx(x2))+.5]);polyline(context,along.
-map(([,px])=>[[px,bottom],[px,bottom+TICK]]),palette.quiet,1);let end=left+width-(view.low?context.measureText(
-IN_ROW).width+APART:0);for(let[x2,px]of along)(px<end-APART||!view.low)&&context.fillText(written2(x2),px,bottom+
-TICK+2);view.low?context.fillText(IN_ROW,(end+APART+left+width)/2,bottom+TICK+2):context.fillText("x along the\
- entry (mm)",left+width/2,bottom+26)}function nameAcross(context,room){if(view.magnified===1)return"y (mm)";let long=`\
-y (mm), drawn ${view.magnified}× as large as x`;return context.measureText(long).width<room?long:`y (mm), dra\
-wn ${view.magnified}×`}var APART,ROWS,TWO_ROWS,TICK,TICKS_APART,QUARTER,IN_ROW,written2,init_background=__esm(
-{"needlefit/viewer/page/painters/background.js"(){"use strict";init_d3_array();init_quantities();init_store();
-init_view();init_strokes();APART=8,ROWS=[-34,-20,-6],TWO_ROWS=[-27,-11],TICK=5,TICKS_APART=60,QUARTER=Math.PI/
-2,IN_ROW="x (mm)";written2=value=>brief(value,6).replace("-","−")}});function bevelPlace({tip,bevel}){let[px,py]=[toPx(tip.x),toPy(tip.y)];return{tip:[px,py],turn:[px+AHEAD2,py-Math.
-cos(bevel.roll_deg*Math.PI/180)*ARM]}}function handleAt(px,py,kind="mouse"){let nearest=null,least=NEAR[kind]??
-NEAR.mouse;for(let handle of now.state?listHandles(now.state):[]){let distance2=Math.hypot(handle.at[0]-px,handle.
-at[1]-py);distance2<least&&([nearest,least]=[handle,distance2])}return nearest}function dragBase({base,depth_mm:depth,
-guides}){let reach=now.scene.length_mm+Math.min(0,...guides.map(({x:x2})=>x2))-.001,along=null;return(from,to)=>{
-let[px,py]=[Math.abs(to[0]-from[0]),Math.abs(to[1]-from[1])];return px>BEGINS.along&&px>BEGINS.times*py?along??=
-!0:py>BEGINS.across&&(along??=!1),along===null?[]:along?[["depth_mm",null,Math.min(Math.max(depth+fromPx(to[0])-
-fromPx(from[0]),0),reach)]]:[["base_y_mm",null,base.input_y+rise(from,to)]]}}function turnBevel({bevel}){let{side}=bevel;
-return(_,[,py])=>(bevelPlace(now.state).tip[1]-py)*side>-BEGINS.across?[]:(side=-side,[turnOver(now.state.bevel.
-roll_deg)])}var AHEAD2,ARM,NEAR,BEGINS,angleOf,basePlace,guidePlace,listHandles,rise,dragGuide,init_handles=__esm(
-{"needlefit/viewer/page/handles.js"(){"use strict";init_inputs();init_store();init_view();[AHEAD2,ARM]=[16,26],
-NEAR={mouse:16,touch:28},BEGINS={across:3,along:8,times:2},angleOf=slope4=>Math.atan(slope4*view.magnified),basePlace=
-({base})=>({place:[toPx(base.x),toPy(base.y)],angle:angleOf(Math.tan(base.rotation))}),guidePlace=({x:x2,y:y2,
-slope:slope4})=>({place:[toPx(x2),toPy(y2)],angle:angleOf(slope4)});listHandles=state=>[{at:bevelPlace(state).
-turn,cursor:"grab",drag:turnBevel(state)},...state.guides.map(guide=>({at:guidePlace(guide).place,cursor:"move",
-drag:dragGuide(guide)})),{at:basePlace(state).place,cursor:"move",drag:dragBase(state)}];rise=(from,to)=>fromPy(
-to[1])-fromPy(from[1]);dragGuide=({item,x:x2,y:y2})=>(from,to)=>[["guide_x_mm",item,x2+fromPx(to[0])-fromPx(from[0])],
-["guide_y_mm",item,y2+rise(from,to)]]}});function describeShaft({x:x2,y:y2,faults}){let outside=faults?.length>0,points=placesOf(x2,y2),tip=points.at(-1),
+from,to})=>to>from)}function paintNames(context){let{left,top}=view.box,layers=listLayers(),middle=({from,to})=>(from+
+to)/2;setFont(context,"plain");let write2=(texts,py)=>{let end=-1/0;texts.forEach((text,i)=>{let half=context.
+measureText(text).width/2;middle(layers[i])-half<end+APART||(context.fillText(text,middle(layers[i]),top+py),end=
+middle(layers[i])+half)})},named2=layers.every(({from,to,name})=>context.measureText(name).width<=to-from);write2(
+layers.map(({name,number:number3})=>named2?name:String(number3)),-27),write2(layers.map(({mu})=>`μ ${modulus(
+mu)}`),-11);let skin=toPx(0);skin<=left+40||skin>left+view.box.width||(context.textAlign="right",context.fillText(
+"skin",skin-4,top-11))}function paintFrame(context,name){let{left,top,width,height}=view.box,bottom=top+height;
+context.lineWidth=1,context.strokeStyle=palette.quiet,context.strokeRect(left-.5,top-.5,width+1,height+1),context.
+fillStyle=palette.label,setFont(context,"small","right");let across=ticks(fromPy(bottom),fromPy(top),Math.max(
+height/TICKS_APART,2)).map(y2=>[y2,Math.round(toPy(y2))+.5]);polyline(context,across.map(([,py])=>[[left-TICK,
+py],[left,py]]),palette.quiet,1);for(let[y2,py]of across)context.fillText(written2(y2),left-TICK-2,py);context.
+textAlign="center",turned(context,11,top+height/2,QUARTER,()=>context.fillText(name,0,0))}function paintAxes(context){
+let{left,top,width,height}=view.box,bottom=top+height;setFont(context,"small"),paintFrame(context,nameAcross(context,
+height)),paintNames(context),setFont(context,"small","center","top");let along=ticks(fromPx(left),fromPx(left+
+width),width/TICKS_APART).map(x2=>[x2,Math.round(toPx(x2))+.5]);polyline(context,along.map(([,px])=>[[px,bottom],
+[px,bottom+TICK]]),palette.quiet,1);let end=left+width-(view.low?context.measureText(IN_ROW).width+APART:0);for(let[
+x2,px]of along)(px<end-APART||!view.low)&&context.fillText(written2(x2),px,bottom+TICK+2);view.low?context.fillText(
+IN_ROW,(end+APART+left+width)/2,bottom+TICK+2):context.fillText("x along the entry (mm)",left+width/2,bottom+26)}
+function nameAcross(context,room){if(view.magnified===1)return"y (mm)";let long=`y (mm), drawn ${view.magnified}\
+× as large as x`;return context.measureText(long).width<room?long:`y (mm), drawn ${view.magnified}×`}var APART,
+TICK,TICKS_APART,QUARTER,IN_ROW,written2,init_background=__esm({"needlefit/viewer/page/painters/background.js"(){
+"use strict";init_d3_array();init_quantities();init_store();init_view();init_strokes();APART=8,TICK=5,TICKS_APART=
+60,QUARTER=Math.PI/2,IN_ROW="x (mm)";written2=value=>brief(value,6).replace("-","−")}});function describeShaft({x:x2,y:y2,faults}){let outside=faults?.length>0,points=placesOf(x2,y2),tip=points.at(-1),
 shaft=points.filter(one=>distance(one,tip)>BEVEL.length),last3=shaft.at(-1)??tip,share=1-BEVEL.length/(distance(
 last3,tip)||1);return shaft.push(last3.map((from,i)=>from+share*(tip[i]-from))),{shaft,tip,outside,shown:outside?
-palette.bad:palette.needle}}function paintNeedle(context,state){let{shaft,tip,outside,shown:shown3}=describeShaft(
-state);polyline(context,[shaft],shown3,LINE2,outside?[9,5]:[]);let[end,{half},{side}]=[shaft.at(-1),BEVEL,state.
+palette.bad:palette.needle}}function paintNeedle(context,state){let{shaft,tip,outside,shown:shown2}=describeShaft(
+state);polyline(context,[shaft],shown2,LINE2,outside?[9,5]:[]);let[end,{half},{side}]=[shaft.at(-1),BEVEL,state.
 bevel],size2=distance(end,tip)||1,[dx,dy]=tip.map((to,i)=>(to-end[i])/size2),at=([px,py],to)=>[px+to*dy*half,py-
 to*dx*half],[back,near2,point2]=[at(end,-side),at(end,side),at(tip,side)];polygon(context,[back,near2,point2],
-palette.needle),polyline(context,[[back,point2]],palette.tip,2)}function reserveNeedle(state){let{tip:[px,py],
-turn:turn2}=bevelPlace(state);reserve(turn2[0]-9,turn2[1]-9,18,18);let arrow2=Array.from({length:5},(_,i)=>[px,
-py-i/6*arrowLength()]),{constraints:[along,across]}=state;avoid([...placesOf(state.x,state.y),...placesOf(along,
-across),...arrow2])}function arrowLength(){let{y:y2}=now.forces;return tallest()*(tipForce()??0)/Math.max(LEAST_FORCE,
-max(y2,Math.abs)??0)}function paintBevel(context,state){let{tip,turn:turn2}=bevelPlace(state);polyline(context,
-[[tip,turn2]],palette.tip,1.5),ring(context,...turn2,6,palette.air,palette.tip),setFont(context,"small"),labelFree(
-context,"bevel",[[turn2[0]+29,turn2[1]],[turn2[0],turn2[1]-18*state.bevel.side]],palette.tip)}function paintTipForce(context,{
-tip,z}){if(z)return;let[force,length]=[tipForce(),arrowLength()];if(Math.abs(length)<SHORTEST)return;let[px,py]=[
-toPx(tip.x),toPy(tip.y)];arrow(context,[px,py],length,palette.load),setFont(context,"small");let[end,half]=[py-
-length-9*Math.sign(length),py-length/2],places=[[px,end],[px-34,end],[px+30,end],[px+30,half],[px-34,half],[px,
-end-14*Math.sign(length)]];labelFree(context,`${brief(Math.abs(force??0),2)} N`,places,palette.load)}function paintPoints(context,{
-constraints:[x2,y2]}){let half=Math.min(Math.max(CROSS.of*now.scene.spacing_mm*view.scale,CROSS.least),CROSS.most),
-crosses=placesOf(x2,y2).flatMap(place2=>cross(...place2,half,!0));polyline(context,crosses,palette.points,half>
-2?1.4:1)}function paintBase(context,state){let{place:[px,py],angle:angle2}=basePlace(state),ends=[-46,46].map(
-to=>[[px-5,py+to],[px+5,py+to]]);polyline(context,[[[px,py-46],[px,py+46]],...ends],palette.quiet,2),turned(context,
-px,py,angle2,()=>box(context,-22,-7,26,14,palette.ink))}function paintGuides(context,{guides}){for(let guide of guides){
-let{place:place2,angle:angle2}=guidePlace(guide);turned(context,...place2,angle2,()=>{for(let to of[-1,1]){let from=GAP*
-to;guide.turns_freely?polygon(context,[[0,from],[-7,from+11*to],[7,from+11*to]],palette.guide):box(context,-13,
-Math.min(from,from+7*to),26,7,palette.guide)}})}writeNames(context,guides)}function writeNames(context,guides){
-setFont(context,"strong");for(let guide of guides.toSorted((one,other)=>one.item-other.item)){let[px,py]=[toPx(
-guide.x),toPy(guide.y)+27];px<view.box.left||px>view.box.left+view.box.width||labelFree(context,shortName(guide),
-[[px,py]],palette.guide)}}function paintLoad(context,{load:{x:x2,y:y2,n_per_mm:values}}){let planes=values.map(
-one=>smooth(x2,one,now.scene.spacing_mm)),load3=planes.length===1?planes[0]:planes[0].map((one,i)=>Math.hypot(
-one,planes[1][i])),greatest=load3.reduce((most,one)=>Math.max(most,Math.abs(one)),0);if(greatest<LEAST_LOAD||x2.
-length<2)return;let height=greatest*view.per_load;(height>tallest()||height<Math.min(LOWEST,tallest()/3))&&(view.
-per_load=.75*tallest()/(2*tickStep(0,greatest,1)));let[px,py]=[x2.map(toPx),y2.map(toPy)],[surface,ends]=[0,view.
-per_load].map(scale=>px.map((x3,i)=>[x3,py[i]-load3[i]*scale]));faintly(context,.32,()=>polygon(context,[...surface,
-...ends.toReversed()],palette.load)),polyline(context,[[...surface.slice(0,1),...ends,...surface.slice(-1)]],palette.
-load,1.25)}function smooth(x2,load3,reach){let sums=[0];for(let i=1;i<x2.length;i+=1)sums.push(sums[i-1]+(load3[i]+
-load3[i-1])/2*(x2[i]-x2[i-1]));let sumTo=at=>{let i=bisectRight(x2,at);if(i===0||i===x2.length)return sums[Math.
-max(i-1,0)];let part2=(at-x2[i-1])/(x2[i]-x2[i-1]);return sums[i-1]+(load3[i-1]+part2*(load3[i]-load3[i-1])/2)*
-(at-x2[i-1])};return x2.map((at,i)=>{let half=Math.min(reach,at-x2[0],x2.at(-1)-at);return half>0?(sumTo(at+half)-
-sumTo(at-half))/(2*half):load3[i]})}function paintKey(context){if(!view.per_load)return;let size2=tickStep(0,28/
-view.per_load,1),[px,height]=[7,size2*view.per_load],py=view.box.top-6-height;polyline(context,[[[px,py],[px,py+
-height]],...[py,py+height].map(end=>[[px-3,end],[px+3,end]])],palette.load,1.5),setFont(context,"small","left"),
-label(context,`${brief(size2)} N/mm`,px+6,py+height/2)}var LINE2,CROSS,BEVEL,GAP,LOWEST,tallest,SHORTEST,LEAST_FORCE,
-LEAST_LOAD,distance,paintPath,box,init_needle2=__esm({"needlefit/viewer/page/painters/needle.js"(){"use strict";
-init_d3_array();init_handles();init_quantities();init_store();init_view();init_strokes();LINE2=2.5,CROSS={of:.28,
-least:1,most:3.2},BEVEL={length:7.5,half:1.5},GAP=3,LOWEST=16,tallest=()=>Math.min(48,.2*view.box.height-10),SHORTEST=
-5,LEAST_FORCE=.5,LEAST_LOAD=1e-6,distance=(one,other)=>Math.hypot(one[0]-other[0],one[1]-other[1]);paintPath=(context,{
-tip_path:[x2,y2]})=>line2(context,x2,y2,palette.path,1.5);box=(context,px,py,width,height,shade)=>polygon(context,
-[[px,py],[px+width,py],[px+width,py+height],[px,py+height]],shade)}});function paintMeasured(context,curve){let{x:[x2],y:[y2]}=curve;isTip(curve)?ring(context,toPx(x2),toPy(y2),DOT,
+palette.needle),polyline(context,[[back,point2]],palette.tip,2)}function paintBase(context,{base}){let[px,py]=[
+toPx(base.x),toPy(base.y)],ends=[-46,46].map(to=>[[px-5,py+to],[px+5,py+to]]);polyline(context,[[[px,py-46],[px,
+py+46]],...ends],palette.quiet,2),turned(context,px,py,angleOf(Math.tan(base.rotation)),()=>box(context,-22,-7,
+26,14,palette.ink))}function paintGuides(context,{guides}){for(let guide of guides)turned(context,toPx(guide.x),
+toPy(guide.y),angleOf(guide.slope),()=>{for(let to of[-1,1]){let from=GAP*to;guide.turns_freely?polygon(context,
+[[0,from],[-7,from+11*to],[7,from+11*to]],palette.guide):box(context,-13,Math.min(from,from+7*to),26,7,palette.
+guide)}});writeNames(context,guides)}function writeNames(context,guides){setFont(context,"strong");for(let guide of guides.
+toSorted((one,other)=>one.item-other.item)){let[px,py]=[toPx(guide.x),toPy(guide.y)+27];px<view.box.left||px>view.
+box.left+view.box.width||labelFree(context,shortName(guide),[[px,py]],palette.guide)}}var LINE2,BEVEL,GAP,angleOf,
+distance,reserveNeedle,box,init_needle2=__esm({"needlefit/viewer/page/painters/needle.js"(){"use strict";init_quantities();
+init_view();init_strokes();LINE2=2.5,BEVEL={length:7.5,half:1.5},GAP=3,angleOf=slope4=>Math.atan(slope4*view.magnified),
+distance=(one,other)=>Math.hypot(one[0]-other[0],one[1]-other[1]);reserveNeedle=({x:x2,y:y2})=>avoid(placesOf(
+x2,y2));box=(context,px,py,width,height,shade)=>polygon(context,[[px,py],[px+width,py],[px+width,py+height],[px,
+py+height]],shade)}});function paintMeasured(context,curve){let{x:[x2],y:[y2]}=curve;isTip(curve)?ring(context,toPx(x2),toPy(y2),DOT,
 palette.measured,palette.halo):haloed(context,curve,palette.measured,2,[7,4]),nameLine(context,isTip(curve)?"m\
 easured tip":"measured",curve,palette.measured)}function nameLine(context,name,curve,shade){labelBeside(context,
 name,[[curve,16],[curve,-16]],shade)}function nameNeedle(context,state){predictionOf(state,now.scene)||nameLine(
 context,isSteered(state,now.scene)?"steered":"simulated",state,state.faults.length?palette.bad:palette.needle)}
-function paintPinned(context,pinned){haloed(context,pinned,palette.ghost,2.5,[2,3]),nameLine(context,"pinned",
-pinned,palette.ghost)}function nameBand(context,{x:x2,low,high}){isChanged(now.state,now.scene)&&labelBeside(context,
-"band of the fit",[[{x:x2,y:high},-14],[{x:x2,y:low},14]],palette.band)}function paintBand(context,{x:x2,low,high},pale){
-faintly(context,pale?.16:.4,()=>fillBetween(context,x2,low,high,palette.band)),faintly(context,pale?.4:1,()=>{
-for(let edge of[low,high])line2(context,x2,edge,palette.band,1.5)})}function paintPrediction(context,state){let prediction=predictionOf(
+function nameBand(context,{x:x2,low,high}){isChanged(now.state,now.scene)&&labelBeside(context,"band of the fi\
+t",[[{x:x2,y:high},-14],[{x:x2,y:low},14]],palette.band)}function paintBand(context,{x:x2,low,high},pale){faintly(
+context,pale?.16:.4,()=>fillBetween(context,x2,low,high,palette.band)),faintly(context,pale?.4:1,()=>{for(let edge of[
+low,high])line2(context,x2,edge,palette.band,1.5)})}function paintPrediction(context,state){let prediction=predictionOf(
 state,now.scene);prediction&&(haloed(context,prediction,palette.accent,2.5),nameLine(context,"prediction",prediction,
-palette.accent))}function paintMethods(context){for(let{key,x:x2,y:y2,colour:colour2}of now.needle?.methods??[])
-x2&&now.curves.has(key)&&haloed(context,{x:x2,y:y2},isDark()?lighten(colour2):colour2,2)}function heightAt({x:xs,
-y:ys},x2){let after=Math.min(Math.max(bisectLeft(xs,x2),1),xs.length-1),share=Math.min(Math.max((x2-xs[after-1])/
-(xs[after]-xs[after-1]),0),1);return ys[after-1]+share*(ys[after]-ys[after-1])}function paintGaps(context,state,measured){
-let{errors}=state;if(!errors)return;let prediction=predictionOf(state,now.scene),needle=prediction??state,tip={
-x:needle.x.at(-1),y:needle.y.at(-1)},reach=Math.min(tip.x,measured.x.at(-1)),gaps=(isTip(measured)?[]:Array.from(
-{length:GAPS-1},(_,n)=>reach*(n+1)/GAPS)).map(x3=>[needle,measured].map(curve=>[toPx(x3),toPy(heightAt(curve,x3))]));
-polyline(context,gaps,palette.gap,1.25);let[x2,y2]=errors.whole?[measured.x.at(-1),measured.y.at(-1)]:[reach,heightAt(
-measured,reach)],end=errors.whole?[tip.x,tip.y]:[reach,heightAt(needle,reach)];for(let[shown3,width]of[[palette.
-halo,5],[palette.gap,2.5]])line2(context,[x2,end[0]],[y2,end[1]],shown3,width);setFont(context,"strong");let px=toPx(
-x2),[top,bottom]=[toPy(y2),toPy(end[1])].sort((one,other)=>one-other),sides=[[px,top-AWAY],[px,bottom+AWAY]];state.
-bevel.side>0&&sides.reverse(),labelFree(context,`tip error (TE) ${(prediction?.errors??errors).te_mm.toFixed(2)}\
- mm`,[...sides,[px+60,top-AWAY],[px+60,bottom+AWAY],[px-90,top-AWAY],[px-90,bottom+AWAY]],palette.gap)}function paintPlan(context,{
-target:[x2,y2],radius,obstacles,needles}){faintly(context,FAN,()=>{for(let[xs,ys]of needles)line2(context,xs,ys,
-palette.plan,1)});for(let[at,across,size2,name]of obstacles)paintCircle(context,at,across,size2,palette.tip,name,
-.28);paintCircle(context,x2,y2,radius,palette.guide,"target"),polyline(context,cross(toPx(x2),toPy(y2),CROSS2),
-palette.guide,2)}function paintCircle(context,x2,y2,radius,shade,name,opacity=0){let[px,py,across]=[toPx(x2),toPy(
-y2),radius*view.scale],edge=range(0,CORNERS+1).map(n=>2*Math.PI*n/CORNERS).map(angle2=>[px+across*Math.cos(angle2),
-py+across*view.magnified*Math.sin(angle2)]);if(faintly(context,opacity,()=>polygon(context,edge,shade)),polyline(
-context,[edge],palette.halo,4),polyline(context,[edge],shade,2),px<view.box.left||px>view.box.left+view.box.width)
-return;setFont(context,"strong");let sides=[[px,toPy(y2+radius)-12],[px,toPy(y2-radius)+12]];now.state.bevel.side>
-0&&sides.reverse(),labelFree(context,name,sides,shade)}function paintInset(context,{x:x2,y:y2,tip}){if(tip.x<=
-0)return;let{left,top,width,height}=view.box,{band:band2,scene}=now,places=[{x:x2,y:y2},scene.measured,band2&&
-{x:band2.x,y:band2.low},band2&&{x:band2.x,y:band2.high}].flatMap(one=>one?placesOf(one.x,one.y):[]),wide=Math.
-min(INSET.width,.36*width),empty=([px2,py2])=>isFree([px2,py2,wide,INSET.height])&&places.every(([cx,cy])=>cx<
-px2-CLEAR||cx>px2+wide+CLEAR||cy<py2-CLEAR||cy>py2+INSET.height+CLEAR),rows=[top+height-INSET.height-INSET.edge,
-top+INSET.edge],columns2=[left+INSET.edge,left+width-wide-INSET.edge],corner=rows.flatMap(py2=>columns2.map(px2=>[
-px2,py2])).find(empty);if(!corner)return;let[px,py]=corner.map(one=>Math.round(one)+.5);reserve(px,py,wide,INSET.
-height);let frame2=[[px,py],[px+wide,py],[px+wide,py+INSET.height],[px,py+INSET.height],[px,py]];polygon(context,
-frame2,palette.air),polyline(context,[frame2],palette.quiet,1);let inserted=x2.map((one,i)=>[one,y2[i]]).filter(
-([one])=>one>=0),[low,high]=extent(inserted.map(([,one])=>one)),room=[wide-2*INSET.edge,INSET.height-INSET.title-
-6],scale=Math.min(room[0]/Math.max(scene.depth_mm,now.state.depth_mm,1),room[1]/(high-low+scene.diameter_mm)),
-middle=py+(INSET.height+INSET.title)/2,drawn=inserted.map(([one,across])=>[px+INSET.edge+one*scale,middle-(across-
-(low+high)/2)*scale]);polyline(context,[drawn],palette.needle,Math.max(scene.diameter_mm*scale,1)),setFont(context,
-"small","left","top"),label(context,"true scale",px+6,py+4)}var GAPS,FAN,CROSS2,CORNERS,DOT,AWAY,INSET,CLEAR,isTip,
-BAND_REACH,isBandNear,lighten,init_overlay=__esm({"needlefit/viewer/page/painters/overlay.js"(){"use strict";init_d3_array();
-init_d3_interpolate();init_dom();init_quantities();init_store();init_view();init_strokes();GAPS=12,FAN=.3,CROSS2=
-5,CORNERS=72,DOT=4,AWAY=19,INSET={width:170,height:46,edge:10,title:14},CLEAR=30;isTip=({x:x2})=>x2.length===1;
-BAND_REACH=2,isBandNear=({x:x2},state)=>x2.length>0&&Math.abs(x2.at(-1)-state.x.at(-1))<=BAND_REACH;lighten=shade=>rgb2(
-shade,"#ffffff")(.4)}});function turn(state){let across=([x2,,z=x2.map(()=>0)])=>[x2,z],roll2=state.bevel.roll_deg*Math.PI/180;return{
-...state,y:state.z,constraints:across(state.constraints),tip_path:across(state.tip_path),bevel:{side:Math.sin(
+palette.accent))}function heightAt({x:xs,y:ys},x2){let after=Math.min(Math.max(bisectLeft(xs,x2),1),xs.length-
+1),share=Math.min(Math.max((x2-xs[after-1])/(xs[after]-xs[after-1]),0),1);return ys[after-1]+share*(ys[after]-
+ys[after-1])}function paintGaps(context,state,measured){let{errors}=state;if(!errors)return;let prediction=predictionOf(
+state,now.scene),needle=prediction??state,tip={x:needle.x.at(-1),y:needle.y.at(-1)},reach=Math.min(tip.x,measured.
+x.at(-1)),gaps=(isTip(measured)?[]:Array.from({length:GAPS-1},(_,n)=>reach*(n+1)/GAPS)).map(x3=>[needle,measured].
+map(curve=>[toPx(x3),toPy(heightAt(curve,x3))]));polyline(context,gaps,palette.gap,1.25);let[x2,y2]=errors.whole?
+[measured.x.at(-1),measured.y.at(-1)]:[reach,heightAt(measured,reach)],end=errors.whole?[tip.x,tip.y]:[reach,heightAt(
+needle,reach)];for(let[shown2,width]of[[palette.halo,5],[palette.gap,2.5]])line2(context,[x2,end[0]],[y2,end[1]],
+shown2,width);setFont(context,"strong");let px=toPx(x2),[top,bottom]=[toPy(y2),toPy(end[1])].sort((one,other)=>one-
+other),sides=[[px,top-AWAY],[px,bottom+AWAY]];labelFree(context,`tip error (TE) ${(prediction?.errors??errors).
+te_mm.toFixed(2)} mm`,[...sides,[px+60,top-AWAY],[px+60,bottom+AWAY],[px-90,top-AWAY],[px-90,bottom+AWAY]],palette.
+gap)}function paintPlan(context,{target:[x2,y2],radius,obstacles,needles}){faintly(context,FAN,()=>{for(let[xs,
+ys]of needles)line2(context,xs,ys,palette.plan,1)});for(let[at,across,size2,name]of obstacles)paintCircle(context,
+at,across,size2,palette.tip,name,.28);paintCircle(context,x2,y2,radius,palette.guide,"target"),polyline(context,
+cross(toPx(x2),toPy(y2),CROSS),palette.guide,2)}function paintCircle(context,x2,y2,radius,shade,name,opacity=0){
+let[px,py,across]=[toPx(x2),toPy(y2),radius*view.scale],edge=range(0,CORNERS+1).map(n=>2*Math.PI*n/CORNERS).map(
+angle2=>[px+across*Math.cos(angle2),py+across*view.magnified*Math.sin(angle2)]);if(faintly(context,opacity,()=>polygon(
+context,edge,shade)),polyline(context,[edge],palette.halo,4),polyline(context,[edge],shade,2),px<view.box.left||
+px>view.box.left+view.box.width)return;setFont(context,"strong");let sides=[[px,toPy(y2+radius)-12],[px,toPy(y2-
+radius)+12]];labelFree(context,name,sides,shade)}var GAPS,FAN,CROSS,CORNERS,DOT,AWAY,isTip,BAND_REACH,isBandNear,
+init_overlay=__esm({"needlefit/viewer/page/painters/overlay.js"(){"use strict";init_d3_array();init_quantities();
+init_store();init_view();init_strokes();GAPS=12,FAN=.3,CROSS=5,CORNERS=72,DOT=4,AWAY=19;isTip=({x:x2})=>x2.length===
+1;BAND_REACH=2,isBandNear=({x:x2},state)=>x2.length>0&&Math.abs(x2.at(-1)-state.x.at(-1))<=BAND_REACH}});function turn(state){let roll2=state.bevel.roll_deg*Math.PI/180;return{...state,y:state.z,bevel:{side:Math.sin(
 roll2)<0?-1:1}}}function draw(){if(canvas.hidden=!now.state||!isSpatial(),canvas.hidden)return;let{clientWidth:width,
 clientHeight:height}=canvas,size2=[width,height].map(one=>Math.round(one*devicePixelRatio));(canvas.width!==size2[0]||
 canvas.height!==size2[1])&&([canvas.width,canvas.height]=size2),screen.setTransform(devicePixelRatio,0,0,devicePixelRatio,
 0,0),paintAbove(screen,width,height)}function paintAbove(context,width,height){context.fillStyle=palette.gutter,
-context.fillRect(0,0,width,height);let{band:band2,shown:shown3,labels,avoided,scene:{measured}}=now;clearLabels();
-let state={...now.state,z:now.state.z??now.state.x.map(()=>0)},seen=[...state.z,...measured?.z??[],...band2?.z?.
-low??[],...band2?.z?.high??[],0],[low,high]=[Math.min(...seen),Math.max(...seen)],{y:y2,box:box2,magnified}=view,
-window2={...box2,top:EDGE2,height:height-2*EDGE2},times=Math.min(magnified,(window2.height-2*ROOM2)/(view.scale*
-(high-low||1)));Object.assign(view,{y:(low+high)/2,box:window2,magnified:times}),within(context,window2,()=>{paintTissue(
-context);let needle=turn(state);shown3.band&&band2?.z&&isBandNear(band2,state)&&paintBand(context,{x:band2.x,...band2.
-z},band2.step!==state.step),context.lineJoin="round",paintNeedle(context,needle),shown3.path&&paintPath(context,
-needle),shown3.points&&paintPoints(context,needle),measured&&shown3.measured&&paintMeasured(context,{...measured,
-y:measured.z}),setFont(context,"small","left"),label(context,"from above",box2.left+6,EDGE2+10)}),paintFrame(context,
+context.fillRect(0,0,width,height);let{band,shown:shown2,labels,avoided,scene:{measured}}=now;clearLabels();let state={
+...now.state,z:now.state.z??now.state.x.map(()=>0)},seen=[...state.z,...measured?.z??[],...band?.z?.low??[],...band?.
+z?.high??[],0],[low,high]=[Math.min(...seen),Math.max(...seen)],{y:y2,box:box2,magnified}=view,window2={...box2,
+top:EDGE,height:height-2*EDGE},times=Math.min(magnified,(window2.height-2*ROOM2)/(view.scale*(high-low||1)));Object.
+assign(view,{y:(low+high)/2,box:window2,magnified:times}),within(context,window2,()=>{paintTissue(context);let needle=turn(
+state);shown2.band&&band?.z&&isBandNear(band,state)&&paintBand(context,{x:band.x,...band.z},band.step!==state.
+step),context.lineJoin="round",paintNeedle(context,needle),measured&&shown2.measured&&paintMeasured(context,{...measured,
+y:measured.z}),setFont(context,"small","left"),label(context,"from above",box2.left+6,EDGE+10)}),paintFrame(context,
 times===1?"z (mm)":`z (mm), drawn ${brief(times,2)}×`),Object.assign(view,{y:y2,box:box2,magnified}),Object.assign(
-now,{labels,avoided})}var EDGE2,ROOM2,canvas,screen,isSpatial,init_above=__esm({"needlefit/viewer/page/above.j\
-s"(){"use strict";init_dom();init_background();init_needle2();init_overlay();init_strokes();init_quantities();
-init_store();init_view();[EDGE2,ROOM2]=[8,14],canvas=part("above"),screen=getContext(canvas),isSpatial=()=>!!(now.
-state?.z??now.scene?.measured?.compared==="space");for(let kind of["drawn","scene"])listen(kind,draw);new ResizeObserver(
+now,{labels,avoided})}var EDGE,ROOM2,canvas,screen,isSpatial,init_above=__esm({"needlefit/viewer/page/above.js"(){
+"use strict";init_dom();init_background();init_needle2();init_overlay();init_strokes();init_quantities();init_store();
+init_view();[EDGE,ROOM2]=[8,14],canvas=part("above"),screen=getContext(canvas),isSpatial=()=>!!(now.state?.z??
+now.scene?.measured?.compared==="space");for(let kind of["drawn","scene"])listen(kind,draw);new ResizeObserver(
 draw).observe(canvas);onScheme(()=>requestAnimationFrame(draw))}});function computeErrors(session,measured){let{depth}=session.shape,upto=Math.min(depth,measured.depth_mm);if(upto<
 1)return null;let beyond=depth-measured.depth_mm,whole=Math.abs(beyond)<=1e-6,[simulated,other]=[[],[]];if(whole)
 [simulated,other]=readTarget(session,measured.target,beyond);else if(measured.target.pose!=="free"&&measured.x.
@@ -1023,99 +839,58 @@ dy,z+dz])}function alignRigid(moving,fixed){let centre=points=>[0,1].map(axis=>m
 [m,f]=[centre(moving),centre(fixed)],[across,along]=[0,0];moving.forEach(([x2,y2],i)=>{let[a2,b,c2,d]=[x2-m[0],
 y2-m[1],fixed[i][0]-f[0],fixed[i][1]-f[1]];across+=a2*d-b*c2,along+=a2*c2+b*d});let angle2=Math.atan2(across,along),
 [c,s2]=[Math.cos(angle2),Math.sin(angle2)];return moving.map(([x2,y2,z])=>[c*(x2-m[0])-s2*(y2-m[1])+f[0],s2*(x2-
-m[0])+c*(y2-m[1])+f[1],z])}var mean,relate,METRICS,AXES,TIP_POINTS,ALIGN,init_errors=__esm({"needlefit/viewer/\
-page/model/errors.js"(){"use strict";mean=values=>values.reduce((sum,one)=>sum+one,0)/values.length,relate=(d,deflection)=>deflection?
-100*d.at(-1)/deflection:d.at(-1)?1/0:0,METRICS={median_err_mm:d=>{let sorted=d.toSorted((one,other)=>one-other),
-half=sorted.length>>1;return sorted.length%2?sorted[half]:(sorted[half-1]+sorted[half])/2},ipe_mean_mm:mean,ipe_std_mm:d=>{
-let middle=mean(d);return Math.sqrt(mean(d.map(one=>(one-middle)**2)))},ipe_max_mm:d=>Math.max(...d),te_mm:d=>d.
-at(-1),edp_percent:relate},AXES={plane:[0,1],space:[0,1,2]};TIP_POINTS=2;ALIGN={known:simulated=>simulated,direction:shiftAcross,
-free:alignRigid}}});function computeValidity({x:x2,u,slope:slope4,planes,constraints,track},{boundaries,thickness,spacing}){let last3=x2.
-length-1,bent=Array.from({length:planes},(_,p)=>[u,slope4].map(one=>one.subarray(p*x2.length,(p+1)*x2.length))),
-cubics=bent.map(()=>[0,0,0]),[rotations,missed]=[bent.map(()=>0),bent.map(()=>0)],rotate=t=>(cubics.forEach(([
-begin2,bend,curl],p)=>rotations[p]=begin2+t*(bend+t*curl)),measure(rotations)),steepest=0,shortening=0,miss=0;
-for(let i=0;i<=last3;i+=1)steepest=Math.max(steepest,measure(bent.map(([,one])=>one[i])));for(let i=0;i<last3;i+=
-1){let step=x2[i+1]-x2[i];bent.forEach(([v,rotation],p)=>{let mean2=(v[i+1]-v[i])/step,begin2=rotation[i],end=rotation[i+
-1];cubics[p]=[begin2,6*mean2-4*begin2-2*end,3*(begin2+end)-6*mean2]});let[[,bend,curl]]=cubics,inside=planes>1?
-[.25,.5,.75]:[Math.abs(curl)>1e-12?-.5*bend/curl:0];for(let at of inside)at>0&&at<1&&(steepest=Math.max(steepest,
-rotate(at)));for(let[t,weight]of GAUSS){let angle2=rotate(t);shortening+=step*weight*2*Math.sin(angle2/2)**2,x2[i]<
--1e-9&&angle2&&rotations.forEach((one,p)=>missed[p]+=step*weight*one*(1-Math.sin(angle2)/angle2))}miss=Math.max(
-miss,measure(missed))}for(let i=0;i<track.length;i+=2*planes)steepest=Math.max(steepest,measure(bent.map((_,p)=>track[i+
-2*p+1])));let entered=1+boundaries.filter(end=>end<x2[last3]).length,widths=boundaries.slice(0,entered).map((end,i)=>end-
-(i?boundaries[i-1]:0)).filter(width=>width>0),thinnest=widths.length?Math.max(Math.min(...widths),spacing):1/0;
-return{max_slope:steepest,deflection_per_length:measure(bent.map(([v])=>Math.max(...v)-Math.min(...v)))/(x2[last3]-
-x2[0]),shortening_per_layer:shortening/thinnest,miss_mm:miss,compression:compress(x2,bent,constraints)/Math.min(
-...thickness.slice(0,entered))}}function compress(x2,bent,constraints){let[greatest,i]=[0,0];for(let k2=0;k2<constraints.
-length;k2+=1+bent.length){let at=constraints[k2];for(;i<x2.length-2&&x2[i+1]<at-1e-9;)i+=1;let span=x2[i+1]-x2[i],
-t=Math.min(Math.max((at-x2[i])/span,0),1),away=bent.map(([u,slope4],p)=>{let bend=3*(u[i+1]-u[i])-span*(2*slope4[i]+
-slope4[i+1]),curl=2*(u[i]-u[i+1])+span*(slope4[i]+slope4[i+1]);return u[i]+t*(span*slope4[i]+t*(bend+t*curl))-
-constraints[k2+1+p]});greatest=Math.max(greatest,measure(away))}return greatest}var GAUSS,measure,listFaults,init_validity=__esm(
-{"needlefit/viewer/page/model/validity.js"(){"use strict";GAUSS=[[.5-Math.sqrt(.15),.2777777777777778],[.5,.4444444444444444],
-[.5+Math.sqrt(.15),.2777777777777778]],measure=parts=>parts.length>1?Math.sqrt(parts[0]**2+parts[1]**2):Math.abs(
-parts[0]);listFaults=(validity,limits)=>limits.filter(([name,limit])=>!(validity[name]<=limit)).map(([name,limit,
-words])=>{let unit=name.endsWith("_mm")?" mm":"";return`${words} ${Number(validity[name].toPrecision(3))}${unit}\
- (limit ${limit}${unit})`})}});function makeLaw({terms,tables},shape){if(!terms)return tables.find(([known])=>JSON.stringify(known)===JSON.stringify(
+m[0])+c*(y2-m[1])+f[1],z])}var mean,METRICS,AXES,TIP_POINTS,ALIGN,init_errors=__esm({"needlefit/viewer/page/mo\
+del/errors.js"(){"use strict";mean=values=>values.reduce((sum,one)=>sum+one,0)/values.length,METRICS={ipe_mean_mm:mean,
+te_mm:d=>d.at(-1),edp_percent:(d,deflection)=>100*d.at(-1)/deflection},AXES={plane:[0,1],space:[0,1,2]};TIP_POINTS=
+2;ALIGN={known:simulated=>simulated,direction:shiftAcross,free:alignRigid}}});function makeLaw({terms,tables},shape){if(!terms)return tables.find(([known])=>JSON.stringify(known)===JSON.stringify(
 shape))?.[1]??null;let layers=shape[0]?.length??terms.layers;return Array.from({length:layers},(_,layer)=>terms.
 at_zero.map((value,j)=>{let by=terms.slopes.findIndex(row=>row[j]);return by<0?value:value+shape[by][layer]*terms.
-slopes[by][j]})).flat()}var SteeredNeedle,init_steered=__esm({"needlefit/viewer/page/model/steered.js"(){"use \
-strict";init_needle();init_inputs();init_validity();SteeredNeedle=class _SteeredNeedle{static async begin(kernel,scene){
+slopes[by][j]})).flat()}var BEARABLE,SteeredNeedle,init_steered=__esm({"needlefit/viewer/page/model/steered.js"(){
+"use strict";init_needle();init_inputs();BEARABLE="a load that tissue and needle can bear";SteeredNeedle=class _SteeredNeedle{static async begin(kernel,scene){
 let{model,steps:steps2}=scene.simulation;return new _SteeredNeedle(scene,await Session.begin(kernel,model,toInputs(
-steps2[0],model.pathAngle)))}scene;session;rules;shape;names;number;saved;valid;validity;way=null;constructor(scene,session){
+steps2[0],model.pathAngle)))}scene;session;rules;shape;names;number;saved;way=null;constructor(scene,session){
 let{shape,steps:steps2,rules}=scene.simulation;Object.assign(this,{scene,session,rules,shape,names:scene.guide_names}),
-Object.assign(this,{number:0,saved:new Map,valid:!0}),this.step={...steps2[0],depth:0},this.#judge(),this.keep()}get model(){
-return this.session.model}reach(controls=this.step.controls){let[first]=controls.guides;return this.model.length+
-(first?.x<0?first.x-this.rules.clearance_mm:0)-1e-6}get tipLateral(){return this.session.positions([this.session.
-shape.depth])[1]}path(){return this.session.path().map(one=>toStep(one,this.model.pathAngle))}listWay(){let found=[];
-for(let one=this.way;one;one=one.before)found.push(one);return found.reverse()}keep(){let{step,shape,valid,validity,
-way}=this;this.saved.has(this.number)||this.saved.set(this.number,{step,shape,valid,validity,way,session:this.
-session.save()})}forget(number3){number3&&this.saved.delete(number3)}rewind(){let[[,first]]=this.saved;this.#return(
-first),Object.assign(this,{number:0,saved:new Map([[0,first]])})}#return({session,...saved}){this.session.restore(
-session),Object.assign(this,saved)}shapeAfter(changes){let shape=this.shape.map(row=>[...row]);for(let[name,item,
-value]of changes){let row=this.scene.shape_parameters.findIndex(one=>one.name===name);row>=0&&(shape[row][item-
-1]=value)}return shape}apply(changes,{validOnly=!0}={}){for(let[i,change2]of changes.entries()){checkChange(change2,
-this.rules);let[name,item]=change2;if(changes.slice(0,i).some(([one,other])=>one===name&&other===item))throw new ModelError(
-`${name} has two values in one step`,"one value for each input");if(name==="return_to"&&changes.length>1)throw new ModelError(
-"return_to stands beside other inputs","a step of its own")}if(changes[0]?.[0]==="return_to"){let saved=this.saved.
-get(changes[0][2]);if(!saved)throw new ModelError(`nothing was kept of step ${changes[0][2]}`,"a step to retur\
-n to");this.#return(saved)}else this.#advance(changes,validOnly),this.way={changes,tip:this.tipLateral,before:this.
-way};this.number+=1}#advance(changes,validOnly){let parameters=changes.filter(([name])=>this.rules.inputs[name].
-parameter),others=changes.filter(([name])=>!this.rules.inputs[name].parameter);if(!parameters.length)return this.#move(
-others,validOnly);let{step,shape,valid,validity}=this,before={step,shape,valid,validity,session:this.session.save()};
-try{this.#simulateAgain(parameters,validOnly),this.#move(others,validOnly)}catch(error){throw this.#return(before),
-error}}#simulateAgain(parameters,validOnly){let mu=[...this.model.mu],[offset,angle2]=[null,null];for(let[name,
-item,value]of parameters){if(item>mu.length)throw new ModelError(`there is no layer ${item}`,`one of ${mu.length}\
- layers`);if(name==="mu_pa")mu[item-1]=value*1e-6;else if(name==="offset_throughout_mm")offset=value;else if(name===
-"cut_angle_throughout_deg")angle2=value*(Math.PI/180);else if(!this.scene.shape_parameters.some(one=>one.name===
-name))throw new ModelError(`the tissue law has no ${name}`,"a parameter of the law")}let shape=this.shapeAfter(
-parameters),law=JSON.stringify(shape)===JSON.stringify(this.shape)?this.model.law:makeLaw(this.scene.simulation.
-law,shape);if(!law)throw new ModelError("the law has not been computed with these parameters","the program","t\
-ry again");let{pathAngle}=this.model,steps2=this.path().map(({bevel,...one})=>({...one,bevel:{...bevel,offset:offset??
-bevel.offset,cutAngle:angle2??bevel.cutAngle}}));if(!this.#guard(()=>this.session.again({...this.model,mu,law},
-steps2.map(one=>({depth:one.depth,inputs:toInputs(one,pathAngle)})))))throw new ModelError(`with these paramet\
-ers the insertion so far fails ${this.session.depth.toFixed(1)} mm deep`,"a load that tissue and needle can be\
-ar","change them less, or retract the needle first");let was=this.valid;Object.assign(this,{shape,step:steps2.
-at(-1)}),this.#judge(),validOnly&&was&&!this.valid&&this.#refuseInvalid(this.validity)}#move(changes,validOnly){
-let{session}=this,{x:x2,u,planes}=session.shape,step=applyChanges(this.step,changes,this.names,[u[x2.length-1],
-planes>1?u.at(-1):0]);if(!changes.length)return;let[first]=step.controls.guides;if(validOnly&&first?.x<0&&step.
-depth>this.reach(step.controls)+1e-6)throw new ModelError(`the base would stand ${(first.x+this.model.length-step.
-depth).toFixed(2)} mm before the first guide`,`at least ${this.rules.clearance_mm} mm: the base stops at the g\
-uide`,"retract the needle, or move the guide toward the tissue");let[refused,judged]=[!1,{}],judge=shape2=>{let validity=computeValidity(
-shape2,this.model);return judged={validity,valid:listFaults(validity,this.rules.validity).length===0},refused=
-validOnly&&this.valid&&!judged.valid,!refused},shape=this.#guard(()=>session.go(step.depth,toInputs(step,this.
-model.pathAngle),judge));if(refused&&this.#refuseInvalid(judged.validity),session.failed)throw new ModelError(
-`the model finds no needle there (${shape.status})`,"a load that tissue and needle can bear","move less at a t\
-ime");Object.assign(this,{step,...judged}),judged.validity||this.#judge()}#guard(work2){try{return work2()}catch(error){
-throw error instanceof RangeError?new ModelError(error.message,`a needle of ${this.model.length} mm, its base \
-before guides and tissue`,"lessen the depth, or move the guides"):error}}#judge(){this.validity=computeValidity(
-this.session.shape,this.model),this.valid=listFaults(this.validity,this.rules.validity).length===0}#refuseInvalid(validity){
-throw new ModelError(`the needle would be outside the model's validity: ${listFaults(validity,this.rules.validity).
-join("; ")}`,"a needle within the limits of small deflections","move less, or bring base, guides and tip neare\
-r to the needle's own shape")}}}});function listKeys({fitted,shape_parameters:shapes}){let{key,throughout}=strengthOf(fitted),plain={toInput:value=>value,
+Object.assign(this,{number:0,saved:new Map}),this.step={...steps2[0],depth:0},this.keep()}get model(){return this.
+session.model}reach(controls=this.step.controls){let[first]=controls.guides;return this.model.length+(first?.x<
+0?first.x-this.rules.clearance_mm:0)-1e-6}get tipLateral(){return this.session.positions([this.session.shape.depth])[1]}path(){
+return this.session.path().map(one=>toStep(one,this.model.pathAngle))}listWay(){let found=[];for(let one=this.
+way;one;one=one.before)found.push(one);return found.reverse()}keep(){let{step,shape,way}=this;this.saved.has(this.
+number)||this.saved.set(this.number,{step,shape,way,session:this.session.save()})}forget(number3){number3&&this.
+saved.delete(number3)}rewind(){let[[,first]]=this.saved;this.#return(first),Object.assign(this,{number:0,saved:new Map(
+[[0,first]])})}#return({session,...saved}){this.session.restore(session),Object.assign(this,saved)}shapeAfter(changes){
+let shape=this.shape.map(row=>[...row]);for(let[name,item,value]of changes){let row=this.scene.shape_parameters.
+findIndex(one=>one.name===name);row>=0&&(shape[row][item-1]=value)}return shape}apply(changes){for(let[i,change2]of changes.
+entries()){checkChange(change2,this.rules);let[name,item]=change2;if(changes.slice(0,i).some(([one,other])=>one===
+name&&other===item))throw new ModelError(`${name} has two values in one step`,"one value for each input");if(name===
+"return_to"&&changes.length>1)throw new ModelError("return_to stands beside other inputs","a step of its own")}
+if(changes[0]?.[0]==="return_to"){let saved=this.saved.get(changes[0][2]);if(!saved)throw new ModelError(`noth\
+ing was kept of step ${changes[0][2]}`,"a step to return to");this.#return(saved)}else this.#advance(changes),
+this.way={changes,tip:this.tipLateral,before:this.way};this.number+=1}#advance(changes){let parameters=changes.
+filter(([name])=>this.rules.inputs[name].parameter),others=changes.filter(([name])=>!this.rules.inputs[name].parameter);
+if(!parameters.length)return this.#move(others);let{step,shape}=this,before={step,shape,session:this.session.save()};
+try{this.#simulateAgain(parameters),this.#move(others)}catch(error){throw this.#return(before),error}}#simulateAgain(parameters){
+let mu=[...this.model.mu],[offset,angle2]=[null,null];for(let[name,item,value]of parameters){if(item>mu.length)
+throw new ModelError(`there is no layer ${item}`,`one of ${mu.length} layers`);if(name==="mu_pa")mu[item-1]=value*
+1e-6;else if(name==="offset_throughout_mm")offset=value;else if(name==="cut_angle_throughout_deg")angle2=value*
+(Math.PI/180);else if(!this.scene.shape_parameters.some(one=>one.name===name))throw new ModelError(`the tissue\
+ law has no ${name}`,"a parameter of the law")}let shape=this.shapeAfter(parameters),law=JSON.stringify(shape)===
+JSON.stringify(this.shape)?this.model.law:makeLaw(this.scene.simulation.law,shape);if(!law)throw new ModelError(
+"the law has not been computed with these parameters","the program");let{pathAngle}=this.model,steps2=this.path().
+map(({bevel,...one})=>({...one,bevel:{...bevel,offset:offset??bevel.offset,cutAngle:angle2??bevel.cutAngle}}));
+if(!this.#guard(()=>this.session.again({...this.model,mu,law},steps2.map(one=>({depth:one.depth,inputs:toInputs(
+one,pathAngle)})))))throw new ModelError(`with these parameters the insertion so far fails ${this.session.depth.
+toFixed(1)} mm deep`,BEARABLE);Object.assign(this,{shape,step:steps2.at(-1)})}#move(changes){let{session}=this,
+{x:x2,u,planes}=session.shape,step=applyChanges(this.step,changes,this.names,[u[x2.length-1],planes>1?u.at(-1):
+0]);if(!changes.length)return;let shape=this.#guard(()=>session.go(step.depth,toInputs(step,this.model.pathAngle)));
+if(session.failed)throw new ModelError(`the model finds no needle there (${shape.status})`,BEARABLE);this.step=
+step}#guard(work){try{return work()}catch(error){throw error instanceof RangeError?new ModelError(error.message,
+`a needle of ${this.model.length} mm, its base before guides and tissue`):error}}}}});function listKeys({fitted,shape_parameters:shapes}){let{key,throughout}=strengthOf(fitted),plain={toInput:value=>value,
 unit:1},strength=key==="offset_mm"?{...plain,key:"b",read:({step})=>step.bevel.offset}:{...plain,key:"theta",unit:Math.
 PI/180,read:({step})=>step.bevel.cutAngle},layers=fitted.layers.flatMap((_,i)=>[{key:`mu${i+1}`,input:"mu_pa",
 item:i+1,toInput:value=>value*1e3,unit:.001,read:({model})=>model.mu[i]},...shapes.map(({name},row)=>({...plain,
 key:`${name}${i+1}`,input:name,item:i+1,read:({shape})=>shape[row][i]}))]);return[{...strength,input:throughout,
 item:null},...layers]}function listLost({scene:{simulation:{steps:[first]}},step},path2){let all=[...path2,step],
-differs=read=>all.some(one=>!same2(read(one.controls),read(first.controls)));return[[differs(({baseY})=>baseY),
+differs=read=>all.some(one=>!same(read(one.controls),read(first.controls)));return[[differs(({baseY})=>baseY),
 "the base, which was moved"],[differs(({baseSlope})=>baseSlope),"the base, which was turned"],[differs(({guides})=>guides.
 map(({x:x2,y:y2,slope:slope4})=>[x2,y2,slope4])),"the guides"],[differs(({tip})=>tip&&[tip.y,tip.slope]),"the \
 tip, which was held"],[all.some(({bevel})=>bevel.offset!==step.bevel.offset||bevel.cutAngle!==step.bevel.cutAngle),
@@ -1128,101 +903,69 @@ let{model,shape,steps:[first]}=scene.simulation;for(let{key,item,unit,read}of li
 steered);item&&value===read({model,shape,step:first})||values.set(key,String(shorten(value/unit)))}let address=values.
 toString().replaceAll("%2C",",").replaceAll("%3A",":");return await leadsTo(kernel,address,steered)?{address}:
 {lost:["the path"]}}async function leadsTo(kernel,address,steered){let other=await SteeredNeedle.begin(kernel,
-steered.scene);try{for(let changes of readAddress(address,steered.scene))other.apply(changes,{validOnly:!1})}catch(error){
-if(!(error instanceof ModelError))throw error;return!1}let{depth}=steered.step,points=({session})=>readPoints(
-session,Array.from({length:POINTS2},(_,i)=>depth*i/(POINTS2-1))),[found,wanted]=[other,steered].map(points);return found.
-every((point2,i)=>Math.hypot(...point2.map((one,axis)=>one-wanted[i][axis]))<SAME3)}function readAddress(address,scene){
-let values=new URLSearchParams(address),keys=listKeys(scene),known=["needle","depth","roll","turn",...keys.map(
-({key})=>key)],number3=(key,text,low=-1/0)=>{let value=Number(text);if(text.trim()!==""&&Number.isFinite(value)&&
-value>=low)return value;throw new ModelError(`the address has ${key}=${text}`,low<0?"a number":`a number, ${low}\
- or above`)};for(let key of values.keys())if(!known.includes(key))throw new ModelError(`the address has ${key}`,
-known.join(", "));let doubled=[...values.keys()].find(key=>values.getAll(key).length>1);if(doubled)throw new ModelError(
-`the address has ${doubled} more than once`,"each key once");if(!values.has("depth")){if([...values.keys()].some(
-key=>key!=="needle"))throw new ModelError("the address has no depth","depth=, in mm");return[]}let[first]=scene.
-simulation.steps,depth=number3("depth",values.get("depth"),0),turns=(values.get("turn")??"").split(",").filter(
-Boolean).map(text=>{let[at,by="180"]=text.split(":");return{at:number3("turn",at,0),by:number3("turn",by)}});if(!turns.
-every(({at},i)=>at>0&&at>=(turns[i-1]?.at??0)&&at<=depth))throw new ModelError(`the address has turn=${values.
-get("turn")}`,`increasing depths, up to ${depth} mm`);let roll2=values.has("roll")?number3("roll",values.get("\
-roll")):rollOf(first.bevel),after=turns.toReversed().map(({by})=>{let end=roll2;return roll2=wrap(roll2-by),end}).
-reverse(),inputs=keys.filter(({key})=>values.has(key)).map(({key,input,item,toInput})=>[input,item,toInput(number3(
-key,values.get(key)))]),lists=[ANEW,[["bevel_roll_deg",null,roll2],...inputs]];return turns.forEach(({at},i)=>lists.
-push([["depth_mm",null,at]],[["bevel_roll_deg",null,after[i]]])),[...lists,[["depth_mm",null,depth]]]}function writeRecording(head,steered){
-let rows=steered.listWay().flatMap(({changes,tip},i)=>changes.map(([name,item,value],n)=>`${i+1},${(i/10).toFixed(
-4)},${name},${item??""},${value},${n===changes.length-1?tip:""}`));return`${head}${rows.join(`
+steered.scene);try{for(let changes of readAddress(address,steered.scene))other.apply(changes)}catch(error){if(!(error instanceof
+ModelError))throw error;return!1}let{depth}=steered.step,points=({session})=>readPoints(session,Array.from({length:POINTS2},
+(_,i)=>depth*i/(POINTS2-1))),[found,wanted]=[other,steered].map(points);return found.every((point2,i)=>Math.hypot(
+...point2.map((one,axis)=>one-wanted[i][axis]))<SAME)}function readAddress(address,scene){let values=new URLSearchParams(
+address),keys=listKeys(scene),known=["needle","depth","roll","turn",...keys.map(({key})=>key)],number3=(key,text,low=-1/0)=>{
+let value=Number(text);if(text.trim()!==""&&Number.isFinite(value)&&value>=low)return value;throw new ModelError(
+`the address has ${key}=${text}`,low<0?"a number":`a number, ${low} or above`)};for(let key of values.keys())if(!known.
+includes(key))throw new ModelError(`the address has ${key}`,known.join(", "));let doubled=[...values.keys()].find(
+key=>values.getAll(key).length>1);if(doubled)throw new ModelError(`the address has ${doubled} more than once`,
+"each key once");if(!values.has("depth")){if([...values.keys()].some(key=>key!=="needle"))throw new ModelError(
+"the address has no depth","depth=, in mm");return[]}let[first]=scene.simulation.steps,depth=number3("depth",values.
+get("depth"),0),turns=(values.get("turn")??"").split(",").filter(Boolean).map(text=>{let[at,by="180"]=text.split(
+":");return{at:number3("turn",at,0),by:number3("turn",by)}});if(!turns.every(({at},i)=>at>0&&at>=(turns[i-1]?.
+at??0)&&at<=depth))throw new ModelError(`the address has turn=${values.get("turn")}`,`increasing depths, up to\
+ ${depth} mm`);let roll2=values.has("roll")?number3("roll",values.get("roll")):rollOf(first.bevel),after=turns.
+toReversed().map(({by})=>{let end=roll2;return roll2=wrap(roll2-by),end}).reverse(),inputs=keys.filter(({key})=>values.
+has(key)).map(({key,input,item,toInput})=>[input,item,toInput(number3(key,values.get(key)))]),lists=[ANEW,[["b\
+evel_roll_deg",null,roll2],...inputs]];return turns.forEach(({at},i)=>lists.push([["depth_mm",null,at]],[["bev\
+el_roll_deg",null,after[i]]])),[...lists,[["depth_mm",null,depth]]]}function writeRecording(head,steered){let rows=steered.
+listWay().flatMap(({changes,tip},i)=>changes.map(([name,item,value],n)=>`${i+1},${(i/10).toFixed(4)},${name},${item??
+""},${value},${n===changes.length-1?tip:""}`));return`${head}${rows.join(`
 `)}
-`}var ANEW,POINTS2,SAME3,DIGITS,same2,shorten,nameIn,init_address=__esm({"needlefit/viewer/page/address.js"(){
-"use strict";init_errors();init_inputs();init_steered();init_quantities();ANEW=[["return_to",null,0]],POINTS2=
-21,SAME3=1e-6,DIGITS=12,same2=(one,other)=>JSON.stringify(one)===JSON.stringify(other);shorten=value=>Number(value.
+`}var ANEW,POINTS2,SAME,DIGITS,same,shorten,nameIn,init_address=__esm({"needlefit/viewer/page/address.js"(){"u\
+se strict";init_errors();init_inputs();init_steered();init_quantities();ANEW=[["return_to",null,0]],POINTS2=21,
+SAME=1e-6,DIGITS=12,same=(one,other)=>JSON.stringify(one)===JSON.stringify(other);shorten=value=>Number(value.
 toPrecision(DIGITS));nameIn=address=>new URLSearchParams(address).get("needle")}});function computeBands(worker,kernel,current){let ordered="";worker.postMessage({kernel});function describeNeedle(){
 let{name,steered}=current(),{model}=steered,steps2=steered.path().map(one=>({depth:one.depth,inputs:toInputs(one,
-model.pathAngle)}));return{id:{needle:name,step:now.state.step},model,steps:steps2,planes:steered.session.planes}}
-function order(){if(!now.state)return;let about=JSON.stringify([current().name,now.state.step]);ordered!==about&&
-(ordered=about,worker.postMessage(describeNeedle()))}function send(){ordered="",worker.postMessage({draws:now.
-scene.draws,steps:null}),order()}worker.onmessage=({data:{id,band:band2,forces}})=>{id.needle===current().name&&
-(forces?take({kind:"forces",step:id.step,...forces}):take(band2?{kind:"band",step:id.step,...band2}:NONE))},listen(
-"scene",send),listen("drawn",order)}var NONE,init_bands=__esm({"needlefit/viewer/page/bands.js"(){"use strict";
-init_inputs();init_store();NONE={kind:"band",x:[]}}});function paint(context,figure){let{state,shown:shown3,scene,band:newest2}=now,band2=shown3.band&&newest2&&isBandNear(
-newest2,state)?newest2:null,loaded=shown3.load&&!state.faults.length,measured=shown3.measured?scene.measured:null,
-pinned=shown3.pinned?now.pinned:null;context.fillStyle=palette.gutter,context.fillRect(0,0,...figure),clearLabels(),
-reserveNeedle(state);for(let curve of[measured,pinned])curve&&avoid(placesOf(curve.x,curve.y));context.lineJoin=
-"round",within(context,now.view.box,()=>{paintTissue(context),loaded&&paintLoad(context,state),band2&&paintBand(
-context,band2,band2.step!==state.step),shown3.plan&&scene.plan&&paintPlan(context,scene.plan),pinned&&paintPinned(
-context,pinned),paintNeedle(context,state),paintInset(context,state),paintBevel(context,state),loaded&&paintTipForce(
-context,state),shown3.path&&paintPath(context,state),shown3.points&&paintPoints(context,state),paintPrediction(
-context,state),measured&&paintMeasured(context,measured),measured&&shown3.errors&&paintGaps(context,state,measured),
-paintMethods(context),paintGuides(context,state),paintBase(context,state),(measured||pinned)&&nameNeedle(context,
-state),band2&&nameBand(context,band2)}),paintAxes(context),loaded&&paintKey(context)}function measure2(){let[width,
-height]=size();canvas2.width=Math.round(width*devicePixelRatio),canvas2.height=Math.round(height*devicePixelRatio),
-screen2.setTransform(devicePixelRatio,0,0,devicePixelRatio,0,0),resize(width,height),redraw()}var picture,canvas2,
-screen2,frame,size,init_drawing=__esm({"needlefit/viewer/page/drawing.js"(){"use strict";init_dom();init_background();
-init_needle2();init_overlay();init_strokes();init_store();init_view();picture=part("picture"),canvas2=part("ca\
-nvas"),screen2=getContext(canvas2),frame=0,size=()=>[picture.clientWidth,picture.clientHeight];listen("redraw",
-()=>{frame||=requestAnimationFrame(()=>{frame=0,now.state&&(paint(screen2,size()),document.body.classList.add(
-"begun")),publish("drawn")})});listen("state",()=>(follow(),redraw()));for(let kind of["band","forces"])listen(
-kind,redraw);new ResizeObserver(measure2).observe(picture);onScheme(()=>(readPalette(),redraw()));readPalette()}});function readColour(shade){let hex2=shade.match(/^#(\w\w)(\w\w)(\w\w)(\w\w)?$/)?.slice(1).map(one=>parseInt(one??
+model.pathAngle)}));return{id:{needle:name,step:now.state.step},model,steps:steps2}}function order(){if(!now.state)
+return;let about=JSON.stringify([current().name,now.state.step]);ordered!==about&&(ordered=about,worker.postMessage(
+describeNeedle()))}function send(){ordered="",worker.postMessage({draws:now.scene.draws,steps:null}),order()}worker.
+onmessage=({data:{id,band}})=>{id.needle===current().name&&take(band?{kind:"band",step:id.step,...band}:NONE)},
+listen("scene",send),listen("drawn",order)}var NONE,init_bands=__esm({"needlefit/viewer/page/bands.js"(){"use \
+strict";init_inputs();init_store();NONE={kind:"band",x:[]}}});function paint(context,figure){let{state,shown:shown2,scene,band:newest2}=now,band=shown2.band&&newest2&&isBandNear(
+newest2,state)?newest2:null,measured=shown2.measured?scene.measured:null;context.fillStyle=palette.gutter,context.
+fillRect(0,0,...figure),clearLabels(),reserveNeedle(state),measured&&avoid(placesOf(measured.x,measured.y)),context.
+lineJoin="round",within(context,now.view.box,()=>{paintTissue(context),band&&paintBand(context,band,band.step!==
+state.step),shown2.plan&&scene.plan&&paintPlan(context,scene.plan),paintNeedle(context,state),paintPrediction(
+context,state),measured&&paintMeasured(context,measured),measured&&shown2.errors&&paintGaps(context,state,measured),
+paintGuides(context,state),paintBase(context,state),measured&&nameNeedle(context,state),band&&nameBand(context,
+band)}),paintAxes(context)}function measure(){let[width,height]=size();canvas2.width=Math.round(width*devicePixelRatio),
+canvas2.height=Math.round(height*devicePixelRatio),screen2.setTransform(devicePixelRatio,0,0,devicePixelRatio,
+0,0),resize(width,height),redraw()}var picture,canvas2,screen2,frame,size,init_drawing=__esm({"needlefit/viewe\
+r/page/drawing.js"(){"use strict";init_dom();init_background();init_needle2();init_overlay();init_strokes();init_store();
+init_view();picture=part("picture"),canvas2=part("canvas"),screen2=getContext(canvas2),frame=0,size=()=>[picture.
+clientWidth,picture.clientHeight];listen("redraw",()=>{frame||=requestAnimationFrame(()=>{frame=0,now.state&&(paint(
+screen2,size()),document.body.classList.add("begun")),publish("drawn")})});listen("state",()=>(follow(),redraw()));
+listen("band",redraw);new ResizeObserver(measure).observe(picture);onScheme(()=>(readPalette(),redraw()));readPalette()}});function readColour(shade){let hex2=shade.match(/^#(\w\w)(\w\w)(\w\w)(\w\w)?$/)?.slice(1).map(one=>parseInt(one??
 "ff",16)),[red,green,blue,alpha=255]=hex2??shade.match(/[\d.]+/g).map(Number);return{parts:[red,green,blue],opacity:alpha/
-255}}function writePaint(name,shade,opacity=1){if(!shade)return`${name}="none"`;let{parts,opacity:own2}=readColour(
-shade),share=round(own2*opacity);return`${name}="#${parts.map(one=>one.toString(16).padStart(2,"0")).join("")}\
-"${share<1?` ${name}-opacity="${share}"`:""}`}function writeSvg(drawn,[width,height],wide,title,words){return`\
-<svg xmlns="http://www.w3.org/2000/svg" ${`width="${wide}mm" height="${round(wide*height/width)}mm" viewBox="0\
- 0 ${round(width)} ${round(height)}"`} font-family="Arial, Liberation Sans, Helvetica, sans-serif">
+255}}function writePaint(name,shade,opacity=1){if(!shade)return`${name}="none"`;let{parts,opacity:own}=readColour(
+shade),share=round(own*opacity);return`${name}="#${parts.map(one=>one.toString(16).padStart(2,"0")).join("")}"${share<
+1?` ${name}-opacity="${share}"`:""}`}function writeSvg(drawn,[width,height],wide,title,words){return`<svg xmln\
+s="http://www.w3.org/2000/svg" ${`width="${wide}mm" height="${round(wide*height/width)}mm" viewBox="0 0 ${round(
+width)} ${round(height)}"`} font-family="Arial, Liberation Sans, Helvetica, sans-serif">
 <title>${escape(title)}</title>
 <desc>${escape(words)}</desc>
 ${drawn.map((one,n)=>SVG[one.kind](one,n)).join(`
 `)}
 </svg>
-`}function writePdf(drawn,[width,height],wide,title){let scale=wide*POINTS3/width,states=new Map,shade=(colour2,opacity)=>{
-let share=round(readColour(colour2).opacity*opacity);return states.has(share)||states.set(share,`G${states.size}`),
-`/${states.get(share)} gs`},content=drawn.map(one=>PDF[one.kind](one,shade)).join(`
-`),placed=`${round(scale)} 0 0 ${round(-scale)} 0 ${round(scale*height)} cm
-${content}`,differences=Object.values(GLYPHS).map(([name,code])=>`${code} /${name}`).join(" "),font=name=>`<< \
-/Type /Font /Subtype /Type1 /BaseFont /${name} /Encoding << /BaseEncoding /WinAnsiEncoding /Differences [${differences}\
-] >> >>`,looks=[...states].map(([share,name])=>`/${name} << /ca ${share} /CA ${share} >>`).join(" "),objects=[
-"<< /Type /Catalog /Pages 2 0 R >>","<< /Type /Pages /Kids [3 0 R] /Count 1 >>",`<< /Type /Page /Parent 2 0 R \
-/MediaBox [0 0 ${round(wide*POINTS3)} ${round(scale*height)}] /Contents 4 0 R /Resources << /Font << /F1 ${font(
-"Helvetica")} /F2 ${font("Helvetica-Bold")} >> /ExtGState << ${looks} >> >> >>`,`<< /Length ${placed.length} >\
->
-stream
-${placed}
-endstream`,`<< /Title <${writeText(title)}> >>`],text=`%PDF-1.4
-`,places=objects.map((object,n)=>{let at=text.length;return text+=`${n+1} 0 obj
-${object}
-endobj
-`,`${String(at).padStart(10,"0")} 00000 n 
-`}),count=objects.length+1;return`${text}xref
-0 ${count}
-0000000000 65535 f 
-${places.join("")}trailer
-<< /Size ${count} /Root 1 0 R /Info 5 0 R >>
-startxref
-${text.length}
-%%EOF
-`}var BASELINES,ROUND,round,STYLE,FigureContext,writePath,escape,writeLine,SVG,GLYPHS,POINTS3,writeText,setColour,
-PDF,writeCurves,init_figure_context=__esm({"needlefit/viewer/page/figure_context.js"(){"use strict";init_dom();
-BASELINES={alphabetic:0,middle:.35,top:.8},ROUND=.5523,round=value=>Number(value.toFixed(3)),STYLE=["fillStyle",
-"strokeStyle","lineWidth","globalAlpha","lineCap","lineJoin","font","textAlign","textBaseline"],FigureContext=
-class{fillStyle="#000000";strokeStyle="#000000";lineWidth=1;globalAlpha=1;lineCap="butt";lineJoin="miter";font="\
-12px sans-serif";textAlign="left";textBaseline="alphabetic";drawn=[];#path=[];#dash=[];#matrix=new DOMMatrix;#stack=[];#clips=0;#halo=null;#screen=getContext(
+`}var BASELINES,ROUND,round,STYLE,FigureContext,writePath,escape,writeLine,SVG,init_figure_context=__esm({"nee\
+dlefit/viewer/page/figure_context.js"(){"use strict";init_dom();BASELINES={alphabetic:0,middle:.35,top:.8},ROUND=
+.5523,round=value=>Number(value.toFixed(3)),STYLE=["fillStyle","strokeStyle","lineWidth","globalAlpha","lineCa\
+p","lineJoin","font","textAlign","textBaseline"],FigureContext=class{fillStyle="#000000";strokeStyle="#000000";lineWidth=1;globalAlpha=1;lineCap="\
+butt";lineJoin="miter";font="12px sans-serif";textAlign="left";textBaseline="alphabetic";drawn=[];#path=[];#dash=[];#matrix=new DOMMatrix;#stack=[];#clips=0;#halo=null;#screen=getContext(
 document.createElement("canvas"));save(){this.#stack.push([Object.fromEntries(STYLE.map(name=>[name,this[name]])),
 this.#matrix,this.#clips])}restore(){let[style,matrix,clips]=this.#stack.pop();for(;this.#clips>clips;this.#clips-=
 1)this.drawn.push({kind:"restore"});Object.assign(this,style),this.#matrix=matrix}clip(){this.#clips+=1,this.drawn.
@@ -1232,100 +975,105 @@ this.#matrix=this.#matrix.rotate(angle2*180/Math.PI)}setLineDash(dash){this.#das
 this.moveTo(x2,y2);for(let corner of[[x2+width,y2],[x2+width,y2+height],[x2,y2+height]])this.#add("L",corner);
 this.closePath()}arc(x2,y2,radius){this.moveTo(x2+radius,y2);for(let[ax,ay,bx,by]of[[1,0,0,1],[0,1,-1,0],[-1,0,
 0,-1],[0,-1,1,0]]){let at=(px,py)=>[x2+radius*px,y2+radius*py];this.#add("C",at(ax+ROUND*bx,ay+ROUND*by),at(bx+
-ROUND*ax,by+ROUND*ay),at(bx,by))}this.closePath()}#add(name,...points){let moved2=points.map(([x2,y2])=>this.#matrix.
-transformPoint({x:x2,y:y2}));this.#path.push([name,...moved2.flatMap(({x:x2,y:y2})=>[round(x2),round(y2)])])}fill(){
+ROUND*ax,by+ROUND*ay),at(bx,by))}this.closePath()}#add(name,...points){let moved=points.map(([x2,y2])=>this.#matrix.
+transformPoint({x:x2,y:y2}));this.#path.push([name,...moved.flatMap(({x:x2,y:y2})=>[round(x2),round(y2)])])}fill(){
 this.#draw({fill:this.fillStyle})}stroke(){this.#draw({stroke:this.strokeStyle,width:this.lineWidth,cap:this.lineCap,
 join:this.lineJoin,dash:this.#dash})}#draw(looks){this.drawn.push({kind:"path",path:this.#path,opacity:this.globalAlpha,
 ...looks})}fillRect(x2,y2,width,height){this.beginPath(),this.rect(x2,y2,width,height),this.fill()}strokeRect(x2,y2,width,height){
 this.beginPath(),this.rect(x2,y2,width,height),this.stroke()}measureText(text){return this.#screen.font=this.font,
 this.#screen.measureText(text)}strokeText(){this.#halo={stroke:this.strokeStyle,width:this.lineWidth}}fillText(text,x2,y2){
 let[,weight,size2]=this.font.match(/^(\d+ )?([\d.]+)px/)??["","","12"],share={left:0,center:.5,right:1}[this.textAlign],
-place2=[x2-share*this.measureText(text).width,y2+BASELINES[this.textBaseline]*Number(size2)];this.drawn.push({
-kind:"text",text,size:Number(size2),strong:!!weight,fill:this.fillStyle,halo:this.#halo,matrix:this.#matrix.translate(
-...place2),opacity:this.globalAlpha}),this.#halo=null}};writePath=path2=>path2.map(([name,...numbers])=>name+numbers.
+place=[x2-share*this.measureText(text).width,y2+BASELINES[this.textBaseline]*Number(size2)];this.drawn.push({kind:"\
+text",text,size:Number(size2),strong:!!weight,fill:this.fillStyle,halo:this.#halo,matrix:this.#matrix.translate(
+...place),opacity:this.globalAlpha}),this.#halo=null}};writePath=path2=>path2.map(([name,...numbers])=>name+numbers.
 join(" ")).join(""),escape=text=>text.replace(/[&<>"]/g,one=>`&#${one.charCodeAt(0)};`);writeLine=({stroke:stroke2,
 width,cap="round",join="round",dash=[]},opacity)=>`${writePaint("stroke",stroke2,opacity)} stroke-width="${width}\
 " stroke-linecap="${cap}" stroke-linejoin="${join}"${dash.length?` stroke-dasharray="${dash.join(" ")}"`:""}`,
 SVG={clip:({path:path2},n)=>`<clipPath id="clip-${n}"><path d="${writePath(path2)}"/></clipPath><g clip-path="\
 url(#clip-${n})">`,restore:()=>"</g>",path:one=>`<path d="${writePath(one.path)}" ${writePaint("fill",one.fill,
 one.opacity)}${one.stroke?` ${writeLine(one,one.opacity)}`:""}/>`,text:({text,size:size2,strong,fill,halo,matrix:{
-a:a2,b,c,d,e,f},opacity})=>{let place2=b||c?`transform="matrix(${[a2,b,c,d,e,f].map(round).join(" ")})"`:`x="${round(
-e)}" y="${round(f)}"`,behind=halo?` ${writeLine(halo,opacity)} paint-order="stroke"`:"";return`<text ${place2}\
- font-size="${size2}"${strong?' font-weight="600"':""} ${writePaint("fill",fill,opacity)}${behind}>${escape(text)}\
-</text>`}};GLYPHS={"−":["minus",1],μ:["mu",2]},POINTS3=72/25.4,writeText=text=>[...text].map(one=>(GLYPHS[one]?.[1]??
-(one.charCodeAt(0)<256?one.charCodeAt(0):63)).toString(16).padStart(2,"0")).join(""),setColour=(shade,name)=>`${readColour(
-shade).parts.map(one=>round(one/255)).join(" ")} ${name}`,PDF={clip:({path:path2})=>`q ${writeCurves(path2)} W\
- n`,restore:()=>"Q",path:({path:path2,fill,stroke:stroke2,width,cap,join,dash,opacity},shade)=>[shade(fill??stroke2,
-opacity),setColour(fill??stroke2,fill?"rg":"RG"),stroke2&&`${width} w ${["butt","round"].indexOf(cap)} J ${["m\
-iter","round"].indexOf(join)} j [${dash.join(" ")}] 0 d`,writeCurves(path2),fill?"f":"S"].filter(Boolean).join(
-" "),text:({text,size:size2,strong,fill,halo,matrix:{a:a2,b,c,d,e,f},opacity},shade)=>{let write2=mode=>`BT /F${strong?
-2:1} ${size2} Tf ${mode} Tr ${[a2,b,-c,-d,e,f].map(round).join(" ")} Tm <${writeText(text)}> Tj ET`;return`${halo?
-`${shade(halo.stroke,opacity)} ${setColour(halo.stroke,"RG")} ${halo.width} w 1 J 1 j [] 0 d ${write2(1)} `:""}${shade(
-fill,opacity)} ${setColour(fill,"rg")} ${write2(0)}`}},writeCurves=path2=>path2.map(([name,...numbers])=>`${numbers.
-join(" ")} ${{M:"m",L:"l",C:"c",Z:"h"}[name]}`).join(" ")}});function describeState(steered){let{scene,session,step,model,names,validity,rules}=steered,{shape}=session,{controls,
-bevel}=step,width=1+shape.planes,[x2,y2,z=null]=columns(session.positions(listStations(shape)),width),constraints=columns(
-shape.constraints,width),track=columns(shape.track,2*shape.planes).filter((_,i)=>i%2===0),load3=session.forces(),
-loaded=columns(load3.s.length?session.positions(load3.s):[],width),last3=shape.x.length-1,roll2=wrap(rollOf(bevel)),
-items=controls.guides.map(({name})=>guideNumber(name,names));return{kind:"state",step:steered.number,depth_mm:step.
-depth,x:x2,y:y2,z,depths:constraints[0],constraints:mapPoints(session,constraints),tip_path:mapPoints(session,
-[constraints[0],...track]),load:{x:loaded[0],y:loaded[1],n_per_mm:load3.loads.map(one=>[...one])},forces:{base_n:load3.
-base.force,base_nmm:load3.base.moment,guides_n:Object.fromEntries(items.map((item,i)=>[item,load3.guides[i].force]))},
-base:{x:x2[0],y:y2[0],rotation:shape.slope[0],input_y:controls.baseY,input_slope:controls.baseSlope},guides:controls.
-guides.map(({name,x:x3,y:y3,slope:slope4},i)=>({item:items[i],name,x:x3,y:y3,slope:slope4??0,turns_freely:slope4===
+a:a2,b,c,d,e,f},opacity})=>{let place=b||c?`transform="matrix(${[a2,b,c,d,e,f].map(round).join(" ")})"`:`x="${round(
+e)}" y="${round(f)}"`,behind=halo?` ${writeLine(halo,opacity)} paint-order="stroke"`:"";return`<text ${place} \
+font-size="${size2}"${strong?' font-weight="600"':""} ${writePaint("fill",fill,opacity)}${behind}>${escape(text)}\
+</text>`}}}});function computeValidity({x:x2,u,slope:slope4,planes,constraints,track},{boundaries,thickness,spacing}){let last3=x2.
+length-1,bent=Array.from({length:planes},(_,p)=>[u,slope4].map(one=>one.subarray(p*x2.length,(p+1)*x2.length))),
+cubics=bent.map(()=>[0,0,0]),[rotations,missed]=[bent.map(()=>0),bent.map(()=>0)],rotate=t=>(cubics.forEach(([
+begin2,bend,curl],p)=>rotations[p]=begin2+t*(bend+t*curl)),measure2(rotations)),steepest=0,shortening=0,miss=0;
+for(let i=0;i<=last3;i+=1)steepest=Math.max(steepest,measure2(bent.map(([,one])=>one[i])));for(let i=0;i<last3;i+=
+1){let step=x2[i+1]-x2[i];bent.forEach(([v,rotation],p)=>{let mean2=(v[i+1]-v[i])/step,begin2=rotation[i],end=rotation[i+
+1];cubics[p]=[begin2,6*mean2-4*begin2-2*end,3*(begin2+end)-6*mean2]});let[[,bend,curl]]=cubics,inside=planes>1?
+[.25,.5,.75]:[Math.abs(curl)>1e-12?-.5*bend/curl:0];for(let at of inside)at>0&&at<1&&(steepest=Math.max(steepest,
+rotate(at)));for(let[t,weight]of GAUSS){let angle2=rotate(t);shortening+=step*weight*2*Math.sin(angle2/2)**2,x2[i]<
+-1e-9&&angle2&&rotations.forEach((one,p)=>missed[p]+=step*weight*one*(1-Math.sin(angle2)/angle2))}miss=Math.max(
+miss,measure2(missed))}for(let i=0;i<track.length;i+=2*planes)steepest=Math.max(steepest,measure2(bent.map((_,p)=>track[i+
+2*p+1])));let entered=1+boundaries.filter(end=>end<x2[last3]).length,widths=boundaries.slice(0,entered).map((end,i)=>end-
+(i?boundaries[i-1]:0)).filter(width=>width>0),thinnest=widths.length?Math.max(Math.min(...widths),spacing):1/0;
+return{max_slope:steepest,deflection_per_length:measure2(bent.map(([v])=>Math.max(...v)-Math.min(...v)))/(x2[last3]-
+x2[0]),shortening_per_layer:shortening/thinnest,miss_mm:miss,compression:compress(x2,bent,constraints)/Math.min(
+...thickness.slice(0,entered))}}function compress(x2,bent,constraints){let[greatest,i]=[0,0];for(let k2=0;k2<constraints.
+length;k2+=1+bent.length){let at=constraints[k2];for(;i<x2.length-2&&x2[i+1]<at-1e-9;)i+=1;let span=x2[i+1]-x2[i],
+t=Math.min(Math.max((at-x2[i])/span,0),1),away=bent.map(([u,slope4],p)=>{let bend=3*(u[i+1]-u[i])-span*(2*slope4[i]+
+slope4[i+1]),curl=2*(u[i]-u[i+1])+span*(slope4[i]+slope4[i+1]);return u[i]+t*(span*slope4[i]+t*(bend+t*curl))-
+constraints[k2+1+p]});greatest=Math.max(greatest,measure2(away))}return greatest}var GAUSS,measure2,listFaults,
+init_validity=__esm({"needlefit/viewer/page/model/validity.js"(){"use strict";GAUSS=[[.5-Math.sqrt(.15),.2777777777777778],
+[.5,.4444444444444444],[.5+Math.sqrt(.15),.2777777777777778]],measure2=parts=>parts.length>1?Math.sqrt(parts[0]**
+2+parts[1]**2):Math.abs(parts[0]);listFaults=(validity,limits)=>limits.filter(([name,limit])=>!(validity[name]<=
+limit)).map(([name,limit,words])=>{let unit=name.endsWith("_mm")?" mm":"";return`${words} ${Number(validity[name].
+toPrecision(3))}${unit} (limit ${limit}${unit})`})}});function describeState(steered){let{scene,session,step,model,names,rules}=steered,{shape}=session,{controls,bevel}=step,
+validity=computeValidity(shape,model),[x2,y2,z=null]=columns(session.positions(listStations(shape)),1+shape.planes),
+last3=shape.x.length-1,roll2=wrap(rollOf(bevel));return{kind:"state",step:steered.number,depth_mm:step.depth,x:x2,
+y:y2,z,base:{x:x2[0],y:y2[0],rotation:shape.slope[0],input_y:controls.baseY,input_slope:controls.baseSlope},guides:controls.
+guides.map(({name,x:x3,y:y3,slope:slope4})=>({item:guideNumber(name,names),name,x:x3,y:y3,slope:slope4??0,turns_freely:slope4===
 null})),tip:{x:x2.at(-1),y:y2.at(-1),z:z&&z.at(-1),rotation:shape.slope[last3],lateral_mm:y2.at(-1),held:controls.
 tip!==null,input_y:shape.u[last3]},bevel:{side:Math.abs(roll2)>90?-1:1,roll_deg:roll2,...describeStrength(bevel,
 model)},layers:model.mu.map((mu,layer)=>({mu_pa:mu*1e6,...Object.fromEntries(scene.shape_parameters.map(({name},row)=>[
 name,steered.shape[row][layer]]))})),max_slope:validity.max_slope,faults:listFaults(validity,rules.validity),errors:scene.
 measured&&computeErrors(session,scene.measured)}}function listStations({x:x2,depth}){let end=Math.min(0,depth),
 before=Array.from({length:POINTS_BEFORE_TISSUE},(_,i)=>x2[0]+(end-x2[0])*i/(POINTS_BEFORE_TISSUE-1));return before[POINTS_BEFORE_TISSUE-
-1]=end,Float64Array.from(new Set([...before,...x2])).sort()}function mapPoints(session,[s2,...beside]){let[along,
-...places]=columns(session.positions(s2),1+beside.length),deflections=session.deflections(s2);return[along,...places.
-map((one,plane)=>one.map((place2,i)=>place2+(beside[plane][i]-deflections[plane*s2.length+i])))]}var POINTS_BEFORE_TISSUE,
-columns,describeStrength,init_state=__esm({"needlefit/viewer/page/model/state.js"(){"use strict";init_inputs();
-init_errors();init_validity();POINTS_BEFORE_TISSUE=25,columns=(points,width)=>Array.from({length:width},(_,axis)=>Array.
-from({length:points.length/width},(_2,i)=>points[width*i+axis])),describeStrength=({offset,cutAngle},{pathAngle})=>pathAngle?
-{cut_angle_deg:cutAngle*(180/Math.PI)}:{offset_mm:offset}}});async function unpack(id){let bytes=Uint8Array.from(atob(part(id).textContent),one=>one.charCodeAt(0)),stream=new Blob(
+1]=end,Float64Array.from(new Set([...before,...x2])).sort()}var POINTS_BEFORE_TISSUE,columns,describeStrength,
+init_state=__esm({"needlefit/viewer/page/model/state.js"(){"use strict";init_inputs();init_errors();init_validity();
+POINTS_BEFORE_TISSUE=25,columns=(points,width)=>Array.from({length:width},(_,axis)=>Array.from({length:points.
+length/width},(_2,i)=>points[width*i+axis])),describeStrength=({offset,cutAngle},{pathAngle})=>pathAngle?{cut_angle_deg:cutAngle*
+(180/Math.PI)}:{offset_mm:offset}}});async function unpack(id){let bytes=Uint8Array.from(atob(part(id).textContent),one=>one.charCodeAt(0)),stream=new Blob(
 [bytes]).stream().pipeThrough(new DecompressionStream("deflate-raw"));return new Response(stream).arrayBuffer()}
 async function load(){let[data,kernel]=await Promise.all([unpack("data"),unpack("kernel").then(compile)]),{lists,
 ...read}=JSON.parse(new TextDecoder().decode(data)),resolve=value=>Array.isArray(value?.$)||Number.isInteger(value?.
 $)?lists[value.$]:value;for(let{scene}of read.needles)if(scene.draws)for(let name of["mu","law","strength"])scene.
-draws[name]=resolve(scene.draws[name]);return{...read,kernel}}function insert(steered){for(let changes of listSteps(
-steered.scene))steered.apply(changes,always)}function compareStored(steered,{methods:[fit2]=[],tip},same3){if(!fit2)
+draws[name]=resolve(scene.draws[name]);return{...read,kernel}}function insert(steered){for(let changes of steered.
+scene.simulation.changes)steered.apply(changes)}function compareStored(steered,{errors:known,tip},same2){if(!known)
 return Math.abs(steered.tipLateral-tip);let{target,stored}=steered.scene.measured,[points]=readTarget(steered.
-session,target),found=computeErrors(steered.session,steered.scene.measured),errors=Object.keys(fit2.errors).map(
-name=>Math.abs(fit2.errors[name]-found[name]));return Math.max(...points.flatMap((point2,i)=>["x","y","z"].map(
-(axis,n)=>Math.abs(point2[n]-stored[axis][i]))),...errors.filter(one=>one>same3))}async function prove({needles,
-kernel},same3){let[count,largest,since]=[0,0,performance.now()],rest=async()=>{performance.now()-since<SLICE||
-(await new Promise(done2=>setTimeout(done2)),since=performance.now())};for(let needle of needles){let compare=distance2=>{
-count+=1,largest=Math.max(largest,distance2)};try{let steered=await begin(kernel,needle);if(needle.recording){
-let replay=new Replay(steered,needle.recording);for(let n=1;n<=needle.recording.length;n+=1)replay.to(n),compare(
-Math.abs(steered.tipLateral-needle.recording[n-1][2])),await rest()}else{if(insert(steered),needle.tip===null)
-continue;compare(compareStored(steered,needle,same3))}}catch(error){if(!(error instanceof ModelError))throw error;
-compare(NaN)}await rest()}return{count,largest}}var SLICE,begin,always,Replay,init_stored=__esm({"needlefit/vi\
-ewer/page/stored.js"(){"use strict";init_needle();init_dom();init_errors();init_inputs();init_steered();SLICE=
-12;begin=(kernel,{scene})=>SteeredNeedle.begin(kernel,scene),always={validOnly:!1};Replay=class{steered;steps;at;changed;last;places=[];unit="\
-s";constructor(steered,steps2){Object.assign(this,{steered,steps:steps2,at:0,changed:!1,last:new Map}),this.steps.
-forEach(([,changes],i)=>{for(let[name,,value]of changes)name==="return_to"&&this.last.set(value,i+1)})}to(n){for((this.
-changed||n<this.at)&&(this.steered.rewind(),Object.assign(this,{at:0,changed:!1}));this.at<n;)this.#next()}#next(){
-let[,changes]=this.steps[this.at];this.steered.apply(changes,always),this.at+=1,this.last.has(this.at)&&this.steered.
-keep();for(let[name,,value]of changes)name==="return_to"&&this.last.get(value)===this.at&&this.steered.forget(
-value)}}}});function refuse(error,below=part("flip").parentElement){if(!error.what)throw error;below.after(refusal),write(
+session,target),found=computeErrors(steered.session,steered.scene.measured),errors=Object.keys(known).map(name=>Math.
+abs(known[name]-found[name]));return Math.max(...points.flatMap((point2,i)=>["x","y","z"].map((axis,n)=>Math.abs(
+point2[n]-stored[axis][i]))),...errors.filter(one=>one>same2))}async function prove({needles,kernel},same2){let[
+count,largest,since]=[0,0,performance.now()],rest=async()=>{performance.now()-since<SLICE||(await new Promise(
+done=>setTimeout(done)),since=performance.now())};for(let needle of needles){let compare=distance2=>{count+=1,
+largest=Math.max(largest,distance2)};try{let steered=await begin(kernel,needle);if(needle.recording){let replay=new Replay(
+steered,needle.recording);for(let n=1;n<=needle.recording.length;n+=1)replay.to(n),compare(Math.abs(steered.tipLateral-
+needle.recording[n-1][2])),await rest()}else{if(insert(steered),needle.tip===null)continue;compare(compareStored(
+steered,needle,same2))}}catch(error){if(!(error instanceof ModelError))throw error;compare(NaN)}await rest()}return{
+count,largest}}var SLICE,begin,Replay,init_stored=__esm({"needlefit/viewer/page/stored.js"(){"use strict";init_needle();
+init_dom();init_errors();init_inputs();init_steered();SLICE=12;begin=(kernel,{scene})=>SteeredNeedle.begin(kernel,
+scene);Replay=class{steered;steps;at;changed;last;places=[];unit="s";constructor(steered,steps2){Object.assign(
+this,{steered,steps:steps2,at:0,changed:!1,last:new Map}),this.steps.forEach(([,changes],i)=>{for(let[name,,value]of changes)
+name==="return_to"&&this.last.set(value,i+1)})}to(n){for((this.changed||n<this.at)&&(this.steered.rewind(),Object.
+assign(this,{at:0,changed:!1}));this.at<n;)this.#next()}#next(){let[,changes]=this.steps[this.at];this.steered.
+apply(changes),this.at+=1,this.last.has(this.at)&&this.steered.keep();for(let[name,,value]of changes)name==="r\
+eturn_to"&&this.last.get(value)===this.at&&this.steered.forget(value)}}}});function refuse(error,below=part("flip").parentElement){if(!error.what)throw error;below.after(refusal),write(
 refusal,`${error.what}. Expected: ${error.expected}.`)}function show(){steps+=1,part("undo").disabled=!past.length,
 part("redo").disabled=!future.length,take({...describeState(now.steered),step:steps,kind:"state"})}function forgetPast(){
 for(let one of[past,future])one.length=0;last=0,write(refusal,"")}function goHome(){forgetPast(),now.steered.rewind();
 try{insert(now.steered)}catch(error){refuse(error)}show()}function steer(lists,{gesture=newGesture(),whole=!1,
 below=void 0}={}){let{steered}=now,{number:number3}=steered;publish("steers"),write(refusal,"");let begins=gesture!==
 last;(begins||whole)&&steered.keep();try{for(let changes of lists)steered.apply(changes.map(([name,item,value])=>[
-name,item,value+0]),always2)}catch(error){if(refuse(error,below),whole&&steered.number>number3&&steered.apply(
-[["return_to",null,number3]]),whole||steered.number===number3)return void publish("unchanged")}begins&&(past.push(
-number3),future.length=0,past.length>MOST_UNDONE&&steered.forget(past.shift())),last=gesture,part("back").disabled=
-!1,show()}function goTo(from,to){if(!from.length)return;publish("steers"),write(refusal,"");let{steered}=now;steered.
-keep(),to.push(steered.number),steered.apply([["return_to",null,from.pop()]]),last=0,show()}var MOST_UNDONE,always2,
-refusal,past,future,steps,gestures,last,newGesture,change,undo,redo,init_steering=__esm({"needlefit/viewer/pag\
-e/steering.js"(){"use strict";init_dom();init_state();init_stored();init_store();MOST_UNDONE=200,always2={validOnly:!1},
-refusal=part("refusal"),[past,future]=[[],[]],[steps,gestures,last]=[0,0,0],newGesture=()=>gestures+=1;change=
-(changes,how)=>steer([changes],how);undo=()=>goTo(past,future),redo=()=>goTo(future,past);listen("notice",({what,
-expected})=>refuse({what,expected}))}});async function followAddress(choose2){let address=location.hash.slice(1);if(!address)return!1;let{needles}=now.
+name,item,value+0]))}catch(error){if(refuse(error,below),whole&&steered.number>number3&&steered.apply([["retur\
+n_to",null,number3]]),whole||steered.number===number3)return void publish("unchanged")}begins&&(past.push(number3),
+future.length=0,past.length>MOST_UNDONE&&steered.forget(past.shift())),last=gesture,part("back").disabled=!1,show()}
+function goTo(from,to){if(!from.length)return;publish("steers"),write(refusal,"");let{steered}=now;steered.keep(),
+to.push(steered.number),steered.apply([["return_to",null,from.pop()]]),last=0,show()}var MOST_UNDONE,refusal,past,
+future,steps,gestures,last,newGesture,change,undo,redo,init_steering=__esm({"needlefit/viewer/page/steering.js"(){
+"use strict";init_dom();init_state();init_stored();init_store();MOST_UNDONE=200,refusal=part("refusal"),[past,
+future]=[[],[]],[steps,gestures,last]=[0,0,0],newGesture=()=>gestures+=1;change=(changes,how)=>steer([changes],
+how);undo=()=>goTo(past,future),redo=()=>goTo(future,past);listen("notice",({what,expected})=>refuse({what,expected}))}});async function followAddress(choose2){let address=location.hash.slice(1);if(!address)return!1;let{needles}=now.
 data,below=part("proof").parentElement;try{if(part(decode(address)))return!1;let name=nameIn(address),number3=needles.
 findIndex(one=>nameOf2(one)===name);if(name!==null&&number3<0)throw new ModelError(`the address has needle=${name}`,
 needles.map(nameOf2).join(", "));number3>=0&&needles[number3]!==now.needle&&await choose2(number3);let lists=readAddress(
@@ -1337,31 +1085,20 @@ let{data:{needles,kernel},needle,scene,steered}=now,{address,lost}=await writeAd
 ding does.`:""),!lost&&(steer(readAddress(address,scene)),history.replaceState(null,"",`#${address}`),await navigator.
 clipboard?.writeText(location.href).then(()=>say("The link is copied."),()=>null))}var nameOf2,init_link=__esm(
 {"needlefit/viewer/page/link.js"(){"use strict";init_address();init_dom();init_inputs();init_steering();init_store();
-nameOf2=({name,scene})=>name??scene.measured?.id??scene.title;press("copy-link",copy)}});function define2(name,called=name){if(!(name in DEFINITIONS))return called;let term=element("button",{type:"bu\
-tton",className:"term"},called);term.setAttribute("aria-description",DEFINITIONS[name]),term.tabIndex=-1;let show3=()=>{
-let{left,top,bottom}=term.getBoundingClientRect();shown.textContent=DEFINITIONS[name],shown.style.left=`${Math.
-max(8,Math.min(left,innerWidth-296))}px`;let above=top>ROOM3;shown.style.bottom=above?`${innerHeight-top+6}px`:
-"auto",shown.style.top=above?"auto":`${bottom+6}px`,shown.matches(":popover-open")||shown.showPopover()},hide=()=>shown.
-matches(":popover-open")&&shown.hidePopover();for(let kind of["pointerenter","focus","click"])term.addEventListener(
-kind,show3);for(let kind of["pointerleave","blur"])term.addEventListener(kind,hide);return term}var DEFINITIONS,
-ROOM3,shown,init_definitions=__esm({"needlefit/viewer/page/definitions.js"(){"use strict";init_dom();init_store();
-DEFINITIONS={depth:"Inserted arc length: how much of the needle is beyond the entry.","tip y":"Distance of the\
- tip from the entry axis, y; positive to the left of the entry.","tip slope":"Angle of the needle at its tip a\
-gainst the entry axis.","tip force":"Lateral force on the tip (1 N is the weight of 100 g), as it stood at its\
- last constraint point; between these points it rises and falls. In space forces are magnitudes.","base force":"\
-Lateral force that holds the base.","base moment":"Moment that holds the base.","steepest slope":"Largest slop\
-e dy/dx of the needle; the model takes it for small.",bevel:"Side, or roll, to which the bevel turns the cut.",
-roll:"Roll of the bevel from here on, about x: 0 turns the cut toward +y, 90 toward +z, ±180 toward −y.","t\
-ip z":"Distance of the tip from the plane of the entry axis and y.","base y":"Lateral displacement of the base\
- of the needle, as it is set; positive to the left.","base slope":"Angle of the base of the needle against the\
- entry axis, as it is set.",guides:"Guides that hold the needle.",guide:"Where a guide holds the needle: x alo\
-ng the entry, y to its left, slope dy/dx as an angle.","noise floor":"The mean error that perfect parameters w\
-ould still show if measurements err as stated."};listen("scene",({definitions,shape_parameters:shapes})=>{Object.
-assign(DEFINITIONS,definitions);for(let{symbol,explanation}of shapes)DEFINITIONS[symbol]=`${explanation[0].toUpperCase()}${explanation.
-slice(1)}.`});ROOM3=110,shown=element("div",{id:"definition",role:"tooltip",popover:"auto"});(part("explorer")??
-document.body).append(shown)}});function load2(value,digits2){let{z,faults}=now.state;return value===null||faults.length?"–":z?value.toFixed(
-digits2):signed(value,digits2)}function fillReadouts(list,readouts){let numbers=readouts.map(([name,unit])=>{let number3=element(
-"span",{},"–");return list.append(entry(define2(name),[number3," ",element("small",{},unit)])),number3});return from=>readouts.
+nameOf2=({name,scene})=>name??scene.measured?.id??scene.title;press("copy-link",copy)}});var DEFINITIONS,define2,init_definitions=__esm({"needlefit/viewer/page/definitions.js"(){"use strict";init_dom();
+init_store();DEFINITIONS={depth:"Inserted arc length: how much of the needle is beyond the entry.","tip y":"Di\
+stance of the tip from the entry axis, y; positive to the left of the entry.","tip slope":"Angle of the needle\
+ at its tip against the entry axis.","steepest slope":"Largest slope dy/dx of the needle; the model takes it f\
+or small.",bevel:"Side, or roll, to which the bevel turns the cut.",roll:"Roll of the bevel from here on, abou\
+t x: 0 turns the cut toward +y, 90 toward +z, ±180 toward −y.","tip z":"Distance of the tip from the plane \
+of the entry axis and y.","base y":"Lateral displacement of the base of the needle, as it is set; positive to \
+the left.","base slope":"Angle of the base of the needle against the entry axis, as it is set.",guides:"Guides\
+ that hold the needle.",guide:"Where a guide holds the needle: x along the entry, y to its left, slope dy/dx a\
+s an angle.","noise floor":"The mean error that perfect parameters would still show if measurements err as sta\
+ted."};listen("scene",({definitions,shape_parameters:shapes})=>{Object.assign(DEFINITIONS,definitions);for(let{
+symbol,explanation}of shapes)DEFINITIONS[symbol]=`${explanation[0].toUpperCase()}${explanation.slice(1)}.`});define2=
+(name,called=name)=>name in DEFINITIONS?element("span",{className:"term",title:DEFINITIONS[name]},called):called}});function fillReadouts(list,readouts){let numbers=readouts.map(([name,unit])=>{let number3=element("span",{},"–");
+return list.append(entry(define2(name),[number3," ",element("small",{},unit)])),number3});return from=>readouts.
 forEach(([,,read],i)=>write(numbers[i],from?read(from):"–"))}function refresh(){let{state,scene}=now;writeNeedle(
 state),part("readouts").children[TIP_Z].hidden=!state.z;let title=part("title"),follows=scene.plan&&!now.replay?.
 changed;if(title&&write(title,`${follows?"plan: ":isSteered(state,scene)?"steered by hand: ":""}${scene.title}`),
@@ -1373,82 +1110,77 @@ s not been drawn yet.";let{tip,bevel,base,guides,errors}=state,held=guides.lengt
 1)} mm deep, of ${scene.length_mm.toFixed(0)} mm.`,`Its tip is ${Math.abs(tip.lateral_mm).toFixed(2)} mm to th\
 e ${tip.lateral_mm<0?"right":"left"}${tip.held?" and held there":""}, at ${angle(tip)}${tip.z===null?"":`; z ${signed(
 tip.z,2)} mm`}.`,`The bevel turns the cut toward ${describeRoll(bevel)}, ${symbol} is ${value.toFixed(digits2)}\
- ${unit}.`,`The base stands at y ${signed(base.y,2)} mm, at ${angle(base)}; ${held}.`,`Tip force ${load2(tipForce(),
-2)} N, base force ${load2(state.forces.base_n,2)} N.`];if(exceeded(state)&&sentences.push(`The needle is ${exceeded(
-state)}.`),errors){let prediction=predictionOf(state,scene);sentences.push(`${prediction?"The prediction again\
-st":"Against"} the measured needle ${comparedUpTo(errors)}: ${listErrors(prediction?.errors??errors,scene.measured).
-join(", ")}.`)}return sentences.join(" ")}var NEEDLE,TIP_Z,writeNeedle,writeErrors,comparedUpTo,announced,exceeded,
-angle,refreshDescription,init_readouts=__esm({"needlefit/viewer/page/readouts.js"(){"use strict";init_definitions();
+ ${unit}.`,`The base stands at y ${signed(base.y,2)} mm, at ${angle(base)}; ${held}.`];if(exceeded(state)&&sentences.
+push(`The needle is ${exceeded(state)}.`),errors){let prediction=predictionOf(state,scene);sentences.push(`${prediction?
+"The prediction against":"Against"} the measured needle ${comparedUpTo(errors)}: ${listErrors(prediction?.errors??
+errors,scene.measured).join(", ")}.`)}return sentences.join(" ")}var NEEDLE,TIP_Z,writeNeedle,writeErrors,comparedUpTo,
+announced,exceeded,angle,init_readouts=__esm({"needlefit/viewer/page/readouts.js"(){"use strict";init_definitions();
 init_dom();init_quantities();init_store();init_view();NEEDLE=[["depth","mm",s2=>s2.depth_mm.toFixed(2)],["tip \
 y","mm",s2=>signed(s2.tip.lateral_mm,2)],["tip z","mm",s2=>s2.z?signed(s2.tip.z,2):"–"],["tip slope","°",s2=>signed(
-toDegrees(s2.tip.rotation),2)],["tip force","N",()=>load2(tipForce(),3)],["base force","N",s2=>load2(s2.forces.
-base_n,3)],["base moment","N mm",s2=>load2(s2.forces.base_nmm,1)],["steepest slope","",s2=>s2.max_slope.toFixed(
-3)]],TIP_Z=NEEDLE.findIndex(([name])=>name==="tip z");writeNeedle=fillReadouts(part("readouts"),NEEDLE),writeErrors=
-_errors=>{};comparedUpTo=({whole,upto_mm:upto})=>whole?"over the whole insertion":`over the first ${upto.toFixed(
-1)} mm`;listen("scene",({measured})=>{if(part("compared").hidden=measured===null,!measured)return;let metrics=measured.
-metrics.map(([name,label2,unit,text])=>(DEFINITIONS[label2]=text,[label2,unit,errors=>writeError(errors[name],
-unit)]));part("errors").replaceChildren(),writeErrors=fillReadouts(part("errors"),[...metrics,["noise floor","\
-mm",e=>e.floor_mm?.toFixed(3)??"–"]])});announced=null,exceeded=({faults})=>faults?.length?`outside the mode\
-l: ${faults.join("; ")}`:"";for(let kind of["forces","state"])listen(kind,()=>{now.state&&(refresh(),refreshDescription())});
-listen("state",state=>{let words=exceeded(state);write("beyond",words&&`${words[0].toUpperCase()}${words.slice(
-1)}. Shape and forces cannot be relied on.`),part("beyond").classList.toggle("low",toPy(state.tip.y)<view.box.
-top+view.box.height/2),!(announced===now.scene||!words)&&(announced=now.scene,say(`The needle is ${words}.`))});
-angle=({rotation})=>`${signed(toDegrees(rotation),1)} degrees`;refreshDescription=()=>write("described",inWords())}});function draw2(wide,whole,begin2){let kept={...view},[across,tall]=size();onPaper(!0);try{whole&&fit("whole");
-let{box:box2,scale}=view,width=wide*PX_PER_MM,share=(width-(across-box2.width))/box2.width,figure=[width,tall-
-box2.height+share*box2.height],above=isSpatial()?part("above").clientHeight:0,all=[width,figure[1]+above];Object.
-assign(view,{scale:scale*share,box:{...box2,width:share*box2.width,height:share*box2.height}});let context=begin2(
-all);return paint(context,figure),context.translate(0,figure[1]),above&&paintAbove(context,width,above),all}finally{
-Object.assign(view,kept),onPaper(!1),redraw()}}function onPaper(on){usePaper(on),readPalette()}function drawPng(wide,whole){
-let canvas4=document.createElement("canvas");return draw2(wide,whole,figure=>{let times=DPI/96;Object.assign(canvas4,
-{width:Math.round(times*figure[0]),height:Math.round(times*figure[1])});let context=getContext(canvas4);return context.
-scale(times,times),context}),new Promise(resolve=>canvas4.toBlob(resolve,"image/png"))}function drawVectors(wide,whole,format){
-let context=new FigureContext,figure=draw2(wide,whole,()=>context),{title}=now.scene;return format==="svg"?new Blob(
-[writeSvg(context.drawn,figure,wide,title,inWords())],{type:"image/svg+xml"}):new Blob([writePdf(context.drawn,
-figure,wide,title)],{type:"application/pdf"})}var PX_PER_MM,DPI,init_figure=__esm({"needlefit/viewer/page/figu\
-re.js"(){"use strict";init_above();init_dom();init_drawing();init_figure_context();init_link();init_strokes();
-init_readouts();init_store();init_view();PX_PER_MM=96/25.4,DPI=300;press("save-figure",async()=>{if(!now.state)
-return;let[format,wide,whole]=[part("figure-format").value,Number(part("figure-width").value),part("figure-vie\
-w").value==="whole"],figure=await(format==="png"?drawPng(wide,whole):drawVectors(wide,whole,format)),name=`${nameOf2(
-now.needle).replace(/[^\w-]+/g,"-")}.${format}`;hand(figure,name),write("link-note",`Saved ${name}: ${whole?"t\
-he whole needle":"the picture as it is shown"}.`)});for(let[kind,on]of[["beforeprint",!0],["afterprint",!1]])addEventListener(
-kind,()=>{onPaper(on),now.state&&paint(getContext(part("canvas")),size())})}});function makeField(into,about){let part2=template.content.firstElementChild.cloneNode(!0),[number3,slider,mark2,
+toDegrees(s2.tip.rotation),2)],["steepest slope","",s2=>s2.max_slope.toFixed(3)]],TIP_Z=NEEDLE.findIndex(([name])=>name===
+"tip z");writeNeedle=fillReadouts(part("readouts"),NEEDLE),writeErrors=_errors=>{};comparedUpTo=({whole,upto_mm:upto})=>whole?
+"over the whole insertion":`over the first ${upto.toFixed(1)} mm`;listen("scene",({measured})=>{if(part("compa\
+red").hidden=measured===null,!measured)return;let metrics=measured.metrics.map(([name,label2,unit,text])=>(DEFINITIONS[label2]=
+text,[label2,unit,errors=>writeError(errors[name],unit)]));part("errors").replaceChildren(),writeErrors=fillReadouts(
+part("errors"),[...metrics,["noise floor","mm",e=>e.floor_mm?.toFixed(3)??"–"]])});announced=null,exceeded=({
+faults})=>faults?.length?`outside the model: ${faults.join("; ")}`:"";listen("state",state=>{refresh(),write("\
+described",inWords());let words=exceeded(state);write("beyond",words&&`${words[0].toUpperCase()}${words.slice(
+1)}. Its shape cannot be relied on.`),part("beyond").classList.toggle("low",toPy(state.tip.y)<view.box.top+view.
+box.height/2),!(announced===now.scene||!words)&&(announced=now.scene,say(`The needle is ${words}.`))});angle=({
+rotation})=>`${signed(toDegrees(rotation),1)} degrees`}});function draw2(wide,begin2){let kept={...view},[across,tall]=size();onPaper(!0);try{let{box:box2,scale}=view,width=wide*
+PX_PER_MM,share=(width-(across-box2.width))/box2.width,figure=[width,tall-box2.height+share*box2.height],above=isSpatial()?
+part("above").clientHeight:0,all=[width,figure[1]+above];Object.assign(view,{scale:scale*share,box:{...box2,width:share*
+box2.width,height:share*box2.height}});let context=begin2(all);return paint(context,figure),context.translate(
+0,figure[1]),above&&paintAbove(context,width,above),all}finally{Object.assign(view,kept),onPaper(!1),redraw()}}
+function onPaper(on){usePaper(on),readPalette()}function drawPng(wide){let canvas3=document.createElement("can\
+vas");return draw2(wide,figure=>{let times=DPI/96;Object.assign(canvas3,{width:Math.round(times*figure[0]),height:Math.
+round(times*figure[1])});let context=getContext(canvas3);return context.scale(times,times),context}),new Promise(
+resolve=>canvas3.toBlob(resolve,"image/png"))}function drawSvg(wide){let context=new FigureContext,figure=draw2(
+wide,()=>context);return new Blob([writeSvg(context.drawn,figure,wide,now.scene.title,inWords())],{type:"image\
+/svg+xml"})}var PX_PER_MM,DPI,init_figure=__esm({"needlefit/viewer/page/figure.js"(){"use strict";init_above();
+init_dom();init_drawing();init_figure_context();init_link();init_strokes();init_readouts();init_store();init_view();
+PX_PER_MM=96/25.4,DPI=300;press("save-figure",async()=>{if(!now.state)return;let[format,wide]=[part("figure-fo\
+rmat").value,Number(part("figure-width").value)],figure=await(format==="png"?drawPng(wide):drawSvg(wide)),name=`${nameOf2(
+now.needle).replace(/[^\w-]+/g,"-")}.${format}`;hand(figure,name),write("link-note",`Saved ${name}: the pictur\
+e as it is shown.`)});for(let[kind,on]of[["beforeprint",!0],["afterprint",!1]])addEventListener(kind,()=>{onPaper(
+on),now.state&&paint(getContext(part("canvas")),size())})}});function makeField(into,about){let part2=template.content.firstElementChild.cloneNode(!0),[number3,slider,mark,
 back]=[".number",".slider",".mark",".home"].map(one=>part2.querySelector(one)),[to,from]=about.logarithmic?LOGARITHMIC:
 LINEAR,[low,high]=(about.limits??[0,1]).map(to),field={read:Number,step:1,...about,part:part2,number:number3,slider,
-mark:mark2,back,value:null,latest:0,text:"",home:null,editing:!1,gesture:newGesture(),share:value=>Math.min(Math.
-max((to(value)-low)/(high-low),0),1),at:share=>from(low+share*(high-low))},{of,name,symbol,unit,limits}=about;
-made+=1,number3.id=`field-${made}`;let term=define2(symbol,name);symbol&&number3.setAttribute("aria-descriptio\
-n",DEFINITIONS[symbol]),part2.querySelector(".name").append(term),part2.querySelector(".unit").textContent=unit,
-number3.ariaLabel=slider.ariaLabel=[of,name].filter(Boolean).join(" ")+(unit&&`, ${unit}`),slider.max=STEPS,back.
-ariaLabel=`${number3.ariaLabel}: back to its initial value`,limits||part2.querySelector(".track").remove(),wireNumber(
-field);let goHome2=()=>{field.gesture=newGesture(),field.home!==null&&ask(field,field.home)};return slider.addEventListener(
-"input",()=>ask(field,field.at(slider.value/STEPS))),slider.addEventListener("change",()=>field.gesture=newGesture()),
-slider.addEventListener("keydown",event=>event.key in SLIDES&&stepBy(field,SLIDES[event.key],event)),press(back,
-goHome2),setHome(field,null),into.append(part2),field}function show2(field,value){if(value===field.value)return;
-field.value=field.latest=value;let text=field.text=field.write(value);!field.editing&&field.number.value!==text&&
-(field.number.value=text),field.slider.value=Math.round(STEPS*field.share(value)),field.slider.ariaValueText=`${text}\
- ${field.unit}`.trim(),markHome(field)}function setHome(field,home){field.home=home,field.back.hidden=field.mark.
-hidden=home===null,home!==null&&(field.mark.style.left=`calc(${THUMB/2}px + ${field.share(home)} * (100% - ${THUMB}\
-px))`,field.back.title=`back to ${field.write(home)} ${field.unit}`.trim(),markHome(field))}function markHome({
-part:part2,back,write:write2,value,home}){back.disabled=home===null||value===null||write2(home)===write2(value),
-part2.querySelector(".hand").hidden=back.disabled}function ask(field,value){field.latest=value,field.value=null,
-field.ask(value,{gesture:field.gesture,below:field.part})}function wireNumber(field){let{number:number3}=field;
-number3.addEventListener("input",()=>field.editing=!0),number3.addEventListener("blur",()=>giveBack(field)),number3.
-addEventListener("change",()=>{if(field.gesture=newGesture(),field.editing=!1,number3.value!=="")return ask(field,
-field.read(number3.value));publish("notice",{what:`No ${number3.ariaLabel}: ${field.text} is kept.`,expected:"\
-a number"}),giveBack(field)}),number3.addEventListener("keydown",event=>{event.key in ARROWS&&stepBy(field,ARROWS[event.
-key],event),event.key==="Escape"&&giveBack(field)}),number3.addEventListener("keyup",({key})=>{key==="Enter"&&
-(field.editing=!1)})}function giveBack(field){field.editing=!1,field.value!==null&&(field.number.value=field.text)}
-function stepBy(field,direction,event){event.preventDefault();let{number:number3,step,logarithmic}=field,from=field.
-editing&&number3.value!==""?field.read(number3.value):field.latest;field.editing=!1,event.repeat||(field.gesture=
-newGesture()),ask(field,logarithmic?from*step**direction:from+step*direction)}var template,STEPS,THUMB,LINEAR,
-LOGARITHMIC,ARROWS,SLIDES,made,init_fields=__esm({"needlefit/viewer/page/fields.js"(){"use strict";init_definitions();
-init_dom();init_steering();init_store();template=part("field-template"),STEPS=1e3,THUMB=16,LINEAR=[x2=>x2,x2=>x2],
-LOGARITHMIC=[x2=>Math.log(Math.max(x2,Number.MIN_VALUE)),Math.exp],ARROWS={ArrowUp:1,ArrowDown:-1},SLIDES={...ARROWS,
-ArrowRight:1,ArrowLeft:-1,PageUp:10,PageDown:-10},made=0}});function buildFields({scene,recording}){fields=[];for(let id of["insertion-fields","guide-fields","tissue-fiel\
-ds","shape-fields"])part(id).replaceChildren();let add=(into,[input,item],about,current,{shown:shown3=x2=>x2,meant=x2=>x2}={})=>{
+mark,back,value:null,latest:0,text:"",home:null,editing:!1,gesture:newGesture(),share:value=>Math.min(Math.max(
+(to(value)-low)/(high-low),0),1),at:share=>from(low+share*(high-low))},{of,name,symbol,unit,limits}=about;made+=
+1,number3.id=`field-${made}`;let term=define2(symbol,name);symbol&&number3.setAttribute("aria-description",DEFINITIONS[symbol]),
+part2.querySelector(".name").append(term),part2.querySelector(".unit").textContent=unit,number3.ariaLabel=slider.
+ariaLabel=[of,name].filter(Boolean).join(" ")+(unit&&`, ${unit}`),slider.max=STEPS,back.ariaLabel=`${number3.ariaLabel}\
+: back to its initial value`,limits||part2.querySelector(".track").remove(),wireNumber(field);let goHome2=()=>{
+field.gesture=newGesture(),field.home!==null&&ask(field,field.home)};return slider.addEventListener("input",()=>ask(
+field,field.at(slider.value/STEPS))),slider.addEventListener("change",()=>field.gesture=newGesture()),slider.addEventListener(
+"keydown",event=>event.key in SLIDES&&stepBy(field,SLIDES[event.key],event)),press(back,goHome2),setHome(field,
+null),into.append(part2),field}function show2(field,value){if(value===field.value)return;field.value=field.latest=
+value;let text=field.text=field.write(value);!field.editing&&field.number.value!==text&&(field.number.value=text),
+field.slider.value=Math.round(STEPS*field.share(value)),field.slider.ariaValueText=`${text} ${field.unit}`.trim(),
+markHome(field)}function setHome(field,home){field.home=home,field.back.hidden=field.mark.hidden=home===null,home!==
+null&&(field.mark.style.left=`calc(${THUMB/2}px + ${field.share(home)} * (100% - ${THUMB}px))`,field.back.title=
+`back to ${field.write(home)} ${field.unit}`.trim(),markHome(field))}function markHome({part:part2,back,write:write2,
+value,home}){back.disabled=home===null||value===null||write2(home)===write2(value),part2.querySelector(".hand").
+hidden=back.disabled}function ask(field,value){field.latest=value,field.value=null,field.ask(value,{gesture:field.
+gesture,below:field.part})}function wireNumber(field){let{number:number3}=field;number3.addEventListener("inpu\
+t",()=>field.editing=!0),number3.addEventListener("blur",()=>giveBack(field)),number3.addEventListener("change",
+()=>{if(field.gesture=newGesture(),field.editing=!1,number3.value!=="")return ask(field,field.read(number3.value));
+publish("notice",{what:`No ${number3.ariaLabel}: ${field.text} is kept.`,expected:"a number"}),giveBack(field)}),
+number3.addEventListener("keydown",event=>{event.key in ARROWS&&stepBy(field,ARROWS[event.key],event),event.key===
+"Escape"&&giveBack(field)}),number3.addEventListener("keyup",({key})=>{key==="Enter"&&(field.editing=!1)})}function giveBack(field){
+field.editing=!1,field.value!==null&&(field.number.value=field.text)}function stepBy(field,direction,event){event.
+preventDefault();let{number:number3,step,logarithmic}=field,from=field.editing&&number3.value!==""?field.read(
+number3.value):field.latest;field.editing=!1,event.repeat||(field.gesture=newGesture()),ask(field,logarithmic?
+from*step**direction:from+step*direction)}var template,STEPS,THUMB,LINEAR,LOGARITHMIC,ARROWS,SLIDES,made,init_fields=__esm(
+{"needlefit/viewer/page/fields.js"(){"use strict";init_definitions();init_dom();init_steering();init_store();template=
+part("field-template"),STEPS=1e3,THUMB=16,LINEAR=[x2=>x2,x2=>x2],LOGARITHMIC=[x2=>Math.log(Math.max(x2,Number.
+MIN_VALUE)),Math.exp],ARROWS={ArrowUp:1,ArrowDown:-1},SLIDES={...ARROWS,ArrowRight:1,ArrowLeft:-1,PageUp:10,PageDown:-10},
+made=0}});function buildFields({scene,recording}){fields=[];for(let id of["insertion-fields","guide-fields","tissue-fiel\
+ds","shape-fields"])part(id).replaceChildren();let add=(into,[input,item],about,current,{shown:shown2=x2=>x2,meant=x2=>x2}={})=>{
 let field=makeField(part(into),{...about,ask:(value,how)=>change([[input,item,meant(value)]],how)}),home=recording&&
-["insertion-fields","guide-fields"].includes(into)?void 0:current(scene.fitted);home!==void 0&&setHome(field,shown3(
-home)),fields.push([field,()=>shown3(current(now.state))])},{limits,fitted,simulation,layer_names:names,shape_parameters:shapes}=scene,
+["insertion-fields","guide-fields"].includes(into)?void 0:current(scene.fitted);home!==void 0&&setHome(field,shown2(
+home)),fields.push([field,()=>shown2(current(now.state))])},{limits,fitted,simulation,layer_names:names,shape_parameters:shapes}=scene,
 {steps:[first],law}=simulation,mm={unit:"mm",step:.1},tilt={unit:"°",step:.1,write:digits(2)},angle2={shown:degrees,
 meant:slope};add("insertion-fields",["depth_mm",null],{...mm,name:"depth",symbol:"depth",step:1,write:digits(1),
 limits:[0,limits.depth_mm-.01]},of=>of.depth_mm??scene.depth_mm),add("insertion-fields",["base_y_mm",null],{...mm,
@@ -1472,88 +1204,37 @@ limits:[low,high]};add("shape-fields",[name,i+1],about,of=>of.layers[i][name])}}
 field,current]of fields)show2(field,current());part("side").textContent=describeRoll(now.state.bevel)}var digits,
 fields,init_inputs2=__esm({"needlefit/viewer/page/inputs.js"(){"use strict";init_dom();init_fields();init_inputs();
 init_quantities();init_steering();init_store();digits=count=>value=>value.toFixed(count),fields=[];for(let kind of[
-"state","unchanged"])listen(kind,refresh2)}});function toggle(name){now.shown[name]=!now.shown[name],chips[name].ariaPressed=String(now.shown[name]),redraw()}
-function pin(){if(!now.state)return;let{x:x2,y:y2}=now.state;now.pinned=now.pinned?null:{x:x2,y:y2},part("pin").
-ariaPressed=String(now.pinned!==null),part("pin").textContent=now.pinned?"Unpin":"Pin",offer({pinned:now.pinned}),
-redraw()}var CHIPS,fits,chips,offer,init_toolbar=__esm({"needlefit/viewer/page/toolbar.js"(){"use strict";init_dom();
-init_store();init_view();CHIPS={load:["lateral load"],points:["constraint points"],path:["tip path"],measured:[
-"measured"],errors:["errors","Gaps at the tip (TE) and along the shaft (IPE)"],band:["95 % band","95 % of the \
-needles lie wholly inside"],plan:["plan"],pinned:["pinned"]},fits=document.querySelectorAll("[data-fit]"),chips=
-Object.fromEntries(Object.entries(CHIPS).map(([name,[called,title=""]])=>{let swatch=element("i",{ariaHidden:"\
-true",className:`swatch ${name}`}),chip=button([swatch,called],()=>toggle(name),{title,ariaPressed:String(now.
-shown[name])});return chip.dataset.show=name,[name,chip]}));part("chips").append(...Object.values(chips));offer=
-there=>Object.entries(there).forEach(([name,is])=>chips[name].hidden=!is);offer({measured:!1,errors:!1,band:!1,
-plan:!1,pinned:!1});press("pin",pin);for(let one of fits)press(one,()=>fit(one.dataset.fit));for(let[way,factor]of[
-["in",1.25],["out",.8]])press(document.querySelector(`[data-zoom=${way}]`),()=>zoom(factor));listen("scene",({
-measured,draws,plan})=>offer({measured,errors:measured,band:draws,plan}));listen("redraw",()=>fits.forEach(one=>one.
-ariaPressed=String(one.dataset.fit===view.fit)))}});function go(key,changes){let at=performance.now(),again=key===last2.key&&at-last2.at<WITHIN;Object.assign(last2,
+"state","unchanged"])listen(kind,refresh2)}});function go(key,changes){let at=performance.now(),again=key===last2.key&&at-last2.at<WITHIN;Object.assign(last2,
 {key,at,gesture:again?last2.gesture:newGesture()}),change(changes,{gesture:last2.gesture})}function insert2(mm){
 let{step:{depth},scene}=now.steered,end=Math.max(Math.min(now.steered.reach(),scene.limits.depth_mm),depth);go(
 "insert",[["depth_mm",null,Math.min(Math.max(depth+mm,0),end)]])}function hear(event){if(!now.state||event.altKey)
 return;let key=event.key.length===1?event.key.toLowerCase():event.key,act=event.ctrlKey||event.metaKey?COMMANDS[key]:
 KEYS.find(([keys])=>keys.includes(key))?.[3];act&&(event.preventDefault(),act(event))}var ROLL,WITHIN,last2,flip,
 roll,moveBase,KEYS,COMMANDS,init_keyboard=__esm({"needlefit/viewer/page/keyboard.js"(){"use strict";init_dom();
-init_inputs();init_readouts();init_steering();init_store();init_toolbar();init_view();ROLL=10,WITHIN=1e3,last2=
-{key:"",at:-1/0,gesture:0};flip=()=>change([turnOver(now.state.bevel.roll_deg)]),roll=by=>go("roll",[["bevel_r\
-oll_deg",null,wrap(now.state.bevel.roll_deg+by)]]),moveBase=mm=>go("base",[["base_y_mm",null,now.state.base.input_y+
-mm]]),KEYS=[[["ArrowRight"],"→","insert 1 mm; with Shift 0.1 mm",e=>insert2(e.shiftKey?.1:1)],[["ArrowLeft"],
-"←","retract, likewise",e=>insert2(e.shiftKey?-.1:-1)],[["ArrowUp"],"↑","base up by 0.1 mm; with Shift by \
-1 mm",e=>moveBase(e.shiftKey?1:.1)],[["ArrowDown"],"↓","base down, likewise",e=>moveBase(e.shiftKey?-1:-.1)],
-[["f"],"F","flip the bevel",flip],[["r"],"R",`roll the bevel by ${ROLL}°; with Shift back`,e=>roll(e.shiftKey?
--ROLL:ROLL)],[["k"],"K","pin this needle to compare with, or unpin",()=>pin()],[["d"],"D","say where the needl\
-e stands",()=>say(inWords())],[["+","="],"+","zoom in",()=>zoom(1.25)],[["-","_"],"−","zoom out",()=>zoom(.8)],
-[["0","1"],"0, 1","show the whole needle",()=>fit("whole")],[["2"],"2","show the tissue",()=>fit("tissue")],[[
-"3"],"3","follow the tip",()=>fit("tip")]],COMMANDS={z:event=>event.shiftKey?redo():undo(),y:()=>redo()};for(let[
-written3,what]of[...KEYS.map(([,key,effect])=>[key,effect]),["Ctrl+Z, Y","undo, redo"]])part("key-list").append(
-entry(element("kbd",{},written3),what));part("canvas").addEventListener("keydown",hear);press("undo",undo);press(
-"redo",redo);press("flip",flip)}});function makeRow(method,row){if(!method.x)return row(method.name,errorsOf(method.errors));let swatch=element("\
-i",{className:"swatch line",ariaHidden:"true"});swatch.style.background=`light-dark(${method.colour}, ${lighten(
-method.colour)})`;let toggle2=element("button",{type:"button",ariaPressed:String(now.curves.has(method.key))},
-swatch,method.name);return press(toggle2,()=>{now.curves.delete(method.key)||now.curves.add(method.key),toggle2.
-ariaPressed=String(now.curves.has(method.key)),redraw()}),row(toggle2,errorsOf(method.errors))}var JUDGED,FITTED,
-own,present,errorsOf,init_methods=__esm({"needlefit/viewer/page/methods.js"(){"use strict";init_dom();init_overlay();
-init_quantities();init_store();JUDGED="prediction",FITTED="fitted",own=new Map,present=[],errorsOf=values=>(now.
-scene.measured?.metrics??[]).map(([name,,unit])=>writeError(values?.[name]??null,unit));listen("scene",({measured})=>{
-let{methods}=now.needle;if(part("methods").hidden=!methods,!methods)return;let heads=["method",...measured.metrics.
-map(([,label2,unit])=>`${label2} (${unit})`)];part("method-heads").replaceChildren(...heads.map(one=>element("\
-th",{scope:"col"},one)));let row=(name,values)=>element("tr",{},element("th",{scope:"row"},name),values.map(one=>element(
-"td",{},one))),first=row("",errorsOf(null));present=[...first.cells],own.clear();let rows=methods.toSorted((one,other)=>+(other.
-key===JUDGED)-+(one.key===JUDGED)).map(method=>{let made2=makeRow(method,row);return[JUDGED,FITTED].includes(method.
-key)&&own.set(method.key,made2),made2});part("method-rows").replaceChildren(first,...rows)});listen("state",state=>{
-if(!now.needle.methods)return;let{errors}=state,upto=errors&&!errors.whole?`, first ${errors.upto_mm.toFixed(1)}\
- mm`:"",prediction=predictionOf(state,now.scene),steered=isSteered(state,now.scene)||Math.abs(state.depth_mm-now.
-scene.depth_mm)>1e-6,known=now.needle.methods.find(({key})=>key===(prediction?JUDGED:FITTED)),called=steered?`\
-steered needle${upto}`:known?.name??"the needle above";own.forEach((row,key)=>row.hidden=!steered||key===FITTED&&
-own.has(JUDGED)),[called,...errorsOf(prediction?.errors??errors)].forEach((text,i)=>write(present[i],text))})}});function down(event){if(event.button>0)return;canvas3.setPointerCapture(event.pointerId);let at=place(event);if(fingers.
-set(event.pointerId,at),fingers.size>1)drag=null;else{let handle=handleAt(...at,event.pointerType);handle&&(drag=
-{handle,from:at,last:at,to:at,gesture:newGesture(),pointer:event.pointerId})}canvas3.classList.toggle("draggin\
-g",drag!==null),hold(drag!==null)}function follow2(event){if(drag?.pointer!==event.pointerId||!now.state)return;
-let at=place(event);drag.to=drag.to.map((to,i)=>to+(event.shiftKey?FINE:1)*(at[i]-drag.last[i])),drag.last=at;
-let set=drag.handle.drag(drag.from,drag.to);set.length&&change(set,{gesture:drag.gesture})}function moved(event){
-let before=fingers.get(event.pointerId);if(!before)return hover(event);if(drag)return RAW?void 0:follow2(event);
-let at=place(event);fingers.size===1?pan(at[0]-before[0],at[1]-before[1]):fingers.size===2&&pinch(event.pointerId,
-before,at),fingers.set(event.pointerId,at)}function pinch(id,before,at){let[other]=[...fingers].filter(([finger])=>finger!==
-id).map(([,at2])=>at2),distance2=([x2,y2])=>Math.max(Math.hypot(x2-other[0],y2-other[1]),20);pan((at[0]-before[0])/
-2,(at[1]-before[1])/2),zoom(distance2(at)/distance2(before),(at[0]+other[0])/2,(at[1]+other[1])/2)}function up(event){
-drag?.pointer===event.pointerId&&(event.type==="pointerup"&&follow2(event),drag=null),fingers.delete(event.pointerId),
-canvas3.classList.remove("dragging"),hold(!1)}function hover(event){let cursor=handleAt(...place(event))?.cursor??
-"";canvas3.style.cursor!==cursor&&(canvas3.style.cursor=cursor)}function wheel(event){!event.ctrlKey&&!event.metaKey||
-(event.preventDefault(),zoom(Math.exp(-.2*(event.deltaY||event.deltaX)/NOTCH[event.deltaMode]),...place(event)))}
-var NOTCH,FINE,canvas3,fingers,drag,place,RAW,HEARD,init_pointers=__esm({"needlefit/viewer/page/pointers.js"(){
-"use strict";init_dom();init_handles();init_steering();init_store();init_view();NOTCH={0:100,1:3,2:1},FINE=.1,
-canvas3=part("canvas"),fingers=new Map,drag=null,place=event=>{let{left,top}=canvas3.getBoundingClientRect();return[
-event.clientX-left,event.clientY-top]};RAW="onpointerrawupdate"in canvas3,HEARD={pointerdown:down,pointermove:moved,
-pointerrawupdate:follow2,pointerup:up,pointercancel:up};for(let[kind,hear2]of Object.entries(HEARD))canvas3.addEventListener(
-kind,hear2);canvas3.addEventListener("wheel",wheel,{passive:!1})}});function goBack(){write("link-note",""),part("back").disabled=!0,now.replay?showStep(now.replay.steps.length):
-goHome()}function showStep(n,clock=placeOf(n)){let replay=shown2();forgetPast(),replay.to(n),part("scrub").value=
+init_inputs();init_steering();init_store();init_view();ROLL=10,WITHIN=1e3,last2={key:"",at:-1/0,gesture:0};flip=
+()=>change([turnOver(now.state.bevel.roll_deg)]),roll=by=>go("roll",[["bevel_roll_deg",null,wrap(now.state.bevel.
+roll_deg+by)]]),moveBase=mm=>go("base",[["base_y_mm",null,now.state.base.input_y+mm]]),KEYS=[[["ArrowRight"],"\
+→","insert 1 mm; with Shift 0.1 mm",e=>insert2(e.shiftKey?.1:1)],[["ArrowLeft"],"←","retract, likewise",e=>insert2(
+e.shiftKey?-.1:-1)],[["ArrowUp"],"↑","base up by 0.1 mm; with Shift by 1 mm",e=>moveBase(e.shiftKey?1:.1)],[
+["ArrowDown"],"↓","base down, likewise",e=>moveBase(e.shiftKey?-1:-.1)],[["f"],"F","flip the bevel",flip],[[
+"r"],"R",`roll the bevel by ${ROLL}°; with Shift back`,e=>roll(e.shiftKey?-ROLL:ROLL)],[["1"],"1","show the w\
+hole needle",()=>fit("whole")],[["2"],"2","show the tissue",()=>fit("tissue")],[["3"],"3","follow the tip",()=>fit(
+"tip")]],COMMANDS={z:event=>event.shiftKey?redo():undo(),y:()=>redo()};for(let[written3,what]of[...KEYS.map(([
+,key,effect])=>[key,effect]),["Ctrl+Z, Y","undo, redo"]])part("key-list").append(entry(element("kbd",{},written3),
+what));part("canvas").addEventListener("keydown",hear);press("undo",undo);press("redo",redo);press("flip",flip)}});function toggle(name){now.shown[name]=!now.shown[name],chips[name].ariaPressed=String(now.shown[name]),redraw()}
+var CHIPS,fits,chips,offer,init_toolbar=__esm({"needlefit/viewer/page/toolbar.js"(){"use strict";init_dom();init_store();
+init_view();CHIPS={measured:["measured"],errors:["errors","Gaps at the tip (TE) and along the shaft (IPE)"],band:[
+"95 % band","95 % of the needles lie wholly inside"],plan:["plan"]},fits=document.querySelectorAll("[data-fit]"),
+chips=Object.fromEntries(Object.entries(CHIPS).map(([name,[called,title=""]])=>{let swatch=element("i",{ariaHidden:"\
+true",className:`swatch ${name}`}),chip=button([swatch,called],()=>toggle(name),{title,ariaPressed:String(now.
+shown[name])});return chip.dataset.show=name,[name,chip]}));part("chips").append(...Object.values(chips));offer=
+there=>Object.entries(there).forEach(([name,is])=>chips[name].hidden=!is);offer({measured:!1,errors:!1,band:!1,
+plan:!1});for(let one of fits)press(one,()=>fit(one.dataset.fit));listen("scene",({measured,draws,plan})=>offer(
+{measured,errors:measured,band:draws,plan}));listen("redraw",()=>fits.forEach(one=>one.ariaPressed=String(one.
+dataset.fit===view.fit)))}});function goBack(){write("link-note",""),part("back").disabled=!0,now.replay?showStep(now.replay.steps.length):
+goHome()}function showStep(n,clock=placeOf(n)){let replay=shown();forgetPast(),replay.to(n),part("scrub").value=
 n===replay.steps.length?part("scrub").max:clock,part("scrub").ariaValueText=`${clock.toFixed(1)} ${replay.unit}`,
-write("time",`${clock.toFixed(1)} of ${placeOf(replay.steps.length).toFixed(1)} ${replay.unit}`),show()}function play(on){
-if(part("play").textContent=on?"Pause":"Play",!on)return void(now.playing=null);let replay=shown2(),n=replay.at===
-replay.steps.length||replay.changed?0:replay.at;now.playing={clock:placeOf(n),last:performance.now(),n},requestAnimationFrame(
-advance)}function advance(t){let{playing}=now;if(!playing)return;let{steps:steps2}=shown2(),ends=Math.max(placeOf(
-steps2.length),1e-9);for(playing.clock+=(t-playing.last)/1e3*(ends/Math.min(Math.max(ends,SHORTEST2),LONGEST)),
-playing.last=t;playing.n<steps2.length&&placeOf(playing.n+1)<=playing.clock;)playing.n+=1;if(showStep(playing.
-n,Math.min(playing.clock,ends)),playing.n===steps2.length)return play(!1);requestAnimationFrame(advance)}function openRecording(recording,planned=!1){
+write("time",`${clock.toFixed(1)} of ${placeOf(replay.steps.length).toFixed(1)} ${replay.unit}`),show()}function openRecording(recording,planned=!1){
 if(part("transport").hidden=!recording,now.replay=null,!recording)return;let depthOf=([,changes])=>changes.find(
 ([name])=>name==="depth_mm")[2],places=recording.map(planned?depthOf:([time])=>time);now.replay=Object.assign(
 new Replay(now.steered,recording),{places,unit:planned?"mm":"s"}),part("scrub").max=Math.ceil(10*(places.at(-1)??
@@ -1571,19 +1252,18 @@ number3),openRecording(steps2),goBack(),write("link-note",`Opened ${file.name}.`
 "proof").parentElement)}})}function keep(){let{needle,steered}=now,text=JSON.stringify({head:needle.head,way:steered.
 listWay().map(({changes})=>changes)});try{text.length<=MOST_KEPT&&localStorage.setItem(keyOf(needle),text)}catch{}}
 function restore(){let{needle,steered,replay}=now,kept=JSON.parse(localStorage.getItem(keyOf(needle))??"null");
-if(!kept||kept.head!==needle.head)return!1;steered.rewind();try{for(let changes of kept.way)steered.apply(changes,
-{validOnly:!1})}catch{return localStorage.removeItem(keyOf(needle)),goBack(),!1}return replay&&(replay.changed=
-!0),part("back").disabled=!1,write("link-note","The needle as you left it: this browser keeps it."),show(),!0}
-var SHORTEST2,LONGEST,PAUSE,MOST_KEPT,COLUMNS,shown2,placeOf,identify,keyOf,keeping,init_recording=__esm({"nee\
-dlefit/viewer/page/recording.js"(){"use strict";init_address();init_dom();init_link();init_inputs();init_steering();
-init_store();init_stored();[SHORTEST2,LONGEST]=[2,20],PAUSE=400,MOST_KEPT=1e6,COLUMNS="step,time_s,input,item,\
-value,tip_lateral_mm",shown2=()=>now.replay,placeOf=n=>n?shown2().places[n-1]:0;part("scrub").addEventListener(
-"input",({target})=>{play(!1);let clock=Math.min(Number(target.value),placeOf(shown2().steps.length));showStep(
-shown2().places.filter(one=>one<=clock).length,clock)});press("play",()=>play(!now.playing));press("back",()=>{
-localStorage.removeItem(keyOf(now.needle)),goBack()});listen("steers",()=>{now.replay&&(play(!1),now.replay.changed=
-!0)});press("save-recording",()=>{let name=`${nameOf2(now.needle).replace(/[^\w-]+/g,"-")}.csv`;hand(new Blob(
-[writeRecording(now.needle.head,now.steered)],{type:"text/csv"}),name),write("link-note",`Saved ${name}. It op\
-ens on this page, and with: needlefit view --recording ${name}`)});identify=head=>head.split(`
+if(!kept||kept.head!==needle.head)return!1;steered.rewind();try{for(let changes of kept.way)steered.apply(changes)}catch{
+return localStorage.removeItem(keyOf(needle)),goBack(),!1}return replay&&(replay.changed=!0),part("back").disabled=
+!1,write("link-note","The needle as you left it: this browser keeps it."),show(),!0}var PAUSE,MOST_KEPT,COLUMNS,
+shown,placeOf,identify,keyOf,keeping,init_recording=__esm({"needlefit/viewer/page/recording.js"(){"use strict";
+init_address();init_dom();init_link();init_inputs();init_steering();init_store();init_stored();PAUSE=400,MOST_KEPT=
+1e6,COLUMNS="step,time_s,input,item,value,tip_lateral_mm",shown=()=>now.replay,placeOf=n=>n?shown().places[n-1]:
+0;part("scrub").addEventListener("input",({target})=>{let clock=Math.min(Number(target.value),placeOf(shown().
+steps.length));showStep(shown().places.filter(one=>one<=clock).length,clock)});press("back",()=>{localStorage.
+removeItem(keyOf(now.needle)),goBack()});listen("steers",()=>{now.replay&&(now.replay.changed=!0)});press("sav\
+e-recording",()=>{let name=`${nameOf2(now.needle).replace(/[^\w-]+/g,"-")}.csv`;hand(new Blob([writeRecording(
+now.needle.head,now.steered)],{type:"text/csv"}),name),write("link-note",`Saved ${name}. It opens on this page\
+, and with: needlefit view --recording ${name}`)});identify=head=>head.split(`
 `).filter(one=>one.startsWith("#")).slice(1).filter(one=>!one.startsWith("# needlefit =")).join(`
 `);keyOf=needle=>`needlefit ${location.pathname} ${nameOf2(needle)}`,keeping=0;listen("steers",()=>{clearTimeout(
 keeping),keeping=setTimeout(keep,PAUSE)});addEventListener("pagehide",()=>keeping&&keep())}});var main_exports={};async function choose(number3){let{data}=now;part("needle-choice").value=number3;let steered=await begin(
@@ -1593,22 +1273,20 @@ Object.assign(now,{needle,steered});let{scene}=needle;openRecording(needle.recor
 tted)":"",draws=counted(scene.draws?.sets??0,"posterior draw");write("band-note",scene.draws?`Band: 95 % of th\
 e needles of ${draws}${specimen} lie wholly in it. Noise and model error are not included.`:""),part("origin-m\
 ark")&&write("origin-mark",scene.origin_mark),goBack()}async function stateAgreement(){let{data}=now,{count,largest}=await prove(
-data,SAME3),[what,of]=data.needles[0].recording?["recorded state","recording"]:["needle",data.title?"report":"\
-program"],[agrees,place2]=[largest<SAME3,part("proof")],found=largest===0?`the same bytes as in the ${of}`:`up\
- to ${largest.toExponential(1)} mm from the ${of}`;place2.className=`quiet ${agrees?"good":"bad"}`,place2.dataset.
-count=count,place2.dataset.largest=largest;let checked=`Self-check ${agrees?"passed":"failed"}: ${counted(count,
-what)} computed here`;write("proof",`${checked}, ${Number.isNaN(largest)?"one without a result":found} (needle\
-fit ${data.needlefit}).`)}async function start(){let data=now.data=await load(),script=new Blob([part("program").
-textContent],{type:"text/javascript"});computeBands(new Worker(URL.createObjectURL(script)),data.kernel,()=>({
-name:data.needles.indexOf(now.needle),steered:now.steered}));let choice=part("needle-choice");choice.append(...data.
-needles.map((one,i)=>element("option",{value:String(i)},[nameOf2(one),one.group].filter(Boolean).join(", ")))),
-part("choosing").hidden=data.needles.length<2,choice.addEventListener("change",()=>choose(Number(choice.value))),
-part("canvas").addEventListener("touchstart",event=>{handleAt(...place(event.touches[0]),"touch")&&event.preventDefault()},
-{passive:!1}),addEventListener("hashchange",()=>followAddress(choose)),openDropped(choose),await choose(0);let led=await followAddress(
-choose)||restore();await stateAgreement(),!led&&now.replay&&!now.scene.plan&&!matchMedia("(prefers-reduced-mot\
-ion: reduce)").matches&&play(!0)}var NEEDED,init_main=__esm({"needlefit/viewer/page/main.js"(){"use strict";init_above();
-init_address();init_bands();init_dom();init_figure();init_handles();init_inputs2();init_keyboard();init_link();
-init_methods();init_pointers();init_quantities();init_recording();init_store();init_stored();NEEDED=["WebAssem\
-bly","DecompressionStream","Worker"];start().catch(error=>{let lacking=NEEDED.filter(name=>!(name in globalThis));
-throw write("proof",lacking.length?`This browser lacks ${lacking.join(", ")}: it cannot compute the needle.`:`\
-The needle was not computed, for a fault in this file: ${error.message}`),part("proof").classList.add("bad"),error})}});typeof document>"u"?Promise.resolve().then(()=>(init_band_worker(),band_worker_exports)):Promise.resolve().then(()=>(init_main(),main_exports));})();
+data,SAME),[what,of]=data.needles[0].recording?["recorded state","recording"]:["needle",data.title?"report":"p\
+rogram"],[agrees,place]=[largest<SAME,part("proof")],found=largest===0?`the same bytes as in the ${of}`:`up to\
+ ${largest.toExponential(1)} mm from the ${of}`;place.className=`quiet ${agrees?"good":"bad"}`,place.dataset.count=
+count,place.dataset.largest=largest;let checked=`Self-check ${agrees?"passed":"failed"}: ${counted(count,what)}\
+ computed here`;write("proof",`${checked}, ${Number.isNaN(largest)?"one without a result":found} (needlefit ${data.
+needlefit}).`)}async function start(){let data=now.data=await load(),script=new Blob([part("program").textContent],
+{type:"text/javascript"});computeBands(new Worker(URL.createObjectURL(script)),data.kernel,()=>({name:data.needles.
+indexOf(now.needle),steered:now.steered}));let choice=part("needle-choice");choice.append(...data.needles.map(
+(one,i)=>element("option",{value:String(i)},[nameOf2(one),one.group].filter(Boolean).join(", ")))),part("choos\
+ing").hidden=data.needles.length<2,choice.addEventListener("change",()=>choose(Number(choice.value))),addEventListener(
+"hashchange",()=>followAddress(choose)),openDropped(choose),await choose(0),await followAddress(choose)||restore(),
+await stateAgreement()}var NEEDED,init_main=__esm({"needlefit/viewer/page/main.js"(){"use strict";init_above();
+init_address();init_bands();init_dom();init_figure();init_inputs2();init_keyboard();init_link();init_toolbar();
+init_quantities();init_recording();init_store();init_stored();NEEDED=["WebAssembly","DecompressionStream","Wor\
+ker"];start().catch(error=>{let lacking=NEEDED.filter(name=>!(name in globalThis));throw write("proof",lacking.
+length?`This browser lacks ${lacking.join(", ")}: it cannot compute the needle.`:`The needle was not computed,\
+ for a fault in this file: ${error.message}`),part("proof").classList.add("bad"),error})}});typeof document>"u"?Promise.resolve().then(()=>(init_band_worker(),band_worker_exports)):Promise.resolve().then(()=>(init_main(),main_exports));})();

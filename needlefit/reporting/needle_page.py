@@ -175,7 +175,7 @@ def encode_step(step: Step) -> dict[str, Any]:
     }
 
 
-def encode_model(scene: Scene, first_cell: float) -> dict[str, Any]:
+def encode_model(scene: Scene, first_cell: float, changes: Sequence[Any]) -> dict[str, Any]:
     """Return what a page needs to simulate a scene; `model` is that of `native/needle.js`.
 
     Of a law that is a sum of powers, `terms` are its coefficients and exponents where all shape parameters
@@ -203,6 +203,7 @@ def encode_model(scene: Scene, first_cell: float) -> dict[str, Any]:
         "shape": tissue.shape.tolist(),
         "law": {"terms": terms, "tables": []},
         "steps": [encode_step(step) for step in scene.steps],
+        "changes": changes,
         "rules": describe_input_rules(tissue.law),
     }  # fmt: skip
 
@@ -233,8 +234,13 @@ def encode_limits(scene: Scene) -> dict[str, Any]:
 DEFINED = ("b", "θ", "μ")
 
 
-def encode_scene(scene: Scene, first_cell: float, names: Sequence[str] = ()) -> dict[str, Any]:
-    """Return what a page draws of a scene, and what it needs to simulate it; `names` are those of guides."""
+def encode_scene(
+    scene: Scene, first_cell: float, names: Sequence[str], changes: Sequence[Any]
+) -> dict[str, Any]:
+    """Return what a page draws of a scene, and what it needs to simulate it.
+
+    `names` are those of guides, `changes` those of each step, as a steered needle takes them.
+    """
     tissue = scene.tissue
     return {
         "kind": "scene",
@@ -256,5 +262,5 @@ def encode_scene(scene: Scene, first_cell: float, names: Sequence[str] = ()) -> 
         },
         "fitted": encode_layers(tissue) | encode_strength(scene.steps[0].bevel, scene.rules),
         "limits": encode_limits(scene),
-        "simulation": encode_model(scene, first_cell),
+        "simulation": encode_model(scene, first_cell, changes),
     }

@@ -1,4 +1,4 @@
-"""What the HTML page of a fit or cross-validation computes: scored needles, their draws, the baselines.
+"""What the HTML page of a fit or cross-validation computes: scored needles and their draws.
 
 A run stores how each insertion was made, so that its report can be made again without the dataset.
 """
@@ -29,11 +29,12 @@ from needlefit.planning.insertion_scene import (
     name_layer_values,
 )
 from needlefit.planning.recording import format_head, make_head
-from needlefit.planning.steered_needle import make_steered_scene, name_guides
+from needlefit.planning.steered_needle import list_scene_changes, make_steered_scene, name_guides
 from needlefit.project.locate import unknown_name_error
 from needlefit.project.random_streams import random_stream
 from needlefit.reporting import labels
 from needlefit.reporting.needle_page import (
+    SHOWN_METRICS,
     TIP_POINTS,
     PageData,
     encode_metrics,
@@ -50,7 +51,6 @@ from needlefit.studies.fit_frames import (
     PREDICTION_METHOD,
     TUNED_SPECIMENS,
     FitFrames,
-    list_methods,
     select_draws,
 )
 from needlefit.studies.run import Run
@@ -63,7 +63,6 @@ if TYPE_CHECKING:
 MAX_DRAWS = 200  #: needles of a band, evenly chosen from all draws
 #: the same of a law that is a table whose parameters differ between draws: each draw has tables of its own
 MAX_TABLE_DRAWS = 40
-CURVE_DECIMALS = 3  #: of mm, of the curves of baselines
 
 
 def _read_inputs(metadata: FitMetadata, name: str) -> InsertionInputs:
@@ -179,25 +178,17 @@ def collect_explorer(run: Run, data: PageData | None = None) -> PageData | None:
     if not rows:  # of curvatures alone no place is known
         return None
     data = data or PageData({"needlefit": metadata.versions["needlefit"], "title": run.title})
-    errors = select_rows(frames.errors, boundaries="measured", converged=True)
-    order = {name: n for n, name in enumerate(list_methods())}
-    errors = errors.sort_values("method", key=lambda names: names.map(order), kind="stable")
-    scores = dict(iter(errors.groupby(["fold", "role", "insertion"], sort=False)))
-    status = run.verdicts[0].status
     for row in rows:
         where = row["fold"], row["role"], row["insertion"]
         needle = _encode_needle(data, run, row, curves[*where, "fitted"])
-        methods = [
-            _encode_method(one, curves.get((*where, one["method"])), run.origin)
-            for one in to_records(scores[where])
-        ]
         about = {
             "group": labels.group_name(row["medium"], row["layers"]),
-            "status": status,
+            # one of curves has none of a tip
+            "errors": {name: row[name] for name in SHOWN_METRICS if row.get(name) is not None},
         }
         if needle["scene"]["measured"]["target"]["pose"] == "known":  # its curve lies where it is drawn
             needle["scene"]["measured"]["prediction"] = find_prediction(run, *where)
-        data.needles.append(needle | about | {"methods": methods})
+        data.needles.append(needle | about)
     return data
 
 
@@ -237,7 +228,8 @@ def _collect_prediction(run: Run, data: PageData | None) -> PageData | None:
     shape = find_last_shape(scene.needle, scene.tissue, scene.steps, scene.rules, lattice)
     data = data or PageData({"needlefit": metadata.versions["needlefit"], "title": run.title})
     table, layers = pd.DataFrame(metadata.drawn), range(1, scene.tissue.layers + 1)
-    encoded = encode_scene(scene, lattice.first_cell, guides) | {
+    changes = list_scene_changes(scene.steps, guides)
+    encoded = encode_scene(scene, lattice.first_cell, guides, changes) | {
         "title": run.title,
         "target": run.name,
         "origin_mark": run.origin_mark,
@@ -279,7 +271,8 @@ def _encode_needle(data: PageData, run: Run, row: Row, curve: Floats) -> dict[st
     scene, guides = name_guides(Scene.from_record(record, name))
     lattice, tissue = make_lattice(scene.steps, scene.rules), scene.tissue
     measured = _encode_measured(scene, lattice, stored, row, curve, metadata.compared)
-    encoded = encode_scene(scene, lattice.first_cell, guides) | {
+    changes = list_scene_changes(scene.steps, guides)
+    encoded = encode_scene(scene, lattice.first_cell, guides, changes) | {
         "title": title,
         "target": name,
         "origin_mark": run.origin_mark,
@@ -362,21 +355,3 @@ def _encode_draws(
         "law": data.share(law),
         "strength": data.share(strength[rows]),
     }
-
-
-def _encode_method(row: Row, curve: Floats | None, origin: str) -> dict[str, Any]:
-    """Return the errors of a method, and of a baseline its curve."""
-    name = row["method"]
-    found = {
-        "key": name,
-        "name": labels.method_name(name, origin),
-        "colour": labels.method_colour(name),
-        # a metric that was added since the run has no value in it, and one of curves has none of a tip
-        "errors": {
-            metric.name: row[metric.name] for metric in list_metrics() if row.get(metric.name) is not None
-        },
-    }
-    if curve is None or len(curve) <= TIP_POINTS or name == "fitted":
-        return found
-    points = np.round(curve[::2, 1, :2], CURVE_DECIMALS)
-    return found | dict(zip("xy", points.T.tolist(), strict=True))

@@ -11,7 +11,7 @@ from needlefit.mechanics.packing import compile_law
 from needlefit.mechanics.simulate import find_last_shape
 from needlefit.mechanics.tissue import Tissue
 from needlefit.planning.recording import RecordedStep, Recording, format_head
-from needlefit.planning.steered_needle import SteeredNeedle, make_steered_scene
+from needlefit.planning.steered_needle import SteeredNeedle, list_scene_changes, make_steered_scene
 from needlefit.reporting import needle_page
 from needlefit.viewer.overlays import MeasuredOverlay, choose_band_draws
 from needlefit.viewer.viewed_scene import ViewedScene
@@ -75,7 +75,9 @@ def encode_scene(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
     scene = steering.scene
     measured = viewed_scene.measured
     return {
-        **needle_page.encode_scene(scene, steering.first_cell, steering.names),
+        **needle_page.encode_scene(
+            scene, steering.first_cell, steering.names, list_scene_changes(scene.steps, steering.names)
+        ),
         "title": viewed_scene.title,
         "note": viewed_scene.note,
         "target": viewed_scene.name,

@@ -2,7 +2,6 @@
 
 export const STATUS = ["converged", "over-compressed", "not converged", "non-finite"];
 const FAULTS = ["", "size", "mesh", "stop", "guides", "column", "output", "points"]; // of native/checks.hpp
-export const BAD_POINTS = 7;
 
 // As in `native.py`: sizes, numbers and arrays of a Problem in their order.
 export const SIZES =
@@ -124,7 +123,7 @@ export function makeProblem(heap, fields, arrays) {
   const at = makeStructure(heap, f, addresses);
   const sizes = heap.take(24);
   check(heap.call.nf_check(at, sizes));
-  const [room, points, quadrature] = heap.integers(sizes, 3);
+  const [room, points] = heap.integers(sizes, 2);
   return {
     at,
     sizes,
@@ -132,7 +131,6 @@ export function makeProblem(heap, fields, arrays) {
     arrays: Object.fromEntries(ARRAYS.map((name, i) => [name, addresses[i]])),
     room: Number(room),
     maxPoints: Number(points),
-    maxQuadrature: Number(quadrature),
   };
 }
 

@@ -24,16 +24,12 @@
 // A needle is computed in two planes, y and z, from the first inputs on that lead it out of the plane z = 0.
 
 import {
-  ARRAYS,
-  BAD_POINTS,
   STATUS,
   Heap,
   check,
   compile,
   makeProblem,
   makeShapes,
-  makeStructure,
-  readPlanes,
   readShape,
   rewrite,
 } from "./memory.js";
@@ -97,7 +93,6 @@ function listGuides(guides, planes) {
   return listed;
 }
 const listHeld = (y, slope, z, planes) => [y, slope ?? NaN, z, (slope ?? null) === null ? NaN : 0].slice(0, 2 * planes);
-const repeat = (numbers, sets) => Float64Array.from({ length: sets * numbers.length }, (_, i) => numbers[i % numbers.length]);
 const listTip = (tip, planes) => (tip ? listHeld(tip.y, tip.slope, tip.z ?? 0, planes) : Array(2 * planes).fill(NaN));
 const listBase = (base) => [base.y, base.slope, base.stageSlope];
 const bevelKey = ({ bevel }) => JSON.stringify([bevel.side, bevel.roll, bevel.strength]);
@@ -105,14 +100,13 @@ const controlsKey = ({ base, guides, tip }) =>
   JSON.stringify([listBase(base), guides.map((guide) => [guide.x, guide.y, guide.slope ?? null]), listTip(tip, 2)]);
 
 /** The arrays of a problem that hold the inputs. */
-function packInputs(heap, { bevel, base, guides, tip }, model, { sets, strength = null }, planes) {
+function packInputs(heap, { bevel, base, guides, tip }, model, planes) {
   const before = guides.filter((guide) => guide.x < 0),
     within = guides.filter((guide) => guide.x >= 0),
-    toward = findToward(heap, bevel).slice(0, planes),
-    turn = (part, set) => (part * (strength?.[set] ?? bevel.strength)) / (model.pathAngle ? 1 : model.spacing);
+    toward = findToward(heap, bevel).slice(0, planes);
   return {
-    turn: Float64Array.from(Array.from({ length: sets }, (_, set) => toward.map((part) => turn(part, set))).flat()),
-    base: repeat([...listBase(base), 0, 0, 0].slice(0, 3 * planes), sets),
+    turn: Float64Array.from(toward, (part) => (part * bevel.strength) / (model.pathAngle ? 1 : model.spacing)),
+    base: Float64Array.from([...listBase(base), 0, 0, 0].slice(0, 3 * planes)),
     before_first: BigInt64Array.of(0n, BigInt(before.length)),
     within_first: BigInt64Array.of(0n, BigInt(within.length)),
     before: listGuides(before, planes),
@@ -121,21 +115,19 @@ function packInputs(heap, { bevel, base, guides, tip }, model, { sets, strength 
   };
 }
 
-/** The fields and arrays of a problem under `inputs`; `values` (sets) take the place of what model and inputs have. */
-function pack(heap, model, inputs, values, planes, more) {
-  const { sets } = values,
-    layers = model.mu.length,
-    ofLayers = ["mu", "thickness", "friction", "law"].map((name) => [name, values[name] ?? repeat(model[name], sets)]);
+/** The fields and arrays of a problem under `inputs`. */
+function pack(heap, model, inputs, planes, rays, deepest) {
+  const layers = model.mu.length;
   const arrays = {
     boundaries: Float64Array.from(model.boundaries),
     stops: new Uint8Array(STOP_BYTES),
-    rigidity: repeat([model.rigidity], sets),
-    ...Object.fromEntries(ofLayers),
-    ...packInputs(heap, inputs, model, values, planes),
+    rigidity: Float64Array.of(model.rigidity),
+    ...Object.fromEntries(["mu", "thickness", "friction", "law"].map((name) => [name, Float64Array.from(model[name])])),
+    ...packInputs(heap, inputs, model, planes),
   };
   const fields = {
     planes,
-    sets,
+    sets: 1,
     layers,
     shapes: 1,
     terms: model.terms,
@@ -143,6 +135,7 @@ function pack(heap, model, inputs, values, planes, more) {
     stop_count: 1,
     bevels: 1,
     inputs: 1,
+    rays,
     guides: MAX_GUIDES,
     columns: 0,
     max_iterations: model.maxIterations ?? 40,
@@ -153,7 +146,7 @@ function pack(heap, model, inputs, values, planes, more) {
     part: model.pathAngle ? LINEAR_CUT : (model.switch ?? 0.5),
     tangent: model.tangent ?? 1,
     tolerance: model.tolerance ?? 1e-7,
-    ...more,
+    deepest,
   };
   return [fields, arrays];
 }
@@ -198,7 +191,7 @@ export class Session {
     const { heap, model, inputs, planes, rays, deepest } = this,
       { call } = heap;
     heap.top = this.base;
-    const problem = makeProblem(heap, ...pack(heap, model, inputs, { sets: 1 }, planes, { rays, deepest }));
+    const problem = makeProblem(heap, ...pack(heap, model, inputs, planes, rays, deepest));
     this.problem = problem;
     this.shapes = makeShapes(heap, problem, problem.maxPoints);
     this.done = heap.take(24);
@@ -221,9 +214,9 @@ export class Session {
   /**
    * Move the tip to a depth, mm, under all inputs; returns the shape.
    *
-   * `failed` tells whether it has not converged, or `accepts(shape)` is false: the needle has then stayed as it was.
+   * `failed` tells whether it has not converged: the needle has then stayed as it was.
    */
-  go(depth, given, accepts = (_shape) => true) {
+  go(depth, given) {
     if (!(depth >= 0 && depth <= this.deepest)) throw new RangeError(`the needle cannot be ${depth} mm deep`);
     const inputs = completeInputs(given),
       { heap } = this;
@@ -235,7 +228,7 @@ export class Session {
     }
     const before = this.inputs;
     this.inputs = inputs;
-    rewrite(heap, this.problem, packInputs(heap, inputs, this.model, { sets: 1 }, this.planes));
+    rewrite(heap, this.problem, packInputs(heap, inputs, this.model, this.planes));
     const bevel = this.#number(bevelKey(inputs), inputs.bevel),
       held = this.#number(controlsKey(inputs), inputs);
     const advance = () => {
@@ -262,7 +255,7 @@ export class Session {
     let { shape } = this;
     if (stops > 0) {
       shape = readShape(heap, this.shapes, points);
-      this.failed = shape.status !== STATUS[0] || !accepts(shape);
+      this.failed = shape.status !== STATUS[0];
       if (this.failed) {
         this.inputs = before;
         return shape;
@@ -362,166 +355,21 @@ export class Session {
     return true;
   }
 
-  /** The deflections (planes * K), mm, of the beam at beam coordinates `s` (K): not the places of its points. */
-  deflections(s) {
-    const { heap, shape } = this,
-      nodes = shape.x.length;
-    return heap.borrow(() => {
-      const [x, u, slope, at] = [shape.x, shape.u, shape.slope, Float64Array.from(s)].map((array) => heap.put(array)),
-        out = heap.take(8 * shape.planes * s.length);
-      for (let plane = 0; plane < shape.planes; plane += 1) {
-        const there = [u, slope].map((address) => address + 8 * plane * nodes);
-        heap.call.nf_deflections(BigInt(nodes), BigInt(s.length), x, ...there, at, out + 8 * plane * s.length);
-      }
-      return heap.floats(out, shape.planes * s.length).slice();
-    });
-  }
-
   /** The points (K * (1 + planes)), mm, of the needle at beam coordinates `s` (K), mm: 0 at the entry, depth at the tip. */
   positions(s) {
     const { heap, shape } = this,
+      { planes } = shape,
       at = Float64Array.from(s);
     if (!at.every((one) => one >= shape.x[0] && one <= shape.depth)) throw new RangeError("s lies beyond the needle");
-    return heap.borrow(() =>
-      findPositions(heap, shape.planes, shape.x.length, [shape.x, shape.u, shape.slope].map((array) => heap.put(array)), at),
-    );
-  }
-
-  /** Loads as in `mechanics.simulate.compute_loads`, N, N mm, N/mm: along y, of a needle in space their magnitudes; `loads` by plane. */
-  forces() {
-    const { heap, shape, inputs, model, planes } = this,
-      { call } = heap;
     return heap.borrow(() => {
-      const depth = shape.depth,
-        cells = shape.constraints.length / (1 + planes) - 1,
-        depths = shape.constraints.filter((_, i) => i % (1 + planes) === 0);
-      const first = cells > 0 ? depths[1] : model.spacing;
-      const deepest = Math.max(depths.length * model.spacing, depth) + first + 2 * model.spacing;
-      const problem = makeProblem(heap, ...pack(heap, { ...model, firstCell: first }, inputs, { sets: 1 }, planes, { rays: 1, deepest }));
-      const memory = heap.take(call.nf_memory(problem.at, 1n));
-      const front = shape.x.findIndex((x) => x >= 0),
-        room = problem.maxQuadrature;
-      const [s, weight, layer, near] = [0, 1, 2, 3].map(() => heap.take(8 * room)),
-        [nodes, at] = [shape.x.slice(front), depths].map((array) => heap.put(array));
-      const count = Number(
-        call.nf_quadrature(
-          problem.at, BigInt(shape.x.length - front), nodes, BigInt(cells), at, memory, s, weight, layer, near,
-        ), // prettier-ignore
-      );
-      if (count < 0) check(BAD_POINTS);
-      const parts = [shape.x, shape.u, shape.slope, shape.constraints].map((array) => heap.put(array)),
-        bent = heap.structure([shape.x.length, cells], [], parts);
-      const load = heap.take(8 * planes * count),
-        nodal = heap.take(16 * planes * shape.x.length);
-      call.nf_load(problem.at, bent, BigInt(count), s, memory, load);
-      check(call.nf_balance(problem.at, bent, BigInt(front), BigInt(count), load, memory, nodal));
-      const each = Array.from({ length: planes }, (_, plane) => plane),
-        held = heap.floats(nodal, 2 * planes * shape.x.length).slice(),
-        size = (parts) => (planes === 1 ? parts[0] : Math.hypot(...parts));
-      const support = (x, part) => {
-        const i = shape.x.indexOf(x);
-        return each.map((plane) => (i < 0 ? 0 : held[2 * (plane * shape.x.length + i) + part]));
-      };
-      const read = (x, clamped) => ({ force: size(support(x, 0)), moment: clamped ? size(support(x, 1)) : 0 });
-      const [places, weights] = [s, weight].map((address) => heap.floats(address, count).slice()),
-        loads = each.map((plane) => heap.floats(load + 8 * plane * count, count).slice()),
-        nearest = heap.integers(near, count),
-        last = loads.map((one) => one.reduce((sum, q, i) => sum + (nearest[i] === BigInt(cells) ? q * weights[i] : 0), 0));
-      return {
-        s: places,
-        loads,
-        tipForce: size(inputs.tip ? support(depth, 0).map((one, plane) => last[plane] + one) : last),
-        base: read(shape.x[0], true),
-        guides: inputs.guides.map((guide) => read(guide.x, (guide.slope ?? null) !== null)),
-      };
-    });
-  }
-}
-
-/** The points at beam coordinates of a needle whose nodes, u and u' are at addresses of the heap. */
-function findPositions(heap, planes, nodes, addresses, s) {
-  return heap.borrow(() => {
-    const size = (1 + planes) * s.length,
-      out = heap.take(8 * size),
-      memory = heap.take(8 * (1 + 5 * planes) * (nodes + 2) * Number(heap.call.nf_lanes())),
-      counts = [planes, 1, nodes, s.length].map(BigInt);
-    heap.call.nf_positions(...counts, ...addresses, heap.put(s), memory, out);
-    return heap.floats(out, size).slice();
-  });
-}
-
-// many needles, step by step
-
-/**
- * Needles that differ in their parameters alone, each inserted from its own state.
- *
- * values: {sets, mu (sets * n), law (sets * n * numbers), strength (sets)}, Float64Arrays, in place of those of model
- * and inputs. Each can change its direction of cutting `rays` times, and bends in so many planes.
- */
-export class SessionBatch {
-  static async begin(kernel, model, values, rays, planes) {
-    return new SessionBatch(await Heap.make(kernel), model, values, rays, planes);
-  }
-
-  heap; model; values; planes; problem; ids; spare; scratch; bevel; held;
-
-  constructor(heap, model, values, rays, planes) {
-    const more = { rays, deepest: findDeepest(model) },
-      problem = makeProblem(heap, ...pack(heap, model, completeInputs({}), values, planes, more));
-    Object.assign(this, { heap, model, values, planes, problem, ids: new Map() });
-    const { fields, arrays, maxPoints, room } = problem,
-      { layers, numbers } = fields;
-    const stride = { rigidity: 1, mu: layers, thickness: layers, friction: layers, law: layers * numbers, turn: planes, base: 3 * planes },
-      alone = { ...fields, sets: 1 };
-    this.done = heap.take(24);
-    // A problem of each set reads its part of the arrays of all.
-    const problems = Array.from({ length: fields.sets }, (_, i) =>
-      makeStructure(heap, alone, ARRAYS.map((name) => arrays[name] && arrays[name] + 8 * i * (stride[name] ?? 0))),
-    );
-    heap.call.nf_session_memory(problems[0], this.done);
-    const [fixed, state, scratch] = heap.integers(this.done, 3).map(BigInt);
-    Object.assign(this, { spare: heap.take(state), scratch: heap.take(scratch) });
-    this.needles = problems.map((at) => {
-      const shapes = makeShapes(heap, { fields: alone, room }, maxPoints);
-      return { at, shapes, fixed: heap.take(fixed), state: heap.take(state) };
-    });
-    problems.forEach((_, i) => this.restart(i));
-  }
-
-  /** Bring a needle to first contact. */
-  restart(i) {
-    const { at, fixed, state } = this.needles[i];
-    this.heap.call.nf_session_begin(at, fixed, state, this.scratch);
-  }
-
-  /** Set the inputs under which needles move from now on. */
-  hold(given) {
-    const { heap, ids } = this,
-      inputs = completeInputs(given);
-    const number = (key) => ids.get(key) ?? ids.set(key, BigInt(ids.size + 1)).get(key);
-    rewrite(heap, this.problem, packInputs(heap, inputs, this.model, this.values, this.planes));
-    Object.assign(this, { bevel: number(bevelKey(inputs)), held: number(controlsKey(inputs)) });
-  }
-
-  /** Move a needle to a depth, mm; returns whether that has converged: it has else stayed as it was. */
-  go(i, depth) {
-    const { heap, done, scratch, spare, bevel, held } = this,
-      needle = this.needles[i];
-    const { at, fixed, state, shapes } = needle;
-    check(heap.call.nf_session_advance(at, fixed, state, spare, scratch, shapes.at, depth, bevel, held, done));
-    if (heap.integers(done, 1)[0] > 0n && heap.integers(shapes.status, 1)[0] !== 0n) return false;
-    [needle.state, this.spare] = [spare, state];
-    return true;
-  }
-
-  /** The points (K * (1 + planes)), mm, of a needle that has converged, at beam coordinates `s` (K), mm. */
-  positions(i, s) {
-    const { heap, planes } = this,
-      { shapes } = this.needles[i],
-      nodes = Number(heap.integers(shapes.nodes, 1)[0]);
-    return heap.borrow(() => {
-      const [u, slope] = ["u", "slope"].map((name) => heap.put(readPlanes(heap, shapes, name, planes, nodes)));
-      return findPositions(heap, planes, nodes, [shapes.x, u, slope], s);
+      const nodes = shape.x.length,
+        size = (1 + planes) * at.length,
+        out = heap.take(8 * size),
+        memory = heap.take(8 * (1 + 5 * planes) * (nodes + 2) * Number(heap.call.nf_lanes())),
+        counts = [planes, 1, nodes, at.length].map(BigInt),
+        addresses = [shape.x, shape.u, shape.slope, at].map((array) => heap.put(array));
+      heap.call.nf_positions(...counts, ...addresses, memory, out);
+      return heap.floats(out, size).slice();
     });
   }
 }

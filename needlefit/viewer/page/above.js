@@ -2,7 +2,7 @@
 
 import { getContext, onScheme, part } from "./dom.js";
 import { paintFrame, paintTissue } from "./painters/background.js";
-import { paintNeedle, paintPath, paintPoints } from "./painters/needle.js";
+import { paintNeedle } from "./painters/needle.js";
 import { isBandNear, paintBand, paintMeasured } from "./painters/overlay.js";
 import { clearLabels, label, palette, setFont, within } from "./painters/strokes.js";
 import { brief } from "./quantities.js";
@@ -18,9 +18,8 @@ export const isSpatial = () => Boolean(now.state?.z ?? now.scene?.measured?.comp
 
 /** The needle as it is seen from above: z in place of y. */
 function turn(state) {
-  const across = ([x, , z = x.map(() => 0)]) => [x, z];
   const roll = (state.bevel.roll_deg * Math.PI) / 180;
-  return { ...state, y: state.z, constraints: across(state.constraints), tip_path: across(state.tip_path), bevel: { side: Math.sin(roll) < 0 ? -1 : 1 } };
+  return { ...state, y: state.z, bevel: { side: Math.sin(roll) < 0 ? -1 : 1 } };
 }
 
 function draw() {
@@ -52,8 +51,6 @@ export function paintAbove(context, width, height) {
     if (shown.band && band?.z && isBandNear(band, state)) paintBand(context, { x: band.x, ...band.z }, band.step !== state.step);
     context.lineJoin = "round";
     paintNeedle(context, needle);
-    if (shown.path) paintPath(context, needle);
-    if (shown.points) paintPoints(context, needle);
     if (measured && shown.measured) paintMeasured(context, { ...measured, y: measured.z });
     setFont(context, "small", "left");
     label(context, "from above", box.left + 6, EDGE + 10);

@@ -76,7 +76,7 @@ export async function writeAddress(kernel, steered, name = /** @type {string | n
 async function leadsTo(kernel, address, steered) {
   const other = await SteeredNeedle.begin(kernel, steered.scene);
   try {
-    for (const changes of readAddress(address, steered.scene)) other.apply(changes, { validOnly: false });
+    for (const changes of readAddress(address, steered.scene)) other.apply(changes);
   } catch (error) {
     if (!(error instanceof ModelError)) throw error;
     return false;

@@ -1,11 +1,11 @@
-/** The band of the scene's draws about the needle that is shown, and forces on its way; a thread of its own computes them. */
+/** The band of the scene's draws about the needle that is shown; a thread of its own computes it. */
 
 import { toInputs } from "./model/inputs.js";
 import { listen, now, take } from "./store.js";
 
 const NONE = { kind: "band", x: [] };
 
-/** Have a worker compute them; `current()` returns the needle, `steered`, and its `name`, which no other one has. */
+/** Have a worker compute it; `current()` returns the needle, `steered`, and its `name`, which no other one has. */
 export function computeBands(worker, kernel, current) {
   let ordered = ""; // what the newest order is about
   worker.postMessage({ kernel });
@@ -15,7 +15,7 @@ export function computeBands(worker, kernel, current) {
     const { name, steered } = current();
     const { model } = steered;
     const steps = steered.path().map((one) => ({ depth: one.depth, inputs: toInputs(one, model.pathAngle) }));
-    return { id: { needle: name, step: now.state.step }, model, steps, planes: steered.session.planes };
+    return { id: { needle: name, step: now.state.step }, model, steps };
   }
 
   /** Order what is shown of the needle as it stands, unless it is on its way. */
@@ -33,10 +33,8 @@ export function computeBands(worker, kernel, current) {
     order();
   }
 
-  worker.onmessage = ({ data: { id, band, forces } }) => {
-    if (id.needle !== current().name) return;
-    if (forces) take({ kind: "forces", step: id.step, ...forces });
-    else take(band ? { kind: "band", step: id.step, ...band } : NONE);
+  worker.onmessage = ({ data: { id, band } }) => {
+    if (id.needle === current().name) take(band ? { kind: "band", step: id.step, ...band } : NONE);
   };
   listen("scene", send);
   listen("drawn", order); // not before: the thread that wakes would hold up the frame

@@ -21,38 +21,27 @@ export function paint(context, figure) {
   const { state, shown, scene, band: newest } = now;
   // while a needle moves faster than draws are computed, their band is of a place that it has left
   const band = shown.band && newest && overlay.isBandNear(newest, state) ? newest : null;
-  const loaded = shown.load && !state.faults.length; // outside the model's limits a force means nothing
   const measured = shown.measured ? scene.measured : null;
-  const pinned = shown.pinned ? now.pinned : null;
   context.fillStyle = palette.gutter;
   context.fillRect(0, 0, ...figure);
   clearLabels();
   needle.reserveNeedle(state);
-  for (const curve of [measured, pinned]) if (curve) avoid(placesOf(curve.x, curve.y));
+  if (measured) avoid(placesOf(measured.x, measured.y));
   context.lineJoin = "round";
   within(context, now.view.box, () => {
     paintTissue(context);
-    if (loaded) needle.paintLoad(context, state);
     if (band) overlay.paintBand(context, band, band.step !== state.step);
     if (shown.plan && scene.plan) overlay.paintPlan(context, scene.plan);
-    if (pinned) overlay.paintPinned(context, pinned);
     needle.paintNeedle(context, state);
-    overlay.paintInset(context, state);
-    needle.paintBevel(context, state);
-    if (loaded) needle.paintTipForce(context, state);
-    if (shown.path) needle.paintPath(context, state);
-    if (shown.points) needle.paintPoints(context, state);
     overlay.paintPrediction(context, state);
     if (measured) overlay.paintMeasured(context, measured);
     if (measured && shown.errors) overlay.paintGaps(context, state, measured);
-    overlay.paintMethods(context);
     needle.paintGuides(context, state);
     needle.paintBase(context, state);
-    if (measured || pinned) overlay.nameNeedle(context, state);
+    if (measured) overlay.nameNeedle(context, state);
     if (band) overlay.nameBand(context, band);
   });
   paintAxes(context);
-  if (loaded) needle.paintKey(context);
 }
 
 /** Give the canvas as many pixels as the screen has for it. */
@@ -76,7 +65,7 @@ listen("redraw", () => {
   });
 });
 listen("state", () => (follow(), redraw()));
-for (const kind of ["band", "forces"]) listen(kind, redraw);
+listen("band", redraw);
 new ResizeObserver(measure).observe(picture);
 onScheme(() => (readPalette(), redraw()));
 readPalette();

@@ -3,23 +3,22 @@
 import { isSpatial, paintAbove } from "./above.js";
 import { getContext, hand, part, press, usePaper, write } from "./dom.js";
 import { paint, size } from "./drawing.js";
-import { FigureContext, writePdf, writeSvg } from "./figure_context.js";
+import { FigureContext, writeSvg } from "./figure_context.js";
 import { nameOf } from "./link.js";
 import { readPalette } from "./painters/strokes.js";
 import { inWords } from "./readouts.js";
 import { now, redraw } from "./store.js";
-import { fit, view } from "./view.js";
+import { view } from "./view.js";
 
 const PX_PER_MM = 96 / 25.4;
 const DPI = 300; // of a PNG
 
-/** Draw on paper, in a width in mm, between the limits of the picture, or `whole` the needle; `begin(size)` gives the context for a size in px. */
-function draw(wide, whole, begin) {
+/** Draw on paper, in a width in mm, between the limits of the picture; `begin(size)` gives the context for a size in px. */
+function draw(wide, begin) {
   const kept = { ...view };
   const [across, tall] = size();
   onPaper(true);
   try {
-    if (whole) fit("whole");
     const { box, scale } = view;
     const width = wide * PX_PER_MM;
     const share = (width - (across - box.width)) / box.width;
@@ -47,9 +46,9 @@ function onPaper(on) {
   readPalette();
 }
 
-function drawPng(wide, whole) {
+function drawPng(wide) {
   const canvas = document.createElement("canvas");
-  draw(wide, whole, (figure) => {
+  draw(wide, (figure) => {
     const times = DPI / 96;
     Object.assign(canvas, { width: Math.round(times * figure[0]), height: Math.round(times * figure[1]) });
     const context = getContext(canvas);
@@ -59,21 +58,19 @@ function drawPng(wide, whole) {
   return new Promise((resolve) => canvas.toBlob(resolve, "image/png"));
 }
 
-function drawVectors(wide, whole, format) {
+function drawSvg(wide) {
   const context = new FigureContext();
-  const figure = draw(wide, whole, () => context);
-  const { title } = now.scene;
-  if (format === "svg") return new Blob([writeSvg(context.drawn, figure, wide, title, inWords())], { type: "image/svg+xml" });
-  return new Blob([writePdf(context.drawn, figure, wide, title)], { type: "application/pdf" });
+  const figure = draw(wide, () => context);
+  return new Blob([writeSvg(context.drawn, figure, wide, now.scene.title, inWords())], { type: "image/svg+xml" });
 }
 
 press("save-figure", async () => {
   if (!now.state) return;
-  const [format, wide, whole] = [part("figure-format").value, Number(part("figure-width").value), part("figure-view").value === "whole"];
-  const figure = await (format === "png" ? drawPng(wide, whole) : drawVectors(wide, whole, format));
+  const [format, wide] = [part("figure-format").value, Number(part("figure-width").value)];
+  const figure = await (format === "png" ? drawPng(wide) : drawSvg(wide));
   const name = `${nameOf(now.needle).replace(/[^\w-]+/g, "-")}.${format}`;
   hand(figure, name);
-  write("link-note", `Saved ${name}: ${whole ? "the whole needle" : "the picture as it is shown"}.`);
+  write("link-note", `Saved ${name}: the picture as it is shown.`);
 });
 
 for (const [kind, on] of /** @type {[string, boolean][]} */ ([["beforeprint", true], ["afterprint", false]])) {

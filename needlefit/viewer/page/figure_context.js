@@ -1,4 +1,4 @@
-/** A drawing context that records what the painters draw, and writes it as SVG or as PDF; px. */
+/** A drawing context that records what the painters draw, and writes it as SVG; px. */
 
 import { getContext } from "./dom.js";
 
@@ -105,8 +105,6 @@ function readColour(shade) {
 
 const writePath = (path) => path.map(([name, ...numbers]) => name + numbers.join(" ")).join("");
 
-// ---- SVG
-
 const escape = (text) => text.replace(/[&<>"]/g, (one) => `&#${one.charCodeAt(0)};`);
 
 function writePaint(name, shade, opacity = 1) {
@@ -135,60 +133,4 @@ export function writeSvg(drawn, [width, height], wide, title, words) {
   const size = `width="${wide}mm" height="${round((wide * height) / width)}mm" viewBox="0 0 ${round(width)} ${round(height)}"`;
   return `<svg xmlns="http://www.w3.org/2000/svg" ${size} font-family="Arial, Liberation Sans, Helvetica, sans-serif">\n`
     + `<title>${escape(title)}</title>\n<desc>${escape(words)}</desc>\n${drawn.map((one, n) => SVG[one.kind](one, n)).join("\n")}\n</svg>\n`;
-}
-
-// ---- PDF: its two fonts are in every reader, and have Latin letters and these
-
-const GLYPHS = { "−": ["minus", 1], "μ": ["mu", 2] }; // names in Adobe's list, and their bytes
-const POINTS = 72 / 25.4; // a mm
-
-/** A text as bytes of WinAnsi; what the fonts lack is a question mark. */
-const writeText = (text) => [...text].map((one) => (GLYPHS[one]?.[1] ?? (one.charCodeAt(0) < 256 ? one.charCodeAt(0) : 63)).toString(16).padStart(2, "0")).join("");
-const setColour = (shade, name) => `${readColour(shade).parts.map((one) => round(one / 255)).join(" ")} ${name}`;
-
-const PDF = {
-  clip: ({ path }) => `q ${writeCurves(path)} W n`,
-  restore: () => "Q",
-  path: ({ path, fill, stroke, width, cap, join, dash, opacity }, shade) => [
-    shade(fill ?? stroke, opacity), setColour(fill ?? stroke, fill ? "rg" : "RG"),
-    stroke && `${width} w ${["butt", "round"].indexOf(cap)} J ${["miter", "round"].indexOf(join)} j [${dash.join(" ")}] 0 d`,
-    writeCurves(path), fill ? "f" : "S",
-  ].filter(Boolean).join(" "),
-  text: ({ text, size, strong, fill, halo, matrix: { a, b, c, d, e, f }, opacity }, shade) => {
-    const write = (mode) => `BT /F${strong ? 2 : 1} ${size} Tf ${mode} Tr ${[a, b, -c, -d, e, f].map(round).join(" ")} Tm <${writeText(text)}> Tj ET`;
-    const behind = halo ? `${shade(halo.stroke, opacity)} ${setColour(halo.stroke, "RG")} ${halo.width} w 1 J 1 j [] 0 d ${write(1)} ` : "";
-    return `${behind}${shade(fill, opacity)} ${setColour(fill, "rg")} ${write(0)}`;
-  },
-};
-const writeCurves = (path) => path.map(([name, ...numbers]) => `${numbers.join(" ")} ${{ M: "m", L: "l", C: "c", Z: "h" }[name]}`).join(" ");
-
-/** What was drawn on a size in px, as PDF of a width in mm: text is text. */
-export function writePdf(drawn, [width, height], wide, title) {
-  const scale = (wide * POINTS) / width;
-  const states = new Map(); // opacities, each a state by its name
-  const shade = (colour, opacity) => {
-    const share = round(readColour(colour).opacity * opacity);
-    if (!states.has(share)) states.set(share, `G${states.size}`);
-    return `/${states.get(share)} gs`;
-  };
-  const content = drawn.map((one) => PDF[one.kind](one, shade)).join("\n");
-  const placed = `${round(scale)} 0 0 ${round(-scale)} 0 ${round(scale * height)} cm\n${content}`;
-  const differences = Object.values(GLYPHS).map(([name, code]) => `${code} /${name}`).join(" ");
-  const font = (name) => `<< /Type /Font /Subtype /Type1 /BaseFont /${name} /Encoding << /BaseEncoding /WinAnsiEncoding /Differences [${differences}] >> >>`;
-  const looks = [...states].map(([share, name]) => `/${name} << /ca ${share} /CA ${share} >>`).join(" ");
-  const objects = [
-    "<< /Type /Catalog /Pages 2 0 R >>",
-    "<< /Type /Pages /Kids [3 0 R] /Count 1 >>",
-    `<< /Type /Page /Parent 2 0 R /MediaBox [0 0 ${round(wide * POINTS)} ${round(scale * height)}] /Contents 4 0 R /Resources << /Font << /F1 ${font("Helvetica")} /F2 ${font("Helvetica-Bold")} >> /ExtGState << ${looks} >> >> >>`,
-    `<< /Length ${placed.length} >>\nstream\n${placed}\nendstream`,
-    `<< /Title <${writeText(title)}> >>`,
-  ];
-  let text = "%PDF-1.4\n";
-  const places = objects.map((object, n) => {
-    const at = text.length;
-    text += `${n + 1} 0 obj\n${object}\nendobj\n`;
-    return `${String(at).padStart(10, "0")} 00000 n \n`;
-  });
-  const count = objects.length + 1;
-  return `${text}xref\n0 ${count}\n0000000000 65535 f \n${places.join("")}trailer\n<< /Size ${count} /Root 1 0 R /Info 5 0 R >>\nstartxref\n${text.length}\n%%EOF\n`;
 }

@@ -1,12 +1,10 @@
 /** The keys of the picture, while it has the focus, and the list of them. */
 
-import { element, entry, part, press, say } from "./dom.js";
+import { element, entry, part, press } from "./dom.js";
 import { turnOver, wrap } from "./model/inputs.js";
-import { inWords } from "./readouts.js";
 import { change, newGesture, redo, undo } from "./steering.js";
 import { now } from "./store.js";
-import { pin } from "./toolbar.js";
-import { fit, zoom } from "./view.js";
+import { fit } from "./view.js";
 
 const ROLL = 10; // degrees
 const WITHIN = 1000; // ms; a key pressed again so soon goes on with what the one before began
@@ -39,11 +37,7 @@ const KEYS = [
   [["ArrowDown"], "↓", "base down, likewise", (e) => moveBase(e.shiftKey ? -1 : -0.1)],
   [["f"], "F", "flip the bevel", flip],
   [["r"], "R", `roll the bevel by ${ROLL}°; with Shift back`, (e) => roll(e.shiftKey ? -ROLL : ROLL)],
-  [["k"], "K", "pin this needle to compare with, or unpin", () => pin()],
-  [["d"], "D", "say where the needle stands", () => say(inWords())],
-  [["+", "="], "+", "zoom in", () => zoom(1.25)],
-  [["-", "_"], "−", "zoom out", () => zoom(0.8)],
-  [["0", "1"], "0, 1", "show the whole needle", () => fit("whole")],
+  [["1"], "1", "show the whole needle", () => fit("whole")],
   [["2"], "2", "show the tissue", () => fit("tissue")],
   [["3"], "3", "follow the tip", () => fit("tip")],
 ];

@@ -5,14 +5,12 @@ import { SAME } from "./address.js";
 import { computeBands } from "./bands.js";
 import { element, part, write } from "./dom.js";
 import "./figure.js";
-import { handleAt } from "./handles.js";
 import { buildFields } from "./inputs.js";
 import "./keyboard.js";
 import { followAddress, nameOf } from "./link.js";
-import "./methods.js";
-import { place } from "./pointers.js";
+import "./toolbar.js";
 import { counted } from "./quantities.js";
-import { goBack, openDropped, openRecording, play, restore } from "./recording.js";
+import { goBack, openDropped, openRecording, restore } from "./recording.js";
 import { now, take } from "./store.js";
 import { begin, load, prove } from "./stored.js";
 
@@ -58,15 +56,11 @@ async function start() {
     element("option", { value: String(i) }, [nameOf(one), one.group].filter(Boolean).join(", "))));
   part("choosing").hidden = data.needles.length < 2;
   choice.addEventListener("change", () => choose(Number(choice.value)));
-  part("canvas").addEventListener("touchstart", (event) => { // a finger on a handle drags it, beside handles it scrolls the page
-    if (handleAt(...place(event.touches[0]), "touch")) event.preventDefault();
-  }, { passive: false });
   addEventListener("hashchange", () => followAddress(choose));
   openDropped(choose);
   await choose(0);
-  const led = (await followAddress(choose)) || restore();
+  if (!(await followAddress(choose))) restore();
   await stateAgreement();
-  if (!led && now.replay && !now.scene.plan && !matchMedia("(prefers-reduced-motion: reduce)").matches) play(true);
 }
 
 const NEEDED = ["WebAssembly", "DecompressionStream", "Worker"]; // of a browser

@@ -3,17 +3,10 @@
 import { define, DEFINITIONS } from "./definitions.js";
 import { element, entry, part, say, write } from "./dom.js";
 import { describeRoll, isSteered, listErrors, predictionOf, signed, strengthOf, toDegrees, writeError } from "./quantities.js";
-import { listen, now, tipForce } from "./store.js";
+import { listen, now } from "./store.js";
 import { toPy, view } from "./view.js";
 
 /** @typedef {import("./types").Measured} Measured */
-
-/** A force or moment: with its sign along y, or in space a magnitude; a dash outside the limits of the model. */
-function load(value, digits) {
-  const { z, faults } = now.state;
-  if (value === null || faults.length) return "–";
-  return z ? value.toFixed(digits) : signed(value, digits);
-}
 
 /** What is read of the needle: a name, a unit, and how it is written from a state. */
 const NEEDLE = [
@@ -21,9 +14,6 @@ const NEEDLE = [
   ["tip y", "mm", (s) => signed(s.tip.lateral_mm, 2)],
   ["tip z", "mm", (s) => (s.z ? signed(s.tip.z, 2) : "–")],
   ["tip slope", "°", (s) => signed(toDegrees(s.tip.rotation), 2)],
-  ["tip force", "N", () => load(tipForce(), 3)],
-  ["base force", "N", (s) => load(s.forces.base_n, 3)],
-  ["base moment", "N mm", (s) => load(s.forces.base_nmm, 1)],
   ["steepest slope", "", (s) => s.max_slope.toFixed(3)],
 ];
 
@@ -76,14 +66,11 @@ let announced = null; // of which scene a message has stated that the needle exc
 /** Which limits of the model the needle exceeds, in words; empty where it exceeds none. */
 const exceeded = ({ faults }) => (faults?.length ? `outside the model: ${faults.join("; ")}` : "");
 
-for (const kind of ["forces", "state"]) listen(kind, () => {
-  if (!now.state) return;
-  refresh();
-  refreshDescription();
-});
 listen("state", (state) => {
+  refresh();
+  write("described", inWords());
   const words = exceeded(state);
-  write("beyond", words && `${words[0].toUpperCase()}${words.slice(1)}. Shape and forces cannot be relied on.`);
+  write("beyond", words && `${words[0].toUpperCase()}${words.slice(1)}. Its shape cannot be relied on.`);
   part("beyond").classList.toggle("low", toPy(state.tip.y) < view.box.top + view.box.height / 2); // not on the tip
   if (announced === now.scene || !words) return;
   announced = now.scene;
@@ -104,7 +91,6 @@ export function inWords() {
     `Its tip is ${Math.abs(tip.lateral_mm).toFixed(2)} mm to the ${tip.lateral_mm < 0 ? "right" : "left"}${tip.held ? " and held there" : ""}, at ${angle(tip)}${tip.z === null ? "" : `; z ${signed(tip.z, 2)} mm`}.`,
     `The bevel turns the cut toward ${describeRoll(bevel)}, ${symbol} is ${value.toFixed(digits)} ${unit}.`,
     `The base stands at y ${signed(base.y, 2)} mm, at ${angle(base)}; ${held}.`,
-    `Tip force ${load(tipForce(), 2)} N, base force ${load(state.forces.base_n, 2)} N.`,
   ];
   if (exceeded(state)) sentences.push(`The needle is ${exceeded(state)}.`);
   if (errors) {
@@ -113,6 +99,3 @@ export function inWords() {
   }
   return sentences.join(" ");
 }
-
-/** Keep the text alternative true. */
-const refreshDescription = () => write("described", inWords());

@@ -1,4 +1,4 @@
-/** Recordings: one that is played, one that is saved or dropped on the page, and the one that the browser keeps. */
+/** Recordings: the one of the file, one that is saved or dropped on the page, and the one that the browser keeps. */
 
 import { writeRecording } from "./address.js";
 import { hand, part, press, write } from "./dom.js";
@@ -8,7 +8,6 @@ import { forgetPast, goHome, refuse, show } from "./steering.js";
 import { listen, now } from "./store.js";
 import { Replay } from "./stored.js";
 
-const [SHORTEST, LONGEST] = [2, 20]; // s that a recording lasts while it is played
 const PAUSE = 400; // ms without a change, after which the browser keeps the needle
 const MOST_KEPT = 1_000_000; // characters
 const COLUMNS = "step,time_s,input,item,value,tip_lateral_mm";
@@ -37,29 +36,6 @@ function showStep(n, clock = placeOf(n)) {
   show();
 }
 
-/** Play the recording from where it stands, or pause it; `now.playing`: s of the recording, ms, steps carried out. */
-export function play(on) {
-  part("play").textContent = on ? "Pause" : "Play";
-  if (!on) return void (now.playing = null);
-  const replay = shown();
-  const n = replay.at === replay.steps.length || replay.changed ? 0 : replay.at;
-  now.playing = { clock: placeOf(n), last: performance.now(), n };
-  requestAnimationFrame(advance);
-}
-
-function advance(t) {
-  const { playing } = now;
-  if (!playing) return;
-  const { steps } = shown();
-  const ends = Math.max(placeOf(steps.length), 1e-9);
-  playing.clock += ((t - playing.last) / 1000) * (ends / Math.min(Math.max(ends, SHORTEST), LONGEST));
-  playing.last = t;
-  while (playing.n < steps.length && placeOf(playing.n + 1) <= playing.clock) playing.n += 1;
-  showStep(playing.n, Math.min(playing.clock, ends));
-  if (playing.n === steps.length) return play(false);
-  requestAnimationFrame(advance);
-}
-
 /** Prepare the recording of a needle, or none; `planned`: the depth is dragged along it, which only increases. */
 export function openRecording(recording, planned = false) {
   part("transport").hidden = !recording;
@@ -73,19 +49,15 @@ export function openRecording(recording, planned = false) {
 }
 
 part("scrub").addEventListener("input", ({ target }) => {
-  play(false);
   const clock = Math.min(Number(target.value), placeOf(shown().steps.length));
   showStep(shown().places.filter((one) => one <= clock).length, clock);
 });
-press("play", () => play(!now.playing));
 press("back", () => {
   localStorage.removeItem(keyOf(now.needle));
   goBack();
 });
 listen("steers", () => {
-  if (!now.replay) return;
-  play(false);
-  now.replay.changed = true;
+  if (now.replay) now.replay.changed = true;
 });
 
 // ---- files
@@ -164,7 +136,7 @@ export function restore() {
   if (!kept || kept.head !== needle.head) return false;
   steered.rewind();
   try {
-    for (const changes of kept.way) steered.apply(changes, { validOnly: false });
+    for (const changes of kept.way) steered.apply(changes);
   } catch {
     localStorage.removeItem(keyOf(needle));
     goBack();

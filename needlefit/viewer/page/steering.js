@@ -6,7 +6,6 @@ import { insert } from "./stored.js";
 import { listen, now, publish, take } from "./store.js";
 
 const MOST_UNDONE = 200; // gestures
-const always = { validOnly: false }; // a needle outside the limits of the model is shown, and said to be
 const refusal = part("refusal");
 /** @type {number[][]} */
 const [past, future] = [[], []]; // numbers of states that are kept to return to
@@ -62,7 +61,7 @@ export function steer(lists, { gesture = newGesture(), whole = false, below = un
   const begins = gesture !== last;
   if (begins || whole) steered.keep();
   try {
-    for (const changes of lists) steered.apply(changes.map(([name, item, value]) => [name, item, value + 0]), always); // a file has no -0
+    for (const changes of lists) steered.apply(changes.map(([name, item, value]) => [name, item, value + 0])); // a file has no -0
   } catch (error) {
     refuse(error, below);
     if (whole && steered.number > number) steered.apply([["return_to", null, number]]);

@@ -4,13 +4,10 @@
 
 /**
  * All that the page knows; also `window.needlefit`, for whoever measures it. `data` is the file's, `needle` one of its needles,
- * `steered` that needle as it is steered, `state` what is shown of it; `forces`: on the tip, N, as it stood at each constraint
- * point, by depth, mm. `shown` are the layers of the picture, `curves` the methods whose needles are drawn.
+ * `steered` that needle as it is steered, `state` what is shown of it, `shown` the layers of the picture.
  */
 export const now = /** @type {Now} */ (/** @type {Partial<Now>} */ ({
-  replay: null, playing: null, band: null, pinned: null, forces: { x: [], y: [] },
-  shown: { load: false, points: false, path: false, errors: false, measured: true, band: true, plan: true, pinned: true },
-  curves: new Set(), labels: [], avoided: [],
+  replay: null, band: null, shown: { errors: false, measured: true, band: true, plan: true }, labels: [], avoided: [],
 }));
 Object.assign(window, { needlefit: now });
 
@@ -29,12 +26,9 @@ export function publish(kind, message) {
 /** Have the picture drawn in the next frame. */
 export const redraw = () => publish("redraw");
 
-/** The tip force as it was at the last constraint point, N; null until it has been computed. */
-export const tipForce = () => now.forces.y.at(-1) ?? null;
-
 /** Keep a message, then publish it. */
 export function take(message) {
-  if (message.kind === "scene") Object.assign(now, { scene: message, band: null, forces: { x: [], y: [] } });
+  if (message.kind === "scene") Object.assign(now, { scene: message, band: null });
   else if (message.kind === "band") now.band = message.x.length ? message : null; // empty: there is none
   else now[message.kind] = message;
   publish(message.kind, message);

@@ -3,7 +3,7 @@
 import { compile } from "../../mechanics/native/needle.js";
 import { part } from "./dom.js";
 import { computeErrors, readTarget } from "./model/errors.js";
-import { listSteps, ModelError } from "./model/inputs.js";
+import { ModelError } from "./model/inputs.js";
 import { SteeredNeedle } from "./model/steered.js";
 
 const SLICE = 12; // ms that work may take at a time
@@ -30,11 +30,9 @@ export async function load() {
 /** Resolves to a needle at first contact. */
 export const begin = (kernel, { scene }) => SteeredNeedle.begin(kernel, scene);
 
-const always = { validOnly: false }; // whatever has been stored can be carried out
-
 /** Carry out the steps of the scene. */
 export function insert(steered) {
-  for (const changes of listSteps(steered.scene)) steered.apply(changes, always);
+  for (const changes of steered.scene.simulation.changes) steered.apply(changes);
 }
 
 /** Replays a recording: `to(n)` carries out its first n steps, from the beginning if it is beyond, or `changed` by the reader. */
@@ -58,7 +56,7 @@ export class Replay {
 
   #next() {
     const [, changes] = this.steps[this.at];
-    this.steered.apply(changes, always);
+    this.steered.apply(changes);
     this.at += 1;
     if (this.last.has(this.at)) this.steered.keep();
     for (const [name, , value] of changes) {
@@ -68,12 +66,12 @@ export class Replay {
 }
 
 /** The largest distance, mm, of a needle of a report from the one that its run stored, or difference of an error above `same`; 0: the same bytes. */
-function compareStored(steered, { methods: [fit] = [], tip }, same) {
-  if (!fit) return Math.abs(steered.tipLateral - tip);
+function compareStored(steered, { errors: known, tip }, same) {
+  if (!known) return Math.abs(steered.tipLateral - tip);
   const { target, stored } = steered.scene.measured;
   const [points] = readTarget(steered.session, target);
   const found = computeErrors(steered.session, steered.scene.measured);
-  const errors = Object.keys(fit.errors).map((name) => Math.abs(fit.errors[name] - found[name]));
+  const errors = Object.keys(known).map((name) => Math.abs(known[name] - found[name]));
   return Math.max(
     ...points.flatMap((point, i) => ["x", "y", "z"].map((axis, n) => Math.abs(point[n] - stored[axis][i]))),
     ...errors.filter((one) => one > same),

@@ -1,19 +1,15 @@
-/** The buttons above the picture: what part is seen, what of it, and the pinned needle. */
+/** The buttons below the picture: what part is seen, and what of it. */
 
 import { button, element, part, press } from "./dom.js";
 import { listen, now, redraw } from "./store.js";
-import { fit, view, zoom } from "./view.js";
+import { fit, view } from "./view.js";
 
 /** The layers of the picture: what the button of each is called, and explained. */
 const CHIPS = {
-  load: ["lateral load"],
-  points: ["constraint points"],
-  path: ["tip path"],
   measured: ["measured"],
   errors: ["errors", "Gaps at the tip (TE) and along the shaft (IPE)"],
   band: ["95 % band", "95 % of the needles lie wholly inside"],
   plan: ["plan"],
-  pinned: ["pinned"],
 };
 /** @type {NodeListOf<HTMLElement>} */
 const fits = document.querySelectorAll("[data-fit]");
@@ -31,23 +27,10 @@ function toggle(name) {
   redraw();
 }
 
-/** Keep the needle as it stands to compare with, or forget the one that was kept. */
-export function pin() {
-  if (!now.state) return;
-  const { x, y } = now.state;
-  now.pinned = now.pinned ? null : { x, y };
-  part("pin").ariaPressed = String(now.pinned !== null);
-  part("pin").textContent = now.pinned ? "Unpin" : "Pin";
-  offer({ pinned: now.pinned });
-  redraw();
-}
-
 /** Offer what there is, by name. */
 const offer = (there) => Object.entries(there).forEach(([name, is]) => (chips[name].hidden = !is));
 
-offer({ measured: false, errors: false, band: false, plan: false, pinned: false });
-press("pin", pin);
+offer({ measured: false, errors: false, band: false, plan: false });
 for (const one of fits) press(one, () => fit(one.dataset.fit));
-for (const [way, factor] of [["in", 1.25], ["out", 0.8]]) press(document.querySelector(`[data-zoom=${way}]`), () => zoom(factor));
 listen("scene", ({ measured, draws, plan }) => offer({ measured, errors: measured, band: draws, plan }));
 listen("redraw", () => fits.forEach((one) => (one.ariaPressed = String(one.dataset.fit === view.fit)))); // of another view

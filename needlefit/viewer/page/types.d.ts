@@ -44,7 +44,7 @@ export type Scene = {
   definitions: { [symbol: string]: string };
   fitted: { layers: Layer[]; offset_mm?: number; cut_angle_deg?: number };
   limits: { [input: string]: any; depth_mm: number };
-  simulation: { model: Model; shape: number[][]; law: any; steps: Step[]; rules: any };
+  simulation: { model: Model; shape: number[][]; law: any; steps: Step[]; changes: Change[][]; rules: any };
   measured: Measured | null; plan: Plan | null;
   draws: { sets: number; mu: number[]; law: number[]; strength: number[] } | null;
 };
@@ -53,15 +53,12 @@ export type Scene = {
 export type Needle = {
   scene: Scene; head?: string; name?: string; group?: string; new_specimen?: boolean; tip: number | null;
   recording?: [time: number, changes: Change[], tip: number][];
-  methods?: (Partial<Curve> & { key: string; name: string; colour: string; errors: Errors })[];
+  errors?: { [metric: string]: number }; // of the run
 };
 
 /** All of a needle that changes from step to step; `z` of a needle in space. */
 export type State = {
-  kind: "state"; step: number; depth_mm: number; x: number[]; y: number[]; z: number[] | null; depths: number[];
-  constraints: any; tip_path: any; // rows x, y, and z of a needle in space
-  load: { x: number[]; y: number[]; n_per_mm: number[][] };
-  forces: { base_n: number; base_nmm: number; guides_n: { [item: string]: number } };
+  kind: "state"; step: number; depth_mm: number; x: number[]; y: number[]; z: number[] | null;
   base: { x: number; y: number; rotation: number; input_y: number; input_slope: number };
   guides: { item: number; name: string; x: number; y: number; slope: number; turns_freely: boolean }[];
   tip: { x: number; y: number; z: number | null; rotation: number; lateral_mm: number; held: boolean; input_y: number };
@@ -74,15 +71,12 @@ export type Band = { kind: "band"; step: number; x: number[]; low: number[]; hig
 export type Place = [number, number, number, number];
 export type Box = { left: number; top: number; width: number; height: number };
 export type View = {
-  x: number; y: number; scale: number; magnified: number; held: boolean; fit: string | null; of: Scene | null;
-  low: boolean; per_load: number; box: Box;
+  x: number; y: number; scale: number; magnified: number; fit: string; of: Scene | null; low: boolean; box: Box;
 };
 
 /** What the page knows; from `data` to `state` all is there once a needle is shown. */
 export type Now = {
   data: { needles: Needle[]; kernel: WebAssembly.Module; title?: string; needlefit: string };
   needle: Needle; steered: SteeredNeedle; scene: Scene; state: State; view: View;
-  replay: Replay | null; playing: { clock: number; last: number; n: number } | null;
-  band: Band | null; pinned: Curve | null; forces: { step?: number; x: number[]; y: number[] };
-  shown: { [layer: string]: boolean }; curves: Set<string>; labels: Place[]; avoided: Place[];
+  replay: Replay | null; band: Band | null; shown: { [layer: string]: boolean }; labels: Place[]; avoided: Place[];
 };

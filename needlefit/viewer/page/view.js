@@ -3,23 +3,21 @@
 import { extent } from "d3-array";
 import { listen, now, redraw } from "./store.js";
 
-const GUTTER = { left: 56, right: 10, top: 50, bottom: 40 }; // px, for the axes, the names of layers and the load's key
+const GUTTER = { left: 56, right: 10, top: 50, bottom: 40 }; // px, for the axes and the names of layers
 const LOW_PICTURE = 260; // px; below it the name of the x axis stands in the row of its ticks
 const LOW_BOTTOM = 24; // px, for ticks alone
 const MAGNIFICATIONS = [1, 1.5, 2, 3, 4, 5, 6, 8, 10, 12, 15, 20, 30, 50]; // of y against x
-const ROOM = 56; // px above and below the needle: load, handles, labels; at most 0.2 of the height
+const ROOM = 56; // px above and below the needle, for labels; at most 0.2 of the height
 const LEAST_SPAN = 0.01; // of the depth: smaller deflections are not magnified further
 const LOW = 0.45; // part of the room below which a needle at rest is magnified anew
-const SCALES = [0.5, 400]; // px per mm
-const [EDGE, AHEAD] = [0.3, 0.2]; // from the middle, parts of the window: when it follows the tip, and how far
 const TIP_WINDOW = 45; // mm seen across while the tip is followed
 
 /**
- * The window: its centre (mm), its scale (px per mm), its box on the canvas (px), and whether that is low; what it fits (null:
- * the reader has moved it), of which scene; whether something is dragged; and the scale of the load (px per N/mm).
+ * The window: its centre (mm), its scale (px per mm), its box on the canvas (px), and whether that is low; what it fits, of
+ * which scene.
  */
 export const view = /** @type {import("./types").View} */ ({
-  x: 0, y: 0, scale: 5, magnified: 1, held: false, fit: "tissue", of: null, low: false, per_load: 0, box: { left: 0, top: 0, width: 1, height: 1 },
+  x: 0, y: 0, scale: 5, magnified: 1, fit: "tissue", of: null, low: false, box: { left: 0, top: 0, width: 1, height: 1 },
 });
 
 Object.assign(now, { view });
@@ -36,26 +34,26 @@ export function resize(width, height) {
     width: Math.max(width - GUTTER.left - GUTTER.right, 10),
     height: Math.max(height - GUTTER.top - (view.low ? LOW_BOTTOM : GUTTER.bottom), 10),
   };
-  if (!view.held) fit(view.fit);
+  fit(view.fit);
 }
 
-/** Show the whole needle, the tissue, or follow the tip; null leaves it as it is. */
+/** Show the whole needle, the tissue, or the tip at its true scale. */
 export function fit(which) {
   view.fit = which;
   redraw();
-  if (!now.scene || !now.state || !which) return;
+  if (!now.scene || !now.state) return;
   if (which === "tip") {
     const { x, y } = now.state.tip;
-    return Object.assign(view, { scale: limited(view.box.width / TIP_WINDOW), magnified: 1, x, y });
+    return Object.assign(view, { scale: view.box.width / TIP_WINDOW, magnified: 1, x, y });
   }
-  // From the base at first contact, or from the skin, to the greatest depth that is known; room in px for the base's
-  // handle, or for the key of the load before the skin, and for the names of lines behind their ends.
+  // From the base at first contact, or from the skin, to the greatest depth that is known; room in px for the hub, and
+  // for the names of lines behind their ends.
   const [low, high, before, after] = which === "whole"
-    ? [-now.scene.length_mm, deepest() + 4, Math.min(74, 0.1 * view.box.width + 20), 34] : [0, 1.04 * deepest(), Math.min(84, 0.2 * view.box.width), Math.min(84, 0.12 * view.box.width)];
+    ? [-now.scene.length_mm, deepest() + 4, Math.min(74, 0.1 * view.box.width + 20), 34] : [0, 1.04 * deepest(), Math.min(44, 0.1 * view.box.width), Math.min(84, 0.12 * view.box.width)];
   const room = view.box.width - before - after;
   const [bottom, top] = heights(which);
   const [along, across] = [room / (high - low), roomAcross() / (top - bottom)];
-  view.scale = limited(Math.min(along, across));
+  view.scale = Math.min(along, across);
   // How many times as large as x the y axis is drawn, so that deflections can be seen.
   const least = LEAST_SPAN * deepest();
   const times = roomAcross() / view.scale / Math.max(top - bottom, least);
@@ -81,74 +79,30 @@ function goalCircles() {
 
 /** Between which y all lies that must be seen: of the tissue alone what is in it. */
 function heights(which) {
-  const { state, band, pinned, scene: { measured } } = now;
-  const seen = [state, pinned].flatMap((one) => (one ? one.y.filter((_, i) => which === "whole" || one.x[i] >= 0) : []));
+  const { state, band, scene: { measured } } = now;
+  const seen = state.y.filter((_, i) => which === "whole" || state.x[i] >= 0);
   const goals = goalCircles().flatMap(([, y, radius]) => [y - radius, y + radius]);
   return /** @type {[number, number]} */ (extent([...seen, ...(measured?.y ?? []), ...goals, ...(band?.low ?? []), ...(band?.high ?? []), 0]));
 }
 
-/** Whether a place, mm, is in the window. */
-function sees(x, y) {
+/** Whether the tip is in the window. */
+function seesTip() {
   const { left, top, width, height } = view.box;
+  const { x, y } = now.state.tip;
   const [px, py] = [toPx(x) - left, toPy(y) - top];
   return px >= 0 && px <= width && py >= 0 && py <= height;
 }
 
-const seesTip = () => sees(now.state.tip.x, now.state.tip.y);
-
-/**
- * Keep the needle in sight: fit again once it leaves the room it has, or is small in it.
- *
- * Not while something is dragged: the place under the pointer would become another one.
- */
+/** Keep the needle in sight: fit again once it leaves the room it has, or is small in it. */
 export function follow() {
-  if (view.of !== now.scene) {
-    view.of = now.scene;
-    return fit(view.fit ?? "tissue");
-  }
-  if (view.held) return;
-  if (view.fit && view.fit !== "tip") {
-    const [bottom, top] = heights(view.fit);
-    const px = view.scale * view.magnified;
-    const out = (Math.max(top - view.y, view.y - bottom) * px) > roomAcross() / 2 + 1 || !seesTip();
-    const low = (top - bottom) * px < LOW * roomAcross();
-    if (out || (low && view.magnified < MAGNIFICATIONS[MAGNIFICATIONS.length - 1])) fit(view.fit);
-    return;
-  }
-  if (view.fit !== "tip") return;
-  const { x, y } = now.state.tip;
-  const across = (x - view.x) * view.scale / view.box.width;
-  const up = (y - view.y) * view.scale * view.magnified / view.box.height;
-  if (Math.abs(across) < EDGE && Math.abs(up) < EDGE) return;
-  view.x = x + Math.sign(across) * AHEAD * view.box.width / view.scale;
-  view.y = y;
-  redraw();
+  const anew = view.of !== now.scene;
+  view.of = now.scene;
+  if (anew || view.fit === "tip") return fit(view.fit);
+  const [bottom, top] = heights(view.fit);
+  const px = view.scale * view.magnified;
+  const out = Math.max(top - view.y, view.y - bottom) * px > roomAcross() / 2 + 1 || !seesTip();
+  const low = (top - bottom) * px < LOW * roomAcross();
+  if (out || (low && view.magnified < MAGNIFICATIONS[MAGNIFICATIONS.length - 1])) fit(view.fit);
 }
-
-/** Zoom by a factor about a point on the canvas (px), by default the middle. */
-export function zoom(factor, px = toPx(view.x), py = toPy(view.y)) {
-  const [x, y] = [fromPx(px), fromPy(py)];
-  view.scale = limited(view.scale * factor);
-  view.x += x - fromPx(px);
-  view.y += y - fromPy(py);
-  if (view.fit !== "tip") view.fit = null;
-  redraw();
-}
-
-export function pan(px, py) {
-  view.x -= px / view.scale;
-  view.y += py / (view.scale * view.magnified);
-  view.fit = null;
-  redraw();
-}
-
-/** Something is dragged, or no more. */
-export function hold(on) {
-  if (view.held === on) return;
-  view.held = on;
-  if (!on && now.state) follow();
-}
-
-const limited = (scale) => Math.min(Math.max(scale, SCALES[0]), SCALES[1]);
 
 listen("band", follow);

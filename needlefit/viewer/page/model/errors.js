@@ -6,23 +6,11 @@ const POINTS = 101;
 
 const mean = (values) => values.reduce((sum, one) => sum + one, 0) / values.length;
 
-const relate = (d, deflection) => (deflection ? (100 * d.at(-1)) / deflection : d.at(-1) ? Infinity : 0);
-
 /** By metric, from the distances of compared points (mm), entry first, and the measured deflection, mm. */
 const METRICS = {
-  median_err_mm: (d) => {
-    const sorted = d.toSorted((one, other) => one - other);
-    const half = sorted.length >> 1;
-    return sorted.length % 2 ? sorted[half] : (sorted[half - 1] + sorted[half]) / 2;
-  },
   ipe_mean_mm: mean,
-  ipe_std_mm: (d) => {
-    const middle = mean(d);
-    return Math.sqrt(mean(d.map((one) => (one - middle) ** 2)));
-  },
-  ipe_max_mm: (d) => Math.max(...d),
   te_mm: (d) => d.at(-1),
-  edp_percent: relate,
+  edp_percent: (d, deflection) => (100 * d.at(-1)) / deflection,
 };
 
 /** The axes of the coordinates that are compared. */

@@ -1,10 +1,10 @@
 /** The inputs of a needle, as `planning/steered_needle.py` has them: which values they take, and what they change. */
 
-/** Why the model does not take something: what, expected, fix. */
+/** Why the model does not take something: what, expected. */
 export class ModelError extends Error {
-  constructor(what, expected, fix) {
+  constructor(what, expected) {
     super(what);
-    Object.assign(this, { what, expected, fix });
+    Object.assign(this, { what, expected });
   }
 }
 
@@ -110,7 +110,7 @@ function applyToGuides(guides, changes, names) {
     let guide = now.get(name);
     if (!guide) {
       if (moved.x_mm === undefined || moved.y_mm === undefined) {
-        throw new ModelError(`there is no ${name}`, "guide_x_mm and guide_y_mm together, which make a guide", "add it before it is moved");
+        throw new ModelError(`there is no ${name}`, "guide_x_mm and guide_y_mm together, which make a guide");
       }
       guide = { slope: 0, name };
     }
@@ -120,37 +120,8 @@ function applyToGuides(guides, changes, names) {
   }
   const ordered = [...now.values()].sort((one, other) => one.x - other.x);
   const twice = ordered.find((guide, i) => guide.x === ordered[i + 1]?.x);
-  if (twice) throw new ModelError(`two guides stand at the same x = ${twice.x} mm`, "guides at different x", "move one of them, or leave it out");
+  if (twice) throw new ModelError(`two guides stand at the same x = ${twice.x} mm`, "guides at different x");
   return ordered;
-}
-
-/** The changes that turn the inputs of `now` into those of `step`, as `find_changes`; the depth is not included. */
-export function findChanges(step, now, names) {
-  const [wanted, held] = [step.controls, now.controls];
-  const turned = step.bevel.roll || now.bevel.roll;
-  const pairs = [
-    turned ? ["bevel_roll_deg", rollOf(step.bevel), rollOf(now.bevel)] : ["bevel_side", step.bevel.side, now.bevel.side],
-    ["bevel_offset_mm", step.bevel.offset, now.bevel.offset],
-    ["cut_angle_deg", step.bevel.cutAngle * DEGREES, now.bevel.cutAngle * DEGREES],
-    ["base_y_mm", wanted.baseY, held.baseY],
-    ["base_slope", wanted.baseSlope, held.baseSlope],
-  ];
-  const changes = pairs.filter(([, value, before]) => value !== before).map(([name, value]) => [name, null, value]);
-  for (const { name } of held.guides) {
-    if (!wanted.guides.some((guide) => guide.name === name)) changes.push(["guide_engaged", guideNumber(name, names), 0]);
-  }
-  for (const { name, x, y, slope } of wanted.guides) {
-    if (held.guides.some((guide) => guide.x === x && guide.y === y && guide.slope === slope)) continue;
-    const item = guideNumber(name, names);
-    changes.push(["guide_x_mm", item, x], ["guide_y_mm", item, y], ["guide_turns_freely", item, slope === null ? 1 : 0]);
-    if (slope !== null) changes.push(["guide_slope", item, slope]);
-  }
-  if (!wanted.tip && held.tip) changes.push(["tip_held", null, 0]);
-  else if (wanted.tip && !(held.tip && wanted.tip.y === held.tip.y && wanted.tip.slope === held.tip.slope)) {
-    changes.push(["tip_y_mm", null, wanted.tip.y]);
-    if (wanted.tip.slope !== null) changes.push(["tip_slope", null, wanted.tip.slope]);
-  }
-  return changes;
 }
 
 /** Inputs as the kernel's `Session` takes them; a ModelError where the bevel's strength is that of the other rule. */
@@ -173,9 +144,4 @@ export function toStep({ depth, inputs }, pathAngle) {
     depth, bevel: { side: bevel.side, roll: bevel.roll, offset, cutAngle },
     controls: { baseY: base.y, baseSlope: base.slope, stageSlope: base.stageSlope, guides, tip },
   };
-}
-
-/** Lists of changes, one for each step of a scene, that lead its needle from first contact to its end. */
-export function listSteps({ simulation: { steps }, guide_names: names }) {
-  return steps.map((step, i) => [...findChanges(step, steps[i - 1] ?? steps[0], names), ["depth_mm", null, step.depth]]);
 }

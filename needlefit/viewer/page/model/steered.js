@@ -2,7 +2,8 @@
 
 import { Session } from "../../../mechanics/native/needle.js";
 import { applyChanges, checkChange, ModelError, toInputs, toStep } from "./inputs.js";
-import { computeValidity, listFaults } from "./validity.js";
+
+const BEARABLE = "a load that tissue and needle can bear";
 
 /** The law of all layers for shape parameters (rows of layers), or null: only the program can compute it. */
 function makeLaw({ terms, tables }, shape) {
@@ -21,16 +22,15 @@ export class SteeredNeedle {
     return new SteeredNeedle(scene, await Session.begin(kernel, model, toInputs(steps[0], model.pathAngle)));
   }
 
-  scene; session; rules; shape; names; number; saved; valid; validity;
+  scene; session; rules; shape; names; number; saved;
   /** @type {any} */
   way = null; // the newest of the changes that led here: {changes, tip: y, mm, before: the one before}
 
   constructor(scene, session) {
     const { shape, steps, rules } = scene.simulation;
     Object.assign(this, { scene, session, rules, shape, names: scene.guide_names });
-    Object.assign(this, { number: 0, saved: new Map(), valid: true });
+    Object.assign(this, { number: 0, saved: new Map() });
     this.step = { ...steps[0], depth: 0 };
-    this.#judge();
     this.keep();
   }
 
@@ -62,8 +62,8 @@ export class SteeredNeedle {
   }
 
   keep() {
-    const { step, shape, valid, validity, way } = this;
-    if (!this.saved.has(this.number)) this.saved.set(this.number, { step, shape, valid, validity, way, session: this.session.save() });
+    const { step, shape, way } = this;
+    if (!this.saved.has(this.number)) this.saved.set(this.number, { step, shape, way, session: this.session.save() });
   }
 
   /** Delete the state stored at a step; the initial state stays. */
@@ -96,10 +96,10 @@ export class SteeredNeedle {
   /**
    * Carry out one step: all changes [name, item, value] at once.
    *
-   * A ModelError if the model does not take them, or finds no needle; then nothing has happened. A replay has
-   * `validOnly` false: without it a step that leads outside the model's validity is carried out.
+   * A ModelError if the model does not take them, or finds no needle; then nothing has happened. A step that leads
+   * outside the model's validity is carried out.
    */
-  apply(changes, { validOnly = true } = {}) {
+  apply(changes) {
     for (const [i, change] of changes.entries()) {
       checkChange(change, this.rules);
       const [name, item] = change;
@@ -113,28 +113,28 @@ export class SteeredNeedle {
       if (!saved) throw new ModelError(`nothing was kept of step ${changes[0][2]}`, "a step to return to");
       this.#return(saved);
     } else {
-      this.#advance(changes, validOnly);
+      this.#advance(changes);
       this.way = { changes, tip: this.tipLateral, before: this.way };
     }
     this.number += 1;
   }
 
-  #advance(changes, validOnly) {
+  #advance(changes) {
     const parameters = changes.filter(([name]) => this.rules.inputs[name].parameter);
     const others = changes.filter(([name]) => !this.rules.inputs[name].parameter);
-    if (!parameters.length) return this.#move(others, validOnly);
-    const { step, shape, valid, validity } = this;
-    const before = { step, shape, valid, validity, session: this.session.save() };
+    if (!parameters.length) return this.#move(others);
+    const { step, shape } = this;
+    const before = { step, shape, session: this.session.save() };
     try {
-      this.#simulateAgain(parameters, validOnly);
-      this.#move(others, validOnly);
+      this.#simulateAgain(parameters);
+      this.#move(others);
     } catch (error) {
       this.#return(before);
       throw error;
     }
   }
 
-  #simulateAgain(parameters, validOnly) {
+  #simulateAgain(parameters) {
     const mu = [...this.model.mu];
     /** @type {(number | null)[]} */
     let [offset, angle] = [null, null];
@@ -149,7 +149,7 @@ export class SteeredNeedle {
     const shape = this.shapeAfter(parameters);
     const same = JSON.stringify(shape) === JSON.stringify(this.shape);
     const law = same ? this.model.law : makeLaw(this.scene.simulation.law, shape);
-    if (!law) throw new ModelError("the law has not been computed with these parameters", "the program", "try again");
+    if (!law) throw new ModelError("the law has not been computed with these parameters", "the program");
     const { pathAngle } = this.model;
     const steps = this.path().map(({ bevel, ...one }) => ({
       ...one, bevel: { ...bevel, offset: offset ?? bevel.offset, cutAngle: angle ?? bevel.cutAngle },
@@ -158,44 +158,21 @@ export class SteeredNeedle {
       { ...this.model, mu, law }, steps.map((one) => ({ depth: one.depth, inputs: toInputs(one, pathAngle) })),
     ));
     if (!found) {
-      throw new ModelError(
-        `with these parameters the insertion so far fails ${this.session.depth.toFixed(1)} mm deep`,
-        "a load that tissue and needle can bear", "change them less, or retract the needle first",
-      );
+      throw new ModelError(`with these parameters the insertion so far fails ${this.session.depth.toFixed(1)} mm deep`, BEARABLE);
     }
-    const was = this.valid;
     Object.assign(this, { shape, step: steps.at(-1) });
-    this.#judge();
-    if (validOnly && was && !this.valid) this.#refuseInvalid(this.validity);
   }
 
-  #move(changes, validOnly) {
+  #move(changes) {
     const { session } = this;
     const { x, u, planes } = session.shape;
     const step = applyChanges(this.step, changes, this.names, [u[x.length - 1], planes > 1 ? u.at(-1) : 0]);
     if (!changes.length) return;
-    const [first] = step.controls.guides;
-    if (validOnly && first?.x < 0 && step.depth > this.reach(step.controls) + 1e-6) {
-      throw new ModelError(
-        `the base would stand ${(first.x + this.model.length - step.depth).toFixed(2)} mm before the first guide`,
-        `at least ${this.rules.clearance_mm} mm: the base stops at the guide`,
-        "retract the needle, or move the guide toward the tissue",
-      );
-    }
-    let [refused, judged] = [false, /** @type {any} */ ({})];
-    const judge = (shape) => {
-      const validity = computeValidity(shape, this.model);
-      judged = { validity, valid: listFaults(validity, this.rules.validity).length === 0 };
-      refused = validOnly && this.valid && !judged.valid;
-      return !refused;
-    };
-    const shape = this.#guard(() => session.go(step.depth, toInputs(step, this.model.pathAngle), judge));
-    if (refused) this.#refuseInvalid(judged.validity);
+    const shape = this.#guard(() => session.go(step.depth, toInputs(step, this.model.pathAngle)));
     if (session.failed) {
-      throw new ModelError(`the model finds no needle there (${shape.status})`, "a load that tissue and needle can bear", "move less at a time");
+      throw new ModelError(`the model finds no needle there (${shape.status})`, BEARABLE);
     }
-    Object.assign(this, { step, ...judged });
-    if (!judged.validity) this.#judge(); // the bevel alone was turned
+    this.step = step;
   }
 
   /** The kernel's refusals as those of the model. */
@@ -204,20 +181,7 @@ export class SteeredNeedle {
       return work();
     } catch (error) {
       if (!(error instanceof RangeError)) throw error;
-      throw new ModelError(error.message, `a needle of ${this.model.length} mm, its base before guides and tissue`, "lessen the depth, or move the guides");
+      throw new ModelError(error.message, `a needle of ${this.model.length} mm, its base before guides and tissue`);
     }
-  }
-
-  #judge() {
-    this.validity = computeValidity(this.session.shape, this.model);
-    this.valid = listFaults(this.validity, this.rules.validity).length === 0;
-  }
-
-  #refuseInvalid(validity) {
-    throw new ModelError(
-      `the needle would be outside the model's validity: ${listFaults(validity, this.rules.validity).join("; ")}`,
-      "a needle within the limits of small deflections",
-      "move less, or bring base, guides and tip nearer to the needle's own shape",
-    );
   }
 }

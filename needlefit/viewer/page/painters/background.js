@@ -7,8 +7,6 @@ import { fromPx, fromPy, toPx, toPy, view } from "../view.js";
 import { palette, polyline, setFont, shades, turned } from "./strokes.js";
 
 const APART = 8; // px between the texts of two layers
-const ROWS = [-34, -20, -6]; // px from the window's top to the middles of rows, where texts need three
-const TWO_ROWS = [-27, -11];
 const TICK = 5; // px
 const TICKS_APART = 60; // px between ticks, about
 const QUARTER = Math.PI / 2;
@@ -45,36 +43,24 @@ function listLayers() {
   return layers.filter(({ from, to }) => to > from);
 }
 
-/**
- * Write above the window the name of each layer and its modulus. Where texts would meet, the unit has a row of its own, and
- * the number of a layer stands for its name.
- */
+/** Write above the window the name of each layer, or where names would meet its number, and its modulus where there is room. */
 function paintNames(context) {
   const { left, top } = view.box;
-  const layers = listLayers().map((layer) => ({ ...layer, middle: (layer.from + layer.to) / 2, modulus: modulus(layer.mu) }));
-  const row = (write) => layers.map((layer) => ({ px: layer.middle, text: write(layer) }));
-  const fits = (texts) => texts.every(({ px, text }, i) => {
-    const half = context.measureText(text).width / 2;
-    const [before, after] = [texts[i - 1], texts[i + 1]].map((other) => (other ? context.measureText(other.text).width / 2 + APART : 0));
-    return (!i || px - half >= texts[i - 1].px + before) && (!texts[i + 1] || px + half <= texts[i + 1].px - after);
-  });
+  const layers = listLayers();
+  const middle = ({ from, to }) => (from + to) / 2;
   setFont(context, "plain");
-  const whole = row((one) => `μ ${one.modulus}`);
-  const names = row((one) => one.name);
-  const called = fits(names) ? names : row((one) => String(one.number));
-  const part = (n, before = "") => row((one) => before + one.modulus.split(" ")[n]);
-  const values = fits(part(0, "μ ")) ? part(0, "μ ") : part(0);
-  const rows = fits(whole) ? [called, whole] : [called, values, part(1)];
-  if (rows.length > 2) setFont(context, "small");
-  rows.forEach((texts, n) => {
+  const write = (texts, py) => {
     let end = -Infinity;
-    for (const { px, text } of texts) {
+    texts.forEach((text, i) => {
       const half = context.measureText(text).width / 2;
-      if (px - half < end + 2) continue; // layers too thin even for this
-      context.fillText(text, px, top + (rows.length > 2 ? ROWS : TWO_ROWS)[n]);
-      end = px + half;
-    }
-  });
+      if (middle(layers[i]) - half < end + APART) return;
+      context.fillText(text, middle(layers[i]), top + py);
+      end = middle(layers[i]) + half;
+    });
+  };
+  const named = layers.every(({ from, to, name }) => context.measureText(name).width <= to - from);
+  write(layers.map(({ name, number }) => (named ? name : String(number))), -27);
+  write(layers.map(({ mu }) => `μ ${modulus(mu)}`), -11);
   const skin = toPx(0);
   if (skin <= left + 40 || skin > left + view.box.width) return;
   context.textAlign = "right";

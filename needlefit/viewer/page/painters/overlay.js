@@ -1,12 +1,10 @@
-/** What the needle is compared with and aimed at, and what the picture itself does not show. */
+/** What the needle is compared with and aimed at. */
 
-import { bisectLeft, extent, range } from "d3-array";
-import { interpolateRgb } from "d3-interpolate";
-import { isDark } from "../dom.js";
+import { bisectLeft, range } from "d3-array";
 import { isChanged, isSteered, predictionOf } from "../quantities.js";
 import { now } from "../store.js";
 import { toPx, toPy, view } from "../view.js";
-import { cross, faintly, fillBetween, haloed, isFree, label, labelBeside, labelFree, line, palette, placesOf, polygon, polyline, reserve, ring, setFont } from "./strokes.js";
+import { cross, faintly, fillBetween, haloed, labelBeside, labelFree, line, palette, polygon, polyline, ring, setFont } from "./strokes.js";
 
 const GAPS = 12; // parts of the shaft between which gaps are drawn
 const FAN = 0.3; // opacity of the plan's draws
@@ -14,8 +12,6 @@ const CROSS = 5; // px
 const CORNERS = 72; // of a circle, which is an ellipse where y is drawn larger
 const DOT = 4; // px, radius of a measured tip
 const AWAY = 19; // px, of the tip error from the needle
-const INSET = { width: 170, height: 46, edge: 10, title: 14 }; // px
-const CLEAR = 30; // px between the inset and curves, for load and crosses
 
 /** Draw the measured needle, or its tip where no more was measured. */
 export function paintMeasured(context, curve) {
@@ -36,12 +32,6 @@ function nameLine(context, name, curve, shade) {
 export function nameNeedle(context, state) {
   if (predictionOf(state, now.scene)) return;
   nameLine(context, isSteered(state, now.scene) ? "steered" : "simulated", state, state.faults.length ? palette.bad : palette.needle);
-}
-
-/** Draw the pinned needle: what the needle is compared with. */
-export function paintPinned(context, pinned) {
-  haloed(context, pinned, palette.ghost, 2.5, [2, 3]);
-  nameLine(context, "pinned", pinned, palette.ghost);
 }
 
 /** State that the band is not that of the parameters shown. */
@@ -71,16 +61,6 @@ export function paintPrediction(context, state) {
   nameLine(context, "prediction", prediction, palette.accent);
 }
 
-/** A colour of a line on paper, as it is on a dark page. */
-export const lighten = (shade) => interpolateRgb(shade, "#ffffff")(0.4);
-
-/** Draw the needles of the methods that are chosen in the table. */
-export function paintMethods(context) {
-  for (const { key, x, y, colour } of now.needle?.methods ?? []) {
-    if (x && now.curves.has(key)) haloed(context, { x, y }, isDark() ? lighten(colour) : colour, 2);
-  }
-}
-
 /** The y of a curve at x, its points joined by straight lines. */
 function heightAt({ x: xs, y: ys }, x) {
   const after = Math.min(Math.max(bisectLeft(xs, x), 1), xs.length - 1);
@@ -105,8 +85,7 @@ export function paintGaps(context, state, measured) {
   setFont(context, "strong");
   const px = toPx(x);
   const [top, bottom] = [toPy(y), toPy(end[1])].sort((one, other) => one - other);
-  const sides = [[px, top - AWAY], [px, bottom + AWAY]]; // first the one that has no knob of the bevel
-  if (state.bevel.side > 0) sides.reverse();
+  const sides = [[px, top - AWAY], [px, bottom + AWAY]];
   labelFree(context, `tip error (TE) ${(prediction?.errors ?? errors).te_mm.toFixed(2)} mm`, [...sides, [px + 60, top - AWAY], [px + 60, bottom + AWAY], [px - 90, top - AWAY], [px - 90, bottom + AWAY]], palette.gap);
 }
 
@@ -130,37 +109,5 @@ function paintCircle(context, x, y, radius, shade, name, opacity = 0) {
   if (px < view.box.left || px > view.box.left + view.box.width) return;
   setFont(context, "strong");
   const sides = [[px, toPy(y + radius) - 12], [px, toPy(y - radius) + 12]];
-  if (now.state.bevel.side > 0) sides.reverse(); // the knob of the bevel is on the other one
   labelFree(context, name, sides, shade);
-}
-
-/** Draw the inserted part of the needle with y as large as x and its width, in a corner where nothing else is; else nowhere. */
-export function paintInset(context, { x, y, tip }) {
-  if (tip.x <= 0) return;
-  const { left, top, width, height } = view.box;
-  const { band, scene } = now;
-  const curves = [{ x, y }, scene.measured, band && { x: band.x, y: band.low }, band && { x: band.x, y: band.high }];
-  const places = curves.flatMap((one) => (one ? placesOf(one.x, one.y) : []));
-  const wide = Math.min(INSET.width, 0.36 * width);
-  /** @param {number[]} at */
-  const empty = ([px, py]) => isFree([px, py, wide, INSET.height]) && places.every(([cx, cy]) =>
-    cx < px - CLEAR || cx > px + wide + CLEAR || cy < py - CLEAR || cy > py + INSET.height + CLEAR);
-  const rows = [top + height - INSET.height - INSET.edge, top + INSET.edge];
-  const columns = [left + INSET.edge, left + width - wide - INSET.edge];
-  const corner = rows.flatMap((py) => columns.map((px) => [px, py])).find(empty);
-  if (!corner) return;
-  const [px, py] = corner.map((one) => Math.round(one) + 0.5);
-  reserve(px, py, wide, INSET.height);
-  const frame = [[px, py], [px + wide, py], [px + wide, py + INSET.height], [px, py + INSET.height], [px, py]];
-  polygon(context, frame, palette.air);
-  polyline(context, [frame], palette.quiet, 1);
-  const inserted = x.map((one, i) => [one, y[i]]).filter(([one]) => one >= 0);
-  const [low, high] = /** @type {[number, number]} */ (extent(/** @type {number[]} */ (inserted.map(([, one]) => one))));
-  const room = [wide - 2 * INSET.edge, INSET.height - INSET.title - 6];
-  const scale = Math.min(room[0] / Math.max(scene.depth_mm, now.state.depth_mm, 1), room[1] / (high - low + scene.diameter_mm));
-  const middle = py + (INSET.height + INSET.title) / 2;
-  const drawn = inserted.map(([one, across]) => [px + INSET.edge + one * scale, middle - (across - (low + high) / 2) * scale]);
-  polyline(context, [drawn], palette.needle, Math.max(scene.diameter_mm * scale, 1));
-  setFont(context, "small", "left", "top");
-  label(context, "true scale", px + 6, py + 4);
 }

@@ -7,8 +7,8 @@ import { now } from "../store.js";
 import { toPx, toPy } from "../view.js";
 
 const NAMES = [
-  "air", "gutter", "ink", "quiet", "edge", "needle", "points", "path", "tip", "guide", "load",
-  "measured", "band", "ghost", "plan", "gap", "bad", "halo", "soft", "stiff", "label", "accent",
+  "air", "gutter", "ink", "quiet", "edge", "needle", "tip", "guide",
+  "measured", "band", "plan", "gap", "bad", "halo", "soft", "stiff", "label", "accent",
 ];
 const FAMILY = "Arial, 'Liberation Sans', Helvetica, sans-serif"; // of one width everywhere, also in a saved figure
 const FONTS = { small: `11px ${FAMILY}`, plain: `12px ${FAMILY}`, strong: `600 12px ${FAMILY}` };
@@ -68,13 +68,6 @@ export function polygon(context, corners, shade) {
   context.fill();
 }
 
-/** Draw an arrow, which always means a force: from a place (px) along y by so many px, up if positive. */
-export function arrow(context, [px, py], length, shade) {
-  const [end, head] = [py - length, 8 * Math.sign(length)];
-  polyline(context, [[[px, py], [px, end + head]]], shade, 2.5);
-  polygon(context, [[px - 5, end + head], [px, end], [px + 5, end + head]], shade);
-}
-
 /** The places (px) of points (mm). */
 export const placesOf = (x, y) => x.map((one, i) => [toPx(one), toPy(y[i])]);
 
@@ -95,11 +88,10 @@ export function fillBetween(context, x, low, high, shade) {
   context.fill();
 }
 
-/** The two lines of a cross about a place (px), upright or oblique. */
-export const cross = (px, py, arm, oblique = false) => (oblique ? [[arm, arm], [arm, -arm]] : [[arm, 0], [0, arm]])
-  .map(([dx, dy]) => [[px - dx, py - dy], [px + dx, py + dy]]);
+/** The two lines of a cross about a place (px). */
+export const cross = (px, py, arm) => [[arm, 0], [0, arm]].map(([dx, dy]) => [[px - dx, py - dy], [px + dx, py + dy]]);
 
-/** Draw a ring with a filled inside, as handles have it. */
+/** Draw a ring with a filled inside. */
 export function ring(context, px, py, radius, edge, inside) {
   context.beginPath();
   context.arc(px, py, radius, 0, 2 * Math.PI);
@@ -140,9 +132,7 @@ const SHARES = [1, 0.8, 0.6, 0.4]; // of a curve, where its label may stand
 export const clearLabels = () => Object.assign(now, { labels: [], avoided: [] });
 const overlap = ([x, y, w, h], [x2, y2, w2, h2]) => x < x2 + w2 && x2 < x + w && y < y2 + h2 && y2 < y + h;
 /** @param {import("../types").Place} box */
-export const isFree = (box) => !now.labels.some((one) => overlap(one, box));
-/** @param {import("../types").Place} box */
-export const reserve = (...box) => now.labels.push(box);
+const isFree = (box) => !now.labels.some((one) => overlap(one, box));
 
 /** Keep labels off a line (px) where there is room for them elsewhere. */
 export function avoid(places) {
@@ -173,7 +163,7 @@ export function labelBeside(context, text, sides, shade) {
   const half = context.measureText(text).width / 2;
   const curves = sides.map(([{ x, y }, away]) => [placesOf(x, y), away]);
   for (const [places] of curves) avoid(places);
-  const ends = curves.map(([places]) => [places.at(-1)[0] + half + 8, places.at(-1)[1]]); // the needle before its bevel's knob
+  const ends = curves.map(([places]) => [places.at(-1)[0] + half + 8, places.at(-1)[1]]); 
   const beside = SHARES.flatMap((share) => curves.flatMap(([places, away]) => {
     const [px, py] = places[Math.round(share * (places.length - 1))];
     return [0, -half, half].map((aside) => [px + aside, py + away]);
