@@ -36,6 +36,7 @@ from needlefit.inference import track_predictions
 from needlefit.inference.baselines import BASELINES
 from needlefit.inference.forward_model import find_end, respond_to_moves, scale_moves, share_simulations
 from needlefit.inference.likelihood import observation
+from needlefit.inference.likelihood.nodes import CARRIED
 from needlefit.inference.likelihood.observations import make_observation, tip_track
 from needlefit.inference.optimize import minimize
 from needlefit.inference.problem import Problem
@@ -282,6 +283,15 @@ def test_log_posterior_residuals_and_gradient_are_one_density(runs, errors):
         asked = replace(asked, dataset=replace(asked.dataset, noise=SESSION_NOISE), likelihood=likelihood)
     assert_one_density(asked, other, rtol=5e-4)
     assert asked.log_posteriors(np.array([THETA, other, other + 50.0]))[2] == -np.inf
+
+
+def test_runs_of_one_setup_share_what_the_tissue_follows(runs):
+    likelihood = observation.PLAIN_LIKELIHOOD.model_copy(update={"tip_tracks": ERRORS})
+    for setups in (("", ""), ("top", "side")):
+        steered = [replace(one, setup=name) for one, name in zip(runs[:2], setups, strict=True)]
+        known = replace(problem(steered), likelihood=likelihood).density.observations
+        shared = {axis.surface for one in known for axis in one.nodes.axes if CARRIED in axis.surface}
+        assert len(shared) == len(set(setups))
 
 
 def test_later_readings_do_not_enter_the_prediction(runs):

@@ -40,6 +40,7 @@ INSERTION_COLUMNS = (
     *("boundary_sd_mm", "depth_sd_mm", "guide_distance_mm"),
 )
 NEEDLE_COLUMN = "needle"
+SETUP_COLUMN = "setup"  # of tip tracks
 BOUNDARIES_COLUMN = "boundaries_mm"  # depths, separated by `;`, or `NO_BOUNDARY`
 NO_BOUNDARY = "none"
 SHARED_COLUMN = "boundary_shared_sd_mm"

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.datasets.columns import NEEDLE_COLUMN, InsertionRow
+from needlefit.datasets.columns import NEEDLE_COLUMN, SETUP_COLUMN, InsertionRow
 from needlefit.datasets.points import Points
 from needlefit.geometry.smoothing_spline import SplineSections
 from needlefit.project.json_values import digest_values
@@ -64,6 +64,8 @@ def digest_track(medium: str, readings: Mapping[str, Any], record: DatasetRecord
         "dataset": select_deciding(record, _READ),
         "medium": (medium, select_deciding(record.media[medium])),
         "needle": select_deciding(record.all_needles[str(readings[NEEDLE_COLUMN][0])]),
-        "readings": readings,
+        "readings": {name: column for name, column in readings.items() if name != SETUP_COLUMN},
     }
+    if setup := str(readings[SETUP_COLUMN][0]):
+        values["setup"] = setup
     return digest_values(values)

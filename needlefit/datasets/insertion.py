@@ -177,6 +177,8 @@ class Insertion(InsertionInputs):
         2 where the z of `points` was measured, 1 where they are known along y alone.
     headings : tuple of (N,) arrays
         Directions of the tip, rad, along y, and z, as a tracker reports them; empty where it does not.
+    setup : str
+        Name of the guide and of how the specimen was held, of a tip track; one for all where it is empty.
     digest : str
         SHA-256 of what was read of it and decides a fit (`digests`); empty of one that was made in memory.
     where : str
@@ -211,6 +213,7 @@ class Insertion(InsertionInputs):
     observed_values: Mapping[str, float] = field(default_factory=dict)
     directions: int = 2
     headings: tuple[Floats, ...] = ()
+    setup: str = ""
     digest: str = ""
     where: str = ""
     curve_roll: float = 0.0

@@ -9,7 +9,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from needlefit.arrays import Floats, pad_axis
-from needlefit.datasets.columns import NEEDLE_COLUMN
+from needlefit.datasets.columns import NEEDLE_COLUMN, SETUP_COLUMN
 from needlefit.datasets.digests import digest_track
 from needlefit.datasets.faults import Fault
 from needlefit.datasets.formats.csv import CsvTable, note_missing_columns, parse_numbers, rename_columns
@@ -87,7 +87,7 @@ def _parse_track_columns(
     """Return every column (N,) under our names; None after a fault."""
     source = record.tip_tracks
     assert source is not None
-    known_columns = (*REQUIRED_TRACK_COLUMNS, *OPTIONAL_TRACK_COLUMNS, NEEDLE_COLUMN)
+    known_columns = (*REQUIRED_TRACK_COLUMNS, *OPTIONAL_TRACK_COLUMNS, NEEDLE_COLUMN, SETUP_COLUMN)
     before = len(faults)
     table = rename_columns(table, source.columns, source.constants, faults)
     for name in sorted((source.columns.keys() | source.constants.keys()) - {*known_columns}):
@@ -105,8 +105,9 @@ def _parse_track_columns(
     optional = OPTIONAL_TRACK_COLUMNS.items()
     values |= {name: parse_numbers(table, name, faults, default) for name, default in optional}
     texts = {name: table.cells[name].to_numpy(dtype=str) for name in ("id", "medium")}
-    no_needle = np.full(len(table.lines), "")
-    texts[NEEDLE_COLUMN] = table.cells.get(NEEDLE_COLUMN, pd.Series(no_needle)).to_numpy(dtype=str)
+    unnamed = pd.Series(np.full(len(table.lines), ""))
+    for name in (NEEDLE_COLUMN, SETUP_COLUMN):
+        texts[name] = table.cells.get(name, unnamed).to_numpy(dtype=str)
     return texts | values if len(faults) == before else None
 
 
@@ -166,7 +167,8 @@ def parse_tracks(
             (np.array(medium.boundaries_mm or ()), medium.sequence),
             tuple((float(starts[n]), float(roll[n])) for n in turned),
         )
-        yield replace(track, digest=digest_track(str(media[rows[0]]), columns_of_track, record))
+        setup = str(columns_of_track[SETUP_COLUMN][0])
+        yield replace(track, setup=setup, digest=digest_track(str(media[rows[0]]), columns_of_track, record))
 
 
 def _find_zero(depths: Floats, record: DatasetRecord) -> float:
@@ -184,15 +186,16 @@ def _find_run_faults(
 ) -> Iterator[Fault]:
     """Say what is wrong with one run; `places` are those of its readings."""
     first, depth, sides = places[0], values["depth_mm"], values["bevel_side"]
-    needles = values[NEEDLE_COLUMN].tolist()
-    yield from find_unknown_needle(needles[0], first, record)
-    for n in [n for n, name in enumerate(needles) if name != needles[0]][:1]:
-        yield DataError(
-            f"the needle of run {id_} changes from {needles[0]!r} to {needles[n]!r}",
-            expected="one needle for all of a run",
-            fix="correct the cells",
-            where=f"{places[n]}",
-        )
+    yield from find_unknown_needle(str(values[NEEDLE_COLUMN][0]), first, record)
+    for column in (NEEDLE_COLUMN, SETUP_COLUMN):
+        names = values[column].tolist()
+        for n in [n for n, name in enumerate(names) if name != names[0]][:1]:
+            yield DataError(
+                f"the {column} of run {id_} changes from {names[0]!r} to {names[n]!r}",
+                expected=f"one {column} for all of a run",
+                fix="correct the cells",
+                where=f"{places[n]}",
+            )
     if not id_:
         yield DataError(
             "a reading has no id", expected="the run that it belongs to", fix="fill the cell", where=first

@@ -39,7 +39,7 @@ class TrackErrorsRecord(Record):
     gain_sd: float = Field(default=0.0, ge=0, le=1)
     """Relative standard deviation of the tip's response to each move of the guide."""
     carried_sd: float = Field(default=0.0, ge=0, le=1)
-    """Standard deviation of the share of the guide's displacement that the tissue of a group follows."""
+    """Standard deviation of the share of the guide's displacement that the tissue follows in a set-up."""
     slope_sd_deg: float = Field(default=0.0, ge=0, le=45)
     """Standard deviation of the slope of a group of runs in the tracker's frame, where the dataset states
     that of a run."""

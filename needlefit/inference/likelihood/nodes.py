@@ -24,7 +24,7 @@ DEPTH_STEPS_SD = (-1.0, 1.0)  #: where an uncertain depth is simulated besides a
 FRAME = -1  #: the tracker's frame
 BEVEL = -2  #: the bevel of one insertion that was measured at several depths
 GROUP_SLOPE = -3  #: the slope of a group of runs
-CARRIED = -4  #: the share of the guide's displacement that the tissue of a group follows
+CARRIED = -4  #: the share of the guide's displacement that the tissue follows in a set-up
 ROLL_STEP_DEG = 5.0  #: by which a bevel's roll is changed to simulate its effect, to both sides
 BEVEL_STEP = 0.1  #: part of the bevel's offset by which it is changed to simulate its effect, to both sides
 MIN_GAP_MM = 1e-3  #: smallest distance, mm, of moved boundaries from each other and from the entry
@@ -39,8 +39,9 @@ class ErrorAxis:
     own: float = 1.0
     shared: float = 0.0
     #: what z belongs to: a specimen and two layers, or `FRAME` and a part of a tracker's frame, or
-    #: `GROUP_SLOPE` or `CARRIED` and a group of runs, or `BEVEL` and the number of an insertion, whose t
-    #: is the deviation of its bevel in SDs between insertions; empty where nothing is shared
+    #: `GROUP_SLOPE` and a group of runs, or `CARRIED` and a set-up, or `BEVEL` and the number of an
+    #: insertion, whose t is the deviation of its bevel in SDs between insertions; empty where nothing is
+    #: shared
     surface: tuple[str, int, int | str] | tuple[()] = ()
 
     @property

@@ -157,7 +157,7 @@ class _TipTrack(ObservationType):
             session = np.column_stack([session, further.gain_sd * moves])
             if further.carried_sd:  # tissue that follows moves the tip, and is moved less against the needle
                 followed = operator @ np.concatenate([follow_guide(one, at) for one in directions])
-                axes.append(ErrorAxis(0.0, 1.0, (insertion.specimen, CARRIED, _name_group(insertion))))
+                axes.append(ErrorAxis(0.0, 1.0, (insertion.specimen, CARRIED, insertion.setup)))
                 session = np.column_stack([session, further.carried_sd * (followed - moves.sum(axis=1))])
         curves = (whitening @ session).T
         roll_sd_deg = further.roll_sd_deg * (len(directions) - 1)
@@ -170,14 +170,10 @@ class _TipTrack(ObservationType):
         return Observation(measured, cov, session, free, whitening, log_norm, pose, nodes, curves)
 
 
-def _name_group(track: Insertion) -> str:
-    """Return the name of the group of a run: its medium, and whether the guide moved."""
-    return f"{track.medium}, {'steered' if track.guided else 'at rest'}"
-
-
 def make_group_slope(track: Insertion, direction: int = 0) -> ErrorAxis:
-    """Return the axis of the slope that a run's group has along y (0) or z (1)."""
-    return ErrorAxis(0.0, 1.0, (track.specimen, GROUP_SLOPE, _name_group(track) + ", along z" * direction))
+    """Return the axis of the slope along y (0) or z (1) of the runs into one medium, steered or at rest."""
+    group = f"{track.medium}, {'steered' if track.guided else 'at rest'}{', along z' * direction}"
+    return ErrorAxis(0.0, 1.0, (track.specimen, GROUP_SLOPE, group))
 
 
 def follow_guide(track: Insertion, depths: Floats) -> Floats:
