@@ -6,7 +6,7 @@ True moduli differ from the expected ones by a factor of 1.8 (SD), b by 1.4; the
 command. Every 10 mm the tip is measured, in `shape` eight points (SD 0.3 mm). `again`: planned again without
 measurements; `tip`, `shape`: with draws weighted by these; `proportional`: the base moves by the tip's offset
 from the straight way; `resolved rate`: by the Jacobian of the end; `true`: with the true parameters. `last`,
-`all`: percentage of 95 % intervals, from 0 up, that contain the miss, of the last plan, of all after the first.
+`all`: percentage of 95 % intervals, from 0 up, that contain the miss, of the last plan, of all but the first.
 """
 
 import argparse
