@@ -15,10 +15,10 @@ def find_spellings(names: Iterable[str]) -> Iterator[tuple[str, str]]:
 
     Numbers distinguish names, and so do their last letters: pork a and pork b are two.
     """
-    for one, other in combinations(dict.fromkeys(names), 2):
-        (a, numbers), (b, its_numbers) = _split(one), _split(other)
+    for name, other in combinations(dict.fromkeys(names), 2):
+        (a, numbers), (b, its_numbers) = _split(name), _split(other)
         if numbers == its_numbers and (a == b or _are_alike(a, b)):
-            yield one, other
+            yield name, other
 
 
 def _split(name: str) -> tuple[str, list[str]]:
@@ -26,9 +26,9 @@ def _split(name: str) -> tuple[str, list[str]]:
     return re.sub(r"[\W\d_]", "", name.casefold()), re.findall(r"\d+", name)
 
 
-def _are_alike(one: str, other: str) -> bool:
-    is_label = one[:-1] == other[:-1] or one.startswith(other) or other.startswith(one)
-    if is_label or min(len(one), len(other)) < MIN_LETTERS:
+def _are_alike(name: str, other: str) -> bool:
+    is_label = name[:-1] == other[:-1] or name.startswith(other) or other.startswith(name)
+    if is_label or min(len(name), len(other)) < MIN_LETTERS:
         return False
-    exchanged = (one[:k] + one[k + 1 : k + 2] + one[k] + one[k + 2 :] for k in range(len(one)))
-    return other in exchanged or SequenceMatcher(None, one, other, autojunk=False).ratio() >= MIN_ALIKE
+    exchanged = (name[:k] + name[k + 1 : k + 2] + name[k] + name[k + 2 :] for k in range(len(name)))
+    return other in exchanged or SequenceMatcher(None, name, other, autojunk=False).ratio() >= MIN_ALIKE

@@ -393,7 +393,10 @@ def list_gains_of_direction(run: Run) -> list[tuple[str, str, str]]:
     for name, factor in run.knows(FitMetadata).with_direction.items():
         now = _find_factor(fitted[name])
         if now > MIN_GAIN * factor:
-            before, after = (format_plain(round_significant(one, END_DIGITS)) for one in (now, factor))
+            before, after = (
+                format_plain(round_significant(factor_of_interval, END_DIGITS))
+                for factor_of_interval in (now, factor)
+            )
             gains.append((format_bare_symbol(name), before, after))
     return gains
 
@@ -402,8 +405,8 @@ def describe_largest_factor(run: Run) -> str:
     """Return the largest factor between the ends of intervals of moduli and lengths; empty if unknown."""
     fitted = list_fitted(run.frames["parameters"])
     factors = [_find_factor(rows) for name, rows in fitted.items() if is_logarithmic(name)]
-    known = [*filter(is_known, factors)]
-    return format_plain(round_significant(max(known), END_DIGITS)) if known else ""
+    known_factors = [*filter(is_known, factors)]
+    return format_plain(round_significant(max(known_factors), END_DIGITS)) if known_factors else ""
 
 
 def _find_factor(rows: Sequence[ParameterRow]) -> float:

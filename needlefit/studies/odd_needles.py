@@ -38,34 +38,36 @@ def check_quickly(job: Job) -> tuple[Doubts, list[DepthMetadata]]:
     doubts = find_doubts(problem, theta)
     if doubts.deviating is not None or doubts.common is not None:
         return doubts, []
-    odd = {one.insertion for one in doubts.odd}
-    others = tuple(one for one in problem.insertions if one.id not in odd)
+    odd = {needle.insertion for needle in doubts.odd}
+    others = tuple(insertion for insertion in problem.insertions if insertion.id not in odd)
     return doubts, examine_depths(replace(problem, insertions=others), theta)
 
 
 def _leave_out_copies(job: Job) -> Problem:
     """Return the problem of all insertions but those that have values of each other, unless all have."""
-    copied = {name for one in job.dataset.warnings if one.kind == "copy" for name in one.insertions}
+    copied = {
+        name for warning in job.dataset.warnings if warning.kind == "copy" for name in warning.insertions
+    }
     problem = join_folds(job)
-    others = tuple(one for one in problem.insertions if one.id not in copied)
+    others = tuple(insertion for insertion in problem.insertions if insertion.id not in copied)
     return replace(problem, insertions=others or problem.insertions)
 
 
 def join_folds(job: Job) -> Problem:
     """Return the problem of all insertions that any fold fits to."""
-    fitted = {one.id: one for fold in job.folds for one in fold.tune}
+    fitted = {insertion.id: insertion for fold in job.folds for insertion in fold.tune}
     return job.problem(Fold("all", tuple(fitted.values()), ()))
 
 
 def draw_odd_needles(odd: Sequence[NeedleDoubtMetadata]) -> Drawing:
     """Return each of the needles beside what the others predict."""
-    heads = {("all", one.insertion): f"{one.sds:.2g} SD" for one in odd}
+    heads = {("all", needle.insertion): f"{needle.sds:.2g} SD" for needle in odd}
     columns = [*forms.INSERTION_KEYS, "curve", "x_mm", *forms.HEIGHT_COLUMNS]
-    rows = pd.DataFrame([row for one in odd for row in _list_points(one)], columns=columns)
+    rows = pd.DataFrame([row for needle in odd for row in _list_points(needle)], columns=columns)
     return Drawing(forms.insertions, rows, {"heads": heads, "names": {"fitted": "predicted from the others"}})
 
 
-def _list_points(one: NeedleDoubtMetadata) -> Iterator[Row]:
-    for x, measured, predicted in one.points:
+def _list_points(needle: NeedleDoubtMetadata) -> Iterator[Row]:
+    for x, measured, predicted in needle.points:
         for curve, y in (("measured", measured), ("fitted", predicted)):
-            yield {"fold": "all", "insertion": one.insertion, "curve": curve, "x_mm": x, "y_mm": y}
+            yield {"fold": "all", "insertion": needle.insertion, "curve": curve, "x_mm": x, "y_mm": y}

@@ -23,10 +23,12 @@ from needlefit.studies.scored_groups import pool_insertions
 
 def list_doubtful(run: Run, job: Job) -> list[str]:
     """Return the needles that contradict their own statements, and those that the others do not predict."""
-    named = [name for one in run.warnings if one.kind in CONTRADICTIONS for name in one.insertions]
-    named += [one.insertion for one in run.knows(FitMetadata).odd_needles]
-    known = {one.id for one in job.insertions}
-    return [name for name in dict.fromkeys(named) if name in known]
+    named = [
+        name for warning in run.warnings if warning.kind in CONTRADICTIONS for name in warning.insertions
+    ]
+    named += [odd_needle.insertion for odd_needle in run.knows(FitMetadata).odd_needles]
+    present = {insertion.id for insertion in job.insertions}
+    return [name for name in dict.fromkeys(named) if name in present]
 
 
 def leave_out(job: Job, names: Sequence[str]) -> Job:
@@ -34,7 +36,8 @@ def leave_out(job: Job, names: Sequence[str]) -> Job:
     folds = []
     for fold in job.folds:
         tune, held_out = (
-            tuple(one for one in part if one.id not in names) for part in (fold.tune, fold.validate)
+            tuple(insertion for insertion in part if insertion.id not in names)
+            for part in (fold.tune, fold.validate)
         )
         if tune and (held_out or not fold.validate):
             folds.append(Fold(f"{fold.name} without {', '.join(names)}", tune, held_out))
@@ -57,14 +60,14 @@ def measure_effect(
     repeated: Sequence[FoldResult],
 ) -> EffectMetadata:
     """Return what the needles left out change: the outcome, and the parameters of the first fit."""
-    outcomes = [_find_outcome(one) for one in (run, without)]
-    values = [job.parameters.values(np.array(one[0].mode)) for one in (results, repeated)]
+    outcomes = [_find_outcome(compared_run) for compared_run in (run, without)]
+    values = [job.parameters.values(np.array(fold_results[0].mode)) for fold_results in (results, repeated)]
     names = [name for name in job.parameters.free if name.startswith("mu") or name in BEVEL_PARAMETERS]
     return EffectMetadata(
         insertions=list(left_out),
         outcome=outcomes[1],
         turns=outcomes[0].passed != outcomes[1].passed,
-        values={name: tuple(one[name] for one in values) for name in names},
+        values={name: tuple(value[name] for value in values) for name in names},
     )
 
 

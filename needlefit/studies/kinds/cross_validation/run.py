@@ -68,15 +68,15 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
     checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work.work, settings.note)
     services = FoldServices(settings, checkpoint, StudyProgress(job, settings.progress))
     results = run_folds(job, services)
-    found = conclude_run(job, work, results)
-    if not (doubtful := list_doubtful(found, job)):
-        return found
+    concluded = conclude_run(job, work, results)
+    if not (doubtful := list_doubtful(concluded, job)):
+        return concluded
     others = leave_out(job, doubtful)
     repeated = repeat_folds(others, services)
     if not repeated or repeated[0].mode is None or repeated[-1].interrupted:
-        return found
-    effect = measure_effect(found, conclude_run(others, work, repeated), doubtful, job, results, repeated)
-    return found.with_metadata(effect=effect)
+        return concluded
+    effect = measure_effect(concluded, conclude_run(others, work, repeated), doubtful, job, results, repeated)
+    return concluded.with_metadata(effect=effect)
 
 
 class FitConclusions(TypedDict, total=False):
@@ -103,12 +103,16 @@ def conclude_run(job: Job, work: JobMetadata, results: Sequence[FoldResult]) -> 
     """
     names = [fold.name for fold in job.folds]
     posteriors = {
-        name: one.posterior for name, one in zip(names, results, strict=False) if one.posterior is not None
+        name: result.posterior
+        for name, result in zip(names, results, strict=False)
+        if result.posterior is not None
     }
     search_faults = {
-        name: list(one.search_faults) for name, one in zip(names, results, strict=False) if one.search_faults
+        name: list(result.search_faults)
+        for name, result in zip(names, results, strict=False)
+        if result.search_faults
     }
-    needles = {needle.insertion: needle for one in results for needle in one.needles}
+    needles = {needle.insertion: needle for result in results for needle in result.needles}
     frames = {name: _make_frame(job, name, results) for name in FRAMES if name != "needles"}
     frames = add_errors_over_noise(frames)
     frames["needles"] = tabulate_needles_in_scan(needles.values())
@@ -116,17 +120,17 @@ def conclude_run(job: Job, work: JobMetadata, results: Sequence[FoldResult]) -> 
     faults = find_faults(frames["errors"], search_faults, unconverged)
     concluded: FitConclusions = {
         "layers": {
-            one.id: list(zip(one.sequence, (0.0, *one.boundaries.tolist()), strict=True))
-            for one in job.insertions
+            insertion.id: list(zip(insertion.sequence, (0.0, *insertion.boundaries.tolist()), strict=True))
+            for insertion in job.insertions
         },
         "insertions": describe_insertions(job),
         "new_bevel_sd": {fold.name: find_bevel_sd(job, fold) for fold in job.folds},
         "search_faults": search_faults,
-        "validity": tabulate_validity([one.validity for one in results]),
+        "validity": tabulate_validity([result.validity for result in results]),
     }
     if truth := _find_truth(job):
         concluded["truth"] = truth
-    if depths := [row for one in results for row in one.depths]:
+    if depths := [row for result in results for row in result.depths]:
         concluded["stated_depths"] = depths
     if (mode := results[0].mode) is not None and not results[-1].interrupted:
         doubts = find_odd_needles(job, mode)
@@ -138,7 +142,7 @@ def conclude_run(job: Job, work: JobMetadata, results: Sequence[FoldResult]) -> 
             concluded["common_doubt"] = doubts.common
     if mode is not None and job.dataset.pose == "free" and job.dataset.noise_is_stated:
         concluded["with_direction"] = predict_factors(join_folds(job), mode)
-    if medians := [row for one in results for row in one.rows.get("medians", ())]:
+    if medians := [row for result in results for row in result.rows.get("medians", ())]:
         concluded["medians"] = medians
     run = Run(
         kind="cross_validation" if isinstance(job.record, StudyRecord) else "fit",
@@ -151,7 +155,7 @@ def conclude_run(job: Job, work: JobMetadata, results: Sequence[FoldResult]) -> 
         metadata=work.extend(FitMetadata, **concluded),
         timing={"dataset": str(job.dataset.path)},
         interrupted=results[-1].interrupted,
-        faults=(*faults, *(fault for one in results for fault in one.faults)),
+        faults=(*faults, *(fault for result in results for fault in result.faults)),
         data=job.dataset.files,
     )
     return add_warnings(run, job)
@@ -159,7 +163,7 @@ def conclude_run(job: Job, work: JobMetadata, results: Sequence[FoldResult]) -> 
 
 def _make_frame(job: Job, name: str, results: Sequence[FoldResult]) -> pd.DataFrame:
     """Return one table of all folds; without rows it still has its columns."""
-    rows = [row for one in results for row in one.rows.get(name, ())]
+    rows = [row for result in results for row in result.rows.get(name, ())]
     values = job.parameters.names if name in ("starts", "profiles", "draws") else ()
     return pd.DataFrame(rows) if rows else pd.DataFrame(columns=[*FRAMES[name], *values])
 
@@ -188,7 +192,7 @@ def find_faults(
     faults = [f"{failed} of {len(fitted)} simulations of the fit did not converge"] if failed else []
     folds = group_values((fault, fold) for fold, reasons in search_faults.items() for fault in reasons)
     faults += [
-        fault if found == ["all"] else f"{', '.join(found)}: {fault}" for fault, found in folds.items()
+        fault if failing == ["all"] else f"{', '.join(failing)}: {fault}" for fault, failing in folds.items()
     ]
     faults += [f"the posterior has not converged: {why}" for why in not_converged]
-    return tuple(RunFault(FaultKind.NOT_CONVERGED, what) for what in faults)
+    return tuple(RunFault(FaultKind.NOT_CONVERGED, fault) for fault in faults)

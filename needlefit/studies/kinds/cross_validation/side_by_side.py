@@ -16,7 +16,7 @@ def run_folds(job: Job, services: FoldServices) -> list[FoldResult]:
     """
     settings = services.settings
     processes = min(settings.jobs, len(job.folds)) if can_fork() else 1
-    found = dict[int, FoldResult]()
+    results_by_number = dict[int, FoldResult]()
     if processes > 1:
         quiet = replace(
             settings,
@@ -30,13 +30,15 @@ def run_folds(job: Job, services: FoldServices) -> list[FoldResult]:
         copied = FoldServices(quiet, checkpoint, StudyProgress(job, no_progress))
         work = _FoldRunner(job, copied)
         for number, (result, noted) in LocalPool(processes).run(work, range(len(job.folds)), settings.stop):
-            found[number] = result
+            results_by_number[number] = result
             for line in noted:
                 services.checkpoint.note(line)
             services.progress.finish(job.folds[number], "errors")
     results: list[FoldResult] = []
     for number, fold in enumerate(job.folds):  # those that were stopped are interrupted here too
-        results.append(found[number] if number in found else run_fold(job, fold, services))
+        results.append(
+            results_by_number[number] if number in results_by_number else run_fold(job, fold, services)
+        )
         if results[-1].interrupted:
             break
     return results
