@@ -153,8 +153,8 @@ def test_a_guide_is_moved(chromium, tmp_path) -> None:
     with opened(chromium, path) as page:
         enter(page.locator("#guide-fields .number >> nth=0"), "-30")
         until(page, "s.guides[0].x === -30")
-        page.locator("#guide-fields .slider >> nth=1").fill("520")
-        until(page, "s.guides[0].y > 0.05")
+        enter(page.locator("#guide-fields .number >> nth=1"), "0.1")
+        until(page, "s.guides[0].y === 0.1")
 
 
 BYTES = """(({x, u, slope, constraints}) => {

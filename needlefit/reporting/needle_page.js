@@ -160,10 +160,9 @@ draws&&steps2&&postMessage({id,band:computeBand(await Session.begin(kernel,model
 await new Promise(resume=>setTimeout(resume))}busy=!1}}}});function write(id,text){let place=typeof id=="string"?part(id):id;place.textContent!==text&&(place.textContent=
 text)}function element(tag,properties={},...contents){let made2=Object.assign(document.createElement(tag),properties);
 return made2.append(...contents.flat()),made2}function button(text,act,properties={}){let made2=element("butto\
-n",{type:"button",...properties},text);return press(made2,act),made2}function say(words){part("announced").textContent=
-"",requestAnimationFrame(()=>part("announced").textContent=words)}function hand(blob,name){let link=element("a",
-{href:URL.createObjectURL(blob),download:name});link.click(),setTimeout(()=>URL.revokeObjectURL(link.href),1e4)}
-function colour(name){let both=getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).match(
+n",{type:"button",...properties},text);return press(made2,act),made2}function hand(blob,name){let link=element(
+"a",{href:URL.createObjectURL(blob),download:name});link.click(),setTimeout(()=>URL.revokeObjectURL(link.href),
+1e4)}function colour(name){let both=getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).match(
 /#\w+/g)??[""];return both[isDark()?both.length-1:0]}var part,press,entry,dark,paper,isDark,usePaper,onScheme,
 getContext,init_dom=__esm({"needlefit/viewer/page/dom.js"(){"use strict";part=id=>document.getElementById(id);
 press=(id,act)=>(typeof id=="string"?part(id):id).addEventListener("click",act);entry=(term,value)=>element("d\
@@ -284,33 +283,32 @@ for(let hear2 of listeners.get(kind)??[])hear2(message)}function take(message){m
 now,{scene:message,band:null}):message.kind==="band"?now.band=message.x.length?message:null:now[message.kind]=
 message,publish(message.kind,message)}var now,listeners,redraw,init_store=__esm({"needlefit/viewer/page/store.\
 js"(){"use strict";now={replay:null,band:null,shown:{errors:!1,measured:!0,band:!0,plan:!0},labels:[],avoided:[]};
-Object.assign(window,{needlefit:now});listeners=new Map;redraw=()=>publish("redraw")}});function resize(width,height){view.low=height<LOW_PICTURE,view.box={left:GUTTER.left,top:GUTTER.top,width:Math.
-max(width-GUTTER.left-GUTTER.right,10),height:Math.max(height-GUTTER.top-(view.low?LOW_BOTTOM:GUTTER.bottom),10)},
-fit(view.fit)}function fit(which){if(view.fit=which,redraw(),!now.scene||!now.state)return;if(which==="tip"){let{
-x:x2,y:y2}=now.state.tip;return Object.assign(view,{scale:view.box.width/TIP_WINDOW,magnified:1,x:x2,y:y2})}let[
-low,high,before,after]=which==="whole"?[-now.scene.length_mm,deepest()+4,Math.min(74,.1*view.box.width+20),34]:
-[0,1.04*deepest(),Math.min(44,.1*view.box.width),Math.min(84,.12*view.box.width)],room=view.box.width-before-after,
-[bottom,top]=heights(which),[along,across]=[room/(high-low),roomAcross()/(top-bottom)];view.scale=Math.min(along,
-across);let least=LEAST_SPAN*deepest(),times=roomAcross()/view.scale/Math.max(top-bottom,least);view.magnified=
-MAGNIFICATIONS.filter(one=>one<=times).at(-1)??1,view.x=(low+high)/2+(after-before)/(2*view.scale),view.y=(bottom+
-top)/2}function deepest(){let{depth_mm:depth,boundaries_mm:tops,measured}=now.scene,goals=goalCircles().map(([
-x2,,radius])=>x2+radius);return Math.max(depth,now.state.depth_mm,(tops.at(-1)??0)+5,measured?.depth_mm??0,...goals)}
-function goalCircles(){let{plan}=now.scene;return plan?[[...plan.target,plan.radius],...plan.obstacles]:[]}function heights(which){
-let{state,band,scene:{measured}}=now,seen=state.y.filter((_,i)=>which==="whole"||state.x[i]>=0),goals=goalCircles().
-flatMap(([,y2,radius])=>[y2-radius,y2+radius]);return extent([...seen,...measured?.y??[],...goals,...band?.low??
-[],...band?.high??[],0])}function seesTip(){let{left,top,width,height}=view.box,{x:x2,y:y2}=now.state.tip,[px,
-py]=[toPx(x2)-left,toPy(y2)-top];return px>=0&&px<=width&&py>=0&&py<=height}function follow(){let anew=view.of!==
-now.scene;if(view.of=now.scene,anew||view.fit==="tip")return fit(view.fit);let[bottom,top]=heights(view.fit),px=view.
-scale*view.magnified,out=Math.max(top-view.y,view.y-bottom)*px>roomAcross()/2+1||!seesTip(),low=(top-bottom)*px<
-LOW2*roomAcross();(out||low&&view.magnified<MAGNIFICATIONS[MAGNIFICATIONS.length-1])&&fit(view.fit)}var GUTTER,
-LOW_PICTURE,LOW_BOTTOM,MAGNIFICATIONS,ROOM,LEAST_SPAN,LOW2,TIP_WINDOW,view,toPx,toPy,fromPx,fromPy,roomAcross,
-init_view=__esm({"needlefit/viewer/page/view.js"(){"use strict";init_d3_array();init_store();GUTTER={left:56,right:10,
-top:50,bottom:40},LOW_PICTURE=260,LOW_BOTTOM=24,MAGNIFICATIONS=[1,1.5,2,3,4,5,6,8,10,12,15,20,30,50],ROOM=56,LEAST_SPAN=
-.01,LOW2=.45,TIP_WINDOW=45,view={x:0,y:0,scale:5,magnified:1,fit:"tissue",of:null,low:!1,box:{left:0,top:0,width:1,
-height:1}};Object.assign(now,{view});toPx=x2=>view.box.left+view.box.width/2+(x2-view.x)*view.scale,toPy=y2=>view.
-box.top+view.box.height/2-(y2-view.y)*view.scale*view.magnified,fromPx=px=>view.x+(px-view.box.left-view.box.width/
-2)/view.scale,fromPy=py=>view.y-(py-view.box.top-view.box.height/2)/(view.scale*view.magnified);roomAcross=()=>view.
-box.height-2*Math.min(ROOM,.2*view.box.height);listen("band",follow)}});function append(strings){this._+=strings[0];for(let i=1,n=strings.length;i<n;++i)this._+=arguments[i]+strings[i]}
+Object.assign(window,{needlefit:now});listeners=new Map;redraw=()=>publish("redraw")}});function resize(width,height){view.box={left:GUTTER.left,top:GUTTER.top,width:Math.max(width-GUTTER.left-GUTTER.
+right,10),height:Math.max(height-GUTTER.top-GUTTER.bottom,10)},fit(view.fit)}function fit(which){if(view.fit=which,
+redraw(),!now.scene||!now.state)return;if(which==="tip"){let{x:x2,y:y2}=now.state.tip;return Object.assign(view,
+{scale:view.box.width/TIP_WINDOW,magnified:1,x:x2,y:y2})}let[low,high,before,after]=which==="whole"?[-now.scene.
+length_mm,deepest()+4,Math.min(74,.1*view.box.width+20),34]:[0,1.04*deepest(),Math.min(44,.1*view.box.width),Math.
+min(84,.12*view.box.width)],room=view.box.width-before-after,[bottom,top]=heights(which),[along,across]=[room/
+(high-low),roomAcross()/(top-bottom)];view.scale=Math.min(along,across);let least=LEAST_SPAN*deepest(),times=roomAcross()/
+view.scale/Math.max(top-bottom,least);view.magnified=MAGNIFICATIONS.filter(one=>one<=times).at(-1)??1,view.x=(low+
+high)/2+(after-before)/(2*view.scale),view.y=(bottom+top)/2}function deepest(){let{depth_mm:depth,boundaries_mm:tops,
+measured}=now.scene,goals=goalCircles().map(([x2,,radius])=>x2+radius);return Math.max(depth,now.state.depth_mm,
+(tops.at(-1)??0)+5,measured?.depth_mm??0,...goals)}function goalCircles(){let{plan}=now.scene;return plan?[[...plan.
+target,plan.radius],...plan.obstacles]:[]}function heights(which){let{state,band,scene:{measured}}=now,seen=state.
+y.filter((_,i)=>which==="whole"||state.x[i]>=0),goals=goalCircles().flatMap(([,y2,radius])=>[y2-radius,y2+radius]);
+return extent([...seen,...measured?.y??[],...goals,...band?.low??[],...band?.high??[],0])}function seesTip(){let{
+left,top,width,height}=view.box,{x:x2,y:y2}=now.state.tip,[px,py]=[toPx(x2)-left,toPy(y2)-top];return px>=0&&px<=
+width&&py>=0&&py<=height}function follow(){let anew=view.of!==now.scene;if(view.of=now.scene,anew||view.fit===
+"tip")return fit(view.fit);let[bottom,top]=heights(view.fit),px=view.scale*view.magnified,out=Math.max(top-view.
+y,view.y-bottom)*px>roomAcross()/2+1||!seesTip(),low=(top-bottom)*px<LOW2*roomAcross();(out||low&&view.magnified<
+MAGNIFICATIONS[MAGNIFICATIONS.length-1])&&fit(view.fit)}var GUTTER,MAGNIFICATIONS,ROOM,LEAST_SPAN,LOW2,TIP_WINDOW,
+view,toPx,toPy,fromPx,fromPy,roomAcross,init_view=__esm({"needlefit/viewer/page/view.js"(){"use strict";init_d3_array();
+init_store();GUTTER={left:56,right:10,top:50,bottom:40},MAGNIFICATIONS=[1,1.5,2,3,4,5,6,8,10,12,15,20,30,50],ROOM=
+56,LEAST_SPAN=.01,LOW2=.45,TIP_WINDOW=45,view={x:0,y:0,scale:5,magnified:1,fit:"tissue",of:null,box:{left:0,top:0,
+width:1,height:1}};Object.assign(now,{view});toPx=x2=>view.box.left+view.box.width/2+(x2-view.x)*view.scale,toPy=
+y2=>view.box.top+view.box.height/2-(y2-view.y)*view.scale*view.magnified,fromPx=px=>view.x+(px-view.box.left-view.
+box.width/2)/view.scale,fromPy=py=>view.y-(py-view.box.top-view.box.height/2)/(view.scale*view.magnified);roomAcross=
+()=>view.box.height-2*Math.min(ROOM,.2*view.box.height);listen("band",follow)}});function append(strings){this._+=strings[0];for(let i=1,n=strings.length;i<n;++i)this._+=arguments[i]+strings[i]}
 function appendRound(digits2){let d=Math.floor(digits2);if(!(d>=0))throw new Error(`invalid digits: ${digits2}`);
 if(d>15)return append;let k2=10**d;return function(strings){this._+=strings[0];for(let i=1,n=strings.length;i<
 n;++i)this._+=Math.round(arguments[i]*k2)/k2+strings[i]}}function equal(x0,y0,x1,y1){return x0===x1&&y0===y1}function equalRound(digits2){
@@ -741,14 +739,13 @@ textAlign="center",turned(context,11,top+height/2,QUARTER,()=>context.fillText(n
 let{left,top,width,height}=view.box,bottom=top+height;setFont(context,"small"),paintFrame(context,nameAcross(context,
 height)),paintNames(context),setFont(context,"small","center","top");let along=ticks(fromPx(left),fromPx(left+
 width),width/TICKS_APART).map(x2=>[x2,Math.round(toPx(x2))+.5]);polyline(context,along.map(([,px])=>[[px,bottom],
-[px,bottom+TICK]]),palette.quiet,1);let end=left+width-(view.low?context.measureText(IN_ROW).width+APART:0);for(let[
-x2,px]of along)(px<end-APART||!view.low)&&context.fillText(written2(x2),px,bottom+TICK+2);view.low?context.fillText(
-IN_ROW,(end+APART+left+width)/2,bottom+TICK+2):context.fillText("x along the entry (mm)",left+width/2,bottom+26)}
-function nameAcross(context,room){if(view.magnified===1)return"y (mm)";let long=`y (mm), drawn ${view.magnified}\
-× as large as x`;return context.measureText(long).width<room?long:`y (mm), drawn ${view.magnified}×`}var APART,
-TICK,TICKS_APART,QUARTER,IN_ROW,written2,init_background=__esm({"needlefit/viewer/page/painters/background.js"(){
-"use strict";init_d3_array();init_quantities();init_store();init_view();init_strokes();APART=8,TICK=5,TICKS_APART=
-60,QUARTER=Math.PI/2,IN_ROW="x (mm)";written2=value=>brief(value,6).replace("-","−")}});function describeShaft({x:x2,y:y2,faults}){let outside=faults?.length>0,points=placesOf(x2,y2),tip=points.at(-1),
+[px,bottom+TICK]]),palette.quiet,1);for(let[x2,px]of along)context.fillText(written2(x2),px,bottom+TICK+2);context.
+fillText("x along the entry (mm)",left+width/2,bottom+26)}function nameAcross(context,room){if(view.magnified===
+1)return"y (mm)";let long=`y (mm), drawn ${view.magnified}× as large as x`;return context.measureText(long).width<
+room?long:`y (mm), drawn ${view.magnified}×`}var APART,TICK,TICKS_APART,QUARTER,written2,init_background=__esm(
+{"needlefit/viewer/page/painters/background.js"(){"use strict";init_d3_array();init_quantities();init_store();
+init_view();init_strokes();APART=8,TICK=5,TICKS_APART=60,QUARTER=Math.PI/2;written2=value=>brief(value,6).replace(
+"-","−")}});function describeShaft({x:x2,y:y2,faults}){let outside=faults?.length>0,points=placesOf(x2,y2),tip=points.at(-1),
 shaft=points.filter(one=>distance(one,tip)>BEVEL.length),last3=shaft.at(-1)??tip,share=1-BEVEL.length/(distance(
 last3,tip)||1);return shaft.push(last3.map((from,i)=>from+share*(tip[i]-from))),{shaft,tip,outside,shown:outside?
 palette.bad:palette.needle}}function paintNeedle(context,state){let{shaft,tip,outside,shown:shown2}=describeShaft(
@@ -1083,21 +1080,21 @@ he address ends with #${address}, which is no text`,"depth=, in mm, as Copy link
 let{data:{needles,kernel},needle,scene,steered}=now,{address,lost}=await writeAddress(kernel,steered,needles.length>
 1?nameOf2(needle):null);write("link-note",lost?`No link: an address does not carry ${lost.join(", ")}. A recor\
 ding does.`:""),!lost&&(steer(readAddress(address,scene)),history.replaceState(null,"",`#${address}`),await navigator.
-clipboard?.writeText(location.href).then(()=>say("The link is copied."),()=>null))}var nameOf2,init_link=__esm(
+clipboard?.writeText(location.href).then(()=>write("link-note","The link is copied."),()=>null))}var nameOf2,init_link=__esm(
 {"needlefit/viewer/page/link.js"(){"use strict";init_address();init_dom();init_inputs();init_steering();init_store();
 nameOf2=({name,scene})=>name??scene.measured?.id??scene.title;press("copy-link",copy)}});var DEFINITIONS,define2,init_definitions=__esm({"needlefit/viewer/page/definitions.js"(){"use strict";init_dom();
 init_store();DEFINITIONS={depth:"Inserted arc length: how much of the needle is beyond the entry.","tip y":"Di\
 stance of the tip from the entry axis, y; positive to the left of the entry.","tip slope":"Angle of the needle\
  at its tip against the entry axis.","steepest slope":"Largest slope dy/dx of the needle; the model takes it f\
-or small.",bevel:"Side, or roll, to which the bevel turns the cut.",roll:"Roll of the bevel from here on, abou\
-t x: 0 turns the cut toward +y, 90 toward +z, ±180 toward −y.","tip z":"Distance of the tip from the plane \
-of the entry axis and y.","base y":"Lateral displacement of the base of the needle, as it is set; positive to \
-the left.","base slope":"Angle of the base of the needle against the entry axis, as it is set.",guides:"Guides\
- that hold the needle.",guide:"Where a guide holds the needle: x along the entry, y to its left, slope dy/dx a\
-s an angle.","noise floor":"The mean error that perfect parameters would still show if measurements err as sta\
-ted."};listen("scene",({definitions,shape_parameters:shapes})=>{Object.assign(DEFINITIONS,definitions);for(let{
-symbol,explanation}of shapes)DEFINITIONS[symbol]=`${explanation[0].toUpperCase()}${explanation.slice(1)}.`});define2=
-(name,called=name)=>name in DEFINITIONS?element("span",{className:"term",title:DEFINITIONS[name]},called):called}});function fillReadouts(list,readouts){let numbers=readouts.map(([name,unit])=>{let number3=element("span",{},"–");
+or small.",roll:"Roll of the bevel from here on, about x: 0 turns the cut toward +y, 90 toward +z, ±180 toward\
+ −y.","tip z":"Distance of the tip from the plane of the entry axis and y.","base y":"Lateral displacement o\
+f the base of the needle, as it is set; positive to the left.","base slope":"Angle of the base of the needle a\
+gainst the entry axis, as it is set.",guide:"Where a guide holds the needle: x along the entry, y to its left,\
+ slope dy/dx as an angle.","noise floor":"The mean error that perfect parameters would still show if measureme\
+nts err as stated."};listen("scene",({definitions,shape_parameters:shapes})=>{Object.assign(DEFINITIONS,definitions);
+for(let{symbol,explanation}of shapes)DEFINITIONS[symbol]=`${explanation[0].toUpperCase()}${explanation.slice(1)}\
+.`});define2=(name,called=name)=>name in DEFINITIONS?element("span",{className:"term",title:DEFINITIONS[name]},
+called):called}});function fillReadouts(list,readouts){let numbers=readouts.map(([name,unit])=>{let number3=element("span",{},"–");
 return list.append(entry(define2(name),[number3," ",element("small",{},unit)])),number3});return from=>readouts.
 forEach(([,,read],i)=>write(numbers[i],from?read(from):"–"))}function refresh(){let{state,scene}=now;writeNeedle(
 state),part("readouts").children[TIP_Z].hidden=!state.z;let title=part("title"),follows=scene.plan&&!now.replay?.
@@ -1114,20 +1111,19 @@ tip.z,2)} mm`}.`,`The bevel turns the cut toward ${describeRoll(bevel)}, ${symbo
 push(`The needle is ${exceeded(state)}.`),errors){let prediction=predictionOf(state,scene);sentences.push(`${prediction?
 "The prediction against":"Against"} the measured needle ${comparedUpTo(errors)}: ${listErrors(prediction?.errors??
 errors,scene.measured).join(", ")}.`)}return sentences.join(" ")}var NEEDLE,TIP_Z,writeNeedle,writeErrors,comparedUpTo,
-announced,exceeded,angle,init_readouts=__esm({"needlefit/viewer/page/readouts.js"(){"use strict";init_definitions();
-init_dom();init_quantities();init_store();init_view();NEEDLE=[["depth","mm",s2=>s2.depth_mm.toFixed(2)],["tip \
-y","mm",s2=>signed(s2.tip.lateral_mm,2)],["tip z","mm",s2=>s2.z?signed(s2.tip.z,2):"–"],["tip slope","°",s2=>signed(
-toDegrees(s2.tip.rotation),2)],["steepest slope","",s2=>s2.max_slope.toFixed(3)]],TIP_Z=NEEDLE.findIndex(([name])=>name===
+exceeded,angle,init_readouts=__esm({"needlefit/viewer/page/readouts.js"(){"use strict";init_definitions();init_dom();
+init_quantities();init_store();init_view();NEEDLE=[["depth","mm",s2=>s2.depth_mm.toFixed(2)],["tip y","mm",s2=>signed(
+s2.tip.lateral_mm,2)],["tip z","mm",s2=>s2.z?signed(s2.tip.z,2):"–"],["tip slope","°",s2=>signed(toDegrees(
+s2.tip.rotation),2)],["steepest slope","",s2=>s2.max_slope.toFixed(3)]],TIP_Z=NEEDLE.findIndex(([name])=>name===
 "tip z");writeNeedle=fillReadouts(part("readouts"),NEEDLE),writeErrors=_errors=>{};comparedUpTo=({whole,upto_mm:upto})=>whole?
 "over the whole insertion":`over the first ${upto.toFixed(1)} mm`;listen("scene",({measured})=>{if(part("compa\
 red").hidden=measured===null,!measured)return;let metrics=measured.metrics.map(([name,label2,unit,text])=>(DEFINITIONS[label2]=
 text,[label2,unit,errors=>writeError(errors[name],unit)]));part("errors").replaceChildren(),writeErrors=fillReadouts(
-part("errors"),[...metrics,["noise floor","mm",e=>e.floor_mm?.toFixed(3)??"–"]])});announced=null,exceeded=({
-faults})=>faults?.length?`outside the model: ${faults.join("; ")}`:"";listen("state",state=>{refresh(),write("\
-described",inWords());let words=exceeded(state);write("beyond",words&&`${words[0].toUpperCase()}${words.slice(
-1)}. Its shape cannot be relied on.`),part("beyond").classList.toggle("low",toPy(state.tip.y)<view.box.top+view.
-box.height/2),!(announced===now.scene||!words)&&(announced=now.scene,say(`The needle is ${words}.`))});angle=({
-rotation})=>`${signed(toDegrees(rotation),1)} degrees`}});function draw2(wide,begin2){let kept={...view},[across,tall]=size();onPaper(!0);try{let{box:box2,scale}=view,width=wide*
+part("errors"),[...metrics,["noise floor","mm",e=>e.floor_mm?.toFixed(3)??"–"]])});exceeded=({faults})=>faults?.
+length?`outside the model: ${faults.join("; ")}`:"";listen("state",state=>{refresh(),write("described",inWords());
+let words=exceeded(state);write("beyond",words&&`${words[0].toUpperCase()}${words.slice(1)}. Its shape cannot \
+be relied on.`),part("beyond").classList.toggle("low",toPy(state.tip.y)<view.box.top+view.box.height/2)});angle=
+({rotation})=>`${signed(toDegrees(rotation),1)} degrees`}});function draw2(wide,begin2){let kept={...view},[across,tall]=size();onPaper(!0);try{let{box:box2,scale}=view,width=wide*
 PX_PER_MM,share=(width-(across-box2.width))/box2.width,figure=[width,tall-box2.height+share*box2.height],above=isSpatial()?
 part("above").clientHeight:0,all=[width,figure[1]+above];Object.assign(view,{scale:scale*share,box:{...box2,width:share*
 box2.width,height:share*box2.height}});let context=begin2(all);return paint(context,figure),context.translate(
@@ -1284,9 +1280,7 @@ indexOf(now.needle),steered:now.steered}));let choice=part("needle-choice");choi
 (one,i)=>element("option",{value:String(i)},[nameOf2(one),one.group].filter(Boolean).join(", ")))),part("choos\
 ing").hidden=data.needles.length<2,choice.addEventListener("change",()=>choose(Number(choice.value))),addEventListener(
 "hashchange",()=>followAddress(choose)),openDropped(choose),await choose(0),await followAddress(choose)||restore(),
-await stateAgreement()}var NEEDED,init_main=__esm({"needlefit/viewer/page/main.js"(){"use strict";init_above();
-init_address();init_bands();init_dom();init_figure();init_inputs2();init_keyboard();init_link();init_toolbar();
-init_quantities();init_recording();init_store();init_stored();NEEDED=["WebAssembly","DecompressionStream","Wor\
-ker"];start().catch(error=>{let lacking=NEEDED.filter(name=>!(name in globalThis));throw write("proof",lacking.
-length?`This browser lacks ${lacking.join(", ")}: it cannot compute the needle.`:`The needle was not computed,\
- for a fault in this file: ${error.message}`),part("proof").classList.add("bad"),error})}});typeof document>"u"?Promise.resolve().then(()=>(init_band_worker(),band_worker_exports)):Promise.resolve().then(()=>(init_main(),main_exports));})();
+await stateAgreement()}var init_main=__esm({"needlefit/viewer/page/main.js"(){"use strict";init_above();init_address();
+init_bands();init_dom();init_figure();init_inputs2();init_keyboard();init_link();init_toolbar();init_quantities();
+init_recording();init_store();init_stored();start().catch(error=>{throw write("proof",`The needle was not comp\
+uted: ${error.message}`),part("proof").classList.add("bad"),error})}});typeof document>"u"?Promise.resolve().then(()=>(init_band_worker(),band_worker_exports)):Promise.resolve().then(()=>(init_main(),main_exports));})();

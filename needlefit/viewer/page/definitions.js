@@ -9,12 +9,10 @@ export const DEFINITIONS = {
   "tip y": "Distance of the tip from the entry axis, y; positive to the left of the entry.",
   "tip slope": "Angle of the needle at its tip against the entry axis.",
   "steepest slope": "Largest slope dy/dx of the needle; the model takes it for small.",
-  "bevel": "Side, or roll, to which the bevel turns the cut.",
   "roll": "Roll of the bevel from here on, about x: 0 turns the cut toward +y, 90 toward +z, ±180 toward −y.",
   "tip z": "Distance of the tip from the plane of the entry axis and y.",
   "base y": "Lateral displacement of the base of the needle, as it is set; positive to the left.",
   "base slope": "Angle of the base of the needle against the entry axis, as it is set.",
-  "guides": "Guides that hold the needle.",
   "guide": "Where a guide holds the needle: x along the entry, y to its left, slope dy/dx as an angle.",
   "noise floor": "The mean error that perfect parameters would still show if measurements err as stated.",
 };

@@ -1,4 +1,4 @@
-/** Parts of the page: found, made, written, and announced to screen readers. */
+/** Parts of the page: found, made and written. */
 
 /** @type {(id: string) => any} */
 export const part = (id) => document.getElementById(id);
@@ -27,12 +27,6 @@ export function button(text, act, properties = {}) {
 
 /** A term and what stands beside it in a list. */
 export const entry = (term, value) => element("div", {}, element("dt", {}, term), element("dd", {}, value));
-
-/** Announce words now, also where they are those announced before. */
-export function say(words) {
-  part("announced").textContent = "";
-  requestAnimationFrame(() => (part("announced").textContent = words));
-}
 
 /** Give the reader a file. */
 export function hand(blob, name) {

@@ -1,7 +1,7 @@
 /** The needle of the address, and the address of the needle. */
 
 import { nameIn, readAddress, writeAddress } from "./address.js";
-import { part, press, say, write } from "./dom.js";
+import { part, press, write } from "./dom.js";
 import { ModelError } from "./model/inputs.js";
 import { refuse, steer } from "./steering.js";
 import { now } from "./store.js";
@@ -46,7 +46,7 @@ async function copy() {
   if (lost) return;
   steer(readAddress(address, scene)); // the same needle within the solver's tolerance: from now on to the bit
   history.replaceState(null, "", `#${address}`); // no change of the needle
-  await navigator.clipboard?.writeText(location.href).then(() => say("The link is copied."), () => null);
+  await navigator.clipboard?.writeText(location.href).then(() => write("link-note", "The link is copied."), () => null);
 }
 
 press("copy-link", copy);

@@ -1,7 +1,7 @@
 /** The numbers below the picture, limits of the model that are exceeded, and the picture in words. */
 
 import { define, DEFINITIONS } from "./definitions.js";
-import { element, entry, part, say, write } from "./dom.js";
+import { element, entry, part, write } from "./dom.js";
 import { describeRoll, isSteered, listErrors, predictionOf, signed, strengthOf, toDegrees, writeError } from "./quantities.js";
 import { listen, now } from "./store.js";
 import { toPy, view } from "./view.js";
@@ -60,9 +60,6 @@ listen("scene", ({ measured }) => {
   writeErrors = fillReadouts(part("errors"), [...metrics, ["noise floor", "mm", (e) => e.floor_mm?.toFixed(3) ?? "–"]]);
 });
 
-/** @type {unknown} */
-let announced = null; // of which scene a message has stated that the needle exceeds limits of the model
-
 /** Which limits of the model the needle exceeds, in words; empty where it exceeds none. */
 const exceeded = ({ faults }) => (faults?.length ? `outside the model: ${faults.join("; ")}` : "");
 
@@ -72,9 +69,6 @@ listen("state", (state) => {
   const words = exceeded(state);
   write("beyond", words && `${words[0].toUpperCase()}${words.slice(1)}. Its shape cannot be relied on.`);
   part("beyond").classList.toggle("low", toPy(state.tip.y) < view.box.top + view.box.height / 2); // not on the tip
-  if (announced === now.scene || !words) return;
-  announced = now.scene;
-  say(`The needle is ${words}.`);
 });
 
 const angle = ({ rotation }) => `${signed(toDegrees(rotation), 1)} degrees`;

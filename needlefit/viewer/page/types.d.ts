@@ -71,7 +71,7 @@ export type Band = { kind: "band"; step: number; x: number[]; low: number[]; hig
 export type Place = [number, number, number, number];
 export type Box = { left: number; top: number; width: number; height: number };
 export type View = {
-  x: number; y: number; scale: number; magnified: number; fit: string; of: Scene | null; low: boolean; box: Box;
+  x: number; y: number; scale: number; magnified: number; fit: string; of: Scene | null; box: Box;
 };
 
 /** What the page knows; from `data` to `state` all is there once a needle is shown. */

@@ -4,8 +4,6 @@ import { extent } from "d3-array";
 import { listen, now, redraw } from "./store.js";
 
 const GUTTER = { left: 56, right: 10, top: 50, bottom: 40 }; // px, for the axes and the names of layers
-const LOW_PICTURE = 260; // px; below it the name of the x axis stands in the row of its ticks
-const LOW_BOTTOM = 24; // px, for ticks alone
 const MAGNIFICATIONS = [1, 1.5, 2, 3, 4, 5, 6, 8, 10, 12, 15, 20, 30, 50]; // of y against x
 const ROOM = 56; // px above and below the needle, for labels; at most 0.2 of the height
 const LEAST_SPAN = 0.01; // of the depth: smaller deflections are not magnified further
@@ -13,11 +11,10 @@ const LOW = 0.45; // part of the room below which a needle at rest is magnified 
 const TIP_WINDOW = 45; // mm seen across while the tip is followed
 
 /**
- * The window: its centre (mm), its scale (px per mm), its box on the canvas (px), and whether that is low; what it fits, of
- * which scene.
+ * The window: its centre (mm), its scale (px per mm), its box on the canvas (px); what it fits, of which scene.
  */
 export const view = /** @type {import("./types").View} */ ({
-  x: 0, y: 0, scale: 5, magnified: 1, fit: "tissue", of: null, low: false, box: { left: 0, top: 0, width: 1, height: 1 },
+  x: 0, y: 0, scale: 5, magnified: 1, fit: "tissue", of: null, box: { left: 0, top: 0, width: 1, height: 1 },
 });
 
 Object.assign(now, { view });
@@ -28,11 +25,10 @@ export const fromPy = (py) => view.y - (py - view.box.top - view.box.height / 2)
 
 /** Give the window a canvas of so many px. */
 export function resize(width, height) {
-  view.low = height < LOW_PICTURE;
   view.box = {
     left: GUTTER.left, top: GUTTER.top,
     width: Math.max(width - GUTTER.left - GUTTER.right, 10),
-    height: Math.max(height - GUTTER.top - (view.low ? LOW_BOTTOM : GUTTER.bottom), 10),
+    height: Math.max(height - GUTTER.top - GUTTER.bottom, 10),
   };
   fit(view.fit);
 }

@@ -10,7 +10,6 @@ const APART = 8; // px between the texts of two layers
 const TICK = 5; // px
 const TICKS_APART = 60; // px between ticks, about
 const QUARTER = Math.PI / 2;
-const IN_ROW = "x (mm)"; // where the window is low, after the ticks
 
 /** Draw the layers. */
 export function paintTissue(context) {
@@ -94,10 +93,8 @@ export function paintAxes(context) {
   setFont(context, "small", "center", "top");
   const along = ticks(fromPx(left), fromPx(left + width), width / TICKS_APART).map((x) => [x, Math.round(toPx(x)) + 0.5]);
   polyline(context, along.map(([, px]) => [[px, bottom], [px, bottom + TICK]]), palette.quiet, 1);
-  const end = left + width - (view.low ? context.measureText(IN_ROW).width + APART : 0);
-  for (const [x, px] of along) if (px < end - APART || !view.low) context.fillText(written(x), px, bottom + TICK + 2);
-  if (view.low) context.fillText(IN_ROW, (end + APART + left + width) / 2, bottom + TICK + 2);
-  else context.fillText("x along the entry (mm)", left + width / 2, bottom + 26);
+  for (const [x, px] of along) context.fillText(written(x), px, bottom + TICK + 2);
+  context.fillText("x along the entry (mm)", left + width / 2, bottom + 26);
 }
 
 const written = (value) => brief(value, 6).replace("-", "−");
