@@ -68,4 +68,6 @@ def digest_track(medium: str, readings: Mapping[str, Any], record: DatasetRecord
     }
     if setup := str(readings[SETUP_COLUMN][0]):
         values["setup"] = setup
+    if record.tip_tracks is not None and record.tip_tracks.depth_zero != "first_reading":
+        values["depth_zero"] = record.tip_tracks.depth_zero
     return digest_values(values)
