@@ -13,7 +13,15 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
-from needlefit.inference.hypotheses import HYPOTHESES, LOG_FITTED, MIN_LOG_ODDS, Deviation, explain
+from needlefit.inference.hypotheses import (
+    ASIDE,
+    HYPOTHESES,
+    IN_PLANE,
+    LOG_FITTED,
+    MIN_LOG_ODDS,
+    Deviation,
+    explain,
+)
 from needlefit.inference.identifiability.precision import prior_information
 from needlefit.inference.linear_needles import (
     Block,
@@ -33,7 +41,7 @@ MAX_ODD_PART = 0.25  #: part of the needles beyond which the model does not fit,
 #: distance of an odd needle from its prediction, in SDs, as of all outliers that are named
 MIN_ODD_SD = 5.0
 #: what may have happened to all needles alike, in the world's frame: keys of `HYPOTHESES` with a size
-COMMON = ("turned", "shifted", "turned_aside", "shifted_aside")
+COMMON = ("turned", "shifted")
 COMMON_STEPS = 2  #: in which their size is found, a fit each
 MIN_COMMON_SD = 3.0  #: of this size at first, from which on it is searched
 
@@ -74,7 +82,8 @@ def find_doubts(problem: Problem, theta: Floats) -> Doubts:
         odd.append(worst)
     all_but_odd = replace(problem, insertions=tuple(insertions[k] for k in rest))
     if (common := _find_common(all_but_odd, [blocks[k] for k in rest], theta)) is not None:
-        changed = _change_all(problem, common.cause, common.size)
+        axis = ASIDE if common.aside else IN_PLANE
+        changed = _change_all(problem, common.cause, axis, common.size)
         return find_doubts(changed, refit(changed, changed.insertions, theta))._replace(common=common)
     # in the stated errors alone, whatever the misfit of the others is
     pairs = zip(blocks, predictions, strict=True)
@@ -98,7 +107,7 @@ def _describe(
 
     left_out = problem.insertions[number]
     others = [other for other in problem.insertions if other is not left_out]
-    cause, size, where = explain(left_out, others, measure, problem.dataset.directions)
+    cause, axis, size, where = explain(left_out, others, measure, problem.dataset.directions)
     within_bounds = np.clip(predicted.theta, problem.lower, problem.upper)
     ((simulated, measured),) = replace(problem, insertions=(left_out,)).points(within_bounds)
     points = np.column_stack(
@@ -109,6 +118,7 @@ def _describe(
         place=left_out.where.rpartition("/")[2],
         sds=sds,
         cause=cause,
+        aside=axis == ASIDE,
         size=size,
         where=where,
         points=points.round(3).tolist(),
@@ -126,51 +136,49 @@ def _find_common(problem: Problem, blocks: Sequence[Block], theta: Floats) -> Co
     places = range(len(blocks))
     before = predict_from(problem, places, weigh_all(problem, blocks), theta)
     is_one_sided = len({insertion.side for insertion in problem.insertions}) == 1
-    spatial = problem.dataset.directions == 2
-    causes = [cause for cause in COMMON if (spatial if HYPOTHESES[cause].in_space else not is_one_sided)]
+    axes = [IN_PLANE] * (not is_one_sided) + [ASIDE] * (problem.dataset.directions == 2)
+    possible = [(cause, axis) for cause in COMMON for axis in axes]
     rows = []
-    for cause in causes:
-        size, sd = _estimate_common(problem, blocks, theta, before.spread, cause)
+    for cause, axis in possible:
+        size, sd = _estimate_common(problem, blocks, theta, before.spread, cause, axis)
         if abs(size) < MIN_COMMON_SD * sd:
             continue
         changed_theta = theta
         for _ in range(COMMON_STEPS):
-            changed = _change_all(problem, cause, size)
+            changed = _change_all(problem, cause, axis, size)
             changed_theta = refit(changed, changed.insertions, changed_theta)
             moved = [linearize_needle(changed, insertion, changed_theta) for insertion in changed.insertions]
             if not all(np.isfinite(block.residuals).all() for block in moved):
                 break
             after = predict_from(changed, places, weigh_all(changed, moved), changed_theta)
             odds = (after.log_density - before.log_density) / max(1.0, after.chi_square)
-            rows.append((odds, CommonDoubtMetadata(cause=cause, size=size, sd=sd)))
-            step, sd = _estimate_common(changed, moved, changed_theta, after.spread, cause)
+            rows.append((odds, CommonDoubtMetadata(cause=cause, aside=axis == ASIDE, size=size, sd=sd)))
+            step, sd = _estimate_common(changed, moved, changed_theta, after.spread, cause, axis)
             size += step
-    ranked = sorted(rows, key=lambda row: -row[0])
-    if not ranked:
+    if not rows:
         return None
-    best, common = ranked[0]
-    next_best = max((odds for odds, estimate in ranked if estimate.cause != common.cause), default=0.0)
-    by_chance = max(next_best, LOG_FITTED + math.log(len(causes)))
+    best, common = max(rows, key=lambda row: row[0])
+    next_best = max((odds for odds, estimate in rows if estimate.cause != common.cause), default=0.0)
+    by_chance = max(next_best, LOG_FITTED + math.log(len(possible)))
     return common if best - by_chance >= MIN_LOG_ODDS else None
 
 
-def _change_all(problem: Problem, cause: str, size: float) -> Problem:
+def _change_all(problem: Problem, cause: str, axis: int, size: float) -> Problem:
     """Return the problem with all needles as they may have been."""
     change = HYPOTHESES[cause].change
-    return replace(
-        problem, insertions=tuple(change(insertion, size, None) for insertion in problem.insertions)
-    )
+    changed = tuple(change(insertion, size, axis, None) for insertion in problem.insertions)
+    return replace(problem, insertions=changed)
 
 
 def _estimate_common(
-    problem: Problem, blocks: Sequence[Block], theta: Floats, spread: Floats, cause: str
+    problem: Problem, blocks: Sequence[Block], theta: Floats, spread: Floats, cause: str, axis: int
 ) -> tuple[float, float]:
     """Return the size by which all needles were changed alike, linear about `theta`, and its SD."""
     free = len(theta)
     precision = np.zeros((free + 1, free + 1))
     precision[:free, :free] = prior_information(problem)
     pull = np.zeros(free + 1)
-    for insertion, block in zip(_change_all(problem, cause, 1.0).insertions, blocks, strict=True):
+    for insertion, block in zip(_change_all(problem, cause, axis, 1.0).insertions, blocks, strict=True):
         by_size = linearize_needle(problem, insertion, theta).residuals - block.residuals
         both = weigh(Block(block.residuals, np.column_stack([block.slope, by_size])), np.append(spread, 0.0))
         precision, pull = precision + both.information, pull + both.pull

@@ -1,7 +1,7 @@
 """What may have happened to a needle: a table of hypotheses, of which the one that explains it is found.
 
 Each says how the insertion may have been, by a small change with at most two numbers: a size that is fitted,
-and a choice, such as another needle. A further hypothesis is one row.
+and a choice, such as another needle; and along which axis. A further hypothesis is one row.
 """
 
 import math
@@ -25,6 +25,7 @@ SIZE_TOLERANCE = 1e-4  #: of a fitted number, as part of its range
 GRID_SIZES = 7  #: numbers of a hypothesis from which its search begins
 #: part of its depth that a needle may be longer than the one whose points it has
 LENGTH_TOLERANCE = 0.02
+IN_PLANE, ASIDE = 1, 2  #: axes of a needle's frame across it: in the plane of its bevel, and out of it
 
 
 class Deviation(NamedTuple):
@@ -39,14 +40,14 @@ Measure = Callable[[Insertion, bool], Deviation]
 
 
 class Hypothesis(NamedTuple):
-    """How an insertion may have been: what is changed, by a size and by what is chosen."""
+    """How an insertion may have been: what is changed, by a size, along an axis and by what is chosen."""
 
-    change: Callable[[Insertion, float, Any], Insertion]
+    change: Callable[[Insertion, float, int, Any], Insertion]
     sizes: tuple[float, float] | None = None  #: range of the number that is fitted
-    #: the insertion, all others -> by its name what may be chosen
-    list_choices: Callable[[Insertion, Sequence[Insertion]], Mapping[str, Any]] = lambda *_: {"": None}
+    axes: tuple[int, ...] = (IN_PLANE,)  #: along which it may be; one out of the plane is seen in space alone
+    #: the insertion, all others, the axis -> by its name what may be chosen
+    list_choices: Callable[[Insertion, Sequence[Insertion], int], Mapping[str, Any]] = lambda *_: {"": None}
     log_volume: Callable[[float, int], float] = lambda size, count: 0.0  #: by which the data's volume grows
-    in_space: bool = False  #: whether it is seen along z alone
     reaches_tip: bool = True  #: whether the points do
 
 
@@ -54,21 +55,22 @@ class Explanation(NamedTuple):
     """What may have happened to a needle."""
 
     cause: str = ""  #: a key of `HYPOTHESES`; "" where none explains the needle
+    axis: int = IN_PLANE
     size: float | None = None  #: ln of a factor, mm or degrees
     where: str = ""  #: what was chosen: the number of a point or boundary, or another needle
 
 
-def _turn(insertion: Insertion, degrees: float, axis: int) -> Insertion:
+def _turn(insertion: Insertion, degrees: float, axis: int, _: None) -> Insertion:
     slope = math.tan(math.radians(degrees)) * np.eye(3)[axis]
     return insertion.map_points(lambda points: points - points[:, :1] * slope)
 
 
-def _shift(insertion: Insertion, size: float, axis: int, first: int = 0) -> Insertion:
+def _shift(insertion: Insertion, size: float, axis: int, first: int | None) -> Insertion:
     shift, begin = size * np.eye(3)[axis], insertion.points[first, 0] if first else -math.inf
     return insertion.map_points(lambda points: points - np.outer(points[:, 0] >= begin, shift))
 
 
-def _find_step(insertion: Insertion, axis: int) -> dict[str, int]:
+def _find_step(insertion: Insertion, _: Sequence[Insertion], axis: int) -> dict[str, int]:
     """Return the point, from 0, with which a needle steps aside most beside its course, by its number."""
     gaps = np.diff(insertion.points[:, axis])
     if len(gaps) < 3:
@@ -77,22 +79,22 @@ def _find_step(insertion: Insertion, axis: int) -> dict[str, int]:
     return {str(first + 1): first}
 
 
-def _list_boundaries(insertion: Insertion, _: Sequence[Insertion]) -> dict[str, int]:
+def _list_boundaries(insertion: Insertion, *_: object) -> dict[str, int]:
     return {str(k + 1): k for k in range(len(insertion.boundaries))}
 
 
-def _move_boundary(insertion: Insertion, size: float, number: int) -> Insertion:
+def _move_boundary(insertion: Insertion, size: float, _: int, number: int) -> Insertion:
     moved = insertion.boundaries + size * (np.arange(len(insertion.boundaries)) == number)
     return replace(insertion, boundaries=enforce_order(moved))
 
 
-def _list_deeper(insertion: Insertion, others: Sequence[Insertion]) -> dict[str, Insertion]:
+def _list_deeper(insertion: Insertion, others: Sequence[Insertion], _: int) -> dict[str, Insertion]:
     """Return the needles that are as deep as the points of one are long, or deeper."""
     least = (1 - LENGTH_TOLERANCE) * insertion.measure_arc("plane")[-1]
     return {one.id: one for one in others if one.depth >= least}
 
 
-def _take_points(insertion: Insertion, _: float, other: Insertion) -> Insertion:
+def _take_points(insertion: Insertion, _: float, __: int, other: Insertion) -> Insertion:
     """Return another insertion with the points of one."""
     pasted = replace(other, sd=insertion.sd).with_points(insertion.points)
     return replace(pasted, sections=insertion.sections)
@@ -102,27 +104,17 @@ def _take_points(insertion: Insertion, _: float, other: Insertion) -> Insertion:
 HYPOTHESES: Mapping[str, Hypothesis] = {
     "mirrored": Hypothesis(lambda one, *_: one.map_points(lambda points: points * [1, -1, 1])),
     "exchanged_axes": Hypothesis(
-        lambda one, *_: one.map_points(lambda points: points[:, [0, 2, 1]]), in_space=True
+        lambda one, *_: one.map_points(lambda points: points[:, [0, 2, 1]]), axes=(ASIDE,)
     ),
     "scaled": Hypothesis(
-        lambda one, size, _: one.map_points(lambda points: points / [1, math.exp(size), 1]),
+        lambda one, size, *_: one.map_points(lambda points: points / [1, math.exp(size), 1]),
         (math.log(0.05), math.log(20.0)),
         log_volume=lambda size, count: -count * size,
     ),
-    "turned": Hypothesis(lambda one, size, _: _turn(one, size, 1), (-15.0, 15.0)),
-    "turned_aside": Hypothesis(lambda one, size, _: _turn(one, size, 2), (-15.0, 15.0), in_space=True),
-    "shifted": Hypothesis(lambda one, size, _: _shift(one, size, 1), (-20.0, 20.0)),
-    "shifted_aside": Hypothesis(lambda one, size, _: _shift(one, size, 2), (-20.0, 20.0), in_space=True),
-    "stepped": Hypothesis(
-        lambda one, size, first: _shift(one, size, 1, first), (-20.0, 20.0), lambda one, _: _find_step(one, 1)
-    ),
-    "stepped_aside": Hypothesis(
-        lambda one, size, first: _shift(one, size, 2, first),
-        (-20.0, 20.0),
-        lambda one, _: _find_step(one, 2),
-        in_space=True,
-    ),
-    "boundary": Hypothesis(_move_boundary, (-30.0, 30.0), _list_boundaries),
+    "turned": Hypothesis(_turn, (-15.0, 15.0), (IN_PLANE, ASIDE)),
+    "shifted": Hypothesis(_shift, (-20.0, 20.0), (IN_PLANE, ASIDE)),
+    "stepped": Hypothesis(_shift, (-20.0, 20.0), (IN_PLANE, ASIDE), _find_step),
+    "boundary": Hypothesis(_move_boundary, (-30.0, 30.0), list_choices=_list_boundaries),
     "cut_short": Hypothesis(lambda one, *_: one, reaches_tip=False),
     "of_another": Hypothesis(_take_points, list_choices=_list_deeper, reaches_tip=False),
 }
@@ -136,8 +128,7 @@ def explain(
     if not rows:
         return Explanation()
     (best, sds, found), *rest = rows
-    kind = found.cause.partition("_")[0]
-    next_best = next((odds for odds, _, one in rest if one.cause.partition("_")[0] != kind), -math.inf)
+    next_best = next((odds for odds, _, one in rest if one.cause != found.cause), -math.inf)
     return found if sds <= MAX_EXPLAINED_SD and best - next_best >= MIN_LOG_ODDS else Explanation()
 
 
@@ -145,22 +136,25 @@ def _list_explanations(
     insertion: Insertion, others: Sequence[Insertion], measure: Measure, directions: int
 ) -> Iterator[tuple[float, float, Explanation]]:
     """Yield of each hypothesis its log odds, the deviation that is left, and what it says."""
-    for cause, row in HYPOTHESES.items():
-        choices = {} if row.in_space and directions == 1 else row.list_choices(insertion, others)
+    places = (
+        (cause, row, axis) for cause, row in HYPOTHESES.items() for axis in row.axes if axis <= directions
+    )
+    for cause, row, axis in places:
+        choices = row.list_choices(insertion, others, axis)
         for where, choice in choices.items():
-            size, odds, sds = _fit(row, insertion, choice, measure)
+            size, odds, sds = _fit(row, insertion, axis, choice, measure)
             if size is not None or where:
                 odds -= LOG_FITTED + math.log(len(choices))
-            yield odds, sds, Explanation(cause, size, where)
+            yield odds, sds, Explanation(cause, axis, size, where)
 
 
 def _fit(
-    row: Hypothesis, insertion: Insertion, choice: object, measure: Measure
+    row: Hypothesis, insertion: Insertion, axis: int, choice: object, measure: Measure
 ) -> tuple[float | None, float, float]:
     """Return the size that is most probable, its log odds, and the deviation that is left."""
 
     def weigh(size: float) -> tuple[float, float]:
-        left = measure(row.change(insertion, size, choice), row.reaches_tip)
+        left = measure(row.change(insertion, size, axis, choice), row.reaches_tip)
         return left.log_density + row.log_volume(size, len(insertion.points)), left.sds
 
     if row.sizes is None:

@@ -145,6 +145,7 @@ class NeedleDoubtMetadata(_Metadata):
     place: str = ""  #: file and line of its row
     sds: float  #: its distance from the prediction, in standard deviations
     cause: str  #: a key of `HYPOTHESES` in `inference/hypotheses.py`; empty where none explains it
+    aside: bool = False  #: whether out of the plane of its bevel
     size: float | None = None  #: the number that was fitted: ln of a factor, mm or degrees
     where: str = ""  #: the number of the point or boundary, or the other needle, by this cause
     #: along the entry, and deflections toward the bevel as measured and as the others predict them, mm
@@ -155,6 +156,7 @@ class CommonDoubtMetadata(_Metadata):
     """What may have happened to all needles alike."""
 
     cause: str  #: a key of `HYPOTHESES` in `inference/hypotheses.py`
+    aside: bool = False  #: whether out of the plane of their bevels
     size: float  #: mm or degrees, toward +y or +z of their frames
     sd: float  #: of it
 
