@@ -394,7 +394,7 @@ def test_who_sees_the_draft_may_change_it(tmp_path):
     file = write_long(tmp_path, NEEDLES, head=["Ort"], cells=[["A"], ["B"], ["A"]])
     answers, seen = iter(["specimen.column = Ort", ""]), []
 
-    def review(columns, unused):
+    def review(columns, unused, problem):
         seen.append(({row["meaning"] for row in columns}, {what for what, _ in unused}))
         return next(answers)
 
@@ -421,3 +421,127 @@ def test_answers_and_proposals_of_a_terminal(tmp_path):
     answers = iter(["tracks"])
     prepared = prepare_import([CASES / "matrices.csv"], prompt=lambda key, *_: next(answers, ""))
     assert {one.holds for one in prepared.content.curves} == {"tracks"}
+
+
+# ---- tables of a bench laboratory
+
+
+def write_plane(path, head, cells=lambda k: (), columns=lambda s, y: (s, y)):
+    """Write three needles of a plane, mm: their names, further cells, and columns of depth and deflection."""
+    rows = [[f"n{k}", *cells(k), *columns(5.0 * n, 0.01 * k * n**2)] for k in (1, 2, 3) for n in range(9)]
+    return write_rows(path, [head, *rows])
+
+
+@pytest.mark.parametrize(
+    ("head", "columns"),
+    [
+        (["needle", "z", "y"], lambda s, y: (s, y)),
+        (["needle", "y", "z"], lambda s, y: (s, y)),
+        (["needle", "x", "y", "z"], lambda s, y: (s, y, "")),
+        (["needle", "z", "x", "y"], lambda s, y: ("", s, y)),
+    ],
+)
+def test_two_coordinates_are_along_and_across_the_needle(tmp_path, head, columns):
+    file = write_plane(tmp_path / "a.csv", head, columns=columns)
+    curves, draft = curves_of([file])
+    np.testing.assert_allclose(curves["n2"].line[-1], [40.0, 1.28, 0.0])
+    assert ("x" in draft.assumed) == ("x" not in head)
+
+
+def test_a_column_that_is_stated_for_one_coordinate_is_no_other(tmp_path):
+    file = write_plane(tmp_path / "a.csv", ["needle", "z", "y"])
+    curves, draft = curves_of([file], tables__1__columns__depth__column="z", tables__1__holds="shapes")
+    np.testing.assert_allclose(curves["n2"].line[-1], [40.0, 1.28, 0.0])
+    assert draft.tables[0]["columns"].keys() == {"needle", "depth", "y"} and "holds" not in draft.assumed
+
+
+def test_a_stated_column_that_is_not_there_is_refused_with_the_nearest_header(tmp_path):
+    file = write_plane(tmp_path / "a.csv", ["needle", "Schliffrichtg", "x", "y"], lambda k: ["1"])
+    error = refusal(DataError, "Schlifrichtg", prepare, [file], bevel_side__column="Schlifrichtg")
+    assert shlex.split(error.fix) == ["--set", "bevel_side.column=Schliffrichtg"]
+
+
+def test_a_column_of_two_words_is_asked_about_while_no_bevel_side_is_stated(tmp_path):
+    file = write_plane(
+        tmp_path / "a.csv",
+        ["needle", "Kerbe", "depth", "deflection"],
+        lambda k: ["oben" if k > 1 else "unten"],
+    )
+    assert "bevel_side.column=Kerbe" in refusal(DataError, "Kerbe", prepare, [file], unit="mm").fix
+    sides = [row.side for row in prepare([file], unit="mm", bevel_side__column="Kerbe").plan.rows]
+    assert sides == [-1, 1, 1]
+    for stated in ({"bevel_side": "1"}, {"unused": '["Kerbe"]'}):
+        assert [row.side for row in prepare([file], unit="mm", **stated).plan.rows] == [1, 1, 1]
+    file.write_text(file.read_text().replace("oben", "A").replace("unten", "B"))
+    assert "Kerbe (B, A)" in prepare([file], unit="mm").mapping.assumed["bevel_side"]
+
+
+@pytest.mark.parametrize(
+    ("words", "stated", "found"),
+    [
+        (("Stahl", "NiTi", "steel"), {}, ([200.0, 60.0, 200.0], {"medium1"})),
+        (("gel", "gel", "liver"), {}, ([200.0] * 3, {"gel", "liver"})),
+        (("gel", "steel", "gel"), {"medium__column": "Material"}, ([200.0] * 3, {"gel", "steel"})),
+        (("gel", "steel", "gel"), {}, None),
+    ],
+)
+def test_a_material_of_needles_is_their_modulus(tmp_path, words, stated, found):
+    file = write_plane(tmp_path / "a.csv", ["needle", "Material", "x", "y"], lambda k: [words[k - 1]])
+    if found is None:
+        assert "modulus.column=Material" in refusal(DataError, "Material", prepare, [file], unit="mm").fix
+        return
+    plan = prepare([file], unit="mm", **stated).plan
+    moduli = [plan.needles.get(row.needle, plan.needle).youngs_modulus_gpa for row in plan.rows]
+    assert (moduli, {row.medium for row in plan.rows}) == found
+
+
+def test_a_number_of_a_sheet_needs_no_decimal_comma(tmp_path):
+    rows = [["n", x if k else f"{x:.1f}".replace(".", ","), f"{0.001 * x * x:.4f}".replace(".", ",")]
+            for k, x in enumerate(np.arange(0.0, 60.0, 7.5))]  # fmt: skip
+    book = write_sheets(tmp_path / "a.xlsx", a=[["needle", "x [mm]", "y [mm]"], *rows])
+    curves, _ = curves_of([book])
+    np.testing.assert_allclose(curves["n"].line[:, 0], np.arange(0.0, 60.0, 7.5))
+    np.testing.assert_allclose(curves["n"].line[-1, 1], 0.001 * 52.5**2, atol=1e-4)
+
+
+def test_a_line_of_text_above_the_headers_is_no_header(tmp_path):
+    file = write_plane(tmp_path / "a.csv", ["Nadel", "Tiefe [cm]", "Auslenkung [cm]"])
+    file.write_text("Messung vom 12.3.; Gel\n" + file.read_text().replace(",", ";"))
+    (table,) = draft_of(file).tables
+    assert {key: column["column"] for key, column in table["columns"].items()} == {
+        "needle": "Nadel", "depth": "Tiefe [cm]", "deflection": "Auslenkung [cm]"
+    }  # fmt: skip
+
+
+def test_depths_without_deflections_ask_for_them(tmp_path):
+    file = write_plane(tmp_path / "a.csv", ["run", "depth", "pixel row"])
+    file.write_text(file.read_text().replace("pixel row", "tip name"))
+    assert "--set deflection.column" in refusal(DataError, "deflection", prepare, [file]).fix
+
+
+def test_what_decides_a_fit_is_the_first_assumption(tmp_path):
+    file = write_rows(
+        tmp_path / "a.csv", [["depth", "deflection"], *([x % 40, 0.1] for x in range(0, 80, 8))]
+    )
+    assumed = [*prepare([file], unit="mm").mapping.assumed]
+    assert assumed[:3] == ["needle", "diameter", "modulus"]
+
+
+def test_a_refused_answer_is_asked_for_again(tmp_path):
+    answers = {"diameter": ["90G", "20G"], "modulus": ["wood", "3"], "point_sd": ["-1", "0.2"]}
+    refused = []
+
+    def prompt(key, proposal, reason):
+        refused.extend([key] * ("expected" in reason))
+        return answers[key].pop(0) if answers.get(key) else ""
+
+    prepared = prepare_import([write_long(tmp_path, NEEDLES)], prompt=prompt)
+    assert sorted(refused) == ["diameter", "modulus", "point_sd"] and not any(answers.values())
+    needle_ = prepared.plan.needle
+    assert (needle_.youngs_modulus_gpa, needle_.outer_diameter_mm) == (3.0, 0.908)
+    assert prepared.plan.point_sd_mm == 0.2
+    replies, changes = iter(["perhaps", "shapes"]), iter(["y.colum=z", "y.column=nothing", ""])
+    matrices = prepare_import(
+        [CASES / "matrices.csv"], prompt=lambda *_: next(replies, ""), review=lambda *_: next(changes)
+    )
+    assert {curve.holds for curve in matrices.content.curves} == {"shapes"} and not [*changes]

@@ -146,10 +146,14 @@ def import_data(
     show_next_steps(dataset, out, SCENE_FILE)
 
 
-def _review_columns(columns: Sequence[dict[str, str]], unused: Sequence[tuple[str, str]]) -> str:
+def _review_columns(
+    columns: Sequence[dict[str, str]], unused: Sequence[tuple[str, str]], problem: str
+) -> str:
     """Show what each column means; return a change, or an empty text."""
     from needlefit.reporting.dataset_import import join_unused, tabulate_columns
 
+    if problem:
+        screen.print_note(problem)
     screen.show_frame(tabulate_columns(columns), "Columns")
     screen.print_text(join_unused(unused))
     answer: str = typer.prompt(

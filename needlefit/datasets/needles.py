@@ -43,6 +43,9 @@ def find_needle_faults(record: DatasetRecord, file: Path) -> Iterator[Fault]:
             )
 
 
+ASSUMED = "assumed at the import"  # in the origin of a rigidity
+
+
 def describe_rigidity(needle: NeedleRecord, assumed: Container[str]) -> str:
     """Return from which stated values the flexural rigidity of a needle follows, and which were assumed.
 
@@ -56,9 +59,7 @@ def describe_rigidity(needle: NeedleRecord, assumed: Container[str]) -> str:
         ("inner_diameter", f"inner diameter {inner:g} mm" if inner else "solid"),
         ("modulus", f"{modulus:g} GPa"),
     )
-    origins = [
-        ("assumed at the import" if key in assumed else "from dataset.toml", words) for key, words in values
-    ]
+    origins = [(ASSUMED if key in assumed else "from dataset.toml", words) for key, words in values]
     return "; ".join(f"{', '.join(parts)} {origin}" for origin, parts in group_values(origins).items())
 
 

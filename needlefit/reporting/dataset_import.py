@@ -97,7 +97,7 @@ def tabulate_columns(columns: Sequence[dict[str, str]]) -> pd.DataFrame:
 def tabulate_values(prepared: PreparedImport) -> pd.DataFrame:
     """Return one row for what holds of all needles: key, value, and the reason where it is assumed."""
     mapping = prepared.mapping
-    keys = dict.fromkeys([*mapping.values, *mapping.assumed])
+    keys = dict.fromkeys([*mapping.assumed, *mapping.values])
     rows = [
         {
             "key": key,

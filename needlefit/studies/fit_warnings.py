@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import scipy
 
+from needlefit.datasets.needles import ASSUMED
 from needlefit.inference.doubts import Doubts
 from needlefit.inference.identifiability.directions import (
     BOUND_FRACTION,
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
 TEXT = KindText(
     "warnings",
     rules={
+        "of_assumed": lambda v: v.is_assumed,
         "of_many": lambda v: v.many,
         "of_fits": lambda v: v.total > 1,
         "mode_at_bound": lambda v: v.at_bound,
@@ -82,7 +84,10 @@ def _find_bounds(run: Run) -> list[Row]:
     for side in ("low", "high"):  # one whose profile is open reaches the bound
         end, is_open = fits[f"interval_{side}"], fits[f"end_{side}"] == "bound"
         fits = fits.assign(**{f"interval_{side}": end.mask(is_open, fits[f"bound_{side}"])})
-    return _list_bounds(fits, "folds" if fits["fold"].nunique() > 1 else "")
+    needles = run.knows(FitMetadata).dataset.rigidity.values()
+    is_assumed = any(ASSUMED in needle.origin for needle in needles)
+    found = _list_bounds(fits, "folds" if fits["fold"].nunique() > 1 else "")
+    return [{**row, "is_assumed": is_assumed and str(row["parameter"]).startswith("mu")} for row in found]
 
 
 def _list_bounds(fits: pd.DataFrame, many: str) -> list[Row]:

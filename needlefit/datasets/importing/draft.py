@@ -31,6 +31,9 @@ class Draft:
     opens: list[Open] = field(default_factory=list)
     unused: list[tuple[str, str]] = field(default_factory=list)  # what, and where it stands
     origin: str = "measured"
+    headers: list[str] = field(default_factory=list)  # of all tables
+    columns_read: set[str] = field(default_factory=set)  # meanings whose stated columns are there
+    words: list[str] = field(default_factory=list)  # columns of two words that nothing uses
     needles: dict[tuple[str, str], set[str]] = field(default_factory=dict)  # names by file and sheet
 
     def ask(

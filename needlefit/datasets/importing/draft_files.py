@@ -4,16 +4,18 @@ It reads no needle: a person sees what is proposed, and `read` goes by that.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 from needlefit.datasets.importing.assignments import Assignments
 from needlefit.datasets.importing.draft import Draft
-from needlefit.datasets.importing.draft_table import TableDraft
+from needlefit.datasets.importing.draft_table import COORDINATES, TableDraft
 from needlefit.datasets.importing.examples import EXAMPLE_SHEET
 from needlefit.datasets.importing.layout import propose_layout, sniff_text
 from needlefit.datasets.importing.meanings import VALUES
 from needlefit.datasets.importing.read import MAX_CURVES
+from needlefit.datasets.importing.stated import name_set
 from needlefit.datasets.importing.synonyms import find_meaning, split_unit
 from needlefit.datasets.importing.tables import (
     SHEET_SUFFIXES,
@@ -59,11 +61,31 @@ def draft_mapping(paths: Sequence[Path], stated: Assignments) -> tuple[Draft, li
             table, remarks = read_structured(path)
             draft.unused += [(remark, path.name) for remark in remarks]
             TableDraft(table, {"files": [path.name]}, draft, stated).propose()
+    _require_columns(draft, stated)
     if "specimen" not in stated.columns and "specimen" not in draft.values:
         _ask_sources(draft)
     for key, text in stated.numbered:
         (draft.tables,) = override({"tables": draft.tables}, [(key, text)], "--set").values()
+        _, number, *parts = key.split(".")
+        draft.assumed.pop(parts[0] if parts else "", None)
+        if parts[0] == "columns" and parts[1] in COORDINATES:  # in place of what the column meant
+            columns = draft.tables[int(number) - 1]["columns"]
+            for meaning in {*COORDINATES} & columns.keys() - {parts[1]}:
+                if columns[meaning].get("column") == columns[parts[1]].get("column"):
+                    del columns[meaning]
     return draft, files
+
+
+def _require_columns(draft: Draft, stated: Assignments) -> None:
+    """DataError of a stated column that no table has, with the nearest header."""
+    for meaning, parts in stated.columns.items():
+        if "column" in parts and draft.headers and meaning not in draft.columns_read:
+            near = get_close_matches(parts["column"], draft.headers, 1, 0.0)[0]
+            raise DataError(
+                f"no table has the column {parts['column']!r}, of which {meaning} is to be read",
+                expected=f"one of {', '.join(dict.fromkeys(draft.headers))}"[:400],
+                fix=name_set(f"{meaning}.column", near),
+            )
 
 
 def _list_files(paths: Iterable[Path], draft: Draft) -> Iterator[Path]:

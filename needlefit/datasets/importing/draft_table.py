@@ -11,6 +11,7 @@ from needlefit.datasets.importing.assignments import Assignments
 from needlefit.datasets.importing.draft import Draft
 from needlefit.datasets.importing.layout import MISSING
 from needlefit.datasets.importing.meanings import ATTRIBUTES, MEANINGS, ROWS, SENSOR, VECTORS
+from needlefit.datasets.importing.stated import name_set
 from needlefit.datasets.importing.synonyms import (
     INDEX,
     Header,
@@ -79,6 +80,7 @@ class TableDraft:
             self._ask_layers(headers)
             return
         self.keys["holds"] = holds
+        self._keep_words()
         self._name_unused()
         for entry in entries or [{}]:
             self._add(entry | self.columns)
@@ -92,6 +94,8 @@ class TableDraft:
             places = [self._find(name.strip()) for name in names]
             if places and None not in places:
                 self._take(meaning, [n for n in places if n is not None])
+                self.draft.columns_read.add(meaning)
+        self.draft.headers += [text for text in self.table.headers if text]
 
     def _find(self, name: str) -> int | None:
         column = self.table.find(name)
@@ -127,8 +131,9 @@ class TableDraft:
             blocked |= {"deflection", "deflection_z"}
         places_by_meaning = dict[str, list[int]]()
         for n, header in enumerate(self.headers):
-            if n not in self.used and header.meaning in MEANINGS and self._list_texts(n):
-                places_by_meaning.setdefault(header.meaning, []).append(n)
+            if n not in self.used and header.meaning in MEANINGS and (texts := self._list_texts(n)):
+                is_needle = header.meaning == "medium" and all(map(_is_needle_material, texts))
+                places_by_meaning.setdefault("modulus" if is_needle else header.meaning, []).append(n)
         for meaning in (*VECTORS, "guide"):  # columns x, y and z of a place
             places = [
                 n for n, header in enumerate(self.headers) if header.group == meaning and n not in self.used
@@ -166,9 +171,13 @@ class TableDraft:
             return {}
         groups: dict[tuple[int, str], Axes] = {}
         for n, header in enumerate(self.headers):
-            if header.axis and header.group not in NO_POINTS and n not in self.used:
+            is_free = n not in self.used and bool(self._list_texts(n))  # an empty column is not there
+            if header.axis and header.group not in NO_POINTS and is_free:
                 turn = next(k for k in count() if header.axis not in groups.get((k, header.group), ()))
                 groups.setdefault((turn, header.group), {})[header.axis] = n
+        if "x" not in self.columns and not any(header.meaning == "depth" for header in self.headers):
+            for axes in groups.values():
+                self._name_along(axes)
         with_x = [key for key, axes in groups.items() if "x" in axes]
         lacking = [axes for axes in groups.values() if "x" not in axes]
         if len(with_x) == 1 and lacking and all("y" in axes for axes in lacking):
@@ -180,6 +189,21 @@ class TableDraft:
             name if names.count(name) == 1 else f"{name} {n}": axes
             for n, (name, (_, axes)) in enumerate(zip(names, named, strict=True), 1)
         }
+
+    def _name_along(self, axes: Axes) -> None:
+        """Let y or z be x, along the needle, in a table without x: that of them which spans more."""
+        if axes.keys() != {"y", "z"}:
+            return
+        numbers = {
+            axis: [value for text in self._list_texts(n) if (value := self.table.number(text)) is not None]
+            for axis, n in axes.items()
+        }
+        across, along = sorted(
+            "yz", key=lambda axis: max(numbers[axis], default=0) - min(numbers[axis], default=0)
+        )
+        axes["x"], axes["y"] = axes[along], axes[across]
+        del axes["z"]
+        self.draft.assumed["x"] = f"column {self._name(axes['x'])}: it spans more, and no column is called x"
 
     def _choose_names(self, known_columns: dict[str, list[int]]) -> None:
         """Keep the columns that name needles: the first in which names come again, and what divides it."""
@@ -227,6 +251,10 @@ class TableDraft:
                 self._ask("medium", words["phantom"])
             else:
                 known_columns["medium"] = [words["phantom"]]
+        places = known_columns.get("medium", [])
+        for n in [n for n in places if any(map(_is_needle_material, self._list_texts(n)))]:
+            places.remove(n)
+            self._ask("material", n)
         if EXCLUDED in known_columns:
             self._ask_excluded(known_columns.pop(EXCLUDED)[0])
 
@@ -262,7 +290,8 @@ class TableDraft:
             self._ask_deflection(entries)
             increase = self._have_depths(_increase)
             if increase and not holds:
-                self.draft.assumed["holds"] = "tracks: the depths of each needle increase"
+                other = name_set("holds", "shapes")
+                self.draft.assumed["holds"] = f"tracks: the depths of each needle increase; points: {other}"
             entries = [{}]
             if len(deflections := self._list_columns(columns["deflection"])) > 1:  # of a needle each
                 del columns["deflection"]
@@ -335,7 +364,8 @@ class TableDraft:
         has_poses = any("quaternion" in (header.meaning, header.group) for header in self.headers)
         is_log = has_poses or self._have_depths(_differ, "time")
         if len(groups) < 2 and self._have_depths(_differ) and (is_tip or is_log):
-            self.draft.assumed["holds"] = "tracks: each row has a depth of its own"
+            other = name_set("holds", "shapes")
+            self.draft.assumed["holds"] = f"tracks: each row has a depth of its own; points: {other}"
             return "tracks"
         if len(groups) < 2 and is_tip and is_log:
             self.draft.assumed["holds"] = "tracks: each row has a time, and the place of a tip"
@@ -445,6 +475,26 @@ class TableDraft:
             rows.append([*row[:column], row[column] or rows[-1][column], *row[column + 1 :]])
         self.table = replace(self.table, rows=rows)
 
+    def _keep_words(self) -> None:
+        """Ask about a column of two directions under an unknown header; name those of other two words."""
+        for n in range(len(self.headers)):
+            name, texts = str(self._name(n)), [*dict.fromkeys(row[n] for row in self.table.rows)]
+            is_number = any(self.table.number(text) is not None for text in texts)
+            if len(texts) != 2 or not all(texts) or is_number or self._is_known(n):
+                continue
+            words = ", ".join(texts)
+            self.draft.words.append(f"column {name} ({words})")
+            if "bevel_side" not in self.draft.values and all(
+                translate_side(text, "") != text for text in texts
+            ):
+                self._ask("side_words", n, words=words)
+
+    def _is_known(self, n: int) -> bool:
+        """Whether something uses a column, its header is known, or it is stated to mean nothing."""
+        header, is_unused = self.headers[n], self._name(n) in self.keys.get("unused", [])
+        is_unit = header.text.casefold() in UNIT_FIELDS
+        return n in self.used or is_unused or is_unit or bool(header.meaning or header.axis)
+
     def _name_unused(self) -> None:
         """Name columns that nothing uses; numbers under an unknown header are assumed to mean nothing."""
         for n, header in enumerate(self.headers):
@@ -458,13 +508,12 @@ class TableDraft:
 
     def _list_unknown(self) -> list[int]:
         """Return the columns of numbers that nothing uses, under headers that are not known."""
-        unknown, unused = list[int](), self.keys.get("unused", [])
+        unknown = list[int]()
         for n, header in enumerate(self.headers):
             texts = self._list_texts(n)
             numbers = [self.table.number(text) for text in texts]
             is_count = not header.text and numbers == [*range(1, len(numbers) + 1)]
-            is_known = header.meaning or header.axis or is_count or header.text.casefold() in UNIT_FIELDS
-            if n not in self.used and self._name(n) not in unused and texts and not is_known:
+            if texts and not is_count and not self._is_known(n):
                 unknown += [n] if all(map(_QUANTITY.fullmatch, texts)) else []
         return unknown
 
@@ -479,6 +528,9 @@ class TableDraft:
         for meaning, record in columns.items():
             self._complete(meaning, record)
         names = self._list_names()
+        if holds == "tips" and "needle" not in columns:
+            count = len(self.table.rows)
+            self.draft.assumed["needle"] = f"{count} needles, one a row: no column names them"
         if holds == "shapes" and len(names) > MIN_POINTS and len({*names}) == len(names):
             if divide_labels(names):
                 columns["needle"]["pattern"] = r"(.+?)[-_ .]?\d+"
@@ -571,6 +623,10 @@ def _read_column(text: str, parts: Sequence[str]) -> Header:
     best = next((header for header in read_headers if header.meaning or header.axis), Header(text))
     unit = best.unit or next((header.unit for header in read_headers if header.unit), "")
     return replace(best, text=text, unit=unit)
+
+
+def _is_needle_material(text: str) -> bool:
+    return find_meaning("value", text).endswith("GPa")
 
 
 def _per(unit: str) -> str:

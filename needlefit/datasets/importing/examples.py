@@ -30,9 +30,9 @@ def find_examples(curves: Iterable[ImportedCurve]) -> list[str]:
 def _load_examples() -> tuple[Places, ...]:
     """Return the points of each example."""
     _, *rows = dict(read_workbook({}, str(WORKBOOK_FILE)))[f"{EXAMPLE_SHEET} points"]
-    lines: dict[str, list[list[str]]] = {}
+    lines: dict[str, list[list[str | float]]] = {}
     for name, *point in rows:
-        lines.setdefault(name, []).append(point)
+        lines.setdefault(str(name), []).append(point)
     return tuple(_place(np.array(line, dtype=np.float64)) for line in lines.values())
 
 

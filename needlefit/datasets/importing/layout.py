@@ -151,6 +151,8 @@ def _find_header_rows(rows: Rows, decimal: str, comment: str) -> list[int]:
             break
         if numbers and (len(filled) < 2 or (read_pair(row) is not None and not _is_label(row, below))):
             break
+        if numbers and _is_remark(row, below):
+            break
         if (len(filled) < 2 or numeric[n]) and not (numbers and _names_groups(row, below)):
             break
         numbers.insert(0, n + 1)
@@ -169,6 +171,14 @@ def _is_label(row: Sequence[str], below: Sequence[str]) -> bool:
     is_meaning = read_header(row[filled[0]].rstrip(":= ")).meaning in MEANINGS
     is_pair = is_meaning and len(filled) < sum(map(bool, below)) and filled[1:2] == [filled[0] + 1]
     return len(filled) > 1 and not is_pair and sum(map(bool, below)) > 2
+
+
+def _is_remark(row: Sequence[str], below: Sequence[str]) -> bool:
+    """Whether a row is a line of text that the separator divided, above headers that are known without it."""
+    filled, heads = [cell for cell in row if cell], [cell for cell in below if cell]
+    is_from_left = [*row[: len(filled)]] == filled and len(filled) < len(heads)
+    are_unknown = not any(header.meaning or header.axis for header in map(read_header, filled))
+    return is_from_left and are_unknown and len({*heads}) == len(heads) and _is_head(below, "")
 
 
 def _is_head(row: Sequence[str], comment: str) -> bool:

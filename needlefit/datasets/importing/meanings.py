@@ -177,6 +177,16 @@ QUESTIONS = MappingProxyType(
             {"specimen": {"specimen.source": "{source}"}, "insertions": {"specimen": "each"}},
         ),
         "bevel_side": Question("bevel_side", "Where bevels face whose side is {names} in `{name}`"),
+        "side_words": Question(
+            "bevel_side",
+            "Whether `{name}` ({words}) states where bevels face",
+            {"yes": {"bevel_side.column": "{name}"}, "no": {"unused": '["{name}"]'}},
+        ),
+        "material": Question(
+            "modulus",
+            "Of what `{name}` is the material: of the needle, or of the tissue",
+            {"needle": {"modulus.column": "{name}"}, "tissue": {"medium.column": "{name}"}},
+        ),
         "excluded": Question("excluded", "Which value of `{name}` marks rows that are to be left out"),
         "points": Question("y", "{names} are side by side. Which of them are the points of the needles"),
         "deflection": Question("deflection.column", "Which column is the deflection of the tip"),

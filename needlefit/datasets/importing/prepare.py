@@ -1,6 +1,7 @@
 """Prepare an import: a mapping that is given, or drafted and completed; what it reads; and the plan."""
 
 from collections.abc import Callable, Iterator, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -17,17 +18,20 @@ from needlefit.datasets.importing.place import ImportPlan, Planner
 from needlefit.datasets.importing.read import MappedTable, list_tables, read_mapped
 from needlefit.datasets.importing.stated import Settler, name_set
 from needlefit.errors import ConfigError, DataError
+from needlefit.project.locate import join_names
 from needlefit.project.toml import check, load, override
 from needlefit.project.units import UNITS_MM
 from needlefit.schemas.mapping import MappingRecord
 
 ASSUMED_MM = (20.0, 300.0)  # least and greatest length (mm) of the longest needle where mm are assumed
 STATED_MM = (1.0, 2000.0)  # least and greatest length (mm) of the longest needle by a stated unit
+DECISIVE = ("needle", "diameter", "modulus", "depth_zero", "bevel_side")  # assumptions that are listed first
 MAX_FIRST_VALUES = 3  # number of values of a column on the screen
 
 Prompt = Callable[[str, str, str], str]  #: key or question, proposal, reason -> answer; "" takes the proposal
-#: rows of the screen, what is not used and where -> `KEY=VALUE` that changes the mapping; "" takes it
-Review = Callable[[Sequence[dict[str, str]], Sequence[tuple[str, str]]], str]
+#: rows of the screen, what is not used and where, why the last change was refused -> `KEY=VALUE` that changes
+#: the mapping; "" takes it
+Review = Callable[[Sequence[dict[str, str]], Sequence[tuple[str, str]], str], str]
 
 
 @dataclass(frozen=True)
@@ -58,24 +62,38 @@ def prepare_import(
     DataError of what is open and nobody answers, and of what files and mapping contradict.
     """
     if mapping is not None:
-        record, unused = _load(mapping, assignments), list[tuple[str, str]]()
+        record, unused, hints = _load(mapping, assignments), list[tuple[str, str]](), dict[str, str]()
         files = [*_list_named(paths)]
         content = read_mapped(record, files, str(mapping))
     else:
         draft, files = _review_draft(paths, [*assignments], prompt, review)
         record, unused = draft.to_record("the draft of the mapping"), draft.unused
+        hints = {"bevel_side": f"not stated; not used: {join_names(draft.words, 4)}"} if draft.words else {}
         content = read_mapped(record, files, "the draft of the mapping")
     _require_lengths(content)
     examples = find_examples(content.curves)
     record = _settle_origin(record, examples, prompt)
     values, assumed = dict(record.values), dict(record.assumed)
-    settler = Settler(values, assumed, prompt, is_complete=mapping is not None)
+    settler = Settler(values, assumed, prompt, is_complete=mapping is not None, hints=hints)
     columns = [*_describe_columns(record, files)]
-    plan = Planner(content, settler).make_plan()
+    plan, content = _make_plan(content, settler)
+    assumed = {key: assumed[key] for key in dict.fromkeys((*DECISIVE, *assumed)) if key in assumed}
     record = record.model_copy(update={"values": values, "assumed": assumed})
     others = len(content.curves) - len(examples)
     plan = replace(plan, examples=tuple(examples) if others else ())
     return PreparedImport(record, content, plan, unused, settler.notes, columns)
+
+
+def _make_plan(content: ImportContent, settler: Settler) -> tuple[ImportPlan, ImportContent]:
+    """Return the plan and the curves that it placed; an answer that is refused is asked for again."""
+    while True:
+        placed, notes = deepcopy(content), [*settler.notes]
+        try:
+            return Planner(placed, settler).make_plan(), placed
+        except DataError as error:
+            if not settler.withdraw(error):
+                raise
+            settler.notes[:] = notes
 
 
 def _settle_origin(record: MappingRecord, examples: Sequence[str], prompt: Prompt | None) -> MappingRecord:
@@ -121,14 +139,24 @@ def _review_draft(
     paths: Sequence[Path], assignments: list[tuple[str, str]], prompt: Prompt | None, review: Review | None
 ) -> tuple[Draft, list[Path]]:
     """Return a draft without open questions, as whoever sees it takes it."""
+    taken, problem = len(assignments), ""  # number of the assignments by which a draft was made
     while True:
-        draft, files = complete_draft(paths, assignments, prompt)
+        try:
+            draft, files = complete_draft(paths, assignments, prompt)
+            columns = [*_describe_columns(draft.to_record("the draft of the mapping"), files)]
+        except (ConfigError, DataError) as error:
+            if review is None or len(assignments) == taken:
+                raise
+            del assignments[taken:]
+            problem = str(error)
+            continue
         if review is None:
             return draft, files
-        columns = [*_describe_columns(draft.to_record("the draft of the mapping"), files)]
-        key, equals, value = review(columns, draft.unused).partition("=")
+        taken = len(assignments)
+        key, equals, value = review(columns, draft.unused, problem).partition("=")
         if not equals:
             return draft, files
+        problem = ""
         assignments.append((key.strip(), value.strip()))
 
 
@@ -136,8 +164,16 @@ def complete_draft(
     paths: Sequence[Path], assignments: list[tuple[str, str]], prompt: Prompt | None
 ) -> tuple[Draft, list[Path]]:
     """Return a draft without open questions: answers are stated as if by `--set`, and it is drafted again."""
+    taken, problem = len(assignments), ""  # number of the assignments by which a draft was made
     while True:
-        draft, files = draft_mapping(paths, Assignments(assignments))
+        try:
+            draft, files = draft_mapping(paths, Assignments(assignments))
+        except (ConfigError, DataError) as error:
+            if len(assignments) == taken:
+                raise
+            del assignments[taken:]  # an answer that is refused is asked for again
+            problem = str(error)
+            continue
         opens = draft.opens or _find_open_columns(draft, paths) or [*_settle_unit(draft, files)]
         if not opens:
             return draft, files
@@ -148,7 +184,9 @@ def complete_draft(
                 fix="; ".join(_list_fixes(opens)),
                 where=f"{opens[0].where or paths[0]}",
             )
-        assignments += _ask(opens[0], prompt)
+        taken = len(assignments)
+        assignments += _ask(opens[0], prompt, problem)
+        problem = ""
 
 
 def _list_fixes(opens: Sequence[Open]) -> Iterator[str]:
@@ -162,18 +200,15 @@ def _list_fixes(opens: Sequence[Open]) -> Iterator[str]:
             yield f"state {', or '.join(options)}"
 
 
-def _ask(question: Open, prompt: Prompt) -> list[tuple[str, str]]:
-    """Return the keys that an answer states."""
+def _ask(question: Open, prompt: Prompt, problem: str = "") -> list[tuple[str, str]]:
+    """Return the keys that an answer states; `problem`: why an earlier answer was refused."""
     words = f" ({', '.join(question.choices)})" if question.choices else ""
-    answer = prompt(f"{question.question}{words}", "", question.where)
+    answer = prompt(f"{question.question}{words}", "", problem or question.where)
     if not question.choices:
         return [(question.key, answer)]
     if answer not in question.choices:
-        raise ConfigError(
-            f"the answer is {answer[:40]!r}",
-            expected=f"one of {', '.join(question.choices)}",
-            fix="answer with one of these",
-        )
+        expected = f"the answer is {answer[:40]!r}; expected: one of {', '.join(question.choices)}"
+        return _ask(question, prompt, expected)
     keys = question.choices[answer]
     return [(key, prompt(key, "", "") if text == "VALUE" else text) for key, text in keys.items()]
 
@@ -183,6 +218,9 @@ def _find_open_columns(draft: Draft, paths: Sequence[Path]) -> list[Open]:
     if any(table["holds"] not in ("facts", "turns") for table in draft.tables):
         return []
     tables = "; ".join(f"{part}: {why}" for part, why in draft.unused if part.startswith("table"))
+    if any("depth" in table["columns"] for table in draft.tables):
+        text = f"Which column is the deflection of the tip at a depth ({tables or paths[0]})"
+        return [Open("deflection.column", text, {}, str(paths[0]))]
     return [
         Open(
             f"{axis}.column",

@@ -122,6 +122,9 @@ class Settler:
     prompt: Callable[[str, str, str], str] | None = None
     partly_stated: frozenset[str] = frozenset()  # keys of which some needles of the import have cells
     is_complete: bool = False  # nothing may be assumed: the mapping was written before
+    refused: dict[str, str] = field(default_factory=dict)  # why the last answer was, by key
+    answered: set[str] = field(default_factory=set)  # keys that the user answered
+    hints: Mapping[str, str] = field(default_factory=dict)  # reasons that name what files hold, by key
     notes: list[tuple[str, str]] = field(
         default_factory=list
     )  # what was done with the curves, for the screen
@@ -143,11 +146,13 @@ class Settler:
         DataError if there is no answer, or it is none of the `choices`.
         """
         meaning = VALUES[key]
-        usual, reason = meaning.usual if usual is None else usual, reason or meaning.reason
+        usual = meaning.usual if usual is None else usual
+        reason = self.hints.get(key, reason or meaning.reason)
         if key not in self.values:
             answer = ""
             if self.prompt is not None and not is_sure:
-                answer = self.prompt(key, usual, reason).strip()[:MAX_ANSWER_CHARS]
+                shown = self.refused.pop(key, reason)
+                answer = self.prompt(key, usual, shown).strip()[:MAX_ANSWER_CHARS]
             if not answer and (not usual or (self.is_complete and not is_sure)):
                 ways = " or ".join(name_set(key, choice) for choice in choices or ("VALUE",))
                 raise DataError(
@@ -157,12 +162,24 @@ class Settler:
                     where=where,
                 )
             self.values[key] = answer or usual
-            if not answer and not is_sure:
+            if answer:
+                self.answered.add(key)
+            elif not is_sure:
                 self.assumed[key] = reason
         stated = Stated(self.values[key], "", f"key values.{key}")
         if choices and stated.text not in choices:
             raise stated.error(key, f"one of {', '.join(choices)}")
         return stated
+
+    def withdraw(self, error: DataError) -> bool:
+        """Forget the answer that an error is about, to ask for it again; return whether there is one."""
+        key = str(error.where).removeprefix("key values.")
+        if key not in self.answered:
+            return False
+        self.answered.remove(key)
+        del self.values[key]
+        self.refused[key] = str(error)
+        return True
 
     def settle_each(
         self,

@@ -35,6 +35,13 @@ EXPORT_FIXES = {
     ".dcm": "RT structure sets are read; scans are read by `needlefit reconstruct`",
 }
 
+
+class SheetNumber(str):
+    """A cell of a sheet that is a number, not a text: its decimal sign is a point."""
+
+    __slots__ = ()
+
+
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([ed][-+]?\d+)?", re.IGNORECASE)
 
 
@@ -93,6 +100,8 @@ class Table:
 
 def parse_number(text: str, decimal: str = ".", thousands: str = "") -> float | None:
     """Return a number with these signs; None for anything else."""
+    if isinstance(text, SheetNumber):
+        decimal, thousands = ".", ""
     plain = text.replace("\u00a0", "").replace("\u2212", "-").strip()
     plain = plain.replace(thousands, "") if thousands else plain
     if decimal == ",":
@@ -340,10 +349,10 @@ def read_sheets(path: Path) -> tuple[Grid, ...]:
         size = file.seek(0, io.SEEK_END)
     reader, seconds = f"{__name__}:read_workbook", size / BYTES_PER_SECOND
     sheets, _ = read_in_process(reader, path, {"path": str(path)}, READER_BYTES, seconds)
-    return tuple(Grid(path, rows, name) for name, rows in sheets)
+    return tuple(Grid(path, [[*map(_to_text, row)] for row in rows], name) for name, rows in sheets)
 
 
-def read_workbook(_arrays: Arrays, path: str) -> list[tuple[str, list[list[str]]]]:
+def read_workbook(_arrays: Arrays, path: str) -> list[tuple[str, list[list[str | float]]]]:
     """Return name and rows of each sheet, from its first cell on; in the child process."""
     from python_calamine import CalamineWorkbook
 
@@ -352,7 +361,7 @@ def read_workbook(_arrays: Arrays, path: str) -> list[tuple[str, list[list[str]]
         sheet = book.get_sheet_by_name(name)
         above, left = sheet.start or (0, 0)
         check_extent(above + sheet.height, left + sheet.width, path, MAX_TABLE_CELLS)
-        rows = [[_to_text(cell) for cell in row] for row in sheet.to_python(skip_empty_area=False)]
+        rows = [[_to_cell(cell) for cell in row] for row in sheet.to_python(skip_empty_area=False)]
         for (top, column), (bottom, _) in sheet.merged_cell_ranges or ():
             bottom = min(bottom, len(rows) - 1)
             check_extent(max(bottom - top, 0), 1, path, MAX_TABLE_CELLS)
@@ -362,11 +371,17 @@ def read_workbook(_arrays: Arrays, path: str) -> list[tuple[str, list[list[str]]
     return sheets
 
 
-def _to_text(cell: Any) -> str:  # noqa: ANN401 - whatever a sheet holds
+def _to_text(cell: str | float) -> str:
+    if isinstance(cell, str):
+        return cell
+    return SheetNumber(repr(int(cell)) if cell.is_integer() and abs(cell) < 2**53 else repr(cell))
+
+
+def _to_cell(cell: Any) -> str | float:  # noqa: ANN401 - whatever a sheet holds
     if isinstance(cell, bool | date | time | timedelta):
         return str(cell)
     if isinstance(cell, int | float):
-        return repr(int(cell)) if float(cell).is_integer() and abs(cell) < 2**53 else repr(float(cell))
+        return float(cell)
     return "".join(letter if letter.isprintable() else " " for letter in str(cell))[:MAX_CELL_CHARS].strip()
 
 
