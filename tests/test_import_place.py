@@ -12,7 +12,7 @@ from needlefit.api import score_study
 from needlefit.datasets.importing.prepare import prepare_import
 from needlefit.datasets.planes import measure_out_of_plane
 from needlefit.datasets.read import inspect, read
-from needlefit.errors import DataError
+from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.curves import integrate_curvature
 from needlefit.geometry.stray_points import find_stray_points
 from needlefit.geometry.surfaces import make_sheet, write_surface
@@ -762,3 +762,14 @@ def test_readings_before_the_tissue_are_no_depths(tmp_path):
     file = write_rows(tmp_path / "a.csv", rows)
     assert planned([file])[1]["depth_zero"] == ("first_reading", "assumed")
     refusal(DataError, "depth_zero", planned, [file], depth_zero="tissue")
+
+
+def test_an_import_replaces_an_earlier_one_and_nothing_else(tmp_path):
+    file, out = write_long(tmp_path, NEEDLES), tmp_path / "gel"
+    for medium in ("agar", "gelatine"):
+        write_import(out, prepare([file], medium=medium), overwrite=True)
+        assert {one.medium for one in read(out).insertions} == {medium}
+    refusal(ConfigError, "exists", write_import, out, prepare([file]))
+    (out / "notes.txt").write_text("mine")
+    refusal(ConfigError, "notes.txt", write_import, out, prepare([file]), overwrite=True)
+    assert (out / "notes.txt").read_text() == "mine"

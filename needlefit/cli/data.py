@@ -87,6 +87,9 @@ def import_data(
     yes: Annotated[
         bool, option("Ask nothing: take what is proposed, and stop where nothing is.", None, "--yes")
     ] = False,
+    overwrite: Annotated[
+        bool, option("Replace OUT, if it holds nothing but an earlier import.", None, "--overwrite")
+    ] = False,
     strict: options.Strict = False,
     json: options.Json = False,
     plugins: options.Plugins = None,
@@ -95,13 +98,14 @@ def import_data(
 
     It proposes what each column means, in a mapping, and reads only by that: OUT/mapping.toml. In a terminal
     it shows the mapping and asks for what is open; --yes takes what is proposed. OUT also gets a picture, a
-    first study and a scene. It must not exist yet; the default is ./FILE-dataset.
+    first study and a scene. The default is ./FILE-dataset.
     """
     from needlefit.datasets.first_study import SCENE_FILE
     from needlefit.datasets.importing.prepare import prepare_import
-    from needlefit.project.folders import require_new, require_no_inputs_within
+    from needlefit.project.folders import require_new, require_no_inputs_within, require_replaceable
     from needlefit.reporting.dataset_import import (
         PICTURE_FILE,
+        find_not_imported,
         join_unused,
         tabulate_columns,
         tabulate_needles,
@@ -111,7 +115,10 @@ def import_data(
     from needlefit.schemas.names import require_file_name
 
     out = out or Path(f"{files[0].resolve().name.partition('.')[0]}-dataset")
-    require_new(out)
+    if overwrite:
+        require_replaceable(out, find_not_imported)
+    else:
+        require_new(out)
     require_file_name(out.resolve().name, str(out))
     require_no_inputs_within(out, files)
     invocation = context.find_root().obj
@@ -119,7 +126,7 @@ def import_data(
     assignments = [split_pair(text) for text in set_ or []]
     prompt, review = (_ask, _review_columns) if asks else (None, None)
     prepared = prepare_import(files, assignments, mapping, prompt, review)
-    dataset = write_import(out, prepared)
+    dataset = write_import(out, prepared, overwrite)
     needles = tabulate_needles(dataset)
     if invocation.json:
         rows, record = needles.to_dict(orient="records"), prepared.mapping.model_dump(mode="json")

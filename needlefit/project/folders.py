@@ -13,6 +13,7 @@ import shutil
 import stat
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -281,18 +282,23 @@ def take_lock(folder: Path) -> "BaseFileLock":
 
 
 @contextmanager
-def replace_folder(folder: Path, is_result: bool = True) -> Iterator[Path]:
+def replace_folder(
+    folder: Path, is_result: bool = True, find: Callable[[Path], list[str]] | None = None
+) -> Iterator[Path]:
     """Yield an empty folder, of the same name, that takes the place of `folder` when the block ends well.
 
     It stands beside `folder` until then, so that a failure leaves nothing behind and the old one as it was;
     what a killed process left the next one removes. A block that writes nothing replaces nothing. An empty
     folder is not replaced but filled: it may be the working folder.
-    `is_result`: it gets a manifest, and may replace a result; else it is the user's, and must be new.
+    `is_result`: it gets a manifest, and may replace a result; else it is the user's, and must be new, or
+    hold nothing that `find` returns as foreign.
 
     ConfigError if nothing can be written there, another process is writing there, or `folder` holds anything
     foreign, or anything at all where it must be new, at the begin or at the end.
     """
     folder, check = folder.resolve(), require_replaceable if is_result else require_new
+    if find is not None:
+        check = partial(require_replaceable, find=find)
     check(folder)
     with _scratch_folder(folder) as (fresh, old):
         check(folder)  # a killed process may have left the only copy of a result

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +12,12 @@ from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 
 from needlefit.arrays import Floats
-from needlefit.datasets.dataset_warnings import find_bend_side
+from needlefit.datasets.dataset_warnings import MAPPING_FILE, find_bend_side
 from needlefit.datasets.first_study import SCENE_FILE, write_first_run, write_scene
 from needlefit.datasets.importing.directions import snap_to_axis
 from needlefit.datasets.importing.place import ImportPlan
 from needlefit.datasets.importing.prepare import PreparedImport
-from needlefit.datasets.importing.writing import write_plan
+from needlefit.datasets.importing.writing import CURVATURE_FILE, TRACKS_FILE, TURNS_FILE, write_plan
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.geometry.curves import make_normal
 from needlefit.geometry.frames import normalize
@@ -28,6 +29,10 @@ from needlefit.reporting.labels import GREY, INK
 from needlefit.schemas.origin import ORIGIN_MARKS
 
 PICTURE_FILE = "import.png"
+WRITTEN = (  # names of the files of an import
+    *("dataset.toml", MAPPING_FILE, PICTURE_FILE, SCENE_FILE, "tissue.toml", "*_study.toml", "*_fit.toml"),
+    *("insertions.csv", TRACKS_FILE, TURNS_FILE, CURVATURE_FILE, "centerlines/*.csv", "layers/*.stl"),
+)
 
 MAX_LABELLED_NEEDLES = 14  # more names would cover each other
 MAX_NAME_CHARS = 14  # of a name beside a needle
@@ -39,13 +44,14 @@ _SURFACE_COLOURS = ("#c8b88a", "#a9b7c6", "#c9a3a3", "#a8bfa3")
 _SIDES = {"toward": "toward", "away": "AWAY", "unknown": "too straight"}
 
 
-def write_import(folder: Path, prepared: PreparedImport) -> Dataset:
+def write_import(folder: Path, prepared: PreparedImport, overwrite: bool = False) -> Dataset:
     """Write a dataset with its mapping, picture, scene and first study into a new folder, or nothing.
 
-    Tip tracks get no picture. ConfigError if `folder` holds something. DataError: listing
+    Tip tracks get no picture. ConfigError if `folder` holds something, with `overwrite` if that is no import.
+    DataError: listing
     the faults of the dataset, at their places in the imported files.
     """
-    with replace_folder(folder, is_result=False) as fresh:
+    with replace_folder(folder, is_result=False, find=find_not_imported if overwrite else None) as fresh:
         plan = prepared.plan
         dataset = write_plan(fresh, prepared.content, plan, prepared.mapping)
         write_first_run(fresh, dataset, plan.choices)
@@ -58,6 +64,14 @@ def write_import(folder: Path, prepared: PreparedImport) -> Dataset:
         replace(warning, where=warning.where.replace(str(fresh), str(folder))) for warning in dataset.warnings
     ]
     return replace(dataset, warnings=tuple(warnings))
+
+
+def find_not_imported(folder: Path) -> list[str]:
+    """Return what lies in a folder that no import wrote."""
+    if not (folder / MAPPING_FILE).is_file() and any(folder.iterdir()):
+        return [f"no {MAPPING_FILE} of an import"]
+    files = [path.relative_to(folder).as_posix() for path in sorted(folder.rglob("*")) if not path.is_dir()]
+    return [name for name in files if not any(fnmatchcase(name, pattern) for pattern in WRITTEN)]
 
 
 def tabulate_needles(dataset: Dataset) -> pd.DataFrame:
