@@ -71,7 +71,7 @@ def compose_file(title: str, note: str, data: "PageData") -> str:
         "style": style, "stage": read_package_file(STAGE), "kernel": read_kernel(), "data": data.pack(),
         "script": script,
     }  # fmt: skip
-    return re.sub(r"\{\{(\w+)\}\}", lambda found: parts[found[1]], read_package_file(PAGE))
+    return re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], read_package_file(PAGE))
 
 
 # ---- the data
@@ -169,7 +169,10 @@ def encode_step(step: Step) -> dict[str, Any]:
             "baseY": held.base_y,
             "baseSlope": held.base_slope,
             "stageSlope": held.stage_slope,
-            "guides": [{"x": one.x, "y": one.y, "slope": one.slope, "name": one.name} for one in held.guides],
+            "guides": [
+                {"x": guide.x, "y": guide.y, "slope": guide.slope, "name": guide.name}
+                for guide in held.guides
+            ],
             "tip": tip and {"y": tip.y, "slope": tip.slope},
         },
     }
@@ -216,10 +219,10 @@ def encode_limits(scene: Scene) -> dict[str, Any]:
     """Return how far a page's sliders go; its number fields take what the model takes."""
     mu, bevel = scene.tissue.mu * 1e6, scene.steps[0].bevel
     limits: dict[str, Any] = {"mu_pa": [float(mu.min()) / SLIDER_FACTOR, float(mu.max()) * SLIDER_FACTOR]}
-    for one, values in zip(LAWS[scene.tissue.law].parameters, scene.tissue.shape.tolist(), strict=True):
-        (low, high), (least, most) = one.tested, one.bounds
+    for parameter, values in zip(LAWS[scene.tissue.law].parameters, scene.tissue.shape.tolist(), strict=True):
+        (low, high), (least, most) = parameter.tested, parameter.bounds
         reach = 0.25 * (high - low)
-        limits[one.name] = [
+        limits[parameter.name] = [
             max(least, min(low, min(values) - reach)),
             min(most, max(high, max(values) + reach)),
         ]
@@ -252,13 +255,13 @@ def encode_scene(
         "spacing_mm": scene.rules.spacing,
         "first_cell_mm": first_cell,
         "shape_parameters": [
-            {key: getattr(one, key) for key in ("name", "symbol", "unit", "explanation")}
-            for one in LAWS[tissue.law].parameters
+            {key: getattr(parameter, key) for key in ("name", "symbol", "unit", "explanation")}
+            for parameter in LAWS[tissue.law].parameters
         ],
         "definitions": {
-            one.symbol: f"{one.key.capitalize()}: {one.paragraphs[0]}"
-            for one in read_terms()
-            if one.symbol in DEFINED
+            term.symbol: f"{term.key.capitalize()}: {term.paragraphs[0]}"
+            for term in read_terms()
+            if term.symbol in DEFINED
         },
         "fitted": encode_layers(tissue) | encode_strength(scene.steps[0].bevel, scene.rules),
         "limits": encode_limits(scene),

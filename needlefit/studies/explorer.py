@@ -86,19 +86,19 @@ def describe_insertions(job: "Job") -> dict[str, InsertionMetadata]:
     """Return what a fit knows of every insertion, besides its layers; under a moved guide nothing."""
     drop = job.dataset.drop_proximal if job.dataset.pose == "free" else None
     return {
-        one.id: InsertionMetadata(
-            depth=one.depth,
-            side=one.side,
-            bevel_factor=one.bevel_factor,
-            guide_distance=one.guide_distance,
-            base_moved=one.base_moved,
-            compared=None if drop is None else find_free_reach(drop, one),
-            specimen=one.specimen,
-            **({"turns": one.turns} if one.turns else {}),
-            **({"needle": one.needle.name} if len(job.dataset.needles) > 1 else {}),
+        insertion.id: InsertionMetadata(
+            depth=insertion.depth,
+            side=insertion.side,
+            bevel_factor=insertion.bevel_factor,
+            guide_distance=insertion.guide_distance,
+            base_moved=insertion.base_moved,
+            compared=None if drop is None else find_free_reach(drop, insertion),
+            specimen=insertion.specimen,
+            **({"turns": insertion.turns} if insertion.turns else {}),
+            **({"needle": insertion.needle.name} if len(job.dataset.needles) > 1 else {}),
         )
-        for one in job.insertions
-        if one.guide is None
+        for insertion in job.insertions
+        if insertion.guide is None
     }
 
 
@@ -106,8 +106,10 @@ def find_bevel_sd(job: "Job", fold: "Fold") -> float:
     """Return by how many SDs the bevel of a further insertion deviates, see `find_new_bevel_sd`."""
     from needlefit.inference.problem import find_new_bevel_sd
 
-    tuned = {one.specimen for one in fold.tune}
-    new = job.record.specimens == "others" and any(one.specimen not in tuned for one in fold.validate)
+    tuned = {insertion.specimen for insertion in fold.tune}
+    new = job.record.specimens == "others" and any(
+        insertion.specimen not in tuned for insertion in fold.validate
+    )
     return find_new_bevel_sd(job.dataset, fold.tune, new_specimen=new and len(tuned) > 1)
 
 
@@ -130,23 +132,31 @@ def choose_drawn_specimen(run: Run, specimen: str, tuned: set[str], chosen: str 
 
 def vary_draws(draws: pd.DataFrame, medium: MediumRecord, name: str, seed: int, sd: float) -> pd.DataFrame:
     """Return draws of all parameters (Pa, mm), each with a bevel of its own for the insertion `name`."""
-    names = [one for one in (*Parameters.from_record(medium).names, BEVEL_SPREAD) if one in draws]
-    found = draws[names].astype(np.float64)
-    spreads = found[BEVEL_SPREAD].to_numpy() if BEVEL_SPREAD in names else np.zeros(len(found))
-    deviations = sd * random_stream(seed, "band", name).standard_normal(len(found))
+    names = [
+        parameter for parameter in (*Parameters.from_record(medium).names, BEVEL_SPREAD) if parameter in draws
+    ]
+    varied = draws[names].astype(np.float64)
+    spreads = varied[BEVEL_SPREAD].to_numpy() if BEVEL_SPREAD in names else np.zeros(len(varied))
+    deviations = sd * random_stream(seed, "band", name).standard_normal(len(varied))
     factors = find_bevel_factors(spreads, deviations)
-    return found.assign(**{one: found[one] * factors for one in BEVEL_PARAMETERS if one in names})
+    return varied.assign(
+        **{
+            bevel_parameter: varied[bevel_parameter] * factors
+            for bevel_parameter in BEVEL_PARAMETERS
+            if bevel_parameter in names
+        }
+    )
 
 
 def collect_explorers(runs: Sequence[Run]) -> PageData | None:
     """Return the data of one page of several runs, its needles named by their runs; None without any."""
-    found: PageData | None = None
+    explorers: PageData | None = None
     for run in runs:
-        before = len(found.needles) if found else 0
-        found = collect_explorer(run, found) or found
-        for needle in found.needles[before:] if found else ():
+        before = len(explorers.needles) if explorers else 0
+        explorers = collect_explorer(run, explorers) or explorers
+        for needle in explorers.needles[before:] if explorers else ():
             needle["name"] = f"{run.name}/{needle['scene']['target']}"
-    return found
+    return explorers
 
 
 def collect_explorer(run: Run, data: PageData | None = None) -> PageData | None:
@@ -262,8 +272,8 @@ def _encode_needle(data: PageData, run: Run, row: Row, curve: Floats) -> dict[st
     """Return one needle with the fit's parameters: its scene, draws, and what the run stored of it."""
     metadata, name = run.knows(FitMetadata), row["insertion"]
     medium, stored, inputs = metadata.medium, metadata.insertions[name], _read_inputs(metadata, name)
-    known = select_rows(run.frames["parameters"], fold=row["fold"], method="fitted")
-    values = dict(zip(known["parameter"], known["value"].astype(float), strict=True))
+    parameter_rows = select_rows(run.frames["parameters"], fold=row["fold"], method="fitted")
+    values = dict(zip(parameter_rows["parameter"], parameter_rows["value"].astype(float), strict=True))
     title = f"{name} · {run.dataset_title}"
     # as the fit has simulated it, to its tolerance: the needle is that of the run to the bit
     dataset = metadata.dataset.name
@@ -280,9 +290,9 @@ def _encode_needle(data: PageData, run: Run, row: Row, curve: Floats) -> dict[st
         "measured": measured,
         "draws": None,
     }
-    fold = next(one for one in metadata.folds if one.name == row["fold"])
+    fold = next(fold for fold in metadata.folds if fold.name == row["fold"])
     specimens = dict(zip(*(run.frames["errors"][key] for key in ("insertion", "specimen")), strict=True))
-    tuned = {specimens[one] for one in fold.tune}
+    tuned = {specimens[insertion] for insertion in fold.tune}
     specimen = choose_drawn_specimen(run, stored.specimen, tuned)
     draws = select_draws(run.frames["draws"], row["fold"], specimen)
     if len(draws) and draws["certified"].all():

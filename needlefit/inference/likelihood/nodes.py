@@ -96,8 +96,10 @@ def make_nodes(
         pairs.append((ErrorAxis(), 0.5 * roll_sd_deg / ROLL_STEP_DEG, both))
     if bevel:
         factors = (insertion.bevel_factor * (1 + step) for step in (-BEVEL_STEP, BEVEL_STEP))
-        pairs.append((None, 0.5 / BEVEL_STEP, [(replace(insertion, bevel_factor=one), s) for one in factors]))
-    insertions, at = zip((insertion, s), *(one for *_, both in pairs for one in both), strict=True)
+        pairs.append(
+            (None, 0.5 / BEVEL_STEP, [(replace(insertion, bevel_factor=node), s) for node in factors])
+        )
+    insertions, places = zip((insertion, s), *(node for *_, both in pairs for node in both), strict=True)
     curves = np.eye(len(insertions) + constants)
     rows = [curves[0]]
     last = 0
@@ -108,7 +110,7 @@ def make_nodes(
     behind, apart = 1 + len(axes), len(curves) - len(along)  # the last constant curves lie along axes
     linear = np.array([*rows[:behind], *curves[apart:]])
     effects = np.array([*rows[behind:], *curves[len(insertions) : apart]]).reshape(-1, len(curves))
-    return Nodes(insertions, np.array(at), (*axes, *along), linear, effects, bevel)
+    return Nodes(insertions, np.array(places), (*axes, *along), linear, effects, bevel)
 
 
 def roll_bevel(insertion: Insertion, angle: float) -> Insertion:
@@ -131,8 +133,8 @@ def draw_boundary_errors(
 
     `shared` holds the errors of surfaces, in standard deviations; what is missing there is drawn and added.
     """
-    common, own = split_boundary_sd(insertion)
-    errors = own * rng.standard_normal(len(insertion.boundaries))
+    common, own_sd = split_boundary_sd(insertion)
+    errors = own_sd * rng.standard_normal(len(insertion.boundaries))
     for k, surface in enumerate(_list_surfaces(insertion)):
         if surface not in shared:
             shared[surface] = float(rng.standard_normal())
@@ -149,26 +151,26 @@ def _list_surfaces(insertion: Insertion) -> list[tuple[str, int, int]]:
 def _list_depth_errors(insertion: Insertion) -> list[tuple[ErrorAxis, Floats, float]]:
     """Return each axis, and what a standard deviation along it adds to boundaries (n - 1,) and depth, mm."""
     count = len(insertion.boundaries)
-    found: list[tuple[ErrorAxis, Floats, float]] = []
+    depth_errors: list[tuple[ErrorAxis, Floats, float]] = []
     if insertion.depth_sd > 0:
-        found.append((ErrorAxis(), np.full(count, insertion.depth_sd), insertion.depth_sd))
+        depth_errors.append((ErrorAxis(), np.full(count, insertion.depth_sd), insertion.depth_sd))
     if insertion.boundary_sd > 0:
-        shared, own = split_boundary_sd(insertion)
-        whole = float(np.hypot(shared, own))
+        shared, own_sd = split_boundary_sd(insertion)
+        whole = float(np.hypot(shared, own_sd))
         for row, surface in zip(whole * np.eye(count), _list_surfaces(insertion), strict=True):
             # the depth of a surface that is crossed again may err otherwise: sheets are crossed once
-            again = any(axis.surface == surface for axis, *_ in found)
-            axis = ErrorAxis(own / whole, shared / whole, surface) if shared and not again else ErrorAxis()
-            found.append((axis, row, 0.0))
-    return found
+            again = any(axis.surface == surface for axis, *_ in depth_errors)
+            axis = ErrorAxis(own_sd / whole, shared / whole, surface) if shared and not again else ErrorAxis()
+            depth_errors.append((axis, row, 0.0))
+    return depth_errors
 
 
 def shift_depths(
     insertion: Insertion, s: Floats, boundaries: Floats, depth: float
 ) -> tuple[Insertion, Floats]:
     """Return the insertion with shifted depths, boundaries kept in order, and shifted coordinates."""
-    found = enforce_order(insertion.boundaries + boundaries)
-    return replace(insertion, boundaries=found, depth=insertion.depth + depth), s + depth
+    boundaries_in_order = enforce_order(insertion.boundaries + boundaries)
+    return replace(insertion, boundaries=boundaries_in_order, depth=insertion.depth + depth), s + depth
 
 
 def enforce_order(boundaries: Floats) -> Floats:
@@ -196,27 +198,27 @@ class NodeGroup:
     @cached_property
     def own(self) -> tuple[Floats, ...]:
         """Deviations (d,) of the own part of each insertion's depths."""
-        return tuple(np.array([self._split(axis)[0] for axis in one.axes]) for one in self.nodes)
+        return tuple(np.array([self._split(axis)[0] for axis in node.axes]) for node in self.nodes)
 
     @cached_property
     def shared(self) -> tuple[Floats, ...]:
         """What a standard deviation of each surface adds to each insertion's depths: (d, k)."""
-        found = []
-        for one in self.nodes:
-            shares = np.zeros((len(one.axes), len(self.surfaces)))
-            for row, axis in zip(shares, one.axes, strict=True):
-                row += self._split(axis)[1] * np.array([axis.surface == each for each in self.surfaces])
-            found.append(shares)
-        return tuple(found)
+        rows = []
+        for node in self.nodes:
+            shares = np.zeros((len(node.axes), len(self.surfaces)))
+            for row, axis in zip(shares, node.axes, strict=True):
+                row += self._split(axis)[1] * np.array([axis.surface == surface for surface in self.surfaces])
+            rows.append(shares)
+        return tuple(rows)
 
     @cached_property
     def members(self) -> "tuple[tuple[NodeGroup, Ints], ...]":
         """Each insertion by itself, with the surfaces that it shares, and their places among all."""
-        found = []
+        members_of_groups = []
         for nodes, shared in zip(self.nodes, self.shared, strict=True):
             places = np.flatnonzero(shared.any(axis=0))
-            found.append((NodeGroup((nodes,), tuple(self.surfaces[k] for k in places)), places))
-        return tuple(found)
+            members_of_groups.append((NodeGroup((nodes,), tuple(self.surfaces[k] for k in places)), places))
+        return tuple(members_of_groups)
 
     def _split(self, axis: ErrorAxis) -> tuple[float, float]:
         """Return both deviations; what nobody else has is the insertion's own."""
@@ -232,21 +234,25 @@ def group_nodes(
 
     With `centred`, the deviations of all bevels sum to zero, so that all that have one are in one group.
     """
-    crossed = [{axis.surface for axis in one.axes if axis.surface} for one in nodes]
-    bevels = {axis.surface for one in nodes for axis in one.axes if axis.of_bevel}
+    crossed = [{axis.surface for axis in node.axes if axis.surface} for node in nodes]
+    bevels = {axis.surface for node in nodes for axis in node.axes if axis.of_bevel}
     counts = Counter(surface for surfaces in crossed for surface in surfaces)
     groups: dict[object, list[int]] = {}
     for place, surfaces in enumerate(crossed):
         twice = {surface for surface in surfaces if counts[surface] > 1}
         key = BEVEL if centred and surfaces & bevels else next(iter(twice))[0] if twice else place
         groups.setdefault(key, []).append(place)
-    found = []
+    node_groups = []
     for members in groups.values():
-        every = sorted({surface for place in members for surface in crossed[place]})
-        shared = tuple(one for one in every if counts[one] > 1 or (centred and one in bevels))
+        crossed_surfaces = sorted({surface for place in members for surface in crossed[place]})
+        shared = tuple(
+            surface for surface in crossed_surfaces if counts[surface] > 1 or (centred and surface in bevels)
+        )
         some = tuple(nodes[place] for place in members)
-        found.append((tuple(members), NodeGroup(some, shared, centred and not bevels.isdisjoint(shared))))
-    return tuple(found)
+        node_groups.append(
+            (tuple(members), NodeGroup(some, shared, centred and not bevels.isdisjoint(shared)))
+        )
+    return tuple(node_groups)
 
 
 def make_group(nodes: Nodes) -> NodeGroup:

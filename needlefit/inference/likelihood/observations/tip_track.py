@@ -47,10 +47,12 @@ def extrapolate_tip(passed: Floats, tip: Floats, depth: Floats) -> Floats:
     guide was moved is the tip after the move, so the points before a reading count, and never the one at it.
     """
     # the last constraint point strictly before the reading, by more than rounding
-    at = np.maximum(np.searchsorted(passed, depth - DEPTH_TOLERANCE_MM) - 1, 0)
-    before = np.maximum(at - 1, 0)
-    apart = np.where(at > before, passed[at] - passed[before], 1.0)
-    return tip[..., at] + (tip[..., at] - tip[..., before]) * ((depth - passed[at]) / apart)
+    last_passed = np.maximum(np.searchsorted(passed, depth - DEPTH_TOLERANCE_MM) - 1, 0)
+    before = np.maximum(last_passed - 1, 0)
+    apart = np.where(last_passed > before, passed[last_passed] - passed[before], 1.0)
+    return tip[..., last_passed] + (tip[..., last_passed] - tip[..., before]) * (
+        (depth - passed[last_passed]) / apart
+    )
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,7 @@ class _TipTrack(ObservationType):
         depth, *tips = insertion.points.T
         frame = make_tracker_columns(depth)
         first = frame[: count_entry_side(len(depth))]
-        tip, across = (one - frame @ np.linalg.lstsq(first, one[: len(first)], rcond=None)[0] for one in tips)
+        tip, across = (tip - frame @ np.linalg.lstsq(first, tip[: len(first)], rcond=None)[0] for tip in tips)
         measured = np.column_stack([depth, tip, across])
         return ComparedPoints(depth, measured, find_pose(pose, insertion), compared)
 
@@ -80,24 +82,24 @@ class _TipTrack(ObservationType):
     def read_points(self, shape: NeedleShape, s: Floats) -> Floats:
         """Return depths and tips (K, 3) at depths `s` (K,), mm."""
         tips = shape.tip_track[:, ::2].T
-        return np.column_stack([s, *(extrapolate_tip(shape.constraints[:, 0], one, s) for one in tips)])
+        return np.column_stack([s, *(extrapolate_tip(shape.constraints[:, 0], tip, s) for tip in tips)])
 
     def read_batch_points(self, shapes: NeedleShapes, s: Floats) -> Floats:
         """Return `read_points` of many simulations; NaN where the solve failed."""
-        found = np.full((len(shapes), len(s), 3), np.nan)
-        found[..., 0] = s
+        points = np.full((len(shapes), len(s), 3), np.nan)
+        points[..., 0] = s
         for plane, tips in enumerate(np.moveaxis(shapes.tip_track[:, :, ::2], -1, 0), start=1):
             tip = extrapolate_tip(shapes.constraints[0, :, 0], tips, s)
-            found[..., plane] = np.where(shapes.converged[:, None], tip, np.nan)
-        return found
+            points[..., plane] = np.where(shapes.converged[:, None], tip, np.nan)
+        return points
 
     def read_batch_derivatives(self, shapes: NeedleShapes, jacobians: Jacobians, s: Floats) -> Floats:
         """Return the derivatives of `read_batch_points`."""
-        found = np.zeros((len(shapes), len(s), 3, len(jacobians.names)))
+        derivatives = np.zeros((len(shapes), len(s), 3, len(jacobians.names)))
         for plane, track in enumerate(jacobians.tip_track, start=1):
             moved = extrapolate_tip(shapes.constraints[0, :, 0], track.transpose(0, 2, 1), s)
-            found[:, :, plane] = moved.transpose(0, 2, 1)
-        return found
+            derivatives[:, :, plane] = moved.transpose(0, 2, 1)
+        return derivatives
 
     def simulate_places(self, insertion: Insertion, shape: NeedleShape) -> Floats:
         """Return the tips at the depths of the readings."""
@@ -117,31 +119,35 @@ class _TipTrack(ObservationType):
         if likelihood.measurement == "points":
             noise = replace(noise, heading_sd=0.0, slope_sd=0.0)
         further, directions = likelihood.tip_tracks, split_directions(insertion, dataset.directions)
-        with_headings = noise.heading_sd > 0 and all(one.headings for one in directions)
+        with_headings = noise.heading_sd > 0 and all(direction.headings for direction in directions)
         axes, parts = list[ErrorAxis](), list[tuple[Floats, ...]]()
-        for number, one in enumerate(directions):
-            depths, measured = one.points[:, 0], one.points[:, :2]
-            cov, operator = points_covariance(depths, noise, one.sd), np.eye(len(depths))
+        for number, direction in enumerate(directions):
+            depths, measured = direction.points[:, 0], direction.points[:, :2]
+            cov, operator = points_covariance(depths, noise, direction.sd), np.eye(len(depths))
             frame = make_tracker_columns(depths)
             if with_headings:
-                measured, operator = add_headings(one)
+                measured, operator = add_headings(direction)
                 cov = block_diag(cov, noise.heading_sd**2 * np.eye(len(operator) - len(cov)))
                 turned = np.tile([0.0, 1.0, 1.0], (len(operator) - len(frame), 1))
                 frame = np.concatenate([np.column_stack([frame, np.zeros(len(frame))]), turned])
-            at = measured[:, 0]
+            depths_of_readings = measured[:, 0]
             # along the depth; what they do to a heading is their slope there
-            added = entry_covariance(one, at, further)
-            added = added if errors.model_error is None else added + errors.model_error.covariance(at)
+            added = entry_covariance(direction, depths_of_readings, further)
+            added = (
+                added
+                if errors.model_error is None
+                else added + errors.model_error.covariance(depths_of_readings)
+            )
             cov = cov + operator @ added @ operator.T
             if likelihood.noise == "independent":
                 cov = np.diag(np.diag(cov))
-            own = list_session_axes(insertion.specimen, noise.slope_sd, frame.shape[1] - 1, number)
-            free = frame[:, : frame.shape[1] - len(own)]
-            session = frame[:, free.shape[1] :] * [SESSION_SD_RAD / axis.shared for axis in own]
-            if own and further.slope_sd_deg:
-                own = (*own, make_group_slope(insertion, number))
+            run_axes = list_session_axes(insertion.specimen, noise.slope_sd, frame.shape[1] - 1, number)
+            free = frame[:, : frame.shape[1] - len(run_axes)]
+            session = frame[:, free.shape[1] :] * [SESSION_SD_RAD / axis.shared for axis in run_axes]
+            if run_axes and further.slope_sd_deg:
+                run_axes = (*run_axes, make_group_slope(insertion, number))
                 session = np.column_stack([session, math.radians(further.slope_sd_deg) * frame[:, 1]])
-            axes += own
+            axes += run_axes
             parts.append((measured[:, 1], operator, cov, free, session))
         across, *blocks = zip(*parts, strict=True)
         operator, cov, free, session = (block_diag(*block) for block in blocks)
@@ -151,21 +157,23 @@ class _TipTrack(ObservationType):
             raise no_errors_error(dataset, insertion) from None
         if further.gain_sd and insertion.guided:
             assert errors.respond is not None
-            moves = errors.respond(insertion, at)[..., 1 : 1 + len(directions)]  # (M, K, D)
+            moves = errors.respond(insertion, depths_of_readings)[..., 1 : 1 + len(directions)]  # (M, K, D)
             moves = operator @ moves.transpose(2, 1, 0).reshape(-1, len(moves))
             axes += [ErrorAxis()] * moves.shape[1]
             session = np.column_stack([session, further.gain_sd * moves])
             if further.carried_sd:  # tissue that follows moves the tip, and is moved less against the needle
-                followed = operator @ np.concatenate([follow_guide(one, at) for one in directions])
+                followed = operator @ np.concatenate(
+                    [follow_guide(direction, depths_of_readings) for direction in directions]
+                )
                 axes.append(ErrorAxis(0.0, 1.0, (insertion.specimen, CARRIED, insertion.setup)))
                 session = np.column_stack([session, further.carried_sd * (followed - moves.sum(axis=1))])
         curves = (whitening @ session).T
         roll_sd_deg = further.roll_sd_deg * (len(directions) - 1)
         nodes = make_nodes(
-            insertion, at, "fixed", bevel=errors.bevels_vary, constants=len(curves), along=tuple(axes),
-            roll_sd_deg=roll_sd_deg,
+            insertion, depths_of_readings, "fixed", bevel=errors.bevels_vary, constants=len(curves),
+            along=tuple(axes), roll_sd_deg=roll_sd_deg,
         )  # fmt: skip
-        measured, whitening = np.column_stack([at, *across]), whitening @ operator
+        measured, whitening = np.column_stack([depths_of_readings, *across]), whitening @ operator
         pose = find_pose(dataset.pose, insertion)
         return Observation(measured, cov, session, free, whitening, log_norm, pose, nodes, curves)
 
