@@ -1233,33 +1233,33 @@ n===replay.steps.length?part("scrub").max:clock,part("scrub").ariaValueText=`${c
 write("time",`${clock.toFixed(1)} of ${placeOf(replay.steps.length).toFixed(1)} ${replay.unit}`),show()}function openRecording(recording,planned=!1){
 if(part("transport").hidden=!recording,now.replay=null,!recording)return;let depthOf=([,changes])=>changes.find(
 ([name])=>name==="depth_mm")[2],places=recording.map(planned?depthOf:([time])=>time);now.replay=Object.assign(
-new Replay(now.steered,recording),{places,unit:planned?"mm":"s"}),part("scrub").max=Math.ceil(10*(places.at(-1)??
-0))/10,part("scrub").ariaLabel=planned?"depth along the plan, mm":"time of the recording, s"}function readRecording(text){
-let lines=text.split(/\r?\n/),count=lines.findIndex(one=>!one.startsWith("#")),number3=now.data.needles.findIndex(
-({head})=>head&&identify(head)===identify(text));if(count<1||lines[count]!==COLUMNS)throw new ModelError("the \
-file is no recording","a file of Save recording, or of needlefit plan");if(number3<0)throw new ModelError("the\
- recording is of another scene","one of this page; needlefit view --recording opens others");let steps2=[];for(let row of lines.
-slice(count+1).filter(Boolean)){let[step,time,name,item,value,tip]=row.split(",");Number(step)>steps2.length&&
-steps2.push([Number(time),[],NaN]);let last3=steps2.at(-1);last3[1].push([name,item?Number(item):null,Number(value)]),
-tip&&(last3[2]=Number(tip))}return{number:number3,steps:steps2}}function openDropped(choose2){addEventListener(
-"dragover",event=>event.preventDefault()),addEventListener("drop",async event=>{event.preventDefault();let[file]=event.
-dataTransfer?.files??[];if(file)try{let{number:number3,steps:steps2}=readRecording(await file.text());await choose2(
-number3),openRecording(steps2),goBack(),write("link-note",`Opened ${file.name}.`)}catch(error){refuse(error,part(
-"proof").parentElement)}})}function keep(){let{needle,steered}=now,text=JSON.stringify({head:needle.head,way:steered.
-listWay().map(({changes})=>changes)});try{text.length<=MOST_KEPT&&localStorage.setItem(keyOf(needle),text)}catch{}}
-function restore(){let{needle,steered,replay}=now,kept=JSON.parse(localStorage.getItem(keyOf(needle))??"null");
-if(!kept||kept.head!==needle.head)return!1;steered.rewind();try{for(let changes of kept.way)steered.apply(changes)}catch{
-return localStorage.removeItem(keyOf(needle)),goBack(),!1}return replay&&(replay.changed=!0),part("back").disabled=
-!1,write("link-note","The needle as you left it: this browser keeps it."),show(),!0}var PAUSE,MOST_KEPT,COLUMNS,
-shown,placeOf,identify,keyOf,keeping,init_recording=__esm({"needlefit/viewer/page/recording.js"(){"use strict";
-init_address();init_dom();init_link();init_inputs();init_steering();init_store();init_stored();PAUSE=400,MOST_KEPT=
-1e6,COLUMNS="step,time_s,input,item,value,tip_lateral_mm",shown=()=>now.replay,placeOf=n=>n?shown().places[n-1]:
-0;part("scrub").addEventListener("input",({target})=>{let clock=Math.min(Number(target.value),placeOf(shown().
-steps.length));showStep(shown().places.filter(one=>one<=clock).length,clock)});press("back",()=>{localStorage.
-removeItem(keyOf(now.needle)),goBack()});listen("steers",()=>{now.replay&&(now.replay.changed=!0)});press("sav\
-e-recording",()=>{let name=`${nameOf2(now.needle).replace(/[^\w-]+/g,"-")}.csv`;hand(new Blob([writeRecording(
-now.needle.head,now.steered)],{type:"text/csv"}),name),write("link-note",`Saved ${name}. It opens on this page\
-, and with: needlefit view --recording ${name}`)});identify=head=>head.split(`
+new Replay(now.steered,recording),{places,unit:planned?"mm of the plan":"s of the recording"}),part("scrub").max=
+Math.ceil(10*(places.at(-1)??0))/10,part("scrub").ariaLabel=planned?"depth along the plan, mm":"time of the re\
+cording, s"}function readRecording(text){let lines=text.split(/\r?\n/),count=lines.findIndex(one=>!one.startsWith(
+"#")),number3=now.data.needles.findIndex(({head})=>head&&identify(head)===identify(text));if(count<1||lines[count]!==
+COLUMNS)throw new ModelError("the file is no recording","a file of Save recording, or of needlefit plan");if(number3<
+0)throw new ModelError("the recording is of another scene","one of this page; needlefit view --recording opens\
+ others");let steps2=[];for(let row of lines.slice(count+1).filter(Boolean)){let[step,time,name,item,value,tip]=row.
+split(",");Number(step)>steps2.length&&steps2.push([Number(time),[],NaN]);let last3=steps2.at(-1);last3[1].push(
+[name,item?Number(item):null,Number(value)]),tip&&(last3[2]=Number(tip))}return{number:number3,steps:steps2}}function openDropped(choose2){
+addEventListener("dragover",event=>event.preventDefault()),addEventListener("drop",async event=>{event.preventDefault();
+let[file]=event.dataTransfer?.files??[];if(file)try{let{number:number3,steps:steps2}=readRecording(await file.
+text());await choose2(number3),openRecording(steps2),goBack(),write("link-note",`Opened ${file.name}.`)}catch(error){
+refuse(error,part("proof").parentElement)}})}function keep(){let{needle,steered}=now,text=JSON.stringify({head:needle.
+head,way:steered.listWay().map(({changes})=>changes)});try{text.length<=MOST_KEPT&&localStorage.setItem(keyOf(
+needle),text)}catch{}}function restore(){let{needle,steered,replay}=now,kept=JSON.parse(localStorage.getItem(keyOf(
+needle))??"null");if(!kept||kept.head!==needle.head)return!1;steered.rewind();try{for(let changes of kept.way)
+steered.apply(changes)}catch{return localStorage.removeItem(keyOf(needle)),goBack(),!1}return replay&&(replay.
+changed=!0),part("back").disabled=!1,write("link-note","The needle as you left it: this browser keeps it."),show(),
+!0}var PAUSE,MOST_KEPT,COLUMNS,shown,placeOf,identify,keyOf,keeping,init_recording=__esm({"needlefit/viewer/pa\
+ge/recording.js"(){"use strict";init_address();init_dom();init_link();init_inputs();init_steering();init_store();
+init_stored();PAUSE=400,MOST_KEPT=1e6,COLUMNS="step,time_s,input,item,value,tip_lateral_mm",shown=()=>now.replay,
+placeOf=n=>n?shown().places[n-1]:0;part("scrub").addEventListener("input",({target})=>{let clock=Math.min(Number(
+target.value),placeOf(shown().steps.length));showStep(shown().places.filter(one=>one<=clock).length,clock)});press(
+"back",()=>{localStorage.removeItem(keyOf(now.needle)),goBack()});listen("steers",()=>{now.replay&&(now.replay.
+changed=!0)});press("save-recording",()=>{let name=`${nameOf2(now.needle).replace(/[^\w-]+/g,"-")}.csv`;hand(new Blob(
+[writeRecording(now.needle.head,now.steered)],{type:"text/csv"}),name),write("link-note",`Saved ${name}. It op\
+ens on this page, and with: needlefit view --recording ${name}`)});identify=head=>head.split(`
 `).filter(one=>one.startsWith("#")).slice(1).filter(one=>!one.startsWith("# needlefit =")).join(`
 `);keyOf=needle=>`needlefit ${location.pathname} ${nameOf2(needle)}`,keeping=0;listen("steers",()=>{clearTimeout(
 keeping),keeping=setTimeout(keep,PAUSE)});addEventListener("pagehide",()=>keeping&&keep())}});var main_exports={};async function choose(number3){let{data}=now;part("needle-choice").value=number3;let steered=await begin(

@@ -43,7 +43,7 @@ export function openRecording(recording, planned = false) {
   if (!recording) return;
   const depthOf = ([, changes]) => changes.find(([name]) => name === "depth_mm")[2];
   const places = recording.map(planned ? depthOf : ([time]) => time);
-  now.replay = Object.assign(new Replay(now.steered, recording), { places, unit: planned ? "mm" : "s" });
+  now.replay = Object.assign(new Replay(now.steered, recording), { places, unit: planned ? "mm of the plan" : "s of the recording" });
   part("scrub").max = Math.ceil(10 * (places.at(-1) ?? 0)) / 10; // the step is 0.1
   part("scrub").ariaLabel = planned ? "depth along the plan, mm" : "time of the recording, s";
 }
