@@ -14,7 +14,6 @@ class HU:
     DARKEST = -2000.0  # below it values fill what lies outside a scanner's field
     GAP = -250.0  # fat has -120 and is brighter; air that blur fills half is darker
     LIGHT = -600.0  # foam and lung are brighter, air is darker
-    NOT_AIR = -500.0  # half way from air to water: what is not air
     # Fat to connective tissue (Schneider 2000, doi:10.1088/0031-9155/45/2/314), near metal darker
     SOFT_TISSUE = (-150.0, 100.0)
     GUIDE_STEP = 50.0  # change behind a guide as bright as tissue; layers of gels differ by less
@@ -24,15 +23,12 @@ class HU:
     LEAST_NOISE = 2.0  # of a median around the needle [R]
     METAL = 1000.0  # bone of a hand is darker, metal and glass are brighter
     METAL_CONTRAST = 500.0  # by which metal stands out from tissue, at least
-    LISTED_CONTRAST = 400.0  # by which voxels that are listed do; below the least threshold
     HUB = 1500.0  # of a metal hub, least [S]
-    LEAST_RANGE = 100.0  # air, tissue and metal differ by more, attenuation per length never
     FLOOR = -1024.0  # where scanners' numbers begin
     CLIPPED = 3071.0  # the largest number of 12 bits
     TOP_12_BITS = (2900.0, 3100.0)  # where a scan's largest value may be that number
     NEEDLE = 20_000.0  # titanium has 8 000, steel 30 000, hardened 15 000
     STREAK_SD = 2000.0  # of a streak beyond the tip [R]
-    HIDING_STREAK = 1000.0  # of a streak from which on all of the hidden end counts [R]
 
 
 class MM:
@@ -44,35 +40,29 @@ class MM:
     CORE = 0.45  # radius within which the needle itself is read
     RING = (3.5, 6.0)  # of the surroundings: beyond bloom, within the nearest marker as a rule
     LIGHT = 5.0  # least length of foam or lung
-    SOFT = 2.0  # least length of a run of soft material, and of air before tissue
+    BLUR_REACH = 2.0  # where blur shows, four deviations of a wide one; shorter runs of material are blur
     GAP = 1.0  # least length of air between two soft runs
-    METAL_BLUR = 2.0  # soft values this near to a hub or holder are its blur
     NARROW_GAP = 4.0  # in a narrower one blur hides the level of the air [R]
     EDGE_REACH = 8.0  # to either side of an edge over which it is fitted
-    EDGE_BLUR = 3.0  # within which the blur of an edge shows
+    EDGE_BLUR = 3.0  # within which the blur of an edge shows: thinner guides show no step
     EDGE_WIDTH = 0.5  # deviation of an edge's blur as a rule
     EDGE_WIDTHS = (0.1, 2.0)  # range of it
     EDGE_SD = 0.02  # of an edge that no scatter shows: a kernel's sides are not alike [G]
-    STEP_REACH = 6.0  # to either side of a step over which it is fitted
     STEP_MARGIN = 1.5  # from air or metal within which its blur hides a step
     SHAFT = 10.0  # least length of shaft outside the tissue through which an axis is drawn
     SHAFT_CLEARANCE = 1.0  # from the entry, where the surface still shows in the shaft
     SURFACE_REACH = 80.0  # along the entry axis to the tissue's surface
-    GUIDE_SD = 0.05  # of the stated thickness of a guide
-    BEHIND_GUIDE_SD = 0.03  # of a face behind a guide and air, which the guide's blur and streaks reach [G]
-    THIN = 3.0  # thickness of a guide up to which its end shows no step
+    GUIDE_SD = 0.05  # of a guide's stated thickness, and of a face behind one, which its streaks reach [G]
     THIN_BLUR = 0.75  # from its faces, beyond which its own brightness shows [G]
     THIN_SD = 0.15  # of its end [G]
-    FILM_SD = 0.2  # of its end, where a film of air may lie behind it
-    METAL_FACE_SD = 0.2  # of the faces of metal, whose streaks hide what lies beside it [G]
-    GUIDE_MATCH = 1.5  # by which a solid may miss a guide's thickness
+    HIDDEN_FACE_SD = 0.2  # of a face that streaks of metal, or a film of air behind it, may hide [G]
+    MATCH = 1.5  # within which a place, or a thickness, is the one that is stated, or seen otherwise
     STEP_MATCH = 0.6  # of a guide's end from a change of brightness
-    ANSWERS = 1.0  # places nearer to each other are one answer
     BEVEL_MARGIN = 1.2  # by which a needle may look shorter at its end
     FACE = 3.0  # an end this near to the volume's face has left it
     PLACED_TIP = 0.7  # of a placed tip from the needle's surface: the axis is wrong beyond
     AXIS_SD = 0.005  # that no scatter along the needle shows: the voxel grid, rays [R]
-    BEYOND_END = 4.0  # beyond a needle's end, where its surroundings are looked at
+    BEYOND_END = 4.0  # beyond a needle's end, where it and its surroundings are looked at
     NEEDLE_LENGTH = 20.0  # least length of a needle in the scan
     PICK = 5.0  # of a point stated on the needle from it
     PIECE_GAP = 15.0  # across which pieces of a needle are joined [R]
@@ -81,10 +71,8 @@ class MM:
     FAINT = 3.0  # over which a needle may be faint
     FOLLOW_END = 12.0  # by whose line the next place is predicted
     HUB_REACH = 60.0  # before the needle, where a hub is looked for
-    HUB_SIDE = 7.0  # beside it
     HUB_RADIUS = 5.0  # largest
-    HUB_LENGTH = 4.0  # least
-    HUB_END = 3.0  # length of a hub that shows its axis
+    HUB_LENGTH = 4.0  # least; so much of it shows its axis
     HUB_HIDDEN = 20.0  # of a hub that leaves the volume, beyond its face
     HUB_LEVER = 25.0  # from a hub to the place that shows its direction
     THICK_SLICE = 0.6 + 1e-9  # thinner slices show the needle in several at once
@@ -108,22 +96,16 @@ class MM:
     SWING_SD = 0.1  # by which a needle leaves its shaft's course within its bevel
     TIP_ACROSS_SD = 0.015  # across, that no residual shows [R]
     MODEL_TIP_SD = 1.0  # up to which the model's tip is taken
-    THRESHOLD = 1.5  # of a threshold's end from the model's, up to which that is taken
     BLUR = 0.45  # of scanners, in the slices [R]
     BLURS = (0.15, 1.2)  # range of it
     SLICE_BLURS = (0.1, 2.0)  # the same across slices
     LEAST_SLICE_BLUR = 0.2  # of scanners, across slices
     BALL_MARGIN = 1.5  # beyond a ball's surface that is fitted
-    BALL_GUARD = 1.0  # from other bright things, where voxels are left out
-    BALL_CORRELATION = 1.0  # beyond which errors of voxels are unrelated
+    BALL_BLUR = 1.0  # beyond which voxels are unrelated, and other bright things do not show
     BALL_SD = 0.003  # that no scatter shows [R]
-    BALL_BLOOM = 2.0  # by which a bright ball looks larger: four deviations of a wide blur
     BALL_EXTENT = 0.25  # by which blur makes it longer in the slices than across
-    TIP_DOUBT = 0.5  # deviation of the tip along that is spoken of
-    NORMAL_DOUBT = 0.3  # the same along the slices' normal
+    TIP_DOUBT = 0.3  # deviation of the tip along, or along the slices' normal, that is spoken of
     DEPTH_SD = 2.0  # of the inserted length, beyond which a scan is refused
-    TIP_CLEARANCE = 2.0  # from the tip, where its blur does not show
-    LAYER_MATCH = 1.5  # of a layer's boundary from the change of brightness that is its own
     TUNNEL = 2.0  # radius of a tunnel that a segmentation leaves around a needle
 
 
@@ -133,11 +115,10 @@ class PART:
     FACE_VOXELS = 0.15  # of a component on the volume's faces: more is a corner of something larger
     ELONGATION = 6.0  # length of a needle over its width, least
     WIDENING = 2.5  # width of a needle's image over its own [R]
-    GROWTH_WIDENING = 1.5  # of a tube at a lower threshold: it takes in what surrounds it
     SEED = 1 / 3  # of a needle's least length, from which on pieces are joined
     SECOND_NEEDLE = 0.6  # of the longest one's length and brightness
     DIVIDED_NEEDLE = 0.4  # the same, where all needles are wanted
-    CLEAR_WIDTH = 1.5  # by which another tube misses the stated diameter more
+    CLEAR_WIDTH = 1.5  # of two widths that are not of one thing
     THRESHOLDS = (0.4, 0.25, 0.15)  # of the way from tissue to metal
     FAINT = 0.3  # of a needle's brightness: fainter sections show none
     IN_VOLUME = 0.7  # of a cross-section
@@ -167,3 +148,11 @@ class PART:
     BALL_DIAMETERS = (0.65, 1.45)  # of a ball of as many voxels over that sought [R]
     BALL_ELONGATION = 1.7  # longest over shortest extent of what may be a ball
     PAIRED = 0.6  # of the smaller set of markers: few among many are part of something else
+    TOLERANCE = 1e-4  # of a fit's cost and parameters, at which it ends: an end moves by less than 0.01 mm
+
+
+class SD:
+    """Numbers of standard deviations."""
+
+    OUTLIER = 2.0  # beyond which a residual counts less, and a click is not on its marker
+    DISAGREEMENT = 3.0  # beyond which two statements of one quantity disagree

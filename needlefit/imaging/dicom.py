@@ -24,6 +24,8 @@ from pydicom.uid import UID
 from needlefit.arrays import Floats, are_bounded
 from needlefit.errors import DataError, located
 from needlefit.imaging.volume import (
+    MAX_LISTED,
+    MIN_SPACING_MM,
     VoxelGrid,
     begins_as_dicom,
     check_grid,
@@ -37,7 +39,6 @@ from needlefit.project.reader_process import Arrays, allow_memory
 # A slice may stand this far from its place on an even stack, mm: positions are written to 0.1 mm or better.
 MAX_OFFSET_MM = 0.1
 MAX_LEAN = 1e-3  # of the stack, as a sine: axes are written to three decimals or better
-MIN_STEP_MM = 1e-3  # slices closer than this are one, mm
 MAX_STEP_RATIO = 1.5  # a step longer than this many usual ones lacks slices
 # Modalities whose values are attenuations; converters leave the entry out, or write OT (other).
 XRAY_MODALITIES = ("", "CT", "XA", "RF", "DX", "PX", "IO", "OT")
@@ -49,7 +50,6 @@ UNSPECIFIED_UNIT = (
 )
 EXPORT_FIX = "export the series from the scanner or the archive again, as original axial slices in HU"
 CONVERT_FIX = "load it in 3D Slicer, and save the volume as NRRD, in HU: air -1000, water 0"
-MAX_LISTED = 10  # series, files
 SLICE_BYTES_PER_PIXEL = 32  # a slice stands in memory packed, unpacked, and in double precision
 SUFFIXES = (".dcm", ".ima", ".dicom")
 NUMBERS = {  # entries that are numbers, and of how many
@@ -379,9 +379,9 @@ def _fit_steps(ordered: Sequence[DicomSlice], positions: Floats, normal: Floats)
     """
     steps = np.diff(positions @ normal)
     usual = float(np.median(steps))
-    doubled = int((steps < MIN_STEP_MM).sum())
+    doubled = int((steps < MIN_SPACING_MM).sum())
     for (before, after), step in zip(pairwise(ordered), steps, strict=True):
-        if step < MIN_STEP_MM:
+        if step < MIN_SPACING_MM:
             raise DataError(
                 f"stands at the same place as {before.file.name}, with other voxels, as {doubled} of "
                 f"{len(ordered)} slices do: these are several scans with one AcquisitionNumber, or none",
@@ -389,7 +389,7 @@ def _fit_steps(ordered: Sequence[DicomSlice], positions: Floats, normal: Floats)
                 fix="export one scan (phase, time, kernel), or move the slices of each to its own folder",
                 where=after.file,
             )
-        if usual >= MIN_STEP_MM and step > MAX_STEP_RATIO * usual:
+        if usual >= MIN_SPACING_MM and step > MAX_STEP_RATIO * usual:
             raise DataError(
                 f"{round(step / usual) - 1 or 1} slice(s) missing between {before.file.name} and "
                 f"{after.file.name}: a step of {step:.4g} mm where others are {usual:.4g} mm",

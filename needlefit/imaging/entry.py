@@ -191,7 +191,7 @@ def choose_entry(
     `tip`: where it is, mm along the needle. `guide_thickness`: along the needle, mm; 0: no guide.
     `guide_distance`: from the guide to the entry, mm.
     """
-    least = min(MM.SOFT, (guide_thickness or np.inf) / 2)
+    least = min(MM.BLUR_REACH, (guide_thickness or np.inf) / 2)
     runs, rises = find_runs(profile, least), find_rises(profile, least)
     faces = [EntryCandidate(at, sd) for _, at, sd in rises]
     if faces and guide_thickness == 0:
@@ -231,7 +231,7 @@ def choose_entry(
         fix = "correct guide.thickness_mm (0: the scan shows no guide)"
     answers = [offered]
     for one in sorted(others, key=lambda one: -one.at):
-        if one.at < tip and all(abs(one.at - other.at) > MM.ANSWERS for other in answers):
+        if one.at < tip and all(abs(one.at - other.at) > MM.MATCH for other in answers):
             answers.append(one)
     listed = "; ".join(
         f"{n}: {tip - one.at:.1f} mm before the tip, {'behind a' if one.guide else 'no'} guide"
@@ -261,15 +261,15 @@ def _list_behind_metal(
     for before, run, behind in zip(runs, runs[1:], runs[2:], strict=False):
         if (run.kind, behind.kind) != ("metal", "soft"):
             continue
-        inside = (s >= run.begin - MM.METAL_BLUR) & (s <= run.end)
+        inside = (s >= run.begin - MM.BLUR_REACH) & (s <= run.end)
         begin, end = (
             s[inside & (values > (run.level + beside.level) / 2)][side]
             for side, beside in ((0, before), (-1, behind))
         )
-        if thickness is not None and abs(end - begin - thickness) <= MM.GUIDE_MATCH:
+        if thickness is not None and abs(end - begin - thickness) <= MM.MATCH:
             middle = (begin + end) / 2
             begin, end = middle - thickness / 2, middle + thickness / 2
-        found.append(EntryCandidate(float(end) + distance, MM.METAL_FACE_SD, (float(begin), float(end))))
+        found.append(EntryCandidate(float(end) + distance, MM.HIDDEN_FACE_SD, (float(begin), float(end))))
     return found
 
 
@@ -306,11 +306,11 @@ def _doubt_guide_end(
                 return None
             near = np.abs(profile.s - run.end) < MM.STEP_MARGIN
             film = np.nanmin(profile.around[near]) < min(run.level, after.level) - HU.GUIDE_STEP
-            return float(np.hypot(run.end - end, MM.FILM_SD * film))
+            return float(np.hypot(run.end - end, MM.HIDDEN_FACE_SD * film))
     # of a thin guide blur leaves no step
     inside = (profile.s > begin + MM.THIN_BLUR) & (profile.s < end)
-    beyond = (profile.s > end + MM.THIN_BLUR) & (profile.s < end + MM.STEP_REACH / 2)
-    if end - begin > MM.THIN or not inside.any() or not beyond.any():
+    beyond = (profile.s > end + MM.THIN_BLUR) & (profile.s < end + MM.EDGE_BLUR)
+    if end - begin > MM.EDGE_BLUR or not inside.any() or not beyond.any():
         return None
     change = np.nanmedian(profile.around[inside]) - np.nanmedian(profile.around[beyond])
     return MM.THIN_SD if abs(change) >= HU.GUIDE_STEP else None
@@ -338,9 +338,9 @@ def _list_behind_guide(
         if not solid:
             continue
         length = solid[0].end - solid[-1].begin
-        sd = float(np.hypot(sd, MM.BEHIND_GUIDE_SD))
+        sd = float(np.hypot(sd, MM.GUIDE_SD))
         passed = EntryCandidate(at, sd, (solid[-1].begin, solid[0].end))
-        if abs(length - thickness) <= MM.GUIDE_MATCH:
+        if abs(length - thickness) <= MM.MATCH:
             whole.append(passed)
         elif len(solid) == len(before) == 1 and length < thickness:
             cut.append(passed)

@@ -34,6 +34,7 @@ from needlefit.geometry.surfaces import (
     read_surface,
     transform_surface,
 )
+from needlefit.imaging.constants import MM
 from needlefit.imaging.reconstruction import EntryPose, Layers
 from needlefit.imaging.registration import Registration, target_covariance
 from needlefit.imaging.scans import LayerSource, Scan
@@ -138,7 +139,6 @@ def read_mesh(source: LayerSource, into: int, all_faults: list[Fault]) -> Surfac
     return transform_surface(surface, RAS_TO_LPS) if stands_in_ras else surface
 
 
-TANGENT_STEP_MM = 0.5  # distance to either side of a crossing over which the needle's direction is taken, mm
 # Least cosine between needle and normal: a needle that lies in a surface crosses it anywhere.
 MIN_CROSSING_COSINE = 0.02
 
@@ -278,7 +278,7 @@ def find_crossed_layers(
     if not len(crossed.arc):
         return Layers(surfaces, np.empty(0), np.empty(0), np.empty((0, 3)), crossed.sequence)
     places = interpolate_at_arc(points, crossed.arc)
-    before, after = (interpolate_at_arc(points, crossed.arc + s * TANGENT_STEP_MM) for s in (-1, 1))
+    before, after = (interpolate_at_arc(points, crossed.arc + s * MM.STATION) for s in (-1, 1))
     tangents = (after - before) / np.linalg.norm(after - before, axis=1, keepdims=True)
     _, normals = find_nearest(places, surfaces)
     cosines = np.sum(normals * tangents, axis=1)

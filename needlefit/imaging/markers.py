@@ -15,7 +15,7 @@ from needlefit.arrays import Floats, Ints
 from needlefit.datasets.formats import FORMATS, find_format
 from needlefit.errors import DataError
 from needlefit.imaging.bright_voxels import BrightVoxels, list_bright_voxels
-from needlefit.imaging.constants import HU, MM, PART
+from needlefit.imaging.constants import HU, MM, PART, SD
 from needlefit.imaging.needle.segmentation import median_tissue_hu
 from needlefit.imaging.point_spread import average_spreads
 from needlefit.imaging.reconstruction import MarkerResult
@@ -38,7 +38,7 @@ def find_blobs(
     `exclude`: (N, 3) or None; voxels of the needle: what holds one of them is left out.
     """
     low = _voxel_count(volume, PART.BALL_DIAMETERS[0] * diameter)
-    high = _voxel_count(volume, max(PART.BALL_DIAMETERS[1] * diameter, diameter + MM.BALL_BLOOM))
+    high = _voxel_count(volume, max(PART.BALL_DIAMETERS[1] * diameter, diameter + MM.BLUR_REACH))
     steps, found = volume.direction * volume.spacing, list[Blob]()
     for level in levels:
         for voxels in bright.list_parts(level, (low, high), without=exclude):
@@ -61,7 +61,6 @@ FitSphere = Callable[[Volume, Blob, float], SphereFit]
 
 # A ball's misfit may be so many deviations of the noise around it, besides `markers.max_misfit`.
 MAX_MISFIT_NOISE = 1.5
-MAX_FIDUCIAL_SD = 2.0  # a fiducial may be off by so many of its deviations
 
 
 def find_markers(
@@ -175,7 +174,7 @@ def refine_fiducials(
 ) -> MarkerResult:
     """Move fiducials (M, 3; LPS, mm) to the `balls` that they mark; a moved one gets the ball's deviation.
 
-    A ball within half a diameter and `MAX_FIDUCIAL_SD` deviations of a fiducial is its own: a click may hit
+    A ball within half a diameter and `SD.OUTLIER` deviations of a fiducial is its own: a click may hit
     the ball's surface. Where the volume shows no ball, a fiducial stays as it was placed.
 
     DataError if fiducials lie on the balls only with the signs of coordinates changed, or outside the volume.
@@ -196,7 +195,7 @@ def refine_fiducials(
             where="fiducials",
         )
     centers, sd = given.copy(), np.full(len(given), rules.fiducial_sd_mm)
-    reach = rules.diameter_mm / 2 + MAX_FIDUCIAL_SD * rules.fiducial_sd_mm
+    reach = rules.diameter_mm / 2 + SD.OUTLIER * rules.fiducial_sd_mm
     apart = cdist(given, balls.centers)
     while apart.size and apart.min() <= reach:  # the nearest pair first
         mark, ball = np.unravel_index(int(apart.argmin()), apart.shape)

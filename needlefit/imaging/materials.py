@@ -12,7 +12,7 @@ from scipy.optimize import curve_fit
 from scipy.special import ndtr
 
 from needlefit.arrays import Floats
-from needlefit.imaging.constants import HU, MM, PART
+from needlefit.imaging.constants import HU, MM, PART, SD
 from needlefit.imaging.needle.axis_spline import correlation_factor, disc_points, frames_along, sample_planes
 from needlefit.imaging.reconstruction import IntensityProfile, MaterialKind, MaterialRun
 from needlefit.imaging.volume import Volume
@@ -51,10 +51,9 @@ def _row_medians(values: Floats, least: float) -> Floats:
 
 
 EDGE_SCALES = (0.2, 0.3, 50.0, 50.0, 10.0, 0.2, 50.0)  # typical changes of the parameters of an edge
-SOFT_LOSS_SD = 2.0  # stations that stray by more than so many deviations of the noise count less
 
 
-def find_runs(profile: IntensityProfile, least: float = MM.SOFT) -> tuple[MaterialRun, ...]:
+def find_runs(profile: IntensityProfile, least: float = MM.BLUR_REACH) -> tuple[MaterialRun, ...]:
     """Return the runs of air, soft material and metal around the needle, from its base to its tip.
 
     What is shorter than `least`, mm, or than blur makes it belongs to its neighbours.
@@ -69,7 +68,7 @@ def find_runs(profile: IntensityProfile, least: float = MM.SOFT) -> tuple[Materi
         if light[part[0]] and s[part[-1]] - s[part[0]] >= MM.LIGHT:
             kinds[part] = 1
     for at in s[kinds == 2]:
-        kinds[(np.abs(s - at) <= MM.METAL_BLUR) & (kinds == 1)] = 2
+        kinds[(np.abs(s - at) <= MM.BLUR_REACH) & (kinds == 1)] = 2
     kinds = _absorb_short_runs(kinds, step, least)
     ends = np.flatnonzero(np.diff(kinds)) + 1
     names: tuple[MaterialKind, ...] = ("air", "soft", "metal")
@@ -109,7 +108,9 @@ def _absorb_short_runs(kinds: NDArray[np.int_], step: float, shortest: float) ->
         kinds[starts[n] : starts[n] + lengths[n]] = kinds[starts[longer]]
 
 
-def find_rises(profile: IntensityProfile, least: float = MM.SOFT) -> tuple[tuple[int, float, float], ...]:
+def find_rises(
+    profile: IntensityProfile, least: float = MM.BLUR_REACH
+) -> tuple[tuple[int, float, float], ...]:
     """Return every place where air turns into soft material: the run that begins, mm and its deviation."""
     runs = find_runs(profile, least)
     rising = [n for n in range(1, len(runs)) if (runs[n - 1].kind, runs[n].kind) == ("air", "soft")]
@@ -162,7 +163,7 @@ def _fit_edge(
         np.full(len(s), noise),
         bounds=bounds,
         loss="soft_l1",
-        f_scale=SOFT_LOSS_SD,
+        f_scale=SD.OUTLIER,
         x_scale=np.array(EDGE_SCALES),
         ftol=1e-6,
         xtol=1e-6,
@@ -208,14 +209,14 @@ def _find_steps_within(s: Floats, values: Floats) -> list[float]:
     left = (np.abs(changes) >= HU.STEP) & (sure >= MIN_STEP_SD)
     while left.any():
         best = int(np.argmax(np.where(left, clear, 0.0)))
-        left &= np.abs(places - places[best]) > MM.STEP_REACH / 2
+        left &= np.abs(places - places[best]) > MM.EDGE_BLUR
         found.append(float(places[best]))
     return sorted(found)
 
 
 def _fit_step(s: Floats, values: Floats, place: float) -> tuple[float, float, float]:
     """Return the change at a place on a common slope, its deviation, HU, and how many stations are as one."""
-    near = np.abs(s - place) <= MM.STEP_REACH
+    near = np.abs(s - place) <= 2 * MM.EDGE_BLUR
     x, y = s[near] - place, values[near]
     design = np.stack([np.ones(len(x)), x, ndtr(x / MM.EDGE_WIDTH)], axis=1)
     inverse = np.linalg.pinv(design)

@@ -23,7 +23,7 @@ from needlefit.geometry.curves import arc_length, find_bending_direction, interp
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame, make_entry_frame, normalize
 from needlefit.geometry.surfaces import Surface, find_nearest
 from needlefit.imaging.bright_voxels import BrightVoxels, list_bright_voxels
-from needlefit.imaging.constants import HU, MM, PART
+from needlefit.imaging.constants import HU, MM, PART, SD
 from needlefit.imaging.entry import (
     EntryCandidate,
     OutsideShaft,
@@ -87,7 +87,6 @@ from needlefit.project.unit_warnings import MIN_DEPTH_MM
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
 MIN_P_VALUE = 0.01  # residuals of markers that the stated noise leaves less often are spoken of
-MAX_DISAGREEMENT_SD = 3.0  # deviations from which on two ways to the same quantity disagree
 # Degrees between the stated bevel and the one seen from which on something was mixed up.
 MAX_BEVEL_ANGLE_DEG = 30.0
 MAX_PLANE_SD_DEG = 20.0  # deviation of the bending plane, degrees, from which on a shape does not tell it
@@ -130,7 +129,7 @@ def list_tip_warnings(one: Reconstruction) -> list[str]:
         )
     elif needle.tip_sd[0] > MM.TIP_DOUBT:
         notes.append(f"the tip is known to {sd} only along the needle")
-    if needle.normal_sd > MM.NORMAL_DOUBT:
+    if needle.normal_sd > MM.TIP_DOUBT:
         notes.append(
             "the slices do not show well where along their normal the needle lies: tip "
             f"+- {needle.normal_sd:.2f} mm; scan it across the slices, or with thinner ones"
@@ -149,9 +148,9 @@ def list_tip_warnings(one: Reconstruction) -> list[str]:
         )
     excess = one.profile.core - one.profile.around
     from_tip = one.profile.s - one.depth
-    shaft = excess[(from_tip > -MM.HIDDEN_END) & (from_tip < -MM.TIP_CLEARANCE)]
+    shaft = excess[(from_tip > -MM.HIDDEN_END) & (from_tip < -MM.BLUR_REACH)]
     if np.isfinite(shaft).any():
-        bright = (from_tip > MM.TIP_CLEARANCE) & (excess > np.nanmedian(shaft) / 2)
+        bright = (from_tip > MM.BLUR_REACH) & (excess > np.nanmedian(shaft) / 2)
         if bright.any():
             notes.append(
                 f"{from_tip[bright][0]:.1f} mm beyond the tip found, on the needle's axis, something is as "
@@ -174,7 +173,7 @@ def _entry_warnings(one: Reconstruction) -> Iterator[str]:
         )
     elif one.shaft is not None:
         worst, sentence = compare_poses(one.pose, one.shaft)
-        if worst > MAX_DISAGREEMENT_SD:
+        if worst > SD.DISAGREEMENT:
             yield sentence
     if one.confirmed:
         yield f"entry confirmed by a person: {one.confirmed}"
@@ -191,7 +190,7 @@ def _entry_warnings(one: Reconstruction) -> Iterator[str]:
     source = "the stage's entry" if one.pose.source == "stage" else source
     for _, off, edge_sd in find_rises(one.profile)[-1:] if source else ():  # a guide is left again
         sd = float(np.hypot(edge_sd, one.pose.along_sd))
-        if abs(off) > MAX_DISAGREEMENT_SD * sd:
+        if abs(off) > SD.DISAGREEMENT * sd:
             side = "after" if off > 0 else "before"
             yield f"in the scan the tissue begins {abs(off):.2f} +- {sd:.2f} mm {side} {source}"
 
@@ -205,7 +204,7 @@ def _plane_warnings(one: Reconstruction) -> Iterator[str]:
             f"the tip lies {abs(deflection):.2f} +- {error:.2f} mm beside the entry axis: so straight, "
             "it determines no bending plane, and its deflection is biased upward; state the bevel's direction"
         )
-    elif one.scan.bevel is not None and aside > MAX_DISAGREEMENT_SD * error and aside > abs(deflection) / 3:
+    elif one.scan.bevel is not None and aside > SD.DISAGREEMENT * error and aside > abs(deflection) / 3:
         yield (
             f"the needle leaves the bending plane by {aside:.2f} mm, and bends {abs(deflection):.2f} in it: "
             "check the bevel's direction"
@@ -222,10 +221,6 @@ def _plane_warnings(one: Reconstruction) -> Iterator[str]:
         yield f"the scan does not show the bevel's side (probability {probability:.2f}): it is left open"
 
 
-# A surface runs along a needle from this length on, mm: no ball of that radius is passed through so long.
-MIN_TUNNEL_LENGTH_MM = 2 * MM.TUNNEL
-
-
 def refuse_tunnels(surfaces: Sequence[Surface], needle: Floats) -> None:
     """Refuse layers that were drawn around a needle (N, 3), world, from base to tip.
 
@@ -234,8 +229,9 @@ def refuse_tunnels(surfaces: Sequence[Surface], needle: Floats) -> None:
 
     DataError if a surface, the tissue's own or another, runs around the needle.
     """
+    # no ball of that radius is passed through so long
     lengths = [(surface.name, measure_enclosed_length(needle, surface, MM.TUNNEL)) for surface in surfaces]
-    around = [f"{name} (along {length:.0f} mm)" for name, length in lengths if length >= MIN_TUNNEL_LENGTH_MM]
+    around = [f"{name} (along {length:.0f} mm)" for name, length in lengths if length >= 2 * MM.TUNNEL]
     if around:
         raise DataError(
             f"the layers run around the needle, so that it does not cross them: {', '.join(around)}",
@@ -267,7 +263,7 @@ def check_layers(
     soft = [(before, run) for before, run in pairwise(passed) if before.kind == run.kind == "soft"]
     arcs = [run.begin for _, run in soft if run.begin > 0]
     steps = np.interp(arcs, arc_length(points), frame.to_local(points)[:, 0])
-    allowed = np.maximum(MM.LAYER_MATCH, MAX_DISAGREEMENT_SD * layers.sd)
+    allowed = np.maximum(MM.MATCH, SD.DISAGREEMENT * layers.sd)
     near = np.abs(np.subtract.outer(layers.boundaries, steps)) <= allowed[:, None]
     shown, explained = np.any(near, axis=1), np.any(near, axis=0)
     if not shown.all() and not explained.all():
@@ -286,10 +282,6 @@ def check_layers(
             expected=f"{expected} layers",
             fix="correct the count or the surfaces; look at both together in 3D Slicer (LPS, RAS?)",
         )
-
-
-# Length beyond the tip over which the brightness is sampled, mm: the report shows where the needle ends.
-PROFILE_BEYOND_TIP_MM = 8.0
 
 
 # What the steps of a needle's reconstruction are called, and percent of its time that pass before each.
@@ -384,7 +376,9 @@ class VolumeSearch:
     @cached_property
     def bright(self) -> BrightVoxels:
         """The bright voxels, in which needle and balls are looked for."""
-        return list_bright_voxels(self.volume, median_tissue_hu(self.volume) + HU.LISTED_CONTRAST)
+        return list_bright_voxels(
+            self.volume, median_tissue_hu(self.volume) + PART.THRESHOLDS[-1] * HU.CLIPPED
+        )
 
     def find_markers(self, needle: Ints | None) -> MarkerResult:
         """Return the balls beside the needle (N, 3); DataError if nothing is bright enough."""
@@ -459,7 +453,7 @@ def _locate_tissue(
     if len(own):
         at, rises = float(own.min()), find_rises(found.brightness)
         edge, sd = min(((edge, sd) for _, edge, sd in rises), key=lambda e: abs(e[0] - at), default=(at, 0.0))
-        if abs(at - edge) > MAX_START_DISTANCE_MM + MAX_DISAGREEMENT_SD * sd:
+        if abs(at - edge) > MAX_START_DISTANCE_MM + SD.DISAGREEMENT * sd:
             raise DataError(
                 f"the needle crosses the tissue's own surface {abs(at - edge):.1f} mm "
                 f"{'behind' if at > edge else 'before'} the place where the scan shows "
@@ -660,10 +654,10 @@ def examine(
         needle = found.needle_axis.points
         # over four stations: the last step alone is too noisy a direction
         ahead, back = normalize(needle[-1] - needle[-5]), normalize(needle[0] - needle[4])
-        beyond = np.arange(0.5, PROFILE_BEYOND_TIP_MM + 0.5, 0.5)[:, None] * ahead
+        beyond = np.arange(MM.STATION, 2 * MM.BEYOND_END + 0.1, MM.STATION)[:, None] * ahead
         # a guide of metal cuts the needle: it is looked for before what was traced
-        reach = recipe.guide.thickness_mm + PROFILE_BEYOND_TIP_MM if recipe.guide.thickness_mm else 0.0
-        before = np.arange(reach, 0.0, -0.5)[:, None] * back
+        reach = recipe.guide.thickness_mm + 2 * MM.BEYOND_END if recipe.guide.thickness_mm else 0.0
+        before = np.arange(reach, 0.0, -MM.STATION)[:, None] * back
         points = np.vstack([needle[0] + before, needle, needle[-1] + beyond])
         found.profile = sample_profile(volume, points, arc_length(points) - reach)
     if found.error is not None:

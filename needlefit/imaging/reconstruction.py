@@ -161,8 +161,7 @@ PIXEL_MM = 0.3  # edge of a pixel, mm: finer than the voxels of a cone-beam scan
 SLAB_OFFSETS_MM = np.arange(-1.2, 1.3, 0.4)
 # How far pictures reach before the entry, beyond the tip and to the sides of the needle, mm.
 ENTRY_MARGIN_MM = 35.0  # mm
-TIP_MARGIN_MM = 10.0  # mm
-SIDE_MARGIN_MM = 10.0  # mm
+MARGIN_MM = 10.0  # mm
 
 
 def render_views(volume: Volume, patient: Frame, frame: Frame, needle: ArrayLike) -> tuple[ScanView, ...]:
@@ -176,12 +175,12 @@ def render_views(volume: Volume, patient: Frame, frame: Frame, needle: ArrayLike
     local = local[np.argsort(local[:, 0])]
     turned = Frame(patient.to_local(frame.origin[None])[0], patient.rotation.T @ frame.rotation)
     first = max(-ENTRY_MARGIN_MM, float(local[0, 0]) - 2.0)
-    right = _list_pixels(first, float(local[-1, 0]) + TIP_MARGIN_MM)
+    right = _list_pixels(first, float(local[-1, 0]) + MARGIN_MM)
     shown = local[local[:, 0] >= -ENTRY_MARGIN_MM]
     views, half = [], PIXEL_MM / 2
     for up, through in ((1, 2), (2, 1)):
         side = shown[:, up]
-        rows = _list_pixels(float(side.min()) - SIDE_MARGIN_MM, float(side.max()) + SIDE_MARGIN_MM)
+        rows = _list_pixels(float(side.min()) - MARGIN_MM, float(side.max()) + MARGIN_MM)
         points = np.empty((len(rows), len(right), len(SLAB_OFFSETS_MM), 3))
         points[..., 0] = right[None, :, None]
         points[..., up] = rows[:, None, None]

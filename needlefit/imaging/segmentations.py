@@ -12,7 +12,6 @@ from needlefit.imaging.volume import Volume
 from needlefit.imaging.volume_files import is_image_file, open_member, read_labels_file
 
 MAX_SEGMENTS = 64  # layers of a segmentation; a volume with more labels is a scan
-MAX_NAME_CHARS = 200
 EXPECTED_LABELS = (
     "a .seg.nrrd, or another volume (NRRD, NIfTI, MetaImage) of a whole number for each voxel's layer, 0 "
     "outside the tissue"
@@ -86,7 +85,7 @@ def _parse_segments(texts: Mapping[str, str]) -> tuple[Segment, ...]:
         if not re.fullmatch(r"[0-9]{1,5}", text):
             problem = f"its header states {text[:40]!r} where a segment has a whole number"
             raise DataError(problem, expected="numbers of up to 5 digits", fix=SAVE_FIX)
-        segments.append(Segment(int(text), texts.get(f"Segment{n}_Name", "").strip()[:MAX_NAME_CHARS]))
+        segments.append(Segment(int(text), texts.get(f"Segment{n}_Name", "").strip()))
     return tuple(segments)
 
 

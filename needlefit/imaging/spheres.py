@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 from scipy.special import j0, j1, ndtr
 
 from needlefit.arrays import Floats, Ints
-from needlefit.imaging.constants import MM, PART
+from needlefit.imaging.constants import MM, PART, SD
 from needlefit.imaging.point_spread import (
     HIGHEST,
     LOWEST,
@@ -139,11 +139,6 @@ def differentiate(near: SphereVoxels, theta: Floats) -> Floats:
     return np.stack([(render_sphere(near, theta + step) - here) / STEP_SIZE for step in steps], axis=1)
 
 
-# How far beyond the ball's surface the fit reaches, mm, or so many of the longest voxel edges.
-SOFT_LOSS_SD = 2.0  # residuals beyond so many deviations of the noise count less
-# Relative change of the cost at which the first fit ends, for the noise, and the second.
-FIRST_TOLERANCE = 1e-3  # of the first fit
-FINAL_TOLERANCE = 1e-4  # of the last
 FIRST_NOISE_PART = 0.05  # noise before it is known, in parts of the ball's brightness
 # Bounds and typical changes of the model's parameters.
 _RANGES = (
@@ -218,7 +213,7 @@ def _fit_model(near: SphereVoxels, first: Floats) -> tuple[Floats, Floats, Float
     known[PRIOR_COLUMNS] = (noise / _list_prior(near)[1]) ** 2
     bread = np.linalg.pinv(slopes.T @ slopes + np.diag(known), hermitian=True)
     scores = slopes * residuals[:, None]
-    length = max(MM.BALL_CORRELATION, float(near.spacing.max()))
+    length = max(MM.BALL_BLUR, float(near.spacing.max()))
     tree = cKDTree(near.places)
     apart = tree.sparse_distance_matrix(tree, length, output_type="ndarray")
     weight = (1 - apart["v"] / length)[:, None]
@@ -250,7 +245,7 @@ def select_voxels(volume: Volume, blob: Blob, radius: float) -> SphereVoxels:
     others[tuple((blob.voxels - low).T)] = False
     use = np.linalg.norm(places, axis=-1) <= reach
     if others.any():
-        use &= distance_transform_edt(~others, sampling=spacing) > MM.BALL_GUARD
+        use &= distance_transform_edt(~others, sampling=spacing) > MM.BALL_BLUR
     top, bottom = float(values.max()), float(values.min())
     ceiling = top if np.count_nonzero(values == top) > 3 else np.inf
     floor = bottom if np.count_nonzero(values == bottom) > 3 else -np.inf
@@ -304,8 +299,8 @@ def _minimize(near: SphereVoxels, first: Floats, noise: float, *, robust: bool) 
         jac=slopes,
         bounds=(LOWER_BOUNDS, UPPER_BOUNDS),
         loss="soft_l1" if robust else "linear",
-        f_scale=SOFT_LOSS_SD,
+        f_scale=SD.OUTLIER,
         x_scale=PARAMETER_SCALES,
-        ftol=FINAL_TOLERANCE if robust else FIRST_TOLERANCE,
+        ftol=PART.TOLERANCE * (1 if robust else 10),
         max_nfev=40,
     )

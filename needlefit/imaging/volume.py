@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from needlefit.arrays import Floats, are_bounded
 from needlefit.errors import DataError
-from needlefit.imaging.constants import HU
+from needlefit.imaging.constants import HU, PART
 from needlefit.project.input_files import is_dir, is_file, list_files, open_regular
 from needlefit.project.reader_process import MEMORY_VARIABLE, stated_memory_bytes
 
@@ -161,6 +161,7 @@ def check_size(size: tuple[int, int, int]) -> None:
         )
 
 
+MAX_LISTED = 10  # files or series that a message names
 IMAGE_SUFFIXES = (".nrrd", ".nhdr", ".nii", ".nii.gz", ".mha", ".mhd")
 ARCHIVE_SUFFIX = ".zip"
 READABLE_VOLUMES = (
@@ -234,14 +235,11 @@ class Volume:
         return top if len(bright) >= MIN_BRIGHTEST and shared < MAX_SHARED_FRACTION * len(bright) else None
 
 
-MIN_STEP_RATIO = 1.2  # distance of slices over that of columns and rows from which on they are the slices
-
-
 def turn_slices(volume: Volume) -> Volume:
     """Return a volume whose longest steps are along k, as scanners' are; itself if they are, or it leans."""
     longest = int(np.argmax(volume.spacing))
     ratio = float(volume.spacing[longest] / volume.spacing[2])
-    if ratio < MIN_STEP_RATIO or is_tilted(volume.direction):
+    if ratio < PART.FLATNESS or is_tilted(volume.direction):
         return volume
     order = [*np.delete(range(3), longest), longest]
     values = np.ascontiguousarray(volume.values.T.transpose(order).T)
@@ -315,7 +313,7 @@ def require_hounsfield(volume: Volume, where: str) -> None:
     HU have a fixed zero: what lies around any needle has values below it, be it air, or the noise of water.
     """
     low, high = float(volume.values.min()), float(volume.values.max())
-    if low >= 0 or high - low < HU.LEAST_RANGE:
+    if low >= 0 or high - low < HU.EDGE:
         raise DataError(
             f"its values, {low:.4g} to {high:.4g}, are no Hounsfield units of a scan with a needle",
             expected="air near -1000, water near 0, metal above 1000",

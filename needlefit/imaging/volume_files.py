@@ -15,6 +15,7 @@ from needlefit.errors import ConfigError, DataError
 from needlefit.imaging.volume import (
     ARCHIVE_SUFFIX,
     IMAGE_SUFFIXES,
+    MAX_LISTED,
     READABLE_VOLUMES,
     Volume,
     begins_as_dicom,
@@ -28,7 +29,6 @@ from needlefit.project.reader_process import MEMORY_VARIABLE, Arrays, read_in_pr
 
 CT_PACKAGES = ("SimpleITK", "pydicom", "nibabel")
 READ_SECONDS = 600.0  # of the processor, within which a file must be read: a damaged one may never end
-MAX_LISTED = 10  # files
 
 
 def read_volume(path: Path, series: str | None = None, acquisition: str | None = None) -> Volume:

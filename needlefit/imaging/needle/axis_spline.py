@@ -13,7 +13,7 @@ from needlefit.imaging.volume import Volume, to_index
 
 AXIS_HUBER_SD = 1.5  # residuals beyond so many deviations count less
 MAX_POINT_WEIGHT = 30.0  # a point counts at most for so many cross-sections
-REWEIGHTING_ROUNDS = 4  # rounds of reweighting
+ROUNDS = 3  # of moving sections to the middle, each on the axis before; reweighting takes one more
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ def fit_axis(s: Floats, points: Floats, weights: Floats, knot: float, tip: float
     basis = np.eye(len(knots) - 4) if tip is None else free_end_basis(knots)  # (C, F)
     matrix = design_matrix(s, knots) @ basis
     robust = np.ones(len(s))
-    for _ in range(REWEIGHTING_ROUNDS):
+    for _ in range(1 + ROUNDS):
         w = weights * robust
         normal = matrix.T @ (matrix * w[:, None])
         coefficients = np.linalg.solve(normal, matrix.T @ (points * w[:, None]))

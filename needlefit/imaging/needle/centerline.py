@@ -10,6 +10,7 @@ from needlefit.geometry.curves import arc_length
 from needlefit.geometry.smoothing_spline import SplineSections
 from needlefit.imaging.constants import HU, MM, PART
 from needlefit.imaging.needle.axis_spline import (
+    ROUNDS,
     AxisSpline,
     axis_frames,
     axis_sd,
@@ -28,7 +29,6 @@ from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
 BIN_LENGTH_MM = 2.0  # length of the pieces whose centroids are the first axis, mm
-AXIS_FIT_ROUNDS = 3  # rounds of fits across the axis, each on the axis of the one before
 MIN_SECTIONS = 8  # fewer do not make an axis
 MAX_TIPS = 4  # how often a tip is looked for: rays may hide the shaft before it
 
@@ -82,7 +82,7 @@ def trace_needle(
         # a rough tip near the axis' end, or near where a threshold sees the needle end
         guess = axis.length + heel
         ends = [fit_tip(volume, axis, recipe.needle, guess, spread, rough=True)]
-        while len(ends) < MAX_TIPS and MM.THRESHOLD < abs(ends[-1].disagreement) < np.inf:
+        while len(ends) < MAX_TIPS and MM.MATCH < abs(ends[-1].disagreement) < np.inf:
             at, away = ends[-1].at, ends[-1].disagreement
             guess = (max(guess, at) if away > 0 else at) + away  # a threshold sees 4 mm ahead only
             ends.append(fit_tip(volume, axis, recipe.needle, guess, spread, rough=True))
@@ -185,7 +185,7 @@ def refine_axis(
     """
     plane = disc_points(MM.PATCH)
     stop = max((axis.length if tip is None else tip) - heel, 8 * MM.STATION)
-    for round_ in range(AXIS_FIT_ROUNDS):
+    for round_ in range(ROUNDS):
         s = np.arange(0.0, stop, MM.STATION)
         values = sample_planes(volume, axis_frames(axis, s), plane)
         valid = np.isfinite(values).mean(axis=1) >= PART.IN_VOLUME
@@ -318,7 +318,7 @@ def _soft_lengths(volume: Volume, axis: AxisSpline) -> tuple[float, float]:
     plane = disc_points(5.0)
     values = sample_planes(volume, axis_frames(axis, s), plane[np.hypot(*plane.T) > 3.0])
     middle: Floats = np.nanmedian(values[np.isfinite(values).any(axis=1)], axis=1)
-    hard = np.flatnonzero((middle <= HU.NOT_AIR) | (middle >= HU.METAL))
+    hard = np.flatnonzero((middle <= HU.LIGHT) | (middle >= HU.METAL))
     if not len(hard):
         return float(len(middle)), float(len(middle))
     return float(hard[0]), float(len(middle) - 1 - hard[-1])

@@ -11,6 +11,7 @@ from needlefit.errors import DataError, located
 from needlefit.geometry.curves import arc_length
 from needlefit.imaging.constants import HU, MM, PART
 from needlefit.imaging.needle.axis_spline import (
+    ROUNDS,
     AxisSpline,
     disc_points,
     find_centroids,
@@ -31,7 +32,6 @@ from needlefit.schemas.reconstruction import ReconstructionRecord
 MASK_PIECE_MM = 4.0  # mm, length along a mask of which one point is taken
 MIN_POINTS = 3  # fewer do not show which way a needle bends
 STEP_MM = 1.0  # distance of the places at which the needle is looked for, mm
-ROUNDS = 3  # of moving the places to the needle's middle
 
 
 def read_mask_points(volume: Volume, path: Path) -> Floats:

@@ -7,11 +7,8 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.geometry.curves import make_normal
 from needlefit.imaging.constants import HU, MM, PART
-from needlefit.imaging.needle.axis_spline import AxisFrames, disc_points, sample_planes
+from needlefit.imaging.needle.axis_spline import ROUNDS, AxisFrames, disc_points, sample_planes
 from needlefit.imaging.volume import Volume
-
-STEP_MM = 0.5  # mm, between sections
-ROUNDS = 3  # rounds
 
 
 @dataclass(frozen=True)
@@ -24,8 +21,8 @@ class Hub:
 
 def find_hub(volume: Volume, points: Floats, diameter: float) -> Hub | None:
     """Return the hub before the first of some points (N, 3) on a needle, LPS, mm; None if there is none."""
-    middle = points[0]
-    plane, s = disc_points(MM.HUB_SIDE), np.arange(0.0, MM.HUB_REACH, STEP_MM)
+    middle, side = points[0], MM.HUB_RADIUS + MM.BLUR_REACH
+    plane, s = disc_points(side), np.arange(0.0, MM.HUB_REACH, MM.STATION)
     for _ in range(ROUNDS):
         lever = points[np.argmin(np.abs(np.linalg.norm(points - middle, axis=1) - MM.HUB_LEVER))]
         way = (middle - lever) / np.linalg.norm(middle - lever)
@@ -35,19 +32,19 @@ def find_hub(volume: Volume, points: Floats, diameter: float) -> Hub | None:
         tiled = (np.tile(one, (len(s), 1)) for one in (way, u, v))
         values = sample_planes(volume, AxisFrames(start + s[:, None] * way, *tiled), plane)
         bright = np.nan_to_num(values, nan=-np.inf) > HU.HUB
-        radius = MM.HUB_SIDE * np.sqrt(bright.mean(axis=1))
+        radius = side * np.sqrt(bright.mean(axis=1))
         wide = np.append(radius > PART.HUB_RADIUS * diameter, False)
         first = int(np.argmax(wide))
         last = first + int(np.argmin(wide[first:]))
-        length = (last - first) * STEP_MM
+        length = (last - first) * MM.STATION
         if length < MM.HUB_LENGTH:
             return None
-        part = slice(first, first + int(MM.HUB_END / STEP_MM))
+        part = slice(first, first + int(MM.HUB_LENGTH / MM.STATION))
         aside = np.mean([plane[one].mean(axis=0) for one in bright[part]], axis=0)
         middle = start + np.mean(s[part]) * way + aside[0] * u + aside[1] * v
     size = float(np.median(radius[first : first + 3]))
     cut = last < len(s) and bool(np.isnan(values[last]).any())
     if np.hypot(*aside) > size or size > MM.HUB_RADIUS or not (cut or length > 2 * size):
         return None
-    behind = length - MM.HUB_END / 2 + (MM.HUB_HIDDEN if cut else 0.0)
-    return Hub(np.stack([middle + behind * way, middle - MM.HUB_END / 2 * way]), size)
+    behind = length - MM.HUB_LENGTH / 2 + (MM.HUB_HIDDEN if cut else 0.0)
+    return Hub(np.stack([middle + behind * way, middle - MM.HUB_LENGTH / 2 * way]), size)

@@ -130,17 +130,20 @@ class Rod:
         chord, part, slant = chord[plane, c], part[plane, c], np.sqrt(1 + drift[c] ** 2)
         width = 2 * chord * part * slant
         place = across[c] + np.sign(np.cos(roll)) * chord * (1 - part) * slant
-        # every piece is a parallelogram, whose image is a trapezoid
-        sine, cosine = np.sin(self.views[0]), np.cos(self.views[0])
+        # every piece is a parallelogram, whose image is a trapezoid; in single precision it is twice as fast
         low, count = self.seen
-        width = width[:, None]
-        long = np.maximum(width * np.abs(cosine) / CELL_MM, 0.5)
-        wide = np.maximum(np.abs(drift[c][:, None] * cosine - sine) * COLUMN_MM / CELL_MM, 0.5)
-        middle = (place[:, None] * cosine - self.columns[c][:, None] * sine) / CELL_MM + self.half - low
-        height, outer = width * COLUMN_MM / CELL_MM / (long * wide), (long + wide) / 2
+        sine, cosine = np.sin(self.views[0]), np.cos(self.views[0])
+        turned = np.stack([sine, cosine, self.half - low]).astype(np.float32)
+        pieced = np.stack([width, place, drift[c], self.columns[c]])[..., None].astype(np.float32)
+        wide, middle = pieced[2] * turned[1] - turned[0], pieced[1] * turned[1] - pieced[3] * turned[0]
+        long = np.maximum(pieced[0] * np.abs(turned[1]) / CELL_MM, 0.5)
+        wide = np.maximum(np.abs(wide) * COLUMN_MM / CELL_MM, 0.5)
+        middle = middle / CELL_MM + turned[2]
+        height, outer = pieced[0] * COLUMN_MM / CELL_MM / (long * wide), (long + wide) / 2
         first = np.ceil(middle - outer)
         covered = np.arange(int(2 * outer.max(initial=0)) + 1)[:, None, None]  # cells, from the first on
-        parts = height * np.clip(outer - np.abs(first - middle + covered), 0, np.minimum(long, wide))
+        away = np.abs(first - middle + covered.astype(np.float32))
+        parts = height * np.clip(outer - away, 0, np.minimum(long, wide))
         # of each plane and view the cells from the first to the last that a piece covers are stored
         met, starts, pieces = np.unique(plane, return_index=True, return_counts=True)
         first = np.clip(first, 0, count - len(covered)).astype(np.int64)
@@ -169,8 +172,8 @@ class Rod:
             row[k * self.in_slice : k * self.in_slice + len(profile)] = profile / profile.sum()
         # an attenuation that is gamma distributed over the spectrum: the beam hardens
         passed = np.log1p(metal.data * np.float32(attenuation * variance / linear)) * np.float32(1 / variance)
-        stopped = csr_array((-np.expm1(-passed), metal.indices, metal.indptr), shape=metal.shape)
-        stopped = (csr_array(mix) @ stopped).toarray()
+        in_planes = csr_array((-np.expm1(-passed), metal.indices, metal.indptr), shape=metal.shape)
+        stopped = np.ascontiguousarray((in_planes.T @ mix.T).T)
         rows = np.flatnonzero(stopped.any(axis=1))
         stopped = stopped[rows]
         # a cell's aperture; views begin and end without metal

@@ -115,7 +115,7 @@ def _is_longer(volume: Volume, tube: Component, before: Component, recipe: Recon
     # a needle that runs in a slice fills its thickness
     diameter = recipe.needle.diameter_mm
     filled = np.sqrt(4 / np.pi * diameter * max(diameter, float(volume.spacing.max())))
-    if tube.width > PART.GROWTH_WIDENING * max(before.width, filled):
+    if tube.width > PART.CLEAR_WIDTH * max(before.width, filled):
         return False
     own = {tuple(voxel) for voxel in tube.voxels.tolist()}
     same = any(tuple(voxel) in own for voxel in before.voxels.tolist())
@@ -259,7 +259,7 @@ def measure_component(volume: Volume, voxels: Ints) -> Component:
 def median_tissue_hu(volume: Volume) -> float:
     """Return the median of all voxels that are not air (HU), from every third voxel along each axis."""
     some = volume.values[::3, ::3, ::3]
-    dense = some[some > HU.NOT_AIR]
+    dense = some[some > HU.LIGHT]
     return float(np.median(dense if dense.size > some.size / 100 else some))
 
 

@@ -32,16 +32,13 @@ from needlefit.schemas.reconstruction import ReconstructionRecord, ScannedNeedle
 MAX_CROSSED = 2.0  # a spline averages over the slices if more are crossed between two of its knots
 LINE_STEP_MM = 0.4  # mm, between samples across the needle
 LINE_STATION_MM = 1.0  # mm, between lines along the needle
-# Where a fit ends farther from the middle of these lines, they are laid anew; so many fits at most.
-MAX_ASIDE_MM = 0.4  # mm
+# Where a fit ends farther than that from the middle of these lines, they are laid anew.
 MAX_FITS = 2  # fits
-# Stations whose trend leads on to the end, that far ahead; slices on either side; a dark gap that ends it.
+# Stations whose trend leads on to the end, that far ahead; a dark gap that ends it.
 END_STATIONS = 12  # stations
 AHEAD_STATIONS = 25  # stations
-END_SLICES = 1  # slices
 MAX_DARK_STATIONS = 6  # stations
 MAX_SHORT_STATIONS = 4  # an end so far before that of a threshold is not believed; of others 1 at most
-MIN_END_MM = 0.5  # length of the axis beyond its last cross-section, at least, mm
 REACH_SLICES = 1.5  # distance, in slices beyond the radius, out to which slices are looked at
 SWAY_MM = 5.0  # how much farther across than the first axis rods are projected, mm
 KNOT_FACTOR = 1.6  # distance of the knots over that of the axis
@@ -90,8 +87,7 @@ MISSED_FACTOR = 1.3  # slices per relative error
 FLAT_FACTOR = 0.18  # of a slice
 HUB_WEIGHT = 5.0  # of a hub's middle in a first axis
 HUB_SDS = np.array([0.1, 0.3])  # deviations of a needle from its hub's middle, mm, and slices
-BRIGHT = 0.3  # of the needle's brightness: bright
-END_BRIGHT = 0.5  # the same: its end
+END_BRIGHT = 0.5  # of the needle's brightness: its end
 
 
 def place_in_slices(
@@ -135,7 +131,7 @@ def place_in_slices(
             return None
         theta, covariance, error = problem.solve()
         across, along, (end, roll), _ = problem.split(theta)
-        if np.abs(problem.at @ (across - problem.start[:, 0])).max() < MAX_ASIDE_MM:
+        if np.abs(problem.at @ (across - problem.start[:, 0])).max() < LINE_STEP_MM:
             break
         # the needle lies where its surroundings were looked for: sample the slices around it
         y, z = (_extend(_basis(problem.knots), x) @ np.stack([across, along], axis=1)).T
@@ -150,7 +146,7 @@ def place_in_slices(
     # where the axis lies at the sections of the one that was traced, and at its end: a curve that passes
     # sections beyond it, or others twice, and comes back would be too long
     places = (axis.points - origin) @ frame[0]
-    traced = (places < end - MIN_END_MM) & (places >= np.maximum.accumulate(places))
+    traced = (places < end - MM.STATION) & (places >= np.maximum.accumulate(places))
     places = np.append(places[traced], end)
     basis = _extend(_basis(problem.knots), places)
     beside = np.stack([across, along], axis=1)
@@ -191,7 +187,7 @@ def _find_end(volume: Volume, points: Floats) -> Floats:
     line = np.arange(-MM.PATCH, MM.PATCH + 1e-6, LINE_STEP_MM)
     across = (points[:, None] + line[:, None] * side / np.linalg.norm(side)).reshape(-1, 3)
     k = to_index(volume, across)[:, 2]
-    rises = [np.rint(k) + n - k for n in range(-END_SLICES, END_SLICES + 1)]  # to the slices, in slices
+    rises = [np.rint(k) + n - k for n in (-1, 0, 1)]  # to the slices, in slices
     up = volume.grid.slice_distance * volume.grid.normal
     there = [to_index(volume, across + rise[:, None] * up)[:, ::-1].T for rise in rises]
     shown = np.stack(
@@ -516,7 +512,7 @@ class _SliceProblem:
     def scale(self, image: Floats) -> Floats:
         """Return the deviations of what slices show (K, S, U) that residuals of `image` show."""
         seen, over = self.seen[..., None], np.abs(image - self.level)
-        bright = seen & (over > BRIGHT * np.percentile(over[self.seen], 97))
+        bright = seen & (over > PART.FAINT * np.percentile(over[self.seen], 97))
         left = np.abs(image - self.shown)
         noise = 1.48 * float(np.median(left[seen & ~bright]))
         error = 1.48 * float(np.median(left[bright] / over[bright]))

@@ -23,7 +23,7 @@ from scipy.spatial import cKDTree
 
 from needlefit.arrays import Floats, Ints
 from needlefit.errors import DataError
-from needlefit.imaging.constants import HU, MM, PART
+from needlefit.imaging.constants import HU, MM, PART, SD
 from needlefit.imaging.needle.axis_spline import AxisSpline, axis_frames, axis_sd, disc_points, sample_planes
 from needlefit.imaging.point_spread import (
     HIGHEST,
@@ -40,8 +40,6 @@ Singles = NDArray[np.float32]
 
 GRID_STEP_MM = 0.25  # spacing of the points on which the rod is modelled, mm
 FIBRES = 6  # fibres along the needle into which a grid's step is parted, in each direction across
-# Free space around what is looked at, mm: the transform repeats, and the blur must not reach round.
-MARGIN_MM = 2.0
 
 
 @dataclass(frozen=True)
@@ -59,10 +57,10 @@ class RodModel:
 
     @cached_property
     def _axes(self) -> tuple[Floats, Floats]:
-        """Points along s, and along u and v."""
-        count = next_fast_len(int((self.back + self.ahead + 2 * MARGIN_MM) / GRID_STEP_MM) + 1, real=True)
-        half = next_fast_len(int(2 * (self.aside + MARGIN_MM) / GRID_STEP_MM) + 1, real=True)
-        along: Floats = -self.back - MARGIN_MM + np.arange(count, dtype=np.float64) * GRID_STEP_MM
+        """Points along s, and along u and v: the transform repeats, and the blur must not reach round."""
+        count = next_fast_len(int((self.back + self.ahead + 2 * MM.BLUR_REACH) / GRID_STEP_MM) + 1, real=True)
+        half = next_fast_len(int(2 * (self.aside + MM.BLUR_REACH) / GRID_STEP_MM) + 1, real=True)
+        along: Floats = -self.back - MM.BLUR_REACH + np.arange(count, dtype=np.float64) * GRID_STEP_MM
         across: Floats = (np.arange(half, dtype=np.float64) - half // 2) * GRID_STEP_MM
         return along, across
 
@@ -93,7 +91,7 @@ class RodModel:
         ends = np.clip((-cut[None] - along[:, None, None]) / GRID_STEP_MM + 0.5, 0, 1)
         solid = np.zeros((len(along), len(across), len(across)), dtype=np.float32)
         solid[:, rows, columns] = np.mean(ends * weights, axis=2)
-        solid[along < along[0] + MARGIN_MM / 2] = 0
+        solid[along < along[0] + MM.BLUR_REACH / 2] = 0
         return rfftn(solid)
 
     @cached_property
@@ -137,9 +135,8 @@ class RodModel:
 # its end; the streak beyond it, HU.
 TIP, ROLL, U, V, HEIGHT, LEVEL, COT, BLUR, _, SLICE, DARK, STREAK = range(12)
 SPREAD = slice(7, 10)
-# How far the fit reaches back from the bevel's heel, and on from the first guess of the tip, mm.
+# How far the fit reaches back from the bevel's heel, mm.
 REACH_BEFORE_MM = 3.0  # mm
-REACH_AFTER_MM = 4.0  # mm
 CORE_REACH_MM = 0.9  # radius from which on voxels count less, mm: streaks
 START_OFFSETS_MM = np.arange(-3.0, 3.1, 0.75)  # starting points of the search around the first guess, mm
 # Positions around the best of these at which the side of the bevel is tried, mm.
@@ -147,7 +144,6 @@ FINE_OFFSETS_MM = np.arange(-0.8, 0.9, 0.4)
 SOFT_LOSS_SD = 3.0  # residuals beyond so many deviations of the noise count less
 ROUGH_STEPS = 8  # of a first fit
 STEPS = 30  # of a last fit
-TOLERANCE = 1e-4  # relative, of the cost, the parameters and the gradient: the end moves by less than 0.01 mm
 BLOCK_LENGTH_MM = 2.0  # length of the blocks of voxels whose residuals go together, mm
 DERIVATIVE_STEP = np.array(1e-3)  # relative step of the derivatives
 MAX_BEVEL_DEG = 85.0  # a bevel steeper than this has no side
@@ -164,8 +160,6 @@ UPPER_BOUNDS = np.array([*4 * [np.inf], np.log(5e4), 1000, 6, *HIGHEST, 2, 3000]
 # Bounds and typical changes of the parameters. No metal of needles exceeds 50 000 HU.
 PARAMETER_SCALES = np.array([0.2, 0.3, 0.1, 0.1, 0.1, 50, 0.3, 0.1, 0.3, 0.2, 0.1, 100])
 HELD = [U, V, HEIGHT, COT, *range(7, 10), DARK, STREAK]  # parameters of which something is known before
-# What is known before is not left by more deviations: artefacts would be taken for the needle's image.
-MAX_PRIOR_SD = 3.0
 # Deviations of the stated angle from which on the image contradicts it: right ones at most 1.0, bevels of 20
 # and 60 degrees for 30 have 3.0.
 MAX_BEVEL_PULL_SD = 2.5
@@ -198,14 +192,14 @@ class TipProblem:
         spread: PointSpread | None,
     ) -> None:
         heel = bevel_length(needle)
-        near = select_axis_voxels(volume, axis, guess - heel - REACH_BEFORE_MM, guess + REACH_AFTER_MM)
+        near = select_axis_voxels(volume, axis, guess - heel - REACH_BEFORE_MM, guess + MM.BEYOND_END)
         every = int(np.ceil(len(near.s) / MAX_FITTED_VOXELS))
         self.near = AxisVoxels(*(x[::every] for x in (near.s, near.u, near.v, near.values)))
         self.volume, self.axis, self.guess, self.radius = volume, axis, guess, needle.diameter_mm / 2
         self.rolled = needle.bevel_deg < MAX_BEVEL_DEG
         frame, normal = axis_frames(axis, np.array([guess])), volume.grid.normal
         # the tip may be found 4 mm from where it is looked for
-        back, ahead = heel + REACH_BEFORE_MM + 4.0, REACH_AFTER_MM + 4.0
+        back, ahead = heel + REACH_BEFORE_MM + MM.BEYOND_END, 2 * MM.BEYOND_END
         slices = (float(frame.tangents[0] @ normal), float(frame.u[0] @ normal), float(frame.v[0] @ normal))
         self.rod = RodModel(needle.diameter_mm / 2, back, ahead, MM.PATCH + 0.5, slices)
         top = float(near.values.max())  # where several voxels share it the scanner's numbers end
@@ -234,12 +228,13 @@ class TipProblem:
         sds = (swing_sd, swing_sd, HEIGHT_SD, cot_sd, *known.sds, dark_sd, HU.STREAK_SD)
         self.sds = np.array(sds)
         low, high = LOWER_BOUNDS.copy(), UPPER_BOUNDS.copy()
-        low[HELD] = np.maximum(low[HELD], self.means - MAX_PRIOR_SD * self.sds)
-        high[HELD] = np.minimum(high[HELD], self.means + MAX_PRIOR_SD * self.sds)
+        # beyond what is known before artefacts would be taken for the needle's image
+        low[HELD] = np.maximum(low[HELD], self.means - SD.DISAGREEMENT * self.sds)
+        high[HELD] = np.minimum(high[HELD], self.means + SD.DISAGREEMENT * self.sds)
         self.bounds = low, high
         core = np.sqrt(1 + (np.hypot(self.near.u, self.near.v) / CORE_REACH_MM) ** 4)
         metal = np.clip(self.near.values - self.level, 0, None)
-        beyond, noise = near.values[near.s > guess + 0.5 * REACH_AFTER_MM], 50.0
+        beyond, noise = near.values[near.s > guess + 0.5 * MM.BEYOND_END], 50.0
         if beyond.size >= 20:
             noise = max(10.0, 1.48 * float(np.median(np.abs(beyond - np.median(beyond)))))
         self.sigma = core * np.hypot(noise, PART.SIGNAL_ERROR * metal)
@@ -311,9 +306,9 @@ class TipProblem:
             f_scale=SOFT_LOSS_SD,
             x_scale=PARAMETER_SCALES,
             diff_step=DERIVATIVE_STEP,
-            ftol=TOLERANCE,
-            xtol=TOLERANCE,
-            gtol=TOLERANCE,
+            ftol=PART.TOLERANCE,
+            xtol=PART.TOLERANCE,
+            gtol=PART.TOLERANCE,
             max_nfev=steps,
         )
 
@@ -461,7 +456,7 @@ def fit_tip(
     away = problem.threshold_disagreement(best.x)
     # how dark the streak beyond the end is shows how much the rays hide of it
     hidden = PART.HIDDEN_END_SD * problem.ray
-    hidden *= min(1.0, float(np.hypot(PART.HIDDEN, best.x[STREAK] / HU.HIDING_STREAK)))
+    hidden *= min(1.0, float(np.hypot(PART.HIDDEN, 2 * best.x[STREAK] / HU.STREAK_SD)))
     parts = [np.sqrt(variance[TIP]), MM.TIP_SD, PART.THRESHOLD_SD * away, hidden]
     if volume.resampled_top is not None:
         parts.append(PART.RESAMPLED_SD * float(volume.spacing.max()))
@@ -471,7 +466,7 @@ def fit_tip(
     across = float(np.linalg.norm([np.sqrt(variance[[U, V]].mean()), heel, missed]))
     at = float(best.x[TIP])
     source: TipSource = "model"
-    believed = along <= MM.MODEL_TIP_SD and abs(away) <= MM.THRESHOLD
+    believed = along <= MM.MODEL_TIP_SD and abs(away) <= MM.MATCH
     if not rough and not believed:
         if not np.isfinite(away):
             raise DataError(

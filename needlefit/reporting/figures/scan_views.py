@@ -64,7 +64,7 @@ def _choose_window(views: tuple[ScanView, ...]) -> tuple[Floats, Floats]:
     they are. Metal and its bloom are bright whatever the tissue is: the brighter tenth does not count.
     """
     shown = np.concatenate([view.values[np.isfinite(view.values)] for view in views])
-    tissue = shown[shown > HU.NOT_AIR]
+    tissue = shown[shown > HU.LIGHT]
     if tissue.size == 0:
         return np.array([-1000.0, 3000.0]), np.array([0.0, 1.0])
     low, middle, high = np.quantile(tissue, (0.03, 0.5, 0.9))
