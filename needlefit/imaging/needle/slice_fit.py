@@ -14,7 +14,6 @@ import numpy as np
 from scipy.interpolate import BSpline
 from scipy.ndimage import map_coordinates
 from scipy.sparse import csr_array
-from scipy.special import erf
 
 from needlefit.arrays import Bools, Floats
 from needlefit.errors import DataError
@@ -24,7 +23,7 @@ from needlefit.imaging.constants import MM, PART
 from needlefit.imaging.needle.axis_spline import AxisSpline, axis_sd, correlation_factor, fit_axis
 from needlefit.imaging.needle.hub import Hub, find_hub
 from needlefit.imaging.needle.rod_projection import COLUMN_MM, SENSITIVITY_AT, Rod
-from needlefit.imaging.needle.tip import MAX_BEVEL_DEG, MIN_BEVEL_PROBABILITY, TipFit
+from needlefit.imaging.needle.tip import MAX_BEVEL_DEG, MIN_BEVEL_PROBABILITY, TipFit, side_probability
 from needlefit.imaging.point_spread import PointSpread, expected_spread
 from needlefit.imaging.volume import Volume, to_index
 from needlefit.schemas.reconstruction import ReconstructionRecord, ScannedNeedleRecord
@@ -167,7 +166,7 @@ def place_in_slices(
             np.linalg.norm([*sds[:, -1] / np.sqrt(2), MM.SLICE_TIP_SD]),
         ]
     )
-    probability = float(erf(np.pi / 2 / np.sqrt(2) / (ROLL_FACTOR * roll_sd))) if rolled else np.nan
+    probability = side_probability(ROLL_FACTOR * float(roll_sd)) if rolled else np.nan
     sided = probability >= MIN_BEVEL_PROBABILITY
     bevel = np.cos(roll) * frame[1] + np.sin(roll) * normal if sided else np.full(3, np.nan)
     return placed, TipFit(float(s[-1]), points[-1], sd, bevel, probability, 0.0, "model", error)

@@ -20,6 +20,7 @@ from scipy.fft import irfftn, next_fast_len, rfftn
 from scipy.ndimage import map_coordinates
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.spatial import cKDTree
+from scipy.special import erf
 
 from needlefit.arrays import Floats, Ints
 from needlefit.errors import DataError
@@ -147,9 +148,7 @@ STEPS = 30  # of a last fit
 BLOCK_LENGTH_MM = 2.0  # length of the blocks of voxels whose residuals go together, mm
 DERIVATIVE_STEP = np.array(1e-3)  # relative step of the derivatives
 MAX_BEVEL_DEG = 85.0  # a bevel steeper than this has no side
-# By which artefacts near the tip weaken what its image shows of the bevel, beyond the blocks' errors.
-ARTEFACT_FACTOR = 30.0
-ROLL_STEPS = 24  # angles of the bevel, all round, at which its likelihood is evaluated
+ROLL_FACTOR = 5.5  # of the roll's deviation: artefacts near the tip, beyond the blocks' errors
 HEIGHT_SD = 0.7  # deviation of the logarithm of the metal's brightness
 # Deviation of the darkening, by the length of the needle that rays pass [R].
 DARK_SD_PER_MM = 0.02  # of the logarithm, 1/mm
@@ -173,6 +172,11 @@ class AxisVoxels:
     u: Floats
     v: Floats
     values: Floats
+
+
+def side_probability(roll_sd: float) -> float:
+    """Return the probability that a bevel's point lies within 90 degrees of a roll of deviation `roll_sd`."""
+    return float(erf(np.pi / 2 / np.sqrt(2) / roll_sd))
 
 
 def bevel_length(needle: ScannedNeedleRecord) -> float:
@@ -291,9 +295,11 @@ class TipProblem:
             return best, np.nan
         stated, self.sds[known] = self.sds[known], np.inf
         self.bounds[0][COT], self.bounds[1][COT] = LOWER_BOUNDS[COT], UPPER_BOUNDS[COT]
-        free = self._minimize(best.x, STEPS)
+        starts = (best.x, best.x + np.pi * np.eye(12)[ROLL])
+        free = min((self._minimize(start, STEPS) for start in starts), key=lambda fitted: fitted.cost)
         if self.misfit(free.x) < PART.BEVEL_MISFIT * self.misfit(best.x):
-            return free, float(np.degrees(np.arctan2(1.0, free.x[COT])))
+            contradicted = abs(free.x[COT] - self.means[known]) > MAX_BEVEL_PULL_SD * stated
+            return free, float(np.degrees(np.arctan2(1.0, free.x[COT]))) if contradicted else np.nan
         self.sds[known] = stated
         return best, np.nan
 
@@ -335,27 +341,6 @@ class TipProblem:
         shown, inner = self.show(theta, near.s - theta[TIP], u, v), np.hypot(u, v) < 2 * self.radius
         left, over = (shown - near.values)[inner], (shown - theta[LEVEL])[inner]
         return float(np.linalg.norm(left) / np.linalg.norm(over))
-
-    def bevel_probability(self, best: OptimizeResult, covariance: Floats) -> float:
-        """Return the probability that the bevel's point lies on the fitted side, within 90 degrees."""
-        jacobian = best.jac
-        others = np.delete(jacobian, ROLL, axis=1)
-        basis = np.linalg.qr(others)[0]
-        naive = 1 / max(
-            float(np.sum((jacobian[:, ROLL] - basis @ (basis.T @ jacobian[:, ROLL])) ** 2)), 1e-12
-        )
-        temper = ARTEFACT_FACTOR * max(1.0, float(covariance[ROLL, ROLL]) / naive)
-        turns = np.arange(ROLL_STEPS) * 2 * np.pi / ROLL_STEPS
-        costs = []
-        for turn in turns:
-            left = self.residuals(best.x + turn * np.eye(12)[ROLL])
-            change = left - best.fun
-            change -= basis @ (basis.T @ change)
-            moved = best.fun + change
-            costs.append(SOFT_LOSS_SD**2 * np.sum(np.sqrt(1 + (moved / SOFT_LOSS_SD) ** 2) - 1) / temper)
-        likelihood = np.exp(min(costs) - np.array(costs))
-        near = np.cos(turns) > 1e-9
-        return float(likelihood[near].sum() / likelihood.sum())
 
     def threshold_disagreement(self, theta: Floats) -> float:
         """Return by how much a threshold, half way up to the shaft, sees the needle end later than the model.
@@ -478,7 +463,8 @@ def fit_tip(
         at, along, source = at + away, float(np.linalg.norm(limits)), "threshold"
     there = axis_frames(axis, np.array([at]))
     u, v, roll = there.u[0], there.v[0], best.x[ROLL]
-    probability = problem.bevel_probability(best, covariance) if problem.rolled and not rough else np.nan
+    shown = problem.rolled and not rough
+    probability = side_probability(ROLL_FACTOR * float(np.sqrt(variance[ROLL]))) if shown else np.nan
     sided = probability >= MIN_BEVEL_PROBABILITY and source == "model"
     bevel = np.cos(roll) * u + np.sin(roll) * v if sided else np.full(3, np.nan)
     point = there.origins[0] + best.x[U] * u + best.x[V] * v
