@@ -650,6 +650,22 @@ def test_tips_stand_beside_shapes(tmp_path):
     assert [row.side for row in plan.rows] == [-1, 1] and made["entry_point"] == ("first", "assumed")
 
 
+def test_readings_and_points_have_errors_of_their_own(tmp_path):
+    """What a file states of its needles is theirs; the least is that of the dataset."""
+    shapes = [("a", x, 6e-4 * x**2, 0.2) for x in range(0, 61, 5)]
+    write_table(file := tmp_path / "a.csv", "needle,x [mm],y [mm],sd [mm]", shapes)
+    runs = [("r", x, 6e-4 * x**2) for x in range(0, 61, 10)]
+    write_table(tracks := tmp_path / "b.csv", "run,depth [mm],deflection [mm]", runs)
+    stated = {"pose": "1,0,0", "entry_point": "0,0,0", "bevel": "0,1,0", "specimen": "block"}
+    write_placed(out := tmp_path / "out", [file, tracks], point_sd="0.05", **stated)
+    data = read(out)
+    assert {one.id: data.noise.of(one).point_sd for one in data.insertions} == {"a": 0.2, "r": 0.05}
+    write_table(tracks, "run,depth [mm],deflection [mm],sd [mm]", [(*row, 0.4) for row in runs])
+    write_placed(out := tmp_path / "other", [file, tracks], **stated)
+    data = read(out)
+    assert {one.id: data.noise.of(one).point_sd for one in data.insertions} == {"a": 0.2, "r": 0.4}
+
+
 def test_times_and_places_of_a_tip_beside_its_guide_are_tracks(tmp_path):
     rows = [("r", 0.5 * n, 4 * n, 0.004 * n**2, 80, 0) for n in range(9)]
     write_table(file := tmp_path / "a.csv", "run,time [s],tip x,tip y,guide x,guide y", rows)

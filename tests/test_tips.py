@@ -142,14 +142,16 @@ def written(folder: Path, rows: str, toml: str = TOML) -> Path:
 
 def test_a_table_of_depths_and_deflections_is_a_dataset(tmp_path: Path) -> None:
     rows = (
-        "id,hole,depth_mm,bevel_side,tip_y_mm,tip_sd_mm\na,h,40,1,2.5,\nb,h,60,1,5.5,0.2\nc,k,60,-1,-5.0,\n"
+        "id,hole,depth_mm,bevel_side,tip_y_mm,point_sd_mm\na,h,40,1,2.5,\nb,h,60,1,5.5,0.2\nc,k,60,-1,-5.0,\n"
     )
     data = read(written(tmp_path, rows))
     first, second, third = data.insertions
     assert [one.deflection for one in data.insertions] == pytest.approx([2.5, 5.5, 5.0])
     assert [one.observed for one in data.insertions] == ["tip"] * 3 == list(data.to_frame()["observed"])
     assert (first.hole, second.hole, first.directions) == ("h", "h", 1)
-    assert second.sd is not None and second.sd[-1] == 0.2 and third.sd is None
+    assert [data.noise.of(one).point_sd for one in data.insertions] == [0.1, 0.2, 0.1]
+    covariances = [make_observation(data, one).point_covariance for one in (second, third)]
+    assert np.ravel(covariances) == pytest.approx([0.04, 0.01])
     assert data.compared == "plane" and data.pose == "known"
 
 
@@ -159,7 +161,7 @@ def test_a_table_of_depths_and_deflections_is_a_dataset(tmp_path: Path) -> None:
         ("id,depth_mm,tip_y_mm\na,40,\n", "nothing was measured of a"),
         ("id,depth_mm,tip_y_mm\na,40,41\n", "41 mm off the entry line"),
         ("id,depth_mm,tip_y_mm,tip_z_mm\na,40,,1\n", "tip_z_mm"),
-        ("id,depth_mm,tip_y_mm,tip_sd_mm\na,40,1,-1\n", "tip_sd_mm is negative"),
+        ("id,depth_mm,tip_y_mm,point_sd_mm\na,40,1,-1\n", "point_sd_mm is negative"),
     ],
 )
 def test_what_is_wrong_with_a_tip_is_named(tmp_path: Path, rows: str, expected: str) -> None:

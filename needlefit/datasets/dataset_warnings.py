@@ -154,7 +154,9 @@ def find_bend_side(insertion: Insertion, noise: Noise) -> BendSide:
         parabola = np.polyfit(x - x[0], y, 2)
         bend = float(parabola[0] * (x[-1] - x[0]) ** 2)  # the deflection from its first tangent
         scatter = float(np.sqrt(np.mean((y - np.polyval(parabola, x - x[0])) ** 2)))
-        noise_sd = SIGNIFICANT_SD * float(np.hypot(scatter, np.hypot(noise.point_sd, noise.correlated_sd)))
+        noise_sd = SIGNIFICANT_SD * float(
+            np.hypot(scatter, np.hypot(noise.of(insertion).point_sd, noise.correlated_sd))
+        )
         measures.append((bend, max(least if guide else 0.5 * least, noise_sd)))
     if guide is None:
         limit = max(least, SIGNIFICANT_SD * compute_deflection_sd(insertion, noise))

@@ -54,6 +54,10 @@ class Noise:
         """Return the correlation (K, K) of the correlated part at arc lengths `s` (K,), mm."""
         return np.exp(-np.abs(s[:, None] - s) / self.correlation_length)
 
+    def of(self, insertion: "Insertion") -> "Noise":
+        """Return the noise of an insertion, whose points may err by more or less than others."""
+        return self if insertion.point_sd is None else replace(self, point_sd=insertion.point_sd)
+
     @property
     def stated(self) -> bool:
         """Whether an error is stated for the points of a centreline."""
@@ -143,6 +147,8 @@ class Insertion(InsertionInputs):
         Distance from a clamping guide to the entry, mm, where it is known.
     sd : (N,) array or None
         Standard deviation of each point in any one direction across the needle, mm, where it is known.
+    point_sd : float or None
+        Standard deviation of the independent noise of its points, per axis, mm; None: that of the dataset.
     independent : int or None
         Number of points with errors of their own, where the others were interpolated; None: all.
     surfaces : tuple of Surface
@@ -200,6 +206,7 @@ class Insertion(InsertionInputs):
     points: Floats
     boundary_sd: float
     sd: Floats | None = None
+    point_sd: float | None = None
     independent: int | None = None
     surfaces: tuple[Surface, ...] = ()
     patient: Frame = IDENTITY_FRAME
@@ -223,7 +230,7 @@ class Insertion(InsertionInputs):
     @property
     def states_errors(self) -> bool:
         """Whether the errors of what was measured stand with it, whatever noise its dataset states."""
-        return self.sd is not None or self.observed == "curvature"
+        return self.sd is not None or self.point_sd is not None or self.observed == "curvature"
 
     @property
     def is_posed(self) -> bool:

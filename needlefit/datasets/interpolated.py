@@ -52,15 +52,17 @@ def mark_interpolated(listed: Sequence[ListedInsertion], noise: Noise) -> list[L
 
     Where even few points of all needles hardly scatter, the stated SD is too large, and nothing is known.
     """
-    curves = [entry.insertion.points for entry in listed if entry.is_curve]
-    few = [_measure_scatter(points[::-1][:: _find_largest_step(len(points))]) for points in curves]
-    least = SCATTER_RATIOS[0] * noise.point_sd
-    if not noise.point_sd or math.hypot(*few) < least * math.sqrt(len(few)):
+    curves = [entry.insertion for entry in listed if entry.is_curve]
+    reversed_points = [curve.points[::-1] for curve in curves]
+    few = [_measure_scatter(points[:: _find_largest_step(len(points))]) for points in reversed_points]
+    least = SCATTER_RATIOS[0] * math.hypot(*(noise.of(curve).point_sd for curve in curves))
+    if not noise.point_sd or math.hypot(*few) < least:
         return list(listed)
     return [
         replace(entry, insertion=replace(entry.insertion, independent=count))
         if entry.is_curve
-        and (count := count_independent(entry.insertion.points, noise.point_sd)) < len(entry.insertion.points)
+        and (count := count_independent(entry.insertion.points, noise.of(entry.insertion).point_sd))
+        < len(entry.insertion.points)
         else entry
         for entry in listed
     ]

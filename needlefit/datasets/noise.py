@@ -71,7 +71,7 @@ def state_tip_errors(dataset: Dataset, insertion: Insertion) -> TipErrors:
     An alignment takes a part of the errors away: where there is one they are stated too large. Needles with
     a scan of their own have no registration in common; of others it is not known whether they have.
     """
-    noise, pose = dataset.noise, find_pose(dataset.pose, insertion)
+    noise, pose = dataset.noise.of(insertion), find_pose(dataset.pose, insertion)
     correlated = noise.correlated_sd if insertion.sd is None else float(insertion.sd[-1])
     turned = (
         insertion.pose_angle_sd * float(insertion.points[-1, 0]) if pose in ("known", "direction") else 0.0
@@ -95,7 +95,7 @@ def draw_measurement_errors(
     The shift is the larger of the stated registration error and the row's pose deviation, which are
     often the same error stated twice.
     """
-    noise, curve = dataset.noise, insertion.points
+    noise, curve = dataset.noise.of(insertion), insertion.points
     shift = max(noise.registration_mean / MEAN_NORM_PER_SD, insertion.pose_shift_sd)
     angle = insertion.pose_angle_sd
     if find_pose(dataset.pose, insertion) in ("free", "tracker"):
@@ -116,7 +116,7 @@ def _draw_errors_along_z(
 ) -> Floats:
     """Draw by how much each measured point errs out of the plane, (draws, N, 1) mm."""
     s = insertion.measure_arc("plane")
-    points = draw_point_noise(s, dataset.noise, rng, draws)[..., :1]
+    points = draw_point_noise(s, dataset.noise.of(insertion), rng, draws)[..., :1]
     if find_pose(dataset.pose, insertion) in ("free", "tracker"):
         return points
     shift = max(dataset.noise.registration_mean / MEAN_NORM_PER_SD, insertion.pose_shift_sd)

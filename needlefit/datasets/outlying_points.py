@@ -51,7 +51,7 @@ def find_point_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> dict
 def sd_of_points(insertion: Insertion, noise: Noise, rounding: float) -> Floats:
     """Return the standard deviation of each point (N,), mm; that of rounding counts as half a step."""
     own_sds = np.zeros(len(insertion.points)) if insertion.sd is None else insertion.sd
-    shared = (noise.point_sd, noise.correlated_sd, rounding / 2, MIN_SCATTER_MM)
+    shared = (noise.of(insertion).point_sd, noise.correlated_sd, rounding / 2, MIN_SCATTER_MM)
     return np.hypot(own_sds, math.hypot(*shared))
 
 

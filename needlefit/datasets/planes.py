@@ -29,7 +29,7 @@ PLANAR_TURN_SINE = 1e-6  # sine of a turn up to which it is one by 0 or 180 degr
 def compute_entry_sd(insertion: Insertion, noise: Noise) -> float:
     """Return the standard deviation of a first point, along any axis, by points and pose, mm."""
     shift = max(noise.registration_mean / MEAN_NORM_PER_SD, insertion.pose_shift_sd)
-    return math.hypot(shift, noise.point_sd, noise.correlated_sd)
+    return math.hypot(shift, noise.of(insertion).point_sd, noise.correlated_sd)
 
 
 def compute_deflection_sd(insertion: Insertion, noise: Noise) -> float:

@@ -44,15 +44,16 @@ def find_scatter_warnings(
     """
     scattered = []
     for insertion in insertions:
+        point_sd = noise.of(insertion).point_sd
         stated_sd = 0.0 if insertion.sd is None else float(np.sqrt(np.mean(insertion.sd**2)))
-        stated = math.hypot(stated_sd, noise.point_sd, noise.correlated_sd)
+        stated = math.hypot(stated_sd, point_sd, noise.correlated_sd)
         if stated >= SD_MM[0] and not math.isnan(scatter := measure_scatter(insertion)):
-            scattered.append((scatter, stated))
+            scattered.append((scatter, stated, point_sd))
     if not scattered:
         return
-    scatter, stated = np.sqrt(np.mean(np.square(scattered), axis=0))
+    scatter, stated, point_sd = np.sqrt(np.mean(np.square(scattered), axis=0))
     # errors that neighbours share, and those of a column, need not scatter
-    too_large = scatter < SCATTER_RATIOS[0] * noise.point_sd and not is_smoothed
+    too_large = scatter < SCATTER_RATIOS[0] * point_sd and not is_smoothed
     if too_large or scatter > SCATTER_RATIOS[1] * stated:
         problem = f"points scatter by {scatter:.2g} mm about smooth curves, and {stated:.2g} mm are stated"
         fix = "state the noise of repeated measurements" + (

@@ -9,7 +9,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from needlefit.arrays import Floats, pad_axis
-from needlefit.datasets.columns import NEEDLE_COLUMN, SETUP_COLUMN
+from needlefit.datasets.columns import NEEDLE_COLUMN, POINT_SD_COLUMN, SETUP_COLUMN
 from needlefit.datasets.digests import digest_track
 from needlefit.datasets.faults import Fault
 from needlefit.datasets.formats.csv import CsvTable, note_missing_columns, parse_numbers, rename_columns
@@ -25,7 +25,7 @@ REQUIRED_TRACK_COLUMNS = ("id", "medium", "depth_mm", "tip_mm", "guide_mm")
 # Columns that may be absent or have empty cells, with their default values.
 OPTIONAL_TRACK_COLUMNS = {
     **{"heading_deg": np.nan, "tip_z_mm": np.nan, "guide_z_mm": 0.0, "heading_z_deg": np.nan},
-    **{"bevel_side": 1.0, "bevel_roll_deg": 0.0, "valid": 1.0},
+    **{"bevel_side": 1.0, "bevel_roll_deg": 0.0, "valid": 1.0, POINT_SD_COLUMN: np.nan},
 }
 # Least number of readings of a run: shift and slope take two, and a bend needs more than one.
 MIN_READINGS = 5  # at an import fewer depths of one hole are insertions of their own
@@ -167,7 +167,11 @@ def parse_tracks(
             (np.array(medium.boundaries_mm or ()), medium.sequence),
             tuple((float(starts[n]), float(roll[n])) for n in turned),
         )
-        setup = str(columns_of_track[SETUP_COLUMN][0])
+        setup, sd = str(columns_of_track[SETUP_COLUMN][0]), float(columns_of_track[POINT_SD_COLUMN][0])
+        if np.isnan(sd):
+            del columns_of_track[POINT_SD_COLUMN]  # digests are those of tables without the column
+        else:
+            track = replace(track, point_sd=sd)
         yield replace(track, setup=setup, digest=digest_track(str(media[rows[0]]), columns_of_track, record))
 
 

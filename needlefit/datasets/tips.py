@@ -27,7 +27,7 @@ def name_observed(row: InsertionRow, is_curve: bool) -> str:
 
 def find_tip_faults(row: InsertionRow, where: str, pose: Pose) -> Iterator[Fault]:
     """Yield what is wrong with an insertion of which no shape was measured, in a dataset of this `pose`."""
-    tip_y, tip_z, _ = TIP_COLUMNS
+    tip_y, tip_z = TIP_COLUMNS
     if pose != "known":
         yield DataError(
             f"no shape was measured of {row.id}, and its pose is not known",
@@ -80,8 +80,7 @@ def place_tip(row: InsertionRow, path: Path) -> tuple[InsertionRow, Points]:
         local = _integrate_curvature(row)
     else:
         local = np.array([np.zeros(3), [row.depth, row.tip_y, row.tip_z or 0.0]])
-    sd = None if row.tip_sd is None else np.full(len(local), row.tip_sd)
-    points = Points(path, frame.to_world(local), np.full(len(local), row.line), sd)
+    points = Points(path, frame.to_world(local), np.full(len(local), row.line))
     return replace(row, bevel=bevel), points
 
 

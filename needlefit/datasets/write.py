@@ -24,6 +24,7 @@ from needlefit.datasets.columns import (
     OBSERVED_COLUMN,
     OBSERVED_PREFIX,
     POINT_COLUMNS,
+    POINT_SD_COLUMN,
     ROLL_COLUMNS,
     SCAN_COLUMNS,
     SCAN_ROTATION_COLUMNS,
@@ -45,7 +46,7 @@ from needlefit.schemas.dataset import DatasetRecord
 # Columns that are written where a row states anything else than the default of their field.
 OPTIONAL_COLUMNS = (
     *(NEEDLE_COLUMN, BOUNDARIES_COLUMN, SHARED_COLUMN, HOLE_COLUMN),
-    *(*TIP_COLUMNS, OBSERVED_COLUMN, BASE_SHIFT_COLUMN),
+    *(*TIP_COLUMNS, POINT_SD_COLUMN, OBSERVED_COLUMN, BASE_SHIFT_COLUMN),
 )
 
 

@@ -108,13 +108,14 @@ class Planner(CurveAnswers):
             placed = [curve.name for curve in tips.curves if len(curve.line) and not curve.is_deflection]
             entries = shapes.settle_entry_points(poses, join_names(placed, 5))
         first, last = len(shapes.curves), len(shapes.curves) + len(tips.curves)
-        beside = make_tips(tips, own_sds[first:last]) if tips.curves else []
+        beside = make_tips(tips, min(own_sds[first:last])) if tips.curves else []
         depths = self.settle_layers()
         further = [*beside, *runs]
         needles = self.settle_needles(
             [*(curve.length for curve in shapes.curves), *(row.depth for row in further)]
         )
-        rows = shapes.make_rows(poses, entries, sd, depths[:first], needles[:first]) if first else []
+        shape_sd = min(own_sds[:first], default=sd)
+        rows = shapes.make_rows(poses, entries, shape_sd, depths[:first], needles[:first]) if first else []
         rows += set_layers(beside, depths[first:last])
         if any(depths[:last]) or self.surfaces:
             errors = [
@@ -122,7 +123,9 @@ class Planner(CurveAnswers):
                 for answer in self.part(self.curves[:last]).each("boundary_sd")
             ]
             rows = [replace(row, boundary_sd=error) for row, error in zip(rows, errors, strict=True)]
-        rows = self.add_names([*rows, *runs], is_track=bool(runs))
+        pairs = zip((*rows, *runs), own_sds, strict=True)
+        rows = [replace(row, point_sd=None if own == sd else own) for row, own in pairs]
+        rows = self.add_names(rows, is_track=bool(runs))
         rows, parameters = self.settle_guide_distance(rows, needles, is_track=bool(runs))
         if any(curve.is_deflection for curve in self.curves) and "deflection" not in self.settler.assumed:
             zero = "shift and slope of each run are fitted" if runs else "from the line of insertion"
@@ -131,14 +134,8 @@ class Planner(CurveAnswers):
         return choose_track_study(tracks, plan) if runs else plan
 
     def settle_point_sds(self) -> list[float]:
-        """Return the standard deviation of a point of each needle, mm; DataError if of curves it differs."""
-        sds = self.each("point_sd")
-        other = next((answer for answer in sds if answer.shown != sds[0].shown), None)
-        if other is not None and {curve.holds for curve in self.curves} != {"tips"}:
-            raise other.error(
-                "point_sd", f"{sds[0].shown}, as of the others, or a column sd beside the points"
-            )
-        return [answer.to_number("point_sd", is_above=True) for answer in sds]
+        """Return the standard deviation of a point of each needle, mm."""
+        return [answer.to_number("point_sd", is_above=True) for answer in self.each("point_sd")]
 
     def part(self, curves: list[ImportedCurve]) -> "Planner":
         """Return the planner of some curves, with the same answers and surfaces."""

@@ -1,7 +1,5 @@
 """Make insertions of which the tip alone was measured, or curvatures alone."""
 
-import math
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -44,14 +42,12 @@ def split_tips(asked: CurveAnswers) -> None:
     asked.curves[:] = insertions.values()
 
 
-def make_tips(asked: CurveAnswers, sds: Sequence[float]) -> list[InsertionRow]:
+def make_tips(asked: CurveAnswers, point_sd: float) -> list[InsertionRow]:
     """Return the insertions, each with its depth and the deflections of its tip toward its bevel and across.
 
     Deflections are from the line of insertion: along x, toward y. Places of tips are turned into deflections
-    by entry point and direction. `sds`: the standard deviation of each tip, mm; the least of them is that of
-    the dataset.
+    by entry point and direction. `point_sd`, mm: the usual one of their entries.
     """
-    point_sd = min(sds)
     curves = asked.curves
     if any(len(curve.line) and not curve.is_deflection for curve in curves):
         frames = place_tips(asked)
@@ -96,7 +92,6 @@ def make_tips(asked: CurveAnswers, sds: Sequence[float]) -> list[InsertionRow]:
         is_tip, frame = len(curve.line) > 0, frames[n]
         turned = Rotation.from_rotvec([turns[n], 0.0, 0.0])
         _, y, z = turned.inv().apply(tips[n]).tolist()
-        further = math.sqrt(max(sds[n] ** 2 - point_sd**2, 0.0))
         row = InsertionRow(
             curve.name,
             "",
@@ -112,7 +107,6 @@ def make_tips(asked: CurveAnswers, sds: Sequence[float]) -> list[InsertionRow]:
             hole=curve.hole,
             tip_y=y if is_tip else None,
             tip_z=z if is_tip and in_space else None,
-            tip_sd=further or None,
             curvature=np.array(curve.sensors).reshape(-1, 4) if curve.sensors else None,
             observed="" if is_tip else "curvature",
         )

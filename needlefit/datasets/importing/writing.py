@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from needlefit.datasets.columns import InsertionRow, make_id
+from needlefit.datasets.columns import POINT_SD_COLUMN, InsertionRow, make_id
 from needlefit.datasets.dataset_warnings import MAPPING_FILE, PLACEHOLDER
 from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.importing.curves import ImportContent, ImportedCurve
@@ -159,7 +159,7 @@ def _write_tracks(
         media[row.medium]["specimen"] = row.specimen
         named: dict[str, object] = {"id": row.id, "medium": row.medium, "needle": row.needle}
         roll = float(np.degrees(row.turns[0][1])) if row.turns else 0.0
-        named |= {"bevel_side": row.side, "bevel_roll_deg": roll}
+        named |= {"bevel_side": row.side, "bevel_roll_deg": roll, POINT_SD_COLUMN: row.point_sd}
         guide = np.zeros_like(curve.line) if curve.guide is None else curve.guide
         numbers = curve.depths, *curve.line.T[:2], *guide.T[:2]
         tables.append(pd.DataFrame({**named, **dict(zip(TRACK_COLUMNS, numbers, strict=True))}))
@@ -167,6 +167,7 @@ def _write_tracks(
     source: dict[str, object] = {"file": TRACKS_FILE, "depth_zero": "tissue"}
     left_out = [] if plan.needles else ["needle"]
     left_out += [] if table["bevel_roll_deg"].any() else ["bevel_roll_deg"]
+    left_out += [] if table[POINT_SD_COLUMN].notna().any() else [POINT_SD_COLUMN]
     if not table["tip_z_mm"].any():
         left_out += ["tip_z_mm", "guide_z_mm"]
     if all(curve.guide is None for _, curve in tracks):

@@ -142,7 +142,7 @@ def make_observation(
     Raises DataError if no noise is stated: without any, a likelihood has no width.
     """
     smoothed = noise is None and likelihood.measurement == "stored" and likelihood.noise == "correlated"
-    stated = dataset.noise if noise is None else noise
+    stated = (dataset.noise if noise is None else noise).of(insertion)
     errors = StatedErrors(dataset, stated, likelihood, insertions, model_error, smoothed, respond)
     if likelihood.measurement == "curvature":
         return OBSERVATIONS["curvature"].observe(insertion, errors)
