@@ -666,6 +666,18 @@ def test_readings_and_points_have_errors_of_their_own(tmp_path):
     assert {one.id: data.noise.of(one).point_sd for one in data.insertions} == {"a": 0.2, "r": 0.4}
 
 
+def test_a_tip_of_the_name_and_depth_of_a_shape_is_of_this_needle(tmp_path):
+    shapes = [(n, s, x, s * 6e-4 * x**2, 5) for n, s in (("a", 1), ("b", -1)) for x in range(0, 61, 5)]
+    write_table(file := tmp_path / "a.csv", "needle,bevel side,x [mm],y [mm],z [mm]", shapes)
+    tips = [("a", 60.0, 2.3, 0.05), ("b", 40.5, -1.1, 0.05)]
+    write_table(other := tmp_path / "b.csv", "needle,depth [mm],deflection [mm],sd [mm]", tips)
+    stated = {"pose": "1,0,0", "bevel": "0,1,0", "point_sd": "0.1"}
+    write_placed(out := tmp_path / "out", [file, other], **stated)
+    one, two, further = read(out).insertions
+    assert one.tip[0] == 2.3 and one.tip[2] == 0.05 and one.observed == "points" and two.tip is None
+    assert (further.id, further.observed, further.deflection) == ("b-2", "tip", pytest.approx(-1.1))
+
+
 def test_times_and_places_of_a_tip_beside_its_guide_are_tracks(tmp_path):
     rows = [("r", 0.5 * n, 4 * n, 0.004 * n**2, 80, 0) for n in range(9)]
     write_table(file := tmp_path / "a.csv", "run,time [s],tip x,tip y,guide x,guide y", rows)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import TWIN
-from inference_cases import TRUTH, assert_one_density, dataset, insertion, medium
+from inference_cases import TRUTH, assert_one_density, dataset, insertion, measure, medium
 from problem_cases import ALONG_X, make_problem
 from refusals import refusal
 
@@ -16,6 +16,7 @@ from needlefit.errors import DataError
 from needlefit.geometry.curves import compare_curves
 from needlefit.inference.compared_points import align_points
 from needlefit.inference.forward_model import predict
+from needlefit.inference.likelihood.observation import whiten_residuals
 from needlefit.inference.likelihood.observations import (
     SimulatedCurve,
     make_observation,
@@ -77,6 +78,21 @@ def test_the_density_is_that_of_a_normal_deviation_across() -> None:
     variance = 0.05**2 + 0.1**2 + (60.0 * 0.002) ** 2 + (0.1 * slope) ** 2
     assert known.covariance()[0, 0] == pytest.approx(variance, rel=1e-9)
     assert known.whitening[0, 0] == pytest.approx(1 / np.sqrt(variance), rel=1e-9)
+
+
+@pytest.mark.parametrize("compared", ["plane", "space"])
+def test_a_tip_beside_a_shape_is_one_residual_more(compared: str) -> None:
+    """It errs by its own deviation; along z, where it was not measured, it counts for nothing."""
+    shape = replace(measure(TRUTH, ONE_LAYER, insertion(60.0, angle_sd=0.0)), roll_sd=0.0)
+    beside = replace(shape, tip=np.array([shape.points[-1, 1] + 0.07, np.nan, 0.02]))
+    data = replace(dataset([shape], NOISE), compared=compared)
+    alone, joined = (make_observation(data, one) for one in (shape, beside))
+    simulated = read_points(beside, predict(TRUTH, ONE_LAYER, beside), joined.nodes.s[0])
+    residuals = whiten_residuals(joined, simulated)
+    assert len(residuals) == alone.rows + 1
+    assert residuals[-1] == pytest.approx(-0.07 / 0.02, rel=1e-3) and np.abs(residuals[:-1]).max() < 1e-2
+    whole = make_observation(data, replace(beside, tip=np.array([1.0, 0.5, np.nan])))
+    assert whole.whitening[-1, -1] == pytest.approx(1 / NOISE.point_sd)  # the deviation of a point
 
 
 def test_a_tip_alone_is_compared_beside_cross_sections_of_the_scan() -> None:

@@ -50,8 +50,8 @@ ROLL_COLUMNS = ("bevel_roll_deg", "bevel_roll_sd_deg")
 TURN_COLUMNS = ("id", "depth_mm", "bevel_roll_deg")  # of the table of turns during insertions
 # Of the table of curvatures: place of a sensor from the tip, curvature toward +y and +z of C, its deviation.
 CURVATURE_COLUMNS = ("id", "s_mm", "kappa_y_1_per_mm", "kappa_z_1_per_mm", "sd_1_per_mm")
-# Of an insertion of which the tip alone was measured: its deflection along y and z of C.
-TIP_COLUMNS = ("tip_y_mm", "tip_z_mm")
+# Of an insertion whose tip was measured: its deflection along y and z of C, and its deviation beside a shape.
+TIP_COLUMNS = ("tip_y_mm", "tip_z_mm", "tip_sd_mm")
 POINT_SD_COLUMN = "point_sd_mm"  # where what was measured of an insertion errs by more or less than of others
 OBSERVED_COLUMN = "observed"  # the name of an observation, where it is not that of the data that are there
 OBSERVED_PREFIX = "observed_"  # of the columns of numbers that the observation of a plugin has besides
@@ -73,6 +73,7 @@ NUMBER_COLUMNS: dict[str, tuple[str, float | None]] = {
     SHARED_COLUMN: ("boundary_shared_sd", math.nan),
     TIP_COLUMNS[0]: ("tip_y", math.nan),
     TIP_COLUMNS[1]: ("tip_z", math.nan),
+    TIP_COLUMNS[2]: ("tip_sd", math.nan),
     POINT_SD_COLUMN: ("point_sd", math.nan),
     ROLL_COLUMNS[0]: ("roll", math.nan),
     ROLL_COLUMNS[1]: ("roll_sd", DEFAULT_ROLL_SD_DEG),
@@ -150,9 +151,11 @@ class InsertionRow:
     roll_sd: float = math.radians(DEFAULT_ROLL_SD_DEG)
     # turns during the insertion: depth (mm) from which on the bevel has a roll (rad)
     turns: tuple[tuple[float, float], ...] = ()
-    # deflection of the tip along y and z of C, mm, where it alone was measured
+    # deflection of the tip along y and z of C, mm, measured alone or beside a shape
     tip_y: float | None = None
     tip_z: float | None = None
+    # standard deviation of a tip beside a shape, mm; None: that of a point
+    tip_sd: float | None = None
     # standard deviation of a point per axis, mm; None: that of the dataset
     point_sd: float | None = None
     observed: str = ""  # the name of an observation; "": that of the data that are there

@@ -174,6 +174,9 @@ class Insertion(InsertionInputs):
         deviation, 1/mm.
     guide : GuideMotion or None
         How a guide was moved on the way; None of one that was not.
+    tip : (3,) array or None
+        Beside a shape: the tip's deflection along y and z of C, NaN where not measured, and its standard
+        deviation, NaN: that of a point; mm.
     observed : str
         Name of the observation (`inference/likelihood/observations/`) that compares `points` with the
         simulation: "points", "tip_track", or one of a plugin.
@@ -216,6 +219,7 @@ class Insertion(InsertionInputs):
     hole: str = ""
     roll_sd: float = math.radians(DEFAULT_ROLL_SD_DEG)
     curvature: Floats | None = None
+    tip: Floats | None = None
     observed: str = "points"
     observed_values: Mapping[str, float] = field(default_factory=dict)
     directions: int = 2

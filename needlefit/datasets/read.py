@@ -260,6 +260,7 @@ def _iterate_insertions(reading: _Reading, shared: SharedSurfaces) -> Iterator[L
             row, points = (row, None) if faults else place_tip(row, table.path)
         elif (points := curves.find(row, patient, faults)) is not None:
             faults += points.find_faults(row.id) or find_curve_faults(points, row, record, where)
+            faults += find_tip_faults(row, where, record.frame.pose) if row.tip_y is not None else ()
         sections = None
         if points is not None and is_curve and not faults:
             sections, faults = find_sections(row, points.values, root, record)

@@ -26,17 +26,17 @@ def name_observed(row: InsertionRow, is_curve: bool) -> str:
 
 
 def find_tip_faults(row: InsertionRow, where: str, pose: Pose) -> Iterator[Fault]:
-    """Yield what is wrong with an insertion of which no shape was measured, in a dataset of this `pose`."""
-    tip_y, tip_z = TIP_COLUMNS
+    """Yield what is wrong with a tip or curvatures in place of a shape, or with a tip beside one."""
+    tip_y, tip_z, _ = TIP_COLUMNS
     if pose != "known":
         yield DataError(
-            f"no shape was measured of {row.id}, and its pose is not known",
+            f"no shape alone was measured of {row.id}, and its pose is not known",
             expected='frame.pose = "known": a tip is a deflection from the line of insertion',
             fix="add its centreline, or state poses",
             where=where,
         )
         return
-    if row.pose_source == "first_point":
+    if row.pose_source == "first_point" and row.observed != "points":
         yield DataError(
             "pose_source is 'first_point', and no shape was measured",
             expected="stage, shaft or fitted: the place of first contact is known",

@@ -277,7 +277,7 @@ def simulate_design(problem: Problem, values: Mapping[str, float]) -> Problem | 
         if met is None or shape is None or not shape.converged:
             return None
         points = OBSERVATIONS[insertion.observed].simulate_places(insertion, shape)
-        measured = insertion.with_points(points)
+        measured = replace(insertion.with_points(points), tip=None)
         made.append(replace(measured, boundaries=met.boundaries, sequence=met.sequence))
     return replace(problem, insertions=tuple(made))
 

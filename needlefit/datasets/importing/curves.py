@@ -29,6 +29,7 @@ class ImportedCurve:
     shaft: Floats = field(default_factory=lambda: np.empty((0, 3)))  # (K, 3), mm; points up to the entry
     turns: list[tuple[float, Stated]] = field(default_factory=list)  # depths, mm, and where bevels face then
     sensors: list[Floats] = field(default_factory=list)  # (4,) each: `SENSOR` in mm and 1/mm
+    tip: "ImportedCurve | None" = None  # a deflection of the tip that was measured beside the shape
     are_sensors_from_base: bool = False  # places of sensors are counted from the needle's base, not its tip
 
     @property

@@ -34,7 +34,8 @@ class Draft:
     headers: list[str] = field(default_factory=list)  # of all tables
     columns_read: set[str] = field(default_factory=set)  # meanings whose stated columns are there
     words: list[str] = field(default_factory=list)  # columns of two words that nothing uses
-    needles: dict[tuple[str, str], set[str]] = field(default_factory=dict)  # names by file and sheet
+    # names by file and sheet, and whether they are of tips
+    needles: dict[tuple[str, str, bool], set[str]] = field(default_factory=dict)
 
     def ask(
         self, question: str, where: str, choices: Mapping[str, Mapping[str, str]] | None = None, **parts: str

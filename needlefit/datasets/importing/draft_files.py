@@ -125,11 +125,15 @@ def _ask_sources(draft: Draft) -> None:
     places = [
         place
         for place, names in draft.needles.items()
-        if any(names & others for other, others in draft.needles.items() if other != place)
+        if any(
+            names & others
+            for other, others in draft.needles.items()
+            if other != place and other[2] == place[2]  # a tip may stand beside the shape of its name
+        )
     ]
     if places:
-        source = "sheet" if len({file for file, _ in places}) == 1 else "file"
-        listed = join_names([sheet if source == "sheet" else file for file, sheet in places], 4)
+        source = "sheet" if len({file for file, *_ in places}) == 1 else "file"
+        listed = join_names([sheet if source == "sheet" else file for file, sheet, _ in places], 4)
         draft.ask("source", places[0][0], source=source, places=f"{source.capitalize()}s {listed}")
 
 

@@ -538,7 +538,8 @@ class TableDraft:
                 del columns["needle"]  # a name of its own for each point is a label
         elif holds in POINTS and names:
             self._exclude_statistics(columns, {*names})
-            self.draft.needles.setdefault((self.table.path.name, self.table.name), set()).update(names)
+            place = (self.table.path.name, self.table.name, holds == "tips")
+            self.draft.needles.setdefault(place, set()).update(names)
         entry = {**self.keys, "columns": columns}
         if holds in POINTS:
             self._find_missing(entry)

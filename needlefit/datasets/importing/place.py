@@ -237,7 +237,7 @@ class Planner(CurveAnswers):
         reason = f"{without} without a shape" if without else "not stated"
         reason += f"; pose={along} ({how}) if a stage pushed all needles in one direction"
         is_posed = bool(without or self.surfaces) or any(
-            curve.turns or curve.sensors for curve in self.curves
+            curve.turns or curve.sensors or curve.tip for curve in self.curves
         )
         poses = self.each("pose", usual="" if is_posed else "free", reason=reason)
         kinds = {pose.text if pose.text in ("free", "shaft") else "direction" for pose in poses}
@@ -293,8 +293,9 @@ class Planner(CurveAnswers):
             starts = np.array([np.linalg.norm(curve.line[0]) for curve in self.curves])
             guess = "0,0,0" if starts.max() <= MIN_CUT_MM else ""
             reason = (
-                f"the shapes begin up to {starts.max():.2g} mm from the origin; {without} without a shape"
+                f"the shapes begin up to {starts.max():.2g} mm from the origin; the tip of {without} was "
             )
+            reason += "measured by itself"
         answers = self.each("entry_point", usual=guess, reason=reason, is_sure=guess == "depth")
         entries, cut, missed = list[Floats | None](), list[float](), list[str]()
         for curve, answer in zip(self.curves, answers, strict=True):
@@ -407,7 +408,7 @@ class Planner(CurveAnswers):
                 turns=tuple((depth, np.radians(cell.to_angle()) - zeros[n]) for depth, cell in curve.turns),
                 curvature=np.column_stack([read, sensors[:, 3]]) if curve.sensors else None,
             )
-        return rows
+        return add_tips(rows, self.curves, zeros)
 
     # ---- layers
 
@@ -436,7 +437,7 @@ class Planner(CurveAnswers):
         sides, turns = to_sides(angles or [0.0] * len(bends))
         turned = Rotation.from_rotvec(np.array(turns)[:, None] * along)
         guess, reason = "bend", "every needle is taken to bend toward its bevel"
-        is_turned = any(curve.turns or curve.sensors for curve in self.curves)
+        is_turned = any(curve.turns or curve.sensors or curve.tip for curve in self.curves)
         if differ := is_turned or len({*sides}) > 1 or len({*turns}) > 1 or min(sides) < 0:
             across = bends - np.sum(bends * along, axis=1)[:, None] * along
             toward = np.array(sides)[:, None] * turned.inv().apply(across)
@@ -522,6 +523,36 @@ class Planner(CurveAnswers):
         return [
             replace(row, guide_distance=distance) for row, distance in zip(rows, distances, strict=True)
         ], {}
+
+
+def add_tips(
+    rows: Sequence[InsertionRow], curves: Sequence[ImportedCurve], turns: Sequence[float]
+) -> list[InsertionRow]:
+    """Return rows with the deflections of tips that were measured beside their shapes.
+
+    `turns`: of their bevels, rad. Where bevels face both sides and no deflection is negative they are toward
+    the bevels. DataError if one deflection is stated of a needle in another plane.
+    """
+    tips = [curve.tip for curve in curves if curve.tip is not None]
+    is_toward = len({row.side for row in rows}) > 1 and all(tip.line[0, 1] >= 0 for tip in tips)
+    added = list[InsertionRow]()
+    for row, curve, turn in zip(rows, curves, turns, strict=True):
+        if (tip := curve.tip) is None:
+            added.append(row)
+            continue
+        if turn and not tip.line[0, 2]:
+            raise DataError(
+                f"the bevel of {row.id} faces aside, and one deflection of its tip is stated",
+                expected="deflections up and to the right (columns deflection and deflection_z)",
+                fix=name_set("deflection_z.column", "HEADER"),
+                where=tip.points.where(),
+            )
+        _, y, z = Rotation.from_rotvec([-turn, 0.0, 0.0]).apply(tip.line[0]).tolist()
+        sd = None if tip.points.sd is None else float(tip.points.sd[0])
+        sd = tip.stated["point_sd"].to_number("point_sd", is_above=True) if "point_sd" in tip.stated else sd
+        y = row.side * y if is_toward else y
+        added.append(replace(row, tip_y=y, tip_z=z if tip.line[0, 2] else None, tip_sd=sd))
+    return added
 
 
 # ---- needles, points and shafts

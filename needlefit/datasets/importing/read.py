@@ -27,7 +27,7 @@ from needlefit.datasets.importing.tables import (
     read_grids,
     read_structured,
 )
-from needlefit.datasets.layers import find_hole, find_surface_faults
+from needlefit.datasets.layers import find_hole, find_length_tolerance, find_surface_faults
 from needlefit.datasets.points import Points
 from needlefit.errors import DataError
 from needlefit.geometry.frames import RAS_TO_LPS
@@ -167,6 +167,7 @@ def read_mapped(mapping: MappingRecord, paths: Sequence[Path], where: str) -> Im
     for mapped in tables:
         if mapped.record.holds in ("shapes", "tips", "tracks"):
             content.curves.extend(_read_points(mapped, left_out))
+    content.curves[:] = _join_tips(content.curves)
     _name_curves(content.curves)
     for mapped in tables:
         if mapped.record.holds in ("curvatures", "turns", "facts"):
@@ -537,6 +538,20 @@ def _read_sensor(mapped: MappedTable, n: int) -> Floats:
 
 
 # ---- names
+
+
+def _join_tips(curves: Sequence[ImportedCurve]) -> list[ImportedCurve]:
+    """Return the needles; a tip that has name and depth of a shape is that of this shape."""
+    shapes = {curve.name: curve for curve in curves if curve.holds == "shapes" and curve.is_named}
+    kept = list[ImportedCurve]()
+    for curve in curves:
+        shape, is_tip = shapes.get(curve.name), curve.holds == "tips" and curve.is_deflection
+        depth = float(curve.line[0, 0]) if is_tip and len(curve.line) == 1 else 0.0
+        if depth and shape is not None and abs(shape.depth - depth) <= find_length_tolerance(depth):
+            shape.tip = curve
+        else:
+            kept.append(curve)
+    return kept
 
 
 def _name_curves(curves: list[ImportedCurve]) -> None:

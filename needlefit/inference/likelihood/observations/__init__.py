@@ -56,7 +56,7 @@ class ObservationType:
 
     def take_alone(self, insertion: Insertion) -> Insertion:
         """Return the insertion with this observation alone of what was measured."""
-        return replace(insertion, curvature=None, observed_values={})
+        return replace(insertion, curvature=None, tip=None, observed_values={})
 
     def compare(self, dataset: Dataset, insertion: Insertion) -> tuple[ComparedPoints, ...]:
         """Return what a curve is compared with."""
@@ -110,6 +110,10 @@ class ObservationType:
         """Return what the likelihood compares; DataError if the errors that are stated leave it no width."""
         return OBSERVATIONS["points"].observe(insertion, errors)
 
+    def observe_beside(self, insertion: Insertion, errors: StatedErrors) -> Observation:
+        """Return what the likelihood compares of what was measured beside the points of an insertion."""
+        return self.observe(insertion, errors)
+
     def observe_values(self, insertion: Insertion, errors: StatedErrors) -> Observation:
         """Return what it compares besides, where the insertion has `observed_values`, in a known pose.
 
@@ -151,7 +155,9 @@ def make_observation(
     has_sections = has_sections and insertion.observed == "points"
     found = OBSERVATIONS["sections" if has_sections else insertion.observed].observe(insertion, errors)
     if insertion.curvature is not None and insertion.observed != "curvature":
-        found = join_observations(found, OBSERVATIONS["curvature"].observe(insertion, errors))
+        found = join_observations(found, OBSERVATIONS["curvature"].observe_beside(insertion, errors))
+    if insertion.tip is not None:
+        found = join_observations(found, OBSERVATIONS["tip"].observe_beside(insertion, errors))
     if not insertion.observed_values:
         return found
     if dataset.pose != "known":

@@ -122,7 +122,7 @@ class _Curvature(ObservationType):
 
     def take_alone(self, insertion: Insertion) -> Insertion:
         """Return the insertion with its curvatures alone."""
-        return replace(insertion, observed_values={})
+        return replace(insertion, tip=None, observed_values={})
 
     def compare(self, dataset: Dataset, insertion: Insertion) -> tuple[ComparedPoints, ...]:
         """Return the readings, and the tip to which they lead."""

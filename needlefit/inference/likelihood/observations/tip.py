@@ -3,7 +3,7 @@
 Its place along the needle is not measured: it is compared at its depth, so that its error is that across.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -18,6 +18,7 @@ from needlefit.inference.likelihood.observation import (
     list_pose_modes,
     points_covariance,
     split_pose_modes,
+    whiten,
 )
 from needlefit.inference.likelihood.observations import ObservationType
 from needlefit.mechanics.batch import Jacobians, NeedleShapes
@@ -64,6 +65,30 @@ class _Tip(ObservationType):
         modes, sds = list_pose_modes(insertion, errors, measured, 2 * across / s)
         pose, free = split_pose_modes(insertion, modes, sds)
         return complete_observation(insertion, errors, s, measured, cov, pose, free)
+
+    def observe_beside(self, insertion: Insertion, errors: StatedErrors) -> Observation:
+        """Return the observation of a tip beside a shape, from a line of insertion that errs by itself."""
+        tip = insertion.tip
+        assert tip is not None
+        y, z, sd = np.where(np.isnan(tip), [0.0, 0.0, errors.noise.point_sd], tip).tolist()
+        alone = replace(
+            insertion.with_points(np.array([np.zeros(3), [insertion.depth, y, z]])),
+            observed="tip",
+            pose_source="stage",
+            sd=None,
+            curvature=None,
+            tip=None,
+            independent=None,
+        )
+        # a scale of the noise counts for its pose, too: joined observations have no curves of a pose
+        likelihood = errors.likelihood.model_copy(update={"noise_scale": 1.0})
+        noise = replace(errors.noise, point_sd=sd, correlated_sd=0.0)
+        found = self.observe(alone, replace(errors, noise=noise, likelihood=likelihood))
+        if errors.dataset.directions == 1 or not np.isnan(tip[1]):
+            return found
+        whitening, log_norm = whiten(found.covariance()[:1, :1], np.empty((1, 0)))
+        along_y = np.array([[1.0, 0.0]])  # along z nothing was measured
+        return replace(found, whitening=whitening @ along_y, log_norm=log_norm)
 
 
 TIP = _Tip("tip", is_curve=False)
