@@ -91,7 +91,7 @@ def _move_boundary(insertion: Insertion, size: float, _: int, number: int) -> In
 def _list_deeper(insertion: Insertion, others: Sequence[Insertion], _: int) -> dict[str, Insertion]:
     """Return the needles that are as deep as the points of one are long, or deeper."""
     least = (1 - LENGTH_TOLERANCE) * insertion.measure_arc("plane")[-1]
-    return {one.id: one for one in others if one.depth >= least}
+    return {other.id: other for other in others if other.depth >= least}
 
 
 def _take_points(insertion: Insertion, _: float, __: int, other: Insertion) -> Insertion:
@@ -102,12 +102,12 @@ def _take_points(insertion: Insertion, _: float, __: int, other: Insertion) -> I
 
 #: by cause
 HYPOTHESES: Mapping[str, Hypothesis] = {
-    "mirrored": Hypothesis(lambda one, *_: one.map_points(lambda points: points * [1, -1, 1])),
+    "mirrored": Hypothesis(lambda insertion, *_: insertion.map_points(lambda points: points * [1, -1, 1])),
     "exchanged_axes": Hypothesis(
-        lambda one, *_: one.map_points(lambda points: points[:, [0, 2, 1]]), axes=(ASIDE,)
+        lambda insertion, *_: insertion.map_points(lambda points: points[:, [0, 2, 1]]), axes=(ASIDE,)
     ),
     "scaled": Hypothesis(
-        lambda one, size, *_: one.map_points(lambda points: points / [1, math.exp(size), 1]),
+        lambda insertion, size, *_: insertion.map_points(lambda points: points / [1, math.exp(size), 1]),
         (math.log(0.05), math.log(20.0)),
         log_volume=lambda size, count: -count * size,
     ),
@@ -115,7 +115,7 @@ HYPOTHESES: Mapping[str, Hypothesis] = {
     "shifted": Hypothesis(_shift, (-20.0, 20.0), (IN_PLANE, ASIDE)),
     "stepped": Hypothesis(_shift, (-20.0, 20.0), (IN_PLANE, ASIDE), _find_step),
     "boundary": Hypothesis(_move_boundary, (-30.0, 30.0), list_choices=_list_boundaries),
-    "cut_short": Hypothesis(lambda one, *_: one, reaches_tip=False),
+    "cut_short": Hypothesis(lambda insertion, *_: insertion, reaches_tip=False),
     "of_another": Hypothesis(_take_points, list_choices=_list_deeper, reaches_tip=False),
 }
 
@@ -127,9 +127,9 @@ def explain(
     rows = sorted(_list_explanations(insertion, others, measure, directions), key=lambda row: -row[0])
     if not rows:
         return Explanation()
-    (best, sds, found), *rest = rows
-    next_best = next((odds for odds, _, one in rest if one.cause != found.cause), -math.inf)
-    return found if sds <= MAX_EXPLAINED_SD and best - next_best >= MIN_LOG_ODDS else Explanation()
+    (best, sds, explanation), *rest = rows
+    next_best = next((odds for odds, _, other in rest if other.cause != explanation.cause), -math.inf)
+    return explanation if sds <= MAX_EXPLAINED_SD and best - next_best >= MIN_LOG_ODDS else Explanation()
 
 
 def _list_explanations(
@@ -167,6 +167,6 @@ def _fit(
 def _search(cost: Callable[[float], float], sizes: tuple[float, float]) -> float:
     """Return the size of least cost."""
     grid = np.linspace(*sizes, GRID_SIZES)
-    at = int(np.clip(np.argmin([cost(size) for size in grid]), 1, len(grid) - 2))
-    bounds, near = (float(grid[at - 1]), float(grid[at + 1])), SIZE_TOLERANCE * (sizes[1] - sizes[0])
+    lowest = int(np.clip(np.argmin([cost(size) for size in grid]), 1, len(grid) - 2))
+    bounds, near = (float(grid[lowest - 1]), float(grid[lowest + 1])), SIZE_TOLERANCE * (sizes[1] - sizes[0])
     return float(minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": near}).x)
