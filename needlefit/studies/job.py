@@ -1,7 +1,7 @@
 """What a study or fit works on, and how it is executed."""
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -22,6 +22,7 @@ from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
 
+MAX_KEPT_PROBLEMS = 4  #: as many as the searches of a fold
 #: noise floors of insertions that are in use, by what else they depend on
 _floors: WeakKeyDictionary[Insertion, dict[object, NoiseFloor]] = WeakKeyDictionary()
 
@@ -77,6 +78,9 @@ class Job:
     medium_file: Path | None = None
     warnings: tuple[ResultWarning, ...] = ()
     response_at: Mapping[str, float] | None = None  #: as of `Problem`
+    _problems: dict[tuple[Fold, str], Problem] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     def place(self, key: str) -> str:
         """Return how messages name a key of the study's file; "" where it is not known."""
@@ -132,8 +136,16 @@ class Job:
     def problem(self, fold: Fold, search: str = "fitted") -> Problem:
         """Return the problem of one search of a fold: all parameters free, or the bevel alone.
 
-        The others are then the paper's, or as they are before any data: at the median of their prior.
+        The others are then the paper's, or as they are before any data: at the median of their prior. The
+        latest ones are kept, with what they have computed once.
         """
+        if (fold, search) not in self._problems:
+            while len(self._problems) >= MAX_KEPT_PROBLEMS:
+                del self._problems[next(iter(self._problems))]
+            self._problems[fold, search] = self._make_problem(fold, search)
+        return self._problems[fold, search]
+
+    def _make_problem(self, fold: Fold, search: str) -> Problem:
         everything = Problem(
             self.dataset,
             fold.tune,
