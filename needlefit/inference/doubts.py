@@ -24,6 +24,7 @@ from needlefit.inference.hypotheses import (
 )
 from needlefit.inference.identifiability.precision import prior_information
 from needlefit.inference.linear_needles import (
+    MIN_NEEDLES,
     Block,
     Prediction,
     linearize_needle,
@@ -36,7 +37,6 @@ from needlefit.inference.linear_needles import (
 from needlefit.inference.problem import Problem
 from needlefit.schemas.run_metadata import CommonDoubtMetadata, NeedleDoubtMetadata
 
-MIN_NEEDLES = 4  #: from so many on one is predicted from the others
 MAX_ODD_PART = 0.25  #: part of the needles beyond which the model does not fit, and none is accused
 #: distance of an odd needle from its prediction, in SDs, as of all outliers that are named
 MIN_ODD_SD = 5.0

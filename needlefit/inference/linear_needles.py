@@ -22,6 +22,7 @@ from needlefit.inference.parameter_names import BEVEL_PARAMETERS
 from needlefit.inference.problem import APPROACH_TOLERANCE, Problem, make_posterior_objective
 from needlefit.project.progress import never_stop
 
+MIN_NEEDLES = 4  #: from so many on one is predicted from the others; parameters take up what fewer show
 #: SDs of the moduli between needles, of ln; specimens of one medium differ by up to 40 %
 SPREADS = (0.03, 0.1, 0.2, 0.4)
 BEVEL_PART = 1 / 3  #: of this SD that the bevel has: all needles have the same

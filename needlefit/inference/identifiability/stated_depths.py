@@ -11,7 +11,14 @@ from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
 from needlefit.inference.identifiability.precision import linearize, prior_and_noise_information
 from needlefit.inference.likelihood.nodes import shift_depths
-from needlefit.inference.linear_needles import Prediction, linearize_needle, predict_from, refit, weigh_all
+from needlefit.inference.linear_needles import (
+    MIN_NEEDLES,
+    Prediction,
+    linearize_needle,
+    predict_from,
+    refit,
+    weigh_all,
+)
 from needlefit.inference.problem import Problem
 from needlefit.schemas.run_metadata import DepthMetadata
 
@@ -136,8 +143,13 @@ def _profile(problem: Problem, theta: Floats, number: int, near: float) -> _Prof
         profile, key=lambda place: (profile[place][1].describes(count), profile[place][1].log_density)
     )
     best = profile[shift][1]
+    is_tested = len(problem.insertions) >= MIN_NEEDLES
     gain = (best.log_density - stated_density) / max(1.0, best.chi_square)
-    return _Profile(shift, abs(shift) / math.sqrt(2 * gain), best.describes(count)) if gain > 0 else None
+    return (
+        _Profile(shift, abs(shift) / math.sqrt(2 * gain), is_tested and best.describes(count))
+        if gain > 0
+        else None
+    )
 
 
 def _move(
