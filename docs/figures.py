@@ -20,7 +20,6 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Rectangle
-from state_figure import StateFigure
 
 from needlefit.datasets.importing.examples import WORKBOOK_FILE
 from needlefit.datasets.importing.meanings import VALUES
@@ -32,6 +31,7 @@ from needlefit.planning.recording import RecordedStep, Recording, make_head, wri
 from needlefit.planning.steered_needle import Change, SteeredNeedle
 from needlefit.project.locate import find_file
 from needlefit.project.toml import load
+from needlefit.reporting.figures.needles import StateFigure
 from needlefit.reporting.figures.style import RC_PARAMS, fit_height
 from needlefit.schemas.scene import SceneRecord
 

@@ -124,7 +124,7 @@ def simulate(
 def _simulate_scene(name: str, record: "SceneRecord", where: str) -> SimulationOutcome:
     """Carry out a scene's steps; `where` is named in errors."""
     from needlefit.mechanics.scene import Scene, simulate_scene
-    from needlefit.mechanics.session import NeedleState
+    from needlefit.mechanics.session import NeedleState, find_tip_force
     from needlefit.project.unit_warnings import scene_warnings
 
     title, scene = record.title or name, Scene.from_record(record, where)
@@ -136,7 +136,9 @@ def _simulate_scene(name: str, record: "SceneRecord", where: str) -> SimulationO
         from needlefit.reporting.figures.needles import draw_state
 
         if last.shape.converged:
-            draw_state(title, scene, last, path)
+            cell = scene.lattice.first_cell
+            force = find_tip_force(scene.needle, scene.tissue, scene.steps, cell, scene.rules)
+            draw_state(title, scene, last, path, force)
         return last.shape.converged
 
     def write_table(path: Path) -> bool:

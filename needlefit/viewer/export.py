@@ -6,7 +6,7 @@ from pathlib import Path
 
 from needlefit.geometry.frames import Placement
 from needlefit.mechanics.scene import Scene
-from needlefit.mechanics.session import NeedleState
+from needlefit.mechanics.session import NeedleState, find_tip_force
 from needlefit.planning.recording import Recording, begin_replay, replay
 from needlefit.planning.steered_needle import SteeredNeedle
 from needlefit.viewer.opening import open_recording
@@ -34,6 +34,13 @@ class RecordingOutcome:
     @property
     def state(self) -> NeedleState:
         return self.steering.now
+
+    @property
+    def tip_force(self) -> float:
+        """The force on the tip, N, as a page shows it; see `find_tip_force`."""
+        steering, scene = self.steering, self.steering.scene
+        path = steering.input_path()
+        return find_tip_force(scene.needle, self.state.tissue, path, steering.first_cell, scene.rules)
 
     @property
     def scene(self) -> Scene:
@@ -67,7 +74,7 @@ def write_picture(outcome: RecordingOutcome, path: Path) -> None:
     """Draw the needle, .svg, .png or .pdf."""
     from needlefit.reporting.figures.needles import draw_state
 
-    draw_state(outcome.title, outcome.scene, outcome.state, path)
+    draw_state(outcome.title, outcome.scene, outcome.state, path, outcome.tip_force)
 
 
 def write_page(outcome: RecordingOutcome, path: Path) -> None:

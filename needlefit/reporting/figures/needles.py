@@ -1,91 +1,420 @@
-"""Draw a needle in its layers, in the constraint frame C: from the side and, out of its plane, from above."""
+"""Draw a needle in its layers: one state, with its forces, in the constraint frame C."""
 
+import math
 import textwrap
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.colors import LinearSegmentedColormap, to_rgba
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from scipy.interpolate import BSpline
 
 from needlefit.arrays import Floats
+from needlefit.mechanics.control import Bevel, Controls, Step
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import NeedleState
-from needlefit.mechanics.shape import compute_positions, map_beam_points
-from needlefit.reporting.figures.style import TEXT_WIDTH_IN, draw
+from needlefit.mechanics.shape import NeedleShape, compute_positions, map_beam_points
+from needlefit.mechanics.simulate import Loads, compute_loads
+from needlefit.mechanics.torsion import find_roll
+from needlefit.reporting.figures.style import choose_vertical_scale, draw, fit_height
 from needlefit.reporting.labels import GREY, INK
 from needlefit.reporting.number_format import format_quantity
 
+COLOURS = {
+    **{"ink": "#1a1a1a", "needle": "#4b5158", "points": "#b84f00", "path": "#0a2f4a", "tip": "#c8102e"},
+    **{"guide": "#007a58", "load": "#a2457b"},
+}
+"""Colours of the page of `needlefit view` in its light theme, by the names in its style sheet."""
+
+_LOOKS: dict[str, dict[str, Any]] = {
+    "base": {"color": COLOURS["ink"], "marker": "o", "ms": 5.0, "lw": 0},
+    "guide": {"color": COLOURS["guide"], "marker": "o", "ms": 5.0, "mec": "white", "mew": 0.5, "lw": 0},
+    "points": {"color": COLOURS["points"], "marker": "x", "ms": 2.8, "mew": 0.6, "lw": 0},
+    "tip": {"color": COLOURS["tip"], "marker": "o", "ms": 4.0, "mec": "white", "mew": 0.4, "lw": 0},
+    "needle": {"color": COLOURS["needle"], "lw": 1.4},
+    "path": {"color": COLOURS["path"], "lw": 0.9},
+    "load": {"fc": to_rgba(COLOURS["load"], 0.32), "ec": COLOURS["load"], "lw": 0.5},
+}
+_ARROW = {
+    "arrowstyle": "-|>,head_width=0.12,head_length=0.3",
+    "color": COLOURS["load"],
+    "lw": 0.8,
+}  # an arrow is a force, as on the page
+_ARROW |= {"shrinkA": 0, "shrinkB": 0}
 _LAYER_COLOURS = LinearSegmentedColormap.from_list("layers", ["#f7f4ee", "#d3c7ae"])
-_NEEDLE, _POINTS, _TIP = "#4b5158", "#b84f00", "#c8102e"  # colours, as on the page
-_MARGIN = 0.1  # share of the depth that is shown before the entry and behind the tip
-MAX_TITLE_LETTERS = 100  # longest line of a title (characters)
-_POINTS_OF_NEEDLE = 300  # number of points of the line that is drawn
+Span = tuple[float, float]
+
+_NAMES_IN_C = ("x along the entry (mm)", "y (mm)")
+_SEPARATOR = "  ·  "
+_BEYOND_PANEL_MM = 1e4  # further than any panel reaches
+_MARGIN_BEFORE_ENTRY = 0.22  # share of the depth shown before the entry, where only what is inserted is shown
+_LETTER_WIDTH_IN = 0.06  # of 7.5 point type
+# Inches, of 6.5 point type.
+_LABEL_LETTER_IN = 0.055  # mean width of a letter
+_LABEL_MARGIN_IN = 0.05  # beside a label
+_MODULUS_WIDTH_IN = 0.58  # of a modulus with its unit
 
 
-def draw_state(title: str, scene: Scene, state: NeedleState, path: Path) -> None:
-    """Draw a needle that has a solution to a .pdf, .png or .svg file.
+# ---- layers and needle of a panel
 
-    ConfigError if the ending of `path` is another one, or its folder does not exist.
+
+def label_layers(scene: Scene, widths: Mapping[int, float]) -> dict[int, str]:
+    """Return the labels of the layers (counted from 0) that are wide enough on paper, in inches.
+
+    All of them are called in the same way: by the scene's own names if these fit, or "layer 1", or "1". Its
+    modulus stands below, where a layer has room for it.
+    """
+    numbered = {i: f"layer {i + 1}" for i in widths}
+    layer_labels = {
+        i: (scene.layer_names[i] if scene.layer_names else "") or called for i, called in numbered.items()
+    }
+    labels = {i: f"{i + 1}" for i in widths}
+    for names in (layer_labels, numbered):
+        if all(_LABEL_LETTER_IN * len(name) + _LABEL_MARGIN_IN <= widths[i] for i, name in names.items()):
+            labels = names
+            break
+    for i, name in labels.items():
+        if widths[i] > _MODULUS_WIDTH_IN:
+            labels[i] = f"{name}\n{format_quantity('mu_pa', scene.tissue.mu[i] * 1e6)}"
+    return labels
+
+
+def _see(points: Floats, above: bool) -> Floats:
+    """Return points (K, 3) of C as they are seen: x and y from the side, x and z from above."""
+    return points[:, [0, 2 if above else 1]]
+
+
+def _trace(shape: NeedleShape, above: bool = False) -> Floats:
+    """Return points of the needle from base to tip, (300, 2) mm."""
+    return _see(compute_positions(shape, np.linspace(shape.x[0], shape.depth, 300)), above)
+
+
+def _find_guides(step: Step, above: bool = False) -> Floats:
+    """Return the places of the guides in C, (G, 2) mm."""
+    places = [(guide.x, guide.z if above else guide.y) for guide in step.controls.guides]
+    return np.reshape(np.array(places, dtype=np.float64), (-1, 2))
+
+
+def list_views(shapes: Sequence[NeedleShape]) -> tuple[bool, ...]:
+    """Return which views show some needles, the side or from above (True): both if one leaves its plane."""
+    return (False, True) if any(shape.leaves_plane for shape in shapes) else (False,)
+
+
+def _draw_layers(axes: Axes, scene: Scene, scale: float | None) -> None:
+    """Shade the layers, the darker the stiffer; with a `scale` (inches per mm) label them."""
+    stiffness = np.log10(scene.tissue.mu)
+    decades = max(float(np.ptp(stiffness)), 1.0)  # one at least, so that like layers look alike
+    edges = np.array([0.0, *scene.tissue.boundaries, _BEYOND_PANEL_MM])
+    for i, (top, bottom) in enumerate(pairwise(edges)):
+        shade = _LAYER_COLOURS(float((stiffness[i] - stiffness.min()) / decades))
+        axes.axvspan(top, bottom, color=shade, lw=0, zorder=0)
+        axes.axvline(top, color="white" if i else INK, lw=1.2 if i else 0.6, zorder=0.5)
+    axes.axhline(0.0, color=GREY, lw=0.5, ls=(0, (4, 3)), zorder=1)
+    if scale is None:
+        return
+    shown = np.clip(edges, *axes.get_xlim())
+    room = dict(enumerate(np.diff(shown).tolist()))
+    least = 0.03 * (shown[-1] - axes.get_xlim()[0])
+    widths = {i: width * scale for i, width in room.items() if width > least}
+    for i, label in label_layers(scene, widths).items():
+        axes.text(
+            (shown[i] + shown[i + 1]) / 2, 0.05, label, transform=axes.get_xaxis_transform(), fontsize=6.5,
+            linespacing=1.3, ha="center", va="bottom",
+        )  # fmt: skip
+
+
+def _draw_needle(axes: Axes, scene: Scene, step: Step, shape: NeedleShape, above: bool = False) -> None:
+    """Draw a needle, its constraint points and its supports; or the reason why there is no needle."""
+    for guide in _find_guides(step, above):
+        axes.plot(*guide, zorder=5, **_LOOKS["guide"])
+    base, stage = step.controls.base[3 * above], step.controls.base[3 * above + 2]  # known without a solution
+    axes.plot(step.depth - scene.needle.length, base + stage * step.depth, zorder=5, **_LOOKS["base"])
+    if not shape.converged:
+        axes.text(
+            0.5, 0.7, f"no solution: {shape.status}", transform=axes.transAxes, ha="center", va="center",
+            zorder=6, fontsize=8.5, color=COLOURS["tip"],
+            bbox={"fc": "white", "alpha": 0.7, "lw": 0, "pad": 2},
+        )  # fmt: skip
+        return
+    places = _see(map_beam_points(shape, shape.constraints), above)
+    axes.plot(*places.T, zorder=2, **_LOOKS["points"])
+    needle = _trace(shape, above)
+    axes.plot(*needle.T, zorder=3, **_LOOKS["needle"])
+    axes.plot(*needle[-1], zorder=6, **_LOOKS["tip"])
+
+
+def _draw_legend(
+    figure: Figure, title: str, supports: Mapping[str, str], more: Sequence[Line2D | Patch], columns: int
+) -> None:
+    """Write title and legend above the panels; `supports` are shown beside what every needle has."""
+    marks = {**supports, "points": "constraint points", "tip": "tip"}
+    handles = [Line2D([], [], label=label, **_LOOKS[name]) for name, label in marks.items()]
+    figure.legend(
+        handles=[*handles, *more], loc="outside upper left", ncols=columns, columnspacing=1.2, borderpad=0.3,
+        handletextpad=0.4 if more else 0.2, handlelength=1.6 if more else None, alignment="left",
+        title=title, title_fontsize=8,
+    )  # fmt: skip
+
+
+def _name_supports(steps: Sequence[Step]) -> dict[str, str]:
+    guided = any(step.controls.guides for step in steps)
+    return {"base": "base"} | ({"guide": "guide or template"} if guided else {})
+
+
+# ---- what stands above a panel
+
+
+def _replace_minus(text: str) -> str:
+    return text.replace("-", "−")
+
+
+def _format_tip(shape: NeedleShape) -> str:
+    """Return where the tip lies across x: along y, and along z where the needle leaves the plane z = 0."""
+    along_y = f"{shape.tip_lateral:+z.2f} mm"
+    return f"y {along_y}, z {shape.tip_z:+z.2f} mm" if shape.leaves_plane else along_y
+
+
+def _format_signed(value: float) -> str:
+    text = _replace_minus(f"{value:+z.2f}".rstrip("0").rstrip("."))
+    return "0" if text in ("+0", "−0") else text
+
+
+def _describe_strength(bevel: Bevel) -> str:
+    """Return how strongly a bevel turns the cut: its offset b, or the angle of its cut."""
+    return f"θ {math.degrees(bevel.cut_angle):.3g}°" if bevel.cut_angle else f"b {bevel.offset:.3g} mm"
+
+
+def describe_inputs(step: Step) -> list[str]:
+    """Return a description of the bevel, and of what holds the needle elsewhere than on the entry's axis."""
+    held = step.controls
+    side = f"bevel {'left' if step.bevel.side > 0 else 'right'}"
+    if step.bevel.roll_deg % 180:
+        side = f"bevel rolled by {_format_signed(find_roll(step.bevel))}°"
+    parts = [side]
+    if held.base_y or held.base_slope:
+        angle = f", {_format_signed(np.degrees(np.arctan(held.base_slope)))}°" if held.base_slope else ""
+        parts.append(f"base {_format_signed(held.base_y)} mm{angle}")
+    if held.tip is not None:
+        parts.append(f"tip tracked at {_format_signed(held.tip.y)} mm")
+    return parts
+
+
+def describe_state(
+    state: NeedleState, loads: Loads, tip_force: float | None, letters: int
+) -> tuple[list[str], list[str]]:
+    """Return the text above a drawing: position and supports of the needle, and its tip with the force on it.
+
+    In lines, the first of at most so many letters.
+    """
+    step = state.step
+
+    def force(name: str, newton: float) -> str:
+        return _replace_minus(f"{name} {newton:+z.3f} N")
+
+    position = [f"{step.depth:.4g} mm deep", *describe_inputs(step)]
+    position.append(_describe_strength(step.bevel))
+    supports = [f"{force('base', loads.base.force)}, {_replace_minus(f'{loads.base.moment:+z.2f}')} N mm"]
+    for n, (guide, held) in enumerate(zip(step.controls.guides, loads.guides, strict=True), start=1):
+        supports.append(force(guide.name or f"guide {n}", held.force))
+    lines = [line for part in (position, supports) for line in textwrap.wrap(_SEPARATOR.join(part), letters)]
+    tip = [_replace_minus(f"tip {_format_tip(state.shape)}")]
+    return lines, tip if tip_force is None else [*tip, force("tip force", tip_force)]
+
+
+def _pad_lines(lines: Sequence[str], count: int) -> str:
+    return "\n".join([*lines, *[""] * (count - len(lines))])
+
+
+# ---- one state with its forces, in C
+
+# Of the drawing's height.
+_MAX_LOAD_FRACTION = 0.2  # the largest load
+_MAX_FORCE_FRACTION = 0.25  # the tip force
+_ROOM_FRACTION = 0.6  # of the needle's height above and below it, for loads and what is written
+_MIN_BEND_FRACTION = 0.01  # of the depth: smaller deflections are not exaggerated further
+_MAX_HEIGHT_RATIO = 1.1  # height of a panel over its width
+_AXES_IN = 0.6  # inches beside the panel
+_TIP_TEXT_WIDTH_IN = 1.5  # inches, of the text on the tip
+_LEGEND_COLUMN_WIDTH_IN = 1.35  # inches, on an average
+_ONE_LINE = 10_000  # letters: no text is broken
+PRINT_WIDTH_IN = 174 / 25.4  # inches, of both columns of a paper
+
+
+class StateFigure:
+    """A figure with axes in C that has room for each of some states of an insertion.
+
+    Of the scene it has needle, rules and names of layers; tissue and inputs are those of a state. The needle
+    is drawn from its base on where more than the bevel steers it, else from the entry on; y is drawn as many
+    times as large as x as its label states. `tip_force`, N, is that of one state, see
+    `find_tip_force`. `per_mm` is the lateral load per drawn millimetre of y, N/mm (0 without a load).
+    """
+
+    def __init__(
+        self,
+        title: str,
+        scene: Scene,
+        states: Sequence[NeedleState],
+        tip_force: float | None = None,
+    ) -> None:
+        from_above = len(list_views([state.shape for state in states])) > 1
+        self._scene, self._tip_force = scene, tip_force
+        loads = [self._compute_loads(state) for state in states]
+        x, y, factor = self._choose_view(states)
+        self._height_mm = y[1] - y[0]
+        load = max(float(np.abs(self._smooth(load)).max(initial=0.0)) for load in loads)
+        self.per_mm = round_up(load / (_MAX_LOAD_FRACTION * self._height_mm)) if load > 0 else 0.0
+        width = PRINT_WIDTH_IN - _AXES_IN
+        self._inches = width / (x[1] - x[0])
+        height = self._inches * factor * self._height_mm
+        # room for the text above the drawing, beside the text on the tip
+        self._letters = int((width - _TIP_TEXT_WIDTH_IN) / _LETTER_WIDTH_IN)
+        texts = [
+            describe_state(*pair, tip_force, self._letters)[0] for pair in zip(states, loads, strict=True)
+        ]
+        self._lines = max(2, *map(len, texts))
+        more_handles = self._list_handles()
+        supports = _name_supports([state.step for state in states])
+        columns = max(int(width / _LEGEND_COLUMN_WIDTH_IN), 2)
+        legend_lines = math.ceil((len(supports) + 2 + len(more_handles)) / columns)
+        times = "" if factor == 1 else f", drawn {factor:g}× as large as x"
+        x_name, y_name = _NAMES_IN_C[0], f"{_NAMES_IN_C[1]}{times}"
+        z = self._find_span_above(states, x, 0.2 * self._height_mm) if from_above else (0.0, 0.0)
+        tall = height + self._inches * factor * (z[1] - z[0]) + 0.2 * from_above
+        self.figure = Figure(figsize=(width + _AXES_IN, tall + 0.75 + 0.14 * (self._lines + legend_lines)))
+        self._above: Axes | None = None  # the view from above, of needles in space
+        if from_above:
+            ratios = (self._height_mm, z[1] - z[0])
+            self.axes, self._above = self.figure.subplots(2, 1, sharex=True, height_ratios=ratios)
+            self._above.set(ylim=z, aspect=factor, xlabel=x_name, ylabel="z (mm)\nfrom above")
+        else:
+            self.axes = self.figure.add_subplot(xlabel=x_name)
+        short = len(y_name) * _LETTER_WIDTH_IN > height
+        self.axes.set(xlim=x, ylim=y, aspect=factor, ylabel=y_name.replace(", ", ",\n") if short else y_name)
+        letters = int(width / _LETTER_WIDTH_IN)
+        _draw_legend(self.figure, textwrap.fill(title, letters), supports, more_handles, columns)
+
+    def paint(self, state: NeedleState) -> None:
+        """Draw one state, in place of an earlier one."""
+        axes, scene = self.axes, replace(self._scene, tissue=state.tissue)
+        # Only what was drawn is removed: the axes, their limits and the layout stay the same in every frame.
+        for axis in self.figure.axes:
+            for old in (*axis.lines, *axis.patches, *axis.texts):
+                old.remove()
+        for panel in filter(None, (axes, self._above)):
+            above = panel is self._above
+            _draw_layers(panel, scene, None if above else self._inches)
+            path = map_beam_points(state.shape, state.shape.tip_path)
+            panel.plot(*_see(path, above).T, zorder=2.5, **_LOOKS["path"])
+            _draw_needle(panel, scene, state.step, state.shape, above)
+        loads = self._compute_loads(state)
+        if len(outline := self._outline_load(state, loads)):
+            axes.fill(*outline.T, zorder=1.8, **_LOOKS["load"])
+        if self._tip_force and not state.shape.leaves_plane:
+            ((x, y, _),) = compute_positions(state.shape, state.shape.x[-1:])
+            length = math.copysign(_MAX_FORCE_FRACTION * self._height_mm, self._tip_force)
+            axes.annotate("", (x, y + length), (x, y), arrowprops=_ARROW, zorder=7)
+        lines, tip = describe_state(state, loads, self._tip_force, self._letters)
+        axes.set_title(_pad_lines(lines, self._lines), loc="left", pad=4)
+        axes.set_title(_pad_lines(tip, self._lines), loc="right", pad=4, color=COLOURS["tip"])
+
+    def _compute_loads(self, state: NeedleState) -> Loads:
+        scene = self._scene
+        return compute_loads(state.shape, state.tissue, scene.needle, state.step.controls, scene.rules)
+
+    def _smooth(self, loads: Loads) -> Floats:
+        if len(loads.s) < 2:
+            return loads.load
+        return smooth_load(loads.s, loads.load, self._scene.rules.spacing)
+
+    def _list_handles(self) -> list[Line2D | Patch]:
+        """Return the handles of the legend for what is drawn beside the needle."""
+        handles: list[Line2D | Patch] = [Line2D([], [], label="tip path", **_LOOKS["path"])]
+        if self.per_mm:
+            label = f"load, {self.per_mm:g} N/mm to 1 mm of y"
+            handles.append(Patch(label=label, **_LOOKS["load"]))
+        return handles
+
+    def _choose_view(self, states: Sequence[NeedleState]) -> tuple[Span, Span, float]:
+        """Return limits, mm, that hold all these states and their guides, and the scale of y."""
+        deepest = max(state.shape.depth for state in states)
+        whole = deepest == 0 or any(state.step.controls != Controls() for state in states)
+        traces = [_trace(state.shape, above) for state in states for above in (False, True)]
+        guides = [_find_guides(state.step) for state in states]
+        points = np.concatenate([*traces, *guides, np.zeros((1, 2))])
+        start = float(points[:, 0].min()) if whole else -_MARGIN_BEFORE_ENTRY * deepest
+        across = points[points[:, 0] >= start, 1]
+        least = _MIN_BEND_FRACTION * max(deepest, 1.0)
+        low, high = float(across.min()), float(across.max())
+        room = _ROOM_FRACTION * max(high - low, least)
+        x = (start - 0.03 * (deepest - start) * whole, max(1.04 * deepest, 5.0))
+        y = min(low, 0.0) - room, max(high, 0.0) + room
+        factor = choose_vertical_scale(x[1] - x[0], y[1] - y[0])
+        # of a needle that bends more than it is long
+        spare = (y[1] - y[0]) / _MAX_HEIGHT_RATIO - (x[1] - x[0])
+        return (x[0], x[1] + max(spare, 0.0)), y, factor
+
+    def _find_span_above(self, states: Sequence[NeedleState], x: Span, least: float) -> Span:
+        """Return the z that the view from above shows, at least so many mm."""
+        traces = [_trace(state.shape, above=True) for state in states]
+        drawn = np.concatenate([*traces, *(_find_guides(state.step, above=True) for state in states)])
+        z = np.append(drawn[(drawn[:, 0] >= x[0]) & (drawn[:, 0] <= x[1]), 1], 0.0)
+        room = max(float(np.ptp(z)), least)
+        middle = float(z.min() + z.max()) / 2
+        return middle - 0.6 * room, middle + 0.6 * room
+
+    def _outline_load(self, state: NeedleState, loads: Loads) -> Floats:
+        """Return the outline of the load along the shaft: from the needle to it, and back."""
+        if len(loads.s) == 0 or self.per_mm == 0:
+            return np.empty((0, 2))
+        needle = _see(compute_positions(state.shape, loads.s), above=False)
+        pulled = needle + np.column_stack((np.zeros(len(needle)), self._smooth(loads) / self.per_mm))
+        return np.concatenate((needle, pulled[::-1]))
+
+
+def smooth_load(s: Floats, load: Floats, reach: float) -> Floats:
+    """Return the mean of a load (K,) over `reach` mm to either side of each of its places, less at the ends.
+
+    Between constraint points the load of the model is a sawtooth; its mean over two spacings is what the
+    tissue means to the shaft.
+    """
+    half = np.minimum(reach, np.minimum(s - s[0], s[-1] - s))
+    total = BSpline([s[0], *s, s[-1]], load, 1).antiderivative()  # of the line through the points
+    inside = half > 0
+    return np.where(inside, (total(s + half) - total(s - half)) / np.where(inside, 2 * half, 1.0), load)
+
+
+def draw_state(
+    title: str,
+    scene: Scene,
+    state: NeedleState,
+    path: Path,
+    tip_force: float,
+) -> None:
+    """Draw one state of an insertion with its forces to a .pdf, .png or .svg file; else as `StateFigure`.
+
+    It is made for print: in the width of a column, its text as text, and what is written above it as the
+    description of the file. ConfigError if the ending of `path` is another one, or its folder does not exist.
     """
 
     def paint() -> Figure:
-        views = ("y", "z") if state.shape.leaves_plane else ("y",)
-        figure = Figure(figsize=(TEXT_WIDTH_IN, 1.0 + 2.2 * len(views)))
-        panels = figure.subplots(len(views), 1, sharex=True, squeeze=False)[:, 0]
-        for axes, axis in zip(panels, views, strict=True):
-            _draw_panel(axes, scene, state, "xyz".index(axis))
-        words = f"{state.step.depth:.4g} mm deep, tip at {_name_tip(state)}"
-        panels[0].set_title(f"{textwrap.fill(title, MAX_TITLE_LETTERS)}\n{words}", loc="left")
-        handles, _ = panels[0].get_legend_handles_labels()
-        figure.legend(handles=handles, loc="outside lower left", ncols=5, handlelength=1.3)
-        panels[-1].set_xlabel("x along the entry (mm)")
-        return figure
+        drawn = StateFigure(title, scene, [state], tip_force)
+        drawn.paint(state)
+        fit_height(drawn.figure)
+        return drawn.figure
 
-    draw(path, paint, title)
+    loads = compute_loads(state.shape, state.tissue, scene.needle, state.step.controls, scene.rules)
+    lines, tip = describe_state(state, loads, tip_force, _ONE_LINE)
+    draw(path, paint, _SEPARATOR.join([title, *lines, *tip]))
 
 
-def _name_tip(state: NeedleState) -> str:
-    along_z = f", z = {state.shape.tip_z:z.2f} mm" if state.shape.leaves_plane else ""
-    return f"y = {state.shape.tip_lateral:z.2f} mm{along_z}"
-
-
-def _draw_panel(axes: Axes, scene: Scene, state: NeedleState, across: int) -> None:
-    """Draw x and y (`across` 1) or z (2) of the needle, its constraint points and its guides."""
-    shape, depth = state.shape, state.shape.depth
-    controls, columns = state.step.controls, [0, across]
-    needle = compute_positions(shape, np.linspace(shape.x[0], depth, _POINTS_OF_NEEDLE))[:, columns]
-    points = map_beam_points(shape, shape.constraints)[:, columns]
-    guides = [(guide.x, guide.y if across == 1 else guide.z) for guide in controls.guides]
-    begin = min([-_MARGIN * depth, *(x - 1.0 for x, _ in guides)])
-    end = (1 + _MARGIN) * max(depth, 1.0)
-    shown = np.vstack([needle[needle[:, 0] >= begin], np.reshape(guides, (-1, 2)), np.zeros((1, 2))])[:, 1]
-    room = 0.3 * max(float(np.ptp(shown)), 0.01 * (end - begin))
-    low, high = float(shown.min()) - room, float(shown.max()) + room
-    axes.set(xlim=(begin, end), ylim=(low, high), ylabel=f"{'xyz'[across]} (mm), enlarged")
-    _draw_layers(axes, scene, state.tissue.mu, (begin, end))
-    axes.plot(*map_beam_points(shape, shape.tip_path)[:, columns].T, color=INK, lw=0.6, label="tip path")
-    axes.plot(*points.T, "x", color=_POINTS, ms=2.8, mew=0.6, label="constraint points")
-    if guides:
-        axes.plot(*np.transpose(guides), "o", color="#007a58", ms=5.0, label="guides")
-    axes.plot(*needle.T, color=_NEEDLE, lw=1.4, label="needle")
-    axes.plot(*needle[-1], "o", color=_TIP, ms=4.0, label="tip")
-
-
-def _draw_layers(axes: Axes, scene: Scene, mu: Floats, shown: tuple[float, float]) -> None:
-    """Shade the layers, the darker the stiffer, and write name and modulus of those that have room."""
-    stiffness = np.log10(mu)
-    shades = (stiffness - stiffness.min()) / max(float(np.ptp(stiffness)), 1.0)
-    edges = [0.0, *scene.tissue.boundaries, max(shown[1], 0.0)]
-    for n, (top, bottom) in enumerate(pairwise(edges)):
-        if top >= shown[1]:
-            break
-        axes.axvspan(top, bottom, color=_LAYER_COLOURS(float(shades[n])), lw=0, zorder=0)
-        axes.axvline(top, color=GREY, lw=0.6, zorder=0.5)
-        name = (scene.layer_names[n] if scene.layer_names else "") or f"layer {n + 1}"
-        width = min(bottom, shown[1]) - top
-        if width > 0.15 * (shown[1] - shown[0]):
-            words = f"{name}\n{format_quantity('mu_pa', 1e6 * mu[n])}"
-            place, system = (top + width / 2, 0.04), axes.get_xaxis_transform()
-            axes.text(*place, words, transform=system, fontsize=6.5, ha="center", va="bottom")
+def round_up(value: float) -> float:
+    """Return the smallest of 1, 2, 5, 10, ... (times any power of ten) not less than a positive value."""
+    ten = 10.0 ** math.floor(math.log10(value))
+    return next(float(f"{step * ten:.1g}") for step in (1, 2, 5, 10) if step * ten >= value * (1 - 1e-9))
