@@ -81,7 +81,10 @@ def test_another_machine_gets_the_files_and_gives_the_same_reconstruction(sample
     here = reconstruct_all([sample, gone], RECIPE, ReconstructionBatch())
     there = reconstruct_all([sample, gone], RECIPE, ReconstructionBatch(RemotePool(remote=True)))
     arrays = {}, {}
-    assert encode(there[0][0], batch._HOOKS, arrays[0]) == encode(here[0][0], batch._HOOKS, arrays[1])
+    encoded = [
+        encode(made[0][0], batch._HOOKS, into) for made, into in zip((there, here), arrays, strict=True)
+    ]
+    assert repr(encoded[0]) == repr(encoded[1])  # nan is written alike, and no copy of it equals it
     for name, one in arrays[1].items():
         np.testing.assert_array_equal(arrays[0][name], one)
     (missed,) = there[1]

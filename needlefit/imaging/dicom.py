@@ -50,6 +50,7 @@ UNSPECIFIED_UNIT = (
 )
 EXPORT_FIX = "export the series from the scanner or the archive again, as original axial slices in HU"
 CONVERT_FIX = "load it in 3D Slicer, and save the volume as NRRD, in HU: air -1000, water 0"
+ELEMENT_HEADER_BYTES = (12, 8)  # of the voxels' entry, where types are stated and where not
 SLICE_BYTES_PER_PIXEL = 32  # a slice stands in memory packed, unpacked, and in double precision
 SUFFIXES = (".dcm", ".ima", ".dicom")
 NUMBERS = {  # entries that are numbers, and of how many
@@ -133,8 +134,12 @@ def read_header(file: Path) -> DicomSlice | None:
             stated = UID(str(data.file_meta.get("MediaStorageSOPClassUID") or data.get("SOPClassUID") or ""))
             if stated.name != stated and "Image Storage" not in stated.name:
                 return None
-            if not (data.Rows and data.Columns) or file.stat().st_size <= content.tell():
-                raise EOFError
+            stored = file.stat().st_size - content.tell()
+            header = ELEMENT_HEADER_BYTES[bool(data.original_encoding[0])]
+            needed = header + data.get("BitsAllocated", 16) * data.Rows * data.Columns // 8
+            syntax = UID(str(data.file_meta.get("TransferSyntaxUID") or ""))
+            if stored <= header or (not syntax.is_compressed and stored < needed):
+                raise EOFError  # voxels that are not there would be read as others
             given = {name: data.get(name) for name in NUMBERS}
             number = {
                 name: np.array(value, dtype=np.float64).ravel()
