@@ -109,6 +109,7 @@ def select_compared(points: Floats, compared: Compared, axis: int = -1) -> Float
 #: what is compared of two needles: places along them, the tip at each reading of a track, curvatures at
 #: sensors, or the tip that these lead to; "noise" is of errors that are divided by it
 Quantity = Literal["places", "readings", "curvatures", "integrated", "noise"]
+TIP_POINTS = 2  # that stand for a measured tip: its entry, which is stated, and the tip
 COMPARISON_POINTS = 101  # points at which two curves are compared, from entry (j = 1) to tip (j = K)
 
 
@@ -130,7 +131,7 @@ class ComparedCurves:
     @property
     def is_curve(self) -> bool:
         """Whether there are stations between entry and tip."""
-        return len(self.measured) > 2
+        return len(self.measured) > TIP_POINTS
 
     @property
     def tip_error(self) -> float:

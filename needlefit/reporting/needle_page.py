@@ -21,6 +21,7 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.errors import ConfigError
+from needlefit.geometry.curves import TIP_POINTS
 from needlefit.mechanics import native
 from needlefit.mechanics.control import Bevel, ModelOptions, Step
 from needlefit.mechanics.inputs import describe_input_rules
@@ -130,9 +131,6 @@ def encode_metrics(count: int) -> list[list[str]]:
         for metric in shown
         if count > TIP_POINTS or not metric.of_curve
     ]
-
-
-TIP_POINTS = 2  #: that stand for a tip: its entry, which is stated, and the tip, which is measured
 
 
 def find_measured(count: int) -> slice:

@@ -12,6 +12,7 @@ import pandas as pd
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import InsertionInputs, InsertionPose, find_free_reach
 from needlefit.errors import ConfigError
+from needlefit.geometry.curves import TIP_POINTS
 from needlefit.inference.parameter_names import BEVEL_PARAMETERS, BEVEL_SPREAD, find_bevel_factors
 from needlefit.inference.parameters import Parameters
 from needlefit.mechanics.laws import LAWS, PowerLaw
@@ -35,7 +36,6 @@ from needlefit.project.random_streams import random_stream
 from needlefit.reporting import labels
 from needlefit.reporting.needle_page import (
     SHOWN_METRICS,
-    TIP_POINTS,
     PageData,
     encode_metrics,
     encode_scene,

@@ -38,7 +38,6 @@ class MeasuredOverlay:
     s: Floats
     target: "ComparedPoints"  #: the points that a study compares with a needle of the measured depth
     depth: float  #: inserted arc length, mm
-    side: int  #: the side of C's x axis that the bevel faces, +1 or -1
     floor: float | None  #: TE that the true parameters would still show, mm; None where no noise is stated
     #: the prediction of a run that has held it out: x, y, mm, and its errors
     prediction: Mapping[str, Any] | None = None
@@ -65,4 +64,4 @@ def make_measured_overlay(
     elif aim.pose == "direction" and shape.converged:
         points = align(aim.pose, points, compute_positions(shape, s))
     stated = None if math.isnan(floor) else floor
-    return MeasuredOverlay(insertion.id, points, s, aim, insertion.depth, insertion.side, stated)
+    return MeasuredOverlay(insertion.id, points, s, aim, insertion.depth, stated)

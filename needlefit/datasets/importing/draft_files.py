@@ -4,7 +4,6 @@ It reads no needle: a person sees what is proposed, and `read` goes by that.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +27,7 @@ from needlefit.datasets.importing.tables import (
 from needlefit.errors import DataError
 from needlefit.geometry.surfaces import READ_SUFFIXES
 from needlefit.project.input_files import is_dir, is_file, path_exists
-from needlefit.project.locate import join_names
+from needlefit.project.locate import join_names, sort_by_similarity
 from needlefit.project.toml import check, override
 from needlefit.schemas.mapping import TableRecord
 
@@ -80,7 +79,7 @@ def _require_columns(draft: Draft, stated: Assignments) -> None:
     """DataError of a stated column that no table has, with the nearest header."""
     for meaning, parts in stated.columns.items():
         if "column" in parts and draft.headers and meaning not in draft.columns_read:
-            near = get_close_matches(parts["column"], draft.headers, 1, 0.0)[0]
+            near = sort_by_similarity(parts["column"], draft.headers)[0]
             raise DataError(
                 f"no table has the column {parts['column']!r}, of which {meaning} is to be read",
                 expected=f"one of {', '.join(dict.fromkeys(draft.headers))}"[:400],

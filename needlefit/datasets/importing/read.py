@@ -4,7 +4,6 @@ import re
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from functools import cached_property
 from itertools import zip_longest
@@ -39,7 +38,7 @@ from needlefit.geometry.surfaces import (
     transform_surface,
 )
 from needlefit.project.folders import sha256
-from needlefit.project.locate import join_names
+from needlefit.project.locate import join_names, sort_by_similarity
 from needlefit.project.units import UNITS_MM
 from needlefit.schemas.mapping import MappingRecord, MeaningRecord, TableRecord
 
@@ -81,7 +80,7 @@ class MappedTable:
         if column is not None:
             return column
         headers = [text for text in self.table.headers if text]
-        near = get_close_matches(str(name), headers, 1, 0.0)
+        near = sort_by_similarity(str(name), headers)
         raise DataError(
             f"has no one column {name!r}, of which {meaning} is read",
             expected=f"one of {', '.join(headers)}, or a number from 1 to {len(self.table.headers)}",
@@ -197,7 +196,7 @@ def list_tables(mapping: MappingRecord, paths: Sequence[Path], where: str) -> It
             path for path in paths if any(fnmatchcase(path.name, pattern) for pattern in record.files)
         ]
         if not matching:
-            near = get_close_matches(record.files[0], names, 1, 0.0)
+            near = sort_by_similarity(record.files[0], names)
             raise DataError(
                 f"tables.{number} reads {join_names(record.files, 3)}, and no file has this name",
                 expected=join_names(names, MAX_LISTED_NAMES),

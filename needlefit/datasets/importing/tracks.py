@@ -129,7 +129,7 @@ def _is_paired(curve: ImportedCurve, other: ImportedCurve) -> bool:
 def settle_depth_zero(asked: CurveAnswers) -> None:
     """Count the stated depths of readings from the surface of the tissue.
 
-    DataError if depths that are said to count from there begin before it.
+    DataError if depths that count from there, as stated, begin before it.
     """
     curves = [curve for curve in asked.curves if len(curve.depths) and curve.depths[0]]
     if not curves:

@@ -57,11 +57,11 @@ def examine_depths(problem: Problem, theta: Floats) -> list[DepthMetadata]:
         by_depth = (ends[0] - ends[1]) / (2 * STEP_MM)
         taken = covariance @ (slope.T @ by_depth) / scale  # what the parameters take up of a mm
         left = by_depth - slope @ taken
-        log_factor_per_mm = float(left @ by_depth) / scale
-        if not log_factor_per_mm > 0 or not moduli:
+        information = float(left @ by_depth) / scale
+        if not information > 0 or not moduli:
             continue
         worst = max(moduli, key=lambda n: abs(taken[n]))
-        sd, near = 1 / math.sqrt(log_factor_per_mm), -float(left @ residuals) / scale / log_factor_per_mm
+        sd, near = 1 / math.sqrt(information), -float(left @ residuals) / scale / information
         shift, sd, describes = _profile(problem, theta, k, near) or (0.0, sd, True)
         rows.append(
             DepthMetadata(
