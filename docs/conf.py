@@ -27,6 +27,7 @@ extensions = [
     "mathml",
     "docstrings",
     "commands",
+    "example_page",
     "notebooks_page",
     "shipped",
 ]

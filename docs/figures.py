@@ -1,13 +1,11 @@
 """Draw the schematics of the documentation, and record the animation of its first page.
 
 python docs/figures.py                 writes docs/figures/{needle,frames,cell,layers}.svg
-python docs/figures.py --animation     writes docs/figures/steering.{csv,gif,html} too (a minute)
+python docs/figures.py --animation     writes docs/figures/steering.{csv,gif} too (a minute)
 python docs/figures.py --workbook      fills the example sheets of the workbook that ships
 """
 
 import argparse
-import subprocess
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -56,8 +54,6 @@ def main() -> None:
             figure.savefig(FOLDER / f"{name}.svg", metadata={"Date": None}, transparent=False)
     if options.animation:
         animate(*record(FOLDER / "steering.csv"), FOLDER / "steering.gif")
-        replay = [sys.executable, "-m", "needlefit", "simulate", "--recording", str(FOLDER / "steering.csv")]
-        subprocess.run([*replay, "--html", str(FOLDER / "steering.html")], check=True)
 
 
 # --- the schematics -------------------------------------------------------------------------------------

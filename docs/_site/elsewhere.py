@@ -14,6 +14,7 @@ PAGES = {
     "../needlefit/cli/application.py": "reference/commands.md",
     "../needlefit/api.py": "api.md",
     "../studies": "reference/shipped.md",
+    "figures/steering.csv": "figures/steering.html",
     "notebooks/1_fit_your_csv.ipynb": "reference/notebooks.md",
     "notebooks/3_simulate.ipynb": "reference/notebooks.md",
 }
