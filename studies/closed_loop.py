@@ -5,9 +5,8 @@
 True moduli differ from the expected ones by a factor of 1.8 (SD), b by 1.4; the base follows 75 % of each
 command. Every 10 mm the tip is measured, in `shape` eight points (SD 0.3 mm). `again`: planned again without
 measurements; `tip`, `shape`: with draws weighted by these; `proportional`: the base moves by twice the tip's
-offset from the straight way (of 0.5, 1, 2 and 3 times the best); `resolved rate`: by the Jacobian of the end;
-`true`: with the true parameters. Printed are the mean miss, half its 95 % interval and the 95 % quantile, mm;
-and in how many percent the 95 % interval of the miss, from 0 up, holds it after each depth measured.
+offset from the straight way; `resolved rate`: by the Jacobian of the end; `true`: with the true parameters.
+Columns: mean miss and its standard error (mm); % of misses in the 95 % interval of the plan at each depth.
 """
 
 import argparse
@@ -21,11 +20,10 @@ import pandas as pd
 import needlefit
 
 TARGET, STOP_MM, SD_MM = np.array([80.0, 3.0]), 10.0, 0.3
-OUT, MU_PA, B_MM = Path("reports/closed_loop.png"), np.array([5e3, 2e4]), 0.1
+OUT, DEPTHS, MU_PA, B_MM = Path("reports/closed_loop.png"), range(0, 80, 10), np.array([5e3, 2e4]), 0.1
 TRUTHS = ("as modelled", "play 0.2 mm", "layer 1 mm deeper", "friction 50", "path angle")
-BY_TIP = ("proportional", "resolved rate")  # controllers that do not plan
-CONTROLS = ("open", "again", "tip", "shape", *BY_TIP, "true")
-NEEDLE = {"name": "18 gauge", "length_mm": 150.0, "outer_diameter_mm": 1.27, "youngs_modulus_gpa": 80.0}
+CONTROLS = ("open", "again", "tip", "shape", "proportional", "resolved rate", "true")
+NEEDLE = {"name": "18 gauge", "length_mm": 150, "outer_diameter_mm": 1.27, "youngs_modulus_gpa": 80}
 LAYERS = [{"top_mm": 0.0, "mu_pa": 5e3, "alpha": 1.0}, {"top_mm": 25.0, "mu_pa": 2e4, "alpha": 1.0}]
 SCENE = {"depth_mm": 80.0, "needle": NEEDLE, "bevel": {"offset_mm": B_MM}, "layers": LAYERS}
 
@@ -54,8 +52,8 @@ class Robot:
         controls, bevel = step.controls, replace(self.bevel, side=step.bevel.side)
         self.base_y = float(np.clip(self.base_y, controls.base_y - self.play, controls.base_y + self.play))
         moved = replace(controls, base_y=self.gain * self.base_y, base_slope=self.gain * controls.base_slope)
-        self.needle.go(replace(step, bevel=bevel, controls=moved))
-        return needlefit.compute_positions(self.needle.now.shape, np.array([self.needle.depth]))[0]
+        shape = self.needle.go(replace(step, bevel=bevel, controls=moved))
+        return needlefit.compute_positions(shape, np.array([step.depth]))[0]
 
 
 def correct(steering: needlefit.Steering, tip: np.ndarray, control: str) -> tuple[needlefit.Step, ...]:
@@ -77,9 +75,8 @@ def steer(seed: int, control: str, truth: str) -> dict:
     mu, b = MU_PA * 1.8 ** rng.standard_normal(2), B_MM * 1.4 ** rng.standard_normal()
     medium = make_medium(mu, b, 1e-6) if true else make_medium(MU_PA, B_MM, 1.0)
     options = {"draws": 8 if true else 200, "gain_sd": 0.0 if true else 0.25}
-    steering, planned = needlefit.Steering(medium, SCENE, seed=seed, **options), control not in BY_TIP
-    robot, tip, plan = Robot(mu, b, 1.0 if true else 0.75, truth), np.zeros(3), steering.plan(TARGET)
-    plans = {0: plan}
+    steering, planned = needlefit.Steering(medium, SCENE, seed=seed, **options), control not in CONTROLS[4:6]
+    robot, tip, plans = Robot(mu, b, 1.0 if true else 0.75, truth), np.zeros(3), {0: steering.plan(TARGET)}
     for stop in np.arange(STOP_MM, TARGET[0] + 2 * STOP_MM, STOP_MM):
         depth = steering.now.depth
         if 0 < depth < TARGET[0] - 5 and control in ("tip", "shape"):
@@ -88,9 +85,9 @@ def steer(seed: int, control: str, truth: str) -> dict:
             points += SD_MM * rng.standard_normal((len(places), 1)) * (0, 1)
             steering.measure(sd=SD_MM, **{control: points[0] if control == "tip" else points})
         if control in ("again", "tip", "shape", "true") and 0 < depth < TARGET[0] - 5:
-            plans[round(depth)] = plan = steering.plan(TARGET)
+            plans[round(depth)] = steering.plan(TARGET)
         seen = np.add(tip, (0, SD_MM * (depth > 0) * rng.standard_normal(), 0))
-        for step in plan.cut_at(stop) if planned else correct(steering, seen, control):
+        for step in plans[max(plans)].cut_at(stop) if planned else correct(steering, seen, control):
             if step.depth > depth:
                 tip, _ = robot.drive(step), steering.advance(step)
     miss = np.hypot(*(tip[:2] - TARGET))
@@ -100,27 +97,22 @@ def steer(seed: int, control: str, truth: str) -> dict:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="needles as modelled, three by default")
-    parser.add_argument("--needles", type=int)
+    parser.add_argument("--quick", action="store_true", help="three needles as modelled")
+    parser.add_argument("--needles", type=int, default=50)
     given = parser.parse_args()
-    truths, needles = TRUTHS[: 1 if given.quick else None], range(given.needles or (3 if given.quick else 50))
+    truths, needles = (TRUTHS[:1], range(3)) if given.quick else (TRUTHS, range(given.needles))
     rows = pd.DataFrame([steer(n, c, t) for t in truths for c in CONTROLS for n in needles])
-    half, high = ("miss", lambda miss: 1.96 * miss.sem()), ("miss", lambda miss: miss.quantile(0.95))
-    cases, depths = rows.groupby(["truth", "control"], sort=False), range(0, 80, 10)
-    table = cases.agg(mean=("miss", "mean"), half=half, q95=high).join(cases[[*depths]].mean().round())
+    cases = rows.groupby(["truth", "control"], sort=False)
+    table = cases["miss"].agg(["mean", "sem"]).join(cases[[*DEPTHS]].mean().round())
     print(table.to_string(float_format="{:.3g}".format, na_rep=""))
     OUT.parent.mkdir(exist_ok=True)
-    figure, (misses, covered) = plt.subplots(1, 2, figsize=(8.0, 3.2), layout="constrained")
-    for n, (truth, part) in enumerate(table.groupby(level="truth", sort=False)):
-        at = np.arange(len(part)) + 0.12 * (n - 2)
-        misses.errorbar(at, part["mean"], part["half"], fmt="o", ms=3, label=truth)
-        for control, line in (("tip", "-"), ("shape", "--")):
-            covered.plot(depths, part.loc[(truth, control), [*depths]], line, color=f"C{n}")
-    misses.set(ylabel="mean miss (mm)", xticks=range(len(CONTROLS)), yscale="log")
-    misses.set_xticklabels(CONTROLS, rotation=30)
-    misses.legend(fontsize=7)
-    covered.axhline(95, color="0.6", lw=0.8)
-    covered.set(xlabel="depth (mm)", ylabel="miss in 95 % interval (%)", title="tip: solid, shape: dashed")
+    figure, (bars, *axes) = plt.subplots(1, 3, figsize=(10.0, 3.4), layout="constrained")
+    means, errors = (table[name].unstack("truth", sort=False) for name in ("mean", "sem"))
+    means.plot.bar(ax=bars, yerr=1.96 * errors, rot=40, xlabel="", ylabel="mean miss (mm)")
+    bars.legend(fontsize=7)
+    for ax, control in zip(axes, ("tip", "shape"), strict=True):
+        table.xs(control, level="control")[[*DEPTHS]].T.plot(ax=ax, legend=False, ylim=(0, 103))
+        ax.set(xlabel="planned at depth (mm)", title=f"{control}: % of misses in 95 % interval")
     figure.savefig(OUT, dpi=150)
 
 
