@@ -123,6 +123,9 @@ def test_each_run_has_its_needle(tmp_path, runs):
 
 
 def test_each_run_has_its_setup(tmp_path, runs):
+    both = TOML.replace('medium = "phantom"', 'medium = "phantom"\nsetup = "phantom"')
+    run = read(written(tmp_path / "both", runs, both)).insertions[0]
+    assert run.medium == run.setup == "gel"
     folder = written(tmp_path, runs)
     digests = [one.digest for one in read(folder).insertions]
     add_columns("steps.csv", setup="")(folder)

@@ -150,8 +150,8 @@ def rename_columns(
 ) -> CsvTable:
     """Return a table under our names, with constants where it has no column; note columns that it lacks."""
     note_missing_columns(table, list(names.values()), faults)
-    cells = table.cells.rename(columns={theirs: ours for ours, theirs in names.items()})
-    cells = cells.loc[:, ~cells.columns.duplicated(keep="last")]
+    present = {ours: table.cells[theirs] for ours, theirs in names.items() if theirs in table.cells}
+    cells = table.cells.drop(columns=[*names.values()], errors="ignore").assign(**present)
     absent = {name: str(value) for name, value in constants.items() if name not in cells}
     return CsvTable(table.path, cells.assign(**absent), table.lines, names)
 
