@@ -137,17 +137,23 @@ def test_bevels_that_all_face_one_way_do_not_tell_a_turn_of_all_from_an_error_of
     assert find_doubts(problem, fit_quickly(problem)).common is None
 
 
-def test_a_boundary_that_is_stated_far_from_where_it_is_is_found():
+def test_a_boundary_that_is_stated_far_from_where_it_is_is_found_if_the_noise_is_known():
     made = [replace(one, boundaries=np.array([5.0])) for one in measure_needles(7)]
     problem = make(made)
-    (one,) = examine_depths(problem, fit_quickly(problem))
+    theta = fit_quickly(problem)
+    (one,) = examine_depths(problem, theta)
     assert one.depth_mm == 5.0 and one.shift_mm > 3 * one.sd_mm
     assert one.depth_mm + one.shift_mm == pytest.approx(20.0, abs=3 * one.sd_mm)
+    likelihood = problem.likelihood.model_copy(update={"noise_scale": "estimated"})
+    (one,) = examine_depths(replace(problem, likelihood=likelihood), theta)
+    assert one.shift_mm == 0
 
 
-def test_three_needles_and_needles_without_stated_noise_are_not_judged():
+def test_three_needles_needles_off_their_plane_and_needles_without_stated_noise_are_not_judged():
     made = change(measure_needles(1), 1, lambda points: points * [1, -1, 1])
     assert list(doubt(made[:3])) == []
+    bent = change(made, 3, lambda points: points + points[:, :1] ** 2 * [0, 0, 0.001])
+    assert len(doubt(made)) == 1 and list(doubt(bent)) == []
     problem = make_problem(medium(), made)
     silent = replace(problem, dataset=dataset(made, Noise()))
     assert find_doubts(silent, problem.parameters.theta(TRUTH)).odd == ()

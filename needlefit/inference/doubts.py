@@ -13,6 +13,7 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
+from needlefit.datasets.planes import leaves_plane
 from needlefit.inference.hypotheses import (
     ASIDE,
     HYPOTHESES,
@@ -58,11 +59,13 @@ class Doubts(NamedTuple):
 def find_doubts(problem: Problem, theta: Floats) -> Doubts:
     """Return the needles that a fit to the others does not predict.
 
-    `theta` (P,): the fit to all. None of too few needles, without stated noise, or where a needle is not
-    solved: these are not judged.
+    `theta` (P,): the fit to all. None of too few needles, without stated noise, of needles that leave the
+    plane in which they are compared, or where a needle is not solved: these are not judged.
     """
-    insertions, count = problem.insertions, len(problem.insertions)
-    if count < MIN_NEEDLES or not problem.dataset.noise_is_stated:
+    insertions, count, dataset = problem.insertions, len(problem.insertions), problem.dataset
+    if count < MIN_NEEDLES or not dataset.noise_is_stated:
+        return Doubts()
+    if dataset.compared == "plane" and any(leaves_plane(needle, dataset.noise) for needle in insertions):
         return Doubts()
     odd = list[int]()
     while True:

@@ -103,8 +103,11 @@ def _profile(problem: Problem, theta: Floats, number: int, near: float) -> _Prof
     """Return by how much a boundary is deeper than stated where the needles are most probable.
 
     It is moved in all insertions, between its neighbours, and all parameters are fitted again; differences
-    between needles are integrated out. `near`: by the derivatives. None if no other depth is more probable.
+    between needles are integrated out. `near`: by the derivatives. None if no other depth is more probable,
+    or the noise is estimated: then any depth describes the needles.
     """
+    if problem.likelihood.noise_scale == "estimated":
+        return None
     stated = _find_depth(problem, number)
     longest = max(problem.insertions, key=lambda insertion: len(insertion.boundaries))
     ends = np.array([0.0, *longest.boundaries, max(insertion.depth for insertion in problem.insertions)])
