@@ -63,9 +63,8 @@ def opened(chromium, path: Path, **settings):
     """Yield a page with all of its parts unfolded and all layers of the picture on."""
     with open_offline(chromium, path, **settings) as page:
         page.evaluate("for (const one of document.querySelectorAll('details')) one.open = true")
-        errors = page.locator("[data-show=errors]")
-        if errors.is_visible():
-            errors.click()
+        for chip in page.locator("[aria-pressed=false][data-show]:visible").element_handles():
+            chip.click()
         yield page
 
 
@@ -130,7 +129,8 @@ def test_keys_and_buttons_have_their_effects_and_are_undone(page) -> None:
         ("ArrowLeft", f"Math.abs(s.depth_mm - {begun['depth_mm'] - 1}) < 1e-9"),
         ("Shift+ArrowRight", f"Math.abs(s.depth_mm - {begun['depth_mm'] - 0.9}) < 1e-9"),
         ("f", f"s.bevel.side === {-begun['bevel']['side']}"),
-        ("ArrowUp", "Math.abs(s.base.input_y - 0.1) < 1e-9"),
+        ("k", "n.pinned"),
+        ("ArrowUp", "Math.abs(s.base.input_y - 0.1) < 1e-9 && n.pinned.y[0] === 0"),
         ("Control+z", "s.base.input_y === 0"),
         ("Control+y", "s.base.input_y > 0"),
     ):
@@ -209,7 +209,7 @@ def test_a_thousand_random_actions_are_without_a_fault(subject, chromium) -> Non
     """`open_offline` fails at an error of the page; the needle is always one that can be read."""
     rng = np.random.default_rng(1)
     keys = [
-        *"fr123",
+        *"frk123+-",
         "ArrowLeft",
         "ArrowRight",
         "ArrowUp",
@@ -309,7 +309,7 @@ def test_bands_and_gaps_stand_out_in_both_colour_schemes(scheme: int) -> None:
     style = (PAGE / "style.css").read_text("utf-8")
     pairs = re.findall(r"--(\w+): light-dark\((#\w+), (#\w+)\)", style)
     colours = {name: both[scheme] for name, *both in pairs}
-    for drawn in ("band", "gap", "plan", "bad", "needle"):
+    for drawn in ("band", "gap", "plan", "bad", "pinned", "points", "path", "load", "needle"):
         for behind in ("soft", "stiff"):
             assert contrast(colours[drawn], colours[behind]) >= 3, (drawn, behind)
     channels = {name: [int(part, 16) for part in re.findall("..", colours[name][1:7])] for name in colours}
@@ -324,10 +324,7 @@ def test_axe_finds_no_violation(subject, chromium, scheme: str) -> None:
 
 
 SVG = "{http://www.w3.org/2000/svg}"
-NEEDLE, MEASURED = (
-    re.search(rf"--{name}: light-dark\((#\w+)", (PAGE / "style.css").read_text("utf-8"))[1]
-    for name in ("needle", "measured")
-)
+LIGHT = dict(re.findall(r"--(\w+): light-dark\((#\w+)", (PAGE / "style.css").read_text("utf-8")))
 
 
 def save_figure(page, width: str, form: str) -> bytes:
@@ -341,13 +338,13 @@ def save_figure(page, width: str, form: str) -> bytes:
 def read_lines(drawing, colour: str) -> list[np.ndarray]:
     """Return the lines of a colour, px, that are part of the picture."""
     paths = [one.get("d") for one in drawing.iter(f"{SVG}path") if one.get("stroke") == colour]
-    return [np.array(re.findall(r"[ML]([-\d.]+) ([-\d.]+)", one), dtype=float) for one in paths]
+    return [np.array(re.findall(r"[ML]([-\d.]+),([-\d.]+)", one), dtype=float) for one in paths]
 
 
 def find_curve(page, drawing, colour: str, curve: str) -> None:
     """A curve of the page lies in the file between the same limits, point by point."""
     view, box = get(page, "n.view"), get(page, "n.view.box")
-    frame = drawing.find(f".//{SVG}clipPath/{SVG}path").get("d")
+    frame = drawing.find(f"{SVG}clipPath/{SVG}path").get("d")
     corners = np.array(re.findall(r"[-\d.]+", frame), dtype=float).reshape(4, 2)
     (left, top), (width, height) = corners[0], corners[2] - corners[0]
     x, y = (np.array(get(page, f"{curve}.{axis}")) for axis in "xy")
@@ -364,27 +361,35 @@ def find_curve(page, drawing, colour: str, curve: str) -> None:
 
 @sweep
 def test_saved_figures_of_twenty_random_paths_are_the_picture(subject, chromium) -> None:
-    """Same limits, exaggeration and layers as shown, in light colours; text as text."""
+    """Same limits, exaggeration, pin and layers as shown, in light colours; text as text."""
     rng = np.random.default_rng(20)
     with opened(chromium, subject, color_scheme="dark") as page:
         for n in range(20):
             for _ in range(int(rng.integers(1, 6))):
                 page.focus("#canvas")
-                page.keyboard.press(str(rng.choice([*"fr", "ArrowLeft", "ArrowUp", "ArrowDown"])))
+                page.keyboard.press(str(rng.choice([*"frk+", "ArrowLeft", "ArrowUp", "ArrowDown"])))
             page.click(f"[data-fit={('whole', 'tissue')[n % 2]}]")
+            page.mouse.wheel(0, 40 * (n % 4 - 1))
             if n % 3 == 0:
                 page.click("[data-show=measured]")
+                page.click("[data-show=points]")
             page.wait_for_timeout(250)
             width = ("84", "174")[n % 2]
             drawing = ElementTree.fromstring(save_figure(page, width, "svg"))
             assert drawing.get("width") == f"{width}mm"
-            find_curve(page, drawing, NEEDLE, "s")
+            find_curve(page, drawing, LIGHT["needle"], "s")
+            if get(page, "n.pinned"):
+                find_curve(page, drawing, LIGHT["pinned"], "n.pinned")
+            crosses = read_lines(drawing, LIGHT["points"])
+            assert bool(crosses) == get(page, "n.shown.points")
+            if crosses:
+                assert len(crosses[0]) == 4 * get(page, "s.constraints.x.length")
             dashed = [one for one in drawing.iter(f"{SVG}path") if one.get("stroke-dasharray") == "7 4"]
             shown = page.get_attribute("[data-show=measured]", "aria-pressed") == "true"
             views = 2 if get(page, "s.z") else 1  # of a needle in space from above, too
-            assert [one.get("stroke") for one in dashed] == [MEASURED] * shown * views
+            assert [one.get("stroke") for one in dashed] == [LIGHT["measured"]] * shown * views
             if shown:
-                find_curve(page, drawing, MEASURED, "n.scene.measured")
+                find_curve(page, drawing, LIGHT["measured"], "n.scene.measured")
             texts = {one.text for one in drawing.iter(f"{SVG}text")}
             assert any(text.startswith("y (mm)") for text in texts)
             times = get(page, "n.view.magnified")

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from page_files import PAGE
-from page_state import compute_band, continue_insertion, encode_state
+from page_state import compute_band, compute_shown_load, continue_insertion, encode_state
 
 from needlefit.errors import ModelError
 from needlefit.inference.forward_model import ParameterDraws
@@ -32,7 +32,7 @@ PROGRAM = """
 import {readFileSync} from 'node:fs'
 import {compile, Session} from KERNEL
 const load = (name) => import(PAGE + name)
-const [{SteeredNeedle}, {describeState}, {computeBand}, {computeValidity}, {toInputs}] = await Promise.all(
+const [{SteeredNeedle}, state, {computeBand}, {computeValidity}, {toInputs}] = await Promise.all(
   ['steered.js', 'state.js', 'band.js', 'validity.js', 'inputs.js'].map(load))
 const {scene, orders, draws} = JSON.parse(readFileSync(0, 'utf8'))
 const kernel = await compile(readFileSync(WASM))
@@ -50,7 +50,8 @@ for (const {changes, keep, forget} of orders) {
   }
   const {x, u, slope, constraints} = steered.session.shape
   found.push({fault, tip: steered.tipLateral, shape: [x, u, slope, constraints].map(hex),
-    path: steered.path(), state: describeState(steered), reach: steered.reach(),
+    path: steered.path(), state: state.describeState(steered), reach: steered.reach(),
+    load: state.describeLoad(steered).load,
     validity: computeValidity(steered.session.shape, steered.model)})
 }
 const {pathAngle} = steered.model
@@ -178,6 +179,7 @@ def test_the_page_simulates_the_bytes_of_the_program(name: str, seed: int) -> No
         assert found["shape"] == [one.tobytes().hex() for one in parts]
         assert found["reach"] == steering.reach()
         assert_same(found["state"], encode_state(viewed, steering), 2e-4)
+        np.testing.assert_allclose(found["load"], compute_shown_load(steering), rtol=1e-9, atol=1e-12)
         expected = shape.validity
         assert found["validity"] == pytest.approx(
             {key: float(getattr(expected, key)) for key in found["validity"]}, rel=1e-9, abs=1e-12

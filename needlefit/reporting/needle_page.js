@@ -17,22 +17,22 @@ THIS SOFTWARE. */
 0)),res}catch(e){throw err=[e],e}};function check(fault){if(fault)throw new TypeError(`the kernel refuses a problem: ${FAULTS[Number(fault)]}`)}function makeProblem(heap,fields2,arrays){
 let f=fields2,n=f.sets*f.layers,counts={boundaries:f.layers-1,rigidity:f.sets,mu:n,thickness:n,friction:n,law:n*
 f.numbers,turn:f.bevels*f.sets*f.planes,base:3*f.inputs*f.sets*f.planes,before_first:f.inputs+1,within_first:f.
-inputs+1,held_tip:2*f.inputs*f.planes,guide_x:f.sets};for(let[name,count]of Object.entries(counts))if((arrays[name]||
-name!=="guide_x")&&arrays[name].length!==count)throw new TypeError(`${name} has ${arrays[name].length} numbers\
-, not ${count}`);let addresses=ARRAYS.map(name=>arrays[name]?heap.put(arrays[name]):0),at=makeStructure(heap,f,
-addresses),sizes=heap.take(24);check(heap.call.nf_check(at,sizes));let[room,points]=heap.integers(sizes,2);return{
+inputs+1,held_tip:2*f.inputs*f.planes,guide_x:f.sets};for(let[name,count2]of Object.entries(counts))if((arrays[name]||
+name!=="guide_x")&&arrays[name].length!==count2)throw new TypeError(`${name} has ${arrays[name].length} number\
+s, not ${count2}`);let addresses=ARRAYS.map(name=>arrays[name]?heap.put(arrays[name]):0),at=makeStructure(heap,
+f,addresses),sizes=heap.take(24);check(heap.call.nf_check(at,sizes));let[room,points]=heap.integers(sizes,2);return{
 at,sizes,fields:f,arrays:Object.fromEntries(ARRAYS.map((name,i)=>[name,addresses[i]])),room:Number(room),maxPoints:Number(
 points)}}function rewrite(heap,problem,arrays){for(let[name,array3]of Object.entries(arrays))heap.put(array3,problem.
 arrays[name]);check(heap.call.nf_check(problem.at,problem.sizes))}function makeShapes(heap,problem,points){let{
 sets,columns:columns2,planes}=problem.fields,{room}=problem,counts={x:sets*room,u:planes*sets*room,slope:planes*
 sets*room,constraints:(1+planes)*sets*points,track:2*planes*sets*points,status:sets,passes:sets,nodes:1,u_by:planes*
 sets*room*columns2,slope_by:planes*sets*room*columns2,constraints_by:planes*sets*points*columns2,track_by:planes*
-sets*points*columns2},shapes={points,counts,room,planes};for(let[name,count]of Object.entries(counts))shapes[name]=
-columns2||!name.endsWith("_by")?heap.take(8*count):0;return shapes.at=heap.structure([room,points],[],Object.keys(
-counts).map(name=>shapes[name])),shapes}function readPlanes(heap,shapes,name,planes,nodes){let read=new Float64Array(
+sets*points*columns2},shapes={points,counts,room,planes};for(let[name,count2]of Object.entries(counts))shapes[name]=
+columns2||!name.endsWith("_by")?heap.take(8*count2):0;return shapes.at=heap.structure([room,points],[],Object.
+keys(counts).map(name=>shapes[name])),shapes}function readPlanes(heap,shapes,name,planes,nodes){let read=new Float64Array(
 planes*nodes);for(let plane=0;plane<planes;plane+=1)read.set(heap.floats(shapes[name]+8*plane*shapes.room,nodes),
 plane*nodes);return read}function readShape(heap,shapes,points){let{planes}=shapes,number3=name=>Number(heap.integers(
-shapes[name],1)[0]),read=(name,count)=>heap.floats(shapes[name],count).slice(),nodes=number3("nodes"),x2=read(
+shapes[name],1)[0]),read=(name,count2)=>heap.floats(shapes[name],count2).slice(),nodes=number3("nodes"),x2=read(
 "x",nodes);return{status:STATUS[number3("status")],passes:number3("passes"),depth:x2.at(-1),planes,x:x2,u:readPlanes(
 heap,shapes,"u",planes,nodes),slope:readPlanes(heap,shapes,"slope",planes,nodes),constraints:read("constraints",
 (1+planes)*points),track:read("track",2*planes*points)}}var STATUS,FAULTS,SIZES,NUMBERS,ARRAYS,compile,Heap,makeStructure,
@@ -48,9 +48,9 @@ at+Number(bytes);let missing=this.top-this.memory.buffer.byteLength;return missi
 missing/65536)),at}put(array3,at=this.take(array3.byteLength)){return new Uint8Array(this.memory.buffer,at,array3.
 byteLength).set(new Uint8Array(array3.buffer,array3.byteOffset,array3.byteLength)),at}borrow(work){let top=this.
 top;try{return work()}finally{this.top=top}}evaluate(which,x2){return this.borrow(()=>{let[at,out]=[this.put(Float64Array.
-of(x2)),this.take(8)];return this.call.nf_function(BigInt(which),1n,at,out),this.floats(out,1)[0]})}floats(at,count){
-return new Float64Array(this.memory.buffer,at,count)}integers(at,count){return new BigInt64Array(this.memory.buffer,
-at,count)}view(at){return new DataView(this.memory.buffer,at)}structure(integers,numbers,addresses){let at=this.
+of(x2)),this.take(8)];return this.call.nf_function(BigInt(which),1n,at,out),this.floats(out,1)[0]})}floats(at,count2){
+return new Float64Array(this.memory.buffer,at,count2)}integers(at,count2){return new BigInt64Array(this.memory.
+buffer,at,count2)}view(at){return new DataView(this.memory.buffer,at)}structure(integers,numbers,addresses){let at=this.
 take(8*(integers.length+numbers.length)+4*addresses.length),view2=this.view(at);return integers.forEach((value,i)=>view2.
 setBigInt64(8*i,BigInt(value),!0)),numbers.forEach((value,i)=>view2.setFloat64(8*(integers.length+i),value,!0)),
 addresses.forEach((value,i)=>view2.setUint32(8*(integers.length+numbers.length)+4*i,value,!0)),at}};makeStructure=
@@ -66,10 +66,10 @@ floor(roll2/90+.5),rest=(roll2-90*quarters)*(Math.PI/180),[z,y2]=[3,4].map(which
 return[[y2,z],[-z,y2],[-y2,-z],[z,-y2]][(quarters%4+4)%4]}function listGuides(guides,planes){let listed=new Float64Array(
 (1+2*planes)*MAX_GUIDES);return guides.forEach(({x:x2,y:y2,slope:slope4},i)=>listed.set([x2,...listHeld(y2,slope4,
 0,planes)],i*(1+2*planes))),listed}function packInputs(heap,{bevel,base,guides,tip},model,planes){let before=guides.
-filter(guide=>guide.x<0),within2=guides.filter(guide=>guide.x>=0),toward=findToward(heap,bevel).slice(0,planes);
+filter(guide=>guide.x<0),within=guides.filter(guide=>guide.x>=0),toward=findToward(heap,bevel).slice(0,planes);
 return{turn:Float64Array.from(toward,part2=>part2*bevel.strength/(model.pathAngle?1:model.spacing)),base:Float64Array.
 from([...listBase(base),0,0,0].slice(0,3*planes)),before_first:BigInt64Array.of(0n,BigInt(before.length)),within_first:BigInt64Array.
-of(0n,BigInt(within2.length)),before:listGuides(before,planes),within:listGuides(within2,planes),held_tip:Float64Array.
+of(0n,BigInt(within.length)),before:listGuides(before,planes),within:listGuides(within,planes),held_tip:Float64Array.
 from(listTip(tip,planes))}}function pack(heap,model,inputs,planes,rays,deepest2){let layers=model.mu.length,arrays={
 boundaries:Float64Array.from(model.boundaries),stops:new Uint8Array(STOP_BYTES),rigidity:Float64Array.of(model.
 rigidity),...Object.fromEntries(["mu","thickness","friction","law"].map(name=>[name,Float64Array.from(model[name])])),
@@ -115,8 +115,8 @@ ids.get(key);return found||(this.nextId=(this.nextId??0)+1,this.ids.set(key,foun
 found.number}#dropUnused(used){for(let{bevel,held}of this.#listRays().rays)used.add(bevel).add(held);for(let[key,
 {number:number3}]of this.ids)used.has(number3)||this.ids.delete(key);this.maxIds=KEPT_IDS+2*this.ids.size}#listRays(){
 let{heap,parts,problem}=this;return heap.borrow(()=>{let cut=heap.take(MOVE_BYTES*this.rays),position=heap.take(
-POSITION_BYTES),count=Number(heap.call.nf_session_rays(problem.at,parts.fixed,parts.now,parts.scratch,cut,position)),
-view2=heap.view(cut),id=at=>Number(view2.getBigInt64(at,!0));return{rays:Array.from({length:count},(_,n)=>({start:view2.
+POSITION_BYTES),count2=Number(heap.call.nf_session_rays(problem.at,parts.fixed,parts.now,parts.scratch,cut,position)),
+view2=heap.view(cut),id=at=>Number(view2.getBigInt64(at,!0));return{rays:Array.from({length:count2},(_,n)=>({start:view2.
 getFloat64(MOVE_BYTES*n,!0),bevel:id(MOVE_BYTES*n+8),held:id(MOVE_BYTES*n+16)})),changed:heap.view(position).getBigInt64(
 POSITION_BYTES-8,!0)!==0n}})}save(){let{model,inputs,planes,depth,shape,rays,ids,maxIds,solved,heap,parts,stateBytes}=this,
 state=new Uint8Array(heap.memory.buffer,parts.now,stateBytes).slice();return{model,inputs,planes,depth,shape,rays,
@@ -128,16 +128,20 @@ bevel:{...inputs.bevel,side:-inputs.bevel.side}}}),isPoint=depth=>{let cell=dept
 ceil((depth-firstCell-SAME_DEPTH)/spacing));return Math.abs((cell&&firstCell+(cell-1)*spacing)-depth)<=SAME_DEPTH},
 steps2=[];rays.forEach(({start:start2,bevel,held},n)=>{let depth=n+1<rays.length?rays[n+1].start:this.depth,step={
 depth,inputs:{...values.get(held),bevel:values.get(bevel)}},again=n>0&&alike(rays[n-1],rays[n]);again&&isPoint(
-start2)?steps2.pop():again&&steps2.push(flip2(steps2.at(-1))),steps2.push(step)});let last3={depth:this.depth,
+start2)?steps2.pop():again&&steps2.push(flip2(steps2.at(-1))),steps2.push(step)});let last4={depth:this.depth,
 inputs:this.inputs},now2={bevel:this.#number(bevelKey(this.inputs)),held:this.#number(controlsKey(this.inputs))};
-return!rays.length||!alike(rays.at(-1),now2)?steps2.push(last3):changed&&steps2.push(flip2(last3),last3),steps2}again(model,steps2){
+return!rays.length||!alike(rays.at(-1),now2)?steps2.push(last4):changed&&steps2.push(flip2(last4),last4),steps2}again(model,steps2){
 this.#begin(model,completeInputs(steps2[0].inputs));for(let{depth,inputs}of steps2)if(this.go(depth,inputs),this.
 failed)return!1;return!0}positions(s2){let{heap,shape}=this,{planes}=shape,at=Float64Array.from(s2);if(!at.every(
 one=>one>=shape.x[0]&&one<=shape.depth))throw new RangeError("s lies beyond the needle");return heap.borrow(()=>{
 let nodes=shape.x.length,size2=(1+planes)*at.length,out=heap.take(8*size2),memory=heap.take(8*(1+5*planes)*(nodes+
 2)*Number(heap.call.nf_lanes())),counts=[planes,1,nodes,at.length].map(BigInt),addresses=[shape.x,shape.u,shape.
 slope,at].map(array3=>heap.put(array3));return heap.call.nf_positions(...counts,...addresses,memory,out),heap.
-floats(out,size2).slice()})}}}});function computeBand(session,draws,steps2){let{depth}=steps2.at(-1);if(!(depth>0))return null;let s2=Array.from(
+floats(out,size2).slice()})}load(s2){let{heap,shape,problem}=this,{planes,x:x2,u,slope:slope4,constraints}=shape;
+return heap.borrow(()=>{let cells=constraints.length/(1+planes)-1,needle=heap.structure([x2.length,cells],[],[
+x2,u,slope4,constraints].map(array3=>heap.put(array3))),memory=heap.take(heap.call.nf_memory(problem.at,1n)),out=heap.
+take(8*planes*s2.length);return heap.call.nf_load(problem.at,needle,BigInt(s2.length),heap.put(Float64Array.from(
+s2)),memory,out),heap.floats(out,planes*s2.length).slice()})}}}});function computeBand(session,draws,steps2){let{depth}=steps2.at(-1);if(!(depth>0))return null;let s2=Array.from(
 {length:POINTS},(_,k2)=>k2===POINTS-1?depth:depth*k2/(POINTS-1)),needles=[];for(let n=0;n<draws.sets;n+=1){let part2=values=>values.
 slice(n*values.length/draws.sets,(n+1)*values.length/draws.sets),path2=steps2.map(step=>({depth:step.depth,inputs:{
 ...step.inputs,bevel:{...step.inputs.bevel,strength:draws.strength[n]}}}));session.again({...session.model,mu:part2(
@@ -157,18 +161,203 @@ LEVEL=.95,TINY=1e-9}});var band_worker_exports={};var newest,busy,init_band_work
 "use strict";init_needle();init_band();newest={},busy=!1;onmessage=async({data})=>{if(newest={...newest,...data},
 !busy){busy=!0;for(let order=null;order!==newest;){order=newest;let{kernel,model,draws,steps:steps2,id}=order;
 draws&&steps2&&postMessage({id,band:computeBand(await Session.begin(kernel,model,steps2[0].inputs),draws,steps2)}),
-await new Promise(resume=>setTimeout(resume))}busy=!1}}}});function write(id,text){let place=typeof id=="string"?part(id):id;place.textContent!==text&&(place.textContent=
+await new Promise(resume=>setTimeout(resume))}busy=!1}}}});function computeErrors(session,measured){let{depth}=session.shape,upto=Math.min(depth,measured.depth_mm);if(upto<
+1)return null;let beyond=depth-measured.depth_mm,whole=Math.abs(beyond)<=1e-6,[simulated,other]=[[],[]];if(whole)
+[simulated,other]=readTarget(session,measured.target,beyond);else if(measured.target.pose!=="free"&&measured.x.
+length>1){let s2=Array.from({length:101},(_,i)=>upto*i/100);other=interpolate(measured,s2),simulated=ALIGN[measured.
+target.pose](readPoints(session,s2),other)}else return null;let axes=AXES[measured.compared],distances=simulated.
+map((point2,i)=>Math.hypot(...axes.map(axis=>point2[axis]-other[i][axis]))),deflection=Math.hypot(...axes.slice(
+1).map(axis=>other[other.length-1][axis]-other[0][axis])),finite=Object.entries(METRICS).map(([name,compute])=>[
+name,compute(distances,deflection)]).map(([name,value])=>[name,Number.isFinite(value)?value:null]);return{...Object.
+fromEntries(finite),upto_mm:upto,whole,floor_mm:measured.floor_mm}}function readTarget(session,{s:s2,x:x2,y:y2,
+z,pose},beyond=0){let measured=x2.map((one,i)=>[one,y2[i],z[i]]),points=readPoints(session,s2.map(one=>one+beyond)),
+compared=s2.length>TIP_POINTS?points:points.map(([,...across],i)=>[x2[i],...across]);return[ALIGN[pose](compared,
+measured),measured]}function readPoints(session,s2){let{x:x2,depth,planes}=session.shape,points=session.positions(
+s2.map(one=>Math.min(Math.max(one,x2[0]),depth)));return s2.map((_,i)=>[points[(1+planes)*i],points[(1+planes)*
+i+1],planes===1?0:points[3*i+2]])}function interpolate({s:s2,...axes},at){let i=0;return at.map(one=>{for(;i<s2.
+length-2&&s2[i+1]<one;)i+=1;let share=Math.min(Math.max((one-s2[i])/(s2[i+1]-s2[i]),0),1);return["x","y","z"].
+map(axis=>axes[axis][i]+share*(axes[axis][i+1]-axes[axis][i]))})}function shiftAcross(moving,fixed){let[dy,dz]=[
+1,2].map(axis=>mean(moving.map((point2,i)=>fixed[i][axis]-point2[axis])));return moving.map(([x2,y2,z])=>[x2,y2+
+dy,z+dz])}function alignRigid(moving,fixed){let centre=points=>[0,1].map(axis=>mean(points.map(one=>one[axis]))),
+[m,f]=[centre(moving),centre(fixed)],[across,along]=[0,0];moving.forEach(([x2,y2],i)=>{let[a2,b,c2,d]=[x2-m[0],
+y2-m[1],fixed[i][0]-f[0],fixed[i][1]-f[1]];across+=a2*d-b*c2,along+=a2*c2+b*d});let angle2=Math.atan2(across,along),
+[c,s2]=[Math.cos(angle2),Math.sin(angle2)];return moving.map(([x2,y2,z])=>[c*(x2-m[0])-s2*(y2-m[1])+f[0],s2*(x2-
+m[0])+c*(y2-m[1])+f[1],z])}var mean,METRICS,AXES,TIP_POINTS,ALIGN,init_errors=__esm({"needlefit/viewer/page/mo\
+del/errors.js"(){"use strict";mean=values=>values.reduce((sum,one)=>sum+one,0)/values.length,METRICS={ipe_mean_mm:mean,
+te_mm:d=>d.at(-1),edp_percent:(d,deflection)=>100*d.at(-1)/deflection},AXES={plane:[0,1],space:[0,1,2]};TIP_POINTS=
+2;ALIGN={known:simulated=>simulated,direction:shiftAcross,free:alignRigid}}});function checkChange([name,item,value],rules){let known=rules.inputs[name];if(!known)throw new ModelError(`the\
+re is no input ${name}`,`one of ${Object.keys(rules.inputs).join(", ")}`);let counted2=Number.isInteger(item)&&
+item>=1&&item<=(known.item==="guide"?rules.max_guide:1/0);if(known.item?!counted2:item!==null)throw new ModelError(
+`${name} has item ${item}`,`the number of a ${known.item}`);let lengths=name.endsWith("_mm"),most=lengths?rules.
+max_mm:rules.max,finite=Math.abs(value)<=most,{least:least2,above,upto,below,values}=known;if(!(finite&&!(value<
+least2||value<=above||value>upto||value>=below)&&(!values||values.includes(value)))){let expected=finite||known.
+expected&&!lengths?known.expected:`a finite number, at most ${most}${lengths?" mm":""}`;throw new ModelError(`${nameOf(
+name)}${item===null?"":` of ${known.item} ${item}`} is ${written(name,value)}`,expected)}}function written(name,value){
+if(name==="mu_pa")return Math.abs(value)<1e6?`${significant(value*.001)} kPa`:`${significant(value*1e-6)} MPa`;
+if(name.endsWith("slope"))return`${(Math.atan(value)*DEGREES).toFixed(1)}°`;let[,unit]=UNITS.find(([end])=>name.
+endsWith(end))??["",""];return`${significant(value)}${unit}`}function guideNumber(name,names){let at=names.indexOf(
+name);return at<0?Number(name.replace("guide ","")):at+1}function applyChanges(step,changes,names,stands){let values=new Map(
+changes.map(([name,item,value])=>[`${name} ${item??""}`,value])),of=(name,now2)=>values.get(`${name} `)??now2,
+held=step.controls,{tip}=held;if(of("tip_held",1)===0)tip=null;else if(tip||values.has("tip_held ")||values.has(
+"tip_y_mm ")){let[y2,z]=tip?[tip.y,tip.z??0]:stands;tip={y:of("tip_y_mm",y2),slope:of("tip_slope",tip?tip.slope:
+null),z}}let[angle2,side]=[of("cut_angle_deg",null),of("bevel_side",null)],roll2=side===null?rollOf(step.bevel):
+side>0?0:180;return{depth:of("depth_mm",step.depth),bevel:{...toSide(of("bevel_roll_deg",roll2)),offset:of("be\
+vel_offset_mm",step.bevel.offset),cutAngle:angle2===null?step.bevel.cutAngle:angle2*RADIANS},controls:{baseY:of(
+"base_y_mm",held.baseY),baseSlope:of("base_slope",held.baseSlope),stageSlope:held.stageSlope,guides:applyToGuides(
+held.guides,changes,names),tip}}}function applyToGuides(guides,changes,names){let moves=new Map;for(let[name,item,
+value]of changes)item===null||!name.startsWith("guide_")||(moves.has(item)||moves.set(item,{}),moves.get(item)[name.
+slice(6)]=value);if(!moves.size)return guides;let now2=new Map(guides.map(guide=>[guide.name,guide]));for(let[
+item,moved]of[...moves].sort(([one],[other])=>one-other)){let name=names[item-1]??`guide ${item}`;if(moved.engaged===
+0){now2.delete(name);continue}let guide=now2.get(name);if(!guide){if(moved.x_mm===void 0||moved.y_mm===void 0)
+throw new ModelError(`there is no ${name}`,"guide_x_mm and guide_y_mm together, which make a guide");guide={slope:0,
+name}}let slope4=moved.slope??guide.slope;moved.turns_freely!==void 0&&(slope4=moved.turns_freely?null:moved.slope??
+guide.slope??0),now2.set(name,{name,x:moved.x_mm??guide.x,y:moved.y_mm??guide.y,slope:slope4})}let ordered=[...now2.
+values()].sort((one,other)=>one.x-other.x),twice=ordered.find((guide,i)=>guide.x===ordered[i+1]?.x);if(twice)throw new ModelError(
+`two guides stand at the same x = ${twice.x} mm`,"guides at different x");return ordered}function toInputs({bevel,
+controls},pathAngle){if((pathAngle?bevel.offset:bevel.cutAngle)!==0)throw new ModelError("the strength of the \
+bevel is that of the other rule of advance",pathAngle?"a cut angle alone":"an offset alone");let{baseY,baseSlope,
+stageSlope,guides,tip}=controls;return{bevel:{side:bevel.side,roll:bevel.roll,strength:pathAngle?bevel.cutAngle:
+bevel.offset},base:{y:baseY,slope:baseSlope,stageSlope},guides,tip}}function toStep({depth,inputs},pathAngle){
+let{bevel,base,guides,tip}=inputs,[offset,cutAngle]=pathAngle?[0,bevel.strength]:[bevel.strength,0];return{depth,
+bevel:{side:bevel.side,roll:bevel.roll,offset,cutAngle},controls:{baseY:base.y,baseSlope:base.slope,stageSlope:base.
+stageSlope,guides,tip}}}var ModelError,RADIANS,DEGREES,UNITS,nameOf,significant,rollOf,toSide,wrap,turnOver,init_inputs=__esm(
+{"needlefit/viewer/page/model/inputs.js"(){"use strict";ModelError=class extends Error{constructor(what,expected){
+super(what),Object.assign(this,{what,expected})}},RADIANS=Math.PI/180,DEGREES=180/Math.PI,UNITS=[["_mm"," mm"],
+["_deg","°"],["_pa"," Pa"]];nameOf=name=>name.replace(/_(mm|deg|pa)$/,"").replaceAll("_"," ");significant=value=>Number(
+value.toPrecision(6));rollOf=({side,roll:roll2})=>roll2+(side>0?0:180),toSide=roll2=>Math.abs(roll2%360)===180?
+{side:-1,roll:roll2-180}:{side:1,roll:roll2},wrap=roll2=>180-((180-roll2)%360+360)%360,turnOver=roll2=>roll2%180?
+["bevel_roll_deg",null,wrap(roll2+180)]:["bevel_side",null,roll2%360?1:-1]}});function makeLaw({terms,tables},shape){if(!terms)return tables.find(([known])=>JSON.stringify(known)===JSON.stringify(
+shape))?.[1]??null;let layers=shape[0]?.length??terms.layers;return Array.from({length:layers},(_,layer)=>terms.
+at_zero.map((value,j)=>{let by=terms.slopes.findIndex(row=>row[j]);return by<0?value:value+shape[by][layer]*terms.
+slopes[by][j]})).flat()}var BEARABLE,SteeredNeedle,init_steered=__esm({"needlefit/viewer/page/model/steered.js"(){
+"use strict";init_needle();init_inputs();BEARABLE="a load that tissue and needle can bear";SteeredNeedle=class _SteeredNeedle{static async begin(kernel,scene){
+let{model,steps:steps2}=scene.simulation;return new _SteeredNeedle(scene,await Session.begin(kernel,model,toInputs(
+steps2[0],model.pathAngle)))}scene;session;rules;shape;names;number;saved;way=null;constructor(scene,session){
+let{shape,steps:steps2,rules}=scene.simulation;Object.assign(this,{scene,session,rules,shape,names:scene.guide_names}),
+Object.assign(this,{number:0,saved:new Map}),this.step={...steps2[0],depth:0},this.keep()}get model(){return this.
+session.model}reach(controls=this.step.controls){let[first]=controls.guides;return this.model.length+(first?.x<
+0?first.x-this.rules.clearance_mm:0)-1e-6}get tipLateral(){return this.session.positions([this.session.shape.depth])[1]}path(){
+return this.session.path().map(one=>toStep(one,this.model.pathAngle))}listWay(){let found=[];for(let one=this.
+way;one;one=one.before)found.push(one);return found.reverse()}keep(){let{step,shape,way}=this;this.saved.has(this.
+number)||this.saved.set(this.number,{step,shape,way,session:this.session.save()})}forget(number3){number3&&this.
+saved.delete(number3)}rewind(){let[[,first]]=this.saved;this.#return(first),Object.assign(this,{number:0,saved:new Map(
+[[0,first]])})}#return({session,...saved}){this.session.restore(session),Object.assign(this,saved)}shapeAfter(changes){
+let shape=this.shape.map(row=>[...row]);for(let[name,item,value]of changes){let row=this.scene.shape_parameters.
+findIndex(one=>one.name===name);row>=0&&(shape[row][item-1]=value)}return shape}apply(changes){for(let[i,change2]of changes.
+entries()){checkChange(change2,this.rules);let[name,item]=change2;if(changes.slice(0,i).some(([one,other])=>one===
+name&&other===item))throw new ModelError(`${name} has two values in one step`,"one value for each input");if(name===
+"return_to"&&changes.length>1)throw new ModelError("return_to stands beside other inputs","a step of its own")}
+if(changes[0]?.[0]==="return_to"){let saved=this.saved.get(changes[0][2]);if(!saved)throw new ModelError(`noth\
+ing was kept of step ${changes[0][2]}`,"a step to return to");this.#return(saved)}else this.#advance(changes),
+this.way={changes,tip:this.tipLateral,before:this.way};this.number+=1}#advance(changes){let parameters=changes.
+filter(([name])=>this.rules.inputs[name].parameter),others=changes.filter(([name])=>!this.rules.inputs[name].parameter);
+if(!parameters.length)return this.#move(others);let{step,shape}=this,before={step,shape,session:this.session.save()};
+try{this.#simulateAgain(parameters),this.#move(others)}catch(error){throw this.#return(before),error}}#simulateAgain(parameters){
+let mu=[...this.model.mu],[offset,angle2]=[null,null];for(let[name,item,value]of parameters){if(item>mu.length)
+throw new ModelError(`there is no layer ${item}`,`one of ${mu.length} layers`);if(name==="mu_pa")mu[item-1]=value*
+1e-6;else if(name==="offset_throughout_mm")offset=value;else if(name==="cut_angle_throughout_deg")angle2=value*
+(Math.PI/180);else if(!this.scene.shape_parameters.some(one=>one.name===name))throw new ModelError(`the tissue\
+ law has no ${name}`,"a parameter of the law")}let shape=this.shapeAfter(parameters),law=JSON.stringify(shape)===
+JSON.stringify(this.shape)?this.model.law:makeLaw(this.scene.simulation.law,shape);if(!law)throw new ModelError(
+"the law has not been computed with these parameters","the program");let{pathAngle}=this.model,steps2=this.path().
+map(({bevel,...one})=>({...one,bevel:{...bevel,offset:offset??bevel.offset,cutAngle:angle2??bevel.cutAngle}}));
+if(!this.#guard(()=>this.session.again({...this.model,mu,law},steps2.map(one=>({depth:one.depth,inputs:toInputs(
+one,pathAngle)})))))throw new ModelError(`with these parameters the insertion so far fails ${this.session.depth.
+toFixed(1)} mm deep`,BEARABLE);Object.assign(this,{shape,step:steps2.at(-1)})}#move(changes){let{session}=this,
+{x:x2,u,planes}=session.shape,step=applyChanges(this.step,changes,this.names,[u[x2.length-1],planes>1?u.at(-1):
+0]);if(!changes.length)return;let shape=this.#guard(()=>session.go(step.depth,toInputs(step,this.model.pathAngle)));
+if(session.failed)throw new ModelError(`the model finds no needle there (${shape.status})`,BEARABLE);this.step=
+step}#guard(work){try{return work()}catch(error){throw error instanceof RangeError?new ModelError(error.message,
+`a needle of ${this.model.length} mm, its base before guides and tissue`):error}}}}});function signed(value,digits2){let size2=Math.abs(value).toFixed(digits2);return Number(size2)===0?size2:(value<
+0?"−":"+")+size2}function modulusLike(one){let[unit,pascals]=one<1e6?["kPa",1e3]:["MPa",1e6];return{unit,write:(value,digits2=4)=>brief(
+value/pascals,digits2),read:text=>Number(text)*pascals}}function modulus(value){let{unit,write:write2}=modulusLike(
+value);return`${write2(value,3)} ${unit}`}function strengthOf(values){let about="cut_angle_deg"in values?ANGLE:
+OFFSET,[here,throughout]=INPUTS[about.key];return{...about,here,throughout,value:values[about.key]}}function isChanged({
+bevel,layers},{fitted}){let{key,value}=strengthOf(fitted);return!near(bevel[key],value)||layers.some((layer,i)=>Object.
+entries(fitted.layers[i]).some(([name,one])=>!near(layer[name],one)))}function isSteered(state,scene){let{steps:steps2}=scene.
+simulation,{bevel,controls}=steps2.find(({depth})=>depth>=state.depth_mm-1e-6)??steps2.at(-1),{base,guides,tip}=state;
+return isChanged(state,scene)||state.bevel.roll_deg!==wrap(rollOf(bevel))||tip.held!==!!controls.tip||base.input_y!==
+controls.baseY||base.input_slope!==controls.baseSlope||guides.length!==controls.guides.length||guides.some(({x:x2,
+y:y2},i)=>x2!==controls.guides[i].x||y2!==controls.guides[i].y)}var writeError,listErrors,brief,counted,toDegrees,
+degrees,slope,shortName,OFFSET,ANGLE,INPUTS,describeRoll,near,predictionOf,init_quantities=__esm({"needlefit/v\
+iewer/page/quantities.js"(){"use strict";init_inputs();writeError=(value,unit)=>value===null?"–":unit==="%"?
+brief(value,3):value.toFixed(3),listErrors=(errors,{metrics})=>metrics.map(([name,label2,unit])=>`${label2} ${writeError(
+errors[name],unit)} ${unit}`);brief=(value,digits2=4)=>String(Number(Number(value).toPrecision(digits2))),counted=
+(count2,one)=>`${count2} ${one}${count2===1?"":"s"}`;toDegrees=rotation=>rotation*180/Math.PI,degrees=slope4=>Math.
+atan(slope4)*180/Math.PI,slope=angle2=>Math.tan(Math.min(Math.max(angle2,-90),90)*Math.PI/180),shortName=({item,
+name})=>name&&name!==`guide ${item}`?name:String(item),OFFSET={key:"offset_mm",symbol:"b",unit:"mm",digits:3,step:.005},
+ANGLE={key:"cut_angle_deg",symbol:"θ",unit:"°",digits:2,step:.1},INPUTS={offset_mm:["bevel_offset_mm","offse\
+t_throughout_mm"],cut_angle_deg:["cut_angle_deg","cut_angle_throughout_deg"]};describeRoll=({roll_deg:roll2})=>roll2%
+180?`roll ${brief(roll2).replace("-","−")}°`:roll2?"−y":"+y",near=(one,other)=>Math.abs(one-other)<=1e-9*
+Math.abs(other);predictionOf=(state,scene)=>Math.abs(state.depth_mm-scene.depth_mm)<1e-6&&!isSteered(state,scene)?
+scene.measured?.prediction??null:null}});function listKeys({fitted,shape_parameters:shapes}){let{key,throughout}=strengthOf(fitted),plain={toInput:value=>value,
+unit:1},strength=key==="offset_mm"?{...plain,key:"b",read:({step})=>step.bevel.offset}:{...plain,key:"theta",unit:Math.
+PI/180,read:({step})=>step.bevel.cutAngle},layers=fitted.layers.flatMap((_,i)=>[{key:`mu${i+1}`,input:"mu_pa",
+item:i+1,toInput:value=>value*1e3,unit:.001,read:({model})=>model.mu[i]},...shapes.map(({name},row)=>({...plain,
+key:`${name}${i+1}`,input:name,item:i+1,read:({shape})=>shape[row][i]}))]);return[{...strength,input:throughout,
+item:null},...layers]}function listLost({scene:{simulation:{steps:[first]}},step},path2){let all=[...path2,step],
+differs=read=>all.some(one=>!same(read(one.controls),read(first.controls)));return[[differs(({baseY})=>baseY),
+"the base, which was moved"],[differs(({baseSlope})=>baseSlope),"the base, which was turned"],[differs(({guides})=>guides.
+map(({x:x2,y:y2,slope:slope4})=>[x2,y2,slope4])),"the guides"],[differs(({tip})=>tip&&[tip.y,tip.slope]),"the \
+tip, which was held"],[all.some(({bevel})=>bevel.offset!==step.bevel.offset||bevel.cutAngle!==step.bevel.cutAngle),
+"b, which changed on the way"]].filter(([is])=>is).map(([,words])=>words)}async function writeAddress(kernel,steered,name=null){
+let{scene,step}=steered,path2=steered.path(),lost=listLost(steered,path2);if(lost.length)return{lost};let rolls=path2.
+map(({bevel})=>wrap(rollOf(bevel))),values=new URLSearchParams(name===null?{}:{needle:name});values.set("depth",
+step.depth),values.set("roll",rolls.at(-1));let turns=path2.slice(0,-1).map(({depth},i)=>{let by=shorten(wrap(
+rolls[i+1]-rolls[i]));return by===180?depth:`${depth}:${by}`});turns.length&&values.set("turn",turns.join(","));
+let{model,shape,steps:[first]}=scene.simulation;for(let{key,item,unit,read}of listKeys(scene)){let value=read(
+steered);item&&value===read({model,shape,step:first})||values.set(key,String(shorten(value/unit)))}let address=values.
+toString().replaceAll("%2C",",").replaceAll("%3A",":");return await leadsTo(kernel,address,steered)?{address}:
+{lost:["the path"]}}async function leadsTo(kernel,address,steered){let other=await SteeredNeedle.begin(kernel,
+steered.scene);try{for(let changes of readAddress(address,steered.scene))other.apply(changes)}catch(error){if(!(error instanceof
+ModelError))throw error;return!1}let{depth}=steered.step,points=({session})=>readPoints(session,Array.from({length:POINTS2},
+(_,i)=>depth*i/(POINTS2-1))),[found,wanted]=[other,steered].map(points);return found.every((point2,i)=>Math.hypot(
+...point2.map((one,axis)=>one-wanted[i][axis]))<SAME)}function readAddress(address,scene){let values=new URLSearchParams(
+address),keys=listKeys(scene),known=["needle","depth","roll","turn",...keys.map(({key})=>key)],number3=(key,text,low=-1/0)=>{
+let value=Number(text);if(text.trim()!==""&&Number.isFinite(value)&&value>=low)return value;throw new ModelError(
+`the address has ${key}=${text}`,low<0?"a number":`a number, ${low} or above`)};for(let key of values.keys())if(!known.
+includes(key))throw new ModelError(`the address has ${key}`,known.join(", "));let doubled=[...values.keys()].find(
+key=>values.getAll(key).length>1);if(doubled)throw new ModelError(`the address has ${doubled} more than once`,
+"each key once");if(!values.has("depth")){if([...values.keys()].some(key=>key!=="needle"))throw new ModelError(
+"the address has no depth","depth=, in mm");return[]}let[first]=scene.simulation.steps,depth=number3("depth",values.
+get("depth"),0),turns=(values.get("turn")??"").split(",").filter(Boolean).map(text=>{let[at,by="180"]=text.split(
+":");return{at:number3("turn",at,0),by:number3("turn",by)}});if(!turns.every(({at},i)=>at>0&&at>=(turns[i-1]?.
+at??0)&&at<=depth))throw new ModelError(`the address has turn=${values.get("turn")}`,`increasing depths, up to\
+ ${depth} mm`);let roll2=values.has("roll")?number3("roll",values.get("roll")):rollOf(first.bevel),after=turns.
+toReversed().map(({by})=>{let end=roll2;return roll2=wrap(roll2-by),end}).reverse(),inputs=keys.filter(({key})=>values.
+has(key)).map(({key,input,item,toInput})=>[input,item,toInput(number3(key,values.get(key)))]),lists=[ANEW,[["b\
+evel_roll_deg",null,roll2],...inputs]];return turns.forEach(({at},i)=>lists.push([["depth_mm",null,at]],[["bev\
+el_roll_deg",null,after[i]]])),[...lists,[["depth_mm",null,depth]]]}function writeRecording(head,steered){let rows=steered.
+listWay().flatMap(({changes,tip},i)=>changes.map(([name,item,value],n)=>`${i+1},${(i/10).toFixed(4)},${name},${item??
+""},${value},${n===changes.length-1?tip:""}`));return`${head}${rows.join(`
+`)}
+`}var ANEW,POINTS2,SAME,DIGITS,same,shorten,nameIn,init_address=__esm({"needlefit/viewer/page/address.js"(){"u\
+se strict";init_errors();init_inputs();init_steered();init_quantities();ANEW=[["return_to",null,0]],POINTS2=21,
+SAME=1e-6,DIGITS=12,same=(one,other)=>JSON.stringify(one)===JSON.stringify(other);shorten=value=>Number(value.
+toPrecision(DIGITS));nameIn=address=>new URLSearchParams(address).get("needle")}});function listen(kind,hear2){listeners.has(kind)||listeners.set(kind,[]),listeners.get(kind).push(hear2)}function publish(kind,message){
+for(let hear2 of listeners.get(kind)??[])hear2(message)}function take(message){message.kind==="scene"?Object.assign(
+now,{scene:message,band:null}):message.kind==="band"?now.band=message.x.length?message:null:now[message.kind]=
+message,publish(message.kind,message)}var now,listeners,redraw,init_store=__esm({"needlefit/viewer/page/store.\
+js"(){"use strict";now={replay:null,band:null,pinned:null,labels:[],avoided:[],shown:{measured:!0,band:!0,plan:!0,
+pinned:!0,errors:!1,points:!1,path:!1,load:!1,inset:!1}};Object.assign(window,{needlefit:now});listeners=new Map;
+redraw=()=>publish("redraw")}});function computeBands(worker,kernel,current){let ordered="";worker.postMessage({kernel});function describeNeedle(){
+let{name,steered}=current(),{model}=steered,steps2=steered.path().map(one=>({depth:one.depth,inputs:toInputs(one,
+model.pathAngle)}));return{id:{needle:name,step:now.state.step},model,steps:steps2}}function order(){if(!now.state)
+return;let about=JSON.stringify([current().name,now.state.step]);ordered!==about&&(ordered=about,worker.postMessage(
+describeNeedle()))}function send(){ordered="",worker.postMessage({draws:now.scene.draws,steps:null}),order()}worker.
+onmessage=({data:{id,band}})=>{id.needle===current().name&&take(band?{kind:"band",step:id.step,...band}:NONE)},
+listen("scene",send),listen("drawn",order)}var NONE,init_bands=__esm({"needlefit/viewer/page/bands.js"(){"use \
+strict";init_inputs();init_store();NONE={kind:"band",x:[]}}});function write(id,text){let place=typeof id=="string"?part(id):id;place.textContent!==text&&(place.textContent=
 text)}function element(tag,properties={},...contents){let made2=Object.assign(document.createElement(tag),properties);
 return made2.append(...contents.flat()),made2}function button(text,act,properties={}){let made2=element("butto\
 n",{type:"button",...properties},text);return press(made2,act),made2}function hand(blob,name){let link=element(
 "a",{href:URL.createObjectURL(blob),download:name});link.click(),setTimeout(()=>URL.revokeObjectURL(link.href),
-1e4)}function colour(name){let both=getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).match(
-/#\w+/g)??[""];return both[isDark()?both.length-1:0]}var part,press,entry,dark,paper,isDark,usePaper,onScheme,
-getContext,init_dom=__esm({"needlefit/viewer/page/dom.js"(){"use strict";part=id=>document.getElementById(id);
-press=(id,act)=>(typeof id=="string"?part(id):id).addEventListener("click",act);entry=(term,value)=>element("d\
-iv",{},element("dt",{},term),element("dd",{},value));dark=matchMedia("(prefers-color-scheme: dark)"),paper=!1,
-isDark=()=>dark.matches&&!paper,usePaper=on=>paper=on,onScheme=act=>dark.addEventListener("change",act),getContext=
-canvas3=>canvas3.getContext("2d",{alpha:!1})}});function ascending(a2,b){return a2==null||b==null?NaN:a2<b?-1:a2>b?1:a2>=b?0:NaN}function descending(a2,b){return a2==
+1e4)}function colour(name,paper){let both=getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).
+match(/#\w+/g)??[""];return both[dark.matches&&!paper?both.length-1:0]}var part,press,entry,dark,onScheme,getContext,
+init_dom=__esm({"needlefit/viewer/page/dom.js"(){"use strict";part=id=>document.getElementById(id);press=(id,act)=>(typeof id==
+"string"?part(id):id).addEventListener("click",act);entry=(term,value)=>element("div",{},element("dt",{},term),
+element("dd",{},value));dark=matchMedia("(prefers-color-scheme: dark)"),onScheme=act=>dark.addEventListener("c\
+hange",act),getContext=canvas2=>canvas2.getContext("2d",{alpha:!1})}});function ascending(a2,b){return a2==null||b==null?NaN:a2<b?-1:a2>b?1:a2>=b?0:NaN}function descending(a2,b){return a2==
 null||b==null?NaN:b<a2?-1:b>a2?1:b>=a2?0:NaN}function bisector(f){let compare1,compare2,delta;f.length!==2?(compare1=
 ascending,compare2=(d,x2)=>ascending(f(d),x2),delta=(d,x2)=>f(d)-x2):(compare1=f===ascending||f===descending?f:
 zero,compare2=f,delta=f);function left(a2,x2,lo=0,hi=a2.length){if(lo<hi){if(compare1(x2,x2)!==0)return hi;do{
@@ -195,120 +384,172 @@ j=stop;i<=j;i+=step)sum+=S[Math.min(stop,i+s0)],T[i]=(sum+t*(S[Math.max(start2,i
 w,sum-=S[Math.max(start2,i-s0)]}}function bluri(radius){let w=2*radius+1;return(T,S,start2,stop,step)=>{if(!((stop-=
 step)>=start2))return;let sum=radius*S[start2],s2=step*radius;for(let i=start2,j=start2+s2;i<j;i+=step)sum+=S[Math.
 min(stop,i)];for(let i=start2,j=stop;i<=j;i+=step)sum+=S[Math.min(stop,i+s2)],T[i]=sum/w,sum-=S[Math.max(start2,
-i-s2)]}}function extent(values,valueof){let min,max;if(valueof===void 0)for(let value of values)value!=null&&(min===
-void 0?value>=value&&(min=max=value):(min>value&&(min=value),max<value&&(max=value)));else{let index=-1;for(let value of values)
-(value=valueof(value,++index,values))!=null&&(min===void 0?value>=value&&(min=max=value):(min>value&&(min=value),
-max<value&&(max=value)))}return[min,max]}function tickSpec(start2,stop,count){let step=(stop-start2)/Math.max(
-0,count),power=Math.floor(Math.log10(step)),error=step/Math.pow(10,power),factor=error>=e10?10:error>=e5?5:error>=
-e2?2:1,i1,i2,inc;return power<0?(inc=Math.pow(10,-power)/factor,i1=Math.round(start2*inc),i2=Math.round(stop*inc),
-i1/inc<start2&&++i1,i2/inc>stop&&--i2,inc=-inc):(inc=Math.pow(10,power)*factor,i1=Math.round(start2/inc),i2=Math.
-round(stop/inc),i1*inc<start2&&++i1,i2*inc>stop&&--i2),i2<i1&&.5<=count&&count<2?tickSpec(start2,stop,count*2):
-[i1,i2,inc]}function ticks(start2,stop,count){if(stop=+stop,start2=+start2,count=+count,!(count>0))return[];if(start2===
-stop)return[start2];let reverse=stop<start2,[i1,i2,inc]=reverse?tickSpec(stop,start2,count):tickSpec(start2,stop,
-count);if(!(i2>=i1))return[];let n=i2-i1+1,ticks2=new Array(n);if(reverse)if(inc<0)for(let i=0;i<n;++i)ticks2[i]=
-(i2-i)/-inc;else for(let i=0;i<n;++i)ticks2[i]=(i2-i)*inc;else if(inc<0)for(let i=0;i<n;++i)ticks2[i]=(i1+i)/-inc;else
-for(let i=0;i<n;++i)ticks2[i]=(i1+i)*inc;return ticks2}function range(start2,stop,step){start2=+start2,stop=+stop,
-step=(n=arguments.length)<2?(stop=start2,start2=0,1):n<3?1:+step;for(var i=-1,n=Math.max(0,Math.ceil((stop-start2)/
-step))|0,range2=new Array(n);++i<n;)range2[i]=start2+i*step;return range2}function shuffler(random){return function(array3,i0=0,i1=array3.
+i-s2)]}}function extent(values,valueof){let min,max2;if(valueof===void 0)for(let value of values)value!=null&&
+(min===void 0?value>=value&&(min=max2=value):(min>value&&(min=value),max2<value&&(max2=value)));else{let index=-1;
+for(let value of values)(value=valueof(value,++index,values))!=null&&(min===void 0?value>=value&&(min=max2=value):
+(min>value&&(min=value),max2<value&&(max2=value)))}return[min,max2]}function tickSpec(start2,stop,count2){let step=(stop-
+start2)/Math.max(0,count2),power=Math.floor(Math.log10(step)),error=step/Math.pow(10,power),factor=error>=e10?
+10:error>=e5?5:error>=e2?2:1,i1,i2,inc;return power<0?(inc=Math.pow(10,-power)/factor,i1=Math.round(start2*inc),
+i2=Math.round(stop*inc),i1/inc<start2&&++i1,i2/inc>stop&&--i2,inc=-inc):(inc=Math.pow(10,power)*factor,i1=Math.
+round(start2/inc),i2=Math.round(stop/inc),i1*inc<start2&&++i1,i2*inc>stop&&--i2),i2<i1&&.5<=count2&&count2<2?tickSpec(
+start2,stop,count2*2):[i1,i2,inc]}function ticks(start2,stop,count2){if(stop=+stop,start2=+start2,count2=+count2,
+!(count2>0))return[];if(start2===stop)return[start2];let reverse=stop<start2,[i1,i2,inc]=reverse?tickSpec(stop,
+start2,count2):tickSpec(start2,stop,count2);if(!(i2>=i1))return[];let n=i2-i1+1,ticks2=new Array(n);if(reverse)
+if(inc<0)for(let i=0;i<n;++i)ticks2[i]=(i2-i)/-inc;else for(let i=0;i<n;++i)ticks2[i]=(i2-i)*inc;else if(inc<0)
+for(let i=0;i<n;++i)ticks2[i]=(i1+i)/-inc;else for(let i=0;i<n;++i)ticks2[i]=(i1+i)*inc;return ticks2}function tickIncrement(start2,stop,count2){
+return stop=+stop,start2=+start2,count2=+count2,tickSpec(start2,stop,count2)[2]}function nice(start2,stop,count2){
+let prestep;for(;;){let step=tickIncrement(start2,stop,count2);if(step===prestep||step===0||!isFinite(step))return[
+start2,stop];if(step>0){let i=Math.ceil(start2/step),j=Math.floor(stop/step);start2=(i-(i*step>start2))*step,stop=
+(j+(j*step<stop))*step}else if(step<0){let s2=-step,i=Math.ceil(start2*s2),j=Math.floor(stop*s2);start2=(i-(i/
+s2>start2))/s2,stop=(j+(j/s2<stop))/s2}prestep=step}}function max(values,valueof){let max2;if(valueof===void 0)
+for(let value of values)value!=null&&(max2<value||max2===void 0&&value>=value)&&(max2=value);else{let index=-1;
+for(let value of values)(value=valueof(value,++index,values))!=null&&(max2<value||max2===void 0&&value>=value)&&
+(max2=value)}return max2}function range(start2,stop,step){start2=+start2,stop=+stop,step=(n=arguments.length)<
+2?(stop=start2,start2=0,1):n<3?1:+step;for(var i=-1,n=Math.max(0,Math.ceil((stop-start2)/step))|0,range2=new Array(
+n);++i<n;)range2[i]=start2+i*step;return range2}function least(values,compare=ascending){let min,defined=!1;if(compare.
+length===1){let minValue;for(let element2 of values){let value=compare(element2);(defined?ascending(value,minValue)<
+0:ascending(value,value)===0)&&(min=element2,minValue=value,defined=!0)}}else for(let value of values)(defined?
+compare(value,min)<0:compare(value,value)===0)&&(min=value,defined=!0);return min}function shuffler(random){return function(array3,i0=0,i1=array3.
 length){let m=i1-(i0=+i0);for(;m;){let i=random()*m--|0,t=array3[m+i0];array3[m+i0]=array3[i+i0],array3[i+i0]=
 t}return array3}}var ascendingBisect,bisectRight,bisectLeft,bisectCenter,blur2,blurImage,array,slice,e10,e5,e2,
 shuffle,init_d3_array=__esm({"node_modules/d3-array/dist/d3-array.mjs"(){ascendingBisect=bisector(ascending),bisectRight=
 ascendingBisect.right,bisectLeft=ascendingBisect.left,bisectCenter=bisector(number).center,blur2=Blur2(blurf),
 blurImage=Blur2(blurfImage);array=Array.prototype,slice=array.slice,e10=Math.sqrt(50),e5=Math.sqrt(10),e2=Math.
-sqrt(2);shuffle=shuffler(Math.random)}});function checkChange([name,item,value],rules){let known=rules.inputs[name];if(!known)throw new ModelError(`the\
-re is no input ${name}`,`one of ${Object.keys(rules.inputs).join(", ")}`);let counted2=Number.isInteger(item)&&
-item>=1&&item<=(known.item==="guide"?rules.max_guide:1/0);if(known.item?!counted2:item!==null)throw new ModelError(
-`${name} has item ${item}`,`the number of a ${known.item}`);let lengths=name.endsWith("_mm"),most=lengths?rules.
-max_mm:rules.max,finite=Math.abs(value)<=most,{least,above,upto,below,values}=known;if(!(finite&&!(value<least||
-value<=above||value>upto||value>=below)&&(!values||values.includes(value)))){let expected=finite||known.expected&&
-!lengths?known.expected:`a finite number, at most ${most}${lengths?" mm":""}`;throw new ModelError(`${nameOf(name)}${item===
-null?"":` of ${known.item} ${item}`} is ${written(name,value)}`,expected)}}function written(name,value){if(name===
-"mu_pa")return Math.abs(value)<1e6?`${significant(value*.001)} kPa`:`${significant(value*1e-6)} MPa`;if(name.endsWith(
-"slope"))return`${(Math.atan(value)*DEGREES).toFixed(1)}°`;let[,unit]=UNITS.find(([end])=>name.endsWith(end))??
-["",""];return`${significant(value)}${unit}`}function guideNumber(name,names){let at=names.indexOf(name);return at<
-0?Number(name.replace("guide ","")):at+1}function applyChanges(step,changes,names,stands){let values=new Map(changes.
-map(([name,item,value])=>[`${name} ${item??""}`,value])),of=(name,now2)=>values.get(`${name} `)??now2,held=step.
-controls,{tip}=held;if(of("tip_held",1)===0)tip=null;else if(tip||values.has("tip_held ")||values.has("tip_y_m\
-m ")){let[y2,z]=tip?[tip.y,tip.z??0]:stands;tip={y:of("tip_y_mm",y2),slope:of("tip_slope",tip?tip.slope:null),
-z}}let[angle2,side]=[of("cut_angle_deg",null),of("bevel_side",null)],roll2=side===null?rollOf(step.bevel):side>
-0?0:180;return{depth:of("depth_mm",step.depth),bevel:{...toSide(of("bevel_roll_deg",roll2)),offset:of("bevel_o\
-ffset_mm",step.bevel.offset),cutAngle:angle2===null?step.bevel.cutAngle:angle2*RADIANS},controls:{baseY:of("ba\
-se_y_mm",held.baseY),baseSlope:of("base_slope",held.baseSlope),stageSlope:held.stageSlope,guides:applyToGuides(
-held.guides,changes,names),tip}}}function applyToGuides(guides,changes,names){let moves=new Map;for(let[name,item,
-value]of changes)item===null||!name.startsWith("guide_")||(moves.has(item)||moves.set(item,{}),moves.get(item)[name.
-slice(6)]=value);if(!moves.size)return guides;let now2=new Map(guides.map(guide=>[guide.name,guide]));for(let[
-item,moved]of[...moves].sort(([one],[other])=>one-other)){let name=names[item-1]??`guide ${item}`;if(moved.engaged===
-0){now2.delete(name);continue}let guide=now2.get(name);if(!guide){if(moved.x_mm===void 0||moved.y_mm===void 0)
-throw new ModelError(`there is no ${name}`,"guide_x_mm and guide_y_mm together, which make a guide");guide={slope:0,
-name}}let slope4=moved.slope??guide.slope;moved.turns_freely!==void 0&&(slope4=moved.turns_freely?null:moved.slope??
-guide.slope??0),now2.set(name,{name,x:moved.x_mm??guide.x,y:moved.y_mm??guide.y,slope:slope4})}let ordered=[...now2.
-values()].sort((one,other)=>one.x-other.x),twice=ordered.find((guide,i)=>guide.x===ordered[i+1]?.x);if(twice)throw new ModelError(
-`two guides stand at the same x = ${twice.x} mm`,"guides at different x");return ordered}function toInputs({bevel,
-controls},pathAngle){if((pathAngle?bevel.offset:bevel.cutAngle)!==0)throw new ModelError("the strength of the \
-bevel is that of the other rule of advance",pathAngle?"a cut angle alone":"an offset alone");let{baseY,baseSlope,
-stageSlope,guides,tip}=controls;return{bevel:{side:bevel.side,roll:bevel.roll,strength:pathAngle?bevel.cutAngle:
-bevel.offset},base:{y:baseY,slope:baseSlope,stageSlope},guides,tip}}function toStep({depth,inputs},pathAngle){
-let{bevel,base,guides,tip}=inputs,[offset,cutAngle]=pathAngle?[0,bevel.strength]:[bevel.strength,0];return{depth,
-bevel:{side:bevel.side,roll:bevel.roll,offset,cutAngle},controls:{baseY:base.y,baseSlope:base.slope,stageSlope:base.
-stageSlope,guides,tip}}}var ModelError,RADIANS,DEGREES,UNITS,nameOf,significant,rollOf,toSide,wrap,turnOver,init_inputs=__esm(
-{"needlefit/viewer/page/model/inputs.js"(){"use strict";ModelError=class extends Error{constructor(what,expected){
-super(what),Object.assign(this,{what,expected})}},RADIANS=Math.PI/180,DEGREES=180/Math.PI,UNITS=[["_mm"," mm"],
-["_deg","°"],["_pa"," Pa"]];nameOf=name=>name.replace(/_(mm|deg|pa)$/,"").replaceAll("_"," ");significant=value=>Number(
-value.toPrecision(6));rollOf=({side,roll:roll2})=>roll2+(side>0?0:180),toSide=roll2=>Math.abs(roll2%360)===180?
-{side:-1,roll:roll2-180}:{side:1,roll:roll2},wrap=roll2=>180-((180-roll2)%360+360)%360,turnOver=roll2=>roll2%180?
-["bevel_roll_deg",null,wrap(roll2+180)]:["bevel_side",null,roll2%360?1:-1]}});function signed(value,digits2){let size2=Math.abs(value).toFixed(digits2);return Number(size2)===0?size2:(value<
-0?"−":"+")+size2}function modulusLike(one){let[unit,pascals]=one<1e6?["kPa",1e3]:["MPa",1e6];return{unit,write:(value,digits2=4)=>brief(
-value/pascals,digits2),read:text=>Number(text)*pascals}}function modulus(value){let{unit,write:write2}=modulusLike(
-value);return`${write2(value,3)} ${unit}`}function strengthOf(values){let about="cut_angle_deg"in values?ANGLE:
-OFFSET,[here,throughout]=INPUTS[about.key];return{...about,here,throughout,value:values[about.key]}}function isChanged({
-bevel,layers},{fitted}){let{key,value}=strengthOf(fitted);return!near(bevel[key],value)||layers.some((layer,i)=>Object.
-entries(fitted.layers[i]).some(([name,one])=>!near(layer[name],one)))}function isSteered(state,scene){let{steps:steps2}=scene.
-simulation,{bevel,controls}=steps2.find(({depth})=>depth>=state.depth_mm-1e-6)??steps2.at(-1),{base,guides,tip}=state;
-return isChanged(state,scene)||state.bevel.roll_deg!==wrap(rollOf(bevel))||tip.held!==!!controls.tip||base.input_y!==
-controls.baseY||base.input_slope!==controls.baseSlope||guides.length!==controls.guides.length||guides.some(({x:x2,
-y:y2},i)=>x2!==controls.guides[i].x||y2!==controls.guides[i].y)}var writeError,listErrors,brief,counted,toDegrees,
-degrees,slope,shortName,OFFSET,ANGLE,INPUTS,describeRoll,near,predictionOf,init_quantities=__esm({"needlefit/v\
-iewer/page/quantities.js"(){"use strict";init_inputs();writeError=(value,unit)=>value===null?"–":unit==="%"?
-brief(value,3):value.toFixed(3),listErrors=(errors,{metrics})=>metrics.map(([name,label2,unit])=>`${label2} ${writeError(
-errors[name],unit)} ${unit}`);brief=(value,digits2=4)=>String(Number(Number(value).toPrecision(digits2))),counted=
-(count,one)=>`${count} ${one}${count===1?"":"s"}`;toDegrees=rotation=>rotation*180/Math.PI,degrees=slope4=>Math.
-atan(slope4)*180/Math.PI,slope=angle2=>Math.tan(Math.min(Math.max(angle2,-90),90)*Math.PI/180),shortName=({item,
-name})=>name&&name!==`guide ${item}`?name:String(item),OFFSET={key:"offset_mm",symbol:"b",unit:"mm",digits:3,step:.005},
-ANGLE={key:"cut_angle_deg",symbol:"θ",unit:"°",digits:2,step:.1},INPUTS={offset_mm:["bevel_offset_mm","offse\
-t_throughout_mm"],cut_angle_deg:["cut_angle_deg","cut_angle_throughout_deg"]};describeRoll=({roll_deg:roll2})=>roll2%
-180?`roll ${brief(roll2).replace("-","−")}°`:roll2?"−y":"+y",near=(one,other)=>Math.abs(one-other)<=1e-9*
-Math.abs(other);predictionOf=(state,scene)=>Math.abs(state.depth_mm-scene.depth_mm)<1e-6&&!isSteered(state,scene)?
-scene.measured?.prediction??null:null}});function listen(kind,hear2){listeners.has(kind)||listeners.set(kind,[]),listeners.get(kind).push(hear2)}function publish(kind,message){
-for(let hear2 of listeners.get(kind)??[])hear2(message)}function take(message){message.kind==="scene"?Object.assign(
-now,{scene:message,band:null}):message.kind==="band"?now.band=message.x.length?message:null:now[message.kind]=
-message,publish(message.kind,message)}var now,listeners,redraw,init_store=__esm({"needlefit/viewer/page/store.\
-js"(){"use strict";now={replay:null,band:null,shown:{errors:!1,measured:!0,band:!0,plan:!0},labels:[],avoided:[]};
-Object.assign(window,{needlefit:now});listeners=new Map;redraw=()=>publish("redraw")}});function resize(width,height){view.box={left:GUTTER.left,top:GUTTER.top,width:Math.max(width-GUTTER.left-GUTTER.
-right,10),height:Math.max(height-GUTTER.top-GUTTER.bottom,10)},fit(view.fit)}function fit(which){if(view.fit=which,
-redraw(),!now.scene||!now.state)return;if(which==="tip"){let{x:x2,y:y2}=now.state.tip;return Object.assign(view,
-{scale:view.box.width/TIP_WINDOW,magnified:1,x:x2,y:y2})}let[low,high,before,after]=which==="whole"?[-now.scene.
-length_mm,deepest()+4,Math.min(74,.1*view.box.width+20),34]:[0,1.04*deepest(),Math.min(44,.1*view.box.width),Math.
-min(84,.12*view.box.width)],room=view.box.width-before-after,[bottom,top]=heights(which),[along,across]=[room/
-(high-low),roomAcross()/(top-bottom)];view.scale=Math.min(along,across);let least=LEAST_SPAN*deepest(),times=roomAcross()/
-view.scale/Math.max(top-bottom,least);view.magnified=MAGNIFICATIONS.filter(one=>one<=times).at(-1)??1,view.x=(low+
-high)/2+(after-before)/(2*view.scale),view.y=(bottom+top)/2}function deepest(){let{depth_mm:depth,boundaries_mm:tops,
+sqrt(2);shuffle=shuffler(Math.random)}});function look(window2,draw2){let kept={...view};Object.assign(view,window2);try{return draw2()}finally{Object.
+assign(view,kept)}}function resize(width,height){view.box={left:GUTTER.left,top:GUTTER.top,width:Math.max(width-
+GUTTER.left-GUTTER.right,10),height:Math.max(height-GUTTER.top-GUTTER.bottom,10)},fit(view.fit)}function fit(which){
+if(view.fit=which,redraw(),!now.scene||!now.state||which==="moved")return;if(which==="tip"){let{x:x2,y:y2}=now.
+state.tip;return Object.assign(view,{scale:view.box.width/TIP_WINDOW,magnified:1,x:x2,y:y2})}let[low,high,before,
+after]=which==="whole"?[-now.scene.length_mm,deepest()+4,Math.min(74,.1*view.box.width+20),34]:[0,1.04*deepest(),
+Math.min(44,.1*view.box.width),Math.min(84,.12*view.box.width)],room=view.box.width-before-after,[bottom,top]=heights(),
+[along,across]=[room/(high-low),roomAcross()/(top-bottom)];view.scale=Math.min(along,across);let least2=LEAST_SPAN*
+deepest(),times=roomAcross()/view.scale/Math.max(top-bottom,least2);view.magnified=MAGNIFICATIONS.filter(one=>one<=
+times).at(-1)??1,view.x=(low+high)/2+(after-before)/(2*view.scale),view.y=(bottom+top)/2}function zoom(factor,[
+px,py]=[toPx(view.x),toPy(view.y)]){let[x2,y2]=[fromPx(px),fromPy(py)];view.scale=Math.min(Math.max(view.scale*
+factor,SCALES[0]),SCALES[1]),view.x+=x2-fromPx(px),view.y+=y2-fromPy(py),fit("moved")}function pan(px,py){view.
+x-=px/view.scale,view.y+=py/(view.scale*view.magnified),fit("moved")}function deepest(){let{depth_mm:depth,boundaries_mm:tops,
 measured}=now.scene,goals=goalCircles().map(([x2,,radius])=>x2+radius);return Math.max(depth,now.state.depth_mm,
 (tops.at(-1)??0)+5,measured?.depth_mm??0,...goals)}function goalCircles(){let{plan}=now.scene;return plan?[[...plan.
-target,plan.radius],...plan.obstacles]:[]}function heights(which){let{state,band,scene:{measured}}=now,seen=state.
-y.filter((_,i)=>which==="whole"||state.x[i]>=0),goals=goalCircles().flatMap(([,y2,radius])=>[y2-radius,y2+radius]);
-return extent([...seen,...measured?.y??[],...goals,...band?.low??[],...band?.high??[],0])}function seesTip(){let{
-left,top,width,height}=view.box,{x:x2,y:y2}=now.state.tip,[px,py]=[toPx(x2)-left,toPy(y2)-top];return px>=0&&px<=
-width&&py>=0&&py<=height}function follow(){let anew=view.of!==now.scene;if(view.of=now.scene,anew||view.fit===
-"tip")return fit(view.fit);let[bottom,top]=heights(view.fit),px=view.scale*view.magnified,out=Math.max(top-view.
-y,view.y-bottom)*px>roomAcross()/2+1||!seesTip(),low=(top-bottom)*px<LOW2*roomAcross();(out||low&&view.magnified<
+target,plan.radius],...plan.obstacles.map(([x2,y2,radius])=>[x2,y2,radius])]:[]}function heights(){let{state,band,
+pinned,scene:{measured}}=now,seen=[state,pinned].flatMap(one=>one?one.y.filter((_,i)=>view.fit==="whole"||one.
+x[i]>=0):[]),goals=goalCircles().flatMap(([,y2,radius])=>[y2-radius,y2+radius]);return extent([...seen,...measured?.
+y??[],...goals,...band?.low??[],...band?.high??[],0])}function seesTip(){let{left,top,width,height}=view.box,{
+x:x2,y:y2}=now.state.tip,[px,py]=[toPx(x2)-left,toPy(y2)-top];return px>=0&&px<=width&&py>=0&&py<=height}function follow(){
+let anew=view.of!==now.scene;if(view.of=now.scene,view.fit==="moved"&&!anew)return;if(anew||view.fit==="tip")return fit(
+view.fit==="moved"?"tissue":view.fit);let[bottom,top]=heights(),px=view.scale*view.magnified,out=Math.max(top-
+view.y,view.y-bottom)*px>roomAcross()/2+1||!seesTip(),low=(top-bottom)*px<LOW2*roomAcross();(out||low&&view.magnified<
 MAGNIFICATIONS[MAGNIFICATIONS.length-1])&&fit(view.fit)}var GUTTER,MAGNIFICATIONS,ROOM,LEAST_SPAN,LOW2,TIP_WINDOW,
-view,toPx,toPy,fromPx,fromPy,roomAcross,init_view=__esm({"needlefit/viewer/page/view.js"(){"use strict";init_d3_array();
-init_store();GUTTER={left:56,right:10,top:50,bottom:40},MAGNIFICATIONS=[1,1.5,2,3,4,5,6,8,10,12,15,20,30,50],ROOM=
-56,LEAST_SPAN=.01,LOW2=.45,TIP_WINDOW=45,view={x:0,y:0,scale:5,magnified:1,fit:"tissue",of:null,box:{left:0,top:0,
-width:1,height:1}};Object.assign(now,{view});toPx=x2=>view.box.left+view.box.width/2+(x2-view.x)*view.scale,toPy=
-y2=>view.box.top+view.box.height/2-(y2-view.y)*view.scale*view.magnified,fromPx=px=>view.x+(px-view.box.left-view.
-box.width/2)/view.scale,fromPy=py=>view.y-(py-view.box.top-view.box.height/2)/(view.scale*view.magnified);roomAcross=
-()=>view.box.height-2*Math.min(ROOM,.2*view.box.height);listen("band",follow)}});function append(strings){this._+=strings[0];for(let i=1,n=strings.length;i<n;++i)this._+=arguments[i]+strings[i]}
+SCALES,view,toPx,toPy,fromPx,fromPy,roomAcross,init_view=__esm({"needlefit/viewer/page/view.js"(){"use strict";
+init_d3_array();init_store();GUTTER={left:56,right:10,top:50,bottom:40},MAGNIFICATIONS=[1,1.5,2,3,4,5,6,8,10,12,
+15,20,30,50],ROOM=56,LEAST_SPAN=.01,LOW2=.45,TIP_WINDOW=45,SCALES=[.5,400],view={x:0,y:0,scale:5,magnified:1,fit:"\
+tissue",of:null,box:{left:0,top:0,width:1,height:1}};Object.assign(now,{view});toPx=x2=>view.box.left+view.box.
+width/2+(x2-view.x)*view.scale,toPy=y2=>view.box.top+view.box.height/2-(y2-view.y)*view.scale*view.magnified,fromPx=
+px=>view.x+(px-view.box.left-view.box.width/2)/view.scale,fromPy=py=>view.y-(py-view.box.top-view.box.height/2)/
+(view.scale*view.magnified);roomAcross=()=>view.box.height-2*Math.min(ROOM,.2*view.box.height);listen("band",follow)}});function define(constructor,factory,prototype){constructor.prototype=factory.prototype=prototype,prototype.constructor=
+constructor}function extend(parent,definition){var prototype=Object.create(parent.prototype);for(var key in definition)
+prototype[key]=definition[key];return prototype}function Color(){}function color_formatHex(){return this.rgb().
+formatHex()}function color_formatHex8(){return this.rgb().formatHex8()}function color_formatHsl(){return hslConvert(
+this).formatHsl()}function color_formatRgb(){return this.rgb().formatRgb()}function color(format){var m,l;return format=
+(format+"").trim().toLowerCase(),(m=reHex.exec(format))?(l=m[1].length,m=parseInt(m[1],16),l===6?rgbn(m):l===3?
+new Rgb(m>>8&15|m>>4&240,m>>4&15|m&240,(m&15)<<4|m&15,1):l===8?rgba(m>>24&255,m>>16&255,m>>8&255,(m&255)/255):
+l===4?rgba(m>>12&15|m>>8&240,m>>8&15|m>>4&240,m>>4&15|m&240,((m&15)<<4|m&15)/255):null):(m=reRgbInteger.exec(format))?
+new Rgb(m[1],m[2],m[3],1):(m=reRgbPercent.exec(format))?new Rgb(m[1]*255/100,m[2]*255/100,m[3]*255/100,1):(m=reRgbaInteger.
+exec(format))?rgba(m[1],m[2],m[3],m[4]):(m=reRgbaPercent.exec(format))?rgba(m[1]*255/100,m[2]*255/100,m[3]*255/
+100,m[4]):(m=reHslPercent.exec(format))?hsla(m[1],m[2]/100,m[3]/100,1):(m=reHslaPercent.exec(format))?hsla(m[1],
+m[2]/100,m[3]/100,m[4]):named.hasOwnProperty(format)?rgbn(named[format]):format==="transparent"?new Rgb(NaN,NaN,
+NaN,0):null}function rgbn(n){return new Rgb(n>>16&255,n>>8&255,n&255,1)}function rgba(r,g,b,a2){return a2<=0&&
+(r=g=b=NaN),new Rgb(r,g,b,a2)}function rgbConvert(o){return o instanceof Color||(o=color(o)),o?(o=o.rgb(),new Rgb(
+o.r,o.g,o.b,o.opacity)):new Rgb}function rgb(r,g,b,opacity){return arguments.length===1?rgbConvert(r):new Rgb(
+r,g,b,opacity??1)}function Rgb(r,g,b,opacity){this.r=+r,this.g=+g,this.b=+b,this.opacity=+opacity}function rgb_formatHex(){
+return`#${hex(this.r)}${hex(this.g)}${hex(this.b)}`}function rgb_formatHex8(){return`#${hex(this.r)}${hex(this.
+g)}${hex(this.b)}${hex((isNaN(this.opacity)?1:this.opacity)*255)}`}function rgb_formatRgb(){let a2=clampa(this.
+opacity);return`${a2===1?"rgb(":"rgba("}${clampi(this.r)}, ${clampi(this.g)}, ${clampi(this.b)}${a2===1?")":`,\
+ ${a2})`}`}function clampa(opacity){return isNaN(opacity)?1:Math.max(0,Math.min(1,opacity))}function clampi(value){
+return Math.max(0,Math.min(255,Math.round(value)||0))}function hex(value){return value=clampi(value),(value<16?
+"0":"")+value.toString(16)}function hsla(h,s2,l,a2){return a2<=0?h=s2=l=NaN:l<=0||l>=1?h=s2=NaN:s2<=0&&(h=NaN),
+new Hsl(h,s2,l,a2)}function hslConvert(o){if(o instanceof Hsl)return new Hsl(o.h,o.s,o.l,o.opacity);if(o instanceof
+Color||(o=color(o)),!o)return new Hsl;if(o instanceof Hsl)return o;o=o.rgb();var r=o.r/255,g=o.g/255,b=o.b/255,
+min=Math.min(r,g,b),max2=Math.max(r,g,b),h=NaN,s2=max2-min,l=(max2+min)/2;return s2?(r===max2?h=(g-b)/s2+(g<b)*
+6:g===max2?h=(b-r)/s2+2:h=(r-g)/s2+4,s2/=l<.5?max2+min:2-max2-min,h*=60):s2=l>0&&l<1?0:h,new Hsl(h,s2,l,o.opacity)}
+function hsl(h,s2,l,opacity){return arguments.length===1?hslConvert(h):new Hsl(h,s2,l,opacity??1)}function Hsl(h,s2,l,opacity){
+this.h=+h,this.s=+s2,this.l=+l,this.opacity=+opacity}function clamph(value){return value=(value||0)%360,value<
+0?value+360:value}function clampt(value){return Math.max(0,Math.min(1,value||0))}function hsl2rgb(h,m1,m2){return(h<
+60?m1+(m2-m1)*h/60:h<180?m2:h<240?m1+(m2-m1)*(240-h)/60:m1)*255}function labConvert(o){if(o instanceof Lab)return new Lab(
+o.l,o.a,o.b,o.opacity);if(o instanceof Hcl)return hcl2lab(o);o instanceof Rgb||(o=rgbConvert(o));var r=rgb2lrgb(
+o.r),g=rgb2lrgb(o.g),b=rgb2lrgb(o.b),y2=xyz2lab((.2225045*r+.7168786*g+.0606169*b)/Yn),x2,z;return r===g&&g===
+b?x2=z=y2:(x2=xyz2lab((.4360747*r+.3850649*g+.1430804*b)/Xn),z=xyz2lab((.0139322*r+.0971045*g+.7141733*b)/Zn)),
+new Lab(116*y2-16,500*(x2-y2),200*(y2-z),o.opacity)}function lab(l,a2,b,opacity){return arguments.length===1?labConvert(
+l):new Lab(l,a2,b,opacity??1)}function Lab(l,a2,b,opacity){this.l=+l,this.a=+a2,this.b=+b,this.opacity=+opacity}
+function xyz2lab(t){return t>t3?Math.pow(t,1/3):t/t2+t0}function lab2xyz(t){return t>t1?t*t*t:t2*(t-t0)}function lrgb2rgb(x2){
+return 255*(x2<=.0031308?12.92*x2:1.055*Math.pow(x2,1/2.4)-.055)}function rgb2lrgb(x2){return(x2/=255)<=.04045?
+x2/12.92:Math.pow((x2+.055)/1.055,2.4)}function hclConvert(o){if(o instanceof Hcl)return new Hcl(o.h,o.c,o.l,o.
+opacity);if(o instanceof Lab||(o=labConvert(o)),o.a===0&&o.b===0)return new Hcl(NaN,0<o.l&&o.l<100?0:NaN,o.l,o.
+opacity);var h=Math.atan2(o.b,o.a)*degrees2;return new Hcl(h<0?h+360:h,Math.sqrt(o.a*o.a+o.b*o.b),o.l,o.opacity)}
+function hcl(h,c,l,opacity){return arguments.length===1?hclConvert(h):new Hcl(h,c,l,opacity??1)}function Hcl(h,c,l,opacity){
+this.h=+h,this.c=+c,this.l=+l,this.opacity=+opacity}function hcl2lab(o){if(isNaN(o.h))return new Lab(o.l,0,0,o.
+opacity);var h=o.h*radians;return new Lab(o.l,Math.cos(h)*o.c,Math.sin(h)*o.c,o.opacity)}function cubehelixConvert(o){
+if(o instanceof Cubehelix)return new Cubehelix(o.h,o.s,o.l,o.opacity);o instanceof Rgb||(o=rgbConvert(o));var r=o.
+r/255,g=o.g/255,b=o.b/255,l=(BC_DA*b+ED*r-EB*g)/(BC_DA+ED-EB),bl=b-l,k2=(E*(g-l)-C*bl)/D,s2=Math.sqrt(k2*k2+bl*
+bl)/(E*l*(1-l)),h=s2?Math.atan2(k2,bl)*degrees2-120:NaN;return new Cubehelix(h<0?h+360:h,s2,l,o.opacity)}function cubehelix(h,s2,l,opacity){
+return arguments.length===1?cubehelixConvert(h):new Cubehelix(h,s2,l,opacity??1)}function Cubehelix(h,s2,l,opacity){
+this.h=+h,this.s=+s2,this.l=+l,this.opacity=+opacity}var darker,brighter,reI,reN,reP,reHex,reRgbInteger,reRgbPercent,
+reRgbaInteger,reRgbaPercent,reHslPercent,reHslaPercent,named,radians,degrees2,K,Xn,Yn,Zn,t0,t1,t2,t3,A,B,C,D,E,
+ED,EB,BC_DA,init_d3_color=__esm({"node_modules/d3-color/dist/d3-color.mjs"(){darker=.7,brighter=1/darker,reI="\
+\\s*([+-]?\\d+)\\s*",reN="\\s*([+-]?(?:\\d*\\.)?\\d+(?:[eE][+-]?\\d+)?)\\s*",reP="\\s*([+-]?(?:\\d*\\.)?\\d+(?:[eE\
+][+-]?\\d+)?)%\\s*",reHex=/^#([0-9a-f]{3,8})$/,reRgbInteger=new RegExp(`^rgb\\(${reI},${reI},${reI}\\)$`),reRgbPercent=
+new RegExp(`^rgb\\(${reP},${reP},${reP}\\)$`),reRgbaInteger=new RegExp(`^rgba\\(${reI},${reI},${reI},${reN}\\)$`),
+reRgbaPercent=new RegExp(`^rgba\\(${reP},${reP},${reP},${reN}\\)$`),reHslPercent=new RegExp(`^hsl\\(${reN},${reP}\
+,${reP}\\)$`),reHslaPercent=new RegExp(`^hsla\\(${reN},${reP},${reP},${reN}\\)$`),named={aliceblue:15792383,antiquewhite:16444375,
+aqua:65535,aquamarine:8388564,azure:15794175,beige:16119260,bisque:16770244,black:0,blanchedalmond:16772045,blue:255,
+blueviolet:9055202,brown:10824234,burlywood:14596231,cadetblue:6266528,chartreuse:8388352,chocolate:13789470,coral:16744272,
+cornflowerblue:6591981,cornsilk:16775388,crimson:14423100,cyan:65535,darkblue:139,darkcyan:35723,darkgoldenrod:12092939,
+darkgray:11119017,darkgreen:25600,darkgrey:11119017,darkkhaki:12433259,darkmagenta:9109643,darkolivegreen:5597999,
+darkorange:16747520,darkorchid:10040012,darkred:9109504,darksalmon:15308410,darkseagreen:9419919,darkslateblue:4734347,
+darkslategray:3100495,darkslategrey:3100495,darkturquoise:52945,darkviolet:9699539,deeppink:16716947,deepskyblue:49151,
+dimgray:6908265,dimgrey:6908265,dodgerblue:2003199,firebrick:11674146,floralwhite:16775920,forestgreen:2263842,
+fuchsia:16711935,gainsboro:14474460,ghostwhite:16316671,gold:16766720,goldenrod:14329120,gray:8421504,green:32768,
+greenyellow:11403055,grey:8421504,honeydew:15794160,hotpink:16738740,indianred:13458524,indigo:4915330,ivory:16777200,
+khaki:15787660,lavender:15132410,lavenderblush:16773365,lawngreen:8190976,lemonchiffon:16775885,lightblue:11393254,
+lightcoral:15761536,lightcyan:14745599,lightgoldenrodyellow:16448210,lightgray:13882323,lightgreen:9498256,lightgrey:13882323,
+lightpink:16758465,lightsalmon:16752762,lightseagreen:2142890,lightskyblue:8900346,lightslategray:7833753,lightslategrey:7833753,
+lightsteelblue:11584734,lightyellow:16777184,lime:65280,limegreen:3329330,linen:16445670,magenta:16711935,maroon:8388608,
+mediumaquamarine:6737322,mediumblue:205,mediumorchid:12211667,mediumpurple:9662683,mediumseagreen:3978097,mediumslateblue:8087790,
+mediumspringgreen:64154,mediumturquoise:4772300,mediumvioletred:13047173,midnightblue:1644912,mintcream:16121850,
+mistyrose:16770273,moccasin:16770229,navajowhite:16768685,navy:128,oldlace:16643558,olive:8421376,olivedrab:7048739,
+orange:16753920,orangered:16729344,orchid:14315734,palegoldenrod:15657130,palegreen:10025880,paleturquoise:11529966,
+palevioletred:14381203,papayawhip:16773077,peachpuff:16767673,peru:13468991,pink:16761035,plum:14524637,powderblue:11591910,
+purple:8388736,rebeccapurple:6697881,red:16711680,rosybrown:12357519,royalblue:4286945,saddlebrown:9127187,salmon:16416882,
+sandybrown:16032864,seagreen:3050327,seashell:16774638,sienna:10506797,silver:12632256,skyblue:8900331,slateblue:6970061,
+slategray:7372944,slategrey:7372944,snow:16775930,springgreen:65407,steelblue:4620980,tan:13808780,teal:32896,
+thistle:14204888,tomato:16737095,turquoise:4251856,violet:15631086,wheat:16113331,white:16777215,whitesmoke:16119285,
+yellow:16776960,yellowgreen:10145074};define(Color,color,{copy(channels){return Object.assign(new this.constructor,
+this,channels)},displayable(){return this.rgb().displayable()},hex:color_formatHex,formatHex:color_formatHex,formatHex8:color_formatHex8,
+formatHsl:color_formatHsl,formatRgb:color_formatRgb,toString:color_formatRgb});define(Rgb,rgb,extend(Color,{brighter(k2){
+return k2=k2==null?brighter:Math.pow(brighter,k2),new Rgb(this.r*k2,this.g*k2,this.b*k2,this.opacity)},darker(k2){
+return k2=k2==null?darker:Math.pow(darker,k2),new Rgb(this.r*k2,this.g*k2,this.b*k2,this.opacity)},rgb(){return this},
+clamp(){return new Rgb(clampi(this.r),clampi(this.g),clampi(this.b),clampa(this.opacity))},displayable(){return-.5<=
+this.r&&this.r<255.5&&-.5<=this.g&&this.g<255.5&&-.5<=this.b&&this.b<255.5&&0<=this.opacity&&this.opacity<=1},
+hex:rgb_formatHex,formatHex:rgb_formatHex,formatHex8:rgb_formatHex8,formatRgb:rgb_formatRgb,toString:rgb_formatRgb}));
+define(Hsl,hsl,extend(Color,{brighter(k2){return k2=k2==null?brighter:Math.pow(brighter,k2),new Hsl(this.h,this.
+s,this.l*k2,this.opacity)},darker(k2){return k2=k2==null?darker:Math.pow(darker,k2),new Hsl(this.h,this.s,this.
+l*k2,this.opacity)},rgb(){var h=this.h%360+(this.h<0)*360,s2=isNaN(h)||isNaN(this.s)?0:this.s,l=this.l,m2=l+(l<
+.5?l:1-l)*s2,m1=2*l-m2;return new Rgb(hsl2rgb(h>=240?h-240:h+120,m1,m2),hsl2rgb(h,m1,m2),hsl2rgb(h<120?h+240:h-
+120,m1,m2),this.opacity)},clamp(){return new Hsl(clamph(this.h),clampt(this.s),clampt(this.l),clampa(this.opacity))},
+displayable(){return(0<=this.s&&this.s<=1||isNaN(this.s))&&0<=this.l&&this.l<=1&&0<=this.opacity&&this.opacity<=
+1},formatHsl(){let a2=clampa(this.opacity);return`${a2===1?"hsl(":"hsla("}${clamph(this.h)}, ${clampt(this.s)*
+100}%, ${clampt(this.l)*100}%${a2===1?")":`, ${a2})`}`}}));radians=Math.PI/180,degrees2=180/Math.PI,K=18,Xn=.96422,
+Yn=1,Zn=.82521,t0=4/29,t1=6/29,t2=3*t1*t1,t3=t1*t1*t1;define(Lab,lab,extend(Color,{brighter(k2){return new Lab(
+this.l+K*(k2??1),this.a,this.b,this.opacity)},darker(k2){return new Lab(this.l-K*(k2??1),this.a,this.b,this.opacity)},
+rgb(){var y2=(this.l+16)/116,x2=isNaN(this.a)?y2:y2+this.a/500,z=isNaN(this.b)?y2:y2-this.b/200;return x2=Xn*lab2xyz(
+x2),y2=Yn*lab2xyz(y2),z=Zn*lab2xyz(z),new Rgb(lrgb2rgb(3.1338561*x2-1.6168667*y2-.4906146*z),lrgb2rgb(-.9787684*
+x2+1.9161415*y2+.033454*z),lrgb2rgb(.0719453*x2-.2289914*y2+1.4052427*z),this.opacity)}}));define(Hcl,hcl,extend(
+Color,{brighter(k2){return new Hcl(this.h,this.c,this.l+K*(k2??1),this.opacity)},darker(k2){return new Hcl(this.
+h,this.c,this.l-K*(k2??1),this.opacity)},rgb(){return hcl2lab(this).rgb()}}));A=-.14861,B=1.78277,C=-.29227,D=
+-.90649,E=1.97294,ED=E*D,EB=E*B,BC_DA=B*C-D*A;define(Cubehelix,cubehelix,extend(Color,{brighter(k2){return k2=
+k2==null?brighter:Math.pow(brighter,k2),new Cubehelix(this.h,this.s,this.l*k2,this.opacity)},darker(k2){return k2=
+k2==null?darker:Math.pow(darker,k2),new Cubehelix(this.h,this.s,this.l*k2,this.opacity)},rgb(){var h=isNaN(this.
+h)?0:(this.h+120)*radians,l=+this.l,a2=isNaN(this.s)?0:this.s*l*(1-l),cosh2=Math.cos(h),sinh2=Math.sin(h);return new Rgb(
+255*(l+a2*(A*cosh2+B*sinh2)),255*(l+a2*(C*cosh2+D*sinh2)),255*(l+a2*(E*cosh2)),this.opacity)}}))}});function append(strings){this._+=strings[0];for(let i=1,n=strings.length;i<n;++i)this._+=arguments[i]+strings[i]}
 function appendRound(digits2){let d=Math.floor(digits2);if(!(d>=0))throw new Error(`invalid digits: ${digits2}`);
 if(d>15)return append;let k2=10**d;return function(strings){this._+=strings[0];for(let i=1,n=strings.length;i<
 n;++i)this._+=Math.round(arguments[i]*k2)/k2+strings[i]}}function equal(x0,y0,x1,y1){return x0===x1&&y0===y1}function equalRound(digits2){
@@ -339,16 +580,16 @@ function(_){if(!arguments.length)return digits2;if(_==null)digits2=null;else{let
 `invalid digits: ${_}`);digits2=d}return shape},()=>new Path(digits2)}function array2(x2){return typeof x2=="o\
 bject"&&"length"in x2?x2:Array.from(x2)}function Linear(context){this._context=context}function curveLinear(context){
 return new Linear(context)}function x(p){return p[0]}function y(p){return p[1]}function line(x$1,y$1){var defined=constant(
-!0),context=null,curve=curveLinear,output=null,path2=withPath(line3);x$1=typeof x$1=="function"?x$1:x$1===void 0?
-x:constant(x$1),y$1=typeof y$1=="function"?y$1:y$1===void 0?y:constant(y$1);function line3(data){var i,n=(data=
+!0),context=null,curve=curveLinear,output=null,path2=withPath(line2);x$1=typeof x$1=="function"?x$1:x$1===void 0?
+x:constant(x$1),y$1=typeof y$1=="function"?y$1:y$1===void 0?y:constant(y$1);function line2(data){var i,n=(data=
 array2(data)).length,d,defined0=!1,buffer;for(context==null&&(output=curve(buffer=path2())),i=0;i<=n;++i)!(i<n&&
 defined(d=data[i],i,data))===defined0&&((defined0=!defined0)?output.lineStart():output.lineEnd()),defined0&&output.
-point(+x$1(d,i,data),+y$1(d,i,data));if(buffer)return output=null,buffer+""||null}return line3.x=function(_){return arguments.
-length?(x$1=typeof _=="function"?_:constant(+_),line3):x$1},line3.y=function(_){return arguments.length?(y$1=typeof _==
-"function"?_:constant(+_),line3):y$1},line3.defined=function(_){return arguments.length?(defined=typeof _=="fu\
-nction"?_:constant(!!_),line3):defined},line3.curve=function(_){return arguments.length?(curve=_,context!=null&&
-(output=curve(context)),line3):curve},line3.context=function(_){return arguments.length?(_==null?context=output=
-null:output=curve(context=_),line3):context},line3}function area(x0,y0,y1){var x1=null,defined=constant(!0),context=null,
+point(+x$1(d,i,data),+y$1(d,i,data));if(buffer)return output=null,buffer+""||null}return line2.x=function(_){return arguments.
+length?(x$1=typeof _=="function"?_:constant(+_),line2):x$1},line2.y=function(_){return arguments.length?(y$1=typeof _==
+"function"?_:constant(+_),line2):y$1},line2.defined=function(_){return arguments.length?(defined=typeof _=="fu\
+nction"?_:constant(!!_),line2):defined},line2.curve=function(_){return arguments.length?(curve=_,context!=null&&
+(output=curve(context)),line2):curve},line2.context=function(_){return arguments.length?(_==null?context=output=
+null:output=curve(context=_),line2):context},line2}function area(x0,y0,y1){var x1=null,defined=constant(!0),context=null,
 curve=curveLinear,output=null,path2=withPath(area2);x0=typeof x0=="function"?x0:x0===void 0?x:constant(+x0),y0=
 typeof y0=="function"?y0:constant(y0===void 0?0:+y0),y1=typeof y1=="function"?y1:y1===void 0?y:constant(+y1);function area2(data){
 var i,j,k2,n=(data=array2(data)).length,d,defined0=!1,buffer,x0z=new Array(n),y0z=new Array(n);for(context==null&&
@@ -517,111 +758,37 @@ this._point=0},lineEnd:function(){0<this._t&&this._t<1&&this._point===2&&this._c
 _line=1-this._line)},point:function(x2,y2){switch(x2=+x2,y2=+y2,this._point){case 0:this._point=1,this._line?this.
 _context.lineTo(x2,y2):this._context.moveTo(x2,y2);break;case 1:this._point=2;default:{if(this._t<=0)this._context.
 lineTo(this._x,y2),this._context.lineTo(x2,y2);else{var x1=this._x*(1-this._t)+x2*this._t;this._context.lineTo(
-x1,this._y),this._context.lineTo(x1,y2)}break}}this._x=x2,this._y=y2}}}});function define(constructor,factory,prototype){constructor.prototype=factory.prototype=prototype,prototype.constructor=
-constructor}function extend(parent,definition){var prototype=Object.create(parent.prototype);for(var key in definition)
-prototype[key]=definition[key];return prototype}function Color(){}function color_formatHex(){return this.rgb().
-formatHex()}function color_formatHex8(){return this.rgb().formatHex8()}function color_formatHsl(){return hslConvert(
-this).formatHsl()}function color_formatRgb(){return this.rgb().formatRgb()}function color(format){var m,l;return format=
-(format+"").trim().toLowerCase(),(m=reHex.exec(format))?(l=m[1].length,m=parseInt(m[1],16),l===6?rgbn(m):l===3?
-new Rgb(m>>8&15|m>>4&240,m>>4&15|m&240,(m&15)<<4|m&15,1):l===8?rgba(m>>24&255,m>>16&255,m>>8&255,(m&255)/255):
-l===4?rgba(m>>12&15|m>>8&240,m>>8&15|m>>4&240,m>>4&15|m&240,((m&15)<<4|m&15)/255):null):(m=reRgbInteger.exec(format))?
-new Rgb(m[1],m[2],m[3],1):(m=reRgbPercent.exec(format))?new Rgb(m[1]*255/100,m[2]*255/100,m[3]*255/100,1):(m=reRgbaInteger.
-exec(format))?rgba(m[1],m[2],m[3],m[4]):(m=reRgbaPercent.exec(format))?rgba(m[1]*255/100,m[2]*255/100,m[3]*255/
-100,m[4]):(m=reHslPercent.exec(format))?hsla(m[1],m[2]/100,m[3]/100,1):(m=reHslaPercent.exec(format))?hsla(m[1],
-m[2]/100,m[3]/100,m[4]):named.hasOwnProperty(format)?rgbn(named[format]):format==="transparent"?new Rgb(NaN,NaN,
-NaN,0):null}function rgbn(n){return new Rgb(n>>16&255,n>>8&255,n&255,1)}function rgba(r,g,b,a2){return a2<=0&&
-(r=g=b=NaN),new Rgb(r,g,b,a2)}function rgbConvert(o){return o instanceof Color||(o=color(o)),o?(o=o.rgb(),new Rgb(
-o.r,o.g,o.b,o.opacity)):new Rgb}function rgb(r,g,b,opacity){return arguments.length===1?rgbConvert(r):new Rgb(
-r,g,b,opacity??1)}function Rgb(r,g,b,opacity){this.r=+r,this.g=+g,this.b=+b,this.opacity=+opacity}function rgb_formatHex(){
-return`#${hex(this.r)}${hex(this.g)}${hex(this.b)}`}function rgb_formatHex8(){return`#${hex(this.r)}${hex(this.
-g)}${hex(this.b)}${hex((isNaN(this.opacity)?1:this.opacity)*255)}`}function rgb_formatRgb(){let a2=clampa(this.
-opacity);return`${a2===1?"rgb(":"rgba("}${clampi(this.r)}, ${clampi(this.g)}, ${clampi(this.b)}${a2===1?")":`,\
- ${a2})`}`}function clampa(opacity){return isNaN(opacity)?1:Math.max(0,Math.min(1,opacity))}function clampi(value){
-return Math.max(0,Math.min(255,Math.round(value)||0))}function hex(value){return value=clampi(value),(value<16?
-"0":"")+value.toString(16)}function hsla(h,s2,l,a2){return a2<=0?h=s2=l=NaN:l<=0||l>=1?h=s2=NaN:s2<=0&&(h=NaN),
-new Hsl(h,s2,l,a2)}function hslConvert(o){if(o instanceof Hsl)return new Hsl(o.h,o.s,o.l,o.opacity);if(o instanceof
-Color||(o=color(o)),!o)return new Hsl;if(o instanceof Hsl)return o;o=o.rgb();var r=o.r/255,g=o.g/255,b=o.b/255,
-min=Math.min(r,g,b),max=Math.max(r,g,b),h=NaN,s2=max-min,l=(max+min)/2;return s2?(r===max?h=(g-b)/s2+(g<b)*6:g===
-max?h=(b-r)/s2+2:h=(r-g)/s2+4,s2/=l<.5?max+min:2-max-min,h*=60):s2=l>0&&l<1?0:h,new Hsl(h,s2,l,o.opacity)}function hsl(h,s2,l,opacity){
-return arguments.length===1?hslConvert(h):new Hsl(h,s2,l,opacity??1)}function Hsl(h,s2,l,opacity){this.h=+h,this.
-s=+s2,this.l=+l,this.opacity=+opacity}function clamph(value){return value=(value||0)%360,value<0?value+360:value}
-function clampt(value){return Math.max(0,Math.min(1,value||0))}function hsl2rgb(h,m1,m2){return(h<60?m1+(m2-m1)*
-h/60:h<180?m2:h<240?m1+(m2-m1)*(240-h)/60:m1)*255}function labConvert(o){if(o instanceof Lab)return new Lab(o.
-l,o.a,o.b,o.opacity);if(o instanceof Hcl)return hcl2lab(o);o instanceof Rgb||(o=rgbConvert(o));var r=rgb2lrgb(
-o.r),g=rgb2lrgb(o.g),b=rgb2lrgb(o.b),y2=xyz2lab((.2225045*r+.7168786*g+.0606169*b)/Yn),x2,z;return r===g&&g===
-b?x2=z=y2:(x2=xyz2lab((.4360747*r+.3850649*g+.1430804*b)/Xn),z=xyz2lab((.0139322*r+.0971045*g+.7141733*b)/Zn)),
-new Lab(116*y2-16,500*(x2-y2),200*(y2-z),o.opacity)}function lab(l,a2,b,opacity){return arguments.length===1?labConvert(
-l):new Lab(l,a2,b,opacity??1)}function Lab(l,a2,b,opacity){this.l=+l,this.a=+a2,this.b=+b,this.opacity=+opacity}
-function xyz2lab(t){return t>t3?Math.pow(t,1/3):t/t2+t0}function lab2xyz(t){return t>t1?t*t*t:t2*(t-t0)}function lrgb2rgb(x2){
-return 255*(x2<=.0031308?12.92*x2:1.055*Math.pow(x2,1/2.4)-.055)}function rgb2lrgb(x2){return(x2/=255)<=.04045?
-x2/12.92:Math.pow((x2+.055)/1.055,2.4)}function hclConvert(o){if(o instanceof Hcl)return new Hcl(o.h,o.c,o.l,o.
-opacity);if(o instanceof Lab||(o=labConvert(o)),o.a===0&&o.b===0)return new Hcl(NaN,0<o.l&&o.l<100?0:NaN,o.l,o.
-opacity);var h=Math.atan2(o.b,o.a)*degrees2;return new Hcl(h<0?h+360:h,Math.sqrt(o.a*o.a+o.b*o.b),o.l,o.opacity)}
-function hcl(h,c,l,opacity){return arguments.length===1?hclConvert(h):new Hcl(h,c,l,opacity??1)}function Hcl(h,c,l,opacity){
-this.h=+h,this.c=+c,this.l=+l,this.opacity=+opacity}function hcl2lab(o){if(isNaN(o.h))return new Lab(o.l,0,0,o.
-opacity);var h=o.h*radians;return new Lab(o.l,Math.cos(h)*o.c,Math.sin(h)*o.c,o.opacity)}function cubehelixConvert(o){
-if(o instanceof Cubehelix)return new Cubehelix(o.h,o.s,o.l,o.opacity);o instanceof Rgb||(o=rgbConvert(o));var r=o.
-r/255,g=o.g/255,b=o.b/255,l=(BC_DA*b+ED*r-EB*g)/(BC_DA+ED-EB),bl=b-l,k2=(E*(g-l)-C*bl)/D,s2=Math.sqrt(k2*k2+bl*
-bl)/(E*l*(1-l)),h=s2?Math.atan2(k2,bl)*degrees2-120:NaN;return new Cubehelix(h<0?h+360:h,s2,l,o.opacity)}function cubehelix(h,s2,l,opacity){
-return arguments.length===1?cubehelixConvert(h):new Cubehelix(h,s2,l,opacity??1)}function Cubehelix(h,s2,l,opacity){
-this.h=+h,this.s=+s2,this.l=+l,this.opacity=+opacity}var darker,brighter,reI,reN,reP,reHex,reRgbInteger,reRgbPercent,
-reRgbaInteger,reRgbaPercent,reHslPercent,reHslaPercent,named,radians,degrees2,K,Xn,Yn,Zn,t0,t1,t2,t3,A,B,C,D,E,
-ED,EB,BC_DA,init_d3_color=__esm({"node_modules/d3-color/dist/d3-color.mjs"(){darker=.7,brighter=1/darker,reI="\
-\\s*([+-]?\\d+)\\s*",reN="\\s*([+-]?(?:\\d*\\.)?\\d+(?:[eE][+-]?\\d+)?)\\s*",reP="\\s*([+-]?(?:\\d*\\.)?\\d+(?:[eE\
-][+-]?\\d+)?)%\\s*",reHex=/^#([0-9a-f]{3,8})$/,reRgbInteger=new RegExp(`^rgb\\(${reI},${reI},${reI}\\)$`),reRgbPercent=
-new RegExp(`^rgb\\(${reP},${reP},${reP}\\)$`),reRgbaInteger=new RegExp(`^rgba\\(${reI},${reI},${reI},${reN}\\)$`),
-reRgbaPercent=new RegExp(`^rgba\\(${reP},${reP},${reP},${reN}\\)$`),reHslPercent=new RegExp(`^hsl\\(${reN},${reP}\
-,${reP}\\)$`),reHslaPercent=new RegExp(`^hsla\\(${reN},${reP},${reP},${reN}\\)$`),named={aliceblue:15792383,antiquewhite:16444375,
-aqua:65535,aquamarine:8388564,azure:15794175,beige:16119260,bisque:16770244,black:0,blanchedalmond:16772045,blue:255,
-blueviolet:9055202,brown:10824234,burlywood:14596231,cadetblue:6266528,chartreuse:8388352,chocolate:13789470,coral:16744272,
-cornflowerblue:6591981,cornsilk:16775388,crimson:14423100,cyan:65535,darkblue:139,darkcyan:35723,darkgoldenrod:12092939,
-darkgray:11119017,darkgreen:25600,darkgrey:11119017,darkkhaki:12433259,darkmagenta:9109643,darkolivegreen:5597999,
-darkorange:16747520,darkorchid:10040012,darkred:9109504,darksalmon:15308410,darkseagreen:9419919,darkslateblue:4734347,
-darkslategray:3100495,darkslategrey:3100495,darkturquoise:52945,darkviolet:9699539,deeppink:16716947,deepskyblue:49151,
-dimgray:6908265,dimgrey:6908265,dodgerblue:2003199,firebrick:11674146,floralwhite:16775920,forestgreen:2263842,
-fuchsia:16711935,gainsboro:14474460,ghostwhite:16316671,gold:16766720,goldenrod:14329120,gray:8421504,green:32768,
-greenyellow:11403055,grey:8421504,honeydew:15794160,hotpink:16738740,indianred:13458524,indigo:4915330,ivory:16777200,
-khaki:15787660,lavender:15132410,lavenderblush:16773365,lawngreen:8190976,lemonchiffon:16775885,lightblue:11393254,
-lightcoral:15761536,lightcyan:14745599,lightgoldenrodyellow:16448210,lightgray:13882323,lightgreen:9498256,lightgrey:13882323,
-lightpink:16758465,lightsalmon:16752762,lightseagreen:2142890,lightskyblue:8900346,lightslategray:7833753,lightslategrey:7833753,
-lightsteelblue:11584734,lightyellow:16777184,lime:65280,limegreen:3329330,linen:16445670,magenta:16711935,maroon:8388608,
-mediumaquamarine:6737322,mediumblue:205,mediumorchid:12211667,mediumpurple:9662683,mediumseagreen:3978097,mediumslateblue:8087790,
-mediumspringgreen:64154,mediumturquoise:4772300,mediumvioletred:13047173,midnightblue:1644912,mintcream:16121850,
-mistyrose:16770273,moccasin:16770229,navajowhite:16768685,navy:128,oldlace:16643558,olive:8421376,olivedrab:7048739,
-orange:16753920,orangered:16729344,orchid:14315734,palegoldenrod:15657130,palegreen:10025880,paleturquoise:11529966,
-palevioletred:14381203,papayawhip:16773077,peachpuff:16767673,peru:13468991,pink:16761035,plum:14524637,powderblue:11591910,
-purple:8388736,rebeccapurple:6697881,red:16711680,rosybrown:12357519,royalblue:4286945,saddlebrown:9127187,salmon:16416882,
-sandybrown:16032864,seagreen:3050327,seashell:16774638,sienna:10506797,silver:12632256,skyblue:8900331,slateblue:6970061,
-slategray:7372944,slategrey:7372944,snow:16775930,springgreen:65407,steelblue:4620980,tan:13808780,teal:32896,
-thistle:14204888,tomato:16737095,turquoise:4251856,violet:15631086,wheat:16113331,white:16777215,whitesmoke:16119285,
-yellow:16776960,yellowgreen:10145074};define(Color,color,{copy(channels){return Object.assign(new this.constructor,
-this,channels)},displayable(){return this.rgb().displayable()},hex:color_formatHex,formatHex:color_formatHex,formatHex8:color_formatHex8,
-formatHsl:color_formatHsl,formatRgb:color_formatRgb,toString:color_formatRgb});define(Rgb,rgb,extend(Color,{brighter(k2){
-return k2=k2==null?brighter:Math.pow(brighter,k2),new Rgb(this.r*k2,this.g*k2,this.b*k2,this.opacity)},darker(k2){
-return k2=k2==null?darker:Math.pow(darker,k2),new Rgb(this.r*k2,this.g*k2,this.b*k2,this.opacity)},rgb(){return this},
-clamp(){return new Rgb(clampi(this.r),clampi(this.g),clampi(this.b),clampa(this.opacity))},displayable(){return-.5<=
-this.r&&this.r<255.5&&-.5<=this.g&&this.g<255.5&&-.5<=this.b&&this.b<255.5&&0<=this.opacity&&this.opacity<=1},
-hex:rgb_formatHex,formatHex:rgb_formatHex,formatHex8:rgb_formatHex8,formatRgb:rgb_formatRgb,toString:rgb_formatRgb}));
-define(Hsl,hsl,extend(Color,{brighter(k2){return k2=k2==null?brighter:Math.pow(brighter,k2),new Hsl(this.h,this.
-s,this.l*k2,this.opacity)},darker(k2){return k2=k2==null?darker:Math.pow(darker,k2),new Hsl(this.h,this.s,this.
-l*k2,this.opacity)},rgb(){var h=this.h%360+(this.h<0)*360,s2=isNaN(h)||isNaN(this.s)?0:this.s,l=this.l,m2=l+(l<
-.5?l:1-l)*s2,m1=2*l-m2;return new Rgb(hsl2rgb(h>=240?h-240:h+120,m1,m2),hsl2rgb(h,m1,m2),hsl2rgb(h<120?h+240:h-
-120,m1,m2),this.opacity)},clamp(){return new Hsl(clamph(this.h),clampt(this.s),clampt(this.l),clampa(this.opacity))},
-displayable(){return(0<=this.s&&this.s<=1||isNaN(this.s))&&0<=this.l&&this.l<=1&&0<=this.opacity&&this.opacity<=
-1},formatHsl(){let a2=clampa(this.opacity);return`${a2===1?"hsl(":"hsla("}${clamph(this.h)}, ${clampt(this.s)*
-100}%, ${clampt(this.l)*100}%${a2===1?")":`, ${a2})`}`}}));radians=Math.PI/180,degrees2=180/Math.PI,K=18,Xn=.96422,
-Yn=1,Zn=.82521,t0=4/29,t1=6/29,t2=3*t1*t1,t3=t1*t1*t1;define(Lab,lab,extend(Color,{brighter(k2){return new Lab(
-this.l+K*(k2??1),this.a,this.b,this.opacity)},darker(k2){return new Lab(this.l-K*(k2??1),this.a,this.b,this.opacity)},
-rgb(){var y2=(this.l+16)/116,x2=isNaN(this.a)?y2:y2+this.a/500,z=isNaN(this.b)?y2:y2-this.b/200;return x2=Xn*lab2xyz(
-x2),y2=Yn*lab2xyz(y2),z=Zn*lab2xyz(z),new Rgb(lrgb2rgb(3.1338561*x2-1.6168667*y2-.4906146*z),lrgb2rgb(-.9787684*
-x2+1.9161415*y2+.033454*z),lrgb2rgb(.0719453*x2-.2289914*y2+1.4052427*z),this.opacity)}}));define(Hcl,hcl,extend(
-Color,{brighter(k2){return new Hcl(this.h,this.c,this.l+K*(k2??1),this.opacity)},darker(k2){return new Hcl(this.
-h,this.c,this.l-K*(k2??1),this.opacity)},rgb(){return hcl2lab(this).rgb()}}));A=-.14861,B=1.78277,C=-.29227,D=
--.90649,E=1.97294,ED=E*D,EB=E*B,BC_DA=B*C-D*A;define(Cubehelix,cubehelix,extend(Color,{brighter(k2){return k2=
-k2==null?brighter:Math.pow(brighter,k2),new Cubehelix(this.h,this.s,this.l*k2,this.opacity)},darker(k2){return k2=
-k2==null?darker:Math.pow(darker,k2),new Cubehelix(this.h,this.s,this.l*k2,this.opacity)},rgb(){var h=isNaN(this.
-h)?0:(this.h+120)*radians,l=+this.l,a2=isNaN(this.s)?0:this.s*l*(1-l),cosh2=Math.cos(h),sinh2=Math.sin(h);return new Rgb(
-255*(l+a2*(A*cosh2+B*sinh2)),255*(l+a2*(C*cosh2+D*sinh2)),255*(l+a2*(E*cosh2)),this.opacity)}}))}});function basis(t12,v0,v1,v2,v3){var t22=t12*t12,t32=t22*t12;return((1-3*t12+3*t22-t32)*v0+(4-6*t22+3*t32)*v1+(1+
+x1,this._y),this._context.lineTo(x1,y2)}break}}this._x=x2,this._y=y2}}}});function measure(words,font){return ruler.font=writeFont(font),ruler.measureText(words).width}function make(name,attributes){
+let made2=document.createElementNS(SVG,name);for(let[key,value]of Object.entries(attributes))value!==void 0&&made2.
+setAttribute(key,String(value));return made2}function paint(name,shade,opacity=1){let{opacity:own}=rgb(shade??
+"#000"),share=own*opacity;return{[name]:shade?rgb(shade).formatHex():"none",[`${name}-opacity`]:share<1?share.
+toFixed(2):void 0}}var FAMILY,SVG,HALO,MIDDLE2,FONTS,writeFont,ruler,trace,traceBox,Screen,Figure,init_sheet=__esm(
+{"needlefit/viewer/page/sheet.js"(){"use strict";init_d3_color();init_d3_shape();init_dom();FAMILY="Arial, Lib\
+eration Sans, Helvetica, sans-serif",SVG="http://www.w3.org/2000/svg",HALO=4,MIDDLE2=.35,FONTS={small:[400,11],
+plain:[400,12],strong:[600,12]},writeFont=font=>`${FONTS[font][0]} ${FONTS[font][1]}px ${FAMILY}`,ruler=getContext(
+document.createElement("canvas"));trace=places=>line()(places)??"",traceBox=({left,top,width,height})=>`${trace(
+[[left,top],[left+width,top],[left+width,top+height],[left,top+height]])}Z`,Screen=class{constructor(context){
+this.context=context,Object.assign(context,{lineJoin:"round"})}path(d,{fill,stroke,width=1,dash=[],opacity=1}){
+let{context}=this,path2=new Path2D(d);Object.assign(context,{globalAlpha:opacity,fillStyle:fill,strokeStyle:stroke,
+lineWidth:width}),context.setLineDash(dash),fill&&context.fill(path2),stroke&&context.stroke(path2)}text(words,[
+x2,y2],{fill,font="small",align="center",halo}){let{context}=this;Object.assign(context,{globalAlpha:1,font:writeFont(
+font),textAlign:align,fillStyle:fill,strokeStyle:halo,lineWidth:HALO}),context.setLineDash([]);let base=y2+MIDDLE2*
+FONTS[font][1];halo&&context.strokeText(words,x2,base),context.fillText(words,x2,base)}#apart(draw2){this.context.
+save(),draw2(),this.context.restore()}within(box,draw2){this.#apart(()=>{this.context.clip(new Path2D(traceBox(
+box))),draw2()})}turned([x2,y2],angle2,draw2){this.#apart(()=>{this.context.translate(x2,y2),this.context.rotate(
+-angle2),draw2()})}};Figure=class{#clips=0;constructor([width,height],wide,title,words){this.svg=this.group=make(
+"svg",{width:`${wide}mm`,height:`${(wide*height/width).toFixed(2)}mm`,viewBox:`0 0 ${width.toFixed(2)} ${height.
+toFixed(2)}`,"font-family":FAMILY,"stroke-linejoin":"round"}),this.#add("title",{}).textContent=title,this.#add(
+"desc",{}).textContent=words}#add(name,attributes){let made2=make(name,attributes);return this.group.append(made2),
+made2}path(d,{fill,stroke,width=1,dash=[],opacity=1}){this.#add("path",{d,...paint("fill",fill,opacity),...stroke&&
+{...paint("stroke",stroke,opacity),"stroke-width":width},"stroke-dasharray":dash.join(" ")||void 0})}text(words,[
+x2,y2],{fill,font="small",align="center",halo}){let[weight,size2]=FONTS[font];this.#add("text",{x:x2.toFixed(2),
+y:(y2+MIDDLE2*size2).toFixed(2),"font-size":size2,"font-weight":weight,"text-anchor":align.replace("center","m\
+iddle"),...paint("fill",fill),...halo&&{...paint("stroke",halo),"stroke-width":HALO,"paint-order":"stroke"}}).
+textContent=words}#apart(attributes,draw2){let outer=this.group;this.group=this.#add("g",attributes),draw2(),this.
+group=outer}within(box,draw2){this.#clips+=1;let id=`clip-${this.#clips}`;this.#add("clipPath",{id}).append(make(
+"path",{d:traceBox(box)})),this.#apart({"clip-path":`url(#${id})`},draw2)}turned([x2,y2],angle2,draw2){this.#apart(
+{transform:`translate(${x2.toFixed(2)} ${y2.toFixed(2)}) rotate(${(-angle2*180/Math.PI).toFixed(2)})`},draw2)}}}});function basis(t12,v0,v1,v2,v3){var t22=t12*t12,t32=t22*t12;return((1-3*t12+3*t22-t32)*v0+(4-6*t22+3*t32)*v1+(1+
 3*t12+3*t22-3*t32)*v2+t32*v3)/6}function basis$1(values){var n=values.length-1;return function(t){var i=t<=0?t=
 0:t>=1?(t=1,n-1):Math.floor(t*n),v1=values[i],v2=values[i+1],v0=i>0?values[i-1]:2*v1-v2,v3=i<n-1?values[i+2]:2*
 v2-v1;return basis((t-i/n)*n,v0,v1,v2,v3)}}function basisClosed(values){var n=values.length;return function(t){
@@ -663,375 +830,228 @@ return(function cubehelixGamma(y2){y2=+y2;function cubehelix3(start2,end){var h=
 h,(end=cubehelix(end)).h),s2=nogamma(start2.s,end.s),l=nogamma(start2.l,end.l),opacity=nogamma(start2.opacity,
 end.opacity);return function(t){return start2.h=h(t),start2.s=s2(t),start2.l=l(Math.pow(t,y2)),start2.opacity=
 opacity(t),start2+""}}return cubehelix3.gamma=cubehelixGamma,cubehelix3})(1)}var constant2,rgb2,rgbBasis,rgbBasisClosed,
-reA,reB,degrees3,identity,svgNode,interpolateTransformCss,interpolateTransformSvg,epsilon22,zoom,hsl_default,hslLong,
-hcl_default,hclLong,cubehelix_default,cubehelixLong,init_d3_interpolate=__esm({"node_modules/d3-interpolate/di\
-st/d3-interpolate.mjs"(){init_d3_color();constant2=x2=>()=>x2;rgb2=(function rgbGamma(y2){var color2=gamma(y2);
-function rgb3(start2,end){var r=color2((start2=rgb(start2)).r,(end=rgb(end)).r),g=color2(start2.g,end.g),b=color2(
+reA,reB,degrees3,identity,svgNode,interpolateTransformCss,interpolateTransformSvg,epsilon22,zoom2,hsl_default,
+hslLong,hcl_default,hclLong,cubehelix_default,cubehelixLong,init_d3_interpolate=__esm({"node_modules/d3-interp\
+olate/dist/d3-interpolate.mjs"(){init_d3_color();constant2=x2=>()=>x2;rgb2=(function rgbGamma(y2){var color2=gamma(
+y2);function rgb3(start2,end){var r=color2((start2=rgb(start2)).r,(end=rgb(end)).r),g=color2(start2.g,end.g),b=color2(
 start2.b,end.b),opacity=nogamma(start2.opacity,end.opacity);return function(t){return start2.r=r(t),start2.g=g(
 t),start2.b=b(t),start2.opacity=opacity(t),start2+""}}return rgb3.gamma=rgbGamma,rgb3})(1);rgbBasis=rgbSpline(
 basis$1),rgbBasisClosed=rgbSpline(basisClosed);reA=/[-+]?(?:\d+\.?\d*|\.?\d+)(?:[eE][-+]?\d+)?/g,reB=new RegExp(
 reA.source,"g"),degrees3=180/Math.PI,identity={translateX:0,translateY:0,rotate:0,skewX:0,scaleX:1,scaleY:1};interpolateTransformCss=
 interpolateTransform(parseCss,"px, ","px)","deg)"),interpolateTransformSvg=interpolateTransform(parseSvg,", ",
-")",")"),epsilon22=1e-12;zoom=(function zoomRho(rho,rho2,rho4){function zoom2(p0,p1){var ux0=p0[0],uy0=p0[1],w0=p0[2],
-ux1=p1[0],uy1=p1[1],w1=p1[2],dx=ux1-ux0,dy=uy1-uy0,d2=dx*dx+dy*dy,i,S;if(d2<epsilon22)S=Math.log(w1/w0)/rho,i=
-function(t){return[ux0+t*dx,uy0+t*dy,w0*Math.exp(rho*t*S)]};else{var d1=Math.sqrt(d2),b0=(w1*w1-w0*w0+rho4*d2)/
-(2*w0*rho2*d1),b1=(w1*w1-w0*w0-rho4*d2)/(2*w1*rho2*d1),r0=Math.log(Math.sqrt(b0*b0+1)-b0),r1=Math.log(Math.sqrt(
-b1*b1+1)-b1);S=(r1-r0)/rho,i=function(t){var s2=t*S,coshr0=cosh(r0),u=w0/(rho2*d1)*(coshr0*tanh(rho*s2+r0)-sinh(
-r0));return[ux0+u*dx,uy0+u*dy,w0*coshr0/cosh(rho*s2+r0)]}}return i.duration=Math.abs(S)*1e3*rho/Math.SQRT2,i}return zoom2.
-rho=function(_){var _1=Math.max(.001,+_),_2=_1*_1,_4=_2*_2;return zoomRho(_1,_2,_4)},zoom2})(Math.SQRT2,2,4);hsl_default=
-hsl2(hue$1),hslLong=hsl2(nogamma);hcl_default=hcl2(hue$1),hclLong=hcl2(nogamma);cubehelix_default=cubehelix2(hue$1),
-cubehelixLong=cubehelix2(nogamma)}});function readPalette(){for(let name of NAMES)palette[name]=colour(name)}function shades(layers){let stiffness=layers.
-map(({mu_pa:mu})=>Math.log10(mu)),least=Math.min(...stiffness),decades=Math.max(Math.max(...stiffness)-least,1);
-return stiffness.map(one=>rgb2(palette.soft,palette.stiff)((one-least)/decades))}function within(context,{left,
-top,width,height},draw3){context.save(),context.beginPath(),context.rect(left,top,width,height),context.clip(),
-draw3(),context.restore()}function faintly(context,opacity,draw3){context.globalAlpha=opacity,draw3(),context.
-globalAlpha=1}function stroke(context,shade,width,dash=[]){context.strokeStyle=shade,context.lineWidth=width,context.
-setLineDash(dash),context.stroke(),context.setLineDash([])}function polyline(context,lines,shade,width,dash=[]){
-context.beginPath();for(let places of lines)line().context(context)(places);stroke(context,shade,width,dash)}function polygon(context,corners,shade){
-context.beginPath(),line().context(context)(corners),context.fillStyle=shade,context.fill()}function haloed(context,{
-x:x2,y:y2},shade,width,dash=[]){line2(context,x2,y2,palette.halo,width+2),line2(context,x2,y2,shade,width,dash)}
-function fillBetween(context,x2,low,high,shade){context.beginPath(),area().x((_,i)=>toPx(x2[i])).y0((_,i)=>toPy(
-low[i])).y1((_,i)=>toPy(high[i])).context(context)(x2),context.fillStyle=shade,context.fill()}function ring(context,px,py,radius,edge,inside){
-context.beginPath(),context.arc(px,py,radius,0,2*Math.PI),context.fillStyle=inside,context.fill(),stroke(context,
-edge,2)}function turned(context,px,py,angle2,draw3){context.save(),context.translate(px,py),context.rotate(-angle2),
-draw3(),context.restore()}function setFont(context,font,align="center",baseline="middle"){context.font=FONTS[font],
-context.textAlign=align,context.textBaseline=baseline}function label(context,text,px,py,shade=palette.label){context.
-strokeStyle=palette.halo,context.lineWidth=4,context.strokeText(text,px,py),context.fillStyle=shade,context.fillText(
-text,px,py)}function avoid(places){for(let[px,py]of places){let[left,top]=now.avoided.at(-1)??[-1/0,0];Math.hypot(
-px-4-left,py-4-top)>8&&now.avoided.push([px-4,py-4,8,8])}}function labelFree(context,text,places,shade){let{left,
-top,width,height}=now.view.box,wide=context.measureText(text).width+6,limit=(value,low,high)=>Math.max(low,Math.
+")",")"),epsilon22=1e-12;zoom2=(function zoomRho(rho,rho2,rho4){function zoom3(p0,p1){var ux0=p0[0],uy0=p0[1],
+w0=p0[2],ux1=p1[0],uy1=p1[1],w1=p1[2],dx=ux1-ux0,dy=uy1-uy0,d2=dx*dx+dy*dy,i,S;if(d2<epsilon22)S=Math.log(w1/w0)/
+rho,i=function(t){return[ux0+t*dx,uy0+t*dy,w0*Math.exp(rho*t*S)]};else{var d1=Math.sqrt(d2),b0=(w1*w1-w0*w0+rho4*
+d2)/(2*w0*rho2*d1),b1=(w1*w1-w0*w0-rho4*d2)/(2*w1*rho2*d1),r0=Math.log(Math.sqrt(b0*b0+1)-b0),r1=Math.log(Math.
+sqrt(b1*b1+1)-b1);S=(r1-r0)/rho,i=function(t){var s2=t*S,coshr0=cosh(r0),u=w0/(rho2*d1)*(coshr0*tanh(rho*s2+r0)-
+sinh(r0));return[ux0+u*dx,uy0+u*dy,w0*coshr0/cosh(rho*s2+r0)]}}return i.duration=Math.abs(S)*1e3*rho/Math.SQRT2,
+i}return zoom3.rho=function(_){var _1=Math.max(.001,+_),_2=_1*_1,_4=_2*_2;return zoomRho(_1,_2,_4)},zoom3})(Math.
+SQRT2,2,4);hsl_default=hsl2(hue$1),hslLong=hsl2(nogamma);hcl_default=hcl2(hue$1),hclLong=hcl2(nogamma);cubehelix_default=
+cubehelix2(hue$1),cubehelixLong=cubehelix2(nogamma)}});function readPalette(paper=!1){for(let name of NAMES)palette[name]=colour(name,paper)}function shades(layers){
+let stiffness=layers.map(({mu_pa:mu})=>Math.log10(mu)),least2=Math.min(...stiffness),decades=Math.max(Math.max(
+...stiffness)-least2,1);return stiffness.map(one=>rgb2(palette.soft,palette.stiff)((one-least2)/decades))}function haloed(sheet,{
+x:x2,y:y2},shade,width,dash){let places=placesOf(x2,y2);polyline(sheet,[places],palette.halo,width+2),polyline(
+sheet,[places],shade,width,dash)}function avoid(places){for(let[px,py]of places){let[left,top]=now.avoided.at(
+-1)??[-1/0,0];Math.hypot(px-4-left,py-4-top)>8&&now.avoided.push([px-4,py-4,8,8])}}function labelFree(sheet,words,places,fill){
+let{left,top,width,height}=now.view.box,wide=measure(words,"strong")+6,limit=(value,low,high)=>Math.max(low,Math.
 min(value,high)),free=places.map(([px,py])=>[limit(px-wide/2,left+2,left+width-wide-2),limit(py-LINE/2,top+2,top+
-height-LINE-2),wide,LINE]).filter(isFree),box2=free.find(one=>!now.avoided.some(other=>overlap(one,other)))??free[0];
-box2&&(now.labels.push(box2),context.textAlign="center",context.textBaseline="middle",label(context,text,box2[0]+
-wide/2,box2[1]+LINE/2,shade))}function labelBeside(context,text,sides,shade){setFont(context,"strong");let half=context.
-measureText(text).width/2,curves=sides.map(([{x:x2,y:y2},away])=>[placesOf(x2,y2),away]);for(let[places]of curves)
-avoid(places);let ends=curves.map(([places])=>[places.at(-1)[0]+half+8,places.at(-1)[1]]),beside=SHARES.flatMap(
-share=>curves.flatMap(([places,away])=>{let[px,py]=places[Math.round(share*(places.length-1))];return[0,-half,
-half].map(aside=>[px+aside,py+away])}));labelFree(context,text,[...ends,...beside],shade)}var NAMES,FAMILY,FONTS,
-palette,placesOf,line2,cross,LINE,SHARES,clearLabels,overlap,isFree,init_strokes=__esm({"needlefit/viewer/page\
-/painters/strokes.js"(){"use strict";init_d3_shape();init_d3_interpolate();init_dom();init_store();init_view();
-NAMES=["air","gutter","ink","quiet","edge","needle","tip","guide","measured","band","plan","gap","bad","halo",
-"soft","stiff","label","accent"],FAMILY="Arial, 'Liberation Sans', Helvetica, sans-serif",FONTS={small:`11px ${FAMILY}`,
-plain:`12px ${FAMILY}`,strong:`600 12px ${FAMILY}`},palette={};placesOf=(x2,y2)=>x2.map((one,i)=>[toPx(one),toPy(
-y2[i])]),line2=(context,x2,y2,shade,width,dash=[])=>polyline(context,[placesOf(x2,y2)],shade,width,dash);cross=
-(px,py,arm)=>[[arm,0],[0,arm]].map(([dx,dy])=>[[px-dx,py-dy],[px+dx,py+dy]]);LINE=16,SHARES=[1,.8,.6,.4],clearLabels=
-()=>Object.assign(now,{labels:[],avoided:[]}),overlap=([x2,y2,w,h],[x22,y22,w2,h2])=>x2<x22+w2&&x22<x2+w&&y2<y22+
-h2&&y22<y2+h,isFree=box2=>!now.labels.some(one=>overlap(one,box2))}});function paintTissue(context){let{left,top,width,height}=view.box;context.fillStyle=palette.air,context.fillRect(
-left,top,width,height);let layers=listLayers();for(let{from,to,shade}of layers)context.fillStyle=shade,context.
-fillRect(from,top,to-from,height);for(let{from,number:number3,top:edge}of layers)edge<left||(context.fillStyle=
-number3===1?palette.ink:palette.edge,context.fillRect(Math.round(from)-.5,top,number3===1?1.5:1,height));let axis=Math.
-round(toPy(0))+.5;polyline(context,[[[left,axis],[left+width,axis]]],palette.quiet,1,[5,4])}function listLayers(){
-let{boundaries_mm:tops,layer_names:names}=now.scene,{left,width}=view.box,depths=[0,...tops,1/0];return shades(
-now.state.layers).map((shade,i)=>({shade,number:i+1,name:names[i]||`layer ${i+1}`,mu:now.state.layers[i].mu_pa,
-top:toPx(depths[i]),from:Math.max(toPx(depths[i]),left),to:Math.min(toPx(depths[i+1]),left+width)})).filter(({
-from,to})=>to>from)}function paintNames(context){let{left,top}=view.box,layers=listLayers(),middle=({from,to})=>(from+
-to)/2;setFont(context,"plain");let write2=(texts,py)=>{let end=-1/0;texts.forEach((text,i)=>{let half=context.
-measureText(text).width/2;middle(layers[i])-half<end+APART||(context.fillText(text,middle(layers[i]),top+py),end=
-middle(layers[i])+half)})},named2=layers.every(({from,to,name})=>context.measureText(name).width<=to-from);write2(
-layers.map(({name,number:number3})=>named2?name:String(number3)),-27),write2(layers.map(({mu})=>`μ ${modulus(
-mu)}`),-11);let skin=toPx(0);skin<=left+40||skin>left+view.box.width||(context.textAlign="right",context.fillText(
-"skin",skin-4,top-11))}function paintFrame(context,name){let{left,top,width,height}=view.box,bottom=top+height;
-context.lineWidth=1,context.strokeStyle=palette.quiet,context.strokeRect(left-.5,top-.5,width+1,height+1),context.
-fillStyle=palette.label,setFont(context,"small","right");let across=ticks(fromPy(bottom),fromPy(top),Math.max(
-height/TICKS_APART,2)).map(y2=>[y2,Math.round(toPy(y2))+.5]);polyline(context,across.map(([,py])=>[[left-TICK,
-py],[left,py]]),palette.quiet,1);for(let[y2,py]of across)context.fillText(written2(y2),left-TICK-2,py);context.
-textAlign="center",turned(context,11,top+height/2,QUARTER,()=>context.fillText(name,0,0))}function paintAxes(context){
-let{left,top,width,height}=view.box,bottom=top+height;setFont(context,"small"),paintFrame(context,nameAcross(context,
-height)),paintNames(context),setFont(context,"small","center","top");let along=ticks(fromPx(left),fromPx(left+
-width),width/TICKS_APART).map(x2=>[x2,Math.round(toPx(x2))+.5]);polyline(context,along.map(([,px])=>[[px,bottom],
-[px,bottom+TICK]]),palette.quiet,1);for(let[x2,px]of along)context.fillText(written2(x2),px,bottom+TICK+2);context.
-fillText("x along the entry (mm)",left+width/2,bottom+26)}function nameAcross(context,room){if(view.magnified===
-1)return"y (mm)";let long=`y (mm), drawn ${view.magnified}× as large as x`;return context.measureText(long).width<
-room?long:`y (mm), drawn ${view.magnified}×`}var APART,TICK,TICKS_APART,QUARTER,written2,init_background=__esm(
-{"needlefit/viewer/page/painters/background.js"(){"use strict";init_d3_array();init_quantities();init_store();
-init_view();init_strokes();APART=8,TICK=5,TICKS_APART=60,QUARTER=Math.PI/2;written2=value=>brief(value,6).replace(
-"-","−")}});function describeShaft({x:x2,y:y2,faults}){let outside=faults?.length>0,points=placesOf(x2,y2),tip=points.at(-1),
-shaft=points.filter(one=>distance(one,tip)>BEVEL.length),last3=shaft.at(-1)??tip,share=1-BEVEL.length/(distance(
-last3,tip)||1);return shaft.push(last3.map((from,i)=>from+share*(tip[i]-from))),{shaft,tip,outside,shown:outside?
-palette.bad:palette.needle}}function paintNeedle(context,state){let{shaft,tip,outside,shown:shown2}=describeShaft(
-state);polyline(context,[shaft],shown2,LINE2,outside?[9,5]:[]);let[end,{half},{side}]=[shaft.at(-1),BEVEL,state.
-bevel],size2=distance(end,tip)||1,[dx,dy]=tip.map((to,i)=>(to-end[i])/size2),at=([px,py],to)=>[px+to*dy*half,py-
-to*dx*half],[back,near2,point2]=[at(end,-side),at(end,side),at(tip,side)];polygon(context,[back,near2,point2],
-palette.needle),polyline(context,[[back,point2]],palette.tip,2)}function paintBase(context,{base}){let[px,py]=[
-toPx(base.x),toPy(base.y)],ends=[-46,46].map(to=>[[px-5,py+to],[px+5,py+to]]);polyline(context,[[[px,py-46],[px,
-py+46]],...ends],palette.quiet,2),turned(context,px,py,angleOf(Math.tan(base.rotation)),()=>box(context,-22,-7,
-26,14,palette.ink))}function paintGuides(context,{guides}){for(let guide of guides)turned(context,toPx(guide.x),
-toPy(guide.y),angleOf(guide.slope),()=>{for(let to of[-1,1]){let from=GAP*to;guide.turns_freely?polygon(context,
-[[0,from],[-7,from+11*to],[7,from+11*to]],palette.guide):box(context,-13,Math.min(from,from+7*to),26,7,palette.
-guide)}});writeNames(context,guides)}function writeNames(context,guides){setFont(context,"strong");for(let guide of guides.
-toSorted((one,other)=>one.item-other.item)){let[px,py]=[toPx(guide.x),toPy(guide.y)+27];px<view.box.left||px>view.
-box.left+view.box.width||labelFree(context,shortName(guide),[[px,py]],palette.guide)}}var LINE2,BEVEL,GAP,angleOf,
-distance,reserveNeedle,box,init_needle2=__esm({"needlefit/viewer/page/painters/needle.js"(){"use strict";init_quantities();
-init_view();init_strokes();LINE2=2.5,BEVEL={length:7.5,half:1.5},GAP=3,angleOf=slope4=>Math.atan(slope4*view.magnified),
-distance=(one,other)=>Math.hypot(one[0]-other[0],one[1]-other[1]);reserveNeedle=({x:x2,y:y2})=>avoid(placesOf(
-x2,y2));box=(context,px,py,width,height,shade)=>polygon(context,[[px,py],[px+width,py],[px+width,py+height],[px,
-py+height]],shade)}});function paintMeasured(context,curve){let{x:[x2],y:[y2]}=curve;isTip(curve)?ring(context,toPx(x2),toPy(y2),DOT,
-palette.measured,palette.halo):haloed(context,curve,palette.measured,2,[7,4]),nameLine(context,isTip(curve)?"m\
-easured tip":"measured",curve,palette.measured)}function nameLine(context,name,curve,shade){labelBeside(context,
-name,[[curve,16],[curve,-16]],shade)}function nameNeedle(context,state){predictionOf(state,now.scene)||nameLine(
-context,isSteered(state,now.scene)?"steered":"simulated",state,state.faults.length?palette.bad:palette.needle)}
-function nameBand(context,{x:x2,low,high}){isChanged(now.state,now.scene)&&labelBeside(context,"band of the fi\
-t",[[{x:x2,y:high},-14],[{x:x2,y:low},14]],palette.band)}function paintBand(context,{x:x2,low,high},pale){faintly(
-context,pale?.16:.4,()=>fillBetween(context,x2,low,high,palette.band)),faintly(context,pale?.4:1,()=>{for(let edge of[
-low,high])line2(context,x2,edge,palette.band,1.5)})}function paintPrediction(context,state){let prediction=predictionOf(
-state,now.scene);prediction&&(haloed(context,prediction,palette.accent,2.5),nameLine(context,"prediction",prediction,
-palette.accent))}function heightAt({x:xs,y:ys},x2){let after=Math.min(Math.max(bisectLeft(xs,x2),1),xs.length-
-1),share=Math.min(Math.max((x2-xs[after-1])/(xs[after]-xs[after-1]),0),1);return ys[after-1]+share*(ys[after]-
-ys[after-1])}function paintGaps(context,state,measured){let{errors}=state;if(!errors)return;let prediction=predictionOf(
-state,now.scene),needle=prediction??state,tip={x:needle.x.at(-1),y:needle.y.at(-1)},reach=Math.min(tip.x,measured.
-x.at(-1)),gaps=(isTip(measured)?[]:Array.from({length:GAPS-1},(_,n)=>reach*(n+1)/GAPS)).map(x3=>[needle,measured].
-map(curve=>[toPx(x3),toPy(heightAt(curve,x3))]));polyline(context,gaps,palette.gap,1.25);let[x2,y2]=errors.whole?
-[measured.x.at(-1),measured.y.at(-1)]:[reach,heightAt(measured,reach)],end=errors.whole?[tip.x,tip.y]:[reach,heightAt(
-needle,reach)];for(let[shown2,width]of[[palette.halo,5],[palette.gap,2.5]])line2(context,[x2,end[0]],[y2,end[1]],
-shown2,width);setFont(context,"strong");let px=toPx(x2),[top,bottom]=[toPy(y2),toPy(end[1])].sort((one,other)=>one-
-other),sides=[[px,top-AWAY],[px,bottom+AWAY]];labelFree(context,`tip error (TE) ${(prediction?.errors??errors).
-te_mm.toFixed(2)} mm`,[...sides,[px+60,top-AWAY],[px+60,bottom+AWAY],[px-90,top-AWAY],[px-90,bottom+AWAY]],palette.
-gap)}function paintPlan(context,{target:[x2,y2],radius,obstacles,needles}){faintly(context,FAN,()=>{for(let[xs,
-ys]of needles)line2(context,xs,ys,palette.plan,1)});for(let[at,across,size2,name]of obstacles)paintCircle(context,
-at,across,size2,palette.tip,name,.28);paintCircle(context,x2,y2,radius,palette.guide,"target"),polyline(context,
-cross(toPx(x2),toPy(y2),CROSS),palette.guide,2)}function paintCircle(context,x2,y2,radius,shade,name,opacity=0){
-let[px,py,across]=[toPx(x2),toPy(y2),radius*view.scale],edge=range(0,CORNERS+1).map(n=>2*Math.PI*n/CORNERS).map(
-angle2=>[px+across*Math.cos(angle2),py+across*view.magnified*Math.sin(angle2)]);if(faintly(context,opacity,()=>polygon(
-context,edge,shade)),polyline(context,[edge],palette.halo,4),polyline(context,[edge],shade,2),px<view.box.left||
-px>view.box.left+view.box.width)return;setFont(context,"strong");let sides=[[px,toPy(y2+radius)-12],[px,toPy(y2-
-radius)+12]];labelFree(context,name,sides,shade)}var GAPS,FAN,CROSS,CORNERS,DOT,AWAY,isTip,BAND_REACH,isBandNear,
-init_overlay=__esm({"needlefit/viewer/page/painters/overlay.js"(){"use strict";init_d3_array();init_quantities();
-init_store();init_view();init_strokes();GAPS=12,FAN=.3,CROSS=5,CORNERS=72,DOT=4,AWAY=19;isTip=({x:x2})=>x2.length===
-1;BAND_REACH=2,isBandNear=({x:x2},state)=>x2.length>0&&Math.abs(x2.at(-1)-state.x.at(-1))<=BAND_REACH}});function turn(state){let roll2=state.bevel.roll_deg*Math.PI/180;return{...state,y:state.z,bevel:{side:Math.sin(
-roll2)<0?-1:1}}}function draw(){if(canvas.hidden=!now.state||!isSpatial(),canvas.hidden)return;let{clientWidth:width,
-clientHeight:height}=canvas,size2=[width,height].map(one=>Math.round(one*devicePixelRatio));(canvas.width!==size2[0]||
-canvas.height!==size2[1])&&([canvas.width,canvas.height]=size2),screen.setTransform(devicePixelRatio,0,0,devicePixelRatio,
-0,0),paintAbove(screen,width,height)}function paintAbove(context,width,height){context.fillStyle=palette.gutter,
-context.fillRect(0,0,width,height);let{band,shown:shown2,labels,avoided,scene:{measured}}=now;clearLabels();let state={
-...now.state,z:now.state.z??now.state.x.map(()=>0)},seen=[...state.z,...measured?.z??[],...band?.z?.low??[],...band?.
-z?.high??[],0],[low,high]=[Math.min(...seen),Math.max(...seen)],{y:y2,box:box2,magnified}=view,window2={...box2,
-top:EDGE,height:height-2*EDGE},times=Math.min(magnified,(window2.height-2*ROOM2)/(view.scale*(high-low||1)));Object.
-assign(view,{y:(low+high)/2,box:window2,magnified:times}),within(context,window2,()=>{paintTissue(context);let needle=turn(
-state);shown2.band&&band?.z&&isBandNear(band,state)&&paintBand(context,{x:band.x,...band.z},band.step!==state.
-step),context.lineJoin="round",paintNeedle(context,needle),measured&&shown2.measured&&paintMeasured(context,{...measured,
-y:measured.z}),setFont(context,"small","left"),label(context,"from above",box2.left+6,EDGE+10)}),paintFrame(context,
-times===1?"z (mm)":`z (mm), drawn ${brief(times,2)}×`),Object.assign(view,{y:y2,box:box2,magnified}),Object.assign(
-now,{labels,avoided})}var EDGE,ROOM2,canvas,screen,isSpatial,init_above=__esm({"needlefit/viewer/page/above.js"(){
-"use strict";init_dom();init_background();init_needle2();init_overlay();init_strokes();init_quantities();init_store();
-init_view();[EDGE,ROOM2]=[8,14],canvas=part("above"),screen=getContext(canvas),isSpatial=()=>!!(now.state?.z??
-now.scene?.measured?.compared==="space");for(let kind of["drawn","scene"])listen(kind,draw);new ResizeObserver(
-draw).observe(canvas);onScheme(()=>requestAnimationFrame(draw))}});function computeErrors(session,measured){let{depth}=session.shape,upto=Math.min(depth,measured.depth_mm);if(upto<
-1)return null;let beyond=depth-measured.depth_mm,whole=Math.abs(beyond)<=1e-6,[simulated,other]=[[],[]];if(whole)
-[simulated,other]=readTarget(session,measured.target,beyond);else if(measured.target.pose!=="free"&&measured.x.
-length>1){let s2=Array.from({length:101},(_,i)=>upto*i/100);other=interpolate(measured,s2),simulated=ALIGN[measured.
-target.pose](readPoints(session,s2),other)}else return null;let axes=AXES[measured.compared],distances=simulated.
-map((point2,i)=>Math.hypot(...axes.map(axis=>point2[axis]-other[i][axis]))),deflection=Math.hypot(...axes.slice(
-1).map(axis=>other[other.length-1][axis]-other[0][axis])),finite=Object.entries(METRICS).map(([name,compute])=>[
-name,compute(distances,deflection)]).map(([name,value])=>[name,Number.isFinite(value)?value:null]);return{...Object.
-fromEntries(finite),upto_mm:upto,whole,floor_mm:measured.floor_mm}}function readTarget(session,{s:s2,x:x2,y:y2,
-z,pose},beyond=0){let measured=x2.map((one,i)=>[one,y2[i],z[i]]),points=readPoints(session,s2.map(one=>one+beyond)),
-compared=s2.length>TIP_POINTS?points:points.map(([,...across],i)=>[x2[i],...across]);return[ALIGN[pose](compared,
-measured),measured]}function readPoints(session,s2){let{x:x2,depth,planes}=session.shape,points=session.positions(
-s2.map(one=>Math.min(Math.max(one,x2[0]),depth)));return s2.map((_,i)=>[points[(1+planes)*i],points[(1+planes)*
-i+1],planes===1?0:points[3*i+2]])}function interpolate({s:s2,...axes},at){let i=0;return at.map(one=>{for(;i<s2.
-length-2&&s2[i+1]<one;)i+=1;let share=Math.min(Math.max((one-s2[i])/(s2[i+1]-s2[i]),0),1);return["x","y","z"].
-map(axis=>axes[axis][i]+share*(axes[axis][i+1]-axes[axis][i]))})}function shiftAcross(moving,fixed){let[dy,dz]=[
-1,2].map(axis=>mean(moving.map((point2,i)=>fixed[i][axis]-point2[axis])));return moving.map(([x2,y2,z])=>[x2,y2+
-dy,z+dz])}function alignRigid(moving,fixed){let centre=points=>[0,1].map(axis=>mean(points.map(one=>one[axis]))),
-[m,f]=[centre(moving),centre(fixed)],[across,along]=[0,0];moving.forEach(([x2,y2],i)=>{let[a2,b,c2,d]=[x2-m[0],
-y2-m[1],fixed[i][0]-f[0],fixed[i][1]-f[1]];across+=a2*d-b*c2,along+=a2*c2+b*d});let angle2=Math.atan2(across,along),
-[c,s2]=[Math.cos(angle2),Math.sin(angle2)];return moving.map(([x2,y2,z])=>[c*(x2-m[0])-s2*(y2-m[1])+f[0],s2*(x2-
-m[0])+c*(y2-m[1])+f[1],z])}var mean,METRICS,AXES,TIP_POINTS,ALIGN,init_errors=__esm({"needlefit/viewer/page/mo\
-del/errors.js"(){"use strict";mean=values=>values.reduce((sum,one)=>sum+one,0)/values.length,METRICS={ipe_mean_mm:mean,
-te_mm:d=>d.at(-1),edp_percent:(d,deflection)=>100*d.at(-1)/deflection},AXES={plane:[0,1],space:[0,1,2]};TIP_POINTS=
-2;ALIGN={known:simulated=>simulated,direction:shiftAcross,free:alignRigid}}});function makeLaw({terms,tables},shape){if(!terms)return tables.find(([known])=>JSON.stringify(known)===JSON.stringify(
-shape))?.[1]??null;let layers=shape[0]?.length??terms.layers;return Array.from({length:layers},(_,layer)=>terms.
-at_zero.map((value,j)=>{let by=terms.slopes.findIndex(row=>row[j]);return by<0?value:value+shape[by][layer]*terms.
-slopes[by][j]})).flat()}var BEARABLE,SteeredNeedle,init_steered=__esm({"needlefit/viewer/page/model/steered.js"(){
-"use strict";init_needle();init_inputs();BEARABLE="a load that tissue and needle can bear";SteeredNeedle=class _SteeredNeedle{static async begin(kernel,scene){
-let{model,steps:steps2}=scene.simulation;return new _SteeredNeedle(scene,await Session.begin(kernel,model,toInputs(
-steps2[0],model.pathAngle)))}scene;session;rules;shape;names;number;saved;way=null;constructor(scene,session){
-let{shape,steps:steps2,rules}=scene.simulation;Object.assign(this,{scene,session,rules,shape,names:scene.guide_names}),
-Object.assign(this,{number:0,saved:new Map}),this.step={...steps2[0],depth:0},this.keep()}get model(){return this.
-session.model}reach(controls=this.step.controls){let[first]=controls.guides;return this.model.length+(first?.x<
-0?first.x-this.rules.clearance_mm:0)-1e-6}get tipLateral(){return this.session.positions([this.session.shape.depth])[1]}path(){
-return this.session.path().map(one=>toStep(one,this.model.pathAngle))}listWay(){let found=[];for(let one=this.
-way;one;one=one.before)found.push(one);return found.reverse()}keep(){let{step,shape,way}=this;this.saved.has(this.
-number)||this.saved.set(this.number,{step,shape,way,session:this.session.save()})}forget(number3){number3&&this.
-saved.delete(number3)}rewind(){let[[,first]]=this.saved;this.#return(first),Object.assign(this,{number:0,saved:new Map(
-[[0,first]])})}#return({session,...saved}){this.session.restore(session),Object.assign(this,saved)}shapeAfter(changes){
-let shape=this.shape.map(row=>[...row]);for(let[name,item,value]of changes){let row=this.scene.shape_parameters.
-findIndex(one=>one.name===name);row>=0&&(shape[row][item-1]=value)}return shape}apply(changes){for(let[i,change2]of changes.
-entries()){checkChange(change2,this.rules);let[name,item]=change2;if(changes.slice(0,i).some(([one,other])=>one===
-name&&other===item))throw new ModelError(`${name} has two values in one step`,"one value for each input");if(name===
-"return_to"&&changes.length>1)throw new ModelError("return_to stands beside other inputs","a step of its own")}
-if(changes[0]?.[0]==="return_to"){let saved=this.saved.get(changes[0][2]);if(!saved)throw new ModelError(`noth\
-ing was kept of step ${changes[0][2]}`,"a step to return to");this.#return(saved)}else this.#advance(changes),
-this.way={changes,tip:this.tipLateral,before:this.way};this.number+=1}#advance(changes){let parameters=changes.
-filter(([name])=>this.rules.inputs[name].parameter),others=changes.filter(([name])=>!this.rules.inputs[name].parameter);
-if(!parameters.length)return this.#move(others);let{step,shape}=this,before={step,shape,session:this.session.save()};
-try{this.#simulateAgain(parameters),this.#move(others)}catch(error){throw this.#return(before),error}}#simulateAgain(parameters){
-let mu=[...this.model.mu],[offset,angle2]=[null,null];for(let[name,item,value]of parameters){if(item>mu.length)
-throw new ModelError(`there is no layer ${item}`,`one of ${mu.length} layers`);if(name==="mu_pa")mu[item-1]=value*
-1e-6;else if(name==="offset_throughout_mm")offset=value;else if(name==="cut_angle_throughout_deg")angle2=value*
-(Math.PI/180);else if(!this.scene.shape_parameters.some(one=>one.name===name))throw new ModelError(`the tissue\
- law has no ${name}`,"a parameter of the law")}let shape=this.shapeAfter(parameters),law=JSON.stringify(shape)===
-JSON.stringify(this.shape)?this.model.law:makeLaw(this.scene.simulation.law,shape);if(!law)throw new ModelError(
-"the law has not been computed with these parameters","the program");let{pathAngle}=this.model,steps2=this.path().
-map(({bevel,...one})=>({...one,bevel:{...bevel,offset:offset??bevel.offset,cutAngle:angle2??bevel.cutAngle}}));
-if(!this.#guard(()=>this.session.again({...this.model,mu,law},steps2.map(one=>({depth:one.depth,inputs:toInputs(
-one,pathAngle)})))))throw new ModelError(`with these parameters the insertion so far fails ${this.session.depth.
-toFixed(1)} mm deep`,BEARABLE);Object.assign(this,{shape,step:steps2.at(-1)})}#move(changes){let{session}=this,
-{x:x2,u,planes}=session.shape,step=applyChanges(this.step,changes,this.names,[u[x2.length-1],planes>1?u.at(-1):
-0]);if(!changes.length)return;let shape=this.#guard(()=>session.go(step.depth,toInputs(step,this.model.pathAngle)));
-if(session.failed)throw new ModelError(`the model finds no needle there (${shape.status})`,BEARABLE);this.step=
-step}#guard(work){try{return work()}catch(error){throw error instanceof RangeError?new ModelError(error.message,
-`a needle of ${this.model.length} mm, its base before guides and tissue`):error}}}}});function listKeys({fitted,shape_parameters:shapes}){let{key,throughout}=strengthOf(fitted),plain={toInput:value=>value,
-unit:1},strength=key==="offset_mm"?{...plain,key:"b",read:({step})=>step.bevel.offset}:{...plain,key:"theta",unit:Math.
-PI/180,read:({step})=>step.bevel.cutAngle},layers=fitted.layers.flatMap((_,i)=>[{key:`mu${i+1}`,input:"mu_pa",
-item:i+1,toInput:value=>value*1e3,unit:.001,read:({model})=>model.mu[i]},...shapes.map(({name},row)=>({...plain,
-key:`${name}${i+1}`,input:name,item:i+1,read:({shape})=>shape[row][i]}))]);return[{...strength,input:throughout,
-item:null},...layers]}function listLost({scene:{simulation:{steps:[first]}},step},path2){let all=[...path2,step],
-differs=read=>all.some(one=>!same(read(one.controls),read(first.controls)));return[[differs(({baseY})=>baseY),
-"the base, which was moved"],[differs(({baseSlope})=>baseSlope),"the base, which was turned"],[differs(({guides})=>guides.
-map(({x:x2,y:y2,slope:slope4})=>[x2,y2,slope4])),"the guides"],[differs(({tip})=>tip&&[tip.y,tip.slope]),"the \
-tip, which was held"],[all.some(({bevel})=>bevel.offset!==step.bevel.offset||bevel.cutAngle!==step.bevel.cutAngle),
-"b, which changed on the way"]].filter(([is])=>is).map(([,words])=>words)}async function writeAddress(kernel,steered,name=null){
-let{scene,step}=steered,path2=steered.path(),lost=listLost(steered,path2);if(lost.length)return{lost};let rolls=path2.
-map(({bevel})=>wrap(rollOf(bevel))),values=new URLSearchParams(name===null?{}:{needle:name});values.set("depth",
-step.depth),values.set("roll",rolls.at(-1));let turns=path2.slice(0,-1).map(({depth},i)=>{let by=shorten(wrap(
-rolls[i+1]-rolls[i]));return by===180?depth:`${depth}:${by}`});turns.length&&values.set("turn",turns.join(","));
-let{model,shape,steps:[first]}=scene.simulation;for(let{key,item,unit,read}of listKeys(scene)){let value=read(
-steered);item&&value===read({model,shape,step:first})||values.set(key,String(shorten(value/unit)))}let address=values.
-toString().replaceAll("%2C",",").replaceAll("%3A",":");return await leadsTo(kernel,address,steered)?{address}:
-{lost:["the path"]}}async function leadsTo(kernel,address,steered){let other=await SteeredNeedle.begin(kernel,
-steered.scene);try{for(let changes of readAddress(address,steered.scene))other.apply(changes)}catch(error){if(!(error instanceof
-ModelError))throw error;return!1}let{depth}=steered.step,points=({session})=>readPoints(session,Array.from({length:POINTS2},
-(_,i)=>depth*i/(POINTS2-1))),[found,wanted]=[other,steered].map(points);return found.every((point2,i)=>Math.hypot(
-...point2.map((one,axis)=>one-wanted[i][axis]))<SAME)}function readAddress(address,scene){let values=new URLSearchParams(
-address),keys=listKeys(scene),known=["needle","depth","roll","turn",...keys.map(({key})=>key)],number3=(key,text,low=-1/0)=>{
-let value=Number(text);if(text.trim()!==""&&Number.isFinite(value)&&value>=low)return value;throw new ModelError(
-`the address has ${key}=${text}`,low<0?"a number":`a number, ${low} or above`)};for(let key of values.keys())if(!known.
-includes(key))throw new ModelError(`the address has ${key}`,known.join(", "));let doubled=[...values.keys()].find(
-key=>values.getAll(key).length>1);if(doubled)throw new ModelError(`the address has ${doubled} more than once`,
-"each key once");if(!values.has("depth")){if([...values.keys()].some(key=>key!=="needle"))throw new ModelError(
-"the address has no depth","depth=, in mm");return[]}let[first]=scene.simulation.steps,depth=number3("depth",values.
-get("depth"),0),turns=(values.get("turn")??"").split(",").filter(Boolean).map(text=>{let[at,by="180"]=text.split(
-":");return{at:number3("turn",at,0),by:number3("turn",by)}});if(!turns.every(({at},i)=>at>0&&at>=(turns[i-1]?.
-at??0)&&at<=depth))throw new ModelError(`the address has turn=${values.get("turn")}`,`increasing depths, up to\
- ${depth} mm`);let roll2=values.has("roll")?number3("roll",values.get("roll")):rollOf(first.bevel),after=turns.
-toReversed().map(({by})=>{let end=roll2;return roll2=wrap(roll2-by),end}).reverse(),inputs=keys.filter(({key})=>values.
-has(key)).map(({key,input,item,toInput})=>[input,item,toInput(number3(key,values.get(key)))]),lists=[ANEW,[["b\
-evel_roll_deg",null,roll2],...inputs]];return turns.forEach(({at},i)=>lists.push([["depth_mm",null,at]],[["bev\
-el_roll_deg",null,after[i]]])),[...lists,[["depth_mm",null,depth]]]}function writeRecording(head,steered){let rows=steered.
-listWay().flatMap(({changes,tip},i)=>changes.map(([name,item,value],n)=>`${i+1},${(i/10).toFixed(4)},${name},${item??
-""},${value},${n===changes.length-1?tip:""}`));return`${head}${rows.join(`
-`)}
-`}var ANEW,POINTS2,SAME,DIGITS,same,shorten,nameIn,init_address=__esm({"needlefit/viewer/page/address.js"(){"u\
-se strict";init_errors();init_inputs();init_steered();init_quantities();ANEW=[["return_to",null,0]],POINTS2=21,
-SAME=1e-6,DIGITS=12,same=(one,other)=>JSON.stringify(one)===JSON.stringify(other);shorten=value=>Number(value.
-toPrecision(DIGITS));nameIn=address=>new URLSearchParams(address).get("needle")}});function computeBands(worker,kernel,current){let ordered="";worker.postMessage({kernel});function describeNeedle(){
-let{name,steered}=current(),{model}=steered,steps2=steered.path().map(one=>({depth:one.depth,inputs:toInputs(one,
-model.pathAngle)}));return{id:{needle:name,step:now.state.step},model,steps:steps2}}function order(){if(!now.state)
-return;let about=JSON.stringify([current().name,now.state.step]);ordered!==about&&(ordered=about,worker.postMessage(
-describeNeedle()))}function send(){ordered="",worker.postMessage({draws:now.scene.draws,steps:null}),order()}worker.
-onmessage=({data:{id,band}})=>{id.needle===current().name&&take(band?{kind:"band",step:id.step,...band}:NONE)},
-listen("scene",send),listen("drawn",order)}var NONE,init_bands=__esm({"needlefit/viewer/page/bands.js"(){"use \
-strict";init_inputs();init_store();NONE={kind:"band",x:[]}}});function paint(context,figure){let{state,shown:shown2,scene,band:newest2}=now,band=shown2.band&&newest2&&isBandNear(
-newest2,state)?newest2:null,measured=shown2.measured?scene.measured:null;context.fillStyle=palette.gutter,context.
-fillRect(0,0,...figure),clearLabels(),reserveNeedle(state),measured&&avoid(placesOf(measured.x,measured.y)),context.
-lineJoin="round",within(context,now.view.box,()=>{paintTissue(context),band&&paintBand(context,band,band.step!==
-state.step),shown2.plan&&scene.plan&&paintPlan(context,scene.plan),paintNeedle(context,state),paintPrediction(
-context,state),measured&&paintMeasured(context,measured),measured&&shown2.errors&&paintGaps(context,state,measured),
-paintGuides(context,state),paintBase(context,state),measured&&nameNeedle(context,state),band&&nameBand(context,
-band)}),paintAxes(context)}function measure(){let[width,height]=size();canvas2.width=Math.round(width*devicePixelRatio),
-canvas2.height=Math.round(height*devicePixelRatio),screen2.setTransform(devicePixelRatio,0,0,devicePixelRatio,
-0,0),resize(width,height),redraw()}var picture,canvas2,screen2,frame,size,init_drawing=__esm({"needlefit/viewe\
-r/page/drawing.js"(){"use strict";init_dom();init_background();init_needle2();init_overlay();init_strokes();init_store();
-init_view();picture=part("picture"),canvas2=part("canvas"),screen2=getContext(canvas2),frame=0,size=()=>[picture.
-clientWidth,picture.clientHeight];listen("redraw",()=>{frame||=requestAnimationFrame(()=>{frame=0,now.state&&(paint(
-screen2,size()),document.body.classList.add("begun")),publish("drawn")})});listen("state",()=>(follow(),redraw()));
-listen("band",redraw);new ResizeObserver(measure).observe(picture);onScheme(()=>(readPalette(),redraw()));readPalette()}});function readColour(shade){let hex2=shade.match(/^#(\w\w)(\w\w)(\w\w)(\w\w)?$/)?.slice(1).map(one=>parseInt(one??
-"ff",16)),[red,green,blue,alpha=255]=hex2??shade.match(/[\d.]+/g).map(Number);return{parts:[red,green,blue],opacity:alpha/
-255}}function writePaint(name,shade,opacity=1){if(!shade)return`${name}="none"`;let{parts,opacity:own}=readColour(
-shade),share=round(own*opacity);return`${name}="#${parts.map(one=>one.toString(16).padStart(2,"0")).join("")}"${share<
-1?` ${name}-opacity="${share}"`:""}`}function writeSvg(drawn,[width,height],wide,title,words){return`<svg xmln\
-s="http://www.w3.org/2000/svg" ${`width="${wide}mm" height="${round(wide*height/width)}mm" viewBox="0 0 ${round(
-width)} ${round(height)}"`} font-family="Arial, Liberation Sans, Helvetica, sans-serif">
-<title>${escape(title)}</title>
-<desc>${escape(words)}</desc>
-${drawn.map((one,n)=>SVG[one.kind](one,n)).join(`
-`)}
-</svg>
-`}var BASELINES,ROUND,round,STYLE,FigureContext,writePath,escape,writeLine,SVG,init_figure_context=__esm({"nee\
-dlefit/viewer/page/figure_context.js"(){"use strict";init_dom();BASELINES={alphabetic:0,middle:.35,top:.8},ROUND=
-.5523,round=value=>Number(value.toFixed(3)),STYLE=["fillStyle","strokeStyle","lineWidth","globalAlpha","lineCa\
-p","lineJoin","font","textAlign","textBaseline"],FigureContext=class{fillStyle="#000000";strokeStyle="#000000";lineWidth=1;globalAlpha=1;lineCap="\
-butt";lineJoin="miter";font="12px sans-serif";textAlign="left";textBaseline="alphabetic";drawn=[];#path=[];#dash=[];#matrix=new DOMMatrix;#stack=[];#clips=0;#halo=null;#screen=getContext(
-document.createElement("canvas"));save(){this.#stack.push([Object.fromEntries(STYLE.map(name=>[name,this[name]])),
-this.#matrix,this.#clips])}restore(){let[style,matrix,clips]=this.#stack.pop();for(;this.#clips>clips;this.#clips-=
-1)this.drawn.push({kind:"restore"});Object.assign(this,style),this.#matrix=matrix}clip(){this.#clips+=1,this.drawn.
-push({kind:"clip",path:this.#path})}translate(x2,y2){this.#matrix=this.#matrix.translate(x2,y2)}rotate(angle2){
-this.#matrix=this.#matrix.rotate(angle2*180/Math.PI)}setLineDash(dash){this.#dash=dash}beginPath(){this.#path=
-[]}closePath(){this.#path.push(["Z"])}moveTo(x2,y2){this.#add("M",[x2,y2])}lineTo(x2,y2){this.#add("L",[x2,y2])}rect(x2,y2,width,height){
-this.moveTo(x2,y2);for(let corner of[[x2+width,y2],[x2+width,y2+height],[x2,y2+height]])this.#add("L",corner);
-this.closePath()}arc(x2,y2,radius){this.moveTo(x2+radius,y2);for(let[ax,ay,bx,by]of[[1,0,0,1],[0,1,-1,0],[-1,0,
-0,-1],[0,-1,1,0]]){let at=(px,py)=>[x2+radius*px,y2+radius*py];this.#add("C",at(ax+ROUND*bx,ay+ROUND*by),at(bx+
-ROUND*ax,by+ROUND*ay),at(bx,by))}this.closePath()}#add(name,...points){let moved=points.map(([x2,y2])=>this.#matrix.
-transformPoint({x:x2,y:y2}));this.#path.push([name,...moved.flatMap(({x:x2,y:y2})=>[round(x2),round(y2)])])}fill(){
-this.#draw({fill:this.fillStyle})}stroke(){this.#draw({stroke:this.strokeStyle,width:this.lineWidth,cap:this.lineCap,
-join:this.lineJoin,dash:this.#dash})}#draw(looks){this.drawn.push({kind:"path",path:this.#path,opacity:this.globalAlpha,
-...looks})}fillRect(x2,y2,width,height){this.beginPath(),this.rect(x2,y2,width,height),this.fill()}strokeRect(x2,y2,width,height){
-this.beginPath(),this.rect(x2,y2,width,height),this.stroke()}measureText(text){return this.#screen.font=this.font,
-this.#screen.measureText(text)}strokeText(){this.#halo={stroke:this.strokeStyle,width:this.lineWidth}}fillText(text,x2,y2){
-let[,weight,size2]=this.font.match(/^(\d+ )?([\d.]+)px/)??["","","12"],share={left:0,center:.5,right:1}[this.textAlign],
-place=[x2-share*this.measureText(text).width,y2+BASELINES[this.textBaseline]*Number(size2)];this.drawn.push({kind:"\
-text",text,size:Number(size2),strong:!!weight,fill:this.fillStyle,halo:this.#halo,matrix:this.#matrix.translate(
-...place),opacity:this.globalAlpha}),this.#halo=null}};writePath=path2=>path2.map(([name,...numbers])=>name+numbers.
-join(" ")).join(""),escape=text=>text.replace(/[&<>"]/g,one=>`&#${one.charCodeAt(0)};`);writeLine=({stroke:stroke2,
-width,cap="round",join="round",dash=[]},opacity)=>`${writePaint("stroke",stroke2,opacity)} stroke-width="${width}\
-" stroke-linecap="${cap}" stroke-linejoin="${join}"${dash.length?` stroke-dasharray="${dash.join(" ")}"`:""}`,
-SVG={clip:({path:path2},n)=>`<clipPath id="clip-${n}"><path d="${writePath(path2)}"/></clipPath><g clip-path="\
-url(#clip-${n})">`,restore:()=>"</g>",path:one=>`<path d="${writePath(one.path)}" ${writePaint("fill",one.fill,
-one.opacity)}${one.stroke?` ${writeLine(one,one.opacity)}`:""}/>`,text:({text,size:size2,strong,fill,halo,matrix:{
-a:a2,b,c,d,e,f},opacity})=>{let place=b||c?`transform="matrix(${[a2,b,c,d,e,f].map(round).join(" ")})"`:`x="${round(
-e)}" y="${round(f)}"`,behind=halo?` ${writeLine(halo,opacity)} paint-order="stroke"`:"";return`<text ${place} \
-font-size="${size2}"${strong?' font-weight="600"':""} ${writePaint("fill",fill,opacity)}${behind}>${escape(text)}\
-</text>`}}}});function computeValidity({x:x2,u,slope:slope4,planes,constraints,track},{boundaries,thickness,spacing}){let last3=x2.
+height-LINE-2),wide,LINE]).filter(one=>!count(now.labels,one)),box=free.find(one=>!count(now.avoided,one))??free[0];
+box&&(now.labels.push(box),label(sheet,words,[box[0]+wide/2,box[1]+LINE/2],{fill,font:"strong"}))}function labelBeside(sheet,words,sides,shade){
+let half=measure(words,"strong")/2,curves=sides.map(([{x:x2,y:y2},away])=>({places:placesOf(x2,y2),away}));for(let{
+places}of curves)avoid(places);let ends=curves.map(({places})=>places[places.length-1]).map(([px,py])=>[px+half+
+8,py]),beside=SHARES.flatMap(share=>curves.flatMap(({places,away})=>{let[px,py]=places[Math.round(share*(places.
+length-1))];return[0,-half,half].map(aside=>[px+aside,py+away])}));labelFree(sheet,words,[...ends,...beside],shade)}
+var NAMES,palette,polyline,polygon,placesOf,traceBetween,cross,traceEllipse,label,LINE,SHARES,clearLabels,overlap,
+count,countBelow,nameLine,init_strokes=__esm({"needlefit/viewer/page/painters/strokes.js"(){"use strict";init_d3_shape();
+init_d3_interpolate();init_dom();init_sheet();init_store();init_view();NAMES=["air","gutter","ink","quiet","ed\
+ge","needle","tip","guide","points","path","load","measured","pinned","band","plan","gap","bad","halo","soft",
+"stiff","label","accent"],palette={};polyline=(sheet,lines,stroke,width,dash)=>sheet.path(lines.map(trace).join(
+""),{stroke,width,dash}),polygon=(sheet,corners,fill,opacity)=>sheet.path(`${trace(corners)}Z`,{fill,opacity}),
+placesOf=(x2,y2)=>Array.from(x2,(one,i)=>[toPx(one),toPy(y2[i])]);traceBetween=(x2,low,high)=>area().x((_,i)=>toPx(
+x2[i])).y0((_,i)=>toPy(low[i])).y1((_,i)=>toPy(high[i]))(x2)??"",cross=([px,py],arm,oblique=!1)=>[[arm,oblique?
+arm:0],[oblique?-arm:0,arm]].map(([dx,dy])=>[[px-dx,py-dy],[px+dx,py+dy]]),traceEllipse=([px,py],along,across)=>`\
+M${px-along},${py}a${along},${across} 0 1 0 ${2*along},0a${along},${across} 0 1 0 ${-2*along},0Z`,label=(sheet,words,place,looks)=>sheet.
+text(words,place,{fill:palette.label,halo:palette.halo,...looks}),LINE=16,SHARES=[1,.8,.6,.4],clearLabels=()=>Object.
+assign(now,{labels:[],avoided:[]}),overlap=([x2,y2,w,h],[x22,y22,w2,h2])=>x2<x22+w2&&x22<x2+w&&y2<y22+h2&&y22<
+y2+h,count=(places,box)=>places.filter(one=>overlap(one,box)).length,countBelow=box=>count([...now.labels,...now.
+avoided],box);nameLine=(sheet,words,curve,shade)=>labelBeside(sheet,words,[[curve,16],[curve,-16]],shade)}});function paintTissue(sheet){let{box}=view;sheet.path(traceBox(box),{fill:palette.air});let layers=listLayers();
+for(let{from,to,shade}of layers)sheet.path(traceBox({...box,left:from,width:to-from}),{fill:shade});for(let{from,
+number:number3,top:edge}of layers){if(edge<box.left)continue;let[fill,width]=number3===1?[palette.ink,1.5]:[palette.
+edge,1];sheet.path(traceBox({...box,left:Math.round(from)-.5,width}),{fill})}let axis=Math.round(toPy(0))+.5;polyline(
+sheet,[[[box.left,axis],[box.left+box.width,axis]]],palette.quiet,1,[5,4])}function listLayers(){let{boundaries_mm:tops,
+layer_names:names}=now.scene,{left,width}=view.box,depths=[0,...tops,1/0];return shades(now.state.layers).map(
+(shade,i)=>({shade,number:i+1,name:names[i]||`layer ${i+1}`,mu:now.state.layers[i].mu_pa,top:toPx(depths[i]),from:Math.
+max(toPx(depths[i]),left),to:Math.min(toPx(depths[i+1]),left+width)})).filter(({from,to})=>to>from)}function paintNames(sheet){
+let{left,top,width}=view.box,layers=listLayers(),write2=(texts,py)=>{let end=-1/0;texts.forEach((text,i)=>{let middle=(layers[i].
+from+layers[i].to)/2,half=measure(text,"plain")/2;middle-half<end+APART||(sheet.text(text,[middle,top+py],{fill:palette.
+label,font:"plain"}),end=middle+half)})},named2=layers.every(({from,to,name})=>measure(name,"plain")<=to-from);
+write2(layers.map(({name,number:number3})=>named2?name:String(number3)),-27),write2(layers.map(({mu})=>`μ ${modulus(
+mu)}`),-11);let skin=toPx(0);skin>left+40&&skin<=left+width&&sheet.text("skin",[skin-4,top-11],{fill:palette.label,
+font:"plain",align:"end"})}function paintFrame(sheet,name){let{left,top,width,height}=view.box;sheet.path(traceBox(
+{left:left-.5,top:top-.5,width:width+1,height:height+1}),{stroke:palette.quiet});let across=ticks(fromPy(top+height),
+fromPy(top),Math.max(height/TICKS_APART,2)).map(y2=>[y2,Math.round(toPy(y2))+.5]);polyline(sheet,across.map(([
+,py])=>[[left-TICK,py],[left,py]]),palette.quiet,1);for(let[y2,py]of across)sheet.text(written2(y2),[left-TICK-
+2,py],{fill:palette.label,align:"end"});sheet.turned([11,top+height/2],QUARTER,()=>sheet.text(name,[0,0],{fill:palette.
+label}))}function paintAxes(sheet){let{left,top,width,height}=view.box,bottom=top+height;paintFrame(sheet,nameAcross(
+height)),paintNames(sheet);let along=ticks(fromPx(left),fromPx(left+width),width/TICKS_APART).map(x2=>[x2,Math.
+round(toPx(x2))+.5]);polyline(sheet,along.map(([,px])=>[[px,bottom],[px,bottom+TICK]]),palette.quiet,1);for(let[
+x2,px]of along)sheet.text(written2(x2),[px,bottom+TICK+8],{fill:palette.label});sheet.text("x along the entry \
+(mm)",[left+width/2,bottom+31],{fill:palette.label})}function nameAcross(room){if(view.magnified===1)return"y \
+(mm)";let long=`y (mm), drawn ${view.magnified}× as large as x`;return measure(long,"small")<room?long:`y (mm\
+), drawn ${view.magnified}×`}var APART,TICK,TICKS_APART,QUARTER,written2,init_background=__esm({"needlefit/vi\
+ewer/page/painters/background.js"(){"use strict";init_d3_array();init_quantities();init_sheet();init_store();init_view();
+init_strokes();APART=8,TICK=5,TICKS_APART=60,QUARTER=Math.PI/2;written2=value=>brief(value,6).replace("-","−")}});function computeValidity(shape,{boundaries,thickness,spacing}){let{x:x2,u,slope:slope4,planes,track}=shape,last4=x2.
 length-1,bent=Array.from({length:planes},(_,p)=>[u,slope4].map(one=>one.subarray(p*x2.length,(p+1)*x2.length))),
 cubics=bent.map(()=>[0,0,0]),[rotations,missed]=[bent.map(()=>0),bent.map(()=>0)],rotate=t=>(cubics.forEach(([
-begin2,bend,curl],p)=>rotations[p]=begin2+t*(bend+t*curl)),measure2(rotations)),steepest=0,shortening=0,miss=0;
-for(let i=0;i<=last3;i+=1)steepest=Math.max(steepest,measure2(bent.map(([,one])=>one[i])));for(let i=0;i<last3;i+=
-1){let step=x2[i+1]-x2[i];bent.forEach(([v,rotation],p)=>{let mean2=(v[i+1]-v[i])/step,begin2=rotation[i],end=rotation[i+
-1];cubics[p]=[begin2,6*mean2-4*begin2-2*end,3*(begin2+end)-6*mean2]});let[[,bend,curl]]=cubics,inside=planes>1?
+begin3,bend,curl],p)=>rotations[p]=begin3+t*(bend+t*curl)),measure2(rotations)),steepest=0,shortening=0,miss=0;
+for(let i=0;i<=last4;i+=1)steepest=Math.max(steepest,measure2(bent.map(([,one])=>one[i])));for(let i=0;i<last4;i+=
+1){let step=x2[i+1]-x2[i];bent.forEach(([v,rotation],p)=>{let mean2=(v[i+1]-v[i])/step,begin3=rotation[i],end=rotation[i+
+1];cubics[p]=[begin3,6*mean2-4*begin3-2*end,3*(begin3+end)-6*mean2]});let[[,bend,curl]]=cubics,inside=planes>1?
 [.25,.5,.75]:[Math.abs(curl)>1e-12?-.5*bend/curl:0];for(let at of inside)at>0&&at<1&&(steepest=Math.max(steepest,
 rotate(at)));for(let[t,weight]of GAUSS){let angle2=rotate(t);shortening+=step*weight*2*Math.sin(angle2/2)**2,x2[i]<
 -1e-9&&angle2&&rotations.forEach((one,p)=>missed[p]+=step*weight*one*(1-Math.sin(angle2)/angle2))}miss=Math.max(
 miss,measure2(missed))}for(let i=0;i<track.length;i+=2*planes)steepest=Math.max(steepest,measure2(bent.map((_,p)=>track[i+
-2*p+1])));let entered=1+boundaries.filter(end=>end<x2[last3]).length,widths=boundaries.slice(0,entered).map((end,i)=>end-
+2*p+1])));let entered=1+boundaries.filter(end=>end<x2[last4]).length,widths=boundaries.slice(0,entered).map((end,i)=>end-
 (i?boundaries[i-1]:0)).filter(width=>width>0),thinnest=widths.length?Math.max(Math.min(...widths),spacing):1/0;
-return{max_slope:steepest,deflection_per_length:measure2(bent.map(([v])=>Math.max(...v)-Math.min(...v)))/(x2[last3]-
-x2[0]),shortening_per_layer:shortening/thinnest,miss_mm:miss,compression:compress(x2,bent,constraints)/Math.min(
-...thickness.slice(0,entered))}}function compress(x2,bent,constraints){let[greatest,i]=[0,0];for(let k2=0;k2<constraints.
-length;k2+=1+bent.length){let at=constraints[k2];for(;i<x2.length-2&&x2[i+1]<at-1e-9;)i+=1;let span=x2[i+1]-x2[i],
-t=Math.min(Math.max((at-x2[i])/span,0),1),away=bent.map(([u,slope4],p)=>{let bend=3*(u[i+1]-u[i])-span*(2*slope4[i]+
-slope4[i+1]),curl=2*(u[i]-u[i+1])+span*(slope4[i]+slope4[i+1]);return u[i]+t*(span*slope4[i]+t*(bend+t*curl))-
-constraints[k2+1+p]});greatest=Math.max(greatest,measure2(away))}return greatest}var GAUSS,measure2,listFaults,
-init_validity=__esm({"needlefit/viewer/page/model/validity.js"(){"use strict";GAUSS=[[.5-Math.sqrt(.15),.2777777777777778],
-[.5,.4444444444444444],[.5+Math.sqrt(.15),.2777777777777778]],measure2=parts=>parts.length>1?Math.sqrt(parts[0]**
-2+parts[1]**2):Math.abs(parts[0]);listFaults=(validity,limits)=>limits.filter(([name,limit])=>!(validity[name]<=
-limit)).map(([name,limit,words])=>{let unit=name.endsWith("_mm")?" mm":"";return`${words} ${Number(validity[name].
-toPrecision(3))}${unit} (limit ${limit}${unit})`})}});function describeState(steered){let{scene,session,step,model,names,rules}=steered,{shape}=session,{controls,bevel}=step,
+return{max_slope:steepest,deflection_per_length:measure2(bent.map(([v])=>Math.max(...v)-Math.min(...v)))/(x2[last4]-
+x2[0]),shortening_per_layer:shortening/thinnest,miss_mm:miss,compression:Math.max(...listGaps(shape).map(measure2))/
+Math.min(...thickness.slice(0,entered))}}function listGaps({x:x2,u,slope:slope4,planes,constraints}){let i=0;return Array.
+from({length:constraints.length/(1+planes)},(_,k2)=>{let[at,...places]=constraints.subarray((1+planes)*k2,(1+planes)*
+(k2+1));for(;i<x2.length-2&&x2[i+1]<at-1e-9;)i+=1;let span=x2[i+1]-x2[i],t=Math.min(Math.max((at-x2[i])/span,0),
+1);return places.map((place,p)=>{let n=p*x2.length+i,bend=3*(u[n+1]-u[n])-span*(2*slope4[n]+slope4[n+1]),curl=2*
+(u[n]-u[n+1])+span*(slope4[n]+slope4[n+1]);return u[n]+t*(span*slope4[n]+t*(bend+t*curl))-place})})}var GAUSS,
+measure2,listFaults,init_validity=__esm({"needlefit/viewer/page/model/validity.js"(){"use strict";GAUSS=[[.5-Math.
+sqrt(.15),.2777777777777778],[.5,.4444444444444444],[.5+Math.sqrt(.15),.2777777777777778]],measure2=parts=>parts.
+length>1?Math.sqrt(parts[0]**2+parts[1]**2):Math.abs(parts[0]);listFaults=(validity,limits)=>limits.filter(([name,
+limit])=>!(validity[name]<=limit)).map(([name,limit,words])=>{let unit=name.endsWith("_mm")?" mm":"";return`${words}\
+ ${Number(validity[name].toPrecision(3))}${unit} (limit ${limit}${unit})`})}});function describeState(steered){let{scene,session,step,model,names,rules}=steered,{shape}=session,{controls,bevel}=step,
 validity=computeValidity(shape,model),[x2,y2,z=null]=columns(session.positions(listStations(shape)),1+shape.planes),
-last3=shape.x.length-1,roll2=wrap(rollOf(bevel));return{kind:"state",step:steered.number,depth_mm:step.depth,x:x2,
-y:y2,z,base:{x:x2[0],y:y2[0],rotation:shape.slope[0],input_y:controls.baseY,input_slope:controls.baseSlope},guides:controls.
-guides.map(({name,x:x3,y:y3,slope:slope4})=>({item:guideNumber(name,names),name,x:x3,y:y3,slope:slope4??0,turns_freely:slope4===
-null})),tip:{x:x2.at(-1),y:y2.at(-1),z:z&&z.at(-1),rotation:shape.slope[last3],lateral_mm:y2.at(-1),held:controls.
-tip!==null,input_y:shape.u[last3]},bevel:{side:Math.abs(roll2)>90?-1:1,roll_deg:roll2,...describeStrength(bevel,
-model)},layers:model.mu.map((mu,layer)=>({mu_pa:mu*1e6,...Object.fromEntries(scene.shape_parameters.map(({name},row)=>[
-name,steered.shape[row][layer]]))})),max_slope:validity.max_slope,faults:listFaults(validity,rules.validity),errors:scene.
-measured&&computeErrors(session,scene.measured)}}function listStations({x:x2,depth}){let end=Math.min(0,depth),
-before=Array.from({length:POINTS_BEFORE_TISSUE},(_,i)=>x2[0]+(end-x2[0])*i/(POINTS_BEFORE_TISSUE-1));return before[POINTS_BEFORE_TISSUE-
-1]=end,Float64Array.from(new Set([...before,...x2])).sort()}var POINTS_BEFORE_TISSUE,columns,describeStrength,
-init_state=__esm({"needlefit/viewer/page/model/state.js"(){"use strict";init_inputs();init_errors();init_validity();
-POINTS_BEFORE_TISSUE=25,columns=(points,width)=>Array.from({length:width},(_,axis)=>Array.from({length:points.
-length/width},(_2,i)=>points[width*i+axis])),describeStrength=({offset,cutAngle},{pathAngle})=>pathAngle?{cut_angle_deg:cutAngle*
-(180/Math.PI)}:{offset_mm:offset}}});async function unpack(id){let bytes=Uint8Array.from(atob(part(id).textContent),one=>one.charCodeAt(0)),stream=new Blob(
+last4=shape.x.length-1,roll2=wrap(rollOf(bevel));return{kind:"state",step:steered.number,depth_mm:step.depth,x:x2,
+y:y2,z,...placePoints(session),base:{x:x2[0],y:y2[0],rotation:shape.slope[0],input_y:controls.baseY,input_slope:controls.
+baseSlope},guides:controls.guides.map(({name,x:x3,y:y3,slope:slope4})=>({item:guideNumber(name,names),name,x:x3,
+y:y3,slope:slope4??0,turns_freely:slope4===null})),tip:{x:x2.at(-1),y:y2.at(-1),z:z&&z.at(-1),rotation:shape.slope[last4],
+lateral_mm:y2.at(-1),held:controls.tip!==null,input_y:shape.u[last4]},bevel:{side:Math.abs(roll2)>90?-1:1,roll_deg:roll2,
+...describeStrength(bevel,model)},layers:model.mu.map((mu,layer)=>({mu_pa:mu*1e6,...Object.fromEntries(scene.shape_parameters.
+map(({name},row)=>[name,steered.shape[row][layer]]))})),max_slope:validity.max_slope,faults:listFaults(validity,
+rules.validity),errors:scene.measured&&computeErrors(session,scene.measured)}}function placePoints(session){let{
+planes,constraints,track}=session.shape,cut=columns(constraints,1+planes),[x2,...needle]=columns(session.positions(
+cut[0]),1+planes),gaps=columns(listGaps(session.shape).flat(),planes),tip=columns(track,2*planes),points=needle.
+map((row,p)=>row.map((place,i)=>place-gaps[p][i])),path2=points.map((row,p)=>row.map((place,i)=>place+tip[2*p][i]-
+cut[1+p][i])),curve=([y2,z])=>({x:x2,y:y2,z});return{constraints:curve(points),tip_path:curve(path2)}}function describeLoad({
+session,model}){let{depth,planes}=session.shape,count2=Math.ceil(SAMPLES*depth/model.spacing),s2=Array.from({length:count2+
+1},(_,i)=>depth*(i/(count2||1))),[x2,y2]=columns(session.positions(s2),1+planes),loads=session.load(s2),means=Array.
+from({length:planes},(_,p)=>loads.subarray(p*s2.length,(p+1)*s2.length)).map(row=>{let sums=[0];for(let value of row)
+sums.push(sums[sums.length-1]+value);return s2.map((_,i)=>{let half=Math.min(SAMPLES,i,count2-i);return(sums[i+
+half+1]-sums[i-half])/(2*half+1)})});return{x:x2,y:y2,load:planes===1?means[0]:means[0].map((one,i)=>Math.hypot(
+one,means[1][i]))}}function listStations({x:x2,depth}){let end=Math.min(0,depth),before=Array.from({length:POINTS_BEFORE_TISSUE},
+(_,i)=>x2[0]+(end-x2[0])*i/(POINTS_BEFORE_TISSUE-1));return before[POINTS_BEFORE_TISSUE-1]=end,Float64Array.from(
+new Set([...before,...x2])).sort()}var POINTS_BEFORE_TISSUE,SAMPLES,columns,describeStrength,init_state=__esm(
+{"needlefit/viewer/page/model/state.js"(){"use strict";init_inputs();init_errors();init_validity();POINTS_BEFORE_TISSUE=
+25,SAMPLES=8,columns=(points,width)=>Array.from({length:width},(_,axis)=>Array.from({length:points.length/width},
+(_2,i)=>points[width*i+axis])),describeStrength=({offset,cutAngle},{pathAngle})=>pathAngle?{cut_angle_deg:cutAngle*
+(180/Math.PI)}:{offset_mm:offset}}});function paintNeedle(sheet,{x:x2,y:y2,faults,bevel:{side}}){let points=placesOf(x2,y2),tip=points[points.length-
+1],shaft=points.filter(one=>distance(one,tip)>BEVEL.length),last4=shaft.at(-1)??tip,share=1-BEVEL.length/(distance(
+last4,tip)||1),end=last4.map((from,i)=>from+share*(tip[i]-from));polyline(sheet,[[...shaft,end]],faults.length?
+palette.bad:palette.needle,LINE2,faults.length?[9,5]:[]);let size2=distance(end,tip)||1,[dx,dy]=tip.map((to,i)=>BEVEL.
+half*(to-end[i])/size2),aside=([px,py],to)=>[px+to*dy,py-to*dx],[back,near2,point2]=[aside(end,-side),aside(end,
+side),aside(tip,side)];polygon(sheet,[back,near2,point2],palette.needle),polyline(sheet,[[back,point2]],palette.
+tip,2)}function paintPoints(sheet,{constraints:{x:x2,y:y2}}){let half=Math.min(Math.max(CROSS.of*now.scene.spacing_mm*
+view.scale,CROSS.least),CROSS.most);polyline(sheet,placesOf(x2,y2).flatMap(place=>cross(place,half,!0)),palette.
+points,1.2),nameLine(sheet,"constraint points",{x:x2,y:y2},palette.points)}function paintPath(sheet,{tip_path:path2}){
+polyline(sheet,[placesOf(path2.x,path2.y)],palette.path,1.5),nameLine(sheet,"tip path",path2,palette.path)}function paintLoad(sheet){
+let{x:x2,y:y2,load:load2}=describeLoad(now.steered),greatest=max(load2,Math.abs);if(!greatest)return;let[,top]=nice(
+0,greatest,1),{box}=view,tall=Math.min(TALLEST,.2*box.height-10),shaft=placesOf(x2,y2),edge=shaft.map(([px,py],i)=>[
+px,py-tall*load2[i]/top]);polygon(sheet,[...shaft,...edge.toReversed()],palette.load,.32),polyline(sheet,[edge],
+palette.load,1.25);let[left,high]=[box.left+10,box.top+6],ends=[high,high+tall].map(py=>[[left-4,py],[left+4,py]]);
+polyline(sheet,[[[left,high],[left,high+tall]],...ends],palette.load,1.5);let words=`load ${brief(top)} N/mm`;
+now.labels.push([left-4,high,measure(words,"small")+16,tall]),label(sheet,words,[left+8,high+tall/2],{fill:palette.
+load,align:"start"})}function paintBase(sheet,{base}){let[px,py]=[toPx(base.x),toPy(base.y)],ends=[-46,46].map(
+to=>[[px-5,py+to],[px+5,py+to]]);polyline(sheet,[[[px,py-46],[px,py+46]],...ends],palette.quiet,2),sheet.turned(
+[px,py],angleOf(Math.tan(base.rotation)),()=>sheet.path("M-22,-7h26v14h-26Z",{fill:palette.ink}))}function paintGuides(sheet,{
+guides}){for(let guide of guides){let[px,py]=[toPx(guide.x),toPy(guide.y)];sheet.turned([px,py],angleOf(guide.
+slope),()=>{for(let to of[-1,1]){let d=guide.turns_freely?`M0,${GAP*to}l-7,${11*to}h14Z`:`M-13,${GAP*to}h26v${7*
+to}h-26Z`;sheet.path(d,{fill:palette.guide})}}),px>=view.box.left&&px<=view.box.left+view.box.width&&labelFree(
+sheet,shortName(guide),[[px,py+27]],palette.guide)}}var LINE2,BEVEL,GAP,CROSS,TALLEST,angleOf,distance,init_needle2=__esm(
+{"needlefit/viewer/page/painters/needle.js"(){"use strict";init_d3_array();init_state();init_quantities();init_sheet();
+init_store();init_view();init_strokes();LINE2=2.5,BEVEL={length:7.5,half:1.5},GAP=3,CROSS={of:.28,least:1,most:3.2},
+TALLEST=36,angleOf=slope4=>Math.atan(slope4*view.magnified),distance=(one,other)=>Math.hypot(one[0]-other[0],one[1]-
+other[1])}});function paintMeasured(sheet,curve){let[place]=placesOf(curve.x,curve.y);isTip(curve)?sheet.path(traceEllipse(
+place,DOT,DOT),{fill:palette.halo,stroke:palette.measured,width:2}):haloed(sheet,curve,palette.measured,2,[7,4]),
+nameLine(sheet,isTip(curve)?"measured tip":"measured",curve,palette.measured)}function paintPinned(sheet,pinned){
+haloed(sheet,pinned,palette.pinned,2.5,[2,3]),nameLine(sheet,"pinned",pinned,palette.pinned)}function nameNeedle(sheet,state){
+predictionOf(state,now.scene)||nameLine(sheet,isSteered(state,now.scene)?"steered":"simulated",state,state.faults.
+length?palette.bad:palette.needle)}function nameBand(sheet,{x:x2,low,high}){isChanged(now.state,now.scene)&&labelBeside(
+sheet,"band of the fit",[[{x:x2,y:high},-14],[{x:x2,y:low},14]],palette.band)}function paintBand(sheet,{x:x2,low,
+high},pale){sheet.path(traceBetween(x2,low,high),{fill:palette.band,opacity:pale?.16:.4});for(let edge of[low,
+high])polyline(sheet,[placesOf(x2,edge)],palette.band,pale?.75:1.5)}function paintPrediction(sheet,state){let prediction=predictionOf(
+state,now.scene);prediction&&(haloed(sheet,prediction,palette.accent,2.5),nameLine(sheet,"prediction",prediction,
+palette.accent))}function heightAt({x:xs,y:ys},x2){let after=Math.min(Math.max(bisectLeft(xs,x2),1),xs.length-
+1),share=Math.min(Math.max((x2-xs[after-1])/(xs[after]-xs[after-1]),0),1);return ys[after-1]+share*(ys[after]-
+ys[after-1])}function paintGaps(sheet,state,measured){let{errors}=state;if(!errors)return;let prediction=predictionOf(
+state,now.scene),needle=prediction??state,[tip,other]=[needle,measured].map(({x:x2,y:y2})=>({x:x2[x2.length-1],
+y:y2[y2.length-1]})),reach=Math.min(tip.x,other.x),across=x2=>[needle,measured].map(curve=>[toPx(x2),toPy(heightAt(
+curve,x2))]),places=isTip(measured)?[]:range(1,GAPS).map(n=>reach*n/GAPS);polyline(sheet,places.map(across),palette.
+gap,1.25);let ends=errors.whole?[tip,other].map(({x:x2,y:y2})=>[toPx(x2),toPy(y2)]):across(reach);for(let[shade,
+width]of[[palette.halo,5],[palette.gap,2.5]])polyline(sheet,[ends],shade,width);let px=ends[1][0],[top,bottom]=extent(
+ends,([,py])=>py),beside=[0,60,-90].flatMap(aside=>[top-AWAY,bottom+AWAY].map(py=>[px+aside,py]));labelFree(sheet,
+`tip error (TE) ${(prediction?.errors??errors).te_mm.toFixed(2)} mm`,beside,palette.gap)}function paintPlan(sheet,{
+target:[x2,y2],radius,obstacles,needles}){for(let[xs,ys]of needles)sheet.path(trace(placesOf(xs,ys)),{stroke:palette.
+plan,opacity:FAN});for(let[along,across,size2,name]of obstacles)paintCircle(sheet,along,across,size2,palette.tip,
+name,.28);paintCircle(sheet,x2,y2,radius,palette.guide,"target"),polyline(sheet,cross([toPx(x2),toPy(y2)],CROSS2),
+palette.guide,2)}function paintCircle(sheet,x2,y2,radius,shade,name,opacity=0){let[px,size2]=[toPx(x2),radius*
+view.scale],edge=traceEllipse([px,toPy(y2)],size2,size2*view.magnified);sheet.path(edge,{fill:shade,opacity}),
+sheet.path(edge,{stroke:palette.halo,width:4}),sheet.path(edge,{stroke:shade,width:2}),!(px<view.box.left||px>
+view.box.left+view.box.width)&&labelFree(sheet,name,[[px,toPy(y2+radius)-12],[px,toPy(y2-radius)+12]],shade)}function paintInset(sheet,{
+x:x2,y:y2}){let points=range(x2.length).filter(i=>x2[i]>=0);if(points.length<2)return;let{box}=view,{diameter_mm:thick}=now.
+scene,[first,last4]=[x2[points[0]],x2[x2.length-1]],[low,high]=extent(points,i=>y2[i]),scale=Math.min(INSET.width*
+box.width/(last4-first+thick),INSET.height*box.height/(high-low+thick)),size2={width:(last4-first+thick)*scale+
+2*INSET.edge,height:(high-low+thick)*scale+INSET.edge+INSET.title},corners=[box.top+box.height-size2.height-INSET.
+edge,box.top+INSET.edge].flatMap(top=>[box.left+INSET.edge,box.left+box.width-size2.width-INSET.edge].map(left=>({
+left,top,...size2}))),frame2=least(corners,({left,top})=>countBelow([left,top,size2.width,size2.height]));now.
+labels.push([frame2.left,frame2.top,size2.width,size2.height]),sheet.path(traceBox(frame2),{fill:palette.air,stroke:palette.
+quiet});let place=i=>[frame2.left+INSET.edge+(x2[i]-first+thick/2)*scale,frame2.top+INSET.title+(high-y2[i]+thick/
+2)*scale];polyline(sheet,[points.map(place)],palette.needle,Math.max(thick*scale,1)),label(sheet,"true scale",
+[frame2.left+6,frame2.top+INSET.title/2],{align:"start"})}var GAPS,FAN,CROSS2,DOT,AWAY,BAND_REACH,INSET,isTip,
+isBandNear,init_overlay=__esm({"needlefit/viewer/page/painters/overlay.js"(){"use strict";init_d3_array();init_quantities();
+init_sheet();init_store();init_view();init_strokes();GAPS=12,FAN=.3,CROSS2=5,DOT=4,AWAY=19,BAND_REACH=2,INSET=
+{width:.3,height:.25,edge:10,title:16};isTip=({x:x2})=>x2.length===1;isBandNear=({x:x2},state)=>x2.length>0&&Math.
+abs(x2[x2.length-1]-state.tip.x)<=BAND_REACH}});function listShown(){let{state,shown:shown2,scene,band,pinned}=now;return{state,band:shown2.band&&band&&isBandNear(
+band,state)?band:null,measured:shown2.measured?scene.measured:null,pinned:shown2.pinned?pinned:null}}function paintCurves(sheet,{
+state,band,measured,pinned},below=()=>{},above=()=>{}){let{shown:shown2}=now;sheet.within(view.box,()=>{paintTissue(
+sheet),band&&paintBand(sheet,band,band.step!==state.step),below(),pinned&&paintPinned(sheet,pinned),paintNeedle(
+sheet,state),shown2.path&&paintPath(sheet,state),shown2.points&&paintPoints(sheet,state),measured&&paintMeasured(
+sheet,measured),above()})}function begin(sheet,[width,height]){sheet.path(`M0,0h${width}v${height}h${-width}Z`,
+{fill:palette.gutter}),clearLabels()}function paintPicture(sheet,size2){let{shown:shown2,scene:{plan}}=now,seen=listShown(),
+{state,band,measured,pinned}=seen;begin(sheet,size2);for(let curve of[state,measured,pinned])curve&&avoid(placesOf(
+curve.x,curve.y));paintCurves(sheet,seen,()=>{shown2.load&&!state.faults.length&&paintLoad(sheet),shown2.plan&&
+plan&&paintPlan(sheet,plan)},()=>{paintPrediction(sheet,state),measured&&shown2.errors&&paintGaps(sheet,state,
+measured),paintGuides(sheet,state),paintBase(sheet,state),(measured||pinned)&&nameNeedle(sheet,state),band&&nameBand(
+sheet,band),shown2.inset&&paintInset(sheet,state)}),paintAxes(sheet)}function paintAbove(sheet,[width,height]){
+let{state,band,measured,pinned}=listShown();begin(sheet,[width,height]);let seen={state:{...turn(state),constraints:turn(
+state.constraints),tip_path:turn(state.tip_path),bevel:{...state.bevel,side:Math.sin(state.bevel.roll_deg*Math.
+PI/180)<0?-1:1}},band:band?.z?{...band,...band.z}:null,measured:measured&&turn(measured),pinned:pinned&&turn(pinned)},
+heights2=[seen.state,seen.measured,seen.pinned].flatMap(curve=>curve?.y??[]),[low,high]=extent([...heights2,...seen.
+band?[...seen.band.low,...seen.band.high]:[],0]),box={...view.box,top:EDGE,height:height-2*EDGE},magnified=Math.
+min(view.magnified,(box.height-2*ROOM2)/(view.scale*(high-low||1)));look({y:(low+high)/2,box,magnified},()=>{paintCurves(
+sheet,seen,void 0,()=>label(sheet,"from above",[box.left+6,EDGE+10],{align:"start"})),paintFrame(sheet,magnified===
+1?"z (mm)":`z (mm), drawn ${brief(magnified,2)}×`)})}var EDGE,ROOM2,isSpatial,turn,init_picture=__esm({"needl\
+efit/viewer/page/painters/picture.js"(){"use strict";init_d3_array();init_quantities();init_store();init_view();
+init_background();init_needle2();init_overlay();init_strokes();[EDGE,ROOM2]=[8,14],isSpatial=()=>!!(now.state?.
+z??now.scene?.measured?.compared==="space");turn=curve=>({...curve,y:curve.z??curve.x.map(()=>0)})}});function makeSheet(on){let[width,height]=[on.clientWidth,on.clientHeight].map(one=>Math.round(one*devicePixelRatio));
+(on.width!==width||on.height!==height)&&Object.assign(on,{width,height});let context=getContext(on);return context.
+setTransform(devicePixelRatio,0,0,devicePixelRatio,0,0),new Screen(context)}function draw(){if(frame=0,now.state){
+let above=part("above");above.hidden=!isSpatial(),above.hidden||paintAbove(makeSheet(above),[above.clientWidth,
+above.clientHeight]),paintPicture(makeSheet(canvas),size()),document.body.classList.add("begun")}publish("draw\
+n")}var NOTCHES,canvas,frame,size,last,init_drawing=__esm({"needlefit/viewer/page/drawing.js"(){"use strict";init_dom();
+init_picture();init_strokes();init_sheet();init_store();init_view();NOTCHES=[300,10,2],canvas=part("canvas"),frame=
+0,size=()=>[canvas.clientWidth,canvas.clientHeight];listen("redraw",()=>frame||=requestAnimationFrame(draw));listen(
+"state",()=>(follow(),redraw()));listen("band",redraw);new ResizeObserver(()=>resize(...size())).observe(part(
+"picture"));new ResizeObserver(redraw).observe(part("above"));onScheme(()=>(readPalette(),redraw()));readPalette();
+last=[0,0];canvas.addEventListener("pointerdown",({pointerId})=>canvas.setPointerCapture(pointerId));canvas.addEventListener(
+"pointermove",({buttons,pointerType,offsetX,offsetY})=>{buttons===1&&pointerType!=="touch"&&pan(offsetX-last[0],
+offsetY-last[1]),last=[offsetX,offsetY]});canvas.addEventListener("wheel",event=>{document.activeElement!==canvas&&
+!event.ctrlKey||(event.preventDefault(),zoom(2**(-event.deltaY/NOTCHES[event.deltaMode]),[event.offsetX,event.
+offsetY]))},{passive:!1});canvas.addEventListener("dblclick",()=>fit("tissue"))}});async function unpack(id){let bytes=Uint8Array.from(atob(part(id).textContent),one=>one.charCodeAt(0)),stream=new Blob(
 [bytes]).stream().pipeThrough(new DecompressionStream("deflate-raw"));return new Response(stream).arrayBuffer()}
 async function load(){let[data,kernel]=await Promise.all([unpack("data"),unpack("kernel").then(compile)]),{lists,
 ...read}=JSON.parse(new TextDecoder().decode(data)),resolve=value=>Array.isArray(value?.$)||Number.isInteger(value?.
@@ -1042,35 +1062,36 @@ return Math.abs(steered.tipLateral-tip);let{target,stored}=steered.scene.measure
 session,target),found=computeErrors(steered.session,steered.scene.measured),errors=Object.keys(known).map(name=>Math.
 abs(known[name]-found[name]));return Math.max(...points.flatMap((point2,i)=>["x","y","z"].map((axis,n)=>Math.abs(
 point2[n]-stored[axis][i]))),...errors.filter(one=>one>same2))}async function prove({needles,kernel},same2){let[
-count,largest,since]=[0,0,performance.now()],rest=async()=>{performance.now()-since<SLICE||(await new Promise(
-done=>setTimeout(done)),since=performance.now())};for(let needle of needles){let compare=distance2=>{count+=1,
-largest=Math.max(largest,distance2)};try{let steered=await begin(kernel,needle);if(needle.recording){let replay=new Replay(
+count2,largest,since]=[0,0,performance.now()],rest=async()=>{performance.now()-since<SLICE||(await new Promise(
+done=>setTimeout(done)),since=performance.now())};for(let needle of needles){let compare=distance2=>{count2+=1,
+largest=Math.max(largest,distance2)};try{let steered=await begin2(kernel,needle);if(needle.recording){let replay=new Replay(
 steered,needle.recording);for(let n=1;n<=needle.recording.length;n+=1)replay.to(n),compare(Math.abs(steered.tipLateral-
 needle.recording[n-1][2])),await rest()}else{if(insert(steered),needle.tip===null)continue;compare(compareStored(
 steered,needle,same2))}}catch(error){if(!(error instanceof ModelError))throw error;compare(NaN)}await rest()}return{
-count,largest}}var SLICE,begin,Replay,init_stored=__esm({"needlefit/viewer/page/stored.js"(){"use strict";init_needle();
-init_dom();init_errors();init_inputs();init_steered();SLICE=12;begin=(kernel,{scene})=>SteeredNeedle.begin(kernel,
-scene);Replay=class{steered;steps;at;changed;last;places=[];unit="s";constructor(steered,steps2){Object.assign(
-this,{steered,steps:steps2,at:0,changed:!1,last:new Map}),this.steps.forEach(([,changes],i)=>{for(let[name,,value]of changes)
-name==="return_to"&&this.last.set(value,i+1)})}to(n){for((this.changed||n<this.at)&&(this.steered.rewind(),Object.
-assign(this,{at:0,changed:!1}));this.at<n;)this.#next()}#next(){let[,changes]=this.steps[this.at];this.steered.
-apply(changes),this.at+=1,this.last.has(this.at)&&this.steered.keep();for(let[name,,value]of changes)name==="r\
-eturn_to"&&this.last.get(value)===this.at&&this.steered.forget(value)}}}});function refuse(error,below=part("flip").parentElement){if(!error.what)throw error;below.after(refusal),write(
+count:count2,largest}}var SLICE,begin2,Replay,init_stored=__esm({"needlefit/viewer/page/stored.js"(){"use stri\
+ct";init_needle();init_dom();init_errors();init_inputs();init_steered();SLICE=12;begin2=(kernel,{scene})=>SteeredNeedle.
+begin(kernel,scene);Replay=class{steered;steps;at;changed;last;places=[];unit="s";constructor(steered,steps2){
+Object.assign(this,{steered,steps:steps2,at:0,changed:!1,last:new Map}),this.steps.forEach(([,changes],i)=>{for(let[
+name,,value]of changes)name==="return_to"&&this.last.set(value,i+1)})}to(n){for((this.changed||n<this.at)&&(this.
+steered.rewind(),Object.assign(this,{at:0,changed:!1}));this.at<n;)this.#next()}#next(){let[,changes]=this.steps[this.
+at];this.steered.apply(changes),this.at+=1,this.last.has(this.at)&&this.steered.keep();for(let[name,,value]of changes)
+name==="return_to"&&this.last.get(value)===this.at&&this.steered.forget(value)}}}});function refuse(error,below=part("flip").parentElement){if(!error.what)throw error;below.after(refusal),write(
 refusal,`${error.what}. Expected: ${error.expected}.`)}function show(){steps+=1,part("undo").disabled=!past.length,
 part("redo").disabled=!future.length,take({...describeState(now.steered),step:steps,kind:"state"})}function forgetPast(){
-for(let one of[past,future])one.length=0;last=0,write(refusal,"")}function goHome(){forgetPast(),now.steered.rewind();
-try{insert(now.steered)}catch(error){refuse(error)}show()}function steer(lists,{gesture=newGesture(),whole=!1,
-below=void 0}={}){let{steered}=now,{number:number3}=steered;publish("steers"),write(refusal,"");let begins=gesture!==
-last;(begins||whole)&&steered.keep();try{for(let changes of lists)steered.apply(changes.map(([name,item,value])=>[
+for(let one of[past,future])one.length=0;last2=0,write(refusal,"")}function goHome(){forgetPast(),now.steered.
+rewind();try{insert(now.steered)}catch(error){refuse(error)}show()}function steer(lists,{gesture=newGesture(),
+whole=!1,below=void 0}={}){let{steered}=now,{number:number3}=steered;publish("steers"),write(refusal,"");let begins=gesture!==
+last2;(begins||whole)&&steered.keep();try{for(let changes of lists)steered.apply(changes.map(([name,item,value])=>[
 name,item,value+0]))}catch(error){if(refuse(error,below),whole&&steered.number>number3&&steered.apply([["retur\
 n_to",null,number3]]),whole||steered.number===number3)return void publish("unchanged")}begins&&(past.push(number3),
-future.length=0,past.length>MOST_UNDONE&&steered.forget(past.shift())),last=gesture,part("back").disabled=!1,show()}
-function goTo(from,to){if(!from.length)return;publish("steers"),write(refusal,"");let{steered}=now;steered.keep(),
-to.push(steered.number),steered.apply([["return_to",null,from.pop()]]),last=0,show()}var MOST_UNDONE,refusal,past,
-future,steps,gestures,last,newGesture,change,undo,redo,init_steering=__esm({"needlefit/viewer/page/steering.js"(){
-"use strict";init_dom();init_state();init_stored();init_store();MOST_UNDONE=200,refusal=part("refusal"),[past,
-future]=[[],[]],[steps,gestures,last]=[0,0,0],newGesture=()=>gestures+=1;change=(changes,how)=>steer([changes],
-how);undo=()=>goTo(past,future),redo=()=>goTo(future,past);listen("notice",({what,expected})=>refuse({what,expected}))}});async function followAddress(choose2){let address=location.hash.slice(1);if(!address)return!1;let{needles}=now.
+future.length=0,past.length>MOST_UNDONE&&steered.forget(past.shift())),last2=gesture,part("back").disabled=!1,
+show()}function goTo(from,to){if(!from.length)return;publish("steers"),write(refusal,"");let{steered}=now;steered.
+keep(),to.push(steered.number),steered.apply([["return_to",null,from.pop()]]),last2=0,show()}var MOST_UNDONE,refusal,
+past,future,steps,gestures,last2,newGesture,change,undo,redo,init_steering=__esm({"needlefit/viewer/page/steer\
+ing.js"(){"use strict";init_dom();init_state();init_stored();init_store();MOST_UNDONE=200,refusal=part("refusa\
+l"),[past,future]=[[],[]],[steps,gestures,last2]=[0,0,0],newGesture=()=>gestures+=1;change=(changes,how)=>steer(
+[changes],how);undo=()=>goTo(past,future),redo=()=>goTo(future,past);listen("notice",({what,expected})=>refuse(
+{what,expected}))}});async function followAddress(choose2){let address=location.hash.slice(1);if(!address)return!1;let{needles}=now.
 data,below=part("proof").parentElement;try{if(part(decode(address)))return!1;let name=nameIn(address),number3=needles.
 findIndex(one=>nameOf2(one)===name);if(name!==null&&number3<0)throw new ModelError(`the address has needle=${name}`,
 needles.map(nameOf2).join(", "));number3>=0&&needles[number3]!==now.needle&&await choose2(number3);let lists=readAddress(
@@ -1123,23 +1144,22 @@ part("errors"),[...metrics,["noise floor","mm",e=>e.floor_mm?.toFixed(3)??"–"]
 length?`outside the model: ${faults.join("; ")}`:"";listen("state",state=>{refresh(),write("described",inWords());
 let words=exceeded(state);write("beyond",words&&`${words[0].toUpperCase()}${words.slice(1)}. Its shape cannot \
 be relied on.`),part("beyond").classList.toggle("low",toPy(state.tip.y)<view.box.top+view.box.height/2)});angle=
-({rotation})=>`${signed(toDegrees(rotation),1)} degrees`}});function draw2(wide,begin2){let kept={...view},[across,tall]=size();onPaper(!0);try{let{box:box2,scale}=view,width=wide*
-PX_PER_MM,share=(width-(across-box2.width))/box2.width,figure=[width,tall-box2.height+share*box2.height],above=isSpatial()?
-part("above").clientHeight:0,all=[width,figure[1]+above];Object.assign(view,{scale:scale*share,box:{...box2,width:share*
-box2.width,height:share*box2.height}});let context=begin2(all);return paint(context,figure),context.translate(
-0,figure[1]),above&&paintAbove(context,width,above),all}finally{Object.assign(view,kept),onPaper(!1),redraw()}}
-function onPaper(on){usePaper(on),readPalette()}function drawPng(wide){let canvas3=document.createElement("can\
-vas");return draw2(wide,figure=>{let times=DPI/96;Object.assign(canvas3,{width:Math.round(times*figure[0]),height:Math.
-round(times*figure[1])});let context=getContext(canvas3);return context.scale(times,times),context}),new Promise(
-resolve=>canvas3.toBlob(resolve,"image/png"))}function drawSvg(wide){let context=new FigureContext,figure=draw2(
-wide,()=>context);return new Blob([writeSvg(context.drawn,figure,wide,now.scene.title,inWords())],{type:"image\
-/svg+xml"})}var PX_PER_MM,DPI,init_figure=__esm({"needlefit/viewer/page/figure.js"(){"use strict";init_above();
-init_dom();init_drawing();init_figure_context();init_link();init_strokes();init_readouts();init_store();init_view();
+({rotation})=>`${signed(toDegrees(rotation),1)} degrees`}});function drawFigure(wide,begin3){let[across,tall]=size(),{box,scale}=view,width=wide*PX_PER_MM,share=(width-(across-
+box.width))/box.width,height=tall-box.height+share*box.height,above=isSpatial()?part("above").clientHeight:0,sheet=begin3(
+[width,height+above]);return readPalette(!0),look({scale:scale*share,box:{...box,width:share*box.width,height:share*
+box.height}},()=>{above&&sheet.turned([0,height],0,()=>paintAbove(sheet,[width,above])),paintPicture(sheet,[width,
+height])}),readPalette(),redraw(),sheet}function drawPng(wide){let canvas2=document.createElement("canvas"),times=DPI/
+96;return drawFigure(wide,([width,height])=>{Object.assign(canvas2,{width:Math.round(times*width),height:Math.
+round(times*height)});let context=getContext(canvas2);return context.scale(times,times),new Screen(context)}),
+new Promise(resolve=>canvas2.toBlob(resolve,"image/png"))}function drawSvg(wide){let{svg}=drawFigure(wide,figure=>new Figure(
+figure,wide,now.scene.title,inWords()));return new Blob([new XMLSerializer().serializeToString(svg)],{type:"im\
+age/svg+xml"})}var PX_PER_MM,DPI,init_figure=__esm({"needlefit/viewer/page/figure.js"(){"use strict";init_dom();
+init_drawing();init_link();init_picture();init_strokes();init_readouts();init_sheet();init_store();init_view();
 PX_PER_MM=96/25.4,DPI=300;press("save-figure",async()=>{if(!now.state)return;let[format,wide]=[part("figure-fo\
 rmat").value,Number(part("figure-width").value)],figure=await(format==="png"?drawPng(wide):drawSvg(wide)),name=`${nameOf2(
 now.needle).replace(/[^\w-]+/g,"-")}.${format}`;hand(figure,name),write("link-note",`Saved ${name}: the pictur\
-e as it is shown.`)});for(let[kind,on]of[["beforeprint",!0],["afterprint",!1]])addEventListener(kind,()=>{onPaper(
-on),now.state&&paint(getContext(part("canvas")),size())})}});function makeField(into,about){let part2=template.content.firstElementChild.cloneNode(!0),[number3,slider,mark,
+e as it is shown.`)});for(let[kind,on]of[["beforeprint",!0],["afterprint",!1]])addEventListener(kind,()=>{readPalette(
+on),draw()})}});function makeField(into,about){let part2=template.content.firstElementChild.cloneNode(!0),[number3,slider,mark,
 back]=[".number",".slider",".mark",".home"].map(one=>part2.querySelector(one)),[to,from]=about.logarithmic?LOGARITHMIC:
 LINEAR,[low,high]=(about.limits??[0,1]).map(to),field={read:Number,step:1,...about,part:part2,number:number3,slider,
 mark,back,value:null,latest:0,text:"",home:null,editing:!1,gesture:newGesture(),share:value=>Math.min(Math.max(
@@ -1189,9 +1209,9 @@ one=>one.item===item)??guide)[key2]??0,name=axis=>({name:`guide ${shortName({ite
 symbol:"guide"});add("guide-fields",["guide_x_mm",item],{...mm,...name("x"),write:digits(2)},read("x")),add("g\
 uide-fields",["guide_y_mm",item],{...mm,...name("y"),write:digits(3)},read("y")),guide.slope!==null&&add("guid\
 e-fields",["guide_slope",item],{...tilt,...name("slope")},read("slope"),angle2)}),part("guide-part").hidden=!first.
-controls.guides.length;let{key,symbol,unit,digits:count,step,here,throughout}=strengthOf(fitted);recording?.some(
+controls.guides.length;let{key,symbol,unit,digits:count2,step,here,throughout}=strengthOf(fitted);recording?.some(
 ([,changes])=>changes.some(([name])=>name===here))||add("tissue-fields",[throughout,null],{name:symbol,symbol,
-unit,step,write:digits(count),limits:limits[key]},of=>(of.bevel??of)[key]),part("shape-part").hidden=!law.terms||
+unit,step,write:digits(count2),limits:limits[key]},of=>(of.bevel??of)[key]),part("shape-part").hidden=!law.terms||
 !shapes.length,fitted.layers.forEach((layer,i)=>{let called=names[i]||`layer ${i+1}`;if(add("tissue-fields",["\
 mu_pa",i+1],{...modulusLike(layer.mu_pa),name:`μ ${called}`,symbol:"μ",logarithmic:!0,step:1.05,limits:limits.
 mu_pa},of=>of.layers[i].mu_pa),!!law.terms)for(let{name,symbol:symbol2,unit:unit2}of shapes){let[low,high]=limits[name],
@@ -1199,35 +1219,41 @@ about={name:`${symbol2} ${called}`,symbol:symbol2,unit:unit2,step:Math.min(.1,(h
 limits:[low,high]};add("shape-fields",[name,i+1],about,of=>of.layers[i][name])}})}function refresh2(){for(let[
 field,current]of fields)show2(field,current());part("side").textContent=describeRoll(now.state.bevel)}var digits,
 fields,init_inputs2=__esm({"needlefit/viewer/page/inputs.js"(){"use strict";init_dom();init_fields();init_inputs();
-init_quantities();init_steering();init_store();digits=count=>value=>value.toFixed(count),fields=[];for(let kind of[
-"state","unchanged"])listen(kind,refresh2)}});function go(key,changes){let at=performance.now(),again=key===last2.key&&at-last2.at<WITHIN;Object.assign(last2,
-{key,at,gesture:again?last2.gesture:newGesture()}),change(changes,{gesture:last2.gesture})}function insert2(mm){
+init_quantities();init_steering();init_store();digits=count2=>value=>value.toFixed(count2),fields=[];for(let kind of[
+"state","unchanged"])listen(kind,refresh2)}});function toggle(name){now.shown[name]=!now.shown[name],chips[name].ariaPressed=String(now.shown[name]),redraw()}
+function pin(){let{x:x2,y:y2,z}=now.state;setPinned(now.pinned?null:{x:x2,y:y2,z})}function setPinned(curve){now.
+pinned=curve,part("pin").ariaPressed=String(!!curve),write("pin",curve?"Unpin":"Pin"),offer({pinned:curve}),redraw()}
+var CHIPS,fits,chips,offer,init_toolbar=__esm({"needlefit/viewer/page/toolbar.js"(){"use strict";init_dom();init_store();
+init_view();CHIPS={measured:["measured"],errors:["errors","Gaps at the tip (TE) and along the shaft (IPE)"],band:[
+"95 % band","95 % of the needles lie wholly inside"],plan:["plan"],pinned:["pinned"],points:["constraint point\
+s","What holds the needle in the tissue: points of the model, not data"],path:["tip path","Where the tip was a\
+t each depth"],load:["load","Lateral load of the tissue on the shaft, within the limits of the model"],inset:[
+"true scale","The needle in a corner, with y as large as x"]},fits=document.querySelectorAll("[data-fit]"),chips=
+Object.fromEntries(Object.entries(CHIPS).map(([name,[called,title=""]])=>{let swatch=element("i",{ariaHidden:"\
+true",className:`swatch ${name}`}),chip=button([swatch,called],()=>toggle(name),{title,ariaPressed:String(now.
+shown[name])});return chip.dataset.show=name,[name,chip]}));part("chips").append(...Object.values(chips));offer=
+there=>Object.entries(there).forEach(([name,is])=>chips[name].hidden=!is);press("pin",pin);for(let one of fits)
+press(one,()=>fit(one.dataset.fit));listen("scene",({measured,draws,plan})=>{offer({measured,errors:measured,band:draws,
+plan}),setPinned(null)});listen("redraw",()=>fits.forEach(one=>one.ariaPressed=String(one.dataset.fit===view.fit)))}});function go(key,changes){let at=performance.now(),again=key===last3.key&&at-last3.at<WITHIN;Object.assign(last3,
+{key,at,gesture:again?last3.gesture:newGesture()}),change(changes,{gesture:last3.gesture})}function insert2(mm){
 let{step:{depth},scene}=now.steered,end=Math.max(Math.min(now.steered.reach(),scene.limits.depth_mm),depth);go(
 "insert",[["depth_mm",null,Math.min(Math.max(depth+mm,0),end)]])}function hear(event){if(!now.state||event.altKey)
 return;let key=event.key.length===1?event.key.toLowerCase():event.key,act=event.ctrlKey||event.metaKey?COMMANDS[key]:
-KEYS.find(([keys])=>keys.includes(key))?.[3];act&&(event.preventDefault(),act(event))}var ROLL,WITHIN,last2,flip,
+KEYS.find(([keys])=>keys.includes(key))?.[3];act&&(event.preventDefault(),act(event))}var ROLL,WITHIN,last3,flip,
 roll,moveBase,KEYS,COMMANDS,init_keyboard=__esm({"needlefit/viewer/page/keyboard.js"(){"use strict";init_dom();
-init_inputs();init_steering();init_store();init_view();ROLL=10,WITHIN=1e3,last2={key:"",at:-1/0,gesture:0};flip=
-()=>change([turnOver(now.state.bevel.roll_deg)]),roll=by=>go("roll",[["bevel_roll_deg",null,wrap(now.state.bevel.
-roll_deg+by)]]),moveBase=mm=>go("base",[["base_y_mm",null,now.state.base.input_y+mm]]),KEYS=[[["ArrowRight"],"\
-→","insert 1 mm; with Shift 0.1 mm",e=>insert2(e.shiftKey?.1:1)],[["ArrowLeft"],"←","retract, likewise",e=>insert2(
-e.shiftKey?-.1:-1)],[["ArrowUp"],"↑","base up by 0.1 mm; with Shift by 1 mm",e=>moveBase(e.shiftKey?1:.1)],[
-["ArrowDown"],"↓","base down, likewise",e=>moveBase(e.shiftKey?-1:-.1)],[["f"],"F","flip the bevel",flip],[[
-"r"],"R",`roll the bevel by ${ROLL}°; with Shift back`,e=>roll(e.shiftKey?-ROLL:ROLL)],[["1"],"1","show the w\
-hole needle",()=>fit("whole")],[["2"],"2","show the tissue",()=>fit("tissue")],[["3"],"3","follow the tip",()=>fit(
-"tip")]],COMMANDS={z:event=>event.shiftKey?redo():undo(),y:()=>redo()};for(let[written3,what]of[...KEYS.map(([
-,key,effect])=>[key,effect]),["Ctrl+Z, Y","undo, redo"]])part("key-list").append(entry(element("kbd",{},written3),
-what));part("canvas").addEventListener("keydown",hear);press("undo",undo);press("redo",redo);press("flip",flip)}});function toggle(name){now.shown[name]=!now.shown[name],chips[name].ariaPressed=String(now.shown[name]),redraw()}
-var CHIPS,fits,chips,offer,init_toolbar=__esm({"needlefit/viewer/page/toolbar.js"(){"use strict";init_dom();init_store();
-init_view();CHIPS={measured:["measured"],errors:["errors","Gaps at the tip (TE) and along the shaft (IPE)"],band:[
-"95 % band","95 % of the needles lie wholly inside"],plan:["plan"]},fits=document.querySelectorAll("[data-fit]"),
-chips=Object.fromEntries(Object.entries(CHIPS).map(([name,[called,title=""]])=>{let swatch=element("i",{ariaHidden:"\
-true",className:`swatch ${name}`}),chip=button([swatch,called],()=>toggle(name),{title,ariaPressed:String(now.
-shown[name])});return chip.dataset.show=name,[name,chip]}));part("chips").append(...Object.values(chips));offer=
-there=>Object.entries(there).forEach(([name,is])=>chips[name].hidden=!is);offer({measured:!1,errors:!1,band:!1,
-plan:!1});for(let one of fits)press(one,()=>fit(one.dataset.fit));listen("scene",({measured,draws,plan})=>offer(
-{measured,errors:measured,band:draws,plan}));listen("redraw",()=>fits.forEach(one=>one.ariaPressed=String(one.
-dataset.fit===view.fit)))}});function goBack(){write("link-note",""),part("back").disabled=!0,now.replay?showStep(now.replay.steps.length):
+init_inputs();init_steering();init_store();init_toolbar();init_view();ROLL=10,WITHIN=1e3,last3={key:"",at:-1/0,
+gesture:0};flip=()=>change([turnOver(now.state.bevel.roll_deg)]),roll=by=>go("roll",[["bevel_roll_deg",null,wrap(
+now.state.bevel.roll_deg+by)]]),moveBase=mm=>go("base",[["base_y_mm",null,now.state.base.input_y+mm]]),KEYS=[[
+["ArrowRight"],"→","insert 1 mm; with Shift 0.1 mm",e=>insert2(e.shiftKey?.1:1)],[["ArrowLeft"],"←","retra\
+ct, likewise",e=>insert2(e.shiftKey?-.1:-1)],[["ArrowUp"],"↑","base up by 0.1 mm; with Shift by 1 mm",e=>moveBase(
+e.shiftKey?1:.1)],[["ArrowDown"],"↓","base down, likewise",e=>moveBase(e.shiftKey?-1:-.1)],[["f"],"F","flip \
+the bevel",flip],[["r"],"R",`roll the bevel by ${ROLL}°; with Shift back`,e=>roll(e.shiftKey?-ROLL:ROLL)],[["\
+k"],"K","pin this needle to compare with, or unpin",pin],[["+","="],"+","zoom in; a drag shifts, a double clic\
+k shows the tissue",()=>zoom(1.25)],[["-"],"−","zoom out",()=>zoom(.8)],[["1"],"1","show the whole needle",()=>fit(
+"whole")],[["2"],"2","show the tissue",()=>fit("tissue")],[["3"],"3","follow the tip",()=>fit("tip")]],COMMANDS=
+{z:event=>event.shiftKey?redo():undo(),y:()=>redo()};for(let[written3,what]of[...KEYS.map(([,key,effect])=>[key,
+effect]),["Ctrl+Z, Y","undo, redo"]])part("key-list").append(entry(element("kbd",{},written3),what));part("can\
+vas").addEventListener("keydown",hear);press("undo",undo);press("redo",redo);press("flip",flip)}});function goBack(){write("link-note",""),part("back").disabled=!0,now.replay?showStep(now.replay.steps.length):
 goHome()}function showStep(n,clock=placeOf(n)){let replay=shown();forgetPast(),replay.to(n),part("scrub").value=
 n===replay.steps.length?part("scrub").max:clock,part("scrub").ariaValueText=`${clock.toFixed(1)} ${replay.unit}`,
 write("time",`${clock.toFixed(1)} of ${placeOf(replay.steps.length).toFixed(1)} ${replay.unit}`),show()}function openRecording(recording,planned=!1){
@@ -1235,13 +1261,13 @@ if(part("transport").hidden=!recording,now.replay=null,!recording)return;let dep
 ([name])=>name==="depth_mm")[2],places=recording.map(planned?depthOf:([time])=>time);now.replay=Object.assign(
 new Replay(now.steered,recording),{places,unit:planned?"mm of the plan":"s of the recording"}),part("scrub").max=
 Math.ceil(10*(places.at(-1)??0))/10,part("scrub").ariaLabel=planned?"depth along the plan, mm":"time of the re\
-cording, s"}function readRecording(text){let lines=text.split(/\r?\n/),count=lines.findIndex(one=>!one.startsWith(
-"#")),number3=now.data.needles.findIndex(({head})=>head&&identify(head)===identify(text));if(count<1||lines[count]!==
+cording, s"}function readRecording(text){let lines=text.split(/\r?\n/),count2=lines.findIndex(one=>!one.startsWith(
+"#")),number3=now.data.needles.findIndex(({head})=>head&&identify(head)===identify(text));if(count2<1||lines[count2]!==
 COLUMNS)throw new ModelError("the file is no recording","a file of Save recording, or of needlefit plan");if(number3<
 0)throw new ModelError("the recording is of another scene","one of this page; needlefit view --recording opens\
- others");let steps2=[];for(let row of lines.slice(count+1).filter(Boolean)){let[step,time,name,item,value,tip]=row.
-split(",");Number(step)>steps2.length&&steps2.push([Number(time),[],NaN]);let last3=steps2.at(-1);last3[1].push(
-[name,item?Number(item):null,Number(value)]),tip&&(last3[2]=Number(tip))}return{number:number3,steps:steps2}}function openDropped(choose2){
+ others");let steps2=[];for(let row of lines.slice(count2+1).filter(Boolean)){let[step,time,name,item,value,tip]=row.
+split(",");Number(step)>steps2.length&&steps2.push([Number(time),[],NaN]);let last4=steps2.at(-1);last4[1].push(
+[name,item?Number(item):null,Number(value)]),tip&&(last4[2]=Number(tip))}return{number:number3,steps:steps2}}function openDropped(choose2){
 addEventListener("dragover",event=>event.preventDefault()),addEventListener("drop",async event=>{event.preventDefault();
 let[file]=event.dataTransfer?.files??[];if(file)try{let{number:number3,steps:steps2}=readRecording(await file.
 text());await choose2(number3),openRecording(steps2),goBack(),write("link-note",`Opened ${file.name}.`)}catch(error){
@@ -1262,25 +1288,25 @@ changed=!0)});press("save-recording",()=>{let name=`${nameOf2(now.needle).replac
 ens on this page, and with: needlefit view --recording ${name}`)});identify=head=>head.split(`
 `).filter(one=>one.startsWith("#")).slice(1).filter(one=>!one.startsWith("# needlefit =")).join(`
 `);keyOf=needle=>`needlefit ${location.pathname} ${nameOf2(needle)}`,keeping=0;listen("steers",()=>{clearTimeout(
-keeping),keeping=setTimeout(keep,PAUSE)});addEventListener("pagehide",()=>keeping&&keep())}});var main_exports={};async function choose(number3){let{data}=now;part("needle-choice").value=number3;let steered=await begin(
+keeping),keeping=setTimeout(keep,PAUSE)});addEventListener("pagehide",()=>keeping&&keep())}});var main_exports={};async function choose(number3){let{data}=now;part("needle-choice").value=number3;let steered=await begin2(
 data.kernel,data.needles[number3]);if(Number(part("needle-choice").value)!==number3)return;let needle=data.needles[number3];
 Object.assign(now,{needle,steered});let{scene}=needle;openRecording(needle.recording,!!needle.scene.plan),take(
 {...scene,kind:"scene"}),buildFields(needle);let specimen=needle.new_specimen?" (of a specimen that was not fi\
 tted)":"",draws=counted(scene.draws?.sets??0,"posterior draw");write("band-note",scene.draws?`Band: 95 % of th\
 e needles of ${draws}${specimen} lie wholly in it. Noise and model error are not included.`:""),part("origin-m\
-ark")&&write("origin-mark",scene.origin_mark),goBack()}async function stateAgreement(){let{data}=now,{count,largest}=await prove(
-data,SAME),[what,of]=data.needles[0].recording?["recorded state","recording"]:["needle",data.title?"report":"p\
-rogram"],[agrees,place]=[largest<SAME,part("proof")],found=largest===0?`the same bytes as in the ${of}`:`up to\
- ${largest.toExponential(1)} mm from the ${of}`;place.className=`quiet ${agrees?"good":"bad"}`,place.dataset.count=
-count,place.dataset.largest=largest;let checked=`Self-check ${agrees?"passed":"failed"}: ${counted(count,what)}\
- computed here`;write("proof",`${checked}, ${Number.isNaN(largest)?"one without a result":found} (needlefit ${data.
-needlefit}).`)}async function start(){let data=now.data=await load(),script=new Blob([part("program").textContent],
-{type:"text/javascript"});computeBands(new Worker(URL.createObjectURL(script)),data.kernel,()=>({name:data.needles.
-indexOf(now.needle),steered:now.steered}));let choice=part("needle-choice");choice.append(...data.needles.map(
-(one,i)=>element("option",{value:String(i)},[nameOf2(one),one.group].filter(Boolean).join(", ")))),part("choos\
-ing").hidden=data.needles.length<2,choice.addEventListener("change",()=>choose(Number(choice.value))),addEventListener(
-"hashchange",()=>followAddress(choose)),openDropped(choose),await choose(0),await followAddress(choose)||restore(),
-await stateAgreement()}var init_main=__esm({"needlefit/viewer/page/main.js"(){"use strict";init_above();init_address();
-init_bands();init_dom();init_figure();init_inputs2();init_keyboard();init_link();init_toolbar();init_quantities();
+ark")&&write("origin-mark",scene.origin_mark),goBack()}async function stateAgreement(){let{data}=now,{count:count2,
+largest}=await prove(data,SAME),[what,of]=data.needles[0].recording?["recorded state","recording"]:["needle",data.
+title?"report":"program"],[agrees,place]=[largest<SAME,part("proof")],found=largest===0?`the same bytes as in \
+the ${of}`:`up to ${largest.toExponential(1)} mm from the ${of}`;place.className=`quiet ${agrees?"good":"bad"}`,
+place.dataset.count=count2,place.dataset.largest=largest;let checked=`Self-check ${agrees?"passed":"failed"}: ${counted(
+count2,what)} computed here`;write("proof",`${checked}, ${Number.isNaN(largest)?"one without a result":found} \
+(needlefit ${data.needlefit}).`)}async function start(){let data=now.data=await load(),script=new Blob([part("\
+program").textContent],{type:"text/javascript"});computeBands(new Worker(URL.createObjectURL(script)),data.kernel,
+()=>({name:data.needles.indexOf(now.needle),steered:now.steered}));let choice=part("needle-choice");choice.append(
+...data.needles.map((one,i)=>element("option",{value:String(i)},[nameOf2(one),one.group].filter(Boolean).join(
+", ")))),part("choosing").hidden=data.needles.length<2,choice.addEventListener("change",()=>choose(Number(choice.
+value))),addEventListener("hashchange",()=>followAddress(choose)),openDropped(choose),await choose(0),await followAddress(
+choose)||restore(),await stateAgreement()}var init_main=__esm({"needlefit/viewer/page/main.js"(){"use strict";
+init_address();init_bands();init_dom();init_figure();init_inputs2();init_keyboard();init_link();init_quantities();
 init_recording();init_store();init_stored();start().catch(error=>{throw write("proof",`The needle was not comp\
 uted: ${error.message}`),part("proof").classList.add("bad"),error})}});typeof document>"u"?Promise.resolve().then(()=>(init_band_worker(),band_worker_exports)):Promise.resolve().then(()=>(init_main(),main_exports));})();

@@ -372,4 +372,18 @@ export class Session {
       return heap.floats(out, size).slice();
     });
   }
+
+  /** The lateral load of the tissue (planes * K), N/mm, at beam coordinates `s` (K), mm, as `compute_lateral_load` in Python. */
+  load(s) {
+    const { heap, shape, problem } = this,
+      { planes, x, u, slope, constraints } = shape;
+    return heap.borrow(() => {
+      const cells = constraints.length / (1 + planes) - 1,
+        needle = heap.structure([x.length, cells], [], [x, u, slope, constraints].map((array) => heap.put(array))),
+        memory = heap.take(heap.call.nf_memory(problem.at, 1n)),
+        out = heap.take(8 * planes * s.length);
+      heap.call.nf_load(problem.at, needle, BigInt(s.length), heap.put(Float64Array.from(s)), memory, out);
+      return heap.floats(out, planes * s.length).slice();
+    });
+  }
 }

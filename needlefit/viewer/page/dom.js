@@ -36,20 +36,15 @@ export function hand(blob, name) {
 }
 
 const dark = matchMedia("(prefers-color-scheme: dark)");
-let paper = false;
-export const isDark = () => dark.matches && !paper;
 
-/** Have the light colours drawn, as on paper, whatever the reader's scheme is. */
-export const usePaper = (on) => (paper = on);
-
-/** Call `act` once the reader's colour scheme has changed. */
+/** Call `act` once the reader's colour scheme has changed. @param {() => void} act */
 export const onScheme = (act) => dark.addEventListener("change", act);
 
-/** What is drawn with on a canvas. */
+/** What is drawn with on a canvas. @param {HTMLCanvasElement} canvas */
 export const getContext = (canvas) => /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d", { alpha: false }));
 
-/** A colour of the style sheet: light-dark(one, other), or one for both. */
-export function colour(name) {
+/** A colour of the style sheet: light-dark(one, other), or one for both; on paper the light one. @param {string} name @param {boolean} paper */
+export function colour(name, paper) {
   const both = getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).match(/#\w+/g) ?? [""];
-  return both[isDark() ? both.length - 1 : 0];
+  return both[dark.matches && !paper ? both.length - 1 : 0];
 }

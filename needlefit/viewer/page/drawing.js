@@ -1,71 +1,60 @@
-/** The picture, drawn anew in the next frame after something has changed. */
+/** The picture and the view from above, drawn anew in the next frame after something has changed, and moved by the pointer. */
 
 import { getContext, onScheme, part } from "./dom.js";
-import { paintAxes, paintTissue } from "./painters/background.js";
-import * as needle from "./painters/needle.js";
-import * as overlay from "./painters/overlay.js";
-import { avoid, clearLabels, palette, placesOf, readPalette, within } from "./painters/strokes.js";
+import { isSpatial, paintAbove, paintPicture } from "./painters/picture.js";
+import { readPalette } from "./painters/strokes.js";
+import { Screen } from "./sheet.js";
 import { listen, now, publish, redraw } from "./store.js";
-import { follow, resize } from "./view.js";
+import { fit, follow, pan, resize, zoom } from "./view.js";
 
-const picture = part("picture");
+const NOTCHES = [300, 10, 2]; // wheel units that halve the scale, by deltaMode
+/** @type {HTMLCanvasElement} */
 const canvas = part("canvas");
-const screen = getContext(canvas);
 let frame = 0;
 
-/** Width and height of the picture, px. */
-export const size = () => [picture.clientWidth, picture.clientHeight];
+/** Width and height of the picture, px. @returns {Point} */
+export const size = () => [canvas.clientWidth, canvas.clientHeight];
 
-/** Draw the picture in a context of a size, px. */
-export function paint(context, figure) {
-  const { state, shown, scene, band: newest } = now;
-  // while a needle moves faster than draws are computed, their band is of a place that it has left
-  const band = shown.band && newest && overlay.isBandNear(newest, state) ? newest : null;
-  const measured = shown.measured ? scene.measured : null;
-  context.fillStyle = palette.gutter;
-  context.fillRect(0, 0, ...figure);
-  clearLabels();
-  needle.reserveNeedle(state);
-  if (measured) avoid(placesOf(measured.x, measured.y));
-  context.lineJoin = "round";
-  within(context, now.view.box, () => {
-    paintTissue(context);
-    if (band) overlay.paintBand(context, band, band.step !== state.step);
-    if (shown.plan && scene.plan) overlay.paintPlan(context, scene.plan);
-    needle.paintNeedle(context, state);
-    overlay.paintPrediction(context, state);
-    if (measured) overlay.paintMeasured(context, measured);
-    if (measured && shown.errors) overlay.paintGaps(context, state, measured);
-    needle.paintGuides(context, state);
-    needle.paintBase(context, state);
-    if (measured) overlay.nameNeedle(context, state);
-    if (band) overlay.nameBand(context, band);
-  });
-  paintAxes(context);
+/** A sheet on a canvas, which gets as many pixels as the screen has for it. @param {HTMLCanvasElement} on */
+function makeSheet(on) {
+  const [width, height] = [on.clientWidth, on.clientHeight].map((one) => Math.round(one * devicePixelRatio));
+  if (on.width !== width || on.height !== height) Object.assign(on, { width, height });
+  const context = getContext(on);
+  context.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
+  return new Screen(context);
 }
 
-/** Give the canvas as many pixels as the screen has for it. */
-function measure() {
-  const [width, height] = size();
-  canvas.width = Math.round(width * devicePixelRatio);
-  canvas.height = Math.round(height * devicePixelRatio);
-  screen.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
-  resize(width, height);
-  redraw();
+/** Draw at once, as before the page is printed. */
+export function draw() {
+  frame = 0;
+  if (now.state) {
+    const above = part("above");
+    above.hidden = !isSpatial();
+    if (!above.hidden) paintAbove(makeSheet(above), [above.clientWidth, above.clientHeight]);
+    paintPicture(makeSheet(canvas), size());
+    document.body.classList.add("begun");
+  }
+  publish("drawn");
 }
 
-listen("redraw", () => {
-  frame ||= requestAnimationFrame(() => {
-    frame = 0;
-    if (now.state) {
-      paint(screen, size());
-      document.body.classList.add("begun");
-    }
-    publish("drawn");
-  });
-});
+listen("redraw", () => (frame ||= requestAnimationFrame(draw)));
 listen("state", () => (follow(), redraw()));
 listen("band", redraw);
-new ResizeObserver(measure).observe(picture);
+new ResizeObserver(() => resize(...size())).observe(part("picture"));
+new ResizeObserver(redraw).observe(part("above"));
 onScheme(() => (readPalette(), redraw()));
 readPalette();
+
+// A mouse shifts what is seen, its wheel zooms once the picture has the focus: before, both are the page's.
+let last = [0, 0]; // where the pointer was, px
+canvas.addEventListener("pointerdown", ({ pointerId }) => canvas.setPointerCapture(pointerId));
+canvas.addEventListener("pointermove", ({ buttons, pointerType, offsetX, offsetY }) => {
+  if (buttons === 1 && pointerType !== "touch") pan(offsetX - last[0], offsetY - last[1]);
+  last = [offsetX, offsetY];
+});
+canvas.addEventListener("wheel", (event) => {
+  if (document.activeElement !== canvas && !event.ctrlKey) return;
+  event.preventDefault();
+  zoom(2 ** (-event.deltaY / NOTCHES[event.deltaMode]), [event.offsetX, event.offsetY]);
+}, { passive: false });
+canvas.addEventListener("dblclick", () => fit("tissue"));

@@ -10,7 +10,7 @@ import { listen, now } from "./store.js";
 const digits = (count) => (value) => value.toFixed(count);
 let fields = []; // [field, () => value]
 
-/** @typedef {import("./types").Needle} Needle */
+
 
 /** Make the fields of a scene. Depth, base and guides of a recording have no values to go back to. @param {Needle} needle */
 export function buildFields({ scene, recording }) {

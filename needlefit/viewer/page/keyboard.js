@@ -4,7 +4,8 @@ import { element, entry, part, press } from "./dom.js";
 import { turnOver, wrap } from "./model/inputs.js";
 import { change, newGesture, redo, undo } from "./steering.js";
 import { now } from "./store.js";
-import { fit } from "./view.js";
+import { pin } from "./toolbar.js";
+import { fit, zoom } from "./view.js";
 
 const ROLL = 10; // degrees
 const WITHIN = 1000; // ms; a key pressed again so soon goes on with what the one before began
@@ -37,6 +38,9 @@ const KEYS = [
   [["ArrowDown"], "↓", "base down, likewise", (e) => moveBase(e.shiftKey ? -1 : -0.1)],
   [["f"], "F", "flip the bevel", flip],
   [["r"], "R", `roll the bevel by ${ROLL}°; with Shift back`, (e) => roll(e.shiftKey ? -ROLL : ROLL)],
+  [["k"], "K", "pin this needle to compare with, or unpin", pin],
+  [["+", "="], "+", "zoom in; a drag shifts, a double click shows the tissue", () => zoom(1.25)],
+  [["-"], "−", "zoom out", () => zoom(0.8)],
   [["1"], "1", "show the whole needle", () => fit("whole")],
   [["2"], "2", "show the tissue", () => fit("tissue")],
   [["3"], "3", "follow the tip", () => fit("tip")],

@@ -6,7 +6,7 @@ import { ModelError } from "./model/inputs.js";
 import { refuse, steer } from "./steering.js";
 import { now } from "./store.js";
 
-/** @type {(needle: import("./types").Needle) => string} */
+/** @type {(needle: Needle) => string} */
 export const nameOf = ({ name, scene }) => name ?? scene.measured?.id ?? scene.title;
 
 /** Show the needle of the address; resolves to whether it has one. The place of another part of a report is none. */

@@ -1,6 +1,5 @@
 /** The page: its needles are those of the file, one is shown, and steered by who reads it. */
 
-import "./above.js";
 import { SAME } from "./address.js";
 import { computeBands } from "./bands.js";
 import { element, part, write } from "./dom.js";
@@ -8,7 +7,6 @@ import "./figure.js";
 import { buildFields } from "./inputs.js";
 import "./keyboard.js";
 import { followAddress, nameOf } from "./link.js";
-import "./toolbar.js";
 import { counted } from "./quantities.js";
 import { goBack, openDropped, openRecording, restore } from "./recording.js";
 import { now, take } from "./store.js";

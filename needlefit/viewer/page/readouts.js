@@ -6,7 +6,7 @@ import { describeRoll, isSteered, listErrors, predictionOf, signed, strengthOf, 
 import { listen, now } from "./store.js";
 import { toPy, view } from "./view.js";
 
-/** @typedef {import("./types").Measured} Measured */
+
 
 /** What is read of the needle: a name, a unit, and how it is written from a state. */
 const NEEDLE = [

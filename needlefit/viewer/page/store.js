@@ -1,13 +1,14 @@
 /** What the page knows, and the listeners to what changes. */
 
-/** @typedef {import("./types").Now} Now */
+
 
 /**
  * All that the page knows; also `window.needlefit`, for whoever measures it. `data` is the file's, `needle` one of its needles,
  * `steered` that needle as it is steered, `state` what is shown of it, `shown` the layers of the picture.
  */
 export const now = /** @type {Now} */ (/** @type {Partial<Now>} */ ({
-  replay: null, band: null, shown: { errors: false, measured: true, band: true, plan: true }, labels: [], avoided: [],
+  replay: null, band: null, pinned: null, labels: [], avoided: [],
+  shown: { measured: true, band: true, plan: true, pinned: true, errors: false, points: false, path: false, load: false, inset: false },
 }));
 Object.assign(window, { needlefit: now });
 

@@ -9,21 +9,33 @@ const ROOM = 56; // px above and below the needle, for labels; at most 0.2 of th
 const LEAST_SPAN = 0.01; // of the depth: smaller deflections are not magnified further
 const LOW = 0.45; // part of the room below which a needle at rest is magnified anew
 const TIP_WINDOW = 45; // mm seen across while the tip is followed
+const SCALES = /** @type {const} */ ([0.5, 400]); // px per mm to which the reader can zoom
 
-/**
- * The window: its centre (mm), its scale (px per mm), its box on the canvas (px); what it fits, of which scene.
- */
-export const view = /** @type {import("./types").View} */ ({
-  x: 0, y: 0, scale: 5, magnified: 1, fit: "tissue", of: null, box: { left: 0, top: 0, width: 1, height: 1 },
-});
+/** The window: its centre (mm), its scale (px per mm), its box on the canvas (px); what it fits, of which scene. @type {View} */
+export const view = { x: 0, y: 0, scale: 5, magnified: 1, fit: "tissue", of: null, box: { left: 0, top: 0, width: 1, height: 1 } };
 
 Object.assign(now, { view });
+/** @type {Scale} */
 export const toPx = (x) => view.box.left + view.box.width / 2 + (x - view.x) * view.scale;
+/** @type {Scale} */
 export const toPy = (y) => view.box.top + view.box.height / 2 - (y - view.y) * view.scale * view.magnified;
+/** @type {Scale} */
 export const fromPx = (px) => view.x + (px - view.box.left - view.box.width / 2) / view.scale;
+/** @type {Scale} */
 export const fromPy = (py) => view.y - (py - view.box.top - view.box.height / 2) / (view.scale * view.magnified);
 
-/** Give the window a canvas of so many px. */
+/** Draw through another window. @template T @param {Partial<View>} window @param {() => T} draw */
+export function look(window, draw) {
+  const kept = { ...view };
+  Object.assign(view, window);
+  try {
+    return draw();
+  } finally {
+    Object.assign(view, kept);
+  }
+}
+
+/** Give the window a canvas of so many px. @param {number} width @param {number} height */
 export function resize(width, height) {
   view.box = {
     left: GUTTER.left, top: GUTTER.top,
@@ -33,11 +45,11 @@ export function resize(width, height) {
   fit(view.fit);
 }
 
-/** Show the whole needle, the tissue, or the tip at its true scale. */
+/** Show the whole needle, the tissue, the tip at its true scale, or what the reader has moved the window to. @param {View["fit"]} which */
 export function fit(which) {
   view.fit = which;
   redraw();
-  if (!now.scene || !now.state) return;
+  if (!now.scene || !now.state || which === "moved") return;
   if (which === "tip") {
     const { x, y } = now.state.tip;
     return Object.assign(view, { scale: view.box.width / TIP_WINDOW, magnified: 1, x, y });
@@ -47,7 +59,7 @@ export function fit(which) {
   const [low, high, before, after] = which === "whole"
     ? [-now.scene.length_mm, deepest() + 4, Math.min(74, 0.1 * view.box.width + 20), 34] : [0, 1.04 * deepest(), Math.min(44, 0.1 * view.box.width), Math.min(84, 0.12 * view.box.width)];
   const room = view.box.width - before - after;
-  const [bottom, top] = heights(which);
+  const [bottom, top] = heights();
   const [along, across] = [room / (high - low), roomAcross() / (top - bottom)];
   view.scale = Math.min(along, across);
   // How many times as large as x the y axis is drawn, so that deflections can be seen.
@@ -56,6 +68,22 @@ export function fit(which) {
   view.magnified = MAGNIFICATIONS.filter((one) => one <= times).at(-1) ?? 1;
   view.x = (low + high) / 2 + (after - before) / (2 * view.scale);
   view.y = (bottom + top) / 2;
+}
+
+/** Zoom by a factor about a place on the canvas, px. @param {number} factor @param {Point} place */
+export function zoom(factor, [px, py] = [toPx(view.x), toPy(view.y)]) {
+  const [x, y] = [fromPx(px), fromPy(py)];
+  view.scale = Math.min(Math.max(view.scale * factor, SCALES[0]), SCALES[1]);
+  view.x += x - fromPx(px);
+  view.y += y - fromPy(py);
+  fit("moved");
+}
+
+/** Shift what is seen, px. @param {number} px @param {number} py */
+export function pan(px, py) {
+  view.x -= px / view.scale;
+  view.y += py / (view.scale * view.magnified);
+  fit("moved");
 }
 
 /** Px that what must be seen may take of the window's height. */
@@ -70,15 +98,15 @@ function deepest() {
 /** Target and obstacles: x, y, radius. */
 function goalCircles() {
   const { plan } = now.scene;
-  return plan ? [[...plan.target, plan.radius], ...plan.obstacles] : [];
+  return plan ? [[...plan.target, plan.radius], ...plan.obstacles.map(([x, y, radius]) => [x, y, radius])] : [];
 }
 
 /** Between which y all lies that must be seen: of the tissue alone what is in it. */
-function heights(which) {
-  const { state, band, scene: { measured } } = now;
-  const seen = state.y.filter((_, i) => which === "whole" || state.x[i] >= 0);
+function heights() {
+  const { state, band, pinned, scene: { measured } } = now;
+  const seen = [state, pinned].flatMap((one) => (one ? one.y.filter((_, i) => view.fit === "whole" || one.x[i] >= 0) : []));
   const goals = goalCircles().flatMap(([, y, radius]) => [y - radius, y + radius]);
-  return /** @type {[number, number]} */ (extent([...seen, ...(measured?.y ?? []), ...goals, ...(band?.low ?? []), ...(band?.high ?? []), 0]));
+  return /** @type {Point} */ (extent([...seen, ...(measured?.y ?? []), ...goals, ...(band?.low ?? []), ...(band?.high ?? []), 0]));
 }
 
 /** Whether the tip is in the window. */
@@ -93,8 +121,9 @@ function seesTip() {
 export function follow() {
   const anew = view.of !== now.scene;
   view.of = now.scene;
-  if (anew || view.fit === "tip") return fit(view.fit);
-  const [bottom, top] = heights(view.fit);
+  if (view.fit === "moved" && !anew) return;
+  if (anew || view.fit === "tip") return fit(view.fit === "moved" ? "tissue" : view.fit);
+  const [bottom, top] = heights();
   const px = view.scale * view.magnified;
   const out = Math.max(top - view.y, view.y - bottom) * px > roomAcross() / 2 + 1 || !seesTip();
   const low = (top - bottom) * px < LOW * roomAcross();

@@ -2,9 +2,10 @@
 
 import { guideNumber, rollOf, wrap } from "./inputs.js";
 import { computeErrors } from "./errors.js";
-import { computeValidity, listFaults } from "./validity.js";
+import { computeValidity, listFaults, listGaps } from "./validity.js";
 
 const POINTS_BEFORE_TISSUE = 25; // of the needle that are drawn
+const SAMPLES = 8; // of the load between two constraint points, where it is a sawtooth
 
 const columns = (points, width) =>
   Array.from({ length: width }, (_, axis) => Array.from({ length: points.length / width }, (_, i) => points[width * i + axis]));
@@ -26,7 +27,7 @@ export function describeState(steered) {
     kind: "state",
     step: steered.number,
     depth_mm: step.depth,
-    x, y, z,
+    x, y, z, ...placePoints(session),
     base: { x: x[0], y: y[0], rotation: shape.slope[0], input_y: controls.baseY, input_slope: controls.baseSlope },
     guides: controls.guides.map(({ name, x, y, slope }) => ({
       item: guideNumber(name, names), name, x, y, slope: slope ?? 0, turns_freely: slope === null,
@@ -44,6 +45,38 @@ export function describeState(steered) {
     faults: listFaults(validity, rules.validity),
     errors: scene.measured && computeErrors(session, scene.measured),
   };
+}
+
+/** Constraint points, and where the tip was at their depths: each as far from the needle's point there as the model has it. */
+function placePoints(session) {
+  const { planes, constraints, track } = session.shape;
+  const cut = columns(constraints, 1 + planes);
+  const [x, ...needle] = columns(session.positions(cut[0]), 1 + planes);
+  const gaps = columns(listGaps(session.shape).flat(), planes);
+  const tip = columns(track, 2 * planes);
+  const points = needle.map((row, p) => row.map((place, i) => place - gaps[p][i]));
+  const path = points.map((row, p) => row.map((place, i) => place + tip[2 * p][i] - cut[1 + p][i]));
+  /** @param {number[][]} rows @returns {Curve} */
+  const curve = ([y, z]) => ({ x, y, z });
+  return { constraints: curve(points), tip_path: curve(path) };
+}
+
+/** The lateral load of the tissue, N/mm, along y or in space its magnitude: its mean over two spacings, and where it acts. */
+export function describeLoad({ session, model }) {
+  const { depth, planes } = session.shape;
+  const count = Math.ceil((SAMPLES * depth) / model.spacing);
+  const s = Array.from({ length: count + 1 }, (_, i) => depth * (i / (count || 1)));
+  const [x, y] = columns(session.positions(s), 1 + planes);
+  const loads = session.load(s);
+  const means = Array.from({ length: planes }, (_, p) => loads.subarray(p * s.length, (p + 1) * s.length)).map((row) => {
+    const sums = [0];
+    for (const value of row) sums.push(sums[sums.length - 1] + value);
+    return s.map((_, i) => {
+      const half = Math.min(SAMPLES, i, count - i);
+      return (sums[i + half + 1] - sums[i - half]) / (2 * half + 1);
+    });
+  });
+  return { x, y, load: planes === 1 ? means[0] : means[0].map((one, i) => Math.hypot(one, means[1][i])) };
 }
 
 /** Where the needle is drawn: all nodes, and more of them before the tissue. */

@@ -7,7 +7,8 @@ const GAUSS = [[0.5 - Math.sqrt(0.15), 5 / 18], [0.5, 4 / 9], [0.5 + Math.sqrt(0
 const measure = (parts) => (parts.length > 1 ? Math.sqrt(parts[0] ** 2 + parts[1] ** 2) : Math.abs(parts[0]));
 
 /** The greatest |u'|, range of deflection / length, shortening / thinnest layer, miss (mm), and compression of a shape. */
-export function computeValidity({ x, u, slope, planes, constraints, track }, { boundaries, thickness, spacing }) {
+export function computeValidity(shape, { boundaries, thickness, spacing }) {
+  const { x, u, slope, planes, track } = shape;
   const last = x.length - 1;
   const bent = Array.from({ length: planes }, (_, p) => [u, slope].map((one) => one.subarray(p * x.length, (p + 1) * x.length)));
   const cubics = bent.map(() => [0, 0, 0]); // u' = begin + t (bend + t curl) in an element
@@ -43,26 +44,25 @@ export function computeValidity({ x, u, slope, planes, constraints, track }, { b
     deflection_per_length: measure(bent.map(([v]) => Math.max(...v) - Math.min(...v))) / (x[last] - x[0]),
     shortening_per_layer: shortening / thinnest,
     miss_mm: miss,
-    compression: compress(x, bent, constraints) / Math.min(...thickness.slice(0, entered)),
+    compression: Math.max(...listGaps(shape).map(measure)) / Math.min(...thickness.slice(0, entered)),
   };
 }
 
-/** The greatest distance of a needle from a constraint point, mm. */
-function compress(x, bent, constraints) {
-  let [greatest, i] = [0, 0];
-  for (let k = 0; k < constraints.length; k += 1 + bent.length) { // their depths increase
-    const at = constraints[k];
+/** How far, along y and z, a needle lies from each of its constraint points, mm. @param {Shape} shape @returns {number[][]} */
+export function listGaps({ x, u, slope, planes, constraints }) {
+  let i = 0;
+  return Array.from({ length: constraints.length / (1 + planes) }, (_, k) => { // their depths increase
+    const [at, ...places] = constraints.subarray((1 + planes) * k, (1 + planes) * (k + 1));
     while (i < x.length - 2 && x[i + 1] < at - 1e-9) i += 1;
     const span = x[i + 1] - x[i];
     const t = Math.min(Math.max((at - x[i]) / span, 0), 1);
-    const away = bent.map(([u, slope], p) => {
-      const bend = 3 * (u[i + 1] - u[i]) - span * (2 * slope[i] + slope[i + 1]);
-      const curl = 2 * (u[i] - u[i + 1]) + span * (slope[i] + slope[i + 1]);
-      return u[i] + t * (span * slope[i] + t * (bend + t * curl)) - constraints[k + 1 + p];
+    return places.map((place, p) => {
+      const n = p * x.length + i;
+      const bend = 3 * (u[n + 1] - u[n]) - span * (2 * slope[n] + slope[n + 1]);
+      const curl = 2 * (u[n] - u[n + 1]) + span * (slope[n] + slope[n + 1]);
+      return u[n] + t * (span * slope[n] + t * (bend + t * curl)) - place;
     });
-    greatest = Math.max(greatest, measure(away));
-  }
-  return greatest;
+  });
 }
 
 /** Descriptions of the quantities that exceed their limits; `limits` are [name, limit, words] of the scene. */

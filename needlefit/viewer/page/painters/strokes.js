@@ -1,26 +1,25 @@
-/** Colours, lines, shapes and labels on the canvas, given in mm or px. */
+/** Colours, lines, shapes and labels of the picture, given in mm or px. */
 
-import { area, line as makeLine } from "d3-shape";
+import { area } from "d3-shape";
 import { interpolateRgb } from "d3-interpolate";
 import { colour } from "../dom.js";
+import { measure, trace } from "../sheet.js";
 import { now } from "../store.js";
 import { toPx, toPy } from "../view.js";
 
-const NAMES = [
-  "air", "gutter", "ink", "quiet", "edge", "needle", "tip", "guide",
-  "measured", "band", "plan", "gap", "bad", "halo", "soft", "stiff", "label", "accent",
-];
-const FAMILY = "Arial, 'Liberation Sans', Helvetica, sans-serif"; // of one width everywhere, also in a saved figure
-const FONTS = { small: `11px ${FAMILY}`, plain: `12px ${FAMILY}`, strong: `600 12px ${FAMILY}` };
+const NAMES = /** @type {const} */ ([
+  "air", "gutter", "ink", "quiet", "edge", "needle", "tip", "guide", "points", "path", "load",
+  "measured", "pinned", "band", "plan", "gap", "bad", "halo", "soft", "stiff", "label", "accent",
+]);
 
-/** Colours by name, as the style sheet has them for light and for dark; read anew when the reader's scheme changes. */
-export const palette = {};
+/** Colours by name, as the style sheet has them for light and for dark; on paper those for light. */
+export const palette = /** @type {Record<typeof NAMES[number], string>} */ ({});
 
-export function readPalette() {
-  for (const name of NAMES) palette[name] = colour(name);
+export function readPalette(paper = false) {
+  for (const name of NAMES) palette[name] = colour(name, paper);
 }
 
-/** One colour a layer: the stiffer, the darker, over one decade at least. */
+/** One colour a layer: the stiffer, the darker, over one decade at least. @param {Layer[]} layers */
 export function shades(layers) {
   const stiffness = layers.map(({ mu_pa: mu }) => Math.log10(mu));
   const least = Math.min(...stiffness);
@@ -28,113 +27,51 @@ export function shades(layers) {
   return stiffness.map((one) => interpolateRgb(palette.soft, palette.stiff)((one - least) / decades));
 }
 
-/** Draw what lies within a box, px. */
-export function within(context, { left, top, width, height }, draw) {
-  context.save();
-  context.beginPath();
-  context.rect(left, top, width, height);
-  context.clip();
-  draw();
-  context.restore();
+/** Draw lines through places (px). @param {Sheet} sheet @param {Point[][]} lines @param {string} stroke @param {number} width @param {number[]} [dash] */
+export const polyline = (sheet, lines, stroke, width, dash) => sheet.path(lines.map(trace).join(""), { stroke, width, dash });
+
+/** Fill a shape between corners (px). @param {Sheet} sheet @param {Point[]} corners @param {string} fill @param {number} [opacity] */
+export const polygon = (sheet, corners, fill, opacity) => sheet.path(`${trace(corners)}Z`, { fill, opacity });
+
+/** The places (px) of points (mm). @type {(x: ArrayLike<number>, y: ArrayLike<number>) => Point[]} */
+export const placesOf = (x, y) => Array.from(x, (one, i) => [toPx(one), toPy(y[i])]);
+
+/** Draw a line along points (mm) over a halo that sets it off from what lies behind. @param {Sheet} sheet @param {Curve} curve @param {string} shade @param {number} width @param {number[]} [dash] */
+export function haloed(sheet, { x, y }, shade, width, dash) {
+  const places = placesOf(x, y);
+  polyline(sheet, [places], palette.halo, width + 2);
+  polyline(sheet, [places], shade, width, dash);
 }
 
-export function faintly(context, opacity, draw) {
-  context.globalAlpha = opacity;
-  draw();
-  context.globalAlpha = 1;
-}
+/** The path of what lies between two curves over the same x (mm). @param {number[]} x @param {number[]} low @param {number[]} high */
+export const traceBetween = (x, low, high) =>
+  /** @type {import("d3-shape").Area<number>} */ (area()).x((_, i) => toPx(x[i])).y0((_, i) => toPy(low[i])).y1((_, i) => toPy(high[i]))(x) ?? "";
 
-/** Draw the current path as a line. */
-function stroke(context, shade, width, dash = []) {
-  context.strokeStyle = shade;
-  context.lineWidth = width;
-  context.setLineDash(dash);
-  context.stroke();
-  context.setLineDash([]);
-}
+/** The two lines of a cross about a place (px), upright or oblique. @type {(place: Point, arm: number, oblique?: boolean) => Point[][]} */
+export const cross = ([px, py], arm, oblique = false) => [[arm, oblique ? arm : 0], [oblique ? -arm : 0, arm]]
+  .map(([dx, dy]) => [[px - dx, py - dy], [px + dx, py + dy]]);
 
-/** Draw lines through places (px). */
-export function polyline(context, lines, shade, width, dash = []) {
-  context.beginPath();
-  for (const places of lines) makeLine().context(context)(places);
-  stroke(context, shade, width, dash);
-}
+/** The path of an ellipse about a place (px). @type {(place: Point, along: number, across: number) => string} */
+export const traceEllipse = ([px, py], along, across) =>
+  `M${px - along},${py}a${along},${across} 0 1 0 ${2 * along},0a${along},${across} 0 1 0 ${-2 * along},0Z`;
 
-/** Fill a shape between corners (px). */
-export function polygon(context, corners, shade) {
-  context.beginPath();
-  makeLine().context(context)(corners);
-  context.fillStyle = shade;
-  context.fill();
-}
+/** Write on the picture, set off from what lies behind. @param {Sheet} sheet @param {string} words @param {Point} place @param {Partial<TextLooks>} [looks] */
+export const label = (sheet, words, place, looks) => sheet.text(words, place, { fill: palette.label, halo: palette.halo, ...looks });
 
-/** The places (px) of points (mm). */
-export const placesOf = (x, y) => x.map((one, i) => [toPx(one), toPy(y[i])]);
-
-/** Draw a line along points (mm). */
-export const line = (context, x, y, shade, width, dash = []) => polyline(context, [placesOf(x, y)], shade, width, dash);
-
-/** Draw a line along points (mm) over a halo that sets it off from what lies behind. */
-export function haloed(context, { x, y }, shade, width, dash = []) {
-  line(context, x, y, palette.halo, width + 2);
-  line(context, x, y, shade, width, dash);
-}
-
-/** Fill what lies between two curves over the same x (mm). */
-export function fillBetween(context, x, low, high, shade) {
-  context.beginPath();
-  area().x((_, i) => toPx(x[i])).y0((_, i) => toPy(low[i])).y1((_, i) => toPy(high[i])).context(context)(x);
-  context.fillStyle = shade;
-  context.fill();
-}
-
-/** The two lines of a cross about a place (px). */
-export const cross = (px, py, arm) => [[arm, 0], [0, arm]].map(([dx, dy]) => [[px - dx, py - dy], [px + dx, py + dy]]);
-
-/** Draw a ring with a filled inside. */
-export function ring(context, px, py, radius, edge, inside) {
-  context.beginPath();
-  context.arc(px, py, radius, 0, 2 * Math.PI);
-  context.fillStyle = inside;
-  context.fill();
-  stroke(context, edge, 2);
-}
-
-/** Carry out drawing with the origin at a place in px, x along a direction (rad, counterclockwise). */
-export function turned(context, px, py, angle, draw) {
-  context.save();
-  context.translate(px, py);
-  context.rotate(-angle);
-  draw();
-  context.restore();
-}
-
-export function setFont(context, font, align = "center", baseline = "middle") {
-  context.font = FONTS[font];
-  context.textAlign = align;
-  context.textBaseline = baseline;
-}
-
-/** Write on the picture, set off from what lies behind. */
-export function label(context, text, px, py, shade = palette.label) {
-  context.strokeStyle = palette.halo;
-  context.lineWidth = 4;
-  context.strokeText(text, px, py);
-  context.fillStyle = shade;
-  context.fillText(text, px, py);
-}
-
-// ---- labels that do not overlap: what is written in this frame, and what else no label may lie on, px: [left, top, width, height]
+// ---- labels that do not overlap: what is written in this frame, and what else no label may lie on, px
 
 const LINE = 16; // px, height of a label
 const SHARES = [1, 0.8, 0.6, 0.4]; // of a curve, where its label may stand
 
 export const clearLabels = () => Object.assign(now, { labels: [], avoided: [] });
+/** @param {Place} one @param {Place} other */
 const overlap = ([x, y, w, h], [x2, y2, w2, h2]) => x < x2 + w2 && x2 < x + w && y < y2 + h2 && y2 < y + h;
-/** @param {import("../types").Place} box */
-const isFree = (box) => !now.labels.some((one) => overlap(one, box));
+/** How many of these lie there. @param {Place[]} places @param {Place} box */
+const count = (places, box) => places.filter((one) => overlap(one, box)).length;
+/** How many labels and parts of curves lie there. @param {Place} box */
+export const countBelow = (box) => count([...now.labels, ...now.avoided], box);
 
-/** Keep labels off a line (px) where there is room for them elsewhere. */
+/** Keep labels off a line (px) where there is room for them elsewhere. @param {Point[]} places */
 export function avoid(places) {
   for (const [px, py] of places) {
     const [left, top] = now.avoided.at(-1) ?? [-Infinity, 0];
@@ -142,31 +79,32 @@ export function avoid(places) {
   }
 }
 
-/** Write a label at the first of some places (px, its middle) that is free, inside the window; else nowhere. */
-export function labelFree(context, text, places, shade) {
+/** Write a label at the first of some places (px, its middle) that is free, inside the window; else nowhere. @param {Sheet} sheet @param {string} words @param {Point[]} places @param {string} fill */
+export function labelFree(sheet, words, places, fill) {
   const { left, top, width, height } = now.view.box;
-  const wide = context.measureText(text).width + 6;
+  const wide = measure(words, "strong") + 6;
+  /** @param {number} value @param {number} low @param {number} high */
   const limit = (value, low, high) => Math.max(low, Math.min(value, high));
-  const free = places.map(([px, py]) => /** @type {import("../types").Place} */ (
-    [limit(px - wide / 2, left + 2, left + width - wide - 2), limit(py - LINE / 2, top + 2, top + height - LINE - 2), wide, LINE])).filter(isFree);
-  const box = free.find((one) => !now.avoided.some((other) => overlap(one, other))) ?? free[0];
+  const free = places.map(([px, py]) => /** @type {Place} */ (
+    [limit(px - wide / 2, left + 2, left + width - wide - 2), limit(py - LINE / 2, top + 2, top + height - LINE - 2), wide, LINE])).filter((one) => !count(now.labels, one));
+  const box = free.find((one) => !count(now.avoided, one)) ?? free[0];
   if (!box) return;
   now.labels.push(box);
-  context.textAlign = "center";
-  context.textBaseline = "middle";
-  label(context, text, box[0] + wide / 2, box[1] + LINE / 2, shade);
+  label(sheet, words, [box[0] + wide / 2, box[1] + LINE / 2], { fill, font: "strong" });
 }
 
-/** Write a label at the end of curves {x, y} (mm), or beside them: each with how far below it (px), above if negative. */
-export function labelBeside(context, text, sides, shade) {
-  setFont(context, "strong");
-  const half = context.measureText(text).width / 2;
-  const curves = sides.map(([{ x, y }, away]) => [placesOf(x, y), away]);
-  for (const [places] of curves) avoid(places);
-  const ends = curves.map(([places]) => [places.at(-1)[0] + half + 8, places.at(-1)[1]]); 
-  const beside = SHARES.flatMap((share) => curves.flatMap(([places, away]) => {
+/** Write a label at the end of curves (mm), or beside them: each with how far below it (px), above if negative. @param {Sheet} sheet @param {string} words @param {[Curve, number][]} sides @param {string} shade */
+export function labelBeside(sheet, words, sides, shade) {
+  const half = measure(words, "strong") / 2;
+  const curves = sides.map(([{ x, y }, away]) => ({ places: placesOf(x, y), away }));
+  for (const { places } of curves) avoid(places);
+  const ends = curves.map(({ places }) => places[places.length - 1]).map(([px, py]) => /** @type {Point} */ ([px + half + 8, py]));
+  const beside = SHARES.flatMap((share) => curves.flatMap(({ places, away }) => {
     const [px, py] = places[Math.round(share * (places.length - 1))];
-    return [0, -half, half].map((aside) => [px + aside, py + away]);
+    return [0, -half, half].map((aside) => /** @type {Point} */ ([px + aside, py + away]));
   }));
-  labelFree(context, text, [...ends, ...beside], shade);
+  labelFree(sheet, words, [...ends, ...beside], shade);
 }
+
+/** Name a line at its end. @param {Sheet} sheet @param {string} words @param {Curve} curve @param {string} shade */
+export const nameLine = (sheet, words, curve, shade) => labelBeside(sheet, words, [[curve, 16], [curve, -16]], shade);
