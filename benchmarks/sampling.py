@@ -28,6 +28,7 @@ from needlefit.inference.parameter_names import HYPERPARAMETERS
 from needlefit.inference.sampling import sample as sampler
 from needlefit.inference.sampling.importance import sample_about_fit
 from needlefit.inference.sampling.posterior import Posterior
+from needlefit.inference.sampling.samplers import emcee as emcee_sampler
 from needlefit.project.locate import find_file
 from needlefit.project.random_streams import random_stream
 from needlefit.project.toml import load
@@ -113,14 +114,14 @@ def main() -> None:
         fit = minimize(problem, job.recipe, stream, Callbacks(jobs=options.jobs))
         begin = sample_about_fit(problem, fit, random_stream(1, target, "importance"), options.jobs)
         for name in options.moves:
-            own = sampler.make_sampler_moves
+            own = emcee_sampler.make_moves
             if MOVES[name] is not None:
-                sampler.make_sampler_moves = lambda _, name=name: MOVES[name]
+                emcee_sampler.make_moves = lambda _, name=name: MOVES[name]
             clock = time.process_time()
             rng = random_stream(1, target, "posterior")
             found = sampler.sample(problem, begin, settings, rng, Callbacks(jobs=options.jobs))
             spent = time.process_time() - clock
-            sampler.make_sampler_moves = own
+            emcee_sampler.make_moves = own
             steps, tau = found.draws.shape[1], float(np.max(found.autocorrelation_time))
             draws, densities = float(np.min(found.ess)), steps * len(found.draws)
             accepted, each = float(np.mean(found.acceptance_fraction)), 1000 * spent / densities

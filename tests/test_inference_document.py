@@ -175,7 +175,7 @@ def find_log_density(dataset, insertions, prepare, scale=1.0):
     log_l = -0.5 * (r @ np.linalg.solve(whole, r) + np.linalg.slogdet(whole)[1] + len(r) * np.log(2 * np.pi))
     ratios = np.log([VALUES["mu3_pa"] / VALUES["mu1_pa"], VALUES["mu4_pa"] / VALUES["mu2_pa"]])
     log_ties = -0.5 * np.sum((ratios / np.log(1.2)) ** 2)
-    log_tau = np.log(TAU / PRIOR_TAU) - TAU**2 / (2 * PRIOR_TAU**2)
+    log_tau = np.log(TAU / PRIOR_TAU) - TAU**2 / (2 * PRIOR_TAU**2) + 0.5  # 0 at its peak
     return log_l + norm + log_ties + log_tau
 
 

@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 from inference_cases import TRUTH, insertion, measure, medium, problem
 from refusals import refusal
+from scipy import stats
 from test_inference_identify import FINE, fit_at
 
 from needlefit.errors import ConfigError
 from needlefit.inference.identifiability.identify import identify
 from needlefit.inference.parameter_changes import set_material_prior
 from needlefit.inference.parameters import Parameters
+from needlefit.inference.predict import draw_from_prior
 from needlefit.project.toml import check
 from needlefit.schemas.medium import MaterialRecord, MediumRecord, PriorRecord
 
@@ -30,6 +32,33 @@ def test_a_priors_density_is_gaussian_in_ln_mu_and_alpha():
     precision = joint.information(("mu1_pa", "bevel_mm", "alpha1"))
     assert precision == pytest.approx(np.array([[1, 0, -1], [0, 0, 0], [-1, 0, 4]]) / 0.75)
     assert joint.sd("alpha1") == pytest.approx(0.5) and joint.sd("bevel_mm") == math.inf
+
+
+@pytest.mark.parametrize(
+    ("stated", "distribution"),
+    [
+        ({"mean": 0.1, "sd": 0.05}, stats.gamma(4.0, scale=0.025)),
+        ({"sd": 0.2}, stats.halfnorm(scale=0.2)),
+    ],
+)
+def test_a_positive_parameter_has_a_gamma_or_half_normal_prior(stated, distribution):
+    """Of ln b, whose density is that of b times b; the residuals' slopes are differences of them."""
+    parameters = Parameters.from_record(
+        medium(1, bevel_mm={"bounds": [1e-6, 10.0], "prior": stated}, mu1_pa={"fixed": 1e5})
+    )
+    prior, values = parameters.prior, np.array([0.003, 0.1, 0.2, 0.5])
+    density = [prior.log_density({"bevel_mm": value}) for value in values]
+    expected = distribution.logpdf(values) + np.log(values)
+    assert np.diff(density) == pytest.approx(np.diff(expected), rel=1e-9)
+    for value in (0.02, 0.1 + 1e-7, 0.3):
+        (above,), (below,) = (prior.residuals({"bevel_mm": value * f}) for f in (1 + 1e-6, 1 - 1e-6))
+        slope = prior.slopes(("bevel_mm",), {"bevel_mm": value})
+        assert slope == pytest.approx((above - below) / 2e-6, rel=1e-4)
+    drawn = np.exp(
+        draw_from_prior(parameters, 4000, np.random.default_rng(1))[:, parameters.free.index("bevel_mm")]
+    )
+    assert stats.kstest(drawn, distribution.cdf).pvalue > 0.01
+    assert np.log(drawn).std() == pytest.approx(prior.sd("bevel_mm"), rel=0.05)
 
 
 def test_the_log_posterior_is_the_likelihood_and_the_prior():
@@ -56,8 +85,9 @@ def test_the_log_posterior_is_the_likelihood_and_the_prior():
         ({"alpha1": {"fixed": 1.0, "prior": ALPHA}}, "free"),
         ({"alpha1": {"bounds": [-3, 9], "prior": {"mean": 1.0}}}, "mean"),
         ({"alpha1": {"bounds": [-3, 9], "prior": {"mean": 1.0, "sd": 0.0}}}, "sd"),
-        ({"alpha1": {"bounds": [-3, 9], "prior": {"median": 2, "factor": 2}}}, "wrong kind"),
-        ({"mu1_pa": {"bounds": [1e3, 1e9], "prior": ALPHA}}, "wrong kind"),
+        ({"alpha1": {"bounds": [-3, 9], "prior": {"median": 2, "factor": 2}}}, "positive"),
+        ({"mu1_pa": {"bounds": [1e3, 1e9], "prior": ALPHA}}, "outside the bounds"),
+        ({"alpha1": {"bounds": [-3, 9], "prior": {"sd": 2.0}}}, "positive"),
         ({"alpha1": {"bounds": [-3, 2], "prior": ALPHA}}, "outside the bounds"),
         ({"mu1_pa": {"bounds": [1e3, 1e9], "prior": MODULUS}}, "no partner"),
         ({"alpha1": {"bounds": [-3, 9], "prior": {**ALPHA, "correlation": 0.5}}}, "no partner"),

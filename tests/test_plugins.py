@@ -14,6 +14,7 @@ from light_runs import predict_by_few_draws
 from plugin_cases import EXAMPLE, VERSION, install, plugin_folder
 from problem_cases import make_problem
 from reporting_results import skip_figures
+from sampling_cases import Known, draw, flat, gaussian, weighted
 from test_cli import run
 from test_datasets import write_mine
 
@@ -24,15 +25,23 @@ from needlefit.inference.likelihood.observations import make_observation
 from needlefit.mechanics.laws import LAWS
 from needlefit.metrics import Metric
 from needlefit.plugins import PLUGINS_VARIABLE, use_plugins
-from needlefit.registry import Registry
-from needlefit.schemas.recipe import WeightsRecord
-from needlefit.studies.provenance import plugin_versions_of
+from needlefit.project.toml import read_given
+from needlefit.registry import Registry, plugin_versions
+from needlefit.schemas.recipe import RecipeRecord, WeightsRecord
+from needlefit.studies.identity import list_fit_plugins
 
 
 @pytest.fixture
 def plugin(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     with plugin_folder(install(tmp_path_factory.mktemp("site")), monkeypatch):
         yield
+
+
+def test_a_sampler_draws_from_a_density_of_known_moments(plugin: None) -> None:
+    known = Known(gaussian(np.array([[1.0, 0.6], [0.6, 1.0]])))
+    posterior = draw(known, weighted(known), sampler="random_walk", independent_draws=1000)
+    assert posterior.sampler == "random_walk" and not posterior.faults
+    assert np.cov(flat(posterior).T) == pytest.approx(np.array([[1.0, 0.6], [0.6, 1.0]]), abs=0.15)
 
 
 @pytest.mark.sweep
@@ -238,7 +247,8 @@ def test_an_observation_has_a_number_of_its_own(
     assert [one.observed_values for one in data.insertions] == [{"tilt_rad": 0.05, "tilt_sd_rad": 1e-4}] * 2
     skip_figures(monkeypatch)
     predict_by_few_draws(monkeypatch)
-    assert plugin_versions_of(medium(1), data) == {"tilt": VERSION}
+    recipe, _ = read_given("recipe", "quick", RecipeRecord)
+    assert plugin_versions(*list_fit_plugins(medium(1), data, recipe)) == {"tilt": VERSION}
     tilts = {}
     for observed in ("tilt", "points"):
         write_tilts(tilted, observed)

@@ -27,7 +27,7 @@ from needlefit.inference.parameter_names import (
     is_shape_parameter,
     to_coordinate,
 )
-from needlefit.inference.prior import Prior, SoftTie, add_ties, alpha_of, make_prior
+from needlefit.inference.prior import Prior, SoftTie, add_ties, alpha_of, make_half_normal, make_prior
 from needlefit.mechanics.laws import LAWS, ShapeParameter
 from needlefit.mechanics.tissue import MAX_MU_MPA, Tissue
 from needlefit.project.toml import add_key_context
@@ -122,8 +122,6 @@ class Parameters:
     ties: Mapping[str, tuple[float, str]]  #: factor and source of each that is tied exactly; a source is free
     #: what the medium states of some of them, ties with a spread among it; flat within the bounds otherwise
     prior: Prior = field(default=Prior())
-    #: standard deviation of the half-normal prior of a spread, by its name
-    half_normal: Mapping[str, float] = field(default_factory=dict)
     #: free ones that searches hold at the centre of their prior, which is then their posterior
     held: tuple[str, ...] = ()
 
@@ -262,7 +260,6 @@ class Parameters:
         """Theta (P,) before any data: the means that are stated, else the middle of the bounds."""
         means = dict(zip(self.free, (0.5 * (self.lower + self.upper)).tolist(), strict=True))
         means |= {name: mean for name, (mean, _) in self.prior.marginals.items() if name in means}
-        means |= {name: math.log(sd) for name, sd in self.half_normal.items() if name in means}
         for tie in self.prior.ties:  # a source comes before what is tied to it
             if tie.name in means and tie.source in means and tie.name not in self.prior.marginals:
                 means[tie.name] = means[tie.source] + math.log(tie.factor)
@@ -300,7 +297,7 @@ def with_bevel_spread(parameters: Parameters, sd: float) -> Parameters:
         parameters,
         names=(*parameters.names, BEVEL_SPREAD),
         bounds={**parameters.bounds, BEVEL_SPREAD: (low * sd, high * sd)},
-        half_normal={**parameters.half_normal, BEVEL_SPREAD: sd},
+        prior=replace(parameters.prior, gamma=(*parameters.prior.gamma, make_half_normal(BEVEL_SPREAD, sd))),
     )
 
 
@@ -323,16 +320,15 @@ def without_bevel_spread(parameters: Parameters) -> Parameters:
         parameters,
         names=tuple(name for name in parameters.names if name != BEVEL_SPREAD),
         bounds={name: bounds for name, bounds in parameters.bounds.items() if name != BEVEL_SPREAD},
-        half_normal={name: sd for name, sd in parameters.half_normal.items() if name != BEVEL_SPREAD},
+        prior=parameters.prior.without([BEVEL_SPREAD]),
     )
 
 
 def choose_hyperparameters(parameters: Parameters) -> dict[str, float]:
-    """Return the hyperparameters where nothing is known: median or half-normal SD of their prior, or 1."""
+    """Return the hyperparameters where nothing is known: at the peak of their prior, or 1."""
     names = [name for name in parameters.names if name in HYPERPARAMETERS]
     stated = {name: parameters.prior.marginals[name] for name in names if name in parameters.prior.marginals}
-    medians = {name: math.exp(mean) for name, (mean, _) in stated.items()}
-    return dict.fromkeys(names, 1.0) | {**parameters.half_normal, **medians}
+    return dict.fromkeys(names, 1.0) | {name: math.exp(peak) for name, (peak, _) in stated.items()}
 
 
 def without_prior(parameters: Parameters) -> Parameters:

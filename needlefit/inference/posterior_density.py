@@ -21,12 +21,7 @@ from needlefit.inference.likelihood.observation import (
     whiten_derivatives,
     whiten_residuals,
 )
-from needlefit.inference.parameter_names import (
-    BEVEL_SPREAD,
-    BEVEL_SPREAD_BOUNDS,
-    NOISE_SCALE,
-    NOISE_SCALE_BOUNDS,
-)
+from needlefit.inference.parameter_names import BEVEL_SPREAD, NOISE_SCALE, NOISE_SCALE_BOUNDS
 from needlefit.inference.parameters import Parameters, Values
 from needlefit.schemas.medium import MediumRecord
 
@@ -64,7 +59,9 @@ class PosteriorDensity:
 
     def add_up(self, white: Sequence[Floats], sets: Sequence[Values]) -> Floats:
         """Return the log densities (B,), given the whitened residuals (B, m, R) of every insertion."""
-        return self._add_likelihoods(np.array([self._log_prior(values) for values in sets]), white, sets)
+        return self._add_likelihoods(
+            np.array([self.parameters.prior.log_density(values) for values in sets]), white, sets
+        )
 
     def log_predictive(self, sets: Sequence[Values], parts: Sequence[Collection[int]], jobs: int) -> Floats:
         """Return the log densities (B, G) of what was measured in each of G parts, given all the rest.
@@ -168,13 +165,11 @@ class PosteriorDensity:
         for b, values in enumerate(sets):
             normal = self._normal(values, float(log_det[b]))
             # derivative of normal^2 / 2; divided by normal below, since d(normal) = d(normal^2 / 2) / normal
-            by_normal = 0.5 * by_det[b] + self._rows * self._by_scale - self._by_half_normal
-            stated = [self.parameters.prior.slopes(self.parameters.free)]
-            if self._by_half_normal.any():
-                stated.append(self._spread_in_sd(values) * self._by_half_normal[None])
-            residuals = np.concatenate([whole[b], normal, self._prior_residuals(values)])
+            by_normal = 0.5 * by_det[b] + self._rows * self._by_scale
+            by_prior = self.parameters.prior.slopes(self.parameters.free, values)
+            residuals = np.concatenate([whole[b], normal, self.parameters.prior.residuals(values)])
             linearized.append(
-                (residuals, np.concatenate([by_whole[b], by_normal / normal[:, None], *stated]))
+                (residuals, np.concatenate([by_whole[b], by_normal / normal[:, None], by_prior]))
             )
         return linearized
 
@@ -230,50 +225,23 @@ class PosteriorDensity:
         """Derivatives (P,) of the logarithm of the bevel's spread."""
         return np.array([float(name == BEVEL_SPREAD) for name in self.parameters.free])
 
-    @property
-    def _by_half_normal(self) -> Floats:
-        """The same, where the spread has its half-normal prior; else zeros."""
-        return self._by_spread * (BEVEL_SPREAD in self.parameters.half_normal)
-
     def _scales(self, sets: Sequence[Values]) -> tuple[Floats, Floats]:
         """Return the scales of the noise and the bevel's spreads, (B,) each."""
         pairs = [(values.get(NOISE_SCALE, self.scale), values.get(BEVEL_SPREAD, 0.0)) for values in sets]
         scale, spread = np.array(pairs).T.copy()
         return scale, spread
 
-    def _spread_in_sd(self, values: Values) -> float:
-        """Return the bevel's spread in standard deviations of its half-normal prior; 0 if it has none."""
-        sd = self.parameters.half_normal.get(BEVEL_SPREAD)
-        return values.get(BEVEL_SPREAD, 0.0) / sd if sd and BEVEL_SPREAD in self.parameters.free else 0.0
-
-    def _log_prior(self, values: Values) -> float:
-        """Return the log density of what is stated; a half-normal spread is searched in its logarithm."""
-        total, spread = self.parameters.prior.log_density(values), self._spread_in_sd(values)
-        return total - 0.5 * spread**2 + np.log(spread) if spread else total
-
-    def _prior_residuals(self, values: Values) -> Floats:
-        stated, spread = self.parameters.prior.residuals(values), self._spread_in_sd(values)
-        return np.append(stated, spread) if spread else stated
-
     def _normal(self, values: Values, log_det: float) -> Floats:
         """Return the residual (1,) whose square is the normalising factor; none if that is constant."""
-        scale, spread = values.get(NOISE_SCALE, self.scale), self._spread_in_sd(values)
+        scale, spreads = values.get(NOISE_SCALE, self.scale), values.get(BEVEL_SPREAD, 0.0) > 0
         moving = NOISE_SCALE in self.parameters.free
         # depths or bevel enter a group's log det; that of a pose is constant
-        spreads, all_nodes = (
-            values.get(BEVEL_SPREAD, 0.0) > 0,
-            (observation.nodes for observation in self.observations),
-        )
-        if (
-            not moving
-            and not spread
-            and not any(nodes.axes or (nodes.bevel and spreads) for nodes in all_nodes)
-        ):
+        all_nodes = (observation.nodes for observation in self.observations)
+        if not moving and not any(nodes.axes or (nodes.bevel and spreads) for nodes in all_nodes):
             return np.empty(0)
         # 1 keeps it from 0, where its derivative would be infinite
         grown = 2 * self._rows * np.log(scale / NOISE_SCALE_BOUNDS[0]) if moving else 0.0
-        less = 2 * np.log(BEVEL_SPREAD_BOUNDS[1] / spread) if spread else 0.0
-        return np.array([np.sqrt(1.0 + grown + less + log_det)])
+        return np.array([np.sqrt(1.0 + grown + log_det)])
 
     def near(self, values: Values) -> "PosteriorDensity":
         """Return the same density with `jacobians` that are exact at these values, approximate elsewhere.

@@ -1,4 +1,9 @@
-"""The prior that a medium states of its parameters: Gaussians in theta, and ties with a spread."""
+"""The prior that a medium states of its parameters: its rows, each a residual of unit variance.
+
+The logarithm of its density is minus half the sum of the squares of the residuals, 0 at the peak. Linear
+rows are normal priors of shape parameters, log-normal ones of moduli and lengths, and ties with a spread. The
+others are generalised gamma priors of one positive parameter, a gamma and a half-normal one among them.
+"""
 
 import math
 from collections.abc import Collection, Mapping, Sequence
@@ -24,54 +29,118 @@ class SoftTie:
 
 
 @dataclass(frozen=True)
-class Prior:
-    """A Gaussian prior of some parameters, in their coordinates of theta."""
+class GammaRow:
+    """A generalised gamma prior of a positive parameter, in its logarithm.
 
-    names: tuple[str, ...] = ()  #: q of them
+    With u = ln(value / mode) the logarithm of the density is shape / power (power u + 1 - exp(power u)).
+    Power 1 is a gamma prior, whose mode in the logarithm is its mean; shape 1 and power 2 a half-normal one,
+    whose mode is its standard deviation (E. W. Stacy, Ann. Math. Stat. 33 (1962) 1187).
+    """
+
+    name: str
+    mode: float
+    shape: float
+    power: float
+
+    def residual(self, value: float) -> float:
+        """Return the signed residual whose square is minus twice the logarithm of the density."""
+        scaled = self.power * math.log(value / self.mode)
+        return math.copysign(math.sqrt(2 * self.shape / self.power * _exceed_tangent(scaled)), scaled)
+
+    def slope(self, value: float) -> float:
+        """Return the derivative of `residual` by the logarithm of the value."""
+        scaled = self.power * math.log(value / self.mode)
+        if abs(scaled) < SMALL_EXPONENT:
+            return math.sqrt(self.information)
+        return self.shape * math.expm1(scaled) / self.residual(value)
+
+    @property
+    def information(self) -> float:
+        """The curvature of the density's logarithm at its mode."""
+        return self.shape * self.power
+
+    @property
+    def sd(self) -> float:
+        """The standard deviation of the logarithm."""
+        from scipy.special import polygamma
+
+        return math.sqrt(float(polygamma(1, self.shape / self.power))) / self.power
+
+    def draw(self, count: int, rng: np.random.Generator) -> Floats:
+        """Return draws (N,) of the logarithm."""
+        ratio = self.shape / self.power
+        drawn = np.maximum(rng.gamma(ratio, size=count) / ratio, np.finfo(float).tiny)
+        return math.log(self.mode) + np.log(drawn) / self.power
+
+
+SMALL_EXPONENT = 1e-4  #: below which exp(x) - 1 - x is x^2 / 2 to 5 digits, more than its difference has
+
+
+def _exceed_tangent(exponent: float) -> float:
+    """Return exp(x) - 1 - x."""
+    return 0.5 * exponent**2 if abs(exponent) < SMALL_EXPONENT else math.expm1(exponent) - exponent
+
+
+@dataclass(frozen=True)
+class Prior:
+    """A prior of some parameters, in their coordinates of theta: linear rows, then gamma rows."""
+
+    names: tuple[str, ...] = ()  #: q of them, of the linear rows
     #: (R, Q) what takes logarithms, and shape parameters themselves, to independent numbers of unit variance;
     #: R < Q where only combinations are stated, as by a tie
     whitening: tuple[tuple[float, ...], ...] = ()
     centre: tuple[float, ...] = ()  #: (R,) their means
     ties: tuple[SoftTie, ...] = ()  #: those among it, for print
+    gamma: tuple[GammaRow, ...] = ()
+
+    @property
+    def stated_names(self) -> frozenset[str]:
+        """The parameters of which anything is stated."""
+        return frozenset(self.names) | {row.name for row in self.gamma}
 
     def residuals(self, values: Mapping[str, float]) -> Floats:
-        """Return the whitened deviations (R,) of `values` (Pa, mm) from the prior mean."""
-        if not self.names:
-            return np.empty(0)
+        """Return the residuals (R + G,) of `values` (Pa, mm): 0 at the peak, of unit variance there."""
         coordinates = np.array([to_coordinate(name, values[name]) for name in self.names])
-        return np.array(self.whitening) @ coordinates - np.array(self.centre)
+        linear = self._weights @ coordinates - np.array(self.centre)
+        return np.append(linear, [row.residual(values[row.name]) for row in self.gamma])
 
     def log_density(self, values: Mapping[str, float]) -> float:
         """Return the logarithm of the density of `values`, not normalised: 0 at its peak."""
         white = self.residuals(values)
         return -0.5 * float(white @ white)
 
-    def slopes(self, names: Sequence[str]) -> Floats:
-        """Return the derivatives (R, P) of `residuals` by theta of the free parameters `names`."""
+    @property
+    def _weights(self) -> Floats:
+        return np.array(self.whitening).reshape(len(self.whitening), len(self.names))
+
+    def linear_slopes(self, names: Sequence[str]) -> Floats:
+        """Return the derivatives (R, P) of the linear rows by theta of the free parameters `names`."""
         # a fixed parameter has no column: its residual is constant
-        chosen = np.array(
-            [[float(name == stated_name) for name in names] for stated_name in self.names]
-        )  # (Q, P)
-        if not self.names:
-            return np.zeros((0, len(names)))
-        return np.array(self.whitening) @ chosen
+        return self._weights @ _select(self.names, names)
+
+    def slopes(self, names: Sequence[str], values: Mapping[str, float]) -> Floats:
+        """Return the derivatives (R + G, P) of `residuals` by theta of the free parameters `names`."""
+        by_own = np.array([row.slope(values[row.name]) for row in self.gamma])
+        gamma = by_own[:, None] * _select([row.name for row in self.gamma], names)
+        return np.concatenate([self.linear_slopes(names), gamma])
 
     def information(self, names: Sequence[str]) -> Floats:
-        """Return the precision (P, P) of theta of the free parameters `names`; 0 where nothing is stated."""
-        slopes = self.slopes(names)
+        """Return the precision (P, P), at the peak, of theta of `names`; 0 where nothing is stated."""
+        slopes = self.slopes(names, {row.name: row.mode for row in self.gamma})
         return slopes.T @ slopes
 
     @cached_property
     def marginals(self) -> Mapping[str, tuple[float, float]]:
-        """Mean and standard deviation of the coordinate of each parameter that is not only tied."""
-        white = np.array(self.whitening).reshape(len(self.whitening), len(self.names))
+        """Peak and standard deviation of the coordinate of each parameter that is not only tied."""
+        white = self._weights
         inverse = np.linalg.pinv(white)  # (Q, R)
         # a parameter that is only tied to another one has any value: it is not in the span of the rows
         is_independent = np.isclose(np.diag(inverse @ white), 1.0)
         mean, sd = inverse @ np.array(self.centre), np.linalg.norm(inverse, axis=1)
-        return {
+        linear = {
             name: (float(mean[k]), float(sd[k])) for k, name in enumerate(self.names) if is_independent[k]
         }
+        return linear | {row.name: (math.log(row.mode), row.sd) for row in self.gamma}
 
     def sd(self, name: str) -> float:
         """Return the standard deviation of one parameter's coordinate; infinite where nothing is stated."""
@@ -83,12 +152,19 @@ class Prior:
         rows = [k for k, row in enumerate(self.whitening) if any(row[column] for column in columns)]
         whitening = tuple(tuple(self.whitening[k][column] for column in columns) for k in rows)
         kept, centre = tuple(self.names[k] for k in columns), tuple(self.centre[k] for k in rows)
-        return Prior(kept, whitening, centre, self.ties) if kept else Prior()
+        gamma = tuple(row for row in self.gamma if row.name not in names)
+        return Prior(kept, whitening, centre, self.ties, gamma)
 
     def without_ties(self) -> "Prior":
         """Return the prior without its ties, which `add_ties` put last."""
         kept = len(self.centre) - len(self.ties)
-        return Prior(self.names, self.whitening[:kept], self.centre[:kept]) if kept else Prior()
+        return Prior(self.names if kept else (), self.whitening[:kept], self.centre[:kept], gamma=self.gamma)
+
+
+def _select(stated: Sequence[str], names: Sequence[str]) -> Floats:
+    """Return 1 (Q, P) where a stated name is that of a free parameter, else 0."""
+    chosen = [[float(name == stated_name) for name in names] for stated_name in stated]
+    return np.array(chosen).reshape(len(stated), len(names))
 
 
 def add_ties(prior: Prior, ties: Sequence[SoftTie]) -> Prior:
@@ -100,7 +176,7 @@ def add_ties(prior: Prior, ties: Sequence[SoftTie]) -> Prior:
         weights = {tie.name: 1 / math.log(tie.spread), tie.source: -1 / math.log(tie.spread)}
         rows.append(tuple(weights.get(name, 0.0) for name in names))
     centre = (*prior.centre, *(math.log(tie.factor) / math.log(tie.spread) for tie in ties))
-    return Prior(names, tuple(rows), centre, tuple(ties))
+    return Prior(names, tuple(rows), centre, tuple(ties), prior.gamma)
 
 
 def make_prior(table: Mapping[str, ParameterRecord], ties: Sequence[SoftTie] = ()) -> Prior:
@@ -111,35 +187,55 @@ def make_prior(table: Mapping[str, ParameterRecord], ties: Sequence[SoftTie] = (
     """
     stated = {name: record.prior for name, record in table.items() if record.prior is not None}
     for name, stated_prior in stated.items():
-        normal, bounds = is_shape_parameter(name), table[name].bounds
+        bounds = table[name].bounds
         refused = partial(ConfigError, key=f"parameters.{name}.prior")
-        if normal != (stated_prior.mean is not None):
-            expected = "mean and sd" if normal else "median and factor: it is positive"
-            raise refused("is a prior of the wrong kind", expected=expected)
+        if is_shape_parameter(name) and stated_prior.mean is None:
+            raise refused("is a prior of a positive parameter", expected="mean and sd: a normal prior")
         if bounds is not None and not bounds[0] <= _peak(stated_prior) <= bounds[1]:
             raise refused(
                 f"peaks at {_peak(stated_prior):g}, outside the bounds {bounds[0]:g} to {bounds[1]:g}",
                 fix="widen the bounds, or look whether prior and bounds mean the same unit",
             )
-        if stated_prior.correlation and (dimension(name) != "modulus" or alpha_of(name) not in stated):
-            expected = "a prior of mu whose layer's alpha has a prior too"
+        if stated_prior.correlation and (
+            dimension(name) != "modulus" or stated_prior.factor is None or alpha_of(name) not in stated
+        ):
+            expected = "a log-normal prior of mu whose layer's alpha has a prior too"
             raise refused("states a correlation that has no partner", expected=expected)
-    if not stated:
-        return add_ties(Prior(), ties)
-    names = tuple(stated)
+    gamma = tuple(_make_gamma_row(name, record) for name, record in stated.items() if _is_gamma(name, record))
+    linear = {name: record for name, record in stated.items() if not _is_gamma(name, record)}
+    names = tuple(linear)
     sds = [
         record.sd if record.sd is not None else math.log(record.factor or math.nan)
-        for record in stated.values()
+        for record in linear.values()
     ]
     correlations = np.eye(len(names))
-    for k, (name, stated_prior) in enumerate(stated.items()):
+    for k, (name, stated_prior) in enumerate(linear.items()):
         if stated_prior.correlation:
             j = names.index(alpha_of(name))
             correlations[j, k] = correlations[k, j] = stated_prior.correlation
-    peaks = np.array([to_coordinate(name, _peak(record)) for name, record in stated.items()])
+    peaks = np.array([to_coordinate(name, _peak(record)) for name, record in linear.items()])
     whitening = np.linalg.inv(np.linalg.cholesky(correlations * np.outer(sds, sds)))
     rows = tuple(tuple(row) for row in whitening.tolist())
-    return add_ties(Prior(names, rows, tuple((whitening @ peaks).tolist())), ties)
+    return add_ties(Prior(names, rows, tuple((whitening @ peaks).tolist()), gamma=gamma), ties)
+
+
+def make_half_normal(name: str, sd: float) -> GammaRow:
+    """Return the half-normal prior of a positive parameter."""
+    return GammaRow(name, sd, shape=1.0, power=2.0)
+
+
+def _is_gamma(name: str, record: PriorRecord) -> bool:
+    return record.factor is None and not is_shape_parameter(name)
+
+
+def _make_gamma_row(name: str, record: PriorRecord) -> GammaRow:
+    """Return the gamma prior of a stated mean and standard deviation; without a mean the half-normal one."""
+    sd = record.sd or math.nan
+    return (
+        GammaRow(name, record.mean, (record.mean / sd) ** 2, 1.0)
+        if record.mean
+        else make_half_normal(name, sd)
+    )
 
 
 def alpha_of(mu: str) -> str:
@@ -148,4 +244,6 @@ def alpha_of(mu: str) -> str:
 
 
 def _peak(record: PriorRecord) -> float:
-    return float(record.mean if record.mean is not None else record.median or math.nan)
+    """Return the parameter's value at the peak of its prior, in its coordinate of theta."""
+    stated = (record.mean, record.median, record.sd)
+    return float(next((value for value in stated if value is not None), math.nan))

@@ -11,26 +11,29 @@ from needlefit.schemas.scene import AdvanceRecord
 
 
 class PriorRecord(Record):
-    """A prior: normal (`mean`, `sd`), for shape parameters of a law, or lognormal (`median`, `factor`)."""
+    """A prior: of shape parameters of a law normal (`mean`, `sd`); of all others, which are positive,
+    log-normal (`median`, `factor`), gamma (`mean`, `sd`) or half-normal (`sd`).
+    """
 
     mean: float | None = None
-    """Mean of a normal prior (alpha and other shape parameters)."""
+    """Mean of a normal or gamma prior."""
     sd: float | None = Field(default=None, gt=0)
-    """Standard deviation of a normal prior."""
+    """Standard deviation of a normal or gamma prior; without a mean, of the half-normal one's normal."""
     median: float | None = Field(default=None, gt=0)
-    """Median of a lognormal prior (all others), in the parameter's unit."""
+    """Median of a log-normal prior, in the parameter's unit."""
     factor: float | None = Field(default=None, gt=1)
-    """Spread of a lognormal prior: 2 means within a factor of 2 at one standard deviation."""
+    """Spread of a log-normal prior: 2 means within a factor of 2 at one standard deviation."""
     correlation: float = Field(default=0.0, gt=-1, lt=1)
     """Correlation of ln mu with the alpha of the same layer, which then needs a prior too."""
 
     @model_validator(mode="after")
     def _one_kind(self) -> Self:
         given = {key for key in ("mean", "sd", "median", "factor") if getattr(self, key) is not None}
-        if given not in ({"mean", "sd"}, {"median", "factor"}):
+        if given not in ({"mean", "sd"}, {"median", "factor"}, {"sd"}):
             stated = ", ".join(sorted(given)) or "nothing"
             raise ValueError(
-                f"a prior is mean and sd (normal), or median and factor (lognormal); got {stated}"
+                "a prior is mean and sd (normal, or gamma), median and factor (log-normal), or sd "
+                f"(half-normal); got {stated}"
             )
         return self
 

@@ -515,8 +515,15 @@ def _format_end(end: float, unit: float) -> str:
     return format_plain(round_significant(end / unit, END_DIGITS))
 
 
-#: what the intervals of parameters are from, by `draw_source`
-SOURCES = {"posterior": "emcee", "importance": "importance sampling", "profile": "profile likelihood"}
+#: what the intervals of parameters are from, by `draw_source`, but for a sampled posterior
+SOURCES = {"importance": "importance sampling", "profile": "profile likelihood"}
+
+
+def name_sources(run: Run) -> list[str]:
+    """Return what the intervals of parameters are from."""
+    used = set(FitFrames.of(run).parameters["draw_source"])
+    sampler = {"posterior": run.knows(FitMetadata).recipe.sample.sampler}
+    return [words for source, words in (sampler | SOURCES).items() if source in used]
 
 
 def lay_out_parameters(run: Run) -> TableLayout:
@@ -534,7 +541,6 @@ def lay_out_parameters(run: Run) -> TableLayout:
         merged.setdefault(tuple(row.values()), {**row, "names": []})["names"].append(label)
     rows = [{**row, "parameter": ", ".join(row["names"])} for row in merged.values()]
     columns = ("parameter", "mode", "posterior", "error_minimising", "hand_tuned", "true_value")
-    used = set(frames.parameters["draw_source"])
     values = {
         "folds": int(frames.parameters["fold"].nunique()),
         "modes": any(row["mode"] for row in rows),
@@ -545,7 +551,7 @@ def lay_out_parameters(run: Run) -> TableLayout:
         "metric": any(row["error_minimising"] for row in rows),
         "curved": frames.curved,
         "truth": any(row["true_value"] for row in rows),
-        "sources": [words for source, words in SOURCES.items() if source in used],
+        "sources": name_sources(run),
         "of_mean": bool(set(frames.draws["specimen"]) - {TUNED_SPECIMENS, NEW_SPECIMEN}),
         "leaning": [
             stated_depth
@@ -606,7 +612,7 @@ def tabulate_percentiles(run: Run) -> pd.DataFrame:
 
 
 def lay_out_chains(run: Run) -> TableLayout:
-    """Return one row per fold and parameter that emcee sampled: how its walkers converged.
+    """Return one row per fold and parameter that was sampled: how its walkers converged.
 
     Parameters that are held have no chain: their draws are of the prior.
     """

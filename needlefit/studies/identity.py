@@ -12,6 +12,7 @@ from needlefit.datasets.insertion import Dataset
 from needlefit.datasets.select import name_holes
 from needlefit.inference.baselines import BASELINES
 from needlefit.inference.likelihood.observations import OBSERVATIONS
+from needlefit.inference.sampling.samplers import SAMPLERS
 from needlefit.mechanics.laws import LAWS
 from needlefit.metrics import METRICS
 from needlefit.project.json_values import digest_values
@@ -19,6 +20,7 @@ from needlefit.project.locate import join_names
 from needlefit.registry import plugin_versions
 from needlefit.schemas.deciding import select_deciding
 from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.run_metadata import FitIdentity, RunMetadata
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.job import Job
@@ -44,7 +46,7 @@ def identify(job: Job, analysis: object = None) -> FitIdentity:
     """
     record = job.record
     holes = name_holes(job.dataset)  # insertions of one hole share a bevel
-    plugins = plugin_versions(*list_fit_plugins(job.medium, job.dataset))
+    plugins = plugin_versions(*list_fit_plugins(job.medium, job.dataset, job.recipe))
     parts: dict[str, object] = {
         "options": {
             "stated": select_deciding(record, RESOLVED | JUDGING),
@@ -79,10 +81,11 @@ def make_identity(parts: Mapping[str, object], data: Mapping[str, str]) -> FitId
     return FitIdentity(sha256=digest_values([digests, data]), parts=digests, insertions=data)
 
 
-def list_fit_plugins(medium: MediumRecord, dataset: Dataset) -> list[tuple[Any, str]]:
+def list_fit_plugins(medium: MediumRecord, dataset: Dataset, recipe: RecipeRecord) -> list[tuple[Any, str]]:
     """Return what may be a plugin's and decides a fit: its registry, and its name there."""
     observed = {(OBSERVATIONS, insertion.observed) for insertion in dataset.insertions}
-    return [(LAWS, medium.law), (FORMATS, dataset.centerline_format), *observed]
+    sampler = (SAMPLERS, recipe.sample.sampler)
+    return [(LAWS, medium.law), (FORMATS, dataset.centerline_format), sampler, *observed]
 
 
 def list_judging_plugins() -> list[tuple[Any, str]]:

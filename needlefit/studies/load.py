@@ -16,6 +16,7 @@ from needlefit.inference.forward_model import make_options as mesh
 from needlefit.inference.likelihood.observations.curvature import require_curvature
 from needlefit.inference.parameter_changes import complete_published, load_changed_medium, search_freed
 from needlefit.inference.parameters import Parameters, with_hyperparameters, without_prior
+from needlefit.inference.sampling.samplers import SAMPLERS
 from needlefit.mechanics.plan import check_size, count_element_solves
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml import add_file_context, add_key_context, find_named, load
@@ -49,6 +50,8 @@ def read_inputs(
     given = settings.inputs
     dataset = dataset or given.dataset or read(find_named("dataset", record.dataset))
     recipe = given.recipe or load(find_named("recipe", record.recipe), RecipeRecord)
+    if recipe.sample.sampler not in SAMPLERS:
+        raise SAMPLERS.unknown_name_error(recipe.sample.sampler, key="sample.sampler")
     if settings.seed is not None:
         recipe = recipe.model_copy(update={"seed": settings.seed})
     if recipe.minimize == "posterior" and not dataset.noise_is_stated:

@@ -22,9 +22,10 @@ PACKAGES = ("numpy", "scipy", "nlopt", "emcee", "pandas", "trimesh")
 
 def describe_configuration(job: Job) -> JobMetadata:
     """Return everything that decides the result of a job."""
+    plugins = list_fit_plugins(job.medium, job.dataset, job.recipe)
     return JobMetadata(
         name=job.name,
-        versions=package_versions(PACKAGES) | plugin_versions_of(job.medium, job.dataset),
+        versions=package_versions(PACKAGES) | plugin_versions(*plugins, *list_judging_plugins()),
         dataset=summarize_dataset(job.dataset),
         study=job.record.model_dump(mode="json", by_alias=True),
         identity=identify(job),
@@ -80,11 +81,6 @@ def package_versions(packages: Sequence[str]) -> dict[str, str]:
     if other := identify_other_library():
         versions["kernel"] = f"not the package's: SHA-256 {other}"
     return {"python": platform.python_version(), **versions}
-
-
-def plugin_versions_of(medium: MediumRecord, dataset: Dataset) -> dict[str, str]:
-    """Return the versions of the plugins that a result with these depends on, if any."""
-    return plugin_versions(*list_fit_plugins(medium, dataset), *list_judging_plugins())
 
 
 def describe_model_options(medium: MediumRecord) -> dict[str, Any]:

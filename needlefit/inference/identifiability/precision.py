@@ -141,14 +141,12 @@ def linearize(problem: Problem, theta: Floats, points: NodePoints | None = None)
 
 def prior_information(problem: Problem) -> Floats:
     """Return the information (P, P) of the stated prior; parameters without one get that of their bounds."""
-    stated, half_normal = problem.parameters.prior, problem.parameters.half_normal
-    stated_names = {*stated.marginals, *half_normal, *(tie.name for tie in stated.ties)}
+    stated = problem.parameters.prior
+    stated_names = {*stated.marginals, *(tie.name for tie in stated.ties)}
     flat = np.array([name not in stated_names for name in problem.names])
     # 12 / width^2 is the precision of a uniform distribution of this width
     bounds: Floats = np.diag(np.where(flat, 12.0 / (problem.upper - problem.lower) ** 2, 0.0))
-    # of a half-normal prior: 2 at its deviation, which is the peak of the logarithm's density
-    spreads: Floats = np.diag([2.0 * (name in half_normal) for name in problem.names])
-    return bounds + spreads + stated.information(problem.names)
+    return bounds + stated.information(problem.names)
 
 
 def prior_and_noise_information(problem: Problem) -> Floats:

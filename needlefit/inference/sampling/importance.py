@@ -40,6 +40,7 @@ from needlefit.inference.identifiability.profile import (
     minimize_squares,
     trace_profiles,
 )
+from needlefit.inference.parameter_names import BEVEL_SPREAD
 from needlefit.inference.parameters import Parameters
 from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem
@@ -518,7 +519,7 @@ def find_uninformed(problem: Problem, mode: LocalMinimum) -> Bools:
     width = problem.upper - problem.lower
     axes = approximate_by_information(mode.information, mode.theta, problem.lower, problem.upper).axes
     ratios = np.sqrt(UNIFORM_PRECISION * np.sum(axes**2, axis=1)) / width
-    informed = {*problem.parameters.prior.names, *problem.parameters.half_normal}
+    informed = problem.parameters.prior.stated_names
     uninformed = np.array([name not in informed for name in problem.names]) & (ratios >= UNINFORMED_SD_RATIO)
     uninformed[int(np.argmin(ratios))] = False
     return uninformed
@@ -535,7 +536,7 @@ def list_profile_points(
     posterior and end far from the peak. A mixture that grows from the peak alone may never reach it, and the
     weights do not show it.
     """
-    stated = {tie.name for tie in problem.parameters.prior.ties} | set(problem.parameters.half_normal)
+    stated = {*(tie.name for tie in problem.parameters.prior.ties), BEVEL_SPREAD}
     traced = [k for k, name in enumerate(problem.names) if name not in stated and not uninformed[k]]
     paths = trace_profiles(problem.near(mode.theta), traced, mode, jobs, steps=PROFILE_STEPS)
     # without the optimum, which comes first

@@ -25,7 +25,7 @@ MAX_R_HAT = 1.02
 MAX_APART = 5.0
 LOG_POSTERIOR = "log posterior"
 #: what the file keeps beside arrays; of files of other versions, whatever else they have is left out
-_STORED = ("names", "wanted", "burn_in", "failures", "interrupted")
+_STORED = ("names", "wanted", "burn_in", "failures", "interrupted", "sampler")
 UNITS = {"pa": "Pa", "mm": "mm", "deg": "degree"}  #: of parameters, by the endings of their names
 PERCENTILES = (2.5, 16.0, 50.0, 84.0, 97.5)
 
@@ -46,6 +46,7 @@ class Posterior:
     burn_in: int  #: steps thrown away before
     failures: int  #: evaluations that were not a number, or raised, and were given density 0
     interrupted: bool = False
+    sampler: str = "emcee"  #: its name in the registry
     #: (P,) how far the means lie from those of the certified draws by importance before, in standard errors;
     #: empty where none are known
     apart: Floats = field(default_factory=lambda: np.empty(0))
@@ -174,7 +175,7 @@ def _list_groups(posterior: Posterior) -> dict[str, _Group]:
     }
     about = json.dumps({name: getattr(posterior, name) for name in _STORED})
     header = {
-        "inference_library": "emcee",
+        "inference_library": posterior.sampler,
         "state": "; ".join(("NOT CONVERGED", *faults)) if (faults := posterior.faults) else "converged",
         "about": about,
     }

@@ -1,14 +1,9 @@
-"""Sample a posterior by emcee: an ensemble of walkers that starts from draws by importance.
-
-Most steps propose, for every walker, a draw of a fixed mixture of Student's t that is fitted to the draws by
-importance (Metropolis-Hastings). Of emcee's own moves one independent draw costs several times as many
-densities (`python benchmarks/sampling.py`); its stretch move takes the other steps, and frees walkers that
-stand where the mixture is too thin.
-"""
+"""Sample a posterior by an ensemble of walkers that starts from draws by importance, until it converges."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from itertools import islice
 
 import numpy as np
 
@@ -21,15 +16,11 @@ from needlefit.inference.sampling import importance
 from needlefit.inference.sampling.interpolated_density import MAX_RMS_ERROR
 from needlefit.inference.sampling.log_density import Evaluator, LogDensityFunction
 from needlefit.inference.sampling.posterior import LOG_POSTERIOR, Posterior
+from needlefit.inference.sampling.samplers import SAMPLERS, Step
 from needlefit.schemas.recipe import SampleRecord
 
 BLOCK_STEPS = 10  #: between two checks of convergence
-INDEPENDENT_SHARE = 0.9  #: of the steps, by proposals of the mixture
 CHECKED_DRAWS = 64  #: in which interpolated densities are checked in the end
-FITS = 6  #: to the draws by importance, from other beginnings each, so that none follows their noise
-COMPONENTS = 8  #: of each fit
-#: of the mixture; the rest is the wide one that the draws are of, so that no place is proposed too rarely
-FITTED_SHARE = 0.9
 
 
 def sample(
@@ -113,60 +104,46 @@ def sample_density(
 
     Its `draws` are the coordinates of the density.
     """
-    import emcee  # takes 0.7 s, which only a sampling run should pay
-
     walkers = max(settings.walkers, 2 * len(names))
     most = max(1, settings.densities // walkers)
     # the largest of weights times Gumbel's noise: drawn in turn by weight
     order = np.argsort(-(begin.log_weights + rng.gumbel(size=len(begin.thetas))), kind="stable")
     order = np.resize(order[np.isfinite(begin.log_weights[order])], walkers)  # repeated where there are fewer
-    random = np.random.RandomState(int(rng.integers(2**32))).get_state()  # the kind that emcee takes
-    assert begin.proposal is not None
-    proposal = begin.proposal.add_fitted(begin, rng, COMPONENTS, FITTED_SHARE, FITS)
-    moves = make_sampler_moves(proposal)
-    sampler = emcee.EnsembleSampler(walkers, len(names), log_density, moves=moves, vectorize=True)
-    state = emcee.State(begin.thetas[order], begin.log_density[order], random_state=random)
-    steps, stopped, posterior = 0, callbacks.stop(), None
-    while True:
-        if steps:
-            burn_in = 0 if begin.certified else steps // 2
-            chain, density = sampler.get_chain(discard=burn_in), sampler.get_log_prob(discard=burn_in)
-            quantities = [*np.moveaxis(chain, 2, 0), density]  # each (N, W)
-            posterior = Posterior(
-                names=names,
-                draws=chain.transpose(1, 0, 2),
-                log_posterior=density.T,
-                acceptance_fraction=sampler.acceptance_fraction,
-                r_hat=np.array([compute_r_hat(quantity) for quantity in quantities]),
-                autocorrelation_time=np.array(
-                    [compute_autocorrelation_time(quantity) for quantity in quantities]
-                ),
-                wanted=settings.independent_draws,
-                burn_in=burn_in,
-                failures=0,
-                interrupted=stopped,
-            )
-            posterior = replace(posterior, apart=compare_means(posterior, begin))
-        if stopped or steps == most or (posterior is not None and not posterior.faults):
-            return posterior
-        count = min(BLOCK_STEPS, most - steps)
-        for _ in sampler.sample(state, iterations=count, skip_initial_state_check=True):
-            steps += 1
-            callbacks.step(steps, most)
+    steps = [(begin.thetas[order], begin.log_density[order])]  # the first is where they begin
+    walk = SAMPLERS[settings.sampler].walk(log_density, steps[0], begin, rng)
+    stopped, posterior = callbacks.stop(), None
+    while not (stopped or len(steps) > most or (posterior is not None and not posterior.faults)):
+        for step in islice(walk, min(BLOCK_STEPS, most + 1 - len(steps))):
+            steps.append(step)
+            callbacks.step(len(steps) - 1, most)
             if stopped := callbacks.stop():
                 break
-        state = sampler.get_last_sample()
+        posterior = replace(_summarize(steps, names, begin, settings), interrupted=stopped)
+        posterior = replace(posterior, apart=compare_means(posterior, begin))
+    return posterior
 
 
-def make_sampler_moves(proposal: importance.Proposal) -> list[tuple[Any, float]]:
-    """Return emcee's moves, each with its share of the steps."""
-    from emcee import moves
-
-    def propose(coordinates: Floats, random: Any) -> tuple[Floats, Floats]:  # noqa: ANN401  (emcee's generator)
-        proposed = proposal.draw(len(coordinates), random)
-        return proposed, proposal.log_density(coordinates) - proposal.log_density(proposed)
-
-    return [(moves.MHMove(propose), INDEPENDENT_SHARE), (moves.StretchMove(), 1 - INDEPENDENT_SHARE)]
+def _summarize(
+    steps: Sequence[Step], names: tuple[str, ...], begin: importance.WeightedDraws, settings: SampleRecord
+) -> Posterior:
+    """Return the draws of a chain, by steps from where its walkers began, with what shows its convergence."""
+    walked, density = (np.array(part) for part in zip(*steps, strict=True))  # (N + 1, W, P), (N + 1, W)
+    moved = np.any(walked[1:] != walked[:-1], axis=2)
+    burn_in = 0 if begin.certified else (len(steps) - 1) // 2
+    chain, density = walked[1 + burn_in :], density[1 + burn_in :]
+    quantities = [*np.moveaxis(chain, 2, 0), density]  # each (N, W)
+    return Posterior(
+        names=names,
+        draws=chain.transpose(1, 0, 2),
+        log_posterior=density.T,
+        acceptance_fraction=moved.mean(axis=0),
+        r_hat=np.array([compute_r_hat(quantity) for quantity in quantities]),
+        autocorrelation_time=np.array([compute_autocorrelation_time(quantity) for quantity in quantities]),
+        wanted=settings.independent_draws,
+        burn_in=burn_in,
+        failures=0,
+        sampler=settings.sampler,
+    )
 
 
 def compute_autocorrelation_time(values: Floats) -> float:

@@ -9,5 +9,6 @@ from needlefit_example.file_format import XYZ
 from needlefit_example.law import LOGARITHMIC
 from needlefit_example.metric import END_ERROR
 from needlefit_example.observation import ULTRASOUND
+from needlefit_example.sampler import RANDOM_WALK
 
-__all__ = ["DEPTH_STUDY", "END_ERROR", "LOGARITHMIC", "PARABOLA", "ULTRASOUND", "XYZ"]
+__all__ = ["DEPTH_STUDY", "END_ERROR", "LOGARITHMIC", "PARABOLA", "RANDOM_WALK", "ULTRASOUND", "XYZ"]

@@ -90,7 +90,8 @@ class Computation(NamedTuple):
 
     starts: int
     source: str  #: of the draws; "" without any
-    walkers: int | None  #: of emcee
+    sampler: str
+    walkers: int | None
     draws: int | None  #: independent ones
 
 
@@ -102,6 +103,7 @@ def describe_computation(run: Run) -> Computation:
     return Computation(
         int((frames.starts["fit"] == "fitted").sum()),
         source,
+        recipe.sample.sampler,
         recipe.sample.walkers if source == "posterior" else None,
         None if draws.empty else round(draws["ess"].min()),
     )
