@@ -21,6 +21,7 @@ from needlefit.errors import ConfigError
 from needlefit.geometry.frames import make_entry_frame
 from needlefit.geometry.smoothing_spline import SplineSections, make_knots
 from needlefit.geometry.surfaces import make_cylinder, make_sheet
+from needlefit.inference.sampling.samplers import SAMPLERS
 from needlefit.mechanics.control import Bevel
 from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.mechanics.simulate import simulate
@@ -315,6 +316,7 @@ EDITS = {
     "PriorRecord.correlation": {"correlation": 0.5},
     "LikelihoodRecord.noise_scale": {"noise_scale": "estimated"},
     "LikelihoodRecord.measurement": {"measurement": "points"},
+    "SampleRecord.sampler": {"sampler": "other"},
     "SampleRecord.walkers": {"walkers": 14},
     "SourceRecord.truth": {"truth": {"mu1_pa": 3e5}},
     "SourceRecord.root": {"root": "../other"},
@@ -455,6 +457,7 @@ def test_each_key_decides_the_identity_or_is_listed_not_to(key, project, known, 
         changes = {alias: change(stated.get(alias, default), field.annotation)}
     edit(folder / file, where, changes)
     monkeypatch.chdir(folder)
+    monkeypatch.setattr(SAMPLERS, "_builtin_names", frozenset(("emcee", "other")))
     found = identify(load(folder, study))
     decides = name not in UNDECIDING or key == "FoldsRecord.name"
     assert (found.sha256 != known[study].sha256) == decides, changes
