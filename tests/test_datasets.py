@@ -88,9 +88,9 @@ def test_numbers_beside_the_points_are_read_back(tmp_path):
     dataset = write_mine(tmp_path)
     tables = record(name="mine", media={"medium1": {"boundaries_mm": [20.0]}}, noise={"point_sd_mm": 0.1})
     values = ({"force_n": 1.25, "time_s": 7.0}, {"force_n": -2e-6})
-    rows = [row(f"example{n}", "medium1", layers=2, observed_values=one) for n, one in enumerate(values)]
+    rows = [row(f"example{n}", "medium1", layers=2, observation_values=one) for n, one in enumerate(values)]
     write_dataset(tmp_path, tables, rows, dict.fromkeys((one.id for one in rows), CURVE), {})
-    assert tuple(one.observed_values for one in read(dataset).insertions) == values
+    assert tuple(one.observation_values for one in read(dataset).insertions) == values
 
 
 def test_a_written_dataset_is_read_back(tmp_path):

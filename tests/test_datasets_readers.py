@@ -71,7 +71,7 @@ def test_runs_count_from_first_contact_and_an_invalid_reading_leaves_one_out(tmp
     assert moved.guide.depths == pytest.approx(DEPTH) and moved.guide.y == pytest.approx(GUIDE)
     assert (rest.guided, moved.guided, moved.side, moved.sequence) == (False, True, 1, (1,))
     assert moved.points == pytest.approx(runs[1].points, abs=1e-5) and moved.headings == ()
-    assert (moved.observed, moved.directions) == ("tip_track", 1)
+    assert (moved.observation, moved.directions) == ("tip_track", 1)
     assert check(tmp_path) == [] and dataset.noise.point_sd == 0.02
     folder = written(tmp_path, runs)
     cell("steps.csv", 20, ok="0")(folder)

@@ -587,7 +587,7 @@ def test_a_table_of_depths_and_deflections_is_of_tips(tmp_path, head, rows, hole
     assert np.array(found, dtype=float) == pytest.approx(np.array(ends, dtype=float), nan_ok=True)
     write_placed(tmp_path / "tips", [tmp_path / "a.csv"], point_sd="0.2")
     data = read(tmp_path / "tips")
-    assert {one.observed for one in data.insertions} == {"tip"} and data.noise.point_sd == 0.2
+    assert {one.observation for one in data.insertions} == {"tip"} and data.noise.point_sd == 0.2
 
 
 def test_sensors_may_be_placed_from_the_base(tmp_path):
@@ -674,8 +674,8 @@ def test_a_tip_of_the_name_and_depth_of_a_shape_is_of_this_needle(tmp_path):
     stated = {"pose": "1,0,0", "bevel": "0,1,0", "point_sd": "0.1"}
     write_placed(out := tmp_path / "out", [file, other], **stated)
     one, two, further = read(out).insertions
-    assert one.tip[0] == 2.3 and one.tip[2] == 0.05 and one.observed == "points" and two.tip is None
-    assert (further.id, further.observed, further.deflection) == ("b-2", "tip", pytest.approx(-1.1))
+    assert one.tip[0] == 2.3 and one.tip[2] == 0.05 and one.observation == "points" and two.tip is None
+    assert (further.id, further.observation, further.deflection) == ("b-2", "tip", pytest.approx(-1.1))
 
 
 def test_times_and_places_of_a_tip_beside_its_guide_are_tracks(tmp_path):

@@ -117,7 +117,7 @@ def test_the_shift_of_curvatures_is_in_standard_deviations_of_the_sensors(held):
         return found.in_noise
 
     expected = np.max(np.abs(np.subtract(kappa[1:], kappa[0]))) / sd
-    assert find(replace(one, curvature=sensors, observed="curvature")) == pytest.approx(expected, rel=0.02)
+    assert find(replace(one, curvature=sensors, observation="curvature")) == pytest.approx(expected, rel=0.02)
     assert find(replace(one, curvature=sensors)) == find(one) < 0.1 < expected
 
 

@@ -373,7 +373,7 @@ class Groups:
         tip = self.tips[kind] + gains @ responses + slope * DEPTH + 5 * normal() + entry + noise
         return with_tip(one, tip + carried * (one.guide.y - responses.sum(axis=0)))
 
-    def predict(self, kinds, draws, observed=4):
+    def predict(self, kinds, draws, registered=4):
         """Draws of the last reading of a further run of the last kind, and what was measured."""
         slope = 0.03 + np.radians(self.errors.slope_sd_deg) * self.rng.standard_normal()
         carried = self.errors.carried_sd * self.rng.standard_normal()
@@ -385,7 +385,7 @@ class Groups:
         ]
         curves = [np.tile(self.tips[kind], (draws, 1, 1)) for kind in kinds]
         (found,) = track_predictions.predict_runs(
-            np.ones(draws), seen[:-1], seen[-1:], curves, [observed], self.rng
+            np.ones(draws), seen[:-1], seen[-1:], curves, [registered], self.rng
         )
         return found.values[:, -1], every[-1].points[-1, 1]
 

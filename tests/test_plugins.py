@@ -162,16 +162,16 @@ def test_an_observation_is_one_file_of_a_plugin(
     monkeypatch.chdir(tmp_path)
     dataset = write_mine(tmp_path / "mine")
     table = pd.read_csv(dataset.parent / "insertions.csv")
-    table.assign(observed="ultrasound").to_csv(dataset.parent / "insertions.csv", index=False)
+    table.assign(observation="ultrasound").to_csv(dataset.parent / "insertions.csv", index=False)
     data = read(dataset)
-    assert set(data.to_frame()["observed"]) == {"ultrasound"}
+    assert set(data.to_frame()["observation"]) == {"ultrasound"}
     one = data.insertions[0]
     seen = one.measure_arc("plane") > 10.0
     assert make_observation(data, one).rows == seen.sum() < len(seen)
     layers = max(len(each.sequence) for each in data.insertions)
     moved = one.with_points(one.points + np.outer(~seen, [0.0, 0.3, 0.0]))
     densities = []
-    for insertion in (one, moved, replace(moved, observed="points")):
+    for insertion in (one, moved, replace(moved, observation="points")):
         asked = make_problem(data, [insertion], medium(layers), WeightsRecord())
         densities.append(asked.log_posterior((asked.lower + asked.upper) / 2))
     assert densities[1] == pytest.approx(densities[0], rel=1e-2)
@@ -194,7 +194,7 @@ BASE_MM = 5.0
 @dataclass(frozen=True)
 class Tilt(ObservationType):
     def observe_values(self, insertion, errors):
-        tilt, sd = (insertion.observed_values[name] for name in ("tilt_rad", "tilt_sd_rad"))
+        tilt, sd = (insertion.observation_values[name] for name in ("tilt_rad", "tilt_sd_rad"))
         s = insertion.depth - np.array([BASE_MM, 0.0])
         cov = np.array([[sd**2]])
         whitening, log_norm = whiten(cov, np.empty((1, 0)))
@@ -216,11 +216,11 @@ TILT_ERROR = Metric(
 """
 
 
-def write_tilts(dataset: Path, observed: str) -> None:
-    """Let insertions be observed by their tilts too, or by their points alone."""
-    table = pd.read_csv(dataset.parent / "insertions.csv").filter(regex="^(?!observed)")
-    own = {"observed_tilt_rad": 0.05, "observed_tilt_sd_rad": 1e-4} if observed == "tilt" else {}
-    table.assign(observed=observed, **own).to_csv(dataset.parent / "insertions.csv", index=False)
+def write_tilts(dataset: Path, observation: str) -> None:
+    """Let insertions be measured by their tilts too, or by their points alone."""
+    table = pd.read_csv(dataset.parent / "insertions.csv").filter(regex="^(?!observation)")
+    own = {"observation_tilt_rad": 0.05, "observation_tilt_sd_rad": 1e-4} if observation == "tilt" else {}
+    table.assign(observation=observation, **own).to_csv(dataset.parent / "insertions.csv", index=False)
 
 
 @pytest.fixture
@@ -244,21 +244,23 @@ def test_an_observation_has_a_number_of_its_own(
 ) -> None:
     """A tilt beside the points, stated to 1e-4 rad, is what the fit gives; points alone give another."""
     data = read(tilted)
-    assert [one.observed_values for one in data.insertions] == [{"tilt_rad": 0.05, "tilt_sd_rad": 1e-4}] * 2
+    assert [one.observation_values for one in data.insertions] == [
+        {"tilt_rad": 0.05, "tilt_sd_rad": 1e-4}
+    ] * 2
     skip_figures(monkeypatch)
     predict_by_few_draws(monkeypatch)
     recipe, _ = read_given("recipe", "quick", RecipeRecord)
     assert plugin_versions(*list_fit_plugins(medium(1), data, recipe)) == {"tilt": VERSION}
     tilts = {}
-    for observed in ("tilt", "points"):
-        write_tilts(tilted, observed)
+    for observation in ("tilt", "points"):
+        write_tilts(tilted, observation)
         assert run("validate", "mine", "-q") == 0
         errors = pd.read_csv("reports/mine/errors.csv").query("role == 'tune' and method == 'fitted'")
         assert errors["tilt_deg"].between(0.0, 20.0).all()
         shapes = pd.read_csv("reports/mine/shapes.csv").query("role == 'tune' and method == 'fitted'")
         x, y, _ = shapes[[f"simulated_{axis}_mm" for axis in "xyz"]].to_numpy().T
         near = x > x[-1] - 5.0
-        tilts[observed] = np.polyfit(x[near], y[near], 1)[0]
+        tilts[observation] = np.polyfit(x[near], y[near], 1)[0]
     assert tilts["tilt"] == pytest.approx(0.05, abs=2e-3)
     assert abs(tilts["points"] - 0.05) > 0.005
 

@@ -36,7 +36,7 @@ NOISE = Noise(point_sd=0.05)
 def tip(depth: float, side: int = 1, error: float = 0.0) -> Insertion:
     """An insertion of which the tip was measured, at the truth and an error, mm."""
     planned = insertion(depth, side=side, angle_sd=0.0)
-    planned = replace(planned, id=f"at{depth:g}{side:+d}", observed="tip", directions=1)
+    planned = replace(planned, id=f"at{depth:g}{side:+d}", observation="tip", directions=1)
     (end,) = read_points(planned, predict(TRUTH, ONE_LAYER, planned), np.array([depth]))[:, 1] + error
     return planned.with_points(np.array([[0.0, 0.0], [depth, end]]))
 
@@ -99,7 +99,7 @@ def test_a_tip_alone_is_compared_beside_cross_sections_of_the_scan() -> None:
     data = read(TWIN / "dataset.toml")
     one = next(one for one in data.insertions if one.sections is not None)
     assert len(make_observation(data, one).covariance()) > 1
-    assert make_observation(data, replace(one, observed="tip")).covariance().shape == (1, 1)
+    assert make_observation(data, replace(one, observation="tip")).covariance().shape == (1, 1)
 
 
 def test_a_tip_has_an_error_across_and_no_error_along_the_needle() -> None:
@@ -120,7 +120,7 @@ def test_curvatures_alone_tell_modulus_and_bevel() -> None:
         y = SimulatedCurve(shape, one)((depth - places[:, None] + step * np.array([-1, 0, 1])).ravel())[:, 1]
         kappa = y.reshape(-1, 3) @ [1.0, -2.0, 1.0] / step**2
         read_out = np.column_stack([places, kappa, 0 * kappa, np.full(len(kappa), 2e-6)])
-        made.append(replace(one, curvature=read_out, observed="curvature"))
+        made.append(replace(one, curvature=read_out, observation="curvature"))
     asked = make_problem(dataset(made, Noise()), made, ONE_LAYER, WeightsRecord())
     fit = minimize(asked, RecipeRecord.model_validate({"schema": 1, "starts": 2}), np.random.default_rng(1))
     assert np.array(fit.theta) == pytest.approx(THETA, abs=0.02)
@@ -163,7 +163,7 @@ def test_a_table_of_depths_and_deflections_is_a_dataset(tmp_path: Path) -> None:
     data = read(written(tmp_path, rows))
     first, second, third = data.insertions
     assert [one.deflection for one in data.insertions] == pytest.approx([2.5, 5.5, 5.0])
-    assert [one.observed for one in data.insertions] == ["tip"] * 3 == list(data.to_frame()["observed"])
+    assert [one.observation for one in data.insertions] == ["tip"] * 3 == list(data.to_frame()["observation"])
     assert (first.hole, second.hole, first.directions) == ("h", "h", 1)
     assert [data.noise.of(one).point_sd for one in data.insertions] == [0.1, 0.2, 0.1]
     covariances = [make_observation(data, one).point_covariance for one in (second, third)]

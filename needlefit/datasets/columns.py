@@ -53,13 +53,13 @@ CURVATURE_COLUMNS = ("id", "s_mm", "kappa_y_1_per_mm", "kappa_z_1_per_mm", "sd_1
 # Of an insertion whose tip was measured: its deflection along y and z of C, and its deviation beside a shape.
 TIP_COLUMNS = ("tip_y_mm", "tip_z_mm", "tip_sd_mm")
 POINT_SD_COLUMN = "point_sd_mm"  # where what was measured of an insertion errs by more or less than of others
-OBSERVED_COLUMN = "observed"  # the name of an observation, where it is not that of the data that are there
-OBSERVED_PREFIX = "observed_"  # of the columns of numbers that the observation of a plugin has besides
+OBSERVATION_COLUMN = "observation"  # its name, where it is not that of the data that are there
+OBSERVATION_PREFIX = "observation_"  # of the columns of numbers that the observation of a plugin has besides
 MIN_SENSOR_MM = 1.0  # least distance of a sensor from tip and base, mm
 DEFAULT_ROLL_SD_DEG = 5.0  # standard deviation of a bevel's roll, where none is stated
 
 # The columns of texts, which are fields of `InsertionRow`.
-TEXT_COLUMNS = ("id", "medium", "specimen", "pose_source", NEEDLE_COLUMN, HOLE_COLUMN, OBSERVED_COLUMN)
+TEXT_COLUMNS = ("id", "medium", "specimen", "pose_source", NEEDLE_COLUMN, HOLE_COLUMN, OBSERVATION_COLUMN)
 # The columns of single numbers: the field of `InsertionRow`, and the value of an empty cell. NaN: the field
 # is None; None: no cell may be empty. Angles are in rad in the field.
 NUMBER_COLUMNS: dict[str, tuple[str, float | None]] = {
@@ -158,8 +158,8 @@ class InsertionRow:
     tip_sd: float | None = None
     # standard deviation of a point per axis, mm; None: that of the dataset
     point_sd: float | None = None
-    observed: str = ""  # the name of an observation; "": that of the data that are there
-    # the numbers of the columns `observed_NAME`, by NAME; an empty cell has none
-    observed_values: Mapping[str, float] = field(default_factory=dict)
+    observation: str = ""  # the name of an observation; "": that of the data that are there
+    # the numbers of the columns `observation_NAME`, by NAME; an empty cell has none
+    observation_values: Mapping[str, float] = field(default_factory=dict)
     # (n, 4); of each sensor the numbers of `CURVATURE_COLUMNS`
     curvature: Floats | None = None

@@ -177,11 +177,11 @@ class Insertion(InsertionInputs):
     tip : (3,) array or None
         Beside a shape: the tip's deflection along y and z of C, NaN where not measured, and its standard
         deviation, NaN: that of a point; mm.
-    observed : str
+    observation : str
         Name of the observation (`inference/likelihood/observations/`) that compares `points` with the
         simulation: "points", "tip_track", or one of a plugin.
-    observed_values : mapping of str to float
-        What the observation of a plugin has besides `points`: the numbers of the columns `observed_NAME`.
+    observation_values : mapping of str to float
+        What the observation of a plugin has besides `points`: the numbers of the columns `observation_NAME`.
     directions : int
         2 where the z of `points` was measured, 1 where they are known along y alone.
     headings : tuple of (N,) arrays
@@ -220,8 +220,8 @@ class Insertion(InsertionInputs):
     roll_sd: float = math.radians(DEFAULT_ROLL_SD_DEG)
     curvature: Floats | None = None
     tip: Floats | None = None
-    observed: str = "points"
-    observed_values: Mapping[str, float] = field(default_factory=dict)
+    observation: str = "points"
+    observation_values: Mapping[str, float] = field(default_factory=dict)
     directions: int = 2
     headings: tuple[Floats, ...] = ()
     setup: str = ""
@@ -234,7 +234,14 @@ class Insertion(InsertionInputs):
     @property
     def states_errors(self) -> bool:
         """Whether the errors of what was measured stand with it, whatever noise its dataset states."""
-        return self.sd is not None or self.point_sd is not None or self.observed == "curvature"
+        return self.sd is not None or self.point_sd is not None or self.observation == "curvature"
+
+    @property
+    def observations(self) -> tuple[str, ...]:
+        """Names of all by which it was measured, first that of its points or of what replaces them."""
+        beside = {"curvature": self.curvature, "tip": self.tip}
+        names = [name for name, values in beside.items() if values is not None]
+        return tuple(dict.fromkeys((self.observation, *names)))
 
     @property
     def is_posed(self) -> bool:
@@ -361,7 +368,7 @@ class Dataset:
                 "depth_mm": one.depth,
                 "bevel_side": one.side,
                 "deflection_mm": one.deflection,
-                "observed": one.observed,
+                "observation": one.observation,
                 "points": len(one.points),
                 "pose_source": one.pose_source,
             }

@@ -21,7 +21,7 @@ from needlefit.datasets.columns import (
     MIN_SENSOR_MM,
     NO_BOUNDARY,
     NUMBER_COLUMNS,
-    OBSERVED_PREFIX,
+    OBSERVATION_PREFIX,
     POSE_COLUMNS,
     REQUIRED_COLUMNS,
     ROLL_COLUMNS,
@@ -197,13 +197,13 @@ def _make_rows(table: CsvTable, pose_known: bool, faults: list[Fault]) -> list[I
         values = parse_numbers(table, name, faults, default)
         values = np.radians(values) if name.endswith("_deg") else values
         fields[field] = [None if math.isnan(x) and default is not None else x for x in values.tolist()]
-    observed = {
-        str(name).removeprefix(OBSERVED_PREFIX): parse_numbers(table, str(name), faults, math.nan).tolist()
+    numbers = {
+        str(name).removeprefix(OBSERVATION_PREFIX): parse_numbers(table, str(name), faults, math.nan).tolist()
         for name in table.cells
-        if str(name).startswith(OBSERVED_PREFIX)
+        if str(name).startswith(OBSERVATION_PREFIX)
     }
-    fields["observed_values"] = [
-        {name: values[n] for name, values in observed.items() if not math.isnan(values[n])} for n in count
+    fields["observation_values"] = [
+        {name: values[n] for name, values in numbers.items() if not math.isnan(values[n])} for n in count
     ]
     fields["boundaries"] = [_parse_boundaries(table, n, faults) for n in count]
     fields["side"] = map(_to_int, parse_numbers(table, "bevel_side", faults, 1.0))

@@ -201,8 +201,8 @@ def reduce_insertion(
             "side": row.side if row.roll is None else 1,
             "turns": tuple((depth, math.degrees(roll - contact)) for depth, roll in row.turns),
             "curvature": _turn_curvature(row),
-            "observed": row.observed or "points",
-            "directions": 1 if row.observed == "tip" and row.tip_z is None else 2,
+            "observation": row.observation or "points",
+            "directions": 1 if row.observation == "tip" and row.tip_z is None else 2,
             "tip": _select_tip(row),
             "curves": {"space": (local, points.curve.to_local(frame))},
         }
@@ -211,7 +211,7 @@ def reduce_insertion(
 
 def _select_tip(row: InsertionRow) -> Floats | None:
     """Return the tip (3,) beside a shape, as `Insertion.tip`; None where there is none."""
-    if row.tip_y is None or row.observed == "tip":
+    if row.tip_y is None or row.observation == "tip":
         return None
     return np.array([row.tip_y, *(np.nan if one is None else one for one in (row.tip_z, row.tip_sd))])
 

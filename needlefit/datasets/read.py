@@ -44,7 +44,7 @@ from needlefit.datasets.scatter import find_scatter_warnings
 from needlefit.datasets.sections import find_operator_faults, find_sections
 from needlefit.datasets.sources import DatasetFiles, find_checksum_faults, find_dataset_file, find_folder
 from needlefit.datasets.tip_tracks import parse_tracks
-from needlefit.datasets.tips import find_tip_faults, name_observed, place_tip
+from needlefit.datasets.tips import find_tip_faults, name_observation, place_tip
 from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame
 from needlefit.project import toml
@@ -254,7 +254,7 @@ def _iterate_insertions(reading: _Reading, shared: SharedSurfaces) -> Iterator[L
         where, patient = f"{table.path}:{row.line}", row.patient or scanned
         faults: list[Fault] = []
         is_curve = curves is not None and curves.is_expected(row)
-        row = replace(row, observed=name_observed(row, is_curve))
+        row = replace(row, observation=name_observation(row, is_curve))
         if curves is None or not is_curve:
             faults += find_tip_faults(row, where, record.frame.pose)
             row, points = (row, None) if faults else place_tip(row, table.path)
@@ -334,7 +334,7 @@ class _Centerlines:
 
     def is_expected(self, row: InsertionRow) -> bool:
         """Return whether an insertion has a centreline, or states nothing that stands in its place."""
-        if row.tip_y is None and row.observed != "curvature":
+        if row.tip_y is None and row.observation != "curvature":
             return True
         pattern = self.record.centerlines.pattern
         return row.id in self.groups if pattern is None else self._name_file(row).is_file()

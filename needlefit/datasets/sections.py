@@ -145,7 +145,7 @@ def from_record(record: SectionsRecord) -> SplineSections:
 def describe_measurement(dataset: Dataset) -> str:
     """Return what the measurement of a dataset does to shapes, for people."""
     stated = dataset.measurement
-    kinds = dict.fromkeys(insertion.observed for insertion in dataset.insertions)
+    kinds = dict.fromkeys(insertion.observation for insertion in dataset.insertions)
     if any(kind in MEASURED for kind in kinds):
         return "; ".join(MEASURED.get(kind, "shapes") for kind in kinds)
     if stated.operator == "gaussian":

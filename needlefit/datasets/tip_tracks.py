@@ -71,7 +71,7 @@ def make_track(
         centerline=points, points=points,
         turns=turns, boundaries=boundaries, sequence=sequence, boundary_sd=0.0,
         guide=GuideMotion(np.pad(readings.depth, (before, 0)), *np.pad(guide, ((before, 0), (0, 0))).T),
-        observed="tip_track", directions=directions,
+        observation="tip_track", directions=directions,
         headings=readings.headings,
     )  # fmt: skip
 

@@ -18,10 +18,10 @@ from needlefit.geometry.frames import make_entry_frame
 CURVE_POINTS = 101  # of the curve that curvatures give
 
 
-def name_observed(row: InsertionRow, is_curve: bool) -> str:
+def name_observation(row: InsertionRow, is_curve: bool) -> str:
     """Return the observation that compares what was measured of an insertion."""
-    if row.observed or is_curve:
-        return row.observed or "points"
+    if row.observation or is_curve:
+        return row.observation or "points"
     return "curvature" if row.tip_y is None else "tip"
 
 
@@ -36,7 +36,7 @@ def find_tip_faults(row: InsertionRow, where: str, pose: Pose) -> Iterator[Fault
             where=where,
         )
         return
-    if row.pose_source == "first_point" and row.observed != "points":
+    if row.pose_source == "first_point" and row.observation != "points":
         yield DataError(
             "pose_source is 'first_point', and no shape was measured",
             expected="stage, shaft or fitted: the place of first contact is known",

@@ -21,8 +21,8 @@ from needlefit.datasets.columns import (
     NEEDLE_COLUMN,
     NO_BOUNDARY,
     NUMBER_COLUMNS,
-    OBSERVED_COLUMN,
-    OBSERVED_PREFIX,
+    OBSERVATION_COLUMN,
+    OBSERVATION_PREFIX,
     POINT_COLUMNS,
     POINT_SD_COLUMN,
     ROLL_COLUMNS,
@@ -46,7 +46,7 @@ from needlefit.schemas.dataset import DatasetRecord
 # Columns that are written where a row states anything else than the default of their field.
 OPTIONAL_COLUMNS = (
     *(NEEDLE_COLUMN, BOUNDARIES_COLUMN, SHARED_COLUMN, HOLE_COLUMN),
-    *(*TIP_COLUMNS, POINT_SD_COLUMN, OBSERVED_COLUMN, BASE_SHIFT_COLUMN),
+    *(*TIP_COLUMNS, POINT_SD_COLUMN, OBSERVATION_COLUMN, BASE_SHIFT_COLUMN),
 )
 
 
@@ -124,7 +124,7 @@ def _format_rows(rows: Sequence[InsertionRow]) -> str:
     for name in OPTIONAL_COLUMNS:
         field = NUMBER_COLUMNS[name][0] if name in NUMBER_COLUMNS else name.removesuffix("_mm")
         columns += [name] * any(getattr(row, field) != getattr(InsertionRow, field) for row in rows)
-    columns += dict.fromkeys(OBSERVED_PREFIX + name for row in rows for name in row.observed_values)
+    columns += dict.fromkeys(OBSERVATION_PREFIX + name for row in rows for name in row.observation_values)
     columns += ROLL_COLUMNS if any(row.roll is not None or row.turns for row in rows) else []
     columns += SCAN_COLUMNS if any(row.patient is not None for row in rows) else []
     return _to_csv(
@@ -152,7 +152,7 @@ def format_cells(row: InsertionRow) -> dict[str, str]:
         (SCAN_SHIFT_COLUMNS, shift, 4),
     ):
         cells |= dict(zip(names, _format_vector(vector, digits), strict=True))
-    cells |= {OBSERVED_PREFIX + name: f"{value:.9g}" for name, value in row.observed_values.items()}
+    cells |= {OBSERVATION_PREFIX + name: f"{value:.9g}" for name, value in row.observation_values.items()}
     for name, (field, _) in NUMBER_COLUMNS.items():
         value = getattr(row, field)
         value = math.degrees(value) if name.endswith("_deg") and value is not None else value

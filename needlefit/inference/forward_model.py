@@ -130,7 +130,7 @@ def share_simulations(insertions: Sequence[Insertion], spacing: float) -> tuple[
     keys = []
     for insertion in insertions:
         key = None
-        if OBSERVATIONS[insertion.observed].on_the_way:
+        if OBSERVATIONS[insertion.observation].on_the_way:
             if insertion.guided or any(depth for depth, _ in insertion.turns):
                 _require_distance(insertion, MIN_CONSTRAINT_POINTS * spacing)
             else:
@@ -196,7 +196,7 @@ class PreparedModel:
         """Return, one by one, `read_points` (B, K, 2) of each insertion at its `s` (K,), mm."""
 
         def read(simulation: _Simulation, shapes: NeedleShapes, places: Floats, rows: slice) -> tuple[Floats]:
-            return (OBSERVATIONS[simulation.insertion.observed].read_batch_points(shapes, places),)
+            return (OBSERVATIONS[simulation.insertion.observation].read_batch_points(shapes, places),)
 
         read_values = self._read(sets, s, lambda batches: simulate_batches(batches, jobs), read)
         return (points for (points,) in read_values)
@@ -210,7 +210,7 @@ class PreparedModel:
         kinds = [kind for start, kind in starts if any(name.startswith(start) for name in moving)]
         kinds += ["shape"] * any(map(is_shape_parameter, moving))
         tracked = any(
-            OBSERVATIONS[simulation.insertion.observed].on_the_way for simulation in self._simulations
+            OBSERVATIONS[simulation.insertion.observation].on_the_way for simulation in self._simulations
         )
         slopes_of_sets = [parameters.slopes(values) for values in sets]
         slopes = {
@@ -222,7 +222,7 @@ class PreparedModel:
         def read(
             simulation: _Simulation, solved: tuple[NeedleShapes, Jacobians], places: Floats, rows: slice
         ) -> tuple[Floats, Floats]:
-            (shapes, jacobians), kind = solved, OBSERVATIONS[simulation.insertion.observed]
+            (shapes, jacobians), kind = solved, OBSERVATIONS[simulation.insertion.observation]
             by = kind.read_batch_derivatives(shapes, jacobians, places)  # (some of F B, K, 2 or 3, Q)
             key = simulation.layers, jacobians.names
             if key not in chained:

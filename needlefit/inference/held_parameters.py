@@ -80,11 +80,10 @@ def _compare_ends(problem: Problem, sets: Sequence[Values], size: int) -> tuple[
     """
     scales = np.array([values.get(NOISE_SCALE, problem.density.scale) for values in sets[::size]])
     likelihood = problem.likelihood.model_copy(update=MEASURED_POINTS)
-    alone = [OBSERVATIONS[insertion.observed].take_alone(insertion) for insertion in problem.insertions]
-    observations = [
-        make_observation(problem.dataset, curve, problem.noise, likelihood, respond=problem.respond)
-        for curve in alone
-    ]
+    observations = []
+    for insertion in problem.insertions:
+        data, alone = OBSERVATIONS[insertion.observation].take_alone(problem.dataset, insertion)
+        observations.append(make_observation(data, alone, problem.noise, likelihood, respond=problem.respond))
     model = PreparedModel(problem.medium, problem.insertions)
     ends = model.read_points(
         sets, [np.append(observation.nodes.s[0], observation.insertion.depth) for observation in observations]

@@ -99,12 +99,12 @@ def estimate_end_errors(draws: Floats, level: float, independent: float | None =
     return errors
 
 
-def crps(mixture: PredictiveMixture, observed: ArrayLike) -> Floats:
-    """Return the continuous ranked probability score (K,) of the values `observed` (K,), in their unit.
+def crps(mixture: PredictiveMixture, measured: ArrayLike) -> Floats:
+    """Return the continuous ranked probability score (K,) of the values `measured` (K,), in their unit.
 
     For a point prediction it is the absolute error; smaller is better.
     """
-    values = np.asarray(observed, dtype=np.float64)
+    values = np.asarray(measured, dtype=np.float64)
     off = _mean_absolute(values - mixture.means, mixture.sd).mean(axis=0)
     ranked, count = np.sort(mixture.means, axis=0), len(mixture.means)
     # the mean distance of all pairs of draws: the draw of rank b is above b others and below the rest

@@ -40,10 +40,10 @@ def predict_runs(
     tuned: Sequence[Observation],
     held_out: Sequence[Observation],
     curves: Sequence[Floats],
-    observed: Sequence[int],
+    registered: Sequence[int],
     rng: np.random.Generator | None = None,
 ) -> list[PredictedReadings]:
-    """Return of each run held out draws (B, n - k) of its readings after the first k, `observed`, mm.
+    """Return of each run held out draws (B, n - k) of its readings after the first k, `registered`, mm.
 
     Without `rng` they are the means of the readings, given each draw of the parameters. In space they are
     (B, 2 (n - k)), and curves are ordered alike. `scale` (B,) is what each draw
@@ -78,7 +78,7 @@ def predict_runs(
     inverse = np.linalg.inv(precision)
     best = np.einsum("bkl,bl->bk", inverse, pull)
     predicted = []
-    for k, (run, count) in enumerate(zip(held_out, observed, strict=True), start=len(tuned)):
+    for k, (run, count) in enumerate(zip(held_out, registered, strict=True), start=len(tuned)):
         covariance, shared = spread(k)
         mean = curves[k][:, 0] + np.einsum("bnk,bk->bn", shared, best)
         total = covariance + shared @ inverse @ shared.transpose(0, 2, 1)
@@ -98,9 +98,9 @@ def predict_runs(
 
 
 def predict_by_curve(
-    baseline: Baseline, tuned: Sequence[Observation], further: Observation, observed: int, slope_sd: float
+    baseline: Baseline, tuned: Sequence[Observation], further: Observation, registered: int, slope_sd: float
 ) -> Floats:
-    """Return the readings (n - observed,) of a run after the first `observed`, mm, by a baseline.
+    """Return the readings (n - registered,) of a run after the first `registered`, mm, by a baseline.
 
     `slope_sd`: of the slopes of runs, rad, that is taken where too few are `tuned` to estimate it.
     """
@@ -117,12 +117,12 @@ def predict_by_curve(
     slope, slope_variance = float(slopes.mean()), slope_sd**2 * (1 + 1 / len(slopes))
     if len(tuned) >= MIN_TUNED_RUNS:
         slope, slope_variance = _predict_slope(slopes, [run.insertion for run in (*tuned, further)], baseline)
-    design, first = further.free, slice(None, observed)  # (n, 2)
+    design, first = further.free, slice(None, registered)  # (n, 2)
     total = variance * further.point_covariance
     total = total + design @ np.diag([SHIFT_SD_MM**2, slope_variance]) @ design.T
     mean = columns @ best + slope * design[:, 1]
     gain = np.linalg.solve(total[first, first], further.measured[first, 1] - mean[first])
-    return mean[observed:] + total[observed:, first] @ gain
+    return mean[registered:] + total[registered:, first] @ gain
 
 
 def _predict_slope(slopes: Floats, runs: Sequence[Insertion], baseline: Baseline) -> tuple[float, float]:

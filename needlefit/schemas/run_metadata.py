@@ -104,6 +104,7 @@ class InsertionMetadata(_Metadata):
     specimen: str
     turns: tuple[tuple[float, float], ...] = ()
     needle: str = ""  #: its name, where there are several
+    observations: tuple[str, ...] = ()  #: by what it was measured, if by more than one
 
 
 class CountMetadata(_Metadata):

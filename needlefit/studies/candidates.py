@@ -94,7 +94,7 @@ def rank_candidates(
         if settings.stop():
             break
         row: Row = {"role": role, "insertion": insertion.id, "depth_mm": insertion.depth}
-        thin = OBSERVATIONS[insertion.observed].thin(insertion, MEASURED_POINTS)
+        thin = OBSERVATIONS[insertion.observation].thin(insertion, MEASURED_POINTS)
         planned = simulate_design(replace(job.problem(fold), insertions=(thin,)), values)
         if planned is None:
             rows.append(row | {"note": "no solution, or outside the medium"})

@@ -72,7 +72,7 @@ def _read_inputs(metadata: FitMetadata, name: str) -> InsertionInputs:
         needle=_read_needle(metadata.dataset, stored.needle),
         sequence=tuple(layer for layer, _ in layers),
         boundaries=np.array([top for _, top in layers[1:]]),
-        **stored.model_dump(exclude={"needle", "compared", "specimen"}),
+        **stored.model_dump(exclude={"needle", "compared", "specimen", "observations"}),
     )
 
 
@@ -96,6 +96,7 @@ def describe_insertions(job: "Job") -> dict[str, InsertionMetadata]:
             specimen=insertion.specimen,
             **({"turns": insertion.turns} if insertion.turns else {}),
             **({"needle": insertion.needle.name} if len(job.dataset.needles) > 1 else {}),
+            **({"observations": insertion.observations} if len(insertion.observations) > 1 else {}),
         )
         for insertion in job.insertions
         if insertion.guide is None

@@ -83,9 +83,9 @@ def make_identity(parts: Mapping[str, object], data: Mapping[str, str]) -> FitId
 
 def list_fit_plugins(medium: MediumRecord, dataset: Dataset, recipe: RecipeRecord) -> list[tuple[Any, str]]:
     """Return what may be a plugin's and decides a fit: its registry, and its name there."""
-    observed = {(OBSERVATIONS, insertion.observed) for insertion in dataset.insertions}
+    observations = {(OBSERVATIONS, insertion.observation) for insertion in dataset.insertions}
     sampler = (SAMPLERS, recipe.sample.sampler)
-    return [(LAWS, medium.law), (FORMATS, dataset.centerline_format), sampler, *observed]
+    return [(LAWS, medium.law), (FORMATS, dataset.centerline_format), sampler, *observations]
 
 
 def list_judging_plugins() -> list[tuple[Any, str]]:

@@ -103,7 +103,7 @@ class Job:
     def searches(self) -> tuple[str, ...]:
         """The searches of one fold; the first is the fit that everything else is about."""
         metric = self.recipe.metric and self.recipe.minimize == "posterior"
-        metric = metric and all(OBSERVATIONS[insertion.observed].has_tip for insertion in self.insertions)
+        metric = metric and all(OBSERVATIONS[insertion.observation].has_tip for insertion in self.insertions)
         published = self.hand_tuned is not None and "bevel_mm" in self.parameters.free
         others = {*self.parameters.free} - {self.medium.bevel_parameter, *HYPERPARAMETERS}
         alone = isinstance(self.record, StudyRecord) and self.record.registration_depth_mm is None

@@ -81,6 +81,7 @@ def _find_intervals(mixture: PredictiveMixture) -> tuple[Floats, dict[float, Flo
 
 #: a column that predictions of curvatures alone have besides, the mean score of their readings
 CURVATURE_CRPS = "curvature_crps_1_per_m"
+SHAPE_CRPS = "shape_crps_mm"
 CRPS_OVER_NOISE = "crps_over_noise"  #: that of insertions that were measured by different things
 
 
@@ -94,7 +95,7 @@ class PredictedScore(NamedTuple):
 #: by metric of verdicts
 PREDICTED = {
     TE.name: PredictedScore("tip_crps_mm", "tip"),
-    TRACK_RMS.name: PredictedScore("shape_crps_mm", "tip"),
+    TRACK_RMS.name: PredictedScore(SHAPE_CRPS, "tip"),
     CURVATURE_RMS.name: PredictedScore(CURVATURE_CRPS, "shape"),
     OVER_NOISE.name: PredictedScore(CRPS_OVER_NOISE, "shape"),
 }
@@ -163,13 +164,12 @@ def score_shape(mixture: PredictiveMixture, measured: Floats, shape_pit: float) 
 
 
 def score_tip(mixture: PredictiveMixture, measured: Floats) -> Row:
-    """Return what became of the prediction of points (K,), the last of them the tip, and of this one."""
+    """Return what became of the prediction of the last of some points (K,): the tip."""
     tip = PredictiveMixture(mixture.means[:, -1:], mixture.sd[-1:])
-    tip_place, score, pit = float(measured[-1]), crps(mixture, measured), cdf(mixture, measured)
+    tip_place = float(measured[-1])
     median, intervals = _find_intervals(tip)
     row: Row = {"tip_measured_mm": tip_place, "tip_median_mm": float(median[0])}
-    row |= {"tip_pit": float(pit[-1]), "tip_crps_mm": float(score[-1])}
-    row |= {"shape_crps_mm": float(score.mean())}
+    row |= {name: score(tip, tip_place).item() for name, score in (("tip_pit", cdf), ("tip_crps_mm", crps))}
     for level, ends in intervals.items():
         name, (low, high) = f"{100 * level:.0f}", ends[:, 0].tolist()
         row |= {f"tip_{name}_low_mm": low, f"tip_{name}_high_mm": high}

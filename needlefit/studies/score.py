@@ -18,7 +18,12 @@ from needlefit.inference.baselines import list_baselines
 from needlefit.inference.compared_points import ComparedPoints, Curve, align_points
 from needlefit.inference.fit import Fit
 from needlefit.inference.forward_model import predict
-from needlefit.inference.likelihood.observations import OBSERVATIONS, SimulatedCurve, list_comparisons
+from needlefit.inference.likelihood.observations import (
+    OBSERVATIONS,
+    SimulatedCurve,
+    list_comparisons,
+    list_scored,
+)
 from needlefit.inference.planned_layers import planned_layers
 from needlefit.inference.problem import Problem
 from needlefit.mechanics.needle import Needle
@@ -99,7 +104,7 @@ def _fit_curves(problem: Problem) -> dict[str, Predictor]:
     def make(name: str) -> Predictor:
         return curve_predictor(lambda insertion: fit(insertion.needle)[name].curve(insertion))
 
-    curved = all(OBSERVATIONS[insertion.observed].is_curve for insertion in problem.insertions)
+    curved = all(OBSERVATIONS[insertion.observation].is_curve for insertion in problem.insertions)
     return {
         baseline.name: make(baseline.name) for baseline in list_baselines() if curved or not baseline.of_curve
     }
@@ -220,12 +225,14 @@ class Scorer:
     def compute_errors(self, insertion: Insertion, curves: Sequence[ComparedCurves]) -> Row:
         """Return the errors of compared curves of an insertion, and the columns that are known of them."""
         row = dict[str, Any]()
-        for curve in curves:
-            row |= compute_metrics(curve)
+        for curve in curves:  # the errors of a tip that was measured by itself replace those of a shape's
+            row |= {name: error for name, error in compute_metrics(curve).items() if not math.isnan(error)}
         # the deflection is that of a tip, where one is known
-        first = min(curves, key=lambda curve: curve.quantity != "places")
+        tip = next((curve for curve in reversed(curves) if curve.quantity == "places"), curves[0])
         floor = self.floors[insertion.id].get(TE.name, math.nan)
-        compared = Compared(insertion, first, floor, state_tip_errors(self.dataset, insertion))
+        parts = list_scored(self.dataset, insertion)
+        measured = next((part for part in reversed(parts) if part.kind.has_tip), parts[0])
+        compared = Compared(insertion, tip, floor, state_tip_errors(measured.dataset, measured.insertion))
         return row | {name: column.compute(compared) for name, column in CURVE_COLUMNS.items()}
 
     @cached_property
@@ -241,10 +248,9 @@ def make_scorer(job: Job) -> Scorer:
 
 
 def _shape_rows(where: Row, goals: Iterable[ComparedPoints], curve: Curve) -> Iterator[Row]:
-    """Yield the places that are compared; of curvatures there are none."""
+    """Yield the places that are compared; of curvatures there are none, beside a tip those of the shape."""
     names = [f"{which}_{axis}_mm" for which in ("measured", "simulated") for axis in "xyz"]
-    for goal in goals:
-        if goal.quantity == "places":
-            simulated, measured = align_points(goal, curve)
-            places = enumerate(np.column_stack([measured, simulated]).tolist())
-            yield from ({**where, "j": j, **dict(zip(names, place, strict=True))} for j, place in places)
+    for goal in [goal for goal in goals if goal.quantity == "places"][:1]:
+        simulated, measured = align_points(goal, curve)
+        places = enumerate(np.column_stack([measured, simulated]).tolist())
+        yield from ({**where, "j": j, **dict(zip(names, place, strict=True))} for j, place in places)

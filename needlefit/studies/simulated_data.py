@@ -276,7 +276,7 @@ def simulate_design(problem: Problem, values: Mapping[str, float]) -> Problem | 
         shape = None if met is None else predict(values, problem.medium, met)
         if met is None or shape is None or not shape.converged:
             return None
-        points = OBSERVATIONS[insertion.observed].simulate_places(insertion, shape)
+        points = OBSERVATIONS[insertion.observation].simulate_places(insertion, shape)
         measured = replace(insertion.with_points(points), tip=None)
         made.append(replace(measured, boundaries=met.boundaries, sequence=met.sequence))
     return replace(problem, insertions=tuple(made))
@@ -298,7 +298,7 @@ def simulate_from_prior(problem: Problem, rng: np.random.Generator) -> tuple[Flo
             where=locate_key(dataset.path, "noise.point_sd_mm"),
             expected="[noise] with point_sd_mm or correlated_sd_mm above 0",
         )
-    if any(OBSERVATIONS[insertion.observed].on_the_way for insertion in problem.insertions):
+    if any(OBSERVATIONS[insertion.observation].on_the_way for insertion in problem.insertions):
         raise ConfigError(
             f"the dataset `{dataset.name}` holds tip tracks, which are not simulated",
             expected="measured shapes",

@@ -108,7 +108,7 @@ def make_tips(asked: CurveAnswers, point_sd: float) -> list[InsertionRow]:
             tip_y=y if is_tip else None,
             tip_z=z if is_tip and in_space else None,
             curvature=np.array(curve.sensors).reshape(-1, 4) if curve.sensors else None,
-            observed="" if is_tip else "curvature",
+            observation="" if is_tip else "curvature",
         )
         rows.append(row)
     return rows

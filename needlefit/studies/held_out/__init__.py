@@ -70,7 +70,7 @@ HELD_OUT = Registry(HeldOutObservation, __name__, "prediction of an observation"
 
 def find_held_out(insertion: Insertion) -> HeldOutObservation:
     """Return how an insertion is predicted."""
-    return HELD_OUT[insertion.observed if insertion.observed in HELD_OUT else "points"]
+    return HELD_OUT[insertion.observation if insertion.observation in HELD_OUT else "points"]
 
 
 def predict_held_out(

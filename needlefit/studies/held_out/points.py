@@ -12,6 +12,7 @@ its shape as a whole, which holds if no point of it leaves the simultaneous band
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
@@ -31,7 +32,12 @@ from needlefit.inference.draw_simulation import (
     vary_bevels,
 )
 from needlefit.inference.likelihood.observation import Observation
-from needlefit.inference.likelihood.observations import OBSERVATIONS, make_observation
+from needlefit.inference.likelihood.observations import (
+    OBSERVATIONS,
+    list_observations,
+    list_scored,
+    make_observation,
+)
 from needlefit.inference.likelihood.observations.curvature import append_sensors
 from needlefit.inference.point_prediction import PointPrediction, choose_point
 from needlefit.inference.predict import Draws, PredictiveMixture, crps, find_geometric_median, rms_noise_scale
@@ -52,6 +58,7 @@ from needlefit.studies.held_out import (
 from needlefit.studies.job import Job
 from needlefit.studies.prediction_scores import (
     CURVATURE_CRPS,
+    SHAPE_CRPS,
     SPATIAL_COLUMNS,
     find_end_error,
     score_shape,
@@ -62,6 +69,8 @@ from needlefit.studies.prediction_scores import (
 )
 from needlefit.studies.score import Row, predict_needle
 
+#: columns that predictions of curvatures, or in space, have besides
+FURTHER_COLUMNS = (CURVATURE_CRPS, *SPATIAL_COLUMNS)
 MIN_SOLVED_DRAWS = 10  #: fewer solved draws make no distribution
 
 
@@ -112,17 +121,28 @@ class _Predictor:
         """Return the prediction of an insertion; None where too few draws have a solution."""
         specimens, job = self.specimens, self.specimens.job
         draws = specimens.draws_in(insertion)
-        # the roll is drawn: it turns the needle as a whole
-        kind = OBSERVATIONS[insertion.observed]
-        alone = replace(kind.take_alone(insertion), roll_sd=0.0)
-        observation = make_observation(job.dataset, alone, likelihood=self.likelihood)
+        observation, tip = self._observe(insertion)
         sets = [job.parameters.values(theta) for theta in draws.thetas]
-        stations = append_sensors(insertion, observation.nodes.s[0])
+        stations = np.concatenate(_list_stations(insertion, observation, tip))
         needles = self._plan(insertion, stations, *self._vary(insertion, sets))
         factor = rms_noise_scale(draws, job.parameters, job.recipe.likelihood.noise_scale)
-        # of the tip
-        sd = math.sqrt(_measurement_covariance(observation, factor)[-1, -1]) if kind.has_tip else 0.0
-        return self._predict(insertion, observation, draws, needles.simulate(sd))
+        sd = 0.0 if tip is None else math.sqrt(_measurement_covariance(tip, factor)[-1, -1])
+        return self._predict(insertion, observation, tip, draws, needles.simulate(sd))
+
+    def _observe(self, insertion: Insertion) -> tuple[Observation, Observation | None]:
+        """Return the observation that is predicted as a whole, and that of the tip, where it was measured.
+
+        The latter is the former, unless the tip was measured by itself. The roll is none of their errors: it
+        is drawn, as it turns the needle as a whole.
+        """
+        scored = list_scored(self.specimens.job.dataset, insertion)
+        whole, *others = (
+            make_observation(data, replace(alone, roll_sd=0.0), likelihood=self.likelihood)
+            for _, data, alone in scored
+        )
+        observations = zip(scored, (whole, *others), strict=True)
+        tips = [observation for part, observation in observations if part.kind.has_tip]
+        return whole, tips[-1] if tips else None
 
     def _vary(
         self, insertion: Insertion, sets: Sequence[Mapping[str, float]]
@@ -150,64 +170,67 @@ class _Predictor:
         self,
         insertion: Insertion,
         observation: Observation,
+        tip: Observation | None,
         draws: Draws,
         drawn_needles: DrawnNeedles,
     ) -> HeldOutPrediction | None:
-        """Return the prediction by draws and their needles."""
+        """Return the prediction by draws and their needles, whose last place is the tip."""
         specimens, job, fold = self.specimens, self.specimens.job, self.specimens.fold
         rng = random_stream(job.recipe.seed, job.name, fold.name, "scored", insertion.id)
         tuned = any(insertion.specimen == fitted.specimen for fitted in fold.tune)
         differing = specimens if specimens.differs(insertion) else None
         about = describe_specimen(differing, "same" if tuned else "training only")
-        s = observation.nodes.s[0]
         solved = drawn_needles.solved
         if np.sum(solved) < MIN_SOLVED_DRAWS:
             return None
         drawn, directions = drawn_needles.points[solved], job.dataset.directions
         drawn = turn_about_x(drawn, draw_rolls(insertion.roll_sd, directions, len(drawn), rng))
-        needles = select_compared(drawn, job.dataset.compared)
-        needles, about_sensors = needles[:, : len(s)], needles[:, len(s) :]
-        aligned = align(observation.pose, needles, observation.measured)
+        parts = np.cumsum([len(s) for s in _list_stations(insertion, observation, tip)])[:-1]
+        needles, about_sensors, tips = np.split(select_compared(drawn, job.dataset.compared), parts, axis=1)
         factor = rms_noise_scale(draws, job.parameters, job.recipe.likelihood.noise_scale)
-        covariance = _measurement_covariance(observation, factor)
-        measured, has_tip = observation.read(observation.measured), OBSERVATIONS[insertion.observed].has_tip
-        mixture = PredictiveMixture(observation.read(aligned), np.sqrt(np.diag(covariance)))
-        end_error = find_end_error(mixture, len(measured) // directions)
+        whole = _PredictedReadings.of(observation, needles, factor)
+        bands = predict_bands(whole.mixture.means, whole.covariance, rng)
         row = {
             **describe_held_out(specimens, insertion, draws, int(np.sum(~solved))),
             AFTER_ONE_COLUMN: math.nan,
             **about,
+            **score_shape(whole.mixture, whole.measured, bands.pit(whole.measured)),
         }
-        if insertion.id in self.representatives:
-            some = [job.parameters.values(theta) for theta in draws.thetas[solved]]
-            row[AFTER_ONE_COLUMN] = self._estimate_after_one(insertion, observation, some, mixture)
-        whole = predict_bands(mixture.means, covariance, rng)
-        row |= score_shape(mixture, measured, whole.pit(measured))
-        columns: tuple[str, ...] = PREDICTIVE_COLUMNS
-        if has_tip:
-            row |= score_tip(mixture, measured)
-            width = row["tip_95_high_mm"] - row["tip_95_low_mm"]  # both of its ends err
-            row[WIDTH_ERROR_COLUMN] = (
-                math.sqrt(2) * end_error * width if math.isfinite(end_error) else math.nan
-            )
-        else:
-            row[CURVATURE_CRPS] = float(crps(mixture, measured).mean())
-            columns = (*columns, CURVATURE_CRPS)
-        if has_tip and directions > 1:
-            (centre,) = find_geometric_median(aligned[:, -1:, 1:])
-            tips = np.array([len(measured) // 2 - 1, len(measured) - 1])  # along y and z
-            errors = rng.multivariate_normal(np.zeros(2), covariance[np.ix_(tips, tips)], len(aligned))
-            row |= score_tip_in_space(aligned[:, -1, 1:] + errors, centre, measured[tips])
-            columns = (*columns, *SPATIAL_COLUMNS)
+        crps_column = SHAPE_CRPS if OBSERVATIONS[insertion.observation].has_tip else CURVATURE_CRPS
+        row[crps_column] = float(crps(whole.mixture, whole.measured).mean())
+        if tip is not None:
+            end = whole if tip is observation else _PredictedReadings.of(tip, tips, factor)
+            row |= self._score_tip(end, rng)
+            if insertion.id in self.representatives:
+                some = [job.parameters.values(theta) for theta in draws.thetas[solved]]
+                row[AFTER_ONE_COLUMN] = self._estimate_after_one(insertion, tip, some, end.mixture)
+        columns = (*PREDICTIVE_COLUMNS, *(name for name in FURTHER_COLUMNS if name in row))
         band, where = tuple[Row, ...](), {"fold": fold.name, "insertion": insertion.id}
         sensors = tuple({**where, **sensor} for sensor in tabulate_sensors(insertion, about_sensors))
-        if self.bands and has_tip:
-            band = tuple({**where, **point} for point in tabulate_band(mixture, whole, observation.measured))
+        if self.bands and crps_column == SHAPE_CRPS:
+            points = tabulate_band(whole.mixture, bands, observation.measured)
+            band = tuple({**where, **point} for point in points)
         row = {name: row.get(name) for name in columns}
-        count = CountMetadata(simulations=len(aligned), outside=int(np.sum(~drawn_needles.valid[solved])))
+        count = CountMetadata(simulations=len(drawn), outside=int(np.sum(~drawn_needles.valid[solved])))
+        s = observation.nodes.s[0]
         chosen = self._choose_needle(insertion, s, drawn[:, : len(s)]) if self.bands else ()
         rows = {"predictive": (row,), "bands": band, "curvature": sensors}
         return HeldOutPrediction(insertion.id, rows, count, *chosen)
+
+    def _score_tip(self, end: "_PredictedReadings", rng: np.random.Generator) -> Row:
+        """Return what became of the prediction of a tip, the last that is read along each direction."""
+        directions, count = self.specimens.job.dataset.directions, len(end.measured)
+        row = score_tip(end.mixture, end.measured)
+        width = row["tip_95_high_mm"] - row["tip_95_low_mm"]  # both of its ends err
+        end_error = find_end_error(end.mixture, count // directions)
+        row[WIDTH_ERROR_COLUMN] = math.sqrt(2) * end_error * width if math.isfinite(end_error) else math.nan
+        if directions == 1:
+            return row
+        (centre,) = find_geometric_median(end.needles[:, -1:, 1:])
+        tips = np.array([count // 2 - 1, count - 1])  # along y and z
+        covariance = end.covariance[np.ix_(tips, tips)]
+        errors = rng.multivariate_normal(np.zeros(2), covariance, len(end.needles))
+        return row | score_tip_in_space(end.needles[:, -1, 1:] + errors, centre, end.measured[tips])
 
     def _choose_needle(
         self, insertion: Insertion, s: Floats, drawn: Floats
@@ -272,10 +295,37 @@ class _Predictor:
         return estimate_width_after_one(again + errors[0], first.means[:, tip] + errors[1])
 
 
+@dataclass(frozen=True)
+class _PredictedReadings:
+    """What is predicted of an observation by draws."""
+
+    needles: Floats  #: (B, K, 2 or 3), as its pose allows them to lie beside the measured points
+    measured: Floats  #: (C,)
+    covariance: Floats  #: (C, C) of the errors of what was measured
+    mixture: PredictiveMixture
+
+    @classmethod
+    def of(cls, observation: Observation, needles: Floats, factor: float) -> Self:
+        """Return what an observation reads of needles (B, K, 2 or 3); `factor` multiplies its noise."""
+        aligned, measured = align(observation.pose, needles, observation.measured), observation.measured
+        covariance = _measurement_covariance(observation, factor)
+        mixture = PredictiveMixture(observation.read(aligned), np.sqrt(np.diag(covariance)))
+        return cls(aligned, observation.read(measured), covariance, mixture)
+
+
+def _list_stations(insertion: Insertion, whole: Observation, tip: Observation | None) -> list[Floats]:
+    """Return where needles are read: for the whole, about each sensor, and at a tip measured by itself."""
+    nothing = np.empty(0)
+    ends = nothing if tip is None or tip is whole else tip.nodes.s[0]
+    return [whole.nodes.s[0], append_sensors(insertion, nothing), ends]
+
+
 def _choose_representatives(job: Job, insertions: Iterable[Insertion]) -> frozenset[str]:
     """Return the insertion with a tip of median depth of each medium and number of layers, by its id."""
     rule = job.record.layer_count_rule
-    with_tips = (insertion for insertion in insertions if OBSERVATIONS[insertion.observed].has_tip)
+    with_tips = (
+        insertion for insertion in insertions if any(kind.has_tip for kind in list_observations(insertion))
+    )
     groups = group_values(
         ((with_tip.medium, count_layers(with_tip, rule)), with_tip) for with_tip in with_tips
     )

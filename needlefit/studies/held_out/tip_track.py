@@ -65,7 +65,7 @@ END_PARTS = 4  #: an end is predicted again after each of so many parts of the r
 
 def check_tracks(job: Job) -> None:
     """Refuse tracks of which nothing is left to be predicted, or that nothing places in their frame."""
-    tracks = [track for fold in job.folds for track in fold.validate if track.observed == NAME]
+    tracks = [track for fold in job.folds for track in fold.validate if track.observation == NAME]
     if not tracks:
         return
     depth = _registration_depth(job)
@@ -77,7 +77,7 @@ def check_tracks(job: Job) -> None:
         )
     for fold in job.folds:
         fitted, held = (
-            {track.specimen for track in part if track.observed == NAME}
+            {track.specimen for track in part if track.observation == NAME}
             for part in (fold.tune, fold.validate)
         )
         if other := held - fitted:
@@ -129,7 +129,7 @@ def _take_tracks(fold: Fold, tracks: Sequence[Insertion]) -> Fold:
     """Return the fold of its tracks alone."""
     return replace(
         fold,
-        tune=tuple(insertion for insertion in fold.tune if insertion.observed == NAME),
+        tune=tuple(insertion for insertion in fold.tune if insertion.observation == NAME),
         validate=tuple(tracks),
     )
 

@@ -1,17 +1,18 @@
 """Observations: what can be measured of an insertion, here or by a plugin, and how a simulation is compared.
 
-An insertion states the name of its observation (`Insertion.observed`). What a file here does not override is
+An insertion states by what it was measured (`Insertion.observations`). What a file here does not override is
 that of points along the needle, read at the end of the insertion.
 """
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.datasets.columns import OBSERVED_COLUMN, OBSERVED_PREFIX
+from needlefit.datasets.columns import OBSERVATION_COLUMN, OBSERVATION_PREFIX
 from needlefit.datasets.insertion import Dataset, Insertion, Noise, Pose, find_free_reach, find_pose
 from needlefit.datasets.noise import NoiseFloor, estimate_noise_floor
 from needlefit.errors import DataError
@@ -41,7 +42,7 @@ from needlefit.schemas.recipe import LikelihoodRecord
 class ObservationType:
     """One thing that can be measured of an insertion."""
 
-    #: what insertions state in `observed`
+    #: what insertions state in `observation`
     name: str
     #: whether it is read while the needle is inserted: insertions alike are then simulated once
     on_the_way: bool = False
@@ -50,13 +51,9 @@ class ObservationType:
     #: whether the place of the tip is measured
     has_tip: bool = True
 
-    def is_held(self, insertion: Insertion) -> bool:
-        """Return whether an insertion was measured by it."""
-        return insertion.observed == self.name
-
-    def take_alone(self, insertion: Insertion) -> Insertion:
-        """Return the insertion with this observation alone of what was measured."""
-        return replace(insertion, curvature=None, tip=None, observed_values={})
+    def take_alone(self, dataset: Dataset, insertion: Insertion) -> tuple[Dataset, Insertion]:
+        """Return dataset and insertion as if this observation alone had been made of what was measured."""
+        return dataset, replace(insertion, curvature=None, tip=None, observation_values={})
 
     def compare(self, dataset: Dataset, insertion: Insertion) -> tuple[ComparedPoints, ...]:
         """Return what a curve is compared with."""
@@ -110,19 +107,15 @@ class ObservationType:
         """Return what the likelihood compares; DataError if the errors that are stated leave it no width."""
         return OBSERVATIONS["points"].observe(insertion, errors)
 
-    def observe_beside(self, insertion: Insertion, errors: StatedErrors) -> Observation:
-        """Return what the likelihood compares of what was measured beside the points of an insertion."""
-        return self.observe(insertion, errors)
-
     def observe_values(self, insertion: Insertion, errors: StatedErrors) -> Observation:
-        """Return what it compares besides, where the insertion has `observed_values`, in a known pose.
+        """Return what it compares besides, where the insertion has `observation_values`, in a known pose.
 
         Fits are to both; what is predicted is that of `observe`.
         """
         raise DataError(
             f"the observation `{self.name}` has no numbers besides, and {insertion.id} has some",
-            expected=f"no columns {OBSERVED_PREFIX}{', '.join(insertion.observed_values)}",
-            fix=f"remove the columns, or name their observation in the column {OBSERVED_COLUMN}",
+            expected=f"no columns {OBSERVATION_PREFIX}{', '.join(insertion.observation_values)}",
+            fix=f"remove the columns, or name their observation in the column {OBSERVATION_COLUMN}",
         )
 
 
@@ -146,27 +139,32 @@ def make_observation(
     Raises DataError if no noise is stated: without any, a likelihood has no width.
     """
     smoothed = noise is None and likelihood.measurement == "stored" and likelihood.noise == "correlated"
-    stated = (dataset.noise if noise is None else noise).of(insertion)
-    errors = StatedErrors(dataset, stated, likelihood, insertions, model_error, smoothed, respond)
+    dataset = dataset if noise is None else replace(dataset, noise=noise)
+    errors = StatedErrors(
+        dataset, dataset.noise.of(insertion), likelihood, insertions, model_error, smoothed, respond
+    )
     if likelihood.measurement == "curvature":
         return OBSERVATIONS["curvature"].observe(insertion, errors)
     # the cross-sections are what the points were drawn through, and stand in their place alone
     has_sections = smoothed and dataset.pose == "known" and insertion.sections is not None
-    has_sections = has_sections and insertion.observed == "points"
-    found = OBSERVATIONS["sections" if has_sections else insertion.observed].observe(insertion, errors)
-    if insertion.curvature is not None and insertion.observed != "curvature":
-        found = join_observations(found, OBSERVATIONS["curvature"].observe_beside(insertion, errors))
-    if insertion.tip is not None:
-        found = join_observations(found, OBSERVATIONS["tip"].observe_beside(insertion, errors))
-    if not insertion.observed_values:
+    has_sections = has_sections and insertion.observation == "points"
+    first, *others = list_observations(insertion)
+    found = (OBSERVATIONS["sections"] if has_sections else first).observe(insertion, errors)
+    # a scale of the noise counts for the poses of others, too: joined observations have no curves of a pose
+    plain = likelihood.model_copy(update={"noise_scale": 1.0})
+    for kind in others:
+        data, alone = kind.take_alone(dataset, insertion)
+        errors_alone = replace(errors, dataset=data, noise=data.noise.of(alone), likelihood=plain)
+        found = join_observations(found, kind.observe(alone, errors_alone))
+    if not insertion.observation_values:
         return found
     if dataset.pose != "known":
         raise DataError(
             f"{insertion.id} has numbers besides its points, and its pose is not known",
-            expected=f"no columns {OBSERVED_PREFIX}{', '.join(insertion.observed_values)}",
+            expected=f"no columns {OBSERVATION_PREFIX}{', '.join(insertion.observation_values)}",
             fix='remove the columns, or state poses (pose = "known")',
         )
-    return join_observations(found, OBSERVATIONS[insertion.observed].observe_values(insertion, errors))
+    return join_observations(found, OBSERVATIONS[insertion.observation].observe_values(insertion, errors))
 
 
 def select_points(
@@ -188,29 +186,47 @@ def select_points(
     rigid motion that fits them best. Both are shown in the axes of the measured entry side: x along the
     least-squares line through the first fifth of the scored points, from which deflections are measured.
     """
-    return OBSERVATIONS[insertion.observed].select_points(pose, drop, insertion, stations, compared)
+    return OBSERVATIONS[insertion.observation].select_points(pose, drop, insertion, stations, compared)
 
 
 def list_observations(insertion: Insertion) -> list[ObservationType]:
-    """Return by what an insertion was measured, first what it states in `observed`."""
-    held = (one for one in OBSERVATIONS.values() if one.is_held(insertion))
-    return sorted(held, key=lambda one: one.name != insertion.observed)
+    """Return by what an insertion was measured, first what it states in `observation`."""
+    return [OBSERVATIONS[name] for name in insertion.observations]
+
+
+class ScoredObservation(NamedTuple):
+    """An observation by which an insertion is scored; dataset and insertion as if it alone had been made."""
+
+    kind: ObservationType
+    dataset: Dataset
+    insertion: Insertion
+
+
+def list_scored(dataset: Dataset, insertion: Insertion) -> list[ScoredObservation]:
+    """Return by what an insertion is scored: each of its observations that has all directions compared."""
+    scored = [
+        ScoredObservation(kind, *kind.take_alone(dataset, insertion)) for kind in list_observations(insertion)
+    ]
+    others = [part for part in scored[1:] if part.insertion.directions >= dataset.directions]
+    return [*scored[:1], *others]
 
 
 def list_comparisons(dataset: Dataset, insertion: Insertion) -> list[ComparedPoints]:
     """Return all that a curve is compared with of an insertion, by each of its observations."""
-    return [goal for one in list_observations(insertion) for goal in one.compare(dataset, insertion)]
+    scored = list_scored(dataset, insertion)
+    return [goal for kind, data, alone in scored for goal in kind.compare(data, alone)]
 
 
 def estimate_floor(dataset: Dataset, insertion: Insertion, rng: np.random.Generator) -> NoiseFloor:
     """Return the mean errors of all that was measured of an insertion against itself, measured again.
 
-    Those of places are NaN where none was measured.
+    Those of places are NaN where none was measured; of a tip that was measured by itself they are its own.
     """
-    found = {one.name: math.nan for one in list_metrics("places") if one.has_floor}
-    for one in list_observations(insertion):
-        found |= one.estimate_floor(dataset, insertion, rng)
-    return found
+    floors = {metric.name: math.nan for metric in list_metrics("places") if metric.has_floor}
+    for kind, data, alone in list_scored(dataset, insertion):
+        estimated = kind.estimate_floor(data, alone, rng)
+        floors |= {name: floor for name, floor in estimated.items() if not math.isnan(floor)}
+    return floors
 
 
 def read_points(insertion: Insertion, shape: NeedleShape, s: Floats) -> Floats:
@@ -220,7 +236,7 @@ def read_points(insertion: Insertion, shape: NeedleShape, s: Floats) -> Floats:
     """
     if not shape.converged:
         return np.full((len(s), 3), np.nan)
-    return OBSERVATIONS[insertion.observed].read_points(shape, s)
+    return OBSERVATIONS[insertion.observation].read_points(shape, s)
 
 
 @dataclass(frozen=True)

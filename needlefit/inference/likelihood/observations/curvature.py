@@ -116,13 +116,9 @@ class _Curvature(ObservationType):
         """Return the readings, whatever `stations`."""
         return compare_sensors(pose, insertion, compared)[0]
 
-    def is_held(self, insertion: Insertion) -> bool:
-        """Return whether any sensor read the insertion."""
-        return insertion.curvature is not None
-
-    def take_alone(self, insertion: Insertion) -> Insertion:
+    def take_alone(self, dataset: Dataset, insertion: Insertion) -> tuple[Dataset, Insertion]:
         """Return the insertion with its curvatures alone."""
-        return replace(insertion, tip=None, observed_values={})
+        return dataset, replace(insertion, observation=self.name, tip=None, observation_values={})
 
     def compare(self, dataset: Dataset, insertion: Insertion) -> tuple[ComparedPoints, ...]:
         """Return the readings, and the tip to which they lead."""

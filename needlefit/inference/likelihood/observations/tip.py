@@ -3,13 +3,13 @@
 Its place along the needle is not measured: it is compared at its depth, so that its error is that across.
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import block_diag
 
-from needlefit.arrays import Floats
-from needlefit.datasets.insertion import Insertion, Pose, find_pose
+from needlefit.datasets.insertion import Dataset, Insertion, Pose, find_pose
 from needlefit.inference.compared_points import ComparedPoints
 from needlefit.inference.likelihood.observation import (
     Observation,
@@ -21,38 +21,40 @@ from needlefit.inference.likelihood.observation import (
     whiten,
 )
 from needlefit.inference.likelihood.observations import ObservationType
-from needlefit.mechanics.batch import Jacobians, NeedleShapes
-from needlefit.mechanics.shape import NeedleShape
 from needlefit.schemas.compared import Compared
 
 
 @dataclass(frozen=True)
 class _Tip(ObservationType):
+    def take_alone(self, dataset: Dataset, insertion: Insertion) -> tuple[Dataset, Insertion]:
+        """Return the insertion with its tip alone.
+
+        The line of insertion from which a tip beside a shape deflects errs by itself, and the tip has none of
+        the errors that the points of a shape share.
+        """
+        if insertion.tip is None:
+            return super().take_alone(dataset, insertion)
+        (y, z), sd = np.nan_to_num(insertion.tip[:2]).tolist(), float(insertion.tip[2])
+        alone = replace(
+            insertion.with_points(np.array([np.zeros(3), [insertion.depth, y, z]])),
+            observation=self.name,
+            pose_source="stage",
+            directions=1 if math.isnan(insertion.tip[1]) else 2,
+            point_sd=insertion.point_sd if math.isnan(sd) else sd,
+            sd=None,
+            independent=None,
+        )
+        noise = replace(dataset.noise, correlated_sd=0.0)
+        return super().take_alone(replace(dataset, noise=noise), alone)
+
     def select_points(
         self, pose: Pose, drop: float, insertion: Insertion, stations: int, compared: Compared
     ) -> ComparedPoints:
-        """Return the entry, where the needle has no deflection, and the tip."""
+        """Return the entry, where nothing deflects, and the tip: at its depth, whatever its place along x."""
         s = np.array([0.0, insertion.depth])
         measured = np.column_stack([s, np.vstack([np.zeros(2), insertion.points[-1, 1:]])])
-        return ComparedPoints(s, measured, find_pose(pose, insertion), compared)
-
-    def read_points(self, shape: NeedleShape, s: Floats) -> Floats:
-        """Return the deflections, each at its beam coordinate."""
-        points = super().read_points(shape, s)
-        points[:, 0] = s
-        return points
-
-    def read_batch_points(self, shapes: NeedleShapes, s: Floats) -> Floats:
-        """Return `read_points` of many simulations."""
-        points = super().read_batch_points(shapes, s)
-        points[..., 0] = s
-        return points
-
-    def read_batch_derivatives(self, shapes: NeedleShapes, jacobians: Jacobians, s: Floats) -> Floats:
-        """Return the derivatives of `read_batch_points`."""
-        derivatives = super().read_batch_derivatives(shapes, jacobians, s)
-        derivatives[:, :, 0] = 0.0
-        return derivatives
+        tip_alone = np.diag([0.0, 1.0])
+        return ComparedPoints(s, measured, find_pose(pose, insertion), compared, operator=tip_alone)
 
     def observe(self, insertion: Insertion, errors: StatedErrors) -> Observation:
         """Return the observation of the tip, whose slope is taken as that of constant curvature."""
@@ -64,27 +66,8 @@ class _Tip(ObservationType):
         cov, measured = block_diag(*[cov] * count), np.column_stack([s, across])
         modes, sds = list_pose_modes(insertion, errors, measured, 2 * across / s)
         pose, free = split_pose_modes(insertion, modes, sds)
-        return complete_observation(insertion, errors, s, measured, cov, pose, free)
-
-    def observe_beside(self, insertion: Insertion, errors: StatedErrors) -> Observation:
-        """Return the observation of a tip beside a shape, from a line of insertion that errs by itself."""
-        tip = insertion.tip
-        assert tip is not None
-        y, z, sd = np.where(np.isnan(tip), [0.0, 0.0, errors.noise.point_sd], tip).tolist()
-        alone = replace(
-            insertion.with_points(np.array([np.zeros(3), [insertion.depth, y, z]])),
-            observed="tip",
-            pose_source="stage",
-            sd=None,
-            curvature=None,
-            tip=None,
-            independent=None,
-        )
-        # a scale of the noise counts for its pose, too: joined observations have no curves of a pose
-        likelihood = errors.likelihood.model_copy(update={"noise_scale": 1.0})
-        noise = replace(errors.noise, point_sd=sd, correlated_sd=0.0)
-        found = self.observe(alone, replace(errors, noise=noise, likelihood=likelihood))
-        if errors.dataset.directions == 1 or not np.isnan(tip[1]):
+        found = complete_observation(insertion, errors, s, measured, cov, pose, free)
+        if count == 1 or insertion.directions > 1:
             return found
         whitening, log_norm = whiten(found.covariance()[:1, :1], np.empty((1, 0)))
         along_y = np.array([[1.0, 0.0]])  # along z nothing was measured

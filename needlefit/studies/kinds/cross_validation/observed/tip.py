@@ -3,6 +3,7 @@
 import numpy as np
 
 from needlefit.reporting.figures import Drawing
+from needlefit.schemas.run_metadata import FitMetadata
 from needlefit.studies.fit_frames import FitFrames
 from needlefit.studies.kinds.cross_validation.observed import ObservationFigures
 from needlefit.studies.run import Run
@@ -13,8 +14,10 @@ def draw_tips(run: Run, role: str) -> dict[str, Drawing]:
     """Return the deflections of tips over depth, toward their bevels, and what was predicted of them."""
     frames = FitFrames.of(run)
     places = frames.shapes.groupby("insertion")["j"].max()
+    stored = run.knows(FitMetadata).insertions
+    names = [*places.index[places == 1], *(name for name, row in stored.items() if "tip" in row.observations)]
     errors = frames.select_errors(role, method=frames.method)
-    errors = errors[errors["insertion"].isin(places.index[places == 1])]  # entry and tip
+    errors = errors[errors["insertion"].isin(names)]  # of which there are entry and tip, or a tip by itself
     if errors.empty:
         return {}
     sides = errors["insertion"].map(find_bevel_sides(run)).to_numpy(dtype=float)

@@ -25,15 +25,17 @@ from needlefit.reporting.needle_page import kernel_exists
 from needlefit.studies.explorer import collect_explorer
 from needlefit.studies.job import Settings
 from needlefit.studies.kind import find_kind
+from needlefit.studies.kinds.cross_validation.observed import draw_observations
 from needlefit.studies.report import compose_run_report
 
 SD = 5e-5  #: of a reading, 1/mm
 ONE_LAYER = medium(1)
+TIP_SD, APART_MM = 0.2, 0.3  #: mm; of the tip that is measured beside a shape, and from its end
 
 
 def read_sensors(depth: float, beyond: float = 0.0, seed: int | None = None) -> Insertion:
     """An insertion of the truth of which sensors, to `beyond` mm before the entry, read the curvature."""
-    one = replace(insertion(depth, angle_sd=0.0), observed="curvature", id=f"at{depth:g}")
+    one = replace(insertion(depth, angle_sd=0.0), observation="curvature", id=f"at{depth:g}")
     places = np.arange(8.0, depth + beyond - 2.0, 12.0)
     still = np.column_stack([places, np.zeros((len(places), 2)), np.full(len(places), SD)])
     one = replace(one, curvature=still)
@@ -146,21 +148,22 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def mixed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three shapes and two tips with an SD of 0.05 mm, and two needles with sensors, of one truth."""
+    """Shapes and tips with an SD of 0.05 mm, and two needles with sensors, of one truth; m2 has both."""
     folder, rng = tmp_path_factory.mktemp("mixed"), np.random.default_rng(4)
     (folder / "centerlines").mkdir()
-    rows = ["id,depth_mm,bevel_side,tip_y_mm,observed"]
+    rows = ["id,depth_mm,bevel_side,tip_y_mm,tip_sd_mm,observation"]
     for n, depth in enumerate(np.linspace(55.0, 95.0, 5)):
         one = insertion(depth, angle_sd=0.0)
         s = np.linspace(0.0, depth, 60)
         points = SimulatedCurve(predict(TRUTH, ONE_LAYER, one), one)(s)
         points[1:, 1] += 0.05 * rng.normal(size=59)
-        rows.append(f"m{n},{depth:g},1,{points[-1, 1] if n % 2 else ''},")
+        tip = points[-1, 1] + APART_MM * (n == 2) if n else ""
+        rows.append(f"m{n},{depth:g},1,{tip if n < 4 else ''},{TIP_SD if n == 2 else ''},")
         if not n % 2:
             table = "\n".join(["x_mm,y_mm,z_mm", *(",".join(map(str, row)) for row in points.tolist())])
             (folder / f"centerlines/m{n}.csv").write_text(table)
     made = [read_sensors(depth, seed=n) for n, depth in enumerate((65.0, 85.0))]
-    rows += [f"{one.id},{one.depth:g},1,,curvature" for one in made]
+    rows += [f"{one.id},{one.depth:g},1,,,curvature" for one in made]
     toml = DATASET.replace("[insertions]", "[noise]\npoint_sd_mm = 0.05\n\n[insertions]")
     toml = toml.replace("[media.gel]", '[centerlines]\npattern = "centerlines/{id}.csv"\n\n[media.gel]')
     return write_study(folder, toml, rows, made)
@@ -203,6 +206,26 @@ def test_held_out_needles_are_predicted_by_their_readings(study: Path) -> None:
     assert (intervals.tips, intervals.score) == (5, "curvature_rms_1_per_m")
 
 
+def test_a_tip_beside_a_shape_is_scored_and_drawn_by_itself(mixed: Path, validated: nf.Run) -> None:
+    """Its errors are TE and EDP, by its own SD; those of the shape are of the whole curve."""
+    one = next(one for one in read(mixed.parent).insertions if one.id == "m2")
+    assert one.observations == ("points", "tip") and one.tip is not None
+    errors = validated.frames["errors"].query("method == 'prediction'").set_index("insertion")
+    row, end = errors.loc["m2"], one.tip[0]
+    assert row["te_mm"] == pytest.approx(abs(row["predicted_deflection_mm"] - end)) and row["te_mm"] > 0.1
+    assert row["deflection_mm"] == end == pytest.approx(one.points[-1, 1] + APART_MM, abs=1e-6)
+    sd = np.linalg.norm([TIP_SD, 0.1, np.radians(0.2) * one.depth])  # with those of the pose
+    assert row["floor_te_mm"] == pytest.approx(sd * np.sqrt(2 / np.pi), rel=0.15)
+    assert row["tip_across_sd_mm"] == pytest.approx(sd)
+    predicted = validated.frames["predictive"].set_index("insertion").loc["m2"]
+    assert predicted["tip_measured_mm"] == end
+    width = predicted["tip_95_high_mm"] - predicted["tip_95_low_mm"]
+    assert width == pytest.approx(2 * 1.96 * sd, rel=0.15)
+    assert predicted["shape_crps_mm"] < predicted["tip_crps_mm"] / 2
+    shown = draw_observations(validated, "validate")
+    assert {*shown["tips"].frame["insertion"]} == {"m1", "m2", "m3"} and "overlays" in shown
+
+
 def test_a_run_that_ends_by_an_error_does_not_block_the_next_one(tmp_path: Path) -> None:
     """Finished work is kept where a run was interrupted, not where the same run would fail again."""
     kind, folder = find_kind("fit"), tmp_path / "a.partial"
@@ -222,11 +245,11 @@ def test_a_run_that_ends_by_an_error_does_not_block_the_next_one(tmp_path: Path)
 def test_a_dataset_mixes_shapes_tips_and_curvatures(mixed: Path) -> None:
     data = read(mixed.parent)
     kinds = ["points", "tip", "points", "tip", "points", "curvature", "curvature"]
-    assert [one.observed for one in data.insertions] == kinds
+    assert [one.observation for one in data.insertions] == kinds
     assert data.files is not None and "centerlines/m1.csv" not in data.files.names
-    (mixed.parent / "centerlines/m2.csv").rename(mixed.parent / "away.csv")  # which has nothing in its place
-    assert [Path(fault.where).name for fault in check(mixed.parent)] == ["m2.csv"]
-    (mixed.parent / "away.csv").rename(mixed.parent / "centerlines/m2.csv")
+    (mixed.parent / "centerlines/m0.csv").rename(mixed.parent / "away.csv")  # which has nothing in its place
+    assert [Path(fault.where).name for fault in check(mixed.parent)] == ["m0.csv"]
+    (mixed.parent / "away.csv").rename(mixed.parent / "centerlines/m0.csv")
 
 
 @pytest.fixture(scope="module")
