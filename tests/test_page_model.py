@@ -158,6 +158,7 @@ def test_the_page_simulates_the_bytes_of_the_program(name: str, seed: int) -> No
         scene.tissue.mu * 10 ** rng.uniform(-0.3, 0.3, (12, 1)),
         np.repeat(scene.tissue.shape[None], 12, axis=0),
         rng.uniform(0.0, 0.1, 12),
+        gain=rng.uniform(0.5, 1.5, 12),
     )
     done = run_node(encode_scene(viewed, steering), orders, encode_draws(draws, scene.tissue.law))
     refused = 0

@@ -323,6 +323,16 @@ def test_a_plan_in_space_is_written_as_a_recording(tmp_path, capsys) -> None:
     assert np.linalg.norm(tip - found["target_mm"]) == pytest.approx(found["nominal_miss_mm"], abs=1e-6)
 
 
+def test_an_uncertain_gain_of_the_base_spreads_the_misses(tmp_path, capsys) -> None:
+    words = ("--target", "45,2", "--radius", "0.5", "--turns", "0", "--json", "--out", str(tmp_path))
+    most = []
+    for gain_sd in ("0", "0.25"):
+        assert run("plan", "phantom2_fitted", *words, "--gain-sd", gain_sd) == 0
+        most.append(json.loads(capsys.readouterr().out)["miss_95_mm"])
+    assert most[1] > 1.5 * most[0]
+    assert run("plan", "phantom2", *words, "--gain-sd", "0.25") == 3  # of exact parameters
+
+
 def test_the_least_miss_of_linear_residuals_is_that_of_least_squares():
     matrix, goal = np.array([[1.5, 0.2], [0.3, 0.7], [0.1, -0.4]]), np.array([1.0, -2.0, 0.5])
     best, (square,), *_ = np.linalg.lstsq(matrix, goal, rcond=None)

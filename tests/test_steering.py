@@ -220,3 +220,17 @@ def test_the_loop_of_the_guide_prints_what_it_shows() -> None:
     with contextlib.redirect_stdout(io.StringIO()) as printed:
         exec(code, {})
     assert printed.getvalue() == shown
+
+
+def test_tissue_that_follows_the_base_bends_the_needle_less_and_moves_it() -> None:
+    steering = steer(EXACT, draws=1, gain_sd=0.0)
+    (drawn, _), start = steering.draws, steering.now
+
+    def find_tip(draws: ParameterDraws, base_y: float) -> np.ndarray:
+        path = (change(start, 20.0), change(start, 60.0, base_y=base_y))
+        batch = draws.make_batch(steering.needle, steering.tissue, path, steering.rules)
+        (shapes,) = needlefit.simulate_batches([batch], 1)
+        return draws.find_points(shapes, np.array([60.0]), path)[0, 0]
+
+    followed = find_tip(replace(drawn, carried=np.array([0.3])), 2.0)
+    assert followed == pytest.approx(np.add(find_tip(drawn, 0.7 * 2.0), (0.0, 0.3 * 2.0, 0.0)), abs=1e-12)

@@ -53,6 +53,15 @@ def plan(
         float, option("Largest angle of the base to either side.", "DEGREES", min=0.0, max=40.0)
     ] = 5.0,
     turns: Annotated[int, option("Largest number of turns of the bevel on the way.", "N", min=0, max=2)] = 2,
+    gain_sd: Annotated[
+        float,
+        option(
+            "Of a run: SD of the part of each move of the base that reaches the needle; 1 is expected.",
+            "SD",
+            min=0.0,
+            max=1.0,
+        ),
+    ] = 0.0,
     specimen: options.Specimen = None,
     write_recording: Annotated[
         Path | None, option("Write the plan as a recording for `view` and `simulate`: .csv.", "FILE")
@@ -89,6 +98,7 @@ def plan(
     require_writable(folder)
     options.note_others("plan", name)
     shown = open_target(name, specimen=specimen or "planned")
+    shown = shown.vary_gain(gain_sd) if gain_sd else shown
     goal = _read_goal(shown, target, radius, obstacle or [], markups, obstacle_radius)
     limits = PlanLimits(entry_shift, base, base_angle, turns)
     insertion = shown.begin_insertion()

@@ -23,6 +23,7 @@ from needlefit.mechanics.batch import (
     Batch,
     Jacobians,
     NeedleShapes,
+    compute_batch_positions,
     linearize_batches,
     read_batches,
     simulate_batches,
@@ -449,8 +450,10 @@ class ParameterDraws:
     mu: Floats  #: (B, n) of the n layers that it meets, MPa
     shape: Floats  #: (B, p, n) shape parameters of the law
     bevel: Floats  #: (B,) b, mm; of an advance by the path angle theta, rad
-    gain: Floats | None = None  #: (B,) of the base, as of `Batch`; None: 1
-    slope: Floats | None = None  #: (B,) dy/dx of the insertion's axis in C; None: 0
+    # of this insertion:
+    gain: Floats | None = None  #: (B,) part of each move of the base that reaches the needle; None: 1
+    carried: Floats | None = None  #: (B,) share of the base's displacement that the tissue follows; None: 0
+    slope: Floats | None = None  #: (B,) dy/dx of the axis in C; None: 0
 
     def __len__(self) -> int:
         return len(self.bevel)
@@ -465,18 +468,28 @@ class ParameterDraws:
         given = {field.name: getattr(self, field.name) for field in fields(self)}
         return replace(self, **{name: part[rows] for name, part in given.items() if part is not None})
 
-    def turn(self, points: Floats) -> Floats:
-        """Return points (B, K, 3) of the needles, mm, turned with the axis of each insertion."""
-        if self.slope is None:
-            return points
-        return points + self.slope[:, None, None] * points[..., :1] * np.array([0.0, 1.0, 0.0])
+    @property
+    def bending(self) -> Floats:
+        """The part (B,) of each move of the base that bends the needle: less where the tissue follows."""
+        gain = np.ones(len(self)) if self.gain is None else self.gain
+        return gain if self.carried is None else gain - self.carried
+
+    def find_points(self, shapes: NeedleShapes, s: Floats, steps: Sequence[Step]) -> Floats:
+        """Return points (B, K, 3) of needles at beam coordinates `s` (K,), mm, at the end of steps, in C."""
+        points = compute_batch_positions(shapes, s)
+        if self.slope is not None:
+            points[..., 1] += self.slope[:, None] * points[..., 0]
+        if self.carried is not None:
+            moved = steps[-1].controls.base_y - steps[0].controls.base_y
+            points[..., 1] += moved * self.carried[:, None]
+        return points
 
     def make_batch(
         self, needle: Needle, tissue: Tissue, steps: tuple[Step, ...], rules: ModelOptions
     ) -> Batch:
         """Return the insertion of every draw, with its moduli, shape parameters and bevels."""
         name = "cut_angle" if rules.path_angle else "offset"
-        given = {"mu": self.mu, "shape": self.shape, "gain": self.gain, name: self.bevel}
+        given = {"mu": self.mu, "shape": self.shape, "gain": self.bending, name: self.bevel}
         return Batch(needle, tissue, steps, rules, **given)
 
 

@@ -23,13 +23,13 @@ KEPT_VARIANCE = 1e-9  #: parts of the greatest variance below which a direction 
 
 @dataclass(frozen=True)
 class WeightedDraws:
-    """B draws of ln mu, ln b, the gain of the base and the slope of the insertion, and their weights.
+    """B draws of ln mu, ln b, the share that the tissue follows, the base's gain and the axis's slope.
 
-    They are `mean` + `at` @ `axes`, and the prior of `at` is a standard normal.
+    They are `mean` + `at` @ `axes`, have weights, and the prior of `at` is a standard normal.
     """
 
-    mean: Floats  #: (n + 3,)
-    axes: Floats  #: (R, n + 3) of the R directions that are not exact
+    mean: Floats  #: (n + 4,)
+    axes: Floats  #: (R, n + 4) of the R directions that are not exact
     at: Floats  #: (B, R)
     shape: Floats  #: (B, p, n) shape parameters of the law, which are not learnt
     log_weights: Floats  #: (B,)
@@ -50,15 +50,16 @@ class WeightedDraws:
             rows = np.arange(count) % len(draws)
         some = draws.only(rows)
         effects = rng.standard_normal((count, 2)) * (gain_sd, slope_sd) + (1.0, 0.0)
-        logs = np.column_stack([np.log(some.mu), np.log(some.bevel)])
-        mean = np.append(logs.mean(axis=0), (1.0, 0.0))
+        carried = np.zeros(count) if some.carried is None else some.carried
+        known = np.column_stack([np.log(some.mu), np.log(some.bevel), carried])
+        mean = np.append(known.mean(axis=0), (1.0, 0.0))
         covariance = np.zeros((len(mean), len(mean)))
-        covariance[:-2, :-2] = np.cov(logs, rowvar=False) if count > 1 else 0.0
+        covariance[:-2, :-2] = np.cov(known, rowvar=False) if count > 1 else 0.0
         covariance[[-2, -1], [-2, -1]] = gain_sd**2, slope_sd**2
         variances, directions = np.linalg.eigh(covariance)
         kept = variances > KEPT_VARIANCE * max(variances.max(), 1e-12)
         sizes = np.sqrt(variances[kept])
-        coordinates = (np.column_stack([logs, effects]) - mean) @ directions[:, kept] / sizes
+        coordinates = (np.column_stack([known, effects]) - mean) @ directions[:, kept] / sizes
         return cls(mean, (directions[:, kept] * sizes).T, coordinates, some.shape, np.zeros(count))
 
     @property
@@ -76,8 +77,9 @@ class WeightedDraws:
         """Return the parameters of all draws, or of some."""
         rows = np.arange(len(self.at)) if rows is None else rows
         parameters = self.mean + self.at[rows] @ self.axes
-        mu, bevel = np.exp(parameters[:, :-3]), np.exp(parameters[:, -3])
-        return ParameterDraws(mu, self.shape[rows], bevel, parameters[:, -2], parameters[:, -1])
+        carried, gain, slope = parameters[:, -3:].T
+        strengths = np.exp(parameters[:, :-3])
+        return ParameterDraws(strengths[:, :-1], self.shape[rows], strengths[:, -1], gain, carried, slope)
 
     def list_sigma_points(self) -> ParameterDraws:
         """Return 2 R draws of equal weights, two along each direction, with mean and covariance of all.

@@ -12,6 +12,7 @@ from needlefit.geometry.frames import Placement
 from needlefit.mechanics.control import Step
 from needlefit.planning.recording import RecordedStep, Recording, make_head
 from needlefit.planning.steered_needle import Change, SteeredNeedle, find_changes, make_steered_scene
+from needlefit.project.random_streams import random_stream
 from needlefit.schemas.recording import PlacementRecord, RecordingRecord
 from needlefit.schemas.scene import SceneRecord
 
@@ -54,6 +55,21 @@ class SteerableScene:
         bevel = replace(first.bevel, side=1, roll_deg=0.0) if first.bevel.toward[1] else first.bevel
         start = Step(0.0, bevel, first.controls)
         return StartedInsertion(scene.needle, scene.tissue, rules, (start,), self.spread)
+
+    def vary_gain(self, sd: float) -> Self:
+        """Return the scene with draws of the part of each move of the base that reaches the needle, about 1.
+
+        ConfigError if its parameters are exact.
+        """
+        if self.spread is None:
+            raise ConfigError(
+                "the parameters are exact, so that a plan has no probability",
+                expected="a run with certified draws",
+                fix="leave --gain-sd out",
+                where=self.name,
+            )
+        gain = 1 + sd * random_stream(0, "gain", self.name).standard_normal(len(self.spread))
+        return replace(self, spread=replace(self.spread, gain=gain))
 
     def find_placement(self) -> Placement:
         """Return where the constraint frame lies; ConfigError if that is not known."""

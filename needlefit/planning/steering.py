@@ -24,13 +24,7 @@ from needlefit.arrays import Bools, Floats
 from needlefit.errors import ModelError
 from needlefit.inference.forward_model import ParameterDraws
 from needlefit.inference.predict import wilson_interval
-from needlefit.mechanics.batch import (
-    Batch,
-    NeedleShapes,
-    compute_batch_positions,
-    read_batches,
-    simulate_batches,
-)
+from needlefit.mechanics.batch import Batch, NeedleShapes, read_batches, simulate_batches
 from needlefit.mechanics.control import Bevel, ModelOptions, Step
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import SAME_DEPTH_MM, make_lattice
@@ -392,8 +386,8 @@ class _Search:
 
         def place(number: int, shapes: NeedleShapes, rows: slice) -> tuple[Floats]:
             entry, depth, *_ = choices[number].at
-            points = compute_batch_positions(shapes, np.linspace(0.0, depth, PATH_POINTS))
-            points = draws.only(np.arange(len(draws))[rows]).turn(points)
+            drawn = draws.only(np.arange(len(draws))[rows])
+            points = drawn.find_points(shapes, np.linspace(0.0, depth, PATH_POINTS), batches[number].steps)
             points = np.where(shapes.valid[:, None, None], points + np.array([0.0, entry, 0.0]), np.nan)
             return (points[..., : len(self.goal.target)],)
 

@@ -142,22 +142,23 @@ return heap.borrow(()=>{let cells=constraints.length/(1+planes)-1,needle=heap.st
 x2,u,slope4,constraints].map(array3=>heap.put(array3))),memory=heap.take(heap.call.nf_memory(problem.at,1n)),out=heap.
 take(8*planes*s2.length);return heap.call.nf_load(problem.at,needle,BigInt(s2.length),heap.put(Float64Array.from(
 s2)),memory,out),heap.floats(out,planes*s2.length).slice()})}}}});function computeBand(session,draws,steps2){let{depth}=steps2.at(-1);if(!(depth>0))return null;let s2=Array.from(
-{length:POINTS},(_,k2)=>k2===POINTS-1?depth:depth*k2/(POINTS-1)),needles=[];for(let n=0;n<draws.sets;n+=1){let part2=values=>values.
-slice(n*values.length/draws.sets,(n+1)*values.length/draws.sets),path2=steps2.map(step=>({depth:step.depth,inputs:{
-...step.inputs,bevel:{...step.inputs.bevel,strength:draws.strength[n]}}}));session.again({...session.model,mu:part2(
-draws.mu),law:part2(draws.law)},path2)&&needles.push(session.positions(s2))}if(!needles.length)return null;let{
-planes}=session,along=axis=>Array.from({length:POINTS},(_,k2)=>Float64Array.from(needles,points=>points[(1+planes)*
-k2+axis])),[y2,z=null]=spanBands(planes>1?[along(1),along(2)]:[along(1)]);return{x:along(0).map(values=>quantile(
-values.sort(),MIDDLE)),...y2,z,failed:draws.sets-needles.length}}function spanBands(planes){let sizes=new Float64Array(
-planes[0][0].length),scaled=planes.map(heights2=>heights2.map(values=>{let sorted=values.slice().sort(),[low,middle,
-high]=[LOW,MIDDLE,HIGH].map(share=>quantile(sorted,share));return values.forEach((value,i)=>{let scale=value<middle?
-middle-low:high-middle;scale>TINY&&(sizes[i]=Math.max(sizes[i],Math.abs(value-middle)/scale))}),[middle,middle-
-low,high-middle]})),size2=sizes.sort()[Math.min(Math.floor(LEVEL*sizes.length),sizes.length-1)];return scaled.
-map(points=>({low:points.map(([middle,below])=>middle-size2*below),high:points.map(([middle,,above])=>middle+size2*
-above)}))}function quantile(sorted,share){let place=share*(sorted.length-1),below=Math.floor(place);return sorted[below]+
-(place-below)*((sorted[below+1]??sorted[below])-sorted[below])}var POINTS,LOW,MIDDLE,HIGH,LEVEL,TINY,init_band=__esm(
-{"needlefit/viewer/page/model/band.js"(){"use strict";init_needle();POINTS=51,[LOW,MIDDLE,HIGH]=[.025,.5,.975],
-LEVEL=.95,TINY=1e-9}});var band_worker_exports={};var newest,busy,init_band_worker=__esm({"needlefit/viewer/page/model/band_worker.js"(){
+{length:POINTS},(_,k2)=>k2===POINTS-1?depth:depth*k2/(POINTS-1)),needles=[],[{inputs:{base:start2}}]=steps2;for(let n=0;n<
+draws.sets;n+=1){let part2=values=>values.slice(n*values.length/draws.sets,(n+1)*values.length/draws.sets),follow2=(value,from)=>from+
+(draws.gain?.[n]??1)*(value-from),path2=steps2.map(({depth:depth2,inputs:{bevel,base,...inputs}})=>({depth:depth2,
+inputs:{...inputs,bevel:{...bevel,strength:draws.strength[n]},base:{...base,y:follow2(base.y,start2.y),slope:follow2(
+base.slope,start2.slope)}}}));session.again({...session.model,mu:part2(draws.mu),law:part2(draws.law)},path2)&&
+needles.push(session.positions(s2))}if(!needles.length)return null;let{planes}=session,along=axis=>Array.from(
+{length:POINTS},(_,k2)=>Float64Array.from(needles,points=>points[(1+planes)*k2+axis])),[y2,z=null]=spanBands(planes>
+1?[along(1),along(2)]:[along(1)]);return{x:along(0).map(values=>quantile(values.sort(),MIDDLE)),...y2,z,failed:draws.
+sets-needles.length}}function spanBands(planes){let sizes=new Float64Array(planes[0][0].length),scaled=planes.
+map(heights2=>heights2.map(values=>{let sorted=values.slice().sort(),[low,middle,high]=[LOW,MIDDLE,HIGH].map(share=>quantile(
+sorted,share));return values.forEach((value,i)=>{let scale=value<middle?middle-low:high-middle;scale>TINY&&(sizes[i]=
+Math.max(sizes[i],Math.abs(value-middle)/scale))}),[middle,middle-low,high-middle]})),size2=sizes.sort()[Math.
+min(Math.floor(LEVEL*sizes.length),sizes.length-1)];return scaled.map(points=>({low:points.map(([middle,below])=>middle-
+size2*below),high:points.map(([middle,,above])=>middle+size2*above)}))}function quantile(sorted,share){let place=share*
+(sorted.length-1),below=Math.floor(place);return sorted[below]+(place-below)*((sorted[below+1]??sorted[below])-
+sorted[below])}var POINTS,LOW,MIDDLE,HIGH,LEVEL,TINY,init_band=__esm({"needlefit/viewer/page/model/band.js"(){
+"use strict";init_needle();POINTS=51,[LOW,MIDDLE,HIGH]=[.025,.5,.975],LEVEL=.95,TINY=1e-9}});var band_worker_exports={};var newest,busy,init_band_worker=__esm({"needlefit/viewer/page/model/band_worker.js"(){
 "use strict";init_needle();init_band();newest={},busy=!1;onmessage=async({data})=>{if(newest={...newest,...data},
 !busy){busy=!0;for(let order=null;order!==newest;){order=newest;let{kernel,model,draws,steps:steps2,id}=order;
 draws&&steps2&&postMessage({id,band:computeBand(await Session.begin(kernel,model,steps2[0].inputs),draws,steps2)}),

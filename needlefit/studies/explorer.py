@@ -13,8 +13,6 @@ from needlefit.arrays import Floats
 from needlefit.datasets.insertion import InsertionInputs, InsertionPose, find_free_reach
 from needlefit.errors import ConfigError
 from needlefit.geometry.curves import TIP_POINTS
-from needlefit.inference.parameter_names import BEVEL_PARAMETERS, BEVEL_SPREAD, find_bevel_factors
-from needlefit.inference.parameters import Parameters
 from needlefit.mechanics.laws import LAWS, PowerLaw
 from needlefit.mechanics.needle import DEFAULT_DIAMETER_MM, Needle
 from needlefit.mechanics.packing import MAX_TOLERANCE_MM, compile_law
@@ -31,8 +29,6 @@ from needlefit.planning.insertion_scene import (
 )
 from needlefit.planning.recording import format_head, make_head
 from needlefit.planning.steered_needle import list_scene_changes, make_steered_scene, name_guides
-from needlefit.project.locate import unknown_name_error
-from needlefit.project.random_streams import random_stream
 from needlefit.reporting import labels
 from needlefit.reporting.needle_page import (
     SHOWN_METRICS,
@@ -45,18 +41,11 @@ from needlefit.reporting.needle_page import (
 from needlefit.reporting.table_files import Row, select_rows, to_records
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.run_metadata import DatasetMetadata, FitMetadata, InsertionMetadata, PredictionMetadata
-from needlefit.studies.fit_frames import (
-    FIT_KINDS,
-    NEW_SPECIMEN,
-    PREDICTION_METHOD,
-    TUNED_SPECIMENS,
-    FitFrames,
-    select_draws,
-)
+from needlefit.studies.fit_frames import FIT_KINDS, NEW_SPECIMEN, PREDICTION_METHOD, FitFrames
+from needlefit.studies.insertion_draws import draw_insertion
 from needlefit.studies.run import Run
 
 if TYPE_CHECKING:
-    from needlefit.datasets.folds import Fold
     from needlefit.studies.job import Job
 
 # Modules that simulate are imported where they are used: other reports do not load them.
@@ -101,52 +90,6 @@ def describe_insertions(job: "Job") -> dict[str, InsertionMetadata]:
         for insertion in job.insertions
         if insertion.guide is None
     }
-
-
-def find_bevel_sd(job: "Job", fold: "Fold") -> float:
-    """Return by how many SDs the bevel of a further insertion deviates, see `find_new_bevel_sd`."""
-    from needlefit.inference.problem import find_new_bevel_sd
-
-    tuned = {insertion.specimen for insertion in fold.tune}
-    new = job.record.specimens == "others" and any(
-        insertion.specimen not in tuned for insertion in fold.validate
-    )
-    return find_new_bevel_sd(job.dataset, fold.tune, new_specimen=new and len(tuned) > 1)
-
-
-def choose_drawn_specimen(run: Run, specimen: str, tuned: set[str], chosen: str = "shown") -> str:
-    """Return in which specimen the draws for an insertion are, by its name in the table of draws.
-
-    `specimen` is that of the insertion, `tuned` are those that were fitted to; `chosen`: of a `ViewTarget`.
-    ConfigError if there is no specimen of that name.
-    """
-    names = {*run.frames["draws"]["specimen"]} - {NEW_SPECIMEN, TUNED_SPECIMENS}
-    if chosen not in ("shown", "planned", "new", "same"):
-        if chosen not in names & tuned:
-            raise unknown_name_error("specimen", chosen, ["new", "same", *(names & tuned)], "")
-        return chosen
-    differ = run.record.specimens == "others"
-    if chosen == "new" or (differ and (chosen == "planned" or specimen not in tuned)):
-        return NEW_SPECIMEN if chosen != "same" else TUNED_SPECIMENS
-    return specimen if specimen in names else TUNED_SPECIMENS
-
-
-def vary_draws(draws: pd.DataFrame, medium: MediumRecord, name: str, seed: int, sd: float) -> pd.DataFrame:
-    """Return draws of all parameters (Pa, mm), each with a bevel of its own for the insertion `name`."""
-    names = [
-        parameter for parameter in (*Parameters.from_record(medium).names, BEVEL_SPREAD) if parameter in draws
-    ]
-    varied = draws[names].astype(np.float64)
-    spreads = varied[BEVEL_SPREAD].to_numpy() if BEVEL_SPREAD in names else np.zeros(len(varied))
-    deviations = sd * random_stream(seed, "band", name).standard_normal(len(varied))
-    factors = find_bevel_factors(spreads, deviations)
-    return varied.assign(
-        **{
-            bevel_parameter: varied[bevel_parameter] * factors
-            for bevel_parameter in BEVEL_PARAMETERS
-            if bevel_parameter in names
-        }
-    )
 
 
 def collect_explorers(runs: Sequence[Run]) -> PageData | None:
@@ -291,17 +234,12 @@ def _encode_needle(data: PageData, run: Run, row: Row, curve: Floats) -> dict[st
         "measured": measured,
         "draws": None,
     }
-    fold = next(fold for fold in metadata.folds if fold.name == row["fold"])
-    specimens = dict(zip(*(run.frames["errors"][key] for key in ("insertion", "specimen")), strict=True))
-    tuned = {specimens[insertion] for insertion in fold.tune}
-    specimen = choose_drawn_specimen(run, stored.specimen, tuned)
-    draws = select_draws(run.frames["draws"], row["fold"], specimen)
-    if len(draws) and draws["certified"].all():
-        varied = vary_draws(draws, medium, name, metadata.recipe.seed, metadata.new_bevel_sd[row["fold"]])
+    drawn = draw_insertion(run, row["fold"], name, stored.specimen)
+    if drawn.table is not None:
         layers = [layer for _, layer in find_layers(inputs)]
-        encoded["draws"] = _encode_draws(data, varied, medium, layers, stored.bevel_factor, tissue)
+        encoded["draws"] = _encode_draws(data, drawn.table, medium, layers, stored.bevel_factor, tissue)
     head = make_head(f"{run.name}/{name}", lattice.first_cell, record)
-    return {"scene": encoded, "new_specimen": specimen == NEW_SPECIMEN, "head": format_head(head)}
+    return {"scene": encoded, "new_specimen": drawn.specimen == NEW_SPECIMEN, "head": format_head(head)}
 
 
 def _encode_measured(

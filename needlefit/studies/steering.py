@@ -32,12 +32,14 @@ from needlefit.planning.steering import SEARCH_DRAWS, PlanLimits, StartedInserti
 from needlefit.project.toml import read_given
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.planning import ObstacleRecord
+from needlefit.schemas.recipe import TrackErrorsRecord
 from needlefit.schemas.run_metadata import FitMetadata
 from needlefit.schemas.scene import SceneRecord
-from needlefit.studies.explorer import choose_drawn_specimen, vary_draws
-from needlefit.studies.fit_frames import FIT_KINDS, select_draws
+from needlefit.studies.fit_frames import FIT_KINDS
+from needlefit.studies.insertion_draws import draw_insertion
 from needlefit.studies.run import Run
 
+GAIN_SD = 0.25  #: of the base, where no fit states one: 14 measured runs followed 28 % less
 TIP_MARGIN_MM = 5.0  #: a measured tip farther along x from where the needle stands is that of another needle
 DEPTH_STEP_MM = 1e-3  #: of the difference by depth
 Kind = Literal["tip", "shape", "curvatures"]
@@ -85,8 +87,8 @@ class _Reading:
                 "t,bktd->bkd", SECOND_DIFFERENCE[0], points.reshape(-1, count, 3, directions)
             )
         if self.kind == "tip":
-            return draws.turn(compute_batch_positions(shapes, self.places))[..., compared]
-        near = draws.turn(compute_batch_positions(shapes, np.append(self.places - 1.0, self.places)))
+            return draws.find_points(shapes, self.places, self.path)[..., compared]
+        near = draws.find_points(shapes, np.append(self.places - 1.0, self.places), self.path)
         before, here = near[:, :count], near[:, count:]
         part = (self.places - before[..., 0]) / (here[..., 0] - before[..., 0])  # the needle lags in x
         return (before + part[..., None] * (here - before))[..., compared]
@@ -107,8 +109,10 @@ class Steering:
         Needle, layers and first inputs of the insertion; moduli and bevel are those of the draws.
     draws : int
         How many; 100 ms are enough to measure and to plan with 500.
-    gain_sd : float
-        SD of the gain of the base about 1: which part of a commanded move arrives at the needle.
+    gain_sd : float, optional
+        SD of the gain of the base about 1: which part of a commanded move arrives at the needle. By default
+        that of the moves of a guide in the run's fit, else 0.25. Of the fit is also the SD of the share of
+        the base's displacement that the tissue follows, about 0.
     slope_sd : float
         SD of dy/dx of this insertion's axis in the frame of the measurements.
     seed : int
@@ -123,7 +127,7 @@ class Steering:
         scene: Given | SceneRecord,
         *,
         draws: int = 500,
-        gain_sd: float = 0.25,
+        gain_sd: float | None = None,
         slope_sd: float = 0.0,
         seed: int = 0,
     ) -> None:
@@ -132,7 +136,7 @@ class Steering:
         planned = make_steered_scene(record, f"scene {name}")
         if not isinstance(source, Run):
             source, _ = read_given("medium", source, MediumRecord)
-        medium, table = _draw_table(source, draws, self._rng, seed)
+        medium, table, errors = _draw_table(source, draws, self._rng)
         count = planned.tissue.layers
         if count > medium.layers:
             raise ConfigError(
@@ -142,6 +146,9 @@ class Steering:
         values = {str(name): float(middle) for name, middle in table.median().items()}
         tissue = make_tissue(values, layers, planned.tissue.boundaries, medium)
         layer_draws = select_layer_draws(table, layers, medium.law)
+        if errors.carried_sd:
+            carried = errors.carried_sd * self._rng.standard_normal(len(table))
+            layer_draws = replace(layer_draws, carried=carried)
         strength = float(np.median(layer_draws.bevel))
         angled = medium.advance == "path_angle"
         first = planned.steps[0]
@@ -154,6 +161,7 @@ class Steering:
         )
         #: needle, median tissue, rules: what commands are checked by; draws vary the tissue
         self.needle, self.tissue, self.rules = planned.needle, tissue, rules
+        gain_sd = (errors.gain_sd or GAIN_SD) if gain_sd is None else gain_sd
         self._draws = WeightedDraws.begin(layer_draws, draws, gain_sd, slope_sd, self._rng)
         self._readings: tuple[_Reading, ...] = ()
 
@@ -302,8 +310,8 @@ class Steering:
         kinds = ("base_y", "base_slope", "roll")
         ((shapes, jacobians),) = linearize_batches([batch], kinds, 1, tracked=False, past=len(path))
         derivatives = differentiate_batch_positions(shapes, jacobians, np.array([depth]))[:, 0]  # (B, 3, 3)
-        gain = np.ones(len(draws)) if draws.gain is None else draws.gain
-        derivatives = derivatives * np.stack([gain, gain, np.ones(len(draws))], axis=1)[:, None]
+        derivatives[..., :2] *= draws.bending[:, None, None]
+        derivatives[:, 1, 0] += 0.0 if draws.carried is None else draws.carried
         deeper = self._find_tips(draws, depth + DEPTH_STEP_MM)
         by_depth = (deeper - self._find_tips(draws, depth)) / DEPTH_STEP_MM
         return np.nanmean(np.concatenate([derivatives, by_depth[..., None]], axis=2), axis=0)
@@ -322,7 +330,7 @@ class Steering:
         """Return the tips (B, 3) of draws at a depth, mm."""
         path = (*self._session.input_path(), self._ahead(depth))
         (shapes,) = simulate_batches([self._make_batch(draws, path)], 1)
-        return draws.turn(compute_batch_positions(shapes, np.array([depth])))[:, 0]
+        return draws.find_points(shapes, np.array([depth]), path)[:, 0]
 
     def _expect(self, reading: _Reading, draws: WeightedDraws) -> Floats:
         parameters = draws.to_parameters()
@@ -359,22 +367,17 @@ def _log_likelihood(off: Floats, sd: float) -> Floats:
 
 
 def _draw_table(
-    source: Run | MediumRecord, count: int, rng: np.random.Generator, seed: int
-) -> tuple[MediumRecord, pd.DataFrame]:
-    """Return the tissue model of a source, and draws of its parameters (Pa, mm, degrees)."""
+    source: Run | MediumRecord, count: int, rng: np.random.Generator
+) -> tuple[MediumRecord, pd.DataFrame, TrackErrorsRecord]:
+    """Return the tissue model of a source, draws of its parameters (Pa, mm, degrees), errors of tracks."""
     if isinstance(source, MediumRecord):
         parameters = Parameters.from_record(source)
         sets = [parameters.values(theta) for theta in draw_from_prior(parameters, count, rng)]
-        return source, pd.DataFrame(sets)
+        return source, pd.DataFrame(sets), TrackErrorsRecord()
     if source.kind not in FIT_KINDS:
         raise ConfigError(f"{source.name} is of kind {source.kind}", expected="a run of a fit or validation")
     stated = source.knows(FitMetadata)
-    fold = stated.folds[0]
-    tuned = {
-        stated.insertions[insertion].specimen for insertion in fold.tune if insertion in stated.insertions
-    }
-    specimen = choose_drawn_specimen(source, "", tuned, "planned")
-    draws = select_draws(source.frames["draws"], fold.name, specimen)
-    if draws.empty or not draws["certified"].all():
+    drawn = draw_insertion(source, stated.folds[0].name, "steering", "", "planned")
+    if drawn.table is None:
         raise ConfigError(f"{source.name} has no certified draws", fix="sample it: needlefit.sample(run)")
-    return stated.medium, vary_draws(draws, stated.medium, "steering", seed, stated.new_bevel_sd[fold.name])
+    return stated.medium, drawn.table, stated.recipe.likelihood.tip_tracks

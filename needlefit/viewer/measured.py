@@ -5,15 +5,13 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-import pandas as pd
-
 from needlefit.datasets.insertion import Dataset, Insertion, find_pose
 from needlefit.datasets.noise import estimate_noise_floor
 from needlefit.datasets.planes import set_compared
 from needlefit.datasets.read import read_shapes, require_shapes
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Placement, move_frame
-from needlefit.inference.forward_model import ParameterDraws, select_layer_draws
+from needlefit.inference.forward_model import select_layer_draws
 from needlefit.inference.likelihood.observations import select_points
 from needlefit.inference.parameters import Parameters
 from needlefit.mechanics.shape import compute_positions
@@ -147,8 +145,9 @@ def _show_insertion(shown: ShownInsertion, name: str, description: str) -> Viewe
 def open_run(view_target: ViewTarget) -> ViewedScene:
     """Return an insertion with the fitted parameters of a run, by default the first held-out one."""
     from needlefit.inference.problem import find_new_bevel_sd
-    from needlefit.studies.explorer import choose_drawn_specimen, find_prediction
-    from needlefit.studies.fit_frames import FIT_KINDS, NEW_SPECIMEN, select_draws
+    from needlefit.studies.explorer import find_prediction
+    from needlefit.studies.fit_frames import FIT_KINDS, NEW_SPECIMEN
+    from needlefit.studies.insertion_draws import draw_insertion
     from needlefit.studies.store import restore_run, unpack
     from needlefit.studies.stored_fit import read_data
 
@@ -184,13 +183,13 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
     shown = ShownInsertion(dataset, insertion, stated.medium, values, stated.recipe.seed)
     (names,) = (set(one.tune) for one in folds if one.name == fold)
     fitted = [one for one in dataset.insertions if one.id in names]
-    specimen = choose_drawn_specimen(
-        run, shown.insertion.specimen, {one.specimen for one in fitted}, view_target.specimen
-    )
-    draws = select_draws(run.frames["draws"], fold, specimen)
+    several = len({one.specimen for one in fitted}) > 1
+    drawn = draw_insertion(
+        run, fold, insertion.id, insertion.specimen, view_target.specimen,
+        lambda new: find_new_bevel_sd(dataset, fitted, new_specimen=new and several),
+    )  # fmt: skip
     crossed = "Layer depths: as measured. " if len(insertion.boundaries) else ""
-    certified = len(draws) > 0 and bool(draws["certified"].all())
-    band = "" if certified else "No band: the run has no certified draws of its parameters."
+    band = "" if drawn.table is not None else "No band: the run has no certified draws of its parameters."
     description = f"Parameters: fitted by {run.name} {role}. {crossed}{band}".rstrip()
     viewed_scene = _show_insertion(shown, view_target.name, description)
     measured = viewed_scene.measured
@@ -204,28 +203,14 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
         viewed_scene, recall=partial(_recall, run), faults=run.faults, warnings=tuple(warnings),
         fitted_depths=tuple(one.depth for one in fitted), fitted_directions=DIRECTIONS[stated.compared],
     )  # fmt: skip
-    if not certified:
+    if drawn.table is None:
         return viewed_scene
-    new = specimen == NEW_SPECIMEN
-    separate = new and len({one.specimen for one in fitted}) > 1
-    new_bevel_sd = find_new_bevel_sd(dataset, fitted, new_specimen=separate)
-    return replace(
-        viewed_scene,
-        spread=_vary_draws(shown, draws, new_bevel_sd),
-        specimen="new" if new else "same",
-    )
+    layers = [layer for _, layer in find_layers(insertion)]
+    spread = select_layer_draws(drawn.table, layers, stated.medium.law)
+    return replace(viewed_scene, spread=spread, specimen="new" if drawn.specimen == NEW_SPECIMEN else "same")
 
 
 def _recall(run: "Run") -> str:
     from needlefit.studies.report import recall
 
     return recall(run)
-
-
-def _vary_draws(shown: ShownInsertion, draws: pd.DataFrame, new_bevel_sd: float) -> ParameterDraws:
-    """Return the draws for the layers that an insertion meets, each with a bevel of its own."""
-    from needlefit.studies.explorer import vary_draws
-
-    varied = vary_draws(draws, shown.medium, shown.insertion.id, shown.seed, new_bevel_sd)
-    layers = [layer for _, layer in find_layers(shown.insertion)]
-    return select_layer_draws(varied, layers, shown.medium.law)

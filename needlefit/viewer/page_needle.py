@@ -137,13 +137,14 @@ def encode_tables(tissue: Tissue, steps: Sequence[RecordedStep]) -> list[Any]:
 
 
 def encode_draws(spread: "ParameterDraws", law: str) -> dict[str, Any]:
-    """Return the draws of a band: of each, mu and law of every layer, and the strength of the bevel."""
+    """Return the draws of a band: mu and law of every layer, strength of the bevel, gain of the base."""
     drawn = spread.only(choose_band_draws(spread))
     return {
         "sets": len(drawn),
         "mu": drawn.mu.ravel().tolist(),
         "law": encode_law(law, drawn.shape),
         "strength": drawn.bevel.tolist(),
+        "gain": None if drawn.gain is None else drawn.gain.tolist(),
     }
 
 

@@ -28,8 +28,9 @@ from needlefit.schemas.run_metadata import (
 )
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.answer import FaultKind, RunFault
-from needlefit.studies.explorer import describe_insertions, find_bevel_sd
+from needlefit.studies.explorer import describe_insertions
 from needlefit.studies.fit_warnings import add_warnings
+from needlefit.studies.insertion_draws import find_fold_bevel_sd
 from needlefit.studies.job import Job, Settings
 from needlefit.studies.kinds.cross_validation.effect import (
     leave_out,
@@ -124,7 +125,7 @@ def conclude_run(job: Job, work: JobMetadata, results: Sequence[FoldResult]) -> 
             for insertion in job.insertions
         },
         "insertions": describe_insertions(job),
-        "new_bevel_sd": {fold.name: find_bevel_sd(job, fold) for fold in job.folds},
+        "new_bevel_sd": {fold.name: find_fold_bevel_sd(job, fold) for fold in job.folds},
         "search_faults": search_faults,
         "validity": tabulate_validity([result.validity for result in results]),
     }

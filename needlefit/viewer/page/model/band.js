@@ -10,18 +10,22 @@ const TINY = 1e-9; // mm; needles that are as close as this do not spread
 /**
  * {x, low, high, failed} from entry to tip, in space with {z: {low, high}}, or null where there is no needle to draw.
  *
- * Each of the `draws` {sets, mu, law, strength} takes the place of what the session's model and the steps [{depth, inputs}]
- * have.
+ * Each of the `draws` {sets, mu, law, strength, gain} takes the place of what the session's model and the steps [{depth,
+ * inputs}] have; of each move of the base the part `gain` reaches the needle.
  */
 export function computeBand(session, draws, steps) {
   const { depth } = steps.at(-1);
   if (!(depth > 0)) return null;
   const s = Array.from({ length: POINTS }, (_, k) => (k === POINTS - 1 ? depth : (depth * k) / (POINTS - 1)));
-  const needles = [];
+  const needles = [], [{ inputs: { base: start } }] = steps;
   for (let n = 0; n < draws.sets; n += 1) {
     const part = (values) => values.slice((n * values.length) / draws.sets, ((n + 1) * values.length) / draws.sets);
-    const path = steps.map((step) => ({
-      depth: step.depth, inputs: { ...step.inputs, bevel: { ...step.inputs.bevel, strength: draws.strength[n] } },
+    const follow = (value, from) => from + (draws.gain?.[n] ?? 1) * (value - from);
+    const path = steps.map(({ depth, inputs: { bevel, base, ...inputs } }) => ({
+      depth, inputs: {
+        ...inputs, bevel: { ...bevel, strength: draws.strength[n] },
+        base: { ...base, y: follow(base.y, start.y), slope: follow(base.slope, start.slope) },
+      },
     }));
     if (session.again({ ...session.model, mu: part(draws.mu), law: part(draws.law) }, path)) needles.push(session.positions(s));
   }
