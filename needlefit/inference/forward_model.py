@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self, TypeVar
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -290,8 +289,6 @@ class PreparedModel:
                 del kept[key]
 
 
-#: of insertions in use, by the other arguments; the medium is kept, so that no other one has its `id`
-_responses: WeakKeyDictionary[Insertion, dict[object, tuple[MediumRecord, Floats]]] = WeakKeyDictionary()
 GAIN_STEP = 0.1  #: part of a move of the guide by which it is changed to simulate its effect, which is linear
 
 
@@ -310,15 +307,11 @@ def respond_to_moves(
 ) -> Floats:
     """Return how the points read at `s` (K,) change with the gain of each of M moves: (M, K, 3), mm.
 
-    It is computed once for all problems. Raises ConfigError where the model has no needle.
+    Raises ConfigError where the model has no needle.
     """
-    key = id(medium), tuple(values.items()), s.tobytes()
-    known_responses = _responses.setdefault(insertion, {})
-    if key not in known_responses:
-        moved = [insertion, *scale_moves(insertion, 1 + GAIN_STEP)]
-        points = np.concatenate([*PreparedModel(medium, moved).read_points([values], [s] * len(moved))])
-        known_responses[key] = medium, (points[1:] - points[0]) / GAIN_STEP
-    _, responses = known_responses[key]
+    moved = [insertion, *scale_moves(insertion, 1 + GAIN_STEP)]
+    points = np.concatenate([*PreparedModel(medium, moved).read_points([values], [s] * len(moved))])
+    responses: Floats = (points[1:] - points[0]) / GAIN_STEP
     if not np.isfinite(responses).all():
         raise ConfigError(
             f"the expected parameters have no needle in {insertion.id}",

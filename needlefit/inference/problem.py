@@ -3,7 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -44,6 +44,8 @@ class Problem:
     centred_bevels: bool = True
     #: values at which the response to moves of a guide is computed; None: those expected before any data
     response_at: Values | None = None
+    #: these responses, by insertion, places and values; problems made of one another share them
+    responses: dict[object, Floats] = field(default_factory=dict, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         if not self.insertions:
@@ -60,7 +62,7 @@ class Problem:
 
     def __reduce__(self) -> tuple[type["Problem"], tuple[object, ...]]:
         # what is computed once is computed anew elsewhere: it refers to objects of this process
-        return type(self), tuple(getattr(self, field.name) for field in fields(self))
+        return type(self), tuple(getattr(self, one.name) for one in fields(self))
 
     @property
     def lower(self) -> Floats:
@@ -260,7 +262,10 @@ class Problem:
     def respond(self, insertion: Insertion, s: Floats) -> Floats:
         """Return `respond_to_moves` of an insertion at `response_at`."""
         values = self.response_at or self.parameters.values(self.parameters.expected)
-        return respond_to_moves(values, self.medium, insertion, s)
+        key = insertion, s.tobytes(), tuple(values.items())
+        if key not in self.responses:
+            self.responses[key] = respond_to_moves(values, self.medium, insertion, s)
+        return self.responses[key]
 
     @property
     def bevels_differ(self) -> bool:
