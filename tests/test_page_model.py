@@ -50,7 +50,7 @@ for (const {changes, keep, forget} of orders) {
   }
   const {x, u, slope, constraints} = steered.session.shape
   found.push({fault, tip: steered.tipLateral, shape: [x, u, slope, constraints].map(hex),
-    path: steered.path(), state: state.describeState(steered), reach: steered.reach(),
+    path: steered.path(), state: state.describeState(steered),
     load: state.describeLoad(steered).load,
     validity: computeValidity(steered.session.shape, steered.model)})
 }
@@ -178,7 +178,6 @@ def test_the_page_simulates_the_bytes_of_the_program(name: str, seed: int) -> No
         parts = (shape.x, u, slope, shape.constraints[:, : 1 + len(u)])
         parts = [np.ascontiguousarray(one, dtype=np.float64) for one in parts]
         assert found["shape"] == [one.tobytes().hex() for one in parts]
-        assert found["reach"] == steering.reach()
         assert_same(found["state"], encode_state(viewed, steering), 2e-4)
         np.testing.assert_allclose(found["load"], compute_shown_load(steering), rtol=1e-9, atol=1e-12)
         expected = shape.validity

@@ -164,14 +164,8 @@ class Session:
             controls = replace(controls, tip=tip)
         return self.go(Step(0.0 if abs(depth) < SAME_DEPTH_MM else depth, bevel or self.last.bevel, controls))
 
-    def go(self, step: Step, *, valid_only: bool = False) -> NeedleShape:
-        """Move the tip to the depth of `step` under its inputs; returns and raises as `Session.step`.
-
-        Parameters
-        ----------
-        valid_only : bool
-            Whether a needle within the model's validity stays as it was where the step leads outside.
-        """
+    def go(self, step: Step) -> NeedleShape:
+        """Move the tip to the depth of `step` under its inputs; returns and raises as `Session.step`."""
         check_reach(self.needle.length, step.depth, step.controls)
         if step.depth > self._deepest:  # a single step is too large if it is too deep, and only then
             check_size((step.depth,), self.rules)
@@ -195,8 +189,6 @@ class Session:
             shape = NeedleShape(*nodes, STATUS_NAMES[status], int(passes), scales)
             if not shape.converged:
                 self.failures[shape.status] += 1
-                return shape
-            if valid_only and self._shape.valid and not shape.valid:
                 return shape
         self._memory.accept()
         self.last, self._shape = step, shape

@@ -11,11 +11,10 @@ from dataclasses import dataclass, replace
 
 from needlefit.errors import ConfigError, ModelError
 from needlefit.mechanics.control import Bevel, Controls, Guide, Step, TrackedTip
-from needlefit.mechanics.inputs import BASE_CLEARANCE_MM, MAX_GUIDE_NUMBER, find_input
+from needlefit.mechanics.inputs import MAX_GUIDE_NUMBER, find_input
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.scene import Scene, begin_session
 from needlefit.mechanics.session import NeedleState, Session
-from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.tissue import Tissue
 from needlefit.mechanics.torsion import find_roll
 from needlefit.schemas.limits import MAX_NEEDLE_LENGTH_MM, MAX_NUMBER
@@ -232,20 +231,10 @@ class SteeredNeedle:
         """Return the shortest steps that lead to the present state."""
         return self._session.input_path()
 
-    def reach(self, controls: Controls | None = None) -> float:
-        """Return the greatest depth possible under controls (by default those now), mm.
-
-        The base is then just before guides or tissue.
-        """
-        before = (controls or self.now.step.controls).before
-        # 1e-6 mm less: the base must stay before guides and tissue.
-        return self.scene.needle.length + (before[0].x - BASE_CLEARANCE_MM if before else 0.0) - 1e-6
-
-    def apply(self, changes: Sequence[Change], *, valid_only: bool = False) -> NeedleState:
+    def apply(self, changes: Sequence[Change]) -> NeedleState:
         """Carry out one step: all changes at once.
 
         ModelError if the model does not take them, or finds no needle that does; then nothing has happened.
-        With `valid_only` a step that leads outside the model's validity is refused, too.
         """
         inputs = [(change.name, change.item) for change in changes]
         for name, item in inputs:
@@ -260,7 +249,7 @@ class SteeredNeedle:
             # A copy: the stored state must survive further steps, for another return.
             self._session = self._saved[number].copy()
         else:
-            self._session = self._advance(changes, valid_only)
+            self._session = self._advance(changes)
         self.number += 1
         return self.now
 
@@ -272,7 +261,7 @@ class SteeredNeedle:
         if number:
             self._saved.pop(number, None)
 
-    def _advance(self, changes: Sequence[Change], valid_only: bool) -> Session:
+    def _advance(self, changes: Sequence[Change]) -> Session:
         """Return the session after a step; the one there is stays as it was if that fails."""
         session = self._session
         parameters = [change for change in changes if change.is_parameter]
@@ -284,43 +273,25 @@ class SteeredNeedle:
                 given.get("offset_throughout_mm"),
                 None if angle is None else math.radians(angle),
             )
-            self._require_found(
+            _require_found(
                 not session.failures,
                 f"with these parameters the insertion so far fails {session.depth:.1f} mm deep",
                 "change them less, or retract the needle first",
             )
-            self._require_valid(session.now.shape, valid_only)
         moved = [change for change in changes if not change.is_parameter]
         shape = session.now.shape
         stands = float(shape.u[-1]), float(shape.w[-1])
         step = apply_changes(session.last, moved, self.names, stands)
         if step != session.last:
-            reach, guides = self.reach(step.controls), step.controls.before
-            if valid_only and guides and step.depth > reach + 1e-6:
-                gap = guides[0].x + self.scene.needle.length - step.depth
-                raise ModelError(
-                    f"the base would stand {gap:.2f} mm before the first guide",
-                    expected=f"at least {BASE_CLEARANCE_MM:g} mm: the base stops at the guide",
-                    fix="retract the needle, or move the guide toward the tissue",
-                )
-            shape = session.go(step, valid_only=valid_only)
+            shape = session.go(step)
             problem = f"the model finds no needle there ({shape.status})"
-            self._require_found(shape.converged, problem, "move less at a time")
-            self._require_valid(shape, valid_only)
+            _require_found(shape.converged, problem, "move less at a time")
         return session
 
-    def _require_found(self, is_found: bool, problem: str, fix: str) -> None:
-        if not is_found:
-            raise ModelError(problem, expected="a load that tissue and needle can bear", fix=fix)
 
-    def _require_valid(self, shape: NeedleShape, valid_only: bool) -> None:
-        """Raise ModelError where a needle would leave the model's validity, unless it is outside already."""
-        if valid_only and not shape.valid and self.now.shape.valid:
-            raise ModelError(
-                f"the needle would be outside the model's validity: {'; '.join(shape.validity.faults)}",
-                expected="a needle within the limits of small deflections",
-                fix="move less, or bring base, guides and tip nearer to the needle's own shape",
-            )
+def _require_found(is_found: bool, problem: str, fix: str) -> None:
+    if not is_found:
+        raise ModelError(problem, expected="a load that tissue and needle can bear", fix=fix)
 
 
 def _with_parameters(tissue: Tissue, parameters: Sequence[Change]) -> Tissue:
