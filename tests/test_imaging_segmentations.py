@@ -8,7 +8,6 @@ from layer_cases import labelled, save_segments
 from reading_here import child_process_reader, read_here  # noqa: F401
 from refusals import refused_file
 
-from needlefit.errors import DataError
 from needlefit.imaging.layers import extract_label_surfaces
 from needlefit.imaging.scans import LayerSource, parse_layer_source
 from needlefit.imaging.segmentations import read_labels
@@ -28,4 +27,5 @@ def test_segments_are_chosen_by_name(tmp_path):
     assert fat.into == 1 and np.dot(fat.mesh.bounds[0], [1, 0, 0]) == pytest.approx(0, abs=0.1)
     source = parse_layer_source("l.seg.nrrd=segments:skin, fat", tmp_path)
     assert source == LayerSource(path, segments=("skin", "fat"))
-    assert isinstance(parse_layer_source("l.seg.nrrd=solid:2", tmp_path), DataError)
+    with pytest.raises(ValueError, match=r"l\.seg\.nrrd"):
+        parse_layer_source("l.seg.nrrd=solid:2", tmp_path)

@@ -14,12 +14,11 @@ with equal deviations eq. 46 of J. M. Fitzpatrick et al., IEEE Trans. Med. Imagi
 """
 
 import warnings
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtrc, chdtri, elliprg
@@ -27,7 +26,7 @@ from scipy.special import chdtrc, chdtri, elliprg
 from needlefit.arrays import Floats, Ints
 from needlefit.errors import DataError
 from needlefit.geometry.frames import AXIS_SIGNS, Frame
-from needlefit.imaging.constants import PART
+from needlefit.imaging.constants import PART, SD
 
 MIN_MARKERS = 3  # markers that fix a rigid motion
 # Location named in errors of a single set.
@@ -35,34 +34,14 @@ FOUND_SET = "markers found in the scan"
 KNOWN_SET = "known markers"
 # Probability that the noise as stated makes the right pairing look too bad to be believed.
 FALSE_ALARM_PROBABILITY = 1e-4
-# Probability of another pairing that is tolerated.
-MAX_WRONG_PAIRING_PROBABILITY = 1e-3
+MAX_WRONG_PAIRING_PROBABILITY = 1e-3  # of another pairing that is tolerated
 # Chi-squared by which an alternative must be worse to leave no more than that doubt.
 MIN_CHI2_GAP = 2 * np.log(1 / MAX_WRONG_PAIRING_PROBABILITY)
-# Share of the smaller set that must pair: few that agree among many are part of something else.
 MAX_PAIRINGS = 50_000  # pairings that are kept at once; beyond, the markers are too alike or too many
 MAX_TURN_SD_RAD = 0.1  # deviation of a turn, rad, from which on the markers count as lying on a line
-# By how much nearer everything must lie with the signs of x and y changed before they count as wrong.
-MIN_DISTANCE_RATIO = 4.0
 LAYOUT_FIX = (
     "look at the markers that were found; check the known ones, their unit and the spacing of the voxels (mm)"
 )
-
-
-@dataclass(frozen=True)
-class Alignment:
-    """The fitted motion of paired points."""
-
-    pairs: Ints  # (P, 2); number of the found marker, number of the known one, counted from 0
-    frame: Frame  # the scan's axes and origin in the world
-    residuals: Floats  # (P, 3); known minus found, in the world, mm
-    variance: Floats  # (P,); of each pair in any one direction, mm^2
-    chi2: float  # sum of squared residuals over their variances; 3 P - 6 on average
-
-    @property
-    def fre(self) -> float:
-        """Fiducial registration error: root mean square length of the residuals, mm."""
-        return float(np.sqrt(np.mean(np.sum(self.residuals**2, axis=1))))
 
 
 @dataclass(frozen=True)
@@ -74,12 +53,18 @@ class Registration:
     residuals: Floats  # (P, 3); known minus registered place of each pair, world axes, mm
     fre: float  # fiducial registration error: root mean square length of the residuals, mm
     expected_fre: float  # what the stated noise leads one to expect of it, mm
+    chi2: float  # sum of squared residuals over their variances; 3 P - 6 on average
     p_value: float  # probability that the stated noise leaves residuals at least as large
-    known: int  # number of the known markers, paired or not
-    # (3,); the point of the world about which `covariance` counts: the mean of the paired known markers, mm.
+    # (3,); the point of the world about which `information` counts: the mean of the paired known markers, mm.
     centre: Floats
-    covariance: Floats  # (6, 6); of turn (rad) and shift (mm) about `centre`, world axes, first order
-    warnings: tuple[str, ...]  # what a person should know; empty if all is as expected
+    information: Floats  # (6, 6); of turn (rad) and shift (mm) about `centre`, world axes, first order
+    known: int = 0  # number of the known markers, paired or not
+    warnings: tuple[str, ...] = ()  # what a person should know; empty if all is as expected
+
+    @property
+    def covariance(self) -> Floats:
+        """The covariance (6, 6) of turn (rad) and shift (mm) about `centre`, world axes."""
+        return np.asarray(np.linalg.inv(self.information), np.float64)
 
 
 def register(
@@ -113,65 +98,20 @@ def register(
             fix="state what finding a marker's centre leaves, about a tenth to a fifth of a voxel",
             where="deviations of the markers",
         )
-    _refuse_collinear(there, float(np.sqrt(np.median(variance))))
-    best = select_pairing(here, there, variance)
-    paired = there[best.pairs[:, 1]]
-    # the residuals of markers on a line say nothing of the turn about it
-    _refuse_collinear(paired, float(np.sqrt(best.variance.max())))
-    count, centre = len(best.pairs), paired.mean(axis=0)
-    information = information_matrix(paired - best.residuals - centre, best.variance)
-    return Registration(
-        frame=best.frame,
-        pairs=best.pairs,
-        residuals=best.residuals,
-        fre=best.fre,
-        expected_fre=float(np.sqrt((3 - 6 / count) * best.variance.mean())),
-        p_value=float(chdtrc(3 * count - 6, best.chi2)),
-        known=len(there),
-        centre=centre,
-        covariance=np.asarray(np.linalg.inv(information), np.float64),
-        warnings=tuple(_list_warnings(here, there, variance, best)),
-    )
-
-
-def select_pairing(found: Floats, known: Floats, variance: Floats) -> Alignment:
-    """Return the likeliest pairing of markers (M, 3) and (N, 3); `variance` (M, N) is that of each pair.
-
-    One of as many pairs that gives a marker, found or known, to a different one must be much less likely.
-    DataError if none fits or several do.
-    """
-    most = min(len(found), len(known))
-    # three among many agree by chance, unless one of the sets has no more
-    least = max(MIN_MARKERS + 1, int(np.ceil(PART.PAIRED * most)))
-    for count in (most, *range(most - 1, least - 1, -1)):
-        limit = float(chdtri(3 * count - 6, FALSE_ALARM_PROBABILITY))  # that a right pairing hardly exceeds
-        listed = list_pairings(found, known, variance, count, limit + MIN_CHI2_GAP)
-        fitted = [align(found, known, variance, pairs) for pairs in listed]
-        fitted = sorted((one for one in fitted if one.chi2 <= limit + MIN_CHI2_GAP), key=lambda one: one.chi2)
-        if fitted and fitted[0].chi2 <= limit:
-            break
-        if any(align(-found, known, variance, pairs).chi2 <= limit for pairs in listed):
-            raise DataError(
-                f"the markers are mirrored: {count} fit reflected, fewer as they are",
-                expected="a scan of the same handedness as the world",
-                fix="one axis of the scan or of the known markers has the wrong sign: look at the "
-                "direction of "
-                "the slices and at the coordinate system of the markers' file",
-                where="markers",
-            )
-    else:
+    best, *others = fit_pairings(here, there, variance)
+    sd = float(np.sqrt(variance[tuple(best.pairs.T)].max()))
+    # the turn about a line through all markers is known to their deviation over their distance from it
+    turn = 1 / np.sqrt(max(1e-12, np.linalg.eigvalsh(best.information[:3, :3])[0]))
+    if turn > MAX_TURN_SD_RAD:
         raise DataError(
-            f"no pairing of the {len(found)} found with the {len(known)} known markers fits within "
-            f"{np.sqrt(np.median(variance)):.2f} mm",
-            expected="three or more markers at distances as in the world, more if some are missing",
-            fix=f"{LAYOUT_FIX}; state larger deviations",
+            f"{len(best.pairs)} markers lie on a line, or their deviation of {sd:.3g} mm is large against "
+            f"their layout: the turn about it is known to +- {np.degrees(min(turn, np.pi)):.0f} degrees only",
+            expected="three or more markers, one of them well beside the line through the others",
+            fix="use markers off that line, or correct reference_sd_mm and fiducial_sd_mm of the recipe (mm, "
+            "per direction)",
             where="markers",
         )
-    best = fitted[0]
-    # markers, found or known, that two pairings give to different ones
-    shared = [best.pairs[:, None] == one.pairs[None] for one in fitted]
-    others = [one for one, same in zip(fitted, shared, strict=True) if (same[..., 0] != same[..., 1]).any()]
-    odds = sum(np.exp((best.chi2 - one.chi2) / 2) for one in others)
+    odds = sum(np.exp((best.chi2 - other.chi2) / 2) for other in others)
     if odds / (1 + odds) > MAX_WRONG_PAIRING_PROBABILITY:
         raise DataError(
             f"{1 + len(others)} pairings of {len(best.pairs)} markers are likely, the best two leave "
@@ -180,10 +120,47 @@ def select_pairing(found: Floats, known: Floats, variance: Floats) -> Alignment:
             fix="move or add a marker so that no two distances are alike",
             where="markers",
         )
-    return best
+    return replace(best, known=len(there), warnings=tuple(_list_warnings(here, there, variance, best)))
 
 
-def list_pairings(found: Floats, known: Floats, variance: Floats, count: int, bound: float) -> Sequence[Ints]:
+def fit_pairings(found: Floats, known: Floats, variance: Floats) -> list[Registration]:
+    """Return the likeliest pairing of markers (M, 3) and (N, 3), and those that contradict it.
+
+    `variance` (M, N) is that of each pair. Pairings have as many pairs as fit; of those some give a marker,
+    found or known, to a different one. DataError if none fits.
+    """
+    most = min(len(found), len(known))
+    # three among many agree by chance, unless one of the sets has no more
+    least = max(MIN_MARKERS + 1, int(np.ceil(PART.PAIRED * most)))
+    for count in (most, *range(most - 1, least - 1, -1)):
+        limit = float(chdtri(3 * count - 6, FALSE_ALARM_PROBABILITY))  # that a right pairing hardly exceeds
+        listed = list_pairings(found, known, variance, count, limit + MIN_CHI2_GAP)
+        fitted = sorted((align(found, known, variance, pairs) for pairs in listed), key=lambda fit: fit.chi2)
+        if fitted and fitted[0].chi2 <= limit:
+            same = [fitted[0].pairs[:, None] == fit.pairs for fit in fitted]
+            return fitted[:1] + [
+                fit
+                for fit, alike in zip(fitted, same, strict=True)
+                if fit.chi2 <= limit + MIN_CHI2_GAP and (alike[..., 0] != alike[..., 1]).any()
+            ]
+        if any(align(-found, known, variance, pairs).chi2 <= limit for pairs in listed):
+            raise DataError(
+                f"the markers are mirrored: {count} fit reflected, fewer as they are",
+                expected="a scan of the same handedness as the world",
+                fix="one axis of the scan or of the known markers has the wrong sign: look at the direction "
+                "of the slices and at the coordinate system of the markers' file",
+                where="markers",
+            )
+    raise DataError(
+        f"no pairing of the {len(found)} found with the {len(known)} known markers fits within "
+        f"{np.sqrt(np.median(variance)):.2f} mm",
+        expected="three or more markers at distances as in the world, more if some are missing",
+        fix=f"{LAYOUT_FIX}; state larger deviations",
+        where="markers",
+    )
+
+
+def list_pairings(found: Floats, known: Floats, variance: Floats, count: int, bound: float) -> list[Ints]:
     """Return the pairings (count, 2) at which no distance of two markers costs more than `bound`.
 
     A distance that two pairs change by D costs at least D^2 / (v_1 + v_2) in chi-squared however the sets are
@@ -194,12 +171,13 @@ def list_pairings(found: Floats, known: Floats, variance: Floats, count: int, bo
     rows: list[tuple[tuple[int, int], ...]] = [()]
     for n in range(len(found)):
         left = len(found) - n - 1  # found markers that may still be paired
-        grown = [row for row in rows if len(row) + left >= count]  # this one has no partner
-        for row in rows:
-            if len(row) < count:
-                free = set(range(len(known))) - {j for _, j in row}
-                grown += [(*row, (n, m)) for m in free if all(fits[i, j, n, m] for i, j in row)]
-        rows = grown
+        unpaired = [row for row in rows if len(row) + left >= count]
+        rows = unpaired + [
+            (*row, (n, m))
+            for row in rows
+            for m in range(len(known) if len(row) < count else 0)
+            if all(j != m and fits[i, j, n, m] for i, j in row)
+        ]
         if len(rows) > MAX_PAIRINGS:
             raise DataError(
                 f"more than {MAX_PAIRINGS} pairings of {len(found)} and {len(known)} markers fit",
@@ -210,20 +188,33 @@ def list_pairings(found: Floats, known: Floats, variance: Floats, count: int, bo
     return [np.array(row, dtype=np.int64) for row in rows if len(row) == count]
 
 
-def align(found: Floats, known: Floats, variance: Floats, pairs: Ints) -> Alignment:
+def align(found: Floats, known: Floats, variance: Floats, pairs: Ints) -> Registration:
     """Return the likeliest motion given the pairs."""
     i, j = pairs.T
-    own, weights = variance[i, j], 1 / variance[i, j]
+    weights = 1 / variance[i, j]
     here, there = (np.average(points, axis=0, weights=weights) for points in (found[i], known[j]))
     with warnings.catch_warnings():  # of points on a line, which are refused later
         warnings.simplefilter("ignore", UserWarning)
         rotation = Rotation.align_vectors(known[j] - there, found[i] - here, weights)[0].as_matrix()
     frame = Frame(there - rotation @ here, rotation)
-    residuals = known[j] - frame.to_world(found[i])
-    return Alignment(pairs, frame, residuals, own, float(weights @ np.sum(residuals**2, axis=1)))
+    placed, centre = frame.to_world(found[i]), known[j].mean(axis=0)
+    residuals, moved = known[j] - placed, motion_jacobian(placed - centre)
+    freedom, squares = 3 * len(pairs) - 6, np.sum(residuals**2, axis=1)
+    chi2 = float(weights @ squares)
+    return Registration(
+        frame=frame,
+        pairs=pairs,
+        residuals=residuals,
+        fre=float(np.sqrt(np.mean(squares))),
+        expected_fre=float(np.sqrt(freedom / len(pairs) * np.mean(1 / weights))),
+        chi2=chi2,
+        p_value=float(chdtrc(freedom, chi2)),
+        centre=centre,
+        information=np.einsum("nia,n,nib->ab", moved, weights, moved),
+    )
 
 
-def _list_warnings(found: Floats, known: Floats, variance: Floats, best: Alignment) -> Iterator[str]:
+def _list_warnings(found: Floats, known: Floats, variance: Floats, best: Registration) -> Iterator[str]:
     """Yield the warnings about a pairing, the most important first."""
     listed, missing = (
         ", ".join(map(str, np.setdiff1d(np.arange(len(points)), best.pairs[:, n]).tolist()))
@@ -245,12 +236,6 @@ def motion_jacobian(arms: ArrayLike) -> Floats:
     return np.concatenate([np.swapaxes(turned, 1, 2), shifted], axis=2)
 
 
-def information_matrix(arms: ArrayLike, variance: Floats) -> Floats:
-    """Return sum J^T J / variance (6, 6) of markers at `arms` (P, 3); `variance` (P,), mm^2."""
-    moved = motion_jacobian(arms)
-    return np.einsum("nia,n,nib->ab", moved, 1 / variance, moved)
-
-
 def target_covariance(registration: Registration, points: ArrayLike) -> Floats:
     """Return the covariance (N, 3, 3), mm^2, world axes, of the error at scan `points` (N, 3)."""
     moved = motion_jacobian(registration.frame.to_world(points) - registration.centre)
@@ -267,36 +252,17 @@ def predict_mean_target_error(registration: Registration, points: ArrayLike) -> 
     return np.sqrt(8 / np.pi) * elliprg(a, b, c)
 
 
-def _refuse_collinear(points: Floats, sd: float) -> None:
-    """Refuse points (N, 3), each known to `sd` (mm), that leave the turn about a line open."""
-    # the turn about the line through them is known to their deviation over their distance from it
-    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    turn = sd / max(float(np.hypot(*spread[1:])), 1e-6 * float(spread[0]))
-    if turn <= MAX_TURN_SD_RAD:
-        return
-    raise DataError(
-        f"{len(points)} markers lie on a line, or their deviation of {sd:.3g} mm is "
-        "large against their layout: the turn about it is known to +- "
-        f"{np.degrees(min(turn, np.pi)):.0f} degrees only",
-        expected="three or more markers, one of them well beside the line through the others",
-        fix=(
-            "use markers off that line, or correct reference_sd_mm and fiducial_sd_mm of "
-            "the recipe (mm, per direction)"
-        ),
-        where="markers",
-    )
-
-
-def check_axis_signs(given: ArrayLike, detected: ArrayLike, sd: float) -> None:
+def check_axis_signs(given: Floats, detected: Floats, sd: float) -> None:
     """Raise DataError if markers `given` (P, 3) fit those `detected` (M, 3) only with RAS and LPS exchanged.
 
     Both are stated in the frame of the scan: fiducials of a file, and markers or metal in the volume.
     `sd` is the deviation of a distance between the two, mm. Sets that fit neither way pass: they may be of
     different things.
     """
-    points, tree = np.asarray(given, dtype=np.float64), cKDTree(np.asarray(detected, dtype=np.float64))
-    as_is, turned = (float(np.median(tree.query(points * AXIS_SIGNS[one])[0])) for one in ("LPS", "RAS"))
-    if as_is > MIN_DISTANCE_RATIO * max(turned, sd) and turned <= MIN_DISTANCE_RATIO * sd:
+    as_is, turned = (
+        float(np.median(cdist(given * AXIS_SIGNS[system], detected).min(axis=1))) for system in ("LPS", "RAS")
+    )
+    if as_is > SD.DISAGREEMENT * max(turned, sd) and turned <= SD.DISAGREEMENT * sd:
         raise DataError(
             f"RAS was read as LPS: the markers given lie {as_is:.1f} mm from those in "
             f"the volume, with the signs of x and y changed {turned:.1f} mm",

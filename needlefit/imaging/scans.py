@@ -1,17 +1,25 @@
 """Define one scan of an inserted needle, and read and write the tables whose rows state them."""
 
-import csv
 import difflib
 import math
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
+import pandas as pd
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    NonNegativeFloat,
+    PositiveInt,
+    ValidationError,
+    ValidationInfo,
+    model_validator,
+)
 
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import (
@@ -23,15 +31,16 @@ from needlefit.datasets.columns import (
     make_id,
 )
 from needlefit.datasets.faults import Fault, as_error
-from needlefit.datasets.formats.csv import list_columns, parse_numbers, read_table
+from needlefit.datasets.formats.csv import list_columns, read_table
 from needlefit.datasets.insertion_table import UNIT_VECTOR_TOLERANCE
 from needlefit.errors import DataError
 from needlefit.geometry.frames import PARALLEL_SINE, normalize
 from needlefit.geometry.surfaces import SurfaceKind
-from needlefit.imaging.volume import ARCHIVE_SUFFIX, IMAGE_SUFFIXES, READABLE_VOLUMES
+from needlefit.imaging.volume import ARCHIVE_SUFFIX, IMAGE_SUFFIXES
 from needlefit.project.input_files import is_file, path_exists
+from needlefit.schemas.base import Name, Record
 from needlefit.schemas.names import EXPECTED_NAME, name_fault
-from needlefit.schemas.scan_files import NO_FILES, ScanFiles
+from needlefit.schemas.scan_files import NO_FILES, ScanFiles, SurfaceFrame
 
 
 @dataclass(frozen=True)
@@ -126,190 +135,163 @@ class Scan:
 
 
 STAGE_COLUMNS = (*ENTRY_COLUMNS, *DIRECTION_COLUMNS, "pose_shift_sd_mm", "pose_angle_sd_deg")
-# By the field of `Scan`: the columns of vectors (the point is placed by hand in the scan, LPS), of counts and
-# of files.
+# By the field of a row: the columns of vectors (the point is placed by hand in the scan, LPS).
 VECTORS = {
+    "stage": STAGE_COLUMNS,
     "bevel": BEVEL_COLUMNS,
     "needle_at": ("needle_x_mm", "needle_y_mm", "needle_z_mm"),
 }
-COUNTS = ("layers", "layers_alternative")
 FILES = ("mask", "markers", "fiducials")
-NUMBER_COLUMNS = (
-    *(*STAGE_COLUMNS, *VECTORS["bevel"], "bevel_side", *COUNTS, "guide_distance_mm"),
-    *VECTORS["needle_at"],
-)
-# Every column of a table of scans; those of `insertions.csv` mean the same here.
-SCAN_COLUMNS = (
-    *("id", "scan", "series", "acquisition", "medium", "specimen", *FILES),
-    *("surfaces", "surfaces_in", *NUMBER_COLUMNS, "origin"),
-)
 MESH_SUFFIXES = (".stl", ".ply", ".obj")
-# Columns of words; the first is that of an empty cell.
-CHOICE_COLUMNS = {"surfaces_in": ("world", "scan"), "origin": ("measured", "synthetic")}
-_LAYER_PATTERN = re.compile(r"(?P<file>.+)=(?P<kind>sheet|solid):(?P<into>[1-9]\d{0,2})")
-_SEGMENTS_PATTERN = re.compile(r"(?P<file>.+)=segments:(?P<names>[^=]+)")
-
-
-@dataclass(frozen=True)
-class ScanRow:
-    """The cells of a row: its location for messages, its folder, text and numbers (nan: empty) by column."""
-
-    where: str
-    folder: Path
-    text: Mapping[str, str]
-    number: Mapping[str, float]
-
-    def vector(self, names: Sequence[str]) -> Floats:
-        """Return the numbers of some columns, (len(names),)."""
-        return np.array([self.number[name] for name in names])
-
-    def path(self, name: str) -> Path | None:
-        """Return the file in a column; None where the cell is empty."""
-        return self.folder / self.text[name] if self.text[name] else None
-
-    def layers(self) -> list[LayerSource | Fault]:
-        """Return the files of the layers, or the fault of each."""
-        files = [part.strip() for part in self.text["surfaces"].split(";") if part.strip()]
-        return [parse_layer_source(part, self.folder, self.where) for part in files]
-
-
-def _make_fault(where: str | Path, problem: str, expected: str, fix: str) -> Fault:
-    return DataError(problem, where=where, expected=expected, fix=fix)
-
-
-def parse_layer_source(text: str, folder: Path, where: str = "") -> LayerSource | Fault:
-    """Return the layer stated as `file`, `file=kind:into` or `file=segments:names`, or its fault.
-
-    Paths are relative to `folder`.
-    """
-    match, chosen = _LAYER_PATTERN.fullmatch(text), _SEGMENTS_PATTERN.fullmatch(text)
-    stated = match or chosen
-    file = stated["file"].strip() if stated else text
-    path = folder / file
-    fault = partial(_make_fault, where or path)
-    if not is_file(path) and "=" in file:
-        expected = "file, file=sheet:2, file=solid:3 or file=segments:NAME,NAME"
-        fix = "state the kind and the layer that it leads into, or leave both out"
-        return fault(f"the layer {text!r} is not understood", expected, fix)
-    if not is_file(path):
-        return fault(f"there is no file {path}", "a surface or segmentation of layers", "check the path")
-    mesh = path.suffix.lower() in MESH_SUFFIXES
-    if not mesh and not path.name.lower().endswith((*IMAGE_SUFFIXES, ARCHIVE_SUFFIX)):
-        endings = ", ".join((*IMAGE_SUFFIXES, ARCHIVE_SUFFIX))
-        expected = f"{', '.join(MESH_SUFFIXES)}, or a segmentation: {endings}"
-        fix = "save the model as STL, or its segmentation as .seg.nrrd, in 3D Slicer"
-        return fault(f"{path} has the ending {path.suffix!r}", expected, fix)
-    if chosen and mesh:
-        fix = f"write {file}, {file}=sheet:2 or {file}=solid:3"
-        return fault(f"{path} is a mesh, of which segments are named", "one surface", fix)
-    if match and not mesh:
-        fix = f"write {file}, or {file}=segments:NAME,NAME: its labels state which layer is which"
-        return fault(f"{path} is a segmentation of all layers, listed as one {match['kind']}", "", fix)
-    if chosen:
-        names = tuple(name for part in chosen["names"].split(",") if (name := part.strip()))
-        return LayerSource(path, segments=names)
-    if match is None:
-        return LayerSource(path)
-    return LayerSource(path, "sheet" if match["kind"] == "sheet" else "solid", int(match["into"]))
-
-
-def build_scan(row: ScanRow, id_: str) -> Scan:
-    """Return the scan of a row without faults."""
-    text, number = row.text, row.number
-    parts: dict[str, Any] = {name: row.path(name) for name in FILES}
-    for name, columns in VECTORS.items():
-        vector = row.vector(columns)
-        parts[name] = None if np.isnan(vector).any() else normalize(vector) if name == "bevel" else vector
-    for name in COUNTS:
-        parts[name] = None if math.isnan(number[name]) else int(number[name])
-    distance = number["guide_distance_mm"]
-    if not np.isnan(row.vector(STAGE_COLUMNS)).any():
-        shift, angle = number["pose_shift_sd_mm"], math.radians(number["pose_angle_sd_deg"])
-        direction = normalize(row.vector(DIRECTION_COLUMNS))
-        parts["stage"] = StagePose(row.vector(ENTRY_COLUMNS), direction, shift, angle)
-    return Scan(
-        id=id_,
-        volume=row.folder / text["scan"],
-        medium=text["medium"] or "medium",
-        specimen=text["specimen"],
-        series=text["series"] or None,
-        acquisition=text["acquisition"] or None,
-        surfaces=tuple(layer for layer in row.layers() if isinstance(layer, LayerSource)),
-        surfaces_in="scan" if text["surfaces_in"] == "scan" else "world",
-        side=-1 if number["bevel_side"] == -1 else 1,
-        guide_distance=None if math.isnan(distance) else distance,
-        origin="synthetic" if text["origin"] == "synthetic" else "measured",
-        **parts,
-    )
-
-
-def _word_faults(row: ScanRow) -> Iterator[tuple[str, str, str]]:
-    """Yield what is wrong with words and files of a row, what is expected, and the fix."""
-    for name in ("id", "medium"):
-        if row.text[name] and not is_id(row.text[name]):
-            yield f"{name} is {row.text[name]!r}", EXPECTED_ID, "rename it"
-    for name, given in (("specimen", row.text["specimen"]), ("scan", Path(row.text["scan"]).name)):
-        if wrong := name_fault(given):
-            yield f"{name} is {given!r}: {wrong}", EXPECTED_NAME, "rename it"
-    for name, words in CHOICE_COLUMNS.items():
-        if row.text[name] and row.text[name] not in words:
-            expected = f"{' or '.join(words)}, or an empty cell: {words[0]}"
-            yield f"{name} is {row.text[name]!r}", expected, "correct the cell"
-    volume, fix = row.path("scan"), f"correct the path: it counts from {row.folder.resolve()}"
-    if volume is None:
-        yield "scan is empty", READABLE_VOLUMES, "give the path of the volume"
-    elif not path_exists(volume):
-        yield f"there is no scan {volume}", READABLE_VOLUMES, fix
-    for name in FILES:
-        path = row.path(name)
-        if path is not None and not is_file(path):
-            yield f"there is no file {path}", f"the {name} of this scan", fix
-    if row.text["fiducials"] and not row.text["markers"]:
-        problem = "fiducials are given, but no markers: they would be laid on nothing"
-        yield (
-            problem,
-            "the known places of the markers, too",
-            "state them: --markers, or the cell under markers",
-        )
-
-
-def _number_checks(row: ScanRow) -> Iterator[tuple[bool, str, str, str]]:
-    """Yield the checks of the numbers of a row: whether one fails, what then is wrong, expected, the fix."""
-    number, direction, bevel = row.number, row.vector(DIRECTION_COLUMNS), row.vector(BEVEL_COLUMNS)
-    for names in (STAGE_COLUMNS, *VECTORS.values()):
-        empty = [name for name in names if math.isnan(number[name])]
-        problem = f"{', '.join(empty)} are empty"
-        yield 0 < len(empty) < len(names), problem, "all of them, or none", "fill these, or empty the others"
-    length = float(np.linalg.norm(direction))  # nan, which no check finds wrong, where cells are empty
-    problem, expected = f"entry direction has length {length:.4g}", "a unit vector (entry_dx, _dy, _dz)"
-    fix = "divide the three numbers by their length" if length else "give the direction of insertion"
-    yield abs(length - 1) > UNIT_VECTOR_TOLERANCE, problem, expected, fix
-    turned, zero = np.linalg.norm(np.cross(direction, bevel)), not bevel.any()
-    along = not zero and bool(turned < PARALLEL_SINE * np.linalg.norm(bevel))
-    problem, fix = (
-        "the bevel is parallel to the entry direction",
-        "correct it, or leave the three cells empty",
-    )
-    yield along, problem, "a direction across the needle", fix
-    yield zero, f"{', '.join(BEVEL_COLUMNS)} are all 0", "a direction", "give it, or empty the cells"
-    for name in ("pose_shift_sd_mm", "pose_angle_sd_deg"):
-        expected = "a standard deviation, 0 or more"
-        yield number[name] < 0, f"{name} is negative", expected, "remove the sign"
-    side, expected = number["bevel_side"], "1 or -1, or an empty cell: 1"
-    wrong = not math.isnan(side) and side not in (1, -1)
-    yield wrong, f"bevel_side is {side:g}", expected, "correct the cell"
-    for name in COUNTS:
-        wrong, fix = number[name] < 1 or number[name] % 1 > 0, "count the layers, or leave the cell empty"
-        yield wrong, f"{name} is {number[name]:g}", "a whole number from 1", fix
-    alone = math.isnan(number["layers"]) and not math.isnan(number["layers_alternative"])
-    problem, fix = "layers_alternative is given without layers", "fill the cell under layers, too"
-    yield alone, problem, "both counts, or none", fix
-    distance = number["guide_distance_mm"]
-    problem, expected = f"guide_distance_mm is {distance:g}", "a length, or 0: the guide lies on the tissue"
-    yield distance < 0, problem, expected, "leave it empty: held at its base"
-
-
+SEGMENTATION_SUFFIXES = (*IMAGE_SUFFIXES, ARCHIVE_SUFFIX)
 SCAN_TABLE_FIX = "write a table of scans, with a column for it"
+_LAYER_PATTERN = re.compile(
+    r"(?P<file>.+?)(=(?P<kind>sheet|solid):(?P<into>[1-9]\d{0,2})|=segments:(?P<names>[^=]+))?"
+)
+
+
+def _require_id(text: str) -> str:
+    if not is_id(text):
+        raise ValueError(EXPECTED_ID)
+    return text
+
+
+def _locate(file: str, info: ValidationInfo) -> Path:
+    path = Path(info.context or "", file)
+    if not path_exists(path) if info.field_name == "scan" else not is_file(path):
+        raise ValueError(f"a path from {path.parent.resolve()}; there is no file {path}")
+    if fault := name_fault(path.name):
+        raise ValueError(f"{EXPECTED_NAME}; {fault}")
+    return path
+
+
+def _parse_layers(text: str, info: ValidationInfo) -> tuple[LayerSource, ...]:
+    return tuple(
+        parse_layer_source(part.strip(), Path(info.context or "")) for part in text.split(";") if part.strip()
+    )
+
+
+Id = Annotated[str, AfterValidator(_require_id)]
+InputFile = Annotated[Any, AfterValidator(_locate)]
+Vector = tuple[float, float, float]
+Stage = tuple[float, float, float, float, float, float, NonNegativeFloat, NonNegativeFloat]
+
+
+class ScanRow(Record):
+    """The cells of a row of a table of scans that are not empty; those of a vector are one field."""
+
+    scan: InputFile
+    id: Id
+    series: str | None = None
+    acquisition: str | None = None
+    medium: Id = "medium"
+    specimen: Name = ""
+    mask: InputFile = None
+    markers: InputFile = None
+    fiducials: InputFile = None
+    surfaces: Annotated[Any, AfterValidator(_parse_layers)] = ()
+    surfaces_in: SurfaceFrame = "world"
+    stage: Stage | None = None
+    bevel: Vector | None = None
+    bevel_side: Annotated[Literal["1", "-1"], BeforeValidator(lambda text: f"{float(text):g}")] = "1"
+    needle_at: Vector | None = None
+    layers: PositiveInt | None = None
+    layers_alternative: PositiveInt | None = None
+    guide_distance_mm: NonNegativeFloat | None = None
+    origin: Literal["measured", "synthetic"] = "measured"
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        direction, bevel = np.array((self.stage or (1, 0, 0) * 2)[3:6]), np.array(self.bevel or (0, 1, 0))
+        if abs(length := np.linalg.norm(direction) - 1) > UNIT_VECTOR_TOLERANCE:
+            raise ValueError(f"entry direction has length {1 + length:.4g}, not 1")
+        if not bevel.any():
+            raise ValueError(f"{', '.join(BEVEL_COLUMNS)} are all 0")
+        if self.stage and np.linalg.norm(np.cross(direction, bevel)) < PARALLEL_SINE * np.linalg.norm(bevel):
+            raise ValueError("the bevel is parallel to the entry direction")
+        if self.layers_alternative and not self.layers:
+            raise ValueError("layers_alternative is given without layers")
+        if self.fiducials and not self.markers:
+            raise ValueError("fiducials are given without markers, on whose known places they are laid")
+        return self
+
+
+SCAN_COLUMNS = tuple(column for name in ScanRow.model_fields for column in VECTORS.get(name, (name,)))
+
+
+def parse_layer_source(text: str, folder: Path) -> LayerSource:
+    """Return the layer stated as `file`, `file=kind:into` or `file=segments:names`, relative to `folder`.
+
+    ValueError if it is none.
+    """
+    stated = _LAYER_PATTERN.fullmatch(text)
+    assert stated is not None  # a file's name may be anything
+    path = folder / stated["file"].strip()
+    if not is_file(path):
+        raise ValueError(
+            f"FILE, FILE=sheet:2, FILE=solid:3 or FILE=segments:NAME,NAME; there is no file {path}"
+        )
+    is_mesh = path.suffix.lower() in MESH_SUFFIXES
+    if not is_mesh and not path.name.lower().endswith(SEGMENTATION_SUFFIXES):
+        raise ValueError(
+            f"a mesh ({', '.join(MESH_SUFFIXES)}) or a segmentation ({', '.join(SEGMENTATION_SUFFIXES)}), as "
+            "3D Slicer saves them"
+        )
+    if stated["names" if is_mesh else "kind"]:
+        raise ValueError(
+            f"sheet:2 or solid:3 behind a mesh, segments:NAME,NAME behind a segmentation; {path.name} is a "
+            f"{'mesh' if is_mesh else 'segmentation'}"
+        )
+    names = tuple(name for part in (stated["names"] or "").split(",") if (name := part.strip()))
+    kind: SurfaceKind = "sheet" if stated["kind"] == "sheet" else "solid"
+    return (
+        LayerSource(path, kind, int(stated["into"])) if stated["kind"] else LayerSource(path, segments=names)
+    )
+
+
+def _build_scan(cells: Mapping[str, str], folder: Path, where: str, faults: list[Fault]) -> Scan | None:
+    """Return the scan that the cells of a row state, by their columns; None after a fault, which is noted."""
+    stated: dict[str, Any] = {name: text for name, text in cells.items() if text}
+    for name, columns in VECTORS.items():
+        vector = [stated.pop(column, None) for column in columns]
+        stated |= {name: vector} if any(vector) else {}
+    try:
+        row = ScanRow.model_validate(stated, context=folder)
+    except ValidationError as error:
+        for detail in error.errors():
+            name, *place = map(str, detail["loc"] or ("",))
+            column = VECTORS[name][int(place[0])] if place else name
+            value = repr(detail["input"]) if isinstance(detail["input"], str) else "empty"
+            text = re.sub("Value error, |Input should be ", "", detail["msg"])
+            faults.append(
+                DataError(
+                    f"{column} is {value}" if name else text,
+                    expected=text if name else "",
+                    fix="correct it, or leave it out with what belongs to it",
+                    where=where,
+                )
+            )
+        return None
+    return Scan(
+        volume=row.scan,
+        surfaces=row.surfaces,
+        stage=row.stage
+        and StagePose(
+            np.array(row.stage[:3]), normalize(row.stage[3:6]), row.stage[6], math.radians(row.stage[7])
+        ),
+        bevel=row.bevel and normalize(row.bevel),
+        needle_at=row.needle_at and np.array(row.needle_at),
+        side=int(row.bevel_side),
+        guide_distance=row.guide_distance_mm,
+        **{name: getattr(row, name) for name in SAME_FIELDS},
+    )
+
+
+# Fields that a row and a scan share.
+SAME_FIELDS = (
+    *("id", "series", "acquisition", "medium", "specimen", *FILES, "surfaces_in"),
+    *("layers", "layers_alternative", "origin"),
+)
 
 
 def read_scans(path: Path) -> tuple[Scan, ...]:
@@ -322,77 +304,64 @@ def read_scans(path: Path) -> tuple[Scan, ...]:
     missing.
     """
     table = read_table(path)
-    faults, where, cells = list[Fault](), f"{table.path}:1", table.cells
+    cells, faults = table.cells, list[Fault]()
     if "scan" not in cells:
         raise DataError(
             "is no table of scans: no column is called `scan`",
             expected=f"a row for each scan, its path under `scan`; there are {list_columns(cells.columns)}",
             fix="rename the column; tables of needles' points are read by `needlefit import`",
-            where=where,
+            where=f"{path}:1",
         )
-    for name in cells:  # one mistyped would silently leave its cells out
-        if name not in SCAN_COLUMNS:
-            near = difflib.get_close_matches(str(name), SCAN_COLUMNS, n=1, cutoff=0.5)
-            fix = f"did you mean `{near[0]}`?" if near else "remove the column, or correct its name"
-            faults.append(
-                DataError(
-                    f"column `{name}` is unknown",
-                    expected=f"one of {', '.join(SCAN_COLUMNS)}",
-                    fix=fix,
-                    where=where,
-                )
+    for name in (name for name in cells if name not in SCAN_COLUMNS):
+        near = difflib.get_close_matches(str(name), SCAN_COLUMNS, n=1, cutoff=0.5)
+        faults.append(
+            DataError(
+                f"column `{name}` is unknown",
+                expected=f"one of {', '.join(SCAN_COLUMNS)}",
+                fix=f"did you mean `{near[0]}`?" if near else "remove the column, or correct its name",
+                where=f"{path}:1",
             )
-    lines, stated = range(len(table.lines)), [name for name in NUMBER_COLUMNS if name in cells]
-    texts = {name: cells[name].tolist() for name in SCAN_COLUMNS if name in cells}
-    numbers = {name: parse_numbers(table, name, faults, math.nan) for name in stated}
-    rows = [
-        ScanRow(
-            table.where(n),
-            path.parent,
-            dict.fromkeys(SCAN_COLUMNS, "") | {name: column[n] for name, column in texts.items()},
-            dict.fromkeys(NUMBER_COLUMNS, math.nan)
-            | {name: float(column[n]) for name, column in numbers.items()},
         )
-        for n in lines
-    ]
-    if any(row.text["markers"] for row in rows):  # the worlds of the others would be others
+    rows = cells[[name for name in cells if name in SCAN_COLUMNS]].to_dict("records")
+    places = [table.where(n) for n in range(len(rows))]
+    markers = [bool(row.get("markers")) for row in rows]
+    if any(markers):  # the worlds of the others would be others
         faults += [
             DataError(
                 "`markers` is empty, but other scans have some",
                 expected="one world for all: markers for every scan, or for none",
                 fix="add the markers' places, or put this scan into a table of its own",
-                where=row.where,
+                where=place,
             )
-            for row in rows
-            if not row.text["markers"]
+            for place, marked in zip(places, markers, strict=True)
+            if not marked
         ]
-    return _build_scans(rows, faults, path)
+    return _build_scans(rows, places, path.parent, faults)
 
 
-def _build_scans(rows: Sequence[ScanRow], faults: list[Fault], path: Path) -> tuple[Scan, ...]:
-    """Return the scans of rows; DataError listing the faults that were `found`, and all others."""
-    unread = {fault.where for fault in faults}
-    for row in rows:
-        faults += (_make_fault(row.where, *fault) for fault in _word_faults(row))
-        faults += (layer for layer in row.layers() if isinstance(layer, Fault))
-        if row.where not in unread:
-            faults += (_make_fault(row.where, *fault) for bad, *fault in _number_checks(row) if bad)
-    ids = [row.text["id"] or scan_id(Path(row.text["scan"])) for row in rows]
+def _build_scans(
+    rows: Sequence[Mapping[Any, str]], places: Sequence[str], folder: Path, faults: list[Fault]
+) -> tuple[Scan, ...]:
+    """Return the scans of rows; DataError listing the `faults` that were found, and all others."""
+    scans: dict[str, Scan | None] = {}
     first: dict[str, str] = {}
-    for id_, row in zip(ids, rows, strict=True):
-        if id_ in first and row.text["scan"]:
+    for row, place in zip(rows, places, strict=True):
+        id_ = row.get("id") or scan_id(Path(row["scan"]))
+        scan = _build_scan({**row, "id": id_}, folder, place, faults)
+        if id_ in first:
             faults.append(
                 DataError(
                     f"has the id {id_}, as {first[id_]} has",
                     expected="a different id for every scan: it names files of the dataset",
                     fix="give each an id of its own in a table of scans",
-                    where=row.where,
+                    where=place,
                 )
             )
-        first.setdefault(id_, row.where)
+        first.setdefault(id_, place)
+        scans[id_] = scan
     if faults:
-        raise as_error(faults, path)
-    return tuple(build_scan(row, id_) for row, id_ in zip(rows, ids, strict=True))
+        raise as_error(faults, Path(places[0].rpartition(":")[0] or places[0]))
+    return tuple(scan for scan in scans.values() if scan)
 
 
 def make_scans(volumes: Sequence[Path], shared: ScanFiles = NO_FILES) -> tuple[Scan, ...]:
@@ -411,12 +380,10 @@ def make_scans(volumes: Sequence[Path], shared: ScanFiles = NO_FILES) -> tuple[S
                 f"is given for {len(volumes)} scans", expected="one scan", fix=SCAN_TABLE_FIX, where=once
             )
         )
-    stated = {"surfaces": ";".join(shared.layers), "surfaces_in": shared.layers_in}
-    for name in ("medium", "series", "acquisition", *FILES):
-        stated[name] = str(getattr(shared, name) or "")
-    text, number = dict.fromkeys(SCAN_COLUMNS, ""), dict.fromkeys(NUMBER_COLUMNS, math.nan)
-    rows = [ScanRow(str(volume), Path(), text | stated | {"scan": str(volume)}, number) for volume in volumes]
-    return _build_scans(rows, faults, volumes[0])
+    stated = {name: str(getattr(shared, name) or "") for name in ("medium", "series", "acquisition", *FILES)}
+    stated |= {"surfaces": ";".join(shared.layers), "surfaces_in": shared.layers_in}
+    rows = [{**stated, "scan": str(volume)} for volume in volumes]
+    return _build_scans(rows, [row["scan"] for row in rows], Path(), faults)
 
 
 def scan_id(volume: Path) -> str:
@@ -432,28 +399,24 @@ def write_scan_table(scans: Sequence[Scan], path: Path, home: Path | None = None
 
     Paths are relative to its folder, or to `home`, where that will stand.
     """
-    folder, rows = home or path.parent, list[dict[str, str]]()
+
+    def relative(file: Path) -> str:
+        return Path(os.path.relpath(file.resolve(), (home or path.parent).resolve())).as_posix()
+
+    rows = list[dict[str, Any]]()
     for scan in scans:
-        row = {"id": scan.id, "scan": _relative(scan.volume, folder), "medium": scan.medium}
-        row |= {"specimen": scan.specimen, "series": scan.series or "", "acquisition": scan.acquisition or ""}
-        row |= {"surfaces_in": scan.surfaces_in, "bevel_side": str(scan.side), "origin": scan.origin}
-        row |= {name: _relative(file, folder) for name in FILES if (file := getattr(scan, name)) is not None}
-        row["surfaces"] = ";".join(layer.name_file(_relative(layer.path, folder)) for layer in scan.surfaces)
-        numbers: dict[tuple[str, ...], Any] = {VECTORS[name]: getattr(scan, name) for name in VECTORS}
-        numbers |= {(name,): getattr(scan, name) for name in COUNTS}
-        numbers["guide_distance_mm",] = scan.guide_distance
-        if (pose := scan.stage) is not None:
-            numbers[STAGE_COLUMNS] = [*pose.entry, *pose.direction, pose.shift_sd, np.degrees(pose.angle_sd)]
-        for names, values in numbers.items():
-            if values is not None:
-                row |= {name: f"{x:.10g}" for name, x in zip(names, np.atleast_1d(values), strict=True)}
+        row = {name: getattr(scan, name) for name in SAME_FIELDS}
+        row |= {name: relative(file) for name in FILES if (file := row[name])}
+        row |= {
+            "scan": relative(scan.volume),
+            "bevel_side": scan.side,
+            "guide_distance_mm": scan.guide_distance,
+        }
+        row["surfaces"] = ";".join(layer.name_file(relative(layer.path)) for layer in scan.surfaces)
+        pose = scan.stage
+        stage = [*pose.entry, *pose.direction, pose.shift_sd, np.degrees(pose.angle_sd)] if pose else None
+        for name, values in (("stage", stage), ("bevel", scan.bevel), ("needle_at", scan.needle_at)):
+            row |= {} if values is None else dict(zip(VECTORS[name], values, strict=True))
         rows.append(row)
-    columns = [name for name in SCAN_COLUMNS if any(row.get(name) for row in rows)]
-    with path.open("w", encoding="utf-8", newline="") as file:
-        table = csv.DictWriter(file, columns, extrasaction="ignore", lineterminator="\n")
-        table.writeheader()
-        table.writerows(rows)
-
-
-def _relative(path: Path, folder: Path) -> str:
-    return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
+    table = pd.DataFrame(rows, columns=list(SCAN_COLUMNS)).replace("", None).dropna(axis=1, how="all")
+    table.to_csv(path, index=False, float_format="%.10g", lineterminator="\n")
