@@ -22,9 +22,9 @@ from needlefit.reporting.figures.scan_views import (
     LAYER_COLOUR,
     NEEDLE_COLOUR,
     TIP_COLOUR,
+    draw_reconstruction,
     join_needle,
     show_slab,
-    show_view,
 )
 from needlefit.reporting.figures.style import add_panel_mm, draw, draw_grid, make_figure_mm, spread_labels
 from needlefit.reporting.labels import GREY, INK, medium_name
@@ -49,11 +49,9 @@ def write_quality(reconstruction: Reconstruction, facts: list[Fact], path: Path)
 
     ConfigError if nothing can be written there.
     """
-    warnings, left = (
-        list(reconstruction.warnings[:MAX_LISTED_WARNINGS]),
-        len(reconstruction.warnings) - MAX_LISTED_WARNINGS,
-    )
-    warnings += [f"and {left} more, in reconstruction.csv"] * (left > 0)
+    warnings = list(reconstruction.warnings[:MAX_LISTED_WARNINGS])
+    if left := len(reconstruction.warnings) - len(warnings):
+        warnings.append(f"and {left} more, in reconstruction.csv")
     words = (f"Reconstruction of {reconstruction.scan.id}", facts, warnings, _CAPTION)
     return _write_page(path, reconstruction.scan, words, partial(paint_needle_section, reconstruction))
 
@@ -67,32 +65,6 @@ def write_refusal_page(failure: ReconstructionFailure, path: Path) -> None:
     words = (f"{failure.scan.id} was refused", facts, [error.what, *failure.warnings], _REFUSED_CAPTION)
     path.parent.mkdir(exist_ok=True)
     _write_page(path, failure.scan, words, partial(paint_refusal, failure.picture))
-
-
-def paint_refusal(picture: CurvePicture) -> Figure:
-    """Draw the scan in two directions across a curve, and the curve, x along it."""
-    figure = make_figure_mm(NEEDLE_SECTION_WIDTH_MM, NEEDLE_SECTION_HEIGHT_MM)
-    width = NEEDLE_SECTION_WIDTH_MM - _LEFT_MM - _RIGHT_MM
-    left, right = picture.views[0].extent[:2]
-    scale = width / (right - left)
-    room = NEEDLE_SECTION_HEIGHT_MM - _TOP_MM - _BOTTOM_MM - _PANEL_GAP_MM
-    top = NEEDLE_SECTION_HEIGHT_MM - _TOP_MM
-    for view, span in zip(
-        picture.views, choose_spans(picture.views, picture.curve, room / scale), strict=True
-    ):
-        height = scale * (span[1] - span[0])
-        axes = add_panel_mm(figure, (_LEFT_MM, top - height, width, height))
-        show_slab(axes, view, picture.views, span)
-        up = "xyz".index(view.axes[1])
-        axes.plot(picture.curve[:, 0], picture.curve[:, up], color=NEEDLE_COLOUR, lw=0.6)
-        for number, entry in enumerate(picture.entries, start=1):
-            axes.axvline(entry, color=ENTRY_COLOUR, lw=0.8)
-            axes.text(entry, span[1], f" {number}", va="top", color=ENTRY_COLOUR, weight="bold")
-        axes.set_ylabel("across (mm)")
-        axes.tick_params(labelbottom=view is picture.views[-1])
-        top -= height + _PANEL_GAP_MM
-    axes.set_xlabel("along what was taken for the needle (mm)")
-    return figure
 
 
 def _write_page(
@@ -124,6 +96,7 @@ def _write_page(
 # ---- the picture
 
 Span = tuple[float, float]
+Mark = tuple[float, float, str, str]  # place along x and its deviation, mm; colour and name
 
 # Of the figure, mm.
 NEEDLE_SECTION_WIDTH_MM = 180.0
@@ -144,39 +117,79 @@ _PLOT_HEIGHT_MM = 30.0  # of deflection, and of brightness, mm
 
 def paint_needle_section(reconstruction: Reconstruction) -> Figure:
     """Draw images, deflection and brightness over the same axis, x of the constraint frame."""
+    layers, tip = reconstruction.layers, reconstruction.local[-1, 0]
+    marks = [(0.0, reconstruction.pose.along_sd, ENTRY_COLOUR, "entry")]
+    for n, (depth, sd) in enumerate(zip(layers.boundaries, layers.sd, strict=True)):
+        names = " → ".join(map(str, layers.sequence[n : n + 2]))
+        marks.append((float(depth), float(sd), LAYER_COLOUR, names))
+    marks.append((float(tip), float(reconstruction.needle_axis.tip_sd[0]), TIP_COLOUR, "tip"))
+
+    def overlay(axes: Axes, view: ScanView, span: Span) -> None:
+        draw_reconstruction(axes, view, reconstruction, span)
+        axes.set_ylabel(f"{view.axes[1]} in C\n(mm)")
+        if view is reconstruction.views[0]:
+            _paint_materials(axes, reconstruction)
+
+    plots = [
+        partial(paint, reconstruction=reconstruction) for paint in (_paint_deflection, _paint_brightness)
+    ]
+    label = "x along the entry axis (mm)"
+    return _paint_panels(reconstruction.views, join_needle(reconstruction), marks, label, overlay, plots)
+
+
+def paint_refusal(picture: CurvePicture) -> Figure:
+    """Draw the scan in two directions across a curve, and the curve, x along it."""
+
+    def overlay(axes: Axes, view: ScanView, _span: Span) -> None:
+        axes.plot(*picture.curve[:, [0, "xyz".index(view.axes[1])]].T, color=NEEDLE_COLOUR, lw=0.6)
+        axes.set_ylabel("across (mm)")
+
+    marks = [(x, 0.0, ENTRY_COLOUR, f"{n}") for n, x in enumerate(picture.entries.tolist(), start=1)]
+    label = "along what was taken for the needle (mm)"
+    return _paint_panels(picture.views, picture.curve, marks, label, overlay)
+
+
+def _paint_panels(
+    views: Sequence[ScanView],
+    curve: Floats,
+    marks: Sequence[Mark],
+    label: str,
+    overlay: Callable[[Axes, ScanView, Span], None],
+    plots: Sequence[Callable[[Axes], None]] = (),
+) -> Figure:
+    """Draw images of a scan, and plots below, over the same x; lines through all of them mark places on it.
+
+    `curve`: (N, 3); what the images follow, in their frame, mm.
+    `overlay`: draws over an image, of this vertical range.
+    """
     figure = make_figure_mm(NEEDLE_SECTION_WIDTH_MM, NEEDLE_SECTION_HEIGHT_MM)
-    pictures = reconstruction.views
     width = NEEDLE_SECTION_WIDTH_MM - _LEFT_MM - _RIGHT_MM
-    left, right = pictures[0].extent[:2]
+    left, right = views[0].extent[:2]
     scale = width / (right - left)  # mm on paper per mm
-    taken = _TOP_MM + _BOTTOM_MM + 2 * _PLOT_HEIGHT_MM + _PANEL_GAP_MM * (len(pictures) + 1)
-    shown = choose_spans(pictures, join_needle(reconstruction), (NEEDLE_SECTION_HEIGHT_MM - taken) / scale)
-    top = NEEDLE_SECTION_HEIGHT_MM - _TOP_MM
-    panels: list[Axes] = []
-    for view, span in zip(pictures, shown, strict=True):
-        height = scale * (span[1] - span[0])
+    taken = (
+        _TOP_MM + _BOTTOM_MM + len(plots) * _PLOT_HEIGHT_MM + _PANEL_GAP_MM * (len(views) + len(plots) - 1)
+    )
+    spans = choose_spans(views, curve, (NEEDLE_SECTION_HEIGHT_MM - taken) / scale)
+    panels, top = list[Axes](), NEEDLE_SECTION_HEIGHT_MM - _TOP_MM
+    for height in (*(scale * (high - low) for low, high in spans), *len(plots) * [_PLOT_HEIGHT_MM]):
         panels.append(add_panel_mm(figure, (_LEFT_MM, top - height, width, height)))
-        show_view(panels[-1], view, reconstruction, span)
-        for depth, _, colour, _ in _marked_depths(reconstruction):
-            panels[-1].axvline(depth, color=colour, lw=0.5, alpha=0.8, zorder=2)
-        panels[-1].set_ylabel(f"{view.axes[1]} in C\n(mm)")
         top -= height + _PANEL_GAP_MM
-    for paint in (_paint_deflection, _paint_brightness):
-        panels.append(add_panel_mm(figure, (_LEFT_MM, top - _PLOT_HEIGHT_MM, width, _PLOT_HEIGHT_MM)))
-        paint(panels[-1], reconstruction)
-        panels[-1].set_xlim(left, right)
-        for depth, sd, colour, _ in _marked_depths(reconstruction):
+    for axes, view, span in zip(panels, views, spans, strict=False):
+        show_slab(axes, view, views, span)
+        overlay(axes, view, span)
+    for axes, plot in zip(panels[len(views) :], plots, strict=True):
+        plot(axes)
+        axes.set_xlim(left, right)
+        for x, sd, colour, _ in marks:
             half = NORMAL_95_HALF_WIDTH_SD * sd
-            panels[-1].axvspan(depth - half, depth + half, color=colour, alpha=0.3, lw=0, zorder=0)
-            panels[-1].axvline(depth, color=colour, lw=0.7, zorder=1)
-        top -= _PLOT_HEIGHT_MM + _PANEL_GAP_MM
-    for axes in panels[:-1]:
-        axes.tick_params(labelbottom=False)
-    panels[-1].set_xlabel("x along the entry axis (mm)")
-    _name_depths(panels[0], reconstruction)
-    _paint_materials(panels[0], reconstruction, scale)
+            axes.axvspan(x - half, x + half, color=colour, alpha=0.3, lw=0, zorder=0)
     for axes in panels:
+        for x, _, colour, _ in marks:
+            axes.axvline(x, color=colour, lw=0.6, zorder=1.5)
         axes.yaxis.set_label_coords(-10.0 / width, 0.5)
+        axes.tick_params(labelbottom=axes is panels[-1])
+    panels[-1].set_xlabel(label)
+    _name_marks(panels[0], marks, scale)
     return figure
 
 
@@ -211,21 +224,24 @@ def _place_along(reconstruction: Reconstruction, s: Floats) -> Floats:
     return np.interp(s, along, points[:, 0]) + beyond
 
 
-def _paint_materials(axes: Axes, reconstruction: Reconstruction, scale: float) -> None:
-    """Draw what the needle passes as a strip at the foot of an image; `scale`: mm on paper per mm."""
-    over = axes.get_xaxis_transform()
+def _paint_materials(axes: Axes, reconstruction: Reconstruction) -> None:
+    """Draw what the needle passes as a strip at the foot of an image."""
+    left, right = axes.get_xlim()
+    width = NEEDLE_SECTION_WIDTH_MM - _LEFT_MM - _RIGHT_MM
     for run in reconstruction.passed:
-        low, high = _place_along(reconstruction, np.array([run.begin, run.end])).tolist()
+        low, high = np.clip(
+            _place_along(reconstruction, np.array([run.begin, run.end])), left, right
+        ).tolist()
         guided = reconstruction.name_part(run) == "guide"
+        kind = "guide" if guided else run.kind
         colour = GUIDE_COLOUR if guided else _MATERIAL_COLOURS[run.kind]
         axes.axvspan(low, high, 0, _STRIP_PART, facecolor=colour, edgecolor="white", lw=0.6, zorder=6)
         level = "" if run.kind == "air" else f" {run.level:.0f} HU".replace("-", "\N{MINUS SIGN}")
-        names = (f"{'guide' if guided else run.kind}{level}", "guide" if guided else run.kind, "")
-        low, high = max(low, axes.get_xlim()[0]), min(high, axes.get_xlim()[1])
-        name = next(name for name in names if len(name) * _LETTER_MM < scale * (high - low) or not name)
+        room = width * (high - low) / (right - left) / _LETTER_MM
+        name = next((name for name in (kind + level, kind) if len(name) < room), "")
         axes.text(
-            (low + high) / 2, _STRIP_PART / 2, name, transform=over, ha="center", va="center", fontsize=6.5,
-            color="white" if run.kind == "metal" and not guided else INK, zorder=7,
+            (low + high) / 2, _STRIP_PART / 2, name, transform=axes.get_xaxis_transform(), ha="center",
+            va="center", fontsize=6.5, color="white" if kind == "metal" else INK, zorder=7,
         )  # fmt: skip
 
 
@@ -247,32 +263,21 @@ def _paint_deflection(axes: Axes, reconstruction: Reconstruction) -> None:
     draw_grid(axes, "y")
 
 
-def _marked_depths(reconstruction: Reconstruction) -> list[tuple[float, float, str, str]]:
-    """Return place along x, deviation, colour and name of the entry, each boundary and the tip."""
-    layers, tip = reconstruction.layers, reconstruction.local[-1, 0]
-    marks = [(0.0, reconstruction.pose.along_sd, ENTRY_COLOUR, "entry")]
-    for n, (depth, sd) in enumerate(zip(layers.boundaries, layers.sd, strict=True)):
-        before, after = layers.sequence[n : n + 2]
-        marks.append((float(depth), float(sd), LAYER_COLOUR, f"{before} → {after}"))
-    return [*marks, (float(tip), float(reconstruction.needle_axis.tip_sd[0]), TIP_COLOUR, "tip")]
+def _name_marks(axes: Axes, marks: Sequence[Mark], scale: float) -> None:
+    """Write over the first panel what the lines through all are, and where the base lies.
+
+    `scale`: mm on paper per mm.
+    """
+    left, top = axes.get_xlim()[0], axes.get_ylim()[1]
+    stand = spread_labels([x for x, *_ in marks], [name for *_, name in marks], scale)
+    for (x, _, colour, name), over in zip(marks, stand, strict=True):
+        axes.plot([x, x], [top, top], "v", color=colour, ms=3.2, mew=0, clip_on=False, zorder=6)
+        _write_over(axes, name, (over, top), "center")
+    _write_over(axes, "← base", (left, top), "left")
 
 
-def _name_depths(axes: Axes, reconstruction: Reconstruction) -> None:
-    """Write over the first panel what the lines through the others are, and where the base lies."""
-    top = axes.get_ylim()[1]
-    left, right = axes.get_xlim()
-    depths = _marked_depths(reconstruction)
-    stand = spread_labels(
-        [depth for depth, *_ in depths],
-        [name for *_, name in depths],
-        (NEEDLE_SECTION_WIDTH_MM - _LEFT_MM - _RIGHT_MM) / (right - left),
-    )
-    for (depth, _, colour, name), over in zip(depths, stand, strict=True):
-        axes.annotate(
-            name, (over, top), xytext=(0, 2.5), textcoords="offset points", ha="center", va="bottom",
-            fontsize=7, color=INK, annotation_clip=False,
-        )  # fmt: skip
-        axes.plot([depth, depth], [top, top], "v", color=colour, ms=3.2, mew=0, clip_on=False, zorder=6)
+def _write_over(axes: Axes, text: str, place: tuple[float, float], align: str) -> None:
     axes.annotate(
-        "← base", (left, top), xytext=(0, 2.5), textcoords="offset points", va="bottom", fontsize=7,
+        text, place, xytext=(0, 2.5), textcoords="offset points", ha=align, va="bottom",
+        fontsize=7, color=INK, annotation_clip=False,
     )  # fmt: skip

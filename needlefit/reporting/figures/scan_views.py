@@ -1,5 +1,7 @@
 """Images of a scan in the axes of the constraint frame, with the reconstruction drawn over them."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MultipleLocator
@@ -26,18 +28,7 @@ _MIN_WINDOW_HU = 250.0  # HU
 _OUTSIDE_COLOUR = "#e6ecf2"  # of the volume: no grey of the scan
 
 
-def show_view(axes: Axes, view: ScanView, reconstruction: Reconstruction, span: tuple[float, float]) -> None:
-    """Draw one image with needle, layers and markers nearby; `span` is its vertical range, mm."""
-    show_slab(axes, view, reconstruction.views, span)
-    right, up = ("xyz".index(axis) for axis in view.axes)
-    for surface in reconstruction.layers.surfaces:
-        dots = outline_surface(view, reconstruction, surface, span)
-        axes.plot(*dots.T, ".", color=LAYER_COLOUR, ms=1.9, mew=0, zorder=3)
-    _draw_needle(axes, reconstruction, (right, up))
-    _draw_markers(axes, view, reconstruction)
-
-
-def show_slab(axes: Axes, view: ScanView, views: tuple[ScanView, ...], span: tuple[float, float]) -> None:
+def show_slab(axes: Axes, view: ScanView, views: Sequence[ScanView], span: tuple[float, float]) -> None:
     """Draw one image of several, which share their greys; `span` is its vertical range, mm."""
     brightness, shade = _choose_window(views)
     axes.set_facecolor(_OUTSIDE_COLOUR)
@@ -57,7 +48,7 @@ def join_needle(reconstruction: Reconstruction) -> Floats:
     return reconstruction.frame.to_local(placed)
 
 
-def _choose_window(views: tuple[ScanView, ...]) -> tuple[Floats, Floats]:
+def _choose_window(views: Sequence[ScanView]) -> tuple[Floats, Floats]:
     """Return brightnesses, HU, increasing, and how light each is drawn, 0 to 1.
 
     Tissue and its layers take most of the greys; air and metal share the rest, so that their edges stay where
@@ -73,31 +64,32 @@ def _choose_window(views: tuple[ScanView, ...]) -> tuple[Floats, Floats]:
     return np.array([-1000.0, low, high, max(3000.0, high + 1.0)]), np.array([0.0, 0.25, 0.75, 1.0])
 
 
-def _draw_needle(axes: Axes, reconstruction: Reconstruction, shown: tuple[int, int]) -> None:
-    right, up = shown
+def draw_reconstruction(
+    axes: Axes, view: ScanView, reconstruction: Reconstruction, span: tuple[float, float]
+) -> None:
+    """Draw needle, layers and markers nearby over an image; `span` is its vertical range, mm."""
+    for surface in reconstruction.layers.surfaces:
+        dots = outline_surface(view, reconstruction, surface, span)
+        axes.plot(*dots.T, ".", color=LAYER_COLOUR, ms=1.9, mew=0, zorder=3)
+    up = "xyz".index(view.axes[1])
     whole, inserted = join_needle(reconstruction), reconstruction.local
-    outside = whole[whole[:, 0] <= 0]
-    axes.plot(outside[:, right], outside[:, up], color=NEEDLE_COLOUR, lw=0.6, ls=(0, (4, 2)))
-    axes.plot(inserted[:, right], inserted[:, up], color=NEEDLE_COLOUR, lw=0.6)
-    axes.plot(*inserted[0, [right, up]], "o", color=ENTRY_COLOUR, ms=2.6, mec="white", mew=0.3, zorder=5)
-    axes.plot(*inserted[-1, [right, up]], "o", color=TIP_COLOUR, ms=2.6, mec="white", mew=0.3, zorder=5)
     crossed = reconstruction.frame.to_local(reconstruction.layers.points)
-    axes.plot(
-        crossed[:, right], crossed[:, up], "o", color=LAYER_COLOUR, ms=2.4, mec="white", mew=0.3, zorder=5
-    )
-
-
-def _draw_markers(axes: Axes, view: ScanView, reconstruction: Reconstruction) -> None:
+    outside = whole[whole[:, 0] <= 0]
+    axes.plot(*outside[:, [0, up]].T, color=NEEDLE_COLOUR, lw=0.6, ls=(0, (4, 2)))
+    axes.plot(*inserted[:, [0, up]].T, color=NEEDLE_COLOUR, lw=0.6)
+    for points, colour in (
+        (inserted[:1], ENTRY_COLOUR),
+        (inserted[-1:], TIP_COLOUR),
+        (crossed, LAYER_COLOUR),
+    ):
+        axes.plot(*points[:, [0, up]].T, "o", color=colour, ms=2.6, mec="white", mew=0.3, zorder=5)
     if reconstruction.markers is None:
         return
-    right, up = ("xyz".index(axis) for axis in view.axes)
-    through = 3 - right - up
     centers = reconstruction.frame.to_local(reconstruction.patient.to_world(reconstruction.markers.centers))
-    needle = join_needle(reconstruction)
-    middle = np.interp(centers[:, 0], needle[:, 0], needle[:, through])
-    near = np.abs(centers[:, through] - middle) <= _MAX_SHEET_DISTANCE_MM
+    middle = np.interp(centers[:, 0], whole[:, 0], whole[:, 3 - up])
+    near = np.abs(centers[:, 3 - up] - middle) <= _MAX_SHEET_DISTANCE_MM
     # the centre alone: the slab cuts a ball off its middle, where a ring of its size would not be its outline
-    axes.plot(centers[near, right], centers[near, up], "+", color=MARKER_COLOUR, mew=1.0, ms=6)
+    axes.plot(*centers[near][:, [0, up]].T, "+", color=MARKER_COLOUR, mew=1.0, ms=6)
 
 
 def outline_surface(
