@@ -272,7 +272,7 @@ PADDED = [a_slice(k, np.full((3, 3), -2000, np.int16), PixelPaddingValue=-2000) 
             for entries, words in (
                 ({"ImagePositionPatient": None}, "has no ImagePositionPatient"),
                 ({"ImagePositionPatient": [1.0, 2.0]}, "ImagePositionPatient is [1.0, 2.0]"),
-                ({"RescaleSlope": 0}, "RescaleSlope is 0"),
+                ({"RescaleSlope": 0}, "RescaleSlope"),
                 ({"PhotometricInterpretation": "MONOCHROME1"}, "MONOCHROME1"),
                 ({"RescaleSlope": None, "RescaleIntercept": None}, "its values are no HU"),
                 ({"SamplesPerPixel": 3}, "SamplesPerPixel 3"),

@@ -23,6 +23,7 @@ from pydicom.uid import UID
 
 from needlefit.arrays import Floats, are_bounded
 from needlefit.errors import DataError, located
+from needlefit.grouping import group_values
 from needlefit.imaging.volume import (
     MAX_LISTED,
     MIN_SPACING_MM,
@@ -52,6 +53,7 @@ EXPORT_FIX = "export the series from the scanner or the archive again, as origin
 CONVERT_FIX = "load it in 3D Slicer, and save the volume as NRRD, in HU: air -1000, water 0"
 ELEMENT_HEADER_BYTES = (12, 8)  # of the voxels' entry, where types are stated and where not
 SLICE_BYTES_PER_PIXEL = 32  # a slice stands in memory packed, unpacked, and in double precision
+PLACE = ("ImagePositionPatient", "ImageOrientationPatient", "PixelSpacing")  # what a slice must state
 SUFFIXES = (".dcm", ".ima", ".dicom")
 NUMBERS = {  # entries that are numbers, and of how many
     "ImagePositionPatient": 3,
@@ -100,8 +102,8 @@ def read_series(arrays: Arrays, path: str, series: str | None, acquisition: str 
     DataError if the series is not one sound stack, or a voxel cannot be read.
     """
     notes: list[str] = []
-    slices = _drop_others(find_series(Path(path), series, notes), notes)
-    slices, grid = stack_slices(_choose_acquisition(slices, acquisition))
+    slices = _choose_acquisition(find_series(Path(path), series, notes), acquisition, notes)
+    slices, grid = stack_slices(slices)
     if any(item.text("RescaleType").upper() == "US" for item in slices):
         notes.append(UNSPECIFIED_UNIT)
     allow_memory(grid.size[0] * grid.size[1] * SLICE_BYTES_PER_PIXEL + 4 * math.prod(grid.size))
@@ -140,19 +142,16 @@ def read_header(file: Path) -> DicomSlice | None:
             syntax = UID(str(data.file_meta.get("TransferSyntaxUID") or ""))
             if stored <= header or (not syntax.is_compressed and stored < needed):
                 raise EOFError  # voxels that are not there would be read as others
-            given = {name: data.get(name) for name in NUMBERS}
             number = {
                 name: np.array(value, dtype=np.float64).ravel()
-                for name, value in given.items()
-                if value not in (None, "")
+                for name in NUMBERS
+                if (value := data.get(name)) not in (None, "")
             }
-    except InvalidDicomError as error:
-        if file.suffix.lower() not in SUFFIXES:
-            return None
-        raise _damaged(file) from error
     except (DataError, MemoryError):
         raise
     except Exception as error:  # pydicom raises what the bytes provoke
+        if isinstance(error, InvalidDicomError) and file.suffix.lower() not in SUFFIXES:
+            return None
         raise _damaged(file) from error
     for name, array in number.items():
         if len(array) != NUMBERS[name] or not are_bounded(array):
@@ -208,17 +207,6 @@ def find_series(path: Path, series: str | None, notes: list[str]) -> list[DicomS
         notes.append(f"{len(damaged)} damaged file(s) beside the series were left out: {listed}")
     if named is not None:
         return groups[named.series]
-    if series is None:  # stacks of slices made with X-rays, if there are any
-        for wanted in (_is_stack, lambda slices: slices[0].text("Modality").upper() in XRAY_MODALITIES):
-            groups = {uid: group for uid, group in groups.items() if wanted(group)} or groups
-    meant = (series or "").strip()
-    chosen = [
-        group
-        for uid, group in groups.items()
-        if series is None or meant in (uid, group[0].text("SeriesNumber"))
-    ]
-    if len(chosen) == 1:
-        return chosen[0]
     if not groups:
         inside = sorted(entry.name + "/" * entry.is_dir() for entry in path.iterdir())
         shown = ", ".join(inside[:MAX_LISTED]) + ", ..." * (len(inside) > MAX_LISTED)
@@ -228,7 +216,16 @@ def find_series(path: Path, series: str | None, notes: list[str]) -> list[DicomS
             fix="name the folder in which the slices lie, or the .nrrd or .nii.gz file itself",
             where=path,
         )
-    listed = "; ".join(_describe(item, path) for item in [*groups.values()][:MAX_LISTED])
+    if series is not None:
+        meant = series.strip()
+        chosen = [group for uid, group in groups.items() if meant in (uid, group[0].text("SeriesNumber"))]
+    else:  # stacks of slices made with X-rays, if there are any
+        chosen = [*groups.values()]
+        for wanted in (_is_stack, lambda slices: slices[0].text("Modality").upper() in XRAY_MODALITIES):
+            chosen = [*filter(wanted, chosen)] or chosen
+    if len(chosen) == 1:
+        return chosen[0]
+    listed = "; ".join(_describe(group, path) for group in [*(chosen or groups.values())][:MAX_LISTED])
     raise DataError(
         f"holds {len(chosen) or 'no'} series{f' {series}' if series else ''}: {listed}",
         expected="one series, or the name of the one that is meant",
@@ -253,34 +250,32 @@ def _describe(slices: Sequence[DicomSlice], path: Path) -> str:
     return f"{called} ({kind}), UID {item.series}"
 
 
-def _drop_others(slices: list[DicomSlice], notes: list[str]) -> list[DicomSlice]:
-    """Return the slices without copies and localizers."""
-    unique = {item.text("SOPInstanceUID") or str(item.file): item for item in slices}
-    kept = [item for item in unique.values() if not item.is_localizer] or list(unique.values())
+def _choose_acquisition(
+    slices: list[DicomSlice], acquisition: str | None, notes: list[str]
+) -> list[DicomSlice]:
+    """Return the slices of an acquisition, without copies and localizers, of which a note is made.
+
+    DataError if there is none of that number, or they are several stacks.
+    """
+    unique = [*{item.text("SOPInstanceUID") or str(item.file): item for item in slices}.values()]
+    kept = [item for item in unique if not item.is_localizer] or unique
     for left, kind in ((len(slices) - len(unique), "copies"), (len(unique) - len(kept), "localizers")):
         if left:
             notes.append(f"{left} {kind} of slices were left out")
-    return kept
-
-
-def _choose_acquisition(slices: list[DicomSlice], acquisition: str | None) -> list[DicomSlice]:
-    """Return the slices of an acquisition; DataError if there is none, or they are several stacks."""
-    parts: dict[str, list[DicomSlice]] = {}
-    for item in slices:
-        parts.setdefault(item.text("AcquisitionNumber") or "none", []).append(item)
-    if acquisition is not None and acquisition.strip() in parts:
-        return parts[acquisition.strip()]
+    parts = group_values((item.text("AcquisitionNumber") or "none", item) for item in kept)
     # slices that were scanned one after the other have numbers of their own, and are one stack
-    places = {item.text("ImagePositionPatient") for item in slices}
-    if acquisition is None and (len(parts) == 1 or len(places) == len(slices)):
-        return slices
+    places = {item.text("ImagePositionPatient") for item in kept}
+    if acquisition is None and (len(parts) == 1 or len(places) == len(kept)):
+        return kept
+    if (chosen := parts.get((acquisition or "").strip())) is not None:
+        return chosen
     listed = ", ".join(f"`{name}` ({len(part)} slices)" for name, part in parts.items())
     raise DataError(
         f"its slices are those of {len(parts)} acquisitions: {listed}",
         expected="one acquisition",
         fix="name the one that is meant with --acquisition, or under `acquisition` in a table of scans: "
         + " or ".join(parts),
-        where=slices[0].file.parent,
+        where=kept[0].file.parent,
     )
 
 
@@ -305,30 +300,24 @@ def stack_slices(slices: Sequence[DicomSlice]) -> tuple[list[DicomSlice], VoxelG
                 fix="copy all files of the series into the folder",
             )
         axes = first.number["ImageOrientationPatient"].reshape(2, 3)
-        if not (np.abs(axes @ axes.T - np.eye(2)) <= 2 * MAX_LEAN).all():
-            raise DataError(
-                f"ImageOrientationPatient is {axes.round(4).tolist()}",
-                expected="two perpendicular unit vectors",
-                fix=EXPORT_FIX,
-                where=first.file,
-            )
         direction = orthogonalize(np.vstack([axes, np.cross(*axes)]).T)
         positions = np.array([item.number["ImagePositionPatient"] for item in slices])  # (K, 3)
         order = np.argsort(positions @ direction[:, 2], kind="stable")
-        ordered, positions = [slices[index] for index in order], positions[order]
-        origin, step = _fit_steps(ordered, positions, direction[:, 2])
+        ordered = [slices[index] for index in order]
+        origin, step = _fit_steps(ordered, positions[order], direction[:, 2])
         spacing = float(np.linalg.norm(step))
-        lean = float(np.linalg.norm(np.cross(step, direction[:, 2]))) / spacing
+        upright = step / spacing
+        lean = float(np.linalg.norm(np.cross(upright, direction[:, 2])))
         if lean <= MAX_LEAN:  # axes that were rounded are turned upright on the stack
-            upright = step / spacing
-            axes = direction[:, :2] - np.outer(upright, upright @ direction[:, :2])
-            direction = orthogonalize(np.column_stack([axes, upright]))
+            direction = orthogonalize(
+                np.column_stack([direction[:, :2] - np.outer(upright, upright @ direction[:, :2]), upright])
+            )
         elif lean * spacing * len(slices) > MAX_OFFSET_MM:
-            direction = np.column_stack([direction[:, :2], step / spacing])
-        columns, rows = int(first.data.Columns), int(first.data.Rows)
+            direction = np.column_stack([direction[:, :2], upright])
         # PixelSpacing is row spacing (y), then column spacing (x); the grid is x, y, z
         steps = np.array([*first.number["PixelSpacing"][::-1], spacing])
-        grid = VoxelGrid((columns, rows, len(ordered)), origin, steps, direction)
+        size = (int(first.data.Columns), int(first.data.Rows), len(ordered))
+        grid = VoxelGrid(size, origin, steps, direction)
         check_grid(grid)
     return ordered, grid
 
@@ -337,7 +326,7 @@ def _list_faults(item: DicomSlice, first: DicomSlice) -> Iterator[tuple[str, str
     """Yield what is wrong with one slice of a stack, also against the `first` one, and the fix."""
     frames, samples = item.data.get("NumberOfFrames") or 1, item.data.get("SamplesPerPixel", 1)
     modality, unit = item.text("Modality").upper(), item.text("RescaleType").upper()
-    shown = item.text("PhotometricInterpretation").upper()
+    shown, number = item.text("PhotometricInterpretation").upper(), item.number
     table = "ModalityLUTSequence" in item.data
     if frames > 1:
         yield f"holds {frames} frames", CONVERT_FIX
@@ -348,30 +337,29 @@ def _list_faults(item: DicomSlice, first: DicomSlice) -> Iterator[tuple[str, str
         )
     if modality not in XRAY_MODALITIES:
         yield f"is no CT: its Modality is {modality}", "give the CT; if its header is wrong: " + CONVERT_FIX
-    needed = ("ImagePositionPatient", "ImageOrientationPatient", "PixelSpacing")
-    if missing := [name for name in needed if name not in item.number]:
+    if missing := [name for name in PLACE if name not in number]:
         yield f"has no {', '.join(missing)}", EXPORT_FIX
+    axes = number["ImageOrientationPatient"].reshape(2, 3)
+    if not (np.abs(axes @ axes.T - np.eye(2)) <= 2 * MAX_LEAN).all():
+        yield (
+            f"ImageOrientationPatient is {axes.round(4).tolist()}, no two perpendicular unit vectors",
+            EXPORT_FIX,
+        )
     if samples != 1 or table or shown == "MONOCHROME1":
         problem = f"SamplesPerPixel {samples}, PhotometricInterpretation {shown}"
         yield f"its voxels are no plain attenuations: {problem}{', ModalityLUTSequence' * table}", EXPORT_FIX
-    if not {"RescaleSlope", "RescaleIntercept"} <= item.number.keys():
-        yield "has no RescaleSlope, RescaleIntercept: its values are no HU", CONVERT_FIX
-    elif item.number["RescaleSlope"] == 0:
-        yield "RescaleSlope is 0", EXPORT_FIX
+    if not {"RescaleSlope", "RescaleIntercept"} <= number.keys() or number["RescaleSlope"] == 0:
+        yield "has no RescaleSlope, RescaleIntercept, or 0: its values are no HU", CONVERT_FIX
     if unit not in HU_UNITS:
-        fix = (
+        yield (
+            f"RescaleType is {unit}: its values are no HU",
             "export it in HU, linear between air (-1000) and water (0), of which a micro-CT scans both. Or: "
+            + CONVERT_FIX,
         )
-        yield f"RescaleType is {unit}: its values are no HU", fix + CONVERT_FIX
-    for name, allowed in (
-        ("Rows", 0.0),
-        ("Columns", 0.0),
-        ("PixelSpacing", MAX_LEAN),
-        ("ImageOrientationPatient", MAX_LEAN),
-        ("FrameOfReferenceUID", None),
-    ):
+    for name in ("Rows", "Columns", "PixelSpacing", "ImageOrientationPatient", "FrameOfReferenceUID"):
         here, there = item.data.get(name), first.data.get(name)
-        if here != there if allowed is None else not np.allclose(here, there, rtol=0, atol=allowed):
+        alike = np.allclose(number[name], first.number[name], 0, MAX_LEAN) if name in PLACE else here == there
+        if not alike:
             fix = f"move the slices of another scan to a folder of their own, or {EXPORT_FIX}"
             yield f"its {name} is {here}, that of {first.file.name} is {there}", fix
 
