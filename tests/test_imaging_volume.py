@@ -7,7 +7,6 @@ from functools import partial
 
 import numpy as np
 import pytest
-import SimpleITK as sitk
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from reading_here import child_process_reader, read_here  # noqa: F401
@@ -133,10 +132,8 @@ def check_plain(volume, direction=(1, 1, 1), origin=CORNER):
 @pytest.mark.parametrize(
     ("space", "signs"),
     [
-        ("left-posterior-superior", (1, 1, 1)),
         ("LPS", (1, 1, 1)),
         ("right-anterior-superior", (-1, -1, 1)),
-        ("RAS", (-1, -1, 1)),
         ("left-anterior-superior", (1, -1, 1)),
     ],
 )
@@ -146,8 +143,7 @@ def test_nrrd_spaces_become_lps(tmp_path, space, signs):
 
 
 def test_nifti_is_ras_and_metaimage_lps(tmp_path):
-    for name in ("a.nii", "a.nii.gz"):
-        check_plain(read_volume(nifti(tmp_path / name)), (-1, -1, 1), (-1.0, -2.0, 3.0))
+    check_plain(read_volume(nifti(tmp_path / "a.nii.gz")), (-1, -1, 1), (-1.0, -2.0, 3.0))
     volume = read_volume(nifti(tmp_path / "a.nii", scale=("<2f", 112, 0.5, -10.0)))
     assert np.array_equal(volume.values, VALUES * 0.5 - 10.0)
     check_plain(read_volume(metaimage(tmp_path / "a.mha")))
@@ -170,21 +166,7 @@ def test_nifti_is_ras_and_metaimage_lps(tmp_path):
         check_plain(read_volume(nifti(tmp_path / "a.nii", **form)), (-1, -1, 1), (-1.0, -2.0, 3.0))
 
 
-SPACE_STEPS = "(0.4,0,0) (0,0.5,0) (0,0,0.9)"
-
-
-def test_left_handed_and_turned_files_and_a_space_that_is_not_stated(tmp_path):
-    # Rows that run forward, not back: the volume is kept as it is, and its points are right.
-    volume = read_volume(nrrd(tmp_path / "a.nrrd", space_directions="(0.4,0,0) (0,-0.5,0) (0,0,0.9)"))
-    check_plain(volume, (1, -1, 1))
-    assert to_patient(volume, [[1, 2, 1]])[0] == pytest.approx([1.4, 1.0, 3.9])
-    # i climbs 30 degrees from left to the top.
-    volume = read_volume(
-        nrrd(tmp_path / "a.nrrd", space_directions="(0.34641016,0,0.2) (0,0.5,0) (-0.45,0,0.77942286)")
-    )
-    assert volume.spacing == pytest.approx(STEPS, abs=1e-7)
-    assert to_patient(volume, [[2, 1, 1]])[0] == pytest.approx([1.24282032, 2.5, 4.17942286], abs=1e-6)
-    assert volume.direction.T @ volume.direction == pytest.approx(np.eye(3), abs=1e-15)
+def test_a_file_whose_space_is_not_stated(tmp_path):
     path = nrrd(tmp_path / "a.nrrd")  # the dimension must stand where `space` stood
     path.write_bytes(path.read_bytes().replace(b"space: left-posterior-superior", b"space dimension: 3"))
     assert "does not state its space" in refused(path).what
@@ -215,21 +197,11 @@ def test_written_and_read(tmp_path_factory, name, tolerance, direction, seed, wh
 # What is refused
 
 
-@pytest.mark.parametrize("name", ["a.nrrd", "a.mha", "a.nii", "a.nii.gz", "z.nrrd", "z.mha"])
-@pytest.mark.parametrize("kept", [0.6, 0.98])
-def test_a_file_cut_short(tmp_path, name, kept):
-    rng = np.random.default_rng(1)
-    values = rng.integers(-1000, 1000, (10, 20, 20)).astype(np.int16)
-    if name == "a.nrrd":
-        path = nrrd(tmp_path / name, values)
-    elif name == "a.mha":
-        image = sitk.GetImageFromArray(values)
-        path = tmp_path / name
-        sitk.WriteImage(image, str(path))
-    else:
-        path = tmp_path / name
-        write_volume(volume_of(values), path)
-    path.write_bytes(path.read_bytes()[: int(kept * path.stat().st_size)])
+@pytest.mark.parametrize("name", ["a.nrrd", "a.mha", "a.nii", "a.nii.gz"])
+def test_a_file_cut_short(tmp_path, name):
+    path, values = tmp_path / name, np.random.default_rng(1).integers(-1000, 1000, (10, 20, 20))
+    write_volume(volume_of(values), path)
+    path.write_bytes(path.read_bytes()[: int(0.9 * path.stat().st_size)])
     fault = refused(path)
     assert "not all there" in fault.what and "cut short" in fault.fix
 
@@ -251,40 +223,29 @@ def test_a_header_with_detached_voxels_and_non_finite_values(tmp_path):
 def test_voxels_without_a_value_are_air_where_values_are_hounsfield_units(tmp_path, shift, filled):
     values = VALUES.astype(np.float32) + np.float32(shift)
     values[1, 2, 3] = values[0, 0, 1] = np.nan
-    kind = {"type": ("<2h", 70, 16, 32)}
     for path in (
         nrrd(tmp_path / "a.nrrd", values, type="float"),
-        nifti(tmp_path / "a.nii", values=values, **kind),
+        nifti(tmp_path / "a.nii", values=values, type=("<2h", 70, 16, 32)),
     ):
         volume = read_volume(path)
-        unknown = np.isnan(values)
-        assert (volume.values[unknown] == filled).all()
-        assert np.array_equal(volume.values[~unknown], values[~unknown])
+        assert np.array_equal(volume.values, np.where(np.isnan(values), filled, values))
         assert len(volume.warnings) == 1 and "2 voxels" in volume.warnings[0]
 
 
 TILT = np.radians(12.0)
 
 
-@pytest.mark.parametrize("name", ["a.nii", "a.nrrd", "a.mha"])
-@pytest.mark.parametrize("step", [0.9 / np.cos(TILT), 0.9])
-def test_slices_of_a_tilted_gantry_stand_where_their_affine_says(tmp_path, name, step):
-    """The third axis leans by 12 degrees; NIfTI states the step of the slices, or their distance."""
-    lean = 0.9 * np.tan(TILT)
+@pytest.mark.parametrize("name", ["a.nii", "a.nrrd"])
+def test_slices_of_a_tilted_gantry_stand_where_their_affine_says(tmp_path, name):
+    """The third axis leans by 12 degrees; NIfTI states the distance of the slices, not their step."""
+    lean, signs = 0.9 * np.tan(TILT), np.ones(3)
     if name == "a.nii":
+        signs[:2] = -1
         rows = (0.4, 0, 0, 1.0, 0, 0.5, lean, 2.0, 0, 0, 0.9, 3.0)
-        spacing = ("<4f", 76, 1.0, 0.4, 0.5, step)
+        spacing = ("<4f", 76, 1.0, 0.4, 0.5, 0.9)
         volume = read_volume(nifti(tmp_path / name, sform=("<12f", 280, *rows), spacing=spacing))
-        signs = np.array([-1, -1, 1])
-    elif name == "a.nrrd":
-        volume = read_volume(nrrd(tmp_path / name, space_directions=f"(0.4,0,0) (0,0.5,0) (0,{lean},0.9)"))
-        signs = np.ones(3)
     else:
-        write_volume(
-            read_volume(nrrd(tmp_path / "b.nrrd", space_directions=f"(0.4,0,0) (0,0.5,0) (0,{lean},0.9)")),
-            tmp_path / name,
-        )
-        volume, signs = read_volume(tmp_path / name), np.ones(3)
+        volume = read_volume(nrrd(tmp_path / name, space_directions=f"(0.4,0,0) (0,0.5,0) (0,{lean},0.9)"))
     assert to_patient(volume, [[2, 1, 1]])[0] == pytest.approx(signs * [1.8, 2.5 + lean, 3.9], abs=1e-5)
     assert to_index(volume, to_patient(volume, [[2.5, 1.25, 0.75]]))[0] == pytest.approx([2.5, 1.25, 0.75])
     assert volume.grid.slice_distance == pytest.approx(0.9, abs=1e-6)
@@ -319,7 +280,6 @@ FOUR_AXES = {
 }
 SINGLE, SHEARED = ("be read as a volume", "time points"), ("not perpendicular", "resample")
 SPACED = ("spacing", "")
-VECTORS = {"space_directions": "none (1,0,0) (0,1,0) (0,0,1)", "kinds": "vector domain domain domain"}
 TIMES = {"space_directions": "(1,0,0) (0,1,0) (0,0,1) none"}
 
 
@@ -328,12 +288,9 @@ TIMES = {"space_directions": "(1,0,0) (0,1,0) (0,0,1) none"}
     [
         (-1000, 40, None, False),
         (-1000, 40, -3024, False),
-        (-960, 20, None, False),
-        (-669, 70, None, True),
         (-669, 70, -1000, True),
         (-450, 300, -1024, True),
         (None, 40, None, False),  # no air in the field
-        (None, -100, -1024, False),
         (-120, 40, None, False),  # fat beside water
     ],
 )
@@ -353,20 +310,13 @@ def test_the_level_of_air_is_that_of_hounsfield_units(air, soft, padding, is_dou
     ("name", "arguments", "words"),
     [
         ("a.nrrd", {"values": VALUES.reshape(2, 2, 3, 2), **TIMES}, SINGLE),
-        ("a.nrrd", {"values": VALUES.reshape(2, 2, 2, 3), **VECTORS}, SINGLE),
-        ("a.nrrd", {"dimension": 4, "sizes": "4 3 1 2", "space_directions": f"{SPACE_STEPS} none"}, SINGLE),
         ("a.nii", {"sizes": (2, 3, 2, 2)}, SINGLE),
         ("a.mha", FOUR_AXES, SINGLE),
         ("a.nii", {"sizes": (4, 3, 1)}, ("4 x 3 x 1 voxels", "")),
         ("a.nrrd", {"space": "scanner-xyz"}, ("its space is scanner-xyz", "")),
-        ("a.nrrd", {"space": "3D-right-handed"}, ("its space is 3D-right-handed", "")),
         ("a.nii", {"codes": (0, 0)}, ("qform_code and sform_code", "")),
         ("a.nrrd", {"space_directions": "(0.4,0,0) (0.1,0.5,0) (0,0,0.9)"}, SHEARED),
-        ("a.nrrd", {"space_directions": "(0.4,0,0) (0.5,0,0) (0,0,0.9)"}, SHEARED),
-        ("a.nii", {"sform": ("<12f", 280, 0.4, 0.3, 0, 1.0, 0, 0.4, 0, 2.0, 0, 0, 0.9, 3.0)}, SHEARED),
         ("a.nii", {"sform": ("<12f", 280, 0.4, 0, 0, 1.0, 0, 0.5, 0.72, 2.0, 0, 0, 0.54, 3.0)}, SHEARED),
-        ("a.mha", {"TransformMatrix": "1 0.1 0 0 1 0 0 0 1"}, SHEARED),
-        ("a.nrrd", {"space_directions": "(0.4,0,0) (0,0,0) (0,0,0.9)"}, SPACED),
         ("a.nrrd", {"space_directions": "(0.0004,0,0) (0,0.0005,0) (0,0,0.0009)"}, SPACED),
         ("a.mha", {"ElementSpacing": "400 500 900"}, SPACED),
     ],

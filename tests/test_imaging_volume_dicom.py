@@ -20,7 +20,6 @@ from refusals import refused_file
 from scipy.spatial.transform import Rotation
 
 from needlefit.errors import DataError
-from needlefit.imaging.dicom import find_series
 from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.imaging.volume_files import read_volume
 
@@ -55,21 +54,6 @@ def test_positions_orientation_and_rescaling_of_slices(tmp_path):
     volume = read_volume(save(tmp_path, slices))
     assert np.array_equal(volume.values, NUMBERS[::-1])
     assert volume.origin == pytest.approx(positions[-1])
-    (tmp_path := tmp_path / "b").mkdir()
-    # Rows run posterior, columns inferior, so slices are ordered to the right: -x (y cross -z).
-    axes = [0, 1, 0, 0, 0, -1]
-    places = [[2 * k, 0, 0] for k in range(COUNT)]
-    slices = [a_slice(k, ImageOrientationPatient=axes, ImagePositionPatient=places[k]) for k in range(COUNT)]
-    volume = read_volume(save(tmp_path, slices))
-    assert volume.direction.T.tolist() == [[0, 1, 0], [0, 0, -1], [-1, 0, 0]]
-    assert volume.origin.tolist() == [2 * (COUNT - 1), 0, 0]
-    points = to_patient(volume, [[1, 0, 0], [0, 1, 0], [0, 0, 1]]) - volume.origin
-    assert points == pytest.approx(np.array([[0, 0.4, 0], [0, 0, -0.5], [-2, 0, 0]]))
-    assert np.array_equal(volume.values, NUMBERS[::-1])
-    (tmp_path := tmp_path / "c").mkdir()
-    volume = read_volume(save(tmp_path, turned_slices(0.3, [0, -2 * np.sin(0.3), 2 * np.cos(0.3)])))
-    assert volume.spacing[2] == pytest.approx(2.0, abs=1e-6)
-    assert volume.direction.T @ volume.direction == pytest.approx(np.eye(3), abs=1e-14)
     (tmp_path := tmp_path / "d").mkdir()
     slices = [a_slice(k, RescaleSlope=str(0.5 + 0.25 * k), RescaleIntercept=-1024.5) for k in range(COUNT)]
     values = read_volume(save(tmp_path, slices)).values
@@ -77,15 +61,9 @@ def test_positions_orientation_and_rescaling_of_slices(tmp_path):
         assert np.array_equal(values[k], NUMBERS[k] * (0.5 + 0.25 * k) - 1024.5)
 
 
-@pytest.mark.parametrize(
-    ("entries", "padded"),
-    [
-        ({"PixelPaddingValue": -2000}, [-2000]),
-        ({"PixelPaddingValue": -2000, "PixelPaddingRangeLimit": -1990}, [-2000, -1995, -1990]),
-    ],
-)
-def test_padding_gets_the_least_measured_value(tmp_path, entries, padded):
-    slices = []
+def test_padding_gets_the_least_measured_value(tmp_path):
+    padded, slices = [-2000, -1995, -1990], []
+    entries = {"PixelPaddingValue": -2000, "PixelPaddingRangeLimit": -1990}
     for k in range(COUNT):
         plane = NUMBERS[k] + 100
         plane[0, : len(padded)] = padded
@@ -95,18 +73,13 @@ def test_padding_gets_the_least_measured_value(tmp_path, entries, padded):
     assert (values[:, 0, : len(padded)] == least).all() and values.min() == least
 
 
-def test_signs_of_padding_and_of_twelve_bits(tmp_path):
-    # -2000 written as 63536, in an entry of unsigned numbers, for voxels that have a sign.
+def test_padding_of_voxels_with_a_sign_may_be_written_without(tmp_path):
     plane = NUMBERS[0].copy()
     plane[0, 0] = -2000
     slices = [a_slice(0, plane), *series()[1:]]
     for data in slices:
         data.add_new("PixelPaddingValue", "US", 63536)
     assert read_volume(save(tmp_path, slices)).values.min() == 1
-    (tmp_path := tmp_path / "b").mkdir()
-    values = NUMBERS % 2000 - 100  # the sign stands in bit 11
-    slices = [a_slice(k, values[k] & 0x0FFF, BitsStored=12, HighBit=11) for k in range(COUNT)]
-    assert np.array_equal(read_volume(save(tmp_path, slices)).values, values)
 
 
 # Which files and which series
@@ -114,15 +87,11 @@ def test_signs_of_padding_and_of_twelve_bits(tmp_path):
 
 def test_the_order_of_files_other_files_and_overviews_mean_nothing(tmp_path):
     save(tmp_path, series(), order=[4, 0, 5, 2, 1, 3])
-    for name in ("README", "README.txt", "LOCKFILE", "notes.txt", "004.txt", ".DS_Store"):
+    for name in ("LOCKFILE", "notes.txt", ".DS_Store"):
         (tmp_path / name).write_text("003")
-    (tmp_path / "more").mkdir()
-    report = a_slice(0, SOPClassUID=BasicTextSRStorage, SeriesInstanceUID=generate_uid())
-    report.save_as(tmp_path / "report.dcm", enforce_file_format=True)
     within = a_slice(2)
     within.SOPClassUID = within.file_meta.MediaStorageSOPClassUID = BasicTextSRStorage
     within.save_as(tmp_path / "009.dcm", enforce_file_format=True)
-    assert len(find_series(tmp_path, None, [])) == COUNT
     assert np.array_equal(read_volume(tmp_path).values, NUMBERS)
     (tmp_path := tmp_path / "b").mkdir()
     overview = a_slice(0, SeriesInstanceUID=generate_uid(), **OVERVIEW)
@@ -148,9 +117,6 @@ def test_two_series_are_not_guessed(tmp_path):
         assert np.array_equal(found.values, NUMBERS[:3] + 1)  # the last: one of its files names it
     fault = refused(tmp_path, series="5")
     assert " 5" in fault.what and "number 4" in fault.what
-    save(tmp_path, [a_slice(0, SeriesInstanceUID=generate_uid())], order=[17])
-    fault = refused(tmp_path, series="3")
-    assert "2 series 3" in fault.what and "UID" in fault.fix
 
 
 def test_folders_without_a_series(tmp_path):
@@ -180,17 +146,13 @@ def test_several_acquisitions_are_named_and_one_is_chosen(tmp_path):
     assert np.array_equal(read_volume(tmp_path, acquisition="5").values, NUMBERS + 7)
     assert np.array_equal(read_volume(tmp_path, "3", "4").values, NUMBERS)
     assert "`5` (6 slices)" in refused(tmp_path, acquisition="6").what
-    save(tmp_path / "none", [*series(), *second])
-    assert "none or 5" in refused(tmp_path / "none").fix
-    assert np.array_equal(read_volume(tmp_path / "none", acquisition="none").values, NUMBERS)
     # slices that were scanned one after the other have numbers of their own, and are one stack
     single = [a_slice(k, AcquisitionNumber=k) for k in range(COUNT)]
     assert np.array_equal(read_volume(save(tmp_path / "b", single)).values, NUMBERS)
 
 
-@pytest.mark.parametrize("degrees", [0.5, -15.0])
-def test_a_tilted_gantry_is_read_where_the_slices_stand(tmp_path, degrees):
-    tilt = np.radians(degrees)
+def test_a_tilted_gantry_is_read_where_the_slices_stand(tmp_path):
+    tilt = np.radians(-15.0)
     volume = read_volume(save(tmp_path, turned_slices(tilt, [0, 0, 2])))
     assert np.array_equal(volume.values, NUMBERS) and not volume.warnings
     assert volume.grid.slice_distance == pytest.approx(2 * np.cos(tilt), abs=1e-6)
@@ -199,8 +161,8 @@ def test_a_tilted_gantry_is_read_where_the_slices_stand(tmp_path, degrees):
     assert to_index(volume, [expected])[0] == pytest.approx([2, 1, 3], abs=1e-5)
 
 
-@pytest.mark.parametrize(("place", "axes", "allowed"), [(1, 9, 0.05), (9, 3, 0.02), (1, 3, 0.06)])
-def test_rounded_headers_of_an_oblique_stack_are_read(tmp_path, place, axes, allowed):
+def test_rounded_headers_of_an_oblique_stack_are_read(tmp_path):
+    place, axes, allowed = 1, 3, 0.06
     turn = Rotation.from_rotvec([0.3, -0.5, 0.2]).as_matrix()
     origin, count = np.array([-31.234, 12.345, 77.77]), 60
     stated = [f"{x:.{axes}f}" for x in turn[:, :2].T.ravel()]
@@ -260,8 +222,6 @@ PADDED = [a_slice(k, np.full((3, 3), -2000, np.int16), PixelPaddingValue=-2000) 
         ),
         (spoilt(4, PixelSpacing=[0.6, 0.4]), "that of 000.dcm is [0.5, 0.4]", "004.dcm", ""),
         (spoilt(4, FrameOfReferenceUID=generate_uid()), "FrameOfReferenceUID", "004.dcm", ""),
-        (spoilt(4, plane=np.zeros((ROWS, 9), np.int16)), "Columns is 9", "004.dcm", ""),
-        (series(ImageOrientationPatient=[1, 0, 0, 0.1, 1, 0]), "ImageOrientationPatient", "", ""),
         (series(PixelSpacing=[0.0005, 0.0004]), "spacing of the voxels is 0.0004 x 0.0005", "", "unit"),
         (series()[:1], "holds one slice", "", ""),
         # enhanced CT keeps its positions inside; it is named for what it is, not for what it lacks
@@ -271,21 +231,11 @@ PADDED = [a_slice(k, np.full((3, 3), -2000, np.int16), PixelPaddingValue=-2000) 
             (spoilt(4, **entries), words, "004.dcm", "")
             for entries, words in (
                 ({"ImagePositionPatient": None}, "has no ImagePositionPatient"),
-                ({"ImagePositionPatient": [1.0, 2.0]}, "ImagePositionPatient is [1.0, 2.0]"),
                 ({"RescaleSlope": 0}, "RescaleSlope"),
                 ({"PhotometricInterpretation": "MONOCHROME1"}, "MONOCHROME1"),
-                ({"RescaleSlope": None, "RescaleIntercept": None}, "its values are no HU"),
-                ({"SamplesPerPixel": 3}, "SamplesPerPixel 3"),
                 ({"Modality": "MR"}, "is no CT: its Modality is MR"),
-                ({"ModalityLUTSequence": []}, "ModalityLUTSequence"),
                 ({"Rows": None}, "damaged or cut short"),
             )
-        ),
-        (
-            spoilt(2, ImagePositionPatient=[*ORIGIN[:2], ORIGIN[2] + 2 * STEP + 0.3]),
-            " mm from its place",
-            "002.dcm",
-            "",
         ),
     ],
 )
@@ -319,7 +269,6 @@ def test_headers_that_claim_huge_volumes_are_refused(tmp_path):
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     assert "cut short" in refused(save(tmp_path / "all", series(Rows=65535, Columns=65535))).what
     slices = series(Rows=8000, Columns=8000)
-    assert "cut short" in refused(save(tmp_path / "less", slices)).what
     for data in slices:
         data.Rows, data.Columns = ROWS, COLUMNS
         data.compress(RLELossless)
