@@ -11,7 +11,7 @@ from inference_cases import TRUTH, dataset, insertion, measure, medium, problem,
 from needlefit.datasets.folds import Fold
 from needlefit.datasets.insertion import Noise
 from needlefit.datasets.select import find_hole_source, find_repeats, group_insertions, name_holes
-from needlefit.inference.draw_simulation import DrawSimulation, draw_depth_errors
+from needlefit.inference.draw_simulation import draw_depth_errors, draw_entry_errors, simulate_draws
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.nodes import shift_depths
 from needlefit.inference.likelihood.observation import pose_sds
@@ -138,48 +138,37 @@ def test_needles_with_depths_of_their_own_are_those_of_single_simulations(job, k
     insertion, medium = job.folds[0].validate[0], job.medium
     sets = [job.parameters.values(theta) for theta in known.thetas[:300]]
     errors = draw_depth_errors(insertion, len(sets), np.random.default_rng(3))
+    errors[1][7, 1] = 2.5  # mm: many standard deviations
     s = np.linspace(10.0, insertion.depth, 5)
-    other = [*sets[:-1], {**sets[-1], "alpha1": 1.5 * sets[-1]["alpha1"]}]
-    typical = job.parameters.values(known.thetas.mean(axis=0))
-    for drawn, tolerance in ((other, 0.05), ([typical] * len(sets), 0.02)):
-        together = DrawSimulation(drawn, medium, insertion, s, *errors).simulate()
-        assert together.solved.all() and together.valid.all()
-        for n in [*range(3, 299, 37), 299]:  # of which most are not simulated with other depths
-            deep, wrong = (one[n] for one in errors)
-            alone = predict_alone(drawn[n], medium, insertion, s, wrong, deep)
-            assert together.points[n] == pytest.approx(alone, abs=tolerance)
+    together = simulate_draws(sets, medium, insertion, s, *errors)
+    assert together.solved.all() and together.valid.all() and len(insertion.surfaces)
+    for n in (3, 7, 40, 299):
+        deep, wrong = (one[n] for one in errors)
+        alone = predict_alone(sets[n], medium, insertion, s, wrong, deep)
+        assert together.points[n] == pytest.approx(alone, abs=1e-3)
     failing = [*sets[:-1], {**sets[-1], "mu1_pa": np.nan}]
-    found = DrawSimulation(failing, medium, insertion, s, *errors).simulate()
+    found = simulate_draws(failing, medium, insertion, s, *errors)
     assert found.solved[:-1].all() and not found.solved[-1]
 
 
-def test_needles_that_cannot_be_interpolated_over_depths_are_simulated_each():
-    rng = np.random.default_rng(3)
-    planned = replace(insertion(55.0, (5.0, 7.0), (1, 2, 1)), boundary_sd=1.0)  # a thin stiff sheet
-    moduli = TRUTH["mu1_pa"] * np.exp(0.3 * rng.standard_normal(200))
-    sets = [{**TRUTH, "mu1_pa": mu} for mu in moduli.tolist()]
-    errors = draw_depth_errors(planned, len(sets), rng)
-    needles = DrawSimulation(sets, medium(), planned, np.linspace(0.0, 55.0, 5), *errors)
-    each = needles.simulate_each(np.arange(len(sets)))
-    np.testing.assert_allclose(needles.simulate().points, each.points, atol=1e-9)
-    assert np.ptp(each.points[:, -1, 1]) > 1.0
-
-
-def test_draws_with_depths_far_beyond_the_nodes_are_simulated():
-    rng = np.random.default_rng(3)
-    planned = replace(insertion(55.0, (20.0, 40.0), (1, 2, 1)), boundary_sd=0.3)
-    moduli = TRUTH["mu1_pa"] * np.exp(0.5 * rng.standard_normal(200))
+def test_boundaries_of_needles_may_lie_in_any_order_and_beyond_the_tip():
+    rng, s = np.random.default_rng(3), np.linspace(0.0, 55.0, 5)
+    planned = replace(insertion(55.0, (5.0, 7.0), (1, 2, 1)), boundary_sd=2.0, depth_sd=0.3)  # a thin sheet
+    moduli = TRUTH["mu1_pa"] * np.exp(0.3 * rng.standard_normal(40))
     sets = [{**TRUTH, "mu1_pa": mu} for mu in moduli.tolist()]
     deep, wrong = draw_depth_errors(planned, len(sets), rng)
-    wrong[7, 1] = 2.5  # mm: eight standard deviations
-    needles = DrawSimulation(sets, medium(), planned, np.linspace(0.0, 55.0, 5), deep, wrong)
-    # a tip that is measured to 1 mm allows for interpolation
-    together, each = needles.simulate(1.0).points, needles.simulate_each(np.arange(len(sets))).points
-    errors = np.abs(together - each).max(axis=(1, 2))
-    far = np.abs(wrong[:, :2]).max(axis=1) > 1.1  # 2.6 deviations
-    assert far[7] and far.sum() < 10
-    assert errors[far].max() < 1e-9
-    assert (errors > 1e-9).sum() > 150 and np.sqrt(np.mean(errors**2)) < 0.1
+    wrong[:3, :2] = [[3.0, -3.0], [-9.0, 0.0], [0.0, 60.0]]
+    drawn = simulate_draws(sets, medium(), planned, s, deep, wrong)
+    each = zip(sets, wrong, deep, strict=True)
+    alone = [predict_alone(values, medium(), planned, s, *errors) for values, *errors in each]
+    np.testing.assert_allclose(drawn.points, alone, atol=1e-6)
+    assert np.ptp(drawn.points[:, -1, 1]) > 1.0
+
+
+def test_entry_errors_are_few_and_have_their_deviation():
+    errors = draw_entry_errors(0.4, 4000, np.random.default_rng(1))
+    assert len(np.unique(errors)) == 8
+    assert [errors.mean(), errors.std()] == pytest.approx([0.0, 0.4], abs=0.02)
 
 
 def test_few_draws_of_a_long_tail_do_not_give_the_end_of_an_interval():

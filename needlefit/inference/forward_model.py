@@ -289,6 +289,15 @@ class PreparedModel:
                 del kept[key]
 
 
+def make_batch(
+    sets: Sequence[Mapping[str, float]], medium: MediumRecord, insertion: Insertion, boundaries: Floats
+) -> Batch:
+    """Return an insertion with B sets of values and the boundaries of each, (B, n - 1), mm."""
+    simulation = _Simulation(replace(insertion, bevel_factor=1.0), [insertion.bevel_factor])
+    stacked = simulation.stack_sets(tabulate_sets(sets), medium)
+    return simulation.make_batch(sets[0], {**stacked, "boundaries": boundaries}, medium)
+
+
 GAIN_STEP = 0.1  #: part of a move of the guide by which it is changed to simulate its effect, which is linear
 
 

@@ -54,12 +54,12 @@ def planned_layers(
     """
     # the straight planned path; it uses nothing of the measured shape
     path = np.outer(np.linspace(0.0, insertion.depth, 101), (1.0, 0.0, 0.0))
-    layers = _find_layers(path, insertion)
+    layers = find_path_layers(path, insertion)
     for round_ in range(MAX_ROUNDS):
         shape = predict(*layers)
         if not shape.converged:
             return None
-        after = _find_layers(sample_inserted_points(shape), insertion)
+        after = find_path_layers(sample_inserted_points(shape), insertion)
         same = after[1] == layers[1]
         if same and np.all(np.abs(after[0] - layers[0]) < CROSSING_TOLERANCE_MM):
             return after
@@ -68,6 +68,6 @@ def planned_layers(
     return None
 
 
-def _find_layers(curve: Floats, insertion: Insertion) -> Layers:
+def find_path_layers(curve: Floats, insertion: Insertion) -> Layers:
     """Return the layers that a curve (K, 3) in C meets."""
     return find_layers(insertion.frame.to_world(curve), insertion.frame, insertion.surfaces)

@@ -22,7 +22,7 @@ from needlefit.arrays import Floats, Ints, pad_axis
 from needlefit.errors import NeedlefitError
 
 FOLDER = Path(__file__).parent / "native"
-ABI_VERSION = 3
+ABI_VERSION = 4
 #: environment variable: a library to use instead of the package's own, such as one with sanitizers
 LIBRARY_VARIABLE = "NEEDLEFIT_LIBRARY"
 
@@ -48,7 +48,7 @@ _SIZES = [
 ]  # fmt: skip
 _NUMBERS = ["length", "first_cell", "spacing", "element", "part", "tangent", "tolerance", "deepest"]
 _ARRAYS: dict[str, tuple[Any, tuple[str | int, ...]]] = {
-    "boundaries": (float, ("layers - 1",)),
+    "boundaries": (float, ("sets", "layers - 1")),
     "stops": (STOP, ("any",)),
     "rigidity": (float, ("sets",)),
     "mu": (float, ("sets", "layers")),
@@ -161,9 +161,8 @@ class KernelProblem(ctypes.Structure):
         """
         if arrays.keys() != self.arrays.keys() & _SET_ARRAYS:
             raise TypeError(f"arrays of {', '.join(arrays)} are not all that differ between sets")
-        addresses = _find_addresses(
-            arrays, {name: getattr(self, name) for name in _SET_SIZES} | {"sets": sets}
-        )
+        sizes = {name: getattr(self, name) for name in _SET_SIZES}
+        addresses = _find_addresses(arrays, sizes | {"sets": sets, "layers - 1": self.layers - 1})
         problem = KernelProblem.from_buffer_copy(self)
         problem.__dict__.update(self.__dict__)
         problem.sets, problem.arrays = sets, self.arrays | dict(arrays)

@@ -257,9 +257,7 @@ def pack_layers(
     def repeat(name: str) -> Floats:
         if name in values:
             return values[name]
-        repeated = np.empty(size)
-        repeated[:] = getattr(tissue, name)
-        return repeated
+        return np.tile(getattr(tissue, name), (sets, 1))
 
     size = (sets, tissue.layers)
     coefficients, exponents = compile_law(tissue.law, values.get("shape", tissue.shape))
@@ -268,7 +266,7 @@ def pack_layers(
         "layers": tissue.layers, "shapes": len(tissue.shape), "terms": exponents.shape[-1],
         "numbers": law.shape[-1],
     }  # fmt: skip
-    arrays = {name: repeat(name) for name in ("mu", "thickness", "friction")}
+    arrays = {name: repeat(name) for name in ("mu", "boundaries", "thickness", "friction")}
     arrays["law"] = np.ascontiguousarray(np.broadcast_to(law, (*size, law.shape[-1])))
     return sizes, arrays
 
@@ -358,7 +356,6 @@ def pack_problem(
     before, within = ([getattr(control, name) for control in controls] for name in ("before", "within"))
     arrays: dict[str, np.ndarray] = {
         "stops": packed.stops,
-        "boundaries": tissue.boundaries,
         "before_first": np.cumsum([0, *map(len, before)]),
         "within_first": np.cumsum([0, *map(len, within)]),
         "before": list_guides([guide for some in before for guide in some], planes),

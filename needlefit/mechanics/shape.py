@@ -209,18 +209,18 @@ def _find_compression(solved: Solution) -> Floats:
     return _find_size(away).max(axis=-1)
 
 
-def compute_scales(tissue: Tissue, depth: float, spacing: float) -> Floats:
-    """Return the reference lengths (2,) of validity for a needle at `depth`, mm.
+def compute_scales(tissue: Tissue, depth: float, spacing: float, boundaries: Floats | None = None) -> Floats:
+    """Return the reference lengths (..., 2) of validity for a needle at `depth`, mm.
 
     The thinnest of the layers that it has entered, at least one constraint spacing (infinite for the only
-    layer), and their least thickness t.
+    layer), and their least thickness t. `boundaries` (..., n - 1), mm, replace those of the tissue.
     """
-    ends = tissue.boundaries.tolist()
-    entered = 1 + sum(end < depth for end in ends)
-    widths = [end - top for top, end in zip([0.0, *ends], ends[:entered], strict=False) if end > top]
-    # of plain numbers, for so few layers, a quarter of the time of arrays
-    thinnest = max(min(widths), spacing) if widths else math.inf
-    return np.array((thinnest, min(tissue.thickness.tolist()[:entered])))
+    ends = tissue.boundaries if boundaries is None else boundaries
+    entered = np.insert(ends < depth, 0, True, axis=-1)
+    widths = np.diff(ends, axis=-1, prepend=0.0)
+    widths[(widths <= 0) | ~entered[..., :-1]] = np.inf
+    thickness = np.where(entered, tissue.thickness, np.inf).min(axis=-1)
+    return np.stack([np.maximum(widths.min(axis=-1, initial=np.inf), spacing), thickness], axis=-1)
 
 
 Status = Literal["converged", "over-compressed", "not converged", "non-finite"]

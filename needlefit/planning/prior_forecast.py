@@ -101,9 +101,7 @@ def forecast_by_prior(
     rng = random_stream(seed, "before data")
     sets = [parameters.values(theta) for theta in draw_from_prior(parameters, DRAWS, rng)]
     exact = np.zeros((DRAWS, scene.tissue.layers))
-    simulated = simulate_scene_draws(
-        sets, medium, scene, np.array([scene.depth]), exact[:, 0], exact[:, 1:], parameters.held
-    )
+    simulated = simulate_scene_draws(sets, medium, scene, np.array([scene.depth]), exact[:, 0], exact[:, 1:])
     tips = simulated.points[simulated.solved][:, 0].copy()
     if not len(tips):
         raise ModelError(

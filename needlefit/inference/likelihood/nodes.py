@@ -174,10 +174,10 @@ def shift_depths(
 
 
 def enforce_order(boundaries: Floats) -> Floats:
-    """Return boundary depths (n - 1,), mm, raised where they are out of order or above the entry."""
+    """Return boundary depths (..., n - 1), mm, raised where they are out of order or above the entry."""
     # subtracting the gaps first makes the running maximum keep them
-    least = MIN_GAP_MM * np.arange(1, len(boundaries) + 1)
-    raised: Floats = np.maximum.accumulate(np.maximum(boundaries - least, 0.0))
+    least = MIN_GAP_MM * np.arange(1, boundaries.shape[-1] + 1)
+    raised: Floats = np.maximum.accumulate(np.maximum(boundaries - least, 0.0), axis=-1)
     return least + raised
 
 

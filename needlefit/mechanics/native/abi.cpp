@@ -147,7 +147,7 @@ inline Fault check_output(const Problem& problem, const Shapes& out) {
     return good ? SOUND : BAD_OUTPUT;
 }
 
-EXPORT Index nf_abi_version() { return 3; }
+EXPORT Index nf_abi_version() { return 4; }
 EXPORT Index nf_lanes() { return LANES; }
 EXPORT Index nf_processor_level() { return find_processor_level(); }
 
@@ -157,7 +157,7 @@ EXPORT Index nf_processor_level() { return find_processor_level(); }
 EXPORT Index nf_check(const Problem* problem, Index* sizes) {
     DefaultArithmetic arithmetic;
     if (Fault fault = check_problem(*problem)) return fault;
-    sizes[0] = Insertion<double>(*problem).chain(), sizes[1] = problem->cells() + 1, sizes[2] = problem->points();
+    sizes[0] = Insertion<double>(*problem).chain(), sizes[1] = problem->cells() + 1, sizes[2] = problem->points(1);
     return SOUND;
 }
 
@@ -393,7 +393,7 @@ EXPORT Index nf_quadrature(
     DefaultArithmetic arithmetic;
     if (check_depths(*problem, depths, cells) || !are_nodes(*problem, nodes, count)) return -1;
     Arena arena{memory, true};
-    Grid grid = take_grid(arena, *problem);
+    Grid grid = take_grid(arena, *problem, 1);
     grid.nodes = count;
     for (Index i = 0; i < count; i++) grid.x[i] = nodes[i];
     auto depth_of = [&](Index m) { return depths[m]; };
@@ -440,7 +440,7 @@ EXPORT Index nf_balance(
         check_depths(*problem, needle->constraints, needle->cells, 1 + problem->planes))
         return BAD_POINTS;
     Arena arena{memory, true};
-    Grid grid = take_grid(arena, *problem);
+    Grid grid = take_grid(arena, *problem, 1);
     grid.nodes = needle->nodes - front;
     for (Index i = 0; i < grid.nodes; i++) grid.x[i] = needle->x[front + i];
     auto depth_of = [&](Index m) { return needle->constraints[(1 + problem->planes) * m]; };

@@ -51,8 +51,8 @@ inline Fault check_problem(const Problem& p) {
                 (p.deepest + p.first_cell + 2.0 * p.spacing) / p.element < MAX_COUNT && is_finite(p.length) &&
                 absolute(p.per_cell() * p.element - p.spacing) <= 1e-9 * p.spacing &&
                 (p.part == LINEAR_CUT || (p.part >= 0.0 && p.part <= 1.0));
-    for (Index i = 0; i + 1 < p.layers; i++)  // a layer may have no extent
-        mesh = mesh && p.boundaries[i] >= (i > 0 ? p.boundaries[i - 1] : 0.0) && is_finite(p.boundaries[i]);
+    for (Index i = 0; i < p.sets * (p.layers - 1); i++)  // a layer may have no extent
+        mesh = mesh && p.boundaries[i] >= (i % (p.layers - 1) > 0 ? p.boundaries[i - 1] : 0.0) && is_finite(p.boundaries[i]);
     if (!mesh) return BAD_MESH;
     if (p.before_first[0] != 0 || p.within_first[0] != 0) return BAD_GUIDES;
     for (Index i = 0; i < p.inputs; i++) {

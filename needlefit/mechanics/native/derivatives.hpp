@@ -62,7 +62,7 @@ struct Derivatives {
         constraints = arena.take<Vector>(cells * columns), rays = arena.take<Vector>(problem.rays * 2 * columns);
         tip = arena.take<Vector>(2 * columns), track = arena.take<Vector>(cells * 2 * columns);
         cut = arena.take<Vector>(columns), whole = arena.take<Vector>(chain * 2 * columns);
-        points = arena.take<Reaction<Vector, Matrix<Vector>>>(problem.points());
+        points = arena.take<Reaction<Vector, Matrix<Vector>>>(problem.points(W));
         by_constraint = arena.take<Vector>(cells * N);
         by_layer = arena.take<Real>(problem.layers * N * (problem.shapes + 2));
         rows = arena.take<Node<Vector>[N]>(chain), held_rows = arena.take<Node<Vector>[N]>(chain);

@@ -102,7 +102,7 @@ export function makeProblem(heap, fields, arrays) {
   const f = fields,
     n = f.sets * f.layers;
   const counts = {
-    boundaries: f.layers - 1,
+    boundaries: f.sets * (f.layers - 1),
     rigidity: f.sets,
     mu: n,
     thickness: n,

@@ -22,7 +22,7 @@ struct Problem {
     Index planes;  // 1: y alone; 2: y and z, of which all arrays give y first. P is their number.
     Index sets, layers, shapes, terms, numbers, stop_count, bevels, inputs, rays, guides, columns, max_iterations;
     double length, first_cell, spacing, element, part, tangent, tolerance, deepest;
-    const double* boundaries;  // (layers - 1) mm
+    const double* boundaries;  // (S, layers - 1) mm; derivatives are those at the boundaries of the first set
     const Stop* stops;
     const double* rigidity;            // (S) EI, N mm^2
     const double *mu, *thickness, *friction;  // (S, layers)
@@ -54,7 +54,9 @@ struct Problem {
     Index nodes() const {
         return Index(__builtin_ceil((first_cell + (cells() + 1) * spacing) / element)) + guides + 4;
     }
-    Index points() const { return Grid::count_points(nodes(), layers, cells()); }
+    // Pieces of tissue into which the boundaries of so many sets divide a path.
+    Index pieces(Index lanes) const { return columns > 0 ? layers : lanes * (layers - 1) + 1; }
+    Index points(Index lanes) const { return Grid::count_points(nodes(), pieces(lanes), cells()); }
     Index guide_size() const { return 1 + 2 * planes; }
     const double* guide_before(Index inputs, Index i) const { return before + (before_first[inputs] + i) * guide_size(); }
     const double* guide_within(Index inputs, Index i) const { return within + (within_first[inputs] + i) * guide_size(); }
@@ -88,9 +90,9 @@ struct Arena {
     }
 };
 
-inline Grid take_grid(Arena& arena, const Problem& problem) {
+inline Grid take_grid(Arena& arena, const Problem& problem, Index lanes) {
     Index nodes = problem.nodes();
-    return {0, arena.take<double>(nodes), arena.take<Index>(nodes + 1), arena.take<Point>(problem.points())};
+    return {0, arena.take<double>(nodes), arena.take<Index>(nodes + 1), arena.take<Point>(problem.points(lanes))};
 }
 
 // The straight path that the tip cuts, in all lanes.
@@ -125,10 +127,12 @@ struct Insertion {
 
     // Fixed once the insertion has begun.
     Grid main;             // of all constraint points that the tip can reach
-    Layer<Real>* layers;
+    Layer<Real>* layers;   // those of the problem, then those of the pieces of tissue where lanes differ in boundaries
+    double* ends;          // of all pieces of tissue but the last, mm; each is a boundary of some lane
     struct Constants {
         Real rigidity, curvature;  // the greatest of all layers
         Index friction, nodes;     // whether any layer of any set has friction; of the main grid
+        Index pieces, first;       // pieces of tissue; the first one's place in `layers`
     };
     Constants* constants;
 
@@ -171,8 +175,9 @@ struct Insertion {
     Index chain() const { return problem.guides + 1 + problem.nodes(); }
 
     void lay_out_fixed(Arena& arena) {
-        constants = arena.take<Constants>(1), main = take_grid(arena, problem);
-        layers = arena.take<Layer<Real>>(problem.layers);
+        Index pieces = problem.pieces(W);
+        constants = arena.take<Constants>(1), main = take_grid(arena, problem, W);
+        layers = arena.take<Layer<Real>>(problem.layers + pieces), ends = arena.take<double>(pieces);
     }
     void lay_out_state(Arena& arena) {
         Index count = problem.nodes(), points = problem.cells() + 1;
@@ -183,11 +188,11 @@ struct Insertion {
         nodes = arena.take<double>(count);
         y = arena.take<Vector>(points), track = arena.take<Node<Vector>>(points);
         for (auto& state : states) state = arena.take<Node<Vector>>(count);
-        past = arena.take<PastNode<Vector>>(count), pulls = arena.take<Real>(problem.points());
+        past = arena.take<PastNode<Vector>>(count), pulls = arena.take<Real>(problem.points(W));
         rays = arena.take<Ray<Vector>>(problem.rays);
     }
     void lay_out_scratch(Arena& arena) {
-        own_grid = take_grid(arena, problem);
+        own_grid = take_grid(arena, problem, W);
         factors = arena.take<Factor<Vector>>(chain()), good = arena.take<Node<Vector>>(chain());
         if (P == 2) coupled = arena.take<CoupledFactor<Real>>(chain());
         kinds = arena.take<Kind>(chain()), values = arena.take<Node<Vector>>(chain());
@@ -228,14 +233,39 @@ struct Insertion {
             curvature = greater_of(layers[i].curvature, curvature);
         }
         constants->curvature = curvature;
+        divide_tissue();
         Lattice lattice = problem.lattice();
         Index cells = problem.cells();
         double tip = lattice.depth(cells);
         constants->nodes = main.nodes = place_nodes(main.x, tip, lattice, problem.element, nullptr, 0);
         place_points(
-            main, [&](Index m) { return lattice.depth(m); }, cells, problem.boundaries, n, problem.part
+            main, [&](Index m) { return lattice.depth(m); }, cells, ends, constants->pieces, problem.part
         );
     }
+
+    // Divide the tissue at the boundaries of all lanes. Where these differ, a piece consists of the layers in which each
+    // lane has it: a lane then has more quadrature points than its own boundaries ask for.
+    void divide_tissue() {
+        Index n = problem.layers, count = 0;
+        auto boundaries = [&](int lane) { return problem.boundaries + set_of(lane) * (n - 1); };
+        bool differ = false;
+        for (int lane = 1; lane < W && problem.columns == 0; lane++)
+            for (Index b = 0; b < n - 1; b++) differ = differ || boundaries(lane)[b] != boundaries(0)[b];
+        for (int lane = 0; lane < (differ ? W : 1); lane++)
+            for (Index b = 0; b < n - 1; b++, count++) {
+                Index at = count;  // they are few: sorted as they come
+                for (; differ && at > 0 && ends[at - 1] > boundaries(lane)[b]; at--) ends[at] = ends[at - 1];
+                ends[at] = boundaries(lane)[b];
+            }
+        constants->pieces = count + 1, constants->first = differ ? n : 0;
+        for (Index piece = 0; differ && piece <= count; piece++)
+            for (int lane = 0; lane < W; lane++) {
+                Index layer = 0;
+                while (layer < n - 1 && piece > 0 && boundaries(lane)[layer] <= ends[piece - 1]) layer++;
+                layers[n + piece].take_lane(lane, layers[layer]);
+            }
+    }
+    INLINE const Layer<Real>& layer_at(const Point& point) const { return layers[constants->first + point.layer]; }
 
     void begin() {
         *progress = {};
@@ -294,7 +324,7 @@ struct Insertion {
     template <class DepthOf>
     void make_grid(double tip, Index inputs, Index cells, DepthOf depth_of) {
         own_grid.nodes = place_nodes_at(tip, inputs);
-        place_points(own_grid, depth_of, cells, problem.boundaries, problem.layers, problem.part);
+        place_points(own_grid, depth_of, cells, ends, constants->pieces, problem.part);
         grid = &own_grid;
         last = own_grid.nodes - 1;
     }
@@ -350,7 +380,7 @@ struct Insertion {
         Element<Vector>& k, Rubbing<Real>* rubbing, const Hermite<Shape>& shape, const Shape& behind, const Point& point,
         const Node<Vector>& a, const Node<Vector>& b, Seen<Real>& seen
     ) const {
-        const Layer<Real>& layer = layers[point.layer];
+        const Layer<Real>& layer = layer_at(point);
         Vector u = shape.n[0] * a.u + shape.n[1] * a.slope + shape.n[2] * b.u + shape.n[3] * b.slope;
         Vector slope = shape.m[0] * a.u + shape.m[1] * a.slope + shape.m[2] * b.u + shape.m[3] * b.slope;
         Vector e = u - cut_at(point);
@@ -468,7 +498,7 @@ struct Insertion {
         Vector slope = m[0] * a.u + m[1] * a.slope + m[2] * b.u + m[3] * b.slope;
         CoupledPoint<Real> found;
         found.e = u - cut_at(point);
-        Force<Vector> force = find_force(layers[point.layer], found.e, Friction ? &slope : nullptr, seen);
+        Force<Vector> force = find_force(layer_at(point), found.e, Friction ? &slope : nullptr, seen);
         const Vector& along = force.direction;
         Vector stiffening = (force.along - force.across) * along;
         found.pull = point.weight * SymmetricMatrix<Real>{
@@ -530,7 +560,7 @@ struct Insertion {
                 const Point& point = grid->points[q];
                 const double* n = point.shape.n;
                 Vector u = n[0] * a.u + n[1] * a.slope + n[2] * b.u + n[3] * b.slope;
-                Vector force = find_force<Real>(layers[point.layer], u - cut_at(point), nullptr, seen).value;
+                Vector force = find_force<Real>(layer_at(point), u - cut_at(point), nullptr, seen).value;
                 Vector load = pulls[q] * u - point.weight * force;
                 for (int j = 0; j < 4; j++) f[j] += load * n[j];
             }
@@ -609,7 +639,7 @@ struct Insertion {
                 if (condensed > 0 && i >= front && i <= front + condensed)
                     away = bound_size(solved.u - past[i - front].reference);
                 Index e = i < front ? 0 : i - front + (i - front < last), first = grid->first[e];
-                const Real& bend = first < grid->first[e + 1] ? layers[grid->points[first].layer].curvature : constants->curvature;
+                const Real& bend = first < grid->first[e + 1] ? layer_at(grid->points[first]).curvature : constants->curvature;
                 product = greater_of(bend * step * away, product);
                 change = select<Real>(step <= change, change, step);  // written so that a NaN remains
                 node = {moving(solved.u, node.u), moving(solved.slope, node.slope)};

@@ -36,6 +36,15 @@ struct Layer {
         Real least = select<Real>(tangent > 0.0, tangent, Real{});
         curvature = 2.0 * bend / select<Real>(series[0] < least, series[0], least);
     }
+
+    // Become in one lane as another layer is there.
+    void take_lane(int lane, const Layer& other) {
+        auto take = [&](Real& to, const Real& from) { set_lane(to, lane, get_lane(from, lane)); };
+        for (int j = 0; j < SERIES_TERMS; j++) take(series[j], other.series[j]);
+        take(limit, other.limit), take(curvature, other.curvature), take(mu, other.mu);
+        take(thickness, other.thickness), take(friction, other.friction);
+        law.numbers[lane] = other.law.numbers[lane], law.terms = other.law.terms;
+    }
 };
 
 // What the passes learn on the way: lanes in which tissue is crushed (|e| beyond the thickness or the law's table),

@@ -26,9 +26,9 @@ from needlefit.inference.compared_points import Curve, align, draw_rolls, turn_a
 from needlefit.inference.curve_bands import predict_bands
 from needlefit.inference.draw_simulation import (
     DrawnNeedles,
-    DrawSimulation,
     draw_depth_errors,
     scale_bevels,
+    simulate_draws,
     vary_bevels,
 )
 from needlefit.inference.likelihood.observation import Observation
@@ -124,10 +124,8 @@ class _Predictor:
         observation, tip = self._observe(insertion)
         sets = [job.parameters.values(theta) for theta in draws.thetas]
         stations = np.concatenate(_list_stations(insertion, observation, tip))
-        needles = self._plan(insertion, stations, *self._vary(insertion, sets))
-        factor = rms_noise_scale(draws, job.parameters, job.recipe.likelihood.noise_scale)
-        sd = 0.0 if tip is None else math.sqrt(_measurement_covariance(tip, factor)[-1, -1])
-        return self._predict(insertion, observation, tip, draws, needles.simulate(sd))
+        needles = self._simulate(insertion, stations, *self._vary(insertion, sets))
+        return self._predict(insertion, observation, tip, draws, needles)
 
     def _observe(self, insertion: Insertion) -> tuple[Observation, Observation | None]:
         """Return the observation that is predicted as a whole, and that of the tip, where it was measured.
@@ -257,17 +255,16 @@ class _Predictor:
             places, median = np.append(0.0, s), np.vstack([np.zeros(3), median])
         return point, PchipInterpolator(places, median)
 
-    def _plan(
+    def _simulate(
         self,
         insertion: Insertion,
         s: Floats,
         sets: Sequence[Mapping[str, float]],
         rng: np.random.Generator,
-    ) -> DrawSimulation:
+    ) -> DrawnNeedles:
         """Return the needles of sets of values at beam coordinates (K,), each with depths of its own."""
-        deep, wrong = draw_depth_errors(insertion, len(sets), rng)
-        job, jobs = self.specimens.job, self.jobs
-        return DrawSimulation(sets, job.medium, insertion, s, deep, wrong, jobs, job.parameters.held)
+        errors = draw_depth_errors(insertion, len(sets), rng)
+        return simulate_draws(sets, self.specimens.job.medium, insertion, s, *errors, self.jobs)
 
     def _estimate_after_one(
         self,
@@ -286,8 +283,8 @@ class _Predictor:
         rng = random_stream(job.recipe.seed, job.name, fold.name, "after one", insertion.id)
         further = vary_bevels(sets, self.specimens.bevel_sd_in(insertion), rng)
         tip = len(observation.measured) - 1
-        planned = self._plan(insertion, observation.nodes.s[0], further, rng)
-        simulated, again = planned.simulate(float(first.sd[tip])), np.full(len(sets), np.nan)
+        simulated = self._simulate(insertion, observation.nodes.s[0], further, rng)
+        again = np.full(len(sets), np.nan)
         points = select_compared(simulated.points[simulated.solved], job.dataset.compared)
         aligned = align(observation.pose, points, observation.measured)
         again[simulated.solved] = aligned[:, -1, 1]

@@ -29,7 +29,7 @@ from needlefit.datasets.select import select_insertions
 from needlefit.errors import ConfigError, ModelError
 from needlefit.inference.compared_points import draw_rolls, turn_about_x
 from needlefit.inference.curve_bands import find_bands
-from needlefit.inference.draw_simulation import simulate_scene_draws, vary_bevels
+from needlefit.inference.draw_simulation import draw_entry_errors, simulate_scene_draws, vary_bevels
 from needlefit.inference.fit import Callbacks, keep_fit, read_fit
 from needlefit.inference.forward_model import make_options
 from needlefit.inference.identifiability.profile import minimize_squares
@@ -274,10 +274,9 @@ def forecast(scene: Scene, specimens: Specimens, into: Insertion | None) -> Fore
         (insertion.depth_sd, np.hypot(*split_boundary_sd(insertion))) for insertion in job.dataset.insertions
     ]
     entry_sd, boundary_sd = np.sqrt(np.mean(np.square(typical), axis=0))
-    deep = entry_sd * rng.standard_normal(len(sets))
+    deep = draw_entry_errors(entry_sd, len(sets), rng)
     wrong = boundary_sd * rng.standard_normal((len(sets), scene.tissue.layers - 1))
-    held = job.parameters.held
-    drawn = simulate_scene_draws(sets, job.medium, scene, s, deep, wrong, held)
+    drawn = simulate_scene_draws(sets, job.medium, scene, s, deep, wrong)
     points = drawn.points[drawn.solved]  # (B, K, 3)
 
     def simulate(values: Mapping[str, float]) -> Floats:
