@@ -227,42 +227,20 @@ def plan_steering(
     goal: Goal,
     limits: PlanLimits | None = None,
     threads: int | None = None,
+    sought: ParameterDraws | None = None,
 ) -> SteeringPlan:
     """Return the plan of least risk from where the needle stands.
 
     The radius of `goal` is finite; the entry is shifted within its limits only from first contact on.
-    `threads` are by default as many as there are cores. Raises ModelError if the target is not ahead of the
-    tip, out of the needle's reach, or no needle is found on the way.
+    `threads` are by default as many as there are cores. Given the draws `sought`, it is in a hundredth of a
+    second the plan of their least expected squared miss: each choice of turns is brought to the target by
+    `QUICK_ROUNDS` Gauss-Newton steps, the risk is not lowered, narrower ranges are not searched.
+
+    Raises ModelError if the target is not ahead of the tip, out of the needle's reach, or no needle is found
+    on the way.
     """
-    search = _begin_search(insertion, goal, limits or PlanLimits(), threads)
-    return search.describe(search.best())
-
-
-def plan_again(
-    insertion: StartedInsertion,
-    goal: Goal,
-    limits: PlanLimits | None = None,
-    sought: ParameterDraws | None = None,
-    threads: int | None = None,
-) -> SteeringPlan:
-    """Return the plan of the least expected squared miss, in a hundredth of a second, for a loop.
-
-    Each choice of turns is brought to the target by `QUICK_ROUNDS` Gauss-Newton steps, on the draws `sought`
-    alone, by default those of `plan_steering`; the risk is not lowered, narrower ranges are not searched.
-    """
-    search = _begin_search(insertion, goal, limits or PlanLimits(), threads)
-    search = replace(search, ramp=QUICK_RAMP, sought=sought)
-    return search.describe(search.best_quickly())
-
-
-def _begin_search(
-    insertion: StartedInsertion,
-    goal: Goal,
-    limits: PlanLimits,
-    threads: int | None,
-) -> "_Search":
     goal = goal.to_space() if any(step.acts_along_z for step in insertion.path) else goal
-    search = _Search(insertion, goal, limits, threads)
+    search = _Search(insertion, goal, limits or PlanLimits(), threads, sought or insertion.samples[0])
     x, nearest = goal.target[0], insertion.now.depth + NEAREST_TARGET_MM
     if x <= nearest or search.end > insertion.reach:
         raise ModelError(
@@ -272,7 +250,10 @@ def _begin_search(
             ),
             fix="retract the needle, or take another target",
         )
-    return search
+    if sought is None:
+        return search.describe(search.best())
+    search = replace(search, ramp=QUICK_RAMP)
+    return search.describe(search.best_quickly())
 
 
 def plan_to_target(
@@ -318,12 +299,8 @@ class _Search:
     goal: Goal
     limits: PlanLimits
     threads: int | None
+    search_draws: ParameterDraws  #: on which choices are compared
     ramp: float = 1.0  #: part of the remaining way on which the base moves
-    sought: ParameterDraws | None = None  #: on which choices are compared; None: those of the insertion
-
-    @cached_property
-    def search_draws(self) -> ParameterDraws:
-        return self.sought or self.insertion.samples[0]
 
     @cached_property
     def end(self) -> float:

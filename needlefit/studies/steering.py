@@ -28,7 +28,13 @@ from needlefit.mechanics.session import Session
 from needlefit.planning.draw_weights import WeightedDraws
 from needlefit.planning.goals import Goal
 from needlefit.planning.steered_needle import make_steered_scene
-from needlefit.planning.steering import SEARCH_DRAWS, PlanLimits, StartedInsertion, SteeringPlan, plan_again
+from needlefit.planning.steering import (
+    SEARCH_DRAWS,
+    PlanLimits,
+    StartedInsertion,
+    SteeringPlan,
+    plan_steering,
+)
 from needlefit.project.toml import read_given
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.planning import ObstacleRecord
@@ -294,7 +300,7 @@ class Steering:
         )  # fmt: skip
         goal = Goal(tuple(map(float, target)), radius, tuple(obstacles))
         limits = limits or PlanLimits(turns=1)
-        return plan_again(insertion, goal, limits, self._draws.list_sigma_points(), threads=1)
+        return plan_steering(insertion, goal, limits, 1, self._draws.list_sigma_points())
 
     def jacobian(self, depth: float | None = None) -> Floats:
         """Return the derivatives (3, 4) of the tip, mm, by the inputs from now on, expected over the draws.
