@@ -157,7 +157,7 @@ def trace_narrow(row: Row, cache: Path) -> dict[str, object]:
         | errors
         | {
             "written": True,
-            "what": found.tip_source,
+            "what": "",
             "axis": np.hypot(*beside[:-1, :2].T).mean(),
             "side": np.abs(beside[:-1, 0]).mean(),
             "normal": np.abs(beside[:-1, 1]).mean(),

@@ -24,7 +24,7 @@ from needlefit.geometry.surfaces import Surface, Triangles, from_triangles, to_t
 from needlefit.imaging.constants import PART
 from needlefit.imaging.corrections import make_control_points
 from needlefit.imaging.entry import choose_entry
-from needlefit.imaging.needle.centerline import fit_rough_axis
+from needlefit.imaging.needle.follow import follow_tube
 from needlefit.imaging.needle.segmentation import list_needles
 from needlefit.imaging.reconstruct import STAGES, VolumeSearch, add_views, examine, picture_curve
 from needlefit.imaging.reconstruction import CurvePicture, Reconstruction
@@ -241,7 +241,7 @@ def _reconstruct_needle(search: VolumeSearch, scan: Scan, report: Callable[[str]
     failed = found.error or NeedlefitError("nothing was found", where=scan.volume)
     needle = None if found.needle_axis is None else found.needle_axis.points
     if needle is None and found.selection is not None:  # about where it is
-        axis = found.selection.axis or fit_rough_axis(search.volume, found.selection.needle, search.recipe)
+        axis = found.selection.axis or follow_tube(search.volume, found.selection.needle, search.recipe)
         needle = axis.spline(np.arange(0.0, axis.length, 1.0))
     balls = np.empty((0, 3)) if found.markers is None else found.markers.centers
     entries, profile = np.empty((0, 3)), found.profile

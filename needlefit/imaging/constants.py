@@ -67,7 +67,6 @@ class MM:
     PICK = 5.0  # of a point stated on the needle from it
     PIECE_GAP = 15.0  # across which pieces of a needle are joined [R]
     PIECE_END = 5.0  # length of a piece's end that lies on the curve which it goes on
-    GROWTH = 3.0  # by which a tube is longer at a lower threshold
     FAINT = 3.0  # over which a needle may be faint
     FOLLOW_END = 12.0  # by whose line the next place is predicted
     HUB_REACH = 60.0  # before the needle, where a hub is looked for
@@ -78,6 +77,7 @@ class MM:
     THICK_SLICE = 0.6 + 1e-9  # thinner slices show the needle in several at once
     FLAT_SLICE = 0.5 - 1e-9  # of slices, where voxels are longer than wide
     RIM = 1.7  # from the needle, where its surroundings begin
+    DARK = 6.0  # of a needle that rays hide, at most
     BEYOND_TIP = 5.0  # beyond the end that is fitted
     END_MOMENT = 5.0  # lever of the shear force at the end: the tip itself carries no moment
     BEVEL_POINT = 0.04  # of a bevel's point that is too thin to show: mean of 24 volumes [S]
@@ -95,7 +95,6 @@ class MM:
     TIP_SD = 0.06  # along, that no voxel shows: a scanner's edge is not the model's [R]
     SWING_SD = 0.1  # by which a needle leaves its shaft's course within its bevel
     TIP_ACROSS_SD = 0.015  # across, that no residual shows [R]
-    MODEL_TIP_SD = 1.0  # up to which the model's tip is taken
     BLUR = 0.45  # of scanners, in the slices [R]
     BLURS = (0.15, 1.2)  # range of it
     SLICE_BLURS = (0.1, 2.0)  # the same across slices
@@ -140,7 +139,6 @@ class PART:
     HIDDEN = 0.25  # of that, where no dark streak lies beyond the end [R]
     ACROSS_SD = 0.001  # of that length, across [R]
     RESAMPLED_SD = 0.25  # of a voxel, along, in a scan resampled after its values were cut [R]
-    THRESHOLD_SD = 0.5  # of the disagreement with a threshold [R]
     # Of a fitted bevel over that of the stated one: wrong ones 0.85 at most, right ones 0.99 at least
     BEVEL_MISFIT = 0.9
     BALL_MISFIT_SD = 0.35  # of its blur, per misfit [R]

@@ -340,7 +340,9 @@ def _list_behind_guide(
         length = solid[0].end - solid[-1].begin
         sd = float(np.hypot(sd, MM.GUIDE_SD))
         passed = EntryCandidate(at, sd, (solid[-1].begin, solid[0].end))
-        if abs(length - thickness) <= MM.MATCH:
+        # the blur of metal, whose brightness is cut, moves both faces outwards
+        metal = any(run.kind == "metal" for run in solid)
+        if -MM.MATCH <= length - thickness <= MM.MATCH * (1 + metal):
             whole.append(passed)
         elif len(solid) == len(before) == 1 and length < thickness:
             cut.append(passed)

@@ -122,12 +122,7 @@ def list_tip_warnings(one: Reconstruction) -> list[str]:
     """Return what a person should know of the needle's end."""
     needle, notes = one.needle_axis, []
     sd = f"+- {float(needle.tip_sd[0]):.2f} mm"
-    if needle.tip_source == "threshold":
-        notes.append(
-            "the model of the needle's end does not explain the scan: the tip is taken where a threshold "
-            f"sees it, {needle.tip_disagreement:+.2f} mm from there, {sd} along the needle"
-        )
-    elif needle.tip_sd[0] > MM.TIP_DOUBT:
+    if needle.tip_sd[0] > MM.TIP_DOUBT:
         notes.append(f"the tip is known to {sd} only along the needle")
     if needle.normal_sd > MM.TIP_DOUBT:
         notes.append(

@@ -1,6 +1,6 @@
 """Trace the needle's axis from base to tip, with a standard deviation for every point."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,17 +20,16 @@ from needlefit.imaging.needle.axis_spline import (
     fit_axis,
     sample_planes,
 )
+from needlefit.imaging.needle.follow import follow_tube
 from needlefit.imaging.needle.hub import find_hub
-from needlefit.imaging.needle.segmentation import Component, principal_axes
+from needlefit.imaging.needle.segmentation import Component
 from needlefit.imaging.needle.slice_fit import place_in_slices
-from needlefit.imaging.needle.tip import TipFit, TipSource, bevel_length, fit_tip
+from needlefit.imaging.needle.tip import TIP, TipFit, bevel_length, fit_tip, search_tip
 from needlefit.imaging.point_spread import PointSpread
-from needlefit.imaging.volume import Volume, to_index, to_patient
+from needlefit.imaging.volume import Volume, to_index
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
-BIN_LENGTH_MM = 2.0  # length of the pieces whose centroids are the first axis, mm
 MIN_SECTIONS = 8  # fewer do not make an axis
-MAX_TIPS = 4  # how often a tip is looked for: rays may hide the shaft before it
 
 
 @dataclass(frozen=True)
@@ -51,9 +50,6 @@ class Centerline:
     sections: SplineSections | None = None
     # That the side seen is right, within 90 degrees; nan for a blunt needle.
     bevel_probability: float = np.nan
-    # By how much a threshold sees the needle end later than the fitted model ends, mm.
-    tip_disagreement: float = 0.0
-    tip_source: TipSource = "model"  # "model", or "threshold" where the model's tip was not to be trusted
     misfit: float = 0.0  # how far the image of the end is from the model, in parts of its brightness
     bevel_deg: float = np.nan  # angle of the bevel that the image shows, where it contradicts the stated one
     # Deviation of the tip along the slices' normal, mm, of a needle near thick slices; otherwise 0.
@@ -75,21 +71,19 @@ def trace_needle(
 
     DataError if the needle's tip lies outside the volume or beside the needle, or its two ends look alike.
     """
-    rough = component if isinstance(component, AxisSpline) else fit_rough_axis(volume, component, recipe)
-    axis, heel = rough, bevel_length(recipe.needle) + MM.BEVEL_MARGIN
+    axis = component if isinstance(component, AxisSpline) else follow_tube(volume, component, recipe)
+    heel = bevel_length(recipe.needle) + MM.BEVEL_MARGIN
     if tip is None:
         axis = refine_axis(volume, orient_axis(volume, axis, recipe), recipe, heel)
-        # a rough tip near the axis' end, or near where a threshold sees the needle end
-        guess = axis.length + heel
-        ends = [fit_tip(volume, axis, recipe.needle, guess, spread, rough=True)]
-        while len(ends) < MAX_TIPS and MM.MATCH < abs(ends[-1].disagreement) < np.inf:
-            at, away = ends[-1].at, ends[-1].disagreement
-            guess = (max(guess, at) if away > 0 else at) + away  # a threshold sees 4 mm ahead only
-            ends.append(fit_tip(volume, axis, recipe.needle, guess, spread, rough=True))
-        end = min(ends, key=lambda one: abs(one.disagreement))
-        axis = refine_axis(volume, axis, recipe, heel, end.at)
-        placed = place_in_slices(volume, axis, recipe, end.at, spread)
-        axis, end = placed or (axis, fit_tip(volume, axis, recipe.needle, end.at, spread))
+        at = find_end(volume, axis, recipe.needle.diameter_mm)
+        axis = refine_axis(volume, axis, recipe, heel, at)
+        placed = place_in_slices(volume, axis, recipe, at, spread)
+        if placed is not None:
+            axis, end = placed
+        else:
+            start = search_tip(volume, axis, recipe.needle, at, spread)
+            axis = refine_axis(volume, axis, recipe, heel, float(start[TIP]))
+            end = fit_tip(volume, axis, recipe.needle, start, spread)
         if not placed and end.misfit > PART.REFUSED_MISFIT and volume.resampled_top is None:
             raise DataError(
                 "where the needle ends does not show: its image differs from a "
@@ -120,7 +114,7 @@ def trace_needle(
         here = np.array([place])
         sd = np.array([recipe.centerline.placed_tip_sd_mm, float(axis_sd(axis, here)[0])])
         point, unknown = axis_frames(axis, here).origins[0], np.full(3, np.nan)
-        end = TipFit(place, point, sd, unknown, float("nan"), 0.0, "hand")
+        end = TipFit(place, point, sd, unknown, float("nan"))
     # in thick slices its points are the fit's
     alone = axis.slice_sds is None
     # the spline is extended through the tip, so that the end is interpolated
@@ -161,21 +155,6 @@ def _project_tip(axis: AxisSpline, tip: Floats) -> tuple[float, float]:
     return at + along, float(np.linalg.norm(away - along * frame.tangents[0]))
 
 
-def fit_rough_axis(volume: Volume, component: Component, recipe: ReconstructionRecord) -> AxisSpline:
-    """Fit a spline through the bright centroids of slices of the component along its main axis."""
-    points = to_patient(volume, component.voxels)
-    i, j, k = component.voxels.T
-    bright = volume.values[k, j, i].astype(np.float64)
-    bright -= bright.min() - 1.0
-    center, axes = principal_axes(points)
-    along = (points - center) @ axes[0]
-    piece = np.floor((along - along.min()) / BIN_LENGTH_MM).astype(int)
-    mass = np.bincount(piece, bright)
-    moments = np.stack([np.bincount(piece, bright * axis) for axis in points.T], axis=1)
-    pieces: Floats = moments[mass > 0] / mass[mass > 0, None]
-    return fit_axis(arc_length(pieces), pieces, np.ones(len(pieces)), 2 * MM.KNOT)
-
-
 def refine_axis(
     volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord, heel: float, tip: float | None = None
 ) -> AxisSpline:
@@ -204,6 +183,29 @@ def refine_axis(
         axis = fit_axis(s, points, np.ones(len(s)), MM.KNOT, s[-1] + heel)
         stop = axis.length + 1e-6
     return axis
+
+
+def find_end(volume: Volume, axis: AxisSpline, diameter: float) -> float:
+    """Return where along an axis, mm, the needle's brightness falls to half, `MM.DARK` before any more of it.
+
+    Rays may darken it, and where it passes from one thick slice to the next neither shows all of it.
+    """
+    s = np.arange(0.0, axis.length + MM.HIDDEN_END, MM.STATION)
+    last = axis_frames(axis, np.array([axis.length]))
+    beyond = np.maximum(s - axis.length, 0.0)[:, None] * last.tangents
+    where = axis_frames(axis, np.minimum(s, axis.length))
+    plane = disc_points(MM.PATCH)
+    values = sample_planes(volume, replace(where, origins=where.origins + beyond), plane)
+    radius = np.hypot(*plane.T)
+    inner = radius <= (diameter + volume.grid.slice_distance) / 2
+    over = np.nan_to_num(
+        values[:, inner].max(axis=1) - np.median(values[:, radius > MM.RIM], axis=1), nan=-1e4
+    )
+    shaft = (s > axis.length - 2 * MM.HIDDEN_END) & (s <= axis.length)
+    # in tissue a needle is less bright over its surroundings than in air
+    bright = s[over > np.median(over[shaft]) / 2]
+    dark = np.flatnonzero((np.diff(bright) > MM.DARK) & (bright[1:] > axis.length))
+    return float(bright[dark[0]] if len(dark) else bright[-1])
 
 
 def orient_axis(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) -> AxisSpline:
@@ -300,8 +302,6 @@ def _sample_centerline(
         end.bevel,
         drawn,
         end.bevel_probability,
-        end.disagreement,
-        end.source,
         end.misfit,
         end.bevel_deg,
         0.0 if axis.slice_sds is None else float(axis.slice_sds[1, -1]),

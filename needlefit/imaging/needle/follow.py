@@ -30,6 +30,7 @@ from needlefit.imaging.volume_files import read_volume
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
 MASK_PIECE_MM = 4.0  # mm, length along a mask of which one point is taken
+TUBE_PIECE_MM = 2.0  # mm, the same along what a threshold shows
 MIN_POINTS = 3  # fewer do not show which way a needle bends
 STEP_MM = 1.0  # distance of the places at which the needle is looked for, mm
 
@@ -71,10 +72,27 @@ def follow_points(volume: Volume, points: Floats, recipe: ReconstructionRecord) 
             where="points on the needle",
         )
     center, axes = principal_axes(points)
-    ordered = points[np.argsort((points - center) @ axes[0])]
-    s = arc_length(ordered)
+    return _follow(volume, points[np.argsort((points - center) @ axes[0])], recipe)
+
+
+def follow_tube(volume: Volume, tube: Component, recipe: ReconstructionRecord) -> AxisSpline:
+    """Return the rough axis of the needle of which `tube` is the part that a threshold shows."""
+    points = to_patient(volume, tube.voxels)
+    i, j, k = tube.voxels.T
+    bright = volume.values[k, j, i].astype(np.float64)
+    bright -= bright.min() - 1.0
+    center, axes = principal_axes(points)
+    along = (points - center) @ axes[0]
+    piece = np.floor((along - along.min()) / TUBE_PIECE_MM).astype(int)
+    mass = np.bincount(piece, bright)
+    moments = np.stack([np.bincount(piece, bright * axis) for axis in points.T], axis=1)
+    return _follow(volume, moments[mass > 0] / mass[mass > 0, None], recipe)
+
+
+def _follow(volume: Volume, points: Floats, recipe: ReconstructionRecord) -> AxisSpline:
+    s = arc_length(points)
     count = max(2, round(float(s[-1]) / STEP_MM) + 1)
-    places = PchipInterpolator(s, ordered)(np.linspace(0.0, s[-1], count))
+    places = PchipInterpolator(s, points)(np.linspace(0.0, s[-1], count))
     for _ in range(ROUNDS):  # to the needle's middle; where it is faint they stay
         shifts, amplitude = _look_across(volume, places, recipe)
         shown = amplitude > PART.FAINT * np.median(amplitude)
@@ -82,9 +100,8 @@ def follow_points(volume: Volume, points: Floats, recipe: ReconstructionRecord) 
     level = float(np.median(amplitude))
     if level < HU.METAL_CONTRAST / 2 or shown.mean() < PART.FOLLOWED:
         raise DataError(
-            "between the points that were placed the scan shows no needle: what lies "
-            f"there is {level:.0f} HU brighter than its surroundings, and faint on "
-            f"{100 * (1 - shown.mean()):.0f} %",
+            f"between points on it the scan shows no needle: what lies there is {level:.0f} HU brighter than "
+            f"its surroundings, and faint on {100 * (1 - shown.mean()):.0f} %",
             expected="points on one needle, LPS, mm",
             fix="take back those that are not on it; RAS has x and y of the other sign",
             where="points on the needle",
@@ -133,7 +150,7 @@ def _extend(volume: Volume, places: Floats, level: float, recipe: Reconstruction
         here = start + way * (STEP_MM + faint)
         shifts, amplitude = _look_across(volume, np.stack([here - way, here, here + way]), recipe)
         beside = float(np.linalg.norm(shifts[1]))
-        if amplitude[1] > PART.FAINT * level and beside < recipe.needle.diameter_mm:
+        if amplitude[1] > min(PART.FAINT * level, HU.METAL_CONTRAST) and beside < recipe.needle.diameter_mm:
             known.append(here + shifts[1])
             yield known[-1]
             faint = 0.0

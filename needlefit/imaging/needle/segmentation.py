@@ -77,26 +77,21 @@ def find_tubes(
 ) -> list[Component]:
     """Return the components that may be the needle, the longest first.
 
-    They are those of the first threshold that shows one, or of a lower one at which the longest is longer:
-    near a hub or in rays it is darker. Each has the pieces that lie on its curve, which rays, a holder or the
-    change from one slice to the next cut off.
+    They are those of the first threshold that shows one. Each has the pieces that lie on its curve, which
+    rays, a holder or the change from one slice to the next cut off.
 
     DataError if nothing is as bright as metal, or no component is a tube.
     """
-    found: list[Component] = []
     for low, high in list_thresholds(volume, recipe):
         parts = cut_components(volume, find_components(volume, low, high, bright), recipe)
         parts.sort(key=lambda part: part.length, reverse=True)
         left, joined = [part for part in parts if is_tube(part, recipe, PART.SEED)], list[Component]()
         while left:
             tube, own = _join_pieces(volume, left[0], parts, recipe)
-            left = [part for part in left if not any(part is one for one in own)]
+            left = [part for part in left if not any(part is piece for piece in own)]
             joined += [tube] if is_tube(tube, recipe) else []
-        joined.sort(key=lambda part: part.length, reverse=True)
-        if joined and (not found or _is_longer(volume, joined[0], found[0], recipe)):
-            found = joined
-    if found:
-        return found
+        if joined:
+            return sorted(joined, key=lambda tube: tube.length, reverse=True)
     largest, width = parts[0], PART.WIDENING * recipe.needle.diameter_mm
     raise DataError(
         f"no needle was found; the longest bright object is {largest.length:.1f} mm "
@@ -108,18 +103,6 @@ def find_tubes(
             "a recipe (--recipe); or give the needle's voxels, or points on it (--mask)"
         ),
     )
-
-
-def _is_longer(volume: Volume, tube: Component, before: Component, recipe: ReconstructionRecord) -> bool:
-    """Whether a tube is that of a higher threshold, `before`, and more of it, without what surrounds it."""
-    # a needle that runs in a slice fills its thickness
-    diameter = recipe.needle.diameter_mm
-    filled = np.sqrt(4 / np.pi * diameter * max(diameter, float(volume.spacing.max())))
-    if tube.width > PART.CLEAR_WIDTH * max(before.width, filled):
-        return False
-    own = {tuple(voxel) for voxel in tube.voxels.tolist()}
-    same = any(tuple(voxel) in own for voxel in before.voxels.tolist())
-    return same and tube.length > before.length + MM.GROWTH
 
 
 def _join_pieces(

@@ -16,7 +16,6 @@ from scipy.ndimage import map_coordinates
 from scipy.sparse import csr_array
 
 from needlefit.arrays import Bools, Floats
-from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.smoothing_spline import DEGREE, make_knots
 from needlefit.imaging.constants import MM, PART
@@ -33,11 +32,6 @@ LINE_STEP_MM = 0.4  # mm, between samples across the needle
 LINE_STATION_MM = 1.0  # mm, between lines along the needle
 # Where a fit ends farther than that from the middle of these lines, they are laid anew.
 MAX_FITS = 2  # fits
-# Stations whose trend leads on to the end, that far ahead; a dark gap that ends it.
-END_STATIONS = 12  # stations
-AHEAD_STATIONS = 25  # stations
-MAX_DARK_STATIONS = 6  # stations
-MAX_SHORT_STATIONS = 4  # an end so far before that of a threshold is not believed; of others 1 at most
 REACH_SLICES = 1.5  # distance, in slices beyond the radius, out to which slices are looked at
 SWAY_MM = 5.0  # how much farther across than the first axis rods are projected, mm
 KNOT_FACTOR = 1.6  # distance of the knots over that of the axis
@@ -53,13 +47,6 @@ BEAM_SDS = np.array([0.25, 0.35, 0.6, 0.3])  # of the same
 PROFILE_SDS = (0.4, 0.4, 0.5, 1.0, 1.5)  # of the logarithms of the sensitivity
 WEAK_START = -1.5  # change of the attenuation's logarithm from which other metal is fitted
 TIP_SDS = np.array([1.0, 10.0])  # of where the needle ends, mm, and of its bevel's roll, rad, before
-# Moves out of a minimum: of the course, slices, and of the roll; how many of them are tried, by so many steps
-# of a fit each, and how often.
-HOPS = (0.3, 0.6)  # slices
-ROLL_HOPS = (np.pi / 2, np.pi, 3 * np.pi / 2)  # rad
-TRIED_HOPS = 6  # moves
-HOP_STEPS = 2  # steps of a fit
-MAX_HOPS = 3  # times
 START_STEPS = (0.5, 0.25, 0.12)  # of shift, tilt and bow along the normal, slices
 START_ENDS_MM = (-1.0, -0.5, 0.0, 0.5, 1.0)  # ends that are tried, from the one stated, mm
 ROLLS = tuple(np.arange(6) * 2 * np.pi / 6)  # of the bevel, that are tried with each
@@ -86,7 +73,6 @@ MISSED_FACTOR = 1.3  # slices per relative error
 FLAT_FACTOR = 0.18  # of a slice
 HUB_WEIGHT = 5.0  # of a hub's middle in a first axis
 HUB_SDS = np.array([0.1, 0.3])  # deviations of a needle from its hub's middle, mm, and slices
-END_BRIGHT = 0.5  # of the needle's brightness: its end
 
 
 def place_in_slices(
@@ -94,8 +80,7 @@ def place_in_slices(
 ) -> tuple[AxisSpline, TipFit] | None:
     """Return axis and tip as thick slices show them as a whole; `tip`: about where it is, mm along `axis`.
 
-    None where the needle crosses many slices between two knots, or too little of it shows. DataError if it
-    ends long before a threshold sees it end.
+    None where the needle crosses many slices between two knots, or too little of it shows.
     """
     needle, knot = recipe.needle, MM.KNOT
     thick, normal = volume.grid.slice_distance, volume.grid.normal
@@ -105,16 +90,7 @@ def place_in_slices(
     shown = thick <= (MM.FLAT_SLICE if flat else MM.THICK_SLICE)
     if shown or steepness * knot / thick >= MAX_CROSSED:
         return None
-    rough = axis.spline(np.arange(0.0, tip, LINE_STATION_MM))
-    points = _find_end(volume, rough)
-    if len(points) < len(rough) - MAX_SHORT_STATIONS:
-        faint = (len(rough) - len(points)) * LINE_STATION_MM
-        raise DataError(
-            f"the needle grows faint {faint:.0f} mm before the end that a threshold "
-            "sees: where it ends does not show in such thick slices",
-            expected="a needle that slices show as far as its tip",
-            fix="scan it across the slices, or with thinner ones; or place the tip by --corrections",
-        )
+    points = axis.spline(np.append(np.arange(0.0, tip, LINE_STATION_MM), tip))
     way = points[-1] - points[0] - (points[-1] - points[0]) @ normal * normal
     way /= np.linalg.norm(way)
     frame = np.stack([way, np.cross(normal, way), normal])
@@ -169,36 +145,7 @@ def place_in_slices(
     probability = side_probability(ROLL_FACTOR * float(roll_sd)) if rolled else np.nan
     sided = probability >= MIN_BEVEL_PROBABILITY
     bevel = np.cos(roll) * frame[1] + np.sin(roll) * normal if sided else np.full(3, np.nan)
-    return placed, TipFit(float(s[-1]), points[-1], sd, bevel, probability, 0.0, "model", error)
-
-
-def _find_end(volume: Volume, points: Floats) -> Floats:
-    """Return points (N, 3) of a needle, `LINE_STATION_MM` apart, cut or led on to where slices show its end.
-
-    A threshold may see it end where it passes from one slice to the next, which other metal darkens there.
-    """
-    count = len(points)
-    s = np.arange(-count, AHEAD_STATIONS) * LINE_STATION_MM
-    recent = slice(max(0, count - END_STATIONS), count)
-    trend = np.polynomial.polynomial.polyfit(s[recent], points[recent], 1)
-    points = np.vstack([points, trend[0] + trend[1] * s[count:, None]])
-    side = np.cross(volume.grid.normal, trend[1])
-    line = np.arange(-MM.PATCH, MM.PATCH + 1e-6, LINE_STEP_MM)
-    across = (points[:, None] + line[:, None] * side / np.linalg.norm(side)).reshape(-1, 3)
-    k = to_index(volume, across)[:, 2]
-    rises = [np.rint(k) + n - k for n in (-1, 0, 1)]  # to the slices, in slices
-    up = volume.grid.slice_distance * volume.grid.normal
-    there = [to_index(volume, across + rise[:, None] * up)[:, ::-1].T for rise in rises]
-    shown = np.stack(
-        [map_coordinates(volume.values, index, output=float, order=1, mode="nearest") for index in there]
-    ).reshape(-1, len(points), len(line))
-    rim = np.abs(line) > MM.RIM
-    over = (shown[..., ~rim].max(axis=-1) - np.median(shown[..., rim], axis=-1)).max(axis=0)
-    # in tissue a needle is less bright over its surroundings than in air
-    bright = np.flatnonzero(over > END_BRIGHT * np.median(over[max(0, count - 2 * END_STATIONS) : count]))
-    gaps = np.flatnonzero((np.diff(bright) > MAX_DARK_STATIONS) & (bright[1:] >= count))
-    last = bright[gaps[0]] if len(gaps) else bright.max(initial=0)
-    return points[: max(int(last) + 2, min(count, END_STATIONS))]
+    return placed, TipFit(float(s[-1]), points[-1], sd, bevel, probability, error)
 
 
 def _make_problem(
@@ -405,24 +352,6 @@ class _SliceProblem:
                 moved.append(one)
         return moved
 
-    def hop(self, theta: Floats) -> Floats:
-        """Return the parameters of the smallest minimum found next to `theta`."""
-        theta, *_ = self.descend(theta, self.first_scale, ROBUST_SD[1])
-        lowest = self.first_misfit(theta)
-        for _ in range(MAX_HOPS):
-            near = [one for step in HOPS for one in self.move(theta, step)]
-            near += self.roll(theta, (0.0,), ROLL_HOPS)
-            near = sorted(near, key=self.first_misfit)[:TRIED_HOPS]
-            for one in near:
-                there, *_ = self.descend(one, self.first_scale, ROBUST_SD[1], HOP_STEPS)
-                if self.first_misfit(there) < lowest - CONVERGED:
-                    theta, *_ = self.descend(there, self.first_scale, ROBUST_SD[1])
-                    lowest = self.first_misfit(theta)
-                    break
-            else:
-                break
-        return theta
-
     def first_misfit(self, theta: Floats) -> float:
         """Return what is minimized before the model's error is known."""
         return self.misfit(self.image(self.project(theta), theta), theta, self.first_scale, ROBUST_SD[1])
@@ -452,16 +381,14 @@ class _SliceProblem:
         cost = robust**2 * np.sum(np.log1p((left / robust) ** 2)) / CORRELATED
         return float(cost + np.sum(self.known(theta) ** 2))
 
-    def descend(
-        self, theta: Floats, scale: Floats, robust: float, steps: int = STEPS
-    ) -> tuple[Floats, Floats, Floats]:
+    def descend(self, theta: Floats, scale: Floats, robust: float) -> tuple[Floats, Floats, Floats]:
         """Return parameters where what is minimized is small, what slices show there, and its curvature."""
         seen = self.seen[..., None]
         known = np.stack([self.known(one) - self.known(0 * one) for one in np.eye(len(theta))], axis=1)
         metal = self.project(theta)
         image = self.image(metal, theta)
         cost, damping, slopes = self.misfit(image, theta, scale, robust), 1e-3, None
-        for _ in range(steps):
+        for _ in range(STEPS):
             fresh = slopes is None
             if slopes is None:
                 slopes = self.slopes(theta, metal, image)
@@ -496,7 +423,8 @@ class _SliceProblem:
 
     def fit(self, theta: Floats) -> tuple[Floats, Floats, float]:
         """Return parameters, their covariance, and the model's relative error."""
-        theta = self.turn(self.hop(self.turn(theta, AGAIN_ENDS_MM)), AGAIN_ENDS_MM)
+        theta, *_ = self.descend(self.turn(theta, AGAIN_ENDS_MM), self.first_scale, ROBUST_SD[1])
+        theta = self.turn(theta, AGAIN_ENDS_MM)
         scale = self.scale(self.image(self.project(theta), theta))
         robust = ROBUST_SD[1]
         theta, image, normal = self.descend(theta, scale, robust)

@@ -12,7 +12,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import product
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,9 +22,8 @@ from scipy.spatial import cKDTree
 from scipy.special import erf
 
 from needlefit.arrays import Floats, Ints
-from needlefit.errors import DataError
 from needlefit.imaging.constants import HU, MM, PART, SD
-from needlefit.imaging.needle.axis_spline import AxisSpline, axis_frames, axis_sd, disc_points, sample_planes
+from needlefit.imaging.needle.axis_spline import AxisSpline, axis_frames, axis_sd
 from needlefit.imaging.point_spread import (
     HIGHEST,
     LOWEST,
@@ -262,8 +260,8 @@ class TipProblem:
         left = (self.show(theta, near.s - theta[TIP], u, v) - near.values) / self.sigma
         return np.append(left, (theta[HELD] - self.means) / self.sds)
 
-    def fit(self, *, rough: bool) -> OptimizeResult:
-        """Return the least squares."""
+    def search(self) -> OptimizeResult:
+        """Return a few steps of the least squares from the best of several ends and sides of the bevel."""
         first = np.zeros(12)
         first[TIP], first[LEVEL] = self.guess, self.level
         first[HELD] = self.means
@@ -272,18 +270,23 @@ class TipProblem:
             return float(np.sum(np.minimum(np.abs(self.residuals(start)), 20)))
 
         # as near as the eye can tell along the axis, and the likeliest roll
-        one = np.eye(12)
-        begin = min((first + g * one[TIP] for g in START_OFFSETS_MM), key=misfit)
+        unit = np.eye(12)
+        begin = min((first + shift * unit[TIP] for shift in START_OFFSETS_MM), key=misfit)
         rolls = np.arange(6) * np.pi / 3 if self.rolled else [0.0]
-        starts = [begin + g * one[TIP] + roll * one[ROLL] for roll in rolls for g in FINE_OFFSETS_MM]
-        best = self._minimize(min(starts, key=misfit), ROUGH_STEPS)
-        if rough:
-            return best
-        # the voxels' deviations become what a fit leaves, and voxels in one blur count as one
-        left = 1.48 * float(np.median(np.abs(best.fun[: len(self.near.s)])))
-        blurs = 8 * float(np.exp(2 * best.x[BLUR] + best.x[SLICE])) / float(np.prod(self.volume.spacing))
+        starts = [
+            begin + shift * unit[TIP] + roll * unit[ROLL] for roll in rolls for shift in FINE_OFFSETS_MM
+        ]
+        return self._minimize(min(starts, key=misfit), ROUGH_STEPS)
+
+    def fit(self, start: Floats) -> OptimizeResult:
+        """Return the least squares near `start` (12,), with the deviations that it leaves.
+
+        Voxels in one blur count as one.
+        """
+        left = 1.48 * float(np.median(np.abs(self.residuals(start)[: len(self.near.s)])))
+        blurs = 8 * float(np.exp(2 * start[BLUR] + start[SLICE])) / float(np.prod(self.volume.spacing))
         self.sigma = self.sigma * max(1.0, left) * np.sqrt(max(1.0, blurs))
-        return self._minimize(best.x, STEPS)
+        return self._minimize(start, STEPS)
 
     def free_bevel(self, best: OptimizeResult) -> tuple[OptimizeResult, float]:
         """Return the fit, and, degrees, the angle of the bevel where the image contradicts the stated one.
@@ -342,31 +345,6 @@ class TipProblem:
         left, over = (shown - near.values)[inner], (shown - theta[LEVEL])[inner]
         return float(np.linalg.norm(left) / np.linalg.norm(over))
 
-    def threshold_disagreement(self, theta: Floats) -> float:
-        """Return by how much a threshold, half way up to the shaft, sees the needle end later than the model.
-
-        In mm; there is needle where a section exceeds it anywhere in the needle's width.
-        """
-        s = np.arange(-6.0, 4.0, END_STEP_MM) + theta[TIP]
-        where = axis_frames(self.axis, np.clip(s, 0, None))
-        plane = disc_points(self.radius)
-        swing = np.clip((s - self.axis.length) / max(self.guess - self.axis.length, 0.25), 0, None)
-        u, v = (plane[None, :, n] + 0 * s[:, None] for n in (0, 1))
-        model = self.show(
-            theta,
-            np.repeat(s - theta[TIP], len(plane)),
-            (u - theta[U] * swing[:, None]).ravel(),
-            (v - theta[V] * swing[:, None]).ravel(),
-        ).reshape(len(s), -1)
-        seen = np.nan_to_num(sample_planes(self.volume, where, plane), nan=HU.FLOOR)
-        shaft = s < theta[TIP] - 4.0
-        half = (self.level + float(np.median(seen[shaft].max(axis=1)))) / 2
-        ends = [s[np.flatnonzero(one.max(axis=1) > half)] for one in (seen, model)]
-        return float(ends[0][-1] - ends[1][-1]) if all(len(end) for end in ends) else np.inf
-
-
-END_STEP_MM = 0.05  # spacing of the sections in which a threshold looks for the end, mm
-
 
 def select_axis_voxels(volume: Volume, axis: AxisSpline, start: float, stop: float) -> AxisVoxels:
     """Return the voxels within `MM.PATCH` of the axis between `start` and `stop` (mm along it)."""
@@ -390,8 +368,6 @@ def select_axis_voxels(volume: Volume, axis: AxisSpline, start: float, stop: flo
     return AxisVoxels(s[inside], u[inside], v[inside], volume.values[k, j, i][inside].astype(np.float64))
 
 
-TipSource = Literal["model", "threshold", "hand"]
-
 MIN_BEVEL_PROBABILITY = 0.95  # probability from which on the side of the bevel is stated
 
 
@@ -406,43 +382,35 @@ class TipFit:
     # probability is below `MIN_BEVEL_PROBABILITY`.
     bevel: Floats
     bevel_probability: float  # that the likeliest side is right, within 90 degrees; nan for a blunt end
-    # By how much a threshold sees the needle end later than it sees the fitted model end, mm.
-    disagreement: float
-    # What the place along comes from: "model", "threshold" where the model is not to be trusted, or "hand".
-    source: TipSource
     misfit: float = 0.0  # how far the image is from the model, in parts of its brightness
     bevel_deg: float = np.nan  # angle of the bevel as the image shows it, where it contradicts the stated one
 
 
+def search_tip(
+    volume: Volume, axis: AxisSpline, needle: ScannedNeedleRecord, guess: float, spread: PointSpread | None
+) -> Floats:
+    """Return about where the tip lies, and how the scan shows it: parameters (12,) to begin a fit with."""
+    return np.asarray(TipProblem(volume, axis, needle, guess, spread).search().x, float)
+
+
 def fit_tip(
-    volume: Volume,
-    axis: AxisSpline,
-    needle: ScannedNeedleRecord,
-    guess: float,
-    spread: PointSpread | None = None,
-    *,
-    rough: bool = False,
+    volume: Volume, axis: AxisSpline, needle: ScannedNeedleRecord, start: Floats, spread: PointSpread | None
 ) -> TipFit:
-    """Fit the tip near `guess` (mm along the axis) by least squares over the voxels around it.
+    """Fit the tip near `start` (12,) of `search_tip` by least squares over the voxels around it.
 
     The tip is where the axis ends that reaches as far as the bevel's point does. The rod is moved along the
     axis, rolled about it, and swung across it from the last cross-section on; the bevel's angle is the
     recipe's within its deviation.
 
-    `spread` is the scanner's, as balls in the same volume show it; `rough`: whether the place to a fraction
-    of a millimetre is enough.
+    `spread` is the scanner's, as balls in the same volume show it.
     """
-    problem = TipProblem(volume, axis, needle, guess, spread)
-    best, bevel_deg = problem.fit(rough=rough), np.nan
-    if not rough:
-        best, bevel_deg = problem.free_bevel(best)
-    covariance = problem.covariance(best)
-    variance = np.diag(covariance)
-    away = problem.threshold_disagreement(best.x)
+    problem = TipProblem(volume, axis, needle, float(start[TIP]), spread)
+    best, bevel_deg = problem.free_bevel(problem.fit(start))
+    variance = np.diag(problem.covariance(best))
     # how dark the streak beyond the end is shows how much the rays hide of it
     hidden = PART.HIDDEN_END_SD * problem.ray
     hidden *= min(1.0, float(np.hypot(PART.HIDDEN, 2 * best.x[STREAK] / HU.STREAK_SD)))
-    parts = [np.sqrt(variance[TIP]), MM.TIP_SD, PART.THRESHOLD_SD * away, hidden]
+    parts = [np.sqrt(variance[TIP]), MM.TIP_SD, hidden]
     if volume.resampled_top is not None:
         parts.append(PART.RESAMPLED_SD * float(volume.spacing.max()))
     along = float(np.linalg.norm(parts))
@@ -450,24 +418,11 @@ def fit_tip(
     missed = MM.TIP_ACROSS_SD + PART.ACROSS_SD * problem.ray
     across = float(np.linalg.norm([np.sqrt(variance[[U, V]].mean()), heel, missed]))
     at = float(best.x[TIP])
-    source: TipSource = "model"
-    believed = along <= MM.MODEL_TIP_SD and abs(away) <= MM.MATCH
-    if not rough and not believed:
-        if not np.isfinite(away):
-            raise DataError(
-                "the end of the needle does not show: no section near it is as bright as half the shaft",
-                expected="a needle that ends in the tissue, in the volume",
-                fix="check that the scan holds the tip, away from other metal; or give a needle's mask",
-            )
-        limits = [MM.MODEL_TIP_SD, PART.THRESHOLD_SD * away, float(volume.spacing.max()) / 2]
-        at, along, source = at + away, float(np.linalg.norm(limits)), "threshold"
     there = axis_frames(axis, np.array([at]))
     u, v, roll = there.u[0], there.v[0], best.x[ROLL]
-    shown = problem.rolled and not rough
-    probability = side_probability(ROLL_FACTOR * float(np.sqrt(variance[ROLL]))) if shown else np.nan
-    sided = probability >= MIN_BEVEL_PROBABILITY and source == "model"
+    probability = side_probability(ROLL_FACTOR * float(np.sqrt(variance[ROLL]))) if problem.rolled else np.nan
+    sided = probability >= MIN_BEVEL_PROBABILITY
     bevel = np.cos(roll) * u + np.sin(roll) * v if sided else np.full(3, np.nan)
     point = there.origins[0] + best.x[U] * u + best.x[V] * v
     sd = np.array([along, across])
-    misfit = problem.misfit(best.x)
-    return TipFit(at, point, sd, bevel, float(probability), away, source, misfit, bevel_deg)
+    return TipFit(at, point, sd, bevel, float(probability), problem.misfit(best.x), bevel_deg)
