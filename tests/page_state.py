@@ -68,7 +68,6 @@ def encode_state(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
         )
     )
     return {
-        "kind": "state",
         "step": steering.number,
         "depth_mm": step.depth,
         "x": round_lengths(needle[:, 0]),

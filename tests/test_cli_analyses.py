@@ -84,7 +84,7 @@ def test_view_writes_a_page_and_prints_its_path(tmp_path, capsys):
     page = tmp_path / "view" / "study2.html"
     assert Path(printed) == page
     (needle,) = read_page_data(page.read_text("utf-8"))["needles"]
-    assert needle["scene"]["target"] == "study2" and needle["tip"] != 0
+    assert needle["scene"]["measured"] is None and needle["tip"] != 0
 
 
 def test_a_recording_opens_with_the_files_beside_it(tmp_path):

@@ -93,7 +93,7 @@ def test_each_insertion_of_the_page_has_its_needle(result) -> None:
     )
     found = {
         (
-            HOSTILE in scene["target"],
+            HOSTILE in scene["measured"]["id"],
             scene["simulation"]["model"]["rigidity"],
             scene["length_mm"],
             scene["diameter_mm"],

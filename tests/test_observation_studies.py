@@ -261,7 +261,7 @@ def validated(mixed: Path) -> nf.Run:
 @pytest.mark.skipif(not kernel_exists(), reason="a system compiler has built no WebAssembly")
 def test_the_page_of_a_mixture_shows_of_a_tip_the_tip_alone(validated, chromium, tmp_path) -> None:  # noqa: F811
     data = collect_explorer(validated)
-    shown = {needle["scene"]["target"]: needle["scene"]["measured"] for needle in data.needles}
+    shown = {needle["scene"]["measured"]["id"]: needle["scene"]["measured"] for needle in data.needles}
     assert {name: len(measured["x"]) for name, measured in shown.items()} == {
         "m0": 101, "m1": 1, "m2": 101, "m3": 1, "m4": 101,
     }  # fmt: skip

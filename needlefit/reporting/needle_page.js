@@ -15,141 +15,123 @@ TORTIOUS ACTION, ARISING OUT OF OR IN CONNECTION WITH THE USE OR PERFORMANCE OF
 THIS SOFTWARE. */
 "use strict";(()=>{var __getOwnPropNames=Object.getOwnPropertyNames;var __esm=(fn,res,err)=>function(){if(err)throw err[0];try{return fn&&(res=(0,fn[__getOwnPropNames(fn)[0]])(fn=
 0)),res}catch(e){throw err=[e],e}};function check(fault){if(fault)throw new TypeError(`the kernel refuses a problem: ${FAULTS[Number(fault)]}`)}function makeProblem(heap,fields2,arrays){
-let f=fields2,n=f.sets*f.layers,counts={boundaries:f.layers-1,rigidity:f.sets,mu:n,thickness:n,friction:n,law:n*
-f.numbers,turn:f.bevels*f.sets*f.planes,base:3*f.inputs*f.sets*f.planes,before_first:f.inputs+1,within_first:f.
-inputs+1,held_tip:2*f.inputs*f.planes,guide_x:f.sets};for(let[name,count2]of Object.entries(counts))if((arrays[name]||
-name!=="guide_x")&&arrays[name].length!==count2)throw new TypeError(`${name} has ${arrays[name].length} number\
-s, not ${count2}`);let addresses=ARRAYS.map(name=>arrays[name]?heap.put(arrays[name]):0),at=makeStructure(heap,
-f,addresses),sizes=heap.take(24);check(heap.call.nf_check(at,sizes));let[room,points]=heap.integers(sizes,2);return{
-at,sizes,fields:f,arrays:Object.fromEntries(ARRAYS.map((name,i)=>[name,addresses[i]])),room:Number(room),maxPoints:Number(
-points)}}function rewrite(heap,problem,arrays){for(let[name,array3]of Object.entries(arrays))heap.put(array3,problem.
-arrays[name]);check(heap.call.nf_check(problem.at,problem.sizes))}function makeShapes(heap,problem,points){let{
-sets,columns:columns2,planes}=problem.fields,{room}=problem,counts={x:sets*room,u:planes*sets*room,slope:planes*
-sets*room,constraints:(1+planes)*sets*points,track:2*planes*sets*points,status:sets,passes:sets,nodes:1,u_by:planes*
-sets*room*columns2,slope_by:planes*sets*room*columns2,constraints_by:planes*sets*points*columns2,track_by:planes*
-sets*points*columns2},shapes={points,counts,room,planes};for(let[name,count2]of Object.entries(counts))shapes[name]=
-columns2||!name.endsWith("_by")?heap.take(8*count2):0;return shapes.at=heap.structure([room,points],[],Object.
-keys(counts).map(name=>shapes[name])),shapes}function readPlanes(heap,shapes,name,planes,nodes){let read=new Float64Array(
-planes*nodes);for(let plane=0;plane<planes;plane+=1)read.set(heap.floats(shapes[name]+8*plane*shapes.room,nodes),
-plane*nodes);return read}function readShape(heap,shapes,points){let{planes}=shapes,number3=name=>Number(heap.integers(
-shapes[name],1)[0]),read=(name,count2)=>heap.floats(shapes[name],count2).slice(),nodes=number3("nodes"),x2=read(
-"x",nodes);return{status:STATUS[number3("status")],passes:number3("passes"),depth:x2.at(-1),planes,x:x2,u:readPlanes(
-heap,shapes,"u",planes,nodes),slope:readPlanes(heap,shapes,"slope",planes,nodes),constraints:read("constraints",
-(1+planes)*points),track:read("track",2*planes*points)}}var STATUS,FAULTS,SIZES,NUMBERS,ARRAYS,compile,Heap,makeStructure,
-init_memory=__esm({"needlefit/mechanics/native/memory.js"(){"use strict";STATUS=["converged","over-compressed",
-"not converged","non-finite"],FAULTS=["","size","mesh","stop","guides","column","output","points"],SIZES="plan\
-es sets layers shapes terms numbers stop_count bevels inputs rays guides columns max_iterations".split(" "),NUMBERS=
-"length first_cell spacing element part tangent tolerance deepest".split(" "),ARRAYS="boundaries stops rigidit\
-y mu thickness friction law law_by turn base before_first within_first before within held_tip guide_x turn_by \
-column_of guide_columns".split(" "),compile=bytes=>WebAssembly.compile(bytes),Heap=class _Heap{constructor(instance){
-this.call=instance.exports,this.memory=instance.exports.memory,this.top=this.bottom=this.memory.buffer.byteLength}static async make(kernel){
-return new _Heap(await WebAssembly.instantiate(kernel,{}))}take(bytes){let at=Math.ceil(this.top/64)*64;this.top=
-at+Number(bytes);let missing=this.top-this.memory.buffer.byteLength;return missing>0&&this.memory.grow(Math.ceil(
-missing/65536)),at}put(array3,at=this.take(array3.byteLength)){return new Uint8Array(this.memory.buffer,at,array3.
-byteLength).set(new Uint8Array(array3.buffer,array3.byteOffset,array3.byteLength)),at}borrow(work){let top=this.
-top;try{return work()}finally{this.top=top}}evaluate(which,x2){return this.borrow(()=>{let[at,out]=[this.put(Float64Array.
-of(x2)),this.take(8)];return this.call.nf_function(BigInt(which),1n,at,out),this.floats(out,1)[0]})}floats(at,count2){
-return new Float64Array(this.memory.buffer,at,count2)}integers(at,count2){return new BigInt64Array(this.memory.
-buffer,at,count2)}view(at){return new DataView(this.memory.buffer,at)}structure(integers,numbers,addresses){let at=this.
-take(8*(integers.length+numbers.length)+4*addresses.length),view2=this.view(at);return integers.forEach((value,i)=>view2.
-setBigInt64(8*i,BigInt(value),!0)),numbers.forEach((value,i)=>view2.setFloat64(8*(integers.length+i),value,!0)),
-addresses.forEach((value,i)=>view2.setUint32(8*(integers.length+numbers.length)+4*i,value,!0)),at}};makeStructure=
-(heap,fields2,addresses)=>heap.structure(SIZES.map(name=>fields2[name]),NUMBERS.map(name=>fields2[name]),addresses)}});function completeInputs(inputs){let{bevel={},base={},guides=[],tip=null}=inputs;return{bevel:{side:1,roll:0,strength:0,
-...bevel},base:{y:0,slope:0,stageSlope:0,...base},guides:guides.map(guide=>({y:0,slope:0,...guide})).sort((a2,b)=>a2.
-x-b.x),tip}}function checkInputs(model,inputs,depth){let{guides}=inputs,base=depth-model.length,ends=[base,...guides.
-map(guide=>guide.x)];for(let name of["mu","thickness"])if(!model[name].every(value=>value>0))throw new RangeError(
-`${name} is not above 0`);if(!(model.rigidity>0&&base<0))throw new RangeError("the needle is too short, or its\
- rigidity not above 0");if(guides.length>MAX_GUIDES)throw new RangeError(`${guides.length} guides; there may b\
-e ${MAX_GUIDES}`);if(ends.some((x2,i)=>i>0&&!(x2>ends[i-1])))throw new RangeError(`base and guides stand at ${ends}\
- mm; they must increase`)}function findToward(heap,{side,roll:roll2}){if(roll2===0)return[side,0];let quarters=Math.
-floor(roll2/90+.5),rest=(roll2-90*quarters)*(Math.PI/180),[z,y2]=[3,4].map(which=>side*heap.evaluate(which,rest));
-return[[y2,z],[-z,y2],[-y2,-z],[z,-y2]][(quarters%4+4)%4]}function listGuides(guides,planes){let listed=new Float64Array(
-(1+2*planes)*MAX_GUIDES);return guides.forEach(({x:x2,y:y2,slope:slope4},i)=>listed.set([x2,...listHeld(y2,slope4,
-0,planes)],i*(1+2*planes))),listed}function packInputs(heap,{bevel,base,guides,tip},model,planes){let before=guides.
-filter(guide=>guide.x<0),within=guides.filter(guide=>guide.x>=0),toward=findToward(heap,bevel).slice(0,planes);
-return{turn:Float64Array.from(toward,part2=>part2*bevel.strength/(model.pathAngle?1:model.spacing)),base:Float64Array.
-from([...listBase(base),0,0,0].slice(0,3*planes)),before_first:BigInt64Array.of(0n,BigInt(before.length)),within_first:BigInt64Array.
+let addresses=ARRAYS.map(name=>arrays[name]?heap.put(arrays[name]):0),at=heap.structure(SIZES.map(name=>fields2[name]),
+NUMBERS.map(name=>Number(fields2[name])),addresses),sizes=heap.take(24);check(heap.call.nf_check(at,sizes));let[
+room,maxPoints]=heap.integers(sizes,2),places=Object.fromEntries(ARRAYS.map((name,i)=>[name,addresses[i]]));return{
+at,sizes,fields:fields2,arrays:places,room:Number(room),maxPoints:Number(maxPoints)}}function rewrite(heap,problem,arrays){
+for(let[name,array3]of Object.entries(arrays))heap.put(array3,problem.arrays[name]);check(heap.call.nf_check(problem.
+at,problem.sizes))}function makeShapes(heap,{fields:fields2,room},points){let[sets,columns2,planes]=["sets","c\
+olumns","planes"].map(name=>Number(fields2[name])),values={x:sets*room,u:planes*sets*room,slope:planes*sets*room,
+constraints:(1+planes)*sets*points,track:2*planes*sets*points},derivatives={u_by:values.u,slope_by:values.slope,
+constraints_by:planes*sets*points,track_by:planes*sets*points},counts=Object.fromEntries([...Object.entries({...values,
+status:sets,passes:sets,nodes:1}),...Object.entries(derivatives).map(([name,count2])=>[name,count2*columns2])]),
+places=Object.fromEntries(Object.entries(counts).map(([name,count2])=>[name,count2?heap.take(8*count2):0]));return{
+...places,places,counts,room,planes,at:heap.structure([room,points],[],Object.values(places))}}var STATUS,FAULTS,
+SIZES,NUMBERS,ARRAYS,compile,Heap,init_memory=__esm({"needlefit/mechanics/native/memory.js"(){"use strict";STATUS=
+["converged","over-compressed","not converged","non-finite"],FAULTS=["","size","mesh","stop","guides","column",
+"output","points"],SIZES="planes sets layers shapes terms numbers stop_count bevels inputs rays guides columns\
+ max_iterations".split(" "),NUMBERS="length first_cell spacing element part tangent tolerance deepest".split("\
+ "),ARRAYS="boundaries stops rigidity mu thickness friction law law_by turn base before_first within_first bef\
+ore within held_tip guide_x turn_by column_of guide_columns".split(" "),compile=bytes=>WebAssembly.compile(bytes),
+Heap=class _Heap{constructor(instance){this.call=instance.exports,this.memory=instance.exports.memory,this.top=
+this.memory.buffer.byteLength}static async make(kernel){return new _Heap(await WebAssembly.instantiate(kernel,
+{}))}take(bytes){let at=Math.ceil(this.top/64)*64;this.top=at+Number(bytes);let missing=this.top-this.memory.buffer.
+byteLength;return missing>0&&this.memory.grow(Math.ceil(missing/65536)),at}put(array3,at=this.take(array3.byteLength)){
+return new Uint8Array(this.memory.buffer,at).set(new Uint8Array(array3.buffer,array3.byteOffset,array3.byteLength)),
+at}borrow(work){let{top}=this;try{return work()}finally{this.top=top}}evaluate(which,x2){return this.borrow(()=>{
+let[at,out]=[this.put(Float64Array.of(x2)),this.take(8)];return this.call.nf_function(BigInt(which),1n,at,out),
+this.floats(out,1)[0]})}floats(at,count2){return new Float64Array(this.memory.buffer,at,count2)}integers(at,count2){
+return new BigInt64Array(this.memory.buffer,at,count2)}view(at){return new DataView(this.memory.buffer,at)}structure(integers,numbers,addresses){
+let at=this.take(8*(integers.length+numbers.length)+4*addresses.length);return this.put(BigInt64Array.from(integers,
+BigInt),at),this.put(Float64Array.from(numbers),at+8*integers.length),this.put(Uint32Array.from(addresses),at+
+8*(integers.length+numbers.length)),at}}}});function checkInputs({length,element:element2},{guides},depth){if(!(depth>=0&&depth<length&&depth<=MAX_ELEMENTS*
+element2))throw new RangeError(`the needle cannot be ${depth} mm deep`);if(guides.length>MAX_GUIDES)throw new RangeError(
+`${guides.length} guides; there may be ${MAX_GUIDES}`);let ends=[depth-length,...guides.map(({x:x2})=>x2)];if(ends.
+some((x2,i)=>i>0&&!(x2>ends[i-1])))throw new RangeError(`base and guides stand at ${ends} mm; they must increa\
+se`)}function findToward(heap,{side,roll:roll2}){if(roll2===0)return[side,0];let quarters=Math.floor(roll2/90+
+.5),rest=(roll2-90*quarters)*(Math.PI/180),[z,y2]=[3,4].map(which=>side*heap.evaluate(which,rest));return[[y2,
+z],[-z,y2],[-y2,-z],[z,-y2]][(quarters%4+4)%4]}function listGuides(guides,planes){let listed=new Float64Array(
+(1+2*planes)*MAX_GUIDES);return listed.set(guides.flatMap(({x:x2,y:y2,slope:slope4})=>[x2,...listHeld(y2,slope4,
+0,planes)])),listed}function packInputs(heap,{bevel,base,guides,tip},model,planes){let[before,within]=[guides.
+filter(({x:x2})=>x2<0),guides.filter(({x:x2})=>x2>=0)],toward=findToward(heap,bevel).slice(0,planes);return{turn:Float64Array.
+from(toward,part2=>part2*bevel.strength/(model.pathAngle?1:model.spacing)),base:Float64Array.from([base.y,base.
+slope,base.stageSlope,0,0,0].slice(0,3*planes)),before_first:BigInt64Array.of(0n,BigInt(before.length)),within_first:BigInt64Array.
 of(0n,BigInt(within.length)),before:listGuides(before,planes),within:listGuides(within,planes),held_tip:Float64Array.
-from(listTip(tip,planes))}}function pack(heap,model,inputs,planes,rays,deepest2){let layers=model.mu.length,arrays={
-boundaries:Float64Array.from(model.boundaries),stops:new Uint8Array(STOP_BYTES),rigidity:Float64Array.of(model.
-rigidity),...Object.fromEntries(["mu","thickness","friction","law"].map(name=>[name,Float64Array.from(model[name])])),
-...packInputs(heap,inputs,model,planes)};return[{planes,sets:1,layers,shapes:1,terms:model.terms,numbers:model.
-law.length/layers,stop_count:1,bevels:1,inputs:1,rays,guides:MAX_GUIDES,columns:0,max_iterations:model.maxIterations??
-40,length:model.length,first_cell:model.firstCell,spacing:model.spacing,element:model.element,part:model.pathAngle?
-LINEAR_CUT:model.switch??.5,tangent:model.tangent??1,tolerance:model.tolerance??1e-7,deepest:deepest2},arrays]}
-var SAME_DEPTH,MAX_ELEMENTS,MAX_GUIDES,LINEAR_CUT,MAX_RAYS,KEPT_IDS,STOP_BYTES,MOVE_BYTES,POSITION_BYTES,findDeepest,
-isPlanar,listHeld,listTip,listBase,bevelKey,controlsKey,Session,init_needle=__esm({"needlefit/mechanics/native\
-/needle.js"(){"use strict";init_memory();SAME_DEPTH=1e-9,MAX_ELEMENTS=5e3,MAX_GUIDES=50,LINEAR_CUT=-1,MAX_RAYS=
-15e3,KEPT_IDS=256,STOP_BYTES=48,MOVE_BYTES=24,POSITION_BYTES=64,findDeepest=model=>Math.min(model.length,MAX_ELEMENTS*
-model.element);isPlanar=(heap,{bevel,tip})=>findToward(heap,bevel)[1]===0&&!tip?.z;listHeld=(y2,slope4,z,planes)=>[
-y2,slope4??NaN,z,(slope4??null)===null?NaN:0].slice(0,2*planes),listTip=(tip,planes)=>tip?listHeld(tip.y,tip.slope,
-tip.z??0,planes):Array(2*planes).fill(NaN),listBase=base=>[base.y,base.slope,base.stageSlope],bevelKey=({bevel})=>JSON.
-stringify([bevel.side,bevel.roll,bevel.strength]),controlsKey=({base,guides,tip})=>JSON.stringify([listBase(base),
-guides.map(guide=>[guide.x,guide.y,guide.slope??null]),listTip(tip,2)]);Session=class _Session{static async begin(kernel,model,inputs={}){
-return new _Session(await Heap.make(kernel),model,completeInputs(inputs))}heap;start;base;end;model;planes;depth;rays;ids;maxIds;solved;parts;stateBytes;problem;shapes;deepest=0;constructor(heap,model,inputs){
-Object.assign(this,{heap,start:heap.top,failed:!1}),this.#begin(model,inputs)}#begin(model,inputs,planes=model.
-spatial||!isPlanar(this.heap,inputs)?2:this.planes??1){this.deepest=findDeepest(model);let rays=Math.ceil(this.
-deepest/model.spacing);this.#layOut({model,inputs,planes,depth:0,ids:new Map,maxIds:KEPT_IDS,solved:0,shape:null,
-rays}),this.shape=this.go(0,inputs)}#layOut(fields2){Object.assign(this,fields2,{base:this.start}),this.#reserve()}#reserve(old){
-let{heap,model,inputs,planes,rays,deepest:deepest2}=this,{call}=heap;heap.top=this.base;let problem=makeProblem(
-heap,...pack(heap,model,inputs,planes,rays,deepest2));this.problem=problem,this.shapes=makeShapes(heap,problem,
-problem.maxPoints),this.done=heap.take(24),call.nf_session_memory(problem.at,this.done);let[fixed,state,scratch]=heap.
-integers(this.done,3).map(BigInt),parts={fixed:heap.take(fixed),now:heap.take(state),next:heap.take(state),scratch:heap.
-take(scratch)};if(Object.assign(this,{parts,stateBytes:Number(state),end:heap.top}),call.nf_session_begin(problem.
-at,parts.fixed,parts.now,parts.scratch),old){let{now:now2,scratch:room}=old.parts;call.nf_session_copy(old.problem.
-at,problem.at,parts.fixed,now2,room,parts.now,parts.scratch)}}go(depth,given){if(!(depth>=0&&depth<=this.deepest))
-throw new RangeError(`the needle cannot be ${depth} mm deep`);let inputs=completeInputs(given),{heap}=this;if(checkInputs(
-this.model,inputs,depth),this.planes===1&&!isPlanar(heap,inputs)){let path2=this.path();this.#begin(this.model,
-path2[0].inputs,2);for(let one of path2)this.go(one.depth,one.inputs)}let before=this.inputs;this.inputs=inputs,
-rewrite(heap,this.problem,packInputs(heap,inputs,this.model,this.planes));let bevel=this.#number(bevelKey(inputs),
-inputs.bevel),held=this.#number(controlsKey(inputs),inputs),advance=()=>{let{fixed,now:now2,next,scratch}=this.
-parts,{at}=this.problem;return[heap.call.nf_session_advance(at,fixed,now2,next,scratch,this.shapes.at,depth,BigInt(
-bevel),BigInt(held),this.done),...heap.integers(this.done,3)].map(Number)},[fault,stops,points,rays]=advance();
-if(rays>MAX_RAYS)throw this.inputs=before,new RangeError(`the needle has changed its direction of cutting ${rays}\
- times`);if(rays>this.rays){let old={problem:this.problem,parts:this.parts};Object.assign(this,{rays:2*rays,base:this.
-end}),this.#reserve(old),[fault,stops,points,rays]=advance()}check(fault),this.solved+=stops;let{shape}=this;return stops>
-0&&(shape=readShape(heap,this.shapes,points),this.failed=shape.status!==STATUS[0],this.failed)?(this.inputs=before,
-shape):(this.failed=!1,[this.parts.now,this.parts.next]=[this.parts.next,this.parts.now],Object.assign(this,{depth,
-shape}),this.ids.size>this.maxIds&&this.#dropUnused(new Set([bevel,held])),shape)}#number(key,value){let found=this.
-ids.get(key);return found||(this.nextId=(this.nextId??0)+1,this.ids.set(key,found={number:this.nextId,value})),
-found.number}#dropUnused(used){for(let{bevel,held}of this.#listRays().rays)used.add(bevel).add(held);for(let[key,
-{number:number3}]of this.ids)used.has(number3)||this.ids.delete(key);this.maxIds=KEPT_IDS+2*this.ids.size}#listRays(){
-let{heap,parts,problem}=this;return heap.borrow(()=>{let cut=heap.take(MOVE_BYTES*this.rays),position=heap.take(
-POSITION_BYTES),count2=Number(heap.call.nf_session_rays(problem.at,parts.fixed,parts.now,parts.scratch,cut,position)),
-view2=heap.view(cut),id=at=>Number(view2.getBigInt64(at,!0));return{rays:Array.from({length:count2},(_,n)=>({start:view2.
-getFloat64(MOVE_BYTES*n,!0),bevel:id(MOVE_BYTES*n+8),held:id(MOVE_BYTES*n+16)})),changed:heap.view(position).getBigInt64(
-POSITION_BYTES-8,!0)!==0n}})}save(){let{model,inputs,planes,depth,shape,rays,ids,maxIds,solved,heap,parts,stateBytes}=this,
-state=new Uint8Array(heap.memory.buffer,parts.now,stateBytes).slice();return{model,inputs,planes,depth,shape,rays,
-ids:new Map(ids),maxIds,solved,state}}restore({state,...saved}){this.#layOut({...saved,ids:new Map(saved.ids)}),
-new Uint8Array(this.heap.memory.buffer).set(state,this.parts.now)}path(){let{firstCell,spacing}=this.model,{rays,
-changed}=this.#listRays(),values=new Map([...this.ids.values()].map(({number:number3,value})=>[number3,value])),
-alike=(one,other)=>one.bevel===other.bevel&&one.held===other.held,flip2=({depth,inputs})=>({depth,inputs:{...inputs,
+from(tip?listHeld(tip.y,tip.slope,tip.z??0,planes):Array(2*planes).fill(NaN))}}function pack(heap,model,inputs,planes,rays){
+let{boundaries,rigidity,mu,thickness,friction,law}=model,arrays=Object.entries({boundaries,rigidity:[rigidity],
+mu,thickness,friction,law});return makeProblem(heap,{planes,rays,sets:1,layers:mu.length,shapes:1,terms:model.
+terms,numbers:law.length/mu.length,stop_count:1,bevels:1,inputs:1,guides:MAX_GUIDES,columns:0,max_iterations:model.
+maxIterations,length:model.length,first_cell:model.firstCell,spacing:model.spacing,element:model.element,part:model.
+pathAngle?LINEAR_CUT:model.switch,tangent:model.tangent,tolerance:model.tolerance,deepest:findDeepest(model)},
+{...Object.fromEntries(arrays.map(([name,values])=>[name,Float64Array.from(values)])),stops:new Uint8Array(STOP_BYTES),
+...packInputs(heap,inputs,model,planes)})}function readShape(heap,{places,planes,room},points){let[status,passes,
+nodes]=["status","passes","nodes"].map(name=>Number(heap.integers(places[name],1)[0])),read=(name,count2,plane=0)=>heap.
+floats(places[name]+8*plane*room,count2).slice(),readPlanes=name=>planes===1?read(name,nodes):Float64Array.of(
+...read(name,nodes),...read(name,nodes,1)),x2=read("x",nodes);return{status:STATUS[status],passes,depth:x2[nodes-
+1],planes,x:x2,u:readPlanes("u"),slope:readPlanes("slope"),constraints:read("constraints",(1+planes)*points),track:read(
+"track",2*planes*points)}}function layOut(heap,base,{model,inputs,planes,rays},old){let{call}=heap;heap.top=base;
+let problem=pack(heap,model,inputs,planes,rays),[shapes,done]=[makeShapes(heap,problem,problem.maxPoints),heap.
+take(24)];call.nf_session_memory(problem.at,done);let[fixedBytes,bytes,scratchBytes]=heap.integers(done,3).map(
+BigInt),[fixed,state,next,scratch]=[fixedBytes,bytes,bytes,scratchBytes].map(size2=>heap.take(size2));return call.
+nf_session_begin(problem.at,fixed,state,scratch),old&&call.nf_session_copy(old.problem.at,problem.at,fixed,old.
+state,old.scratch,state,scratch),{problem,shapes,done,fixed,state,next,scratch,bytes:Number(bytes),end:heap.top}}
+var SAME_DEPTH,MAX_ELEMENTS,MAX_GUIDES,LINEAR_CUT,MAX_RAYS,STOP_BYTES,MOVE_BYTES,POSITION_BYTES,isPlanar,listHeld,
+findDeepest,Session,init_needle=__esm({"needlefit/mechanics/native/needle.js"(){"use strict";init_memory();SAME_DEPTH=
+1e-9,MAX_ELEMENTS=5e3,MAX_GUIDES=50,LINEAR_CUT=-1,MAX_RAYS=15e3,STOP_BYTES=48,MOVE_BYTES=24,POSITION_BYTES=64;
+isPlanar=(heap,{bevel,tip})=>findToward(heap,bevel)[1]===0&&!tip?.z,listHeld=(y2,slope4,z,planes)=>[y2,slope4??
+NaN,z,slope4===null?NaN:0].slice(0,2*planes);findDeepest=({length,element:element2})=>Math.min(length,MAX_ELEMENTS*
+element2);Session=class _Session{static async begin(kernel,model,inputs){return new _Session(await Heap.make(kernel),
+model,inputs)}failed=!1;planes=1;depth=0;rays=0;numbers=new Map;known=[];shape=null;memory=null;constructor(heap,model,inputs){
+this.heap=heap,this.start=heap.top,this.model=model,this.inputs=inputs,this.#begin(model,inputs)}#begin(model,inputs,planes=model.
+spatial||!isPlanar(this.heap,inputs)?2:this.planes){this.#layOut({model,inputs,planes,depth:0,rays:Math.ceil(findDeepest(
+model)/model.spacing)}),this.go(0,inputs)}#layOut(fields2){Object.assign(this,fields2),this.memory=layOut(this.
+heap,this.start,this)}go(depth,given){let{heap,inputs:before}=this,inputs={...given,guides:given.guides.toSorted(
+(one,other)=>one.x-other.x)};if(checkInputs(this.model,inputs,depth),this.planes===1&&!isPlanar(heap,inputs)){
+let path2=this.path();this.#begin(this.model,path2[0].inputs,2);for(let one of path2)this.go(one.depth,one.inputs)}
+this.inputs=inputs,rewrite(heap,this.memory.problem,packInputs(heap,inputs,this.model,this.planes));let numbers=this.#count(
+inputs),advance=()=>{let{problem,shapes,done,fixed,state:state2,next:next2,scratch}=this.memory;return[heap.call.
+nf_session_advance(problem.at,fixed,state2,next2,scratch,shapes.at,depth,...numbers.map(BigInt),done),...heap.
+integers(done,3)].map(Number)},[fault,stops,points,rays]=advance();if(rays>MAX_RAYS)throw this.inputs=before,new RangeError(
+`the needle has changed its direction of cutting ${rays} times`);rays>this.rays&&(this.rays=2*rays,this.memory=
+layOut(heap,this.memory.end,this,this.memory),[fault,stops,points,rays]=advance()),check(fault);let shape=stops?
+readShape(heap,this.memory.shapes,points):this.shape;if(this.failed=shape.status!==STATUS[0],this.failed)return this.
+inputs=before,shape;let{state,next}=this.memory;return Object.assign(this.memory,{state:next,next:state}),Object.
+assign(this,{depth,shape}),shape}#count({bevel,...held}){return[bevel,held].map(value=>{let key=JSON.stringify(
+value,(name,part2)=>name==="name"?null:part2);return this.numbers.has(key)||this.numbers.set(key,this.known.push(
+value)),this.numbers.get(key)})}#recall([bevel,held]){return{bevel:this.known[bevel-1],...this.known[held-1]}}#listRays(){
+let{heap,memory:{problem,fixed,state,scratch}}=this;return heap.borrow(()=>{let[cut,position]=[MOVE_BYTES*this.
+rays,POSITION_BYTES].map(bytes=>heap.take(bytes)),count2=Number(heap.call.nf_session_rays(problem.at,fixed,state,
+scratch,cut,position));return{rays:Array.from({length:count2},(_,n)=>({start:heap.floats(cut+MOVE_BYTES*n,1)[0],
+numbers:Array.from(heap.integers(cut+MOVE_BYTES*n+8,2),Number)})),changed:heap.integers(position+POSITION_BYTES-
+8,1)[0]!==0n}})}save(){let{model,inputs,planes,depth,shape,rays,heap,memory}=this,state=new Uint8Array(heap.memory.
+buffer,memory.state,memory.bytes).slice();return{model,inputs,planes,depth,shape,rays,state}}restore({state,...saved}){
+this.#layOut(saved),this.heap.put(state,this.memory.state)}path(){let{firstCell,spacing}=this.model,{rays,changed}=this.#listRays(),
+alike=(one,other)=>one.every((number3,i)=>number3===other[i]),flip2=({depth,inputs})=>({depth,inputs:{...inputs,
 bevel:{...inputs.bevel,side:-inputs.bevel.side}}}),isPoint=depth=>{let cell=depth<=SAME_DEPTH?0:1+Math.max(0,Math.
 ceil((depth-firstCell-SAME_DEPTH)/spacing));return Math.abs((cell&&firstCell+(cell-1)*spacing)-depth)<=SAME_DEPTH},
-steps2=[];rays.forEach(({start:start2,bevel,held},n)=>{let depth=n+1<rays.length?rays[n+1].start:this.depth,step={
-depth,inputs:{...values.get(held),bevel:values.get(bevel)}},again=n>0&&alike(rays[n-1],rays[n]);again&&isPoint(
-start2)?steps2.pop():again&&steps2.push(flip2(steps2.at(-1))),steps2.push(step)});let last4={depth:this.depth,
-inputs:this.inputs},now2={bevel:this.#number(bevelKey(this.inputs)),held:this.#number(controlsKey(this.inputs))};
-return!rays.length||!alike(rays.at(-1),now2)?steps2.push(last4):changed&&steps2.push(flip2(last4),last4),steps2}again(model,steps2){
-this.#begin(model,completeInputs(steps2[0].inputs));for(let{depth,inputs}of steps2)if(this.go(depth,inputs),this.
-failed)return!1;return!0}positions(s2){let{heap,shape}=this,{planes}=shape,at=Float64Array.from(s2);if(!at.every(
-one=>one>=shape.x[0]&&one<=shape.depth))throw new RangeError("s lies beyond the needle");return heap.borrow(()=>{
-let nodes=shape.x.length,size2=(1+planes)*at.length,out=heap.take(8*size2),memory=heap.take(8*(1+5*planes)*(nodes+
-2)*Number(heap.call.nf_lanes())),counts=[planes,1,nodes,at.length].map(BigInt),addresses=[shape.x,shape.u,shape.
-slope,at].map(array3=>heap.put(array3));return heap.call.nf_positions(...counts,...addresses,memory,out),heap.
-floats(out,size2).slice()})}load(s2){let{heap,shape,problem}=this,{planes,x:x2,u,slope:slope4,constraints}=shape;
-return heap.borrow(()=>{let cells=constraints.length/(1+planes)-1,needle=heap.structure([x2.length,cells],[],[
-x2,u,slope4,constraints].map(array3=>heap.put(array3))),memory=heap.take(heap.call.nf_memory(problem.at,1n)),out=heap.
-take(8*planes*s2.length);return heap.call.nf_load(problem.at,needle,BigInt(s2.length),heap.put(Float64Array.from(
-s2)),memory,out),heap.floats(out,planes*s2.length).slice()})}}}});function computeBand(session,draws,steps2){let{depth}=steps2.at(-1);if(!(depth>0))return null;let s2=Array.from(
-{length:POINTS},(_,k2)=>k2===POINTS-1?depth:depth*k2/(POINTS-1)),needles=[],[{inputs:{base:start2}}]=steps2;for(let n=0;n<
-draws.sets;n+=1){let part2=values=>values.slice(n*values.length/draws.sets,(n+1)*values.length/draws.sets),follow2=(value,from)=>from+
-(draws.gain?.[n]??1)*(value-from),path2=steps2.map(({depth:depth2,inputs:{bevel,base,...inputs}})=>({depth:depth2,
-inputs:{...inputs,bevel:{...bevel,strength:draws.strength[n]},base:{...base,y:follow2(base.y,start2.y),slope:follow2(
-base.slope,start2.slope)}}}));session.again({...session.model,mu:part2(draws.mu),law:part2(draws.law)},path2)&&
-needles.push(session.positions(s2))}if(!needles.length)return null;let{planes}=session,along=axis=>Array.from(
-{length:POINTS},(_,k2)=>Float64Array.from(needles,points=>points[(1+planes)*k2+axis])),[y2,z=null]=spanBands(planes>
-1?[along(1),along(2)]:[along(1)]);return{x:along(0).map(values=>quantile(values.sort(),MIDDLE)),...y2,z,failed:draws.
+steps2=[];rays.forEach(({start:start2,numbers},n)=>{let again=n>0&&alike(rays[n-1].numbers,numbers);again&&isPoint(
+start2)?steps2.pop():again&&steps2.push(flip2(steps2[steps2.length-1])),steps2.push({depth:rays[n+1]?.start??this.
+depth,inputs:this.#recall(numbers)})});let last4={depth:this.depth,inputs:this.inputs};return!rays.length||!alike(
+rays[rays.length-1].numbers,this.#count(this.inputs))?steps2.push(last4):changed&&steps2.push(flip2(last4),last4),
+steps2}again(model,steps2){return this.#begin(model,steps2[0].inputs),steps2.every(({depth,inputs})=>(this.go(
+depth,inputs),!this.failed))}positions(s2){let{heap,shape:{x:x2,u,slope:slope4,planes,depth}}=this,at=Float64Array.
+from(s2);if(!at.every(one=>one>=x2[0]&&one<=depth))throw new RangeError("s lies beyond the needle");return heap.
+borrow(()=>{let out=heap.take(8*(1+planes)*at.length),memory=heap.take(8*(1+5*planes)*(x2.length+2)*Number(heap.
+call.nf_lanes())),counts=[planes,1,x2.length,at.length].map(BigInt);return heap.call.nf_positions(...counts,...[
+x2,u,slope4,at].map(array3=>heap.put(array3)),memory,out),heap.floats(out,(1+planes)*at.length).slice()})}load(s2){
+let{heap,memory:{problem},shape:{planes,x:x2,u,slope:slope4,constraints}}=this;return heap.borrow(()=>{let cells=constraints.
+length/(1+planes)-1,needle=heap.structure([x2.length,cells],[],[x2,u,slope4,constraints].map(array3=>heap.put(
+array3))),memory=heap.take(heap.call.nf_memory(problem.at,1n)),out=heap.take(8*planes*s2.length);return heap.call.
+nf_load(problem.at,needle,BigInt(s2.length),heap.put(Float64Array.from(s2)),memory,out),heap.floats(out,planes*
+s2.length).slice()})}}}});function computeBand(session,draws,steps2){let{depth}=steps2[steps2.length-1];if(!(depth>0))return null;let s2=Array.
+from({length:POINTS},(_,k2)=>k2===POINTS-1?depth:depth*k2/(POINTS-1)),needles=[],{y:y2,slope:slope4}=steps2[0].
+inputs.base;for(let n=0;n<draws.sets;n+=1){let part2=values=>values.slice(n*values.length/draws.sets,(n+1)*values.
+length/draws.sets),gain=draws.gain?.[n]??1,path2=steps2.map(({depth:depth2,inputs:{bevel,base,...held}})=>({depth:depth2,
+inputs:{...held,bevel:{...bevel,strength:draws.strength[n]},base:{...base,y:y2+gain*(base.y-y2),slope:slope4+gain*
+(base.slope-slope4)}}}));session.again({...session.model,mu:part2(draws.mu),law:part2(draws.law)},path2)&&needles.
+push(session.positions(s2))}if(!needles.length)return null;let{planes}=session,along=axis=>Array.from({length:POINTS},
+(_,k2)=>Float64Array.from(needles,points=>points[(1+planes)*k2+axis])),[across,z=null]=spanBands(planes>1?[along(
+1),along(2)]:[along(1)]);return{x:along(0).map(values=>quantile(values.sort(),MIDDLE)),...across,z,failed:draws.
 sets-needles.length}}function spanBands(planes){let sizes=new Float64Array(planes[0][0].length),scaled=planes.
 map(heights2=>heights2.map(values=>{let sorted=values.slice().sort(),[low,middle,high]=[LOW,MIDDLE,HIGH].map(share=>quantile(
 sorted,share));return values.forEach((value,i)=>{let scale=value<middle?middle-low:high-middle;scale>TINY&&(sizes[i]=
@@ -175,190 +157,180 @@ z,pose},beyond=0){let measured=x2.map((one,i)=>[one,y2[i],z[i]]),points=readPoin
 compared=s2.length>TIP_POINTS?points:points.map(([,...across],i)=>[x2[i],...across]);return[ALIGN[pose](compared,
 measured),measured]}function readPoints(session,s2){let{x:x2,depth,planes}=session.shape,points=session.positions(
 s2.map(one=>Math.min(Math.max(one,x2[0]),depth)));return s2.map((_,i)=>[points[(1+planes)*i],points[(1+planes)*
-i+1],planes===1?0:points[3*i+2]])}function interpolate({s:s2,...axes},at){let i=0;return at.map(one=>{for(;i<s2.
-length-2&&s2[i+1]<one;)i+=1;let share=Math.min(Math.max((one-s2[i])/(s2[i+1]-s2[i]),0),1);return["x","y","z"].
-map(axis=>axes[axis][i]+share*(axes[axis][i+1]-axes[axis][i]))})}function shiftAcross(moving,fixed){let[dy,dz]=[
-1,2].map(axis=>mean(moving.map((point2,i)=>fixed[i][axis]-point2[axis])));return moving.map(([x2,y2,z])=>[x2,y2+
-dy,z+dz])}function alignRigid(moving,fixed){let centre=points=>[0,1].map(axis=>mean(points.map(one=>one[axis]))),
-[m,f]=[centre(moving),centre(fixed)],[across,along]=[0,0];moving.forEach(([x2,y2],i)=>{let[a2,b,c2,d]=[x2-m[0],
-y2-m[1],fixed[i][0]-f[0],fixed[i][1]-f[1]];across+=a2*d-b*c2,along+=a2*c2+b*d});let angle2=Math.atan2(across,along),
-[c,s2]=[Math.cos(angle2),Math.sin(angle2)];return moving.map(([x2,y2,z])=>[c*(x2-m[0])-s2*(y2-m[1])+f[0],s2*(x2-
-m[0])+c*(y2-m[1])+f[1],z])}var mean,METRICS,AXES,TIP_POINTS,ALIGN,init_errors=__esm({"needlefit/viewer/page/mo\
-del/errors.js"(){"use strict";mean=values=>values.reduce((sum,one)=>sum+one,0)/values.length,METRICS={ipe_mean_mm:mean,
-te_mm:d=>d.at(-1),edp_percent:(d,deflection)=>100*d.at(-1)/deflection},AXES={plane:[0,1],space:[0,1,2]};TIP_POINTS=
-2;ALIGN={known:simulated=>simulated,direction:shiftAcross,free:alignRigid}}});function checkChange([name,item,value],rules){let known=rules.inputs[name];if(!known)throw new ModelError(`the\
-re is no input ${name}`,`one of ${Object.keys(rules.inputs).join(", ")}`);let counted2=Number.isInteger(item)&&
-item>=1&&item<=(known.item==="guide"?rules.max_guide:1/0);if(known.item?!counted2:item!==null)throw new ModelError(
+i+1],planes===1?0:points[3*i+2]])}function interpolate({s:s2,x:x2,y:y2,z},at){let i=0;return at.map(one=>{for(;i<
+s2.length-2&&s2[i+1]<one;)i+=1;let share=Math.min(Math.max((one-s2[i])/(s2[i+1]-s2[i]),0),1);return[x2,y2,z??[]].
+map(axis=>axis[i]+share*(axis[i+1]-axis[i]))})}function shiftAcross(moving,fixed){let[dy,dz]=[1,2].map(axis=>mean(
+moving.map((point2,i)=>fixed[i][axis]-point2[axis])));return moving.map(([x2,y2,z])=>[x2,y2+dy,z+dz])}function alignRigid(moving,fixed){
+let centre=points=>[0,1].map(axis=>mean(points.map(one=>one[axis]))),[m,f]=[centre(moving),centre(fixed)],[across,
+along]=[0,0];moving.forEach(([x2,y2],i)=>{let[a2,b,c2,d]=[x2-m[0],y2-m[1],fixed[i][0]-f[0],fixed[i][1]-f[1]];across+=
+a2*d-b*c2,along+=a2*c2+b*d});let angle2=Math.atan2(across,along),[c,s2]=[Math.cos(angle2),Math.sin(angle2)];return moving.
+map(([x2,y2,z])=>[c*(x2-m[0])-s2*(y2-m[1])+f[0],s2*(x2-m[0])+c*(y2-m[1])+f[1],z])}var mean,METRICS,AXES,TIP_POINTS,
+ALIGN,init_errors=__esm({"needlefit/viewer/page/model/errors.js"(){"use strict";mean=values=>values.reduce((sum,one)=>sum+
+one,0)/values.length,METRICS={ipe_mean_mm:mean,te_mm:d=>d[d.length-1],edp_percent:(d,deflection)=>100*d[d.length-
+1]/deflection},AXES={plane:[0,1],space:[0,1,2]};TIP_POINTS=2;ALIGN={known:simulated=>simulated,direction:shiftAcross,
+free:alignRigid}}});function checkChange([name,item,value],rules){let known=rules.inputs[name];if(!known)throw new ModelError(`the\
+re is no input ${name}`,`one of ${Object.keys(rules.inputs).join(", ")}`);let counted2=item!==null&&Number.isInteger(
+item)&&item>=1&&item<=(known.item==="guide"?rules.max_guide:1/0);if(known.item?!counted2:item!==null)throw new ModelError(
 `${name} has item ${item}`,`the number of a ${known.item}`);let lengths=name.endsWith("_mm"),most=lengths?rules.
-max_mm:rules.max,finite=Math.abs(value)<=most,{least:least2,above,upto,below,values}=known;if(!(finite&&!(value<
-least2||value<=above||value>upto||value>=below)&&(!values||values.includes(value)))){let expected=finite||known.
-expected&&!lengths?known.expected:`a finite number, at most ${most}${lengths?" mm":""}`;throw new ModelError(`${nameOf(
-name)}${item===null?"":` of ${known.item} ${item}`} is ${written(name,value)}`,expected)}}function written(name,value){
+max_mm:rules.max,finite=Math.abs(value)<=most,{least:least2=-1/0,above=-1/0,upto=1/0,below=1/0,values}=known;if(!(finite&&
+value>=least2&&value>above&&value<=upto&&value<below&&(!values||values.includes(value)))){let expected=finite||
+known.expected&&!lengths?String(known.expected):`a finite number, at most ${most}${lengths?" mm":""}`;throw new ModelError(
+`${nameOf(name)}${item===null?"":` of ${known.item} ${item}`} is ${written(name,value)}`,expected)}}function written(name,value){
 if(name==="mu_pa")return Math.abs(value)<1e6?`${significant(value*.001)} kPa`:`${significant(value*1e-6)} MPa`;
 if(name.endsWith("slope"))return`${(Math.atan(value)*DEGREES).toFixed(1)}°`;let[,unit]=UNITS.find(([end])=>name.
 endsWith(end))??["",""];return`${significant(value)}${unit}`}function guideNumber(name,names){let at=names.indexOf(
 name);return at<0?Number(name.replace("guide ","")):at+1}function applyChanges(step,changes,names,stands){let values=new Map(
-changes.map(([name,item,value])=>[`${name} ${item??""}`,value])),of=(name,now2)=>values.get(`${name} `)??now2,
-held=step.controls,{tip}=held;if(of("tip_held",1)===0)tip=null;else if(tip||values.has("tip_held ")||values.has(
-"tip_y_mm ")){let[y2,z]=tip?[tip.y,tip.z??0]:stands;tip={y:of("tip_y_mm",y2),slope:of("tip_slope",tip?tip.slope:
-null),z}}let[angle2,side]=[of("cut_angle_deg",null),of("bevel_side",null)],roll2=side===null?rollOf(step.bevel):
-side>0?0:180;return{depth:of("depth_mm",step.depth),bevel:{...toSide(of("bevel_roll_deg",roll2)),offset:of("be\
-vel_offset_mm",step.bevel.offset),cutAngle:angle2===null?step.bevel.cutAngle:angle2*RADIANS},controls:{baseY:of(
+changes.filter(([,item])=>item===null).map(([name,,value])=>[name,value])),of=(name,now2)=>values.get(name)??now2,
+held=step.controls,{tip}=held;if(of("tip_held",1)===0)tip=null;else if(tip||values.has("tip_held")||values.has(
+"tip_y_mm")){let[y2,z]=tip?[tip.y,tip.z??0]:stands;tip={y:of("tip_y_mm",y2),slope:of("tip_slope",tip?tip.slope:
+null),z}}let[angle2,side]=[of("cut_angle_deg",null),of("bevel_side",null)],roll2=rollOf(side===null?step.bevel:
+{side,roll:0});return{depth:of("depth_mm",step.depth),bevel:{...toSide(of("bevel_roll_deg",roll2)),offset:of("\
+bevel_offset_mm",step.bevel.offset),cutAngle:angle2===null?step.bevel.cutAngle:angle2*RADIANS},controls:{baseY:of(
 "base_y_mm",held.baseY),baseSlope:of("base_slope",held.baseSlope),stageSlope:held.stageSlope,guides:applyToGuides(
 held.guides,changes,names),tip}}}function applyToGuides(guides,changes,names){let moves=new Map;for(let[name,item,
-value]of changes)item===null||!name.startsWith("guide_")||(moves.has(item)||moves.set(item,{}),moves.get(item)[name.
-slice(6)]=value);if(!moves.size)return guides;let now2=new Map(guides.map(guide=>[guide.name,guide]));for(let[
-item,moved]of[...moves].sort(([one],[other])=>one-other)){let name=names[item-1]??`guide ${item}`;if(moved.engaged===
-0){now2.delete(name);continue}let guide=now2.get(name);if(!guide){if(moved.x_mm===void 0||moved.y_mm===void 0)
-throw new ModelError(`there is no ${name}`,"guide_x_mm and guide_y_mm together, which make a guide");guide={slope:0,
-name}}let slope4=moved.slope??guide.slope;moved.turns_freely!==void 0&&(slope4=moved.turns_freely?null:moved.slope??
-guide.slope??0),now2.set(name,{name,x:moved.x_mm??guide.x,y:moved.y_mm??guide.y,slope:slope4})}let ordered=[...now2.
-values()].sort((one,other)=>one.x-other.x),twice=ordered.find((guide,i)=>guide.x===ordered[i+1]?.x);if(twice)throw new ModelError(
+value]of changes)item===null||!name.startsWith("guide_")||moves.set(item,{...moves.get(item),[name.slice(6)]:value});
+if(!moves.size)return guides;let now2=new Map(guides.map(guide=>[guide.name,guide]));for(let[item,moved]of[...moves].
+sort(([one],[other])=>one-other)){let name=names[item-1]??`guide ${item}`;if(moved.engaged===0){now2.delete(name);
+continue}let guide={slope:0,x:moved.x_mm,y:moved.y_mm,...now2.get(name)};if(guide.x===void 0||guide.y===void 0)
+throw new ModelError(`there is no ${name}`,"guide_x_mm and guide_y_mm together, which make a guide");let slope4=moved.
+slope??guide.slope;moved.turns_freely!==void 0&&(slope4=moved.turns_freely?null:moved.slope??guide.slope??0),now2.
+set(name,{name,x:moved.x_mm??guide.x,y:moved.y_mm??guide.y,slope:slope4})}let ordered=[...now2.values()].sort(
+(one,other)=>one.x-other.x),twice=ordered.find((guide,i)=>guide.x===ordered[i+1]?.x);if(twice)throw new ModelError(
 `two guides stand at the same x = ${twice.x} mm`,"guides at different x");return ordered}function toInputs({bevel,
 controls},pathAngle){if((pathAngle?bevel.offset:bevel.cutAngle)!==0)throw new ModelError("the strength of the \
 bevel is that of the other rule of advance",pathAngle?"a cut angle alone":"an offset alone");let{baseY,baseSlope,
 stageSlope,guides,tip}=controls;return{bevel:{side:bevel.side,roll:bevel.roll,strength:pathAngle?bevel.cutAngle:
-bevel.offset},base:{y:baseY,slope:baseSlope,stageSlope},guides,tip}}function toStep({depth,inputs},pathAngle){
-let{bevel,base,guides,tip}=inputs,[offset,cutAngle]=pathAngle?[0,bevel.strength]:[bevel.strength,0];return{depth,
-bevel:{side:bevel.side,roll:bevel.roll,offset,cutAngle},controls:{baseY:base.y,baseSlope:base.slope,stageSlope:base.
-stageSlope,guides,tip}}}var ModelError,RADIANS,DEGREES,UNITS,nameOf,significant,rollOf,toSide,wrap,turnOver,init_inputs=__esm(
-{"needlefit/viewer/page/model/inputs.js"(){"use strict";ModelError=class extends Error{constructor(what,expected){
-super(what),Object.assign(this,{what,expected})}},RADIANS=Math.PI/180,DEGREES=180/Math.PI,UNITS=[["_mm"," mm"],
-["_deg","°"],["_pa"," Pa"]];nameOf=name=>name.replace(/_(mm|deg|pa)$/,"").replaceAll("_"," ");significant=value=>Number(
-value.toPrecision(6));rollOf=({side,roll:roll2})=>roll2+(side>0?0:180),toSide=roll2=>Math.abs(roll2%360)===180?
-{side:-1,roll:roll2-180}:{side:1,roll:roll2},wrap=roll2=>180-((180-roll2)%360+360)%360,turnOver=roll2=>roll2%180?
-["bevel_roll_deg",null,wrap(roll2+180)]:["bevel_side",null,roll2%360?1:-1]}});function makeLaw({terms,tables},shape){if(!terms)return tables.find(([known])=>JSON.stringify(known)===JSON.stringify(
+bevel.offset},base:{y:baseY,slope:baseSlope,stageSlope},guides,tip:tip&&{y:tip.y,slope:tip.slope,z:tip.z??0}}}
+function toStep({depth,inputs},pathAngle){let{bevel,base,guides,tip}=inputs,[offset,cutAngle]=pathAngle?[0,bevel.
+strength]:[bevel.strength,0];return{depth,bevel:{side:bevel.side,roll:bevel.roll,offset,cutAngle},controls:{baseY:base.
+y,baseSlope:base.slope,stageSlope:base.stageSlope,guides,tip}}}var ModelError,RADIANS,DEGREES,UNITS,nameOf,significant,
+rollOf,toSide,wrap,turnOver,init_inputs=__esm({"needlefit/viewer/page/model/inputs.js"(){"use strict";ModelError=
+class extends Error{constructor(what,expected){super(what),this.what=what,this.expected=expected}},RADIANS=Math.
+PI/180,DEGREES=180/Math.PI,UNITS=[["_mm"," mm"],["_deg","°"],["_pa"," Pa"]];nameOf=name=>name.replace(/_(mm|deg|pa)$/,
+"").replaceAll("_"," ");significant=value=>Number(value.toPrecision(6));rollOf=({side,roll:roll2})=>roll2+(side>
+0?0:180),toSide=roll2=>Math.abs(roll2%360)===180?{side:-1,roll:roll2-180}:{side:1,roll:roll2},wrap=roll2=>180-
+((180-roll2)%360+360)%360,turnOver=roll2=>roll2%180?["bevel_roll_deg",null,wrap(roll2+180)]:["bevel_side",null,
+roll2%360?1:-1]}});function makeLaw({terms,tables},shape){if(!terms)return tables.find(([known])=>JSON.stringify(known)===JSON.stringify(
 shape))?.[1]??null;let layers=shape[0]?.length??terms.layers;return Array.from({length:layers},(_,layer)=>terms.
 at_zero.map((value,j)=>{let by=terms.slopes.findIndex(row=>row[j]);return by<0?value:value+shape[by][layer]*terms.
 slopes[by][j]})).flat()}var BEARABLE,SteeredNeedle,init_steered=__esm({"needlefit/viewer/page/model/steered.js"(){
 "use strict";init_needle();init_inputs();BEARABLE="a load that tissue and needle can bear";SteeredNeedle=class _SteeredNeedle{static async begin(kernel,scene){
 let{model,steps:steps2}=scene.simulation;return new _SteeredNeedle(scene,await Session.begin(kernel,model,toInputs(
-steps2[0],model.pathAngle)))}scene;session;rules;shape;names;number;saved;way=null;constructor(scene,session){
-let{shape,steps:steps2,rules}=scene.simulation;Object.assign(this,{scene,session,rules,shape,names:scene.guide_names}),
-Object.assign(this,{number:0,saved:new Map}),this.step={...steps2[0],depth:0},this.keep()}get model(){return this.
-session.model}reach(controls=this.step.controls){let[first]=controls.guides;return this.model.length+(first?.x<
-0?first.x-this.rules.clearance_mm:0)-1e-6}get tipLateral(){return this.session.positions([this.session.shape.depth])[1]}path(){
-return this.session.path().map(one=>toStep(one,this.model.pathAngle))}listWay(){let found=[];for(let one=this.
-way;one;one=one.before)found.push(one);return found.reverse()}keep(){let{step,shape,way}=this;this.saved.has(this.
-number)||this.saved.set(this.number,{step,shape,way,session:this.session.save()})}forget(number3){number3&&this.
-saved.delete(number3)}rewind(){let[[,first]]=this.saved;this.#return(first),Object.assign(this,{number:0,saved:new Map(
-[[0,first]])})}#return({session,...saved}){this.session.restore(session),Object.assign(this,saved)}shapeAfter(changes){
+steps2[0],model.pathAngle)))}way=null;number=0;saved=new Map;constructor(scene,session){let{shape,steps:steps2,
+rules}=scene.simulation;this.scene=scene,this.session=session,this.rules=rules,this.shape=shape,this.names=scene.
+guide_names,this.step={...steps2[0],depth:0},this.keep()}get model(){return this.session.model}reach(controls=this.
+step.controls){let[first]=controls.guides;return this.model.length+(first&&first.x<0?first.x-this.rules.clearance_mm:
+0)-1e-6}get tipLateral(){return this.session.positions([this.session.shape.depth])[1]}path(){return this.session.
+path().map(reached=>toStep(reached,this.model.pathAngle))}listWay(){let ways=[];for(let way=this.way;way;way=way.
+before)ways.push(way);return ways.reverse()}keep(){let{step,shape,way}=this;this.saved.has(this.number)||this.
+saved.set(this.number,{step,shape,way,session:this.session.save()})}forget(number3){number3&&this.saved.delete(
+number3)}rewind(){let[[,first]]=this.saved;this.#return(first),Object.assign(this,{number:0,saved:new Map([[0,
+first]])})}#return({session,...saved}){this.session.restore(session),Object.assign(this,saved)}shapeAfter(changes){
 let shape=this.shape.map(row=>[...row]);for(let[name,item,value]of changes){let row=this.scene.shape_parameters.
-findIndex(one=>one.name===name);row>=0&&(shape[row][item-1]=value)}return shape}apply(changes){for(let[i,change2]of changes.
-entries()){checkChange(change2,this.rules);let[name,item]=change2;if(changes.slice(0,i).some(([one,other])=>one===
-name&&other===item))throw new ModelError(`${name} has two values in one step`,"one value for each input");if(name===
-"return_to"&&changes.length>1)throw new ModelError("return_to stands beside other inputs","a step of its own")}
-if(changes[0]?.[0]==="return_to"){let saved=this.saved.get(changes[0][2]);if(!saved)throw new ModelError(`noth\
-ing was kept of step ${changes[0][2]}`,"a step to return to");this.#return(saved)}else this.#advance(changes),
-this.way={changes,tip:this.tipLateral,before:this.way};this.number+=1}#advance(changes){let parameters=changes.
-filter(([name])=>this.rules.inputs[name].parameter),others=changes.filter(([name])=>!this.rules.inputs[name].parameter);
-if(!parameters.length)return this.#move(others);let{step,shape}=this,before={step,shape,session:this.session.save()};
-try{this.#simulateAgain(parameters),this.#move(others)}catch(error){throw this.#return(before),error}}#simulateAgain(parameters){
-let mu=[...this.model.mu],[offset,angle2]=[null,null];for(let[name,item,value]of parameters){if(item>mu.length)
-throw new ModelError(`there is no layer ${item}`,`one of ${mu.length} layers`);if(name==="mu_pa")mu[item-1]=value*
-1e-6;else if(name==="offset_throughout_mm")offset=value;else if(name==="cut_angle_throughout_deg")angle2=value*
-(Math.PI/180);else if(!this.scene.shape_parameters.some(one=>one.name===name))throw new ModelError(`the tissue\
- law has no ${name}`,"a parameter of the law")}let shape=this.shapeAfter(parameters),law=JSON.stringify(shape)===
-JSON.stringify(this.shape)?this.model.law:makeLaw(this.scene.simulation.law,shape);if(!law)throw new ModelError(
-"the law has not been computed with these parameters","the program");let{pathAngle}=this.model,steps2=this.path().
-map(({bevel,...one})=>({...one,bevel:{...bevel,offset:offset??bevel.offset,cutAngle:angle2??bevel.cutAngle}}));
-if(!this.#guard(()=>this.session.again({...this.model,mu,law},steps2.map(one=>({depth:one.depth,inputs:toInputs(
-one,pathAngle)})))))throw new ModelError(`with these parameters the insertion so far fails ${this.session.depth.
-toFixed(1)} mm deep`,BEARABLE);Object.assign(this,{shape,step:steps2.at(-1)})}#move(changes){let{session}=this,
-{x:x2,u,planes}=session.shape,step=applyChanges(this.step,changes,this.names,[u[x2.length-1],planes>1?u.at(-1):
-0]);if(!changes.length)return;let shape=this.#guard(()=>session.go(step.depth,toInputs(step,this.model.pathAngle)));
-if(session.failed)throw new ModelError(`the model finds no needle there (${shape.status})`,BEARABLE);this.step=
-step}#guard(work){try{return work()}catch(error){throw error instanceof RangeError?new ModelError(error.message,
-`a needle of ${this.model.length} mm, its base before guides and tissue`):error}}}}});function signed(value,digits2){let size2=Math.abs(value).toFixed(digits2);return Number(size2)===0?size2:(value<
+findIndex(one=>one.name===name);row>=0&&item&&(shape[row][item-1]=value)}return shape}apply(changes){for(let[i,
+change2]of changes.entries()){checkChange(change2,this.rules);let[name,item]=change2;if(changes.slice(0,i).some(
+([one,other])=>one===name&&other===item))throw new ModelError(`${name} has two values in one step`,"one value \
+for each input");if(name==="return_to"&&changes.length>1)throw new ModelError("return_to stands beside other i\
+nputs","a step of its own")}if(changes[0]?.[0]==="return_to"){let saved=this.saved.get(changes[0][2]);if(!saved)
+throw new ModelError(`nothing was kept of step ${changes[0][2]}`,"a step to return to");this.#return(saved)}else
+this.#advance(changes),this.way={changes,tip:this.tipLateral,before:this.way};this.number+=1}#advance(changes){
+let parameters=changes.filter(([name])=>this.rules.inputs[name].parameter),others=changes.filter(([name])=>!this.
+rules.inputs[name].parameter);if(!parameters.length)return this.#move(others);let{step,shape}=this,before={step,
+shape,session:this.session.save()};try{this.#simulateAgain(parameters),this.#move(others)}catch(error){throw this.#return(
+before),error}}#simulateAgain(parameters){let mu=[...this.model.mu],[offset,angle2]=[null,null];for(let[name,item,
+value]of parameters){if(item&&item>mu.length)throw new ModelError(`there is no layer ${item}`,`one of ${mu.length}\
+ layers`);if(name==="mu_pa")mu[Number(item)-1]=value*1e-6;else if(name==="offset_throughout_mm")offset=value;else if(name===
+"cut_angle_throughout_deg")angle2=value*(Math.PI/180);else if(!this.scene.shape_parameters.some(one=>one.name===
+name))throw new ModelError(`the tissue law has no ${name}`,"a parameter of the law")}let shape=this.shapeAfter(
+parameters),law=JSON.stringify(shape)===JSON.stringify(this.shape)?this.model.law:makeLaw(this.scene.simulation.
+law,shape);if(!law)throw new ModelError("the law has not been computed with these parameters","the program");let{
+pathAngle}=this.model,steps2=this.path().map(({bevel,...one})=>({...one,bevel:{...bevel,offset:offset??bevel.offset,
+cutAngle:angle2??bevel.cutAngle}}));if(!this.#guard(()=>this.session.again({...this.model,mu,law},steps2.map(one=>({
+depth:one.depth,inputs:toInputs(one,pathAngle)})))))throw new ModelError(`with these parameters the insertion \
+so far fails ${this.session.depth.toFixed(1)} mm deep`,BEARABLE);Object.assign(this,{shape,step:steps2[steps2.
+length-1]})}#move(changes){let{session}=this,{x:x2,u,planes}=session.shape,step=applyChanges(this.step,changes,
+this.names,[u[x2.length-1],planes>1?u[u.length-1]:0]);if(!changes.length)return;let shape=this.#guard(()=>session.
+go(step.depth,toInputs(step,this.model.pathAngle)));if(session.failed)throw new ModelError(`the model finds no\
+ needle there (${shape.status})`,BEARABLE);this.step=step}#guard(work){try{return work()}catch(error){throw error instanceof
+RangeError?new ModelError(error.message,`a needle of ${this.model.length} mm, its base before guides and tissu\
+e`):error}}}}});function signed(value,digits2){let size2=Math.abs(value).toFixed(digits2);return Number(size2)===0?size2:(value<
 0?"−":"+")+size2}function modulusLike(one){let[unit,pascals]=one<1e6?["kPa",1e3]:["MPa",1e6];return{unit,write:(value,digits2=4)=>brief(
 value/pascals,digits2),read:text=>Number(text)*pascals}}function modulus(value){let{unit,write:write2}=modulusLike(
-value);return`${write2(value,3)} ${unit}`}function strengthOf(values){let about="cut_angle_deg"in values?ANGLE:
-OFFSET,[here,throughout]=INPUTS[about.key];return{...about,here,throughout,value:values[about.key]}}function isChanged({
-bevel,layers},{fitted}){let{key,value}=strengthOf(fitted);return!near(bevel[key],value)||layers.some((layer,i)=>Object.
-entries(fitted.layers[i]).some(([name,one])=>!near(layer[name],one)))}function isSteered(state,scene){let{steps:steps2}=scene.
-simulation,{bevel,controls}=steps2.find(({depth})=>depth>=state.depth_mm-1e-6)??steps2.at(-1),{base,guides,tip}=state;
+value);return`${write2(value,3)} ${unit}`}function isSteered(state,scene){let{steps:steps2}=scene.simulation,{
+bevel,controls}=steps2.find(({depth})=>depth>=state.depth_mm-1e-6)??steps2[steps2.length-1],{base,guides,tip}=state;
 return isChanged(state,scene)||state.bevel.roll_deg!==wrap(rollOf(bevel))||tip.held!==!!controls.tip||base.input_y!==
 controls.baseY||base.input_slope!==controls.baseSlope||guides.length!==controls.guides.length||guides.some(({x:x2,
 y:y2},i)=>x2!==controls.guides[i].x||y2!==controls.guides[i].y)}var writeError,listErrors,brief,counted,toDegrees,
-degrees,slope,shortName,OFFSET,ANGLE,INPUTS,describeRoll,near,predictionOf,init_quantities=__esm({"needlefit/v\
-iewer/page/quantities.js"(){"use strict";init_inputs();writeError=(value,unit)=>value===null?"–":unit==="%"?
-brief(value,3):value.toFixed(3),listErrors=(errors,{metrics})=>metrics.map(([name,label2,unit])=>`${label2} ${writeError(
-errors[name],unit)} ${unit}`);brief=(value,digits2=4)=>String(Number(Number(value).toPrecision(digits2))),counted=
-(count2,one)=>`${count2} ${one}${count2===1?"":"s"}`;toDegrees=rotation=>rotation*180/Math.PI,degrees=slope4=>Math.
-atan(slope4)*180/Math.PI,slope=angle2=>Math.tan(Math.min(Math.max(angle2,-90),90)*Math.PI/180),shortName=({item,
-name})=>name&&name!==`guide ${item}`?name:String(item),OFFSET={key:"offset_mm",symbol:"b",unit:"mm",digits:3,step:.005},
-ANGLE={key:"cut_angle_deg",symbol:"θ",unit:"°",digits:2,step:.1},INPUTS={offset_mm:["bevel_offset_mm","offse\
-t_throughout_mm"],cut_angle_deg:["cut_angle_deg","cut_angle_throughout_deg"]};describeRoll=({roll_deg:roll2})=>roll2%
-180?`roll ${brief(roll2).replace("-","−")}°`:roll2?"−y":"+y",near=(one,other)=>Math.abs(one-other)<=1e-9*
-Math.abs(other);predictionOf=(state,scene)=>Math.abs(state.depth_mm-scene.depth_mm)<1e-6&&!isSteered(state,scene)?
-scene.measured?.prediction??null:null}});function listKeys({fitted,shape_parameters:shapes}){let{key,throughout}=strengthOf(fitted),plain={toInput:value=>value,
-unit:1},strength=key==="offset_mm"?{...plain,key:"b",read:({step})=>step.bevel.offset}:{...plain,key:"theta",unit:Math.
-PI/180,read:({step})=>step.bevel.cutAngle},layers=fitted.layers.flatMap((_,i)=>[{key:`mu${i+1}`,input:"mu_pa",
-item:i+1,toInput:value=>value*1e3,unit:.001,read:({model})=>model.mu[i]},...shapes.map(({name},row)=>({...plain,
-key:`${name}${i+1}`,input:name,item:i+1,read:({shape})=>shape[row][i]}))]);return[{...strength,input:throughout,
-item:null},...layers]}function listLost({scene:{simulation:{steps:[first]}},step},path2){let all=[...path2,step],
-differs=read=>all.some(one=>!same(read(one.controls),read(first.controls)));return[[differs(({baseY})=>baseY),
-"the base, which was moved"],[differs(({baseSlope})=>baseSlope),"the base, which was turned"],[differs(({guides})=>guides.
-map(({x:x2,y:y2,slope:slope4})=>[x2,y2,slope4])),"the guides"],[differs(({tip})=>tip&&[tip.y,tip.slope]),"the \
-tip, which was held"],[all.some(({bevel})=>bevel.offset!==step.bevel.offset||bevel.cutAngle!==step.bevel.cutAngle),
-"b, which changed on the way"]].filter(([is])=>is).map(([,words])=>words)}async function writeAddress(kernel,steered,name=null){
-let{scene,step}=steered,path2=steered.path(),lost=listLost(steered,path2);if(lost.length)return{lost};let rolls=path2.
-map(({bevel})=>wrap(rollOf(bevel))),values=new URLSearchParams(name===null?{}:{needle:name});values.set("depth",
-step.depth),values.set("roll",rolls.at(-1));let turns=path2.slice(0,-1).map(({depth},i)=>{let by=shorten(wrap(
-rolls[i+1]-rolls[i]));return by===180?depth:`${depth}:${by}`});turns.length&&values.set("turn",turns.join(","));
-let{model,shape,steps:[first]}=scene.simulation;for(let{key,item,unit,read}of listKeys(scene)){let value=read(
-steered);item&&value===read({model,shape,step:first})||values.set(key,String(shorten(value/unit)))}let address=values.
-toString().replaceAll("%2C",",").replaceAll("%3A",":");return await leadsTo(kernel,address,steered)?{address}:
-{lost:["the path"]}}async function leadsTo(kernel,address,steered){let other=await SteeredNeedle.begin(kernel,
-steered.scene);try{for(let changes of readAddress(address,steered.scene))other.apply(changes)}catch(error){if(!(error instanceof
-ModelError))throw error;return!1}let{depth}=steered.step,points=({session})=>readPoints(session,Array.from({length:POINTS2},
-(_,i)=>depth*i/(POINTS2-1))),[found,wanted]=[other,steered].map(points);return found.every((point2,i)=>Math.hypot(
-...point2.map((one,axis)=>one-wanted[i][axis]))<SAME)}function readAddress(address,scene){let values=new URLSearchParams(
-address),keys=listKeys(scene),known=["needle","depth","roll","turn",...keys.map(({key})=>key)],number3=(key,text,low=-1/0)=>{
-let value=Number(text);if(text.trim()!==""&&Number.isFinite(value)&&value>=low)return value;throw new ModelError(
-`the address has ${key}=${text}`,low<0?"a number":`a number, ${low} or above`)};for(let key of values.keys())if(!known.
-includes(key))throw new ModelError(`the address has ${key}`,known.join(", "));let doubled=[...values.keys()].find(
-key=>values.getAll(key).length>1);if(doubled)throw new ModelError(`the address has ${doubled} more than once`,
-"each key once");if(!values.has("depth")){if([...values.keys()].some(key=>key!=="needle"))throw new ModelError(
-"the address has no depth","depth=, in mm");return[]}let[first]=scene.simulation.steps,depth=number3("depth",values.
-get("depth"),0),turns=(values.get("turn")??"").split(",").filter(Boolean).map(text=>{let[at,by="180"]=text.split(
-":");return{at:number3("turn",at,0),by:number3("turn",by)}});if(!turns.every(({at},i)=>at>0&&at>=(turns[i-1]?.
-at??0)&&at<=depth))throw new ModelError(`the address has turn=${values.get("turn")}`,`increasing depths, up to\
- ${depth} mm`);let roll2=values.has("roll")?number3("roll",values.get("roll")):rollOf(first.bevel),after=turns.
-toReversed().map(({by})=>{let end=roll2;return roll2=wrap(roll2-by),end}).reverse(),inputs=keys.filter(({key})=>values.
-has(key)).map(({key,input,item,toInput})=>[input,item,toInput(number3(key,values.get(key)))]),lists=[ANEW,[["b\
-evel_roll_deg",null,roll2],...inputs]];return turns.forEach(({at},i)=>lists.push([["depth_mm",null,at]],[["bev\
-el_roll_deg",null,after[i]]])),[...lists,[["depth_mm",null,depth]]]}function writeRecording(head,steered){let rows=steered.
-listWay().flatMap(({changes,tip},i)=>changes.map(([name,item,value],n)=>`${i+1},${(i/10).toFixed(4)},${name},${item??
-""},${value},${n===changes.length-1?tip:""}`));return`${head}${rows.join(`
+degrees,slope,shortName,OFFSET,ANGLE,strengthOf,describeRoll,near,isChanged,predictionOf,init_quantities=__esm(
+{"needlefit/viewer/page/quantities.js"(){"use strict";init_inputs();writeError=(value,unit)=>value===null?"–":
+unit==="%"?brief(value,3):value.toFixed(3),listErrors=(errors,{metrics})=>metrics.map(([name,label2,unit])=>`${label2}\
+ ${writeError(errors[name],unit)} ${unit}`);brief=(value,digits2=4)=>String(Number(value.toPrecision(digits2))),
+counted=(count2,one)=>`${count2} ${one}${count2===1?"":"s"}`;toDegrees=rotation=>rotation*180/Math.PI,degrees=
+slope4=>Math.atan(slope4)*180/Math.PI,slope=angle2=>Math.tan(Math.min(Math.max(angle2,-90),90)*Math.PI/180),shortName=
+({item,name})=>name&&name!==`guide ${item}`?name:String(item),OFFSET={symbol:"b",unit:"mm",digits:3,step:.005,
+here:"bevel_offset_mm",throughout:"offset_throughout_mm"},ANGLE={symbol:"θ",unit:"°",digits:2,step:.1,here:"\
+cut_angle_deg",throughout:"cut_angle_throughout_deg"},strengthOf=({offset_mm:offset,cut_angle_deg:angle2})=>angle2===
+void 0?{...OFFSET,value:offset??0}:{...ANGLE,value:angle2},describeRoll=({roll_deg:roll2})=>roll2%180?`roll ${brief(
+roll2).replace("-","−")}°`:roll2?"−y":"+y",near=(one,other)=>Math.abs(one-other)<=1e-9*Math.abs(other),isChanged=
+({bevel,layers},{fitted})=>!near(strengthOf(bevel).value,strengthOf(fitted).value)||layers.some((layer,i)=>Object.
+entries(fitted.layers[i]).some(([name,one])=>!near(layer[name],one))),predictionOf=(state,scene)=>Math.abs(state.
+depth_mm-scene.depth_mm)<1e-6&&!isSteered(state,scene)?scene.measured?.prediction??null:null}});function listKeys({fitted,shape_parameters:shapes}){let{throughout,symbol}=strengthOf(fitted);return[symbol===
+"b"?makeKey("b",throughout,null,1,1,({step})=>step.bevel.offset):makeKey("theta",throughout,null,1,Math.PI/180,
+({step})=>step.bevel.cutAngle),...fitted.layers.flatMap((_,i)=>[makeKey(`mu${i+1}`,"mu_pa",i+1,1e3,.001,({model})=>model.
+mu[i]),...shapes.map(({name},row)=>makeKey(`${name}${i+1}`,name,i+1,1,1,({shape})=>shape[row][i]))])]}async function writeAddress(kernel,steered,name=null){
+let{scene,step}=steered,path2=steered.path(),rolls=path2.map(({bevel})=>wrap(rollOf(bevel))),values=new URLSearchParams(
+name===null?{}:{needle:name});values.set("depth",String(step.depth)),values.set("roll",String(rolls.at(-1)));let turns=path2.
+slice(0,-1).map(({depth},i)=>{let by=shorten(wrap(rolls[i+1]-rolls[i]));return by===180?depth:`${depth}:${by}`});
+turns.length&&values.set("turn",turns.join(","));let{model,shape,steps:[first]}=scene.simulation;for(let{key,item,
+toModel,read}of listKeys(scene)){let value=read(steered);(!item||value!==read({model,shape,step:first}))&&values.
+set(key,String(shorten(value/toModel)))}let address=values.toString().replaceAll("%2C",",").replaceAll("%3A","\
+:");return await leadsTo(kernel,address,steered)?address:null}async function leadsTo(kernel,address,steered){let other=await SteeredNeedle.
+begin(kernel,steered.scene);try{for(let changes of readAddress(address,steered.scene))other.apply(changes)}catch(error){
+if(!(error instanceof ModelError))throw error;return!1}let s2=Array.from({length:POINTS2},(_,i)=>steered.step.
+depth*i/(POINTS2-1)),[reached,wanted]=[other,steered].map(({session})=>readPoints(session,s2));return reached.
+every((point2,i)=>Math.hypot(...point2.map((value,axis)=>value-wanted[i][axis]))<SAME)}function readAddress(address,scene){
+let values=new URLSearchParams(address),keys=listKeys(scene),known=["needle","depth","roll","turn",...keys.map(
+({key})=>key)],number3=(key,text,low=-1/0)=>{let value=Number(text);if(text?.trim()&&Number.isFinite(value)&&value>=
+low)return value;throw new ModelError(`the address has ${key}=${text}`,low<0?"a number":`a number, ${low} or a\
+bove`)};for(let key of values.keys())if(!known.includes(key))throw new ModelError(`the address has ${key}`,known.
+join(", "));let doubled=[...values.keys()].find(key=>values.getAll(key).length>1);if(doubled)throw new ModelError(
+`the address has ${doubled} more than once`,"each key once");if(!values.has("depth")){if([...values.keys()].some(
+key=>key!=="needle"))throw new ModelError("the address has no depth","depth=, in mm");return[]}let[first]=scene.
+simulation.steps,depth=number3("depth",values.get("depth"),0),turns=(values.get("turn")??"").split(",").filter(
+Boolean).map(text=>{let[at,by="180"]=text.split(":");return{at:number3("turn",at,0),by:number3("turn",by)}});if(!turns.
+every(({at},i)=>at>0&&at>=(turns[i-1]?.at??0)&&at<=depth))throw new ModelError(`the address has turn=${values.
+get("turn")}`,`increasing depths, up to ${depth} mm`);let roll2=values.has("roll")?number3("roll",values.get("\
+roll")):rollOf(first.bevel),after=turns.toReversed().map(({by})=>{let end=roll2;return roll2=wrap(roll2-by),end}).
+reverse(),inputs=keys.filter(({key})=>values.has(key)).map(({key,input,item,toInput})=>[input,item,toInput*number3(
+key,values.get(key))]),lists=[[["return_to",null,0]],[["bevel_roll_deg",null,roll2],...inputs]];return turns.forEach(
+({at},i)=>lists.push([["depth_mm",null,at]],[["bevel_roll_deg",null,after[i]]])),[...lists,[["depth_mm",null,depth]]]}
+function writeRecording(head,steered){let rows=steered.listWay().flatMap(({changes,tip},i)=>changes.map(([name,
+item,value],n)=>`${i+1},${(i/10).toFixed(4)},${name},${item??""},${value},${n===changes.length-1?tip:""}`));return`${head}${rows.
+join(`
 `)}
-`}var ANEW,POINTS2,SAME,DIGITS,same,shorten,nameIn,init_address=__esm({"needlefit/viewer/page/address.js"(){"u\
-se strict";init_errors();init_inputs();init_steered();init_quantities();ANEW=[["return_to",null,0]],POINTS2=21,
-SAME=1e-6,DIGITS=12,same=(one,other)=>JSON.stringify(one)===JSON.stringify(other);shorten=value=>Number(value.
-toPrecision(DIGITS));nameIn=address=>new URLSearchParams(address).get("needle")}});function listen(kind,hear2){listeners.has(kind)||listeners.set(kind,[]),listeners.get(kind).push(hear2)}function publish(kind,message){
-for(let hear2 of listeners.get(kind)??[])hear2(message)}function take(message){message.kind==="scene"?Object.assign(
-now,{scene:message,band:null}):message.kind==="band"?now.band=message.x.length?message:null:now[message.kind]=
-message,publish(message.kind,message)}var now,listeners,redraw,init_store=__esm({"needlefit/viewer/page/store.\
-js"(){"use strict";now={replay:null,band:null,pinned:null,labels:[],avoided:[],shown:{measured:!0,band:!0,plan:!0,
-pinned:!0,errors:!1,points:!1,path:!1,load:!1,inset:!1}};Object.assign(window,{needlefit:now});listeners=new Map;
-redraw=()=>publish("redraw")}});function computeBands(worker,kernel,current){let ordered="";worker.postMessage({kernel});function describeNeedle(){
-let{name,steered}=current(),{model}=steered,steps2=steered.path().map(one=>({depth:one.depth,inputs:toInputs(one,
-model.pathAngle)}));return{id:{needle:name,step:now.state.step},model,steps:steps2}}function order(){if(!now.state)
-return;let about=JSON.stringify([current().name,now.state.step]);ordered!==about&&(ordered=about,worker.postMessage(
-describeNeedle()))}function send(){ordered="",worker.postMessage({draws:now.scene.draws,steps:null}),order()}worker.
-onmessage=({data:{id,band}})=>{id.needle===current().name&&take(band?{kind:"band",step:id.step,...band}:NONE)},
-listen("scene",send),listen("drawn",order)}var NONE,init_bands=__esm({"needlefit/viewer/page/bands.js"(){"use \
-strict";init_inputs();init_store();NONE={kind:"band",x:[]}}});function write(id,text){let place=typeof id=="string"?part(id):id;place.textContent!==text&&(place.textContent=
+`}var POINTS2,SAME,DIGITS,makeKey,shorten,nameIn,init_address=__esm({"needlefit/viewer/page/address.js"(){"use\
+ strict";init_errors();init_inputs();init_steered();init_quantities();POINTS2=21,SAME=1e-6,DIGITS=12,makeKey=(key,input,item,toInput,toModel,read)=>({
+key,input,item,toInput,toModel,read});shorten=value=>Number(value.toPrecision(DIGITS));nameIn=address=>new URLSearchParams(
+address).get("needle")}});function publish(kind,message){for(let hear2 of listeners[kind]??[])hear2(message)}function take(kind,message){
+Object.assign(now,{[kind]:message}),publish(kind,message)}var now,listeners,listen,redraw,init_store=__esm({"n\
+eedlefit/viewer/page/store.js"(){"use strict";now={replay:null,band:null,pinned:null,labels:[],avoided:[],shown:{
+measured:!0,band:!0,plan:!0,pinned:!0,errors:!1,points:!1,path:!1,load:!1,inset:!1}};Object.assign(window,{needlefit:now});
+listeners={},listen=(kind,hear2)=>(listeners[kind]??=[]).push(hear2);redraw=()=>publish("redraw")}});function computeBands(worker){let ordered="";worker.postMessage({kernel:now.data.kernel});let about=()=>({needle:now.
+data.needles.indexOf(now.needle),step:now.state.step});function order(){if(!now.state||ordered===JSON.stringify(
+about()))return;ordered=JSON.stringify(about());let{model}=now.steered,steps2=now.steered.path().map(step=>({depth:step.
+depth,inputs:toInputs(step,model.pathAngle)}));worker.postMessage({id:about(),model,steps:steps2})}worker.onmessage=
+({data:{id,band}})=>{id.needle===about().needle&&take("band",band&&{step:id.step,...band})},listen("scene",({draws})=>{
+ordered="",worker.postMessage({draws,steps:null})}),listen("drawn",order)}var init_bands=__esm({"needlefit/vie\
+wer/page/bands.js"(){"use strict";init_inputs();init_store()}});function write(id,text){let place=typeof id=="string"?part(id):id;place.textContent!==text&&(place.textContent=
 text)}function element(tag,properties={},...contents){let made2=Object.assign(document.createElement(tag),properties);
-return made2.append(...contents.flat()),made2}function button(text,act,properties={}){let made2=element("butto\
-n",{type:"button",...properties},text);return press(made2,act),made2}function hand(blob,name){let link=element(
-"a",{href:URL.createObjectURL(blob),download:name});link.click(),setTimeout(()=>URL.revokeObjectURL(link.href),
-1e4)}function colour(name,paper){let both=getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).
-match(/#\w+/g)??[""];return both[dark.matches&&!paper?both.length-1:0]}var part,press,entry,dark,onScheme,getContext,
-init_dom=__esm({"needlefit/viewer/page/dom.js"(){"use strict";part=id=>document.getElementById(id);press=(id,act)=>(typeof id==
-"string"?part(id):id).addEventListener("click",act);entry=(term,value)=>element("div",{},element("dt",{},term),
-element("dd",{},value));dark=matchMedia("(prefers-color-scheme: dark)"),onScheme=act=>dark.addEventListener("c\
-hange",act),getContext=canvas2=>canvas2.getContext("2d",{alpha:!1})}});function ascending(a2,b){return a2==null||b==null?NaN:a2<b?-1:a2>b?1:a2>=b?0:NaN}function descending(a2,b){return a2==
+return made2.append(...contents.flat()),made2}function hand(blob,name){let link=element("a",{href:URL.createObjectURL(
+blob),download:name});link.click(),setTimeout(()=>URL.revokeObjectURL(link.href),1e4)}function colour(name,paper){
+let both=getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).match(/#\w+/g)??[""];return both[dark.
+matches&&!paper?both.length-1:0]}var part,press,entry,dark,onScheme,getContext,init_dom=__esm({"needlefit/view\
+er/page/dom.js"(){"use strict";part=id=>document.getElementById(id);press=(id,act)=>(typeof id=="string"?part(
+id):id).addEventListener("click",act),entry=(term,value)=>element("div",{},element("dt",{},term),element("dd",
+{},value));dark=matchMedia("(prefers-color-scheme: dark)"),onScheme=act=>dark.addEventListener("change",act),getContext=
+canvas2=>canvas2.getContext("2d",{alpha:!1})}});function ascending(a2,b){return a2==null||b==null?NaN:a2<b?-1:a2>b?1:a2>=b?0:NaN}function descending(a2,b){return a2==
 null||b==null?NaN:b<a2?-1:b>a2?1:b>=a2?0:NaN}function bisector(f){let compare1,compare2,delta;f.length!==2?(compare1=
 ascending,compare2=(d,x2)=>ascending(f(d),x2),delta=(d,x2)=>f(d)-x2):(compare1=f===ascending||f===descending?f:
 zero,compare2=f,delta=f);function left(a2,x2,lo=0,hi=a2.length){if(lo<hi){if(compare1(x2,x2)!==0)return hi;do{
@@ -904,10 +876,10 @@ ewer/page/painters/background.js"(){"use strict";init_d3_array();init_quantities
 init_strokes();APART=8,TICK=5,TICKS_APART=60,QUARTER=Math.PI/2;written2=value=>brief(value,6).replace("-","−")}});function computeValidity(shape,{boundaries,thickness,spacing}){let{x:x2,u,slope:slope4,planes,track}=shape,last4=x2.
 length-1,bent=Array.from({length:planes},(_,p)=>[u,slope4].map(one=>one.subarray(p*x2.length,(p+1)*x2.length))),
 cubics=bent.map(()=>[0,0,0]),[rotations,missed]=[bent.map(()=>0),bent.map(()=>0)],rotate=t=>(cubics.forEach(([
-begin3,bend,curl],p)=>rotations[p]=begin3+t*(bend+t*curl)),measure2(rotations)),steepest=0,shortening=0,miss=0;
+begin2,bend,curl],p)=>rotations[p]=begin2+t*(bend+t*curl)),measure2(rotations)),steepest=0,shortening=0,miss=0;
 for(let i=0;i<=last4;i+=1)steepest=Math.max(steepest,measure2(bent.map(([,one])=>one[i])));for(let i=0;i<last4;i+=
-1){let step=x2[i+1]-x2[i];bent.forEach(([v,rotation],p)=>{let mean2=(v[i+1]-v[i])/step,begin3=rotation[i],end=rotation[i+
-1];cubics[p]=[begin3,6*mean2-4*begin3-2*end,3*(begin3+end)-6*mean2]});let[[,bend,curl]]=cubics,inside=planes>1?
+1){let step=x2[i+1]-x2[i];bent.forEach(([v,rotation],p)=>{let mean2=(v[i+1]-v[i])/step,begin2=rotation[i],end=rotation[i+
+1];cubics[p]=[begin2,6*mean2-4*begin2-2*end,3*(begin2+end)-6*mean2]});let[[,bend,curl]]=cubics,inside=planes>1?
 [.25,.5,.75]:[Math.abs(curl)>1e-12?-.5*bend/curl:0];for(let at of inside)at>0&&at<1&&(steepest=Math.max(steepest,
 rotate(at)));for(let[t,weight]of GAUSS){let angle2=rotate(t);shortening+=step*weight*2*Math.sin(angle2/2)**2,x2[i]<
 -1e-9&&angle2&&rotations.forEach((one,p)=>missed[p]+=step*weight*one*(1-Math.sin(angle2)/angle2))}miss=Math.max(
@@ -927,15 +899,15 @@ length>1?Math.sqrt(parts[0]**2+parts[1]**2):Math.abs(parts[0]);listFaults=(valid
 limit])=>!(validity[name]<=limit)).map(([name,limit,words])=>{let unit=name.endsWith("_mm")?" mm":"";return`${words}\
  ${Number(validity[name].toPrecision(3))}${unit} (limit ${limit}${unit})`})}});function describeState(steered){let{scene,session,step,model,names,rules}=steered,{shape}=session,{controls,bevel}=step,
 validity=computeValidity(shape,model),[x2,y2,z=null]=columns(session.positions(listStations(shape)),1+shape.planes),
-last4=shape.x.length-1,roll2=wrap(rollOf(bevel));return{kind:"state",step:steered.number,depth_mm:step.depth,x:x2,
-y:y2,z,...placePoints(session),base:{x:x2[0],y:y2[0],rotation:shape.slope[0],input_y:controls.baseY,input_slope:controls.
-baseSlope},guides:controls.guides.map(({name,x:x3,y:y3,slope:slope4})=>({item:guideNumber(name,names),name,x:x3,
-y:y3,slope:slope4??0,turns_freely:slope4===null})),tip:{x:x2.at(-1),y:y2.at(-1),z:z&&z.at(-1),rotation:shape.slope[last4],
-lateral_mm:y2.at(-1),held:controls.tip!==null,input_y:shape.u[last4]},bevel:{side:Math.abs(roll2)>90?-1:1,roll_deg:roll2,
-...describeStrength(bevel,model)},layers:model.mu.map((mu,layer)=>({mu_pa:mu*1e6,...Object.fromEntries(scene.shape_parameters.
-map(({name},row)=>[name,steered.shape[row][layer]]))})),max_slope:validity.max_slope,faults:listFaults(validity,
-rules.validity),errors:scene.measured&&computeErrors(session,scene.measured)}}function placePoints(session){let{
-planes,constraints,track}=session.shape,cut=columns(constraints,1+planes),[x2,...needle]=columns(session.positions(
+last4=shape.x.length-1,roll2=wrap(rollOf(bevel));return{step:steered.number,depth_mm:step.depth,x:x2,y:y2,z,...placePoints(
+session),base:{x:x2[0],y:y2[0],rotation:shape.slope[0],input_y:controls.baseY,input_slope:controls.baseSlope},
+guides:controls.guides.map(({name,x:x3,y:y3,slope:slope4})=>({item:guideNumber(name,names),name,x:x3,y:y3,slope:slope4??
+0,turns_freely:slope4===null})),tip:{x:x2[x2.length-1],y:y2[y2.length-1],z:z&&z[z.length-1],rotation:shape.slope[last4],
+lateral_mm:y2[y2.length-1],held:controls.tip!==null,input_y:shape.u[last4]},bevel:{side:Math.abs(roll2)>90?-1:
+1,roll_deg:roll2,...describeStrength(bevel,model)},layers:model.mu.map((mu,layer)=>({mu_pa:mu*1e6,...Object.fromEntries(
+scene.shape_parameters.map(({name},row)=>[name,steered.shape[row][layer]]))})),max_slope:validity.max_slope,faults:listFaults(
+validity,rules.validity),errors:scene.measured&&computeErrors(session,scene.measured)}}function placePoints(session){
+let{planes,constraints,track}=session.shape,cut=columns(constraints,1+planes),[x2,...needle]=columns(session.positions(
 cut[0]),1+planes),gaps=columns(listGaps(session.shape).flat(),planes),tip=columns(track,2*planes),points=needle.
 map((row,p)=>row.map((place,i)=>place-gaps[p][i])),path2=points.map((row,p)=>row.map((place,i)=>place+tip[2*p][i]-
 cut[1+p][i])),curve=([y2,z])=>({x:x2,y:y2,z});return{constraints:curve(points),tip_path:curve(path2)}}function describeLoad({
@@ -1016,29 +988,29 @@ quiet});let place=i=>[frame2.left+INSET.edge+(x2[i]-first+thick/2)*scale,frame2.
 isBandNear,init_overlay=__esm({"needlefit/viewer/page/painters/overlay.js"(){"use strict";init_d3_array();init_quantities();
 init_sheet();init_store();init_view();init_strokes();GAPS=12,FAN=.3,CROSS2=5,DOT=4,AWAY=19,BAND_REACH=2,INSET=
 {width:.3,height:.25,edge:10,title:16};isTip=({x:x2})=>x2.length===1;isBandNear=({x:x2},state)=>x2.length>0&&Math.
-abs(x2[x2.length-1]-state.tip.x)<=BAND_REACH}});function listShown(){let{state,shown:shown2,scene,band,pinned}=now;return{state,band:shown2.band&&band&&isBandNear(
-band,state)?band:null,measured:shown2.measured?scene.measured:null,pinned:shown2.pinned?pinned:null}}function paintCurves(sheet,{
-state,band,measured,pinned},below=()=>{},above=()=>{}){let{shown:shown2}=now;sheet.within(view.box,()=>{paintTissue(
-sheet),band&&paintBand(sheet,band,band.step!==state.step),below(),pinned&&paintPinned(sheet,pinned),paintNeedle(
-sheet,state),shown2.path&&paintPath(sheet,state),shown2.points&&paintPoints(sheet,state),measured&&paintMeasured(
-sheet,measured),above()})}function begin(sheet,[width,height]){sheet.path(`M0,0h${width}v${height}h${-width}Z`,
-{fill:palette.gutter}),clearLabels()}function paintPicture(sheet,size2){let{shown:shown2,scene:{plan}}=now,seen=listShown(),
-{state,band,measured,pinned}=seen;begin(sheet,size2);for(let curve of[state,measured,pinned])curve&&avoid(placesOf(
-curve.x,curve.y));paintCurves(sheet,seen,()=>{shown2.load&&!state.faults.length&&paintLoad(sheet),shown2.plan&&
-plan&&paintPlan(sheet,plan)},()=>{paintPrediction(sheet,state),measured&&shown2.errors&&paintGaps(sheet,state,
-measured),paintGuides(sheet,state),paintBase(sheet,state),(measured||pinned)&&nameNeedle(sheet,state),band&&nameBand(
-sheet,band),shown2.inset&&paintInset(sheet,state)}),paintAxes(sheet)}function paintAbove(sheet,[width,height]){
-let{state,band,measured,pinned}=listShown();begin(sheet,[width,height]);let seen={state:{...turn(state),constraints:turn(
-state.constraints),tip_path:turn(state.tip_path),bevel:{...state.bevel,side:Math.sin(state.bevel.roll_deg*Math.
-PI/180)<0?-1:1}},band:band?.z?{...band,...band.z}:null,measured:measured&&turn(measured),pinned:pinned&&turn(pinned)},
-heights2=[seen.state,seen.measured,seen.pinned].flatMap(curve=>curve?.y??[]),[low,high]=extent([...heights2,...seen.
-band?[...seen.band.low,...seen.band.high]:[],0]),box={...view.box,top:EDGE,height:height-2*EDGE},magnified=Math.
-min(view.magnified,(box.height-2*ROOM2)/(view.scale*(high-low||1)));look({y:(low+high)/2,box,magnified},()=>{paintCurves(
-sheet,seen,void 0,()=>label(sheet,"from above",[box.left+6,EDGE+10],{align:"start"})),paintFrame(sheet,magnified===
-1?"z (mm)":`z (mm), drawn ${brief(magnified,2)}×`)})}var EDGE,ROOM2,isSpatial,turn,init_picture=__esm({"needl\
-efit/viewer/page/painters/picture.js"(){"use strict";init_d3_array();init_quantities();init_store();init_view();
-init_background();init_needle2();init_overlay();init_strokes();[EDGE,ROOM2]=[8,14],isSpatial=()=>!!(now.state?.
-z??now.scene?.measured?.compared==="space");turn=curve=>({...curve,y:curve.z??curve.x.map(()=>0)})}});function makeSheet(on){let[width,height]=[on.clientWidth,on.clientHeight].map(one=>Math.round(one*devicePixelRatio));
+abs(x2[x2.length-1]-state.tip.x)<=BAND_REACH}});function listShown(){let{state,shown,scene,band,pinned}=now;return{state,band:shown.band&&band&&isBandNear(band,
+state)?band:null,measured:shown.measured?scene.measured:null,pinned:shown.pinned?pinned:null}}function paintCurves(sheet,{
+state,band,measured,pinned},below=()=>{},above=()=>{}){let{shown}=now;sheet.within(view.box,()=>{paintTissue(sheet),
+band&&paintBand(sheet,band,band.step!==state.step),below(),pinned&&paintPinned(sheet,pinned),paintNeedle(sheet,
+state),shown.path&&paintPath(sheet,state),shown.points&&paintPoints(sheet,state),measured&&paintMeasured(sheet,
+measured),above()})}function begin(sheet,[width,height]){sheet.path(`M0,0h${width}v${height}h${-width}Z`,{fill:palette.
+gutter}),clearLabels()}function paintPicture(sheet,size2){let{shown,scene:{plan}}=now,seen=listShown(),{state,
+band,measured,pinned}=seen;begin(sheet,size2);for(let curve of[state,measured,pinned])curve&&avoid(placesOf(curve.
+x,curve.y));paintCurves(sheet,seen,()=>{shown.load&&!state.faults.length&&paintLoad(sheet),shown.plan&&plan&&paintPlan(
+sheet,plan)},()=>{paintPrediction(sheet,state),measured&&shown.errors&&paintGaps(sheet,state,measured),paintGuides(
+sheet,state),paintBase(sheet,state),(measured||pinned)&&nameNeedle(sheet,state),band&&nameBand(sheet,band),shown.
+inset&&paintInset(sheet,state)}),paintAxes(sheet)}function paintAbove(sheet,[width,height]){let{state,band,measured,
+pinned}=listShown();begin(sheet,[width,height]);let seen={state:{...turn(state),constraints:turn(state.constraints),
+tip_path:turn(state.tip_path),bevel:{...state.bevel,side:Math.sin(state.bevel.roll_deg*Math.PI/180)<0?-1:1}},band:band?.
+z?{...band,...band.z}:null,measured:measured&&turn(measured),pinned:pinned&&turn(pinned)},heights2=[seen.state,
+seen.measured,seen.pinned].flatMap(curve=>curve?.y??[]),[low,high]=extent([...heights2,...seen.band?[...seen.band.
+low,...seen.band.high]:[],0]),box={...view.box,top:EDGE,height:height-2*EDGE},magnified=Math.min(view.magnified,
+(box.height-2*ROOM2)/(view.scale*(high-low||1)));look({y:(low+high)/2,box,magnified},()=>{paintCurves(sheet,seen,
+void 0,()=>label(sheet,"from above",[box.left+6,EDGE+10],{align:"start"})),paintFrame(sheet,magnified===1?"z (\
+mm)":`z (mm), drawn ${brief(magnified,2)}×`)})}var EDGE,ROOM2,isSpatial,turn,init_picture=__esm({"needlefit/v\
+iewer/page/painters/picture.js"(){"use strict";init_d3_array();init_quantities();init_store();init_view();init_background();
+init_needle2();init_overlay();init_strokes();[EDGE,ROOM2]=[8,14],isSpatial=()=>!!(now.state?.z??now.scene?.measured?.
+compared==="space");turn=curve=>({...curve,y:curve.z??curve.x.map(()=>0)})}});function makeSheet(on){let[width,height]=[on.clientWidth,on.clientHeight].map(one=>Math.round(one*devicePixelRatio));
 (on.width!==width||on.height!==height)&&Object.assign(on,{width,height});let context=getContext(on);return context.
 setTransform(devicePixelRatio,0,0,devicePixelRatio,0,0),new Screen(context)}function draw(){if(frame=0,now.state){
 let above=part("above");above.hidden=!isSpatial(),above.hidden||paintAbove(makeSheet(above),[above.clientWidth,
@@ -1055,56 +1027,55 @@ offsetY-last[1]),last=[offsetX,offsetY]});canvas.addEventListener("wheel",event=
 offsetY]))},{passive:!1});canvas.addEventListener("dblclick",()=>fit("tissue"))}});async function unpack(id){let bytes=Uint8Array.from(atob(part(id).textContent),one=>one.charCodeAt(0)),stream=new Blob(
 [bytes]).stream().pipeThrough(new DecompressionStream("deflate-raw"));return new Response(stream).arrayBuffer()}
 async function load(){let[data,kernel]=await Promise.all([unpack("data"),unpack("kernel").then(compile)]),{lists,
-...read}=JSON.parse(new TextDecoder().decode(data)),resolve=value=>Array.isArray(value?.$)||Number.isInteger(value?.
-$)?lists[value.$]:value;for(let{scene}of read.needles)if(scene.draws)for(let name of["mu","law","strength"])scene.
-draws[name]=resolve(scene.draws[name]);return{...read,kernel}}function insert(steered){for(let changes of steered.
-scene.simulation.changes)steered.apply(changes)}function compareStored(steered,{errors:known,tip},same2){if(!known)
-return Math.abs(steered.tipLateral-tip);let{target,stored}=steered.scene.measured,[points]=readTarget(steered.
-session,target),found=computeErrors(steered.session,steered.scene.measured),errors=Object.keys(known).map(name=>Math.
-abs(known[name]-found[name]));return Math.max(...points.flatMap((point2,i)=>["x","y","z"].map((axis,n)=>Math.abs(
-point2[n]-stored[axis][i]))),...errors.filter(one=>one>same2))}async function prove({needles,kernel},same2){let[
-count2,largest,since]=[0,0,performance.now()],rest=async()=>{performance.now()-since<SLICE||(await new Promise(
-done=>setTimeout(done)),since=performance.now())};for(let needle of needles){let compare=distance2=>{count2+=1,
-largest=Math.max(largest,distance2)};try{let steered=await begin2(kernel,needle);if(needle.recording){let replay=new Replay(
-steered,needle.recording);for(let n=1;n<=needle.recording.length;n+=1)replay.to(n),compare(Math.abs(steered.tipLateral-
-needle.recording[n-1][2])),await rest()}else{if(insert(steered),needle.tip===null)continue;compare(compareStored(
-steered,needle,same2))}}catch(error){if(!(error instanceof ModelError))throw error;compare(NaN)}await rest()}return{
-count:count2,largest}}var SLICE,begin2,Replay,init_stored=__esm({"needlefit/viewer/page/stored.js"(){"use stri\
-ct";init_needle();init_dom();init_errors();init_inputs();init_steered();SLICE=12;begin2=(kernel,{scene})=>SteeredNeedle.
-begin(kernel,scene);Replay=class{steered;steps;at;changed;last;places=[];unit="s";constructor(steered,steps2){
-Object.assign(this,{steered,steps:steps2,at:0,changed:!1,last:new Map}),this.steps.forEach(([,changes],i)=>{for(let[
-name,,value]of changes)name==="return_to"&&this.last.set(value,i+1)})}to(n){for((this.changed||n<this.at)&&(this.
-steered.rewind(),Object.assign(this,{at:0,changed:!1}));this.at<n;)this.#next()}#next(){let[,changes]=this.steps[this.
-at];this.steered.apply(changes),this.at+=1,this.last.has(this.at)&&this.steered.keep();for(let[name,,value]of changes)
-name==="return_to"&&this.last.get(value)===this.at&&this.steered.forget(value)}}}});function refuse(error,below=part("flip").parentElement){if(!error.what)throw error;below.after(refusal),write(
-refusal,`${error.what}. Expected: ${error.expected}.`)}function show(){steps+=1,part("undo").disabled=!past.length,
-part("redo").disabled=!future.length,take({...describeState(now.steered),step:steps,kind:"state"})}function forgetPast(){
+...read}=JSON.parse(new TextDecoder().decode(data));for(let{scene:{draws}}of read.needles)for(let name in draws)
+draws[name]=lists[draws[name]?.$]??draws[name];return{...read,kernel}}function insert(steered){for(let changes of steered.
+scene.simulation.changes)steered.apply(changes)}function compareStored(steered,{errors:known,tip},same){let{scene:{
+measured},session}=steered;if(!known||!measured?.stored)return Math.abs(steered.tipLateral-Number(tip));let{x:x2,
+y:y2,z}=measured.stored,[points]=readTarget(session,measured.target),computed=computeErrors(session,measured),
+errors=Object.keys(known).map(name=>Math.abs(known[name]-computed?.[name]));return Math.max(...points.flatMap(
+(point2,i)=>[x2,y2,z].map((axis,n)=>Math.abs(point2[n]-axis[i]))),...errors.filter(one=>one>same))}async function prove({
+needles,kernel},same){let[count2,largest,since]=[0,0,performance.now()],rest=async()=>{performance.now()-since<
+SLICE||(await new Promise(done=>setTimeout(done)),since=performance.now())};for(let needle of needles){let compare=distance2=>{
+count2+=1,largest=Math.max(largest,distance2)};try{let steered=await SteeredNeedle.begin(kernel,needle.scene);
+if(needle.recording){let replay=new Replay(steered,needle.recording);for(let n=1;n<=needle.recording.length;n+=
+1)replay.to(n),compare(Math.abs(steered.tipLateral-needle.recording[n-1][2])),await rest()}else{if(insert(steered),
+needle.tip===null)continue;compare(compareStored(steered,needle,same))}}catch(error){if(!(error instanceof ModelError))
+throw error;compare(NaN)}await rest()}return{count:count2,largest}}var SLICE,Replay,init_stored=__esm({"needle\
+fit/viewer/page/stored.js"(){"use strict";init_needle();init_dom();init_errors();init_inputs();init_steered();
+SLICE=12;Replay=class{at=0;changed=!1;last=new Map;constructor(steered,steps2,places=[],unit="s"){this.steered=
+steered,this.steps=steps2,this.places=places,this.unit=unit,steps2.forEach(([,changes],i)=>{for(let[name,,value]of changes)
+name==="return_to"&&this.last.set(value,i+1)})}to(n){for((this.changed||n<this.at)&&(this.steered.rewind(),Object.
+assign(this,{at:0,changed:!1}));this.at<n;)this.#next()}#next(){let[,changes]=this.steps[this.at];this.steered.
+apply(changes),this.at+=1,this.last.has(this.at)&&this.steered.keep();for(let[name,,value]of changes)name==="r\
+eturn_to"&&this.last.get(value)===this.at&&this.steered.forget(value)}}}});function refuse(error,below=part("flip").parentElement){if(!(error instanceof ModelError))throw error;below.after(
+refusal),write(refusal,`${error.what}. Expected: ${error.expected}.`)}function show(){steps+=1,part("undo").disabled=
+!past.length,part("redo").disabled=!future.length,take("state",{...describeState(now.steered),step:steps})}function forgetPast(){
 for(let one of[past,future])one.length=0;last2=0,write(refusal,"")}function goHome(){forgetPast(),now.steered.
 rewind();try{insert(now.steered)}catch(error){refuse(error)}show()}function steer(lists,{gesture=newGesture(),
-whole=!1,below=void 0}={}){let{steered}=now,{number:number3}=steered;publish("steers"),write(refusal,"");let begins=gesture!==
+whole=!1,below}={}){let{steered}=now,{number:number3}=steered;publish("steers"),write(refusal,"");let begins=gesture!==
 last2;(begins||whole)&&steered.keep();try{for(let changes of lists)steered.apply(changes.map(([name,item,value])=>[
 name,item,value+0]))}catch(error){if(refuse(error,below),whole&&steered.number>number3&&steered.apply([["retur\
 n_to",null,number3]]),whole||steered.number===number3)return void publish("unchanged")}begins&&(past.push(number3),
-future.length=0,past.length>MOST_UNDONE&&steered.forget(past.shift())),last2=gesture,part("back").disabled=!1,
-show()}function goTo(from,to){if(!from.length)return;publish("steers"),write(refusal,"");let{steered}=now;steered.
-keep(),to.push(steered.number),steered.apply([["return_to",null,from.pop()]]),last2=0,show()}var MOST_UNDONE,refusal,
-past,future,steps,gestures,last2,newGesture,change,undo,redo,init_steering=__esm({"needlefit/viewer/page/steer\
-ing.js"(){"use strict";init_dom();init_state();init_stored();init_store();MOST_UNDONE=200,refusal=part("refusa\
-l"),[past,future]=[[],[]],[steps,gestures,last2]=[0,0,0],newGesture=()=>gestures+=1;change=(changes,how)=>steer(
-[changes],how);undo=()=>goTo(past,future),redo=()=>goTo(future,past);listen("notice",({what,expected})=>refuse(
-{what,expected}))}});async function followAddress(choose2){let address=location.hash.slice(1);if(!address)return!1;let{needles}=now.
+future.length=0,past.length>MOST_UNDONE&&steered.forget(Number(past.shift()))),last2=gesture,part("back").disabled=
+!1,show()}function goTo(from,to){let number3=from.pop();if(number3===void 0)return;publish("steers"),write(refusal,
+"");let{steered}=now;steered.keep(),to.push(steered.number),steered.apply([["return_to",null,number3]]),last2=
+0,show()}var MOST_UNDONE,refusal,past,future,steps,gestures,last2,newGesture,change,undo,redo,init_steering=__esm(
+{"needlefit/viewer/page/steering.js"(){"use strict";init_dom();init_inputs();init_state();init_stored();init_store();
+MOST_UNDONE=200,refusal=part("refusal"),[past,future]=[[],[]],[steps,gestures,last2]=[0,0,0],newGesture=()=>gestures+=
+1;change=(changes,how)=>steer([changes],how);undo=()=>goTo(past,future),redo=()=>goTo(future,past)}});async function followAddress(choose2){let address=location.hash.slice(1);if(!address)return!1;let{needles}=now.
 data,below=part("proof").parentElement;try{if(part(decode(address)))return!1;let name=nameIn(address),number3=needles.
 findIndex(one=>nameOf2(one)===name);if(name!==null&&number3<0)throw new ModelError(`the address has needle=${name}`,
 needles.map(nameOf2).join(", "));number3>=0&&needles[number3]!==now.needle&&await choose2(number3);let lists=readAddress(
 address,now.scene);return lists.length&&steer(lists,{below,whole:!0}),lists.length>0}catch(error){return refuse(
 error,below),!0}}function decode(address){try{return decodeURIComponent(address)}catch{throw new ModelError(`t\
 he address ends with #${address}, which is no text`,"depth=, in mm, as Copy link writes it")}}async function copy(){
-let{data:{needles,kernel},needle,scene,steered}=now,{address,lost}=await writeAddress(kernel,steered,needles.length>
-1?nameOf2(needle):null);write("link-note",lost?`No link: an address does not carry ${lost.join(", ")}. A recor\
-ding does.`:""),!lost&&(steer(readAddress(address,scene)),history.replaceState(null,"",`#${address}`),await navigator.
-clipboard?.writeText(location.href).then(()=>write("link-note","The link is copied."),()=>null))}var nameOf2,init_link=__esm(
-{"needlefit/viewer/page/link.js"(){"use strict";init_address();init_dom();init_inputs();init_steering();init_store();
-nameOf2=({name,scene})=>name??scene.measured?.id??scene.title;press("copy-link",copy)}});var DEFINITIONS,define2,init_definitions=__esm({"needlefit/viewer/page/definitions.js"(){"use strict";init_dom();
+let{data:{needles,kernel},needle,scene,steered}=now,address=await writeAddress(kernel,steered,needles.length>1?
+nameOf2(needle):null);write("link-note",address?"":"No link: an address carries depth, roll and turns of the b\
+evel, and parameters. A recording carries all inputs."),address&&(steer(readAddress(address,scene)),history.replaceState(
+null,"",`#${address}`),await navigator.clipboard?.writeText(location.href).then(()=>write("link-note","The lin\
+k is copied."),()=>null))}var nameOf2,init_link=__esm({"needlefit/viewer/page/link.js"(){"use strict";init_address();
+init_dom();init_inputs();init_steering();init_store();nameOf2=({name,scene})=>name??scene.measured?.id??scene.
+title;press("copy-link",copy)}});var DEFINITIONS,define2,init_definitions=__esm({"needlefit/viewer/page/definitions.js"(){"use strict";init_dom();
 init_store();DEFINITIONS={depth:"Inserted arc length: how much of the needle is beyond the entry.","tip y":"Di\
 stance of the tip from the entry axis, y; positive to the left of the entry.","tip slope":"Angle of the needle\
  at its tip against the entry axis.","steepest slope":"Largest slope dy/dx of the needle; the model takes it f\
@@ -1121,32 +1092,32 @@ return list.append(entry(define2(name),[number3," ",element("small",{},unit)])),
 forEach(([,,read],i)=>write(numbers[i],from?read(from):"–"))}function refresh(){let{state,scene}=now;writeNeedle(
 state),part("readouts").children[TIP_Z].hidden=!state.z;let title=part("title"),follows=scene.plan&&!now.replay?.
 changed;if(title&&write(title,`${follows?"plan: ":isSteered(state,scene)?"steered by hand: ":""}${scene.title}`),
-!scene.measured)return;let prediction=predictionOf(state,scene);writeErrors(prediction?{...state.errors,...prediction.
-errors}:state.errors),write("against",`${prediction?"prediction ":""}against ${scene.measured.id}${state.errors?
-`, ${comparedUpTo(state.errors)}`:""}`)}function inWords(){let{state,scene}=now;if(!state)return"The needle ha\
-s not been drawn yet.";let{tip,bevel,base,guides,errors}=state,held=guides.length===1?"1 guide":`${guides.length}\
- guides`,{symbol,value,digits:digits2,unit}=strengthOf(bevel),sentences=[`The needle is ${state.depth_mm.toFixed(
-1)} mm deep, of ${scene.length_mm.toFixed(0)} mm.`,`Its tip is ${Math.abs(tip.lateral_mm).toFixed(2)} mm to th\
-e ${tip.lateral_mm<0?"right":"left"}${tip.held?" and held there":""}, at ${angle(tip)}${tip.z===null?"":`; z ${signed(
-tip.z,2)} mm`}.`,`The bevel turns the cut toward ${describeRoll(bevel)}, ${symbol} is ${value.toFixed(digits2)}\
- ${unit}.`,`The base stands at y ${signed(base.y,2)} mm, at ${angle(base)}; ${held}.`];if(exceeded(state)&&sentences.
-push(`The needle is ${exceeded(state)}.`),errors){let prediction=predictionOf(state,scene);sentences.push(`${prediction?
+!scene.measured)return;let prediction=predictionOf(state,scene);writeErrors(state.errors&&{...state.errors,...prediction?.
+errors}),write("against",`${prediction?"prediction ":""}against ${scene.measured.id}${state.errors?`, ${comparedUpTo(
+state.errors)}`:""}`)}function inWords(){let{state,scene}=now;if(!state)return"The needle has not been drawn y\
+et.";let{tip,bevel,base,guides,errors}=state,held=guides.length===1?"1 guide":`${guides.length} guides`,{symbol,
+value,digits:digits2,unit}=strengthOf(bevel),sentences=[`The needle is ${state.depth_mm.toFixed(1)} mm deep, o\
+f ${scene.length_mm.toFixed(0)} mm.`,`Its tip is ${Math.abs(tip.lateral_mm).toFixed(2)} mm to the ${tip.lateral_mm<
+0?"right":"left"}${tip.held?" and held there":""}, at ${angle(tip)}${tip.z===null?"":`; z ${signed(tip.z,2)} m\
+m`}.`,`The bevel turns the cut toward ${describeRoll(bevel)}, ${symbol} is ${value.toFixed(digits2)} ${unit}.`,
+`The base stands at y ${signed(base.y,2)} mm, at ${angle(base)}; ${held}.`];if(exceeded(state)&&sentences.push(
+`The needle is ${exceeded(state)}.`),errors){let prediction=predictionOf(state,scene);sentences.push(`${prediction?
 "The prediction against":"Against"} the measured needle ${comparedUpTo(errors)}: ${listErrors(prediction?.errors??
 errors,scene.measured).join(", ")}.`)}return sentences.join(" ")}var NEEDLE,TIP_Z,writeNeedle,writeErrors,comparedUpTo,
 exceeded,angle,init_readouts=__esm({"needlefit/viewer/page/readouts.js"(){"use strict";init_definitions();init_dom();
 init_quantities();init_store();init_view();NEEDLE=[["depth","mm",s2=>s2.depth_mm.toFixed(2)],["tip y","mm",s2=>signed(
-s2.tip.lateral_mm,2)],["tip z","mm",s2=>s2.z?signed(s2.tip.z,2):"–"],["tip slope","°",s2=>signed(toDegrees(
-s2.tip.rotation),2)],["steepest slope","",s2=>s2.max_slope.toFixed(3)]],TIP_Z=NEEDLE.findIndex(([name])=>name===
+s2.tip.lateral_mm,2)],["tip z","mm",s2=>s2.tip.z===null?"–":signed(s2.tip.z,2)],["tip slope","°",s2=>signed(
+toDegrees(s2.tip.rotation),2)],["steepest slope","",s2=>s2.max_slope.toFixed(3)]],TIP_Z=NEEDLE.findIndex(([name])=>name===
 "tip z");writeNeedle=fillReadouts(part("readouts"),NEEDLE),writeErrors=_errors=>{};comparedUpTo=({whole,upto_mm:upto})=>whole?
 "over the whole insertion":`over the first ${upto.toFixed(1)} mm`;listen("scene",({measured})=>{if(part("compa\
-red").hidden=measured===null,!measured)return;let metrics=measured.metrics.map(([name,label2,unit,text])=>(DEFINITIONS[label2]=
-text,[label2,unit,errors=>writeError(errors[name],unit)]));part("errors").replaceChildren(),writeErrors=fillReadouts(
-part("errors"),[...metrics,["noise floor","mm",e=>e.floor_mm?.toFixed(3)??"–"]])});exceeded=({faults})=>faults?.
-length?`outside the model: ${faults.join("; ")}`:"";listen("state",state=>{refresh(),write("described",inWords());
-let words=exceeded(state);write("beyond",words&&`${words[0].toUpperCase()}${words.slice(1)}. Its shape cannot \
-be relied on.`),part("beyond").classList.toggle("low",toPy(state.tip.y)<view.box.top+view.box.height/2)});angle=
-({rotation})=>`${signed(toDegrees(rotation),1)} degrees`}});function drawFigure(wide,begin3){let[across,tall]=size(),{box,scale}=view,width=wide*PX_PER_MM,share=(width-(across-
-box.width))/box.width,height=tall-box.height+share*box.height,above=isSpatial()?part("above").clientHeight:0,sheet=begin3(
+red").hidden=measured===null,!measured)return;let metrics=measured.metrics.map(([name,label2,unit])=>[label2,unit,
+errors=>writeError(errors[name],unit)]);for(let[,label2,,text]of measured.metrics)DEFINITIONS[label2]=text;part(
+"errors").replaceChildren(),writeErrors=fillReadouts(part("errors"),[...metrics,["noise floor","mm",({floor_mm:floor})=>writeError(
+floor,"mm")]])});exceeded=({faults})=>faults?.length?`outside the model: ${faults.join("; ")}`:"";listen("stat\
+e",state=>{refresh(),write("described",inWords());let words=exceeded(state);write("beyond",words&&`${words[0].
+toUpperCase()}${words.slice(1)}. Its shape cannot be relied on.`),part("beyond").classList.toggle("low",toPy(state.
+tip.y)<view.box.top+view.box.height/2)});angle=({rotation})=>`${signed(toDegrees(rotation),1)} degrees`}});function drawFigure(wide,begin2){let[across,tall]=size(),{box,scale}=view,width=wide*PX_PER_MM,share=(width-(across-
+box.width))/box.width,height=tall-box.height+share*box.height,above=isSpatial()?part("above").clientHeight:0,sheet=begin2(
 [width,height+above]);return readPalette(!0),look({scale:scale*share,box:{...box,width:share*box.width,height:share*
 box.height}},()=>{above&&sheet.turned([0,height],0,()=>paintAbove(sheet,[width,above])),paintPicture(sheet,[width,
 height])}),readPalette(),redraw(),sheet}function drawPng(wide){let canvas2=document.createElement("canvas"),times=DPI/
@@ -1158,84 +1129,79 @@ age/svg+xml"})}var PX_PER_MM,DPI,init_figure=__esm({"needlefit/viewer/page/figur
 init_drawing();init_link();init_picture();init_strokes();init_readouts();init_sheet();init_store();init_view();
 PX_PER_MM=96/25.4,DPI=300;press("save-figure",async()=>{if(!now.state)return;let[format,wide]=[part("figure-fo\
 rmat").value,Number(part("figure-width").value)],figure=await(format==="png"?drawPng(wide):drawSvg(wide)),name=`${nameOf2(
-now.needle).replace(/[^\w-]+/g,"-")}.${format}`;hand(figure,name),write("link-note",`Saved ${name}: the pictur\
-e as it is shown.`)});for(let[kind,on]of[["beforeprint",!0],["afterprint",!1]])addEventListener(kind,()=>{readPalette(
-on),draw()})}});function makeField(into,about){let part2=template.content.firstElementChild.cloneNode(!0),[number3,slider,mark,
-back]=[".number",".slider",".mark",".home"].map(one=>part2.querySelector(one)),[to,from]=about.logarithmic?LOGARITHMIC:
-LINEAR,[low,high]=(about.limits??[0,1]).map(to),field={read:Number,step:1,...about,part:part2,number:number3,slider,
-mark,back,value:null,latest:0,text:"",home:null,editing:!1,gesture:newGesture(),share:value=>Math.min(Math.max(
-(to(value)-low)/(high-low),0),1),at:share=>from(low+share*(high-low))},{of,name,symbol,unit,limits}=about;made+=
-1,number3.id=`field-${made}`;let term=define2(symbol,name);symbol&&number3.setAttribute("aria-description",DEFINITIONS[symbol]),
-part2.querySelector(".name").append(term),part2.querySelector(".unit").textContent=unit,number3.ariaLabel=slider.
-ariaLabel=[of,name].filter(Boolean).join(" ")+(unit&&`, ${unit}`),slider.max=STEPS,back.ariaLabel=`${number3.ariaLabel}\
-: back to its initial value`,limits||part2.querySelector(".track").remove(),wireNumber(field);let goHome2=()=>{
-field.gesture=newGesture(),field.home!==null&&ask(field,field.home)};return slider.addEventListener("input",()=>ask(
-field,field.at(slider.value/STEPS))),slider.addEventListener("change",()=>field.gesture=newGesture()),slider.addEventListener(
-"keydown",event=>event.key in SLIDES&&stepBy(field,SLIDES[event.key],event)),press(back,goHome2),setHome(field,
-null),into.append(part2),field}function show2(field,value){if(value===field.value)return;field.value=field.latest=
-value;let text=field.text=field.write(value);!field.editing&&field.number.value!==text&&(field.number.value=text),
-field.slider.value=Math.round(STEPS*field.share(value)),field.slider.ariaValueText=`${text} ${field.unit}`.trim(),
-markHome(field)}function setHome(field,home){field.home=home,field.back.hidden=field.mark.hidden=home===null,home!==
-null&&(field.mark.style.left=`calc(${THUMB/2}px + ${field.share(home)} * (100% - ${THUMB}px))`,field.back.title=
-`back to ${field.write(home)} ${field.unit}`.trim(),markHome(field))}function markHome({part:part2,back,write:write2,
-value,home}){back.disabled=home===null||value===null||write2(home)===write2(value),part2.querySelector(".hand").
-hidden=back.disabled}function ask(field,value){field.latest=value,field.value=null,field.ask(value,{gesture:field.
-gesture,below:field.part})}function wireNumber(field){let{number:number3}=field;number3.addEventListener("inpu\
-t",()=>field.editing=!0),number3.addEventListener("blur",()=>giveBack(field)),number3.addEventListener("change",
-()=>{if(field.gesture=newGesture(),field.editing=!1,number3.value!=="")return ask(field,field.read(number3.value));
-publish("notice",{what:`No ${number3.ariaLabel}: ${field.text} is kept.`,expected:"a number"}),giveBack(field)}),
-number3.addEventListener("keydown",event=>{event.key in ARROWS&&stepBy(field,ARROWS[event.key],event),event.key===
-"Escape"&&giveBack(field)}),number3.addEventListener("keyup",({key})=>{key==="Enter"&&(field.editing=!1)})}function giveBack(field){
-field.editing=!1,field.value!==null&&(field.number.value=field.text)}function stepBy(field,direction,event){event.
-preventDefault();let{number:number3,step,logarithmic}=field,from=field.editing&&number3.value!==""?field.read(
-number3.value):field.latest;field.editing=!1,event.repeat||(field.gesture=newGesture()),ask(field,logarithmic?
-from*step**direction:from+step*direction)}var template,STEPS,THUMB,LINEAR,LOGARITHMIC,ARROWS,SLIDES,made,init_fields=__esm(
-{"needlefit/viewer/page/fields.js"(){"use strict";init_definitions();init_dom();init_steering();init_store();template=
-part("field-template"),STEPS=1e3,THUMB=16,LINEAR=[x2=>x2,x2=>x2],LOGARITHMIC=[x2=>Math.log(Math.max(x2,Number.
-MIN_VALUE)),Math.exp],ARROWS={ArrowUp:1,ArrowDown:-1},SLIDES={...ARROWS,ArrowRight:1,ArrowLeft:-1,PageUp:10,PageDown:-10},
-made=0}});function buildFields({scene,recording}){fields=[];for(let id of["insertion-fields","guide-fields","tissue-fiel\
-ds","shape-fields"])part(id).replaceChildren();let add=(into,[input,item],about,current,{shown:shown2=x2=>x2,meant=x2=>x2}={})=>{
-let field=makeField(part(into),{...about,ask:(value,how)=>change([[input,item,meant(value)]],how)}),home=recording&&
-["insertion-fields","guide-fields"].includes(into)?void 0:current(scene.fitted);home!==void 0&&setHome(field,shown2(
-home)),fields.push([field,()=>shown2(current(now.state))])},{limits,fitted,simulation,layer_names:names,shape_parameters:shapes}=scene,
-{steps:[first],law}=simulation,mm={unit:"mm",step:.1},tilt={unit:"°",step:.1,write:digits(2)},angle2={shown:degrees,
-meant:slope};add("insertion-fields",["depth_mm",null],{...mm,name:"depth",symbol:"depth",step:1,write:digits(1),
-limits:[0,limits.depth_mm-.01]},of=>of.depth_mm??scene.depth_mm),add("insertion-fields",["base_y_mm",null],{...mm,
-name:"base y",symbol:"base y",write:digits(2),limits:[-10,10]},of=>of.base?of.base.input_y:first.controls.baseY),
-add("insertion-fields",["base_slope",null],{...tilt,name:"base slope",symbol:"base slope",limits:[-5,5]},of=>of.
-base?of.base.input_slope:first.controls.baseSlope,angle2),add("insertion-fields",["bevel_roll_deg",null],{name:"\
-roll",symbol:"roll",unit:"°",step:10,limits:[-180,180],write:value=>brief(value,6)},of=>(of.bevel??{roll_deg:rollOf(
-first.bevel)}).roll_deg),first.controls.guides.forEach((guide,i)=>{let item=i+1,read=key2=>of=>(of.guides?.find(
-one=>one.item===item)??guide)[key2]??0,name=axis=>({name:`guide ${shortName({item,name:guide.name})}, ${axis}`,
-symbol:"guide"});add("guide-fields",["guide_x_mm",item],{...mm,...name("x"),write:digits(2)},read("x")),add("g\
-uide-fields",["guide_y_mm",item],{...mm,...name("y"),write:digits(3)},read("y")),guide.slope!==null&&add("guid\
-e-fields",["guide_slope",item],{...tilt,...name("slope")},read("slope"),angle2)}),part("guide-part").hidden=!first.
-controls.guides.length;let{key,symbol,unit,digits:count2,step,here,throughout}=strengthOf(fitted);recording?.some(
-([,changes])=>changes.some(([name])=>name===here))||add("tissue-fields",[throughout,null],{name:symbol,symbol,
-unit,step,write:digits(count2),limits:limits[key]},of=>(of.bevel??of)[key]),part("shape-part").hidden=!law.terms||
-!shapes.length,fitted.layers.forEach((layer,i)=>{let called=names[i]||`layer ${i+1}`;if(add("tissue-fields",["\
-mu_pa",i+1],{...modulusLike(layer.mu_pa),name:`μ ${called}`,symbol:"μ",logarithmic:!0,step:1.05,limits:limits.
-mu_pa},of=>of.layers[i].mu_pa),!!law.terms)for(let{name,symbol:symbol2,unit:unit2}of shapes){let[low,high]=limits[name],
-about={name:`${symbol2} ${called}`,symbol:symbol2,unit:unit2,step:Math.min(.1,(high-low)/100),write:digits(2),
-limits:[low,high]};add("shape-fields",[name,i+1],about,of=>of.layers[i][name])}})}function refresh2(){for(let[
-field,current]of fields)show2(field,current());part("side").textContent=describeRoll(now.state.bevel)}var digits,
-fields,init_inputs2=__esm({"needlefit/viewer/page/inputs.js"(){"use strict";init_dom();init_fields();init_inputs();
-init_quantities();init_steering();init_store();digits=count2=>value=>value.toFixed(count2),fields=[];for(let kind of[
-"state","unchanged"])listen(kind,refresh2)}});function toggle(name){now.shown[name]=!now.shown[name],chips[name].ariaPressed=String(now.shown[name]),redraw()}
-function pin(){let{x:x2,y:y2,z}=now.state;setPinned(now.pinned?null:{x:x2,y:y2,z})}function setPinned(curve){now.
-pinned=curve,part("pin").ariaPressed=String(!!curve),write("pin",curve?"Unpin":"Pin"),offer({pinned:curve}),redraw()}
-var CHIPS,fits,chips,offer,init_toolbar=__esm({"needlefit/viewer/page/toolbar.js"(){"use strict";init_dom();init_store();
-init_view();CHIPS={measured:["measured"],errors:["errors","Gaps at the tip (TE) and along the shaft (IPE)"],band:[
-"95 % band","95 % of the needles lie wholly inside"],plan:["plan"],pinned:["pinned"],points:["constraint point\
-s","What holds the needle in the tissue: points of the model, not data"],path:["tip path","Where the tip was a\
-t each depth"],load:["load","Lateral load of the tissue on the shaft, within the limits of the model"],inset:[
-"true scale","The needle in a corner, with y as large as x"]},fits=document.querySelectorAll("[data-fit]"),chips=
-Object.fromEntries(Object.entries(CHIPS).map(([name,[called,title=""]])=>{let swatch=element("i",{ariaHidden:"\
-true",className:`swatch ${name}`}),chip=button([swatch,called],()=>toggle(name),{title,ariaPressed:String(now.
-shown[name])});return chip.dataset.show=name,[name,chip]}));part("chips").append(...Object.values(chips));offer=
-there=>Object.entries(there).forEach(([name,is])=>chips[name].hidden=!is);press("pin",pin);for(let one of fits)
-press(one,()=>fit(one.dataset.fit));listen("scene",({measured,draws,plan})=>{offer({measured,errors:measured,band:draws,
-plan}),setPinned(null)});listen("redraw",()=>fits.forEach(one=>one.ariaPressed=String(one.dataset.fit===view.fit)))}});function go(key,changes){let at=performance.now(),again=key===last3.key&&at-last3.at<WITHIN;Object.assign(last3,
+now.needle).replace(/[^\w-]+/g,"-")}.${format}`;figure&&(hand(figure,name),write("link-note",`Saved ${name}: t\
+he picture as it is shown.`))});for(let[kind,on]of[["beforeprint",!0],["afterprint",!1]])addEventListener(kind,
+()=>{readPalette(on),draw()})}});var template,STEPS,THUMB,LINEAR,LOGARITHMIC,ARROWS,SLIDES,made,Field,init_fields=__esm({"needlefit/viewer/page\
+/fields.js"(){"use strict";init_definitions();init_dom();init_steering();template=part("field-template"),STEPS=
+1e3,THUMB=16,LINEAR=[x2=>x2,x2=>x2],LOGARITHMIC=[x2=>Math.log(Math.max(x2,Number.MIN_VALUE)),Math.exp],ARROWS=
+{ArrowUp:1,ArrowDown:-1},SLIDES={...ARROWS,ArrowRight:1,ArrowLeft:-1,PageUp:10,PageDown:-10},made=0,Field=class{value=null;home=null;latest=0;editing=!1;gesture=newGesture();constructor(into,about){
+let{name,symbol=name,unit,limits=[0,1],logarithmic}=about,[to,from]=logarithmic?LOGARITHMIC:LINEAR,[low,high]=limits.
+map(to);this.about=about,this.part=template.content.firstElementChild?.cloneNode(!0);let find=kind=>this.part.
+querySelector(`.${kind}`);this.number=find("number"),this.slider=find("slider"),this.mark=find("mark"),this.back=
+find("home"),this.share=value=>Math.min(Math.max((to(value)-low)/(high-low),0),1);let{number:number3,slider,back}=this;
+made+=1,number3.id=`field-${made}`,number3.setAttribute("aria-description",DEFINITIONS[symbol]),number3.ariaLabel=
+slider.ariaLabel=name+(unit&&`, ${unit}`),back.ariaLabel=`${number3.ariaLabel}: back to its initial value`,find(
+"name").append(define2(symbol,name)),find("unit").textContent=unit,slider.max=STEPS,about.limits||find("track").
+remove(),this.#hear(),slider.addEventListener("input",()=>this.#ask(from(low+slider.value/STEPS*(high-low)))),
+slider.addEventListener("change",()=>this.gesture=newGesture()),this.setHome(null),into.append(this.part)}show(value){
+if(value===this.value)return;let{number:number3,slider,about:{unit,write:write2}}=this;this.value=this.latest=
+value,this.editing||this.#giveBack(),slider.value=Math.round(STEPS*this.share(value)),slider.ariaValueText=`${write2(
+value)} ${unit}`.trim(),this.#markHome()}setHome(home){let{mark,back,about:{unit,write:write2}}=this;this.home=
+home,back.hidden=mark.hidden=home===null,home!==null&&(mark.style.left=`calc(${THUMB/2}px + ${this.share(home)}\
+ * (100% - ${THUMB}px))`,back.title=`back to ${write2(home)} ${unit}`.trim(),this.#markHome())}#markHome(){let{
+home,value,about:{write:write2}}=this;this.back.disabled=home===null||value===null||write2(home)===write2(value)}#ask(value){
+this.latest=value,this.value=null,this.about.ask(value,{gesture:this.gesture,below:this.part})}#read(){return(this.
+about.read??Number)(this.number.value)}#hear(){let{number:number3,slider,back}=this;number3.addEventListener("\
+input",()=>this.editing=!0),number3.addEventListener("blur",()=>this.#giveBack()),number3.addEventListener("ch\
+ange",()=>{if(number3.value==="")return this.#giveBack();this.gesture=newGesture(),this.editing=!1,this.#ask(this.#read())}),
+number3.addEventListener("keydown",event=>{this.#step(ARROWS[event.key],event),event.key==="Escape"&&this.#giveBack()}),
+number3.addEventListener("keyup",({key})=>{key==="Enter"&&(this.editing=!1)}),slider.addEventListener("keydown",
+event=>this.#step(SLIDES[event.key],event)),press(back,()=>{this.gesture=newGesture(),this.home!==null&&this.#ask(
+this.home)})}#giveBack(){let{number:number3,value,about:{write:write2}}=this;this.editing=!1,value!==null&&number3.
+value!==write2(value)&&(number3.value=write2(value))}#step(count2,event){if(!count2)return;event.preventDefault();
+let{step,logarithmic}=this.about,from=this.editing&&this.number.value!==""?this.#read():this.latest;this.editing=
+!1,event.repeat||(this.gesture=newGesture()),this.#ask(logarithmic?from*step**count2:from+step*count2)}}}});function buildFields({scene,recording}){fields=[];for(let id of["insertion-fields","guide-fields","tissue-fiel\
+ds","shape-fields"])part(id).replaceChildren();let{limits,fitted,simulation,layer_names:names,shape_parameters:shapes}=scene,
+{steps:[first],law}=simulation,add=(into,input,item,about,read,home)=>{let[shown,meant]=input.endsWith("slope")?
+[degrees,slope]:[x2=>x2,x2=>x2],field=new Field(part(into),{...about,ask:(value2,how)=>change([[input,item,meant(
+value2)]],how)});home!==void 0&&field.setHome(shown(home)),fields.push([field,()=>shown(read(now.state))])},addInput=(input,about,read,home)=>add(
+"insertion-fields",input,null,{...about,symbol:about.name},read,recording?void 0:home);addInput("depth_mm",{...MM,
+name:"depth",step:1,write:digits(1),limits:[0,limits.depth_mm-.01]},s2=>s2.depth_mm,scene.depth_mm),addInput("\
+base_y_mm",{...MM,name:"base y",limits:[-10,10]},s2=>s2.base.input_y,first.controls.baseY),addInput("base_slop\
+e",{...TILT,name:"base slope",limits:[-5,5]},s2=>s2.base.input_slope,first.controls.baseSlope),addInput("bevel\
+_roll_deg",{name:"roll",unit:"°",step:10,limits:[-180,180],write:value2=>brief(value2,6)},s2=>s2.bevel.roll_deg,
+rollOf(first.bevel)),first.controls.guides.forEach((guide,i)=>{let item=i+1,addGuide=(axis,about)=>add("guide-\
+fields",`guide_${axis}${axis==="slope"?"":"_mm"}`,item,{...about,name:`guide ${shortName({item,name:guide.name})}\
+, ${axis}`,symbol:"guide"},s2=>(s2.guides.find(one=>one.item===item)??guide)[axis]??0,recording?void 0:guide[axis]??
+0);addGuide("x",{...MM,name:""}),addGuide("y",{...MM,name:"",write:digits(3)}),guide.slope!==null&&addGuide("s\
+lope",{...TILT,name:""})}),part("guide-part").hidden=!first.controls.guides.length;let{symbol,unit,digits:count2,
+step,here,throughout,value}=strengthOf(fitted);if(!recording?.some(([,changes])=>changes.some(([name])=>name===
+here))){let about={name:symbol,symbol,unit,step,write:digits(count2),limits:limits[symbol==="b"?"offset_mm":"c\
+ut_angle_deg"]};add("tissue-fields",throughout,null,about,s2=>strengthOf(s2.bevel).value,value)}part("shape-pa\
+rt").hidden=!law.terms||!shapes.length,fitted.layers.forEach((layer,i)=>{let called=names[i]||`layer ${i+1}`,about={
+...modulusLike(layer.mu_pa),name:`μ ${called}`,symbol:"μ",logarithmic:!0,step:1.05,limits:limits.mu_pa};add(
+"tissue-fields","mu_pa",i+1,about,s2=>s2.layers[i].mu_pa,layer.mu_pa);for(let{name,symbol:symbol2,unit:unit2}of law.
+terms?shapes:[]){let[low,high]=limits[name];add("shape-fields",name,i+1,{name:`${symbol2} ${called}`,symbol:symbol2,
+unit:unit2,step:Math.min(.1,(high-low)/100),write:digits(2),limits:[low,high]},s2=>s2.layers[i][name],layer[name])}})}
+function refresh2(){for(let[field,read]of fields)field.show(read());part("side").textContent=describeRoll(now.
+state.bevel)}var digits,fields,MM,TILT,init_inputs2=__esm({"needlefit/viewer/page/inputs.js"(){"use strict";init_dom();
+init_fields();init_inputs();init_quantities();init_steering();init_store();digits=count2=>value=>value.toFixed(
+count2),fields=[],MM={unit:"mm",step:.1,write:digits(2)},TILT={unit:"°",step:.1,write:digits(2)};for(let kind of[
+"state","unchanged"])listen(kind,refresh2)}});function pin(){let{x:x2,y:y2,z}=now.state;setPinned(now.pinned?null:{x:x2,y:y2,z})}function setPinned(pinned){
+now.pinned=pinned,part("pin").ariaPressed=String(!!pinned),write("pin",pinned?"Unpin":"Pin");let{measured,draws,
+plan}=now.scene,there={measured,errors:measured,band:draws,plan,pinned,points:!0,path:!0,load:!0,inset:!0};NAMES2.
+forEach((name,i)=>chips[i].hidden=!there[name]),redraw()}var CHIPS,NAMES2,fits,chips,init_toolbar=__esm({"need\
+lefit/viewer/page/toolbar.js"(){"use strict";init_dom();init_store();init_view();CHIPS={measured:["measured"],
+errors:["errors","Gaps at the tip (TE) and along the shaft (IPE)"],band:["95 % band","95 % of the needles lie \
+wholly inside"],plan:["plan"],pinned:["pinned"],points:["constraint points","What holds the needle in the tiss\
+ue: points of the model, not data"],path:["tip path","Where the tip was at each depth"],load:["load","Lateral \
+load of the tissue on the shaft, within the limits of the model"],inset:["true scale","The needle in a corner,\
+ with y as large as x"]},NAMES2=Object.keys(CHIPS),fits=document.querySelectorAll("[data-fit]"),chips=NAMES2.map(
+name=>{let[called,title=""]=CHIPS[name],swatch=element("i",{ariaHidden:"true",className:`swatch ${name}`}),chip=element(
+"button",{type:"button",title,ariaPressed:String(now.shown[name])},swatch,called);return chip.dataset.show=name,
+press(chip,()=>{now.shown[name]=!now.shown[name],chip.ariaPressed=String(now.shown[name]),redraw()}),chip});part(
+"chips").append(...chips);press("pin",pin);for(let one of fits)press(one,()=>fit(one.dataset.fit));listen("sce\
+ne",()=>setPinned(null));listen("redraw",()=>fits.forEach(one=>one.ariaPressed=String(one.dataset.fit===view.fit)))}});function go(key,changes){let at=performance.now(),again=key===last3.key&&at-last3.at<WITHIN;Object.assign(last3,
 {key,at,gesture:again?last3.gesture:newGesture()}),change(changes,{gesture:last3.gesture})}function insert2(mm){
 let{step:{depth},scene}=now.steered,end=Math.max(Math.min(now.steered.reach(),scene.limits.depth_mm),depth);go(
 "insert",[["depth_mm",null,Math.min(Math.max(depth+mm,0),end)]])}function hear(event){if(!now.state||event.altKey)
@@ -1254,60 +1220,59 @@ k shows the tissue",()=>zoom(1.25)],[["-"],"−","zoom out",()=>zoom(.8)],[["1"]
 "whole")],[["2"],"2","show the tissue",()=>fit("tissue")],[["3"],"3","follow the tip",()=>fit("tip")]],COMMANDS=
 {z:event=>event.shiftKey?redo():undo(),y:()=>redo()};for(let[written3,what]of[...KEYS.map(([,key,effect])=>[key,
 effect]),["Ctrl+Z, Y","undo, redo"]])part("key-list").append(entry(element("kbd",{},written3),what));part("can\
-vas").addEventListener("keydown",hear);press("undo",undo);press("redo",redo);press("flip",flip)}});function goBack(){write("link-note",""),part("back").disabled=!0,now.replay?showStep(now.replay.steps.length):
-goHome()}function showStep(n,clock=placeOf(n)){let replay=shown();forgetPast(),replay.to(n),part("scrub").value=
-n===replay.steps.length?part("scrub").max:clock,part("scrub").ariaValueText=`${clock.toFixed(1)} ${replay.unit}`,
-write("time",`${clock.toFixed(1)} of ${placeOf(replay.steps.length).toFixed(1)} ${replay.unit}`),show()}function openRecording(recording,planned=!1){
-if(part("transport").hidden=!recording,now.replay=null,!recording)return;let depthOf=([,changes])=>changes.find(
-([name])=>name==="depth_mm")[2],places=recording.map(planned?depthOf:([time])=>time);now.replay=Object.assign(
-new Replay(now.steered,recording),{places,unit:planned?"mm of the plan":"s of the recording"}),part("scrub").max=
-Math.ceil(10*(places.at(-1)??0))/10,part("scrub").ariaLabel=planned?"depth along the plan, mm":"time of the re\
-cording, s"}function readRecording(text){let lines=text.split(/\r?\n/),count2=lines.findIndex(one=>!one.startsWith(
-"#")),number3=now.data.needles.findIndex(({head})=>head&&identify(head)===identify(text));if(count2<1||lines[count2]!==
-COLUMNS)throw new ModelError("the file is no recording","a file of Save recording, or of needlefit plan");if(number3<
-0)throw new ModelError("the recording is of another scene","one of this page; needlefit view --recording opens\
- others");let steps2=[];for(let row of lines.slice(count2+1).filter(Boolean)){let[step,time,name,item,value,tip]=row.
-split(",");Number(step)>steps2.length&&steps2.push([Number(time),[],NaN]);let last4=steps2.at(-1);last4[1].push(
-[name,item?Number(item):null,Number(value)]),tip&&(last4[2]=Number(tip))}return{number:number3,steps:steps2}}function openDropped(choose2){
-addEventListener("dragover",event=>event.preventDefault()),addEventListener("drop",async event=>{event.preventDefault();
-let[file]=event.dataTransfer?.files??[];if(file)try{let{number:number3,steps:steps2}=readRecording(await file.
-text());await choose2(number3),openRecording(steps2),goBack(),write("link-note",`Opened ${file.name}.`)}catch(error){
-refuse(error,part("proof").parentElement)}})}function keep(){let{needle,steered}=now,text=JSON.stringify({head:needle.
-head,way:steered.listWay().map(({changes})=>changes)});try{text.length<=MOST_KEPT&&localStorage.setItem(keyOf(
-needle),text)}catch{}}function restore(){let{needle,steered,replay}=now,kept=JSON.parse(localStorage.getItem(keyOf(
-needle))??"null");if(!kept||kept.head!==needle.head)return!1;steered.rewind();try{for(let changes of kept.way)
-steered.apply(changes)}catch{return localStorage.removeItem(keyOf(needle)),goBack(),!1}return replay&&(replay.
-changed=!0),part("back").disabled=!1,write("link-note","The needle as you left it: this browser keeps it."),show(),
-!0}var PAUSE,MOST_KEPT,COLUMNS,shown,placeOf,identify,keyOf,keeping,init_recording=__esm({"needlefit/viewer/pa\
-ge/recording.js"(){"use strict";init_address();init_dom();init_link();init_inputs();init_steering();init_store();
-init_stored();PAUSE=400,MOST_KEPT=1e6,COLUMNS="step,time_s,input,item,value,tip_lateral_mm",shown=()=>now.replay,
-placeOf=n=>n?shown().places[n-1]:0;part("scrub").addEventListener("input",({target})=>{let clock=Math.min(Number(
-target.value),placeOf(shown().steps.length));showStep(shown().places.filter(one=>one<=clock).length,clock)});press(
-"back",()=>{localStorage.removeItem(keyOf(now.needle)),goBack()});listen("steers",()=>{now.replay&&(now.replay.
-changed=!0)});press("save-recording",()=>{let name=`${nameOf2(now.needle).replace(/[^\w-]+/g,"-")}.csv`;hand(new Blob(
-[writeRecording(now.needle.head,now.steered)],{type:"text/csv"}),name),write("link-note",`Saved ${name}. It op\
-ens on this page, and with: needlefit view --recording ${name}`)});identify=head=>head.split(`
+vas").addEventListener("keydown",hear);press("undo",undo);press("redo",redo);press("flip",flip)}});function goBack(){write("link-note",""),part("back").disabled=!0,now.replay?showPlace(now.replay,now.replay.places.
+at(-1)??0):goHome()}function showPlace(replay,place){let{places,unit}=replay,end=places.at(-1)??0;forgetPast(),
+replay.to(places.filter(one=>one<=place).length),scrub.value=String(place>=end?scrub.max:place),scrub.ariaValueText=
+`${place.toFixed(1)} ${unit}`,write("time",`${place.toFixed(1)} of ${end.toFixed(1)} ${unit}`),show()}function openRecording(recording,planned=!1){
+if(part("transport").hidden=!recording,now.replay=null,!recording)return;let places=recording.map(([time,changes])=>planned?
+changes.find(([name])=>name==="depth_mm")?.[2]??0:time);now.replay=new Replay(now.steered,recording,places,planned?
+"mm of the plan":"s of the recording"),scrub.max=String(Math.ceil(10*(places.at(-1)??0))/10),scrub.ariaLabel=planned?
+"depth along the plan, mm":"time of the recording, s"}function readRecording(text){let lines=text.split(/\r?\n/),
+count2=lines.findIndex(one=>!one.startsWith("#")),number3=now.data.needles.findIndex(({head})=>head&&identify(
+head)===identify(text));if(count2<1||lines[count2]!==COLUMNS)throw new ModelError("the file is no recording","\
+a file of Save recording, or of needlefit plan");if(number3<0)throw new ModelError("the recording is of anothe\
+r scene","one of this page; needlefit view --recording opens others");let steps2=[];for(let row of lines.slice(
+count2+1).filter(Boolean)){let[step,time,name,item,value,tip]=row.split(",");Number(step)>steps2.length&&steps2.
+push([Number(time),[],NaN]);let last4=steps2[steps2.length-1];last4[1].push([name,item?Number(item):null,Number(
+value)]),tip&&(last4[2]=Number(tip))}return{number:number3,steps:steps2}}function openDropped(choose2){addEventListener(
+"dragover",event=>event.preventDefault()),addEventListener("drop",async event=>{event.preventDefault();let[file]=event.
+dataTransfer?.files??[];if(file)try{let{number:number3,steps:steps2}=readRecording(await file.text());await choose2(
+number3),openRecording(steps2),goBack(),write("link-note",`Opened ${file.name}.`)}catch(error){refuse(error,part(
+"proof").parentElement)}})}function keep(){let{needle,steered}=now,text=JSON.stringify({head:needle.head,way:steered.
+listWay().map(({changes})=>changes)});try{text.length<=MOST_KEPT&&localStorage.setItem(keyOf(needle),text)}catch{}}
+function restore(){let{needle,steered,replay}=now,kept=JSON.parse(localStorage.getItem(keyOf(needle))??"null");
+if(!kept||kept.head!==needle.head)return!1;steered.rewind();try{for(let changes of kept.way)steered.apply(changes)}catch{
+return localStorage.removeItem(keyOf(needle)),goBack(),!1}return replay&&(replay.changed=!0),part("back").disabled=
+!1,write("link-note","The needle as you left it: this browser keeps it."),show(),!0}var PAUSE,MOST_KEPT,scrub,
+COLUMNS,identify,keyOf,keeping,init_recording=__esm({"needlefit/viewer/page/recording.js"(){"use strict";init_address();
+init_dom();init_link();init_inputs();init_steering();init_store();init_stored();PAUSE=400,MOST_KEPT=1e6,scrub=
+part("scrub"),COLUMNS="step,time_s,input,item,value,tip_lateral_mm";scrub.addEventListener("input",()=>{let{replay}=now;
+replay&&showPlace(replay,Math.min(Number(scrub.value),replay.places.at(-1)??0))});press("back",()=>{localStorage.
+removeItem(keyOf(now.needle)),goBack()});listen("steers",()=>{now.replay&&(now.replay.changed=!0)});press("sav\
+e-recording",()=>{let name=`${nameOf2(now.needle).replace(/[^\w-]+/g,"-")}.csv`;hand(new Blob([writeRecording(
+now.needle.head??"",now.steered)],{type:"text/csv"}),name),write("link-note",`Saved ${name}. It opens on this \
+page, and with: needlefit view --recording ${name}`)});identify=head=>head.split(`
 `).filter(one=>one.startsWith("#")).slice(1).filter(one=>!one.startsWith("# needlefit =")).join(`
 `);keyOf=needle=>`needlefit ${location.pathname} ${nameOf2(needle)}`,keeping=0;listen("steers",()=>{clearTimeout(
-keeping),keeping=setTimeout(keep,PAUSE)});addEventListener("pagehide",()=>keeping&&keep())}});var main_exports={};async function choose(number3){let{data}=now;part("needle-choice").value=number3;let steered=await begin2(
-data.kernel,data.needles[number3]);if(Number(part("needle-choice").value)!==number3)return;let needle=data.needles[number3];
-Object.assign(now,{needle,steered});let{scene}=needle;openRecording(needle.recording,!!needle.scene.plan),take(
-{...scene,kind:"scene"}),buildFields(needle);let specimen=needle.new_specimen?" (of a specimen that was not fi\
-tted)":"",draws=counted(scene.draws?.sets??0,"posterior draw");write("band-note",scene.draws?`Band: 95 % of th\
-e needles of ${draws}${specimen} lie wholly in it. Noise and model error are not included.`:""),part("origin-m\
-ark")&&write("origin-mark",scene.origin_mark),goBack()}async function stateAgreement(){let{data}=now,{count:count2,
-largest}=await prove(data,SAME),[what,of]=data.needles[0].recording?["recorded state","recording"]:["needle",data.
-title?"report":"program"],[agrees,place]=[largest<SAME,part("proof")],found=largest===0?`the same bytes as in \
-the ${of}`:`up to ${largest.toExponential(1)} mm from the ${of}`;place.className=`quiet ${agrees?"good":"bad"}`,
-place.dataset.count=count2,place.dataset.largest=largest;let checked=`Self-check ${agrees?"passed":"failed"}: ${counted(
-count2,what)} computed here`;write("proof",`${checked}, ${Number.isNaN(largest)?"one without a result":found} \
-(needlefit ${data.needlefit}).`)}async function start(){let data=now.data=await load(),script=new Blob([part("\
-program").textContent],{type:"text/javascript"});computeBands(new Worker(URL.createObjectURL(script)),data.kernel,
-()=>({name:data.needles.indexOf(now.needle),steered:now.steered}));let choice=part("needle-choice");choice.append(
-...data.needles.map((one,i)=>element("option",{value:String(i)},[nameOf2(one),one.group].filter(Boolean).join(
-", ")))),part("choosing").hidden=data.needles.length<2,choice.addEventListener("change",()=>choose(Number(choice.
-value))),addEventListener("hashchange",()=>followAddress(choose)),openDropped(choose),await choose(0),await followAddress(
-choose)||restore(),await stateAgreement()}var init_main=__esm({"needlefit/viewer/page/main.js"(){"use strict";
-init_address();init_bands();init_dom();init_figure();init_inputs2();init_keyboard();init_link();init_quantities();
-init_recording();init_store();init_stored();start().catch(error=>{throw write("proof",`The needle was not comp\
-uted: ${error.message}`),part("proof").classList.add("bad"),error})}});typeof document>"u"?Promise.resolve().then(()=>(init_band_worker(),band_worker_exports)):Promise.resolve().then(()=>(init_main(),main_exports));})();
+keeping),keeping=setTimeout(keep,PAUSE)});addEventListener("pagehide",()=>keeping&&keep())}});var main_exports={};async function choose(number3){let{data}=now;part("needle-choice").value=number3;let steered=await SteeredNeedle.
+begin(data.kernel,data.needles[number3].scene);if(Number(part("needle-choice").value)!==number3)return;let needle=data.
+needles[number3];Object.assign(now,{needle,steered,band:null});let{scene}=needle;openRecording(needle.recording,
+!!needle.scene.plan),take("scene",scene),buildFields(needle);let specimen=needle.new_specimen?" (of a specimen\
+ that was not fitted)":"",draws=counted(scene.draws?.sets??0,"posterior draw");write("band-note",scene.draws?`\
+Band: 95 % of the needles of ${draws}${specimen} lie wholly in it. Noise and model error are not included.`:""),
+part("origin-mark")&&write("origin-mark",scene.origin_mark),goBack()}async function stateAgreement(){let{data}=now,
+{count:count2,largest}=await prove(data,SAME),[what,of]=data.needles[0].recording?["recorded state","recording"]:
+["needle",data.title?"report":"program"],[agrees,place]=[largest<SAME,part("proof")],found=largest===0?`the sa\
+me bytes as in the ${of}`:`up to ${largest.toExponential(1)} mm from the ${of}`;place.className=`quiet ${agrees?
+"good":"bad"}`,place.dataset.count=count2,place.dataset.largest=largest;let checked=`Self-check ${agrees?"pass\
+ed":"failed"}: ${counted(count2,what)} computed here`;write("proof",`${checked}, ${Number.isNaN(largest)?"one \
+without a result":found} (needlefit ${data.needlefit}).`)}async function start(){let data=now.data=await load(),
+script=new Blob([part("program").textContent],{type:"text/javascript"});computeBands(new Worker(URL.createObjectURL(
+script)));let choice=part("needle-choice");choice.append(...data.needles.map((one,i)=>element("option",{value:String(
+i)},[nameOf2(one),one.group].filter(Boolean).join(", ")))),part("choosing").hidden=data.needles.length<2,choice.
+addEventListener("change",()=>choose(Number(choice.value))),addEventListener("hashchange",()=>followAddress(choose)),
+openDropped(choose),await choose(0),await followAddress(choose)||restore(),await stateAgreement()}var init_main=__esm(
+{"needlefit/viewer/page/main.js"(){"use strict";init_address();init_bands();init_dom();init_figure();init_inputs2();
+init_keyboard();init_link();init_steered();init_quantities();init_recording();init_store();init_stored();start().
+catch(error=>{throw write("proof",`The needle was not computed: ${error.message}`),part("proof").classList.add(
+"bad"),error})}});typeof document>"u"?Promise.resolve().then(()=>(init_band_worker(),band_worker_exports)):Promise.resolve().then(()=>(init_main(),main_exports));})();

@@ -228,7 +228,7 @@ def encode_limits(scene: Scene) -> dict[str, Any]:
         limits["cut_angle_deg"] = [0.0, min(max(10.0, 3 * math.degrees(bevel.cut_angle)), 44.0)]
     else:
         limits["offset_mm"] = [0.0, max(0.3, 3 * bevel.offset)]
-    return limits | {"base_y_mm": [-30.0, 30.0], "depth_mm": scene.needle.length}
+    return limits | {"depth_mm": scene.needle.length}
 
 
 #: symbols of the model's parameters that the page explains by the glossary; a law explains its own
@@ -244,14 +244,12 @@ def encode_scene(
     """
     tissue = scene.tissue
     return {
-        "kind": "scene",
         "length_mm": scene.needle.length,
         "depth_mm": scene.depth,
         "layer_names": list(scene.layer_names),
         "guide_names": list(names),
         "boundaries_mm": tissue.boundaries.tolist(),
         "spacing_mm": scene.rules.spacing,
-        "first_cell_mm": first_cell,
         "shape_parameters": [
             {key: getattr(parameter, key) for key in ("name", "symbol", "unit", "explanation")}
             for parameter in LAWS[tissue.law].parameters

@@ -99,7 +99,8 @@ def collect_explorers(runs: Sequence[Run]) -> PageData | None:
         before = len(explorers.needles) if explorers else 0
         explorers = collect_explorer(run, explorers) or explorers
         for needle in explorers.needles[before:] if explorers else ():
-            needle["name"] = f"{run.name}/{needle['scene']['target']}"
+            measured = needle["scene"]["measured"]
+            needle["name"] = f"{run.name}/{measured['id']}" if measured else run.name
     return explorers
 
 
@@ -185,7 +186,6 @@ def _collect_prediction(run: Run, data: PageData | None) -> PageData | None:
     changes = list_scene_changes(scene.steps, guides)
     encoded = encode_scene(scene, lattice.first_cell, guides, changes) | {
         "title": run.title,
-        "target": run.name,
         "origin_mark": run.origin_mark,
         "diameter_mm": scene.needle.outer_diameter or DEFAULT_DIAMETER_MM,
         "measured": None,
@@ -228,7 +228,6 @@ def _encode_needle(data: PageData, run: Run, row: Row, curve: Floats) -> dict[st
     changes = list_scene_changes(scene.steps, guides)
     encoded = encode_scene(scene, lattice.first_cell, guides, changes) | {
         "title": title,
-        "target": name,
         "origin_mark": run.origin_mark,
         "diameter_mm": scene.needle.outer_diameter or DEFAULT_DIAMETER_MM,
         "measured": measured,

@@ -79,8 +79,6 @@ def encode_scene(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
             scene, steering.first_cell, steering.names, list_scene_changes(scene.steps, steering.names)
         ),
         "title": viewed_scene.title,
-        "note": viewed_scene.note,
-        "target": viewed_scene.name,
         "origin_mark": viewed_scene.origin_mark,
         "diameter_mm": viewed_scene.diameter,
         "measured": measured and {

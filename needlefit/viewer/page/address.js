@@ -8,71 +8,55 @@ import { ModelError, rollOf, wrap } from "./model/inputs.js";
 import { SteeredNeedle } from "./model/steered.js";
 import { strengthOf } from "./quantities.js";
 
-const ANEW = [["return_to", null, 0]];
 const POINTS = 21; // of two needles that are compared
 export const SAME = 1e-6; // mm: what differs by more is another needle
 const DIGITS = 12; // of a number of an address
-const same = (one, other) => JSON.stringify(one) === JSON.stringify(other);
 
-/** What can stand in the address besides depth, turns and roll: {key, input, item, toInput: of its number, unit: in that of the model, read: from a needle}. */
+/** @type {(key: string, input: string, item: number | null, toInput: number, toModel: number, read: AddressKey["read"]) => AddressKey} */
+const makeKey = (key, input, item, toInput, toModel, read) => ({ key, input, item, toInput, toModel, read });
+
+/** What can stand in the address besides depth, turns and roll. @param {Scene} scene */
 function listKeys({ fitted, shape_parameters: shapes }) {
-  const { key, throughout } = strengthOf(fitted);
-  const plain = { toInput: (value) => value, unit: 1 };
-  const strength = key === "offset_mm"
-    ? { ...plain, key: "b", read: ({ step }) => step.bevel.offset }
-    : { ...plain, key: "theta", unit: Math.PI / 180, read: ({ step }) => step.bevel.cutAngle };
-  const layers = fitted.layers.flatMap((_, i) => [
-    { key: `mu${i + 1}`, input: "mu_pa", item: i + 1, toInput: (value) => value * 1e3, unit: 1e-3, read: ({ model }) => model.mu[i] },
-    ...shapes.map(({ name }, row) => ({ ...plain, key: `${name}${i + 1}`, input: name, item: i + 1, read: ({ shape }) => shape[row][i] })),
-  ]);
-  return [{ ...strength, input: throughout, item: null }, ...layers];
+  const { throughout, symbol } = strengthOf(fitted);
+  const strength = symbol === "b" ? makeKey("b", throughout, null, 1, 1, ({ step }) => step.bevel.offset)
+    : makeKey("theta", throughout, null, 1, Math.PI / 180, ({ step }) => step.bevel.cutAngle);
+  return [strength, ...fitted.layers.flatMap((_, i) => [
+    makeKey(`mu${i + 1}`, "mu_pa", i + 1, 1e3, 1e-3, ({ model }) => model.mu[i]),
+    ...shapes.map(({ name }, row) => makeKey(`${name}${i + 1}`, name, i + 1, 1, 1, ({ shape }) => shape[row][i])),
+  ])];
 }
 
+/** @param {number} value */
 const shorten = (value) => Number(value.toPrecision(DIGITS));
 
-/** What an address cannot have of the path of a needle, in words. */
-function listLost({ scene: { simulation: { steps: [first] } }, step }, path) {
-  const all = [...path, step];
-  const differs = (read) => all.some((one) => !same(read(one.controls), read(first.controls)));
-  return [
-    [differs(({ baseY }) => baseY), "the base, which was moved"],
-    [differs(({ baseSlope }) => baseSlope), "the base, which was turned"],
-    [differs(({ guides }) => guides.map(({ x, y, slope }) => [x, y, slope])), "the guides"],
-    [differs(({ tip }) => tip && [tip.y, tip.slope]), "the tip, which was held"],
-    [all.some(({ bevel }) => bevel.offset !== step.bevel.offset || bevel.cutAngle !== step.bevel.cutAngle), "b, which changed on the way"],
-  ].filter(([is]) => is).map(([, words]) => words);
-}
-
 /**
- * Resolves to {address} of a needle, without its `#`, or to {lost}: what it cannot carry, in words.
+ * Resolves to the address of a needle, without its `#`, or to null where none leads to it: it carries depth, turns and roll of
+ * the bevel, and parameters of the whole insertion.
  *
- * It carries depth, turns and roll of the bevel, and parameters of the whole insertion.
+ * @param {WebAssembly.Module} kernel @param {SteeredNeedle} steered @param {string | null} [name]
  */
-export async function writeAddress(kernel, steered, name = /** @type {string | null} */ (null)) {
+export async function writeAddress(kernel, steered, name = null) {
   const { scene, step } = steered;
   const path = steered.path();
-  const lost = listLost(steered, path);
-  if (lost.length) return { lost };
   const rolls = path.map(({ bevel }) => wrap(rollOf(bevel)));
   const values = new URLSearchParams(name === null ? {} : { needle: name });
-  values.set("depth", step.depth);
-  values.set("roll", rolls.at(-1));
+  values.set("depth", String(step.depth));
+  values.set("roll", String(rolls.at(-1)));
   const turns = path.slice(0, -1).map(({ depth }, i) => {
     const by = shorten(wrap(rolls[i + 1] - rolls[i]));
     return by === 180 ? depth : `${depth}:${by}`;
   });
   if (turns.length) values.set("turn", turns.join(","));
   const { model, shape, steps: [first] } = scene.simulation;
-  for (const { key, item, unit, read } of listKeys(scene)) {
+  for (const { key, item, toModel, read } of listKeys(scene)) {
     const value = read(steered);
-    if (item && value === read({ model, shape, step: first })) continue;
-    values.set(key, String(shorten(value / unit)));
+    if (!item || value !== read({ model, shape, step: first })) values.set(key, String(shorten(value / toModel)));
   }
   const address = values.toString().replaceAll("%2C", ",").replaceAll("%3A", ":");
-  return (await leadsTo(kernel, address, steered)) ? { address } : { lost: ["the path"] };
+  return (await leadsTo(kernel, address, steered)) ? address : null;
 }
 
-/** Whether an address leads to a needle. */
+/** Whether an address leads to a needle. @param {WebAssembly.Module} kernel @param {string} address @param {SteeredNeedle} steered */
 async function leadsTo(kernel, address, steered) {
   const other = await SteeredNeedle.begin(kernel, steered.scene);
   try {
@@ -81,23 +65,23 @@ async function leadsTo(kernel, address, steered) {
     if (!(error instanceof ModelError)) throw error;
     return false;
   }
-  const { depth } = steered.step;
-  const points = ({ session }) => readPoints(session, Array.from({ length: POINTS }, (_, i) => (depth * i) / (POINTS - 1)));
-  const [found, wanted] = [other, steered].map(points);
-  return found.every((point, i) => Math.hypot(...point.map((one, axis) => one - wanted[i][axis])) < SAME);
+  const s = Array.from({ length: POINTS }, (_, i) => (steered.step.depth * i) / (POINTS - 1));
+  const [reached, wanted] = [other, steered].map(({ session }) => readPoints(session, s));
+  return reached.every((point, i) => Math.hypot(...point.map((value, axis) => value - wanted[i][axis])) < SAME);
 }
 
-/** The name of the needle that an address has; null without one. */
+/** The name of the needle that an address has; null without one. @param {string} address */
 export const nameIn = (address) => new URLSearchParams(address).get("needle");
 
-/** Lists of changes that lead to the needle of an address from first contact on; none where it only names one. A ModelError where it is wrong. */
+/** Lists of changes that lead to the needle of an address from first contact on; none where it only names one. A ModelError where it is wrong. @param {string} address @param {Scene} scene @returns {Change[][]} */
 export function readAddress(address, scene) {
   const values = new URLSearchParams(address);
   const keys = listKeys(scene);
   const known = ["needle", "depth", "roll", "turn", ...keys.map(({ key }) => key)];
+  /** @param {string} key @param {string | null} text */
   const number = (key, text, low = -Infinity) => {
     const value = Number(text);
-    if (text.trim() !== "" && Number.isFinite(value) && value >= low) return value;
+    if (text?.trim() && Number.isFinite(value) && value >= low) return value;
     throw new ModelError(`the address has ${key}=${text}`, low < 0 ? "a number" : `a number, ${low} or above`);
   };
   for (const key of values.keys()) if (!known.includes(key)) throw new ModelError(`the address has ${key}`, known.join(", "));
@@ -121,13 +105,15 @@ export function readAddress(address, scene) {
     roll = wrap(roll - by);
     return end;
   }).reverse();
-  const inputs = keys.filter(({ key }) => values.has(key)).map(({ key, input, item, toInput }) => [input, item, toInput(number(key, values.get(key)))]);
-  const lists = [ANEW, [["bevel_roll_deg", null, roll], ...inputs]];
+  /** @type {Change[]} */
+  const inputs = keys.filter(({ key }) => values.has(key)).map(({ key, input, item, toInput }) => [input, item, toInput * number(key, values.get(key))]);
+  /** @type {Change[][]} */
+  const lists = [[["return_to", null, 0]], [["bevel_roll_deg", null, roll], ...inputs]];
   turns.forEach(({ at }, i) => lists.push([["depth_mm", null, at]], [["bevel_roll_deg", null, after[i]]]));
   return [...lists, [["depth_mm", null, depth]]];
 }
 
-/** A recording of a needle as `needlefit view` writes it: its `head`, and a row for each input that led there. */
+/** A recording of a needle as `needlefit view` writes it: its `head`, and a row for each input that led there. @param {string} head @param {SteeredNeedle} steered */
 export function writeRecording(head, steered) {
   const rows = steered.listWay().flatMap(({ changes, tip }, i) => changes.map(([name, item, value], n) =>
     `${i + 1},${(i / 10).toFixed(4)},${name},${item ?? ""},${value},${n === changes.length - 1 ? tip : ""}`));

@@ -3,39 +3,29 @@
 import { toInputs } from "./model/inputs.js";
 import { listen, now, take } from "./store.js";
 
-const NONE = { kind: "band", x: [] };
-
-/** Have a worker compute it; `current()` returns the needle, `steered`, and its `name`, which no other one has. */
-export function computeBands(worker, kernel, current) {
+/** Have a worker compute it. @param {Worker} worker */
+export function computeBands(worker) {
   let ordered = ""; // what the newest order is about
-  worker.postMessage({ kernel });
+  worker.postMessage({ kernel: now.data.kernel });
 
-  /** The needle as it stands, as the thread is given it. */
-  function describeNeedle() {
-    const { name, steered } = current();
-    const { model } = steered;
-    const steps = steered.path().map((one) => ({ depth: one.depth, inputs: toInputs(one, model.pathAngle) }));
-    return { id: { needle: name, step: now.state.step }, model, steps };
-  }
+  /** The needle and its step, by which an answer is known. */
+  const about = () => ({ needle: now.data.needles.indexOf(now.needle), step: now.state.step });
 
   /** Order what is shown of the needle as it stands, unless it is on its way. */
   function order() {
-    if (!now.state) return;
-    const about = JSON.stringify([current().name, now.state.step]);
-    if (ordered === about) return;
-    ordered = about;
-    worker.postMessage(describeNeedle());
-  }
-
-  function send() {
-    ordered = "";
-    worker.postMessage({ draws: now.scene.draws, steps: null });
-    order();
+    if (!now.state || ordered === JSON.stringify(about())) return;
+    ordered = JSON.stringify(about());
+    const { model } = now.steered;
+    const steps = now.steered.path().map((step) => ({ depth: step.depth, inputs: toInputs(step, model.pathAngle) }));
+    worker.postMessage({ id: about(), model, steps });
   }
 
   worker.onmessage = ({ data: { id, band } }) => {
-    if (id.needle === current().name) take(band ? { kind: "band", step: id.step, ...band } : NONE);
+    if (id.needle === about().needle) take("band", band && { step: id.step, ...band });
   };
-  listen("scene", send);
+  listen("scene", ({ draws }) => {
+    ordered = "";
+    worker.postMessage({ draws, steps: null });
+  });
   listen("drawn", order); // not before: the thread that wakes would hold up the frame
 }

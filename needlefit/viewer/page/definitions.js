@@ -4,7 +4,7 @@ import { element } from "./dom.js";
 import { listen } from "./store.js";
 
 /** One or two sentences each. Those of the model's parameters, from the glossary, and of error metrics come with the scene. */
-export const DEFINITIONS = {
+export const DEFINITIONS = /** @type {Record<string, string>} */ ({
   "depth": "Inserted arc length: how much of the needle is beyond the entry.",
   "tip y": "Distance of the tip from the entry axis, y; positive to the left of the entry.",
   "tip slope": "Angle of the needle at its tip against the entry axis.",
@@ -15,13 +15,13 @@ export const DEFINITIONS = {
   "base slope": "Angle of the base of the needle against the entry axis, as it is set.",
   "guide": "Where a guide holds the needle: x along the entry, y to its left, slope dy/dx as an angle.",
   "noise floor": "The mean error that perfect parameters would still show if measurements err as stated.",
-};
+});
 
 listen("scene", ({ definitions, shape_parameters: shapes }) => {
   Object.assign(DEFINITIONS, definitions);
   for (const { symbol, explanation } of shapes) DEFINITIONS[symbol] = `${explanation[0].toUpperCase()}${explanation.slice(1)}.`;
 });
 
-/** A term that shows the definition of `name`, itself or `called` otherwise; plain text where there is none. */
+/** A term that shows the definition of `name`, itself or `called` otherwise; plain text where there is none. @param {string} name */
 export const define = (name, called = name) =>
   (name in DEFINITIONS ? element("span", { className: "term", title: DEFINITIONS[name] }, called) : called);

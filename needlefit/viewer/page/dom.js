@@ -3,34 +3,28 @@
 /** @type {(id: string) => any} */
 export const part = (id) => document.getElementById(id);
 
-/** Write a text into a part, if it is another one. */
+/** Write a text into a part, if it is another one. @param {string | Element} id @param {string} text */
 export function write(id, text) {
   const place = typeof id === "string" ? part(id) : id;
   if (place.textContent !== text) place.textContent = text;
 }
 
-/** Make an element with these properties (`ariaLabel` and the like among them) and contents. */
+/** Make an element with these properties (`ariaLabel` and the like among them) and contents. @param {string} tag @param {object} properties @param {(string | Node | (string | Node)[])[]} contents */
 export function element(tag, properties = {}, ...contents) {
   const made = Object.assign(document.createElement(tag), properties);
   made.append(...contents.flat());
   return made;
 }
 
+/** @param {string | Element} id @param {() => void} act */
 export const press = (id, act) => (typeof id === "string" ? part(id) : id).addEventListener("click", act);
 
-/** A button that does something when it is pressed. */
-export function button(text, act, properties = {}) {
-  const made = element("button", { type: "button", ...properties }, text);
-  press(made, act);
-  return made;
-}
-
-/** A term and what stands beside it in a list. */
+/** A term and what stands beside it in a list. @param {string | Node} term @param {string | Node | (string | Node)[]} value */
 export const entry = (term, value) => element("div", {}, element("dt", {}, term), element("dd", {}, value));
 
-/** Give the reader a file. */
+/** Give the reader a file. @param {Blob} blob @param {string} name */
 export function hand(blob, name) {
-  const link = element("a", { href: URL.createObjectURL(blob), download: name });
+  const link = /** @type {HTMLAnchorElement} */ (element("a", { href: URL.createObjectURL(blob), download: name }));
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
 }

@@ -56,6 +56,7 @@ press("save-figure", async () => {
   const [format, wide] = [part("figure-format").value, Number(part("figure-width").value)];
   const figure = await (format === "png" ? drawPng(wide) : drawSvg(wide));
   const name = `${nameOf(now.needle).replace(/[^\w-]+/g, "-")}.${format}`;
+  if (!figure) return;
   hand(figure, name);
   write("link-note", `Saved ${name}: the picture as it is shown.`);
 });

@@ -11,7 +11,7 @@ const ROLL = 10; // degrees
 const WITHIN = 1000; // ms; a key pressed again so soon goes on with what the one before began
 const last = { key: "", at: -Infinity, gesture: 0 };
 
-/** Change an input; the same key pressed again soon is undone with it. */
+/** Change an input; the same key pressed again soon is undone with it. @param {string} key @param {Change[]} changes */
 function go(key, changes) {
   const at = performance.now();
   const again = key === last.key && at - last.at < WITHIN;
@@ -19,7 +19,7 @@ function go(key, changes) {
   change(changes, { gesture: last.gesture });
 }
 
-/** Insert, or retract if negative, by so many mm, as far as the needle goes. */
+/** Insert, or retract if negative, by so many mm, as far as the needle goes. @param {number} mm */
 function insert(mm) {
   const { step: { depth }, scene } = now.steered;
   const end = Math.max(Math.min(now.steered.reach(), scene.limits.depth_mm), depth);
@@ -27,10 +27,12 @@ function insert(mm) {
 }
 
 const flip = () => change([turnOver(now.state.bevel.roll_deg)]);
+/** @param {number} by */
 const roll = (by) => go("roll", [["bevel_roll_deg", null, wrap(now.state.bevel.roll_deg + by)]]);
+/** @param {number} mm */
 const moveBase = (mm) => go("base", [["base_y_mm", null, now.state.base.input_y + mm]]);
 
-/** Keys as the browser calls them, what is written for them, and what they do. @type {[string[], string, string, (event: any) => void][]} */
+/** Keys as the browser calls them, what is written for them, and what they do. @type {[string[], string, string, (event: KeyboardEvent) => void][]} */
 const KEYS = [
   [["ArrowRight"], "→", "insert 1 mm; with Shift 0.1 mm", (e) => insert(e.shiftKey ? 0.1 : 1)],
   [["ArrowLeft"], "←", "retract, likewise", (e) => insert(e.shiftKey ? -0.1 : -1)],
@@ -45,8 +47,10 @@ const KEYS = [
   [["2"], "2", "show the tissue", () => fit("tissue")],
   [["3"], "3", "follow the tip", () => fit("tip")],
 ];
+/** @type {Record<string, (event: KeyboardEvent) => void>} */
 const COMMANDS = { z: (event) => (event.shiftKey ? redo() : undo()), y: () => redo() };
 
+/** @param {KeyboardEvent} event */
 function hear(event) {
   if (!now.state || event.altKey) return;
   const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;

@@ -9,7 +9,7 @@ import { now } from "./store.js";
 /** @type {(needle: Needle) => string} */
 export const nameOf = ({ name, scene }) => name ?? scene.measured?.id ?? scene.title;
 
-/** Show the needle of the address; resolves to whether it has one. The place of another part of a report is none. */
+/** Show the needle of the address; resolves to whether it has one. The place of another part of a report is none. @param {(number: number) => Promise<void>} choose */
 export async function followAddress(choose) {
   const address = location.hash.slice(1);
   if (!address) return false;
@@ -30,6 +30,7 @@ export async function followAddress(choose) {
   }
 }
 
+/** @param {string} address */
 function decode(address) {
   try {
     return decodeURIComponent(address);
@@ -41,9 +42,9 @@ function decode(address) {
 /** Copy the address of this file with the needle as it stands; of a needle that no address leads to, say so. */
 async function copy() {
   const { data: { needles, kernel }, needle, scene, steered } = now;
-  const { address, lost } = await writeAddress(kernel, steered, needles.length > 1 ? nameOf(needle) : null);
-  write("link-note", lost ? `No link: an address does not carry ${lost.join(", ")}. A recording does.` : "");
-  if (lost) return;
+  const address = await writeAddress(kernel, steered, needles.length > 1 ? nameOf(needle) : null);
+  write("link-note", address ? "" : "No link: an address carries depth, roll and turns of the bevel, and parameters. A recording carries all inputs.");
+  if (!address) return;
   steer(readAddress(address, scene)); // the same needle within the solver's tolerance: from now on to the bit
   history.replaceState(null, "", `#${address}`); // no change of the needle
   await navigator.clipboard?.writeText(location.href).then(() => write("link-note", "The link is copied."), () => null);

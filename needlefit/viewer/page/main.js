@@ -7,22 +7,23 @@ import "./figure.js";
 import { buildFields } from "./inputs.js";
 import "./keyboard.js";
 import { followAddress, nameOf } from "./link.js";
+import { SteeredNeedle } from "./model/steered.js";
 import { counted } from "./quantities.js";
 import { goBack, openDropped, openRecording, restore } from "./recording.js";
 import { now, take } from "./store.js";
-import { begin, load, prove } from "./stored.js";
+import { load, prove } from "./stored.js";
 
 /** Show a needle as the file has it: of a recording its end, else the fit at the depth of the measured needle. */
-async function choose(number) {
+async function choose(/** @type {number} */ number) {
   const { data } = now;
   part("needle-choice").value = number;
-  const steered = await begin(data.kernel, data.needles[number]);
+  const steered = await SteeredNeedle.begin(data.kernel, data.needles[number].scene);
   if (Number(part("needle-choice").value) !== number) return; // another one has been chosen meanwhile
   const needle = data.needles[number];
-  Object.assign(now, { needle, steered });
+  Object.assign(now, { needle, steered, band: null });
   const { scene } = needle;
   openRecording(needle.recording, Boolean(needle.scene.plan));
-  take({ ...scene, kind: "scene" });
+  take("scene", scene);
   buildFields(needle);
   const specimen = needle.new_specimen ? " (of a specimen that was not fitted)" : "";
   const draws = counted(scene.draws?.sets ?? 0, "posterior draw");
@@ -48,7 +49,7 @@ async function stateAgreement() {
 async function start() {
   const data = (now.data = await load());
   const script = new Blob([part("program").textContent], { type: "text/javascript" });
-  computeBands(new Worker(URL.createObjectURL(script)), data.kernel, () => ({ name: data.needles.indexOf(now.needle), steered: now.steered }));
+  computeBands(new Worker(URL.createObjectURL(script)));
   const choice = part("needle-choice");
   choice.append(...data.needles.map((one, i) =>
     element("option", { value: String(i) }, [nameOf(one), one.group].filter(Boolean).join(", "))));

@@ -8,29 +8,29 @@ import { toPy, view } from "./view.js";
 
 
 
-/** What is read of the needle: a name, a unit, and how it is written from a state. */
+/** What is read of the needle: a name, a unit, and how it is written from a state. @type {[string, string, (state: State) => string][]} */
 const NEEDLE = [
   ["depth", "mm", (s) => s.depth_mm.toFixed(2)],
   ["tip y", "mm", (s) => signed(s.tip.lateral_mm, 2)],
-  ["tip z", "mm", (s) => (s.z ? signed(s.tip.z, 2) : "–")],
+  ["tip z", "mm", (s) => (s.tip.z === null ? "–" : signed(s.tip.z, 2))],
   ["tip slope", "°", (s) => signed(toDegrees(s.tip.rotation), 2)],
   ["steepest slope", "", (s) => s.max_slope.toFixed(3)],
 ];
 
 const TIP_Z = NEEDLE.findIndex(([name]) => name === "tip z");
 
-/** Put readouts into a list; returns what writes them from a state, dashes without one. */
+/** Put readouts into a list; returns what writes them from a state, dashes without one. @template T @param {HTMLElement} list @param {[string, string, (from: T) => string][]} readouts */
 function fillReadouts(list, readouts) {
   const numbers = readouts.map(([name, unit]) => {
     const number = element("span", {}, "–");
     list.append(entry(define(name), [number, " ", element("small", {}, unit)]));
     return number;
   });
-  return (from) => readouts.forEach(([, , read], i) => write(numbers[i], from ? read(from) : "–"));
+  return (/** @type {T | null} */ from) => readouts.forEach(([, , read], i) => write(numbers[i], from ? read(from) : "–"));
 }
 
 const writeNeedle = fillReadouts(part("readouts"), NEEDLE);
-let writeErrors = (_errors) => {}; // of the comparison with a measured needle: each that is shown
+let writeErrors = (/** @type {Errors | null} */ _errors) => {}; // of the comparison with a measured needle: each that is shown
 
 function refresh() {
   const { state, scene } = now;
@@ -41,26 +41,25 @@ function refresh() {
   if (title) write(title, `${follows ? "plan: " : isSteered(state, scene) ? "steered by hand: " : ""}${scene.title}`);
   if (!scene.measured) return;
   const prediction = predictionOf(state, scene);
-  writeErrors(prediction ? { ...state.errors, ...prediction.errors } : state.errors);
+  writeErrors(state.errors && { ...state.errors, ...prediction?.errors });
   write("against", `${prediction ? "prediction " : ""}against ${scene.measured.id}${state.errors ? `, ${comparedUpTo(state.errors)}` : ""}`);
 }
 
-/** Up to where errors compare: whole, or the part of the measured needle that the needle has reached. */
+/** Up to where errors compare: whole, or the part of the measured needle that the needle has reached. @param {Errors} errors */
 const comparedUpTo = ({ whole, upto_mm: upto }) =>
   whole ? "over the whole insertion" : `over the first ${upto.toFixed(1)} mm`;
 
 listen("scene", ({ measured }) => {
   part("compared").hidden = measured === null;
   if (!measured) return;
-  const metrics = measured.metrics.map(([name, label, unit, text]) => {
-    DEFINITIONS[label] = text;
-    return [label, unit, (errors) => writeError(errors[name], unit)];
-  });
+  /** @type {[string, string, (errors: Errors) => string][]} */
+  const metrics = measured.metrics.map(([name, label, unit]) => [label, unit, (errors) => writeError(errors[name], unit)]);
+  for (const [, label, , text] of measured.metrics) DEFINITIONS[label] = text;
   part("errors").replaceChildren();
-  writeErrors = fillReadouts(part("errors"), [...metrics, ["noise floor", "mm", (e) => e.floor_mm?.toFixed(3) ?? "–"]]);
+  writeErrors = fillReadouts(part("errors"), [...metrics, ["noise floor", "mm", ({ floor_mm: floor }) => writeError(floor, "mm")]]);
 });
 
-/** Which limits of the model the needle exceeds, in words; empty where it exceeds none. */
+/** Which limits of the model the needle exceeds, in words; empty where it exceeds none. @param {State} state */
 const exceeded = ({ faults }) => (faults?.length ? `outside the model: ${faults.join("; ")}` : "");
 
 listen("state", (state) => {
@@ -71,6 +70,7 @@ listen("state", (state) => {
   part("beyond").classList.toggle("low", toPy(state.tip.y) < view.box.top + view.box.height / 2); // not on the tip
 });
 
+/** @param {{ rotation: number }} place */
 const angle = ({ rotation }) => `${signed(toDegrees(rotation), 1)} degrees`;
 
 /** The needle's state in a few sentences, for who does not see the picture. */

@@ -10,47 +10,43 @@ import { Replay } from "./stored.js";
 
 const PAUSE = 400; // ms without a change, after which the browser keeps the needle
 const MOST_KEPT = 1_000_000; // characters
+const scrub = /** @type {HTMLInputElement} */ (part("scrub"));
 const COLUMNS = "step,time_s,input,item,value,tip_lateral_mm";
-
-/** The recording that is shown, where there is one. */
-const shown = () => /** @type {Replay} */ (now.replay);
-
-/** How far a recording is after n steps: the depth of a plan, mm, or the time of another one, s. */
-const placeOf = (n) => (n ? shown().places[n - 1] : 0);
 
 /** Show a needle that was chosen as the file has it: of a recording its end. */
 export function goBack() {
   write("link-note", "");
   part("back").disabled = true;
-  if (now.replay) showStep(now.replay.steps.length);
+  if (now.replay) showPlace(now.replay, now.replay.places.at(-1) ?? 0);
   else goHome();
 }
 
-function showStep(n, clock = placeOf(n)) {
-  const replay = shown();
+/** Show the needle of a recording where it is as far as a place. @param {Replay} replay @param {number} place */
+function showPlace(replay, place) {
+  const { places, unit } = replay;
+  const end = places.at(-1) ?? 0;
   forgetPast();
-  replay.to(n);
-  part("scrub").value = n === replay.steps.length ? part("scrub").max : clock;
-  part("scrub").ariaValueText = `${clock.toFixed(1)} ${replay.unit}`;
-  write("time", `${clock.toFixed(1)} of ${placeOf(replay.steps.length).toFixed(1)} ${replay.unit}`);
+  replay.to(places.filter((one) => one <= place).length);
+  scrub.value = String(place >= end ? scrub.max : place);
+  scrub.ariaValueText = `${place.toFixed(1)} ${unit}`;
+  write("time", `${place.toFixed(1)} of ${end.toFixed(1)} ${unit}`);
   show();
 }
 
-/** Prepare the recording of a needle, or none; `planned`: the depth is dragged along it, which only increases. */
+/** Prepare the recording of a needle, or none; `planned`: the depth is dragged along it, which only increases. @param {RecordedStep[] | undefined} recording */
 export function openRecording(recording, planned = false) {
   part("transport").hidden = !recording;
   now.replay = null;
   if (!recording) return;
-  const depthOf = ([, changes]) => changes.find(([name]) => name === "depth_mm")[2];
-  const places = recording.map(planned ? depthOf : ([time]) => time);
-  now.replay = Object.assign(new Replay(now.steered, recording), { places, unit: planned ? "mm of the plan" : "s of the recording" });
-  part("scrub").max = Math.ceil(10 * (places.at(-1) ?? 0)) / 10; // the step is 0.1
-  part("scrub").ariaLabel = planned ? "depth along the plan, mm" : "time of the recording, s";
+  const places = recording.map(([time, changes]) => (planned ? changes.find(([name]) => name === "depth_mm")?.[2] ?? 0 : time));
+  now.replay = new Replay(now.steered, recording, places, planned ? "mm of the plan" : "s of the recording");
+  scrub.max = String(Math.ceil(10 * (places.at(-1) ?? 0)) / 10); // the step is 0.1
+  scrub.ariaLabel = planned ? "depth along the plan, mm" : "time of the recording, s";
 }
 
-part("scrub").addEventListener("input", ({ target }) => {
-  const clock = Math.min(Number(target.value), placeOf(shown().steps.length));
-  showStep(shown().places.filter((one) => one <= clock).length, clock);
+scrub.addEventListener("input", () => {
+  const { replay } = now;
+  if (replay) showPlace(replay, Math.min(Number(scrub.value), replay.places.at(-1) ?? 0));
 });
 press("back", () => {
   localStorage.removeItem(keyOf(now.needle));
@@ -65,32 +61,32 @@ listen("steers", () => {
 /** Save how the needle was moved, as `needlefit view --recording` opens it. */
 press("save-recording", () => {
   const name = `${nameOf(now.needle).replace(/[^\w-]+/g, "-")}.csv`;
-  hand(new Blob([writeRecording(now.needle.head, now.steered)], { type: "text/csv" }), name);
+  hand(new Blob([writeRecording(now.needle.head ?? "", now.steered)], { type: "text/csv" }), name);
   write("link-note", `Saved ${name}. It opens on this page, and with: needlefit view --recording ${name}`);
 });
 
-/** The head of a recording without its comment and the version that wrote it: the same for the same needle. */
+/** The head of a recording without its comment and the version that wrote it: the same for the same needle. @param {string} head */
 const identify = (head) => head.split("\n").filter((one) => one.startsWith("#")).slice(1).filter((one) => !one.startsWith("# needlefit =")).join("\n");
 
-/** The steps of a recording of one of the needles of this file: {number, steps: [time, changes, tip]}. */
+/** The steps of a recording of one of the needles of this file, and the number of that. @param {string} text */
 function readRecording(text) {
   const lines = text.split(/\r?\n/);
   const count = lines.findIndex((one) => !one.startsWith("#"));
   const number = now.data.needles.findIndex(({ head }) => head && identify(head) === identify(text));
   if (count < 1 || lines[count] !== COLUMNS) throw new ModelError("the file is no recording", "a file of Save recording, or of needlefit plan");
   if (number < 0) throw new ModelError("the recording is of another scene", "one of this page; needlefit view --recording opens others");
-  const steps = [];
+  const steps = /** @type {RecordedStep[]} */ ([]);
   for (const row of lines.slice(count + 1).filter(Boolean)) {
     const [step, time, name, item, value, tip] = row.split(",");
     if (Number(step) > steps.length) steps.push([Number(time), [], NaN]);
-    const last = steps.at(-1);
+    const last = steps[steps.length - 1];
     last[1].push([name, item ? Number(item) : null, Number(value)]);
     if (tip) last[2] = Number(tip);
   }
   return { number, steps };
 }
 
-/** Open recordings that are dropped on the page; `choose(number)` shows another needle of the file. */
+/** Open recordings that are dropped on the page; `choose(number)` shows another needle of the file. @param {(number: number) => Promise<void>} choose */
 export function openDropped(choose) {
   addEventListener("dragover", (event) => event.preventDefault());
   addEventListener("drop", async (event) => {
@@ -111,6 +107,7 @@ export function openDropped(choose) {
 
 // ---- the needle that the browser keeps
 
+/** @param {Needle} needle */
 const keyOf = (needle) => `needlefit ${location.pathname} ${nameOf(needle)}`;
 let keeping = 0;
 

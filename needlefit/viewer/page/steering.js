@@ -1,9 +1,10 @@
 /** The needle that is steered: what is asked for is carried out at once, and can be undone. */
 
 import { part, write } from "./dom.js";
+import { ModelError } from "./model/inputs.js";
 import { describeState } from "./model/state.js";
 import { insert } from "./stored.js";
-import { listen, now, publish, take } from "./store.js";
+import { now, publish, take } from "./store.js";
 
 const MOST_UNDONE = 200; // gestures
 const refusal = part("refusal");
@@ -14,9 +15,9 @@ let [steps, gestures, last] = [0, 0, 0];
 /** A number for inputs that are undone together. */
 export const newGesture = () => (gestures += 1);
 
-/** State below a part why the model does not take something. */
+/** State below a part why the model does not take something. @param {unknown} error @param {Element} below */
 export function refuse(error, below = part("flip").parentElement) {
-  if (!error.what) throw error;
+  if (!(error instanceof ModelError)) throw error;
   below.after(refusal);
   write(refusal, `${error.what}. Expected: ${error.expected}.`);
 }
@@ -26,7 +27,7 @@ export function show() {
   steps += 1; // of all needles together
   part("undo").disabled = !past.length;
   part("redo").disabled = !future.length;
-  take({ ...describeState(now.steered), step: steps, kind: "state" });
+  take("state", { ...describeState(now.steered), step: steps });
 }
 
 /** Forget what was steered: the needle was begun anew, or replayed. */
@@ -52,8 +53,10 @@ export function goHome() {
  * Carry out lists of changes, one after the other, as one gesture.
  *
  * What the model does not take is stated `below` a part, and the needle stays there, or if `whole` as it was.
+ *
+ * @param {Change[][]} lists @param {Gesture} how
  */
-export function steer(lists, { gesture = newGesture(), whole = false, below = undefined } = {}) {
+export function steer(lists, { gesture = newGesture(), whole = false, below } = {}) {
   const { steered } = now;
   const { number } = steered;
   publish("steers");
@@ -70,28 +73,29 @@ export function steer(lists, { gesture = newGesture(), whole = false, below = un
   if (begins) {
     past.push(number);
     future.length = 0;
-    if (past.length > MOST_UNDONE) steered.forget(past.shift());
+    if (past.length > MOST_UNDONE) steered.forget(Number(past.shift()));
   }
   last = gesture;
   part("back").disabled = false;
   show();
 }
 
+/** @param {Change[]} changes @param {Gesture} [how] */
 export const change = (changes, how) => steer([changes], how);
 
+/** @param {number[]} from @param {number[]} to */
 function goTo(from, to) {
-  if (!from.length) return;
+  const number = from.pop();
+  if (number === undefined) return;
   publish("steers");
   write(refusal, "");
   const { steered } = now;
   steered.keep();
   to.push(steered.number);
-  steered.apply([["return_to", null, from.pop()]]);
+  steered.apply([["return_to", null, number]]);
   last = 0;
   show();
 }
 
 export const undo = () => goTo(past, future);
 export const redo = () => goTo(future, past);
-
-listen("notice", ({ what, expected }) => refuse({ what, expected }));

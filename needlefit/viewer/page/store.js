@@ -1,7 +1,5 @@
 /** What the page knows, and the listeners to what changes. */
 
-
-
 /**
  * All that the page knows; also `window.needlefit`, for whoever measures it. `data` is the file's, `needle` one of its needles,
  * `steered` that needle as it is steered, `state` what is shown of it, `shown` the layers of the picture.
@@ -12,25 +10,22 @@ export const now = /** @type {Now} */ (/** @type {Partial<Now>} */ ({
 }));
 Object.assign(window, { needlefit: now });
 
-const listeners = new Map();
+/** @type {{ [kind: string]: ((message: any) => void)[] }} */
+const listeners = {};
 
-/** Call `hear(message)` for every message of this kind. */
-export function listen(kind, hear) {
-  if (!listeners.has(kind)) listeners.set(kind, []);
-  listeners.get(kind).push(hear);
-}
+/** Call `hear(message)` for every message of this kind. @template {keyof Messages} K @param {K} kind @param {(message: Messages[K]) => void} hear */
+export const listen = (kind, hear) => (listeners[kind] ??= []).push(hear);
 
+/** @template {keyof Messages} K @param {K} kind @param {Messages[K]} [message] */
 export function publish(kind, message) {
-  for (const hear of listeners.get(kind) ?? []) hear(message);
+  for (const hear of listeners[kind] ?? []) hear(message);
 }
 
 /** Have the picture drawn in the next frame. */
 export const redraw = () => publish("redraw");
 
-/** Keep a message, then publish it. */
-export function take(message) {
-  if (message.kind === "scene") Object.assign(now, { scene: message, band: null });
-  else if (message.kind === "band") now.band = message.x.length ? message : null; // empty: there is none
-  else now[message.kind] = message;
-  publish(message.kind, message);
+/** Keep what is known anew, then publish it. @template {"scene" | "state" | "band"} K @param {K} kind @param {Messages[K]} message */
+export function take(kind, message) {
+  Object.assign(now, { [kind]: message });
+  publish(kind, message);
 }

@@ -8,44 +8,46 @@ import { SteeredNeedle } from "./model/steered.js";
 
 const SLICE = 12; // ms that work may take at a time
 
-/** The bytes of an element that holds a compressed stream as base64. */
+/** The bytes of an element that holds a compressed stream as base64. @param {string} id */
 async function unpack(id) {
   const bytes = Uint8Array.from(atob(part(id).textContent), (one) => one.charCodeAt(0));
   const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate-raw"));
   return new Response(stream).arrayBuffer();
 }
 
-/** Resolves to the data of the file and the compiled kernel. */
+/** Resolves to the data of the file and the compiled kernel. @returns {Promise<Now["data"]>} */
 export async function load() {
   const [data, kernel] = await Promise.all([unpack("data"), unpack("kernel").then(compile)]);
-  const { lists, ...read } = JSON.parse(new TextDecoder().decode(data));
-  const resolve = (value) => (Array.isArray(value?.$) || Number.isInteger(value?.$) ? lists[value.$] : value);
-  for (const { scene } of read.needles) {
-    if (!scene.draws) continue;
-    for (const name of ["mu", "law", "strength"]) scene.draws[name] = resolve(scene.draws[name]);
+  const { lists, ...read } = JSON.parse(new TextDecoder().decode(data)); // a list that several needles have is stored once
+  for (const { scene: { draws } } of read.needles) {
+    for (const name in draws) draws[name] = lists[draws[name]?.$] ?? draws[name];
   }
   return { ...read, kernel };
 }
 
-/** Resolves to a needle at first contact. */
-export const begin = (kernel, { scene }) => SteeredNeedle.begin(kernel, scene);
-
-/** Carry out the steps of the scene. */
+/** Carry out the steps of the scene. @param {SteeredNeedle} steered */
 export function insert(steered) {
   for (const changes of steered.scene.simulation.changes) steered.apply(changes);
 }
 
 /** Replays a recording: `to(n)` carries out its first n steps, from the beginning if it is beyond, or `changed` by the reader. */
 export class Replay {
-  steered; steps; at; changed; last; places = []; unit = "s";
+  at = 0;
+  changed = false;
+  last = new Map(); // to each step that is returned to, after which step that happens last
 
-  constructor(steered, steps) {
-    Object.assign(this, { steered, steps, at: 0, changed: false, last: new Map() });
-    this.steps.forEach(([, changes], i) => {
+  /** `places`: how far it is after each step, in a unit. @param {SteeredNeedle} steered @param {RecordedStep[]} steps @param {number[]} [places] */
+  constructor(steered, steps, places = [], unit = "s") {
+    this.steered = steered;
+    this.steps = steps;
+    this.places = places;
+    this.unit = unit;
+    steps.forEach(([, changes], i) => {
       for (const [name, , value] of changes) if (name === "return_to") this.last.set(value, i + 1);
     });
   }
 
+  /** @param {number} n */
   to(n) {
     if (this.changed || n < this.at) {
       this.steered.rewind();
@@ -65,15 +67,16 @@ export class Replay {
   }
 }
 
-/** The largest distance, mm, of a needle of a report from the one that its run stored, or difference of an error above `same`; 0: the same bytes. */
+/** The largest distance, mm, of a needle of a report from the one that its run stored, or difference of an error above `same`; 0: the same bytes. @param {SteeredNeedle} steered @param {Needle} needle @param {number} same */
 function compareStored(steered, { errors: known, tip }, same) {
-  if (!known) return Math.abs(steered.tipLateral - tip);
-  const { target, stored } = steered.scene.measured;
-  const [points] = readTarget(steered.session, target);
-  const found = computeErrors(steered.session, steered.scene.measured);
-  const errors = Object.keys(known).map((name) => Math.abs(known[name] - found[name]));
+  const { scene: { measured }, session } = steered;
+  if (!known || !measured?.stored) return Math.abs(steered.tipLateral - Number(tip));
+  const { x, y, z } = measured.stored;
+  const [points] = readTarget(session, measured.target);
+  const computed = computeErrors(session, measured);
+  const errors = Object.keys(known).map((name) => Math.abs(known[name] - computed?.[name]));
   return Math.max(
-    ...points.flatMap((point, i) => ["x", "y", "z"].map((axis, n) => Math.abs(point[n] - stored[axis][i]))),
+    ...points.flatMap((point, i) => [x, y, z].map((axis, n) => Math.abs(point[n] - axis[i]))),
     ...errors.filter((one) => one > same),
   );
 }
@@ -83,6 +86,8 @@ function compareStored(steered, { errors: known, tip }, same) {
  *
  * Resolves to {count, largest}: states that were compared, and the largest distance, mm, or difference of an error above `same`;
  * 0: the same bytes. NaN where one failed.
+ *
+ * @param {Now["data"]} data @param {number} same
  */
 export async function prove({ needles, kernel }, same) {
   let [count, largest, since] = [0, 0, performance.now()];
@@ -92,12 +97,13 @@ export async function prove({ needles, kernel }, same) {
     since = performance.now();
   };
   for (const needle of needles) {
+    /** @param {number} distance */
     const compare = (distance) => {
       count += 1;
       largest = Math.max(largest, distance);
     };
     try {
-      const steered = await begin(kernel, needle);
+      const steered = await SteeredNeedle.begin(kernel, needle.scene);
       if (needle.recording) {
         const replay = new Replay(steered, needle.recording);
         for (let n = 1; n <= needle.recording.length; n += 1) {

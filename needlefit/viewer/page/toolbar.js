@@ -1,10 +1,10 @@
 /** The buttons below the picture: what part is seen, what of it, and the pinned needle. */
 
-import { button, element, part, press, write } from "./dom.js";
+import { element, part, press, write } from "./dom.js";
 import { listen, now, redraw } from "./store.js";
 import { fit, view } from "./view.js";
 
-/** The layers of the picture: what the button of each is called, and explained. */
+/** The layers of the picture: what the button of each is called, and explained. @type {Record<Shown, string[]>} */
 const CHIPS = {
   measured: ["measured"],
   errors: ["errors", "Gaps at the tip (TE) and along the shaft (IPE)"],
@@ -16,21 +16,22 @@ const CHIPS = {
   load: ["load", "Lateral load of the tissue on the shaft, within the limits of the model"],
   inset: ["true scale", "The needle in a corner, with y as large as x"],
 };
+const NAMES = /** @type {Shown[]} */ (Object.keys(CHIPS));
 /** @type {NodeListOf<HTMLElement & { dataset: { fit: View["fit"] } }>} */
 const fits = document.querySelectorAll("[data-fit]");
-const chips = Object.fromEntries(Object.entries(CHIPS).map(([name, [called, title = ""]]) => {
+const chips = NAMES.map((name) => {
+  const [called, title = ""] = CHIPS[name];
   const swatch = element("i", { ariaHidden: "true", className: `swatch ${name}` });
-  const chip = button([swatch, called], () => toggle(name), { title, ariaPressed: String(now.shown[name]) });
+  const chip = element("button", { type: "button", title, ariaPressed: String(now.shown[name]) }, swatch, called);
   chip.dataset.show = name;
-  return [name, chip];
-}));
-part("chips").append(...Object.values(chips));
-
-function toggle(name) {
-  now.shown[name] = !now.shown[name];
-  chips[name].ariaPressed = String(now.shown[name]);
-  redraw();
-}
+  press(chip, () => {
+    now.shown[name] = !now.shown[name];
+    chip.ariaPressed = String(now.shown[name]);
+    redraw();
+  });
+  return chip;
+});
+part("chips").append(...chips);
 
 /** Keep the needle as it stands to compare with, or forget the one that was kept. */
 export function pin() {
@@ -38,22 +39,18 @@ export function pin() {
   setPinned(now.pinned ? null : { x, y, z });
 }
 
-/** @param {Curve | null} curve */
-function setPinned(curve) {
-  now.pinned = curve;
-  part("pin").ariaPressed = String(Boolean(curve));
-  write("pin", curve ? "Unpin" : "Pin");
-  offer({ pinned: curve });
+/** Offer what there is. @param {Curve | null} pinned */
+function setPinned(pinned) {
+  now.pinned = pinned;
+  part("pin").ariaPressed = String(Boolean(pinned));
+  write("pin", pinned ? "Unpin" : "Pin");
+  const { measured, draws, plan } = now.scene;
+  const there = { measured, errors: measured, band: draws, plan, pinned, points: true, path: true, load: true, inset: true };
+  NAMES.forEach((name, i) => (chips[i].hidden = !there[name]));
   redraw();
 }
 
-/** Offer what there is, by name. */
-const offer = (there) => Object.entries(there).forEach(([name, is]) => (chips[name].hidden = !is));
-
 press("pin", pin);
 for (const one of fits) press(one, () => fit(one.dataset.fit));
-listen("scene", ({ measured, draws, plan }) => {
-  offer({ measured, errors: measured, band: draws, plan });
-  setPinned(null);
-});
+listen("scene", () => setPinned(null));
 listen("redraw", () => fits.forEach((one) => (one.ariaPressed = String(one.dataset.fit === view.fit)))); // of another view

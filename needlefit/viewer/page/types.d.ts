@@ -1,6 +1,13 @@
 /** What the page is given, and what it knows: lengths mm, moduli Pa, forces N, angles degrees unless named otherwise. */
 
 type Change = [name: string, item: number | null, value: number];
+/** A number of an address: of which input, what it is times in the input's unit and in the model's, and its value in the model. */
+type AddressKey = {
+  key: string; input: string; item: number | null; toInput: number; toModel: number;
+  read: (needle: { step: { bevel: Bevel }; model: Model; shape: number[][] }) => number;
+};
+/** Changes that were carried out, where the tip then was, y, mm, and those before them. */
+type Way = { changes: Change[]; tip: number; before: Way | null };
 type Curve = { x: number[]; y: number[]; z?: number[] | null };
 type Errors = { upto_mm: number; whole: boolean; floor_mm: number | null } & { [metric: string]: any };
 
@@ -21,11 +28,24 @@ type Model = {
   switch: number; tangent: number; tolerance: number; maxIterations: number;
 };
 
-/** A needle as the kernel has it: see `mechanics/native/needle.js`. */
+// ---- the kernel: moduli MPa, slopes without unit
+
+type Numbers = Float64Array | BigInt64Array | Uint8Array | Uint32Array;
+/** `side` is +1 or -1, `roll` from there, degrees; `strength`: b, mm, or with `pathAngle` the cut angle, rad. Slope null: turns freely. */
+type Inputs = {
+  bevel: { side: number; roll: number; strength: number }; base: { y: number; slope: number; stageSlope: number };
+  guides: Guide[]; tip: Controls["tip"];
+};
+type Session = import("../../mechanics/native/needle.js").Session;
+type SteeredNeedle = import("./model/steered.js").SteeredNeedle;
+type Reached = { depth: number; inputs: Inputs };
+/** A needle of N nodes, base first: of each plane deflection `u` and slope (planes * N); of each constraint point its depth and place (1 + planes), and deflection and slope of the tip there (2 * planes). */
 type Shape = {
   status: string; passes: number; depth: number; planes: number;
   x: Float64Array; u: Float64Array; slope: Float64Array; constraints: Float64Array; track: Float64Array;
 };
+
+// ---- the file
 
 type Pose = "known" | "direction" | "free";
 type Measured = Curve & {
@@ -39,7 +59,7 @@ type Plan = {
   target: [number, number]; radius: number;
   obstacles: [x: number, y: number, radius: number, name: string][]; needles: [number[], number[]][];
 };
-type Draws = { sets: number; mu: number[]; law: number[]; strength: number[] };
+type Draws = { sets: number; mu: number[]; law: number[]; strength: number[]; gain: number[] | null };
 
 /** How an input is checked: `describe_input_rules` in Python. */
 type InputRule = {
@@ -57,11 +77,11 @@ type Law = {
 
 /** All of a needle that does not change while it is steered. */
 type Scene = {
-  kind: "scene"; title: string; origin_mark: string; length_mm: number; depth_mm: number; diameter_mm: number;
-  spacing_mm: number; first_cell_mm: number; layer_names: string[]; guide_names: string[]; boundaries_mm: number[];
+  title: string; origin_mark: string; length_mm: number; depth_mm: number; diameter_mm: number;
+  spacing_mm: number; layer_names: string[]; guide_names: string[]; boundaries_mm: number[];
   shape_parameters: { name: string; symbol: string; unit: string; explanation: string }[];
   definitions: { [symbol: string]: string };
-  fitted: { layers: Layer[]; offset_mm?: number; cut_angle_deg?: number };
+  fitted: Strength & { layers: Layer[] };
   limits: { [input: string]: any; depth_mm: number };
   simulation: { model: Model; shape: number[][]; law: Law; steps: Step[]; changes: Change[][]; rules: Rules };
   measured: Measured | null; plan: Plan | null; draws: Draws | null;
@@ -77,10 +97,12 @@ type Needle = {
 };
 
 type ShownGuide = { item: number; name: string; x: number; y: number; slope: number; turns_freely: boolean };
-type ShownBevel = { side: number; roll_deg: number; offset_mm?: number; cut_angle_deg?: number };
+/** How strongly a bevel turns the cut, by the rule of advance. */
+type Strength = { offset_mm?: number; cut_angle_deg?: number };
+type ShownBevel = Strength & { side: number; roll_deg: number };
 /** All of a needle that changes from step to step; `z` of a needle in space. */
 type State = {
-  kind: "state"; step: number; depth_mm: number; x: number[]; y: number[]; z: number[] | null;
+  step: number; depth_mm: number; x: number[]; y: number[]; z: number[] | null;
   constraints: Curve; tip_path: Curve;
   base: { x: number; y: number; rotation: number; input_y: number; input_slope: number };
   guides: ShownGuide[];
@@ -88,7 +110,7 @@ type State = {
   bevel: ShownBevel; layers: Layer[]; max_slope: number; faults: string[]; errors: Errors | null;
 };
 
-type Band = { kind: "band"; step: number; x: number[]; low: number[]; high: number[]; z: { low: number[]; high: number[] } | null };
+type Band = { step: number; x: number[]; low: number[]; high: number[]; z: { low: number[]; high: number[] } | null };
 
 // ---- the picture, px
 
@@ -110,10 +132,22 @@ type Sheet = {
 
 type Shown = "measured" | "band" | "plan" | "pinned" | "errors" | "points" | "path" | "load" | "inset";
 
+/** A field: the `symbol` by which it is defined, how a value is written, and what is written read. */
+type About = {
+  name: string; symbol?: string; unit: string; step: number; limits?: [number, number]; logarithmic?: boolean;
+  write: (value: number) => string; read?: (text: string) => number;
+};
+/** Inputs of one number are undone together; `whole`: all of them or none; a refusal is stated `below` a part. */
+type Gesture = { gesture?: number; whole?: boolean; below?: Element };
+/** What is published, by kind. */
+type Messages = {
+  scene: Scene; state: State; band: Band | null; redraw: void; drawn: void; steers: void; unchanged: void;
+};
+
 /** What the page knows; from `data` to `state` all is there once a needle is shown. */
 type Now = {
   data: { needles: Needle[]; kernel: WebAssembly.Module; title?: string; needlefit: string };
-  needle: Needle; steered: import("./model/steered.js").SteeredNeedle; scene: Scene; state: State; view: View;
+  needle: Needle; steered: SteeredNeedle; scene: Scene; state: State; view: View;
   replay: import("./stored.js").Replay | null; band: Band | null; pinned: Curve | null;
   shown: Record<Shown, boolean>; labels: Place[]; avoided: Place[];
 };

@@ -4,13 +4,14 @@ const DEPTH_TOLERANCE = 1e-6; // mm; a needle this near to the measured depth ha
 const LEAST = 1; // mm; shorter overlaps are not compared
 const POINTS = 101;
 
+/** @param {number[]} values */
 const mean = (values) => values.reduce((sum, one) => sum + one, 0) / values.length;
 
-/** By metric, from the distances of compared points (mm), entry first, and the measured deflection, mm. */
+/** By metric, from the distances of compared points (mm), entry first, and the measured deflection, mm. @type {Record<string, (distances: number[], deflection: number) => number>} */
 const METRICS = {
   ipe_mean_mm: mean,
-  te_mm: (d) => d.at(-1),
-  edp_percent: (d, deflection) => (100 * d.at(-1)) / deflection,
+  te_mm: (d) => d[d.length - 1],
+  edp_percent: (d, deflection) => (100 * d[d.length - 1]) / deflection,
 };
 
 /** The axes of the coordinates that are compared. */
@@ -20,6 +21,8 @@ const AXES = { plane: [0, 1], space: [0, 1, 2] };
  * The errors of a session's needle against `measured` of the scene, or null where they are undefined.
  *
  * Where `whole` they are those of a study; else of the length that both have in common.
+ *
+ * @param {Session} session @param {Measured} measured @returns {Errors | null}
  */
 export function computeErrors(session, measured) {
   const { depth } = session.shape;
@@ -27,8 +30,7 @@ export function computeErrors(session, measured) {
   if (upto < LEAST) return null;
   const beyond = depth - measured.depth_mm;
   const whole = Math.abs(beyond) <= DEPTH_TOLERANCE;
-  /** @type {number[][]} */
-  let [simulated, other] = [[], []];
+  let [simulated, other] = /** @type {number[][][]} */ ([[], []]);
   if (whole) [simulated, other] = readTarget(session, measured.target, beyond);
   else if (measured.target.pose !== "free" && measured.x.length > 1) {
     const s = Array.from({ length: POINTS }, (_, i) => (upto * i) / (POINTS - 1));
@@ -45,7 +47,7 @@ export function computeErrors(session, measured) {
 
 const TIP_POINTS = 2; // that stand for a measured tip: its entry, and the tip, of which the deflection is compared
 
-/** The simulated points as a study compares them, and the measured ones; `beyond`: by how much it is deeper, mm. */
+/** The simulated points as a study compares them, and the measured ones; `beyond`: by how much it is deeper, mm. @param {Session} session @param {Measured["target"]} target */
 export function readTarget(session, { s, x, y, z, pose }, beyond = 0) {
   const measured = x.map((one, i) => [one, y[i], z[i]]);
   const points = readPoints(session, s.map((one) => one + beyond));
@@ -53,34 +55,35 @@ export function readTarget(session, { s, x, y, z, pose }, beyond = 0) {
   return [ALIGN[pose](compared, measured), measured];
 }
 
-/** Points [x, y, z], z 0 of a needle in its plane, at beam coordinates; the last may lie beyond the tip by rounding. */
+/** Points [x, y, z], z 0 of a needle in its plane, at beam coordinates; the last may lie beyond the tip by rounding. @param {Session} session @param {number[]} s */
 export function readPoints(session, s) {
   const { x, depth, planes } = session.shape;
   const points = session.positions(s.map((one) => Math.min(Math.max(one, x[0]), depth)));
   return s.map((_, i) => [points[(1 + planes) * i], points[(1 + planes) * i + 1], planes === 1 ? 0 : points[3 * i + 2]]);
 }
 
-/** The measured points at beam coordinates, between those that are known. */
-function interpolate({ s, ...axes }, at) {
+/** The measured points at beam coordinates, between those that are known. @param {Measured} measured @param {number[]} at */
+function interpolate({ s, x, y, z }, at) {
   let i = 0;
   return at.map((one) => {
     while (i < s.length - 2 && s[i + 1] < one) i += 1;
     const share = Math.min(Math.max((one - s[i]) / (s[i + 1] - s[i]), 0), 1);
-    return ["x", "y", "z"].map((axis) => axes[axis][i] + share * (axes[axis][i + 1] - axes[axis][i]));
+    return [x, y, z ?? []].map((axis) => axis[i] + share * (axis[i + 1] - axis[i]));
   });
 }
 
-/** By what is known of the pose, simulated points as they are compared with others, as `align` in Python. */
+/** By what is known of the pose, simulated points as they are compared with others, as `align` in Python. @type {Record<Pose, (simulated: number[][], measured: number[][]) => number[][]>} */
 const ALIGN = { known: (simulated) => simulated, direction: shiftAcross, free: alignRigid };
 
-/** Points after the shift across that brings them closest to others, as `align_lateral` with one term in Python. */
+/** Points after the shift across that brings them closest to others, as `align_lateral` with one term in Python. @param {number[][]} moving @param {number[][]} fixed */
 function shiftAcross(moving, fixed) {
   const [dy, dz] = [1, 2].map((axis) => mean(moving.map((point, i) => fixed[i][axis] - point[axis])));
   return moving.map(([x, y, z]) => [x, y + dy, z + dz]);
 }
 
-/** Points after the rotation and shift in the plane that bring them closest to others, as `align_rigid` in Python. */
+/** Points after the rotation and shift in the plane that bring them closest to others, as `align_rigid` in Python. @param {number[][]} moving @param {number[][]} fixed */
 function alignRigid(moving, fixed) {
+  /** @param {number[][]} points */
   const centre = (points) => [0, 1].map((axis) => mean(points.map((one) => one[axis])));
   const [m, f] = [centre(moving), centre(fixed)];
   let [across, along] = [0, 0];

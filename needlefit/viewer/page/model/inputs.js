@@ -2,9 +2,11 @@
 
 /** Why the model does not take something: what, expected. */
 export class ModelError extends Error {
+  /** @param {string} what @param {string} expected */
   constructor(what, expected) {
     super(what);
-    Object.assign(this, { what, expected });
+    this.what = what;
+    this.expected = expected;
   }
 }
 
@@ -12,28 +14,28 @@ const RADIANS = Math.PI / 180;
 const DEGREES = 180 / Math.PI;
 const UNITS = [["_mm", " mm"], ["_deg", "°"], ["_pa", " Pa"]];
 
-/** Throw a ModelError for a change [name, item, value] that is none; `rules` are those of the scene. */
+/** Throw a ModelError for a change that is none; `rules` are those of the scene. @param {Change} change @param {Rules} rules */
 export function checkChange([name, item, value], rules) {
   const known = rules.inputs[name];
   if (!known) throw new ModelError(`there is no input ${name}`, `one of ${Object.keys(rules.inputs).join(", ")}`);
-  const counted = Number.isInteger(item) && item >= 1 && item <= (known.item === "guide" ? rules.max_guide : Infinity);
+  const counted = item !== null && Number.isInteger(item) && item >= 1 && item <= (known.item === "guide" ? rules.max_guide : Infinity);
   if (known.item ? !counted : item !== null) throw new ModelError(`${name} has item ${item}`, `the number of a ${known.item}`);
   const lengths = name.endsWith("_mm"); // of others, the range says more than the largest number
   const most = lengths ? rules.max_mm : rules.max;
   const finite = Math.abs(value) <= most;
-  const { least, above, upto, below, values } = known;
-  const allowed = finite && !(value < least || value <= above || value > upto || value >= below)
-    && (!values || values.includes(value));
+  const { least = -Infinity, above = -Infinity, upto = Infinity, below = Infinity, values } = known;
+  const allowed = finite && value >= least && value > above && value <= upto && value < below && (!values || values.includes(value));
   if (!allowed) {
     const range = finite || (known.expected && !lengths);
-    const expected = range ? known.expected : `a finite number, at most ${most}${lengths ? " mm" : ""}`;
+    const expected = range ? String(known.expected) : `a finite number, at most ${most}${lengths ? " mm" : ""}`;
     throw new ModelError(`${nameOf(name)}${item === null ? "" : ` of ${known.item} ${item}`} is ${written(name, value)}`, expected);
   }
 }
 
+/** @param {string} name */
 const nameOf = (name) => name.replace(/_(mm|deg|pa)$/, "").replaceAll("_", " ");
 
-/** A value in the unit of the page's fields. */
+/** A value in the unit of the page's fields. @param {string} name @param {number} value */
 function written(name, value) {
   if (name === "mu_pa") return Math.abs(value) < 1e6 ? `${significant(value * 1e-3)} kPa` : `${significant(value * 1e-6)} MPa`;
   if (name.endsWith("slope")) return `${(Math.atan(value) * DEGREES).toFixed(1)}°`;
@@ -41,40 +43,42 @@ function written(name, value) {
   return `${significant(value)}${unit}`;
 }
 
+/** @param {number} value */
 const significant = (value) => Number(value.toPrecision(6));
 
-/** The number of a guide, from 1. */
+/** The number of a guide, from 1. @param {string} name @param {string[]} names */
 export function guideNumber(name, names) {
   const at = names.indexOf(name);
   return at < 0 ? Number(name.replace("guide ", "")) : at + 1;
 }
 
-/** The roll of a bevel, degrees: 0 toward +y, 180 of a bevel of side -1. */
+/** The roll of a bevel, degrees: 0 toward +y, 180 of a bevel of side -1. @param {{ side: number, roll: number }} bevel */
 export const rollOf = ({ side, roll }) => roll + (side > 0 ? 0 : 180);
 
-/** Side of a bevel with a roll, and roll from there, as `Bevel.turn`. */
+/** Side of a bevel with a roll, and roll from there, as `Bevel.turn`. @param {number} roll */
 const toSide = (roll) => (Math.abs(roll % 360) === 180 ? { side: -1, roll: roll - 180 } : { side: 1, roll });
 
-/** A roll between -180, which it is not, and 180 degrees. */
+/** A roll between -180, which it is not, and 180 degrees. @param {number} roll */
 export const wrap = (roll) => 180 - ((((180 - roll) % 360) + 360) % 360);
 
-/** The change that turns over a bevel with a roll. */
+/** The change that turns over a bevel with a roll. @param {number} roll @returns {Change} */
 export const turnOver = (roll) =>
   roll % 180 ? ["bevel_roll_deg", null, wrap(roll + 180)] : ["bevel_side", null, roll % 360 ? 1 : -1];
 
-/** The step after changes, as `apply_changes`: names are those of the scene's guides, `stands` is where the tip is, y and z, mm. */
+/** The step after changes, as `apply_changes`: names are those of the scene's guides, `stands` is where the tip is, y and z, mm. @param {Step} step @param {Change[]} changes @param {string[]} names @param {number[]} stands @returns {Step} */
 export function applyChanges(step, changes, names, stands) {
-  const values = new Map(changes.map(([name, item, value]) => [`${name} ${item ?? ""}`, value]));
-  const of = (name, now) => values.get(`${name} `) ?? now;
+  const values = new Map(changes.filter(([, item]) => item === null).map(([name, , value]) => [name, value]));
+  /** @template T @param {string} name @param {T} now */
+  const of = (name, now) => values.get(name) ?? now;
   const held = step.controls;
   let { tip } = held;
   if (of("tip_held", 1) === 0) tip = null;
-  else if (tip || values.has("tip_held ") || values.has("tip_y_mm ")) {
+  else if (tip || values.has("tip_held") || values.has("tip_y_mm")) {
     const [y, z] = tip ? [tip.y, tip.z ?? 0] : stands;
     tip = { y: of("tip_y_mm", y), slope: of("tip_slope", tip ? tip.slope : null), z };
   }
   const [angle, side] = [of("cut_angle_deg", null), of("bevel_side", null)];
-  const roll = side === null ? rollOf(step.bevel) : side > 0 ? 0 : 180;
+  const roll = side === null ? rollOf(step.bevel) : rollOf({ side, roll: 0 });
   return {
     depth: of("depth_mm", step.depth),
     bevel: {
@@ -92,12 +96,12 @@ export function applyChanges(step, changes, names, stands) {
   };
 }
 
+/** @param {Guide[]} guides @param {Change[]} changes @param {string[]} names @returns {Guide[]} */
 function applyToGuides(guides, changes, names) {
-  const moves = new Map();
+  const moves = /** @type {Map<number, Record<string, number>>} */ (new Map());
   for (const [name, item, value] of changes) {
     if (item === null || !name.startsWith("guide_")) continue;
-    if (!moves.has(item)) moves.set(item, {});
-    moves.get(item)[name.slice("guide_".length)] = value;
+    moves.set(item, { ...moves.get(item), [name.slice("guide_".length)]: value });
   }
   if (!moves.size) return guides;
   const now = new Map(guides.map((guide) => [guide.name, guide]));
@@ -107,13 +111,11 @@ function applyToGuides(guides, changes, names) {
       now.delete(name);
       continue;
     }
-    let guide = now.get(name);
-    if (!guide) {
-      if (moved.x_mm === undefined || moved.y_mm === undefined) {
-        throw new ModelError(`there is no ${name}`, "guide_x_mm and guide_y_mm together, which make a guide");
-      }
-      guide = { slope: 0, name };
+    const guide = { slope: 0, x: moved.x_mm, y: moved.y_mm, ...now.get(name) };
+    if (guide.x === undefined || guide.y === undefined) {
+      throw new ModelError(`there is no ${name}`, "guide_x_mm and guide_y_mm together, which make a guide");
     }
+    /** @type {number | null} */
     let slope = moved.slope ?? guide.slope;
     if (moved.turns_freely !== undefined) slope = moved.turns_freely ? null : (moved.slope ?? guide.slope ?? 0);
     now.set(name, { name, x: moved.x_mm ?? guide.x, y: moved.y_mm ?? guide.y, slope });
@@ -124,7 +126,7 @@ function applyToGuides(guides, changes, names) {
   return ordered;
 }
 
-/** Inputs as the kernel's `Session` takes them; a ModelError where the bevel's strength is that of the other rule. */
+/** Inputs as the kernel's `Session` takes them; a ModelError where the bevel's strength is that of the other rule. @param {Omit<Step, "depth">} step @param {boolean} pathAngle @returns {Inputs} */
 export function toInputs({ bevel, controls }, pathAngle) {
   if ((pathAngle ? bevel.offset : bevel.cutAngle) !== 0) {
     throw new ModelError("the strength of the bevel is that of the other rule of advance", pathAngle ? "a cut angle alone" : "an offset alone");
@@ -132,11 +134,11 @@ export function toInputs({ bevel, controls }, pathAngle) {
   const { baseY, baseSlope, stageSlope, guides, tip } = controls;
   return {
     bevel: { side: bevel.side, roll: bevel.roll, strength: pathAngle ? bevel.cutAngle : bevel.offset },
-    base: { y: baseY, slope: baseSlope, stageSlope }, guides, tip,
+    base: { y: baseY, slope: baseSlope, stageSlope }, guides, tip: tip && { y: tip.y, slope: tip.slope, z: tip.z ?? 0 },
   };
 }
 
-/** The step of what the kernel's `Session` was given. */
+/** The step of what the kernel's `Session` was given. @param {Reached} reached @param {boolean} pathAngle @returns {Step} */
 export function toStep({ depth, inputs }, pathAngle) {
   const { bevel, base, guides, tip } = inputs;
   const [offset, cutAngle] = pathAngle ? [0, bevel.strength] : [bevel.strength, 0];

@@ -7,14 +7,15 @@ import { computeValidity, listFaults, listGaps } from "./validity.js";
 const POINTS_BEFORE_TISSUE = 25; // of the needle that are drawn
 const SAMPLES = 8; // of the load between two constraint points, where it is a sawtooth
 
+/** The columns of points that stand one after the other. @param {ArrayLike<number>} points @param {number} width */
 const columns = (points, width) =>
   Array.from({ length: width }, (_, axis) => Array.from({ length: points.length / width }, (_, i) => points[width * i + axis]));
 
-/** How strongly a bevel turns the cut, under the key of the rule of advance. */
+/** How strongly a bevel turns the cut, under the key of the rule of advance. @param {Bevel} bevel @param {Model} model */
 const describeStrength = ({ offset, cutAngle }, { pathAngle }) =>
   pathAngle ? { cut_angle_deg: cutAngle * (180 / Math.PI) } : { offset_mm: offset };
 
-/** All that changes from step to step; `z` is of a needle in space. */
+/** All that changes from step to step; `z` is of a needle in space. @param {SteeredNeedle} steered @returns {State} */
 export function describeState(steered) {
   const { scene, session, step, model, names, rules } = steered;
   const { shape } = session;
@@ -24,7 +25,6 @@ export function describeState(steered) {
   const last = shape.x.length - 1;
   const roll = wrap(rollOf(bevel));
   return {
-    kind: "state",
     step: steered.number,
     depth_mm: step.depth,
     x, y, z, ...placePoints(session),
@@ -33,8 +33,8 @@ export function describeState(steered) {
       item: guideNumber(name, names), name, x, y, slope: slope ?? 0, turns_freely: slope === null,
     })),
     tip: {
-      x: x.at(-1), y: y.at(-1), z: z && z.at(-1), rotation: shape.slope[last],
-      lateral_mm: y.at(-1), held: controls.tip !== null, input_y: shape.u[last],
+      x: x[x.length - 1], y: y[y.length - 1], z: z && z[z.length - 1], rotation: shape.slope[last],
+      lateral_mm: y[y.length - 1], held: controls.tip !== null, input_y: shape.u[last],
     },
     bevel: { side: Math.abs(roll) > 90 ? -1 : 1, roll_deg: roll, ...describeStrength(bevel, model) },
     layers: model.mu.map((mu, layer) => ({
@@ -47,7 +47,7 @@ export function describeState(steered) {
   };
 }
 
-/** Constraint points, and where the tip was at their depths: each as far from the needle's point there as the model has it. */
+/** Constraint points, and where the tip was at their depths: each as far from the needle's point there as the model has it. @param {Session} session */
 function placePoints(session) {
   const { planes, constraints, track } = session.shape;
   const cut = columns(constraints, 1 + planes);
@@ -61,7 +61,7 @@ function placePoints(session) {
   return { constraints: curve(points), tip_path: curve(path) };
 }
 
-/** The lateral load of the tissue, N/mm, along y or in space its magnitude: its mean over two spacings, and where it acts. */
+/** The lateral load of the tissue, N/mm, along y or in space its magnitude: its mean over two spacings, and where it acts. @param {SteeredNeedle} steered */
 export function describeLoad({ session, model }) {
   const { depth, planes } = session.shape;
   const count = Math.ceil((SAMPLES * depth) / model.spacing);
@@ -79,7 +79,7 @@ export function describeLoad({ session, model }) {
   return { x, y, load: planes === 1 ? means[0] : means[0].map((one, i) => Math.hypot(one, means[1][i])) };
 }
 
-/** Where the needle is drawn: all nodes, and more of them before the tissue. */
+/** Where the needle is drawn: all nodes, and more of them before the tissue. @param {Shape} shape */
 function listStations({ x, depth }) {
   const end = Math.min(0, depth);
   const before = Array.from({ length: POINTS_BEFORE_TISSUE }, (_, i) => x[0] + ((end - x[0]) * i) / (POINTS_BEFORE_TISSUE - 1));

@@ -5,7 +5,7 @@ import { applyChanges, checkChange, ModelError, toInputs, toStep } from "./input
 
 const BEARABLE = "a load that tissue and needle can bear";
 
-/** The law of all layers for shape parameters (rows of layers), or null: only the program can compute it. */
+/** The law of all layers for shape parameters (rows of layers), or null: only the program can compute it. @param {Law} law @param {number[][]} shape */
 function makeLaw({ terms, tables }, shape) {
   if (!terms) return tables.find(([known]) => JSON.stringify(known) === JSON.stringify(shape))?.[1] ?? null;
   const layers = shape[0]?.length ?? terms.layers;
@@ -16,20 +16,24 @@ function makeLaw({ terms, tables }, shape) {
 }
 
 export class SteeredNeedle {
-  /** Begin at first contact. `scene.simulation` has model, shape, law, steps and rules. */
+  /** Begin at first contact. @param {WebAssembly.Module} kernel @param {Scene} scene */
   static async begin(kernel, scene) {
     const { model, steps } = scene.simulation;
     return new SteeredNeedle(scene, await Session.begin(kernel, model, toInputs(steps[0], model.pathAngle)));
   }
 
-  scene; session; rules; shape; names; number; saved;
-  /** @type {any} */
-  way = null; // the newest of the changes that led here: {changes, tip: y, mm, before: the one before}
+  way = /** @type {Way | null} */ (null); // the newest of the changes that led here
+  number = 0;
+  saved = /** @type {Map<number, any>} */ (new Map());
 
+  /** @param {Scene} scene @param {Session} session */
   constructor(scene, session) {
     const { shape, steps, rules } = scene.simulation;
-    Object.assign(this, { scene, session, rules, shape, names: scene.guide_names });
-    Object.assign(this, { number: 0, saved: new Map() });
+    this.scene = scene;
+    this.session = session;
+    this.rules = rules;
+    this.shape = shape;
+    this.names = scene.guide_names;
     this.step = { ...steps[0], depth: 0 };
     this.keep();
   }
@@ -41,7 +45,7 @@ export class SteeredNeedle {
   /** The greatest depth that is possible under controls, mm: the base is then just before guides or tissue. */
   reach(controls = this.step.controls) {
     const [first] = controls.guides;
-    return this.model.length + (first?.x < 0 ? first.x - this.rules.clearance_mm : 0) - 1e-6;
+    return this.model.length + (first && first.x < 0 ? first.x - this.rules.clearance_mm : 0) - 1e-6;
   }
 
   /** The place of the tip, y in mm, as a recording has it. */
@@ -51,14 +55,14 @@ export class SteeredNeedle {
 
   /** The shortest steps that lead to the present state. */
   path() {
-    return this.session.path().map((one) => toStep(one, this.model.pathAngle));
+    return this.session.path().map((reached) => toStep(reached, this.model.pathAngle));
   }
 
-  /** All changes that led here from first contact, without those that were undone by a return: {changes, tip}. */
+  /** All changes that led here from first contact, without those that were undone by a return. */
   listWay() {
-    const found = [];
-    for (let one = this.way; one; one = one.before) found.push(one);
-    return found.reverse();
+    const ways = [];
+    for (let way = this.way; way; way = way.before) ways.push(way);
+    return ways.reverse();
   }
 
   keep() {
@@ -66,7 +70,7 @@ export class SteeredNeedle {
     if (!this.saved.has(this.number)) this.saved.set(this.number, { step, shape, way, session: this.session.save() });
   }
 
-  /** Delete the state stored at a step; the initial state stays. */
+  /** Delete the state stored at a step; the initial state stays. @param {number} number */
   forget(number) {
     if (number) this.saved.delete(number);
   }
@@ -78,17 +82,18 @@ export class SteeredNeedle {
     Object.assign(this, { number: 0, saved: new Map([[0, first]]) });
   }
 
+  /** @param {any} stored */
   #return({ session, ...saved }) {
     this.session.restore(session);
     Object.assign(this, saved);
   }
 
-  /** The shape parameters after changes. */
+  /** The shape parameters after changes. @param {Change[]} changes */
   shapeAfter(changes) {
     const shape = this.shape.map((row) => [...row]);
     for (const [name, item, value] of changes) {
       const row = this.scene.shape_parameters.findIndex((one) => one.name === name);
-      if (row >= 0) shape[row][item - 1] = value;
+      if (row >= 0 && item) shape[row][item - 1] = value;
     }
     return shape;
   }
@@ -98,6 +103,8 @@ export class SteeredNeedle {
    *
    * A ModelError if the model does not take them, or finds no needle; then nothing has happened. A step that leads
    * outside the model's validity is carried out.
+   *
+   * @param {Change[]} changes
    */
   apply(changes) {
     for (const [i, change] of changes.entries()) {
@@ -119,6 +126,7 @@ export class SteeredNeedle {
     this.number += 1;
   }
 
+  /** @param {Change[]} changes */
   #advance(changes) {
     const parameters = changes.filter(([name]) => this.rules.inputs[name].parameter);
     const others = changes.filter(([name]) => !this.rules.inputs[name].parameter);
@@ -134,13 +142,13 @@ export class SteeredNeedle {
     }
   }
 
+  /** @param {Change[]} parameters */
   #simulateAgain(parameters) {
     const mu = [...this.model.mu];
-    /** @type {(number | null)[]} */
-    let [offset, angle] = [null, null];
+    let [offset, angle] = /** @type {(number | null)[]} */ ([null, null]);
     for (const [name, item, value] of parameters) {
-      if (item > mu.length) throw new ModelError(`there is no layer ${item}`, `one of ${mu.length} layers`);
-      if (name === "mu_pa") mu[item - 1] = value * 1e-6;
+      if (item && item > mu.length) throw new ModelError(`there is no layer ${item}`, `one of ${mu.length} layers`);
+      if (name === "mu_pa") mu[Number(item) - 1] = value * 1e-6;
       else if (name === "offset_throughout_mm") offset = value;
       else if (name === "cut_angle_throughout_deg") angle = value * (Math.PI / 180);
       else if (!this.scene.shape_parameters.some((one) => one.name === name))
@@ -154,19 +162,20 @@ export class SteeredNeedle {
     const steps = this.path().map(({ bevel, ...one }) => ({
       ...one, bevel: { ...bevel, offset: offset ?? bevel.offset, cutAngle: angle ?? bevel.cutAngle },
     }));
-    const found = this.#guard(() => this.session.again(
+    const converged = this.#guard(() => this.session.again(
       { ...this.model, mu, law }, steps.map((one) => ({ depth: one.depth, inputs: toInputs(one, pathAngle) })),
     ));
-    if (!found) {
+    if (!converged) {
       throw new ModelError(`with these parameters the insertion so far fails ${this.session.depth.toFixed(1)} mm deep`, BEARABLE);
     }
-    Object.assign(this, { shape, step: steps.at(-1) });
+    Object.assign(this, { shape, step: steps[steps.length - 1] });
   }
 
+  /** @param {Change[]} changes */
   #move(changes) {
     const { session } = this;
     const { x, u, planes } = session.shape;
-    const step = applyChanges(this.step, changes, this.names, [u[x.length - 1], planes > 1 ? u.at(-1) : 0]);
+    const step = applyChanges(this.step, changes, this.names, [u[x.length - 1], planes > 1 ? u[u.length - 1] : 0]);
     if (!changes.length) return;
     const shape = this.#guard(() => session.go(step.depth, toInputs(step, this.model.pathAngle)));
     if (session.failed) {
@@ -175,7 +184,7 @@ export class SteeredNeedle {
     this.step = step;
   }
 
-  /** The kernel's refusals as those of the model. */
+  /** The kernel's refusals as those of the model. @template T @param {() => T} work */
   #guard(work) {
     try {
       return work();

@@ -3,16 +3,17 @@
 const ENTRY_TOLERANCE = -1e-9; // mm; an element that begins before this depth lies before the entry
 const GAUSS = [[0.5 - Math.sqrt(0.15), 5 / 18], [0.5, 4 / 9], [0.5 + Math.sqrt(0.15), 5 / 18]];
 
-/** The length of a vector with parts along y, and z. */
+/** The length of a vector with parts along y, and z. @param {number[]} parts */
 const measure = (parts) => (parts.length > 1 ? Math.sqrt(parts[0] ** 2 + parts[1] ** 2) : Math.abs(parts[0]));
 
-/** The greatest |u'|, range of deflection / length, shortening / thinnest layer, miss (mm), and compression of a shape. */
+/** The greatest |u'|, range of deflection / length, shortening / thinnest layer, miss (mm), and compression of a shape. @param {Shape} shape @param {Model} model @returns {Record<string, number>} */
 export function computeValidity(shape, { boundaries, thickness, spacing }) {
   const { x, u, slope, planes, track } = shape;
   const last = x.length - 1;
   const bent = Array.from({ length: planes }, (_, p) => [u, slope].map((one) => one.subarray(p * x.length, (p + 1) * x.length)));
   const cubics = bent.map(() => [0, 0, 0]); // u' = begin + t (bend + t curl) in an element
   const [rotations, missed] = [bent.map(() => 0), bent.map(() => 0)];
+  /** @param {number} t */
   const rotate = (t) => {
     cubics.forEach(([begin, bend, curl], p) => (rotations[p] = begin + t * (bend + t * curl)));
     return measure(rotations);
@@ -65,7 +66,7 @@ export function listGaps({ x, u, slope, planes, constraints }) {
   });
 }
 
-/** Descriptions of the quantities that exceed their limits; `limits` are [name, limit, words] of the scene. */
+/** Descriptions of the quantities that exceed their limits; `limits` are [name, limit, words] of the scene. @param {Record<string, number>} validity @param {Rules["validity"]} limits */
 export const listFaults = (validity, limits) =>
   limits.filter(([name, limit]) => !(validity[name] <= limit)).map(([name, limit, words]) => {
     const unit = name.endsWith("_mm") ? " mm" : "";
