@@ -59,7 +59,7 @@ type Plan = {
   target: [number, number]; radius: number;
   obstacles: [x: number, y: number, radius: number, name: string][]; needles: [number[], number[]][];
 };
-type Draws = { sets: number; mu: number[]; law: number[]; strength: number[]; gain: number[] | null };
+type Draws = { sets: number; mu: number[]; law: number[]; strength: number[]; gain?: number[] | null };
 
 /** How an input is checked: `describe_input_rules` in Python. */
 type InputRule = {
