@@ -4,13 +4,12 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
-from typing import Literal, Self
+from typing import Literal
 
 import numpy as np
 from scipy.special import bdtrc
 
 from needlefit.datasets.columns import BOUNDARIES_COLUMN, NUMBER_COLUMNS, ROLL_COLUMNS
-from needlefit.datasets.curve_lengths import find_length_warnings
 from needlefit.datasets.insertion import Insertion, Noise
 from needlefit.datasets.interpolated import find_interpolated_warnings
 from needlefit.datasets.layers import (
@@ -57,7 +56,6 @@ MAX_ROLL_SD_DEG = 45.0  #: SD of a roll beyond which nothing is known of it: a u
 MAX_NOISE_PART = 0.5  #: SD of points over the largest deflection: beyond it no needle bends by more than 2 SD
 #: of a coordinate that two needles share by errors alone, for so many pairs as a thousand datasets have
 MAX_PASTED_CHANCE = 1e-9
-MIRRORED = np.array([1.0, -1.0, 1.0])  # y of a needle
 
 # ---- the record
 
@@ -204,27 +202,12 @@ def is_copy(one: Insertion, other: Insertion) -> bool:
     return a.shape == b.shape and bool(np.abs(a - b).max() <= SAME_POINT_MM)
 
 
-class _PointSets:
-    """The points of a curve in the world, in its own frame, and mirrored there, rounded to one place each."""
-
-    def __init__(self, insertion: Insertion) -> None:
-        self.count = len(insertion.points)
-        self.world, self.own, self.mirrored = (
-            set(map(tuple, (points / SAME_POINT_MM).round().tolist()))
-            for points in (insertion.centerline, insertion.points, insertion.points * MIRRORED)
-        )
-
-    def are_those_of(self, other: Self) -> bool:
-        """Whether all points of one of two curves, or their mirror images, are among those of the other."""
-        few, many = sorted((self, other), key=lambda curve: curve.count)
-        return few.world <= many.world or few.mirrored <= many.own
-
-
 def _find_copy_warnings(listed: Sequence[ListedInsertion]) -> Iterator[ResultWarning]:
-    """Yield a warning for each insertion with the points of an earlier one."""
-    points = [_PointSets(entry.insertion) for entry in listed]
+    """Yield a warning for each insertion that has all points of an earlier one, or whose points that has."""
+    places = (entry.insertion.centerline / SAME_POINT_MM for entry in listed)
+    points = [set(map(tuple, place.round().tolist())) for place in places]
     for n, later in enumerate(listed):
-        same = (m for m in range(n) if points[m].are_those_of(points[n]))
+        same = (m for m in range(n) if points[m] <= points[n] or points[n] <= points[m])
         if (m := next(same, None)) is not None:
             names = (later.insertion.id, listed[m].insertion.id)
             what, fix = f"{' and '.join(names)} have the same points", "check whether one was exported twice"
@@ -328,7 +311,7 @@ def find_insertion_warnings(
     sound = [one for one in listed if one.insertion.id not in outlying]
     column = record.insertions.columns.get("bevel_side", "bevel_side")
     yield from find_side_warnings([(one.insertion, one.where) for one in sound], noise, column)
-    yield from _find_shape_warnings(record, [one for one in sound if one.is_curve], noise)
+    yield from _find_shape_warnings([one for one in sound if one.is_curve], noise)
     insertions = [one.insertion for one in listed]
     yield from find_boundary_warnings(record, insertions, where)
     yield from _find_own_boundary_warnings(record, listed)
@@ -347,9 +330,7 @@ def find_insertion_warnings(
     yield from _find_number_warnings(record, listed, where)
 
 
-def _find_shape_warnings(
-    record: DatasetRecord, listed: Sequence[ListedInsertion], noise: Noise
-) -> Iterator[ResultWarning]:
+def _find_shape_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
     """Yield the warnings about whole curves."""
     yield from find_axis_warnings(listed, noise)
     yield from _find_entry_warnings(listed, noise)
@@ -357,7 +338,6 @@ def _find_shape_warnings(
     yield from find_curvature_warnings(listed, noise)
     yield from _find_order_warnings(listed)
     yield from find_interpolated_warnings(listed)
-    yield from find_length_warnings(listed, noise, record.insertions.columns.get("depth_mm", "depth_mm"))
     # values that are rounded by more than their noise may well be equal
     values = [one.points.values for one in listed]
     if values and find_rounding(values) <= max(noise.point_sd, noise.correlated_sd):

@@ -390,6 +390,20 @@ class ListedInsertion:
     is_curve: bool = True
 
 
+def find_length_faults(listed: Sequence[ListedInsertion], pose: str, depth_column: str) -> Iterator[Fault]:
+    """Yield a fault for each curve that is far from as long as its depth."""
+    for entry in listed:
+        length, depth = entry.insertion.smooth("space").length, entry.insertion.depth
+        limit = find_length_tolerance(depth, pose)
+        if abs(length - depth) > limit:
+            yield DataError(
+                f"is {length:.2f} mm long, but `{depth_column}` is {depth:.2f}",
+                expected=f"the inserted length, within {limit:.1f} mm",
+                fix="check the depth, and whether the points go from the entry to the tip",
+                where=entry.points.where(),
+            )
+
+
 def find_media_faults(record: DatasetRecord, file: Path) -> Iterator[Fault]:
     """Return the media that skip a layer number: a mistyped `into`, or a missing surface."""
     for name, medium in record.media.items():

@@ -1,4 +1,4 @@
-"""Compare points with the smooth curve of their own needle: single ones, and steps between two of them."""
+"""Compare single points with the smooth curve of their own needle."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -11,7 +11,7 @@ from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion, Noise
 from needlefit.datasets.layers import ListedInsertion
 from needlefit.datasets.points import find_rounding
-from needlefit.geometry.neighbours import find_steps, leave_one_out
+from needlefit.geometry.neighbours import leave_one_out
 from needlefit.project.result_warnings import ResultWarning
 
 #: standard deviations beyond which a point is named: of 1e6 normal ones 0.6 are, so that no dataset has one
@@ -24,16 +24,15 @@ MAX_OUTLYING_PART = 0.2  #: of a curve's points; if more are off, the curve is r
 
 @dataclass(frozen=True)
 class OutlyingPoint:
-    """A point that lies off the smooth curve through its neighbours, or the first one behind a step."""
+    """A point that lies off the smooth curve through its neighbours."""
 
     index: int  # of the point, from the entry
     off: Floats  # (3,); from the curve, world, mm
     sds: float  # its size in standard deviations
-    is_step: bool  # whether all later points are off by as much
 
 
 def find_point_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> dict[str, list[ResultWarning]]:
-    """Return the warnings about points and steps off the curves of their needles, by insertion."""
+    """Return the warnings about points off the curves of their needles, by insertion."""
     curves = [entry for entry in listed if len(entry.insertion.points) >= MIN_CURVE_POINTS]
     if not curves:
         return {}
@@ -65,39 +64,27 @@ def _measure_excess(pairs: Sequence[tuple[ListedInsertion, Floats]]) -> float:
 
 
 def _find_in_curve(insertion: Insertion, sd: Floats) -> Iterator[OutlyingPoint]:
-    """Yield the outlying points and steps of one curve, the worst first: without each the next is sought.
+    """Yield the outlying points of one curve, the worst first: without each the next is sought.
 
     `sd` (N,): of the points, mm.
     """
-    points, kept, across = insertion.points.copy(), np.arange(len(sd)), insertion.frame.rotation[:, 1:]
+    kept, across = np.arange(len(sd)), insertion.frame.rotation[:, 1:]
     while len(kept) >= MIN_CURVE_POINTS:
-        x, values = points[kept, 0], points[kept, 1:]
-        (single, alone), (step, behind) = (
-            (left, np.abs(left).max(axis=1) / (factor * sd[kept][-len(left) :]))
-            for left, factor in (find(x, values) for find in (leave_one_out, find_steps))
-        )
-        is_step = bool(behind.max() > alone.max())
-        left, ratio = (step, behind) if is_step else (single, alone)
-        worst = int(np.argmax(ratio))
-        if ratio[worst] <= OUTLIER_SD:
+        x, *values = insertion.points[kept].T
+        off, factor = leave_one_out(x, np.column_stack(values))
+        sds = np.abs(off).max(axis=1) / (factor * sd[kept])
+        worst = int(np.argmax(sds))
+        if sds[worst] <= OUTLIER_SD:
             return
-        index = int(kept[worst + is_step])
-        yield OutlyingPoint(index, across @ left[worst], float(ratio[worst]), is_step)
-        if is_step:
-            points[index:, 1:] -= left[worst]
-        else:
-            kept = np.delete(kept, worst)
+        yield OutlyingPoint(int(kept[worst]), across @ off[worst], float(sds[worst]))
+        kept = np.delete(kept, worst)
 
 
 def _describe(entry: ListedInsertion, point: OutlyingPoint) -> ResultWarning:
     """Return a point as a warning that names its row, and the coordinate that is off most."""
     n, name, axis = point.index, entry.insertion.id, int(np.argmax(np.abs(point.off)))
     away = f"{point.off[axis]:+.2g} mm along {'xyz'[axis]} ({point.sds:.0f} SD)"
-    if point.is_step:
-        problem = f"{name} has a step of {away} between points {n} and {n + 1}"
-        fix = "look at what moved between this row and the one above it, as the specimen or the image"
-    else:
-        place = {0: "the first point", len(entry.insertion.points) - 1: "the tip"}.get(n, f"point {n + 1}")
-        problem = f"{place} of {name} is off the curve of its neighbours by {away}"
-        fix = "compare this row with its source, as the image or the protocol"
+    place = {0: "the first point", len(entry.insertion.points) - 1: "the tip"}.get(n, f"point {n + 1}")
+    problem = f"{place} of {name} is off the curve of its neighbours by {away}"
+    fix = "compare this row with its source, as the image or the protocol"
     return ResultWarning("point_outlier", problem, where=entry.points.where(n), fix=fix)

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.datasets.columns import BEVEL_FIX, InsertionRow
-from needlefit.datasets.curve_lengths import find_length_faults
 from needlefit.datasets.dataset_warnings import (
     PLACEHOLDER,
     find_boundary_warnings,
@@ -33,6 +32,7 @@ from needlefit.datasets.layers import (
     SharedSurfaces,
     find_curve_faults,
     find_layer_faults,
+    find_length_faults,
     find_media_faults,
     make_medium,
     read_shared_surfaces,

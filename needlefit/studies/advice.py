@@ -79,7 +79,7 @@ CONTRADICTIONS = ("axis_unit", "bevel_side", "copy", "examples", "reversed")
 #: kinds of warnings that `needlefit check` prints, of a dataset alone; the others are about a result
 _OF_DATASETS = (
     *CONTRADICTIONS,
-    *("point_outlier", "entry_offset", "length"),
+    *("point_outlier", "entry_offset"),
     *("assumed", "curvature", "interpolated", "no_noise", "noise", "spelling", "surfaces"),
 )
 #: kinds of warnings that are no doubt: a text that reports print, and the choice of a point of a distribution
