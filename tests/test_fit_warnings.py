@@ -133,7 +133,7 @@ def test_a_needle_that_the_others_do_not_predict_is_named_with_what_may_have_hap
 
 
 @pytest.mark.parametrize(("shift", "count"), [(-5.0, 1), (5.0, 1), (2.0, 0)])
-def test_a_boundary_that_the_data_put_elsewhere_and_a_modulus_of_no_tissue_are_named(shift, count):
+def test_a_boundary_that_the_data_put_elsewhere_and_parameters_of_no_tissue_or_bevel_are_named(shift, count):
     results = study(1)
     row = {"boundary": 1, "shift_mm": shift, "sd_mm": 1.0, "stated_sd_mm": 0.2}
     row |= {"parameter": "mu1_pa", "factor_per_mm": 1.1}
@@ -143,6 +143,10 @@ def test_a_boundary_that_the_data_put_elsewhere_and_a_modulus_of_no_tissue_are_n
     is_mu = (parameters["parameter"] == "mu1_pa") & (parameters["method"] == "fitted")
     stiff = parameters.assign(value=parameters["value"].mask(is_mu, 1.6e8))
     assert len(warn("units", results.with_frames(parameters=stiff))) == 1
+    is_bevel = (parameters["parameter"] == "bevel_mm") & (parameters["method"] == "fitted")
+    flat = parameters.assign(value=parameters["value"].mask(is_bevel, math.tan(math.radians(0.5))))
+    (one,) = warn("units", results.with_frames(parameters=flat))
+    assert all(part in one.what for part in ("0.5", "1.7", "60"))
 
 
 @pytest.mark.parametrize("shift", [-3.0, 0.0, 3.0])

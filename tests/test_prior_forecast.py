@@ -11,7 +11,7 @@ from test_cli import run
 
 from needlefit import open_scene
 from needlefit.errors import ConfigError
-from needlefit.mechanics.moduli import read_moduli
+from needlefit.mechanics.published import read_moduli
 from needlefit.planning.prior_forecast import describe_published, forecast_by_prior, list_published
 
 
@@ -71,7 +71,7 @@ def test_the_command_predicts_before_data(capsys):
     assert found["target_mm"] == [52.0, 0.4, 0.0] and 0.0 < found["hits"] <= 1.0
     assert found["tip_y_mm"]["low"] < found["tip_y_mm"]["median"] < found["tip_y_mm"]["high"]
     assert 0.8 < sum(one["share"] for one in found["parameters"]) < 1.1
-    assert found["sources"][0]["medium"] == "gelatine"
+    assert found["sources"][0]["name"] == "gelatine"
     assert run("predict", "--scene", "phantom1", "--medium", "gelatine") == 0
     assert run("predict", "--scene", "phantom1") == 2
     assert run("predict", "study1", "--scene", "study1", "--medium", "liver") == 2

@@ -53,7 +53,7 @@ def predict_before_data(
     _show(forecast, radius, "median tip" if target is None else "target")
     for source in published:
         screen.print_text(
-            f"{source.medium}: {source.quantity} {source.low:g} to {source.high:g} kPa ({source.source})."
+            f"{source.name}: {source.quantity} {source.low:g} to {source.high:g} kPa ({source.source})."
         )
     if published:
         screen.print_text("A fitted μ may differ: it belongs to the model, not to the material alone.")

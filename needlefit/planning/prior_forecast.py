@@ -13,7 +13,7 @@ from needlefit.inference.forward_model import tabulate_sets
 from needlefit.inference.identifiability.directions import NORMAL_95_HALF_WIDTH_SD
 from needlefit.inference.parameters import Parameters
 from needlefit.inference.predict import draw_from_prior
-from needlefit.mechanics.moduli import PublishedModulus, read_moduli
+from needlefit.mechanics.published import PublishedRange, read_moduli
 from needlefit.mechanics.scene import Scene
 from needlefit.project.random_streams import random_stream
 from needlefit.schemas.medium import BEVEL_BOUNDS, MediumRecord
@@ -47,14 +47,14 @@ class PriorForecast:
         return float(median), float(low), float(high)
 
 
-def list_published(names: str) -> list[PublishedModulus]:
+def list_published(names: str) -> list[PublishedRange]:
     """Return the published moduli of media by their names, as `gelatine,liver`; none if it names others."""
     published = read_moduli()
     parts = [part.strip().lower() for part in names.split(",")]
     return [published[part] for part in parts] if all(part in published for part in parts) else []
 
 
-def describe_published(moduli: Sequence[PublishedModulus], layers: int, advance: Advance) -> MediumRecord:
+def describe_published(moduli: Sequence[PublishedRange], layers: int, advance: Advance) -> MediumRecord:
     """Return a tissue model of published moduli: one of each layer, or one of all.
 
     The range that a source states is taken for 95 % of a lognormal prior. ConfigError if neither fits.

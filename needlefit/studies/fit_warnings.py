@@ -17,17 +17,24 @@ from needlefit.inference.identifiability.directions import (
     UNINFORMED_SD_RATIO,
     find_bound_side,
 )
-from needlefit.inference.parameter_names import BEVEL_SPREAD, HYPERPARAMETERS, is_shape_parameter
+from needlefit.inference.parameter_names import (
+    BEVEL_PARAMETERS,
+    BEVEL_SPREAD,
+    HYPERPARAMETERS,
+    is_shape_parameter,
+)
 from needlefit.inference.parameters import Parameters
 from needlefit.inference.point_prediction import PointPrediction
-from needlefit.mechanics.moduli import read_moduli
+from needlefit.mechanics.published import read_cut_angles, read_moduli
 from needlefit.project.result_warnings import ResultWarning, to_stored_rows
 from needlefit.project.unit_warnings import MU_PA
 from needlefit.reporting.number_format import format_quantity
 from needlefit.reporting.table_files import Row, select_rows, to_records
 from needlefit.reporting.text import KindText
+from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.run_metadata import DepthMetadata, FitMetadata
 from needlefit.studies.fit_frames import FitFrames
+from needlefit.studies.odd_needles import QuickCheck
 from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import find_bevel_sides
 from needlefit.studies.validity import list_outside
@@ -216,11 +223,14 @@ def _find_odd_needles(run: Run) -> Iterator[Row]:
     yield from _describe_doubts(Doubts(metadata.odd_needles, metadata.deviating, metadata.common_doubt))
 
 
-def warn_of_doubts(doubts: Doubts, depths: Iterable[DepthMetadata]) -> list[ResultWarning]:
-    """Return the warnings about needles that the others do not predict, and about stated boundaries."""
-    warnings = [write_warning("needle_outlier", values) for values in _describe_doubts(doubts)]
-    shifted = _describe_shifted_boundaries(depths)
-    return warnings + [write_warning("boundary_shift", values) for values in shifted]
+def warn_of_check(check: QuickCheck, medium: MediumRecord) -> list[ResultWarning]:
+    """Return the warnings of a quick fit: needles that the others do not predict, boundaries, parameters."""
+    rows = {
+        "needle_outlier": _describe_doubts(check.doubts),
+        "boundary_shift": _describe_shifted_boundaries(check.depths),
+        "units": _describe_implausible(check.values, medium),
+    }
+    return [write_warning(kind, values) for kind, found in rows.items() for values in found]
 
 
 def _describe_doubts(doubts: Doubts) -> Iterator[Row]:
@@ -239,16 +249,32 @@ def _describe_doubts(doubts: Doubts) -> Iterator[Row]:
         yield {"text": "needles_deviate", "count": doubts.deviating[0], "total": doubts.deviating[1]}
 
 
-def _find_implausible_moduli(run: Run) -> Iterator[Row]:
-    """Yield the moduli that no tissue has."""
+#: below the smallest published angle of a cut by which no bevel is found: those of stiff designs in
+#: benchmarks/mistakes.py lie 1.3 times below
+MIN_CUT_FACTOR = 3.0
+
+
+def _find_implausible(run: Run) -> Iterator[Row]:
+    """Yield the moduli that no tissue has, and bevels that cut at no published angle."""
     fits = FitFrames.of(run).free_parameters
-    for name, values in fits[fits["parameter"].str.startswith("mu")].groupby("parameter")["value"]:
-        if not MU_PA[0] <= (value := float(values.median())) <= MU_PA[1]:
-            ends = {modulus.medium: modulus.shear_pa[value > MU_PA[1]] for modulus in read_moduli().values()}
-            medium = (max if value > MU_PA[1] else min)(ends, key=lambda name: ends[name])
-            about = {"published": ends[medium], "published_of": medium, "text": "modulus"}
-            factor = max(value / ends[medium], ends[medium] / value)
-            yield {"parameter": str(name), "value": value, "factor": factor, **about}
+    medians = {str(name): float(values.median()) for name, values in fits.groupby("parameter")["value"]}
+    yield from _describe_implausible(medians, run.knows(FitMetadata).medium)
+
+
+def _describe_implausible(values: Mapping[str, float], medium: MediumRecord) -> Iterator[Row]:
+    """`values`: of fitted parameters, by name."""
+    for name, value in values.items():
+        about = {"parameter": name, "value": value}
+        if name.startswith("mu") and not MU_PA[0] <= value <= MU_PA[1]:
+            ends = {modulus.name: modulus.shear_pa[value > MU_PA[1]] for modulus in read_moduli().values()}
+            nearest = (max if value > MU_PA[1] else min)(ends, key=lambda name: ends[name])
+            about |= {"published": ends[nearest], "published_of": nearest, "text": "modulus"}
+            yield about | {"factor": max(value / ends[nearest], ends[nearest] / value)}
+        elif name in BEVEL_PARAMETERS:
+            is_angle, cut = name == "cut_angle_deg", read_cut_angles()
+            angle = value if is_angle else math.degrees(math.atan(value / medium.constraint_spacing_mm))
+            if not cut.low / MIN_CUT_FACTOR <= angle <= cut.high:
+                yield about | {"angle": angle, "low": cut.low, "high": cut.high, "text": "bevel"}
 
 
 def _find_outside(run: Run) -> Iterator[Row]:
@@ -257,8 +283,6 @@ def _find_outside(run: Run) -> Iterator[Row]:
         yield {"parts": parts}
 
 
-#: of fits and cross-validations, by the kind of the warning, which programs may rely on: run -> the values of
-#: the text, for each case found
 def _find_outside_modes(run: Run) -> Iterator[Row]:
     """Yield the parameters whose posterior mode lies outside their 95 % interval, and at no bound."""
     rows = FitFrames.of(run).free_parameters
@@ -274,6 +298,8 @@ def _find_outside_modes(run: Run) -> Iterator[Row]:
         yield {"parameter": str(name), "value": some["value"].iloc[0], "low": low, "high": high}
 
 
+#: of fits and cross-validations, by the kind of the warning, which programs may rely on: run -> the values of
+#: the text, for each case found
 RULES: Mapping[str, Callable[[Run], Iterable[Row]]] = {
     "validity": _find_outside,
     "parameter_at_bound": _find_bounds,
@@ -284,5 +310,5 @@ RULES: Mapping[str, Callable[[Run], Iterable[Row]]] = {
     "shared_residual": _find_shared_residual,
     "boundary_shift": _find_shifted_boundaries,
     "needle_outlier": _find_odd_needles,
-    "units": _find_implausible_moduli,
+    "units": _find_implausible,
 }
