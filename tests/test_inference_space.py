@@ -11,7 +11,7 @@ from inference_cases import NEEDLE, TRUTH, assert_one_density, dataset, insertio
 from problem_cases import make_problem
 from test_datasets import CURVE, record, row
 
-from needlefit.datasets.planes import find_curve_roll, leaves_plane, set_compared, turns_out_of_plane
+from needlefit.datasets.compared import find_curve_roll, leaves_plane, set_compared, turns_out_of_plane
 from needlefit.datasets.read import check, read
 from needlefit.datasets.write import write_dataset
 from needlefit.errors import ConfigError, DataError

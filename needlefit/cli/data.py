@@ -252,7 +252,7 @@ def _describe_planes(planes: Sequence[tuple[str, float, float]]) -> str:
 
     Needles are listed only where errors do not explain it.
     """
-    from needlefit.datasets.planes import MAX_NAMED_INSERTIONS, SIGNIFICANT_SD
+    from needlefit.datasets.compared import MAX_NAMED_INSERTIONS, SIGNIFICANT_SD
 
     away = [f"{name} {mm:.2f} mm ({sds:.1f} SD)" for name, mm, sds in planes if sds > SIGNIFICANT_SD]
     if away:

@@ -10,6 +10,13 @@ import numpy as np
 from scipy.special import bdtrc
 
 from needlefit.datasets.columns import BOUNDARIES_COLUMN, NUMBER_COLUMNS, ROLL_COLUMNS
+from needlefit.datasets.compared import (
+    MAX_NAMED_INSERTIONS,
+    MIN_BEND_SLOPE,
+    SIGNIFICANT_SD,
+    compute_deflection_sd,
+    compute_entry_sd,
+)
 from needlefit.datasets.insertion import Insertion, Noise
 from needlefit.datasets.interpolated import find_interpolated_warnings
 from needlefit.datasets.layers import (
@@ -21,15 +28,7 @@ from needlefit.datasets.layers import (
     name_small_unit,
 )
 from needlefit.datasets.outlying_points import OUTLIER_SD, find_point_warnings
-from needlefit.datasets.planes import (
-    MAX_NAMED_INSERTIONS,
-    MIN_BEND_SLOPE,
-    SIGNIFICANT_SD,
-    compute_deflection_sd,
-    compute_entry_sd,
-    find_curvature_warnings,
-    find_plane_warnings,
-)
+from needlefit.datasets.planes import find_curvature_warnings, find_plane_warnings
 from needlefit.datasets.points import find_rounding
 from needlefit.datasets.scatter import AXIS_COSINE, SD_MM, find_axis_warnings, find_scatter_warnings
 from needlefit.datasets.spellings import find_spellings

@@ -11,10 +11,10 @@ from dataclasses import replace
 import numpy as np
 
 from needlefit.arrays import Floats
+from needlefit.datasets.compared import MAX_NAMED_INSERTIONS
 from needlefit.datasets.insertion import Noise
 from needlefit.datasets.layers import ListedInsertion
 from needlefit.datasets.outlying_points import MIN_CURVE_POINTS
-from needlefit.datasets.planes import MAX_NAMED_INSERTIONS
 from needlefit.datasets.scatter import MIN_AXIS_POINTS, SCATTER_RATIOS
 from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import ResultWarning

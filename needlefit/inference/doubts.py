@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from needlefit.arrays import Floats
+from needlefit.datasets.compared import leaves_plane
 from needlefit.datasets.insertion import Insertion
-from needlefit.datasets.planes import leaves_plane
 from needlefit.inference.hypotheses import (
     ASIDE,
     HYPOTHESES,

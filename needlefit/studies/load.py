@@ -6,10 +6,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
+from needlefit.datasets.compared import describe_compared, find_left_planes, set_compared
 from needlefit.datasets.folds import make_folds, warn_shared_specimens
 from needlefit.datasets.insertion import Dataset
 from needlefit.datasets.paper import read_hand_tuned
-from needlefit.datasets.planes import describe_compared, find_left_planes, set_compared
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError, ModelError
 from needlefit.inference.forward_model import make_options as mesh

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
+from needlefit.datasets.compared import set_compared
 from needlefit.datasets.insertion import Dataset, Insertion, find_pose
 from needlefit.datasets.noise import estimate_noise_floor
-from needlefit.datasets.planes import set_compared
 from needlefit.datasets.read import read_shapes, require_shapes
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Placement, move_frame
