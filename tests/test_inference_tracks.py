@@ -46,8 +46,8 @@ from needlefit.mechanics.session import Session
 from needlefit.mechanics.tissue import Tissue
 from needlefit.schemas.recipe import RecipeRecord, TrackErrorsRecord
 from needlefit.schemas.study import FitRecord
-from needlefit.studies.held_out.tip_track import simulate_runs
 from needlefit.studies.job import Job
+from needlefit.studies.observations.tip_track import simulate_runs
 
 REST = np.zeros(len(DEPTH))
 THETA = np.log([TRUTH["mu1_pa"], TRUTH["bevel_mm"], TRUTH["guide_distance_mm"]])

@@ -25,7 +25,7 @@ from needlefit.reporting.needle_page import kernel_exists
 from needlefit.studies.explorer import collect_explorer
 from needlefit.studies.job import Settings
 from needlefit.studies.kind import find_kind
-from needlefit.studies.kinds.cross_validation.observed import draw_observations
+from needlefit.studies.observations import draw_observations
 from needlefit.studies.report import compose_run_report
 
 SD = 5e-5  #: of a reading, 1/mm

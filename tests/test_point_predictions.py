@@ -15,10 +15,10 @@ from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.fold_draws import Specimens, draw_fold_parameters
-from needlefit.studies.held_out import predict_held_out
 from needlefit.studies.job import Inputs, Settings
 from needlefit.studies.kinds.prediction import forecast, make_scene, tabulate_forecast
 from needlefit.studies.load import load_study
+from needlefit.studies.observations import predict_held_out
 
 NEEDLE = {"length_mm": 150.0, "outer_diameter_mm": 1.27, "youngs_modulus_gpa": 200.0}
 #: bounds as `needlefit import` writes them

@@ -13,7 +13,6 @@ from needlefit.datasets.paper import read_hand_tuned
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError, ModelError
 from needlefit.inference.forward_model import make_options as mesh
-from needlefit.inference.likelihood.observations.curvature import require_curvature
 from needlefit.inference.parameter_changes import complete_published, load_changed_medium, search_freed
 from needlefit.inference.parameters import Parameters, with_hyperparameters, without_prior
 from needlefit.inference.sampling.samplers import SAMPLERS
@@ -25,8 +24,8 @@ from needlefit.schemas.limits import MAX_EVALUATION_ELEMENT_SOLVES
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
-from needlefit.studies.held_out import HELD_OUT
 from needlefit.studies.job import Job, Settings, metric_recipe
+from needlefit.studies.observations import STUDIED
 
 #: kinds of warnings that are also printed before the work, which takes long and is of no use then
 DATA_WARNINGS = ("units", "bevel_side", "axis_unit", "data_changed")
@@ -90,12 +89,9 @@ def load_study(
     job = Job(
         name, record, dataset, medium, parameters, recipe, hand_tuned, folds, measured, file, medium_file
     )
-    for held_out in HELD_OUT.values():
-        held_out.check(job)
+    for studied in STUDIED.values():
+        studied.check(job)
     _check_layers(job)
-    if recipe.likelihood.measurement == "curvature":
-        for insertion in (insertion_of_fold for fold in folds for insertion_of_fold in fold.tune):
-            require_curvature(insertion)
     check_reach(job)
     _check_size(job)
     return replace(job, warnings=tuple(_find_warnings(job)))

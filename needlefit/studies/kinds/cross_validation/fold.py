@@ -43,7 +43,6 @@ from needlefit.studies.answer import RunFault, find_fault_kind
 from needlefit.studies.fit_frames import PREDICTION_METHOD, TUNED_SPECIMENS
 from needlefit.studies.fit_warnings import describe_point
 from needlefit.studies.fold_draws import Specimens, draw_fold_parameters, measure_prior
-from needlefit.studies.held_out import HeldOutPrediction, find_held_out, predict_held_out
 from needlefit.studies.identification import (
     IDENTIFICATION_COLUMNS,
     ParameterRow,
@@ -64,6 +63,7 @@ from needlefit.studies.kinds.cross_validation.rows import (
     make_start_row,
 )
 from needlefit.studies.needle_placement import place_needles
+from needlefit.studies.observations import HeldOutPrediction, find_studied, predict_held_out
 from needlefit.studies.prediction_scores import tabulate_sensors
 from needlefit.studies.score import Row, Scores, make_predictors, make_scorer, predict_needle
 from needlefit.studies.validity import MOSTLY_OUTSIDE, NO_SIMULATIONS, ValidityCounts, add_counts
@@ -488,7 +488,7 @@ def _take(row: ParameterRow, identification: Row) -> ParameterRow:
 def _score(job: Job, fold: Fold, fits: Mapping[str, Fit], drawn: FoldDrawn | None) -> Iterator[Scores]:
     """Yield the scores of every method on every insertion, then of our predictions."""
     scorer, problem = make_scorer(job), job.problem(fold)
-    held = [insertion for insertion in fold.validate if not find_held_out(insertion).has_errors]
+    held = [insertion for insertion in fold.validate if not find_studied(insertion).has_errors]
     for method, curves in make_predictors(problem, fits, job.hand_tuned).items():
         for role, insertions in (("tune", fold.tune), ("validate", held)):
             place = {"fold": fold.name, "role": role, "method": method}

@@ -6,10 +6,10 @@ from types import MappingProxyType
 
 from needlefit.reporting.needles_in_scan import NEEDLE_COLUMNS
 from needlefit.studies.fold_draws import DRAW_COLUMNS, POPULATION_COLUMNS
-from needlefit.studies.held_out import PREDICTIVE_COLUMNS
-from needlefit.studies.held_out.tip_track import END_COLUMNS, READING_COLUMNS
 from needlefit.studies.identification import IDENTIFICATION_COLUMNS, PROFILE_COLUMNS, ParameterRow
 from needlefit.studies.kinds.cross_validation.rows import DIRECTION_COLUMNS, ERROR_FIT_COLUMNS, START_COLUMNS
+from needlefit.studies.observations import PREDICTIVE_COLUMNS
+from needlefit.studies.observations.tip_track import END_COLUMNS, READING_COLUMNS
 from needlefit.studies.prediction_scores import BAND_COLUMNS, SENSOR_COLUMNS
 from needlefit.studies.score import CURVE_COLUMNS, ERROR_COLUMNS, SHAPE_COLUMNS
 

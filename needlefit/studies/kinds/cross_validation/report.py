@@ -25,7 +25,7 @@ from needlefit.studies.identification_tables import lay_out_identification
 from needlefit.studies.judge import find_contradictions
 from needlefit.studies.kinds.cross_validation.first_page import judge_errors
 from needlefit.studies.kinds.cross_validation.frames import FRAMES, OPTIONAL
-from needlefit.studies.kinds.cross_validation.observed import draw_observations
+from needlefit.studies.observations import draw_observations
 from needlefit.studies.odd_needles import draw_odd_needles
 from needlefit.studies.report import StudyReport, list_data_notes
 from needlefit.studies.run import Run, value_of_run

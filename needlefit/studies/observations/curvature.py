@@ -1,8 +1,10 @@
 """Figure of curvatures: the readings of every needle."""
 
+from needlefit.inference.likelihood.observations.curvature import require_curvature
 from needlefit.reporting.figures import Drawing
 from needlefit.studies.fit_frames import FitFrames
-from needlefit.studies.kinds.cross_validation.observed import ObservationFigures
+from needlefit.studies.job import Job
+from needlefit.studies.observations import StudiedObservation
 from needlefit.studies.run import Run
 
 
@@ -18,4 +20,11 @@ def draw_sensors(run: Run, role: str) -> dict[str, Drawing]:
     return {"sensors": Drawing("curvature", frame)} if len(frame) else {}
 
 
-CURVATURE = ObservationFigures("curvature", draw_sensors)
+def check_sensors(job: Job) -> None:
+    """Raise DataError where a recipe fits to curvatures, and an insertion has none."""
+    if job.recipe.likelihood.measurement == "curvature":
+        for insertion in (insertion for fold in job.folds for insertion in fold.tune):
+            require_curvature(insertion)
+
+
+CURVATURE = StudiedObservation("curvature", draw_sensors, check=check_sensors)

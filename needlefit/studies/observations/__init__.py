@@ -1,7 +1,7 @@
-"""How insertions that a fold holds out are predicted: a file here for each observation that differs.
+"""What a study does with each observation: how insertions that a fold holds out are predicted, and figures.
 
-Each has the name of its observation in `inference/likelihood/observations/`. What has no file is predicted as
-points along the needle are.
+Each file has the name of its observation in `inference/likelihood/observations/`. What has no file, or no
+prediction of its own, is predicted as points along the needle are.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -14,10 +14,12 @@ from needlefit.inference.compared_points import Curve
 from needlefit.inference.point_prediction import PointPrediction
 from needlefit.inference.predict import Draws
 from needlefit.registry import Registry
+from needlefit.reporting.figures import Drawing
 from needlefit.schemas.run_metadata import CountMetadata
 from needlefit.studies.coverage import AFTER_ONE_COLUMN, WIDTH_ERROR_COLUMN
 from needlefit.studies.fold_draws import Specimens
 from needlefit.studies.job import Job
+from needlefit.studies.run import Run
 from needlefit.studies.score import Row
 
 #: Of the table "predictive": the distribution of every insertion held out, and how the measurement fell in
@@ -53,24 +55,33 @@ class HeldOutPrediction:
 
 
 @dataclass(frozen=True)
-class HeldOutObservation:
-    """How insertions that were measured alike are predicted together."""
+class StudiedObservation:
+    """What a study does with insertions that were measured alike."""
 
     name: str  #: of the observation
+    #: run, role -> the figures of what was measured so, the one for the first page first; none without any
+    draw: Callable[[Run, str], Mapping[str, Drawing]]
     #: parameters of the fold, insertions, whether with bands, step -> a prediction of each that can be made
-    predict: Callable[[Specimens, Sequence[Insertion], bool, Step], Iterator[HeldOutPrediction]]
+    predict: Callable[[Specimens, Sequence[Insertion], bool, Step], Iterator[HeldOutPrediction]] | None = None
     #: whether its predictions have their own rows of the table "errors"
     has_errors: bool = False
-    #: raises ConfigError if insertions that folds of a study hold out cannot be predicted
+    #: raises an error if insertions of a study cannot be fitted to, or predicted
     check: Callable[[Job], None] = lambda job: None
 
 
-HELD_OUT = Registry(HeldOutObservation, __name__, "prediction of an observation")
+STUDIED = Registry(StudiedObservation, __name__, "observation of a study")
 
 
-def find_held_out(insertion: Insertion) -> HeldOutObservation:
+def find_studied(insertion: Insertion) -> StudiedObservation:
     """Return how an insertion is predicted."""
-    return HELD_OUT[insertion.observation if insertion.observation in HELD_OUT else "points"]
+    name = insertion.observation
+    return STUDIED[name if name in STUDIED and STUDIED[name].predict else "points"]
+
+
+def draw_observations(run: Run, role: str) -> dict[str, Drawing]:
+    """Return the figures of all that was measured of insertions of a role, those of whole needles first."""
+    ordered = sorted(STUDIED.values(), key=lambda studied: studied.name != "points")
+    return {name: drawing for studied in ordered for name, drawing in studied.draw(run, role).items()}
 
 
 def predict_held_out(
@@ -78,13 +89,14 @@ def predict_held_out(
 ) -> Iterator[HeldOutPrediction]:
     """Yield the predictions of the insertions that a fold holds out, kind by kind; see the file of each."""
     held = specimens.fold.validate
-    groups, done = group_values((find_held_out(insertion).name, insertion) for insertion in held), 0
-    for name, some in groups.items():
+    groups, done = group_values((find_studied(insertion), insertion) for insertion in held), 0
+    for studied, some in groups.items():
+        assert studied.predict is not None
 
         def count(made: int, _: int, done: int = done) -> None:
             step(done + made, len(held))
 
-        yield from HELD_OUT[name].predict(specimens, some, bands, count)
+        yield from studied.predict(specimens, some, bands, count)
         done += len(some)
 
 

@@ -44,18 +44,22 @@ from needlefit.inference.predict import Draws, PredictiveMixture, crps, find_geo
 from needlefit.inference.problem import Problem
 from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import run_parts
+from needlefit.reporting.figures import Drawing
 from needlefit.schemas.recipe import LikelihoodRecord
 from needlefit.schemas.run_metadata import CountMetadata
+from needlefit.studies import fit_figures
+from needlefit.studies import scored_groups as scores
 from needlefit.studies.coverage import AFTER_ONE_COLUMN, WIDTH_ERROR_COLUMN, estimate_width_after_one
+from needlefit.studies.fit_frames import FitFrames
 from needlefit.studies.fold_draws import Specimens, describe_specimen
-from needlefit.studies.held_out import (
+from needlefit.studies.job import Job
+from needlefit.studies.observations import (
     PREDICTIVE_COLUMNS,
-    HeldOutObservation,
     HeldOutPrediction,
     Step,
+    StudiedObservation,
     describe_held_out,
 )
-from needlefit.studies.job import Job
 from needlefit.studies.prediction_scores import (
     CURVATURE_CRPS,
     SHAPE_CRPS,
@@ -67,6 +71,7 @@ from needlefit.studies.prediction_scores import (
     tabulate_band,
     tabulate_sensors,
 )
+from needlefit.studies.run import Run
 from needlefit.studies.score import Row, predict_needle
 
 #: columns that predictions of curvatures, or in space, have besides
@@ -367,4 +372,13 @@ def _measurement_covariance(observation: Observation, factor: float) -> Floats:
     return aligned
 
 
-POINTS = HeldOutObservation("points", predict_needles)
+def draw_needles(run: Run, role: str) -> dict[str, Drawing]:
+    """Return the insertions with the smallest, middle and largest tip error, and all of them."""
+    if FitFrames.of(run).select_curves(role, method="fitted").empty:
+        return {}
+    names = ("overlays", "overlays_above")[: scores.count_directions(run)]
+    overlays = {name: fit_figures.draw_overlays(run, role, from_above=name != names[0]) for name in names}
+    return {"insertions": fit_figures.draw_first_page(run, role), **overlays}
+
+
+POINTS = StudiedObservation("points", draw_needles, predict_needles)

@@ -5,7 +5,7 @@ import numpy as np
 from needlefit.reporting.figures import Drawing
 from needlefit.schemas.run_metadata import FitMetadata
 from needlefit.studies.fit_frames import FitFrames
-from needlefit.studies.kinds.cross_validation.observed import ObservationFigures
+from needlefit.studies.observations import StudiedObservation
 from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import find_bevel_sides
 
@@ -33,4 +33,4 @@ def draw_tips(run: Run, role: str) -> dict[str, Drawing]:
     return {"tips": Drawing("tip", frame)}
 
 
-TIP = ObservationFigures("tip", draw_tips)
+TIP = StudiedObservation("tip", draw_tips)

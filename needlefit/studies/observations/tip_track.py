@@ -31,20 +31,22 @@ from needlefit.inference.track_predictions import (
 )
 from needlefit.metrics import TRACK_RMS
 from needlefit.project.random_streams import random_stream
+from needlefit.reporting.figures import Drawing
 from needlefit.schemas.recipe import TrackErrorsRecord
 from needlefit.schemas.run_metadata import CountMetadata
 from needlefit.schemas.study import StudyRecord
-from needlefit.studies.fit_frames import PREDICTION_METHOD
+from needlefit.studies.fit_frames import PREDICTION_METHOD, FitFrames
 from needlefit.studies.fold_draws import Specimens, describe_specimen
-from needlefit.studies.held_out import (
+from needlefit.studies.job import Job
+from needlefit.studies.observations import (
     PREDICTIVE_COLUMNS,
-    HeldOutObservation,
     HeldOutPrediction,
     Step,
+    StudiedObservation,
     describe_held_out,
 )
-from needlefit.studies.job import Job
 from needlefit.studies.prediction_scores import score_shape, score_tip
+from needlefit.studies.run import Run
 from needlefit.studies.score import Row, Scorer, make_scorer
 
 NAME = "tip_track"
@@ -402,4 +404,10 @@ def _list_readings(
             }
 
 
-TIP_TRACK = HeldOutObservation(NAME, predict_tracks, has_errors=True, check=check_tracks)
+def draw_tracks(run: Run, role: str) -> dict[str, Drawing]:
+    """Return every predicted run, the tip at each reading and the guide below it."""
+    readings = FitFrames.of(run).readings
+    return {"readings": Drawing("tip_track", readings)} if len(readings) else {}
+
+
+TIP_TRACK = StudiedObservation(NAME, draw_tracks, predict_tracks, has_errors=True, check=check_tracks)
