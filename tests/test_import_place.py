@@ -5,7 +5,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from import_cases import needle, placed, planned, prepare, write_long, write_placed, write_rows, write_sheets
+from import_cases import (
+    curves_of,
+    needle,
+    placed,
+    planned,
+    prepare,
+    write_long,
+    write_placed,
+    write_rows,
+    write_sheets,
+)
 from refusals import refusal
 
 from needlefit.api import score_study
@@ -801,3 +811,23 @@ def test_an_import_replaces_an_earlier_one_and_nothing_else(tmp_path):
     (out / "notes.txt").write_text("mine")
     refusal(ConfigError, "notes.txt", write_import, out, prepare([file]), overwrite=True)
     assert (out / "notes.txt").read_text() == "mine"
+
+
+def test_depths_of_points_count_from_the_entry_unless_the_first_point_is_stated_to_be_it(tmp_path):
+    rows = [("a", x, 6e-4 * x**2) for x in range(6, 61, 2)]
+    write_table(file := tmp_path / "a.csv", "needle,depth [mm],deflection [mm]", rows)
+    stated, depths = {"holds": "shapes", "point_sd": "0.1"}, []
+    for first in ({}, {"entry_point": "first"}):
+        write_placed(out := tmp_path / f"out{len(depths)}", [file], **stated, **first)
+        depths.append(read(out).insertions[0].depth)
+    assert depths == pytest.approx([60.0, 54.0], abs=0.1)
+    with pytest.raises(DataError, match=r"begin at a depth of 6.0 mm") as refused:
+        placed([file], pose="1,0,0", bevel="0,1,0", **stated)
+    assert refused.value.where.endswith("a.csv:2")
+
+
+def test_a_material_beside_a_modulus_is_asked_for(tmp_path):
+    rows = [(n, "steel", 30, d, 6e-4 * d**2) for n, d in (("a", 50), ("b", 60))]
+    write_table(file := tmp_path / "a.csv", "needle,material,modulus [kPa],depth [mm],deflection [mm]", rows)
+    with pytest.raises(DataError, match=r"modulus\.column=material"):
+        curves_of([file])

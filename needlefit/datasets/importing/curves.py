@@ -12,6 +12,15 @@ from needlefit.geometry.surfaces import Surface
 from needlefit.schemas.mapping import Holds
 
 
+@dataclass(frozen=True)
+class TipReading:
+    """A deflection of a tip from the line of insertion."""
+
+    deflection: Floats  # (2,), mm; up and to the right
+    sd: float | None  # mm; None: that of a point
+    where: str
+
+
 @dataclass
 class ImportedCurve:
     """One needle: its points in mm, which planning may cut, and what is stated of it."""
@@ -29,8 +38,9 @@ class ImportedCurve:
     shaft: Floats = field(default_factory=lambda: np.empty((0, 3)))  # (K, 3), mm; points up to the entry
     turns: list[tuple[float, Stated]] = field(default_factory=list)  # depths, mm, and where bevels face then
     sensors: list[Floats] = field(default_factory=list)  # (4,) each: `SENSOR` in mm and 1/mm
-    tip: "ImportedCurve | None" = None  # a deflection of the tip that was measured beside the shape
+    tips: list[TipReading] = field(default_factory=list)  # of its tip, measured beside the shape
     are_sensors_from_base: bool = False  # places of sensors are counted from the needle's base, not its tip
+    before: float = 0.0  # mm; inserted length before the first point, of points with stated depths
 
     @property
     def line(self) -> Floats:
@@ -52,8 +62,10 @@ class ImportedCurve:
 
     @property
     def depth(self) -> float:
-        """The stated depth, else the length; mm."""
-        return self.stated["depth"].to_number("depth") if "depth" in self.stated else self.length
+        """The stated depth, else the length from the entry; mm."""
+        return (
+            self.stated["depth"].to_number("depth") if "depth" in self.stated else self.before + self.length
+        )
 
 
 @dataclass(frozen=True)

@@ -238,8 +238,15 @@ class TableDraft:
         is_mean = any("mean" in text.casefold() for text in self.table.headers)
         if "point_sd" in known_columns and "trials" in words and is_mean:
             self._ask("point_sd", known_columns.pop("point_sd")[0], count=str(self._name(words["trials"])))
-        if "modulus" in known_columns and "modulus" in self.draft.values:
-            self.used.add(known_columns.pop("modulus")[0])
+        moduli = known_columns.get("modulus", [])
+        numbers = [n for n in moduli if not any(map(_is_needle_material, self._list_texts(n)))]
+        is_open = bool(numbers) and "modulus" not in self.draft.values
+        for places in (known_columns.get("medium", []), moduli if is_open else []):
+            for n in [n for n in places if any(map(_is_needle_material, self._list_texts(n)))]:
+                places.remove(n)
+                self._ask("material", n)
+        if moduli and "modulus" in self.draft.values:
+            self.used |= {*known_columns.pop("modulus")}
         elif "modulus" in known_columns:
             place, unit = known_columns["modulus"][0], self.headers[known_columns["modulus"][0]].unit or "GPa"
             numbers = [value for text in self._list_texts(place) if (value := self.table.number(text))]
@@ -251,10 +258,6 @@ class TableDraft:
                 self._ask("medium", words["phantom"])
             else:
                 known_columns["medium"] = [words["phantom"]]
-        places = known_columns.get("medium", [])
-        for n in [n for n in places if any(map(_is_needle_material, self._list_texts(n)))]:
-            places.remove(n)
-            self._ask("material", n)
         if EXCLUDED in known_columns:
             self._ask_excluded(known_columns.pop(EXCLUDED)[0])
 
@@ -500,6 +503,8 @@ class TableDraft:
         for n, header in enumerate(self.headers):
             if n not in self.used and self._list_texts(n) and header.text.casefold() not in UNIT_FIELDS:
                 self.draft.unused.append((f"column {self._name(n)}", self.where))
+                if "bevel" in header.text.casefold():
+                    self.draft.words.append(f"column {self._name(n)}")
         names = [self._name(n) for n in self._list_unknown()]
         for name in names:
             self.draft.assumed[f"unused.{name}"] = "numbers under a header that is not known"

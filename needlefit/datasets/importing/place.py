@@ -237,7 +237,7 @@ class Planner(CurveAnswers):
         reason = f"{without} without a shape" if without else "not stated"
         reason += f"; pose={along} ({how}) if a stage pushed all needles in one direction"
         is_posed = bool(without or self.surfaces) or any(
-            curve.turns or curve.sensors or curve.tip for curve in self.curves
+            curve.turns or curve.sensors or curve.tips for curve in self.curves
         )
         poses = self.each("pose", usual="" if is_posed else "free", reason=reason)
         kinds = {pose.text if pose.text in ("free", "shaft") else "direction" for pose in poses}
@@ -296,6 +296,7 @@ class Planner(CurveAnswers):
                 f"the shapes begin up to {starts.max():.2g} mm from the origin; the tip of {without} was "
             )
             reason += "measured by itself"
+        is_first = (own := self.stated("entry_point")) is not None and own.text == "first"
         answers = self.each("entry_point", usual=guess, reason=reason, is_sure=guess == "depth")
         entries, cut, missed = list[Floats | None](), list[float](), list[str]()
         for curve, answer in zip(self.curves, answers, strict=True):
@@ -325,9 +326,20 @@ class Planner(CurveAnswers):
         if cut:
             self.settler.note("shaft", f"{min(cut):.1f} to {max(cut):.1f} mm before the entry point cut off")
         self.surfaces[:] = [surface for surface in self.surfaces if surface.name not in used]
-        for curve in self.curves:
-            depth = depths.get(curve.name, curve.length)
-            if abs(depth - curve.length) > (limit := find_length_tolerance(depth)):
+        for curve, pose, entry in zip(self.curves, poses, entries, strict=True):
+            if curve.is_deflection and not is_first:  # depths count from the first point where it is stated
+                curve.before = max(0.0, float(curve.line[0, 0] - (0.0 if entry is None else entry[0])))
+            depth = depths.get(curve.name, curve.before + curve.length)
+            limit = find_length_tolerance(depth)
+            if curve.before > limit and pose.text != "free":
+                raise DataError(
+                    f"the points of {curve.name} begin at a depth of {curve.before:.1f} mm",
+                    expected="points from the entry on, where the depth is 0",
+                    fix=f"add them; or, if the first point is the entry: {name_set('entry_point', 'first')}; "
+                    f"or fit the shapes alone: {name_set('pose', 'free')}",
+                    where=curve.points.where(0),
+                )
+            if abs(depth - curve.before - curve.length) > limit:
                 raise stated[curve.name].error(
                     "depth",
                     f"within {limit:.1f} mm the length of {curve.name}, which is {curve.length:.1f} mm",
@@ -437,7 +449,7 @@ class Planner(CurveAnswers):
         sides, turns = to_sides(angles or [0.0] * len(bends))
         turned = Rotation.from_rotvec(np.array(turns)[:, None] * along)
         guess, reason = "bend", "every needle is taken to bend toward its bevel"
-        is_turned = any(curve.turns or curve.sensors or curve.tip for curve in self.curves)
+        is_turned = any(curve.turns or curve.sensors or curve.tips for curve in self.curves)
         if differ := is_turned or len({*sides}) > 1 or len({*turns}) > 1 or min(sides) < 0:
             across = bends - np.sum(bends * along, axis=1)[:, None] * along
             toward = np.array(sides)[:, None] * turned.inv().apply(across)
@@ -531,27 +543,33 @@ def add_tips(
     """Return rows with the deflections of tips that were measured beside their shapes.
 
     `turns`: of their bevels, rad. Where bevels face both sides and no deflection is negative they are toward
-    the bevels. DataError if one deflection is stated of a needle in another plane.
+    the bevels. DataError if one deflection is stated of a needle in another plane, or several of one tip.
     """
-    tips = [curve.tip for curve in curves if curve.tip is not None]
-    is_toward = len({row.side for row in rows}) > 1 and all(tip.line[0, 1] >= 0 for tip in tips)
+    tips = [tip for curve in curves for tip in curve.tips]
+    is_toward = len({row.side for row in rows}) > 1 and all(tip.deflection[0] >= 0 for tip in tips)
     added = list[InsertionRow]()
     for row, curve, turn in zip(rows, curves, turns, strict=True):
-        if (tip := curve.tip) is None:
+        if not curve.tips:
             added.append(row)
             continue
-        if turn and not tip.line[0, 2]:
+        tip, *others = curve.tips
+        if others:
+            raise DataError(
+                f"{1 + len(others)} deflections of the tip of {row.id} are stated beside its shape",
+                expected="one of a needle",
+                fix="state their mean, and its standard deviation",
+                where=others[0].where,
+            )
+        if turn and not tip.deflection[1]:
             raise DataError(
                 f"the bevel of {row.id} faces aside, and one deflection of its tip is stated",
                 expected="deflections up and to the right (columns deflection and deflection_z)",
                 fix=name_set("deflection_z.column", "HEADER"),
-                where=tip.points.where(),
+                where=tip.where,
             )
-        _, y, z = Rotation.from_rotvec([-turn, 0.0, 0.0]).apply(tip.line[0]).tolist()
-        sd = None if tip.points.sd is None else float(tip.points.sd[0])
-        sd = tip.stated["point_sd"].to_number("point_sd", is_above=True) if "point_sd" in tip.stated else sd
+        _, y, z = Rotation.from_rotvec([-turn, 0.0, 0.0]).apply([0.0, *tip.deflection]).tolist()
         y = row.side * y if is_toward else y
-        added.append(replace(row, tip_y=y, tip_z=z if tip.line[0, 2] else None, tip_sd=sd))
+        added.append(replace(row, tip_y=y, tip_z=z if tip.deflection[1] else None, tip_sd=tip.sd))
     return added
 
 

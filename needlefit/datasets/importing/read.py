@@ -14,7 +14,7 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import make_id
 from needlefit.datasets.faults import as_error
-from needlefit.datasets.importing.curves import ImportContent, ImportedCurve
+from needlefit.datasets.importing.curves import ImportContent, ImportedCurve, TipReading
 from needlefit.datasets.importing.meanings import ATTRIBUTES, MEANINGS, SENSOR, VECTORS
 from needlefit.datasets.importing.stated import Stated, name_set
 from needlefit.datasets.importing.synonyms import find_meaning, read_quantity
@@ -85,7 +85,7 @@ class MappedTable:
             f"has no one column {name!r}, of which {meaning} is read",
             expected=f"one of {', '.join(headers)}, or a number from 1 to {len(self.table.headers)}",
             fix=self.name_edit(f"columns.{meaning}.column", near[0] if near else "1"),
-            where=self.table.path,
+            where=self.table.where,
         )
 
     def list_columns(self, meaning: str) -> list[int]:
@@ -265,7 +265,7 @@ def _read_points(mapped: MappedTable, left_out: list[str]) -> Iterator[ImportedC
             f"nothing states {' and '.join(lacking)} of its points",
             expected="x and y; or depth and deflection",
             fix=" ".join(mapped.name_edit(f"columns.{axis}.column") for axis in lacking),
-            where=mapped.table.path,
+            where=mapped.table.where,
         )
     cells = {axis: mapped.read_cells(axis) for axis in axes if axis in columns}
     rows = defaultdict[tuple[str, int], list[int]](list)
@@ -540,14 +540,17 @@ def _read_sensor(mapped: MappedTable, n: int) -> Floats:
 
 
 def _join_tips(curves: Sequence[ImportedCurve]) -> list[ImportedCurve]:
-    """Return the needles; a tip that has name and depth of a shape is that of this shape."""
+    """Return the needles; a tip that has name and depth of a shape was measured beside this shape."""
     shapes = {curve.name: curve for curve in curves if curve.holds == "shapes" and curve.is_named}
     kept = list[ImportedCurve]()
     for curve in curves:
         shape, is_tip = shapes.get(curve.name), curve.holds == "tips" and curve.is_deflection
         depth = float(curve.line[0, 0]) if is_tip and len(curve.line) == 1 else 0.0
         if depth and shape is not None and abs(shape.depth - depth) <= find_length_tolerance(depth):
-            shape.tip = curve
+            sd = None if curve.points.sd is None else float(curve.points.sd[0])
+            if "point_sd" in curve.stated:
+                sd = curve.stated["point_sd"].to_number("point_sd", is_above=True)
+            shape.tips.append(TipReading(curve.line[0, 1:], sd, curve.points.where()))
         else:
             kept.append(curve)
     return kept
@@ -620,5 +623,5 @@ def _require_found(mapped: MappedTable, matched: Mapping[str, list[str]], keys: 
             problem,
             expected=f"a row for each {mapped.record.of}: {listed}",
             fix=f"write the same names in both tables; or leave tables.{mapped.number} out of the mapping",
-            where=mapped.table.path,
+            where=mapped.table.where,
         )

@@ -83,6 +83,12 @@ class Table:
     system: PatientSystem | None = None  # of the scan, which the format states
     first_headers: tuple[tuple[str, ...], ...] = ()  # texts of the rows of headers
 
+    @property
+    def where(self) -> str:
+        """Its file, and of a workbook its sheet."""
+        is_workbook = self.path.suffix.lower() in SHEET_SUFFIXES
+        return f"{self.path}, sheet {self.name}" if is_workbook else str(self.path)
+
     def find(self, name: ColumnName) -> int | None:
         """Return the column with a header or number; None if there is none, or several."""
         if isinstance(name, int):
