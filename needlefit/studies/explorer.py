@@ -31,7 +31,6 @@ from needlefit.planning.recording import format_head, make_head
 from needlefit.planning.steered_needle import list_scene_changes, make_steered_scene, name_guides
 from needlefit.reporting import labels
 from needlefit.reporting.needle_page import (
-    SHOWN_METRICS,
     PageData,
     encode_metrics,
     encode_scene,
@@ -138,8 +137,7 @@ def collect_explorer(run: Run, data: PageData | None = None) -> PageData | None:
         needle = _encode_needle(data, run, row, curves[*where, "fitted"])
         about = {
             "group": labels.group_name(row["medium"], row["layers"]),
-            # one of curves has none of a tip
-            "errors": {name: row[name] for name in SHOWN_METRICS if row.get(name) is not None},
+            "errors": {name: row[name] for name, *_ in needle["scene"]["measured"]["metrics"]},
         }
         if needle["scene"]["measured"]["target"]["pose"] == "known":  # its curve lies where it is drawn
             needle["scene"]["measured"]["prediction"] = find_prediction(run, *where)
@@ -266,7 +264,7 @@ def _encode_measured(
     return {
         "id": row["insertion"],
         "depth_mm": stored.depth,
-        "metrics": encode_metrics(len(curve)),
+        "metrics": encode_metrics(len(curve), has_tip="tip" not in stored.observations),
         "compared": compared,
         "x": drawn_x,
         "y": drawn_y,

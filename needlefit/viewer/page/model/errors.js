@@ -45,13 +45,13 @@ export function computeErrors(session, measured) {
   return { ...Object.fromEntries(finite), upto_mm: upto, whole, floor_mm: measured.floor_mm };
 }
 
-const TIP_POINTS = 2; // that stand for a measured tip: its entry, and the tip, of which the deflection is compared
+const TIP_POINTS = 2; // that stand for a measured tip: its entry, where nothing deflects, and the tip, at its depth
 
 /** The simulated points as a study compares them, and the measured ones; `beyond`: by how much it is deeper, mm. @param {Session} session @param {Measured["target"]} target */
 export function readTarget(session, { s, x, y, z, pose }, beyond = 0) {
   const measured = x.map((one, i) => [one, y[i], z[i]]);
   const points = readPoints(session, s.map((one) => one + beyond));
-  const compared = s.length > TIP_POINTS ? points : points.map(([, ...across], i) => [x[i], ...across]);
+  const compared = s.length > TIP_POINTS ? points : [measured[0], [x[1], ...points[1].slice(1)]];
   return [ALIGN[pose](compared, measured), measured];
 }
 
