@@ -239,8 +239,8 @@ class TableDraft:
         if "point_sd" in known_columns and "trials" in words and is_mean:
             self._ask("point_sd", known_columns.pop("point_sd")[0], count=str(self._name(words["trials"])))
         moduli = known_columns.get("modulus", [])
-        numbers = [n for n in moduli if not any(map(_is_needle_material, self._list_texts(n)))]
-        is_open = bool(numbers) and "modulus" not in self.draft.values
+        materials = [n for n in moduli if any(map(_is_needle_material, self._list_texts(n)))]
+        is_open = len(materials) < len(moduli) and "modulus" not in self.draft.values
         for places in (known_columns.get("medium", []), moduli if is_open else []):
             for n in [n for n in places if any(map(_is_needle_material, self._list_texts(n)))]:
                 places.remove(n)
