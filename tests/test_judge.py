@@ -323,9 +323,10 @@ def test_the_width_that_serves_for_aiming_is_a_key_of_the_recipe():
     results = by_trials(with_predictions(study(1)))
     recipe = results.metadata.recipe.model_copy(update={"aiming_width_mm": 0.5})
     wide = results.with_metadata(recipe=recipe)
-    found = [find(one, Check.INTERVALS) for one in (results, wide)]
-    assert [(one.passed, one.covered) for one in found] == [(True, True), (False, True)]
-    assert found[0].width_mm == pytest.approx(0.6) and found[1].max_width_mm == 0.5
+    assert [find(one, Check.INTERVALS).passed for one in (results, wide)] == [True, True]
+    widths = [find(one, Check.WIDTH) for one in (results, wide)]
+    assert [width.passed for width in widths] == [True, False]
+    assert widths[0].value == pytest.approx(0.6) and widths[1].threshold == 0.5
 
 
 def test_warnings_about_the_data_are_one_check():

@@ -152,8 +152,8 @@ PASSED = {one: Finding(one, True, named="straight") for one in Check}
         ({Check.NOISE: {"passed": False}}, "", True, "other_medium_missed"),
         ({Check.NOISE: {"passed": False}}, "", False, "beyond_noise"),
         ({Check.NOISE: {"passed": False}}, "one_needle_decides", False, "one_needle_decides"),
-        ({Check.INTERVALS: {"passed": False}, Check.NOISE: {"passed": False}}, "", False, "intervals_wide"),
-        ({Check.INTERVALS: {"passed": False, "covered": False}}, "", False, "intervals_miss"),
+        ({Check.WIDTH: {"passed": False}, Check.NOISE: {"passed": False}}, "", False, "intervals_wide"),
+        ({Check.INTERVALS: {"passed": False}}, "", False, "intervals_miss"),
         ({Check.COVERAGE_50: {"passed": False, "value": 1, "threshold": 3.5}}, "", False, "intervals_miss"),
         ({Check.COVERAGE_50: {"passed": False, "value": 7, "threshold": 3.5}}, "", False, None),  # too wide
     ],

@@ -214,7 +214,7 @@ def test_a_name_that_is_nearly_right_is_proposed(name, tmp_path, monkeypatch):
     for asked, proposed in (("study", "./study.toml"), ("gel_study", "./gel/gel_study.toml")):
         with pytest.raises(ConfigError) as fault:
             locate.find_file("study", asked)
-        assert proposed in fault.value.fix
+        assert f"did you mean `{proposed}`" in fault.value.what
     with pytest.raises(ConfigError, match=r"did you mean `\./gel/gel_study\.toml`"):
         locate.find_studies("./gel/gel_studi.toml")
 

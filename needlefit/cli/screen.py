@@ -102,6 +102,7 @@ def show_frame(frame: Any, title: str) -> None:  # noqa: ANN401  a pandas.DataFr
 
 
 MAX_MEASURED_COLUMNS = 10_000
+MAX_HEAD_LINES = 8  #: of the head of a column
 
 
 def show_display(table: "TableLayout", notes: bool = True) -> None:
@@ -154,8 +155,8 @@ def _show(grid: _Grid) -> None:
     console, is_fixed = Console(width=find_width()), sys.stdout.isatty() or "COLUMNS" in os.environ
     unlimited = console.options.update(max_width=MAX_MEASURED_COLUMNS)  # else it is the console's width
 
-    def measure(grid: _Grid, tight: bool = True) -> Measurement:
-        return Measurement.get(console, unlimited, _tabulate(grid, tight))
+    def measure(grid: _Grid, head_lines: int = MAX_HEAD_LINES) -> Measurement:
+        return Measurement.get(console, unlimited, _tabulate(grid, head_lines))
 
     left: Sequence[tuple[str, bool]] = ()
     if not is_fixed:
@@ -167,9 +168,9 @@ def _show(grid: _Grid) -> None:
             counts = range(len(grid.columns), 1, -1)
             count = next((n for n in counts if measure(grid.keep(n)).minimum <= console.width), 1)
             grid, left = grid.keep(count), grid.columns[count:]
-    tight = measure(grid, tight=False).maximum > console.width
+    fitting = (n for n in range(1, MAX_HEAD_LINES) if measure(grid, n).maximum <= console.width)
     with console.capture() as printed:
-        console.print(_tabulate(grid, tight))
+        console.print(_tabulate(grid, next(fitting, MAX_HEAD_LINES)))
     for line in printed.get().replace(_RICH_NO_BREAK, " ").splitlines():
         print(line.rstrip())
     if left:
@@ -177,8 +178,8 @@ def _show(grid: _Grid) -> None:
         print_text(f"Not shown, as the terminal is too narrow: {heads}")
 
 
-def _tabulate(grid: _Grid, tight: bool) -> "RichTable":
-    """Return the table that rich prints: words are wrapped, not numbers; `tight` as narrow as it can be."""
+def _tabulate(grid: _Grid, head_lines: int) -> "RichTable":
+    """Return the table that rich prints: words are wrapped, not numbers; heads in so many lines at most."""
     from rich import box
     from rich.align import Align
     from rich.table import Table as RichTable
@@ -189,11 +190,15 @@ def _tabulate(grid: _Grid, tight: bool) -> "RichTable":
     def bind(words: str) -> str:
         return bind_numbers(words).replace(NO_BREAK, _RICH_NO_BREAK)
 
-    padding = (0, 0 if tight else 1, 0, 0)
+    padding = (0, 1 if head_lines == 1 else 0, 0, 0)
     table = RichTable(box=box.SIMPLE_HEAD, padding=padding, pad_edge=False, show_edge=False)
-    for head, is_right in grid.columns:
-        words = bind(head.strip(" \n"))
-        text = "\n".join(re.split("[ \n]+", words)) if is_right and tight else words
+    for number, (head, is_right) in enumerate(grid.columns):
+        text = bind(head.strip(" \n"))
+        if is_right and head_lines > 1:
+            # no narrower than its longest word, or its widest cell
+            width = max(map(len, (*re.split("[ \n]+", text), *(row[number] for row in grid.rows))))
+            folds = (_fold(text, wide) for wide in range(width, len(text) + 1))
+            text = next((fold for fold in folds if fold.count("\n") < head_lines), text)
         side: Literal["left", "right"] = "right" if is_right else "left"
         heading = Align(Text(text, justify=side), side, vertical="bottom")
         table.add_column(heading, justify=side, no_wrap=is_right, overflow="fold")
@@ -201,6 +206,10 @@ def _tabulate(grid: _Grid, tight: bool) -> "RichTable":
         style = "bold" if number - 1 in grid.strong else None
         table.add_row(*(Text(bind(cell)) for cell in row), style=style, end_section=number in grid.breaks)
     return table
+
+
+def _fold(text: str, width: int) -> str:
+    return textwrap.fill(text, width, break_long_words=False, break_on_hyphens=False)
 
 
 def _cell(value: object) -> tuple[str, bool]:

@@ -176,7 +176,10 @@ def _change_all(problem: Problem, cause: str, axis: int, size: float) -> Problem
 def _estimate_common(
     problem: Problem, blocks: Sequence[Block], theta: Floats, spread: Floats, cause: str, axis: int
 ) -> tuple[float, float]:
-    """Return the size by which all needles were changed alike, linear about `theta`, and its SD."""
+    """Return the size by which all needles were changed alike, linear about `theta`, and its SD.
+
+    Infinite is the SD where nothing that was measured changes, as curvatures under a turn.
+    """
     free = len(theta)
     precision = np.zeros((free + 1, free + 1))
     precision[:free, :free] = prior_information(problem)
@@ -185,5 +188,7 @@ def _estimate_common(
         by_size = linearize_needle(problem, insertion, theta).residuals - block.residuals
         both = weigh(Block(block.residuals, np.column_stack([block.slope, by_size])), np.append(spread, 0.0))
         precision, pull = precision + both.information, pull + both.pull
+    if precision[-1, -1] == 0:
+        return 0.0, math.inf
     covariance = np.linalg.inv(precision)
     return float(-covariance[-1] @ pull), math.sqrt(covariance[-1, -1])

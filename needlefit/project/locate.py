@@ -10,14 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from needlefit.errors import ConfigError
-from needlefit.project.input_files import (
-    MAX_CONFIG_BYTES,
-    is_dir,
-    is_file,
-    parse_toml,
-    path_exists,
-    read_text,
-)
+from needlefit.project.input_files import MAX_CONFIG_BYTES, is_dir, is_file, parse_toml, read_text
 from needlefit.schemas.names import require_file_name
 
 FileKind = Literal["scene", "recipe", "study", "fit", "medium", "dataset", "scans", "reconstruction"]
@@ -222,29 +215,31 @@ LIKE = 0.7  # likeness, 0 to 1, from which a name is proposed
 
 
 def unknown_name_error(kind: str, name: str, names: list[str], otherwise: str = ", or a path") -> ConfigError:
-    """Return what is raised of a name that is not known: those that are, the nearest first."""
+    """Return what is raised of a name that is not known: those that are, the nearest first.
+
+    `otherwise`: what may stand in place of a name; where that is a path, files and folders are looked at.
+    """
     last = name.rstrip("/").rpartition("/")[2].removesuffix(".toml")
     nearest = sort_by_similarity(last, names)
-    beside = _list_beside(name) if is_path(name) else []
+    paths = sorted(_list_beside(name), key=lambda path: _compare_stems(name, path)) if otherwise else []
     alike = [
-        candidate for candidate in (*beside[:1], *nearest[:1]) if _compare_stems(name, candidate) >= LIKE
+        candidate for candidate in (*paths[-1:], *nearest[:1]) if _compare_stems(name, candidate) >= LIKE
     ]
     problem = f"there is no {kind} called `{name}`"
     if alike:
-        problem += f"; did you mean `{alike[0]}`?"
-    fix = f"use one of these names{otherwise}"
-    if not is_path(name):
-        files = [Path(name), Path(f"{name}.toml"), *sorted(Path().glob(f"*/{glob.escape(name)}.toml"))]
-        if here := next(filter(path_exists, files), None):
-            fix = f"write ./{here} if you mean that file"
-    return ConfigError(problem, expected=f"one of {join_names(nearest) or '(none found)'}", fix=fix)
+        problem += f"; did you mean `{max(alike, key=lambda path: _compare_stems(name, path))}`?"
+    listed = join_names(nearest, MAX_NEAR_NAMES) or "(none found)"
+    return ConfigError(problem, expected=f"one of {listed}", fix=f"use one of these names{otherwise}")
+
+
+MAX_NEAR_NAMES = 8  #: of what is known
 
 
 def _list_beside(name: str) -> list[str]:
-    """Return the files of the same suffix in the folder of a path, those most like it first."""
-    folder, suffix = Path(name).parent, Path(name).suffix
-    files = [format_path(path) for path in folder.glob(f"*{glob.escape(suffix)}")] if suffix else []
-    return sort_by_similarity(format_path(Path(name)), files)
+    """Return the paths in the folder of a path, or here and one folder deeper for a name."""
+    folder, suffix = (Path(name).parent, Path(name).suffix) if is_path(name) else (Path(), "")
+    found = [*folder.glob(f"*{glob.escape(suffix)}"), *([] if is_path(name) else folder.glob("*/*.toml"))]
+    return sorted(format_path(path) for path in found if path.suffix in ("", ".toml", suffix))
 
 
 def _compare_stems(name: str, other: str) -> float:

@@ -134,10 +134,9 @@ def find_failures(checks: Mapping[Check, Finding], comparison: str, other_medium
     failures = [comparison] if comparison else []
     if other_medium and failed & {Check.CURVES, Check.NOISE}:
         failures.append("other_medium_missed")
-    half, intervals = (checks.get(check) for check in (Check.COVERAGE_50, Check.INTERVALS))
-    if (intervals and intervals.covered is False) or (Check.COVERAGE_50 in failed and half and half.is_below):
+    if Check.INTERVALS in failed or (Check.COVERAGE_50 in failed and checks[Check.COVERAGE_50].is_below):
         failures.append("intervals_miss")
-    elif Check.INTERVALS in failed:
+    elif Check.WIDTH in failed:
         failures.append("intervals_wide")
     if Check.NOISE in failed:
         failures.append("beyond_noise")

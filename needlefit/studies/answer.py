@@ -67,7 +67,8 @@ class Check(StrEnum):
     HELD_OUT = "held_out"  #: of a fit: whether insertions that it has not seen were predicted
     CURVES = "closer_than_curves"
     NOISE = "within_noise"
-    INTERVALS = "intervals_95"  #: whether tips lie in their 95 % intervals, and these are narrow
+    INTERVALS = "intervals_95"  #: whether tips lie in their 95 % intervals
+    WIDTH = "interval_width"  #: whether these are narrow enough to aim with
     COVERAGE_50 = "coverage_50"
     SAME = "same_without"  #: whether the verdict is the same without single needles
     DATA = "data_as_stated"
@@ -94,10 +95,6 @@ class Finding:
     values: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     tips: int | None = None  #: that have an interval
     missing: int = 0  #: held-out tips that have none
-    covered: bool | None = None  #: of intervals: whether tips lie in them; None: one trial
-    width_mm: float | None = None  #: median width of the 95 % intervals
-    width_error_mm: float | None = None  #: its Monte Carlo standard error
-    max_width_mm: float | None = None
     deflection_mm: float | None = None  #: median of the tips' deflections
     beyond: int | None = None  #: tips that deflect more than the middle of their intervals, the median
     score: str = TE.name  #: the metric of the verdict
@@ -116,12 +113,6 @@ class Finding:
     def equals_noise(self) -> bool:
         """Whether an error over that of the noise is one, as far as it is printed."""
         return self.value is not None and is_printed_as_one(self.value)
-
-    @property
-    def is_wide(self) -> bool:
-        """Whether intervals are wider than what is required."""
-        width, limit = self.width_mm, self.max_width_mm
-        return width is not None and limit is not None and width > limit
 
     @property
     def pattern(self) -> str:

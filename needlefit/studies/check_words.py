@@ -25,7 +25,7 @@ def lay_out_checks(checks: Sequence[Finding]) -> TableLayout:
 
 
 def _word_check(finding: Finding, part: str = "") -> str:
-    """Return the question of a check, or what was "_found", is "_required" or "_failed"."""
+    """Return the question of a check, or what was "_found" or is "_required"."""
     hanging, named = (words.split(", ") if words else [] for words in (finding.hangs_on, finding.named))
     return CHECKS.sentence(
         f"{finding.check}{part}",
@@ -33,7 +33,6 @@ def _word_check(finding: Finding, part: str = "") -> str:
             **vars(finding),
             "missed": finding.missed,
             "equals_noise": finding.equals_noise,
-            "is_wide": finding.is_wide,
             "pattern": finding.pattern,
             "hanging": hanging,
             "few_hang": len(hanging) <= MAX_NAMED_NEEDLES,
@@ -43,15 +42,14 @@ def _word_check(finding: Finding, part: str = "") -> str:
     )
 
 
-def list_failed(checks: Sequence[Finding]) -> list[str]:
-    """Return what failed, of a check that asks for two things the one that did."""
-    failed = (check for check in checks if check.passed is False)
-    return [_word_check(check, "_failed" if CHECKS.has(f"{check.check}_failed") else "") for check in failed]
-
-
 def _word_failure(check: Finding) -> str:
     result, required = (_word_check(check, part) for part in ("_found", "_required"))
     return f"{_word_check(check)} ({result}; required: {required})"
+
+
+def list_failed(checks: Sequence[Finding]) -> list[str]:
+    """Return the failed checks, each with what was found."""
+    return [_word_failure(check) for check in checks if check.passed is False]
 
 
 def summarize_checks(checks: Sequence[Finding]) -> str:

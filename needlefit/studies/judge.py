@@ -31,7 +31,6 @@ from needlefit.studies.advice import list_contradictions, list_doubts
 from needlefit.studies.answer import Check, Finding, Status, is_printed_as_one
 from needlefit.studies.coverage import (
     MAX_AIMING_WIDTH_MM,
-    WIDTH_ERROR_COLUMN,
     count_covered,
     join_trials,
     measure_tips,
@@ -400,7 +399,7 @@ def check_noise(judged: Judgement) -> Finding:
 def check_intervals(
     predictive: pd.DataFrame, recipe: RecipeRecord | None, held_out: int = 0, score: str = TE
 ) -> Iterator[Finding]:
-    """Yield how many tips lie in their intervals; with the 95 % intervals, how wide these are.
+    """Yield how many tips lie in their intervals; of tips, how wide the 95 % intervals are.
 
     A share fails if its 95 % confidence interval, by trials, excludes what was predicted. One trial has none.
     There no tip in its 95 % interval fails: however tips depend on each other, right intervals miss all of
@@ -414,19 +413,12 @@ def check_intervals(
         for check, level in ((Check.INTERVALS, 0.95), (Check.COVERAGE_50, 0.5)):
             yield _check_coverage(predictive, check, level, score, missing)
         return
+    yield _check_coverage(predictive, Check.INTERVALS, 0.95, score, missing)
+    if predictive.empty:
+        return
     width, deflection = median_width(predictive), float(measure_tips(predictive, "measured").median())
-    # tips of one fit share its draws: the median width errs about as much as one of them
-    width_error = float(predictive[WIDTH_ERROR_COLUMN].median()) if WIDTH_ERROR_COLUMN in predictive else None
     limit = MAX_AIMING_WIDTH_MM if recipe is None else recipe.aiming_width_mm
-    intervals = _check_coverage(predictive, Check.INTERVALS, 0.95, score, missing)
-    yield replace(
-        intervals,
-        passed=False if width > limit else intervals.covered,
-        width_mm=width,
-        width_error_mm=width_error,
-        max_width_mm=limit,
-        deflection_mm=deflection,
-    )
+    yield Finding(Check.WIDTH, width <= limit, width, limit, deflection_mm=deflection)
     middle = _check_coverage(predictive, Check.COVERAGE_50, 0.5, score, missing)
     yield replace(middle, beyond=_count_beyond(predictive))
 
@@ -447,7 +439,6 @@ def _check_coverage(
         trials=share.groups,
         tips=share.trials,
         missing=missing,
-        covered=covered if check is Check.INTERVALS else None,
         score=score,
     )
 

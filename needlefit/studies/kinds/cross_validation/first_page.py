@@ -82,7 +82,7 @@ def find_advice(
     by_check = {check.check: check for check in checks}
     other = [name for name in media["validate"] if name not in media["tune"]]
     gain = frames.predictive[AFTER_ONE_COLUMN].astype(float).median()
-    intervals = by_check.get(Check.INTERVALS)
+    width = by_check.get(Check.WIDTH)
     doubts = [doubt for doubt in list_doubts(run.warnings) if classify_doubt(doubt)][:1]
     # curves were fitted to the needles of a fit, too: only one that is closer is advised about
     comparison = judged.advice if role == "validate" or judged.outcome.passed is False else ""
@@ -98,8 +98,8 @@ def find_advice(
         "doubt_title": "".join(name_doubt(doubt.kind) for doubt in doubts),
         "other_medium": other[0] if other else "",
         "curve": BASELINES[judged.curve].description if judged.curve else "",
-        "width": None if intervals is None else intervals.width_mm,
-        "gain": None if pd.isna(gain) or intervals is None else float(gain),
+        "width": None if width is None else width.value,
+        "gain": None if pd.isna(gain) or width is None else float(gain),
     }
     return advise(advice, values, run.name)
 
