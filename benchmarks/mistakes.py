@@ -43,7 +43,7 @@ from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml import load
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.advice import list_contradictions
-from needlefit.studies.fit_warnings import warn_of_check
+from needlefit.studies.fit_warnings import warn_of_doubts
 from needlefit.studies.job import Settings
 from needlefit.studies.load import load_study
 from needlefit.studies.odd_needles import check_quickly
@@ -428,9 +428,9 @@ def doubt(folder):
     (file,) = folder.glob("*_study.toml")
     with contextlib.chdir(file.parent):
         job = load_study(file.stem, load(file, StudyRecord), Settings(file=file))
-    quick = check_quickly(job)
-    about_all = quick._replace(doubts=quick.doubts._replace(odd=(), deviating=None))
-    return warn_of_check(about_all, job.medium), [(one.insertion, one.cause) for one in quick.doubts.odd]
+    doubts, depths = check_quickly(job)
+    about_all = doubts._replace(odd=(), deviating=None)
+    return warn_of_doubts(about_all, depths), [(one.insertion, one.cause) for one in doubts.odd]
 
 
 def judge_mistake(kind, seed, n, fits):

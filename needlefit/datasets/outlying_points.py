@@ -14,12 +14,13 @@ from needlefit.datasets.points import find_rounding
 from needlefit.geometry.neighbours import leave_one_out
 from needlefit.project.result_warnings import ResultWarning
 
-#: standard deviations beyond which a point is named: of 1e6 normal ones 0.6 are, so that no dataset has one
-#: by chance; benchmarks/mistakes.py counts those of sound needles
+#: standard deviations beyond which a point or a needle is named: of 1e6 normal ones 0.6 are, so that no
+#: dataset has one by chance; benchmarks/mistakes.py counts those of sound needles
 OUTLIER_SD = 5.0
 MIN_SCATTER_MM = 0.01  #: SD of points that is always allowed for: what a cubic misses of a bent needle
 MIN_CURVE_POINTS = 6  #: of fewer points none has the four neighbours of a cubic, and one more
-MAX_OUTLYING_PART = 0.2  #: of a curve's points; if more are off, the curve is rough
+#: of a curve's points, or of the needles; if more are off, the curve is rough, or the model does not fit
+MAX_OUTLYING_PART = 0.25
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.datasets.compared import leaves_plane
+from needlefit.datasets.compared import SIGNIFICANT_SD, leaves_plane
 from needlefit.datasets.insertion import Insertion
+from needlefit.datasets.outlying_points import MAX_OUTLYING_PART, OUTLIER_SD
 from needlefit.inference.hypotheses import (
     ASIDE,
     HYPOTHESES,
@@ -38,13 +39,9 @@ from needlefit.inference.linear_needles import (
 from needlefit.inference.problem import Problem
 from needlefit.schemas.run_metadata import CommonDoubtMetadata, NeedleDoubtMetadata
 
-MAX_ODD_PART = 0.25  #: part of the needles beyond which the model does not fit, and none is accused
-#: distance of an odd needle from its prediction, in SDs, as of all outliers that are named
-MIN_ODD_SD = 5.0
 #: what may have happened to all needles alike, in the world's frame: keys of `HYPOTHESES` with a size
 COMMON = ("turned", "shifted")
 COMMON_STEPS = 2  #: in which their size is found, a fit each
-MIN_COMMON_SD = 3.0  #: of this size at first, from which on it is searched
 
 
 class Doubts(NamedTuple):
@@ -80,7 +77,7 @@ def find_doubts(problem: Problem, theta: Floats) -> Doubts:
         ]
         sds = [measure_deviation(block, theta, predictions[k]).sds for k, block in enumerate(blocks)]
         worst = max(rest, key=lambda k: sds[k])
-        if sds[worst] < MIN_ODD_SD or len(odd) + 1 > MAX_ODD_PART * count:
+        if sds[worst] < OUTLIER_SD or len(odd) + 1 > MAX_OUTLYING_PART * count:
             break
         odd.append(worst)
     all_but_odd = replace(problem, insertions=tuple(insertions[k] for k in rest))
@@ -93,10 +90,10 @@ def find_doubts(problem: Problem, theta: Floats) -> Doubts:
     stated = (
         measure_deviation(block, theta, prediction._replace(scale=1.0)).sds for block, prediction in pairs
     )
-    deviating = sum(sds >= MIN_ODD_SD for sds in stated)
-    if deviating > MAX_ODD_PART * count:
+    deviating = sum(sds >= OUTLIER_SD for sds in stated)
+    if deviating > MAX_OUTLYING_PART * count:
         return Doubts(deviating=(deviating, count))
-    odd = sorted((k for k in odd if sds[k] >= MIN_ODD_SD), key=lambda k: -sds[k])
+    odd = sorted((k for k in odd if sds[k] >= OUTLIER_SD), key=lambda k: -sds[k])
     return Doubts([_describe(problem, k, theta, predictions[k], sds[k]) for k in odd])
 
 
@@ -144,7 +141,7 @@ def _find_common(problem: Problem, blocks: Sequence[Block], theta: Floats) -> Co
     rows = []
     for cause, axis in possible:
         size, sd = _estimate_common(problem, blocks, theta, before.spread, cause, axis)
-        if abs(size) < MIN_COMMON_SD * sd:
+        if abs(size) < SIGNIFICANT_SD * sd:
             continue
         changed_theta = theta
         for _ in range(COMMON_STEPS):

@@ -12,19 +12,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from needlefit.datasets.compared import SIGNIFICANT_SD
 from needlefit.datasets.insertion import Insertion
+from needlefit.datasets.layers import find_length_tolerance
 from needlefit.inference.likelihood.nodes import enforce_order
 
-#: of the deviation that is left of a needle that a hypothesis explains: sound ones lie as far
-MAX_EXPLAINED_SD = 3.0
-#: by which the best hypothesis must be more probable than the next, a factor of 20
+#: by which the best hypothesis must be more probable than the next: a factor of 20 is strong evidence (R. E.
+#: Kass, A. E. Raftery, J. Am. Stat. Assoc. 90 (1995) 773)
 MIN_LOG_ODDS = math.log(20.0)
 #: what a number costs, Occam's factor: one that is fitted is known to about 1 % of its range
 LOG_FITTED = math.log(100.0)
 SIZE_TOLERANCE = 1e-4  #: of a fitted number, as part of its range
 GRID_SIZES = 7  #: numbers of a hypothesis from which its search begins
-#: part of its depth that a needle may be longer than the one whose points it has
-LENGTH_TOLERANCE = 0.02
 IN_PLANE, ASIDE = 1, 2  #: axes of a needle's frame across it: in the plane of its bevel, and out of it
 
 
@@ -90,8 +89,8 @@ def _move_boundary(insertion: Insertion, size: float, _: int, number: int) -> In
 
 def _list_deeper(insertion: Insertion, others: Sequence[Insertion], _: int) -> dict[str, Insertion]:
     """Return the needles that are as deep as the points of one are long, or deeper."""
-    least = (1 - LENGTH_TOLERANCE) * insertion.measure_arc("plane")[-1]
-    return {other.id: other for other in others if other.depth >= least}
+    length = insertion.measure_arc("plane")[-1]
+    return {other.id: other for other in others if other.depth + find_length_tolerance(other.depth) >= length}
 
 
 def _take_points(insertion: Insertion, _: float, __: int, other: Insertion) -> Insertion:
@@ -129,7 +128,7 @@ def explain(
         return Explanation()
     (best, sds, explanation), *rest = rows
     next_best = next((odds for odds, _, other in rest if other.cause != explanation.cause), -math.inf)
-    return explanation if sds <= MAX_EXPLAINED_SD and best - next_best >= MIN_LOG_ODDS else Explanation()
+    return explanation if sds <= SIGNIFICANT_SD and best - next_best >= MIN_LOG_ODDS else Explanation()
 
 
 def _list_explanations(

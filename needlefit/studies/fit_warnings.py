@@ -31,10 +31,8 @@ from needlefit.project.unit_warnings import MU_PA
 from needlefit.reporting.number_format import format_quantity
 from needlefit.reporting.table_files import Row, select_rows, to_records
 from needlefit.reporting.text import KindText
-from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.run_metadata import DepthMetadata, FitMetadata
 from needlefit.studies.fit_frames import FitFrames
-from needlefit.studies.odd_needles import QuickCheck
 from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import find_bevel_sides
 from needlefit.studies.validity import list_outside
@@ -157,7 +155,9 @@ def _find_medians(run: Run) -> Iterator[Row]:
 
 #: factor between in-sample errors and their noise floor, either way, below which no warning is given
 FAR_FROM_FLOOR = 2.0
-SHIFT_SD = 3.0  #: standard deviations beyond which a boundary lies elsewhere than stated
+#: standard deviations beyond which a boundary lies elsewhere than stated; at 3 one of 43 sound sets of
+#: benchmarks/mistakes.py was accused
+SHIFT_SD = 4.0
 #: least such shift: beside a boundary a needle bends over (EI / mu)^(1/4), 6 to 15 mm, and an error of the
 #: model looks like a shift by a part of it
 MIN_SHIFT_MM = 5.0
@@ -223,14 +223,11 @@ def _find_odd_needles(run: Run) -> Iterator[Row]:
     yield from _describe_doubts(Doubts(metadata.odd_needles, metadata.deviating, metadata.common_doubt))
 
 
-def warn_of_check(check: QuickCheck, medium: MediumRecord) -> list[ResultWarning]:
-    """Return the warnings of a quick fit: needles that the others do not predict, boundaries, parameters."""
-    rows = {
-        "needle_outlier": _describe_doubts(check.doubts),
-        "boundary_shift": _describe_shifted_boundaries(check.depths),
-        "units": _describe_implausible(check.values, medium),
-    }
-    return [write_warning(kind, values) for kind, found in rows.items() for values in found]
+def warn_of_doubts(doubts: Doubts, depths: Iterable[DepthMetadata]) -> list[ResultWarning]:
+    """Return the warnings about needles that the others do not predict, and about stated boundaries."""
+    warnings = [write_warning("needle_outlier", values) for values in _describe_doubts(doubts)]
+    shifted = _describe_shifted_boundaries(depths)
+    return warnings + [write_warning("boundary_shift", values) for values in shifted]
 
 
 def _describe_doubts(doubts: Doubts) -> Iterator[Row]:
@@ -255,26 +252,26 @@ MIN_CUT_FACTOR = 5.0
 
 
 def _find_implausible(run: Run) -> Iterator[Row]:
-    """Yield the moduli that no tissue has, and bevels that cut at no published angle."""
-    fits = FitFrames.of(run).free_parameters
+    """Yield the moduli that no tissue has; where all are plausible, a bevel that cuts at no published angle.
+
+    Needles that follow the path of their tips are fitted by both. They are sound: no quick check names them.
+    """
+    fits, is_soft = FitFrames.of(run).free_parameters, True
     medians = {str(name): float(values.median()) for name, values in fits.groupby("parameter")["value"]}
-    yield from _describe_implausible(medians, run.knows(FitMetadata).medium)
-
-
-def _describe_implausible(values: Mapping[str, float], medium: MediumRecord) -> Iterator[Row]:
-    """`values`: of fitted parameters, by name."""
-    for name, value in values.items():
-        about = {"parameter": name, "value": value}
+    for name, value in medians.items():
         if name.startswith("mu") and not MU_PA[0] <= value <= MU_PA[1]:
             ends = {modulus.name: modulus.shear_pa[value > MU_PA[1]] for modulus in read_moduli().values()}
             nearest = (max if value > MU_PA[1] else min)(ends, key=lambda name: ends[name])
-            about |= {"published": ends[nearest], "published_of": nearest, "text": "modulus"}
-            yield about | {"factor": max(value / ends[nearest], ends[nearest] / value)}
-        elif name in BEVEL_PARAMETERS:
-            is_angle, cut = name == "cut_angle_deg", read_cut_angles()
-            angle = value if is_angle else math.degrees(math.atan(value / medium.constraint_spacing_mm))
-            if not cut.low / MIN_CUT_FACTOR <= angle <= cut.high:
-                yield about | {"angle": angle, "low": cut.low, "high": cut.high, "text": "bevel"}
+            about = {"published": ends[nearest], "published_of": nearest, "text": "modulus"}
+            factor, is_soft = max(value / ends[nearest], ends[nearest] / value), False
+            yield {"parameter": name, "value": value, "factor": factor, **about}
+    for name in medians.keys() & set(BEVEL_PARAMETERS) if is_soft else ():
+        value, cut = medians[name], read_cut_angles()
+        spacing = run.knows(FitMetadata).medium.constraint_spacing_mm
+        angle = value if name == "cut_angle_deg" else math.degrees(math.atan(value / spacing))
+        if not cut.low / MIN_CUT_FACTOR <= angle <= cut.high:
+            about = {"angle": angle, "low": cut.low, "high": cut.high, "text": "bevel"}
+            yield {"parameter": name, "value": value, **about}
 
 
 def _find_outside(run: Run) -> Iterator[Row]:

@@ -1,8 +1,7 @@
 """Needles that the others do not predict: found before a fit by a quick one, or by the fit itself; drawn."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -27,26 +26,21 @@ def find_odd_needles(job: Job, mode: Sequence[float]) -> Doubts:
     return find_doubts(_leave_out_copies(job), np.array(mode))
 
 
-class QuickCheck(NamedTuple):
-    """What a quick fit shows of a study."""
+def check_quickly(job: Job) -> tuple[Doubts, list[DepthMetadata]]:
+    """Return the odd needles of a study by a quick fit, and what it knows of stated boundaries without them.
 
-    doubts: Doubts = Doubts()
-    depths: Sequence[DepthMetadata] = ()  #: of stated boundaries, without the odd needles
-    values: Mapping[str, float] = {}  #: of its parameters
-
-
-def check_quickly(job: Job) -> QuickCheck:
-    """Judge the data of a study by a quick fit; nothing where its fit uses no noise."""
+    None without stated noise, or where the study does not fit by it.
+    """
     if not (job.dataset.noise_is_stated and job.recipe.minimize == "posterior"):
-        return QuickCheck()
+        return Doubts(), []
     problem = _leave_out_copies(job)
     theta = fit_quickly(problem)
-    doubts, depths = find_doubts(problem, theta), list[DepthMetadata]()
-    if doubts.deviating is None and doubts.common is None:
-        odd = {needle.insertion for needle in doubts.odd}
-        others = tuple(insertion for insertion in problem.insertions if insertion.id not in odd)
-        depths = examine_depths(replace(problem, insertions=others), theta)
-    return QuickCheck(doubts, depths, problem.values(theta))
+    doubts = find_doubts(problem, theta)
+    if doubts.deviating is not None or doubts.common is not None:
+        return doubts, []
+    odd = {needle.insertion for needle in doubts.odd}
+    others = tuple(insertion for insertion in problem.insertions if insertion.id not in odd)
+    return doubts, examine_depths(replace(problem, insertions=others), theta)
 
 
 def _leave_out_copies(job: Job) -> Problem:

@@ -21,7 +21,7 @@ from needlefit.schemas.deciding import select_deciding
 from needlefit.schemas.origin import Origin
 from needlefit.schemas.run_metadata import AnalysisMetadata, NeedleDoubtMetadata
 from needlefit.schemas.study import FitRecord, StudyRecord
-from needlefit.studies.fit_warnings import warn_of_check
+from needlefit.studies.fit_warnings import warn_of_doubts
 from needlefit.studies.identity import identify
 from needlefit.studies.job import Inputs, Job, Settings
 from needlefit.studies.kind import find_kind
@@ -120,9 +120,9 @@ def check_study_file(kind: Literal["study", "fit"], path: Path) -> StudyCheck:
         job = load_study(path.stem, record, Settings(file=path))
     folds = tuple((len(fold.tune), len(fold.validate)) for fold in job.folds)
     named = "cross-validation" if isinstance(record, StudyRecord) else "fit"
-    quick = check_quickly(job)
-    warnings = (*job.warnings, *warn_of_check(quick, job.medium))
-    return StudyCheck(named, folds, warnings, job.dataset.origin, quick.doubts.odd)
+    doubts, depths = check_quickly(job)
+    warnings = (*job.warnings, *warn_of_doubts(doubts, depths))
+    return StudyCheck(named, folds, warnings, job.dataset.origin, doubts.odd)
 
 
 def _find_files(table: Mapping[str, object]) -> None:

@@ -22,11 +22,11 @@ from needlefit.inference.linear_needles import (
 from needlefit.inference.problem import Problem
 from needlefit.schemas.run_metadata import DepthMetadata
 
-#: of a boundary, either way, for derivatives, mm: that of constraint points, between which they jump
+#: of a boundary for derivatives, either way, and the least of a profile, mm: that of constraint points,
+#: between which they jump
 STEP_MM = 1.0
 GRID_DEPTHS = 5  #: of a profile, between the neighbouring boundaries
 PROFILE_STEPS = 3  #: from there toward the most probable depth, by parabolas
-MIN_PROFILE_STEP_MM = 0.5
 
 
 def examine_depths(problem: Problem, theta: Floats) -> list[DepthMetadata]:
@@ -139,7 +139,7 @@ def _profile(problem: Problem, theta: Floats, number: int, near: float) -> _Prof
         three = np.array(shifts[peak - 1 : peak + 2])
         square, slope, _ = np.polyfit(three, [profile[place][1].log_density for place in three.tolist()], 2)
         vertex = float(-slope / (2 * square)) if square < 0 else three.mean()
-        if not three[0] < vertex < three[-1] or np.min(np.abs(three - vertex)) < MIN_PROFILE_STEP_MM:
+        if not three[0] < vertex < three[-1] or np.min(np.abs(three - vertex)) < STEP_MM:
             break
         add(vertex)
     shift = max(
