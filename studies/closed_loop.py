@@ -106,13 +106,13 @@ def main() -> None:
     table = cases["miss"].agg(["mean", "sem"]).join(cases[[*DEPTHS]].mean().round())
     print(table.to_string(float_format="{:.3g}".format, na_rep=""))
     OUT.parent.mkdir(exist_ok=True)
-    figure, (bars, *axes) = plt.subplots(1, 3, figsize=(10.0, 3.4), layout="constrained")
+    figure, (bars, *axes) = plt.subplots(1, 3, figsize=(9.0, 3.4), layout="constrained")
     means, errors = (table[name].unstack("truth", sort=False) for name in ("mean", "sem"))
-    means.plot.bar(ax=bars, yerr=1.96 * errors, rot=40, xlabel="", ylabel="mean miss (mm)")
+    means.plot.bar(ax=bars, yerr=1.96 * errors, rot=90, xlabel="", ylabel="mean miss (mm)")
     bars.legend(fontsize=7)
     for ax, control in zip(axes, ("tip", "shape"), strict=True):
         table.xs(control, level="control")[[*DEPTHS]].T.plot(ax=ax, legend=False, ylim=(0, 103))
-        ax.set(xlabel="planned at depth (mm)", title=f"{control}: % of misses in 95 % interval")
+        ax.set(xlabel="planned at (mm)", ylabel="misses in 95 % interval (%)", title=control)
     figure.savefig(OUT, dpi=150)
 
 
