@@ -310,8 +310,7 @@ def linearize_steps(
     insertion = PreparedInsertion(needle, tissue, steps, rules, lattice, columns)
     evaluation = Evaluation(insertion, {}, np.ones(1, dtype=bool))
     run_evaluations([evaluation], 1)
-    scales = compute_scales(tissue, insertion.depth, insertion.lattice.spacing)
-    shape = read_shape(evaluation.shapes, scales)
+    shape = read_shape(evaluation.shapes, insertion.scales)
     return shape, read_jacobians(evaluation, np.array([shape.converged]))[0]
 
 
@@ -589,8 +588,9 @@ def _read_shapes(batch: Batch, evaluation: Evaluation) -> NeedleShapes:
     if not evaluation.all_valid:
         a["status"][wrong], a["passes"][wrong] = native.NON_FINITE, 0
         a["u"][:, wrong] = a["slope"][:, wrong] = a["track"][wrong] = a["constraints"][wrong, 1:, 1:] = np.nan
-    scales = compute_scales(
-        batch.tissue, evaluation.insertion.depth, batch.rules.spacing, evaluation.values.get("boundaries")
-    )
+    insertion, boundaries = evaluation.insertion, evaluation.values.get("boundaries")
+    scales = insertion.scales
+    if boundaries is not None:
+        scales = compute_scales(batch.tissue, insertion.depth, batch.rules.spacing, boundaries)
     nodes = native.to_space(*(a[name] for name in ("x", "u", "slope", "constraints", "track")))
     return NeedleShapes(*nodes, a["status"], a["passes"], np.broadcast_to(scales, (len(batch), 2)))

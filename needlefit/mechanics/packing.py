@@ -34,6 +34,7 @@ from needlefit.mechanics.native import (
 )
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice, Move, TipStop, check_size, make_lattice, make_moves, make_stops
+from needlefit.mechanics.shape import compute_scales
 from needlefit.mechanics.tissue import Tissue
 
 #: |e| / t that every table must reach: the kernel's series may go so far
@@ -409,6 +410,7 @@ class PreparedInsertion:
         self.lattice, self._packed = pack_insertion(steps, needle.length, rules, lattice, past)
         self.points, self._inputs = self._packed.last.cell + 1, self._packed.list_inputs(steps)
         self.depth = self._packed.last.tip
+        self.scales = compute_scales(tissue, self.depth, self.lattice.spacing)
         # about: it orders insertions by their cost
         self.nodes_solved = float(self._packed.stops["tip"].sum())
         self._problem: native.KernelProblem | None = None

@@ -28,8 +28,7 @@ def walk(
     log_density: LogDensityFunction, start: Step, begin: WeightedDraws, rng: np.random.Generator
 ) -> Iterator[Step]:
     """Yield one step after another of an ensemble."""
-    import emcee  # takes 0.7 s, which only a sampling run should pay
-
+    emcee = _load()
     walkers, dimensions = start[0].shape
     random = np.random.RandomState(int(rng.integers(2**32))).get_state()  # the kind that emcee takes
     assert begin.proposal is not None
@@ -41,9 +40,20 @@ def walk(
         yield state.coords.copy(), state.log_prob.copy()
 
 
+def _load() -> Any:  # noqa: ANN401  (a module without types)
+    """Return emcee: loaded late, and without scipy.stats (0.3 s), which is for a move that none takes."""
+    modules: dict[str, Any] = sys.modules
+    is_needed = modules.setdefault("scipy.stats", None) is not None
+    import emcee
+
+    if not is_needed:
+        del modules["scipy.stats"]
+    return emcee
+
+
 def make_moves(proposal: Proposal) -> list[tuple[Any, float]]:
     """Return emcee's moves, each with its share of the steps."""
-    from emcee import moves
+    moves = _load().moves
 
     def propose(coordinates: Floats, random: Any) -> tuple[Floats, Floats]:  # noqa: ANN401  (emcee's generator)
         proposed = proposal.draw(len(coordinates), random)
