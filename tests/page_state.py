@@ -17,10 +17,10 @@ from needlefit.mechanics.torsion import find_roll
 from needlefit.metrics import compute_metrics
 from needlefit.planning.steered_needle import SteeredNeedle, guide_number
 from needlefit.planning.steering import StartedInsertion
-from needlefit.reporting.needle_page import SHOWN_METRICS, encode_layers, encode_strength
+from needlefit.reporting.needle_page import SHOWN_METRICS, choose_evenly, encode_layers, encode_strength
 from needlefit.studies.needle_placement import BAND_PROBABILITY, NEEDLE_POINTS
-from needlefit.viewer.overlays import MeasuredOverlay, choose_band_draws
-from needlefit.viewer.page_needle import LENGTH_DIGITS, round_lengths
+from needlefit.viewer.overlays import MAX_BAND_DRAWS, MeasuredOverlay
+from needlefit.viewer.page_needle import LENGTH_DIGITS
 from needlefit.viewer.viewed_scene import ViewedScene
 
 POINTS_BEFORE_TISSUE = 25  # points of the needle drawn before the tissue
@@ -70,9 +70,9 @@ def encode_state(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
     return {
         "step": steering.number,
         "depth_mm": step.depth,
-        "x": round_lengths(needle[:, 0]),
-        "y": round_lengths(needle[:, 1]),
-        "z": round_lengths(needle[:, 2]) if planes == 2 else None,
+        "x": needle[:, 0].tolist(),
+        "y": needle[:, 1].tolist(),
+        "z": needle[:, 2].tolist() if planes == 2 else None,
         **{
             name: dict(zip("xyz", map_beam_points(shape, points).T[: 1 + planes].tolist(), strict=False))
             for name, points in (("constraints", shape.constraints), ("tip_path", shape.tip_path))
@@ -138,7 +138,7 @@ def compute_band(insertion: StartedInsertion) -> NeedleBand | None:
     spread, path = insertion.draws, insertion.path
     if spread is None or not path[-1].depth > 0:
         return None
-    drawn = spread.only(choose_band_draws(spread))
+    drawn = spread.only(choose_evenly(len(spread), MAX_BAND_DRAWS))
     batch = drawn.make_batch(insertion.needle, insertion.tissue, path, insertion.rules)
     # One thread: the other cores are left to the needles that users control at the same time.
     (shapes,) = simulate_batches([batch], threads=1)

@@ -146,7 +146,7 @@ def test_a_run_shows_its_fit_starting_with_a_held_out_insertion(project):
     results = restore_run(project / "reports/small")
     viewed_scene = open_target("small")
     assert viewed_scene.name == "small/needle-3"
-    assert viewed_scene.note != open_target("reports/small", "needle-1").note  # held out, and fitted to
+    assert viewed_scene.note != open_target("reports/small/needle-1").note  # held out, and fitted to
     assert len(viewed_scene.fitted_depths) == len(results.metadata.folds[0].tune)
     rows = results.frames["parameters"].query("method == 'fitted'").set_index("parameter")["value"]
     assert viewed_scene.record.bevel.offset_mm == rows["bevel_mm"]

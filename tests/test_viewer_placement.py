@@ -39,7 +39,7 @@ def fitted(folder: Path, pose: str, compared: str | None = None):
 
 def steered(path: Path) -> None:
     """Record how the needle of the run is inserted to its measured depth."""
-    viewed_scene = open_target("reports/small", ID)
+    viewed_scene = open_target(f"reports/small/{ID}")
     steering = SteeredNeedle(Scene.from_record(viewed_scene.record), viewed_scene.first_cell)
     change = Change("depth_mm", None, DEPTH)
     steering.apply([change])

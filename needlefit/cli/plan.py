@@ -16,6 +16,7 @@ from needlefit.project.folders import require_output_files, require_writable
 if TYPE_CHECKING:
     from needlefit.planning.goals import Goal, PlaneGoal
     from needlefit.planning.steering import SteeringPlan
+    from needlefit.studies.answer import RunFault
     from needlefit.viewer.viewed_scene import ViewedScene
 
 
@@ -119,9 +120,9 @@ def plan(
     if invocation.json:
         screen.show_json(summary)
     else:
-        if verdict := shown.recall():
+        if verdict := _recall_verdict(shown):
             screen.print_text(verdict)
-        screen.print_text(mark_faults(shown.faults) + _describe(shown, planned, summary))
+        screen.print_text(mark_faults(_list_faults(shown)) + _describe(shown, planned, summary))
     screen.print_warnings(invocation, shown.warnings)
     if recording is None:
         raise typer.Exit(exit_codes.NOT_CONVERGED)
@@ -130,7 +131,19 @@ def plan(
     for path in (write_recording, page):
         if path is not None:
             screen.print_note(f"written: {path}")
-    require_no_faults(f"{shown.name}: {fault}" for fault in shown.faults)
+    require_no_faults(f"{shown.name}: {fault}" for fault in _list_faults(shown))
+
+
+def _list_faults(shown: "ViewedScene") -> "tuple[RunFault, ...]":
+    """Return why the run of a needle is not to be trusted."""
+    return shown.run.faults if shown.run else ()
+
+
+def _recall_verdict(shown: "ViewedScene") -> str:
+    """Return the verdict of the run of a needle, with the checks that failed; none of a scene."""
+    from needlefit.studies.report import recall
+
+    return recall(shown.run) if shown.run else ""
 
 
 def _read_goal(
@@ -184,7 +197,7 @@ def _summarize(
         "turns_mm": list(planned.turns),
         "steps": planned.describe_steps() if planned.hits else [],
         **planned.describe_misses(),
-        "fit_verdict": shown.recall() or None,
+        "fit_verdict": _recall_verdict(shown) or None,
         "specimen": shown.specimen or None,
         "draws": 0 if exact else len(planned.needles),
         "search_draws": 0 if exact else search_draws,
@@ -193,7 +206,7 @@ def _summarize(
         "low": None if exact else planned.low,
         "high": None if exact else planned.high,
         "reached": bool(planned.hits),
-        "faults": list(map(str, shown.faults)),
+        "faults": list(map(str, _list_faults(shown))),
         "warnings": to_rows(shown.warnings),
     }
 
@@ -239,7 +252,7 @@ def _describe(shown: "ViewedScene", planned: "SteeringPlan", summary: dict[str, 
         scene = shown.measured is None
         why = "for a probability, plan with a run" if scene else "the run has no certified draws"
         basis = f"The parameters of {shown.name} are taken as exact ({why}): the tip"
-        reaches = "would reach" if shown.faults else "reaches"
+        reaches = "would reach" if _list_faults(shown) else "reaches"
         return f"The plan {reaches} the target{past}. {basis} ends {nominal}.{bound}"
     quantiles = (summary["median_mm"], summary["miss_95_mm"])
     median, most = ("-" if value is None else f"{value:.2f}" for value in quantiles)

@@ -1,10 +1,8 @@
 """`needlefit simulate`: one scene, or a recording of it; the needle's shape after each step."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -24,21 +22,7 @@ if TYPE_CHECKING:
     from needlefit.mechanics.shape import NeedleShape
     from needlefit.reporting.table_files import Row
     from needlefit.schemas.scene import SceneRecord
-
-
-@dataclass(frozen=True)
-class SimulationOutcome:
-    """A needle at the end of its way."""
-
-    title: str
-    scene: "Scene"  # its steps are those that `shapes` belong to
-    shapes: "tuple[NeedleShape, ...]"  # after each step, up to the one that failed
-    # By option, what writes such a file; False where there is no needle to write
-    files: Mapping[str, Callable[[Path], bool | None]]
-    more: dict[str, Any]  # what else `--json` prints
-    warnings: tuple[ResultWarning, ...]
-    # Where a measured needle lies; None of a scene, which states it itself
-    placement: "Placement | None" = None
+    from needlefit.viewer.export import SimulationOutcome
 
 
 def simulate(
@@ -91,14 +75,18 @@ def simulate(
                 "the recording contains its scene: leave out SCENE, --depth and --set",
                 param_hint="--recording",
             )
-        done = _replay_recording(recording, written)
+        done, record = _replay_recording(recording, written)
+        where = str(recording)
+    from needlefit.project.unit_warnings import scene_warnings
+    from needlefit.viewer.export import write_file
+
     # before anything is printed: a name may be none of a picture
-    saved = [
-        path for option, path in written.items() if done.files[option.removeprefix("--")](path) is not False
-    ]
+    saved = [path for option, path in written.items() if write_file(done, option.removeprefix("--"), path)]
     invocation = context.find_root().obj
-    summary = summarize_simulation(done.scene, done.shapes, done.placement) | done.more
-    warnings = [*done.warnings]
+    summary = summarize_simulation(done.scene, done.shapes, done.placement)
+    if done.recording is not None:
+        summary["replayed"] = {"steps": len(done.recording.steps), "tip_offset_mm": done.tip_offset_mm}
+    warnings = [*scene_warnings(record, where)]
     if faults := summary["validity"]["faults"]:
         problem = f"the solution is outside what the model assumes: {'; '.join(faults)}"
         warnings.append(ResultWarning("validity", problem, fix="check stiffness, bevel offset and depth"))
@@ -121,51 +109,23 @@ def simulate(
         raise typer.Exit(exit_codes.NOT_CONVERGED)
 
 
-def _simulate_scene(name: str, record: "SceneRecord", where: str) -> SimulationOutcome:
+def _simulate_scene(name: str, record: "SceneRecord", where: str) -> "SimulationOutcome":
     """Carry out a scene's steps; `where` is named in errors."""
     from needlefit.mechanics.scene import Scene, simulate_scene
-    from needlefit.mechanics.session import NeedleState, find_tip_force
-    from needlefit.project.unit_warnings import scene_warnings
+    from needlefit.viewer.export import SimulationOutcome
 
-    title, scene = record.title or name, Scene.from_record(record, where)
+    scene = Scene.from_record(record, where)
     shapes = simulate_scene(scene)
-
-    last = NeedleState(shapes[-1], scene.steps[len(shapes) - 1], scene.tissue)
-
-    def draw(path: Path) -> bool:
-        from needlefit.reporting.figures.needles import draw_state
-
-        if last.shape.converged:
-            cell = scene.lattice.first_cell
-            force = find_tip_force(scene.needle, scene.tissue, scene.steps, cell, scene.rules)
-            draw_state(title, scene, last, path, force)
-        return last.shape.converged
-
-    def write_table(path: Path) -> bool:
-        from needlefit.reporting.shape_table import write_shape
-
-        if last.shape.converged:
-            write_shape(scene, last, path)
-        return last.shape.converged
-
-    def write_curves(path: Path) -> bool:
-        from needlefit.reporting.slicer import write_simulated_needle
-
-        return write_simulated_needle(scene.entry.placement, shapes, path)
-
-    files = {"plot": draw, "csv": write_table, "slicer": write_curves}
-    warnings = tuple(scene_warnings(record, where))
-    return SimulationOutcome(title, scene, shapes, files, {}, warnings)
+    return SimulationOutcome(record.title or name, scene, shapes, scene.steps, scene.lattice.first_cell)
 
 
-def _replay_recording(path: Path, outputs: Mapping[str, Path]) -> SimulationOutcome:
-    """Carry out a recording.
+def _replay_recording(path: Path, outputs: Mapping[str, Path]) -> "tuple[SimulationOutcome, SceneRecord]":
+    """Carry out a recording; return also its scene.
 
     ConfigError if one of `outputs`, by option, is a file of what was steered, or cannot be written.
     """
     from needlefit.planning.recording import read_recording
-    from needlefit.project.unit_warnings import scene_warnings
-    from needlefit.viewer.export import WRITERS, replay_to_end
+    from needlefit.viewer.export import replay_to_end
 
     recording = read_recording(path)
     shown = []  # the scene, or the folder of the run or dataset, that the recording is of, unless it is gone
@@ -173,12 +133,7 @@ def _replay_recording(path: Path, outputs: Mapping[str, Path]) -> SimulationOutc
         target = find_view_target(recording.head.target, "scene")
         shown.append(target.path.parent if target.kind == "dataset" else target.path)
     require_output_files(outputs, [path, *shown])
-    done = replay_to_end(recording)
-    files = {option: partial(write, done) for option, write in WRITERS.items()}
-    more = {"replayed": {"steps": len(recording.steps), "tip_offset_mm": done.tip_offset_mm}}
-    warnings = tuple(scene_warnings(recording.head.scene, str(path)))
-    shapes = (done.state.shape,)
-    return SimulationOutcome(done.title, done.scene, shapes, files, more, warnings, done.placement)
+    return replay_to_end(recording), recording.head.scene
 
 
 def summarize_simulation(

@@ -19,14 +19,15 @@ from typing import Any
 
 import numpy as np
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Floats, Ints
 from needlefit.errors import ConfigError
 from needlefit.geometry.curves import TIP_POINTS
 from needlefit.mechanics import native
 from needlefit.mechanics.control import Bevel, ModelOptions, Step
 from needlefit.mechanics.inputs import describe_input_rules
 from needlefit.mechanics.laws import LAWS, PowerLaw
-from needlefit.mechanics.packing import count_planes, pack_layers
+from needlefit.mechanics.needle import DEFAULT_DIAMETER_MM
+from needlefit.mechanics.packing import compile_law, count_planes, pack_layers
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.tissue import Tissue
 from needlefit.metrics import list_metrics
@@ -155,6 +156,16 @@ def encode_strength(bevel: Bevel, rules: ModelOptions) -> dict[str, float]:
     return {"offset_mm": bevel.offset}
 
 
+def choose_evenly(count: int, most: int) -> Ints:
+    """Return the numbers of at most `most` of `count` draws, evenly chosen."""
+    return np.linspace(0, count - 1, min(most, count)).astype(np.intp)
+
+
+def encode_law(law: str, shape: Floats) -> Floats:
+    """Return the law of all layers at shape parameters (..., p, n) as the kernel has it, or a ModelError."""
+    return np.concatenate(compile_law(law, shape), axis=-1)
+
+
 def encode_step(step: Step) -> dict[str, Any]:
     """Return a step of an insertion, as the page simulates it."""
     bevel, held, tip = step.bevel, step.controls, step.controls.tip
@@ -239,7 +250,12 @@ DEFINED = ("b", "θ", "μ")
 
 
 def encode_scene(
-    scene: Scene, first_cell: float, names: Sequence[str], changes: Sequence[Any]
+    scene: Scene,
+    first_cell: float,
+    names: Sequence[str],
+    changes: Sequence[Any],
+    title: str,
+    origin_mark: str,
 ) -> dict[str, Any]:
     """Return what a page draws of a scene, and what it needs to simulate it.
 
@@ -247,6 +263,11 @@ def encode_scene(
     """
     tissue = scene.tissue
     return {
+        "title": title,
+        "origin_mark": origin_mark,
+        "measured": None,
+        "draws": None,
+        "diameter_mm": scene.needle.outer_diameter or DEFAULT_DIAMETER_MM,
         "length_mm": scene.needle.length,
         "depth_mm": scene.depth,
         "layer_names": list(scene.layer_names),

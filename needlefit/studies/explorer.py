@@ -14,8 +14,8 @@ from needlefit.datasets.insertion import InsertionInputs, InsertionPose, find_fr
 from needlefit.errors import ConfigError
 from needlefit.geometry.curves import TIP_POINTS
 from needlefit.mechanics.laws import LAWS, PowerLaw
-from needlefit.mechanics.needle import DEFAULT_DIAMETER_MM, Needle
-from needlefit.mechanics.packing import MAX_TOLERANCE_MM, compile_law
+from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.packing import MAX_TOLERANCE_MM
 from needlefit.mechanics.plan import Lattice, make_lattice
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import compute_positions
@@ -32,6 +32,8 @@ from needlefit.planning.steered_needle import list_scene_changes, make_steered_s
 from needlefit.reporting import labels
 from needlefit.reporting.needle_page import (
     PageData,
+    choose_evenly,
+    encode_law,
     encode_metrics,
     encode_scene,
     find_measured,
@@ -147,8 +149,7 @@ def collect_explorer(run: Run, data: PageData | None = None) -> PageData | None:
 
 def choose_drawn(sets: Sequence[Mapping[str, float]]) -> dict[str, list[float]]:
     """Return the parameters (Pa, mm) of some draws, evenly chosen, that the page of a prediction needs."""
-    chosen = np.linspace(0, len(sets) - 1, min(MAX_DRAWS, len(sets))).astype(np.intp)
-    return {name: [float(sets[n][name]) for n in chosen] for name in sets[0]}
+    return {name: [float(sets[n][name]) for n in choose_evenly(len(sets), MAX_DRAWS)] for name in sets[0]}
 
 
 def _collect_prediction(run: Run, data: PageData | None) -> PageData | None:
@@ -182,13 +183,8 @@ def _collect_prediction(run: Run, data: PageData | None) -> PageData | None:
     data = data or PageData({"needlefit": metadata.versions["needlefit"], "title": run.title})
     table, layers = pd.DataFrame(metadata.drawn), range(1, scene.tissue.layers + 1)
     changes = list_scene_changes(scene.steps, guides)
-    encoded = encode_scene(scene, lattice.first_cell, guides, changes) | {
-        "title": run.title,
-        "origin_mark": run.origin_mark,
-        "diameter_mm": scene.needle.outer_diameter or DEFAULT_DIAMETER_MM,
-        "measured": None,
-        "draws": _encode_draws(data, table, medium, layers, 1.0, scene.tissue),
-    }
+    encoded = encode_scene(scene, lattice.first_cell, guides, changes, run.title, run.origin_mark)
+    encoded["draws"] = _encode_draws(data, table, medium, layers, 1.0, scene.tissue)
     head = format_head(make_head(run.name, lattice.first_cell, record))
     about = {"new_specimen": metadata.specimen == "others", "head": head, "tip": shape.tip_lateral}
     data.needles.append({"scene": encoded, **about})
@@ -224,13 +220,8 @@ def _encode_needle(data: PageData, run: Run, row: Row, curve: Floats) -> dict[st
     lattice, tissue = make_lattice(scene.steps, scene.rules), scene.tissue
     measured = _encode_measured(scene, lattice, stored, row, curve, metadata.compared)
     changes = list_scene_changes(scene.steps, guides)
-    encoded = encode_scene(scene, lattice.first_cell, guides, changes) | {
-        "title": title,
-        "origin_mark": run.origin_mark,
-        "diameter_mm": scene.needle.outer_diameter or DEFAULT_DIAMETER_MM,
-        "measured": measured,
-        "draws": None,
-    }
+    encoded = encode_scene(scene, lattice.first_cell, guides, changes, title, run.origin_mark)
+    encoded["measured"] = measured
     drawn = draw_insertion(run, row["fold"], name, stored.specimen)
     if drawn.table is not None:
         layers = [layer for _, layer in find_layers(inputs)]
@@ -291,13 +282,11 @@ def _encode_draws(
     values = stack_values(table, medium, layers, factor)
     shape = values["shape"]
     varying = not isinstance(LAWS[tissue.law], PowerLaw) and bool((shape != shape[:1]).any())
-    count = min(MAX_TABLE_DRAWS if varying else MAX_DRAWS, len(draws))
-    rows = np.linspace(0, len(draws) - 1, count).astype(np.intp)
+    rows = choose_evenly(len(draws), MAX_TABLE_DRAWS if varying else MAX_DRAWS)
     strength = values["cut_angle" if "cut_angle" in values else "offset"]
-    law = np.concatenate(compile_law(tissue.law, shape[rows]), axis=-1)
     return {
-        "sets": count,
+        "sets": len(rows),
         "mu": data.share(values["mu"][rows]),
-        "law": data.share(law),
+        "law": data.share(encode_law(tissue.law, shape[rows])),
         "strength": data.share(strength[rows]),
     }

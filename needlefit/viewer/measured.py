@@ -2,8 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import TYPE_CHECKING
 
 from needlefit.datasets.compared import set_compared
 from needlefit.datasets.insertion import Dataset, Insertion, find_pose
@@ -30,9 +28,6 @@ from needlefit.schemas.run_metadata import FitMetadata
 from needlefit.viewer.overlays import make_measured_overlay
 from needlefit.viewer.viewed_scene import ViewedScene
 
-if TYPE_CHECKING:
-    from needlefit.studies.run import Run
-
 SHOWN_METHOD = "fitted"  #: the method of a run whose parameters are shown
 # Parameters of all layers of an undescribed medium: the paper's softer material.
 DEFAULT_MU_PA = 2e5  # Pa
@@ -40,29 +35,15 @@ DEFAULT_ALPHA = 1.0
 DEFAULT_BEVEL_MM = 0.05  # mm: roughly the paper's bevel offset
 
 
-@dataclass(frozen=True)
-class ShownInsertion:
-    """A measured insertion, and the parameters (Pa, mm) of the needle shown with it.
-
-    `seed` is that of the draws of its noise floor, so that it is the one of studies.
-    """
-
-    dataset: Dataset
-    insertion: Insertion
-    medium: MediumRecord
-    values: Mapping[str, float]
-    seed: int
-
-
 def open_dataset(view_target: ViewTarget) -> ViewedScene:
     """Return an insertion of a dataset, by default the first; errors as of `opening.open_target`."""
     dataset = read_shapes(view_target.path)
     dataset = set_compared(dataset, dataset.insertions, None)
-    one = _choose_insertion(dataset.insertions, view_target, f"insertion of {dataset.name}")
+    by_id = {insertion.id: insertion for insertion in dataset.insertions}
+    one = by_id[_choose_name([*by_id], view_target, f"insertion of {dataset.name}")]
     begun = choose_start_parameters(one)
     seed = load(find_file("recipe", "default"), RecipeRecord).seed
-    shown = ShownInsertion(dataset, one, begun.medium, begun.values, seed)
-    return _show_insertion(shown, view_target.name, begun.description)
+    return _show_insertion(dataset, one, begun, view_target.name, seed)
 
 
 @dataclass(frozen=True)
@@ -100,24 +81,26 @@ def choose_start_parameters(insertion: Insertion) -> StartParameters:
     return StartParameters(medium, parameters.values(parameters.expected), description)
 
 
-def _choose_insertion(insertions: tuple[Insertion, ...], view_target: ViewTarget, kind: str) -> Insertion:
-    """Return the insertion with the given name, or the first; ConfigError if there is none."""
-    by_id = {insertion.id: insertion for insertion in insertions}
-    if view_target.insertion is None:
-        return insertions[0]
-    if view_target.insertion not in by_id:
-        raise unknown_name_error(kind, view_target.insertion, list(by_id), "")
-    return by_id[view_target.insertion]
+def _choose_name(names: list[str], view_target: ViewTarget, kind: str) -> str:
+    """Return the given name, or the first; ConfigError if there is none like it."""
+    name = view_target.insertion or names[0]
+    if name not in names:
+        raise unknown_name_error(kind, name, names, "")
+    return name
 
 
-def _show_insertion(shown: ShownInsertion, name: str, description: str) -> ViewedScene:
-    """Return the scene that shows an insertion; `name` is that of its dataset or run."""
-    dataset, insertion = shown.dataset, shown.insertion
+def _show_insertion(
+    dataset: Dataset, insertion: Insertion, shown: StartParameters, name: str, seed: int
+) -> ViewedScene:
+    """Return the scene that shows an insertion; `name` is that of its dataset or run.
+
+    `seed` is that of the draws of its noise floor, so that it is the one of studies.
+    """
     title = f"{insertion.id} · {dataset.title}"
     record = make_scene_record(shown.values, shown.medium, dataset.name, insertion, title)
     scene = make_steered_scene(record, f"{name}/{insertion.id}")
     shape = find_last_shape(scene.needle, scene.tissue, scene.steps, scene.rules)
-    floor = estimate_noise_floor(dataset, insertion, random_stream(shown.seed, "noise floor", insertion.id))
+    floor = estimate_noise_floor(dataset, insertion, random_stream(seed, "noise floor", insertion.id))
     # As in a run's files for 3D Slicer: where shapes are known only up to a motion, the needle is laid on the
     # measured one, and what is steered from then on lies in the frame in which it came to lie.
     frame, placed = insertion.frame, insertion.is_posed or shape.converged
@@ -131,7 +114,7 @@ def _show_insertion(shown: ShownInsertion, name: str, description: str) -> Viewe
     return ViewedScene(
         name=f"{name}/{insertion.id}",
         title=title,
-        note=description,
+        note=shown.description,
         record=record,
         first_cell=scene.lattice.first_cell,
         placement=Placement(frame, insertion.patient).to_record() if placed else None,
@@ -163,15 +146,12 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
     dataset = require_shapes(read_data(run, str(view_target.path)))
     stated = run.knows(FitMetadata)
     dataset = set_compared(dataset, (), stated.compared)
-    folds = stated.folds  # held-out insertions come first
-    held = {id_: (fold.name, "without this insertion") for fold in folds for id_ in fold.held_out}
-    tuned = {id_: (fold.name, "with this insertion") for fold in folds for id_ in fold.tune}
-    roles = held | {id_: role for id_, role in tuned.items() if id_ not in held}
+    held = {id_: (fold, "without") for fold in stated.folds for id_ in fold.held_out}  # these come first
+    roles = held | {id_: (fold, "with") for fold in stated.folds for id_ in fold.tune if id_ not in held}
     by_id = {insertion.id: insertion for insertion in dataset.insertions}
-    members = tuple(by_id[id_] for id_ in roles)
-    insertion = _choose_insertion(members, view_target, f"insertion of run {view_target.name}")
+    insertion = by_id[_choose_name([*roles], view_target, f"insertion of run {view_target.name}")]
     fold, role = roles[insertion.id]
-    rows = select_rows(run.frames["parameters"], fold=fold, method=SHOWN_METHOD)
+    rows = select_rows(run.frames["parameters"], fold=fold.name, method=SHOWN_METHOD)
     if rows.empty:
         raise DataError(
             "its fit found no parameters with which every needle can be solved",
@@ -180,27 +160,26 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
             where=view_target.path,
         )
     values = dict(zip(rows["parameter"], rows["value"].astype(float), strict=True))
-    shown = ShownInsertion(dataset, insertion, stated.medium, values, stated.recipe.seed)
-    (names,) = (set(one.tune) for one in folds if one.name == fold)
-    fitted = [one for one in dataset.insertions if one.id in names]
+    fitted = [by_id[id_] for id_ in fold.tune]
     several = len({one.specimen for one in fitted}) > 1
     drawn = draw_insertion(
-        run, fold, insertion.id, insertion.specimen, view_target.specimen,
+        run, fold.name, insertion.id, insertion.specimen, view_target.specimen,
         lambda new: find_new_bevel_sd(dataset, fitted, new_specimen=new and several),
     )  # fmt: skip
     crossed = "Layer depths: as measured. " if len(insertion.boundaries) else ""
     band = "" if drawn.table is not None else "No band: the run has no certified draws of its parameters."
-    description = f"Parameters: fitted by {run.name} {role}. {crossed}{band}".rstrip()
-    viewed_scene = _show_insertion(shown, view_target.name, description)
+    description = f"Parameters: fitted by {run.name} {role} this insertion. {crossed}{band}".rstrip()
+    shown = StartParameters(stated.medium, values, description)
+    viewed_scene = _show_insertion(dataset, insertion, shown, view_target.name, stated.recipe.seed)
     measured = viewed_scene.measured
     if measured is not None and measured.target.pose == "known":
-        prediction = find_prediction(run, fold, "validate", insertion.id)
+        prediction = find_prediction(run, fold.name, "validate", insertion.id)
         viewed_scene = replace(viewed_scene, measured=replace(measured, prediction=prediction))
     known = {(one.kind, one.what) for one in viewed_scene.warnings}  # of the dataset, with the paths of files
     warnings = [one for one in run.warnings if (one.kind, one.what) not in known]
     warnings += viewed_scene.warnings
     viewed_scene = replace(
-        viewed_scene, recall=partial(_recall, run), faults=run.faults, warnings=tuple(warnings),
+        viewed_scene, run=run, warnings=tuple(warnings),
         fitted_depths=tuple(one.depth for one in fitted), fitted_directions=DIRECTIONS[stated.compared],
     )  # fmt: skip
     if drawn.table is None:
@@ -208,9 +187,3 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
     layers = [layer for _, layer in find_layers(insertion)]
     spread = select_layer_draws(drawn.table, layers, stated.medium.law)
     return replace(viewed_scene, spread=spread, specimen="new" if drawn.specimen == NEW_SPECIMEN else "same")
-
-
-def _recall(run: "Run") -> str:
-    from needlefit.studies.report import recall
-
-    return recall(run)

@@ -28,20 +28,15 @@ DEFAULT_SCENE = "phantom2_fitted"  #: the scene that is shown where nothing is n
 DRAWS_SUFFIX = ".draws.csv"  #: ending of the table of parameter draws beside a scene, in place of `.toml`
 
 
-def open_target(
-    name: str | None,
-    insertion: str | None = None,
-    specimen: str = "shown",
-    first: TargetKind | None = None,
-) -> ViewedScene:
+def open_target(name: str | None, specimen: str = "shown", first: TargetKind | None = None) -> ViewedScene:
     """Return the scene to show for SCENE, RUN or DATASET/ID; `DEFAULT_SCENE` where there is no name.
 
     A name of several means the kind `first`, by default the run.
 
-    `insertion` is one of the run or dataset; by default the one in `name`, else the first: of a run the first
-    held-out one. `specimen` is that of the draws of a run: of its band, and of plans. ConfigError if there is
-    no such thing, or the file of a scene has a fault. DataError if the dataset has a fault, or the run is of
-    another kind or damaged, found no parameters, or its data have changed since.
+    The insertion is the one in `name`, else the first: of a run the first held-out one. `specimen` is
+    that of the draws of a run: of its band, and of plans. ConfigError if there is no such thing, or the
+    file of a scene has a fault. DataError if the dataset has a fault, or the run is of another kind or
+    damaged, found no parameters, or its data have changed since.
     """
     first = first or ("scene" if name is None else "run")
     view_target = replace(find_view_target(name or DEFAULT_SCENE, first), specimen=specimen)
@@ -55,7 +50,6 @@ def open_target(
             name=view_target.name, title=title, note=note, record=record,
             first_cell=scene.lattice.first_cell, spread=draws,
         )  # fmt: skip
-    view_target = replace(view_target, insertion=view_target.insertion if insertion is None else insertion)
     from needlefit.viewer import measured
 
     if view_target.kind == "run":

@@ -5,25 +5,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from needlefit.arrays import Floats, Ints
+from needlefit.arrays import Floats
 from needlefit.geometry.frames import align_rigid
 from needlefit.mechanics.shape import NeedleShape, compute_positions
 
 if TYPE_CHECKING:
     from needlefit.datasets.insertion import Dataset, Insertion
     from needlefit.inference.compared_points import ComparedPoints
-    from needlefit.inference.forward_model import ParameterDraws
 
 # What takes long to import, or only measured insertions need, is imported where it is used.
 #: needles of a band, evenly chosen from all draws: it is computed again whenever the needle moves
 MAX_BAND_DRAWS = 100
-
-
-def choose_band_draws(spread: "ParameterDraws") -> Ints:
-    """Return the numbers of the draws of a band, evenly chosen."""
-    return np.linspace(0, len(spread) - 1, min(MAX_BAND_DRAWS, len(spread))).astype(np.intp)
 
 
 @dataclass(frozen=True)

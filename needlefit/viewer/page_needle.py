@@ -3,17 +3,13 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from needlefit.arrays import Floats
 from needlefit.mechanics.laws import LAWS, PowerLaw
-from needlefit.mechanics.packing import compile_law
 from needlefit.mechanics.simulate import find_last_shape
 from needlefit.mechanics.tissue import Tissue
 from needlefit.planning.recording import RecordedStep, Recording, format_head
 from needlefit.planning.steered_needle import SteeredNeedle, list_scene_changes, make_steered_scene
 from needlefit.reporting import needle_page
-from needlefit.viewer.overlays import MeasuredOverlay, choose_band_draws
+from needlefit.viewer.overlays import MAX_BAND_DRAWS, MeasuredOverlay
 from needlefit.viewer.viewed_scene import ViewedScene
 
 if TYPE_CHECKING:
@@ -59,35 +55,26 @@ def compose_page(
 def encode_plan(plan: "SteeringPlan") -> dict[str, Any]:
     """Return target, obstacles and needles of a plan in its plane, as the page draws them."""
     solved = plan.needles[plan.solved]
-    drawn = solved[np.linspace(0, len(solved) - 1, min(PLAN_NEEDLES, len(solved))).astype(np.intp)]
+    drawn = solved[needle_page.choose_evenly(len(solved), PLAN_NEEDLES)]
     return {
         "target": list(plan.goal.target[:2]),
         "radius": plan.goal.radius,
         "obstacles": [
             [*obstacle.centre_mm[:2], obstacle.radius_mm, obstacle.name] for obstacle in plan.goal.obstacles
         ],
-        "needles": [[round_lengths(column) for column in needle.T[:2]] for needle in drawn],
+        "needles": drawn[..., :2].swapaxes(1, 2).round(LENGTH_DIGITS).tolist(),
     }
 
 
 def encode_scene(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str, Any]:
     """Return all that stays constant: the needle, the layers, the overlays."""
-    scene = steering.scene
-    measured = viewed_scene.measured
-    return {
-        **needle_page.encode_scene(
-            scene, steering.first_cell, steering.names, list_scene_changes(scene.steps, steering.names)
-        ),
-        "title": viewed_scene.title,
-        "origin_mark": viewed_scene.origin_mark,
-        "diameter_mm": viewed_scene.diameter,
-        "measured": measured and {
-            "id": measured.id,
-            "depth_mm": measured.depth,
-            **encode_measured(measured),
-        },
-        "draws": None if viewed_scene.spread is None else encode_draws(viewed_scene.spread, scene.tissue.law),
-    }  # fmt: skip
+    scene, names, spread = steering.scene, steering.names, viewed_scene.spread
+    changes = list_scene_changes(scene.steps, names)
+    mark = viewed_scene.origin_mark
+    return needle_page.encode_scene(scene, steering.first_cell, names, changes, viewed_scene.title, mark) | {
+        "measured": viewed_scene.measured and encode_measured(viewed_scene.measured),
+        "draws": spread and encode_draws(spread, scene.tissue.law),
+    }
 
 
 def encode_measured(measured: MeasuredOverlay) -> dict[str, Any]:
@@ -99,6 +86,8 @@ def encode_measured(measured: MeasuredOverlay) -> dict[str, Any]:
         for points in (measured.points[drawn], target.measured)
     )
     return {
+        "id": measured.id,
+        "depth_mm": measured.depth,
         "metrics": needle_page.encode_metrics(len(measured.points)),
         "compared": target.compared,
         **points,
@@ -107,11 +96,6 @@ def encode_measured(measured: MeasuredOverlay) -> dict[str, Any]:
         "prediction": measured.prediction,
         "target": {"pose": target.pose, "s": target.s.tolist(), **compared},
     }
-
-
-def encode_law(law: str, shape: Floats) -> list[float]:
-    """Return the law of all layers at shape parameters (..., p, n) as the kernel has it, or a ModelError."""
-    return np.concatenate(compile_law(law, shape), axis=-1).ravel().tolist()
 
 
 def encode_tables(tissue: Tissue, steps: Sequence[RecordedStep]) -> list[Any]:
@@ -130,22 +114,18 @@ def encode_tables(tissue: Tissue, steps: Sequence[RecordedStep]) -> list[Any]:
                 shape[names.index(change.name), change.item - 1] = change.value
         after[number] = shape
         if shape is not tissue.shape:
-            tables.setdefault(str(shape.tolist()), [shape.tolist(), encode_law(tissue.law, shape)])
+            law = needle_page.encode_law(tissue.law, shape).ravel().tolist()
+            tables.setdefault(str(shape.tolist()), [shape.tolist(), law])
     return list(tables.values())
 
 
 def encode_draws(spread: "ParameterDraws", law: str) -> dict[str, Any]:
     """Return the draws of a band: mu and law of every layer, strength of the bevel, gain of the base."""
-    drawn = spread.only(choose_band_draws(spread))
+    drawn = spread.only(needle_page.choose_evenly(len(spread), MAX_BAND_DRAWS))
     return {
         "sets": len(drawn),
         "mu": drawn.mu.ravel().tolist(),
-        "law": encode_law(law, drawn.shape),
+        "law": needle_page.encode_law(law, drawn.shape).ravel().tolist(),
         "strength": drawn.bevel.tolist(),
         "gain": None if drawn.gain is None else drawn.gain.tolist(),
     }
-
-
-def round_lengths(values: Floats) -> list[float]:
-    """Return drawn lengths, mm, as numbers for JSON."""
-    return np.round(values, LENGTH_DIGITS).tolist()

@@ -1,15 +1,13 @@
 """What the viewer shows of one name of the command line: a scene, a recording, or a measured insertion."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from needlefit.mechanics.needle import DEFAULT_DIAMETER_MM
 from needlefit.planning.steerable_scene import SteerableScene
 from needlefit.project.result_warnings import ResultWarning
 
 if TYPE_CHECKING:
-    from needlefit.studies.answer import RunFault
+    from needlefit.studies.run import Run
     from needlefit.viewer.overlays import MeasuredOverlay
 
 
@@ -26,11 +24,4 @@ class ViewedScene(SteerableScene):
     fitted_depths: tuple[float, ...] = ()  #: of the insertions that a run has fitted, mm
     fitted_directions: int = 2  #: how many deflections a run has fitted, along y, and z
     warnings: tuple[ResultWarning, ...] = ()  #: what is suspicious in the dataset or the run that it is from
-    #: returns the verdict of the run that it is from, with the checks that failed; no page waits for it
-    recall: Callable[[], str] = str
-    faults: "tuple[RunFault, ...]" = ()  #: why the run that it shows is not to be trusted
-
-    @property
-    def diameter(self) -> float:
-        """Diameter at which the needle is drawn, mm."""
-        return self.record.needle.outer_diameter_mm or DEFAULT_DIAMETER_MM
+    run: "Run | None" = None  #: that it is from
