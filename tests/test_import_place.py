@@ -19,9 +19,11 @@ from import_cases import (
 from refusals import refusal
 
 from needlefit.api import score_study
+from needlefit.datasets.folds import divide_insertions
 from needlefit.datasets.importing.prepare import prepare_import
 from needlefit.datasets.planes import measure_out_of_plane
 from needlefit.datasets.read import inspect, read
+from needlefit.datasets.select import list_bevels
 from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.curves import integrate_curvature
 from needlefit.geometry.stray_points import find_stray_points
@@ -686,6 +688,20 @@ def test_a_tip_of_the_name_and_depth_of_a_shape_is_of_this_needle(tmp_path):
     one, two, further = read(out).insertions
     assert one.tip[0] == 2.3 and one.tip[2] == 0.05 and one.observation == "points" and two.tip is None
     assert (further.id, further.observation, further.deflection) == ("b-2", "tip", pytest.approx(-1.1))
+
+
+def test_a_track_of_the_name_and_depth_of_a_shape_is_of_the_same_insertion(tmp_path):
+    """It shares bevel and fold with the shape; one that ends elsewhere is an insertion of its own."""
+    shapes = [(n, x, 6e-4 * x**2) for n in "ab" for x in range(0, 61, 5)]
+    write_table(file := tmp_path / "a.csv", "needle,x [mm],y [mm]", shapes)
+    runs = [(n, x, 6e-4 * x**2) for n, end in (("a", 60), ("b", 40)) for x in range(0, end + 1, 5)]
+    write_table(tracks := tmp_path / "b.csv", "needle,depth [mm],deflection [mm]", runs)
+    stated = {"pose": "1,0,0", "entry_point": "0,0,0", "bevel": "0,1,0", "specimen": "block"}
+    data = read(write_placed(tmp_path / "out", [file, tracks], point_sd="0.1", **stated))
+    folds = divide_insertions(data.insertions, "insertion")
+    assert [[one.id for one in held] for held in folds.values()] == [["a", "a-2"], ["b"], ["b-2"]]
+    bevels = dict(zip((one.id for one in data.insertions), list_bevels(data, data.insertions), strict=True))
+    assert bevels["a"] == bevels["a-2"] and len({*bevels.values()}) == 3
 
 
 def test_times_and_places_of_a_tip_beside_its_guide_are_tracks(tmp_path):

@@ -111,21 +111,6 @@ def test_a_tip_has_an_error_across_and_no_error_along_the_needle() -> None:
     assert np.isnan(found["ipe_mean_mm"]) and np.isnan(found["median_err_mm"])
 
 
-def test_curvatures_alone_tell_modulus_and_bevel() -> None:
-    made = []
-    for depth in (40.0, 60.0, 80.0):
-        one = replace(insertion(depth, angle_sd=0.0), roll_sd=1e-3)
-        places = np.arange(5.0, depth - 2.0, 5.0)
-        shape, step = predict(TRUTH, ONE_LAYER, one), 1.0
-        y = SimulatedCurve(shape, one)((depth - places[:, None] + step * np.array([-1, 0, 1])).ravel())[:, 1]
-        kappa = y.reshape(-1, 3) @ [1.0, -2.0, 1.0] / step**2
-        read_out = np.column_stack([places, kappa, 0 * kappa, np.full(len(kappa), 2e-6)])
-        made.append(replace(one, curvature=read_out, observation="curvature"))
-    asked = make_problem(dataset(made, Noise()), made, ONE_LAYER, WeightsRecord())
-    fit = minimize(asked, RecipeRecord.model_validate({"schema": 1, "starts": 2}), np.random.default_rng(1))
-    assert np.array(fit.theta) == pytest.approx(THETA, abs=0.02)
-
-
 TOML = (
     """
 schema = 1

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.datasets.columns import NEEDLE_COLUMN, SETUP_COLUMN, InsertionRow
+from needlefit.datasets.columns import HOLE_COLUMN, NEEDLE_COLUMN, SETUP_COLUMN, InsertionRow
 from needlefit.datasets.points import Points
 from needlefit.geometry.smoothing_spline import SplineSections
 from needlefit.project.json_values import digest_values
@@ -60,14 +60,14 @@ def _round(values: Floats) -> Floats:
 
 def digest_track(medium: str, readings: Mapping[str, Any], record: DatasetRecord) -> str:
     """Return the digest of a run, by the columns of its readings and the medium that it went into."""
+    names = SETUP_COLUMN, HOLE_COLUMN
     values = {
         "dataset": select_deciding(record, _READ),
         "medium": (medium, select_deciding(record.media[medium])),
         "needle": select_deciding(record.all_needles[str(readings[NEEDLE_COLUMN][0])]),
-        "readings": {name: column for name, column in readings.items() if name != SETUP_COLUMN},
+        "readings": {name: column for name, column in readings.items() if name not in names},
     }
-    if setup := str(readings[SETUP_COLUMN][0]):
-        values["setup"] = setup
+    values |= {name: text for name in names if (text := str(readings[name][0]))}
     if record.tip_tracks is not None and record.tip_tracks.depth_zero != "first_reading":
         values["depth_zero"] = record.tip_tracks.depth_zero
     return digest_values(values)

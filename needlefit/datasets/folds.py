@@ -130,8 +130,13 @@ def leave_out(insertions: tuple[Insertion, ...], kind: str) -> tuple[Fold, ...]:
 
 
 def divide_insertions(insertions: tuple[Insertion, ...], kind: str) -> dict[str, tuple[Insertion, ...]]:
-    """Group the insertions by "specimen", or each "insertion" by itself, in their order."""
-    names = [insertion.specimen if kind == "specimen" else insertion.id for insertion in insertions]
+    """Group the insertions by "specimen", or each "insertion" by itself, in their order.
+
+    A tip track and a shape of one hole were measured of one insertion.
+    """
+    tracked = {insertion.hole for insertion in insertions if insertion.is_track and insertion.hole}
+    keys = [insertion.hole if insertion.hole in tracked else insertion.id for insertion in insertions]
+    names = [insertion.specimen for insertion in insertions] if kind == "specimen" else keys
     return {
         name: tuple(i for i, own_name in zip(insertions, names, strict=True) if own_name == name)
         for name in dict.fromkeys(names)

@@ -136,7 +136,8 @@ def find_repeats(dataset: Dataset) -> dict[str, tuple[str, int]]:
 
     Of each its specimen, and a number in it. They have the same `hole` where the medium states it. Else they
     went into one specimen with the bevel on the same side and the same turns, to different depths, and, where
-    the pose is known, from the same entry in the same direction. A tip track is a whole insertion.
+    the pose is known, from the same entry in the same direction. A tip track is a whole insertion, unless it
+    has the hole of a shape: both were then measured of one.
     """
     repeats: dict[str, tuple[str, int]] = {}
     for medium in dict.fromkeys(insertion.medium for insertion in dataset.insertions):
@@ -155,10 +156,10 @@ def find_repeats(dataset: Dataset) -> dict[str, tuple[str, int]]:
 
 def _make_hole_key(source: HoleSource, insertion: Insertion) -> tuple[object, ...]:
     """Return what insertions of one hole have in common."""
-    if source == "separate" or (source == "stated" and not insertion.hole) or insertion.is_track:
-        return (insertion.id,)
-    if source == "stated":
+    if source == "stated" and insertion.hole:
         return (insertion.specimen, insertion.hole)
+    if source in ("stated", "separate") or insertion.is_track:
+        return (insertion.id,)
     entry = np.concatenate([insertion.frame.origin, insertion.frame.rotation[:, 0]]).round(ENTRY_DECIMALS)
     # adding 0 makes -0 the same as 0
     return (

@@ -9,7 +9,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from needlefit.arrays import Floats, pad_axis
-from needlefit.datasets.columns import NEEDLE_COLUMN, POINT_SD_COLUMN, SETUP_COLUMN
+from needlefit.datasets.columns import HOLE_COLUMN, NEEDLE_COLUMN, POINT_SD_COLUMN, SETUP_COLUMN
 from needlefit.datasets.digests import digest_track
 from needlefit.datasets.faults import Fault
 from needlefit.datasets.formats.csv import CsvTable, note_missing_columns, parse_numbers, rename_columns
@@ -27,6 +27,7 @@ OPTIONAL_TRACK_COLUMNS = {
     **{"heading_deg": np.nan, "tip_z_mm": np.nan, "guide_z_mm": 0.0, "heading_z_deg": np.nan},
     **{"bevel_side": 1.0, "bevel_roll_deg": 0.0, "valid": 1.0, POINT_SD_COLUMN: np.nan},
 }
+NAME_COLUMNS = (NEEDLE_COLUMN, SETUP_COLUMN, HOLE_COLUMN)  # one name for all readings of a run
 # Least number of readings of a run: shift and slope take two, and a bend needs more than one.
 MIN_READINGS = 5  # at an import fewer depths of one hole are insertions of their own
 MAX_STEP_MM = 100.0  # greatest distance of two readings, mm; a larger one was written in another unit
@@ -87,7 +88,7 @@ def _parse_track_columns(
     """Return every column (N,) under our names; None after a fault."""
     source = record.tip_tracks
     assert source is not None
-    known_columns = (*REQUIRED_TRACK_COLUMNS, *OPTIONAL_TRACK_COLUMNS, NEEDLE_COLUMN, SETUP_COLUMN)
+    known_columns = (*REQUIRED_TRACK_COLUMNS, *OPTIONAL_TRACK_COLUMNS, *NAME_COLUMNS)
     before = len(faults)
     table = rename_columns(table, source.columns, source.constants, faults)
     for name in sorted((source.columns.keys() | source.constants.keys()) - {*known_columns}):
@@ -106,7 +107,7 @@ def _parse_track_columns(
     values |= {name: parse_numbers(table, name, faults, default) for name, default in optional}
     texts = {name: table.cells[name].to_numpy(dtype=str) for name in ("id", "medium")}
     unnamed = pd.Series(np.full(len(table.lines), ""))
-    for name in (NEEDLE_COLUMN, SETUP_COLUMN):
+    for name in NAME_COLUMNS:
         texts[name] = table.cells.get(name, unnamed).to_numpy(dtype=str)
     return texts | values if len(faults) == before else None
 
@@ -167,12 +168,14 @@ def parse_tracks(
             (np.array(medium.boundaries_mm or ()), medium.sequence),
             tuple((float(starts[n]), float(roll[n])) for n in turned),
         )
-        setup, sd = str(columns_of_track[SETUP_COLUMN][0]), float(columns_of_track[POINT_SD_COLUMN][0])
+        setup, hole = (str(columns_of_track[name][0]) for name in NAME_COLUMNS[1:])
+        sd = float(columns_of_track[POINT_SD_COLUMN][0])
         if np.isnan(sd):
             del columns_of_track[POINT_SD_COLUMN]  # digests are those of tables without the column
         else:
             track = replace(track, point_sd=sd)
-        yield replace(track, setup=setup, digest=digest_track(str(media[rows[0]]), columns_of_track, record))
+        digest = digest_track(str(media[rows[0]]), columns_of_track, record)
+        yield replace(track, setup=setup, hole=hole, digest=digest)
 
 
 def _find_zero(depths: Floats, record: DatasetRecord) -> float:
@@ -191,7 +194,7 @@ def _find_run_faults(
     """Say what is wrong with one run; `places` are those of its readings."""
     first, depth, sides = places[0], values["depth_mm"], values["bevel_side"]
     yield from find_unknown_needle(str(values[NEEDLE_COLUMN][0]), first, record)
-    for column in (NEEDLE_COLUMN, SETUP_COLUMN):
+    for column in NAME_COLUMNS:
         names = values[column].tolist()
         for n in [n for n, name in enumerate(names) if name != names[0]][:1]:
             yield DataError(

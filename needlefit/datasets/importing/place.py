@@ -362,7 +362,7 @@ class Planner(CurveAnswers):
         rows = []
         for curve, side in zip(self.curves, sides, strict=True):  # a stated length is believed
             sd = 0.0 if "depth" in curve.stated else measure_curve(curve.line, point_sd).length_sd
-            rows.append(InsertionRow(curve.name, "", 1, curve.depth, side=side, depth_sd=sd))
+            rows.append(InsertionRow(curve.name, "", 1, curve.depth, side=side, depth_sd=sd, hole=curve.hole))
         rows = set_layers(rows, depths)
         if poses[0].text == "free":
             self.settler.note("bevel", "a free shape bends toward its bevel")

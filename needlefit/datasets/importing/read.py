@@ -166,7 +166,7 @@ def read_mapped(mapping: MappingRecord, paths: Sequence[Path], where: str) -> Im
     for mapped in tables:
         if mapped.record.holds in ("shapes", "tips", "tracks"):
             content.curves.extend(_read_points(mapped, left_out))
-    content.curves[:] = _join_tips(content.curves)
+    content.curves[:] = _join_observations(content.curves)
     _name_curves(content.curves)
     for mapped in tables:
         if mapped.record.holds in ("curvatures", "turns", "facts"):
@@ -539,14 +539,20 @@ def _read_sensor(mapped: MappedTable, n: int) -> Floats:
 # ---- names
 
 
-def _join_tips(curves: Sequence[ImportedCurve]) -> list[ImportedCurve]:
-    """Return the needles; a tip that has name and depth of a shape was measured beside this shape."""
+def _join_observations(curves: Sequence[ImportedCurve]) -> list[ImportedCurve]:
+    """Return the needles; what has name and depth of a shape was measured of the same insertion.
+
+    A tip stands beside the shape, a track is a further measurement of the same hole.
+    """
     shapes = {curve.name: curve for curve in curves if curve.holds == "shapes" and curve.is_named}
     kept = list[ImportedCurve]()
     for curve in curves:
-        shape, is_tip = shapes.get(curve.name), curve.holds == "tips" and curve.is_deflection
-        depth = float(curve.line[0, 0]) if is_tip and len(curve.line) == 1 else 0.0
-        if depth and shape is not None and abs(shape.depth - depth) <= find_length_tolerance(depth):
+        shape, depths = shapes.get(curve.name), curve.line[:, 0] if curve.is_deflection else curve.depths
+        depth = float(depths[-1]) if curve.holds != "shapes" and len(depths) else 0.0
+        is_joined = depth and shape is not None and abs(shape.depth - depth) <= find_length_tolerance(depth)
+        if is_joined and shape is not None and curve.holds == "tracks":
+            shape.hole = curve.hole = curve.name
+        if is_joined and shape is not None and curve.holds == "tips" and len(depths) == 1:
             sd = None if curve.points.sd is None else float(curve.points.sd[0])
             if "point_sd" in curve.stated:
                 sd = curve.stated["point_sd"].to_number("point_sd", is_above=True)

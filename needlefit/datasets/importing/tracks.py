@@ -42,7 +42,8 @@ def make_tracks(asked: CurveAnswers) -> list[InsertionRow]:
                 bend -= (bend @ along) * along
             bends.append(side * np.ptp(depth) ** 2 * bend)
         turns = ((0.0, roll),) if roll else ()
-        rows.append(InsertionRow(curve.name, "", 1, float(depth[-1]), side=side, turns=turns))
+        row = InsertionRow(curve.name, "", 1, float(depth[-1]), side=side, turns=turns, hole=curve.hole)
+        rows.append(row)
     bevel = np.array([0.0, 1.0, 0.0])
     if not all(curve.is_deflection for curve in curves):
         mean = np.mean([normalize(bend) for bend in bends if bend.any()] or [np.zeros(3)], axis=0)

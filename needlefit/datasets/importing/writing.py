@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from needlefit.datasets.columns import POINT_SD_COLUMN, InsertionRow, make_id
+from needlefit.datasets.columns import HOLE_COLUMN, NEEDLE_COLUMN, POINT_SD_COLUMN, InsertionRow, make_id
 from needlefit.datasets.dataset_warnings import MAPPING_FILE, PLACEHOLDER
 from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.importing.curves import ImportContent, ImportedCurve
@@ -157,7 +157,8 @@ def _write_tracks(
         depths = plan.boundaries_mm[row.medium] if row.boundaries is None else row.boundaries
         media[row.medium] |= {"layers": [*range(1, len(depths) + 2)], "boundaries_mm": [*depths]}
         media[row.medium]["specimen"] = row.specimen
-        named: dict[str, object] = {"id": row.id, "medium": row.medium, "needle": row.needle}
+        named: dict[str, object] = {"id": row.id, "medium": row.medium}
+        named |= {NEEDLE_COLUMN: row.needle, HOLE_COLUMN: row.hole}
         roll = float(np.degrees(row.turns[0][1])) if row.turns else 0.0
         named |= {"bevel_side": row.side, "bevel_roll_deg": roll, POINT_SD_COLUMN: row.point_sd}
         guide = np.zeros_like(curve.line) if curve.guide is None else curve.guide
@@ -165,8 +166,7 @@ def _write_tracks(
         tables.append(pd.DataFrame({**named, **dict(zip(TRACK_COLUMNS, numbers, strict=True))}))
     table = pd.concat(tables)
     source: dict[str, object] = {"file": TRACKS_FILE, "depth_zero": "tissue"}
-    left_out = [] if plan.needles else ["needle"]
-    left_out += [] if table["bevel_roll_deg"].any() else ["bevel_roll_deg"]
+    left_out = [name for name in (NEEDLE_COLUMN, HOLE_COLUMN, "bevel_roll_deg") if not table[name].any()]
     left_out += [] if table[POINT_SD_COLUMN].notna().any() else [POINT_SD_COLUMN]
     if not table["tip_z_mm"].any():
         left_out += ["tip_z_mm", "guide_z_mm"]
