@@ -385,10 +385,10 @@ length===1){let minValue;for(let element2 of values){let value=compare(element2)
 compare(value,min)<0:compare(value,value)===0)&&(min=value,defined=!0);return min}function shuffler(random){return function(array3,i0=0,i1=array3.
 length){let m=i1-(i0=+i0);for(;m;){let i=random()*m--|0,t=array3[m+i0];array3[m+i0]=array3[i+i0],array3[i+i0]=
 t}return array3}}var ascendingBisect,bisectRight,bisectLeft,bisectCenter,blur2,blurImage,array,slice,e10,e5,e2,
-shuffle,init_d3_array=__esm({"../page/node_modules/d3-array/dist/d3-array.mjs"(){ascendingBisect=bisector(ascending),
-bisectRight=ascendingBisect.right,bisectLeft=ascendingBisect.left,bisectCenter=bisector(number).center,blur2=Blur2(
-blurf),blurImage=Blur2(blurfImage);array=Array.prototype,slice=array.slice,e10=Math.sqrt(50),e5=Math.sqrt(10),
-e2=Math.sqrt(2);shuffle=shuffler(Math.random)}});function look(window2,draw2){let kept={...view};Object.assign(view,window2);try{return draw2()}finally{Object.
+shuffle,init_d3_array=__esm({"node_modules/d3-array/dist/d3-array.mjs"(){ascendingBisect=bisector(ascending),bisectRight=
+ascendingBisect.right,bisectLeft=ascendingBisect.left,bisectCenter=bisector(number).center,blur2=Blur2(blurf),
+blurImage=Blur2(blurfImage);array=Array.prototype,slice=array.slice,e10=Math.sqrt(50),e5=Math.sqrt(10),e2=Math.
+sqrt(2);shuffle=shuffler(Math.random)}});function look(window2,draw2){let kept={...view};Object.assign(view,window2);try{return draw2()}finally{Object.
 assign(view,kept)}}function resize(width,height){view.box={left:GUTTER.left,top:GUTTER.top,width:Math.max(width-
 GUTTER.left-GUTTER.right,10),height:Math.max(height-GUTTER.top-GUTTER.bottom,10)},fit(view.fit)}function fit(which){
 if(view.fit=which,redraw(),!now.scene||!now.state||which==="moved")return;if(which==="tip"){let{x:x2,y:y2}=now.
@@ -467,19 +467,19 @@ bl)/(E*l*(1-l)),h=s2?Math.atan2(k2,bl)*degrees2-120:NaN;return new Cubehelix(h<0
 return arguments.length===1?cubehelixConvert(h):new Cubehelix(h,s2,l,opacity??1)}function Cubehelix(h,s2,l,opacity){
 this.h=+h,this.s=+s2,this.l=+l,this.opacity=+opacity}var darker,brighter,reI,reN,reP,reHex,reRgbInteger,reRgbPercent,
 reRgbaInteger,reRgbaPercent,reHslPercent,reHslaPercent,named,radians,degrees2,K,Xn,Yn,Zn,t0,t1,t2,t3,A,B,C,D,E,
-ED,EB,BC_DA,init_d3_color=__esm({"../page/node_modules/d3-color/dist/d3-color.mjs"(){darker=.7,brighter=1/darker,
-reI="\\s*([+-]?\\d+)\\s*",reN="\\s*([+-]?(?:\\d*\\.)?\\d+(?:[eE][+-]?\\d+)?)\\s*",reP="\\s*([+-]?(?:\\d*\\.)?\\d+(\
-?:[eE][+-]?\\d+)?)%\\s*",reHex=/^#([0-9a-f]{3,8})$/,reRgbInteger=new RegExp(`^rgb\\(${reI},${reI},${reI}\\)$`),
-reRgbPercent=new RegExp(`^rgb\\(${reP},${reP},${reP}\\)$`),reRgbaInteger=new RegExp(`^rgba\\(${reI},${reI},${reI}\
-,${reN}\\)$`),reRgbaPercent=new RegExp(`^rgba\\(${reP},${reP},${reP},${reN}\\)$`),reHslPercent=new RegExp(`^hs\
-l\\(${reN},${reP},${reP}\\)$`),reHslaPercent=new RegExp(`^hsla\\(${reN},${reP},${reP},${reN}\\)$`),named={aliceblue:15792383,
-antiquewhite:16444375,aqua:65535,aquamarine:8388564,azure:15794175,beige:16119260,bisque:16770244,black:0,blanchedalmond:16772045,
-blue:255,blueviolet:9055202,brown:10824234,burlywood:14596231,cadetblue:6266528,chartreuse:8388352,chocolate:13789470,
-coral:16744272,cornflowerblue:6591981,cornsilk:16775388,crimson:14423100,cyan:65535,darkblue:139,darkcyan:35723,
-darkgoldenrod:12092939,darkgray:11119017,darkgreen:25600,darkgrey:11119017,darkkhaki:12433259,darkmagenta:9109643,
-darkolivegreen:5597999,darkorange:16747520,darkorchid:10040012,darkred:9109504,darksalmon:15308410,darkseagreen:9419919,
-darkslateblue:4734347,darkslategray:3100495,darkslategrey:3100495,darkturquoise:52945,darkviolet:9699539,deeppink:16716947,
-deepskyblue:49151,dimgray:6908265,dimgrey:6908265,dodgerblue:2003199,firebrick:11674146,floralwhite:16775920,forestgreen:2263842,
+ED,EB,BC_DA,init_d3_color=__esm({"node_modules/d3-color/dist/d3-color.mjs"(){darker=.7,brighter=1/darker,reI="\
+\\s*([+-]?\\d+)\\s*",reN="\\s*([+-]?(?:\\d*\\.)?\\d+(?:[eE][+-]?\\d+)?)\\s*",reP="\\s*([+-]?(?:\\d*\\.)?\\d+(?:[eE\
+][+-]?\\d+)?)%\\s*",reHex=/^#([0-9a-f]{3,8})$/,reRgbInteger=new RegExp(`^rgb\\(${reI},${reI},${reI}\\)$`),reRgbPercent=
+new RegExp(`^rgb\\(${reP},${reP},${reP}\\)$`),reRgbaInteger=new RegExp(`^rgba\\(${reI},${reI},${reI},${reN}\\)$`),
+reRgbaPercent=new RegExp(`^rgba\\(${reP},${reP},${reP},${reN}\\)$`),reHslPercent=new RegExp(`^hsl\\(${reN},${reP}\
+,${reP}\\)$`),reHslaPercent=new RegExp(`^hsla\\(${reN},${reP},${reP},${reN}\\)$`),named={aliceblue:15792383,antiquewhite:16444375,
+aqua:65535,aquamarine:8388564,azure:15794175,beige:16119260,bisque:16770244,black:0,blanchedalmond:16772045,blue:255,
+blueviolet:9055202,brown:10824234,burlywood:14596231,cadetblue:6266528,chartreuse:8388352,chocolate:13789470,coral:16744272,
+cornflowerblue:6591981,cornsilk:16775388,crimson:14423100,cyan:65535,darkblue:139,darkcyan:35723,darkgoldenrod:12092939,
+darkgray:11119017,darkgreen:25600,darkgrey:11119017,darkkhaki:12433259,darkmagenta:9109643,darkolivegreen:5597999,
+darkorange:16747520,darkorchid:10040012,darkred:9109504,darksalmon:15308410,darkseagreen:9419919,darkslateblue:4734347,
+darkslategray:3100495,darkslategrey:3100495,darkturquoise:52945,darkviolet:9699539,deeppink:16716947,deepskyblue:49151,
+dimgray:6908265,dimgrey:6908265,dodgerblue:2003199,firebrick:11674146,floralwhite:16775920,forestgreen:2263842,
 fuchsia:16711935,gainsboro:14474460,ghostwhite:16316671,gold:16766720,goldenrod:14329120,gray:8421504,green:32768,
 greenyellow:11403055,grey:8421504,honeydew:15794160,hotpink:16738740,indianred:13458524,indigo:4915330,ivory:16777200,
 khaki:15787660,lavender:15132410,lavenderblush:16773365,lawngreen:8190976,lemonchiffon:16775885,lightblue:11393254,
@@ -528,9 +528,9 @@ if(d>15)return append;let k2=10**d;return function(strings){this._+=strings[0];f
 n;++i)this._+=Math.round(arguments[i]*k2)/k2+strings[i]}}function equal(x0,y0,x1,y1){return x0===x1&&y0===y1}function equalRound(digits2){
 let d=Math.floor(digits2);if(!(d<=15))return equal;let k2=10**d,r=function(value){return Math.round(value*k2)};
 return function(x0,y0,x1,y1){return r(x0)===r(x1)&&r(y0)===r(y1)}}function path(){return new Path}var pi,tau,epsilon,
-tauEpsilon,Path,init_d3_path=__esm({"../page/node_modules/d3-path/dist/d3-path.mjs"(){pi=Math.PI,tau=2*pi,epsilon=
-1e-6,tauEpsilon=tau-epsilon;Path=class{constructor(digits2){this._x0=this._y0=this._x1=this._y1=null,this._="",
-this._append=digits2==null?append:appendRound(digits2),this._equal=digits2==null?equal:equalRound(digits2)}moveTo(x2,y2){
+tauEpsilon,Path,init_d3_path=__esm({"node_modules/d3-path/dist/d3-path.mjs"(){pi=Math.PI,tau=2*pi,epsilon=1e-6,
+tauEpsilon=tau-epsilon;Path=class{constructor(digits2){this._x0=this._y0=this._x1=this._y1=null,this._="",this.
+_append=digits2==null?append:appendRound(digits2),this._equal=digits2==null?equal:equalRound(digits2)}moveTo(x2,y2){
 this._append`M${this._x0=this._x1=+x2},${this._y0=this._y1=+y2}`}closePath(){this._x1!==null&&(this._x1=this._x0,
 this._y1=this._y0,this._append`Z`)}lineTo(x2,y2){this._append`L${this._x1=+x2},${this._y1=+y2}`}quadraticCurveTo(x1,y1,x2,y2){
 this._append`Q${+x1},${+y1},${this._x1=+x2},${this._y1=+y2}`}bezierCurveTo(x1,y1,x2,y2,x3,y3){this._append`C${+x1},${+y1},${+x2},${+y2},${this.
@@ -610,11 +610,11 @@ n),b=new Array(n),r=new Array(n);for(a2[0]=0,b[0]=2,r[0]=x2[0]+2*x2[1],i=1;i<n-1
 1]=r[n-1]/b[n-1],i=n-2;i>=0;--i)a2[i]=(r[i]-a2[i+1])/b[i];for(b[n-1]=(x2[n]+a2[n-1])/2,i=0;i<n-1;++i)b[i]=2*x2[i+
 1]-a2[i+1];return[a2,b]}function Step(context,t){this._context=context,this._t=t}var cos,sin,sqrt,epsilon2,pi2,
 halfPi,tau2,slice2,curveRadialLinear,sqrt3$2,tan30,tan30_2,kr,kx,ky,sqrt3$1,sqrt3,s,k,a,bundle,cardinal,cardinalClosed,
-cardinalOpen,catmullRom,catmullRomClosed,catmullRomOpen,init_d3_shape=__esm({"../page/node_modules/d3-shape/di\
-st/d3-shape.mjs"(){init_d3_path();cos=Math.cos,sin=Math.sin,sqrt=Math.sqrt,epsilon2=1e-12,pi2=Math.PI,halfPi=pi2/
-2,tau2=2*pi2;slice2=Array.prototype.slice;Linear.prototype={areaStart:function(){this._line=0},areaEnd:function(){
-this._line=NaN},lineStart:function(){this._point=0},lineEnd:function(){(this._line||this._line!==0&&this._point===
-1)&&this._context.closePath(),this._line=1-this._line},point:function(x2,y2){switch(x2=+x2,y2=+y2,this._point){case 0:
+cardinalOpen,catmullRom,catmullRomClosed,catmullRomOpen,init_d3_shape=__esm({"node_modules/d3-shape/dist/d3-sh\
+ape.mjs"(){init_d3_path();cos=Math.cos,sin=Math.sin,sqrt=Math.sqrt,epsilon2=1e-12,pi2=Math.PI,halfPi=pi2/2,tau2=
+2*pi2;slice2=Array.prototype.slice;Linear.prototype={areaStart:function(){this._line=0},areaEnd:function(){this.
+_line=NaN},lineStart:function(){this._point=0},lineEnd:function(){(this._line||this._line!==0&&this._point===1)&&
+this._context.closePath(),this._line=1-this._line},point:function(x2,y2){switch(x2=+x2,y2=+y2,this._point){case 0:
 this._point=1,this._line?this._context.lineTo(x2,y2):this._context.moveTo(x2,y2);break;case 1:this._point=2;default:
 this._context.lineTo(x2,y2);break}}};curveRadialLinear=curveRadial(curveLinear);Radial.prototype={areaStart:function(){
 this._curve.areaStart()},areaEnd:function(){this._curve.areaEnd()},lineStart:function(){this._curve.lineStart()},
@@ -804,8 +804,8 @@ h,(end=cubehelix(end)).h),s2=nogamma(start2.s,end.s),l=nogamma(start2.l,end.l),o
 end.opacity);return function(t){return start2.h=h(t),start2.s=s2(t),start2.l=l(Math.pow(t,y2)),start2.opacity=
 opacity(t),start2+""}}return cubehelix3.gamma=cubehelixGamma,cubehelix3})(1)}var constant2,rgb2,rgbBasis,rgbBasisClosed,
 reA,reB,degrees3,identity,svgNode,interpolateTransformCss,interpolateTransformSvg,epsilon22,zoom2,hsl_default,
-hslLong,hcl_default,hclLong,cubehelix_default,cubehelixLong,init_d3_interpolate=__esm({"../page/node_modules/d\
-3-interpolate/dist/d3-interpolate.mjs"(){init_d3_color();constant2=x2=>()=>x2;rgb2=(function rgbGamma(y2){var color2=gamma(
+hslLong,hcl_default,hclLong,cubehelix_default,cubehelixLong,init_d3_interpolate=__esm({"node_modules/d3-interp\
+olate/dist/d3-interpolate.mjs"(){init_d3_color();constant2=x2=>()=>x2;rgb2=(function rgbGamma(y2){var color2=gamma(
 y2);function rgb3(start2,end){var r=color2((start2=rgb(start2)).r,(end=rgb(end)).r),g=color2(start2.g,end.g),b=color2(
 start2.b,end.b),opacity=nogamma(start2.opacity,end.opacity);return function(t){return start2.r=r(t),start2.g=g(
 t),start2.b=b(t),start2.opacity=opacity(t),start2+""}}return rgb3.gamma=rgbGamma,rgb3})(1);rgbBasis=rgbSpline(
