@@ -102,12 +102,10 @@ def test_the_files_of_a_run_lie_in_the_scan(project, tmp_path):
     motion = "lps_to_world = [[-1, 0, 0, 10], [0, -1, 0, 20], [0, 0, 1, 30]]"
     file.write_text(file.read_text().replace("[frame]", f"[frame]\n{motion}"))
     results = run("needles", study(), Settings())
-    out, again = tmp_path / "slicer", tmp_path / "again"
+    out = tmp_path / "slicer"
     write_needles(results.frames["needles"], results.origin_mark, out)
-    write_needles(results.frames["needles"], results.origin_mark, again)
     names = sorted(path.name for path in out.iterdir())
     assert names == sorted(f"needle-{n}.mrk.json" for n in range(1, 5))
-    assert all((out / name).read_bytes() == (again / name).read_bytes() for name in names)
     measured, predicted, _, low, high = read_markups(out / "needle-3.mrk.json")
     assert [one.name for one in (measured, predicted)] == [
         "needle-3 measured (SYNTHETIC data)", "needle-3 predicted (SYNTHETIC data)"

@@ -2,6 +2,7 @@
 
 import os
 import sys
+import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
@@ -23,10 +24,11 @@ from needlefit.imaging.volume import (
     max_voxels,
     read_grid,
 )
-from needlefit.project.archives import name_archive, unpack_archive
 from needlefit.project.input_files import is_file, list_files, open_regular, path_exists, unreadable_error
 from needlefit.project.reader_process import MEMORY_VARIABLE, Arrays, read_in_process
 
+MAX_ARCHIVE_BYTES = 8 * 2**30  # size of an archive: it may hold more than what is unpacked of it
+MAX_MEMBERS = 50_000  # files in an archive
 CT_PACKAGES = ("SimpleITK", "pydicom", "nibabel")
 READ_SECONDS = 600.0  # of the processor, within which a file must be read: a damaged one may never end
 
@@ -47,9 +49,7 @@ def read_volume(path: Path, series: str | None = None, acquisition: str | None =
     if not path_exists(path):
         problem = "there is no such file or folder"
         raise DataError(problem, expected=READABLE_VOLUMES, fix="check the path", where=path)
-    with explain_missing_packages(*CT_PACKAGES), unpacked(path) as place:
-        if place != path:
-            place, series = _choose_member(place, series)
+    with explain_missing_packages(*CT_PACKAGES), open_member(path, series) as (place, series):
         if is_image_file(place):
             if series or acquisition:
                 fix = "leave out series and acquisition"
@@ -70,42 +70,60 @@ def read_volume(path: Path, series: str | None = None, acquisition: str | None =
 
 
 @contextmanager
-def unpacked(path: Path) -> Iterator[Path]:
-    """Yield the path, or, of a .zip, a temporary folder with its files; errors then name the archive.
+def open_member(path: Path, series: str | None = None) -> Iterator[tuple[Path, str | None]]:
+    """Yield a path and a series; of a .zip the one image file in it, or a folder with its DICOM files.
 
-    DataError if the archive is damaged, encrypted or too large, holds another, or names files outside itself.
+    Errors then name the archive. DataError if it is damaged, encrypted or too large, or holds another, or
+    several scans.
     """
     if path.is_dir() or not path.name.lower().endswith(ARCHIVE_SUFFIX):
-        yield path
+        yield path, series
         return
     with TemporaryDirectory(prefix="needlefit-scan-") as name:
-        folder = Path(name)
-        most = 4 * max_voxels()
-        arguments = {"path": str(path), "folder": name, "total_bytes": most}
-        with name_archive(path, folder):
+        arguments = {"path": str(path), "folder": name, "total_bytes": 4 * max_voxels()}
+        try:
             read_in_process(f"{__name__}:unpack_scan", path, arguments, seconds=READ_SECONDS)
-            yield folder
-
-
-@contextmanager
-def open_member(path: Path) -> Iterator[Path]:
-    """Yield the path, or, of a .zip, the one image file in it, else a folder with its DICOM files."""
-    with unpacked(path) as place:
-        yield place if place == path else _choose_member(place, None)[0]
+            yield _choose_member(Path(name), series)
+        except DataError as error:
+            texts = {
+                key: text.replace(f"{name}/", f"{path}, ").replace(name, str(path))
+                for key, text in vars(error).items()
+            }
+            raise DataError(**texts | {"where": texts["where"] or str(path)}) from None
 
 
 def unpack_scan(_arrays: Arrays, path: str, folder: str, total_bytes: int) -> None:
-    """Unpack the archive of a scan; in the child process."""
-    fix = f"pack it again, or unpack it and name the folder; {MEMORY_VARIABLE} grants more than the default"
-    unpack_archive(Path(path), Path(folder), total_bytes, fix)
+    """Unpack the archive of a scan; in the child process.
+
+    `zipfile` writes no member outside the folder, no links, and of each no more bytes than the archive
+    states.
+    """
+    with open_regular(Path(path), MAX_ARCHIVE_BYTES) as file, zipfile.ZipFile(file) as archive:
+        members = archive.infolist()
+        size = sum(member.file_size for member in members)
+        problems = {
+            f"unpacks to more than {total_bytes / 2**20:.0f} MiB": size > total_bytes,
+            f"holds {len(members)} files": len(members) > MAX_MEMBERS,
+            "is encrypted": any(member.flag_bits & 1 for member in members),
+            "holds an archive inside the archive": any(
+                member.filename.lower().endswith(ARCHIVE_SUFFIX) for member in members
+            ),
+        }
+        for problem in (problem for problem, is_so in problems.items() if is_so):
+            raise DataError(
+                problem,
+                expected="a ZIP archive of one scan",
+                fix="pack it again, or unpack it and name the folder; "
+                f"{MEMORY_VARIABLE} grants more than the default",
+                where=path,
+            )
+        archive.extractall(folder)
 
 
 def _choose_member(folder: Path, series: str | None) -> tuple[Path, str | None]:
     """Return what is meant in an unpacked archive: an image file, or the folder and a series in it."""
     files = list_files(folder)
-    images = {
-        str(file.relative_to(folder)): file for file in files if file.name.lower().endswith(IMAGE_SUFFIXES)
-    }
+    images = {str(file.relative_to(folder)): file for file in files if is_image_file(file)}
     if series is not None:
         meant = [image for name, image in images.items() if series in (name, image.name)]
         return (meant[0], None) if len(meant) == 1 else (folder, series)
@@ -117,10 +135,8 @@ def _choose_member(folder: Path, series: str | None) -> tuple[Path, str | None]:
         raise DataError(
             f"holds {len(images)} image files{' beside DICOM' * with_dicom}: {listed}",
             expected="one scan, or the name of the one that is meant",
-            fix=(
-                "give its name in the archive, or the number of a DICOM series, with "
-                "--series or under `series` in a table of scans"
-            ),
+            fix="give its name in the archive, or the number of a DICOM series, with --series or under "
+            "`series` in a table of scans",
             where=folder,
         )
     return next(iter(images.values())), None
