@@ -2,18 +2,19 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import generate_binary_structure, label
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from needlefit.arrays import Ints
 from needlefit.imaging.volume import Volume
 
-MAX_LISTED_VOXELS = 500_000  # voxels whose neighbours are looked up in a tree, at most
+# Steps (k, j, i) to half of the neighbours of a voxel: the others meet it by the same steps.
+CORNERS = np.array(list(product((-1, 0, 1), repeat=3)))[14:]
+FACES = np.eye(3, dtype=np.int64)
 Labels = tuple[Ints, Ints]
 
 
@@ -35,16 +36,15 @@ class BrightVoxels:
         if (level, corners) not in self._labels:
             above = np.flatnonzero(self.values > level)
             flat = self.flat[above]
-            if len(flat) > MAX_LISTED_VOXELS:
-                mask = np.zeros(self.shape, dtype=np.bool_)
-                mask.reshape(-1)[flat] = True
-                parts, _ = label(mask, generate_binary_structure(3, 3 if corners else 1))
-                self._labels[level, corners] = above, parts.reshape(-1)[flat].astype(np.int64)
-                return self._labels[level, corners]
-            places = np.stack(np.unravel_index(flat, self.shape), axis=1)
-            # a little beyond the distance of neighbours: 1 by faces, sqrt(3) by corners
-            links = cKDTree(places).query_pairs(1.8 if corners else 1.1, output_type="ndarray")
-            graph = coo_array((np.ones(len(links), np.int8), links.T), shape=(len(flat), len(flat)))
+            # a step beyond an edge of this larger grid meets no voxel
+            grid = np.array(self.shape) + 1
+            places = np.ravel_multi_index(np.unravel_index(flat, self.shape), tuple(grid))
+            steps = (CORNERS if corners else FACES) @ [grid[1] * grid[2], grid[2], 1]
+            links = np.concatenate(
+                [np.intersect1d(places, places - step, True, return_indices=True)[1:] for step in steps],
+                axis=1,
+            )
+            graph = coo_array((np.ones(links.shape[1], np.int8), links), shape=(len(flat), len(flat)))
             labels = connected_components(graph, directed=False)[1]
             self._labels[level, corners] = above, np.asarray(labels, dtype=np.int64)
         return self._labels[level, corners]

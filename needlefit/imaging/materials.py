@@ -4,14 +4,14 @@ Soft is what lies between air and metal: tissue, a gel, the plastic of a guide o
 """
 
 from collections.abc import Iterator
-from itertools import groupby, pairwise
+from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import curve_fit
 from scipy.special import ndtr
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Floats, Ints
 from needlefit.imaging.constants import HU, MM, PART, SD
 from needlefit.imaging.needle.axis_spline import correlation_factor, disc_points, frames_along, sample_planes
 from needlefit.imaging.reconstruction import IntensityProfile, MaterialKind, MaterialRun
@@ -88,24 +88,20 @@ def _known_stations(profile: IntensityProfile) -> tuple[Floats, Floats]:
     return profile.s[known], profile.around[known]
 
 
-def _absorb_short_runs(kinds: NDArray[np.int_], step: float, shortest: float) -> NDArray[np.int_]:
+def _absorb_short_runs(kinds: Ints, step: float, shortest: float) -> Ints:
     """Return kinds (n,) in which every run is long enough; the shortest is given to its neighbours first."""
     kinds = kinds.copy()
     while True:
-        lengths = [len(list(part)) for _, part in groupby(kinds.tolist())]
-        starts = np.concatenate([[0], np.cumsum(lengths)[:-1]]).astype(int)
-        between = [0 < n < len(lengths) - 1 for n in range(len(lengths))]
-        least = [  # to the nearest station: those of a curve are not exactly as far apart as stated
-            round((MM.GAP if inner and kinds[at] == 0 else shortest) / step)
-            for at, inner in zip(starts, between, strict=True)
-        ]
-        short = [n for n, length in enumerate(lengths) if length < least[n]]
-        if not short or len(lengths) == 1:
+        begins = np.concatenate([[0], np.flatnonzero(np.diff(kinds)) + 1])
+        lengths, least = np.diff(begins, append=len(kinds)), np.full(len(begins), shortest)
+        least[1:-1][kinds[begins[1:-1]] == 0] = MM.GAP
+        # to the nearest station: those of a curve are not exactly as far apart as stated
+        short = np.flatnonzero(lengths < np.rint(least / step))
+        if not len(short) or len(begins) == 1:
             return kinds
-        n = min(short, key=lambda one: lengths[one])
-        beside = [one for one in (n - 1, n + 1) if 0 <= one < len(lengths)]
-        longer = max(beside, key=lambda one: lengths[one])
-        kinds[starts[n] : starts[n] + lengths[n]] = kinds[starts[longer]]
+        n = int(short[np.argmin(lengths[short])])
+        longer = max((m for m in (n - 1, n + 1) if 0 <= m < len(begins)), key=lambda m: int(lengths[m]))
+        kinds[begins[n] : begins[n] + lengths[n]] = kinds[begins[longer]]
 
 
 def find_rises(
@@ -155,7 +151,7 @@ def _fit_edge(
     bounds = np.subtract(first, margin), np.add(first, margin)
     bounds[0][1], bounds[1][1] = MM.EDGE_WIDTHS[0], MM.EDGE_WIDTHS[1]
     noise = max(HU.LEAST_NOISE, 1.05 * float(np.median(np.abs(np.diff(values)))))
-    best = curve_fit(
+    best, covariance = curve_fit(
         show,
         s,
         values,
@@ -167,14 +163,9 @@ def _fit_edge(
         x_scale=np.array(EDGE_SCALES),
         ftol=1e-6,
         xtol=1e-6,
-    )[0]
-    left = values - show(s, *best)
-    slopes = np.stack(
-        [(show(s, *(best + step)) - show(s, *(best - step))) / 2e-3 for step in 1e-3 * np.eye(7)]
     )
-    spread = float(np.sum(left**2)) / max(1, len(s) - (7 if double else 5))
-    spread *= correlation_factor(left[:, None], 7 if double else 5)
-    variance = float(np.linalg.pinv(slopes @ slopes.T)[0, 0]) * spread
+    left = values - show(s, *best)
+    variance = covariance[0, 0] * correlation_factor(left[:, None], 7 if double else 5)
     # an edge sharper than the stations are dense leaves no slope: it lies between two, where the misfit
     # in parts of its height says
     step, sd = float(np.median(np.diff(s))), np.sqrt(variance)
