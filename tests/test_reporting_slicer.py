@@ -18,7 +18,6 @@ from needlefit.inference.fit import Callbacks
 from needlefit.inference.optimize import minimize
 from needlefit.inference.predict import Draws
 from needlefit.project.random_streams import random_stream
-from needlefit.reporting.needles_in_scan import read_needles_in_scan
 from needlefit.reporting.slicer import write_needles
 from needlefit.studies.kinds.cross_validation.run import Settings, run
 from needlefit.studies.load import load_study
@@ -97,7 +96,7 @@ def test_the_band_of_a_held_out_needle_is_the_predicted_one(fitted):
 
 @pytest.mark.sweep
 def test_the_files_of_a_run_lie_in_the_scan(project, tmp_path):
-    world = read_needles_in_scan(run("needles", study(), Settings()).frames["needles"])
+    world = run("needles", study(), Settings()).frames["needles"]
     file = project / "data" / "needles" / "dataset.toml"  # by a half turn about z and a shift
     motion = "lps_to_world = [[-1, 0, 0, 10], [0, -1, 0, 20], [0, 0, 1, 30]]"
     file.write_text(file.read_text().replace("[frame]", f"[frame]\n{motion}"))
@@ -113,7 +112,9 @@ def test_the_files_of_a_run_lie_in_the_scan(project, tmp_path):
     assert "95 % band, low" in low.name and "95 % band, high" in high.name
     assert read_markups(out / "needle-1.mrk.json")[1].name == "needle-1 fitted (SYNTHETIC data)"
     assert (measured.labels[0], measured.labels[-1]) == ("entry", "tip")
-    for curve, there in ((measured, world["needle-3"].measured), (predicted, world["needle-3"].fitted)):
+    third = world[world["insertion"] == "needle-3"]
+    for curve, name in ((measured, "measured"), (predicted, "fitted")):
+        there = third.loc[third["curve"] == name, ["x_mm", "y_mm", "z_mm"]].to_numpy()
         np.testing.assert_allclose(curve.points, (there - [10, 20, 30]) * [-1, -1, 1], atol=1e-9)
 
 
@@ -132,10 +133,11 @@ def test_free_shapes_lie_on_the_measured_ones(project):
         .replace("densities = 240", "densities = 16000")
     )
     recipe.write_text(enough)  # without certified draws there is no band
-    for one in read_needles_in_scan(run("needles", study(), Settings()).frames["needles"]).values():
-        gaps = np.linalg.norm(one.fitted[:, None] - one.measured[None], axis=2).min(axis=1)
+    for _, rows in run("needles", study(), Settings()).frames["needles"].groupby("insertion"):
+        curves = {name: points.to_numpy() for name, points in rows.groupby("curve")[["x_mm", "y_mm", "z_mm"]]}
+        gaps = np.linalg.norm(curves["fitted"][:, None] - curves["measured"][None], axis=2).min(axis=1)
         assert gaps.max() < 0.1
-        assert one.band is not None
+        assert len(curves["middle"])
 
 
 FILES = Path(slicerio.__file__).parent / "data"

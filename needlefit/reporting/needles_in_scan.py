@@ -4,7 +4,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
 import pandas as pd
 
 from needlefit.arrays import Floats
@@ -54,26 +53,3 @@ def tabulate_needles_in_scan(needles: Iterable[NeedleInScan]) -> pd.DataFrame:
             for j, point in enumerate(points.tolist())
         ]
     return pd.DataFrame(rows, columns=list(NEEDLE_COLUMNS))
-
-
-def read_needles_in_scan(frame: pd.DataFrame) -> dict[str, NeedleInScan]:
-    """Return the needles that `tabulate_needles_in_scan` tabulated, by insertion."""
-    needles = {}
-    for name, rows in frame.groupby("insertion", sort=False):
-        curves = {
-            str(curve): points.to_numpy(dtype=np.float64)
-            for curve, points in rows.groupby("curve", sort=False)[["x_mm", "y_mm", "z_mm"]]
-        }
-        first, band = rows.iloc[0], None
-        if "middle" in curves:
-            band = Band(curves["low"], curves["middle"], curves["high"], first["band_source"])
-        needles[str(name)] = NeedleInScan(
-            str(name),
-            str(first["fold"]),
-            str(first["role"]),
-            measured=curves["measured"],
-            diameter=float(first["diameter_mm"]),
-            fitted=curves.get("fitted"),
-            band=band,
-        )
-    return needles

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from needlefit.arrays import Floats
+from needlefit.datasets.columns import POINT_COLUMNS
 from needlefit.datasets.formats.markups import CurveStyle, Markups, write_mrk_json
 from needlefit.errors import ConfigError
 from needlefit.geometry.curves import arc_length
@@ -17,7 +18,6 @@ from needlefit.inference.identifiability.directions import NORMAL_95_HALF_WIDTH_
 from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.project.folders import require_folder
 from needlefit.reporting.labels import GREEN, GREY, METHOD_COLOURS, PAPER_COLOUR, SKY_BLUE, rgb
-from needlefit.reporting.needles_in_scan import NeedleInScan, read_needles_in_scan
 from needlefit.schemas.origin import ORIGIN_MARKS
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 LINE_WIDTH_MM, THIN_LINE_WIDTH_MM = 0.6, 0.3  # lines of needles and of the edges of bands, mm
 # Points of a simulated needle before its entry into the tissue, and from there on.
 POINTS_BEFORE_ENTRY, POINTS_INSERTED = 25, 51
-_MEASURED_COLOUR, _FITTED_COLOUR, _BAND_COLOUR = (PAPER_COLOUR, METHOD_COLOURS["fitted"], SKY_BLUE)
+_FITTED_COLOUR = METHOD_COLOURS["fitted"]
 
 
 def write_needles(needles: pd.DataFrame, origin_mark: str, folder: Path) -> None:
@@ -38,8 +38,8 @@ def write_needles(needles: pd.DataFrame, origin_mark: str, folder: Path) -> None
     """
     folder.mkdir(exist_ok=True)
     summary = f" ({origin_mark})" if origin_mark else ""
-    for needle in read_needles_in_scan(needles).values():
-        write_mrk_json(folder / f"{needle.insertion}.mrk.json", _needle_curves(needle, summary))
+    for insertion, rows in needles.groupby("insertion", sort=False):
+        write_mrk_json(folder / f"{insertion}.mrk.json", _needle_curves(str(insertion), rows, summary))
 
 
 def write_simulated_needle(placement: Placement, shapes: Sequence[NeedleShape], path: Path) -> bool:
@@ -69,22 +69,23 @@ def write_simulated_needle(placement: Placement, shapes: Sequence[NeedleShape], 
     return True
 
 
-def _needle_curves(needle: NeedleInScan, summary: str) -> Iterator[tuple[Markups, CurveStyle]]:
-    origin = "predicted" if needle.role == "validate" else "fitted"
-    lines = [("measured", needle.measured, _MEASURED_COLOUR, LINE_WIDTH_MM)]
-    if needle.fitted is not None:
-        lines.append((origin, needle.fitted, _FITTED_COLOUR, needle.diameter))
-    if band := needle.band:
-        source = "predicted" if band.source == "predicted" else "parameters"
-        lines.append((f"median, {source}", band.middle, _BAND_COLOUR, LINE_WIDTH_MM))
-        lines.append((f"simultaneous 95 % band, low, {source}", band.low, _BAND_COLOUR, THIN_LINE_WIDTH_MM))
-        lines.append((f"simultaneous 95 % band, high, {source}", band.high, _BAND_COLOUR, THIN_LINE_WIDTH_MM))
-    for name, points, colour, thickness in lines:
-        s = measure_curve(points).s if points is needle.measured else arc_length(points)
-        labels = _arc_labels(s)
-        path = Path(needle.insertion)
-        curve = Markups(path, f"{needle.insertion} {name}{summary}", "Curve", labels, points)
-        yield curve, CurveStyle(rgb(colour), thickness)
+def _needle_curves(insertion: str, rows: pd.DataFrame, summary: str) -> Iterator[tuple[Markups, CurveStyle]]:
+    first = rows.iloc[0]
+    origin = "predicted" if first["role"] == "validate" else "fitted"
+    source = "predicted" if first["band_source"] == "predicted" else "parameters"
+    looks = {
+        "measured": ("measured", PAPER_COLOUR, LINE_WIDTH_MM),
+        "fitted": (origin, _FITTED_COLOUR, float(first["diameter_mm"])),
+        "middle": (f"median, {source}", SKY_BLUE, LINE_WIDTH_MM),
+        "low": (f"simultaneous 95 % band, low, {source}", SKY_BLUE, THIN_LINE_WIDTH_MM),
+        "high": (f"simultaneous 95 % band, high, {source}", SKY_BLUE, THIN_LINE_WIDTH_MM),
+    }
+    for curve, (name, colour, thickness) in looks.items():
+        points = rows.loc[rows["curve"] == curve, list(POINT_COLUMNS)].to_numpy(dtype=np.float64)
+        if len(points):
+            labels = _arc_labels(measure_curve(points).s if curve == "measured" else arc_length(points))
+            markups = Markups(Path(insertion), f"{insertion} {name}{summary}", "Curve", labels, points)
+            yield markups, CurveStyle(rgb(colour), thickness)
 
 
 def _place_simulated(placement: Placement, shape: NeedleShape) -> tuple[Floats, Floats]:
@@ -123,9 +124,12 @@ def _scan_markups(reconstruction: "Reconstruction") -> Iterator[tuple[Markups, C
     """Yield the curves and points of a reconstruction, LPS, and how each is drawn."""
     origin_mark = ORIGIN_MARKS[reconstruction.scan.origin]
     summary = f" ({origin_mark})" if origin_mark else ""
-    whole, inserted = reconstruction.needle_axis.points, _inserted_needle(reconstruction)
+    whole = reconstruction.needle_axis.points
+    inserted = reconstruction.patient.to_local(reconstruction.points)
     depth = reconstruction.depth
-    half = NORMAL_95_HALF_WIDTH_SD * reconstruction.sd[:, None] * _band_direction(reconstruction)
+    # along y of the constraint frame, as it lies in the scan
+    across = reconstruction.patient.rotation.T @ reconstruction.frame.rotation[:, 1]
+    half = NORMAL_95_HALF_WIDTH_SD * reconstruction.sd[:, None] * across
     along = arc_length(whole)
     curves = [
         ("whole needle", whole, along + depth - along[-1], GREY, THIN_LINE_WIDTH_MM),
@@ -146,38 +150,19 @@ def _scan_markups(reconstruction: "Reconstruction") -> Iterator[tuple[Markups, C
 
 def _scan_points(reconstruction: "Reconstruction") -> Iterator[tuple[str, tuple[str, ...], Floats, str]]:
     """Yield name, labels, places (K, 3) and colour of each list of points."""
-    inserted, layers = _inserted_needle(reconstruction), reconstruction.layers
-    yield "entry and tip", ("entry", "tip"), inserted[[0, -1]], PAPER_COLOUR
+    layers, ends = reconstruction.layers, reconstruction.patient.to_local(reconstruction.points[[0, -1]])
+    yield "entry and tip", ("entry", "tip"), ends, PAPER_COLOUR
     into = tuple(
         f"into layer {layer}, {depth:.1f} mm"
         for layer, depth in zip(layers.sequence[1:], layers.boundaries, strict=True)
     )
     yield "layer crossings", into, reconstruction.patient.to_local(layers.points), SKY_BLUE
-    if reconstruction.markers is not None:
-        yield "markers", name_markers(reconstruction), reconstruction.markers.centers, GREEN
-
-
-def name_markers(reconstruction: "Reconstruction") -> tuple[str, ...]:
-    """Return a name for each found marker: the number of its known marker, counted from 0, or none."""
-    markers, registration = reconstruction.markers, reconstruction.registration
-    if markers is None:
-        return ()
-    paired = (
-        {}
-        if registration is None
-        else {int(detected): int(stated) for detected, stated in registration.pairs}
-    )
-    return tuple(
-        f"marker {paired[n]}" if n in paired else f"found {n}, no known marker"
-        for n in range(len(markers.centers))
-    )
-
-
-def _inserted_needle(reconstruction: "Reconstruction") -> Floats:
-    """Return the centreline from first contact to tip in the scan (N, 3), LPS, mm."""
-    return reconstruction.patient.to_local(reconstruction.points)
-
-
-def _band_direction(reconstruction: "Reconstruction") -> Floats:
-    """Return C's y axis in the scan, LPS (3,)."""
-    return np.asarray(reconstruction.patient.rotation.T @ reconstruction.frame.rotation[:, 1])
+    if (markers := reconstruction.markers) is not None:
+        fit = reconstruction.registration
+        paired = {} if fit is None else {int(detected): int(stated) for detected, stated in fit.pairs}
+        # the number of its known marker, counted from 0, or none
+        names = tuple(
+            f"marker {paired[n]}" if n in paired else f"found {n}, no known marker"
+            for n in range(len(markers.centers))
+        )
+        yield "markers", names, markers.centers, GREEN
