@@ -2,9 +2,9 @@
 
 import gzip
 import resource
-import struct
 from functools import partial
 
+import nibabel
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -21,6 +21,7 @@ pytestmark = pytest.mark.usefixtures("read_here")
 
 VALUES = np.arange(2 * 3 * 4, dtype=np.int16).reshape(2, 3, 4)  # slices, rows, columns
 STEPS, CORNER = (0.4, 0.5, 0.9), (1.0, 2.0, 3.0)
+PLAIN = np.array([[0.4, 0, 0, 1], [0, 0.5, 0, 2], [0, 0, 0.9, 3], [0, 0, 0, 1]])
 
 
 refused = partial(refused_file, read_volume)
@@ -44,25 +45,16 @@ def nrrd(path, values=VALUES, data=None, **fields):
     return path
 
 
-def nifti(path, sizes=VALUES.shape[::-1], values=VALUES, codes=(0, 1), **entries):
-    """Write a NIfTI-1 file whose sform has axes and steps in RAS; `entries` are (format, offset, numbers)."""
-    header = bytearray(348)
-    put = {
-        "size": ("<i", 0, 348),
-        "dimensions": ("<8h", 40, len(sizes), *sizes, *[1] * (7 - len(sizes))),
-        "type": ("<2h", 70, 4, 16),
-        "spacing": ("<4f", 76, 1.0, *STEPS),
-        "start": ("<f", 108, 352.0),
-        "scale": ("<2f", 112, 1.0, 0.0),
-        "units": ("<b", 123, 2),
-        "codes": ("<2h", 252, *codes),
-        "sform": ("<12f", 280, 0.4, 0, 0, 1.0, 0, 0.5, 0, 2.0, 0, 0, 0.9, 3.0),
-        "magic": ("<4s", 344, b"n+1\0"),
-    } | entries
-    for form, offset, *numbers in put.values():
-        struct.pack_into(form, header, offset, *numbers)
-    content = bytes(header) + bytes(4) + values.tobytes()
-    path.write_bytes(gzip.compress(content) if path.suffix == ".gz" else content)
+def nifti(path, values=VALUES, affine=PLAIN, codes=(0, 1), unit="mm", **entries):
+    """Write a NIfTI-1 file whose affine leads to RAS; `entries` replace those of the header."""
+    image = nibabel.Nifti1Image(values.T, affine)
+    image.set_qform(affine, codes[0])
+    image.set_sform(affine, codes[1])
+    image.header.set_xyzt_units(unit)
+    for name, value in ({"vox_offset": 352} | entries).items():
+        image.header[name] = value
+    with gzip.open(path, "wb") if path.suffix == ".gz" else path.open("wb") as file:
+        file.write(image.header.binaryblock + bytes(4) + values.tobytes())
     return path
 
 
@@ -144,26 +136,16 @@ def test_nrrd_spaces_become_lps(tmp_path, space, signs):
 
 def test_nifti_is_ras_and_metaimage_lps(tmp_path):
     check_plain(read_volume(nifti(tmp_path / "a.nii.gz")), (-1, -1, 1), (-1.0, -2.0, 3.0))
-    volume = read_volume(nifti(tmp_path / "a.nii", scale=("<2f", 112, 0.5, -10.0)))
+    volume = read_volume(nifti(tmp_path / "a.nii", scl_slope=0.5, scl_inter=-10.0))
     assert np.array_equal(volume.values, VALUES * 0.5 - 10.0)
     check_plain(read_volume(metaimage(tmp_path / "a.mha")))
     # A qform turned 180 degrees about z, with qfac -1: i left, j posterior, k inferior.
-    form = {
-        "spacing": ("<4f", 76, -1.0, *STEPS),
-        "quaternion": ("<3f", 256, 0.0, 0.0, 1.0),
-        "offset": ("<3f", 268, 1.0, 2.0, 3.0),
-    }
-    volume = read_volume(nifti(tmp_path / "a.nii", codes=(1, 0), **form))
+    turned = PLAIN * [[-1, -1, 1, 1], [1, -1, 1, 1], [1, 1, -1, 1], [1, 1, 1, 1]]
+    volume = read_volume(nifti(tmp_path / "a.nii", affine=turned, codes=(1, 0)))
     check_plain(volume, (1, 1, -1), (-1.0, -2.0, 3.0))
-    for unit, factor in [(1, 1e-3), (3, 1e3)]:
-        steps = np.array(STEPS) * factor
-        rows = np.column_stack([np.diag(steps), np.array(CORNER) * factor])
-        form = {
-            "units": ("<b", 123, unit),
-            "spacing": ("<4f", 76, 1.0, *steps),
-            "sform": ("<12f", 280, *rows.ravel()),
-        }
-        check_plain(read_volume(nifti(tmp_path / "a.nii", **form)), (-1, -1, 1), (-1.0, -2.0, 3.0))
+    for unit, factor in [("meter", 1e-3), ("micron", 1e3)]:
+        path = nifti(tmp_path / "a.nii", affine=np.diag([factor] * 3 + [1]) @ PLAIN, unit=unit)
+        check_plain(read_volume(path), (-1, -1, 1), (-1.0, -2.0, 3.0))
 
 
 def test_a_file_whose_space_is_not_stated(tmp_path):
@@ -225,7 +207,7 @@ def test_voxels_without_a_value_are_air_where_values_are_hounsfield_units(tmp_pa
     values[1, 2, 3] = values[0, 0, 1] = np.nan
     for path in (
         nrrd(tmp_path / "a.nrrd", values, type="float"),
-        nifti(tmp_path / "a.nii", values=values, type=("<2h", 70, 16, 32)),
+        nifti(tmp_path / "a.nii", values),
     ):
         volume = read_volume(path)
         assert np.array_equal(volume.values, np.where(np.isnan(values), filled, values))
@@ -241,9 +223,8 @@ def test_slices_of_a_tilted_gantry_stand_where_their_affine_says(tmp_path, name)
     lean, signs = 0.9 * np.tan(TILT), np.ones(3)
     if name == "a.nii":
         signs[:2] = -1
-        rows = (0.4, 0, 0, 1.0, 0, 0.5, lean, 2.0, 0, 0, 0.9, 3.0)
-        spacing = ("<4f", 76, 1.0, 0.4, 0.5, 0.9)
-        volume = read_volume(nifti(tmp_path / name, sform=("<12f", 280, *rows), spacing=spacing))
+        affine = PLAIN + np.eye(4)[1][:, None] * [0, 0, lean, 0]
+        volume = read_volume(nifti(tmp_path / name, affine=affine, pixdim=[1, 0.4, 0.5, 0.9, 1, 1, 1, 1]))
     else:
         volume = read_volume(nrrd(tmp_path / name, space_directions=f"(0.4,0,0) (0,0.5,0) (0,{lean},0.9)"))
     assert to_patient(volume, [[2, 1, 1]])[0] == pytest.approx(signs * [1.8, 2.5 + lean, 3.9], abs=1e-5)
@@ -260,8 +241,8 @@ def test_a_header_that_claims_a_petabyte_is_refused_before_anything_is_allocated
     bombs = [
         nrrd(tmp_path / "a.nrrd", sizes=huge),
         nrrd(tmp_path / "b.nrrd", sizes=huge, encoding="gzip"),
-        nifti(tmp_path / "d.nii", sizes=(32767, 32767, 32767)),
-        nifti(tmp_path / "e.nii.gz", sizes=(32767, 32767, 32767)),
+        nifti(tmp_path / "d.nii", dim=[3, *3 * [32767], 1, 1, 1, 1]),
+        nifti(tmp_path / "e.nii.gz", dim=[3, *3 * [32767], 1, 1, 1, 1]),
         metaimage(tmp_path / "f.mha", DimSize=huge),
     ]
     for path in bombs:
@@ -310,13 +291,13 @@ def test_the_level_of_air_is_that_of_hounsfield_units(air, soft, padding, is_dou
     ("name", "arguments", "words"),
     [
         ("a.nrrd", {"values": VALUES.reshape(2, 2, 3, 2), **TIMES}, SINGLE),
-        ("a.nii", {"sizes": (2, 3, 2, 2)}, SINGLE),
+        ("a.nii", {"dim": [4, 2, 3, 2, 2, 1, 1, 1]}, SINGLE),
         ("a.mha", FOUR_AXES, SINGLE),
-        ("a.nii", {"sizes": (4, 3, 1)}, ("4 x 3 x 1 voxels", "")),
+        ("a.nii", {"values": VALUES[:1]}, ("4 x 3 x 1 voxels", "")),
         ("a.nrrd", {"space": "scanner-xyz"}, ("its space is scanner-xyz", "")),
         ("a.nii", {"codes": (0, 0)}, ("qform_code and sform_code", "")),
         ("a.nrrd", {"space_directions": "(0.4,0,0) (0.1,0.5,0) (0,0,0.9)"}, SHEARED),
-        ("a.nii", {"sform": ("<12f", 280, 0.4, 0, 0, 1.0, 0, 0.5, 0.72, 2.0, 0, 0, 0.54, 3.0)}, SHEARED),
+        ("a.nii", {"affine": PLAIN + 0.72 * np.eye(4)[[3, 2, 3, 3]]}, SHEARED),
         ("a.nrrd", {"space_directions": "(0.0004,0,0) (0,0.0005,0) (0,0,0.0009)"}, SPACED),
         ("a.mha", {"ElementSpacing": "400 500 900"}, SPACED),
     ],

@@ -15,7 +15,6 @@ from needlefit.arrays import Floats
 from needlefit.datasets.formats.markups import Markups, read_markups
 from needlefit.errors import DataError, located
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
-from needlefit.geometry.frames import AXIS_SIGNS
 from needlefit.imaging.needle.follow import MIN_POINTS
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.registration import MIN_MARKERS
@@ -102,44 +101,31 @@ def _parse_corrections(markups: Markups) -> Corrections:
             expected=f"{', '.join(KINDS)}, with or without a number",
             fix="rename the point in 3D Slicer, or remove it",
         )
+    names = np.array([kind[1].lower() for kind in kinds if kind])
     stated = [_FOUND.search(text) for text in markups.descriptions]
-    before = np.array(
-        [[np.nan] * 3 if match is None else [float(x) for x in match.groups()] for match in stated]
-    )
-    here, turned = (
-        np.linalg.norm(markups.points * AXIS_SIGNS[system] - before, axis=1) <= MIN_MOVE_MM
-        for system in ("LPS", "RAS")
-    )
-    if turned.any() and not here.any():
+    before = np.array([match.groups() if match else (np.nan,) * 3 for match in stated], dtype=np.float64)
+    moved = ~(np.linalg.norm(markups.points - before, axis=1) <= MIN_MOVE_MM)  # what was added, too
+    places = {name: markups.points[(names == name) & moved] for name in KINDS}
+    if 0 < len(places["axis"]) < MIN_POINTS:
         raise DataError(
-            f"it states {markups.system}, but its points stand where they were found "
-            "only with the signs of x and y changed",
-            expected="the coordinate system that the file states",
-            fix="correct `coordinateSystem` (LPS or RAS), or save the list again in 3D Slicer",
-        )
-    moved = ~here
-    is_kind = {
-        name: np.array([kind is not None and kind[1].lower() == name for kind in kinds]) for name in KINDS
-    }
-    counts = [int(match[1]) for match in map(_BALLS.search, markups.descriptions) if match]
-    removed = max(counts, default=0) > np.count_nonzero(is_kind["ball"] & np.isfinite(before).all(axis=1))
-    axis = markups.points[is_kind["axis"] & moved]
-    if 0 < len(axis) < MIN_POINTS:
-        raise DataError(
-            f"{len(axis)} points of the axis were moved",
+            f"{len(places['axis'])} points of the axis were moved",
             expected=f"{MIN_POINTS} or more: the needle is then followed along these alone",
             fix="move more of them onto the needle, or move these back",
         )
-    ends: dict[str, Floats | None] = {}
     for name in ("tip", "entry"):
-        placed = markups.points[is_kind[name] & moved]
-        if len(placed) > 1:
+        if len(places[name]) > 1:
             raise DataError(
-                f"{len(placed)} points are called {name}", expected="one", fix="remove the others"
+                f"{len(places[name])} points are called {name}", expected="one", fix="remove the others"
             )
-        ends[name] = placed[0] if len(placed) else None
-    balls = markups.points[is_kind["ball"]] if removed or (is_kind["ball"] & moved).any() else None
-    return Corrections(axis if len(axis) else None, ends["tip"], ends["entry"], balls)
+    is_ball = names == "ball"
+    counts = [int(match[1]) for match in map(_BALLS.search, markups.descriptions) if match]
+    removed = max(counts, default=0) > np.count_nonzero(is_ball & np.isfinite(before).all(axis=1))
+    return Corrections(
+        axis=places["axis"] if len(places["axis"]) else None,
+        tip=next(iter(places["tip"]), None),
+        entry=next(iter(places["entry"]), None),
+        balls=markups.points[is_ball] if removed or len(places["ball"]) else None,
+    )
 
 
 def correct_scans(scans: Sequence[Scan], files: Sequence[Path]) -> tuple[Scan, ...]:
