@@ -154,18 +154,16 @@ def read_layers(scan: Scan, patient: Frame, grid: VoxelGrid | None = None) -> tu
 
     DataError: listing every fault of every file.
     """
-    faults, surfaces, numbers, place = list[Fault](), list[Surface](), list[int](), 2
+    faults, surfaces, numbers = list[Fault](), list[Surface](), list[int]()
+
+    def note(problem: str, expected: str, fix: str, where: Path = scan.volume) -> None:
+        faults.append(DataError(problem, expected=expected, fix=fix, where=where))
+
     segmented = next((source for source in scan.surfaces if source.is_segmentation), None)
     if segmented is not None and len(scan.surfaces) > 1:
         names = ", ".join(source.path.name for source in scan.surfaces)
-        faults.append(
-            DataError(
-                f"lists a segmentation beside other surfaces: {names}",
-                expected="meshes, or one segmentation",
-                fix="list it alone",
-                where=segmented.path,
-            )
-        )
+        problem = f"lists a segmentation beside other surfaces: {names}"
+        note(problem, "meshes, or one segmentation", "list it alone", segmented.path)
     elif segmented is not None:
         try:
             with explain_missing_packages():
@@ -173,49 +171,39 @@ def read_layers(scan: Scan, patient: Frame, grid: VoxelGrid | None = None) -> tu
         except DataError as error:
             faults.append(error)
     else:
+        place = 2
         for source in scan.surfaces:
             numbers.append(place if source.into is None else source.into)
             place += source.into != 1  # the tissue's own takes no place
             if (mesh := read_mesh(source, numbers[-1], faults)) is not None:
                 surfaces.append(mesh)
-    for missing in sorted(set(range(2, max(numbers, default=1))) - set(numbers))[:1]:
-        led = ", ".join(map(str, sorted(numbers)))
-        faults.append(
-            DataError(
-                f"no surface leads into layer {missing}; they lead into {led}",
-                expected="layers numbered without a gap: 1, where needles begin, then 2, 3, ...",
-                fix="correct the number, e.g. file=sheet:2, or add the surface that is missing",
-                where=scan.volume,
-            )
+    if missing := set(range(2, max(numbers, default=1))) - set(numbers):
+        note(
+            f"no surface leads into layer {min(missing)}; they lead into "
+            + ", ".join(map(str, sorted(numbers))),
+            "layers numbered without a gap: 1, where needles begin, then 2, 3, ...",
+            "correct the number, e.g. file=sheet:2, or add the surface that is missing",
         )
-    for n, layer_surface in enumerate(surfaces):
-        if any(np.array_equal(layer_surface.mesh.vertices, other.mesh.vertices) for other in surfaces[:n]):
-            faults.append(
-                DataError(
-                    f"lists the surface {layer_surface.name} twice: one layer would be left out",
-                    expected="a surface of its own for each layer",
-                    fix="name the file of the other layer",
-                    where=scan.volume,
-                )
+    for n, surface in enumerate(surfaces):
+        if any(np.array_equal(surface.mesh.vertices, other.mesh.vertices) for other in surfaces[:n]):
+            note(
+                f"lists the surface {surface.name} twice: one layer would be left out",
+                "a surface of its own for each layer",
+                "name the file of the other layer",
             )
     within = layers_in_scan(scan)
     world = tuple(transform_surface(surface, patient) if within else surface for surface in surfaces)
-    if grid is not None and within:  # those of the world may be larger than what was scanned
+    if grid is not None and within:  # others may be larger than what was scanned
         for surface in world:
             steps = to_index(grid, patient.to_local(surface.mesh.vertices))
             if (steps.max(axis=0) < -0.5).any() or (steps.min(axis=0) > np.array(grid.size) - 0.5).any():
                 # a mesh is called as its file, all others are of the first
                 paths = (source.path for source in scan.surfaces if source.path.stem == surface.name)
-                faults.append(
-                    DataError(
-                        f"the surface {surface.name} lies outside the scan {scan.volume}",
-                        expected="surfaces and scan in one place",
-                        fix=(
-                            "see whether it belongs to this scan, stands in its frame or the "
-                            "world's, in LPS or RAS"
-                        ),
-                        where=next(paths, scan.surfaces[0].path),
-                    )
+                note(
+                    f"the surface {surface.name} lies outside the scan {scan.volume}",
+                    "surfaces and scan in one place",
+                    "see whether it belongs to this scan, stands in its frame or the world's, in LPS or RAS",
+                    next(paths, scan.surfaces[0].path),
                 )
     if faults:
         raise as_error(faults, scan.volume)
@@ -272,8 +260,6 @@ def find_crossed_layers(
     errors count across it only, for along itself it passes the same place; along it counts the error of the
     place from which depths are measured.
     """
-    if not surfaces:
-        return Layers((), np.empty(0), np.empty(0), np.empty((0, 3)), (1,))
     crossed = find_crossings(points, surfaces)
     if not len(crossed.arc):
         return Layers(surfaces, np.empty(0), np.empty(0), np.empty((0, 3)), crossed.sequence)
