@@ -43,7 +43,7 @@ from needlefit.studies.result_sources import store_sources
 from needlefit.studies.run import Run
 
 SCANS_FILE = "scans.csv"
-TIP_COLUMNS = ("tip_x_mm", "tip_y_mm", "tip_z_mm")
+TIP_COLUMNS = ("tip_x_mm", "tip_y_mm", "tip_z_mm", "tip_along_sd_mm", "tip_across_sd_mm")
 POOR_DEPTH_SD_MM = 0.5  # deviation of the inserted length, mm, that the first line names
 MAX_NAMED_SCANS = 5
 _COLUMNS = (
@@ -65,14 +65,10 @@ TEXT = KindText(
         "world_unknown": lambda v: v.unregistered,
     },
 )
-_SCAN_COLUMNS = (
-    *("id", "origin", "medium", "specimen", "scan", "voxel_i_mm", "voxel_j_mm", "voxel_k_mm"),
+# Of a scan that is registered.
+_REGISTERED_COLUMNS = (
     *("markers_from", "markers_found", "markers_known", "markers_paired", "fre_mm", "expected_fre_mm"),
     *("fre_p_value", "target_error_entry_mm", "target_error_tip_mm"),
-    *("entry_pose_from", "entry_along_sd_mm", "entry_shift_sd_mm", "entry_angle_sd_deg"),
-    *("bending_plane_from", "out_of_plane_rms_mm", "out_of_plane_max_mm", "depth_mm", "depth_sd_mm"),
-    *("deflection_mm", *TIP_COLUMNS, "tip_along_sd_mm", "tip_across_sd_mm"),
-    *("bevel_probability", "centerline_sd_rms_mm", "layers", "warnings"),
 )
 _MARKER_COLUMNS = (
     *("id", "found", "known", "found_x_mm", "found_y_mm", "found_z_mm", "found_sd_mm", "residual_x_mm"),
@@ -109,7 +105,7 @@ def tabulate_batch(
         origin=combine_origins(reconstruction.scan.origin for reconstruction in ones),
         dataset_title=record.title.removeprefix("Reconstruction: "),
         frames={
-            "reconstruction": pd.DataFrame(map(describe_scan, ones), columns=list(_SCAN_COLUMNS)),
+            "reconstruction": pd.DataFrame(map(describe_scan, ones)),
             "markers": tabulate_markers(ones),
             "crossings": tabulate_crossings(ones),
             "passed": tabulate_passed(ones),
@@ -132,18 +128,14 @@ def tabulate_markers(reconstructions: Sequence[Reconstruction]) -> pd.DataFrame:
     """
     rows = [
         (
-            *(
-                reconstruction.scan.id,
-                detected,
-                stated,
-                *reconstruction.markers.centers[detected],
-                reconstruction.markers.sd[detected],
-            ),
-            *(*fit.residuals[n], np.linalg.norm(fit.residuals[n])),
+            *(one.scan.id, detected, stated, *one.markers.centers[detected], one.markers.sd[detected]),
+            *(*residual, np.linalg.norm(residual)),
         )
-        for reconstruction in reconstructions
-        if reconstruction.markers is not None and (fit := reconstruction.registration) is not None
-        for n, (detected, stated) in enumerate(fit.pairs)
+        for one in reconstructions
+        if one.markers is not None and one.registration is not None
+        for (detected, stated), residual in zip(
+            one.registration.pairs, one.registration.residuals, strict=True
+        )
     ]
     return pd.DataFrame(rows, columns=list(_MARKER_COLUMNS))
 
@@ -171,67 +163,47 @@ def tabulate_passed(reconstructions: Sequence[Reconstruction]) -> pd.DataFrame:
 
 def tabulate_deflections(reconstructions: Sequence[Reconstruction]) -> pd.DataFrame:
     """Return points of each centreline in its bending plane, with the ends of its pointwise 95 % band, mm."""
-    frames = [pd.DataFrame(columns=list(_DEFLECTION_COLUMNS))]
+    rows = []
     for reconstruction in reconstructions:
-        points = (
-            np.linspace(0, len(reconstruction.local) - 1, min(len(reconstruction.local), MAX_DRAWN_POINTS))
-            .round()
-            .astype(int)
-        )
-        (x, y), half = reconstruction.local[points, :2].T, NORMAL_95_HALF_WIDTH_SD * reconstruction.sd[points]
-        columns = {
-            "id": reconstruction.scan.id,
-            "x_mm": x,
-            "y_mm": y,
-            "low_mm": y - half,
-            "high_mm": y + half,
-        }
-        frames.append(pd.DataFrame(columns))
-    return pd.concat(frames[len(frames) > 1 :], ignore_index=True)
+        last = len(reconstruction.local) - 1
+        points = np.linspace(0, last, min(last + 1, MAX_DRAWN_POINTS)).round().astype(int)
+        half = NORMAL_95_HALF_WIDTH_SD * reconstruction.sd[points]
+        rows += [
+            (reconstruction.scan.id, x, y, y - h, y + h)
+            for (x, y, _), h in zip(reconstruction.local[points], half, strict=True)
+        ]
+    return pd.DataFrame(rows, columns=list(_DEFLECTION_COLUMNS))
 
 
 def describe_scan(reconstruction: Reconstruction) -> Row:
-    """Return the row of a scan; without markers it lacks what is known by them."""
-    scan, markers, fit, off = (
-        reconstruction.scan,
-        reconstruction.markers,
-        reconstruction.registration,
-        reconstruction.local[:, 2],
-    )
-    row: Row = {
+    """Return the row of a scan; without markers what is known by them is None."""
+    scan, fit, markers = reconstruction.scan, reconstruction.registration, reconstruction.markers
+    pose, needle, off = reconstruction.pose, reconstruction.needle_axis, reconstruction.local[:, 2]
+    registered: tuple[Any, ...] = (None,) * len(_REGISTERED_COLUMNS)
+    if markers is not None and fit is not None:
+        counts = (len(markers.centers), fit.known, len(fit.pairs))
+        errors = (fit.fre, fit.expected_fre, fit.p_value, *reconstruction.target_error)
+        registered = (markers.source, *counts, *errors)
+    return {
         **{name: getattr(scan, name) for name in ("id", "origin", "medium", "specimen")},
         "scan": scan.volume.name,
         **dict(zip(("voxel_i_mm", "voxel_j_mm", "voxel_k_mm"), reconstruction.spacing, strict=True)),
-        "entry_pose_from": reconstruction.pose.source,
-        "entry_along_sd_mm": reconstruction.pose.along_sd,
-        "entry_shift_sd_mm": reconstruction.pose.shift_sd,
-        "entry_angle_sd_deg": np.degrees(reconstruction.pose.angle_sd),
-        "bending_plane_from": "shape" if reconstruction.scan.bevel is None else "stated",
+        **dict(zip(_REGISTERED_COLUMNS, registered, strict=True)),
+        "entry_pose_from": pose.source,
+        "entry_along_sd_mm": pose.along_sd,
+        "entry_shift_sd_mm": pose.shift_sd,
+        "entry_angle_sd_deg": np.degrees(pose.angle_sd),
+        "bending_plane_from": "shape" if scan.bevel is None else "stated",
         "out_of_plane_rms_mm": np.sqrt(np.mean(off**2)),
         "out_of_plane_max_mm": np.abs(off).max(),
         "depth_mm": reconstruction.depth,
         "depth_sd_mm": reconstruction.depth_sd,
         "deflection_mm": reconstruction.deflection,
-        **dict(zip(TIP_COLUMNS, reconstruction.needle_axis.tip, strict=True)),
-        **dict(zip(("tip_along_sd_mm", "tip_across_sd_mm"), reconstruction.needle_axis.tip_sd, strict=True)),
-        "bevel_probability": reconstruction.needle_axis.bevel_probability,
+        **dict(zip(TIP_COLUMNS, (*needle.tip, *needle.tip_sd), strict=True)),
+        "bevel_probability": needle.bevel_probability,
         "centerline_sd_rms_mm": np.sqrt(np.mean(reconstruction.sd**2)),
         "layers": " ".join(map(str, reconstruction.layers.sequence)),
         "warnings": "; ".join(reconstruction.warnings),
-    }
-    if markers is None or fit is None:
-        return row
-    return row | {
-        "markers_from": markers.source,
-        "markers_found": len(markers.centers),
-        "markers_known": fit.known,
-        "markers_paired": len(fit.pairs),
-        "fre_mm": fit.fre,
-        "expected_fre_mm": fit.expected_fre,
-        "fre_p_value": fit.p_value,
-        **dict(
-            zip(("target_error_entry_mm", "target_error_tip_mm"), reconstruction.target_error, strict=True)
-        ),
     }
 
 
@@ -248,10 +220,10 @@ def tabulate_failures(failures: Sequence[ReconstructionFailure]) -> pd.DataFrame
     """Return the table of refused scans: why, and what would fix it."""
     rows = []
     for failure in failures:
-        named = {"where": failure.error.where, "expected": failure.error.expected, "fix": failure.error.fix}
+        stated = {name: getattr(failure.error, name) for name in ("where", "expected", "fix")}
         parts = [
             f"refused: {failure.error.what}",
-            *(f"{name}: {text}" for name, text in named.items() if text),
+            *(f"{name}: {text}" for name, text in stated.items() if text),
         ]
         rows.append((failure.scan.id, failure.scan.volume.name, ". ".join(parts)))
     return pd.DataFrame(rows, columns=list(_REFUSED_COLUMNS))
