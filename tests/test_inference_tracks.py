@@ -319,17 +319,6 @@ def test_a_line_takes_its_slope_from_runs_alike():
             assert np.diff(found) == pytest.approx(slope * np.diff(DEPTH[1:]), abs=1e-6)
 
 
-def test_how_a_roll_changes_a_run_is_interpolated_between_draws(runs_in_space):
-    asked = in_space(runs_in_space[:1])
-    fold = Fold("one", asked.insertions, tuple(runs_in_space[1:]))
-    thetas = THETA + 0.15 * np.random.default_rng(1).normal(size=(240, 3))
-    *_, found = simulate_runs(asked, fold, thetas, 1)
-    parts = [simulate_runs(asked, fold, some, 1)[-1] for some in np.split(thetas, 4)]
-    for one, *exact in zip(found, *parts, strict=True):
-        assert np.sqrt(np.mean((one - np.concatenate(exact)) ** 2)) < 5e-5
-    assert np.ptp(found[0][:, 1] - found[0][:, 0]) > 0.01
-
-
 def test_each_predicted_run_has_a_bevel_of_its_own(monkeypatch, runs):
     """Deflections of small needles are proportional to b, so that they spread as ln b does."""
     one = problem(runs[:1])

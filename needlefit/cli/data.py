@@ -144,11 +144,7 @@ def import_data(
         screen.print_text(join_unused(prepared.unused, prepared.content.left_out))
     screen.print_warnings(invocation, dataset.warnings)
     path = format_path(out)
-    look = (
-        ""
-        if all(insertion.is_track for insertion in dataset.insertions)
-        else f"look at {out / PICTURE_FILE}, "
-    )
+    look = f"look at {out / PICTURE_FILE}, " if (out / PICTURE_FILE).is_file() else ""
     screen.print_note(f"{look}then: {shlex.join(('needlefit', 'check', path))}")
     show_next_steps(dataset, out, SCENE_FILE)
 

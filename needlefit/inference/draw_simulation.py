@@ -5,11 +5,10 @@ takes the boundaries of every set, so that draws with the same error of the entr
 surfaces lie is tabulated along parallels to the entry axis, since draws deviate by millimetres.
 """
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.distance import cdist
 from scipy.special import ndtr, ndtri
 
 from needlefit.arrays import Bools, Floats, Ints
@@ -20,7 +19,6 @@ from needlefit.inference.likelihood.nodes import enforce_order
 from needlefit.inference.parameter_names import BEVEL_PARAMETERS, BEVEL_SPREAD, find_bevel_factors
 from needlefit.inference.parameters import make_tissue
 from needlefit.inference.planned_layers import MAX_DRAWN_LAYERS, find_path_layers
-from needlefit.inference.radial_basis import interpolate_points
 from needlefit.mechanics.batch import (
     Batch,
     NeedleShapes,
@@ -40,11 +38,6 @@ BEYOND_TIP_MM = 10.0  #: length of the parallels beyond the tip, mm
 #: errors of the entry that draws have: the middles of equal parts of a normal distribution, of unit variance
 ENTRY_ERRORS = ndtri((np.arange(8) + 0.5) / 8)
 ENTRY_ERRORS /= ENTRY_ERRORS.std()
-
-NODE_DRAWS = 96  #: draws, at most, that are simulated with other depths than the middle
-#: draws of these that are chosen because they lie farthest from the others: nothing is extrapolated far
-FAR_DRAWS = 32
-SAME_DRAW = 1e-6  #: deviations of parameters (ln of positive ones) below which draws do not differ
 
 Sets = Sequence[Mapping[str, float]]  #: values of parameters (Pa, mm), a set for each draw
 #: the layers of some draws (R,): the depths of their boundaries (R, n - 1), mm, and which n these part
@@ -200,51 +193,6 @@ def _find_met_layers(paths: Floats, insertion: Insertion, wrong: Floats, layers:
         (np.array([row for row, _ in some]), np.array([depths for _, depths in some]), sequence)
         for sequence, some in groups.items()
     ]
-
-
-def make_coordinates(sets: Sets, hidden: Collection[str] = ()) -> Floats:
-    """Return what differs between sets of values, (B, P): ln of positive parameters, on principal axes.
-
-    Without `hidden` parameters.
-    """
-    table = np.array([[value for name, value in values.items() if name not in hidden] for values in sets])
-    finite = np.isfinite(table).all(axis=1)
-    if not finite.any():
-        return np.empty((len(table), 0))
-    table[~finite] = table[finite][0]  # their needles have no solution, whatever their depths
-    positive = (table > 0).all(axis=0)
-    table[:, positive] = np.log(table[:, positive])
-    left, sizes, _ = np.linalg.svd(table - table.mean(axis=0), full_matrices=False)
-    return (left * sizes)[:, sizes > SAME_DRAW * np.sqrt(len(table))]
-
-
-def choose_draws(coordinates: Floats) -> Ints:
-    """Return up to `NODE_DRAWS` draws that differ, (C,): evenly spaced in their order, then the farthest."""
-    _, first = np.unique((coordinates / SAME_DRAW).round(), axis=0, return_index=True)
-    different = np.sort(first)
-    if len(different) <= NODE_DRAWS:
-        return different
-    evenly = np.linspace(0, len(different) - 1, NODE_DRAWS - FAR_DRAWS).round().astype(np.int64)
-    chosen = list(different[evenly])
-    nearest = cdist(coordinates, coordinates[chosen]).min(axis=1)
-    for _ in range(FAR_DRAWS):
-        chosen.append(np.argmax(nearest))
-        nearest = np.minimum(nearest, np.linalg.norm(coordinates - coordinates[chosen[-1]], axis=1))
-    return np.sort(chosen)
-
-
-def interpolate_draws(coordinates: Floats, chosen: Ints, points: Floats) -> Callable[[Floats], Floats] | None:
-    """Return a function of coordinates (N, P) that gives values (N, F), known (C, F) at chosen draws.
-
-    None if too few are finite.
-    """
-    solved = np.isfinite(points).all(axis=1)
-    if np.sum(solved) <= coordinates.shape[1]:  # not even a plane through them
-        return None
-    if not (coordinates.shape[1] and points.shape[1]):
-        return lambda places: np.broadcast_to(points[solved][:1], (len(places), points.shape[1]))
-    # cubic: with 96 of 1000 draws it errs less than a thin plate, or a quadratic regression
-    return interpolate_points(coordinates[chosen[solved]], points[solved], 3)
 
 
 @dataclass(frozen=True)

@@ -16,17 +16,10 @@ import pandas as pd
 from needlefit.arrays import Bools, Floats
 from needlefit.datasets.folds import Fold
 from needlefit.datasets.insertion import Insertion
-from needlefit.inference.draw_simulation import (
-    Sets,
-    choose_draws,
-    interpolate_draws,
-    make_coordinates,
-    vary_bevels,
-)
+from needlefit.inference.draw_simulation import vary_bevels
 from needlefit.inference.identifiability.design_gain import PredictedData, nested_gain
 from needlefit.inference.identifiability.profile import minimize_squares
 from needlefit.inference.likelihood.nodes import make_group
-from needlefit.inference.likelihood.observation import append_pose_curves
 from needlefit.inference.likelihood.observations import OBSERVATIONS
 from needlefit.inference.parameter_names import BEVEL_SPREAD, NOISE_SCALE
 from needlefit.inference.problem import Problem
@@ -101,7 +94,7 @@ def rank_candidates(
             continue
         (made,) = planned.insertions
         alone = replace(planned, centred_bevels=False)
-        white = _whiten_draws(alone, sets, settings.jobs)
+        (white,) = alone.density.whitened_residuals(sets, settings.jobs)
         solved: Bools = np.all(np.isfinite(white), axis=(1, 2))
         places = np.cumsum(solved) - 1  # new numbers of the draws that have a solution
         kept = [values for values, has in zip(sets, solved, strict=True) if has]
@@ -123,25 +116,6 @@ def rank_candidates(
         )
     frame = pd.DataFrame(rows, columns=list(CANDIDATE_COLUMNS))
     return frame.sort_values("nats", ascending=False, kind="stable", ignore_index=True)
-
-
-def _whiten_draws(problem: Problem, sets: Sets, jobs: int) -> Floats:
-    """Return the whitened residuals (B, m + c, R) of one insertion for B sets of values.
-
-    All needles as measured are simulated; what moved depths and bevels add is simulated for some sets, and
-    interpolated between them: rms errors are below 1e-3 of a standard deviation where the bevel adds 1.
-    """
-    density, coordinates = problem.density, make_coordinates(sets)
-    (observation,), chosen = density.observations, choose_draws(coordinates)
-    (first,) = density.whitened_residuals(sets, jobs, as_measured=True)  # (B, 1, R)
-    (some,) = density.whitened_residuals([sets[n] for n in chosen], jobs)
-    moves = (some - first[chosen])[:, 1 : len(observation.nodes.insertions)]  # (C, m - 1, R)
-    interpolated = interpolate_draws(coordinates, chosen, moves.reshape(len(chosen), -1))
-    if interpolated is None:
-        (white,) = density.whitened_residuals(sets, jobs)
-        return white
-    moved = first + interpolated(coordinates).reshape(len(sets), *moves.shape[1:])
-    return append_pose_curves(observation, np.concatenate([first, moved], axis=1))
 
 
 def lay_out_candidates(candidates: pd.DataFrame) -> list[Table]:

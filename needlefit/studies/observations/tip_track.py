@@ -15,12 +15,12 @@ from needlefit.geometry.curves import compare_curves
 from needlefit.inference import predict
 from needlefit.inference.baselines import BASELINES, list_baselines
 from needlefit.inference.curve_bands import find_bands
-from needlefit.inference.draw_simulation import choose_draws, interpolate_draws, make_coordinates, vary_bevels
+from needlefit.inference.draw_simulation import vary_bevels
 from needlefit.inference.forward_model import PreparedModel
 from needlefit.inference.likelihood.observation import Observation
 from needlefit.inference.likelihood.observations import make_observation
 from needlefit.inference.likelihood.observations.tip_track import follow_guide, split_directions
-from needlefit.inference.parameter_names import HYPERPARAMETERS, NOISE_SCALE
+from needlefit.inference.parameter_names import NOISE_SCALE
 from needlefit.inference.point_prediction import PointPrediction, choose_point
 from needlefit.inference.problem import Problem
 from needlefit.inference.track_predictions import (
@@ -285,32 +285,16 @@ def simulate_runs(
     sets = [problem.values(theta) for theta in thetas]
 
     def simulate(sets: Sequence[Mapping[str, float]], some: Sequence[Observation]) -> Iterator[Floats]:
-        """Yield the curves (B, m, n) of runs: of all sets as measured, how others differ is interpolated."""
-        coordinates = make_coordinates(sets, HYPERPARAMETERS)
-        chosen = choose_draws(coordinates)
-        first = PreparedModel(problem.medium, [observation.insertion for observation in some])
-        as_measured = first.read_points(sets, [observation.nodes.s[0] for observation in some], jobs)
-        nodes = [
+        """Yield the curves (B, m, n) of runs."""
+        pairs = [
             pair
             for observation in some
-            for pair in zip(observation.nodes.insertions[1:], observation.nodes.s[1:], strict=True)
+            for pair in zip(observation.nodes.insertions, observation.nodes.s, strict=True)
         ]
-        others = PreparedModel(problem.medium, [run for run, _ in nodes])
-        points = others.read_points([sets[n] for n in chosen], [s for _, s in nodes], jobs)
+        model = PreparedModel(problem.medium, [run for run, _ in pairs])
+        points = model.read_points(sets, [s for _, s in pairs], jobs)
         for observation in some:
-            curves = observation.stack(next(as_measured))[:, None]
-            moved_runs = [
-                observation.stack(next(points)) - curves[chosen, 0] for _ in observation.nodes.s[1:]
-            ]
-            changes = (
-                np.stack(moved_runs, axis=1) if moved_runs else np.empty((len(chosen), 0, curves.shape[2]))
-            )
-            interpolate = interpolate_draws(coordinates, chosen, changes.reshape(len(chosen), -1))
-            if interpolate is None:  # too few of them have a solution
-                yield np.full((len(sets), len(observation.nodes.s), curves.shape[2]), np.nan)
-                continue
-            moved = interpolate(coordinates).reshape(len(sets), *changes.shape[1:])
-            yield np.concatenate([curves, curves + moved], axis=1)
+            yield np.stack([observation.stack(next(points)) for _ in observation.nodes.s], axis=1)
 
     tuned, held = (
         [make_observation(dataset, track, noise, likelihood, respond=problem.respond) for track in tracks]
