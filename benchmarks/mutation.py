@@ -96,7 +96,7 @@ AREAS = {
         ("validation_heldout", "inference_space", "judge", "reporting_tables"),
     ),
     "planes": Area(
-        ("datasets/planes.py",),
+        ("datasets/compared.py", "datasets/planes.py"),
         ("dataset_warnings", "inference_space", "outliers", "datasets"),
     ),
     "outliers": Area(
@@ -104,7 +104,7 @@ AREAS = {
         ("outliers", "dataset_warnings"),
     ),
     "lengths": Area(
-        ("geometry/measured_curve.py", "geometry/penalized_spline.py", "datasets/curve_lengths.py"),
+        ("geometry/measured_curve.py", "geometry/penalized_spline.py"),
         ("measured_curve", "dataset_warnings", "datasets", "outliers"),
     ),
     "surfaces": Area(

@@ -3,8 +3,8 @@
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
-from needlefit.datasets.dataset_warnings import is_copy
 from needlefit.datasets.insertion import Dataset, Insertion
+from needlefit.datasets.needle_warnings import is_copy
 from needlefit.datasets.select import select_insertions
 from needlefit.errors import ConfigError
 from needlefit.project.locate import join_names

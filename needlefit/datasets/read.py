@@ -12,14 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.datasets.columns import BEVEL_FIX, InsertionRow
-from needlefit.datasets.dataset_warnings import (
-    PLACEHOLDER,
-    find_boundary_warnings,
-    find_insertion_warnings,
-    find_record_warnings,
-    find_side_warnings,
-    read_assumed,
-)
 from needlefit.datasets.digests import digest_insertion
 from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.formats import FORMATS, find_format
@@ -38,8 +30,15 @@ from needlefit.datasets.layers import (
     read_shared_surfaces,
     reduce_insertion,
 )
+from needlefit.datasets.needle_warnings import find_insertion_warnings, find_side_warnings
 from needlefit.datasets.needles import describe_rigidity, find_needle_faults, make_needles
 from needlefit.datasets.points import Points
+from needlefit.datasets.record_warnings import (
+    PLACEHOLDER,
+    find_boundary_warnings,
+    find_record_warnings,
+    read_assumed,
+)
 from needlefit.datasets.scatter import find_scatter_warnings
 from needlefit.datasets.sections import find_operator_faults, find_sections
 from needlefit.datasets.sources import DatasetFiles, find_checksum_faults, find_dataset_file, find_folder

@@ -12,13 +12,14 @@ from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 
 from needlefit.arrays import Floats
-from needlefit.datasets.dataset_warnings import MAPPING_FILE, find_bend_side
 from needlefit.datasets.first_study import SCENE_FILE, write_first_run, write_scene
 from needlefit.datasets.importing.directions import snap_to_axis
 from needlefit.datasets.importing.place import ImportPlan
 from needlefit.datasets.importing.prepare import PreparedImport
 from needlefit.datasets.importing.writing import CURVATURE_FILE, TRACKS_FILE, TURNS_FILE, write_plan
 from needlefit.datasets.insertion import Dataset, Insertion
+from needlefit.datasets.needle_warnings import find_bend_side
+from needlefit.datasets.record_warnings import MAPPING_FILE
 from needlefit.geometry.curves import make_normal
 from needlefit.geometry.frames import normalize
 from needlefit.geometry.surfaces import Surface

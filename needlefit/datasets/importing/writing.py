@@ -8,7 +8,6 @@ import numpy as np
 import pandas as pd
 
 from needlefit.datasets.columns import HOLE_COLUMN, NEEDLE_COLUMN, POINT_SD_COLUMN, InsertionRow, make_id
-from needlefit.datasets.dataset_warnings import MAPPING_FILE, PLACEHOLDER
 from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.importing.curves import ImportContent, ImportedCurve
 from needlefit.datasets.importing.place import ImportPlan
@@ -16,6 +15,7 @@ from needlefit.datasets.importing.read import make_unique
 from needlefit.datasets.importing.stated import name_set
 from needlefit.datasets.insertion import Dataset
 from needlefit.datasets.read import inspect
+from needlefit.datasets.record_warnings import MAPPING_FILE, PLACEHOLDER
 from needlefit.datasets.write import write_dataset
 from needlefit.geometry.surfaces import Surface
 from needlefit.project.toml import check as check_record

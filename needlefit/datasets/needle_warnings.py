@@ -1,0 +1,228 @@
+"""Warn about needles that can be fitted all the same: bevel sides, copies, order, entries."""
+
+import math
+from collections.abc import Iterator, Sequence
+from itertools import chain
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from scipy.special import bdtrc
+
+from needlefit.datasets.compared import (
+    MAX_NAMED_INSERTIONS,
+    MIN_BEND_SLOPE,
+    SIGNIFICANT_SD,
+    compute_deflection_sd,
+    compute_entry_sd,
+)
+from needlefit.datasets.insertion import Insertion, Noise
+from needlefit.datasets.interpolated import find_interpolated_warnings
+from needlefit.datasets.layers import (
+    LENGTH_TOLERANCE_MM,
+    MAX_START_DISTANCE_MM,
+    SAME_POINT_MM,
+    ListedInsertion,
+)
+from needlefit.datasets.outlying_points import OUTLIER_SD, find_point_warnings
+from needlefit.datasets.planes import find_curvature_warnings, find_plane_warnings
+from needlefit.datasets.points import find_rounding
+from needlefit.datasets.record_warnings import find_noise_warnings, find_stated_warnings
+from needlefit.datasets.scatter import AXIS_COSINE, find_axis_warnings
+from needlefit.project.locate import join_names
+from needlefit.project.result_warnings import ResultWarning
+from needlefit.project.unit_warnings import format_place
+from needlefit.schemas.dataset import DatasetRecord
+
+#: of a coordinate that two needles share by errors alone, for so many pairs as a thousand datasets have
+MAX_PASTED_CHANCE = 1e-9
+
+
+# ---- bevel sides
+
+BendSide = Literal["toward", "away", "unknown"]
+
+
+def find_bend_side(insertion: Insertion, noise: Noise) -> BendSide:
+    """Return to which side of its bevel an insertion or a run of a tip track bends.
+
+    Both the tip's deflection from the entry line and the curve's own bend, which no error of the entry pose
+    changes, must show it. Of a run the bend alone counts: its readings are known up to a shift and a slope. A
+    free shape lies by its bend, and a base or guide that moved, or a bevel that was turned, bends the needle
+    too: they show nothing.
+    """
+    guide = insertion.guide
+    if guide.moved if guide else not insertion.is_posed or insertion.base_moved:
+        return "unknown"
+    if insertion.turns:
+        return "unknown"
+    x, y = insertion.points[:, 0], insertion.side * insertion.points[:, 1]
+    least, measures = MIN_BEND_SLOPE * insertion.depth, []
+    if len(x) > 2:  # more than a tip
+        parabola = np.polyfit(x - x[0], y, 2)
+        bend = float(parabola[0] * (x[-1] - x[0]) ** 2)  # the deflection from its first tangent
+        scatter = float(np.sqrt(np.mean((y - np.polyval(parabola, x - x[0])) ** 2)))
+        noise_sd = SIGNIFICANT_SD * float(
+            np.hypot(scatter, np.hypot(noise.of(insertion).point_sd, noise.correlated_sd))
+        )
+        measures.append((bend, max(least if guide else 0.5 * least, noise_sd)))
+    if guide is None:
+        limit = max(least, SIGNIFICANT_SD * compute_deflection_sd(insertion, noise))
+        measures.append((insertion.deflection, limit))
+    if all(value > limit for value, limit in measures):
+        return "toward"
+    return "away" if all(value < -limit for value, limit in measures) else "unknown"
+
+
+def find_side_warnings(
+    listed: Sequence[tuple[Insertion, str]], noise: Noise, column: str
+) -> Iterator[ResultWarning]:
+    """Yield a warning that names the insertions, with their places, that bend away from their bevels."""
+    sides = [find_bend_side(one, noise) for one, _ in listed]
+    clear = sum(side != "unknown" for side in sides)
+    away = [(one, where) for (one, where), side in zip(listed, sides, strict=True) if side == "away"]
+    if len(away) == clear > 1:
+        yield ResultWarning(
+            kind="bevel_side",
+            what=f"all {clear} insertions that bend clearly bend away from their bevel side",
+            where=f"{away[0][1]}",
+            fix=(
+                f"check whether the convention of `{column}` is flipped: a needle of side 1 "
+                "bends along the bevel direction"
+            ),
+        )
+        return
+    if away:
+        names = join_names([one.id for one, _ in away], MAX_NAMED_INSERTIONS)
+        yield ResultWarning(
+            kind="bevel_side",
+            what=f"bent away from the bevel side: {names} ({len(away)} of {clear} that bend clearly)",
+            where=f"{away[0][1]}",
+            fix=f"check `{column}` and the bevel direction of these rows",
+            insertions=tuple(one.id for one, _ in away),
+        )
+
+
+# ---- insertions
+
+
+def is_copy(one: Insertion, other: Insertion) -> bool:
+    """Whether two insertions have the same centreline, point by point."""
+    a, b = one.centerline, other.centerline
+    return a.shape == b.shape and bool(np.abs(a - b).max() <= SAME_POINT_MM)
+
+
+def _find_copy_warnings(listed: Sequence[ListedInsertion]) -> Iterator[ResultWarning]:
+    """Yield a warning for each insertion that has all points of an earlier one, or whose points that has."""
+    places = (entry.insertion.centerline / SAME_POINT_MM for entry in listed)
+    points = [set(map(tuple, place.round().tolist())) for place in places]
+    for n, later in enumerate(listed):
+        same = (m for m in range(n) if points[m] <= points[n] or points[n] <= points[m])
+        if (m := next(same, None)) is not None:
+            names = (later.insertion.id, listed[m].insertion.id)
+            what, fix = f"{' and '.join(names)} have the same points", "check whether one was exported twice"
+            yield ResultWarning("copy", what, later.where, fix, names)
+
+
+def _find_pasted_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
+    """Yield a warning for each two needles with the same coordinate across, though not the same points.
+
+    Errors alone make rounded coordinates differ: they are equal with a probability of at most the step over
+    2 sqrt(pi) SD.
+    """
+    values = [one.points.values for one in listed]
+    step = max(find_rounding(values), SAME_POINT_MM)
+    chance = step / (2 * math.sqrt(math.pi) * noise.point_sd) if noise.point_sd else 1.0
+    counts = np.array([len(points) for points in values])
+    padded = np.full((len(values), max(counts), 3), np.nan)
+    for points, row in zip(values, padded, strict=True):
+        row[: len(points)] = points
+    for n, later in enumerate(listed if chance < 1 else ()):
+        entry = later.insertion.frame.rotation[:, 0]
+        same = np.sum(np.abs(padded[:n] - padded[n]) < SAME_POINT_MM, axis=1)  # (n, 3)
+        common = np.minimum(counts[:n], counts[n])[:, None]
+        # along the needles all may be sampled alike, and what does not vary is no measurement
+        is_measured = (np.abs(entry) < AXIS_COSINE) & (np.ptp(values[n], axis=0) > 0)
+        is_pasted = is_measured & (same > common / 2) & (bdtrc(same - 1, common, chance) < MAX_PASTED_CHANCE)
+        for m in np.flatnonzero(is_pasted.any(axis=1) & ~(same == common).all(axis=1)).tolist():
+            axis = int(np.argmax(is_pasted[m]))
+            names = (later.insertion.id, listed[m].insertion.id)
+            what = f"{' and '.join(names)} have the same {'xyz'[axis]} at {same[m, axis]} points"
+            fix = "look whether it was pasted from one into the other"
+            yield ResultWarning("copy", what, later.where, fix, names)
+
+
+def _find_order_warnings(listed: Sequence[ListedInsertion]) -> Iterator[ResultWarning]:
+    """Yield a warning if the last points lie in one plane across the needles, and the first ones do not."""
+    if len(listed) < 3:
+        return
+    ends = np.array([one.insertion.centerline[[0, -1]] for one in listed])
+    along = (ends[:, 1] - ends[:, 0]).sum(axis=0)
+    first, last = np.ptp(ends @ along, axis=0) / (np.linalg.norm(along) or 1.0)
+    if first > MAX_START_DISTANCE_MM and last < LENGTH_TOLERANCE_MM:
+        what = "curves seem to run from the tip to the entry: they end in a plane across them"
+        fix = "check the order of the points; at an import `--set entry=last` states this one"
+        yield ResultWarning("reversed", what, where=listed[0].where, fix=fix)
+
+
+def _find_constant_warnings(listed: Sequence[ListedInsertion]) -> Iterator[ResultWarning]:
+    """Yield a warning for each needle with one value in a coordinate that varies along most others."""
+    varies = np.mean([np.ptp(one.points.values, axis=0) > 0 for one in listed], axis=0) > 0.5  # (3,)
+    for one in listed:
+        for axis in np.flatnonzero(varies & (np.ptp(one.points.values, axis=0) == 0)):
+            value = one.points.values[0, axis]
+            what = f"{one.insertion.id}: {'xyz'[axis]} is {value:g} at all points, and varies along others"
+            fix = "look at its column in the source, and export its points again"
+            yield ResultWarning("axis_unit", what, one.points.where(), fix, (one.insertion.id,))
+
+
+def _find_entry_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
+    """Yield a warning that names the insertions that begin off their stated entries.
+
+    Soft tissue gives way at the entry by nearly as much as a needle bends.
+    """
+    found = []
+    for one in (each for each in listed if each.insertion.is_posed):
+        insertion = one.insertion
+        off, slope = insertion.points[0], MIN_BEND_SLOPE * insertion.depth
+        give = np.array([LENGTH_TOLERANCE_MM, slope + np.ptp(insertion.points[:, 1]), slope])
+        if np.any(np.abs(off) > OUTLIER_SD * compute_entry_sd(insertion, noise) + give):
+            by = ", ".join(f"{x:z.1f}" for x in off)
+            found.append((f"{insertion.id} by {by} mm", one.points.where()))
+    if found:
+        names = join_names([name for name, _ in found], MAX_NAMED_INSERTIONS)
+        what = f"needles begin off their stated entries (along, toward the bevel, out of plane): {names}"
+        fix = "check how their entries and first points were measured, in which frame, and pose_shift_sd_mm"
+        yield ResultWarning("entry_offset", what, where=found[0][1], fix=fix)
+
+
+def find_insertion_warnings(
+    record: DatasetRecord, listed: Sequence[ListedInsertion], noise: Noise, file: Path
+) -> Iterator[ResultWarning]:
+    """Yield the warnings about insertions that have no fault."""
+    where = format_place(file)
+    yield from find_stated_warnings(record, listed, where)
+    outlying = find_point_warnings([entry for entry in listed if entry.is_curve], noise)
+    yield from chain.from_iterable(outlying.values())
+    # what is wrong with a point is no finding about its needle; where all have some, the noise is wrong
+    sound = [entry for entry in listed if entry.insertion.id not in outlying] or listed
+    column = record.insertions.columns.get("bevel_side", "bevel_side")
+    yield from find_side_warnings([(entry.insertion, entry.where) for entry in sound], noise, column)
+    yield from _find_shape_warnings([entry for entry in sound if entry.is_curve], noise)
+    yield from find_noise_warnings(record, sound, noise, where)
+
+
+def _find_shape_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
+    """Yield the warnings about whole curves."""
+    yield from find_axis_warnings(listed, noise)
+    yield from _find_entry_warnings(listed, noise)
+    yield from find_plane_warnings(listed, noise)
+    yield from find_curvature_warnings(listed, noise)
+    yield from _find_order_warnings(listed)
+    yield from find_interpolated_warnings(listed)
+    # values that are rounded by more than their noise may well be equal
+    values = [one.points.values for one in listed]
+    if values and find_rounding(values) <= max(noise.point_sd, noise.correlated_sd):
+        yield from _find_copy_warnings(listed)
+        yield from _find_pasted_warnings(listed, noise)
+        yield from _find_constant_warnings(listed)

@@ -1,0 +1,257 @@
+"""Warn about what a dataset states: placeholders, names, units, boundaries, surfaces, errors."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from needlefit.datasets.columns import BOUNDARIES_COLUMN, NUMBER_COLUMNS, ROLL_COLUMNS
+from needlefit.datasets.insertion import Insertion, Noise
+from needlefit.datasets.layers import MISSED_FIX, ListedInsertion, name_small_unit
+from needlefit.datasets.scatter import SD_MM, find_scatter_warnings
+from needlefit.datasets.spellings import find_spellings
+from needlefit.project.locate import join_names
+from needlefit.project.result_warnings import ResultWarning
+from needlefit.project.toml import load
+from needlefit.project.unit_warnings import (
+    ANGLE_SD_DEG,
+    ANGLE_UNITS,
+    LENGTH_UNITS,
+    FormatPlace,
+    doubt_layers,
+    doubt_range,
+    format_place,
+    needle_warnings,
+    warn,
+)
+from needlefit.schemas.dataset import DatasetRecord, needle_key
+from needlefit.schemas.mapping import MappingRecord
+
+PLACEHOLDER = "TO FILL IN"  # marks values that a template cannot know
+MAPPING_FILE = "mapping.toml"  # beside dataset.toml: how an import read its files
+
+MAX_ROLL_SD_DEG = 45.0  #: SD of a roll beyond which nothing is known of it: a uniform one has 104
+MAX_NOISE_PART = 0.5  #: SD of points over the largest deflection: beyond it no needle bends by more than 2 SD
+
+
+def read_assumed(record: DatasetRecord, file: Path) -> dict[str, str]:
+    """Return what the import of a dataset assumed, by key, with its value and the reason."""
+    path = file.parent / MAPPING_FILE
+    if record.import_ is None or record.import_.mapping is None or not path.is_file():
+        return {}
+    mapping = load(path, MappingRecord)
+    return {key: f"{mapping.values[key]}: {why}" if key in mapping.values else why
+            for key, why in mapping.assumed.items()}  # fmt: skip
+
+
+def find_record_warnings(
+    record: DatasetRecord, file: Path, assumed: Mapping[str, str]
+) -> Iterator[ResultWarning]:
+    """Yield the warnings about a `dataset.toml`, without regard to its tables.
+
+    `assumed`: what its import assumed, by key.
+    """
+    where = format_place(file)
+    texts = {key: getattr(record, key) for key in ("title", "license", "source", "notes")}
+    if keys := [key for key, text in texts.items() if PLACEHOLDER in text]:
+        yield ResultWarning(
+            kind="placeholder",
+            what=f'"{PLACEHOLDER}" is left in {", ".join(f"`{key}`" for key in keys)}',
+            where=where(keys[0]),
+            fix="write what was measured; reports print it",
+        )
+    needles = record.all_needles
+    for name, needle in needles.items():
+        yield from needle_warnings(needle, where, needle_key(name))
+    if record.import_ is not None and (examples := record.import_.examples):
+        yield ResultWarning(
+            kind="examples",
+            what=(
+                "simulated examples of the workbook are among the needles: "
+                f"{join_names(examples, len(examples))}"
+            ),
+            where=where("import.examples"),
+            fix="delete their rows in the imported file, and import it again",
+        )
+    if assumed:
+        listed = "; ".join(f"{key} ({why})" for key, why in assumed.items())
+        yield ResultWarning(
+            kind="assumed",
+            what=f"the import assumed {listed}",
+            where=MAPPING_FILE,
+            fix="correct what is wrong, or import again with --set; then remove its line from [assumed]",
+        )
+    noise = record.noise
+    larger = "point" if noise.point_sd_mm >= noise.correlated_sd_mm else "correlated"
+    for name, plausible, units in (
+        ("registration_mean_mm", SD_MM, LENGTH_UNITS),
+        (f"{larger}_sd_mm", SD_MM, LENGTH_UNITS),
+        ("heading_sd_deg", ANGLE_SD_DEG, ANGLE_UNITS),
+        ("slope_sd_deg", ANGLE_SD_DEG, ANGLE_UNITS),
+    ):
+        if value := getattr(noise, name):
+            yield from warn(
+                doubt_range(value, plausible, units, f"noise.{name}", name[-3:].strip("_")), where
+            )
+    longest = (0.0, max(needle.length_mm for needle in needles.values()))
+    if noise.correlated_sd_mm:
+        key = "noise.correlation_length_mm"
+        yield from warn(doubt_range(noise.correlation_length_mm, longest, LENGTH_UNITS, key, "mm"), where)
+
+
+def find_stated_warnings(
+    record: DatasetRecord, listed: Sequence[ListedInsertion], where: FormatPlace
+) -> Iterator[ResultWarning]:
+    """Yield the warnings about what the rows of insertions, and their media, state."""
+    yield from _find_spelling_warnings(listed)
+    insertions = [entry.insertion for entry in listed]
+    yield from find_boundary_warnings(record, insertions, where)
+    yield from _find_own_boundary_warnings(record, listed)
+    deepest = max(insertions, key=lambda insertion: insertion.depth, default=None)
+    if deepest is not None and (unit := name_small_unit(deepest)):
+        yield ResultWarning(
+            kind="units",
+            what=f"the deepest insertion is {deepest.depth:.3g} mm deep: this looks like {unit}",
+            where=f"{listed[0].where}",
+            fix=f"check the unit of all lengths; they are read in mm ({unit} times {LENGTH_UNITS[unit]:g})",
+        )
+    for name in dict.fromkeys(insertion.medium for insertion in insertions if insertion.surfaces):
+        group = [insertion for insertion in insertions if insertion.medium == name]
+        yield from _find_surface_warnings(name, group, where(f"media.{name}.surfaces"))
+    yield from _find_number_warnings(record, listed, where)
+
+
+def _find_spelling_warnings(listed: Sequence[ListedInsertion]) -> Iterator[ResultWarning]:
+    """Yield a warning for each two media, and specimens, that are most likely one."""
+    for what in ("medium", "specimen"):
+        places = {getattr(one.insertion, what): one.where for one in reversed(listed)}
+        for one, other in find_spellings(sorted(places)):
+            yield ResultWarning(
+                kind="spelling",
+                what=f"{one!r} and {other!r} count as two, and may be one {what} in two spellings",
+                where=places[other],
+                fix="look at both rows; if they mean one, write one name",
+            )
+
+
+def find_boundary_warnings(
+    record: DatasetRecord, insertions: Sequence[Insertion], where: FormatPlace
+) -> Iterator[ResultWarning]:
+    """Yield a warning for each medium with boundaries at depths that no tissue has."""
+    for name, medium in record.media.items():
+        depths = [one.depth for one in insertions if one.medium == name]
+        if medium.boundaries_mm and depths:
+            key = f"media.{name}.boundaries_mm"
+            yield from warn(doubt_layers(medium.boundaries_mm, max(depths), key), where)
+
+
+def _find_own_boundary_warnings(
+    record: DatasetRecord, listed: Sequence[ListedInsertion]
+) -> Iterator[ResultWarning]:
+    """Yield a warning for each medium with insertions whose own boundaries lie at depths that none has."""
+    column = record.insertions.columns.get(BOUNDARIES_COLUMN, BOUNDARIES_COLUMN)
+    for name in record.media:
+        group = [one for one in listed if one.insertion.medium == name]
+        deepest = max((one.insertion.depth for one in group), default=0.0)
+        found = [
+            (doubts, one.where)
+            for one in group
+            if (doubts := list(doubt_layers(one.row.boundaries or (), deepest, column)))
+        ]
+        for _, what, fix in found[0][0] if found else ():
+            yield ResultWarning(
+                kind="units",
+                what=f"{what} ({len(found)} of {len(group)} rows of {name})",
+                where=f"{found[0][1]}",
+                fix=fix,
+            )
+
+
+def _find_surface_warnings(name: str, group: Sequence[Insertion], where: str) -> Iterator[ResultWarning]:
+    """Yield a warning if insertions miss the surfaces of their medium, or meet sheets in another order."""
+    meeting = [one for one in group if len(one.sequence) > 1]
+    sheets = [surface.into for surface in group[0].surfaces if surface.kind == "sheet"]
+    least = max((float(one.boundaries[0]) for one in meeting), default=0.0)
+    missed = [one for one in group if one not in meeting and one.depth > least]
+    if missed and (not meeting or len(sheets) == len(group[0].surfaces)):  # beside a solid a needle may pass
+        points = np.vstack([one.centerline[:1] for one in missed])
+        bounds = [surface.mesh.bounds for surface in group[0].surfaces]
+        within = any(((low <= points) & (points <= high)).all() for low, high in bounds)
+        fix = "they begin within its bounds: close the hole where they enter" if within else MISSED_FIX
+        yield ResultWarning(
+            kind="surfaces",
+            what=f"{len(missed)} of {len(group)} insertions into {name} meet none of its surfaces",
+            where=where,
+            fix=fix,
+        )
+    orders = [[layer for layer in dict.fromkeys(one.sequence) if layer in sheets] for one in meeting]
+    turned = [order != sorted(order) for order in orders if len(order) > 1]
+    if turned and all(turned):
+        yield ResultWarning(
+            kind="surfaces",
+            what=f"needles into {name} meet its layers in the order {' > '.join(map(str, max(orders)))}",
+            where=where,
+            fix=(
+                "number `into` (at an import: name the files) in the order in which needles meet the surfaces"
+            ),
+        )
+
+
+def _find_number_warnings(
+    record: DatasetRecord, listed: Sequence[ListedInsertion], where: FormatPlace
+) -> Iterator[ResultWarning]:
+    """Yield a warning for each column of deviations of the table that holds values hard to believe."""
+    source = record.insertions
+    for name, (least, most) in {
+        "pose_shift_sd_mm": SD_MM,
+        "pose_angle_sd_deg": ANGLE_SD_DEG,
+        ROLL_COLUMNS[1]: (0.0, MAX_ROLL_SD_DEG),
+    }.items():
+        values = np.array([getattr(one.insertion, NUMBER_COLUMNS[name][0]) for one in listed])
+        values = np.degrees(values) if name.endswith("_deg") else values
+        bad = np.flatnonzero((values > 0) & ((values < least) | (values > most)))
+        if len(bad):
+            constant = name in source.constants and name not in source.columns
+            place = where(f"insertions.constants.{name}") if constant else listed[bad[0]].where
+            yield ResultWarning(
+                kind="units",
+                what=(
+                    f"`{source.columns.get(name, name)}` is {values[bad[0]]:g}, not "
+                    f"{least:g} to {most:g} ({len(bad)} of {len(listed)} rows)"
+                ),
+                where=place,
+                fix="check its unit",
+            )
+
+
+def find_noise_warnings(
+    record: DatasetRecord, listed: Sequence[ListedInsertion], noise: Noise, where: FormatPlace
+) -> Iterator[ResultWarning]:
+    """Yield the warnings that follow from stated errors and insertions together."""
+    insertions = [one.insertion for one in listed]
+    largest = max((abs(one.deflection) for one in insertions), default=0.0)
+    sd = float(np.hypot(noise.point_sd, noise.correlated_sd))
+    if not noise.stated and not all(one.states_errors for one in insertions):
+        yield ResultWarning(
+            kind="no_noise",
+            what=(
+                "no noise of the points is stated, so fits have neither noise floor nor predictive intervals"
+            ),
+            where=where("noise.point_sd_mm"),
+            fix="write `noise.point_sd_mm`, the standard deviation of a point per axis",
+        )
+    if sd > MAX_NOISE_PART * largest:
+        yield ResultWarning(
+            kind="noise",
+            what=f"the noise of the points, {sd:g} mm, hides deflections of {largest:.3g} mm at most",
+            where=where(_name_larger_sd(noise)),
+            fix="check its unit, mm; such data determine nothing",
+        )
+    else:
+        is_smoothed = record.measurement is not None and record.measurement.operator != "none"
+        curves = [one.insertion for one in listed if one.is_curve and not one.insertion.independent]
+        yield from find_scatter_warnings(curves, noise, where(_name_larger_sd(noise)), is_smoothed)
+
+
+def _name_larger_sd(noise: Noise) -> str:
+    return f"noise.{'point' if noise.point_sd >= noise.correlated_sd else 'correlated'}_sd_mm"
