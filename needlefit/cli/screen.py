@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from needlefit.cli.exit_codes import Invocation
 from needlefit.errors import without_controls
 from needlefit.project.json_values import to_json_values
-from needlefit.project.result_warnings import ResultWarning
+from needlefit.project.result_warnings import ResultWarning, condense_open_points
 
 if TYPE_CHECKING:
     from rich.table import Table as RichTable
@@ -225,21 +225,11 @@ def _cell(value: object) -> tuple[str, bool]:
     return (f"{value:z.4g}" if isinstance(value, float) else str(value)), True
 
 
-# What stays open in a dataset: `needlefit check` prints these warnings in full, other commands in one line.
-OPEN_POINTS = {"placeholder": "texts to fill in", "assumed": "assumptions of the import"}
-
-
 def print_warnings(invocation: Invocation, warnings: Iterable[ResultWarning], in_full: bool = False) -> None:
     """Print warnings to stderr, each with the command that explains it.
 
     `in_full`: also each of `OPEN_POINTS`. With `--strict` the command then ends with exit code 5.
     """
-    left: dict[str, None] = {}
-    for warning in warnings:
+    for warning in warnings if in_full else condense_open_points(warnings):
         invocation.warned = True
-        if warning.kind in OPEN_POINTS and not in_full:
-            left[OPEN_POINTS[warning.kind]] = None
-        else:
-            print_note(f"needlefit: warning: {warning} ({warning.help_command})")
-    if left:
-        print_note(f"needlefit: warning: the dataset has {' and '.join(left)} (listed by needlefit check)")
+        print_note(f"needlefit: warning: {warning} ({warning.help_command})")

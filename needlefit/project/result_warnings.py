@@ -37,6 +37,21 @@ class ResultWarning:
         return f"{head}; {self.fix}" if self.fix else head
 
 
+#: what stays open in a dataset: `needlefit check` prints these warnings in full
+OPEN_POINTS = {"placeholder": "texts to fill in", "assumed": "assumptions of the import"}
+
+
+def condense_open_points(warnings: Iterable[ResultWarning]) -> list[ResultWarning]:
+    """Return warnings, of which one takes the place of those about what stays open in a dataset."""
+    listed = list(warnings)
+    kinds = [kind for kind in OPEN_POINTS if any(warning.kind == kind for warning in listed)]
+    if not kinds:
+        return listed
+    what = f"the dataset has {' and '.join(OPEN_POINTS[kind] for kind in kinds)}"
+    open_points = ResultWarning(kinds[-1], what, fix="`needlefit check` lists them")
+    return [*(warning for warning in listed if warning.kind not in OPEN_POINTS), open_points]
+
+
 def to_rows(warnings: Iterable[ResultWarning]) -> list[dict[str, Any]]:
     """Return warnings as JSON values, each once, with the paths that this machine knows."""
     rows = map(asdict, dict.fromkeys(warnings))

@@ -11,7 +11,7 @@ import pandas as pd
 from needlefit.datasets.sources import DatasetFiles
 from needlefit.errors import ConfigError
 from needlefit.inference.sampling.posterior import Posterior
-from needlefit.project.result_warnings import ResultWarning
+from needlefit.project.result_warnings import ResultWarning, condense_open_points
 from needlefit.schemas.origin import ORIGIN_MARKS, ORIGIN_NOTES, Origin
 from needlefit.schemas.run_metadata import RunMetadata
 from needlefit.studies.advice import list_doubts
@@ -168,7 +168,7 @@ class Run:
             origin_note=ORIGIN_NOTES[self.origin],
             interrupted=self.interrupted,
             faults=self.faults,
-            warnings=list_doubts(self.warnings),
+            warnings=list_doubts(condense_open_points(self.warnings)),
         )
 
     @property
