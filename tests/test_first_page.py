@@ -118,6 +118,7 @@ def restore_shipped(number: int) -> Run:
 def test_title_table_checks_and_advice_of_shipped_studies_agree(number):
     page = check_agreement(restore_shipped(number))
     assert page.verdict.word == page.verdict.numbers["outcome"]
+    assert page.introduction.startswith(page.question) and page.question.endswith("?")
     findings = {1: "predictable", 2: "predictable", 3: "other_medium_missed", 4: "other_medium_missed"}
     assert page.advice.finding == findings.get(number, "result_doubtful")
 

@@ -71,7 +71,9 @@ def compose_overview(runs: Sequence[Run], tables: Sequence[TableLayout]) -> Docu
         "end_of_first_page": [document.page_break()],
         "warnings": [document.heading("Warnings"), *warned] if warned else [],
     }
-    questions = [f"{run.title}: {run.question}".rstrip(": ") for run in studies]
+    questions = [
+        f"{page.title.partition(':')[0]}: {page.question}" for page in pages.values() if page.question
+    ]
     body = TEXT.compose("report", {"questions": questions}, tables, {}, blocks)
     data = "; ".join(dict.fromkeys(run.name if run.origin_mark else run.dataset_title for run in studies))
     return Document(

@@ -32,11 +32,17 @@ class FirstPage:
     method: str = ""  #: how it was computed
     # what every run has
     title: str = ""
+    question: str = ""  #: that the study asks; a terminal leaves it out
     origin_mark: str = ""  #: that data were not measured; else ""
     origin_note: str = ""  #: what such data show
     interrupted: bool = False
     faults: Sequence[RunFault] = ()
     warnings: Sequence[ResultWarning] = ()  #: that touch the verdict
+
+    @property
+    def introduction(self) -> str:
+        """The question, then what was fitted and predicted."""
+        return " ".join(filter(None, (self.question, self.about)))
 
     @property
     def answer(self) -> str:

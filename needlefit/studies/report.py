@@ -103,7 +103,9 @@ class StudyReport:
         if not run.interrupted:  # of an interrupted one only what is finished is laid out
             blocks += [document.table(table) for table in self.lay_out(run) if table.name not in shown]
         blocks += compose_warnings(run.warnings, linked=False)
-        return document.format_html_part(Document(page.title, page.about, page.origin_mark, tuple(blocks)))
+        return document.format_html_part(
+            Document(page.title, page.introduction, page.origin_mark, tuple(blocks))
+        )
 
 
 def begin_first_page(run: Run, status: Status, **numbers: float | str | None) -> FirstPage:
@@ -232,7 +234,7 @@ def compose_run_report(run: Run, figures: Mapping[str, Path]) -> Document:
         *compose_warnings(warning for warning in run.warnings if warning not in page.warnings),
         *_run_blocks(run),
     ]
-    return Document(page.title, page.about, page.origin_mark, tuple(blocks), collect_explorer(run))
+    return Document(page.title, page.introduction, page.origin_mark, tuple(blocks), collect_explorer(run))
 
 
 def compose_warnings(warnings: Iterable[ResultWarning], linked: bool = True, head: str = "") -> list[Block]:
@@ -280,8 +282,7 @@ def _run_blocks(run: Run) -> list[Block]:
         return []
     caption = f"Settings of {run.name}. The file run.json holds all of them."
     table = Table("run", rows, ("setting", "setting_value"), caption=caption).lay_out()
-    words = filter(None, (run.question, run.note))
-    return [*map(document.text, words), document.table(table)]
+    return [*([document.text(run.note)] if run.note else []), document.table(table)]
 
 
 def list_data_notes(run: Run) -> list[str]:

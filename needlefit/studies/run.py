@@ -158,12 +158,12 @@ class Run:
         first. Those of a preliminary recipe are marked.
         """
         page = find_kind(self.kind).report.first_page(self)
-        named = dict.fromkeys((self.name, self.question or self.dataset_title))
         return replace(
             page,
             verdict=_mark(self, page.verdict),
-            about=page.about or ". ".join(named),
+            about=page.about or ". ".join(dict.fromkeys((self.name, self.dataset_title))),
             title=self.title,
+            question=self.question,
             origin_mark=self.origin_mark,
             origin_note=ORIGIN_NOTES[self.origin],
             interrupted=self.interrupted,
