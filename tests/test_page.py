@@ -142,6 +142,30 @@ def test_keys_and_buttons_have_their_effects_and_are_undone(page) -> None:
     assert {**again, "step": 0} == {**begun, "step": 0}
 
 
+def test_the_picture_is_shifted_zoomed_and_goes_back(page) -> None:
+    """By drag, by wheel once it has the focus, by a double click; the inset lies in the window."""
+    box, before = page.locator("#canvas").bounding_box(), get(page, "n.view.scale")
+    page.mouse.move(box["x"] + 300, box["y"] + 120)
+    page.mouse.wheel(0, -300)
+    page.wait_for_timeout(200)
+    assert get(page, "n.view.scale") == before  # the page's own
+    page.mouse.down()
+    page.mouse.move(box["x"] + 340, box["y"] + 140, steps=4)
+    page.mouse.up()
+    assert get(page, "[n.view.scale, n.view.fit]") == [before, "moved"]
+    page.mouse.wheel(0, -300)
+    until(page, f"n.view.scale > {1.9 * before}")
+    page.mouse.dblclick(box["x"] + 300, box["y"] + 120)
+    until(page, "n.view.fit === 'tissue'")
+    for size in ((1280, 800), (320, 640)):
+        page.set_viewport_size(dict(zip(("width", "height"), size, strict=True)))
+        page.wait_for_timeout(300)
+        left, top, width, height = max(get(page, "n.labels"), key=lambda one: one[2] * one[3])
+        window = get(page, "n.view.box")
+        assert left >= window["left"] and left + width <= window["left"] + window["width"]
+        assert top >= window["top"] and top + height <= window["top"] + window["height"]
+
+
 def test_a_guide_is_moved(chromium, tmp_path) -> None:
     record = load(Path("configs/scenes/phantom2.toml"), SceneRecord)
     guide = GuideRecord(x_mm=-25.0, y_mm=0.0, name="template")
