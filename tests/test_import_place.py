@@ -662,20 +662,21 @@ def test_tips_stand_beside_shapes(tmp_path):
     assert [row.side for row in plan.rows] == [-1, 1] and made["entry_point"] == ("first", "assumed")
 
 
+ENTERED = {"pose": "1,0,0", "entry_point": "0,0,0", "bevel": "0,1,0", "specimen": "block"}
+
+
+def bend(**depths):
+    """Return rows (name, depth, deflection), mm, of needles of these depths, 5 mm apart."""
+    return [(name, x, 6e-4 * x**2) for name, depth in depths.items() for x in range(0, depth + 1, 5)]
+
+
 def test_readings_and_points_have_errors_of_their_own(tmp_path):
     """What a file states of its needles is theirs; the least is that of the dataset."""
-    shapes = [("a", x, 6e-4 * x**2, 0.2) for x in range(0, 61, 5)]
+    shapes = [(*row, 0.2) for row in bend(a=60)]
     write_table(file := tmp_path / "a.csv", "needle,x [mm],y [mm],sd [mm]", shapes)
-    runs = [("r", x, 6e-4 * x**2) for x in range(0, 61, 10)]
-    write_table(tracks := tmp_path / "b.csv", "run,depth [mm],deflection [mm]", runs)
-    stated = {"pose": "1,0,0", "entry_point": "0,0,0", "bevel": "0,1,0", "specimen": "block"}
-    write_placed(out := tmp_path / "out", [file, tracks], point_sd="0.05", **stated)
-    data = read(out)
+    write_table(tracks := tmp_path / "b.csv", "run,depth [mm],deflection [mm]", bend(r=60))
+    data = read(write_placed(tmp_path / "out", [file, tracks], point_sd="0.05", **ENTERED))
     assert {one.id: data.noise.of(one).point_sd for one in data.insertions} == {"a": 0.2, "r": 0.05}
-    write_table(tracks, "run,depth [mm],deflection [mm],sd [mm]", [(*row, 0.4) for row in runs])
-    write_placed(out := tmp_path / "other", [file, tracks], **stated)
-    data = read(out)
-    assert {one.id: data.noise.of(one).point_sd for one in data.insertions} == {"a": 0.2, "r": 0.4}
 
 
 def test_a_tip_of_the_name_and_depth_of_a_shape_is_of_this_needle(tmp_path):
@@ -692,16 +693,13 @@ def test_a_tip_of_the_name_and_depth_of_a_shape_is_of_this_needle(tmp_path):
 
 def test_a_track_of_the_name_and_depth_of_a_shape_is_of_the_same_insertion(tmp_path):
     """It shares bevel and fold with the shape; one that ends elsewhere is an insertion of its own."""
-    shapes = [(n, x, 6e-4 * x**2) for n in "ab" for x in range(0, 61, 5)]
-    write_table(file := tmp_path / "a.csv", "needle,x [mm],y [mm]", shapes)
-    runs = [(n, x, 6e-4 * x**2) for n, end in (("a", 60), ("b", 40)) for x in range(0, end + 1, 5)]
-    write_table(tracks := tmp_path / "b.csv", "needle,depth [mm],deflection [mm]", runs)
-    stated = {"pose": "1,0,0", "entry_point": "0,0,0", "bevel": "0,1,0", "specimen": "block"}
-    data = read(write_placed(tmp_path / "out", [file, tracks], point_sd="0.1", **stated))
+    write_table(file := tmp_path / "a.csv", "needle,x [mm],y [mm]", bend(a=60, b=60))
+    write_table(tracks := tmp_path / "b.csv", "needle,depth [mm],deflection [mm]", bend(a=60, b=40))
+    data = read(write_placed(tmp_path / "out", [file, tracks], point_sd="0.1", **ENTERED))
     folds = divide_insertions(data.insertions, "insertion")
     assert [[one.id for one in held] for held in folds.values()] == [["a", "a-2"], ["b"], ["b-2"]]
-    bevels = dict(zip((one.id for one in data.insertions), list_bevels(data, data.insertions), strict=True))
-    assert bevels["a"] == bevels["a-2"] and len({*bevels.values()}) == 3
+    first, *others = list_bevels(data, data.insertions)
+    assert others.count(first) == 1 and len({first, *others}) == 3
 
 
 def test_times_and_places_of_a_tip_beside_its_guide_are_tracks(tmp_path):
@@ -830,20 +828,16 @@ def test_an_import_replaces_an_earlier_one_and_nothing_else(tmp_path):
 
 
 def test_depths_of_points_count_from_the_entry_unless_the_first_point_is_stated_to_be_it(tmp_path):
-    rows = [("a", x, 6e-4 * x**2) for x in range(6, 61, 2)]
-    write_table(file := tmp_path / "a.csv", "needle,depth [mm],deflection [mm]", rows)
+    write_table(file := tmp_path / "a.csv", "needle,depth [mm],deflection [mm]", bend(a=60)[2:])
     stated, depths = {"holds": "shapes", "point_sd": "0.1"}, []
     for first in ({}, {"entry_point": "first"}):
-        write_placed(out := tmp_path / f"out{len(depths)}", [file], **stated, **first)
-        depths.append(read(out).insertions[0].depth)
-    assert depths == pytest.approx([60.0, 54.0], abs=0.1)
-    with pytest.raises(DataError, match=r"begin at a depth of 6.0 mm") as refused:
-        placed([file], pose="1,0,0", bevel="0,1,0", **stated)
-    assert refused.value.where.endswith("a.csv:2")
+        depths.append(planned([file], **stated, **first)[0].rows[0].depth)
+    assert depths == pytest.approx([60.0, 50.0], abs=0.1)
+    fault = refusal(DataError, "begin at a depth of 10.0 mm", planned, [file], pose="1,0,0", **stated)
+    assert fault.where.endswith("a.csv:2")
 
 
 def test_a_material_beside_a_modulus_is_asked_for(tmp_path):
-    rows = [(n, "steel", 30, d, 6e-4 * d**2) for n, d in (("a", 50), ("b", 60))]
+    rows = [(n, "steel", 30, x, y) for n, x, y in bend(a=60)[-1:]]
     write_table(file := tmp_path / "a.csv", "needle,material,modulus [kPa],depth [mm],deflection [mm]", rows)
-    with pytest.raises(DataError, match=r"modulus\.column=material"):
-        curves_of([file])
+    refusal(DataError, "--set modulus.column=material", curves_of, [file])

@@ -59,18 +59,6 @@ def runs():
     return [measured(track(f"run{n}", guide), 3.0 * n, 0.02 * n, n) for n, guide in enumerate(moves)]
 
 
-@pytest.mark.parametrize("beyond", [0.0, 0.4, 0.9])
-def test_a_track_is_where_a_stepwise_insertion_has_its_tip(beyond):
-    """The session moves the needle the same way; asked on constraint points, and between them."""
-    depth = DEPTH + beyond * (DEPTH > 0)
-    (found,) = simulate_tips([track("run", GUIDE, depth)])
-    gel = Tissue(np.array([0.03]), np.array([1.0]), np.empty(0), np.array([40.0]))
-    session = Session(NEEDLE, gel, Bevel(0.03), rules=ModelOptions())
-    for n, more in enumerate(np.diff(depth), start=1):
-        shape = session.step(insert=float(more), guides=(Guide(-20.0, float(GUIDE[n])),))
-        assert found[0, n] == pytest.approx(shape.u[-1], abs=0.002)
-
-
 def test_a_run_that_is_first_read_in_the_tissue_has_the_tips_of_one_read_from_contact_on(tmp_path):
     (whole,), (part,) = (simulate_tips([track("run", GUIDE[n:], DEPTH[n:])]) for n in (0, 1))
     np.testing.assert_allclose(part[0], whole[0, 1:], atol=1e-9)
@@ -82,14 +70,16 @@ def test_a_run_that_is_first_read_in_the_tissue_has_the_tips_of_one_read_from_co
         assert run.guide.depths[0] == run.guide.y[0] == 0.0
 
 
-def test_a_track_in_space_is_where_a_stepwise_insertion_has_its_tip():
-    """Guide along y and z, the bevel turned by a quarter on the way."""
-    one = replace(track("run", GUIDE, guide_z=GUIDE_Z), turns=((20.0, 90.0),))
+@pytest.mark.parametrize("beyond", [0.0, 0.4, 0.9])
+def test_a_track_is_where_a_stepwise_insertion_has_its_tip(beyond):
+    """Guide along y and z, the bevel turned by a quarter; asked on constraint points, and between them."""
+    depth, turned = DEPTH + beyond * (DEPTH > 0), 20.0 + beyond
+    one = replace(track("run", GUIDE, depth, guide_z=GUIDE_Z), turns=((turned, 90.0),))
     found = simulate_in_space(one)
     gel = Tissue(np.array([0.03]), np.array([1.0]), np.empty(0), np.array([40.0]))
     session = Session(NEEDLE, gel, Bevel(0.03), rules=ModelOptions())
-    for n, more in enumerate(np.diff(DEPTH), start=1):
-        bevel = Bevel(0.03, roll_deg=90.0 * (DEPTH[n - 1] >= 20))
+    for n, more in enumerate(np.diff(depth), start=1):
+        bevel = Bevel(0.03, roll_deg=90.0 * (depth[n - 1] >= turned))
         guide = Guide(-20.0, float(GUIDE[n]), z=float(GUIDE_Z[n]))
         shape = session.step(insert=float(more), guides=(guide,), bevel=bevel)
         assert found[n] == pytest.approx([shape.u[-1], shape.w[-1]], abs=0.002)
