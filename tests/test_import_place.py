@@ -680,7 +680,7 @@ def test_readings_and_points_have_errors_of_their_own(tmp_path):
 
 
 def test_a_tip_of_the_name_and_depth_of_a_shape_is_of_this_needle(tmp_path):
-    shapes = [(n, s, x, s * 6e-4 * x**2, 5) for n, s in (("a", 1), ("b", -1)) for x in range(0, 61, 5)]
+    shapes = [(n, s := 1 if n == "a" else -1, x, s * y, 5) for n, x, y in bend(a=60, b=60)]
     write_table(file := tmp_path / "a.csv", "needle,bevel side,x [mm],y [mm],z [mm]", shapes)
     tips = [("a", 60.0, 2.3, 0.05), ("b", 40.5, -1.1, 0.05)]
     write_table(other := tmp_path / "b.csv", "needle,depth [mm],deflection [mm],sd [mm]", tips)

@@ -76,6 +76,13 @@ def read_intervals(fit):
     return {name: (rows[name, 0.025], rows[name, 0.975]) for name in TRUTH}
 
 
+def find_truth(lab):
+    """Find the truth in the 95 % intervals of the fit of a lab."""
+    fit = "lab_fit" if lab.name == "one" else "lab_study-tune"
+    for name, (low, high) in read_intervals(fit).items():
+        assert low < TRUTH[name] < high, (name, low, high)
+
+
 @pytest.mark.parametrize("lab", LABS.values(), ids=LABS)
 def test_a_lab_ends_in_an_answer(lab, quick, capsys):
     commands = import_lab(lab, 1, capsys, needles=3)
@@ -87,18 +94,14 @@ def test_a_lab_ends_in_an_answer(lab, quick, capsys):
     if lab.name == "tracker":
         checks = pd.read_csv("reports/lab_study/checks.csv").set_index("check")
         assert checks.loc["closer_than_curves", "passed"] in (True, "True")
-    fit = "lab_fit" if lab.name == "one" else "lab_study-tune"
-    for name, (low, high) in read_intervals(fit).items():
-        assert low < TRUTH[name] < high, (name, low, high)
+    find_truth(lab)
 
 
 @pytest.mark.parametrize("lab", LABS.values(), ids=LABS)
 def test_a_second_set_of_a_lab_finds_its_truth(lab, quick, capsys):
     command = next(one for one in import_lab(lab, 3, capsys) if one[0] == "tune")
     assert run(*command) == 0
-    fit = "lab_fit" if lab.name == "one" else "lab_study-tune"
-    for name, (low, high) in read_intervals(fit).items():
-        assert low < TRUTH[name] < high, (name, low, high)
+    find_truth(lab)
 
 
 def test_a_fit_of_free_shapes_knows_what_their_direction_would_determine(quick, capsys):
