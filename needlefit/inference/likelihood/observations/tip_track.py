@@ -158,7 +158,7 @@ class _TipTrack(ObservationType):
         if further.gain_sd and insertion.guided:
             assert errors.respond is not None
             moves = errors.respond(insertion, depths_of_readings)[..., 1 : 1 + len(directions)]  # (M, K, D)
-            moves = operator @ moves.transpose(2, 1, 0).reshape(-1, len(moves))
+            moves = operator @ block_diag(*moves.transpose(2, 1, 0))  # gains of y and z differ
             axes += [ErrorAxis()] * moves.shape[1]
             session = np.column_stack([session, further.gain_sd * moves])
             if further.carried_sd:  # tissue that follows moves the tip, and is moved less against the needle
