@@ -94,14 +94,8 @@ def stack_values(
     table: Mapping[str, Floats], medium: MediumRecord, sequence: Sequence[int], factor: float = 1.0
 ) -> dict[str, Floats]:
     """Return what sets of values, (B,) each, give a `Batch` into layers `sequence`; bevels by a `factor`."""
-    strength = factor * table[medium.bevel_parameter]
-    values = {
-        # files and theta hold Pa, the mechanics N and mm: 1 Pa = 1e-6 MPa
-        "mu": np.column_stack([table[f"mu{layer}_pa"] * 1e-6 for layer in sequence]),
-        "shape": stack_shape(table, medium.law, sequence),
-    }
-    bevel = {"cut_angle": np.radians(strength)} if medium.advance == "path_angle" else {"offset": strength}
-    return values | bevel
+    drawn = select_layer_draws(table, sequence, medium.law)
+    return replace(drawn, bevel=factor * drawn.bevel).stack(path_angle=medium.advance == "path_angle")
 
 
 DEPTH_TOLERANCE_MM = 1e-9  #: mm; depths closer than this are one
@@ -486,13 +480,16 @@ class ParameterDraws:
             points[..., 1] += moved * self.carried[:, None]
         return points
 
+    def stack(self, *, path_angle: bool) -> dict[str, Floats]:
+        """Return moduli, shape parameters and bevels by their names in a `Batch`."""
+        return {"mu": self.mu, "shape": self.shape, "cut_angle" if path_angle else "offset": self.bevel}
+
     def make_batch(
         self, needle: Needle, tissue: Tissue, steps: tuple[Step, ...], rules: ModelOptions
     ) -> Batch:
-        """Return the insertion of every draw, with its moduli, shape parameters and bevels."""
-        name = "cut_angle" if rules.path_angle else "offset"
-        given = {"mu": self.mu, "shape": self.shape, "gain": self.bending, name: self.bevel}
-        return Batch(needle, tissue, steps, rules, **given)
+        """Return the insertion of every draw, with its moduli, shape parameters, bevels and gains."""
+        given = self.stack(path_angle=rules.path_angle)
+        return Batch(needle, tissue, steps, rules, gain=self.bending, **given)
 
 
 def select_layer_draws(
@@ -502,10 +499,10 @@ def select_layer_draws(
 
     `layers` are their numbers, from 1, in the order in which they are met.
     """
+    angles = draws.get("cut_angle_deg")
     return ParameterDraws(
+        # files and theta hold Pa, the mechanics N and mm: 1 Pa = 1e-6 MPa
         mu=np.column_stack([draws[f"mu{layer}_pa"] * 1e-6 for layer in layers]),
         shape=stack_shape({str(name): column for name, column in draws.items()}, law, layers),
-        bevel=np.radians(np.asarray(draws["cut_angle_deg"], dtype=np.float64))
-        if "cut_angle_deg" in draws
-        else np.asarray(draws["bevel_mm"], dtype=np.float64),
+        bevel=np.asarray(draws["bevel_mm"] if angles is None else np.radians(angles), dtype=np.float64),
     )
