@@ -19,14 +19,7 @@ from needlefit.mechanics.control import Bevel, Step
 from needlefit.mechanics.scene import Scene, begin_session
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate_steps
-from needlefit.planning.goals import (
-    Goal,
-    compute_clearances,
-    cut_plane,
-    find_hits,
-    minimize_miss,
-    read_goal_points,
-)
+from needlefit.planning.goals import Goal, compute_clearances, cut_plane, find_hits, read_goal_points
 from needlefit.planning.recording import Recording, read_recording, replay
 from needlefit.planning.steering import PlanLimits, StartedInsertion, SteeringPlan, plan_steering
 from needlefit.schemas.planning import ObstacleRecord
@@ -331,15 +324,3 @@ def test_an_uncertain_gain_of_the_base_spreads_the_misses(tmp_path, capsys) -> N
         most.append(json.loads(capsys.readouterr().out)["miss_95_mm"])
     assert most[1] > 1.5 * most[0]
     assert run("plan", "phantom2", *words, "--gain-sd", "0.25") == 3  # of exact parameters
-
-
-def test_the_least_miss_of_linear_residuals_is_that_of_least_squares():
-    matrix, goal = np.array([[1.5, 0.2], [0.3, 0.7], [0.1, -0.4]]), np.array([1.0, -2.0, 0.5])
-    best, (square,), *_ = np.linalg.lstsq(matrix, goal, rcond=None)
-    found, miss = minimize_miss(
-        lambda choices: [matrix @ one - goal for one in choices],
-        np.zeros(2),
-        (np.full(2, -9.0), np.full(2, 9.0)),
-        np.full(2, 0.01),
-    )
-    assert found == pytest.approx(best, abs=1e-6) and miss == pytest.approx(math.sqrt(square))

@@ -132,31 +132,22 @@ def test_sigma_points_have_the_mean_and_the_covariance_of_the_weighted_draws() -
     assert exact._draws.list_sigma_points().bevel == pytest.approx([0.1])
 
 
-@pytest.mark.parametrize("kind", ["tip", "shape", "curvatures"])
-def test_what_is_measured_narrows_the_prediction_about_the_truth(kind: str) -> None:
-    within, narrower = 0, 0
-    for seed in range(6):
-        rng, robot, steering = np.random.default_rng(seed), Robot(seed), steer(seed=seed)
-        for depth in (20.0, 40.0, 60.0):
-            step = change(steering.now, depth, base_y=depth / 20 - 1)
-            tip = robot.go(step)
-            steering.advance(step)
-            before = steering.predict(80.0)
-            shape, from_tip = robot.session.now.shape, np.array([10.0, 25.0, 40.0, 55.0])
-            s = depth - from_tip
-            points = needlefit.compute_positions(shape, s)
-            if kind == "tip":
-                steering.measure(np.add(tip[:2], (0.0, 0.1 * rng.normal())), sd=0.1)
-            elif kind == "shape":
-                steering.measure(shape=points[:, :2] + 0.1 * rng.normal(size=(4, 2)) * (0, 1), sd=0.1)
-            else:
-                second = [needlefit.compute_positions(shape, s + h)[:, 1] for h in (-1.0, 0.0, 1.0)]
-                kappa = 1e3 * (second[0] - 2 * second[1] + second[2]) + 0.05 * rng.normal(size=4)
-                steering.measure(curvatures=np.column_stack([from_tip, kappa]), sd=0.05)
-        after, truth = steering.predict(80.0), robot.go(change(steering.now, 80.0))[1]
-        within += after.low[0] <= truth <= after.high[0]
-        narrower += after.high[0] - after.low[0] < 0.7 * (before.high[0] - before.low[0]) + 1.0
-    assert within >= 5 and narrower == 6
+def test_every_kind_of_measurement_is_expected_where_the_needle_is() -> None:
+    """Of exact draws: each value is off by what was added to it, in standard deviations."""
+    steering, from_tip = steer(EXACT, draws=1, gain_sd=0.0), np.array([10.0, 25.0, 40.0])
+    path = change(steering.now, 30.0), change(steering.now, 60.0, base_y=1.0)
+    steering.advance(path)
+    shape = needlefit.simulate_steps(steering.needle, steering.tissue, path, steering.rules)
+    tip, *points = needlefit.compute_positions(shape, 60.0 - np.append(0.0, from_tip))[:, :2]
+    before, here, behind = (needlefit.compute_positions(shape, 60.0 - from_tip + h)[:, 1] for h in (-1, 0, 1))
+    curvatures = np.column_stack([from_tip, 1e3 * (before - 2 * here + behind)])
+    for kind, values, tolerance in (
+        ("tip", tip, 1e-3),
+        ("shape", points, 0.02),
+        ("curvatures", curvatures, 1e-3),
+    ):
+        found = steering.measure(**{kind: np.add(values, (0.0, 0.2))}, sd=0.1)
+        assert found.surprise == pytest.approx(2.0, abs=tolerance), kind
 
 
 def test_with_feedback_the_needle_comes_nearer_and_the_predicted_miss_holds() -> None:

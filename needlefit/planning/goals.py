@@ -4,7 +4,7 @@ Needles are arrays (B, K, 2) of B draws, in space (B, K, 3), entry to tip, mm, N
 """
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
@@ -21,8 +21,6 @@ from needlefit.schemas.planning import ObstacleRecord
 PATH_POINTS = 41  #: points of a needle, entry to tip
 UNSOLVED_MISS_MM = 100.0  #: the miss that stands for a needle without a solution, mm
 OBSTACLE_PENALTY = 10.0  #: by how much a mm of an obstacle counts more than a mm beside the target
-SEARCH_TOLERANCE = 1e-4  #: relative change at which a search ends
-MAX_EVALUATIONS = 25  #: of one search, with a gradient
 TARGET_LABEL = "target"  #: beginning of the label of the target in a file of markups, in any case
 MAX_NAME_LENGTH = 40  #: characters of the name of an obstacle; of a longer label the first ones
 
@@ -84,43 +82,6 @@ def compute_residuals(needles: Floats, goal: Goal) -> Floats:
         near = np.maximum(0.0, -compute_clearances(needles, obstacle))
         parts.append(OBSTACLE_PENALTY * np.where(solved, near, 0.0)[:, None])
     return np.hstack(parts).ravel() / math.sqrt(len(needles))
-
-
-def minimize_miss(
-    residuals: Callable[[Sequence[Floats]], list[Floats]],
-    start: Floats,
-    bounds: tuple[Floats, Floats],
-    steps: Floats,
-) -> tuple[Floats, float]:
-    """Return the choice with the least expected squared miss within bounds, and the root of that, mm.
-
-    `residuals`: several choices -> `compute_residuals` of the needles of each; a gradient asks for all its
-    choices at once. `steps` (P,) are those of the differences.
-    """
-    low, high = bounds
-
-    def slopes(inputs: Floats) -> Floats:
-        moves = np.diag(np.where(inputs + steps > high, -steps, steps))
-        still, *moved = residuals([inputs, *(inputs + move for move in moves)])
-        return np.stack(
-            [(place - still) / move.sum() for place, move in zip(moved, moves, strict=True)], axis=1
-        )
-
-    def here(inputs: Floats) -> Floats:
-        return residuals([inputs])[0]
-
-    from scipy.optimize import least_squares  # late: it takes 0.3 s to load
-
-    solution = least_squares(
-        here,
-        np.clip(start, low + 1e-6, high - 1e-6),
-        slopes,
-        bounds=bounds,
-        xtol=SEARCH_TOLERANCE,
-        ftol=SEARCH_TOLERANCE,
-        max_nfev=MAX_EVALUATIONS,
-    )
-    return solution.x, math.sqrt(2 * solution.cost)
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ it turns over as in the plane, and the base moves along y.
 The plan is the one of least risk: the share of posterior draws whose tip misses the target by more than its
 radius, or whose needle touches an obstacle. Turns of the bevel are chosen from a grid of constraint points;
 for each choice one Gauss-Newton step brings the expected tip to the target, the best few are then optimised
-(`goals.minimize_miss`) and their risk lowered. What is reported comes of draws that no plan was sought with.
+and their risk lowered. What is reported comes of draws that no plan was sought with.
 
 Depths are arc lengths, as the needle is inserted; target and obstacles are in the constraint frame C.
 """
@@ -39,10 +39,11 @@ from needlefit.planning.goals import (
     compute_residuals,
     cut_plane,
     find_hits,
-    minimize_miss,
 )
 
 SEARCH_DRAWS = 32  #: draws on which a plan is sought; the others test it
+SEARCH_TOLERANCE = 1e-4  #: relative change at which a search ends
+MAX_EVALUATIONS = 25  #: of one search, with a gradient
 QUICK_ROUNDS = 2  #: of Gauss-Newton steps of a plan that is made again on the way
 QUICK_RAMP = 0.15  #: part of the remaining way on which the base moves: later moves hardly bend a needle
 BASE_STEP_MM = 5.0  #: the base moves in steps of so much inserted depth
@@ -476,17 +477,36 @@ class _Search:
 
     def _find(self) -> _Choice:
         """Return the best choice of this range alone."""
-        tried, minima = self._step_once(self.list_choices()), []
+        tried = self._step_once(self.list_choices())
         count = self.rules.refined
-        for choice in self._rank(tried)[:count]:
-
-            def residuals(places: Sequence[Floats], choice: _Choice = choice) -> list[Floats]:
-                return self.residuals([replace(choice, at=place) for place in places])
-
-            minimum, _ = minimize_miss(residuals, choice.at, self.bounds, DIFFERENCE_STEPS[: len(choice.at)])
-            minima.append(replace(choice, at=minimum))
+        minima = [self._minimize(choice) for choice in self._rank(tried)[:count]]
         minima = self._rank(minima)
         return self._rank([*map(self._lower_risk, minima[: count - 1]), minima[0]])[0]
+
+    def _minimize(self, choice: _Choice) -> _Choice:
+        """Return the choice of the least expected squared miss nearby."""
+        (low, high), steps = self.bounds, DIFFERENCE_STEPS[: len(choice.at)]
+
+        def residuals(inputs: Floats, *moved: Floats) -> Floats:
+            return np.squeeze(self.residuals([replace(choice, at=place) for place in (inputs, *moved)]))
+
+        def slopes(inputs: Floats) -> Floats:
+            moves = np.diag(np.where(inputs + steps > high, -steps, steps))
+            still, *moved = residuals(inputs, *(inputs + moves))  # all at once
+            return np.transpose((np.array(moved) - still) / moves.sum(axis=1)[:, None])
+
+        from scipy.optimize import least_squares  # late: it takes 0.3 s to load
+
+        solution = least_squares(
+            residuals,
+            np.clip(choice.at, low + 1e-6, high - 1e-6),
+            slopes,
+            bounds=(low, high),
+            xtol=SEARCH_TOLERANCE,
+            ftol=SEARCH_TOLERANCE,
+            max_nfev=MAX_EVALUATIONS,
+        )
+        return replace(choice, at=solution.x)
 
     def _rank(self, choices: Sequence[_Choice]) -> list[_Choice]:
         """Return choices, that of least risk first."""
