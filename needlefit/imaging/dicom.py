@@ -26,7 +26,7 @@ from needlefit.errors import DataError, located
 from needlefit.grouping import group_values
 from needlefit.imaging.volume import (
     MAX_LISTED,
-    MIN_SPACING_MM,
+    SPACINGS_MM,
     VoxelGrid,
     begins_as_dicom,
     check_grid,
@@ -372,9 +372,9 @@ def _fit_steps(ordered: Sequence[DicomSlice], positions: Floats, normal: Floats)
     """
     steps = np.diff(positions @ normal)
     usual = float(np.median(steps))
-    doubled = int((steps < MIN_SPACING_MM).sum())
+    doubled = int((steps < SPACINGS_MM[0]).sum())
     for (before, after), step in zip(pairwise(ordered), steps, strict=True):
-        if step < MIN_SPACING_MM:
+        if step < SPACINGS_MM[0]:
             raise DataError(
                 f"stands at the same place as {before.file.name}, with other voxels, as {doubled} of "
                 f"{len(ordered)} slices do: these are several scans with one AcquisitionNumber, or none",
@@ -382,7 +382,7 @@ def _fit_steps(ordered: Sequence[DicomSlice], positions: Floats, normal: Floats)
                 fix="export one scan (phase, time, kernel), or move the slices of each to its own folder",
                 where=after.file,
             )
-        if usual >= MIN_SPACING_MM and step > MAX_STEP_RATIO * usual:
+        if usual >= SPACINGS_MM[0] and step > MAX_STEP_RATIO * usual:
             raise DataError(
                 f"{round(step / usual) - 1 or 1} slice(s) missing between {before.file.name} and "
                 f"{after.file.name}: a step of {step:.4g} mm where others are {usual:.4g} mm",

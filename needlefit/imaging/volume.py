@@ -19,8 +19,7 @@ from needlefit.project.reader_process import MEMORY_VARIABLE, stated_memory_byte
 # Largest volume that is read, 1024^3: 4 GB in memory, unless the user states another size.
 DEFAULT_MAX_VOXELS = 2**30
 # Spacings of real scans, mm; outside, the unit of the file is not mm.
-MIN_SPACING_MM = 1e-3  # mm, finest micro-CT
-MAX_SPACING_MM = 50.0  # mm, thickest slices
+SPACINGS_MM = (1e-3, 50.0)  # from the finest micro-CT to the thickest slices
 # Axes may miss right angles and unit length by this much, as cosines printed with four decimals do.
 AXES_COSINE_TOLERANCE = 2e-4
 MAX_TILT_DEG = 35.0  # a gantry tilts by 30 degrees at most; its slices then lean over one another by as much
@@ -73,10 +72,10 @@ def check_grid(grid: VoxelGrid) -> None:
             expected="positions of voxels in mm",
             fix="export the volume again",
         )
-    if grid.spacing.min() < MIN_SPACING_MM or grid.spacing.max() > MAX_SPACING_MM:
+    if grid.spacing.min() < SPACINGS_MM[0] or grid.spacing.max() > SPACINGS_MM[1]:
         raise DataError(
             f"the spacing of the voxels is {' x '.join(f'{step:g}' for step in grid.spacing)} mm",
-            expected=f"{MIN_SPACING_MM:g} to {MAX_SPACING_MM:g} mm",
+            expected="{:g} to {:g} mm".format(*SPACINGS_MM),
             fix="check in which unit the spacing was written; it must be mm",
         )
     off = np.abs(grid.direction.T @ grid.direction - np.eye(3))
@@ -169,8 +168,6 @@ READABLE_VOLUMES = (
     "or a .zip of these"
 )
 
-DICOM_PREAMBLE_BYTES = 132
-
 
 def is_dicomdir(path: Path) -> bool:
     """Return whether a path is the directory of a DICOM export, which lies beside its files."""
@@ -188,9 +185,9 @@ def list_series_files(path: Path) -> list[Path]:
 
 
 def begins_as_dicom(path: Path) -> bool:
-    """Return whether a file begins like a DICOM file: with a preamble."""
+    """Return whether a file begins like a DICOM file: with a preamble of 128 bytes, and its name."""
     with open_regular(path, sys.maxsize) as content:
-        return content.read(DICOM_PREAMBLE_BYTES).endswith(b"DICM")
+        return content.read(132).endswith(b"DICM")
 
 
 @dataclass(frozen=True)
