@@ -14,17 +14,14 @@ from reading_here import child_process_reader, read_here  # noqa: F401
 from refusals import refusal
 from scanner.write import write_volume
 from test_cli import run
-from test_cli_reconstruct import MARKERS, VOLUME, two_needles
+from test_cli_reconstruct import MARKERS, VOLUME
 
 from needlefit.errors import DataError
 from needlefit.imaging.batch import reconstruct_needles
 from needlefit.imaging.corrections import AXIS_POINTS, correct_scans, make_control_points, read_corrections
-from needlefit.imaging.needle.segmentation import find_ends, find_tubes
 from needlefit.imaging.scans import Corrections, Scan, make_scans, read_scans
-from needlefit.imaging.volume_files import read_volume
 from needlefit.project.locate import shipped_folder
 from needlefit.reporting.scan_pages import write_refusal_page
-from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.schemas.scan_files import ScanFiles
 from needlefit.studies.kinds.reconstruction.report import write_control_points
 
@@ -115,6 +112,9 @@ def test_a_needle_whose_ends_lie_in_tissue_is_placed_as_its_refusal_offers(tmp_p
     placed = Corrections(tip=truth[-1], entry=cases.ENTRY + np.array([0, 0, 8]))
     (one,) = reconstruct_needles(replace(scan, corrections=placed), cases.RECIPE)
     assert one.depth == pytest.approx(20.0, abs=0.3)
+    placed = replace(placed, axis=truth[[4, 20, 40]])
+    (one,) = reconstruct_needles(replace(scan, corrections=placed), cases.RECIPE)
+    assert one.depth == pytest.approx(20.0, abs=0.3) and "axis" in one.warnings[0]
 
 
 def test_a_file_in_ras_is_turned_and_one_without_a_system_refused(file):
@@ -195,26 +195,3 @@ def test_a_plate_on_the_tissue_is_asked_about_and_what_a_person_answers_is_taken
     assert behind["depth_mm"] == pytest.approx(14.0, abs=0.6)
     assert run(*words, "none", "--confirm", "entry=3") == 3
     assert run(*words, "other", "--confirm", "axis") == 2
-
-
-@pytest.mark.sweep
-def test_a_refused_scan_is_corrected_by_points_that_are_added(tmp_path, capsys):
-    (path,) = two_needles(tmp_path)
-    words = ["reconstruct", path, "-q", "--out"]
-    assert run(*words, tmp_path / "out") == 3
-    volume, recipe = read_volume(path), ReconstructionRecord(schema=1)
-    ends = find_ends(volume, find_tubes(volume, recipe)[0])
-    points = [
-        {"label": "axis", "position": (ends[0] + t * (ends[1] - ends[0])).tolist()} for t in (0.2, 0.5, 0.8)
-    ]
-    one = {
-        "type": "Fiducial",
-        "name": "spoiled corrections",
-        "coordinateSystem": "LPS",
-        "controlPoints": points,
-    }
-    file = tmp_path / "mine.mrk.json"
-    file.write_text(json.dumps({"markups": [one]}))
-    assert run(*words, tmp_path / "out", "--corrections", file) == 0
-    (row,) = pd.read_csv(tmp_path / "out/reconstruction.csv").to_dict(orient="records")
-    assert row["depth_mm"] > 20 and "correct" in row["warnings"]
