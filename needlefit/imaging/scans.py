@@ -142,11 +142,17 @@ VECTORS = {
     "needle_at": ("needle_x_mm", "needle_y_mm", "needle_z_mm"),
 }
 FILES = ("mask", "markers", "fiducials")
+# Fields that a row and a scan share.
+SAME_FIELDS = (
+    *("id", "series", "acquisition", "medium", "specimen", *FILES, "surfaces_in"),
+    *("layers", "layers_alternative", "origin"),
+)
 MESH_SUFFIXES = (".stl", ".ply", ".obj")
 SEGMENTATION_SUFFIXES = (*IMAGE_SUFFIXES, ARCHIVE_SUFFIX)
 SCAN_TABLE_FIX = "write a table of scans, with a column for it"
 _LAYER_PATTERN = re.compile(
-    r"(?P<file>.+?)(=(?P<kind>sheet|solid):(?P<into>[1-9]\d{0,2})|=segments:(?P<names>[^=]+))?"
+    r"(?P<file>.+?)(=(?P<kind>sheet|solid):(?P<into>[1-9]\d{0,2})|=segments:(?P<names>[^=]+))?",
+    re.DOTALL,
 )
 
 
@@ -159,7 +165,7 @@ def _require_id(text: str) -> str:
 def _locate(file: str, info: ValidationInfo) -> Path:
     path = Path(info.context or "", file)
     if not path_exists(path) if info.field_name == "scan" else not is_file(path):
-        raise ValueError(f"a path from {path.parent.resolve()}; there is no file {path}")
+        raise ValueError(f"a file, by its path from the folder of the table; there is no file {path}")
     if fault := name_fault(path.name):
         raise ValueError(f"{EXPECTED_NAME}; {fault}")
     return path
@@ -262,7 +268,7 @@ def _build_scan(cells: Mapping[str, str], folder: Path, where: str, faults: list
             name, *place = map(str, detail["loc"] or ("",))
             column = VECTORS[name][int(place[0])] if place else name
             value = repr(detail["input"]) if isinstance(detail["input"], str) else "empty"
-            text = re.sub("Value error, |Input should be ", "", detail["msg"])
+            text = re.sub("Value error, |Input should be |, unable to parse.*", "", detail["msg"])
             faults.append(
                 DataError(
                     f"{column} is {value}" if name else text,
@@ -285,13 +291,6 @@ def _build_scan(cells: Mapping[str, str], folder: Path, where: str, faults: list
         guide_distance=row.guide_distance_mm,
         **{name: getattr(row, name) for name in SAME_FIELDS},
     )
-
-
-# Fields that a row and a scan share.
-SAME_FIELDS = (
-    *("id", "series", "acquisition", "medium", "specimen", *FILES, "surfaces_in"),
-    *("layers", "layers_alternative", "origin"),
-)
 
 
 def read_scans(path: Path) -> tuple[Scan, ...]:
@@ -336,13 +335,16 @@ def read_scans(path: Path) -> tuple[Scan, ...]:
             for place, marked in zip(places, markers, strict=True)
             if not marked
         ]
-    return _build_scans(rows, places, path.parent, faults)
+    return _build_scans(rows, places, path, path.parent, faults)
 
 
 def _build_scans(
-    rows: Sequence[Mapping[Any, str]], places: Sequence[str], folder: Path, faults: list[Fault]
+    rows: Sequence[Mapping[Any, str]], places: Sequence[str], path: Path, folder: Path, faults: list[Fault]
 ) -> tuple[Scan, ...]:
-    """Return the scans of rows; DataError listing the `faults` that were found, and all others."""
+    """Return the scans of rows; DataError about `path` listing the `faults` found, and all others.
+
+    Files are named from `folder`.
+    """
     scans: dict[str, Scan | None] = {}
     first: dict[str, str] = {}
     for row, place in zip(rows, places, strict=True):
@@ -360,7 +362,7 @@ def _build_scans(
         first.setdefault(id_, place)
         scans[id_] = scan
     if faults:
-        raise as_error(faults, Path(places[0].rpartition(":")[0] or places[0]))
+        raise as_error(faults, path)
     return tuple(scan for scan in scans.values() if scan)
 
 
@@ -383,7 +385,7 @@ def make_scans(volumes: Sequence[Path], shared: ScanFiles = NO_FILES) -> tuple[S
     stated = {name: str(getattr(shared, name) or "") for name in ("medium", "series", "acquisition", *FILES)}
     stated |= {"surfaces": ";".join(shared.layers), "surfaces_in": shared.layers_in}
     rows = [{**stated, "scan": str(volume)} for volume in volumes]
-    return _build_scans(rows, [row["scan"] for row in rows], Path(), faults)
+    return _build_scans(rows, [row["scan"] for row in rows], volumes[0], Path(), faults)
 
 
 def scan_id(volume: Path) -> str:
