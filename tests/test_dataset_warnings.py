@@ -277,6 +277,18 @@ def test_tips_out_of_the_planes_of_their_bevels_come_with_the_direction_that_fit
         assert [x, y, z] == pytest.approx([0.0, np.cos(tilt), np.sin(tilt)], abs=0.02) and "35 (a)" in one.fix
 
 
+@pytest.mark.parametrize("twist", [0.0, 1.0])
+def test_free_shapes_that_bend_in_no_plane_are_named(tmp_path, twist):
+    """Two needles that bend by 20 mm, and from the middle on across that plane."""
+    turned = np.clip(X - 25.0, 0.0, None)
+    curve = np.column_stack([X, 8e-3 * (X**2 - twist * turned**2), twist * 8e-3 * turned**2])
+    rows = [into_gel(name, **FREE) for name in "ab"]
+    tables = {"frame": {"name": "free", "pose": "free"}}
+    path = write_rows(tmp_path, *rows, curves=dict.fromkeys("ab", curve), **tables)
+    assert ("bevel_plane" in kinds(path)) == bool(twist)
+    assert len(measure_out_of_plane(read(path))) == 2
+
+
 def test_surfaces_that_insertions_begin_within_and_never_meet_have_a_hole(tmp_path):
     """A box without the face where the needles enter, and the same box elsewhere."""
     box = trimesh.creation.box(extents=(80, 60, 60))
