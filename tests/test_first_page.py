@@ -1,6 +1,7 @@
 """The first page: its parts agree, and every output prints this one record."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from shutil import which
@@ -191,6 +192,9 @@ def test_a_combined_report_has_data_table_verdicts_and_last_a_closed_page_and_cu
             places = window.evaluate(PLACES)
             assert places == sorted(places) and window.evaluate(CUT) == 0
             assert not window.evaluate("document.querySelector('main > details').open")
+            window.emulate_media(media="print", color_scheme="dark")
+            paper = window.evaluate("getComputedStyle(document.body).backgroundColor")
+            assert min(map(int, re.findall(r"\d+", paper)[:3])) > 240  # printed light
         browser.close()
 
 
