@@ -545,3 +545,8 @@ def test_a_refused_answer_is_asked_for_again(tmp_path):
         [CASES / "matrices.csv"], prompt=lambda *_: next(replies, ""), review=lambda *_: next(changes)
     )
     assert {curve.holds for curve in matrices.content.curves} == {"shapes"} and not [*changes]
+
+
+def test_a_key_that_is_not_known_is_refused_with_the_nearest_one(tmp_path):
+    file = write_rows(tmp_path / "a.csv", [["x", "y"], *NEEDLES[0][:, :2]])
+    assert "--set modulus=80" in refusal(ConfigError, "modulis", prepare, [file], modulis="80").fix

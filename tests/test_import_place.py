@@ -841,3 +841,38 @@ def test_a_material_beside_a_modulus_is_asked_for(tmp_path):
     rows = [(n, "steel", 30, x, y) for n, x, y in bend(a=60)[-1:]]
     write_table(file := tmp_path / "a.csv", "needle,material,modulus [kPa],depth [mm],deflection [mm]", rows)
     refusal(DataError, "--set modulus.column=material", curves_of, [file])
+
+
+    with pytest.raises(DataError, match=r"modulus\.column=material"):
+        curves_of([file])
+
+
+@pytest.mark.parametrize(("head", "axes"), [("guide z", ""), ("guide y", "z"), ("guide [mm]", "z")])
+def test_a_guide_is_placed_along_the_axis_of_its_column(tmp_path, head, axes):
+    rows = [["time", "tip x", "tip y", "tip z", "depth", head]]
+    rows += [[n, 5.0, x, 1e-3 * x**2, x, 3.0 * x / 60.0] for n, x in enumerate(np.linspace(0.0, 60.0, 31))]
+    file = write_rows(tmp_path / "log.csv", rows)
+    if axes:  # along the needle, or along no stated axis: its motion would be lost
+        assert f"guide.axes={axes}" in refusal(DataError, "guide", planned, [file]).fix
+    content, _, _ = placed([file], **({"guide__axes": axes} if axes else {}))
+    np.testing.assert_allclose(content.curves[0].guide[[0, -1], 0], [0.0, 3.0], atol=1e-9)
+
+
+def test_curvatures_may_stand_on_a_sheet_for_each_needle_without_an_sd(tmp_path):
+    sheets = {
+        f"needle {n}": [
+            *[["Depth (mm)", 40 + 10 * n], ["Bevel", 1], []],
+            ["station", "distance from tip (mm)", "kappa_xy (1/m)", "kappa_xz (1/m)"],
+            *[[1, 5, 0.1 * n, 0.0], [2, 25, 0.2 * n, 0.1]],
+        ]
+        for n in (1, 2)
+    }
+    file = write_sheets(tmp_path / "bragg.xlsx", **sheets)
+    _, plan, made = placed([file])
+    assert [(row.id, row.depth) for row in plan.rows] == [("needle_1", 50.0), ("needle_2", 60.0)]
+    np.testing.assert_allclose(plan.rows[1].curvature, [[5, 2e-4, 0, 1e-4], [25, 4e-4, 1e-4, 1e-4]])
+    assert made["curvature_sd"] == ("0.1", "assumed")
+    assert planned([file], curvature_sd="2e-5 1/mm")[0].rows[0].curvature[0, 3] == pytest.approx(2e-5)
+    sheets["needle 2"][3][2:] = ["a (1/m)", "b (m^-1)"]
+    file = write_sheets(tmp_path / "other.xlsx", **sheets)
+    assert "curvature_y.column=" in refusal(DataError, "unit of a curvature", planned, [file]).fix

@@ -105,8 +105,13 @@ def _format_point(point: Floats) -> str:
 
 def tabulate_columns(columns: Sequence[dict[str, str]]) -> pd.DataFrame:
     """Return one row for each meaning of each table: its column, unit and first values in mm."""
-    frame = pd.DataFrame([*columns], columns=["table", "meaning", "column", "unit", "first values"])
-    return frame.drop(columns=["table"]) if frame["table"].nunique() == 1 else frame
+    keys = ["meaning", "column", "unit"]
+    frame = pd.DataFrame([*columns], columns=["table", *keys, "first values"])
+    if frame["table"].nunique() == 1:
+        return frame.drop(columns=["table"])
+    more = frame.groupby(keys, sort=False)["table"].transform("size") - 1
+    frame["table"] += [f" and {count} more" if count else "" for count in more]
+    return frame.drop_duplicates(keys)
 
 
 def tabulate_values(prepared: PreparedImport) -> pd.DataFrame:
@@ -131,10 +136,12 @@ def join_unused(unused: Sequence[tuple[str, str]], left_out: Sequence[str] = ())
 
     `unused`: what, and where it stands. `left_out`: points without a measured coordinate, counted.
     """
-    by_place = dict[str, list[str]]()
+    by_place, by_names = dict[str, list[str]](), dict[str, list[str]]()
     for part, where in unused:
         by_place.setdefault(where, []).append(part)
-    parts = [f"{join_names(names, MAX_LISTED_UNUSED)} ({where})" for where, names in by_place.items()]
+    for where, names in by_place.items():
+        by_names.setdefault(join_names(names, MAX_LISTED_UNUSED), []).append(where)
+    parts = [f"{names} ({join_names(places, 1)})" for names, places in by_names.items()]
     parts += [f"points without a measured coordinate: {text}" for text in left_out]
     return f"Not used: {'; '.join(parts)}." if parts else ""
 

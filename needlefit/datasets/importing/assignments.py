@@ -4,12 +4,15 @@ from collections.abc import Sequence
 from typing import Any
 
 from needlefit.datasets.importing.meanings import MEANINGS, VALUES
+from needlefit.datasets.importing.stated import name_set
 from needlefit.datasets.importing.synonyms import translate_side
 from needlefit.errors import ConfigError
+from needlefit.project.locate import sort_by_similarity
 from needlefit.project.toml import override
 from needlefit.schemas.mapping import TableRecord
 
 TABLE_KEYS = tuple(key for key in TableRecord.model_fields if key not in ("files", "columns"))
+KEYS = ("unit", "origin", *TABLE_KEYS, *MEANINGS)
 PARSED_PARTS = ("words", "sign")  # of a meaning; the others are texts
 
 
@@ -44,9 +47,6 @@ class Assignments:
             else:
                 raise ConfigError(
                     f"--set {key}={text[:40]}: there is no key `{key}`",
-                    expected=(
-                        f"unit, origin, {', '.join(TABLE_KEYS)}, {', '.join(VALUES)}, "
-                        f"or MEANING.column of {', '.join(MEANINGS)}"
-                    ),
-                    fix="correct the key",
+                    expected="a key of the mapping: needlefit explain mapping",
+                    fix=f"did you mean {name_set(sort_by_similarity(head, KEYS)[0], text)}",
                 )

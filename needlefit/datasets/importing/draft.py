@@ -1,7 +1,7 @@
 """What is proposed of a mapping: its tables and values, what is assumed, open, or not used."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +46,9 @@ class Draft:
             answer: {key: value.format(**parts) for key, value in keys.items()}
             for answer, keys in answers.items()
         }
-        self.opens.append(Open(key.format(**parts), text.format(**parts), choices or filled, where))
+        asked = Open(key.format(**parts), text.format(**parts), choices or filled, where)
+        if not any(replace(other, where=where) == asked for other in self.opens):  # of one sheet
+            self.opens.append(asked)
 
     def add(self, entry: dict[str, Any], path: Path) -> None:
         """Add the entry of a table; files that are read alike have one."""

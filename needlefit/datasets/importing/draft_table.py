@@ -4,7 +4,7 @@ import json
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from itertools import count, pairwise
+from itertools import count, pairwise, permutations
 from typing import Any
 
 from needlefit.datasets.importing.assignments import Assignments
@@ -116,7 +116,9 @@ class TableDraft:
         """Return how a mapping names columns, and the unit of the first."""
         names, unit = [self._name(n) for n in places], self.headers[places[0]].unit
         unit = _per(unit) if meaning.startswith("curvature") else unit
-        return {"column": names[0] if len(names) == 1 else names} | ({"unit": unit} if unit else {})
+        axes = "".join(self.headers[n].axis for n in places) if meaning == "guide" else ""
+        spelled = {"column": names[0] if len(names) == 1 else names, "unit": unit, "axes": axes}
+        return {key: value for key, value in spelled.items() if value}
 
     def _name(self, n: int) -> str | int:
         """Return the first row's header of a column, else all of them, else its number: what is unique."""
@@ -135,11 +137,13 @@ class TableDraft:
                 is_needle = header.meaning == "medium" and all(map(_is_needle_material, texts))
                 places_by_meaning.setdefault("modulus" if is_needle else header.meaning, []).append(n)
         for meaning in (*VECTORS, "guide"):  # columns x, y and z of a place
-            places = [
-                n for n, header in enumerate(self.headers) if header.group == meaning and n not in self.used
-            ]
-            if any(self.headers[n].axis == "y" for n in places):
-                places_by_meaning[meaning] = places
+            places = {
+                header.axis: n
+                for n, header in enumerate(self.headers)
+                if header.group == meaning and n not in self.used
+            }
+            if "y" in places or (places and meaning == "guide"):
+                places_by_meaning[meaning] = [places[axis] for axis in sorted(places)]
         places_by_meaning = {
             meaning: places for meaning, places in places_by_meaning.items() if meaning not in blocked
         }
@@ -148,9 +152,9 @@ class TableDraft:
             tips = [n for n in tips if all(map(self._is_number, self._list_texts(n)))]
             if tips and not {"y", "deflection"} & blocked:
                 places_by_meaning["deflection"] = tips
-        if "guide" in places_by_meaning:
+        if "guide" in places_by_meaning and "guide" not in self.draft.values:
             names = ", ".join(str(self._name(n)) for n in places_by_meaning["guide"])
-            self.draft.assumed["guide"] = f"{names}: taken to be the guide; guide=none if it is not"
+            self.draft.assumed["guide"] = f"{names}: by its header; guide=none if it is no guide"
         if "needle" in places_by_meaning:
             self._choose_names(places_by_meaning)
         return places_by_meaning
@@ -279,6 +283,9 @@ class TableDraft:
     def _find_rows(self, groups: Sequence[tuple[str, Axes]]) -> tuple[list[Columns], str]:
         """Return the columns of each needle, or of all needles, and what rows are; nothing of facts."""
         columns, holds = self.columns, self.keys.get("holds", "")
+        if holds == "curvatures":
+            self._ask_curvatures()
+            return [{}], holds
         entries = list[Columns]()
         for name, axes in groups:
             records = {axis: self._spell(axis, [n]) for axis, n in axes.items()}
@@ -310,12 +317,33 @@ class TableDraft:
             holds = self._find_kind(groups)
         if entries:
             return self._divide_groups(entries, groups, holds), holds
-        if columns.keys() & {*SENSOR[1:3]} and "needle" in columns:
-            place = "sensor_from_base" if "sensor_from_base" in columns else "sensor"
-            for key in (place, *SENSOR[1:]):
-                if key not in columns:
-                    self.draft.ask("column", self.where, key=key, text=ROWS[key].text)
-            return [{}], "curvatures"
+        return ([{}], "curvatures") if self._ask_curvatures() else self._find_other_rows()
+
+    def _ask_curvatures(self) -> bool:
+        """Whether rows hold curvatures, as headers or the unit of their numbers state; ask which is which."""
+        inverse = [
+            str(self._name(n))
+            for n, header in enumerate(self.headers)
+            if n not in self.used and header.unit.startswith("1/")
+        ]
+        if not (inverse or self.columns.keys() & {*SENSOR[1:3]} or self.keys.get("holds") == "curvatures"):
+            return False
+        place = "sensor_from_base" if "sensor_from_base" in self.columns else "sensor"
+        lacking = [key for key in (place, *SENSOR[1:3]) if key not in self.columns]
+        if {*SENSOR[1:3]} <= {*lacking} and len(inverse) > 1:
+            answers = {
+                f"{up}, {right}": {"curvature_y.column": up, "curvature_z.column": right}
+                for up, right in permutations(inverse, 2)
+            }
+            self.draft.ask("curvatures", self.where, answers, names=", ".join(inverse))
+            lacking = [key for key in lacking if key == place]
+        for key in lacking:
+            self.draft.ask("column", self.where, key=key, text=ROWS[key].text)
+        return True
+
+    def _find_other_rows(self) -> tuple[list[Columns], str]:
+        """Return what rows hold that are neither points nor curvatures: turns, or nothing of facts."""
+        columns = self.columns
         if "turn_depth" in columns or {"depth_mm", "bevel_roll_deg"} <= {*self.table.headers}:
             self.columns = {
                 ("turn_depth" if key == "depth" else key): column for key, column in columns.items()
@@ -532,6 +560,10 @@ class TableDraft:
                 columns[meaning] = columns.get(meaning, {}) | beside
         for meaning, record in columns.items():
             self._complete(meaning, record)
+        guide = columns.get("guide", {"axes": ""})
+        is_guide = holds == "tracks" and self.draft.values.get("guide") != "none"
+        if is_guide and "deflection" not in columns and "axes" not in guide:
+            self.draft.ask("guide", self.where, name=str(guide["column"]))
         names = self._list_names()
         if holds == "tips" and "needle" not in columns:
             count = len(self.table.rows)

@@ -32,6 +32,12 @@ VALUES = MappingProxyType(
             "Standard deviation of the depths of the boundaries", "mm", "0.5", "of a ruler"
         ),
         "point_sd": Meaning("Standard deviation of a point across the needle", "mm", "0.1", "of a CT scan"),
+        "curvature_sd": Meaning(
+            "Standard deviation of a curvature (needles whose rows state none)",
+            "1/m",
+            "0.1",
+            "of fibre Bragg gratings",
+        ),
         "pose_shift_sd": Meaning("Standard deviation of the entry point per axis", "mm"),
         "pose_angle_sd": Meaning(
             "Standard deviation of the entry direction", "deg", "0.5", "of a needle set by hand"
@@ -52,7 +58,7 @@ VALUES = MappingProxyType(
             "Guide that holds the needle: mm before the tissue; `free`: fitted; `none`: held at its base",
             "mm",
             "none",
-            "no guide is stated",
+            "the base alone holds the needle",
         ),
         "registration_depth": Meaning(
             "Depth down to which the readings of a predicted run place it in the frame of the tips", "mm"
@@ -71,6 +77,7 @@ VALUES = MappingProxyType(
 OF_ALL = (  #: of these not
     "entry",
     "bevel",
+    "curvature_sd",
     "guide",
     "depth_zero",
     "registration_depth",
@@ -92,7 +99,7 @@ ROWS = MappingProxyType(
         "deflection": Meaning("Deflection of the tip from the line of insertion, up", "mm"),
         "deflection_z": Meaning("Deflection of the tip to the right, seen along the needle", "mm"),
         "time": Meaning("Time of a reading"),
-        "guide": Meaning("Place of the guide at a reading: columns of y, or of x, y and z", "mm"),
+        "guide": Meaning("Place of the guide at a reading, in the frame of the tip", "mm"),
         "turn_depth": Meaning("Depth from which on the bevel faces another way", "mm"),
         "sensor": Meaning("Distance of a curvature sensor from the tip", "mm"),
         "sensor_from_base": Meaning("Distance of a curvature sensor from the needle's base", "mm"),
@@ -186,6 +193,15 @@ QUESTIONS = MappingProxyType(
             "modulus",
             "Of what `{name}` is the material: of the needle, or of the tissue",
             {"needle": {"modulus.column": "{name}"}, "tissue": {"medium.column": "{name}"}},
+        ),
+        "curvatures": Question(
+            "curvature_y.column",
+            "{names} are in the unit of a curvature. Which is toward y (up), and which toward z (right)",
+        ),
+        "guide": Question(
+            "guide.axes",
+            "Along which axis of the frame of the tip `{name}` is, if it is the place of the guide",
+            {axis: {"guide.axes": axis} for axis in "xyz"} | {"none": {"guide": "none"}},
         ),
         "excluded": Question("excluded", "Which value of `{name}` marks rows that are to be left out"),
         "points": Question("y", "{names} are side by side. Which of them are the points of the needles"),

@@ -95,6 +95,7 @@ class Planner(CurveAnswers):
         tips = self.part(others.curves[len(shapes.curves) :])
         runs = make_tracks(tracks) if tracks.curves else []
         self.curves[:] = (*shapes.curves, *tips.curves, *tracks.curves)
+        self.settle_curvature_sd()
         own_sds = self.settle_point_sds()
         sd, pose, poses, entries = min(own_sds), "known", list[Stated](), list[Floats | None]()
         without = join_names([curve.name for curve in tips.curves], 5)
@@ -136,6 +137,15 @@ class Planner(CurveAnswers):
     def settle_point_sds(self) -> list[float]:
         """Return the standard deviation of a point of each needle, mm."""
         return [answer.to_number("point_sd", is_above=True) for answer in self.each("point_sd")]
+
+    def settle_curvature_sd(self) -> None:
+        """Give curvatures the standard deviation that is stated of all; without a cell, the usual one."""
+        sensors = [sensor for curve in self.curves for sensor in curve.sensors]
+        is_stated = self.stated("curvature_sd") is not None
+        if any(np.isnan(sensor[3]) or is_stated for sensor in sensors):
+            sd = 1e-3 * self.settle("curvature_sd").to_number("curvature_sd", "1/m", is_above=True)
+            for sensor in sensors:
+                sensor[3] = sd if is_stated or np.isnan(sensor[3]) else sensor[3]
 
     def part(self, curves: list[ImportedCurve]) -> "Planner":
         """Return the planner of some curves, with the same answers and surfaces."""
@@ -186,7 +196,7 @@ class Planner(CurveAnswers):
                 self.settler.assumed.pop("guide", None)
             return
         places = np.concatenate([curve.guide for curve in guided if curve.guide is not None])
-        if np.ptp(places[:, :2], axis=0).max() >= GUIDE_STILL_MM:
+        if np.ptp(np.nan_to_num(places), axis=0).max() >= GUIDE_STILL_MM:
             raise DataError(
                 "the guide moved, and its places belong to no reading of a tip on its way",
                 expected="a guide at rest; or the readings of each tip, with the depth of each",

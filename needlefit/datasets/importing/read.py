@@ -39,14 +39,13 @@ from needlefit.geometry.surfaces import (
 )
 from needlefit.project.folders import sha256
 from needlefit.project.locate import join_names, sort_by_similarity
-from needlefit.project.units import UNITS_MM
+from needlefit.project.units import UNITS_MM, UNITS_PER_MM
 from needlefit.schemas.mapping import MappingRecord, MeaningRecord, TableRecord
 
 MAX_CURVES = 2000  # largest number of needles, and of files: more is a wrong folder
 MAX_NAME_CHARS = 60  # longest name of a needle (characters)
 MAX_LISTED_NAMES = 4  # largest number of names in a message
 ACROSS = ("deflection", "deflection_z", "y", "z")  #: meanings whose numbers may be percents of the depth
-UNITS_PER_MM = {f"1/{unit}": 1.0 / factor for unit, factor in UNITS_MM.items()}  # of curvatures
 FACTORS = UNITS_MM | UNITS_PER_MM
 
 
@@ -387,14 +386,14 @@ def _read_sds(mapped: MappedTable, rows: Sequence[int]) -> Floats | None:
 
 
 def _read_guide(mapped: MappedTable, rows: Sequence[int]) -> Floats | None:
-    """Return the places of the guide (N, 3), mm: one column is y, two are y and z, three x, y and z."""
-    if "guide" not in mapped.record.columns:
+    """Return the places of the guide (N, 3), mm; NaN along axes of which no column is."""
+    if (record := mapped.record.columns.get("guide")) is None:
         return None
     cells = mapped.read_cells("guide")
-    numbers = np.array([[mapped.read_number("guide", n, text) for text in cells[n]] for n in rows])
-    places = np.zeros((len(rows), 3))
-    first = 1 if numbers.shape[1] < 3 else 0
-    places[:, first : first + numbers.shape[1]] = numbers
+    axes = record.axes or ("yz" if len(cells[0]) < len("xyz") else "xyz")[: len(cells[0])]
+    places = np.full((len(rows), 3), np.nan)
+    for k, axis in enumerate(axes[: len(cells[0])]):
+        places[:, "xyz".index(axis)] = [mapped.read_number("guide", n, cells[n][k]) for n in rows]
     return places
 
 
@@ -452,13 +451,15 @@ def _add_rows(mapped: MappedTable, curves: list[ImportedCurve]) -> None:
         if by_specimen
         else _read_names(mapped)
     )
-    if not by_specimen and mapped.record.holds == "curvatures":
-        known_names = {curve.name for curve in curves}
-        curves += [
-            ImportedCurve(name, Points(mapped.table.path, np.empty((0, 3))), "curvatures")
-            for name in dict.fromkeys(names)
-            if name and _match(name, known_names) is None
-        ]
+    if mapped.record.holds == "curvatures":
+        if "needle" not in mapped.record.columns:
+            names = [mapped.table.name for _ in names]
+        taken = {curve.name for curve in curves}
+        for name in dict.fromkeys(filter(None, names)):
+            if _match(name, taken) is None:
+                points = Points(mapped.table.path, np.empty((0, 3)))
+                curves.append(ImportedCurve(_make_name(name, taken), points, "curvatures"))
+                taken.add(curves[-1].name)
     rows = defaultdict[str, list[int]](list)
     for n in mapped.kept_rows:
         name = names[n]
@@ -522,18 +523,19 @@ def _read_turn(mapped: MappedTable, n: int) -> tuple[float, Stated]:
 
 
 def _read_sensor(mapped: MappedTable, n: int) -> Floats:
+    """Return the place of a sensor, mm, its curvatures and their SD, 1/mm; NaN: no cell states the SD."""
     place = "sensor" if "sensor" in mapped.record.columns else "sensor_from_base"
-    meanings = (place, *SENSOR[1:])
+    meanings = (place, *SENSOR[1:3])
     if lacking := [meaning for meaning in meanings if meaning not in mapped.record.columns]:
         raise DataError(
             f"of curvatures nothing states {', '.join(lacking)}",
-            expected="the place of each sensor, its two curvatures and their standard deviation",
+            expected="the place of each sensor and its two curvatures",
             fix=" ".join(mapped.name_edit(f"columns.{meaning}.column") for meaning in lacking),
             where=mapped.table.places[n],
         )
-    return np.array(
-        [mapped.read_number(meaning, n, mapped.read_cells(meaning)[n][0]) for meaning in meanings]
-    )
+    meanings += ("curvature_sd",) if "curvature_sd" in mapped.record.columns else ()
+    values = [mapped.read_number(meaning, n, mapped.read_cells(meaning)[n][0]) for meaning in meanings]
+    return np.array([*values, np.nan][: len(SENSOR)])
 
 
 # ---- names
@@ -564,7 +566,7 @@ def _join_observations(curves: Sequence[ImportedCurve]) -> list[ImportedCurve]:
 
 def _name_curves(curves: list[ImportedCurve]) -> None:
     """Give each needle an id of its own."""
-    taken = dict[str, str]()
+    taken = set[str]()
     counts = defaultdict[str, int](int)
     for curve in curves:
         counts[curve.name] += not curve.is_named
@@ -574,8 +576,13 @@ def _name_curves(curves: list[ImportedCurve]) -> None:
         if not curve.is_named and counts[name] > 1:  # several blocks of one table
             numbers[name] += 1
             name = f"{name}-{numbers[name]}"
-        curve.name = make_unique(make_id(name, "curve")[:MAX_NAME_CHARS], taken)
-        taken[curve.name] = name
+        curve.name = _make_name(name, taken)
+        taken.add(curve.name)
+
+
+def _make_name(text: str, taken: Iterable[str]) -> str:
+    """Return the id of a needle that a text names, which is none of those that are taken."""
+    return make_unique(make_id(text, "curve")[:MAX_NAME_CHARS], taken)
 
 
 def make_unique(name: str, taken: Iterable[str]) -> str:

@@ -14,7 +14,7 @@ from needlefit.datasets.importing.synonyms import read_quantity
 from needlefit.datasets.points import MAX_COORDINATE
 from needlefit.errors import DataError
 from needlefit.project.locate import join_names
-from needlefit.project.units import UNITS_GPA, UNITS_MM
+from needlefit.project.units import UNITS_GPA, UNITS_MM, UNITS_PER_MM
 
 MAX_ANSWER_CHARS = 500  # longest answer (characters) that is kept
 
@@ -36,7 +36,8 @@ class Stated:
         """Return the number of at least 0, or above 0, in a unit; DataError if it is none."""
         value, own_unit = read_quantity(self.text) or (-1.0, "")
         own_unit = own_unit or self.unit or unit
-        factors = {"mm": UNITS_MM, "GPa": UNITS_GPA}.get(unit, {unit: 1.0})
+        per_m = {name: 1e3 * factor for name, factor in UNITS_PER_MM.items()}
+        factors = {"mm": UNITS_MM, "GPa": UNITS_GPA, "1/m": per_m}.get(unit, {unit: 1.0})
         factor = factors.get(own_unit, 0.0)
         if not 0 <= value * factor <= MAX_COORDINATE or not factor or (is_above and not value):
             expected = (

@@ -20,7 +20,8 @@ _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])")
 INDEX = re.compile(r"\[(\d+)\]")  # of an element of an array: `poses[3]`
 _BRACKET = re.compile(r"\s*[\[(（【]\s*([^\[\]()（）【】]+?)\s*[\])）】]")
 _ENDING = re.compile(r"(?:\s*[/,]\s*|[_\s])([^\W\d_]+|[°%])$")
-_QUANTITY = re.compile(r"([-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:e[-+]?\d+)?)\s*(\D*)", re.IGNORECASE)
+_QUANTITY = re.compile(r"([-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:e[-+]?\d+)?)\s*(1/|)(\D*)", re.IGNORECASE)
+_INVERSE = re.compile(r"1\s*/\s*(\w+)|(\w+)\s*\^?[-−⁻][1¹]")  # of curvatures: 1/m, m^-1
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,9 @@ def split_unit(text: str) -> tuple[str, str]:
     inside = bracket[1] if bracket is not None else ""
     is_word = len(inside) > 1 and any(find_meaning(kind, inside) for kind in ("column", "filler"))
     if bracket is not None and not is_word:
-        return text[: bracket.start()] + text[bracket.end() :], find_meaning("unit", inside) or inside
+        inverse = _INVERSE.fullmatch(inside)
+        unit = f"1/{inverse[1] or inverse[2]}" if inverse else find_meaning("unit", inside) or inside
+        return text[: bracket.start()] + text[bracket.end() :], unit
     if ending is not None and (unit := find_meaning("unit", ending[1])):
         return text[: ending.start()], unit
     return text, ""
@@ -158,5 +161,6 @@ def read_quantity(text: str) -> tuple[float, str] | None:
     match = _QUANTITY.fullmatch(text.replace("\u2212", "-").strip())
     if match is None:
         return None
-    unit = find_meaning("unit", match[2])
-    return (float(match[1].replace(",", ".")), unit) if unit or not match[2].strip(" .") else None
+    number, per, text = match.groups()
+    unit = find_meaning("unit", text)
+    return (float(number.replace(",", ".")), per + unit) if unit or not text.strip(" .") else None

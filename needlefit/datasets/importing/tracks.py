@@ -10,8 +10,10 @@ from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.importing.curve_answers import CurveAnswers
 from needlefit.datasets.importing.curves import ImportedCurve
 from needlefit.datasets.importing.directions import MIN_SAME_SIDE, format_direction, snap_to_axis, to_sides
+from needlefit.datasets.importing.stated import name_set
 from needlefit.datasets.importing.synonyms import read_header
 from needlefit.datasets.insertion import GUIDE_STILL_MM
+from needlefit.errors import DataError
 from needlefit.geometry.frames import normalize
 from needlefit.project.locate import join_names
 
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
     from needlefit.datasets.importing.place import ImportPlan
 
 PLACING_PART = 1 / 3  # fraction of the shallowest run whose readings place a run in the tracker's frame
+MIN_GUIDE_PART = 0.5  # smallest fraction of a guide's motion that is used, where some axes are not stated
 MIN_TRACK_SLOPE = 0.7  # smallest movement (mm per mm of depth) of a tip whose coordinates are all in space
 
 
@@ -58,8 +61,31 @@ def make_tracks(asked: CurveAnswers) -> list[InsertionRow]:
     for curve in curves:
         curve.points = replace(curve.points, values=curve.line @ planes)
         if curve.guide is not None:
-            curve.guide = (curve.guide - curve.guide[0]) @ planes
+            curve.guide = project_guide(curve, curve.guide, planes)
     return rows
+
+
+def project_guide(curve: ImportedCurve, guide: Floats, planes: Floats) -> Floats:
+    """Return the places of a guide (N, 3) along the directions of deflections, from the first one on, mm.
+
+    DataError if some of its axes are not stated, and most of its motion along the others is lost.
+    """
+    moved = np.nan_to_num(guide - guide[0])
+    across = moved @ planes
+    size, kept = (float(np.linalg.norm(np.ptp(places, axis=0))) for places in (moved, across))
+    if np.isnan(guide).any() and size >= GUIDE_STILL_MM and kept < MIN_GUIDE_PART * size:
+        axes, bevel = "".join(np.array([*"xyz"])[~np.isnan(guide[0])]), "xyz"[np.argmax(np.abs(planes[:, 0]))]
+        raise DataError(
+            f"the guide of {curve.name} moves {size:.3g} mm along {axes}; {kept:.2g} mm of it are across the "
+            "needle, in the plane of its bevel",
+            expected="columns of the guide along x, y and z, or the axis along which its one column is",
+            fix=(
+                f"if its one column is along {bevel}: {name_set('guide.axes', bevel)}; if it is no guide: "
+                f"{name_set('guide', 'none')}"
+            ),
+            where=curve.points.where(),
+        )
+    return across
 
 
 def settle_rolls(asked: CurveAnswers) -> tuple[list[int], list[float]]:
