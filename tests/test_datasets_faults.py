@@ -262,9 +262,9 @@ ACROSS = CURVE * [1, -1, -1] @ np.array([[0, 1, 0], [1, 0, 0], [0, 0, 1.0]])
 @pytest.mark.parametrize(
     ("values", "line", "words", "fix"),
     [
-        (SWAPPED, 53, "goes back", "sort"),
-        (FOLDED, 62, "goes back", "sort"),
-        (CURVE[np.random.default_rng(0).permutation(101)], None, "goes back", "sort"),
+        (SWAPPED, 53, "out of order", "sort"),
+        (FOLDED, 62, "out of order", "sort"),
+        (CURVE[np.random.default_rng(0).permutation(101)], None, "out of order", "sort"),
         (CURVE[[*range(50), 49, *range(50, 101)]], 52, "repeats the point before", "remove"),
         (CURVE[::-1], 2, "from tip to entry", "reverse"),
         (CURVE / 1000, 2, "looks like metres", "1000"),

@@ -550,3 +550,10 @@ def test_a_refused_answer_is_asked_for_again(tmp_path):
 def test_a_key_that_is_not_known_is_refused_with_the_nearest_one(tmp_path):
     file = write_rows(tmp_path / "a.csv", [["x", "y"], *NEEDLES[0][:, :2]])
     assert "--set modulus=80" in refusal(ConfigError, "modulis", prepare, [file], modulis="80").fix
+
+
+def test_a_boundary_without_a_unit_is_an_assumption(tmp_path):
+    file = write_long(tmp_path, NEEDLES, head=["boundary"], cells=[["2.5"]] * 3)
+    assert "boundaries.unit" in prepare([file]).mapping.assumed
+    plan, _ = planned([file], boundaries__unit="cm")
+    assert plan.boundaries_mm["medium1"] == (25.0,)

@@ -444,7 +444,7 @@ def test_several_needles_in_one_curve_are_advised_to_be_named(tmp_path):
     folded = np.vstack([CURVES[0], CURVES[1]])
     rows = [",".join(map(str, point)) for point in folded]
     (tmp_path / "c.csv").write_text("\n".join(["x,y,z", *rows]))
-    assert "--set needle.column=" in refusal(DataError, "goes back", prepare, [tmp_path / "c.csv"]).fix
+    assert "--set needle.column=" in refusal(DataError, "out of order", prepare, [tmp_path / "c.csv"]).fix
 
 
 @pytest.mark.parametrize("count", [5, 6])
@@ -452,7 +452,7 @@ def test_several_needles_in_one_curve_are_not_taken_for_another_unit(tmp_path, c
     """The curve is about ten times as long as its span."""
     curves = [CURVES[0] + [0.0, 0.1 * n, 0.0] for n in range(count)]
     (tmp_path / "c.csv").write_text("\n".join(["x,y,z", *(",".join(map(str, p)) for c in curves for p in c)]))
-    error = refusal(DataError, "goes back", prepare, [tmp_path / "c.csv"])
+    error = refusal(DataError, "out of order", prepare, [tmp_path / "c.csv"])
     assert "--set needle.column=" in error.fix
 
 
@@ -503,3 +503,13 @@ def test_faults_are_merged_by_file_and_kind():
     curves = [_note("/d/a.mat, point 1", f"curve c{n} is short", "5", "add some") for n in range(9)]
     (one,) = merge_like(curves)
     assert "8" in one.what and "curve c1" in one.what
+
+
+def test_an_entry_of_one_point_in_an_array_of_structs_is_a_tip(tmp_path):
+    array = np.zeros((1, 3), dtype=[("name", object), ("points", object)])
+    for n, curve in enumerate((CURVES[0], CURVES[1], CURVES[2][-1:])):
+        array[0, n] = (f"n{n}", curve)
+    savemat(tmp_path / "needles.mat", {"needles": array})
+    curves, _ = curves_of([tmp_path / "needles.mat"], unit="mm")
+    assert [curve.holds for curve in curves.values()] == ["shapes", "shapes", "tips"]
+    np.testing.assert_allclose(curves["n2"].line, CURVES[2][-1:])

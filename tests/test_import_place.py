@@ -12,6 +12,7 @@ from import_cases import (
     planned,
     prepare,
     write_long,
+    write_markups,
     write_placed,
     write_rows,
     write_sheets,
@@ -74,6 +75,8 @@ def test_the_entry_is_the_first_point_unless_another_is_stated(tmp_path):
     file = write_long(tmp_path, [NEEDLES[0][::-1], *NEEDLES[1:]])
     assert "n1" in refusal(DataError, "--set entry", planned, [file]).what
     assert planned([file], entry="first")[1]["entry"] == ("first", "stated")
+    fix = refusal(DataError, "179 degrees", planned, [file], entry="first", pose="1,0,0").fix
+    assert f"{file}:2 to {file}:17" in fix
     file = write_long(tmp_path, [one[::-1] for one in NEEDLES])
     assert "--set entry=last" in refusal(DataError, "-0.999", planned, [file], pose="1,0,0").fix
 
@@ -842,7 +845,6 @@ def test_a_material_beside_a_modulus_is_asked_for(tmp_path):
     write_table(file := tmp_path / "a.csv", "needle,material,modulus [kPa],depth [mm],deflection [mm]", rows)
     refusal(DataError, "--set modulus.column=material", curves_of, [file])
 
-
     with pytest.raises(DataError, match=r"modulus\.column=material"):
         curves_of([file])
 
@@ -876,3 +878,23 @@ def test_curvatures_may_stand_on_a_sheet_for_each_needle_without_an_sd(tmp_path)
     sheets["needle 2"][3][2:] = ["a (1/m)", "b (m^-1)"]
     file = write_sheets(tmp_path / "other.xlsx", **sheets)
     assert "curvature_y.column=" in refusal(DataError, "unit of a curvature", planned, [file]).fix
+
+
+@pytest.mark.parametrize("kind", ["Fiducial", "Plane"])
+def test_points_and_planes_of_slicer_are_boundaries(tmp_path, kind):
+    for n, curve in enumerate(NEEDLES):
+        write_markups(tmp_path / f"n{n}.mrk.json", f"n{n}", curve)
+    points = np.array([[20.0, -30.0, -30.0], [20.0, 40.0, -30.0], [20.0, 0.0, 50.0]])
+    write_markups(tmp_path / "layer.mrk.json", "layer", points, kind)
+    stated = {"pose": "1,0,0", "entry_point": "first"}
+    if kind == "Fiducial":
+        fix = refusal(DataError, "degrees off the others", planned, [tmp_path], **stated).fix
+        assert "--set surfaces=layer.mrk.json" in fix
+        stated["surfaces"] = "layer.mrk.json"
+    plan, _ = planned([tmp_path], **stated)
+    assert [surface.name for surface in plan.surfaces] == ["layer"]
+    assert [row.layers for row in plan.rows] == [2, 2, 2]
+    data = read(write_placed(tmp_path / "data", [tmp_path], **stated))
+    assert data.insertions[0].boundaries == pytest.approx([20.0], abs=0.1)
+    write_markups(tmp_path / "layer.mrk.json", "layer", points[0] + np.outer(np.arange(5.0), [0, 1, 0]))
+    refusal(DataError, "no plane", planned, [tmp_path], **stated | {"surfaces": "layer.mrk.json"})

@@ -135,6 +135,9 @@ def import_data(
     else:
         count, assumed = len(dataset.insertions), len(prepared.mapping.assumed)
         imported = f"{count} insertion{'s' * (count > 1)} imported; "
+        holes = {insertion.hole or insertion.id for insertion in dataset.insertions}
+        if len(holes) < count:  # several depths of one needle
+            imported = f"{len(holes)} needle{'s' * (len(holes) > 1)}, {count} readings imported; "
         imported += f"{assumed} value{'s are assumptions' if assumed != 1 else ' is an assumption'}"
         marked = f"{mark}. " if (mark := ORIGIN_MARKS[dataset.origin]) else ""
         screen.print_line(f"{marked}{out}: {imported}\n")
@@ -169,10 +172,9 @@ def _ask(key: str, proposal: str, reason: str) -> str:
     """Ask on the terminal; an empty answer takes the proposal."""
     from needlefit.datasets.importing.meanings import VALUES
 
-    if reason:
-        screen.print_note(f"  ({reason})")
-    text = f"{key}: {VALUES[key].text}" if key in VALUES else key
-    answer: str = typer.prompt(text, default=proposal, err=True)
+    is_key = key in VALUES
+    screen.print_note((f"{key}: {VALUES[key].text}" if is_key else key) + (f" ({reason})" if reason else ""))
+    answer: str = typer.prompt(key if is_key else "answer", default=proposal, err=True)
     return "" if answer == proposal else answer
 
 

@@ -42,10 +42,12 @@ class FieldReader:
     def __init__(self, noun: str) -> None:
         self.noun = noun
         self.unused: list[str] = []
+        self.curve_fields: set[str] = set()  # names of fields that hold curves in an entry of a list
 
     def find_curves(self, name: str, value: object) -> list[FieldCurve]:
         """Return every array of shape (N, 3) or (3, N), N > 3, and every group of fields x, y and z.
 
+        Where a field holds curves in some entries of a list, three numbers in another entry are a tip: N = 1.
         Names: `a`, `a_1` in a list, an array of structs or a stack (N, 3, K) or (K, N, 3), `a_b` in a struct;
         a struct with one such array gives it its name. x, y and z are vectors of one length, lists of such
         vectors, or matrices with a column for each curve; without z it is 0. Trailing rows of NaN are left
@@ -67,6 +69,10 @@ class FieldReader:
         if isinstance(value, dict):
             entries = self._find_in_struct(name, value)
         elif isinstance(value, list):
+            structs = [part for part in value if isinstance(part, dict)]
+            self.curve_fields |= {
+                key for struct in structs for key, part in struct.items() if len(to_curves(part)) == 1
+            }
             parts = [self._find(_join(name, n), part) for n, part in enumerate(value, 1)]
             entries = [[curve for entry in part for curve in entry] for part in parts]
         else:
@@ -83,6 +89,8 @@ class FieldReader:
         beside: dict[str, object] = {}  # what holds no curves
         for key, part in fields.items():
             unused, curves = len(self.unused), [] if key in axes else to_curves(part)
+            if not curves and key in self.curve_fields and _is_real(part) and part.size == 3:
+                curves = [part.astype(np.float64).reshape(1, 3)]
             is_nested = len(curves) > 1 or (isinstance(part, list | dict) and key not in axes)
             if is_nested and any(entries := self._find(_join(name, key), part)):
                 by_field[key] = entries

@@ -306,7 +306,7 @@ def find_curve_faults(
         )
     if len(back):
         yield DataError(
-            f"goes back: the centreline is unsorted or folded here{_describe_more(len(back))}",
+            f"has points out of order: from here they go back{_describe_more(len(back))}",
             expected="points in order from the entry to the tip",
             fix="sort the points along the needle, and remove branches and loops",
             where=points.where(int(back[0])),

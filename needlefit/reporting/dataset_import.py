@@ -42,7 +42,7 @@ MAX_DRAWN_TRIANGLES = 20_000
 MAX_LISTED_UNUSED = 6  # columns or rows of one file that a line lists
 
 _SURFACE_COLOURS = ("#c8b88a", "#a9b7c6", "#c9a3a3", "#a8bfa3")
-_SIDES = {"toward": "toward", "away": "AWAY", "unknown": "too straight"}
+_SIDES = {"toward": "toward", "away": "AWAY", "unknown": "not clear"}
 
 
 def write_import(folder: Path, prepared: PreparedImport, overwrite: bool = False) -> Dataset:
@@ -100,7 +100,7 @@ def _describe_needle(dataset: Dataset, insertion: Insertion) -> dict[str, object
 
 
 def _format_point(point: Floats) -> str:
-    return ", ".join(f"{value:z.1f}" for value in point)
+    return ",\u00a0".join(f"{value:z.1f}" for value in point)
 
 
 def tabulate_columns(columns: Sequence[dict[str, str]]) -> pd.DataFrame:
@@ -116,18 +116,14 @@ def tabulate_columns(columns: Sequence[dict[str, str]]) -> pd.DataFrame:
 
 def tabulate_values(prepared: PreparedImport) -> pd.DataFrame:
     """Return one row for what holds of all needles: key, value, and the reason where it is assumed."""
-    mapping = prepared.mapping
-    keys = dict.fromkeys([*mapping.assumed, *mapping.values])
-    rows = [
-        {
-            "key": key,
-            "value": mapping.values.get(key, ""),
-            "from": "assumed" if key in mapping.assumed else "stated",
-            "why": mapping.assumed.get(key, ""),
-        }
-        for key in keys
-    ]
-    rows += [{"key": key, "value": text, "from": "files", "why": ""} for key, text in prepared.notes]
+    mapping, rows = prepared.mapping, list[tuple[str, str, str, str]]()
+    for key, reason in mapping.assumed.items():
+        value, _, why = (
+            reason.partition(": ") if key not in mapping.values else (mapping.values[key], "", reason)
+        )
+        rows.append((key, value, "assumed", why))
+    rows += [(key, text, "stated", "") for key, text in mapping.values.items() if key not in mapping.assumed]
+    rows += [(key, text, "files", "") for key, text in prepared.notes]
     return pd.DataFrame(rows, columns=["key", "value", "from", "why"])
 
 

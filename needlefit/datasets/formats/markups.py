@@ -17,7 +17,8 @@ from needlefit.datasets.formats import FileFormat, ReadCurves
 from needlefit.datasets.point_labels import divide_labels
 from needlefit.datasets.points import MAX_COORDINATE, Points
 from needlefit.errors import DataError
-from needlefit.geometry.frames import PatientSystem, to_lps
+from needlefit.geometry.curves import make_normal
+from needlefit.geometry.frames import PatientSystem, normalize, to_lps
 from needlefit.project.input_files import read_json, read_text
 from needlefit.project.units import UNITS_MM
 
@@ -76,8 +77,9 @@ class Markups:
         )
 
 
-def read_markups(path: Path) -> tuple[Markups, ...]:
-    """Read every list of points of a `.mrk.json` or `.fcsv` file; planes and boxes (ROI) are skipped.
+def read_markups(path: Path, with_planes: bool = False) -> tuple[Markups, ...]:
+    """Read every list of points of a `.mrk.json` or `.fcsv` file; boxes (ROI) and, unless asked for, planes
+    are skipped.
 
     DataError if the file is missing, no markups file, or holds no list of points; if a list is empty, does
     not state its coordinate system, or has a point that is not finite.
@@ -107,7 +109,7 @@ def read_markups(path: Path) -> tuple[Markups, ...]:
     parsed = [
         _parse_markups(path, table, n)
         for n, table in enumerate(lists, 1)
-        if table.get("type") not in ("Plane", "ROI")
+        if table.get("type") not in (("ROI",) if with_planes else ("ROI", "Plane"))
     ]
     if not parsed:
         kinds = ", ".join(str(table.get("type")) for table in lists) or "nothing"
@@ -151,6 +153,11 @@ def _to_float(text: str) -> float | str:
         return text
 
 
+def _is_place(value: object) -> bool:
+    is_triple = isinstance(value, list) and len(value) == 3
+    return is_triple and all(type(x) in (int, float) and abs(x) <= MAX_COORDINATE for x in value)
+
+
 def _parse_markups(path: Path, table: Mapping[str, Any], number: int) -> Markups:
     def check(is_right: bool, key: str, expected: str) -> None:
         if not is_right:
@@ -179,11 +186,15 @@ def _parse_markups(path: Path, table: Mapping[str, Any], number: int) -> Markups
         if not position or status != "defined":
             unset.append(str(point.get("label") or ""))
             continue
-        is_place = isinstance(position, list) and len(position) == 3
-        is_place = is_place and all(type(x) in (int, float) and abs(x) <= MAX_COORDINATE for x in position)
-        check(is_place, key, f"three numbers up to {MAX_COORDINATE:g}")
+        check(_is_place(position), key, f"three numbers up to {MAX_COORDINATE:g}")
         placed.append(point)
         positions.append(position)
+    if kind == "Plane" and {"center", "normal"} <= table.keys():  # its control points are handles
+        check(all(map(_is_place, (table["center"], table["normal"]))), "center", "three numbers, as `normal`")
+        side = make_normal(normal := normalize(table["normal"]))
+        positions = [
+            (np.array(table["center"]) + step).tolist() for step in (0.0 * side, side, np.cross(normal, side))
+        ]
     name = str(table.get("name") or path.name.removesuffix(".json").removesuffix(".mrk"))
     if not placed:
         problem = f"list `{name}` is empty" + (
@@ -199,6 +210,17 @@ def _parse_markups(path: Path, table: Mapping[str, Any], number: int) -> Markups
     stated: PatientSystem = "LPS" if system == "LPS" else "RAS"
     values = to_lps(UNITS_MM[unit] * np.array(positions, dtype=np.float64), stated)
     return Markups(path, name, str(kind), labels, values, stated, tuple(unset), notes)
+
+
+def read_plane(path: Path) -> Points:
+    """Return the points of the one plane or list of a file; DataError if there are several."""
+    return Points(path, pick_list(read_markups(path, with_planes=True), path).points)
+
+
+def is_plane(path: Path) -> bool:
+    """Whether a file holds one plane of Slicer, and nothing else."""
+    is_markups = path.name.lower().endswith(".json")
+    return is_markups and [markups.kind for markups in read_markups(path, with_planes=True)] == ["Plane"]
 
 
 def pick_list(lists: Sequence[Markups], path: Path) -> Markups:

@@ -12,7 +12,7 @@ from needlefit.project.toml import override
 from needlefit.schemas.mapping import TableRecord
 
 TABLE_KEYS = tuple(key for key in TableRecord.model_fields if key not in ("files", "columns"))
-KEYS = ("unit", "origin", *TABLE_KEYS, *MEANINGS)
+KEYS = ("unit", "origin", "surfaces", *TABLE_KEYS, *MEANINGS)
 PARSED_PARTS = ("words", "sign")  # of a meaning; the others are texts
 
 
@@ -27,6 +27,7 @@ class Assignments:
         self.columns = dict[str, dict[str, Any]]()  # by meaning and part
         self.table = dict[str, Any]()  # keys of every table
         self.numbered = list[tuple[str, str]]()  # `tables.2.sheet`
+        self.surfaces = list[str]()  # files of points that are planes between layers
         self.unit = self.origin = ""
         for key, text in pairs:
             head, _, part = key.partition(".")
@@ -34,6 +35,8 @@ class Assignments:
                 self.values[key] = translate_side(text, "") if key == "bevel_side" else text
             elif key in ("unit", "origin"):
                 setattr(self, key, text)
+            elif key == "surfaces":
+                self.surfaces += [name.strip() for name in text.split("|")]
             elif head == "tables":
                 self.numbered.append((key, text))
             elif key in TABLE_KEYS:

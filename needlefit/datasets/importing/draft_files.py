@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from needlefit.datasets.formats.markups import is_plane
 from needlefit.datasets.importing.assignments import Assignments
 from needlefit.datasets.importing.draft import Draft
 from needlefit.datasets.importing.draft_table import COORDINATES, TableDraft
@@ -50,7 +51,7 @@ def draft_mapping(paths: Sequence[Path], stated: Assignments) -> tuple[Draft, li
         )
     for path in files:
         suffix = path.suffix.lower()
-        if suffix in READ_SUFFIXES:
+        if suffix in READ_SUFFIXES or path.name in stated.surfaces or is_plane(path):
             draft.surfaces.append(path.name)
         elif suffix in TEXT_SUFFIXES:
             _draft_grid(*sniff_text(path, stated.table), draft, stated)

@@ -152,7 +152,7 @@ class TableDraft:
             tips = [n for n in tips if all(map(self._is_number, self._list_texts(n)))]
             if tips and not {"y", "deflection"} & blocked:
                 places_by_meaning["deflection"] = tips
-        if "guide" in places_by_meaning and "guide" not in self.draft.values:
+        if "guide" in places_by_meaning:
             names = ", ".join(str(self._name(n)) for n in places_by_meaning["guide"])
             self.draft.assumed["guide"] = f"{names}: by its header; guide=none if it is no guide"
         if "needle" in places_by_meaning:
@@ -221,7 +221,8 @@ class TableDraft:
             if divided < len(names) <= len(rows) / 2:
                 chosen = [*chosen, n]
         if len(chosen) > 1:
-            self.draft.assumed["needle"] = f"named by {', '.join(str(self._name(n)) for n in chosen)}"
+            columns = ", ".join(str(self._name(n)) for n in chosen)
+            self.draft.assumed["needle"] = f"{columns}: together they name the needles"
         known_columns["needle"] = chosen
 
     # ---- what is asked
@@ -500,7 +501,7 @@ class TableDraft:
         if named[:1] != [0] or all(texts) or not (are_first or is_repeated):
             return
         self.keys["fill_down"] = [name]
-        self.draft.assumed["fill_down"] = f"a blank {name} is the one above"
+        self.draft.assumed["fill_down"] = f"{name}: a blank cell is the one above"
         rows = list[list[str]]()
         for row in self.table.rows:
             rows.append([*row[:column], row[column] or rows[-1][column], *row[column + 1 :]])
@@ -535,7 +536,7 @@ class TableDraft:
                     self.draft.words.append(f"column {self._name(n)}")
         names = [self._name(n) for n in self._list_unknown()]
         for name in names:
-            self.draft.assumed[f"unused.{name}"] = "numbers under a header that is not known"
+            self.draft.assumed[f"unused.{name}"] = "not used: numbers under a header that is not known"
         if unused := [*self.keys.get("unused", []), *names]:
             self.keys["unused"] = unused
 
@@ -598,6 +599,8 @@ class TableDraft:
                 record["unit_column"] = self._name(column)
             elif self.unit and meaning in COORDINATES and self.table.system is None:
                 record["unit"] = self.unit
+            elif meaning in ATTRIBUTES and not (meaning in COORDINATES and self.keys["holds"] in POINTS):
+                self._assume_mm(meaning, record)
         if meaning == "bevel_side":
             unit = record.get("unit", "")
             texts = dict.fromkeys(text for n in self._list_columns(record) for text in self._list_texts(n))
@@ -610,6 +613,13 @@ class TableDraft:
             self._ask_sides(
                 [text for text in texts if text not in translated and not is_side(text, unit)], record
             )
+
+    def _assume_mm(self, meaning: str, record: Mapping[str, Any]) -> None:
+        """Name lengths as assumed mm, of which neither header nor cell states a unit."""
+        columns = self._list_columns(record)
+        if any(self._is_number(text) for n in columns for text in self._list_texts(n)):
+            names = ", ".join(str(self._name(n)) for n in columns)
+            self.draft.assumed[f"{meaning}.unit"] = f"mm: {names} states no unit"
 
     def _ask_sides(self, texts: Sequence[str], record: Mapping[str, Any]) -> None:
         """Ask where bevels face whose sides are not understood."""

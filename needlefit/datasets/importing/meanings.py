@@ -194,6 +194,10 @@ QUESTIONS = MappingProxyType(
             "Of what `{name}` is the material: of the needle, or of the tissue",
             {"needle": {"modulus.column": "{name}"}, "tissue": {"medium.column": "{name}"}},
         ),
+        "direction": Question(
+            "surfaces",
+            "What `{name}` is ({why}): a needle, or points of a boundary between layers",
+        ),
         "curvatures": Question(
             "curvature_y.column",
             "{names} are in the unit of a curvature. Which is toward y (up), and which toward z (right)",

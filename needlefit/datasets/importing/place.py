@@ -212,7 +212,7 @@ class Planner(CurveAnswers):
         for curve in self.curves:
             if len(back := find_backward_points(curve.line)):
                 raise DataError(
-                    f"curve {curve.name} goes back: the centreline is unsorted or folded here",
+                    f"curve {curve.name} has points out of order: from here they go back",
                     expected="points of one needle in order from the entry to the tip",
                     fix=(
                         "sort them; or, if they are of several needles, name the column of "
@@ -225,11 +225,24 @@ class Planner(CurveAnswers):
         """Put the entry first."""
         chords = np.array([curve.line[-1] - curve.line[0] for curve in self.curves])
         against = [self.curves[n].name for n in np.flatnonzero(chords @ chords.sum(axis=0) < 0)]
-        reason = f"{join_names(against, 5)} runs against the others" if against else "the order of the file"
-        answer = self.settle("entry", "" if against else "first", reason, choices=("first", "last"))
+        reason, fix = "the order of the file", ""
+        if against:
+            reason = f"{join_names(against, 5)} runs against the others"
+            fix = f"{self.advise_order(against)}; or, if needles enter from two sides, state "
+            fix += f"{name_set('entry', 'first')}, and {name_set('pose', 'free')}"
+        answer = self.settle("entry", "" if against else "first", reason, ("first", "last"), fix)
         self.entry = answer.text
         for curve in self.curves if self.entry == "last" else ():
             curve.points = curve.points.part(np.arange(len(curve.line))[::-1])
+
+    def advise_order(self, names: Sequence[str]) -> str:
+        """Return the fix of curves whose points go from the tip to the entry."""
+        ends = [
+            f"{curve.points.where()} to {curve.points.where(-1)}"
+            for curve in self.curves
+            if curve.name in names
+        ]
+        return f"reverse these points if they go from the tip to the entry: {join_names(ends, 5)}"
 
     # ---- entry and pose
 
@@ -244,8 +257,8 @@ class Planner(CurveAnswers):
         along, how = format_direction(normalize(chord)) if chord.any() else "X,Y,Z", "as the needles run"
         if fitted is not None:
             along, how = fitted.describe(), f"which fits all needles; pose_angle_sd={fitted.sd_deg:.2g} deg"
-        reason = f"{without} without a shape" if without else "not stated"
-        reason += f"; pose={along} ({how}) if a stage pushed all needles in one direction"
+        reason = f"{without} without a shape; " if without else ""
+        reason += f"pose={along} ({how}) if a stage pushed all needles in one direction"
         is_posed = bool(without or self.surfaces) or any(
             curve.turns or curve.sensors or curve.tips for curve in self.curves
         )
@@ -255,12 +268,23 @@ class Planner(CurveAnswers):
             raise poses[0].error("pose", "directions of all needles, or shaft or free of all")
         if kinds == {"free"} and is_posed:
             raise poses[0].error("pose", f"{along} or shaft, of surfaces, turns, curvatures and tips")
-        for pose, chord_of in zip(poses, chords, strict=True) if kinds == {"direction"} else ():
-            run = (
-                chord if len({pose.text for pose in poses}) == 1 else chord_of
-            )  # one direction is that of the mean
-            cosine = normalize(pose.to_vector("pose")) @ run / (np.linalg.norm(run) or 1.0)
-            if cosine < (least := np.cos(np.radians(MAX_HEADING_DEG))):
+        least = np.cos(np.radians(MAX_HEADING_DEG))
+        cosines = {
+            curve.name: float(normalize(pose.to_vector("pose")) @ run / (np.linalg.norm(run) or 1.0))
+            for curve, pose, run in zip(self.curves, poses, chords, strict=True)
+            if pose.text not in ("free", "shaft")
+        }
+        off = [name for name, cosine in cosines.items() if cosine < least]
+        for pose, cosine in zip(poses, cosines.values(), strict=False) if off else ():
+            if 2 * len(off) < len(cosines):
+                raise DataError(
+                    f"{join_names(off, 5)} runs {np.degrees(np.arccos(cosines[off[0]])):.0f} degrees off its "
+                    "direction, the other needles do not",
+                    expected=f"at most {MAX_HEADING_DEG:g} degrees",
+                    fix=self.advise_order(off),
+                    where=self.curves[[*cosines].index(off[0])].points.where(),
+                )
+            if cosine < least:
                 fix = f"state {name_set('pose', along)}"
                 if not self._begin_at_entries():
                     fix = f"if the sign is wrong, {fix}; if the files begin at the tips, "

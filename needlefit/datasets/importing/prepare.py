@@ -7,16 +7,19 @@ from pathlib import Path
 
 import numpy as np
 
+from needlefit.datasets.formats import find_format
 from needlefit.datasets.importing.assignments import Assignments
-from needlefit.datasets.importing.curves import ImportContent
+from needlefit.datasets.importing.curves import ImportContent, ImportedCurve
 from needlefit.datasets.importing.draft import Draft, Open
 from needlefit.datasets.importing.draft_files import draft_mapping
 from needlefit.datasets.importing.draft_table import COORDINATES, POINTS
 from needlefit.datasets.importing.examples import find_examples
 from needlefit.datasets.importing.meanings import MEANINGS
 from needlefit.datasets.importing.place import ImportPlan, Planner
-from needlefit.datasets.importing.read import MappedTable, list_tables, read_mapped
+from needlefit.datasets.importing.read import MappedTable, list_tables, read_curves, read_mapped
 from needlefit.datasets.importing.stated import Settler, name_set
+from needlefit.datasets.layers import SAME_POINT_MM
+from needlefit.datasets.points import MIN_POINTS
 from needlefit.errors import ConfigError, DataError
 from needlefit.project.locate import join_names
 from needlefit.project.toml import check, load, override
@@ -25,6 +28,8 @@ from needlefit.schemas.mapping import MappingRecord
 
 ASSUMED_MM = (20.0, 300.0)  # least and greatest length (mm) of the longest needle where mm are assumed
 STATED_MM = (1.0, 2000.0)  # least and greatest length (mm) of the longest needle by a stated unit
+MAX_ASIDE_DEG = 60.0  # angle (degrees) to all others from which on a curve may be no needle
+MIN_ALIGNED = 0.7  # smallest length of the mean of the others' unit directions, for which they have one
 DECISIVE = ("needle", "diameter", "modulus", "depth_zero", "bevel_side")  # assumptions that are listed first
 MAX_FIRST_VALUES = 3  # number of values of a column on the screen
 
@@ -174,7 +179,10 @@ def complete_draft(
             del assignments[taken:]  # an answer that is refused is asked for again
             problem = str(error)
             continue
-        opens = draft.opens or _find_open_columns(draft, paths) or [*_settle_unit(draft, files)]
+        opens = draft.opens or _find_open_columns(draft, paths)
+        if not opens:
+            _ask_directions(draft, files, assignments)
+            opens = draft.opens or [*_settle_unit(draft, files)]
         if not opens:
             return draft, files
         if prompt is None:
@@ -232,6 +240,35 @@ def _find_open_columns(draft: Draft, paths: Sequence[Path]) -> list[Open]:
     ]
 
 
+def _ask_directions(draft: Draft, files: Sequence[Path], stated: Sequence[tuple[str, str]]) -> None:
+    """Ask about a needle whose direction is far from that of all others, or markups of few points."""
+    record = draft.to_record("the draft of the mapping")
+    if any("pose" in table.columns for table in record.tables):
+        return
+    curves = [curve for curve in _read_curves(draft, files) if curve.holds == "shapes"]
+    chords = np.array([curve.line[-1] - curve.line[0] for curve in curves]).reshape(-1, 3)
+    chords /= np.maximum(np.linalg.norm(chords, axis=1, keepdims=True), SAME_POINT_MM)
+    for curve, chord in zip(curves, chords, strict=True):
+        file, others = curve.points.path.name, chords.sum(axis=0) - chord
+        form = find_format(curve.points.path)
+        is_markup = form is not None and form.name == "markups"
+        why = f"it has {len(curve.line)} points" if is_markup and len(curve.line) < MIN_POINTS else ""
+        if np.linalg.norm(others) > MIN_ALIGNED * (len(curves) - 1) > MIN_ALIGNED:
+            angle = np.degrees(np.arccos(min(1.0, abs(chord @ others) / np.linalg.norm(others))))
+            why = f"it runs {angle:.0f} degrees off the others" if angle > MAX_ASIDE_DEG else why
+        number = next(k for k, table in enumerate(record.tables, 1) if file in table.files)
+        answers = {"needle": {f"tables.{number}.holds": "shapes"}, "boundary": {"surfaces": file}}
+        if why and (f"tables.{number}.holds", "shapes") not in stated:
+            answers = answers if is_markup else {"needle": answers["needle"]}
+            draft.ask("direction", file, answers, name=curve.name, why=why)
+
+
+def _read_curves(draft: Draft, files: Sequence[Path]) -> list[ImportedCurve]:
+    """Return the needles of a draft, without what further tables state of them."""
+    where = "the draft of the mapping"
+    return read_curves([*list_tables(draft.to_record(where), files, where)], [])
+
+
 def _settle_unit(draft: Draft, files: Sequence[Path]) -> Iterator[Open]:
     """Assume mm of lengths without a unit where needles then have the length of one; else ask."""
     unknown = [
@@ -247,9 +284,9 @@ def _settle_unit(draft: Draft, files: Sequence[Path]) -> Iterator[Open]:
     if any("unit" in record for record in unknown):
         yield Open("unit", f"{question}a header states pixels", {}, str(files[0]))
         return
-    content = read_mapped(draft.to_record("the draft of the mapping"), files, "the draft of the mapping")
-    lines = [curve.line for curve in content.curves if len(curve.line)]
-    longest = max((curve.reach for curve in content.curves), default=0.0)
+    curves = _read_curves(draft, files)
+    lines = [curve.line for curve in curves if len(curve.line)]
+    longest = max((curve.reach for curve in curves), default=0.0)
     low, high = ASSUMED_MM
     if all((line == np.round(line)).all() for line in lines):
         yield Open("unit", f"{question}all coordinates are whole numbers, as of pixels", {}, str(files[0]))

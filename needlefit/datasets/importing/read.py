@@ -14,6 +14,8 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import make_id
 from needlefit.datasets.faults import as_error
+from needlefit.datasets.formats import find_format
+from needlefit.datasets.formats.markups import read_plane
 from needlefit.datasets.importing.curves import ImportContent, ImportedCurve, TipReading
 from needlefit.datasets.importing.meanings import ATTRIBUTES, MEANINGS, SENSOR, VECTORS
 from needlefit.datasets.importing.stated import Stated, name_set
@@ -33,6 +35,7 @@ from needlefit.geometry.frames import RAS_TO_LPS
 from needlefit.geometry.surfaces import (
     READ_SUFFIXES,
     Surface,
+    make_sheet,
     read_coordinate_system,
     read_surface,
     transform_surface,
@@ -46,6 +49,8 @@ MAX_CURVES = 2000  # largest number of needles, and of files: more is a wrong fo
 MAX_NAME_CHARS = 60  # longest name of a needle (characters)
 MAX_LISTED_NAMES = 4  # largest number of names in a message
 ACROSS = ("deflection", "deflection_z", "y", "z")  #: meanings whose numbers may be percents of the depth
+PLANE_SIZE_MM = 400.0  # edge of the sheet (mm) that stands for a plane
+MIN_PLANE_PART = 0.05  # smallest extent of its points across the longest one, as a fraction of that
 FACTORS = UNITS_MM | UNITS_PER_MM
 
 
@@ -162,11 +167,7 @@ def read_mapped(mapping: MappingRecord, paths: Sequence[Path], where: str) -> Im
     content = ImportContent([], _read_surfaces(mapping, paths), {path.name: sha256(path) for path in paths})
     tables = [*list_tables(mapping, paths, where)]
     left_out = list[str]()
-    for mapped in tables:
-        if mapped.record.holds in ("shapes", "tips", "tracks"):
-            content.curves.extend(_read_points(mapped, left_out))
-    content.curves[:] = _join_observations(content.curves)
-    _name_curves(content.curves)
+    content.curves[:] = read_curves(tables, left_out)
     for mapped in tables:
         if mapped.record.holds in ("curvatures", "turns", "facts"):
             _add_rows(mapped, content.curves)
@@ -185,6 +186,14 @@ def read_mapped(mapping: MappingRecord, paths: Sequence[Path], where: str) -> Im
             where=where,
         )
     return replace(content, left_out=left_out)
+
+
+def read_curves(tables: Sequence[MappedTable], left_out: list[str]) -> list[ImportedCurve]:
+    """Return the needles of tables of points; `left_out` gets the counts of points without a coordinate."""
+    of_points = [mapped for mapped in tables if mapped.record.holds in ("shapes", "tips", "tracks")]
+    curves = _join_observations([curve for mapped in of_points for curve in _read_points(mapped, left_out)])
+    _name_curves(curves)
+    return curves
 
 
 def list_tables(mapping: MappingRecord, paths: Sequence[Path], where: str) -> Iterator[MappedTable]:
@@ -230,10 +239,14 @@ def _read_surfaces(mapping: MappingRecord, paths: Sequence[Path]) -> list[Surfac
     surfaces = list[Surface]()
     for name in mapping.surfaces:
         path = next((path for path in paths if path.name == name), None)
+        form = None if path is None else find_format(path)
+        if path is not None and form is not None and form.name == "markups":
+            surfaces.append(_fit_plane(path))
+            continue
         if path is None or path.suffix.lower() not in READ_SUFFIXES:
             raise DataError(
                 f"there is no surface {name!r} among the files",
-                expected=f"a file of {', '.join(READ_SUFFIXES)}",
+                expected=f"a file of {', '.join(READ_SUFFIXES)}, or points or a plane of Slicer",
                 fix="name it, or correct `surfaces` of the mapping",
             )
         surface = read_surface(path, "sheet", 2)
@@ -248,6 +261,21 @@ def _read_surfaces(mapping: MappingRecord, paths: Sequence[Path]) -> list[Surfac
         taken = {surface.name for surface in surfaces}
         surfaces.append(replace(surface, name=make_unique(surface.name[:MAX_NAME_CHARS], taken)))
     return surfaces
+
+
+def _fit_plane(path: Path) -> Surface:
+    """Return the plane through the points of a markup; DataError if they lie on a line."""
+    points = read_plane(path).values
+    center = points.mean(axis=0)
+    _, sizes, axes = np.linalg.svd(points - center)
+    if len(points) < len("xyz") or sizes[1] < MIN_PLANE_PART * sizes[0]:
+        raise DataError(
+            "its points lie on one line, which defines no plane",
+            expected="three points or more, spread over the boundary",
+            fix=f"place points beside the line; or leave it out and state {name_set('boundaries', 'DEPTH')}",
+            where=path,
+        )
+    return make_sheet(path.name.partition(".")[0], center, axes[2], PLANE_SIZE_MM, 2)
 
 
 # ---- points

@@ -39,6 +39,8 @@ def split_tips(asked: CurveAnswers) -> None:
                 stated=stated,
                 hole=curve.name if curve.is_named else "",
             )
+    if len(insertions) > len(asked.curves) and any(curve.hole for curve in insertions.values()):
+        asked.settler.note("hole", "readings of one needle are of one hole")
     asked.curves[:] = insertions.values()
 
 

@@ -135,13 +135,14 @@ def _trace_fault(fault: Fault, places: Mapping[str, Sequence[_Place]], folder: P
         return fault.at(fault.where.replace(f"{folder}/", ""))
     place = places[name][int(line) - 2]  # below one header line
     # points of several needles may have been taken for one, where a column tells them apart
-    is_joined = place.is_table and fault.what.startswith("goes back")
+    is_joined = place.is_table and fault.what.startswith("has points out of order")
     hint = (
         f"; or state the column that distinguishes needles: {name_set('needle.column', 'HEADER')}"
         if is_joined
         else ""
     )
-    problem, fix = f"{place.subject}{fault.what}", f"{fault.fix}{hint}"
+    problem = f"{place.subject}{fault.what.removeprefix(place.subject)}"
+    fix = f"{fault.fix}{hint}"
     return fault.replace(what=problem, where=place.where, fix=fix)
 
 
