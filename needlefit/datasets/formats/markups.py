@@ -153,7 +153,7 @@ def _to_float(text: str) -> float | str:
         return text
 
 
-def _is_place(value: object) -> bool:
+def _is_place(value: Any) -> bool:  # noqa: ANN401 - whatever a file holds
     is_triple = isinstance(value, list) and len(value) == 3
     return is_triple and all(type(x) in (int, float) and abs(x) <= MAX_COORDINATE for x in value)
 

@@ -553,7 +553,7 @@ def _read_turn(mapped: MappedTable, n: int) -> tuple[float, Stated]:
 def _read_sensor(mapped: MappedTable, n: int) -> Floats:
     """Return the place of a sensor, mm, its curvatures and their SD, 1/mm; NaN: no cell states the SD."""
     place = "sensor" if "sensor" in mapped.record.columns else "sensor_from_base"
-    meanings = (place, *SENSOR[1:3])
+    meanings: tuple[str, ...] = (place, *SENSOR[1:3])
     if lacking := [meaning for meaning in meanings if meaning not in mapped.record.columns]:
         raise DataError(
             f"of curvatures nothing states {', '.join(lacking)}",
