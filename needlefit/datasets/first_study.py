@@ -37,7 +37,7 @@ def name_first_run(dataset: Dataset) -> tuple[str, bool]:
     track of a specimen: tracks are predicted within a specimen.
     """
     insertions = dataset.insertions
-    counts = Counter(insertion.specimen for insertion in insertions if insertion.is_track)
+    counts = Counter(insertion.specimen for insertion in insertions if insertion.in_tracker_frame)
     is_study = len(insertions) > 1 and min(counts.values(), default=2) > 1
     return f"{dataset.name}_{'study' if is_study else 'fit'}.toml", is_study
 
@@ -155,7 +155,7 @@ def write_first_run(folder: Path, dataset: Dataset, choices: FirstChoices | None
         "recipe": "default",
     }
     several = len({insertion.specimen for insertion in dataset.insertions}) > 1 and not any(
-        insertion.is_track for insertion in dataset.insertions
+        insertion.in_tracker_frame for insertion in dataset.insertions
     )
     unit = "specimen" if several else "insertion"
     where = "those into a new specimen" if several else "another one into the same specimen"

@@ -134,7 +134,7 @@ def divide_insertions(insertions: tuple[Insertion, ...], kind: str) -> dict[str,
 
     A tip track and a shape of one hole were measured of one insertion.
     """
-    tracked = {insertion.hole for insertion in insertions if insertion.is_track and insertion.hole}
+    tracked = {insertion.hole for insertion in insertions if insertion.in_tracker_frame and insertion.hole}
     keys = [insertion.hole if insertion.hole in tracked else insertion.id for insertion in insertions]
     names = [insertion.specimen for insertion in insertions] if kind == "specimen" else keys
     return {

@@ -249,8 +249,8 @@ class Insertion(InsertionInputs):
         return self.pose_source in STATED_POSE_SOURCES
 
     @property
-    def is_track(self) -> bool:
-        """Whether a tracker has read it, in a frame of its own."""
+    def in_tracker_frame(self) -> bool:
+        """Whether its places are known in the frame of a tracker alone: they have no place in a scan."""
         return self.pose_source == "tracker"
 
     @property
@@ -407,7 +407,7 @@ def find_pose(pose: Pose, insertion: Insertion) -> InsertionPose:
     The first point of the inserted needle lies beside the entry by as much as the needle has moved there: of
     an entry that is this point the direction alone is known.
     """
-    if insertion.is_track:
+    if insertion.in_tracker_frame:
         return "tracker"
     return "direction" if pose == "known" and insertion.pose_source == "first_point" else pose
 

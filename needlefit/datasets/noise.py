@@ -8,7 +8,7 @@ import numpy as np
 
 from needlefit.arrays import Floats, pad_axis
 from needlefit.datasets.insertion import Dataset, Insertion, InsertionPose, Noise, find_free_reach, find_pose
-from needlefit.geometry.curves import COMPARISON_POINTS, Quantity, compare_curves
+from needlefit.geometry.curves import COMPARISON_POINTS, TIP_POINTS, Quantity, compare_curves
 from needlefit.geometry.frames import align_lateral, align_rigid
 from needlefit.metrics import METRICS, list_metrics
 
@@ -40,10 +40,10 @@ def estimate_noise_floor(
     again = whole + pad_axis(displaced, 3)
     pose = find_pose(dataset.pose, insertion)
     free = find_free_reach(dataset.drop_proximal, insertion) if pose == "free" else None
-    is_tip = insertion.is_track or len(whole) == 2
+    is_tip = pose == "tracker" or len(whole) == TIP_POINTS
     if is_tip:
         again[..., 0] = whole[:, 0]  # depths are known
-    if insertion.is_track:
+    if pose == "tracker":
         again = align_lateral(again, whole)  # the best shifts and slopes are taken off
     pairs = [(curve, whole) for curve in again]
     if not is_tip:

@@ -31,7 +31,9 @@ def measure_out_of_plane(dataset: Dataset) -> list[tuple[str, float, float]]:
     that were not measured out of their planes.
     """
     in_space = [
-        insertion for insertion in dataset.insertions if not insertion.is_track and insertion.directions == 2
+        insertion
+        for insertion in dataset.insertions
+        if not insertion.in_tracker_frame and insertion.directions == 2
     ]
     gaps = [
         (insertion.id, measure_aside(insertion), compute_deflection_sd(insertion, dataset.noise))

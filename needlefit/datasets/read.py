@@ -454,7 +454,7 @@ def read_shapes(path: Path) -> Dataset:
 
 def require_shapes(dataset: Dataset) -> Dataset:
     """Return a dataset of shapes; DataError if it holds tip tracks."""
-    if any(insertion.is_track for insertion in dataset.insertions):
+    if any(insertion.in_tracker_frame for insertion in dataset.insertions):
         raise DataError(
             "holds tip tracks, no shapes",
             expected="a dataset with [centerlines]",

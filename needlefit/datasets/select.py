@@ -123,7 +123,7 @@ def find_hole_source(dataset: Dataset, medium: str) -> HoleSource:
     into = [insertion for insertion in dataset.insertions if insertion.medium == medium]
     if any(insertion.hole for insertion in into):
         return "stated"
-    if all(insertion.is_track for insertion in into):
+    if all(insertion.in_tracker_frame for insertion in into):
         return "separate"
     if dataset.pose == "known":
         return "entry"
@@ -158,7 +158,7 @@ def _make_hole_key(source: HoleSource, insertion: Insertion) -> tuple[object, ..
     """Return what insertions of one hole have in common."""
     if source == "stated" and insertion.hole:
         return (insertion.specimen, insertion.hole)
-    if source in ("stated", "separate") or insertion.is_track:
+    if source in ("stated", "separate") or insertion.in_tracker_frame:
         return (insertion.id,)
     entry = np.concatenate([insertion.frame.origin, insertion.frame.rotation[:, 0]]).round(ENTRY_DECIMALS)
     # adding 0 makes -0 the same as 0

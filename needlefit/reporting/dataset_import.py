@@ -59,7 +59,7 @@ def write_import(folder: Path, prepared: PreparedImport, overwrite: bool = False
         write_scene(
             fresh / SCENE_FILE, dataset, max(dataset.insertions, key=lambda insertion: insertion.depth)
         )
-        if not all(insertion.is_track for insertion in dataset.insertions):
+        if not all(insertion.in_tracker_frame for insertion in dataset.insertions):
             draw(fresh / PICTURE_FILE, lambda: paint_import(dataset, plan))
     warnings = [
         replace(warning, where=warning.where.replace(str(fresh), str(folder))) for warning in dataset.warnings
@@ -96,7 +96,7 @@ def _describe_needle(dataset: Dataset, insertion: Insertion) -> dict[str, object
         "layers": " > ".join(map(str, insertion.sequence)) + (f" at {depths} mm" if depths else ""),
         "bends, from its bevel": side,
     }
-    return dict([*row.items()][:4]) if insertion.is_track else row
+    return dict([*row.items()][:4]) if insertion.in_tracker_frame else row
 
 
 def _format_point(point: Floats) -> str:

@@ -49,7 +49,7 @@ def place_needles(
     """
     bands = group_values((row["insertion"], row) for row in predicted if row["fold"] == fold.name)
     for role, insertions in (("tune", fold.tune if fitted else ()), ("validate", fold.validate)):
-        for insertion in (insertion for insertion in insertions if not insertion.is_track):
+        for insertion in (insertion for insertion in insertions if not insertion.in_tracker_frame):
             placement, band = Placement(insertion.frame, insertion.patient), None
             curve = curves.get(insertion.id) if role == "validate" else None
             points = _place_needle(problem, insertion, curve or _simulate_fit(problem, insertion, fit))
