@@ -13,12 +13,12 @@ materials before the tissue, or none, whose thickness is stated: `wrong` is an e
 0.3 mm. Rendered volumes stay in the folder `--cache`, so that a run can be continued.
 
 Errors in mm: `axis` mean distance of the needle's points from the true axis; `tip_along` (negative: short)
-and `tip_across`; `entry` along the needle; `length` inserted; `tre` of true entry and tip, the larger;
-`crossing` the largest distance of a point at which a layer is crossed. `bevel_deg` is the error of the
-bevel's side; `bevel_stated`: whether one is stated. With `--seeds`, `side` and `normal` are the parts of
-`axis` in the slices and along their normal, `tip_side` and `tip_normal` those of the tip; `crossed` is how
-many slices the needle crosses, `in_68`, `in_95` which part lies within 1 and 1.96 stated deviations, `rms`
-the root mean square of errors in deviations.
+and `tip_across`; `entry` along the needle, as it lies in the scan; `length` inserted; `tre` of true entry
+and tip, the larger; `crossing` the largest distance of a point at which a layer is crossed. `bevel_deg` is
+the error of the bevel's side; `bevel_stated`: whether one is stated. With `--seeds`, `side` and `normal` are
+the parts of `axis` in the slices and along their normal, `tip_side` and `tip_normal` those of the tip;
+`crossed` is how many slices the needle crosses, `in_68`, `in_95` which part lies within 1 and 1.96 stated
+deviations, `rms` the root mean square of errors in deviations.
 """
 
 import argparse
@@ -251,7 +251,7 @@ def _measure_errors(one: Reconstruction, case: Case) -> dict[str, object]:
     true_length = float(arc_length(inside)[-1])
     marked = np.array([inside[0], axis[-1]])
     moved = one.patient.to_world(case.world.to_world(marked)) - marked
-    entry = float(one.pose.origin[0])
+    entry = float(case.world.to_local(one.patient.to_local(one.pose.origin[None]))[0, 0])
     bevel = case.world.rotation.T @ one.needle_axis.bevel
     angle = np.degrees(np.arccos(np.clip(bevel @ case.bevel / np.linalg.norm(bevel), -1, 1)))
     crossed = np.array([[np.interp(x, axis[:, 0], axis[:, n]) for n in range(3)] for x in case.interfaces])

@@ -65,7 +65,6 @@ class MM:
     BEYOND_END = 4.0  # beyond a needle's end, where it and its surroundings are looked at
     NEEDLE_LENGTH = 20.0  # least length of a needle in the scan
     PICK = 5.0  # of a point stated on the needle from it
-    PIECE_GAP = 15.0  # across which pieces of a needle are joined [R]
     PIECE_END = 5.0  # length of a piece's end that lies on the curve which it goes on
     FAINT = 3.0  # over which a needle may be faint
     FOLLOW_END = 12.0  # by whose line the next place is predicted
@@ -82,19 +81,15 @@ class MM:
     END_MOMENT = 5.0  # lever of the shear force at the end: the tip itself carries no moment
     BEVEL_POINT = 0.04  # of a bevel's point that is too thin to show: mean of 24 volumes [S]
     HUB_SHADOW = 10.0  # of the axis that a hub hides [S]
-    SLICE_AXIS_SD = 0.012  # across, that no residual shows [S]
-    SLICE_END_SD = 0.07  # along, at the end [S]
-    SLICE_TIP_SD = 0.04  # across, at the end [S]
-    SLICE_BASE = 8.0  # over which the base's error falls [S]
     BRIGHT_END = 1.5  # over which a shaft's end is brighter: about a needle's width
     STREAK_LENGTH = 2.0  # over which a streak beyond the tip fades [R]
     STREAK_RADIUS = 0.8  # its deviation across [R]
-    HIDDEN_END = 15.0  # of a needle's end along which rays hide its tip
+    HIDDEN = 15.0  # of a needle that rays hide: at its end, or between two pieces [R]
     RAY = 30.0  # of a needle in the slices that rays pass at most: it is bent
     BEVEL_RAY = 6.0  # from which on its image shows the rays rather than the bevel [R]
-    TIP_SD = 0.06  # along, that no voxel shows: a scanner's edge is not the model's [R]
+    TIP_SD = 0.04  # along, that no voxel shows: a scanner's edge is not the model's [R]
     SWING_SD = 0.1  # by which a needle leaves its shaft's course within its bevel
-    TIP_ACROSS_SD = 0.015  # across, that no residual shows [R]
+    TIP_ACROSS_SD = 0.03  # across, that no residual shows [R]
     BLUR = 0.45  # of scanners, in the slices [R]
     BLURS = (0.15, 1.2)  # range of it
     SLICE_BLURS = (0.1, 2.0)  # the same across slices
@@ -135,10 +130,8 @@ class PART:
     BOOSTS = (-0.2, 5.0)  # range of it
     SLICE_BLUR = 0.33  # of the distance of slices: a box has 0.29, helical scans more
     SIGNAL_ERROR = 0.04  # of what a voxel shows of metal: the model's own error [R]
-    HIDDEN_END_SD = 0.02  # of the length that rays pass: they hide the end [R]
-    HIDDEN = 0.25  # of that, where no dark streak lies beyond the end [R]
-    ACROSS_SD = 0.001  # of that length, across [R]
-    RESAMPLED_SD = 0.25  # of a voxel, along, in a scan resampled after its values were cut [R]
+    # Of the voxels' spacing along the needle, at its tip: slices of 1 and 2 mm hide the end [R]
+    TIP_SD = 0.12
     # Of a fitted bevel over that of the stated one: wrong ones 0.85 at most, right ones 0.99 at least
     BEVEL_MISFIT = 0.9
     BALL_MISFIT_SD = 0.35  # of its blur, per misfit [R]

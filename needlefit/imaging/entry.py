@@ -258,9 +258,10 @@ def _list_behind_metal(
     """
     known = np.isfinite(profile.around)
     s, values, found = profile.s[known], profile.around[known], list[EntryCandidate]()
-    for before, run, behind in zip(runs, runs[1:], runs[2:], strict=False):
+    for n, (run, behind) in enumerate(pairwise(runs)):
         if (run.kind, behind.kind) != ("metal", "soft"):
             continue
+        before = runs[n - 1] if n else behind  # the volume may begin in it
         inside = (s >= run.begin - MM.BLUR_REACH) & (s <= run.end)
         begin, end = (
             s[inside & (values > (run.level + beside.level) / 2)][side]

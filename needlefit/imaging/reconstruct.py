@@ -143,7 +143,7 @@ def list_tip_warnings(one: Reconstruction) -> list[str]:
         )
     excess = one.profile.core - one.profile.around
     from_tip = one.profile.s - one.depth
-    shaft = excess[(from_tip > -MM.HIDDEN_END) & (from_tip < -MM.BLUR_REACH)]
+    shaft = excess[(from_tip > -MM.HIDDEN) & (from_tip < -MM.BLUR_REACH)]
     if np.isfinite(shaft).any():
         bright = (from_tip > MM.BLUR_REACH) & (excess > np.nanmedian(shaft) / 2)
         if bright.any():

@@ -190,7 +190,7 @@ def find_end(volume: Volume, axis: AxisSpline, diameter: float) -> float:
 
     Rays may darken it, and where it passes from one thick slice to the next neither shows all of it.
     """
-    s = np.arange(0.0, axis.length + MM.HIDDEN_END, MM.STATION)
+    s = np.arange(0.0, axis.length + MM.HIDDEN, MM.STATION)
     last = axis_frames(axis, np.array([axis.length]))
     beyond = np.maximum(s - axis.length, 0.0)[:, None] * last.tangents
     where = axis_frames(axis, np.minimum(s, axis.length))
@@ -201,7 +201,7 @@ def find_end(volume: Volume, axis: AxisSpline, diameter: float) -> float:
     over = np.nan_to_num(
         values[:, inner].max(axis=1) - np.median(values[:, radius > MM.RIM], axis=1), nan=-1e4
     )
-    shaft = (s > axis.length - 2 * MM.HIDDEN_END) & (s <= axis.length)
+    shaft = (s > axis.length - 2 * MM.HIDDEN) & (s <= axis.length)
     # in tissue a needle is less bright over its surroundings than in air
     bright = s[over > np.median(over[shaft]) / 2]
     dark = np.flatnonzero((np.diff(bright) > MM.DARK) & (bright[1:] > axis.length))

@@ -127,7 +127,7 @@ def _continues(
     local, piece = ((some - center) @ axes.T for some in (points, to_patient(volume, part.voxels)))
     low, high = local[:, 0].min(), local[:, 0].max()
     gap = max(low - piece[:, 0].max(), piece[:, 0].min() - high)
-    if gap > MM.PIECE_GAP or np.ptp(piece[:, 0]) < 2 * part.width:
+    if gap > MM.HIDDEN or np.ptp(piece[:, 0]) < 2 * part.width:
         return False
     far = np.abs(piece[:, 0] - np.clip(piece[:, 0], low, high))
     near = piece[far <= far.min() + MM.PIECE_END]  # farther off, a parabola that is drawn on says little

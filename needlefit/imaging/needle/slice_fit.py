@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 from scipy.interpolate import BSpline
 from scipy.ndimage import map_coordinates
+from scipy.optimize import OptimizeResult, least_squares
 from scipy.sparse import csr_array
 
 from needlefit.arrays import Bools, Floats
@@ -49,28 +50,19 @@ WEAK_START = -1.5  # change of the attenuation's logarithm from which other meta
 TIP_SDS = np.array([1.0, 10.0])  # of where the needle ends, mm, and of its bevel's roll, rad, before
 START_STEPS = (0.5, 0.25, 0.12)  # of shift, tilt and bow along the normal, slices
 START_ENDS_MM = (-1.0, -0.5, 0.0, 0.5, 1.0)  # ends that are tried, from the one stated, mm
-ROLLS = tuple(np.arange(6) * 2 * np.pi / 6)  # of the bevel, that are tried with each
-AGAIN_ENDS_MM = (-1.0, 0.0, 1.0)  # the same after the first fit, mm
 ROBUST_SD = (20.0, 4.0)  # residuals beyond so many deviations count less, in the first fit and later
 STEPS = 8  # of each fit
-CONVERGED = 0.5  # change of what is minimized that ends a fit
+FIT_TOLERANCE = 1e-3  # of a fit's cost and parameters, at which it ends
+STEP = 0.05  # of the derivatives
 # The model's error, in water and in parts of the image, before it is known; samples that count as one.
 FIRST_NOISE = 0.15  # of water
 FIRST_ERROR = 0.25  # of the image
 CORRELATED = 10.0  # samples
-# Factors of the fit's deviations in the slices, of end and roll; what no residual shows: mm, and along the
-# normal slices, which falls with the slices that are crossed, and from the base on. Set on volumes of
-# `benchmarks/real_scanners.py --seeds 12000:12037, 13000:13030, 14000:14060`, that of the roll on 6000:6090.
-SIDE_FACTOR = 0.75  # across, in the slices
-END_FACTOR = 1.26  # of the end
-ROLL_FACTOR = 1.5  # of the roll
-SLICE_ERROR = 0.02  # slices
-CROSSED_SLICES = 4.0  # slices over which it falls
-BASE_ERROR = 0.04  # slices, at the base
-# What a fit adds to these deviations, in slices, by which its misfit exceeds a good one's, and by which part
-# of a slice the needle does not cross: its mirror image looks the same. At the end twice.
-MISSED_FACTOR = 1.3  # slices per relative error
-FLAT_FACTOR = 0.18  # of a slice
+ROLL_FACTOR = 1.5  # of the roll's deviation
+# What no residual shows, slices: of the axis; and where the needle does not cross a slice, as its mirror
+# image looks the same, at its end twice. Set on volumes of `benchmarks/real_scanners.py --seeds 2000:2013`.
+SLICE_SD = 0.02  # slices
+MIRROR_SD = 0.2  # slices
 HUB_WEIGHT = 5.0  # of a hub's middle in a first axis
 HUB_SDS = np.array([0.1, 0.3])  # deviations of a needle from its hub's middle, mm, and slices
 
@@ -116,8 +108,7 @@ def place_in_slices(
     variances = np.stack([covariance[:count, :count], covariance[count : 2 * count, count : 2 * count]])
     end_sd, roll_sd = np.sqrt(np.diag(covariance)[2 * count : 2 * count + 2])
     crossed = float(np.ptp(problem.at @ along)) / thick
-    excess = max(0.0, error - PART.SLICE_MISFIT)
-    missed = thick * float(np.hypot(MISSED_FACTOR * excess, FLAT_FACTOR * max(0.0, 1 - crossed)))
+    missed = thick * float(np.hypot(max(0.0, error - PART.SLICE_MISFIT), MIRROR_SD * max(0.0, 1 - crossed)))
     # where the axis lies at the sections of the one that was traced, and at its end: a curve that passes
     # sections beyond it, or others twice, and comes back would be too long
     places = (axis.points - origin) @ frame[0]
@@ -127,21 +118,15 @@ def place_in_slices(
     beside = np.stack([across, along], axis=1)
     points = origin + np.column_stack([places, basis @ beside]) @ frame
     s = arc_length(points)
-    sds = np.array([[SIDE_FACTOR], [1.0]]) * np.sqrt(np.einsum("nc,kcd,nd->kn", basis, variances, basis))
-    unseen = SLICE_ERROR / (1 + (crossed / CROSSED_SLICES) ** 2)
-    hidden = thick * np.stack([0 * s, np.hypot(unseen, BASE_ERROR * np.exp(-s / MM.SLICE_BASE))])
     # the tip's stands for that of the last section
-    sds = np.delete(np.hypot(np.hypot(sds, hidden), np.hypot(MM.SLICE_AXIS_SD, missed)), -2, axis=1)
+    sds = np.delete(np.sqrt(np.einsum("nc,kcd,nd->kn", basis, variances, basis)), -2, axis=1)
+    sds = np.hypot(sds, np.hypot(SLICE_SD * thick, missed))
     placed = fit_axis(s[:-1], points[:-1], axis.weights[traced], knot, s[-1])
     # its points are the fit's and do not scatter: its deviation in the slices is the fit's, too
     wider = np.mean(sds[0] ** 2) / np.mean(axis_sd(placed, s[:-1]) ** 2)
     placed = replace(placed, variance=placed.variance * wider, slice_sds=sds)
-    sd = np.array(
-        [
-            np.linalg.norm([END_FACTOR * end_sd, MM.SLICE_END_SD, 2 * missed]),
-            np.linalg.norm([*sds[:, -1] / np.sqrt(2), MM.SLICE_TIP_SD]),
-        ]
-    )
+    unseen = np.hypot(MM.TIP_SD, PART.TIP_SD * float(volume.spacing[0]))
+    sd = np.hypot([np.hypot(end_sd, 2 * missed), np.linalg.norm(sds[:, -1]) / np.sqrt(2)], unseen)
     probability = side_probability(ROLL_FACTOR * float(roll_sd)) if rolled else np.nan
     sided = probability >= MIN_BEVEL_PROBABILITY
     bevel = np.cos(roll) * frame[1] + np.sin(roll) * normal if sided else np.full(3, np.nan)
@@ -312,15 +297,62 @@ class _SliceProblem:
         over = over - over[..., self.rim].mean(axis=-1, keepdims=True)
         return np.clip(over + self.level, *self.cut)
 
-    def slopes(self, theta: Floats, metal: csr_array, here: Floats) -> Floats:
-        """Return the derivatives of what slices show (K, S, U, P)."""
-        count = self.at.shape[1]
-        shift = (self.image(metal, theta, 0.05) - here) / 0.05
-        slopes = [-shift[..., None] * self.at[:, None]]  # what moves across moves its image
-        for n, step in enumerate(np.eye(len(theta))[count:] * 0.05):
+    def residuals(self, theta: Floats, scale: Floats) -> Floats:
+        """Return what slices show and what is known, both in their deviations; neighbours count as one."""
+        left = (self.image(self.project(theta), theta) - self.shown) / scale
+        return np.append(left[self.seen].ravel() / np.sqrt(CORRELATED), self.known(theta))
+
+    def slopes(self, theta: Floats, scale: Floats) -> Floats:
+        """Return the derivatives of the residuals."""
+        count, metal = self.at.shape[1], self.project(theta)
+        here = self.image(metal, theta)
+        shift = (self.image(metal, theta, STEP) - here) / STEP
+        slopes = [-shift * column[:, None] for column in self.at.T]  # what moves across moves its image
+        for n, step in enumerate(np.eye(len(theta))[count:] * STEP):
             moved = self.project(theta + step) if n < count + 2 else metal
-            slopes.append(((self.image(moved, theta + step) - here) / 0.05)[..., None])
-        return np.concatenate(slopes, axis=-1)
+            slopes.append((self.image(moved, theta + step) - here) / STEP)
+        scale = np.broadcast_to(scale, here.shape)[self.seen] * np.sqrt(CORRELATED)
+        known = [self.known(unit) - self.known(0 * unit) for unit in np.eye(len(theta))]
+        pairs = zip(slopes, known, strict=True)
+        return np.stack([np.append((slope[self.seen] / scale).ravel(), row) for slope, row in pairs], axis=1)
+
+    def descend(self, theta: Floats, scale: Floats, robust: float) -> OptimizeResult:
+        """Return the least squares near `theta`; residuals beyond `robust` deviations count less."""
+        count = np.count_nonzero(self.seen) * self.shown.shape[2]
+
+        def loss(squared: Floats) -> Floats:  # Cauchy's of the image alone
+            less = np.where(np.arange(len(squared)) < count, 1 / (1 + squared), 1.0)
+            cost = np.where(np.arange(len(squared)) < count, np.log1p(squared), squared)
+            return np.stack([cost, less, np.where(less < 1, -(less**2), 0.0)])
+
+        fresh: list[Floats] = []
+
+        def slopes(
+            there: Floats,
+        ) -> Floats:  # those of a step serve the next one, corrected by what it showed
+            residuals = self.residuals(there, scale)
+            if fresh:
+                before, left, jacobian = fresh
+                step = there - before
+                weight = step * np.sum(jacobian**2, axis=0)
+                missed = residuals - left - jacobian @ step
+                fresh.clear()
+                return jacobian + np.outer(missed, weight / (weight @ step))
+            fresh[:] = there, residuals, self.slopes(there, scale)
+            return fresh[-1]
+
+        return least_squares(
+            lambda there: self.residuals(there, scale),
+            theta,
+            jac=slopes,
+            loss=loss,
+            f_scale=robust / np.sqrt(CORRELATED),
+            x_scale="jac",
+            ftol=FIT_TOLERANCE,
+            xtol=FIT_TOLERANCE,
+            gtol=FIT_TOLERANCE,
+            max_nfev=STEPS,
+        )
 
     def solve(self) -> tuple[Floats, Floats, float]:
         """Return parameters, their covariance and the model's relative error."""
@@ -336,8 +368,17 @@ class _SliceProblem:
                 for theta in self.move(best, step):
                     if (cost := self.first_misfit(theta)) < lowest:
                         best, lowest, improved = theta, cost, True
-        theta, *_ = self.descend(self.turn(best, START_ENDS_MM), self.first_scale, ROBUST_SD[0])
-        return self.fit(theta)
+        for robust in ROBUST_SD:
+            best = self.descend(self.turn(best), self.first_scale, robust).x
+        best = self.turn(best)
+        scale = self.scale(self.image(self.project(best), best))
+        fit = self.descend(best, scale, ROBUST_SD[1])
+        image = self.image(self.project(fit.x), fit.x)
+        left = np.where(self.seen[..., None], image - self.shown, 0.0) / self.scale(image)
+        left /= np.sqrt(1 + (left / ROBUST_SD[1]) ** 2)
+        factor = correlation_factor(np.moveaxis(left, 1, 0).reshape(left.shape[1], -1), len(best))
+        covariance = np.linalg.inv(fit.jac.T @ fit.jac) * factor / CORRELATED
+        return np.asarray(fit.x, float), np.asarray(covariance, float), self.error(image)
 
     def move(self, theta: Floats, step: float) -> list[Floats]:
         """Return the parameters with the course shifted, tilted or bent along the normal by `step` slices."""
@@ -354,87 +395,24 @@ class _SliceProblem:
 
     def first_misfit(self, theta: Floats) -> float:
         """Return what is minimized before the model's error is known."""
-        return self.misfit(self.image(self.project(theta), theta), theta, self.first_scale, ROBUST_SD[1])
+        left = np.split(self.residuals(theta, self.first_scale), [-len(self.known(theta))])
+        robust = ROBUST_SD[1] / np.sqrt(CORRELATED)
+        return float(robust**2 * np.sum(np.log1p((left[0] / robust) ** 2)) + np.sum(left[1] ** 2))
 
-    def turn(self, theta: Floats, ends: tuple[float, ...]) -> Floats:
-        """Return the parameters with the best of several rolls of the bevel, its end moved by `ends`, mm."""
-        return min(self.roll(theta, ends, ROLLS), key=self.first_misfit)
-
-    def roll(self, theta: Floats, ends: tuple[float, ...], rolls: tuple[float, ...]) -> list[Floats]:
-        """Return the parameters with the end moved by each of `ends`, mm, and the bevel rolled, rad."""
+    def turn(self, theta: Floats) -> Floats:
+        """Return the parameters with the best of several rolls of the bevel and ends."""
         rolled = []
-        for end in ends:
-            for roll in rolls:
-                one = theta.copy()
-                one[2 * len(self.start) : 2 * len(self.start) + 2] += [end, roll]
-                rolled.append(one)
-        return rolled
+        for end in START_ENDS_MM:
+            for roll in np.arange(6) * np.pi / 3:
+                moved = theta.copy()
+                moved[2 * len(self.start) : 2 * len(self.start) + 2] += [end, roll]
+                rolled.append(moved)
+        return min(rolled, key=self.first_misfit)
 
     @cached_property
     def first_scale(self) -> Floats:
         """Deviations of what slices show before the model's error is known (K, S, U)."""
         return np.hypot(FIRST_NOISE, FIRST_ERROR * (self.shown - self.level))
-
-    def misfit(self, image: Floats, theta: Floats, scale: Floats, robust: float) -> float:
-        """Return what is minimized."""
-        left = ((image - self.shown) / scale)[self.seen]
-        cost = robust**2 * np.sum(np.log1p((left / robust) ** 2)) / CORRELATED
-        return float(cost + np.sum(self.known(theta) ** 2))
-
-    def descend(self, theta: Floats, scale: Floats, robust: float) -> tuple[Floats, Floats, Floats]:
-        """Return parameters where what is minimized is small, what slices show there, and its curvature."""
-        seen = self.seen[..., None]
-        known = np.stack([self.known(one) - self.known(0 * one) for one in np.eye(len(theta))], axis=1)
-        metal = self.project(theta)
-        image = self.image(metal, theta)
-        cost, damping, slopes = self.misfit(image, theta, scale, robust), 1e-3, None
-        for _ in range(STEPS):
-            fresh = slopes is None
-            if slopes is None:
-                slopes = self.slopes(theta, metal, image)
-            left = np.where(seen, (self.shown - image) / scale, 0.0)
-            weights = np.where(seen, 1 / (1 + (left / robust) ** 2) / CORRELATED, 0.0)
-            jacobian = (slopes / scale[..., None]).reshape(-1, len(theta))
-            weighted = jacobian * weights.reshape(-1, 1)
-            normal = weighted.T @ jacobian + known.T @ known
-            pull = weighted.T @ left.ravel() - known.T @ self.known(theta)
-            before = cost
-            while damping < 1e4:
-                step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), pull)
-                moved = theta + step
-                there = self.project(moved)
-                shown = self.image(there, moved)
-                after = self.misfit(shown, moved, scale, robust)
-                if after < cost:
-                    # a step's slopes serve the next one, corrected by what it showed
-                    missed = shown - image - slopes @ step
-                    weight = step * np.diag(normal)
-                    slopes = slopes + missed[..., None] * (weight / (weight @ step)) if fresh else None
-                    theta, metal, image, cost, damping = moved, there, shown, after, damping / 10
-                    break
-                damping *= 10
-                if not fresh:
-                    break
-            if after >= before and not fresh:
-                slopes, damping = None, 1e-3
-            elif fresh and before - cost < CONVERGED:
-                break
-        return theta, image, normal
-
-    def fit(self, theta: Floats) -> tuple[Floats, Floats, float]:
-        """Return parameters, their covariance, and the model's relative error."""
-        theta, *_ = self.descend(self.turn(theta, AGAIN_ENDS_MM), self.first_scale, ROBUST_SD[1])
-        theta = self.turn(theta, AGAIN_ENDS_MM)
-        scale = self.scale(self.image(self.project(theta), theta))
-        robust = ROBUST_SD[1]
-        theta, image, normal = self.descend(theta, scale, robust)
-        scale = self.scale(image)
-        left = np.where(self.seen[..., None], image - self.shown, 0.0) / scale
-        left /= np.sqrt(1 + (left / robust) ** 2)
-        factor = correlation_factor(np.moveaxis(left, 1, 0).reshape(left.shape[1], -1), len(theta))
-        factor *= correlation_factor(np.moveaxis(left, 2, 0).reshape(left.shape[2], -1), 3)
-        covariance: Floats = np.asarray(np.linalg.inv(normal) * factor / CORRELATED, dtype=np.float64)
-        return theta, covariance, self.error(image)
 
     def scale(self, image: Floats) -> Floats:
         """Return the deviations of what slices show (K, S, U) that residuals of `image` show."""

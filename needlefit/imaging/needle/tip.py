@@ -140,18 +140,16 @@ CORE_REACH_MM = 0.9  # radius from which on voxels count less, mm: streaks
 START_OFFSETS_MM = np.arange(-3.0, 3.1, 0.75)  # starting points of the search around the first guess, mm
 # Positions around the best of these at which the side of the bevel is tried, mm.
 FINE_OFFSETS_MM = np.arange(-0.8, 0.9, 0.4)
-SOFT_LOSS_SD = 3.0  # residuals beyond so many deviations of the noise count less
 ROUGH_STEPS = 8  # of a first fit
 STEPS = 30  # of a last fit
-BLOCK_LENGTH_MM = 2.0  # length of the blocks of voxels whose residuals go together, mm
 DERIVATIVE_STEP = np.array(1e-3)  # relative step of the derivatives
 MAX_BEVEL_DEG = 85.0  # a bevel steeper than this has no side
-ROLL_FACTOR = 5.5  # of the roll's deviation: artefacts near the tip, beyond the blocks' errors
+ROLL_FACTOR = 3.0  # of the roll's deviation: artefacts near the tip
+ROLL_SD = 0.15  # of the roll, rad, that no residual shows
 HEIGHT_SD = 0.7  # deviation of the logarithm of the metal's brightness
 # Deviation of the darkening, by the length of the needle that rays pass [R].
 DARK_SD_PER_MM = 0.02  # of the logarithm, 1/mm
 MIN_DARK_SD = 0.05  # of the logarithm
-MAX_DARK_SD = 0.5  # of the logarithm
 LOWER_BOUNDS = np.array([*4 * [-np.inf], np.log(4e3), -1100, 0, *LOWEST, -0.3, -3000])
 UPPER_BOUNDS = np.array([*4 * [np.inf], np.log(5e4), 1000, 6, *HIGHEST, 2, 3000])
 # Bounds and typical changes of the parameters. No metal of needles exceeds 50 000 HU.
@@ -217,13 +215,13 @@ class TipProblem:
         swing_sd = float(np.hypot(MM.SWING_SD, axis_sd(axis, np.array([axis.length]))[0]))
         # the length of the needle that rays within one slice pass along its end, where it lies flattest: its
         # direction right at a hidden end is what is least known
-        end = axis_frames(axis, np.linspace(max(0.0, axis.length - MM.HIDDEN_END), axis.length, 16))
+        end = axis_frames(axis, np.linspace(max(0.0, axis.length - MM.HIDDEN), axis.length, 16))
         steep = max(float(np.abs(end.tangents @ normal).min()), 1e-6)
         self.ray = min(MM.RAY, (needle.diameter_mm + volume.grid.slice_distance) / steep)
         cot = heel / needle.diameter_mm
         cot_sd = np.deg2rad(needle.bevel_sd_deg) * (1 + cot**2)
         cot_sd /= np.hypot(1.0, self.ray / MM.BEVEL_RAY)
-        dark_sd = np.clip(DARK_SD_PER_MM * self.ray, MIN_DARK_SD, MAX_DARK_SD)
+        dark_sd = max(DARK_SD_PER_MM * self.ray, MIN_DARK_SD)
         known = spread or expected_spread(volume.grid.slice_distance)
         # means and deviations of the parameters `HELD`
         self.means = np.array([0.0, 0.0, np.log(HU.NEEDLE), cot, *known.parameters, 0.0, 0.0])
@@ -312,7 +310,7 @@ class TipProblem:
             np.clip(start, self.bounds[0] + 1e-6, self.bounds[1] - 1e-6),
             bounds=self.bounds,
             loss="soft_l1",
-            f_scale=SOFT_LOSS_SD,
+            f_scale=SD.DISAGREEMENT,
             x_scale=PARAMETER_SCALES,
             diff_step=DERIVATIVE_STEP,
             ftol=PART.TOLERANCE,
@@ -320,22 +318,6 @@ class TipProblem:
             gtol=PART.TOLERANCE,
             max_nfev=steps,
         )
-
-    def covariance(self, best: OptimizeResult) -> Floats:
-        """Return the covariance (12, 12) of the parameters: each block of voxels is one observation."""
-        jacobian, residuals, count = best.jac, best.fun, len(self.near.s)
-        # least squares scale the jacobian by the loss, (1 + (f / SOFT)^2)^(-3/4)
-        pulls = jacobian * (residuals * (1 + (residuals / SOFT_LOSS_SD) ** 2) ** 0.25)[:, None]
-        piece = np.floor((self.near.s - self.near.s.min()) / BLOCK_LENGTH_MM).astype(np.int64)
-        quadrant = 2 * (self.near.u > 0) + (self.near.v > 0)
-        outer = np.hypot(self.near.u, self.near.v) > MM.PATCH / 2
-        block = 8 * piece + 2 * quadrant + outer
-        total = np.zeros((block.max() + 1, jacobian.shape[1]))
-        np.add.at(total, block, pulls[:count])
-        total = np.vstack([total, jacobian[count:]])
-        normal = jacobian.T @ jacobian
-        inverse = np.linalg.inv(normal + 1e-9 * np.diag(np.maximum(np.diag(normal), 1e-9)))
-        return inverse @ (total.T @ total) @ inverse
 
     def misfit(self, theta: Floats) -> float:
         """Return how far the image around the end is from the model, in parts of its brightness."""
@@ -406,21 +388,17 @@ def fit_tip(
     """
     problem = TipProblem(volume, axis, needle, float(start[TIP]), spread)
     best, bevel_deg = problem.free_bevel(problem.fit(start))
-    variance = np.diag(problem.covariance(best))
-    # how dark the streak beyond the end is shows how much the rays hide of it
-    hidden = PART.HIDDEN_END_SD * problem.ray
-    hidden *= min(1.0, float(np.hypot(PART.HIDDEN, 2 * best.x[STREAK] / HU.STREAK_SD)))
-    parts = [np.sqrt(variance[TIP]), MM.TIP_SD, hidden]
-    if volume.resampled_top is not None:
-        parts.append(PART.RESAMPLED_SD * float(volume.spacing.max()))
-    along = float(np.linalg.norm(parts))
-    heel = float(axis_sd(axis, np.array([axis.length]))[0])  # from where the rod swings
-    missed = MM.TIP_ACROSS_SD + PART.ACROSS_SD * problem.ray
-    across = float(np.linalg.norm([np.sqrt(variance[[U, V]].mean()), heel, missed]))
+    normal = best.jac.T @ best.jac
+    variance = np.diag(np.linalg.inv(normal + 1e-9 * np.diag(np.maximum(np.diag(normal), 1e-9))))
     at = float(best.x[TIP])
     there = axis_frames(axis, np.array([at]))
+    spacing = float(np.linalg.norm(volume.direction.T @ there.tangents[0] * volume.spacing))
+    along = float(np.linalg.norm([np.sqrt(variance[TIP]), MM.TIP_SD, PART.TIP_SD * spacing]))
+    heel = float(axis_sd(axis, np.array([axis.length]))[0])  # from where the rod swings
+    across = float(np.linalg.norm([np.sqrt(variance[[U, V]].mean()), heel, MM.TIP_ACROSS_SD]))
     u, v, roll = there.u[0], there.v[0], best.x[ROLL]
-    probability = side_probability(ROLL_FACTOR * float(np.sqrt(variance[ROLL]))) if problem.rolled else np.nan
+    roll_sd = float(np.hypot(ROLL_FACTOR * np.sqrt(variance[ROLL]), ROLL_SD))
+    probability = side_probability(roll_sd) if problem.rolled else np.nan
     sided = probability >= MIN_BEVEL_PROBABILITY
     bevel = np.cos(roll) * u + np.sin(roll) * v if sided else np.full(3, np.nan)
     point = there.origins[0] + best.x[U] * u + best.x[V] * v
