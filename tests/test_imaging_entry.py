@@ -223,8 +223,11 @@ def test_metal_on_the_tissue_is_passed_and_places_to_choose_from_are_numbered():
     entry = choose(profile(*plate), thickness=8.0)
     assert entry.doubt is None
     assert_allclose((entry.at, *entry.guide), (0.0, -8.0, 0.0), atol=0.2)
-    entry = choose(profile(*plate), thickness=3.0)
-    assert_allclose([one.at for one in entry.answers], [0.0], atol=0.5)
+    for shown in (profile(*plate), profile(*plate, s=S[S > -7.0])):  # whole, and where the volume begins in it
+        entry = choose(shown, thickness=3.0)
+        assert_allclose([one.at for one in entry.answers], [0.0], atol=0.5)
+    bright = ((-15.9, -1000.0, 3071.0), (-2.0, 3071.0, -1000.0))  # looks 1.9 mm longer than it is
+    assert_allclose(choose(profile(*bright, *FACE), thickness=12.0).at, 0.0, atol=0.2)
     entry = choose(profile((-12.0, -1000.0, 75.0), (0.0, 75.0, 35.0)), thickness=12.0)
     assert_allclose([one.at for one in entry.answers], [0.0, -12.0], atol=0.1)
     assert "1: 40.0" in entry.doubt.what and "2: 52.0" in entry.doubt.what
