@@ -223,7 +223,7 @@ def test_metal_on_the_tissue_is_passed_and_places_to_choose_from_are_numbered():
     entry = choose(profile(*plate), thickness=8.0)
     assert entry.doubt is None
     assert_allclose((entry.at, *entry.guide), (0.0, -8.0, 0.0), atol=0.2)
-    for shown in (profile(*plate), profile(*plate, s=S[S > -7.0])):  # whole, and where the volume begins in it
+    for shown in (profile(*plate), profile(*plate, s=S[S > -7.0])):  # the volume begins in it
         entry = choose(shown, thickness=3.0)
         assert_allclose([one.at for one in entry.answers], [0.0], atol=0.5)
     bright = ((-15.9, -1000.0, 3071.0), (-2.0, 3071.0, -1000.0))  # looks 1.9 mm longer than it is
