@@ -327,9 +327,8 @@ class _SliceProblem:
 
         fresh: list[Floats] = []
 
-        def slopes(
-            there: Floats,
-        ) -> Floats:  # those of a step serve the next one, corrected by what it showed
+        # the slopes of a step serve the next one, corrected by what it showed
+        def slopes(there: Floats, scale: Floats) -> Floats:
             residuals = self.residuals(there, scale)
             if fresh:
                 before, left, jacobian = fresh
@@ -342,10 +341,11 @@ class _SliceProblem:
             return fresh[-1]
 
         return least_squares(
-            lambda there: self.residuals(there, scale),
+            self.residuals,
             theta,
             jac=slopes,
-            loss=loss,
+            args=(scale,),
+            loss=loss,  # type: ignore[arg-type]  # the stubs describe another function
             f_scale=robust / np.sqrt(CORRELATED),
             x_scale="jac",
             ftol=FIT_TOLERANCE,
