@@ -27,7 +27,7 @@ from needlefit.schemas.medium import MediumRecord
 
 #: of each node of all insertions its points (B, K, 2), in space (B, K, 3), and their derivatives (..., P)
 NodePoints = list[tuple[Floats, Floats]]
-NEEDLES_AT_ONCE = 25_000  #: needles whose residuals are held at once
+NEEDLES_AT_ONCE = 100_000  #: needles whose residuals are held at once
 DERIVATIVES_AT_ONCE = 40_000  #: the same with derivatives
 
 

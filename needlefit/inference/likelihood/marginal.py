@@ -10,7 +10,7 @@ comes of it.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -85,22 +85,19 @@ def _sum_over_group(products: Sequence[Floats], group: NodeGroup, spread: Floats
     """
     size, count = 1 + len(group.surfaces), len(products[0])
     total, log_det = np.zeros((count, size, size)), np.zeros(count)
-    for part, nodes, own_columns, place in _members(products, group):
+    for part, (member, places) in zip(products, group.members, strict=True):
+        (nodes,), (own_columns,), (shared,) = member.nodes, member.own, member.shared
         linear = weigh_linear(nodes, spread)
         gram = linear @ part @ linear.transpose(0, 2, 1)  # (B, 1 + d, 1 + d)
         loaded = own_columns[:, None] * gram[:, 1:]
         stiff = np.eye(len(own_columns)) + loaded[:, :, 1:] * own_columns
         gram = gram - loaded.transpose(0, 2, 1) @ np.linalg.solve(stiff, loaded)
-        total, log_det = total + place @ gram @ place.T, log_det + _log_det(stiff)
+        # of (1, t) to those of (1, z) that it shares
+        into, place = np.append(0, 1 + places), np.eye(1 + len(places), 1 + len(own_columns))
+        place[1:, 1:] = shared.T
+        total[:, into[:, None], into] += place @ gram @ place.T
+        log_det = log_det + _log_det(stiff)
     return total, log_det
-
-
-def _members(products: Sequence[Floats], group: NodeGroup) -> Iterator[tuple[Floats, Nodes, Floats, Floats]]:
-    """Yield of each insertion its products, nodes, own deviations (d,), and what takes (1, t) to (1, z)."""
-    for part, nodes, own_columns, shared in zip(products, group.nodes, group.own, group.shared, strict=True):
-        place = np.zeros((1 + shared.shape[1], 1 + len(own_columns)))
-        place[0, 0], place[1:, 1:] = 1.0, shared.T
-        yield part, nodes, own_columns, place
 
 
 def _integrate_effects(products: Floats, nodes: Nodes, spread: Floats) -> tuple[Floats, Floats]:

@@ -22,7 +22,7 @@ from needlefit.inference.problem import Problem
 FIRST_POINTS = 100  #: thetas at which all nodes are simulated first
 SIMULATED_POINTS = 800  #: thetas at which the needles as measured are simulated first
 MAX_POINTS = 1000  #: between which is interpolated: the system of 3 000 takes half a second
-MAX_VALUES = 2**24  #: of all of them
+MAX_VALUES = 2**23  #: of all of them, and of the residuals as measured that are held at once
 THETAS_PER_CHECK = 32  #: of a call, one in so many is evaluated exactly too
 MAX_RMS_ERROR = 0.02  #: largest rms error of the log density of these
 MAX_REFINEMENTS = 4  #: times that checked thetas of one call may join the points
@@ -44,8 +44,18 @@ class InterpolatedDensity:
 
     def __call__(self, thetas: Floats) -> Floats:
         """Return the log densities (N,) of thetas (N, P) within the bounds; NaN where a solve fails."""
+        size = max(1, MAX_VALUES // sum(observation.rows for observation in self._density.observations))
+        parts = [self._evaluate_some(thetas[n : n + size]) for n in range(0, len(thetas), size)]
+        return np.concatenate([np.empty(0), *parts])
+
+    def _evaluate_some(self, thetas: Floats) -> Floats:
         logs, exact = np.full(len(thetas), np.nan), np.zeros(len(thetas), dtype=bool)
-        count = 0 if self.fixed else min(max(FIRST_POINTS - self._moves.count, 0), len(thetas))
+        moves_of_one = sum(
+            (nodes - 1) * observation.rows
+            for nodes, observation in zip(self._nodes, self._density.observations, strict=True)
+        )
+        first_points = min(FIRST_POINTS, count_points(len(self._columns), moves_of_one))
+        count = 0 if self.fixed else min(max(first_points - self._moves.count, 0), len(thetas))
         if count:
             logs[:count], moves = self._evaluate(thetas[:count])
             exact[:count] = True
@@ -123,11 +133,16 @@ class InterpolatedDensity:
         return np.concatenate(densities)
 
 
-class _Interpolation:
-    """Values at points, interpolated between the last of those that are finite.
+def count_points(dimensions: int, values: int) -> int:
+    """Return how many points with so many values each are interpolated between.
 
     These are `MAX_POINTS`, or fewer where more would hold over `MAX_VALUES` numbers.
     """
+    return min(MAX_POINTS, max(2 * dimensions + 2, MAX_VALUES // max(1, values)))
+
+
+class _Interpolation:
+    """Values at points, interpolated between the last of those that are finite."""
 
     def __init__(self) -> None:
         self._known: tuple[Floats, Floats] | None = None
@@ -138,8 +153,7 @@ class _Interpolation:
     def add(self, points: Floats, values: Floats) -> None:
         """Interpolate between these points (N, P) and values (N, F) too."""
         solved = np.isfinite(values).all(axis=1)
-        least, fitting = 2 * points.shape[1] + 2, MAX_VALUES // max(1, values.shape[1])
-        most = min(MAX_POINTS, max(least, fitting))
+        most = count_points(points.shape[1], values.shape[1])
         new = points[solved], values[solved]
         both = zip(self._known, new, strict=True) if self._known else ((part,) for part in new)
         places, those = (np.concatenate(parts)[-most:] for parts in both)
