@@ -23,7 +23,7 @@ def find_odd_needles(job: Job, mode: Sequence[float]) -> Doubts:
 
     `mode` (P,): the most probable parameters of a fit.
     """
-    return find_doubts(_leave_out_copies(job), np.array(mode))
+    return find_doubts(_leave_out_contradictory(job), np.array(mode))
 
 
 def check_quickly(job: Job) -> tuple[Doubts, list[DepthMetadata]]:
@@ -33,7 +33,7 @@ def check_quickly(job: Job) -> tuple[Doubts, list[DepthMetadata]]:
     """
     if not (job.dataset.noise_is_stated and job.recipe.minimize == "posterior"):
         return Doubts(), []
-    problem = _leave_out_copies(job)
+    problem = _leave_out_contradictory(job)
     theta = fit_quickly(problem)
     doubts = find_doubts(problem, theta)
     if doubts.deviating is not None or doubts.common is not None:
@@ -43,13 +43,16 @@ def check_quickly(job: Job) -> tuple[Doubts, list[DepthMetadata]]:
     return doubts, examine_depths(replace(problem, insertions=others), theta)
 
 
-def _leave_out_copies(job: Job) -> Problem:
-    """Return the problem of all insertions but those that have values of each other, unless all have."""
-    copied = {
-        name for warning in job.dataset.warnings if warning.kind == "copy" for name in warning.insertions
+def _leave_out_contradictory(job: Job) -> Problem:
+    """Return the problem of all insertions but those with values of another, or with constant ones."""
+    named = {
+        name
+        for warning in job.dataset.warnings
+        if warning.kind in ("copy", "axis_unit")
+        for name in warning.insertions
     }
     problem = join_folds(job)
-    others = tuple(insertion for insertion in problem.insertions if insertion.id not in copied)
+    others = tuple(insertion for insertion in problem.insertions if insertion.id not in named)
     return replace(problem, insertions=others or problem.insertions)
 
 
