@@ -12,7 +12,6 @@ from needlefit.inference.compared_points import align, align_points
 from needlefit.inference.curve_bands import find_bands
 from needlefit.mechanics.batch import compute_batch_positions, simulate_batches
 from needlefit.mechanics.shape import NeedleShape, compute_positions, list_planes, map_beam_points
-from needlefit.mechanics.simulate import compute_lateral_load
 from needlefit.mechanics.torsion import find_roll
 from needlefit.metrics import compute_metrics
 from needlefit.planning.steered_needle import SteeredNeedle, guide_number
@@ -102,19 +101,6 @@ def encode_state(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
         "faults": list(shape.validity.faults),
         "errors": errors,
     }
-
-
-def compute_shown_load(steering: SteeredNeedle) -> Floats:
-    """Return the lateral load, N/mm, that the page draws: means over two spacings, in space of its size."""
-    shape, rules, samples = steering.now.shape, steering.scene.rules, 8
-    count = math.ceil(samples * shape.depth / rules.spacing)
-    load = compute_lateral_load(
-        shape, steering.now.tissue, shape.depth * (np.arange(count + 1) / max(count, 1)), rules
-    )
-    half = [min(samples, i, count - i) for i in range(count + 1)]
-    means = [load[:, i - n : i + n + 1].mean(axis=1) for i, n in enumerate(half)]
-    y, z = np.array(means).T
-    return y if len(list_planes(shape)[0]) == 1 else np.hypot(y, z)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from page_files import PAGE
-from page_state import compute_band, compute_shown_load, continue_insertion, encode_state
+from page_state import compute_band, continue_insertion, encode_state
 
 from needlefit.errors import ModelError
 from needlefit.inference.forward_model import ParameterDraws
@@ -17,6 +17,7 @@ from needlefit.mechanics import native
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import list_planes
+from needlefit.mechanics.simulate import compute_lateral_load
 from needlefit.planning.steered_needle import Change, SteeredNeedle, make_steered_scene
 from needlefit.schemas.scene import SceneRecord
 from needlefit.viewer.opening import open_target
@@ -32,7 +33,7 @@ PROGRAM = """
 import {readFileSync} from 'node:fs'
 import {compile, Session} from KERNEL
 const load = (name) => import(PAGE + name)
-const [{SteeredNeedle}, state, {computeBand}, {computeValidity}, {toInputs}] = await Promise.all(
+const [{SteeredNeedle}, {describeState}, {computeBand}, {computeValidity}, {toInputs}] = await Promise.all(
   ['steered.js', 'state.js', 'band.js', 'validity.js', 'inputs.js'].map(load))
 const {scene, orders, draws} = JSON.parse(readFileSync(0, 'utf8'))
 const kernel = await compile(readFileSync(WASM))
@@ -50,8 +51,8 @@ for (const {changes, keep, forget} of orders) {
   }
   const {x, u, slope, constraints} = steered.session.shape
   found.push({fault, tip: steered.tipLateral, shape: [x, u, slope, constraints].map(hex),
-    path: steered.path(), state: state.describeState(steered),
-    load: state.describeLoad(steered).load,
+    path: steered.path(), state: describeState(steered),
+    load: Array.from(steered.session.load([0, 0.4, 1].map((part) => part * steered.session.shape.depth))),
     validity: computeValidity(steered.session.shape, steered.model)})
 }
 const {pathAngle} = steered.model
@@ -179,7 +180,9 @@ def test_the_page_simulates_the_bytes_of_the_program(name: str, seed: int) -> No
         parts = [np.ascontiguousarray(one, dtype=np.float64) for one in parts]
         assert found["shape"] == [one.tobytes().hex() for one in parts]
         assert_same(found["state"], encode_state(viewed, steering), 2e-4)
-        np.testing.assert_allclose(found["load"], compute_shown_load(steering), rtol=1e-9, atol=1e-12)
+        s = shape.depth * np.array([0.0, 0.4, 1.0])
+        load = compute_lateral_load(shape, steering.now.tissue, s, scene.rules)[: len(u)]
+        np.testing.assert_allclose(found["load"], load.ravel(), rtol=1e-9, atol=1e-12)
         expected = shape.validity
         assert found["validity"] == pytest.approx(
             {key: float(getattr(expected, key)) for key in found["validity"]}, rel=1e-9, abs=1e-12
