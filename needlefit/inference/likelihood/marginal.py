@@ -29,15 +29,20 @@ def log_marginals(whites: Sequence[Floats], group: NodeGroup, scale: Floats, spr
         reduced, log_det = _integrate_effects(whole, nodes, spread)
         density = density - white.shape[2] * np.log(scale) - 0.5 * log_det
         products.append(reduced)
-    total, log_det = _sum_over_group(products, group, spread)
-    # completing the square in what is shared: its precision is stiff, its mean solve(stiff, -pull)
-    stiff, constant = _begin_precision(group, len(scale))
-    count = len(group.surfaces)
-    stiff[:, :count, :count] += total[:, 1:, 1:]
-    pull = np.zeros((len(scale), len(stiff[0])))
-    pull[:, :count] = total[:, 1:, 0]
-    gained = np.sum(pull * np.linalg.solve(stiff, pull[..., None])[..., 0], axis=1)
-    return density - 0.5 * (total[:, 0, 0] - gained + log_det + constant + _log_det(stiff))
+    gained, log_det, moved, weight = (np.zeros(len(scale)) for _ in range(4))
+    for places, part in group.parts:
+        total, own_det = _sum_over_group([products[place] for place in places], part, spread)
+        # completing the square in what is shared: its precision is stiff, its mean solve(stiff, -pull)
+        stiff, pull = np.eye(len(part.surfaces)) + total[:, 1:, 1:], total[:, 1:, 0]
+        bevels = np.broadcast_to(part.bevels, pull.shape)
+        by_pull, by_bevels = np.moveaxis(np.linalg.solve(stiff, np.stack([pull, bevels], axis=2)), 2, 0)
+        gained += np.sum(pull * by_pull, axis=1) - total[:, 0, 0]
+        moved, weight = moved + np.sum(pull * by_bevels, axis=1), weight + np.sum(bevels * by_bevels, axis=1)
+        log_det += own_det + _log_det(stiff)
+    if group.centred:  # bevels sum to zero
+        gained -= moved**2 / weight
+        log_det += np.log(weight / group.bevels.sum())
+    return density + 0.5 * (gained - log_det)
 
 
 def _begin_precision(group: NodeGroup, sets: int) -> tuple[Floats, float]:

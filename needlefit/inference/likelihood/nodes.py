@@ -220,6 +220,18 @@ class NodeGroup:
             members_of_groups.append((NodeGroup((nodes,), tuple(self.surfaces[k] for k in places)), places))
         return tuple(members_of_groups)
 
+    @cached_property
+    def parts(self) -> "tuple[tuple[tuple[int, ...], NodeGroup], ...]":
+        """Insertions that share surfaces, with their places; parts are joined by the sum of bevels alone."""
+        if not self.centred:
+            return ((tuple(range(len(self.nodes))), self),)
+        parts = []
+        for places, part in group_nodes(self.nodes):
+            crossed = {axis.surface for node in part.nodes for axis in node.axes}
+            surfaces = tuple(surface for surface in self.surfaces if surface in crossed)
+            parts.append((places, NodeGroup(part.nodes, surfaces)))
+        return tuple(parts)
+
     def _split(self, axis: ErrorAxis) -> tuple[float, float]:
         """Return both deviations; what nobody else has is the insertion's own."""
         if axis.surface in self.surfaces:
