@@ -8,6 +8,7 @@ and each term is a line through simulated nodes: r(t) = sum_k phi_k(t) r_k.
 """
 
 from collections import Counter
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -225,12 +226,18 @@ class NodeGroup:
         """Insertions that share surfaces, with their places; parts are joined by the sum of bevels alone."""
         if not self.centred:
             return ((tuple(range(len(self.nodes))), self),)
-        parts = []
-        for places, part in group_nodes(self.nodes):
-            crossed = {axis.surface for node in part.nodes for axis in node.axes}
-            surfaces = tuple(surface for surface in self.surfaces if surface in crossed)
-            parts.append((places, NodeGroup(part.nodes, surfaces)))
-        return tuple(parts)
+        parts = list[tuple[list[int], set[object]]]()
+        for place, node in enumerate(self.nodes):
+            crossed: set[object] = {axis.surface for axis in node.axes if axis.surface in self.surfaces}
+            joined = [part for part in parts if part[1] & crossed]
+            places = [place for part in joined for place in part[0]]
+            parts = [part for part in parts if part not in joined]
+            parts.append(([*places, place], crossed.union(*(surfaces for _, surfaces in joined))))
+        return tuple((tuple(places), self._take(places, crossed)) for places, crossed in parts)
+
+    def _take(self, places: Sequence[int], crossed: Collection[object]) -> "NodeGroup":
+        surfaces = tuple(surface for surface in self.surfaces if surface in crossed)
+        return NodeGroup(tuple(self.nodes[place] for place in places), surfaces)
 
     def _split(self, axis: ErrorAxis) -> tuple[float, float]:
         """Return both deviations; what nobody else has is the insertion's own."""
