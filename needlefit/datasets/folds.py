@@ -3,8 +3,10 @@
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from needlefit.datasets.insertion import Dataset, Insertion
-from needlefit.datasets.needle_warnings import is_copy
+from needlefit.datasets.layers import SAME_POINT_MM
 from needlefit.datasets.select import select_insertions
 from needlefit.errors import ConfigError
 from needlefit.project.locate import join_names
@@ -77,7 +79,7 @@ def _divide(number: int, stated: FoldsRecord, record: StudyRecord, dataset: Data
 
 def _require_no_copies(fold: Fold) -> Fold:
     """Return a fold; ConfigError if it holds out a copy of an insertion fitted to: it tests nothing."""
-    pairs = ((first, other) for first in fold.validate for other in fold.tune if is_copy(first, other))
+    pairs = ((first, other) for first in fold.validate for other in fold.tune if _is_copy(first, other))
     if copies := next(pairs, None):
         first, other = copies
         raise ConfigError(
@@ -141,3 +143,9 @@ def divide_insertions(insertions: tuple[Insertion, ...], kind: str) -> dict[str,
         name: tuple(i for i, own_name in zip(insertions, names, strict=True) if own_name == name)
         for name in dict.fromkeys(names)
     }
+
+
+def _is_copy(one: Insertion, other: Insertion) -> bool:
+    """Whether two insertions have the same centreline, point by point."""
+    a, b = one.centerline, other.centerline
+    return a.shape == b.shape and bool(np.abs(a - b).max() <= SAME_POINT_MM)

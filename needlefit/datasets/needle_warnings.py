@@ -106,12 +106,6 @@ def find_side_warnings(
 # ---- insertions
 
 
-def is_copy(one: Insertion, other: Insertion) -> bool:
-    """Whether two insertions have the same centreline, point by point."""
-    a, b = one.centerline, other.centerline
-    return a.shape == b.shape and bool(np.abs(a - b).max() <= SAME_POINT_MM)
-
-
 def _find_copy_warnings(listed: Sequence[ListedInsertion]) -> Iterator[ResultWarning]:
     """Yield a warning for each insertion that has all points of an earlier one, or whose points that has."""
     places = (entry.insertion.centerline / SAME_POINT_MM for entry in listed)
