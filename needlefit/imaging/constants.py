@@ -89,7 +89,7 @@ class MM:
     BEVEL_RAY = 6.0  # from which on its image shows the rays rather than the bevel [R]
     TIP_SD = 0.04  # along, that no voxel shows: a scanner's edge is not the model's [R]
     SWING_SD = 0.1  # by which a needle leaves its shaft's course within its bevel
-    TIP_ACROSS_SD = 0.03  # across, that no residual shows [R]
+    TIP_ACROSS_SD = 0.05  # across, that no residual shows [R]
     BLUR = 0.45  # of scanners, in the slices [R]
     BLURS = (0.15, 1.2)  # range of it
     SLICE_BLURS = (0.1, 2.0)  # the same across slices
