@@ -7,19 +7,16 @@ import h5py
 import import_cases
 import numpy as np
 import pytest
-from import_cases import curves_of, prepare, write_placed
+from import_cases import curves_of, prepare
 from refusals import refusal
 from scipy.io import savemat
 
 from needlefit.datasets.faults import as_error, merge_like
 from needlefit.datasets.formats import find_format
-from needlefit.datasets.importing.examples import WORKBOOK_FILE
-from needlefit.datasets.importing.meanings import VALUES
 from needlefit.datasets.importing.tables import read_structured
 from needlefit.datasets.importing.writing import write_plan
 from needlefit.errors import DataError
 from needlefit.geometry.surfaces import read_surface
-from needlefit.project.locate import read_toml
 
 CASES = Path(__file__).with_name("imports")
 CURVES = [import_cases.needle(n, 16 - n) for n in range(4)]
@@ -236,52 +233,6 @@ def test_a_table_in_fields_is_read_as_a_table(tmp_path, shape):
     assert content.names == ["n1", "n2", "n3", "n4"]
     assert_same(content)
     assert sides_of(content) == ["1", "-1"] * 2
-
-
-def as_variables(prepared, layout):
-    """Return the needles of the workbook, and what it states of them, as variables of MATLAB."""
-    curves = [one.line for one in prepared.content.curves]
-    facts = {"name": cells([one.name for one in prepared.content.curves])}
-    first = [one.stated for one in prepared.content.curves]
-    for key in ("bevel_side", "depth"):
-        facts[key] = np.array([float(own[key].text) for own in first])
-    for key in ("medium", "specimen"):
-        facts[key] = cells([own[key].text for own in first])
-    setup = {key: first[0][key].text for key in IN_FILE}
-    stack = padded(curves, np.nan, max(map(len, curves)))
-    if layout == "cell":
-        return {"needles": cells(curves), "setup": setup, **facts}
-    if layout == "stack":
-        return {"needles": stack, **facts, **setup}
-    if layout == "matrices":
-        return {axis: stack[:, n] for n, axis in enumerate("xyz")} | facts | setup
-    if layout == "structs":
-        array = np.empty(len(curves), dtype=[(key, object) for key in ("points", *facts)])
-        array[:] = [*zip(curves, *facts.values(), strict=True)]
-        return {"needles": array, "setup": setup}
-    counts, points = [*map(len, curves)], np.concatenate(curves)
-    columns = {key: cells(np.repeat(values, counts)) for key, values in facts.items()}
-    return {"T": columns | {axis: points[:, n] for n, axis in enumerate("xyz")}, **setup}
-
-
-IN_FILE = ("boundaries", "diameter", "modulus")
-
-
-@pytest.mark.parametrize("layout", ["cell", "stack", "matrices", "structs", "table"])
-def test_the_needles_of_the_workbook_give_the_same_dataset_from_mat_files(tmp_path, layout):
-    prepared = prepare([WORKBOOK_FILE])
-    own = {key: one for key, one in prepared.content.curves[0].stated.items() if key not in IN_FILE}
-    values = {key: one.text for key, one in own.items() if key in VALUES and key not in PER_NEEDLE}
-    savemat(tmp_path / "a.mat", as_variables(prepared, layout))
-    write_placed(tmp_path / "one", [WORKBOOK_FILE])
-    write_placed(tmp_path / "other", [tmp_path / "a.mat"], **values, entry="first", bevel="0,1,0", unit="mm")
-    one, other = (sorted((tmp_path / name).rglob("*.csv")) for name in ("one", "other"))
-    assert len(one) == 9 and [path.read_bytes() for path in one] == [path.read_bytes() for path in other]
-    needles = [read_toml(tmp_path / name / "dataset.toml")["needle"] for name in ("one", "other")]
-    assert needles[0] == needles[1]
-
-
-PER_NEEDLE = ("bevel_side", "medium", "specimen")
 
 
 # ---- units

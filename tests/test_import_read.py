@@ -11,12 +11,12 @@ from import_cases import (
     needle,
     placed,
     prepare,
+    wide_rows,
     write_european_csv,
     write_long,
     write_placed,
     write_rows,
     write_sheets,
-    write_workbook,
 )
 from refusals import refusal
 from test_cli import run
@@ -52,7 +52,10 @@ def long_rows(head=("needle", "x", "y", "z"), number=str):
 
 def test_needles_side_by_side_below_two_rows_of_headers(tmp_path):
     write_european_csv(tmp_path / "a.csv", NEEDLES)
-    write_workbook(tmp_path / "a.xlsx", NEEDLES)
+    names = [cell for n in range(1, 4) for cell in (f"Nadel {n}", None, None)]
+    rows = [[None if cell == "" else cell for cell in row] for row in wide_rows(NEEDLES, float)]
+    points = [["Nadelversuch"], names, ["x (mm)", "y (mm)", "z (mm)"] * 3, *rows]
+    write_sheets(tmp_path / "a.xlsx", Nadeln=points, Notizen=[["von", "mir"]])
     for name in ("a.csv", "a.xlsx"):
         assert_read([tmp_path / name], names=["Nadel_1", "Nadel_2", "Nadel_3"])
     rows = [",".join(map(str, (*a, *b))) for a, b in zip(NEEDLES[0], NEEDLES[1], strict=True)]

@@ -13,15 +13,12 @@ from matplotlib.tri import Triangulation
 
 from needlefit.arrays import Floats
 from needlefit.datasets.first_study import SCENE_FILE, write_first_run, write_scene
-from needlefit.datasets.importing.directions import snap_to_axis
 from needlefit.datasets.importing.place import ImportPlan
 from needlefit.datasets.importing.prepare import PreparedImport
 from needlefit.datasets.importing.writing import CURVATURE_FILE, TRACKS_FILE, TURNS_FILE, write_plan
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.needle_warnings import find_bend_side
 from needlefit.datasets.record_warnings import MAPPING_FILE
-from needlefit.geometry.curves import make_normal
-from needlefit.geometry.frames import normalize
 from needlefit.geometry.surfaces import Surface
 from needlefit.project.folders import replace_folder
 from needlefit.project.locate import join_names
@@ -161,53 +158,29 @@ def paint_import(dataset: Dataset, plan: ImportPlan) -> Figure:
 
 
 def _draw_world(axes: Axes, insertions: Sequence[Insertion], surfaces: Sequence[Surface]) -> None:
-    """Draw curves and surfaces seen across the mean direction of the needles and their greatest spread."""
+    """Draw curves and surfaces along the two axes of the world over which the needles extend most."""
     curves = [insertion.centerline for insertion in insertions]
-    along, across = _find_view([curve[-1] - curve[0] for curve in curves], np.concatenate(curves))
+    points = np.concatenate(curves)
+    across, along = np.argsort(np.ptp(points, axis=0), kind="stable")[1:]
     for n, surface in enumerate(surfaces):
+        vertices = surface.mesh.vertices
         faces = surface.mesh.faces[:MAX_DRAWN_TRIANGLES]
-        view = Triangulation(surface.mesh.vertices @ along, surface.mesh.vertices @ across, faces)
         colour = _SURFACE_COLOURS[n % len(_SURFACE_COLOURS)]
+        view = Triangulation(vertices[:, along], vertices[:, across], faces)
         axes.triplot(view, color=colour, lw=0.7, alpha=0.9, zorder=1)
         axes.plot([], [], color=colour, lw=2, label=surface.name[:24])
     for curve in curves:
-        axes.plot(curve @ along, curve @ across, color=INK, lw=0.9, zorder=3)
-    ends = np.array([[curve[0], curve[-1]] for curve in curves])
-    axes.plot(
-        ends[:, 0] @ along, ends[:, 0] @ across, "o", ms=3.5, mfc="white", mec=INK, label="entry", zorder=4
-    )
-    axes.plot(ends[:, 1] @ along, ends[:, 1] @ across, "v", ms=3.5, color=INK, label="tip", zorder=4)
-    points = np.concatenate(curves)
-    for limits, axis in ((axes.set_xlim, along), (axes.set_ylim, across)):
-        low, high = float((points @ axis).min()), float((points @ axis).max())
+        axes.plot(curve[:, along], curve[:, across], color=INK, lw=0.9, zorder=3)
+    for label, end, marker, fill in (("entry", 0, "o", "white"), ("tip", -1, "v", INK)):
+        ends = np.array([curve[end] for curve in curves])
+        axes.plot(ends[:, along], ends[:, across], marker, ms=3.5, mfc=fill, mec=INK, label=label, zorder=4)
+    for set_limits, axis in ((axes.set_xlim, along), (axes.set_ylim, across)):
+        low, high = float(points[:, axis].min()), float(points[:, axis].max())
         margin = 0.1 * max(high - low, 10.0)
-        limits(low - margin, high + margin)
-    axes.set(
-        title="\n",  # its two lines, with the scale, follow the layout
-        xlabel=f"{_name_axis(along)} (mm)",
-        ylabel=f"{_name_axis(across)} (mm)",
-    )
+        set_limits(low - margin, high + margin)
+    # the two lines of the title, with the scale, follow the layout
+    axes.set(title="\n", xlabel=f"{'xyz'[along]} (mm)", ylabel=f"{'xyz'[across]} (mm)")
     axes.legend(fontsize=6, loc="best")
-
-
-def _find_view(chords: list[Floats], points: Floats) -> tuple[Floats, Floats]:
-    """Return the mean direction of the needles, and the direction normal to it of the greatest extent."""
-    total = np.sum([normalize(chord) for chord in chords], axis=0)
-    along = snap_to_axis(normalize(total if np.linalg.norm(total) > 1e-6 else chords[0]))
-    centred = points - points.mean(axis=0)
-    flat = centred - np.outer(centred @ along, along)
-    if np.abs(flat).max() < 1e-6:
-        return along, make_normal(along)
-    axis = snap_to_axis(np.linalg.svd(flat, full_matrices=False)[2][0])
-    return along, axis if axis[np.argmax(np.abs(axis))] > 0 else -axis
-
-
-def _name_axis(axis: Floats) -> str:
-    """Return the name of a direction: of a world axis its letter, of another one its components."""
-    nearest = int(np.argmax(np.abs(axis)))
-    if abs(axis[nearest]) < 1.0:
-        return "along (" + ", ".join(f"{value:z.2f}" for value in axis) + ")"
-    return ("" if axis[nearest] > 0 else "minus ") + "xyz"[nearest]
 
 
 def _draw_shapes(axes: Axes, dataset: Dataset, side: str) -> None:

@@ -28,6 +28,7 @@ from needlefit.schemas.mapping import MappingRecord
 
 ASSUMED_MM = (20.0, 300.0)  # least and greatest length (mm) of the longest needle where mm are assumed
 STATED_MM = (1.0, 2000.0)  # least and greatest length (mm) of the longest needle by a stated unit
+DRAFT = "the draft of the mapping"  #: its place in messages
 MAX_ASIDE_DEG = 60.0  # angle (degrees) to all others from which on a curve may be no needle
 MIN_ALIGNED = 0.7  # smallest length of the mean of the others' unit directions, for which they have one
 DECISIVE = ("needle", "diameter", "modulus", "depth_zero", "bevel_side")  # assumptions that are listed first
@@ -71,10 +72,10 @@ def prepare_import(
         files = [*_list_named(paths)]
         content = read_mapped(record, files, str(mapping))
     else:
-        draft, files = _review_draft(paths, [*assignments], prompt, review)
-        record, unused = draft.to_record("the draft of the mapping"), draft.unused
+        draft, files = complete_draft(paths, [*assignments], prompt, review)
+        record, unused = draft.to_record(DRAFT), draft.unused
         hints = {"bevel_side": f"not stated; not used: {join_names(draft.words, 4)}"} if draft.words else {}
-        content = read_mapped(record, files, "the draft of the mapping")
+        content = read_mapped(record, files, DRAFT)
     _require_lengths(content)
     examples = find_examples(content.curves)
     record = _settle_origin(record, examples, prompt)
@@ -140,60 +141,48 @@ def _list_named(paths: Sequence[Path]) -> Iterator[Path]:
         yield from sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else (path,)
 
 
-def _review_draft(
-    paths: Sequence[Path], assignments: list[tuple[str, str]], prompt: Prompt | None, review: Review | None
-) -> tuple[Draft, list[Path]]:
-    """Return a draft without open questions, as whoever sees it takes it."""
-    taken, problem = len(assignments), ""  # number of the assignments by which a draft was made
-    while True:
-        try:
-            draft, files = complete_draft(paths, assignments, prompt)
-            columns = [*_describe_columns(draft.to_record("the draft of the mapping"), files)]
-        except (ConfigError, DataError) as error:
-            if review is None or len(assignments) == taken:
-                raise
-            del assignments[taken:]
-            problem = str(error)
-            continue
-        if review is None:
-            return draft, files
-        taken = len(assignments)
-        key, equals, value = review(columns, draft.unused, problem).partition("=")
-        if not equals:
-            return draft, files
-        problem = ""
-        assignments.append((key.strip(), value.strip()))
-
-
 def complete_draft(
-    paths: Sequence[Path], assignments: list[tuple[str, str]], prompt: Prompt | None
+    paths: Sequence[Path],
+    assignments: list[tuple[str, str]],
+    prompt: Prompt | None = None,
+    review: Review | None = None,
 ) -> tuple[Draft, list[Path]]:
-    """Return a draft without open questions: answers are stated as if by `--set`, and it is drafted again."""
+    """Return a draft without open questions, as whoever sees it takes it.
+
+    Answers and changes are stated as if by `--set`, and it is drafted again; one that is refused is asked for
+    again.
+    """
     taken, problem = len(assignments), ""  # number of the assignments by which a draft was made
     while True:
         try:
             draft, files = draft_mapping(paths, Assignments(assignments))
+            opens = draft.opens or _find_open_columns(draft, paths)
+            if not opens:
+                _ask_directions(draft, files, assignments)
+                opens = draft.opens or [*_settle_unit(draft, files)]
+            if opens and prompt is None:
+                raise DataError(
+                    f"needs an answer. {' '.join(question.question + '.' for question in opens)}",
+                    expected=f"an answer to {'each' if len(opens) > 1 else 'it'}",
+                    fix="; ".join(_list_fixes(opens)),
+                    where=f"{opens[0].where or paths[0]}",
+                )
+            columns = [] if opens else [*_describe_columns(draft.to_record(DRAFT), files)]
         except (ConfigError, DataError) as error:
             if len(assignments) == taken:
                 raise
-            del assignments[taken:]  # an answer that is refused is asked for again
+            del assignments[taken:]
             problem = str(error)
             continue
-        opens = draft.opens or _find_open_columns(draft, paths)
-        if not opens:
-            _ask_directions(draft, files, assignments)
-            opens = draft.opens or [*_settle_unit(draft, files)]
-        if not opens:
-            return draft, files
-        if prompt is None:
-            raise DataError(
-                f"needs an answer. {' '.join(question.question + '.' for question in opens)}",
-                expected=f"an answer to {'each' if len(opens) > 1 else 'it'}",
-                fix="; ".join(_list_fixes(opens)),
-                where=f"{opens[0].where or paths[0]}",
-            )
         taken = len(assignments)
-        assignments += _ask(opens[0], prompt, problem)
+        if opens and prompt is not None:
+            assignments += _ask(opens[0], prompt, problem)
+        else:
+            change = "" if review is None else review(columns, draft.unused, problem)
+            key, equals, value = change.partition("=")
+            if not equals:
+                return draft, files
+            assignments.append((key.strip(), value.strip()))
         problem = ""
 
 
@@ -242,7 +231,7 @@ def _find_open_columns(draft: Draft, paths: Sequence[Path]) -> list[Open]:
 
 def _ask_directions(draft: Draft, files: Sequence[Path], stated: Sequence[tuple[str, str]]) -> None:
     """Ask about a needle whose direction is far from that of all others, or markups of few points."""
-    record = draft.to_record("the draft of the mapping")
+    record = draft.to_record(DRAFT)
     if any("pose" in table.columns for table in record.tables):
         return
     curves = [curve for curve in _read_curves(draft, files) if curve.holds == "shapes"]
@@ -265,8 +254,7 @@ def _ask_directions(draft: Draft, files: Sequence[Path], stated: Sequence[tuple[
 
 def _read_curves(draft: Draft, files: Sequence[Path]) -> list[ImportedCurve]:
     """Return the needles of a draft, without what further tables state of them."""
-    where = "the draft of the mapping"
-    return read_curves([*list_tables(draft.to_record(where), files, where)], [])
+    return read_curves([*list_tables(draft.to_record(DRAFT), files, DRAFT)], [])
 
 
 def _settle_unit(draft: Draft, files: Sequence[Path]) -> Iterator[Open]:
