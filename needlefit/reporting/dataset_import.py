@@ -150,7 +150,7 @@ def paint_import(dataset: Dataset, plan: ImportPlan) -> Figure:
     _draw_world(left, dataset.insertions, plan.surfaces)
     _draw_shapes(right, dataset, "bevel" if plan.rows[0].bevel is not None else "bend")
     figure.draw_without_rendering()  # the layout decides the scales
-    for axes, words in ((left, "World: all needles from the side"), (right, "Each from its entry")):
+    for axes, words in ((left, "World: all needles"), (right, "Each from its entry")):
         drawn, (start, end), (low, high) = axes.get_window_extent(), axes.get_xlim(), axes.get_ylim()
         scale = drawn.height / (high - low) / (drawn.width / (end - start))
         axes.set_title(f"{words}\n(vertical scale × {scale:.2g})")

@@ -96,7 +96,7 @@ class Planner(CurveAnswers):
         runs = make_tracks(tracks) if tracks.curves else []
         self.curves[:] = (*shapes.curves, *tips.curves, *tracks.curves)
         self.settle_curvature_sd()
-        own_sds = self.settle_point_sds()
+        own_sds = [answer.to_number("point_sd", is_above=True) for answer in self.each("point_sd")]
         sd, pose, poses, entries = min(own_sds), "known", list[Stated](), list[Floats | None]()
         without = join_names([curve.name for curve in tips.curves], 5)
         if shapes.curves and tips.curves:
@@ -133,10 +133,6 @@ class Planner(CurveAnswers):
             self.settler.note("deflection", f"positive where a bevel of side 1 bends; {zero}")
         plan = replace(self.assemble(rows, pose, sd, depths, needles), choices=FirstChoices({}, parameters))
         return choose_track_study(tracks, plan) if runs else plan
-
-    def settle_point_sds(self) -> list[float]:
-        """Return the standard deviation of a point of each needle, mm."""
-        return [answer.to_number("point_sd", is_above=True) for answer in self.each("point_sd")]
 
     def settle_curvature_sd(self) -> None:
         """Give curvatures the standard deviation that is stated of all; without a cell, the usual one."""

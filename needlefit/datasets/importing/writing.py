@@ -12,7 +12,6 @@ from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.importing.curves import ImportContent, ImportedCurve
 from needlefit.datasets.importing.place import ImportPlan
 from needlefit.datasets.importing.read import make_unique
-from needlefit.datasets.importing.stated import name_set
 from needlefit.datasets.insertion import Dataset
 from needlefit.datasets.read import inspect
 from needlefit.datasets.record_warnings import MAPPING_FILE, PLACEHOLDER
@@ -38,7 +37,6 @@ class _Place(NamedTuple):
 
     where: str
     subject: str = ""  # what a fault of the row begins with
-    is_table: bool = False  # whether columns stand there
 
 
 def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, mapping: MappingRecord) -> Dataset:
@@ -111,11 +109,8 @@ def _list_places(curves: Sequence[ImportedCurve]) -> dict[str, list[_Place]]:
     """Return what each row of the tables that are written was made of, by the names of their files."""
     places: dict[str, list[_Place]] = {}
     for curve in curves:
-        rows, is_table = range(len(curve.points.values)), curve.points.lines is not None
-        points = [curve.points.where(n) for n in rows]
-        places[f"centerlines/{curve.name}.csv"] = [
-            _Place(where, f"curve {curve.name} ", is_table) for where in points
-        ]
+        points = [curve.points.where(n) for n in range(len(curve.points.values))]
+        places[f"centerlines/{curve.name}.csv"] = [_Place(where, f"curve {curve.name} ") for where in points]
         sensors = [f"curvature {n} of needle {curve.name}" for n, _ in enumerate(curve.sensors, 1)]
         turns = [cell.where.partition(", column")[0] for _, cell in curve.turns]
         for name, row_places in (
@@ -134,16 +129,8 @@ def _trace_fault(fault: Fault, places: Mapping[str, Sequence[_Place]], folder: P
     if name not in places or not line.isdecimal():
         return fault.at(fault.where.replace(f"{folder}/", ""))
     place = places[name][int(line) - 2]  # below one header line
-    # points of several needles may have been taken for one, where a column tells them apart
-    is_joined = place.is_table and fault.what.startswith("has points out of order")
-    hint = (
-        f"; or state the column that distinguishes needles: {name_set('needle.column', 'HEADER')}"
-        if is_joined
-        else ""
-    )
     problem = f"{place.subject}{fault.what.removeprefix(place.subject)}"
-    fix = f"{fault.fix}{hint}"
-    return fault.replace(what=problem, where=place.where, fix=fix)
+    return fault.replace(what=problem, where=place.where)
 
 
 def _write_tracks(
