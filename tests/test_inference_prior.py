@@ -51,9 +51,12 @@ def test_a_positive_parameter_has_a_gamma_or_half_normal_prior(stated, distribut
     expected = distribution.logpdf(values) + np.log(values)
     assert np.diff(density) == pytest.approx(np.diff(expected), rel=1e-9)
     for value in (0.02, 0.1 + 1e-7, 0.3):
-        (above,), (below,) = (prior.residuals({"bevel_mm": value * f}) for f in (1 + 1e-6, 1 - 1e-6))
-        slope = prior.slopes(("bevel_mm",), {"bevel_mm": value})
+        above, below = (prior.residuals({"bevel_mm": value * f}) for f in (1 + 1e-6, 1 - 1e-6))
+        slope = prior.slopes(("bevel_mm",), {"bevel_mm": value})[:, 0]
         assert slope == pytest.approx((above - below) / 2e-6, rel=1e-4)
+        gained = prior.log_density({"bevel_mm": value}) - prior.log_density({"bevel_mm": 0.1})
+        squares = [np.sum(prior.residuals({"bevel_mm": at}) ** 2) for at in (value, 0.1)]
+        assert gained == pytest.approx(-0.5 * (squares[0] - squares[1]))
     drawn = np.exp(
         draw_from_prior(parameters, 4000, np.random.default_rng(1))[:, parameters.free.index("bevel_mm")]
     )

@@ -1,6 +1,6 @@
-"""The prior that a medium states of its parameters: its rows, each a residual of unit variance.
+"""The prior that a medium states of its parameters: its rows, whose residuals a search takes with the data's.
 
-The logarithm of its density is minus half the sum of the squares of the residuals, 0 at the peak. Linear
+The logarithm of its density is minus half the sum of the squares of the residuals, but for a constant. Linear
 rows are normal priors of shape parameters, log-normal ones of moduli and lengths, and ties with a spread. The
 others are generalised gamma priors of one positive parameter, a gamma and a half-normal one among them.
 """
@@ -42,17 +42,21 @@ class GammaRow:
     shape: float
     power: float
 
-    def residual(self, value: float) -> float:
-        """Return the signed residual whose square is minus twice the logarithm of the density."""
+    def log_density(self, value: float) -> float:
+        """Return the logarithm of the density, 0 at the mode."""
         scaled = self.power * math.log(value / self.mode)
-        return math.copysign(math.sqrt(2 * self.shape / self.power * _exceed_tangent(scaled)), scaled)
+        return self.shape / self.power * (scaled - math.expm1(scaled))
 
-    def slope(self, value: float) -> float:
-        """Return the derivative of `residual` by the logarithm of the value."""
-        scaled = self.power * math.log(value / self.mode)
-        if abs(scaled) < SMALL_EXPONENT:
-            return math.sqrt(self.information)
-        return self.shape * math.expm1(scaled) / self.residual(value)
+    def residuals(self, value: float) -> tuple[float, float]:
+        """Return the residuals of both terms; the slopes of one root of their sum would mislead a search."""
+        exponent = math.log(value / self.mode)
+        grown = math.sqrt(2 * self.shape / self.power) * math.exp(0.5 * self.power * exponent)
+        return grown, math.sqrt(2 * self.shape * (MAX_EXPONENT - exponent))
+
+    def slopes(self, value: float) -> tuple[float, float]:
+        """Return the derivatives of `residuals` by the logarithm of the value."""
+        grown, left = self.residuals(value)
+        return 0.5 * self.power * grown, -self.shape / left
 
     @property
     def information(self) -> float:
@@ -73,12 +77,7 @@ class GammaRow:
         return math.log(self.mode) + np.log(drawn) / self.power
 
 
-SMALL_EXPONENT = 1e-4  #: below which exp(x) - 1 - x is x^2 / 2 to 5 digits, more than its difference has
-
-
-def _exceed_tangent(exponent: float) -> float:
-    """Return exp(x) - 1 - x."""
-    return 0.5 * exponent**2 if abs(exponent) < SMALL_EXPONENT else math.expm1(exponent) - exponent
+MAX_EXPONENT = 40.0  #: logarithm of a value over its mode, beyond any bounds
 
 
 @dataclass(frozen=True)
@@ -99,15 +98,16 @@ class Prior:
         return frozenset(self.names) | {row.name for row in self.gamma}
 
     def residuals(self, values: Mapping[str, float]) -> Floats:
-        """Return the residuals (R + G,) of `values` (Pa, mm): 0 at the peak, of unit variance there."""
+        """Return the residuals (R + 2 G,) of `values` (Pa, mm)."""
         coordinates = np.array([to_coordinate(name, values[name]) for name in self.names])
         linear = self._weights @ coordinates - np.array(self.centre)
-        return np.append(linear, [row.residual(values[row.name]) for row in self.gamma])
+        return np.append(linear, [row.residuals(values[row.name]) for row in self.gamma])
 
     def log_density(self, values: Mapping[str, float]) -> float:
         """Return the logarithm of the density of `values`, not normalised: 0 at its peak."""
-        white = self.residuals(values)
-        return -0.5 * float(white @ white)
+        linear = self.residuals(values)[: len(self.centre)]
+        gamma = sum(row.log_density(values[row.name]) for row in self.gamma)
+        return -0.5 * float(linear @ linear) + gamma
 
     @property
     def _weights(self) -> Floats:
@@ -119,15 +119,17 @@ class Prior:
         return self._weights @ _select(self.names, names)
 
     def slopes(self, names: Sequence[str], values: Mapping[str, float]) -> Floats:
-        """Return the derivatives (R + G, P) of `residuals` by theta of the free parameters `names`."""
-        by_own = np.array([row.slope(values[row.name]) for row in self.gamma])
-        gamma = by_own[:, None] * _select([row.name for row in self.gamma], names)
-        return np.concatenate([self.linear_slopes(names), gamma])
+        """Return the derivatives (R + 2 G, P) of `residuals` by theta of the free parameters `names`."""
+        chosen = _select([row.name for row in self.gamma], names)
+        gamma = [np.outer(row.slopes(values[row.name]), chosen[k]) for k, row in enumerate(self.gamma)]
+        return np.concatenate([self.linear_slopes(names), *gamma])
 
     def information(self, names: Sequence[str]) -> Floats:
         """Return the precision (P, P), at the peak, of theta of `names`; 0 where nothing is stated."""
-        slopes = self.slopes(names, {row.name: row.mode for row in self.gamma})
-        return slopes.T @ slopes
+        linear = self.linear_slopes(names)
+        gamma = np.array([row.information for row in self.gamma])
+        gamma = gamma @ _select([row.name for row in self.gamma], names)
+        return linear.T @ linear + np.diag(gamma)
 
     @cached_property
     def marginals(self) -> Mapping[str, tuple[float, float]]:
