@@ -168,7 +168,7 @@ def test_bevels_that_differ_have_exact_gradients_and_residuals(noise_scale):
     theta = p.parameters.theta({**TRUTH, "bevel_spread": 0.07}) + 0.05
     assert_one_density(p, theta)
     # but for the normalising one, the spread's prior
-    assert sum(p.density.residual_counts) == len(p.jacobian(theta)[0]) - 2
+    assert sum(p.density.residual_counts) == len(p.jacobian(theta)[0]) - 3
 
 
 # ---- depths against brute force, on insertions of the twin near the mode of their fit

@@ -163,7 +163,7 @@ def test_a_name_that_is_both_is_an_error(project):
 
 def test_a_folder_of_that_name_is_pointed_out(project):
     (project / "needles").mkdir()
-    with pytest.raises(ConfigError, match=r"write \./needles"):
+    with pytest.raises(ConfigError, match=r"did you mean `\./needles`"):
         locate.find_file("dataset", "needles")
 
 

@@ -238,7 +238,10 @@ MAX_NEAR_NAMES = 8  #: of what is known
 def _list_beside(name: str) -> list[str]:
     """Return the paths in the folder of a path, or here and one folder deeper for a name."""
     folder, suffix = (Path(name).parent, Path(name).suffix) if is_path(name) else (Path(), "")
-    found = [*folder.glob(f"*{glob.escape(suffix)}"), *([] if is_path(name) else folder.glob("*/*.toml"))]
+    try:
+        found = [*folder.glob(f"*{glob.escape(suffix)}"), *([] if is_path(name) else folder.glob("*/*.toml"))]
+    except (OSError, ValueError):  # a name that no folder can have
+        return []
     return sorted(format_path(path) for path in found if path.suffix in ("", ".toml", suffix))
 
 
