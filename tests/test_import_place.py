@@ -656,6 +656,7 @@ def test_tips_stand_beside_shapes(tmp_path):
     entered = {"pose": "1,0,0", "entry_point": "0,0,0", "point_sd": "0.1"}
     plan, made = planned([file], **entered)
     assert [row.tip_y for row in plan.rows] == [None, pytest.approx(1.4)] and made["bevel"][0] == "0,1,0"
+    assert [row.hole for row in plan.rows] == ["a", "b"]  # though one entry is stated of both
     write_table(file, "needle,bevel side,x [mm],y [mm],z [mm]", [(*row, 9) for row in shapes[:-1]])
     write_table(tips := tmp_path / "b.csv", "needle,depth [mm],deflection [mm]", [("b", 50, 1.4)])
     plan, made = planned([file, tips], pose="1,0,0", bevel="0,1,0", point_sd="0.1")

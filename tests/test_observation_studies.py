@@ -13,6 +13,7 @@ from test_page import NO_BROWSER, chromium  # noqa: F401 - a fixture
 import needlefit as nf
 from needlefit.datasets.insertion import Insertion, Noise
 from needlefit.datasets.read import check, read
+from needlefit.datasets.select import find_repeats
 from needlefit.errors import DataError, UnfinishedWorkError
 from needlefit.geometry.curves import compare_curves
 from needlefit.inference.forward_model import predict
@@ -242,6 +243,7 @@ def test_a_run_that_ends_by_an_error_does_not_block_the_next_one(tmp_path: Path)
 
 def test_a_dataset_mixes_shapes_tips_and_curvatures(mixed: Path) -> None:
     data = read(mixed.parent)
+    assert not find_repeats(data)  # one entry of all rows is no hole
     kinds = ["points", "tip", "points", "tip", "points", "curvature", "curvature"]
     assert [one.observation for one in data.insertions] == kinds
     assert data.files is not None and "centerlines/m1.csv" not in data.files.names

@@ -58,6 +58,9 @@ def parse_rows(table: CsvTable, record: DatasetRecord, all_faults: list[Fault]) 
         return []
     cell_faults: list[Fault] = []
     rows = _make_rows(named, pose_known, cell_faults)
+    if record.insertions.constants.keys() >= {*ENTRY_COLUMNS}:
+        # one entry of all rows is the origin of their coordinates, and no hole
+        rows = [replace(row, hole=row.hole or row.id) for row in rows]
     unread = {fault.where for fault in cell_faults}
     faults = list(_find_duplicates(named))
     for n, row in enumerate(rows):

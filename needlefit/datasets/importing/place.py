@@ -389,10 +389,13 @@ class Planner(CurveAnswers):
         """Return the rows with entry poses and bevels, without medium and specimen."""
         angles = self.settle_sides()
         sides = to_sides(angles or [0.0] * len(self.curves))[0]
-        rows = []
-        for curve, side in zip(self.curves, sides, strict=True):  # a stated length is believed
+        rows, is_own = [], any("entry_point" in curve.stated for curve in self.curves)
+        for curve, side, entry in zip(self.curves, sides, entries, strict=True):
+            # a stated length is believed
             sd = 0.0 if "depth" in curve.stated else measure_curve(curve.line, point_sd).length_sd
-            rows.append(InsertionRow(curve.name, "", 1, curve.depth, side=side, depth_sd=sd, hole=curve.hole))
+            # one entry that is stated of all is the origin of their coordinates, and no hole
+            hole = curve.hole or ("" if is_own or entry is None else curve.name)
+            rows.append(InsertionRow(curve.name, "", 1, curve.depth, side=side, depth_sd=sd, hole=hole))
         rows = set_layers(rows, depths)
         if poses[0].text == "free":
             self.settler.note("bevel", "a free shape bends toward its bevel")
