@@ -1,7 +1,8 @@
 """Find curves most of whose points were interpolated between fewer measured ones, which alone count in fits.
 
-Points between measured ones lie on smooth pieces: they scatter less about their neighbours than they err. The
-fewer of them are left, the more they scatter; where half of the variance shows, they are independent.
+Points between measured ones lie on smooth pieces: they scatter less about their neighbours than they err, and
+less than a few of them do. The fewer of them are left, the more they scatter; where half of the
+variance shows, they are independent.
 """
 
 import math
@@ -19,14 +20,20 @@ from needlefit.datasets.scatter import MIN_AXIS_POINTS, SCATTER_RATIOS
 from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import ResultWarning
 
+#: points of a curve whose scatter is compared with that of all: it is then known to a quarter
+COMPARED_POINTS = 12
+
 
 def count_independent(points: Floats, sd: float) -> int:
     """Return how many points of a curve (N, 3) have errors of their own, of SD `sd` (mm) across it.
 
-    All of few points, and of those that scatter by more than a third of it.
+    All of few points, of those that scatter by more than a third of it, and of those of which a few scatter
+    as much: independent errors do, of whatever size.
     """
-    count = len(points)
-    if count < MIN_AXIS_POINTS or _measure_scatter(points) >= SCATTER_RATIOS[0] * sd:
+    count, scatter = len(points), _measure_scatter(points)
+    if count < MIN_AXIS_POINTS or scatter >= SCATTER_RATIOS[0] * sd:
+        return count
+    if scatter >= 0.5 * _measure_scatter(points[:: -(count // COMPARED_POINTS)]):
         return count
     thinned = (points[::-1][::step] for step in range(2, _find_largest_step(count)))  # with the tip
     enough = (len(few) for few in thinned if _measure_scatter(few) >= math.sqrt(0.5) * sd)
