@@ -8,11 +8,12 @@ import os
 import re
 import stat
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import lru_cache, wraps
 from io import BytesIO, TextIOWrapper
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, TypeVar
 
 from needlefit.errors import ConfigError, DataError
 
@@ -21,6 +22,7 @@ MAX_TEXT_BYTES = 256 * 2**20  # size of a table, a list of markups or another te
 MAX_FOLDER_FILES = 200_000  # files in a folder and its subfolders
 SAVE_AS_UTF8 = 'save it as UTF-8 (in a spreadsheet: "CSV UTF-8")'
 
+Content = TypeVar("Content")
 FileErrorType = type[DataError] | type[ConfigError]
 
 
@@ -154,6 +156,20 @@ def path_exists(path: Path) -> bool:
         return path.exists()
     except (OSError, ValueError):  # ValueError: it holds a zero byte
         return False
+
+
+def read_once(read: Callable[[Path], Content]) -> Callable[[Path], Content]:
+    """Return a reader that reads a file again only if it has changed; what it returns must not be changed."""
+    read_version = lru_cache(maxsize=64)(lambda path, _size, _changed_ns: read(path))
+
+    @wraps(read)
+    def read_or_recall(path: Path) -> Content:
+        if not is_file(path):
+            return read(path)
+        status = path.stat()
+        return read_version(path, status.st_size, status.st_mtime_ns)
+
+    return read_or_recall
 
 
 def is_file(path: Path) -> bool:

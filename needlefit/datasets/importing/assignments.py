@@ -40,7 +40,10 @@ class Assignments:
             elif head == "tables":
                 self.numbered.append((key, text))
             elif key in TABLE_KEYS:
-                self.table |= override({}, [(key, text)], "--set")
+                stated = override({}, [(key, text)], "--set")
+                if key == "unused":  # of several answers
+                    stated[key] = [*self.table.get(key, []), *stated[key]]
+                self.table |= stated
             elif head in MEANINGS:
                 part = part or "column"
                 is_parsed = part in PARSED_PARTS

@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from needlefit.datasets.importing.meanings import QUESTIONS
+from needlefit.datasets.importing.stated import name_set
+from needlefit.errors import DataError
 from needlefit.project.toml import check
 from needlefit.schemas.mapping import MappingRecord
 
@@ -49,6 +51,20 @@ class Draft:
         asked = Open(key.format(**parts), text.format(**parts), choices or filled, where)
         if not any(replace(other, where=where) == asked for other in self.opens):  # of one sheet
             self.opens.append(asked)
+
+    def to_error(self) -> DataError:
+        """Return the error of questions that nobody answers; its fix states what answers them."""
+        plain = " ".join(name_set(question.key) for question in self.opens if not question.choices)
+        fixes = [f"state {plain}"] if plain else []
+        for question in filter(lambda question: question.choices, self.opens):
+            options = (" ".join(map(name_set, keys, keys.values())) for keys in question.choices.values())
+            fixes.append(f"state {', or '.join(options)}")
+        return DataError(
+            f"needs an answer. {' '.join(f'{question.question}.' for question in self.opens)}",
+            expected=f"an answer to {'each' if len(self.opens) > 1 else 'it'}",
+            fix="; ".join(fixes),
+            where=self.opens[0].where,
+        )
 
     def add(self, entry: dict[str, Any], path: Path) -> None:
         """Add the entry of a table; files that are read alike have one."""

@@ -7,13 +7,14 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from needlefit.datasets.formats import FORMATS
 from needlefit.datasets.formats.markups import is_plane
 from needlefit.datasets.importing.assignments import Assignments
 from needlefit.datasets.importing.draft import Draft
 from needlefit.datasets.importing.draft_table import COORDINATES, TableDraft
 from needlefit.datasets.importing.examples import EXAMPLE_SHEET
 from needlefit.datasets.importing.layout import propose_layout, sniff_text
-from needlefit.datasets.importing.meanings import VALUES
+from needlefit.datasets.importing.meanings import ROWS, VALUES
 from needlefit.datasets.importing.read import MAX_CURVES
 from needlefit.datasets.importing.stated import name_set
 from needlefit.datasets.importing.synonyms import find_meaning, split_unit
@@ -61,43 +62,41 @@ def draft_mapping(paths: Sequence[Path], stated: Assignments) -> tuple[Draft, li
             table, remarks = read_structured(path)
             draft.unused += [(remark, path.name) for remark in remarks]
             TableDraft(table, {"files": [path.name]}, draft, stated).propose()
-    _require_columns(draft, stated)
-    if "specimen" not in stated.columns and "specimen" not in draft.values:
-        _ask_sources(draft)
-    for key, text in stated.numbered:
-        (draft.tables,) = override({"tables": draft.tables}, [(key, text)], "--set").values()
-        _, number, *parts = key.split(".")
-        draft.assumed.pop(parts[0] if parts else "", None)
-        if parts[0] == "columns" and parts[1] in COORDINATES:  # in place of what the column meant
-            columns = draft.tables[int(number) - 1]["columns"]
-            for meaning in {*COORDINATES} & columns.keys() - {parts[1]}:
-                if columns[meaning].get("column") == columns[parts[1]].get("column"):
-                    del columns[meaning]
-    return draft, files
-
-
-def _require_columns(draft: Draft, stated: Assignments) -> None:
-    """DataError of a stated column that no table has, with the nearest header."""
     for meaning, parts in stated.columns.items():
         if "column" in parts and draft.headers and meaning not in draft.columns_read:
-            near = sort_by_similarity(parts["column"], draft.headers)[0]
             raise DataError(
                 f"no table has the column {parts['column']!r}, of which {meaning} is to be read",
                 expected=f"one of {', '.join(dict.fromkeys(draft.headers))}"[:400],
-                fix=name_set(f"{meaning}.column", near),
+                fix=name_set(f"{meaning}.column", sort_by_similarity(parts["column"], draft.headers)[0]),
             )
+    if "specimen" not in stated.columns and "specimen" not in draft.values:
+        _ask_sources(draft)
+    for key, text in stated.numbered:
+        _change_table(draft, key, text)
+    if not draft.opens and all(table["holds"] in ("facts", "turns") for table in draft.tables):
+        tables = "; ".join(f"{part}: {why}" for part, why in draft.unused if part.startswith("table"))
+        has_depth = any("depth" in table["columns"] for table in draft.tables)
+        for key in ("deflection",) if has_depth else "xy":
+            draft.ask("column", str(paths[0]), key=key, text=f"{ROWS[key].text} ({tables or paths[0]})")
+    return draft, files
+
+
+def _change_table(draft: Draft, key: str, text: str) -> None:
+    """State a key of one table; a coordinate takes the place of what its column meant."""
+    (draft.tables,) = override({"tables": draft.tables}, [(key, text)], "--set").values()
+    _, number, part, *meanings = [*key.split("."), ""]
+    draft.assumed.pop(part, None)
+    if part == "columns" and meanings[0] in COORDINATES:
+        columns = draft.tables[int(number) - 1]["columns"]
+        for meaning in {*COORDINATES} & columns.keys() - {meanings[0]}:
+            if columns[meaning].get("column") == columns[meanings[0]].get("column"):
+                del columns[meaning]
 
 
 def _list_files(paths: Iterable[Path], draft: Draft) -> Iterator[Path]:
     """Yield the files that are named, or stand in a folder that is."""
-    from needlefit.datasets.formats import FORMATS
-
-    suffixes = (
-        *TEXT_SUFFIXES,
-        *SHEET_SUFFIXES,
-        *READ_SUFFIXES,
-        *(end for entry in FORMATS.values() for end in entry.suffixes),
-    )
+    ends = tuple(end for entry in FORMATS.values() for end in entry.suffixes)
+    suffixes = (*TEXT_SUFFIXES, *SHEET_SUFFIXES, *READ_SUFFIXES, *ends)
     for path in paths:
         if is_file(dataset := path if path.name == "dataset.toml" else path / "dataset.toml"):
             raise DataError(
@@ -121,20 +120,18 @@ def _list_files(paths: Iterable[Path], draft: Draft) -> Iterator[Path]:
 
 
 def _ask_sources(draft: Draft) -> None:
-    """Ask what sheets, or files, are whose needles have the same names."""
+    """Ask what sheets, or files, are whose needles have the same names; a tip may stand beside a shape."""
     places = [
         place
         for place, names in draft.needles.items()
-        if any(
-            names & others
-            for other, others in draft.needles.items()
-            if other != place and other[2] == place[2]  # a tip may stand beside the shape of its name
-        )
+        for other, others in draft.needles.items()
+        if other != place and other[2] == place[2] and names & others
     ]
     if places:
         source = "sheet" if len({file for file, *_ in places}) == 1 else "file"
-        listed = join_names([sheet if source == "sheet" else file for file, sheet, _ in places], 4)
-        draft.ask("source", places[0][0], source=source, places=f"{source.capitalize()}s {listed}")
+        names = dict.fromkeys(sheet if source == "sheet" else file for file, sheet, _ in places)
+        listed = f"{source.capitalize()}s {join_names([*names], 4)}"
+        draft.ask("source", places[0][0], source=source, places=listed)
 
 
 # ---- sheets and grids
@@ -143,18 +140,14 @@ def _ask_sources(draft: Draft) -> None:
 def _draft_workbook(path: Path, draft: Draft, stated: Assignments) -> None:
     """Propose the sheets of a workbook; those that begin with `example` where no other one is filled in."""
     sheets = [sheet for sheet in read_sheets(path) if sheet.sheet.lower() != GUIDE_SHEET]
-    own_sheets = [sheet for sheet in sheets if not sheet.sheet.lower().startswith(EXAMPLE_SHEET)]
-    filled = [
-        sheet for sheet in own_sheets if sheet.sheet.lower() != SETUP_SHEET and sum(map(any, sheet.rows)) > 1
-    ]
-    chosen = (
-        own_sheets
-        if filled or len(own_sheets) == len(sheets)
-        else [sheet for sheet in sheets if sheet not in own_sheets]
+    examples = [sheet for sheet in sheets if sheet.sheet.lower().startswith(EXAMPLE_SHEET)]
+    are_filled = any(
+        sheet not in examples and sheet.sheet.lower() != SETUP_SHEET and sum(map(any, sheet.rows)) > 1
+        for sheet in sheets
     )
     for grid in sheets:
         keys = {"files": [path.name], "sheet": grid.sheet}
-        if grid not in chosen:
+        if (grid in examples) == (are_filled or not examples):
             draft.unused.append((f"sheet {grid.sheet}", path.name))
         elif grid.sheet.lower().removeprefix(EXAMPLE_SHEET).strip() == SETUP_SHEET:
             keys |= {"layout": "pairs", "holds": "facts", "of": "all"}

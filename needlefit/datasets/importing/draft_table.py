@@ -2,10 +2,10 @@
 
 import json
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import count, pairwise, permutations
-from typing import Any
+from typing import Any, NamedTuple
 
 from needlefit.datasets.importing.assignments import Assignments
 from needlefit.datasets.importing.draft import Draft
@@ -35,10 +35,32 @@ POINTS = ("shapes", "tips", "tracks")  # rows that hold points
 EXCLUDED = "excluded"  # the word of rows that are left out
 MIN_NEEDLE_GPA = 1.0  # smallest modulus (GPa) that can only be that of a needle
 MAX_FLAGS = 4  # largest number of values of a column that may mark rows to be left out
+MIN_TRACK_SIGNS = 2  # of depths that differ, times that differ and a column of a tip: so many make a track
 _QUANTITY = re.compile(r"\D{0,3}[-+]?\d+([.,]\d+)?\s*\S{0,4}")  # a number with a unit: 22G, 0,7 mm
 
-Axes = dict[str, int]  # columns by axis
-Columns = dict[str, dict[str, Any]]  # keys of `MeaningRecord` by meaning
+
+class Column(NamedTuple):
+    """A column: its place, the name by which a mapping finds it, its header, and its cells."""
+
+    place: int
+    name: str | int
+    header: Header
+    texts: Sequence[str]  # of cells that are not blank
+    numbers: Sequence[float]  # of those that are numbers
+
+    @property
+    def is_numeric(self) -> bool:
+        """Whether all its cells are numbers."""
+        return len(self.numbers) == len(self.texts)
+
+    @property
+    def is_unit(self) -> bool:
+        """Whether it states the unit of each row."""
+        return self.header.text.casefold() in UNIT_FIELDS
+
+
+Axes = dict[str, Column]
+Records = dict[str, dict[str, Any]]  # keys of `MeaningRecord` by meaning
 
 
 class TableDraft:
@@ -50,143 +72,165 @@ class TableDraft:
         self.table, self.keys, self.draft, self.stated = table, keys | stated.table, draft, stated
         self.unit = stated.unit or unit  # of lengths whose header states none
         self.where = table.path.name + (f", sheet {table.name}" if "sheet" in keys else "")
-        texts = [
-            [head[n] for head in table.first_headers if n < len(head)] for n in range(len(table.headers))
-        ]
-        self.headers, self.signs = name_axes([*map(_read_column, table.headers, texts)])
-        self.columns = Columns()
-        self.used = set[int]()
+        heads = table.first_headers
+        texts = [[head[n] for head in heads if n < len(head)] for n in range(len(table.headers))]
+        headers, self.signs = name_axes([*map(_read_column, table.headers, texts)])
+        self.all = [self._make_column(n, header) for n, header in enumerate(headers)]
+        self.taken = dict[str, list[Column]]()  # columns by meaning
+        self.records = Records()
+        self.used = set[int]()  # places
 
     def propose(self) -> None:
         """Propose columns, the kind of rows, and the entries."""
         self._take_stated()
         groups = self._group_axes()
-        known_columns = self._list_known()
-        self._ask_ambiguous(known_columns)
-        for meaning in known_columns:
-            self._take(meaning, known_columns[meaning])
-        if "needle" not in self.columns and (block := self.table.find(BLOCK)) is not None:
-            self._take("needle", [block])
-        if self.columns.keys() & {*SENSOR[1:3]} and "point_sd" in self.columns:
-            deviation = self.columns.setdefault("curvature_sd", self.columns.pop("point_sd"))
+        for meaning, columns in self._list_known().items():
+            self._take(meaning, columns)
+        if (block := self.table.find(BLOCK)) is not None:
+            self._take("needle", [self.all[block]])
+        if self.taken.keys() & {*SENSOR[1:3]} and "point_sd" in self.records:
+            deviation = self.records.setdefault("curvature_sd", self.records.pop("point_sd"))
             deviation["unit"] = _per(deviation.get("unit", ""))
-        if "fill_down" not in self.keys and (groups or self.columns.keys() & {"y", "deflection"}):
+        if "fill_down" not in self.keys and (groups or self.taken.keys() & {"y", "deflection"}):
             self._fill_down()
-        entries, holds = self._find_rows([*groups.items()])
+        entries, holds = self._find_rows(groups)
         if not entries and not (holds := self._find_facts()):
-            headers = ", ".join(text for text in self.table.headers if text)[:200]
+            headers = ", ".join(filter(None, self.table.headers))[:200]
             problem = f"no column is known to hold coordinates: {headers or 'no headers'}"
             self.draft.unused.append((f"table {self.where}", problem))
             self._ask_layers(headers)
             return
         self.keys["holds"] = holds
-        self._keep_words()
         self._name_unused()
         for entry in entries or [{}]:
-            self._add(entry | self.columns)
+            self._add(entry | self.records)
 
     # ---- columns
+
+    def _make_column(self, n: int, header: Header) -> Column:
+        first = [head[n] for head in self.table.first_headers[:1] if n < len(head)]
+        unique = (text for text in (*first, self.table.headers[n]) if text and self.table.find(text) == n)
+        texts = [row[n] for row in self.table.rows if row[n]]
+        numbers = [value for text in texts if (value := self.table.number(text)) is not None]
+        return Column(n, next(unique, n + 1), header, texts, numbers)
+
+    def _list_free(self) -> list[Column]:
+        """Return the columns with cells that mean nothing yet, and are not stated to mean nothing."""
+        unused = self.keys.get("unused", ())
+        return [
+            column
+            for column in self.all
+            if column.texts and column.place not in self.used and column.name not in unused
+        ]
 
     def _take_stated(self) -> None:
         """Take the columns that are stated; those of other tables are not here."""
         for meaning, parts in self.stated.columns.items():
-            names = parts["column"].split("|") if "column" in parts else []
-            places = [self._find(name.strip()) for name in names]
+            names = [name.strip() for name in parts.get("column", "").split("|") if name]
+            places = [self.table.find(name) for name in names]
+            for k, name in enumerate(names):
+                if places[k] is None and name.isdecimal():
+                    places[k] = self.table.find(int(name))
             if places and None not in places:
-                self._take(meaning, [n for n in places if n is not None])
+                self._take(meaning, [self.all[n] for n in places if n is not None])
                 self.draft.columns_read.add(meaning)
-        self.draft.headers += [text for text in self.table.headers if text]
+        self.draft.headers += filter(None, self.table.headers)
 
-    def _find(self, name: str) -> int | None:
-        column = self.table.find(name)
-        return self.table.find(int(name)) if column is None and name.isdecimal() else column
-
-    def _take(self, meaning: str, places: Sequence[int]) -> None:
+    def _take(self, meaning: str, columns: Sequence[Column]) -> None:
         """Let columns mean something, if nothing else does."""
-        if places and meaning not in self.columns:
-            kept = (
-                places
-                if meaning in SEVERAL or "column" in self.stated.columns.get(meaning, {})
-                else places[:1]
-            )
-            self.columns[meaning] = self._spell(meaning, kept)
-            self.used |= {*kept}
+        if columns and meaning not in self.taken:
+            if meaning not in SEVERAL and "column" not in self.stated.columns.get(meaning, {}):
+                columns = columns[:1]
+            self.taken[meaning] = [*columns]
+            self.records[meaning] = _spell(meaning, columns)
+            self.used |= {column.place for column in columns}
 
-    def _spell(self, meaning: str, places: Sequence[int]) -> dict[str, Any]:
-        """Return how a mapping names columns, and the unit of the first."""
-        names, unit = [self._name(n) for n in places], self.headers[places[0]].unit
-        unit = _per(unit) if meaning.startswith("curvature") else unit
-        axes = "".join(self.headers[n].axis for n in places) if meaning == "guide" else ""
-        spelled = {"column": names[0] if len(names) == 1 else names, "unit": unit, "axes": axes}
-        return {key: value for key, value in spelled.items() if value}
-
-    def _name(self, n: int) -> str | int:
-        """Return the first row's header of a column, else all of them, else its number: what is unique."""
-        first = [head[n] for head in self.table.first_headers[:1] if n < len(head)]
-        texts = (text for text in (*first, self.table.headers[n]) if text and self.table.find(text) == n)
-        return next(texts, n + 1)
-
-    def _list_known(self) -> dict[str, list[int]]:
-        """Return the columns of each meaning that headers name, beside what is stated."""
-        blocked = {*self.columns}
-        if "y" in blocked:
-            blocked |= {"deflection", "deflection_z"}
-        places_by_meaning = dict[str, list[int]]()
-        for n, header in enumerate(self.headers):
-            if n not in self.used and header.meaning in MEANINGS and (texts := self._list_texts(n)):
-                is_needle = header.meaning == "medium" and all(map(_is_needle_material, texts))
-                places_by_meaning.setdefault("modulus" if is_needle else header.meaning, []).append(n)
+    def _list_known(self) -> dict[str, list[Column]]:
+        """Return the columns of each meaning that headers name; ask where one may mean two things."""
+        blocked = self.taken.keys() | ({"deflection", "deflection_z"} if "y" in self.taken else set())
+        known, doubtful = dict[str, list[Column]](), list[tuple[Column, list[str]]]()
+        for column in self._list_free():
+            meaning, *others = meanings = self._list_meanings(column)
+            if others:
+                doubtful.append((column, meanings))
+            elif meaning in MEANINGS and meaning not in blocked:
+                known.setdefault(meaning, []).append(column)
         for meaning in (*VECTORS, "guide"):  # columns x, y and z of a place
-            places = {
-                header.axis: n
-                for n, header in enumerate(self.headers)
-                if header.group == meaning and n not in self.used
+            axes = {
+                column.header.axis: column for column in self._list_free() if column.header.group == meaning
             }
-            if "y" in places or (places and meaning == "guide"):
-                places_by_meaning[meaning] = [places[axis] for axis in sorted(places)]
-        places_by_meaning = {
-            meaning: places for meaning, places in places_by_meaning.items() if meaning not in blocked
-        }
-        if "depth" in places_by_meaning and not places_by_meaning.keys() & {"y", "deflection"}:
-            tips = [n for n, header in enumerate(self.headers) if header.meaning == "tip"]
-            tips = [n for n in tips if all(map(self._is_number, self._list_texts(n)))]
-            if tips and not {"y", "deflection"} & blocked:
-                places_by_meaning["deflection"] = tips
-        if "guide" in places_by_meaning:
-            names = ", ".join(str(self._name(n)) for n in places_by_meaning["guide"])
-            self.draft.assumed["guide"] = f"{names}: by its header; guide=none if it is no guide"
-        if "needle" in places_by_meaning:
-            self._choose_names(places_by_meaning)
-        return places_by_meaning
+            if meaning not in blocked and ("y" in axes or (axes and meaning == "guide")):
+                known[meaning] = [axes[axis] for axis in sorted(axes)]
+        if "depth" in known and not (known.keys() | blocked) & {"y", "deflection"}:
+            tips = [column for column in self._list_free() if column.header.meaning == "tip"]
+            if tips := [column for column in tips if column.is_numeric]:
+                known["deflection"] = tips
+        if "guide" in known:
+            self.draft.assumed["guide"] = (
+                f"{_list_names(known['guide'])}: by its header; guide=none if it is no guide"
+            )
+        if "needle" in known:
+            known["needle"] = self._choose_names(known)
+        for column, meanings in doubtful:
+            self._ask_meaning(column, meanings, known)
+        trials = next((column for column in self.all if column.header.meaning == "trials"), None)
+        if trials and "point_sd" in known and any("mean" in text.casefold() for text in self.table.headers):
+            self._ask("point_sd", known.pop("point_sd")[0], count=str(trials.name))
+        if EXCLUDED in known:
+            self._ask_excluded(known.pop(EXCLUDED)[0])
+        return known
 
-    def _is_number(self, text: str) -> bool:
-        return self.table.number(text) is not None
+    def _list_meanings(self, column: Column) -> list[str]:
+        """Return what a column may mean, by its header and cells; an empty text: nothing here."""
+        meaning = column.header.meaning
+        if meaning in ("medium", "modulus"):
+            are_needles = [find_meaning("value", text).endswith("GPa") for text in column.texts]
+            moduli = [other for other in self.all if other.header.meaning == "modulus" and other != column]
+            if any(are_needles):
+                is_open = moduli or (meaning == "medium" and not all(are_needles))
+                return ["modulus", "medium"] if is_open else ["modulus"]
+            factor = UNITS_GPA.get(column.header.unit, 1.0)
+            if meaning == "modulus" and any(0 < value * factor < MIN_NEEDLE_GPA for value in column.numbers):
+                return ["modulus", ""]
+        return meaning.split("|")
 
-    def _list_texts(self, n: int) -> list[str]:
-        """Return the cells of a column that are not blank."""
-        return [row[n] for row in self.table.rows if row[n]]
+    def _choose_names(self, known: Mapping[str, Sequence[Column]]) -> list[Column]:
+        """Return the columns that name needles: the first in which names come again, and what divides it."""
+        rows, candidates = self.table.rows, known["needle"]
+        repeated = [column for column in candidates if len({*column.texts}) < len(column.texts)]
+        chosen = [*(repeated or candidates)[:1]]
+        for column in (*repeated[1:], *known.get("specimen", [])[:1]):
+            divided, names = (
+                len({tuple(row[column.place] for column in columns) for row in rows})
+                for columns in (chosen, [*chosen, column])
+            )
+            if divided < names <= len(rows) / 2:
+                chosen.append(column)
+        if len(chosen) > 1:
+            self.draft.assumed["needle"] = f"{_list_names(chosen)}: together they name the needles"
+        return chosen
 
     def _group_axes(self) -> dict[str, Axes]:
         """Return the columns of the points of each needle by its name, and axis.
 
         A letter that comes again begins another needle. One column x may be of several: `x, y1, y2`.
         """
-        if self.columns.keys() & {"y", "deflection"}:
+        if self.taken.keys() & {"y", "deflection"}:
             return {}
         groups: dict[tuple[int, str], Axes] = {}
-        for n, header in enumerate(self.headers):
-            is_free = n not in self.used and bool(self._list_texts(n))  # an empty column is not there
-            if header.axis and header.group not in NO_POINTS and is_free:
-                turn = next(k for k in count() if header.axis not in groups.get((k, header.group), ()))
-                groups.setdefault((turn, header.group), {})[header.axis] = n
-        if "x" not in self.columns and not any(header.meaning == "depth" for header in self.headers):
+        for column in self._list_free():
+            axis, group = column.header.axis, column.header.group
+            if axis and group not in NO_POINTS:
+                turn = next(k for k in count() if axis not in groups.get((k, group), ()))
+                groups.setdefault((turn, group), {})[axis] = column
+        if "x" not in self.taken and not any(column.header.meaning == "depth" for column in self.all):
             for axes in groups.values():
                 self._name_along(axes)
-        with_x = [key for key, axes in groups.items() if "x" in axes]
+        with_x = [axes for axes in groups.values() if "x" in axes]
         lacking = [axes for axes in groups.values() if "x" not in axes]
-        if len(with_x) == 1 and lacking and all("y" in axes for axes in lacking):
+        if len(with_x) == 1 and all("y" in axes for axes in lacking):
             for axes in lacking:
-                axes["x"] = groups[with_x[0]]["x"]
+                axes["x"] = with_x[0]["x"]
         named = [(name.strip(), axes) for (_, name), axes in groups.items() if "y" in axes]
         names = [name or f"{n}" for n, (name, _) in enumerate(named, 1)]
         return {
@@ -196,141 +240,143 @@ class TableDraft:
 
     def _name_along(self, axes: Axes) -> None:
         """Let y or z be x, along the needle, in a table without x: that of them which spans more."""
-        if axes.keys() != {"y", "z"}:
-            return
-        numbers = {
-            axis: [value for text in self._list_texts(n) if (value := self.table.number(text)) is not None]
-            for axis, n in axes.items()
-        }
-        across, along = sorted(
-            "yz", key=lambda axis: max(numbers[axis], default=0) - min(numbers[axis], default=0)
-        )
-        axes["x"], axes["y"] = axes[along], axes[across]
-        del axes["z"]
-        self.draft.assumed["x"] = f"column {self._name(axes['x'])}: it spans more, and no column is called x"
-
-    def _choose_names(self, known_columns: dict[str, list[int]]) -> None:
-        """Keep the columns that name needles: the first in which names come again, and what divides it."""
-        rows = self.table.rows
-        candidates = known_columns["needle"]
-        repeated = [n for n in candidates if len({*self._list_texts(n)}) < len(self._list_texts(n))]
-        chosen = (repeated or candidates)[:1]
-        for n in (*repeated[1:], *known_columns.get("specimen", [])[:1]):
-            names = {tuple(row[m] for m in (*chosen, n)) for row in rows}
-            divided = len({tuple(row[m] for m in chosen) for row in rows})
-            if divided < len(names) <= len(rows) / 2:
-                chosen = [*chosen, n]
-        if len(chosen) > 1:
-            columns = ", ".join(str(self._name(n)) for n in chosen)
-            self.draft.assumed["needle"] = f"{columns}: together they name the needles"
-        known_columns["needle"] = chosen
+        if axes.keys() == {"y", "z"}:
+            spans = {axis: _span(column.numbers) for axis, column in axes.items()}
+            across, along = sorted("yz", key=lambda axis: spans[axis])
+            axes["x"], axes["y"] = axes[along], axes[across]
+            del axes["z"]
+            self.draft.assumed["x"] = f"column {axes['x'].name}: it spans more, and no column is called x"
 
     # ---- what is asked
 
     def _ask(
-        self, name: str, n: int, answers: Mapping[str, Mapping[str, str]] | None = None, **parts: str
+        self,
+        question: str,
+        column: Column,
+        answers: Mapping[str, Mapping[str, str]] | None = None,
+        **parts: str,
     ) -> None:
         """Ask what a column is; until then it means nothing."""
-        self.used.add(n)
-        self.draft.ask(name, self.where, answers, name=str(self._name(n)), **parts)
+        self.used.add(column.place)
+        self.draft.ask(question, self.where, answers, name=str(column.name), **parts)
 
-    def _ask_ambiguous(self, known_columns: dict[str, list[int]]) -> None:
-        """Ask what words mean that labs use in two ways."""
-        stated = known_columns.keys() | self.columns.keys() | self.draft.values.keys()
-        words = {header.meaning: n for n, header in enumerate(self.headers) if self._list_texts(n)}
-        if "bevel_angle" in words and "bevel_side" not in stated:
-            self._ask("bevel_angle", words["bevel_angle"])
-        is_mean = any("mean" in text.casefold() for text in self.table.headers)
-        if "point_sd" in known_columns and "trials" in words and is_mean:
-            self._ask("point_sd", known_columns.pop("point_sd")[0], count=str(self._name(words["trials"])))
-        moduli = known_columns.get("modulus", [])
-        materials = [n for n in moduli if any(map(_is_needle_material, self._list_texts(n)))]
-        is_open = len(materials) < len(moduli) and "modulus" not in self.draft.values
-        for places in (known_columns.get("medium", []), moduli if is_open else []):
-            for n in [n for n in places if any(map(_is_needle_material, self._list_texts(n)))]:
-                places.remove(n)
-                self._ask("material", n)
-        if moduli and "modulus" in self.draft.values:
-            self.used |= {*known_columns.pop("modulus")}
-        elif "modulus" in known_columns:
-            place, unit = known_columns["modulus"][0], self.headers[known_columns["modulus"][0]].unit or "GPa"
-            numbers = [value for text in self._list_texts(place) if (value := self.table.number(text))]
-            if any(value * UNITS_GPA.get(unit, 1.0) < MIN_NEEDLE_GPA for value in numbers):
-                self._ask("modulus", known_columns.pop("modulus")[0], unit=unit)
-        if "phantom" in words and "medium" not in stated and words["phantom"] not in self.used:
-            several = len({*self._list_texts(words["phantom"])}) > 1 and "specimen" not in stated
-            if several:
-                self._ask("medium", words["phantom"])
-            else:
-                known_columns["medium"] = [words["phantom"]]
-        if EXCLUDED in known_columns:
-            self._ask_excluded(known_columns.pop(EXCLUDED)[0])
+    def _ask_meaning(self, column: Column, meanings: Sequence[str], known: dict[str, list[Column]]) -> None:
+        """Ask which of several meanings a column has, if the first is not stated."""
+        stated = known.keys() | self.taken.keys() | self.draft.values.keys()
+        first = meanings[0]
+        if first in stated:
+            return
+        if "specimen" in meanings and ("specimen" in stated or len({*column.texts}) == 1):
+            known[first] = [column]
+            return
+        answers = {
+            meaning or "nothing": {f"{meaning}.column": str(column.name)} if meaning else _leave(column.name)
+            for meaning in meanings
+        }
+        texts = [f"{meaning} ({MEANINGS[meaning].text})" if meaning else "not used" for meaning in meanings]
+        cells = ", ".join(dict.fromkeys(column.texts))[:40]
+        self._ask("meaning", column, answers, cells=cells, meanings=" or ".join(texts))
 
-    def _ask_excluded(self, n: int) -> None:
+    def _ask_excluded(self, column: Column) -> None:
         """Ask which value marks rows that are left out, if there are several."""
-        name, values = str(self._name(n)), sorted({row[n] for row in self.table.rows})
-        if 1 < len(values) <= MAX_FLAGS and name not in self.keys.get("unused", ()):
+        values = sorted({row[column.place] for row in self.table.rows})
+        if 1 < len(values) <= MAX_FLAGS:
             answers = {
                 value or "blank": {
-                    f"{EXCLUDED}.column": name,
+                    f"{EXCLUDED}.column": str(column.name),
                     f"{EXCLUDED}.words": _to_toml({value: EXCLUDED}),
                 }
                 for value in values
             }
-            self._ask(EXCLUDED, n, answers | {"none": {"unused": f'["{name}"]'}})
+            self._ask(EXCLUDED, column, answers | {"none": _leave(column.name)})
+
+    def _ask_layers(self, headers: str) -> None:
+        """Ask what a table that is not used states of layers."""
+        name = self.table.name if "sheet" in self.keys else self.table.path.name
+        is_of_layers = any(column.header.meaning in ("boundaries", "layers") for column in self.all)
+        if is_of_layers and "boundaries" not in self.draft.values and name not in self.keys.get("unused", ()):
+            self.draft.ask("table", self.where, name=name, headers=headers)
+
+    def _ask_sides(self, texts: Sequence[str], column: object) -> None:
+        """Ask where bevels face whose sides are not understood."""
+        if not texts or "bevel_side" in self.draft.values:
+            return
+        orders: dict[int, list[tuple[str, ...]]] = {1: [("-1",), ("1",)], 2: [("1", "-1"), ("-1", "1")]}
+        sides_by_text = [
+            dict(zip(texts, sides, strict=True)) for sides in orders.get(len(texts), [("1",) * len(texts)])
+        ]
+        answers = {
+            " ".join(f"{text}={side}" for text, side in sides.items()): {"bevel_side.words": _to_toml(sides)}
+            for sides in sides_by_text
+        }
+        if all(self.table.number(text) is not None for text in texts):
+            answers = {"degrees": {"bevel_side.unit": "deg"}} | answers
+        names = ", ".join(f"`{text}`" for text in texts[:MAX_FLAGS])
+        self.draft.ask("bevel_side", self.where, answers, names=names, name=str(column))
 
     # ---- rows
 
-    def _find_rows(self, groups: Sequence[tuple[str, Axes]]) -> tuple[list[Columns], str]:
+    def _find_rows(self, groups: Mapping[str, Axes]) -> tuple[list[Records], str]:
         """Return the columns of each needle, or of all needles, and what rows are; nothing of facts."""
-        columns, holds = self.columns, self.keys.get("holds", "")
+        taken, holds = self.taken, self.keys.get("holds", "")
         if holds == "curvatures":
             self._ask_curvatures()
             return [{}], holds
-        entries = list[Columns]()
-        for name, axes in groups:
-            records = {axis: self._spell(axis, [n]) for axis, n in axes.items()}
+        entries = list[Records]()
+        for name, axes in groups.items():
+            records = {axis: _spell(axis, [column]) for axis, column in axes.items()}
             for axis in records.keys() & self.signs.keys():
                 records[axis]["sign"] = self.signs[axis]
-            if "needle" not in columns and len(groups) > 1:
+            if "needle" not in taken and len(groups) > 1:
                 records["needle"] = {"value": name}
             entries.append(records)
-            self.used |= {*axes.values()}
+            self.used |= {column.place for column in axes.values()}
         has_x = "deflection" not in self.stated.columns and any("x" in entry for entry in entries)
-        if columns.keys() >= {"deflection", "depth"} and not has_x:
-            self._ask_deflection(entries)
-            increase = self._have_depths(_increase)
-            if increase and not holds:
-                other = name_set("holds", "shapes")
-                self.draft.assumed["holds"] = f"tracks: the depths of each needle increase; points: {other}"
+        if taken.keys() >= {"deflection", "depth"} and not has_x:
+            return self._find_deflections(entries, holds)
+        if taken.keys() >= {"x", "y"}:
             entries = [{}]
-            if len(deflections := self._list_columns(columns["deflection"])) > 1:  # of a needle each
-                del columns["deflection"]
-                names = [{"value": str(self._name(n))} for n in deflections]
-                entries = [
-                    {"deflection": self._spell("deflection", [n]), "needle": name}
-                    for n, name in zip(deflections, names, strict=True)
-                ]
-            return entries, holds or ("tracks" if increase else "tips")
-        if columns.keys() >= {"x", "y"}:
-            entries = [{}]
-        if entries and not holds:
-            holds = self._find_kind(groups)
         if entries:
+            holds = holds or self._find_kind(groups)
             return self._divide_groups(entries, groups, holds), holds
         return ([{}], "curvatures") if self._ask_curvatures() else self._find_other_rows()
 
+    def _find_deflections(self, entries: Sequence[Records], holds: str) -> tuple[list[Records], str]:
+        """Return the columns of deflections at depths: tracks where depths increase; ask which one counts."""
+        columns = self.taken["deflection"]
+        others = [column for column in self._list_free() if column.header.meaning == "deflection"]
+        names = [
+            *(column.name for column in (*columns[:1], *others)),
+            *(entry["y"]["column"] for entry in entries),
+        ]
+        if len(names) > 1 and "deflection" not in self.stated.columns:
+            answers = {str(name): {"deflection.column": str(name)} for name in names}
+            self.draft.ask("deflection", self.where, answers)
+        depths = self._list_by_needle("depth")
+        increase = bool(depths) and all(
+            len(values) >= MIN_READINGS and all(a < b for a, b in pairwise(values)) for values in depths
+        )
+        if increase and not holds:
+            self._assume_tracks("the depths of each needle increase")
+        holds = holds or ("tracks" if increase else "tips")
+        if len(columns) == 1:
+            return [{}], holds
+        del self.records["deflection"]  # each is of a needle
+        return [
+            {"deflection": _spell("deflection", [column]), "needle": {"value": str(column.name)}}
+            for column in columns
+        ], holds
+
+    def _assume_tracks(self, reason: str) -> None:
+        self.draft.assumed["holds"] = f"tracks: {reason}; points: {name_set('holds', 'shapes')}"
+
     def _ask_curvatures(self) -> bool:
         """Whether rows hold curvatures, as headers or the unit of their numbers state; ask which is which."""
-        inverse = [
-            str(self._name(n))
-            for n, header in enumerate(self.headers)
-            if n not in self.used and header.unit.startswith("1/")
-        ]
-        if not (inverse or self.columns.keys() & {*SENSOR[1:3]} or self.keys.get("holds") == "curvatures"):
+        inverse = [str(column.name) for column in self._list_free() if column.header.unit.startswith("1/")]
+        if not (inverse or self.taken.keys() & {*SENSOR[1:3]} or self.keys.get("holds") == "curvatures"):
             return False
-        place = "sensor_from_base" if "sensor_from_base" in self.columns else "sensor"
-        lacking = [key for key in (place, *SENSOR[1:3]) if key not in self.columns]
+        place = "sensor_from_base" if "sensor_from_base" in self.taken else "sensor"
+        lacking = [key for key in (place, *SENSOR[1:3]) if key not in self.taken]
         if {*SENSOR[1:3]} <= {*lacking} and len(inverse) > 1:
             answers = {
                 f"{up}, {right}": {"curvature_y.column": up, "curvature_z.column": right}
@@ -342,140 +388,107 @@ class TableDraft:
             self.draft.ask("column", self.where, key=key, text=ROWS[key].text)
         return True
 
-    def _find_other_rows(self) -> tuple[list[Columns], str]:
+    def _find_other_rows(self) -> tuple[list[Records], str]:
         """Return what rows hold that are neither points nor curvatures: turns, or nothing of facts."""
-        columns = self.columns
-        if "turn_depth" in columns or {"depth_mm", "bevel_roll_deg"} <= {*self.table.headers}:
-            self.columns = {
-                ("turn_depth" if key == "depth" else key): column for key, column in columns.items()
-            }
+        if "turn_depth" in self.taken or {"depth_mm", "bevel_roll_deg"} <= {*self.table.headers}:
+            if "depth" in self.records:
+                self.records["turn_depth"] = self.records.pop("depth")
             return [{}], "turns"
-        if "depth" in columns and "needle" not in columns and len(unknown := self._list_unknown()) > 1:
-            heads = [str(self._name(n)) for n in unknown]
-            columns_text, listed = "|".join(heads), f"`{'`, `'.join(heads)}`"
+        unknown = [str(column.name) for column in self._list_unknown()]
+        if "depth" in self.taken and "needle" not in self.taken and len(unknown) > 1:
+            names, columns = f"`{'`, `'.join(unknown)}`", "|".join(unknown)
             self.draft.ask(
-                "deflections", self.where, names=listed, columns=columns_text, unused=json.dumps(heads)
+                "deflections", self.where, names=names, columns=columns, unused=json.dumps(unknown)
             )
         return [], ""
 
-    def _ask_layers(self, headers: str) -> None:
-        """Ask what a table that is not used states of layers."""
-        name = self.table.name if "sheet" in self.keys else self.table.path.name
-        is_of_layers = any(header.meaning in ("boundaries", "layers") for header in self.headers)
-        if is_of_layers and "boundaries" not in self.draft.values and name not in self.keys.get("unused", ()):
-            self.draft.ask("table", self.where, name=name, headers=headers)
-
-    def _ask_deflection(self, entries: Sequence[Columns]) -> None:
-        """Ask which of several columns is the deflection."""
-        others = [
-            n
-            for n, header in enumerate(self.headers)
-            if header.meaning == "deflection" and n not in self.used
-        ]
-        names = [*map(self._name, [*self._list_columns(self.columns["deflection"])[:1], *others])]
-        names += [entry["y"]["column"] for entry in entries]
-        if len(names) > 1 and "deflection" not in self.stated.columns:
-            answers = {str(name): {"deflection.column": str(name)} for name in names}
-            self.draft.ask("deflection", self.where, answers)
-
-    def _find_kind(self, groups: Sequence[tuple[str, Axes]]) -> str:
+    def _find_kind(self, groups: Mapping[str, Axes]) -> str:
         """Return whether points are of shapes, of tips, or of a tip on its way; what may be both is asked."""
-        columns, names = self.columns, self._list_names()
-        is_single = len(groups) < 2 and bool(names) and len({*names}) == len(names)
-        has_x = "x" in columns or any("x" in axes for _, axes in groups)
-        if is_single and "depth" in columns and not has_x:
-            return "tips"
-        if is_single and not (len(names) >= MIN_POINTS and divide_labels(names)):
-            if len(names) < MIN_POINTS or columns.keys() & {"depth", "entry_point", "bevel_side"}:
+        names, is_alone = self._list_names(), len(groups) < 2
+        has_x = "x" in self.taken or any("x" in axes for axes in groups.values())
+        if is_alone and names and len({*names}) == len(names):  # a name for each row
+            if "depth" in self.taken and not has_x:
                 return "tips"
-            self.draft.ask("labels", self.where)
-            return "shapes"
+            if len(names) < MIN_POINTS or not divide_labels(names):
+                if len(names) < MIN_POINTS or self.taken.keys() & {"depth", "entry_point", "bevel_side"}:
+                    return "tips"
+                self.draft.ask("labels", self.where)
+                return "shapes"
+        headers = [column.header for column in self.all]
         is_tip = any(
-            self.headers[n].beside in ("tip", "deflection") for _, axes in groups for n in axes.values()
+            column.header.beside in ("tip", "deflection")
+            for axes in groups.values()
+            for column in axes.values()
         )
-        has_poses = any("quaternion" in (header.meaning, header.group) for header in self.headers)
-        is_log = has_poses or self._have_depths(_differ, "time")
-        if len(groups) < 2 and self._have_depths(_differ) and (is_tip or is_log):
-            other = name_set("holds", "shapes")
-            self.draft.assumed["holds"] = f"tracks: each row has a depth of its own; points: {other}"
+        depths, times = (
+            any(len({*values}) > 1 for values in self._list_by_needle(key)) for key in ("depth", "time")
+        )
+        times |= any("quaternion" in (header.meaning, header.group) for header in headers)
+        if is_alone and sum((is_tip, depths, times)) >= MIN_TRACK_SIGNS:
+            self._assume_tracks(f"each row has a {'depth' if depths else 'time'} of its own")
             return "tracks"
-        if len(groups) < 2 and is_tip and is_log:
-            self.draft.assumed["holds"] = "tracks: each row has a time, and the place of a tip"
-            return "tracks"
-        if (is_log and not self._is_array(groups)) or (len(groups) < 2 and self._have_depths(_differ)):
+        if (times and not self._is_array(groups)) or (is_alone and depths):
             self.draft.ask("readings", self.where)
         return "shapes"
 
-    def _list_columns(self, record: Mapping[str, Any]) -> list[int]:
-        """Return the columns that a record names."""
-        names = record.get("column", [])
-        named = map(self.table.find, names if isinstance(names, list) else [names])
-        return [n for n in named if n is not None]
-
-    def _list_names(self) -> list[str]:
+    def _list_names(self) -> Sequence[str]:
         """Return the names in the one column of needles; none of several columns."""
-        columns = self._list_columns(self.columns.get("needle", {}))
-        return self._list_texts(columns[0]) if len(columns) == 1 else []
+        columns = self.taken.get("needle", [])
+        return columns[0].texts if len(columns) == 1 else []
 
-    def _have_depths(self, test: Callable[[list[float]], bool], meaning: str = "depth") -> bool:
-        """Whether depths, or times, pass a test: those of all needles, that they increase, else of any."""
-        named = self._list_columns(self.columns.get("needle", {}))
+    def _list_by_needle(self, meaning: str) -> list[list[float]]:
+        """Return the numbers of a meaning of each needle."""
+        places = [column.place for column in self.taken.get("needle", [])]
         numbers = dict[tuple[str, ...], list[float]]()
         for row in self.table.rows:
-            for column in self._list_columns(self.columns.get(meaning, {})):
-                if (value := self.table.number(row[column])) is not None:
-                    numbers.setdefault(tuple(row[n] for n in named), []).append(value)
-        return bool(numbers) and (all if test is _increase else any)(map(test, numbers.values()))
+            for column in self.taken.get(meaning, []):
+                if (value := self.table.number(row[column.place])) is not None:
+                    numbers.setdefault(tuple(row[n] for n in places), []).append(value)
+        return [*numbers.values()]
 
-    def _is_array(self, groups: Sequence[tuple[str, Axes]]) -> bool:
+    def _is_array(self, groups: Mapping[str, Axes]) -> bool:
         """Whether the places below a row of headers are numbered, and each row may be a needle."""
         if len(groups) < MIN_POINTS or self.keys.get("layout") == "long":
             return False
-        stems = {re.sub(r"\d+", "#", name) for name, _ in groups}
-        beside = any(header.meaning in ("time", "needle") for header in self.headers)
-        first = self.headers[min(groups[0][1].values())].text
-        return len(stems) == 1 and (beside or INDEX.search(first) is not None)
+        first = min(column.place for column in next(iter(groups.values())).values())
+        is_numbered = INDEX.search(self.all[first].header.text) is not None
+        is_numbered |= any(column.header.meaning in ("time", "needle") for column in self.all)
+        return is_numbered and len({re.sub(r"\d+", "#", name) for name in groups}) == 1
 
-    def _divide_groups(
-        self, entries: list[Columns], groups: Sequence[tuple[str, Axes]], holds: str
-    ) -> list[Columns]:
+    def _divide_groups(self, entries: list[Records], groups: Mapping[str, Axes], holds: str) -> list[Records]:
         """Return the columns of each needle: groups are needles, or points of a row, or one is asked for."""
-        if len(entries) > 1 and holds == "shapes" and self._is_array(groups):
+        is_several = len(entries) > 1 and holds == "shapes"
+        if is_several and self._is_array(groups):
             if self.keys.get("layout") != "wide":
                 self.draft.ask("layout", self.where, count=str(len(groups)))
                 return entries
-            axes = [axis for axis in "xyz" if axis in entries[0]]
             return [
                 {
-                    a: entries[0][a] | {"column": [entry[a]["column"] for entry in entries if a in entry]}
-                    for a in axes
+                    axis: entries[0][axis]
+                    | {"column": [entry[axis]["column"] for entry in entries if axis in entry]}
+                    for axis in "xyz"
+                    if axis in entries[0]
                 }
             ]
-        is_version = any(find_meaning("version", name.split(" ")[0]) for name, _ in groups)
-        if len(entries) > 1 and holds == "shapes" and ("needle" in self.columns or is_version):
+        is_version = any(find_meaning("version", name.split(" ")[0]) for name in groups)
+        if is_several and ("needle" in self.taken or is_version):
             answers = {
-                next(iter(entry.values()))["column"]: {
-                    f"{axis}.column": record["column"]
-                    for axis, record in entry.items()
-                    if axis in ("x", "y", "z")
+                str(next(iter(entry.values()))["column"]): {
+                    f"{axis}.column": entry[axis]["column"] for axis in entry if axis in "xyz"
                 }
                 for entry in entries
             }
-            names = " and ".join(f"`{name}`" for name in answers)
-            self.draft.ask(
-                "points", self.where, {str(name): keys for name, keys in answers.items()}, names=names
-            )
-        has_x = "x" in entries[0] or "x" in self.columns
-        if holds == "shapes" and not has_x and "depth" in self.columns:
-            self.columns["x"] = self.columns.pop("depth")  # points at depths
+            self.draft.ask("points", self.where, answers, names=" and ".join(f"`{name}`" for name in answers))
+        if holds == "shapes" and "x" not in entries[0] | self.records and "depth" in self.records:
+            self.records["x"] = self.records.pop("depth")  # points at depths
         return entries
 
     def _find_facts(self) -> str:
         """Return `facts` if a table without points states some, and propose of what; else nothing."""
-        stated = [key for key in self.columns if key in ATTRIBUTES]
-        if "needle" in self.columns and stated:
+        stated = [key for key in self.taken if key in ATTRIBUTES]
+        if "needle" in self.taken and stated:
             self.keys["of"] = "needle"
-        elif "specimen" in self.columns and len(stated) > 1:
+        elif "specimen" in self.taken and len(stated) > 1:
             self.keys["of"] = "specimen"
         elif stated and len(self.table.rows) == 1:
             self.keys["of"] = "all"
@@ -490,173 +503,139 @@ class TableDraft:
 
         Names then stand in the first row of each block of points, or come again; else they name single rows.
         """
-        columns = self._list_columns(self.columns.get("needle", {}))
+        columns = self.taken.get("needle", [])
         if len(columns) != 1:
             return
-        column, name = columns[0], self._name(columns[0])
-        texts = [row[column] for row in self.table.rows]
+        (column,) = columns
+        texts = [row[column.place] for row in self.table.rows]
         named = [n for n, text in enumerate(texts) if text]
         are_first = all(b - a > 1 for a, b in pairwise([*named, len(texts)]))
         is_repeated = len({*texts}) <= len(named)
         if named[:1] != [0] or all(texts) or not (are_first or is_repeated):
             return
-        self.keys["fill_down"] = [name]
-        self.draft.assumed["fill_down"] = f"{name}: a blank cell is the one above"
-        rows = list[list[str]]()
-        for row in self.table.rows:
-            rows.append([*row[:column], row[column] or rows[-1][column], *row[column + 1 :]])
+        self.keys["fill_down"] = [column.name]
+        self.draft.assumed["fill_down"] = f"{column.name}: a blank cell is the one above"
+        rows = [[*row] for row in self.table.rows]
+        for above, row in pairwise(rows):
+            row[column.place] = row[column.place] or above[column.place]
         self.table = replace(self.table, rows=rows)
-
-    def _keep_words(self) -> None:
-        """Ask about a column of two directions under an unknown header; name those of other two words."""
-        for n in range(len(self.headers)):
-            name, texts = str(self._name(n)), [*dict.fromkeys(row[n] for row in self.table.rows)]
-            is_number = any(self.table.number(text) is not None for text in texts)
-            if len(texts) != 2 or not all(texts) or is_number or self._is_known(n):
-                continue
-            words = ", ".join(texts)
-            self.draft.words.append(f"column {name} ({words})")
-            if "bevel_side" not in self.draft.values and all(
-                translate_side(text, "") != text for text in texts
-            ):
-                self._ask("side_words", n, words=words)
-
-    def _is_known(self, n: int) -> bool:
-        """Whether something uses a column, its header is known, or it is stated to mean nothing."""
-        header, is_unused = self.headers[n], self._name(n) in self.keys.get("unused", [])
-        is_unit = header.text.casefold() in UNIT_FIELDS
-        return n in self.used or is_unused or is_unit or bool(header.meaning or header.axis)
+        self.taken["needle"] = [column._replace(texts=[row[column.place] for row in rows])]
 
     def _name_unused(self) -> None:
-        """Name columns that nothing uses; numbers under an unknown header are assumed to mean nothing."""
-        for n, header in enumerate(self.headers):
-            if n not in self.used and self._list_texts(n) and header.text.casefold() not in UNIT_FIELDS:
-                self.draft.unused.append((f"column {self._name(n)}", self.where))
-                if "bevel" in header.text.casefold():
-                    self.draft.words.append(f"column {self._name(n)}")
-        names = [self._name(n) for n in self._list_unknown()]
-        for name in names:
-            self.draft.assumed[f"unused.{name}"] = "not used: numbers under a header that is not known"
+        """Name columns that nothing uses; numbers under an unknown header are assumed to mean nothing.
+
+        Of a column of two directions under an unknown header a person is asked.
+        """
+        for column in self._list_free():
+            name, header, texts = f"column {column.name}", column.header, [*dict.fromkeys(column.texts)]
+            is_known = column.is_unit or bool(header.meaning or header.axis)
+            if (
+                len(texts) == 2
+                and len(column.texts) == len(self.table.rows)
+                and not column.numbers
+                and not is_known
+            ):
+                self.draft.words.append(f"{name} ({', '.join(texts)})")
+                if all(translate_side(text, "") != text for text in texts):
+                    self._ask_meaning(column, ["bevel_side", ""], {})
+            elif "bevel" in header.text.casefold():
+                self.draft.words.append(name)
+        self.draft.unused += [
+            (f"column {column.name}", self.where)
+            for column in self.all
+            if column.place not in self.used and column.texts and not column.is_unit
+        ]
+        names = [column.name for column in self._list_unknown()]
+        for unknown in names:
+            self.draft.assumed[f"unused.{unknown}"] = "not used: numbers under a header that is not known"
         if unused := [*self.keys.get("unused", []), *names]:
             self.keys["unused"] = unused
 
-    def _list_unknown(self) -> list[int]:
+    def _list_unknown(self) -> list[Column]:
         """Return the columns of numbers that nothing uses, under headers that are not known."""
-        unknown = list[int]()
-        for n, header in enumerate(self.headers):
-            texts = self._list_texts(n)
-            numbers = [self.table.number(text) for text in texts]
-            is_count = not header.text and numbers == [*range(1, len(numbers) + 1)]
-            if texts and not is_count and not self._is_known(n):
-                unknown += [n] if all(map(_QUANTITY.fullmatch, texts)) else []
-        return unknown
+        return [
+            column
+            for column in self._list_free()
+            if not (column.is_unit or column.header.meaning or column.header.axis)
+            if column.header.text or [*column.numbers] != [*range(1, len(column.texts) + 1)]
+            if all(map(_QUANTITY.fullmatch, column.texts))
+        ]
 
-    def _add(self, columns: Columns) -> None:
+    def _add(self, records: Records) -> None:
         """Add an entry, with units, words, labels of points, and what was not measured."""
-        holds = self.keys["holds"]
-        columns = {meaning: dict(record) for meaning, record in columns.items()}
+        holds, names = self.keys["holds"], self._list_names()
+        records = {meaning: dict(record) for meaning, record in records.items()}
         for meaning, parts in self.stated.columns.items():
             beside = {key: part for key, part in parts.items() if key != "column"}
-            if meaning in columns or (beside.keys() & {"source", "value"} and holds in POINTS):
-                columns[meaning] = columns.get(meaning, {}) | beside
-        for meaning, record in columns.items():
+            if meaning in records or (beside.keys() & {"source", "value"} and holds in POINTS):
+                records[meaning] = records.get(meaning, {}) | beside
+        for meaning, record in records.items():
             self._complete(meaning, record)
-        guide = columns.get("guide", {"axes": ""})
+        guide = records.get("guide", {"axes": ""})
         is_guide = holds == "tracks" and self.draft.values.get("guide") != "none"
-        if is_guide and "deflection" not in columns and "axes" not in guide:
+        if is_guide and "deflection" not in records and "axes" not in guide:
             self.draft.ask("guide", self.where, name=str(guide["column"]))
-        names = self._list_names()
-        if holds == "tips" and "needle" not in columns:
-            count = len(self.table.rows)
-            self.draft.assumed["needle"] = f"{count} needles, one a row: no column names them"
+        if holds == "tips" and "needle" not in records:
+            self.draft.assumed["needle"] = f"{len(self.table.rows)} needles, one a row: no column names them"
         if holds == "shapes" and len(names) > MIN_POINTS and len({*names}) == len(names):
             if divide_labels(names):
-                columns["needle"]["pattern"] = r"(.+?)[-_ .]?\d+"
+                records["needle"]["pattern"] = r"(.+?)[-_ .]?\d+"
             else:
-                del columns["needle"]  # a name of its own for each point is a label
+                del records["needle"]  # a name of its own for each point is a label
         elif holds in POINTS and names:
-            self._exclude_statistics(columns, {*names})
+            statistics = sorted({name for name in names if find_meaning("statistic", name)})
+            if statistics and EXCLUDED not in records:  # rows in place of a needle
+                words = dict.fromkeys(statistics, EXCLUDED)
+                records[EXCLUDED] = {"column": records["needle"]["column"], "words": words}
+                self.draft.assumed[EXCLUDED] = f"{', '.join(statistics)}: no needles"
             place = (self.table.path.name, self.table.name, holds == "tips")
             self.draft.needles.setdefault(place, set()).update(names)
-        entry = {**self.keys, "columns": columns}
+        entry = {**self.keys, "columns": records}
         if holds in POINTS:
             self._find_missing(entry)
         self.draft.add(entry, self.table.path)
 
     def _complete(self, meaning: str, record: dict[str, Any]) -> None:
         """Add a unit that the header does not state, and words for the sides of bevels."""
-        if self.stated.unit and meaning in COORDINATES and self.table.system is None:
+        is_free = meaning in COORDINATES and self.table.system is None
+        if self.stated.unit and is_free:
             record["unit"] = self.stated.unit  # also beside a header that states another one
-        elif (
-            MEANINGS[meaning].unit in ("mm", "1/mm")
-            and not record.get("unit")
-            and "unit_column" not in record
-        ):
-            column = next(
-                (n for n, text in enumerate(self.table.headers) if text.casefold() in UNIT_FIELDS), None
-            )
-            if column is not None and self._list_texts(column):
-                record["unit_column"] = self._name(column)
-            elif self.unit and meaning in COORDINATES and self.table.system is None:
+        elif MEANINGS[meaning].unit in ("mm", "1/mm") and not record.keys() & {"unit", "unit_column"}:
+            units = [column.name for column in self.all if column.is_unit and column.texts]
+            columns = self._find_columns(record)
+            is_point = meaning in COORDINATES and self.keys["holds"] in POINTS
+            if units:
+                record["unit_column"] = units[0]
+            elif self.unit and is_free:
                 record["unit"] = self.unit
-            elif meaning in ATTRIBUTES and not (meaning in COORDINATES and self.keys["holds"] in POINTS):
-                self._assume_mm(meaning, record)
+            elif meaning in ATTRIBUTES and not is_point and any(column.numbers for column in columns):
+                self.draft.assumed[f"{meaning}.unit"] = f"mm: {_list_names(columns)} states no unit"
         if meaning == "bevel_side":
             unit = record.get("unit", "")
-            texts = dict.fromkeys(text for n in self._list_columns(record) for text in self._list_texts(n))
+            texts = dict.fromkeys(text for column in self._find_columns(record) for text in column.texts)
             words = {text: side for text in texts if (side := translate_side(text, unit)) != text}
-            if words:
-                record["words"] = words | record.get("words", {})
+            if words := words | record.get("words", {}):
+                record["words"] = words
             if unit == "clock":
                 unit = record.pop("unit")
-            translated = record.get("words", {})
-            self._ask_sides(
-                [text for text in texts if text not in translated and not is_side(text, unit)], record
-            )
+            unclear = [text for text in texts if text not in words and not is_side(text, unit)]
+            self._ask_sides(unclear, record.get("column"))
 
-    def _assume_mm(self, meaning: str, record: Mapping[str, Any]) -> None:
-        """Name lengths as assumed mm, of which neither header nor cell states a unit."""
-        columns = self._list_columns(record)
-        if any(self._is_number(text) for n in columns for text in self._list_texts(n)):
-            names = ", ".join(str(self._name(n)) for n in columns)
-            self.draft.assumed[f"{meaning}.unit"] = f"mm: {names} states no unit"
-
-    def _ask_sides(self, texts: Sequence[str], record: Mapping[str, Any]) -> None:
-        """Ask where bevels face whose sides are not understood."""
-        if not texts or "bevel_side" in self.draft.values:
-            return
-        orders: dict[int, list[tuple[str, ...]]] = {1: [("-1",), ("1",)], 2: [("1", "-1"), ("-1", "1")]}
-        pairs = orders.get(len(texts), [("1",) * len(texts)])
-        answers = {
-            " ".join(f"{text}={side}" for text, side in zip(texts, sides, strict=True)): {
-                "bevel_side.words": _to_toml(dict(zip(texts, sides, strict=True)))
-            }
-            for sides in pairs
-        }
-        if all(self.table.number(text) is not None for text in texts):
-            answers = {"degrees": {"bevel_side.unit": "deg"}} | answers
-        names = ", ".join(f"`{text}`" for text in texts[:MAX_FLAGS])
-        self.draft.ask("bevel_side", self.where, answers, names=names, name=str(record["column"]))
-
-    def _exclude_statistics(self, columns: Columns, names: set[str]) -> None:
-        """Leave out rows that state a mean or a deviation in place of a needle."""
-        statistics = sorted(name for name in names if find_meaning("statistic", name))
-        if statistics and EXCLUDED not in columns:
-            columns[EXCLUDED] = {
-                "column": columns["needle"]["column"],
-                "words": dict.fromkeys(statistics, EXCLUDED),
-            }
-            self.draft.assumed[EXCLUDED] = f"{', '.join(statistics)}: no needles"
+    def _find_columns(self, record: Mapping[str, Any]) -> list[Column]:
+        """Return the columns that a record names."""
+        names = record.get("column", [])
+        places = map(self.table.find, names if isinstance(names, list) else [names])
+        return [self.all[n] for n in places if n is not None]
 
     def _find_missing(self, entry: dict[str, Any]) -> None:
         """Propose which texts of coordinates mean that nothing was measured."""
         places, readings = (
-            [n for key in keys for n in self._list_columns(entry["columns"].get(key, {}))]
+            [column for key in keys for column in self._find_columns(entry["columns"].get(key, {}))]
             for keys in ("xyz", ("depth", "deflection"))
         )
-        texts = {row[n] for row in self.table.rows for n in (*places, *readings)}
+        texts = {text for column in (*places, *readings) for text in column.texts}
         words = sorted(text for text in texts if text.lower() in MISSING or text in CODES)
-        cells = [[row[n] for n in places] for row in self.table.rows]
+        cells = [[row[column.place] for column in places] for row in self.table.rows]
         partly = entry.get("layout") != "wide" and any(any(row) and not all(row) for row in cells)
         if words or partly:
             entry.setdefault("missing", words)
@@ -665,16 +644,30 @@ class TableDraft:
             self.draft.assumed["if_missing"] = f"leave_out: points with {shown} were not measured"
 
 
+def _spell(meaning: str, columns: Sequence[Column]) -> dict[str, Any]:
+    """Return how a mapping names columns, and the unit of the first."""
+    names, unit = [column.name for column in columns], columns[0].header.unit
+    unit = _per(unit) if meaning.startswith("curvature") else unit
+    axes = "".join(column.header.axis for column in columns) if meaning == "guide" else ""
+    spelled = {"column": names[0] if len(names) == 1 else names, "unit": unit, "axes": axes}
+    return {key: value for key, value in spelled.items() if value}
+
+
+def _list_names(columns: Sequence[Column]) -> str:
+    return ", ".join(str(column.name) for column in columns)
+
+
+def _leave(name: str | int) -> dict[str, str]:
+    """Return the keys that leave a column out."""
+    return {"unused": json.dumps([name])}
+
+
 def _read_column(text: str, parts: Sequence[str]) -> Header:
     """Return what the texts above a column mean: all together, else one of them."""
     read_headers = [read_header(header) for header in dict.fromkeys((text, *parts)) if header]
     best = next((header for header in read_headers if header.meaning or header.axis), Header(text))
     unit = best.unit or next((header.unit for header in read_headers if header.unit), "")
     return replace(best, text=text, unit=unit)
-
-
-def _is_needle_material(text: str) -> bool:
-    return find_meaning("value", text).endswith("GPa")
 
 
 def _per(unit: str) -> str:
@@ -687,9 +680,5 @@ def _to_toml(words: Mapping[str, str]) -> str:
     return f"{{{', '.join(f'{json.dumps(key)} = {json.dumps(value)}' for key, value in words.items())}}}"
 
 
-def _increase(numbers: list[float]) -> bool:
-    return len(numbers) >= MIN_READINGS and all(a < b for a, b in pairwise(numbers))
-
-
-def _differ(numbers: list[float]) -> bool:
-    return len({*numbers}) > 1
+def _span(numbers: Sequence[float]) -> float:
+    return max(numbers, default=0) - min(numbers, default=0)

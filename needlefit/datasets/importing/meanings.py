@@ -24,7 +24,7 @@ VALUES = MappingProxyType(
         "bevel": Meaning(
             "Direction toward which a bevel of side 1 (0 degrees, 12 o'clock) deflects: X,Y,Z, or `bend`"
         ),
-        "bevel_side": Meaning("Side of the bevels of needles that state none: 1 or -1"),
+        "bevel_side": Meaning("Where bevels face: side 1 or -1, or roll, as 90 deg"),
         "boundaries": Meaning(
             "Depths of layer boundaries along the needles (such as 15,30), or none", "mm", "none", "one layer"
         ),
@@ -131,14 +131,7 @@ def _choose(key: str, *answers: str) -> dict[str, dict[str, str]]:
 
 QUESTIONS = MappingProxyType(
     {
-        "bevel_angle": Question(
-            "bevel_side",
-            "What `{name}` is: the roll of the bevel about the needle, or the angle of its cut",
-            {
-                "roll": {"bevel_side.column": "{name}", "bevel_side.unit": "deg"},
-                "cut": {"bevel_side": "1"},
-            },
-        ),
+        "meaning": Question("", "What `{name}` ({cells}) is: {meanings}"),
         "point_sd": Question(
             "point_sd",
             "Of what `{name}` is the standard deviation: one trial (then divided by the root of `{count}`), "
@@ -147,19 +140,6 @@ QUESTIONS = MappingProxyType(
                 "trial": {"point_sd.column": "{name}", "point_sd.divide_by_root": "{count}"},
                 "mean": {"point_sd.column": "{name}"},
             },
-        ),
-        "modulus": Question(
-            "modulus",
-            "Whose Young's modulus `{name}` is: of the needle, or of the tissue (not used)",
-            {
-                "needle": {"modulus.column": "{name}", "modulus.unit": "{unit}"},
-                "tissue": {"modulus": "steel"},
-            },
-        ),
-        "medium": Question(
-            "medium",
-            "What differs between values of `{name}`: the gel (medium), or the block (specimen)",
-            {"medium": {"medium.column": "{name}"}, "specimen": {"specimen.column": "{name}"}},
         ),
         "table": Question(
             "boundaries",
@@ -184,16 +164,6 @@ QUESTIONS = MappingProxyType(
             {"specimen": {"specimen.source": "{source}"}, "insertions": {"specimen": "each"}},
         ),
         "bevel_side": Question("bevel_side", "Where bevels face whose side is {names} in `{name}`"),
-        "side_words": Question(
-            "bevel_side",
-            "Whether `{name}` ({words}) states where bevels face",
-            {"yes": {"bevel_side.column": "{name}"}, "no": {"unused": '["{name}"]'}},
-        ),
-        "material": Question(
-            "modulus",
-            "Of what `{name}` is the material: of the needle, or of the tissue",
-            {"needle": {"modulus.column": "{name}"}, "tissue": {"medium.column": "{name}"}},
-        ),
         "direction": Question(
             "surfaces",
             "What `{name}` is ({why}): a needle, or points of a boundary between layers",
@@ -224,6 +194,10 @@ QUESTIONS = MappingProxyType(
             "holds",
             "What the rows are: points of `shapes` of needles, or readings of a tip on its way (`tracks`)",
             _choose("holds", "shapes", "tracks"),
+        ),
+        "unit": Question(
+            "unit",
+            "Unit of coordinates that state none, or the length of one step of a pixel (0.07 mm): {reason}",
         ),
         "column": Question("{key}.column", "Which column is: {text}"),
     }

@@ -156,18 +156,11 @@ def complete_draft(
     while True:
         try:
             draft, files = draft_mapping(paths, Assignments(assignments))
-            opens = draft.opens or _find_open_columns(draft, paths)
-            if not opens:
-                _ask_directions(draft, files, assignments)
-                opens = draft.opens or [*_settle_unit(draft, files)]
-            if opens and prompt is None:
-                raise DataError(
-                    f"needs an answer. {' '.join(question.question + '.' for question in opens)}",
-                    expected=f"an answer to {'each' if len(opens) > 1 else 'it'}",
-                    fix="; ".join(_list_fixes(opens)),
-                    where=f"{opens[0].where or paths[0]}",
-                )
-            columns = [] if opens else [*_describe_columns(draft.to_record(DRAFT), files)]
+            if not draft.opens:
+                _ask_about_curves(draft, files, assignments)
+            if draft.opens and prompt is None:
+                raise draft.to_error()
+            columns = [] if draft.opens else [*_describe_columns(draft.to_record(DRAFT), files)]
         except (ConfigError, DataError) as error:
             if len(assignments) == taken:
                 raise
@@ -175,8 +168,8 @@ def complete_draft(
             problem = str(error)
             continue
         taken = len(assignments)
-        if opens and prompt is not None:
-            assignments += _ask(opens[0], prompt, problem)
+        if draft.opens and prompt is not None:
+            assignments += _ask(draft.opens[0], prompt, problem)
         else:
             change = "" if review is None else review(columns, draft.unused, problem)
             key, equals, value = change.partition("=")
@@ -186,106 +179,74 @@ def complete_draft(
         problem = ""
 
 
-def _list_fixes(opens: Sequence[Open]) -> Iterator[str]:
-    """Yield what states the answers: of values together, else one of several."""
-    plain = [name_set(question.key) for question in opens if not question.choices]
-    if plain:
-        yield f"state {' '.join(plain)}"
-    for question in opens:
-        if question.choices:
-            options = (" ".join(map(name_set, keys, keys.values())) for keys in question.choices.values())
-            yield f"state {', or '.join(options)}"
-
-
 def _ask(question: Open, prompt: Prompt, problem: str = "") -> list[tuple[str, str]]:
     """Return the keys that an answer states; `problem`: why an earlier answer was refused."""
-    words = f" ({', '.join(question.choices)})" if question.choices else ""
-    answer = prompt(f"{question.question}{words}", "", problem or question.where)
-    if not question.choices:
+    words = ", ".join(question.choices)
+    answer = prompt(
+        f"{question.question} ({words})" if words else question.question, "", problem or question.where
+    )
+    if not words:
         return [(question.key, answer)]
     if answer not in question.choices:
-        expected = f"the answer is {answer[:40]!r}; expected: one of {', '.join(question.choices)}"
-        return _ask(question, prompt, expected)
+        return _ask(question, prompt, f"the answer is {answer[:40]!r}; expected: one of {words}")
     keys = question.choices[answer]
     return [(key, prompt(key, "", "") if text == "VALUE" else text) for key, text in keys.items()]
 
 
-def _find_open_columns(draft: Draft, paths: Sequence[Path]) -> list[Open]:
-    """Return the questions after the coordinates, where no table holds any."""
-    if any(table["holds"] not in ("facts", "turns") for table in draft.tables):
-        return []
-    tables = "; ".join(f"{part}: {why}" for part, why in draft.unused if part.startswith("table"))
-    if any("depth" in table["columns"] for table in draft.tables):
-        text = f"Which column is the deflection of the tip at a depth ({tables or paths[0]})"
-        return [Open("deflection.column", text, {}, str(paths[0]))]
-    return [
-        Open(
-            f"{axis}.column",
-            f"Which column is the coordinate {axis} of the points (z too, if measured; {tables or paths[0]})",
-            {},
-            str(paths[0]),
-        )
-        for axis in "xy"
+def _ask_about_curves(draft: Draft, files: Sequence[Path], stated: Sequence[tuple[str, str]]) -> None:
+    """Ask about a curve that may be no needle, then about a unit that nothing states."""
+    lacking = [
+        column
+        for table in draft.tables
+        for meaning, column in table["columns"].items()
+        if meaning in COORDINATES and "unit_column" not in column and table["holds"] in POINTS
+        if column.get("unit", "px") == "px"
     ]
-
-
-def _ask_directions(draft: Draft, files: Sequence[Path], stated: Sequence[tuple[str, str]]) -> None:
-    """Ask about a needle whose direction is far from that of all others, or markups of few points."""
-    record = draft.to_record(DRAFT)
-    if any("pose" in table.columns for table in record.tables):
+    if any("unit" in column for column in lacking):
+        draft.ask("unit", files[0].name, reason="a header states pixels")
         return
-    curves = [curve for curve in _read_curves(draft, files) if curve.holds == "shapes"]
+    record = draft.to_record(DRAFT)
+    curves = read_curves([*list_tables(record, files, DRAFT)], [])
+    if not any("pose" in table.columns for table in record.tables):
+        _ask_directions(draft, record, [curve for curve in curves if curve.holds == "shapes"], stated)
+    if lacking and not draft.opens:
+        _settle_unit(draft, files[0].name, curves, lacking)
+
+
+def _ask_directions(
+    draft: Draft, record: MappingRecord, curves: Sequence[ImportedCurve], stated: Sequence[tuple[str, str]]
+) -> None:
+    """Ask about a needle whose direction is far from that of all others, or markups of few points."""
     chords = np.array([curve.line[-1] - curve.line[0] for curve in curves]).reshape(-1, 3)
     chords /= np.maximum(np.linalg.norm(chords, axis=1, keepdims=True), SAME_POINT_MM)
     for curve, chord in zip(curves, chords, strict=True):
         file, others = curve.points.path.name, chords.sum(axis=0) - chord
-        form = find_format(curve.points.path)
-        is_markup = form is not None and form.name == "markups"
+        is_markup = (form := find_format(curve.points.path)) is not None and form.name == "markups"
         why = f"it has {len(curve.line)} points" if is_markup and len(curve.line) < MIN_POINTS else ""
         if np.linalg.norm(others) > MIN_ALIGNED * (len(curves) - 1) > MIN_ALIGNED:
             angle = np.degrees(np.arccos(min(1.0, abs(chord @ others) / np.linalg.norm(others))))
             why = f"it runs {angle:.0f} degrees off the others" if angle > MAX_ASIDE_DEG else why
         number = next(k for k, table in enumerate(record.tables, 1) if file in table.files)
-        answers = {"needle": {f"tables.{number}.holds": "shapes"}, "boundary": {"surfaces": file}}
         if why and (f"tables.{number}.holds", "shapes") not in stated:
-            answers = answers if is_markup else {"needle": answers["needle"]}
+            answers = {"needle": {f"tables.{number}.holds": "shapes"}}
+            answers |= {"boundary": {"surfaces": file}} if is_markup else {}
             draft.ask("direction", file, answers, name=curve.name, why=why)
 
 
-def _read_curves(draft: Draft, files: Sequence[Path]) -> list[ImportedCurve]:
-    """Return the needles of a draft, without what further tables state of them."""
-    return read_curves([*list_tables(draft.to_record(DRAFT), files, DRAFT)], [])
-
-
-def _settle_unit(draft: Draft, files: Sequence[Path]) -> Iterator[Open]:
+def _settle_unit(
+    draft: Draft, file: str, curves: Sequence[ImportedCurve], lacking: Sequence[dict[str, str]]
+) -> None:
     """Assume mm of lengths without a unit where needles then have the length of one; else ask."""
-    unknown = [
-        record
-        for table in draft.tables
-        for meaning, record in table["columns"].items()
-        if meaning in COORDINATES and "unit_column" not in record and table["holds"] in POINTS
-        if record.get("unit", "px") == "px"
-    ]
-    if not unknown:
-        return
-    question = "Unit of coordinates that state none, or the length of one step of a pixel (0.07 mm): "
-    if any("unit" in record for record in unknown):
-        yield Open("unit", f"{question}a header states pixels", {}, str(files[0]))
-        return
-    curves = _read_curves(draft, files)
-    lines = [curve.line for curve in curves if len(curve.line)]
-    longest = max((curve.reach for curve in curves), default=0.0)
-    low, high = ASSUMED_MM
-    if all((line == np.round(line)).all() for line in lines):
-        yield Open("unit", f"{question}all coordinates are whole numbers, as of pixels", {}, str(files[0]))
+    longest, (low, high) = max((curve.reach for curve in curves), default=0.0), ASSUMED_MM
+    if all((curve.line == np.round(curve.line)).all() for curve in curves):
+        draft.ask("unit", file, reason="all coordinates are whole numbers, as of pixels")
     elif low <= longest <= high:
-        for record in unknown:
-            record["unit"] = "mm"
+        for column in lacking:
+            column["unit"] = "mm"
         draft.assumed["unit"] = f"mm: the longest needle is then {longest:.3g} mm long"
     else:
         likely = {name: {"unit": name} for name, mm in UNITS_MM.items() if low <= mm * longest <= high}
-        question += f"in mm the longest needle is {longest:,.3g} mm long"
-        yield Open("unit", question, likely, str(files[0]))
+        draft.ask("unit", file, likely, reason=f"in mm the longest needle is {longest:,.3g} mm long")
 
 
 def _require_lengths(content: ImportContent) -> None:

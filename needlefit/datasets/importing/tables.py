@@ -18,7 +18,7 @@ from needlefit.datasets.importing.synonyms import find_meaning, read_header
 from needlefit.datasets.points import MAX_COORDINATE, Points
 from needlefit.errors import DataError
 from needlefit.geometry.frames import PatientSystem
-from needlefit.project.input_files import open_regular, path_exists, read_bytes
+from needlefit.project.input_files import open_regular, path_exists, read_bytes, read_once
 from needlefit.project.reader_process import BYTES_PER_SECOND, READER_BYTES, Arrays, read_in_process
 from needlefit.schemas.mapping import ColumnName, TableRecord
 
@@ -346,6 +346,7 @@ def _split_blanks(line: str) -> list[str]:
     return [word.strip('"')[:MAX_CELL_CHARS] for word in words]
 
 
+@read_once
 def read_sheets(path: Path) -> tuple[Grid, ...]:
     """Read every sheet of an Excel or OpenDocument workbook.
 
@@ -394,6 +395,7 @@ def _to_cell(cell: Any) -> str | float:  # noqa: ANN401 - whatever a sheet holds
 # ---- formats with a structure of their own
 
 
+@read_once
 def read_structured(path: Path) -> tuple[Table, list[str]]:
     """Return the curves of a file of a format with names and points as one table, and what is left out.
 
