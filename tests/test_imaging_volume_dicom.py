@@ -138,15 +138,9 @@ def test_localizers_and_copies_are_left_out_and_named(tmp_path):
     assert np.array_equal(volume.values, NUMBERS) and f"{COUNT} copies" in volume.warnings[0]
 
 
-def test_several_acquisitions_are_named_and_one_is_chosen(tmp_path):
+def test_several_acquisitions_at_one_place_are_refused_and_successive_ones_are_one_stack(tmp_path):
     second = [a_slice(k, NUMBERS[k] + 7, AcquisitionNumber=5) for k in range(COUNT)]
-    save(tmp_path, [*series(AcquisitionNumber=4), *second])
-    fault = refused(tmp_path)
-    assert "2 acquisitions" in fault.what and "4 or 5" in fault.fix
-    assert np.array_equal(read_volume(tmp_path, acquisition="5").values, NUMBERS + 7)
-    assert np.array_equal(read_volume(tmp_path, "3", "4").values, NUMBERS)
-    assert "`5` (6 slices)" in refused(tmp_path, acquisition="6").what
-    # slices that were scanned one after the other have numbers of their own, and are one stack
+    assert "6 of 12" in refused(save(tmp_path / "a", [*series(AcquisitionNumber=4), *second])).what
     single = [a_slice(k, AcquisitionNumber=k) for k in range(COUNT)]
     assert np.array_equal(read_volume(save(tmp_path / "b", single)).values, NUMBERS)
 

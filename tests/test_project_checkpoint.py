@@ -9,17 +9,11 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 from made_again import read_files
 
 from needlefit.errors import ConfigError, DataError
-from needlefit.project.checkpoint import (
-    ARRAYS_KEY,
-    open_checkpoint,
-    remove_checkpoint,
-    require_own_checkpoint,
-)
+from needlefit.project.checkpoint import open_checkpoint, remove_checkpoint, require_own_checkpoint
 from needlefit.project.folders import (
     MANIFEST,
     find_changes,
@@ -123,30 +117,6 @@ def test_a_checkpoint_that_ended_before_its_manifest_is_begun_again(tmp_path):
     lines: list[str] = []
     open_checkpoint(tmp_path, True, {"n": 1}, lines.append)
     assert lines == [] and json.loads((tmp_path / MANIFEST).read_text())["holds"] == "checkpoint"
-
-
-# --- arrays ---------------------------------------------------------------------------------------------
-
-ROW = {"x": [1.5, None, float("inf")]}
-ARRAYS = {
-    "a": np.arange(6.0).reshape(2, 3),
-    "b": np.array([], np.int64),
-    "c": np.array([True, False]),
-    "d": np.array([[np.nan]], np.float32),
-    "e": np.zeros((1,) * 8),
-}
-
-
-def test_arrays_are_read_back(tmp_path):
-    checkpoint = open_checkpoint(tmp_path, False, {"n": 1})
-    checkpoint.keep_row("a", ROW, ARRAYS)
-    (row,) = checkpoint.rows("a")
-    assert row["x"] == ROW["x"]
-    for name, array in ARRAYS.items():
-        np.testing.assert_array_equal(row[ARRAYS_KEY][name], array)
-        assert row[ARRAYS_KEY][name].dtype == array.dtype
-    with pytest.raises(ValueError):
-        checkpoint.keep_row("a", ROW, {"a": np.array([{}])})
 
 
 class Bomb:

@@ -159,6 +159,7 @@ def begin(context: typer.Context) -> Iterator[Execution]:
     Commands import what they need inside of it, so that Ctrl-C never cuts an import in two.
     """
     invocation = context.find_root().obj
+    invocation.resumes = "resume" in context.params
     with catch_interrupts(invocation) as stop:
         yield Execution(invocation, stop)
 

@@ -27,6 +27,7 @@ from needlefit.errors import (
 class Invocation:
     """One call of the program, and the values of its common options.
 
+    `resumes` is whether the command has `--resume`.
     `warned` is whether a warning was printed: with `strict` the exit code then is that of no convergence.
     `noted` are lines that were printed before the work.
     """
@@ -39,6 +40,7 @@ class Invocation:
     out: Path = Path("reports")
     reference: bool = False
     resume: bool = False
+    resumes: bool = True
     strict: bool = False
     explain: bool = False
     json: bool = False
@@ -53,7 +55,7 @@ class Invocation:
 
     def resuming(self) -> str:
         """Return the command line that goes on where this one stopped."""
-        return self.repeat(*() if "--resume" in self.words else ("--resume",))
+        return self.repeat(*() if "--resume" in self.words or not self.resumes else ("--resume",))
 
     def interrupt_message(self) -> str:
         """Return the line with the command that goes on."""

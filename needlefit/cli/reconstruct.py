@@ -30,9 +30,6 @@ if TYPE_CHECKING:
 MAX_DEFAULT_JOBS = 2
 """Scans at once unless somebody wants more: each takes several times the memory of its volume."""
 
-CHECKPOINT_WORK = {"reconstruct": "each row states what it is of"}
-"""Of the checkpoint: each reconstruction in it has a digest of what decided it."""
-
 
 def reconstruct(
     context: typer.Context,
@@ -58,9 +55,6 @@ def reconstruct(
     mask: Annotated[Path | None, option("The needle's voxels, segmented elsewhere.", "FILE")] = None,
     series: Annotated[
         str | None, option("Which DICOM series, where a folder holds several.", "NUMBER|UID")
-    ] = None,
-    acquisition: Annotated[
-        str | None, option("Which acquisition, where a DICOM series holds several.", "NUMBER")
     ] = None,
     medium: Annotated[str, option("Name of what was punctured.")] = NO_FILES.medium,
     every: Annotated[
@@ -90,7 +84,6 @@ def reconstruct(
     jobs: options.Jobs = None,
     scheduler: options.Scheduler = None,
     insecure: options.Insecure = False,
-    resume: options.Resume = False,
     strict: options.Strict = False,
     json: options.Json = False,
     quiet: options.Quiet = False,
@@ -110,12 +103,6 @@ def reconstruct(
         from needlefit.imaging.batch import ReconstructionBatch, ReconstructionFailure, reconstruct_all
         from needlefit.imaging.corrections import correct_scans, list_control_points
         from needlefit.imaging.scans import scan_id
-        from needlefit.project.checkpoint import (
-            open_checkpoint,
-            release_checkpoint,
-            remove_checkpoint,
-            require_own_checkpoint,
-        )
         from needlefit.project.folders import remove_result, require_no_inputs_within, require_replaceable
         from needlefit.project.locate import find_file
         from needlefit.project.toml import load
@@ -132,7 +119,6 @@ def reconstruct(
             layers_in=layers_in,
             mask=mask,
             series=series,
-            acquisition=acquisition,
             medium=medium,
         )
         answer = re.fullmatch(r"entry=([1-9])", confirm or "entry=1")
@@ -144,9 +130,7 @@ def reconstruct(
         out = out or Path(f"{named_by}-dataset")
         place = out.resolve()
         require_file_name(place.name, str(out))
-        keep = place.with_name(f"{place.name}.partial")
         refused = place.with_name(f"{place.name}.refused")  # scans without a dataset
-        require_own_checkpoint(keep)
         for folder in (out, refused):
             require_replaceable(folder)
         # the first names the folder; what is no path is a name
@@ -154,10 +138,9 @@ def reconstruct(
         require_same_sources(out, sources)
         require_no_inputs_within(out, [*scans, *moved, *(path for scan in wanted for path in scan.files)])
         record = load(find_file("reconstruction", recipe), ReconstructionRecord)
-        checkpoint = open_checkpoint(keep, invocation.resume, CHECKPOINT_WORK, print_remark)
         with show_progress(invocation.quiet) as report:
             with open_pool(invocation, MAX_DEFAULT_JOBS) as pool:
-                batch = ReconstructionBatch(pool, checkpoint, report, execution.stop, every)
+                batch = ReconstructionBatch(pool, report, execution.stop, every)
                 scanned = reconstruct_all(wanted, record, batch)
             if len(scanned) < len(wanted):
                 raise execution.interrupted()
@@ -192,11 +175,6 @@ def reconstruct(
     if inspected and inspected.dataset and not invocation.json:
         deepest = max(inspected.dataset.insertions, key=lambda insertion: insertion.depth)
         show_next_steps(inspected.dataset, out, f"scenes/{deepest.id}.toml")
-    if failed and written:
-        screen.print_note(f"needlefit: finished scans are kept in {keep}; to go on: {invocation.resuming()}")
-    else:
-        remove_checkpoint(keep, print_remark)
-    release_checkpoint(keep)
     if failed:
         raise typer.Exit(DataError.exit_code)
 

@@ -1,16 +1,13 @@
 """Reconstruct many scans, in one process or several, or on machines that do not have their files.
 
-A scan that is refused does not stop the others; an error of the program does, after which `--resume` goes on.
+A scan that is refused does not stop the others; an error of the program does.
 """
 
-import hashlib
-import json
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
@@ -18,9 +15,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from needlefit.datasets.formats.markups import Markups
-from needlefit.errors import DataError, NeedlefitError
+from needlefit.errors import NeedlefitError
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
-from needlefit.geometry.surfaces import Surface, Triangles, from_triangles, to_triangles
 from needlefit.imaging.constants import PART
 from needlefit.imaging.corrections import make_control_points
 from needlefit.imaging.entry import choose_entry
@@ -31,8 +27,6 @@ from needlefit.imaging.reconstruction import CurvePicture, Reconstruction
 from needlefit.imaging.scans import Scan
 from needlefit.imaging.volume import list_series_files, to_patient
 from needlefit.imaging.volume_files import read_volume
-from needlefit.project.checkpoint import ARRAYS_KEY, NO_CHECKPOINT, Checkpoint
-from needlefit.project.encode import Arrays, Hook, Hooks, decode, encode
 from needlefit.project.processes import one_thread
 from needlefit.project.progress import Progress, Stop, never_stop, no_progress
 from needlefit.project.tasks import THIS_PROCESS, TaskPool
@@ -92,9 +86,6 @@ def _move(scan: Scan, moved: Callable[[Path], Path]) -> Scan:
     return replace(scan, surfaces=surfaces, **elsewhere)
 
 
-_HOOKS: Hooks = {
-    Surface: Hook(to_triangles, from_triangles, Triangles),
-}
 VERSIONED_PACKAGES = ("numpy", "scipy", "SimpleITK", "pydicom", "scikit-image", "trimesh")
 
 
@@ -112,10 +103,9 @@ class ReconstructionFailure:
 
 @dataclass(frozen=True)
 class ReconstructionBatch:
-    """Options of a batch: where it runs, checkpoints and callbacks."""
+    """Options of a batch: where it runs, and callbacks."""
 
     pool: TaskPool = THIS_PROCESS  # where scans are reconstructed; each takes several times its own memory
-    checkpoint: Checkpoint = NO_CHECKPOINT  # what it has of the same scans and versions is taken as it is
     progress: Progress = no_progress  # called with a scan and its stage, and percent done, of 100 a scan
     stop: Stop = never_stop  # whether to begin no further scan
     every: bool = False  # whether each needle of a scan is reconstructed
@@ -153,31 +143,18 @@ def reconstruct_all(
     Of fewer scans after a stop.
     """
     found: dict[int, tuple[Result, ...]] = {}
-    for n, scan in enumerate(scans):
-        finished = _read_checkpoint(scan, recipe, batch)
-        if finished is not None:
-            found[n] = finished
-    left = [n for n in range(len(scans)) if n not in found]
-    remaining = [scans[n] for n in left]
 
     def report(stage: str, done: int = 0, total: int = 1) -> None:
         batch.progress(stage, 100 * len(found) + 100 * done // total, 100 * len(scans))
 
     report("reconstructing")
-    items = PackedScans(remaining) if batch.pool.remote else remaining
+    items = PackedScans(scans) if batch.pool.remote else scans
     work = partial(reconstruct_needles, recipe=recipe, every=batch.every)
-    if batch.pool == THIS_PROCESS or (len(remaining) == 1 and not batch.pool.remote):
+    if batch.pool == THIS_PROCESS or (len(scans) == 1 and not batch.pool.remote):
         work = partial(work, progress=report)  # not from other processes
-    for at, results in batch.pool.run(work, items, batch.stop):
-        scan = remaining[at]
-        ones = tuple(_move_to(one, scan) for one in results)  # those of a packed one have other paths
-        found[left[at]] = ones
-        if all(isinstance(one, Reconstruction) for one in ones):
-            arrays: Arrays = {}
-            plain = [encode(one, _HOOKS, arrays) for one in ones]
-            kept = {"inputs": _digest_inputs(scan, recipe, batch.every), "reconstructions": plain}
-            batch.checkpoint.keep_row(f"scan {scan.id}", kept, arrays)
-        report(scan.id)
+    for n, results in batch.pool.run(work, items, batch.stop):
+        found[n] = tuple(_move_to(one, scans[n]) for one in results)  # those of a packed one have other paths
+        report(scans[n].id)
     return tuple(found[n] for n in sorted(found))
 
 
@@ -200,8 +177,7 @@ def reconstruct_needles(
     """
     if isinstance(scan, Scan):
         progress(f"{scan.id}: reading", 0, 100)
-        read = partial(read_volume, scan.volume, scan.series, scan.acquisition)
-        search = _try_step(scan, lambda: VolumeSearch(read(), recipe))
+        search = _try_step(scan, lambda: VolumeSearch(read_volume(scan.volume, scan.series), recipe))
         if isinstance(search, ReconstructionFailure):
             return (search,)
         needles = divide_scan(search, scan) if every else (scan,)
@@ -259,34 +235,3 @@ def _try_step(scan: Scan, work: Callable[[], T]) -> T | ReconstructionFailure:
         return work()
     except NeedlefitError as error:
         return ReconstructionFailure(scan, error)
-
-
-def _read_checkpoint(
-    scan: Scan, recipe: ReconstructionRecord, batch: ReconstructionBatch
-) -> tuple[Result, ...] | None:
-    """Return what is kept of a scan; None if nothing, of another scan or recipe, or damaged."""
-    for row in batch.checkpoint.rows(f"scan {scan.id}", ("inputs", "reconstructions", ARRAYS_KEY))[::-1]:
-        if row["inputs"] == _digest_inputs(scan, recipe, batch.every):
-            with suppress(DataError, ValueError, TypeError, IndexError, OverflowError):
-                ones = [
-                    decode(Reconstruction, one, _HOOKS, row[ARRAYS_KEY]) for one in row["reconstructions"]
-                ]
-                if all(isinstance(one, Reconstruction) for one in ones):
-                    return tuple(_move_to(one, scan) for one in ones)
-    return None
-
-
-def _digest_inputs(scan: Scan, recipe: ReconstructionRecord, every: bool) -> str:
-    """Return a digest of all that decides a reconstruction; of files their size and time."""
-    arrays: Arrays = {}
-    plain = json.dumps([encode(scan, _HOOKS, arrays), [[name, one.tolist()] for name, one in arrays.items()]])
-    parts = [
-        plain,
-        f"{every}",
-        recipe.model_dump_json(),
-        *(version(name) for name in ("needlefit", *VERSIONED_PACKAGES)),
-    ]
-    for path in sorted(set(list_scan_files(scan))):
-        status = path.stat()
-        parts.append(f"{path} {status.st_size} {status.st_mtime_ns}")
-    return hashlib.sha256("\n".join(parts).encode()).hexdigest()

@@ -23,7 +23,6 @@ from pydicom.uid import UID
 
 from needlefit.arrays import Floats, are_bounded
 from needlefit.errors import DataError, located
-from needlefit.grouping import group_values
 from needlefit.imaging.volume import (
     MAX_LISTED,
     SPACINGS_MM,
@@ -91,19 +90,16 @@ class DicomSlice:
         return "LOCALIZER" in (self.data.get("ImageType") or ())
 
 
-def read_series(arrays: Arrays, path: str, series: str | None, acquisition: str | None) -> list[str]:
+def read_series(arrays: Arrays, path: str, series: str | None) -> list[str]:
     """Read the one series that `path` refers to: add "values" and "grid" to the arrays; return warnings.
 
     Values are rescaled slice by slice; voxels that were not measured (padding) get the least value that
     was, so that no threshold and no edge finds them. Localizers and copies of slices are left out.
 
-    `acquisition`: number of the acquisition, where the series holds several.
-
     DataError if the series is not one sound stack, or a voxel cannot be read.
     """
     notes: list[str] = []
-    slices = _choose_acquisition(find_series(Path(path), series, notes), acquisition, notes)
-    slices, grid = stack_slices(slices)
+    slices, grid = stack_slices(_leave_out_copies(find_series(Path(path), series, notes), notes))
     if any(item.text("RescaleType").upper() == "US" for item in slices):
         notes.append(UNSPECIFIED_UNIT)
     allow_memory(grid.size[0] * grid.size[1] * SLICE_BYTES_PER_PIXEL + 4 * math.prod(grid.size))
@@ -250,33 +246,14 @@ def _describe(slices: Sequence[DicomSlice], path: Path) -> str:
     return f"{called} ({kind}), UID {item.series}"
 
 
-def _choose_acquisition(
-    slices: list[DicomSlice], acquisition: str | None, notes: list[str]
-) -> list[DicomSlice]:
-    """Return the slices of an acquisition, without copies and localizers, of which a note is made.
-
-    DataError if there is none of that number, or they are several stacks.
-    """
+def _leave_out_copies(slices: list[DicomSlice], notes: list[str]) -> list[DicomSlice]:
+    """Return the slices without copies and localizers, of which a note is made."""
     unique = [*{item.text("SOPInstanceUID") or str(item.file): item for item in slices}.values()]
     kept = [item for item in unique if not item.is_localizer] or unique
     for left, kind in ((len(slices) - len(unique), "copies"), (len(unique) - len(kept), "localizers")):
         if left:
             notes.append(f"{left} {kind} of slices were left out")
-    parts = group_values((item.text("AcquisitionNumber") or "none", item) for item in kept)
-    # slices that were scanned one after the other have numbers of their own, and are one stack
-    places = {item.text("ImagePositionPatient") for item in kept}
-    if acquisition is None and (len(parts) == 1 or len(places) == len(kept)):
-        return kept
-    if (chosen := parts.get((acquisition or "").strip())) is not None:
-        return chosen
-    listed = ", ".join(f"`{name}` ({len(part)} slices)" for name, part in parts.items())
-    raise DataError(
-        f"its slices are those of {len(parts)} acquisitions: {listed}",
-        expected="one acquisition",
-        fix="name the one that is meant with --acquisition, or under `acquisition` in a table of scans: "
-        + " or ".join(parts),
-        where=kept[0].file.parent,
-    )
+    return kept
 
 
 def stack_slices(slices: Sequence[DicomSlice]) -> tuple[list[DicomSlice], VoxelGrid]:
@@ -377,7 +354,7 @@ def _fit_steps(ordered: Sequence[DicomSlice], positions: Floats, normal: Floats)
         if step < SPACINGS_MM[0]:
             raise DataError(
                 f"stands at the same place as {before.file.name}, with other voxels, as {doubled} of "
-                f"{len(ordered)} slices do: these are several scans with one AcquisitionNumber, or none",
+                f"{len(ordered)} slices do: the series holds several scans",
                 expected="one slice at each place",
                 fix="export one scan (phase, time, kernel), or move the slices of each to its own folder",
                 where=after.file,

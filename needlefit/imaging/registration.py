@@ -74,10 +74,10 @@ def register(
 
     `found`: (M, 3); centres found in the scan, LPS, mm; some may be missing, some may be no markers.
     `known`: (N, 3); places in the world, mm, in any order.
-    `found_sd`, `known_sd`: float or (M,) array (of known: N); deviation in any one direction, mm.
+    `found_sd`, `known_sd`: float or (M,) array (of known: N); deviation in any one direction, mm, above 0.
 
-    DataError: fewer than three markers; markers on a line; no pairing within the noise (and whether they are
-    mirrored); several pairings as likely.
+    DataError: fewer than three markers; markers on a line; no pairing within the noise; several pairings as
+    likely.
     """
     here, there = (np.asarray(given, dtype=np.float64).reshape(-1, 3) for given in (found, known))
     for points, name in ((here, FOUND_SET), (there, KNOWN_SET)):
@@ -91,13 +91,6 @@ def register(
             )
     variance = np.square(np.broadcast_to(found_sd, len(here)))[:, None] + np.square(known_sd)
     variance = np.broadcast_to(variance, (len(here), len(there)))
-    if variance.min() <= 0:
-        raise DataError(
-            "the deviations of the markers are zero",
-            expected="a positive deviation in the scan or in the world: it decides which pairing is believed",
-            fix="state what finding a marker's centre leaves, about a tenth to a fifth of a voxel",
-            where="deviations of the markers",
-        )
     best, *others = fit_pairings(here, there, variance)
     sd = float(np.sqrt(variance[tuple(best.pairs.T)].max()))
     # the turn about a line through all markers is known to their deviation over their distance from it
@@ -120,7 +113,7 @@ def register(
             fix="move or add a marker so that no two distances are alike",
             where="markers",
         )
-    return replace(best, known=len(there), warnings=tuple(_list_warnings(here, there, variance, best)))
+    return replace(best, known=len(there), warnings=tuple(_list_warnings(here, there, best)))
 
 
 def fit_pairings(found: Floats, known: Floats, variance: Floats) -> list[Registration]:
@@ -214,8 +207,8 @@ def align(found: Floats, known: Floats, variance: Floats, pairs: Ints) -> Regist
     )
 
 
-def _list_warnings(found: Floats, known: Floats, variance: Floats, best: Registration) -> Iterator[str]:
-    """Yield the warnings about a pairing, the most important first."""
+def _list_warnings(found: Floats, known: Floats, best: Registration) -> Iterator[str]:
+    """Yield the warnings about a pairing."""
     listed, missing = (
         ", ".join(map(str, np.setdiff1d(np.arange(len(points)), best.pairs[:, n]).tolist()))
         for n, points in enumerate((found, known))
@@ -224,9 +217,6 @@ def _list_warnings(found: Floats, known: Floats, variance: Floats, best: Registr
         yield f"found markers {listed} (counted from 0) belong to no known one"
     if missing:
         yield f"known markers {missing} (counted from 0) were not found"
-    # flat layouts always fit a mirrored scan nearly as well
-    if align(-found, known, variance, best.pairs).chi2 - best.chi2 <= MIN_CHI2_GAP:
-        yield "the paired markers are flat within the noise: a mirrored scan would pass unseen"
 
 
 def motion_jacobian(arms: ArrayLike) -> Floats:

@@ -97,12 +97,11 @@ class Scan:
 
     # `id`, `medium`, `specimen`: as in `insertions.csv`.
     id: str
-    # A DICOM folder or file, NRRD, NIfTI or MetaImage; `series` and `acquisition` choose among several.
+    # A DICOM folder or file, NRRD, NIfTI or MetaImage; `series` chooses among several.
     volume: Path
     medium: str
     specimen: str = ""
     series: str | None = None
-    acquisition: str | None = None
     # The needle's voxels, segmented elsewhere; a volume that stands where the scan does.
     mask: Path | None = None
     # Known places of the markers in the world; None: the world is the patient frame (LPS) of the scan.
@@ -144,7 +143,7 @@ VECTORS = {
 FILES = ("mask", "markers", "fiducials")
 # Fields that a row and a scan share.
 SAME_FIELDS = (
-    *("id", "series", "acquisition", "medium", "specimen", *FILES, "surfaces_in"),
+    *("id", "series", "medium", "specimen", *FILES, "surfaces_in"),
     *("layers", "layers_alternative", "origin"),
 )
 MESH_SUFFIXES = (".stl", ".ply", ".obj")
@@ -189,7 +188,6 @@ class ScanRow(Record):
     scan: InputFile
     id: Id
     series: str | None = None
-    acquisition: str | None = None
     medium: Id = "medium"
     specimen: Name = ""
     mask: InputFile = None
@@ -369,20 +367,20 @@ def _build_scans(
 def make_scans(volumes: Sequence[Path], shared: ScanFiles = NO_FILES) -> tuple[Scan, ...]:
     """Return a scan for each of some volumes that share markers and layers; file names become ids.
 
-    `shared`: of one scan alone are fiducials, mask, series and acquisition.
+    `shared`: of one scan alone are fiducials, mask and series.
 
     DataError: listing every file that is missing, every layer that is not understood, names that are alike or
     name no file, and fiducials without markers.
     """
     faults: list[Fault] = []
-    once = shared.fiducials or shared.mask or shared.series or shared.acquisition
+    once = shared.fiducials or shared.mask or shared.series
     if len(volumes) > 1 and once:
         faults.append(
             DataError(
                 f"is given for {len(volumes)} scans", expected="one scan", fix=SCAN_TABLE_FIX, where=once
             )
         )
-    stated = {name: str(getattr(shared, name) or "") for name in ("medium", "series", "acquisition", *FILES)}
+    stated = {name: str(getattr(shared, name) or "") for name in ("medium", "series", *FILES)}
     stated |= {"surfaces": ";".join(shared.layers), "surfaces_in": shared.layers_in}
     rows = [{**stated, "scan": str(volume)} for volume in volumes]
     return _build_scans(rows, [row["scan"] for row in rows], volumes[0], Path(), faults)

@@ -33,14 +33,13 @@ CT_PACKAGES = ("SimpleITK", "pydicom", "nibabel")
 READ_SECONDS = 600.0  # of the processor, within which a file must be read: a damaged one may never end
 
 
-def read_volume(path: Path, series: str | None = None, acquisition: str | None = None) -> Volume:
+def read_volume(path: Path, series: str | None = None) -> Volume:
     """Read the volume in a file or folder; its geometry is checked first.
 
     `path`: a folder with a DICOM series in it or below, its DICOMDIR, one file of the series,
     an NRRD, NIfTI or MetaImage file, or a .zip of any of these.
     `series`: number or UID of the DICOM series, where a folder holds several; a file's name, where a .zip
     does.
-    `acquisition`: number of the acquisition, where the series holds several.
 
     DataError if there is no such volume, or its geometry cannot be trusted; nothing is guessed. ConfigError
     if the packages that read scans are not installed.
@@ -51,8 +50,8 @@ def read_volume(path: Path, series: str | None = None, acquisition: str | None =
         raise DataError(problem, expected=READABLE_VOLUMES, fix="check the path", where=path)
     with explain_missing_packages(*CT_PACKAGES), open_member(path, series) as (place, series):
         if is_image_file(place):
-            if series or acquisition:
-                fix = "leave out series and acquisition"
+            if series:
+                fix = "leave out series"
                 raise DataError("it is one image", expected="a DICOM series", fix=fix, where=path)
             return _read_image(place, labels=False)[0]
         if not place.is_dir():
@@ -63,7 +62,7 @@ def read_volume(path: Path, series: str | None = None, acquisition: str | None =
         except OSError as fault:
             folder = place if place.is_dir() else place.parent
             raise unreadable_error(fault, DataError, str(folder)) from None
-        arguments = {"path": str(place), "series": series, "acquisition": acquisition}
+        arguments = {"path": str(place), "series": series}
         reader = "needlefit.imaging.dicom:read_series"
         notes, arrays = read_in_process(reader, place, arguments, max(sizes, default=0), READ_SECONDS)
         return _build_volume(arrays, notes)

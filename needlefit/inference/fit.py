@@ -16,7 +16,6 @@ from needlefit.arrays import Floats
 from needlefit.errors import ModelError
 from needlefit.inference.metric_objective import WeightedDistances
 from needlefit.project.checkpoint import Checkpoint
-from needlefit.project.encode import decode
 from needlefit.project.progress import never_stop
 from needlefit.schemas.recipe import ObjectiveName
 
@@ -95,11 +94,7 @@ def keep_fit(checkpoint: Checkpoint, search: str, fit: Fit) -> None:
 
 def read_fit(checkpoint: Checkpoint, search: str) -> Fit | None:
     """Return the fit of one search that a checkpoint keeps; None if it keeps none."""
-    for row in checkpoint.rows(search):
-        with suppress(ValueError):  # a row of something else, however whole
-            fit: Fit = decode(Fit, row, {}, {})
-            return fit
-    return None
+    return checkpoint.read(search, Fit)
 
 
 @dataclass(frozen=True)

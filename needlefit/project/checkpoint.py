@@ -1,23 +1,20 @@
 """The checkpoint of a running command, `NAME.partial`: what is finished, from which `--resume` goes on.
 
-Each kind of work has a file of rows there: lines of JSON with a digest, arrays as base64. A row is
+Each kind of work has a file of rows there: lines of JSON with a digest. A row is
 appended at once, so that a kill leaves whole rows, and perhaps the beginning of one, which is no row. No file
 holds code. One process at a time may use the folder.
 """
 
-import base64
 import hashlib
-import io
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
+from pydantic import TypeAdapter
 
 from needlefit.errors import ConfigError, DataError, UnfinishedWorkError
 from needlefit.project.folders import (
@@ -38,8 +35,9 @@ from needlefit.project.progress import Note, no_note
 if TYPE_CHECKING:
     from filelock import BaseFileLock
 
+T = TypeVar("T")
+
 MAX_CHECKPOINT_BYTES = 2**31  # size of a file of rows
-ARRAYS_KEY = "arrays"  # of a row: its arrays by name
 DIGEST_KEY = "sha256"  # of a row: the digest of the rest of it
 # HDF5 is of earlier versions
 _OWN_FILE = re.compile(rf"{LOCK_NAME}|{re.escape(MANIFEST)}|[0-9a-f]{{16}}\.(jsonl|h5(\.part)?)")
@@ -58,32 +56,30 @@ class Checkpoint:
     folder: Path | None
     note: Note = no_note
 
-    def rows(self, work: str, keys: Sequence[str] = ()) -> list[dict[str, Any]]:
-        """Return the stored rows of one work, those with all of these `keys`, in the order they were kept."""
+    def rows(self, work: str) -> list[dict[str, Any]]:
+        """Return the stored rows of one work, in the order they were kept."""
         if self.folder is None or not self._file(work).is_file():
             return []
         lines = [line for line in read_bytes(self._file(work), MAX_CHECKPOINT_BYTES).split(b"\n") if line]
-        parsed = [row for line in lines if (row := _parse_row(line, keys)) is not None]
+        parsed = [row for line in lines if (row := _parse_row(line)) is not None]
         if len(parsed) < len(lines):
             self.note(f"{self._file(work)} was damaged: {len(parsed)} whole rows of it are used")
         return parsed
 
-    def keep_row(
-        self, work: str, row: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]] | None = None
-    ) -> None:
-        """Store a row of JSON values, and arrays, under its key `arrays`; every float survives exactly.
+    def read(self, work: str, kind: type[T]) -> T | None:
+        """Return the first row of one work that is a dataclass of a kind; None if there is none."""
+        for row in self.rows(work):
+            with suppress(ValueError):  # a row of something else, however whole
+                return TypeAdapter(kind).validate_python(row)
+        return None
+
+    def keep_row(self, work: str, row: Mapping[str, Any]) -> None:
+        """Store a row of JSON values; every float survives exactly.
 
         UnfinishedWorkError if it cannot be written.
         """
         if self.folder is None:
             return
-        if arrays is not None:
-            stored = dict[str, str]()
-            for name, array in arrays.items():
-                written = io.BytesIO()
-                np.save(written, array, allow_pickle=False)
-                stored[name] = base64.b64encode(written.getvalue()).decode("ascii")
-            row = {**row, ARRAYS_KEY: stored}
         line = json.dumps({**row, DIGEST_KEY: _digest_row(row)})
         try:
             with self._file(work).open("ab") as file:
@@ -104,13 +100,11 @@ class Checkpoint:
 NO_CHECKPOINT = Checkpoint(None)  # keeps nothing
 
 
-def _parse_row(line: bytes, keys: Sequence[str]) -> dict[str, Any] | None:
+def _parse_row(line: bytes) -> dict[str, Any] | None:
     """Return the row in a line; None if it is not whole."""
     try:
         row = parse_json(line.decode("ascii"), "")
-        if row.pop(DIGEST_KEY) == _digest_row(row) and row.keys() >= set(keys):
-            if ARRAYS_KEY in row:
-                row[ARRAYS_KEY] = {name: _decode_array(encoded) for name, encoded in row[ARRAYS_KEY].items()}
+        if row.pop(DIGEST_KEY) == _digest_row(row):
             return row
     except (AttributeError, DataError, KeyError, MemoryError, TypeError, ValueError):
         pass
@@ -119,12 +113,6 @@ def _parse_row(line: bytes, keys: Sequence[str]) -> dict[str, Any] | None:
 
 def _digest_row(row: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(row, sort_keys=True).encode("ascii")).hexdigest()
-
-
-def _decode_array(text: str) -> NDArray[Any]:
-    """Return the array; TypeError or ValueError if the text is none."""
-    stored = io.BytesIO(base64.b64decode(text, validate=True))
-    return np.lib.format.read_array(stored, allow_pickle=False)
 
 
 # --- the folder -----------------------------------------------------------------------------------------

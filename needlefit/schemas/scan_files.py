@@ -18,7 +18,6 @@ class ScanFiles:
     layers_in: SurfaceFrame = "world"  # frame of meshes
     mask: Path | None = None  # the needle's voxels, segmented elsewhere
     series: str | None = None  # number or UID of a DICOM series
-    acquisition: str | None = None  # its number in the series
     medium: str = "medium"  # name of what was punctured
 
 

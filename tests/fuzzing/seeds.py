@@ -317,9 +317,7 @@ WORK = {"study": "fuzzed", "seed": 1}
 
 
 def checkpoints() -> list[Seed]:
-    """The checkpoint of a run: a fit that has ended, rows, and arrays."""
-    import numpy as np
-
+    """The checkpoint of a run: a fit that has ended, and rows."""
     from needlefit.inference.fit import Fit, Start, keep_fit
     from needlefit.project.checkpoint import open_checkpoint
 
@@ -329,8 +327,6 @@ def checkpoints() -> list[Seed]:
             start = Start(n, (0.1, 0.2), (0.11, 0.21), 3.5, 40, 0, "tolerance")
             keep_fit(kept, "fit", Fit(start.theta, {"b": 0.1}, 3.5, (start,), 40, 0, False))
             kept.keep_row("rows", {"insertion": f"a-{n}", "te_mm": 0.1 + n})
-        for n in range(2):
-            kept.keep_row("arrays", {"begin": n}, {"chain": np.ones((1, 4, 2)), "log_prob": np.ones((1, 4))})
 
     return [written(write, "run.partial")]
 

@@ -115,12 +115,9 @@ def trace_needle(
         sd = np.array([recipe.centerline.placed_tip_sd_mm, float(axis_sd(axis, here)[0])])
         point, unknown = axis_frames(axis, here).origins[0], np.full(3, np.nan)
         end = TipFit(place, point, sd, unknown, float("nan"))
-    # in thick slices its points are the fit's
-    alone = axis.slice_sds is None
-    # the spline is extended through the tip, so that the end is interpolated
-    # near thick slices both share their error
-    across = max(float(end.sd[1]), MM.AXIS_SD) if alone else MM.AXIS_SD
-    axis = extend_axis(axis, end.at, end.point, across, MM.KNOT)
+    # through the tip, so that the end is interpolated: what its deviation adds for the model's error is none
+    # of its place beside the last cross-sections
+    axis = extend_axis(axis, end.at, end.point, MM.AXIS_SD, MM.KNOT)
     return _sample_centerline(volume, axis, end, recipe)
 
 
