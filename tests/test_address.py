@@ -94,7 +94,7 @@ def draw_path(rng: np.random.Generator, layers: int, strength: str, kind: str) -
 
 @pytest.mark.parametrize("kind", [LINKED, MIXED])
 @pytest.mark.parametrize("name", ["measured", "two terms", "path angle", "rolled"])
-def test_random_paths_reopen_to_the_bit_or_are_refused(name: str, kind: str, tmp_path) -> None:
+def test_random_paths_reopen_to_the_bit_or_are_refused(name, kind, tmp_path):
     viewed = SCENES[name]()
     scene = make_steered_scene(viewed.record, name)
     strength = "cut_angle_throughout_deg" if scene.rules.path_angle else "offset_throughout_mm"

@@ -18,7 +18,7 @@ def prepare_chicken(*ids: str) -> Job:
     return load_study("x", FitRecord.model_validate({**table, "tune": {"insertions": ids}}), Settings())
 
 
-def test_candidates_are_the_other_insertions_into_the_medium_and_a_repeat(monkeypatch) -> None:
+def test_candidates_are_the_other_insertions_into_the_medium_and_a_repeat(monkeypatch):
     job = prepare_chicken("chicken-01", "chicken-04")
     *others, (role, repeated) = list_insertion_candidates(job, job.folds[0])
     assert (role, repeated.id) == ("repeat", "chicken-01")  # the deeper of the two
@@ -30,7 +30,7 @@ def test_candidates_are_the_other_insertions_into_the_medium_and_a_repeat(monkey
     assert len(fewer) == 3 and (fewer[0], fewer[-1]) == (depths[0], depths[-1])
 
 
-def test_a_deep_insertion_adds_more_than_a_shallow_one(monkeypatch) -> None:
+def test_a_deep_insertion_adds_more_than_a_shallow_one(monkeypatch):
     monkeypatch.setattr(candidates, "OUTER_DRAWS", 40)
     monkeypatch.setattr(candidates, "EFFORT", Effort(draws=100, min_ess=150.0))
     job = prepare_chicken("chicken-01")

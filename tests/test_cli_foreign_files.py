@@ -105,7 +105,7 @@ class Stub:
 
 
 @pytest.fixture
-def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def project(tmp_path, monkeypatch):
     folder = tmp_path / "project"
     build_project(folder)
     monkeypatch.chdir(folder)
@@ -117,7 +117,7 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
-def stubs(monkeypatch: pytest.MonkeyPatch) -> None:
+def stubs(monkeypatch):
     monkeypatch.setattr("needlefit.studies.kinds.cross_validation.run.run", Stub.run)
     skip_figures(monkeypatch)  # seconds, and other tests' business
     draw_blank(monkeypatch)
@@ -208,7 +208,7 @@ def test_a_file_added_during_the_run_stays(place, project, stubs, monkeypatch, c
 
 
 @pytest.fixture
-def own(tmp_path: Path) -> Path:
+def own(tmp_path):
     path = tmp_path / "mine.toml"
     shutil.copy(find_file("scene", "study2"), path)
     return path

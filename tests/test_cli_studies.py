@@ -44,13 +44,13 @@ class Stub:
 
 
 @pytest.fixture
-def stub(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def stub(tmp_path, monkeypatch):
     for folder, name, text in (("studies", "mine", STUDY), ("configs/fits", "gel", FIT)):
         (tmp_path / folder).mkdir(parents=True)
         (tmp_path / folder / f"{name}.toml").write_text(text)
     monkeypatch.chdir(tmp_path)
 
-    def install(results) -> Stub:
+    def install(results):
         made = Stub(results)
         monkeypatch.setattr("needlefit.studies.kinds.cross_validation.run.run", made.run)
         monkeypatch.setattr("needlefit.studies.report.write_run", made.write)

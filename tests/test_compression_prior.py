@@ -42,20 +42,20 @@ def write_test(path: Path, low: float = 0.8) -> Path:
 
 @pytest.mark.parametrize("alpha", [-20.0, -4.7, 0.3, 9.0])
 @pytest.mark.parametrize("kind", ["nominal", "true"])
-def test_curves_give_back_their_mu_and_alpha(alpha: float, kind: str) -> None:
+def test_curves_give_back_their_mu_and_alpha(alpha, kind):
     found = FUNCTIONS["fit_specimen"]("gel", *load_specimen(alpha, 0.75, 1e-4, kind=kind), kind, 401)
     assert found["identified"] and found["alpha"] == pytest.approx(alpha, abs=4 * found["sd"])
     assert found["sd"] < 0.05 and found["mu_kpa"] == pytest.approx(12.0, rel=1e-3)
 
 
-def test_shallow_tests_and_mirror_images_identify_nothing() -> None:
+def test_shallow_tests_and_mirror_images_identify_nothing():
     """At large compression alpha and -2 alpha give the same curve."""
     assert not FUNCTIONS["fit_specimen"]("a", *load_specimen(3.0, 0.995, 0.02), "nominal", 401)["identified"]
     found = FUNCTIONS["fit_specimen"]("b", *load_specimen(-20.0, 0.7, 0.01), "nominal", 401)
     assert not found["identified"] and " or " in found["region_95"]
 
 
-def test_a_curve_that_no_one_term_law_describes_does_not_fit() -> None:
+def test_a_curve_that_no_one_term_law_describes_does_not_fit():
     """Soft at first and stiff later, as a gel between rough plates; noise alone is no misfit."""
     x, y = load_specimen(-4.0, 0.8, 0.002)
     toe = y * (1 - np.exp(-(((1 - x) / 0.1) ** 2)))
@@ -65,7 +65,7 @@ def test_a_curve_that_no_one_term_law_describes_does_not_fit() -> None:
     assert noisy["law"] == "fits"
 
 
-def test_a_fit_takes_the_prior_and_its_run_holds_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_fit_takes_the_prior_and_its_run_holds_it(tmp_path, monkeypatch):
     write_test(tmp_path / "gel.csv")
     monkeypatch.chdir(tmp_path)
     words = (sys.executable, str(SCRIPT), "gel.csv", "--quick", "--foundation", "0.2", "5")

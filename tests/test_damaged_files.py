@@ -25,7 +25,7 @@ from needlefit.studies.store import (
 
 
 @pytest.fixture(scope="module")
-def content(tmp_path_factory) -> dict:
+def content(tmp_path_factory):
     """What a study stores, without its digest."""
     path = store_run(study(1), tmp_path_factory.mktemp("run"))
     return json.loads(gzip.decompress(path.read_bytes()))
@@ -44,7 +44,7 @@ def fault(folder: Path) -> DataError:
 
 
 @pytest.fixture
-def written(tmp_path, monkeypatch) -> Path:
+def written(tmp_path, monkeypatch):
     """A run as a command leaves it, whose errors were then made a hundredth of what they were."""
     skip_figures(monkeypatch)  # takes longest
     folder = write_run(study(1), tmp_path / "run")

@@ -11,7 +11,7 @@ from needlefit.viewer.export import replay_to_end, write_file
 
 
 @pytest.mark.sweep
-def test_every_file_of_a_recording_is_of_its_last_moment(tmp_path) -> None:
+def test_every_file_of_a_recording_is_of_its_last_moment(tmp_path):
     last = recorded(tmp_path / "log.csv").found[-1]
     done = replay_to_end(read_recording(tmp_path / "log.csv"))
     for option, name in {"csv": "shape.csv", "slicer": "shape.mrk.json", "plot": "a.svg"}.items():

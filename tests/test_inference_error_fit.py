@@ -40,7 +40,7 @@ def examine(p: Problem):
 
 
 def test_the_tolerance_grows_with_the_noise_and_not_with_what_a_step_cannot_take_off():
-    def tolerance(factor: float) -> ErrorTolerance:
+    def tolerance(factor):
         noise = Noise(0.19 * factor, 0.05 * factor, 0.1 * factor, 5.0)
         p = two_layers()
         made = [replace(one, pose_angle_sd=0.004 * factor) for one in p.insertions]

@@ -11,7 +11,6 @@ from inference_cases import TRUTH, insertion, measure, medium, problem
 from sampling_cases import Known, banana, weighted
 
 from needlefit.inference.identifiability.profile import minimize_squares
-from needlefit.inference.problem import Problem
 from needlefit.inference.sampling import interpolated_density
 from needlefit.inference.sampling.importance import Effort, leave_out_parts, sample_about_modes
 from needlefit.inference.sampling.interpolated_density import InterpolatedDensity
@@ -29,7 +28,7 @@ def integrate(density, lower: np.ndarray, upper: np.ndarray, count: int) -> floa
 
 
 @pytest.fixture(scope="module")
-def layered() -> Problem:
+def layered():
     """mu1 and b of insertions through two layers, whose depths are uncertain."""
     record = medium(mu2_pa={"fixed": TRUTH["mu2_pa"]})
     planned = [

@@ -111,7 +111,7 @@ def test_an_interval_that_a_bound_cuts_is_open_there():
 
 
 def test_failures_on_the_way_out_are_flagged_and_leave_each_point_once():
-    def residuals(x: float, y: float) -> list[float]:
+    def residuals(x, y):
         return [0.1 * x if x < 3 else math.nan, y]
 
     p = found(Known(residuals, lambda x, y: [[0.1, 0], [0, 1.0]]), 0)

@@ -51,7 +51,7 @@ def run(work, items, stop=None) -> dict:
 
 
 @pytest.mark.parametrize("count", [1, 2, MAX_SEARCHES, 2 * MAX_SEARCHES + 3])
-def test_all_searches_of_equal_length_evaluate_together(count: int) -> None:
+def test_all_searches_of_equal_length_evaluate_together(count):
     recorded = Recorded()
     found = run(partial(search, recorded), [4] * count)
     assert found == dict.fromkeys(range(count), 14.0)
@@ -71,7 +71,7 @@ def test_searches_of_different_lengths_and_functions_all_end():
 def test_errors_bugs_and_stops_end_what_they_concern():
     recorded = Recorded()
 
-    def fail(value: float) -> str:
+    def fail(value):
         try:
             return f"{evaluate(recorded.square, np.array([value])):g}"
         except ModelError as error:
@@ -80,7 +80,7 @@ def test_errors_bugs_and_stops_end_what_they_concern():
     assert run(fail, [2.0, -1.0, 3.0]) == {0: "4", 1: "ModelError", 2: "9"}
     assert recorded.sizes == [3, 1, 1, 1]
 
-    def broken(thetas: np.ndarray, jobs: int) -> list[float]:
+    def broken(thetas, jobs):
         raise ZeroDivisionError if len(thetas) < 3 else KeyError("bug")
 
     refusal(KeyError, "", lambda: run(lambda value: evaluate(broken, np.array([value])), [1.0, 2.0, 3.0]))

@@ -70,7 +70,7 @@ def test_the_prior_is_half_normal_and_of_uniform_correlation_and_share():
     # the density is of the logarithms and of atanh and logit: its ratio at two places
     one, two = np.array([-1.0, -2.0, 0.5, 0.3]), np.array([-0.5, -1.0, -1.0, 2.0])
 
-    def density(at: np.ndarray) -> float:
+    def density(at):
         logs = sum(norm.logpdf(math.exp(x), scale=sd) + x for x, sd in zip(at[:2], SDS, strict=True))
         return logs - 2 * math.log(math.cosh(at[2])) - 2 * math.log(math.cosh(at[3] / 2))
 
@@ -102,7 +102,7 @@ def test_a_tip_is_differentiated_with_all_that_is_tied():
     p = problem(record, made)
     theta = p.parameters.theta(TRUTH)
 
-    def log_tip(at: np.ndarray) -> float:
+    def log_tip(at):
         return 0.5 * math.log(
             np.mean([predict(p.values(at), p.medium, one).tip_lateral ** 2 for one in p.insertions])
         )
@@ -174,7 +174,7 @@ def test_two_specimens_tell_of_the_spread_of_b_what_their_difference_does(gap):
     }
     found = draw_population(one_layer(), MODEL, posteriors, 4000, np.random.default_rng(1))
 
-    def density(tau: float, power: int) -> float:
+    def density(tau, power):
         return tau**power * norm.pdf(tau, scale=SDS[1]) * norm.pdf(gap, scale=math.sqrt(2 * (tau**2 + 1e-4)))
 
     moments = [quad(density, 0, 3, args=(power,), points=(0.05, 0.2, 0.5, 1))[0] for power in (0, 2)]

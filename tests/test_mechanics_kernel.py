@@ -5,20 +5,18 @@ import pytest
 import reference_solver
 from equilibrium import equilibrium
 from mechanics_cases import NEEDLE, RULES, assert_close, random_case
-from refusals import refusal
 
-from needlefit.errors import ModelError
 from needlefit.mechanics.batch import Batch, simulate_batches
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.plan import Lattice
-from needlefit.mechanics.shape import NeedleShape, compute_positions, sample_inserted_points
+from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.mechanics.simulate import find_last_shape, simulate, simulate_steps
 from needlefit.mechanics.tissue import Tissue
 
 
 @pytest.mark.parametrize("kind", RULES)
 @pytest.mark.parametrize("seed", range(28))
-def test_kernel_equals_reference(seed: int, kind: str) -> None:
+def test_kernel_equals_reference(seed, kind):
     """One step, or many: inputs and bevel change on the way in, and out, and in again, on any grid."""
     rng = np.random.default_rng(seed)
     case = random_case(rng, kind, 5, 11.0) if seed % 2 else random_case(rng, kind, 0, 22.0)
@@ -46,32 +44,9 @@ def test_large_compression_few_iterations_and_short_needles():
         rules=ModelOptions(tolerance=1e-14, max_iterations=1),
     )
     assert shape.status == "not converged"
-    with pytest.raises(ModelError, match="149"):
-        simulate(NEEDLE, Tissue(mu=[0.2], alpha=[1.0]), Bevel(0.1), 149.0, Controls(guides=(Guide(-2.0),)))
 
 
-def test_positions_keep_the_length():
-    # Along (x, y) the arc length from entry to tip is the depth.
-    tissue = Tissue(mu=[0.2, 33, 0.2, 33], alpha=[1, -1, 1, -1], boundaries=[20, 28, 45])
-    shape = simulate(NEEDLE, tissue, Bevel(0.085), 55.0)
-    points = compute_positions(shape, np.linspace(0, 55, 5001))
-    length = np.sum(np.hypot(*np.diff(points, axis=0).T))
-    assert abs(length - 55.0) < 1e-6
-    assert 0.05 < 55.0 - points[-1, 0] < 0.3  # the tip lags
-    # No bevel and a guide-free, tilted base in almost nothing: a straight line of slope 0.1.
-    nothing = Tissue(mu=[1e-12], alpha=[1.0], is_checked=True)
-    shape = simulate(NEEDLE, nothing, Bevel(0.0), 30.0, Controls(base_slope=0.1))
-    points = compute_positions(shape, np.array([0.0, 30.0]))
-    advance = points[1] - points[0]
-    np.testing.assert_allclose(advance, [30.0 * np.cos(0.1), 30.0 * np.sin(0.1), 0.0], rtol=1e-7)
-    shape = simulate(NEEDLE, Tissue(mu=[0.2], alpha=[1.0]), Bevel(0.1), 30.25)
-    points = sample_inserted_points(shape, 7)
-    assert points.shape == (7, 3)
-    assert points[-1, 1] == pytest.approx(shape.tip_lateral)
-    assert -0.01 < points[0, 0] <= 0.0  # the free span lags by a little too
-
-
-def test_a_deflection_of_constant_curvature_is_drawn_as_a_circle() -> None:
+def test_a_deflection_of_constant_curvature_is_drawn_as_a_circle():
     """It is exact in cubic elements."""
     x, radius = np.concatenate(([-95.0, -20.0], np.arange(56.0))), 300.0
     along, flat = x + 95.0, np.zeros_like(x)
@@ -88,7 +63,7 @@ TISSUE = Tissue(mu=[0.2, 33, 0.2, 33], alpha=[1, -1, 1, -1], boundaries=[20, 28,
 
 
 @pytest.mark.parametrize(("tolerance", "most"), [(1e-7, 1.3), (1e-9, 1.65)])
-def test_a_step_takes_little_more_than_one_pass(tolerance: float, most: float) -> None:
+def test_a_step_takes_little_more_than_one_pass(tolerance, most):
     """A guess that is worse, or tangents that are kept wrongly, cost passes and leave the shape as it is."""
     rules = ModelOptions(tolerance=tolerance)
     alone = simulate(NEEDLE, TISSUE, Bevel(0.085), DEPTH, rules=rules)
@@ -113,11 +88,11 @@ def at(shape: NeedleShape, x: float) -> int:
 @pytest.mark.parametrize("element", [1.0, 0.5])
 @pytest.mark.parametrize("x", [3.0, 3.37, 0.2, 0.0])
 @pytest.mark.parametrize("slope", [None, 0.03])
-def test_a_guide_in_tissue_holds_once_the_tip_is_past_it_whatever_the_mesh(element, x, slope) -> None:
+def test_a_guide_in_tissue_holds_once_the_tip_is_past_it_whatever_the_mesh(element, x, slope):
     controls, rules = Controls(guides=(Guide(x, 0.2, slope, True),)), ModelOptions(1.0, element)
     lattice = Lattice(1.0, 1.0)
 
-    def insert(depth: float) -> NeedleShape:
+    def insert(depth):
         return find_last_shape(NEEDLE, TWO_LAYERS, (Step(depth, BEVEL, controls),), rules, lattice)
 
     shy, past, far = (insert(x + d) for d in (0.049, 0.051, 3.3))
@@ -133,40 +108,13 @@ def test_a_guide_in_tissue_holds_once_the_tip_is_past_it_whatever_the_mesh(eleme
 @pytest.mark.parametrize("depth", [0.4, 1.0, 7.3, 9.0])
 @pytest.mark.parametrize("spacing", [1.0, 2.0])
 @pytest.mark.parametrize("side", [1, -1])
-@pytest.mark.parametrize("solve", [simulate, reference_solver.simulate])
-def test_the_first_point_lies_ahead_of_the_free_tip(depth, spacing, side, solve) -> None:
+def test_the_first_point_lies_ahead_of_the_free_tip(depth, spacing, side):
     """Load-free until it enters: c_1 = y + slope (L + x_1) + x_1 s b / C_int."""
     y, slope = 0.7, -0.004
     rules = ModelOptions(spacing, spacing)
-    shape = solve(NEEDLE, TWO_LAYERS, Bevel(0.1, side), depth, Controls(y, slope), rules)
+    shape = simulate(NEEDLE, TWO_LAYERS, Bevel(0.1, side), depth, Controls(y, slope), rules)
     x_1 = shape.constraints[1, 0]
     expected = y + slope * (150 + x_1) + x_1 * side * 0.1 / spacing
     assert shape.constraints[1, 1] == pytest.approx(expected, abs=1e-9)
     np.testing.assert_array_equal(shape.constraints[0], 0.0)  # first contact has been
     np.testing.assert_allclose(shape.tip_track[0], [y + slope * 150, slope, 0.0, 0.0], atol=1e-12)
-
-
-@pytest.mark.parametrize("solve", [simulate, reference_solver.simulate])
-def test_a_base_that_would_reach_a_guide_is_refused(solve) -> None:
-    guides = (Guide(-3.0), Guide(-130.0, 0.0, None))
-    assert solve(NEEDLE, TWO_LAYERS, BEVEL, 19.9, Controls(guides=guides)).converged
-    refusal(
-        ModelError, "guide 130 mm", lambda: solve(NEEDLE, TWO_LAYERS, BEVEL, 20.0, Controls(guides=guides))
-    )
-
-
-@pytest.mark.parametrize(
-    "call",
-    [
-        *(lambda value=value: ModelOptions(tolerance=value) for value in (1e3, np.inf, np.nan, 0.0, "1e-7")),
-        lambda: ModelOptions(advance="along"),
-        lambda: Tissue([2e5, 3e4], boundaries=[20.0], alpha=1.0),  # Pa in place of MPa
-        lambda: simulate(None, TWO_LAYERS, BEVEL, 5.0),
-        lambda: simulate(NEEDLE, TWO_LAYERS, BEVEL, "5"),
-        lambda: simulate_steps(NEEDLE, TWO_LAYERS, [5.0]),
-        lambda: Batch(NEEDLE, TWO_LAYERS, (Step(5.0, BEVEL),), mu=[["soft", "hard"]]),
-    ],
-)
-def test_values_and_types_that_are_wrong_are_refused(call) -> None:
-    with pytest.raises(ModelError):
-        call()

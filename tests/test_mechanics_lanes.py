@@ -52,7 +52,7 @@ def some(batch: Batch, sets: np.ndarray) -> Batch:
 @pytest.mark.parametrize("kind", RULES)
 @pytest.mark.parametrize("within", [False, True])
 @pytest.mark.parametrize("seed", range(30))
-def test_every_set_is_what_newtons_method_gives(seed: int, within: bool, kind: str) -> None:
+def test_every_set_is_what_newtons_method_gives(seed, within, kind):
     """Also with guides in the tissue, tracked tips and friction."""
     batch = random_batch(np.random.default_rng(seed), 6, within, float(seed % 2), kind)
     shapes, exact = one(batch), replace(batch, rules=replace(batch.rules, tolerance=1e-11))
@@ -86,7 +86,7 @@ HARD = [  # insertions that were once solved wrongly, or not at all
 
 
 @pytest.mark.parametrize("batch", HARD)
-def test_what_is_hard_to_solve_is_what_newtons_method_gives(batch: Batch) -> None:
+def test_what_is_hard_to_solve_is_what_newtons_method_gives(batch):
     shapes, exact = one(batch), replace(batch, rules=ModelOptions(tolerance=1e-11))
     for i in range(2):
         assert_close(shapes[i], simulate_steps(*pick(exact, i)))
@@ -95,7 +95,7 @@ def test_what_is_hard_to_solve_is_what_newtons_method_gives(batch: Batch) -> Non
 @pytest.mark.parametrize("sets", [1, 31, 33, 64])
 @pytest.mark.parametrize("controls", [TURN.controls, *HELD])
 @pytest.mark.parametrize("tissue", [TISSUE, RUBBING])
-def test_neighbours_and_spare_lanes_change_no_bit(sets: int, controls: Controls, tissue: Tissue) -> None:
+def test_neighbours_and_spare_lanes_change_no_bit(sets, controls, tissue):
     batch = broad(64, steps=(*THERE_AND_BACK, replace(TURN, depth=19.2, controls=controls)), tissue=tissue)
     assert_same_bits(one(some(batch, np.arange(sets))), part(one(batch), np.arange(sets)))
 
@@ -106,7 +106,7 @@ def part(shapes: NeedleShapes, sets: np.ndarray) -> NeedleShapes:
 
 
 @pytest.mark.parametrize("steps", [THERE_AND_BACK, (replace(WIDE, depth=16.0),)])
-def test_invalid_numbers_affect_no_other_set(steps: tuple[Step, ...]) -> None:
+def test_invalid_numbers_affect_no_other_set(steps):
     """Also where the bad set is the first, or fills a block of its own."""
     good = broad(40, steps=steps)
     bad = np.array([[np.nan, 1.0], [1.0, np.inf], [0.0, 1.0], [1.0, -2.0]])
@@ -130,7 +130,7 @@ def thin(offset: list[float], thickness: float, friction: float = 0.0) -> Batch:
     return Batch(NEEDLE, tissue, (Step(10.0, Bevel(0.1)),), offset=offset)
 
 
-def test_different_insertions_come_back_in_their_order() -> None:
+def test_different_insertions_come_back_in_their_order():
     """The longest is begun first, a shallow one with many sets takes the other core."""
     rng = np.random.default_rng(7)
     depths, sizes = [3.3, 41.0, 12.6, 0.4, 24.0, 1.0], [70, 3, 33, 1, 32, 5]
@@ -148,11 +148,11 @@ def test_different_insertions_come_back_in_their_order() -> None:
     assert simulate_batches([]) == ()
 
 
-def test_what_the_memory_held_before_changes_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_the_memory_held_before_changes_no_bit(monkeypatch):
     held, make = replace(WIDE, depth=40.2, controls=HELD[-1]), native.make_memory
 
-    def fill(value: float) -> NeedleShapes:
-        def make_filled(size: int) -> np.ndarray:
+    def fill(value):
+        def make_filled(size):
             memory = make(size)
             memory[:] = value
             return memory
@@ -167,11 +167,11 @@ def test_what_is_read_of_batches_does_not_depend_on_how_they_are_divided(monkeyp
     batches = [broad(40), broad(1, 1), broad(7, 2, (Step(3.0, Bevel(0.1)),)), broad(90, 3)]
     held: list[int] = []
 
-    def run(some: list[Batch]) -> tuple[NeedleShapes, ...]:
+    def run(some):
         held.append(sum(batch.nodes for batch in some))
         return simulate_batches(some, 1)
 
-    def read(number: int, shapes: NeedleShapes, sets: slice) -> tuple[np.ndarray, np.ndarray]:
+    def read(number, shapes, sets):
         assert len(shapes) == len(range(len(batches[number]))[sets])
         return shapes.u, shapes.converged
 

@@ -1,8 +1,6 @@
 """Tissue laws: what each says by hand, and how truly the kernel's polynomial says it."""
 
-from collections.abc import Iterator
 from ctypes import c_double, c_int64, c_void_p
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +14,7 @@ from needlefit.mechanics import native
 from needlefit.mechanics.batch import linearize_steps
 from needlefit.mechanics.compression import compute_stress
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
-from needlefit.mechanics.laws import LAWS, Numbers, TissueLaw
+from needlefit.mechanics.laws import LAWS, TissueLaw
 from needlefit.mechanics.packing import compile_law, differentiate_law
 from needlefit.mechanics.simulate import simulate, simulate_steps
 from needlefit.mechanics.tissue import Tissue
@@ -51,7 +49,7 @@ def evaluated(tissue: Tissue, layer: int = 0, e: np.ndarray = REST, number: int 
     return EvaluatedLaw(*found, float(about[0]), float(about[1]), about[2:])
 
 
-def test_a_table_ends_where_its_law_is_too_steep() -> None:
+def test_a_table_ends_where_its_law_is_too_steep():
     """Beyond, tissue is over-compressed; a law that is too steep at once is refused."""
     tissue = Tissue(mu=[1e-4], alpha=[20.0], thickness=[1.0], law="fung", is_checked=True)
     assert compile_law("fung", np.array([[20.0]]))[0][0, 0] < 0.5
@@ -85,7 +83,7 @@ LAYERS = 2
 
 
 @pytest.fixture(params=[*LAWS.names(), "logarithmic"])
-def law(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+def law(request, tmp_path, monkeypatch):
     """Each law of the package, and the plugin's, which has two shape parameters and a table."""
     if request.param in LAWS.names():
         yield request.param
@@ -101,7 +99,7 @@ def make_tissue(law: str, seed: int) -> Tissue:
 
 
 @pytest.mark.parametrize("seed", [3, 4])
-def test_derivatives_equal_complex_steps(law: str, seed: int) -> None:
+def test_derivatives_equal_complex_steps(law, seed):
     tissue, rules = make_tissue(law, seed), ModelOptions(tolerance=1e-10)
     _, found = linearize_steps(NEEDLE, tissue, STEPS, rules, wrt=("mu", "shape"))
     expected = [f"{name}{layer}" for name in LAWS[law].shape_names for layer in range(1, LAYERS + 1)]
@@ -124,7 +122,7 @@ STRESSES = {
 SETS, THICKNESS_MM = 12, 10.0
 
 
-def test_the_kernels_k_and_its_derivatives(law: str) -> None:
+def test_the_kernels_k_and_its_derivatives(law):
     """Against the derivative of the stress, where it is stated, and against differences of the law's k."""
     rng = np.random.default_rng(1)
     shapes = draw_shape(LAWS[law], rng, (SETS,))
@@ -162,7 +160,7 @@ def test_a_law_without_shape_parameters_is_a_table(monkeypatch):
     class Exponential(TissueLaw):
         name, label = "exponential", "exponential foundation"
 
-        def k(self, stretch: Numbers) -> Numbers:
+        def k(self, stretch):
             return 3 * np.exp(2 * (1 - stretch))
 
     names = frozenset([*LAWS.names(), "exponential"])

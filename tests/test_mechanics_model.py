@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from equilibrium import equilibrium
 from mechanics_cases import NEEDLE, RULES, random_case
+from space_cases import random_spatial_case
 
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.needle import Needle
@@ -23,19 +24,24 @@ def tip(depth: float, boundaries: tuple[float, ...] = (20.0, 28.0, 45.0), elemen
     ).tip_lateral
 
 
+@pytest.mark.parametrize("draw", [random_case, random_spatial_case])
 @pytest.mark.parametrize("kind", RULES)
 @pytest.mark.parametrize("seed", range(4))
-def test_tissue_base_guides_and_tracked_tip_balance(seed: int, kind: str) -> None:
-    """All forces, and all moments about the entry, relative to their sizes."""
-    needle, tissue, steps, rules, lattice = random_case(np.random.default_rng(seed), kind)
+def test_tissue_base_guides_and_tracked_tip_balance(seed, kind, draw):
+    """All forces, and all moments about the entry, relative to their sizes, along y and z."""
+    needle, tissue, steps, rules, lattice = draw(np.random.default_rng(seed), kind)
     rules = replace(rules, tolerance=1e-11)
     shape = simulate_steps(needle, tissue, steps, rules, lattice)
     loads = compute_loads(shape, tissue, needle, steps[-1].controls, rules)
     along = compute_lateral_load(shape, tissue, loads.s, rules)
     np.testing.assert_allclose(along, [loads.load, loads.load_z], rtol=1e-9, atol=1e-12)
     every = (loads.tissue, loads.base, *loads.guides, loads.tip)
-    for parts in ([one.force for one in every], [one.moment + one.x * one.force for one in every]):
-        assert abs(sum(parts)) < 1e-5 * np.sum(np.abs(parts))
+    for force, moment in (("force", "moment"), ("force_z", "moment_z")):
+        forces = [getattr(one, force) for one in every]
+        moments = [getattr(one, moment) + one.x * getattr(one, force) for one in every]
+        for parts in (forces, moments):
+            assert abs(sum(parts)) <= 1e-5 * np.sum(np.abs(parts))
+            assert (np.sum(np.abs(parts)) > 0) == (force == "force" or shape.leaves_plane)
 
 
 def test_without_bevel_a_needle_stays_straight_and_alpha_hardly_moves_it():
@@ -56,7 +62,7 @@ def test_without_bevel_a_needle_stays_straight_and_alpha_hardly_moves_it():
 
 
 @pytest.mark.parametrize("depth", [50.0, 50.5, 45.0, 28.0, 20.5, 49.75])
-def test_tip_is_continuous_in_depth(depth: float) -> None:
+def test_tip_is_continuous_in_depth(depth):
     """At whole cells, where the entry loses its node, and where the tip enters a layer.
 
     What is left of a jump is the discretisation error of the mesh that changes there.
@@ -72,7 +78,7 @@ TISSUE = Tissue(mu=[0.2, 33.0], alpha=[1.0, -1.0], boundaries=[9.3])
 BEVEL = Bevel(0.1)
 
 
-def test_a_cell_of_the_point_behind_is_not_pulled_by_the_cut() -> None:
+def test_a_cell_of_the_point_behind_is_not_pulled_by_the_cut():
     """After one cell the only point behind is the entry's, so that nothing bends the needle."""
     behind = simulate(NEEDLE, TISSUE, BEVEL, 1.0, rules=ModelOptions(switch=1.0))
     np.testing.assert_allclose(behind.u, 0.0, atol=1e-12)
@@ -83,7 +89,7 @@ def test_a_cell_of_the_point_behind_is_not_pulled_by_the_cut() -> None:
     assert 0 < half < ahead
 
 
-def test_without_the_tangent_the_cut_leaves_the_tip_by_the_bevel_alone() -> None:
+def test_without_the_tangent_the_cut_leaves_the_tip_by_the_bevel_alone():
     shape = simulate(NEEDLE, TISSUE, BEVEL, 6.0, rules=ModelOptions(tangent=0.0))
     steps = shape.constraints[1:, 1] - shape.tip_track[:-1, 0]
     np.testing.assert_allclose(steps, 0.1, atol=1e-12)
@@ -95,7 +101,7 @@ def test_without_the_tangent_the_cut_leaves_the_tip_by_the_bevel_alone() -> None
 
 
 @pytest.mark.parametrize(("gamma", "factor"), [(0.0, 1.0), (0.5, 0.9), (1.0, 0.8), (2.0, 0.6)])
-def test_a_tilted_cantilever_carries_the_load_less_friction(gamma: float, factor: float) -> None:
+def test_a_tilted_cantilever_carries_the_load_less_friction(gamma, factor):
     """At slope 1/2 sin^2 is 1/5; soft, very distant tissue pulls with a uniform load on the outer part."""
     length, a, load, away = NEEDLE.length, 60.0, 1e-6, 1e8
     tissue = Tissue(mu=[load / away / 3], alpha=[1.0], thickness=[1e9], friction=[gamma], law="linear")

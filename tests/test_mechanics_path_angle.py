@@ -52,13 +52,13 @@ def test_points_lie_on_the_rays_of_the_rule_and_too_far_and_back_changes_nothing
 
 
 @pytest.mark.parametrize("case", ADVANCED)
-def test_the_tip_converges_with_second_order(case: str) -> None:
+def test_the_tip_converges_with_second_order(case):
     tissue, allowed = ADVANCED[case]
     order, error = measure_spacing(tissue)
     assert order == pytest.approx(2, abs=0.25) and error < allowed
 
 
-def test_deep_in_uniform_tissue_the_needle_is_an_arc() -> None:
+def test_deep_in_uniform_tissue_the_needle_is_an_arc():
     """Its curvature is the angle over the length 1 / beta."""
     shape = simulate(NEEDLE, Tissue([32.0], [1.0]), Bevel(cut_angle=ANGLE), 120.0, rules=RULES)
     beta = (96.0 / 4 / NEEDLE.flexural_rigidity) ** 0.25
@@ -70,7 +70,7 @@ def test_deep_in_uniform_tissue_the_needle_is_an_arc() -> None:
 
 
 @pytest.fixture(scope="module")
-def medium() -> MediumRecord:
+def medium():
     """Phantom 2 with an angle in the place of b: bounds of the same order, (turn of a cell) / (1 mm)."""
     tangent = load(find_file("medium", "phantom2"), MediumRecord)
     parameters = {name: one for name, one in tangent.parameters.items() if name != "bevel_mm"}
@@ -79,7 +79,7 @@ def medium() -> MediumRecord:
 
 
 @pytest.mark.parametrize("stated", [{"bounds": (1.0, 89.0)}, {"fixed": 45.0}])
-def test_angles_that_are_never_simulated_are_refused(medium: MediumRecord, stated: dict[str, object]) -> None:
+def test_angles_that_are_never_simulated_are_refused(medium, stated):
     angle = ParameterRecord.model_validate(stated)
     with pytest.raises(ConfigError) as refused:
         Parameters.from_record(
@@ -88,7 +88,7 @@ def test_angles_that_are_never_simulated_are_refused(medium: MediumRecord, state
     assert refused.value.key == "parameters.cut_angle_deg"
 
 
-def test_gradient_and_batch_of_a_fitted_model(medium: MediumRecord) -> None:
+def test_gradient_and_batch_of_a_fitted_model(medium):
     twin = read(find_file("dataset", "twin"))
     insertion = next(one for one in twin.insertions if len(one.sequence) == 2)
     parameters = Parameters.from_record(medium)

@@ -107,7 +107,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_the_stops_of_moves(name: str) -> None:
+def test_the_stops_of_moves(name):
     """All of them where the expected ones begin with `ENTRY`, else the last ones."""
     moves, expected = CASES[name]
     found = stops(*moves)
@@ -115,7 +115,7 @@ def test_the_stops_of_moves(name: str) -> None:
 
 
 def test_the_lattice_of_an_insertion_ends_with_its_last_step():
-    def first(*depths: float, spacing: float = 1.0) -> float:
+    def first(*depths, spacing=1.0):
         return make_lattice([Step(depth, Bevel(0.1)) for depth in depths], ModelOptions(spacing)).first_cell
 
     assert first(19.63) == pytest.approx(0.63)
@@ -129,7 +129,7 @@ def test_the_lattice_of_an_insertion_ends_with_its_last_step():
 
 @pytest.mark.parametrize("spacing", [0.5, 0.7, 1.0, 2.0])
 @pytest.mark.parametrize("off", [-2e-9, -1.1e-9, -7e-10, -1e-10, 1e-10, 7e-10, 1.1e-9, 2e-9])
-def test_depths_close_to_a_constraint_point_are_depths(spacing: float, off: float) -> None:
+def test_depths_close_to_a_constraint_point_are_depths(spacing, off):
     """Nearness is measured in millimetres everywhere: neither an endless plan nor a cell of no length."""
     for cells in (1, 13, 64):
         depth = cells * spacing + off

@@ -47,7 +47,7 @@ def check(needle: Needle, tissue: Tissue, steps: list[Step], rules: ModelOptions
 
 @pytest.mark.parametrize("kind", RULES)
 @pytest.mark.parametrize("seed", range(12))
-def test_jacobian_equals_complex_steps(seed: int, kind: str) -> None:
+def test_jacobian_equals_complex_steps(seed, kind):
     """Guides before and in the tissue, a tracked tip, retraction, re-insertion, changes of base and bevel."""
     rng = np.random.default_rng(seed)
     needle, tissue, steps, rules, lattice = random_case(rng, kind, 3, 14.0)
@@ -62,7 +62,7 @@ def test_jacobian_equals_complex_steps(seed: int, kind: str) -> None:
     check(needle, tissue, steps, rules, lattice)
 
 
-def test_the_tips_derivatives_on_the_way_are_those_of_an_insertion_that_stops_there() -> None:
+def test_the_tips_derivatives_on_the_way_are_those_of_an_insertion_that_stops_there():
     """A guide moves on the way; within each step and at the end the tip's derivatives are known otherwise."""
     moves = zip((10.0, 20.0, 30.0), (0.0, 1.5, -1.0), strict=True)
     steps = [Step(depth, Bevel(0.05), Controls(guides=(Guide(-20.0, y),))) for depth, y in moves]
@@ -77,10 +77,10 @@ def test_the_tips_derivatives_on_the_way_are_those_of_an_insertion_that_stops_th
 
 
 @pytest.mark.parametrize("boundary", [6.5, 7.0])
-def test_on_a_change_of_constraint_or_a_node_the_derivative_is_that_of_going_deeper(boundary: float) -> None:
+def test_on_a_change_of_constraint_or_a_node_the_derivative_is_that_of_going_deeper(boundary):
     rules, step = ModelOptions(tolerance=1e-11), 1e-5
 
-    def deflection(at: float) -> np.ndarray:
+    def deflection(at):
         tissue = Tissue(mu=[0.3, 20.0], alpha=[1.0, 1.0], boundaries=[at])
         return simulate(NEEDLE, tissue, Bevel(0.1), 12.0, rules=rules).u
 
@@ -119,7 +119,7 @@ def make_batch(sets: int, steps: tuple[Step, ...] = STEPS, tissue: Tissue = RUBB
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_every_set_is_what_a_single_one_gives(seed: int) -> None:
+def test_every_set_is_what_a_single_one_gives(seed):
     rng = np.random.default_rng(seed)
     batch = random_batch(rng, int(rng.integers(1, 12)), within=True, friction=float(rng.integers(0, 2)))
     shapes, jacobians = linearize_batch(batch)
@@ -134,7 +134,7 @@ def test_every_set_is_what_a_single_one_gives(seed: int) -> None:
             np.testing.assert_array_equal(points[i], compute_positions(shape, s))
 
 
-def test_what_is_prepared_serves_other_sets() -> None:
+def test_what_is_prepared_serves_other_sets():
     """A batch whose sets are all invalid prepares the insertion as well as any other."""
     first = make_batch(2).with_sets(mu=np.full((2, 2), np.nan), shape=np.ones((2, 1, 2)), offset=np.zeros(2))
     assert not simulate_batches([first])[0].converged.any()
@@ -153,12 +153,12 @@ PAST = (Step(20.3, Bevel(0.1), FIRST), Step(31.7, Bevel(0.1), MOVED))
 
 
 @pytest.mark.parametrize("rules", [ModelOptions(), ModelOptions(advance="path_angle")])
-def test_derivatives_from_now_on_are_differences_of_the_last_step_alone(rules: ModelOptions) -> None:
+def test_derivatives_from_now_on_are_differences_of_the_last_step_alone(rules):
     rules = replace(rules, first_cell=0.4, tolerance=1e-10)  # 31.7 mm lie within a cell
     bevel, depth = (Bevel(cut_angle=0.05) if rules.path_angle else Bevel(0.1)), np.array([45.0])
     past = tuple(replace(step, bevel=bevel) for step in PAST)
 
-    def batch(base_y: float = 0.0, base_slope: float = 0.0, roll: float = 0.0) -> Batch:
+    def batch(base_y=0.0, base_slope=0.0, roll=0.0):
         base = {"base_y": 1.2 + base_y, "base_slope": 0.01 + base_slope}
         turned = replace(bevel, roll_deg=np.degrees(roll))
         last = Step(45.0, turned, replace(MOVED, **base))
@@ -166,7 +166,7 @@ def test_derivatives_from_now_on_are_differences_of_the_last_step_alone(rules: M
             NEEDLE, PHANTOM, (*past, last), rules, mu=np.array([[0.2, 33, 0.2, 33], [0.4, 20, 0.3, 20]])
         )
 
-    def tips(**moved: float) -> np.ndarray:
+    def tips(**moved):
         return compute_batch_positions(simulate_batches([batch(**moved)], 1)[0], depth)[:, 0]
 
     names = ("base_y", "base_slope", "roll")
@@ -176,7 +176,7 @@ def test_derivatives_from_now_on_are_differences_of_the_last_step_alone(rules: M
     assert exact == pytest.approx(np.stack(differences, axis=-1), rel=1e-4, abs=1e-7)
 
 
-def test_a_gain_scales_the_moves_of_the_base_since_contact() -> None:
+def test_a_gain_scales_the_moves_of_the_base_since_contact():
     gains = np.array([0.75, 1.0])
     (shapes,) = simulate_batches([Batch(NEEDLE, PHANTOM, PAST, gain=gains)], 1)
     for gain, shape in zip(gains, shapes, strict=True):

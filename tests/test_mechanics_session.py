@@ -33,7 +33,7 @@ def session(first_cell: float = 1.0, **given) -> Session:
 
 @pytest.mark.parametrize("kind", ["decided", "path_angle"])
 @pytest.mark.parametrize("seed", range(30))
-def test_a_session_gives_the_bits_of_the_whole_insertion(seed: int, kind: str) -> None:
+def test_a_session_gives_the_bits_of_the_whole_insertion(seed, kind):
     """After every step: bevels, base, guides, tracked tip and depth change as they like."""
     needle, tissue, steps, rules, lattice = random_case(np.random.default_rng(seed), kind, deepest=22.0)
     under_way = Session(needle, tissue, steps[0].bevel, lattice.first_cell, steps[0].controls, rules)
@@ -65,7 +65,7 @@ def test_equal_inputs_change_nothing_and_out_of_the_tissue_base_and_guide_alone_
     assert under_way.step(1.0).constraints[1, 1] == pytest.approx(shape.u[-1] + shape.slope[-1] + 0.1)
 
 
-def test_a_long_session_keeps_its_size_and_accuracy() -> None:
+def test_a_long_session_keeps_its_size_and_accuracy():
     """Thousands of steps in and out, each under inputs never seen before."""
     rng = np.random.default_rng(0)
     under_way = session(0.4)
@@ -95,7 +95,7 @@ THIN = Tissue(mu=[0.5], alpha=[8.0], thickness=[2.0])
         {"guides": tuple(Guide(-float(n), 9.0 * (n % 2)) for n in range(1, 12))},  # more than ever before
     ],
 )
-def test_a_failed_step_changes_nothing(step: dict) -> None:
+def test_a_failed_step_changes_nothing(step):
     """Each of these compresses tissue of 2 mm to nothing; the needle stays where and as it was."""
     under_way, untouched = Session(NEEDLE, THIN, LEFT, 0.7), Session(NEEDLE, THIN, LEFT, 0.7)
     for one in (under_way, untouched):
@@ -132,7 +132,7 @@ def wandered(seed: int) -> tuple[Session, np.random.Generator]:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_a_copy_continues_independently_of_the_original(seed: int) -> None:
+def test_a_copy_continues_independently_of_the_original(seed):
     first, rng = wandered(seed)
     second, before = first.copy(), first.now.shape
     steps = random_steps(rng, 3)
@@ -143,7 +143,7 @@ def test_a_copy_continues_independently_of_the_original(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_the_path_reproduces_the_needle_and_can_be_continued(seed: int) -> None:
+def test_the_path_reproduces_the_needle_and_can_be_continued(seed):
     under_way, rng = wandered(seed)
     input_path = under_way.input_path()
     again = simulate_steps(under_way.needle, under_way.tissue, input_path, under_way.rules, under_way.lattice)

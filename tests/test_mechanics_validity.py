@@ -196,6 +196,10 @@ REFUSED = [
     (lambda: make_batch(offset=[[0.1]]), r"offset .*\(1, 1\)"),
     (lambda: make_batch(offset=[0.1, 0.2], base_y=[0.0]), "one size"),
     (lambda: make_batch(offset=[]), "at least 1"), (lambda: make_batch(guide_x=[-3.0]), "one guide"),
+    *[(lambda x=x: ModelOptions(tolerance=x), "") for x in (1e3, np.inf, np.nan, 0.0, "1e-7")],
+    (lambda: ModelOptions(advance="along"), ""), (lambda: simulate(None, TISSUE, Bevel(0.1), 5.0), ""),
+    (lambda: simulate(NEEDLE, TISSUE, Bevel(0.1), "5"), ""),
+    (lambda: simulate_steps(NEEDLE, TISSUE, [5.0]), ""), (lambda: make_batch(mu=[["soft", "hard"]]), ""),
     # sizes
     (lambda: Needle(1e7, 1e4), ""), (lambda: Step(9e8, Bevel(0.1)), ""),
     (lambda: Tissue(np.ones(MAX_LAYERS + 1), np.ones(1), np.arange(1.0, MAX_LAYERS + 1)), ""),

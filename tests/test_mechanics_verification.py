@@ -9,36 +9,36 @@ from solver_checks.refinement import measure_random_meshes, measure_shipped_mesh
 
 
 @pytest.mark.parametrize("case", LOADED)
-def test_beams_under_a_uniform_load(case: str) -> None:
+def test_beams_under_a_uniform_load(case):
     assert LOADED[case]() < 1e-7
 
 
 @pytest.mark.parametrize("case", FOUNDED)
-def test_beams_on_an_elastic_foundation(case: str) -> None:
+def test_beams_on_an_elastic_foundation(case):
     assert FOUNDED[case]() < 1e-5
 
 
 @pytest.mark.parametrize("case", MANUFACTURED)
-def test_observed_orders_are_those_of_theory(case: str) -> None:
+def test_observed_orders_are_those_of_theory(case):
     """Of deflection and slope: 4 and 3; at the nodes, where the slope superconverges, both 4."""
     orders = np.array(measure_orders(*MANUFACTURED[case]))
     assert np.all(np.abs(orders - [4, 3, 4, 4]) < [0.15, 0.15, 0.2, 0.2])
 
 
 @pytest.mark.parametrize("friction", [0.0, 2.0])
-def test_a_newton_step_is_that_of_the_derivative_of_the_residual(friction: float) -> None:
+def test_a_newton_step_is_that_of_the_derivative_of_the_residual(friction):
     """With friction the tangent is not symmetric."""
     defect, order = measure_tangent(friction)
     assert defect < 1e-8 and order == pytest.approx(2, abs=0.15)
 
 
 @pytest.mark.parametrize("case", COLLOCATED)
-def test_collocation_finds_the_same_equilibrium(case: str) -> None:
+def test_collocation_finds_the_same_equilibrium(case):
     fine, default = measure_difference(*COLLOCATED[case])
     assert fine < 1e-6 and default < 1e-5
 
 
-def test_elements_of_1_mm_are_fine_enough() -> None:
+def test_elements_of_1_mm_are_fine_enough():
     """The tip on elements eight times shorter, in the shipped scenes and in random insertions."""
     assert max(measure_shipped_meshes().values()) < 1e-3
     changes = measure_random_meshes(np.random.default_rng(1), 40)

@@ -3,7 +3,6 @@
 import ctypes
 import shutil
 import subprocess
-from collections.abc import Callable
 
 import mpmath
 import numpy as np
@@ -54,7 +53,7 @@ def near(at: float) -> np.ndarray:
         (4, mpmath.cos, spread(-1e5, 1e5), 2.5),
     ],
 )
-def test_functions_are_exact_to_units_in_the_last_place(which, exact, x, ulp) -> None:
+def test_functions_are_exact_to_units_in_the_last_place(which, exact, x, ulp):
     found = evaluate(which, x)
     with mpmath.workprec(200):
         true = [exact(mpmath.mpf(value)) for value in x.tolist()]
@@ -65,7 +64,7 @@ def test_functions_are_exact_to_units_in_the_last_place(which, exact, x, ulp) ->
     assert max(errors) < ulp
 
 
-def test_functions_at_the_ends_of_their_range() -> None:
+def test_functions_at_the_ends_of_their_range():
     x = np.array([-np.inf, -746.0, 0.0, 710.0, np.inf, np.nan])
     np.testing.assert_array_equal(evaluate(0, x), [0.0, 0.0, 1.0, np.inf, np.inf, np.nan])
     x = np.array([-1.0, 0.0, 1.0, np.inf, np.nan])
@@ -75,7 +74,7 @@ def test_functions_at_the_ends_of_their_range() -> None:
 # ---- the same bytes
 
 
-def test_failed_sets_have_canonical_nans() -> None:
+def test_failed_sets_have_canonical_nans():
     steps = (Step(14.0, Bevel(0.1), Controls(base_y=0.3)),)
     lattice, packed = pack_insertion(steps, NEEDLE.length, ModelOptions())
     mu = np.full((8, 2), 0.2)
@@ -105,7 +104,7 @@ unsigned long foreign_state() { return 1ul << 24 | 1ul << 22; }
 
 
 @pytest.fixture(scope="module")
-def in_foreign_state(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Callable[[], None]], None]:
+def in_foreign_state(tmp_path_factory):
     """Return what calls a function in a state of the arithmetic unit that another library has left behind."""
     if shutil.which("g++") is None:
         pytest.skip("no g++ to set the state with")
@@ -116,7 +115,7 @@ def in_foreign_state(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Call
     state.read_state.restype = state.foreign_state.restype = ctypes.c_ulong
     foreign = state.foreign_state()
 
-    def call(function: Callable[[], None]) -> None:
+    def call(function):
         before = state.read_state()
         state.write_state(ctypes.c_ulong(foreign))
         try:
@@ -130,7 +129,7 @@ def in_foreign_state(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Call
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_the_bytes_do_not_depend_on_the_state_of_the_arithmetic_unit(seed: int, in_foreign_state) -> None:
+def test_the_bytes_do_not_depend_on_the_state_of_the_arithmetic_unit(seed, in_foreign_state):
     problem = make_problem(np.random.default_rng(seed))
     expected, found = to_bytes(compute(problem)), {}
     in_foreign_state(lambda: found.update(to_bytes(compute(problem))))
@@ -212,6 +211,6 @@ def run_fuzz(seed: int) -> bool:
 
 
 @pytest.mark.parametrize("part", range(8))
-def test_damaged_problems_are_errors(part: int) -> None:
+def test_damaged_problems_are_errors(part):
     accepted = [run_fuzz(seed) for seed in range(100 * part, 100 * part + 100)]
     assert 10 < sum(accepted) < 90

@@ -157,7 +157,7 @@ def digest(content: bytes) -> str:
 
 
 @pytest.fixture(scope="module")
-def cases(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+def cases(tmp_path_factory):
     """Return the file of the problems, and the SHA-1 of the results by the library of this process."""
     place, problems, results = (
         tmp_path_factory.mktemp("problems") / "problems",

@@ -42,8 +42,8 @@ def wait(client: pyigtl.OpenIGTLinkClient, device: str, holds):
     raise AssertionError(f"no such {device}")
 
 
-def test_a_needle_is_streamed_and_steered_and_draws_are_weighted_by_tips(client, world) -> None:
-    def say(**inputs) -> None:
+def test_a_needle_is_streamed_and_steered_and_draws_are_weighted_by_tips(client, world):
+    def say(**inputs):
         client.send_message(pyigtl.StringMessage(json.dumps(inputs), device_name="Input"))
 
     say(speed_mm_s=20, base_y_mm=0.5, bevel_side=-1)

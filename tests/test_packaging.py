@@ -28,7 +28,7 @@ def call(*command: str, **kwargs: object) -> str:
 
 
 @pytest.fixture(scope="module")
-def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def built(tmp_path_factory):
     folder = tmp_path_factory.mktemp("dist")
     words = ("build", "--no-isolation", "--wheel", "--sdist", "--outdir", str(folder), str(ROOT))
     call(sys.executable, "-m", *words)
@@ -36,7 +36,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def installed(built: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+def installed(built, tmp_path_factory):
     """Return the environment in which the wheel comes first."""
     target = tmp_path_factory.mktemp("site")
     (wheel,) = built.glob("*.whl")
@@ -66,7 +66,7 @@ def test_the_wheel_is_used_from_an_empty_folder(built, installed, tmp_path):
     assert Path(package).is_relative_to(installed["PYTHONPATH"])
     assert Path(project) == Path(installed["PYTHONPATH"]) / "needlefit" / "_shipped"
 
-    def run(*words: str) -> str:
+    def run(*words):
         return call(sys.executable, "-m", "needlefit", *words, env=installed, cwd=tmp_path)
 
     assert json.loads(run("simulate", "phantom1", "--json"))["converged"] is True

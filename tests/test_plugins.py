@@ -2,7 +2,6 @@
 
 import json
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -32,12 +31,12 @@ from needlefit.studies.identity import list_fit_plugins
 
 
 @pytest.fixture
-def plugin(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def plugin(tmp_path_factory, monkeypatch):
     with plugin_folder(install(tmp_path_factory.mktemp("site")), monkeypatch):
         yield
 
 
-def test_a_sampler_draws_from_a_density_of_known_moments(plugin: None) -> None:
+def test_a_sampler_draws_from_a_density_of_known_moments(plugin):
     known = Known(gaussian(np.array([[1.0, 0.6], [0.6, 1.0]])))
     posterior = draw(known, weighted(known), sampler="random_walk", independent_draws=1000)
     assert posterior.sampler == "random_walk" and not posterior.faults
@@ -45,9 +44,7 @@ def test_a_sampler_draws_from_a_density_of_known_moments(plugin: None) -> None:
 
 
 @pytest.mark.sweep
-def test_a_kind_of_study_is_run_reported_and_compared(
-    tmp_path: Path, plugin: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_kind_of_study_is_run_reported_and_compared(tmp_path, plugin, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("studies").mkdir()
     Path("studies/deep.toml").write_text('schema = 2\nkind = "depth_study"\ndataset = "twin"\n')
@@ -98,14 +95,9 @@ edp_floor_mm = 0.2
 bevel_spread = 0.0
 """
 
-Site = tuple[Path, tuple[str, ...]]
-"""The folder of the plugin, and the options that name it."""
-
 
 @pytest.fixture(params=["entry point", "option"])
-def law_site(
-    request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> Iterator[Site]:
+def law_site(request, tmp_path, monkeypatch):
     by_entry_point = request.param == "entry point"
     folder = install(tmp_path / "site", entry_point=by_entry_point)
     with plugin_folder(folder, monkeypatch):
@@ -113,7 +105,7 @@ def law_site(
 
 
 @pytest.fixture
-def law_project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def law_project(tmp_path, monkeypatch):
     """A project whose centrelines are `.xyz` files, and whose medium has the law of the plugin."""
     here = tmp_path / "work"
     for folder in ("configs/media", "configs/recipes", "studies", "data"):
@@ -130,9 +122,7 @@ def law_project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return here
 
 
-def test_a_study_with_everything_of_a_plugin(
-    law_site: Site, law_project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_study_with_everything_of_a_plugin(law_site, law_project, monkeypatch, capsys):
     _, options = law_site
     skip_figures(monkeypatch)
     predict_by_few_draws(monkeypatch)
@@ -155,9 +145,7 @@ def test_a_study_with_everything_of_a_plugin(
     assert {"logarithmic", "ogden"} < {*LAWS.names()}
 
 
-def test_an_observation_is_one_file_of_a_plugin(
-    tmp_path: Path, plugin: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_observation_is_one_file_of_a_plugin(tmp_path, plugin, monkeypatch):
     """A column of the table of insertions names it; points that it hides change no density."""
     monkeypatch.chdir(tmp_path)
     dataset = write_mine(tmp_path / "mine")
@@ -224,7 +212,7 @@ def write_tilts(dataset: Path, observation: str) -> None:
 
 
 @pytest.fixture
-def tilted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def tilted(tmp_path, monkeypatch):
     """A project whose insertions have a number of their own beside the points, and its study."""
     (tmp_path / "work/studies").mkdir(parents=True)
     monkeypatch.chdir(tmp_path / "work")
@@ -239,9 +227,7 @@ def tilted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         yield dataset
 
 
-def test_an_observation_has_a_number_of_its_own(
-    tilted: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_observation_has_a_number_of_its_own(tilted, monkeypatch, capsys):
     """A tilt beside the points, stated to 1e-4 rad, is what the fit gives; points alone give another."""
     data = read(tilted)
     assert [one.observation_values for one in data.insertions] == [
@@ -265,7 +251,7 @@ def test_an_observation_has_a_number_of_its_own(
     assert abs(tilts["points"] - 0.05) > 0.005
 
 
-def test_the_name_of_a_metric_ends_in_its_unit() -> None:
+def test_the_name_of_a_metric_ends_in_its_unit():
     for name, unit in (("tip_n", "N"), ("tip_deg", "°"), ("tip_percent", "%")):
         assert Metric(name, "", unit, "", compute=lambda curves: 0.0).unit == unit
     with pytest.raises(ConfigError, match="tip_mm"):
@@ -283,7 +269,7 @@ FRUIT = f"from {__name__} import Fruit\n"
 
 
 @pytest.fixture
-def fruits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Registry[Fruit]]:
+def fruits(tmp_path, monkeypatch):
     """A registry of a package with two entries, in a process without plugins."""
     package = tmp_path / "site" / "orchard"
     package.mkdir(parents=True)
@@ -303,7 +289,7 @@ def fruits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Registry
 
 
 @pytest.mark.parametrize("name", ["apple", "fig"])
-def test_a_name_that_exists_is_refused(fruits: Registry[Fruit], tmp_path: Path, name: str) -> None:
+def test_a_name_that_exists_is_refused(fruits, tmp_path, name):
     for module in ("basket", "crate"):
         install(tmp_path / "site", module=module, source=f"{FRUIT}ONE = Fruit('{name}')\n")
     with pytest.raises(ConfigError) as refused:
@@ -315,12 +301,12 @@ def test_a_name_that_exists_is_refused(fruits: Registry[Fruit], tmp_path: Path, 
 @pytest.mark.parametrize("place", ["work", "work/data/twin", "elsewhere/needles"])
 @pytest.mark.parametrize("entry_point", [True, False])
 def test_no_plugin_is_found_in_the_working_folder_or_among_data(
-    fruits: Registry[Fruit],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    place: str,
-    entry_point: bool,
-) -> None:
+    fruits,
+    tmp_path,
+    monkeypatch,
+    place,
+    entry_point,
+):
     marker = tmp_path / "it-ran"
     source = f"from pathlib import Path\nPath({str(marker)!r}).touch()\n"
     install(tmp_path / place, module="planted", entry_point=entry_point, source=source)

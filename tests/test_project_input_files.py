@@ -138,7 +138,7 @@ STUDY = "schema = 1\nvalidate = [{}]\n"
 
 
 @pytest.fixture
-def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def project(tmp_path, monkeypatch):
     for part in ("studies", "configs/fits", "configs/scenes"):
         (tmp_path / part).mkdir(parents=True)
     (tmp_path / "studies/mine.toml").write_text(STUDY)

@@ -1,7 +1,6 @@
 """What figures count and measure, apart from how they look."""
 
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Iterator
 
 import numpy as np
 import pandas as pd
@@ -30,7 +29,7 @@ def test_letters_that_no_font_has_are_written_as_their_numbers(tmp_path, monkeyp
     monkeypatch.setattr(fonts, "find_fonts", lambda _: {})  # whatever is installed
     assert fonts.spell("针A 针一") == "[U+9488]A [U+9488][U+4E00]"
 
-    def paint() -> Figure:
+    def paint():
         figure = Figure(figsize=(4, 2))
         axes = figure.add_subplot(title="针二")
         axes.set_yticks([0.0, 1.0], ["针一", "игла"])
@@ -44,11 +43,11 @@ def test_letters_that_no_font_has_are_written_as_their_numbers(tmp_path, monkeyp
 
 
 @pytest.fixture
-def painted(monkeypatch) -> dict[str, Figure]:
+def painted(monkeypatch):
     """Figures by the name of their file, as they are painted; their files are left empty."""
     found: dict[str, Figure] = {}
 
-    def keep(path: Path, paint: Callable[[], Figure]) -> Path:
+    def keep(path, paint):
         path.touch()
         found[path.stem] = paint()
         return path

@@ -27,7 +27,7 @@ __all__ = ["project"]  # a fixture
 
 
 @pytest.fixture(scope="module")
-def fitted(tmp_path_factory: pytest.TempPathFactory):
+def fitted(tmp_path_factory):
     with pytest.MonkeyPatch.context() as here:
         here.chdir(made(tmp_path_factory.mktemp("fitted")))
         job = load_study("needles", study(), Settings())

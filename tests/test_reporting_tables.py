@@ -214,7 +214,7 @@ def test_numbers_are_bound_to_their_units(words, bound):
         (13.14, 3.0, "13"),
     ],
 )
-def test_a_number_has_the_digits_that_its_error_supports(value: float, error: float | None, text: str):
+def test_a_number_has_the_digits_that_its_error_supports(value, error, text):
     assert format_to_error(value, error) == text
 
 

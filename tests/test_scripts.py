@@ -3,7 +3,6 @@
 import ast
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -19,7 +18,7 @@ PUBLIC = {"needlefit", "needlefit.api"}
 
 
 @pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.stem)
-def test_a_script_is_short_and_imports_public_names_alone(path: Path) -> None:
+def test_a_script_is_short_and_imports_public_names_alone(path):
     text = path.read_text(encoding="utf-8")
     tree = ast.parse(text)
     assert text.count("\n") <= (120 if path.parent == FOLDER else 150)
@@ -32,7 +31,7 @@ def test_a_script_is_short_and_imports_public_names_alone(path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ANALYSES)
-def test_a_quick_run_prints_its_table_and_saves_its_figure(name: str, world) -> None:
+def test_a_quick_run_prints_its_table_and_saves_its_figure(name, world):
     command = [sys.executable, str(FOLDER / f"{name}.py"), "--quick"]
     done = subprocess.run(command, cwd=world.folder, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stderr

@@ -29,7 +29,7 @@ from needlefit.mechanics.shape import NeedleShape, sample_inserted_points
 from needlefit.project.checkpoint import NO_CHECKPOINT
 from needlefit.project.progress import no_progress
 from needlefit.schemas.study import StudyRecord
-from needlefit.studies.kinds.cross_validation.fold import FoldResult, FoldServices, run_fold
+from needlefit.studies.kinds.cross_validation.fold import FoldServices, run_fold
 from needlefit.studies.kinds.cross_validation.frames import FRAMES
 from needlefit.studies.kinds.cross_validation.progress import StudyProgress
 from needlefit.studies.kinds.cross_validation.run import Settings, run
@@ -58,13 +58,13 @@ def made(folder: Path) -> Path:
 
 
 @pytest.fixture
-def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def project(tmp_path, monkeypatch):
     monkeypatch.chdir(made(tmp_path))
     return tmp_path
 
 
 @pytest.fixture(scope="module")
-def clean(tmp_path_factory: pytest.TempPathFactory) -> Run:
+def clean(tmp_path_factory):
     """The study as it is, run once."""
     with pytest.MonkeyPatch.context() as here:
         here.chdir(made(tmp_path_factory.mktemp("clean")))
@@ -95,7 +95,7 @@ def fitted(results: Run) -> dict[str, float]:
     return dict(zip(rows["parameter"], rows["value"], strict=True))
 
 
-def test_truth_is_recovered_and_scored_with_no_error(clean: Run) -> None:
+def test_truth_is_recovered_and_scored_with_no_error(clean):
     results = clean
     assert fitted(results)["mu1_pa"] == pytest.approx(needles.MU[0] * 1e6, rel=0.05)
     assert fitted(results)["bevel_mm"] == pytest.approx(needles.BEVEL, rel=0.01)
@@ -107,20 +107,20 @@ def test_truth_is_recovered_and_scored_with_no_error(clean: Run) -> None:
     assert results.origin == "synthetic"
 
 
-def test_an_insertion_on_both_sides_is_refused(project: Path) -> None:
+def test_an_insertion_on_both_sides_is_refused(project):
     record = study(tune={"insertions": ["needle-1"]}, validate=[{"specimens": ["piece1"]}])
     with pytest.raises(ConfigError, match=r"needle-1 .*tune and validate"):
         run("both", record, Settings())
 
 
-def test_the_paper_s_set_must_fit_the_medium(project: Path) -> None:
+def test_the_paper_s_set_must_fit_the_medium(project):
     with pytest.raises(ConfigError, match="no mu2_pa"):
         medium = project / "configs" / "media" / "gel.toml"
         medium.write_text(MEDIUM.replace("mu2_pa = { fixed = 2e7 }", "mu2_pa = { bounds = [1e3, 1e9] }"))
         run("hand", study(paper_parameters="chicken"), Settings())
 
 
-def test_a_medium_without_the_layers_met_is_refused_before_the_fit(project: Path) -> None:
+def test_a_medium_without_the_layers_met_is_refused_before_the_fit(project):
     one = [line for line in MEDIUM.splitlines() if "2" not in line.split("=")[0]]
     (project / "configs" / "media" / "gel.toml").write_text(
         "\n".join(one).replace("layers = 2", "layers = 1")
@@ -129,7 +129,7 @@ def test_a_medium_without_the_layers_met_is_refused_before_the_fit(project: Path
         run("few", study(), Settings())
 
 
-def test_a_guide_out_of_the_needle_s_reach_is_refused_before_the_fit(project: Path) -> None:
+def test_a_guide_out_of_the_needle_s_reach_is_refused_before_the_fit(project):
     guided = f"{MEDIUM}\nguide_distance_mm = {{ bounds = [1.0, 120.0] }}\n"
     (project / "configs" / "media" / "gel.toml").write_text(guided)
     with pytest.raises(ConfigError, match="needle of 150 mm"):
@@ -201,12 +201,12 @@ def own_crossing(planned: Insertion) -> float:
 
 
 @pytest.fixture(scope="module")
-def planned() -> Insertion:
+def planned():
     """Its measured boundary, 25 mm, is not where a needle of the wrong parameters would cross."""
     return insertion(41.0, (25.0,), (1, 2))
 
 
-def test_planned_rows_follow_the_simulated_needle_and_measured_ones_what_was_measured(planned) -> None:
+def test_planned_rows_follow_the_simulated_needle_and_measured_ones_what_was_measured(planned):
     curves = model_predictor(WRONG, medium())(oblique(planned))
     s = np.linspace(0, 41, 42)
     crossing = own_crossing(planned)
@@ -236,7 +236,7 @@ def along_x(scored: Insertion):
 
 @pytest.mark.parametrize(("bend", "flagged"), [(0.1, True), (0.24, True), (0.26, False), (3.0, False)])
 @pytest.mark.parametrize("side", [1, -1])
-def test_a_deflection_under_the_floor_of_the_tip_is_flagged(bend: float, flagged: bool, side: int) -> None:
+def test_a_deflection_under_the_floor_of_the_tip_is_flagged(bend, flagged, side):
     (row,) = scorer().score({}, straight(bend, side), curve_predictor(along_x)).errors
     assert row["edp_flagged"] is flagged
     unknown = scorer(dict.fromkeys(FLOOR, math.nan))
@@ -244,7 +244,7 @@ def test_a_deflection_under_the_floor_of_the_tip_is_flagged(bend: float, flagged
     assert row["edp_flagged"] is False
 
 
-def test_each_needle_has_baseline_curves_of_its_own() -> None:
+def test_each_needle_has_baseline_curves_of_its_own():
     s, thin = np.linspace(0.0, 40.0, 41), Needle(150.0, 1e3, name="thin")
     bent = [
         replace(insertion(40.0).with_points(integrate_curvature(40.0, [kappa], s)), needle=needle)
@@ -258,7 +258,7 @@ def test_each_needle_has_baseline_curves_of_its_own() -> None:
     assert select_same_needle(bent, thin, least=2) == select_same_needle(bent, Needle(1.0, 1.0)) == (*bent,)
 
 
-def test_a_failed_solve_is_infinitely_wrong_and_not_drawn() -> None:
+def test_a_failed_solve_is_infinitely_wrong_and_not_drawn():
     (row,), points, _ = scorer().score({}, straight(1.0), lambda scored: {"measured": None})
     assert row["ipe_mean_mm"] == row["te_mm"] == row["edp_percent"] == math.inf
     assert math.isnan(row["predicted_deflection_mm"])
@@ -275,7 +275,7 @@ METRIC = "schema = 1\nstarts = 2\nmetric = true\n"
 
 
 @pytest.fixture(scope="module")
-def several_fits(tmp_path_factory: pytest.TempPathFactory) -> Run:
+def several_fits(tmp_path_factory):
     """A study fitted by both objectives, with the paper's set beside the fits."""
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(made(tmp_path_factory.mktemp("fits")))
@@ -284,7 +284,7 @@ def several_fits(tmp_path_factory: pytest.TempPathFactory) -> Run:
         return run("fits", study(paper_parameters="study1"), Settings())
 
 
-def test_the_papers_set_keeps_everything_but_its_bevel(several_fits: Run) -> None:
+def test_the_papers_set_keeps_everything_but_its_bevel(several_fits):
     frames = several_fits.frames
     sets = {name: rows.set_index("parameter") for name, rows in frames["parameters"].groupby("method")}
     paper, retuned = (sets[name]["value"].to_dict() for name in ("hand_tuned", "hand_tuned_b"))
@@ -303,7 +303,7 @@ def test_the_papers_set_keeps_everything_but_its_bevel(several_fits: Run) -> Non
     assert ipe["fitted"] < min(ipe["hand_tuned"], ipe["hand_tuned_b"])
 
 
-def test_b_alone_leaves_all_else_at_the_median_of_its_prior(several_fits: Run) -> None:
+def test_b_alone_leaves_all_else_at_the_median_of_its_prior(several_fits):
     starts = several_fits.frames["starts"].query("fit == 'b_alone'")
     record = several_fits.metadata.medium
     low, high = record.parameters["mu1_pa"].bounds
@@ -313,7 +313,7 @@ def test_b_alone_leaves_all_else_at_the_median_of_its_prior(several_fits: Run) -
     assert set(errors.query("method == 'b_alone'")["insertion"]) == set(errors["insertion"])
 
 
-def test_our_prediction_is_the_fit_through_the_layers_that_it_meets(several_fits: Run) -> None:
+def test_our_prediction_is_the_fit_through_the_layers_that_it_meets(several_fits):
     errors = several_fits.frames["errors"].query("role == 'validate'").set_index("insertion")
     ours, fit = (errors[errors["method"] == name] for name in ("prediction", "fitted"))
     planned = fit[fit["boundaries"] == ("planned" if (fit["boundaries"] == "planned").any() else "measured")]
@@ -321,7 +321,7 @@ def test_our_prediction_is_the_fit_through_the_layers_that_it_meets(several_fits
 
 
 @pytest.mark.sweep
-def test_leaving_one_out_scores_each_insertion_once_by_a_fit_to_the_others(project: Path) -> None:
+def test_leaving_one_out_scores_each_insertion_once_by_a_fit_to_the_others(project):
     (project / "configs" / "recipes" / "gel.toml").write_text(ONE_EVALUATION)
     record = study(tune={}, validate=[], leave_out="insertion")
     found = make_folds(record, read(project / "data" / "needles" / "dataset.toml"))
@@ -340,7 +340,7 @@ def test_leaving_one_out_scores_each_insertion_once_by_a_fit_to_the_others(proje
 
 
 @pytest.mark.usefixtures("few_draws")
-def test_folds_side_by_side_give_the_same_frames_and_stop_alike(project: Path) -> None:
+def test_folds_side_by_side_give_the_same_frames_and_stop_alike(project):
     (project / "configs" / "recipes" / "gel.toml").write_text(ONE_EVALUATION)
     record = study(tune={}, validate=[], leave_out="insertion")
     one, two = (run("loo", record, Settings(jobs=jobs)) for jobs in (1, 2))
@@ -352,12 +352,12 @@ def test_folds_side_by_side_give_the_same_frames_and_stop_alike(project: Path) -
 
 
 @pytest.mark.usefixtures("few_draws")
-def test_a_fold_has_the_same_rows_whichever_folds_ran_before(project: Path) -> None:
+def test_a_fold_has_the_same_rows_whichever_folds_ran_before(project):
     (project / "configs" / "recipes" / "gel.toml").write_text(ONE_EVALUATION)
     record = study(tune={}, validate=[], leave_out="insertion")
     job = load_study("loo", record, Settings())
 
-    def run_folds(numbers: tuple[int, ...]) -> FoldResult:
+    def run_folds(numbers):
         services = FoldServices(Settings(), NO_CHECKPOINT, StudyProgress(job, no_progress))
         return [run_fold(job, job.folds[number], services) for number in numbers][-1]
 
@@ -369,7 +369,7 @@ def test_a_fold_has_the_same_rows_whichever_folds_ran_before(project: Path) -> N
 
 
 @pytest.mark.usefixtures("few_draws")
-def test_a_tie_shares_its_sources_verdict_times_its_factor(project: Path) -> None:
+def test_a_tie_shares_its_sources_verdict_times_its_factor(project):
     tied = MEDIUM.replace("mu2_pa = { fixed = 2e7 }", 'mu2_pa = { tie = "50 * mu1_pa" }')
     (project / "configs" / "media" / "gel.toml").write_text(tied)
     rows = run("tied", study(), Settings()).frames["parameters"].set_index("parameter")
