@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from problem_cases import make_problem as build_problem
 
+from needlefit import Needle, Problem
 from needlefit.datasets.insertion import Dataset, Insertion, Noise
 from needlefit.geometry.frames import Frame
 from needlefit.inference.forward_model import predict
@@ -16,8 +17,6 @@ from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD
 from needlefit.inference.metric_objective import WeightedDistances
 from needlefit.inference.parameter_names import is_shape_parameter
 from needlefit.inference.parameters import Parameters, without_bevel_spread
-from needlefit.inference.problem import Problem
-from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import LikelihoodRecord, RecipeRecord, WeightsRecord

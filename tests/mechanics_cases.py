@@ -6,14 +6,23 @@ from typing import Any
 
 import numpy as np
 import reference_solver
+from numpy.testing import assert_allclose
 
-from needlefit.mechanics.batch import Batch, Jacobian
-from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
+from needlefit import (
+    Batch,
+    Bevel,
+    Controls,
+    Guide,
+    Jacobian,
+    ModelOptions,
+    Needle,
+    NeedleShape,
+    Step,
+    Tissue,
+    TrackedTip,
+)
 from needlefit.mechanics.laws import LAWS, TissueLaw
-from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice
-from needlefit.mechanics.shape import NeedleShape
-from needlefit.mechanics.tissue import Tissue
 
 Random = np.random.Generator
 NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
@@ -45,12 +54,12 @@ def pick(batch: Batch, i: int) -> tuple[Needle, Tissue, tuple[Step, ...], ModelO
 
 def assert_close(found: NeedleShape, expected: NeedleShape, atol: float = 1e-7) -> None:
     assert found.converged and expected.converged
-    np.testing.assert_allclose(found.x, expected.x, atol=1e-9)
+    assert_allclose(found.x, expected.x, atol=1e-9)
     for name in ("u", "slope", "w", "slope_z", "constraints"):
-        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=atol, err_msg=name)
+        assert_allclose(getattr(found, name), getattr(expected, name), atol=atol, err_msg=name)
     track = np.isnan(expected.tip_track)  # a retraction may have left a point without its tip
     np.testing.assert_array_equal(np.isnan(found.tip_track), track)
-    np.testing.assert_allclose(found.tip_track[~track], expected.tip_track[~track], atol=atol)
+    assert_allclose(found.tip_track[~track], expected.tip_track[~track], atol=atol)
 
 
 def assert_derivatives(
@@ -69,10 +78,10 @@ def assert_derivatives(
         largest = max(np.abs(u).max(), np.abs(points).max(), 1e-6)
         # a parameter that shifts the needle as a whole hardly turns it: its slopes are but rounding
         steepest = max(np.abs(slope).max(), 0.01 * largest)
-        np.testing.assert_allclose(found.x[:, p], nodes, atol=1e-12, err_msg=name)
+        assert_allclose(found.x[:, p], nodes, atol=1e-12, err_msg=name)
         for part, exact, size in ((found.u, u, largest), (found.slope, slope, steepest),
                                   (found.constraints, points, largest)):  # fmt: skip
-            np.testing.assert_allclose(part[..., p], exact, rtol=0, atol=tolerance * size, err_msg=name)
+            assert_allclose(part[..., p], exact, rtol=0, atol=tolerance * size, err_msg=name)
 
 
 def vary(rng: Random, rules: ModelOptions, kind: str) -> ModelOptions:

@@ -4,15 +4,12 @@ from pathlib import Path
 
 import numpy as np
 
+from needlefit import Bevel, Needle, Tissue, simulate
 from needlefit.datasets.columns import InsertionRow, PoseSource
 from needlefit.datasets.write import write_dataset
 from needlefit.geometry.frames import make_entry_frame
 from needlefit.geometry.surfaces import make_sheet
-from needlefit.mechanics.control import Bevel
-from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import sample_inserted_points
-from needlefit.mechanics.simulate import simulate
-from needlefit.mechanics.tissue import Tissue
 from needlefit.schemas.dataset import DatasetRecord
 
 MU = (0.3, 20.0)  # MPa

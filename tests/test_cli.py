@@ -243,21 +243,6 @@ STUDY |= {"tune": {"medium": "chicken"}}
 
 
 @pytest.mark.parametrize(
-    ("name", "kind", "folds"),
-    [
-        ("study3", "cross-validation", [{"tune": 1, "validate": 10}]),
-        ("phantom1", "fit", [{"tune": 10, "validate": 0}]),
-    ],
-)
-def test_a_shipped_study_has_no_faults(name, kind, folds, capsys):
-    path = find_file("fit" if kind == "fit" else "study", name).resolve()
-    for target in (name, str(path)):
-        assert run("check", target, "--json") == 0
-        found = json.loads(capsys.readouterr().out)
-        assert found["ok"] and found["kind"] == kind and folds in (None, found["folds"])
-
-
-@pytest.mark.parametrize(
     ("changes", "named"),
     [
         ({"leave_out": "needle"}, "mine.toml"),

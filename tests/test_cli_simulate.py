@@ -7,6 +7,8 @@ import time
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose
+from pytest import approx
 from test_cli import run
 from test_viewer_recording import WANDERING, recorded
 
@@ -33,24 +35,24 @@ def warned(found, kind):
 def test_json_has_the_documented_keys(capsys):
     found = answer(capsys, "phantom1")
     assert found["converged"] is True and found["boundaries_mm"] == [20, 28, 45]
-    assert found["depth_mm"] == pytest.approx((50.69 + 54.27) / 2) and len(found["tip_mm"]) == 3
+    assert found["depth_mm"] == approx((50.69 + 54.27) / 2) and len(found["tip_mm"]) == 3
     assert found["constraints_mm"][0] == [0, 0, 0]
-    assert found["constraints_mm"][-1][0] == pytest.approx(found["depth_mm"])
+    assert found["constraints_mm"][-1][0] == approx(found["depth_mm"])
     (step,) = found["steps"]
     assert {key: found[key] for key in step} == step
-    assert step["tip_angle_deg"] == pytest.approx(math.degrees(step["tip_slope"]))
+    assert step["tip_angle_deg"] == approx(math.degrees(step["tip_slope"]))
 
 
 def test_a_rolled_needle_has_along_z_what_it_had_along_y(capsys, tmp_path):
     planar, rolled = (answer(capsys, "phantom1", *settings(f"bevel.roll_deg={roll}")) for roll in (180, 90))
     assert planar["tip_z_mm"] == planar["tip_mm"][2] == planar["constraints_mm"][-1][2] == 0
     assert (planar["roll_at_tip_deg"], rolled["roll_at_tip_deg"]) == (180, 90)
-    assert rolled["tip_z_mm"] == pytest.approx(-planar["tip_lateral_mm"], abs=1e-6)
-    assert rolled["tip_lateral_mm"] == pytest.approx(0, abs=1e-9)
-    assert rolled["tip_slope_z"] == pytest.approx(-planar["tip_slope"], abs=1e-6)
-    assert rolled["tip_elevation_deg"] == pytest.approx(-planar["tip_angle_deg"], abs=1e-4)
-    assert rolled["tip_angle_deg"] == pytest.approx(0, abs=1e-4) and planar["tip_elevation_deg"] == 0
-    assert rolled["tip_mm"] == pytest.approx([planar["tip_mm"][0], 0, -planar["tip_mm"][1]], abs=1e-6)
+    assert rolled["tip_z_mm"] == approx(-planar["tip_lateral_mm"], abs=1e-6)
+    assert rolled["tip_lateral_mm"] == approx(0, abs=1e-9)
+    assert rolled["tip_slope_z"] == approx(-planar["tip_slope"], abs=1e-6)
+    assert rolled["tip_elevation_deg"] == approx(-planar["tip_angle_deg"], abs=1e-4)
+    assert rolled["tip_angle_deg"] == approx(0, abs=1e-4) and planar["tip_elevation_deg"] == 0
+    assert rolled["tip_mm"] == approx([planar["tip_mm"][0], 0, -planar["tip_mm"][1]], abs=1e-6)
     assert run("simulate", "phantom1", *settings("bevel.roll_deg=90")) == 0
     assert "90.00" in capsys.readouterr().out
 
@@ -69,12 +71,12 @@ def test_files_of_a_needle_in_space_show_it_from_above_too(capsys, tmp_path):
         panels[roll] = paths["--plot"].read_text().count('id="axes_')
     planar, rolled = tables[0], tables[90]
     for y, z in (("y_mm", "z_mm"), ("slope", "slope_z"), ("load_n_per_mm", "load_z_n_per_mm")):
-        np.testing.assert_allclose(rolled[z], planar[y], atol=1e-6)
-        np.testing.assert_allclose(rolled[y], 0, atol=1e-6)
+        assert_allclose(rolled[z], planar[y], atol=1e-6)
+        assert_allclose(rolled[y], 0, atol=1e-6)
         assert (planar[z] == 0).all()
-    np.testing.assert_allclose(rolled["world_z_mm"], planar["world_y_mm"], atol=1e-6)
+    assert_allclose(rolled["world_z_mm"], planar["world_y_mm"], atol=1e-6)
     (x, y, z), (u, v, w) = tables[0, "slicer"].T, tables[90, "slicer"].T
-    np.testing.assert_allclose((u, w, v), (x, y, z), atol=1e-6)
+    assert_allclose((u, w, v), (x, y, z), atol=1e-6)
     assert panels == {0: 1, 90: 2}
 
 
@@ -139,7 +141,7 @@ def test_a_needle_without_an_answer_is_marked_and_the_exit_code_5(tmp_path, caps
     assert "did not converge" in found["stderr"]
     assert found["tip_lateral_mm"] is None and found["tip_slope"] is None
     assert found["tip_mm"][:2] == [None, None]
-    assert found["depth_mm"] == 38.06 and found["constraints_mm"][-1][:2] == [pytest.approx(38.06), None]
+    assert found["depth_mm"] == 38.06 and found["constraints_mm"][-1][:2] == [approx(38.06), None]
     assert run("simulate", *crushed, "--csv", str(tmp_path / "a.csv")) == 5
     captured = capsys.readouterr()
     assert "NOT CONVERGED" in captured.out and "nan" not in captured.out

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from pytest import approx
 
 import needlefit
 from needlefit.project.locate import find_file, shipped_folder
@@ -44,8 +45,8 @@ def write_test(path: Path, low: float = 0.8) -> Path:
 @pytest.mark.parametrize("kind", ["nominal", "true"])
 def test_curves_give_back_their_mu_and_alpha(alpha, kind):
     found = FUNCTIONS["fit_specimen"]("gel", *load_specimen(alpha, 0.75, 1e-4, kind=kind), kind, 401)
-    assert found["identified"] and found["alpha"] == pytest.approx(alpha, abs=4 * found["sd"])
-    assert found["sd"] < 0.05 and found["mu_kpa"] == pytest.approx(12.0, rel=1e-3)
+    assert found["identified"] and found["alpha"] == approx(alpha, abs=4 * found["sd"])
+    assert found["sd"] < 0.05 and found["mu_kpa"] == approx(12.0, rel=1e-3)
 
 
 def test_shallow_tests_and_mirror_images_identify_nothing():
@@ -72,8 +73,8 @@ def test_a_fit_takes_the_prior_and_its_run_holds_it(tmp_path, monkeypatch):
     out = subprocess.run(words, capture_output=True, text=True, check=True).stdout
     assert "gel2" in out and Path("reports/compression_prior.png").stat().st_size > 1000
     prior = load(Path("reports/compression_prior.toml"), MaterialRecord)
-    assert prior.alpha.mean == pytest.approx(-4.5, abs=0.05) and prior.alpha.sd == pytest.approx(1.3, abs=0.1)
-    assert prior.mu_pa.median == pytest.approx(0.2 * 12e3, rel=0.01) and prior.mu_pa.factor > 5
+    assert prior.alpha.mean == approx(-4.5, abs=0.05) and prior.alpha.sd == approx(1.3, abs=0.1)
+    assert prior.mu_pa.median == approx(0.2 * 12e3, rel=0.01) and prior.mu_pa.factor > 5
     record = load(find_file("fit", "chicken"), FitRecord)
     priors = {"1": "reports/compression_prior.toml"}
     job = load_study("chicken", record.model_copy(update={"priors": priors}), Settings())

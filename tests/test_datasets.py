@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
+from pytest import approx
 from refusals import refusal
 
 from needlefit.datasets.columns import InsertionRow
@@ -99,22 +101,22 @@ def test_a_written_dataset_is_read_back(tmp_path):
     a, b, c = dataset.insertions
     found = dataset.name, dataset.origin, dataset.pose, dataset.noise.registration_mean
     assert found == ("block", "synthetic", "known", 0.19)
-    assert dataset.insertions[0].needle.flexural_rigidity == pytest.approx(1.0216e4, rel=1e-4)
+    assert dataset.insertions[0].needle.flexural_rigidity == approx(1.0216e4, rel=1e-4)
     assert (a.specimen, a.layers, a.layers_alternative, a.guide_distance) == ("one", 4, 4, None)
     assert (b.specimen, b.layers, b.layers_alternative, b.guide_distance) == ("two", 2, 3, 30.0)
-    np.testing.assert_allclose(a.centerline, CURVE, atol=0.5e-4)
-    np.testing.assert_allclose(a.points[:, :2], CURVE[:, :2], atol=1e-4)
-    assert a.deflection == pytest.approx(1.0)
+    assert_allclose(a.centerline, CURVE, atol=0.5e-4)
+    assert_allclose(a.points[:, :2], CURVE[:, :2], atol=1e-4)
+    assert a.deflection == approx(1.0)
     # Along x the sheet lies at 20; the cylinder about (40, y, z) of radius 5 from 35 to 45.
     assert a.sequence == (1, 2, 3, 2)
     y = 4e-4 * 40**2
     half = math.sqrt(25 - y**2)
-    assert a.boundaries == pytest.approx([20, 40 - half, 40 + half], abs=0.03)
+    assert a.boundaries == approx([20, 40 - half, 40 + half], abs=0.03)
     assert b.sequence == (1, 2) and b.boundaries.tolist() == [20.0]
-    np.testing.assert_allclose(b.frame.rotation[:, 1], [0, 1, 0], atol=1e-6)
-    np.testing.assert_allclose(c.frame.rotation[:, 1], [0, -1, 0], atol=1e-6)
-    assert c.points[-1, 1] == pytest.approx(-1.0)
-    assert b.deflection == c.deflection == pytest.approx(1.0)  # both toward the bevel
+    assert_allclose(b.frame.rotation[:, 1], [0, 1, 0], atol=1e-6)
+    assert_allclose(c.frame.rotation[:, 1], [0, -1, 0], atol=1e-6)
+    assert c.points[-1, 1] == approx(-1.0)
+    assert b.deflection == c.deflection == approx(1.0)  # both toward the bevel
 
 
 def test_what_an_insertion_has_for_itself_is_written_and_read(tmp_path):
@@ -122,14 +124,14 @@ def test_what_an_insertion_has_for_itself_is_written_and_read(tmp_path):
     bevel = np.array([0, 1.0, 0])
     file = write_dataset(tmp_path, record(), [row("a", bevel=bevel)], {"a": twisted}, SURFACES)
     a = read(file).insertions[0]
-    np.testing.assert_allclose(a.points[:, 2], 0.3 * np.sin(X / 8), atol=1e-4)
+    assert_allclose(a.points[:, 2], 0.3 * np.sin(X / 8), atol=1e-4)
     # Moving needle and pose together changes nothing in C.
     c, s = math.cos(0.4), math.sin(0.4)
     turn = np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
     shift = np.array([3.0, -5.0, 12.0])
     moved = row("a", "given", layers=2, entry=shift, direction=turn[:, 0])
     file = write_dataset(tmp_path, record(), [moved], {"a": CURVE @ turn.T + shift}, SURFACES)
-    np.testing.assert_allclose(read(file).insertions[0].points[:, :2], CURVE[:, :2], atol=2e-4)
+    assert_allclose(read(file).insertions[0].points[:, :2], CURVE[:, :2], atol=2e-4)
     rows = [row("a", base_moved=-12.5, hole="first"), row("b")]
     a, b = read(write_dataset(tmp_path, record(), rows, dict.fromkeys("ab", CURVE), SURFACES)).insertions
     assert (a.base_moved, b.base_moved) == (-12.5, 0.0)
@@ -140,7 +142,7 @@ def test_what_an_insertion_has_for_itself_is_written_and_read(tmp_path):
         tmp_path, record(), [row("a", "given", layers=2, patient=turned)], {"a": CURVE}, SURFACES
     )
     found = read(file).insertions[0].patient
-    np.testing.assert_allclose(found.to_world(np.eye(3)) - found.origin, np.eye(3)[[1, 2, 0]], atol=1e-8)
+    assert_allclose(found.to_world(np.eye(3)) - found.origin, np.eye(3)[[1, 2, 0]], atol=1e-8)
 
 
 def test_each_insertion_has_its_needle_and_its_boundaries(tmp_path):
@@ -160,7 +162,7 @@ def test_each_insertion_has_its_needle_and_its_boundaries(tmp_path):
     tables = record(media=media, needles={"22G": thin})
     dataset = read(write_dataset(tmp_path, tables, rows, dict.fromkeys("abcd", CURVE), surfaces))
     a, b, c, d = dataset.insertions
-    assert a.boundaries == pytest.approx(b.boundaries, abs=1e-4) and a.sequence == b.sequence == (1, 2, 3)
+    assert a.boundaries == approx(b.boundaries, abs=1e-4) and a.sequence == b.sequence == (1, 2, 3)
     assert (c.sequence, c.boundaries.tolist()) == ((1,), [])
     assert (d.sequence, d.boundaries.tolist()) == ((1, 2), [20.0])
     assert b.needle == c.needle == Needle(120.0, 2e3, name="22G")
@@ -229,20 +231,20 @@ def test_noise_floors_of_a_shift_and_of_an_angle(tmp_path):
         insertion = dataset.insertions[0]
         insertion = dataclasses.replace(insertion, points=insertion.points + np.array([begins, 0.0, 0.0]))
         floor = estimate_noise_floor(dataset, insertion, np.random.default_rng(1), draws=3000)
-        assert floor["te_mm"] == pytest.approx(0.19 * expected, rel=0.03)
-        assert floor["ipe_mean_mm"] == pytest.approx(0.19 * expected, rel=0.03)
+        assert floor["te_mm"] == approx(0.19 * expected, rel=0.03)
+        assert floor["ipe_mean_mm"] == approx(0.19 * expected, rel=0.03)
     # A turn of standard deviation q leaves q L sqrt(2 / pi) at the tip on average, half of it overall.
     turned = row("a", "given", layers=2, pose_angle_sd=0.01)
     dataset = read(write_dataset(tmp_path, record(noise={}), [turned], {"a": CURVE}, SURFACES))
     floor = estimate_noise_floor(dataset, dataset.insertions[0], np.random.default_rng(1), draws=3000)
-    assert floor["te_mm"] == pytest.approx(0.01 * 50 * math.sqrt(2 / math.pi), rel=0.05)
-    assert floor["ipe_mean_mm"] == pytest.approx(floor["te_mm"] / 2, rel=0.01)
+    assert floor["te_mm"] == approx(0.01 * 50 * math.sqrt(2 / math.pi), rel=0.05)
+    assert floor["ipe_mean_mm"] == approx(floor["te_mm"] / 2, rel=0.01)
     # Where the entry is the first point a shift is taken off: half of the turn's error at the tip is left.
     turned = dataclasses.replace(turned, pose_source="first_point", pose_shift_sd=0.4)
     dataset = read(write_dataset(tmp_path, record(noise={}), [turned], {"a": CURVE}, SURFACES))
     assert dataset.insertions[0].pose_source == "first_point"
     shifted = estimate_noise_floor(dataset, dataset.insertions[0], np.random.default_rng(1), draws=3000)
-    assert shifted["te_mm"] == pytest.approx(floor["te_mm"] / 2, rel=0.03)
+    assert shifted["te_mm"] == approx(floor["te_mm"] / 2, rel=0.03)
     dataset = read(block(tmp_path, noise={}))
     assert math.isnan(estimate_noise_floor(dataset, dataset.insertions[0], np.random.default_rng(1))["te_mm"])
 
@@ -251,7 +253,7 @@ def test_point_noise_has_the_stated_covariance_and_toml_text_is_read_back():
     noise = Noise(point_sd=0.3, correlated_sd=0.4, correlation_length=2.0)
     drawn = draw_point_noise(np.arange(8.0), noise, np.random.default_rng(1), 20000)[:, :, 1]
     lag = np.abs(np.subtract.outer(np.arange(8), np.arange(8)))
-    np.testing.assert_allclose(np.cov(drawn.T), 0.16 * np.exp(-lag / 2) + 0.09 * np.eye(8), atol=0.01)
+    assert_allclose(np.cov(drawn.T), 0.16 * np.exp(-lag / 2) + 0.09 * np.eye(8), atol=0.01)
     import tomllib
 
     tables = {"a": 1, "b": 'say "x"\nü', "c": {"d e": [1.5, 2.0], "f": [{"g": True}]}, "h": {"i": {}}}
@@ -303,7 +305,7 @@ def test_a_long_table_is_read_through_its_mapping(long):
     first = dataset.insertions[0]
     found = dataset.pose, dataset.drop_proximal, first.depth, first.pose_source
     assert found == ("free", 10.0, 50.0, "none")
-    np.testing.assert_allclose(first.points[:, :2], CURVE[:, :2], atol=1e-3)  # x is the tangent at the entry
+    assert_allclose(first.points[:, :2], CURVE[:, :2], atol=1e-3)  # x is the tangent at the entry
     assert first.sequence == (1,)
     path = long.parent / "lab-a" / "shapes.csv"
     whole = path.read_text()

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 from refusals import refusal, refused_file
 from test_datasets import CURVE, SURFACES, record, row
 
@@ -72,7 +73,7 @@ def test_points_are_read_in_lps_and_millimetres_and_unset_ones_left_out(file):
         assert found.system == ("LPS" if sign > 0 else "RAS")
     for units, factor in [("mm", 1), (None, 1), ("um", 1e-3), ("cm", 10), (["mm", "UCUM", "millimeter"], 1)]:
         found = read_one(save(file, markup(coordinateUnits=units)))
-        np.testing.assert_allclose(found.points, factor * np.array([[1, 2, 3], [4, 5, 6]]), rtol=1e-15)
+        assert_allclose(found.points, factor * np.array([[1, 2, 3], [4, 5, 6]]), rtol=1e-15)
     points = [
         point(1, "", positionStatus="undefined"),
         point(2, [1, 1, 1], positionStatus="preview"),
@@ -168,7 +169,7 @@ def test_what_is_written_is_read_back(tmp_path, points, label):
     lists = [Markups(path, name, "Curve", labels, array) for name in ("fit", "95 % band")]
     write_mrk_json(path, [(one, CurveStyle((0.0, 0.5, 1.0))) for one in lists])
     first, second = read_markups(path)
-    np.testing.assert_allclose(first.points, array, rtol=0, atol=1e-9)
+    assert_allclose(first.points, array, rtol=0, atol=1e-9)
     np.testing.assert_array_equal(second.points, array)
     assert (first.labels, first.name, first.kind, first.system) == (labels, "fit", "Curve", "LPS")
     before = path.read_bytes()
@@ -189,7 +190,7 @@ def test_a_centreline_may_be_a_curve_of_slicer(tmp_path):
     file, folder = dataset(tmp_path / "d", "{id}.mrk.json")
     ras = (CURVE * [-1, -1, 1]).tolist()
     save(folder / "a.mrk.json", markup("Curve", "RAS", ras), markup("Fiducial", name="markers"))
-    np.testing.assert_allclose(read(file).insertions[0].centerline, CURVE, atol=1e-12)
+    assert_allclose(read(file).insertions[0].centerline, CURVE, atol=1e-12)
     file, folder = dataset(tmp_path / "d", "{id}}{0}.mrk.json")
     save(folder / "a}{0}.mrk.json", markup("Curve", points=CURVE.tolist()))
     assert [i.id for i in read(file).insertions] == ["a"]
@@ -202,8 +203,8 @@ def test_the_scan_is_placed_by_the_dataset_or_a_row(tmp_path):
     x, y, z = CURVE.T
     save(folder / "a.mrk.json", markup("Curve", "LPS", np.column_stack([y - 2, 1 - x, z - 3]).tolist()))
     found = read(file)
-    np.testing.assert_allclose(found.insertions[0].centerline, CURVE, atol=1e-12)
-    np.testing.assert_allclose(found.insertions[0].patient.to_world([[5.0, 0, 0]]), [[1, 7, 3]], atol=1e-12)
+    assert_allclose(found.insertions[0].centerline, CURVE, atol=1e-12)
+    assert_allclose(found.insertions[0].patient.to_world([[5.0, 0, 0]]), [[1, 7, 3]], atol=1e-12)
     # The row's motion, a half turn about z, is used, not the dataset's.
     identity = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]
     file, folder = dataset(tmp_path / "d", "{id}.mrk.json", lps_to_world=identity)
@@ -211,7 +212,7 @@ def test_the_scan_is_placed_by_the_dataset_or_a_row(tmp_path):
     head, line = table.read_text().splitlines()
     table.write_text(f"{head},{','.join(SCAN_COLUMNS)}\n{line},0,0,180,0,0,5\n")
     save(folder / "a.mrk.json", markup("Curve", "LPS", (CURVE * [-1, -1, 1] - [0, 0, 5]).tolist()))
-    np.testing.assert_allclose(read(file).insertions[0].centerline, CURVE, atol=1e-12)
+    assert_allclose(read(file).insertions[0].centerline, CURVE, atol=1e-12)
 
 
 @pytest.mark.parametrize(

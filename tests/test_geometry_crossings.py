@@ -9,6 +9,7 @@ import pytest
 import trimesh
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from pytest import approx
 from refusals import refused_file
 
 from needlefit.geometry.crossings import find_crossings, measure_enclosed_length
@@ -37,7 +38,7 @@ def test_crossings_of_a_plane_match_the_formula(seed, points):
     )
     if 0 < depth < 50:
         assert met.sequence == (1, 2)
-        assert met.arc == pytest.approx([depth], abs=1e-6)
+        assert met.arc == approx([depth], abs=1e-6)
         np.testing.assert_allclose(met.points, [start + depth * direction], atol=1e-6)
     else:
         assert met.sequence == (1,) and met.points.shape == (0, 3)
@@ -52,7 +53,7 @@ def test_crossings_of_a_cylinder_match_the_formula(offset, tilt):
     half, stretch = np.sqrt(100 - offset**2), np.hypot(1, tilt)
     sagitta = 10 * (1 - np.cos(np.pi / facets)) / (half / 10) * stretch
     assert met.sequence == (1, 4, 1)
-    assert met.arc == pytest.approx([(30 - half) * stretch, (30 + half) * stretch], abs=1.01 * sagitta + 1e-9)
+    assert met.arc == approx([(30 - half) * stretch, (30 + half) * stretch], abs=1.01 * sagitta + 1e-9)
 
 
 TOP = make_sheet("top", (0, 0, 0), (0, 0, 1), 80, into=2)
@@ -80,7 +81,7 @@ def test_sheets_lead_inward_and_a_solid_wins():
     core = make_cylinder("core", ((0, -30, 20), (0, 30, 20)), 5.0, into=4)
     met = find_crossings(line((0, 0, -10), (0, 0, 40)), [core, deep, TOP])
     assert met.sequence == (1, 2, 4, 3)
-    assert met.arc == pytest.approx([10, 25, 35], abs=0.02)
+    assert met.arc == approx([10, 25, 35], abs=0.02)
     below = find_crossings(line((0, 0, 21), (0, 0, 40)), [core, deep, TOP])
     assert below.sequence == (4, 1)  # no sheet was crossed on the way
 
@@ -120,8 +121,8 @@ def test_the_largest_piece_of_a_mesh_is_closed_and_solids_are_alike_in_another_p
     whole = trimesh.util.concatenate(boxes)
     found, others = extract_solid("box", whole.vertices, whole.faces[:, ::-1], into=3)
     assert (found.kind, found.into, len(found.mesh.faces)) == ("solid", 3, 12)
-    assert found.mesh.volume == pytest.approx(512) and find_mesh_faults(found.mesh, "solid") == []
-    assert others == pytest.approx((8 + 64) / 512)
+    assert found.mesh.volume == approx(512) and find_mesh_faults(found.mesh, "solid") == []
+    assert others == approx((8 + 64) / 512)
     solid = make_cylinder("cylinder", ([0.0, 0.0, -20.0], [0.0, 0.0, 20.0]), 10.0, 2)
     line = [[-20.0, 0.0, 0.0], [20.0, 0.0, 0.0]]
     here = find_crossings(line, [solid])
@@ -195,4 +196,4 @@ def test_a_tunnel_with_a_narrow_slit_encloses_a_curve_and_a_wide_one_does_not(sl
     tunnel = replace(
         make_sheet("t", [0, 0, 0], [1, 0, 0], 1.0, 2), mesh=trimesh.Trimesh([*low, *high], faces)
     )
-    assert measure_enclosed_length(line([0, 0, 0], [30, 0, 0]), tunnel, 2.5) == pytest.approx(length)
+    assert measure_enclosed_length(line([0, 0, 0], [30, 0, 0]), tunnel, 2.5) == approx(length)

@@ -1,4 +1,4 @@
-"""Each key of a study, tissue model, recipe or dataset decides the identity of a fit, or is listed not to."""
+"""Each key of a study or dataset decides the identity of a fit, or is listed not to."""
 
 import json
 import shutil
@@ -15,24 +15,21 @@ from needles import BEVEL, INTERFACE, MU, NEEDLE
 from pydantic import BaseModel
 from test_cli import run
 
+from needlefit import Bevel, Tissue, simulate
 from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.write import write_dataset
 from needlefit.errors import ConfigError
 from needlefit.geometry.frames import make_entry_frame
 from needlefit.geometry.smoothing_spline import SplineSections, make_knots
 from needlefit.geometry.surfaces import make_cylinder, make_sheet
-from needlefit.inference.sampling.samplers import SAMPLERS
-from needlefit.mechanics.control import Bevel
 from needlefit.mechanics.shape import sample_inserted_points
-from needlefit.mechanics.simulate import simulate
-from needlefit.mechanics.tissue import Tissue
 from needlefit.project.checkpoint import open_checkpoint, release_checkpoint
 from needlefit.project.folders import sha256, write_manifest
 from needlefit.project.toml import dumps
 from needlefit.schemas.dataset import DatasetRecord
-from needlefit.schemas.deciding import UNDECIDING
-from needlefit.schemas.medium import MaterialRecord, MediumRecord
-from needlefit.schemas.recipe import RecipeRecord
+from needlefit.schemas.deciding import UNDECIDING, select_deciding
+from needlefit.schemas.medium import MediumRecord, ParameterRecord
+from needlefit.schemas.recipe import LikelihoodRecord, RecipeRecord
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.identity import describe_change, identify
 from needlefit.studies.job import Settings
@@ -41,7 +38,7 @@ from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.store import pack, restore_run, store_run, unpack
 from needlefit.studies.study_files import load_study_file
 
-ROOTS = (StudyRecord, MediumRecord, MaterialRecord, RecipeRecord, DatasetRecord)
+ROOTS = (StudyRecord, DatasetRecord)
 DEPTHS = {"n1": 24.0, "n2": 30.5, "n3": 36.25, "n4": 41.0, "n5": 33.0, "n6": 15.0}
 NEEDLE_TABLE = {"length_mm": 150, "outer_diameter_mm": 1.27, "youngs_modulus_gpa": 80}
 DATASET = {
@@ -208,7 +205,6 @@ def project(tmp_path_factory):
     prior = {"schema": 1, "alpha": {"mean": 1.0, "sd": 0.1}, "mu_pa": {"median": 3e5, "factor": 1.5}}
     files = {
         "s": STUDY,
-        "priors": STUDY | {"priors": {"1": "./prior.toml"}},
         "folds": {k: v for k, v in STUDY.items() if k not in ("tune", "validate", "margin_mm", "margin_for")}
         | {"folds": [FOLDS]},
         "tracks": TRACKS,
@@ -236,7 +232,7 @@ def known(project):
     """The identity of each study as it stands."""
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(project)
-        return {name: identify(load(project, name)) for name in ("s", "priors", "folds", "tracks", "long")}
+        return {name: identify(load(project, name)) for name in ("s", "folds", "tracks", "long")}
 
 
 # ---- every key
@@ -247,16 +243,6 @@ PLACES = {
     **dict.fromkeys(("FileRecord", "FitRecord", "StudyRecord"), ("s", "s.toml", "")),
     "SelectionRecord": ("s", "s.toml", "tune"),
     "FoldsRecord": ("folds", "folds.toml", "folds.0"),
-    **dict.fromkeys(("MediumRecord", "AdvanceRecord"), ("s", "gel.toml", "")),
-    "ParameterRecord": ("s", "gel.toml", "parameters.mu2_pa"),
-    "PriorRecord": ("s", "gel.toml", "parameters.mu1_pa.prior"),
-    "MaterialRecord": ("priors", "prior.toml", ""),
-    "RecipeRecord": ("s", "recipe.toml", ""),
-    "WeightsRecord": ("s", "recipe.toml", "weights"),
-    "LikelihoodRecord": ("s", "recipe.toml", "likelihood"),
-    "TrackErrorsRecord": ("s", "recipe.toml", "likelihood.tip_tracks"),
-    "SampleRecord": ("s", "recipe.toml", "sample"),
-    "BetweenSpecimensRecord": ("s", "recipe.toml", "specimens"),
     **dict.fromkeys(("SourceRecord", "DatasetRecord"), ("s", SHAPES, "")),
     "FrameRecord": ("s", SHAPES, "frame"),
     "NeedleRecord": ("s", SHAPES, "needle"),
@@ -293,31 +279,8 @@ EDITS = {
         *("tracks", "tracks.toml", "folds.0"),
         {"tune.guided": True, "validate.guided": False},
     ),
-    "TrackErrorsRecord.carried_sd": {"carried_sd": 0.1, "gain_sd": 0.2},
     "StudyRecord.leave_out": {"leave_out": "insertion", "validate": None},
     "FoldsRecord.parts": {"parts": 2},
-    "AdvanceRecord.constraint_spacing_mm": {"constraint_spacing_mm": 0.9},
-    "AdvanceRecord.tangent_part": {"tangent_part": 0.9},
-    "AdvanceRecord.first_cell_mm": {"first_cell_mm": 0.5},
-    "AdvanceRecord.advance": {
-        "advance": "path_angle",
-        "parameters.bevel_mm": None,
-        "parameters.cut_angle_deg": {"bounds": [1.0, 10.0]},
-    },
-    "MediumRecord.layers": {"layers": 3, "parameters.mu3_pa": {"fixed": 1e5}, "parameters.alpha3.fixed": 1.0},
-    "MediumRecord.law": {"law": "neo_hookean", "parameters.alpha1": None, "parameters.alpha2": None},
-    "ParameterRecord.bounds": ("s", "gel.toml", "parameters.bevel_mm", {"bounds": [0.02, 0.4]}),
-    "ParameterRecord.fixed": ("s", "gel.toml", "parameters.alpha2", {"fixed": 1.0}),
-    "ParameterRecord.tie": {"tie": "50 * mu1_pa"},
-    **{
-        f"PriorRecord.{key}": ("s", "gel.toml", "parameters.alpha1.prior", {key: value})
-        for key, value in {"mean": 1.1, "sd": 0.3}.items()
-    },
-    "PriorRecord.correlation": {"correlation": 0.5},
-    "LikelihoodRecord.noise_scale": {"noise_scale": "estimated"},
-    "LikelihoodRecord.measurement": {"measurement": "points"},
-    "SampleRecord.sampler": {"sampler": "other"},
-    "SampleRecord.walkers": {"walkers": 14},
     "SourceRecord.truth": {"truth": {"mu1_pa": 3e5}},
     "SourceRecord.root": {"root": "../other"},
     "FrameRecord.pose": ("s", SHAPES, "", FREE),
@@ -353,11 +316,8 @@ EDITS = {
             ("bias_length_mm", "unknown", {"bias_sd_mm": 0.1, "bias_length_mm": 20.0}),
         )
     },
-    **{
-        f"{dataset}.{key}": {key.strip("_"): value}
-        for dataset in ("DatasetRecord",)
-        for key, value in {"import_": {"files": {"table.csv": "0"}}, "checksums": None}.items()
-    },
+    "DatasetRecord.import_": {"import": {"files": {"table.csv": "0"}}},
+    "DatasetRecord.checksums": {"checksums": None},
     "SurfaceRecord.file": {"file": "layers/other.stl"},
     "SurfaceRecord.kind": {"kind": "solid", "file": "layers/solid.stl"},
     "SurfaceRecord.into": ("s", SHAPES, "media.gel.surfaces.1", {"into": 1}),
@@ -457,10 +417,17 @@ def test_each_key_decides_the_identity_or_is_listed_not_to(key, project, known, 
         changes = {alias: change(stated.get(alias, default), field.annotation)}
     edit(folder / file, where, changes)
     monkeypatch.chdir(folder)
-    monkeypatch.setattr(SAMPLERS, "_builtin_names", frozenset(("emcee", "other")))
     found = identify(load(folder, study))
     decides = name not in UNDECIDING or key == "FoldsRecord.name"
     assert (found.sha256 != known[study].sha256) == decides, changes
+
+
+@pytest.mark.parametrize("record", [MediumRecord, ParameterRecord, RecipeRecord, LikelihoodRecord])
+def test_each_key_of_a_tissue_model_and_a_recipe_decides_or_is_listed_not_to(record):
+    blank = dict.fromkeys(record.model_fields)
+    for name in blank:
+        one, other = (record.model_construct(**blank | {name: value}) for value in (None, "other"))
+        assert (select_deciding(one) != select_deciding(other)) == (name not in UNDECIDING), name
 
 
 # ---- what does not decide, and what is said of what does
@@ -552,23 +519,6 @@ def predict():
     words = ("predict", "./studies/held_out.toml", "--scene", "ahead", "--quiet", "--jobs", 1)
     assert run(*words) in (0, 5)
     return json.loads(Path("reports/predict-held_out-ahead/run.json").read_text())
-
-
-def test_a_verdict_is_repeated_of_the_same_study_alone(validated, capsys):
-    study = validated / "studies/held_out.toml"
-    edit(study, "", {"title": "Another"})
-    assert predict()["fit_run"] == "held_out"
-    for changes, named in (
-        ({"tune": {"insertions": ["needle-1"]}}, "needle-2 removed"),
-        ({"tune": {"specimens": ["piece1"]}, "specimens": "training only"}, "options"),
-    ):
-        edit(study, "", changes)
-        capsys.readouterr()
-        found = predict()
-        printed = capsys.readouterr()
-        assert found["fit_verdict"] is found["fit_run"] is None
-        assert named in found["fit_changed"] and found["fit_changed"] in printed.err
-        assert "needlefit validate ./studies/held_out.toml" in printed.err
 
 
 def forget_identity(folder):

@@ -8,12 +8,9 @@ import pytest
 from problem_cases import make_problem
 from scipy.interpolate import BSpline
 
+from needlefit import Bevel, Controls, Guide, ModelOptions, Step, Tissue, compute_positions, simulate_steps
 from needlefit.datasets.read import read
-from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.packing import MAX_TOLERANCE_MM
-from needlefit.mechanics.shape import compute_positions
-from needlefit.mechanics.simulate import simulate_steps
-from needlefit.mechanics.tissue import Tissue
 from needlefit.project.locate import find_file
 from needlefit.project.toml import load
 from needlefit.schemas.medium import MediumRecord

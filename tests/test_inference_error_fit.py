@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from inference_cases import NOISE, TRUTH, dataset, insertion, measure, medium, problem, two_layers
 from problem_cases import make_problem
+from pytest import approx
 from scipy.optimize import minimize
 
 from needlefit.datasets.insertion import Insertion, Noise
@@ -50,7 +51,7 @@ def test_the_tolerance_grows_with_the_noise_and_not_with_what_a_step_cannot_take
         )
 
     one, two = tolerance(1.0), tolerance(2.0)
-    assert two.by_noise == pytest.approx(2 * one.by_noise, rel=0.02)
+    assert two.by_noise == approx(2 * one.by_noise, rel=0.02)
     assert math.isnan(one.by_insertions) and one.value == one.by_noise  # three insertions are too few
 
 
@@ -103,7 +104,7 @@ def test_the_tolerance_by_noise_is_the_quantile_of_what_a_free_parameter_takes_o
     size, taken = np.linalg.norm(errors, axis=1), errors @ along
     known = np.quantile(size - np.sqrt(np.maximum(size**2 - taken**2, 0.0)), 0.95)
     found = [estimate(p, seed=seed).by_noise for seed in range(6)]  # of 200 replicates each
-    assert np.mean(found) == pytest.approx(known, rel=0.08)
+    assert np.mean(found) == approx(known, rel=0.08)
 
 
 @pytest.mark.parametrize(("shared_sd", "factor"), [(0.0, 1.0), (0.5, QUANTILE_95)])
@@ -114,7 +115,7 @@ def test_an_error_of_a_surface_is_taken_off_whole_where_insertions_share_it(shar
     p = bevel_alone([first, second], Noise(0.0, 1e-6, 0.0, 5.0))
     deeper, shallower = (predict(TRUTH, p.medium, first, np.array([14.0 + step])) for step in (0.5, -0.5))
     effect = np.diff([sample_inserted_points(one, 2)[-1, 1] for one in (shallower, deeper)])[0] / 2
-    assert estimate(p).by_noise == pytest.approx(factor * abs(effect), rel=0.15)
+    assert estimate(p).by_noise == approx(factor * abs(effect), rel=0.15)
 
 
 def test_insertions_that_are_alike_give_one_excess_however_often_each_is_drawn():
@@ -126,7 +127,7 @@ def test_insertions_that_are_alike_give_one_excess_however_often_each_is_drawn()
     tip = off.off[off.weights > 0][0]
     along = find_taken_off(p)
     excess = np.linalg.norm(tip) - math.sqrt(max(tip @ tip - (tip @ along) ** 2, 0.0))
-    assert estimate(p, theta).by_insertions == pytest.approx(excess, rel=0.01)
+    assert estimate(p, theta).by_insertions == approx(excess, rel=0.01)
     fewer = replace(p, insertions=tuple(made[: MIN_GROUPS - 1]))
     assert math.isnan(estimate(fewer, theta).by_insertions)
 
@@ -146,13 +147,13 @@ def test_the_tolerance_by_insertions_is_the_quantile_over_groups_drawn_again(mon
     times = np.random.default_rng(1).multinomial(5, np.full(5, 0.2), size=20_000)
     errors = times @ tips.T / 5
     known = np.quantile(errors[:, 1000] - errors.min(axis=1), 0.95)
-    assert estimate(p, theta).by_insertions == pytest.approx(known, rel=0.02)
+    assert estimate(p, theta).by_insertions == approx(known, rel=0.02)
 
 
 def test_the_smallest_tolerance_is_a_hundredth_of_the_objective():
     p = bevel_alone([one_needle()], Noise())
     theta = np.array(p.parameters.theta(TRUTH)) + 1.0
-    assert estimate(p, theta).value == pytest.approx(0.01 * p.objective(theta)) and p.objective(theta) > 0.2
+    assert estimate(p, theta).value == approx(0.01 * p.objective(theta)) and p.objective(theta) > 0.2
 
 
 def test_the_ranges_end_where_the_errors_exceed_the_least_ones_by_the_tolerance():
@@ -162,14 +163,14 @@ def test_the_ranges_end_where_the_errors_exceed_the_least_ones_by_the_tolerance(
     theta = np.array(p.parameters.theta(TRUTH))
     (found,) = find_error_ranges(p, theta, tolerance, np.empty((0, 1)), 1, never_stop)
     excess = [p.objective(np.array([end])) - p.objective(theta) for end in (found.low, found.high)]
-    assert excess == pytest.approx([tolerance, tolerance], rel=0.03)
+    assert excess == approx([tolerance, tolerance], rel=0.03)
     assert p.lower[0] < found.low < theta[0] < found.high < p.upper[0]
     (wide,) = find_error_ranges(p, theta, 100.0, np.empty((0, 1)), 1, never_stop)
     assert (wide.low, wide.high) == (p.lower[0], p.upper[0])
     # b moves the tip in proportion: from a bound the errors fall to the truth, and rise again as far
     (from_bound,) = find_error_ranges(p, p.lower, 0.01, np.empty((0, 1)), 1, never_stop)
     assert from_bound.low == p.lower[0]
-    assert math.exp(from_bound.high) == pytest.approx(2 * TRUTH["bevel_mm"] - 1e-3, rel=0.05)
+    assert math.exp(from_bound.high) == approx(2 * TRUTH["bevel_mm"] - 1e-3, rel=0.05)
 
 
 def test_steps_that_lead_out_of_the_limit_turn_back():
@@ -185,7 +186,7 @@ def test_steps_that_lead_out_of_the_limit_turn_back():
     nothing = np.empty((0, len(least)))
     found = find_error_ranges(p, least, 0.0262705, nothing, 1, never_stop)
     ends = {one.name: (math.exp(one.low), math.exp(one.high)) for one in found}
-    assert ends["mu1_pa"] == pytest.approx((3023.0, 6402.0), rel=0.01)
+    assert ends["mu1_pa"] == approx((3023.0, 6402.0), rel=0.01)
 
 
 def test_valleys_are_followed_to_the_bound():

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from inference_cases import TRUTH, insertion, measure, medium, problem
-from sampling_cases import Known, banana, weighted
 
 from needlefit.inference.identifiability.profile import minimize_squares
 from needlefit.inference.sampling import interpolated_density
@@ -40,14 +39,6 @@ def layered():
     return problem(
         record, [measure(TRUTH, record, one) for one in planned], LikelihoodRecord(bevel_spread=0.0)
     )
-
-
-def test_the_evidence_of_a_banana_is_that_of_a_grid():
-    known = Known(banana, half=40.0)
-    exact = integrate(known.log_density, np.array([-6.0, -4.0]), np.array([6.0, 36.0]), 600)
-    found = [weighted(known, effort=MANY, seed=seed) for seed in range(4)]
-    assert all(one.certified for one in found)  # the standard error of each is at most 0.016
-    assert np.mean([one.log_evidence for one in found]) == pytest.approx(exact, abs=0.02)
 
 
 def test_the_evidence_of_insertions_is_that_of_a_grid(layered):

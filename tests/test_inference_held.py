@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from inference_cases import NOISE, TRUTH, insertion, measure, medium, problem, squares_recipe
 from problem_cases import make_problem
+from pytest import approx
 
 from needlefit.datasets.insertion import Noise
 from needlefit.datasets.read import read
@@ -47,15 +48,15 @@ def test_what_is_searched_is_the_same_at_the_centre_of_the_prior(held):
     assert held.parameters.status["alpha1"] == held.parameters.status["alpha2"] == "prior"
     theta = held.parameters.theta(TRUTH)
     searched = held.parameters.restrict(theta)
-    assert held.parameters.extend(searched) == pytest.approx(theta)
-    assert held.searched.values(searched) == pytest.approx(held.values(theta))
-    assert held.searched.log_posterior(searched) == pytest.approx(held.log_posterior(theta), abs=1e-9)
+    assert held.parameters.extend(searched) == approx(theta)
+    assert held.searched.values(searched) == approx(held.values(theta))
+    assert held.searched.log_posterior(searched) == approx(held.log_posterior(theta), abs=1e-9)
     assert held.holding(()).searched.names == held.names
 
 
 def test_the_shift_is_that_of_needles_simulated_at_both_ends(held):
     low, high = central_range(held.parameters, "alpha1")
-    assert (low, high) == pytest.approx((-2.92, 4.92), abs=1e-3)
+    assert (low, high) == approx((-2.92, 4.92), abs=1e-3)
     moved = []
     for one in held.insertions:
         sets = [TRUTH | {"alpha1": alpha, "alpha2": -alpha} for alpha in (1.0, low, high)]
@@ -63,12 +64,12 @@ def test_the_shift_is_that_of_needles_simulated_at_both_ends(held):
         moved += [tip - tips[0] for tip in tips[1:]]
     theta = held.parameters.theta(TRUTH)
     (found,) = measure_shifts(held, theta[None]).values()
-    assert found.tip_mm == pytest.approx(max(np.linalg.norm(moved, axis=1)), rel=1e-3) and found.is_hidden
+    assert found.tip_mm == approx(max(np.linalg.norm(moved, axis=1)), rel=1e-3) and found.is_hidden
     most = max(abs(step[1]) for step in moved)  # along y, in which points are compared
     exact = tuple(replace(one, pose_angle_sd=0.0) for one in held.insertions)
     bare = problem(held.medium, exact, noise=Noise(point_sd=most / 0.25))
     (found,) = measure_shifts(bare, theta[None]).values()
-    assert found.in_noise == pytest.approx(0.25, rel=1e-3) and not found.is_hidden
+    assert found.in_noise == approx(0.25, rel=1e-3) and not found.is_hidden
 
 
 def test_points_are_compared_with_the_standard_deviations_of_their_own_errors(held):
@@ -83,7 +84,7 @@ def test_points_are_compared_with_the_standard_deviations_of_their_own_errors(he
     expected = np.max(np.abs(np.subtract(points[1:], points[0])) / sds)
     alone = problem(held.medium, [one], noise=NOISE)
     (found,) = measure_shifts(alone, held.parameters.theta(TRUTH)[None]).values()
-    assert found.in_noise == pytest.approx(expected, rel=0.02)
+    assert found.in_noise == approx(expected, rel=0.02)
 
 
 def test_each_of_three_parameters_has_its_own_shift():
@@ -96,7 +97,7 @@ def test_each_of_three_parameters_has_its_own_shift():
     for name, shift in found.items():
         ends = [values | {name: end} for end in (1.0, *central_range(known.parameters, name))]
         tips = [sample_inserted_points(predict(end, record, one), 2)[-1] for end in ends]
-        assert shift.tip_mm == pytest.approx(max(np.linalg.norm(tips[1:] - tips[0], axis=1)), rel=1e-3)
+        assert shift.tip_mm == approx(max(np.linalg.norm(tips[1:] - tips[0], axis=1)), rel=1e-3)
 
 
 def test_the_shift_of_curvatures_is_in_standard_deviations_of_the_sensors(held):
@@ -117,35 +118,35 @@ def test_the_shift_of_curvatures_is_in_standard_deviations_of_the_sensors(held):
         return found.in_noise
 
     expected = np.max(np.abs(np.subtract(kappa[1:], kappa[0]))) / sd
-    assert find(replace(one, curvature=sensors, observation="curvature")) == pytest.approx(expected, rel=0.02)
+    assert find(replace(one, curvature=sensors, observation="curvature")) == approx(expected, rel=0.02)
     assert find(replace(one, curvature=sensors)) == find(one) < 0.1 < expected
 
 
 def test_the_draws_of_what_is_held_are_those_of_its_prior(held):
     draws = draw_held(held.parameters, np.zeros((20_000, 3)), np.random.default_rng(1))
-    assert draws[:, [0, 2, 3]] == pytest.approx(0.0)
-    assert (draws[:, 1].mean(), draws[:, 1].std()) == pytest.approx((1.0, 2.0), abs=0.05)
+    assert draws[:, [0, 2, 3]] == approx(0.0)
+    assert (draws[:, 1].mean(), draws[:, 1].std()) == approx((1.0, 2.0), abs=0.05)
     # the integral of exp(-(x - 1)^2 / 8) over four standard deviations on either side
-    assert log_prior_integral(held.parameters) == pytest.approx(np.log(2 * np.sqrt(2 * np.pi)), abs=1e-4)
+    assert log_prior_integral(held.parameters) == approx(np.log(2 * np.sqrt(2 * np.pi)), abs=1e-4)
 
 
 def test_a_fit_that_cannot_tell_alpha_holds_it_and_draws_it(held):
     fit = minimize(held, RECIPE, np.random.default_rng(1))
     assert fit.held == ("alpha1",) and fit.values["alpha1"] == 1.0 and len(fit.theta) == 4
     plain = minimize(held.searched, RECIPE, np.random.default_rng(1))
-    assert held.parameters.restrict(np.array(fit.theta)) == pytest.approx(np.array(plain.theta))
+    assert held.parameters.restrict(np.array(fit.theta)) == approx(np.array(plain.theta))
     found = sample_about_fit(held, fit, np.random.default_rng(2))
     draws = resample_draws(found, 500, np.random.default_rng(3))
     alone = resample_draws(replace(found, parameters=None), 500, np.random.default_rng(3))
-    assert held.parameters.restrict(draws.thetas) == pytest.approx(alone.thetas)
-    assert draws.thetas[:, 1].std() == pytest.approx(2.0, abs=0.25)
+    assert held.parameters.restrict(draws.thetas) == approx(alone.thetas)
+    assert draws.thetas[:, 1].std() == approx(2.0, abs=0.25)
     verdict = identify(held, fit, draws.thetas)
     assert set(verdict.sds) == {"mu1_pa", "mu2_pa", "bevel_mm"}
     settings = SampleRecord(walkers=8, densities=400, independent_draws=1)
     posterior = sample(held, found, settings, np.random.default_rng(4))
     assert posterior is not None and posterior.names == held.names
     alpha = posterior.draws[..., 1]
-    assert (alpha.mean(), alpha.std()) == pytest.approx((1.0, 2.0), abs=0.3)
+    assert (alpha.mean(), alpha.std()) == approx((1.0, 2.0), abs=0.3)
     assert posterior.convergence.loc["alpha1", "r_hat"] == 1.0
 
 
@@ -189,4 +190,4 @@ def test_a_thin_gel_that_is_compressed_determines_alpha():
         truth = asked.parameters.theta({"alpha1": 2.643, "mu1_pa": 5546.2, "bevel_mm": 0.03313})
         away = (np.array(fit.theta) - truth) / list(sds.values())
         assert np.all(np.abs(away) < 2.0)
-        assert fit.objective == pytest.approx(first.objective, abs=1e-3)
+        assert fit.objective == approx(first.objective, abs=1e-3)

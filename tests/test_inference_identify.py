@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from inference_cases import TRUTH, insertion, measure, medium, problem, two_layers
+from pytest import approx
 
 from needlefit.datasets.insertion import Noise
 from needlefit.inference.fit import Fit, Start
@@ -35,13 +36,13 @@ def test_undetermined_alpha_is_reported_and_takes_nothing_from_the_rest():
     p = problem(record, [measure(TRUTH, record, insertion(d)) for d in (35.0, 50.0)], noise=FINE)
     verdict = identify(p, fit_at(p, TRUTH))
     assert not verdict.determined["alpha1"] and verdict.determined["bevel_mm"]
-    assert verdict.sds["alpha1"] == pytest.approx(8 / math.sqrt(12), rel=0.01)  # its bounds, nothing more
+    assert verdict.sds["alpha1"] == approx(8 / math.sqrt(12), rel=0.01)  # its bounds, nothing more
     fixed, freed = medium(1), medium(1, alpha1={"bounds": [-3, 5]})
     made = [measure(TRUTH, fixed, insertion(d)) for d in (35.0, 50.0)]
     problems = (problem(record, made, noise=FINE) for record in (fixed, freed))
     sds = [identify(p, fit_at(p, TRUTH)).sds for p in problems]
     for name in ("mu1_pa", "bevel_mm"):
-        assert sds[1][name] == pytest.approx(sds[0][name], rel=0.05)
+        assert sds[1][name] == approx(sds[0][name], rel=0.05)
 
 
 def test_the_ridge_of_mu_and_b_is_found_and_named():
@@ -66,9 +67,7 @@ def test_equally_good_starts_that_disagree_leave_nothing_determined():
     fits = [fit_at(p, TRUTH), fit_at(p, TRUTH, (far, 1e-3)), fit_at(p, TRUTH, (far, 0.5))]
     agreed, split, worse = (identify(p, fit) for fit in fits)
     assert worse.spread_high == agreed.spread_high
-    assert split.spread_low["mu2_pa"] == pytest.approx(2e7) and split.spread_high["mu2_pa"] == pytest.approx(
-        1e9
-    )
+    assert split.spread_low["mu2_pa"] == approx(2e7) and split.spread_high["mu2_pa"] == approx(1e9)
     assert agreed.determined["mu2_pa"] and not split.determined["mu2_pa"]
     assert "disagree" in split.notes["mu2_pa"]
 
@@ -94,7 +93,7 @@ def test_residuals_stand_for_the_noise_or_widen_the_deviations():
     wavy = [measure(TRUTH, record, still, error=lambda xy: xy + 0.2 * np.sin(xy[:, :1] * 9))]
     fine, coarse = (problem(record, wavy, noise=Noise(point_sd=sd)) for sd in (0.01, 0.1))
     first, second = (identify(p, fit_at(p, TRUTH)) for p in (fine, coarse))
-    assert first.sds["bevel_mm"] == pytest.approx(second.sds["bevel_mm"], rel=0.1)
+    assert first.sds["bevel_mm"] == approx(second.sds["bevel_mm"], rel=0.1)
 
 
 def test_a_direction_that_a_tie_alone_knows_is_marked():
@@ -103,8 +102,8 @@ def test_a_direction_that_a_tie_alone_knows_is_marked():
     data = np.outer([1, 1], [1, 1]) / 0.1**2
     known, tied = principal_directions(data + prior, names, prior)
     assert known.is_informed and KNOWN_BY_PRIOR not in known.words
-    assert tied.sd_ratio == pytest.approx(1.0) and not tied.is_informed and KNOWN_BY_PRIOR in tied.words
-    assert tied.sd == pytest.approx(1 / math.sqrt(1 / 4**2 + 2 / tie**2))
+    assert tied.sd_ratio == approx(1.0) and not tied.is_informed and KNOWN_BY_PRIOR in tied.words
+    assert tied.sd == approx(1 / math.sqrt(1 / 4**2 + 2 / tie**2))
     assert all(one.is_informed for one in principal_directions(data + prior, names))
 
 
@@ -116,10 +115,10 @@ def test_needles_that_differ_widen_the_deviations_and_repeats_of_one_do_not_coun
     p = problem(record, made, noise=FINE)
     verdict = identify(p, fit_at(p, TRUTH))
     spread = 0.2 * np.std([-1.5, -0.5, 0.5, 1.5, -1.0, 1.0, 0.0, 0.0], ddof=1) / math.sqrt(8)
-    assert verdict.sds["bevel_mm"] == pytest.approx(spread, rel=0.2)
+    assert verdict.sds["bevel_mm"] == approx(spread, rel=0.2)
     twice = [replace(i, id=f"{i.id}-{n}") for i in made for n in "ab"]
     again = identify(problem(record, twice, noise=FINE), fit_at(problem(record, twice, noise=FINE), TRUTH))
-    assert again.sds["bevel_mm"] == pytest.approx(verdict.sds["bevel_mm"], rel=0.01)
+    assert again.sds["bevel_mm"] == approx(verdict.sds["bevel_mm"], rel=0.01)
 
 
 # ---- under which assumptions alone a parameter is determined: ties, and a model without error
@@ -146,7 +145,7 @@ def test_ties_are_loosened_and_what_only_a_tie_determines_is_not_determined():
     assert loosen_ties(loosen_ties(spread)) == loosen_ties(spread)
     p = tied_problem(spread=1.15)
     verdict = identify(p, fit_at(p, VALUES))
-    assert verdict.sds["mu1_pa"] == pytest.approx(math.log(1.15), rel=0.05)  # from the third layer
+    assert verdict.sds["mu1_pa"] == approx(math.log(1.15), rel=0.05)  # from the third layer
     assert verdict.conditions["mu1_pa"] == STATED_TIES and not verdict.determined["mu1_pa"]
     assert STATED_TIES in verdict.notes["mu1_pa"]
     # what a model error alone forbids is no matter of the tie
@@ -176,7 +175,7 @@ def test_a_point_better_than_the_fit_is_reported_with_its_gain():
     found = profile_parameters(p, fit_at(p, worse))
     lost = p.log_posterior(p.parameters.theta(TRUTH)) - p.log_posterior(p.parameters.theta(worse))
     assert found.gain >= lost - 0.01 and found.gain > 1
-    assert p.log_posterior(np.array(found.best)) == pytest.approx(
+    assert p.log_posterior(np.array(found.best)) == approx(
         p.log_posterior(p.parameters.theta(worse)) + found.gain, abs=0.01
     )
     assert abs(profile_parameters(p, fit_at(p, TRUTH)).gain) < 0.01
@@ -190,7 +189,7 @@ def test_four_equal_insertions_halve_the_deviations():
         p = problem(record, [measure(TRUTH, record, insertion(40.0)) for _ in range(count)])
         return np.linalg.eigvalsh(design_gain.fisher_information(p, p.parameters.theta(TRUTH)))[-1] ** -0.5
 
-    assert predict_deviations(4) == pytest.approx(predict_deviations(1) / 2, rel=0.02)
+    assert predict_deviations(4) == approx(predict_deviations(1) / 2, rel=0.02)
 
 
 def test_draws_that_are_wider_than_the_information_decide_what_is_determined():
@@ -202,7 +201,7 @@ def test_draws_that_are_wider_than_the_information_decide_what_is_determined():
     covariance[k, k] = 0.35**2
     found = identify(p, fit, rng.multivariate_normal(np.array(fit.theta), covariance, 4000))
     assert local.determined["bevel_mm"] and not found.determined["bevel_mm"]
-    assert found.sds["bevel_mm"] == pytest.approx(0.35, rel=0.05)
+    assert found.sds["bevel_mm"] == approx(0.35, rel=0.05)
     assert min(one.sd for one in found.directions) > min(one.sd for one in local.directions)
 
 
@@ -232,6 +231,6 @@ def test_nested_gain_and_deviations_are_those_of_the_linear_gaussian_case(by_dep
     noise = np.eye(3) + np.outer(by_depth, by_depth)  # the depth, integrated over
     after = np.linalg.inv(np.linalg.inv(COVARIANCE) + SLOPES.T @ np.linalg.solve(noise, SLOPES))
     nats = 0.5 * np.log(np.linalg.det(COVARIANCE) / np.linalg.det(after))
-    assert found.nats == pytest.approx(nats, abs=3.5 * found.nats_se)
+    assert found.nats == approx(nats, abs=3.5 * found.nats_se)
     assert found.nats_se < 0.06
-    assert found.sds == pytest.approx(np.sqrt(np.diag(after)), rel=0.05)
+    assert found.sds == approx(np.sqrt(np.diag(after)), rel=0.05)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from pytest import approx
 from sampling_cases import Known, banana, gaussian, two_hills, weighted
 from scipy.stats import genpareto, norm
 
@@ -32,17 +33,17 @@ def test_a_banana_is_recovered():
     assert all(found.certified and once.k > found.k for found in many)
     # What no draw comes near is missed: the ends of the banana, which have much of the variance.
     means, covariances, _ = (np.mean(part, axis=0) for part in zip(*map(moments, many), strict=True))
-    assert means == pytest.approx([0.0, 1.0], abs=0.08)
-    assert covariances[1, 1] == pytest.approx(2.25, rel=0.17)
+    assert means == approx([0.0, 1.0], abs=0.08)
+    assert covariances[1, 1] == approx(2.25, rel=0.17)
     orders = [np.argsort(found.thetas[:, 0]) for found in many]
     quantiles = [
         np.interp([0.05, 0.5, 0.95], np.cumsum(np.exp(found.log_weights[order])), found.thetas[order, 0])
         for found, order in zip(many, orders, strict=True)
     ]
-    assert np.mean(quantiles, axis=0) == pytest.approx(norm.ppf([0.05, 0.5, 0.95]), abs=0.06)
+    assert np.mean(quantiles, axis=0) == approx(norm.ppf([0.05, 0.5, 0.95]), abs=0.06)
     # Of weights that looked certified after one round, at the density itself, the mean was 0.5.
     found = [weighted(Known(banana, half=40.0), effort=Effort(), seed=seed) for seed in range(6)]
-    assert np.mean([moments(one)[0][1] for one in found if one.certified]) == pytest.approx(1.0, abs=0.2)
+    assert np.mean([moments(one)[0][1] for one in found if one.certified]) == approx(1.0, abs=0.2)
 
 
 def test_a_density_at_a_bound_and_two_equal_modes_are_recovered():
@@ -50,11 +51,11 @@ def test_a_density_at_a_bound_and_two_equal_modes_are_recovered():
     found = weighted(Known(lambda x: x[:, 0], 1), [10.0])
     mean, covariance, errors = moments(found)
     assert found.certified
-    assert abs(mean[0] - 9.0) < 4 * errors[0] and covariance[0, 0] == pytest.approx(1.0, rel=0.2)
-    assert found.log_evidence == pytest.approx(10.0, abs=4 * found.log_evidence_se)
+    assert abs(mean[0] - 9.0) < 4 * errors[0] and covariance[0, 0] == approx(1.0, rel=0.2)
+    assert found.log_evidence == approx(10.0, abs=4 * found.log_evidence_se)
     found = weighted(Known(two_hills), [[5.0, 0.0], [-5.0, 0.0]])
     assert found.certified
-    assert np.exp(found.log_weights)[found.thetas[:, 0] > 0].sum() == pytest.approx(0.5, abs=0.06)
+    assert np.exp(found.log_weights)[found.thetas[:, 0] > 0].sum() == approx(0.5, abs=0.06)
 
 
 def test_parameters_without_information_are_proposed_uniformly():
@@ -65,14 +66,14 @@ def test_parameters_without_information_are_proposed_uniformly():
     centre, spread, errors = moments(found)
     assert found.certified and found.k < 0.5
     assert np.all(np.abs(centre - [*mean, 0.0]) < 4 * errors)
-    assert spread[:2, :2] == pytest.approx(covariance, rel=0.15)
-    assert spread[2, 2] == pytest.approx(20**2 / 12, rel=0.1) and abs(spread[0, 2]) < 0.3
+    assert spread[:2, :2] == approx(covariance, rel=0.15)
+    assert spread[2, 2] == approx(20**2 / 12, rel=0.1) and abs(spread[0, 2]) < 0.3
     exact = np.log(2 * np.pi) + 0.5 * np.log(np.linalg.det(covariance)) + np.log(20.0)
-    assert found.log_evidence == pytest.approx(exact, abs=4 * found.log_evidence_se)
+    assert found.log_evidence == approx(exact, abs=4 * found.log_evidence_se)
     drawn = found.proposal.draw(20_000, np.random.RandomState(1))
-    assert np.quantile(drawn[:, 2], [0.05, 0.5, 0.95]) == pytest.approx([-9, 0, 9], abs=0.4)
+    assert np.quantile(drawn[:, 2], [0.05, 0.5, 0.95]) == approx([-9, 0, 9], abs=0.4)
     weights = np.exp(known.log_density(drawn) - found.proposal.log_density(drawn))
-    assert weights @ drawn[:, :2] / weights.sum() == pytest.approx(mean, abs=0.03)
+    assert weights @ drawn[:, :2] / weights.sum() == approx(mean, abs=0.03)
 
 
 class Plateau(Known):
@@ -101,20 +102,20 @@ def test_a_plateau_at_the_end_of_a_winding_valley_is_found_along_the_profile():
         for effort in (Effort(profiles=False), Effort(draws=1000, min_ess=250.0))
     )
     assert not alone.certified and found.certified
-    assert np.exp(found.log_weights)[found.thetas[:, 0] < 2].sum() == pytest.approx(0.2994, abs=0.05)
+    assert np.exp(found.log_weights)[found.thetas[:, 0] < 2].sum() == approx(0.2994, abs=0.05)
 
 
 def test_heavy_tails_are_not_certified_and_a_pareto_law_is_fitted():
     # Weights of a Pareto law with k = 1.5 have no mean; k is drawn to 0.5, by ten weights.
     heavy = np.log(genpareto.rvs(1.5, size=20000, random_state=3))
-    assert smooth_weights(heavy)[1] == pytest.approx(1.5, abs=0.4)
+    assert smooth_weights(heavy)[1] == approx(1.5, abs=0.4)
     # Of 100 weights the 20 largest are smoothed; of 1500 it is 3 times the root (test above).
     log_weights = np.sort(np.random.default_rng(2).normal(size=100))
     smoothed, _ = smooth_weights(log_weights)
     moved = np.abs(np.diff(smoothed) - np.diff(log_weights)) > 1e-9
     assert not moved[:79].any() and moved[80:].all()
     shape, scale = fit_pareto(np.sort(genpareto.rvs(0.4, scale=2.0, size=4000, random_state=1)))
-    assert (shape, scale) == (pytest.approx(0.4, abs=0.06), pytest.approx(2.0, rel=0.08))
+    assert (shape, scale) == (approx(0.4, abs=0.06), approx(2.0, rel=0.08))
 
 
 @pytest.mark.filterwarnings(r"ignore:\sArviZ is:FutureWarning")  # once a day
@@ -125,8 +126,8 @@ def test_smoothed_weights_are_arviz_s(shape):
     import arviz  # takes seconds, and every process of a parallel run imports this file
 
     theirs, their_k = arviz.psislw(log_weights.copy())
-    assert k == pytest.approx(float(their_k), abs=1e-10)
-    assert ours == pytest.approx(np.asarray(theirs), abs=1e-10)
+    assert k == approx(float(their_k), abs=1e-10)
+    assert ours == approx(np.asarray(theirs), abs=1e-10)
 
 
 def test_resampled_draws_stand_once_and_by_their_weight():
@@ -135,7 +136,7 @@ def test_resampled_draws_stand_once_and_by_their_weight():
     assert len(set(resample(known, 79, rng).tolist())) == 79
     few = np.log(np.array([0.8, 0.2]))
     drawn = resample(WeightedDraws(np.zeros((2, 1)), np.zeros(2), few, 0.0, 1.0, 0.0), 4000, rng)
-    assert np.mean(drawn == 0) == pytest.approx(0.8, abs=0.03)
+    assert np.mean(drawn == 0) == approx(0.8, abs=0.03)
     # Weights of N(0, 1) on draws of N(0, 9): all 1000 taken once each would have a deviation of 3.
     rng = np.random.default_rng(3)
     wide = 3.0 * rng.standard_normal(1000)
@@ -143,4 +144,4 @@ def test_resampled_draws_stand_once_and_by_their_weight():
     log_weights -= np.logaddexp.reduce(log_weights)
     found = WeightedDraws(wide[:, None], np.zeros(1000), log_weights, 0.0, 250.0, 0.0)
     exact = np.sqrt(np.exp(log_weights) @ wide**2)
-    assert np.std(wide[resample(found, 1000, rng)]) == pytest.approx(exact, rel=0.02)
+    assert np.std(wide[resample(found, 1000, rng)]) == approx(exact, rel=0.02)

@@ -14,6 +14,7 @@ from inference_cases import (
     problem,
 )
 from problem_cases import make_problem
+from pytest import approx
 from refusals import refusal
 
 from needlefit.datasets.insertion import Noise
@@ -37,12 +38,12 @@ def test_independent_noise_gives_the_textbook_density():
     got = known.log_norm - 0.5 * white @ white
     n = 41
     expected = -0.5 * 41 * (0.1 / 0.2) ** 2 - n * math.log(0.2) - 0.5 * n * math.log(2 * math.pi)
-    assert got == pytest.approx(expected, rel=1e-12)
+    assert got == approx(expected, rel=1e-12)
     noise, measured = Noise(0.19, 0.05, 0.1, 5.0), straight(angle_sd=0.01)
     known = make_observation(dataset([], noise), measured, likelihood=LikelihoodRecord(noise="independent"))
     shift = 0.19 / math.sqrt(8 / math.pi)
     sd = np.sqrt(0.05**2 + 0.1**2 + shift**2 + (0.01 * STRAIGHT[:, 0]) ** 2)
-    assert known.whitening == pytest.approx(np.diag(1 / sd))
+    assert known.whitening == approx(np.diag(1 / sd))
     refusal(DataError, "point_sd_mm", lambda: make_observation(dataset([], Noise()), straight()))
 
 
@@ -52,7 +53,7 @@ def test_a_free_pose_costs_nothing():
     turned = made.with_points(made.points[:, :2] @ np.array([[0.6, 0.8], [-0.8, 0.6]]) + [30.0, 7.0])
     p, q = (problem(record, [i], pose="free", drop=5.0) for i in (made, turned))
     theta = p.parameters.theta(TRUTH)
-    assert p.log_posterior(theta) == pytest.approx(q.log_posterior(theta), abs=1e-3)
+    assert p.log_posterior(theta) == approx(q.log_posterior(theta), abs=1e-3)
 
 
 @pytest.mark.parametrize(("compared", "count"), [("plane", 1), ("space", 2)])
@@ -66,8 +67,8 @@ def test_a_shift_across_costs_nothing_where_the_direction_alone_is_known(compare
         for one in (made, shifted)
     )
     theta = p.parameters.theta(TRUTH)
-    assert q.log_posterior(theta) == pytest.approx(p.log_posterior(theta), abs=1e-3)
-    assert q.objective(theta) == pytest.approx(p.objective(theta), abs=1e-4)
+    assert q.log_posterior(theta) == approx(p.log_posterior(theta), abs=1e-3)
+    assert q.objective(theta) == approx(p.objective(theta), abs=1e-4)
     off = p.parameters.theta({**TRUTH, "bevel_mm": 0.12})
     (known,), squares = q.density.observations, []
     wide = np.linalg.inv(known.covariance() + 1e3**2 * known.free @ known.free.T)
@@ -76,7 +77,7 @@ def test_a_shift_across_costs_nothing_where_the_direction_alone_is_known(compare
         left = known.stack(compute_positions(shape, known.nodes.s[0])) - known.stack(known.measured)
         squares.append(left @ wide @ left)
     rise = q.log_posterior(theta) - q.log_posterior(off)
-    assert rise == pytest.approx((squares[1] - squares[0]) / 2, rel=1e-3) and rise > 1.0
+    assert rise == approx((squares[1] - squares[0]) / 2, rel=1e-3) and rise > 1.0
     assert (known.rows, known.free.shape[1]) == (31 * count - count, count)
     assert_one_density(q, off)
 

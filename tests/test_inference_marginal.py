@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from inference_cases import TRUTH, assert_one_density, insertion, measure, medium, problem
+from pytest import approx
 from scipy.special import logsumexp, ndtri
 from scipy.stats import multivariate_normal, qmc
 
@@ -57,9 +58,9 @@ def test_nothing_uncertain_is_the_density_as_measured_and_a_failed_node_fails_it
     for made in (make_nodes(certain, LINE, "linear"), make_nodes(LAYERED, LINE, "fixed")):
         assert made.axes == () and len(made.insertions) == 1
         white = np.arange(5.0)[None]
-        assert one(white, made, 2.0) == pytest.approx(-0.5 * 30 / 4 - 5 * math.log(2))
+        assert one(white, made, 2.0) == approx(-0.5 * 30 / 4 - 5 * math.log(2))
         found = residuals_of([white[None]], make_group(made), (np.array([2.0]), np.zeros(1)))
-        assert found[0] == pytest.approx(white[0] / 2)
+        assert found[0] == approx(white[0] / 2)
     linear = np.array([[1, 0, 0], [0, -0.5, 0.5]])
     made = Nodes((LAYERED,) * 3, np.zeros((3, 1)), (ErrorAxis(),), linear, np.zeros((0, 3)), bevel=False)
     white = np.ones((3, 4))
@@ -155,8 +156,8 @@ def test_bevels_that_are_shared_or_sum_to_zero_have_the_density_of_their_covaria
         residuals, log_det = residuals_of(many, group, AT)
         by_residuals -= 0.5 * (residuals @ residuals + log_det)
     exact = multivariate_normal(cov=covariance).logpdf(parts[0].ravel())
-    assert got - 9 * math.log(2 * math.pi) == pytest.approx(exact, abs=1e-9)
-    assert by_residuals == pytest.approx(got, abs=1e-9)
+    assert got - 9 * math.log(2 * math.pi) == approx(exact, abs=1e-9)
+    assert by_residuals == approx(got, abs=1e-9)
 
 
 @pytest.mark.parametrize("noise_scale", [1.0, "estimated"])

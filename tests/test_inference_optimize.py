@@ -4,6 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from inference_cases import Analytic, Squares, box, recipe, squares_recipe
+from pytest import approx
 
 from needlefit.errors import FitError, ModelError
 from needlefit.inference.distance_search import run_gauss_newton
@@ -37,14 +38,14 @@ def rng():
 @pytest.mark.parametrize("dimensions", [1, 2])
 def test_gradients_lead_to_the_bottom_of_a_bowl(dimensions):
     fit = minimize(box(bowl, dimensions), recipe(evaluations=600), rng())
-    assert fit.theta == pytest.approx([0.3] * dimensions, abs=0.02)
+    assert fit.theta == approx([0.3] * dimensions, abs=0.02)
     assert fit.objective == bowl(np.array(fit.theta))
     assert fit.evaluations == sum(s.evaluations for s in fit.starts) <= 4 * 600
 
 
 def test_valleys_budgets_and_stops():
     fit = minimize(box(rosenbrock), recipe(evaluations=400), rng())
-    assert fit.theta == pytest.approx([1, 1], abs=1e-2)
+    assert fit.theta == approx([1, 1], abs=1e-2)
     fit = minimize(box(rosenbrock), recipe(evaluations=17, starts=3), rng())
     assert [s.evaluations for s in fit.starts] == [16, 16, 16]
     assert {s.stopped for s in fit.starts} == {"budget"}
@@ -99,7 +100,7 @@ def squares(function, half=2.0):
 
 def test_squares_lead_to_the_peak_of_the_posterior():
     fit = minimize(squares(valley), squares_recipe(), rng())
-    assert fit.objective == pytest.approx(-7.0, abs=1e-6)
+    assert fit.objective == approx(-7.0, abs=1e-6)
     assert fit.minimized == "posterior"
     assert sum(start.stopped == "tolerance" for start in fit.starts) >= 1
 
@@ -107,7 +108,7 @@ def test_squares_lead_to_the_peak_of_the_posterior():
 def test_a_minimum_at_a_bound_is_found_and_flagged():
     fit = minimize(squares(valley, half=0.5), squares_recipe(), rng())
     # at theta0 = 0.5 the best theta1 is 0.25: half of (1 - 0.5)^2 is left
-    assert fit.objective == pytest.approx(0.125 - 7.0, abs=1e-6)
+    assert fit.objective == approx(0.125 - 7.0, abs=1e-6)
     assert "bound" in {start.stopped for start in fit.starts}
     assert not any(start.stopped == "tolerance" for start in fit.starts)
 
@@ -120,12 +121,12 @@ def test_why_a_search_of_squares_stopped():
 
     fit = minimize(squares(bent), squares_recipe(), rng())
     assert all(start.stopped == "tolerance" for start in fit.starts)
-    assert fit.objective == pytest.approx(0.5 * 0.9**2 - 7.0, abs=1e-9)
+    assert fit.objective == approx(0.5 * 0.9**2 - 7.0, abs=1e-9)
     assert max(start.evaluations for start in fit.starts) <= 20
     fit = minimize(
         squares(lambda t: (np.array([1.0, t[0]]), np.array([[0, 0], [1.0, 0]]))), squares_recipe(), rng()
     )
-    assert fit.objective == pytest.approx(0.5 - 7.0)
+    assert fit.objective == approx(0.5 - 7.0)
     assert {start.stopped for start in fit.starts} == {"flat"}
 
 
@@ -183,7 +184,7 @@ def test_starts_that_converge_are_merged():
         assert (start.theta, start.objective, start.stopped) == (leader.theta, leader.objective, "tolerance")
         assert start.theta0 != leader.theta0 or start is leader
     apart = minimize(hill_squares(), squares_recipe(starts=12), rng())
-    assert fit.theta == pytest.approx(apart.theta, abs=1e-6)
+    assert fit.theta == approx(apart.theta, abs=1e-6)
     assert [s.theta0 for s in fit.starts] == [s.theta0 for s in apart.starts]
     assert len(calls) < 0.4 * apart.evaluations
 
@@ -199,7 +200,7 @@ def test_starts_far_behind_the_best_are_not_continued():
     left = [start for start in fit.starts if start.stopped == "behind"]
     assert len(left) >= 2 and {start.stopped for start in fit.starts} == {"tolerance", "behind"}
     assert {round(start.objective + 7.0, 6) for start in left} == {50.0}
-    assert all(start.theta[0] == pytest.approx(-1.5, abs=1e-4) for start in left)
+    assert all(start.theta[0] == approx(-1.5, abs=1e-4) for start in left)
 
     known = ObjectiveFunction(np.zeros(1), np.ones(1), lambda theta: 0.0)
     three = [Start(k, (0.0,), (0.0,), [-16.0, 0.0, 0.1][k], 1, 0, "tolerance") for k in range(3)]
@@ -248,4 +249,4 @@ def test_distances_that_are_0_are_reached_in_few_steps():
         known = ObjectiveFunction(*box, lambda theta: distances(theta).total, distances=distances)
         recorder = EvaluationRecorder(known, budget, never_stop)
         assert recorder.run(run_gauss_newton, np.array([start])) == reason
-        assert np.exp(recorder.theta[0]) == pytest.approx(end, abs=1e-3)
+        assert np.exp(recorder.theta[0]) == approx(end, abs=1e-3)

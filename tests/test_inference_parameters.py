@@ -3,6 +3,7 @@ import math
 import numpy as np
 import pytest
 from inference_cases import MU, TRUTH, medium
+from pytest import approx
 from refusals import refusal
 from scipy.stats import kstest
 
@@ -19,10 +20,10 @@ def test_theta_tissue_and_what_stays_free():
     assert p.free == ("mu1_pa", "alpha1", "mu2_pa", "bevel_mm", "guide_distance_mm")
     theta = p.theta({"mu1_pa": 1e5, "alpha1": -2.5, "mu2_pa": 1e7, "bevel_mm": 0.1, "guide_distance_mm": 20})
     assert theta.tolist() == [math.log(1e5), -2.5, math.log(1e7), math.log(0.1), math.log(20)]
-    assert p.values(theta)["mu2_pa"] == pytest.approx(1e7, rel=1e-12)
+    assert p.values(theta)["mu2_pa"] == approx(1e7, rel=1e-12)
     assert p.lower.tolist() == [math.log(1e3), -3, math.log(1e3), math.log(1e-3), 0.0]
     met = make_tissue(TRUTH, (1, 2, 1), np.array([10.0, 20.0]), medium())
-    assert met.mu == pytest.approx([0.3, 20.0, 0.3])
+    assert met.mu == approx([0.3, 20.0, 0.3])
     assert met.alpha.tolist() == [1.0, -1.0, 1.0]
     refusal(ConfigError, "meets layer 3", lambda: make_tissue(TRUTH, (1, 3), np.array([10.0]), medium()))
     p = Parameters.from_record(medium(3, mu3_pa={"tie": "mu1_pa", "spread": 1}))
@@ -30,17 +31,17 @@ def test_theta_tissue_and_what_stays_free():
     b = p.with_only(["bevel_mm"], {**paper, "bevel_mm": 0.03})
     assert b.free == ("bevel_mm",)
     values = b.values(np.log([0.07]))
-    assert values == pytest.approx({**paper, "bevel_mm": 0.07})
+    assert values == approx({**paper, "bevel_mm": 0.07})
     mu = p.with_only(["mu1_pa"], {**paper, "bevel_mm": 0.03})
-    assert mu.values(np.log([5e5]))["mu3_pa"] == pytest.approx(5e5)
+    assert mu.values(np.log([5e5]))["mu3_pa"] == approx(5e5)
     refusal(ConfigError, "alpha1", p.with_only, ["alpha1"], paper)
 
 
 def test_a_tie_with_a_spread_reaches_no_modulus_that_cannot_be_simulated():
     record = medium(3, mu1_pa={"bounds": [1e4, 1e9]}, mu3_pa={"tie": "mu1_pa", "spread": 5.0})
     p = Parameters.from_record(record)
-    assert p.bounds["mu3_pa"] == pytest.approx((1e4 / 5.0**6, 1e10))
-    assert make_tissue(p.values(p.upper), (1, 2, 3), np.array([10.0, 20.0]), record).mu[2] == pytest.approx(
+    assert p.bounds["mu3_pa"] == approx((1e4 / 5.0**6, 1e10))
+    assert make_tissue(p.values(p.upper), (1, 2, 3), np.array([10.0, 20.0]), record).mu[2] == approx(
         1e4
     )  # MPa
 
@@ -56,7 +57,7 @@ def test_ties_follow_chains_multiply_factors_and_may_have_a_spread():
     p = Parameters.from_record(record)
     values = p.values(p.theta({"mu1_pa": 2e4, "bevel_mm": 0.1}))
     got = [values[f"mu{k}_pa"] for k in (1, 2, 3, 4)]
-    assert got == pytest.approx([2e4, 2e5, 1e5, 1e5])
+    assert got == approx([2e4, 2e5, 1e5, 1e5])
     assert values["alpha2"] == -1.0
     assert p.status["mu4_pa"] == "tied" and p.status["alpha1"] == "fixed" and p.status["mu1_pa"] == "free"
     record = medium(
@@ -69,12 +70,12 @@ def test_ties_follow_chains_multiply_factors_and_may_have_a_spread():
     assert p.free == ("mu1_pa", "mu2_pa", "mu4_pa", "bevel_mm") and set(p.ties) == {"mu3_pa"}
     at = p.values(p.theta({"mu1_pa": 1e4, "mu2_pa": 2e5, "mu4_pa": 2.4e5, "bevel_mm": 0.1}))
     # ln 2 / ln 2 from ten times mu1, and ln 1.2 / ln 1.2 from mu3, which is mu2
-    assert p.prior.residuals(at) == pytest.approx([1.0, 1.0])
+    assert p.prior.residuals(at) == approx([1.0, 1.0])
     assert p.prior.sd("mu1_pa") == p.prior.sd("mu4_pa") == math.inf
-    assert p.bounds["mu2_pa"] == pytest.approx((MU[0] * 10 / 2**6, 1e10))
+    assert p.bounds["mu2_pa"] == approx((MU[0] * 10 / 2**6, 1e10))
     exact = without_prior(p)
     assert exact.free == ("mu1_pa", "bevel_mm")
-    assert exact.values(np.log([1e4, 0.1]))["mu4_pa"] == pytest.approx(1e5)
+    assert exact.values(np.log([1e4, 0.1]))["mu4_pa"] == approx(1e5)
     with pytest.raises(ConfigError, match="factor"):
         Parameters.from_record(medium(2, alpha2={"tie": "alpha1", "spread": 1.2}))
     with pytest.raises(ConfigError, match="circle"):
@@ -145,4 +146,4 @@ def test_draws_of_the_prior_are_flat_where_only_ties_are_stated():
     ratio = np.log(drawn["mu2_pa"] / drawn["mu1_pa"] / 2) / math.log(1.1)
     assert kstest(ratio, "norm").pvalue > 0.01
     assert kstest(np.log(drawn["mu3_pa"] / 1e6) / math.log(2), "norm").pvalue > 0.01
-    assert np.sqrt(np.mean(drawn["bevel_spread"] ** 2)) == pytest.approx(0.2, rel=0.05)
+    assert np.sqrt(np.mean(drawn["bevel_spread"] ** 2)) == approx(0.2, rel=0.05)

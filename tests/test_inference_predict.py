@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from inference_cases import NEEDLE, TRUTH, insertion, medium
+from pytest import approx
 from scipy.special import ndtr, ndtri
 
+from needlefit import Bevel, Controls, ModelOptions, Needle, Tissue, simulate
 from needlefit.geometry.curves import integrate_curvature
 from needlefit.inference.baseline_fit import fit_baseline
 from needlefit.inference.compared_points import align_points
@@ -14,11 +16,7 @@ from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.observations import select_points
 from needlefit.inference.parameters import make_tissue
 from needlefit.inference.predict import PredictiveMixture, cdf, crps, interval, quantile, wilson_interval
-from needlefit.mechanics.control import Bevel, Controls, ModelOptions
-from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.packing import MAX_TOLERANCE_MM
-from needlefit.mechanics.simulate import simulate
-from needlefit.mechanics.tissue import Tissue
 from needlefit.schemas.scene import NeedleRecord
 
 UNUSUAL = {"thickness_mm": 3.0, "law": "neo_hookean", "constraint_spacing_mm": 2.0}
@@ -34,7 +32,7 @@ def test_a_prediction_is_the_simulation_that_the_medium_describes():
     met = Tissue(mu=[0.3, 20.0], alpha=[1.0, -1.0], boundaries=[12.0], thickness=[3.0], law="neo_hookean")
     options = ModelOptions(2.0, 1.0, MAX_TOLERANCE_MM)
     meant = simulate(NEEDLE, met, Bevel(0.08, -1), 31.3, Controls(), options)
-    assert got.constraints[1, 0] == pytest.approx(1.3)  # 31.3 = 15 cells of 2 mm and 1.3 mm
+    assert got.constraints[1, 0] == approx(1.3)  # 31.3 = 15 cells of 2 mm and 1.3 mm
     np.testing.assert_array_equal(got.u, meant.u)
     # OD 1.27 mm, ID 0.838 mm, 193 GPa: I = pi (1.27^4 - 0.838^4) / 64 = 0.103491 mm^4 by hand.
     tube = NeedleRecord(
@@ -42,7 +40,7 @@ def test_a_prediction_is_the_simulation_that_the_medium_describes():
     )
     found = Needle.from_record(tube)
     assert found.length == 150.0
-    assert found.flexural_rigidity == pytest.approx(19973.7, rel=1e-5)
+    assert found.flexural_rigidity == approx(19973.7, rel=1e-5)
     assert (found.outer_diameter, found.name) == (1.27, "needle")
     assert replace(Needle.from_tube(150.0, 1.27, 193e3, 0.838), name="needle") == found
 
@@ -56,21 +54,19 @@ def one(mean, sd):
 
 def test_equal_draws_are_one_gaussian_and_a_point_scores_its_absolute_error():
     low, high = interval(one(2.0, 0.5), 0.95)
-    assert low == pytest.approx(2.0 - 1.959964 * 0.5, abs=1e-6)
-    assert high == pytest.approx(2.0 + 1.959964 * 0.5, abs=1e-6)
-    assert cdf(one(2.0, 0.5), [2.5]) == pytest.approx(ndtr(1.0))
-    assert quantile(one(2.0, 0.5), 0.9) == pytest.approx(2.0 + 0.5 * ndtri(0.9))
+    assert low == approx(2.0 - 1.959964 * 0.5, abs=1e-6)
+    assert high == approx(2.0 + 1.959964 * 0.5, abs=1e-6)
+    assert cdf(one(2.0, 0.5), [2.5]) == approx(ndtr(1.0))
+    assert quantile(one(2.0, 0.5), 0.9) == approx(2.0 + 0.5 * ndtri(0.9))
     # of a standard Gaussian at its mean: (sqrt(2) - 1) / sqrt(pi)
-    assert crps(one(0.0, 1.0), [0.0]) == pytest.approx((np.sqrt(2) - 1) / np.sqrt(np.pi))
-    assert crps(one(1.0, 0.0), [3.5]) == pytest.approx(2.5)
+    assert crps(one(0.0, 1.0), [0.0]) == approx((np.sqrt(2) - 1) / np.sqrt(np.pi))
+    assert crps(one(1.0, 0.0), [3.5]) == approx(2.5)
     spread = PredictiveMixture(np.array([[0.0], [1.0], [2.0], [3.0]]), np.zeros(1))
     # sum over i of |y - x_i| / n - sum over pairs of |x_i - x_j| / (2 n^2)
-    assert crps(spread, [1.0]) == pytest.approx(
-        (1 + 0 + 1 + 2) / 4 - (2 * (3 * 1 + 2 * 2 + 1 * 3)) / (2 * 16)
-    )
+    assert crps(spread, [1.0]) == approx((1 + 0 + 1 + 2) / 4 - (2 * (3 * 1 + 2 * 2 + 1 * 3)) / (2 * 16))
     both = PredictiveMixture(np.column_stack([np.zeros(3), np.full(3, 5.0)]), np.array([1.0, 2.0]))
-    assert quantile(both, 0.5) == pytest.approx([0.0, 5.0], abs=1e-9)
-    assert crps(both, [0.0, 5.0]) == pytest.approx((np.sqrt(2) - 1) / np.sqrt(np.pi) * np.array([1.0, 2.0]))
+    assert quantile(both, 0.5) == approx([0.0, 5.0], abs=1e-9)
+    assert crps(both, [0.0, 5.0]) == approx((np.sqrt(2) - 1) / np.sqrt(np.pi) * np.array([1.0, 2.0]))
 
 
 # ---- baselines: curves without a model of the tissue
@@ -84,24 +80,24 @@ def measured(depth, coefficients, side=1, points=801):
 
 
 def test_integrated_curvatures_are_lines_circles_and_clothoids():
-    assert integrate_curvature(100.0, [], AT) == pytest.approx(np.column_stack([AT, 0 * AT]))
+    assert integrate_curvature(100.0, [], AT) == approx(np.column_stack([AT, 0 * AT]))
     circle = 400 * np.column_stack([np.sin(AT / 400), 1 - np.cos(AT / 400)])
-    assert integrate_curvature(100.0, [1 / 400], AT) == pytest.approx(circle, abs=1e-12)
+    assert integrate_curvature(100.0, [1 / 400], AT) == approx(circle, abs=1e-12)
     s = np.linspace(0, 100, 2001)
     points = integrate_curvature(100.0, [0.0, 2e-5], s)
     heading = np.unwrap(np.arctan2(*np.diff(points, axis=0).T[::-1]))
-    assert heading[-1] == pytest.approx(2e-5 * 100**2 / 2, abs=1e-5)
+    assert heading[-1] == approx(2e-5 * 100**2 / 2, abs=1e-5)
     curvature = np.diff(heading) / np.diff(s)[0]
-    assert curvature[0] == pytest.approx(2e-5 * 100, rel=1e-2) and curvature[-1] == pytest.approx(0, abs=1e-5)
-    assert np.hypot(*np.diff(points, axis=0).T) == pytest.approx(0.05, rel=1e-6)  # arc length
-    assert integrate_curvature(50.0, [0.01], [-10.0, 0.0]) == pytest.approx(np.array([[-10, 0], [0, 0]]))
+    assert curvature[0] == approx(2e-5 * 100, rel=1e-2) and curvature[-1] == approx(0, abs=1e-5)
+    assert np.hypot(*np.diff(points, axis=0).T) == approx(0.05, rel=1e-6)  # arc length
+    assert integrate_curvature(50.0, [0.01], [-10.0, 0.0]) == approx(np.array([[-10, 0], [0, 0]]))
 
 
 @pytest.mark.parametrize("pose", ["known", "free"])
 def test_the_mean_shape_is_the_mean_of_the_turns_from_the_tip(pose):
     bent = [measured(100.0, (c,), side) for c, side in ((1e-3, 1), (3e-3, -1))]
     fitted = fit_baseline("mean_shape", pose, 10.0, bent)
-    assert fitted.coefficients == pytest.approx([5 * 2e-3] * len(fitted.coefficients), rel=0.02)
+    assert fitted.coefficients == approx([5 * 2e-3] * len(fitted.coefficients), rel=0.02)
     mean = measured(100.0, (2e-3,), -1)
     found, goal = align_points(select_points(pose, 10.0, mean), fitted.curve(mean))
     assert np.abs(found - goal).max() < 0.01
@@ -112,4 +108,4 @@ def test_the_mean_shape_is_the_mean_of_the_turns_from_the_tip(pose):
 
 def test_the_interval_of_a_share_is_wilson_s():
     """Of 10 trials 8: 0.490 to 0.943 (E. B. Wilson, 1927)."""
-    assert wilson_interval(0.8, 10) == pytest.approx((0.4902, 0.9433), abs=1e-4)
+    assert wilson_interval(0.8, 10) == approx((0.4902, 0.9433), abs=1e-4)

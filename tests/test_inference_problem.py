@@ -15,16 +15,17 @@ from inference_cases import (
     squares_recipe,
     two_layers,
 )
+from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx
 from refusals import refusal
 
+from needlefit import Needle, minimize
 from needlefit.datasets.insertion import find_free_reach
 from needlefit.errors import ConfigError, DataError
 from needlefit.inference.compared_points import align_points
 from needlefit.inference.forward_model import PreparedModel, make_options, predict
 from needlefit.inference.likelihood.observations import select_points
-from needlefit.inference.optimize import minimize
 from needlefit.mechanics import batch
-from needlefit.mechanics.needle import Needle
 from needlefit.schemas.recipe import WeightsRecord
 
 
@@ -36,13 +37,11 @@ def test_the_objective_is_the_weighted_sum_that_it_states_and_zero_at_the_truth(
     shifted = measure(TRUTH, record, insertion(40.0), error=lambda xy: xy + np.array([0.3, 0.4]))
     p = problem(record, [shifted])
     theta = p.parameters.theta(TRUTH)
-    assert p.objective(theta) == pytest.approx(
-        0.5 + 0.5 + 0.1 * 0.5 / max(abs(shifted.deflection), 0.2), rel=1e-3
-    )
+    assert p.objective(theta) == approx(0.5 + 0.5 + 0.1 * 0.5 / max(abs(shifted.deflection), 0.2), rel=1e-3)
     only_ipe = replace(p, weights=WeightsRecord(ipe=2, te=0, edp=0))
-    assert only_ipe.objective(theta) == pytest.approx(1.0, rel=1e-3)
+    assert only_ipe.objective(theta) == approx(1.0, rel=1e-3)
     floored = replace(p, weights=WeightsRecord(ipe=0, te=0, edp=1, edp_floor_mm=100))
-    assert floored.objective(theta) == pytest.approx(0.5 / 100, rel=1e-3)
+    assert floored.objective(theta) == approx(0.5 / 100, rel=1e-3)
 
 
 def test_a_solve_that_fails_makes_the_objective_infinite():
@@ -63,7 +62,7 @@ def test_the_guide_distance_can_be_fitted_and_a_guide_out_of_reach_is_a_failed_s
     p = problem(record, [measure(truth, record, insertion(d)) for d in (30.0, 55.0)])
     fit = minimize(p, recipe(starts=6), rng())
     assert fit.failures > 0  # 55 mm + 95 mm or more leave nothing of 150 mm
-    assert fit.values["guide_distance_mm"] == pytest.approx(15.0, rel=0.05)
+    assert fit.values["guide_distance_mm"] == approx(15.0, rel=0.05)
 
 
 def test_needles_that_differ_are_fitted_together():
@@ -72,11 +71,9 @@ def test_needles_that_differ_are_fitted_together():
     planned = [replace(one, needle=(NEEDLE, thin)[n % 2]) for n, one in enumerate(planned)]
     p = problem(record, [measure(TRUTH, record, one) for one in planned])
     for one, lanes in zip(p.insertions, PreparedModel(record, p.insertions).simulate([TRUTH]), strict=True):
-        np.testing.assert_array_equal(lanes[0].u, predict(TRUTH, record, one).u)
+        assert_array_equal(lanes[0].u, predict(TRUTH, record, one).u)
     fit = minimize(p, recipe(starts=4), rng())
-    assert [fit.values[name] for name in p.names] == pytest.approx(
-        [TRUTH[name] for name in p.names], rel=0.01
-    )
+    assert [fit.values[name] for name in p.names] == approx([TRUTH[name] for name in p.names], rel=0.01)
     for needle in (NEEDLE, thin):
         wrong = problem(record, [replace(one, needle=needle) for one in p.insertions])
         values = minimize(wrong, recipe(starts=4), rng()).values
@@ -90,7 +87,7 @@ def test_planned_boundaries_meshes_and_what_cannot_be_compared():
     assert np.array_equal(asked.u, meant.u)
     for spacing, element in ((1.0, 1.0), (0.5, 0.5), (2.0, 1.0), (2.5, 2.5 / 3)):
         got = make_options(medium().model_copy(update={"constraint_spacing_mm": spacing}))
-        assert (got.spacing, got.element) == (spacing, pytest.approx(element))
+        assert (got.spacing, got.element) == (spacing, approx(element))
     refusal(ConfigError, "no insertion", lambda: problem(medium(), []))
     short = insertion(8.0).with_points(np.array([[0.0, 0.0], [8.0, 0.0]]))
     with pytest.raises(DataError, match="at8"):
@@ -117,13 +114,11 @@ def line(length: float) -> np.ndarray:
 )
 def test_a_free_comparison_reaches_as_far_as_both_curves_less_the_drop(length, depth, drop, reach):
     scored = measured(depth, line(length))
-    assert find_free_reach(drop, scored) == pytest.approx(reach)
+    assert find_free_reach(drop, scored) == approx(reach)
     goal = select_points("free", drop, scored, 11)
-    np.testing.assert_allclose(goal.s, np.linspace(depth - reach, depth, 11), atol=1e-9)
+    assert_allclose(goal.s, np.linspace(depth - reach, depth, 11), atol=1e-9)
     # in the axes of its entry side a straight needle lies on x, from the first scored point
-    np.testing.assert_allclose(
-        goal.measured, np.column_stack([np.linspace(0, reach, 11), np.zeros((11, 2))]), atol=1e-9
-    )
+    assert_allclose(goal.measured, np.column_stack([np.linspace(0, reach, 11), np.zeros((11, 2))]), atol=1e-9)
 
 
 def test_the_simulated_points_are_those_at_the_same_distance_from_the_tip():
@@ -139,10 +134,10 @@ def test_the_simulated_points_are_those_at_the_same_distance_from_the_tip():
     c, d = math.cos(2.0), math.sin(2.0)
     seen = bent(np.arange(40.0, 100.5))[:, :2] @ np.array([[c, d], [-d, c]]) + [300.0, 1.0]
     simulated, shown = align_points(select_points("free", 5.0, measured(100.0, seen), 56), bent)
-    np.testing.assert_allclose(simulated, shown, atol=1e-9)
+    assert_allclose(simulated, shown, atol=1e-9)
     goal = select_points("free", 5.0, measured(101.0, seen), 56)
     simulated, shown = align_points(goal, lambda s: bent(s - 1.0))
-    np.testing.assert_allclose(simulated, shown, atol=1e-9)
+    assert_allclose(simulated, shown, atol=1e-9)
 
 
 def test_the_entry_is_not_the_first_point_of_the_inserted_needle_which_has_moved_with_it():
@@ -161,7 +156,7 @@ def test_the_entry_is_not_the_first_point_of_the_inserted_needle_which_has_moved
         found[source] = misfits, [[fit.values[name] / truth[name] for name in p.names] for fit in fits]
     misfits, factors = found["first_point"]
     assert misfits[0] < 0.01 and misfits[1] < 1e-3
-    np.testing.assert_allclose(factors, 1.0, rtol=0.02)
+    assert_allclose(factors, 1.0, rtol=0.02)
     misfits, factors = found["stage"]
     assert misfits[0] > 0.5 and misfits[1] > 0.1
     assert min(mu for mu, _ in factors) > 1.5 and max(b for _, b in factors) < 0.8
@@ -177,8 +172,8 @@ def test_the_gradient_is_that_of_differences(pose):
     value, slope = p.objective_gradient(theta)
     moves = 1e-5 * np.eye(len(theta))
     differences = [(p.objective(theta + m) - p.objective(theta - m)) / 2e-5 for m in moves]
-    assert value == pytest.approx(p.objective(theta), rel=1e-8)
-    assert slope == pytest.approx(differences, rel=1e-5, abs=1e-6)
+    assert value == approx(p.objective(theta), rel=1e-8)
+    assert slope == approx(differences, rel=1e-5, abs=1e-6)
 
 
 @pytest.mark.parametrize("nodes_at_once", [batch.NODES_AT_ONCE, 100])
@@ -188,12 +183,12 @@ def test_what_a_set_gives_does_not_depend_on_the_sets_beside_it(nodes_at_once, m
     thetas = p.lower + np.random.default_rng(1).uniform(0.4, 0.6, (16, len(p.names))) * (p.upper - p.lower)
     for evaluate in (p._objectives, p._log_densities):
         alone = [evaluate(theta[None], 1)[0] for theta in thetas]
-        np.testing.assert_array_equal(evaluate(thetas, 1), alone)
+        assert_array_equal(evaluate(thetas, 1), alone)
     for theta, (value, slopes) in zip(thetas, p._jacobians(thetas, 1), strict=True):
         ((value_alone, slopes_alone),) = p._jacobians(theta[None], 1)
-        np.testing.assert_array_equal(value, value_alone)
-        np.testing.assert_array_equal(slopes, slopes_alone)
+        assert_array_equal(value, value_alone)
+        assert_array_equal(slopes, slopes_alone)
     for theta, found in zip(thetas, p._distances(thetas, 1), strict=True):
         (alone,) = p._distances(theta[None], 1)
         assert found.total == alone.total
-        np.testing.assert_array_equal(found.differentiate(), alone.differentiate())
+        assert_array_equal(found.differentiate(), alone.differentiate())

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-import pytest
+from pytest import approx
 
 from needlefit.inference.identifiability.profile import (
     DEVIANCE_95,
@@ -56,30 +56,30 @@ def found(target: Known, k: int, start: tuple[float, float] = (0.5, 0.5)) -> Lik
 def test_a_linear_gaussian_has_the_parabola_of_its_information():
     for k, sd in ((0, math.sqrt(4 / 16)), (1, math.sqrt(5 / 16))):
         p = found(line(lower=-VAST, upper=VAST), k)
-        assert p.sd == pytest.approx(sd)
+        assert p.sd == approx(sd)
         best = (1.5, -0.25)[k]
-        assert p.best == pytest.approx(best)
-        assert p.deviance == pytest.approx(((p.at - best) / sd) ** 2, abs=1e-6)
-        assert p.slope == pytest.approx(2 * (p.at - best) / sd**2, abs=1e-5)
+        assert p.best == approx(best)
+        assert p.deviance == approx(((p.at - best) / sd) ** 2, abs=1e-6)
+        assert p.slope == approx(2 * (p.at - best) / sd**2, abs=1e-5)
         half = math.sqrt(DEVIANCE_95) * sd
-        assert (p.low, p.high) == pytest.approx((best - half, best + half))
+        assert (p.low, p.high) == approx((best - half, best + half))
         assert p.closed
         assert p.deviance[0] > DEVIANCE_95 < p.deviance[-1]
     target = line()
     paths = trace_profiles(target, [0], minimize_squares(target, np.zeros(2)), scale=4.0)
     wide = summarize_profile(target, 0, paths[0], scale=4.0)
-    assert wide.high - wide.best == pytest.approx(2 * (found(line(), 0).high - 1.5))
-    assert wide.sd == pytest.approx(1.0, rel=0.01)
+    assert wide.high - wide.best == approx(2 * (found(line(), 0).high - 1.5))
+    assert wide.sd == approx(1.0, rel=0.01)
 
 
 def test_a_banana_has_the_known_curves():
     """x: all of its deviance is its own. y: x is squeezed between 1 and the root of y."""
     along = found(banana(), 0)
-    assert along.deviance == pytest.approx(((along.at - 1) / 0.5) ** 2, abs=5e-3)
+    assert along.deviance == approx(((along.at - 1) / 0.5) ** 2, abs=5e-3)
     up = found(banana(), 1)
     x = np.linspace(-3, 4, 200_001)
     for y, deviance in zip(up.at, up.deviance, strict=True):
-        assert deviance == pytest.approx(np.min(((x - 1) / 0.5) ** 2 + ((y - x**2) / 0.1) ** 2), abs=5e-3)
+        assert deviance == approx(np.min(((x - 1) / 0.5) ** 2 + ((y - x**2) / 0.1) ** 2), abs=5e-3)
     # the parabola would end it at 1 - 1.96 * 1.005, where there is no banana
     assert up.low > -0.3 > up.best - math.sqrt(DEVIANCE_95) * up.sd
     assert up.high > up.best + math.sqrt(DEVIANCE_95) * up.sd
@@ -88,7 +88,7 @@ def test_a_banana_has_the_known_curves():
 def test_a_parameter_without_effect_or_that_another_one_compensates_is_flat():
     target = Known(lambda x, y: [y - 1.0], lambda x, y: [[0.0, 1.0]])
     p = found(target, 0)
-    assert p.ends == ("bound", "bound") and p.rise == pytest.approx(0.0, abs=1e-9) and p.sd == math.inf
+    assert p.ends == ("bound", "bound") and p.rise == approx(0.0, abs=1e-9) and p.sd == math.inf
     assert (p.low, p.high) == (-REACH, REACH)
     assert target.calls < 60
     # Only x + y is known; y can follow x as far as the bounds of y allow.
@@ -99,7 +99,7 @@ def test_a_parameter_without_effect_or_that_another_one_compensates_is_flat():
         lambda x, y: [x + y], lambda x, y: [[1.0, 1.0]], lower=np.array([-20, -1]), upper=np.array([20, 1])
     )
     q = found(narrow, 0)
-    assert q.closed and (q.low, q.high) == pytest.approx((-1 - 1.96, 1 + 1.96), abs=0.01)
+    assert q.closed and (q.low, q.high) == approx((-1 - 1.96, 1 + 1.96), abs=0.01)
 
 
 def test_an_interval_that_a_bound_cuts_is_open_there():
@@ -116,7 +116,7 @@ def test_failures_on_the_way_out_are_flagged_and_leave_each_point_once():
 
     p = found(Known(residuals, lambda x, y: [[0.1, 0], [0, 1.0]]), 0)
     assert p.ends[1] == "lost" and 2.5 < p.high < 3.0
-    assert p.ends[0] == "closed" and p.low == pytest.approx(-19.6, abs=0.01)
+    assert p.ends[0] == "closed" and p.low == approx(-19.6, abs=0.01)
     # The first long step ends at the bound and is refined; the bound is met again on the way out.
     target = Known(
         lambda x, y: [0.02 * x + max(0.0, x - 18.0) ** 2, y],
@@ -125,4 +125,4 @@ def test_failures_on_the_way_out_are_flagged_and_leave_each_point_once():
     p = found(target, 0)
     assert np.all(np.diff(p.at) > 1e-6) and p.at[-1] == REACH
     # where 0.02 x + (x - 18)^2 = 1.96
-    assert p.high == pytest.approx(18 + (-0.02 + math.sqrt(0.0004 + 6.4)) / 2, abs=0.02)
+    assert p.high == approx(18 + (-0.02 + math.sqrt(0.0004 + 6.4)) / 2, abs=0.02)

@@ -10,6 +10,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from pytest import approx
 from refusals import refusal
 from sampling_cases import Known, draw, flat, gaussian, weighted
 
@@ -41,10 +42,8 @@ def test_a_run_ends_once_it_has_the_draws_that_were_asked_for():
     assert got.ess.min() >= 2000 and got.r_hat.max() < MAX_R_HAT and got.burn_in == 0
     shorter = draw(GAUSSIAN, BEGIN, independent_draws=2000, densities=(steps - 10) * walkers)
     assert shorter.faults and np.array_equal(shorter.draws, got.draws[:, :-10])
-    assert got.log_posterior.ravel() == pytest.approx(GAUSSIAN.log_density(flat(got)), abs=1e-12)
-    assert got.percentiles()["x0"] == pytest.approx(
-        np.quantile(flat(got)[:, 0], [0.025, 0.16, 0.5, 0.84, 0.975])
-    )
+    assert got.log_posterior.ravel() == approx(GAUSSIAN.log_density(flat(got)), abs=1e-12)
+    assert got.percentiles()["x0"] == approx(np.quantile(flat(got)[:, 0], [0.025, 0.16, 0.5, 0.84, 0.975]))
 
 
 def test_a_budget_that_is_spent_marks_the_draws():
@@ -128,8 +127,8 @@ def autoregressive(memory: float, steps: int = 4000, walkers: int = 16, seed: in
 @pytest.mark.parametrize("memory", [0.0, 0.5, 0.9])
 def test_the_autocorrelation_time_of_a_known_series(memory):
     time = compute_autocorrelation_time(autoregressive(memory))
-    assert time == pytest.approx((1 + memory) / (1 - memory), rel=0.06)
-    assert compute_r_hat(autoregressive(memory)) == pytest.approx(1.0, abs=2e-3)
+    assert time == approx((1 + memory) / (1 - memory), rel=0.06)
+    assert compute_r_hat(autoregressive(memory)) == approx(1.0, abs=2e-3)
 
 
 def test_r_hat_by_hand():
@@ -139,7 +138,7 @@ def test_r_hat_by_hand():
     values[4:] += 0.5  # of both walkers: a drift
     means, n = np.array([0.0, 0.0, 0.5, 0.5]), 4
     expected = math.sqrt((n - 1) / n + means.var(ddof=1) / (n / (n - 1)))
-    assert compute_r_hat(values) == pytest.approx(expected, rel=1e-12)
+    assert compute_r_hat(values) == approx(expected, rel=1e-12)
     assert compute_r_hat(np.zeros((3, 8))) == math.inf and compute_r_hat(np.zeros((8, 8))) == math.inf
 
 
@@ -235,7 +234,7 @@ def test_arviz_reads_the_draws(tmp_path):
     file = tmp_path / "posterior.nc"
     for data in (arviz.from_datatree(met().to_xarray()), arviz.from_netcdf(file, engine="h5netcdf")):
         table = arviz.summary(data, round_to="none")
-        assert table["mean"].to_numpy() == pytest.approx(met().draws.mean(axis=(0, 1)), rel=1e-12)
+        assert table["mean"].to_numpy() == approx(met().draws.mean(axis=(0, 1)), rel=1e-12)
         assert dict(data.posterior.sizes) == {"chain": 8, "draw": 100}
 
 

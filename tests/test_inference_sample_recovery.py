@@ -4,6 +4,7 @@ import dynesty
 import numpy as np
 import pytest
 from inference_cases import TRUTH, insertion, measure, medium, problem
+from pytest import approx
 from sampling_cases import Known, draw, flat, gaussian, standard_errors, two_hills, weighted
 from scipy.stats import truncnorm
 
@@ -24,8 +25,8 @@ def test_a_correlated_gaussian(seed):
     assert got.faults == ()
     assert np.all(np.abs(flat(got).mean(axis=0) - mean) < 4 * standard_errors(got))
     # the SD of an SD is itself over sqrt(2 n)
-    assert flat(got).std(axis=0) == pytest.approx(sds, rel=5 / np.sqrt(2 * got.ess.min()))
-    assert np.corrcoef(flat(got).T)[0, 1:] == pytest.approx(np.full(4, 0.9), abs=0.02)
+    assert flat(got).std(axis=0) == approx(sds, rel=5 / np.sqrt(2 * got.ess.min()))
+    assert np.corrcoef(flat(got).T)[0, 1:] == approx(np.full(4, 0.9), abs=0.02)
 
 
 def test_a_gaussian_that_bounds_cut():
@@ -35,9 +36,9 @@ def test_a_gaussian_that_bounds_cut():
     x, tail = flat(got), truncnorm(-2.5, -0.5, loc=1.5)
     assert got.faults == () and np.all(np.abs(x) <= 1)
     assert np.all(np.abs(x.mean(axis=0) - tail.mean()) < 4 * standard_errors(got))
-    assert x.std(axis=0) == pytest.approx(np.full(3, tail.std()), rel=0.05)
+    assert x.std(axis=0) == approx(np.full(3, tail.std()), rel=0.05)
     levels = np.quantile(x, [0.05, 0.5, 0.95], axis=0).T
-    assert levels == pytest.approx(np.tile(tail.ppf([0.05, 0.5, 0.95]), (3, 1)), abs=0.06)
+    assert levels == approx(np.tile(tail.ppf([0.05, 0.5, 0.95]), (3, 1)), abs=0.06)
 
 
 def test_two_modes_that_the_start_covers():
@@ -46,8 +47,8 @@ def test_two_modes_that_the_start_covers():
     begin = weighted(known, modes)
     got = draw(known, begin, **MANY)
     assert begin.certified and got.faults == ()
-    assert np.mean(flat(got)[:, 0] > 0) == pytest.approx(0.5, abs=4 * 0.5 / np.sqrt(got.ess[0]))
-    assert np.std(np.abs(flat(got)[:, 0])) == pytest.approx(0.2, rel=0.05)
+    assert np.mean(flat(got)[:, 0] > 0) == approx(0.5, abs=4 * 0.5 / np.sqrt(got.ess[0]))
+    assert np.std(np.abs(flat(got)[:, 0])) == approx(0.2, rel=0.05)
     crossings = np.diff(got.draws[:, :, 0] > 0, axis=1).sum(axis=1)
     assert np.all(crossings > 0.1 * got.draws.shape[1])
 
@@ -70,8 +71,8 @@ def test_another_sampler_finds_the_same_posterior_of_a_needle():
     nested.run_nested(print_progress=False, dlogz=0.1)
     theirs = nested.results.samples_equal(rstate=np.random.default_rng(6))
     mine = np.log(flat(ours))
-    assert mine.mean(axis=0) == pytest.approx(theirs.mean(axis=0), abs=0.15 * mine.std(axis=0).max())
-    assert mine.std(axis=0) == pytest.approx(theirs.std(axis=0), rel=0.15)
+    assert mine.mean(axis=0) == approx(theirs.mean(axis=0), abs=0.15 * mine.std(axis=0).max())
+    assert mine.std(axis=0) == approx(theirs.std(axis=0), rel=0.15)
     for q in (0.05, 0.95):
         spread = mine.std(axis=0)
         apart = np.abs(np.quantile(mine, q, axis=0) - np.quantile(theirs, q, axis=0))

@@ -8,9 +8,12 @@ import pandas as pd
 import pytest
 import scipy
 from inference_cases import NEEDLE, TRUTH, assert_one_density, dataset, insertion, medium
+from numpy.testing import assert_allclose
 from problem_cases import make_problem
+from pytest import approx
 from test_datasets import CURVE, record, row
 
+from needlefit import Scene, simulate_steps
 from needlefit.datasets.compared import find_curve_roll, leaves_plane, set_compared, turns_out_of_plane
 from needlefit.datasets.read import check, read
 from needlefit.datasets.write import write_dataset
@@ -24,9 +27,7 @@ from needlefit.inference.identifiability.profile import minimize_squares
 from needlefit.inference.likelihood.observations import read_points
 from needlefit.inference.parameters import make_tissue
 from needlefit.inference.predict import find_geometric_median
-from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import sample_inserted_points
-from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.torsion import compute_roll_lag
 from needlefit.planning.insertion_scene import make_scene_record
 from needlefit.project.locate import find_file
@@ -67,7 +68,7 @@ def test_values_gradients_and_residuals_in_space_are_of_one_density():
     value, slope = p.objective_gradient(theta)
     moves = 1e-5 * np.eye(len(theta))
     differences = [(p.objective(theta + m) - p.objective(theta - m)) / 2e-5 for m in moves]
-    assert slope == pytest.approx(differences, rel=1e-5, abs=1e-6) and value > 0.1
+    assert slope == approx(differences, rel=1e-5, abs=1e-6) and value > 0.1
     exact = p.with_parameters(replace(p.parameters)).objective(p.parameters.theta({**TRUTH, "bevel_cv": 0.1}))
     assert exact < 1e-4
 
@@ -77,7 +78,7 @@ def test_needles_in_one_plane_have_the_same_likelihood_in_space():
     one, two = (in_space(made, compared=compared) for compared in ("plane", "space"))
     thetas = [one.parameters.theta({**TRUTH, "mu1_pa": mu, "bevel_mm": 0.09}) for mu in (2e5, 6e5)]
     gaps = [p.log_posterior(thetas[0]) - p.log_posterior(thetas[1]) for p in (one, two)]
-    assert gaps[0] == pytest.approx(gaps[1], rel=1e-9) and abs(gaps[0]) > 0.1
+    assert gaps[0] == approx(gaps[1], rel=1e-9) and abs(gaps[0]) > 0.1
 
 
 def test_a_roll_and_turns_of_the_pose_out_of_the_plane_cost_what_their_priors_say():
@@ -93,7 +94,7 @@ def test_a_roll_and_turns_of_the_pose_out_of_the_plane_cost_what_their_priors_sa
         pair = [one, one.with_points(moved)]
         values = [replace(in_space([o]), noise=noise).log_posterior(theta) for o in pair]
         # half the square of the angle in SDs, and what the noise adds to these
-        assert values[0] - values[1] == pytest.approx(angle**2 / 2 / 0.05**2, rel=0.02)
+        assert values[0] - values[1] == approx(angle**2 / 2 / 0.05**2, rel=0.02)
     sensors = np.array([[8.0, 0.0, 0.0, 1e-5], [25.0, 0.0, 0.0, 1e-5]])
     one = replace(exact, roll_sd=1e-9, curvature=sensors * [1, 1, 1, 1e-2])
     read = simulate_measurement(dataset([one]), one, TRUTH, medium(), np.random.default_rng(0)).curvature
@@ -102,7 +103,7 @@ def test_a_roll_and_turns_of_the_pose_out_of_the_plane_cost_what_their_priors_sa
         kappa = turn_about_x(np.column_stack([sensors[:, 0], read[:, 1:3]]), turn)[:, 1:]
         rolled = replace(one, roll_sd=0.05, curvature=np.column_stack([sensors[:, 0], kappa, sensors[:, 3]]))
         values.append(in_space([rolled], BY_CURVATURE).log_posterior(theta))
-    assert values[0] - values[1] == pytest.approx(angle**2 / 2 / 0.05**2, rel=0.2)
+    assert values[0] - values[1] == approx(angle**2 / 2 / 0.05**2, rel=0.2)
 
 
 def test_an_insertion_is_the_same_whatever_direction_has_a_roll_of_0(tmp_path):
@@ -119,10 +120,10 @@ def test_an_insertion_is_the_same_whatever_direction_has_a_roll_of_0(tmp_path):
         assert check(file) == []
         found.append(read(file).insertions[0])
     for one in found:
-        np.testing.assert_allclose(one.points[:, :2], found[0].points[:, :2], atol=1e-4)
-        np.testing.assert_allclose(one.points[:, 2], in_world[:, 2], atol=1e-4)
-        assert np.ravel(one.turns) == pytest.approx((25.0, 90.0), abs=1e-3)
-        assert one.side == 1 and one.roll_sd == pytest.approx(0.02, abs=1e-4)
+        assert_allclose(one.points[:, :2], found[0].points[:, :2], atol=1e-4)
+        assert_allclose(one.points[:, 2], in_world[:, 2], atol=1e-4)
+        assert np.ravel(one.turns) == approx((25.0, 90.0), abs=1e-3)
+        assert one.side == 1 and one.roll_sd == approx(0.02, abs=1e-4)
     digests = {read(tmp_path / f"{degrees:g}").digest for degrees in (0, 30)}
     text = (tmp_path / "0/turns.csv").read_text()
     (tmp_path / "0/turns.csv").write_text(text.replace("25.0", "26.0"))
@@ -217,7 +218,7 @@ def test_measurements_simulated_in_space_scatter_as_the_likelihood_takes_them():
         seen = simulate_measurement(data, planned, TRUTH, medium(), rng)
         residuals = in_space([seen]).compute_misfits(theta)
         squares.append(float(residuals @ residuals))
-    assert np.mean(squares) == pytest.approx(len(residuals), abs=4 * math.sqrt(2 * len(residuals) / count))
+    assert np.mean(squares) == approx(len(residuals), abs=4 * math.sqrt(2 * len(residuals) / count))
 
 
 def test_a_medium_states_the_friction_by_which_the_tip_stays_behind_the_hub():
@@ -227,7 +228,7 @@ def test_a_medium_states_the_friction_by_which_the_tip_stays_behind_the_hub():
     shape = predict(TRUTH, known, planned)
     lag = compute_roll_lag(NEEDLE, make_tissue(TRUTH, (1, 2), np.array([12.0]), known), 18.0)
     behind = predict(TRUTH, medium(), replace(planned, turns=((18.0, 180.0 - lag),)))
-    np.testing.assert_allclose(shape.w, behind.w, atol=1e-9)
+    assert_allclose(shape.w, behind.w, atol=1e-9)
     assert lag > 5 and abs(shape.w[-1]) > 0.02
     points = sample_inserted_points(shape, 101)
     made = [planned.with_points(points)]
@@ -242,9 +243,7 @@ def test_a_medium_states_the_friction_by_which_the_tip_stays_behind_the_hub():
     scene = make_scene_record(TRUTH, known, data.name, made[0])
     again = Scene.from_record(scene)
     assert again.tissue.torsional_friction == 0.5
-    np.testing.assert_allclose(
-        simulate_steps(again.needle, again.tissue, again.steps, again.rules).w, shape.w
-    )
+    assert_allclose(simulate_steps(again.needle, again.tissue, again.steps, again.rules).w, shape.w)
 
 
 def test_needles_of_draws_lie_in_space_too():
@@ -252,7 +251,7 @@ def test_needles_of_draws_lie_in_space_too():
     drawn = simulate_draws(sets, medium(), turned(), s, np.zeros(2), np.zeros((2, 9))).points
     alone = [read_points(turned(), predict(values, medium(), turned()), s) for values in sets]
     assert np.abs(drawn[..., 2]).max() > 0.1
-    np.testing.assert_allclose(drawn, alone, atol=1e-6)
+    assert_allclose(drawn, alone, atol=1e-6)
 
 
 SENSORS = np.column_stack([[2.0, 10.0, 20.0, 30.0], np.zeros((4, 2)), np.full(4, 2e-5)])
@@ -291,7 +290,7 @@ def test_curvatures_are_read_in_the_frame_of_the_bevel_and_their_faults_named(tm
     file = write_dataset(tmp_path, record(**tables), [one], {"a": CURVE}, {}, checksums=False)
     head = "id,s_mm,kappa_y_1_per_mm,kappa_z_1_per_mm,sd_1_per_mm\n"
     (tmp_path / "fbg.csv").write_text(head + "a,5,1e-3,2e-3,1e-5\n")
-    np.testing.assert_allclose(read(file).insertions[0].curvature, sensors[:, [0, 2, 1, 3]] * [1, 1, -1, 1])
+    assert_allclose(read(file).insertions[0].curvature, sensors[:, [0, 2, 1, 3]] * [1, 1, -1, 1])
     for line in ("b,5,1e-3,2e-3,1e-5", "a,0.5,1e-3,2e-3,1e-5", "a,200,0,0,1e-5", "a,5,0,0,0", "a,5,x,0,1e-5"):
         (tmp_path / "fbg.csv").write_text(f"{head}{line}\n")
         assert any("fbg.csv:2" in fault.where for fault in check(file))
@@ -308,16 +307,16 @@ def test_curves_without_mechanics_lie_in_the_plane_to_which_the_turns_lead():
         one = replace(insertion(depth, (12.0,), (1, 2), (-1) ** n), turns=((depth / 2, 90.0),))
         made.append(one.with_points(points))
     made = set_compared(dataset(made), made, "space").insertions
-    assert [one.curve_roll for one in made] == pytest.approx([angle] * 2)
+    assert [one.curve_roll for one in made] == approx([angle] * 2)
     assert (
         find_curve_roll(turned(turns=())) == 0 and find_curve_roll(turned(turns=((1.0, 180.0),))) == math.pi
     )
     found = fit_baselines("known", 0.0, made)
-    assert found["constant_curvature"].coefficients == pytest.approx([1 / 300], rel=1e-6)
+    assert found["constant_curvature"].coefficients == approx([1 / 300], rel=1e-6)
     for name in ("constant_curvature", "mean_shape"):
         for one in made:
             tip = found[name].curve(one)(np.array([one.depth]))[0]
-            assert tip == pytest.approx(one.points[-1], abs=0.02)
+            assert tip == approx(one.points[-1], abs=0.02)
 
 
 def test_the_median_turns_with_the_points_and_tips_are_scored_by_distance():
@@ -325,15 +324,15 @@ def test_the_median_turns_with_the_points_and_tips_are_scored_by_distance():
     points = np.array([[0, 0], [3, 1], [-2, 5]]) + rng.normal(size=(401, 3, 2))
     turn = np.array([[0.6, 0.8], [-0.8, 0.6]])
     middle = find_geometric_median(points)
-    np.testing.assert_allclose(find_geometric_median(points @ turn), middle @ turn, atol=1e-6)
+    assert_allclose(find_geometric_median(points @ turn), middle @ turn, atol=1e-6)
     lines = np.array([[[0.0, 0.0]], [[1.0, 0.0]], [[10.0, 0.0]]])
-    np.testing.assert_allclose(find_geometric_median(lines), [[1.0, 0.0]], atol=1e-6)
+    assert_allclose(find_geometric_median(lines), [[1.0, 0.0]], atol=1e-6)
     tips = rng.normal(size=(4000, 2))
     for radius, expected in ((0.0, math.sqrt(math.pi / 2) - math.sqrt(math.pi) / 2), (3.0, None)):
         found = score_tip_in_space(tips, np.zeros(2), np.array([0.0, radius]))
-        assert found["tip_pit"] == pytest.approx(1 - math.exp(-(radius**2) / 2), abs=0.02)
-        assert expected is None or found["tip_crps_mm"] == pytest.approx(expected, abs=0.02)
+        assert found["tip_pit"] == approx(1 - math.exp(-(radius**2) / 2), abs=0.02)
+        assert expected is None or found["tip_crps_mm"] == approx(expected, abs=0.02)
         assert found["tip_in_95"] == (radius < 2)
     for interval, probability in (("tip_95", 0.025), ("tip_50", 0.25), ("tip_z_95", 0.025)):
         ends = found[f"{interval}_low_mm"], found[f"{interval}_high_mm"]
-        assert ends == pytest.approx(scipy.stats.norm.ppf([probability, 1 - probability]), abs=0.1)
+        assert ends == approx(scipy.stats.norm.ppf([probability, 1 - probability]), abs=0.1)

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from inference_cases import TRUTH, insertion, measure, medium, problem
+from pytest import approx
 from scipy.integrate import quad
 from scipy.stats import multivariate_normal, norm, truncnorm
 
@@ -62,11 +63,11 @@ def test_the_prior_is_half_normal_and_of_uniform_correlation_and_share():
     model = SpreadModel.of(three_layers(), *SDS)
     covariances = model.covariances(model.draw(20_000, np.random.default_rng(3)))
     variances = np.diagonal(covariances, axis1=1, axis2=2)
-    assert np.sqrt(variances.mean(axis=0)) == pytest.approx([SDS[0], SDS[0], SDS[1]], rel=0.02)
+    assert np.sqrt(variances.mean(axis=0)) == approx([SDS[0], SDS[0], SDS[1]], rel=0.02)
     share = covariances[:, 0, 1] / variances[:, 0]
     rho = covariances[:, 0, 2] / np.sqrt(variances[:, 0] * variances[:, 2] * share)
-    assert np.quantile(share, [0.1, 0.5, 0.9]) == pytest.approx([0.1, 0.5, 0.9], abs=0.02)
-    assert np.quantile(rho, [0.1, 0.5, 0.9]) == pytest.approx([-0.8, 0.0, 0.8], abs=0.03)
+    assert np.quantile(share, [0.1, 0.5, 0.9]) == approx([0.1, 0.5, 0.9], abs=0.02)
+    assert np.quantile(rho, [0.1, 0.5, 0.9]) == approx([-0.8, 0.0, 0.8], abs=0.03)
     # the density is of the logarithms and of atanh and logit: its ratio at two places
     one, two = np.array([-1.0, -2.0, 0.5, 0.3]), np.array([-0.5, -1.0, -1.0, 2.0])
 
@@ -75,7 +76,7 @@ def test_the_prior_is_half_normal_and_of_uniform_correlation_and_share():
         return logs - 2 * math.log(math.cosh(at[2])) - 2 * math.log(math.cosh(at[3] / 2))
 
     found = model.log_prior(np.array([one, two]))
-    assert found[0] - found[1] == pytest.approx(density(one) - density(two))
+    assert found[0] - found[1] == approx(density(one) - density(two))
 
 
 @pytest.mark.parametrize("layers", [one_layer, three_layers])
@@ -89,9 +90,9 @@ def test_draws_and_density_of_the_spread_are_one_prior_also_with_tips(layers):
     # of those that are not too rare, as many as without tips once the factor is taken off again
     near = [tips.log_prior(some) - plain.log_prior(some) > -2.0 for some in (free, drawn)]
     back = np.exp(plain.log_prior(drawn) - tips.log_prior(drawn))[near[1]]
-    assert factor.mean() * back.sum() / len(drawn) == pytest.approx(np.mean(near[0]), rel=0.05)
+    assert factor.mean() * back.sum() / len(drawn) == approx(np.mean(near[0]), rel=0.05)
     weights = factor / factor.sum()
-    assert np.mean(drawn, axis=0) == pytest.approx(weights @ free, abs=0.06)
+    assert np.mean(drawn, axis=0) == approx(weights @ free, abs=0.06)
     tip = np.einsum("p,wpq,q->w", tips.tip_slopes, tips.covariances(drawn), tips.tip_slopes)
     assert np.mean(tip) < 2.0  # in squares of the stated standard deviation
 
@@ -112,15 +113,13 @@ def test_a_tip_is_differentiated_with_all_that_is_tied():
     found = dict(zip(p.names, differentiate_log_tip(p, theta), strict=True))
     for name, along in (("mu1_pa", both), ("bevel_mm", bevel)):
         slope = (log_tip(theta + 1e-4 * along) - log_tip(theta - 1e-4 * along)) / 2e-4
-        assert found[name] == pytest.approx(slope, rel=1e-3)
+        assert found[name] == approx(slope, rel=1e-3)
     model = make_spread_model(p, BetweenSpecimensRecord(tip_factor=1.1), theta)
     slopes = np.array([found[name] for name in model.names])
     implied = np.sum((slopes * np.log([2.0, 1.8])) ** 2)  # of the tip, by the other two priors
     stated = 1 / math.log(1.1) ** 2 - 1 / implied
-    assert model.tip_slopes == pytest.approx(slopes * math.sqrt(stated))
-    assert make_spread_model(p, BetweenSpecimensRecord(tip_factor=3.0), theta).tip_slopes == pytest.approx(
-        0.0
-    )
+    assert model.tip_slopes == approx(slopes * math.sqrt(stated))
+    assert make_spread_model(p, BetweenSpecimensRecord(tip_factor=3.0), theta).tip_slopes == approx(0.0)
 
 
 @pytest.mark.parametrize("rho", [0.0, -0.9])
@@ -132,7 +131,7 @@ def test_density_is_that_of_gaussian_estimates_whose_covariances_add(rho):
     between = np.array([[0.09, rho * 0.03], [rho * 0.03, 0.01]])
     expected = sum(multivariate_normal.logpdf(at, MEAN, RIDGE + between) for at in estimates)
     expected += 2 * np.log(2 * np.pi) + float(MODEL.log_prior(spread[None])[0])
-    assert one.log_density(np.array([[*MEAN, *spread]])) == pytest.approx([expected])
+    assert one.log_density(np.array([[*MEAN, *spread]])) == approx([expected])
 
 
 # ---- what is learned of the spread from some specimens; a new specimen
@@ -181,7 +180,7 @@ def test_two_specimens_tell_of_the_spread_of_b_what_their_difference_does(gap):
     walked = draw_population(one_layer(), MODEL, posteriors, 4000, np.random.default_rng(1), walk)
     for one, source in ((found, "importance"), (walked, "posterior")):
         assert not one.faults and one.source == source
-        assert one.rms[1] == pytest.approx(math.sqrt(moments[1] / moments[0]), rel=0.15)
+        assert one.rms[1] == approx(math.sqrt(moments[1] / moments[0]), rel=0.15)
 
 
 def test_a_ridge_of_specimens_is_learned_along_and_across():
@@ -197,9 +196,9 @@ def test_a_ridge_of_specimens_is_learned_along_and_across():
     assert not found.faults and found.correlation < -0.97
     stiff = np.array([0.5, 1.0]) / math.sqrt(1.25)
     assert np.std(found.new[:, :2] @ stiff) < 0.1
-    assert np.std(found.new[:, 0]) == pytest.approx(0.8, rel=0.4)
+    assert np.std(found.new[:, 0]) == approx(0.8, rel=0.4)
     # the mean is known better than one specimen, and each specimen as well as by itself at most
-    assert np.std(found.mean[:, 0]) == pytest.approx(0.8 / math.sqrt(12), rel=0.4)
+    assert np.std(found.mean[:, 0]) == approx(0.8 / math.sqrt(12), rel=0.4)
     assert np.std(found.tuned["0"][:, 0]) < 1.05 * np.std(posteriors["0"][:, 0])
 
 
@@ -208,15 +207,15 @@ def test_one_specimen_leaves_the_prior_and_a_new_one_stays_within_the_bounds():
     tuned = known.theta({"mu1_pa": 1e5, "bevel_mm": 0.4})
     thetas = np.tile(tuned, (4000, 1))
     found = draw_population(known, MODEL, {"a": thetas}, 4000, np.random.default_rng(1))
-    assert found.mean is thetas and found.rms == pytest.approx(SDS, rel=0.05)
-    assert np.std(found.new[:, 0] - tuned[0]) == pytest.approx(math.sqrt(2) * SDS[0], rel=0.08)
+    assert found.mean is thetas and found.rms == approx(SDS, rel=0.05)
+    assert np.std(found.new[:, 0] - tuned[0]) == approx(math.sqrt(2) * SDS[0], rel=0.08)
     covariances = np.tile(np.diag([18.0, 4.5]), (4000, 1, 1))
     moved = draw_specimens(known, MODEL, thetas, covariances, np.random.default_rng(1))
     assert np.all((moved >= known.lower) & (moved <= known.upper))
     assert len(np.unique(moved[:, 1])) == len(moved)  # drawn again, not put on the bounds
     sds = np.sqrt([18.0, 4.5])
     kept = truncnorm((known.lower - tuned) / sds, (known.upper - tuned) / sds)
-    assert np.mean(moved - tuned, axis=0) == pytest.approx(kept.mean() * sds, abs=0.1)
+    assert np.mean(moved - tuned, axis=0) == approx(kept.mean() * sds, abs=0.1)
 
 
 def test_a_new_specimen_has_its_own_moduli_and_its_own_ratio_between_layers():
@@ -228,6 +227,6 @@ def test_a_new_specimen_has_its_own_moduli_and_its_own_ratio_between_layers():
     moved = draw_specimens(known, model, np.tile(tuned, (40_000, 1)), covariances, np.random.default_rng(1))
     at = {name: moved[:, known.free.index(name)] - tuned[known.free.index(name)] for name in known.free}
     found = np.cov([at[name] for name in model.names])
-    assert found == pytest.approx(covariance, abs=0.02)
+    assert found == approx(covariance, abs=0.02)
     ratio = at["mu3_pa"] - at["mu1_pa"] + math.log(2)
-    assert (np.mean(ratio), np.std(ratio)) == pytest.approx((0.0, math.log(1.2)), abs=0.01)
+    assert (np.mean(ratio), np.std(ratio)) == approx((0.0, math.log(1.2)), abs=0.01)

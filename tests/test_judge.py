@@ -8,14 +8,15 @@ import numpy as np
 import pandas as pd
 import pytest
 import scipy.stats
+from numpy.testing import assert_allclose
+from pytest import approx
 from reporting_results import stereo, study, with_predictions
 
 from needlefit.project.result_warnings import ResultWarning, to_stored_rows
-from needlefit.reporting.labels import method_name
 from needlefit.studies.answer import Check
 from needlefit.studies.check_words import lay_out_checks
 from needlefit.studies.coverage import tabulate_coverage
-from needlefit.studies.fit_tables import lay_out_matrix, lay_out_summary
+from needlefit.studies.fit_tables import lay_out_matrix
 from needlefit.studies.judge import (
     REFERENCES,
     Comparison,
@@ -82,10 +83,10 @@ def test_two_known_predictions_are_compared_in_deviations_of_their_difference():
     """Squares differ by 4 (0.4^2 - 0.1^2); of d = 0.3 the deviation is 2 x 0.3 x 0.1 sqrt(4)."""
     errors = needles(fitted=[0.1] * 4, straight=[0.4] * 4)
     tips = {name: rows.set_index(["specimen", "insertion"]) for name, rows in errors.groupby("method")}
-    assert compare_predictions(tips["fitted"], tips["straight"]) == pytest.approx((5.0, 3.0))
+    assert compare_predictions(tips["fitted"], tips["straight"]) == approx((5.0, 3.0))
     # of an error that all have in common it is 2 x 4 x 0.3 x 0.1
     common = tips["fitted"].assign(tip_registered_sd_mm=0.1)
-    assert compare_predictions(common, tips["straight"]) == pytest.approx((2.5, 1.5))
+    assert compare_predictions(common, tips["straight"]) == approx((2.5, 1.5))
     assert compare_predictions(tips["fitted"], tips["fitted"]) == (0.0, 0.0)
 
 
@@ -182,10 +183,10 @@ def test_the_verdict_states_what_it_is_made_of(fitted, straight, status):
     results = with_tip_errors(study(4), **{**CURVES, "fitted": fitted, "straight": straight})
     (verdict,) = results.verdicts
     assert verdict.status == status
-    assert verdict.numbers["te_mm"] == pytest.approx(fitted[0], abs=fitted[1] / 8)
-    assert verdict.numbers["te_over_floor"] == pytest.approx(verdict.numbers["te_mm"] / 0.22)
+    assert verdict.numbers["te_mm"] == approx(fitted[0], abs=fitted[1] / 8)
+    assert verdict.numbers["te_over_floor"] == approx(verdict.numbers["te_mm"] / 0.22)
     assert verdict.numbers["baseline"] == "straight" and verdict.numbers["paper_te_mm"] == 2.19
-    assert verdict.numbers["baseline_te_mm"] == pytest.approx(straight[0], abs=straight[1] / 8)
+    assert verdict.numbers["baseline_te_mm"] == approx(straight[0], abs=straight[1] / 8)
 
 
 #: by outcome the status, what the check shows and what is advised, where nothing else was found
@@ -273,7 +274,7 @@ def test_our_prediction_is_judged_where_there_is_one():
     held = errors[(errors["method"] == "fitted") & (errors["boundaries"] == "measured")]
     ours = held[held["role"] == "validate"].assign(method="prediction", te_mm=0.7)
     both = results.with_frames(errors=pd.concat([errors, ours]))
-    assert both.verdicts[0].numbers["te_mm"] == pytest.approx(0.7)
+    assert both.verdicts[0].numbers["te_mm"] == approx(0.7)
     assert [one.status for one in (results.verdicts[0], both.verdicts[0])] == ["pass", "warn"]
 
 
@@ -326,7 +327,7 @@ def test_the_width_that_serves_for_aiming_is_a_key_of_the_recipe():
     assert [find(one, Check.INTERVALS).passed for one in (results, wide)] == [True, True]
     widths = [find(one, Check.WIDTH) for one in (results, wide)]
     assert [width.passed for width in widths] == [True, False]
-    assert widths[0].value == pytest.approx(0.6) and widths[1].threshold == 0.5
+    assert widths[0].value == approx(0.6) and widths[1].threshold == 0.5
 
 
 def test_warnings_about_the_data_are_one_check():
@@ -351,10 +352,10 @@ def test_paired_differences_have_students_p_values():
     gaps = np.array([-0.3, -0.1, -0.25, 0.05, -0.2])
     (found,) = compare_with_curves(pairs(gaps), "fitted").to_dict("records")
     assert (found["score"], found["curve"], found["trials"]) == ("te_mm", "straight", 5)
-    assert found["difference"] == pytest.approx(gaps.mean())
+    assert found["difference"] == approx(gaps.mean())
     for side, alternative in (("p_smaller", "less"), ("p_larger", "greater")):
         exact = scipy.stats.ttest_1samp(gaps, 0, alternative=alternative).pvalue
-        assert found[side] == pytest.approx(exact)
+        assert found[side] == approx(exact)
 
 
 @pytest.mark.parametrize(
@@ -386,7 +387,7 @@ def test_what_shares_a_fit_a_specimen_or_a_hole_is_one_trial():
     assert compare_with_curves(one_fit, "fitted").empty and judge_fits(one_fit, "fitted") == "not shown"
     (two,) = compare_with_curves(pairs(gaps, specimen=list("ppqq")), "fitted").to_dict("records")
     means = np.array([gaps[:2].mean(), gaps[2:].mean()])
-    assert two["trials"] == 2 and two["p_smaller"] == pytest.approx(
+    assert two["trials"] == 2 and two["p_smaller"] == approx(
         scipy.stats.ttest_1samp(means, 0, alternative="less").pvalue
     )
 
@@ -430,24 +431,10 @@ def test_tracks_are_judged_by_their_readings():
     assert [compare(noise, None) for noise in (0.4, 0.6)] == ["closer than both", "as close"]
 
 
-def test_the_verdict_and_its_numbers_stand_in_the_row_of_all_insertions():
-    results = study(1)
-    pooled = judge(results, pool_insertions(results))
-    matrix, summary = lay_out_matrix([results]), lay_out_summary(results)
-    labels = [column.label for column in matrix.columns]
-    (row,) = matrix.rows
-    assert row[labels.index("Verdict")] == pooled.outcome
-    assert f"{pooled.error:.2f}" in row and f"{pooled.curve_error:.2f}" in row
-    found = {row[0]: row for row in summary.rows}
-    assert f"{pooled.error:.2f}" in summary.rows[0]
-    assert f"{pooled.curve_error:.2f}" in found[method_name(pooled.curve)]
-    assert {method_name(name) for name in REFERENCES} <= found.keys()
-
-
 def test_a_fit_is_compared_with_the_references_on_its_own_needles():
     results = with_tip_errors(study(1), **{**CURVES, "fitted": (0.1, 0.0), "straight": (0.05, 0.0)})
     found = {one.check: one for one in list_checks(results, "tune")}[Check.CURVES]
-    assert (found.passed, found.needles, found.closer, found.threshold) == (None, 9, 0, pytest.approx(0.05))
+    assert (found.passed, found.needles, found.closer, found.threshold) == (None, 9, 0, approx(0.05))
 
 
 def test_leaving_one_out_of_one_specimen_is_compared_and_not_tested():
@@ -529,11 +516,11 @@ def test_pits_of_tips_are_toward_the_bevel_in_a_plane_and_as_stored_in_space():
     shapes.loc[turned, "measured_y_mm"] *= -1  # its deflection stays: its bevel faces the other side
     mirrored = run.with_frames(shapes=shapes)
     plain, other = orient_pits(run)["tip"], orient_pits(mirrored)["tip"]
-    assert sorted({plain[0], other[0]}) == pytest.approx([0.1, 0.9])
-    np.testing.assert_allclose(other[1:], plain[1:])
-    np.testing.assert_allclose(orient_pits(mirrored)["shape"], 0.1)
+    assert sorted({plain[0], other[0]}) == approx([0.1, 0.9])
+    assert_allclose(other[1:], plain[1:])
+    assert_allclose(orient_pits(mirrored)["shape"], 0.1)
     space = replace(mirrored, metadata=mirrored.metadata.state(compared="space"))
-    np.testing.assert_allclose(orient_pits(space)["tip"], 0.1)
+    assert_allclose(orient_pits(space)["tip"], 0.1)
 
 
 def test_the_share_of_covered_tips_stands_with_its_interval():

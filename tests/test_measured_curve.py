@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from needlefit.geometry.curves import arc_length, integrate_curvature
@@ -37,7 +38,7 @@ def test_the_length_is_right_whatever_spacing_and_noise(spacing, noise):
 @pytest.mark.parametrize("bend", [0.0, 0.3, np.pi / 2])
 def test_curves_without_noise_have_the_length_of_the_arc(count, bend):
     curve = measure_curve(arc_points(s := np.linspace(0, LENGTH, count), bend))
-    np.testing.assert_allclose(curve.s, s, atol=5e-3 if count == 5 else 2e-4)
+    assert_allclose(curve.s, s, atol=5e-3 if count == 5 else 2e-4)
     assert curve.noise_sd < 2e-3
 
 
@@ -100,9 +101,9 @@ def test_repeated_points_and_few_points_have_places_and_motions_change_nothing()
     np.testing.assert_array_equal(twice.s, np.repeat(whole.s, 2))
     assert twice.length_sd == whole.length_sd
     moved = Rotation.from_rotvec([0.3, -1.0, 0.7]).apply(3.0 * points) + np.array([50.0, -20.0, 7.0])
-    np.testing.assert_allclose(measure_curve(moved).s, 3 * whole.s, rtol=1e-6)
+    assert_allclose(measure_curve(moved).s, 3 * whole.s, rtol=1e-6)
     few = measure_curve(points[:3], 0.1)
-    np.testing.assert_allclose(few.s, arc_length(points[:3]))
+    assert_allclose(few.s, arc_length(points[:3]))
     assert few.length_sd == pytest.approx(0.1 * np.sqrt(2)) and few.noise_sd == 0.0
 
 

@@ -5,13 +5,22 @@ import pytest
 import reference_solver
 from equilibrium import equilibrium
 from mechanics_cases import NEEDLE, RULES, assert_close, random_case
+from numpy.testing import assert_allclose
 
-from needlefit.mechanics.batch import Batch, simulate_batches
-from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
+from needlefit import (
+    Batch,
+    Bevel,
+    Controls,
+    Guide,
+    ModelOptions,
+    NeedleShape,
+    Step,
+    Tissue,
+    compute_positions,
+    simulate_batches,
+)
 from needlefit.mechanics.plan import Lattice
-from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.mechanics.simulate import find_last_shape, simulate, simulate_steps
-from needlefit.mechanics.tissue import Tissue
 
 
 @pytest.mark.parametrize("kind", RULES)
@@ -29,7 +38,7 @@ def test_large_compression_few_iterations_and_short_needles():
     case = (NEEDLE, tissue, Bevel(0.02), 12.0, Controls(base_y=1.0))
     fast, slow = simulate(*case), reference_solver.simulate(*case)
     assert np.max(np.abs(fast.u[1:])) / 3.0 > 0.1
-    np.testing.assert_allclose(fast.u, slow.u, atol=1e-7)
+    assert_allclose(fast.u, slow.u, atol=1e-7)
     # Only the base moves: the first iteration, from the straight guess, still compresses nothing fully.
     points = np.outer(np.arange(11.0), [1.0, 0.0, 0.0])
     tissue = Tissue(mu=[1e-3], alpha=[1.0], thickness=[0.5])
@@ -53,7 +62,7 @@ def test_a_deflection_of_constant_curvature_is_drawn_as_a_circle():
     bent = x, along**2 / 2 / radius, along / radius, flat, flat
     shape = NeedleShape(*bent, np.zeros((1, 3)), np.zeros((1, 4)), "converged", 0)
     place = compute_positions(shape, np.linspace(x[0], x[-1], 301))
-    np.testing.assert_allclose(np.hypot(place[:, 0] + 95.0, place[:, 1] - radius), radius, atol=1e-9)
+    assert_allclose(np.hypot(place[:, 0] + 95.0, place[:, 1] - radius), radius, atol=1e-9)
 
 
 # ---- numbers of the kernel that no comparison of shapes determines
@@ -97,7 +106,7 @@ def test_a_guide_in_tissue_holds_once_the_tip_is_past_it_whatever_the_mesh(eleme
 
     shy, past, far = (insert(x + d) for d in (0.049, 0.051, 3.3))
     without = find_last_shape(NEEDLE, TWO_LAYERS, (Step(shy.depth, BEVEL),), rules, lattice)
-    np.testing.assert_allclose(shy.u, without.u, atol=1e-10)
+    assert_allclose(shy.u, without.u, atol=1e-10)
     for shape in (past, far):
         node = at(shape, x)
         assert shape.u[node] == pytest.approx(0.2, abs=1e-13)
@@ -117,4 +126,4 @@ def test_the_first_point_lies_ahead_of_the_free_tip(depth, spacing, side):
     expected = y + slope * (150 + x_1) + x_1 * side * 0.1 / spacing
     assert shape.constraints[1, 1] == pytest.approx(expected, abs=1e-9)
     np.testing.assert_array_equal(shape.constraints[0], 0.0)  # first contact has been
-    np.testing.assert_allclose(shape.tip_track[0], [y + slope * 150, slope, 0.0, 0.0], atol=1e-12)
+    assert_allclose(shape.tip_track[0], [y + slope * 150, slope, 0.0, 0.0], atol=1e-12)

@@ -6,13 +6,10 @@ import numpy as np
 import pytest
 from mechanics_cases import NEEDLE, RULES, assert_close, assert_same_bits, pick, random_batch, random_steps
 
+from needlefit import Bevel, Controls, Guide, ModelOptions, Needle, Step, Tissue, TrackedTip, simulate_steps
 from needlefit.mechanics import batch as batch_module
 from needlefit.mechanics import native
 from needlefit.mechanics.batch import Batch, NeedleShapes, read_batches, simulate_batches
-from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
-from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.simulate import simulate_steps
-from needlefit.mechanics.tissue import Tissue
 
 TISSUE = Tissue(mu=[0.2, 33.0], alpha=[1.0, -1.0], boundaries=[9.3])
 WIDE = Step(14.2, Bevel(0.1), Controls(base_y=0.3))  # its first cell is short: the entry has no node

@@ -8,16 +8,24 @@ import pytest
 import reference_solver
 from mechanics_cases import NEEDLE, assert_derivatives, draw_shape
 from plugin_cases import install, plugin_folder
+from pytest import approx
 
+from needlefit import (
+    Bevel,
+    Controls,
+    Guide,
+    ModelOptions,
+    Step,
+    Tissue,
+    compute_stress,
+    simulate,
+    simulate_steps,
+)
 from needlefit.errors import ModelError
 from needlefit.mechanics import native
 from needlefit.mechanics.batch import linearize_steps
-from needlefit.mechanics.compression import compute_stress
-from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.laws import LAWS, TissueLaw
 from needlefit.mechanics.packing import compile_law, differentiate_law
-from needlefit.mechanics.simulate import simulate, simulate_steps
-from needlefit.mechanics.tissue import Tissue
 
 H = 1e-30  # of complex steps
 
@@ -184,15 +192,15 @@ def energy(mu, alpha, stretch):
 @pytest.mark.parametrize("alpha", [a for a in ALPHAS if abs(a) > 1e-2])
 def test_the_nominal_stress_is_the_derivative_of_the_energy(alpha):
     by_energy = np.imag(energy(3.0, alpha, STRETCH + H * 1j)) / H
-    assert compute_stress(3.0, alpha, STRETCH, "nominal") == pytest.approx(by_energy, rel=1e-12, abs=1e-13)
+    assert compute_stress(3.0, alpha, STRETCH, "nominal") == approx(by_energy, rel=1e-12, abs=1e-13)
 
 
 def test_true_and_nominal_stress_and_solids_that_alpha_stands_for():
     true, nominal = (compute_stress(1.0, -3.0, STRETCH, kind) for kind in ("true", "nominal"))
-    assert true == pytest.approx(STRETCH * nominal, rel=1e-14)
+    assert true == approx(STRETCH * nominal, rel=1e-14)
     neo_hookean = 5.0 * (STRETCH - STRETCH**-2)
-    assert compute_stress(5.0, 2.0, STRETCH, "nominal") == pytest.approx(neo_hookean, rel=1e-12, abs=1e-14)
-    assert compute_stress(5.0, 0.0, STRETCH, "true") == pytest.approx(15 * np.log(STRETCH), rel=1e-14)
+    assert compute_stress(5.0, 2.0, STRETCH, "nominal") == approx(neo_hookean, rel=1e-12, abs=1e-14)
+    assert compute_stress(5.0, 0.0, STRETCH, "true") == approx(15 * np.log(STRETCH), rel=1e-14)
     deep = np.linspace(0.5, 0.7, 9)
     ratio = compute_stress(1.0, -20.0, deep, "nominal") / compute_stress(1.0, 40.0, deep, "nominal")
-    assert ratio == pytest.approx(np.full(9, 2.0), rel=1e-4)  # 2 mu / alpha of the power that both share
+    assert ratio == approx(np.full(9, 2.0), rel=1e-4)  # 2 mu / alpha of the power that both share

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from equilibrium import equilibrium
 from mechanics_cases import NEEDLE, RULES, random_case
+from numpy.testing import assert_allclose
+from pytest import approx
 from space_cases import random_spatial_case
 
-from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
-from needlefit.mechanics.needle import Needle
+from needlefit import Bevel, Controls, Guide, ModelOptions, Needle, Step, Tissue
 from needlefit.mechanics.simulate import compute_lateral_load, compute_loads, simulate, simulate_steps
-from needlefit.mechanics.tissue import Tissue
 
 
 def phantom(boundaries: tuple[float, ...] = (20.0, 28.0, 45.0)) -> Tissue:
@@ -34,7 +34,7 @@ def test_tissue_base_guides_and_tracked_tip_balance(seed, kind, draw):
     shape = simulate_steps(needle, tissue, steps, rules, lattice)
     loads = compute_loads(shape, tissue, needle, steps[-1].controls, rules)
     along = compute_lateral_load(shape, tissue, loads.s, rules)
-    np.testing.assert_allclose(along, [loads.load, loads.load_z], rtol=1e-9, atol=1e-12)
+    assert_allclose(along, [loads.load, loads.load_z], rtol=1e-9, atol=1e-12)
     every = (loads.tissue, loads.base, *loads.guides, loads.tip)
     for force, moment in (("force", "moment"), ("force_z", "moment_z")):
         forces = [getattr(one, force) for one in every]
@@ -81,8 +81,8 @@ BEVEL = Bevel(0.1)
 def test_a_cell_of_the_point_behind_is_not_pulled_by_the_cut():
     """After one cell the only point behind is the entry's, so that nothing bends the needle."""
     behind = simulate(NEEDLE, TISSUE, BEVEL, 1.0, rules=ModelOptions(switch=1.0))
-    np.testing.assert_allclose(behind.u, 0.0, atol=1e-12)
-    np.testing.assert_allclose(behind.constraints[:, 1], [0.0, 0.1])
+    assert_allclose(behind.u, 0.0, atol=1e-12)
+    assert_allclose(behind.constraints[:, 1], [0.0, 0.1])
     half, ahead = (
         simulate(NEEDLE, TISSUE, BEVEL, 1.0, rules=ModelOptions(switch=s)).u[-1] for s in (0.5, 0.0)
     )
@@ -92,7 +92,7 @@ def test_a_cell_of_the_point_behind_is_not_pulled_by_the_cut():
 def test_without_the_tangent_the_cut_leaves_the_tip_by_the_bevel_alone():
     shape = simulate(NEEDLE, TISSUE, BEVEL, 6.0, rules=ModelOptions(tangent=0.0))
     steps = shape.constraints[1:, 1] - shape.tip_track[:-1, 0]
-    np.testing.assert_allclose(steps, 0.1, atol=1e-12)
+    assert_allclose(steps, 0.1, atol=1e-12)
     along = simulate(NEEDLE, TISSUE, BEVEL, 6.0)
     assert 0 < shape.u[-1] < along.u[-1]
 
@@ -109,7 +109,7 @@ def test_a_tilted_cantilever_carries_the_load_less_friction(gamma, factor):
     whole = load * (3 * length**4 - 4 * length * a**3 + a**4) / (24 * NEEDLE.flexural_rigidity)
     for slope in (0.5, -0.5):
         shape = equilibrium(NEEDLE, tissue, points, Controls(base_slope=slope))
-        assert shape.u[-1] - slope * length == pytest.approx(factor * whole, rel=1e-3)
+        assert shape.u[-1] - slope * length == approx(factor * whole, rel=1e-3)
 
 
 # ---- what acts on the needle: closed forms
@@ -127,13 +127,13 @@ def test_a_guide_before_the_tissue_loads_the_needle_as_a_propped_or_clamped_cant
     shape = simulate_steps(BEAM, SOFT_LAYERS, (Step(0.0, Bevel(0.1), controls),))
     found = compute_loads(shape, SOFT_LAYERS, BEAM, controls)
     force = 3 * EI * y / a**3
-    assert found.guides[0].force == pytest.approx(force)
-    assert (found.base.x, found.base.force) == (-150.0, pytest.approx(-force))
-    assert (found.base.moment, found.guides[0].moment) == (pytest.approx(-force * a), 0.0)
+    assert found.guides[0].force == approx(force)
+    assert (found.base.x, found.base.force) == (-150.0, approx(-force))
+    assert (found.base.moment, found.guides[0].moment) == (approx(-force * a), 0.0)
     assert len(found.s) == 0 and (found.tip_force, found.tissue.force) == (0.0, 0.0)
     # Both ends clamped, one moved aside by y: 12 EI y / a^3 and 6 EI y / a^2.
     controls, a, y = Controls(guides=(Guide(-30.0, 0.4),)), 120.0, 0.4
     shape = simulate_steps(BEAM, SOFT_LAYERS, (Step(0.0, Bevel(0.1), controls),))
     found = compute_loads(shape, SOFT_LAYERS, BEAM, controls)
-    assert found.guides[0].force == pytest.approx(12 * EI * y / a**3)
-    assert found.guides[0].moment == pytest.approx(found.base.moment) == pytest.approx(-6 * EI * y / a**2)
+    assert found.guides[0].force == approx(12 * EI * y / a**3)
+    assert found.guides[0].moment == approx(found.base.moment) == approx(-6 * EI * y / a**2)

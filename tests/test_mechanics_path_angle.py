@@ -5,17 +5,15 @@ import math
 import numpy as np
 import pytest
 from mechanics_cases import NEEDLE
+from numpy.testing import assert_allclose
 from solver_checks.refinement import ADVANCED, ANGLE, measure_spacing
 
+from needlefit import Bevel, Controls, Guide, ModelOptions, Session, Step, Tissue, simulate, simulate_steps
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError
 from needlefit.inference.forward_model import PreparedModel
 from needlefit.inference.parameters import Parameters
-from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.scene import Scene, simulate_scene
-from needlefit.mechanics.session import Session
-from needlefit.mechanics.simulate import simulate, simulate_steps
-from needlefit.mechanics.tissue import Tissue
 from needlefit.planning.insertion_scene import make_scene_record
 from needlefit.project.locate import find_file
 from needlefit.project.toml import load
@@ -44,7 +42,7 @@ def test_points_lie_on_the_rays_of_the_rule_and_too_far_and_back_changes_nothing
     session = Session(NEEDLE, PHANTOM, Bevel(cut_angle=0.1), rules=RULES)
     there = session.step(15.4).u
     session.step(3.0)
-    np.testing.assert_allclose(session.step(-3.0).u, there, atol=1e-7)
+    assert_allclose(session.step(-3.0).u, there, atol=1e-7)
     shape = simulate(NEEDLE, PHANTOM, Bevel(cut_angle=0.1), 6.0, Controls(0.4, 0.01), RULES)
     assert (
         shape.constraints[0, 1] == pytest.approx(shape.tip_track[0, 0]) and abs(shape.constraints[0, 1]) > 0.5
@@ -63,7 +61,7 @@ def test_deep_in_uniform_tissue_the_needle_is_an_arc():
     shape = simulate(NEEDLE, Tissue([32.0], [1.0]), Bevel(cut_angle=ANGLE), 120.0, rules=RULES)
     beta = (96.0 / 4 / NEEDLE.flexural_rigidity) ** 0.25
     curvature = (np.diff(shape.slope) / np.diff(shape.x))[-60:-50]
-    np.testing.assert_allclose(curvature, ANGLE * beta, rtol=0.01)
+    assert_allclose(curvature, ANGLE * beta, rtol=0.01)
 
 
 # ---- of media, scenes and the page ----
@@ -106,9 +104,9 @@ def test_gradient_and_batch_of_a_fitted_model(medium):
         step = np.zeros(len(theta))
         step[p] = 1e-5
         slope = (predict(theta + step)[0] - predict(theta - step)[0]) / 2e-5
-        np.testing.assert_allclose(moves[:, :, p], slope, atol=1e-6 + 1e-5 * np.abs(slope).max())
+        assert_allclose(moves[:, :, p], slope, atol=1e-6 + 1e-5 * np.abs(slope).max())
     values = parameters.values(theta)
     (shapes,) = model.simulate([values, values])
     scene = Scene.from_record(make_scene_record(values, medium, twin.name, insertion))
     assert scene.rules.path_angle
-    np.testing.assert_allclose(simulate_scene(scene)[-1].u, shapes.u[1], atol=1e-6)
+    assert_allclose(simulate_scene(scene)[-1].u, shapes.u[1], atol=1e-6)

@@ -2,11 +2,8 @@
 
 import pytest
 
-from needlefit.mechanics.control import Bevel, ModelOptions, Step
-from needlefit.mechanics.needle import Needle
+from needlefit import Bevel, ModelOptions, Needle, Step, Tissue, simulate
 from needlefit.mechanics.plan import Lattice, Move, make_lattice, make_moves, make_stops
-from needlefit.mechanics.simulate import simulate
-from needlefit.mechanics.tissue import Tissue
 
 HALF = Lattice(0.5, 1.0)  # points at 0, 0.5, 1.5, 2.5 ...
 

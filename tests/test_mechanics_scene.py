@@ -4,11 +4,10 @@ import math
 from typing import Any
 
 import numpy as np
-import pytest
+from pytest import approx
 
-from needlefit.mechanics.control import Bevel, TrackedTip
+from needlefit import Bevel, TrackedTip, simulate_steps
 from needlefit.mechanics.scene import Scene, simulate_scene
-from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.torsion import find_roll
 from needlefit.project.toml import check
 from needlefit.schemas.scene import SceneRecord
@@ -43,15 +42,15 @@ def test_inputs_along_z_are_read():
     scene = built(depth_mm=20, guides=[guide], controls=controls, torsional_friction_n=0.2)
     (step,), tan = scene.steps, lambda degrees: math.tan(math.radians(degrees))
     held = step.controls
-    assert (held.base_z, held.base_slope_z) == pytest.approx((0.3, tan(2)))
+    assert (held.base_z, held.base_slope_z) == approx((0.3, tan(2)))
     # along (cos e cos a, cos e sin a, sin e)
-    assert held.stage_slope_z == pytest.approx(tan(-5) / math.cos(math.radians(20)))
+    assert held.stage_slope_z == approx(tan(-5) / math.cos(math.radians(20)))
     assert held.guides[0].z == 0.4
-    assert held.guides[0].slope_z == pytest.approx(tan(10) / math.cos(math.radians(30)))
+    assert held.guides[0].slope_z == approx(tan(10) / math.cos(math.radians(30)))
     assert held.tip == TrackedTip(0.1, tan(1), -0.2, tan(3))
     assert scene.tissue.torsional_friction == 0.2
     shapes = simulate_scene(scene)
-    assert shapes[-1].converged and shapes[-1].w[-1] == pytest.approx(-0.2)
+    assert shapes[-1].converged and shapes[-1].w[-1] == approx(-0.2)
 
 
 def test_the_steps_of_a_spatial_scene_are_those_of_one_session():
@@ -87,12 +86,10 @@ def test_world_coordinates_of_a_file_are_transformed_to_c():
     }
     (step,) = built(entry=entry, guides=guides, controls=controls, depth_mm=15).steps
     held, ring, deep = step.controls.guides
-    assert (held.x, held.y) == pytest.approx((-20, 0.5)) and held.slope == pytest.approx(
-        math.tan(math.radians(10))
-    )
-    assert (ring.x, ring.y) == pytest.approx((-10, 0)) and ring.slope is None
-    assert (deep.x, deep.y, deep.slope) == pytest.approx((5, -0.25, 0)) and deep.in_tissue
+    assert (held.x, held.y) == approx((-20, 0.5)) and held.slope == approx(math.tan(math.radians(10)))
+    assert (ring.x, ring.y) == approx((-10, 0)) and ring.slope is None
+    assert (deep.x, deep.y, deep.slope) == approx((5, -0.25, 0)) and deep.in_tissue
     assert step.controls.base_y == 3
-    assert step.controls.base_slope == pytest.approx(math.tan(math.radians(2)))
-    assert step.controls.stage_slope == pytest.approx(math.tan(math.radians(1)))
+    assert step.controls.base_slope == approx(math.tan(math.radians(2)))
+    assert step.controls.stage_slope == approx(math.tan(math.radians(1)))
     assert step.controls.tip == TrackedTip(0.5, math.tan(math.radians(1)))

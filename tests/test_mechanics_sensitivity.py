@@ -15,6 +15,18 @@ from mechanics_cases import (
 )
 from refusals import refusal
 
+from needlefit import (
+    Bevel,
+    Controls,
+    Guide,
+    ModelOptions,
+    Needle,
+    Step,
+    Tissue,
+    compute_positions,
+    simulate,
+    simulate_steps,
+)
 from needlefit.errors import ModelError
 from needlefit.mechanics.batch import (
     DERIVATIVE_KINDS,
@@ -27,12 +39,7 @@ from needlefit.mechanics.batch import (
     linearize_steps,
     simulate_batches,
 )
-from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
-from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice, make_lattice
-from needlefit.mechanics.shape import compute_positions
-from needlefit.mechanics.simulate import simulate, simulate_steps
-from needlefit.mechanics.tissue import Tissue
 
 PHANTOM = Tissue(mu=[0.2, 33, 0.2, 33], alpha=[1, -1, 1, -1], boundaries=[20, 28, 45])
 SHARP = 1e-9  # mm; Newton's tolerance where a derivative is held to 1e-7 of itself

@@ -15,12 +15,10 @@ from mechanics_cases import (
     random_steps,
     random_tissue,
 )
+from numpy.testing import assert_array_equal
+from pytest import approx
 
-from needlefit.mechanics.control import Bevel, Guide, TrackedTip
-from needlefit.mechanics.session import Session
-from needlefit.mechanics.shape import NeedleShape
-from needlefit.mechanics.simulate import simulate_steps
-from needlefit.mechanics.tissue import Tissue
+from needlefit import Bevel, Guide, NeedleShape, Session, Tissue, TrackedTip, simulate_steps
 
 TISSUE = Tissue(mu=[0.2, 33.0], alpha=[1.0, -1.0], boundaries=[9.3])
 LEFT, RIGHT = Bevel(0.1, 1), Bevel(0.1, -1)
@@ -55,14 +53,14 @@ def test_equal_inputs_change_nothing_and_out_of_the_tissue_base_and_guide_alone_
     out = under_way.step(-12.5)
     assert out.depth == 0.0 and under_way.depth == 0.0
     np.testing.assert_allclose(out.u, 0.0, atol=1e-12)
-    np.testing.assert_array_equal(out.constraints, [[0.0, 0.0, 0.0]])
+    assert_array_equal(out.constraints, [[0.0, 0.0, 0.0]])
     assert_close(under_way.step(8.5), session().step(8.5))
     under_way = session()
     under_way.step(5.0)
     under_way.step(-5.0)
     shape = under_way.step(base=(0.5, 0.01))
-    assert shape.u[-1] == pytest.approx(0.5 + 150 * 0.01)
-    assert under_way.step(1.0).constraints[1, 1] == pytest.approx(shape.u[-1] + shape.slope[-1] + 0.1)
+    assert shape.u[-1] == approx(0.5 + 150 * 0.01)
+    assert under_way.step(1.0).constraints[1, 1] == approx(shape.u[-1] + shape.slope[-1] + 0.1)
 
 
 def test_a_long_session_keeps_its_size_and_accuracy():
@@ -75,7 +73,7 @@ def test_a_long_session_keeps_its_size_and_accuracy():
         guides = (Guide(-5.0, rng.uniform(-0.1, 0.1)),) if n % 7 < 2 else ()
         shape = under_way.step(insert, bevel=bevel, base=tuple(base), guides=guides)
         assert shape.converged and np.abs(shape.u).max() < 10
-        assert shape.depth == pytest.approx(under_way.depth, abs=1e-9)
+        assert shape.depth == approx(under_way.depth, abs=1e-9)
     remembered = len(under_way._bevels._numbers) + len(under_way._controls._numbers)
     assert remembered < 1500 and len(under_way._memory.list_rays()[0]) < 200
     assert under_way._rays < 1000
@@ -104,7 +102,7 @@ def test_a_failed_step_changes_nothing(step):
     for _ in range(2):
         failed = under_way.step(**step)
         assert failed.status == "over-compressed" and np.isnan(failed.u).all()
-        assert failed.depth == pytest.approx(4.5 + step.get("insert", 0.0))
+        assert failed.depth == approx(4.5 + step.get("insert", 0.0))
         assert under_way.last == untouched.last and under_way.depth == 4.5
     assert under_way.failures == Counter({"over-compressed": 2})
     for after in ({"insert": 0.3}, {"insert": 4.0, "bevel": RIGHT}, {"insert": -2.0}, {"base": (0.1, 0)}):
@@ -139,7 +137,7 @@ def test_a_copy_continues_independently_of_the_original(seed):
     there = [second.go(step) for step in steps]
     assert first.now.shape is before
     for step, expected in zip(steps, there, strict=True):
-        np.testing.assert_array_equal(first.go(step).u, expected.u)
+        assert_array_equal(first.go(step).u, expected.u)
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -155,7 +153,7 @@ def test_the_path_reproduces_the_needle_and_can_be_continued(seed):
     )  # fmt: skip
     for step in input_path:
         single.go(step)
-    np.testing.assert_array_equal(retold.now.shape.u, single.now.shape.u)
+    assert_array_equal(retold.now.shape.u, single.now.shape.u)
     assert retold.solved == single.solved
     for step in random_steps(rng, 2):
         assert_near(retold.go(step), under_way.go(step))

@@ -15,9 +15,12 @@ from mechanics_cases import (
     pick,
     random_case,
 )
+from numpy.testing import assert_allclose
+from pytest import approx
 from refusals import refusal
 from space_cases import assert_turned, list_planes, random_spatial_case, turn, turn_step
 
+from needlefit import Bevel, Controls, ModelOptions, Session, Step, Tissue
 from needlefit.errors import ModelError
 from needlefit.mechanics.batch import (
     DERIVATIVE_KINDS,
@@ -28,13 +31,10 @@ from needlefit.mechanics.batch import (
     linearize_steps,
     simulate_batches,
 )
-from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
 from needlefit.mechanics.packing import INPUTS_ALONG_Z
 from needlefit.mechanics.plan import Lattice, make_lattice
-from needlefit.mechanics.session import Session
 from needlefit.mechanics.shape import LIMITS, compute_positions
 from needlefit.mechanics.simulate import compute_loads, simulate_steps
-from needlefit.mechanics.tissue import Tissue
 from needlefit.mechanics.torsion import compute_roll_lag, find_roll, turn_tip
 
 FINE = 1e-11
@@ -74,8 +74,8 @@ def test_kernel_equals_reference(seed, kind):
     s = np.union1d(found.x, rng.uniform(found.x[0], found.depth, 20))
     points = compute_positions(found, s)
     atol = 1e-6 if found.validity.max_slope < 0.3 else 1e-4  # five points in each free span
-    np.testing.assert_allclose(points, reference_solver.compute_positions(expected, s), atol=atol)
-    assert (found.tip_lateral, found.tip_z) == pytest.approx(points[-1, 1:], abs=1e-12)
+    assert_allclose(points, reference_solver.compute_positions(expected, s), atol=atol)
+    assert (found.tip_lateral, found.tip_z) == approx(points[-1, 1:], abs=1e-12)
 
 
 @pytest.mark.parametrize("thickness", [0.4, 1.0, 5.0])
@@ -140,11 +140,11 @@ def test_derivatives_of_points_are_those_of_the_points():
     ((_, tracked),) = linearize_batches([batch], ("offset",))
     assert jacobians.tip_track.size == 0 and tracked.tip_track.size > 0
     for name in ("u", "slope", "constraints"):
-        np.testing.assert_allclose(getattr(jacobians, name), getattr(tracked, name), atol=1e-12)
+        assert_allclose(getattr(jacobians, name), getattr(tracked, name), atol=1e-12)
     s = np.linspace(-3.0, 17.3, 7)
     points = compute_batch_positions(shapes, s)
     found = differentiate_batch_positions(shapes, jacobians, s)[1, ..., 0]
-    np.testing.assert_allclose(found, (points[2] - points[0]) / 2e-4, atol=1e-6)
+    assert_allclose(found, (points[2] - points[0]) / 2e-4, atol=1e-6)
     assert np.abs(found[-1]).min() > 1e-3
 
 
@@ -160,10 +160,10 @@ def test_sets_of_one_insertion_differ_by_roll_and_base(name, value, kind):
     for i in range(len(batch)):
         one, by = linearize_steps(*pick(batch, i), wrt=(strength, name))
         assert_close(shapes[i], one, 1e-9)
-        np.testing.assert_allclose(jacobians.u[:, i], by.u, rtol=1e-6, atol=1e-8)
+        assert_allclose(jacobians.u[:, i], by.u, rtol=1e-6, atol=1e-8)
     differences = (shapes.w[2] - shapes.w[0]) / 2e-4
     column = jacobians.names.index(name)
-    np.testing.assert_allclose(jacobians.u[1, 1, :, column], differences, rtol=1e-4, atol=1e-6)
+    assert_allclose(jacobians.u[1, 1, :, column], differences, rtol=1e-4, atol=1e-6)
 
 
 @pytest.mark.parametrize("kind", RULES)
@@ -225,12 +225,10 @@ def test_validity_and_forces_do_not_depend_on_the_roll():
     turned = tuple(turn_step(step, 60.0) for step in steps)
     one, other = (simulate_steps(NEEDLE, tissue, s, ModelOptions(tolerance=FINE)) for s in (steps, turned))
     for name, _, _ in LIMITS:
-        assert getattr(other.validity, name) == pytest.approx(getattr(one.validity, name), rel=2e-3), name
+        assert getattr(other.validity, name) == approx(getattr(one.validity, name), rel=2e-3), name
     first, second = (compute_loads(s, tissue, NEEDLE, Controls()) for s in (one, other))
-    assert (second.base.force, second.base.force_z) == pytest.approx(
-        turn(first.base.force, 0.0, 60.0), rel=1e-6
-    )
-    assert (second.tip_region_force, second.tip_region_force_z) == pytest.approx(
+    assert (second.base.force, second.base.force_z) == approx(turn(first.base.force, 0.0, 60.0), rel=1e-6)
+    assert (second.tip_region_force, second.tip_region_force_z) == approx(
         turn(first.tip_region_force, 0.0, 60.0), rel=1e-6
     )
 
@@ -242,7 +240,7 @@ def test_quarter_turns_are_exact(quarters):
     assert Bevel(0.1, -1, roll_deg=90.0 * quarters + 180.0).toward == exact
     y, z = Bevel(0.1, roll_deg=90.0 * quarters + 30.0).toward
     angle = math.radians(90.0 * quarters + 30.0)
-    assert (y, z) == pytest.approx((math.cos(angle), math.sin(angle)), abs=1e-15)
+    assert (y, z) == approx((math.cos(angle), math.sin(angle)), abs=1e-15)
 
 
 def test_a_needle_turned_by_90_degrees_bends_to_y_and_then_to_z():
@@ -251,9 +249,9 @@ def test_a_needle_turned_by_90_degrees_bends_to_y_and_then_to_z():
     before = reference_solver.simulate_steps(NEEDLE, TISSUE, steps[:1])
     assert shape.leaves_plane and not before.leaves_plane
     y, z = list_planes(shape)["constraints"]
-    np.testing.assert_allclose(y[:11], before.constraints[:, 1], atol=1e-7)
+    assert_allclose(y[:11], before.constraints[:, 1], atol=1e-7)
     np.testing.assert_array_equal(z[:11], 0.0)  # the cut before the turn stays in the plane
-    assert z[11] == pytest.approx(0.1, abs=1e-12)  # along the tangent, turned toward z
+    assert z[11] == approx(0.1, abs=1e-12)  # along the tangent, turned toward z
     assert z[20] > 0.2 and y[20] > 0.2
 
 
@@ -266,14 +264,14 @@ def test_the_tip_stays_behind_the_hub_by_the_lag():
     """tau d / GJ (d / 2 + L - d), and a turn back moves it only beyond twice that."""
     rigidity = NEEDLE.flexural_rigidity / 1.3
     lag = math.degrees(0.5 * 20.0 / rigidity * (10.0 + 130.0))
-    assert compute_roll_lag(NEEDLE, TWISTED, 20.0) == pytest.approx(lag)
+    assert compute_roll_lag(NEEDLE, TWISTED, 20.0) == approx(lag)
     rolls = [0.0, 90.0, 80.0, 90.0 - 2 * lag - 5.0]
     depths = [20.0, 30.0, 30.0, 40.0]
     steps = [Step(d, Bevel(0.1, roll_deg=r)) for d, r in zip(depths, rolls, strict=True)]
     found = [find_roll(step.bevel) for step in turn_tip(NEEDLE, TWISTED, steps)]
     deeper = compute_roll_lag(NEEDLE, TWISTED, 30.0)
     assert 5.0 < lag < deeper < 20.0
-    assert found == pytest.approx([0.0, 90.0 - lag, 90.0 - lag, rolls[3] + deeper])
+    assert found == approx([0.0, 90.0 - lag, 90.0 - lag, rolls[3] + deeper])
     untwisted = turn_tip(NEEDLE, TISSUE, steps)
     assert [find_roll(step.bevel) for step in untwisted] == rolls
 
@@ -284,6 +282,6 @@ def test_a_retraction_lets_the_tip_follow_and_sub_steps_change_nothing():
     small = [*back[:2], *(Step(30.0 - n, turned) for n in range(1, 26)), Step(8.5, turned), back[3]]
     one, other = (turn_tip(NEEDLE, TWISTED, steps)[-1].bevel for steps in (back, small))
     assert one == other
-    assert find_roll(one) == pytest.approx(90.0 - compute_roll_lag(NEEDLE, TWISTED, 5.0))
+    assert find_roll(one) == approx(90.0 - compute_roll_lag(NEEDLE, TWISTED, 5.0))
     out = turn_tip(NEEDLE, TWISTED, [*back[:2], Step(0.0, turned)])[-1].bevel
     assert out == turned

@@ -8,17 +8,30 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from mechanics_cases import pick
+from pytest import approx
 from refusals import refusal
 from scipy.integrate import solve_bvp
 
+from needlefit import (
+    Batch,
+    Bevel,
+    Controls,
+    Guide,
+    ModelOptions,
+    Needle,
+    Session,
+    Step,
+    Tissue,
+    TrackedTip,
+    compute_stress,
+    linearize,
+    simulate,
+    simulate_batches,
+    simulate_steps,
+)
 from needlefit.errors import ModelError
-from needlefit.mechanics.batch import Batch, linearize, simulate_batches
-from needlefit.mechanics.compression import compute_stress
-from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
 from needlefit.mechanics.native import make_flat
-from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice, count_element_solves, make_moves, make_stops
-from needlefit.mechanics.session import Session
 from needlefit.mechanics.shape import (
     LIMITS,
     MAX_DEFLECTION_PER_LENGTH,
@@ -29,8 +42,6 @@ from needlefit.mechanics.shape import (
     find_worst,
     map_beam_points,
 )
-from needlefit.mechanics.simulate import simulate, simulate_steps
-from needlefit.mechanics.tissue import Tissue
 from needlefit.project.unit_warnings import needle_warnings
 from needlefit.schemas.limits import MAX_ELEMENT_SOLVES, MAX_ELEMENTS, MAX_GUIDES, MAX_LAYERS
 from needlefit.schemas.scene import NeedleRecord
@@ -51,31 +62,31 @@ def beam(x, u, slope) -> NeedleShape:
 def test_a_cantilever_and_a_clamped_needle_have_the_slope_of_the_textbook():
     # An end force: u = d (3 s^2 - s^3) / 2, slope 3 d / 2 L at the tip.
     found = beam([0, 100], [0, 12], [0, 0.18]).validity
-    assert found.max_slope == pytest.approx(1.5 * 12 / 100)
-    assert found.deflection_per_length == pytest.approx(0.12)
+    assert found.max_slope == approx(1.5 * 12 / 100)
+    assert found.deflection_per_length == approx(0.12)
     assert found.ok and found.faults == ()
-    assert beam([0, 100], [0, 8], [0, 0]).validity.max_slope == pytest.approx(1.5 * 8 / 100)
+    assert beam([0, 100], [0, 8], [0, 0]).validity.max_slope == approx(1.5 * 8 / 100)
     held = Controls(base_y=10.0, guides=(Guide(-20.0),))
     shape = simulate(NEEDLE, TISSUE, Bevel(0.0), 30.0, held)  # base 100 mm before the guide
     assert np.abs(shape.slope).max() < 1e-12
-    assert shape.validity.max_slope == pytest.approx(0.15)
+    assert shape.validity.max_slope == approx(0.15)
 
 
 def test_shortening_and_the_miss_of_the_entry_have_their_closed_forms():
     slope = 0.25
     found = beam([0, 40, 100], [0, 10, 25], [slope] * 3).validity
-    assert found.shortening_per_layer == pytest.approx(100 * (1 - np.cos(slope)) / 10)
+    assert found.shortening_per_layer == approx(100 * (1 - np.cos(slope)) / 10)
     shape = simulate(NEEDLE, TISSUE, Bevel(0.1), 55.0)
     lag = shape.depth - compute_positions(shape, shape.x[-1:])[0, 0]
     base = shape.x[0] - compute_positions(shape, shape.x[:1])[0, 0]
-    assert shape.validity.shortening_per_layer * 12.0 == pytest.approx(lag - base, rel=2e-2)
+    assert shape.validity.shortening_per_layer * 12.0 == approx(lag - base, rel=2e-2)
     # A tilted needle misses all that holds it by the integral of u' - sin u'.
     assert found.miss_mm == 0
     found = beam([-60, -30, 0, 40], [-15, -7.5, 0, 10], [slope] * 4).validity
-    assert found.miss_mm == pytest.approx(60 * (slope - np.sin(slope)))
+    assert found.miss_mm == approx(60 * (slope - np.sin(slope)))
     shape = simulate(NEEDLE, TISSUE, Bevel(0.1), 55.0, Controls(base_y=10.0, base_slope=-0.1))
     entry = compute_positions(shape, np.zeros(1))[0, 1]
-    assert shape.validity.miss_mm == pytest.approx(abs(entry - shape.u[shape.x == 0.0][0]), rel=1e-2)
+    assert shape.validity.miss_mm == approx(abs(entry - shape.u[shape.x == 0.0][0]), rel=1e-2)
     assert 0.02 < shape.validity.miss_mm < MAX_MISS_MM
     steep = simulate(NEEDLE, TISSUE, Bevel(0.1), 25.0, Controls(base_y=25.0, base_slope=-0.3))
     assert steep.validity.miss_mm > MAX_MISS_MM and "miss" in " ".join(steep.validity.faults)
@@ -91,15 +102,15 @@ def test_at_the_limit_of_deflection_linear_theory_of_a_cantilever_is_four_per_ce
     s = np.linspace(0, 1, 51)
     guess = np.vstack((1.5 * linear * s, 1.5 * linear * (1 - s), linear * s**2))
     exact = solve_bvp(bend, lambda a, b: np.array([a[0], b[1], a[2]]), s, guess, tol=1e-8).y
-    assert linear / exact[2, -1] - 1 == pytest.approx(0.04, abs=1e-3)
-    assert np.tan(exact[0, -1]) == pytest.approx(MAX_SLOPE, abs=1e-3)
+    assert linear / exact[2, -1] - 1 == approx(0.04, abs=1e-3)
+    assert np.tan(exact[0, -1]) == approx(MAX_SLOPE, abs=1e-3)
 
 
 def test_compression_and_what_is_not_valid():
     shape = simulate(NEEDLE, TISSUE, Bevel(0.3), 55.0)
     at = shape.constraints[:, 0]
     away = np.abs(compute_positions(shape, at) - map_beam_points(shape, shape.constraints))[:, 1]
-    assert shape.validity.compression == pytest.approx(away.max() / 40.0, rel=1e-6)
+    assert shape.validity.compression == approx(away.max() / 40.0, rel=1e-6)
     found = simulate(NEEDLE, replace(TISSUE, is_checked=True), Bevel(30.0), 55.0)
     assert not found.converged and not found.valid and not found.validity.ok
     assert found.validity.faults == () and np.isnan(found.validity.max_slope)
@@ -124,10 +135,8 @@ def test_a_batch_finds_what_each_of_its_sets_finds():
         assert alone.valid == one.valid == valid[i]
         for name, _, _ in LIMITS:
             each = getattr(shapes.validity, name)[i]
-            assert float(getattr(one.validity, name)) == pytest.approx(each, rel=1e-12, nan_ok=True)
-            assert float(getattr(alone.validity, name)) == pytest.approx(
-                each, rel=1e-5, abs=1e-9, nan_ok=True
-            )
+            assert float(getattr(one.validity, name)) == approx(each, rel=1e-12, nan_ok=True)
+            assert float(getattr(alone.validity, name)) == approx(each, rel=1e-5, abs=1e-9, nan_ok=True)
 
 
 # ---- what is refused

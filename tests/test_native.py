@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 from native_cases import compute, make_problem, read_numbers, to_bytes
 
+from needlefit import Bevel, Controls, ModelOptions, Needle, Step, Tissue
 from needlefit.mechanics import native
-from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
-from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.packing import pack_insertion, pack_problem
-from needlefit.mechanics.tissue import Tissue
 
 NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
 TISSUE = Tissue(mu=[0.2, 33.0], alpha=[1.0, -1.0], boundaries=[9.3])

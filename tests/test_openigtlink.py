@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pyigtl
 import pytest
+from pytest import approx
 
 import needlefit
 
@@ -60,11 +61,11 @@ def test_a_needle_is_streamed_and_steered_and_draws_are_weighted_by_tips(client,
     shape = session.step(
         insert=float(points[0, 0]) + scene.needle.length
     )  # the base is so far before the entry
-    assert points.shape == (51, 3) and points[0, 1] == pytest.approx(0.5, abs=1e-4)
-    assert points[-1] == pytest.approx(tip.matrix[:3, 3]) and tip.matrix[1, 3] < 0
-    assert tip.matrix[1, 3] == pytest.approx(shape.tip_lateral, abs=1e-4)
-    assert tip.matrix[1, 2] == pytest.approx(np.sin(shape.slope[-1]), abs=1e-5)
-    assert np.linalg.det(tip.matrix[:3, :3]) == pytest.approx(1, abs=1e-5)
+    assert points.shape == (51, 3) and points[0, 1] == approx(0.5, abs=1e-4)
+    assert points[-1] == approx(tip.matrix[:3, 3]) and tip.matrix[1, 3] < 0
+    assert tip.matrix[1, 3] == approx(shape.tip_lateral, abs=1e-4)
+    assert tip.matrix[1, 2] == approx(np.sin(shape.slope[-1]), abs=1e-5)
+    assert np.linalg.det(tip.matrix[:3, :3]) == approx(1, abs=1e-5)
 
     steering = needlefit.Steering(needlefit.load_run(world.find("cross_validation")), scene_file)
     now = steering.now
@@ -80,6 +81,6 @@ def test_a_needle_is_streamed_and_steered_and_draws_are_weighted_by_tips(client,
         wait(client, "NeedlefitEstimate", lambda one: one.timestamp > said.timestamp + 0.2).string
     )
     learned = steering.measure((points[-1, 0], expected.low[0]), sd=0.5)
-    assert found["count"] == 1 and found["ess"] == pytest.approx(learned.effective, rel=0.05)
+    assert found["count"] == 1 and found["ess"] == approx(learned.effective, rel=0.05)
     low, mean, high = found["tip_y_mm"]
     assert low < mean < high and mean < expected.mean[0]

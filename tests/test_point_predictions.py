@@ -6,10 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from needlefit import api
+from needlefit import api, minimize
 from needlefit.inference.compared_points import align_points
 from needlefit.inference.likelihood.observations import select_points
-from needlefit.inference.optimize import minimize
 from needlefit.inference.point_prediction import PointPrediction, choose_point
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.scene import SceneRecord

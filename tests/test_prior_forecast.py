@@ -4,8 +4,8 @@ import json
 import math
 
 import numpy as np
-import pytest
 from inference_cases import medium
+from pytest import approx
 from refusals import refusal
 from test_cli import run
 
@@ -18,16 +18,16 @@ from needlefit.planning.prior_forecast import describe_published, forecast_by_pr
 def test_published_moduli_are_shear_moduli_of_incompressible_solids():
     moduli = read_moduli()
     assert {"gelatine", "pvc", "liver", "muscle", "prostate", "chicken"} <= set(moduli)
-    assert moduli["liver"].shear_pa == pytest.approx((900.0, 2600.0))
-    assert moduli["chicken"].shear_pa == pytest.approx((25e3, 35e3))
+    assert moduli["liver"].shear_pa == approx((900.0, 2600.0))
+    assert moduli["chicken"].shear_pa == approx((25e3, 35e3))
     assert all(0 < one.low < one.high and one.source for one in moduli.values())
 
 
 def test_a_published_range_is_95_percent_of_the_prior():
     (liver,) = list_published("Liver")
     prior = describe_published([liver], 2, "tangent").parameters["mu2_pa"].prior
-    assert prior.median * prior.factor**1.96 == pytest.approx(2600.0)
-    assert prior.median / prior.factor**1.96 == pytest.approx(900.0)
+    assert prior.median * prior.factor**1.96 == approx(2600.0)
+    assert prior.median / prior.factor**1.96 == approx(900.0)
     assert list_published("liver,steel") == []
     refusal(ConfigError, "2 media", lambda: describe_published([liver, liver], 3, "tangent"))
 
@@ -39,11 +39,11 @@ def test_a_tip_in_proportion_to_b_spreads_as_b_does():
     model = medium(4, **moduli, bevel_mm={"bounds": [1e-4, 1.0], "prior": {"median": 0.01, "factor": 1.5}})
     found = forecast_by_prior(scene, model, radius=1e-9)
     median, low, high = found.interval(1)
-    assert high / median == pytest.approx(1.5**1.96, rel=0.1) and low < median
+    assert high / median == approx(1.5**1.96, rel=0.1) and low < median
     assert next(iter(found.shares)) == "bevel_mm" and found.shares["bevel_mm"] > 0.99
     assert found.hits < 0.01 and found.failed == 0
     assert forecast_by_prior(scene, model, 50.0, target=(scene.depth, 0.0)).hits == 1.0
-    assert forecast_by_prior(scene, model, np.inf).target == pytest.approx(np.median(found.tips, axis=0))
+    assert forecast_by_prior(scene, model, np.inf).target == approx(np.median(found.tips, axis=0))
     refusal(
         ConfigError,
         "4 layers",
@@ -59,9 +59,9 @@ def test_errors_of_the_entry_pose_move_the_tip():
     model = medium(4, **moduli, bevel_mm={"bounds": [1e-4, 1.0], "prior": {"median": 0.01, "factor": 1.01}})
     found = forecast_by_prior(scene, model, 1.0, pose_sds=(0.4, 0.5))
     turned = scene.depth * math.radians(0.5)
-    assert np.std(found.tips[:, 1:], axis=0) == pytest.approx(math.hypot(0.4, turned), rel=0.1)
+    assert np.std(found.tips[:, 1:], axis=0) == approx(math.hypot(0.4, turned), rel=0.1)
     shares = [found.shares[name] for name in ("pose_shift_mm", "pose_angle_deg")]
-    assert shares == pytest.approx(np.array([0.4, turned]) ** 2 / (0.4**2 + turned**2), abs=0.1)
+    assert shares == approx(np.array([0.4, turned]) ** 2 / (0.4**2 + turned**2), abs=0.1)
 
 
 def test_the_command_predicts_before_data(capsys):

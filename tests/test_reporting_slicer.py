@@ -7,6 +7,7 @@ import needles
 import numpy as np
 import pytest
 import slicerio
+from numpy.testing import assert_allclose
 from test_validation_run import made, project, study
 
 from needlefit.datasets.formats.markups import read_markups
@@ -49,9 +50,9 @@ def test_every_needle_is_in_the_world_of_its_dataset(fitted):
     }  # fmt: skip
     for n, (name, one) in enumerate(sorted(placed.items())):
         insertion = next(i for i in job.dataset.insertions if i.id == name)
-        np.testing.assert_allclose(one.measured, insertion.centerline, atol=1e-9)
+        assert_allclose(one.measured, insertion.centerline, atol=1e-9)
         assert arc_length(one.fitted)[-1] == pytest.approx(needles.DEPTHS[n], rel=1e-3)
-        np.testing.assert_allclose(one.fitted[-1], insertion.centerline[-1], atol=0.02)  # the truth is known
+        assert_allclose(one.fitted[-1], insertion.centerline[-1], atol=0.02)  # the truth is known
         assert one.diameter == 1.27
 
 
@@ -70,8 +71,8 @@ def test_the_band_of_a_fitted_needle_is_that_of_the_needles_of_its_draws(fitted)
     for height, b in ((band.low, 0.905), (band.middle, 1.0), (band.high, 1.095)):
         single = place(fitted, draw([b, b]))["needle-1"].band
         assert np.abs(single.high - single.low).max() < 1e-12
-        np.testing.assert_allclose(height[-1], single.middle[-1], atol=2e-3)
-    np.testing.assert_allclose(band.middle, place(fitted)["needle-1"].fitted, atol=2e-3)
+        assert_allclose(height[-1], single.middle[-1], atol=2e-3)
+    assert_allclose(band.middle, place(fitted)["needle-1"].fitted, atol=2e-3)
     doubtful = dataclasses.replace(draw([1.0, 1.1]), faults=("not certified",))
     assert place(fitted, doubtful)["needle-1"].band is None
 
@@ -89,8 +90,8 @@ def test_the_band_of_a_held_out_needle_is_the_predicted_one(fitted):
     placed = place(fitted, None, rows)
     band = placed["needle-3"].band
     assert band.source == "predicted"
-    np.testing.assert_allclose(band.high - band.low, np.tile([0.0, 3.0, 0.0], (5, 1)), atol=1e-9)
-    np.testing.assert_allclose(band.middle[-1], insertion.centerline[-1] + [0, 0.5, 0], atol=1e-6)
+    assert_allclose(band.high - band.low, np.tile([0.0, 3.0, 0.0], (5, 1)), atol=1e-9)
+    assert_allclose(band.middle[-1], insertion.centerline[-1] + [0, 0.5, 0], atol=1e-6)
     assert placed["needle-4"].band is None and placed["needle-1"].band is None
 
 
@@ -115,7 +116,7 @@ def test_the_files_of_a_run_lie_in_the_scan(project, tmp_path):
     third = world[world["insertion"] == "needle-3"]
     for curve, name in ((measured, "measured"), (predicted, "fitted")):
         there = third.loc[third["curve"] == name, ["x_mm", "y_mm", "z_mm"]].to_numpy()
-        np.testing.assert_allclose(curve.points, (there - [10, 20, 30]) * [-1, -1, 1], atol=1e-9)
+        assert_allclose(curve.points, (there - [10, 20, 30]) * [-1, -1, 1], atol=1e-9)
 
 
 @pytest.mark.sweep

@@ -6,19 +6,25 @@ from pathlib import Path
 import numpy as np
 import pytest
 from inference_cases import NEEDLE, insertion, measure, medium
+from pytest import approx
 from track_cases import GUIDE, track
 
-from needlefit import api
+from needlefit import (
+    Bevel,
+    Controls,
+    ModelOptions,
+    Problem,
+    Step,
+    Tissue,
+    api,
+    compute_positions,
+    simulate_steps,
+)
 from needlefit.datasets.insertion import Dataset, Noise
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError
 from needlefit.inference.forward_model import PreparedModel, predict
 from needlefit.inference.parameters import Parameters
-from needlefit.inference.problem import Problem
-from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
-from needlefit.mechanics.shape import compute_positions
-from needlefit.mechanics.simulate import simulate_steps
-from needlefit.mechanics.tissue import Tissue
 from needlefit.project.locate import find_file
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.studies.simulated_data import find_true_value, simulate_from_prior, simulate_measurement
@@ -70,7 +76,7 @@ def test_depths_err_as_stated_and_the_noise_s_scale_is_drawn_too():
     sure = replace(one, pose_angle_sd=0.0)
     rng = np.random.default_rng(5)
     ends = [simulate_measurement(quiet, sure, SEEN, problem.medium, rng).points[0, 0] for _ in range(300)]
-    assert np.std(ends) == pytest.approx(0.4, rel=0.15)  # the entry's place moves along
+    assert np.std(ends) == approx(0.4, rel=0.15)  # the entry's place moves along
 
 
 def test_a_truth_from_the_prior_differs_by_seed_and_keeps_the_design():
@@ -99,9 +105,9 @@ def test_tip_tracks_and_data_without_noise_are_refused():
 def test_the_true_value_of_a_tied_modulus_is_that_of_its_own_layers():
     problem = api.make_problem("study1")
     mu = 1e6 * draw_specimen(7, "phantom2", "phantom2").mu
-    assert find_true_value(problem, "mu1_pa", 7) == pytest.approx(mu[0])
-    assert find_true_value(problem, "mu4_pa", 7) == pytest.approx(mu[3])
-    assert find_true_value(problem, "bevel_mm", 7) == pytest.approx(0.103)
+    assert find_true_value(problem, "mu1_pa", 7) == approx(mu[0])
+    assert find_true_value(problem, "mu4_pa", 7) == approx(mu[3])
+    assert find_true_value(problem, "bevel_mm", 7) == approx(0.103)
     assert np.isnan(find_true_value(problem, "bevel_spread", 7))
 
 
@@ -112,9 +118,9 @@ def test_the_true_bevel_offset_of_a_drawn_truth_is_the_mean_of_the_insertions_fi
     deviations = [draw_deviations(9, planned[one.id]).bevel for one in problem.insertions]
     expected = specimen.bevel * np.exp(specimen.insertion_bevel_sd * np.mean(deviations))
     found = find_true_value(problem, "bevel_mm", 9, drawn=True)
-    assert found == pytest.approx(expected) and found != pytest.approx(specimen.bevel, rel=1e-4)
+    assert found == approx(expected) and found != approx(specimen.bevel, rel=1e-4)
     found = find_true_value(problem, "mu2_pa", 9, drawn=True)
-    assert found == pytest.approx(1e6 * specimen.mu[1])
+    assert found == approx(1e6 * specimen.mu[1])
 
 
 def test_a_twin_that_is_not_scanned_is_nearly_the_one_that_was(tmp_path):
@@ -125,10 +131,10 @@ def test_a_twin_that_is_not_scanned_is_nearly_the_one_that_was(tmp_path):
     for name in names:
         one, other = found[name], scanned[name]
         assert one.sequence == other.sequence and one.side == other.side
-        assert one.depth == pytest.approx(other.depth, abs=0.2)
-        assert one.deflection == pytest.approx(other.deflection, abs=0.3)
+        assert one.depth == approx(other.depth, abs=0.2)
+        assert one.deflection == approx(other.deflection, abs=0.3)
         np.testing.assert_allclose(one.boundaries, other.boundaries, atol=0.05)
-        assert one.pose_shift_sd == pytest.approx(other.pose_shift_sd, rel=0.01)
+        assert one.pose_shift_sd == approx(other.pose_shift_sd, rel=0.01)
     assert "Nothing was scanned" in read(tmp_path).notes[0]
 
 
@@ -142,14 +148,12 @@ def test_a_base_that_moves_does_so_once_the_needle_is_in():
     tissue = Tissue(np.array([3e-3]), np.array([1.0]), np.empty(0), np.array([5.0]))
     steps = (Step(40.0, bevel), Step(40.0, bevel, Controls(base_y=8.0)))
     shape = predict(SOFT, THIN, MOVED)
-    assert shape.u == pytest.approx(
-        simulate_steps(NEEDLE, tissue, steps, ModelOptions(tolerance=1e-9)).u, abs=1e-9
-    )
+    assert shape.u == approx(simulate_steps(NEEDLE, tissue, steps, ModelOptions(tolerance=1e-9)).u, abs=1e-9)
     still = predict(SOFT, THIN, replace(MOVED, base_moved=0.0))
-    assert shape.constraints == pytest.approx(still.constraints, abs=1e-9)  # the cut stays where it was
+    assert shape.constraints == approx(still.constraints, abs=1e-9)  # the cut stays where it was
     assert compute_positions(shape, np.array([0.0]))[0, 1] > 1.0  # the tissue gives way at the entry
     (lanes,) = PreparedModel(THIN, [MOVED]).simulate([SOFT])
-    assert lanes.u[0] == pytest.approx(shape.u, abs=1e-6)
+    assert lanes.u[0] == approx(shape.u, abs=1e-6)
 
 
 def test_a_moved_bases_needle_has_exact_derivatives():
@@ -159,4 +163,4 @@ def test_a_moved_bases_needle_has_exact_derivatives():
     for k, move in enumerate(1e-4 * np.eye(len(theta))):
         ends = [predict(parameters.values(theta + sign * move), THIN, MOVED) for sign in (1, -1)]
         by = (compute_positions(ends[0], s) - compute_positions(ends[1], s)) / 2e-4
-        assert slopes[:, :, k] == pytest.approx(by, rel=1e-3, abs=1e-6)
+        assert slopes[:, :, k] == approx(by, rel=1e-3, abs=1e-6)

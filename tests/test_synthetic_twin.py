@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
+from pytest import approx
 from refusals import refusal
 from scanner.twin import build_scanned, expose
 from scipy.stats import kstest
@@ -57,8 +59,8 @@ def test_the_shipped_twin_is_a_rebuild(rebuilt):
             next(one for one in read(folder).insertions if one.id == name) for folder in (TWIN, rebuilt)
         )
         assert abs(ours.depth - theirs.depth) < 2 * ours.depth_sd
-        np.testing.assert_allclose(ours.frame.origin, theirs.frame.origin, atol=2e-3)
-        np.testing.assert_allclose(ours.boundaries, theirs.boundaries, atol=5e-3)
+        assert_allclose(ours.frame.origin, theirs.frame.origin, atol=2e-3)
+        assert_allclose(ours.boundaries, theirs.boundaries, atol=5e-3)
         places = np.linspace(0, 1, 50)
         curves = [
             interpolate_at_arc(c, places * arc_length(c)[-1]) for c in (ours.centerline, theirs.centerline)
@@ -91,9 +93,9 @@ def test_every_insertion_is_simulated_to_the_digits_of_the_shipped_truth(truth):
             "pose_shift_mm": twin.deviations.shift, "pose_angle_deg": np.degrees(twin.deviations.tilt),
             "bevel_deg": needle.bevel_deg, "needle_hu": needle.hu, **scanner,
         }  # fmt: skip
-        assert stated_frame(planned).rotation[:, 2] == pytest.approx([0, 0, planned.side])
+        assert stated_frame(planned).rotation[:, 2] == approx([0, 0, planned.side])
         for name, value in found.items():
-            np.testing.assert_allclose(value, rows[planned.id][name], rtol=1e-5, err_msg=name)
+            assert_allclose(value, rows[planned.id][name], rtol=1e-5, err_msg=name)
 
 
 def test_fitting_code_never_reads_the_truth():
@@ -137,14 +139,14 @@ def test_media_of_truths_are_drawn_from_the_stated_population():
     for name, nominal in TRUE_MEDIA.items():
         ones = [each[name] for each in media]
         ratio = np.array([one.mu_pa for one in ones]) / nominal.mu_pa
-        assert np.std(np.log(ratio), axis=0) == pytest.approx(np.log(2.0), rel=0.06)
-        np.testing.assert_allclose(ratio[:, 2:], ratio[:, :2][:, : max(0, len(nominal.mu_pa) - 2)])
+        assert np.std(np.log(ratio), axis=0) == approx(np.log(2.0), rel=0.06)
+        assert_allclose(ratio[:, 2:], ratio[:, :2][:, : max(0, len(nominal.mu_pa) - 2)])
         if len(nominal.mu_pa) > 1:
             assert abs(np.corrcoef(np.log(ratio[:, :2]).T)[0, 1]) < 0.1
         bevels = np.log([one.bevel for one in ones])
         middle = 0.33 if name == "chicken" else 0.04245
-        assert bevels.mean() == pytest.approx(np.log(middle), abs=0.03)
-        assert bevels.std() == pytest.approx(np.log(1.4), rel=0.06)
+        assert bevels.mean() == approx(np.log(middle), abs=0.03)
+        assert bevels.std() == approx(np.log(1.4), rel=0.06)
         friction = np.array([one.friction for one in ones]) / nominal.friction
         assert 0.5 < friction.min() < 0.51 and 1.99 < friction.max() < 2.0
         for field, size in (
@@ -153,7 +155,7 @@ def test_media_of_truths_are_drawn_from_the_stated_population():
             ("insertion_bevel_sd", 0.1),
         ):
             drawn = np.array([getattr(one, field) for one in ones])
-            assert drawn.min() >= 0 and np.sqrt(np.mean(drawn**2)) == pytest.approx(size, rel=0.06)
+            assert drawn.min() >= 0 and np.sqrt(np.mean(drawn**2)) == approx(size, rel=0.06)
         uniform = [(1 + one.correlation) / 2 for one in ones]
         uniform += [one.fibre_dependence for one in ones] if name == "chicken" else []
         assert kstest(uniform, "uniform").pvalue > 0.01

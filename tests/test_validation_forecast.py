@@ -1,30 +1,26 @@
 """Predictions of planned insertions: what draws and measurement make of them, and what is refused."""
 
-import json
 import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from light_runs import do_not_escalate
+from pytest import approx
 
 import needlefit
+from needlefit import Needle, compute_positions
 from needlefit.cli.options import scene_record
 from needlefit.errors import ConfigError
 from needlefit.inference.curve_bands import predict_bands
 from needlefit.inference.predict import Draws
 from needlefit.inference.sampling.posterior import Posterior
-from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.shape import compute_positions
 from needlefit.project.locate import find_file
 from needlefit.project.progress import no_note
 from needlefit.project.toml import load
-from needlefit.schemas.recipe import LikelihoodRecord
-from needlefit.schemas.run_metadata import JobMetadata
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.fold_draws import Specimens, choose_specimen
-from needlefit.studies.identity import describe_change, identify
 from needlefit.studies.job import Inputs, Settings
 from needlefit.studies.kind import find_kind
 from needlefit.studies.kinds import prediction
@@ -82,10 +78,10 @@ def test_one_draw_is_the_scene_with_its_parameters(job):
     step = replace(step, bevel=replace(step.bevel, offset=0.08))
     shape = needlefit.simulate_steps(SCENE.needle, tissue, (step,), SCENE.rules)
     expected = compute_positions(shape, found.s)
-    assert found.across[0, :, 0] == pytest.approx(expected[:, 1], abs=1e-6)
-    assert found.needle == pytest.approx(expected, abs=1e-6)
+    assert found.across[0, :, 0] == approx(expected[:, 1], abs=1e-6)
+    assert found.needle == approx(expected, abs=1e-6)
     table = tabulate_forecast(found)
-    assert table["needle_95_low_mm"].iloc[-1] == pytest.approx(expected[-1, 1], abs=1e-6)
+    assert table["needle_95_low_mm"].iloc[-1] == approx(expected[-1, 1], abs=1e-6)
 
 
 def test_a_turned_needle_is_predicted_in_space_and_its_roll_errs_as_the_dataset_states(job):
@@ -103,9 +99,9 @@ def test_a_turned_needle_is_predicted_in_space_and_its_roll_errs_as_the_dataset_
     np.testing.assert_allclose(found.across[0], expected[:, 1:], atol=1e-6)
     assert abs(expected[-1, 2]) > 0.5
     tips = planned(known, [theta(job)] * 400, scene).across[:, -1]
-    assert np.linalg.norm(tips, axis=1) == pytest.approx(np.linalg.norm(expected[-1, 1:]), abs=1e-6)
+    assert np.linalg.norm(tips, axis=1) == approx(np.linalg.norm(expected[-1, 1:]), abs=1e-6)
     angles = np.arctan2(tips[:, 1], tips[:, 0])
-    assert np.std(angles) == pytest.approx(math.radians(5.0), rel=0.15)
+    assert np.std(angles) == approx(math.radians(5.0), rel=0.15)
     columns = tabulate_forecast(planned(known, [theta(job)] * 400, scene)).iloc[-1]
     assert columns["needle_z_95_low_mm"] < columns["needle_z_predicted_mm"] < columns["needle_z_95_high_mm"]
 
@@ -254,8 +250,8 @@ def test_of_several_specimens_a_name_is_needed(job, monkeypatch):
     tips = {name: each.across[:, -1, 0] for name, each in tips.items()}
     assert np.median(tips["other"]) > 1.3 * np.median(tips[one.specimen])
     named = forecast(SCENE, known, tune[1])
-    assert named.needle[-1, 1] == pytest.approx(modes["other"]) != pytest.approx(modes[one.specimen])
-    assert np.median(named.across[:, -1, 0]) == pytest.approx(np.median(tips["other"]), rel=0.03)
+    assert named.needle[-1, 1] == approx(modes["other"]) != approx(modes[one.specimen])
+    assert np.median(named.across[:, -1, 0]) == approx(np.median(tips["other"]), rel=0.03)
     assert known.faults == known.draws_in(tune[1]).faults == ()
 
 
@@ -267,7 +263,7 @@ def test_the_mode_of_a_sampled_posterior_is_the_minimum_near_its_best_draw(job):
     ones = np.ones(len(names) + 1)
     sampled = Posterior(names, draws, heights, ones[:1], ones, ones, wanted=1, burn_in=0, failures=0)
     found = prediction.draw_parameters(job, None, Settings(inputs=Inputs(posterior=sampled)))
-    assert sampled.best == pytest.approx(draws[0, heights[0].argmax()])
+    assert sampled.best == approx(draws[0, heights[0].argmax()])
     slopes = [problem.log_posterior(found.mode + step * np.eye(len(names))[0]) for step in (-1e-2, 0.0, 1e-2)]
     assert max(slopes) == slopes[1] > heights.max()
 
@@ -292,14 +288,6 @@ def test_a_prediction_from_an_unconverged_posterior_is_flagged(monkeypatch):
     assert verdict.status == "fail" and set(verdict.numbers) == {"s_mm"}
 
 
-def test_a_stored_identity_is_that_of_the_same_likelihood_alone(job):
-    record = describe_configuration(job)
-    stored = JobMetadata.model_validate_json(json.dumps(record.to_json()))
-    assert describe_change(stored.identity, identify(job)) == ""
-    other = job.recipe.model_copy(update={"likelihood": LikelihoodRecord(noise="independent")})
-    assert describe_change(stored.identity, identify(replace(job, recipe=other))) == "recipe"
-
-
 @pytest.mark.parametrize("length", [0.01, 5.0, 1e6])
 def test_a_whole_curve_leaves_its_band_at_the_nominal_rate(length):
     """PIT values of curves drawn from the prediction are uniform, whether points are correlated or not.
@@ -314,7 +302,7 @@ def test_a_whole_curve_leaves_its_band_at_the_nominal_rate(length):
     bands = predict_bands(means, covariance, rng)
     levels = np.array([bands.pit(one) for one in observed])
     for level in (0.5, 0.95):  # 300 trials: four standard deviations
-        assert np.mean(levels <= level) == pytest.approx(level, abs=4 * np.sqrt(level * (1 - level) / 300))
+        assert np.mean(levels <= level) == approx(level, abs=4 * np.sqrt(level * (1 - level) / 300))
         low, high = bands.ends(level)
         inside = np.all((low <= observed) & (observed <= high), axis=1)
         np.testing.assert_array_equal(inside, levels <= level)

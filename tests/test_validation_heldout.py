@@ -7,6 +7,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from inference_cases import TRUTH, dataset, insertion, measure, medium, problem, with_one_bevel
+from numpy.testing import assert_allclose
+from pytest import approx
 
 from needlefit.datasets.folds import Fold
 from needlefit.datasets.insertion import Noise
@@ -99,7 +101,7 @@ def test_with_exact_parameters_and_depths_pose_and_point_errors_remain(job, know
         least = 1.959964 * angle * insertion.points[-1, 0] / 2
         assert least < half < 1.2 * least
         errors.append(again["tip_measured_mm"] - again["tip_median_mm"])
-    assert errors[0] == pytest.approx(errors[1], abs=1e-9)
+    assert errors[0] == approx(errors[1], abs=1e-9)
 
 
 def test_readings_of_curvature_are_predicted_with_the_error_of_their_sensor(job, known):
@@ -114,8 +116,8 @@ def test_readings_of_curvature_are_predicted_with_the_error_of_their_sensor(job,
     (one,) = predict_held_out(Specimens(replace(job, record=record), fold, sure(known)))
     found = pd.DataFrame(one.rows["curvature"])
     assert tuple(found) == FRAMES["curvature"] and list(found["kappa_in_95"]) == [True, False]
-    np.testing.assert_allclose(found["kappa_predicted_1_per_mm"], kappa, atol=1e-6)
-    np.testing.assert_allclose(found["kappa_sd_1_per_mm"], sd, rtol=1e-3)
+    assert_allclose(found["kappa_predicted_1_per_mm"], kappa, atol=1e-6)
+    assert_allclose(found["kappa_sd_1_per_mm"], sd, rtol=1e-3)
 
 
 def test_a_bevel_that_varies_between_insertions_widens_it(job, known):
@@ -130,8 +132,8 @@ def test_a_bevel_that_varies_between_insertions_widens_it(job, known):
     widths = [row["tip_95_high_mm"] - row["tip_95_low_mm"] for row in (wide, one)]
     tips = [row["tip_median_mm"] for row in (wide, one)]
     by_bevel = 2 * 1.959964 * 0.1 * abs(tips[1])  # the tip is all but proportional to b
-    assert widths[0] == pytest.approx(np.hypot(widths[1], by_bevel), rel=0.15)
-    assert tips[0] == pytest.approx(tips[1], rel=0.02)
+    assert widths[0] == approx(np.hypot(widths[1], by_bevel), rel=0.15)
+    assert tips[0] == approx(tips[1], rel=0.02)
 
 
 def test_needles_with_depths_of_their_own_are_those_of_single_simulations(job, known):
@@ -145,7 +147,7 @@ def test_needles_with_depths_of_their_own_are_those_of_single_simulations(job, k
     for n in (3, 7, 40, 299):
         deep, wrong = (one[n] for one in errors)
         alone = predict_alone(sets[n], medium, insertion, s, wrong, deep)
-        assert together.points[n] == pytest.approx(alone, abs=1e-3)
+        assert together.points[n] == approx(alone, abs=1e-3)
     failing = [*sets[:-1], {**sets[-1], "mu1_pa": np.nan}]
     found = simulate_draws(failing, medium, insertion, s, *errors)
     assert found.solved[:-1].all() and not found.solved[-1]
@@ -161,14 +163,14 @@ def test_boundaries_of_needles_may_lie_in_any_order_and_beyond_the_tip():
     drawn = simulate_draws(sets, medium(), planned, s, deep, wrong)
     each = zip(sets, wrong, deep, strict=True)
     alone = [predict_alone(values, medium(), planned, s, *errors) for values, *errors in each]
-    np.testing.assert_allclose(drawn.points, alone, atol=1e-6)
+    assert_allclose(drawn.points, alone, atol=1e-6)
     assert np.ptp(drawn.points[:, -1, 1]) > 1.0
 
 
 def test_entry_errors_are_few_and_have_their_deviation():
     errors = draw_entry_errors(0.4, 4000, np.random.default_rng(1))
     assert len(np.unique(errors)) == 8
-    assert [errors.mean(), errors.std()] == pytest.approx([0.0, 0.4], abs=0.02)
+    assert [errors.mean(), errors.std()] == approx([0.0, 0.4], abs=0.02)
 
 
 def test_few_draws_of_a_long_tail_do_not_give_the_end_of_an_interval():
@@ -181,8 +183,8 @@ def test_the_measured_shape_is_only_compared(job, known):
     insertion = job.folds[0].validate[0]
     bent = replace(insertion, points=insertion.points + np.array([0.0, 5.0, 0.0]))
     (as_is,), (moved,) = (tuple(list_rows(job, of(job, one), sure(known))) for one in (insertion, bent))
-    assert moved["tip_median_mm"] == pytest.approx(as_is["tip_median_mm"], abs=1e-9)
-    assert moved["tip_measured_mm"] == pytest.approx(as_is["tip_measured_mm"] + 5.0)
+    assert moved["tip_median_mm"] == approx(as_is["tip_median_mm"], abs=1e-9)
+    assert moved["tip_measured_mm"] == approx(as_is["tip_measured_mm"] + 5.0)
     assert moved["tip_pit"] > 0.99 and not moved["tip_in_95"]
     assert not moved["shape_in_95"] and moved["shape_pit"] > 0.99
     assert moved["tip_crps_mm"] > as_is["tip_crps_mm"] + 3.0
@@ -196,7 +198,7 @@ def test_the_noise_scale_is_that_of_the_prediction(job, known):
     widths = [row["tip_95_high_mm"] - row["tip_95_low_mm"] for row in (one, two)]
     points = make_observation(job.dataset, insertion, likelihood=POINTS).point_covariance[-1, -1]
     added = np.diff(np.square(widths))[0]  # the scale is of the points' noise alone, not of the pose's
-    assert added == pytest.approx((2 * 1.959964) ** 2 * 3 * points, rel=1e-4)
+    assert added == approx((2 * 1.959964) ** 2 * 3 * points, rel=1e-4)
 
 
 def test_a_known_tip_takes_what_it_shares_with_another_from_its_width():
@@ -204,7 +206,7 @@ def test_a_known_tip_takes_what_it_shares_with_another_from_its_width():
     shared, own, error = rng.standard_normal((3, 20_000))
     width = estimate_width_after_one(3.0 * shared + 0.4 * own, 3.0 * shared + 0.3 * error)
     # of what is shared, normal of SD 3, SD 0.3 * 3 / hypot(3, 0.3) stays unknown
-    assert width == pytest.approx(2 * 1.959964 * np.hypot(0.4, 0.9 / np.hypot(3, 0.3)), rel=0.03)
+    assert width == approx(2 * 1.959964 * np.hypot(0.4, 0.9 / np.hypot(3, 0.3)), rel=0.03)
 
 
 @pytest.mark.sweep

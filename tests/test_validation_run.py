@@ -11,9 +11,11 @@ import pandas as pd
 import pytest
 from inference_cases import NEEDLE, TRUTH, dataset, insertion, medium, problem, two_layers
 from light_runs import predict_by_few_draws
+from numpy.testing import assert_allclose
 from scipy.optimize import brentq
 from world import PROJECT
 
+from needlefit import Needle, Run
 from needlefit.datasets.folds import make_folds
 from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.noise import NoiseFloor
@@ -24,17 +26,10 @@ from needlefit.geometry.curves import integrate_curvature
 from needlefit.geometry.surfaces import make_sheet
 from needlefit.inference.forward_model import predict
 from needlefit.inference.problem import find_outside_validity
-from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape, sample_inserted_points
-from needlefit.project.checkpoint import NO_CHECKPOINT
-from needlefit.project.progress import no_progress
 from needlefit.schemas.study import StudyRecord
-from needlefit.studies.kinds.cross_validation.fold import FoldServices, run_fold
 from needlefit.studies.kinds.cross_validation.frames import FRAMES
-from needlefit.studies.kinds.cross_validation.progress import StudyProgress
 from needlefit.studies.kinds.cross_validation.run import Settings, run
-from needlefit.studies.load import load_study
-from needlefit.studies.run import Run
 from needlefit.studies.score import Row, Scorer, curve_predictor, make_predictors, model_predictor
 from needlefit.studies.validity import ValidityCounts, list_outside, tabulate_validity
 
@@ -213,7 +208,7 @@ def test_planned_rows_follow_the_simulated_needle_and_measured_ones_what_was_mea
     assert 14 < crossing < 15
     for kind, boundary in (("measured", 25.0), ("planned", crossing)):
         meant = sample_inserted_points(shape_with(planned, boundary), 42)
-        np.testing.assert_allclose(curves[kind](s), meant, atol=5e-4)
+        assert_allclose(curves[kind](s), meant, atol=5e-4)
     assert abs(curves["planned"](s)[-1, 1] - curves["measured"](s)[-1, 1]) > 0.5
 
 
@@ -253,7 +248,7 @@ def test_each_needle_has_baseline_curves_of_its_own():
     methods = make_predictors(problem(medium(1), bent[:2]), {}, None)
     for one in bent:
         curve = methods["constant_curvature"](one)["measured"]
-        np.testing.assert_allclose(curve(s)[-1], one.points[-1], atol=1e-3)
+        assert_allclose(curve(s)[-1], one.points[-1], atol=1e-3)
     assert select_same_needle(bent, thin) == (bent[1],)
     assert select_same_needle(bent, thin, least=2) == select_same_needle(bent, Needle(1.0, 1.0)) == (*bent,)
 
@@ -308,7 +303,7 @@ def test_b_alone_leaves_all_else_at_the_median_of_its_prior(several_fits):
     record = several_fits.metadata.medium
     low, high = record.parameters["mu1_pa"].bounds
     assert len(starts) == 2
-    np.testing.assert_allclose(starts["mu1_pa"], math.sqrt(low * high))
+    assert_allclose(starts["mu1_pa"], math.sqrt(low * high))
     errors = several_fits.frames["errors"].query("boundaries == 'measured' and role == 'validate'")
     assert set(errors.query("method == 'b_alone'")["insertion"]) == set(errors["insertion"])
 
@@ -317,7 +312,7 @@ def test_our_prediction_is_the_fit_through_the_layers_that_it_meets(several_fits
     errors = several_fits.frames["errors"].query("role == 'validate'").set_index("insertion")
     ours, fit = (errors[errors["method"] == name] for name in ("prediction", "fitted"))
     planned = fit[fit["boundaries"] == ("planned" if (fit["boundaries"] == "planned").any() else "measured")]
-    np.testing.assert_allclose(ours["te_mm"], planned["te_mm"].loc[ours.index])
+    assert_allclose(ours["te_mm"], planned["te_mm"].loc[ours.index])
 
 
 @pytest.mark.sweep
@@ -349,23 +344,6 @@ def test_folds_side_by_side_give_the_same_frames_and_stop_alike(project):
     assert one.metadata == two.metadata and not two.interrupted
     stopped = run("loo", record, Settings(jobs=2, stop=lambda: True))
     assert stopped.interrupted and stopped.frames["errors"]["fold"].nunique() <= 1
-
-
-@pytest.mark.usefixtures("few_draws")
-def test_a_fold_has_the_same_rows_whichever_folds_ran_before(project):
-    (project / "configs" / "recipes" / "gel.toml").write_text(ONE_EVALUATION)
-    record = study(tune={}, validate=[], leave_out="insertion")
-    job = load_study("loo", record, Settings())
-
-    def run_folds(numbers):
-        services = FoldServices(Settings(), NO_CHECKPOINT, StudyProgress(job, no_progress))
-        return [run_fold(job, job.folds[number], services) for number in numbers][-1]
-
-    alone, after = run_folds((1,)), run_folds((0, 1))
-    for name in ("errors", "starts", "parameters", "predictive", "draws"):
-        pd.testing.assert_frame_equal(pd.DataFrame(alone.rows[name]), pd.DataFrame(after.rows[name]))
-    assert alone.validity == after.validity and not alone.interrupted
-    assert {row["insertion"] for row in alone.rows["errors"] if row["role"] == "validate"} == {"needle-2"}
 
 
 @pytest.mark.usefixtures("few_draws")

@@ -7,11 +7,10 @@ import numpy as np
 from inference_cases import medium
 from problem_cases import make_problem
 
+from needlefit import Needle, Problem
 from needlefit.datasets.insertion import Dataset, Insertion, Noise
 from needlefit.datasets.tip_tracks import TipReadings, make_track
 from needlefit.inference.forward_model import PreparedModel
-from needlefit.inference.problem import Problem
-from needlefit.mechanics.needle import Needle
 from needlefit.schemas.compared import Compared
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import WeightsRecord
