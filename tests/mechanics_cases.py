@@ -5,6 +5,7 @@ from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
+import pytest
 import reference_solver
 from numpy.testing import assert_allclose
 
@@ -29,6 +30,11 @@ NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
 
 #: the decided rules; any constraint point, advance and first cell; and the advance by the path angle
 RULES = ("decided", "variant", "path_angle")
+
+
+def list_seeds(count: int, each: int = 4) -> list[Any]:
+    """Return seeds of random cases: some for each session, the others as a sweep."""
+    return [*range(each), *(pytest.param(seed, marks=pytest.mark.sweep) for seed in range(each, count))]
 
 
 def assert_same_bits(found: Any, expected: Any, but: tuple[str, ...] = ()) -> None:

@@ -45,20 +45,6 @@ def test_the_design_part_ranks_the_parameters_of_one_short_insertion(designed):
     assert json.loads((folder / "run.json").read_text())["values"]["mu1_pa"] == pytest.approx(5e4)
 
 
-@pytest.mark.usefixtures("blank_figures")
-def test_a_design_frees_and_fixes_parameters(world, monkeypatch, tmp_path):
-    monkeypatch.chdir(world.folder)
-    text = Path("configs/fits/gel.toml").read_text()
-    table = text.index("\n[") if "\n[" in text else len(text)
-    changes = '\nfree = ["alpha1"]\nfix = { b = 0.1 }\n'
-    (tmp_path / "gel.toml").write_text(text[:table] + changes + text[table:])
-    assert run("tune", str(tmp_path / "gel.toml"), "--design", "--out", str(tmp_path), "-q") == 0
-    table = pd.read_csv(tmp_path / "gel-design/identify.csv").set_index("parameter")
-    assert {"mu1_pa", "alpha1"} <= set(table.index) and not {"alpha2", "bevel_mm"} & set(table.index)
-    about = json.loads((tmp_path / "gel-design/run.json").read_text())
-    assert about["fit"]["free"] == ["alpha1"] and about["fit"]["fix"] == {"bevel_mm": 0.1}
-
-
 @pytest.mark.sweep
 @pytest.mark.usefixtures("blank_figures")
 def test_the_design_part_uses_no_measured_shape(monkeypatch, designed, folder):

@@ -90,7 +90,6 @@ def test_an_empty_value_removes_a_key_and_with_it_the_law_is_switched(capsys):
 
 REACH = ["`needle.length_mm`", "`guides.1`", "0.15 mm", "15 mm", "55 mm", "40 mm"]
 DEEP = ["`steps.2.depth_mm`", "`steps.2.guides.template`", "150 mm", "135 mm", "15 mm"]
-FINE = ("needle.length_mm=2000", "depth_mm=1500", "rules.constraint_spacing_mm=0.1")
 
 
 @pytest.mark.parametrize(
@@ -98,32 +97,21 @@ FINE = ("needle.length_mm=2000", "depth_mm=1500", "rules.constraint_spacing_mm=0
     [
         ("phantom1", "bevel.ofset_mm=0.1", ["`bevel.ofset_mm`", "`offset_mm`"]),  # the nearest
         ("chicken", "layers.0.mu_pa=3e5", ["numbered from 1"]),
-        ("phantom1", "bevel.offset_mm=", ["bevel.offset_mm"]),
-        ("phantom1", "layers.2.mu_pa=-1", ["`layers.2.mu_pa`"]),
         ("phantom1", "layers.2.top_mm=50", ["top_mm must increase"]),
         ("phantom1", "needle.youngs_modulus_gpa=nan", ["`needle.youngs_modulus_gpa`"]),
-        ("phantom1", "law=rubber", ["`rubber`"]),
-        ("phantom1", "rules.element_mm=0.3", ["constraint spacing"]),
         ("phantom1", "depth_mm=150", ["a depth below 150 mm"]),
         ("phantom1", ("depth_mm=120", "controls.guide_distance_mm=40"), ["a depth below 110 mm"]),
-        ("phantom2", FINE, ["`rules.constraint_spacing_mm`"]),  # too many elements
         ("phantom2", "rules.element_mm=1e-6", ["`rules.element_mm`", "expected", "1e-06"]),
-        ("phantom2", "rules.constraint_spacing_mm=1e-3", ["spacing_mm`", "expected", "0.001"]),
-        ("figure1", "steps.2.guides.templat.y_mm=1", ["`steps.2.guides.templat`"]),
         ("figure1", "guides.1.x_mm=5", ["key `guides.1`", "x = 5.0 mm"]),
         ("figure1", "steps.2.guides.template.x_mm=5", ["key `steps.2.guides.template`", "x = 5.0 mm"]),
         ("figure1", "steps.3.guides.template.in_tissue=true", ["key `steps.3.guides.template`"]),
         ("figure1", "guides.1.angle_deg=100", ["80 degrees"]),
-        ("figure1", "controls.stage_angle_deg=46", ["key `controls.stage_angle_deg`"]),
         ("figure1", "controls.guide_distance_mm=15", ["`guides.1`", "guide_distance_mm`", "x = -15 mm"]),
         ("figure1", "steps.2.depth_mm=135", DEEP),
         ("figure1", "guides.1.x_mm=-120", ["30 mm", "110 mm"]),
         ("figure1", "needle.length_mm=0.15", REACH),
-        ("figure1", "steps.2.side=2", ["`steps.2.side`"]),
-        ("figure1", "steps.2.tip_slope_deg=2", ["tip_slope_deg", "tip_y_mm"]),
         ("figure1", "depth_mm=30", ["steps.3.depth_mm"]),
         ("figure1", "guides.1.name=stencil", ["steps.2.guides.template"]),
-        ("figure1", "guides.1.name=2", ["`guides.1.name`"]),
     ],
 )
 def test_a_wrong_value_names_its_key(scene, assigned, expected, capsys):

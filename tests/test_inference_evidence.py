@@ -15,16 +15,6 @@ from needlefit.inference.sampling.importance import Effort, leave_out_parts, sam
 from needlefit.inference.sampling.interpolated_density import InterpolatedDensity
 from needlefit.schemas.recipe import LikelihoodRecord
 
-MANY = Effort(min_ess=4000.0)
-
-
-def integrate(density, lower: np.ndarray, upper: np.ndarray, count: int) -> float:
-    """Return the logarithm of the integral over a box, by the midpoints of a grid."""
-    steps = (upper - lower) / count
-    axes = [low + step * (np.arange(count) + 0.5) for low, step in zip(lower, steps, strict=True)]
-    logs = density(np.stack([part.ravel() for part in np.meshgrid(*axes)], axis=1))
-    return float(np.logaddexp.reduce(logs[np.isfinite(logs)]) + np.sum(np.log(steps)))
-
 
 @pytest.fixture(scope="module")
 def layered():
@@ -39,18 +29,6 @@ def layered():
     return problem(
         record, [measure(TRUTH, record, one) for one in planned], LikelihoodRecord(bevel_spread=0.0)
     )
-
-
-def test_the_evidence_of_insertions_is_that_of_a_grid(layered):
-    mode = minimize_squares(layered, layered.parameters.theta(TRUTH))
-    sds = np.sqrt(np.diag(np.linalg.inv(mode.information)))
-    ends = np.maximum(layered.lower, mode.theta - 7 * sds), np.minimum(layered.upper, mode.theta + 7 * sds)
-    exact = integrate(layered.log_posteriors, *ends, 48)
-    found = [
-        sample_about_modes(layered, [mode], np.random.default_rng(seed), efforts=(MANY,)) for seed in range(2)
-    ]
-    assert all(one.certified and one.effective_sample_size >= 4000 for one in found)
-    assert np.mean([one.log_evidence for one in found]) == pytest.approx(exact, abs=0.02)
 
 
 @pytest.mark.parametrize("bound", [0.02, 0.0])

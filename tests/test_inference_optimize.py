@@ -98,13 +98,6 @@ def squares(function, half=2.0):
     return Squares(function, np.full(2, -half), np.full(2, half))
 
 
-def test_squares_lead_to_the_peak_of_the_posterior():
-    fit = minimize(squares(valley), squares_recipe(), rng())
-    assert fit.objective == approx(-7.0, abs=1e-6)
-    assert fit.minimized == "posterior"
-    assert sum(start.stopped == "tolerance" for start in fit.starts) >= 1
-
-
 def test_a_minimum_at_a_bound_is_found_and_flagged():
     fit = minimize(squares(valley, half=0.5), squares_recipe(), rng())
     # at theta0 = 0.5 the best theta1 is 0.25: half of (1 - 0.5)^2 is left

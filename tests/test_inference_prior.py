@@ -8,10 +8,8 @@ from inference_cases import TRUTH, insertion, measure, medium, problem
 from pytest import approx
 from refusals import refusal
 from scipy import stats
-from test_inference_identify import FINE, fit_at
 
 from needlefit.errors import ConfigError
-from needlefit.inference.identifiability.identify import identify
 from needlefit.inference.parameter_changes import set_material_prior
 from needlefit.inference.parameters import Parameters
 from needlefit.inference.predict import draw_from_prior
@@ -75,12 +73,6 @@ def test_the_log_posterior_is_the_likelihood_and_the_prior():
         assert gained == approx(stated.parameters.prior.log_density(stated.values(theta)), abs=1e-9)
     many = stated.log_posteriors(thetas) - flat.log_posteriors(thetas)
     assert many == approx([stated.parameters.prior.log_density(stated.values(t)) for t in thetas])
-    record = medium(1, alpha1={"bounds": [-3, 9], "prior": {"mean": 1.0, "sd": 0.2}})
-    p = problem(record, [measure(TRUTH, record, insertion(d)) for d in (35.0, 50.0)], noise=FINE).holding(())
-    verdict = identify(p, fit_at(p, TRUTH))
-    assert verdict.sds["alpha1"] == approx(0.2, rel=0.01)
-    assert not verdict.determined["alpha1"] and verdict.determined["bevel_mm"]
-    assert "not determined" in verdict.notes["alpha1"]
 
 
 @pytest.mark.parametrize(

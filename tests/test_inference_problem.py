@@ -17,13 +17,12 @@ from inference_cases import (
 )
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
-from refusals import refusal
 
 from needlefit import Needle, minimize
 from needlefit.datasets.insertion import find_free_reach
-from needlefit.errors import ConfigError, DataError
+from needlefit.errors import DataError
 from needlefit.inference.compared_points import align_points
-from needlefit.inference.forward_model import PreparedModel, make_options, predict
+from needlefit.inference.forward_model import PreparedModel, predict
 from needlefit.inference.likelihood.observations import select_points
 from needlefit.mechanics import batch
 from needlefit.schemas.recipe import WeightsRecord
@@ -80,20 +79,6 @@ def test_needles_that_differ_are_fitted_together():
         assert abs(math.log(values["mu1_pa"] / TRUTH["mu1_pa"])) > math.log(1.5)
 
 
-def test_planned_boundaries_meshes_and_what_cannot_be_compared():
-    record = medium()
-    asked = predict(TRUTH, record, insertion(40.0, (15.0,), (1, 2)), np.array([25.0]), (1, 2))
-    meant = predict(TRUTH, record, insertion(40.0, (25.0,), (1, 2)))
-    assert np.array_equal(asked.u, meant.u)
-    for spacing, element in ((1.0, 1.0), (0.5, 0.5), (2.0, 1.0), (2.5, 2.5 / 3)):
-        got = make_options(medium().model_copy(update={"constraint_spacing_mm": spacing}))
-        assert (got.spacing, got.element) == (spacing, approx(element))
-    refusal(ConfigError, "no insertion", lambda: problem(medium(), []))
-    short = insertion(8.0).with_points(np.array([[0.0, 0.0], [8.0, 0.0]]))
-    with pytest.raises(DataError, match="at8"):
-        select_points("free", 10.0, short)
-
-
 def rng():
     return np.random.default_rng(4)
 
@@ -119,6 +104,12 @@ def test_a_free_comparison_reaches_as_far_as_both_curves_less_the_drop(length, d
     assert_allclose(goal.s, np.linspace(depth - reach, depth, 11), atol=1e-9)
     # in the axes of its entry side a straight needle lies on x, from the first scored point
     assert_allclose(goal.measured, np.column_stack([np.linspace(0, reach, 11), np.zeros((11, 2))]), atol=1e-9)
+
+
+def test_a_needle_shorter_than_what_is_dropped_is_refused():
+    short = insertion(8.0).with_points(np.array([[0.0, 0.0], [8.0, 0.0]]))
+    with pytest.raises(DataError, match="at8"):
+        select_points("free", 10.0, short)
 
 
 def test_the_simulated_points_are_those_at_the_same_distance_from_the_tip():

@@ -21,10 +21,8 @@ from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.curves import compare_curves, integrate_curvature
 from needlefit.inference.baseline_fit import fit_baselines
 from needlefit.inference.compared_points import turn_about_x
-from needlefit.inference.draw_simulation import simulate_draws
 from needlefit.inference.forward_model import predict
 from needlefit.inference.identifiability.profile import minimize_squares
-from needlefit.inference.likelihood.observations import read_points
 from needlefit.inference.parameters import make_tissue
 from needlefit.inference.predict import find_geometric_median
 from needlefit.mechanics.shape import sample_inserted_points
@@ -244,14 +242,6 @@ def test_a_medium_states_the_friction_by_which_the_tip_stays_behind_the_hub():
     again = Scene.from_record(scene)
     assert again.tissue.torsional_friction == 0.5
     assert_allclose(simulate_steps(again.needle, again.tissue, again.steps, again.rules).w, shape.w)
-
-
-def test_needles_of_draws_lie_in_space_too():
-    sets, s = [TRUTH, {**TRUTH, "mu1_pa": 4e5}], np.linspace(5.0, 40.0, 4)
-    drawn = simulate_draws(sets, medium(), turned(), s, np.zeros(2), np.zeros((2, 9))).points
-    alone = [read_points(turned(), predict(values, medium(), turned()), s) for values in sets]
-    assert np.abs(drawn[..., 2]).max() > 0.1
-    assert_allclose(drawn, alone, atol=1e-6)
 
 
 SENSORS = np.column_stack([[2.0, 10.0, 20.0, 30.0], np.zeros((4, 2)), np.full(4, 2e-5)])

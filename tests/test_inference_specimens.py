@@ -54,11 +54,6 @@ def three_layers() -> Parameters:
 MODEL = SpreadModel.of(one_layer(), *SDS)
 
 
-def test_a_mixture_of_two_kernels_has_the_covariance_of_its_centres_and_of_a_kernel():
-    found = Specimen(np.array([[-1.0, 0.0], [1.0, 0.0]]), 0.5 * np.eye(2))
-    np.testing.assert_allclose(found.covariance, [[1.5, 0.0], [0.0, 0.5]])
-
-
 def test_the_prior_is_half_normal_and_of_uniform_correlation_and_share():
     model = SpreadModel.of(three_layers(), *SDS)
     covariances = model.covariances(model.draw(20_000, np.random.default_rng(3)))

@@ -12,13 +12,14 @@ from mechanics_cases import (
     assert_close,
     assert_derivatives,
     assert_same_bits,
+    list_seeds,
     pick,
     random_case,
 )
 from numpy.testing import assert_allclose
 from pytest import approx
 from refusals import refusal
-from space_cases import assert_turned, list_planes, random_spatial_case, turn, turn_step
+from space_cases import assert_turned, random_spatial_case, turn, turn_step
 
 from needlefit import Bevel, Controls, ModelOptions, Session, Step, Tissue
 from needlefit.errors import ModelError
@@ -64,7 +65,7 @@ def test_a_planar_insertion_that_is_rolled_is_the_planar_needle_rolled(roll, kin
 
 
 @pytest.mark.parametrize("kind", RULES)
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", list_seeds(8))
 def test_kernel_equals_reference(seed, kind):
     rng = np.random.default_rng(seed)
     case = random_spatial_case(rng, kind, 5, 11.0) if seed % 2 else random_spatial_case(rng, kind, 0, 22.0)
@@ -91,7 +92,7 @@ def test_strongly_compressed_tissue_is_the_reference_too(thickness):
 
 
 @pytest.mark.parametrize("kind", RULES)
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", list_seeds(4, 1))
 def test_derivatives_are_those_of_complex_steps(seed, kind):
     """Of needles in space, and by what moves a planar one out of its plane."""
     draw = random_spatial_case if seed % 2 else random_case
@@ -132,22 +133,6 @@ def test_a_set_is_the_same_alone_and_in_lanes(seed, kind):
         assert_same_bits(jacobians[i], jacobian)
 
 
-def test_derivatives_of_points_are_those_of_the_points():
-    steps = Step(8.3, Bevel(0.2)), Step(17.3, Bevel(0.2, roll_deg=80.0))
-    values = 0.2 + 1e-4 * np.array([-1.0, 0.0, 1.0])
-    batch = Batch(NEEDLE, TISSUE, steps, ModelOptions(tolerance=FINE), offset=values)
-    ((shapes, jacobians),) = linearize_batches([batch], ("offset",), tracked=False)
-    ((_, tracked),) = linearize_batches([batch], ("offset",))
-    assert jacobians.tip_track.size == 0 and tracked.tip_track.size > 0
-    for name in ("u", "slope", "constraints"):
-        assert_allclose(getattr(jacobians, name), getattr(tracked, name), atol=1e-12)
-    s = np.linspace(-3.0, 17.3, 7)
-    points = compute_batch_positions(shapes, s)
-    found = differentiate_batch_positions(shapes, jacobians, s)[1, ..., 0]
-    assert_allclose(found, (points[2] - points[0]) / 2e-4, atol=1e-6)
-    assert np.abs(found[-1]).min() > 1e-3
-
-
 @pytest.mark.parametrize("kind", RULES)
 @pytest.mark.parametrize(("name", "value"), [("roll", 0.3), ("base_z", 0.1), ("base_slope_z", 1e-3)])
 def test_sets_of_one_insertion_differ_by_roll_and_base(name, value, kind):
@@ -178,18 +163,6 @@ def test_a_session_finds_the_bits_of_simulate_steps(seed, kind):
     assert_same_bits(shape, expected, but=("iterations",))
     again = session.copy()
     assert_same_bits(again.step(1.0), session.step(1.0))
-
-
-def test_a_session_that_leaves_its_plane_is_that_in_space():
-    steps = Step(6.2, Bevel(0.1)), Step(3.1, Bevel(0.1)), Step(12.4, Bevel(0.1, roll_deg=90.0))
-    session = Session(NEEDLE, TISSUE, steps[0].bevel, 1.0)
-    assert not session.go(steps[0]).leaves_plane
-    for step in steps[1:]:
-        shape = session.go(step)
-    expected = simulate_steps(NEEDLE, TISSUE, steps, lattice=Lattice(1.0, 1.0))
-    assert_close(shape, expected, 1e-7)
-    path = session.input_path()
-    assert_close(simulate_steps(NEEDLE, TISSUE, path, lattice=session.lattice), expected, 1e-7)
 
 
 def test_a_twisted_session_follows_the_hub_as_the_steps_do():
@@ -241,18 +214,6 @@ def test_quarter_turns_are_exact(quarters):
     y, z = Bevel(0.1, roll_deg=90.0 * quarters + 30.0).toward
     angle = math.radians(90.0 * quarters + 30.0)
     assert (y, z) == approx((math.cos(angle), math.sin(angle)), abs=1e-15)
-
-
-def test_a_needle_turned_by_90_degrees_bends_to_y_and_then_to_z():
-    steps = Step(10.0, Bevel(0.1)), Step(20.0, Bevel(0.1, roll_deg=90.0))
-    shape = reference_solver.simulate_steps(NEEDLE, TISSUE, steps)
-    before = reference_solver.simulate_steps(NEEDLE, TISSUE, steps[:1])
-    assert shape.leaves_plane and not before.leaves_plane
-    y, z = list_planes(shape)["constraints"]
-    assert_allclose(y[:11], before.constraints[:, 1], atol=1e-7)
-    np.testing.assert_array_equal(z[:11], 0.0)  # the cut before the turn stays in the plane
-    assert z[11] == approx(0.1, abs=1e-12)  # along the tangent, turned toward z
-    assert z[20] > 0.2 and y[20] > 0.2
 
 
 # ---- the roll lag

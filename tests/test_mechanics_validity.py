@@ -237,32 +237,6 @@ def test_sessions_and_the_deepest_insertion_are_bounded():
     assert count_element_solves((float(MAX_ELEMENTS), 1.0) * 2, 1.0, 1.0) > 1.01 * MAX_ELEMENT_SOLVES
 
 
-SOFT = Tissue([0.2, 0.1], alpha=1, boundaries=[20])
-
-
-@pytest.mark.parametrize(
-    ("needle", "tissue", "depth", "named"),
-    [
-        (Needle(200, 25500), SOFT, 60, {}),  # whole numbers are numbers
-        (Needle(200, 25500), Tissue([0.2, 0.1], alpha=1, boundaries=[0.02]), 60, {"boundaries": "20"}),
-        (Needle(200, 25500), SOFT, 0.06, {"depth": "60"}),
-        (Needle(200, 0.0255), SOFT, 60, {"flexural_rigidity": "25500"}),
-        (Needle(200, 25500), SOFT, 0.5, {}),  # no needle of 200 mm is 500 mm deep
-    ],
-)
-def test_numbers_in_another_unit_are_warned_of_as_in_files(needle, tissue, depth, named):
-    for run in (
-        lambda: simulate(needle, tissue, Bevel(0.1), depth),
-        lambda: simulate_steps(needle, tissue, [Step(depth, Bevel(0.1))]),
-    ):
-        with warnings.catch_warnings(record=True) as found:
-            warnings.simplefilter("always")
-            run()
-        texts = {str(one.message).split("`")[1]: str(one.message) for one in found}
-        assert texts.keys() == named.keys() and all(texts[key].endswith(named[key]) for key in named)
-        assert {one.filename for one in found} <= {__file__}
-
-
 @pytest.mark.parametrize(("modulus", "is_doubted"), [(3600, 0), (8700, 1), (17000, 0), (60000, 0), (2e5, 0)])
 def test_a_modulus_that_no_needle_has_is_warned_of(modulus, is_doubted):
     with warnings.catch_warnings(record=True) as found:
@@ -302,6 +276,7 @@ def test_units_are_judged_in_python_whatever_is_called(way, values, named):
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always")
         calls[way]()
+    assert {one.filename for one in found} <= {__file__}
     assert {str(one.message).split("`")[1] for one in found} == ({named} if named else set())
 
 

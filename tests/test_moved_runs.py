@@ -96,7 +96,7 @@ def test_a_moved_run_is_predicted_with_and_sampled_in_python(world, places):
     kept = needlefit.load_run(places.moved / "held_out")
     by_run = needlefit.predict(kept, places.here / "ahead.toml", jobs=1)
     assert by_run.metadata.fit_verdict and str(places.moved.parent) not in by_run.metadata.model_dump_json()
-    before = pd.read_csv(world.find("prediction") / "forecast.csv").filter(like="_mm")
+    before = world.restore("prediction").frames["forecast"].filter(like="_mm")
     pd.testing.assert_frame_equal(by_run.frames["forecast"].filter(like="_mm"), before)
     saved = needlefit.sample(kept, jobs=1).save(places.here / "sampled")
     assert needlefit.load_run(saved).data.digest() == kept.data.digest()

@@ -202,12 +202,6 @@ def address(tmp_path_factory):
         yield address
 
 
-def test_results_are_those_of_this_machine_in_order(address):
-    work, items = partial(square, offset=0.1), [3.0, 1.0, 2.0, 1.0]
-    with connect_cluster(address) as pool:
-        assert run_in_order(work, items, pool) == run_in_order(work, items, LocalPool())
-
-
 def test_a_worker_that_dies_costs_its_task_alone(address, tmp_path):
     work = partial(kill_once, folder=str(tmp_path))
     with connect_cluster(address) as pool:

@@ -93,20 +93,6 @@ def test_drawn_values_are_those_of_the_table(results, painted, tmp_path):
                 assert stands_in(table, values).all(), (name, axis)
 
 
-def test_levels_are_counted_toward_the_bevel_and_by_needles():
-    """Seven needles; their levels are 0.1, 0.4, 0.7, 0.97 in turn."""
-    made = with_predictions(study(1))
-    rows = draw_predictive_check(made).frame
-    assert set(rows["insertions"]) == {7}
-    steps = rows[(rows["mark"] == "ECDF") & (rows["quantity"] == "tip")]
-    assert steps["probability"].tolist() == pytest.approx([0, 0.1, 0.1, 0.4, 0.4, 0.7, 0.7, 0.97, 1])
-    mirrored = {"deflection_mm": -made.frames["errors"]["deflection_mm"]}
-    errors = made.frames["errors"].assign(**mirrored)
-    turned = draw_predictive_check(made.with_frames(errors=errors)).frame
-    other = turned[(turned["mark"] == "ECDF") & (turned["quantity"] == "tip")]["probability"]
-    assert other.tolist() == pytest.approx([0, 0.03, 0.3, 0.3, 0.6, 0.6, 0.9, 0.9, 1])
-
-
 def test_the_band_of_pit_values_is_that_of_independent_trials():
     """One specimen has none; two of several needles have limits between counts."""
     predictive = with_predictions(study(1)).frames["predictive"]

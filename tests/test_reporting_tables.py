@@ -203,12 +203,3 @@ def test_pivoted_rows_have_a_column_for_each_place():
 )
 def test_a_number_has_the_digits_that_its_error_supports(value, error, text):
     assert format_to_error(value, error) == text
-
-
-def test_what_is_found_of_a_run_is_computed_once_and_anew_of_another_one():
-    run = two_needles((1.0, 3.0))
-    table = compare_methods(run, "validate")
-    assert compare_methods(run, "validate") is table
-    assert compare_methods(run, "tune") is not table
-    worse = run.with_frames(errors=run.frames["errors"].assign(te_mm=9.0))
-    assert list(compare_methods(worse, "validate")["te_mm"]) == [9.0]

@@ -45,12 +45,6 @@ def test_a_scene_holds_the_published_parameters(row):
     assert len(record.layers) == 1 or "invented" in record.note
 
 
-def test_a_scene_without_steps_is_one():
-    (step,) = resolve_steps(check(BARE | {"depth_mm": 7, "guides": [RING]}, SceneRecord, "a.toml"))
-    assert (step.depth_mm, step.key, step.bevel.side) == (7, "depth_mm", 1)
-    assert step.guides[0][1].name == "ring"
-
-
 BARE = {
     "schema": 1,
     "needle": {"length_mm": 90, "flexural_rigidity_nmm2": 1e4},
@@ -105,48 +99,37 @@ def test_a_side_and_a_roll_take_each_other_s_place():
     ]
 
 
+STEP = {"depth_mm": None}  #: of a scene whose only depth is that of its step
+
+
 @pytest.mark.parametrize(
-    ("more", "what", "expected", "fix"),
+    ("more", "key"),
     [
-        ({"depth_mm": None}, "`depth_mm` is missing: give it, or [[steps]]", "", ""),
-        ({"steps": [{"depth_mm": 5}]}, "steps.1.depth_mm", "", ""),
-        ({"depth_mm": None, "steps": [{"side": 1}]}, "`steps.1.depth_mm` is missing", "", ""),
-        *(({"depth_mm": None, "steps": [{"depth_mm": 1} | step]}, what, "", "") for step, what in (
-            ({"depth_mm": -1}, "`steps.1.depth_mm`"), ({"sied": 1}, "`steps.1.sied`"),
-            ({"guides": {"rang": {}}}, "`steps.1.guides.rang`"), ({"tip_slope_deg": 1}, "`steps.1`: tip_sl"),
-            ({"guides": {"ring": {"w_mm": 1}}}, "`steps.1.guides.ring.w_mm`"),
-            ({"side": -1, "roll_deg": 180.0}, "`steps.1`: side and roll_deg"),
-            ({"tip_z_mm": 1}, "`steps.1`: tip_z_mm needs"),
-            ({"tip_y_mm": 1, "tip_slope_z_deg": 1}, "`steps.1`: tip_slope_z_deg needs"),
-            ({"tip_y_mm": 1, "tip_free": True}, "`steps.1`: tip_free"))),
-        ({"controls": {"tip_slope_deg": 1}}, "`controls`: tip_slope_deg ", "", ""),
-        ({"bevel": {"offset_mm": 0.1, "side": -1, "roll_deg": 90}}, "`bevel`: side and roll_deg", "", ""),
-        ({"guides": [RING, RING]}, "`guides.2.name`: `ring`", "", ""),
-        ({"depth_mm": -1}, "`depth_mm` is -1", "greater than 0", "`depth_mm`"),
-        (
-            {"controls": {"base_slope_deg": 50}},
-            "`controls.base_slope_deg` is 50", "less than 45", "`controls.base_slope_deg`",
-        ),
-        ({"bevel": {"offset_mm": -1}}, "is -1", "greater than or equal to 0", "`bevel.offset_mm`"),
-        ({"bevel": {"offset_mm": 1, "side": 2}}, "`bevel.side` is 2", "1 or -1", "`bevel.side`"),
-        ({"bevel": {}}, "`bevel.offset_mm` is missing", "", "`bevel.offset_mm`"),
-        ({"bevel": 7}, "`bevel` is 7", "object", "`bevel`"),
-        ({"layers": []}, "`layers`: List should have at least 1", "", "`layers`"),
-        ({"steps": {}}, "`steps`", "", "`steps`"),
-        ({"layers": [{"top_mm": 0, "alpha": 1}]}, "mu_pa` is missing", "", "`layers.1.mu_pa`"),
-        ({"dpth_mm": 1}, "`dpth_mm` is unknown", "depth_mm", "`dpth_mm`"),
-        (
-            {"guides": [RING | {"name": "7"}]},
-            "`guides.1.name`", "", "`guides.1.name`",
-        ),
+        (STEP, "depth_mm"),
+        ({"steps": [{"depth_mm": 5}]}, "depth_mm"),
+        (STEP | {"steps": [{"side": 1}]}, "steps.1.depth_mm"),
+        *((STEP | {"steps": [{"depth_mm": 1} | step]}, key) for step, key in (
+            ({"depth_mm": -1}, "steps.1.depth_mm"), ({"sied": 1}, "steps.1.sied"),
+            ({"guides": {"rang": {}}}, "steps.1.guides.rang"), ({"tip_slope_deg": 1}, "steps.1"),
+            ({"guides": {"ring": {"w_mm": 1}}}, "steps.1.guides.ring.w_mm"),
+            ({"side": -1, "roll_deg": 180.0}, "steps.1"), ({"tip_z_mm": 1}, "steps.1"),
+            ({"tip_y_mm": 1, "tip_slope_z_deg": 1}, "steps.1"),
+            ({"tip_y_mm": 1, "tip_free": True}, "steps.1"))),
+        ({"controls": {"tip_slope_deg": 1}}, "controls"),
+        ({"bevel": {"offset_mm": 0.1, "side": -1, "roll_deg": 90}}, "bevel"),
+        ({"guides": [RING, RING]}, "guides.2.name"), ({"guides": [RING | {"name": "7"}]}, "guides.1.name"),
+        ({"controls": {"base_slope_deg": 50}}, "controls.base_slope_deg"),
+        ({"bevel": {"offset_mm": -1}}, "bevel.offset_mm"), ({"bevel": {}}, "bevel.offset_mm"),
+        ({"bevel": {"offset_mm": 1, "side": 2}}, "bevel.side"), ({"bevel": 7}, "bevel"),
+        ({"layers": []}, "layers"), ({"steps": {}}, "steps"), ({"dpth_mm": 1}, "dpth_mm"),
+        ({"layers": [{"top_mm": 0, "alpha": 1}]}, "layers.1.mu_pa"),
     ],
 )  # fmt: skip
-def test_an_error_states_the_expected_value_and_the_fix(more, what, expected, fix):
+def test_an_error_names_its_key(more, key):
+    tables = BARE | {"depth_mm": 5, "guides": [RING]} | more
     with pytest.raises(ConfigError) as fault:
-        tables = BARE | {"depth_mm": 5, "guides": [RING]} | more
-        check({key: value for key, value in tables.items() if value is not None}, SceneRecord, "a.toml")
-    assert what in fault.value.what and ";" not in fault.value.what.split("; did you mean")[0]
-    assert expected in fault.value.expected and fix in fault.value.fix
+        check({name: value for name, value in tables.items() if value is not None}, SceneRecord, "a.toml")
+    assert f"`{key}`" in fault.value.what
 
 
 def test_a_scene_given_in_python_is_warned_of_as_one_in_a_file():
