@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from inference_cases import TRUTH, dataset, insertion, medium
+from inference_cases import TRUTH, dataset, insertion, medium, problem
 from page_files import ALL_STATES, open_offline
 from problem_cases import ALONG_X
 from test_page import NO_BROWSER, chromium  # noqa: F401 - a fixture
@@ -16,6 +16,7 @@ from needlefit.datasets.read import check, read
 from needlefit.datasets.select import find_repeats
 from needlefit.errors import DataError, UnfinishedWorkError
 from needlefit.geometry.curves import compare_curves
+from needlefit.inference.error_tolerance import estimate_tolerance
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.observations import SimulatedCurve, estimate_floor, list_comparisons
 from needlefit.inference.likelihood.observations.curvature import append_sensors, integrate_sensors
@@ -223,6 +224,24 @@ def test_a_tip_beside_a_shape_is_scored_and_drawn_by_itself(mixed: Path, validat
     assert width == pytest.approx(2 * 1.96 * sd, rel=0.15)
     shown = draw_observations(validated, "validate")
     assert {*shown["tips"].frame["insertion"]} == {"m1", "m2", "m3"} and "overlays" in shown
+
+
+def test_the_error_minimising_fit_counts_the_tip_beside_a_shape(mixed: Path) -> None:
+    """Its objective, mm, is of the errors by which an insertion is scored."""
+    data = read(mixed.parent)
+    of_shape = next(one for one in data.insertions if one.id == "m2")
+    p = problem(ONE_LAYER, [of_shape], noise=data.noise)
+    curve = SimulatedCurve(predict(TRUTH, ONE_LAYER, of_shape), of_shape)
+    errors = dict[str, float]()
+    for goal in list_comparisons(data, of_shape):
+        errors |= {
+            name: one for name, one in compute_metrics(goal.compare(curve)).items() if not np.isnan(one)
+        }
+    wanted = errors["ipe_mean_mm"] + errors["te_mm"] + 0.1 * errors["edp_percent"] / 100
+    assert p.objective(p.parameters.theta(TRUTH)) == pytest.approx(wanted, rel=0.01)
+    assert errors["te_mm"] > 0.5 * APART_MM
+    tolerance = estimate_tolerance(p, p.parameters, p.parameters.theta(TRUTH), np.random.default_rng(1))
+    assert tolerance.by_noise > 0.0
 
 
 def test_a_run_that_ends_by_an_error_does_not_block_the_next_one(tmp_path: Path) -> None:

@@ -9,20 +9,21 @@ explains, but not what all share. In both the needles are linear in theta about 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
 
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.noise import draw_measurement_errors
 from needlefit.datasets.select import MIN_GROUPS, group_insertions
 from needlefit.inference.compared_points import ComparedPoints, align, differentiate_align, draw_rolls
 from needlefit.inference.fit import EvaluationRecorder, ObjectiveFunction
 from needlefit.inference.forward_model import PreparedModel
 from needlefit.inference.likelihood.nodes import Surface, make_nodes
-from needlefit.inference.metric_objective import WeightedDistances, station_weights
+from needlefit.inference.likelihood.observations import ScoredObservation
+from needlefit.inference.metric_objective import WeightedDistances, weigh_stations
 from needlefit.inference.parameters import Parameters, Values
-from needlefit.inference.problem import Problem
+from needlefit.inference.problem import MetricGoal, Problem
 from needlefit.inference.slsqp import run_slsqp
 from needlefit.project.progress import never_stop
 
@@ -110,36 +111,55 @@ def _linearize(
 
     The replicates (B, R, 2 or 3) are what `off` would be at the true theta, mm; None without noise.
     """
-    values, some = problem.values(theta), []
-    for goal in problem.compared_points:
-        stations = np.unique(np.linspace(0, len(goal.s) - 1, STATIONS).round().astype(np.int64))
-        some.append(replace(goal, s=goal.s[stations], measured=goal.measured[stations]))
-    model, s = PreparedModel(problem.medium, problem.insertions), [g.s for g in some]
+    values, some = problem.values(theta), list[MetricGoal]()
+    for _, goals in groupby(problem.goals, lambda goal: goal.insertion.id):
+        thinned = [_thin(goal) for goal in goals]
+        all_weights = weigh_stations([goal.points.target for goal in thinned], problem.weights)
+        some += [goal._replace(weights=one) for goal, one in zip(thinned, all_weights, strict=True)]
+    model = PreparedModel(problem.medium, [goal.insertion for goal in some])
+    s = [goal.points.s for goal in some]
     pairs = model.differentiate([values], problem.parameters, s)
     stated_pairs = model.differentiate([values], stated, s)
     ties = [tie for tie in stated.prior.ties if tie.name in stated.free]
     columns = [stated.free.index(tie.name) for tie in ties]
     spreads = rng.standard_normal((REPLICATES, len(ties))) * [math.log(tie.spread) for tie in ties]
     shared: dict[Surface, Floats] = {}
-    parts = []
-    for insertion, goal, (simulated, by), (_, by_stated) in zip(
-        problem.insertions, some, pairs, stated_pairs, strict=True
+    parts = dict[str, list[tuple[WeightedDistances, Floats | None]]]()
+    for (insertion, part, goal, weights), (simulated, by), (_, by_stated) in zip(
+        some, pairs, stated_pairs, strict=True
     ):
         by_stated, by = (goal.select(derivatives[0], axis=-2) for derivatives in (by_stated, by))
         measured, place = goal.target, (goal.pose, goal.select(simulated[0]), goal.target)
-        drawn = _draw_errors(problem, insertion, goal, values, shared, rng)
+        drawn = _draw_errors(problem, part, goal, values, shared, rng)
         if drawn is not None:
             drawn = drawn + np.einsum("bt,kit->bki", spreads, by_stated[..., columns])
             # as an alignment changes simulated points, so it changes these
             drawn = np.moveaxis(differentiate_align(*place, np.moveaxis(drawn, 0, -1)), -1, 0)
-        weights, off = station_weights(measured, problem.weights), align(*place) - measured
-        parts.append((WeightedDistances(weights, off, differentiate_align(*place, by)), drawn))
-    return parts
+        distances = WeightedDistances(weights, align(*place) - measured, differentiate_align(*place, by))
+        parts.setdefault(insertion.id, []).append((distances, drawn))
+    return [_join_goals(of_insertion) for of_insertion in parts.values()]
+
+
+def _thin(goal: MetricGoal) -> MetricGoal:
+    points = goal.points
+    stations = np.unique(np.linspace(0, len(points.s) - 1, STATIONS).round().astype(np.int64))
+    return goal._replace(points=replace(points, s=points.s[stations], measured=points.measured[stations]))
+
+
+def _join_goals(
+    parts: Sequence[tuple[WeightedDistances, Floats | None]],
+) -> tuple[WeightedDistances, Floats | None]:
+    """Return the distances of all that was measured of one insertion, and their replicates."""
+    distances, drawn = zip(*parts, strict=True)
+    joined = (
+        np.concatenate([getattr(one, name) for one in distances]) for name in ("weights", "off", "slopes")
+    )
+    return WeightedDistances(*joined), None if any(one is None for one in drawn) else np.hstack(drawn)
 
 
 def _draw_errors(
     problem: Problem,
-    insertion: Insertion,
+    part: ScoredObservation,
     goal: ComparedPoints,
     values: Values,
     shared: dict[Surface, Floats],
@@ -149,8 +169,8 @@ def _draw_errors(
 
     `shared` has the errors (B,) of surfaces, in standard deviations; what is missing is drawn and added.
     """
-    directions = problem.dataset.directions
-    measured = draw_measurement_errors(problem.dataset, insertion, rng, REPLICATES, directions)
+    insertion, directions = part.insertion, part.dataset.directions
+    measured = draw_measurement_errors(part.dataset, insertion, rng, REPLICATES, directions)
     if measured is None:
         return None
     along = insertion.measure_arc("plane")

@@ -7,6 +7,7 @@ A distance |d| has a kink at 0, where it has no gradient; here it is sqrt(d^2 + 
 `SMOOTHING_MM`, which is smooth and at most e shorter.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -62,10 +63,13 @@ class WeightedDistances:
         return along.ravel() @ self.rows
 
 
-def station_weights(measured: Floats, weights: WeightsRecord) -> Floats:
-    """Return the weight (K,) of the distance at each station."""
-    deflection = float(np.linalg.norm((measured[-1] - measured[0])[1:]))
-    station_weights = np.full(len(measured), weights.ipe / len(measured))
-    # the tip error and EDP count the last station alone, on top of its share of IPE
-    station_weights[-1] += weights.te + weights.edp / max(deflection, weights.edp_floor_mm)
-    return station_weights
+def weigh_stations(targets: Sequence[Floats], weights: WeightsRecord) -> list[Floats]:
+    """Return the weights (K,) of the distances at the stations of all that is compared of an insertion.
+
+    IPE is of the first. TE and EDP are of the last station of the last: of a tip that was measured by itself.
+    """
+    last, found = targets[-1], [np.zeros(len(target)) for target in targets]
+    found[0] += weights.ipe / len(targets[0])
+    deflection = float(np.linalg.norm((last[-1] - last[0])[1:]))
+    found[-1][-1] += weights.te + weights.edp / max(deflection, weights.edp_floor_mm)
+    return found

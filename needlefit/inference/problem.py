@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,8 +17,13 @@ from needlefit.inference.compared_points import ComparedPoints, align, align_poi
 from needlefit.inference.fit import ObjectiveFunction
 from needlefit.inference.forward_model import PreparedModel, predict, respond_to_moves
 from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD, Discrepancy
-from needlefit.inference.likelihood.observations import SimulatedCurve, make_observation, select_points
-from needlefit.inference.metric_objective import WeightedDistances, metric_misfits, station_weights
+from needlefit.inference.likelihood.observations import (
+    ScoredObservation,
+    SimulatedCurve,
+    list_scored,
+    make_observation,
+)
+from needlefit.inference.metric_objective import WeightedDistances, metric_misfits, weigh_stations
 from needlefit.inference.parameter_names import BEVEL_SPREAD
 from needlefit.inference.parameters import Parameters, Theta, Values
 from needlefit.inference.posterior_density import PosteriorDensity
@@ -26,6 +32,15 @@ from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import LikelihoodRecord, ObjectiveName, WeightsRecord
 
 GUIDE_DISTANCE = "guide_distance_mm"
+
+
+class MetricGoal(NamedTuple):
+    """Something that was measured of an insertion, as the metric objective compares it."""
+
+    insertion: Insertion
+    part: ScoredObservation
+    points: ComparedPoints
+    weights: Floats  #: (K,) of the distance at each station
 
 
 @dataclass(frozen=True)
@@ -91,9 +106,9 @@ class Problem:
     def points(self, theta: Theta) -> tuple[tuple[Floats, Floats], ...]:
         """Return the simulated and the measured points (K, 3) compared in each insertion, mm."""
         values, pairs = self.values(theta), []
-        for insertion, goal in zip(self.insertions, self.compared_points, strict=True):
-            shape = predict(values, self.medium, insertion)
-            pairs.append(align_points(goal, SimulatedCurve(shape, insertion)))
+        for goal in self.goals:
+            shape = predict(values, self.medium, goal.insertion)
+            pairs.append(align_points(goal.points, SimulatedCurve(shape, goal.insertion)))
         return tuple(pairs)
 
     def objective(self, theta: Theta) -> float:
@@ -110,13 +125,13 @@ class Problem:
         return np.array(self._objectives(thetas, jobs))
 
     def _objectives(self, thetas: Floats, jobs: int) -> list[float]:
-        goals, total = self.compared_points, np.zeros(len(thetas))
-        points = self._model.read_points(self._list_values(thetas), [goal.s for goal in goals], jobs)
-        for goal, simulated, weights in zip(goals, points, self._station_weights, strict=True):
+        total = np.zeros(len(thetas))
+        points = self._model.read_points(self._list_values(thetas), self._stations, jobs)
+        for (*_, goal, weights), simulated in zip(self.goals, points, strict=True):
             aligned = align(goal.pose, goal.select(simulated), goal.target)
             total += metric_misfits(aligned - goal.target, weights)
         return [
-            math.inf if math.isnan(total_of_set) else float(total_of_set) / len(goals)
+            math.inf if math.isnan(total_of_set) else float(total_of_set) / len(self.insertions)
             for total_of_set in total
         ]
 
@@ -125,29 +140,26 @@ class Problem:
         return evaluate(self._distances, np.asarray(theta))
 
     def _distances(self, thetas: Floats, jobs: int) -> list[WeightedDistances]:
-        goals, distances = self.compared_points, []
-        points = self._model.differentiate(
-            self._list_values(thetas), self.parameters, [goal.s for goal in goals], jobs
-        )
-        for goal, (simulated, by) in zip(goals, points, strict=True):
+        distances = []
+        points = self._model.differentiate(self._list_values(thetas), self.parameters, self._stations, jobs)
+        for (*_, goal, _), (simulated, by) in zip(self.goals, points, strict=True):
             measured, simulated, by = goal.target, goal.select(simulated), goal.select(by, axis=-2)
             slopes = differentiate_align(goal.pose, simulated, measured, by)
             distances.append((align(goal.pose, simulated, measured) - measured, slopes))
         off, slopes = (np.concatenate(part, axis=1) for part in zip(*distances, strict=True))
-        weights = np.concatenate(self._station_weights) / len(goals)
+        weights = np.concatenate([goal.weights for goal in self.goals]) / len(self.insertions)
         return [WeightedDistances(weights, *pair) for pair in zip(off, slopes, strict=True)]
 
-    @cached_property
-    def _station_weights(self) -> list[Floats]:
-        """The weight (K,) of the distance at each station of each insertion."""
-        return [station_weights(goal.target, self.weights) for goal in self.compared_points]
+    @property
+    def _stations(self) -> list[Floats]:
+        return [goal.points.s for goal in self.goals]
 
     def _list_values(self, thetas: Floats) -> list[dict[str, float]]:
         return [self.values(theta) for theta in thetas]
 
     @cached_property
     def _model(self) -> PreparedModel:
-        return PreparedModel(self.medium, self.insertions)
+        return PreparedModel(self.medium, [goal.insertion for goal in self.goals])
 
     def compute_misfits(self, theta: Theta) -> Floats:
         """Return those of the residuals (R,) that are of the insertions."""
@@ -227,13 +239,17 @@ class Problem:
         return self if parameters.held == self.parameters.held else self.with_parameters(parameters)
 
     @cached_property
-    def compared_points(self) -> tuple[ComparedPoints, ...]:
-        """The measured points that each simulated needle is compared with; computed once."""
-        pose, drop = self.dataset.pose, self.dataset.drop_proximal
-        return tuple(
-            select_points(pose, drop, insertion, compared=self.dataset.compared)
-            for insertion in self.insertions
-        )
+    def goals(self) -> tuple[MetricGoal, ...]:
+        """The measured places that simulated needles are compared with, insertion by insertion."""
+        goals = list[MetricGoal]()
+        for insertion in self.insertions:
+            parts = list_scored(self.dataset, insertion)
+            pairs = [(part, one) for part in parts for one in part.kind.compare(part.dataset, part.insertion)]
+            pairs = [(part, one) for part, one in pairs if one.quantity == "places"] or pairs[:1]
+            all_weights = weigh_stations([one.target for _, one in pairs], self.weights)
+            for pair, weights in zip(pairs, all_weights, strict=True):
+                goals.append(MetricGoal(insertion, *pair, weights))
+        return tuple(goals)
 
     @cached_property
     def density(self) -> PosteriorDensity:

@@ -9,7 +9,7 @@ from weakref import WeakKeyDictionary
 from needlefit.datasets.folds import Fold
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.noise import NoiseFloor
-from needlefit.inference.likelihood.observations import OBSERVATIONS, estimate_floor
+from needlefit.inference.likelihood.observations import estimate_floor, measures_tip
 from needlefit.inference.parameter_names import HYPERPARAMETERS
 from needlefit.inference.parameters import Parameters, without_bevel_spread, without_prior
 from needlefit.inference.problem import Problem
@@ -103,7 +103,7 @@ class Job:
     def searches(self) -> tuple[str, ...]:
         """The searches of one fold; the first is the fit that everything else is about."""
         metric = self.recipe.metric and self.recipe.minimize == "posterior"
-        metric = metric and all(OBSERVATIONS[insertion.observation].has_tip for insertion in self.insertions)
+        metric = metric and all(map(measures_tip, self.insertions))
         published = self.hand_tuned is not None and "bevel_mm" in self.parameters.free
         others = {*self.parameters.free} - {self.medium.bevel_parameter, *HYPERPARAMETERS}
         alone = isinstance(self.record, StudyRecord) and self.record.registration_depth_mm is None

@@ -34,9 +34,9 @@ from needlefit.inference.draw_simulation import (
 from needlefit.inference.likelihood.observation import Observation
 from needlefit.inference.likelihood.observations import (
     OBSERVATIONS,
-    list_observations,
     list_scored,
     make_observation,
+    measures_tip,
 )
 from needlefit.inference.likelihood.observations.curvature import append_sensors
 from needlefit.inference.point_prediction import PointPrediction, choose_point
@@ -325,11 +325,9 @@ def _list_stations(insertion: Insertion, whole: Observation, tip: Observation | 
 def _choose_representatives(job: Job, insertions: Iterable[Insertion]) -> frozenset[str]:
     """Return the insertion with a tip of median depth of each medium and number of layers, by its id."""
     rule = job.record.layer_count_rule
-    with_tips = (
-        insertion for insertion in insertions if any(kind.has_tip for kind in list_observations(insertion))
-    )
     groups = group_values(
-        ((with_tip.medium, count_layers(with_tip, rule)), with_tip) for with_tip in with_tips
+        ((with_tip.medium, count_layers(with_tip, rule)), with_tip)
+        for with_tip in filter(measures_tip, insertions)
     )
     ordered = (
         sorted(some, key=lambda insertion: (insertion.depth, insertion.id)) for some in groups.values()

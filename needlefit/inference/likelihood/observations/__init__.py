@@ -194,6 +194,11 @@ def list_observations(insertion: Insertion) -> list[ObservationType]:
     return [OBSERVATIONS[name] for name in insertion.observations]
 
 
+def measures_tip(insertion: Insertion) -> bool:
+    """Return whether the place of the tip was measured of an insertion."""
+    return any(kind.has_tip for kind in list_observations(insertion))
+
+
 class ScoredObservation(NamedTuple):
     """An observation by which an insertion is scored; dataset and insertion as if it alone had been made."""
 
