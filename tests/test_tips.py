@@ -27,6 +27,7 @@ from needlefit.inference.optimize import minimize
 from needlefit.inference.problem import Problem
 from needlefit.metrics import compute_metrics
 from needlefit.schemas.recipe import RecipeRecord, WeightsRecord
+from needlefit.studies.simulated_data import simulate_measurement
 
 ONE_LAYER = medium(1)
 THETA = np.log([TRUTH["mu1_pa"], TRUTH["bevel_mm"]])
@@ -93,6 +94,26 @@ def test_a_tip_beside_a_shape_is_one_residual_more(compared: str) -> None:
     assert residuals[-1] == pytest.approx(-0.07 / 0.02, rel=1e-3) and np.abs(residuals[:-1]).max() < 1e-2
     whole = make_observation(data, replace(beside, tip=np.array([1.0, 0.5, np.nan])))
     assert whole.whitening[-1, -1] == pytest.approx(1 / NOISE.point_sd)  # the deviation of a point
+
+
+@pytest.mark.parametrize("compared", ["plane", "space"])
+def test_all_that_an_insertion_holds_is_simulated_with_its_errors(compared: str) -> None:
+    """The squares of whitened residuals at the truth are chi-squared: their number is the mean."""
+    shape = measure(TRUTH, ONE_LAYER, insertion(60.0), points=21)
+    sensors = np.column_stack([[10.0, 40.0], np.zeros((2, 2)), [5e-5, 1e-4]])
+    beside = replace(shape, tip=np.array([0.0, 0.0, 0.4]), curvature=sensors, point_sd=0.2, pose_shift_sd=0.1)
+    for planned in (beside, replace(tip(60.0), pose_angle_sd=0.004, point_sd=0.2, directions=2)):
+        data, rng, squares = (
+            replace(dataset([planned], NOISE), compared=compared),
+            np.random.default_rng(7),
+            [],
+        )
+        for _ in range(100):
+            seen = simulate_measurement(data, planned, TRUTH, ONE_LAYER, rng)
+            asked = make_problem(data, [seen], ONE_LAYER, WeightsRecord())
+            misfits = asked.compute_misfits(THETA)
+            squares.append(misfits @ misfits / len(misfits))
+        assert np.mean(squares) == pytest.approx(1.0, abs=4 * np.sqrt(2 / len(misfits) / 100))
 
 
 def test_a_tip_alone_is_compared_beside_cross_sections_of_the_scan() -> None:

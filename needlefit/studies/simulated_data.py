@@ -6,29 +6,21 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import scipy
 
-from needlefit.arrays import Floats, pad_axis
+from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.read import make_noise
 from needlefit.datasets.select import list_bevels
 from needlefit.errors import ConfigError, FitError
-from needlefit.geometry.curves import select_compared
 from needlefit.geometry.frames import Frame
-from needlefit.geometry.smoothing_spline import design_matrix
-from needlefit.inference.compared_points import draw_rolls, turn_about_x
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood import nodes
-from needlefit.inference.likelihood.observation import points_covariance, pose_modes, pose_sds
-from needlefit.inference.likelihood.observations import OBSERVATIONS, read_points
-from needlefit.inference.likelihood.observations.curvature import SENSOR_STEP_MM, append_sensors
-from needlefit.inference.likelihood.observations.sections import SectionData, select_sections
+from needlefit.inference.likelihood.observations import TrueNeedle, measure
 from needlefit.inference.parameter_names import BEVEL_SPREAD, NOISE_SCALE, dimension, find_bevel_factors
 from needlefit.inference.planned_layers import with_planned_layers
 from needlefit.inference.predict import draw_from_prior
 from needlefit.inference.problem import Problem
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.shape import NeedleShape
 from needlefit.project.json_values import digest_values
 from needlefit.project.random_streams import random_stream
 from needlefit.project.toml import locate_key
@@ -36,9 +28,6 @@ from needlefit.schemas.analyses import SyntheticDataRecord, SyntheticInsertionRe
 from needlefit.schemas.medium import MediumRecord
 from needlefit.studies.job import Job
 from needlefit.synthetic.design import POPULATION, bevel_offset, draw_deviations, draw_specimen, list_designs
-
-MIN_WEIGHT = 1e-12  #: of a cross-section that counts for nothing: its noise must stay finite
-FREE_POSE_SHIFT_SD_MM = 10.0  #: standard deviation of where a shape lies whose pose is free, mm
 
 
 def simulate_measurement(
@@ -52,76 +41,23 @@ def simulate_measurement(
     """Return the insertion as measured if `values` (Pa, mm) were true; None if it cannot be simulated.
 
     The needle is simulated at depths of layers and tip that err as stated about the insertion's, with a bevel
-    of its own. Measured are its deflections at the arc lengths of `insertion.points`, or its stored
-    cross-sections: with noise that is `noise_scale` of `values` times as large as stated, in a pose drawn
-    from its prior. Where poses are free, the shape lies anywhere. None also where the needle bends as no
-    curve of its length does. Tip tracks are not simulated.
+    of its own. All that the insertion holds is measured of it: with noise that is `noise_scale` of `values`
+    times as large as stated, in a pose drawn
+    from its prior. ConfigError of tip tracks.
 
     `shared` holds the errors, in standard deviations, of the surfaces of each specimen; it is filled as
     needed, and to be given again for every insertion measured with them.
     """
     errors = {} if shared is None else shared
-    scale = values.get(NOISE_SCALE, 1.0)
-    sections = select_sections(insertion) if dataset.pose == "known" else None
-    # where the points of an insertion lie on the needle, (K,) mm
-    if sections is not None:
-        s = sections.s
-    else:
-        along = insertion.measure_arc(dataset.compared)
-        s = along * (insertion.depth / along[-1])
     deep = insertion.depth_sd * rng.standard_normal()
     wrong = nodes.draw_boundary_errors(insertion, errors, rng)
     # by how many SDs the bevel deviates: the same for all depths of one insertion
     ((specimen, number),) = list_bevels(dataset, (insertion,))
     deviation = errors.setdefault((specimen, nodes.BEVEL, number), float(rng.standard_normal()))
     factor = float(find_bevel_factors(values.get(BEVEL_SPREAD, 0.0), deviation))
-    true, places = nodes.shift_depths(replace(insertion, bevel_factor=factor), s, deep + wrong, deep)
-    shape = predict(values, medium, true)
-    if not shape.converged:
-        return None
-    if insertion.curvature is not None:
-        insertion = replace(insertion, curvature=_measure_curvature(true, shape, rng))
-    (roll,) = draw_rolls(insertion.roll_sd, dataset.directions, 1, rng)
-    points = select_compared(turn_about_x(read_points(true, shape, places), roll), dataset.compared)
-    x, across = points[:, 0], points[:, 1:]  # (K,), (K, 1 or 2)
-    # the roll, which turned the needle as a whole, is none of these
-    sds = pose_sds(insertion, dataset.noise, dataset.directions)[:5]
-    if sections is not None:
-        slopes = np.gradient(across, x, axis=0)
-        modes = pose_modes(points, slopes)[:, :5]
-        moved = modes @ (sds * rng.standard_normal(len(sds)))
-        return _measure_sections(
-            insertion, sections, x, across + moved.reshape(dataset.directions, -1).T, scale, rng
-        )
-    # x such that arc lengths are kept: the model's own, of small slopes, keeps them to their fourth power.
-    # They are those of the needle, whatever the noise of its points.
-    along_x = np.diff(s) ** 2 - np.sum(np.diff(across, axis=0) ** 2, axis=1)
-    if np.any(along_x <= 0):
-        return None
-    cov = scale**2 * points_covariance(s, dataset.noise, insertion.sd)
-    cov = scipy.linalg.block_diag(*[cov] * dataset.directions)
-    if dataset.pose == "known":
-        spread = pose_modes(points)[:, :5] * sds
-        cov = cov + spread @ spread.T
-    noise = np.linalg.cholesky(cov) @ rng.standard_normal(len(cov))
-    across = across + noise.reshape(dataset.directions, -1).T
-    planar = np.column_stack([points[0, 0] + np.cumsum([0.0, *np.sqrt(along_x)]), across[:, 0]])
-    if dataset.pose == "free":  # turned by any angle, and moved
-        angle = rng.uniform(0.0, 2 * np.pi)
-        turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-        planar = planar @ turn + FREE_POSE_SHIFT_SD_MM * rng.standard_normal(2)
-    return insertion.with_points(np.column_stack([planar, across[:, 1:]]))
-
-
-def _measure_curvature(insertion: Insertion, shape: NeedleShape, rng: np.random.Generator) -> Floats:
-    """Return the curvatures (n, 4) that the insertion's sensors measure on a shape, with noise."""
-    assert insertion.curvature is not None
-    s, *_, sd = insertion.curvature.T
-    about = append_sensors(insertion, np.empty(0))
-    points = turn_about_x(read_points(insertion, shape, about), insertion.roll_sd * rng.normal())
-    across = points[:, 1:].reshape(-1, 3, 2)
-    kappa = (across[:, 0] - 2 * across[:, 1] + across[:, 2]) / SENSOR_STEP_MM**2
-    return np.column_stack([s, kappa + sd[:, None] * rng.standard_normal(kappa.shape), sd])
+    true, _ = nodes.shift_depths(replace(insertion, bevel_factor=factor), np.empty(0), deep + wrong, deep)
+    scale = values.get(NOISE_SCALE, 1.0)
+    return measure(dataset, insertion, TrueNeedle(true, predict(values, medium, true), deep, scale, rng))
 
 
 def draw_bevels(
@@ -135,29 +71,6 @@ def draw_bevels(
     drawn = rng.standard_normal(len(bevels))
     pairs = zip(bevels, (drawn - drawn.mean()).tolist(), strict=True)
     return {(specimen, nodes.BEVEL, number): deviation for (specimen, number), deviation in pairs}
-
-
-def _measure_sections(
-    insertion: Insertion,
-    sections: SectionData,
-    x: Floats,
-    across: Floats,
-    scale: float,
-    rng: np.random.Generator,
-) -> Insertion:
-    """Return the insertion with cross-sections at `x` (K,) and `across` (K, 1 or 2), and the spline through
-    them, with noise.
-    """
-    stored = sections.stored
-    sds = stored.sigma / np.sqrt(np.maximum(stored.weights, MIN_WEIGHT))
-    size = across.size
-    root = np.linalg.cholesky(sections.shared[:size, :size] + MIN_WEIGHT * np.eye(size))
-    noise = np.resize(sds, size) * rng.standard_normal(size) + root @ rng.standard_normal(size)
-    seen = pad_axis(np.column_stack([x, across + scale * noise.reshape(-1, len(x)).T]), 3)
-    q = np.interp(np.linspace(0.0, insertion.depth, len(insertion.points)), sections.s, stored.q)
-    points = design_matrix(q, stored.knots)[:, sections.reached] @ sections.operator @ seen
-    measured = insertion.with_points(points)
-    return replace(measured, sections=replace(stored, points=insertion.frame.to_world(seen)))
 
 
 POINT_SPACING_MM = 1.0  #: distance of measured points along a needle, mm
@@ -273,11 +186,12 @@ def simulate_design(problem: Problem, values: Mapping[str, float]) -> Problem | 
     made = list[Insertion]()
     for insertion in problem.insertions:
         met = with_planned_layers(insertion, values, problem.medium)
-        shape = None if met is None else predict(values, problem.medium, met)
-        if met is None or shape is None or not shape.converged:
+        if met is None:
             return None
-        points = OBSERVATIONS[insertion.observation].simulate_places(insertion, shape)
-        measured = replace(insertion.with_points(points), tip=None)
+        needle = TrueNeedle(met, predict(values, problem.medium, met))
+        measured = measure(problem.dataset, replace(insertion, sections=None), needle)
+        if measured is None:
+            return None
         made.append(replace(measured, boundaries=met.boundaries, sequence=met.sequence))
     return replace(problem, insertions=tuple(made))
 
@@ -297,11 +211,6 @@ def simulate_from_prior(problem: Problem, rng: np.random.Generator) -> tuple[Flo
             f"the dataset `{dataset.name}` states no noise: nothing can be drawn from it",
             where=locate_key(dataset.path, "noise.point_sd_mm"),
             expected="[noise] with point_sd_mm or correlated_sd_mm above 0",
-        )
-    if any(OBSERVATIONS[insertion.observation].on_the_way for insertion in problem.insertions):
-        raise ConfigError(
-            f"the dataset `{dataset.name}` holds tip tracks, which are not simulated",
-            expected="measured shapes",
         )
     for _ in range(MAX_PRIOR_DRAWS):
         theta = draw_from_prior(problem.parameters, 1, rng)[0]

@@ -31,7 +31,7 @@ from needlefit.mechanics.batch import (
     compute_batch_positions,
     differentiate_batch_positions,
 )
-from needlefit.mechanics.shape import NeedleShape, compute_positions, sample_inserted_points
+from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.metrics import list_metrics
 from needlefit.registry import Registry
 from needlefit.schemas.compared import Compared
@@ -92,9 +92,9 @@ class ObservationType:
         """Return the derivatives (B, K, 3, P) of `read_batch_points`."""
         return differentiate_batch_positions(shapes, jacobians, s)
 
-    def simulate_places(self, insertion: Insertion, shape: NeedleShape) -> Floats:
-        """Return as many simulated points as were measured, (N, 3) mm."""
-        return sample_inserted_points(shape, len(insertion.points))
+    def measure(self, dataset: Dataset, insertion: Insertion, needle: "TrueNeedle") -> Insertion | None:
+        """Return the insertion as this measures a simulated needle; None where that bends as none can."""
+        return OBSERVATIONS["points"].measure(dataset, insertion, needle)
 
     def thin(self, insertion: Insertion, count: int) -> Insertion:
         """Return an insertion of which about `count` places were measured, of more."""
@@ -146,10 +146,10 @@ def make_observation(
     if likelihood.measurement == "curvature":
         return OBSERVATIONS["curvature"].observe(insertion, errors)
     # the cross-sections are what the points were drawn through, and stand in their place alone
-    has_sections = smoothed and dataset.pose == "known" and insertion.sections is not None
-    has_sections = has_sections and insertion.observation == "points"
     first, *others = list_observations(insertion)
-    found = (OBSERVATIONS["sections"] if has_sections else first).observe(insertion, errors)
+    found = (OBSERVATIONS["sections"] if smoothed and has_sections(dataset, insertion) else first).observe(
+        insertion, errors
+    )
     # a scale of the noise counts for the poses of others, too: joined observations have no curves of a pose
     plain = likelihood.model_copy(update={"noise_scale": 1.0})
     for kind in others:
@@ -165,6 +165,12 @@ def make_observation(
             fix='remove the columns, or state poses (pose = "known")',
         )
     return join_observations(found, OBSERVATIONS[insertion.observation].observe_values(insertion, errors))
+
+
+def has_sections(dataset: Dataset, insertion: Insertion) -> bool:
+    """Return whether the cross-sections stand in the place of the points that were drawn through them."""
+    is_shape = insertion.observation == "points" and dataset.pose == "known"
+    return is_shape and insertion.sections is not None
 
 
 def select_points(
@@ -242,6 +248,38 @@ def read_points(insertion: Insertion, shape: NeedleShape, s: Floats) -> Floats:
     if not shape.converged:
         return np.full((len(s), 3), np.nan)
     return OBSERVATIONS[insertion.observation].read_points(shape, s)
+
+
+@dataclass(frozen=True)
+class TrueNeedle:
+    """A simulated needle that is measured, with errors `scale` times as large as stated."""
+
+    insertion: Insertion  #: as it truly was
+    shape: NeedleShape
+    deeper: float = 0.0  #: than stated, mm
+    scale: float = 1.0
+    rng: np.random.Generator | None = None  #: draws the errors; None: there are none
+
+    def read(self, s: Floats) -> Floats:
+        """Return its points (K, 3) at stated beam coordinates `s` (K,), mm."""
+        return read_points(self.insertion, self.shape, s + self.deeper)
+
+    def draw(self, *shape: int) -> Floats:
+        """Return errors in standard deviations."""
+        return np.zeros(shape) if self.rng is None else self.rng.standard_normal(shape)
+
+    def draw_errors(self, covariance: Floats) -> Floats:
+        """Return errors (K,) with a covariance (K, K)."""
+        draws = self.draw(len(covariance))
+        return draws if self.rng is None else np.linalg.cholesky(covariance) @ draws
+
+
+def measure(dataset: Dataset, insertion: Insertion, needle: TrueNeedle) -> Insertion | None:
+    """Return an insertion as all that it holds measures a simulated needle; None where nothing can."""
+    measured: Insertion | None = insertion
+    for kind in list_observations(insertion) if needle.shape.converged else ():
+        measured = None if measured is None else kind.measure(dataset, measured, needle)
+    return measured if needle.shape.converged else None
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,10 @@ from needlefit.datasets.insertion import Dataset, Insertion, Pose, find_pose
 from needlefit.datasets.noise import NoiseFloor
 from needlefit.errors import DataError
 from needlefit.geometry.curves import Quantity, compare_curves
-from needlefit.inference.compared_points import ComparedPoints
+from needlefit.inference.compared_points import ComparedPoints, turn_about_x
 from needlefit.inference.likelihood.nodes import make_nodes
 from needlefit.inference.likelihood.observation import QUARTER_TURN, Observation, StatedErrors, whiten
-from needlefit.inference.likelihood.observations import ObservationType
+from needlefit.inference.likelihood.observations import ObservationType, TrueNeedle
 from needlefit.metrics import compute_metrics
 from needlefit.schemas.compared import Compared
 
@@ -167,6 +167,18 @@ class _Curvature(ObservationType):
         return Observation(
             measured, cov, free, free, whitening @ second, log_norm, pose, nodes, nothing, operator=second
         )
+
+    def measure(self, dataset: Dataset, insertion: Insertion, needle: TrueNeedle) -> Insertion:
+        """Return the insertion with what its sensors read of a simulated needle."""
+        assert insertion.curvature is not None
+        s, *_, sd = insertion.curvature.T
+        (roll,) = insertion.roll_sd * needle.draw(1)
+        points = turn_about_x(needle.read(append_sensors(insertion, np.empty(0))), float(roll))
+        kappa = np.diff(points[:, 1:].reshape(-1, 3, 2), n=2, axis=1)[:, 0] / SENSOR_STEP_MM**2
+        read = np.column_stack([s, kappa + sd[:, None] * needle.draw(*kappa.shape), sd])
+        if insertion.observation == self.name:  # its points are what the sensors lead to
+            insertion = insertion.with_points(needle.read(insertion.measure_arc("space")))
+        return replace(insertion, curvature=read)
 
 
 CURVATURE = _Curvature("curvature", is_curve=False, has_tip=False)

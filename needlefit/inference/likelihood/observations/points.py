@@ -10,10 +10,17 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import DEFAULT_MEASUREMENT, Insertion, Noise, select_compared_places
+from needlefit.datasets.insertion import (
+    DEFAULT_MEASUREMENT,
+    Dataset,
+    Insertion,
+    Noise,
+    select_compared_places,
+)
+from needlefit.geometry.curves import select_compared
 from needlefit.geometry.frames import make_tracker_columns
 from needlefit.geometry.smoothing_spline import fit_matrices, make_knots
-from needlefit.inference.compared_points import rotate_to_entry_axes
+from needlefit.inference.compared_points import rotate_to_entry_axes, turn_about_x
 from needlefit.inference.likelihood.observation import (
     Discrepancy,
     Observation,
@@ -21,10 +28,19 @@ from needlefit.inference.likelihood.observation import (
     complete_observation,
     list_pose_modes,
     points_covariance,
+    pose_modes,
+    pose_sds,
     split_pose_modes,
 )
-from needlefit.inference.likelihood.observations import ObservationType
+from needlefit.inference.likelihood.observations import (
+    OBSERVATIONS,
+    ObservationType,
+    TrueNeedle,
+    has_sections,
+)
 from needlefit.schemas.dataset import MeasurementRecord
+
+FREE_POSE_SHIFT_SD_MM = 10.0  #: standard deviation of where a simulated shape lies whose pose is free, mm
 
 
 def points_operator(measurement: MeasurementRecord, s: Floats) -> Floats | None:
@@ -76,6 +92,35 @@ class _Points(ObservationType):
             stored = measured[:, 1:].T.ravel()
             shift = _apply(operator, stored) - stored
         return complete_observation(insertion, errors, s, measured, cov, pose, free, operator, shift)
+
+    def measure(self, dataset: Dataset, insertion: Insertion, needle: TrueNeedle) -> Insertion | None:
+        """Return the insertion with points at the arc lengths of its own; None where the needle bends as no
+        curve of its length does. Where poses are free, the shape lies anywhere.
+        """
+        if has_sections(dataset, insertion):
+            return OBSERVATIONS["sections"].measure(dataset, insertion, needle)
+        directions, along = dataset.directions, insertion.measure_arc(dataset.compared)
+        s, noise = along * (insertion.depth / along[-1]), dataset.noise.of(insertion)
+        roll = float(insertion.roll_sd * needle.draw(directions - 1).sum())
+        points = select_compared(turn_about_x(needle.read(s), roll), dataset.compared)
+        # x such that arc lengths are kept: the model's own, of small slopes, keeps them to their fourth
+        # power. They are those of the needle, whatever the noise of its points.
+        along_x = np.diff(s) ** 2 - np.sum(np.diff(points[:, 1:], axis=0) ** 2, axis=1)
+        if np.any(along_x <= 0):
+            return None
+        cov = needle.scale**2 * points_covariance(s, noise, insertion.sd)
+        cov = block_diag(*[cov] * directions)
+        if dataset.pose == "known":
+            # the roll, which turned the needle as a whole, is none of these
+            spread = pose_modes(points)[:, :5] * pose_sds(insertion, noise, directions)[:5]
+            cov = cov + spread @ spread.T
+        across = points[:, 1:] + needle.draw_errors(cov).reshape(directions, -1).T
+        planar = np.column_stack([points[0, 0] + np.cumsum([0.0, *np.sqrt(along_x)]), across[:, 0]])
+        if dataset.pose == "free" and needle.rng is not None:  # turned by any angle, and moved
+            angle = needle.rng.uniform(0.0, 2 * np.pi)
+            turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+            planar = planar @ turn + FREE_POSE_SHIFT_SD_MM * needle.draw(2)
+        return insertion.with_points(np.column_stack([planar, across[:, 1:]]))
 
 
 def _share_noise(insertion: Insertion, noise: Noise, s: Floats) -> Noise:

@@ -4,28 +4,33 @@ What is compared are the coefficients of that spline: the simulated needle gets 
 docs/inference.md, section 2.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import block_diag
 
-from needlefit.arrays import Bools, Floats
-from needlefit.datasets.insertion import Insertion
-from needlefit.geometry.smoothing_spline import SplineSections, fit_matrices
+from needlefit.arrays import Bools, Floats, pad_axis
+from needlefit.datasets.insertion import Dataset, Insertion
+from needlefit.geometry.curves import select_compared
+from needlefit.geometry.smoothing_spline import SplineSections, design_matrix, fit_matrices
+from needlefit.inference.compared_points import turn_about_x
 from needlefit.inference.likelihood.observation import (
     QUARTER_TURN,
     Observation,
     StatedErrors,
     complete_observation,
     list_pose_modes,
+    pose_modes,
+    pose_sds,
     split_pose_modes,
 )
-from needlefit.inference.likelihood.observations import ObservationType
+from needlefit.inference.likelihood.observations import ObservationType, TrueNeedle
 
 SHARED_ERROR_LENGTH_MM = 7.5  #: length over which errors that neighbouring cross-sections share fade, mm
 #: cross-sections within so many deviations of the depth from the needle's base are left out: a depth that
 #: errs must not move them off the needle
 DEPTH_ERRORS_KEPT = 4.0
+MIN_WEIGHT = 1e-12  #: of a simulated cross-section that counts for nothing: its noise must stay finite
 
 
 @dataclass(frozen=True)
@@ -86,6 +91,27 @@ class _Sections(ObservationType):
         modes, sds = list_pose_modes(insertion, errors, measured, sections.slope)
         pose, free = (operator @ part for part in split_pose_modes(insertion, modes, sds))
         return complete_observation(insertion, errors, sections.s, measured, cov, pose, free, operator)
+
+    def measure(self, dataset: Dataset, insertion: Insertion, needle: TrueNeedle) -> Insertion:
+        """Return the insertion with cross-sections of a simulated needle, and the spline through them."""
+        sections, directions = select_sections(insertion), dataset.directions
+        assert sections is not None
+        stored = sections.stored
+        roll = float(insertion.roll_sd * needle.draw(directions - 1).sum())
+        points = select_compared(turn_about_x(needle.read(sections.s), roll), dataset.compared)
+        x, across = points[:, 0], points[:, 1:]
+        modes = pose_modes(points, np.gradient(across, x, axis=0))[:, :5]
+        sds = pose_sds(insertion, dataset.noise.of(insertion), directions)[:5]
+        across = across + (modes @ (sds * needle.draw(len(sds)))).reshape(directions, -1).T
+        own = stored.sigma / np.sqrt(np.maximum(stored.weights, MIN_WEIGHT))
+        size = across.size
+        noise = np.resize(own, size) * needle.draw(size)
+        noise = noise + needle.draw_errors(sections.shared[:size, :size] + MIN_WEIGHT * np.eye(size))
+        seen = pad_axis(np.column_stack([x, across + needle.scale * noise.reshape(-1, len(x)).T]), 3)
+        q = np.interp(np.linspace(0.0, insertion.depth, len(insertion.points)), sections.s, stored.q)
+        drawn = design_matrix(q, stored.knots)[:, sections.reached] @ sections.operator @ seen
+        measured = insertion.with_points(drawn)
+        return replace(measured, sections=replace(stored, points=insertion.frame.to_world(seen)))
 
 
 SECTIONS = _Sections("sections")

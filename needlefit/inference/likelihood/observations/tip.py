@@ -17,10 +17,12 @@ from needlefit.inference.likelihood.observation import (
     complete_observation,
     list_pose_modes,
     points_covariance,
+    pose_modes,
+    pose_sds,
     split_pose_modes,
     whiten,
 )
-from needlefit.inference.likelihood.observations import ObservationType
+from needlefit.inference.likelihood.observations import ObservationType, TrueNeedle
 from needlefit.schemas.compared import Compared
 
 
@@ -72,6 +74,19 @@ class _Tip(ObservationType):
         whitening, log_norm = whiten(found.covariance()[:1, :1], np.empty((1, 0)))
         along_y = np.array([[1.0, 0.0]])  # along z nothing was measured
         return replace(found, whitening=whitening @ along_y, log_norm=log_norm)
+
+    def measure(self, dataset: Dataset, insertion: Insertion, needle: TrueNeedle) -> Insertion:
+        """Return the insertion with the tip of a simulated needle at its depth."""
+        data, alone = self.take_alone(dataset, insertion)
+        noise, s = data.noise.of(alone), np.array([insertion.depth])
+        ((_, *across),) = needle.read(s)
+        modes = pose_modes(np.array([[s[0], *across]]), 2 * np.array([across]) / s)  # (2, 6)
+        sd = math.sqrt(points_covariance(s, noise, None if alone.sd is None else alone.sd[-1:])[0, 0])
+        moved = modes @ (pose_sds(alone, noise, 2) * needle.draw(6))
+        y, z = across + moved + needle.scale * sd * needle.draw(2)
+        if insertion.tip is None:
+            return insertion.with_points(np.array([np.zeros(3), [insertion.depth, y, z]]))
+        return replace(insertion, tip=np.array([y, z + 0.0 * insertion.tip[1], insertion.tip[2]]))
 
 
 TIP = _Tip("tip", is_curve=False)

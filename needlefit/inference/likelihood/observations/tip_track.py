@@ -13,6 +13,7 @@ from scipy.linalg import block_diag
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, Insertion, Pose, find_pose
 from needlefit.datasets.noise import NoiseFloor, estimate_noise_floor
+from needlefit.errors import ConfigError
 from needlefit.geometry.frames import make_tracker_columns
 from needlefit.inference.compared_points import ComparedPoints, count_entry_side
 from needlefit.inference.likelihood.nodes import CARRIED, FRAME, GROUP_SLOPE, ErrorAxis, make_nodes
@@ -24,7 +25,7 @@ from needlefit.inference.likelihood.observation import (
     points_covariance,
     whiten,
 )
-from needlefit.inference.likelihood.observations import ObservationType
+from needlefit.inference.likelihood.observations import ObservationType, TrueNeedle
 from needlefit.mechanics.batch import Jacobians, NeedleShapes
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.schemas.compared import Compared
@@ -101,9 +102,14 @@ class _TipTrack(ObservationType):
             derivatives[:, :, plane] = moved.transpose(0, 2, 1)
         return derivatives
 
-    def simulate_places(self, insertion: Insertion, shape: NeedleShape) -> Floats:
-        """Return the tips at the depths of the readings."""
-        return self.read_points(shape, insertion.points[:, 0])
+    def measure(self, dataset: Dataset, insertion: Insertion, needle: TrueNeedle) -> Insertion:
+        """Return the insertion with the tips at its depths; ConfigError where errors are asked for."""
+        if needle.rng is not None:
+            raise ConfigError(
+                f"the dataset `{dataset.name}` holds tip tracks, which are not simulated",
+                expected="measured shapes, tips or curvatures",
+            )
+        return insertion.with_points(self.read_points(needle.shape, insertion.points[:, 0]))
 
     def thin(self, insertion: Insertion, count: int) -> Insertion:
         """Return the insertion with all its readings."""
