@@ -47,7 +47,7 @@ def measure_first(page: Page, address: str) -> float:
     page.goto("about:blank")
     began = time.monotonic()
     page.goto(address)
-    page.wait_for_selector("body.begun", state="attached")
+    page.wait_for_selector("#picture path", state="attached")
     return 1000 * (time.monotonic() - began)
 
 
@@ -64,7 +64,7 @@ def measure_keys(page: Page, place: str, keys: tuple[str, str], times: int) -> l
 
 def measure_bands(page: Page, times: int) -> float:
     """Return the median time from a key to the band of its needle, ms."""
-    page.focus("#canvas")
+    page.focus("#picture")
     waits = []
     for n in range(times):
         began = time.monotonic()
@@ -88,14 +88,14 @@ def measure(subject: str, times: int) -> dict[str, object]:
         page.evaluate(WATCH)
         arrows = ("ArrowLeft", "ArrowRight")
         slider = "#tissue-fields .slider >> nth=1"
-        found["keys"] = measure_keys(page, "#canvas", arrows, times)
+        found["keys"] = measure_keys(page, "#picture", arrows, times)
         found["modulus"] = measure_keys(page, slider, arrows, times)
         if page.evaluate("needlefit.scene.draws !== null"):
             found["band"] = round(measure_bands(page, min(times, 20)))
         page.set_viewport_size(PHONE)
         devtools = page.context.new_cdp_session(page)
         devtools.send("Emulation.setCPUThrottlingRate", {"rate": PHONE_SLOWER})
-        found["phone_keys"] = measure_keys(page, "#canvas", arrows, times)
+        found["phone_keys"] = measure_keys(page, "#picture", arrows, times)
         found["phone_modulus"] = measure_keys(page, slider, arrows, times)
         browser.close()
     return found

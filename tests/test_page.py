@@ -116,7 +116,7 @@ def test_the_errors_are_those_of_the_study_at_the_measured_depth(page) -> None:
     assert abs(after["errors"]["te_mm"] - state["errors"]["te_mm"]) > 0.01
     enter(page.locator(MU), "-5")
     assert "-5 kPa" in page.inner_text("#refusal")
-    page.focus("#canvas")
+    page.focus("#picture")
     assert get(page, "s.layers[0].mu_pa") == after["layers"][0]["mu_pa"]
     assert float(page.input_value(MU)) == pytest.approx(700)
 
@@ -124,7 +124,7 @@ def test_the_errors_are_those_of_the_study_at_the_measured_depth(page) -> None:
 @sweep
 def test_keys_and_buttons_have_their_effects_and_are_undone(page) -> None:
     begun = get(page, "s")
-    page.focus("#canvas")
+    page.focus("#picture")
     for key, true in (
         ("ArrowLeft", f"Math.abs(s.depth_mm - {begun['depth_mm'] - 1}) < 1e-9"),
         ("Shift+ArrowRight", f"Math.abs(s.depth_mm - {begun['depth_mm'] - 0.9}) < 1e-9"),
@@ -144,7 +144,7 @@ def test_keys_and_buttons_have_their_effects_and_are_undone(page) -> None:
 
 def test_the_picture_is_shifted_zoomed_and_goes_back(page) -> None:
     """By drag, by wheel once it has the focus, by a double click; the inset lies in the window."""
-    box, before = page.locator("#canvas").bounding_box(), get(page, "n.view.scale")
+    box, before = page.locator("#picture").bounding_box(), get(page, "n.view.scale")
     page.mouse.move(box["x"] + 300, box["y"] + 120)
     page.mouse.wheel(0, -300)
     page.wait_for_timeout(200)
@@ -193,7 +193,7 @@ DROP = """([name, text]) => {
 
 
 def test_a_drive_is_saved_replayed_reloaded_and_dropped_to_the_same_bits(page) -> None:
-    page.focus("#canvas")
+    page.focus("#picture")
     for key in ("ArrowUp", "f", "ArrowLeft", "ArrowLeft", "r", "ArrowRight"):
         page.keyboard.press(key)
     until(page, "s.z")
@@ -256,7 +256,7 @@ def test_a_thousand_random_actions_are_without_a_fault(subject, chromium) -> Non
                     chips = page.locator("[data-show]:visible")
                     chips.nth(int(rng.integers(chips.count()))).click()
                 case _:
-                    page.focus("#canvas")
+                    page.focus("#picture")
                     page.keyboard.press(str(rng.choice(keys)))
         assert np.isfinite(get(page, "s.y")).all()
 
@@ -369,8 +369,7 @@ def find_curve(page, drawing, colour: str, curve: str) -> None:
     """A curve of the page lies in the file between the same limits, point by point."""
     view, box = get(page, "n.view"), get(page, "n.view.box")
     frame = drawing.find(f"{SVG}clipPath/{SVG}path").get("d")
-    corners = np.array(re.findall(r"[-\d.]+", frame), dtype=float).reshape(4, 2)
-    (left, top), (width, height) = corners[0], corners[2] - corners[0]
+    left, top, width, height, _ = map(float, re.findall(r"[-\d.]+", frame))
     x, y = (np.array(get(page, f"{curve}.{axis}")) for axis in "xy")
     expected = np.column_stack(
         (
@@ -390,7 +389,7 @@ def test_saved_figures_of_twenty_random_paths_are_the_picture(subject, chromium)
     with opened(chromium, subject, color_scheme="dark") as page:
         for n in range(20):
             for _ in range(int(rng.integers(1, 6))):
-                page.focus("#canvas")
+                page.focus("#picture")
                 page.keyboard.press(str(rng.choice([*"frk+", "ArrowLeft", "ArrowUp", "ArrowDown"])))
             page.click(f"[data-fit={('whole', 'tissue')[n % 2]}]")
             page.mouse.wheel(0, 40 * (n % 4 - 1))

@@ -33,8 +33,8 @@ PROGRAM = """
 import {readFileSync} from 'node:fs'
 import {compile, Session} from KERNEL
 const load = (name) => import(PAGE + name)
-const [{SteeredNeedle}, {describeState}, {computeBand}, {computeValidity}, {toInputs}] = await Promise.all(
-  ['steered.js', 'state.js', 'band.js', 'validity.js', 'inputs.js'].map(load))
+const [{SteeredNeedle}, {describeState}, {computeBand}, {computeValidity}] = await Promise.all(
+  ['steered.js', 'state.js', 'band.js', 'validity.js'].map(load))
 const {scene, orders, draws} = JSON.parse(readFileSync(0, 'utf8'))
 const kernel = await compile(readFileSync(WASM))
 const hex = array => Buffer.from(array.buffer, array.byteOffset, array.byteLength).toString('hex')
@@ -51,12 +51,11 @@ for (const {changes, keep, forget} of orders) {
   }
   const {x, u, slope, constraints} = steered.session.shape
   found.push({fault, tip: steered.tipLateral, shape: [x, u, slope, constraints].map(hex),
-    path: steered.path(), state: describeState(steered),
+    path: steered.session.path(), state: describeState(steered),
     load: Array.from(steered.session.load([0, 0.4, 1].map((part) => part * steered.session.shape.depth))),
     validity: computeValidity(steered.session.shape, steered.model)})
 }
-const {pathAngle} = steered.model
-const steps = steered.path().map(one => ({depth: one.depth, inputs: toInputs(one, pathAngle)}))
+const steps = steered.session.path()
 const session = await Session.begin(kernel, steered.model, steps[0].inputs)
 console.log(JSON.stringify({found, band: computeBand(session, draws, steps)}))
 """
@@ -188,7 +187,8 @@ def test_the_page_simulates_the_bytes_of_the_program(name: str, seed: int) -> No
             {key: float(getattr(expected, key)) for key in found["validity"]}, rel=1e-9, abs=1e-12
         )
         path = steering.input_path()
-        assert [(one["depth"], one["bevel"]["side"], one["bevel"]["roll"]) for one in found["path"]] == [
+        bevels = [(one["depth"], one["inputs"]["bevel"]) for one in found["path"]]
+        assert [(depth, bevel["side"], bevel["roll"]) for depth, bevel in bevels] == [
             (one.depth, one.bevel.side, one.bevel.roll_deg) for one in path
         ]
     assert 0 < refused < 40

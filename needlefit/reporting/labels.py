@@ -10,7 +10,7 @@ GREEN = "#009E73"
 SKY_BLUE = "#56B4E9"
 
 METHOD_NAMES = {
-    "fitted": "posterior-mode fit",
+    "fitted": "our fit",
     "prediction": "our prediction",
     "fitted_metric": "error-minimising fit",
     "b_alone": "b alone, μ from the prior",

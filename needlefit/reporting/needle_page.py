@@ -167,25 +167,19 @@ def encode_law(law: str, shape: Floats) -> Floats:
 
 
 def encode_step(step: Step) -> dict[str, Any]:
-    """Return a step of an insertion, as the page simulates it."""
+    """Return a step of an insertion, as `Session` of `native/needle.js` takes it."""
     bevel, held, tip = step.bevel, step.controls, step.controls.tip
+    strength = bevel.offset or bevel.cut_angle  # the other one is 0
     return {
         "depth": step.depth,
-        "bevel": {
-            "side": bevel.side,
-            "roll": bevel.roll_deg,
-            "offset": bevel.offset,
-            "cutAngle": bevel.cut_angle,
-        },
-        "controls": {
-            "baseY": held.base_y,
-            "baseSlope": held.base_slope,
-            "stageSlope": held.stage_slope,
+        "inputs": {
+            "bevel": {"side": bevel.side, "roll": bevel.roll_deg, "strength": strength},
+            "base": {"y": held.base_y, "slope": held.base_slope, "stageSlope": held.stage_slope},
             "guides": [
                 {"x": guide.x, "y": guide.y, "slope": guide.slope, "name": guide.name}
                 for guide in held.guides
             ],
-            "tip": tip and {"y": tip.y, "slope": tip.slope},
+            "tip": tip and {"y": tip.y, "slope": tip.slope, "z": 0.0},
         },
     }
 
@@ -214,8 +208,8 @@ def encode_model(scene: Scene, first_cell: float, changes: Sequence[Any]) -> dic
             "spacing": rules.spacing, "element": rules.element, "firstCell": first_cell,
             "pathAngle": rules.path_angle, "switch": rules.switch, "tangent": rules.tangent,
             "tolerance": rules.tolerance, "maxIterations": rules.max_iterations,
+            "shape": tissue.shape.tolist(),
         },
-        "shape": tissue.shape.tolist(),
         "law": {"terms": terms, "tables": []},
         "steps": [encode_step(step) for step in scene.steps],
         "changes": changes,

@@ -12,7 +12,6 @@ import pandas as pd
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import InsertionInputs, InsertionPose, find_free_reach
 from needlefit.errors import ConfigError
-from needlefit.geometry.curves import TIP_POINTS
 from needlefit.mechanics.laws import LAWS, PowerLaw
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.packing import MAX_TOLERANCE_MM
@@ -192,17 +191,17 @@ def _collect_prediction(run: Run, data: PageData | None) -> PageData | None:
 
 
 def find_prediction(run: Run, fold: str, role: str, insertion: str) -> dict[str, Any] | None:
-    """Return our prediction of an insertion, which the verdict judges: its curve, mm, and its errors.
+    """Return our prediction of an insertion, which the verdict judges: its curve or tip, mm, and its errors.
 
-    None of an insertion that was not held out, or of which its tip alone is compared.
+    None of an insertion that was not held out.
     """
     place = {"fold": fold, "role": role, "insertion": insertion}
     place |= {"method": PREDICTION_METHOD, "boundaries": "measured"}
     shapes, errors = (select_rows(run.frames[name], **place) for name in ("shapes", "errors"))
-    if len(shapes) <= TIP_POINTS or errors.empty:
+    if shapes.empty or errors.empty:
         return None
-    (row,) = to_records(errors)
-    curve = {axis: shapes[f"simulated_{axis}_mm"].tolist() for axis in "xy"}
+    (row,), drawn = to_records(errors), find_measured(len(shapes))
+    curve = {axis: shapes[f"simulated_{axis}_mm"].tolist()[drawn] for axis in "xy"}
     return curve | {"errors": {metric.name: row.get(metric.name) for metric in list_metrics()}}
 
 

@@ -38,7 +38,7 @@ from needlefit.reporting.text import KindText
 from needlefit.schemas.run_metadata import FitMetadata, RigidityMetadata
 from needlefit.studies import scored_groups as scores
 from needlefit.studies.coverage import COVERAGE_COLUMNS, tabulate_coverage
-from needlefit.studies.fit_frames import NEW_SPECIMEN, PREDICTION_METHOD, TUNED_SPECIMENS, FitFrames
+from needlefit.studies.fit_frames import NEW_SPECIMEN, TUNED_SPECIMENS, FitFrames
 from needlefit.studies.identification import FROM_PRIOR, ParameterRow
 from needlefit.studies.identification_tables import describe_prior
 from needlefit.studies.judge import MAX_NOISE_RATIO, REFERENCES, judge
@@ -65,22 +65,21 @@ class _RowKind:
     column: str = "value"
 
 
-_FITTED = _RowKind("posterior-mode fit")
-_B_ALONE = _RowKind(method_name("b_alone"), method="b_alone")
 _FLOOR, _PAPER = _RowKind("noise floor", column="floor"), _RowKind("paper", column="paper")
-_HELD_OUT_KINDS = (
-    _FITTED,
-    _RowKind("our prediction", method=PREDICTION_METHOD),
-    _RowKind("error-minimising fit", method="fitted_metric"),
-    _B_ALONE,
-)
+
+
+def _list_kinds(*methods: str) -> list[_RowKind]:
+    return [_RowKind(method_name(method), method) for method in methods]
 
 
 def lay_out_validation(*runs: Run) -> TableLayout:
     """Return the errors by held-out group: ours, noise floor, paper."""
-    groups = [group for run in runs for group in scores.list_groups(run)]
     heads = ("study", "medium", "layers", "insertions")[len(runs) == 1 :]
-    blocks = [(group, (*_HELD_OUT_KINDS, _FLOOR, _PAPER)) for group in groups]
+    blocks = [
+        (group, (*_list_kinds(FitFrames.of(run).method, "fitted_metric", "b_alone"), _FLOOR, _PAPER))
+        for run in runs
+        for group in scores.list_groups(run)
+    ]
     return _lay_out_groups("validation", blocks, heads, medians=_count_medians(runs))
 
 
@@ -88,7 +87,9 @@ def lay_out_tuning(*runs: Run) -> TableLayout:
     """Return the in-sample errors by medium and number of layers."""
     groups = [group for run in runs for group in scores.list_groups(run, scores.BY_LAYERS)]
     heads = ("study", "medium", "layers", "insertions")[len(runs) == 1 :]
-    return _lay_out_groups("tuning", [(group, (_FITTED, _FLOOR, _PAPER)) for group in groups], heads)
+    return _lay_out_groups(
+        "tuning", [(group, (*_list_kinds("fitted"), _FLOOR, _PAPER)) for group in groups], heads
+    )
 
 
 def lay_out_summary(run: Run) -> TableLayout:
@@ -110,8 +111,7 @@ def lay_out_summary(run: Run) -> TableLayout:
     if judged and judged.curve and judged.curve not in curves:
         curves.append(judged.curve)
     kinds = (
-        _RowKind("our prediction" if frames.method == PREDICTION_METHOD else "our fit", frames.method),
-        *(_RowKind(method_name(curve), curve) for curve in curves),
+        *_list_kinds(frames.method, *curves),
         _RowKind(f"our needles, simulated with the paper's parameters{of_other}", "hand_tuned"),
         _RowKind("paper's result, on its own needles", column="paper"),
     )
@@ -257,15 +257,15 @@ def lay_out_coverage(run: Run) -> TableLayout:
 
 
 def lay_out_baselines(run: Run, role: str) -> TableLayout:
-    """Return every method's errors and its paired difference from the fit on the same insertions."""
+    """Return every method's errors and its paired difference from ours on the same insertions."""
     digits = 3 if (FitFrames.of(run).errors["comparison"] == "aligned").any() else 2
     compared = scores.compare_methods(run, role)
     rows = [
         {
             **{**row, DIGITS: digits, "method": method_name(row["method"], run.origin)},
-            **({"difference_mm": None, "better": ""} if row["method"] == "fitted" else {}),
+            **({} if number else {"difference_mm": None, "better": ""}),  # it is ours
         }
-        for row in to_records(compared)
+        for number, row in enumerate(to_records(compared))
     ]
     errors = [
         metric.name

@@ -16,7 +16,7 @@ from needlefit.metrics import known_metrics, verdict_metrics
 from needlefit.reporting.table_files import Row, select_rows, to_records
 from needlefit.schemas.compared import DIRECTIONS
 from needlefit.schemas.run_metadata import JobMetadata
-from needlefit.studies.fit_frames import FitFrames, list_methods
+from needlefit.studies.fit_frames import PREDICTION_METHOD, FitFrames, list_methods
 from needlefit.studies.run import Run, value_of_run
 
 AGGREGATE_COLUMNS = ("metric", "value", "floor", "unflagged", "insertions", "edp_flagged", "not_converged")
@@ -75,7 +75,9 @@ def count_directions(run: Run) -> int:
 
 @value_of_run
 def compare_methods(run: Run, role: str) -> pd.DataFrame:
-    """Compare the errors of every method with the fit's on the same insertions and folds of a role.
+    """Compare the errors of every method with ours on the same insertions and folds of a role.
+
+    Ours are those of the prediction where there is one; those of the fit are then in no row.
 
     Errors of one group are first averaged (`group_independent`): the four depths of one hole are no four
     needles.
@@ -83,10 +85,10 @@ def compare_methods(run: Run, role: str) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        `method`, `insertions` (or groups of repeats), the mean of every headline metric, `difference_mm`
-        (mean over them of the method's tip error, without any its score, minus the fit's; positive: the
-        method is worse),
-        `difference_se_mm` (its standard error) and `better` (insertions on which the fit's is smaller).
+        Ours first: `method`, `insertions` (or groups of repeats), the mean of every headline metric,
+        `difference_mm` (mean over them of the method's tip error, without any its score, minus ours;
+        positive: the method is worse), `difference_se_mm` (its standard error) and `better` (insertions on
+        which ours is smaller).
     """
     errors = FitFrames.of(run).select_errors(role)
     names = [metric.name for metric in known_metrics(errors.columns) if metric.headline]
@@ -95,9 +97,11 @@ def compare_methods(run: Run, role: str) -> pd.DataFrame:
     keys = [errors["method"], errors["fold"], list(group_rows(errors))]
     means = values.where(np.isfinite(values)).groupby(keys, sort=False).mean()
     present, rows = set(errors["method"]), []
-    for method in [name for name in list_methods() if {name, "fitted"} <= present]:
+    methods = [name for name in list_methods() if name in present]
+    methods = methods[PREDICTION_METHOD in present :]
+    for method in methods:
         theirs = means.loc[method]
-        gaps = (theirs[score] - means.loc["fitted"][score]).dropna()
+        gaps = (theirs[score] - means.loc[methods[0]][score]).dropna()
         averages = {name: float(theirs.loc[gaps.index, name].mean()) for name in names}
         row = {"method": method, "insertions": len(gaps), **averages}
         row |= {"difference_mm": gaps.mean(), "difference_se_mm": gaps.sem(), "better": int((gaps > 0).sum())}

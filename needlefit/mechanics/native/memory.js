@@ -71,10 +71,6 @@ export class Heap {
   integers(at, count) {
     return new BigInt64Array(this.memory.buffer, at, count);
   }
-  /** @param {number} at */
-  view(at) {
-    return new DataView(this.memory.buffer, at);
-  }
 
   /** Write a structure of 64-bit numbers and 32-bit addresses. @param {(number | bigint)[]} integers @param {number[]} numbers @param {number[]} addresses */
   structure(integers, numbers, addresses) {

@@ -11,7 +11,7 @@
 
 import { STATUS, Heap, check, compile, makeProblem, makeShapes, rewrite } from "./memory.js";
 
-export { STATUS, compile };
+export { compile };
 
 const SAME_DEPTH = 1e-9; // mm
 const MAX_ELEMENTS = 5000;
@@ -90,14 +90,14 @@ const findDeepest = ({ length, element }) => Math.min(length, MAX_ELEMENTS * ele
 
 /** The shape of a problem of one set. @param {Heap} heap @param {ReturnType<typeof makeShapes>} shapes @param {number} points @returns {Shape} */
 function readShape(heap, { places, planes, room }, points) {
-  const [status, passes, nodes] = ["status", "passes", "nodes"].map((name) => Number(heap.integers(places[name], 1)[0]));
+  const [status, nodes] = ["status", "nodes"].map((name) => Number(heap.integers(places[name], 1)[0]));
   /** @param {string} name @param {number} count */
   const read = (name, count, plane = 0) => heap.floats(places[name] + 8 * plane * room, count).slice();
   /** @param {string} name */
   const readPlanes = (name) => (planes === 1 ? read(name, nodes) : Float64Array.of(...read(name, nodes), ...read(name, nodes, 1)));
   const x = read("x", nodes);
   return {
-    status: STATUS[status], passes, depth: x[nodes - 1], planes, x, u: readPlanes("u"), slope: readPlanes("slope"),
+    status: STATUS[status], depth: x[nodes - 1], planes, x, u: readPlanes("u"), slope: readPlanes("slope"),
     constraints: read("constraints", (1 + planes) * points), track: read("track", 2 * planes * points),
   };
 }

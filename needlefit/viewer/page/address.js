@@ -4,7 +4,8 @@
  */
 
 import { readPoints } from "./model/errors.js";
-import { ModelError, rollOf, wrap } from "./model/inputs.js";
+import { rollOf, wrap } from "./model/bevel.js";
+import { ModelError } from "./model/inputs.js";
 import { SteeredNeedle } from "./model/steered.js";
 import { strengthOf } from "./quantities.js";
 
@@ -12,17 +13,13 @@ const POINTS = 21; // of two needles that are compared
 export const SAME = 1e-6; // mm: what differs by more is another needle
 const DIGITS = 12; // of a number of an address
 
-/** @type {(key: string, input: string, item: number | null, toInput: number, toModel: number, read: AddressKey["read"]) => AddressKey} */
-const makeKey = (key, input, item, toInput, toModel, read) => ({ key, input, item, toInput, toModel, read });
-
-/** What can stand in the address besides depth, turns and roll. @param {Scene} scene */
+/** What can stand in the address besides depth, turns and roll. @param {Scene} scene @returns {AddressKey[]} */
 function listKeys({ fitted, shape_parameters: shapes }) {
   const { throughout, symbol } = strengthOf(fitted);
-  const strength = symbol === "b" ? makeKey("b", throughout, null, 1, 1, ({ step }) => step.bevel.offset)
-    : makeKey("theta", throughout, null, 1, Math.PI / 180, ({ step }) => step.bevel.cutAngle);
-  return [strength, ...fitted.layers.flatMap((_, i) => [
-    makeKey(`mu${i + 1}`, "mu_pa", i + 1, 1e3, 1e-3, ({ model }) => model.mu[i]),
-    ...shapes.map(({ name }, row) => makeKey(`${name}${i + 1}`, name, i + 1, 1, 1, ({ shape }) => shape[row][i])),
+  const [name, toModel] = symbol === "b" ? ["b", 1] : ["theta", Math.PI / 180];
+  return [[name, throughout, null, 1, toModel, ({ inputs }) => inputs.bevel.strength], ...fitted.layers.flatMap((_, i) => [
+    /** @type {AddressKey} */ ([`mu${i + 1}`, "mu_pa", i + 1, 1e3, 1e-3, ({ model }) => model.mu[i]]),
+    ...shapes.map(({ name }, row) => /** @type {AddressKey} */ ([name + (i + 1), name, i + 1, 1, 1, ({ model }) => model.shape[row][i]])),
   ])];
 }
 
@@ -36,21 +33,21 @@ const shorten = (value) => Number(value.toPrecision(DIGITS));
  * @param {WebAssembly.Module} kernel @param {SteeredNeedle} steered @param {string | null} [name]
  */
 export async function writeAddress(kernel, steered, name = null) {
-  const { scene, step } = steered;
-  const path = steered.path();
-  const rolls = path.map(({ bevel }) => wrap(rollOf(bevel)));
+  const { scene, session } = steered;
+  const path = session.path();
+  const rolls = path.map(({ inputs }) => wrap(rollOf(inputs.bevel)));
   const values = new URLSearchParams(name === null ? {} : { needle: name });
-  values.set("depth", String(step.depth));
+  values.set("depth", String(session.depth));
   values.set("roll", String(rolls.at(-1)));
   const turns = path.slice(0, -1).map(({ depth }, i) => {
     const by = shorten(wrap(rolls[i + 1] - rolls[i]));
     return by === 180 ? depth : `${depth}:${by}`;
   });
   if (turns.length) values.set("turn", turns.join(","));
-  const { model, shape, steps: [first] } = scene.simulation;
-  for (const { key, item, toModel, read } of listKeys(scene)) {
-    const value = read(steered);
-    if (!item || value !== read({ model, shape, step: first })) values.set(key, String(shorten(value / toModel)));
+  const { model, steps: [{ inputs }] } = scene.simulation;
+  for (const [key, , item, , toModel, read] of listKeys(scene)) {
+    const value = read(session);
+    if (!item || value !== read({ model, inputs })) values.set(key, String(shorten(value / toModel)));
   }
   const address = values.toString().replaceAll("%2C", ",").replaceAll("%3A", ":");
   return (await leadsTo(kernel, address, steered)) ? address : null;
@@ -65,7 +62,7 @@ async function leadsTo(kernel, address, steered) {
     if (!(error instanceof ModelError)) throw error;
     return false;
   }
-  const s = Array.from({ length: POINTS }, (_, i) => (steered.step.depth * i) / (POINTS - 1));
+  const s = Array.from({ length: POINTS }, (_, i) => (steered.session.depth * i) / (POINTS - 1));
   const [reached, wanted] = [other, steered].map(({ session }) => readPoints(session, s));
   return reached.every((point, i) => Math.hypot(...point.map((value, axis) => value - wanted[i][axis])) < SAME);
 }
@@ -77,7 +74,7 @@ export const nameIn = (address) => new URLSearchParams(address).get("needle");
 export function readAddress(address, scene) {
   const values = new URLSearchParams(address);
   const keys = listKeys(scene);
-  const known = ["needle", "depth", "roll", "turn", ...keys.map(({ key }) => key)];
+  const known = ["needle", "depth", "roll", "turn", ...keys.map(([key]) => key)];
   /** @param {string} key @param {string | null} text */
   const number = (key, text, low = -Infinity) => {
     const value = Number(text);
@@ -99,14 +96,14 @@ export function readAddress(address, scene) {
   });
   const ordered = turns.every(({ at }, i) => at > 0 && at >= (turns[i - 1]?.at ?? 0) && at <= depth); // twice in one place: a new ray
   if (!ordered) throw new ModelError(`the address has turn=${values.get("turn")}`, `increasing depths, up to ${depth} mm`);
-  let roll = values.has("roll") ? number("roll", values.get("roll")) : rollOf(first.bevel);
+  let roll = values.has("roll") ? number("roll", values.get("roll")) : rollOf(first.inputs.bevel);
   const after = turns.toReversed().map(({ by }) => {
     const end = roll;
     roll = wrap(roll - by);
     return end;
   }).reverse();
   /** @type {Change[]} */
-  const inputs = keys.filter(({ key }) => values.has(key)).map(({ key, input, item, toInput }) => [input, item, toInput * number(key, values.get(key))]);
+  const inputs = keys.filter(([key]) => values.has(key)).map(([key, input, item, toInput]) => [input, item, toInput * number(key, values.get(key))]);
   /** @type {Change[][]} */
   const lists = [[["return_to", null, 0]], [["bevel_roll_deg", null, roll], ...inputs]];
   turns.forEach(({ at }, i) => lists.push([["depth_mm", null, at]], [["bevel_roll_deg", null, after[i]]]));

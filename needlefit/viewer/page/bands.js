@@ -1,6 +1,5 @@
 /** The band of the scene's draws about the needle that is shown; a thread of its own computes it. */
 
-import { toInputs } from "./model/inputs.js";
 import { listen, now, take } from "./store.js";
 
 /** Have a worker compute it. @param {Worker} worker */
@@ -15,9 +14,8 @@ export function computeBands(worker) {
   function order() {
     if (!now.state || ordered === JSON.stringify(about())) return;
     ordered = JSON.stringify(about());
-    const { model } = now.steered;
-    const steps = now.steered.path().map((step) => ({ depth: step.depth, inputs: toInputs(step, model.pathAngle) }));
-    worker.postMessage({ id: about(), model, steps });
+    const { session } = now.steered;
+    worker.postMessage({ id: about(), model: session.model, steps: session.path() });
   }
 
   worker.onmessage = ({ data: { id, band } }) => {

@@ -1,38 +1,26 @@
 /** The picture and the view from above, drawn anew in the next frame after something has changed, and moved by the pointer. */
 
-import { getContext, onScheme, part } from "./dom.js";
+import { part } from "./dom.js";
 import { isSpatial, paintAbove, paintPicture } from "./painters/picture.js";
-import { readPalette } from "./painters/strokes.js";
-import { Screen } from "./sheet.js";
+import { drawOn } from "./sheet.js";
 import { listen, now, publish, redraw } from "./store.js";
 import { fit, follow, pan, resize, zoom } from "./view.js";
 
 const NOTCHES = [300, 10, 2]; // wheel units that halve the scale, by deltaMode
-/** @type {HTMLCanvasElement} */
-const canvas = part("canvas");
+/** @type {SVGSVGElement} */
+const picture = part("picture");
 let frame = 0;
 
-/** Width and height of the picture, px. @returns {Point} */
-export const size = () => [canvas.clientWidth, canvas.clientHeight];
+/** Width and height of a part, px. @param {Element} shown @returns {Point} */
+export const sizeOf = ({ clientWidth, clientHeight }) => [clientWidth, clientHeight];
 
-/** A sheet on a canvas, which gets as many pixels as the screen has for it. @param {HTMLCanvasElement} on */
-function makeSheet(on) {
-  const [width, height] = [on.clientWidth, on.clientHeight].map((one) => Math.round(one * devicePixelRatio));
-  if (on.width !== width || on.height !== height) Object.assign(on, { width, height });
-  const context = getContext(on);
-  context.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
-  return new Screen(context);
-}
-
-/** Draw at once, as before the page is printed. */
-export function draw() {
+function draw() {
   frame = 0;
   if (now.state) {
     const above = part("above");
-    above.hidden = !isSpatial();
-    if (!above.hidden) paintAbove(makeSheet(above), [above.clientWidth, above.clientHeight]);
-    paintPicture(makeSheet(canvas), size());
-    document.body.classList.add("begun");
+    above.toggleAttribute("hidden", !isSpatial());
+    if (isSpatial()) drawOn(above, sizeOf(above), () => paintAbove(sizeOf(above)));
+    drawOn(picture, sizeOf(picture), () => paintPicture(sizeOf(picture)));
   }
   publish("drawn");
 }
@@ -40,21 +28,19 @@ export function draw() {
 listen("redraw", () => (frame ||= requestAnimationFrame(draw)));
 listen("state", () => (follow(), redraw()));
 listen("band", redraw);
-new ResizeObserver(() => resize(...size())).observe(part("picture"));
+new ResizeObserver(() => resize(...sizeOf(picture))).observe(picture);
 new ResizeObserver(redraw).observe(part("above"));
-onScheme(() => (readPalette(), redraw()));
-readPalette();
 
 // A mouse shifts what is seen, its wheel zooms once the picture has the focus: before, both are the page's.
 let last = [0, 0]; // where the pointer was, px
-canvas.addEventListener("pointerdown", ({ pointerId }) => canvas.setPointerCapture(pointerId));
-canvas.addEventListener("pointermove", ({ buttons, pointerType, offsetX, offsetY }) => {
+picture.addEventListener("pointerdown", ({ pointerId }) => picture.setPointerCapture(pointerId));
+picture.addEventListener("pointermove", ({ buttons, pointerType, offsetX, offsetY }) => {
   if (buttons === 1 && pointerType !== "touch") pan(offsetX - last[0], offsetY - last[1]);
   last = [offsetX, offsetY];
 });
-canvas.addEventListener("wheel", (event) => {
-  if (document.activeElement !== canvas && !event.ctrlKey) return;
+picture.addEventListener("wheel", (event) => {
+  if (document.activeElement !== picture && !event.ctrlKey) return;
   event.preventDefault();
   zoom(2 ** (-event.deltaY / NOTCHES[event.deltaMode]), [event.offsetX, event.offsetY]);
 }, { passive: false });
-canvas.addEventListener("dblclick", () => fit("tissue"));
+picture.addEventListener("dblclick", () => fit("tissue"));

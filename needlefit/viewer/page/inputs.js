@@ -1,42 +1,41 @@
 /** The inputs of a file's needle: its depth, bevel, base and guides, and the parameters of the model. */
 
 import { part } from "./dom.js";
-import { Field } from "./fields.js";
-import { rollOf } from "./model/inputs.js";
+import { addField } from "./fields.js";
+import { rollOf } from "./model/bevel.js";
 import { brief, degrees, describeRoll, modulusLike, shortName, slope, strengthOf } from "./quantities.js";
 import { change } from "./steering.js";
 import { listen, now } from "./store.js";
 
 /** @type {(count: number) => (value: number) => string} */
 const digits = (count) => (value) => value.toFixed(count);
-let fields = /** @type {[field: Field, read: () => number][]} */ ([]); // and what is their value now
+let shown = /** @type {(() => void)[]} */ ([]); // what shows the value of each field
 
 const MM = { unit: "mm", step: 0.1, write: digits(2) };
 const TILT = { unit: "°", step: 0.1, write: digits(2) };
 
 /** Make the fields of a scene. Depth, base and guides of a recording have no values to go back to. @param {Needle} needle */
 export function buildFields({ scene, recording }) {
-  fields = [];
+  shown = [];
   for (const id of ["insertion-fields", "guide-fields", "tissue-fields", "shape-fields"]) part(id).replaceChildren();
   const { limits, fitted, simulation, layer_names: names, shape_parameters: shapes } = scene;
-  const { steps: [first], law } = simulation;
+  const { steps: [{ inputs: first }], law } = simulation;
 
   /** Add a field of an input: its value now, and in the file; a slope is shown as an angle. @type {(into: string, input: string, item: number | null, about: About, read: (state: State) => number, home: number | undefined) => void} */
   const add = (into, input, item, about, read, home) => {
-    const [shown, meant] = input.endsWith("slope") ? [degrees, slope] : [(/** @type {number} */ x) => x, (/** @type {number} */ x) => x];
-    const field = new Field(part(into), { ...about, ask: (value, how) => change([[input, item, meant(value)]], how) });
-    if (home !== undefined) field.setHome(shown(home));
-    fields.push([field, () => shown(read(now.state))]);
+    const [toField, fromField] = input.endsWith("slope") ? [degrees, slope] : [Number, Number];
+    const show = addField(part(into), about, home && toField(home), (value, how) => change([[input, item, fromField(value)]], how));
+    shown.push(() => show(toField(read(now.state))));
   };
   /** @type {(input: string, about: About, read: (state: State) => number, home: number) => void} */
   const addInput = (input, about, read, home) =>
     add("insertion-fields", input, null, { ...about, symbol: about.name }, read, recording ? undefined : home);
   addInput("depth_mm", { ...MM, name: "depth", step: 1, write: digits(1), limits: [0, limits.depth_mm - 0.01] }, (s) => s.depth_mm, scene.depth_mm);
-  addInput("base_y_mm", { ...MM, name: "base y", limits: [-10, 10] }, (s) => s.base.input_y, first.controls.baseY);
-  addInput("base_slope", { ...TILT, name: "base slope", limits: [-5, 5] }, (s) => s.base.input_slope, first.controls.baseSlope);
+  addInput("base_y_mm", { ...MM, name: "base y", limits: [-10, 10] }, (s) => s.base.input_y, first.base.y);
+  addInput("base_slope", { ...TILT, name: "base slope", limits: [-5, 5] }, (s) => s.base.input_slope, first.base.slope);
   addInput("bevel_roll_deg", { name: "roll", unit: "°", step: 10, limits: [-180, 180], write: (value) => brief(value, 6) },
     (s) => s.bevel.roll_deg, rollOf(first.bevel));
-  first.controls.guides.forEach((guide, i) => {
+  first.guides.forEach((guide, i) => {
     const item = i + 1;
     /** @param {"x" | "y" | "slope"} axis @param {About} about */
     const addGuide = (axis, about) => add("guide-fields", `guide_${axis}${axis === "slope" ? "" : "_mm"}`, item,
@@ -46,7 +45,7 @@ export function buildFields({ scene, recording }) {
     addGuide("y", { ...MM, name: "", write: digits(3) });
     if (guide.slope !== null) addGuide("slope", { ...TILT, name: "" });
   });
-  part("guide-part").hidden = !first.controls.guides.length;
+  part("guide-part").hidden = !first.guides.length;
   const { symbol, unit, digits: count, step, here, throughout, value } = strengthOf(fitted);
   const varies = recording?.some(([, changes]) => changes.some(([name]) => name === here)); // it has no value of the whole insertion
   if (!varies) {
@@ -56,7 +55,7 @@ export function buildFields({ scene, recording }) {
   part("shape-part").hidden = !law.terms || !shapes.length; // a law that is a table has been computed for these parameters alone
   fitted.layers.forEach((layer, i) => {
     const called = names[i] || `layer ${i + 1}`;
-    const about = { ...modulusLike(layer.mu_pa), name: `μ ${called}`, symbol: "μ", logarithmic: true, step: 1.05, limits: limits.mu_pa };
+    const about = { ...modulusLike(layer.mu_pa), name: `μ ${called}`, symbol: "μ", logarithmic: true, limits: limits.mu_pa };
     add("tissue-fields", "mu_pa", i + 1, about, (s) => s.layers[i].mu_pa, layer.mu_pa);
     for (const { name, symbol, unit } of law.terms ? shapes : []) {
       const [low, high] = limits[name];
@@ -69,7 +68,7 @@ export function buildFields({ scene, recording }) {
 
 /** Let every field say what is. */
 function refresh() {
-  for (const [field, read] of fields) field.show(read());
+  for (const show of shown) show();
   part("side").textContent = describeRoll(now.state.bevel);
 }
 

@@ -1,36 +1,30 @@
 /** The keys of the picture, while it has the focus, and the list of them. */
 
 import { element, entry, part, press } from "./dom.js";
-import { turnOver, wrap } from "./model/inputs.js";
+import { turnOver, wrap } from "./model/bevel.js";
 import { change, newGesture, redo, undo } from "./steering.js";
 import { now } from "./store.js";
 import { pin } from "./toolbar.js";
 import { fit, zoom } from "./view.js";
 
 const ROLL = 10; // degrees
-const WITHIN = 1000; // ms; a key pressed again so soon goes on with what the one before began
-const last = { key: "", at: -Infinity, gesture: 0 };
+let gesture = 0; // what a key that is held down does is undone together
 
-/** Change an input; the same key pressed again soon is undone with it. @param {string} key @param {Change[]} changes */
-function go(key, changes) {
-  const at = performance.now();
-  const again = key === last.key && at - last.at < WITHIN;
-  Object.assign(last, { key, at, gesture: again ? last.gesture : newGesture() });
-  change(changes, { gesture: last.gesture });
-}
+/** @param {Change} input */
+const go = (input) => change([input], { gesture });
 
 /** Insert, or retract if negative, by so many mm, as far as the needle goes. @param {number} mm */
 function insert(mm) {
-  const { step: { depth }, scene } = now.steered;
+  const { session: { depth }, scene } = now.steered;
   const end = Math.max(Math.min(now.steered.reach(), scene.limits.depth_mm), depth);
-  go("insert", [["depth_mm", null, Math.min(Math.max(depth + mm, 0), end)]]);
+  go(["depth_mm", null, Math.min(Math.max(depth + mm, 0), end)]);
 }
 
 const flip = () => change([turnOver(now.state.bevel.roll_deg)]);
 /** @param {number} by */
-const roll = (by) => go("roll", [["bevel_roll_deg", null, wrap(now.state.bevel.roll_deg + by)]]);
+const roll = (by) => go(["bevel_roll_deg", null, wrap(now.state.bevel.roll_deg + by)]);
 /** @param {number} mm */
-const moveBase = (mm) => go("base", [["base_y_mm", null, now.state.base.input_y + mm]]);
+const moveBase = (mm) => go(["base_y_mm", null, now.state.base.input_y + mm]);
 
 /** Keys as the browser calls them, what is written for them, and what they do. @type {[string[], string, string, (event: KeyboardEvent) => void][]} */
 const KEYS = [
@@ -58,13 +52,14 @@ function hear(event) {
   const act = command ? COMMANDS[key] : KEYS.find(([keys]) => keys.includes(key))?.[3];
   if (!act) return;
   event.preventDefault();
+  if (!event.repeat) gesture = newGesture();
   act(event);
 }
 
 for (const [written, what] of [...KEYS.map(([, key, effect]) => [key, effect]), ["Ctrl+Z, Y", "undo, redo"]]) {
   part("key-list").append(entry(element("kbd", {}, written), what));
 }
-part("canvas").addEventListener("keydown", hear);
+part("picture").addEventListener("keydown", hear);
 press("undo", undo);
 press("redo", redo);
 press("flip", flip);

@@ -1,7 +1,7 @@
 /** The needle of the address, and the address of the needle. */
 
 import { nameIn, readAddress, writeAddress } from "./address.js";
-import { part, press, write } from "./dom.js";
+import { element, part, press, write } from "./dom.js";
 import { ModelError } from "./model/inputs.js";
 import { refuse, steer } from "./steering.js";
 import { now } from "./store.js";
@@ -9,14 +9,22 @@ import { now } from "./store.js";
 /** @type {(needle: Needle) => string} */
 export const nameOf = ({ name, scene }) => name ?? scene.measured?.id ?? scene.title;
 
+/** Give the reader a file named as the needle. @param {BlobPart} content @param {string} type @param {string} ending */
+export function save(content, type, ending) {
+  const name = `${nameOf(now.needle).replace(/[^\w-]+/g, "-")}.${ending}`;
+  const link = /** @type {HTMLAnchorElement} */ (element("a", { href: URL.createObjectURL(new Blob([content], { type })), download: name }));
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
+  return name;
+}
+
 /** Show the needle of the address; resolves to whether it has one. The place of another part of a report is none. @param {(number: number) => Promise<void>} choose */
 export async function followAddress(choose) {
   const address = location.hash.slice(1);
-  if (!address) return false;
+  if (!address || document.querySelector(":target")) return false;
   const { needles } = now.data;
   const below = part("proof").parentElement;
   try {
-    if (part(decode(address))) return false;
     const name = nameIn(address);
     const number = needles.findIndex((one) => nameOf(one) === name);
     if (name !== null && number < 0) throw new ModelError(`the address has needle=${name}`, needles.map(nameOf).join(", "));
@@ -27,15 +35,6 @@ export async function followAddress(choose) {
   } catch (error) {
     refuse(error, below);
     return true;
-  }
-}
-
-/** @param {string} address */
-function decode(address) {
-  try {
-    return decodeURIComponent(address);
-  } catch {
-    throw new ModelError(`the address ends with #${address}, which is no text`, "depth=, in mm, as Copy link writes it");
   }
 }
 

@@ -1,6 +1,6 @@
 /** What quantities, guides and the bevel's strength are called, and how numbers are written and read. */
 
-import { rollOf, wrap } from "./model/inputs.js";
+import { rollOf, wrap } from "./model/bevel.js";
 
 /** @param {number | null} value @param {string} unit */
 export const writeError = (value, unit) => (value === null ? "–" : unit === "%" ? brief(value, 3) : value.toFixed(3));
@@ -22,12 +22,13 @@ export const brief = (value, digits = 4) => String(Number(value.toPrecision(digi
 /** @param {number} count @param {string} one */
 export const counted = (count, one) => `${count} ${one}${count === 1 ? "" : "s"}`;
 
-/** How moduli (Pa) like one are written and read: in kPa, from 1 MPa on in MPa. @param {number} one */
+/** How moduli (Pa) like one are written, stepped and read: in kPa, from 1 MPa on in MPa. @param {number} one */
 export function modulusLike(one) {
   const [unit, pascals] = /** @type {[string, number]} */ (one < 1e6 ? ["kPa", 1e3] : ["MPa", 1e6]);
   /** @param {number} value */
   const write = (value, digits = 4) => brief(value / pascals, digits);
-  return { unit, write, read: (/** @type {string} */ text) => Number(text) * pascals };
+  const step = 10 ** Math.floor(Math.log10(one / pascals) - 1); // of two digits
+  return { unit, step, write, read: (/** @type {string} */ text) => Number(text) * pascals };
 }
 
 /** A modulus, Pa, with its unit. @param {number} value */
@@ -70,9 +71,9 @@ export const predictionOf = (state, scene) =>
 /** Whether parameters or inputs are others than those of the scene at this depth: the needle is then not the one that was measured. @param {State} state @param {Scene} scene */
 export function isSteered(state, scene) {
   const { steps } = scene.simulation;
-  const { bevel, controls } = steps.find(({ depth }) => depth >= state.depth_mm - 1e-6) ?? steps[steps.length - 1];
+  const { inputs } = steps.find(({ depth }) => depth >= state.depth_mm - 1e-6) ?? steps[steps.length - 1];
   const { base, guides, tip } = state;
-  return isChanged(state, scene) || state.bevel.roll_deg !== wrap(rollOf(bevel)) || tip.held !== Boolean(controls.tip)
-    || base.input_y !== controls.baseY || base.input_slope !== controls.baseSlope || guides.length !== controls.guides.length
-    || guides.some(({ x, y }, i) => x !== controls.guides[i].x || y !== controls.guides[i].y);
+  return isChanged(state, scene) || state.bevel.roll_deg !== wrap(rollOf(inputs.bevel)) || tip.held !== Boolean(inputs.tip)
+    || base.input_y !== inputs.base.y || base.input_slope !== inputs.base.slope || guides.length !== inputs.guides.length
+    || guides.some(({ x, y }, i) => x !== inputs.guides[i].x || y !== inputs.guides[i].y);
 }

@@ -6,8 +6,6 @@ import { describeRoll, isSteered, listErrors, predictionOf, signed, strengthOf, 
 import { listen, now } from "./store.js";
 import { toPy, view } from "./view.js";
 
-
-
 /** What is read of the needle: a name, a unit, and how it is written from a state. @type {[string, string, (state: State) => string][]} */
 const NEEDLE = [
   ["depth", "mm", (s) => s.depth_mm.toFixed(2)],
@@ -32,19 +30,6 @@ function fillReadouts(list, readouts) {
 const writeNeedle = fillReadouts(part("readouts"), NEEDLE);
 let writeErrors = (/** @type {Errors | null} */ _errors) => {}; // of the comparison with a measured needle: each that is shown
 
-function refresh() {
-  const { state, scene } = now;
-  writeNeedle(state);
-  part("readouts").children[TIP_Z].hidden = !state.z;
-  const title = part("title"); // a report has none
-  const follows = scene.plan && !now.replay?.changed;
-  if (title) write(title, `${follows ? "plan: " : isSteered(state, scene) ? "steered by hand: " : ""}${scene.title}`);
-  if (!scene.measured) return;
-  const prediction = predictionOf(state, scene);
-  writeErrors(state.errors && { ...state.errors, ...prediction?.errors });
-  write("against", `${prediction ? "prediction " : ""}against ${scene.measured.id}${state.errors ? `, ${comparedUpTo(state.errors)}` : ""}`);
-}
-
 /** Up to where errors compare: whole, or the part of the measured needle that the needle has reached. @param {Errors} errors */
 const comparedUpTo = ({ whole, upto_mm: upto }) =>
   whole ? "over the whole insertion" : `over the first ${upto.toFixed(1)} mm`;
@@ -60,14 +45,23 @@ listen("scene", ({ measured }) => {
 });
 
 /** Which limits of the model the needle exceeds, in words; empty where it exceeds none. @param {State} state */
-const exceeded = ({ faults }) => (faults?.length ? `outside the model: ${faults.join("; ")}` : "");
+const exceeded = ({ faults }) => (faults.length ? `outside the model: ${faults.join("; ")}` : "");
 
 listen("state", (state) => {
-  refresh();
+  const { scene } = now;
+  writeNeedle(state);
+  part("readouts").children[TIP_Z].hidden = !state.z;
+  const follows = scene.plan && !now.replay?.changed;
+  const title = part("title"); // a report has none
+  if (title) write(title, `${follows ? "plan: " : isSteered(state, scene) ? "steered by hand: " : ""}${scene.title}`);
   write("described", inWords());
   const words = exceeded(state);
   write("beyond", words && `${words[0].toUpperCase()}${words.slice(1)}. Its shape cannot be relied on.`);
   part("beyond").classList.toggle("low", toPy(state.tip.y) < view.box.top + view.box.height / 2); // not on the tip
+  if (!scene.measured) return;
+  const prediction = predictionOf(state, scene);
+  writeErrors(state.errors && { ...state.errors, ...prediction?.errors });
+  write("against", `${prediction ? "prediction " : ""}against ${scene.measured.id}${state.errors ? `, ${comparedUpTo(state.errors)}` : ""}`);
 });
 
 /** @param {{ rotation: number }} place */

@@ -1,8 +1,8 @@
 /** Recordings: the one of the file, one that is saved or dropped on the page, and the one that the browser keeps. */
 
 import { writeRecording } from "./address.js";
-import { hand, part, press, write } from "./dom.js";
-import { nameOf } from "./link.js";
+import { part, press, write } from "./dom.js";
+import { nameOf, save } from "./link.js";
 import { ModelError } from "./model/inputs.js";
 import { forgetPast, goHome, refuse, show } from "./steering.js";
 import { listen, now } from "./store.js";
@@ -60,8 +60,7 @@ listen("steers", () => {
 
 /** Save how the needle was moved, as `needlefit view --recording` opens it. */
 press("save-recording", () => {
-  const name = `${nameOf(now.needle).replace(/[^\w-]+/g, "-")}.csv`;
-  hand(new Blob([writeRecording(now.needle.head ?? "", now.steered)], { type: "text/csv" }), name);
+  const name = save(writeRecording(now.needle.head ?? "", now.steered), "text/csv", "csv");
   write("link-note", `Saved ${name}. It opens on this page, and with: needlefit view --recording ${name}`);
 });
 

@@ -6,7 +6,6 @@ import { describeState } from "./model/state.js";
 import { insert } from "./stored.js";
 import { now, publish, take } from "./store.js";
 
-const MOST_UNDONE = 200; // gestures
 const refusal = part("refusal");
 /** @type {number[][]} */
 const [past, future] = [[], []]; // numbers of states that are kept to return to
@@ -73,7 +72,6 @@ export function steer(lists, { gesture = newGesture(), whole = false, below } = 
   if (begins) {
     past.push(number);
     future.length = 0;
-    if (past.length > MOST_UNDONE) steered.forget(Number(past.shift()));
   }
   last = gesture;
   part("back").disabled = false;

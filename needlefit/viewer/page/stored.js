@@ -34,7 +34,6 @@ export function insert(steered) {
 export class Replay {
   at = 0;
   changed = false;
-  last = new Map(); // to each step that is returned to, after which step that happens last
 
   /** `places`: how far it is after each step, in a unit. @param {SteeredNeedle} steered @param {RecordedStep[]} steps @param {number[]} [places] */
   constructor(steered, steps, places = [], unit = "s") {
@@ -42,27 +41,20 @@ export class Replay {
     this.steps = steps;
     this.places = places;
     this.unit = unit;
-    steps.forEach(([, changes], i) => {
-      for (const [name, , value] of changes) if (name === "return_to") this.last.set(value, i + 1);
-    });
+    const changes = steps.flatMap(([, changes]) => changes);
+    this.returns = new Set(changes.flatMap(([name, , value]) => (name === "return_to" ? [value] : [])));
   }
 
   /** @param {number} n */
   to(n) {
+    const { steered, steps, returns } = this;
     if (this.changed || n < this.at) {
-      this.steered.rewind();
+      steered.rewind();
       Object.assign(this, { at: 0, changed: false });
     }
-    while (this.at < n) this.#next();
-  }
-
-  #next() {
-    const [, changes] = this.steps[this.at];
-    this.steered.apply(changes);
-    this.at += 1;
-    if (this.last.has(this.at)) this.steered.keep();
-    for (const [name, , value] of changes) {
-      if (name === "return_to" && this.last.get(value) === this.at) this.steered.forget(value);
+    for (; this.at < n; this.at += 1) {
+      if (returns.has(this.at)) steered.keep();
+      steered.apply(steps[this.at][1]);
     }
   }
 }

@@ -1,23 +1,17 @@
 /** What the page is given, and what it knows: lengths mm, moduli Pa, forces N, angles degrees unless named otherwise. */
 
 type Change = [name: string, item: number | null, value: number];
-/** A number of an address: of which input, what it is times in the input's unit and in the model's, and its value in the model. */
-type AddressKey = {
-  key: string; input: string; item: number | null; toInput: number; toModel: number;
-  read: (needle: { step: { bevel: Bevel }; model: Model; shape: number[][] }) => number;
-};
+/** A number of an address: its key, of which input, what it is times in the input's unit and in the model's, its value in the model. */
+type AddressKey = [
+  key: string, input: string, item: number | null, toInput: number, toModel: number,
+  read: (needle: { inputs: Inputs; model: Model }) => number,
+];
 /** Changes that were carried out, where the tip then was, y, mm, and those before them. */
 type Way = { changes: Change[]; tip: number; before: Way | null };
 type Curve = { x: number[]; y: number[]; z?: number[] | null };
 type Errors = { upto_mm: number; whole: boolean; floor_mm: number | null } & { [metric: string]: any };
 
 type Guide = { x: number; y: number; slope: number | null; name: string };
-type Bevel = { side: number; roll: number; offset: number; cutAngle: number };
-type Controls = {
-  baseY: number; baseSlope: number; stageSlope: number; guides: Guide[];
-  tip: { y: number; slope: number | null; z?: number } | null;
-};
-type Step = { depth: number; bevel: Bevel; controls: Controls };
 
 /** A layer by the names of its inputs: `mu_pa`, and the shape parameters of its law. */
 type Layer = { [input: string]: number };
@@ -25,7 +19,7 @@ type Model = {
   spatial: boolean; length: number; rigidity: number; boundaries: number[]; terms: number;
   mu: number[]; thickness: number[]; friction: number[]; law: number[];
   spacing: number; element: number; firstCell: number; pathAngle: boolean;
-  switch: number; tangent: number; tolerance: number; maxIterations: number;
+  switch: number; tangent: number; tolerance: number; maxIterations: number; shape: number[][];
 };
 
 // ---- the kernel: moduli MPa, slopes without unit
@@ -34,14 +28,15 @@ type Numbers = Float64Array | BigInt64Array | Uint8Array | Uint32Array;
 /** `side` is +1 or -1, `roll` from there, degrees; `strength`: b, mm, or with `pathAngle` the cut angle, rad. Slope null: turns freely. */
 type Inputs = {
   bevel: { side: number; roll: number; strength: number }; base: { y: number; slope: number; stageSlope: number };
-  guides: Guide[]; tip: Controls["tip"];
+  guides: Guide[]; tip: { y: number; slope: number | null; z?: number } | null;
 };
 type Session = import("../../mechanics/native/needle.js").Session;
 type SteeredNeedle = import("./model/steered.js").SteeredNeedle;
 type Reached = { depth: number; inputs: Inputs };
+type Saved = { way: Way | null; session: ReturnType<Session["save"]> };
 /** A needle of N nodes, base first: of each plane deflection `u` and slope (planes * N); of each constraint point its depth and place (1 + planes), and deflection and slope of the tip there (2 * planes). */
 type Shape = {
-  status: string; passes: number; depth: number; planes: number;
+  status: string; depth: number; planes: number;
   x: Float64Array; u: Float64Array; slope: Float64Array; constraints: Float64Array; track: Float64Array;
 };
 
@@ -83,7 +78,7 @@ type Scene = {
   definitions: { [symbol: string]: string };
   fitted: Strength & { layers: Layer[] };
   limits: { [input: string]: any; depth_mm: number };
-  simulation: { model: Model; shape: number[][]; law: Law; steps: Step[]; changes: Change[][]; rules: Rules };
+  simulation: { model: Model; law: Law; steps: Reached[]; changes: Change[][]; rules: Rules };
   measured: Measured | null; plan: Plan | null; draws: Draws | null;
 };
 
@@ -122,13 +117,9 @@ type View = {
   x: number; y: number; scale: number; magnified: number; fit: "whole" | "tissue" | "tip" | "moved"; of: Scene | null; box: Box;
 };
 type Font = "small" | "plain" | "strong";
+/** Colours by their names in the style. */
 type Looks = { fill?: string; stroke?: string; width?: number; dash?: number[]; opacity?: number };
-type TextLooks = { fill: string; font?: Font; align?: "start" | "center" | "end"; halo?: string };
-/** What is drawn on: paths as in SVG, texts by their middles, angles counterclockwise, rad. */
-type Sheet = {
-  path(d: string, looks: Looks): void; text(words: string, place: Point, looks: TextLooks): void;
-  within(box: Box, draw: () => void): void; turned(place: Point, angle: number, draw: () => void): void;
-};
+type TextLooks = { fill?: string; font?: Font; align?: "start" | "middle" | "end"; halo?: boolean };
 
 type Shown = "measured" | "band" | "plan" | "pinned" | "errors" | "points" | "path" | "load" | "inset";
 

@@ -34,7 +34,7 @@ export function computeErrors(session, measured) {
   if (whole) [simulated, other] = readTarget(session, measured.target, beyond);
   else if (measured.target.pose !== "free" && measured.x.length > 1) {
     const s = Array.from({ length: POINTS }, (_, i) => (upto * i) / (POINTS - 1));
-    other = interpolate(measured, s);
+    other = s.map((one) => [measured.x, measured.y, measured.z ?? []].map((axis) => interpolate(measured.s, axis, one)));
     simulated = ALIGN[measured.target.pose](readPoints(session, s), other);
   } else return null;
   const axes = AXES[measured.compared];
@@ -62,14 +62,11 @@ export function readPoints(session, s) {
   return s.map((_, i) => [points[(1 + planes) * i], points[(1 + planes) * i + 1], planes === 1 ? 0 : points[3 * i + 2]]);
 }
 
-/** The measured points at beam coordinates, between those that are known. @param {Measured} measured @param {number[]} at */
-function interpolate({ s, x, y, z }, at) {
-  let i = 0;
-  return at.map((one) => {
-    while (i < s.length - 2 && s[i + 1] < one) i += 1;
-    const share = Math.min(Math.max((one - s[i]) / (s[i + 1] - s[i]), 0), 1);
-    return [x, y, z ?? []].map((axis) => axis[i] + share * (axis[i + 1] - axis[i]));
-  });
+/** The value at x between points that straight lines join; beyond them that of an end. @param {number[]} xs @param {number[]} values @param {number} x */
+export function interpolate(xs, values, x) {
+  const after = xs.findIndex((one, i) => i && (one >= x || i === xs.length - 1));
+  const share = (x - xs[after - 1]) / (xs[after] - xs[after - 1]);
+  return values[after - 1] + Math.min(Math.max(share, 0), 1) * (values[after] - values[after - 1]);
 }
 
 /** By what is known of the pose, simulated points as they are compared with others, as `align` in Python. @type {Record<Pose, (simulated: number[][], measured: number[][]) => number[][]>} */

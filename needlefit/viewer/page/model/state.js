@@ -1,6 +1,7 @@
 /** What the page shows of a simulated needle: places in mm, rotations in rad. */
 
-import { guideNumber, rollOf, wrap } from "./inputs.js";
+import { rollOf, wrap } from "./bevel.js";
+import { guideNumber } from "./inputs.js";
 import { computeErrors } from "./errors.js";
 import { computeValidity, listFaults, listGaps } from "./validity.js";
 
@@ -11,35 +12,33 @@ const SAMPLES = 8; // of the load between two constraint points, where it is a s
 const columns = (points, width) =>
   Array.from({ length: width }, (_, axis) => Array.from({ length: points.length / width }, (_, i) => points[width * i + axis]));
 
-/** How strongly a bevel turns the cut, under the key of the rule of advance. @param {Bevel} bevel @param {Model} model */
-const describeStrength = ({ offset, cutAngle }, { pathAngle }) =>
-  pathAngle ? { cut_angle_deg: cutAngle * (180 / Math.PI) } : { offset_mm: offset };
-
 /** All that changes from step to step; `z` is of a needle in space. @param {SteeredNeedle} steered @returns {State} */
 export function describeState(steered) {
-  const { scene, session, step, model, names, rules } = steered;
-  const { shape } = session;
-  const { controls, bevel } = step;
+  const { scene, session, model, names, rules } = steered;
+  const { shape, depth, inputs: { bevel, base, guides, tip } } = session;
   const validity = computeValidity(shape, model);
   const [x, y, z = null] = columns(session.positions(listStations(shape)), 1 + shape.planes);
   const last = shape.x.length - 1;
   const roll = wrap(rollOf(bevel));
   return {
     step: steered.number,
-    depth_mm: step.depth,
+    depth_mm: depth,
     x, y, z, ...placePoints(session),
-    base: { x: x[0], y: y[0], rotation: shape.slope[0], input_y: controls.baseY, input_slope: controls.baseSlope },
-    guides: controls.guides.map(({ name, x, y, slope }) => ({
+    base: { x: x[0], y: y[0], rotation: shape.slope[0], input_y: base.y, input_slope: base.slope },
+    guides: guides.map(({ name, x, y, slope }) => ({
       item: guideNumber(name, names), name, x, y, slope: slope ?? 0, turns_freely: slope === null,
     })),
     tip: {
       x: x[x.length - 1], y: y[y.length - 1], z: z && z[z.length - 1], rotation: shape.slope[last],
-      lateral_mm: y[y.length - 1], held: controls.tip !== null, input_y: shape.u[last],
+      lateral_mm: y[y.length - 1], held: tip !== null, input_y: shape.u[last],
     },
-    bevel: { side: Math.abs(roll) > 90 ? -1 : 1, roll_deg: roll, ...describeStrength(bevel, model) },
+    bevel: {
+      side: Math.abs(roll) > 90 ? -1 : 1, roll_deg: roll,
+      ...(model.pathAngle ? { cut_angle_deg: bevel.strength * (180 / Math.PI) } : { offset_mm: bevel.strength }),
+    },
     layers: model.mu.map((mu, layer) => ({
       mu_pa: mu * 1e6,
-      ...Object.fromEntries(scene.shape_parameters.map(({ name }, row) => [name, steered.shape[row][layer]])),
+      ...Object.fromEntries(scene.shape_parameters.map(({ name }, row) => [name, model.shape[row][layer]])),
     })),
     max_slope: validity.max_slope,
     faults: listFaults(validity, rules.validity),

@@ -1,7 +1,7 @@
 /** The needle of a scene, simulated step by step: the same changes find the same bits as `SteeredNeedle` in Python. */
 
 import { Session } from "../../../mechanics/native/needle.js";
-import { applyChanges, checkChange, ModelError, toInputs, toStep } from "./inputs.js";
+import { applyChanges, checkChange, ModelError } from "./inputs.js";
 
 const BEARABLE = "a load that tissue and needle can bear";
 
@@ -19,22 +19,19 @@ export class SteeredNeedle {
   /** Begin at first contact. @param {WebAssembly.Module} kernel @param {Scene} scene */
   static async begin(kernel, scene) {
     const { model, steps } = scene.simulation;
-    return new SteeredNeedle(scene, await Session.begin(kernel, model, toInputs(steps[0], model.pathAngle)));
+    return new SteeredNeedle(scene, await Session.begin(kernel, model, steps[0].inputs));
   }
 
   way = /** @type {Way | null} */ (null); // the newest of the changes that led here
   number = 0;
-  saved = /** @type {Map<number, any>} */ (new Map());
+  saved = /** @type {Map<number, Saved>} */ (new Map());
 
   /** @param {Scene} scene @param {Session} session */
   constructor(scene, session) {
-    const { shape, steps, rules } = scene.simulation;
     this.scene = scene;
     this.session = session;
-    this.rules = rules;
-    this.shape = shape;
+    this.rules = scene.simulation.rules;
     this.names = scene.guide_names;
-    this.step = { ...steps[0], depth: 0 };
     this.keep();
   }
 
@@ -43,19 +40,14 @@ export class SteeredNeedle {
   }
 
   /** The greatest depth that is possible under controls, mm: the base is then just before guides or tissue. */
-  reach(controls = this.step.controls) {
-    const [first] = controls.guides;
+  reach() {
+    const [first] = this.session.inputs.guides;
     return this.model.length + (first && first.x < 0 ? first.x - this.rules.clearance_mm : 0) - 1e-6;
   }
 
   /** The place of the tip, y in mm, as a recording has it. */
   get tipLateral() {
     return this.session.positions([this.session.shape.depth])[1];
-  }
-
-  /** The shortest steps that lead to the present state. */
-  path() {
-    return this.session.path().map((reached) => toStep(reached, this.model.pathAngle));
   }
 
   /** All changes that led here from first contact, without those that were undone by a return. */
@@ -66,31 +58,25 @@ export class SteeredNeedle {
   }
 
   keep() {
-    const { step, shape, way } = this;
-    if (!this.saved.has(this.number)) this.saved.set(this.number, { step, shape, way, session: this.session.save() });
-  }
-
-  /** Delete the state stored at a step; the initial state stays. @param {number} number */
-  forget(number) {
-    if (number) this.saved.delete(number);
+    if (!this.saved.has(this.number)) this.saved.set(this.number, { way: this.way, session: this.session.save() });
   }
 
   /** Return to first contact, as if nothing had been carried out. */
   rewind() {
-    const [[, first]] = this.saved;
+    const first = /** @type {Saved} */ (this.saved.get(0));
     this.#return(first);
     Object.assign(this, { number: 0, saved: new Map([[0, first]]) });
   }
 
-  /** @param {any} stored */
-  #return({ session, ...saved }) {
+  /** @param {Saved} saved */
+  #return({ session, way }) {
     this.session.restore(session);
-    Object.assign(this, saved);
+    this.way = way;
   }
 
   /** The shape parameters after changes. @param {Change[]} changes */
   shapeAfter(changes) {
-    const shape = this.shape.map((row) => [...row]);
+    const shape = this.model.shape.map((row) => [...row]);
     for (const [name, item, value] of changes) {
       const row = this.scene.shape_parameters.findIndex((one) => one.name === name);
       if (row >= 0 && item) shape[row][item - 1] = value;
@@ -131,57 +117,48 @@ export class SteeredNeedle {
     const parameters = changes.filter(([name]) => this.rules.inputs[name].parameter);
     const others = changes.filter(([name]) => !this.rules.inputs[name].parameter);
     if (!parameters.length) return this.#move(others);
-    const { step, shape } = this;
-    const before = { step, shape, session: this.session.save() };
+    const before = this.session.save();
     try {
       this.#simulateAgain(parameters);
       this.#move(others);
     } catch (error) {
-      this.#return(before);
+      this.session.restore(before);
       throw error;
     }
   }
 
   /** @param {Change[]} parameters */
   #simulateAgain(parameters) {
-    const mu = [...this.model.mu];
-    let [offset, angle] = /** @type {(number | null)[]} */ ([null, null]);
+    const { model, session, scene } = this;
+    const mu = [...model.mu];
+    let strength = /** @type {number | null} */ (null);
     for (const [name, item, value] of parameters) {
       if (item && item > mu.length) throw new ModelError(`there is no layer ${item}`, `one of ${mu.length} layers`);
       if (name === "mu_pa") mu[Number(item) - 1] = value * 1e-6;
-      else if (name === "offset_throughout_mm") offset = value;
-      else if (name === "cut_angle_throughout_deg") angle = value * (Math.PI / 180);
-      else if (!this.scene.shape_parameters.some((one) => one.name === name))
+      else if (name === "offset_throughout_mm" && !model.pathAngle) strength = value;
+      else if (name === "cut_angle_throughout_deg" && model.pathAngle) strength = value * (Math.PI / 180);
+      else if (!scene.shape_parameters.some((one) => one.name === name))
         throw new ModelError(`the tissue law has no ${name}`, "a parameter of the law");
     }
     const shape = this.shapeAfter(parameters);
-    const same = JSON.stringify(shape) === JSON.stringify(this.shape);
-    const law = same ? this.model.law : makeLaw(this.scene.simulation.law, shape);
+    const same = JSON.stringify(shape) === JSON.stringify(model.shape);
+    const law = same ? model.law : makeLaw(scene.simulation.law, shape);
     if (!law) throw new ModelError("the law has not been computed with these parameters", "the program");
-    const { pathAngle } = this.model;
-    const steps = this.path().map(({ bevel, ...one }) => ({
-      ...one, bevel: { ...bevel, offset: offset ?? bevel.offset, cutAngle: angle ?? bevel.cutAngle },
-    }));
-    const converged = this.#guard(() => this.session.again(
-      { ...this.model, mu, law }, steps.map((one) => ({ depth: one.depth, inputs: toInputs(one, pathAngle) })),
-    ));
-    if (!converged) {
-      throw new ModelError(`with these parameters the insertion so far fails ${this.session.depth.toFixed(1)} mm deep`, BEARABLE);
+    const steps = session.path().map(({ depth, inputs: { bevel, ...held } }) => (
+      { depth, inputs: { ...held, bevel: { ...bevel, strength: strength ?? bevel.strength } } }));
+    if (!this.#guard(() => session.again({ ...model, mu, law, shape }, steps))) {
+      throw new ModelError(`with these parameters the insertion so far fails ${session.depth.toFixed(1)} mm deep`, BEARABLE);
     }
-    Object.assign(this, { shape, step: steps[steps.length - 1] });
   }
 
   /** @param {Change[]} changes */
   #move(changes) {
     const { session } = this;
     const { x, u, planes } = session.shape;
-    const step = applyChanges(this.step, changes, this.names, [u[x.length - 1], planes > 1 ? u[u.length - 1] : 0]);
+    const { depth, inputs } = applyChanges(session, changes, this.names, [u[x.length - 1], planes > 1 ? u[u.length - 1] : 0], this.model);
     if (!changes.length) return;
-    const shape = this.#guard(() => session.go(step.depth, toInputs(step, this.model.pathAngle)));
-    if (session.failed) {
-      throw new ModelError(`the model finds no needle there (${shape.status})`, BEARABLE);
-    }
-    this.step = step;
+    const shape = this.#guard(() => session.go(depth, inputs));
+    if (session.failed) throw new ModelError(`the model finds no needle there (${shape.status})`, BEARABLE);
   }
 
   /** The kernel's refusals as those of the model. @template T @param {() => T} work */

@@ -1,46 +1,24 @@
-/** Colours, lines, shapes and labels of the picture, given in mm or px. */
+/** Lines, shapes and labels of the picture, given in mm or px. */
 
 import { area } from "d3-shape";
-import { interpolateRgb } from "d3-interpolate";
-import { colour } from "../dom.js";
-import { measure, trace } from "../sheet.js";
+import { measure, path, text, trace } from "../sheet.js";
 import { now } from "../store.js";
-import { toPx, toPy } from "../view.js";
+import { toPx, toPy, view } from "../view.js";
 
-const NAMES = /** @type {const} */ ([
-  "air", "gutter", "ink", "quiet", "edge", "needle", "tip", "guide", "points", "path", "load",
-  "measured", "pinned", "band", "plan", "gap", "bad", "halo", "soft", "stiff", "label", "accent",
-]);
+/** Draw lines through places (px). @param {Point[][]} lines @param {string} stroke @param {number} width @param {number[]} [dash] */
+export const polyline = (lines, stroke, width, dash) => path(lines.map(trace).join(""), { stroke, width, dash });
 
-/** Colours by name, as the style sheet has them for light and for dark; on paper those for light. */
-export const palette = /** @type {Record<typeof NAMES[number], string>} */ ({});
+/** Fill a shape between corners (px). @param {Point[]} corners @param {string} fill @param {number} [opacity] */
+export const polygon = (corners, fill, opacity) => path(`${trace(corners)}Z`, { fill, opacity });
 
-export function readPalette(paper = false) {
-  for (const name of NAMES) palette[name] = colour(name, paper);
-}
+/** The places (px) of points (mm). @param {Pick<Curve, "x" | "y">} curve @returns {Point[]} */
+export const placesOf = ({ x, y }) => x.map((one, i) => [toPx(one), toPy(y[i])]);
 
-/** One colour a layer: the stiffer, the darker, over one decade at least. @param {Layer[]} layers */
-export function shades(layers) {
-  const stiffness = layers.map(({ mu_pa: mu }) => Math.log10(mu));
-  const least = Math.min(...stiffness);
-  const decades = Math.max(Math.max(...stiffness) - least, 1);
-  return stiffness.map((one) => interpolateRgb(palette.soft, palette.stiff)((one - least) / decades));
-}
-
-/** Draw lines through places (px). @param {Sheet} sheet @param {Point[][]} lines @param {string} stroke @param {number} width @param {number[]} [dash] */
-export const polyline = (sheet, lines, stroke, width, dash) => sheet.path(lines.map(trace).join(""), { stroke, width, dash });
-
-/** Fill a shape between corners (px). @param {Sheet} sheet @param {Point[]} corners @param {string} fill @param {number} [opacity] */
-export const polygon = (sheet, corners, fill, opacity) => sheet.path(`${trace(corners)}Z`, { fill, opacity });
-
-/** The places (px) of points (mm). @type {(x: ArrayLike<number>, y: ArrayLike<number>) => Point[]} */
-export const placesOf = (x, y) => Array.from(x, (one, i) => [toPx(one), toPy(y[i])]);
-
-/** Draw a line along points (mm) over a halo that sets it off from what lies behind. @param {Sheet} sheet @param {Curve} curve @param {string} shade @param {number} width @param {number[]} [dash] */
-export function haloed(sheet, { x, y }, shade, width, dash) {
-  const places = placesOf(x, y);
-  polyline(sheet, [places], palette.halo, width + 2);
-  polyline(sheet, [places], shade, width, dash);
+/** Draw a line along points (mm) over a halo that sets it off from what lies behind. @param {Curve} curve @param {string} shade @param {number} width @param {number[]} [dash] */
+export function haloed(curve, shade, width, dash) {
+  const places = [placesOf(curve)];
+  polyline(places, "halo", width + 2);
+  polyline(places, shade, width, dash);
 }
 
 /** The path of what lies between two curves over the same x (mm). @param {number[]} x @param {number[]} low @param {number[]} high */
@@ -54,9 +32,6 @@ export const cross = ([px, py], arm, oblique = false) => [[arm, oblique ? arm : 
 /** The path of an ellipse about a place (px). @type {(place: Point, along: number, across: number) => string} */
 export const traceEllipse = ([px, py], along, across) =>
   `M${px - along},${py}a${along},${across} 0 1 0 ${2 * along},0a${along},${across} 0 1 0 ${-2 * along},0Z`;
-
-/** Write on the picture, set off from what lies behind. @param {Sheet} sheet @param {string} words @param {Point} place @param {Partial<TextLooks>} [looks] */
-export const label = (sheet, words, place, looks) => sheet.text(words, place, { fill: palette.label, halo: palette.halo, ...looks });
 
 // ---- labels that do not overlap: what is written in this frame, and what else no label may lie on, px
 
@@ -79,9 +54,9 @@ export function avoid(places) {
   }
 }
 
-/** Write a label at the first of some places (px, its middle) that is free, inside the window; else nowhere. @param {Sheet} sheet @param {string} words @param {Point[]} places @param {string} fill */
-export function labelFree(sheet, words, places, fill) {
-  const { left, top, width, height } = now.view.box;
+/** Write a label at the first of some places (px, its middle) that is free, inside the window; else nowhere. @param {string} words @param {Point[]} places @param {string} fill */
+export function labelFree(words, places, fill) {
+  const { left, top, width, height } = view.box;
   const wide = measure(words, "strong") + 6;
   /** @param {number} value @param {number} low @param {number} high */
   const limit = (value, low, high) => Math.max(low, Math.min(value, high));
@@ -90,21 +65,21 @@ export function labelFree(sheet, words, places, fill) {
   const box = free.find((one) => !count(now.avoided, one)) ?? free[0];
   if (!box) return;
   now.labels.push(box);
-  label(sheet, words, [box[0] + wide / 2, box[1] + LINE / 2], { fill, font: "strong" });
+  text(words, [box[0] + wide / 2, box[1] + LINE / 2], { fill, font: "strong", halo: true });
 }
 
-/** Write a label at the end of curves (mm), or beside them: each with how far below it (px), above if negative. @param {Sheet} sheet @param {string} words @param {[Curve, number][]} sides @param {string} shade */
-export function labelBeside(sheet, words, sides, shade) {
+/** Write a label at the end of curves (mm), or beside them: each with how far below it (px), above if negative. @param {string} words @param {[Curve, number][]} sides @param {string} shade */
+export function labelBeside(words, sides, shade) {
   const half = measure(words, "strong") / 2;
-  const curves = sides.map(([{ x, y }, away]) => ({ places: placesOf(x, y), away }));
+  const curves = sides.map(([curve, away]) => ({ places: placesOf(curve), away }));
   for (const { places } of curves) avoid(places);
   const ends = curves.map(({ places }) => places[places.length - 1]).map(([px, py]) => /** @type {Point} */ ([px + half + 8, py]));
   const beside = SHARES.flatMap((share) => curves.flatMap(({ places, away }) => {
     const [px, py] = places[Math.round(share * (places.length - 1))];
     return [0, -half, half].map((aside) => /** @type {Point} */ ([px + aside, py + away]));
   }));
-  labelFree(sheet, words, [...ends, ...beside], shade);
+  labelFree(words, [...ends, ...beside], shade);
 }
 
-/** Name a line at its end. @param {Sheet} sheet @param {string} words @param {Curve} curve @param {string} shade */
-export const nameLine = (sheet, words, curve, shade) => labelBeside(sheet, words, [[curve, 16], [curve, -16]], shade);
+/** Name a line at its end. @param {string} words @param {Curve} curve @param {string} shade */
+export const nameLine = (words, curve, shade) => labelBeside(words, [[curve, 16], [curve, -16]], shade);
