@@ -2,8 +2,6 @@
 
 import json
 import subprocess
-from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 import pytest
@@ -53,7 +51,7 @@ WRONG = (
 )  # fmt: skip
 
 
-def run(job: Mapping[str, Any]) -> Any:
+def run(job):
     program = PROGRAM.replace("KERNEL", repr((native.FOLDER / "needle.js").as_uri()))
     program = program.replace("PAGE", repr(PAGE.as_uri() + "/")).replace(
         "WASM", repr(str(native.FOLDER / "kernel.wasm"))
@@ -64,7 +62,7 @@ def run(job: Mapping[str, Any]) -> Any:
     return json.loads(done.stdout)
 
 
-def draw_path(rng: np.random.Generator, layers: int, strength: str, kind: str) -> list[list[list[Any]]]:
+def draw_path(rng, layers, strength, kind):
     """Return changes of a hand: those that an address carries, or with base, guides, tip and b on the way."""
     depth, path = 0.0, []
     for _ in range(12):

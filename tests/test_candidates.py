@@ -8,12 +8,12 @@ from needlefit.inference.sampling.importance import Effort
 from needlefit.schemas.study import FitRecord
 from needlefit.studies import candidates
 from needlefit.studies.candidates import CANDIDATE_COLUMNS, list_insertion_candidates, rank_candidates
-from needlefit.studies.job import Job, Settings
+from needlefit.studies.job import Settings
 from needlefit.studies.load import load_study
 from needlefit.studies.simulated_data import choose_reference_values, simulate_design
 
 
-def prepare_chicken(*ids: str) -> Job:
+def prepare_chicken(*ids):
     table = {"schema": 1, "dataset": "twin", "medium": "chicken", "recipe": "quick"}
     return load_study("x", FitRecord.model_validate({**table, "tune": {"insertions": ids}}), Settings())
 

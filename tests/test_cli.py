@@ -29,20 +29,20 @@ FULL = Path("/dev/full")
 posix = pytest.mark.skipif(os.name != "posix", reason="redirections of a POSIX shell")
 
 
-def run(*words: object) -> int:
+def run(*words):
     with pytest.raises(SystemExit) as leaving:
         main([str(word) for word in words])
     return int(leaving.value.code or 0)
 
 
-def shell(line: str, **environment: str) -> subprocess.CompletedProcess[bytes]:
+def shell(line, **environment):
     """Run a line of bash in which `needlefit` is the command; a failure anywhere in a pipe is its own."""
     line = f"set -o pipefail; {line.replace('needlefit', f'{sys.executable} -m needlefit')}"
     command = ["bash", "-c", line]
     return subprocess.run(command, capture_output=True, check=False, env={**os.environ, **environment})
 
 
-def list_loaded(*words, **options) -> set[str]:
+def list_loaded(*words, **options):
     """Return the modules that a command has loaded."""
     code = (
         "import json, sys, needlefit.cli\n"

@@ -38,11 +38,11 @@ class Case(NamedTuple):
     code: int = 0
 
     @property
-    def words(self) -> list[str]:
+    def words(self):
         return shlex.split(self.line)
 
     @property
-    def places(self) -> list[str]:
+    def places(self):
         return [f"out/{name}" for name in self.folders.split()]
 
 
@@ -83,11 +83,11 @@ def test_every_command_has_a_case_here():
     assert {name.partition(" --")[0] for name in CASES} == names
 
 
-def everything(folder: Path) -> dict[str, bytes]:
+def everything(folder):
     return {str(path): path.read_bytes() if path.is_file() else b"" for path in sorted(folder.rglob("*"))}
 
 
-def plant(folder: Path) -> dict[str, bytes]:
+def plant(folder):
     for name in FOREIGN:
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(f"mine: {folder / name}\n".encode())
@@ -125,7 +125,7 @@ def stubs(monkeypatch):
         monkeypatch.setattr(f"needlefit.reporting.document.{name}", lambda _: b"a page")
 
 
-def leave_run(folder: Path) -> None:
+def leave_run(folder):
     """Leave what the commands read that are about a run."""
     made = dataclasses.replace(study(1), name=folder.name)
     folder.mkdir(parents=True)
@@ -156,7 +156,7 @@ def test_folders_with_foreign_files_are_refused_before_the_run(command, place, w
     assert str(folder) in printed or place in printed
 
 
-def beside(project: Path) -> dict[str, bytes]:
+def beside(project):
     """Plant files everywhere but in the folders that a command replaces."""
     found = plant(project) | plant(project / "out") | plant(project / "out/other")
     for name in ("held_out.partial-mine", "view", ".rr.needlefit-mine", "reference"):

@@ -37,7 +37,7 @@ else:
 NAMES = ("first", "second", "third")
 
 
-def run(folder, jobs: int, jobs_of_each: int, *names: str) -> list:
+def run(folder, jobs, jobs_of_each, *names):
     words = [sys.executable, "-c", SCRIPT, str(jobs), str(jobs_of_each), *names]
     done = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=True)
     return json.loads(done.stdout.splitlines()[-1])

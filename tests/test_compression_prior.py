@@ -23,14 +23,14 @@ SCRIPT = shipped_folder() / "studies" / "compression_prior.py"
 FUNCTIONS = runpy.run_path(str(SCRIPT))
 
 
-def load_specimen(alpha: float, low: float, noise: float, seed: int = 1, kind: str = "nominal"):
+def load_specimen(alpha, low, noise, seed=1, kind="nominal"):
     """Return stretch and stress (kPa, negative) of a loading to `low`; noise: part of the largest stress."""
     x = np.linspace(1.0, low, 60)
     y = needlefit.compute_stress(12.0, alpha, x, kind)
     return x, y + noise * np.max(np.abs(y)) * np.random.default_rng(seed).normal(size=len(x))
 
 
-def write_test(path: Path, low: float = 0.8) -> Path:
+def write_test(path, low=0.8):
     """Write three specimens, stresses positive in compression, each with an unloading after it."""
     parts = []
     for number, alpha in enumerate((-4.0, -5.0, -4.5)):

@@ -2,7 +2,6 @@
 
 import gzip
 import json
-from pathlib import Path
 
 import pytest
 from refusals import refusal
@@ -31,13 +30,13 @@ def content(tmp_path_factory):
     return json.loads(gzip.decompress(path.read_bytes()))
 
 
-def stored(folder: Path, values: object) -> Path:
+def stored(folder, values):
     (folder / RESULTS_FILE).write_bytes(gzip.compress(json.dumps(values).encode()))
     write_manifest(folder)
     return folder
 
 
-def fault(folder: Path) -> DataError:
+def fault(folder):
     caught = refusal(DataError, "", restore_run, folder)
     assert RESULTS_FILE in caught.where and caught.expected and caught.fix
     return caught

@@ -2,10 +2,10 @@
 
 import dataclasses
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pytest import approx
 from refusals import refusal
@@ -195,7 +195,7 @@ def test_the_same_data_gives_the_same_digest_and_additions_of_spreadsheets_are_i
     np.testing.assert_array_equal(read(file).insertions[0].points, before.insertions[0].points)
 
 
-def without_checksums(file: Path):
+def without_checksums(file):
     file.write_text(file.read_text().split("[checksums]")[0])
 
 
@@ -230,28 +230,28 @@ def test_noise_floors_of_a_shift_and_of_an_angle(tmp_path):
         dataset = read(block(tmp_path))
         insertion = dataset.insertions[0]
         insertion = dataclasses.replace(insertion, points=insertion.points + np.array([begins, 0.0, 0.0]))
-        floor = estimate_noise_floor(dataset, insertion, np.random.default_rng(1), draws=3000)
+        floor = estimate_noise_floor(dataset, insertion, default_rng(1), draws=3000)
         assert floor["te_mm"] == approx(0.19 * expected, rel=0.03)
         assert floor["ipe_mean_mm"] == approx(0.19 * expected, rel=0.03)
     # A turn of standard deviation q leaves q L sqrt(2 / pi) at the tip on average, half of it overall.
     turned = row("a", "given", layers=2, pose_angle_sd=0.01)
     dataset = read(write_dataset(tmp_path, record(noise={}), [turned], {"a": CURVE}, SURFACES))
-    floor = estimate_noise_floor(dataset, dataset.insertions[0], np.random.default_rng(1), draws=3000)
+    floor = estimate_noise_floor(dataset, dataset.insertions[0], default_rng(1), draws=3000)
     assert floor["te_mm"] == approx(0.01 * 50 * math.sqrt(2 / math.pi), rel=0.05)
     assert floor["ipe_mean_mm"] == approx(floor["te_mm"] / 2, rel=0.01)
     # Where the entry is the first point a shift is taken off: half of the turn's error at the tip is left.
     turned = dataclasses.replace(turned, pose_source="first_point", pose_shift_sd=0.4)
     dataset = read(write_dataset(tmp_path, record(noise={}), [turned], {"a": CURVE}, SURFACES))
     assert dataset.insertions[0].pose_source == "first_point"
-    shifted = estimate_noise_floor(dataset, dataset.insertions[0], np.random.default_rng(1), draws=3000)
+    shifted = estimate_noise_floor(dataset, dataset.insertions[0], default_rng(1), draws=3000)
     assert shifted["te_mm"] == approx(floor["te_mm"] / 2, rel=0.03)
     dataset = read(block(tmp_path, noise={}))
-    assert math.isnan(estimate_noise_floor(dataset, dataset.insertions[0], np.random.default_rng(1))["te_mm"])
+    assert math.isnan(estimate_noise_floor(dataset, dataset.insertions[0], default_rng(1))["te_mm"])
 
 
 def test_point_noise_has_the_stated_covariance_and_toml_text_is_read_back():
     noise = Noise(point_sd=0.3, correlated_sd=0.4, correlation_length=2.0)
-    drawn = draw_point_noise(np.arange(8.0), noise, np.random.default_rng(1), 20000)[:, :, 1]
+    drawn = draw_point_noise(np.arange(8.0), noise, default_rng(1), 20000)[:, :, 1]
     lag = np.abs(np.subtract.outer(np.arange(8), np.arange(8)))
     assert_allclose(np.cov(drawn.T), 0.16 * np.exp(-lag / 2) + 0.09 * np.eye(8), atol=0.01)
     import tomllib

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pytest import approx
 from refusals import refusal
@@ -38,13 +39,13 @@ def turn(curve, angle, shift=(0.0, 0.0)):
 
 @given(seeds)
 def test_a_frame_and_back_is_the_identity_and_keeps_distances(seed):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     frame = Frame(rng.normal(size=3) * 50, Rotation.random(rng=rng).as_matrix())
     points = rng.normal(size=(20, 3)) * 80
     local = frame.to_local(points)
     assert_allclose(frame.to_world(local), points, atol=1e-10)
     assert_allclose(arc_length(local), arc_length(points), atol=1e-10)
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     direction, toward = rng.normal(size=(2, 3))
     frame = make_entry_frame((0, 0, 0), direction, toward)
     assert_allclose(frame.rotation.T @ frame.rotation, np.eye(3), atol=1e-9)
@@ -83,7 +84,7 @@ def test_alignment_never_mirrors_or_scales():
 
 @given(seeds)
 def test_alignment_is_the_least_squares_motion(seed):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     moving, fixed = rng.normal(size=(2, 12, 2))
     moved = turn(fixed, moving[0, 0], 50 * moving[1])
     assert_allclose(align_rigid(moved, fixed), fixed, atol=1e-9)
@@ -96,7 +97,7 @@ def test_alignment_is_the_least_squares_motion(seed):
 @given(seeds)
 def test_free_frame_is_the_same_from_everywhere(seed):
     """A parabola y = x^2 / 500 keeps its coordinates in the frame made from it, however it lies."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     x = np.linspace(0, 60, 61)
     parabola = np.column_stack([x, x**2 / 500, 0 * x])
     moved = parabola @ Rotation.random(rng=rng).as_matrix().T + rng.normal(size=3) * 40

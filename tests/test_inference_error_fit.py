@@ -1,27 +1,26 @@
 """The error-minimising fit: the tolerance of its objective, and the ranges of parameters within it."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from inference_cases import NOISE, TRUTH, dataset, insertion, measure, medium, problem, two_layers
+from numpy.random import default_rng
 from problem_cases import make_problem
 from pytest import approx
 from scipy.optimize import minimize
 
-from needlefit.datasets.insertion import Insertion, Noise
+from needlefit.datasets.insertion import Noise
 from needlefit.datasets.read import read
 from needlefit.datasets.select import MIN_GROUPS
 from needlefit.inference import error_tolerance
 from needlefit.inference.error_fit import examine_errors, find_error_ranges
-from needlefit.inference.error_tolerance import ErrorTolerance, estimate_tolerance
+from needlefit.inference.error_tolerance import estimate_tolerance
 from needlefit.inference.fit import Fit
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD
 from needlefit.inference.parameters import without_prior
-from needlefit.inference.problem import Problem
 from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.project.locate import find_file
 from needlefit.project.progress import never_stop
@@ -30,14 +29,14 @@ from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import WeightsRecord
 
 
-def at_truth(p: Problem) -> Fit:
+def at_truth(p):
     theta = p.parameters.theta(TRUTH)
     return Fit(tuple(theta.tolist()), p.values(theta), p.objective(theta), (), 0, 0, False, "metric")
 
 
-def examine(p: Problem):
+def examine(p):
     nothing = np.empty((0, len(p.names)))
-    return examine_errors(p, at_truth(p), nothing, p.parameters, np.random.default_rng(3))
+    return examine_errors(p, at_truth(p), nothing, p.parameters, default_rng(3))
 
 
 def test_the_tolerance_grows_with_the_noise_and_not_with_what_a_step_cannot_take_off():
@@ -46,9 +45,7 @@ def test_the_tolerance_grows_with_the_noise_and_not_with_what_a_step_cannot_take
         p = two_layers()
         made = [replace(one, pose_angle_sd=0.004 * factor) for one in p.insertions]
         p = problem(p.medium, made, noise=noise)
-        return estimate_tolerance(
-            p, p.parameters, np.array(p.parameters.theta(TRUTH)), np.random.default_rng(1)
-        )
+        return estimate_tolerance(p, p.parameters, np.array(p.parameters.theta(TRUTH)), default_rng(1))
 
     one, two = tolerance(1.0), tolerance(2.0)
     assert two.by_noise == approx(2 * one.by_noise, rel=0.02)
@@ -69,24 +66,24 @@ QUANTILE_95 = 1.96
 """Of the absolute value of a standard normal variable."""
 
 
-def bevel_alone(made: Sequence[Insertion], noise: Noise, compared: str = "plane") -> Problem:
+def bevel_alone(made, noise, compared="plane"):
     """A problem of the tip errors alone, in which b alone is free."""
     record = medium(mu1_pa={"fixed": TRUTH["mu1_pa"]}, mu2_pa={"fixed": TRUTH["mu2_pa"]})
     data = replace(dataset(made, noise=noise), compared=compared)
     return make_problem(data, made, record, TIP_ALONE, PLAIN_LIKELIHOOD)
 
 
-def one_needle(**changed: object) -> Insertion:
+def one_needle(**changed):
     planned = replace(insertion(36.0, (14.0,), (1, 2)), pose_angle_sd=0.0, roll_sd=0.0, **changed)
     return measure(TRUTH, medium(), planned)
 
 
-def estimate(p: Problem, theta: np.ndarray | None = None, seed: int = 5) -> ErrorTolerance:
+def estimate(p, theta=None, seed=5):
     at = np.array(p.parameters.theta(TRUTH)) if theta is None else theta
-    return estimate_tolerance(p, p.parameters, at, np.random.default_rng(seed))
+    return estimate_tolerance(p, p.parameters, at, default_rng(seed))
 
 
-def find_taken_off(p: Problem) -> np.ndarray:
+def find_taken_off(p):
     """Return the unit vector along which b moves the tip."""
     slope = p.distances(np.array(p.parameters.theta(TRUTH))).slopes[-1, :, 0]
     return slope / np.linalg.norm(slope)
@@ -97,7 +94,7 @@ def test_the_tolerance_by_noise_is_the_quantile_of_what_a_free_parameter_takes_o
     made, sd = replace(one_needle(), roll_sd=roll_sd), 0.1
     p = bevel_alone([made], Noise(0.0, sd, 0.0, 5.0), compared)
     along = find_taken_off(p)
-    rng = np.random.default_rng(1)
+    rng = default_rng(1)
     errors = sd * rng.standard_normal((100_000, len(along)))
     if compared == "space":  # the roll turns the tip out of the plane
         errors[:, 2] += roll_sd * made.points[-1, 1] * rng.standard_normal(len(errors))
@@ -144,7 +141,7 @@ def test_the_tolerance_by_insertions_is_the_quantile_over_groups_drawn_again(mon
     off, slope = at.off[at.weights > 0], at.slopes[at.weights > 0, :, 0]
     steps = np.linspace(-1.0, 1.0, 2001)
     tips = np.linalg.norm(off + steps[:, None, None] * slope, axis=2)  # (steps, insertions)
-    times = np.random.default_rng(1).multinomial(5, np.full(5, 0.2), size=20_000)
+    times = default_rng(1).multinomial(5, np.full(5, 0.2), size=20_000)
     errors = times @ tips.T / 5
     known = np.quantile(errors[:, 1000] - errors.min(axis=1), 0.95)
     assert estimate(p, theta).by_insertions == approx(known, rel=0.02)

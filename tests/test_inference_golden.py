@@ -20,7 +20,7 @@ from needlefit.schemas.dataset import MeasurementRecord
 from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
 
 
-def rng() -> np.random.Generator:
+def rng():
     return np.random.default_rng(11)
 
 

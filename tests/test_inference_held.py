@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from inference_cases import NOISE, TRUTH, insertion, measure, medium, problem, squares_recipe
+from numpy.random import default_rng
 from problem_cases import make_problem
 from pytest import approx
 
@@ -123,7 +124,7 @@ def test_the_shift_of_curvatures_is_in_standard_deviations_of_the_sensors(held):
 
 
 def test_the_draws_of_what_is_held_are_those_of_its_prior(held):
-    draws = draw_held(held.parameters, np.zeros((20_000, 3)), np.random.default_rng(1))
+    draws = draw_held(held.parameters, np.zeros((20_000, 3)), default_rng(1))
     assert draws[:, [0, 2, 3]] == approx(0.0)
     assert (draws[:, 1].mean(), draws[:, 1].std()) == approx((1.0, 2.0), abs=0.05)
     # the integral of exp(-(x - 1)^2 / 8) over four standard deviations on either side
@@ -131,19 +132,19 @@ def test_the_draws_of_what_is_held_are_those_of_its_prior(held):
 
 
 def test_a_fit_that_cannot_tell_alpha_holds_it_and_draws_it(held):
-    fit = minimize(held, RECIPE, np.random.default_rng(1))
+    fit = minimize(held, RECIPE, default_rng(1))
     assert fit.held == ("alpha1",) and fit.values["alpha1"] == 1.0 and len(fit.theta) == 4
-    plain = minimize(held.searched, RECIPE, np.random.default_rng(1))
+    plain = minimize(held.searched, RECIPE, default_rng(1))
     assert held.parameters.restrict(np.array(fit.theta)) == approx(np.array(plain.theta))
-    found = sample_about_fit(held, fit, np.random.default_rng(2))
-    draws = resample_draws(found, 500, np.random.default_rng(3))
-    alone = resample_draws(replace(found, parameters=None), 500, np.random.default_rng(3))
+    found = sample_about_fit(held, fit, default_rng(2))
+    draws = resample_draws(found, 500, default_rng(3))
+    alone = resample_draws(replace(found, parameters=None), 500, default_rng(3))
     assert held.parameters.restrict(draws.thetas) == approx(alone.thetas)
     assert draws.thetas[:, 1].std() == approx(2.0, abs=0.25)
     verdict = identify(held, fit, draws.thetas)
     assert set(verdict.sds) == {"mu1_pa", "mu2_pa", "bevel_mm"}
     settings = SampleRecord(walkers=8, densities=400, independent_draws=1)
-    posterior = sample(held, found, settings, np.random.default_rng(4))
+    posterior = sample(held, found, settings, default_rng(4))
     assert posterior is not None and posterior.names == held.names
     alpha = posterior.draws[..., 1]
     assert (alpha.mean(), alpha.std()) == approx((1.0, 2.0), abs=0.3)
@@ -181,10 +182,10 @@ def test_a_thin_gel_that_is_compressed_determines_alpha():
     )
     known = make_problem(dataset, dataset.insertions, record, WeightsRecord())
     assert known.parameters.held == ("alpha1",)
-    first = minimize(known, RECIPE, np.random.default_rng(1))
+    first = minimize(known, RECIPE, default_rng(1))
     assert first.held == ()
     asked = known.with_parameters(search_freed(known.parameters, record, ["alpha"]))
-    for fit in (first, minimize(asked, RECIPE, np.random.default_rng(1))):
+    for fit in (first, minimize(asked, RECIPE, default_rng(1))):
         sds = posterior_sds(asked, np.array(fit.theta))
         assert sds["alpha1"] < 0.6  # of the prior it is 2
         truth = asked.parameters.theta({"alpha1": 2.643, "mu1_pa": 5546.2, "bevel_mm": 0.03313})

@@ -204,7 +204,7 @@ COVARIANCE = np.array([[1.0, -0.6], [-0.6, 0.5]])
 SLOPES = np.array([[1.5, 0.4], [0.2, 1.1], [-0.7, 0.9]])  # (R, P), whitened
 
 
-def predict_data(thetas: np.ndarray, by_depth: np.ndarray) -> design_gain.PredictedData:
+def predict_data(thetas, by_depth):
     """Draws of equal weight whose data are SLOPES theta; one uncertain depth moves them by `by_depth`."""
     first = thetas @ SLOPES.T
     white = np.stack([first, first + by_depth, first - by_depth], axis=1)  # (B, m, R)

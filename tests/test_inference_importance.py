@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from pytest import approx
 from sampling_cases import Known, banana, gaussian, two_hills, weighted
 from scipy.stats import genpareto, norm
@@ -16,7 +17,7 @@ from needlefit.inference.sampling.importance import (
 )
 
 
-def moments(found: WeightedDraws) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def moments(found):
     """Mean, covariance, and the mean's Monte Carlo errors."""
     weights = np.exp(found.log_weights)
     mean = weights @ found.thetas
@@ -97,7 +98,7 @@ def test_a_plateau_at_the_end_of_a_winding_valley_is_found_along_the_profile():
     """By quadrature 0.2994 of it lies at x0 < 2."""
     mode = minimize_squares(Plateau(), np.array([5.0, 4 * np.sin(5.0)]))
     alone, found = (
-        sample_about_modes(Plateau(), [mode], np.random.default_rng(1), efforts=(effort,))
+        sample_about_modes(Plateau(), [mode], default_rng(1), efforts=(effort,))
         for effort in (Effort(profiles=False), Effort(draws=1000, min_ess=250.0))
     )
     assert not alone.certified and found.certified
@@ -117,14 +118,14 @@ def test_smoothed_weights_are_arviz_s(shape, size):
 
 
 def test_resampled_draws_stand_once_and_by_their_weight():
-    rng = np.random.default_rng(7)
+    rng = default_rng(7)
     known = WeightedDraws(np.zeros((400, 1)), np.zeros(400), np.log(np.full(400, 1 / 400)), 0.0, 1.0, 0.0)
     assert len(set(resample(known, 79, rng).tolist())) == 79
     few = np.log(np.array([0.8, 0.2]))
     drawn = resample(WeightedDraws(np.zeros((2, 1)), np.zeros(2), few, 0.0, 1.0, 0.0), 4000, rng)
     assert np.mean(drawn == 0) == approx(0.8, abs=0.03)
     # Weights of N(0, 1) on draws of N(0, 9): all 1000 taken once each would have a deviation of 3.
-    rng = np.random.default_rng(3)
+    rng = default_rng(3)
     wide = 3.0 * rng.standard_normal(1000)
     log_weights = -0.5 * wide**2 + wide**2 / 18
     log_weights -= np.logaddexp.reduce(log_weights)

@@ -4,6 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from inference_cases import Analytic, Squares, box, recipe, squares_recipe
+from numpy.random import default_rng
 from pytest import approx
 
 from needlefit.errors import FitError, ModelError
@@ -32,7 +33,7 @@ def rosenbrock(theta):
 
 
 def rng():
-    return np.random.default_rng(5)
+    return default_rng(5)
 
 
 @pytest.mark.parametrize("dimensions", [1, 2])
@@ -68,7 +69,7 @@ def test_a_function_that_is_never_finite_is_no_success(value):
 
 
 def test_fits_go_through_a_checkpoint_and_more_starts_fill_the_box(tmp_path):
-    theta = tuple(np.random.default_rng(1).normal(size=5).tolist())
+    theta = tuple(default_rng(1).normal(size=5).tolist())
     start = Start(3, theta, theta[::-1], math.inf, 7, 7, "no finite value")
     fit = Fit(theta, {"mu1_pa": theta[0]}, theta[1], (start,), 7, 7, False, held=("alpha1",))
     checkpoint = open_checkpoint(tmp_path / "c", False, {})
@@ -77,7 +78,7 @@ def test_fits_go_through_a_checkpoint_and_more_starts_fill_the_box(tmp_path):
     keep_fit(checkpoint, "fold", fit)
     assert read_fit(checkpoint, "fold") == fit
     lower, upper = np.array([0.0, 10.0]), np.array([1.0, 20.0])
-    few, many = (starting_points(lower, upper, n, np.random.default_rng(2)) for n in (8, 64))
+    few, many = (starting_points(lower, upper, n, default_rng(2)) for n in (8, 64))
     assert np.array_equal(few, many[:8])
     cells = np.histogram2d(*many.T, bins=4, range=[[0, 1], [10, 20]])[0]
     assert cells.min() >= 1  # 64 points leave none of 16 cells empty

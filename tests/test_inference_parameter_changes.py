@@ -11,13 +11,12 @@ from refusals import refusal
 from needlefit.errors import ConfigError
 from needlefit.inference.parameter_changes import MODULUS_BOUNDS_PA, change_fit, change_parameters
 from needlefit.inference.parameters import Parameters
-from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.study import FitRecord
 
 FIT = {"schema": 2, "dataset": "twin", "medium": "phantom1"}
 
 
-def changed(record: MediumRecord, *free: str, **fix: float) -> Parameters:
+def changed(record, *free, **fix):
     return Parameters.from_record(change_parameters(record, free, fix))
 
 

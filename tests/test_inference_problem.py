@@ -15,6 +15,7 @@ from inference_cases import (
     squares_recipe,
     two_layers,
 )
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
 
@@ -80,14 +81,14 @@ def test_needles_that_differ_are_fitted_together():
 
 
 def rng():
-    return np.random.default_rng(4)
+    return default_rng(4)
 
 
-def measured(depth: float, planar: np.ndarray):
+def measured(depth, planar):
     return insertion(depth).with_points(planar)
 
 
-def line(length: float) -> np.ndarray:
+def line(length):
     """A straight needle measured in unequal steps, turned by 53 degrees and far from its frame."""
     along = length * np.array([0.0, 0.1, 0.15, 0.6, 1.0])
     return np.outer(along, [0.6, 0.8]) + np.array([50.0, -7.0])
@@ -143,7 +144,7 @@ def test_the_entry_is_not_the_first_point_of_the_inserted_needle_which_has_moved
         p = problem(record, [replace(one, pose_source=source) for one in made])
         theta = p.parameters.theta(truth)
         misfits = float(np.abs(p.compute_misfits(theta)).max()), p.objective(theta)
-        fits = [minimize(p, how, np.random.default_rng(1)) for how in (squares_recipe(), recipe())]
+        fits = [minimize(p, how, default_rng(1)) for how in (squares_recipe(), recipe())]
         found[source] = misfits, [[fit.values[name] / truth[name] for name in p.names] for fit in fits]
     misfits, factors = found["first_point"]
     assert misfits[0] < 0.01 and misfits[1] < 1e-3
@@ -171,7 +172,7 @@ def test_the_gradient_is_that_of_differences(pose):
 def test_what_a_set_gives_does_not_depend_on_the_sets_beside_it(nodes_at_once, monkeypatch):
     monkeypatch.setattr(batch, "NODES_AT_ONCE", nodes_at_once)
     p = two_layers()
-    thetas = p.lower + np.random.default_rng(1).uniform(0.4, 0.6, (16, len(p.names))) * (p.upper - p.lower)
+    thetas = p.lower + default_rng(1).uniform(0.4, 0.6, (16, len(p.names))) * (p.upper - p.lower)
     for evaluate in (p._objectives, p._log_densities):
         alone = [evaluate(theta[None], 1)[0] for theta in thetas]
         assert_array_equal(evaluate(thetas, 1), alone)

@@ -9,7 +9,6 @@ from pytest import approx
 
 from needlefit.inference.identifiability.profile import (
     DEVIANCE_95,
-    LikelihoodProfile,
     minimize_squares,
     summarize_profile,
     trace_profiles,
@@ -30,24 +29,24 @@ class Known:
     names: tuple[str, ...] = ("x", "y")
     calls: int = 0
 
-    def jacobian(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def jacobian(self, theta):
         self.calls += 1
         return np.array(self.residuals(*theta), dtype=float), np.array(self.slopes(*theta), dtype=float)
 
     plain = None
 
 
-def line(**changed: object) -> Known:
+def line(**changed):
     """Gaussian and linear: information [[5, 2], [2, 4]]."""
     return Known(lambda x, y: [x + 2 * y - 1, 2 * x - 3], lambda x, y: [[1, 2], [2, 0]], **changed)
 
 
-def banana() -> Known:
+def banana():
     """y follows x^2 within 0.1, x is 1 within 0.5."""
     return Known(lambda x, y: [(x - 1) / 0.5, (y - x**2) / 0.1], lambda x, y: [[2, 0], [-20 * x, 10]])
 
 
-def found(target: Known, k: int, start: tuple[float, float] = (0.5, 0.5)) -> LikelihoodProfile:
+def found(target, k, start=(0.5, 0.5)):
     return summarize_profile(
         target, k, trace_profiles(target, [k], minimize_squares(target, np.array(start)))[k]
     )

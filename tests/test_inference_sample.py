@@ -10,6 +10,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from pytest import approx
 from refusals import refusal
 from sampling_cases import Known, draw, flat, gaussian, weighted
@@ -27,7 +28,7 @@ BEGIN = weighted(GAUSSIAN, MEAN)
 SHORT = {"walkers": 16, "densities": 16 * 35 + 15, "independent_draws": 10**6}
 
 
-def assert_equal(one: Posterior, other: Posterior) -> None:
+def assert_equal(one, other):
     assert np.array_equal(one.draws, other.draws) and np.array_equal(one.log_posterior, other.log_posterior)
     assert np.array_equal(one.acceptance_fraction, other.acceptance_fraction) and one.faults == other.faults
 
@@ -115,9 +116,9 @@ except Exception as error:
 # ---- convergence of chains whose values are known
 
 
-def autoregressive(memory: float, steps: int = 4000, walkers: int = 16, seed: int = 1) -> np.ndarray:
+def autoregressive(memory, steps=4000, walkers=16, seed=1):
     """Return series (N, W) of unit variance whose autocorrelation is memory^t."""
-    noise = np.random.default_rng(seed).normal(size=(steps, walkers))
+    noise = default_rng(seed).normal(size=(steps, walkers))
     series = noise.copy()
     for t in range(1, steps):
         series[t] = memory * series[t - 1] + math.sqrt(1 - memory**2) * noise[t]
@@ -145,7 +146,7 @@ def test_r_hat_by_hand():
 def test_walkers_that_rest_or_stay_in_their_mode_are_seen():
     assert compute_autocorrelation_time(np.ones((100, 8))) == math.inf
     noise = autoregressive(0.0, 500)
-    resting = np.tile(np.random.default_rng(3).normal(size=16), (500, 1))
+    resting = np.tile(default_rng(3).normal(size=16), (500, 1))
     apart = noise + 20.0 * np.where(np.arange(16) < 8, -1.0, 1.0)  # each walker alone looks independent
     for values in (resting, apart):
         assert noise.size / compute_autocorrelation_time(values) < 2 * 16
@@ -155,7 +156,7 @@ def test_walkers_that_rest_or_stay_in_their_mode_are_seen():
 
 def test_walkers_that_begin_alike_and_hardly_move_have_few_independent_draws():
     """Of 640 draws that are 20 different ones in any order, 20 at most are independent."""
-    values = np.random.default_rng(5).choice(np.random.default_rng(6).normal(size=20), size=(10, 64))
+    values = default_rng(5).choice(default_rng(6).normal(size=20), size=(10, 64))
     assert values.size / compute_autocorrelation_time(values) <= 20
 
 
@@ -170,9 +171,9 @@ def test_chains_are_compared_with_the_draws_by_importance():
     assert compare_means(got, unknown).tolist() == [0.0, 0.0]
 
 
-def met(**changed: object) -> Posterior:
+def met(**changed):
     """Draws that have converged, but for `changed`."""
-    rng = np.random.default_rng(4)
+    rng = default_rng(4)
     fine = Posterior(
         names=("x0", "x1"),
         draws=rng.normal(size=(8, 100, 2)),

@@ -18,24 +18,24 @@ LIMIT_S = 20.0
 class Recorded:
     """Squares of thetas, and how many were asked for at once."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.sizes: list[int] = []
 
-    def square(self, thetas: np.ndarray, jobs: int) -> list[float]:
+    def square(self, thetas, jobs):
         self.sizes.append(len(thetas))
         if np.any(thetas < 0):
             raise ModelError("below zero")
         return [float(theta[0]) ** 2 for theta in thetas]
 
 
-def search(recorded: Recorded, steps: int) -> float:
+def search(recorded, steps):
     return sum(evaluate(recorded.square, np.array([float(k)])) for k in range(steps))
 
 
-def run(work, items, stop=None) -> dict:
+def run(work, items, stop=None):
     found = {}
 
-    def collect() -> None:
+    def collect():
         try:
             found.update(run_side_by_side(work, items, 1, stop or TaskStop(never_stop)))
         except Exception as error:

@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 import scipy
 from inference_cases import NEEDLE, TRUTH, assert_one_density, dataset, insertion, medium
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from problem_cases import make_problem
 from pytest import approx
@@ -95,7 +96,7 @@ def test_a_roll_and_turns_of_the_pose_out_of_the_plane_cost_what_their_priors_sa
         assert values[0] - values[1] == approx(angle**2 / 2 / 0.05**2, rel=0.02)
     sensors = np.array([[8.0, 0.0, 0.0, 1e-5], [25.0, 0.0, 0.0, 1e-5]])
     one = replace(exact, roll_sd=1e-9, curvature=sensors * [1, 1, 1, 1e-2])
-    read = simulate_measurement(dataset([one]), one, TRUTH, medium(), np.random.default_rng(0)).curvature
+    read = simulate_measurement(dataset([one]), one, TRUTH, medium(), default_rng(0)).curvature
     values = []
     for turn in (0.0, angle):
         kappa = turn_about_x(np.column_stack([sensors[:, 0], read[:, 1:3]]), turn)[:, 1:]
@@ -210,7 +211,7 @@ def test_measurements_simulated_in_space_scatter_as_the_likelihood_takes_them():
     """The squares of whitened residuals at the truth are chi-squared: their number is the mean."""
     planned = turned(pose_shift_sd=0.2, roll_sd=math.radians(3.0))
     p = in_space([planned])
-    theta, rng = p.parameters.theta(TRUTH), np.random.default_rng(5)
+    theta, rng = p.parameters.theta(TRUTH), default_rng(5)
     data, squares, count = p.dataset, [], 60
     for _ in range(count):
         seen = simulate_measurement(data, planned, TRUTH, medium(), rng)
@@ -249,7 +250,7 @@ SENSORS = np.column_stack([[2.0, 10.0, 20.0, 30.0], np.zeros((4, 2)), np.full(4,
 
 def test_curvatures_of_four_sensors_give_the_shape_and_are_of_one_density():
     """By curvatures with an error of 2e-5 1/mm alone, tips lie within 0.1 mm of the measured ones."""
-    rng, how = np.random.default_rng(7), BY_CURVATURE
+    rng, how = default_rng(7), BY_CURVATURE
     planned = [turned(40.0, curvature=SENSORS), turned(45.0, ((20.0, -90.0),), curvature=SENSORS, side=-1)]
     data = replace(dataset(planned), compared="space")
     seen = [simulate_measurement(data, one, TRUTH, medium(), rng) for one in planned]
@@ -310,7 +311,7 @@ def test_curves_without_mechanics_lie_in_the_plane_to_which_the_turns_lead():
 
 
 def test_the_median_turns_with_the_points_and_tips_are_scored_by_distance():
-    rng = np.random.default_rng(2)
+    rng = default_rng(2)
     points = np.array([[0, 0], [3, 1], [-2, 5]]) + rng.normal(size=(401, 3, 2))
     turn = np.array([[0.6, 0.8], [-0.8, 0.6]])
     middle = find_geometric_median(points)

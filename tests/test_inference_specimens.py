@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from inference_cases import TRUTH, insertion, measure, medium, problem
+from numpy.random import default_rng
 from pytest import approx
 from scipy.integrate import quad
 from scipy.stats import multivariate_normal, norm, truncnorm
@@ -33,16 +34,16 @@ MEAN = np.array([10.0, -1.6])
 SDS = math.log(2.0), math.log(1.8)
 
 
-def parameters(**changed: object) -> Parameters:
+def parameters(**changed):
     return Parameters.from_record(MediumRecord.model_validate({**medium().model_dump(), **changed}))
 
 
-def one_layer() -> Parameters:
+def one_layer():
     bounds = {"mu1_pa": {"bounds": (1e2, 1e8)}, "alpha1": {"fixed": 1.0}, "bevel_mm": {"bounds": (1e-3, 0.6)}}
     return parameters(layers=1, parameters=bounds)
 
 
-def three_layers() -> Parameters:
+def three_layers():
     layers = {f"mu{n}_pa": {"bounds": (1e3, 1e9)} for n in (1, 2)} | {
         "mu3_pa": {"tie": "mu1_pa", "spread": 1.2},
         **{f"alpha{n}": {"fixed": 1.0} for n in (1, 2, 3)},
@@ -56,7 +57,7 @@ MODEL = SpreadModel.of(one_layer(), *SDS)
 
 def test_the_prior_is_half_normal_and_of_uniform_correlation_and_share():
     model = SpreadModel.of(three_layers(), *SDS)
-    covariances = model.covariances(model.draw(20_000, np.random.default_rng(3)))
+    covariances = model.covariances(model.draw(20_000, default_rng(3)))
     variances = np.diagonal(covariances, axis1=1, axis2=2)
     assert np.sqrt(variances.mean(axis=0)) == approx([SDS[0], SDS[0], SDS[1]], rel=0.02)
     share = covariances[:, 0, 1] / variances[:, 0]
@@ -79,7 +80,7 @@ def test_draws_and_density_of_the_spread_are_one_prior_also_with_tips(layers):
     known = layers()
     plain = SpreadModel.of(known, *SDS)
     tips = SpreadModel.of(known, *SDS, {"mu1_pa": 2.0, "mu2_pa": 1.0, "bevel_mm": 5.0})
-    free, drawn = (one.draw(40_000, np.random.default_rng(3)) for one in (plain, tips))
+    free, drawn = (one.draw(40_000, default_rng(3)) for one in (plain, tips))
     factor = np.exp(tips.log_prior(free) - plain.log_prior(free))
     assert factor.max() <= 1.0 and factor.mean() < 0.25
     # of those that are not too rare, as many as without tips once the factor is taken off again
@@ -132,9 +133,9 @@ def test_density_is_that_of_gaussian_estimates_whose_covariances_add(rho):
 # ---- what is learned of the spread from some specimens; a new specimen
 
 
-def gaussian(mean: np.ndarray, covariance: np.ndarray, seed: int) -> np.ndarray:
+def gaussian(mean, covariance, seed):
     """Return draws with exactly this mean and covariance."""
-    rough = np.random.default_rng(seed).standard_normal((1000, len(mean)))
+    rough = default_rng(seed).standard_normal((1000, len(mean)))
     rough -= rough.mean(axis=0)
     white = rough @ np.linalg.inv(np.linalg.cholesky(np.cov(rough.T, bias=True))).T
     return mean + white @ np.linalg.cholesky(covariance).T
@@ -144,7 +145,7 @@ def walk(log_density, names, begin):
     """Go on from weighted draws by the ensemble of walkers of the default recipe."""
     assert len(names) == begin.thetas.shape[1] == 5
     settings = SampleRecord(independent_draws=2000, densities=60_000)
-    return sample_density(log_density, names, begin, settings, np.random.default_rng(2), Callbacks())
+    return sample_density(log_density, names, begin, settings, default_rng(2), Callbacks())
 
 
 def test_a_population_has_all_draws_also_of_a_chain_with_fewer():
@@ -155,7 +156,7 @@ def test_a_population_has_all_draws_also_of_a_chain_with_fewer():
         density = log_density(begin.thetas[:80]).reshape(8, 10)
         return Posterior(names, draws, density, np.ones(8), one, one, wanted=1, burn_in=0, failures=0)
 
-    found = draw_population(one_layer(), MODEL, posteriors, 500, np.random.default_rng(1), stop_early)
+    found = draw_population(one_layer(), MODEL, posteriors, 500, default_rng(1), stop_early)
     assert found.source == "posterior" and found.new.shape == found.mean.shape == (500, 2)
 
 
@@ -166,13 +167,13 @@ def test_two_specimens_tell_of_the_spread_of_b_what_their_difference_does(gap):
     posteriors = {
         str(n): gaussian(np.array([11.0, b]), covariance, n) for n, b in enumerate((-3.0, gap - 3.0))
     }
-    found = draw_population(one_layer(), MODEL, posteriors, 4000, np.random.default_rng(1))
+    found = draw_population(one_layer(), MODEL, posteriors, 4000, default_rng(1))
 
     def density(tau, power):
         return tau**power * norm.pdf(tau, scale=SDS[1]) * norm.pdf(gap, scale=math.sqrt(2 * (tau**2 + 1e-4)))
 
     moments = [quad(density, 0, 3, args=(power,), points=(0.05, 0.2, 0.5, 1))[0] for power in (0, 2)]
-    walked = draw_population(one_layer(), MODEL, posteriors, 4000, np.random.default_rng(1), walk)
+    walked = draw_population(one_layer(), MODEL, posteriors, 4000, default_rng(1), walk)
     for one, source in ((found, "importance"), (walked, "posterior")):
         assert not one.faults and one.source == source
         assert one.rms[1] == approx(math.sqrt(moments[1] / moments[0]), rel=0.15)
@@ -180,7 +181,7 @@ def test_two_specimens_tell_of_the_spread_of_b_what_their_difference_does(gap):
 
 def test_a_ridge_of_specimens_is_learned_along_and_across():
     """Specimens differ along mu^0.5 b = const by 0.8 in ln mu, across it by 0.03; a new one does as well."""
-    rng = np.random.default_rng(5)
+    rng = default_rng(5)
     along, across = np.array([1.0, -0.5]) * 0.8, np.array([0.5, 1.0]) * 0.03 / math.sqrt(1.25)
     posteriors = {}
     for n in range(12):
@@ -201,11 +202,11 @@ def test_one_specimen_leaves_the_prior_and_a_new_one_stays_within_the_bounds():
     known = one_layer()
     tuned = known.theta({"mu1_pa": 1e5, "bevel_mm": 0.4})
     thetas = np.tile(tuned, (4000, 1))
-    found = draw_population(known, MODEL, {"a": thetas}, 4000, np.random.default_rng(1))
+    found = draw_population(known, MODEL, {"a": thetas}, 4000, default_rng(1))
     assert found.mean is thetas and found.rms == approx(SDS, rel=0.05)
     assert np.std(found.new[:, 0] - tuned[0]) == approx(math.sqrt(2) * SDS[0], rel=0.08)
     covariances = np.tile(np.diag([18.0, 4.5]), (4000, 1, 1))
-    moved = draw_specimens(known, MODEL, thetas, covariances, np.random.default_rng(1))
+    moved = draw_specimens(known, MODEL, thetas, covariances, default_rng(1))
     assert np.all((moved >= known.lower) & (moved <= known.upper))
     assert len(np.unique(moved[:, 1])) == len(moved)  # drawn again, not put on the bounds
     sds = np.sqrt([18.0, 4.5])
@@ -219,7 +220,7 @@ def test_a_new_specimen_has_its_own_moduli_and_its_own_ratio_between_layers():
     tuned = known.theta({"mu1_pa": 1e5, "mu2_pa": 1e7, "mu3_pa": 2e5, "bevel_mm": 0.1})
     covariance = np.array([[0.36, 0.18, -0.09], [0.18, 0.36, 0.0], [-0.09, 0.0, 0.09]])
     covariances = np.tile(covariance, (40_000, 1, 1))
-    moved = draw_specimens(known, model, np.tile(tuned, (40_000, 1)), covariances, np.random.default_rng(1))
+    moved = draw_specimens(known, model, np.tile(tuned, (40_000, 1)), covariances, default_rng(1))
     at = {name: moved[:, known.free.index(name)] - tuned[known.free.index(name)] for name in known.free}
     found = np.cov([at[name] for name in model.names])
     assert found == approx(covariance, abs=0.02)

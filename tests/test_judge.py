@@ -29,13 +29,12 @@ from needlefit.studies.judge import (
     list_checks,
 )
 from needlefit.studies.outcome import Outcome
-from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import orient_pits, pool_insertions
 
 PROJECT = Path(__file__).parent.parent
 
 
-def needles(**te_mm: list[float]) -> pd.DataFrame:
+def needles(**te_mm):
     """Return tip errors of methods on needles n1, n2, ... of one fit, each in a hole of one specimen."""
     count = len(next(iter(te_mm.values())))
     names = [f"n{number}" for number in range(1, count + 1)]
@@ -149,7 +148,7 @@ def test_depths_of_one_hole_are_one_needle():
     assert (found.needles, found.closer) == (2, 2)
 
 
-def with_tip_errors(results: Run, **mm: tuple[float, float]) -> Run:
+def with_tip_errors(results, **mm):
     """Replace the tip errors of methods by mean and alternating deviation; the floor is 0.22 mm."""
     errors = results.frames["errors"].copy()
     for method, (mean, deviation) in mm.items():
@@ -159,7 +158,7 @@ def with_tip_errors(results: Run, **mm: tuple[float, float]) -> Run:
     return results.with_frames(errors=along_y(errors))
 
 
-def along_y(errors: pd.DataFrame) -> pd.DataFrame:
+def along_y(errors):
     """Return errors whose tips are off along y; the measured ones err by 0.18 mm, each by itself."""
     known = errors["floor_te_mm"].notna().to_numpy()
     sds = {"tip_across_sd_mm": np.where(known, 0.18, 0.0), "tip_registered_sd_mm": 0.0}
@@ -200,7 +199,7 @@ FOLLOWS = {
 NOISE_MM = 0.22  #: noise floor of the tip errors of made-up studies
 
 
-def make_scores(seed: int) -> Run:
+def make_scores(seed):
     """Return a study with tip errors by chance: borderline, of few needles, NaN, noise not stated."""
     rng = np.random.default_rng(seed)
     results = study(4)
@@ -269,7 +268,7 @@ def test_what_is_not_complete_passes_nowhere():
     assert replace(good, interrupted=True).verdicts[0].status == "warn"
 
 
-def find(results: Run, check: Check):
+def find(results, check):
     return next(one for one in list_checks(results) if one.check is check)
 
 
@@ -287,7 +286,7 @@ def test_coverage_of_several_trials_has_an_interval(levels, passed):
     assert (found[Check.INTERVALS].trials, found[Check.INTERVALS].tips) == (7, 7)
 
 
-def by_trials(results: Run) -> Run:
+def by_trials(results):
     """Give each prediction a fit and a specimen of its own."""
     predictive = results.frames["predictive"]
     numbers = [str(number) for number in range(len(predictive))]
@@ -324,7 +323,7 @@ def test_warnings_about_the_data_are_one_check():
     assert (found.passed, found.named) == (False, "copy, noise_too_large, validity")
 
 
-def pairs(gaps: np.ndarray, fold=None, specimen=None, hole=None) -> pd.DataFrame:
+def pairs(gaps, fold=None, specimen=None, hole=None):
     """Return errors of two methods whose tip errors differ by `gaps`, an insertion each."""
     names = [f"i{n}" for n in range(len(gaps))]
     about = {"insertion": names}

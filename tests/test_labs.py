@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 from labs import LABS, TRUTH, place
 from light_runs import draw_blank
+from numpy.random import default_rng
 from reporting_results import skip_figures
 from test_cli import run
 
@@ -24,7 +25,7 @@ PRINTED = re.compile(r"needlefit ((?:check|tune|validate|predict) \S[^\n]*)")
 @pytest.mark.parametrize(("sides", "most_deg"), [((1, -1), 0.25), ((1,), 4.0)])
 def test_one_direction_is_fitted_to_all_needles(sides, most_deg):
     """Needles of both sides determine their direction of insertion; of one side the bend hides it."""
-    rng, along = np.random.default_rng(3), normalize([0.080, 0.992, 0.100])
+    rng, along = default_rng(3), normalize([0.080, 0.992, 0.100])
     across, lines = normalize(np.cross(along, [0.0, 0.0, 1.0])), []
     for n, depth in enumerate((50, 60, 70, 80, 55, 65)):
         points = place(depth, np.linspace(0.0, depth, 31), sides[n % len(sides)])
@@ -52,7 +53,7 @@ def quick(tmp_path, monkeypatch):
 
 def import_lab(lab, seed, capsys, **sizes):
     """Write the file of a lab, import it, and return the commands that are printed."""
-    lab.write(Path("data.csv"), np.random.default_rng(seed), **sizes)
+    lab.write(Path("data.csv"), default_rng(seed), **sizes)
     code = run("import", *lab.files, "--out", "lab", *lab.options())
     printed = "".join(capsys.readouterr())
     assert code == 0, printed
@@ -97,7 +98,7 @@ def test_a_second_set_of_a_lab_finds_its_truth(lab, quick, capsys):
 def test_a_fit_of_free_shapes_knows_what_their_direction_would_determine(quick, capsys):
     """The factors that it states are those of a fit to the same shapes with their direction."""
     lab, factors = LABS["shapes"], {}
-    lab.write(Path("data.csv"), np.random.default_rng(1))
+    lab.write(Path("data.csv"), default_rng(1))
     of_pose = ("pose", "bevel")
     free = [one for one in lab.stated if not one.startswith(of_pose)]
     for name, stated in (("free", free), ("lab", [*free, "pose=1,0,0", "bevel=0,1,0", "pose_angle_sd=0.5"])):
@@ -115,7 +116,7 @@ def test_a_fit_of_free_shapes_knows_what_their_direction_would_determine(quick, 
 def test_runs_into_specimens_of_their_own_are_fitted_alone(quick, capsys):
     lab = LABS["stops"]
     stated = [one for one in lab.stated if not one.startswith("specimen")]
-    lab.write(Path("data.csv"), np.random.default_rng(1))
+    lab.write(Path("data.csv"), default_rng(1))
     each = [word for one in (*stated, "specimen=each") for word in ("--set", one)]
     assert run("import", "data.csv", "--out", "lab", "--yes", *each) == 0
     assert "lab_fit.toml" in "".join(capsys.readouterr()) and not Path("lab/lab_study.toml").exists()

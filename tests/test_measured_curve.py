@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
@@ -23,7 +24,7 @@ def measure_again(points, sd, rng, repeats):
 @pytest.mark.parametrize("noise", [0.05, 0.1, 0.2])
 @pytest.mark.parametrize("spacing", [0.1, 0.5, 1.0, 5.0])
 def test_the_length_is_right_whatever_spacing_and_noise(spacing, noise):
-    rng = np.random.default_rng(7)
+    rng = default_rng(7)
     s = np.linspace(0, LENGTH, round(LENGTH / spacing) + 1)
     curves = measure_again(arc_points(s, 0.5), noise, rng, 6 if spacing == 0.1 else 40)
     lengths = np.array([one.length for one in curves])
@@ -44,7 +45,7 @@ def test_curves_without_noise_have_the_length_of_the_arc(count, bend):
 
 def check_lengths(points, truth, noise, repeats=30, along=1.0):
     """Measure points again and again: no bias beyond 0.1 mm, and errors as large as their SD, or smaller."""
-    rng = np.random.default_rng(11)
+    rng = default_rng(11)
     scale = noise * np.array([along, 1.0, 1.0])
     curves = [measure_curve(points + scale * rng.normal(size=points.shape), noise) for _ in range(repeats)]
     gaps = np.array([one.length - truth for one in curves])
@@ -77,7 +78,7 @@ def test_points_per_slice_have_no_noise_along_the_needle_and_may_end_within_a_sl
 
 
 def test_uneven_points_and_clusters_are_not_taken_as_even():
-    rng = np.random.default_rng(2)
+    rng = default_rng(2)
     uneven = np.sort(np.append(rng.uniform(0, LENGTH, 30), [0, LENGTH]))
     near = np.linspace(0.3, LENGTH - 0.3, 8)[:, None] + 0.1 * np.arange(-3, 4)
     for s in (uneven, near.ravel() - near.min()):
@@ -86,7 +87,7 @@ def test_uneven_points_and_clusters_are_not_taken_as_even():
 
 @pytest.mark.parametrize(("along", "kept"), [(0.1, False), (0.2, True)])
 def test_places_that_vary_more_along_the_needle_than_across_it_are_kept(along, kept):
-    rng = np.random.default_rng(7)
+    rng = default_rng(7)
     x = np.arange(60.0) + along * rng.normal(size=60)
     s = measure_curve(np.column_stack([x, 0.1 * rng.normal(size=60)])).s
     moved = np.std((s - (x - x[0]))[1:-1])
@@ -95,7 +96,7 @@ def test_places_that_vary_more_along_the_needle_than_across_it_are_kept(along, k
 
 def test_repeated_points_and_few_points_have_places_and_motions_change_nothing():
     points = arc_points(np.linspace(0, LENGTH, 12), 0.4)
-    points = points + 0.1 * np.random.default_rng(5).normal(size=points.shape)
+    points = points + 0.1 * default_rng(5).normal(size=points.shape)
     whole = measure_curve(points)
     twice = measure_curve(np.repeat(points, 2, axis=0))
     np.testing.assert_array_equal(twice.s, np.repeat(whole.s, 2))
@@ -109,7 +110,7 @@ def test_repeated_points_and_few_points_have_places_and_motions_change_nothing()
 
 def test_residuals_lie_across_the_curve_and_show_a_point_that_is_off():
     s = np.linspace(0, LENGTH, 36)
-    points = arc_points(s, 0.4) + 0.05 * np.random.default_rng(3).normal(size=(36, 3))
+    points = arc_points(s, 0.4) + 0.05 * default_rng(3).normal(size=(36, 3))
     points[20] += [0.0, 0.0, 2.0]
     curve = measure_curve(points)
     assert np.argmax(np.linalg.norm(curve.residuals, axis=1)) == 20

@@ -89,7 +89,7 @@ TWO_LAYERS = Tissue(mu=[0.2, 33.0], alpha=[1.0, -1.0], boundaries=[9.3])
 BEVEL = Bevel(0.1)
 
 
-def at(shape: NeedleShape, x: float) -> int:
+def at(shape, x):
     (node,) = np.flatnonzero(shape.x == x)
     return int(node)
 

@@ -14,6 +14,7 @@ from mechanics_cases import (
     random_batch,
     random_steps,
 )
+from numpy.random import default_rng
 
 from needlefit import Bevel, Controls, Guide, ModelOptions, Needle, Step, Tissue, TrackedTip, simulate_steps
 from needlefit.mechanics import batch as batch_module
@@ -37,20 +38,18 @@ HELD = (
 RUBBING = replace(TISSUE, friction=[0.3, 0.3])
 
 
-def one(batch: Batch, threads: int | None = None) -> NeedleShapes:
+def one(batch, threads=None):
     (shapes,) = simulate_batches([batch], threads)
     return shapes
 
 
-def broad(
-    sets: int, seed: int = 0, steps: tuple[Step, ...] = THERE_AND_BACK, tissue: Tissue = TISSUE
-) -> Batch:
-    rng = np.random.default_rng(seed)
+def broad(sets, seed=0, steps=THERE_AND_BACK, tissue=TISSUE):
+    rng = default_rng(seed)
     mu, alpha = 10 ** rng.uniform(-3, 2, (sets, 2)), rng.uniform(-10, 10, (sets, 2))
     return Batch(NEEDLE, tissue, steps, mu=mu, shape=alpha[:, None], offset=rng.uniform(0, 0.2, sets))
 
 
-def some(batch: Batch, sets: np.ndarray) -> Batch:
+def some(batch, sets):
     given = {name: getattr(batch, name) for name in ("mu", "shape", "offset", "base_y", "guide_x")}
     return replace(batch, **{name: v[sets] for name, v in given.items() if v is not None})
 
@@ -60,7 +59,7 @@ def some(batch: Batch, sets: np.ndarray) -> Batch:
 @pytest.mark.parametrize("seed", list_seeds(30, 8))
 def test_every_set_is_what_newtons_method_gives(seed, within, kind):
     """Also with guides in the tissue, tracked tips and friction."""
-    batch = random_batch(np.random.default_rng(seed), 6, within, float(seed % 2), kind)
+    batch = random_batch(default_rng(seed), 6, within, float(seed % 2), kind)
     shapes, exact = one(batch), replace(batch, rules=replace(batch.rules, tolerance=1e-11))
     for i in range(len(batch)):
         alone = simulate_steps(*pick(batch, i))
@@ -106,7 +105,7 @@ def test_neighbours_and_spare_lanes_change_no_bit(sets, controls, tissue):
     assert_same_bits(one(some(batch, np.arange(sets))), part(one(batch), np.arange(sets)))
 
 
-def part(shapes: NeedleShapes, sets: np.ndarray) -> NeedleShapes:
+def part(shapes, sets):
     parts = (getattr(shapes, field.name) for field in fields(shapes))
     return NeedleShapes(*(part[sets] for part in parts))
 
@@ -131,14 +130,14 @@ def test_invalid_numbers_affect_no_other_set(steps):
     np.testing.assert_array_equal(shapes.x[lost], np.tile(shapes.x[lost[0] + 2], (4, 1)))
 
 
-def thin(offset: list[float], thickness: float, friction: float = 0.0) -> Batch:
+def thin(offset, thickness, friction=0.0):
     tissue = Tissue(mu=[0.2], alpha=[1.0], thickness=[thickness], friction=[friction])
     return Batch(NEEDLE, tissue, (Step(10.0, Bevel(0.1)),), offset=offset)
 
 
 def test_different_insertions_come_back_in_their_order():
     """The longest is begun first, a shallow one with many sets takes the other core."""
-    rng = np.random.default_rng(7)
+    rng = default_rng(7)
     depths, sizes = [3.3, 41.0, 12.6, 0.4, 24.0, 1.0], [70, 3, 33, 1, 32, 5]
     batches = [
         broad(size, n, (Step(depth, Bevel(0.1), WIDE.controls),))

@@ -43,7 +43,7 @@ class EvaluatedLaw(NamedTuple):
     series: np.ndarray  # of k in |e|
 
 
-def evaluated(tissue: Tissue, layer: int = 0, e: np.ndarray = REST, number: int = 0) -> EvaluatedLaw:
+def evaluated(tissue, layer=0, e=REST, number=0):
     """The law of one layer at |e| = `e`, mm, as the kernel has it, by the shape parameter of a number."""
     shape = tissue.shape[:, layer : layer + 1]
     parts, slopes = compile_law(tissue.law, shape), differentiate_law(tissue.law, shape)
@@ -100,7 +100,7 @@ def law(request, tmp_path, monkeypatch):
         yield request.param
 
 
-def make_tissue(law: str, seed: int) -> Tissue:
+def make_tissue(law, seed):
     """Thin layers, which the base compresses by a tenth: every shape parameter moves the needle."""
     shape = [np.random.default_rng(seed).uniform(*one.usual, LAYERS) for one in LAWS[law].parameters]
     return Tissue([0.4, 2.0], dict(zip(LAWS[law].shape_names, shape, strict=True)), [7.3], 5.0, 0.2, law)
@@ -152,10 +152,10 @@ def test_the_kernels_k_and_its_derivatives(law):
             assert np.max(np.abs(found - true) / k) < 1e-6
 
 
-def differences(function, arguments, which: int, step: float = 2e-4) -> np.ndarray:
+def differences(function, arguments, which, step=2e-4):
     """Return a derivative of a function by central differences of fourth order."""
 
-    def at(h: float) -> np.ndarray:
+    def at(h):
         return function(*(one + h * (n == which) for n, one in enumerate(arguments)))
 
     near, far = (at(h) - at(-h) for h in (step, 2 * step))

@@ -14,11 +14,11 @@ from needlefit import Bevel, Controls, Guide, ModelOptions, Needle, Step, Tissue
 from needlefit.mechanics.simulate import compute_lateral_load, compute_loads, simulate, simulate_steps
 
 
-def phantom(boundaries: tuple[float, ...] = (20.0, 28.0, 45.0)) -> Tissue:
+def phantom(boundaries=(20.0, 28.0, 45.0)):
     return Tissue(mu=[0.2, 33, 0.2, 33], alpha=[1, -1, 1, -1], boundaries=np.array(boundaries))
 
 
-def tip(depth: float, boundaries: tuple[float, ...] = (20.0, 28.0, 45.0), element: float = 1.0) -> float:
+def tip(depth, boundaries=(20.0, 28.0, 45.0), element=1.0):
     return simulate(
         NEEDLE, phantom(boundaries), Bevel(0.085), depth, rules=ModelOptions(element=element)
     ).tip_lateral

@@ -8,13 +8,13 @@ from needlefit.mechanics.plan import Lattice, Move, make_lattice, make_moves, ma
 HALF = Lattice(0.5, 1.0)  # points at 0, 0.5, 1.5, 2.5 ...
 
 
-def stops(*moves: tuple[float, int, int], lattice: Lattice = HALF) -> list[tuple]:
+def stops(*moves, lattice=HALF):
     """Return tip, cell, permanent, ray, opens, cut, held of the stops of moves (depth, cut, held)."""
     found = make_stops(tuple(Move(*move) for move in moves), lattice)
     return [(s.tip, s.cell, s.permanent, s.ray, s.starts_ray, s.bevel_id, s.controls_id) for s in found]
 
 
-def entry(held: int = 0) -> tuple:
+def entry(held=0):
     return (0.0, 0, True, 0, False, 0, held)
 
 

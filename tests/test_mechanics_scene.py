@@ -20,7 +20,7 @@ TABLES: dict[str, Any] = {
 }
 
 
-def built(**tables: Any) -> Scene:
+def built(**tables):
     return Scene.from_record(check(TABLES | tables, SceneRecord, "a.toml"), "a.toml")
 
 

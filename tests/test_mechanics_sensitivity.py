@@ -14,6 +14,7 @@ from mechanics_cases import (
     random_batch,
     random_case,
 )
+from numpy.random import default_rng
 from refusals import refusal
 
 from needlefit import (
@@ -21,7 +22,6 @@ from needlefit import (
     Controls,
     Guide,
     ModelOptions,
-    Needle,
     Step,
     Tissue,
     compute_positions,
@@ -46,7 +46,7 @@ PHANTOM = Tissue(mu=[0.2, 33, 0.2, 33], alpha=[1, -1, 1, -1], boundaries=[20, 28
 SHARP = 1e-9  # mm; Newton's tolerance where a derivative is held to 1e-7 of itself
 
 
-def check(needle: Needle, tissue: Tissue, steps: list[Step], rules: ModelOptions, lattice=None) -> None:
+def check(needle, tissue, steps, rules, lattice=None):
     shape, found = linearize_steps(needle, tissue, steps, rules, lattice, wrt=DERIVATIVE_KINDS)
     assert shape.converged
     # where the cut is linear, complex places of its corners are known less well
@@ -57,7 +57,7 @@ def check(needle: Needle, tissue: Tissue, steps: list[Step], rules: ModelOptions
 @pytest.mark.parametrize("seed", list_seeds(12))
 def test_jacobian_equals_complex_steps(seed, kind):
     """Guides before and in the tissue, a tracked tip, retraction, re-insertion, changes of base and bevel."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     needle, tissue, steps, rules, lattice = random_case(rng, kind, 3, 14.0)
     # in soft tissue rounding alone moves the derivative by more than 1e-7 of itself on a fine mesh
     rules = replace(rules, tolerance=SHARP, element=max(rules.element, 0.5))
@@ -115,20 +115,20 @@ GUIDED = Controls(0.2, 0.004, 0.002, (Guide(-9.0, 0.1, None), Guide(3.7, 0.05, i
 STEPS = (Step(6.0, Bevel(0.1), GUIDED), Step(11.4, Bevel(0.05, -1), GUIDED))
 
 
-def linearize_batch(batch: Batch):
+def linearize_batch(batch):
     ((shapes, jacobians),) = linearize_batches([batch], DERIVATIVE_KINDS)
     return shapes, jacobians
 
 
-def make_batch(sets: int, steps: tuple[Step, ...] = STEPS, tissue: Tissue = RUBBING, **more) -> Batch:
-    rng = np.random.default_rng(3)
+def make_batch(sets, steps=STEPS, tissue=RUBBING, **more):
+    rng = default_rng(3)
     mu, alpha = 10 ** rng.uniform(-1.0, 1.5, (sets, 2)), rng.uniform(-6, 6, (sets, 2))
     return Batch(NEEDLE, tissue, steps, mu=mu, shape=alpha[:, None], offset=rng.uniform(0, 0.2, sets), **more)
 
 
 @pytest.mark.parametrize("seed", list_seeds(40, 12))
 def test_every_set_is_what_a_single_one_gives(seed):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     batch = random_batch(rng, int(rng.integers(1, 12)), within=True, friction=float(rng.integers(0, 2)))
     shapes, jacobians = linearize_batch(batch)
     s = np.linspace(shapes.x[0, 0] + 1.0, shapes.x[0, -1], 9)

@@ -16,17 +16,18 @@ from mechanics_cases import (
     random_steps,
     random_tissue,
 )
+from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from pytest import approx
 
-from needlefit import Bevel, Guide, NeedleShape, Session, Tissue, TrackedTip, simulate_steps
+from needlefit import Bevel, Guide, Session, Tissue, TrackedTip, simulate_steps
 
 TISSUE = Tissue(mu=[0.2, 33.0], alpha=[1.0, -1.0], boundaries=[9.3])
 LEFT, RIGHT = Bevel(0.1, 1), Bevel(0.1, -1)
 assert_same_steps = partial(assert_same_bits, but=("iterations",))  # each step counts its own
 
 
-def session(first_cell: float = 1.0, **given) -> Session:
+def session(first_cell=1.0, **given):
     return Session(NEEDLE, TISSUE, LEFT, first_cell, **given)
 
 
@@ -34,7 +35,7 @@ def session(first_cell: float = 1.0, **given) -> Session:
 @pytest.mark.parametrize("seed", list_seeds(30, 10))
 def test_a_session_gives_the_bits_of_the_whole_insertion(seed, kind):
     """After every step: bevels, base, guides, tracked tip and depth change as they like."""
-    needle, tissue, steps, rules, lattice = random_case(np.random.default_rng(seed), kind, deepest=22.0)
+    needle, tissue, steps, rules, lattice = random_case(default_rng(seed), kind, deepest=22.0)
     under_way = Session(needle, tissue, steps[0].bevel, lattice.first_cell, steps[0].controls, rules)
     for n, step in enumerate(steps, start=1):
         expected = simulate_steps(needle, tissue, steps[:n], rules, lattice)
@@ -66,7 +67,7 @@ def test_equal_inputs_change_nothing_and_out_of_the_tissue_base_and_guide_alone_
 
 def test_a_long_session_keeps_its_size_and_accuracy():
     """Thousands of steps in and out, each under inputs never seen before."""
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     under_way = session(0.4)
     for n in range(3000):
         insert = np.clip(rng.uniform(-2, 2), -under_way.depth, 30 - under_way.depth)
@@ -113,14 +114,14 @@ def test_a_failed_step_changes_nothing(step):
 # ---- copies, the shortest way to where a session stands, and the same way through another tissue
 
 
-def assert_near(found: NeedleShape, expected: NeedleShape) -> None:
+def assert_near(found, expected):
     for name in ("x", "u", "slope", "constraints"):
         np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=1e-6, err_msg=name)
 
 
-def wandered(seed: int) -> tuple[Session, np.random.Generator]:
+def wandered(seed):
     """Return a session after random steps, in and out, and the generator that goes on."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     rules = random_rules(rng)
     needle, tissue = random_needle(rng, rules), random_tissue(rng, rules)
     steps = random_steps(rng, 6)

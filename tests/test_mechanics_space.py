@@ -16,6 +16,7 @@ from mechanics_cases import (
     pick,
     random_case,
 )
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pytest import approx
 from refusals import refusal
@@ -45,7 +46,7 @@ TISSUE = Tissue(mu=[0.2, 33.0], alpha=[1.0, -1.0], boundaries=[9.3])
 @pytest.mark.parametrize("kind", RULES)
 @pytest.mark.parametrize("seed", range(3))
 def test_all_inputs_turned_about_x_give_the_needle_turned(seed, kind):
-    needle, tissue, steps, rules, lattice = random_spatial_case(np.random.default_rng(seed), kind)
+    needle, tissue, steps, rules, lattice = random_spatial_case(default_rng(seed), kind)
     rules = replace(rules, tolerance=FINE)
     turned = tuple(turn_step(step, 40.0) for step in steps)
     one, other = (simulate_steps(needle, tissue, s, rules, lattice) for s in (steps, turned))
@@ -56,7 +57,7 @@ def test_all_inputs_turned_about_x_give_the_needle_turned(seed, kind):
 @pytest.mark.parametrize("kind", RULES)
 @pytest.mark.parametrize("roll", [90.0, 180.0, 270.0, 33.0])
 def test_a_planar_insertion_that_is_rolled_is_the_planar_needle_rolled(roll, kind):
-    needle, tissue, steps, rules, lattice = random_case(np.random.default_rng(int(roll)), kind)
+    needle, tissue, steps, rules, lattice = random_case(default_rng(int(roll)), kind)
     rules = replace(rules, tolerance=FINE)
     turned = tuple(turn_step(step, roll) for step in steps)
     one, other = (simulate_steps(needle, tissue, s, rules, lattice) for s in (steps, turned))
@@ -67,7 +68,7 @@ def test_a_planar_insertion_that_is_rolled_is_the_planar_needle_rolled(roll, kin
 @pytest.mark.parametrize("kind", RULES)
 @pytest.mark.parametrize("seed", list_seeds(8))
 def test_kernel_equals_reference(seed, kind):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     case = random_spatial_case(rng, kind, 5, 11.0) if seed % 2 else random_spatial_case(rng, kind, 0, 22.0)
     found, expected = simulate_steps(*case), reference_solver.simulate_steps(*case)
     assert found.leaves_plane
@@ -96,7 +97,7 @@ def test_strongly_compressed_tissue_is_the_reference_too(thickness):
 def test_derivatives_are_those_of_complex_steps(seed, kind):
     """Of needles in space, and by what moves a planar one out of its plane."""
     draw = random_spatial_case if seed % 2 else random_case
-    needle, tissue, steps, rules, lattice = draw(np.random.default_rng(seed), kind, 3, 9.0)
+    needle, tissue, steps, rules, lattice = draw(default_rng(seed), kind, 3, 9.0)
     rules = replace(rules, tolerance=FINE)
     unused = "offset" if kind == "path_angle" else "cut_angle"
     wrt = [one for one in (*DERIVATIVE_KINDS, *INPUTS_ALONG_Z) if one != unused]
@@ -105,7 +106,7 @@ def test_derivatives_are_those_of_complex_steps(seed, kind):
     assert_derivatives(found, needle, tissue, steps, rules, lattice)
 
 
-def random_spatial_batch(rng: np.random.Generator, kind: str) -> Batch:
+def random_spatial_batch(rng, kind):
     """Return sets of a needle in space: with guides in the tissue or friction now and then, as lanes have."""
     needle, tissue, steps, rules, _ = random_spatial_case(rng, kind, int(rng.integers(0, 3)), 11.0)
     strength = "cut_angle" if rules.path_angle else "offset"
@@ -116,7 +117,7 @@ def random_spatial_batch(rng: np.random.Generator, kind: str) -> Batch:
 @pytest.mark.parametrize("kind", RULES)
 @pytest.mark.parametrize("seed", range(3))
 def test_a_set_is_the_same_alone_and_in_lanes(seed, kind):
-    batch = random_spatial_batch(np.random.default_rng(seed), kind)
+    batch = random_spatial_batch(default_rng(seed), kind)
     (shapes,) = simulate_batches([batch], 2)
     wrt = ("mu", "roll", "base_z", "cut_angle" if kind == "path_angle" else "offset", "guides")
     ((fine, jacobians),) = linearize_batches([batch], wrt)
@@ -136,7 +137,7 @@ def test_a_set_is_the_same_alone_and_in_lanes(seed, kind):
 @pytest.mark.parametrize("kind", RULES)
 @pytest.mark.parametrize(("name", "value"), [("roll", 0.3), ("base_z", 0.1), ("base_slope_z", 1e-3)])
 def test_sets_of_one_insertion_differ_by_roll_and_base(name, value, kind):
-    needle, tissue, steps, rules, _ = random_case(np.random.default_rng(2), kind, 3, 9.0)
+    needle, tissue, steps, rules, _ = random_case(default_rng(2), kind, 3, 9.0)
     values = value + 1e-4 * np.array([-1.0, 0.0, 1.0])
     strength = "cut_angle" if kind == "path_angle" else "offset"
     of_sets = {name: values, strength: np.full(3, getattr(steps[0].bevel, strength))}
@@ -154,7 +155,7 @@ def test_sets_of_one_insertion_differ_by_roll_and_base(name, value, kind):
 @pytest.mark.parametrize("kind", RULES)
 @pytest.mark.parametrize("seed", range(4))
 def test_a_session_finds_the_bits_of_simulate_steps(seed, kind):
-    needle, tissue, steps, rules, lattice = random_spatial_case(np.random.default_rng(seed), kind)
+    needle, tissue, steps, rules, lattice = random_spatial_case(default_rng(seed), kind)
     lattice = lattice or make_lattice(steps, rules)
     session = Session(needle, tissue, steps[0].bevel, lattice.first_cell, steps[0].controls, rules)
     for step in steps:

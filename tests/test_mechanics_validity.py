@@ -50,7 +50,7 @@ NEEDLE = Needle(150.0, 1.0216e4)
 TISSUE = Tissue(np.array([0.2, 33.0]), np.array([1.0, -1.0]), np.array([12.0]))
 
 
-def beam(x, u, slope) -> NeedleShape:
+def beam(x, u, slope):
     """A beam without tissue, of which the tip has always stood where it stands."""
     x, u, slope = (np.array(values, dtype=float) for values in (x, u, slope))
     flat = make_flat(x.shape)

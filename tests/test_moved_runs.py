@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from pathlib import Path
 from types import SimpleNamespace
 
 import pandas as pd
@@ -42,13 +41,13 @@ def places(world, tmp_path, monkeypatch):
     return found
 
 
-def drop_copy(folder: Path) -> None:
+def drop_copy(folder):
     """Make a run as one of an earlier version, which holds no data."""
     shutil.rmtree(folder / "dataset")
     write_manifest(folder)
 
 
-def change_noise(file: Path) -> None:
+def change_noise(file):
     text = file.read_text()
     assert "point_sd_mm = 0.05" in text
     file.write_text(text.replace("point_sd_mm = 0.05", "point_sd_mm = 0.06"))

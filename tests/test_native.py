@@ -8,6 +8,7 @@ import mpmath
 import numpy as np
 import pytest
 from native_cases import compute, make_problem, read_numbers, to_bytes
+from numpy.random import default_rng
 
 from needlefit import Bevel, Controls, ModelOptions, Needle, Step, Tissue
 from needlefit.mechanics import native
@@ -21,7 +22,7 @@ CANONICAL_NAN = 0x7FF8000000000000
 # ---- elementary functions
 
 
-def evaluate(which: int, x: np.ndarray) -> np.ndarray:
+def evaluate(which, x):
     found = np.empty_like(x)
     native.load_library().nf_function(
         ctypes.c_int64(which), ctypes.c_int64(len(x)), native._at(x), native._at(found)
@@ -29,13 +30,13 @@ def evaluate(which: int, x: np.ndarray) -> np.ndarray:
     return found
 
 
-def spread(low: float, high: float, count: int = 4000) -> np.ndarray:
-    return np.random.default_rng(0).uniform(low, high, count)
+def spread(low, high, count=4000):
+    return default_rng(0).uniform(low, high, count)
 
 
-def near(at: float) -> np.ndarray:
+def near(at):
     """Return numbers on both sides of a place, to the last digit."""
-    away = 10 ** np.random.default_rng(1).uniform(-15, -1, 500)
+    away = 10 ** default_rng(1).uniform(-15, -1, 500)
     return np.concatenate((at + away, at - away))
 
 
@@ -128,7 +129,7 @@ def in_foreign_state(tmp_path_factory):
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_bytes_do_not_depend_on_the_state_of_the_arithmetic_unit(seed, in_foreign_state):
-    problem = make_problem(np.random.default_rng(seed))
+    problem = make_problem(default_rng(seed))
     expected, found = to_bytes(compute(problem)), {}
     in_foreign_state(lambda: found.update(to_bytes(compute(problem))))
     assert found == expected
@@ -144,7 +145,7 @@ COUNTS = [-1, 0, 1, 2, 3, 9, 1000, 2**24, 2**31, 2**40, 2**63 - 1, -(2**63)]
 NUMBERS = [np.nan, np.inf, -np.inf, 0.0, -0.0, -1.0, 1e-320, 1e-9, 0.3, 0.5, 1.0, 7.0, 1e9, 1e300]
 
 
-def damage(rng: np.random.Generator, numbers: dict[str, float], arrays: dict[str, np.ndarray]) -> None:
+def damage(rng, numbers, arrays):
     """Change one thing of a problem."""
     kind, name = rng.integers(6), str(rng.choice(sorted(arrays)))
     array = arrays[name].copy()
@@ -177,7 +178,7 @@ def damage(rng: np.random.Generator, numbers: dict[str, float], arrays: dict[str
         arrays[name] = array
 
 
-def use(rng: np.random.Generator, problem: native.KernelProblem) -> None:
+def use(rng, problem):
     """Call the kernel with whatever has been accepted."""
     compute(problem, int(rng.choice([1, native.count_lanes()])))
     if problem.sets == 1:
@@ -190,9 +191,9 @@ def use(rng: np.random.Generator, problem: native.KernelProblem) -> None:
             session.accept()
 
 
-def run_fuzz(seed: int) -> bool:
+def run_fuzz(seed):
     """Return whether a damaged problem was accepted; what is not must be a TypeError."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     problem = make_problem(rng)
     numbers, arrays = read_numbers(problem), dict(problem.arrays)
     for _ in range(rng.integers(1, 4)):

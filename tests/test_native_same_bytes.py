@@ -12,7 +12,6 @@ import json
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -53,7 +52,7 @@ EMULATED = {
 }
 
 
-def make_table(stiffening: int) -> np.ndarray:
+def make_table(stiffening):
     """Return a table of k = 1 / (1 - b d^2) with b = `stiffening` / 10, the same on every platform."""
     pieces, terms = native.TABLE_PIECES, native.TABLE_TERMS
     with mpmath.workprec(200):
@@ -70,12 +69,12 @@ def make_table(stiffening: int) -> np.ndarray:
     return table
 
 
-def round_digits(values: np.ndarray) -> np.ndarray:
+def round_digits(values):
     """Return what is the same whichever library has computed the powers."""
     return np.array([float(f"{value:.9g}") for value in np.ravel(values)]).reshape(np.shape(values))
 
 
-def make_problem(rng: np.random.Generator, tables: list[np.ndarray], spatial: bool) -> native.KernelProblem:
+def make_problem(rng, tables, spatial):
     """Return an insertion with everything that the kernel knows, in the plane or in space."""
     rules = random_rules(rng)
     needle, tissue = random_needle(rng, rules), random_tissue(rng, rules, rng.choice([0.0, 0.0, 0.3]))
@@ -117,7 +116,7 @@ def make_problem(rng: np.random.Generator, tables: list[np.ndarray], spatial: bo
     return problem
 
 
-def list_problems(count: int) -> Iterator[tuple[native.KernelProblem, int, np.ndarray]]:
+def list_problems(count):
     """Return problems, their numbers of constraint points and where positions are wanted."""
     tables = [make_table(stiffening) for stiffening in range(1, 7)]
     for seed in range(count):
@@ -127,7 +126,7 @@ def list_problems(count: int) -> Iterator[tuple[native.KernelProblem, int, np.nd
         yield problem, int(last["cell"]) + 1, s
 
 
-def write_problem(problem: native.KernelProblem, points: int, s: np.ndarray) -> bytes:
+def write_problem(problem, points, s):
     """Return what the drivers read: 64-bit numbers, and each array behind the number of its bytes."""
     head = [points, *(getattr(problem, name) for name in native._SIZES)]
     parts = [np.array(head, np.int64).tobytes()]
@@ -138,7 +137,7 @@ def write_problem(problem: native.KernelProblem, points: int, s: np.ndarray) -> 
     return b"".join(parts)
 
 
-def compute_results(problem: native.KernelProblem, points: int, s: np.ndarray) -> bytes:
+def compute_results(problem, points, s):
     """Return the bytes that the drivers write, by the library of this process."""
     shapes, lanes = native.make_shapes(problem, points), native.count_lanes()
     for array in shapes.arrays.values():
@@ -152,7 +151,7 @@ def compute_results(problem: native.KernelProblem, points: int, s: np.ndarray) -
     return found + native.compute_positions(x, u, slope, s)[..., : 1 + len(u)].tobytes()
 
 
-def digest(content: bytes) -> str:
+def digest(content):
     return hashlib.sha1(content).hexdigest()
 
 

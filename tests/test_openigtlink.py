@@ -33,7 +33,7 @@ def client(world):
             process.kill()
 
 
-def wait(client: pyigtl.OpenIGTLinkClient, device: str, holds):
+def wait(client, device, holds):
     """Return the first message of a device of which a condition holds."""
     end = time.monotonic() + PATIENCE_S
     while time.monotonic() < end:

@@ -21,7 +21,7 @@ pytestmark = pytest.mark.skipif(not (ROOT / "pyproject.toml").is_file(), reason=
 TEN_MB = 10 * 2**20
 
 
-def call(*command: str, **kwargs: object) -> str:
+def call(*command, **kwargs):
     done = subprocess.run(command, capture_output=True, text=True, check=False, **kwargs)  # type: ignore[call-overload]
     assert done.returncode == 0, done.stdout + done.stderr
     return str(done.stdout)
@@ -116,7 +116,7 @@ LOAD = "from needlefit.mechanics import native; native.load_library(); print(nat
 class Checkout:
     """The unpacked source archive, and an environment to install it into; HOME is a folder of its own."""
 
-    def __init__(self, place: Path, archive: Path) -> None:
+    def __init__(self, place, archive):
         with tarfile.open(archive) as tar:
             tar.extractall(place, filter="data")
         (self.root,) = place.glob("needlefit-*")
@@ -130,21 +130,21 @@ class Checkout:
         }
         self.environment = kept | {"HOME": str(self.home), "PIP_CACHE_DIR": cache}
 
-    def run(self, *words: str, **settings: str) -> "subprocess.CompletedProcess[str]":
+    def run(self, *words, **settings):
         return subprocess.run(
             [str(self.python), *words],
             cwd=self.home, env=self.environment | settings, capture_output=True, text=True, check=False,
         )  # fmt: skip
 
-    def install(self, *words: str, **settings: str) -> "subprocess.CompletedProcess[str]":
+    def install(self, *words, **settings):
         return self.run("-m", "pip", "install", "--no-deps", *words, **settings)
 
-    def use_packages_of_this_environment(self) -> None:
+    def use_packages_of_this_environment(self):
         """Let the new environment see what the tests run with: NumPy, hatchling, the compiler."""
         (site,) = self.root.parent.glob("venv/lib/python*/site-packages")
         (site / "tests.pth").write_text(sysconfig.get_path("purelib") + "\n")
 
-    def load(self) -> "subprocess.CompletedProcess[str]":
+    def load(self):
         self.use_packages_of_this_environment()
         return self.run("-c", LOAD)
 

@@ -204,7 +204,7 @@ TILT_ERROR = Metric(
 """
 
 
-def write_tilts(dataset: Path, observation: str) -> None:
+def write_tilts(dataset, observation):
     """Let insertions be measured by their tilts too, or by their points alone."""
     table = pd.read_csv(dataset.parent / "insertions.csv").filter(regex="^(?!observation)")
     own = {"observation_tilt_rad": 0.05, "observation_tilt_sd_rad": 1e-4} if observation == "tilt" else {}

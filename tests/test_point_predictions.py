@@ -27,7 +27,7 @@ LAYER = {"name": "gel", "top_mm": 0.0, "mu_pa": 2e5, "alpha": 1.0}
 SCENE = {"schema": 2, "title": "planned", "depth_mm": 60.0, "bevel": {"offset_mm": 0.1}, "needle": NEEDLE}
 
 
-def load_needles(seed: int, pose: str):
+def load_needles(seed, pose):
     """Return the job of four needles by chance that are fitted, and two that are held out."""
     rng = np.random.default_rng(seed)
     mu, b = 10 ** rng.uniform(4.3, 5.4), 10 ** rng.uniform(-1.7, -0.6)
@@ -51,7 +51,7 @@ def load_needles(seed: int, pose: str):
     )
 
 
-def draw(job, seed: int) -> Specimens:
+def draw(job, seed):
     fit = minimize(job.problem(job.folds[0]), job.recipe, np.random.default_rng(seed))
     return Specimens(job, job.folds[0], draw_fold_parameters(job, job.folds[0], fit, Settings()).draws)
 

@@ -24,7 +24,7 @@ from needlefit.project.folders import (
 )
 
 
-def kept(folder: Path) -> Path:
+def kept(folder):
     """A checkpoint of three rows; return its file."""
     checkpoint = open_checkpoint(folder, False, {"n": 1})
     for index in range(3):
@@ -32,7 +32,7 @@ def kept(folder: Path) -> Path:
     return next(folder.glob("*.jsonl"))
 
 
-def resumed(folder: Path) -> tuple[list[int], list[str]]:
+def resumed(folder):
     lines: list[str] = []
     rows = open_checkpoint(folder, True, {"n": 1}, lines.append).rows("fold/fit")
     return [row["index"] for row in rows], lines
@@ -120,7 +120,7 @@ def test_a_checkpoint_that_ended_before_its_manifest_is_begun_again(tmp_path):
 
 
 class Bomb:
-    def __reduce__(self) -> tuple[object, ...]:
+    def __reduce__(self):
         return (Path.touch, (Path("was_run"),))
 
 
@@ -310,7 +310,7 @@ with {verb}(Path(sys.argv[1])) as fresh:
 """
 
 
-def writing(place: Path, verb: str) -> subprocess.Popen:
+def writing(place, verb):
     """A process in the middle of writing `place`."""
     words = [sys.executable, "-c", WRITES.format(verb=verb), str(place)]
     process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
@@ -318,14 +318,14 @@ def writing(place: Path, verb: str) -> subprocess.Popen:
     return process
 
 
-def end(process: subprocess.Popen, how: int) -> None:
+def end(process, how):
     os.kill(process.pid, how)
     process.wait(10)
     process.stdin.close()
     process.stdout.close()
 
 
-def write_empty(place: Path, verb: str) -> None:
+def write_empty(place, verb):
     if verb == "replace_folder":
         with replace_folder(place) as fresh:
             (fresh / "whole").touch()

@@ -1,11 +1,8 @@
 """What figures count and measure, apart from how they look."""
 
-from collections.abc import Iterator
-
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from reporting_results import stereo, study, with_draws, with_predictions
@@ -56,7 +53,7 @@ def painted(monkeypatch):
     return found
 
 
-def drawn(axes: Axes) -> Iterator[np.ndarray]:
+def drawn(axes):
     """The points (N, 2) of lines, marks and bands that lie in the coordinates of the data."""
     for line in axes.get_lines():
         if line.get_transform() == axes.transData and len(line.get_xydata()):
@@ -66,7 +63,7 @@ def drawn(axes: Axes) -> Iterator[np.ndarray]:
             yield np.concatenate([path.vertices for path in patch.get_paths()] or [np.empty((0, 2))])
 
 
-def stands_in(table: pd.DataFrame, values: np.ndarray) -> np.ndarray:
+def stands_in(table, values):
     """Which values are among the table's numbers."""
     known = np.sort(table.select_dtypes("number").to_numpy(dtype=float).ravel())
     known = known[np.isfinite(known)]

@@ -20,13 +20,12 @@ from needlefit.studies.fit_tables import (
     list_undetermined,
 )
 from needlefit.studies.identification import FROM_PRIOR
-from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import aggregate, compare_methods, list_groups, tabulate_validation
 
 BY = ("role", "method", "boundaries")
 
 
-def two_needles(errors_mm=(1.0, 3.0), deflections_mm=(2.0, 1.0), converged=(True, True)) -> Run:
+def two_needles(errors_mm=(1.0, 3.0), deflections_mm=(2.0, 1.0), converged=(True, True)):
     """Two held-out needles, each missed by the same distance everywhere."""
     rows, shapes = [], []
     errors = study(1).frames["errors"]
@@ -49,7 +48,7 @@ def two_needles(errors_mm=(1.0, 3.0), deflections_mm=(2.0, 1.0), converged=(True
     return study(1).with_frames(errors=pd.DataFrame(rows), shapes=pd.concat(shapes))
 
 
-def by_metric(frame: pd.DataFrame, column: str = "value") -> dict:
+def by_metric(frame, column="value"):
     return {row["metric"]: row[column] for row in to_records(frame)}
 
 

@@ -36,7 +36,7 @@ def project(world, tmp_path, monkeypatch):
     return tmp_path / "project"
 
 
-def is_refused(*words) -> bool:
+def is_refused(*words):
     """Return whether a command is refused before its work begins."""
     code = run(*words, *OPTIONS)
     assert code in (1, 3)  # 1: of `StopError`

@@ -15,7 +15,7 @@ TUNED_ON = {"study1": "phantom2", "study2": "phantom2", "study3": "phantom2", "s
 TUNED_ON |= {"study5": "chicken", "phantom2_by_layers": "phantom2"}
 
 
-def rows(name: str) -> list[dict[str, str]]:
+def rows(name):
     with (PAPER / f"{name}.csv").open(encoding="utf-8") as file:
         return list(csv.DictReader(file))
 
@@ -23,7 +23,7 @@ def rows(name: str) -> list[dict[str, str]]:
 SETS = rows("parameters")
 
 
-def scene(name: str) -> SceneRecord:
+def scene(name):
     return load(find_file("scene", name), SceneRecord)
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from inference_cases import NEEDLE, insertion, measure, medium
+from numpy.random import default_rng
 from pytest import approx
 from track_cases import GUIDE, track
 
@@ -40,7 +41,7 @@ from needlefit.synthetic.design import (
 SEEN = {"mu1_pa": 3e5, "alpha1": 1.0, "bevel_mm": 0.08}
 
 
-def small_problem(count: int = 2, scale: float | str = 1.0, **changed: object) -> Problem:
+def small_problem(count=2, scale=1.0, **changed):
     """One or two short needles in one layer whose depths are certain, mu and b free."""
     record = medium(1, mu1_pa={"bounds": [1e4, 1e7]}, bevel_mm={"bounds": [0.02, 0.3]})
     made = tuple(
@@ -63,7 +64,7 @@ def test_without_errors_a_measured_needle_is_the_likelihood_s_own(pose):
     for one in problem.insertions:
         sure = replace(one, pose_angle_sd=0.0)
         quiet = {**SEEN, "noise_scale": 1e-9}
-        seen = simulate_measurement(still, sure, quiet, problem.medium, np.random.default_rng(2))
+        seen = simulate_measurement(still, sure, quiet, problem.medium, default_rng(2))
         known = replace(problem, dataset=still, insertions=(seen,))
         residuals = known.compute_misfits(known.parameters.theta(SEEN))
         assert np.abs(residuals).max() < (1e-3 if pose == "known" else 0.05)
@@ -74,7 +75,7 @@ def test_depths_err_as_stated_and_the_noise_s_scale_is_drawn_too():
     one = problem.insertions[0]
     quiet = replace(problem.dataset, noise=Noise(point_sd=1e-6))
     sure = replace(one, pose_angle_sd=0.0)
-    rng = np.random.default_rng(5)
+    rng = default_rng(5)
     ends = [simulate_measurement(quiet, sure, SEEN, problem.medium, rng).points[0, 0] for _ in range(300)]
     assert np.std(ends) == approx(0.4, rel=0.15)  # the entry's place moves along
 
@@ -96,10 +97,10 @@ def test_tip_tracks_and_data_without_noise_are_refused():
     with pytest.raises(ConfigError, match="tip tracks"):
         guided = Parameters.from_record(medium(1, guide_distance_mm={"fixed": 20.0}))
         tracks = replace(problem, parameters=guided, insertions=(track("run", GUIDE),))
-        simulate_from_prior(tracks, np.random.default_rng(1))
+        simulate_from_prior(tracks, default_rng(1))
     with pytest.raises(ConfigError, match="no noise"):
         silent = replace(problem, dataset=replace(problem.dataset, noise=Noise()))
-        simulate_from_prior(silent, np.random.default_rng(1))
+        simulate_from_prior(silent, default_rng(1))
 
 
 def test_the_true_value_of_a_tied_modulus_is_that_of_its_own_layers():

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from inference_cases import TRUTH, dataset, insertion, measure, medium, problem, with_one_bevel
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pytest import approx
 
@@ -59,7 +60,7 @@ def job():
 @pytest.fixture(scope="module")
 def known(job):
     problem = job.problem(job.folds[0])
-    fit = minimize(problem, job.recipe, np.random.default_rng(1))
+    fit = minimize(problem, job.recipe, default_rng(1))
     return draw_fold_parameters(job, job.folds[0], fit, Settings()).draws
 
 
@@ -139,7 +140,7 @@ def test_a_bevel_that_varies_between_insertions_widens_it(job, known):
 def test_needles_with_depths_of_their_own_are_those_of_single_simulations(job, known):
     insertion, medium = job.folds[0].validate[0], job.medium
     sets = [job.parameters.values(theta) for theta in known.thetas[:300]]
-    errors = draw_depth_errors(insertion, len(sets), np.random.default_rng(3))
+    errors = draw_depth_errors(insertion, len(sets), default_rng(3))
     errors[1][7, 1] = 2.5  # mm: many standard deviations
     s = np.linspace(10.0, insertion.depth, 5)
     together = simulate_draws(sets, medium, insertion, s, *errors)
@@ -154,7 +155,7 @@ def test_needles_with_depths_of_their_own_are_those_of_single_simulations(job, k
 
 
 def test_boundaries_of_needles_may_lie_in_any_order_and_beyond_the_tip():
-    rng, s = np.random.default_rng(3), np.linspace(0.0, 55.0, 5)
+    rng, s = default_rng(3), np.linspace(0.0, 55.0, 5)
     planned = replace(insertion(55.0, (5.0, 7.0), (1, 2, 1)), boundary_sd=2.0, depth_sd=0.3)  # a thin sheet
     moduli = TRUTH["mu1_pa"] * np.exp(0.3 * rng.standard_normal(40))
     sets = [{**TRUTH, "mu1_pa": mu} for mu in moduli.tolist()]
@@ -168,13 +169,13 @@ def test_boundaries_of_needles_may_lie_in_any_order_and_beyond_the_tip():
 
 
 def test_entry_errors_are_few_and_have_their_deviation():
-    errors = draw_entry_errors(0.4, 4000, np.random.default_rng(1))
+    errors = draw_entry_errors(0.4, 4000, default_rng(1))
     assert len(np.unique(errors)) == 8
     assert [errors.mean(), errors.std()] == approx([0.0, 0.4], abs=0.02)
 
 
 def test_few_draws_of_a_long_tail_do_not_give_the_end_of_an_interval():
-    draws = np.exp(0.8 * np.random.default_rng(2).standard_normal(125))
+    draws = np.exp(0.8 * default_rng(2).standard_normal(125))
     for means, least, most in ((draws, 0.1, 1.0), (np.linspace(-1, 1, 125), 0.0, 0.03)):
         assert least < find_end_error(PredictiveMixture(means[:, None], np.array([0.02])), 1) < most
 
@@ -202,7 +203,7 @@ def test_the_noise_scale_is_that_of_the_prediction(job, known):
 
 
 def test_a_known_tip_takes_what_it_shares_with_another_from_its_width():
-    rng = np.random.default_rng(2)
+    rng = default_rng(2)
     shared, own, error = rng.standard_normal((3, 20_000))
     width = estimate_width_after_one(3.0 * shared + 0.4 * own, 3.0 * shared + 0.3 * error)
     # of what is shared, normal of SD 3, SD 0.3 * 3 / hypot(3, 0.3) stays unknown

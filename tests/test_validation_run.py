@@ -15,10 +15,8 @@ from numpy.testing import assert_allclose
 from scipy.optimize import brentq
 from world import PROJECT
 
-from needlefit import Needle, Run
+from needlefit import Needle
 from needlefit.datasets.folds import make_folds
-from needlefit.datasets.insertion import Insertion
-from needlefit.datasets.noise import NoiseFloor
 from needlefit.datasets.read import read
 from needlefit.datasets.select import select_same_needle
 from needlefit.errors import ConfigError
@@ -26,7 +24,7 @@ from needlefit.geometry.curves import integrate_curvature
 from needlefit.geometry.surfaces import make_sheet
 from needlefit.inference.forward_model import predict
 from needlefit.inference.problem import find_outside_validity
-from needlefit.mechanics.shape import NeedleShape, sample_inserted_points
+from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.kinds.cross_validation.frames import FRAMES
 from needlefit.studies.kinds.cross_validation.run import Settings, run
@@ -44,7 +42,7 @@ densities = 240
 """
 
 
-def made(folder: Path) -> Path:
+def made(folder):
     needles.build(folder / "data" / "needles")
     for kind, text in (("media", MEDIUM), ("recipes", RECIPE)):
         (folder / "configs" / kind).mkdir(parents=True)
@@ -72,7 +70,7 @@ EVENTS: list[tuple[str, int, int]] = []  #: what the run above reports
 FIRST: list[str] = []
 
 
-def study(**changes: object) -> StudyRecord:
+def study(**changes):
     return StudyRecord.model_validate(
         {
             "schema": 1, "dataset": "needles", "medium": "gel", "recipe": "gel",
@@ -81,11 +79,11 @@ def study(**changes: object) -> StudyRecord:
     )  # fmt: skip
 
 
-def frames(results: Run) -> dict[str, pd.DataFrame]:
+def frames(results):
     return {name: results.frames[name] for name in FRAMES}
 
 
-def fitted(results: Run) -> dict[str, float]:
+def fitted(results):
     rows = results.frames["parameters"][results.frames["parameters"]["method"] == "fitted"]
     return dict(zip(rows["parameter"], rows["value"], strict=True))
 
@@ -175,20 +173,20 @@ ONE_EVALUATION = "schema = 1\nstarts = 3\nevaluations = 1\n[likelihood]\nbevel_s
 # ---- measured and planned layers
 
 
-def oblique(planned: Insertion):
+def oblique(planned):
     """The insertion with the plane x + 2 y = 18 as its layer boundary, whatever was measured."""
     surface = make_sheet("oblique", [18.0, 0, 0], [1.0, 2.0, 0], 300.0, 2)
     return dataclasses.replace(planned, surfaces=(surface,))
 
 
-def shape_with(planned: Insertion, boundary: float) -> NeedleShape:
+def shape_with(planned, boundary):
     return predict(WRONG, medium(), planned, np.array([boundary]), (1, 2))
 
 
-def own_crossing(planned: Insertion) -> float:
+def own_crossing(planned):
     """Return the boundary at which the needle through it crosses the plane x + 2 y = 18."""
 
-    def beyond(boundary: float) -> float:
+    def beyond(boundary):
         points = sample_inserted_points(shape_with(planned, boundary), 4001)
         return float(np.interp(boundary, *points[:, :2].T)) * 2.0 + boundary - 18.0
 
@@ -215,17 +213,17 @@ def test_planned_rows_follow_the_simulated_needle_and_measured_ones_what_was_mea
 # ---- one row
 
 
-def scorer(floor: NoiseFloor = FLOOR) -> Scorer:
+def scorer(floor=FLOOR):
     return Scorer(dataset([insertion(10.0)]), "listed", {"at10": floor})
 
 
-def straight(bend: float, side: int = 1) -> Insertion:
+def straight(bend, side=1):
     """A needle of 10 mm whose tip has moved `bend` mm toward the bevel."""
     planar = np.array([[0.0, 0.0], [math.sqrt(100 - bend**2), side * bend]])
     return insertion(10.0, side=side).with_points(planar)
 
 
-def along_x(scored: Insertion):
+def along_x(scored):
     return lambda s: np.outer(s, [1.0, 0.0, 0.0])
 
 
