@@ -186,16 +186,6 @@ def dataset(folder, pattern, **frame):
     return file, folder / "centerlines"
 
 
-def test_a_centreline_may_be_a_curve_of_slicer(tmp_path):
-    file, folder = dataset(tmp_path / "d", "{id}.mrk.json")
-    ras = (CURVE * [-1, -1, 1]).tolist()
-    save(folder / "a.mrk.json", markup("Curve", "RAS", ras), markup("Fiducial", name="markers"))
-    assert_allclose(read(file).insertions[0].centerline, CURVE, atol=1e-12)
-    file, folder = dataset(tmp_path / "d", "{id}}{0}.mrk.json")
-    save(folder / "a}{0}.mrk.json", markup("Curve", points=CURVE.tolist()))
-    assert [i.id for i in read(file).insertions] == ["a"]
-
-
 def test_the_scan_is_placed_by_the_dataset_or_a_row(tmp_path):
     # A quarter turn about z and a shift: what lies at (x, y, z) in the scan is at (-y + 1, x + 2, z + 3).
     motion = [[0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3]]

@@ -68,13 +68,7 @@ def test_a_table_ends_where_its_law_is_too_steep():
         compile_law("fung", np.array([[1.0, 1000.0]]))
 
 
-def test_gent_is_neo_hookean_for_an_infinite_limit_and_ends_at_its_own():
-    stretch = np.linspace(0.25, 1.0, 50)
-    off = [
-        np.max(np.abs(LAWS["gent"].k(stretch, np.array(jm)) / LAWS["neo_hookean"].k(stretch) - 1))
-        for jm in (1e3, 1e6)
-    ]
-    assert off[0] > 1e-3 and off[1] < 1.1e-3 * off[0]
+def test_tables_of_gent_end_before_its_limit():
     assert Tissue([0.5], {"jm": 1e15}, thickness=4.0, law="gent").shape[0, 0] == 1e15
     # Tables end before I_1 - 3 = J_m; there k exceeds any Ogden one.
     for jm in (0.25, 1.0, 4.0):
@@ -195,12 +189,5 @@ def test_the_nominal_stress_is_the_derivative_of_the_energy(alpha):
     assert compute_stress(3.0, alpha, STRETCH, "nominal") == approx(by_energy, rel=1e-12, abs=1e-13)
 
 
-def test_true_and_nominal_stress_and_solids_that_alpha_stands_for():
-    true, nominal = (compute_stress(1.0, -3.0, STRETCH, kind) for kind in ("true", "nominal"))
-    assert true == approx(STRETCH * nominal, rel=1e-14)
-    neo_hookean = 5.0 * (STRETCH - STRETCH**-2)
-    assert compute_stress(5.0, 2.0, STRETCH, "nominal") == approx(neo_hookean, rel=1e-12, abs=1e-14)
+def test_at_alpha_0_the_stress_is_logarithmic():
     assert compute_stress(5.0, 0.0, STRETCH, "true") == approx(15 * np.log(STRETCH), rel=1e-14)
-    deep = np.linspace(0.5, 0.7, 9)
-    ratio = compute_stress(1.0, -20.0, deep, "nominal") / compute_stress(1.0, 40.0, deep, "nominal")
-    assert ratio == approx(np.full(9, 2.0), rel=1e-4)  # 2 mu / alpha of the power that both share

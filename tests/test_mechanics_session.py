@@ -44,12 +44,7 @@ def test_a_session_gives_the_bits_of_the_whole_insertion(seed, kind):
             break  # the session stays where it was
 
 
-def test_equal_inputs_change_nothing_and_out_of_the_tissue_base_and_guide_alone_move_the_tip():
-    under_way, untouched = session(), session()
-    untouched.step(5.3)
-    under_way.step(5.3)
-    under_way.step(bevel=Bevel(0.1, 1), base=(0.0, 0.0), guides=(), tip=None)
-    assert_same_steps(under_way.step(0.7), untouched.step(0.7))
+def test_out_of_the_tissue_base_and_guide_alone_move_the_tip():
     under_way = session()
     under_way.step(12.5)
     out = under_way.step(-12.5)

@@ -1,7 +1,5 @@
 """`needlefit diff`: two runs are joined on the columns that name a row."""
 
-import json
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -74,17 +72,6 @@ def test_rows_and_columns_of_one_run_only_are_listed(first, tmp_path):
 def test_runs_of_different_kinds_are_not_compared(first, tmp_path, world):
     with pytest.raises(DataError):
         compare_runs(first, world.find("identification"))
-
-
-def test_the_command_prints_a_row_for_each_difference(first, tmp_path, capsys):
-    second = write(tmp_path / "b", errors=ERRORS.assign(te_mm=ERRORS["te_mm"] + 0.1))
-    found = compare_runs(first, second)
-    assert len(found)
-    assert run("diff", str(first), str(second)) == 0
-    capsys.readouterr()
-    assert run("diff", str(first), str(second), "--json") == 0
-    rows = json.loads(capsys.readouterr().out)
-    assert [row["column"] for row in rows] == list(found["column"])
 
 
 def test_of_unlike_runs_the_screen_has_40_rows_and_a_file_all(first, tmp_path, capsys):

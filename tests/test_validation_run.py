@@ -100,33 +100,26 @@ def test_truth_is_recovered_and_scored_with_no_error(clean):
     assert results.origin == "synthetic"
 
 
-def test_an_insertion_on_both_sides_is_refused(project):
-    record = study(tune={"insertions": ["needle-1"]}, validate=[{"specimens": ["piece1"]}])
-    with pytest.raises(ConfigError, match=r"needle-1 .*tune and validate"):
-        run("both", record, Settings())
+ONE_LAYER = "\n".join(line for line in MEDIUM.splitlines() if "2" not in line.split("=")[0])
 
 
-def test_the_paper_s_set_must_fit_the_medium(project):
-    with pytest.raises(ConfigError, match="no mu2_pa"):
-        medium = project / "configs" / "media" / "gel.toml"
-        medium.write_text(MEDIUM.replace("mu2_pa = { fixed = 2e7 }", "mu2_pa = { bounds = [1e3, 1e9] }"))
-        run("hand", study(paper_parameters="chicken"), Settings())
-
-
-def test_a_medium_without_the_layers_met_is_refused_before_the_fit(project):
-    one = [line for line in MEDIUM.splitlines() if "2" not in line.split("=")[0]]
-    (project / "configs" / "media" / "gel.toml").write_text(
-        "\n".join(one).replace("layers = 2", "layers = 1")
-    )
-    with pytest.raises(ConfigError, match=r"gel .*1 layer.* needle-1 .*layer 2"):
-        run("few", study(), Settings())
-
-
-def test_a_guide_out_of_the_needle_s_reach_is_refused_before_the_fit(project):
-    guided = f"{MEDIUM}\nguide_distance_mm = {{ bounds = [1.0, 120.0] }}\n"
-    (project / "configs" / "media" / "gel.toml").write_text(guided)
-    with pytest.raises(ConfigError, match="needle of 150 mm"):
-        run("guide", study(), Settings())
+@pytest.mark.parametrize(
+    ("medium", "changes", "words"),
+    [
+        (
+            MEDIUM,
+            {"tune": {"insertions": ["needle-1"]}, "validate": [{"specimens": ["piece1"]}]},
+            r"needle-1 .*tune and validate",
+        ),
+        (MEDIUM.replace("fixed = 2e7", "bounds = [1e3, 1e9]"), {"paper_parameters": "chicken"}, "no mu2_pa"),
+        (ONE_LAYER.replace("layers = 2", "layers = 1"), {}, r"gel .*1 layer.* needle-1 .*layer 2"),
+        (f"{MEDIUM}\nguide_distance_mm = {{ bounds = [1.0, 120.0] }}\n", {}, "needle of 150 mm"),
+    ],
+)
+def test_what_cannot_be_fitted_is_refused_before_the_fit(project, medium, changes, words):
+    (project / "configs/media/gel.toml").write_text(medium)
+    with pytest.raises(ConfigError, match=words):
+        run("refused", study(**changes), Settings())
 
 
 STEEP = {**TRUTH, "bevel_mm": 0.9}
