@@ -176,14 +176,13 @@ def test_a_law_without_shape_parameters_is_a_table(monkeypatch):
 # ---- stress of the Ogden solid in compression: against its energy, the foundation's k, and other solids
 
 STRETCH = np.linspace(0.35, 1.1, 40)
-ALPHAS = (-20.0, -4.7, -1.0, -1e-3, 0.0, 1e-6, 0.2, 1.0, 2.0, 9.0, 25.0)
 
 
 def energy(mu, alpha, stretch):
     return 2 * mu / alpha**2 * (stretch**alpha + 2 * stretch ** (-alpha / 2) - 3)
 
 
-@pytest.mark.parametrize("alpha", [a for a in ALPHAS if abs(a) > 1e-2])
+@pytest.mark.parametrize("alpha", [-20.0, -4.7, -1.0, 0.2, 1.0, 2.0, 9.0, 25.0])
 def test_the_nominal_stress_is_the_derivative_of_the_energy(alpha):
     by_energy = np.imag(energy(3.0, alpha, STRETCH + H * 1j)) / H
     assert compute_stress(3.0, alpha, STRETCH, "nominal") == approx(by_energy, rel=1e-12, abs=1e-13)
