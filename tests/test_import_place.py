@@ -875,7 +875,7 @@ def test_curvatures_may_stand_on_a_sheet_for_each_needle_without_an_sd(tmp_path)
     assert planned([file], curvature_sd="2e-5 1/mm")[0].rows[0].curvature[0, 3] == pytest.approx(2e-5)
     sheets["needle 2"][3][2:] = ["a (1/m)", "b (m^-1)"]
     file = write_sheets(tmp_path / "other.xlsx", **sheets)
-    assert "curvature_y.column=" in refusal(DataError, "unit of a curvature", planned, [file]).fix
+    assert "curvature_y.column=" in refusal(DataError, "curvatures", planned, [file]).fix
 
 
 @pytest.mark.parametrize("kind", ["Fiducial", "Plane"])

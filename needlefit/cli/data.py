@@ -4,6 +4,7 @@ import math
 import shlex
 import shutil
 import sys
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
@@ -135,9 +136,11 @@ def import_data(
     else:
         count, assumed = len(dataset.insertions), len(prepared.mapping.assumed)
         imported = f"{count} insertion{'s' * (count > 1)} imported; "
-        holes = {insertion.hole or insertion.id for insertion in dataset.insertions}
+        holes = Counter(insertion.hole or insertion.id for insertion in dataset.insertions)
         if len(holes) < count:  # several depths of one needle
-            imported = f"{len(holes)} needle{'s' * (len(holes) > 1)}, {count} readings imported; "
+            sizes = {*holes.values()}
+            readings = f"{count} readings" if len(sizes) > 1 else f"{sizes.pop()} readings each"
+            imported = f"{len(holes)} needle{'s' * (len(holes) > 1)}, {readings}, imported; "
         imported += f"{assumed} value{'s are assumptions' if assumed != 1 else ' is an assumption'}"
         marked = f"{mark}. " if (mark := ORIGIN_MARKS[dataset.origin]) else ""
         screen.print_line(f"{marked}{out}: {imported}\n")

@@ -269,14 +269,8 @@ def find_curve_faults(
     """Yield the faults of enough finite points as the centreline of `row`; `place` is used in messages."""
     curve = points.values
     depth_mm = describe_column(record.insertions.columns, "depth_mm")
-    stray = find_stray_points(curve)
-    if len(stray) and not len(find_backward_points(np.delete(curve, stray, axis=0))):
-        yield DataError(
-            f"lies far from all other points{_describe_more(len(stray))}",
-            expected="points along the needle",
-            fix="look at its row in the source; remove it where it was not measured",
-            where=points.where(int(stray[0])),
-        )
+    if (stray := find_stray_fault(points)) is not None:
+        yield stray
         return  # the length is wrong as well
     # The point farthest from the mean is one end, also of an unsorted curve; the other end is the point
     # farthest from it.
@@ -305,14 +299,32 @@ def find_curve_faults(
             where=points.where(int(repeated[0]) + 1),
         )
     if len(back):
-        yield DataError(
-            f"has points out of order: from here they go back{_describe_more(len(back))}",
-            expected="points in order from the entry to the tip",
-            fix="sort the points along the needle, and remove branches and loops",
-            where=points.where(int(back[0])),
-        )
+        yield make_order_fault(points, back)
     if row.entry is not None and row.direction is not None:
         yield from _find_entry_faults(points, row.entry, row.direction)
+
+
+def find_stray_fault(points: Points) -> Fault | None:
+    """Return the fault of single points that lie far from all others, which are in order."""
+    stray = find_stray_points(points.values)
+    if not len(stray) or len(find_backward_points(np.delete(points.values, stray, axis=0))):
+        return None
+    return DataError(
+        f"lies far from all other points{_describe_more(len(stray))}",
+        expected="points along the needle",
+        fix="look at its row in the source; remove it where it was not measured",
+        where=points.where(int(stray[0])),
+    )
+
+
+def make_order_fault(points: Points, back: np.ndarray) -> Fault:
+    """Return the fault of points that go `back` along their curve."""
+    return DataError(
+        f"has points out of order: from here they go back{_describe_more(len(back))}",
+        expected="points in order from the entry to the tip",
+        fix="sort the points along the needle, and remove branches and loops",
+        where=points.where(int(back[0])),
+    )
 
 
 def find_backward_points(curve: Floats) -> np.ndarray:

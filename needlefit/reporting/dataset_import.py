@@ -13,6 +13,7 @@ from matplotlib.tri import Triangulation
 
 from needlefit.arrays import Floats
 from needlefit.datasets.first_study import SCENE_FILE, write_first_run, write_scene
+from needlefit.datasets.importing.meanings import VALUES
 from needlefit.datasets.importing.place import ImportPlan
 from needlefit.datasets.importing.prepare import PreparedImport
 from needlefit.datasets.importing.writing import CURVATURE_FILE, TRACKS_FILE, TURNS_FILE, write_plan
@@ -115,13 +116,19 @@ def tabulate_values(prepared: PreparedImport) -> pd.DataFrame:
     """Return one row for what holds of all needles: key, value, and the reason where it is assumed."""
     mapping, rows = prepared.mapping, list[tuple[str, str, str, str]]()
     for key, reason in mapping.assumed.items():
-        value, _, why = (
-            reason.partition(": ") if key not in mapping.values else (mapping.values[key], "", reason)
-        )
+        value, _, why = reason.partition(": ")
+        if key in mapping.values:
+            value, why = _show_value(key, mapping.values[key]), reason
         rows.append((key, value, "assumed", why))
-    rows += [(key, text, "stated", "") for key, text in mapping.values.items() if key not in mapping.assumed]
+    stated = {key: text for key, text in mapping.values.items() if key not in mapping.assumed}
+    rows += [(key, _show_value(key, text), "stated", "") for key, text in stated.items()]
     rows += [(key, text, "files", "") for key, text in prepared.notes]
     return pd.DataFrame(rows, columns=["key", "value", "from", "why"])
+
+
+def _show_value(key: str, text: str) -> str:
+    """Return a value with the unit of its key, where it has none of its own."""
+    return f"{text} {VALUES[key].unit}".strip() if text[-1:].isdecimal() and key in VALUES else text
 
 
 def join_unused(unused: Sequence[tuple[str, str]], left_out: Sequence[str] = ()) -> str:

@@ -21,7 +21,7 @@ class TipReading:
     where: str
 
 
-@dataclass
+@dataclass(eq=False)
 class ImportedCurve:
     """One needle: its points in mm, which planning may cut, and what is stated of it."""
 

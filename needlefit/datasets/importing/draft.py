@@ -43,7 +43,7 @@ class Draft:
         self, question: str, where: str, choices: Mapping[str, Mapping[str, str]] | None = None, **parts: str
     ) -> None:
         """Ask a question of `QUESTIONS`, whose `parts` are filled in."""
-        key, text, answers = QUESTIONS[question]
+        text, key, answers = QUESTIONS[question]
         filled = {
             answer: {key: value.format(**parts) for key, value in keys.items()}
             for answer, keys in answers.items()
@@ -60,7 +60,7 @@ class Draft:
             options = (" ".join(map(name_set, keys, keys.values())) for keys in question.choices.values())
             fixes.append(f"state {', or '.join(options)}")
         return DataError(
-            f"needs an answer. {' '.join(f'{question.question}.' for question in self.opens)}",
+            f"needs an answer. {' '.join(question.question for question in self.opens)}",
             expected=f"an answer to {'each' if len(self.opens) > 1 else 'it'}",
             fix="; ".join(fixes),
             where=self.opens[0].where,

@@ -103,7 +103,7 @@ class TableDraft:
         self.keys["holds"] = holds
         self._name_unused()
         for entry in entries or [{}]:
-            self._add(entry | self.records)
+            self._add(self.records | entry | self.records)  # the needle is shown first
 
     # ---- columns
 

@@ -1,7 +1,6 @@
 """Place imported needles: entry, direction, layers and bevel, as the mapping or an answer states them."""
 
 import re
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
@@ -18,7 +17,7 @@ from needlefit.datasets.importing.curves import ImportContent, ImportedCurve
 from needlefit.datasets.importing.directions import MIN_SAME_SIDE, fit_direction, format_direction, to_sides
 from needlefit.datasets.importing.stated import Settler, Stated, name_set
 from needlefit.datasets.importing.synonyms import find_meaning, read_quantity
-from needlefit.datasets.importing.tips import make_tips, split_tips
+from needlefit.datasets.importing.tips import add_tips, make_tips, split_tips
 from needlefit.datasets.importing.tracks import choose_track_study, is_guided, make_tracks
 from needlefit.datasets.insertion import GUIDE_STILL_MM
 from needlefit.datasets.layers import (
@@ -26,6 +25,8 @@ from needlefit.datasets.layers import (
     SAME_POINT_MM,
     find_backward_points,
     find_length_tolerance,
+    find_stray_fault,
+    make_order_fault,
     select_layers,
 )
 from needlefit.datasets.points import MIN_POINTS
@@ -34,7 +35,6 @@ from needlefit.geometry.crossings import find_crossings, find_surface_hits
 from needlefit.geometry.frames import normalize
 from needlefit.geometry.measured_curve import measure_curve
 from needlefit.geometry.shaft import ShaftAxis, fit_shaft_axis
-from needlefit.geometry.stray_points import find_stray_points
 from needlefit.geometry.surfaces import Surface
 from needlefit.project.locate import join_names
 from needlefit.project.unit_warnings import GAUGES_MM
@@ -74,8 +74,6 @@ class Planner(CurveAnswers):
 
     def __init__(self, content: ImportContent, settler: Settler) -> None:
         super().__init__(content.curves, settler)
-        counts = Counter(key for curve in content.curves for key in curve.stated)
-        settler.partly_stated = frozenset(key for key in counts if counts[key] < len(content.curves))
         self.surfaces = [*content.surfaces]
         self.entry = "first"  # the end of the curves that is the entry
 
@@ -84,53 +82,48 @@ class Planner(CurveAnswers):
 
         DataError if a question has no clear answer, or what is stated contradicts the files.
         """
-        for curve in self.curves:
-            refuse_stray_points(curve)
         tracks = self.part([curve for curve in self.curves if curve.holds == "tracks"])
-        others = self.part([curve for curve in self.curves if curve.holds != "tracks"])
-        others.refuse_moved_guide(is_alone=not tracks.curves)
-        others.curves.sort(key=lambda curve: curve.holds != "shapes")
-        split_tips(others)
-        shapes = self.part([curve for curve in others.curves if curve.holds == "shapes"])
-        tips = self.part(others.curves[len(shapes.curves) :])
+        shapes = self.part([curve for curve in self.curves if curve.holds == "shapes"])
+        tips = self.part([curve for curve in self.curves if curve.holds not in ("shapes", "tracks")])
+        require_order(shapes.curves)
+        self.part([*shapes.curves, *tips.curves]).refuse_moved_guide(is_alone=not tracks.curves)
+        split_tips(tips, shapes.curves)
         runs = make_tracks(tracks) if tracks.curves else []
         self.curves[:] = (*shapes.curves, *tips.curves, *tracks.curves)
         self.settle_curvature_sd()
         own_sds = [answer.to_number("point_sd", is_above=True) for answer in self.each("point_sd")]
-        sd, pose, poses, entries = min(own_sds), "known", list[Stated](), list[Floats | None]()
-        without = join_names([curve.name for curve in tips.curves], 5)
-        if shapes.curves and tips.curves:
-            self.settler.note("without a shape", without)
+        first, last = len(shapes.curves), len(shapes.curves) + len(tips.curves)
+        poses, entries = list[Stated](), list[Floats | None]()
         if shapes.curves:
-            shapes.require_order()
+            without = join_names([curve.name for curve in tips.curves], 5)
+            if without:
+                self.settler.note("without a shape", without)
             shapes.settle_entry()
             poses = shapes.settle_pose(without)
-            pose = "free" if poses[0].text == "free" else "known"
             placed = [curve.name for curve in tips.curves if len(curve.line) and not curve.is_deflection]
             entries = shapes.settle_entry_points(poses, join_names(placed, 5))
-        first, last = len(shapes.curves), len(shapes.curves) + len(tips.curves)
         beside = make_tips(tips, min(own_sds[first:last])) if tips.curves else []
-        depths = self.settle_layers()
-        further = [*beside, *runs]
+        depths, further = self.settle_layers(), [*beside, *runs]
         needles = self.settle_needles(
             [*(curve.length for curve in shapes.curves), *(row.depth for row in further)]
         )
-        shape_sd = min(own_sds[:first], default=sd)
-        rows = shapes.make_rows(poses, entries, shape_sd, depths[:first], needles[:first]) if first else []
+        rows = shapes.make_rows(poses, entries, min(own_sds[:first]), depths, needles) if first else []
         rows += set_layers(beside, depths[first:last])
         if any(depths[:last]) or self.surfaces:
-            errors = [
-                answer.to_number("boundary_sd")
-                for answer in self.part(self.curves[:last]).each("boundary_sd")
+            errors = self.part(self.curves[:last]).each("boundary_sd")
+            rows = [
+                replace(row, boundary_sd=error.to_number("boundary_sd"))
+                for row, error in zip(rows, errors, strict=True)
             ]
-            rows = [replace(row, boundary_sd=error) for row, error in zip(rows, errors, strict=True)]
+        sd = min(own_sds)
         pairs = zip((*rows, *runs), own_sds, strict=True)
-        rows = [replace(row, point_sd=None if own == sd else own) for row, own in pairs]
+        rows = [replace(row, point_sd=None if own_sd == sd else own_sd) for row, own_sd in pairs]
         rows = self.add_names(rows, is_track=bool(runs))
         rows, parameters = self.settle_guide_distance(rows, needles, is_track=bool(runs))
         if any(curve.is_deflection for curve in self.curves) and "deflection" not in self.settler.assumed:
             zero = "shift and slope of each run are fitted" if runs else "from the line of insertion"
             self.settler.note("deflection", f"positive where a bevel of side 1 bends; {zero}")
+        pose = "free" if poses and poses[0].text == "free" else "known"
         plan = replace(self.assemble(rows, pose, sd, depths, needles), choices=FirstChoices({}, parameters))
         return choose_track_study(tracks, plan) if runs else plan
 
@@ -138,10 +131,11 @@ class Planner(CurveAnswers):
         """Give curvatures the standard deviation that is stated of all; without a cell, the usual one."""
         sensors = [sensor for curve in self.curves for sensor in curve.sensors]
         is_stated = self.stated("curvature_sd") is not None
-        if any(np.isnan(sensor[3]) or is_stated for sensor in sensors):
+        lacking = [sensor for sensor in sensors if is_stated or np.isnan(sensor[3])]
+        if lacking:
             sd = 1e-3 * self.settle("curvature_sd").to_number("curvature_sd", "1/m", is_above=True)
-            for sensor in sensors:
-                sensor[3] = sd if is_stated or np.isnan(sensor[3]) else sensor[3]
+            for sensor in lacking:
+                sensor[3] = sd
 
     def part(self, curves: list[ImportedCurve]) -> "Planner":
         """Return the planner of some curves, with the same answers and surfaces."""
@@ -158,12 +152,10 @@ class Planner(CurveAnswers):
         needles: Sequence[NeedleRecord],
     ) -> ImportPlan:
         """Return the plan: what all needles share is stated once, what differs with each."""
-        media: dict[str, tuple[float, ...]] = {}
-        for medium in dict.fromkeys(row.medium for row in rows):
-            of_all = {
-                boundaries for row, boundaries in zip(rows, depths, strict=True) if row.medium == medium
-            }
-            media[medium] = next(iter(of_all)) if len(of_all) == 1 else ()
+        by_medium = dict[str, set[tuple[float, ...]]]()
+        for row, boundaries in zip(rows, depths, strict=True):
+            by_medium.setdefault(row.medium, set()).add(boundaries)
+        media = {medium: (*of_all,)[0] if len(of_all) == 1 else () for medium, of_all in by_medium.items()}
         kinds = [needle for n, needle in enumerate(needles) if needle not in needles[:n]]
         names = [f"needle{kinds.index(needle) + 1}" if len(kinds) > 1 else "" for needle in needles]
         placed = tuple(
@@ -193,52 +185,26 @@ class Planner(CurveAnswers):
             return
         places = np.concatenate([curve.guide for curve in guided if curve.guide is not None])
         if np.ptp(np.nan_to_num(places), axis=0).max() >= GUIDE_STILL_MM:
+            tracks, none = name_set("holds", "tracks"), name_set("guide", "none")
             raise DataError(
                 "the guide moved, and its places belong to no reading of a tip on its way",
                 expected="a guide at rest; or the readings of each tip, with the depth of each",
-                fix=(
-                    f"if rows are such readings: {name_set('holds', 'tracks')}; if the "
-                    f"column is no guide: {name_set('guide', 'none')}"
-                ),
-                where=f"{guided[0].points.where()}",
+                fix=f"if rows are such readings: {tracks}; if the column is no guide: {none}",
+                where=guided[0].points.where(),
             )
-
-    def require_order(self) -> None:
-        """DataError at the first point that goes back along its curve."""
-        for curve in self.curves:
-            if len(back := find_backward_points(curve.line)):
-                raise DataError(
-                    f"curve {curve.name} has points out of order: from here they go back",
-                    expected="points of one needle in order from the entry to the tip",
-                    fix=(
-                        "sort them; or, if they are of several needles, name the column of "
-                        f"their names: {name_set('needle.column', 'HEADER')}"
-                    ),
-                    where=curve.points.where(int(back[0])),
-                )
 
     def settle_entry(self) -> None:
         """Put the entry first."""
         chords = np.array([curve.line[-1] - curve.line[0] for curve in self.curves])
-        against = [self.curves[n].name for n in np.flatnonzero(chords @ chords.sum(axis=0) < 0)]
+        against = [self.curves[n] for n in np.flatnonzero(chords @ chords.sum(axis=0) < 0)]
         reason, fix = "the order of the file", ""
         if against:
-            reason = f"{join_names(against, 5)} runs against the others"
-            fix = f"{self.advise_order(against)}; or, if needles enter from two sides, state "
+            reason = f"{join_names([curve.name for curve in against], 5)} runs against the others"
+            fix = f"{advise_order(against)}; or, if needles enter from two sides, state "
             fix += f"{name_set('entry', 'first')}, and {name_set('pose', 'free')}"
-        answer = self.settle("entry", "" if against else "first", reason, ("first", "last"), fix)
-        self.entry = answer.text
+        self.entry = self.settle("entry", "" if against else "first", reason, ("first", "last"), fix).text
         for curve in self.curves if self.entry == "last" else ():
             curve.points = curve.points.part(np.arange(len(curve.line))[::-1])
-
-    def advise_order(self, names: Sequence[str]) -> str:
-        """Return the fix of curves whose points go from the tip to the entry."""
-        ends = [
-            f"{curve.points.where()} to {curve.points.where(-1)}"
-            for curve in self.curves
-            if curve.name in names
-        ]
-        return f"reverse these points if they go from the tip to the entry: {join_names(ends, 5)}"
 
     # ---- entry and pose
 
@@ -249,9 +215,8 @@ class Planner(CurveAnswers):
         """
         chords = np.array([curve.line[-1] - curve.line[0] for curve in self.curves])
         chord = chords.sum(axis=0)
-        fitted = fit_direction([curve.line for curve in self.curves])
         along, how = format_direction(normalize(chord)) if chord.any() else "X,Y,Z", "as the needles run"
-        if fitted is not None:
+        if (fitted := fit_direction([curve.line for curve in self.curves])) is not None:
             along, how = fitted.describe(), f"which fits all needles; pose_angle_sd={fitted.sd_deg:.2g} deg"
         reason = f"{without} without a shape; " if without else ""
         reason += f"pose={along} ({how}) if a stage pushed all needles in one direction"
@@ -264,39 +229,24 @@ class Planner(CurveAnswers):
             raise poses[0].error("pose", "directions of all needles, or shaft or free of all")
         if kinds == {"free"} and is_posed:
             raise poses[0].error("pose", f"{along} or shaft, of surfaces, turns, curvatures and tips")
-        least = np.cos(np.radians(MAX_HEADING_DEG))
-        cosines = {
-            curve.name: float(normalize(pose.to_vector("pose")) @ run / (np.linalg.norm(run) or 1.0))
-            for curve, pose, run in zip(self.curves, poses, chords, strict=True)
-            if pose.text not in ("free", "shaft")
-        }
-        off = [name for name, cosine in cosines.items() if cosine < least]
-        for pose, cosine in zip(poses, cosines.values(), strict=False) if off else ():
-            if 2 * len(off) < len(cosines):
-                raise DataError(
-                    f"{join_names(off, 5)} runs {np.degrees(np.arccos(cosines[off[0]])):.0f} degrees off its "
-                    "direction, the other needles do not",
-                    expected=f"at most {MAX_HEADING_DEG:g} degrees",
-                    fix=self.advise_order(off),
-                    where=self.curves[[*cosines].index(off[0])].points.where(),
-                )
-            if cosine < least:
-                fix = f"state {name_set('pose', along)}"
-                if not self._begin_at_entries():
-                    fix = f"if the sign is wrong, {fix}; if the files begin at the tips, "
-                    fix += name_set("entry", OTHER_END[self.entry])
-                fix = fix if cosine <= -least else ""
-                raise pose.error("pose", f"at most {MAX_HEADING_DEG:g} degrees off the needles: {along}", fix)
+        if kinds != {"direction"}:
+            return poses
+        runs = chords / np.maximum(np.linalg.norm(chords, axis=1, keepdims=True), SAME_POINT_MM)
+        cosines = [
+            float(normalize(pose.to_vector("pose")) @ run) for pose, run in zip(poses, runs, strict=True)
+        ]
+        off = [n for n, cosine in enumerate(cosines) if cosine < np.cos(np.radians(MAX_HEADING_DEG))]
+        if off:
+            curves, angle = [self.curves[n] for n in off], np.degrees(np.arccos(cosines[off[0]]))
+            fix, end = f"state {name_set('pose', along)}", name_set("entry", OTHER_END[self.entry])
+            fix += f"; or, if the files begin at the tips, {end}"
+            raise poses[off[0]].error(
+                "pose",
+                f"at most {MAX_HEADING_DEG:g} degrees off the needles, {along}; "
+                f"{join_names([curve.name for curve in curves], 5)} runs {angle:.0f} degrees off it",
+                advise_order(curves) if 2 * len(off) < len(poses) else fix,
+            )
         return poses
-
-    def _begin_at_entries(self) -> bool:
-        """Whether entry points are stated as places, to which the curves' beginnings are nearer than ends."""
-        stated = self.stated("entry_point")
-        if stated is None or "," not in stated.text:
-            return False
-        place = stated.to_entry()
-        gaps = np.array([np.linalg.norm(curve.line[[0, -1]] - place, axis=1) for curve in self.curves])
-        return bool(np.all(gaps[:, 0] < gaps[:, 1]))
 
     def settle_entry_points(self, poses: Sequence[Stated], without: str) -> list[Floats | None]:
         """Return where each tip first touched the tissue, None: at the first point; cut the curves there.
@@ -306,27 +256,23 @@ class Planner(CurveAnswers):
         stated = {curve.name: curve.stated["depth"] for curve in self.curves if "depth" in curve.stated}
         depths = {name: depth.to_number("depth") for name, depth in stated.items()}
         surfaces = {surface.name: surface for surface in self.surfaces}
-        longer = [
-            curve
-            for curve in self.curves
-            if curve.name in depths
-            and curve.length - depths[curve.name] > find_length_tolerance(depths[curve.name])
-        ]
         guess, reason = "first", "the first point of each needle, with its error"
-        if longer:
-            guess = "depth" if poses[0].text == "shaft" else ""
-            place = f"its depth {depths[longer[0].name]:g} mm in {stated[longer[0].name].where}"
-            reason = f"{longer[0].name} is {longer[0].length:.1f} mm long, and {place}"
-        elif poses[0].text == "shaft" or surfaces:
+        if poses[0].text == "shaft" or surfaces:
             guess, reason = "", "nothing states where the tissue begins"
         elif without:
-            starts = np.array([np.linalg.norm(curve.line[0]) for curve in self.curves])
-            guess = "0,0,0" if starts.max() <= MIN_CUT_MM else ""
+            start = max(float(np.linalg.norm(curve.line[0])) for curve in self.curves)
+            guess = "0,0,0" if start <= MIN_CUT_MM else ""
             reason = (
-                f"the shapes begin up to {starts.max():.2g} mm from the origin; the tip of {without} was "
+                f"the shapes begin up to {start:.2g} mm from the origin; of {without} the tip is known alone"
             )
-            reason += "measured by itself"
-        is_first = (own := self.stated("entry_point")) is not None and own.text == "first"
+        for curve in self.curves:
+            depth = depths.get(curve.name, np.inf)
+            if curve.length - depth > find_length_tolerance(depth):
+                guess = "depth" if poses[0].text == "shaft" else ""
+                place = f"its depth {depth:g} mm in {stated[curve.name].where}"
+                reason = f"{curve.name} is {curve.length:.1f} mm long, and {place}"
+                break
+        is_first = (of_all := self.stated("entry_point")) is not None and of_all.text == "first"
         answers = self.each("entry_point", usual=guess, reason=reason, is_sure=guess == "depth")
         entries, cut, missed = list[Floats | None](), list[float](), list[str]()
         for curve, answer in zip(self.curves, answers, strict=True):
@@ -350,16 +296,18 @@ class Planner(CurveAnswers):
                 cut.append(arc)
         used = {answer.text: answer for answer in answers if answer.text in surfaces}
         if used and (missed or not cut):
-            which = f"needles cross on their way in ({missed[0]} does not)" if missed else "needles cross"
-            expected = f"a surface that {which}; is there a hole where they enter?"
-            raise next(iter(used.values())).error("entry_point", expected)
+            names = f" ({missed[0]} does not)" if missed else ""
+            raise next(iter(used.values())).error(
+                "entry_point", f"a surface without a hole, that needles cross on their way in{names}"
+            )
         if cut:
             self.settler.note("shaft", f"{min(cut):.1f} to {max(cut):.1f} mm before the entry point cut off")
         self.surfaces[:] = [surface for surface in self.surfaces if surface.name not in used]
         for curve, pose, entry in zip(self.curves, poses, entries, strict=True):
             if curve.is_deflection and not is_first:  # depths count from the first point where it is stated
                 curve.before = max(0.0, float(curve.line[0, 0] - (0.0 if entry is None else entry[0])))
-            depth = depths.get(curve.name, curve.before + curve.length)
+            length = curve.before + curve.length
+            depth = depths.get(curve.name, length)
             limit = find_length_tolerance(depth)
             if curve.before > limit and pose.text != "free":
                 raise DataError(
@@ -367,14 +315,13 @@ class Planner(CurveAnswers):
                     expected="points from the entry on, where the depth is 0",
                     fix=f"add them; or, if the first point is the entry: {name_set('entry_point', 'first')}; "
                     f"or fit the shapes alone: {name_set('pose', 'free')}",
-                    where=curve.points.where(0),
+                    where=curve.points.where(),
                 )
-            if abs(depth - curve.before - curve.length) > limit:
+            if abs(depth - length) > limit:
                 raise stated[curve.name].error(
                     "depth",
                     f"within {limit:.1f} mm the length of {curve.name}, which is {curve.length:.1f} mm",
-                    "look at its depth in the protocol, and whether its points go from the entry to the tip; "
-                    "a shaft before the entry is cut off by entry_point",
+                    "correct the depth, or the order of the points; or cut off a shaft by entry_point",
                 )
         return entries
 
@@ -386,28 +333,32 @@ class Planner(CurveAnswers):
         depths: Sequence[tuple[float, ...]],
         needles: Sequence[NeedleRecord],
     ) -> list[InsertionRow]:
-        """Return the rows with entry poses and bevels, without medium and specimen."""
-        angles = self.settle_sides()
-        sides = to_sides(angles or [0.0] * len(self.curves))[0]
-        rows, is_own = [], any("entry_point" in curve.stated for curve in self.curves)
-        for curve, side, entry in zip(self.curves, sides, entries, strict=True):
+        """Return the rows with entry poses and bevels, without medium and specimen.
+
+        Of `depths` and `needles` those of the shapes are the first.
+        """
+        curves, settler, angles = self.curves, self.settler, self.settle_sides()
+        sides, zeros = to_sides(angles or [0.0] * len(curves))
+        rows, is_own = list[InsertionRow](), any("entry_point" in curve.stated for curve in curves)
+        for curve, side, entry in zip(curves, sides, entries, strict=True):
             # a stated length is believed
             sd = 0.0 if "depth" in curve.stated else measure_curve(curve.line, point_sd).length_sd
             # one entry that is stated of all is the origin of their coordinates, and no hole
             hole = curve.hole or ("" if is_own or entry is None else curve.name)
             rows.append(InsertionRow(curve.name, "", 1, curve.depth, side=side, depth_sd=sd, hole=hole))
-        rows = set_layers(rows, depths)
         if poses[0].text == "free":
-            self.settler.note("bevel", "a free shape bends toward its bevel")
-            return rows
+            settler.note("bevel", "a free shape bends toward its bevel")
+            return set_layers(rows, depths[: len(rows)])
         if any(entry is None for entry in entries):
-            self.settler.note(
+            settler.note(
                 "shift across", "fitted: the first point, taken as the entry, has moved with the needle"
             )
         shifts = self.each("pose_shift_sd", usual=f"{point_sd:g}", reason="that of a point")
         if poses[0].text == "shaft":
-            pairs = zip(self.curves, needles, strict=True)
-            axes = [fit_shaft(curve, needle, point_sd, poses[0]) for curve, needle in pairs]
+            axes = [
+                fit_shaft(curve, needle, point_sd, poses[0])
+                for curve, needle in zip(curves, needles, strict=False)
+            ]
             ways, sds = np.array([axis.direction for axis in axes]), [axis.angle_sd for axis in axes]
             reason = f"of each shaft, which the tissue has bent: at most {np.degrees(max(sds)):.2g} degrees"
             answers = self.each("pose_angle_sd", usual="shaft", reason=reason, is_sure=True)
@@ -417,33 +368,31 @@ class Planner(CurveAnswers):
         if answers[0].text != "shaft":
             sds = [float(np.radians(answer.to_number("pose_angle_sd", "deg"))) for answer in answers]
         first = [
-            curve.line[0] if entry is None else entry
-            for curve, entry in zip(self.curves, entries, strict=True)
+            curve.line[0] if entry is None else entry for curve, entry in zip(curves, entries, strict=True)
         ]
-        bends = np.array([curve.line[-1] - start for curve, start in zip(self.curves, first, strict=True)])
-        before = [
-            curve.points.curve.interpolate([min([curve.length, *(depth for depth, _ in curve.turns)])])[0]
-            - start
-            for curve, start in zip(self.curves, first, strict=True)
-        ]
-        bevels = self.settle_bevel(np.array(before), ways, angles)
-        for label, ones in (("turns", "turns"), ("curvatures", "sensors")):
-            if counts := [
-                f"{len(stated)} of {curve.name}" for curve in self.curves if (stated := getattr(curve, ones))
-            ]:
-                self.settler.note(label, join_names(counts, 8))
-        if any(curve.turns or curve.sensors for curve in self.curves):
-            reason = "degrees, set by hand: bevel_roll_sd_deg of insertions.csv"
-            self.settler.assumed["bevel_roll_sd"] = f"{DEFAULT_ROLL_SD_DEG:g} {reason}"
-        zeros = to_sides(angles or [0.0] * len(rows))[1]
-        for n, curve in enumerate(self.curves):
-            smoothed = curve.points.curve.smoothed
-            crossed = find_crossings(smoothed, self.surfaces).sequence if self.surfaces else ()
+        until = [min([curve.length, *(depth for depth, _ in curve.turns)]) for curve in curves]
+        before = [curve.points.curve.interpolate([arc])[0] for curve, arc in zip(curves, until, strict=True)]
+        bevels = self.settle_bevel(np.array(before) - first, ways, angles)
+        beside: dict[str, list[Sequence[object]]] = {
+            "turns": [curve.turns for curve in curves],
+            "curvatures": [curve.sensors for curve in curves],
+        }
+        for label, stated in beside.items():
+            counts = [f"{len(own)} of {curve.name}" for curve, own in zip(curves, stated, strict=True) if own]
+            if counts:
+                settler.note(label, join_names(counts, 8))
+                reason = "degrees, set by hand: bevel_roll_sd_deg of insertions.csv"
+                settler.assumed["bevel_roll_sd"] = f"{DEFAULT_ROLL_SD_DEG:g} {reason}"
+        for n, curve in enumerate(curves):
+            crossed = (
+                find_crossings(curve.points.curve.smoothed, self.surfaces).sequence if self.surfaces else ()
+            )
             sensors = np.array(curve.sensors).reshape(-1, 4)
             read = Rotation.from_rotvec([-zeros[n], 0.0, 0.0]).apply(sensors[:, :3])
+            run = float((curve.line[-1] - first[n]) @ ways[n])
             rows[n] = replace(
                 rows[n],
-                layers=len(crossed or select_layers(np.array(depths[n]), float(bends[n] @ ways[n]))[1]),
+                layers=len(crossed or select_layers(np.array(depths[n]), run)[1]),
                 entry=first[n],
                 direction=ways[n],
                 bevel=bevels[n],
@@ -453,7 +402,7 @@ class Planner(CurveAnswers):
                 turns=tuple((depth, np.radians(cell.to_angle()) - zeros[n]) for depth, cell in curve.turns),
                 curvature=np.column_stack([read, sensors[:, 3]]) if curve.sensors else None,
             )
-        return add_tips(rows, self.curves, zeros)
+        return add_tips(self, rows, zeros)
 
     # ---- layers
 
@@ -500,8 +449,7 @@ class Planner(CurveAnswers):
             if differ:
                 raise answer.error("bevel", "X,Y,Z: bevels differ, or turn")
             return [None] * len(bends)
-        if angles is None:
-            self.settle("bevel_side", "1", "not stated")
+        self.settle_sides(is_needed=True)
         return list(turned.apply(answer.to_vector("bevel")))
 
     # ---- names and needle
@@ -570,59 +518,25 @@ class Planner(CurveAnswers):
         ], {}
 
 
-def add_tips(
-    rows: Sequence[InsertionRow], curves: Sequence[ImportedCurve], turns: Sequence[float]
-) -> list[InsertionRow]:
-    """Return rows with the deflections of tips that were measured beside their shapes.
-
-    `turns`: of their bevels, rad. Where bevels face both sides and no deflection is negative they are toward
-    the bevels. DataError if one deflection is stated of a needle in another plane, or several of one tip.
-    """
-    tips = [tip for curve in curves for tip in curve.tips]
-    is_toward = len({row.side for row in rows}) > 1 and all(tip.deflection[0] >= 0 for tip in tips)
-    added = list[InsertionRow]()
-    for row, curve, turn in zip(rows, curves, turns, strict=True):
-        if not curve.tips:
-            added.append(row)
-            continue
-        tip, *others = curve.tips
-        if others:
-            raise DataError(
-                f"{1 + len(others)} deflections of the tip of {row.id} are stated beside its shape",
-                expected="one of a needle",
-                fix="state their mean, and its standard deviation",
-                where=others[0].where,
-            )
-        if turn and not tip.deflection[1]:
-            raise DataError(
-                f"the bevel of {row.id} faces aside, and one deflection of its tip is stated",
-                expected="deflections up and to the right (columns deflection and deflection_z)",
-                fix=name_set("deflection_z.column", "HEADER"),
-                where=tip.where,
-            )
-        _, y, z = Rotation.from_rotvec([-turn, 0.0, 0.0]).apply([0.0, *tip.deflection]).tolist()
-        y = row.side * y if is_toward else y
-        added.append(replace(row, tip_y=y, tip_z=z if tip.deflection[1] else None, tip_sd=tip.sd))
-    return added
-
-
 # ---- needles, points and shafts
 
 
-def refuse_stray_points(curve: ImportedCurve) -> None:
-    """DataError if single points lie far from all others, which are in order."""
-    line = curve.line if curve.holds == "shapes" else curve.line[:0]
-    stray = find_stray_points(line)
-    if not len(stray) or len(find_backward_points(np.delete(line, stray, axis=0))):
-        return
-    first, more = int(stray[0]), f", and {len(stray) - 1} more" if len(stray) > 1 else ""
-    place = ", ".join(f"{value:g}" for value in curve.line[first])
-    raise DataError(
-        f"a point of {curve.name} lies far from all others: {place}{more}",
-        expected="points along the needle",
-        fix="look at its row in the source; empty its coordinates where it was not measured",
-        where=curve.points.where(first),
-    )
+def require_order(curves: Sequence[ImportedCurve]) -> None:
+    """DataError of points that lie far from all others of a curve, or go back along it."""
+    for curve in curves:
+        fault = find_stray_fault(curve.points)
+        if fault is None and len(back := find_backward_points(curve.line)):
+            fault = make_order_fault(curve.points, back)
+            names = name_set("needle.column", "HEADER")
+            fault = fault.replace(fix=f"{fault.fix}; or, if they are of several needles, {names}")
+        if fault is not None:
+            raise fault.replace(what=f"curve {curve.name} {fault.what}")
+
+
+def advise_order(curves: Sequence[ImportedCurve]) -> str:
+    """Return the fix of curves whose points go from the tip to the entry."""
+    ends = [f"{curve.points.where()} to {curve.points.where(-1)}" for curve in curves]
+    return f"reverse these points if they go from the tip to the entry: {join_names(ends, 5)}"
 
 
 def read_needle(length: Stated, outer: Stated, inner: Stated, modulus: Stated) -> NeedleRecord:

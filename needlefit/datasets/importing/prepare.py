@@ -32,6 +32,7 @@ DRAFT = "the draft of the mapping"  #: its place in messages
 MAX_ASIDE_DEG = 60.0  # angle (degrees) to all others from which on a curve may be no needle
 MIN_ALIGNED = 0.7  # smallest length of the mean of the others' unit directions, for which they have one
 DECISIVE = ("needle", "diameter", "modulus", "depth_zero", "bevel_side")  # assumptions that are listed first
+MAX_SHOWN_CELLS = 4  # number of cells of a row on the screen
 MAX_FIRST_VALUES = 3  # number of values of a column on the screen
 
 Prompt = Callable[[str, str, str], str]  #: key or question, proposal, reason -> answer; "" takes the proposal
@@ -203,7 +204,7 @@ def _ask_about_curves(draft: Draft, files: Sequence[Path], stated: Sequence[tupl
         if column.get("unit", "px") == "px"
     ]
     if any("unit" in column for column in lacking):
-        draft.ask("unit", files[0].name, reason="a header states pixels")
+        draft.ask("unit", files[0].name, reason="A header states pixels")
         return
     record = draft.to_record(DRAFT)
     curves = read_curves([*list_tables(record, files, DRAFT)], [])
@@ -239,14 +240,14 @@ def _settle_unit(
     """Assume mm of lengths without a unit where needles then have the length of one; else ask."""
     longest, (low, high) = max((curve.reach for curve in curves), default=0.0), ASSUMED_MM
     if all((curve.line == np.round(curve.line)).all() for curve in curves):
-        draft.ask("unit", file, reason="all coordinates are whole numbers, as of pixels")
+        draft.ask("unit", file, reason="All coordinates are whole numbers, as of pixels")
     elif low <= longest <= high:
         for column in lacking:
             column["unit"] = "mm"
         draft.assumed["unit"] = f"mm: the longest needle is then {longest:.3g} mm long"
     else:
         likely = {name: {"unit": name} for name, mm in UNITS_MM.items() if low <= mm * longest <= high}
-        draft.ask("unit", file, likely, reason=f"in mm the longest needle is {longest:,.3g} mm long")
+        draft.ask("unit", file, likely, reason=f"In mm the longest needle is {longest:,.3g} mm long")
 
 
 def _require_lengths(content: ImportContent) -> None:
@@ -266,26 +267,27 @@ def _require_lengths(content: ImportContent) -> None:
 def _describe_columns(record: MappingRecord, files: Sequence[Path]) -> Iterator[dict[str, str]]:
     """Yield a row of the screen for each meaning of each table: column, unit, first values in mm."""
     for mapped in list_tables(record, files, "the mapping"):
+        sheet = mapped.record.sheet.replace("*", "")
         for meaning, column in mapped.record.columns.items():
-            source = (
-                ", ".join(map(str, column.columns)) if column.column else column.source or f"= {column.value}"
-            )
+            unit = column.unit or MEANINGS[meaning].unit
+            key = "unit" if meaning in COORDINATES and mapped.record.holds in POINTS else f"{meaning}.unit"
+            unit += ", assumed" if unit and key in record.assumed else ""
             yield {
-                "table": " ".join(
-                    filter(None, [mapped.table.path.name, mapped.record.sheet.replace("*", "")])
-                ),
+                "table": f"{mapped.table.path.name} {sheet}".strip(),
                 "meaning": meaning,
-                "column": source,
-                "unit": column.unit
-                or (f"column {column.unit_column}" if column.unit_column else MEANINGS[meaning].unit),
+                "column": ", ".join(map(str, column.columns)) or column.source or f"= {column.value}",
+                "unit": f"column {column.unit_column}" if column.unit_column else unit,
                 "first values": ", ".join(_list_first(mapped, meaning)),
             }
 
 
 def _list_first(mapped: MappedTable, meaning: str) -> Iterator[str]:
-    is_length = MEANINGS[meaning].unit == "mm" and meaning not in ("boundaries", "diameter", "entry_point")
-    for n, cells in [(n, cells) for n, cells in enumerate(mapped.read_cells(meaning)) if any(cells)][
-        :MAX_FIRST_VALUES
-    ]:
-        number = mapped.table.number(cells[0]) if is_length else None
-        yield "; ".join(cells[:4]) if number is None else f"{number * mapped.read_factor(meaning, n):.4g} mm"
+    is_length = MEANINGS[meaning].unit == "mm" and meaning not in ("diameter", "entry_point")
+    rows = [n for n, cells in enumerate(mapped.cells[meaning]) if any(cells)]
+    for n in rows[:MAX_FIRST_VALUES]:
+        cells = mapped.cells[meaning][n][:MAX_SHOWN_CELLS]
+        numbers = [mapped.table.number(cell) if is_length else None for cell in cells]
+        yield "; ".join(
+            cell if number is None else f"{number * mapped.read_factor(meaning, n):.4g} mm"
+            for cell, number in zip(cells, numbers, strict=True)
+        )

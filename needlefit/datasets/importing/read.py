@@ -1,12 +1,11 @@
 """Read the needles in files as a mapping states them: nothing is guessed."""
 
 import re
-from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import cached_property
-from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
@@ -43,7 +42,7 @@ from needlefit.geometry.surfaces import (
 from needlefit.project.folders import sha256
 from needlefit.project.locate import join_names, sort_by_similarity
 from needlefit.project.units import UNITS_MM, UNITS_PER_MM
-from needlefit.schemas.mapping import MappingRecord, MeaningRecord, TableRecord
+from needlefit.schemas.mapping import MappingRecord, TableRecord
 
 MAX_CURVES = 2000  # largest number of needles, and of files: more is a wrong folder
 MAX_NAME_CHARS = 60  # longest name of a needle (characters)
@@ -69,7 +68,7 @@ class MappedTable:
     @property
     def kept_rows(self) -> list[int]:
         """The rows that are not marked as excluded."""
-        return [n for n, cells in enumerate(self.read_cells("excluded")) if "excluded" not in cells]
+        return [n for n, cells in enumerate(self.cells["excluded"]) if "excluded" not in cells]
 
     def where(self, n: int, meaning: str) -> str:
         """Return the place of the cell of a meaning in a row."""
@@ -97,24 +96,21 @@ class MappedTable:
         record = self.record.columns[meaning]
         return [self.find(meaning, name) for name in record.columns] if record.column else []
 
-    def read_cells(self, meaning: str) -> list[list[str]]:
-        """Return the texts of a meaning of each row: one of each column; none where it is not mapped."""
-        return self._cells.get(meaning) or [[] for _ in self.table.rows]
-
     @cached_property
-    def _cells(self) -> dict[str, list[list[str]]]:
-        """The texts of all meanings that are mapped; empty where a cell was not measured."""
-        return {
-            meaning: [*self._list_cells(meaning, record)] for meaning, record in self.record.columns.items()
-        }
-
-    def _list_cells(self, meaning: str, record: MeaningRecord) -> Iterator[list[str]]:
+    def cells(self) -> Mapping[str, list[list[str]]]:
+        """The texts of each meaning in each row, one of each column; empty where it was not measured."""
         names = {"file": self.table.path.name.partition(".")[0], "sheet": self.table.name}
-        columns = self.list_columns(meaning)
-        missing, words = {*self.record.missing}, record.words
-        for row in self.table.rows:
-            texts = [row[m] for m in columns] or [names.get(record.source, str(record.value))]
-            yield ["" if text in missing else words.get(text, text) for text in texts]
+        cells = defaultdict[str, list[list[str]]](lambda: [[] for _ in self.table.rows])
+        for meaning, record in self.record.columns.items():
+            columns, value = self.list_columns(meaning), names.get(record.source, str(record.value))
+            cells[meaning] = [
+                [
+                    "" if text in self.record.missing else record.words.get(text, text)
+                    for text in [row[m] for m in columns] or [value]
+                ]
+                for row in self.table.rows
+            ]
+        return cells
 
     def read_unit(self, meaning: str, n: int) -> str:
         """Return the unit of a row, or of all; empty: that of the meaning."""
@@ -128,9 +124,8 @@ class MappedTable:
         """Return by what numbers are multiplied to be in mm or 1/mm."""
         usual = MEANINGS[meaning].unit
         unit = self.read_unit(meaning, n) or usual
-        if unit == "%" and meaning in ACROSS and (depth := self.read_cells("depth")[n]):
-            percent = self.read_number("depth", n, depth[0]) / 100  # of the depth of the row
-            return percent * self.record.columns[meaning].sign
+        if unit == "%" and meaning in ACROSS and self.cells["depth"][n]:  # of the depth of the row
+            return self.read_number("depth", n) / 100 * self.record.columns[meaning].sign
         quantity = (1.0, unit) if unit in FACTORS else read_quantity(unit)
         number, plain = quantity or (1.0, unit)  # `0.07 mm` of a pixel
         if plain not in FACTORS or plain.startswith("1/") != usual.startswith("1/"):
@@ -143,19 +138,25 @@ class MappedTable:
             )
         return number * FACTORS[plain] * self.record.columns[meaning].sign
 
-    def read_number(self, meaning: str, n: int, text: str) -> float:
-        """Return a cell in mm or 1/mm; DataError if it is no number."""
+    def read_number(self, meaning: str, n: int, k: int = 0) -> float:
+        """Return a cell of a row, that of the column `k`, in mm or 1/mm; DataError if it is no number."""
+        text = self.cells[meaning][n][k]
         if (value := self.table.number(text)) is None:
-            missing = self.name_edit("missing", f'["{text[:20]}"]')
-            missing = f"; or, if it was not measured: {missing} {self.name_edit('if_missing', 'leave_out')}"
-            missing = missing if not any(map(str.isdigit, text)) else ""
+            fix = "write one number in each cell"
+            if not any(map(str.isdigit, text)):
+                missing = self.name_edit("missing", f'["{text[:20]}"]')
+                fix += f"; or, if it was not measured: {missing} {self.name_edit('if_missing', 'leave_out')}"
             raise DataError(
                 f"{meaning} is {text[:40]!r}",
                 expected=f"a number with the decimal sign {self.table.decimal!r}",
-                fix=f"write one number in each cell{missing}",
+                fix=fix,
                 where=self.where(n, meaning),
             )
         return value * self.read_factor(meaning, n)
+
+    def read_numbers(self, meaning: str, rows: Iterable[int], k: int = 0) -> Floats:
+        """Return the cells of rows, those of the column `k`, in mm or 1/mm."""
+        return np.array([self.read_number(meaning, n, k) for n in rows], dtype=np.float64)
 
 
 def read_mapped(mapping: MappingRecord, paths: Sequence[Path], where: str) -> ImportContent:
@@ -294,72 +295,56 @@ def _read_points(mapped: MappedTable, left_out: list[str]) -> Iterator[ImportedC
             fix=" ".join(mapped.name_edit(f"columns.{axis}.column") for axis in lacking),
             where=mapped.table.where,
         )
-    cells = {axis: mapped.read_cells(axis) for axis in axes if axis in columns}
+    axes = [axis for axis in axes if axis in columns]
     rows = defaultdict[tuple[str, int], list[int]](list)
     names, is_wide = _read_names(mapped), mapped.record.layout == "wide"
     for n in mapped.kept_rows:
         rows[names[n], n * is_wide].append(n)
     for (name, _), numbers in rows.items():
-        measured, missing = _list_measured(mapped, numbers, cells)
+        points, missing = _list_measured(mapped, numbers, axes)
         if missing:
             left_out.append(f"{missing} of {name or mapped.table.name}")
-        is_point = len(measured) == 1 and mapped.record.holds == "shapes"
+        is_point = len(points) == 1 and mapped.record.holds == "shapes"
         if is_point and (
             len(numbers) > 1 or len(rows) == len(mapped.kept_rows)
         ):  # cut short; or no shape at all
             raise DataError(
                 f"{name or mapped.table.name} has one point: it is a tip, and no shape",
                 expected="the points of each needle from the entry to the tip",
-                fix=(
-                    "complete its points; or, if the table holds tips alone: "
-                    f"{mapped.name_edit('holds', 'tips')}"
-                ),
-                where=mapped.table.places[measured[0].row],
+                fix=f"complete its points; or, of a table of tips: {mapped.name_edit('holds', 'tips')}",
+                where=mapped.table.places[points[0][0]],
             )
-        if measured:
-            curve = _make_curve(mapped, name, measured, tuple(cells), is_deflection)
+        if points:
+            curve = _make_curve(mapped, name, points, axes, is_deflection)
             yield replace(curve, holds="tips") if is_point else curve  # a tip beside shapes
 
 
 def _read_names(mapped: MappedTable) -> list[str]:
     """Return the name of the needle of each row, as its cells are written."""
     record = mapped.record.columns.get("needle")
-    names = ["-".join(filter(None, cells)) for cells in mapped.read_cells("needle")]
+    names = ["-".join(filter(None, cells)) for cells in mapped.cells["needle"]]
     if record is None or not record.pattern:
         return names
-    matches = [re.fullmatch(record.pattern, name) for name in names]
-    return [match[1] if match else name for match, name in zip(matches, names, strict=True)]
-
-
-@dataclass(frozen=True)
-class _Reading:
-    """A point of a needle: its row, and its numbers in the order of the axes."""
-
-    row: int
-    values: Sequence[float]
+    return [match[1] if (match := re.fullmatch(record.pattern, name)) else name for name in names]
 
 
 def _list_measured(
-    mapped: MappedTable, rows: Sequence[int], cells: Mapping[str, list[list[str]]]
-) -> tuple[list[_Reading], int]:
-    """Return the points whose coordinates were measured, and how many lack some of them."""
-    columns = [mapped.list_columns(axis) for axis in cells]
-    measured, missing = list[_Reading](), 0
+    mapped: MappedTable, rows: Sequence[int], axes: Sequence[str]
+) -> tuple[list[tuple[int, list[float]]], int]:
+    """Return row and numbers of the points that were measured, and how many lack a coordinate."""
+    columns = [mapped.list_columns(axis) for axis in axes]
+    measured, missing = list[tuple[int, list[float]]](), 0
     for n in rows:
-        for k, texts in enumerate(
-            zip_longest(*(cells_of_axis[n] for cells_of_axis in cells.values()), fillvalue="")
-        ):
-            raw = [
-                mapped.table.rows[n][cells_of_axis[k]] for cells_of_axis in columns if k < len(cells_of_axis)
-            ]
-            if all(texts):
-                numbers = [mapped.read_number(axis, n, text) for axis, text in zip(cells, texts, strict=True)]
-                measured.append(_Reading(n, numbers))
+        cells = [mapped.cells[axis][n] for axis in axes]
+        for k in range(max(map(len, cells))):
+            raw = [mapped.table.rows[n][places[k]] for places in columns if k < len(places)]
+            if all(k < len(texts) and texts[k] for texts in cells):
+                measured.append((n, [mapped.read_number(axis, n, k) for axis in axes]))
             elif any(raw):
                 if mapped.record.if_missing == "stop":
                     raise DataError(
                         f"a coordinate was not measured: {', '.join(raw)}",
-                        expected=f"{', '.join(cells)} of each point",
+                        expected=f"{', '.join(axes)} of each point",
                         fix=f"{mapped.name_edit('if_missing', 'leave_out')}, or correct the row",
                         where=mapped.table.places[n],
                     )
@@ -368,31 +353,33 @@ def _list_measured(
 
 
 def _make_curve(
-    mapped: MappedTable, name: str, points: Sequence[_Reading], axes: Sequence[str], is_deflection: bool
+    mapped: MappedTable,
+    name: str,
+    points: Sequence[tuple[int, list[float]]],
+    axes: Sequence[str],
+    is_deflection: bool,
 ) -> ImportedCurve:
-    rows = [point.row for point in points]
+    rows, columns = [row for row, _ in points], mapped.record.columns
     values = np.zeros((len(rows), 3))
     places = [axes.index(axis) if is_deflection else "xyz".index(axis) for axis in axes]
-    values[:, places] = [point.values for point in points]
-    lines = (
-        None
-        if mapped.table.lines is None
-        else np.array([mapped.table.lines[n] for n in rows], dtype=np.int64)
-    )
+    values[:, places] = [numbers for _, numbers in points]
+    lines = mapped.table.lines
     stated = read_facts(mapped, rows)
-    is_track = mapped.record.holds == "tracks" and "depth" in mapped.record.columns
-    depths = (
-        [mapped.read_number("depth", n, mapped.read_cells("depth")[n][0]) for n in rows] if is_track else []
-    )
+    is_track = mapped.record.holds == "tracks" and "depth" in columns
     if is_track or is_deflection:
         stated.pop("depth", None)
     return ImportedCurve(
         name or mapped.table.name,
-        Points(mapped.table.path, values, lines, _read_sds(mapped, rows)),
+        Points(
+            mapped.table.path,
+            values,
+            None if lines is None else np.array([lines[n] for n in rows], dtype=np.int64),
+            _read_sds(mapped, rows),
+        ),
         mapped.record.holds,
         stated,
-        np.array(depths),
-        str(mapped.record.columns["depth"].columns[0]) if is_track else "",
+        mapped.read_numbers("depth", rows if is_track else ()),
+        str(columns["depth"].columns[0]) if is_track else "",
         is_deflection,
         _read_guide(mapped, rows),
         is_named=bool(name),
@@ -403,10 +390,10 @@ def _read_sds(mapped: MappedTable, rows: Sequence[int]) -> Floats | None:
     """Return the standard deviation of each point (N,), mm; None if the table states one, or none of some."""
     if (record := mapped.record.columns.get("point_sd")) is None:
         return None
-    texts = [mapped.read_cells("point_sd")[n][0] for n in rows]
+    texts = [mapped.cells["point_sd"][n][0] for n in rows]
     if record.divide_by_root is None and (len({*texts}) < 2 or not all(texts)):
         return None
-    sds = np.array([mapped.read_number("point_sd", n, text) for n, text in zip(rows, texts, strict=True)])
+    sds = mapped.read_numbers("point_sd", rows)
     if record.divide_by_root is None:
         return sds
     column = mapped.find("point_sd", record.divide_by_root)
@@ -417,11 +404,11 @@ def _read_guide(mapped: MappedTable, rows: Sequence[int]) -> Floats | None:
     """Return the places of the guide (N, 3), mm; NaN along axes of which no column is."""
     if (record := mapped.record.columns.get("guide")) is None:
         return None
-    cells = mapped.read_cells("guide")
-    axes = record.axes or ("yz" if len(cells[0]) < len("xyz") else "xyz")[: len(cells[0])]
+    count = len(mapped.cells["guide"][0])
+    axes = record.axes or ("yz" if count < len("xyz") else "xyz")
     places = np.full((len(rows), 3), np.nan)
-    for k, axis in enumerate(axes[: len(cells[0])]):
-        places[:, "xyz".index(axis)] = [mapped.read_number("guide", n, cells[n][k]) for n in rows]
+    for k, axis in enumerate(axes[:count]):
+        places[:, "xyz".index(axis)] = mapped.read_numbers("guide", rows, k)
     return places
 
 
@@ -434,89 +421,76 @@ def read_facts(mapped: MappedTable, rows: Sequence[int]) -> dict[str, Stated]:
     DataError if two cells of one column contradict each other.
     """
     stated: dict[str, Stated] = {}
-    for meaning in ATTRIBUTES:
-        if meaning not in mapped.record.columns:
+    for meaning in filter(mapped.record.columns.__contains__, ATTRIBUTES):
+        sign = ", " if meaning in VECTORS else "; "
+        cells = mapped.cells[meaning]
+        texts = {n: sign.join(filter(None, cells[n])) for n in rows if any(cells[n])}
+        differ = len({*texts.values()}) > 1
+        is_of_readings = differ and meaning in ("depth", "point_sd")
+        if not texts or is_of_readings or mapped.record.columns[meaning].divide_by_root is not None:
             continue
-        cells = mapped.read_cells(meaning)
-        texts = {n: _join(meaning, cells[n]) for n in rows if any(cells[n])}
-        if not texts:
-            continue
-        first = next(iter(texts))
-        other = next((n for n, text in texts.items() if text != texts[first]), None)
-        record = mapped.record.columns[meaning]
-        if (other is not None and meaning in ("depth", "point_sd")) or record.divide_by_root is not None:
-            continue  # those of each reading
-        if other is not None:
+        first, text = next(iter(texts.items()))
+        if differ:
+            other = next(n for n in texts if texts[n] != text)
+            needles = mapped.name_edit("columns.needle.column")
             raise DataError(
-                f"{meaning} is {texts[first][:40]!r} and {texts[other][:40]!r}",
+                f"{meaning} is {text[:40]!r} and {texts[other][:40]!r}",
                 expected="one value",
-                fix=(
-                    "correct the cell; or, if another column names needles: "
-                    f"{mapped.name_edit('columns.needle.column')}"
-                ),
+                fix=f"correct the cell; or, if another column names needles: {needles}",
                 where=mapped.where(other, meaning),
             )
-        text = texts[first]
-        if mapped.table.number(text) is not None and meaning not in ("medium", "specimen", "bevel_side"):
-            text = f"{mapped.table.number(text):.10g}"  # with a decimal point
+        value = mapped.table.number(text)
+        if value is not None and meaning not in ("medium", "specimen", "bevel_side"):
+            text = f"{value:.10g}"  # with a decimal point
         stated[meaning] = Stated(text, mapped.read_unit(meaning, first), mapped.where(first, meaning))
     return stated
 
 
-def _join(meaning: str, texts: Sequence[str]) -> str:
-    return (", " if meaning in VECTORS else "; ").join(filter(None, texts))
-
-
 def _add_rows(mapped: MappedTable, curves: list[ImportedCurve]) -> None:
     """Add to needles what the rows of a table state of them: facts, turns or curvatures."""
-    if mapped.record.of == "all":
+    record, table = mapped.record, mapped.table
+    if record.of == "all":
         for curve in curves:
-            _add_facts(curve, read_facts(mapped, range(len(mapped.table.rows))))
+            _add_facts(curve, read_facts(mapped, range(len(table.rows))))
         return
-    by_specimen = mapped.record.of == "specimen"
-    names = (
-        [cells[0] if cells else "" for cells in mapped.read_cells("specimen")]
-        if by_specimen
-        else _read_names(mapped)
-    )
-    if mapped.record.holds == "curvatures":
-        if "needle" not in mapped.record.columns:
-            names = [mapped.table.name for _ in names]
+    by_specimen = record.of == "specimen"
+    names = ["".join(cells) for cells in mapped.cells["specimen"]] if by_specimen else _read_names(mapped)
+    if record.holds == "curvatures":
+        if "needle" not in record.columns:
+            names = [table.name for _ in names]
         taken = {curve.name for curve in curves}
         for name in dict.fromkeys(filter(None, names)):
-            if _match(name, taken) is None:
-                points = Points(mapped.table.path, np.empty((0, 3)))
+            if not any(_is_same(name, other) for other in taken):
+                points = Points(table.path, np.empty((0, 3)))
                 curves.append(ImportedCurve(_make_name(name, taken), points, "curvatures"))
                 taken.add(curves[-1].name)
     rows = defaultdict[str, list[int]](list)
     for n in mapped.kept_rows:
-        name = names[n]
-        if not name and any(any(mapped.read_cells(meaning)[n]) for meaning in mapped.record.columns):
+        if not names[n] and any(any(mapped.cells[meaning][n]) for meaning in record.columns):
             edit = mapped.name_edit("fill_down", '["HEADER"]')
             raise DataError(
-                f"names no {mapped.record.of}",
+                f"names no {record.of}",
                 expected="a name in each row",
                 fix=f"fill it in; or, if the cell above counts: {edit}",
-                where=mapped.table.places[n],
+                where=table.places[n],
             )
-        rows[name].append(n)
-    keys = {
-        curve.name: curve.stated["specimen"].text
-        if by_specimen and "specimen" in curve.stated
-        else curve.name
+        rows[names[n]].append(n)
+    keys = [
+        curve.stated["specimen"].text if by_specimen and "specimen" in curve.stated else curve.name
         for curve in curves
+    ]
+    pairs = {
+        name: [curve for curve, key in zip(curves, keys, strict=True) if _is_same(name, key)] for name in rows
     }
-    matched = {name: [k for k, key in keys.items() if _match(name, [key])] for name in rows}
-    _require_found(mapped, matched, keys)
-    by_name = {curve.name: curve for curve in curves}
+    _require_found(mapped, pairs, curves, keys)
     for name, numbers in rows.items():
-        for curve in (by_name[k] for k in matched[name]):
-            if mapped.record.holds == "turns":
+        for curve in pairs[name]:
+            if record.holds == "turns":
                 curve.turns += [_read_turn(mapped, n) for n in numbers]
                 continue
-            if mapped.record.holds == "curvatures":
+            if record.holds == "curvatures":
                 curve.sensors += [_read_sensor(mapped, n) for n in numbers]
-                curve.are_sensors_from_base |= "sensor_from_base" in mapped.record.columns
+                curve.are_sensors_from_base |= "sensor_from_base" in record.columns
             facts = read_facts(mapped, numbers)
             if by_specimen:
                 facts.pop("specimen", None)
@@ -529,8 +503,7 @@ def _add_facts(curve: ImportedCurve, facts: Mapping[str, Stated]) -> None:
         earlier = curve.stated.setdefault(meaning, fact)
         if earlier.text != fact.text:
             raise DataError(
-                f"{meaning} of {curve.name} is {fact.text[:60]!r}, and {earlier.text[:60]!r} in "
-                f"{earlier.where}",
+                f"{meaning} of {curve.name} is {fact.text[:60]!r}, in {earlier.where} {earlier.text[:60]!r}",
                 expected="one value",
                 fix="correct one of the two",
                 where=fact.where,
@@ -538,8 +511,7 @@ def _add_facts(curve: ImportedCurve, facts: Mapping[str, Stated]) -> None:
 
 
 def _read_turn(mapped: MappedTable, n: int) -> tuple[float, Stated]:
-    depth = mapped.read_number("turn_depth", n, mapped.read_cells("turn_depth")[n][0])
-    text = "".join(mapped.read_cells("bevel_side")[n])
+    text = "".join(mapped.cells["bevel_side"][n])
     if not text:
         raise DataError(
             "nothing states where the bevel faces from this depth on",
@@ -547,23 +519,23 @@ def _read_turn(mapped: MappedTable, n: int) -> tuple[float, Stated]:
             fix=f"fill in the cell; or {mapped.name_edit('columns.bevel_side.column')}",
             where=mapped.table.places[n],
         )
-    return depth, Stated(text, mapped.read_unit("bevel_side", n), mapped.where(n, "bevel_side"))
+    cell = Stated(text, mapped.read_unit("bevel_side", n), mapped.where(n, "bevel_side"))
+    return mapped.read_number("turn_depth", n), cell
 
 
 def _read_sensor(mapped: MappedTable, n: int) -> Floats:
     """Return the place of a sensor, mm, its curvatures and their SD, 1/mm; NaN: no cell states the SD."""
-    place = "sensor" if "sensor" in mapped.record.columns else "sensor_from_base"
-    meanings: tuple[str, ...] = (place, *SENSOR[1:3])
-    if lacking := [meaning for meaning in meanings if meaning not in mapped.record.columns]:
+    columns = mapped.record.columns
+    meanings = ("sensor" if "sensor" in columns else "sensor_from_base", *SENSOR[1:3])
+    if lacking := [meaning for meaning in meanings if meaning not in columns]:
         raise DataError(
             f"of curvatures nothing states {', '.join(lacking)}",
             expected="the place of each sensor and its two curvatures",
             fix=" ".join(mapped.name_edit(f"columns.{meaning}.column") for meaning in lacking),
             where=mapped.table.places[n],
         )
-    meanings += ("curvature_sd",) if "curvature_sd" in mapped.record.columns else ()
-    values = [mapped.read_number(meaning, n, mapped.read_cells(meaning)[n][0]) for meaning in meanings]
-    return np.array([*values, np.nan][: len(SENSOR)])
+    sd = mapped.read_number("curvature_sd", n) if "curvature_sd" in columns else np.nan
+    return np.array([*(mapped.read_number(meaning, n) for meaning in meanings), sd])
 
 
 # ---- names
@@ -577,31 +549,29 @@ def _join_observations(curves: Sequence[ImportedCurve]) -> list[ImportedCurve]:
     shapes = {curve.name: curve for curve in curves if curve.holds == "shapes" and curve.is_named}
     kept = list[ImportedCurve]()
     for curve in curves:
-        shape, depths = shapes.get(curve.name), curve.line[:, 0] if curve.is_deflection else curve.depths
-        depth = float(depths[-1]) if curve.holds != "shapes" and len(depths) else 0.0
-        is_joined = depth and shape is not None and abs(shape.depth - depth) <= find_length_tolerance(depth)
-        if is_joined and shape is not None and curve.holds == "tracks":
-            shape.hole = curve.hole = curve.name
-        if is_joined and shape is not None and curve.holds == "tips" and len(depths) == 1:
-            sd = None if curve.points.sd is None else float(curve.points.sd[0])
-            if "point_sd" in curve.stated:
-                sd = curve.stated["point_sd"].to_number("point_sd", is_above=True)
-            shape.tips.append(TipReading(curve.line[0, 1:], sd, curve.points.where()))
-        else:
-            kept.append(curve)
+        depths = curve.line[:, 0] if curve.is_deflection else curve.depths
+        shape, depth = shapes.get(curve.name), float(depths[-1]) if len(depths) else 0.0
+        if curve.holds != "shapes" and depth and shape is not None:
+            is_same = abs(shape.depth - depth) <= find_length_tolerance(depth)
+            if is_same and curve.holds == "tracks":
+                shape.hole = curve.hole = curve.name
+            elif is_same and len(depths) == 1:
+                sd = None if curve.points.sd is None else float(curve.points.sd[0])
+                if "point_sd" in curve.stated:
+                    sd = curve.stated["point_sd"].to_number("point_sd", is_above=True)
+                shape.tips.append(TipReading(curve.line[0, 1:], sd, curve.points.where()))
+                continue
+        kept.append(curve)
     return kept
 
 
 def _name_curves(curves: list[ImportedCurve]) -> None:
-    """Give each needle an id of its own."""
-    taken = set[str]()
-    counts = defaultdict[str, int](int)
-    for curve in curves:
-        counts[curve.name] += not curve.is_named
-    numbers = defaultdict[str, int](int)
+    """Give each needle an id of its own; several blocks of one table are numbered."""
+    taken, blocks = set[str](), Counter(curve.name for curve in curves if not curve.is_named)
+    numbers = Counter[str]()
     for curve in curves:
         name = curve.name
-        if not curve.is_named and counts[name] > 1:  # several blocks of one table
+        if not curve.is_named and blocks[name] > 1:
             numbers[name] += 1
             name = f"{name}-{numbers[name]}"
         curve.name = _make_name(name, taken)
@@ -622,23 +592,15 @@ def make_unique(name: str, taken: Iterable[str]) -> str:
     return unique
 
 
-def _match(name: str, candidates: Iterable[str]) -> str | None:
-    """Return which of some names is the same: its id, or its number is (`1`, `1.0`, `01`)."""
-    keys: tuple[Callable[[str], str], ...] = (_make_key, _make_number_key, _find_number)
-    for make in keys if name.isdecimal() else keys[:2]:
-        same = [candidate for candidate in candidates if make(candidate) == make(name)]
-        if len(same) == 1:
-            return same[0]
-    return None
+def _is_same(name: str, other: str) -> bool:
+    """Whether two names have the same id, or number (`1`, `1.0`, `01`): 3 is `needle_03`, too."""
+    is_number = name.isdecimal() and _find_number(name) == _find_number(other)
+    return is_number or _make_key(name) == _make_key(other)
 
 
 def _make_key(name: str) -> str:
-    return make_id(name, name)[:MAX_NAME_CHARS].lower()
-
-
-def _make_number_key(name: str) -> str:
     """Return a name without zeros that change no number: 1 for `1.0` and `01`, n1 for `n01`; not 1.10."""
-    whole = re.sub(r"^(\d+)\.0+$", r"\1", _make_key(name))
+    whole = re.sub(r"^(\d+)\.0+$", r"\1", make_id(name, name)[:MAX_NAME_CHARS].lower())
     return re.sub(r"(?<![\d.])0+(?=\d)", "", whole)
 
 
@@ -648,21 +610,26 @@ def _find_number(name: str) -> str:
     return match[1] if match else name
 
 
-def _require_found(mapped: MappedTable, matched: Mapping[str, list[str]], keys: Mapping[str, str]) -> None:
-    """DataError if a row is about no needle, or a needle without a row lacks what the others have."""
-    strangers = [name for name, about in matched.items() if not about]
-    about = {key for keys_ in matched.values() for key in keys_}
-    without = [name for name in keys if name not in about]
-    listed = join_names([*dict.fromkeys(keys.values())], MAX_LISTED_NAMES)
+def _require_found(
+    mapped: MappedTable,
+    pairs: Mapping[str, Sequence[ImportedCurve]],
+    curves: Sequence[ImportedCurve],
+    keys: Sequence[str],
+) -> None:
+    """DataError if a row is about no needle, or a needle without a row lacks what the others have.
+
+    `pairs`: the needles of each name in the rows; `keys`: what each needle is called there.
+    """
+    strangers = [name for name, about in pairs.items() if not about]
+    about = {curve.name for paired in pairs.values() for curve in paired}
+    without = [curve.name for curve in curves if curve.name not in about]
+    kind, problem = mapped.record.of, f"no row is about {join_names(without, MAX_LISTED_NAMES)}"
     if strangers or (without and mapped.record.holds == "facts"):
-        problem = (
-            f"no {mapped.record.of} is called {join_names(strangers, MAX_LISTED_NAMES)}"
-            if strangers
-            else (f"no row is about {join_names(without, MAX_LISTED_NAMES)}")
-        )
+        if strangers:
+            problem = f"no {kind} is called {join_names(strangers, MAX_LISTED_NAMES)}"
         raise DataError(
             problem,
-            expected=f"a row for each {mapped.record.of}: {listed}",
+            expected=f"a row for each {kind}: {join_names([*dict.fromkeys(keys)], MAX_LISTED_NAMES)}",
             fix=f"write the same names in both tables; or leave tables.{mapped.number} out of the mapping",
             where=mapped.table.where,
         )

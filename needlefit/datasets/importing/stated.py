@@ -13,7 +13,6 @@ from needlefit.datasets.importing.meanings import VALUES
 from needlefit.datasets.importing.synonyms import read_quantity
 from needlefit.datasets.points import MAX_COORDINATE
 from needlefit.errors import DataError
-from needlefit.project.locate import join_names
 from needlefit.project.units import UNITS_GPA, UNITS_MM, UNITS_PER_MM
 
 MAX_ANSWER_CHARS = 500  # longest answer (characters) that is kept
@@ -121,7 +120,6 @@ class Settler:
     assumed: dict[str, str] = field(default_factory=dict)
     # Key, proposal, reason -> answer of the user, "" takes the proposal; None: nobody is asked.
     prompt: Callable[[str, str, str], str] | None = None
-    partly_stated: frozenset[str] = frozenset()  # keys of which some needles of the import have cells
     is_complete: bool = False  # nothing may be assumed: the mapping was written before
     refused: dict[str, str] = field(default_factory=dict)  # why the last answer was, by key
     answered: set[str] = field(default_factory=set)  # keys that the user answered
@@ -181,31 +179,6 @@ class Settler:
         del self.values[key]
         self.refused[key] = str(error)
         return True
-
-    def settle_each(
-        self,
-        key: str,
-        stated_by_needle: Mapping[str, Mapping[str, Stated]],
-        usual: str | None = None,
-        reason: str = "",
-        is_sure: bool = False,
-    ) -> dict[str, Stated]:
-        """Return what holds of each needle: its own cell, else the value of all.
-
-        A value that is stated beside cells of all needles of the import takes their place.
-        `stated_by_needle`: what cells state of each. DataError if nothing states it of some needles.
-        """
-        cells = {name: stated[key] for name, stated in stated_by_needle.items() if key in stated}
-        missing = [name for name in stated_by_needle if name not in cells]
-        if not cells:
-            return dict.fromkeys(stated_by_needle, self.settle(key, usual, reason, is_sure=is_sure))
-        if not missing:
-            is_stated = key in self.values and key not in self.partly_stated
-            return cells if not is_stated else dict.fromkeys(stated_by_needle, self.settle(key))
-        reason = f"stated of {join_names([*cells], 5)}, not of {join_names(missing, 5)}"
-        fix = f"fill in their cells, or state {name_set(key)} of all that are blank"
-        rest = self.settle(key, "", reason, fix=fix, where=next(iter(cells.values())).where)
-        return {name: cells.get(name, rest) for name in stated_by_needle}
 
     def note(self, subject: str, text: str) -> None:
         """Keep what was done with the curves, for the screen."""

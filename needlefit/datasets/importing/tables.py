@@ -4,7 +4,7 @@ import codecs
 import csv
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import date, time, timedelta
 from functools import partial
@@ -124,34 +124,41 @@ def lay_out(grid: Grid, record: TableRecord) -> Table:
 
     DataError if a row of headers is not there, or a row has more cells than the headers.
     """
-    if record.layout == "pairs":
-        return _lay_out_pairs(grid, record)
     grid = grid.transpose() if record.transposed else grid
+    body = [*_list_body(grid, record)]
+    if record.layout == "pairs":
+        return _lay_out_pairs(grid, record, [n for n, _ in body])
     heads = _read_heads(grid, record)
     headers = [" ".join(filter(None, texts)) for texts in zip_longest(*heads, fillvalue="")]
-    start = max(record.header_rows, default=0)
-    body, pairs = _divide_blocks(grid, record) if record.blocks else _list_body(grid, record, start)
-    width = len(headers) or max((len(grid.rows[n]) for n in body), default=0)
-    if headers and record.separator == " " and body and all(len(grid.rows[n]) == width + 1 for n in body):
+    width, is_blank = len(headers), record.separator == " "
+    if headers and is_blank and body and all(len(grid.rows[n]) == width + 1 for n, _ in body):
         headers, heads = ["", *headers], [["", *head] for head in heads]  # names of rows, as R writes them
-        width += 1
-    for n in body:
-        _require_width(grid, n, width, record)
-    names = dict.fromkeys(name for block_pairs in pairs for name in block_pairs)
-    headers = [*(headers or [""] * width), *names]
-    rows = [
-        [
-            *grid.rows[n][:width],
-            *[""] * (width - len(grid.rows[n])),
-            *(block_pairs.get(name, "") for name in names),
-        ]
-        for n, block_pairs in zip(body, pairs, strict=True)
-    ]
+    width = len(headers) or max((len(grid.rows[n]) for n, _ in body), default=0)
+    names = dict.fromkeys(name for _, pairs in body for name in pairs)
+    rows = list[list[str]]()
+    for n, pairs in body:
+        cells = grid.rows[n]
+        is_longer = record.separator == "," and any(cells[width:])
+        if record.header_rows and (is_longer or (is_blank and len(cells) != width)):
+            raise DataError(
+                f"has {len(cells)} cells under {width} headers",
+                expected="as many as the headers",
+                fix="correct separator, decimal or header_rows, or save the file with semicolons or tabs",
+                where=grid.where(n),
+            )
+        blanks = [""] * (width - len(cells))
+        rows.append([*cells[:width], *blanks, *(pairs.get(name, "") for name in names)])
     table = Table(
-        grid.path, grid.sheet or grid.path.name.partition(".")[0], tuple(headers), rows,
-        [grid.where(n) for n in body], [grid.lines[n] if grid.lines else n + 1 for n in body],
-        record.decimal, record.thousands, first_headers=tuple(map(tuple, heads)),
-    )  # fmt: skip
+        grid.path,
+        grid.sheet or grid.path.name.partition(".")[0],
+        (*(headers or [""] * width), *names),
+        rows,
+        [grid.where(n) for n, _ in body],
+        [grid.lines[n] if grid.lines else n + 1 for n, _ in body],
+        record.decimal,
+        record.thousands,
+        first_headers=tuple(map(tuple, heads)),
+    )
     for name in record.fill_down:
         if (column := table.find(name)) is not None:
             for above, row in pairwise(rows):
@@ -168,7 +175,12 @@ def _read_heads(grid: Grid, record: TableRecord) -> list[list[str]]:
             fix="correct header_rows",
             where=grid.path,
         )
-    heads = [_strip_comment(grid.rows[n - 1], record.comment) for n in record.header_rows]
+    heads = list[list[str]]()
+    for number in record.header_rows:
+        row = grid.rows[number - 1] or [""]
+        first = row[0].removeprefix(record.comment).strip()
+        # `# x y z`: the sign is a cell of its own
+        heads.append([first, *row[1:]] if first or not _is_comment(row, record) else [*row[1:]])
     for head in heads[:-1]:
         if sum(map(bool, head)) < sum(map(bool, heads[-1])):
             for n in range(1, len(head)):
@@ -176,60 +188,36 @@ def _read_heads(grid: Grid, record: TableRecord) -> list[list[str]]:
     return heads
 
 
-def _strip_comment(row: Sequence[str], comment: str) -> list[str]:
-    if not comment or not row or not row[0].startswith(comment):
-        return [*row]
-    first = row[0].removeprefix(comment).strip()
-    return [first, *row[1:]] if first else [*row[1:]]  # `# x y z`: the sign is a cell of its own
-
-
-def _list_body(grid: Grid, record: TableRecord, start: int) -> tuple[list[int], list[dict[str, str]]]:
-    """Return the rows below the headers that hold anything, and no pairs above them."""
-    skipped = {n - 1 for n in record.skip_rows}
-    body = [
-        n
-        for n, row in enumerate(grid.rows)
-        if n >= start and n not in skipped and any(row) and not _is_comment(row, record.comment)
-    ]
-    return body, [{} for _ in body]
-
-
-def _is_comment(row: Sequence[str], comment: str) -> bool:
-    return bool(comment) and row[0].startswith(comment)
+def _is_comment(row: Sequence[str], record: TableRecord) -> bool:
+    return bool(record.comment and row) and row[0].startswith(record.comment)
 
 
 BLOCK = "block"  #: header of the numbers of blocks, where there are several
 OWN_PAIRS = ("needle", "depth", "bevel_side", "medium", "specimen")  #: they end with their block
 
 
-def _divide_blocks(grid: Grid, record: TableRecord) -> tuple[list[int], list[dict[str, str]]]:
-    """Return the rows of all blocks, and of each the pairs of names and values that stand above it.
+def _list_body(grid: Grid, record: TableRecord) -> Iterator[tuple[int, dict[str, str]]]:
+    """Yield the rows below the headers, each with the pairs of names and values above its block.
 
     What all needles share holds until it is stated again.
     """
-    head = [*grid.rows[record.header_rows[-1] - 1]] if record.header_rows else []
+    last = max(record.header_rows, default=0)
+    head = [*grid.rows[last - 1]] if record.blocks and 0 < last <= len(grid.rows) else None
     repeated = {n for n, row in enumerate(grid.rows) if [*row] == head}
-    headers, is_repeated = {n - 1 for n in record.header_rows} | repeated, len(repeated) > 1
-    ends = {
-        name
-        for meaning in OWN_PAIRS
-        if (column := record.columns.get(meaning)) is not None
-        for name in column.columns
-    }
-    body, pairs = list[int](), list[dict[str, str]]()
+    own = [record.columns[meaning].columns for meaning in OWN_PAIRS if meaning in record.columns]
+    ends = {name for names in own for name in names}
     stated, is_above, block = dict[str, str](), True, 0
     for n, row in enumerate(grid.rows):
         block += n in repeated
-        if n in headers or n + 1 in record.skip_rows or not any(row) or _is_comment(row, record.comment):
+        is_head = n in repeated or n + 1 in (*record.header_rows, *record.skip_rows)
+        if is_head or not any(row) or _is_comment(row, record):
             continue
-        if pair := read_pair(row):
+        if record.blocks and (pair := read_pair(row)):
             stated = stated if is_above else {key: text for key, text in stated.items() if key not in ends}
             stated, is_above = stated | dict([pair]), True
-        elif n > min(headers, default=-1):
-            body.append(n)
-            pairs.append(stated | ({BLOCK: str(block)} if is_repeated else {}))
+        elif n >= last:
+            yield n, stated | ({BLOCK: str(block)} if len(repeated) > 1 else {})
             is_above = False
-    return body, pairs
 
 
 def read_pair(row: Sequence[str]) -> tuple[str, str] | None:
@@ -249,47 +237,31 @@ def read_pair(row: Sequence[str]) -> tuple[str, str] | None:
     return (name.rstrip(":= "), "; ".join(values)) if len(row) == 2 or len(values) < 3 else None
 
 
-def _lay_out_pairs(grid: Grid, record: TableRecord) -> Table:
+def _lay_out_pairs(grid: Grid, record: TableRecord, body: Sequence[int]) -> Table:
     """Return the one row of a table whose rows are a name, a value and perhaps a unit."""
-    body, _ = _list_body(grid, record, max(record.header_rows, default=0))
     named = [(n, (*grid.rows[n], "", "", "")[:3]) for n in body]
     named = [(n, cells) for n, cells in named if cells[0] and cells[1]]
-    headers = tuple(f"{name} [{unit}]" if unit else name for _, (name, _, unit) in named)
-    row = [value for _, (_, value, _) in named]
-    place = grid.where(named[0][0]) if named else str(grid.path)
-    plain = tuple(name for _, (name, *_) in named)
     return Table(
-        grid.path, grid.sheet, headers, [row], [place], [1], record.decimal, record.thousands,
-        first_headers=(plain,),
-    )  # fmt: skip
-
-
-def _require_width(grid: Grid, n: int, width: int, record: TableRecord) -> None:
-    """DataError where the cells of a row of text do not stand under those of its header."""
-    row = grid.rows[n]
-    is_longer = record.separator == "," and any(row[width:])
-    if record.header_rows and (is_longer or (record.separator == " " and len(row) != width)):
-        raise DataError(
-            f"has {len(row)} cells under {width} headers",
-            expected="as many as the headers",
-            fix="correct separator, decimal or header_rows, or save the file with semicolons or tabs",
-            where=grid.where(n),
-        )
+        grid.path,
+        grid.sheet,
+        tuple(f"{name} [{unit}]" if unit else name for _, (name, _, unit) in named),
+        [[value for _, (_, value, _) in named]],
+        [grid.where(named[0][0]) if named else str(grid.path)],
+        [1],
+        record.decimal,
+        record.thousands,
+        first_headers=(tuple(name for _, (name, *_) in named),),
+    )
 
 
 # ---- read files
 
 
-def read_grids(path: Path, record: TableRecord | None = None) -> tuple[Grid, ...]:
-    """Return the grids of a text file, as its mapping states it, or of a workbook: one for each sheet.
-
-    Without a mapping a text file is one column of lines, decoded as UTF-8, UTF-16 or Windows-1252.
-    """
+def read_grids(path: Path, record: TableRecord) -> tuple[Grid, ...]:
+    """Return the grids of a text file, as its mapping states it, or of a workbook: one for each sheet."""
     if path.suffix.lower() in SHEET_SUFFIXES:
         return read_sheets(path)
-    text = decode(read_bytes(path, MAX_TABLE_BYTES), path, "" if record is None else record.encoding)
-    if record is None:
-        return (Grid(path, [[line] for line in text.splitlines()]),)
+    text = decode(read_bytes(path, MAX_TABLE_BYTES), path, record.encoding)
     return (split_text(text, path, record.separator),)
 
 

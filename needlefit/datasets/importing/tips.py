@@ -1,47 +1,40 @@
 """Make insertions of which the tip alone was measured, or curvatures alone."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from needlefit.arrays import Floats
 from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.importing.curve_answers import CurveAnswers
-from needlefit.datasets.importing.curves import ImportedCurve
+from needlefit.datasets.importing.curves import ImportedCurve, TipReading
 from needlefit.datasets.importing.directions import format_direction, to_sides
 from needlefit.datasets.importing.stated import Stated, name_set
 from needlefit.errors import DataError
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame, make_entry_frame
 
 
-def split_tips(asked: CurveAnswers) -> None:
-    """Make an insertion of each depth of a tip; those of a needle that is named are of one hole, its own.
-
-    Shapes stay as they are.
-    """
-    insertions: dict[str, ImportedCurve] = {}
+def split_tips(asked: CurveAnswers, shapes: Sequence[ImportedCurve]) -> None:
+    """Make an insertion of each depth of a tip; those of a needle that is named are of one hole, its own."""
+    taken, insertions = {curve.name for curve in shapes}, list[ImportedCurve]()
     for curve in asked.curves:
-        if curve.holds == "shapes":
-            insertions[curve.name] = curve
-            continue
         count = len(curve.line)
         for n in range(max(count, 1)):
             points, stated = curve.points.part(np.arange(n, min(n + 1, count))), dict(curve.stated)
             if points.sd is not None and len(points.sd):
                 stated["point_sd"] = Stated(f"{points.sd[0]:g}", "mm", points.where())
             name = curve.name if count <= 1 else f"{curve.name}-{n + 1}"
-            while name in insertions:
+            while name in taken:
                 name += "-2"
-            insertions[name] = replace(
-                curve,
-                name=name,
-                points=replace(points, sd=None),
-                stated=stated,
-                hole=curve.name if curve.is_named else "",
-            )
-    if len(insertions) > len(asked.curves) and any(curve.hole for curve in insertions.values()):
+            taken.add(name)
+            hole = curve.name if curve.is_named else ""
+            points = replace(points, sd=None)
+            insertions.append(replace(curve, name=name, points=points, stated=stated, hole=hole))
+    if len(insertions) > len(asked.curves) and any(curve.hole for curve in insertions):
         asked.settler.note("hole", "readings of one needle are of one hole")
-    asked.curves[:] = insertions.values()
+    asked.curves[:] = insertions
 
 
 def make_tips(asked: CurveAnswers, point_sd: float) -> list[InsertionRow]:
@@ -51,49 +44,28 @@ def make_tips(asked: CurveAnswers, point_sd: float) -> list[InsertionRow]:
     by entry point and direction. `point_sd`, mm: the usual one of their entries.
     """
     curves = asked.curves
-    if any(len(curve.line) and not curve.is_deflection for curve in curves):
-        frames = place_tips(asked)
-    else:
-        frames = [IDENTITY_FRAME for _ in curves]
-    angles = asked.settle_sides()
-    if angles is None:
-        angles = [asked.settle("bevel_side", "1", "not stated").to_angle()] * len(curves)
-    sides, turns = to_sides(angles)
+    is_placed = any(len(curve.line) and not curve.is_deflection for curve in curves)
+    frames = place_tips(asked) if is_placed else [IDENTITY_FRAME for _ in curves]
+    sides, turns = to_sides(asked.settle_sides(is_needed=True) or [])
     if any(turns) and any(curve.sensors for curve in curves):
         raise DataError(
             "bevels are at right angles beside curvatures",
             expected="sides 1 and -1",
             fix="import the needles of each plane",
-            where=f"{curves[0].points.where()}",
+            where=curves[0].points.where(),
         )
-    tips = np.array([curve.line[0] if len(curve.line) else np.zeros(3) for curve in curves])
-    in_space = tips[:, 2].any()
-    differ = len({*sides}) > 1 or any(turns)
-    if differ and not in_space and (tips[:, 1] >= 0).all() and tips[:, 1].any():
-        asked.settler.assumed["deflection"] = (
-            "toward the bevel: no deflection is negative, though bevels differ"
-        )
-        tips = np.array([Rotation.from_rotvec([turn, 0.0, 0.0]).apply([x, side * y, 0.0])
-                         for (x, y, _), side, turn in zip(tips, sides, turns, strict=True)])  # fmt: skip
-    elif any(turns) and not in_space and tips[:, 1].any():
-        raise DataError(
-            "bevels face several ways, and one deflection of each tip is stated",
-            expected=(
-                "deflections up and to the right (columns deflection and "
-                "deflection_z), or all of them toward the bevel, none negative"
-            ),
-            fix=f"{name_set('deflection_z.column', 'HEADER')}; or correct the signs",
-            where=f"{curves[0].points.where()}",
-        )
-    shifts, angle_sds = (
-        asked.each("pose_shift_sd", usual=f"{point_sd:g}", reason="that of a point"),
-        asked.each("pose_angle_sd"),
-    )
+    tips = [
+        TipReading(curve.line[0, 1:] if len(curve.line) else np.zeros(2), None, curve.points.where())
+        for curve in curves
+    ]
+    across = turn_deflections(asked, tips, sides, turns)
+    in_space = any(tip.deflection[1] for tip in tips)
+    shifts = asked.each("pose_shift_sd", usual=f"{point_sd:g}", reason="that of a point")
+    angle_sds = asked.each("pose_angle_sd")
     rows = []
     for n, curve in enumerate(curves):
         is_tip, frame = len(curve.line) > 0, frames[n]
-        turned = Rotation.from_rotvec([turns[n], 0.0, 0.0])
-        _, y, z = turned.inv().apply(tips[n]).tolist()
+        toward = Rotation.from_rotvec([turns[n], 0.0, 0.0]).apply([0.0, 1.0, 0.0])
         row = InsertionRow(
             curve.name,
             "",
@@ -102,18 +74,66 @@ def make_tips(asked: CurveAnswers, point_sd: float) -> list[InsertionRow]:
             side=sides[n],
             entry=frame.origin,
             direction=frame.rotation[:, 0],
-            bevel=frame.rotation @ turned.apply([0.0, 1.0, 0.0]),
+            bevel=frame.rotation @ toward,
             pose_source="stage",
             pose_shift_sd=shifts[n].to_number("pose_shift_sd"),
             pose_angle_sd=float(np.radians(angle_sds[n].to_number("pose_angle_sd", "deg"))),
             hole=curve.hole,
-            tip_y=y if is_tip else None,
-            tip_z=z if is_tip and in_space else None,
+            tip_y=across[n, 0] if is_tip else None,
+            tip_z=across[n, 1] if is_tip and in_space else None,
             curvature=np.array(curve.sensors).reshape(-1, 4) if curve.sensors else None,
             observation="" if is_tip else "curvature",
         )
         rows.append(row)
     return rows
+
+
+def turn_deflections(
+    asked: CurveAnswers, tips: Sequence[TipReading], sides: Sequence[int], turns: Sequence[float]
+) -> Floats:
+    """Return deflections (N, 2) of tips toward +y and +z of bevels, which are turned by `turns`, rad.
+
+    Where bevels differ, and each tip has one deflection that is not negative, they are toward the bevels.
+    DataError if bevels face several ways, and nothing states the other deflection.
+    """
+    up, right = np.array([tip.deflection for tip in tips]).T
+    is_one = up.any() and not right.any()
+    if is_one and (up >= 0).all() and (len({*sides}) > 1 or any(turns)):
+        asked.settler.assumed["deflection"] = (
+            "toward the bevel: no deflection is negative, though bevels differ"
+        )
+        return np.column_stack([np.array(sides) * up, right])
+    if is_one and any(turns):
+        raise DataError(
+            "bevels face several ways, and one deflection of each tip is stated",
+            expected="two, up and to the right; or all of them toward the bevel, none negative",
+            fix=f"{name_set('deflection_z.column', 'HEADER')}; or correct the signs",
+            where=tips[0].where,
+        )
+    cosines, sines = np.cos(turns), np.sin(turns)
+    return np.column_stack([cosines * up + sines * right, cosines * right - sines * up])
+
+
+def add_tips(asked: CurveAnswers, rows: Sequence[InsertionRow], turns: Sequence[float]) -> list[InsertionRow]:
+    """Return rows with the deflections of tips that were measured beside their shapes.
+
+    `turns`: of their bevels, rad. DataError if several are stated of one tip.
+    """
+    beside = [n for n, curve in enumerate(asked.curves) if curve.tips]
+    tips, added = [asked.curves[n].tips[0] for n in beside], [*rows]
+    if not tips:
+        return added
+    across = turn_deflections(asked, tips, [rows[n].side for n in beside], [turns[n] for n in beside])
+    for n, tip, (y, z) in zip(beside, tips, across.tolist(), strict=True):
+        if len(stated := asked.curves[n].tips) > 1:
+            raise DataError(
+                f"{len(stated)} deflections of the tip of {rows[n].id} are stated beside its shape",
+                expected="one of a needle",
+                fix="state their mean, and its standard deviation",
+                where=stated[1].where,
+            )
+        added[n] = replace(rows[n], tip_y=y, tip_z=z if tip.deflection[1] else None, tip_sd=tip.sd)
+    return added
 
 
 def place_tips(asked: CurveAnswers) -> list[Frame]:

@@ -93,21 +93,22 @@ def settle_rolls(asked: CurveAnswers) -> tuple[list[int], list[float]]:
 
     DataError if bevels face other ways than up and down, and nothing states where up is.
     """
-    angles = asked.settle_sides() or []
-    sides, rolls = to_sides(angles)
-    curves = asked.curves
-    if (
-        not any(rolls)
-        or not all(curve.is_deflection for curve in curves)
-        or any(curve.turns for curve in curves)
+    curves, (sides, rolls) = asked.curves, to_sides(asked.settle_sides(is_needed=True) or [])
+    if any(curve.turns or curve.sensors for curve in curves) or (
+        any(rolls) and not all(curve.is_deflection for curve in curves)
     ):
-        fix = "state deflections up and to the right; or import the runs of each plane"
-        sides = asked.settle_flat_sides(fix)
-        return sides, [0.0] * len(sides)
-    if any(curve.line[:, 2].any() for curve in curves):
-        return sides, rolls
-    asked.settler.assumed["deflection"] = "toward the bevel of side 1: one deflection is stated of each tip"
-    return sides, [0.0] * len(sides)
+        raise DataError(
+            "bevels are at right angles, turned, or beside curvatures",
+            expected="sides 1 and -1, without shapes",
+            fix="state deflections up and to the right; or import the runs of each plane",
+            where=curves[0].points.where(),
+        )
+    if any(rolls) and not any(curve.line[:, 2].any() for curve in curves):
+        asked.settler.assumed["deflection"] = (
+            "toward the bevel of side 1: one deflection is stated of each tip"
+        )
+        rolls = [0.0] * len(rolls)
+    return sides, rolls
 
 
 def settle_guide(asked: CurveAnswers) -> None:
@@ -116,9 +117,14 @@ def settle_guide(asked: CurveAnswers) -> None:
     DataError if several tools of a file may be the tip, or no tool has the stated name.
     """
     curves, stated = asked.curves, asked.stated("guide")
-    beside = {
-        curve.name for curve in curves for other in curves if curve is not other and _is_beside(curve, other)
-    }
+    beside = sorted(
+        {
+            curve.name
+            for curve in curves
+            for other in curves
+            if curve is not other and _is_beside(curve, other)
+        }
+    )
     if stated is not None and stated.text == "none":
         for curve in curves:
             curve.guide = None
@@ -126,31 +132,28 @@ def settle_guide(asked: CurveAnswers) -> None:
         return
     if any(curve.guide is not None for curve in curves) or (not beside and stated is None):
         return
-    names = join_names(sorted(beside) or [curve.name for curve in curves], 5)
+    names = join_names(beside or [curve.name for curve in curves], 5)
     answer = asked.settle("guide", "", f"{names} were tracked in the same rows")
     if answer.text == "none":
         return
     guides = [curve for curve in curves if f"-{curve.name}".endswith(f"-{answer.text}")]
-    tips = [curve for curve in curves if not any(curve is guide for guide in guides)]
-    pairs = [(guide, [tip for tip in tips if _is_paired(tip, guide)]) for guide in guides]
-    if not pairs or any(len(paired) != 1 for _, paired in pairs):
+    tips = [curve for curve in curves if curve not in guides]
+    for guide in guides:
+        paired = [
+            tip for tip in tips if tip.points.path == guide.points.path and len(tip.line) == len(guide.line)
+        ]
+        if len(paired) == 1:
+            paired[0].guide = guide.line
+    if sum(tip.guide is not None for tip in tips) != len(guides) or not guides:
         raise answer.error("guide", f"none, or one of {names}, tracked beside one tip at the same times")
-    for guide, (tip,) in pairs:
-        tip.guide = guide.line
     curves[:] = tips
 
 
 def _is_beside(curve: ImportedCurve, other: ImportedCurve) -> bool:
     """Whether two tools stand in the same rows of one file."""
     lines, theirs = curve.points.lines, other.points.lines
-    if curve.points.path != other.points.path or lines is None or theirs is None:
-        return False
-    return np.array_equal(lines, theirs)
-
-
-def _is_paired(curve: ImportedCurve, other: ImportedCurve) -> bool:
-    """Whether two tools of one file have as many readings."""
-    return curve.points.path == other.points.path and len(curve.line) == len(other.line)
+    is_one_file = curve.points.path == other.points.path
+    return is_one_file and lines is not None and theirs is not None and np.array_equal(lines, theirs)
 
 
 def settle_depth_zero(asked: CurveAnswers) -> None:
