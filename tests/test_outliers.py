@@ -170,6 +170,9 @@ def test_rounded_needles_are_no_copies_and_a_copy_is_one(tmp_path, step):
     pasted["n5"][:count, 1] = pasted["n7"][:count, 1]
     found = [one for one in find_warnings(tmp_path / "y", pasted, SIDES, 0.01) if one.kind == "copy"]
     assert [one.insertions for one in found] == [("n7", "n5")] and f"y at {count}" in found[0].what
+    again = curves | {"n5": curves["n7"] + np.random.default_rng(7).normal(0, POINT_SD, curves["n7"].shape)}
+    found = find_warnings(tmp_path / "again", again, SIDES, 0.01)
+    assert [one.insertions for one in found if one.kind == "copy"] == [("n7", "n5")]
 
 
 def test_rounding_is_found_from_coordinates():

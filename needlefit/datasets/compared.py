@@ -14,6 +14,9 @@ from needlefit.project.result_warnings import ResultWarning
 from needlefit.schemas.compared import Compared
 
 SIGNIFICANT_SD = 3.0  # standard deviations beyond which a bend is not a measurement error
+#: by which the best hypothesis must be more probable than the next: a factor of 20 is strong evidence (R. E.
+#: Kass, A. E. Raftery, J. Am. Stat. Assoc. 90 (1995) 773)
+MIN_LOG_ODDS = math.log(20.0)
 # Least bend over depth that counts: entry directions are hardly known better than 0.3 degrees.
 MIN_BEND_SLOPE = 0.005
 MAX_NAMED_INSERTIONS = 8  # number of insertions that a warning names

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from itertools import chain
+from itertools import chain, combinations
 from pathlib import Path
 from typing import Literal
 
@@ -12,6 +12,7 @@ from scipy.special import bdtrc
 from needlefit.datasets.compared import (
     MAX_NAMED_INSERTIONS,
     MIN_BEND_SLOPE,
+    MIN_LOG_ODDS,
     SIGNIFICANT_SD,
     compute_deflection_sd,
     compute_entry_sd,
@@ -24,11 +25,11 @@ from needlefit.datasets.layers import (
     SAME_POINT_MM,
     ListedInsertion,
 )
-from needlefit.datasets.outlying_points import OUTLIER_SD, find_point_warnings
+from needlefit.datasets.outlying_points import MAX_OUTLYING_PART, OUTLIER_SD, find_point_warnings
 from needlefit.datasets.planes import find_curvature_warnings, find_plane_warnings
 from needlefit.datasets.points import find_rounding
 from needlefit.datasets.record_warnings import find_noise_warnings, find_stated_warnings
-from needlefit.datasets.scatter import AXIS_COSINE, find_axis_warnings
+from needlefit.datasets.scatter import AXIS_COSINE, find_axis_warnings, measure_scatter
 from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.unit_warnings import format_place
@@ -116,6 +117,40 @@ def _find_copy_warnings(listed: Sequence[ListedInsertion]) -> Iterator[ResultWar
             names = (later.insertion.id, listed[m].insertion.id)
             what, fix = f"{' and '.join(names)} have the same points", "check whether one was exported twice"
             yield ResultWarning("copy", what, later.where, fix, names)
+
+
+def _find_repeated_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
+    """Yield a warning for each two needles that are most likely one, measured twice.
+
+    Two needles differ by the errors of points and poses of both; one needle by errors of points, which it has
+    in part in common. None where many are so near: then the stated errors are too large.
+    """
+    pairs = [
+        (earlier, later)
+        for earlier, later in combinations(listed, 2)
+        if earlier.points.values.shape == later.points.values.shape
+    ]
+    scatters = [scatter for entry in listed if (scatter := measure_scatter(entry.insertion)) > 0]
+    sd = min(noise.point_sd, math.hypot(*scatters) / math.sqrt(max(1, len(scatters))))
+    limit = MIN_LOG_ODDS + math.log(max(1, len(pairs)))
+    near = [pair for pair in pairs if sd and _weigh_repeated(*pair, sd) >= limit]
+    for earlier, later in near if len(near) <= MAX_OUTLYING_PART * len(listed) else ():
+        names = (later.insertion.id, earlier.insertion.id)
+        what = f"{' and '.join(names)} lie closer together than errors let two needles lie"
+        yield ResultWarning("copy", what, later.where, "check whether one was measured twice", names)
+
+
+def _weigh_repeated(earlier: ListedInsertion, later: ListedInsertion, sd: float) -> float:
+    """Return the log odds that two curves are of one needle, by their distance across it at each point."""
+    insertion = earlier.insertion
+    x, steps = insertion.points[:, 0], later.points.values - earlier.points.values
+    apart = (steps @ insertion.frame.rotation)[:, 1:] / sd
+    if not 0 < np.mean(apart**2) <= 2:  # that two measurements of one needle have; a copy has 0
+        return -math.inf
+    pose = insertion.pose_shift_sd**2 + insertion.pose_angle_sd**2 * np.outer(x, x)
+    of_two = 2 * (np.eye(len(x)) + pose / sd**2)
+    squares = np.sum(apart * np.linalg.solve(of_two, apart)) - np.sum(apart**2)
+    return float(squares / 2 + np.linalg.slogdet(of_two)[1])  # of two axes
 
 
 def _find_pasted_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
@@ -218,5 +253,6 @@ def _find_shape_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Ite
     values = [one.points.values for one in listed]
     if values and find_rounding(values) <= max(noise.point_sd, noise.correlated_sd):
         yield from _find_copy_warnings(listed)
+        yield from _find_repeated_warnings(listed, noise)
         yield from _find_pasted_warnings(listed, noise)
         yield from _find_constant_warnings(listed)

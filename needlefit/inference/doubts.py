@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.datasets.compared import SIGNIFICANT_SD, leaves_plane
+from needlefit.datasets.compared import MIN_LOG_ODDS, SIGNIFICANT_SD, leaves_plane
 from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.outlying_points import MAX_OUTLYING_PART, OUTLIER_SD
 from needlefit.inference.hypotheses import (
@@ -20,7 +20,7 @@ from needlefit.inference.hypotheses import (
     HYPOTHESES,
     IN_PLANE,
     LOG_FITTED,
-    MIN_LOG_ODDS,
+    PREDICTED_SD,
     Deviation,
     explain,
 )
@@ -65,19 +65,31 @@ def find_doubts(problem: Problem, theta: Floats) -> Doubts:
     if dataset.compared == "plane" and any(leaves_plane(needle, dataset.noise) for needle in insertions):
         return Doubts()
     odd = list[int]()
+
+    def describe(k: int) -> NeedleDoubtMetadata:
+        return _describe(problem, k, theta, predictions[k], sds[k])
+
+    def is_odd(k: int) -> bool:
+        """Whether a needle is too far from its prediction, or explained by what may have happened to it.
+
+        Of the latter is asked where errors alone keep the others from their fit.
+        """
+        is_asked = sds[k] > PREDICTED_SD and predictions[k].describes(sum(counts) - counts[k])
+        return sds[k] >= OUTLIER_SD or (is_asked and describe(k).cause != "")
+
     while True:
         rest = [k for k in range(count) if k not in odd]
         theta = refit(problem, [insertions[k] for k in rest], theta) if odd else theta
         blocks = [linearize_needle(problem, insertion, theta) for insertion in insertions]
         if not all(np.isfinite(block.residuals).all() for block in blocks):  # a solve failed
             return Doubts()
-        weighed = weigh_all(problem, blocks)
+        counts, weighed = [len(block.residuals) for block in blocks], weigh_all(problem, blocks)
         predictions = [
             predict_from(problem, [j for j in rest if j != k], weighed, theta) for k in range(count)
         ]
         sds = [measure_deviation(block, theta, predictions[k]).sds for k, block in enumerate(blocks)]
-        worst = max(rest, key=lambda k: sds[k])
-        if sds[worst] < OUTLIER_SD or len(odd) + 1 > MAX_OUTLYING_PART * count:
+        oddest = sorted(rest, key=lambda k: -sds[k]) if len(odd) + 1 <= MAX_OUTLYING_PART * count else []
+        if (worst := next(filter(is_odd, oddest), None)) is None:
             break
         odd.append(worst)
     all_but_odd = replace(problem, insertions=tuple(insertions[k] for k in rest))
@@ -93,8 +105,7 @@ def find_doubts(problem: Problem, theta: Floats) -> Doubts:
     deviating = sum(sds >= OUTLIER_SD for sds in stated)
     if deviating > MAX_OUTLYING_PART * count:
         return Doubts(deviating=(deviating, count))
-    odd = sorted((k for k in odd if sds[k] >= OUTLIER_SD), key=lambda k: -sds[k])
-    return Doubts([_describe(problem, k, theta, predictions[k], sds[k]) for k in odd])
+    return Doubts([describe(k) for k in sorted(odd, key=lambda k: -sds[k]) if is_odd(k)])
 
 
 def _describe(

@@ -12,14 +12,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from needlefit.datasets.compared import SIGNIFICANT_SD
+from needlefit.datasets.compared import MIN_LOG_ODDS
 from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.layers import find_length_tolerance
 from needlefit.inference.likelihood.nodes import enforce_order
 
-#: by which the best hypothesis must be more probable than the next: a factor of 20 is strong evidence (R. E.
-#: Kass, A. E. Raftery, J. Am. Stat. Assoc. 90 (1995) 773)
-MIN_LOG_ODDS = math.log(20.0)
+#: distance within which a needle lies as predicted: one of 40 sound ones is farther
+PREDICTED_SD = 2.0
 #: what a number costs, Occam's factor: one that is fitted is known to about 1 % of its range
 LOG_FITTED = math.log(100.0)
 SIZE_TOLERANCE = 1e-4  #: of a fitted number, as part of its range
@@ -122,13 +121,16 @@ HYPOTHESES: Mapping[str, Hypothesis] = {
 def explain(
     insertion: Insertion, others: Sequence[Insertion], measure: Measure, directions: int
 ) -> Explanation:
-    """Return the hypothesis that explains a needle alone, and better than any other; else an empty one."""
-    rows = sorted(_list_explanations(insertion, others, measure, directions), key=lambda row: -row[0])
-    if not rows:
-        return Explanation()
-    (best, sds, explanation), *rest = rows
-    next_best = next((odds for odds, _, other in rest if other.cause != explanation.cause), -math.inf)
-    return explanation if sds <= SIGNIFICANT_SD and best - next_best >= MIN_LOG_ODDS else Explanation()
+    """Return the hypothesis that explains a needle alone, and better than any other; else an empty one.
+
+    One of them is that nothing happened to it, as it did to any of the others before.
+    """
+    as_measured = measure(insertion, True)
+    nothing = (as_measured.log_density + math.log(1 + len(others)), as_measured.sds, Explanation())
+    rows = [nothing, *_list_explanations(insertion, others, measure, directions)]
+    (best, sds, explanation), *rest = sorted(rows, key=lambda row: -row[0])
+    next_best = next(odds for odds, _, other in rest if other.cause != explanation.cause)
+    return explanation if sds <= PREDICTED_SD and best - next_best >= MIN_LOG_ODDS else Explanation()
 
 
 def _list_explanations(

@@ -136,7 +136,7 @@ class DepthMetadata(_Metadata):
     stated_sd_mm: float
     parameter: str
     factor_per_mm: float  #: of this parameter
-    describes: bool = True  #: whether the model describes the needles with the boundary there
+    describes: bool = True  #: whether the model describes the needles with the boundary there, and far better
 
 
 class NeedleDoubtMetadata(_Metadata):

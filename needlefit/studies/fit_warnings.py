@@ -155,11 +155,8 @@ def _find_medians(run: Run) -> Iterator[Row]:
 
 #: factor between in-sample errors and their noise floor, either way, below which no warning is given
 FAR_FROM_FLOOR = 2.0
-#: standard deviations beyond which a boundary lies elsewhere than stated; at 3 one of 43 sound sets of
-#: benchmarks/mistakes.py was accused
-SHIFT_SD = 4.0
-#: least such shift: beside a boundary a needle bends over (EI / mu)^(1/4), 6 to 15 mm, and an error of the
-#: model looks like a shift by a part of it
+#: least shift of a boundary that is named: beside one a needle bends over (EI / mu)^(1/4), 6 to 15 mm, and an
+#: error of the model looks like a shift by a part of it
 MIN_SHIFT_MM = 5.0
 CHANCE = 1e-3  #: probability of such a factor by chance, below which it is one
 
@@ -212,9 +209,8 @@ def _find_shifted_boundaries(run: Run) -> Iterator[Row]:
 
 def _describe_shifted_boundaries(depths: Iterable[DepthMetadata]) -> Iterator[Row]:
     for depth in depths:
-        sd = math.hypot(depth.sd_mm, depth.stated_sd_mm)
-        if depth.describes and abs(depth.shift_mm) >= max(MIN_SHIFT_MM, SHIFT_SD * sd):
-            yield {**vars(depth), "sd": sd}
+        if depth.describes and abs(depth.shift_mm) >= MIN_SHIFT_MM:
+            yield {**vars(depth), "sd": math.hypot(depth.sd_mm, depth.stated_sd_mm)}
 
 
 def _find_odd_needles(run: Run) -> Iterator[Row]:

@@ -8,7 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from needlefit.arrays import Floats
+from needlefit.datasets.compared import MIN_LOG_ODDS
 from needlefit.datasets.insertion import Insertion
+from needlefit.inference.hypotheses import LOG_FITTED
 from needlefit.inference.identifiability.precision import linearize, prior_and_noise_information
 from needlefit.inference.likelihood.nodes import shift_depths
 from needlefit.inference.linear_needles import (
@@ -20,6 +22,7 @@ from needlefit.inference.linear_needles import (
     weigh_all,
 )
 from needlefit.inference.problem import Problem
+from needlefit.project.unit_warnings import LENGTH_UNITS
 from needlefit.schemas.run_metadata import DepthMetadata
 
 #: of a boundary for derivatives, either way, and the least of a profile, mm: that of constraint points,
@@ -62,7 +65,7 @@ def examine_depths(problem: Problem, theta: Floats) -> list[DepthMetadata]:
             continue
         worst = max(moduli, key=lambda n: abs(taken[n]))
         sd, near = 1 / math.sqrt(information), -float(left @ residuals) / scale / information
-        shift, sd, describes = _profile(problem, theta, k, near) or (0.0, sd, True)
+        shift, sd, describes = _profile(problem, theta, k, near, stated) or (0.0, sd, True)
         rows.append(
             DepthMetadata(
                 boundary=k + 1,
@@ -99,12 +102,13 @@ class _Profile(NamedTuple):
     describes: bool
 
 
-def _profile(problem: Problem, theta: Floats, number: int, near: float) -> _Profile | None:
+def _profile(problem: Problem, theta: Floats, number: int, near: float, stated_sd: float) -> _Profile | None:
     """Return by how much a boundary is deeper than stated where the needles are most probable.
 
     It is moved in all insertions, between its neighbours, and all parameters are fitted again; differences
-    between needles are integrated out. `near`: by the derivatives. None if no other depth is more probable,
-    or the noise is estimated: then any depth describes the needles.
+    between needles are integrated out. `near`: by the derivatives. A depth that was written in a larger unit
+    costs the choice of the unit alone. None if no other depth is more probable, or the noise is estimated:
+    then any depth describes the needles.
     """
     if problem.likelihood.noise_scale == "estimated":
         return None
@@ -125,7 +129,11 @@ def _profile(problem: Problem, theta: Floats, number: int, near: float) -> _Prof
         blocks = [linearize_needle(part, insertion, refitted) for insertion in moved]
         profile[shift] = refitted, predict_from(part, range(len(moved)), weigh_all(part, blocks), refitted)
 
-    grid = [0.0, *[near] * bool(low < near < high), *np.linspace(low, high, GRID_DEPTHS + 2)[1:-1].tolist()]
+    by_unit = [(factor - 1) * stated for factor in LENGTH_UNITS.values()]
+    in_units = [shift for shift in by_unit if 0 < shift < high]
+    costs = dict.fromkeys(in_units, math.log(max(1, len(in_units))))
+    evenly = np.linspace(low, high, GRID_DEPTHS + 2)[1:-1].tolist()
+    grid = {0.0, *in_units, *[near] * bool(low < near < high), *evenly}
     for shift in sorted(grid, key=abs):
         add(shift)
     stated_density, count = profile[0.0][1].log_density, sum(problem.density.residual_counts)
@@ -142,17 +150,24 @@ def _profile(problem: Problem, theta: Floats, number: int, near: float) -> _Prof
         if not three[0] < vertex < three[-1] or np.min(np.abs(three - vertex)) < STEP_MM:
             break
         add(vertex)
-    shift = max(
-        profile, key=lambda place: (profile[place][1].describes(count), profile[place][1].log_density)
-    )
-    best = profile[shift][1]
+
+    gains = {
+        shift: (prediction.log_density - stated_density) / max(1.0, prediction.chi_square)
+        for shift, (_, prediction) in profile.items()
+        if prediction.log_density > stated_density
+    }
+
+    def weigh(shift: float) -> tuple[bool, bool, float]:
+        gain, cost = gains[shift], costs.get(shift, LOG_FITTED)
+        # less what the error of the stated depth allows
+        is_far_better = gain / (1 + 2 * gain * (stated_sd / shift) ** 2) - cost >= MIN_LOG_ODDS
+        return profile[shift][1].describes(count), is_far_better, gain - cost * is_far_better
+
+    shift = max(gains, key=weigh)
+    describes, is_far_better, _ = weigh(shift)
     is_tested = len(problem.insertions) >= MIN_NEEDLES
-    gain = (best.log_density - stated_density) / max(1.0, best.chi_square)
-    return (
-        _Profile(shift, abs(shift) / math.sqrt(2 * gain), is_tested and best.describes(count))
-        if gain > 0
-        else None
-    )
+    sd = abs(shift) / math.sqrt(2 * gains[shift])
+    return _Profile(shift, sd, is_tested and describes and is_far_better)
 
 
 def _move(
