@@ -156,6 +156,15 @@ def test_what_is_prepared_serves_other_sets():
     refusal(ModelError, "mu", first.with_sets, mu=other.mu)
 
 
+def test_sets_with_different_boundaries_are_not_differentiated() -> None:
+    boundaries = np.array([[5.3], [5.3], [np.nan]])
+    shapes, jacobians = linearize_batch(make_batch(3, boundaries=boundaries))
+    for found, expected in zip((shapes, jacobians), linearize_batch(make_batch(3)), strict=True):
+        assert_same_bits(found[1], expected[1])
+    assert shapes.converged.tolist() == [True, True, False]
+    refusal(ModelError, "boundaries", linearize_batch, make_batch(3, boundaries=boundaries + [[0], [1], [0]]))
+
+
 FIRST, MOVED = Controls(base_y=0.2), Controls(base_y=1.2, base_slope=0.01)
 PAST = (Step(20.3, Bevel(0.1), FIRST), Step(31.7, Bevel(0.1), MOVED))
 

@@ -442,7 +442,8 @@ def linearize_batches(
 ) -> tuple[tuple[NeedleShapes, Jacobians], ...]:
     """Simulate as `simulate_batches` does, and differentiate every shape.
 
-    Raises ModelError if a needle is too short for its steps, or there is no such kind of parameter.
+    Raises ModelError if a needle is too short for its steps, there is no such kind of parameter, or sets of a
+    batch have different boundaries, whose quadrature points differ.
 
     Parameters
     ----------
@@ -535,6 +536,14 @@ def _evaluate(batch: Batch, wrt: tuple[str, ...] | None, tracked: bool, past: in
     values = {name: getattr(batch, name) for name in VARYING_FIELDS if getattr(batch, name) is not None}
     place = max(step.depth for step in batch.steps) - batch.needle.length if "guide_x" in values else 0.0
     valid = _find_valid(batch, values, place)
+    if wrt is not None and "boundaries" in values:
+        sound = values["boundaries"][valid]
+        if (sound != sound[:1]).any():  # the kernel differentiates by the boundaries of the first one
+            raise ModelError(
+                "sets of a batch that is differentiated have different boundaries",
+                expected="the same boundaries in all of them",
+                fix="make a batch of each set",
+            )
     if (wrt, past) not in batch.prepared:
         # depths and controls are alike in all valid sets: so one of them is used for all
         steps = batch.vary_inputs(int(np.argmax(valid)))[1] if valid.any() else batch.steps
