@@ -20,8 +20,8 @@ PATIENT = Frame(np.array([5.0, -3.0, 40.0]), Rotation.from_rotvec([0.1, 0.9, -0.
 """A scan's LPS axes and origin in some world."""
 
 BOX = trimesh.creation.box((20.0, 30.0, 40.0))
-SHEET = make_sheet("sheet", (10.0, 0, 0), (1.0, 0, 0), 60.0, into=2).mesh
-CORE = make_cylinder("core", ((20, 0, -30), (20, 0, 30)), 6.0, into=2, facets=192).mesh
+SHEET = make_sheet("sheet", (10.0, 0, 0), (1.0, 0, 0), 60.0, into=2).to_trimesh()
+CORE = make_cylinder("core", ((20, 0, -30), (20, 0, 30)), 6.0, into=2, facets=192).to_trimesh()
 
 NEEDLE = np.column_stack([np.linspace(0, 40, 81), np.zeros(81), np.zeros(81)])
 """Along x from the world's origin."""

@@ -14,7 +14,7 @@ from needlefit.datasets.read import check, inspect, read
 from needlefit.datasets.scatter import measure_scatter
 from needlefit.datasets.write import write_dataset as write_curves
 from needlefit.geometry.curves import arc_length
-from needlefit.geometry.surfaces import Surface, make_mesh, make_sheet
+from needlefit.geometry.surfaces import Surface, make_sheet
 from needlefit.project.locate import find_file
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml import load
@@ -298,7 +298,7 @@ def test_surfaces_that_insertions_begin_within_and_never_meet_have_a_hole(tmp_pa
         mesh = box.copy().apply_translation((0.0, shift, 0.0))
         folder = tmp_path / words
         medium = {"surfaces": [{"file": "skin.stl", "kind": "sheet", "into": 2}]}
-        surface = Surface("skin", make_mesh(mesh.vertices, mesh.faces), "sheet", 2)
+        surface = Surface("skin", mesh.vertices, mesh.faces, "sheet", 2)
         tables = {"media": {"gel": medium}, "noise": NOISE}
         write_dataset(folder, record(**tables), [into_gel()], {"a": CURVE}, {"skin.stl": surface})
         (found,) = (one for one in find_warnings(folder) if one.kind == "surfaces")

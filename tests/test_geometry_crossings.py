@@ -14,7 +14,7 @@ from refusals import refused_file
 
 from needlefit.geometry.crossings import find_crossings, measure_enclosed_length
 from needlefit.geometry.meshes import extract_solid
-from needlefit.geometry.surfaces import find_mesh_faults, make_cylinder, make_sheet, read_surface
+from needlefit.geometry.surfaces import Surface, find_mesh_faults, make_cylinder, make_sheet, read_surface
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -86,30 +86,26 @@ def test_sheets_lead_inward_and_a_solid_wins():
     assert below.sequence == (4, 1)  # no sheet was crossed on the way
 
 
-def without_triangles(mesh, keep):
-    return trimesh.Trimesh(mesh.vertices, mesh.faces[keep], process=False)
-
-
 def test_faults_of_surfaces():
-    core = make_cylinder("core", ((0, 0, 0), (0, 0, 20)), 5.0, into=4).mesh
-    grid = TOP.mesh.subdivide().subdivide()
+    core = make_cylinder("core", ((0, 0, 0), (0, 0, 20)), 5.0, into=4)
+    grid = TOP.to_trimesh().subdivide().subdivide()
     inner = int(np.argmin(np.linalg.norm(grid.triangles_center, axis=1)))
-    holed = without_triangles(grid, np.arange(len(grid.faces)) != inner)
-    turned = trimesh.Trimesh(TOP.mesh.vertices, [[0, 1, 2], [0, 3, 2]], process=False)
-    nothing = without_triangles(core, slice(0, 0))
-    unbounded = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, np.inf, 0]], [[0, 1, 2]], process=False)
-    two = trimesh.util.concatenate([TOP.mesh, make_sheet("far", (0, 0, 9), (0, 0, 1), 10, 2).mesh])
-    for mesh, kind, words in [
-        (without_triangles(core, slice(1, None)), "solid", "does not close"),
-        (core, "sheet", "closed"),
-        (trimesh.Trimesh(core.vertices, core.faces[:, ::-1], process=False), "solid", "inside out"),
-        (holed, "sheet", "1 hole"),
-        (turned, "sheet", "opposite"),
-        (two, "sheet", "2 pieces"),
-        (nothing, "solid", "no triangles"),
-        (unbounded, "sheet", "not finite"),
+    holed = np.arange(len(grid.faces)) != inner
+    two = trimesh.util.concatenate(
+        [TOP.to_trimesh(), make_sheet("far", (0, 0, 9), (0, 0, 1), 10, 2).to_trimesh()]
+    )
+    unbounded = np.array([[0, 0, 0], [1, 0, 0], [0, np.inf, 0]])
+    for surface, words in [
+        (replace(core, faces=core.faces[1:]), "does not close"),
+        (replace(core, kind="sheet"), "closed"),
+        (replace(core, faces=core.faces[:, ::-1]), "inside out"),
+        (replace(TOP, vertices=grid.vertices, faces=grid.faces[holed]), "1 hole"),
+        (replace(TOP, faces=np.array([[0, 1, 2], [0, 3, 2]])), "opposite"),
+        (replace(TOP, vertices=two.vertices, faces=two.faces), "2 pieces"),
+        (replace(core, faces=core.faces[:0]), "no triangles"),
+        (replace(TOP, vertices=unbounded, faces=np.array([[0, 1, 2]])), "not finite"),
     ]:
-        faults = find_mesh_faults(mesh, kind)
+        faults = find_mesh_faults(surface)
         assert len(faults) == 1 and words in faults[0], (words, faults)
 
 
@@ -120,8 +116,8 @@ def test_the_largest_piece_of_a_mesh_is_closed_and_solids_are_alike_in_another_p
     boxes[2].apply_translation([20, 0, 0])
     whole = trimesh.util.concatenate(boxes)
     found, others = extract_solid("box", whole.vertices, whole.faces[:, ::-1], into=3)
-    assert (found.kind, found.into, len(found.mesh.faces)) == ("solid", 3, 12)
-    assert found.mesh.volume == approx(512) and find_mesh_faults(found.mesh, "solid") == []
+    assert (found.kind, found.into, len(found.faces)) == ("solid", 3, 12)
+    assert found.volume == approx(512) and find_mesh_faults(found) == []
     assert others == approx((8 + 64) / 512)
     solid = make_cylinder("cylinder", ([0.0, 0.0, -20.0], [0.0, 0.0, 20.0]), 10.0, 2)
     line = [[-20.0, 0.0, 0.0], [20.0, 0.0, 0.0]]
@@ -193,7 +189,5 @@ def test_a_tunnel_with_a_narrow_slit_encloses_a_curve_and_a_wide_one_does_not(sl
             np.column_stack([rows, rows + 1 + len(ring), rows + len(ring)]),
         ]
     )
-    tunnel = replace(
-        make_sheet("t", [0, 0, 0], [1, 0, 0], 1.0, 2), mesh=trimesh.Trimesh([*low, *high], faces)
-    )
+    tunnel = Surface("t", np.concatenate([low, high]), faces, "sheet", 2)
     assert measure_enclosed_length(line([0, 0, 0], [30, 0, 0]), tunnel, 2.5) == approx(length)

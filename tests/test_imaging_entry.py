@@ -256,7 +256,7 @@ def scan(folder, mesh):
 
 
 def face(at):
-    return make_sheet("own", (11.0, 11.0, at), (0, 0, 1), 20.0, into=1).mesh
+    return make_sheet("own", (11.0, 11.0, at), (0, 0, 1), 20.0, into=1).to_trimesh()
 
 
 @pytest.mark.sweep

@@ -47,7 +47,7 @@ def refused(*layers, **changes):
 
 
 def on(surface, count=3000, seed=1):
-    return trimesh.sample.sample_surface(surface.mesh, count, seed=seed)[0]
+    return trimesh.sample.sample_surface(surface.to_trimesh(), count, seed=seed)[0]
 
 
 # ---- segmentations
@@ -86,7 +86,7 @@ def test_the_last_solid_that_holds_a_point_is_its_layer(slabs_file):
     surfaces = read_layers(scan(slabs_file), HOME)
     points = np.random.default_rng(1).uniform(-7, 7, (400, 3))
     clear = np.minimum(np.abs(points @ NORMAL + 2), np.abs(points @ NORMAL - 3)) > 0.15
-    held = np.array([surface.mesh.contains(points) for surface in surfaces])  # (layers, points)
+    held = np.array([surface.contains(points) for surface in surfaces])  # (layers, points)
     last = held.shape[0] - np.argmax(held[::-1], axis=0)
     np.testing.assert_array_equal(last[clear], slabs(points)[clear])
 
@@ -133,8 +133,8 @@ def test_meshes_are_numbered_and_brought_into_the_world(tmp_path):
     file = files[1]
     [there] = read_layers(scan(file, surfaces_in="scan"), PATIENT)
     [here] = read_layers(scan(file), PATIENT)
-    np.testing.assert_allclose(there.mesh.vertices, PATIENT.to_world(here.mesh.vertices), atol=1e-9)
-    np.testing.assert_allclose(here.mesh.bounds, CORE.bounds, atol=1e-4)
+    np.testing.assert_allclose(there.vertices, PATIENT.to_world(here.vertices), atol=1e-9)
+    np.testing.assert_allclose([here.vertices.min(axis=0), here.vertices.max(axis=0)], CORE.bounds, atol=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -144,9 +144,7 @@ def test_meshes_are_numbered_and_brought_into_the_world(tmp_path):
 def test_axes_stated_by_slicer_are_used(tmp_path, name, space, sign):
     file = save_mesh(tmp_path / name, SHEET, space)
     [found] = read_layers(scan(file), HOME)
-    assert sorted(np.round(found.mesh.vertices, 4).tolist()) == sorted(
-        (SHEET.vertices * sign).round(4).tolist()
-    )
+    assert sorted(np.round(found.vertices, 4).tolist()) == sorted((SHEET.vertices * sign).round(4).tolist())
 
 
 def holed(faces):

@@ -162,7 +162,9 @@ def test_sets_with_different_boundaries_are_not_differentiated() -> None:
     for found, expected in zip((shapes, jacobians), linearize_batch(make_batch(3)), strict=True):
         assert_same_bits(found[1], expected[1])
     assert shapes.converged.tolist() == [True, True, False]
-    refusal(ModelError, "boundaries", linearize_batch, make_batch(3, boundaries=boundaries + [[0], [1], [0]]))
+    refusal(
+        ModelError, "boundaries", linearize_batch, make_batch(3, boundaries=np.array([[5.3], [6.3], [4.3]]))
+    )
 
 
 FIRST, MOVED = Controls(base_y=0.2), Controls(base_y=1.2, base_slope=0.01)

@@ -4,6 +4,7 @@ import os
 import re
 import socket
 import time
+import tomllib
 from contextlib import chdir
 from pathlib import Path
 
@@ -291,3 +292,21 @@ def test_init_copies_once_into_a_folder_of_its_own_and_never_overwrites(tmp_path
     with pytest.raises(ConfigError):
         new_project(Path())
     assert len(list((tmp_path / "new").iterdir())) == 3
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a = [[1, 2.5], [-3e2, 4]]\nb = [1_000]\n[t]\na = [1]",
+        "[t]\na = [1]\n[t.u]\nb = [2]",
+        'a = """\nb = [1]\n"""\nc = [2]',
+        "a = [\n[1, 2],\n[3]]\nb = [ ]",
+    ],
+)
+def test_arrays_at_the_top_of_a_file_are_those_that_toml_has(text):
+    assert parse_toml(text, "file") == tomllib.loads(text)
+
+
+@pytest.mark.parametrize("text", ["a = [1]\na = [2]", "a = [1]\na.b = 2", "a = [1]\n[a]\nb = 2", "a = [1 2]"])
+def test_arrays_that_toml_has_not_are_refused(text):
+    refused(parse_toml, text, "file", error=ConfigError)

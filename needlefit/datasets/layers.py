@@ -97,14 +97,14 @@ def find_surface_faults(surface: Surface, path: Path) -> Iterator[Fault]:
         "solid": "a closed surface in one piece, its triangles turned outward",
         "sheet": "one piece with one rim, larger than the tissue it parts",
     }[surface.kind]
-    for mesh_fault in find_mesh_faults(surface.mesh, surface.kind):
+    for mesh_fault in find_mesh_faults(surface):
         yield DataError(
             f"the {surface.kind} {mesh_fault}",
             expected=expected,
             fix="fix the mesh (e.g. MeshLab, Slicer)",
             where=path,
         )
-    extent = float(np.ptp(surface.mesh.vertices, axis=0).max())
+    extent = float(np.ptp(surface.vertices, axis=0).max())
     if not MIN_SURFACE_MM <= extent <= MAX_SURFACE_MM:
         yield DataError(
             f"is {extent:.3g} mm across",
@@ -124,10 +124,10 @@ def find_hole(surface: Surface, path: Path, fix: str) -> Iterator[Fault]:
 
     The vectors of its triangles' areas add up to that of its opening, whatever the mesh does between.
     """
-    areas = np.asarray(surface.mesh.area_faces, dtype=np.float64)
-    opening = float(np.linalg.norm(areas @ surface.mesh.face_normals))
-    if opening < MAX_OPENING_RATIO * areas.sum():
-        sizes = f"its opening, {opening:.0f} mm^2, is small against its area, {areas.sum():.0f} mm^2"
+    opening = float(np.linalg.norm(surface.areas.sum(axis=0)))
+    area = float(np.linalg.norm(surface.areas, axis=1).sum())
+    if opening < MAX_OPENING_RATIO * area:
+        sizes = f"its opening, {opening:.0f} mm^2, is small against its area, {area:.0f} mm^2"
         yield DataError(
             f"is open, but {sizes}: it looks like a solid with a hole",
             expected="a closed surface, or a sheet with its rim outside the tissue",

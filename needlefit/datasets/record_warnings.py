@@ -175,8 +175,8 @@ def _find_surface_warnings(name: str, group: Sequence[Insertion], where: str) ->
     missed = [one for one in group if one not in meeting and one.depth > least]
     if missed and (not meeting or len(sheets) == len(group[0].surfaces)):  # beside a solid a needle may pass
         points = np.vstack([one.centerline[:1] for one in missed])
-        bounds = [surface.mesh.bounds for surface in group[0].surfaces]
-        within = any(((low <= points) & (points <= high)).all() for low, high in bounds)
+        places = [surface.vertices for surface in group[0].surfaces]
+        within = any(((one.min(axis=0) <= points) & (points <= one.max(axis=0))).all() for one in places)
         fix = "they begin within its bounds: close the hole where they enter" if within else MISSED_FIX
         yield ResultWarning(
             kind="surfaces",

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from threading import Lock
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -46,10 +45,7 @@ def find_crossings(points: ArrayLike, surfaces: Sequence[Surface]) -> Crossings:
     solids = np.zeros(len(middles), dtype=np.int64)
     for surface in surfaces:
         if surface.kind == "solid":
-            # trimesh divides by the directions of its rays; its search tree serves one thread at a time
-            with _search_lock, np.errstate(over="ignore"):
-                within = surface.mesh.contains(middles)
-            solids[within] = surface.into
+            solids[surface.contains(middles)] = surface.into
     arcs: list[float] = []
     sequence: list[int] = []
     sheet = 1
@@ -74,7 +70,7 @@ def find_surface_hits(curve: Floats, surface: Surface) -> Floats:
     the surface and the curve turns back) is no passage through a sheet; for a solid the question is
     settled by which stretches lie inside.
     """
-    arc, sign = _find_triangle_hits(curve, np.asarray(surface.mesh.triangles, dtype=np.float64))
+    arc, sign = _find_triangle_hits(curve, surface.triangles)
     order = np.argsort(arc, kind="stable")
     arc, sign = arc[order], sign[order]
     groups = np.split(np.arange(len(arc)), np.flatnonzero(np.diff(arc) > SAME_HIT_MM) + 1) if len(arc) else []
@@ -135,9 +131,6 @@ def _intersect(starts: Floats, steps: Floats, triangles: Floats) -> tuple[np.nda
     return segment, fraction, np.sign(slope[segment, triangle])
 
 
-_search_lock = Lock()
-
-
 ENCLOSURE_RAYS = 12  # number of directions across the curve in which the surface is searched
 # Number of directions that may miss a surface that encloses the curve; a plane is missed by half of them.
 MAX_MISSED_RAYS = 1
@@ -148,7 +141,7 @@ def measure_enclosed_length(points: ArrayLike, surface: Surface, radius: float) 
     step = 0.5  # mm, between the stations at which that is asked
     curve = np.asarray(points, dtype=np.float64)
     stations = np.arange(step / 2, float(arc_length(curve)[-1]), step)
-    triangles = np.asarray(surface.mesh.triangles, dtype=np.float64)
+    triangles = surface.triangles
     low, high = triangles.min(axis=1) - radius, triangles.max(axis=1) + radius
     count = 0
     ahead = interpolate_at_arc(curve, stations + step / 2) - interpolate_at_arc(curve, stations - step / 2)

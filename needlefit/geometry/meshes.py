@@ -1,8 +1,11 @@
 """The largest closed part of a mesh."""
 
+from dataclasses import replace
+
+import numpy as np
 from numpy.typing import ArrayLike
 
-from needlefit.geometry.surfaces import Surface, make_mesh
+from needlefit.geometry.surfaces import Surface
 
 
 def extract_solid(name: str, vertices: ArrayLike, faces: ArrayLike, into: int) -> tuple[Surface, float]:
@@ -13,10 +16,13 @@ def extract_solid(name: str, vertices: ArrayLike, faces: ArrayLike, into: int) -
     `faces`: (F, 3); triangles with consistent orientation; every component is closed, and cavities are
     oriented inward.
     """
-    pieces = make_mesh(vertices, faces).split(only_watertight=False, repair=False)
+    whole = Surface(name, np.asarray(vertices, np.float64), np.asarray(faces, np.int64), "solid", into)
+    pieces = [
+        Surface(name, np.array(piece.vertices, np.float64), np.array(piece.faces, np.int64), "solid", into)
+        for piece in whole.to_trimesh().split(only_watertight=False, repair=False)
+    ]
     # the volume of a piece is negative if its triangles face inward
-    largest, *others = sorted(pieces, key=lambda piece: -abs(float(piece.volume)))
+    largest, *others = sorted(pieces, key=lambda piece: -abs(piece.volume))
     if largest.volume < 0:
-        largest.invert()
-    loose = sum(abs(float(piece.volume)) for piece in others)
-    return Surface(name, largest, "solid", into), loose / float(largest.volume)
+        largest = replace(largest, faces=largest.faces[:, ::-1])
+    return largest, sum(abs(piece.volume) for piece in others) / largest.volume

@@ -1,8 +1,9 @@
 """Layer boundaries as triangulated surfaces: read, write, build and check them."""
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -11,7 +12,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike, NDArray
 
-from needlefit.arrays import are_bounded
+from needlefit.arrays import Bools, Floats, are_bounded
 from needlefit.errors import DataError
 from needlefit.geometry.curves import make_normal
 from needlefit.geometry.frames import Frame, PatientSystem, normalize
@@ -23,13 +24,16 @@ if TYPE_CHECKING:
 SurfaceKind = Literal["sheet", "solid"]
 
 MAX_MESH_BYTES = 256 * 2**20
-# Greatest plausible coordinate of a boundary, mm; merging of vertices counts in steps of 1e-8 mm.
-MAX_MERGED_MM = 1e9
+MERGED_MM = 1e-8  # vertices that agree in whole multiples of it, mm, are one
+MAX_MERGED_MM = 1e9  # greatest plausible coordinate of a boundary, mm
 _ELEMENT = re.compile(rb"element\s+(\w+)\s+(\d{1,19})")
 _EDGE_ELEMENT = re.compile(rb"^(element[ \t]+)edge([ \t])", re.MULTILINE)
 _OBJ_VERTEX = re.compile(rb"^[ \t]*v[ \t]", re.MULTILINE)
 STL_HEADER_BYTES = 84  # of a binary STL file: 80 of any text, and the number of triangles
 STL_TRIANGLE_BYTES = 50  # of each triangle behind it
+_STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+_STL_FACET = re.compile(rb"\bendfacet\b", re.IGNORECASE)
+_STL_VERTEX = re.compile(rb"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE)
 READ_SUFFIXES = (".stl", ".ply", ".obj")
 
 HEADER_BYTES = 4096  # bytes at the beginning of a mesh in which its coordinate system is looked for
@@ -43,25 +47,65 @@ _SPACE_PATTERN = re.compile(rb"SPACE=(LPS|RAS)")
 COORDINATE_DECIMALS = 4  # coordinates are written to 1e-4 mm
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Surface:
     """A layer boundary: crossing a "sheet" leads into layer `into`; a "solid" is layer `into` inside."""
 
     name: str
-    mesh: "trimesh.Trimesh"
+    vertices: Floats  # (V, 3); mm
+    faces: NDArray[np.int64]  # (F, 3); indices of the vertices of each triangle
     kind: SurfaceKind
     into: int
 
-    def __reduce__(self) -> "tuple[Callable[[Triangles], Surface], tuple[Triangles]]":
-        # a pickled mesh keeps a search tree that is empty: no place is inside it any more
-        return from_triangles, (to_triangles(self),)
+    @cached_property
+    def triangles(self) -> Floats:
+        """The corners of the triangles, (F, 3, 3)."""
+        return self.vertices[self.faces]
+
+    @cached_property
+    def areas(self) -> Floats:
+        """The areas of the triangles as vectors along their normals, (F, 3), mm^2."""
+        a, b, c = np.moveaxis(self.triangles, 1, 0)
+        return np.cross(b - a, c - a) / 2
+
+    @property
+    def normals(self) -> Floats:
+        """The unit normals of the triangles, (F, 3); 0 of a triangle without area."""
+        lengths = np.linalg.norm(self.areas, axis=1, keepdims=True)
+        return self.areas / np.where(lengths > 0, lengths, 1.0)
+
+    @property
+    def volume(self) -> float:
+        """The volume that the triangles enclose, mm^3; negative where they face inward."""
+        return float(np.sum(self.triangles[:, 0] * self.areas)) / 3
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether each edge belongs to two triangles."""
+        return bool((_count_edges(self.faces)[1] == 2).all())
+
+    def contains(self, points: Floats) -> Bools:
+        """Return whether each point (N, 3) lies inside: from there all triangles together fill the view."""
+        angles = np.array([_sum_solid_angles(self.triangles - point) for point in points])
+        return np.abs(angles) > 2 * np.pi
+
+    def to_trimesh(self) -> "trimesh.Trimesh":
+        """Return the surface as trimesh has it."""
+        import trimesh  # late: it takes 0.3 s to load, and few commands need it
+
+        return trimesh.Trimesh(self.vertices, self.faces, process=False)
 
 
-def make_mesh(vertices: ArrayLike, faces: ArrayLike, normals: ArrayLike | None = None) -> "trimesh.Trimesh":
-    """Return a mesh of these vertices (V, 3), triangles (F, 3) and, if known, their normals (F, 3)."""
-    import trimesh
+def _sum_solid_angles(corners: Floats) -> float:
+    """Return the sum of the solid angles of triangles (F, 3, 3) seen from the origin, with their signs.
 
-    return trimesh.Trimesh(vertices, faces, face_normals=normals, process=False)
+    By Van Oosterom and Strackee.
+    """
+    a, b, c = np.moveaxis(corners, 1, 0)
+    lengths = np.linalg.norm(corners, axis=2)  # (F, 3)
+    products = np.column_stack([np.sum(x * y, axis=1) for x, y in ((b, c), (c, a), (a, b))])
+    volume = np.sum(a * np.cross(b, c), axis=1)
+    return float(2 * np.arctan2(volume, lengths.prod(axis=1) + np.sum(products * lengths, axis=1)).sum())
 
 
 def read_surface(path: Path, kind: SurfaceKind, into: int) -> Surface:
@@ -82,26 +126,44 @@ def read_surface(path: Path, kind: SurfaceKind, into: int) -> Surface:
         claimed, there = sum(int(count) for _, count in _ELEMENT.findall(head)), rows.count(b"\n")
         if b"ascii" in head and claimed > there:
             raise _mesh_error(path, f"claims {claimed} vertices, triangles and edges, and holds {there} rows")
-    if ending == ".stl":
-        _check_stl(data, path)
-    import trimesh  # late: it takes 0.3 s to load, and most commands read no surface
+    vertices, faces = _read_stl(data, path) if ending == ".stl" else _read_mesh(data, path)
+    if (np.abs(vertices) < MAX_MERGED_MM).all():  # not so where one is not finite
+        vertices, faces = _merge_vertices(vertices[faces].reshape(-1, 3))
+    return Surface(path.stem, vertices, faces, kind, into)
+
+
+def _merge_vertices(corners: Floats) -> tuple[Floats, NDArray[np.int64]]:
+    """Return the different ones among the corners (3 F, 3) of triangles, and the faces (F, 3)."""
+    cells = np.round(corners / MERGED_MM)
+    order = np.lexsort(cells.T)
+    new = np.append(True, np.any(np.diff(cells[order], axis=0) != 0, axis=1))
+    places = np.empty(len(corners), dtype=np.int64)
+    places[order] = np.cumsum(new) - 1
+    return corners[order[new]], places.reshape(-1, 3)
+
+
+def _read_mesh(data: bytes, path: Path) -> tuple[Floats, NDArray[np.int64]]:
+    """Return vertices and faces of a PLY or OBJ file."""
+    import trimesh  # late: it takes 0.3 s to load
 
     try:
         # process=False: it would drop non-finite vertices and hide the fault
         mesh = trimesh.load_mesh(
-            BytesIO(data), file_type=ending[1:], process=False, resolver=None, skip_materials=True
+            BytesIO(data),
+            file_type=path.suffix.lower()[1:],
+            process=False,
+            resolver=None,
+            skip_materials=True,
         )
     except Exception:  # the readers of the formats raise whatever the bytes provoke, and quote them
-        raise _mesh_error(path, "its header, or what follows it, is cut short or damaged") from None
+        raise _damaged_error(path) from None
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0 or mesh.vertices.shape[1:] != (3,):
         counts = [int(count) for name, count in _ELEMENT.findall(data) if name == b"vertex"]
-        is_cloud = any(counts) if ending == ".ply" else ending == ".obj" and _OBJ_VERTEX.search(data)
+        is_cloud = any(counts) or _OBJ_VERTEX.search(data)
         raise _mesh_error(path, "holds no triangles", _CLOUD_FIX if is_cloud else _MESH_FIX)
     if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
         raise _mesh_error(path, f"a triangle names a vertex beyond the {len(mesh.vertices)} that there are")
-    if (np.abs(mesh.vertices) < MAX_MERGED_MM).all():  # not so where one is not finite
-        mesh.merge_vertices(merge_tex=True, merge_norm=True)  # an STL file repeats them for every triangle
-    return Surface(path.stem, mesh, kind, into)
+    return np.array(mesh.vertices, np.float64), np.array(mesh.faces, np.int64)
 
 
 def read_coordinate_system(path: Path) -> PatientSystem | None:
@@ -116,15 +178,33 @@ def read_coordinate_system(path: Path) -> PatientSystem | None:
     return "RAS" if match[1] == b"RAS" else "LPS"
 
 
-def _check_stl(data: bytes, path: Path) -> None:
-    """See that an STL file that is no text has the size that its count of triangles gives."""
+def _read_stl(data: bytes, path: Path) -> tuple[Floats, NDArray[np.int64]]:
+    """Return the corners of the triangles of an STL file, and the faces, which count them."""
     count = int.from_bytes(data[80:84], "little")
     expected = STL_HEADER_BYTES + STL_TRIANGLE_BYTES * count
-    if len(data) == expected or b"facet" in data:
-        return
-    if len(data) < STL_HEADER_BYTES:
+    if len(data) == expected:
+        rows = np.frombuffer(data, _STL_TRIANGLE, offset=STL_HEADER_BYTES)
+        corners = rows["corners"].astype(np.float64).reshape(-1, 3)
+    elif b"facet" in data:
+        words = _STL_VERTEX.findall(data)
+        if len(words) != 3 * len(_STL_FACET.findall(data)):
+            raise _damaged_error(path)
+        try:
+            corners = np.array(words, dtype=np.bytes_).astype(np.float64).reshape(-1, 3)
+        except ValueError:
+            raise _damaged_error(path) from None
+    elif len(data) < STL_HEADER_BYTES:
         raise _mesh_error(path, f"is no text STL, and too short for a binary one: {len(data)} bytes")
-    raise _mesh_error(path, f"has {len(data)} bytes; with the {count} triangles it claims it has {expected}")
+    else:
+        problem = f"has {len(data)} bytes; with the {count} triangles it claims it has {expected}"
+        raise _mesh_error(path, problem)
+    if len(corners) == 0:
+        raise _mesh_error(path, "holds no triangles")
+    return corners, np.arange(len(corners)).reshape(-1, 3)
+
+
+def _damaged_error(path: Path) -> DataError:
+    return _mesh_error(path, "its header, or what follows it, is cut short or damaged")
 
 
 def _mesh_error(path: Path, problem: str, fix: str = _MESH_FIX) -> DataError:
@@ -135,47 +215,17 @@ def write_surface(surface: Surface, path: Path) -> None:
     """Write a surface as text STL, coordinates rounded to 1e-4 mm; the same surface gives the same bytes."""
     from trimesh.exchange.stl import export_stl_ascii
 
-    vertices = np.round(surface.mesh.vertices, COORDINATE_DECIMALS) + 0.0  # no "-0.0"
-    mesh = make_mesh(vertices, surface.mesh.faces)
-    normals = np.round(mesh.face_normals, 6) + 0.0
-    mesh = make_mesh(vertices, mesh.faces, normals)
+    rounded = replace(surface, vertices=np.round(surface.vertices, COORDINATE_DECIMALS) + 0.0)  # no "-0.0"
+    mesh = rounded.to_trimesh()
+    mesh.face_normals = np.round(rounded.normals, 6) + 0.0
     mesh.metadata["name"] = surface.name
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(export_stl_ascii(mesh).encode("ascii", "replace"))
 
 
-@dataclass(frozen=True)
-class Triangles:
-    """A surface as plain arrays: vertices (V, 3), mm, and faces (F, 3), indices of vertices."""
-
-    name: str
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int64]
-    kind: SurfaceKind
-    into: int
-
-
-def to_triangles(surface: Surface) -> Triangles:
-    """Return a surface as plain arrays."""
-    mesh = surface.mesh
-    vertices, faces = np.array(mesh.vertices, np.float64), np.array(mesh.faces, np.int64)
-    return Triangles(surface.name, vertices, faces, surface.kind, surface.into)
-
-
-def from_triangles(plain: Triangles) -> Surface:
-    """Return the surface of plain arrays; ValueError if a face refers to a missing vertex."""
-    if plain.vertices.shape[1:] != (3,) or plain.faces.shape[1:] != (3,):
-        raise ValueError("no triangles")
-    if plain.faces.size and not (plain.faces.min() >= 0 and plain.faces.max() < len(plain.vertices)):
-        raise ValueError("a face names a vertex that is not there")
-    mesh = make_mesh(plain.vertices, plain.faces)
-    return Surface(plain.name, mesh, plain.kind, plain.into)
-
-
 def transform_surface(surface: Surface, frame: Frame) -> Surface:
     """Return a surface, given in `frame`, in world coordinates."""
-    vertices = frame.to_world(surface.mesh.vertices)
-    return replace(surface, mesh=make_mesh(vertices, surface.mesh.faces))
+    return replace(surface, vertices=frame.to_world(surface.vertices))
 
 
 def find_nearest(
@@ -186,8 +236,8 @@ def find_nearest(
     """
     from trimesh.triangles import closest_point
 
-    triangles = np.vstack([surface.mesh.triangles for surface in surfaces])
-    normals = np.vstack([surface.mesh.face_normals for surface in surfaces])
+    triangles = np.vstack([surface.triangles for surface in surfaces])
+    normals = np.vstack([surface.normals for surface in surfaces])
     low, high = triangles.min(axis=1), triangles.max(axis=1)
     distances, facing = [], []
     for point in np.atleast_2d(np.asarray(points, dtype=np.float64)):
@@ -208,7 +258,7 @@ def make_sheet(name: str, center: ArrayLike, normal: ArrayLike, size: float, int
     y = np.cross(z, x)
     corners = [(-1, -1), (1, -1), (1, 1), (-1, 1)]
     vertices = np.asarray(center, dtype=np.float64) + [size / 2 * (i * x + j * y) for i, j in corners]
-    return Surface(name, make_mesh(vertices, [[0, 1, 2], [0, 2, 3]]), "sheet", into)
+    return Surface(name, vertices, np.array([[0, 1, 2], [0, 2, 3]]), "sheet", into)
 
 
 def make_cylinder(
@@ -235,16 +285,20 @@ def make_cylinder(
             np.column_stack([i + facets, j + facets, centre_top]),
         ]
     )
-    return Surface(name, make_mesh(vertices, faces), "solid", into)
+    return Surface(name, vertices, faces, "solid", into)
 
 
-def find_mesh_faults(mesh: "trimesh.Trimesh", kind: SurfaceKind) -> list[str]:
-    """Return why `mesh` cannot be a boundary: a "solid" must be closed, a "sheet" without holes."""
-    if len(mesh.faces) == 0:
+def find_mesh_faults(surface: Surface) -> list[str]:
+    """Return why a surface cannot be a boundary: a "solid" must be closed, a "sheet" without holes."""
+    kind = surface.kind
+    if len(surface.faces) == 0:
         return ["holds no triangles"]
-    if not are_bounded(mesh.vertices):
+    if not are_bounded(surface.vertices):
         return ["has coordinates that are not finite, or too large"]
-    edges, counts = np.unique(mesh.edges_sorted, axis=0, return_counts=True)
+    edges, counts = _count_edges(surface.faces)
+    directed = surface.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    # neighbours that face alike run along their edge in opposite directions
+    is_consistent = len(np.unique(directed, axis=0)) == len(directed)
     faults = []
     if (counts > 2).any():
         faults.append(f"has {int((counts > 2).sum())} edges that more than two triangles share")
@@ -257,15 +311,21 @@ def find_mesh_faults(mesh: "trimesh.Trimesh", kind: SurfaceKind) -> list[str]:
         faults.append(
             f"does not close: {rims} hole{'s' if rims > 1 else ''}, {int((counts == 1).sum())} open edges"
         )
-    if kind == "solid" and not faults and mesh.is_winding_consistent and mesh.volume < 0:
+    if kind == "solid" and not faults and is_consistent and surface.volume < 0:
         faults.append("is inside out: its triangles face inward")
     if kind == "sheet" and rims == 0:
         faults.append("is closed, but listed as a sheet")
     if kind == "sheet" and rims > pieces:
         faults.append(f"has {rims - pieces} hole{'s' if rims - pieces > 1 else ''}")
-    if not mesh.is_winding_consistent:
+    if not is_consistent:
         faults.append("has neighbouring triangles that face opposite ways")
     return faults
+
+
+def _count_edges(faces: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the edges (E, 2) of triangles, and how many triangles each belongs to."""
+    edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    return np.unique(edges, axis=0, return_counts=True)
 
 
 def _count_components(edges: NDArray[np.int64]) -> int:

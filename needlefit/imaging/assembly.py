@@ -182,7 +182,7 @@ def _medium_record(
             )
     shared = all(
         all(
-            np.array_equal(a.mesh.vertices, b.mesh.vertices) and np.array_equal(a.mesh.faces, b.mesh.faces)
+            np.array_equal(a.vertices, b.vertices) and np.array_equal(a.faces, b.faces)
             for a, b in zip(one.layers.surfaces, first, strict=True)
         )
         for one in group

@@ -10,7 +10,7 @@ distribution function of the distance. A plane stays where it was; a right-angle
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -126,8 +126,8 @@ def read_mesh(source: LayerSource, into: int, all_faults: list[Fault]) -> Surfac
     except DataError as error:
         all_faults.append(make_file_fault(error, source.path))
         return None
-    if source.kind is None and surface.mesh.is_watertight:
-        surface = Surface(surface.name, surface.mesh, "solid", into)
+    if source.kind is None and surface.is_closed:
+        surface = replace(surface, kind="solid")
     faults = list(find_surface_faults(surface, source.path))
     if source.kind is None and surface.kind == "sheet" and not faults:
         fix = f"close the hole, or list it as {source.path.name}=sheet:{into}"
@@ -185,7 +185,7 @@ def read_layers(scan: Scan, patient: Frame, grid: VoxelGrid | None = None) -> tu
             "correct the number, e.g. file=sheet:2, or add the surface that is missing",
         )
     for n, surface in enumerate(surfaces):
-        if any(np.array_equal(surface.mesh.vertices, other.mesh.vertices) for other in surfaces[:n]):
+        if any(np.array_equal(surface.vertices, other.vertices) for other in surfaces[:n]):
             note(
                 f"lists the surface {surface.name} twice: one layer would be left out",
                 "a surface of its own for each layer",
@@ -195,7 +195,7 @@ def read_layers(scan: Scan, patient: Frame, grid: VoxelGrid | None = None) -> tu
     world = tuple(transform_surface(surface, patient) if within else surface for surface in surfaces)
     if grid is not None and within:  # others may be larger than what was scanned
         for surface in world:
-            steps = to_index(grid, patient.to_local(surface.mesh.vertices))
+            steps = to_index(grid, patient.to_local(surface.vertices))
             if (steps.max(axis=0) < -0.5).any() or (steps.min(axis=0) > np.array(grid.size) - 0.5).any():
                 # a mesh is called as its file, all others are of the first
                 paths = (source.path for source in scan.surfaces if source.path.stem == surface.name)

@@ -9,7 +9,7 @@ import re
 import stat
 import tomllib
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import lru_cache, wraps
 from io import BytesIO, TextIOWrapper
 from pathlib import Path
@@ -109,6 +109,30 @@ MAX_NESTING = 50  #: tables and lists within each other; no file of ours has mor
 _DEEP_KEY = re.compile(rf"""(?:\.\s*+(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')\s*+){{{MAX_NESTING}}}""")
 
 
+# A line that gives a key numbers, or lists of them, as JSON writes them.
+_ARRAY = re.compile(
+    r"^(\w++) = (\[(?:[-\d.eE, ]*+|(?:\[[-\d.eE, ]*+\],?+ ?+)++)\])$", re.ASCII | re.MULTILINE
+)
+
+_TABLE = re.compile(r"^[ \t]*\[", re.MULTILINE)
+
+
+def _take_arrays(text: str) -> tuple[dict[str, Any], str]:
+    """Return the arrays of numbers at the top of a TOML text, by key, and the text without them.
+
+    The reader of JSON takes a tenth of the time of that of TOML. Lines of the text keep their numbers.
+    """
+    table = _TABLE.search(text)
+    end = table.start() if table else len(text)
+    top, rest = text[:end], text[end:]
+    found = _ARRAY.findall(top)
+    arrays = {}
+    if len(dict(found)) == len(found) and '"""' not in top and "'''" not in top:
+        with suppress(ValueError):  # numbers that only TOML has
+            arrays = {key: json.loads(numbers) for key, numbers in found}
+    return arrays, _ARRAY.sub("", top) + rest if arrays else text
+
+
 def _list_members(value: object) -> list[Any]:
     return [*value.values()] if isinstance(value, dict) else value if isinstance(value, list) else []
 
@@ -116,13 +140,16 @@ def _list_members(value: object) -> list[Any]:
 def parse_toml(text: str, where: str, error: FileErrorType = ConfigError) -> dict[str, Any]:
     """Return the tables of a TOML text; `where` names it in errors, which are of `error`."""
     try:
+        arrays, text = _take_arrays(text)
         tables = {} if (is_deep := _DEEP_KEY.search(text)) else tomllib.loads(text)
         level: list[Any] = [tables]
         for _ in range(MAX_NESTING):
             level = [inner for member in level for inner in _list_members(member)]
         if level or is_deep:
             raise ValueError(f"nested more than {MAX_NESTING} deep")
-        return tables
+        if double := arrays.keys() & tables.keys():
+            raise ValueError(f"key {min(double)} stands twice")
+        return arrays | tables
     except (RecursionError, ValueError) as fault:
         raise error(
             f"is not valid TOML: {fault}",

@@ -170,8 +170,8 @@ def _draw_world(axes: Axes, insertions: Sequence[Insertion], surfaces: Sequence[
     points = np.concatenate(curves)
     across, along = np.argsort(np.ptp(points, axis=0), kind="stable")[1:]
     for n, surface in enumerate(surfaces):
-        vertices = surface.mesh.vertices
-        faces = surface.mesh.faces[:MAX_DRAWN_TRIANGLES]
+        vertices = surface.vertices
+        faces = surface.faces[:MAX_DRAWN_TRIANGLES]
         colour = _SURFACE_COLOURS[n % len(_SURFACE_COLOURS)]
         view = Triangulation(vertices[:, along], vertices[:, across], faces)
         axes.triplot(view, color=colour, lw=0.7, alpha=0.9, zorder=1)

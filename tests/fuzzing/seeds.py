@@ -278,7 +278,7 @@ def meshes() -> list[Seed]:
     from needlefit.geometry.surfaces import Surface, write_surface
 
     mesh = trimesh.creation.box((20.0, 30.0, 40.0))
-    surface = Surface("core", mesh, "solid", 2)
+    surface = Surface("core", mesh.vertices, mesh.faces, "solid", 2)
     return [
         written(lambda folder: write_surface(surface, folder / "m.stl"), "m.stl"),
         *(saved(name, save_mesh, mesh, "LPS") for name in ("m.stl", "m.ply", "m.obj")),

@@ -253,7 +253,7 @@ def _read_surfaces(mapping: MappingRecord, paths: Sequence[Path]) -> list[Surfac
         surface = read_surface(path, "sheet", 2)
         if read_coordinate_system(path) == "RAS":
             surface = transform_surface(surface, RAS_TO_LPS)
-        surface = replace(surface, kind="solid" if surface.mesh.is_watertight else "sheet")
+        surface = replace(surface, kind="solid" if surface.is_closed else "sheet")
         faults = list(find_surface_faults(surface, path))
         if surface.kind == "sheet" and not faults:
             faults = list(find_hole(surface, path, "close the hole, or save the sheet alone"))
