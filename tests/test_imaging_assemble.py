@@ -145,14 +145,6 @@ def own_surface(profile):
             lambda: own_surface(replace(small().profile, s=small().profile.s - 2.0)),
             r"begins [12]\.\d\d \+- .* mm before its own surface",
         ),
-        (
-            lambda: replace(
-                changed_pose(angle_sd=0.005),
-                scan=replace(small().scan, bevel=np.array([0.0, 0.0, 1.0])),
-                frame=Frame(small().frame.origin, small().frame.rotation[:, [0, 2, 1]] * [1, 1, -1]),
-            ),
-            "leaves the bending plane",
-        ),
     ],
 )
 def test_doubtful_reconstructions_give_warnings(one, words):

@@ -17,7 +17,6 @@ from needlefit.errors import DataError, located
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.imaging.needle.follow import MIN_POINTS
 from needlefit.imaging.reconstruction import Reconstruction
-from needlefit.imaging.registration import MIN_MARKERS
 from needlefit.imaging.scans import Corrections, Scan
 
 LIST_NAME = "corrections"  # what a list of control points is called, after the id of its scan
@@ -132,8 +131,8 @@ def correct_scans(scans: Sequence[Scan], files: Sequence[Path]) -> tuple[Scan, .
     """Return the scans with the corrections that files hold for them.
 
     DataError as `read_corrections`; if no point of a list was moved, and nothing was confirmed; if a scan has
-    none of that id, corrections in two files, balls but no known places of markers, too few balls, or an
-    entry beside that of the stage.
+    none of that id, corrections in two files, balls but no known places of markers, or an entry beside that
+    of the stage.
     """
     corrected = {scan.id: scan for scan in scans}
     for path in files:
@@ -170,15 +169,6 @@ def correct_scans(scans: Sequence[Scan], files: Sequence[Path]) -> tuple[Scan, .
                         "balls were moved, but the scan has no known places to lay them on",
                         expected="the markers' known places in the world",
                         fix="name them with --markers, or in a table of scans",
-                    )
-                if correction.balls is not None and len(correction.balls) < MIN_MARKERS:
-                    raise DataError(
-                        f"{len(correction.balls)} of at least {MIN_MARKERS} balls are left",
-                        expected=(
-                            f"{MIN_MARKERS} or more that are not on a line: they "
-                            "register the scan to the world"
-                        ),
-                        fix="leave the others in the list",
                     )
                 if correction.entry is not None and scan.stage is not None:
                     raise DataError(

@@ -309,12 +309,12 @@ def _doubt_guide_end(
             film = np.nanmin(profile.around[near]) < min(run.level, after.level) - HU.GUIDE_STEP
             return float(np.hypot(run.end - end, MM.HIDDEN_FACE_SD * film))
     # of a thin guide blur leaves no step
-    inside = (profile.s > begin + MM.THIN_BLUR) & (profile.s < end)
-    beyond = (profile.s > end + MM.THIN_BLUR) & (profile.s < end + MM.EDGE_BLUR)
+    inside = (profile.s > begin + MM.EDGE_BLUR / 4) & (profile.s < end)
+    beyond = (profile.s > end + MM.EDGE_BLUR / 4) & (profile.s < end + MM.EDGE_BLUR)
     if end - begin > MM.EDGE_BLUR or not inside.any() or not beyond.any():
         return None
     change = np.nanmedian(profile.around[inside]) - np.nanmedian(profile.around[beyond])
-    return MM.THIN_SD if abs(change) >= HU.GUIDE_STEP else None
+    return MM.HIDDEN_FACE_SD if abs(change) >= HU.GUIDE_STEP else None
 
 
 def _leave_guide(
@@ -325,7 +325,7 @@ def _leave_guide(
         return []
     if is_soft_tissue(soft[0].level) or not is_soft_tissue(soft[1].level):
         return []
-    return [EntryCandidate(soft[0].end + distance, MM.THIN_SD, (soft[0].begin, soft[0].end))]
+    return [EntryCandidate(soft[0].end + distance, MM.HIDDEN_FACE_SD, (soft[0].begin, soft[0].end))]
 
 
 def _list_behind_guide(

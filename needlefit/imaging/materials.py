@@ -146,10 +146,10 @@ def _fit_edge(
         return np.asarray(low + edge + (solid - low) * ndtr((fall - s) / width) * double, dtype=np.float64)
 
     free = HU.AIR_SD if narrow else np.inf
-    first = [guess, MM.EDGE_WIDTH, low, high, 0.0, gap.begin, float(values[0])]
+    first = [guess, MM.BLUR, low, high, 0.0, gap.begin, float(values[0])]
     margin = [MM.EDGE_BLUR, np.inf, free, np.inf, np.inf, MM.EDGE_BLUR, np.inf]
     bounds = np.subtract(first, margin), np.add(first, margin)
-    bounds[0][1], bounds[1][1] = MM.EDGE_WIDTHS[0], MM.EDGE_WIDTHS[1]
+    bounds[0][1], bounds[1][1] = MM.SLICE_BLURS[0], MM.SLICE_BLURS[1]
     noise = max(HU.LEAST_NOISE, 1.05 * float(np.median(np.abs(np.diff(values)))))
     best, covariance = curve_fit(
         show,
@@ -209,7 +209,7 @@ def _fit_step(s: Floats, values: Floats, place: float) -> tuple[float, float, fl
     """Return the change at a place on a common slope, its deviation, HU, and how many stations are as one."""
     near = np.abs(s - place) <= 2 * MM.EDGE_BLUR
     x, y = s[near] - place, values[near]
-    design = np.stack([np.ones(len(x)), x, ndtr(x / MM.EDGE_WIDTH)], axis=1)
+    design = np.stack([np.ones(len(x)), x, ndtr(x / MM.BLUR)], axis=1)
     inverse = np.linalg.pinv(design)
     left = y - design @ (inverse @ y)
     sd = np.linalg.norm(left) / np.sqrt(max(1, len(x) - 3)) * np.linalg.norm(inverse[2])

@@ -191,18 +191,12 @@ def _entry_warnings(one: Reconstruction) -> Iterator[str]:
 
 
 def _plane_warnings(one: Reconstruction) -> Iterator[str]:
-    local = one.local
-    deflection, aside = float(local[-1, 1]), float(np.abs(local[:, 2]).max())
+    deflection = float(one.local[-1, 1])
     error = float(np.hypot(one.sd[-1], np.hypot(one.pose.shift_sd, one.pose.angle_sd * one.depth)))
     if one.scan.bevel is None and np.degrees(error) > MAX_PLANE_SD_DEG * abs(deflection):
         yield (
             f"the tip lies {abs(deflection):.2f} +- {error:.2f} mm beside the entry axis: so straight, "
             "it determines no bending plane, and its deflection is biased upward; state the bevel's direction"
-        )
-    elif one.scan.bevel is not None and aside > SD.DISAGREEMENT * error and aside > abs(deflection) / 3:
-        yield (
-            f"the needle leaves the bending plane by {aside:.2f} mm, and bends {abs(deflection):.2f} in it: "
-            "check the bevel's direction"
         )
     visible_bevel = one.patient.rotation @ one.needle_axis.bevel
     if one.scan.bevel is not None and np.isfinite(visible_bevel).all():
@@ -211,9 +205,6 @@ def _plane_warnings(one: Reconstruction) -> Iterator[str]:
         angle = np.degrees(np.arccos(np.clip(facing @ across / np.linalg.norm(across), -1, 1)))
         if angle > MAX_BEVEL_ANGLE_DEG:
             yield f"the bevel seen at the tip points {angle:.0f} degrees away from the one stated"
-    probability, seen = one.needle_axis.bevel_probability, np.isfinite(one.needle_axis.bevel).all()
-    if np.isfinite(probability) and not seen and one.scan.bevel is None:
-        yield f"the scan does not show the bevel's side (probability {probability:.2f}): it is left open"
 
 
 def refuse_tunnels(surfaces: Sequence[Surface], needle: Floats) -> None:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt, map_coordinates, spline_filter
+from scipy.ndimage import map_coordinates, spline_filter
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.spatial import cKDTree
 from scipy.special import j0, j1, ndtr
@@ -29,12 +29,11 @@ from needlefit.imaging.point_spread import (
     expected_spread,
     read_spread,
 )
-from needlefit.imaging.volume import Volume, to_patient
+from needlefit.imaging.volume import Volume, list_voxels_near, to_patient
 
 TABLE_STEP_MM = 0.1  # spacing of the table, mm; cubic splines join it
 FREQUENCY_STEP_PER_MM = 0.25  # spacing of the angular frequencies, 1/mm: images of a ball repeat every 25 mm
 MAX_FREQUENCY_SD = 4.5  # angular frequencies end at so many over the narrowest blur, 1/mm
-STEP_SIZE = 1e-5  # of the parameters of which derivatives are differences
 MAX_PASSED_SD = 6.5  # in the slices, those beyond so many over the blur are left out: 1e-9 of them passes
 
 
@@ -133,12 +132,6 @@ def render_sphere(near: SphereVoxels, theta: Floats) -> Floats:
     return np.clip(shown, near.floor, near.ceiling)
 
 
-def differentiate(near: SphereVoxels, theta: Floats) -> Floats:
-    """Return the derivatives (N, 14) of the image by the parameters."""
-    here, steps = render_sphere(near, theta), STEP_SIZE * np.eye(len(theta))
-    return np.stack([(render_sphere(near, theta + step) - here) / STEP_SIZE for step in steps], axis=1)
-
-
 FIRST_NOISE_PART = 0.05  # noise before it is known, in parts of the ball's brightness
 # Bounds and typical changes of the model's parameters.
 _RANGES = (
@@ -199,26 +192,20 @@ def fit_sphere(volume: Volume, blob: Blob, radius: float) -> SphereFit:
 
 
 def _fit_model(near: SphereVoxels, first: Floats) -> tuple[Floats, Floats, Floats]:
-    """Fit the parameters, from `first` (14,) on: robust, after a plain fit for the noise.
+    """Fit the parameters, from `first` (14,) on, and again with the noise that this leaves.
 
-    Return them, residuals (N,), HU, and their covariance (14, 14).
+    Return them, residuals (N,), HU, and their covariance (14, 14); voxels in one blur count as one.
     """
-    rough = FIRST_NOISE_PART * float(min(np.exp(first[HEIGHT]), near.ceiling) - first[LEVEL])
-    best = _minimize(near, first, rough, robust=False)
-    noise = max(1.0, rough * _spread(best.fun[: len(near.values)]))
-    best = _minimize(near, best.x, noise, robust=True)
-    residuals = noise * best.fun[: len(near.values)]
-    slopes = differentiate(near, best.x)
-    known = np.zeros(len(first))
-    known[PRIOR_COLUMNS] = (noise / _list_prior(near)[1]) ** 2
-    bread = np.linalg.pinv(slopes.T @ slopes + np.diag(known), hermitian=True)
-    scores = slopes * residuals[:, None]
-    length = max(MM.BALL_BLUR, float(near.spacing.max()))
-    tree = cKDTree(near.places)
-    apart = tree.sparse_distance_matrix(tree, length, output_type="ndarray")
-    weight = (1 - apart["v"] / length)[:, None]
-    meat = scores[apart["i"]].T @ (weight * scores[apart["j"]])
-    return best.x, residuals, bread @ (meat + np.diag(known)) @ bread
+    count, noise = (
+        len(near.values),
+        FIRST_NOISE_PART * float(min(np.exp(first[HEIGHT]), near.ceiling) - first[LEVEL]),
+    )
+    best = _minimize(near, first, noise)
+    noise = max(1.0, noise * _spread(best.fun[:count]))
+    alike = max(1.0, MM.BALL_BLUR**3 / float(np.prod(near.spacing)))
+    best = _minimize(near, best.x, noise * np.sqrt(alike))
+    normal = best.jac.T @ best.jac
+    return best.x, noise * np.sqrt(alike) * best.fun[:count], np.linalg.pinv(normal, hermitian=True)
 
 
 def _spread(values: Floats) -> float:
@@ -228,38 +215,28 @@ def _spread(values: Floats) -> float:
 
 def select_voxels(volume: Volume, blob: Blob, radius: float) -> SphereVoxels:
     """Return the voxels around a blob, without those near other bright things."""
-    middle, shape = blob.voxels.mean(axis=0), np.array(volume.values.shape[::-1])
     axes = np.column_stack([volume.direction[:, :2], volume.grid.normal])
-    steps = axes.T @ volume.direction * volume.spacing  # one step of i, j, k (columns) along the axes
-    spacing = np.diag(steps).copy()
-    reach = radius + MM.BALL_MARGIN * max(1.0, float(spacing.max()))
-    size = reach * np.linalg.norm(np.linalg.inv(steps), axis=1)
-    low = np.floor(middle - size).astype(int)
-    high = np.ceil(middle + size).astype(int) + 1
-    low = np.clip(low, 0, blob.voxels.min(axis=0))
-    high = np.clip(high, blob.voxels.max(axis=0) + 1, shape)
-    values = volume.values[low[2] : high[2], low[1] : high[1], low[0] : high[0]].transpose(2, 1, 0)
-    mesh = np.stack(np.meshgrid(*map(np.arange, low, high), indexing="ij"), axis=-1)
-    places = (mesh - middle) @ steps.T
-    others = values > blob.level
-    others[tuple((blob.voxels - low).T)] = False
-    use = np.linalg.norm(places, axis=-1) <= reach
+    spacing = np.array([*volume.spacing[:2], volume.grid.slice_distance])
+    reach = radius + MM.STEP_MARGIN * max(1.0, float(spacing.max()))
+    middle = to_patient(volume, blob.voxels.mean(axis=0)[None])
+    ijk, values = list_voxels_near(volume, middle, reach)
+    places = (to_patient(volume, ijk) - middle) @ axes
+    own = np.isin(*(np.ravel_multi_index(tuple(part.T), volume.grid.size) for part in (ijk, blob.voxels)))
+    others, use = (values > blob.level) & ~own, np.linalg.norm(places, axis=1) <= reach
     if others.any():
-        use &= distance_transform_edt(~others, sampling=spacing) > MM.BALL_BLUR
+        use &= cKDTree(places[others]).query(places)[0] > MM.BALL_BLUR
     top, bottom = float(values.max()), float(values.min())
     ceiling = top if np.count_nonzero(values == top) > 3 else np.inf
     floor = bottom if np.count_nonzero(values == bottom) > 3 else -np.inf
     every = int(np.ceil(np.count_nonzero(use) / MAX_FITTED_VOXELS))
-    return SphereVoxels(
-        places[use][::every], values[use][::every].astype(np.float64), radius, spacing, axes, floor, ceiling
-    )
+    return SphereVoxels(places[use][::every], values[use][::every], radius, spacing, axes, floor, ceiling)
 
 
 def _guess_parameters(near: SphereVoxels) -> Floats:
     """Return where the fit begins: the blob's middle, the brightness there, and a face across the slope."""
     r = np.linalg.norm(near.places, axis=1)
     peak = float(near.values[r <= max(near.radius, float(r.min()))].max())
-    rim = r >= min(near.radius + 0.4 * MM.BALL_MARGIN, float(np.quantile(r, 0.7)))
+    rim = r >= min(near.radius + 0.4 * MM.STEP_MARGIN, float(np.quantile(r, 0.7)))
     places, values = near.places[rim], near.values[rim]
     design = np.column_stack([places, np.ones(len(places))])
     slope = np.linalg.lstsq(design, values)[0][:3]
@@ -280,27 +257,21 @@ def _list_prior(near: SphereVoxels) -> tuple[Floats, Floats]:
     return np.array([*PRIOR_MEANS, *spread.parameters]), np.array([*PRIOR_SDS, *spread.sds])
 
 
-def _minimize(near: SphereVoxels, first: Floats, noise: float, *, robust: bool) -> OptimizeResult:
+def _minimize(near: SphereVoxels, first: Floats, noise: float) -> OptimizeResult:
     """Return the least squares from `first` (14,) on, in deviations of the noise (HU); the prior is last."""
     means, sds = _list_prior(near)
-    held = np.zeros((len(PRIOR_COLUMNS), len(first)))
-    held[np.arange(len(PRIOR_COLUMNS)), PRIOR_COLUMNS] = 1 / sds
 
     def residuals(theta: Floats) -> Floats:
         left = (render_sphere(near, theta) - near.values) / noise
         return np.append(left, (theta[PRIOR_COLUMNS] - means) / sds)
 
-    def slopes(theta: Floats) -> Floats:
-        return np.vstack([differentiate(near, theta) / noise, held])
-
     return least_squares(
         residuals,
         np.clip(first, LOWER_BOUNDS + 1e-6, UPPER_BOUNDS - 1e-6),
-        jac=slopes,
         bounds=(LOWER_BOUNDS, UPPER_BOUNDS),
-        loss="soft_l1" if robust else "linear",
+        loss="soft_l1",
         f_scale=SD.OUTLIER,
         x_scale=PARAMETER_SCALES,
-        ftol=PART.TOLERANCE * (1 if robust else 10),
+        ftol=PART.TOLERANCE,
         max_nfev=40,
     )

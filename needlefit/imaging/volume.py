@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from needlefit.arrays import Floats, are_bounded
+from needlefit.arrays import Floats, Ints, are_bounded
 from needlefit.errors import DataError
 from needlefit.imaging.constants import HU, PART
 from needlefit.project.input_files import is_dir, is_file, list_files, open_regular
@@ -254,6 +254,15 @@ def to_index(volume: Volume | VoxelGrid, points: ArrayLike) -> Floats:
     away = np.asarray(points, dtype=np.float64) - volume.origin
     inverse = np.linalg.inv(volume.direction) if is_tilted(volume.direction) else volume.direction.T
     return away @ inverse.T / volume.spacing
+
+
+def list_voxels_near(volume: Volume, points: ArrayLike, reach: float) -> tuple[Ints, Floats]:
+    """Return the voxels (N, 3), i, j, k, of a box within `reach` mm of LPS points, and their values (N,)."""
+    index, margin = to_index(volume, points), reach / volume.spacing
+    low = np.maximum(np.floor(index.min(axis=0) - margin), 0).astype(int)
+    high = np.minimum(np.ceil(index.max(axis=0) + margin) + 1, volume.grid.size).astype(int)
+    ijk = np.stack(np.meshgrid(*map(np.arange, low, high), indexing="ij"), axis=-1).reshape(-1, 3)
+    return ijk, volume.values[tuple(ijk.T[::-1])].astype(np.float64)
 
 
 def find_outside(volume: Volume, points: ArrayLike) -> NDArray[np.int64]:

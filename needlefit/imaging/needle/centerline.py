@@ -263,23 +263,9 @@ def _sample_centerline(
     s = np.linspace(0.0, end.at, count)
     heel = bevel_length(recipe.needle) + MM.BEVEL_MARGIN
     swung = end.sd[1] * np.clip((s - end.at + heel) / heel, 0, 1)  # the rod alone holds the axis there
-    # what neighbours share: of a needle near thick slices by their fit, otherwise by the slices' thickness
-    if axis.slice_sds is None:
-        # the thicker the slice, the less shows where in it the needle lies, unless it leaves it between knots
-        thick, wide, (first, last) = (
-            volume.grid.slice_distance,
-            recipe.needle.diameter_mm,
-            axis.spline(s[[0, -1]]),
-        )
-        steep = float((last - first) @ volume.grid.normal) / float(np.linalg.norm(last - first))
-        left = MM.KNOT * steep / thick
-        hidden = float(thick / np.sqrt(24) * thick / (thick + wide) / (1 + left**2)) * (
-            thick > MM.THICK_SLICE
-        )
-        more = float(np.hypot(MM.AXIS_SD, hidden))
-    else:  # in the spline's own deviation already
-        hidden, more = float(np.sqrt(np.mean(axis.slice_sds[1] ** 2) / 2)), MM.AXIS_SD
-    sd = np.hypot(np.maximum(axis_sd(axis, s), swung), more)
+    # what neighbours share of a needle near thick slices is in the spline's own deviation already
+    hidden = 0.0 if axis.slice_sds is None else float(np.sqrt(np.mean(axis.slice_sds[1] ** 2) / 2))
+    sd = np.hypot(np.maximum(axis_sd(axis, s), swung), MM.AXIS_SD)
     points, tip_sd = axis.spline(s), np.array([end.sd[0], sd[-1]])
     drawn = SplineSections(
         q=axis.s,

@@ -130,7 +130,7 @@ def _continues(
     if gap > MM.HIDDEN or np.ptp(piece[:, 0]) < 2 * part.width:
         return False
     far = np.abs(piece[:, 0] - np.clip(piece[:, 0], low, high))
-    near = piece[far <= far.min() + MM.PIECE_END]  # farther off, a parabola that is drawn on says little
+    near = piece[far <= far.min() + MM.NEEDLE_LENGTH / 4]  # a parabola drawn on says little
     curve = fit_parabola(local[:, 0], local[:, 1:])
     off = near[:, 1:] - np.stack([np.polyval(c, near[:, 0]) for c in curve.T], axis=1)
     # a needle that crosses slices stands one beside the other

@@ -46,7 +46,6 @@ STEEL_MPA = 200e3  # MPa, Young's modulus
 BEAM_MEANS = np.array([np.log(0.75), np.log(0.3), np.log(0.012), 0])
 BEAM_SDS = np.array([0.25, 0.35, 0.6, 0.3])  # of the same
 PROFILE_SDS = (0.4, 0.4, 0.5, 1.0, 1.5)  # of the logarithms of the sensitivity
-WEAK_START = -1.5  # change of the attenuation's logarithm from which other metal is fitted
 TIP_SDS = np.array([1.0, 10.0])  # of where the needle ends, mm, and of its bevel's roll, rad, before
 START_STEPS = (0.5, 0.25, 0.12)  # of shift, tilt and bow along the normal, slices
 START_ENDS_MM = (-1.0, -0.5, 0.0, 0.5, 1.0)  # ends that are tried, from the one stated, mm
@@ -147,7 +146,7 @@ def _make_problem(
     thick, radius = volume.grid.slice_distance, needle.diameter_mm / 2
     knots = make_knots(x[0], x[-1], KNOT_FACTOR * knot)
     basis = _basis(knots)
-    stations = np.arange(x[0], x[-1] + MM.BEYOND_TIP, LINE_STATION_MM)
+    stations = np.arange(x[0], x[-1] + MM.BEYOND_END, LINE_STATION_MM)
     at = _extend(basis, stations)
     # where the axis follows a staircase from slice to slice, or rays that pull it aside, polynomials do not
     places, weights = np.column_stack([x, y, z]), np.ones(len(x))
@@ -188,7 +187,7 @@ def _make_problem(
             basis.derivative(2)(unique[-1:]) / MM.END_MOMENT,
         ]
     )
-    columns = np.arange(x[-1] + MM.BEYOND_TIP, x[-1] - needle.length_mm, -COLUMN_MM)
+    columns = np.arange(x[-1] + MM.BEYOND_END, x[-1] - needle.length_mm, -COLUMN_MM)
     # a blunt end is a bevel of one piece of the rod, too, whose middle is where it ends
     true = np.tan(np.radians(needle.bevel_deg))
     steep = min(true, needle.diameter_mm / COLUMN_MM)
@@ -356,10 +355,7 @@ class _SliceProblem:
 
     def solve(self) -> tuple[Floats, Floats, float]:
         """Return parameters, their covariance and the model's relative error."""
-        start = np.concatenate([*self.start.T, [0.0, 0.0], self.means])
-        weak = start.copy()  # or with less metal
-        weak[2 * len(self.start) + 2] += WEAK_START
-        best = min(start, weak, key=self.first_misfit)
+        best = np.concatenate([*self.start.T, [0.0, 0.0], self.means])
         lowest = self.first_misfit(best)
         for step in START_STEPS:  # its course along the normal moved
             improved = True

@@ -4,14 +4,13 @@ A scanner shows the rod times its modulation transfer (`point_spread`). Coordina
 it from the tip, u and v across.
 
 Blur, overshoot, the slices' blur and the metal's height are fitted with the tip, held by what balls in the
-scan show of them and by what metal and scanners can have. Where rays run along the shaft, the hardened beam
-sees it darker than its end, and a dark streak beyond: both are fitted.
+scan show of them and by what metal and scanners can have. So is the dark streak that rays along the shaft
+leave beyond its end.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +31,7 @@ from needlefit.imaging.point_spread import (
     expected_spread,
     read_spread,
 )
-from needlefit.imaging.volume import Volume, to_index, to_patient
+from needlefit.imaging.volume import Volume, list_voxels_near, to_patient
 from needlefit.schemas.reconstruction import ScannedNeedleRecord
 
 Singles = NDArray[np.float32]
@@ -128,18 +127,17 @@ class RodModel:
         return np.asarray(map_coordinates(splines, at, order=3, mode="nearest", prefilter=False), float)
 
 
-# What the 12 parameters are: end along the axis, roll of the bevel, swing across, mm, rad; logarithm of the
-# metal's height at the tip, and the background, HU; cotangent of the bevel; logarithms of the blurs in and
-# across slices, mm, and between them the kernel's boost; by which factor's logarithm the shaft is darker than
-# its end; the streak beyond it, HU.
-TIP, ROLL, U, V, HEIGHT, LEVEL, COT, BLUR, _, SLICE, DARK, STREAK = range(12)
+# What the 11 parameters are: end along the axis, roll of the bevel, swing across, mm, rad; logarithm of the
+# metal's height, and the background, HU; cotangent of the bevel; logarithms of the blurs in and across
+# slices, mm, and between them the kernel's boost; the streak beyond the end, HU.
+TIP, ROLL, U, V, HEIGHT, LEVEL, COT, BLUR, _, SLICE, STREAK = range(11)
 SPREAD = slice(7, 10)
 # How far the fit reaches back from the bevel's heel, mm.
 REACH_BEFORE_MM = 3.0  # mm
 CORE_REACH_MM = 0.9  # radius from which on voxels count less, mm: streaks
-START_OFFSETS_MM = np.arange(-3.0, 3.1, 0.75)  # starting points of the search around the first guess, mm
-# Positions around the best of these at which the side of the bevel is tried, mm.
-FINE_OFFSETS_MM = np.arange(-0.8, 0.9, 0.4)
+START_OFFSETS_MM = np.arange(
+    -0.8, 0.9, 0.4
+)  # around the first guess, at which the side of the bevel is tried
 ROUGH_STEPS = 8  # of a first fit
 STEPS = 30  # of a last fit
 DERIVATIVE_STEP = np.array(1e-3)  # relative step of the derivatives
@@ -147,14 +145,11 @@ MAX_BEVEL_DEG = 85.0  # a bevel steeper than this has no side
 ROLL_FACTOR = 3.0  # of the roll's deviation: artefacts near the tip
 ROLL_SD = 0.15  # of the roll, rad, that no residual shows
 HEIGHT_SD = 0.7  # deviation of the logarithm of the metal's brightness
-# Deviation of the darkening, by the length of the needle that rays pass [R].
-DARK_SD_PER_MM = 0.02  # of the logarithm, 1/mm
-MIN_DARK_SD = 0.05  # of the logarithm
-LOWER_BOUNDS = np.array([*4 * [-np.inf], np.log(4e3), -1100, 0, *LOWEST, -0.3, -3000])
-UPPER_BOUNDS = np.array([*4 * [np.inf], np.log(5e4), 1000, 6, *HIGHEST, 2, 3000])
+LOWER_BOUNDS = np.array([*4 * [-np.inf], np.log(4e3), -1100, 0, *LOWEST, -3000])
+UPPER_BOUNDS = np.array([*4 * [np.inf], np.log(5e4), 1000, 6, *HIGHEST, 3000])
 # Bounds and typical changes of the parameters. No metal of needles exceeds 50 000 HU.
-PARAMETER_SCALES = np.array([0.2, 0.3, 0.1, 0.1, 0.1, 50, 0.3, 0.1, 0.3, 0.2, 0.1, 100])
-HELD = [U, V, HEIGHT, COT, *range(7, 10), DARK, STREAK]  # parameters of which something is known before
+PARAMETER_SCALES = np.array([0.2, 0.3, 0.1, 0.1, 0.1, 50, 0.3, 0.1, 0.3, 0.2, 100])
+HELD = [U, V, HEIGHT, COT, *range(7, 10), STREAK]  # parameters of which something is known before
 # Deviations of the stated angle from which on the image contradicts it: right ones at most 1.0, bevels of 20
 # and 60 degrees for 30 have 3.0.
 MAX_BEVEL_PULL_SD = 2.5
@@ -203,29 +198,21 @@ class TipProblem:
         slices = (float(frame.tangents[0] @ normal), float(frame.u[0] @ normal), float(frame.v[0] @ normal))
         self.rod = RodModel(needle.diameter_mm / 2, back, ahead, MM.PATCH + 0.5, slices)
         top = float(near.values.max())  # where several voxels share it the scanner's numbers end
-        self.ceiling = top if np.count_nonzero(near.values == top) > 3 else np.inf
-        self.offsets = np.zeros((1, 3))
-        if volume.resampled_top is not None:
-            self.ceiling = volume.resampled_top
-            corners = np.array(list(product((-1, 1), repeat=3))) * volume.spacing / np.sqrt(12)
-            axes = np.column_stack([frame.tangents[0], frame.u[0], frame.v[0]])
-            self.offsets = corners @ volume.direction.T @ axes
+        self.ceiling = top if np.count_nonzero(near.values == top) > 3 else volume.resampled_top or np.inf
         self.level = float(np.median(near.values[np.hypot(near.u, near.v) > 0.8 * MM.PATCH]))
         self.swing = np.clip((self.near.s - axis.length) / max(guess - axis.length, 0.25), 0, None)
         swing_sd = float(np.hypot(MM.SWING_SD, axis_sd(axis, np.array([axis.length]))[0]))
-        # the length of the needle that rays within one slice pass along its end, where it lies flattest: its
-        # direction right at a hidden end is what is least known
+        # the longer the rays within one slice that run along its end, where it lies flattest, the less of the
+        # image is the bevel's
         end = axis_frames(axis, np.linspace(max(0.0, axis.length - MM.HIDDEN), axis.length, 16))
         steep = max(float(np.abs(end.tangents @ normal).min()), 1e-6)
-        self.ray = min(MM.RAY, (needle.diameter_mm + volume.grid.slice_distance) / steep)
+        ray = min(2 * MM.HIDDEN, (needle.diameter_mm + volume.grid.slice_distance) / steep)
         cot = heel / needle.diameter_mm
-        cot_sd = np.deg2rad(needle.bevel_sd_deg) * (1 + cot**2)
-        cot_sd /= np.hypot(1.0, self.ray / MM.BEVEL_RAY)
-        dark_sd = max(DARK_SD_PER_MM * self.ray, MIN_DARK_SD)
+        cot_sd = np.deg2rad(needle.bevel_sd_deg) * (1 + cot**2) / np.hypot(1.0, ray / MM.BEVEL_RAY)
         known = spread or expected_spread(volume.grid.slice_distance)
         # means and deviations of the parameters `HELD`
-        self.means = np.array([0.0, 0.0, np.log(HU.NEEDLE), cot, *known.parameters, 0.0, 0.0])
-        sds = (swing_sd, swing_sd, HEIGHT_SD, cot_sd, *known.sds, dark_sd, HU.STREAK_SD)
+        self.means = np.array([0.0, 0.0, np.log(HU.NEEDLE), cot, *known.parameters, 0.0])
+        sds = (swing_sd, swing_sd, HEIGHT_SD, cot_sd, *known.sds, HU.STREAK_SD)
         self.sds = np.array(sds)
         low, high = LOWER_BOUNDS.copy(), UPPER_BOUNDS.copy()
         # beyond what is known before artefacts would be taken for the needle's image
@@ -242,14 +229,10 @@ class TipProblem:
     def show(self, theta: Floats, s: Floats, u: Floats, v: Floats) -> Floats:
         """Return what the scanner shows (N,), HU, at places from the tip."""
         spread = read_spread(theta[SPREAD])
-        darker = theta[DARK] * (1 - np.exp(np.minimum(s, 0) / MM.BRIGHT_END))
         streak = np.exp(-np.maximum(s, 0) / MM.STREAK_LENGTH - (u**2 + v**2) / (2 * MM.STREAK_RADIUS**2))
-        places, total = np.stack([s, u, v]), np.zeros(len(s))
-        for offset in self.offsets:
-            image = self.rod.image(float(theta[ROLL]), float(theta[COT]), spread, places + offset[:, None])
-            shown = theta[LEVEL] + np.exp(theta[HEIGHT] - darker) * image + theta[STREAK] * streak
-            total += np.clip(shown, HU.FLOOR, self.ceiling)
-        return total / len(self.offsets)
+        image = self.rod.image(float(theta[ROLL]), float(theta[COT]), spread, np.stack([s, u, v]))
+        shown = theta[LEVEL] + np.exp(theta[HEIGHT]) * image + theta[STREAK] * streak
+        return np.clip(shown, HU.FLOOR, self.ceiling)
 
     def residuals(self, theta: Floats) -> Floats:
         """Return voxels and what is known, both in their deviations."""
@@ -260,24 +243,21 @@ class TipProblem:
 
     def search(self) -> OptimizeResult:
         """Return a few steps of the least squares from the best of several ends and sides of the bevel."""
-        first = np.zeros(12)
+        first = np.zeros(11)
         first[TIP], first[LEVEL] = self.guess, self.level
         first[HELD] = self.means
 
         def misfit(start: Floats) -> float:
             return float(np.sum(np.minimum(np.abs(self.residuals(start)), 20)))
 
-        # as near as the eye can tell along the axis, and the likeliest roll
-        unit = np.eye(12)
-        begin = min((first + shift * unit[TIP] for shift in START_OFFSETS_MM), key=misfit)
-        rolls = np.arange(6) * np.pi / 3 if self.rolled else [0.0]
+        unit, rolls = np.eye(11), np.arange(6) * np.pi / 3 if self.rolled else [0.0]
         starts = [
-            begin + shift * unit[TIP] + roll * unit[ROLL] for roll in rolls for shift in FINE_OFFSETS_MM
+            first + shift * unit[TIP] + roll * unit[ROLL] for roll in rolls for shift in START_OFFSETS_MM
         ]
         return self._minimize(min(starts, key=misfit), ROUGH_STEPS)
 
     def fit(self, start: Floats) -> OptimizeResult:
-        """Return the least squares near `start` (12,), with the deviations that it leaves.
+        """Return the least squares near `start` (11,), with the deviations that it leaves.
 
         Voxels in one blur count as one.
         """
@@ -296,7 +276,7 @@ class TipProblem:
             return best, np.nan
         stated, self.sds[known] = self.sds[known], np.inf
         self.bounds[0][COT], self.bounds[1][COT] = LOWER_BOUNDS[COT], UPPER_BOUNDS[COT]
-        starts = (best.x, best.x + np.pi * np.eye(12)[ROLL])
+        starts = (best.x, best.x + np.pi * np.eye(11)[ROLL])
         free = min((self._minimize(start, STEPS) for start in starts), key=lambda fitted: fitted.cost)
         if self.misfit(free.x) < PART.BEVEL_MISFIT * self.misfit(best.x):
             contradicted = abs(free.x[COT] - self.means[known]) > MAX_BEVEL_PULL_SD * stated
@@ -332,11 +312,7 @@ def select_axis_voxels(volume: Volume, axis: AxisSpline, start: float, stop: flo
     """Return the voxels within `MM.PATCH` of the axis between `start` and `stop` (mm along it)."""
     fine = np.arange(start - 1, stop + 1, 0.1)
     where = axis_frames(axis, fine)
-    index = to_index(volume, where.origins)
-    margin = MM.PATCH / volume.spacing
-    low = np.maximum(np.floor(index.min(axis=0) - margin), 0).astype(int)
-    high = np.minimum(np.ceil(index.max(axis=0) + margin) + 1, volume.values.shape[::-1]).astype(int)
-    ijk = np.stack(np.meshgrid(*map(np.arange, low, high), indexing="ij"), axis=-1).reshape(-1, 3)
+    ijk, values = list_voxels_near(volume, where.origins, MM.PATCH)
     points = to_patient(volume, ijk)
     distance, nearest = cKDTree(where.origins).query(points, distance_upper_bound=MM.PATCH + 0.1)
     close = np.isfinite(distance)
@@ -345,9 +321,8 @@ def select_axis_voxels(volume: Volume, axis: AxisSpline, start: float, stop: flo
     along = np.einsum("ni,ni->n", d, where.tangents[at])
     s = fine[at] + along
     u, v = np.einsum("ni,ni->n", d, where.u[at]), np.einsum("ni,ni->n", d, where.v[at])
-    i, j, k = ijk[close].T
     inside = (s >= start) & (s <= stop) & (np.abs(along) < 0.2)
-    return AxisVoxels(s[inside], u[inside], v[inside], volume.values[k, j, i][inside].astype(np.float64))
+    return AxisVoxels(s[inside], u[inside], v[inside], values[close][inside])
 
 
 MIN_BEVEL_PROBABILITY = 0.95  # probability from which on the side of the bevel is stated
@@ -371,14 +346,14 @@ class TipFit:
 def search_tip(
     volume: Volume, axis: AxisSpline, needle: ScannedNeedleRecord, guess: float, spread: PointSpread | None
 ) -> Floats:
-    """Return about where the tip lies, and how the scan shows it: parameters (12,) to begin a fit with."""
+    """Return about where the tip lies, and how the scan shows it: parameters (11,) to begin a fit with."""
     return np.asarray(TipProblem(volume, axis, needle, guess, spread).search().x, float)
 
 
 def fit_tip(
     volume: Volume, axis: AxisSpline, needle: ScannedNeedleRecord, start: Floats, spread: PointSpread | None
 ) -> TipFit:
-    """Fit the tip near `start` (12,) of `search_tip` by least squares over the voxels around it.
+    """Fit the tip near `start` (11,) of `search_tip` by least squares over the voxels around it.
 
     The tip is where the axis ends that reaches as far as the bevel's point does. The rod is moved along the
     axis, rolled about it, and swung across it from the last cross-section on; the bevel's angle is the
