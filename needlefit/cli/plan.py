@@ -143,7 +143,8 @@ def _recall_verdict(shown: "ViewedScene") -> str:
     """Return the verdict of the run of a needle, with the checks that failed; none of a scene."""
     from needlefit.studies.report import recall
 
-    return recall(shown.run) if shown.run else ""
+    mark = f"{shown.origin_mark}. " if shown.origin_mark else ""
+    return f"{mark}{recall(shown.run)}" if shown.run else ""
 
 
 def _read_goal(

@@ -633,15 +633,15 @@ places,shade2,width,dash)}function avoid(places){for(let[px,py]of places){let[le
 0];Math.hypot(px-4-left,py-4-top)>8&&now.avoided.push([px-4,py-4,8,8])}}function labelFree(words,places,fill){
 let{left,top,width,height}=view.box,wide=measure(words,"strong")+6,limit=(value,low,high)=>Math.max(low,Math.min(
 value,high)),free=places.map(([px,py])=>[limit(px-wide/2,left+2,left+width-wide-2),limit(py-LINE/2,top+2,top+height-
-LINE-2),wide,LINE]).filter(one=>!count(now.labels,one)),box=free.find(one=>!count(now.avoided,one))??free[0];box&&
-(now.labels.push(box),text(words,[box[0]+wide/2,box[1]+LINE/2],{fill,font:"strong",halo:!0}))}function labelBeside(words,sides,shade2){
+LINE-2),wide,LINE]).filter(one=>!count(now.labels,one)),box=least(free,one=>count(now.avoided,one));box&&(now.
+labels.push(box),text(words,[box[0]+wide/2,box[1]+LINE/2],{fill,font:"strong",halo:!0}))}function labelBeside(words,sides,shade2){
 let half=measure(words,"strong")/2,curves=sides.map(([curve,away])=>({places:placesOf(curve),away}));for(let{places}of curves)
 avoid(places);let ends=curves.map(({places})=>places[places.length-1]).map(([px,py])=>[px+half+8,py]),beside=SHARES.
 flatMap(share=>curves.flatMap(({places,away})=>{let[px,py]=places[Math.round(share*(places.length-1))];return[
 0,-half,half].map(aside=>[px+aside,py+away])}));labelFree(words,[...ends,...beside],shade2)}var polyline,polygon,
 placesOf,traceBetween,cross,traceEllipse,LINE,SHARES,clearLabels,overlap,count,countBelow,nameLine,init_strokes=__esm(
-{"needlefit/viewer/page/painters/strokes.js"(){"use strict";init_d3_shape();init_sheet();init_store();init_view();
-polyline=(lines,stroke,width,dash)=>path2(lines.map(trace).join(""),{stroke,width,dash}),polygon=(corners,fill,opacity)=>path2(
+{"needlefit/viewer/page/painters/strokes.js"(){"use strict";init_d3_array();init_d3_shape();init_sheet();init_store();
+init_view();polyline=(lines,stroke,width,dash)=>path2(lines.map(trace).join(""),{stroke,width,dash}),polygon=(corners,fill,opacity)=>path2(
 `${trace(corners)}Z`,{fill,opacity}),placesOf=({x:x2,y:y2})=>x2.map((one,i)=>[toPx(one),toPy(y2[i])]);traceBetween=
 (x2,low,high)=>area().x((_,i)=>toPx(x2[i])).y0((_,i)=>toPy(low[i])).y1((_,i)=>toPy(high[i]))(x2)??"",cross=([px,
 py],arm,oblique=!1)=>[[arm,oblique?arm:0],[oblique?-arm:0,arm]].map(([dx,dy])=>[[px-dx,py-dy],[px+dx,py+dy]]),

@@ -173,8 +173,9 @@ def _list_scores(group: scores.ScoredGroup, kinds: Sequence[_RowKind]) -> Iterat
 
 def _describe_score(group: scores.ScoredGroup, kind: _RowKind, metric: Metric) -> Row:
     where = {"column": kind.column, "method": kind.method, "boundaries": kind.boundaries}
-    digits = 3 if group.head.comparison == "aligned" and kind.column != "paper" else 2
     value = group.get(metric.name, **where)
+    fine = group.head.comparison == "aligned" or (value or 1) < 0.1  # as in the verdict
+    digits = 3 if fine and kind.column != "paper" else 2
     spread = next((other for other in list_metrics() if other.spread_of == metric.name), None)
     flagged = metric.relative and group.head.edp_flagged and kind.column != "paper" and value is not None
     is_value = kind.column == "value"

@@ -120,8 +120,7 @@ def recall(run: Run) -> str:
     page = find_kind(run.kind).report.first_page(run)
     failed = list_failed(page.checks)
     words = f" Failed checks: {'; '.join(failed)}." if failed else ""
-    marked = f"{run.origin_mark}. " if run.origin_mark else ""
-    return f"{run.name}: {marked}{mark_faults(run.faults)}{page.verdict.opening}.{words}"
+    return f"{run.name}: {mark_faults(run.faults)}{page.verdict.opening}.{words}"
 
 
 def compose_first_page(page: FirstPage, pictures: Sequence[Block] = ()) -> list[Block]:

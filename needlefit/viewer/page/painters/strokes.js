@@ -1,5 +1,6 @@
 /** Lines, shapes and labels of the picture, given in mm or px. */
 
+import { least } from "d3-array";
 import { area } from "d3-shape";
 import { measure, path, text, trace } from "../sheet.js";
 import { now } from "../store.js";
@@ -54,7 +55,7 @@ export function avoid(places) {
   }
 }
 
-/** Write a label at the first of some places (px, its middle) that is free, inside the window; else nowhere. @param {string} words @param {Point[]} places @param {string} fill */
+/** Write a label at that of some places (px, its middle) without other labels that covers least, inside the window; else nowhere. @param {string} words @param {Point[]} places @param {string} fill */
 export function labelFree(words, places, fill) {
   const { left, top, width, height } = view.box;
   const wide = measure(words, "strong") + 6;
@@ -62,7 +63,7 @@ export function labelFree(words, places, fill) {
   const limit = (value, low, high) => Math.max(low, Math.min(value, high));
   const free = places.map(([px, py]) => /** @type {Place} */ (
     [limit(px - wide / 2, left + 2, left + width - wide - 2), limit(py - LINE / 2, top + 2, top + height - LINE - 2), wide, LINE])).filter((one) => !count(now.labels, one));
-  const box = free.find((one) => !count(now.avoided, one)) ?? free[0];
+  const box = least(free, (one) => count(now.avoided, one));
   if (!box) return;
   now.labels.push(box);
   text(words, [box[0] + wide / 2, box[1] + LINE / 2], { fill, font: "strong", halo: true });
