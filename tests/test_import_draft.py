@@ -292,6 +292,44 @@ def test_needles_of_the_same_names_are_of_several_sheets_or_specimens(tmp_path):
     assert "needle" in prepared.mapping.assumed
 
 
+@pytest.mark.parametrize(
+    ("remark", "boundaries", "line"),
+    [
+        ("# Schichtgrenze: 25 mm unter der Oberfläche", (25.0,), None),
+        ("# layer thickness: 15, 35 mm", (15.0, 50.0), None),
+        ("# Scale: 0.085 mm/px", (), "Scale: 0.085 mm/px"),
+        ("# x: along the needle", (), "x: along the needle"),
+        ("# boundary: of the layers", (), "boundary: of the layers"),
+    ],
+)
+def test_remarks_state_values_or_are_named(tmp_path, remark, boundaries, line):
+    (file := tmp_path / "n.csv").write_text(
+        "\n".join(
+            [remark, "# bevel: down", "needle;x (mm);y (mm)", *(f"n1;{k};{k * k / 900}" for k in range(40))]
+        )
+    )
+    plan, _ = planned([file], pose="1,0,0", bevel="0,-1,0")
+    assert (plan.boundaries_mm["medium1"], plan.rows[0].side) == (boundaries, -1)
+    unused = [what for what, _ in prepare([file], pose="1,0,0", bevel="0,-1,0").unused]
+    assert unused == ([f"line `{line}`"] if line else [])
+
+
+@pytest.mark.parametrize("pose", ["1,0,0", "free"])
+def test_a_needle_that_bends_along_what_was_not_measured_is_refused(tmp_path, pose):
+    def write(clocks, sd_z):
+        z = (lambda k: f"{sd_z * (k % 3)}") if sd_z else (lambda k: "0")
+        rows = [
+            f"n{n};{clock};{k};{k * k / 900};{z(k)}" for n, clock in enumerate(clocks, 1) for k in range(40)
+        ]
+        file = tmp_path / f"{len(clocks)}{sd_z}{clocks[0]}.csv"
+        file.write_text("\n".join(["needle;bevel clock;x (mm);y (mm);z (mm)", *rows]))
+        return planned([file], pose=pose, bevel="0,1,0")[0]
+
+    assert len(write([12, 12, 3], 0.1).rows) == 3
+    assert len(write([3, 9, 3], 0).rows) == 3
+    refusal(DataError, "n3", write, [12, 6, 3], 0)
+
+
 def test_rows_of_means_are_no_needles_and_headers_may_stand_in_the_first_column(tmp_path):
     rows = [
         ["needle", "depth", "deflection"],

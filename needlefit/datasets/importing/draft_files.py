@@ -3,7 +3,7 @@
 It reads no needle: a person sees what is proposed, and `read` goes by that.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,9 @@ from needlefit.datasets.importing.tables import (
     SHEET_SUFFIXES,
     TEXT_SUFFIXES,
     Grid,
+    is_comment,
     lay_out,
+    read_remark,
     read_sheets,
     read_structured,
 )
@@ -185,7 +187,19 @@ def _draft_grid(grid: Grid, keys: dict[str, Any], draft: Draft, stated: Assignme
     keys = propose_layout(grid, keys, stated.table)
     unit = keys.pop("unit")
     table = lay_out(grid, check({"holds": "facts"} | keys, TableRecord, grid.path))
-    if not keys["blocks"] and keys["header_rows"] and not keys["transposed"]:
-        above = [row for row in grid.rows[: keys["header_rows"][0] - 1] if any(row)]
-        draft.unused += [(f"row {', '.join(filter(None, row))}"[:200], grid.path.name) for row in above]
+    draft.unused += [(f"line `{line}`"[:200], grid.path.name) for line in _list_unread(grid, keys)]
     TableDraft(table, keys, draft, stated, unit).propose()
+
+
+def _list_unread(grid: Grid, keys: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the lines of remarks, and those above the headers, that state nothing of the needles."""
+    heads, comment = keys["header_rows"], keys.get("comment", "")
+    if keys["transposed"] or not heads:
+        return
+    for number, row in enumerate(grid.rows, start=1):
+        if number in heads or not any(row):
+            continue
+        is_remark = is_comment(row, comment)
+        is_read = is_remark and read_remark(row, comment, grid.rows[heads[-1] - 1])
+        if not is_read and (is_remark or (number < heads[0] and not keys["blocks"])):
+            yield " ".join(filter(None, row)).lstrip(f"{comment} ")

@@ -30,7 +30,8 @@ from needlefit.project.units import UNITS_GPA
 CODES = ("-999", "-999.0", "-9999", "-9999.0", "-99", "999", "9999")  # numbers that stand for no measurement
 NO_POINTS = (*VECTORS, "target", "guide", "quaternion")  # columns x, y, z that are no points of a needle
 COORDINATES = ("x", "y", "z", "depth", "deflection", "deflection_z", "guide")
-SEVERAL = (*VECTORS, "boundaries", "guide", "needle")  # meanings that may have several columns
+OF_LAYERS = ("boundaries", "layers", "thickness")  # meanings of columns that state something of layers
+SEVERAL = (*VECTORS, "boundaries", "thickness", "guide", "needle")  # meanings that may have several columns
 POINTS = ("shapes", "tips", "tracks")  # rows that hold points
 EXCLUDED = "excluded"  # the word of rows that are left out
 MIN_NEEDLE_GPA = 1.0  # smallest modulus (GPa) that can only be that of a needle
@@ -293,7 +294,7 @@ class TableDraft:
     def _ask_layers(self, headers: str) -> None:
         """Ask what a table that is not used states of layers."""
         name = self.table.name if "sheet" in self.keys else self.table.path.name
-        is_of_layers = any(column.header.meaning in ("boundaries", "layers") for column in self.all)
+        is_of_layers = any(column.header.meaning in OF_LAYERS for column in self.all)
         if is_of_layers and "boundaries" not in self.draft.values and name not in self.keys.get("unused", ()):
             self.draft.ask("table", self.where, name=name, headers=headers)
 

@@ -12,6 +12,7 @@ from needlefit.datasets.importing.tables import (
     MAX_TABLE_BYTES,
     Grid,
     decode,
+    is_comment,
     parse_number,
     read_pair,
     split_text,
@@ -115,7 +116,7 @@ def propose_layout(grid: Grid, keys: dict[str, Any], given: Mapping[str, Any]) -
         grid = grid.transpose()
     if "header_rows" not in keys:
         keys["header_rows"] = _find_header_rows(grid.rows, decimal, comment)
-    keys.setdefault("blocks", _has_blocks(grid.rows, keys["header_rows"]))
+    keys.setdefault("blocks", _has_blocks(grid.rows, keys["header_rows"], comment))
     return keys | {"unit": _find_stated_unit(grid.rows, comment)}
 
 
@@ -187,12 +188,13 @@ def _is_head(row: Sequence[str], comment: str) -> bool:
     return sum(bool(header.meaning or header.axis) for header in read_headers) > len(read_headers) / 2
 
 
-def _has_blocks(rows: Rows, numbers: Sequence[int]) -> bool:
+def _has_blocks(rows: Rows, numbers: Sequence[int], comment: str) -> bool:
     """Whether headers come again, or pairs that are known stand above them."""
     if not numbers:
         return False
     head = [*rows[numbers[-1] - 1]]
-    pairs = [pair for row in rows[: numbers[0] - 1] if any(row) and (pair := read_pair(row)) is not None]
+    above = (row for row in rows[: numbers[0] - 1] if any(row) and not is_comment(row, comment))
+    pairs = [pair for row in above if (pair := read_pair(row)) is not None]
     return (
         any([*row] == head for row in rows[numbers[-1] :])
         or any(read_header(name).meaning in MEANINGS for name, _ in pairs)

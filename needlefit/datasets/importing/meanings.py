@@ -46,6 +46,7 @@ OF_ALL = (  #: of these not
     "source",
     "license",
 )
-ATTRIBUTES = ("depth", *(key for key in VALUES if key not in OF_ALL))  #: what is stated of a needle
+#: what is stated of a needle
+ATTRIBUTES = ("depth", "thickness", *(key for key in VALUES if key not in OF_ALL))
 VECTORS = ("entry_point", "pose")  #: columns x, y, z that state something of each needle
 SENSOR = ("sensor", "curvature_y", "curvature_z", "curvature_sd")  #: what a row of curvatures states

@@ -1,6 +1,8 @@
 """Place imported needles: entry, direction, layers and bevel, as the mapping or an answer states them."""
 
+import math
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
@@ -44,6 +46,7 @@ from needlefit.schemas.scene import NeedleRecord
 MIN_SHAFT_MM = 10.0  # shortest length (mm) before the entry from which the direction of a needle is taken
 MIN_SHAFT_POINTS = 3  # smallest number of points before the entry from which a direction is taken
 MIN_CUT_MM = 1.0  # shortest length (mm) before the stated entry that is cut off
+MAX_HIDDEN_PART = 0.71  # largest sine of the angle from a bevel to the only plane that was measured
 STEP_MM = 0.01  # distance (mm) between the places along a needle at which the entry is looked for
 MIN_NEEDLE_MM = 150.0  # smallest length (mm) that is assumed of a needle
 BEYOND_DEPTH_MM = 50.0  # length (mm) by which the assumed needle is longer than the greatest depth
@@ -338,6 +341,7 @@ class Planner(CurveAnswers):
         Of `depths` and `needles` those of the shapes are the first.
         """
         curves, settler, angles = self.curves, self.settler, self.settle_sides()
+        self.require_seen(angles or [])
         sides, zeros = to_sides(angles or [0.0] * len(curves))
         rows, is_own = list[InsertionRow](), any("entry_point" in curve.stated for curve in curves)
         for curve, side, entry in zip(curves, sides, entries, strict=True):
@@ -420,6 +424,31 @@ class Planner(CurveAnswers):
         return [() if answer.text == "none" else answer.to_boundaries() for answer in self.each("boundaries")]
 
     # ---- bevel
+
+    def require_seen(self, angles: Sequence[float]) -> None:
+        """DataError if bevels lead needles across the plane in which alone their points were measured.
+
+        It is that of most bevels, which face one way or the other in it.
+        """
+        if not angles or any(curve.line[:, 2].any() for curve in self.curves):
+            return
+        ((plane, _),) = Counter(angle % 180.0 for angle in angles).most_common(1)
+        pairs = zip(self.curves, angles, strict=True)
+        hidden = [
+            curve for curve, angle in pairs if abs(math.sin(math.radians(angle - plane))) > MAX_HIDDEN_PART
+        ]
+        if hidden:
+            names = join_names([curve.name for curve in hidden], 5)
+            raise (
+                hidden[0]
+                .stated["bevel_side"]
+                .error(
+                    "bevel_side",
+                    f"{plane:g} or {plane + 180.0:g} deg, as of the others: only x and y were measured, and "
+                    f"{names} bends along z",
+                    "state z, or leave its rows out",
+                )
+            )
 
     def settle_bevel(
         self, bends: Floats, along: Floats, angles: Sequence[float] | None

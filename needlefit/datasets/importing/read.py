@@ -443,6 +443,8 @@ def read_facts(mapped: MappedTable, rows: Sequence[int]) -> dict[str, Stated]:
         if value is not None and meaning not in ("medium", "specimen", "bevel_side"):
             text = f"{value:.10g}"  # with a decimal point
         stated[meaning] = Stated(text, mapped.read_unit(meaning, first), mapped.where(first, meaning))
+    if "thickness" in stated:
+        stated["boundaries"] = stated.pop("thickness").add_up()
     return stated
 
 

@@ -4,7 +4,7 @@ import re
 import shlex
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from itertools import accumulate, pairwise
 
 import numpy as np
 
@@ -68,17 +68,25 @@ class Stated:
             raise self.error(key, "three numbers, such as 0,0,1")
         return vector
 
+    def add_up(self) -> "Stated":
+        """Return depths of boundaries, mm, in place of the thicknesses of layers from the surface on."""
+        depths = accumulate(self._list_lengths("thickness"))
+        return replace(self, text="; ".join(f"{depth:.10g}" for depth in depths), unit="mm")
+
     def to_boundaries(self) -> tuple[float, ...]:
         """Return increasing depths, mm, in a text such as `15,30`; with decimal commas `15,5;30`."""
+        depths = self._list_lengths("boundaries")
+        if any(b <= a for a, b in pairwise([0.0, *depths])):
+            raise self.error("boundaries", "depths above 0 that increase, such as 15; 30")
+        return tuple(depths)
+
+    def _list_lengths(self, key: str) -> list[float]:
         parts = self.text.split(";" if ";" in self.text else ",")
         # of `2, 4 cm` the unit is of all; beside numbers with another one it is of its own
         last = re.search(r"[^\W\d].*$", parts[-1])
         if last and not any(re.search(r"[^\W\d]", part) for part in parts[:-1]):
             parts = [*(f"{part} {last[0]}" for part in parts[:-1]), parts[-1]]
-        depths = [replace(self, text=part.strip()).to_number("boundaries") for part in parts]
-        if any(b <= a for a, b in pairwise([0.0, *depths])):
-            raise self.error("boundaries", "depths above 0 that increase, such as 15; 30")
-        return tuple(depths)
+        return [replace(self, text=part.strip()).to_number(key) for part in parts]
 
     def to_angle(self) -> float:
         """Return the direction that a bevel faces, degrees: clockwise from up, seen along the needle.

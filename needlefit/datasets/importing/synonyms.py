@@ -107,7 +107,7 @@ def read_header(text: str) -> Header:
     meaning, usual = _look_up("column", words)
     if not meaning and len(words) > 1 and words[-1].isdecimal():
         numbered, usual = _look_up("column", words[:-1])  # `boundary 2` is one of several, `deflection 2` too
-        meaning = numbered if numbered in ("boundaries", "deflection") else ""
+        meaning = numbered if numbered in ("boundaries", "deflection", "thickness") else ""
     if meaning:  # lengths without a unit have that of the coordinates
         known_unit = unit if usual in UNITS_MM or find_meaning("unit", unit) else ""
         return Header(text, meaning, unit=known_unit or ("" if usual in UNITS_MM else usual))

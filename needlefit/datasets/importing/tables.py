@@ -14,7 +14,8 @@ from typing import Any
 
 from needlefit.datasets.formats import find_format
 from needlefit.datasets.formats.csv import check_extent
-from needlefit.datasets.importing.synonyms import find_meaning, read_header
+from needlefit.datasets.importing.meanings import ATTRIBUTES, MEANINGS
+from needlefit.datasets.importing.synonyms import find_meaning, is_side, read_header, translate_side
 from needlefit.datasets.points import MAX_COORDINATE, Points
 from needlefit.errors import DataError
 from needlefit.geometry.frames import PatientSystem
@@ -180,7 +181,7 @@ def _read_heads(grid: Grid, record: TableRecord) -> list[list[str]]:
         row = grid.rows[number - 1] or [""]
         first = row[0].removeprefix(record.comment).strip()
         # `# x y z`: the sign is a cell of its own
-        heads.append([first, *row[1:]] if first or not _is_comment(row, record) else [*row[1:]])
+        heads.append([first, *row[1:]] if first or not is_comment(row, record.comment) else [*row[1:]])
     for head in heads[:-1]:
         if sum(map(bool, head)) < sum(map(bool, heads[-1])):
             for n in range(1, len(head)):
@@ -188,34 +189,39 @@ def _read_heads(grid: Grid, record: TableRecord) -> list[list[str]]:
     return heads
 
 
-def _is_comment(row: Sequence[str], record: TableRecord) -> bool:
-    return bool(record.comment and row) and row[0].startswith(record.comment)
+def is_comment(row: Sequence[str], comment: str) -> bool:
+    """Whether a row is a line of remarks."""
+    return bool(comment and row) and row[0].startswith(comment)
 
 
 BLOCK = "block"  #: header of the numbers of blocks, where there are several
+REMARKED = ("needle", *ATTRIBUTES)  #: what a remark may state
 OWN_PAIRS = ("needle", "depth", "bevel_side", "medium", "specimen")  #: they end with their block
 
 
 def _list_body(grid: Grid, record: TableRecord) -> Iterator[tuple[int, dict[str, str]]]:
     """Yield the rows below the headers, each with the pairs of names and values above its block.
 
-    What all needles share holds until it is stated again.
+    What all needles share holds until it is stated again. Remarks state what no column does.
     """
     last = max(record.header_rows, default=0)
-    head = [*grid.rows[last - 1]] if record.blocks and 0 < last <= len(grid.rows) else None
-    repeated = {n for n, row in enumerate(grid.rows) if [*row] == head}
+    heads = [*grid.rows[last - 1]] if 0 < last <= len(grid.rows) else []
+    repeated = {n for n, row in enumerate(grid.rows) if record.blocks and [*row] == heads}
     own = [record.columns[meaning].columns for meaning in OWN_PAIRS if meaning in record.columns]
     ends = {name for names in own for name in names}
     stated, is_above, block = dict[str, str](), True, 0
     for n, row in enumerate(grid.rows):
         block += n in repeated
-        is_head = n in repeated or n + 1 in (*record.header_rows, *record.skip_rows)
-        if is_head or not any(row) or _is_comment(row, record):
+        if n in repeated or n + 1 in (*record.header_rows, *record.skip_rows) or not any(row):
             continue
-        if record.blocks and (pair := read_pair(row)):
+        if is_remark := is_comment(row, record.comment):
+            pair = read_remark(row, record.comment, heads)
+        else:
+            pair = read_pair(row) if record.blocks else None
+        if pair:
             stated = stated if is_above else {key: text for key, text in stated.items() if key not in ends}
             stated, is_above = stated | dict([pair]), True
-        elif n >= last:
+        elif n >= last and not is_remark:
             yield n, stated | ({BLOCK: str(block)} if len(repeated) > 1 else {})
             is_above = False
 
@@ -235,6 +241,31 @@ def read_pair(row: Sequence[str]) -> tuple[str, str] | None:
     if len(values) == 2 and parse_number(values[1]) is None:
         return f"{name.rstrip(':= ')} [{values[1]}]", values[0]
     return (name.rstrip(":= "), "; ".join(values)) if len(row) == 2 or len(values) < 3 else None
+
+
+_NUMBERS = re.compile(r"(-?\d(?:[\d.,; ]*\d)?) *([^\W\d]*)")  # `15, 35 mm`
+
+
+def read_remark(row: Sequence[str], comment: str, head: Sequence[str]) -> tuple[str, str] | None:
+    """Return the name and the value that a line of remarks states of the needles of a table.
+
+    `# depth: 40 mm`, `# medium: gel`. None of any other line, and of what a column of the `head` states.
+    """
+    pair = read_pair([" ".join(filter(None, row)).lstrip(f"{comment} ")])
+    if pair is None or not pair[1]:
+        return None
+    name, value = pair
+    meaning = read_header(name).meaning
+    if meaning not in REMARKED or meaning in {read_header(cell).meaning for cell in head}:
+        return None
+    if meaning == "bevel_side":
+        return pair if is_side(translate_side(value, ""), "") else None
+    if not MEANINGS[meaning].unit or find_meaning("value", value):
+        return pair
+    if (quantity := _NUMBERS.match(value)) is None:
+        return None
+    numbers, unit = re.sub("[,;]? +", "; ", quantity[1]), quantity[2]
+    return (f"{name} [{unit}]" if find_meaning("unit", unit) else name), numbers
 
 
 def _lay_out_pairs(grid: Grid, record: TableRecord, body: Sequence[int]) -> Table:
