@@ -491,7 +491,9 @@ class TableDraft:
             self.keys["of"] = "needle"
         elif "specimen" in self.taken and len(stated) > 1:
             self.keys["of"] = "specimen"
-        elif stated and len(self.table.rows) == 1:
+        elif stated and (
+            len(self.table.rows) == 1 or not {*stated} - {*OF_LAYERS}
+        ):  # or a row for each layer
             self.keys["of"] = "all"
         else:
             return ""

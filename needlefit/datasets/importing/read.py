@@ -430,7 +430,9 @@ def read_facts(mapped: MappedTable, rows: Sequence[int]) -> dict[str, Stated]:
         if not texts or is_of_readings or mapped.record.columns[meaning].divide_by_root is not None:
             continue
         first, text = next(iter(texts.items()))
-        if differ:
+        if differ and meaning in ("boundaries", "thickness") and mapped.record.of == "all":
+            text = "; ".join(texts.values())  # a row for each layer
+        elif differ:
             other = next(n for n in texts if texts[n] != text)
             needles = mapped.name_edit("columns.needle.column")
             raise DataError(
