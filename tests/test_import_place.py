@@ -246,6 +246,28 @@ def test_a_bevel_that_is_not_understood_or_missing_is_stated_by_needle_or_cell(t
     assert planned([file])[0].rows[0].bevel is None
 
 
+@pytest.mark.parametrize(
+    ("stated", "bent", "named"),
+    [("+-+-+", "+-+-+", ()), ("+-+-+", "+---+", ("n3",)), ("+-+-+", "+-0-+", ()), ("     ", "+---+", ())],
+)
+def test_a_needle_that_bends_against_its_stated_side_is_named_whether_its_pose_is_stated(
+    tmp_path, stated, bent, named
+):
+    """Arcs of one direction, by 1.4 to 2.4 mm, 0 is straight; points err by 0.05 mm."""
+    rng, x = np.random.default_rng(2), np.linspace(0.0, 1.0, 16)[:, None]
+    lengths, signs = np.arange(50, 75, 5), np.array([{"+": 1, "-": -1, "0": 0}[sign] for sign in bent])
+    curves = [size * x * [1, 0, 0] + side * (4e-4 * (size * x) ** 2 + 8e-3 * size * x) * [0, 1, 0]
+              for size, side in zip(lengths, signs, strict=True)]  # fmt: skip
+    curves = [curve + rng.normal(0.0, 0.05, curve.shape) * [0, 1, 1] for curve in curves]
+    sides = [[f"{sign}1".strip(" 1") and f"{sign}1"] for sign in stated]
+    file = write_long(tmp_path, curves, head=["bevel side"], cells=sides)
+    poses = ({}, {"pose": "1,0,0", "bevel": "0,1,0"})
+    for n, pose in enumerate(poses if stated.strip() else poses[:1]):
+        folder = write_placed(tmp_path / f"{n}", [file], point_sd="0.05", **pose)
+        found = [one.insertions for one in inspect(folder).warnings if one.kind == "bevel_side"]
+        assert found == ([named] if named else [])
+
+
 def test_a_clock_position_is_a_side_or_another_plane():
     answers = {"pose": "1,0,0", "bevel": "0,1,0"}
     plan, _ = planned([CASES / "clock.csv"], **answers)

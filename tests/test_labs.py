@@ -15,7 +15,7 @@ from numpy.random import default_rng
 from reporting_results import skip_figures
 from test_cli import run
 
-from needlefit.datasets.importing.directions import fit_direction
+from needlefit.geometry.common_direction import fit_direction
 from needlefit.geometry.frames import normalize
 from needlefit.project.locate import shipped_folder
 

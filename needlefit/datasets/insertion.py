@@ -125,6 +125,8 @@ class Insertion(InsertionInputs):
         The side of C's x axis that the bevel faces, +1 or -1.
     frame : Frame
         C in the world: origin at the tip's first contact, x along the entry, y in the bending plane.
+    bevel : (3,) array or None
+        Direction in the world that a bevel of side 1, or a roll of 0, faces, where it is stated.
     pose_source : str
         "stage", "shaft", "fitted", "first_point", "tracker" or "none".
     pose_shift_sd, pose_angle_sd : float
@@ -208,6 +210,7 @@ class Insertion(InsertionInputs):
     centerline: Floats
     points: Floats
     boundary_sd: float
+    bevel: Floats | None = None
     sd: Floats | None = None
     point_sd: float | None = None
     independent: int | None = None

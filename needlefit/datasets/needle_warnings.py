@@ -4,19 +4,12 @@ import math
 from collections.abc import Iterator, Sequence
 from itertools import chain, combinations
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from scipy.special import bdtrc
 
-from needlefit.datasets.compared import (
-    MAX_NAMED_INSERTIONS,
-    MIN_BEND_SLOPE,
-    MIN_LOG_ODDS,
-    SIGNIFICANT_SD,
-    compute_deflection_sd,
-    compute_entry_sd,
-)
+from needlefit.datasets.bend_sides import find_bend_sides
+from needlefit.datasets.compared import MAX_NAMED_INSERTIONS, MIN_BEND_SLOPE, MIN_LOG_ODDS, compute_entry_sd
 from needlefit.datasets.insertion import Insertion, Noise
 from needlefit.datasets.interpolated import find_interpolated_warnings
 from needlefit.datasets.layers import (
@@ -41,45 +34,12 @@ MAX_PASTED_CHANCE = 1e-9
 
 # ---- bevel sides
 
-BendSide = Literal["toward", "away", "unknown"]
-
-
-def find_bend_side(insertion: Insertion, noise: Noise) -> BendSide:
-    """Return to which side of its bevel an insertion or a run of a tip track bends.
-
-    Both the tip's deflection from the entry line and the curve's own bend, which no error of the entry pose
-    changes, must show it. Of a run the bend alone counts: its readings are known up to a shift and a slope. A
-    free shape lies by its bend, and a base or guide that moved, or a bevel that was turned, bends the needle
-    too: they show nothing.
-    """
-    guide = insertion.guide
-    if guide.moved if guide else not insertion.is_posed or insertion.base_moved:
-        return "unknown"
-    if insertion.turns:
-        return "unknown"
-    x, y = insertion.points[:, 0], insertion.side * insertion.points[:, 1]
-    least, measures = MIN_BEND_SLOPE * insertion.depth, []
-    if len(x) > 2:  # more than a tip
-        parabola = np.polyfit(x - x[0], y, 2)
-        bend = float(parabola[0] * (x[-1] - x[0]) ** 2)  # the deflection from its first tangent
-        scatter = float(np.sqrt(np.mean((y - np.polyval(parabola, x - x[0])) ** 2)))
-        noise_sd = SIGNIFICANT_SD * float(
-            np.hypot(scatter, np.hypot(noise.of(insertion).point_sd, noise.correlated_sd))
-        )
-        measures.append((bend, max(least if guide else 0.5 * least, noise_sd)))
-    if guide is None:
-        limit = max(least, SIGNIFICANT_SD * compute_deflection_sd(insertion, noise))
-        measures.append((insertion.deflection, limit))
-    if all(value > limit for value, limit in measures):
-        return "toward"
-    return "away" if all(value < -limit for value, limit in measures) else "unknown"
-
 
 def find_side_warnings(
     listed: Sequence[tuple[Insertion, str]], noise: Noise, column: str
 ) -> Iterator[ResultWarning]:
     """Yield a warning that names the insertions, with their places, that bend away from their bevels."""
-    sides = [find_bend_side(one, noise) for one, _ in listed]
+    sides = find_bend_sides([one for one, _ in listed], noise)
     clear = sum(side != "unknown" for side in sides)
     away = [(one, where) for (one, where), side in zip(listed, sides, strict=True) if side == "away"]
     if len(away) == clear > 1:
@@ -99,7 +59,7 @@ def find_side_warnings(
             kind="bevel_side",
             what=f"bent away from the bevel side: {names} ({len(away)} of {clear} that bend clearly)",
             where=f"{away[0][1]}",
-            fix=f"check `{column}` and the bevel direction of these rows",
+            fix=f"look at the bevel side of each in its source; correct `{column}`, or the bevel direction",
             insertions=tuple(one.id for one, _ in away),
         )
 

@@ -12,13 +12,13 @@ from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 
 from needlefit.arrays import Floats
+from needlefit.datasets.bend_sides import BendSide, find_bend_sides
 from needlefit.datasets.first_study import SCENE_FILE, write_first_run, write_scene
 from needlefit.datasets.importing.meanings import VALUES
 from needlefit.datasets.importing.place import ImportPlan
 from needlefit.datasets.importing.prepare import PreparedImport
 from needlefit.datasets.importing.writing import CURVATURE_FILE, TRACKS_FILE, TURNS_FILE, write_plan
 from needlefit.datasets.insertion import Dataset, Insertion
-from needlefit.datasets.needle_warnings import find_bend_side
 from needlefit.datasets.record_warnings import MAPPING_FILE
 from needlefit.geometry.surfaces import Surface
 from needlefit.project.folders import replace_folder
@@ -75,14 +75,14 @@ def find_not_imported(folder: Path) -> list[str]:
 
 def tabulate_needles(dataset: Dataset) -> pd.DataFrame:
     """Return one row for each insertion: points, depth, deflection, entry, layers, bevel against bend."""
-    return pd.DataFrame([_describe_needle(dataset, insertion) for insertion in dataset.insertions])
+    sides = find_bend_sides(dataset.insertions, dataset.noise)
+    return pd.DataFrame([*map(_describe_needle, dataset.insertions, sides)])
 
 
-def _describe_needle(dataset: Dataset, insertion: Insertion) -> dict[str, object]:
-    is_known = dataset.pose == "known"
+def _describe_needle(insertion: Insertion, bend: BendSide) -> dict[str, object]:
     entry, tip = insertion.centerline[0], insertion.centerline[-1]
     depths = ", ".join(f"{depth:.1f}" for depth in insertion.boundaries)
-    side = _SIDES[find_bend_side(insertion, dataset.noise)] if is_known else "(free shape)"
+    side = _SIDES[bend] if insertion.is_posed or insertion.bevel is not None else "(free shape)"
     side = "(turned)" if insertion.turns else side
     row: dict[str, object] = {
         "insertion": insertion.id,
@@ -194,10 +194,9 @@ def _draw_shapes(axes: Axes, dataset: Dataset, side: str) -> None:
     """Draw every needle in its own frame, deflection exaggerated, with the layers' boundaries."""
     ones = dataset.insertions
     axes.axhline(0.0, color=GREY, lw=0.6)
-    for insertion in ones:
+    for insertion, bend in zip(ones, find_bend_sides(ones, dataset.noise), strict=True):
         x, y, _ = insertion.points.T
-        away = dataset.pose == "known" and find_bend_side(insertion, dataset.noise) == "away"
-        axes.plot(x, y, color=AWAY_COLOUR if away else INK, lw=0.9)
+        axes.plot(x, y, color=AWAY_COLOUR if bend == "away" else INK, lw=0.9)
         axes.plot(insertion.boundaries, np.interp(insertion.boundaries, x, y), "|", color=INK, ms=6)
     if len(ones) <= MAX_LABELLED_NEEDLES:
         _label_tips(axes, ones)

@@ -16,7 +16,7 @@ from needlefit.datasets.columns import DEFAULT_ROLL_SD_DEG, InsertionRow, PoseSo
 from needlefit.datasets.first_study import FirstChoices, free_guide_distance
 from needlefit.datasets.importing.curve_answers import CurveAnswers
 from needlefit.datasets.importing.curves import ImportContent, ImportedCurve
-from needlefit.datasets.importing.directions import MIN_SAME_SIDE, fit_direction, format_direction, to_sides
+from needlefit.datasets.importing.directions import MIN_SAME_SIDE, format_direction, to_sides
 from needlefit.datasets.importing.stated import Settler, Stated, name_set
 from needlefit.datasets.importing.synonyms import find_meaning, read_quantity
 from needlefit.datasets.importing.tips import add_tips, make_tips, split_tips
@@ -33,6 +33,7 @@ from needlefit.datasets.layers import (
 )
 from needlefit.datasets.points import MIN_POINTS
 from needlefit.errors import DataError
+from needlefit.geometry.common_direction import fit_direction
 from needlefit.geometry.crossings import find_crossings, find_surface_hits
 from needlefit.geometry.frames import normalize
 from needlefit.geometry.measured_curve import measure_curve
@@ -220,7 +221,8 @@ class Planner(CurveAnswers):
         chord = chords.sum(axis=0)
         along, how = format_direction(normalize(chord)) if chord.any() else "X,Y,Z", "as the needles run"
         if (fitted := fit_direction([curve.line for curve in self.curves])) is not None:
-            along, how = fitted.describe(), f"which fits all needles; pose_angle_sd={fitted.sd_deg:.2g} deg"
+            along = format_direction(fitted.vector)
+            how = f"which fits all needles; pose_angle_sd={fitted.sd_deg:.2g} deg"
         reason = f"{without} without a shape; " if without else ""
         reason += f"pose={along} ({how}) if a stage pushed all needles in one direction"
         is_posed = bool(without or self.surfaces) or any(
@@ -351,7 +353,8 @@ class Planner(CurveAnswers):
             hole = curve.hole or ("" if is_own or entry is None else curve.name)
             rows.append(InsertionRow(curve.name, "", 1, curve.depth, side=side, depth_sd=sd, hole=hole))
         if poses[0].text == "free":
-            settler.note("bevel", "a free shape bends toward its bevel")
+            bevels = self.compare_sides(angles)
+            rows = [replace(row, bevel=bevel) for row, bevel in zip(rows, bevels, strict=True)]
             return set_layers(rows, depths[: len(rows)])
         if any(entry is None for entry in entries):
             settler.note(
@@ -459,27 +462,54 @@ class Planner(CurveAnswers):
         """
         sides, turns = to_sides(angles or [0.0] * len(bends))
         turned = Rotation.from_rotvec(np.array(turns)[:, None] * along)
-        guess, reason = "bend", "every needle is taken to bend toward its bevel"
+        guess, reason, fix, where = "bend", "every needle is taken to bend toward its bevel", "", ""
         is_turned = any(curve.turns or curve.sensors or curve.tips for curve in self.curves)
         if differ := is_turned or len({*sides}) > 1 or len({*turns}) > 1 or min(sides) < 0:
-            across = bends - np.sum(bends * along, axis=1)[:, None] * along
-            toward = np.array(sides)[:, None] * turned.inv().apply(across)
+            toward = find_bends_of_sides(bends, along, sides, turned)
             units = toward / np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), SAME_POINT_MM)
-            total = toward.sum(axis=0)
-            mean = total / (np.linalg.norm(total) or 1.0)  # of straight needles it is 0
+            mean = to_unit(toward.sum(axis=0))  # of straight needles it is 0
             guess = format_direction(mean)
             reason = "the mean direction in which needles bend from their sides"
             if np.linalg.norm(units.mean(axis=0)) <= MIN_SAME_SIDE:
                 off = np.flatnonzero(units @ mean < np.cos(np.radians(MAX_HEADING_DEG)))
                 names = join_names([self.curves[n].name for n in off], 5) or "some needles"
+                fix = f"look at the bevel side of {names} in its source; if it is right: "
+                fix += name_set("bevel", guess)
+                cells = [cell for n in off if (cell := self.curves[n].stated.get("bevel_side"))]
+                where = cells[0].where if cells else ""
                 guess, reason = "", f"the bevel side of {names} and that of the others contradict each other"
-        answer = self.settle("bevel", guess, reason)
+        answer = self.settle("bevel", guess, reason, fix=fix, where=where)
         if answer.text == "bend":
             if differ:
                 raise answer.error("bevel", "X,Y,Z: bevels differ, or turn")
             return [None] * len(bends)
         self.settle_sides(is_needed=True)
         return list(turned.apply(answer.to_vector("bevel")))
+
+    def compare_sides(self, angles: Sequence[float] | None) -> Sequence[Floats | None]:
+        """Return the direction that side 1 of each free shape faces in the frame of the points, if stated.
+
+        It is their mean bend from the one direction that fits all needles; None where they bend from it in
+        several planes, as needles do that were not measured in one frame.
+        """
+        fitted = fit_direction([curve.line for curve in self.curves])
+        bevels: list[Floats | None] = [None for _ in self.curves]
+        if angles is None:
+            self.settler.note("bevel", "a free shape bends toward its bevel")
+            return bevels
+        note = "stated sides are not compared with the bends: no one direction fits the needles"
+        if fitted is not None:
+            along = np.tile(fitted.vector, (len(self.curves), 1))
+            sides, turns = to_sides(angles)
+            turned = Rotation.from_rotvec(np.array(turns)[:, None] * along)
+            chords = np.array([curve.line[-1] - curve.line[0] for curve in self.curves])
+            toward = find_bends_of_sides(chords, along, sides, turned)
+            mean = to_unit(toward.sum(axis=0))
+            if np.abs(toward @ mean).sum() > MIN_SAME_SIDE * np.linalg.norm(toward, axis=1).sum():
+                note = f"stated sides are compared with the bends from {format_direction(fitted.vector)}"
+                bevels = [*turned.apply(mean)]
+        self.settler.note("bevel", note)
+        return bevels
 
     # ---- names and needle
 
@@ -545,6 +575,18 @@ class Planner(CurveAnswers):
         return [
             replace(row, guide_distance=distance) for row, distance in zip(rows, distances, strict=True)
         ], {}
+
+
+def find_bends_of_sides(bends: Floats, along: Floats, sides: Sequence[int], turned: Rotation) -> Floats:
+    """Return how far bevels of side 1 would have bent (N, 3) across the directions `along` (N, 3), mm."""
+    across = bends - np.sum(bends * along, axis=1)[:, None] * along
+    bent: Floats = np.array(sides)[:, None] * turned.inv().apply(across)
+    return bent
+
+
+def to_unit(vector: Floats) -> Floats:
+    """Return a vector with length 1, or 0."""
+    return vector / (np.linalg.norm(vector) or 1.0)
 
 
 # ---- needles, points and shafts

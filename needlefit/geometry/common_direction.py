@@ -1,0 +1,61 @@
+"""The one direction in which several curves may have been inserted."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from needlefit.arrays import Floats
+from needlefit.geometry.frames import normalize
+from needlefit.geometry.measured_curve import measure_curve
+
+MIN_FITTED_NEEDLES = 3  # smallest number of needles to which a common direction is fitted
+MIN_CURVE_POINTS = 5  # smallest number of points of a needle that counts in the common direction
+# Tissue turns a needle at its entry toward its bevel: by its curvature, times a length of this size.
+TURN_LENGTH_SD_MM = 80.0
+TANGENT_SD_RAD = math.radians(0.5)  # of single needles, before their scatter is known
+MIN_ONE_WAY = 0.9  # length of the mean of unit curvatures beyond which all needles bend to one side
+
+
+class FittedDirection(NamedTuple):
+    """A direction in which all needles may have been inserted; standard deviations across it, degrees."""
+
+    vector: Floats  # (3,)
+    sd_deg: float
+    scatter_deg: float  # of single needles
+
+
+def fit_direction(lines: Sequence[Floats]) -> FittedDirection | None:
+    """Return the direction of insertion that fits curves (N, 3) best; None of few or short ones.
+
+    Tissue has turned each needle at its entry toward its bevel, in proportion to its curvature. The tangents
+    at the entries are therefore the direction plus the curvatures times one length, by least squares.
+    """
+    tangents, curvatures = list[Floats](), list[Floats]()
+    for line in lines:
+        if len(line) < MIN_CURVE_POINTS:
+            continue
+        bend, slope, _ = np.polyfit(measure_curve(line).s, line, 2)
+        tangents.append(normalize(slope))
+        curvatures.append(2.0 * bend)
+    if (count := len(tangents)) < MIN_FITTED_NEEDLES:
+        return None
+    # of one size: what single curvatures differ by is mostly their error, which is that of the tangents, too
+    size = float(np.median(np.linalg.norm(curvatures, axis=1)))
+    toward = np.array([normalize(curvature) if curvature.any() else curvature for curvature in curvatures])
+    # bevels that face one way do not separate direction and turn: then the turn is an error of the direction
+    is_one_way = float(np.linalg.norm(toward.mean(axis=0))) > MIN_ONE_WAY
+    turned = np.zeros_like(toward) if is_one_way else size * toward
+    # rows: x, y and z of each tangent; columns: the direction, and the length
+    design = np.concatenate([np.tile(np.eye(3), (count, 1)), turned.reshape(-1, 1)], axis=1)
+    precision, values = np.diag([0.0, 0.0, 0.0, TURN_LENGTH_SD_MM**-2]), np.concatenate(tangents)
+    sd = TANGENT_SD_RAD
+    for _ in range(2):  # with a scatter that is usual, then with that found
+        covariance = np.linalg.inv(design.T @ design / sd**2 + precision)
+        estimate = covariance @ design.T @ values / sd**2
+        # two directions across each needle, less those of the mean and the length
+        sd = math.sqrt(float(np.sum((values - design @ estimate) ** 2)) / (2 * count - 3)) or TANGENT_SD_RAD
+    across = float(np.linalg.eigvalsh(covariance[:3, :3])[-1])
+    across += (size * TURN_LENGTH_SD_MM) ** 2 if is_one_way else 0.0
+    return FittedDirection(normalize(estimate[:3]), math.degrees(math.sqrt(across)), math.degrees(sd))
