@@ -290,12 +290,13 @@ def test_the_page_of_a_mixture_shows_of_a_tip_the_tip_alone(validated, chromium,
     page.write_bytes(compile_html(compose_run_report(validated, {})))
     with open_offline(chromium, page) as window:
         assert window.evaluate(ALL_STATES) == [5, 0]
-        window.select_option("#needle-choice", "1")
         window.click("[data-show=errors]")
-        window.wait_for_timeout(300)
-        wanted = "insertion == 'm1' and method == 'fitted' and role == 'validate'"
-        (error,) = validated.frames["errors"].query(wanted)["te_mm"]
-        assert window.evaluate("needlefit.state.errors.te_mm") == pytest.approx(error)
+        errors = validated.frames["errors"].query("method == 'fitted' and role == 'validate'")
+        for n, name in enumerate(("m1", "m2"), start=1):
+            window.select_option("#needle-choice", str(n))
+            window.wait_for_timeout(300)
+            (error,) = errors[errors["insertion"] == name]["te_mm"]
+            assert window.evaluate("needlefit.state.errors.te_mm") == pytest.approx(error)
 
 
 def test_a_mixture_is_fitted_and_scored_by_what_each_needle_holds(validated: nf.Run) -> None:

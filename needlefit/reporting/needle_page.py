@@ -124,16 +124,13 @@ class PageData:
 SHOWN_METRICS = ("ipe_mean_mm", "te_mm", "edp_percent")
 
 
-def encode_metrics(count: int, *, has_tip: bool = True) -> list[list[str]]:
-    """Return name, label, unit and explanation of the errors that the page shows of so many points.
-
-    Without `has_tip` the tip that is scored is not their last: it was measured by itself.
-    """
+def encode_metrics(count: int) -> list[list[str]]:
+    """Return name, label, unit and explanation of the errors that the page shows of so many points."""
     shown = [metric for metric in list_metrics() if metric.name in SHOWN_METRICS]
     return [
         [metric.name, metric.label, metric.unit, metric.explanation]
         for metric in shown
-        if (count > TIP_POINTS if metric.of_curve else has_tip)
+        if count > TIP_POINTS or not metric.of_curve
     ]
 
 

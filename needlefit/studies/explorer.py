@@ -245,16 +245,19 @@ def _encode_measured(
         s = stored.depth * np.linspace(0.0, 1.0, len(curve))
     else:
         pose, s = "free", stored.depth - np.linspace(stored.compared, 0.0, len(curve))
-    shown = measured[:, :2]
+    shown, tip = measured[:, :2], {}
+    shape = find_last_shape(scene.needle, scene.tissue, scene.steps, scene.rules, lattice)
+    if len(curve) > TIP_POINTS and "tip" in stored.observations:  # which was measured by itself
+        off = [row[f"tip_error_{axis}_mm"] for axis in "xyz"]
+        tip = {"tip": (compute_positions(shape, np.array([stored.depth]))[0] - off).tolist()}
     if pose != "known":  # laid on the needle of the fit
-        shape = find_last_shape(scene.needle, scene.tissue, scene.steps, scene.rules, lattice)
         shown = align(pose, shown, compute_positions(shape, s)[:, :2])
     drawn = find_measured(len(curve))
     (x, y, z), (drawn_x, drawn_y) = measured.T.tolist(), shown[drawn].T.tolist()
     return {
         "id": row["insertion"],
         "depth_mm": stored.depth,
-        "metrics": encode_metrics(len(curve), has_tip="tip" not in stored.observations),
+        "metrics": encode_metrics(len(curve)),
         "compared": compared,
         "x": drawn_x,
         "y": drawn_y,
@@ -263,6 +266,7 @@ def _encode_measured(
         "floor_mm": row["floor_te_mm"],
         "target": {"pose": pose, "s": s.tolist(), "x": x, "y": y, "z": z},
         "stored": dict(zip("xyz", simulated.T.tolist(), strict=True)),
+        **tip,
     }
 
 

@@ -7,11 +7,11 @@ const POINTS = 101;
 /** @param {number[]} values */
 const mean = (values) => values.reduce((sum, one) => sum + one, 0) / values.length;
 
-/** By metric, from the distances of compared points (mm), entry first, and the measured deflection, mm. @type {Record<string, (distances: number[], deflection: number) => number>} */
+/** By metric, from the distances of compared points, that of the tip, and its measured deflection, mm. @type {Record<string, (distances: number[], end: number, deflection: number) => number>} */
 const METRICS = {
   ipe_mean_mm: mean,
-  te_mm: (d) => d[d.length - 1],
-  edp_percent: (d, deflection) => (100 * d[d.length - 1]) / deflection,
+  te_mm: (_, end) => end,
+  edp_percent: (_, end, deflection) => (100 * end) / deflection,
 };
 
 /** The axes of the coordinates that are compared. */
@@ -38,9 +38,13 @@ export function computeErrors(session, measured) {
     simulated = ALIGN[measured.target.pose](readPoints(session, s), other);
   } else return null;
   const axes = AXES[measured.compared];
-  const distances = simulated.map((point, i) => Math.hypot(...axes.map((axis) => point[axis] - other[i][axis])));
-  const deflection = Math.hypot(...axes.slice(1).map((axis) => other[other.length - 1][axis] - other[0][axis]));
-  const values = Object.entries(METRICS).map(([name, compute]) => [name, compute(distances, deflection)]);
+  /** @param {number[]} one @param {number[]} from @param {number[]} along */
+  const apart = (one, from, along = axes) => Math.hypot(...along.map((axis) => one[axis] - from[axis]));
+  const distances = simulated.map((point, i) => apart(point, other[i])), across = axes.slice(1);
+  const { tip } = measured; // measured by itself, at its depth
+  let [end, deflection] = [distances[distances.length - 1], apart(other[other.length - 1], other[0], across)];
+  if (tip) [end, deflection] = whole ? [apart(readPoints(session, [depth])[0], tip, across), apart(tip, [0, 0, 0], across)] : [NaN, NaN];
+  const values = Object.entries(METRICS).map(([name, compute]) => [name, compute(distances, end, deflection)]);
   const finite = values.map(([name, value]) => [name, Number.isFinite(value) ? value : null]);
   return { ...Object.fromEntries(finite), upto_mm: upto, whole, floor_mm: measured.floor_mm };
 }

@@ -47,7 +47,7 @@ export function paintBand({ x, low, high }, pale) {
   for (const edge of [low, high]) polyline([placesOf({ x, y: edge })], "band", pale ? 0.75 : 1.5);
 }
 
-/** Draw what the errors are: the gap at the tip (TE), and gaps along the shaft, whose mean is the IPE. @param {State} state @param {Curve} measured */
+/** Draw what the errors are: the gap at the tip (TE), and gaps along the shaft, whose mean is the IPE. @param {State} state @param {Measured} measured */
 export function paintGaps(state, measured) {
   const { errors } = state;
   if (!errors) return;
@@ -59,12 +59,15 @@ export function paintGaps(state, measured) {
   const across = (x) => [needle, measured].map((curve) => /** @type {Point} */ ([toPx(x), toPy(interpolate(curve.x, curve.y, x))]));
   const places = isTip(measured) ? [] : range(1, GAPS).map((n) => (reach * n) / GAPS);
   polyline(places.map(across), "gap", 1.25);
+  const te = (prediction?.errors ?? errors).te_mm;
+  if (te === null) return;
+  if (measured.tip) [other.x, other.y] = measured.tip;
   const ends = errors.whole ? [tip, other].map(({ x, y }) => /** @type {Point} */ ([toPx(x), toPy(y)])) : across(reach);
   for (const [shade, width] of /** @type {[string, number][]} */ ([["halo", 5], ["gap", 2.5]])) polyline([ends], shade, width);
   const px = ends[1][0];
   const [top, bottom] = /** @type {Point} */ (extent(ends, ([, py]) => py));
   const beside = [0, 60, -90].flatMap((aside) => [top - AWAY, bottom + AWAY].map((py) => /** @type {Point} */ ([px + aside, py])));
-  labelFree(`tip error (TE) ${(prediction?.errors ?? errors).te_mm.toFixed(2)} mm`, beside, "gap");
+  labelFree(`tip error (TE) ${te.toFixed(2)} mm`, beside, "gap");
 }
 
 /** Draw target, obstacles, and the needles of the draws of a plan. @param {Plan} plan */

@@ -38,6 +38,7 @@ function paintCurves({ state, band, measured, pinned }, below, above) {
     if (shown.path) needle.paintPath(state);
     if (shown.points) needle.paintPoints(state);
     if (measured) overlay.paintCompared("measured", measured, "measured", 2, [7, 4]);
+    if (measured?.tip) overlay.paintCompared("measured", { x: [measured.tip[0]], y: [measured.tip[1]] }, "measured", 2);
     above();
   });
 }
