@@ -705,12 +705,13 @@ def test_readings_and_points_have_errors_of_their_own(tmp_path):
 def test_a_tip_of_the_name_and_depth_of_a_shape_is_of_this_needle(tmp_path):
     shapes = [(n, s := 1 if n == "a" else -1, x, s * y, 5) for n, x, y in bend(a=60, b=60)]
     write_table(file := tmp_path / "a.csv", "needle,bevel side,x [mm],y [mm],z [mm]", shapes)
-    tips = [("a", 60.0, 2.3, 0.05), ("b", 40.5, -1.1, 0.05)]
+    tips = [("a", 60.0, 2.3, 0.03), ("a", 60.0, 2.4, 0.04), ("b", 40.5, -1.1, 0.05)]
     write_table(other := tmp_path / "b.csv", "needle,depth [mm],deflection [mm],sd [mm]", tips)
     stated = {"pose": "1,0,0", "bevel": "0,1,0", "point_sd": "0.1"}
     write_placed(out := tmp_path / "out", [file, other], **stated)
     one, two, further = read(out).insertions
-    assert one.tip[0] == 2.3 and one.tip[2] == 0.05 and one.observation == "points" and two.tip is None
+    assert one.tip[0] == pytest.approx((2.3 * 16 + 2.4 * 9) / 25) and one.tip[2] == pytest.approx(0.024)
+    assert one.observation == "points" and two.tip is None
     assert (further.id, further.observation, further.deflection) == ("b-2", "tip", pytest.approx(-1.1))
 
 

@@ -149,26 +149,26 @@ length>1){let s2=Array.from({length:101},(_,i)=>upto*i/100);other=s2.map(one=>[m
 z??[]].map(axis=>interpolate(measured.s,axis,one))),simulated=ALIGN[measured.target.pose](readPoints(session,s2),
 other)}else return null;let axes=AXES[measured.compared],apart=(one,from,along=axes)=>Math.hypot(...along.map(
 axis=>one[axis]-from[axis])),distances=simulated.map((point2,i)=>apart(point2,other[i])),across=axes.slice(1),
-{tip}=measured,[end,deflection]=[distances[distances.length-1],apart(other[other.length-1],other[0],across)];tip&&
-([end,deflection]=whole?[apart(readPoints(session,[depth])[0],tip,across),apart(tip,[0,0,0],across)]:[NaN,NaN]);
-let finite=Object.entries(METRICS).map(([name,compute])=>[name,compute(distances,end,deflection)]).map(([name,
-value])=>[name,Number.isFinite(value)?value:null]);return{...Object.fromEntries(finite),upto_mm:upto,whole,floor_mm:measured.
-floor_mm}}function readTarget(session,{s:s2,x:x2,y:y2,z,pose},beyond=0){let measured=x2.map((one,i)=>[one,y2[i],
-z[i]]),points=readPoints(session,s2.map(one=>one+beyond)),compared=s2.length>TIP_POINTS?points:[measured[0],[x2[1],
-...points[1].slice(1)]];return[ALIGN[pose](compared,measured),measured]}function readPoints(session,s2){let{x:x2,
-depth,planes}=session.shape,points=session.positions(s2.map(one=>Math.min(Math.max(one,x2[0]),depth)));return s2.
-map((_,i)=>[points[(1+planes)*i],points[(1+planes)*i+1],planes===1?0:points[3*i+2]])}function interpolate(xs,values,x2){
-let after=xs.findIndex((one,i)=>i&&(one>=x2||i===xs.length-1)),share=(x2-xs[after-1])/(xs[after]-xs[after-1]);
-return values[after-1]+Math.min(Math.max(share,0),1)*(values[after]-values[after-1])}function shiftAcross(moving,fixed){
-let[dy,dz]=[1,2].map(axis=>mean(moving.map((point2,i)=>fixed[i][axis]-point2[axis])));return moving.map(([x2,y2,
-z])=>[x2,y2+dy,z+dz])}function alignRigid(moving,fixed){let centre=points=>[0,1].map(axis=>mean(points.map(one=>one[axis]))),
-[m,f]=[centre(moving),centre(fixed)],[across,along]=[0,0];moving.forEach(([x2,y2],i)=>{let[a2,b,c2,d]=[x2-m[0],
-y2-m[1],fixed[i][0]-f[0],fixed[i][1]-f[1]];across+=a2*d-b*c2,along+=a2*c2+b*d});let angle2=Math.atan2(across,along),
-[c,s2]=[Math.cos(angle2),Math.sin(angle2)];return moving.map(([x2,y2,z])=>[c*(x2-m[0])-s2*(y2-m[1])+f[0],s2*(x2-
-m[0])+c*(y2-m[1])+f[1],z])}var mean,METRICS,AXES,TIP_POINTS,ALIGN,init_errors=__esm({"needlefit/viewer/page/mo\
-del/errors.js"(){"use strict";mean=values=>values.reduce((sum,one)=>sum+one,0)/values.length,METRICS={ipe_mean_mm:mean,
-te_mm:(_,end)=>end,edp_percent:(_,end,deflection)=>100*end/deflection},AXES={plane:[0,1],space:[0,1,2]};TIP_POINTS=
-2;ALIGN={known:simulated=>simulated,direction:shiftAcross,free:alignRigid}}});var rollOf,wrap,turnOver,init_bevel=__esm({"needlefit/viewer/page/model/bevel.js"(){"use strict";rollOf=({side,
+tip=measured.tip&&[...measured.tip.x,...measured.tip.y,...measured.tip.z],[end,deflection]=[distances[distances.
+length-1],apart(other[other.length-1],other[0],across)];tip&&([end,deflection]=whole?[apart(readPoints(session,
+[depth])[0],tip,across),apart(tip,[0,0,0],across)]:[NaN,NaN]);let finite=Object.entries(METRICS).map(([name,compute])=>[
+name,compute(distances,end,deflection)]).map(([name,value])=>[name,Number.isFinite(value)?value:null]);return{
+...Object.fromEntries(finite),upto_mm:upto,whole,floor_mm:measured.floor_mm}}function readTarget(session,{s:s2,
+x:x2,y:y2,z,pose},beyond=0){let measured=x2.map((one,i)=>[one,y2[i],z[i]]),points=readPoints(session,s2.map(one=>one+
+beyond)),compared=s2.length>TIP_POINTS?points:[measured[0],[x2[1],...points[1].slice(1)]];return[ALIGN[pose](compared,
+measured),measured]}function readPoints(session,s2){let{x:x2,depth,planes}=session.shape,points=session.positions(
+s2.map(one=>Math.min(Math.max(one,x2[0]),depth)));return s2.map((_,i)=>[points[(1+planes)*i],points[(1+planes)*
+i+1],planes===1?0:points[3*i+2]])}function interpolate(xs,values,x2){let after=xs.findIndex((one,i)=>i&&(one>=
+x2||i===xs.length-1)),share=(x2-xs[after-1])/(xs[after]-xs[after-1]);return values[after-1]+Math.min(Math.max(
+share,0),1)*(values[after]-values[after-1])}function shiftAcross(moving,fixed){let[dy,dz]=[1,2].map(axis=>mean(
+moving.map((point2,i)=>fixed[i][axis]-point2[axis])));return moving.map(([x2,y2,z])=>[x2,y2+dy,z+dz])}function alignRigid(moving,fixed){
+let centre=points=>[0,1].map(axis=>mean(points.map(one=>one[axis]))),[m,f]=[centre(moving),centre(fixed)],[across,
+along]=[0,0];moving.forEach(([x2,y2],i)=>{let[a2,b,c2,d]=[x2-m[0],y2-m[1],fixed[i][0]-f[0],fixed[i][1]-f[1]];across+=
+a2*d-b*c2,along+=a2*c2+b*d});let angle2=Math.atan2(across,along),[c,s2]=[Math.cos(angle2),Math.sin(angle2)];return moving.
+map(([x2,y2,z])=>[c*(x2-m[0])-s2*(y2-m[1])+f[0],s2*(x2-m[0])+c*(y2-m[1])+f[1],z])}var mean,METRICS,AXES,TIP_POINTS,
+ALIGN,init_errors=__esm({"needlefit/viewer/page/model/errors.js"(){"use strict";mean=values=>values.reduce((sum,one)=>sum+
+one,0)/values.length,METRICS={ipe_mean_mm:mean,te_mm:(_,end)=>end,edp_percent:(_,end,deflection)=>100*end/deflection},
+AXES={plane:[0,1],space:[0,1,2]};TIP_POINTS=2;ALIGN={known:simulated=>simulated,direction:shiftAcross,free:alignRigid}}});var rollOf,wrap,turnOver,init_bevel=__esm({"needlefit/viewer/page/model/bevel.js"(){"use strict";rollOf=({side,
 roll:roll2})=>roll2+(side>0?0:180),wrap=roll2=>180-((180-roll2)%360+360)%360,turnOver=roll2=>roll2%180?["bevel\
 _roll_deg",null,wrap(roll2+180)]:["bevel_side",null,roll2%360?1:-1]}});function signed(value,digits2){let size=Math.abs(value).toFixed(digits2);return Number(size)===0?size:(value<0?
 "−":"+")+size}function modulusLike(one){let[unit,pascals]=one<1e6?["kPa",1e3]:["MPa",1e6],write2=(value,digits2=4)=>brief(
@@ -760,13 +760,13 @@ return;let prediction=predictionOf(state,now.scene),needle=prediction??state,[ti
 ({x:x2,y:y2})=>({x:x2[x2.length-1],y:y2[y2.length-1]})),reach=Math.min(tip.x,other.x),across=x2=>[needle,measured].
 map(curve=>[toPx(x2),toPy(interpolate(curve.x,curve.y,x2))]),places=isTip(measured)?[]:range(1,GAPS).map(n=>reach*
 n/GAPS);polyline(places.map(across),"gap",1.25);let te=(prediction?.errors??errors).te_mm;if(te===null)return;
-measured.tip&&([other.x,other.y]=measured.tip);let ends=errors.whole?[tip,other].map(({x:x2,y:y2})=>[toPx(x2),
-toPy(y2)]):across(reach);for(let[shade2,width]of[["halo",5],["gap",2.5]])polyline([ends],shade2,width);let px=ends[1][0],
-[top,bottom]=extent(ends,([,py])=>py),beside=[0,60,-90].flatMap(aside=>[top-AWAY,bottom+AWAY].map(py=>[px+aside,
-py]));labelFree(`tip error (TE) ${te.toFixed(2)} mm`,beside,"gap")}function paintPlan({target:[x2,y2],radius,obstacles,
-needles}){for(let[xs,ys]of needles)path2(trace(placesOf({x:xs,y:ys})),{stroke:"plan",opacity:FAN});for(let[along,
-across,size,name]of obstacles)paintCircle(along,across,size,"tip",name,.28);paintCircle(x2,y2,radius,"guide","\
-target"),polyline(cross([toPx(x2),toPy(y2)],CROSS2),"guide",2)}function paintCircle(x2,y2,radius,shade2,name,opacity=0){
+measured.tip&&([[other.x],[other.y]]=[measured.tip.x,measured.tip.y]);let ends=errors.whole?[tip,other].map(({
+x:x2,y:y2})=>[toPx(x2),toPy(y2)]):across(reach);for(let[shade2,width]of[["halo",5],["gap",2.5]])polyline([ends],
+shade2,width);let px=ends[1][0],[top,bottom]=extent(ends,([,py])=>py),beside=[0,60,-90].flatMap(aside=>[top-AWAY,
+bottom+AWAY].map(py=>[px+aside,py]));labelFree(`tip error (TE) ${te.toFixed(2)} mm`,beside,"gap")}function paintPlan({
+target:[x2,y2],radius,obstacles,needles}){for(let[xs,ys]of needles)path2(trace(placesOf({x:xs,y:ys})),{stroke:"\
+plan",opacity:FAN});for(let[along,across,size,name]of obstacles)paintCircle(along,across,size,"tip",name,.28);
+paintCircle(x2,y2,radius,"guide","target"),polyline(cross([toPx(x2),toPy(y2)],CROSS2),"guide",2)}function paintCircle(x2,y2,radius,shade2,name,opacity=0){
 let[px,size]=[toPx(x2),radius*view.scale],edge=traceEllipse([px,toPy(y2)],size,size*view.magnified);path2(edge,
 {fill:shade2,opacity}),path2(edge,{stroke:"halo",width:4}),path2(edge,{stroke:shade2,width:2}),!(px<view.box.left||
 px>view.box.left+view.box.width)&&labelFree(name,[[px,toPy(y2+radius)-12],[px,toPy(y2-radius)+12]],shade2)}function paintInset({
@@ -788,25 +788,25 @@ band,state)?band:null,measured:shown2.measured?scene.measured:null,pinned:shown2
 state,band,measured,pinned},below,above){let{shown:shown2}=now;within(view.box,()=>{paintTissue(),band&&paintBand(
 band,band.step!==state.step),below(),pinned&&paintCompared("pinned",pinned,"pinned",2.5,[2,3]),paintNeedle(state),
 shown2.path&&paintPath(state),shown2.points&&paintPoints(state),measured&&paintCompared("measured",measured,"m\
-easured",2,[7,4]),measured?.tip&&paintCompared("measured",{x:[measured.tip[0]],y:[measured.tip[1]]},"measured",
-2),above()})}function begin([width,height]){path2(traceBox({left:0,top:0,width,height}),{fill:"gutter"}),clearLabels()}
-function paintPicture(size){let{shown:shown2,scene}=now,{plan}=scene,prediction=predictionOf(now.state,scene),
-seen=listShown(),{state,band,measured,pinned}=seen;begin(size);for(let curve of[state,measured,pinned])curve&&
-avoid(placesOf(curve));paintCurves(seen,()=>{shown2.load&&!state.faults.length&&paintLoad(),shown2.plan&&plan&&
-paintPlan(plan)},()=>{prediction&&paintCompared("predicted",prediction,"accent",2.5),measured&&shown2.errors&&
-paintGaps(state,measured),paintGuides(state),paintBase(state),(measured||pinned)&&nameNeedle(state),band&&nameBand(
-band),shown2.inset&&paintInset(state)}),paintAxes()}function paintAbove([width,height]){let{state,band,measured,
-pinned}=listShown();begin([width,height]);let seen={state:{...turn(state),constraints:turn(state.constraints),
-tip_path:turn(state.tip_path),bevel:{...state.bevel,side:Math.sin(state.bevel.roll_deg*Math.PI/180)<0?-1:1}},band:band?.
-z?{...band,...band.z}:null,measured:measured&&turn(measured),pinned:pinned&&turn(pinned)},heights2=[seen.state,
-seen.measured,seen.pinned].flatMap(curve=>curve?.y??[]),[low,high]=extent([...heights2,...seen.band?[...seen.band.
-low,...seen.band.high]:[],0]),box={...view.box,top:EDGE,height:height-2*EDGE},magnified=Math.min(view.magnified,
-(box.height-2*ROOM2)/(view.scale*(high-low||1)));look({y:(low+high)/2,box,magnified},()=>{paintCurves(seen,()=>{},
-()=>text("from above",[box.left+6,EDGE+10],{align:"start",halo:!0})),paintFrame(magnified===1?"z (mm)":`z (mm)\
-, drawn ${brief(magnified,2)}×`)})}var EDGE,ROOM2,isSpatial,turn,init_picture=__esm({"needlefit/viewer/page/p\
-ainters/picture.js"(){"use strict";init_d3_array();init_quantities();init_sheet();init_store();init_view();init_background();
-init_needle2();init_overlay();init_strokes();[EDGE,ROOM2]=[8,14],isSpatial=()=>!!(now.state?.z??now.scene?.measured?.
-compared==="space");turn=curve=>({...curve,y:curve.z??curve.x.map(()=>0)})}});function draw(){if(frame=0,now.state){let above=part("above");above.toggleAttribute("hidden",!isSpatial()),isSpatial()&&
+easured",2,[7,4]),measured?.tip&&paintCompared("measured",measured.tip,"measured",2),above()})}function begin([
+width,height]){path2(traceBox({left:0,top:0,width,height}),{fill:"gutter"}),clearLabels()}function paintPicture(size){
+let{shown:shown2,scene}=now,{plan}=scene,prediction=predictionOf(now.state,scene),seen=listShown(),{state,band,
+measured,pinned}=seen;begin(size);for(let curve of[state,measured,pinned])curve&&avoid(placesOf(curve));paintCurves(
+seen,()=>{shown2.load&&!state.faults.length&&paintLoad(),shown2.plan&&plan&&paintPlan(plan)},()=>{prediction&&
+paintCompared("predicted",prediction,"accent",2.5),measured&&shown2.errors&&paintGaps(state,measured),paintGuides(
+state),paintBase(state),(measured||pinned)&&nameNeedle(state),band&&nameBand(band),shown2.inset&&paintInset(state)}),
+paintAxes()}function paintAbove([width,height]){let{state,band,measured,pinned}=listShown();begin([width,height]);
+let seen={state:{...turn(state),constraints:turn(state.constraints),tip_path:turn(state.tip_path),bevel:{...state.
+bevel,side:Math.sin(state.bevel.roll_deg*Math.PI/180)<0?-1:1}},band:band?.z?{...band,...band.z}:null,measured:measured&&
+{...turn(measured),tip:measured.tip&&turn(measured.tip)},pinned:pinned&&turn(pinned)},heights2=[seen.state,seen.
+measured,seen.pinned].flatMap(curve=>curve?.y??[]),[low,high]=extent([...heights2,...seen.band?[...seen.band.low,
+...seen.band.high]:[],0]),box={...view.box,top:EDGE,height:height-2*EDGE},magnified=Math.min(view.magnified,(box.
+height-2*ROOM2)/(view.scale*(high-low||1)));look({y:(low+high)/2,box,magnified},()=>{paintCurves(seen,()=>{},()=>text(
+"from above",[box.left+6,EDGE+10],{align:"start",halo:!0})),paintFrame(magnified===1?"z (mm)":`z (mm), drawn ${brief(
+magnified,2)}×`)})}var EDGE,ROOM2,isSpatial,turn,init_picture=__esm({"needlefit/viewer/page/painters/picture.\
+js"(){"use strict";init_d3_array();init_quantities();init_sheet();init_store();init_view();init_background();init_needle2();
+init_overlay();init_strokes();[EDGE,ROOM2]=[8,14],isSpatial=()=>!!(now.state?.z??now.scene?.measured?.compared===
+"space");turn=curve=>({...curve,y:curve.z??curve.x.map(()=>0)})}});function draw(){if(frame=0,now.state){let above=part("above");above.toggleAttribute("hidden",!isSpatial()),isSpatial()&&
 drawOn(above,sizeOf(above),()=>paintAbove(sizeOf(above))),drawOn(picture,sizeOf(picture),()=>paintPicture(sizeOf(
 picture)))}publish("drawn")}var NOTCHES,picture,frame,sizeOf,last,init_drawing=__esm({"needlefit/viewer/page/d\
 rawing.js"(){"use strict";init_dom();init_picture();init_sheet();init_store();init_view();NOTCHES=[300,10,2],picture=

@@ -12,6 +12,7 @@ import pandas as pd
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import InsertionInputs, InsertionPose, find_free_reach
 from needlefit.errors import ConfigError
+from needlefit.geometry.curves import TIP_POINTS
 from needlefit.mechanics.laws import LAWS, PowerLaw
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.packing import MAX_TOLERANCE_MM
@@ -249,7 +250,8 @@ def _encode_measured(
     shape = find_last_shape(scene.needle, scene.tissue, scene.steps, scene.rules, lattice)
     if len(curve) > TIP_POINTS and "tip" in stored.observations:  # which was measured by itself
         off = [row[f"tip_error_{axis}_mm"] for axis in "xyz"]
-        tip = {"tip": (compute_positions(shape, np.array([stored.depth]))[0] - off).tolist()}
+        end = compute_positions(shape, np.array([stored.depth])) - off
+        tip = {"tip": dict(zip("xyz", end.T.tolist(), strict=True))}
     if pose != "known":  # laid on the needle of the fit
         shown = align(pose, shown, compute_positions(shape, s)[:, :2])
     drawn = find_measured(len(curve))

@@ -409,7 +409,7 @@ class Planner(CurveAnswers):
                 turns=tuple((depth, np.radians(cell.to_angle()) - zeros[n]) for depth, cell in curve.turns),
                 curvature=np.column_stack([read, sensors[:, 3]]) if curve.sensors else None,
             )
-        return add_tips(self, rows, zeros)
+        return add_tips(self, rows, zeros, point_sd)
 
     # ---- layers
 

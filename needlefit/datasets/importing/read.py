@@ -548,24 +548,29 @@ def _read_sensor(mapped: MappedTable, n: int) -> Floats:
 def _join_observations(curves: Sequence[ImportedCurve]) -> list[ImportedCurve]:
     """Return the needles; what has name and depth of a shape was measured of the same insertion.
 
-    A tip stands beside the shape, a track is a further measurement of the same hole.
+    Tips stand beside the shape, a track is a further measurement of the same hole.
     """
     shapes = {curve.name: curve for curve in curves if curve.holds == "shapes" and curve.is_named}
     kept = list[ImportedCurve]()
     for curve in curves:
-        depths = curve.line[:, 0] if curve.is_deflection else curve.depths
-        shape, depth = shapes.get(curve.name), float(depths[-1]) if len(depths) else 0.0
-        if curve.holds != "shapes" and depth and shape is not None:
-            is_same = abs(shape.depth - depth) <= find_length_tolerance(depth)
-            if is_same and curve.holds == "tracks":
-                shape.hole = curve.hole = curve.name
-            elif is_same and len(depths) == 1:
-                sd = None if curve.points.sd is None else float(curve.points.sd[0])
+        shape, depths = shapes.get(curve.name), curve.line[:, 0] if curve.is_deflection else curve.depths
+        if shape is None or curve.holds == "shapes" or not len(depths):
+            kept.append(curve)
+            continue
+        at_end = np.abs(shape.depth - depths) <= find_length_tolerance(float(depths[-1]))
+        is_same = at_end[-1]
+        if curve.holds == "tips":
+            is_same = at_end.any()
+            for n in np.flatnonzero(at_end):
+                sd = None if curve.points.sd is None else float(curve.points.sd[n])
                 if "point_sd" in curve.stated:
                     sd = curve.stated["point_sd"].to_number("point_sd", is_above=True)
-                shape.tips.append(TipReading(curve.line[0, 1:], sd, curve.points.where()))
-                continue
-        kept.append(curve)
+                shape.tips.append(TipReading(curve.line[n, 1:], sd, curve.points.where(int(n))))
+            curve = replace(curve, points=curve.points.part(np.flatnonzero(~at_end)))
+        if is_same:
+            shape.hole = curve.hole = curve.name
+        if len(curve.line):
+            kept.append(curve)
     return kept
 
 

@@ -114,24 +114,32 @@ def turn_deflections(
     return np.column_stack([cosines * up + sines * right, cosines * right - sines * up])
 
 
-def add_tips(asked: CurveAnswers, rows: Sequence[InsertionRow], turns: Sequence[float]) -> list[InsertionRow]:
+def join_readings(tips: Sequence[TipReading], point_sd: float) -> TipReading:
+    """Return the readings of one tip as one: they err apart but for the line of insertion, which they share.
+
+    `point_sd`, mm: of one that states none.
+    """
+    first, *others = tips
+    if not others:
+        return first
+    weights = np.array([(point_sd if tip.sd is None else tip.sd) ** -2 for tip in tips])
+    mean = np.average([tip.deflection for tip in tips], axis=0, weights=weights)
+    return TipReading(mean, float(weights.sum() ** -0.5), first.where)
+
+
+def add_tips(
+    asked: CurveAnswers, rows: Sequence[InsertionRow], turns: Sequence[float], point_sd: float
+) -> list[InsertionRow]:
     """Return rows with the deflections of tips that were measured beside their shapes.
 
-    `turns`: of their bevels, rad. DataError if several are stated of one tip.
+    `turns`: of their bevels, rad.
     """
     beside = [n for n, curve in enumerate(asked.curves) if curve.tips]
-    tips, added = [asked.curves[n].tips[0] for n in beside], [*rows]
+    tips, added = [join_readings(asked.curves[n].tips, point_sd) for n in beside], [*rows]
     if not tips:
         return added
     across = turn_deflections(asked, tips, [rows[n].side for n in beside], [turns[n] for n in beside])
     for n, tip, (y, z) in zip(beside, tips, across.tolist(), strict=True):
-        if len(stated := asked.curves[n].tips) > 1:
-            raise DataError(
-                f"{len(stated)} deflections of the tip of {rows[n].id} are stated beside its shape",
-                expected="one of a needle",
-                fix="state their mean, and its standard deviation",
-                where=stated[1].where,
-            )
         added[n] = replace(rows[n], tip_y=y, tip_z=z if tip.deflection[1] else None, tip_sd=tip.sd)
     return added
 

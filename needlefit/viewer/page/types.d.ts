@@ -46,7 +46,7 @@ type Pose = "known" | "direction" | "free";
 type Measured = Curve & {
   id: string; depth_mm: number; s: number[]; floor_mm: number | null;
   compared: "plane" | "space"; metrics: [name: string, label: string, unit: string, text: string][];
-  tip?: number[]; prediction: (Curve & { errors: Errors }) | null;
+  tip?: Curve & { z: number[] }; prediction: (Curve & { errors: Errors }) | null;
   target: { x: number[]; y: number[]; z: number[]; s: number[]; pose: Pose };
   stored?: { x: number[]; y: number[]; z: number[] };
 };

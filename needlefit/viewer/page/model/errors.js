@@ -41,7 +41,7 @@ export function computeErrors(session, measured) {
   /** @param {number[]} one @param {number[]} from @param {number[]} along */
   const apart = (one, from, along = axes) => Math.hypot(...along.map((axis) => one[axis] - from[axis]));
   const distances = simulated.map((point, i) => apart(point, other[i])), across = axes.slice(1);
-  const { tip } = measured; // measured by itself, at its depth
+  const tip = measured.tip && [...measured.tip.x, ...measured.tip.y, ...measured.tip.z]; // measured by itself, at its depth
   let [end, deflection] = [distances[distances.length - 1], apart(other[other.length - 1], other[0], across)];
   if (tip) [end, deflection] = whole ? [apart(readPoints(session, [depth])[0], tip, across), apart(tip, [0, 0, 0], across)] : [NaN, NaN];
   const values = Object.entries(METRICS).map(([name, compute]) => [name, compute(distances, end, deflection)]);

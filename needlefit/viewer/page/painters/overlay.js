@@ -61,7 +61,7 @@ export function paintGaps(state, measured) {
   polyline(places.map(across), "gap", 1.25);
   const te = (prediction?.errors ?? errors).te_mm;
   if (te === null) return;
-  if (measured.tip) [other.x, other.y] = measured.tip;
+  if (measured.tip) [[other.x], [other.y]] = [measured.tip.x, measured.tip.y];
   const ends = errors.whole ? [tip, other].map(({ x, y }) => /** @type {Point} */ ([toPx(x), toPy(y)])) : across(reach);
   for (const [shade, width] of /** @type {[string, number][]} */ ([["halo", 5], ["gap", 2.5]])) polyline([ends], shade, width);
   const px = ends[1][0];

@@ -38,7 +38,7 @@ function paintCurves({ state, band, measured, pinned }, below, above) {
     if (shown.path) needle.paintPath(state);
     if (shown.points) needle.paintPoints(state);
     if (measured) overlay.paintCompared("measured", measured, "measured", 2, [7, 4]);
-    if (measured?.tip) overlay.paintCompared("measured", { x: [measured.tip[0]], y: [measured.tip[1]] }, "measured", 2);
+    if (measured?.tip) overlay.paintCompared("measured", measured.tip, "measured", 2);
     above();
   });
 }
@@ -83,7 +83,7 @@ export function paintAbove([width, height]) {
   const seen = {
     state: { ...turn(state), constraints: turn(state.constraints), tip_path: turn(state.tip_path),
       bevel: { ...state.bevel, side: Math.sin((state.bevel.roll_deg * Math.PI) / 180) < 0 ? -1 : 1 } },
-    band: band?.z ? { ...band, ...band.z } : null, measured: measured && turn(measured), pinned: pinned && turn(pinned),
+    band: band?.z ? { ...band, ...band.z } : null, measured: measured && { ...turn(measured), tip: measured.tip && turn(measured.tip) }, pinned: pinned && turn(pinned),
   };
   const heights = [seen.state, seen.measured, seen.pinned].flatMap((curve) => curve?.y ?? []);
   const [low, high] = /** @type {Point} */ (extent([...heights, ...(seen.band ? [...seen.band.low, ...seen.band.high] : []), 0]));
