@@ -9,7 +9,7 @@ from problem_cases import make_problem
 
 from needlefit import Needle, Problem
 from needlefit.datasets.insertion import Dataset, Insertion, Noise
-from needlefit.datasets.tip_tracks import TipReadings, make_track
+from needlefit.datasets.observations.tip_track import TipReadings, make_track
 from needlefit.inference.forward_model import PreparedModel
 from needlefit.schemas.compared import Compared
 from needlefit.schemas.medium import MediumRecord

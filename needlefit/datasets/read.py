@@ -32,6 +32,8 @@ from needlefit.datasets.layers import (
 )
 from needlefit.datasets.needle_warnings import find_insertion_warnings, find_side_warnings
 from needlefit.datasets.needles import describe_rigidity, find_needle_faults, make_needles
+from needlefit.datasets.observations import expects_shape, find_faults, name_observation, place_points
+from needlefit.datasets.observations.tip_track import parse_tracks
 from needlefit.datasets.points import Points
 from needlefit.datasets.record_warnings import (
     PLACEHOLDER,
@@ -42,8 +44,6 @@ from needlefit.datasets.record_warnings import (
 from needlefit.datasets.scatter import find_scatter_warnings
 from needlefit.datasets.sections import find_operator_faults, find_sections
 from needlefit.datasets.sources import DatasetFiles, find_checksum_faults, find_dataset_file, find_folder
-from needlefit.datasets.tip_tracks import parse_tracks
-from needlefit.datasets.tips import find_tip_faults, name_observation, place_tip
 from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame
 from needlefit.project import toml
@@ -255,11 +255,11 @@ def _iterate_insertions(reading: _Reading, shared: SharedSurfaces) -> Iterator[L
         is_curve = curves is not None and curves.is_expected(row)
         row = replace(row, observation=name_observation(row, is_curve))
         if curves is None or not is_curve:
-            faults += find_tip_faults(row, where, record.frame.pose)
-            row, points = (row, None) if faults else place_tip(row, table.path)
+            faults += find_faults(row, where, record.frame.pose)
+            row, points = (row, None) if faults else place_points(row, table.path)
         elif (points := curves.find(row, patient, faults)) is not None:
             faults += points.find_faults(row.id) or find_curve_faults(points, row, record, where)
-            faults += find_tip_faults(row, where, record.frame.pose) if row.tip_y is not None else ()
+            faults += find_faults(row, where, record.frame.pose) if row.tip_y is not None else ()
         sections = None
         if points is not None and is_curve and not faults:
             sections, faults = find_sections(row, points.values, root, record)
@@ -333,7 +333,7 @@ class _Centerlines:
 
     def is_expected(self, row: InsertionRow) -> bool:
         """Return whether an insertion has a centreline, or states nothing that stands in its place."""
-        if row.tip_y is None and row.observation != "curvature":
+        if expects_shape(row):
             return True
         pattern = self.record.centerlines.pattern
         return row.id in self.groups if pattern is None else self._name_file(row).is_file()

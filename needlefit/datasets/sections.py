@@ -11,6 +11,7 @@ from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.faults import Fault
 from needlefit.datasets.insertion import Dataset, select_compared_places
 from needlefit.datasets.layers import LENGTH_TOLERANCE_MM, ListedInsertion
+from needlefit.datasets.observations import HELD
 from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.smoothing_spline import (
     DEGREE,
@@ -29,12 +30,6 @@ MAX_TIP_SDS = 5.0  # its standard deviations
 MAX_TIP_MM = 0.05  # mm, for points stored with few digits
 # Largest SD of a Gaussian, as part of the length compared: four SDs then reach over the whole needle.
 MAX_WIDTH_FRACTION = 0.25
-# What was measured where it is no shape, by the name of its observation.
-MEASURED = {
-    "tip_track": "tips at depths, as tracked",
-    "tip": "tips alone, across the line of insertion",
-    "curvature": "curvatures alone; shapes that are shown are their integrals",
-}
 LENGTH_DIGITS = 5  # of mm, behind the point
 WEIGHT_DIGITS = 6  # of weights and deviations
 
@@ -146,8 +141,8 @@ def describe_measurement(dataset: Dataset) -> str:
     """Return what the measurement of a dataset does to shapes, for people."""
     stated = dataset.measurement
     kinds = dict.fromkeys(insertion.observation for insertion in dataset.insertions)
-    if any(kind in MEASURED for kind in kinds):
-        return "; ".join(MEASURED.get(kind, "shapes") for kind in kinds)
+    if any(kind in HELD for kind in kinds):
+        return "; ".join(HELD[kind].words if kind in HELD else "shapes" for kind in kinds)
     if stated.operator == "gaussian":
         return f"points smoothed along the needle by a Gaussian of SD {stated.width_mm:g} mm"
     if stated.operator == "unknown":

@@ -22,9 +22,9 @@ from needlefit.datasets.importing.synonyms import (
     translate_side,
 )
 from needlefit.datasets.importing.tables import BLOCK, UNIT_FIELDS, Table
+from needlefit.datasets.observations.tip_track import MIN_READINGS
 from needlefit.datasets.point_labels import divide_labels
 from needlefit.datasets.points import MIN_POINTS
-from needlefit.datasets.tip_tracks import MIN_READINGS
 from needlefit.project.units import UNITS_GPA
 
 CODES = ("-999", "-999.0", "-9999", "-9999.0", "-99", "999", "9999")  # numbers that stand for no measurement

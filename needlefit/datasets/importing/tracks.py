@@ -212,10 +212,10 @@ def choose_track_study(asked: CurveAnswers, plan: "ImportPlan") -> "ImportPlan":
     ends = [curve.depths[[0, -1]] for curve in asked.curves]
     usual = f"{min(float(first + PLACING_PART * (last - first)) for first, last in ends):.3g}"
     depth = asked.settle("registration_depth", usual, "a third of the shallowest run; deeper ones are scored")
-    study = {
-        "registration_depth_mm": depth.to_number("registration_depth", is_above=True),
-        "margin_mm": plan.point_sd_mm,
-        "margin_for": "the error of a reading",
+    study: dict[str, float | str] = {
+        "registration_depth_mm": depth.to_number("registration_depth", is_above=True)
     }
+    if len(plan.rows) == len(asked.curves):  # errors of other kinds beside them are compared in noise
+        study |= {"margin_mm": plan.point_sd_mm, "margin_for": "the error of a reading"}
     sds = [answer.to_number("pose_angle_sd", "deg", is_above=True) for answer in asked.each("pose_angle_sd")]
     return replace(plan, choices=replace(plan.choices, study=study), slope_sd_deg=max(sds))

@@ -15,6 +15,7 @@ from needlefit.datasets.faults import Fault
 from needlefit.datasets.formats.csv import CsvTable, note_missing_columns, parse_numbers, rename_columns
 from needlefit.datasets.insertion import GuideMotion, Insertion
 from needlefit.datasets.needles import find_unknown_needle, make_needles
+from needlefit.datasets.observations import HeldObservation
 from needlefit.errors import DataError
 from needlefit.geometry.frames import IDENTITY_FRAME
 from needlefit.mechanics.needle import Needle
@@ -256,3 +257,6 @@ def _find_run_faults(
         yield DataError(
             f"bevel_side of run {id_} is {sides[0]:g}", expected="1 or -1, one for all of a run", where=first
         )
+
+
+TIP_TRACK = HeldObservation("tip_track", "tips at depths, as tracked")

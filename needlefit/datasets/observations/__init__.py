@@ -1,7 +1,10 @@
-"""Insertions of which no shape was measured: the deflection of the tip alone, or curvatures alone."""
+"""What datasets hold where no shape was measured, and the places that stand for one.
 
-from collections.abc import Iterator
-from dataclasses import replace
+Each file has the name of its observation in `inference/likelihood/observations/`; what has none is a shape.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,18 +17,43 @@ from needlefit.datasets.points import Points
 from needlefit.errors import DataError
 from needlefit.geometry.curves import make_normal
 from needlefit.geometry.frames import make_entry_frame
+from needlefit.registry import Registry
 
-CURVE_POINTS = 101  # of the curve that curvatures give
+
+def _is_never(row: InsertionRow) -> bool:
+    return False
+
+
+@dataclass(frozen=True)
+class HeldObservation:
+    """What was measured of an insertion in place of a shape."""
+
+    name: str  #: of the observation
+    words: str  #: what was measured, for people
+    #: whether it is what a row has where it names no observation, and no shape was measured
+    is_usual: Callable[[InsertionRow], bool] = _is_never
+    #: whether a row with it has no shape, unless there is one
+    stands_alone: Callable[[InsertionRow], bool] = _is_never
+    #: row -> places (N, 3) in C, mm, that stand for a shape
+    place: Callable[[InsertionRow], Floats] | None = None
+
+
+HELD = Registry(HeldObservation, __name__, "observation of a dataset")
 
 
 def name_observation(row: InsertionRow, is_curve: bool) -> str:
     """Return the observation that compares what was measured of an insertion."""
     if row.observation or is_curve:
         return row.observation or "points"
-    return "curvature" if row.tip_y is None else "tip"
+    return next(one.name for one in HELD.values() if one.is_usual(row))
 
 
-def find_tip_faults(row: InsertionRow, where: str, pose: Pose) -> Iterator[Fault]:
+def expects_shape(row: InsertionRow) -> bool:
+    """Return whether nothing that a row states stands in the place of a shape."""
+    return not any(one.stands_alone(row) for one in HELD.values())
+
+
+def find_faults(row: InsertionRow, where: str, pose: Pose) -> Iterator[Fault]:
     """Yield what is wrong with a tip or curvatures in place of a shape, or with a tip beside one."""
     tip_y, tip_z, _ = TIP_COLUMNS
     if pose != "known":
@@ -67,32 +95,13 @@ def find_tip_faults(row: InsertionRow, where: str, pose: Pose) -> Iterator[Fault
         )
 
 
-def place_tip(row: InsertionRow, path: Path) -> tuple[InsertionRow, Points]:
-    """Return a row with its bevel direction, and places (N, 3), world, that stand for a measured shape.
-
-    They are the entry and the tip, at the inserted depth along the entry line; of curvatures alone the curve
-    that these bend from there, linear between the sensors.
-    """
+def place_points(row: InsertionRow, path: Path) -> tuple[InsertionRow, Points]:
+    """Return a row with its bevel direction, and places (N, 3), world, that stand for a measured shape."""
     assert row.entry is not None and row.direction is not None
     bevel = make_normal(row.direction) if row.bevel is None else row.bevel
     frame = make_entry_frame(row.entry, row.direction, bevel)
-    if row.tip_y is None:
-        local = _integrate_curvature(row)
-    else:
-        local = np.array([np.zeros(3), [row.depth, row.tip_y, row.tip_z or 0.0]])
+    place = HELD[name_observation(replace(row, observation=""), is_curve=False)].place
+    assert place is not None
+    local = place(row)
     points = Points(path, frame.to_world(local), np.full(len(local), row.line))
     return replace(row, bevel=bevel), points
-
-
-def _integrate_curvature(row: InsertionRow) -> Floats:
-    assert row.curvature is not None
-    places, *curvatures, _ = row.curvature[np.argsort(-row.curvature[:, 0])].T
-    s = np.linspace(0.0, row.depth, CURVE_POINTS)
-    slopes = [_integrate(np.interp(s, row.depth - places, curvature), s) for curvature in curvatures]
-    along = np.sqrt(np.maximum(1.0 - np.sum(np.square(slopes), axis=0), 0.0))
-    return np.column_stack([_integrate(slope_values, s) for slope_values in (along, *slopes)])
-
-
-def _integrate(values: Floats, s: Floats) -> Floats:
-    """Return the integral (N,) of values (N,) up to each `s` (N,), by trapezia."""
-    return np.append(0.0, np.cumsum((values[1:] + values[:-1]) / 2 * np.diff(s)))
