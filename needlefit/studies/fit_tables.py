@@ -13,7 +13,6 @@ from needlefit.grouping import group_values
 from needlefit.inference.identifiability.directions import (
     MAX_LOG_SD,
     UNINFORMED_SD_RATIO,
-    find_bound_side,
     find_least_determined,
 )
 from needlefit.inference.parameter_names import BEVEL_PARAMETERS, HYPERPARAMETERS, is_logarithmic
@@ -479,11 +478,11 @@ def _format_estimate(rows: Sequence[ParameterRow], values: Sequence[float], unit
 def _format_least_errors(name: str, rows: Sequence[ParameterRow], unit: float) -> str:
     """Return "0.19 (0.12 to bound)": the value of the least errors, and the range within the tolerance.
 
-    A value at a bound is none that errors determine.
+    A value that is not known lies at a bound: errors do not determine it.
     """
-    if any(find_bound_side(name, row.value, row.bound_low, row.bound_high) for row in rows):
+    if not all(is_known(row.value) for row in rows):
         return "not determined by errors alone"
-    values = [row.value for row in rows if is_known(row.value)]
+    values = [row.value for row in rows]
     ends = (min(values), max(values)) if values else ()
     value = " to ".join(dict.fromkeys(_format_near(name, end, unit, 3) for end in ends))
     bounded = [row for row in rows if is_known(row.low) and is_known(row.high)]

@@ -8,7 +8,11 @@ import numpy as np
 from needlefit.datasets.folds import Fold
 from needlefit.inference.error_fit import ErrorMinimisingFit
 from needlefit.inference.fit import Fit, Start
-from needlefit.inference.identifiability.directions import UNINFORMED_SD_RATIO, name_determined
+from needlefit.inference.identifiability.directions import (
+    UNINFORMED_SD_RATIO,
+    find_bound_side,
+    name_determined,
+)
 from needlefit.inference.identifiability.identify import (
     Identifiability,
     identify,
@@ -85,6 +89,7 @@ def list_fitted(job: Job, fold: Fold, fit: Fit, verdict: Identifiability) -> Ite
 def list_error_fit(job: Job, fold: Fold, error_fit: ErrorMinimisingFit | None) -> Iterator[ParameterRow]:
     """Yield the values with the least errors, each with its range (`low`, `high`) within the tolerance.
 
+    NaN is a value at a bound: errors alone do not determine it.
     Hyperparameters are of the likelihood alone.
     """
     if error_fit is None:
@@ -98,7 +103,8 @@ def list_error_fit(job: Job, fold: Fold, error_fit: ErrorMinimisingFit | None) -
         row = ParameterRow(fold.name, "fitted_metric", name, value, parameters.status[name])
         if source in parameters.bounds:
             low, high = (factor * bound for bound in parameters.bounds[source])
-            row = row._replace(bound_low=low, bound_high=high)
+            is_at_bound = find_bound_side(name, value, low, high) != ""
+            row = row._replace(value=math.nan if is_at_bound else value, bound_low=low, bound_high=high)
         if source in ranges:
             low, high = (to_value(source, end) for end in (ranges[source].low, ranges[source].high))
             row = row._replace(low=factor * low, high=factor * high)
