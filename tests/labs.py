@@ -146,11 +146,17 @@ def write_one(path: Path, rng: np.random.Generator, needles: int = 1) -> None:
 
 
 def write_mixture(path: Path, rng: np.random.Generator, needles: int = 8) -> None:
-    """CT of half of the needles, and a camera of the tips of the others on their way: two files."""
+    """CT and two readings of the tip of half of the needles, tips of the others on their way: three files."""
     for write, name in ((write_shapes, "ct"), (write_stops, "camera")):
         write(path.with_name(f"{name}.csv"), rng, (needles + 1) // 2)
     camera = path.with_name("camera.csv")
     camera.write_text(camera.read_text().replace("\nn", "\nc"))
+    ends = []
+    for n, depth in enumerate(_list_depths((needles + 1) // 2)):
+        side = 1 if n % 2 else -1
+        tip = float(_misplace(place(depth, np.array([float(depth)]), side), rng)[0, 1])
+        ends += [(f"n{n + 1}", side, depth, tip + rng.normal(0.0, 0.1)) for _ in range(2)]
+    _save(path.with_name("ends.csv"), "needle,bevel side,depth [mm],deflection [mm]", ends)
 
 
 def write_tips_and_fibres(path: Path, rng: np.random.Generator, needles: int = 8) -> None:
@@ -187,7 +193,7 @@ LABS = {
             "ct and camera",
             write_mixture,
             (*NEEDLE, "pose=1,0,0", "point_sd=0.1", "pose_shift_sd=0.1", "pose_angle_sd=0.5", "bevel=0,1,0"),
-            ("ct.csv", "camera.csv"),
+            ("ct.csv", "camera.csv", "ends.csv"),
         ),
         Lab(
             "tips and fibres",

@@ -138,11 +138,14 @@ def from_record(record: SectionsRecord) -> SplineSections:
 
 
 def describe_measurement(dataset: Dataset) -> str:
-    """Return what the measurement of a dataset does to shapes, for people."""
+    """Return what was measured of the needles of a dataset, and what that does to shapes, for people."""
+    kinds = dict.fromkeys(name for one in dataset.insertions for name in one.observations)
+    words = (HELD[kind].words if kind in HELD else _describe_points(dataset) for kind in kinds)
+    return "; ".join(dict.fromkeys(words))
+
+
+def _describe_points(dataset: Dataset) -> str:
     stated = dataset.measurement
-    kinds = dict.fromkeys(insertion.observation for insertion in dataset.insertions)
-    if any(kind in HELD for kind in kinds):
-        return "; ".join(HELD[kind].words if kind in HELD else "shapes" for kind in kinds)
     if stated.operator == "gaussian":
         return f"points smoothed along the needle by a Gaussian of SD {stated.width_mm:g} mm"
     if stated.operator == "unknown":

@@ -26,7 +26,7 @@ def _integrate(values: Floats, s: Floats) -> Floats:
 
 CURVATURE = HeldObservation(
     "curvature",
-    "curvatures alone; shapes that are shown are their integrals",
+    "curvatures (where no shape was measured, their integrals are shown)",
     lambda row: row.tip_y is None,  # beside a tip they are further readings of its insertion
     lambda row: row.observation == "curvature",
     integrate_curvature,

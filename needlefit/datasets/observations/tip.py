@@ -16,4 +16,4 @@ def place_tip(row: InsertionRow) -> Floats:
     return np.array([np.zeros(3), [row.depth, row.tip_y or 0.0, row.tip_z or 0.0]])
 
 
-TIP = HeldObservation("tip", "tips alone, across the line of insertion", _has_tip, _has_tip, place_tip)
+TIP = HeldObservation("tip", "tips, across the line of insertion", _has_tip, _has_tip, place_tip)
