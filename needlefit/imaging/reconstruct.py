@@ -180,14 +180,24 @@ def _entry_warnings(one: Reconstruction) -> Iterator[str]:
             "({:g} to {:g} HU): it may be a guide".format(*HU.SOFT_TISSUE)
         )
     # nothing else says where the tissue begins where that is the brightness of the scan itself
-    own = any(surface.into == 1 for surface in one.layers.surfaces)
-    source = "its own surface (into = 1)" if own else ""
-    source = "the stage's entry" if one.pose.source == "stage" else source
-    for _, off, edge_sd in find_rises(one.profile)[-1:] if source else ():  # a guide is left again
-        sd = float(np.hypot(edge_sd, one.pose.along_sd))
+    staged, own = one.pose.source == "stage", any(surface.into == 1 for surface in one.layers.surfaces)
+    source = "the stage's entry" if staged else "its own surface (into = 1)" if own else ""
+    rises = sorted(find_rises(one.profile), key=lambda rise: abs(rise[1])) if source else []
+    for _, off, edge_sd in rises[:1]:
+        sd, side = float(np.hypot(edge_sd, one.pose.along_sd)), "after" if off > 0 else "before"
+        what = f"in the scan the tissue begins {abs(off):.2f} +- {sd:.2f} mm {side} {source}"
+        if not staged and abs(off) > MAX_START_DISTANCE_MM + SD.DISAGREEMENT * sd:
+            raise DataError(
+                what,
+                expected=f"within {MAX_START_DISTANCE_MM:g} mm of it",
+                fix=(
+                    "see both in 3D Slicer: label the needle's voxels as the tissue around "
+                    "them, check the frame of the surfaces; if they are right, state the "
+                    "stage (entry_x_mm ... pose_angle_sd_deg)"
+                ),
+            )
         if abs(off) > SD.DISAGREEMENT * sd:
-            side = "after" if off > 0 else "before"
-            yield f"in the scan the tissue begins {abs(off):.2f} +- {sd:.2f} mm {side} {source}"
+            yield what
 
 
 def _plane_warnings(one: Reconstruction) -> Iterator[str]:
@@ -437,21 +447,7 @@ def _locate_tissue(
     hits = [find_surface_hits(found.world, surface) for surface in surfaces if surface.into == 1]
     own = np.concatenate([np.empty(0), *hits])
     if len(own):
-        at, rises = float(own.min()), find_rises(found.brightness)
-        edge, sd = min(((edge, sd) for _, edge, sd in rises), key=lambda e: abs(e[0] - at), default=(at, 0.0))
-        if abs(at - edge) > MAX_START_DISTANCE_MM + SD.DISAGREEMENT * sd:
-            raise DataError(
-                f"the needle crosses the tissue's own surface {abs(at - edge):.1f} mm "
-                f"{'behind' if at > edge else 'before'} the place where the scan shows "
-                "tissue to begin",
-                expected=f"within {MAX_START_DISTANCE_MM:g} mm of it",
-                fix=(
-                    "see both in 3D Slicer: label the needle's voxels as the tissue around "
-                    "them, check the frame of the surfaces; if they are right, state the "
-                    "stage (entry_x_mm ... pose_angle_sd_deg)"
-                ),
-            )
-        return at, recipe.layers.surface_sd_mm
+        return float(own.min()), recipe.layers.surface_sd_mm
     length = float(arc_length(found.world)[-1])
     entry = choose_entry(found.brightness, length, recipe.guide.thickness_mm, scan.guide_distance)
     if entry is None:

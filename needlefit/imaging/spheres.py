@@ -233,22 +233,14 @@ def select_voxels(volume: Volume, blob: Blob, radius: float) -> SphereVoxels:
 
 
 def _guess_parameters(near: SphereVoxels) -> Floats:
-    """Return where the fit begins: the blob's middle, the brightness there, and a face across the slope."""
+    """Return where the fit begins: the blob's middle, the brightness there, and both levels around it."""
     r = np.linalg.norm(near.places, axis=1)
     peak = float(near.values[r <= max(near.radius, float(r.min()))].max())
-    rim = r >= min(near.radius + 0.4 * MM.STEP_MARGIN, float(np.quantile(r, 0.7)))
-    places, values = near.places[rim], near.values[rim]
-    design = np.column_stack([places, np.ones(len(places))])
-    slope = np.linalg.lstsq(design, values)[0][:3]
-    size = max(float(np.linalg.norm(slope)), 1e-9)
-    low, high = np.quantile(values, [0.05, 0.95])
-    step = max(float(high - low), 50.0)
-    steep = min(2.5 * size / step, 1.7)
-    share = float(np.clip((values.mean() - low) / step, 0.02, 0.98))
-    face = float(np.quantile(places @ slope / size, 1 - share))
-    begin = [np.log(max(1.5 * peak, 100.0)), *_list_prior(near)[0][1:]]
-    face_slope = steep * slope / size
-    return np.array([0.0, 0.0, 0.0, *begin, low, step, *face_slope, -steep * face])
+    low, high = np.quantile(near.values[r >= np.quantile(r, 0.7)], [0.05, 0.95])
+    first = np.zeros(14)
+    first[PRIOR_COLUMNS] = _list_prior(near)[0]
+    first[[HEIGHT, LEVEL, STEP]] = np.log(max(1.5 * peak, 100.0)), low, max(high - low, 50.0)
+    return first
 
 
 def _list_prior(near: SphereVoxels) -> tuple[Floats, Floats]:

@@ -104,9 +104,6 @@ def unpack_scan(_arrays: Arrays, path: str, folder: str, total_bytes: int) -> No
             f"unpacks to more than {total_bytes / 2**20:.0f} MiB": size > total_bytes,
             f"holds {len(members)} files": len(members) > MAX_MEMBERS,
             "is encrypted": any(member.flag_bits & 1 for member in members),
-            "holds an archive inside the archive": any(
-                member.filename.lower().endswith(ARCHIVE_SUFFIX) for member in members
-            ),
         }
         for problem in (problem for problem, is_so in problems.items() if is_so):
             raise DataError(

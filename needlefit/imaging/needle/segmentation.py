@@ -108,34 +108,18 @@ def find_tubes(
 def _join_pieces(
     volume: Volume, needle: Component, parts: Sequence[Component], recipe: ReconstructionRecord
 ) -> tuple[Component, list[Component]]:
-    """Return a needle together with the parts that lie on its curve, and these."""
-    own = [needle]
-    while part := next((one for one in parts if _continues(volume, needle, one, own, recipe)), None):
-        own.append(part)
-        needle = measure_component(volume, np.concatenate([needle.voxels, part.voxels]))
+    """Return a needle together with the thin parts that are one tube with it across a gap, and these."""
+    own, widest, n = [needle], PART.WIDENING * recipe.needle.diameter_mm, 0
+    left = [part for part in parts if 2 * part.width <= part.length and part.width <= widest]
+    while n < len(left):
+        union = measure_component(volume, np.concatenate([needle.voxels, left[n].voxels]))
+        gap = union.length - needle.length - left[n].length
+        if left[n] is own[0] or abs(gap) > MM.HIDDEN or union.bend > widest / 2:
+            n += 1
+        else:
+            own.append(left.pop(n))
+            needle, n = union, 0
     return needle, own
-
-
-def _continues(
-    volume: Volume, needle: Component, part: Component, own: Sequence[Component], recipe: ReconstructionRecord
-) -> bool:
-    """Whether a thin part beyond a gap lies on the needle's parabola, and is none of its `own`."""
-    if any(part is one for one in own) or part.width > PART.WIDENING * recipe.needle.diameter_mm:
-        return False
-    points = to_patient(volume, needle.voxels)
-    center, axes = principal_axes(points)
-    local, piece = ((some - center) @ axes.T for some in (points, to_patient(volume, part.voxels)))
-    low, high = local[:, 0].min(), local[:, 0].max()
-    gap = max(low - piece[:, 0].max(), piece[:, 0].min() - high)
-    if gap > MM.HIDDEN or np.ptp(piece[:, 0]) < 2 * part.width:
-        return False
-    far = np.abs(piece[:, 0] - np.clip(piece[:, 0], low, high))
-    near = piece[far <= far.min() + MM.NEEDLE_LENGTH / 4]  # a parabola drawn on says little
-    curve = fit_parabola(local[:, 0], local[:, 1:])
-    off = near[:, 1:] - np.stack([np.polyval(c, near[:, 0]) for c in curve.T], axis=1)
-    # a needle that crosses slices stands one beside the other
-    thick = recipe.needle.diameter_mm + float(volume.spacing.max()) / 2
-    return float(np.linalg.norm(off, axis=1).mean()) <= thick * (1 + max(gap, 0.0) / MM.NEEDLE_LENGTH)
 
 
 def cut_components(
