@@ -1,5 +1,6 @@
 """A mapping is drafted: what is sure, what is assumed, what is asked, and that each printed fix works."""
 
+import json
 import re
 import shlex
 from itertools import pairwise
@@ -7,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from import_cases import curves_of, needle, planned, prepare, write_long, write_rows, write_sheets
+from import_cases import curves_of, needle, placed, planned, prepare, write_long, write_rows, write_sheets
 from refusals import refusal
 
 from needlefit.datasets.importing.assignments import Assignments as StatedKeys
@@ -598,3 +599,50 @@ def test_a_boundary_without_a_unit_is_an_assumption(tmp_path):
     assert "boundaries.unit" in prepare([file]).mapping.assumed
     plan, _ = planned([file], boundaries__unit="cm")
     assert plan.boundaries_mm["medium1"] == (25.0,)
+
+
+@pytest.mark.parametrize(("unit", "asked"), [("m", ()), ("", ("diameter.unit=m", "needle_length.unit=m"))])
+def test_the_unit_that_a_file_states_is_that_of_its_lengths_and_a_length_of_no_needle_is_asked(
+    tmp_path, unit, asked
+):
+    rows = [
+        {"id": f"n{n}", "points": (needle(n) / 1e3).tolist(), "needle_length": 0.15, "diameter": 0.00127}
+        for n in (0, 1, 2)
+    ]
+    file = tmp_path / "shapes.jsonl"
+    file.write_text("\n".join(json.dumps(row | ({"unit": unit} if unit else {})) for row in rows))
+    stated = {} if unit else {"unit": "m"}
+    if asked:
+        fix = refusal(DataError, "", planned, [file], **stated).fix
+        assert all(option in fix for option in asked)
+        stated |= {"diameter__unit": "m", "needle_length__unit": "m"}
+    plan, made = planned([file], **stated)
+    assert (plan.needle.length_mm, plan.needle.outer_diameter_mm) == pytest.approx((150.0, 1.27))
+    assert ("diameter.unit" in made) == bool(unit)
+
+
+def test_a_sheet_of_tips_at_a_stage_holds_tracks_of_the_needles_of_another_sheet(tmp_path):
+    """Three needles along x, and readings of their tips in a frame that is turned by 90 degrees about z."""
+    lengths, sides = (50.0, 60.0, 70.0), (1, -1, 1)
+    arcs = [np.c_[x := np.linspace(0.0, size, 26), side * (6e-4 * x**2 + 0.01 * x), 0 * x]
+            for size, side in zip(lengths, sides, strict=True)]  # fmt: skip
+    points = [(f"n{n}", *point) for n, arc in enumerate(arcs) for point in arc.tolist()]
+    tips = [(f"n{n}", x, 5 - y, x, 0) for n, arc in enumerate(arcs) for x, y, _ in arc.tolist()]
+    file = write_sheets(
+        tmp_path / "lab.xlsx",
+        Needles=[
+            ("needle", "bevel"),
+            *((f"n{n}", ["left", "right"][side > 0]) for n, side in enumerate(sides)),
+        ],
+        CT=[("needle", "x [mm]", "y [mm]", "z [mm]"), *points],
+        EM=[("needle", "stage [mm]", "tip x [mm]", "tip y [mm]", "tip z [mm]"), *tips],
+        Info=[("Gauge", "20G"), ("Needle length (mm)", 200)],
+    )
+    content, plan, _ = placed([file], pose="+x")
+    assert [(curve.holds, curve.hole) for curve in content.curves] == [
+        (holds, f"n{n}") for holds in ("shapes", "tracks") for n in range(3)
+    ]
+    assert [row.side for row in plan.rows] == [*sides, *sides]
+    assert (plan.needle.length_mm, plan.needle.outer_diameter_mm) == (200.0, GAUGES_MM[20])
+    ends = [curve.line[-1, 0] - curve.line[0, 0] for curve in content.curves[3:]]
+    assert ends == pytest.approx([2.0, -2.76, 3.64], abs=0.01)  # along the bevel, which faces -x there

@@ -534,6 +534,22 @@ def test_boundaries_that_are_those_of_each_medium_are_stated_once(tmp_path):
     assert {row.boundaries for row in plan.rows} == {None}
 
 
+@pytest.mark.parametrize(
+    ("depths", "media"),
+    [(("20", "21"), ["medium1"]), (("20", "15;35"), ["A", "B"]), (("20", "3.2"), None)],
+)
+def test_boundaries_that_differ_between_specimens_are_of_media_or_asked_about(tmp_path, depths, media):
+    cells = [
+        [name, f'"{depth}"'] for name, depth in zip("AABB", [d for d in depths for _ in "12"], strict=True)
+    ]
+    file = write_long(tmp_path, [needle(n) for n in range(4)], head=["specimen", "boundary"], cells=cells)
+    if media is None:
+        assert "medium=specimen" in refusal(DataError, "", planned, [file]).fix
+        media = ["gel"]
+    stated = {"medium": "gel"} if media == ["gel"] else {}
+    assert [*planned([file], **stated)[0].boundaries_mm] == media
+
+
 def test_an_entry_and_a_direction_may_be_columns_of_each_needle(tmp_path):
     head = [f"{what} {axis}" for what in ("entry", "direction") for axis in "xyz"]
     cells = [["0", f"{3 * n}", "0", "1", "0", f"{0.01 * n}"] for n in range(3)]

@@ -34,6 +34,7 @@ class ImportedCurve:
     is_deflection: bool = False  # the points are (depth, deflection up, to the right)
     guide: Floats | None = None  # (N, 3), mm; places of the guide at the readings
     is_named: bool = True  # a cell names it; else it has the name of its file or sheet
+    given: str = ""  # its name in the file, which several curves may have
     hole: str = ""  # the name that depths of one hole have together
     shaft: Floats = field(default_factory=lambda: np.empty((0, 3)))  # (K, 3), mm; points up to the entry
     turns: list[tuple[float, Stated]] = field(default_factory=list)  # depths, mm, and where bevels face then

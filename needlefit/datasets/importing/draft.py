@@ -36,8 +36,7 @@ class Draft:
     headers: list[str] = field(default_factory=list)  # of all tables
     columns_read: set[str] = field(default_factory=set)  # meanings whose stated columns are there
     words: list[str] = field(default_factory=list)  # columns of two words that nothing uses
-    # names by file and sheet, and whether they are of tips
-    needles: dict[tuple[str, str, bool], set[str]] = field(default_factory=dict)
+    needles: dict[tuple[str, str], set[str]] = field(default_factory=dict)  # names by file and sheet
 
     def ask(
         self, question: str, where: str, choices: Mapping[str, Mapping[str, str]] | None = None, **parts: str
@@ -45,7 +44,7 @@ class Draft:
         """Ask a question of `QUESTIONS`, whose `parts` are filled in."""
         text, key, answers = QUESTIONS[question]
         filled = {
-            answer: {key: value.format(**parts) for key, value in keys.items()}
+            answer: {key.format(**parts): value.format(**parts) for key, value in keys.items()}
             for answer, keys in answers.items()
         }
         asked = Open(key.format(**parts), text.format(**parts), choices or filled, where)

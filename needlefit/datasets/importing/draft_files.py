@@ -4,6 +4,7 @@ It reads no needle: a person sees what is proposed, and `read` goes by that.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -71,10 +72,10 @@ def draft_mapping(paths: Sequence[Path], stated: Assignments) -> tuple[Draft, li
                 expected=f"one of {', '.join(dict.fromkeys(draft.headers))}"[:400],
                 fix=name_set(f"{meaning}.column", sort_by_similarity(parts["column"], draft.headers)[0]),
             )
-    if "specimen" not in stated.columns and "specimen" not in draft.values:
-        _ask_sources(draft)
     for key, text in stated.numbered:
         _change_table(draft, key, text)
+    if "specimen" not in {*stated.columns, *draft.values}:
+        _ask_sources(draft)
     if not draft.opens and all(table["holds"] in ("facts", "turns") for table in draft.tables):
         tables = "; ".join(f"{part}: {why}" for part, why in draft.unused if part.startswith("table"))
         has_depth = any("depth" in table["columns"] for table in draft.tables)
@@ -122,18 +123,31 @@ def _list_files(paths: Iterable[Path], draft: Draft) -> Iterator[Path]:
 
 
 def _ask_sources(draft: Draft) -> None:
-    """Ask what sheets, or files, are whose needles have the same names; a tip may stand beside a shape."""
+    """Ask what sheets, or files, are of one kind whose needles have the same names.
+
+    It waits for an answer that may state specimens.
+    """
+    if any("specimen.column" in keys for asked in draft.opens for keys in asked.choices.values()):
+        return
+    numbers = {
+        (file, table.get("sheet", "")): n
+        for n, table in enumerate(draft.tables, 1)
+        for file in table["files"]
+    }
+    holds = {place: draft.tables[n - 1]["holds"] for place, n in numbers.items()}
     places = [
         place
         for place, names in draft.needles.items()
         for other, others in draft.needles.items()
-        if other != place and other[2] == place[2] and names & others
+        if other != place and holds[other] == holds[place] and names & others
     ]
-    if places:
-        source = "sheet" if len({file for file, *_ in places}) == 1 else "file"
-        names = dict.fromkeys(sheet if source == "sheet" else file for file, sheet, _ in places)
-        listed = f"{source.capitalize()}s {join_names([*names], 4)}"
-        draft.ask("source", places[0][0], source=source, places=listed)
+    if not places:
+        return
+    source = "sheet" if len({file for file, _ in places}) == 1 else "file"
+    names = [*dict.fromkeys(sheet if source == "sheet" else file for file, sheet in places)]
+    listed = f"{source.capitalize()}s {join_names(names, 4)}"
+    number = str(numbers[places[-1]])
+    draft.ask("source", places[0][0], source=source, places=listed, last=names[-1], number=number)
 
 
 # ---- sheets and grids
@@ -148,14 +162,31 @@ def _draft_workbook(path: Path, draft: Draft, stated: Assignments) -> None:
         for sheet in sheets
     )
     for grid in sheets:
-        keys = {"files": [path.name], "sheet": grid.sheet}
+        keys: dict[str, Any] = {"files": [path.name], "sheet": grid.sheet}
         if (grid in examples) == (are_filled or not examples):
             draft.unused.append((f"sheet {grid.sheet}", path.name))
         elif grid.sheet.lower().removeprefix(EXAMPLE_SHEET).strip() == SETUP_SHEET:
             keys |= {"layout": "pairs", "holds": "facts", "of": "all"}
             _draft_values(grid, keys, draft, stated)
+        elif (names := [_find_value(row[0]) for row in grid.rows if any(row)]) and _are_pairs(grid, names):
+            keys |= {"layout": "pairs", "holds": "facts", "of": "all"}
+            keys["header_rows"] = [] if names[0] else [1]
+            _draft_values(grid, keys, draft, stated)
         else:
             _draft_grid(grid, keys, draft, stated)
+
+
+def _find_value(name: str) -> str:
+    """Return what a name means that a value of all needles has; "" if none."""
+    meaning = find_meaning("column", split_unit(name)[0])
+    return meaning if meaning in VALUES else ""
+
+
+def _are_pairs(grid: Grid, names: Sequence[str]) -> bool:
+    """Whether a sheet has a name and a value in each row, of which several are known."""
+    return (
+        max(sum(map(bool, row)) for row in grid.rows) == len(("name", "value")) and sum(map(bool, names)) > 1
+    )
 
 
 def _draft_values(grid: Grid, keys: dict[str, Any], draft: Draft, stated: Assignments) -> None:
@@ -188,7 +219,7 @@ def _draft_grid(grid: Grid, keys: dict[str, Any], draft: Draft, stated: Assignme
     unit = keys.pop("unit")
     table = lay_out(grid, check({"holds": "facts"} | keys, TableRecord, grid.path))
     draft.unused += [(f"line `{line}`"[:200], grid.path.name) for line in _list_unread(grid, keys)]
-    TableDraft(table, keys, draft, stated, unit).propose()
+    TableDraft(replace(table, unit=unit), keys, draft, stated).propose()
 
 
 def _list_unread(grid: Grid, keys: Mapping[str, Any]) -> Iterator[str]:

@@ -17,6 +17,7 @@ from needlefit.datasets.importing.synonyms import (
     Header,
     find_meaning,
     is_side,
+    list_bare_numbers,
     name_axes,
     read_header,
     translate_side,
@@ -67,11 +68,8 @@ Records = dict[str, dict[str, Any]]  # keys of `MeaningRecord` by meaning
 class TableDraft:
     """Adds the entries of one table to a draft, and asks what it leaves open."""
 
-    def __init__(
-        self, table: Table, keys: dict[str, Any], draft: Draft, stated: Assignments, unit: str = ""
-    ) -> None:
+    def __init__(self, table: Table, keys: dict[str, Any], draft: Draft, stated: Assignments) -> None:
         self.table, self.keys, self.draft, self.stated = table, keys | stated.table, draft, stated
-        self.unit = stated.unit or unit  # of lengths whose header states none
         self.where = table.path.name + (f", sheet {table.name}" if "sheet" in keys else "")
         heads = table.first_headers
         texts = [[head[n] for head in heads if n < len(head)] for n in range(len(table.headers))]
@@ -193,6 +191,9 @@ class TableDraft:
             factor = UNITS_GPA.get(column.header.unit, 1.0)
             if meaning == "modulus" and any(0 < value * factor < MIN_NEEDLE_GPA for value in column.numbers):
                 return ["modulus", ""]
+        if meaning == "guide" and "depth" not in {other.header.meaning for other in self.all}:
+            steps = self._list_by_needle([column])
+            meaning = "depth" if steps and all(map(_increase, steps)) else meaning  # of the stage
         return meaning.split("|")
 
     def _choose_names(self, known: Mapping[str, Sequence[Column]]) -> list[Column]:
@@ -353,10 +354,8 @@ class TableDraft:
         if len(names) > 1 and "deflection" not in self.stated.columns:
             answers = {str(name): {"deflection.column": str(name)} for name in names}
             self.draft.ask("deflection", self.where, answers)
-        depths = self._list_by_needle("depth")
-        increase = bool(depths) and all(
-            len(values) >= MIN_READINGS and all(a < b for a, b in pairwise(values)) for values in depths
-        )
+        depths = self._list_by_needle(self.taken["depth"])
+        increase = bool(depths) and all(map(_increase, depths))
         if increase and not holds:
             self._assume_tracks("the depths of each needle increase")
         holds = holds or ("tracks" if increase else "tips")
@@ -422,7 +421,8 @@ class TableDraft:
             for column in axes.values()
         )
         depths, times = (
-            any(len({*values}) > 1 for values in self._list_by_needle(key)) for key in ("depth", "time")
+            any(len({*values}) > 1 for values in self._list_by_needle(self.taken.get(key, [])))
+            for key in ("depth", "time")
         )
         times |= any("quaternion" in (header.meaning, header.group) for header in headers)
         if is_alone and sum((is_tip, depths, times)) >= MIN_TRACK_SIGNS:
@@ -437,12 +437,13 @@ class TableDraft:
         columns = self.taken.get("needle", [])
         return columns[0].texts if len(columns) == 1 else []
 
-    def _list_by_needle(self, meaning: str) -> list[list[float]]:
-        """Return the numbers of a meaning of each needle."""
-        places = [column.place for column in self.taken.get("needle", [])]
+    def _list_by_needle(self, columns: Sequence[Column]) -> list[list[float]]:
+        """Return the numbers in columns of each needle."""
+        names = self.taken.get("needle", [column for column in self.all if column.header.meaning == "needle"])
+        places = [column.place for column in names]
         numbers = dict[tuple[str, ...], list[float]]()
         for row in self.table.rows:
-            for column in self.taken.get(meaning, []):
+            for column in columns:
                 if (value := self.table.number(row[column.place])) is not None:
                     numbers.setdefault(tuple(row[n] for n in places), []).append(value)
         return [*numbers.values()]
@@ -591,7 +592,7 @@ class TableDraft:
                 words = dict.fromkeys(statistics, EXCLUDED)
                 records[EXCLUDED] = {"column": records["needle"]["column"], "words": words}
                 self.draft.assumed[EXCLUDED] = f"{', '.join(statistics)}: no needles"
-            place = (self.table.path.name, self.table.name, holds == "tips")
+            place = (self.table.path.name, self.keys.get("sheet", ""))
             self.draft.needles.setdefault(place, set()).update(names)
         entry = {**self.keys, "columns": records}
         if holds in POINTS:
@@ -609,10 +610,17 @@ class TableDraft:
             is_point = meaning in COORDINATES and self.keys["holds"] in POINTS
             if units:
                 record["unit_column"] = units[0]
-            elif self.unit and is_free:
-                record["unit"] = self.unit
-            elif meaning in ATTRIBUTES and not is_point and any(column.numbers for column in columns):
-                self.draft.assumed[f"{meaning}.unit"] = f"mm: {_list_names(columns)} states no unit"
+            elif self.table.unit and is_free:
+                record["unit"] = self.table.unit
+            elif (
+                meaning in ATTRIBUTES
+                and not is_point
+                and any(list_bare_numbers(text) for column in columns for text in column.texts)
+            ):
+                reason = f"{_list_names(columns)} states no unit"
+                if self.table.unit:
+                    record["unit"], reason = self.table.unit, f"{reason}, its file does"
+                self.draft.assumed[f"{meaning}.unit"] = f"{self.table.unit or 'mm'}: {reason}"
         if meaning == "bevel_side":
             unit = record.get("unit", "")
             texts = dict.fromkeys(text for column in self._find_columns(record) for text in column.texts)
@@ -681,6 +689,10 @@ def _per(unit: str) -> str:
 def _to_toml(words: Mapping[str, str]) -> str:
     """Return an inline table of TOML, as `--set` takes it."""
     return f"{{{', '.join(f'{json.dumps(key)} = {json.dumps(value)}' for key, value in words.items())}}}"
+
+
+def _increase(numbers: Sequence[float]) -> bool:
+    return len(numbers) >= MIN_READINGS and all(a < b for a, b in pairwise(numbers))
 
 
 def _span(numbers: Sequence[float]) -> float:

@@ -51,6 +51,7 @@ MAX_HIDDEN_PART = 0.71  # largest sine of the angle from a bevel to the only pla
 STEP_MM = 0.01  # distance (mm) between the places along a needle at which the entry is looked for
 MIN_NEEDLE_MM = 150.0  # smallest length (mm) that is assumed of a needle
 BEYOND_DEPTH_MM = 50.0  # length (mm) by which the assumed needle is longer than the greatest depth
+MAX_CAST_RATIO = 1.25  # of the depths of one boundary in specimens that were made alike
 # Tracks are predicted within a specimen.
 TRACK_SPECIMEN = ("specimen1", "all runs into one; specimen=each if every run had a specimen of its own")
 OTHER_END = {"first": "last", "last": "first"}  # of the answers at which end of its points a needle enters
@@ -92,7 +93,8 @@ class Planner(CurveAnswers):
         require_order(shapes.curves)
         self.part([*shapes.curves, *tips.curves]).refuse_moved_guide(is_alone=not tracks.curves)
         split_tips(tips, shapes.curves)
-        runs = make_tracks(tracks) if tracks.curves else []
+        is_alone = not (shapes.curves or tips.curves)
+        runs = make_tracks(tracks, is_alone) if tracks.curves else []
         self.curves[:] = (*shapes.curves, *tips.curves, *tracks.curves)
         self.settle_curvature_sd()
         own_sds = [answer.to_number("point_sd", is_above=True) for answer in self.each("point_sd")]
@@ -122,7 +124,7 @@ class Planner(CurveAnswers):
         sd = min(own_sds)
         pairs = zip((*rows, *runs), own_sds, strict=True)
         rows = [replace(row, point_sd=None if own_sd == sd else own_sd) for row, own_sd in pairs]
-        rows = self.add_names(rows, is_track=bool(runs))
+        rows = self.add_names(rows, depths, is_track=bool(runs))
         rows, parameters = self.settle_guide_distance(rows, needles, is_track=bool(runs))
         if any(curve.is_deflection for curve in self.curves) and "deflection" not in self.settler.assumed:
             zero = "shift and slope of each run are fitted" if runs else "from the line of insertion"
@@ -513,21 +515,52 @@ class Planner(CurveAnswers):
 
     # ---- names and needle
 
-    def add_names(self, rows: Sequence[InsertionRow], is_track: bool) -> list[InsertionRow]:
+    def add_names(
+        self, rows: Sequence[InsertionRow], depths: Sequence[tuple[float, ...]], is_track: bool
+    ) -> list[InsertionRow]:
         """Return the rows with medium and specimen; a medium of tracks is in one specimen, by its name."""
-        texts_by_key = {}
-        for key in ("medium", "specimen"):
-            usual = TRACK_SPECIMEN if key == "specimen" and is_track else (None, "")
-            cells = zip(self.curves, self.each(key, *usual), strict=True)
-            texts = {
-                curve.name: curve.hole or curve.name if cell.text == "each" else cell.text
-                for curve, cell in cells
-            }
-            texts_by_key[key] = {name: re.sub(r'[,"]', " ", text) for name, text in texts.items()}
-        media, specimens = texts_by_key["medium"], texts_by_key["specimen"]
-        if is_track and len({*specimens.values()}) > 1:
-            media = {name: f"{medium} {specimens[name]}" for name, medium in media.items()}
-        return [replace(row, medium=media[row.id], specimen=specimens[row.id]) for row in rows]
+        names = [curve.hole or curve.name for curve in self.curves]
+        cells = self.each("specimen", *(TRACK_SPECIMEN if is_track else (None, "")))
+        specimens = [
+            re.sub(r'[,"]', " ", name if cell.text == "each" else cell.text)
+            for cell, name in zip(cells, names, strict=True)
+        ]
+        if not self.is_stated("medium"):
+            self.settle_medium(specimens, depths)
+        media = [
+            specimen if cell.text == "specimen" else re.sub(r'[,"]', " ", cell.text)
+            for cell, specimen in zip(self.each("medium"), specimens, strict=True)
+        ]
+        if is_track and len({*specimens}) > 1:
+            pairs = zip(media, specimens, strict=True)
+            media = [medium if medium == specimen else f"{medium} {specimen}" for medium, specimen in pairs]
+        named = zip(rows, media, specimens, strict=True)
+        return [replace(row, medium=medium, specimen=specimen) for row, medium, specimen in named]
+
+    def settle_medium(self, specimens: Sequence[str], depths: Sequence[tuple[float, ...]]) -> None:
+        """Propose a medium of each specimen, if their layers differ in number; ask if they differ in depth.
+
+        Depths that differ from needle to needle, or by less than a cast, decide nothing.
+        """
+        by_specimen: dict[str, set[tuple[float, ...]]] = {specimen: set() for specimen in specimens}
+        for specimen, boundaries in zip(specimens, depths, strict=True):
+            by_specimen[specimen].add(boundaries)
+        layers = {specimen: next(iter(found)) for specimen, found in by_specimen.items() if len(found) == 1}
+        if len(layers) < len(by_specimen) or min(map(specimens.count, layers)) < 2:
+            return
+        listed = join_names(
+            [
+                f"{name}: {'; '.join(f'{depth:g}' for depth in found) or 'none'}"
+                for name, found in layers.items()
+            ],
+            4,
+        )
+        reason = f"boundaries of specimens differ ({listed})"
+        if len({*map(len, layers.values())}) > 1:
+            self.settle("medium", "specimen", reason)
+        elif any(max(each) > MAX_CAST_RATIO * min(each) for each in zip(*layers.values(), strict=True)):
+            fix = f"if these are right, and all of the same tissues: {name_set('medium', 'gel')}; if each "
+            self.settle("medium", "", reason, fix=f"{fix}has its own: {name_set('medium', 'specimen')}")
 
     def settle_needles(self, depths: Sequence[float]) -> list[NeedleRecord]:
         """Return the needle of each insertion, whose `depths` are in mm.

@@ -1,6 +1,6 @@
 """Prepare an import: a mapping that is given, or drafted and completed; what it reads; and the plan."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -18,16 +18,25 @@ from needlefit.datasets.importing.meanings import MEANINGS
 from needlefit.datasets.importing.place import ImportPlan, Planner
 from needlefit.datasets.importing.read import MappedTable, list_tables, read_curves, read_mapped
 from needlefit.datasets.importing.stated import Settler, name_set
+from needlefit.datasets.importing.synonyms import list_bare_numbers
 from needlefit.datasets.layers import SAME_POINT_MM
 from needlefit.datasets.points import MIN_POINTS
 from needlefit.errors import ConfigError, DataError
 from needlefit.project.locate import join_names
 from needlefit.project.toml import check, load, override
+from needlefit.project.unit_warnings import DIAMETER_MM
 from needlefit.project.units import UNITS_MM
 from needlefit.schemas.mapping import MappingRecord
 
 ASSUMED_MM = (20.0, 300.0)  # least and greatest length (mm) of the longest needle where mm are assumed
 STATED_MM = (1.0, 2000.0)  # least and greatest length (mm) of the longest needle by a stated unit
+LENGTHS_MM = {  # least and greatest length (mm) that is believed without a unit of its own
+    "diameter": DIAMETER_MM,
+    "needle_length": ASSUMED_MM[:1] + STATED_MM[1:],
+    "depth": (1.0, ASSUMED_MM[1]),
+    "boundaries": (0.1, ASSUMED_MM[1]),
+    "thickness": (0.1, ASSUMED_MM[1]),
+}
 DRAFT = "the draft of the mapping"  #: its place in messages
 MAX_ASIDE_DEG = 60.0  # angle (degrees) to all others from which on a curve may be no needle
 MIN_ALIGNED = 0.7  # smallest length of the mean of the others' unit directions, for which they have one
@@ -212,6 +221,8 @@ def _ask_about_curves(draft: Draft, files: Sequence[Path], stated: Sequence[tupl
         _ask_directions(draft, record, [curve for curve in curves if curve.holds == "shapes"], stated)
     if lacking and not draft.opens:
         _settle_unit(draft, files[0].name, curves, lacking)
+    if not draft.opens:
+        _doubt_units(draft, list_tables(record, files, DRAFT))
 
 
 def _ask_directions(
@@ -248,6 +259,26 @@ def _settle_unit(
     else:
         likely = {name: {"unit": name} for name, mm in UNITS_MM.items() if low <= mm * longest <= high}
         draft.ask("unit", file, likely, reason=f"In mm the longest needle is {longest:,.3g} mm long")
+
+
+def _doubt_units(draft: Draft, tables: Iterable[MappedTable]) -> None:
+    """Ask in what unit lengths are that state none, where no needle has them in the unit that is assumed."""
+    for mapped in tables:
+        for meaning, (low, high) in LENGTHS_MM.items():
+            if f"{meaning}.unit" not in draft.assumed or meaning not in mapped.record.columns:
+                continue
+            column = mapped.record.columns[meaning]
+            cells = {cell for cells in mapped.cells[meaning] for cell in cells}
+            numbers = [number for cell in cells for number in list_bare_numbers(cell) if number]
+            fits = {
+                unit: all(low <= number * factor <= high for number in numbers)
+                for unit, factor in UNITS_MM.items()
+            }
+            unit = column.unit or "mm"
+            if numbers and not fits[unit]:
+                answers = {name: {f"{meaning}.unit": name} for name, is_likely in fits.items() if is_likely}
+                shown = f"{max(numbers):g} {unit}"
+                draft.ask("length", mapped.table.path.name, answers, key=meaning, shown=shown)
 
 
 def _require_lengths(content: ImportContent) -> None:

@@ -480,7 +480,11 @@ def _add_rows(mapped: MappedTable, curves: list[ImportedCurve]) -> None:
             )
         rows[names[n]].append(n)
     keys = [
-        curve.stated["specimen"].text if by_specimen and "specimen" in curve.stated else curve.name
+        curve.stated["specimen"].text
+        if by_specimen and "specimen" in curve.stated
+        else curve.name
+        if any(_is_same(name, curve.name) for name in rows)
+        else curve.given or curve.name
         for curve in curves
     ]
     pairs = {
@@ -583,7 +587,7 @@ def _name_curves(curves: list[ImportedCurve]) -> None:
         if not curve.is_named and blocks[name] > 1:
             numbers[name] += 1
             name = f"{name}-{numbers[name]}"
-        curve.name = _make_name(name, taken)
+        curve.given, curve.name = name, _make_name(name, taken)
         taken.add(curve.name)
 
 

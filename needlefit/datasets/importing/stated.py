@@ -55,9 +55,11 @@ class Stated:
         return UNITS_MM[unit] * self.to_vector("entry_point", is_direction=False)
 
     def to_vector(self, key: str, is_direction: bool = True) -> Floats:
-        """Return the vector (3,) in a text such as `0,0,1`; DataError if it is none."""
+        """Return the vector (3,) in a text such as `0,0,1` or `+z`; DataError if it is none."""
+        axis = re.fullmatch("([+-]?)([xyz])", self.text.strip().lower())
+        text = self.text if axis is None else ",".join(f"{axis[1]}{int(name == axis[2])}" for name in "xyz")
         try:
-            vector = np.array([float(part) for part in re.split("[,;]", self.text)])
+            vector = np.array([float(part) for part in re.split("[,;]", text)])
         except ValueError:
             vector = np.empty(0)
         if (

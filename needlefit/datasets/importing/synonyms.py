@@ -156,6 +156,12 @@ def is_side(text: str, unit: str) -> bool:
     return (unit_of_text or unit) == "deg" or (value in (1.0, -1.0) and not unit_of_text)
 
 
+def list_bare_numbers(text: str) -> list[float]:
+    """Return the numbers in a text such as `20; 35` that have no unit of their own."""
+    quantities = (read_quantity(part.strip()) for part in re.split(";|, ", text))
+    return [number for number, unit in filter(None, quantities) if not unit]
+
+
 def read_quantity(text: str) -> tuple[float, str] | None:
     """Return the number and the unit of a text such as `38,5 mm`, the unit "" if there is none; else None."""
     match = _QUANTITY.fullmatch(text.replace("\u2212", "-").strip())

@@ -82,6 +82,7 @@ class Table:
     decimal: str = "."
     thousands: str = ""
     system: PatientSystem | None = None  # of the scan, which the format states
+    unit: str = ""  # of lengths without one of their own, which the file states
     first_headers: tuple[tuple[str, ...], ...] = ()  # texts of the rows of headers
 
     @property
@@ -439,7 +440,7 @@ def read_structured(path: Path) -> tuple[Table, list[str]]:
             rows.append([named if of_rows is None else of_rows[n], *map(repr, place), *beside])
             places.append(points.where(n))
     table = Table(path, path.name.partition(".")[0], headers, rows, places, None,
-                  system="LPS" if form.in_scan else None)  # fmt: skip
+                  system="LPS" if form.in_scan else None, unit=unit)  # fmt: skip
     return table, [*remarks]
 
 

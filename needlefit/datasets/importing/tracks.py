@@ -1,5 +1,6 @@
 """Make tip tracks of imported curves: settle depths, the guide and the bevel."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -14,6 +15,7 @@ from needlefit.datasets.importing.stated import name_set
 from needlefit.datasets.importing.synonyms import read_header
 from needlefit.datasets.insertion import GUIDE_STILL_MM
 from needlefit.errors import DataError
+from needlefit.geometry.common_direction import fit_direction
 from needlefit.geometry.frames import normalize
 from needlefit.project.locate import join_names
 
@@ -25,8 +27,11 @@ MIN_GUIDE_PART = 0.5  # smallest fraction of a guide's motion that is used, wher
 MIN_TRACK_SLOPE = 0.7  # smallest movement (mm per mm of depth) of a tip whose coordinates are all in space
 
 
-def make_tracks(asked: CurveAnswers) -> list[InsertionRow]:
-    """Return the runs; their points are then the deflections along y and z at their depths."""
+def make_tracks(asked: CurveAnswers, is_alone: bool = True) -> list[InsertionRow]:
+    """Return the runs; their points are then the deflections along y and z at their depths.
+
+    Not `is_alone`: `bevel` is of shapes, in whose frame no tracker reads.
+    """
     settle_guide(asked)
     curves = asked.curves
     for curve in curves:
@@ -49,12 +54,19 @@ def make_tracks(asked: CurveAnswers) -> list[InsertionRow]:
         rows.append(row)
     bevel = np.array([0.0, 1.0, 0.0])
     if not all(curve.is_deflection for curve in curves):
-        mean = np.mean([normalize(bend) for bend in bends if bend.any()] or [np.zeros(3)], axis=0)
         guess, reason = "bend", "the mean direction in which the tips bend from their sides"
-        if np.linalg.norm(mean) <= MIN_SAME_SIDE:
+        fitted = fit_direction([curve.line for curve in curves])
+        if fitted is not None and _agree(from_common := list_bends_from(fitted.vector, curves, sides)):
+            bends = from_common  # parabolas of short runs show less
+        if not _agree(bends):
             guess, reason = "", "tips bend to several sides, which a column `bevel side` should state"
-        answer = asked.settle("bevel", guess, reason)
-        bevel = normalize(np.sum(bends, axis=0) if answer.text == "bend" else answer.to_vector("bevel"))
+        if guess and not is_alone:
+            asked.settler.note("bevel of tracks", reason)
+        else:
+            guess = asked.settle("bevel", guess, reason).text
+        bevel = normalize(
+            np.sum(bends, axis=0) if guess == "bend" else asked.settle("bevel").to_vector("bevel")
+        )
     across = np.cross(sum(curve.line[-1] - curve.line[0] for curve in curves), bevel)
     across = across / (np.linalg.norm(across) or 1.0)  # 0 of deflections
     planes = np.column_stack([bevel, across, np.zeros(3)])
@@ -63,6 +75,18 @@ def make_tracks(asked: CurveAnswers) -> list[InsertionRow]:
         if curve.guide is not None:
             curve.guide = project_guide(curve, curve.guide, planes)
     return rows
+
+
+def list_bends_from(direction: Floats, curves: Sequence[ImportedCurve], sides: Sequence[int]) -> list[Floats]:
+    """Return how far each run goes toward its bevel, off a direction (3,), by a line through its readings."""
+    ways = [np.ptp(curve.depths) * np.polyfit(curve.depths, curve.line, 1)[0] for curve in curves]
+    return [side * (way - (way @ direction) * direction) for way, side in zip(ways, sides, strict=True)]
+
+
+def _agree(bends: Sequence[Floats]) -> bool:
+    """Whether bends (3,) have one direction."""
+    units = [normalize(bend) for bend in bends if bend.any()]
+    return bool(units) and float(np.linalg.norm(np.mean(units, axis=0))) > MIN_SAME_SIDE
 
 
 def project_guide(curve: ImportedCurve, guide: Floats, planes: Floats) -> Floats:
@@ -95,7 +119,7 @@ def settle_rolls(asked: CurveAnswers) -> tuple[list[int], list[float]]:
     """
     curves, (sides, rolls) = asked.curves, to_sides(asked.settle_sides(is_needed=True) or [])
     if any(curve.turns or curve.sensors for curve in curves) or (
-        any(rolls) and not all(curve.is_deflection for curve in curves)
+        len({*rolls}) > 1 and not all(curve.is_deflection for curve in curves)
     ):
         raise DataError(
             "bevels are at right angles, turned, or beside curvatures",
@@ -103,6 +127,8 @@ def settle_rolls(asked: CurveAnswers) -> tuple[list[int], list[float]]:
             fix="state deflections up and to the right; or import the runs of each plane",
             where=curves[0].points.where(),
         )
+    if not all(curve.is_deflection for curve in curves):
+        return sides, [0.0] * len(rolls)  # of one plane, in which they bend
     if any(rolls) and not any(curve.line[:, 2].any() for curve in curves):
         asked.settler.assumed["deflection"] = (
             "toward the bevel of side 1: one deflection is stated of each tip"
