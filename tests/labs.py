@@ -2,24 +2,11 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from needlefit import (
-    Bevel,
-    Controls,
-    Guide,
-    Needle,
-    NeedleShape,
-    Session,
-    Step,
-    Tissue,
-    compute_positions,
-    simulate,
-)
-from needlefit.arrays import Floats
+from needlefit import Bevel, Controls, Guide, Needle, Session, Step, Tissue, compute_positions, simulate
 
 OUTER_MM, LENGTH_MM = 0.7, 150.0  # 22 gauge, solid, of steel
 ROD = Needle.from_tube(LENGTH_MM, OUTER_MM, 200e3)
@@ -39,39 +26,39 @@ class Lab:
     stated: Sequence[str]
     files: Sequence[str] = ("data.csv",)
 
-    def options(self) -> list[str]:
+    def options(self):
         """Return the options of the import."""
         return ["--yes", *(word for one in self.stated for word in ("--set", one))]
 
 
-def _list_depths(count: int) -> list[int]:
+def _list_depths(count):
     return [round(one) for one in np.linspace(45, 85, count)]
 
 
-def push(depth: int, side: int = 1) -> NeedleShape:
+def push(depth, side=1):
     """Return a needle at a depth, mm."""
     return simulate(ROD, BLOCK, Bevel(TRUTH["bevel_mm"], side), float(depth))
 
 
-def place(depth: int, s: Floats, side: int = 1) -> Floats:
+def place(depth, s, side=1):
     """Return points (N, 2) of a needle at a depth, mm, in its plane."""
     return compute_positions(push(depth, side), s)[:, :2]
 
 
-def _misplace(points: Floats, rng: np.random.Generator) -> Floats:
+def _misplace(points, rng):
     """Return points (N, 2) of an insertion whose entry pose is not known exactly."""
     angle = rng.normal(0.0, TURN_RAD)
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     return points @ turn.T + [0.0, rng.normal(0.0, SHIFT_MM)]
 
 
-def _save(path: Path, header: str, rows: Sequence[Sequence[object]]) -> None:
+def _save(path, header, rows):
     lines = [header, *(",".join(f"{cell:.4f}" if isinstance(cell, float) else str(cell) for cell in row)
                        for row in rows)]  # fmt: skip
     path.write_text("\n".join(lines) + "\n")
 
 
-def write_shapes(path: Path, rng: np.random.Generator, needles: int = 8) -> None:
+def write_shapes(path, rng, needles=8):
     """CT: points of needles along x, 10 mm apart, their bevels up and down."""
     rows = []
     for n, depth in enumerate(_list_depths(needles)):
@@ -83,7 +70,7 @@ def write_shapes(path: Path, rng: np.random.Generator, needles: int = 8) -> None
     _save(path, "needle,bevel side,depth [mm],x [mm],y [mm],z [mm]", rows)
 
 
-def write_stops(path: Path, rng: np.random.Generator, needles: int = 8) -> None:
+def write_stops(path, rng, needles=8):
     """Camera: deflections of tips at stops, in a picture that is turned a little."""
     rows = []
     for n in range(needles):
@@ -95,7 +82,7 @@ def write_stops(path: Path, rng: np.random.Generator, needles: int = 8) -> None:
     _save(path, "needle,bevel side,depth [mm],deflection [mm]", rows)
 
 
-def write_tracker(path: Path, rng: np.random.Generator, needles: int = 8) -> None:
+def write_tracker(path, rng, needles=8):
     """EM tracker: places of tips, beside those of the guide, which moves in half of the runs."""
     rows = []
     for n in range(needles):
@@ -115,7 +102,7 @@ def write_tracker(path: Path, rng: np.random.Generator, needles: int = 8) -> Non
     _save(path, "run,bevel side,time,depth [mm],deflection [mm],guide_mm", rows)
 
 
-def write_fibres(path: Path, rng: np.random.Generator, needles: int = 8) -> None:
+def write_fibres(path, rng, needles=8):
     """Fibres: curvatures at eight sensors of each needle."""
     rows = []
     for n, depth in enumerate(_list_depths(needles)):
@@ -129,7 +116,7 @@ def write_fibres(path: Path, rng: np.random.Generator, needles: int = 8) -> None
     _save(path, f"needle,depth [mm],sensor from tip [mm],{curvatures}", rows)
 
 
-def write_tips(path: Path, rng: np.random.Generator, needles: int = 8) -> None:
+def write_tips(path, rng, needles=8):
     """Final tips: depth and deflection of insertions."""
     rows = []
     for n, depth in enumerate(_list_depths(needles)):
@@ -138,14 +125,14 @@ def write_tips(path: Path, rng: np.random.Generator, needles: int = 8) -> None:
     _save(path, "needle,depth [mm],deflection [mm]", rows)
 
 
-def write_one(path: Path, rng: np.random.Generator, needles: int = 1) -> None:
+def write_one(path, rng, needles=1):
     """One needle: its points."""
     points = _misplace(place(80, np.linspace(0.0, 80.0, 41)), rng)
     points += rng.normal(0.0, 0.1, points.shape) * [0.0, 1.0]
     _save(path, "x [mm],y [mm]", [[*map(float, one)] for one in points])
 
 
-def write_mixture(path: Path, rng: np.random.Generator, needles: int = 8) -> None:
+def write_mixture(path, rng, needles=8):
     """CT and two readings of the tip of half of the needles, tips of the others on their way: three files."""
     for write, name in ((write_shapes, "ct"), (write_stops, "camera")):
         write(path.with_name(f"{name}.csv"), rng, (needles + 1) // 2)
@@ -159,7 +146,7 @@ def write_mixture(path: Path, rng: np.random.Generator, needles: int = 8) -> Non
     _save(path.with_name("ends.csv"), "needle,bevel side,depth [mm],deflection [mm]", ends)
 
 
-def write_tips_and_fibres(path: Path, rng: np.random.Generator, needles: int = 8) -> None:
+def write_tips_and_fibres(path, rng, needles=8):
     """Final tips of half of the needles, curvatures of the others: two files."""
     for write, name in ((write_tips, "tips"), (write_fibres, "fibres")):
         write(path.with_name(f"{name}.csv"), rng, (needles + 1) // 2)
@@ -167,7 +154,7 @@ def write_tips_and_fibres(path: Path, rng: np.random.Generator, needles: int = 8
     tips.write_text(tips.read_text().replace("\nn", "\nt"))
 
 
-def write_shapes_with_tips(path: Path, rng: np.random.Generator, needles: int = 8) -> None:
+def write_shapes_with_tips(path, rng, needles=8):
     """CT: points of two thirds of the needles, of the others the tip alone: one file."""
     rows = []
     for n, depth in enumerate(_list_depths(needles)):

@@ -5,24 +5,23 @@ from pathlib import Path
 
 from needlefit.project.folders import MANIFEST, write_manifest
 from needlefit.studies.report import rebuild
-from needlefit.studies.run import Run
 from needlefit.studies.store import store_run
 
 
-def store(result: Run, folder: Path) -> Path:
+def store(result, folder):
     """Store a result with a manifest of all that lies in the folder."""
     path = store_run(result, folder)
     write_manifest(folder)
     return path
 
 
-def read_files(folder: Path) -> dict[str, bytes]:
+def read_files(folder):
     """Return every file of a run by its path in the folder, but for its times."""
     files = (path for path in folder.rglob("*") if path.is_file() and path.name != "timing.json")
     return {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
 
-def assert_made_again(folder: Path, has_data: bool = False) -> Path:
+def assert_made_again(folder, has_data=False):
     """Every file of a run but its times comes back to the same bytes; beside each figure lies its table.
 
     A folder that is a dataset `has_data`, which are not made again.

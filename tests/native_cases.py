@@ -1,8 +1,5 @@
 """Problems of the native kernel for tests: made, changed, computed."""
 
-from collections.abc import Mapping
-
-import numpy as np
 from mechanics_cases import random_batch, random_needle, random_rules, random_steps, random_tissue
 
 from needlefit.mechanics import native
@@ -10,7 +7,7 @@ from needlefit.mechanics.batch import DERIVATIVE_KINDS, _evaluate, find_columns
 from needlefit.mechanics.packing import INPUTS_ALONG_Z, pack_insertion, pack_problem
 
 
-def make_problem(rng: np.random.Generator) -> native.KernelProblem:
+def make_problem(rng):
     """Return a random insertion with all derivatives, or one with several parameter sets."""
     if rng.random() < 0.5:
         batch = random_batch(rng, int(rng.integers(2, 12)), within=True, friction=0.3)
@@ -24,12 +21,12 @@ def make_problem(rng: np.random.Generator) -> native.KernelProblem:
     return pack_problem(needle, tissue, steps, lattice, rules, packed, columns=columns)
 
 
-def read_numbers(problem: native.KernelProblem) -> dict[str, float]:
+def read_numbers(problem):
     """Return the sizes and numbers of a problem."""
     return {name: getattr(problem, name) for name in (*native._SIZES, *native._NUMBERS)}
 
 
-def compute(problem: native.KernelProblem, lanes: int | None = None) -> dict[str, np.ndarray]:
+def compute(problem, lanes=None):
     """Return the shapes, and their derivatives if the problem has some, of all sets."""
     points = int(problem.arrays["stops"]["cell"][problem.stop_count - 1]) + 1
     shapes, lanes = native.make_shapes(problem, points), lanes or native.count_lanes()
@@ -40,6 +37,6 @@ def compute(problem: native.KernelProblem, lanes: int | None = None) -> dict[str
     return shapes.arrays
 
 
-def to_bytes(arrays: Mapping[str, np.ndarray]) -> dict[str, bytes]:
+def to_bytes(arrays):
     """Return the bytes of arrays, which tell one NaN from another."""
     return {name: array.tobytes() for name, array in arrays.items()}

@@ -2,11 +2,8 @@
 
 import shutil
 import sys
-from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-
-import pytest
 
 from needlefit import plugins
 
@@ -14,9 +11,7 @@ EXAMPLE = "needlefit_example"
 VERSION = "1.2.3"
 
 
-def install(
-    site: Path, *, module: str = EXAMPLE, entry_point: bool = True, source: str | None = None
-) -> Path:
+def install(site, *, module=EXAMPLE, entry_point=True, source=None):
     """Put a package into `site`, with the entry point of a plugin or without, as pip would."""
     site.mkdir(parents=True, exist_ok=True)
     if source is None:
@@ -32,7 +27,7 @@ def install(
 
 
 @contextmanager
-def plugin_folder(site: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def plugin_folder(site, monkeypatch):
     """Let this process find the plugins of a folder, and forget them afterwards."""
     with monkeypatch.context() as patch:
         patch.syspath_prepend(site)

@@ -1,13 +1,8 @@
 """Problems of insertions that no study selects, and what insertions of a dataset have in common."""
 
-from collections.abc import Sequence
-
-from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD
 from needlefit.inference.parameters import Parameters, with_hyperparameters
 from needlefit.inference.problem import Problem
-from needlefit.schemas.medium import MediumRecord
-from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
 
 #: of a dataset: what its insertions have in common, along x into one layer
 ALONG_X = """[insertions.constants]
@@ -32,12 +27,12 @@ pose_angle_sd_deg = 0.2
 
 
 def make_problem(
-    dataset: Dataset,
-    insertions: Sequence[Insertion],
-    medium: MediumRecord,
-    weights: WeightsRecord,
-    likelihood: LikelihoodRecord = PLAIN_LIKELIHOOD,
-) -> Problem:
+    dataset,
+    insertions,
+    medium,
+    weights,
+    likelihood=PLAIN_LIKELIHOOD,
+):
     """Return the problem of fitting `medium` to `insertions`; what the medium frees is searched."""
     parameters = with_hyperparameters(Parameters.from_record(medium), likelihood)
     return Problem(dataset, tuple(insertions), medium, parameters, weights, likelihood=likelihood)

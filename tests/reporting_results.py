@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pandas as pd
+from numpy.random import default_rng
 
 from needlefit.datasets import paper
 from needlefit.inference.sampling.posterior import Posterior
@@ -33,7 +34,7 @@ STEREO = ("fitted", "straight", "constant_curvature", "linear_curvature")
 FRACTIONS = np.linspace(0, 1, 101)
 
 
-def curves(insertion: dict, method: str, boundaries: str) -> pd.DataFrame:
+def curves(insertion, method, boundaries):
     depth, bend, sway = insertion["depth_mm"], insertion["deflection_mm"], insertion["sway"]
     share, shift = MISS[method]
     share *= 1.6 if boundaries == "planned" else 1.0
@@ -47,7 +48,7 @@ def curves(insertion: dict, method: str, boundaries: str) -> pd.DataFrame:
     return pd.DataFrame(columns | {"measured_z_mm": 0.1 * FRACTIONS, "simulated_z_mm": 0.0})
 
 
-def scores(points: pd.DataFrame, converged: bool) -> dict:
+def scores(points, converged):
     gap = np.hypot(*(points[f"simulated_{a}_mm"] - points[f"measured_{a}_mm"] for a in "xy")).to_numpy()
     bend = points["measured_y_mm"].iloc[-1] - points["measured_y_mm"].iloc[0]
     if not converged:
@@ -60,7 +61,7 @@ def scores(points: pd.DataFrame, converged: bool) -> dict:
     return found | {"edp_flagged": abs(bend) < 0.22, "converged": converged}
 
 
-def group(rng, role: str, medium: str, layers: int, count: int, foreign: float = 0.0) -> list[dict]:
+def group(rng, role, medium, layers, count, foreign=0.0):
     rows = paper.read_published_table("insertions").query("medium == @medium and layers == @layers").iloc[0]
     depths = np.linspace(rows["depth_min_mm"], rows["depth_max_mm"], count)
     typical = DEFLECTION.get((medium, layers), 0.46 if medium == "chicken" else 1.1)
@@ -82,7 +83,7 @@ def group(rng, role: str, medium: str, layers: int, count: int, foreign: float =
     ]
 
 
-def score_all(insertions: list[dict], fold: int, methods: tuple[str, ...], comparison: str):
+def score_all(insertions, fold, methods, comparison):
     errors, shapes = [], []
     for one in insertions:
         for method in methods:
@@ -112,7 +113,7 @@ KINDS = pd.DataFrame(
 """What a fit leaves of each kind of parameter; `low` and `high` of mu are factors of its value."""
 
 
-def parameters(layers: int, fold: int, undetermined: bool, methods: tuple[str, ...]) -> list[dict]:
+def parameters(layers, fold, undetermined, methods):
     names = [n for i in range(1, layers + 1) for n in (f"mu{i}_pa", f"alpha{i}")] + ["bevel_mm"]
     values = {"mu": 2.13e5 * (1 + 0.05 * fold), "alpha": 1.0, "bevel": 0.0847}
     rows = []
@@ -143,7 +144,7 @@ def parameters(layers: int, fold: int, undetermined: bool, methods: tuple[str, .
     return rows
 
 
-def starts(rng, layers: int, fold: int, fits: tuple[str, ...]) -> list[dict]:
+def starts(rng, layers, fold, fits):
     rows = []
     for fit in fits:
         for start in range(8):
@@ -161,7 +162,7 @@ def starts(rng, layers: int, fold: int, fits: tuple[str, ...]) -> list[dict]:
     return rows
 
 
-def frames(errors, shapes, params, begun, insertions) -> dict[str, pd.DataFrame]:
+def frames(errors, shapes, params, begun, insertions):
     words = ["mu1_pa and bevel_mm only as mu1_pa * bevel_mm^1.9", "bevel_mm with mu2_pa", "mu1_pa / mu2_pa"]
     sds = [0.008, 0.17, 0.91]
     empty = {name: pd.DataFrame(columns=list(columns)) for name, columns in FRAMES.items()}
@@ -175,9 +176,9 @@ def frames(errors, shapes, params, begun, insertions) -> dict[str, pd.DataFrame]
 
 
 @cache
-def study(number: int, origin: str = "synthetic") -> Run:
+def study(number, origin="synthetic"):
     """One of the five studies; study 3 holds an insertion that did not converge, 5 a flagged EDP."""
-    rng = np.random.default_rng(number)
+    rng = default_rng(number)
     design = paper.read_published_table("study_design").query("study == @number")
     first = design.iloc[0]
     foreign = {3: 2.8, 4: 2.2}.get(number, 0.0)
@@ -212,7 +213,7 @@ def study(number: int, origin: str = "synthetic") -> Run:
     return replace(made, faults=find_faults(made.frames["errors"], {}, unconverged))
 
 
-def metadata(name: str, record: StudyRecord) -> FitMetadata:
+def metadata(name, record):
     """What such a run knows of its data, and nothing of its folds."""
     return FitMetadata(
         name=name,
@@ -241,9 +242,9 @@ def metadata(name: str, record: StudyRecord) -> FitMetadata:
 
 
 @cache
-def stereo() -> Run:
+def stereo():
     """Leave one out over aligned, measured shapes: three folds, no paper row, no hand-tuned set."""
-    rng = np.random.default_rng(11)
+    rng = default_rng(11)
     shapes_of = [
         {"insertion": f"insertion{i}_120", "medium": "gel", "specimen": f"insertion{i}", "layers": 1}
         | {
@@ -278,7 +279,7 @@ def stereo() -> Run:
     )
 
 
-def with_predictions(results: Run, levels: tuple[float, ...] = (0.1, 0.4, 0.7, 0.97)) -> Run:
+def with_predictions(results, levels=(0.1, 0.4, 0.7, 0.97)):
     """Run with predictions of their held-out needles: levels in turn, bands about the measured shape."""
     rows, bands = [], []
     held = results.frames["errors"].query(
@@ -317,9 +318,9 @@ def with_predictions(results: Run, levels: tuple[float, ...] = (0.1, 0.4, 0.7, 0
     return results.with_frames(predictive=predictive, bands=pd.concat(bands, ignore_index=True))
 
 
-def with_draws(results: Run, count: int = 200) -> Run:
+def with_draws(results, count=200):
     """Run with draws on a ridge: mu times b squared known to 2 %, mu within a factor of 5."""
-    rng = np.random.default_rng(5)
+    rng = default_rng(5)
     known = results.frames["parameters"].query("method == 'fitted'")
     known = known.drop_duplicates("parameter").set_index("parameter")
     values = {name: np.full(count, value) for name, value in known["value"].items()}
@@ -339,7 +340,7 @@ def with_draws(results: Run, count: int = 200) -> Run:
     return results.with_frames(draws=pd.DataFrame(about | values))
 
 
-def sampled(low: float, high: float, r_hat: float = 1.0) -> Run:
+def sampled(low, high, r_hat=1.0):
     """Study 5 with b drawn evenly between two bounds; the fit ended at 0.0847 mm."""
     draws = np.tile(np.linspace(low, high, 400), 4).reshape(4, 400, 1)
     acceptance, nothing = np.array([0.3, 0.4, 0.3, 0.4]), np.zeros((4, 400))
@@ -350,6 +351,6 @@ def sampled(low: float, high: float, r_hat: float = 1.0) -> Run:
     return replace(one, posteriors={fold: posterior})
 
 
-def skip_figures(monkeypatch) -> None:
+def skip_figures(monkeypatch):
     """Draw no figures of studies and fits: they take longest, and other tests look at them."""
     monkeypatch.setattr(report, "REPORT", replace(report.REPORT, figures=lambda _: {}))

@@ -6,14 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 from inference_cases import NothingHeld
 
-from needlefit.inference.fit import Callbacks
-from needlefit.inference.sampling.importance import Effort, WeightedDraws, sample_by_importance
+from needlefit.inference.sampling.importance import Effort, sample_by_importance
 from needlefit.inference.sampling.log_density import (
     Evaluator,
     approximate_by_information,
     difference_information,
 )
-from needlefit.inference.sampling.posterior import Posterior
 from needlefit.inference.sampling.sample import sample
 from needlefit.schemas.recipe import SampleRecord
 
@@ -29,37 +27,37 @@ class Known(NothingHeld):
     half: float = 10.0
 
     @property
-    def names(self) -> tuple[str, ...]:
+    def names(self):
         return tuple(f"x{k}" for k in range(self.dimensions))
 
     @property
-    def lower(self) -> np.ndarray:
+    def lower(self):
         return np.full(self.dimensions, -self.half)
 
     @property
-    def upper(self) -> np.ndarray:
+    def upper(self):
         return np.full(self.dimensions, self.half)
 
-    def log_posteriors(self, thetas: np.ndarray, jobs: int) -> np.ndarray:
+    def log_posteriors(self, thetas, jobs):
         return self.log_density(thetas)
 
     plain = None  # there are no nodes to interpolate
 
-    def tabulate_values(self, thetas: np.ndarray) -> np.ndarray:
+    def tabulate_values(self, thetas):
         return thetas
 
 
-def gaussian(covariance: np.ndarray, mean: np.ndarray | float = 0.0) -> Callable[[np.ndarray], np.ndarray]:
+def gaussian(covariance, mean=0.0):
     precision = np.linalg.inv(covariance)
     return lambda x: -0.5 * np.sum(((x - mean) @ precision) * (x - mean), axis=1)
 
 
-def banana(x: np.ndarray) -> np.ndarray:
+def banana(x):
     """x0 is normal with sd 1; x1 is normal with sd 0.5 about x0^2."""
     return -0.5 * x[:, 0] ** 2 - 0.5 * ((x[:, 1] - x[:, 0] ** 2) / 0.5) ** 2
 
 
-def two_hills(x: np.ndarray) -> np.ndarray:
+def two_hills(x):
     """Of width 0.2 at -5 and 5 in the first coordinate: nothing walks from one to the other."""
     return np.logaddexp(
         -0.5 * np.sum(((x - [5.0, 0.0]) / 0.2) ** 2, axis=1),
@@ -67,9 +65,7 @@ def two_hills(x: np.ndarray) -> np.ndarray:
     )
 
 
-def weighted(
-    known: Known, modes: object = None, effort: Effort = EFFORT, seed: int = 1, uniform: object = None
-) -> WeightedDraws:
+def weighted(known, modes=None, effort=EFFORT, seed=1, uniform=None):
     ends = np.atleast_2d(np.zeros(known.dimensions) if modes is None else modes)
     evaluator, bounds = Evaluator(known, 1), (known.lower, known.upper)
     about = [approximate_by_information(difference_information(evaluator, end), end, *bounds) for end in ends]
@@ -78,22 +74,22 @@ def weighted(
 
 
 def draw(
-    known: Known,
-    begin: WeightedDraws,
-    callbacks: Callbacks | None = None,
-    seed: int = 1,
-    **changed: object,
-) -> Posterior:
+    known,
+    begin,
+    callbacks=None,
+    seed=1,
+    **changed,
+):
     settings = SampleRecord.model_validate(changed)
     found = sample(known, begin, settings, np.random.default_rng(seed), callbacks)
     assert found is not None
     return found
 
 
-def flat(posterior: Posterior) -> np.ndarray:
+def flat(posterior):
     return posterior.draws.reshape(-1, len(posterior.names))
 
 
-def standard_errors(posterior: Posterior) -> np.ndarray:
+def standard_errors(posterior):
     """Monte Carlo standard errors (P,) of the means, by the independent draws that the posterior claims."""
     return flat(posterior).std(axis=0) / np.sqrt(posterior.ess[:-1])

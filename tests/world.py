@@ -8,7 +8,7 @@ command line read the same runs.
 import io
 import json
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import chdir, contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,7 +19,6 @@ import pytest
 import track_cases
 
 from needlefit.cli import main
-from needlefit.studies.run import Run
 from needlefit.studies.store import restore_run
 
 try:
@@ -46,7 +45,7 @@ class Command:
     kind: str = ""  #: of study, where it is not the command's name
 
 
-def _validate(name: str, *codes: int) -> Command:
+def _validate(name, *codes):
     return Command(("validate", name), name, codes or SHORT)
 
 
@@ -68,14 +67,14 @@ COMMANDS: Mapping[str, Command] = MappingProxyType(
 """By kind of study, and of tip tracks, which are cross-validated."""
 
 
-def find_words(kind: str, reports: Path, jobs: int = 1) -> list[str]:
+def find_words(kind, reports, jobs=1):
     """Return the command of a kind that leaves its result in a folder of `reports`."""
     command = COMMANDS[kind]
     out = reports / command.folder if kind == "reconstruction" else reports  # which names its own folder
     return [*command.words, "--out", str(out), "--jobs", str(jobs)]
 
 
-def build_project(folder: Path) -> None:
+def build_project(folder):
     """Write the project and its data to a folder that is not there yet."""
     shutil.copytree(PROJECT, folder)
     needles.build(folder / "data/needles", needles.DEPTHS[:3])
@@ -93,7 +92,7 @@ class World:
 
     folder: Path
 
-    def find(self, kind: str) -> Path:
+    def find(self, kind):
         """Return the folder of the finished run of a kind, which is made if it is not there."""
         command = COMMANDS[kind]
         for other in command.after:
@@ -105,17 +104,17 @@ class World:
         assert outcome["code"] in command.codes, outcome["printed"]
         return self._result(command)
 
-    def restore(self, kind: str) -> Run:
+    def restore(self, kind):
         """Return the run of a kind as it was stored."""
         return restore_run(self.find(kind))
 
-    def _result(self, command: Command) -> Path:
+    def _result(self, command):
         return self.folder / "reports" / command.folder
 
-    def _outcome(self, kind: str) -> Path:
+    def _outcome(self, kind):
         return self.folder.parent / f"{kind}.json"
 
-    def _run(self, kind: str, command: Command) -> None:
+    def _run(self, kind, command):
         printed = io.StringIO()
         with (
             chdir(self.folder),
@@ -129,7 +128,7 @@ class World:
 
 
 @contextmanager
-def _one_process(lock: Path) -> Iterator[None]:
+def _one_process(lock):
     """Let one process at a time do what follows."""
     with lock.open("w") as file:
         if fcntl is not None:
@@ -137,7 +136,7 @@ def _one_process(lock: Path) -> Iterator[None]:
         yield
 
 
-def open_world(factory: pytest.TempPathFactory) -> World:
+def open_world(factory):
     """Return the world of this session; the process that comes first builds its project."""
     base = factory.getbasetemp()
     shared = base.parent if base.name.startswith("popen-") else base  # the processes of xdist

@@ -3,12 +3,10 @@
 import os
 import shutil
 import tempfile
-from collections.abc import Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Self
 from unittest.mock import patch
 
 from fuzzing.worker import CASE, MAX_MIB, MAX_SECONDS, Verdict, begin_process, count_inputs, read_mutant
@@ -21,21 +19,19 @@ class Workers:
     time is ended.
     """
 
-    def __init__(self, max_seconds: float = MAX_SECONDS) -> None:
+    def __init__(self, max_seconds=MAX_SECONDS):
         self.max_seconds = max_seconds
         self.folder = Path(tempfile.mkdtemp(prefix="needlefit-fuzz-"))
         self._pool: ProcessPoolExecutor | None = None
 
-    def __enter__(self) -> Self:
+    def __enter__(self):
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, *_):
         self._end()
         shutil.rmtree(self.folder, ignore_errors=True)
 
-    def verdicts(
-        self, reader: str, numbers: Iterable[int], seed: int = 1, keep: Path | None = None
-    ) -> Iterator[Verdict]:
+    def verdicts(self, reader, numbers, seed=1, keep=None):
         """Yield the verdict on each mutant; inputs of violations are copied to `keep`."""
         self.inputs(reader)
         for number in numbers:
@@ -50,7 +46,7 @@ class Workers:
                 _copy(self.folder / CASE, keep / f"{reader}-{seed}-{number}", verdict)
             yield verdict
 
-    def inputs(self, reader: str) -> int:
+    def inputs(self, reader):
         """Return how many valid inputs a reader has: the first mutants are these, undamaged."""
         return self._ask(count_inputs, reader)
 
@@ -61,13 +57,13 @@ class Workers:
                 self._pool = ProcessPoolExecutor(1, get_context("spawn"), *begin)
             return self._pool.submit(function, self.folder, *arguments).result()
 
-    def _end(self) -> None:
+    def _end(self):
         if self._pool is not None:
             self._pool.shutdown()
         self._pool = None
 
 
-def _copy(case: Path, kept: Path, verdict: Verdict) -> None:
+def _copy(case, kept, verdict):
     shutil.rmtree(kept, ignore_errors=True)
     kept.mkdir(parents=True)
     if case.is_dir():  # the process may have ended before it had written the mutant

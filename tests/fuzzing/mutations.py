@@ -7,9 +7,6 @@ import gzip
 import re
 import struct
 import zlib
-from collections.abc import Sequence
-
-import numpy as np
 
 MAX_BYTES = 2**20
 """Length of a mutant that grows."""
@@ -43,7 +40,7 @@ OPENINGS = (b"[", b"{", b'{"a":', b"(", b"a = [", b"[[a]]\n", b"a.", b"<a>", b'"
 ENCODINGS = ("utf-16", "utf-32", "utf-8-sig")
 
 
-def mutate(data: bytes, others: Sequence[bytes], random: np.random.Generator, packed: bool = False) -> bytes:
+def mutate(data, others, random, packed=False):
     """Return `data` with one to five parts replaced, also by parts of `others`, which are valid inputs.
 
     Half of the mutants of `packed` data, which are gzip, are damaged inside and packed again.
@@ -62,7 +59,7 @@ def mutate(data: bytes, others: Sequence[bytes], random: np.random.Generator, pa
     return data
 
 
-def choose_part(data: bytes, random: np.random.Generator) -> tuple[int, int]:
+def choose_part(data, random):
     """Return where a part begins and ends: found by a pattern, aligned as a binary number, or anywhere."""
     found = [match.span() for match in _one(PARTS, random).finditer(data[:200_000])]
     if found and random.random() < 0.6:
@@ -75,7 +72,7 @@ def choose_part(data: bytes, random: np.random.Generator) -> tuple[int, int]:
     return at, at + int(_one(lengths, random))
 
 
-def choose_filling(data: bytes, part: bytes, others: Sequence[bytes], random: np.random.Generator) -> bytes:
+def choose_filling(data, part, others, random):
     """Return what takes the place of a part: damaged bits of it, an extreme, or something from elsewhere."""
     source = _one(others, random) if len(others) and random.random() < 0.2 else data
     begin, end = choose_part(source, random)
@@ -98,5 +95,5 @@ def choose_filling(data: bytes, part: bytes, others: Sequence[bytes], random: np
     )
 
 
-def _one(values: Sequence, random: np.random.Generator):
+def _one(values, random):
     return values[int(random.integers(len(values)))]

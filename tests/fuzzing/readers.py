@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 from fuzzing import seeds
 from fuzzing.seeds import Seed, project_files
@@ -34,14 +33,14 @@ class Reader:
     packed: bool = False
 
 
-def reader(name: str) -> Reader:
+def reader(name):
     return READERS.get(name) or BROKEN[name]
 
 
 _INPUTS: dict[str, tuple[Seed, ...]] = {}
 
 
-def inputs(name: str, stored: Path) -> tuple[Seed, ...]:
+def inputs(name, stored):
     """Return the valid inputs of a reader: built once, then taken from the folder `stored`."""
     if name not in _INPUTS:
         file = stored / f"{name}.pickle"
@@ -52,38 +51,38 @@ def inputs(name: str, stored: Path) -> tuple[Seed, ...]:
     return _INPUTS[name]
 
 
-def _late(name: str) -> Any:
+def _late(name):
     module, _, attribute = name.rpartition(".")
     return getattr(import_module(f"needlefit.{module}"), attribute)
 
 
-def _call(name: str, path: Path) -> object:
+def _call(name, path):
     return _late(name)(path)
 
 
-def _load(record: str, path: Path) -> object:
+def _load(record, path):
     return _late("project.toml.load")(path, _late(f"schemas.{record}"))
 
 
 # ---- TOML
 
 
-def _scene(path: Path) -> object:
+def _scene(path):
     return _late("mechanics.scene.Scene").from_record(_load("scene.SceneRecord", path))
 
 
-def _study(path: Path) -> object:
+def _study(path):
     return _late("studies.study_files.load_study_file")(path)
 
 
-def _medium(path: Path) -> object:
+def _medium(path):
     return _late("inference.parameters.Parameters").from_record(_load("medium.MediumRecord", path))
 
 
 # ---- datasets
 
 
-def _dataset(path: Path) -> object:
+def _dataset(path):
     """Check a dataset; one without faults must be readable."""
     found = _late("datasets.read.check")(path)
     if found:
@@ -91,7 +90,7 @@ def _dataset(path: Path) -> object:
     return _late("datasets.read.read")(path)
 
 
-def _import(path: Path) -> object:
+def _import(path):
     stated = [("pose", "1,0,0"), ("bevel", "0,1,0")]
     prepared = _late("datasets.importing.prepare.prepare_import")([path], stated)
     with _late("project.folders.replace_folder")(path.parent / "made", False) as fresh:
@@ -100,7 +99,7 @@ def _import(path: Path) -> object:
     return _late("datasets.read.read")(path.parent / "made")
 
 
-def _mesh(path: Path) -> object:
+def _mesh(path):
     found: list = []
     source = _late("imaging.scans.LayerSource")(path)
     surface = _late("imaging.layers.read_mesh")(source, 2, found)
@@ -112,12 +111,12 @@ def _mesh(path: Path) -> object:
 # ---- own files
 
 
-def _results(folder: Path) -> object:
+def _results(folder):
     _late("project.folders.write_manifest")(folder)
     return _late("studies.store.restore_run")(folder)
 
 
-def _checkpoint(folder: Path) -> object:
+def _checkpoint(folder):
     kept = _late("project.checkpoint.open_checkpoint")(folder, True, seeds.WORK)
     return _late("inference.fit.read_fit")(kept, "fit"), kept.rows("rows"), kept.rows("arrays")
 
@@ -125,7 +124,7 @@ def _checkpoint(folder: Path) -> object:
 # ---- texts
 
 
-def _configs(record: str, folder: str, name: str) -> Reader:
+def _configs(record, folder, name):
     return Reader(partial(_load, record), partial(project_files, f"configs/{folder}/*.toml", f"{name}.toml"))
 
 
@@ -166,24 +165,24 @@ READERS: dict[str, Reader] = {
 # ---- readers that break the rule
 
 
-def _crash(_: Path) -> None:
+def _crash(_):
     os.kill(os.getpid(), signal.SIGSEGV)
 
 
-def _spin(_: Path) -> None:
+def _spin(_):
     while True:
         pass
 
 
-def _grow(_: Path) -> None:
+def _grow(_):
     bytearray(1200 * 2**20)[::4096] = b"1" * (1200 * 2**20 // 4096)
 
 
-def _raise(_: Path) -> None:
+def _raise(_):
     raise KeyError("x")
 
 
-def _print(path: Path) -> None:
+def _print(path):
     print(path.name + "\x1b[31m")
 
 

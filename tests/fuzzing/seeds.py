@@ -1,7 +1,7 @@
 """Valid inputs of every kind, small, with the same bytes in every run."""
 
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,16 +20,16 @@ class Seed:
     damaged: tuple[str, ...]
 
 
-def one_file(name: str, data: bytes | str) -> Seed:
+def one_file(name, data):
     return Seed({name: data.encode() if isinstance(data, str) else data}, name, (name,))
 
 
-def project_files(pattern: str, name: str) -> list[Seed]:
+def project_files(pattern, name):
     """Return the project's own files that match a pattern, each as an input of the same name."""
     return [one_file(name, path.read_bytes()) for path in sorted(PROJECT.glob(pattern))]
 
 
-def corpus(pattern: str) -> list[Seed]:
+def corpus(pattern):
     """Return crashing inputs: their neighbours are the likeliest to crash again."""
     found = []
     for path in sorted(CORPUS.glob(pattern)):
@@ -38,7 +38,7 @@ def corpus(pattern: str) -> list[Seed]:
     return found
 
 
-def written(write: Callable[[Path], object], opened: str, damaged: Sequence[str] = ()) -> Seed:
+def written(write, opened, damaged=()):
     """Return the files that `write` leaves in a folder; `damaged` are all of them unless some are named."""
     with tempfile.TemporaryDirectory() as folder:
         write(Path(folder))
@@ -47,7 +47,7 @@ def written(write: Callable[[Path], object], opened: str, damaged: Sequence[str]
     return Seed(files, opened, tuple(damaged) or tuple(files))
 
 
-def saved(name: str, write: Callable[..., object], *arguments: object, **options: object) -> Seed:
+def saved(name, write, *arguments, **options):
     """Return the file that `write` makes of a path, which it takes first, and of these arguments."""
     return written(lambda folder: write(folder / name, *arguments, **options), name)
 
@@ -55,7 +55,7 @@ def saved(name: str, write: Callable[..., object], *arguments: object, **options
 # ---- datasets
 
 
-def datasets() -> list[Seed]:
+def datasets():
     """A dataset with surfaces, one with a long table, and one of tip tracks."""
     import numpy as np
     from test_datasets import LONG, block, without_checksums
@@ -80,7 +80,7 @@ def datasets() -> list[Seed]:
 # ---- files of other programs
 
 
-def markups() -> list[Seed]:
+def markups():
     from test_datasets_markups import COLUMNS, HEADER, markup, save
 
     points = [(5.0 * k, 0.0, 0.01 * k * k) for k in range(12)]
@@ -94,12 +94,12 @@ def markups() -> list[Seed]:
     ]
 
 
-def markers() -> list[Seed]:
+def markers():
     table = (PROJECT / "data/sample_scan/markers/sample.csv").read_bytes()
     return [one_file("markers.csv", table), *markups()]
 
 
-def sources() -> list[Seed]:
+def sources():
     rows = "".join(f"{name},{x},0,{4e-4 * x * x:.5f},0.1\n" for name in "ab" for x in range(0, 60, 4))
     return [
         one_file("shapes.csv", "id,x_mm,y_mm,z_mm,sd_mm\n" + rows),
@@ -107,7 +107,7 @@ def sources() -> list[Seed]:
     ]
 
 
-def matlab() -> list[Seed]:
+def matlab():
     """MATLAB files of version 4, 5, 7 (compressed) and 7.3 (HDF5), and the crashing ones."""
     import h5py
     import numpy as np
@@ -122,12 +122,12 @@ def matlab() -> list[Seed]:
     table = {"T": {**fields, "needle": np.repeat([1.0, 2.0], len(curve))}}
     stack = np.dstack([curve, np.vstack([curve[:-4] + 1.0, np.zeros((4, 3))])])
 
-    def five_of(path: Path, variables: Mapping[str, object], compressed: bool = False) -> None:
+    def five_of(path, variables, compressed=False):
         savemat(path, variables, do_compression=compressed)
         # scipy writes the time into the first 116 bytes
         path.write_bytes(b"MATLAB 5.0 MAT-file".ljust(116) + path.read_bytes()[116:])
 
-    def hdf(path: Path) -> None:
+    def hdf(path):
         with h5py.File(path, "w", userblock_size=512, track_order=True) as file:
             file["curve"] = curve.T
             file.create_dataset("packed", data=curve.T, compression="gzip", chunks=(3, 10))
@@ -150,7 +150,7 @@ def matlab() -> list[Seed]:
     ]
 
 
-def json_lines() -> list[Seed]:
+def json_lines():
     points = "".join(f'{{"needle": "a", "x": {x}, "y": 0, "z": {x * x / 2000}}}\n' for x in range(0, 60, 4))
     return [
         one_file("a.jsonl", (CASES / "shapes.jsonl").read_bytes()),
@@ -158,7 +158,7 @@ def json_lines() -> list[Seed]:
     ]
 
 
-def import_tables() -> list[Seed]:
+def import_tables():
     from import_cases import needle, write_european_csv
 
     curves = [needle(n, 9 - n) for n in range(2)]
@@ -178,24 +178,24 @@ def import_tables() -> list[Seed]:
     ]
 
 
-def structure_sets() -> list[Seed]:
+def structure_sets():
     return [one_file("needles.dcm", (CASES / "needles_rs.dcm").read_bytes())]
 
 
-def workbooks() -> list[Seed]:
+def workbooks():
     from import_cases import needle, write_workbook
 
     return [saved("t.xlsx", write_workbook, [needle(n, 9 - n) for n in range(2)])]
 
 
-def volumes() -> list[Seed]:
+def volumes():
     """NRRD, NIfTI and MetaImage, packed and not, with the voxels inside or beside, and the crashing ones."""
     import test_imaging_volume as cases
 
     image = cases.volume_of(cases.VALUES)
 
-    def with_raw(name: str, write: Callable[..., object], **options: object) -> Seed:
-        def both(folder: Path) -> None:
+    def with_raw(name, write, **options):
+        def both(folder):
             write(folder / name, **options)
             (folder / "volume.raw").write_bytes(cases.VALUES.tobytes())
 
@@ -216,7 +216,7 @@ def volumes() -> list[Seed]:
     ]
 
 
-def labels() -> list[Seed]:
+def labels():
     from layer_cases import labelled, save, save_segments
 
     volume = labelled(lambda points: 1 + (points[:, 0] > 0), shape=(8, 9, 10))
@@ -227,16 +227,16 @@ def labels() -> list[Seed]:
     ]
 
 
-def dicom() -> list[Seed]:
+def dicom():
     """A series of slices, plain and compressed, one of which is damaged, and the slices that took 4 GB."""
     import numpy as np
     from dicom_series import COUNT, a_slice, packed_as, save
 
-    def plain(k: int):
+    def plain(k):
         return a_slice(k, np.full((8, 6), k, dtype=np.int16))
 
-    def series(make: Callable[[int, Path], object], count: int = COUNT) -> Seed:
-        def write(folder: Path) -> None:
+    def series(make, count=COUNT):
+        def write(folder):
             save(folder / "series", [make(k, folder) for k in range(count)])
 
         return written(write, "series", ("series/000.dcm",))
@@ -254,14 +254,14 @@ def dicom() -> list[Seed]:
     ]
 
 
-def archives() -> list[Seed]:
+def archives():
     import zipfile
 
     import numpy as np
     from dicom_series import a_slice, save
     from test_imaging_exports import pack
 
-    def write(path: Path, method: int) -> None:
+    def write(path, method):
         with tempfile.TemporaryDirectory() as name:
             content = Path(name)
             save(content / "s", [a_slice(k, np.full((4, 4), k, dtype=np.int16)) for k in range(3)])
@@ -270,7 +270,7 @@ def archives() -> list[Seed]:
     return [saved("scan.zip", write, method) for method in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)]
 
 
-def meshes() -> list[Seed]:
+def meshes():
     import trimesh
     from layer_cases import save_mesh
     from trimesh.exchange.ply import export_ply
@@ -289,13 +289,13 @@ def meshes() -> list[Seed]:
 # ---- files of needlefit
 
 
-def recordings() -> list[Seed]:
+def recordings():
     from test_viewer_recording import recorded
 
     return [saved("log.csv", recorded)]
 
 
-def results() -> list[Seed]:
+def results():
     from reporting_results import stereo, study
 
     from needlefit.studies.store import store_run
@@ -304,7 +304,7 @@ def results() -> list[Seed]:
     return [written(lambda folder, of=of: store_run(of, folder), ".", ("results.json.gz",)) for of in runs]
 
 
-def posteriors() -> list[Seed]:
+def posteriors():
     from reporting_results import sampled
 
     from needlefit.inference.sampling.posterior import save
@@ -316,12 +316,12 @@ def posteriors() -> list[Seed]:
 WORK = {"study": "fuzzed", "seed": 1}
 
 
-def checkpoints() -> list[Seed]:
+def checkpoints():
     """The checkpoint of a run: a fit that has ended, and rows."""
     from needlefit.inference.fit import Fit, Start, keep_fit
     from needlefit.project.checkpoint import open_checkpoint
 
-    def write(folder: Path) -> None:
+    def write(folder):
         kept = open_checkpoint(folder / "run.partial", False, WORK)
         for n in range(3):
             start = Start(n, (0.1, 0.2), (0.11, 0.21), 3.5, 40, 0, "tolerance")
@@ -331,7 +331,7 @@ def checkpoints() -> list[Seed]:
     return [written(write, "run.partial")]
 
 
-def run_files() -> list[Seed]:
+def run_files():
     paths = sorted((PROJECT / "reports" / "reference").glob("s*/run.json"))
     return [Seed({"run.json": path.read_bytes()}, ".", ("run.json",)) for path in paths]
 
@@ -339,7 +339,7 @@ def run_files() -> list[Seed]:
 # ---- texts
 
 
-def scans() -> list[Seed]:
+def scans():
     folder = PROJECT / "data" / "sample_scan"
     files = {
         str(path.relative_to(folder)): path.read_bytes() if path.suffix in (".csv", ".stl") else b""

@@ -37,7 +37,7 @@ CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud
 """What a terminal acts on, or cannot print; line ends and tabs are none of it."""
 
 
-def write_case(reader: str, number: int, seed: int, folder: Path) -> Path:
+def write_case(reader, number, seed, folder):
     """Write mutant `number` of a reader below `folder`; return what is to be opened.
 
     Number 0 to the count of valid inputs less 1 are these, undamaged.
@@ -75,7 +75,7 @@ class Verdict:
     mib: float = 0.0
 
 
-def begin_process(folder: Path) -> None:
+def begin_process(folder):
     resource.setrlimit(resource.RLIMIT_AS, (ADDRESS_SPACE_MIB * 2**20, resource.RLIM_INFINITY))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     warnings.simplefilter("ignore")
@@ -86,13 +86,13 @@ def begin_process(folder: Path) -> None:
     os.dup2(out, 2)
 
 
-def count_inputs(folder: Path, reader: str) -> int:
+def count_inputs(folder, reader):
     from fuzzing.readers import inputs
 
     return len(inputs(reader, folder / "inputs"))
 
 
-def read_mutant(folder: Path, reader: str, number: int, seed: int, max_seconds: float) -> Verdict:
+def read_mutant(folder, reader, number, seed, max_seconds):
     """Read one mutant; the system ends the process at the limits of processor and wall time."""
     path = write_case(reader, number, seed, folder / CASE)
     unlimited = resource.getrlimit(resource.RLIMIT_CPU)
@@ -105,7 +105,7 @@ def read_mutant(folder: Path, reader: str, number: int, seed: int, max_seconds: 
         resource.setrlimit(resource.RLIMIT_CPU, unlimited)
 
 
-def _read(verdict: Verdict, path: Path, printed: Path) -> Verdict:
+def _read(verdict, path, printed):
     from fuzzing.readers import reader as find
     from needlefit.errors import NeedlefitError
 
@@ -125,7 +125,7 @@ def _read(verdict: Verdict, path: Path, printed: Path) -> Verdict:
     return replace(verdict, outcome="violation", detail=wrong) if wrong else verdict
 
 
-def _find_wrong(verdict: Verdict, text: str) -> str:
+def _find_wrong(verdict, text):
     """Return what of a reading that took too much, or whose message a terminal would act on, is wrong."""
     if verdict.seconds > MAX_SECONDS or verdict.mib > MAX_MIB:
         return f"took {verdict.seconds:.1f} s of processor time and {verdict.mib:.0f} MiB"
@@ -139,7 +139,7 @@ def _find_wrong(verdict: Verdict, text: str) -> str:
     return ""
 
 
-def _place(error: BaseException) -> str:
+def _place(error):
     """Return the last line of needlefit on the way to an error, and where it was raised."""
     frames = traceback.extract_tb(error.__traceback__)
     own = [frame for frame in frames if f"{os.sep}needlefit{os.sep}" in frame.filename]
@@ -147,12 +147,12 @@ def _place(error: BaseException) -> str:
     return f"{Path(last.filename).name}:{last.lineno} {last.name}"
 
 
-def _seconds() -> float:
+def _seconds():
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(one.ru_utime + one.ru_stime for one in used)
 
 
-def _reset_memory() -> float:
+def _reset_memory():
     """Set the peak of resident memory to what is held now; return it, MiB."""
     try:
         Path("/proc/self/clear_refs").write_text("5")
@@ -161,13 +161,13 @@ def _reset_memory() -> float:
     return _own_peak()
 
 
-def _memory() -> float:
+def _memory():
     """Return the peak of resident memory since, or of the largest process waited for so far, MiB."""
     children = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
     return max(_own_peak(), children)
 
 
-def _own_peak() -> float:
+def _own_peak():
     try:
         status = Path("/proc/self/status").read_text()
     except OSError:
