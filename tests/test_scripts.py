@@ -30,6 +30,7 @@ def test_a_script_is_short_and_imports_public_names_alone(path):
     assert not [one for one in private if one.startswith("_")]
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("name", ANALYSES)
 def test_a_quick_run_prints_its_table_and_saves_its_figure(name, world):
     command = [sys.executable, str(FOLDER / f"{name}.py"), "--quick"]
