@@ -381,9 +381,10 @@ def check_needles(run: Run, judged: Judgement) -> Iterator[Finding]:
     """Yield whether the outcome is the same without those needles that are in doubt, and without any single
     one that is compared.
     """
-    effect, hangs_on = run.knows(FitMetadata).effect, judged.compared.hangs_on if judged.compared else ()
-    if effect is None and judged.compared is None:
+    effect, compared = run.knows(FitMetadata).effect, judged.compared
+    if effect is None and (compared is None or compared.needles < 2):  # without the only one nothing is left
         return
+    hangs_on = compared.hangs_on if compared else ()
     finding = Finding(Check.SAME, not (hangs_on or judged.turned_by), hangs_on=", ".join(hangs_on))
     if effect is not None:
         left_out = ", ".join(effect.insertions)
