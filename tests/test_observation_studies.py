@@ -29,6 +29,7 @@ from needlefit.studies.job import Settings
 from needlefit.studies.kind import find_kind
 from needlefit.studies.observations import draw_observations
 from needlefit.studies.report import compose_run_report
+from needlefit.viewer.opening import open_target
 
 SD = 5e-5  #: of a reading, 1/mm
 ONE_LAYER = medium(1)
@@ -146,6 +147,11 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = [read_sensors(depth, seed=n) for n, depth in enumerate(np.linspace(60.0, 95.0, 5))]
     rows = ["id,depth_mm,bevel_side", *(f"{one.id},{one.depth:g},1" for one in made)]
     return write_study(tmp_path_factory.mktemp("fibres"), DATASET, rows, made)
+
+
+def test_curvatures_alone_are_no_places_that_the_page_compares(study: Path) -> None:
+    viewed = open_target(str(study.parent))
+    assert viewed.is_measured and viewed.measured is None
 
 
 @pytest.fixture(scope="module")

@@ -250,7 +250,7 @@ def _describe(shown: "ViewedScene", planned: "SteeringPlan", summary: dict[str, 
     bound = "".join(f" The {control} is at its limit." for control in planned.at_limit)
     if shown.spread is None:
         nominal = f"{planned.nominal_miss:.2f} mm from it"
-        scene = shown.measured is None
+        scene = shown.run is None
         why = "for a probability, plan with a run" if scene else "the run has no certified draws"
         basis = f"The parameters of {shown.name} are taken as exact ({why}): the tip"
         reaches = "would reach" if _list_faults(shown) else "reaches"

@@ -111,16 +111,20 @@ def _show_insertion(
         points = compute_positions(shape, s)
         moved = place_points(dataset, insertion, s, points)
         frame = move_frame(frame, points, moved)
+    overlay = make_measured_overlay(dataset, insertion, floor["te_mm"], shape)
+    drawn = overlay.target.quantity == "places"
     return ViewedScene(
         name=f"{name}/{insertion.id}",
         title=title,
-        note=shown.description,
+        note=shown.description
+        if drawn
+        else f"{shown.description} Curvatures were measured; they are not drawn.",
         record=record,
         first_cell=scene.lattice.first_cell,
         placement=Placement(frame, insertion.patient).to_record() if placed else None,
         origin_mark=ORIGIN_MARKS[dataset.origin],
         is_measured=True,
-        measured=make_measured_overlay(dataset, insertion, floor["te_mm"], shape),
+        measured=overlay if drawn else None,
         warnings=dataset.warnings,
     )
 
