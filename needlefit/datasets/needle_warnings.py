@@ -85,11 +85,7 @@ def _find_repeated_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> 
     Two needles differ by the errors of points and poses of both; one needle by errors of points, which it has
     in part in common. None where many are so near: then the stated errors are too large.
     """
-    pairs = [
-        (earlier, later)
-        for earlier, later in combinations(listed, 2)
-        if earlier.points.values.shape == later.points.values.shape
-    ]
+    pairs = list(combinations(listed, 2))
     scatters = [scatter for entry in listed if (scatter := measure_scatter(entry.insertion)) > 0]
     sd = min(noise.point_sd, math.hypot(*scatters) / math.sqrt(max(1, len(scatters))))
     limit = MIN_LOG_ODDS + math.log(max(1, len(pairs)))
@@ -102,9 +98,10 @@ def _find_repeated_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> 
 
 def _weigh_repeated(earlier: ListedInsertion, later: ListedInsertion, sd: float) -> float:
     """Return the log odds that two curves are of one needle, by their distance across it at each point."""
-    insertion = earlier.insertion
-    x, steps = insertion.points[:, 0], later.points.values - earlier.points.values
-    apart = (steps @ insertion.frame.rotation)[:, 1:] / sd
+    insertion, (points, others) = earlier.insertion, (earlier.points.values, later.points.values)
+    if len(points) != len(others):
+        return -math.inf
+    x, apart = insertion.points[:, 0], ((others - points) @ insertion.frame.rotation)[:, 1:] / sd
     if not 0 < np.mean(apart**2) <= 2:  # that two measurements of one needle have; a copy has 0
         return -math.inf
     pose = insertion.pose_shift_sd**2 + insertion.pose_angle_sd**2 * np.outer(x, x)

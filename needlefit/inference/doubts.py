@@ -105,7 +105,8 @@ def find_doubts(problem: Problem, theta: Floats) -> Doubts:
     deviating = sum(sds >= OUTLIER_SD for sds in stated)
     if deviating > MAX_OUTLYING_PART * count:
         return Doubts(deviating=(deviating, count))
-    return Doubts([describe(k) for k in sorted(odd, key=lambda k: -sds[k]) if is_odd(k)])
+    needles = map(describe, sorted(odd, key=lambda k: -sds[k]))
+    return Doubts([needle for needle in needles if needle.sds >= OUTLIER_SD or needle.cause])
 
 
 def _describe(

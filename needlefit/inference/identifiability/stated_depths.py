@@ -1,7 +1,6 @@
 """Whether the data would show a boundary at another depth than stated, and which modulus leans on it."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -9,10 +8,8 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.compared import MIN_LOG_ODDS
-from needlefit.datasets.insertion import Insertion
 from needlefit.inference.hypotheses import LOG_FITTED
 from needlefit.inference.identifiability.precision import linearize, prior_and_noise_information
-from needlefit.inference.likelihood.nodes import shift_depths
 from needlefit.inference.linear_needles import (
     MIN_NEEDLES,
     Prediction,
@@ -53,10 +50,7 @@ def examine_depths(problem: Problem, theta: Floats) -> list[DepthMetadata]:
     for k in range(max(len(insertion.boundaries) for insertion in exact)):
         ends = []
         for step in (STEP_MM, -STEP_MM):
-            by = [step * (np.arange(len(insertion.boundaries)) == k) for insertion in exact]
-            pairs = zip(exact, by, strict=True)
-            moved = tuple(shift_depths(insertion, np.zeros(1), shift, 0.0)[0] for insertion, shift in pairs)
-            ends.append(linearize(replace(problem, insertions=moved), theta)[0])
+            ends.append(linearize(_move_all(base, k, step), theta)[0])
         by_depth = (ends[0] - ends[1]) / (2 * STEP_MM)
         taken = covariance @ (slope.T @ by_depth) / scale  # what the parameters take up of a mm
         left = by_depth - slope @ taken
@@ -120,10 +114,8 @@ def _profile(problem: Problem, theta: Floats, number: int, near: float, stated_s
     profile: dict[float, tuple[Floats, Prediction]] = {}  # by shift
 
     def add(shift: float) -> None:
-        moved = [
-            _move(insertion, number, stated, shift, longest.sequence) for insertion in problem.insertions
-        ]
-        part = replace(problem, insertions=tuple(moved))
+        part = _move_all(problem, number, shift)
+        moved = part.insertions
         nearest = min(profile, key=lambda other: abs(other - shift), default=None)
         refitted = refit(part, moved, theta if nearest is None else profile[nearest][0])
         blocks = [linearize_needle(part, insertion, refitted) for insertion in moved]
@@ -170,13 +162,16 @@ def _profile(problem: Problem, theta: Floats, number: int, near: float, stated_s
     return _Profile(shift, sd, is_tested and describes and is_far_better)
 
 
-def _move(
-    insertion: Insertion, number: int, stated: float, shift: float, sequence: Sequence[int]
-) -> Insertion:
-    """Return an insertion with a boundary moved; one that did not reach it may do so then."""
-    boundaries = insertion.boundaries.copy()
-    if len(boundaries) > number:
-        boundaries[number] += shift
-    elif len(boundaries) == number:
-        boundaries = np.append(boundaries, stated + shift)
-    return replace(insertion, boundaries=boundaries, sequence=tuple(sequence[: len(boundaries) + 1]))
+def _move_all(problem: Problem, number: int, shift: float) -> Problem:
+    """Return the problem with a boundary moved in all insertions, also in those that did not reach it."""
+    longest = max(problem.insertions, key=lambda insertion: len(insertion.boundaries))
+    stated, moved = _find_depth(problem, number), []
+    for insertion in problem.insertions:
+        boundaries = insertion.boundaries.copy()
+        if len(boundaries) > number:
+            boundaries[number] += shift
+        elif len(boundaries) == number:
+            boundaries = np.append(boundaries, stated + shift)
+        sequence = longest.sequence[: len(boundaries) + 1]
+        moved.append(replace(insertion, boundaries=boundaries, sequence=tuple(sequence)))
+    return replace(problem, insertions=tuple(moved))
