@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from itertools import chain, combinations
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -85,11 +85,13 @@ def _find_repeated_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> 
     Two needles differ by the errors of points and poses of both; one needle by errors of points, which it has
     in part in common. None where many are so near: then the stated errors are too large.
     """
-    pairs = list(combinations(listed, 2))
     scatters = [scatter for entry in listed if (scatter := measure_scatter(entry.insertion)) > 0]
     sd = min(noise.point_sd, math.hypot(*scatters) / math.sqrt(max(1, len(scatters))))
-    limit = MIN_LOG_ODDS + math.log(max(1, len(pairs)))
-    near = [pair for pair in pairs if sd and _weigh_repeated(*pair, sd) >= limit]
+    ends = np.array([entry.points.values[-1] for entry in listed])
+    is_close = np.linalg.norm(ends[:, None] - ends, axis=-1) < 2 * OUTLIER_SD * sd
+    limit = MIN_LOG_ODDS + math.log(max(1, math.comb(len(listed), 2)))
+    pairs = ((listed[m], listed[n]) for m, n in np.argwhere(np.triu(is_close, 1)))
+    near = [pair for pair in pairs if _weigh_repeated(*pair, sd) >= limit]
     for earlier, later in near if len(near) <= MAX_OUTLYING_PART * len(listed) else ():
         names = (later.insertion.id, earlier.insertion.id)
         what = f"{' and '.join(names)} lie closer together than errors let two needles lie"
