@@ -73,6 +73,7 @@ class MM:
     FLAT_SLICE = 0.5 - 1e-9  # of slices, where voxels are longer than wide
     RIM = 1.7  # from the needle, where its surroundings begin
     DARK = 6.0  # of a needle that rays hide, at most
+    BEYOND_TIP = 5.0  # beyond the end that is fitted in slices: with 4 mm one of 9 tips moved by 0.17 mm [S]
     END_MOMENT = 5.0  # lever of the shear force at the end: the tip itself carries no moment
     BEVEL_POINT = 0.04  # of a bevel's point that is too thin to show: mean of 24 volumes [S]
     HUB_SHADOW = 10.0  # of the axis that a hub hides [S]

@@ -146,7 +146,7 @@ def _make_problem(
     thick, radius = volume.grid.slice_distance, needle.diameter_mm / 2
     knots = make_knots(x[0], x[-1], KNOT_FACTOR * knot)
     basis = _basis(knots)
-    stations = np.arange(x[0], x[-1] + MM.BEYOND_END, LINE_STATION_MM)
+    stations = np.arange(x[0], x[-1] + MM.BEYOND_TIP, LINE_STATION_MM)
     at = _extend(basis, stations)
     # where the axis follows a staircase from slice to slice, or rays that pull it aside, polynomials do not
     places, weights = np.column_stack([x, y, z]), np.ones(len(x))
@@ -187,7 +187,7 @@ def _make_problem(
             basis.derivative(2)(unique[-1:]) / MM.END_MOMENT,
         ]
     )
-    columns = np.arange(x[-1] + MM.BEYOND_END, x[-1] - needle.length_mm, -COLUMN_MM)
+    columns = np.arange(x[-1] + MM.BEYOND_TIP, x[-1] - needle.length_mm, -COLUMN_MM)
     # a blunt end is a bevel of one piece of the rod, too, whose middle is where it ends
     true = np.tan(np.radians(needle.bevel_deg))
     steep = min(true, needle.diameter_mm / COLUMN_MM)
