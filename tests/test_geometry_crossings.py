@@ -109,6 +109,15 @@ def test_faults_of_surfaces():
         assert len(faults) == 1 and words in faults[0], (words, faults)
 
 
+def test_places_inside_a_solid_are_told_where_rays_meet_its_edges():
+    """Of a cube of 8 mm: rays from places at whole millimetres meet diagonals of its faces, and its edges."""
+    box = trimesh.creation.box((8.0, 8.0, 8.0))
+    cube = Surface("cube", np.array(box.vertices), np.array(box.faces), "solid", 2)
+    places = np.stack(np.meshgrid(*[np.arange(-6.0, 7.0)] * 3), axis=-1).reshape(-1, 3)
+    reach = np.abs(places).max(axis=1)
+    np.testing.assert_array_equal(cube.contains(places[reach != 4]), reach[reach != 4] < 4)
+
+
 def test_the_largest_piece_of_a_mesh_is_closed_and_solids_are_alike_in_another_process():
     # A box of 8 x 8 x 8 with a cavity of 2 x 2 x 2, beside a box of 4 x 4 x 4, all inside out.
     boxes = [trimesh.creation.box((size,) * 3) for size in (8, 2, 4)]

@@ -70,7 +70,7 @@ def find_surface_hits(curve: Floats, surface: Surface) -> Floats:
     the surface and the curve turns back) is no passage through a sheet; for a solid the question is
     settled by which stretches lie inside.
     """
-    arc, sign = _find_triangle_hits(curve, surface.triangles)
+    arc, sign = _find_triangle_hits(curve, surface)
     order = np.argsort(arc, kind="stable")
     arc, sign = arc[order], sign[order]
     groups = np.split(np.arange(len(arc)), np.flatnonzero(np.diff(arc) > SAME_HIT_MM) + 1) if len(arc) else []
@@ -84,11 +84,11 @@ def count_ray_hits(start: Floats, rays: Floats, triangles: Floats) -> int:
     return len(np.unique(segment))
 
 
-def _find_triangle_hits(curve: Floats, triangles: Floats) -> tuple[Floats, Floats]:
+def _find_triangle_hits(curve: Floats, surface: Surface) -> tuple[Floats, Floats]:
     """Return arc length and side (+1: along the triangle's normal) of every hit of segment and triangle."""
     low, high = curve.min(axis=0) - SAME_HIT_MM, curve.max(axis=0) + SAME_HIT_MM
-    near = (triangles.max(axis=1) >= low).all(axis=1) & (triangles.min(axis=1) <= high).all(axis=1)
-    triangles = triangles[near]
+    least, greatest = surface.extents
+    triangles = surface.triangles[(greatest >= low).all(axis=1) & (least <= high).all(axis=1)]
     if len(triangles) == 0:
         return np.empty(0), np.empty(0)
     along, step = arc_length(curve), max(1, BLOCK_PAIRS // len(triangles))

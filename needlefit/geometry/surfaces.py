@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 SurfaceKind = Literal["sheet", "solid"]
 
 MAX_MESH_BYTES = 256 * 2**20
+EDGE_TOLERANCE = 1e-9  # sine of the angle below which a ray and both ends of an edge lie in one plane
 MERGED_MM = 1e-8  # vertices that agree in whole multiples of it, mm, are one
 MAX_MERGED_MM = 1e9  # greatest plausible coordinate of a boundary, mm
 _ELEMENT = re.compile(rb"element\s+(\w+)\s+(\d{1,19})")
@@ -85,9 +86,34 @@ class Surface:
         return bool((_count_edges(self.faces)[1] == 2).all())
 
     def contains(self, points: Floats) -> Bools:
-        """Return whether each point (N, 3) lies inside: from there all triangles together fill the view."""
-        angles = np.array([_sum_solid_angles(self.triangles - point) for point in points])
-        return np.abs(angles) > 2 * np.pi
+        """Return whether each point (N, 3) lies inside."""
+        return np.array([self._contains(point) for point in points], dtype=bool)
+
+    def _contains(self, point: Floats) -> bool:
+        """Return whether a ray along x from a point leaves the surface once more than it enters it.
+
+        Where the ray meets an edge of a triangle the solid angle is asked instead.
+        """
+        low, high = self.extents
+        near = (low[:, 1] <= point[1]) & (point[1] <= high[:, 1])
+        near &= (low[:, 2] <= point[2]) & (point[2] <= high[:, 2]) & (point[0] <= high[:, 0])
+        corners = self.triangles[near] - point
+        y, z = corners[..., 1], corners[..., 2]
+        after = [1, 2, 0]
+        # twice the areas of the triangles between the ray and each edge, seen along x: (F, 3)
+        parts = y * z[:, after] - y[:, after] * z
+        sides = np.hypot(y, z)
+        if (np.abs(parts) <= EDGE_TOLERANCE * sides * sides[:, after]).any():
+            return abs(_sum_solid_angles(self.triangles - point)) > 2 * np.pi
+        met = np.abs(np.sign(parts).sum(axis=1)) == len(after)
+        # each part weighs the corner opposite its edge
+        x = np.sum(parts * corners[:, [2, 0, 1], 0], axis=1)[met] / parts.sum(axis=1)[met]
+        return bool(np.sum(x > 0) % 2)
+
+    @cached_property
+    def extents(self) -> tuple[Floats, Floats]:
+        """The least and the greatest coordinates of each triangle, (F, 3) each, mm."""
+        return self.triangles.min(axis=1), self.triangles.max(axis=1)
 
     def to_trimesh(self) -> "trimesh.Trimesh":
         """Return the surface as trimesh has it."""
