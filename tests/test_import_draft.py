@@ -448,23 +448,6 @@ def test_who_sees_the_draft_may_change_it(tmp_path):
     assert [row.specimen for row in prepared.plan.rows] == ["A", "B", "A"]
 
 
-def test_answers_and_proposals_of_a_terminal(tmp_path):
-    asked = {}
-
-    def prompt(key, proposal, reason):
-        asked[key] = proposal
-        return {"modulus": "acero", "diameter": "20G", "medium": "gel"}.get(key, "")
-
-    prepared = prepare_import([write_long(tmp_path, NEEDLES)], [("inner_diameter", "0.5")], prompt=prompt)
-    assert asked["modulus"] == "steel" and not {"inner_diameter", "title"} & asked.keys()
-    needle_ = prepared.plan.needle
-    assert (needle_.youngs_modulus_gpa, needle_.outer_diameter_mm) == (200.0, 0.908)
-    assert "medium" not in prepared.mapping.assumed and "point_sd" in prepared.mapping.assumed
-    answers = iter(["tracks"])
-    prepared = prepare_import([CASES / "matrices.csv"], prompt=lambda key, *_: next(answers, ""))
-    assert {one.holds for one in prepared.content.curves} == {"tracks"}
-
-
 # ---- tables of a bench laboratory
 
 
@@ -515,7 +498,7 @@ def test_a_column_of_two_words_is_asked_about_while_no_bevel_side_is_stated(tmp_
     for stated in ({"bevel_side": "1"}, {"unused": '["Kerbe"]'}):
         assert [row.side for row in prepare([file], unit="mm", **stated).plan.rows] == [1, 1, 1]
     file.write_text(file.read_text().replace("oben", "A").replace("unten", "B"))
-    assert "Kerbe (B, A)" in prepare([file], unit="mm").mapping.assumed["bevel_side"]
+    assert ("column Kerbe", "a.csv") in prepare([file], unit="mm").unused
 
 
 @pytest.mark.parametrize(
@@ -571,13 +554,16 @@ def test_what_decides_a_fit_is_the_first_assumption(tmp_path):
 
 def test_a_refused_answer_is_asked_for_again(tmp_path):
     answers = {"diameter": ["90G", "20G"], "modulus": ["wood", "3"], "point_sd": ["-1", "0.2"]}
-    refused = []
+    asked, refused = [], []
 
     def prompt(key, proposal, reason):
+        asked.append(key)
         refused.extend([key] * ("expected" in reason))
         return answers[key].pop(0) if answers.get(key) else ""
 
-    prepared = prepare_import([write_long(tmp_path, NEEDLES)], prompt=prompt)
+    prepared = prepare_import([write_long(tmp_path, NEEDLES)], [("inner_diameter", "0.5")], prompt=prompt)
+    assert not {"inner_diameter", "title"} & {*asked}
+    assert {"medium", "modulus"} & prepared.mapping.assumed.keys() == {"medium"}
     assert sorted(refused) == ["diameter", "modulus", "point_sd"] and not any(answers.values())
     needle_ = prepared.plan.needle
     assert (needle_.youngs_modulus_gpa, needle_.outer_diameter_mm) == (3.0, 0.908)

@@ -365,13 +365,6 @@ def test_files_that_are_not_read_are_named_with_what_to_export(tmp_path, ending)
     assert "CSV" in fix and "STL" not in fix.partition("surface")[0]
 
 
-def test_columns_named_as_paraview_writes_them_are_read(tmp_path):
-    rows = [",".join(map(str, point)) for point in CURVES[0]]
-    (tmp_path / "a.csv").write_text("\n".join(['"Points:0","Points:1","Points:2"', *rows]))
-    stated = {f"{axis}__column": f"Points:{n}" for n, axis in enumerate("xyz")}
-    np.testing.assert_allclose(curves_of([tmp_path], **stated)[0]["a"].line, CURVES[0])
-
-
 @pytest.mark.parametrize("ending", ["ply", "obj"])
 def test_a_cloud_of_points_is_not_to_be_exported_as_a_surface(tmp_path, ending):
     rows = [" ".join(map(str, point)) for point in CURVES[0]]
@@ -391,16 +384,9 @@ def write_faulty(folder, paths, **stated):
     )
 
 
-def test_several_needles_in_one_curve_are_advised_to_be_named(tmp_path):
-    folded = np.vstack([CURVES[0], CURVES[1]])
-    rows = [",".join(map(str, point)) for point in folded]
-    (tmp_path / "c.csv").write_text("\n".join(["x,y,z", *rows]))
-    assert "--set needle.column=" in refusal(DataError, "out of order", prepare, [tmp_path / "c.csv"]).fix
-
-
-@pytest.mark.parametrize("count", [5, 6])
-def test_several_needles_in_one_curve_are_not_taken_for_another_unit(tmp_path, count):
-    """The curve is about ten times as long as its span."""
+@pytest.mark.parametrize("count", [2, 5, 6])
+def test_several_needles_in_one_curve_are_to_be_named(tmp_path, count):
+    """The curve may be about ten times as long as its span, and no other unit is taken for the cause."""
     curves = [CURVES[0] + [0.0, 0.1 * n, 0.0] for n in range(count)]
     (tmp_path / "c.csv").write_text("\n".join(["x,y,z", *(",".join(map(str, p)) for c in curves for p in c)]))
     error = refusal(DataError, "out of order", prepare, [tmp_path / "c.csv"])

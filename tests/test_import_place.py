@@ -86,6 +86,9 @@ def test_a_direction_that_needles_do_not_run_along_is_refused_with_the_measured_
     for wrong in ("0,0,1", "1,0,0", "1,1,-1"):
         assert "0,0,-1" in refusal(DataError, "--set pose", planned, [file], pose=wrong).expected
     assert planned([file], pose="0,0,-1")[0].pose == "known"
+    fix = refusal(DataError, "pose", planned, [file], pose="0,0,1").fix
+    assert "--set pose=0,0,-1" in fix and "--set entry=last" in fix
+    assert planned([file], pose="0,0,1", entry="last")[0].rows[0].direction[2] == 1.0
 
 
 def test_a_needle_is_cut_at_a_surface_and_its_shaft_gives_the_pose(tmp_path):
@@ -769,14 +772,6 @@ def test_noise_is_no_stray_point(step):
         assert not len(find_stray_points(cluster))
 
 
-def test_a_pose_against_the_needles_is_corrected_by_its_sign_or_by_the_order_of_points(tmp_path):
-    file = write_long(tmp_path, NEEDLES)
-    fix = refusal(DataError, "pose", planned, [file], pose="-1,0,0").fix
-    assert "--set pose=1,0,0" in fix and "--set entry=last" in fix
-    assert planned([file], pose="1,0,0")[0].rows[0].direction[0] == 1.0
-    assert planned([file], pose="-1,0,0", entry="last")[0].rows[0].direction[0] == -1.0
-
-
 @pytest.mark.parametrize(
     ("value", "unit"),
     [(999.0, ""), (200.0, ""), (20000.0, "micrometres"), (0.02, "metres")],
@@ -882,9 +877,6 @@ def test_a_material_beside_a_modulus_is_asked_for(tmp_path):
     write_table(file := tmp_path / "a.csv", "needle,material,modulus [kPa],depth [mm],deflection [mm]", rows)
     refusal(DataError, "--set modulus.column=material", curves_of, [file])
 
-    with pytest.raises(DataError, match=r"modulus\.column=material"):
-        curves_of([file])
-
 
 @pytest.mark.parametrize(("head", "axes"), [("guide z", ""), ("guide y", "z"), ("guide [mm]", "z")])
 def test_a_guide_is_placed_along_the_axis_of_its_column(tmp_path, head, axes):
@@ -925,7 +917,7 @@ def test_points_and_planes_of_slicer_are_boundaries(tmp_path, kind):
     write_markups(tmp_path / "layer.mrk.json", "layer", points, kind)
     stated = {"pose": "1,0,0", "entry_point": "first"}
     if kind == "Fiducial":
-        fix = refusal(DataError, "degrees off the others", planned, [tmp_path], **stated).fix
+        fix = refusal(DataError, "of 3 points", planned, [tmp_path], **stated).fix
         assert "--set surfaces=layer.mrk.json" in fix
         stated["surfaces"] = "layer.mrk.json"
     plan, _ = planned([tmp_path], **stated)

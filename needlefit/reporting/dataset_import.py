@@ -86,7 +86,7 @@ def _describe_needle(insertion: Insertion, bend: BendSide) -> dict[str, object]:
     side = "(turned)" if insertion.turns else side
     row: dict[str, object] = {
         "insertion": insertion.id,
-        "points": len(insertion.centerline),
+        "points": 1 if insertion.observation == "tip" else len(insertion.centerline),
         "depth (mm)": round(insertion.depth, 2),
         "deflection (mm)": round(insertion.deflection, 2),
         "entry x, y, z (mm)": _format_point(entry),

@@ -35,7 +35,6 @@ class Draft:
     origin: str = "measured"
     headers: list[str] = field(default_factory=list)  # of all tables
     columns_read: set[str] = field(default_factory=set)  # meanings whose stated columns are there
-    words: list[str] = field(default_factory=list)  # columns of two words that nothing uses
     needles: dict[tuple[str, str], set[str]] = field(default_factory=dict)  # names by file and sheet
 
     def ask(

@@ -3,13 +3,14 @@
 It reads no needle: a person sees what is proposed, and `read` goes by that.
 """
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from needlefit.datasets.formats import FORMATS
-from needlefit.datasets.formats.markups import is_plane
+from needlefit.datasets.formats.markups import MARKUPS, is_plane
 from needlefit.datasets.importing.assignments import Assignments
 from needlefit.datasets.importing.draft import Draft
 from needlefit.datasets.importing.draft_table import COORDINATES, TableDraft
@@ -23,12 +24,14 @@ from needlefit.datasets.importing.tables import (
     SHEET_SUFFIXES,
     TEXT_SUFFIXES,
     Grid,
+    Table,
     is_comment,
     lay_out,
     read_remark,
     read_sheets,
     read_structured,
 )
+from needlefit.datasets.points import MIN_POINTS
 from needlefit.errors import DataError
 from needlefit.geometry.surfaces import READ_SUFFIXES
 from needlefit.project.input_files import is_dir, is_file, path_exists
@@ -65,6 +68,7 @@ def draft_mapping(paths: Sequence[Path], stated: Assignments) -> tuple[Draft, li
             table, remarks = read_structured(path)
             draft.unused += [(remark, path.name) for remark in remarks]
             TableDraft(table, {"files": [path.name]}, draft, stated).propose()
+            _ask_markups(path.name, table, draft, stated)
     for meaning, parts in stated.columns.items():
         if "column" in parts and draft.headers and meaning not in draft.columns_read:
             raise DataError(
@@ -82,6 +86,15 @@ def draft_mapping(paths: Sequence[Path], stated: Assignments) -> tuple[Draft, li
         for key in ("deflection",) if has_depth else "xy":
             draft.ask("column", str(paths[0]), key=key, text=f"{ROWS[key].text} ({tables or paths[0]})")
     return draft, files
+
+
+def _ask_markups(file: str, table: Table, draft: Draft, stated: Assignments) -> None:
+    """Ask about a curve of Slicer with few points: they may be of a boundary."""
+    key = f"tables.{len(draft.tables)}.holds"
+    for name, count in Counter(row[0] for row in table.rows).items():
+        if count < MIN_POINTS and file.endswith(MARKUPS.suffixes) and (key, "shapes") not in stated.numbered:
+            answers = {"needle": {key: "shapes"}, "boundary": {"surfaces": file}}
+            draft.ask("markups", file, answers, name=name, count=str(count))
 
 
 def _change_table(draft: Draft, key: str, text: str) -> None:

@@ -531,19 +531,10 @@ class TableDraft:
         Of a column of two directions under an unknown header a person is asked.
         """
         for column in self._list_free():
-            name, header, texts = f"column {column.name}", column.header, [*dict.fromkeys(column.texts)]
+            header, texts = column.header, {*column.texts}
             is_known = column.is_unit or bool(header.meaning or header.axis)
-            if (
-                len(texts) == 2
-                and len(column.texts) == len(self.table.rows)
-                and not column.numbers
-                and not is_known
-            ):
-                self.draft.words.append(f"{name} ({', '.join(texts)})")
-                if all(translate_side(text, "") != text for text in texts):
-                    self._ask_meaning(column, ["bevel_side", ""], {})
-            elif "bevel" in header.text.casefold():
-                self.draft.words.append(name)
+            if len(texts) == 2 and not is_known and all(translate_side(text, "") != text for text in texts):
+                self._ask_meaning(column, ["bevel_side", ""], {})
         self.draft.unused += [
             (f"column {column.name}", self.where)
             for column in self.all

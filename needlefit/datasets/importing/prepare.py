@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from needlefit.datasets.formats import find_format
 from needlefit.datasets.importing.assignments import Assignments
 from needlefit.datasets.importing.curves import ImportContent, ImportedCurve
 from needlefit.datasets.importing.draft import Draft, Open
@@ -19,10 +18,7 @@ from needlefit.datasets.importing.place import ImportPlan, Planner
 from needlefit.datasets.importing.read import MappedTable, list_tables, read_curves, read_mapped
 from needlefit.datasets.importing.stated import Settler, name_set
 from needlefit.datasets.importing.synonyms import list_bare_numbers
-from needlefit.datasets.layers import SAME_POINT_MM
-from needlefit.datasets.points import MIN_POINTS
 from needlefit.errors import ConfigError, DataError
-from needlefit.project.locate import join_names
 from needlefit.project.toml import check, load, override
 from needlefit.project.unit_warnings import DIAMETER_MM
 from needlefit.project.units import UNITS_MM
@@ -38,8 +34,6 @@ LENGTHS_MM = {  # least and greatest length (mm) that is believed without a unit
     "thickness": (0.1, ASSUMED_MM[1]),
 }
 DRAFT = "the draft of the mapping"  #: its place in messages
-MAX_ASIDE_DEG = 60.0  # angle (degrees) to all others from which on a curve may be no needle
-MIN_ALIGNED = 0.7  # smallest length of the mean of the others' unit directions, for which they have one
 DECISIVE = ("needle", "diameter", "modulus", "depth_zero", "bevel_side")  # assumptions that are listed first
 MAX_SHOWN_CELLS = 4  # number of cells of a row on the screen
 MAX_FIRST_VALUES = 3  # number of values of a column on the screen
@@ -78,19 +72,18 @@ def prepare_import(
     DataError of what is open and nobody answers, and of what files and mapping contradict.
     """
     if mapping is not None:
-        record, unused, hints = _load(mapping, assignments), list[tuple[str, str]](), dict[str, str]()
+        record, unused = _load(mapping, assignments), list[tuple[str, str]]()
         files = [*_list_named(paths)]
         content = read_mapped(record, files, str(mapping))
     else:
         draft, files = complete_draft(paths, [*assignments], prompt, review)
         record, unused = draft.to_record(DRAFT), draft.unused
-        hints = {"bevel_side": f"not stated; not used: {join_names(draft.words, 4)}"} if draft.words else {}
         content = read_mapped(record, files, DRAFT)
     _require_lengths(content)
     examples = find_examples(content.curves)
     record = _settle_origin(record, examples, prompt)
     values, assumed = dict(record.values), dict(record.assumed)
-    settler = Settler(values, assumed, prompt, is_complete=mapping is not None, hints=hints)
+    settler = Settler(values, assumed, prompt, is_complete=mapping is not None)
     columns = [*_describe_columns(record, files)]
     plan, content = _make_plan(content, settler)
     assumed = {key: assumed[key] for key in dict.fromkeys((*DECISIVE, *assumed)) if key in assumed}
@@ -167,7 +160,7 @@ def complete_draft(
         try:
             draft, files = draft_mapping(paths, Assignments(assignments))
             if not draft.opens:
-                _ask_about_curves(draft, files, assignments)
+                _find_unit(draft, files)
             if draft.opens and prompt is None:
                 raise draft.to_error()
             columns = [] if draft.opens else [*_describe_columns(draft.to_record(DRAFT), files)]
@@ -203,8 +196,8 @@ def _ask(question: Open, prompt: Prompt, problem: str = "") -> list[tuple[str, s
     return [(key, prompt(key, "", "") if text == "VALUE" else text) for key, text in keys.items()]
 
 
-def _ask_about_curves(draft: Draft, files: Sequence[Path], stated: Sequence[tuple[str, str]]) -> None:
-    """Ask about a curve that may be no needle, then about a unit that nothing states."""
+def _find_unit(draft: Draft, files: Sequence[Path]) -> None:
+    """Assume or ask for a unit that nothing states."""
     lacking = [
         column
         for table in draft.tables
@@ -214,35 +207,11 @@ def _ask_about_curves(draft: Draft, files: Sequence[Path], stated: Sequence[tupl
     ]
     if any("unit" in column for column in lacking):
         draft.ask("unit", files[0].name, reason="A header states pixels")
-        return
-    record = draft.to_record(DRAFT)
-    curves = read_curves([*list_tables(record, files, DRAFT)], [])
-    if not any("pose" in table.columns for table in record.tables):
-        _ask_directions(draft, record, [curve for curve in curves if curve.holds == "shapes"], stated)
-    if lacking and not draft.opens:
+    elif lacking:
+        curves = read_curves([*list_tables(draft.to_record(DRAFT), files, DRAFT)], [])
         _settle_unit(draft, files[0].name, curves, lacking)
     if not draft.opens:
-        _doubt_units(draft, list_tables(record, files, DRAFT))
-
-
-def _ask_directions(
-    draft: Draft, record: MappingRecord, curves: Sequence[ImportedCurve], stated: Sequence[tuple[str, str]]
-) -> None:
-    """Ask about a needle whose direction is far from that of all others, or markups of few points."""
-    chords = np.array([curve.line[-1] - curve.line[0] for curve in curves]).reshape(-1, 3)
-    chords /= np.maximum(np.linalg.norm(chords, axis=1, keepdims=True), SAME_POINT_MM)
-    for curve, chord in zip(curves, chords, strict=True):
-        file, others = curve.points.path.name, chords.sum(axis=0) - chord
-        is_markup = (form := find_format(curve.points.path)) is not None and form.name == "markups"
-        why = f"it has {len(curve.line)} points" if is_markup and len(curve.line) < MIN_POINTS else ""
-        if np.linalg.norm(others) > MIN_ALIGNED * (len(curves) - 1) > MIN_ALIGNED:
-            angle = np.degrees(np.arccos(min(1.0, abs(chord @ others) / np.linalg.norm(others))))
-            why = f"it runs {angle:.0f} degrees off the others" if angle > MAX_ASIDE_DEG else why
-        number = next(k for k, table in enumerate(record.tables, 1) if file in table.files)
-        if why and (f"tables.{number}.holds", "shapes") not in stated:
-            answers = {"needle": {f"tables.{number}.holds": "shapes"}}
-            answers |= {"boundary": {"surfaces": file}} if is_markup else {}
-            draft.ask("direction", file, answers, name=curve.name, why=why)
+        _doubt_units(draft, list_tables(draft.to_record(DRAFT), files, DRAFT))
 
 
 def _settle_unit(

@@ -2,7 +2,7 @@
 
 import re
 import shlex
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import accumulate, pairwise
 
@@ -133,7 +133,6 @@ class Settler:
     is_complete: bool = False  # nothing may be assumed: the mapping was written before
     refused: dict[str, str] = field(default_factory=dict)  # why the last answer was, by key
     answered: set[str] = field(default_factory=set)  # keys that the user answered
-    hints: Mapping[str, str] = field(default_factory=dict)  # reasons that name what files hold, by key
     notes: list[tuple[str, str]] = field(
         default_factory=list
     )  # what was done with the curves, for the screen
@@ -156,7 +155,7 @@ class Settler:
         """
         meaning = VALUES[key]
         usual = meaning.usual if usual is None else usual
-        reason = self.hints.get(key, reason or meaning.reason)
+        reason = reason or meaning.reason
         if key not in self.values:
             answer = ""
             if self.prompt is not None and not is_sure:
