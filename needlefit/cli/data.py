@@ -166,7 +166,10 @@ def _review_columns(
     screen.show_frame(tabulate_columns(columns), "Columns")
     screen.print_text(join_unused(unused))
     answer: str = typer.prompt(
-        "Enter takes it; KEY=VALUE changes it", default="", show_default=False, err=True
+        "Enter if this is right; else KEY=VALUE, as unit=cm, boundaries.unit=cm or y.column=HEADER",
+        default="",
+        show_default=False,
+        err=True,
     )
     return answer
 
@@ -176,7 +179,7 @@ def _ask(key: str, proposal: str, reason: str) -> str:
     from needlefit.datasets.importing.meanings import VALUES
 
     is_key = key in VALUES
-    screen.print_note((f"{key}: {VALUES[key].text}" if is_key else key) + (f" ({reason})" if reason else ""))
+    screen.print_note("; ".join(filter(None, (f"{key}: {VALUES[key].text}" if is_key else key, reason))))
     answer: str = typer.prompt(key if is_key else "answer", default=proposal, err=True)
     return "" if answer == proposal else answer
 

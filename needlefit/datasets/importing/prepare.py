@@ -281,13 +281,18 @@ def _describe_columns(record: MappingRecord, files: Sequence[Path]) -> Iterator[
             }
 
 
-def _list_first(mapped: MappedTable, meaning: str) -> Iterator[str]:
+def _list_first(mapped: MappedTable, meaning: str) -> Sequence[str]:
+    """Return the first values of a meaning, lengths in mm; of texts those that differ."""
     is_length = MEANINGS[meaning].unit == "mm" and meaning not in ("diameter", "entry_point")
-    rows = [n for n, cells in enumerate(mapped.cells[meaning]) if any(cells)]
-    for n in rows[:MAX_FIRST_VALUES]:
-        cells = mapped.cells[meaning][n][:MAX_SHOWN_CELLS]
-        numbers = [mapped.table.number(cell) if is_length else None for cell in cells]
-        yield "; ".join(
+    values = list[str]()
+    for n, cells in enumerate(mapped.cells[meaning]):
+        numbers = [mapped.table.number(cell) if is_length else None for cell in cells[:MAX_SHOWN_CELLS]]
+        value = "; ".join(
             cell if number is None else f"{number * mapped.read_factor(meaning, n):.4g} mm"
-            for cell, number in zip(cells, numbers, strict=True)
+            for cell, number in zip(cells, numbers, strict=False)
         )
+        if any(cells) and (is_length or value not in values):
+            values.append(value)
+        if len(values) == MAX_FIRST_VALUES:
+            break
+    return values
