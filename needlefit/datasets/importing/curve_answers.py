@@ -35,6 +35,12 @@ class CurveAnswers:
             rest = self.settle(key, "", reason, fix=fix, where=rest.where)
         return [cells.get(curve.name, rest) for curve in self.curves]
 
+    def numbers(
+        self, key: str, unit: str = "mm", is_above: bool = False, usual: str | None = None, reason: str = ""
+    ) -> list[float]:
+        """Return the number of each needle, in a unit."""
+        return [answer.to_number(key, unit, is_above) for answer in self.each(key, usual, reason)]
+
     def stated(self, key: str) -> Stated | None:
         """Return what the mapping states of all needles; None if nothing."""
         return Stated(self.settler.values[key]) if key in self.settler.values else None

@@ -70,6 +70,7 @@ class TableDraft:
 
     def __init__(self, table: Table, keys: dict[str, Any], draft: Draft, stated: Assignments) -> None:
         self.table, self.keys, self.draft, self.stated = table, keys | stated.table, draft, stated
+        self.name = table.name if "sheet" in keys else table.path.name
         self.where = table.path.name + (f", sheet {table.name}" if "sheet" in keys else "")
         heads = table.first_headers
         texts = [[head[n] for head in heads if n < len(head)] for n in range(len(table.headers))]
@@ -81,6 +82,9 @@ class TableDraft:
 
     def propose(self) -> None:
         """Propose columns, the kind of rows, and the entries."""
+        if self.name in self.keys.get("unused", ()):
+            self.draft.unused.append((f"table {self.where}", "as stated"))
+            return
         self._take_stated()
         groups = self._group_axes()
         for meaning, columns in self._list_known().items():
@@ -294,10 +298,9 @@ class TableDraft:
 
     def _ask_layers(self, headers: str) -> None:
         """Ask what a table that is not used states of layers."""
-        name = self.table.name if "sheet" in self.keys else self.table.path.name
         is_of_layers = any(column.header.meaning in OF_LAYERS for column in self.all)
-        if is_of_layers and "boundaries" not in self.draft.values and name not in self.keys.get("unused", ()):
-            self.draft.ask("table", self.where, name=name, headers=headers)
+        if is_of_layers and "boundaries" not in self.draft.values:
+            self.draft.ask("table", self.where, name=self.name, headers=headers)
 
     def _ask_sides(self, texts: Sequence[str], column: object) -> None:
         """Ask where bevels face whose sides are not understood."""

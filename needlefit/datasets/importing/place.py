@@ -97,7 +97,7 @@ class Planner(CurveAnswers):
         runs = make_tracks(tracks, is_alone) if tracks.curves else []
         self.curves[:] = (*shapes.curves, *tips.curves, *tracks.curves)
         self.settle_curvature_sd()
-        own_sds = [answer.to_number("point_sd", is_above=True) for answer in self.each("point_sd")]
+        own_sds = self.numbers("point_sd", is_above=True)
         first, last = len(shapes.curves), len(shapes.curves) + len(tips.curves)
         poses, entries = list[Stated](), list[Floats | None]()
         if shapes.curves:
@@ -116,11 +116,8 @@ class Planner(CurveAnswers):
         rows = shapes.make_rows(poses, entries, min(own_sds[:first]), depths, needles) if first else []
         rows += set_layers(beside, depths[first:last])
         if any(depths[:last]) or self.surfaces:
-            errors = self.part(self.curves[:last]).each("boundary_sd")
-            rows = [
-                replace(row, boundary_sd=error.to_number("boundary_sd"))
-                for row, error in zip(rows, errors, strict=True)
-            ]
+            errors = self.part(self.curves[:last]).numbers("boundary_sd")
+            rows = [replace(row, boundary_sd=error) for row, error in zip(rows, errors, strict=True)]
         sd = min(own_sds)
         pairs = zip((*rows, *runs), own_sds, strict=True)
         rows = [replace(row, point_sd=None if own_sd == sd else own_sd) for row, own_sd in pairs]
@@ -362,7 +359,7 @@ class Planner(CurveAnswers):
             settler.note(
                 "shift across", "fitted: the first point, taken as the entry, has moved with the needle"
             )
-        shifts = self.each("pose_shift_sd", usual=f"{point_sd:g}", reason="that of a point")
+        shifts = self.numbers("pose_shift_sd", usual=f"{point_sd:g}", reason="that of a point")
         if poses[0].text == "shaft":
             axes = [
                 fit_shaft(curve, needle, point_sd, poses[0])
@@ -406,7 +403,7 @@ class Planner(CurveAnswers):
                 direction=ways[n],
                 bevel=bevels[n],
                 pose_source=name_pose_source(poses[n], entries[n]),
-                pose_shift_sd=shifts[n].to_number("pose_shift_sd"),
+                pose_shift_sd=shifts[n],
                 pose_angle_sd=sds[n],
                 turns=tuple((depth, np.radians(cell.to_angle()) - zeros[n]) for depth, cell in curve.turns),
                 curvature=np.column_stack([read, sensors[:, 3]]) if curve.sensors else None,

@@ -60,8 +60,8 @@ def make_tips(asked: CurveAnswers, point_sd: float) -> list[InsertionRow]:
     ]
     across = turn_deflections(asked, tips, sides, turns)
     in_space = any(tip.deflection[1] for tip in tips)
-    shifts = asked.each("pose_shift_sd", usual=f"{point_sd:g}", reason="that of a point")
-    angle_sds = asked.each("pose_angle_sd")
+    shifts = asked.numbers("pose_shift_sd", usual=f"{point_sd:g}", reason="that of a point")
+    angle_sds = np.radians(asked.numbers("pose_angle_sd", "deg"))
     rows = []
     for n, curve in enumerate(curves):
         is_tip, frame = len(curve.line) > 0, frames[n]
@@ -76,8 +76,8 @@ def make_tips(asked: CurveAnswers, point_sd: float) -> list[InsertionRow]:
             direction=frame.rotation[:, 0],
             bevel=frame.rotation @ toward,
             pose_source="stage",
-            pose_shift_sd=shifts[n].to_number("pose_shift_sd"),
-            pose_angle_sd=float(np.radians(angle_sds[n].to_number("pose_angle_sd", "deg"))),
+            pose_shift_sd=shifts[n],
+            pose_angle_sd=float(angle_sds[n]),
             hole=curve.hole,
             tip_y=across[n, 0] if is_tip else None,
             tip_z=across[n, 1] if is_tip and in_space else None,

@@ -243,5 +243,5 @@ def choose_track_study(asked: CurveAnswers, plan: "ImportPlan") -> "ImportPlan":
     }
     if len(plan.rows) == len(asked.curves):  # errors of other kinds beside them are compared in noise
         study |= {"margin_mm": plan.point_sd_mm, "margin_for": "the error of a reading"}
-    sds = [answer.to_number("pose_angle_sd", "deg", is_above=True) for answer in asked.each("pose_angle_sd")]
-    return replace(plan, choices=replace(plan.choices, study=study), slope_sd_deg=max(sds))
+    slope_sd = max(asked.numbers("pose_angle_sd", "deg", is_above=True))
+    return replace(plan, choices=replace(plan.choices, study=study), slope_sd_deg=slope_sd)
