@@ -207,19 +207,6 @@ def test_the_data_decide_where_needles_are_compared():
         assert [one.kind for one in job.warnings] == kinds and job.dataset.compared == "plane"
 
 
-def test_measurements_simulated_in_space_scatter_as_the_likelihood_takes_them():
-    """The squares of whitened residuals at the truth are chi-squared: their number is the mean."""
-    planned = turned(pose_shift_sd=0.2, roll_sd=math.radians(3.0))
-    p = in_space([planned])
-    theta, rng = p.parameters.theta(TRUTH), default_rng(5)
-    data, squares, count = p.dataset, [], 60
-    for _ in range(count):
-        seen = simulate_measurement(data, planned, TRUTH, medium(), rng)
-        residuals = in_space([seen]).compute_misfits(theta)
-        squares.append(float(residuals @ residuals))
-    assert np.mean(squares) == approx(len(residuals), abs=4 * math.sqrt(2 * len(residuals) / count))
-
-
 def test_a_medium_states_the_friction_by_which_the_tip_stays_behind_the_hub():
     """A needle turned over leaves its plane; fitted with its friction it gives back the truth."""
     known = medium().model_copy(update={"torsional_friction_n": 0.5})

@@ -101,7 +101,9 @@ def test_all_that_an_insertion_holds_is_simulated_with_its_errors(compared: str)
     """The squares of whitened residuals at the truth are chi-squared: their number is the mean."""
     shape = measure(TRUTH, ONE_LAYER, insertion(60.0), points=21)
     sensors = np.column_stack([[10.0, 40.0], np.zeros((2, 2)), [5e-5, 1e-4]])
-    beside = replace(shape, tip=np.array([0.0, 0.0, 0.4]), curvature=sensors, point_sd=0.2, pose_shift_sd=0.1)
+    beside = replace(
+        shape, tip=np.array([0.0, 0.0, 0.4]), curvature=sensors, point_sd=0.2, pose_shift_sd=0.1, roll_sd=0.05
+    )
     for planned in (beside, replace(tip(60.0), pose_angle_sd=0.004, point_sd=0.2, directions=2)):
         data, rng, squares = (
             replace(dataset([planned], NOISE), compared=compared),

@@ -20,20 +20,14 @@ from needlefit.geometry.frames import make_entry_frame
 from needlefit.registry import Registry
 
 
-def _is_never(row: InsertionRow) -> bool:
-    return False
-
-
 @dataclass(frozen=True)
 class HeldObservation:
     """What was measured of an insertion in place of a shape."""
 
     name: str  #: of the observation
     words: str  #: what was measured, for people
-    #: whether it is what a row has where it names no observation, and no shape was measured
-    is_usual: Callable[[InsertionRow], bool] = _is_never
-    #: whether a row with it has no shape, unless there is one
-    stands_alone: Callable[[InsertionRow], bool] = _is_never
+    #: whether a row states it, so that it needs no shape
+    is_stated: Callable[[InsertionRow], bool] = lambda row: False
     #: row -> places (N, 3) in C, mm, that stand for a shape
     place: Callable[[InsertionRow], Floats] | None = None
 
@@ -45,12 +39,12 @@ def name_observation(row: InsertionRow, is_curve: bool) -> str:
     """Return the observation that compares what was measured of an insertion."""
     if row.observation or is_curve:
         return row.observation or "points"
-    return next(one.name for one in HELD.values() if one.is_usual(row))
+    return next((one.name for one in HELD.values() if one.is_stated(row)), "curvature")
 
 
 def expects_shape(row: InsertionRow) -> bool:
     """Return whether nothing that a row states stands in the place of a shape."""
-    return not any(one.stands_alone(row) for one in HELD.values())
+    return not any(one.is_stated(row) for one in HELD.values())
 
 
 def find_faults(row: InsertionRow, where: str, pose: Pose) -> Iterator[Fault]:

@@ -27,7 +27,6 @@ def _integrate(values: Floats, s: Floats) -> Floats:
 CURVATURE = HeldObservation(
     "curvature",
     "curvatures (where no shape was measured, their integrals are shown)",
-    lambda row: row.tip_y is None,  # beside a tip they are further readings of its insertion
     lambda row: row.observation == "curvature",
     integrate_curvature,
 )

@@ -7,13 +7,11 @@ from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.observations import HeldObservation
 
 
-def _has_tip(row: InsertionRow) -> bool:
-    return row.tip_y is not None
-
-
 def place_tip(row: InsertionRow) -> Floats:
     """Return the entry and the tip, at the inserted depth along the entry line."""
     return np.array([np.zeros(3), [row.depth, row.tip_y or 0.0, row.tip_z or 0.0]])
 
 
-TIP = HeldObservation("tip", "tips, across the line of insertion", _has_tip, _has_tip, place_tip)
+TIP = HeldObservation(
+    "tip", "tips, across the line of insertion", lambda row: row.tip_y is not None, place_tip
+)
