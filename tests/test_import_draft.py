@@ -301,6 +301,8 @@ def test_needles_of_the_same_names_are_of_several_sheets_or_specimens(tmp_path):
         ("# Scale: 0.085 mm/px", (), "Scale: 0.085 mm/px"),
         ("# x: along the needle", (), "x: along the needle"),
         ("# boundary: of the layers", (), "boundary: of the layers"),
+        ("# Nadel 20G, Länge 190 mm", (), None),
+        ("# Nadel 20G, Länge 190 mm, x nach rechts", (), "Nadel 20G, Länge 190 mm, x nach rechts"),
     ],
 )
 def test_remarks_state_values_or_are_named(tmp_path, remark, boundaries, line):
@@ -313,6 +315,16 @@ def test_remarks_state_values_or_are_named(tmp_path, remark, boundaries, line):
     assert (plan.boundaries_mm["medium1"], plan.rows[0].side) == (boundaries, -1)
     unused = [what for what, _ in prepare([file], pose="1,0,0", bevel="0,-1,0").unused]
     assert unused == ([f"line `{line}`"] if line else [])
+    if "20G" in remark:
+        assert (plan.needle.length_mm, plan.needle.outer_diameter_mm) == (190.0, GAUGES_MM[20])
+
+
+def test_the_scale_of_pixels_is_one_key_of_all_axes_which_a_remark_may_state(tmp_path):
+    rows = ["# Scale: 0.085 mm/px", "needle,x [px],y [px]", *(f"n1,{20 * k},{k * k}.5" for k in range(20))]
+    (file := tmp_path / "n.csv").write_text("\n".join(rows))
+    (stated,) = re.findall(r"'(unit)=(.*?)'", refusal(DataError, "", planned, [file]).fix)
+    points = prepare([file], **dict([stated])).content.curves[0].line
+    assert points[-1, :2] == pytest.approx((380 * 0.085, 361.5 * 0.085))
 
 
 @pytest.mark.parametrize("pose", ["1,0,0", "free"])

@@ -32,30 +32,34 @@ def fit_direction(lines: Sequence[Floats]) -> FittedDirection | None:
     Tissue has turned each needle at its entry toward its bevel, in proportion to its curvature. The tangents
     at the entries are therefore the direction plus the curvatures times one length, by least squares.
     """
-    tangents, curvatures = list[Floats](), list[Floats]()
-    for line in lines:
-        if len(line) < MIN_CURVE_POINTS:
-            continue
-        bend, slope, _ = np.polyfit(measure_curve(line).s, line, 2)
-        tangents.append(normalize(slope))
-        curvatures.append(2.0 * bend)
-    if (count := len(tangents)) < MIN_FITTED_NEEDLES:
+    kept = [line for line in lines if len(line) >= MIN_CURVE_POINTS]
+    if (count := len(kept)) < MIN_FITTED_NEEDLES:
         return None
+    fits = [np.polyfit(measure_curve(line).s, line, 2) for line in kept]
+    tangents, curvatures = normalize_rows(np.array(fits)[:, 1]), 2.0 * np.array(fits)[:, 0]
+    chords = normalize_rows(np.array([line[-1] - line[0] for line in kept]))
     # of one size: what single curvatures differ by is mostly their error, which is that of the tangents, too
     size = float(np.median(np.linalg.norm(curvatures, axis=1)))
-    toward = np.array([normalize(curvature) if curvature.any() else curvature for curvature in curvatures])
+    toward = normalize_rows(curvatures)
     # bevels that face one way do not separate direction and turn: then the turn is an error of the direction
     is_one_way = float(np.linalg.norm(toward.mean(axis=0))) > MIN_ONE_WAY
-    turned = np.zeros_like(toward) if is_one_way else size * toward
-    # rows: x, y and z of each tangent; columns: the direction, and the length
-    design = np.concatenate([np.tile(np.eye(3), (count, 1)), turned.reshape(-1, 1)], axis=1)
-    precision, values = np.diag([0.0, 0.0, 0.0, TURN_LENGTH_SD_MM**-2]), np.concatenate(tangents)
+    precision, values = np.diag([0.0, 0.0, 0.0, TURN_LENGTH_SD_MM**-2]), tangents.ravel()
     sd = TANGENT_SD_RAD
-    for _ in range(2):  # with a scatter that is usual, then with that found
+    for _ in range(3):  # first with a scatter that is usual, then with that found, and with the sides of tips
+        turned = np.zeros_like(toward) if is_one_way else size * toward
+        # rows: x, y and z of each tangent; columns: the direction, and the length
+        design = np.concatenate([np.tile(np.eye(3), (count, 1)), turned.reshape(-1, 1)], axis=1)
         covariance = np.linalg.inv(design.T @ design / sd**2 + precision)
         estimate = covariance @ design.T @ values / sd**2
         # two directions across each needle, less those of the mean and the length
         sd = math.sqrt(float(np.sum((values - design @ estimate) ** 2)) / (2 * count - 3)) or TANGENT_SD_RAD
+        direction = normalize(estimate[:3])
+        toward = normalize_rows(chords - (chords @ direction)[:, None] * direction)
     across = float(np.linalg.eigvalsh(covariance[:3, :3])[-1])
     across += (size * TURN_LENGTH_SD_MM) ** 2 if is_one_way else 0.0
-    return FittedDirection(normalize(estimate[:3]), math.degrees(math.sqrt(across)), math.degrees(sd))
+    return FittedDirection(direction, math.degrees(math.sqrt(across)), math.degrees(sd))
+
+
+def normalize_rows(vectors: Floats) -> Floats:
+    """Return vectors (N, 3) with length 1, or 0."""
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), np.finfo(float).tiny)

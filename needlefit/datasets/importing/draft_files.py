@@ -3,6 +3,7 @@
 It reads no needle: a person sees what is proposed, and `read` goes by that.
 """
 
+import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -244,6 +245,8 @@ def _list_unread(grid: Grid, keys: Mapping[str, Any]) -> Iterator[str]:
         if number in heads or not any(row):
             continue
         is_remark = is_comment(row, comment)
-        is_read = is_remark and read_remark(row, comment, grid.rows[heads[-1] - 1])
+        line = " ".join(filter(None, row)).lstrip(f"{comment} ")
+        found = read_remark(row, comment, grid.rows[heads[-1] - 1]) if is_remark else {}
+        is_read = found and (re.search("[:=]", line) or len(found) > len(re.findall("[,;] ", line)))
         if not is_read and (is_remark or (number < heads[0] and not keys["blocks"])):
-            yield " ".join(filter(None, row)).lstrip(f"{comment} ")
+            yield line

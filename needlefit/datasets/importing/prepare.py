@@ -1,5 +1,6 @@
 """Prepare an import: a mapping that is given, or drafted and completed; what it reads; and the plan."""
 
+import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
@@ -33,6 +34,8 @@ LENGTHS_MM = {  # least and greatest length (mm) that is believed without a unit
     "boundaries": (0.1, ASSUMED_MM[1]),
     "thickness": (0.1, ASSUMED_MM[1]),
 }
+# of a remark: `0,085 mm/px`
+_SCALE = re.compile(r"(\d+(?:[.,]\d+)?) *([mcu]?m) *(?:/|per|pro|par) *(?:px|pixel)")
 DRAFT = "the draft of the mapping"  #: its place in messages
 DECISIVE = ("needle", "diameter", "modulus", "depth_zero", "bevel_side")  # assumptions that are listed first
 MAX_SHOWN_CELLS = 4  # number of cells of a row on the screen
@@ -206,7 +209,10 @@ def _find_unit(draft: Draft, files: Sequence[Path]) -> None:
         if column.get("unit", "px") == "px"
     ]
     if any("unit" in column for column in lacking):
-        draft.ask("unit", files[0].name, reason="A header states pixels")
+        scales = [scale for line, _ in draft.unused if (scale := _SCALE.search(line))]
+        steps = {f"{scale[1].replace(',', '.')} {scale[2]}" for scale in scales}
+        answers = {step: {"unit": step} for step in steps}
+        draft.ask("unit", files[0].name, answers, reason="A header states pixels")
     elif lacking:
         curves = read_curves([*list_tables(draft.to_record(DRAFT), files, DRAFT)], [])
         _settle_unit(draft, files[0].name, curves, lacking)

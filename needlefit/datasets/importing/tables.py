@@ -21,6 +21,7 @@ from needlefit.errors import DataError
 from needlefit.geometry.frames import PatientSystem
 from needlefit.project.input_files import open_regular, path_exists, read_bytes, read_once
 from needlefit.project.reader_process import BYTES_PER_SECOND, READER_BYTES, Arrays, read_in_process
+from needlefit.project.units import UNITS_MM
 from needlefit.schemas.mapping import ColumnName, TableRecord
 
 TEXT_SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc", ".lvm")
@@ -216,12 +217,13 @@ def _list_body(grid: Grid, record: TableRecord) -> Iterator[tuple[int, dict[str,
         if n in repeated or n + 1 in (*record.header_rows, *record.skip_rows) or not any(row):
             continue
         if is_remark := is_comment(row, record.comment):
-            pair = read_remark(row, record.comment, heads)
+            found = read_remark(row, record.comment, heads)
         else:
             pair = read_pair(row) if record.blocks else None
-        if pair:
+            found = dict([pair]) if pair else {}
+        if found:
             stated = stated if is_above else {key: text for key, text in stated.items() if key not in ends}
-            stated, is_above = stated | dict([pair]), True
+            stated, is_above = stated | found, True
         elif n >= last and not is_remark:
             yield n, stated | ({BLOCK: str(block)} if len(repeated) > 1 else {})
             is_above = False
@@ -247,26 +249,46 @@ def read_pair(row: Sequence[str]) -> tuple[str, str] | None:
 _NUMBERS = re.compile(r"(-?\d(?:[\d.,; ]*\d)?) *([^\W\d]*)")  # `15, 35 mm`
 
 
-def read_remark(row: Sequence[str], comment: str, head: Sequence[str]) -> tuple[str, str] | None:
-    """Return the name and the value that a line of remarks states of the needles of a table.
+_PHRASE = re.compile(r"(\D*?) *(\d+(?:[.,]\d+)?) *([^\W\d]+)")  # `needle length 150 mm`
 
-    `# depth: 40 mm`, `# medium: gel`. None of any other line, and of what a column of the `head` states.
+
+def read_remark(row: Sequence[str], comment: str, head: Sequence[str]) -> dict[str, str]:
+    """Return the values that a line of remarks states of the needles of a table, by their names.
+
+    `# depth: 40 mm`, `# medium: gel`, `# needle 18G, length 150 mm`. Nothing of any other line, and of what a
+    column of the `head` states.
     """
-    pair = read_pair([" ".join(filter(None, row)).lstrip(f"{comment} ")])
-    if pair is None or not pair[1]:
-        return None
-    name, value = pair
-    meaning = read_header(name).meaning
-    if meaning not in REMARKED or meaning in {read_header(cell).meaning for cell in head}:
-        return None
-    if meaning == "bevel_side":
-        return pair if is_side(translate_side(value, ""), "") else None
-    if not MEANINGS[meaning].unit or find_meaning("value", value):
-        return pair
-    if (quantity := _NUMBERS.match(value)) is None:
-        return None
-    numbers, unit = re.sub("[,;]? +", "; ", quantity[1]), quantity[2]
-    return (f"{name} [{unit}]" if find_meaning("unit", unit) else name), numbers
+    text = " ".join(filter(None, row)).lstrip(f"{comment} ")
+    name, value = read_pair([text]) or ("", "")
+    pairs = [(name, value)] if value and name != "title" else [*_read_phrases(text)]
+    in_head, stated = {read_header(cell).meaning for cell in head}, dict[str, str]()
+    for name, value in pairs:
+        meaning = read_header(name).meaning
+        if meaning not in REMARKED or meaning in in_head:
+            continue
+        if meaning == "bevel_side":
+            stated |= {name: value} if is_side(translate_side(value, ""), "") else {}
+        elif not MEANINGS[meaning].unit or find_meaning("value", value) or meaning == "diameter":
+            stated[name] = value
+        elif quantity := _NUMBERS.match(value):
+            numbers, unit = re.sub("[,;]? +", "; ", quantity[1]), quantity[2]
+            stated[f"{name} [{unit}]" if find_meaning("unit", unit) else name] = numbers
+    return stated
+
+
+def _read_phrases(text: str) -> Iterator[tuple[str, str]]:
+    """Yield names and quantities such as `needle 18G, length 150 mm`: a gauge, and the needle's length."""
+    subject = ""
+    for match in map(_PHRASE.fullmatch, re.split("[,;] ", text)):
+        if match is None:
+            continue
+        name, number, unit = match.groups()
+        subject = subject or name
+        if find_meaning("unit", unit) == "G":
+            yield "gauge", f"{number}G"
+        elif find_meaning("unit", unit) in UNITS_MM:
+            known = (words for words in (name, f"{subject} {name}") if read_header(words).meaning in REMARKED)
+            yield next(known, name), f"{number} {unit}"
 
 
 def _lay_out_pairs(grid: Grid, record: TableRecord, body: Sequence[int]) -> Table:
