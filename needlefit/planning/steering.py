@@ -71,12 +71,15 @@ class _RiskRules:
     evaluations: int  #: choices that are tried to lower the risk of one
     sure_risk: float  #: a plan of at most this risk leaves little to narrower ranges, which are not searched
     sloped: bool
+    density: int = 1  #: how many times as many places of turns are tried
 
 
 SAMPLED = _RiskRules(width=0.15, miss_risk=0.02, refined=2, evaluations=40, sure_risk=0.05, sloped=False)
 """Of many draws."""
 
-EXACT = _RiskRules(width=0.02, miss_risk=0.3, refined=3, evaluations=120, sure_risk=0.01, sloped=True)
+EXACT = _RiskRules(
+    width=0.02, miss_risk=0.3, refined=3, evaluations=120, sure_risk=0.01, sloped=True, density=3
+)
 """Of exact parameters, one needle, which costs little: an obstacle that is just passed is no risk, so that
 the miss is all that is left to lower."""
 
@@ -415,10 +418,11 @@ class _Search:
         if now.depth <= SAME_DEPTH_MM and self.limits.entry_mm:
             begin[0] = np.clip(self.goal.target[1], self.bounds[0][0], self.bounds[1][0])
         bends = self.insertion.rules.bevel_strength(bevel)[0] != 0 or self.insertion.draws is not None
+        places = {count: self.rules.density * tried for count, tried in TURN_PLACES.items()}
         turns = [
             turned
             for count in range(1 + self.limits.turns * bends)
-            for turned in combinations(_spread(self.stations, TURN_PLACES[count]), count)
+            for turned in combinations(_spread(self.stations, places[count]), count)
         ]
         sides = (bevel.side, -bevel.side) if bends else (bevel.side,)
         if self.goal.directions > 1:  # toward the target, or away from it
@@ -435,7 +439,7 @@ class _Search:
         Where all miss the target, it is the one of the least expected miss.
         """
         choices = [self._find()]
-        if self.risks(choices)[0] > self.rules.sure_risk:
+        if self.risks(choices)[0] - TURN_RISK * len(choices[0].turns) > self.rules.sure_risk:
             limits = self.limits  # with parts of the range of the base, then with half of all ranges
             parts = NESTED_RANGES if limits.base_mm else ()
             ranges = [replace(limits, base_mm=part * limits.base_mm) for part in parts]
@@ -479,9 +483,24 @@ class _Search:
         """Return the best choice of this range alone."""
         tried = self._step_once(self.list_choices())
         count = self.rules.refined
-        minima = [self._minimize(choice) for choice in self._rank(tried)[:count]]
+        shifted = map(self._shift_turns, self._rank(tried)[:count])
+        minima = [self._minimize(choice) for choice in shifted]
         minima = self._rank(minima)
         return self._rank([*map(self._lower_risk, minima[: count - 1]), minima[0]])[0]
+
+    def _shift_turns(self, choice: _Choice) -> _Choice:
+        """Return a choice whose turns are moved, a constraint point at a time, to the least expected miss."""
+        for _ in self.stations:
+            moved = [choice]
+            for n, turn in enumerate(choice.turns):
+                before, after, place = choice.turns[:n], choice.turns[n + 1 :], self.stations.index(turn)
+                near = {*self.stations[max(place - 1, 0) : place + 2]} - {*choice.turns}
+                moved += [replace(choice, turns=(*before, depth, *after)) for depth in sorted(near)]
+            best = self._rank_by_miss([choice, *self._step_once(moved)])[0]
+            if best.turns == choice.turns:
+                return best
+            choice = best
+        return choice
 
     def _minimize(self, choice: _Choice) -> _Choice:
         """Return the choice of the least expected squared miss nearby."""
