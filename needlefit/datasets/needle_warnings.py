@@ -21,7 +21,7 @@ from needlefit.datasets.layers import (
 from needlefit.datasets.outlying_points import MAX_OUTLYING_PART, OUTLIER_SD, find_point_warnings
 from needlefit.datasets.planes import find_curvature_warnings, find_plane_warnings
 from needlefit.datasets.points import find_rounding
-from needlefit.datasets.record_warnings import find_noise_warnings, find_stated_warnings
+from needlefit.datasets.record_warnings import find_noise_warnings, find_stated_warnings, read_assumed
 from needlefit.datasets.scatter import AXIS_COSINE, find_axis_warnings, measure_scatter
 from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import ResultWarning
@@ -188,6 +188,7 @@ def find_insertion_warnings(
     record: DatasetRecord, listed: Sequence[ListedInsertion], noise: Noise, file: Path
 ) -> Iterator[ResultWarning]:
     """Yield the warnings about insertions that have no fault."""
+    assumed = read_assumed(record, file)
     where = format_place(file)
     yield from find_stated_warnings(record, listed, where)
     outlying = find_point_warnings([entry for entry in listed if entry.is_curve], noise)
@@ -196,7 +197,11 @@ def find_insertion_warnings(
     sound = [entry for entry in listed if entry.insertion.id not in outlying] or listed
     column = record.insertions.columns.get("bevel_side", "bevel_side")
     yield from find_side_warnings([(entry.insertion, entry.where) for entry in sound], noise, column)
-    yield from _find_shape_warnings([entry for entry in sound if entry.is_curve], noise)
+    curves = [entry for entry in sound if entry.is_curve]
+    yield from _find_shape_warnings(curves, noise)
+    # a stage whose errors were assumed may put two needles in one place
+    if not assumed.keys() & {"pose_shift_sd", "pose_angle_sd"} and _is_finer_than_noise(curves, noise):
+        yield from _find_repeated_warnings(curves, noise)
     yield from find_noise_warnings(record, sound, noise, where)
 
 
@@ -208,10 +213,13 @@ def _find_shape_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Ite
     yield from find_curvature_warnings(listed, noise)
     yield from _find_order_warnings(listed)
     yield from find_interpolated_warnings(listed)
-    # values that are rounded by more than their noise may well be equal
-    values = [one.points.values for one in listed]
-    if values and find_rounding(values) <= max(noise.point_sd, noise.correlated_sd):
+    if _is_finer_than_noise(listed, noise):
         yield from _find_copy_warnings(listed)
-        yield from _find_repeated_warnings(listed, noise)
         yield from _find_pasted_warnings(listed, noise)
         yield from _find_constant_warnings(listed)
+
+
+def _is_finer_than_noise(listed: Sequence[ListedInsertion], noise: Noise) -> bool:
+    """Whether points are rounded by less than their noise: else those of two needles may well be equal."""
+    values = [one.points.values for one in listed]
+    return bool(values) and find_rounding(values) <= max(noise.point_sd, noise.correlated_sd)
