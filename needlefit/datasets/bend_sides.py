@@ -1,4 +1,4 @@
-"""To which side of its bevel each needle bends: by its own pose, else by the one direction that fits all."""
+"""To which side of its bevel each needle bends: by its pose, of free shapes by the direction that fits all."""
 
 import math
 from collections.abc import Sequence
@@ -17,8 +17,7 @@ BendSide = Literal["toward", "away", "unknown"]
 def find_bend_sides(insertions: Sequence[Insertion], noise: Noise) -> list[BendSide]:
     """Return to which side of its bevel each insertion bends.
 
-    Where its own pose does not show it, or is free, the deflection from the direction that fits all curves
-    does: many needles state a direction more exactly than one stage.
+    Of free shapes the deflection from the direction that fits all of them shows it.
     """
     sides = [find_bend_side(insertion, noise) for insertion in insertions]
     facing = {n: bevel for n, one in enumerate(insertions) if (bevel := _find_facing(one)) is not None}
@@ -33,17 +32,16 @@ def find_bend_sides(insertions: Sequence[Insertion], noise: Noise) -> list[BendS
         turn = math.radians(math.hypot(fitted.sd_deg, fitted.scatter_deg))
         point_sd = math.sqrt(2) * math.hypot(noise.of(one).point_sd, noise.correlated_sd)
         limit = max(MIN_BEND_SLOPE * length, SIGNIFICANT_SD * math.hypot(point_sd, length * turn))
-        if sides[n] == "unknown" and abs(deflection) > limit:
+        if abs(deflection) > limit:
             sides[n] = "toward" if deflection > 0 else "away"
     return sides
 
 
 def _find_facing(insertion: Insertion) -> Floats | None:
-    """Return the direction (3,) in the world that a bevel faces, if stated, and it alone bent a needle."""
-    if insertion.turns or insertion.base_moved or insertion.guided or insertion.in_tracker_frame:
+    """Return the direction (3,) in the world that the bevel of a free shape faces, if it alone bent it."""
+    if insertion.is_posed or insertion.turns or insertion.base_moved or insertion.guided:
         return None
-    bevel = insertion.frame.rotation[:, 1] if insertion.is_posed else insertion.bevel
-    return None if bevel is None else insertion.side * bevel
+    return None if insertion.bevel is None or insertion.in_tracker_frame else insertion.side * insertion.bevel
 
 
 def find_bend_side(insertion: Insertion, noise: Noise) -> BendSide:
