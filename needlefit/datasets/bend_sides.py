@@ -1,4 +1,4 @@
-"""To which side of its bevel each needle bends: by its pose, of free shapes by the direction that fits all."""
+"""To which side of its bevel a needle bends: by its pose, of free shapes by the direction that fits all."""
 
 import math
 from collections.abc import Sequence
