@@ -1,6 +1,6 @@
 /**
- * The needle in the address of a file, such as `#depth=50&b=0.12&roll=120&turn=20:90,35&mu2=300`: a figure in a paper can
- * point to it. `roll` is that of the bevel at the end, degrees; at 20 mm it was turned by 90 degrees, at 35 mm over.
+ * The needle in the address of a file, such as `#depth=50&b=0.12&roll=120&turn=20:90,35&mu2=300`: at 20 mm
+ * the bevel was turned by 90 degrees, at 35 mm over, to a roll of 120 degrees at the end.
  */
 
 import { readPoints } from "./model/errors.js";
@@ -27,8 +27,8 @@ function listKeys({ fitted, shape_parameters: shapes }) {
 const shorten = (value) => Number(value.toPrecision(DIGITS));
 
 /**
- * Resolves to the address of a needle, without its `#`, or to null where none leads to it: it carries depth, turns and roll of
- * the bevel, and parameters of the whole insertion.
+ * Resolves to the address of a needle, without its `#`; null where depth, turns and roll of the bevel, and parameters of the
+ * whole insertion do not lead to it.
  *
  * @param {WebAssembly.Module} kernel @param {SteeredNeedle} steered @param {string | null} [name]
  */
@@ -70,7 +70,7 @@ async function leadsTo(kernel, address, steered) {
 /** The name of the needle that an address has; null without one. @param {string} address */
 export const nameIn = (address) => new URLSearchParams(address).get("needle");
 
-/** Lists of changes that lead to the needle of an address from first contact on; none where it only names one. A ModelError where it is wrong. @param {string} address @param {Scene} scene @returns {Change[][]} */
+/** The changes that lead to the needle of an address, none where it only names one; a ModelError where it is wrong. @param {string} address @param {Scene} scene @returns {Change[][]} */
 export function readAddress(address, scene) {
   const values = new URLSearchParams(address);
   const keys = listKeys(scene);

@@ -3,7 +3,7 @@
 import { element } from "./dom.js";
 import { listen } from "./store.js";
 
-/** One or two sentences each. Those of the model's parameters, from the glossary, and of error metrics come with the scene. */
+/** Those of the model's parameters and of error metrics come with the scene. */
 export const DEFINITIONS = /** @type {Record<string, string>} */ ({
   "depth": "Inserted arc length: how much of the needle is beyond the entry.",
   "tip y": "Distance of the tip from the entry axis, y; positive to the left of the entry.",

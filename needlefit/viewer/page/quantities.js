@@ -50,7 +50,7 @@ export const shortName = ({ item, name }) => (name && name !== `guide ${item}` ?
 const OFFSET = { symbol: "b", unit: "mm", digits: 3, step: 0.005, here: "bevel_offset_mm", throughout: "offset_throughout_mm" };
 const ANGLE = { symbol: "θ", unit: "°", digits: 2, step: 0.1, here: "cut_angle_deg", throughout: "cut_angle_throughout_deg" };
 
-/** How the strength is called, written and stepped, its inputs from here on and throughout, and its value, of what has it. @param {Strength} values */
+/** How the strength is called, written and stepped, its inputs from here on and throughout, and its value. @param {Strength} values */
 export const strengthOf = ({ offset_mm: offset, cut_angle_deg: angle }) =>
   (angle === undefined ? { ...OFFSET, value: offset ?? 0 } : { ...ANGLE, value: angle });
 
@@ -60,7 +60,7 @@ export const describeRoll = ({ roll_deg: roll }) => (roll % 180 ? `roll ${brief(
 /** @param {number} one @param {number} other */
 const near = (one, other) => Math.abs(one - other) <= 1e-9 * Math.abs(other);
 
-/** Whether the needle's parameters are others than those with which it was opened, about which the band's draws lie. @param {State} state @param {Scene} scene */
+/** Whether parameters are others than those with which the needle was opened. @param {State} state @param {Scene} scene */
 export const isChanged = ({ bevel, layers }, { fitted }) => !near(strengthOf(bevel).value, strengthOf(fitted).value)
   || layers.some((layer, i) => Object.entries(fitted.layers[i]).some(([name, one]) => !near(layer[name], one)));
 
@@ -68,7 +68,7 @@ export const isChanged = ({ bevel, layers }, { fitted }) => !near(strengthOf(bev
 export const predictionOf = (state, scene) =>
   (Math.abs(state.depth_mm - scene.depth_mm) < 1e-6 && !isSteered(state, scene) ? (scene.measured?.prediction ?? null) : null);
 
-/** Whether parameters or inputs are others than those of the scene at this depth: the needle is then not the one that was measured. @param {State} state @param {Scene} scene */
+/** Whether parameters or inputs are others than those of the measured needle at this depth. @param {State} state @param {Scene} scene */
 export function isSteered(state, scene) {
   const { steps } = scene.simulation;
   const { inputs } = steps.find(({ depth }) => depth >= state.depth_mm - 1e-6) ?? steps[steps.length - 1];

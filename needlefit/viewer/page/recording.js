@@ -1,4 +1,4 @@
-/** Recordings: the one of the file, one that is saved or dropped on the page, and the one that the browser keeps. */
+/** Recordings: of the file, saved or dropped on the page, and kept by the browser. */
 
 import { writeRecording } from "./address.js";
 import { part, press, write } from "./dom.js";

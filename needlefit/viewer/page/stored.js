@@ -30,7 +30,7 @@ export function insert(steered) {
   for (const changes of steered.scene.simulation.changes) steered.apply(changes);
 }
 
-/** Replays a recording: `to(n)` carries out its first n steps, from the beginning if it is beyond, or `changed` by the reader. */
+/** Replays a recording: `to(n)` carries out its first n steps, anew if it is beyond, or was `changed`. */
 export class Replay {
   at = 0;
   changed = false;
@@ -59,7 +59,7 @@ export class Replay {
   }
 }
 
-/** The largest distance, mm, of a needle of a report from the one that its run stored, or difference of an error above `same`; 0: the same bytes. @param {SteeredNeedle} steered @param {Needle} needle @param {number} same */
+/** The largest distance, mm, of a needle from the one that its run stored, or difference of an error above `same`. @param {SteeredNeedle} steered @param {Needle} needle @param {number} same */
 function compareStored(steered, { errors: known, tip }, same) {
   const { scene: { measured }, session } = steered;
   if (!known || !measured?.stored) return Math.abs(steered.tipLateral - Number(tip));

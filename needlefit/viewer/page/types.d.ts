@@ -1,7 +1,7 @@
 /** What the page is given, and what it knows: lengths mm, moduli Pa, forces N, angles degrees unless named otherwise. */
 
 type Change = [name: string, item: number | null, value: number];
-/** A number of an address: its key, of which input, what it is times in the input's unit and in the model's, its value in the model. */
+/** A number of an address: key, input, factors to the units of the input and of the model, value in the model. */
 type AddressKey = [
   key: string, input: string, item: number | null, toInput: number, toModel: number,
   read: (needle: { inputs: Inputs; model: Model }) => number,
@@ -34,7 +34,7 @@ type Session = import("../../mechanics/native/needle.js").Session;
 type SteeredNeedle = import("./model/steered.js").SteeredNeedle;
 type Reached = { depth: number; inputs: Inputs };
 type Saved = { way: Way | null; session: ReturnType<Session["save"]> };
-/** A needle of N nodes, base first: of each plane deflection `u` and slope (planes * N); of each constraint point its depth and place (1 + planes), and deflection and slope of the tip there (2 * planes). */
+/** N nodes, base first: `u` and slope in each plane (planes * N); of each constraint point depth and place (1 + planes), and the tip's deflection and slope there (2 * planes). */
 type Shape = {
   status: string; depth: number; planes: number;
   x: Float64Array; u: Float64Array; slope: Float64Array; constraints: Float64Array; track: Float64Array;

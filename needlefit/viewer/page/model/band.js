@@ -1,4 +1,4 @@
-/** The simultaneous band of draws of the parameters: 95 % of their needles lie wholly inside, where a needle stands. */
+/** The simultaneous band of draws: 95 % of their needles lie wholly inside. */
 
 import { Session } from "../../../mechanics/native/needle.js";
 

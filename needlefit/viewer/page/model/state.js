@@ -46,7 +46,7 @@ export function describeState(steered) {
   };
 }
 
-/** Constraint points, and where the tip was at their depths: each as far from the needle's point there as the model has it. @param {Session} session */
+/** Constraint points, and where the tip was at their depths. @param {Session} session */
 function placePoints(session) {
   const { planes, constraints, track } = session.shape;
   const cut = columns(constraints, 1 + planes);

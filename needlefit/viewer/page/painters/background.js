@@ -44,7 +44,7 @@ function listLayers() {
   return layers.filter(({ from, to }) => to > from);
 }
 
-/** Write above the window the name of each layer, or where names would meet its number, and its modulus where there is room. */
+/** Write above the window the name or number of each layer, and its modulus where there is room. */
 function paintNames() {
   const { left, top, width } = view.box;
   const layers = listLayers();

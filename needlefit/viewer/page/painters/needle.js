@@ -19,7 +19,7 @@ const angleOf = (slope) => Math.atan(slope * view.magnified);
 /** @param {Point} one @param {Point} other */
 const distance = (one, other) => Math.hypot(one[0] - other[0], one[1] - other[1]);
 
-/** Draw the shaft, outside the model's limits red and dashed, and the bevel, whose point lies where it turns the cut to. @param {State} state */
+/** Draw the shaft, outside the model's limits red and dashed, and the bevel. @param {State} state */
 export function paintNeedle({ x, y, faults, bevel: { side } }) {
   const points = placesOf({ x, y });
   const tip = points[points.length - 1];
@@ -51,7 +51,7 @@ export function paintPath({ tip_path: curve }) {
   nameLine("tip path", curve, "path");
 }
 
-/** Draw the lateral load along y, on the side to which it pushes, in space its magnitude above the needle; its scale in a corner. */
+/** Draw the lateral load, on the side to which it pushes, in space its magnitude above the needle. */
 export function paintLoad() {
   const { x, y, load } = describeLoad(now.steered);
   const greatest = max(load, Math.abs);
@@ -79,7 +79,7 @@ export function paintBase({ base }) {
   turned([px, py], angleOf(Math.tan(base.rotation)), () => path("M-22,-7h26v14h-26Z", { fill: "ink" }));
 }
 
-/** Draw each guide: two jaws along its direction if it clamps, two points if the needle turns in it; under it its number or name. @param {State} state */
+/** Draw each guide, two jaws if it clamps, else two points; under it its number or name. @param {State} state */
 export function paintGuides({ guides }) {
   for (const guide of guides) {
     const [px, py] = [toPx(guide.x), toPy(guide.y)];

@@ -89,7 +89,7 @@ function paintCircle(x, y, radius, shade, name, opacity = 0) {
   labelFree(name, [[px, toPy(y + radius) - 12], [px, toPy(y - radius) + 12]], shade);
 }
 
-/** Draw the whole inserted part of the needle with y as large as x and as wide as it is, in the emptiest corner. @param {State} state */
+/** Draw the inserted part of the needle at true scale in the emptiest corner. @param {State} state */
 export function paintInset({ x, y }) {
   const points = range(x.length).filter((i) => x[i] >= 0);
   if (points.length < 2) return;

@@ -15,7 +15,7 @@ const [EDGE, ROOM] = [8, 14]; // px above and below the window of the view from 
 /** Whether something is seen from above: a needle in space, or one that is compared there. */
 export const isSpatial = () => Boolean(now.state?.z ?? now.scene?.measured?.compared === "space");
 
-/** What is shown and known; while a needle moves faster than draws are computed, their band is of a place that it has left. */
+/** What is shown and known; the band may be of a place that the needle has left. */
 function listShown() {
   const { state, shown, scene, band, pinned } = now;
   return {
