@@ -55,7 +55,7 @@ export function avoid(places) {
   }
 }
 
-/** Write a label at that of some places (px, its middle) without other labels that covers least, inside the window; else nowhere. @param {string} words @param {Point[]} places @param {string} fill */
+/** Write a label at the free place (px, its middle) where it covers least, inside the window; else nowhere. @param {string} words @param {Point[]} places @param {string} fill */
 export function labelFree(words, places, fill) {
   const { left, top, width, height } = view.box;
   const wide = measure(words, "strong") + 6;
