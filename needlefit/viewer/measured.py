@@ -116,7 +116,7 @@ def _show_insertion(
     return ViewedScene(
         name=f"{name}/{insertion.id}",
         title=title,
-        note=shown.description + " Curvatures were measured; they are not drawn." * (not drawn),
+        note=f"{shown.description}{'' if drawn else ' Curvatures were measured; they are not drawn.'}",
         record=record,
         first_cell=scene.lattice.first_cell,
         placement=Placement(frame, insertion.patient).to_record() if placed else None,
