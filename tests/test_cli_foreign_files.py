@@ -60,7 +60,7 @@ CASES = {
     "tune --design": Case("tune held_out --design --out out -q", "held_out-design held_out-design.partial"),
     "predict": Case("predict held_out --scene ahead --out out -q", "predict-held_out-ahead"),
     "report": Case("report ./out/run --out out/again", "again"),
-    "reconstruct": Case(f"reconstruct {SCANS} --out out/rr -q", "rr rr.partial"),
+    "reconstruct": Case(f"reconstruct {SCANS} --out out/rr -q", "rr"),
     "import": Case("import curves.csv --out out/found --yes", "found"),
     "new project": Case("new project out/project", "project"),
     "new workbook": Case("new workbook out/own.xlsx"),

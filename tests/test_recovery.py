@@ -15,7 +15,7 @@ MAX_MISSED_SHARE = 0.1  #: of the parameters called determined: twice what 95 % 
 
 @pytest.mark.parametrize("name", ["phantom1", "phantom2", "phantom3", "chicken"])
 def test_no_shipped_fit_calls_a_parameter_determined_whose_interval_misses_the_truth(name):
-    truth = json.loads((REFERENCE / name / "run.json").read_text())["truth"]
+    truth = json.loads((REFERENCE / name / "run.json").read_text(encoding="utf-8"))["truth"]
     rows = pd.read_csv(REFERENCE / name / "parameters.csv")
     known = rows[(rows["method"] == "fitted") & rows["parameter"].isin(truth) & (rows["status"] == "free")]
     assert len(known) >= 2
