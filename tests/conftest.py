@@ -6,6 +6,7 @@ them, whatever the environment says.
 """
 
 import gc
+import locale
 import os
 import subprocess
 import sys
@@ -33,6 +34,15 @@ sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))  # of their rende
 
 settings.register_profile("busy cores", deadline=None)  # the first example of a test also loads what it needs
 settings.load_profile("busy cores")
+
+
+LOCALE = locale.setlocale(locale.LC_CTYPE)
+
+
+@pytest.fixture(autouse=True)
+def keep_locale() -> None:
+    """Begin with the locale of the process: what a test loads may have set another one."""
+    locale.setlocale(locale.LC_CTYPE, LOCALE)
 
 
 SWEEP_PARTS = 16

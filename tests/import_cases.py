@@ -109,7 +109,7 @@ def write_long(folder, curves, name="points.csv", head=(), cells=()):
     for n, curve in enumerate(curves):
         own = cells[n] if cells else ()
         rows += [[f"n{n + 1}", *own, *(f"{value:.8g}" for value in point)] for point in curve]
-    (folder / name).write_text("\n".join(",".join(map(str, row)) for row in rows))
+    (folder / name).write_text("\n".join(",".join(map(str, row)) for row in rows), encoding="utf-8")
     return folder / name
 
 

@@ -217,7 +217,7 @@ def test_the_public_names_alone_are_listed():
 @pytest.mark.sweep
 @pytest.mark.usefixtures("few_draws")
 def test_models_are_compared_by_what_they_predict_of_insertions_left_out(sampled):
-    recipe = {**RECIPE, "sample": {"independent_draws": 300}}
+    recipe = {**RECIPE, "sample": {"independent_draws": 1000}}
     names = [f"chicken-0{number}" for number in range(3, 8)]
     run = needlefit.sample("twin", "chicken", tune={"insertions": names}, recipe=recipe)
     found = needlefit.estimate_elpd(run, leave_out="insertion")

@@ -183,9 +183,10 @@ def structure_sets():
 
 
 def workbooks():
-    from import_cases import needle, write_workbook
+    from import_cases import needle, write_sheets
 
-    return [saved("t.xlsx", write_workbook, [needle(n, 9 - n) for n in range(2)])]
+    rows = [["x (mm)", "y (mm)", "z (mm)"], *needle(1, 8).tolist()]
+    return [saved("t.xlsx", lambda path: write_sheets(path, Nadel=rows))]
 
 
 def volumes():
