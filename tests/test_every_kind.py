@@ -70,6 +70,8 @@ def test_a_run_is_written_again_from_its_stored_results_and_differs_in_nothing(w
 @pytest.mark.sweep
 @EVERY
 def test_a_run_that_is_killed_resumes_to_the_same_bytes_with_other_jobs_in_other_surroundings(world, kind):
+    if kind == "reconstruction":
+        pytest.skip("a reconstruction is made anew")
     expected, out = read_files(world.find(kind)), world.folder / f"resumed-{kind}"
     for other in COMMANDS[kind].after:
         shutil.copytree(world.find(other), out / COMMANDS[other].folder)

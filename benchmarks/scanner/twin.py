@@ -313,7 +313,7 @@ def _describe_specimen(specimen: TrueSpecimen) -> dict[str, Any]:
         "medium": specimen.medium,
         "mu_pa": _round_all(specimen.mu * 1e6),
         "alpha": specimen.alpha.tolist(),
-        "layer_tops_mm": _round_all([float(surface.mesh.bounds[0, 0]) for surface in specimen.surfaces]),
+        "layer_tops_mm": _round_all([float(surface.vertices[:, 0].min()) for surface in specimen.surfaces]),
     }
 
 
