@@ -1,7 +1,7 @@
 """Warn about needles that can be fitted all the same: bevel sides, copies, order, entries."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
 from itertools import chain
 from pathlib import Path
 
@@ -21,7 +21,7 @@ from needlefit.datasets.layers import (
 from needlefit.datasets.outlying_points import MAX_OUTLYING_PART, OUTLIER_SD, find_point_warnings
 from needlefit.datasets.planes import find_curvature_warnings, find_plane_warnings
 from needlefit.datasets.points import find_rounding
-from needlefit.datasets.record_warnings import find_noise_warnings, find_stated_warnings, read_assumed
+from needlefit.datasets.record_warnings import find_noise_warnings, find_stated_warnings
 from needlefit.datasets.scatter import AXIS_COSINE, find_axis_warnings, measure_scatter
 from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import ResultWarning
@@ -185,10 +185,13 @@ def _find_entry_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Ite
 
 
 def find_insertion_warnings(
-    record: DatasetRecord, listed: Sequence[ListedInsertion], noise: Noise, file: Path
+    record: DatasetRecord,
+    listed: Sequence[ListedInsertion],
+    noise: Noise,
+    file: Path,
+    assumed: Container[str],
 ) -> Iterator[ResultWarning]:
-    """Yield the warnings about insertions that have no fault."""
-    assumed = read_assumed(record, file)
+    """Yield the warnings about insertions that have no fault; `assumed`: what their import assumed."""
     where = format_place(file)
     yield from find_stated_warnings(record, listed, where)
     outlying = find_point_warnings([entry for entry in listed if entry.is_curve], noise)
@@ -200,7 +203,8 @@ def find_insertion_warnings(
     curves = [entry for entry in sound if entry.is_curve]
     yield from _find_shape_warnings(curves, noise)
     # a stage whose errors were assumed may put two needles in one place
-    if not assumed.keys() & {"pose_shift_sd", "pose_angle_sd"} and _is_finer_than_noise(curves, noise):
+    is_pose_stated = not any(key in assumed for key in ("pose_shift_sd", "pose_angle_sd"))
+    if is_pose_stated and _is_finer_than_noise(curves, noise):
         yield from _find_repeated_warnings(curves, noise)
     yield from find_noise_warnings(record, sound, noise, where)
 

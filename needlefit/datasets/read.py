@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
@@ -73,6 +73,7 @@ class _Reading:
     file: Path
     record: Any
     root: Path
+    assumed: Mapping[str, str]  # what its import assumed, by key
     faults: list[Fault] = field(default_factory=list)
     warnings: list[ResultWarning] = field(default_factory=list)
 
@@ -94,14 +95,14 @@ def inspect(path: Path, root: Path | None = None) -> Inspection:
     file = find_dataset_file(path)
     try:
         record = load_record(file)
-        reading = _Reading(file, record, root or find_folder(record, file))
+        folder = root or find_folder(record, file)
     except (ConfigError, DataError) as error:
         return Inspection(None, (error,))
+    reading = _Reading(file, record, folder, read_assumed(record, file))
     if root is None:
         reading.faults += find_checksum_faults(record.checksums, reading.root)
     reading.faults += find_record_faults(record, file)
-    assumed = read_assumed(record, file)
-    reading.warnings += find_record_warnings(record, file, assumed)
+    reading.warnings += find_record_warnings(record, file, reading.assumed)
     insertions, files, tables = list[Insertion](), set[Path](), dict[str, Any]()
     if record.lists_insertions:
         insertions, files, tables = _read_shapes(reading)
@@ -134,7 +135,7 @@ def inspect(path: Path, root: Path | None = None) -> Inspection:
         notes=tuple(head + text.strip() for head, text in parts if text.strip()),
         warnings=tuple(reading.warnings),
         rigidities={
-            needle_record.name: describe_rigidity(needle_record, assumed)
+            needle_record.name: describe_rigidity(needle_record, reading.assumed)
             for needle_record in record.all_needles.values()
         },
         pose=record.frame.pose,
@@ -204,7 +205,8 @@ def _read_shapes(reading: _Reading) -> tuple[list[Insertion], set[Path], dict[st
     if record.measurement is None or record.measurement.operator == "none":
         listed = mark_interpolated(listed, make_noise(record.noise))
     insertions = [entry.insertion for entry in listed]
-    reading.warnings += find_insertion_warnings(record, listed, make_noise(record.noise), file)
+    noise = make_noise(record.noise)
+    reading.warnings += find_insertion_warnings(record, listed, noise, file, reading.assumed)
     lines, listed_tables = record.centerlines, record.insertions
     pattern, long = (None, None) if lines is None else (lines.pattern, lines.file)
     named = (listed_tables.file, listed_tables.turns, listed_tables.curvature, long)
