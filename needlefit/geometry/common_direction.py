@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.geometry.frames import normalize
+from needlefit.geometry.frames import normalize, to_unit
 from needlefit.geometry.measured_curve import measure_curve
 
 MIN_FITTED_NEEDLES = 3  # smallest number of needles to which a common direction is fitted
@@ -36,11 +36,11 @@ def fit_direction(lines: Sequence[Floats]) -> FittedDirection | None:
     if (count := len(kept)) < MIN_FITTED_NEEDLES:
         return None
     fits = [np.polyfit(measure_curve(line).s, line, 2) for line in kept]
-    tangents, curvatures = normalize_rows(np.array(fits)[:, 1]), 2.0 * np.array(fits)[:, 0]
-    chords = normalize_rows(np.array([line[-1] - line[0] for line in kept]))
+    tangents, curvatures = to_unit(np.array(fits)[:, 1]), 2.0 * np.array(fits)[:, 0]
+    chords = to_unit(np.array([line[-1] - line[0] for line in kept]))
     # of one size: what single curvatures differ by is mostly their error, which is that of the tangents, too
     size = float(np.median(np.linalg.norm(curvatures, axis=1)))
-    toward = normalize_rows(curvatures)
+    toward = to_unit(curvatures)
     # bevels that face one way do not separate direction and turn: then the turn is an error of the direction
     is_one_way = float(np.linalg.norm(toward.mean(axis=0))) > MIN_ONE_WAY
     precision, values = np.diag([0.0, 0.0, 0.0, TURN_LENGTH_SD_MM**-2]), tangents.ravel()
@@ -54,12 +54,7 @@ def fit_direction(lines: Sequence[Floats]) -> FittedDirection | None:
         # two directions across each needle, less those of the mean and the length
         sd = math.sqrt(float(np.sum((values - design @ estimate) ** 2)) / (2 * count - 3)) or TANGENT_SD_RAD
         direction = normalize(estimate[:3])
-        toward = normalize_rows(chords - (chords @ direction)[:, None] * direction)
+        toward = to_unit(chords - (chords @ direction)[:, None] * direction)
     across = float(np.linalg.eigvalsh(covariance[:3, :3])[-1])
     across += (size * TURN_LENGTH_SD_MM) ** 2 if is_one_way else 0.0
     return FittedDirection(direction, math.degrees(math.sqrt(across)), math.degrees(sd))
-
-
-def normalize_rows(vectors: Floats) -> Floats:
-    """Return vectors (N, 3) with length 1, or 0."""
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), np.finfo(float).tiny)

@@ -49,6 +49,12 @@ def normalize(vector: ArrayLike, name: str = "direction") -> Floats:
     return array / length
 
 
+def to_unit(vectors: Floats) -> Floats:
+    """Return a vector (3,), or vectors (N, 3), with length 1; one of length 0 stays."""
+    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return vectors / np.where(lengths > 0, lengths, 1.0)
+
+
 def make_entry_frame(origin: ArrayLike, direction: ArrayLike, toward: ArrayLike) -> Frame:
     """Return the constraint frame C: x along `direction`, y the part of `toward` normal to it, z = x cross y;
     all (3,), world.

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from needlefit.arrays import Bools, Floats, are_bounded
 from needlefit.errors import DataError
 from needlefit.geometry.curves import make_normal
-from needlefit.geometry.frames import Frame, PatientSystem, normalize
+from needlefit.geometry.frames import Frame, PatientSystem, normalize, to_unit
 from needlefit.project.input_files import open_regular, read_bytes
 
 if TYPE_CHECKING:
@@ -72,8 +72,7 @@ class Surface:
     @property
     def normals(self) -> Floats:
         """The unit normals of the triangles, (F, 3); 0 of a triangle without area."""
-        lengths = np.linalg.norm(self.areas, axis=1, keepdims=True)
-        return self.areas / np.where(lengths > 0, lengths, 1.0)
+        return to_unit(self.areas)
 
     @property
     def volume(self) -> float:

@@ -35,7 +35,7 @@ from needlefit.datasets.points import MIN_POINTS
 from needlefit.errors import DataError
 from needlefit.geometry.common_direction import fit_direction
 from needlefit.geometry.crossings import find_crossings, find_surface_hits
-from needlefit.geometry.frames import normalize
+from needlefit.geometry.frames import normalize, to_unit
 from needlefit.geometry.measured_curve import measure_curve
 from needlefit.geometry.shaft import ShaftAxis, fit_shaft_axis
 from needlefit.geometry.surfaces import Surface
@@ -612,11 +612,6 @@ def find_bends_of_sides(bends: Floats, along: Floats, sides: Sequence[int], turn
     across = bends - np.sum(bends * along, axis=1)[:, None] * along
     bent: Floats = np.array(sides)[:, None] * turned.inv().apply(across)
     return bent
-
-
-def to_unit(vector: Floats) -> Floats:
-    """Return a vector with length 1, or 0."""
-    return vector / (np.linalg.norm(vector) or 1.0)
 
 
 # ---- needles, points and shafts
