@@ -98,7 +98,7 @@ def write_placed(folder, paths, **stated):
 def curves_of(paths, **stated):
     """Return the needles that files hold, by name, before they are placed."""
     assignments = [(key.replace("__", "."), value) for key, value in stated.items()]
-    draft, files = complete_draft([*paths], assignments, None)
+    draft, files = complete_draft([*paths], assignments)
     content = read_mapped(draft.to_record("draft"), files, "draft")
     return {one.name: one for one in content.curves}, draft
 

@@ -448,8 +448,8 @@ def test_who_sees_the_draft_may_change_it(tmp_path):
     file = write_long(tmp_path, NEEDLES, head=["Ort"], cells=[["A"], ["B"], ["A"]])
     answers, seen = iter(["specimen.column = Ort", ""]), []
 
-    def review(columns, unused, problem):
-        seen.append(({row["meaning"] for row in columns}, {what for what, _ in unused}))
+    def review(prepared, problem):
+        seen.append(({row["meaning"] for row in prepared.columns}, {what for what, _ in prepared.unused}))
         return next(answers)
 
     prepared = prepare_import([file], review=review)
@@ -564,27 +564,18 @@ def test_what_decides_a_fit_is_the_first_assumption(tmp_path):
     assert assumed[:3] == ["needle", "diameter", "modulus"]
 
 
-def test_a_refused_answer_is_asked_for_again(tmp_path):
-    answers = {"diameter": ["90G", "20G"], "modulus": ["wood", "3"], "point_sd": ["-1", "0.2"]}
-    asked, refused = [], []
-
-    def prompt(key, proposal, reason):
-        asked.append(key)
-        refused.extend([key] * ("expected" in reason))
-        return answers[key].pop(0) if answers.get(key) else ""
-
-    prepared = prepare_import([write_long(tmp_path, NEEDLES)], [("inner_diameter", "0.5")], prompt=prompt)
-    assert not {"inner_diameter", "title"} & {*asked}
-    assert {"medium", "modulus"} & prepared.mapping.assumed.keys() == {"medium"}
-    assert sorted(refused) == ["diameter", "modulus", "point_sd"] and not any(answers.values())
-    needle_ = prepared.plan.needle
-    assert (needle_.youngs_modulus_gpa, needle_.outer_diameter_mm) == (3.0, 0.908)
-    assert prepared.plan.point_sd_mm == 0.2
-    replies, changes = iter(["perhaps", "shapes"]), iter(["y.colum=z", "y.column=nothing", ""])
-    matrices = prepare_import(
-        [CASES / "matrices.csv"], prompt=lambda *_: next(replies, ""), review=lambda *_: next(changes)
+def test_an_answer_or_a_change_that_is_refused_is_asked_for_again(tmp_path):
+    replies, refused = iter(["perhaps", "1"]), []
+    changes = iter(["y.colum=z", "y.column=nothing", "diameter=90G", "diameter=20G", ""])
+    prepared = prepare_import(
+        [CASES / "matrices.csv"],
+        prompt=lambda question, problem: refused.append(problem) or next(replies),
+        review=lambda prepared, problem: refused.append(problem) or next(changes),
     )
-    assert {curve.holds for curve in matrices.content.curves} == {"shapes"} and not [*changes]
+    assert {curve.holds for curve in prepared.content.curves} == {"shapes"} and not [*changes]
+    assert [bool(problem) for problem in refused] == [False, True, False, True, True, True, False]
+    assert prepared.plan.needle.outer_diameter_mm == GAUGES_MM[20]
+    assert "diameter" not in prepared.mapping.assumed and "modulus" in prepared.mapping.assumed
 
 
 def test_a_key_that_is_not_known_is_refused_with_the_nearest_one(tmp_path):

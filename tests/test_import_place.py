@@ -21,7 +21,6 @@ from refusals import refusal
 
 from needlefit.api import score_study
 from needlefit.datasets.folds import divide_insertions
-from needlefit.datasets.importing.prepare import prepare_import
 from needlefit.datasets.planes import measure_out_of_plane
 from needlefit.datasets.read import inspect, read
 from needlefit.datasets.select import list_bevels
@@ -176,9 +175,7 @@ def test_a_shaft_of_two_points_before_the_entry_gives_the_direction(tmp_path):
         assert row.depth == pytest.approx(48.0, abs=0.2)
     _, made = planned([file])
     assert made["pose"][0] == "free"
-    asked = {}
-    prepare_import([file], prompt=lambda key, proposal, reason: asked.setdefault(key, reason) and "")
-    assert "pose=0.02,1,0 " in asked["pose"]
+    assert "pose=0.02,1,0 " in prepare([file]).mapping.assumed["pose"]
 
 
 def test_a_shaft_without_an_entry_a_depth_or_enough_points_is_refused(tmp_path):

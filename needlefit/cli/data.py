@@ -7,7 +7,7 @@ import sys
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -19,6 +19,10 @@ from needlefit.errors import ConfigError, DataError
 from needlefit.project.locate import PROJECT_FOLDERS, format_path, join_names, shipped_folder
 from needlefit.project.result_warnings import WARNINGS_KEY, ResultWarning, to_rows
 from needlefit.schemas.origin import ORIGIN_MARKS
+
+if TYPE_CHECKING:
+    from needlefit.datasets.importing.prepare import PreparedImport
+    from needlefit.datasets.importing.stated import Question
 
 
 def new_project(
@@ -98,8 +102,8 @@ def import_data(
     """Make a dataset from files of other programs.
 
     It proposes what each column means, in a mapping, and reads only by that: OUT/mapping.toml. In a terminal
-    it shows the mapping and asks for what is open; --yes takes what is proposed. OUT also gets a picture, a
-    first study and a scene. The default is ./FILE-dataset.
+    it asks for what is open and shows the mapping, to be changed or taken; --yes takes what is proposed. OUT
+    also gets a picture, a first study and a scene. The default is ./FILE-dataset.
     """
     from needlefit.datasets.first_study import SCENE_FILE
     from needlefit.datasets.importing.prepare import prepare_import
@@ -125,7 +129,7 @@ def import_data(
     invocation = context.find_root().obj
     asks = not yes and not invocation.json and sys.stdin.isatty() and sys.stderr.isatty()
     assignments = [split_pair(text) for text in set_ or []]
-    prompt, review = (_ask, _review_columns) if asks else (None, None)
+    prompt, review = (_ask, _review) if asks else (None, None)
     prepared = prepare_import(files, assignments, mapping, prompt, review)
     dataset = write_import(out, prepared, overwrite)
     needles = tabulate_needles(dataset)
@@ -155,18 +159,17 @@ def import_data(
     show_next_steps(dataset, out, SCENE_FILE)
 
 
-def _review_columns(
-    columns: Sequence[dict[str, str]], unused: Sequence[tuple[str, str]], problem: str
-) -> str:
-    """Show what each column means; return a change, or an empty text."""
-    from needlefit.reporting.dataset_import import join_unused, tabulate_columns
+def _review(prepared: "PreparedImport", problem: str) -> str:
+    """Show what each column means and what is assumed; return a change, or an empty text."""
+    from needlefit.reporting.dataset_import import join_unused, tabulate_columns, tabulate_values
 
     if problem:
         screen.print_note(problem)
-    screen.show_frame(tabulate_columns(columns), "Columns")
-    screen.print_text(join_unused(unused))
+    screen.show_frame(tabulate_columns(prepared.columns), "Columns")
+    screen.show_frame(tabulate_values(prepared), "Values of all needles")
+    screen.print_text(join_unused(prepared.unused))
     answer: str = typer.prompt(
-        "Enter if this is right; else KEY=VALUE, as unit=cm, boundaries.unit=cm or y.column=HEADER",
+        "Enter if this is right; else KEY=VALUE, as unit=cm, pose=1,0,0 or y.column=HEADER",
         default="",
         show_default=False,
         err=True,
@@ -174,14 +177,12 @@ def _review_columns(
     return answer
 
 
-def _ask(key: str, proposal: str, reason: str) -> str:
-    """Ask on the terminal; an empty answer takes the proposal."""
-    from needlefit.datasets.importing.meanings import VALUES
-
-    is_key = key in VALUES
-    screen.print_note("; ".join(filter(None, (f"{key}: {VALUES[key].text}" if is_key else key, reason))))
-    answer: str = typer.prompt(key if is_key else "answer", default=proposal, err=True)
-    return "" if answer == proposal else answer
+def _ask(question: "Question", problem: str) -> str:
+    """Ask on the terminal; an answer is a number of the list, if there is one."""
+    answers = [f"{n}: {answer}" for n, answer in enumerate(question.choices, 1)]
+    screen.print_note("\n".join(filter(None, (problem, question.text, *answers))))
+    answer: str = typer.prompt(question.key or "answer", err=True)
+    return answer
 
 
 # ---- check

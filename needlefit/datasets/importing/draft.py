@@ -6,20 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from needlefit.datasets.importing.meanings import QUESTIONS
-from needlefit.datasets.importing.stated import name_set
-from needlefit.errors import DataError
+from needlefit.datasets.importing.stated import Question, UnansweredError, name_set
 from needlefit.project.toml import check
 from needlefit.schemas.mapping import MappingRecord
-
-
-@dataclass(frozen=True)
-class Open:
-    """A question of `QUESTIONS` about a file: each answer states keys of the mapping."""
-
-    key: str  # that the answer states
-    question: str
-    choices: Mapping[str, Mapping[str, str]]  # by answer; none: any value
-    where: str = ""
 
 
 @dataclass
@@ -30,7 +19,7 @@ class Draft:
     surfaces: list[str] = field(default_factory=list)
     values: dict[str, str] = field(default_factory=dict)
     assumed: dict[str, str] = field(default_factory=dict)
-    opens: list[Open] = field(default_factory=list)
+    opens: list[Question] = field(default_factory=list)
     unused: list[tuple[str, str]] = field(default_factory=list)  # what, and where it stands
     origin: str = "measured"
     headers: list[str] = field(default_factory=list)  # of all tables
@@ -46,19 +35,20 @@ class Draft:
             answer: {key.format(**parts): value.format(**parts) for key, value in keys.items()}
             for answer, keys in answers.items()
         }
-        asked = Open(key.format(**parts), text.format(**parts), choices or filled, where)
+        asked = Question(key.format(**parts), text.format(**parts), choices or filled, where)
         if not any(replace(other, where=where) == asked for other in self.opens):  # of one sheet
             self.opens.append(asked)
 
-    def to_error(self) -> DataError:
+    def to_error(self) -> UnansweredError:
         """Return the error of questions that nobody answers; its fix states what answers them."""
         plain = " ".join(name_set(question.key) for question in self.opens if not question.choices)
         fixes = [f"state {plain}"] if plain else []
         for question in filter(lambda question: question.choices, self.opens):
             options = (" ".join(map(name_set, keys, keys.values())) for keys in question.choices.values())
             fixes.append(f"state {', or '.join(options)}")
-        return DataError(
-            f"needs an answer. {' '.join(question.question for question in self.opens)}",
+        return UnansweredError(
+            f"needs an answer. {' '.join(question.text for question in self.opens)}",
+            question=self.opens[0],
             expected=f"an answer to {'each' if len(self.opens) > 1 else 'it'}",
             fix="; ".join(fixes),
             where=self.opens[0].where,

@@ -1,8 +1,9 @@
-"""Propose what the columns of one table mean, and what its rows are."""
+"""Propose what the columns of one table mean, and what its rows are; what is not sure is a question."""
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import count, pairwise, permutations
 from typing import Any, NamedTuple
@@ -10,7 +11,7 @@ from typing import Any, NamedTuple
 from needlefit.datasets.importing.assignments import Assignments
 from needlefit.datasets.importing.draft import Draft
 from needlefit.datasets.importing.layout import MISSING
-from needlefit.datasets.importing.meanings import ATTRIBUTES, MEANINGS, ROWS, SENSOR, VECTORS
+from needlefit.datasets.importing.meanings import ATTRIBUTES, MEANINGS, SENSOR, VECTORS
 from needlefit.datasets.importing.stated import name_set
 from needlefit.datasets.importing.synonyms import (
     INDEX,
@@ -31,7 +32,7 @@ from needlefit.project.units import UNITS_GPA
 CODES = ("-999", "-999.0", "-9999", "-9999.0", "-99", "999", "9999")  # numbers that stand for no measurement
 NO_POINTS = (*VECTORS, "target", "guide", "quaternion")  # columns x, y, z that are no points of a needle
 COORDINATES = ("x", "y", "z", "depth", "deflection", "deflection_z", "guide")
-OF_LAYERS = ("boundaries", "layers", "thickness")  # meanings of columns that state something of layers
+OF_LAYERS = {"boundaries", "layers", "thickness"}  # meanings of columns that state something of layers
 SEVERAL = (*VECTORS, "boundaries", "thickness", "guide", "needle")  # meanings that may have several columns
 POINTS = ("shapes", "tips", "tracks")  # rows that hold points
 EXCLUDED = "excluded"  # the word of rows that are left out
@@ -51,14 +52,14 @@ class Column(NamedTuple):
     numbers: Sequence[float]  # of those that are numbers
 
     @property
-    def is_numeric(self) -> bool:
-        """Whether all its cells are numbers."""
-        return len(self.numbers) == len(self.texts)
-
-    @property
     def is_unit(self) -> bool:
         """Whether it states the unit of each row."""
         return self.header.text.casefold() in UNIT_FIELDS
+
+    @property
+    def is_known(self) -> bool:
+        """Whether its header means something, though perhaps nothing that is imported."""
+        return self.is_unit or bool(self.header.meaning or self.header.axis)
 
 
 Axes = dict[str, Column]
@@ -72,13 +73,18 @@ class TableDraft:
         self.table, self.keys, self.draft, self.stated = table, keys | stated.table, draft, stated
         self.name = table.name if "sheet" in keys else table.path.name
         self.where = table.path.name + (f", sheet {table.name}" if "sheet" in keys else "")
-        heads = table.first_headers
-        texts = [[head[n] for head in heads if n < len(head)] for n in range(len(table.headers))]
-        headers, self.signs = name_axes([*map(_read_column, table.headers, texts)])
-        self.all = [self._make_column(n, header) for n, header in enumerate(headers)]
+        parts = [
+            [head[n] for head in table.first_headers if n < len(head)] for n in range(len(table.headers))
+        ]
+        headers, self.signs = name_axes([*map(_read_column, table.headers, parts)])
+        self.all = list[Column]()
+        for n, header in enumerate(headers):
+            texts = [row[n] for row in table.rows if row[n]]
+            numbers = [value for text in texts if (value := table.number(text)) is not None]
+            names = (text for text in (*parts[n][:1], table.headers[n]) if text and table.find(text) == n)
+            self.all.append(Column(n, next(names, n + 1), header, texts, numbers))
         self.taken = dict[str, list[Column]]()  # columns by meaning
-        self.records = Records()
-        self.used = set[int]()  # places
+        self.used = set[int]()  # places of columns that mean something, or are asked about
 
     def propose(self) -> None:
         """Propose columns, the kind of rows, and the entries."""
@@ -87,13 +93,11 @@ class TableDraft:
             return
         self._take_stated()
         groups = self._group_axes()
-        for meaning, columns in self._list_known().items():
-            self._take(meaning, columns)
+        self._take_known()
         if (block := self.table.find(BLOCK)) is not None:
             self._take("needle", [self.all[block]])
-        if self.taken.keys() & {*SENSOR[1:3]} and "point_sd" in self.records:
-            deviation = self.records.setdefault("curvature_sd", self.records.pop("point_sd"))
-            deviation["unit"] = _per(deviation.get("unit", ""))
+        if self.taken.keys() & {*SENSOR[1:3]} and "point_sd" in self.taken:
+            self.taken.setdefault("curvature_sd", self.taken.pop("point_sd"))
         if "fill_down" not in self.keys and (groups or self.taken.keys() & {"y", "deflection"}):
             self._fill_down()
         entries, holds = self._find_rows(groups)
@@ -101,21 +105,16 @@ class TableDraft:
             headers = ", ".join(filter(None, self.table.headers))[:200]
             problem = f"no column is known to hold coordinates: {headers or 'no headers'}"
             self.draft.unused.append((f"table {self.where}", problem))
-            self._ask_layers(headers)
+            if "boundaries" not in self.draft.values and OF_LAYERS & {one.header.meaning for one in self.all}:
+                self.draft.ask("table", self.where, name=self.name, headers=headers)
             return
         self.keys["holds"] = holds
         self._name_unused()
+        shared = {meaning: _spell(meaning, columns) for meaning, columns in self.taken.items()}
         for entry in entries or [{}]:
-            self._add(self.records | entry | self.records)  # the needle is shown first
+            self._add(shared | entry | shared)  # the needle is shown first
 
     # ---- columns
-
-    def _make_column(self, n: int, header: Header) -> Column:
-        first = [head[n] for head in self.table.first_headers[:1] if n < len(head)]
-        unique = (text for text in (*first, self.table.headers[n]) if text and self.table.find(text) == n)
-        texts = [row[n] for row in self.table.rows if row[n]]
-        numbers = [value for text in texts if (value := self.table.number(text)) is not None]
-        return Column(n, next(unique, n + 1), header, texts, numbers)
 
     def _list_free(self) -> list[Column]:
         """Return the columns with cells that mean nothing yet, and are not stated to mean nothing."""
@@ -142,62 +141,56 @@ class TableDraft:
     def _take(self, meaning: str, columns: Sequence[Column]) -> None:
         """Let columns mean something, if nothing else does."""
         if columns and meaning not in self.taken:
-            if meaning not in SEVERAL and "column" not in self.stated.columns.get(meaning, {}):
-                columns = columns[:1]
-            self.taken[meaning] = [*columns]
-            self.records[meaning] = _spell(meaning, columns)
-            self.used |= {column.place for column in columns}
+            is_one = meaning not in SEVERAL and "column" not in self.stated.columns.get(meaning, {})
+            self.taken[meaning] = [*columns[:1]] if is_one else [*columns]
+            self.used |= {column.place for column in self.taken[meaning]}
 
-    def _list_known(self) -> dict[str, list[Column]]:
-        """Return the columns of each meaning that headers name; ask where one may mean two things."""
+    def _take_known(self) -> None:
+        """Take the columns whose headers are known; ask where one may mean two things."""
         blocked = self.taken.keys() | ({"deflection", "deflection_z"} if "y" in self.taken else set())
-        known, doubtful = dict[str, list[Column]](), list[tuple[Column, list[str]]]()
-        for column in self._list_free():
-            meaning, *others = meanings = self._list_meanings(column)
-            if others:
-                doubtful.append((column, meanings))
-            elif meaning in MEANINGS and meaning not in blocked:
-                known.setdefault(meaning, []).append(column)
+        known, free = defaultdict[str, list[Column]](list), self._list_free()
+        meanings = {column.place: self._list_meanings(column) for column in free}
+        for column in free:
+            if len(meanings[column.place]) == 1:
+                known[meanings[column.place][0]].append(column)
         for meaning in (*VECTORS, "guide"):  # columns x, y and z of a place
-            axes = {
-                column.header.axis: column for column in self._list_free() if column.header.group == meaning
-            }
-            if meaning not in blocked and ("y" in axes or (axes and meaning == "guide")):
+            axes = {column.header.axis: column for column in free if column.header.group == meaning}
+            if "y" in axes or (axes and meaning == "guide"):
                 known[meaning] = [axes[axis] for axis in sorted(axes)]
         if "depth" in known and not (known.keys() | blocked) & {"y", "deflection"}:
-            tips = [column for column in self._list_free() if column.header.meaning == "tip"]
-            if tips := [column for column in tips if column.is_numeric]:
-                known["deflection"] = tips
+            known["deflection"] = [one for one in known["tip"] if len(one.numbers) == len(one.texts)]
+        for key in [key for key, some in known.items() if key not in MEANINGS or key in blocked or not some]:
+            del known[key]
         if "guide" in known:
             self.draft.assumed["guide"] = (
                 f"{_list_names(known['guide'])}: by its header; guide=none if it is no guide"
             )
         if "needle" in known:
             known["needle"] = self._choose_names(known)
-        for column, meanings in doubtful:
-            self._ask_meaning(column, meanings, known)
+        for column in free:
+            self._ask_meaning(column, meanings[column.place], known)
         trials = next((column for column in self.all if column.header.meaning == "trials"), None)
         if trials and "point_sd" in known and any("mean" in text.casefold() for text in self.table.headers):
             self._ask("point_sd", known.pop("point_sd")[0], count=str(trials.name))
         if EXCLUDED in known:
             self._ask_excluded(known.pop(EXCLUDED)[0])
-        return known
+        for meaning, columns in known.items():
+            self._take(meaning, columns)
 
     def _list_meanings(self, column: Column) -> list[str]:
         """Return what a column may mean, by its header and cells; an empty text: nothing here."""
-        meaning = column.header.meaning
+        meaning, headers = column.header.meaning, [other.header.meaning for other in self.all]
         if meaning in ("medium", "modulus"):
             are_needles = [find_meaning("value", text).endswith("GPa") for text in column.texts]
-            moduli = [other for other in self.all if other.header.meaning == "modulus" and other != column]
             if any(are_needles):
-                is_open = moduli or (meaning == "medium" and not all(are_needles))
+                is_open = headers.count("modulus") > (meaning == "modulus")
+                is_open |= meaning == "medium" and not all(are_needles)
                 return ["modulus", "medium"] if is_open else ["modulus"]
             factor = UNITS_GPA.get(column.header.unit, 1.0)
             if meaning == "modulus" and any(0 < value * factor < MIN_NEEDLE_GPA for value in column.numbers):
                 return ["modulus", ""]
-        if meaning == "guide" and "depth" not in {other.header.meaning for other in self.all}:
-            steps = self._list_by_needle([column])
-            meaning = "depth" if steps and all(map(_increase, steps)) else meaning  # of the stage
+        if meaning == "guide" and "depth" not in headers:  # of the stage
+            return ["depth" if self._increases([column]) else meaning]
         return meaning.split("|")
 
     def _choose_names(self, known: Mapping[str, Sequence[Column]]) -> list[Column]:
@@ -229,9 +222,14 @@ class TableDraft:
             if axis and group not in NO_POINTS:
                 turn = next(k for k in count() if axis not in groups.get((k, group), ()))
                 groups.setdefault((turn, group), {})[axis] = column
-        if "x" not in self.taken and not any(column.header.meaning == "depth" for column in self.all):
-            for axes in groups.values():
-                self._name_along(axes)
+        has_along = "x" in self.taken or any(column.header.meaning == "depth" for column in self.all)
+        for axes in groups.values() if not has_along else ():
+            if axes.keys() == {"y", "z"}:  # x is that of them which spans more
+                across, along = sorted(axes.values(), key=lambda column: _span(column.numbers))
+                axes |= {"x": along, "y": across}
+                del axes["z"]
+                reason = f"column {along.name}: it spans more, and no column is called x"
+                self.draft.assumed["x"] = reason
         with_x = [axes for axes in groups.values() if "x" in axes]
         lacking = [axes for axes in groups.values() if "x" not in axes]
         if len(with_x) == 1 and all("y" in axes for axes in lacking):
@@ -243,15 +241,6 @@ class TableDraft:
             name if names.count(name) == 1 else f"{name} {n}": axes
             for n, (name, (_, axes)) in enumerate(zip(names, named, strict=True), 1)
         }
-
-    def _name_along(self, axes: Axes) -> None:
-        """Let y or z be x, along the needle, in a table without x: that of them which spans more."""
-        if axes.keys() == {"y", "z"}:
-            spans = {axis: _span(column.numbers) for axis, column in axes.items()}
-            across, along = sorted("yz", key=lambda axis: spans[axis])
-            axes["x"], axes["y"] = axes[along], axes[across]
-            del axes["z"]
-            self.draft.assumed["x"] = f"column {axes['x'].name}: it spans more, and no column is called x"
 
     # ---- what is asked
 
@@ -269,11 +258,10 @@ class TableDraft:
     def _ask_meaning(self, column: Column, meanings: Sequence[str], known: dict[str, list[Column]]) -> None:
         """Ask which of several meanings a column has, if the first is not stated."""
         stated = known.keys() | self.taken.keys() | self.draft.values.keys()
-        first = meanings[0]
-        if first in stated:
+        if len(meanings) < 2 or meanings[0] in stated:
             return
         if "specimen" in meanings and ("specimen" in stated or len({*column.texts}) == 1):
-            known[first] = [column]
+            known[meanings[0]] = [column]
             return
         answers = {
             meaning or "nothing": {f"{meaning}.column": str(column.name)} if meaning else _leave(column.name)
@@ -287,48 +275,17 @@ class TableDraft:
         """Ask which value marks rows that are left out, if there are several."""
         values = sorted({row[column.place] for row in self.table.rows})
         if 1 < len(values) <= MAX_FLAGS:
-            answers = {
-                value or "blank": {
-                    f"{EXCLUDED}.column": str(column.name),
-                    f"{EXCLUDED}.words": _to_toml({value: EXCLUDED}),
-                }
-                for value in values
-            }
+            key, name = f"{EXCLUDED}.words", {f"{EXCLUDED}.column": str(column.name)}
+            answers = {value or "blank": name | {key: _to_toml({value: EXCLUDED})} for value in values}
             self._ask(EXCLUDED, column, answers | {"none": _leave(column.name)})
-
-    def _ask_layers(self, headers: str) -> None:
-        """Ask what a table that is not used states of layers."""
-        is_of_layers = any(column.header.meaning in OF_LAYERS for column in self.all)
-        if is_of_layers and "boundaries" not in self.draft.values:
-            self.draft.ask("table", self.where, name=self.name, headers=headers)
-
-    def _ask_sides(self, texts: Sequence[str], column: object) -> None:
-        """Ask where bevels face whose sides are not understood."""
-        if not texts or "bevel_side" in self.draft.values:
-            return
-        orders: dict[int, list[tuple[str, ...]]] = {1: [("-1",), ("1",)], 2: [("1", "-1"), ("-1", "1")]}
-        sides_by_text = [
-            dict(zip(texts, sides, strict=True)) for sides in orders.get(len(texts), [("1",) * len(texts)])
-        ]
-        answers = {
-            " ".join(f"{text}={side}" for text, side in sides.items()): {"bevel_side.words": _to_toml(sides)}
-            for sides in sides_by_text
-        }
-        if all(self.table.number(text) is not None for text in texts):
-            answers = {"degrees": {"bevel_side.unit": "deg"}} | answers
-        names = ", ".join(f"`{text}`" for text in texts[:MAX_FLAGS])
-        self.draft.ask("bevel_side", self.where, answers, names=names, name=str(column))
 
     # ---- rows
 
     def _find_rows(self, groups: Mapping[str, Axes]) -> tuple[list[Records], str]:
         """Return the columns of each needle, or of all needles, and what rows are; nothing of facts."""
         taken, holds = self.taken, self.keys.get("holds", "")
-        if holds == "curvatures":
-            self._ask_curvatures()
-            return [{}], holds
         entries = list[Records]()
-        for name, axes in groups.items():
+        for name, axes in groups.items() if holds != "curvatures" else ():
             records = {axis: _spell(axis, [column]) for axis, column in axes.items()}
             for axis in records.keys() & self.signs.keys():
                 records[axis]["sign"] = self.signs[axis]
@@ -337,34 +294,42 @@ class TableDraft:
             entries.append(records)
             self.used |= {column.place for column in axes.values()}
         has_x = "deflection" not in self.stated.columns and any("x" in entry for entry in entries)
-        if taken.keys() >= {"deflection", "depth"} and not has_x:
+        if taken.keys() >= {"deflection", "depth"} and not has_x and holds != "curvatures":
             return self._find_deflections(entries, holds)
         if taken.keys() >= {"x", "y"}:
             entries = [{}]
         if entries:
             holds = holds or self._find_kind(groups)
             return self._divide_groups(entries, groups, holds), holds
-        return ([{}], "curvatures") if self._ask_curvatures() else self._find_other_rows()
+        if self._ask_curvatures(is_stated=holds == "curvatures"):
+            return [{}], "curvatures"
+        if "turn_depth" in taken or {"depth_mm", "bevel_roll_deg"} <= {*self.table.headers}:
+            if "depth" in taken:
+                taken["turn_depth"] = taken.pop("depth")
+            return [{}], "turns"
+        unknown = [str(column.name) for column in self._list_unknown()]
+        if "depth" in taken and "needle" not in taken and len(unknown) > 1:
+            names, columns = f"`{'`, `'.join(unknown)}`", "|".join(unknown)
+            self.draft.ask(
+                "deflections", self.where, names=names, columns=columns, unused=json.dumps(unknown)
+            )
+        return [], ""
 
     def _find_deflections(self, entries: Sequence[Records], holds: str) -> tuple[list[Records], str]:
         """Return the columns of deflections at depths: tracks where depths increase; ask which one counts."""
         columns = self.taken["deflection"]
-        others = [column for column in self._list_free() if column.header.meaning == "deflection"]
-        names = [
-            *(column.name for column in (*columns[:1], *others)),
-            *(entry["y"]["column"] for entry in entries),
-        ]
+        others = [column.name for column in self._list_free() if column.header.meaning == "deflection"]
+        names = [columns[0].name, *others, *(entry["y"]["column"] for entry in entries)]
         if len(names) > 1 and "deflection" not in self.stated.columns:
             answers = {str(name): {"deflection.column": str(name)} for name in names}
             self.draft.ask("deflection", self.where, answers)
-        depths = self._list_by_needle(self.taken["depth"])
-        increase = bool(depths) and all(map(_increase, depths))
+        increase = self._increases(self.taken["depth"])
         if increase and not holds:
             self._assume_tracks("the depths of each needle increase")
         holds = holds or ("tracks" if increase else "tips")
         if len(columns) == 1:
             return [{}], holds
-        del self.records["deflection"]  # each is of a needle
+        del self.taken["deflection"]  # each is of a needle
         return [
             {"deflection": _spell("deflection", [column]), "needle": {"value": str(column.name)}}
             for column in columns
@@ -373,10 +338,10 @@ class TableDraft:
     def _assume_tracks(self, reason: str) -> None:
         self.draft.assumed["holds"] = f"tracks: {reason}; points: {name_set('holds', 'shapes')}"
 
-    def _ask_curvatures(self) -> bool:
+    def _ask_curvatures(self, is_stated: bool) -> bool:
         """Whether rows hold curvatures, as headers or the unit of their numbers state; ask which is which."""
         inverse = [str(column.name) for column in self._list_free() if column.header.unit.startswith("1/")]
-        if not (inverse or self.taken.keys() & {*SENSOR[1:3]} or self.keys.get("holds") == "curvatures"):
+        if not (inverse or self.taken.keys() & {*SENSOR[1:3]} or is_stated):
             return False
         place = "sensor_from_base" if "sensor_from_base" in self.taken else "sensor"
         lacking = [key for key in (place, *SENSOR[1:3]) if key not in self.taken]
@@ -388,46 +353,29 @@ class TableDraft:
             self.draft.ask("curvatures", self.where, answers, names=", ".join(inverse))
             lacking = [key for key in lacking if key == place]
         for key in lacking:
-            self.draft.ask("column", self.where, key=key, text=ROWS[key].text)
+            self.draft.ask("column", self.where, key=key, text=MEANINGS[key].text)
         return True
-
-    def _find_other_rows(self) -> tuple[list[Records], str]:
-        """Return what rows hold that are neither points nor curvatures: turns, or nothing of facts."""
-        if "turn_depth" in self.taken or {"depth_mm", "bevel_roll_deg"} <= {*self.table.headers}:
-            if "depth" in self.records:
-                self.records["turn_depth"] = self.records.pop("depth")
-            return [{}], "turns"
-        unknown = [str(column.name) for column in self._list_unknown()]
-        if "depth" in self.taken and "needle" not in self.taken and len(unknown) > 1:
-            names, columns = f"`{'`, `'.join(unknown)}`", "|".join(unknown)
-            self.draft.ask(
-                "deflections", self.where, names=names, columns=columns, unused=json.dumps(unknown)
-            )
-        return [], ""
 
     def _find_kind(self, groups: Mapping[str, Axes]) -> str:
         """Return whether points are of shapes, of tips, or of a tip on its way; what may be both is asked."""
         names, is_alone = self._list_names(), len(groups) < 2
-        has_x = "x" in self.taken or any("x" in axes for axes in groups.values())
+        columns = [column for axes in groups.values() for column in axes.values()]
         if is_alone and names and len({*names}) == len(names):  # a name for each row
-            if "depth" in self.taken and not has_x:
+            is_few = len(names) < MIN_POINTS
+            has_x = "x" in self.taken or any(column.header.axis == "x" for column in columns)
+            if ("depth" in self.taken and not has_x) or is_few:
                 return "tips"
-            if len(names) < MIN_POINTS or not divide_labels(names):
-                if len(names) < MIN_POINTS or self.taken.keys() & {"depth", "entry_point", "bevel_side"}:
+            if not divide_labels(names):
+                if self.taken.keys() & {"depth", "entry_point", "bevel_side"}:
                     return "tips"
                 self.draft.ask("labels", self.where)
                 return "shapes"
-        headers = [column.header for column in self.all]
-        is_tip = any(
-            column.header.beside in ("tip", "deflection")
-            for axes in groups.values()
-            for column in axes.values()
-        )
         depths, times = (
             any(len({*values}) > 1 for values in self._list_by_needle(self.taken.get(key, [])))
             for key in ("depth", "time")
         )
-        times |= any("quaternion" in (header.meaning, header.group) for header in headers)
+        times |= any("quaternion" in (one.header.meaning, one.header.group) for one in self.all)
+        is_tip = any(column.header.beside in ("tip", "deflection") for column in columns)
         if is_alone and sum((is_tip, depths, times)) >= MIN_TRACK_SIGNS:
             self._assume_tracks(f"each row has a {'depth' if depths else 'time'} of its own")
             return "tracks"
@@ -443,36 +391,42 @@ class TableDraft:
     def _list_by_needle(self, columns: Sequence[Column]) -> list[list[float]]:
         """Return the numbers in columns of each needle."""
         names = self.taken.get("needle", [column for column in self.all if column.header.meaning == "needle"])
-        places = [column.place for column in names]
-        numbers = dict[tuple[str, ...], list[float]]()
+        numbers = defaultdict[tuple[str, ...], list[float]](list)
         for row in self.table.rows:
             for column in columns:
                 if (value := self.table.number(row[column.place])) is not None:
-                    numbers.setdefault(tuple(row[n] for n in places), []).append(value)
+                    numbers[tuple(row[name.place] for name in names)].append(value)
         return [*numbers.values()]
+
+    def _increases(self, columns: Sequence[Column]) -> bool:
+        """Whether the numbers of each needle increase from row to row."""
+        runs = self._list_by_needle(columns)
+        return bool(runs) and all(
+            len(numbers) >= MIN_READINGS and all(a < b for a, b in pairwise(numbers)) for numbers in runs
+        )
 
     def _is_array(self, groups: Mapping[str, Axes]) -> bool:
         """Whether the places below a row of headers are numbered, and each row may be a needle."""
         if len(groups) < MIN_POINTS or self.keys.get("layout") == "long":
             return False
-        first = min(column.place for column in next(iter(groups.values())).values())
-        is_numbered = INDEX.search(self.all[first].header.text) is not None
+        first = min(next(iter(groups.values())).values())
+        is_numbered = INDEX.search(first.header.text) is not None
         is_numbered |= any(column.header.meaning in ("time", "needle") for column in self.all)
         return is_numbered and len({re.sub(r"\d+", "#", name) for name in groups}) == 1
 
     def _divide_groups(self, entries: list[Records], groups: Mapping[str, Axes], holds: str) -> list[Records]:
         """Return the columns of each needle: groups are needles, or points of a row, or one is asked for."""
-        is_several = len(entries) > 1 and holds == "shapes"
+        is_several, first = len(entries) > 1 and holds == "shapes", entries[0]
         if is_several and self._is_array(groups):
             if self.keys.get("layout") != "wide":
                 self.draft.ask("layout", self.where, count=str(len(groups)))
                 return entries
             return [
                 {
-                    axis: entries[0][axis]
+                    axis: first[axis]
                     | {"column": [entry[axis]["column"] for entry in entries if axis in entry]}
                     for axis in "xyz"
-                    if axis in entries[0]
+                    if axis in first
                 }
             ]
         is_version = any(find_meaning("version", name.split(" ")[0]) for name in groups)
@@ -484,20 +438,18 @@ class TableDraft:
                 for entry in entries
             }
             self.draft.ask("points", self.where, answers, names=" and ".join(f"`{name}`" for name in answers))
-        if holds == "shapes" and "x" not in entries[0] | self.records and "depth" in self.records:
-            self.records["x"] = self.records.pop("depth")  # points at depths
+        if holds == "shapes" and "x" not in first.keys() | self.taken.keys() and "depth" in self.taken:
+            self.taken["x"] = self.taken.pop("depth")  # points at depths
         return entries
 
     def _find_facts(self) -> str:
         """Return `facts` if a table without points states some, and propose of what; else nothing."""
-        stated = [key for key in self.taken if key in ATTRIBUTES]
+        stated = self.taken.keys() & {*ATTRIBUTES}
         if "needle" in self.taken and stated:
             self.keys["of"] = "needle"
         elif "specimen" in self.taken and len(stated) > 1:
             self.keys["of"] = "specimen"
-        elif stated and (
-            len(self.table.rows) == 1 or not {*stated} - {*OF_LAYERS}
-        ):  # or a row for each layer
+        elif stated and (len(self.table.rows) == 1 or stated <= OF_LAYERS):  # or a row for each layer
             self.keys["of"] = "all"
         else:
             return ""
@@ -510,10 +462,9 @@ class TableDraft:
 
         Names then stand in the first row of each block of points, or come again; else they name single rows.
         """
-        columns = self.taken.get("needle", [])
-        if len(columns) != 1:
+        if not self._list_names():
             return
-        (column,) = columns
+        (column,) = self.taken["needle"]
         texts = [row[column.place] for row in self.table.rows]
         named = [n for n, text in enumerate(texts) if text]
         are_first = all(b - a > 1 for a, b in pairwise([*named, len(texts)]))
@@ -534,9 +485,12 @@ class TableDraft:
         Of a column of two directions under an unknown header a person is asked.
         """
         for column in self._list_free():
-            header, texts = column.header, {*column.texts}
-            is_known = column.is_unit or bool(header.meaning or header.axis)
-            if len(texts) == 2 and not is_known and all(translate_side(text, "") != text for text in texts):
+            texts = {*column.texts}
+            if (
+                len(texts) == 2
+                and not column.is_known
+                and all(translate_side(text, "") != text for text in texts)
+            ):
                 self._ask_meaning(column, ["bevel_side", ""], {})
         self.draft.unused += [
             (f"column {column.name}", self.where)
@@ -554,9 +508,8 @@ class TableDraft:
         return [
             column
             for column in self._list_free()
-            if not (column.is_unit or column.header.meaning or column.header.axis)
+            if not column.is_known and all(map(_QUANTITY.fullmatch, column.texts))
             if column.header.text or [*column.numbers] != [*range(1, len(column.texts) + 1)]
-            if all(map(_QUANTITY.fullmatch, column.texts))
         ]
 
     def _add(self, records: Records) -> None:
@@ -595,36 +548,44 @@ class TableDraft:
 
     def _complete(self, meaning: str, record: dict[str, Any]) -> None:
         """Add a unit that the header does not state, and words for the sides of bevels."""
+        columns = self._find_columns(record)
+        texts = dict.fromkeys(text for column in columns for text in column.texts)
         is_free = meaning in COORDINATES and self.table.system is None
         if self.stated.unit and is_free:
             record["unit"] = self.stated.unit  # also beside a header that states another one
         elif MEANINGS[meaning].unit in ("mm", "1/mm") and not record.keys() & {"unit", "unit_column"}:
             units = [column.name for column in self.all if column.is_unit and column.texts]
-            columns = self._find_columns(record)
             is_point = meaning in COORDINATES and self.keys["holds"] in POINTS
             if units:
                 record["unit_column"] = units[0]
             elif self.table.unit and is_free:
                 record["unit"] = self.table.unit
-            elif (
-                meaning in ATTRIBUTES
-                and not is_point
-                and any(list_bare_numbers(text) for column in columns for text in column.texts)
-            ):
+            elif meaning in ATTRIBUTES and not is_point and any(map(list_bare_numbers, texts)):
                 reason = f"{_list_names(columns)} states no unit"
                 if self.table.unit:
                     record["unit"], reason = self.table.unit, f"{reason}, its file does"
                 self.draft.assumed[f"{meaning}.unit"] = f"{self.table.unit or 'mm'}: {reason}"
-        if meaning == "bevel_side":
-            unit = record.get("unit", "")
-            texts = dict.fromkeys(text for column in self._find_columns(record) for text in column.texts)
-            words = {text: side for text in texts if (side := translate_side(text, unit)) != text}
-            if words := words | record.get("words", {}):
-                record["words"] = words
-            if unit == "clock":
-                unit = record.pop("unit")
-            unclear = [text for text in texts if text not in words and not is_side(text, unit)]
-            self._ask_sides(unclear, record.get("column"))
+        if meaning != "bevel_side":
+            return
+        unit = record.get("unit", "")
+        words = {text: side for text in texts if (side := translate_side(text, unit)) != text}
+        if words := words | record.get("words", {}):
+            record["words"] = words
+        if unit == "clock":
+            unit = record.pop("unit")
+        unclear = [text for text in texts if text not in words and not is_side(text, unit)]
+        if not unclear or "bevel_side" in self.draft.values:
+            return
+        several = len(unclear) == 2
+        orders = [("1", "-1"), ("-1", "1")] if several else [("-1",) * len(unclear), ("1",) * len(unclear)]
+        answers = dict[str, dict[str, str]]()
+        if all(self.table.number(text) is not None for text in unclear):
+            answers["degrees"] = {"bevel_side.unit": "deg"}
+        for sides in orders:
+            answer = " ".join(f"{text}={side}" for text, side in zip(unclear, sides, strict=True))
+            answers[answer] = {"bevel_side.words": _to_toml(dict(zip(unclear, sides, strict=True)))}
+        names = ", ".join(f"`{text}`" for text in unclear[:MAX_FLAGS])
+        self.draft.ask("bevel_side", self.where, answers, names=names, name=str(record.get("column")))
 
     def _find_columns(self, record: Mapping[str, Any]) -> list[Column]:
         """Return the columns that a record names."""
@@ -652,13 +613,14 @@ class TableDraft:
 def _spell(meaning: str, columns: Sequence[Column]) -> dict[str, Any]:
     """Return how a mapping names columns, and the unit of the first."""
     names, unit = [column.name for column in columns], columns[0].header.unit
-    unit = _per(unit) if meaning.startswith("curvature") else unit
+    if meaning.startswith("curvature") and unit and not unit.startswith("1/"):
+        unit = f"1/{unit}"  # the header states that of its length
     axes = "".join(column.header.axis for column in columns) if meaning == "guide" else ""
     spelled = {"column": names[0] if len(names) == 1 else names, "unit": unit, "axes": axes}
     return {key: value for key, value in spelled.items() if value}
 
 
-def _list_names(columns: Sequence[Column]) -> str:
+def _list_names(columns: Iterable[Column]) -> str:
     return ", ".join(str(column.name) for column in columns)
 
 
@@ -675,18 +637,9 @@ def _read_column(text: str, parts: Sequence[str]) -> Header:
     return replace(best, text=text, unit=unit)
 
 
-def _per(unit: str) -> str:
-    """Return the unit of a curvature, whose header may state that of its length."""
-    return f"1/{unit}" if unit and not unit.startswith("1/") else unit
-
-
 def _to_toml(words: Mapping[str, str]) -> str:
     """Return an inline table of TOML, as `--set` takes it."""
     return f"{{{', '.join(f'{json.dumps(key)} = {json.dumps(value)}' for key, value in words.items())}}}"
-
-
-def _increase(numbers: Sequence[float]) -> bool:
-    return len(numbers) >= MIN_READINGS and all(a < b for a, b in pairwise(numbers))
 
 
 def _span(numbers: Sequence[float]) -> float:

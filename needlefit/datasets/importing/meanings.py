@@ -14,9 +14,12 @@ class Meaning(NamedTuple):
     unit: str = ""
     usual: str = ""
     reason: str = ""
+    likely: tuple[
+        float, ...
+    ] = ()  # least and greatest length (mm) that is believed without a unit of its own
 
 
-class Question(NamedTuple):
+class QuestionText(NamedTuple):
     """A question that only a person can answer: each answer states keys of the mapping.
 
     Names in braces are filled in with what stands in the file.
@@ -33,7 +36,7 @@ VALUES = MappingProxyType({key: Meaning(**parts) for key, parts in _FILE["values
 ROWS = MappingProxyType({key: Meaning(**parts) for key, parts in _FILE["rows"].items()})
 """What stands in the rows of a table."""
 MEANINGS = MappingProxyType({**VALUES, **ROWS})
-QUESTIONS = MappingProxyType({key: Question(**parts) for key, parts in _FILE["questions"].items()})
+QUESTIONS = MappingProxyType({key: QuestionText(**parts) for key, parts in _FILE["questions"].items()})
 
 OF_ALL = (  #: of these not
     "entry",

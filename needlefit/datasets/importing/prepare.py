@@ -1,50 +1,35 @@
 """Prepare an import: a mapping that is given, or drafted and completed; what it reads; and the plan."""
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from copy import deepcopy
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from needlefit.datasets.importing.assignments import Assignments
-from needlefit.datasets.importing.curves import ImportContent, ImportedCurve
-from needlefit.datasets.importing.draft import Draft, Open
+from needlefit.datasets.importing.curves import ImportContent
+from needlefit.datasets.importing.draft import Draft
 from needlefit.datasets.importing.draft_files import draft_mapping
 from needlefit.datasets.importing.draft_table import COORDINATES, POINTS
 from needlefit.datasets.importing.examples import find_examples
 from needlefit.datasets.importing.meanings import MEANINGS
 from needlefit.datasets.importing.place import ImportPlan, Planner
 from needlefit.datasets.importing.read import MappedTable, list_tables, read_curves, read_mapped
-from needlefit.datasets.importing.stated import Settler, name_set
+from needlefit.datasets.importing.stated import Question, Settler, UnansweredError, name_set
 from needlefit.datasets.importing.synonyms import list_bare_numbers
 from needlefit.errors import ConfigError, DataError
 from needlefit.project.toml import check, load, override
-from needlefit.project.unit_warnings import DIAMETER_MM
 from needlefit.project.units import UNITS_MM
 from needlefit.schemas.mapping import MappingRecord
 
-ASSUMED_MM = (20.0, 300.0)  # least and greatest length (mm) of the longest needle where mm are assumed
 STATED_MM = (1.0, 2000.0)  # least and greatest length (mm) of the longest needle by a stated unit
-LENGTHS_MM = {  # least and greatest length (mm) that is believed without a unit of its own
-    "diameter": DIAMETER_MM,
-    "needle_length": ASSUMED_MM[:1] + STATED_MM[1:],
-    "depth": (1.0, ASSUMED_MM[1]),
-    "boundaries": (0.1, ASSUMED_MM[1]),
-    "thickness": (0.1, ASSUMED_MM[1]),
-}
 # of a remark: `0,085 mm/px`
 _SCALE = re.compile(r"(\d+(?:[.,]\d+)?) *([mcu]?m) *(?:/|per|pro|par) *(?:px|pixel)")
 DRAFT = "the draft of the mapping"  #: its place in messages
 DECISIVE = ("needle", "diameter", "modulus", "depth_zero", "bevel_side")  # assumptions that are listed first
 MAX_SHOWN_CELLS = 4  # number of cells of a row on the screen
 MAX_FIRST_VALUES = 3  # number of values of a column on the screen
-
-Prompt = Callable[[str, str, str], str]  #: key or question, proposal, reason -> answer; "" takes the proposal
-#: rows of the screen, what is not used and where, why the last change was refused -> `KEY=VALUE` that changes
-#: the mapping; "" takes it
-Review = Callable[[Sequence[dict[str, str]], Sequence[tuple[str, str]], str], str]
 
 
 @dataclass(frozen=True)
@@ -59,6 +44,12 @@ class PreparedImport:
     columns: Sequence[dict[str, str]] = field(default_factory=list)  # of the screen
 
 
+#: a question, and why the last answer was refused -> the answer
+Prompt = Callable[[Question, str], str]
+#: what was prepared, and why the last change was refused -> `KEY=VALUE` that changes it; "" takes it
+Review = Callable[[PreparedImport, str], str]
+
+
 def prepare_import(
     paths: Sequence[Path],
     assignments: Sequence[tuple[str, str]] = (),
@@ -69,58 +60,60 @@ def prepare_import(
     """Return an import of files, ready to be written.
 
     `assignments`: keys of the mapping and their values, which are stated. `mapping`: a file that states all,
-    so that nothing is drafted. `prompt`: who is asked what is open or assumed; None: nobody. `review`: who
-    sees the drafted columns before anything is read by them.
+    so that nothing is drafted. `prompt`: who is asked what is open; None: nobody. `review`: who sees what is
+    proposed and may change it. Answers and changes are stated as if by `--set`, and all is prepared again;
+    one that is refused is asked for again.
 
     DataError of what is open and nobody answers, and of what files and mapping contradict.
     """
-    if mapping is not None:
-        record, unused = _load(mapping, assignments), list[tuple[str, str]]()
-        files = [*_list_named(paths)]
-        content = read_mapped(record, files, str(mapping))
+    stated, taken, problem = [*assignments], len(assignments), ""
+    while True:
+        try:
+            prepared = _prepare(paths, stated, mapping)
+        except (ConfigError, DataError) as error:
+            if isinstance(error, UnansweredError) and prompt is not None:
+                taken = len(stated)
+                stated += error.question.answer(prompt(error.question, problem))
+                problem = f"expected: {error.expected}" if len(stated) == taken else ""
+            elif len(stated) > taken:
+                del stated[taken:]
+                problem = str(error)
+            else:
+                raise
+        else:
+            key, _, value = ("" if review is None else review(prepared, problem)).partition("=")
+            if not key:
+                return prepared
+            taken, problem = len(stated), ""
+            stated.append((key.strip(), value.strip()))
+
+
+def _prepare(
+    paths: Sequence[Path], assignments: Sequence[tuple[str, str]], mapping: Path | None
+) -> PreparedImport:
+    if mapping is None:
+        draft, files = complete_draft(paths, assignments)
+        record, unused, where = draft.to_record(DRAFT), draft.unused, DRAFT
     else:
-        draft, files = complete_draft(paths, [*assignments], prompt, review)
-        record, unused = draft.to_record(DRAFT), draft.unused
-        content = read_mapped(record, files, DRAFT)
+        record, unused, where = _load(mapping, assignments), [], str(mapping)
+        files = [*_list_named(paths)]
+    content = read_mapped(record, files, where)
     _require_lengths(content)
     examples = find_examples(content.curves)
-    record = _settle_origin(record, examples, prompt)
     values, assumed = dict(record.values), dict(record.assumed)
-    settler = Settler(values, assumed, prompt, is_complete=mapping is not None)
+    if not examples and record.origin == "example":
+        reason = (
+            "as the workbook states it, yet no needle is one of its examples; origin=measured if measured"
+        )
+        assumed["origin"] = f"example: {reason}"
+    settler = Settler(values, assumed, is_complete=mapping is not None)
     columns = [*_describe_columns(record, files)]
-    plan, content = _make_plan(content, settler)
+    plan = Planner(content, settler).make_plan()
     assumed = {key: assumed[key] for key in dict.fromkeys((*DECISIVE, *assumed)) if key in assumed}
-    record = record.model_copy(update={"values": values, "assumed": assumed})
-    others = len(content.curves) - len(examples)
-    plan = replace(plan, examples=tuple(examples) if others else ())
+    origin = "example" if examples else record.origin
+    record = record.model_copy(update={"values": values, "assumed": assumed, "origin": origin})
+    plan = replace(plan, examples=tuple(examples) if len(examples) < len(content.curves) else ())
     return PreparedImport(record, content, plan, unused, settler.notes, columns)
-
-
-def _make_plan(content: ImportContent, settler: Settler) -> tuple[ImportPlan, ImportContent]:
-    """Return the plan and the curves that it placed; an answer that is refused is asked for again."""
-    while True:
-        placed, notes = deepcopy(content), [*settler.notes]
-        try:
-            return Planner(placed, settler).make_plan(), placed
-        except DataError as error:
-            if not settler.withdraw(error):
-                raise
-            settler.notes[:] = notes
-
-
-def _settle_origin(record: MappingRecord, examples: Sequence[str], prompt: Prompt | None) -> MappingRecord:
-    """Return the mapping with the origin of its needles: examples of the workbook are known by their points.
-
-    The workbook to fill in states `example`: of needles that are none of them a person is asked.
-    """
-    if examples:
-        return record.model_copy(update={"origin": "example"})
-    if record.origin != "example":
-        return record
-    reason = "as the workbook states it, yet no needle is one of its examples; origin=measured if measured"
-    if prompt is not None and (answer := prompt("origin", record.origin, reason)):
-        return check(record.model_dump(by_alias=True) | {"origin": answer}, MappingRecord, "the answer")
-    return record.model_copy(update={"assumed": {**record.assumed, "origin": f"example: {reason}"}})
 
 
 def _load(mapping: Path, assignments: Sequence[tuple[str, str]]) -> MappingRecord:
@@ -147,60 +140,23 @@ def _list_named(paths: Sequence[Path]) -> Iterator[Path]:
         yield from sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else (path,)
 
 
-def complete_draft(
-    paths: Sequence[Path],
-    assignments: list[tuple[str, str]],
-    prompt: Prompt | None = None,
-    review: Review | None = None,
-) -> tuple[Draft, list[Path]]:
-    """Return a draft without open questions, as whoever sees it takes it.
-
-    Answers and changes are stated as if by `--set`, and it is drafted again; one that is refused is asked for
-    again.
-    """
-    taken, problem = len(assignments), ""  # number of the assignments by which a draft was made
-    while True:
-        try:
-            draft, files = draft_mapping(paths, Assignments(assignments))
-            if not draft.opens:
-                _find_unit(draft, files)
-            if draft.opens and prompt is None:
-                raise draft.to_error()
-            columns = [] if draft.opens else [*_describe_columns(draft.to_record(DRAFT), files)]
-        except (ConfigError, DataError) as error:
-            if len(assignments) == taken:
-                raise
-            del assignments[taken:]
-            problem = str(error)
-            continue
-        taken = len(assignments)
-        if draft.opens and prompt is not None:
-            assignments += _ask(draft.opens[0], prompt, problem)
-        else:
-            change = "" if review is None else review(columns, draft.unused, problem)
-            key, equals, value = change.partition("=")
-            if not equals:
-                return draft, files
-            assignments.append((key.strip(), value.strip()))
-        problem = ""
+def complete_draft(paths: Sequence[Path], assignments: Sequence[tuple[str, str]]) -> tuple[Draft, list[Path]]:
+    """Return a draft and its files; UnansweredError if it leaves something open."""
+    draft, files = draft_mapping(paths, Assignments(assignments))
+    if not draft.opens:
+        _settle_unit(draft, files)
+    if not draft.opens:
+        _doubt_units(draft, files)
+    if draft.opens:
+        raise draft.to_error()
+    return draft, files
 
 
-def _ask(question: Open, prompt: Prompt, problem: str = "") -> list[tuple[str, str]]:
-    """Return the keys that an answer states; `problem`: why an earlier answer was refused."""
-    words = ", ".join(question.choices)
-    answer = prompt(
-        f"{question.question} ({words})" if words else question.question, "", problem or question.where
-    )
-    if not words:
-        return [(question.key, answer)]
-    if answer not in question.choices:
-        return _ask(question, prompt, f"the answer is {answer[:40]!r}; expected: one of {words}")
-    keys = question.choices[answer]
-    return [(key, prompt(key, "", "") if text == "VALUE" else text) for key, text in keys.items()]
+# ---- units
 
 
-def _find_unit(draft: Draft, files: Sequence[Path]) -> None:
-    """Assume or ask for a unit that nothing states."""
+def _settle_unit(draft: Draft, files: Sequence[Path]) -> None:
+    """Assume mm of coordinates without a unit where needles then have the length of one; else ask."""
     lacking = [
         column
         for table in draft.tables
@@ -208,23 +164,16 @@ def _find_unit(draft: Draft, files: Sequence[Path]) -> None:
         if meaning in COORDINATES and "unit_column" not in column and table["holds"] in POINTS
         if column.get("unit", "px") == "px"
     ]
+    if not lacking:
+        return
+    (low, high), file = MEANINGS["x"].likely, files[0].name
     if any("unit" in column for column in lacking):
         scales = [scale for line, _ in draft.unused if (scale := _SCALE.search(line))]
         steps = {f"{scale[1].replace(',', '.')} {scale[2]}" for scale in scales}
-        answers = {step: {"unit": step} for step in steps}
-        draft.ask("unit", files[0].name, answers, reason="A header states pixels")
-    elif lacking:
-        curves = read_curves([*list_tables(draft.to_record(DRAFT), files, DRAFT)], [])
-        _settle_unit(draft, files[0].name, curves, lacking)
-    if not draft.opens:
-        _doubt_units(draft, list_tables(draft.to_record(DRAFT), files, DRAFT))
-
-
-def _settle_unit(
-    draft: Draft, file: str, curves: Sequence[ImportedCurve], lacking: Sequence[dict[str, str]]
-) -> None:
-    """Assume mm of lengths without a unit where needles then have the length of one; else ask."""
-    longest, (low, high) = max((curve.reach for curve in curves), default=0.0), ASSUMED_MM
+        draft.ask("unit", file, {step: {"unit": step} for step in steps}, reason="A header states pixels")
+        return
+    curves = read_curves([*list_tables(draft.to_record(DRAFT), files, DRAFT)], [])
+    longest = max((curve.reach for curve in curves), default=0.0)
     if all((curve.line == np.round(curve.line)).all() for curve in curves):
         draft.ask("unit", file, reason="All coordinates are whole numbers, as of pixels")
     elif low <= longest <= high:
@@ -236,17 +185,16 @@ def _settle_unit(
         draft.ask("unit", file, likely, reason=f"In mm the longest needle is {longest:,.3g} mm long")
 
 
-def _doubt_units(draft: Draft, tables: Iterable[MappedTable]) -> None:
+def _doubt_units(draft: Draft, files: Sequence[Path]) -> None:
     """Ask in what unit lengths are that state none, where no needle has them in the unit that is assumed."""
-    for mapped in tables:
-        for meaning, (low, high) in LENGTHS_MM.items():
-            if f"{meaning}.unit" not in draft.assumed or meaning not in mapped.record.columns:
+    for mapped in list_tables(draft.to_record(DRAFT), files, DRAFT):
+        for meaning, column in mapped.record.columns.items():
+            if f"{meaning}.unit" not in draft.assumed or not (limits := MEANINGS[meaning].likely):
                 continue
-            column = mapped.record.columns[meaning]
             cells = {cell for cells in mapped.cells[meaning] for cell in cells}
             numbers = [number for cell in cells for number in list_bare_numbers(cell) if number]
             fits = {
-                unit: all(low <= number * factor <= high for number in numbers)
+                unit: all(limits[0] <= number * factor <= limits[1] for number in numbers)
                 for unit, factor in UNITS_MM.items()
             }
             unit = column.unit or "mm"
@@ -268,6 +216,9 @@ def _require_lengths(content: ImportContent) -> None:
             ),
             where=content.curves[0].points.where(),
         )
+
+
+# ---- the screen
 
 
 def _describe_columns(record: MappingRecord, files: Sequence[Path]) -> Iterator[dict[str, str]]:

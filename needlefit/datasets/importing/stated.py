@@ -2,7 +2,7 @@
 
 import re
 import shlex
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import accumulate, pairwise
 
@@ -14,8 +14,6 @@ from needlefit.datasets.importing.synonyms import read_quantity
 from needlefit.datasets.points import MAX_COORDINATE
 from needlefit.errors import DataError
 from needlefit.project.units import UNITS_GPA, UNITS_MM, UNITS_PER_MM
-
-MAX_ANSWER_CHARS = 500  # longest answer (characters) that is kept
 
 
 @dataclass(frozen=True)
@@ -119,23 +117,44 @@ def name_set(key: str, value: str = "VALUE") -> str:
     return f"--set {shlex.quote(f'{key}={value}')}"
 
 
+@dataclass(frozen=True)
+class Question:
+    """What only a person can answer: each answer states keys of the mapping."""
+
+    key: str  # that the answer states
+    text: str
+    choices: Mapping[str, Mapping[str, str]] = field(default_factory=dict)  # by answer; none: any value
+    where: str = ""
+
+    def answer(self, text: str) -> list[tuple[str, str]]:
+        """Return the keys that an answer states, a choice or its number from 1; nothing if it is none."""
+        if not self.choices:
+            return [(self.key, text)] if text else []
+        names = dict(enumerate(self.choices, 1))
+        chosen = names.get(int(text), "") if text.isdecimal() and text not in self.choices else text
+        return [*self.choices.get(chosen, {}).items()]
+
+
+class UnansweredError(DataError):
+    """A question that nobody answers; the fix states what answers it."""
+
+    def __init__(self, what: str, *, question: Question, **parts: str) -> None:
+        super().__init__(what, **parts)
+        self.question = question
+
+
 @dataclass
 class Settler:
-    """Settles what holds of all needles: as the mapping states it, else by an answer, else by a proposal.
+    """Settles what holds of all needles: as the mapping states it, else by a proposal.
 
     What is settled becomes a value of the mapping; of a proposal that nobody stated `assumed` has the reason.
     """
 
     values: dict[str, str]  # of the mapping
     assumed: dict[str, str] = field(default_factory=dict)
-    # Key, proposal, reason -> answer of the user, "" takes the proposal; None: nobody is asked.
-    prompt: Callable[[str, str, str], str] | None = None
     is_complete: bool = False  # nothing may be assumed: the mapping was written before
-    refused: dict[str, str] = field(default_factory=dict)  # why the last answer was, by key
-    answered: set[str] = field(default_factory=set)  # keys that the user answered
-    notes: list[tuple[str, str]] = field(
-        default_factory=list
-    )  # what was done with the curves, for the screen
+    # what was done with the curves, for the screen
+    notes: list[tuple[str, str]] = field(default_factory=list)
 
     def settle(
         self,
@@ -151,43 +170,31 @@ class Settler:
 
         `usual`: proposed; empty: somebody must state it. None: that of the key. `is_sure`: files state it.
 
-        DataError if there is no answer, or it is none of the `choices`.
+        UnansweredError if there is no answer, DataError if it is none of the `choices`.
         """
         meaning = VALUES[key]
         usual = meaning.usual if usual is None else usual
         reason = reason or meaning.reason
         if key not in self.values:
-            answer = ""
-            if self.prompt is not None and not is_sure:
-                shown = self.refused.pop(key, reason)
-                answer = self.prompt(key, usual, shown).strip()[:MAX_ANSWER_CHARS]
-            if not answer and (not usual or (self.is_complete and not is_sure)):
+            if not usual or (self.is_complete and not is_sure):
                 ways = " or ".join(name_set(key, choice) for choice in choices or ("VALUE",))
-                raise DataError(
-                    f"{key} is not stated{f': {reason}' if reason else ''}",
+                problem = f"{key} is not stated{f': {reason}' if reason else ''}"
+                raise UnansweredError(
+                    problem,
+                    question=Question(
+                        key, f"{problem}. {meaning.text}", {n: {key: n} for n in choices}, where
+                    ),
                     expected=f"one of {', '.join(choices)}" if choices else meaning.text,
                     fix=fix or f"state {ways}",
                     where=where,
                 )
-            self.values[key] = answer or usual
-            if answer:
-                self.answered.add(key)
-            elif not is_sure:
+            self.values[key] = usual
+            if not is_sure:
                 self.assumed[key] = reason
         stated = Stated(self.values[key], "", f"key values.{key}")
         if choices and stated.text not in choices:
             raise stated.error(key, f"one of {', '.join(choices)}")
         return stated
-
-    def withdraw(self, error: DataError) -> bool:
-        """Forget the answer that an error is about, to ask for it again; return whether there is one."""
-        key = str(error.where).removeprefix("key values.")
-        if key not in self.answered:
-            return False
-        self.answered.remove(key)
-        del self.values[key]
-        self.refused[key] = str(error)
-        return True
 
     def note(self, subject: str, text: str) -> None:
         """Keep what was done with the curves, for the screen."""
