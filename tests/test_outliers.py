@@ -15,7 +15,7 @@ from needlefit.datasets.points import find_rounding
 from needlefit.datasets.read import inspect
 from needlefit.datasets.spellings import find_spellings
 from needlefit.datasets.write import write_dataset
-from needlefit.geometry.neighbours import find_steps, leave_one_out
+from needlefit.geometry.neighbours import leave_one_out
 from needlefit.inference.likelihood.observation import StatedErrors
 from needlefit.inference.likelihood.observations.points import POINTS
 from needlefit.project.result_warnings import ResultWarning
@@ -188,15 +188,6 @@ def test_points_of_a_cubic_are_predicted_by_their_neighbours():
     rng = np.random.default_rng(6)
     drawn, _ = leave_one_out(x, rng.normal(size=(11, 4000)))
     np.testing.assert_allclose(drawn.std(axis=1), factor, rtol=0.05)
-
-
-def test_steps_between_polynomials_are_found_with_their_errors():
-    x = np.linspace(0.0, 10.0, 11)
-    steps, factors = find_steps(x, np.column_stack([x**2, 1 - x]) + np.outer(x > x[5], [3.0, 0.0]))
-    np.testing.assert_allclose(steps[5], [3.0, 0.0], atol=1e-9)
-    drawn, _ = find_steps(x, np.random.default_rng(8).normal(size=(11, 4000)))
-    np.testing.assert_allclose(drawn[1:-1].std(axis=1), factors[1:-1], rtol=0.05)
-    assert not np.isfinite(factors[[0, -1]]).any()
 
 
 def test_contradictions_of_needles_that_are_left_out_do_not_count():

@@ -1,4 +1,4 @@
-"""Predict points of a curve from their neighbours: what a point, or a step between two, adds is left over."""
+"""Predict points of a curve from their neighbours: what a point adds is left over."""
 
 from functools import lru_cache
 
@@ -37,27 +37,6 @@ def _weigh_others(places: bytes) -> tuple[Ints, Floats, Floats]:
     powers = (away / scale)[..., None] ** np.arange(order + 1)
     weights = np.linalg.pinv(powers)[:, 0, :]  # (N, near): of the polynomial's value at the point
     return others, weights, np.sqrt(1.0 + np.sum(weights**2, axis=1))
-
-
-def find_steps(x: Floats, values: Floats) -> tuple[Floats, Floats]:
-    """Return the step (N - 1, k) of all points behind each one, beside a cubic, and a factor (N - 1,).
-
-    The factor is infinite where fewer than two points follow or precede.
-    """
-    count = len(x)
-    size = min(_count_neighbours(x) + 2, count)
-    order = min(MAX_ORDER, size - 4)
-    gaps = np.arange(1, count - 2)
-    first = np.clip(gaps + 1 - size // 2, 0, count - size)
-    window = first[:, None] + np.arange(size)
-    away = x[window] - x[gaps, None]
-    powers = (away / np.abs(away).max(axis=1, keepdims=True))[..., None] ** np.arange(order + 1)
-    design = np.concatenate([powers, (window > gaps[:, None])[..., None]], axis=2)
-    weights = np.linalg.pinv(design)[:, -1, :]
-    steps, factor = np.zeros((count - 1, values.shape[1])), np.full(count - 1, np.inf)
-    steps[gaps] = np.einsum("ij,ijk->ik", weights, values[window])
-    factor[gaps] = np.linalg.norm(weights, axis=1)
-    return steps, factor
 
 
 def _count_neighbours(x: Floats) -> int:
