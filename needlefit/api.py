@@ -632,7 +632,7 @@ def simulate_from_prior(problem: Problem, seed: int) -> tuple[Floats, Problem]:
     Raises
     ------
     ConfigError
-        If the dataset states no noise, or has tip tracks.
+        If the dataset states no noise.
     FitError
         If there are hardly any parameters with a solution.
     """

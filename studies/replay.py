@@ -2,13 +2,15 @@
 
     python studies/replay.py [--study guided_tip]
 
-Each run left out is registered by its readings down to a depth, and its end is predicted from there. Beside
-the model: the deflection of the last reading kept, the line through the last four, and the curves of the
-study. Printed are mean absolute errors of the end, mm, how many ends lie in the 95 % interval, and its median
-width, as a table in Markdown. The figure has the error of each end with its interval.
+Each run left out is registered by its readings down to a depth, and its end is predicted from there: the
+study is made again with each such depth. Beside the model: the deflection of the last reading kept, the line
+through the last four, and the curves of the study. Printed are mean absolute errors of the end, mm, how many
+ends lie in the 95 % band of all readings ahead, and its median width there, as a table in Markdown. The
+figure has the error of each end with its band.
 """
 
 import argparse
+import tomllib
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -18,6 +20,7 @@ import pandas as pd
 import needlefit
 
 LAST = 4  #: readings whose line is extended
+DEPTHS = (21.0, 40.0, 59.0, 79.0)  #: down to which readings register a run, mm
 OUT = Path("reports")
 KEYS = ["direction", "part", "run"]
 
@@ -48,11 +51,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--study", default="guided_tip")
     study = parser.parse_args().study
-    run = needlefit.validate(study)
-    ends = run.frames["ends"]
-    # runs are predicted again after each quarter of their readings, at about the same depths
-    ends["part"] = ends.groupby(["direction", "run", "method"])["registered_mm"].rank()
-    readings = run.frames["readings"].query("method == 'prediction'").sort_values("depth_mm")
+    record, frames = tomllib.loads(Path(__file__).with_name(f"{study}.toml").read_text(encoding="utf-8")), []
+    for depth in DEPTHS:
+        run = needlefit.validate(record | {"registration_depth_mm": depth}, name=study)
+        readings = run.frames["readings"].sort_values("depth_mm")
+        registered = readings[~readings["scored"]].groupby(["direction", "run", "method"])["depth_mm"].max()
+        last = readings.groupby(["direction", "run", "method"]).last()
+        frames.append(last.assign(registered_mm=registered, part=depth).reset_index())
+    ends, readings = pd.concat(frames), readings.query("method == 'prediction'")
     errors = (ends["predicted_mm"] - ends["measured_mm"]).abs()
     errors = errors.groupby([*(ends[key] for key in KEYS), ends["method"]]).first().unstack()
     of_runs = dict(iter(readings.groupby(["direction", "run"])))

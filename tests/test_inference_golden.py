@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import test_inference_document as document
 from golden_numbers import assert_golden
-from inference_cases import TRUTH, insertion, measure, medium, problem, two_layers
+from inference_cases import TRUTH, dataset, insertion, measure, medium, problem, two_layers
 from problem_cases import make_problem
 from test_inference_identify import fit_at, tied_problem
 from test_inference_predict import measured as bent
@@ -48,7 +48,7 @@ def test_baselines():
     found = {
         pose: {
             name: [*one.coefficients, one.curve(shapes[0])(np.array([20.0, 77.0]))[:, :2]]
-            for name, one in fit_baselines(pose, 10.0, shapes).items()
+            for name, one in fit_baselines(dataset(shapes, pose=pose, drop=10.0), shapes).items()
         }
         for pose in ("known", "free")
     }

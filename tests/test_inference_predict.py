@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from inference_cases import NEEDLE, TRUTH, insertion, medium
+from inference_cases import NEEDLE, TRUTH, dataset, insertion, medium
 from pytest import approx
 from scipy.special import ndtr, ndtri
 
 from needlefit import Bevel, Controls, ModelOptions, Needle, Tissue, simulate
-from needlefit.geometry.curves import integrate_curvature
+from needlefit.geometry.curves import COMPARISON_POINTS, integrate_curvature
 from needlefit.inference.baseline_fit import fit_baseline
 from needlefit.inference.compared_points import align_points
 from needlefit.inference.forward_model import predict
@@ -96,14 +96,23 @@ def test_integrated_curvatures_are_lines_circles_and_clothoids():
 @pytest.mark.parametrize("pose", ["known", "free"])
 def test_the_mean_shape_is_the_mean_of_the_turns_from_the_tip(pose):
     bent = [measured(100.0, (c,), side) for c, side in ((1e-3, 1), (3e-3, -1))]
-    fitted = fit_baseline("mean_shape", pose, 10.0, bent)
+    fitted = fit_baseline("mean_shape", dataset(bent, pose=pose, drop=10.0), bent)
     assert fitted.coefficients == approx([5 * 2e-3] * len(fitted.coefficients), rel=0.02)
     mean = measured(100.0, (2e-3,), -1)
     found, goal = align_points(select_points(pose, 10.0, mean), fitted.curve(mean))
     assert np.abs(found - goal).max() < 0.01
-    alone = fit_baseline("mean_shape", pose, 10.0, bent[:1])
+    alone = fit_baseline("mean_shape", dataset(bent, pose=pose, drop=10.0), bent[:1])
     found, goal = align_points(select_points(pose, 10.0, bent[0]), alone.curve(bent[0]))
     assert np.abs(found - goal).max() < 0.02
+
+
+def test_a_curve_lies_closest_to_the_shape_and_to_the_tip_beside_it():
+    """Of a straight shape and a tip that deflects by 2 mm: least squares of c x^2 / 2, by hand."""
+    flat = replace(measured(100.0, (0.0,)), tip=np.array([2.0, np.nan, 0.1]))
+    found = fit_baseline("constant_curvature", dataset([flat]), [flat])
+    x = np.linspace(0.0, 100.0, COMPARISON_POINTS)
+    expected = 2.0 * 5000.0 / (np.sum((x**2 / 2) ** 2) + 5000.0**2)
+    assert found.coefficients == approx([expected], rel=1e-3)
 
 
 def test_the_interval_of_a_share_is_wilson_s():

@@ -289,7 +289,7 @@ def test_curves_without_mechanics_lie_in_the_plane_to_which_the_turns_lead():
     assert (
         find_curve_roll(turned(turns=())) == 0 and find_curve_roll(turned(turns=((1.0, 180.0),))) == math.pi
     )
-    found = fit_baselines("known", 0.0, made)
+    found = fit_baselines(dataset(made), made)
     assert found["constant_curvature"].coefficients == approx([1 / 300], rel=1e-6)
     for name in ("constant_curvature", "mean_shape"):
         for one in made:

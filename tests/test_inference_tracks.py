@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from inference_cases import assert_one_density
+from numpy.random import default_rng
 from refusals import refusal
 from scipy.linalg import block_diag
 from track_cases import (
@@ -35,8 +36,8 @@ from needlefit.geometry.curves import compare_curves
 from needlefit.inference import track_predictions
 from needlefit.inference.baselines import BASELINES
 from needlefit.inference.forward_model import find_end, respond_to_moves, scale_moves, share_simulations
-from needlefit.inference.likelihood import observation
 from needlefit.inference.likelihood.nodes import CARRIED
+from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD, StatedErrors, whiten
 from needlefit.inference.likelihood.observations import make_observation, tip_track
 from needlefit.inference.optimize import minimize
 from needlefit.inference.problem import Problem
@@ -48,6 +49,7 @@ from needlefit.schemas.recipe import RecipeRecord, TrackErrorsRecord
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.job import Job
 from needlefit.studies.observations.tip_track import simulate_runs
+from needlefit.studies.simulated_data import simulate_measurement
 
 REST = np.zeros(len(DEPTH))
 THETA = np.log([TRUTH["mu1_pa"], TRUTH["bevel_mm"], TRUTH["guide_distance_mm"]])
@@ -99,7 +101,7 @@ ROLLED = TrackErrorsRecord(gain_sd=0.2, roll_sd_deg=5.0)
 
 def in_space(runs, errors=ROLLED):
     asked = problem(runs, compared="space")
-    likelihood = observation.PLAIN_LIKELIHOOD.model_copy(update={"tip_tracks": errors})
+    likelihood = PLAIN_LIKELIHOOD.model_copy(update={"tip_tracks": errors})
     return replace(asked, dataset=replace(asked.dataset, noise=SESSION_NOISE), likelihood=likelihood)
 
 
@@ -107,7 +109,7 @@ def test_runs_in_space_tell_more_and_the_truth(runs_in_space):
     recipe = RecipeRecord.model_validate({"schema": 1, "starts": 3})
     sds = []
     for asked in (in_space(runs_in_space), replace(in_space(runs_in_space), dataset=in_plane(runs_in_space))):
-        fit = minimize(asked, recipe, np.random.default_rng(1))
+        fit = minimize(asked, recipe, default_rng(1))
         _, slope = asked.jacobian(np.array(fit.theta))
         sds.append(np.sqrt(np.diag(np.linalg.inv(slope.T @ slope))))
         assert np.all(np.abs(np.array(fit.theta) - THETA) < 3.5 * sds[-1])
@@ -227,7 +229,7 @@ def test_a_session_is_one_gaussian_of_all_readings_and_headings(runs, errors):
     asked = replace(
         asked,
         dataset=replace(asked.dataset, noise=SESSION_NOISE),
-        likelihood=observation.PLAIN_LIKELIHOOD.model_copy(update={"tip_tracks": errors}),
+        likelihood=PLAIN_LIKELIHOOD.model_copy(update={"tip_tracks": errors}),
     )
     n, off, cov, columns, carried = len(DEPTH), [], [], [], []
     step, at = tip_track.HEADING_STEP_MM, np.append(DEPTH, DEPTH[1:] - tip_track.HEADING_STEP_MM)
@@ -259,7 +261,7 @@ def test_a_session_is_one_gaussian_of_all_readings_and_headings(runs, errors):
         shared = tip_track.SESSION_SD_RAD * np.concatenate([one[part] for one in columns])
         whole += np.outer(shared, shared)
     shifts, residual = block_diag(*[one[0][:, None] for one in columns]), np.concatenate(off)
-    whitening, log_norm = observation.whiten(whole, shifts)
+    whitening, log_norm = whiten(whole, shifts)
     expected = log_norm - 0.5 * np.sum((whitening @ residual) ** 2)
     assert asked.log_posterior(THETA) == pytest.approx(expected, rel=1e-7)
 
@@ -269,14 +271,14 @@ def test_log_posterior_residuals_and_gradient_are_one_density(runs, errors):
     asked, other = problem(runs), THETA + np.array([0.3, -0.2, 0.1])
     if errors is not None:
         asked = problem(in_session(runs))
-        likelihood = observation.PLAIN_LIKELIHOOD.model_copy(update={"tip_tracks": errors})
+        likelihood = PLAIN_LIKELIHOOD.model_copy(update={"tip_tracks": errors})
         asked = replace(asked, dataset=replace(asked.dataset, noise=SESSION_NOISE), likelihood=likelihood)
     assert_one_density(asked, other, rtol=5e-4)
     assert asked.log_posteriors(np.array([THETA, other, other + 50.0]))[2] == -np.inf
 
 
 def test_runs_of_one_setup_share_what_the_tissue_follows(runs):
-    likelihood = observation.PLAIN_LIKELIHOOD.model_copy(update={"tip_tracks": ERRORS})
+    likelihood = PLAIN_LIKELIHOOD.model_copy(update={"tip_tracks": ERRORS})
     for setups in (("", ""), ("top", "side")):
         steered = [replace(one, setup=name) for one, name in zip(runs[:2], setups, strict=True)]
         known = replace(problem(steered), likelihood=likelihood).density.observations
@@ -319,7 +321,7 @@ def test_each_predicted_run_has_a_bevel_of_its_own(monkeypatch, runs):
     job = Job("one", fit, data, MEDIUM, one.parameters, recipe, None, (fold,), data)
     monkeypatch.setattr(Problem, "values", lambda *_: {**TRUTH, "bevel_spread": 0.1})
     thetas = np.zeros((300, 0))
-    _, _, _, (tuned, *held) = simulate_runs(job.problem(fold), fold, thetas, 1, np.random.default_rng(1))
+    _, _, _, (tuned, *held) = simulate_runs(job.problem(fold), fold, thetas, 1, default_rng(1))
     (bent,) = simulate_deflections([runs[2]], [DEPTH])
     assert np.ptp(tuned, axis=0).max() < 1e-9
     ends = [curves[:, 0, -1] for curves in held]
@@ -329,52 +331,21 @@ def test_each_predicted_run_has_a_bevel_of_its_own(monkeypatch, runs):
     assert one.shape == other.shape and other[0, 0, -1] == pytest.approx(bent[0, -1])
 
 
-class Groups:
-    """Runs with the errors of the likelihood about the truth, drawn group by group."""
-
-    def __init__(self, errors, seed):
-        self.rng, self.likelihood = (
-            np.random.default_rng(seed),
-            observation.PLAIN_LIKELIHOOD.model_copy(update={"tip_tracks": errors}),
-        )
-        self.data = replace(dataset([]), noise=replace(SESSION_NOISE, heading_sd=0.0))
-        self.errors, self.plain = errors, [track(f"run{n}", guide) for n, guide in enumerate((GUIDE, -GUIDE))]
-        self.tips = [tip[0] for tip in simulate_tips(self.plain)]
-        self.responses = [find_responses(one, DEPTH) for one in self.plain]
-
-    def measure(self, kind, slope, carried):
-        """A run of a kind, its group with this slope, its tissue carried along by this share."""
-        normal, error, responses = self.rng.standard_normal, self.errors, self.responses[kind]
-        one, noise = self.plain[kind], NOISE.point_sd * self.rng.standard_normal(len(DEPTH))
-        covariance = tip_track.entry_covariance(one, DEPTH, error) + 1e-12 * np.eye(len(DEPTH))
-        entry = np.linalg.cholesky(covariance) @ normal(len(DEPTH))
-        gains, slope = error.gain_sd * normal(len(responses)), slope + SESSION_NOISE.slope_sd * normal()
-        tip = self.tips[kind] + gains @ responses + slope * DEPTH + 5 * normal() + entry + noise
-        return with_tip(one, tip + carried * (one.guide.y - responses.sum(axis=0)))
-
-    def predict(self, kinds, draws, registered=4):
-        """Draws of the last reading of a further run of the last kind, and what was measured."""
-        slope = 0.03 + np.radians(self.errors.slope_sd_deg) * self.rng.standard_normal()
-        carried = self.errors.carried_sd * self.rng.standard_normal()
-        every = [self.measure(kind, slope, carried) for kind in kinds]
-        asked = replace(problem(self.plain), likelihood=self.likelihood)
-        seen = [
-            make_observation(self.data, one, likelihood=self.likelihood, respond=asked.respond)
-            for one in every
-        ]
-        curves = [np.tile(self.tips[kind], (draws, 1, 1)) for kind in kinds]
-        (found,) = track_predictions.predict_runs(
-            np.ones(draws), seen[:-1], seen[-1:], curves, [registered], self.rng
-        )
-        return found.values[:, -1], every[-1].points[-1, 1]
-
-
 def test_intervals_of_further_runs_cover_in_groups_with_errors():
-    groups = Groups(ERRORS, 3)
+    rng, likelihood = default_rng(3), PLAIN_LIKELIHOOD.model_copy(update={"tip_tracks": ERRORS})
+    plain = [track(f"run{n}", guide) for n, guide in enumerate((GUIDE, -GUIDE))] * 2
+    plain = [*plain, plain[0]]
+    asked = replace(problem(plain[:2]), likelihood=likelihood)
+    data = replace(dataset([]), noise=replace(SESSION_NOISE, heading_sd=0.0))
+    errors = StatedErrors(data, data.noise, likelihood, respond=asked.respond)
+    curves = [np.tile(tip, (300, 1, 1)) for tip in simulate_tips(plain)]
     levels = []
     for _ in range(150):
-        ends, measured_end = groups.predict((0, 1, 0, 1, 0), 300)
-        levels.append(np.mean(ends < measured_end))
+        shared = dict[object, float]()
+        every = [simulate_measurement(data, run, TRUTH, MEDIUM, rng, shared, errors) for run in plain]
+        seen = [make_observation(data, run, likelihood=likelihood, respond=asked.respond) for run in every]
+        (found,) = track_predictions.predict_runs(np.ones(300), seen[:-1], seen[-1:], curves, [4], rng)
+        levels.append(np.mean(found.values[:, -1] < every[-1].points[-1, 1]))
     outside = np.abs(np.array(levels) - 0.5)
     for level in (0.5, 0.95):
         assert np.mean(outside < level / 2) == pytest.approx(

@@ -8,7 +8,8 @@ import pytest
 from inference_cases import NEEDLE, insertion, measure, medium
 from numpy.random import default_rng
 from pytest import approx
-from track_cases import GUIDE, track
+from track_cases import DEPTH, GUIDE, MEDIUM, TRUTH, track
+from track_cases import dataset as tracks
 
 from needlefit import (
     Bevel,
@@ -92,15 +93,32 @@ def test_a_truth_from_the_prior_differs_by_seed_and_keeps_the_design():
     assert first.insertions[0].deflection != second.insertions[0].deflection
 
 
-def test_tip_tracks_and_data_without_noise_are_refused():
+def test_data_without_noise_are_refused():
     problem = small_problem()
-    with pytest.raises(ConfigError, match="tip tracks"):
-        guided = Parameters.from_record(medium(1, guide_distance_mm={"fixed": 20.0}))
-        tracks = replace(problem, parameters=guided, insertions=(track("run", GUIDE),))
-        simulate_from_prior(tracks, default_rng(1))
+    silent = replace(problem, dataset=replace(problem.dataset, noise=Noise()))
     with pytest.raises(ConfigError, match="no noise"):
-        silent = replace(problem, dataset=replace(problem.dataset, noise=Noise()))
         simulate_from_prior(silent, default_rng(1))
+
+
+def test_readings_of_tips_err_by_a_slope_that_a_session_shares_and_by_their_own():
+    """Slopes of a session of 0.2 rad (docs/inference.md), of runs 0.02 rad about them, readings of 0.1 mm."""
+    noise = Noise(point_sd=0.1, slope_sd=0.02, heading_sd=0.03)
+    runs = [replace(track(name, 0.0 * GUIDE), headings=(0.0 * DEPTH,)) for name in "ab"]
+    data, rng = tracks(runs), default_rng(4)
+
+    def read(noise):
+        errors, shared = replace(data, noise=noise), dict[object, float]()
+        pair = [simulate_measurement(errors, run, TRUTH, MEDIUM, rng, shared) for run in runs]
+        return np.array([[one.points[:, 1], np.tan(one.headings[0])] for one in pair])
+
+    (exact, slopes), _ = read(Noise(point_sd=1e-9))
+    assert exact[-1] > 0.1 and slopes[-1] == approx((exact[-1] - exact[-2]) / 5.0, rel=0.1)
+    tips, turned = np.moveaxis([read(noise) - (exact, slopes) for _ in range(400)], 2, 0)
+    by_slope = (tips[..., -1] - tips[..., 0]) / DEPTH[-1]
+    assert np.std(by_slope) == approx(0.2, rel=0.1)
+    assert np.std(by_slope[:, 1] - by_slope[:, 0]) == approx(np.sqrt(2) * 0.02, rel=0.1)
+    assert np.std(np.diff(tips, n=2)) == approx(np.sqrt(6) * 0.1, rel=0.1)
+    assert np.std(np.diff(turned[..., 1:])) == approx(np.sqrt(2) * 0.03, rel=0.1)
 
 
 def test_the_true_value_of_a_tied_modulus_is_that_of_its_own_layers():

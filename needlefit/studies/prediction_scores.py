@@ -37,6 +37,15 @@ SENSOR_COLUMNS = (
 BAND_POINTS = 41  #: points of a band that are kept, of up to some 200
 
 
+def list_band_ends(bands: CurveBands) -> dict[str, Floats]:
+    """Return the ends (K,) of simultaneous bands, by what their columns begin with."""
+    return {
+        f"{side}_{100 * level:.0f}": end
+        for level in INTERVAL_PROBABILITIES
+        for side, end in zip(("low", "high"), bands.ends(level), strict=True)
+    }
+
+
 def tabulate_band(mixture: PredictiveMixture, bands: CurveBands, measured: Floats) -> Iterator[Row]:
     """Yield median and bands at some of the measured points (K, 2 or 3), the tip the last."""
     kept = np.unique(np.linspace(0, len(measured) - 1, BAND_POINTS).round().astype(np.int64))
@@ -45,9 +54,7 @@ def tabulate_band(mixture: PredictiveMixture, bands: CurveBands, measured: Float
         rows = kept + plane * len(measured)
         (median,) = quantile(PredictiveMixture(mixture.means[:, rows], mixture.sd[rows]), (0.5,))
         columns |= {f"measured_{ending}": measured[kept, 1 + plane], f"median_{ending}": median}
-        for level in INTERVAL_PROBABILITIES:
-            low, high = (end[rows] for end in bands.ends(level))
-            columns |= {f"low_{100 * level:.0f}_{ending}": low, f"high_{100 * level:.0f}_{ending}": high}
+        columns |= {f"{name}_{ending}": end[rows] for name, end in list_band_ends(bands).items()}
     for k in range(len(kept)):
         yield {name: float(values[k]) for name, values in columns.items()}
 

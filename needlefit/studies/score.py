@@ -94,12 +94,10 @@ def make_predictors(
 
 def _fit_curves(problem: Problem) -> dict[str, Predictor]:
     """Return the baseline curves. Each is fitted for every needle by itself, as needles bend differently."""
-    dataset = problem.dataset
 
     @cache
     def fit(needle: Needle) -> Mapping[str, FittedBaseline]:
-        alike = select_same_needle(problem.insertions, needle)
-        return fit_baselines(dataset.pose, dataset.drop_proximal, alike)
+        return fit_baselines(problem.dataset, select_same_needle(problem.insertions, needle))
 
     def make(name: str) -> Predictor:
         return curve_predictor(lambda insertion: fit(insertion.needle)[name].curve(insertion))

@@ -15,7 +15,8 @@ from needlefit.errors import ConfigError, FitError
 from needlefit.geometry.frames import Frame
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood import nodes
-from needlefit.inference.likelihood.observations import TrueNeedle, measure
+from needlefit.inference.likelihood.observation import StatedErrors
+from needlefit.inference.likelihood.observations import OBSERVATIONS, TrueNeedle, measure
 from needlefit.inference.parameter_names import BEVEL_SPREAD, NOISE_SCALE, dimension, find_bevel_factors
 from needlefit.inference.planned_layers import with_planned_layers
 from needlefit.inference.predict import draw_from_prior
@@ -37,16 +38,17 @@ def simulate_measurement(
     medium: MediumRecord,
     rng: np.random.Generator,
     shared: dict[nodes.Surface, float] | None = None,
+    track_errors: StatedErrors | None = None,
 ) -> Insertion | None:
     """Return the insertion as measured if `values` (Pa, mm) were true; None if it cannot be simulated.
 
     The needle is simulated at depths of layers and tip that err as stated about the insertion's, with a bevel
     of its own. All that the insertion holds is measured of it: with noise that is `noise_scale` of `values`
-    times as large as stated, in a pose drawn
-    from its prior. ConfigError of tip tracks.
+    times as large as stated, in a pose drawn from its prior.
 
-    `shared` holds the errors, in standard deviations, of the surfaces of each specimen; it is filled as
-    needed, and to be given again for every insertion measured with them.
+    `shared` holds the errors, in standard deviations, of the surfaces of each specimen and of the frame of a
+    tracker; it is filled as needed, and to be given again for every insertion measured with them. Tip tracks
+    have the `track_errors` of a likelihood, by default those that the dataset states.
     """
     errors = {} if shared is None else shared
     deep = insertion.depth_sd * rng.standard_normal()
@@ -56,8 +58,11 @@ def simulate_measurement(
     deviation = errors.setdefault((specimen, nodes.BEVEL, number), float(rng.standard_normal()))
     factor = float(find_bevel_factors(values.get(BEVEL_SPREAD, 0.0), deviation))
     true, _ = nodes.shift_depths(replace(insertion, bevel_factor=factor), np.empty(0), deep + wrong, deep)
-    scale = values.get(NOISE_SCALE, 1.0)
-    return measure(dataset, insertion, TrueNeedle(true, predict(values, medium, true), deep, scale, rng))
+    if track_errors is not None and OBSERVATIONS[insertion.observation].on_the_way:
+        roll_sd = track_errors.likelihood.tip_tracks.roll_sd_deg * (dataset.directions - 1)
+        true = nodes.roll_bevel(true, roll_sd * rng.standard_normal()) if roll_sd else true
+    shape, scale = predict(values, medium, true), values.get(NOISE_SCALE, 1.0)
+    return measure(dataset, insertion, TrueNeedle(true, shape, deep, scale, rng, track_errors, errors))
 
 
 def draw_bevels(
@@ -202,8 +207,8 @@ MAX_PRIOR_DRAWS = 1000  #: draws of the prior among which one must have a soluti
 def simulate_from_prior(problem: Problem, rng: np.random.Generator) -> tuple[Floats, Problem]:
     """Return theta (P,) drawn from the prior, and the problem of inferring it from needles simulated with it.
 
-    Raises ConfigError if the dataset states no noise, or holds tip tracks; FitError if the prior hardly holds
-    parameters that the design has a solution for.
+    Raises ConfigError if the dataset states no noise; FitError if the prior hardly holds parameters that the
+    design has a solution for.
     """
     dataset = problem.dataset
     if not dataset.noise_is_stated:
@@ -220,10 +225,14 @@ def simulate_from_prior(problem: Problem, rng: np.random.Generator) -> tuple[Flo
             continue
         true = {NOISE_SCALE: problem.density.scale, **values}
         shared = draw_bevels(dataset, design.insertions, rng) if problem.bevels_differ else {}
+        plain = StatedErrors(dataset, dataset.noise, problem.likelihood, respond=problem.respond)
         made = [
-            simulate_measurement(dataset, insertion, true, problem.medium, rng, shared)
+            simulate_measurement(
+                dataset, insertion, true, problem.medium, rng, shared,
+                replace(plain, noise=dataset.noise.of(insertion)),
+            )
             for insertion in design.insertions
-        ]
+        ]  # fmt: skip
         complete = tuple(simulated for simulated in made if simulated is not None)
         if len(complete) < len(made):
             continue

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 
 from needlefit.arrays import Floats
 from needlefit.datasets.folds import Fold
@@ -45,7 +46,7 @@ from needlefit.studies.observations import (
     StudiedObservation,
     describe_held_out,
 )
-from needlefit.studies.prediction_scores import score_shape, score_tip
+from needlefit.studies.prediction_scores import list_band_ends, score_shape, score_tip
 from needlefit.studies.run import Run
 from needlefit.studies.score import Row, Scorer, make_scorer
 
@@ -57,12 +58,6 @@ READING_COLUMNS = (
     *("fold", "run", "medium", "direction", "method", "depth_mm", "guide_mm", "scored", "measured_mm"),
     *("predicted_mm", "low_50_mm", "high_50_mm", "low_95_mm", "high_95_mm"),
 )
-# a row per run, direction, method and depth down to which its readings register it; `depth_mm` is its end
-END_COLUMNS = (
-    *("fold", "run", "medium", "direction", "method", "registered_mm", "depth_mm", "measured_mm"),
-    *("predicted_mm", "low_95_mm", "high_95_mm"),
-)
-END_PARTS = 4  #: an end is predicted again after each of so many parts of the readings ahead
 
 
 def check_tracks(job: Job) -> None:
@@ -120,9 +115,8 @@ def predict_tracks(
     predictions = _predict_runs(specimens, job, fold)
     further = [] if (whole := _restore_directions(job, fold)) is None else _predict_runs(specimens, *whole)
     for n, prediction in enumerate(predictions):
-        rows = dict(prediction.rows)
-        for table in ("readings", "ends") if further else ():
-            rows[table] = [*rows[table], *(row for row in further[n].rows[table] if row["direction"] == "z")]
+        along_z = [row for row in further[n].rows["readings"] if row["direction"] == "z"] if further else []
+        rows = {**prediction.rows, "readings": [*prediction.rows["readings"], *along_z]}
         yield replace(prediction, rows=rows)
         step(n + 1, len(predictions))
 
@@ -158,7 +152,6 @@ def _predict_runs(specimens: Specimens, job: Job, fold: Fold) -> list[HeldOutPre
     scorer, predictions = make_scorer(job), list[HeldOutPrediction]()
     # how a moved guide leads a needle is known from runs with one, or as well as the recipe states
     led = any(insertion.guided for insertion in fold.tune) or job.recipe.likelihood.tip_tracks.gain_sd > 0
-    ends = [] if draws.faults else _predict_ends(job, fold, simulated, placed, rng)
     for n, (run, drawn) in enumerate(zip(fold.validate, ahead, strict=True)):
         errors, readings = list[Row](), list[Row]()
         certain = drawn if not draws.faults and (led or not run.guided) else None
@@ -168,51 +161,12 @@ def _predict_runs(specimens: Specimens, job: Job, fold: Fold) -> list[HeldOutPre
             if method != "fitted":
                 shown = certain if method == PREDICTION_METHOD else None
                 readings += _list_readings(fold, run, method, placed[n], predicted[n], shown)
-        rows = {"errors": errors, "readings": readings, "ends": ends[n] if certain is not None else []}
+        rows = {"errors": errors, "readings": readings}
         if certain is not None:
             rows["predictive"] = [_describe_run(specimens, job, run, placed[n], certain, draws)]
         count = CountMetadata(simulations=len(drawn.values), outside=0)
         predictions.append(HeldOutPrediction(run.id, rows, count, chosen))
     return predictions
-
-
-def _predict_ends(
-    job: Job,
-    fold: Fold,
-    simulated: tuple[Floats, list[Observation], list[Observation], list[Floats]],
-    placed: Sequence[int],
-    rng: np.random.Generator,
-) -> list[list[Row]]:
-    """Return the rows of "ends" of every run, predicted again as its readings come."""
-    rows: list[list[Row]] = [[] for _ in fold.validate]
-    for part in range(END_PARTS):
-        counts = [
-            count + part * (len(run.points) - count) // END_PARTS
-            for run, count in zip(fold.validate, placed, strict=True)
-        ]
-        ahead = predict_runs(*simulated, counts, rng)
-        curves = _predict_by_curves(job, fold, counts)
-        for n, (run, count) in enumerate(zip(fold.validate, counts, strict=True)):
-            left = len(run.points) - count
-            for number in range(job.dataset.directions):
-                last, first = (number + 1) * left - 1, run.points[0, 1 + number]
-                about: Row = {
-                    "fold": fold.name,
-                    "run": run.id,
-                    "medium": run.medium,
-                    "direction": "yz"[number],
-                }
-                about |= {"registered_mm": float(run.points[count - 1, 0]), "depth_mm": run.depth}
-                about["measured_mm"] = float(run.points[-1, 1 + number] - first)
-                low, middle, high = np.quantile(
-                    ahead[n].values[:, last] - first, [0.025, 0.5, 0.975]
-                ).tolist()
-                ends = {"predicted_mm": middle, "low_95_mm": low, "high_95_mm": high}
-                rows[n].append({**about, "method": PREDICTION_METHOD, **ends})
-                for name, predicted in curves.items():
-                    end = {"predicted_mm": float(predicted[n][last] - first)}
-                    rows[n].append(dict.fromkeys(END_COLUMNS, math.nan) | {**about, "method": name, **end})
-    return rows
 
 
 def _predict_by_curves(job: Job, fold: Fold, placed: Sequence[int]) -> dict[str, list[Floats]]:
@@ -364,28 +318,26 @@ def _list_readings(
 
     `drawn` are those by draws, of which there are simultaneous bands; None without.
     """
-    assert run.guide is not None
     count = len(run.points) - placed
-    for number, flat_track in enumerate(split_directions(run, len(predicted) // count)):
-        assert flat_track.guide is not None
-        part = slice(number * count, (number + 1) * count)
-        columns, first = {"predicted_mm": predicted[part]}, flat_track.points[0, 1]
-        guide = follow_guide(flat_track, flat_track.points[:, 0])
+    for number, flat in enumerate(split_directions(run, len(predicted) // count)):
+        part, (depths, tips, _) = slice(number * count, (number + 1) * count), flat.points.T
+        columns = {"predicted_mm": predicted[part]}
         if drawn is not None:
-            band = find_bands(drawn.values[:, part])
-            for level in predict.INTERVAL_PROBABILITIES:
-                for side, end in zip(("low", "high"), band.ends(level), strict=True):
-                    columns[f"{side}_{100 * level:.0f}_mm"] = end
-        for n, (depth, tip) in enumerate(flat_track.points[:, :2]):
-            yield dict.fromkeys(READING_COLUMNS, math.nan) | {
+            ends = list_band_ends(find_bands(drawn.values[:, part]))
+            columns |= {f"{name}_mm": end for name, end in ends.items()}
+        table = pd.DataFrame(
+            {
+                **dict.fromkeys(READING_COLUMNS, math.nan),
                 **{"fold": fold.name, "run": run.id, "medium": run.medium, "direction": "yz"[number]},
-                **{"method": method, "depth_mm": float(depth), "guide_mm": float(guide[n])},
-                **{"scored": n >= placed, "measured_mm": float(tip - first)},
-                **{
-                    name: float(of[n - placed] - first) if n >= placed else math.nan
-                    for name, of in columns.items()
-                },
+                "method": method,
+                "depth_mm": depths,
+                "guide_mm": follow_guide(flat, depths),
+                "scored": np.arange(len(depths)) >= placed,
+                "measured_mm": tips - tips[0],
             }
+        )
+        table.loc[placed:, [*columns]] = np.column_stack([*columns.values()]) - tips[0]
+        yield from (dict(zip(READING_COLUMNS, row, strict=True)) for row in table.itertuples(index=False))
 
 
 def draw_tracks(run: Run, role: str) -> dict[str, Drawing]:

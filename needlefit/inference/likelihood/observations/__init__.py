@@ -5,8 +5,8 @@ that of points along the needle, read at the end of the insertion.
 """
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +18,7 @@ from needlefit.datasets.noise import NoiseFloor, estimate_noise_floor
 from needlefit.errors import DataError
 from needlefit.geometry.curves import COMPARISON_POINTS
 from needlefit.inference.compared_points import ComparedPoints, rotate_to_entry_axes
+from needlefit.inference.likelihood.nodes import ErrorAxis, Surface
 from needlefit.inference.likelihood.observation import (
     PLAIN_LIKELIHOOD,
     Discrepancy,
@@ -259,6 +260,9 @@ class TrueNeedle:
     deeper: float = 0.0  #: than stated, mm
     scale: float = 1.0
     rng: np.random.Generator | None = None  #: draws the errors; None: there are none
+    errors: StatedErrors | None = None  #: of readings on the way; None: those that the dataset states
+    #: errors, in standard deviations, that several insertions share; filled as needed
+    shared: dict[Surface, float] = field(default_factory=dict)
 
     def read(self, s: Floats) -> Floats:
         """Return its points (K, 3) at stated beam coordinates `s` (K,), mm."""
@@ -272,6 +276,15 @@ class TrueNeedle:
         """Return errors (K,) with a covariance (K, K)."""
         draws = self.draw(len(covariance))
         return draws if self.rng is None else np.linalg.cholesky(covariance) @ draws
+
+    def draw_along(self, axes: Sequence[ErrorAxis]) -> Floats:
+        """Return errors (d,) in standard deviations along axes; what insertions share is drawn once."""
+        errors = self.draw(len(axes))
+        for n, axis in enumerate(axes):
+            if axis.surface and axis.surface not in self.shared:
+                self.shared[axis.surface] = float(self.draw(1)[0])
+            errors[n] = axis.own * errors[n] + axis.shared * self.shared.get(axis.surface, 0.0)
+        return errors
 
 
 def measure(dataset: Dataset, insertion: Insertion, needle: TrueNeedle) -> Insertion | None:

@@ -13,7 +13,6 @@ from scipy.linalg import block_diag
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, Insertion, Pose, find_pose
 from needlefit.datasets.noise import NoiseFloor, estimate_noise_floor
-from needlefit.errors import ConfigError
 from needlefit.geometry.frames import make_tracker_columns
 from needlefit.inference.compared_points import ComparedPoints, count_entry_side
 from needlefit.inference.likelihood.nodes import CARRIED, FRAME, GROUP_SLOPE, ErrorAxis, make_nodes
@@ -103,13 +102,23 @@ class _TipTrack(ObservationType):
         return derivatives
 
     def measure(self, dataset: Dataset, insertion: Insertion, needle: TrueNeedle) -> Insertion:
-        """Return the insertion with the tips at its depths; ConfigError where errors are asked for."""
+        """Return the insertion with tips and headings at its depths, in the frame of a tracker."""
+        depths, count = insertion.points[:, 0], len(insertion.points)
+        tips, before = (
+            self.read_points(needle.shape, at)[:, 1:] for at in (depths, depths - HEADING_STEP_MM)
+        )
+        slopes = (tips - before).T / HEADING_STEP_MM
         if needle.rng is not None:
-            raise ConfigError(
-                f"the dataset `{dataset.name}` holds tip tracks, which are not simulated",
-                expected="measured shapes, tips or curvatures",
-            )
-        return insertion.with_points(self.read_points(needle.shape, insertion.points[:, 0]))
+            errors = needle.errors or StatedErrors(dataset, dataset.noise.of(insertion))
+            read = self.observe(insertion, errors)
+            off = needle.draw_errors(needle.scale**2 * read.point_covariance)
+            along = read.nodes.axes[len(read.nodes.axes) - read.pose_spread.shape[1] :]
+            off += read.pose_spread @ needle.draw_along(along)
+            for n, part in enumerate(np.split(off, len(split_directions(insertion, dataset.directions)))):
+                tips[:, n] += part[:count]
+                slopes[n, 1:] += part[count:] if len(part) > count else 0.0
+        headings = tuple(np.arctan(slopes[: len(insertion.headings)]))
+        return replace(insertion.with_points(np.column_stack([depths, tips])), headings=headings)
 
     def thin(self, insertion: Insertion, count: int) -> Insertion:
         """Return the insertion with all its readings."""

@@ -141,7 +141,7 @@ def run_fold(job: Job, fold: Fold, services: FoldServices) -> FoldResult:
     fitted = usable.get("fitted")
     rows: FitRows = {} if fitted is None else _describe_fit(job, fold, fitted, fits, drawn)
     scored = list(_score(job, fold, usable, drawn))
-    rows |= {name: _join_rows(predicted, name) for name in ("predictive", "bands", "readings", "ends")}
+    rows |= {name: _join_rows(predicted, name) for name in ("predictive", "bands", "readings")}
     rows |= {
         "parameters": [
             *rows.get("parameters", ()),

@@ -158,7 +158,7 @@ def list_files(run: Run) -> dict[str, pd.DataFrame | str]:
         "identify": run.frames["identification"],
         "posterior": fit_tables.tabulate_percentiles(run),
     }
-    names = ("predictive", "readings", "ends", "curvature", "error_fit", "population", "draws")
+    names = ("predictive", "readings", "curvature", "error_fit", "population", "draws")
     written |= {name: run.frames[name] for name in names}
     files: dict[str, pd.DataFrame | str] = {
         name: run.frames[name] for name in ("errors", "shapes", "starts", "directions")
@@ -169,9 +169,7 @@ def list_files(run: Run) -> dict[str, pd.DataFrame | str]:
 def fit_to_json(run: Run) -> dict[str, Any]:
     """Return the tables that are written as CSV, but for points and draws."""
     frames = {
-        name: frame
-        for name, frame in list_files(run).items()
-        if name not in ("shapes", "draws", "readings", "ends")
+        name: frame for name, frame in list_files(run).items() if name not in ("shapes", "draws", "readings")
     }
     return {
         name: to_records(to_tidy(frame)) for name, frame in frames.items() if isinstance(frame, pd.DataFrame)
