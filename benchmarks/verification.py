@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 import reference_solver
 from mechanics_cases import random_case
 from solver_checks.beams import FOUNDED, LOADED
-from solver_checks.clamped import MANUFACTURED, measure_orders, measure_tangent
+from solver_checks.clamped import MANUFACTURED, measure_orders
 from solver_checks.collocation import COLLOCATED, measure_difference
 from solver_checks.refinement import (
     ADVANCED,
@@ -91,9 +91,6 @@ def list_rows(cases: int, seed: int) -> Iterator[Row]:
     names = ("deflection (theory 4)", "slope (3)", "deflection at the nodes (4)", "slope at the nodes (4)")
     for name, low, high in zip(names, orders.min(axis=0), orders.max(axis=0), strict=True):
         yield f"{len(orders)} manufactured solutions", f"order of the {name}", f"{low:.2f} to {high:.2f}"
-    defects, newton = zip(*(measure_tangent(friction) for friction in (0.0, 2.0)), strict=True)
-    yield "derivative of the residual", "defect of a Newton step", show(max(defects))
-    yield "derivative of the residual", "order of Newton's method", f"{min(newton):.2f} to {max(newton):.2f}"
     fine, default = np.max([measure_difference(*case) for case in COLLOCATED.values()], axis=0)
     what = f"{len(COLLOCATED)} equilibria by `scipy.integrate.solve_bvp`"
     yield what, "difference, elements of 0.25 mm", f"{show(fine)} mm"

@@ -1,6 +1,7 @@
 """Problems of the native kernel for tests: made, changed, computed."""
 
-from mechanics_cases import random_batch, random_needle, random_rules, random_steps, random_tissue
+from mechanics_cases import RULES, random_batch, random_case
+from space_cases import random_spatial_case
 
 from needlefit.mechanics import native
 from needlefit.mechanics.batch import DERIVATIVE_KINDS, _evaluate, find_columns
@@ -8,16 +9,15 @@ from needlefit.mechanics.packing import INPUTS_ALONG_Z, pack_insertion, pack_pro
 
 
 def make_problem(rng):
-    """Return a random insertion with all derivatives, or one with several parameter sets."""
+    """Return a random insertion with all derivatives, in the plane or in space, or several sets of one."""
+    kind = str(rng.choice(RULES))
     if rng.random() < 0.5:
-        batch = random_batch(rng, int(rng.integers(2, 12)), within=True, friction=0.3)
+        batch = random_batch(rng, int(rng.integers(2, 12)), within=True, friction=0.3, kind=kind)
         return _evaluate(batch, None, tracked=True).problem
-    rules = random_rules(rng)
-    needle, tissue = random_needle(rng, rules), random_tissue(rng, rules, rng.choice([0.0, 0.3]))
-    steps = random_steps(rng, int(rng.integers(0, 4)))
+    draw = random_spatial_case if rng.random() < 0.5 else random_case
+    needle, tissue, steps, rules, _ = draw(rng, kind, int(rng.integers(0, 4)), 22.0)
     lattice, packed = pack_insertion(steps, needle.length, rules)
-    kinds = (*DERIVATIVE_KINDS, *INPUTS_ALONG_Z) if rng.random() < 0.5 else DERIVATIVE_KINDS
-    columns = find_columns(kinds, tissue, steps, rules)
+    columns = find_columns((*DERIVATIVE_KINDS, *INPUTS_ALONG_Z), tissue, steps, rules)
     return pack_problem(needle, tissue, steps, lattice, rules, packed, columns=columns)
 
 

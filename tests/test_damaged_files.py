@@ -11,16 +11,8 @@ from test_cli import run
 import needlefit
 from needlefit.errors import DataError
 from needlefit.project.folders import write_manifest
-from needlefit.studies import store as stored_files
 from needlefit.studies.report import rebuild, write_run
-from needlefit.studies.store import (
-    MAX_UNPACKED_BYTES,
-    RESULTS_FILE,
-    read_run,
-    read_timing,
-    restore_run,
-    store_run,
-)
+from needlefit.studies.store import RESULTS_FILE, read_run, read_timing, restore_run, store_run
 
 
 @pytest.fixture(scope="module")
@@ -67,13 +59,6 @@ def test_results_that_do_not_agree_with_the_manifest_are_not_reported_on(written
         assert run(*command) == 3
         assert RESULTS_FILE in capsys.readouterr().err and not again.exists()
     refusal(DataError, RESULTS_FILE, needlefit.load_run, written)
-
-
-def test_a_file_that_unpacks_to_more_than_its_bound_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(stored_files, "MAX_UNPACKED_BYTES", 10_000)
-    assert MAX_UNPACKED_BYTES < 2**30
-    (tmp_path / RESULTS_FILE).write_bytes(gzip.compress(bytes(10**6)))
-    fault(tmp_path)
 
 
 def test_results_that_cannot_be_read_are_refused(content, tmp_path):

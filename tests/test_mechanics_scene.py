@@ -3,12 +3,10 @@
 import math
 from typing import Any
 
-import numpy as np
 from pytest import approx
 
-from needlefit import Bevel, TrackedTip, simulate_steps
+from needlefit import Bevel, TrackedTip
 from needlefit.mechanics.scene import Scene, simulate_scene
-from needlefit.mechanics.torsion import find_roll
 from needlefit.project.toml import check
 from needlefit.schemas.scene import SceneRecord
 
@@ -51,22 +49,6 @@ def test_inputs_along_z_are_read():
     assert scene.tissue.torsional_friction == 0.2
     shapes = simulate_scene(scene)
     assert shapes[-1].converged and shapes[-1].w[-1] == approx(-0.2)
-
-
-def test_the_steps_of_a_spatial_scene_are_those_of_one_session():
-    steps = [
-        {"depth_mm": 9},
-        {"depth_mm": 20, "roll_deg": 90},
-        {"depth_mm": 4},
-        {"depth_mm": 15.5, "side": -1},
-    ]
-    scene = built(steps=steps, torsional_friction_n=0.4)
-    shapes = simulate_scene(scene)
-    assert [shape.depth for shape in shapes] == [9, 20, 4, 15.5]
-    whole = simulate_steps(scene.needle, scene.tissue, scene.steps, lattice=scene.lattice)
-    np.testing.assert_array_equal(shapes[-1].w, whole.w)
-    rolls = [find_roll(step.bevel) for step in scene.tip_steps]
-    assert rolls[0] == 0 and 80 < rolls[1] < rolls[2] < 90 and 150 < rolls[3] < 180
 
 
 def test_world_coordinates_of_a_file_are_transformed_to_c():

@@ -32,7 +32,6 @@ from needlefit.errors import ModelError
 from needlefit.mechanics.batch import (
     DERIVATIVE_KINDS,
     Batch,
-    Jacobians,
     compute_batch_positions,
     differentiate_batch_positions,
     linearize,
@@ -100,14 +99,6 @@ def test_on_a_change_of_constraint_or_a_node_the_derivative_is_that_of_going_dee
     np.testing.assert_allclose(found.u[0, :, 0], ahead, rtol=0, atol=1e-4 * np.abs(ahead).max())
 
 
-def test_failed_needles_and_unknown_kinds_have_no_derivatives():
-    shape, found = linearize(NEEDLE, Tissue(mu=[0.2], alpha=[1.0], thickness=[0.05]), Bevel(0.2), 10.0)
-    assert shape.status == "over-compressed"
-    assert found.u.shape == (2, len(shape.x), 3) and found.constraints.shape == (2, 11, 3)
-    assert all(np.isnan(part).all() for part in (found.x, found.u[0], found.slope[0], found.constraints[0]))
-    refusal(ModelError, "`depth`", lambda: linearize(NEEDLE, PHANTOM, Bevel(0.1), 10.0, wrt=("mu", "depth")))
-
-
 # ---- many sets at once
 
 RUBBING = Tissue(mu=[0.2, 33.0], alpha=[1.0, -1.0], boundaries=[5.3], friction=[0.2, 0.1])
@@ -140,20 +131,6 @@ def test_every_set_is_what_a_single_one_gives(seed):
         assert_same_bits(jacobians[i], jacobian)
         if shape.converged:
             np.testing.assert_array_equal(points[i], compute_positions(shape, s))
-
-
-def test_what_is_prepared_serves_other_sets():
-    """A batch whose sets are all invalid prepares the insertion as well as any other."""
-    first = make_batch(2).with_sets(mu=np.full((2, 2), np.nan), shape=np.ones((2, 1, 2)), offset=np.zeros(2))
-    assert not simulate_batches([first])[0].converged.any()
-    other = make_batch(3)
-    shared = first.with_sets(mu=other.mu, shape=other.shape, offset=other.offset)
-    assert shared.prepared is first.prepared and len(shared.prepared) == 1
-    for one, expected in zip(linearize_batch(shared), linearize_batch(other), strict=True):
-        assert isinstance(one, Jacobians) or one.converged.all()
-        for i in range(3):
-            assert_same_bits(one[i], expected[i])
-    refusal(ModelError, "mu", first.with_sets, mu=other.mu)
 
 
 def test_sets_with_different_boundaries_are_not_differentiated() -> None:

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from mechanics_cases import (
     NEEDLE,
-    assert_close,
     assert_same_bits,
     list_seeds,
     random_case,
@@ -42,22 +41,6 @@ def test_a_session_gives_the_bits_of_the_whole_insertion(seed, kind):
         assert_same_steps(under_way.go(step), expected)
         if not expected.converged:
             break  # the session stays where it was
-
-
-def test_out_of_the_tissue_base_and_guide_alone_move_the_tip():
-    under_way = session()
-    under_way.step(12.5)
-    out = under_way.step(-12.5)
-    assert out.depth == 0.0 and under_way.depth == 0.0
-    np.testing.assert_allclose(out.u, 0.0, atol=1e-12)
-    assert_array_equal(out.constraints, [[0.0, 0.0, 0.0]])
-    assert_close(under_way.step(8.5), session().step(8.5))
-    under_way = session()
-    under_way.step(5.0)
-    under_way.step(-5.0)
-    shape = under_way.step(base=(0.5, 0.01))
-    assert shape.u[-1] == approx(0.5 + 150 * 0.01)
-    assert under_way.step(1.0).constraints[1, 1] == approx(shape.u[-1] + shape.slope[-1] + 0.1)
 
 
 def test_a_long_session_keeps_its_size_and_accuracy():

@@ -44,25 +44,15 @@ TISSUE = Tissue(mu=[0.2, 33.0], alpha=[1.0, -1.0], boundaries=[9.3])
 
 
 @pytest.mark.parametrize("kind", RULES)
-@pytest.mark.parametrize("seed", range(3))
-def test_all_inputs_turned_about_x_give_the_needle_turned(seed, kind):
-    needle, tissue, steps, rules, lattice = random_spatial_case(default_rng(seed), kind)
-    rules = replace(rules, tolerance=FINE)
-    turned = tuple(turn_step(step, 40.0) for step in steps)
-    one, other = (simulate_steps(needle, tissue, s, rules, lattice) for s in (steps, turned))
-    assert one.leaves_plane
-    assert_turned(other, one, 40.0, 2e-8)  # of short, stiff elements, rounding
-
-
-@pytest.mark.parametrize("kind", RULES)
-@pytest.mark.parametrize("roll", [90.0, 180.0, 270.0, 33.0])
-def test_a_planar_insertion_that_is_rolled_is_the_planar_needle_rolled(roll, kind):
-    needle, tissue, steps, rules, lattice = random_case(default_rng(int(roll)), kind)
+@pytest.mark.parametrize("draw", [random_spatial_case, random_case])
+@pytest.mark.parametrize("roll", [90.0, 180.0, 33.0])
+def test_all_inputs_turned_about_x_give_the_needle_turned(roll, draw, kind):
+    needle, tissue, steps, rules, lattice = draw(default_rng(int(roll)), kind)
     rules = replace(rules, tolerance=FINE)
     turned = tuple(turn_step(step, roll) for step in steps)
     one, other = (simulate_steps(needle, tissue, s, rules, lattice) for s in (steps, turned))
-    assert not one.leaves_plane
-    assert_turned(other, one, roll, 2e-8)
+    assert one.leaves_plane == (draw is random_spatial_case)
+    assert_turned(other, one, roll, 2e-8)  # of short, stiff elements, rounding
 
 
 @pytest.mark.parametrize("kind", RULES)
@@ -78,15 +68,6 @@ def test_kernel_equals_reference(seed, kind):
     atol = 1e-6 if found.validity.max_slope < 0.3 else 1e-4  # five points in each free span
     assert_allclose(points, reference_solver.compute_positions(expected, s), atol=atol)
     assert (found.tip_lateral, found.tip_z) == approx(points[-1, 1:], abs=1e-12)
-
-
-@pytest.mark.parametrize("thickness", [0.4, 1.0, 5.0])
-def test_strongly_compressed_tissue_is_the_reference_too(thickness):
-    tissue = Tissue(mu=[0.05], alpha=[8.0], thickness=[thickness])
-    steps = (Step(12.0, Bevel(0.02, roll_deg=70.0), Controls(0.1 * thickness, base_z=-0.2 * thickness)),)
-    fast, slow = (solve(NEEDLE, tissue, steps) for solve in (simulate_steps, reference_solver.simulate_steps))
-    assert_close(fast, slow)
-    assert fast.validity.compression > 0.05
 
 
 # ---- derivatives, sets side by side, sessions
@@ -135,24 +116,6 @@ def test_a_set_is_the_same_alone_and_in_lanes(seed, kind):
 
 
 @pytest.mark.parametrize("kind", RULES)
-@pytest.mark.parametrize(("name", "value"), [("roll", 0.3), ("base_z", 0.1), ("base_slope_z", 1e-3)])
-def test_sets_of_one_insertion_differ_by_roll_and_base(name, value, kind):
-    needle, tissue, steps, rules, _ = random_case(default_rng(2), kind, 3, 9.0)
-    values = value + 1e-4 * np.array([-1.0, 0.0, 1.0])
-    strength = "cut_angle" if kind == "path_angle" else "offset"
-    of_sets = {name: values, strength: np.full(3, getattr(steps[0].bevel, strength))}
-    batch = Batch(needle, tissue, steps, replace(rules, tolerance=FINE), **of_sets)
-    ((shapes, jacobians),) = linearize_batches([batch], (strength, name))
-    for i in range(len(batch)):
-        one, by = linearize_steps(*pick(batch, i), wrt=(strength, name))
-        assert_close(shapes[i], one, 1e-9)
-        assert_allclose(jacobians.u[:, i], by.u, rtol=1e-6, atol=1e-8)
-    differences = (shapes.w[2] - shapes.w[0]) / 2e-4
-    column = jacobians.names.index(name)
-    assert_allclose(jacobians.u[1, 1, :, column], differences, rtol=1e-4, atol=1e-6)
-
-
-@pytest.mark.parametrize("kind", RULES)
 @pytest.mark.parametrize("seed", range(4))
 def test_a_session_finds_the_bits_of_simulate_steps(seed, kind):
     needle, tissue, steps, rules, lattice = random_spatial_case(default_rng(seed), kind)
@@ -182,39 +145,19 @@ def test_a_twisted_session_follows_the_hub_as_the_steps_do():
     refusal(ModelError, "torsional friction", session.input_path)
 
 
-def test_sets_of_several_rigidities_are_refused_with_torsional_friction():
-    steps = Step(15.0, Bevel(0.1)), Step(25.0, Bevel(0.1, -1))
-    refusal(ModelError, "torsional friction", lambda: Batch(NEEDLE, TWISTED, steps, rigidity=np.ones(2)))
-    refusal(
-        ModelError, "torsional friction", lambda: linearize_steps(NEEDLE, TWISTED, steps, wrt=("rigidity",))
-    )
-
-
 # ---- forces, validity, and a helix
 
 
 def test_validity_and_forces_do_not_depend_on_the_roll():
-    tissue = Tissue(mu=[0.2, 33.0], alpha=[1.0, -1.0], boundaries=[9.3], thickness=[5.0, 5.0])
+    tissue = replace(TISSUE, thickness=np.array([5.0, 5.0]))
     steps = Step(9.0, Bevel(0.3)), Step(21.0, Bevel(0.3, -1))
     turned = tuple(turn_step(step, 60.0) for step in steps)
     one, other = (simulate_steps(NEEDLE, tissue, s, ModelOptions(tolerance=FINE)) for s in (steps, turned))
     for name, _, _ in LIMITS:
         assert getattr(other.validity, name) == approx(getattr(one.validity, name), rel=2e-3), name
     first, second = (compute_loads(s, tissue, NEEDLE, Controls()) for s in (one, other))
-    assert (second.base.force, second.base.force_z) == approx(turn(first.base.force, 0.0, 60.0), rel=1e-6)
-    assert (second.tip_region_force, second.tip_region_force_z) == approx(
-        turn(first.tip_region_force, 0.0, 60.0), rel=1e-6
-    )
-
-
-@pytest.mark.parametrize("quarters", range(-5, 6))
-def test_quarter_turns_are_exact(quarters):
-    exact = [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)][quarters % 4]
-    assert Bevel(0.1, roll_deg=90.0 * quarters).toward == exact
-    assert Bevel(0.1, -1, roll_deg=90.0 * quarters + 180.0).toward == exact
-    y, z = Bevel(0.1, roll_deg=90.0 * quarters + 30.0).toward
-    angle = math.radians(90.0 * quarters + 30.0)
-    assert (y, z) == approx((math.cos(angle), math.sin(angle)), abs=1e-15)
+    turned_force = turn(first.tip_region_force, 0.0, 60.0)
+    assert (second.tip_region_force, second.tip_region_force_z) == approx(turned_force, rel=1e-6)
 
 
 # ---- the roll lag
@@ -241,9 +184,19 @@ def test_the_tip_stays_behind_the_hub_by_the_lag():
 def test_a_retraction_lets_the_tip_follow_and_sub_steps_change_nothing():
     turned = Bevel(0.1, roll_deg=90.0)
     back = [Step(30.0, Bevel(0.1)), Step(30.0, turned), Step(5.0, turned), Step(12.0, turned)]
-    small = [*back[:2], *(Step(30.0 - n, turned) for n in range(1, 26)), Step(8.5, turned), back[3]]
+    small = [*back[:2], *(Step(30.0 - n, turned) for n in range(1, 26)), back[3]]
     one, other = (turn_tip(NEEDLE, TWISTED, steps)[-1].bevel for steps in (back, small))
     assert one == other
     assert find_roll(one) == approx(90.0 - compute_roll_lag(NEEDLE, TWISTED, 5.0))
-    out = turn_tip(NEEDLE, TWISTED, [*back[:2], Step(0.0, turned)])[-1].bevel
-    assert out == turned
+
+
+@pytest.mark.parametrize(("name", "value"), [("roll", 0.3), ("base_z", 0.1), ("base_slope_z", 1e-3)])
+def test_sets_of_one_insertion_differ_by_roll_and_base(name, value):
+    needle, tissue, steps, rules, _ = random_case(default_rng(2), "decided", 3, 9.0)
+    rules = replace(rules, tolerance=FINE)
+    batch = Batch(needle, tissue, steps, rules, **{name: value + np.array([0.0, 1e-4])})
+    ((shapes, jacobians),) = linearize_batches([batch], (name,))
+    for i in range(2):
+        assert_close(shapes[i], simulate_steps(*pick(batch, i)), 1e-9)
+    difference = (shapes.w[1] - shapes.w[0]) / 1e-4
+    assert_allclose(jacobians.u[1, 0, :, 0], difference, rtol=1e-3, atol=1e-5)

@@ -63,13 +63,6 @@ def test_functions_are_exact_to_units_in_the_last_place(which, exact, x, ulp):
     assert max(errors) < ulp
 
 
-def test_functions_at_the_ends_of_their_range():
-    x = np.array([-np.inf, -746.0, 0.0, 710.0, np.inf, np.nan])
-    np.testing.assert_array_equal(evaluate(0, x), [0.0, 0.0, 1.0, np.inf, np.inf, np.nan])
-    x = np.array([-1.0, 0.0, 1.0, np.inf, np.nan])
-    np.testing.assert_array_equal(evaluate(1, x), [np.nan, -np.inf, 0.0, np.inf, np.nan])
-
-
 # ---- the same bytes
 
 
@@ -132,10 +125,6 @@ def test_the_bytes_do_not_depend_on_the_state_of_the_arithmetic_unit(seed, in_fo
     problem = make_problem(default_rng(seed))
     expected, found = to_bytes(compute(problem)), {}
     in_foreign_state(lambda: found.update(to_bytes(compute(problem))))
-    assert found == expected
-    x = spread(-3, 3, 50)
-    expected, found = {"sine": evaluate(3, x).tobytes()}, {}
-    in_foreign_state(lambda: found.update({"sine": evaluate(3, x).tobytes()}))
     assert found == expected
 
 

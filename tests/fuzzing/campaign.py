@@ -15,12 +15,11 @@ from fuzzing.worker import CASE, MAX_MIB, MAX_SECONDS, Verdict, begin_process, c
 class Workers:
     """A process that reads mutants; another one takes its place when it ends.
 
-    Use it as a context: its folder goes with it. A reader that takes more than `max_seconds` of processor
+    Use it as a context: its folder goes with it. A reader that takes more than `MAX_SECONDS` of processor
     time is ended.
     """
 
-    def __init__(self, max_seconds=MAX_SECONDS):
-        self.max_seconds = max_seconds
+    def __init__(self):
         self.folder = Path(tempfile.mkdtemp(prefix="needlefit-fuzz-"))
         self._pool: ProcessPoolExecutor | None = None
 
@@ -36,7 +35,7 @@ class Workers:
         self.inputs(reader)
         for number in numbers:
             try:
-                verdict = self._ask(read_mutant, reader, number, seed, self.max_seconds)
+                verdict = self._ask(read_mutant, reader, number, seed)
             except BrokenProcessPool:
                 self._end()
                 verdict = Verdict(reader, number, "violation", "the process crashed, or was ended as it hung")

@@ -3,9 +3,7 @@
 A reader takes the path that a user would name. It is imported late: a worker process reads with few of them.
 """
 
-import os
 import pickle
-import signal
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -33,10 +31,6 @@ class Reader:
     packed: bool = False
 
 
-def reader(name):
-    return READERS.get(name) or BROKEN[name]
-
-
 _INPUTS: dict[str, tuple[Seed, ...]] = {}
 
 
@@ -46,7 +40,7 @@ def inputs(name, stored):
         file = stored / f"{name}.pickle"
         if not file.is_file():
             file.parent.mkdir(parents=True, exist_ok=True)
-            file.write_bytes(pickle.dumps(tuple(reader(name).seeds())))
+            file.write_bytes(pickle.dumps(tuple(READERS[name].seeds())))
         _INPUTS[name] = pickle.loads(file.read_bytes())
     return _INPUTS[name]
 
@@ -160,34 +154,3 @@ READERS: dict[str, Reader] = {
     "run": Reader(partial(_call, "studies.store.read_run"), seeds.run_files),
 }
 """Every reader of what comes from outside, by its name."""
-
-
-# ---- readers that break the rule
-
-
-def _crash(_):
-    os.kill(os.getpid(), signal.SIGSEGV)
-
-
-def _spin(_):
-    while True:
-        pass
-
-
-def _grow(_):
-    bytearray(1200 * 2**20)[::4096] = b"1" * (1200 * 2**20 // 4096)
-
-
-def _raise(_):
-    raise KeyError("x")
-
-
-def _print(path):
-    print(path.name + "\x1b[31m")
-
-
-BROKEN: dict[str, Reader] = {
-    one.__name__: Reader(one, lambda: [seeds.one_file("input.txt", "1\n")])
-    for one in (_crash, _spin, _grow, _raise, _print)
-}
-"""What the rule must find out, by name."""

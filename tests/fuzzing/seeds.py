@@ -56,25 +56,16 @@ def saved(name, write, *arguments, **options):
 
 
 def datasets():
-    """A dataset with surfaces, one with a long table, and one of tip tracks."""
-    import numpy as np
-    from test_datasets import LONG, block, without_checksums
+    """A dataset with surfaces, and one of tip tracks in a long table."""
+    from test_datasets import block, without_checksums
     from track_cases import GUIDE, track
     from track_cases import written as write_tracks
 
-    tables = ("dataset.toml", "insertions.csv", "centerlines/a.csv", "centerlines/b.csv")
-    plain = written(lambda folder: without_checksums(block(folder)), "dataset.toml", tables)
-    meshes = [name for name in plain.files if name.endswith(".stl")]
-    checked = written(block, "dataset.toml", ("dataset.toml",))
-    rows = [f"{hole},50,{x},{4e-4 * x * x:.4f},0.0" for hole in (1, 2) for x in range(0, 52, 2)]
-    files = {
-        "dataset.toml": LONG.replace("$NEEDLEFIT_TEST_DATA/lab-*", "lab-a").encode(),
-        "lab-a/shapes.csv": "\n".join(["hole,depth,u,w,out", *rows]).encode(),
-    }
-    runs = [track("r1", GUIDE), track("r2", np.zeros_like(GUIDE))]
-    tracks = written(lambda folder: write_tracks(folder, runs), "dataset.toml")
-    surfaces, long = Seed(plain.files, plain.opened, tuple(meshes)), Seed(files, "dataset.toml", tuple(files))
-    return [plain, checked, surfaces, long, tracks]
+    runs = [track("r1", GUIDE), track("r2", 0 * GUIDE)]
+    return [
+        written(lambda folder: without_checksums(block(folder)), "dataset.toml"),
+        written(lambda folder: write_tracks(folder, runs), "dataset.toml"),
+    ]
 
 
 # ---- files of other programs
@@ -109,42 +100,22 @@ def sources():
 
 def matlab():
     """MATLAB files of version 4, 5, 7 (compressed) and 7.3 (HDF5), and the crashing ones."""
-    import h5py
     import numpy as np
     from scipy.io import savemat
 
     x = np.arange(0.0, 60.0, 3.0)
     curve = np.column_stack([x, 0 * x, 4e-4 * x * x])
-    cells = np.empty(2, dtype=object)
-    cells[:] = [curve, curve + 1.0]
-    nested = {"curve": curve, "cell": cells, "s": {"a": curve, "name": "needle"}, "n": 3}
-    fields = {axis: np.tile(curve[:, n], 2) for n, axis in enumerate("xyz")}
-    table = {"T": {**fields, "needle": np.repeat([1.0, 2.0], len(curve))}}
-    stack = np.dstack([curve, np.vstack([curve[:-4] + 1.0, np.zeros((4, 3))])])
+    nested = {"curve": curve, "s": {"a": curve, "name": "needle"}, "side": [1.0, -1.0], "unit": "mm"}
 
-    def five_of(path, variables, compressed=False):
-        savemat(path, variables, do_compression=compressed)
+    def five_of(path, compressed):
+        savemat(path, nested, do_compression=compressed)
         # scipy writes the time into the first 116 bytes
         path.write_bytes(b"MATLAB 5.0 MAT-file".ljust(116) + path.read_bytes()[116:])
-
-    def hdf(path):
-        with h5py.File(path, "w", userblock_size=512, track_order=True) as file:
-            file["curve"] = curve.T
-            file.create_dataset("packed", data=curve.T, compression="gzip", chunks=(3, 10))
-            file.create_group("s")["a"] = curve.T
-            file["s"].attrs["MATLAB_class"] = "struct"
-            references = file.create_dataset("cell", (2, 1), dtype=h5py.ref_dtype)
-            references[0, 0], references[1, 0] = file["curve"].ref, file["packed"].ref
-        with path.open("r+b") as file:
-            file.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
 
     name = "curve.mat"
     return [
         saved(name, savemat, {"curve": curve}, format="4"),
-        *(saved(name, five_of, nested, compressed) for compressed in (False, True)),
-        saved(name, hdf),
-        saved(name, five_of, {"c": stack, "side": [1.0, -1.0], "unit": "mm"}),
-        saved(name, five_of, table),
+        *(saved(name, five_of, compressed) for compressed in (False, True)),
         one_file(name, (CASES / "needles_v73.mat").read_bytes()),
         *(one_file(name, path.read_bytes()) for path in sorted(CORPUS.glob("*.mat"))),
     ]
@@ -162,19 +133,10 @@ def import_tables():
     from import_cases import needle, write_european_csv
 
     curves = [needle(n, 9 - n) for n in range(2)]
-    rows = [
-        f"{name}\tgel\t-1\t" + "\t".join(map(str, p))
-        for name, one in zip("ab", curves, strict=True)
-        for p in one
-    ]
-    long = "\n".join(["needle\tmedium\tbevel side\tx [mm]\ty [mm]\tz [mm]", *rows])
-    blocks = "\n\n".join("\n".join(" ".join(map(str, p)) for p in one) for one in curves)
     return [
         saved("t.csv", write_european_csv, curves),
-        one_file("t.txt", long.encode("utf-16")),
-        one_file("t.dat", f"x y z\n{blocks}"),
-        one_file("t.csv", (CASES / "em.csv").read_bytes()),
-        one_file("t.csv", (CASES / "clock.csv").read_bytes()),
+        one_file("t.txt", (CASES / "em.csv").read_text().replace(",", "\t").encode("utf-16")),
+        *(one_file("t.csv", (CASES / name).read_bytes()) for name in ("em.csv", "clock.csv")),
     ]
 
 
@@ -202,15 +164,10 @@ def volumes():
 
         return written(both, name)
 
+    writers = {"volume.nrrd": cases.nrrd, "volume.nii.gz": cases.nifti, "volume.mha": cases.metaimage}
     return [
-        saved("volume.nrrd", cases.nrrd),
-        saved("volume.nii", cases.nifti),
-        saved("volume.nii.gz", cases.nifti),
-        saved("volume.mha", cases.metaimage),
-        *(
-            saved(name, lambda path: cases.write_volume(image, path))
-            for name in ("volume.nrrd", "volume.mha")
-        ),
+        *(saved(name, write) for name, write in writers.items()),
+        saved("volume.nrrd", lambda path: cases.write_volume(image, path)),
         with_raw("volume.nhdr", cases.nrrd, data=b"", data_file="volume.raw"),
         with_raw("volume.mhd", cases.metaimage, ElementDataFile="volume.raw"),
         *corpus("crash-volume-*"),
@@ -233,40 +190,33 @@ def dicom():
     import numpy as np
     from dicom_series import COUNT, a_slice, packed_as, save
 
-    def plain(k):
-        return a_slice(k, np.full((8, 6), k, dtype=np.int16))
+    first = "series/000.dcm"
 
-    def series(make, count=COUNT):
+    def series(make):
         def write(folder):
-            save(folder / "series", [make(k, folder) for k in range(count)])
+            plain = (a_slice(k, np.full((8, 6), k, dtype=np.int16)) for k in range(COUNT))
+            save(folder / "series", [make(one, folder) for one in plain])
 
-        return written(write, "series", ("series/000.dcm",))
+        return written(write, "series", (first,))
 
     return [
-        series(lambda k, _: plain(k)),
-        *(
-            series(lambda k, folder, kind=kind: packed_as(plain(k), kind, folder))
-            for kind in ("JPEGLS", "JPEG2000")
-        ),
-        *(
-            Seed({"series/000.dcm": path.read_bytes()}, "series", ("series/000.dcm",))
-            for path in sorted(CORPUS.glob("*.dcm"))
-        ),
+        series(lambda one, _: one),
+        series(lambda one, folder: packed_as(one, "JPEG2000", folder)),
+        *(Seed({first: path.read_bytes()}, "series", (first,)) for path in sorted(CORPUS.glob("*.dcm"))),
     ]
 
 
 def archives():
     import zipfile
 
-    import numpy as np
-    from dicom_series import a_slice, save
     from test_imaging_exports import pack
 
     def write(path, method):
         with tempfile.TemporaryDirectory() as name:
-            content = Path(name)
-            save(content / "s", [a_slice(k, np.full((4, 4), k, dtype=np.int16)) for k in range(3)])
-            pack(path, content, method)
+            (Path(name) / "s").mkdir()
+            for file, data in dicom()[0].files.items():
+                (Path(name) / "s" / Path(file).name).write_bytes(data)
+            pack(path, Path(name), method)
 
     return [saved("scan.zip", write, method) for method in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)]
 
@@ -276,12 +226,8 @@ def meshes():
     from layer_cases import save_mesh
     from trimesh.exchange.ply import export_ply
 
-    from needlefit.geometry.surfaces import Surface, write_surface
-
     mesh = trimesh.creation.box((20.0, 30.0, 40.0))
-    surface = Surface("core", mesh.vertices, mesh.faces, "solid", 2)
     return [
-        written(lambda folder: write_surface(surface, folder / "m.stl"), "m.stl"),
         *(saved(name, save_mesh, mesh, "LPS") for name in ("m.stl", "m.ply", "m.obj")),
         one_file("m.ply", export_ply(mesh, encoding="ascii")),
     ]

@@ -43,8 +43,7 @@ def write_case(reader, number, seed, folder):
     Number 0 to the count of valid inputs less 1 are these, undamaged.
     """
     from fuzzing.mutations import mutate
-    from fuzzing.readers import inputs
-    from fuzzing.readers import reader as find
+    from fuzzing.readers import READERS, inputs
 
     valid = inputs(reader, folder.parent / "inputs")
     shutil.rmtree(folder, ignore_errors=True)
@@ -56,7 +55,7 @@ def write_case(reader, number, seed, folder):
         others = [
             each.files[n] for each in valid for n in each.damaged if n.split(".")[1:] == name.split(".")[1:]
         ]
-        files[name] = mutate(files[name], others, random, find(reader).packed)
+        files[name] = mutate(files[name], others, random, READERS[reader].packed)
     for name, data in files.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(data)
@@ -92,11 +91,11 @@ def count_inputs(folder, reader):
     return len(inputs(reader, folder / "inputs"))
 
 
-def read_mutant(folder, reader, number, seed, max_seconds):
+def read_mutant(folder, reader, number, seed):
     """Read one mutant; the system ends the process at the limits of processor and wall time."""
     path = write_case(reader, number, seed, folder / CASE)
     unlimited = resource.getrlimit(resource.RLIMIT_CPU)
-    resource.setrlimit(resource.RLIMIT_CPU, (int(_seconds() + max_seconds) + 1, unlimited[1]))
+    resource.setrlimit(resource.RLIMIT_CPU, (int(_seconds() + MAX_SECONDS) + 1, unlimited[1]))
     signal.setitimer(signal.ITIMER_REAL, PATIENCE_S)
     try:
         return _read(Verdict(reader, number, "accepted"), path, folder / PRINTED)
@@ -106,13 +105,13 @@ def read_mutant(folder, reader, number, seed, max_seconds):
 
 
 def _read(verdict, path, printed):
-    from fuzzing.readers import reader as find
+    from fuzzing.readers import READERS
     from needlefit.errors import NeedlefitError
 
     os.ftruncate(1, 0)
     began, before = _seconds(), _reset_memory()
     try:
-        find(verdict.reader).read(path)
+        READERS[verdict.reader].read(path)
     except NeedlefitError as error:
         verdict = replace(verdict, outcome="refused", detail=str(error))
     except BaseException as error:  # a reader that raises SystemExit or KeyboardInterrupt is wrong as well

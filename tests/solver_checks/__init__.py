@@ -1,6 +1,6 @@
 """Solutions of the model by other means than its solver, and how far the solver is from them.
 
-`beams` are closed forms, `clamped` manufactured solutions and Newton's tangent, `collocation` equilibria by
+`beams` are closed forms, `clamped` manufactured solutions, `collocation` equilibria by
 SciPy. Errors are the largest at and between nodes. `tests/test_mechanics_verification.py` states the bounds,
 `benchmarks/verification.py` prints what is found.
 """

@@ -1,34 +1,27 @@
-"""The kernel's Newton method on a clamped needle: manufactured solutions, and the tangent.
+"""The kernel's Newton method on a clamped needle: manufactured solutions.
 
 Manufactured solutions. A deflection is chosen: clamped at the base, cubic before the entry, with u to u'''
 continuous everywhere, u'' = u''' = 0 at the tip, and a jump of u'''' at the entry and at every boundary.
 Equilibrium asks for the reaction k e g = -EI u'''', which gives e at every place; with the cut at u - e the
 chosen u is the exact solution. The kernel is given that cut at each quadrature point. Theory gives cubic
 elements order 4 in the deflection and 3 in the slope; at the nodes the slope superconverges, with order 4.
-
-Tangent. At a state u the kernel steps by d = -K_T^-1 R(u). If K_T is the derivative of R, then
-R'(u) d = -R(u), with R put together from the reference and its derivative by a complex step; and near the
-solution each step squares the error.
 """
 
-# ruff: noqa: N802, N806  EI, K_b, R: the symbols of the equations
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import reference_solver
 from equilibrium import equilibrium, find_equilibrium
 from numpy.polynomial import Polynomial
 from scipy.interpolate import CubicHermiteSpline
 
 from needlefit.arrays import Floats, Ints
 from needlefit.mechanics import native
-from needlefit.mechanics.control import Bevel, Controls, ModelOptions
-from needlefit.mechanics.laws import Numbers
+from needlefit.mechanics.control import Controls, ModelOptions
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.simulate import pack_equilibrium, simulate
+from needlefit.mechanics.simulate import pack_equilibrium
 from needlefit.mechanics.tissue import Tissue
-from solver_checks import NEEDLE, STEP, make_tissue, react, sample_between
+from solver_checks import make_tissue, react, sample_between
 
 
 @dataclass(frozen=True)
@@ -51,20 +44,16 @@ class ClampedNeedle:
         problem = pack_equilibrium(self.needle, self.tissue, depths, Controls(), self.rules)
         return native.list_quadrature(problem, self.nodes[1:].copy(), depths)[0]
 
-    def solve(
-        self, guess: Floats, target: Floats | None = None, tolerance: float = 1e-12, iterations: int = 60
-    ) -> Floats:
+    def solve(self, guess: Floats, target: Floats) -> Floats:
         """Return the state (N, 2) that Newton's method reaches from a guess.
 
-        `target` (Q,) is the y of the cut at each quadrature point, in place of the constraint points'. With
-        an infinite tolerance and one iteration it is the state after one step.
+        `target` (Q,) is the y of the cut at each quadrature point, in place of the constraint points'.
         """
         depths, y, _ = np.ascontiguousarray(self.constraints.T)
         problem = pack_equilibrium(self.needle, self.tissue, depths, Controls(), self.rules)
-        problem.tolerance, problem.max_iterations = tolerance, iterations
-        cut = None if target is None else target[:, None]
+        problem.tolerance, problem.max_iterations = 1e-12, 60
         guess = np.ascontiguousarray(guess)
-        _, state, status, _ = find_equilibrium(problem, depths, y[:, None], guess, cut)
+        _, state, status, _ = find_equilibrium(problem, depths, y[:, None], guess, target[:, None])
         assert status == native.CONVERGED
         return state
 
@@ -143,35 +132,3 @@ MANUFACTURED = {
     "friction": (_ROUGH, 1.0),
     "friction, first cell too short for a node at the entry": (_ROUGH, 0.4),
 }
-
-# ---- tangent
-
-SHARES = (0.2, 0.1, 0.05, 0.025)  # of a disturbance whose largest deflection is 1 mm
-
-
-def measure_tangent(friction: float) -> tuple[float, float]:
-    """Return the relative defect of one Newton step, and the order of convergence of Newton's method."""
-    tissue = make_tissue([0.5, 3.0], [6.0, -5.0], [13.37], 5.0, friction)
-    constraints = simulate(NEEDLE, tissue, Bevel(0.2), 25.0).constraints
-    clamped = ClampedNeedle(NEEDLE, tissue, ModelOptions(), constraints)
-    nodes = clamped.nodes
-    K_b = reference_solver.bending_stiffness(nodes, NEEDLE.flexural_rigidity)
-    change = reference_solver.change_depths(constraints[:, 0], ModelOptions())
-    x, w = reference_solver.quadrature(nodes, change, tissue.boundaries)
-    N, dN = reference_solver.shape_functions(nodes, x)
-    layer, y = np.searchsorted(tissue.boundaries, x), constraints[np.searchsorted(change, x), 1]
-
-    def R(u: Numbers) -> Numbers:
-        forces = K_b @ u + N.T @ (w * react(tissue, layer, N @ u - y, dN @ u))
-        return forces[2:]  # the first two equations are those of the clamped base
-
-    s = (nodes - nodes[0]) / NEEDLE.length
-    sway = np.column_stack((s**2 * np.cos(9 * s), (2 * s * np.cos(9 * s) - 9 * s**2 * np.sin(9 * s)) / 150))
-    found = clamped.solve(np.zeros_like(sway))
-    start = found + SHARES[0] * sway
-    step = clamped.solve(start, tolerance=np.inf, iterations=1) - start
-    force, along = R(start.ravel()), R(start.ravel() + STEP * 1j * step.ravel()).imag / STEP
-    defect = np.linalg.norm(along + force) / np.linalg.norm(force)
-    after = [clamped.solve(found + a * sway, tolerance=np.inf, iterations=1) for a in SHARES]
-    errors = [np.max(np.abs(state[:, 0] - found[:, 0])) for state in after]
-    return float(defect), float(np.polyfit(np.log(SHARES), np.log(errors), 1)[0])
