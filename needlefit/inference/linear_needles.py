@@ -134,7 +134,7 @@ def predict_from(
 ) -> Prediction:
     """Return what some needles predict of another, linear about `theta`, with their likeliest spread."""
     best: tuple[float, Prediction] | None = None
-    prior = problem.parameters.prior.log_density(problem.values(theta))
+    (prior,) = problem.parameters.prior.log_density([problem.values(theta)])
     for spread, weighed_blocks in weighed:
         some = [weighed_blocks[k] for k in places]
         precision = prior_information(problem) + sum(weighed_block.information for weighed_block in some)

@@ -59,9 +59,7 @@ class PosteriorDensity:
 
     def add_up(self, white: Sequence[Floats], sets: Sequence[Values]) -> Floats:
         """Return the log densities (B,), given the whitened residuals (B, m, R) of every insertion."""
-        return self._add_likelihoods(
-            np.array([self.parameters.prior.log_density(values) for values in sets]), white, sets
-        )
+        return self._add_likelihoods(self.parameters.prior.log_density(sets), white, sets)
 
     def log_predictive(self, sets: Sequence[Values], parts: Sequence[Collection[int]], jobs: int) -> Floats:
         """Return the log densities (B, G) of what was measured in each of G parts, given all the rest.
@@ -161,13 +159,13 @@ class PosteriorDensity:
             parts.append(part)
             slopes.append(part_slopes)
         whole, by_whole = (np.concatenate(self._in_order(some), axis=1) for some in (parts, slopes))
-        linearized = []
+        linearized, of_prior = [], self.parameters.prior.residuals(sets)
         for b, values in enumerate(sets):
             normal = self._normal(values, float(log_det[b]))
             # derivative of normal^2 / 2; divided by normal below, since d(normal) = d(normal^2 / 2) / normal
             by_normal = 0.5 * by_det[b] + self._rows * self._by_scale
             by_prior = self.parameters.prior.slopes(self.parameters.free, values)
-            residuals = np.concatenate([whole[b], normal, self.parameters.prior.residuals(values)])
+            residuals = np.concatenate([whole[b], normal, of_prior[b]])
             linearized.append(
                 (residuals, np.concatenate([by_whole[b], by_normal / normal[:, None], by_prior]))
             )

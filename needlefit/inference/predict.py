@@ -208,7 +208,7 @@ def draw_from_prior(parameters: Parameters, count: int, rng: np.random.Generator
     gamma = {names.index(row.name): row for row in parameters.prior.gamma if row.name in names}
     slopes = parameters.prior.linear_slopes(names)  # (R, P)
     rows = np.flatnonzero(slopes.any(axis=1))  # without ties of what is fixed
-    off = parameters.prior.residuals(parameters.values(0.5 * (lower + upper)))[rows]
+    off = parameters.prior.residuals([parameters.values(0.5 * (lower + upper))])[0, rows]
     slopes = slopes[rows]
     # the linear residuals are off + slopes @ (theta - middle): each is solved for one coordinate, while the
     # others are drawn flat, or from their gamma prior

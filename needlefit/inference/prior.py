@@ -14,7 +14,7 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.errors import ConfigError
-from needlefit.inference.parameter_names import dimension, is_shape_parameter, to_coordinate
+from needlefit.inference.parameter_names import dimension, is_logarithmic, is_shape_parameter, to_coordinate
 from needlefit.schemas.medium import ParameterRecord, PriorRecord
 
 
@@ -42,16 +42,11 @@ class GammaRow:
     shape: float
     power: float
 
-    def log_density(self, value: float) -> float:
-        """Return the logarithm of the density, 0 at the mode."""
-        scaled = self.power * math.log(value / self.mode)
-        return self.shape / self.power * (scaled - math.expm1(scaled))
-
-    def residuals(self, value: float) -> tuple[float, float]:
-        """Return the residuals of both terms; the slopes of one root of their sum would mislead a search."""
-        exponent = math.log(value / self.mode)
-        grown = math.sqrt(2 * self.shape / self.power) * math.exp(0.5 * self.power * exponent)
-        return grown, math.sqrt(2 * self.shape * (MAX_EXPONENT - exponent))
+    def residuals(self, values: Floats | float) -> Floats:
+        """Return the residuals (2, ...) of both terms; slopes of one root of their sum mislead a search."""
+        exponent = np.log(np.asarray(values) / self.mode)
+        grown = math.sqrt(2 * self.shape / self.power) * np.exp(0.5 * self.power * exponent)
+        return np.stack([grown, np.sqrt(2 * self.shape * (MAX_EXPONENT - exponent))])
 
     def slopes(self, value: float) -> tuple[float, float]:
         """Return the derivatives of `residuals` by the logarithm of the value."""
@@ -97,19 +92,19 @@ class Prior:
         """The parameters of which anything is stated."""
         return frozenset(self.names) | {row.name for row in self.gamma}
 
-    def residuals(self, values: Mapping[str, float]) -> Floats:
-        """Return the residuals (R + 2 G,) of `values` (Pa, mm)."""
-        coordinates = np.array([to_coordinate(name, values[name]) for name in self.names])
-        linear = self._weights @ coordinates - np.array(self.centre)
-        return np.append(linear, [row.residuals(values[row.name]) for row in self.gamma])
+    def residuals(self, sets: Sequence[Mapping[str, float]]) -> Floats:
+        """Return the residuals (B, R + 2 G) of sets of values (Pa, mm)."""
+        table = {name: np.array([values[name] for values in sets]) for name in self.stated_names}
+        coordinates = [np.log(table[name]) if is_logarithmic(name) else table[name] for name in self.names]
+        linear = np.reshape(coordinates, (-1, len(sets))).T @ self._weights.T - np.array(self.centre)
+        return np.vstack([linear.T, *(row.residuals(table[row.name]) for row in self.gamma)]).T
 
-    def log_density(self, values: Mapping[str, float]) -> float:
-        """Return the logarithm of the density of `values`, not normalised: 0 at its peak."""
-        linear = self.residuals(values)[: len(self.centre)]
-        gamma = sum(row.log_density(values[row.name]) for row in self.gamma)
-        return -0.5 * float(linear @ linear) + gamma
+    def log_density(self, sets: Sequence[Mapping[str, float]]) -> Floats:
+        """Return the logarithm of the density (B,) of sets of values, not normalised: 0 at its peak."""
+        peak = sum(np.sum(row.residuals(row.mode) ** 2) for row in self.gamma)
+        return 0.5 * (peak - np.sum(self.residuals(sets) ** 2, axis=1))
 
-    @property
+    @cached_property
     def _weights(self) -> Floats:
         return np.array(self.whitening).reshape(len(self.whitening), len(self.names))
 

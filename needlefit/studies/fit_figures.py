@@ -8,7 +8,15 @@ import pandas as pd
 from needlefit.inference.ecdf_band import ecdf_band
 from needlefit.reporting import labels
 from needlefit.reporting.figures import Drawing
-from needlefit.reporting.figures import fit_forms as forms
+from needlefit.reporting.figures.columns import (
+    BAND_WHITE,
+    HEIGHT_COLUMNS,
+    INSERTION_KEYS,
+    PROFILE_KEYS,
+    TIP_ERROR,
+    VERDICT_COLUMNS,
+    InsertionKey,
+)
 from needlefit.reporting.number_format import format_mm
 from needlefit.reporting.table_files import Row, select_rows, to_records
 from needlefit.studies import scored_groups as scores
@@ -19,7 +27,7 @@ from needlefit.studies.run import Run
 
 # ---- insertions
 
-_POINT_COLUMNS = [*forms.INSERTION_KEYS, "curve", "x_mm", *forms.HEIGHT_COLUMNS]
+_POINT_COLUMNS = [*INSERTION_KEYS, "curve", "x_mm", *HEIGHT_COLUMNS]
 MAX_LARGE_PANELS = 24  #: insertions at most whose panels are large
 
 _OVERLAY_POINT_STEP = 5  # of the points compared, one in so many is drawn
@@ -41,13 +49,13 @@ def collect_curves(
         shapes = shapes.assign(**along_z)
         named = [str(name) for name in bands if str(name).endswith("_z_mm")]
         bands = bands.assign(**{name.replace("_z_mm", "_mm"): bands[name] for name in named})
-    shapes = shapes.sort_values([*forms.INSERTION_KEYS, "method", "j"])
+    shapes = shapes.sort_values([*INSERTION_KEYS, "method", "j"])
     simulated = shapes.set_axis([c.replace("simulated_", "") for c in shapes.columns], axis=1)
-    dots = shapes.drop_duplicates([*forms.INSERTION_KEYS, "j"])
+    dots = shapes.drop_duplicates([*INSERTION_KEYS, "j"])
     bands = _align_bands(bands, dots)
     dots = dots[dots["j"] % step == 0].set_axis([c.replace("measured_", "") for c in shapes.columns], axis=1)
     parts = [simulated.assign(curve=simulated["method"]), dots.assign(curve="measured")]
-    for level in forms.BANDS if role == "validate" else ():
+    for level in BAND_WHITE if role == "validate" else ():
         number = level.removesuffix(" %")
         ends = {f"low_{number}_mm": "low_mm", f"high_{number}_mm": "high_mm"}
         parts.append(bands.rename(columns=ends).assign(curve=level))
@@ -55,7 +63,7 @@ def collect_curves(
         [part.reindex(columns=_POINT_COLUMNS) for part in parts if len(part)], ignore_index=True
     )
     sides = curves["insertion"].map(scores.find_bevel_sides(run))
-    curves[forms.HEIGHT_COLUMNS] = curves[forms.HEIGHT_COLUMNS].mul(sides, axis=0)
+    curves[HEIGHT_COLUMNS] = curves[HEIGHT_COLUMNS].mul(sides, axis=0)
     return curves
 
 
@@ -67,7 +75,7 @@ def _align_bands(bands: pd.DataFrame, shapes: pd.DataFrame) -> pd.DataFrame:
     """
     parts = []
     ends = [name for name in bands.columns if name.startswith(("low_", "high_"))]
-    for key, band in bands.groupby(forms.INSERTION_KEYS, sort=False):
+    for key, band in bands.groupby(INSERTION_KEYS, sort=False):
         needle = select_rows(shapes, fold=key[0], insertion=key[1])
         if len(needle):
             height = np.interp(band["x_mm"], needle["measured_x_mm"], needle["measured_y_mm"])
@@ -75,7 +83,7 @@ def _align_bands(bands: pd.DataFrame, shapes: pd.DataFrame) -> pd.DataFrame:
     return pd.concat(parts) if parts else bands
 
 
-def _title_panels(errors: pd.DataFrame) -> dict[forms.InsertionKey, str]:
+def _title_panels(errors: pd.DataFrame) -> dict[InsertionKey, str]:
     """Return by fold and insertion what stands above its panel: its tip error."""
     titles = {}
     for row in to_records(errors):
@@ -93,10 +101,10 @@ def draw_first_page(run: Run, role: str) -> Drawing:
     is_drawn = fitted["converged"].astype(bool) & fitted["insertion"].isin(curves["insertion"])
     ranked = fitted[is_drawn].sort_values(scores.TE, kind="stable")
     chosen = ranked.iloc[list(dict.fromkeys([0, (len(ranked) - 1) // 2, len(ranked) - 1]))]
-    curves = curves.merge(chosen[forms.INSERTION_KEYS], on=forms.INSERTION_KEYS)
+    curves = curves.merge(chosen[INSERTION_KEYS], on=INSERTION_KEYS)
     frame = pd.concat([curves, pd.DataFrame(_list_tip_errors(run, role))], ignore_index=True)
     options = {"heads": _title_panels(chosen), "method": method}
-    return Drawing(forms.first_page, frame, options)
+    return Drawing("first_page", frame, options)
 
 
 def _list_tip_errors(run: Run, role: str) -> Iterator[Row]:
@@ -110,17 +118,17 @@ def _list_tip_errors(run: Run, role: str) -> Iterator[Row]:
     for key, name in names.items():
         rows = frames.select_errors(role, method=key, converged=True)
         for row in to_records(rows[["fold", "insertion", scores.TE]]):
-            yield {**row, "curve": forms.TIP_ERROR, "method": key, "name": name}
+            yield {**row, "curve": TIP_ERROR, "method": key, "name": name}
     for scored in scores.list_groups(run):
         if (printed := scored.get(scores.TE, "paper")) is not None:
             yield {
-                "curve": forms.TIP_ERROR,
+                "curve": TIP_ERROR,
                 "method": "paper",
                 "name": "paper, own needles",
                 scores.TE: printed,
             }
     if (floor := group.get(scores.TE, "floor")) is not None:
-        yield {"curve": forms.TIP_ERROR, "method": "noise", "name": "noise", scores.TE: floor}
+        yield {"curve": TIP_ERROR, "method": "noise", "name": "noise", scores.TE: floor}
 
 
 def draw_overlays(run: Run, role: str, *, from_above: bool = False) -> Drawing:
@@ -134,7 +142,7 @@ def draw_overlays(run: Run, role: str, *, from_above: bool = False) -> Drawing:
     curves = collect_curves(run, role, names, step, from_above=from_above)
     options: dict[str, object] = {"heads": titles, "names": names}
     options |= {"height": "deflection out\nof the plane (mm)"} if from_above else {}
-    return Drawing(forms.insertions, curves, options)
+    return Drawing("insertions", curves, options)
 
 
 # ---- predictive check
@@ -177,4 +185,13 @@ def draw_predictive_check(run: Run) -> Drawing:
             for number, (least, most) in enumerate(zip(low.tolist(), high.tolist(), strict=True), start=1)
         ]
     counts = {"insertions": len(predictions), "replicates": trials}
-    return Drawing(forms.predictive_check, pd.DataFrame(rows).assign(**counts))
+    return Drawing("predictive_check", pd.DataFrame(rows).assign(**counts))
+
+
+# ---- profile likelihoods
+
+
+def draw_profiles(identification: pd.DataFrame, computed: pd.DataFrame) -> Drawing:
+    """Return a table of computed points of profiles, beside what is known of their parameters."""
+    about = identification[[*PROFILE_KEYS, *VERDICT_COLUMNS]]
+    return Drawing("profiles", computed.merge(about, on=PROFILE_KEYS, how="left", sort=False))

@@ -12,7 +12,7 @@ from needlefit.inference.identifiability.stated_depths import examine_depths
 from needlefit.inference.linear_needles import fit_quickly
 from needlefit.inference.problem import Problem
 from needlefit.reporting.figures import Drawing
-from needlefit.reporting.figures import fit_forms as forms
+from needlefit.reporting.figures.columns import HEIGHT_COLUMNS, INSERTION_KEYS
 from needlefit.reporting.table_files import Row
 from needlefit.schemas.run_metadata import DepthMetadata, NeedleDoubtMetadata
 from needlefit.studies.job import Job
@@ -65,9 +65,9 @@ def join_folds(job: Job) -> Problem:
 def draw_odd_needles(odd: Sequence[NeedleDoubtMetadata]) -> Drawing:
     """Return each of the needles beside what the others predict."""
     heads = {("all", needle.insertion): f"{needle.sds:.2g} SD" for needle in odd}
-    columns = [*forms.INSERTION_KEYS, "curve", "x_mm", *forms.HEIGHT_COLUMNS]
+    columns = [*INSERTION_KEYS, "curve", "x_mm", *HEIGHT_COLUMNS]
     rows = pd.DataFrame([row for needle in odd for row in _list_points(needle)], columns=columns)
-    return Drawing(forms.insertions, rows, {"heads": heads, "names": {"fitted": "predicted from the others"}})
+    return Drawing("insertions", rows, {"heads": heads, "names": {"fitted": "predicted from the others"}})
 
 
 def _list_points(needle: NeedleDoubtMetadata) -> Iterator[Row]:

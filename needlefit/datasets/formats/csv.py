@@ -78,7 +78,7 @@ def read_table(path: Path) -> CsvTable:
             )
     width = len(header)
     # Text cells: pandas must not guess types, or ids such as 007 would lose their zeros.
-    cells = pd.DataFrame([row + [""] * (width - len(row)) for _, row in body], columns=header, dtype=str)
+    cells = pd.DataFrame([row + [""] * (width - len(row)) for _, row in body], columns=header, dtype=object)
     return CsvTable(path, cells, np.array([line for line, _ in body], dtype=np.int64))
 
 
@@ -93,10 +93,11 @@ def parse_numbers(table: CsvTable, column: str, faults: list[Fault], default: fl
     values: Floats = pd.to_numeric(text, errors="coerce").to_numpy(dtype=np.float64)
     # Infinity parses as a number; this comparison rejects it too.
     values = np.where(np.abs(values) <= MAX_COORDINATE, values, np.nan)
-    empty = (text == "").to_numpy()
-    bad = np.flatnonzero(np.isnan(values) & ~(empty & (default is not None)))
+    missing = np.flatnonzero(np.isnan(values))
+    empty = missing[text.to_numpy()[missing] == ""]
+    bad = missing if default is None else np.setdiff1d(missing, empty)
     for row in bad[:MAX_LISTED_CELLS]:
-        problem = "is empty" if empty[row] else f"is {text.iloc[row][:MAX_SHOWN_CHARS]!r}"
+        problem = "is empty" if row in empty else f"is {text.iloc[row][:MAX_SHOWN_CHARS]!r}"
         faults.append(
             DataError(
                 f"{describe_column(table.names, column)} {problem}",
@@ -115,7 +116,9 @@ def parse_numbers(table: CsvTable, column: str, faults: list[Fault], default: fl
                 where=f"{table.path}:{line}",
             )
         )
-    return values if default is None else np.where(empty, default, values)
+    if default is not None:
+        values[empty] = default
+    return values
 
 
 def read_curve(table: CsvTable, names: Mapping[str, str], faults: list[Fault]) -> Points | None:

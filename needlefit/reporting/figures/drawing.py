@@ -4,21 +4,18 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pandas as pd
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
 class Drawing:
     """A figure of a report: a form and its frame."""
 
-    # The name of a function of `forms`, or of a module beside it that has a function `draw`,
-    # as observations have, or such a function: frame and options -> figure
-    form: "str | Callable[..., Figure]"
+    # The name of a function of `forms` or `fit_forms`, or of a module beside them that has a function `draw`,
+    # as observations have: frame and options -> figure
+    form: str
     frame: pd.DataFrame  # all that is drawn; it is saved as CSV beside the figure
     options: Mapping[str, Any] = field(default_factory=dict)  # keyword arguments of the form
     # Frame -> the frame that the form draws, where that needs columns which are not saved
@@ -26,13 +23,14 @@ class Drawing:
 
     def save(self, path: Path, origin: str) -> Path:
         """Draw the figure to `path` (PDF), its frame with the origin as CSV; return the path."""
-        # late: matplotlib takes its time to load
-        import needlefit.reporting.figures.forms as forms
+        # late: matplotlib takes its time to load, a quarter of it for texts of help that nobody reads here
+        import matplotlib.artist
+
+        matplotlib.artist.kwdoc = lambda artist: ""
+        from needlefit.reporting.figures import fit_forms, forms
         from needlefit.reporting.figures.style import plot
 
-        paint = self.form
-        if isinstance(paint, str):
-            here = vars(forms).get(paint)
-            paint = here or import_module(f"{__package__}.{paint}").draw
+        here = vars(forms) | vars(fit_forms)
+        paint = here.get(self.form) or import_module(f"{__package__}.{self.form}").draw
         frame = self.frame.assign(origin=origin)
         return plot(path, frame, lambda frame: paint(self.prepare(frame), **self.options))

@@ -14,9 +14,15 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator, NullLocator
 
-from needlefit.arrays import Floats
 from needlefit.inference.parameter_names import is_logarithmic
-from needlefit.reporting.figures.drawing import Drawing
+from needlefit.reporting.figures.columns import (
+    BAND_WHITE,
+    HEIGHT_COLUMNS,
+    PROFILE_KEYS,
+    TIP_ERROR,
+    VERDICT_COLUMNS,
+    InsertionKey,
+)
 from needlefit.reporting.figures.forms import lighten
 from needlefit.reporting.figures.style import (
     COLUMN_WIDTH_IN,
@@ -44,10 +50,7 @@ def _line(label: str, **style: Any) -> Line2D:  # noqa: ANN401
 
 # ---- insertions with bands
 
-InsertionKey = tuple[str, str]  # fold and insertion
-INSERTION_KEYS = ["fold", "insertion"]
-HEIGHT_COLUMNS = ["y_mm", "low_mm", "high_mm"]
-BANDS = {"95 %": lighten(_OURS, 0.8), "50 %": lighten(_OURS, 0.56)}
+BANDS = {level: lighten(_OURS, white) for level, white in BAND_WHITE.items()}
 """Opaque colours, the narrow band on the wide one: the same over every layer."""
 
 
@@ -106,9 +109,6 @@ def _draw_panel(axes: Axes, points: pd.DataFrame, methods: Sequence[str]) -> Non
         axes.plot(curve["x_mm"], curve["y_mm"], zorder=2 + order, **look)
     dots = select_rows(points, curve="measured")
     axes.plot(dots["x_mm"], dots["y_mm"], "o", mfc=INK, mec="white", ms=2.2, mew=0.3, zorder=9)
-
-
-TIP_ERROR = "tip error"  #: in place of a curve: the row is a tip error of a method
 
 
 def first_page(points: pd.DataFrame, heads: Mapping[InsertionKey, str], method: str) -> Figure:
@@ -232,25 +232,6 @@ MAX_TICKS = 4  # of an axis of so narrow a panel
 """Greatest number of panels in a row, and of labelled ticks on a logarithmic axis."""
 
 MAX_DEVIANCE = 6.5  # upper end of the panels' deviance axis
-_PANEL_KEYS = ["fold", "parameter"]
-_VERDICT_COLUMNS = [
-    *("fisher_sd", "low", "high", "end_low", "end_high", "rise"),
-    *("interval_low", "interval_high", "draw_source", "bound_low", "bound_high"),
-]
-"""Columns of the identification that the figure shows."""
-
-
-def to_log_coordinates(values: pd.DataFrame) -> Floats:
-    """Return values in the coordinates of theta (N, P): logarithms of moduli and lengths."""
-    columns = [np.log(values[n]) if is_logarithmic(str(n)) else values[n] for n in values.columns]
-    return np.column_stack([np.asarray(column, dtype=np.float64) for column in columns])
-
-
-def draw_profiles(identification: pd.DataFrame, computed: pd.DataFrame) -> Drawing:
-    """Return `profiles` of a table of computed points, beside what is known of their parameters."""
-    about = identification[[*_PANEL_KEYS, *_VERDICT_COLUMNS]]
-    frame = computed.merge(about, on=_PANEL_KEYS, how="left", sort=False)
-    return Drawing(profiles, frame)
 
 
 def profiles(frame: pd.DataFrame) -> Figure:
@@ -259,7 +240,7 @@ def profiles(frame: pd.DataFrame) -> Figure:
     `frame` has the computed points, between which the curve is the cubic of their slopes, and with each of
     them what is known of its parameter.
     """
-    rows = to_records(frame.drop_duplicates(_PANEL_KEYS)[[*_PANEL_KEYS, *_VERDICT_COLUMNS]])
+    rows = to_records(frame.drop_duplicates(PROFILE_KEYS)[[*PROFILE_KEYS, *VERDICT_COLUMNS]])
     count, width = len(rows), choose_width()
     across = min(count, MAX_PANEL_COLUMNS) if width > COLUMN_WIDTH_IN else min(2, count)
     if across == MAX_PANEL_COLUMNS and -count % (across - 1) < -count % across:
@@ -294,9 +275,10 @@ def profiles(frame: pd.DataFrame) -> Figure:
 
 def _draw_profile(axes: Axes, row: Row, points: pd.DataFrame, unit: float) -> None:
     logarithmic = is_logarithmic(str(row["parameter"]))
-    logs = to_log_coordinates(points[["value"]].rename(columns={"value": row["parameter"]}))[:, 0]
+    values = points["value"].to_numpy()
+    logs = np.log(values) if logarithmic else values
     fine = np.linspace(logs[0], logs[-1], 400)
-    values, places = (np.exp(grid) if logarithmic else grid for grid in (logs, fine))
+    places = np.exp(fine) if logarithmic else fine
     deviance, threshold = points["deviance"].to_numpy(dtype=np.float64), float(points["threshold"].iloc[0])
     curve = scipy.interpolate.CubicHermiteSpline(logs, deviance, points["slope"])(fine)
     # the interval of the tables; of a profile alone, what is within the threshold

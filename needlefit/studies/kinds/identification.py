@@ -14,12 +14,12 @@ from needlefit.inference.identifiability.design_gain import fisher_information
 from needlefit.inference.identifiability.identify import find_together, profile_parameters
 from needlefit.inference.identifiability.precision import cramer_rao
 from needlefit.reporting.figures import Drawing
-from needlefit.reporting.figures.fit_forms import draw_profiles
 from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import to_records
 from needlefit.reporting.text import KindText
 from needlefit.schemas.analyses import TargetRecord
 from needlefit.schemas.run_metadata import IdentificationMetadata
+from needlefit.studies import fit_figures
 from needlefit.studies.advice import advise
 from needlefit.studies.answer import Verdict
 from needlefit.studies.candidates import CANDIDATE_COLUMNS, lay_out_candidates, rank_candidates
@@ -154,7 +154,7 @@ def lay_out_design(run: Run) -> list[Table | TableLayout]:
 
 
 def draw_identification(run: Run) -> dict[str, Drawing]:
-    return {"profiles": draw_profiles(run.frames["identify"], run.frames["profiles"])}
+    return {"profiles": fit_figures.draw_profiles(run.frames["identify"], run.frames["profiles"])}
 
 
 REPORT = StudyReport(TEXT, describe_identification, lay_out_design, draw_identification, judge_design)

@@ -562,7 +562,7 @@ def describe_prediction(run: Run) -> dict[str, Any]:
 
 def find_tip(run: Run) -> Row:
     """Return the tip's row, mm; None for the ends of bands that were left out."""
-    return to_records(run.frames["forecast"])[-1]
+    return to_records(run.frames["forecast"].tail(1))[0]
 
 
 def describe_forecast(run: Run) -> FirstPage:

@@ -10,7 +10,6 @@ import pandas as pd
 
 from needlefit.metrics import list_metrics
 from needlefit.reporting.figures import Drawing
-from needlefit.reporting.figures import fit_forms as forms
 from needlefit.reporting.number_format import format_metric
 from needlefit.reporting.table import TableLayout
 from needlefit.reporting.table_files import select_rows, to_records, to_tidy
@@ -142,7 +141,7 @@ def list_figures(run: Run) -> dict[str, Drawing]:
     if odd := run.knows(FitMetadata).odd_needles:
         figures["odd_needles"] = draw_odd_needles(odd)
     if len(frames.profiles):
-        figures["profiles"] = forms.draw_profiles(frames.identification, frames.profiles)
+        figures["profiles"] = fit_figures.draw_profiles(frames.identification, frames.profiles)
     return figures
 
 
