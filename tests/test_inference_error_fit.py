@@ -39,19 +39,6 @@ def examine(p):
     return examine_errors(p, at_truth(p), nothing, p.parameters, default_rng(3))
 
 
-def test_the_tolerance_grows_with_the_noise_and_not_with_what_a_step_cannot_take_off():
-    def tolerance(factor):
-        noise = Noise(0.19 * factor, 0.05 * factor, 0.1 * factor, 5.0)
-        p = two_layers()
-        made = [replace(one, pose_angle_sd=0.004 * factor) for one in p.insertions]
-        p = problem(p.medium, made, noise=noise)
-        return estimate_tolerance(p, p.parameters, np.array(p.parameters.theta(TRUTH)), default_rng(1))
-
-    one, two = tolerance(1.0), tolerance(2.0)
-    assert two.by_noise == approx(2 * one.by_noise, rel=0.02)
-    assert math.isnan(one.by_insertions) and one.value == one.by_noise  # three insertions are too few
-
-
 def test_without_noise_and_with_few_insertions_the_tolerance_is_the_smallest():
     p = problem(medium(), two_layers().insertions, noise=Noise())
     p = replace(p, insertions=tuple(replace(one, pose_angle_sd=0.0) for one in p.insertions))

@@ -15,7 +15,6 @@ from needlefit.inference.identifiability.identify import identify, profile_param
 from needlefit.inference.identifiability.precision import STATED_TIES
 from needlefit.inference.likelihood.nodes import ErrorAxis, Nodes, make_group
 from needlefit.inference.parameters import loosen_ties
-from needlefit.studies.identification import identify_parameters
 
 FINE = Noise(point_sd=0.02)
 
@@ -155,22 +154,12 @@ def test_ties_are_loosened_and_what_only_a_tie_determines_is_not_determined():
 # ---- words of profiles, designs, and what one more insertion tells
 
 
-def test_profiles_do_not_depend_on_jobs_and_are_stopped():
-    p = two_layers(count=1)
-    one, two = (identify_parameters(p, profile_parameters(p, fit_at(p, TRUTH), jobs), {}) for jobs in (1, 2))
-    assert one.points == two.points
-    assert profile_parameters(p, fit_at(p, TRUTH), stop=lambda: True).parameters == ()
-
-
 def test_a_point_better_than_the_fit_is_reported_with_its_gain():
     p = two_layers()
     worse = {**TRUTH, "bevel_mm": 1.1 * TRUTH["bevel_mm"]}
     found = profile_parameters(p, fit_at(p, worse))
     lost = p.log_posterior(p.parameters.theta(TRUTH)) - p.log_posterior(p.parameters.theta(worse))
     assert found.gain >= lost - 0.01 and found.gain > 1
-    assert p.log_posterior(np.array(found.best)) == approx(
-        p.log_posterior(p.parameters.theta(worse)) + found.gain, abs=0.01
-    )
     assert abs(profile_parameters(p, fit_at(p, TRUTH)).gain) < 0.01
 
 

@@ -5,7 +5,7 @@ import pytest
 from numpy.random import default_rng
 from pytest import approx
 from sampling_cases import Known, banana, gaussian, two_hills, weighted
-from scipy.stats import genpareto, norm
+from scipy.stats import genpareto
 
 from needlefit.inference.identifiability.profile import minimize_squares
 from needlefit.inference.sampling.importance import (
@@ -35,15 +35,6 @@ def test_a_banana_is_recovered():
     means, covariances, _ = (np.mean(part, axis=0) for part in zip(*map(moments, many), strict=True))
     assert means == approx([0.0, 1.0], abs=0.08)
     assert covariances[1, 1] == approx(2.25, rel=0.17)
-    orders = [np.argsort(found.thetas[:, 0]) for found in many]
-    quantiles = [
-        np.interp([0.05, 0.5, 0.95], np.cumsum(np.exp(found.log_weights[order])), found.thetas[order, 0])
-        for found, order in zip(many, orders, strict=True)
-    ]
-    assert np.mean(quantiles, axis=0) == approx(norm.ppf([0.05, 0.5, 0.95]), abs=0.06)
-    # Of weights that looked certified after one round, at the density itself, the mean was 0.5.
-    found = [weighted(Known(banana, half=40.0), effort=Effort(), seed=seed) for seed in range(6)]
-    assert np.mean([moments(one)[0][1] for one in found if one.certified]) == approx(1.0, abs=0.2)
 
 
 def test_a_density_at_a_bound_and_two_equal_modes_are_recovered():

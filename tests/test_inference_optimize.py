@@ -36,17 +36,10 @@ def rng():
     return default_rng(5)
 
 
-@pytest.mark.parametrize("dimensions", [1, 2])
-def test_gradients_lead_to_the_bottom_of_a_bowl(dimensions):
-    fit = minimize(box(bowl, dimensions), recipe(evaluations=600), rng())
-    assert fit.theta == approx([0.3] * dimensions, abs=0.02)
-    assert fit.objective == bowl(np.array(fit.theta))
-    assert fit.evaluations == sum(s.evaluations for s in fit.starts) <= 4 * 600
-
-
 def test_valleys_budgets_and_stops():
     fit = minimize(box(rosenbrock), recipe(evaluations=400), rng())
-    assert fit.theta == approx([1, 1], abs=1e-2)
+    assert fit.theta == approx([1, 1], abs=1e-2) and fit.objective == rosenbrock(np.array(fit.theta))
+    assert fit.evaluations == sum(s.evaluations for s in fit.starts)
     fit = minimize(box(rosenbrock), recipe(evaluations=17, starts=3), rng())
     assert [s.evaluations for s in fit.starts] == [16, 16, 16]
     assert {s.stopped for s in fit.starts} == {"budget"}
@@ -62,10 +55,9 @@ def test_nan_and_errors_of_the_model_in_half_the_box_are_counted_and_never_win()
     assert fit.failures > 0
 
 
-@pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
-def test_a_function_that_is_never_finite_is_no_success(value):
+def test_a_function_that_is_never_finite_is_no_success():
     with pytest.raises(FitError, match="could be solved"):
-        minimize(box(lambda theta: value), recipe(evaluations=50), rng())
+        minimize(box(lambda theta: -math.inf), recipe(evaluations=50), rng())
 
 
 def test_fits_go_through_a_checkpoint_and_more_starts_fill_the_box(tmp_path):

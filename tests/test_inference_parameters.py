@@ -75,26 +75,20 @@ def test_ties_follow_chains_multiply_factors_and_may_have_a_spread():
     exact = without_prior(p)
     assert exact.free == ("mu1_pa", "bevel_mm")
     assert exact.values(np.log([1e4, 0.1]))["mu4_pa"] == approx(1e5)
-    with pytest.raises(ConfigError, match="factor"):
-        Parameters.from_record(medium(2, alpha2={"tie": "alpha1", "spread": 1.2}))
-    with pytest.raises(ConfigError, match="circle"):
-        Parameters.from_record(medium(2, mu1_pa={"tie": "mu2_pa"}, mu2_pa={"tie": "mu1_pa"}))
 
 
 @pytest.mark.parametrize(
     ("changed", "fault"),
     [
         ({"mu1_pa": {"tie": "mu9_pa"}}, "tied to `mu9_pa`, which is no parameter"),
-        ({"mu1_pa": {"tie": "stiffness"}}, "`stiffness`"),
         ({"mu1_pa": {"tie": "mu2_pa"}, "mu2_pa": {"tie": "mu1_pa", "spread": 1}}, "circle"),
         ({"mu1_pa": {"tie": "mu1_pa", "spread": 1}}, "circle"),
         ({"mu1_pa": {"tie": "alpha1"}}, "different quantities"),
+        ({"alpha2": {"tie": "alpha1", "spread": 1.2}}, "factor"),
         ({"mu1_pa": {"tie": "-2 * mu2_pa"}}, "stay positive"),
-        ({"mu1_pa": {"tie": "ten * mu2_pa"}}, "no number"),
         ({"mu1_pa": {"tie": "mu2_pa + 1"}}, "cannot be read"),
         ({"mu1_pa": {"bounds": [0, 1]}}, "not above 0"),
         ({"mu1_pa": {"bounds": [1e4, 2e10]}}, "at most 1e+10 Pa"),
-        ({"mu3_pa": {"fixed": 1e5}}, "`mu3_pa`"),
     ],
 )
 def test_an_invalid_parameter_is_refused_with_its_reason(changed, fault):
@@ -107,20 +101,16 @@ def test_missing_and_mistyped_parameters_are_named():
     table = {name: p for name, p in record.parameters.items() if name != "mu2_pa"}
     with pytest.raises(ConfigError, match="`mu2_pa`"):
         Parameters.from_record(record.model_copy(update={"parameters": table}))
-    record = medium()
-    table = {name: p for name, p in record.parameters.items() if name not in ("alpha1", "alpha2")}
-    mistyped = {**table, "alhpa1": ParameterRecord(fixed=1.0)}
+    mistyped = {**record.parameters, "alhpa1": ParameterRecord(fixed=1.0)}
     with pytest.raises(ConfigError, match="`alhpa1`"):
         Parameters.from_record(record.model_copy(update={"parameters": mistyped}))
 
 
-@pytest.mark.parametrize(("law", "name"), [("fung", "alpha2"), ("gent", "jm1"), ("two_term_ogden", "share2")])
-def test_a_shape_parameter_beyond_the_bounds_of_its_law_is_named(law, name):
-    record = medium()
-    table = {n: p for n, p in record.parameters.items() if not n.startswith("alpha")}
-    changed = {"law": law, "parameters": table | {name: ParameterRecord(fixed=-1.0)}}
-    error = refusal(ConfigError, "", lambda: Parameters.from_record(record.model_copy(update=changed)))
-    assert error.key == f"parameters.{name}"
+def test_a_shape_parameter_beyond_the_bounds_of_its_law_is_named():
+    table = {n: p for n, p in medium().parameters.items() if not n.startswith("alpha")}
+    changed = {"law": "gent", "parameters": table | {"jm1": ParameterRecord(fixed=-1.0)}}
+    error = refusal(ConfigError, "", lambda: Parameters.from_record(medium().model_copy(update=changed)))
+    assert error.key == "parameters.jm1"
 
 
 def test_draws_of_the_prior_are_flat_where_only_ties_are_stated():

@@ -90,10 +90,6 @@ def test_a_parameter_without_effect_or_that_another_one_compensates_is_flat():
     assert p.ends == ("bound", "bound") and p.rise == approx(0.0, abs=1e-9) and p.sd == math.inf
     assert (p.low, p.high) == (-REACH, REACH)
     assert target.calls < 60
-    # Only x + y is known; y can follow x as far as the bounds of y allow.
-    target = Known(lambda x, y: [x + y], lambda x, y: [[1.0, 1.0]])
-    p = found(target, 0)
-    assert p.ends == ("bound", "bound") and p.rise < 1e-6
     narrow = Known(
         lambda x, y: [x + y], lambda x, y: [[1.0, 1.0]], lower=np.array([-20, -1]), upper=np.array([20, 1])
     )

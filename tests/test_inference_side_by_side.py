@@ -63,9 +63,6 @@ def test_searches_of_different_lengths_and_functions_all_end():
     found = run(partial(search, recorded), steps)
     assert found == {n: search(Recorded(), count) for n, count in enumerate(steps)}
     assert recorded.sizes[:2] == [5, 4] and recorded.sizes[-1] == 1
-    one, other = Recorded(), Recorded()
-    found = run(lambda n: search((one, other)[n % 2], 3), [0, 1, 2, 3])
-    assert set(found.values()) == {5.0} and one.sizes == other.sizes == [2, 2, 2]
 
 
 def test_errors_bugs_and_stops_end_what_they_concern():

@@ -13,7 +13,6 @@ from scipy.stats import multivariate_normal, norm, truncnorm
 from needlefit.inference.fit import Callbacks
 from needlefit.inference.forward_model import predict
 from needlefit.inference.parameters import Parameters
-from needlefit.inference.sampling.posterior import Posterior
 from needlefit.inference.sampling.sample import sample_density
 from needlefit.inference.specimens import (
     Population,
@@ -146,18 +145,6 @@ def walk(log_density, names, begin):
     assert len(names) == begin.thetas.shape[1] == 5
     settings = SampleRecord(independent_draws=2000, densities=60_000)
     return sample_density(log_density, names, begin, settings, default_rng(2), Callbacks())
-
-
-def test_a_population_has_all_draws_also_of_a_chain_with_fewer():
-    posteriors = {str(n): gaussian(np.array([11.0, -3.0]), np.diag([0.5, 1e-2]), n) for n in range(2)}
-
-    def stop_early(log_density, names, begin):
-        draws, one = begin.thetas[:80].reshape(8, 10, 5), np.ones(6)
-        density = log_density(begin.thetas[:80]).reshape(8, 10)
-        return Posterior(names, draws, density, np.ones(8), one, one, wanted=1, burn_in=0, failures=0)
-
-    found = draw_population(one_layer(), MODEL, posteriors, 500, default_rng(1), stop_early)
-    assert found.source == "posterior" and found.new.shape == found.mean.shape == (500, 2)
 
 
 @pytest.mark.parametrize("gap", [0.05, 0.4, 2.0])
