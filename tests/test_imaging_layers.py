@@ -203,7 +203,7 @@ def shifted():
     """A registration whose only errors are shifts of 0.9 mm along x, the needle, and of 0.3 mm along y."""
     markers = np.array([[0.0, 0, 0], [50, 0, 0], [0, 30, 0], [10, 20, 40]])
     found = register(PATIENT.to_local(markers), markers, 0.1)
-    return dataclasses.replace(found, information=np.diag([1e12, 1e12, 1e12, 1 / 0.81, 1 / 0.09, 1e12]))
+    return dataclasses.replace(found, covariance=np.diag([1e-12, 1e-12, 1e-12, 0.81, 0.09, 1e-12]))
 
 
 def test_errors_of_the_registration_count_across_the_needle_and_surfaces_move_with_it(

@@ -11,8 +11,6 @@ from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
 from needlefit.imaging.markers import find_markers, refine_fiducials
 from needlefit.imaging.needle.segmentation import select_needle
-from needlefit.imaging.point_spread import PointSpread
-from needlefit.imaging.spheres import _transform_sphere
 from needlefit.imaging.volume import Volume
 
 PLACES = np.array([[4.13, 4.71, 20.05], [17.32, 5.28, 31.77], [5.55, 16.92, 40.4], [16.4, 17.2, 24.81]])
@@ -103,17 +101,3 @@ def test_fiducials_are_moved_to_the_balls_that_they_mark(plain, tmp_path):
     assert moved.sd[4] == 0.3
     given = np.array([[10.0, 10.0, 20.0], [80.0, 10.0, 20.0]])
     refusal(DataError, "1 of 2 fiducials", refine_fiducials, given, plain, RECIPE, balls)
-
-
-@pytest.mark.parametrize("slice_blur", [0.3, 1.2])
-def test_a_slice_weighs_planes_by_its_blur(slice_blur):
-    away = np.linspace(-8, 8, 4001)
-    weights = PointSpread(0.4, 0.0, slice_blur).weigh_planes(away)
-    assert weights[2000] == pytest.approx(1.0)
-    assert np.sum(weights * away**2) / np.sum(weights) == pytest.approx(slice_blur**2, rel=1e-3)
-
-
-def test_a_ball_and_its_shortfall_have_their_volumes():
-    """The shortfall is sqrt(1 - r^2 / R^2) of the ball: pi^2 R^3 / 4 beside 4 pi R^3 / 3."""
-    ball, shortfall = _transform_sphere(0.5)
-    assert shortfall[0, 0] / ball[0, 0] == pytest.approx(3 * np.pi / 16, rel=1e-3)

@@ -1,47 +1,12 @@
-"""A rod in thick slices, through its projections: lengths and brightnesses of known rods."""
+"""What of a needle in thick slices is found before it is fitted: its pieces, its hub."""
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose
 
 from needlefit.imaging.needle.hub import find_hub
-from needlefit.imaging.needle.rod_projection import CELL_MM, COLUMN_MM, Rod
 from needlefit.imaging.needle.segmentation import find_tubes
 from needlefit.imaging.volume import Volume, to_index, to_patient, turn_slices
 from needlefit.schemas.reconstruction import ReconstructionRecord
-
-COLUMNS = np.arange(30.0, -30.1, -COLUMN_MM)
-
-
-def make_rod(radius, thick=1.0):
-    """A rod along the first direction in the middle of the second of three slices."""
-    stations, side = np.array([0.0, 10.0, 34.0]), np.zeros((3, 1))
-    return Rod(COLUMNS, radius, 2.0, thick, np.arange(3) * thick, stations, side, np.full(len(COLUMNS), 5.0))
-
-
-@pytest.mark.parametrize("drift", [0.0, 0.05])
-def test_rays_across_and_along_a_rod_pass_its_chord_and_its_length(drift):
-    rod, radius = make_rod(0.635), 0.635
-    stored = rod.lengths(drift * COLUMNS, np.full(len(COLUMNS), 1.0), 30.0, 0.0)
-    planes = np.flatnonzero(np.diff(stored.indptr))
-    metal = stored.toarray()[planes]
-    away = rod.planes[planes] - 1.0
-    views = np.split(metal, np.cumsum(rod.seen[1])[:-1], axis=1)
-    chords = 2 * np.sqrt(np.clip(radius**2 - away**2, 0, None)) * np.sqrt(1 + drift**2)
-    across = views[0][:, rod.half - rod.seen[0, 0]]  # at the origin, at right angles to the first direction
-    inner = np.abs(away) < 0.7 * radius  # a plane has a thickness, over which the chord varies
-    assert_allclose(across[inner], chords[inner], rtol=0.01)
-    assert_allclose(across.sum() / rod.in_slice, np.pi * radius**2 * np.sqrt(1 + drift**2), rtol=1e-3)
-    if drift == 0:
-        along = len(rod.views[0]) // 2
-        middle = views[along][np.argmin(np.abs(away)), rod.half - rod.seen[0, along]]
-        assert_allclose(middle, np.ptp(COLUMNS), atol=1.5)  # less half a bevel of 0.6 mm, and half a column
-        # what all rays of a view meet is the plane's area; one view looks along edges, between two cells
-        area = (
-            np.stack([view[inner].sum(axis=-1) for n, view in enumerate(views) if n != along], axis=1)
-            * CELL_MM
-        )
-        assert_allclose(area, np.broadcast_to(area[:, :1], area.shape), rtol=0.01)
 
 
 def test_pieces_of_a_needle_in_successive_slices_are_one_tube():

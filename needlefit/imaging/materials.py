@@ -50,7 +50,7 @@ def _row_medians(values: Floats, least: float) -> Floats:
     return middle
 
 
-EDGE_SCALES = (0.2, 0.3, 50.0, 50.0, 10.0, 0.2, 50.0)  # typical changes of the parameters of an edge
+EDGE_SCALES = (0.2, 0.3, 50.0, 50.0, 10.0)  # typical changes of the parameters of an edge
 
 
 def find_runs(profile: IntensityProfile, least: float = MM.BLUR_REACH) -> tuple[MaterialRun, ...]:
@@ -119,36 +119,31 @@ def _fit_edge(
     """Return where run `target` begins, mm, and its deviation; None if nothing rises there.
 
     An error function from air to soft material, with a slope behind it for a hardened beam, is fitted to the
-    median around the needle, as far as the blur of no other edge reaches.
+    median around the needle, as far as the blur of no other edge reaches. The blurred air of a narrow gap
+    shows no level: air has its own.
     """
     s, values = _known_stations(profile)
     gap, guess = runs[target - 1], runs[target].begin
-    # the blurred air of a narrow gap shows no level: air has its own; a soft edge before it is fitted, too
     narrow = target > 1 and gap.length < MM.NARROW_GAP
-    double = narrow and runs[target - 2].kind == "soft"
-    before = runs[target - 2].begin if double else gap.begin
-    before = max(guess - MM.EDGE_REACH, before + MM.EDGE_BLUR * (before > s[0] and not narrow))
+    clear = min(MM.EDGE_BLUR, gap.length / 2) if target > 1 else 0.0
+    before = max(guess - MM.EDGE_REACH, gap.begin + clear)
     ends = [run.end for run in runs[target:-1]][:1] + [at for at in find_steps(profile) if at > guess]
     after = max(guess + MM.EDGE_BLUR, min([guess + MM.EDGE_REACH, *(at - MM.STEP_MARGIN for at in ends)]))
     near = (s >= before) & (s <= after)
     s, values = s[near], values[near]
     air, soft = values[s < guess], values[s >= guess]
-    if len(air) < MIN_STEP_STATIONS or len(soft) < MIN_STEP_STATIONS:
+    if not len(air) or len(soft) < MIN_STEP_STATIONS:
         return None
     low, high = HU.AIR if narrow else float(np.median(air)), float(np.median(soft))
     if high - low < HU.EDGE:
         return None
 
-    def show(
-        s: Floats, at: float, width: float, low: float, high: float, slope: float, fall: float, solid: float
-    ) -> Floats:
-        edge = (high - low + slope * np.clip(s - at, 0, None)) * ndtr((s - at) / width)
-        return np.asarray(low + edge + (solid - low) * ndtr((fall - s) / width) * double, dtype=np.float64)
+    def show(s: Floats, at: float, width: float, low: float, high: float, slope: float) -> Floats:
+        return low + (high - low + slope * np.clip(s - at, 0, None)) * ndtr((s - at) / width)
 
-    free = HU.AIR_SD if narrow else np.inf
-    first = [guess, MM.BLUR, low, high, 0.0, gap.begin, float(values[0])]
-    margin = [MM.EDGE_BLUR, np.inf, free, np.inf, np.inf, MM.EDGE_BLUR, np.inf]
-    bounds = np.subtract(first, margin), np.add(first, margin)
+    first = np.array([guess, MM.BLUR, low, high, 0.0])
+    margin = np.array([MM.EDGE_BLUR, np.inf, HU.AIR_SD if narrow else np.inf, np.inf, np.inf])
+    bounds = first - margin, first + margin
     bounds[0][1], bounds[1][1] = MM.SLICE_BLURS[0], MM.SLICE_BLURS[1]
     noise = max(HU.LEAST_NOISE, 1.05 * float(np.median(np.abs(np.diff(values)))))
     best, covariance = curve_fit(
@@ -165,7 +160,7 @@ def _fit_edge(
         xtol=1e-6,
     )
     left = values - show(s, *best)
-    variance = covariance[0, 0] * correlation_factor(left[:, None], 7 if double else 5)
+    variance = covariance[0, 0] * correlation_factor(left[:, None], len(best))
     # an edge sharper than the stations are dense leaves no slope: it lies between two, where the misfit
     # in parts of its height says
     step, sd = float(np.median(np.diff(s))), np.sqrt(variance)

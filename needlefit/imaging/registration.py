@@ -16,9 +16,10 @@ with equal deviations eq. 46 of J. M. Fitzpatrick et al., IEEE Trans. Med. Imagi
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtrc, chdtri, elliprg
@@ -55,16 +56,11 @@ class Registration:
     expected_fre: float  # what the stated noise leads one to expect of it, mm
     chi2: float  # sum of squared residuals over their variances; 3 P - 6 on average
     p_value: float  # probability that the stated noise leaves residuals at least as large
-    # (3,); the point of the world about which `information` counts: the mean of the paired known markers, mm.
+    # (3,); the point of the world about which `covariance` counts: the mean of the paired known markers, mm.
     centre: Floats
-    information: Floats  # (6, 6); of turn (rad) and shift (mm) about `centre`, world axes, first order
+    covariance: Floats  # (6, 6); of turn (rad) and shift (mm) about `centre`, world axes, first order
     known: int = 0  # number of the known markers, paired or not
     warnings: tuple[str, ...] = ()  # what a person should know; empty if all is as expected
-
-    @property
-    def covariance(self) -> Floats:
-        """The covariance (6, 6) of turn (rad) and shift (mm) about `centre`, world axes."""
-        return np.asarray(np.linalg.inv(self.information), np.float64)
 
 
 def register(
@@ -94,7 +90,7 @@ def register(
     best, *others = fit_pairings(here, there, variance)
     sd = float(np.sqrt(variance[tuple(best.pairs.T)].max()))
     # the turn about a line through all markers is known to their deviation over their distance from it
-    turn = 1 / np.sqrt(max(1e-12, np.linalg.eigvalsh(best.information[:3, :3])[0]))
+    turn = np.sqrt(np.linalg.eigvalsh(best.covariance[:3, :3])[-1])
     if turn > MAX_TURN_SD_RAD:
         raise DataError(
             f"{len(best.pairs)} markers lie on a line, or their deviation of {sd:.3g} mm is large against "
@@ -125,9 +121,19 @@ def fit_pairings(found: Floats, known: Floats, variance: Floats) -> list[Registr
     most = min(len(found), len(known))
     # three among many agree by chance, unless one of the sets has no more
     least = max(MIN_MARKERS + 1, int(np.ceil(PART.PAIRED * most)))
+    changes = cdist(found, found)[:, None, :, None] - cdist(known, known)[:, None]
     for count in (most, *range(most - 1, least - 1, -1)):
         limit = float(chdtri(3 * count - 6, FALSE_ALARM_PROBABILITY))  # that a right pairing hardly exceeds
-        listed = list_pairings(found, known, variance, count, limit + MIN_CHI2_GAP)
+        # two pairs of variances v that change a distance by D cost at least D^2 / (v_1 + v_2) in chi-squared
+        near = changes**2 <= (limit + MIN_CHI2_GAP) * (variance[..., None, None] + variance)  # (M, N, M, N)
+        listed = [np.array(pairs) for pairs in islice(list_pairings(near, count), MAX_PAIRINGS + 1)]
+        if len(listed) > MAX_PAIRINGS:
+            raise DataError(
+                f"more than {MAX_PAIRINGS} pairings of {len(found)} and {len(known)} markers fit",
+                expected="markers whose mutual distances differ by more than their noise",
+                fix="leave out spurious markers, or state smaller deviations if they are",
+                where="markers",
+            )
         fitted = sorted((align(found, known, variance, pairs) for pairs in listed), key=lambda fit: fit.chi2)
         if fitted and fitted[0].chi2 <= limit:
             same = [fitted[0].pairs[:, None] == fit.pairs for fit in fitted]
@@ -153,32 +159,18 @@ def fit_pairings(found: Floats, known: Floats, variance: Floats) -> list[Registr
     )
 
 
-def list_pairings(found: Floats, known: Floats, variance: Floats, count: int, bound: float) -> list[Ints]:
-    """Return the pairings (count, 2) at which no distance of two markers costs more than `bound`.
-
-    A distance that two pairs change by D costs at least D^2 / (v_1 + v_2) in chi-squared however the sets are
-    laid on each other. DataError if they are more than `MAX_PAIRINGS`.
-    """
-    changes = cdist(found, found)[:, None, :, None] - cdist(known, known)[:, None]
-    fits = changes**2 <= bound * (variance[..., None, None] + variance)  # (M, N, M, N)
-    rows: list[tuple[tuple[int, int], ...]] = [()]
-    for n in range(len(found)):
-        left = len(found) - n - 1  # found markers that may still be paired
-        unpaired = [row for row in rows if len(row) + left >= count]
-        rows = unpaired + [
-            (*row, (n, m))
-            for row in rows
-            for m in range(len(known) if len(row) < count else 0)
-            if all(j != m and fits[i, j, n, m] for i, j in row)
-        ]
-        if len(rows) > MAX_PAIRINGS:
-            raise DataError(
-                f"more than {MAX_PAIRINGS} pairings of {len(found)} and {len(known)} markers fit",
-                expected="markers whose mutual distances differ by more than their noise",
-                fix="leave out spurious markers, or state smaller deviations if they are",
-                where="markers",
-            )
-    return [np.array(row, dtype=np.int64) for row in rows if len(row) == count]
+def list_pairings(
+    near: NDArray[np.bool_], count: int, begun: tuple[tuple[int, int], ...] = ()
+) -> Iterator[tuple[tuple[int, int], ...]]:
+    """Yield the pairings of `count` pairs, of which the first have `begun`, any two of which are `near`."""
+    if len(begun) == count:
+        yield begun
+        return
+    first = begun[-1][0] + 1 if begun else 0
+    for n in range(first, len(near) - count + len(begun) + 1):  # found markers that leave enough others
+        for m in range(near.shape[1]):
+            if all(j != m and near[i, j, n, m] for i, j in begun):
+                yield from list_pairings(near, count, (*begun, (n, m)))
 
 
 def align(found: Floats, known: Floats, variance: Floats, pairs: Ints) -> Registration:
@@ -203,7 +195,8 @@ def align(found: Floats, known: Floats, variance: Floats, pairs: Ints) -> Regist
         chi2=chi2,
         p_value=float(chdtrc(freedom, chi2)),
         centre=centre,
-        information=np.einsum("nia,n,nib->ab", moved, weights, moved),
+        # of points on a line, which are refused later, one turn is not known at all
+        covariance=np.linalg.inv(np.einsum("nia,n,nib->ab", moved, weights, moved) + 1e-12 * np.eye(6)),
     )
 
 

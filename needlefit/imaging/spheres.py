@@ -1,9 +1,7 @@
 """Fit the image of a ball to the voxels around a marker: its centre, and the centre's standard deviation.
 
-A hardened beam sees a ball darker in its middle. Where the signal of a ray falls short by its length squared,
-the image falls short by sqrt(1 - r^2 / R^2) in every slice, so that ball and shortfall are both spheres;
-their Fourier transforms are Bessel functions, which the scanner multiplies by its modulation transfer. The
-image is a table over the distances across and along the slices' normal.
+The Fourier transform of a ball is a Bessel function, which the scanner multiplies by its modulation transfer.
+The image is a table over the distances across and along the slices' normal.
 
 The ball takes the place of the background: two levels with a soft step between them, as a marker glued on a
 phantom has it. All is cut where the scanner's numbers end. What the voxels leave open, such as the height of
@@ -17,7 +15,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates, spline_filter
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.spatial import cKDTree
-from scipy.special import j0, j1, ndtr
+from scipy.special import j0, ndtr
 
 from needlefit.arrays import Floats, Ints
 from needlefit.imaging.constants import MM, PART, SD
@@ -44,28 +42,20 @@ def _list_frequencies() -> tuple[Floats, Floats]:
     return across, along
 
 
-@lru_cache(maxsize=8)
-def _transform_sphere(radius: float) -> tuple[Floats, Floats]:
-    """Return the Fourier transforms of a ball (mm) and its shortfall, times the measure of each frequency."""
+@lru_cache(maxsize=16)  # of a step's derivatives most are of one table
+def make_table(reach: float, radius: float, spread: PointSpread) -> Floats:
+    """Return the image (G, G) of a ball of `radius` out to `reach`, mm, as splines."""
     across, along = _list_frequencies()
+    # a wide blur lets only the lowest frequencies pass
+    across = across[: np.searchsorted(across, MAX_PASSED_SD / spread.blur)]
     x = radius * np.hypot(across[:, None], along)
     rings = across.copy()
     rings[0] *= 11 / 12  # the end term of Euler and Maclaurin: the integrand begins with a slope
-    measure = rings[:, None] * FREQUENCY_STEP_PER_MM**2 / (2 * np.pi**2) * radius**3
-    second = (2 * j1(x) / x - j0(x)) / x**2  # J2(x) / x^2
-    return 4 * np.pi * measure * (np.sin(x) / x - np.cos(x)) / x**2, 2 * np.pi**2 * measure * second
-
-
-@lru_cache(maxsize=16)  # of a step's derivatives most are of one table
-def make_tables(reach: float, radius: float, spread: PointSpread) -> tuple[Floats, Floats]:
-    """Return the images (G, G) of a ball of `radius` and of its shortfall out to `reach`, mm, as splines."""
-    across, along = _list_frequencies()
-    # a wide blur lets only the lowest frequencies pass
-    kept = np.searchsorted(across, MAX_PASSED_SD / spread.blur)
-    passed = np.outer(spread.pass_in_slices(across[:kept] ** 2), spread.pass_across(along))
+    measure = 2 * FREQUENCY_STEP_PER_MM**2 / np.pi * radius**3 * rings[:, None]
+    passed = np.outer(spread.pass_in_slices(across**2), spread.pass_across(along))
     wave, cosine = _list_waves(reach)
-    ball, dark = (wave[:, :kept] @ (part[:kept] * passed) @ cosine for part in _transform_sphere(radius))
-    return spline_filter(ball, mode="mirror"), spline_filter(dark, mode="mirror")
+    ball = measure * passed * (np.sin(x) / x - np.cos(x)) / x**2
+    return np.asarray(spline_filter(wave[:, : len(across)] @ ball @ cosine, mode="mirror"), float)
 
 
 @lru_cache(maxsize=8)
@@ -76,12 +66,11 @@ def _list_waves(reach: float) -> tuple[Floats, Floats]:
     return j0(np.outer(grid, across)), np.cos(np.outer(along, grid))
 
 
-# What the 14 parameters are: centre of the ball, mm; logarithm of its own HU; by which part the hardened beam
-# sees its middle darker, negative; logarithm of the blur in the slices, mm, and the kernel's boost; logarithm
-# of the blur across them; the background's lower level and its step, HU; the step's direction over its width,
-# 1/mm, and its offset.
-CENTER, SPREAD, FACE, OFFSET = slice(0, 3), slice(5, 8), slice(10, 13), 13
-HEIGHT, DARK, _, _, _, LEVEL, STEP = range(3, 10)
+# What the 13 parameters are: centre of the ball, mm; logarithm of its own HU; logarithm of the blur in the
+# slices, mm, and the kernel's boost; logarithm of the blur across them; the background's lower level and its
+# step, HU; the step's direction over its width, 1/mm, and its offset.
+CENTER, SPREAD, FACE, OFFSET = slice(0, 3), slice(4, 7), slice(9, 12), 12
+HEIGHT, _, _, _, LEVEL, STEP = range(3, 9)
 
 
 @dataclass(frozen=True)
@@ -113,23 +102,19 @@ class SphereVoxels:
 
 
 @lru_cache(maxsize=16)  # of a step's derivatives half are of one ball
-def _show_ball(near: SphereVoxels, center: tuple[float, ...], spread: PointSpread) -> tuple[Floats, Floats]:
-    """Return the images (N,) of a ball of height 1, and of its shortfall."""
+def _show_ball(near: SphereVoxels, center: tuple[float, ...], spread: PointSpread) -> Floats:
+    """Return the image (N,) of a ball of height 1."""
     d = near.places - center
     at = np.stack([np.hypot(d[:, 0], d[:, 1]), np.abs(d[:, 2])]) / TABLE_STEP_MM
-    ball, dark = (
-        map_coordinates(table, at, order=3, mode="mirror", prefilter=False)
-        for table in make_tables(near.reach, near.radius, spread)
-    )
-    return ball, dark
+    table = make_table(near.reach, near.radius, spread)
+    return map_coordinates(table, at, order=3, mode="mirror", prefilter=False)
 
 
 def render_sphere(near: SphereVoxels, theta: Floats) -> Floats:
     """Return the image (N,), HU, of a ball."""
-    ball, dark = _show_ball(near, tuple(theta[CENTER].tolist()), read_spread(theta[SPREAD]))
+    ball = _show_ball(near, tuple(theta[CENTER].tolist()), read_spread(theta[SPREAD]))
     around = theta[LEVEL] + theta[STEP] * ndtr(near.places @ theta[FACE] + theta[OFFSET])
-    shown = around + (float(np.exp(theta[HEIGHT])) - around) * (ball + theta[DARK] * dark)
-    return np.clip(shown, near.floor, near.ceiling)
+    return np.clip(around + (float(np.exp(theta[HEIGHT])) - around) * ball, near.floor, near.ceiling)
 
 
 FIRST_NOISE_PART = 0.05  # noise before it is known, in parts of the ball's brightness
@@ -137,7 +122,6 @@ FIRST_NOISE_PART = 0.05  # noise before it is known, in parts of the ball's brig
 _RANGES = (
     *3 * [(-np.inf, np.inf, 0.2)],
     (np.log(10.0), np.log(1e5), 0.3),
-    (-0.7, 0.1, 0.2),
     *zip(LOWEST, HIGHEST, (0.2, 0.5, 0.3), strict=True),
     (-5e3, 1e4, 100.0),
     (0.0, 3e3, 100.0),
@@ -145,11 +129,8 @@ _RANGES = (
     (-10.0, 10.0, 0.5),
 )
 LOWER_BOUNDS, UPPER_BOUNDS, PARAMETER_SCALES = np.array(list(zip(*_RANGES, strict=True)))
-PRIOR_COLUMNS = [HEIGHT, DARK, *range(5, 8)]
-# What is known before: metal and glass lie between 2 000 and 50 000 HU.
-PRIOR_MEANS = (np.log(1e4), -0.1)  # of the logarithm of HU, and of the shortfall
-PRIOR_SDS = (1.0, 0.2)  # deviations of both
-# What the formal deviation is multiplied by, and what no scatter shows, mm.
+PRIOR_COLUMNS = [HEIGHT, *range(4, 7)]
+HEIGHT_SD = 1.0  # deviation of the logarithm of HU: metal and glass lie between 2 000 and 50 000
 FORMAL_SD_FACTOR = 0.9  # times the formal deviation
 
 
@@ -192,9 +173,9 @@ def fit_sphere(volume: Volume, blob: Blob, radius: float) -> SphereFit:
 
 
 def _fit_model(near: SphereVoxels, first: Floats) -> tuple[Floats, Floats, Floats]:
-    """Fit the parameters, from `first` (14,) on, and again with the noise that this leaves.
+    """Fit the parameters, from `first` (13,) on, and again with the noise that this leaves.
 
-    Return them, residuals (N,), HU, and their covariance (14, 14); voxels in one blur count as one.
+    Return them, residuals (N,), HU, and their covariance (13, 13); voxels in one blur count as one.
     """
     count, noise = (
         len(near.values),
@@ -237,7 +218,7 @@ def _guess_parameters(near: SphereVoxels) -> Floats:
     r = np.linalg.norm(near.places, axis=1)
     peak = float(near.values[r <= max(near.radius, float(r.min()))].max())
     low, high = np.quantile(near.values[r >= np.quantile(r, 0.7)], [0.05, 0.95])
-    first = np.zeros(14)
+    first = np.zeros(13)
     first[PRIOR_COLUMNS] = _list_prior(near)[0]
     first[[HEIGHT, LEVEL, STEP]] = np.log(max(1.5 * peak, 100.0)), low, max(high - low, 50.0)
     return first
@@ -246,11 +227,11 @@ def _guess_parameters(near: SphereVoxels) -> Floats:
 def _list_prior(near: SphereVoxels) -> tuple[Floats, Floats]:
     """Return means and deviations of the parameters of which something is known before."""
     spread = expected_spread(float(near.spacing[2]))
-    return np.array([*PRIOR_MEANS, *spread.parameters]), np.array([*PRIOR_SDS, *spread.sds])
+    return np.array([np.log(1e4), *spread.parameters]), np.array([HEIGHT_SD, *spread.sds])
 
 
 def _minimize(near: SphereVoxels, first: Floats, noise: float) -> OptimizeResult:
-    """Return the least squares from `first` (14,) on, in deviations of the noise (HU); the prior is last."""
+    """Return the least squares from `first` (13,) on, in deviations of the noise (HU); the prior is last."""
     means, sds = _list_prior(near)
 
     def residuals(theta: Floats) -> Floats:

@@ -7,8 +7,7 @@ loses in it, the slices' sensitivity profile and the kernel are fitted together,
 hub that holds it, and reconstructing the slices; what exceeds the scanner's numbers is cut in the model too.
 """
 
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -73,13 +72,13 @@ def place_in_slices(
 
     None where the needle crosses many slices between two knots, or too little of it shows.
     """
-    needle, knot = recipe.needle, MM.KNOT
+    needle = recipe.needle
     thick, normal = volume.grid.slice_distance, volume.grid.normal
     first, last = axis.spline(np.array([0.0, axis.length]))
     steepness = abs(float((last - first) @ normal)) / float(np.linalg.norm(last - first))
     flat = thick > PART.FLATNESS * volume.spacing[:2].max()
     shown = thick <= (MM.FLAT_SLICE if flat else MM.THICK_SLICE)
-    if shown or steepness * knot / thick >= MAX_CROSSED:
+    if shown or steepness * MM.KNOT / thick >= MAX_CROSSED:
         return None
     points = axis.spline(np.append(np.arange(0.0, tip, LINE_STATION_MM), tip))
     way = points[-1] - points[0] - (points[-1] - points[0]) @ normal * normal
@@ -92,16 +91,15 @@ def place_in_slices(
     hub = find_hub(volume, points, needle.diameter_mm)
     hub = hub and replace(hub, ends=(hub.ends - origin) @ frame.T)
     for _ in range(MAX_FITS):
-        problem = _make_problem(volume, needle, frame, origin, (x, y, z), knot, spread, hub)
-        if problem is None:
+        problem = _SliceProblem(volume, needle, frame, origin, (x, y, z), spread, hub)
+        if np.count_nonzero(problem.seen.any(axis=0)) < 2 * len(problem.start):
             return None
         theta, covariance, error = problem.solve()
         across, along, (end, roll), _ = problem.split(theta)
         if np.abs(problem.at @ (across - problem.start[:, 0])).max() < LINE_STEP_MM:
             break
         # the needle lies where its surroundings were looked for: sample the slices around it
-        y, z = (_extend(_basis(problem.knots), x) @ np.stack([across, along], axis=1)).T
-    assert problem is not None
+        y, z = (_extend(problem.basis, x) @ np.stack([across, along], axis=1)).T
     rolled = needle.bevel_deg < MAX_BEVEL_DEG
     count, end = len(across), float(x[-1] + end) + MM.BEVEL_POINT * rolled
     variances = np.stack([covariance[:count, :count], covariance[count : 2 * count, count : 2 * count]])
@@ -113,14 +111,14 @@ def place_in_slices(
     places = (axis.points - origin) @ frame[0]
     traced = (places < end - MM.STATION) & (places >= np.maximum.accumulate(places))
     places = np.append(places[traced], end)
-    basis = _extend(_basis(problem.knots), places)
+    basis = _extend(problem.basis, places)
     beside = np.stack([across, along], axis=1)
     points = origin + np.column_stack([places, basis @ beside]) @ frame
     s = arc_length(points)
     # the tip's stands for that of the last section
     sds = np.delete(np.sqrt(np.einsum("nc,kcd,nd->kn", basis, variances, basis)), -2, axis=1)
     sds = np.hypot(sds, np.hypot(SLICE_SD * thick, missed))
-    placed = fit_axis(s[:-1], points[:-1], axis.weights[traced], knot, s[-1])
+    placed = fit_axis(s[:-1], points[:-1], axis.weights[traced], MM.KNOT, s[-1])
     # its points are the fit's and do not scatter: its deviation in the slices is the fit's, too
     wider = np.mean(sds[0] ** 2) / np.mean(axis_sd(placed, s[:-1]) ** 2)
     placed = replace(placed, variance=placed.variance * wider, slice_sds=sds)
@@ -132,127 +130,90 @@ def place_in_slices(
     return placed, TipFit(float(s[-1]), points[-1], sd, bevel, probability, error)
 
 
-def _make_problem(
-    volume: Volume,
-    needle: ScannedNeedleRecord,
-    frame: Floats,
-    origin: Floats,
-    axis: tuple[Floats, Floats, Floats],
-    knot: float,
-    spread: PointSpread | None,
-    hub: Hub | None,
-) -> "_SliceProblem | None":
-    x, y, z = axis
-    thick, radius = volume.grid.slice_distance, needle.diameter_mm / 2
-    knots = make_knots(x[0], x[-1], KNOT_FACTOR * knot)
-    basis = _basis(knots)
-    stations = np.arange(x[0], x[-1] + MM.BEYOND_TIP, LINE_STATION_MM)
-    at = _extend(basis, stations)
-    # where the axis follows a staircase from slice to slice, or rays that pull it aside, polynomials do not
-    places, weights = np.column_stack([x, y, z]), np.ones(len(x))
-    if hub is not None:  # its shadow pulls the axis aside where it begins
-        places = np.vstack([places[x > x[0] + MM.HUB_SHADOW], hub.ends[1:]])
-        weights = np.append(np.ones(len(places) - 1), HUB_WEIGHT)
-    fit = np.polynomial.Polynomial.fit
-    z = fit(places[:, 0], places[:, 2], 2, w=weights)(x)
-    y = fit(places[:, 0], places[:, 1], 3, w=weights)(x)
-    start: Floats = np.asarray(np.linalg.lstsq(_extend(basis, x), np.column_stack([y, z]))[0], float)
-    line = np.arange(-MM.PATCH, MM.PATCH + 1e-6, LINE_STEP_MM)
-    height = at @ start[:, 1] / thick
-    last = volume.values.shape[0] - 1
-    slices = np.arange(max(0, int(height.min()) - 1), min(last, int(height.max()) + 2) + 1)
-    side = (at @ start[:, 0])[:, None] + line
-    flat = origin + stations[:, None, None] * frame[0] + side[..., None] * frame[1]
-    up = thick * volume.grid.normal
-    there = [to_index(volume, flat.reshape(-1, 3) + k * up)[:, 1::-1].T for k in slices]
-    shown = np.stack(
-        [
-            map_coordinates(volume.values[k].astype(float), index, order=1, cval=np.nan)
-            for k, index in zip(slices, there, strict=True)
-        ]
-    ).reshape(len(slices), *side.shape)
-    shown /= 1000
-    seen = np.isfinite(shown).all(axis=-1)
-    seen &= np.abs(slices[:, None] - height) < REACH_SLICES + radius / thick
-    if np.count_nonzero(seen.any(axis=0)) < 2 * len(start):
-        return None
-    low, top = np.nanmin(shown), np.nanmax(shown) - 5e-4
-    cut = np.array([low, top if np.count_nonzero(shown > top) > 3 else np.inf])
-    shown = np.where(seen[..., None], shown, 0.0)
-    unique = np.unique(knots)
-    stiffness = STEEL_MPA * np.pi * needle.diameter_mm**4 / 64
-    bent = np.vstack(
-        [
-            basis.derivative(3)((unique[1:] + unique[:-1]) / 2),
-            basis.derivative(2)(unique[-1:]) / MM.END_MOMENT,
-        ]
-    )
-    columns = np.arange(x[-1] + MM.BEYOND_TIP, x[-1] - needle.length_mm, -COLUMN_MM)
-    # a blunt end is a bevel of one piece of the rod, too, whose middle is where it ends
-    true = np.tan(np.radians(needle.bevel_deg))
-    steep = min(true, needle.diameter_mm / COLUMN_MM)
-    sway = np.abs(_extend(basis, columns) @ start[:, 0]) + SWAY_MM
-    rod = Rod(columns, radius, steep, thick, slices * thick, stations, side, sway)
-    return _SliceProblem(
-        rod,
-        knots,
-        at,
-        _extend(basis, columns),
-        bent * stiffness / SHEAR_SD_N,
-        start,
-        x[-1],
-        shown,
-        seen,
-        np.abs(line) > MM.RIM,
-        cut,
-        spread or expected_spread(thick),
-        hub,
-        radius / steep - radius / true,
-    )
-
-
-def _basis(knots: Floats) -> BSpline:
-    return BSpline(knots, np.eye(len(knots) - DEGREE - 1), DEGREE)
-
-
 def _extend(spline: BSpline, x: Floats) -> Floats:
     """Return a spline at `x` (N,), straight beyond its ends."""
     inside = np.clip(x, spline.t[0], spline.t[-1])
     return spline(inside) + spline.derivative()(inside) * (x - inside)[:, None]
 
 
-@dataclass(frozen=True)
 class _SliceProblem:
     """What slices (K,) show on lines (U,) across the needle at stations (S,), and what a rod would show.
 
     Parameters: coefficients of the axis across and along the normal, end, the bevel's roll, and the scan's.
     """
 
-    rod: Rod
-    knots: Floats
-    at: Floats  # (S, C) from coefficients to the axis at stations
-    to_columns: Floats  # (columns, C)
-    bent: Floats  # (J, C) from coefficients to shear forces, in deviations
-    start: Floats  # (C, 2)
-    end: float  # about where the needle ends, mm
-    shown: Floats  # (K, S, U); water 1
-    seen: Bools  # (K, S)
-    rim: Bools  # (U,); what shows the surroundings
-    cut: Floats  # (2,); smallest and largest that the scanner shows
-    spread: PointSpread  # what is known of it before
-    hub: Hub | None  # in the frame of the parameters
-    blunter: float  # by how much farther a bevel reaches that projects as the end does, mm
-
-    @cached_property
-    def means(self) -> Floats:
-        """Expected parameters of the scan (11,)."""
-        profile = np.log(self.spread.weigh_planes(SENSITIVITY_AT[1:] * self.rod.thick))
-        return np.concatenate([BEAM_MEANS, self.spread.parameters[:2], profile])
-
-    @cached_property
-    def sds(self) -> Floats:
-        """Their deviations (11,)."""
-        return np.concatenate([BEAM_SDS, self.spread.sds[:2], PROFILE_SDS])
+    def __init__(
+        self,
+        volume: Volume,
+        needle: ScannedNeedleRecord,
+        frame: Floats,
+        origin: Floats,
+        axis: tuple[Floats, Floats, Floats],
+        spread: PointSpread | None,
+        hub: Hub | None,
+    ) -> None:
+        """Sample slices around `axis` (x, y, z) and `hub`, both in `frame` (3, 3) from `origin`, mm."""
+        x, y, z = axis
+        thick, radius = volume.grid.slice_distance, needle.diameter_mm / 2
+        knots = make_knots(x[0], x[-1], KNOT_FACTOR * MM.KNOT)
+        self.basis = basis = BSpline(knots, np.eye(len(knots) - DEGREE - 1), DEGREE)
+        stations = np.arange(x[0], x[-1] + MM.BEYOND_TIP, LINE_STATION_MM)
+        self.at = _extend(basis, stations)  # (S, C) from coefficients to the axis at stations
+        # where the axis follows a staircase from slice to slice, or rays that pull it aside, polynomials do
+        # not
+        places, weights = np.column_stack([x, y, z]), np.ones(len(x))
+        if hub is not None:  # its shadow pulls the axis aside where it begins
+            places = np.vstack([places[x > x[0] + MM.HUB_SHADOW], hub.ends[1:]])
+            weights = np.append(np.ones(len(places) - 1), HUB_WEIGHT)
+        fit = np.polynomial.Polynomial.fit
+        course = [fit(places[:, 0], places[:, n], degree, w=weights)(x) for n, degree in ((1, 3), (2, 2))]
+        start = np.linalg.lstsq(_extend(basis, x), np.stack(course, axis=1))[0]
+        self.start: Floats = np.asarray(start, float)  # (C, 2)
+        line = np.arange(-MM.PATCH, MM.PATCH + 1e-6, LINE_STEP_MM)
+        height = self.at @ self.start[:, 1] / thick
+        last = volume.values.shape[0] - 1
+        slices = np.arange(max(0, int(height.min()) - 1), min(last, int(height.max()) + 2) + 1)
+        side = (self.at @ self.start[:, 0])[:, None] + line
+        flat = (origin + stations[:, None, None] * frame[0] + side[..., None] * frame[1]).reshape(-1, 3)
+        there = [to_index(volume, flat + k * thick * volume.grid.normal)[:, 1::-1].T for k in slices]
+        planes = [volume.values[k].astype(float) / 1000 for k in slices]  # water 1
+        pairs = zip(planes, there, strict=True)
+        shown = np.stack([map_coordinates(plane, index, order=1, cval=np.nan) for plane, index in pairs])
+        shown = shown.reshape(len(slices), *side.shape)
+        self.seen: Bools = np.isfinite(shown).all(axis=-1)  # (K, S)
+        self.seen &= np.abs(slices[:, None] - height) < REACH_SLICES + radius / thick
+        low, top = np.nanmin(shown), np.nanmax(shown) - 5e-4
+        # smallest and largest that the scanner shows
+        self.cut = low, top if np.count_nonzero(shown > top) > 3 else np.inf
+        self.shown: Floats = np.where(self.seen[..., None], shown, 0.0)  # (K, S, U)
+        self.rim = np.abs(line) > MM.RIM  # (U,); what shows the surroundings
+        self.level = self.shown[..., self.rim].mean(axis=-1, keepdims=True)  # (K, S, 1); their brightness
+        # deviations of what slices show before the model's error is known (K, S, U)
+        self.first_scale = np.hypot(FIRST_NOISE, FIRST_ERROR * (self.shown - self.level))
+        unique, stiffness = np.unique(knots), STEEL_MPA * np.pi * needle.diameter_mm**4 / 64
+        shear = basis.derivative(3)((unique[1:] + unique[:-1]) / 2)
+        bent = np.vstack([shear, basis.derivative(2)(unique[-1:]) / MM.END_MOMENT])
+        self.bent = bent * stiffness / SHEAR_SD_N  # (J, C) from coefficients to shear forces, in deviations
+        columns = np.arange(x[-1] + MM.BEYOND_TIP, x[-1] - needle.length_mm, -COLUMN_MM)
+        self.to_columns = _extend(basis, columns)  # (columns, C)
+        # a blunt end is a bevel of one piece of the rod, too, whose middle is where it ends
+        true = np.tan(np.radians(needle.bevel_deg))
+        steep = min(true, needle.diameter_mm / COLUMN_MM)
+        # about where the needle ends; a bevel that projects as the end does reaches farther, mm
+        self.end = x[-1] + radius / steep - radius / true
+        sway = np.abs(self.to_columns @ self.start[:, 0]) + SWAY_MM
+        self.rod = Rod(columns, radius, steep, thick, slices * thick, stations, side, sway)
+        self.hub = hub
+        if hub is not None:
+            (back, front) = hub.ends
+            across, along = (np.interp(columns, [back[0], front[0]], [back[n], front[n]]) for n in (1, 2))
+            behind = float(back[0]), hub.radius
+            self.held = self.rod.lengths(across, along, float(front[0]), 0.0, behind)
+        known = spread or expected_spread(thick)
+        profile = np.log(known.weigh_planes(SENSITIVITY_AT[1:] * thick))
+        # what is known of the parameters of the scan (11,), and its deviations
+        self.means = np.concatenate([BEAM_MEANS, known.parameters[:2], profile])
+        self.sds = np.concatenate([BEAM_SDS, known.sds[:2], PROFILE_SDS])
 
     def split(self, theta: Floats) -> list[Floats]:
         """Return the parameters of each kind."""
@@ -265,30 +226,17 @@ class _SliceProblem:
         known = [self.bent @ across, self.bent @ along, end / TIP_SDS, (scan - self.means) / self.sds]
         if self.hub is not None:
             place = self.hub.ends[1]
-            row = _extend(_basis(self.knots), place[:1])
+            row = _extend(self.basis, place[:1])
             sds = HUB_SDS * np.array([1.0, self.rod.thick])
             known += [(row @ across - place[1]) / sds[0], (row @ along - place[2]) / sds[1]]
         return np.concatenate(known)
 
     def project(self, theta: Floats) -> csr_array:
         """Return the metal on the rays."""
-        across, along, end, _ = self.split(theta)
-        tip = self.end + float(end[0]) + self.blunter
-        needle = self.rod.lengths(self.to_columns @ across, self.to_columns @ along, tip, float(end[1]))
+        across, along, (end, roll), _ = self.split(theta)
+        course = self.to_columns @ across, self.to_columns @ along
+        needle = self.rod.lengths(*course, self.end + float(end), float(roll))
         return needle if self.hub is None else needle + self.held
-
-    @cached_property
-    def held(self) -> csr_array:
-        """The metal of the hub on the rays."""
-        assert self.hub is not None
-        (back, front), columns = self.hub.ends, self.rod.columns
-        across, along = (np.interp(columns, [back[0], front[0]], [back[n], front[n]]) for n in (1, 2))
-        return self.rod.lengths(across, along, float(front[0]), 0.0, (float(back[0]), self.hub.radius))
-
-    @cached_property
-    def level(self) -> Floats:
-        """Brightness of the surroundings (K, S, 1)."""
-        return self.shown[..., self.rim].mean(axis=-1, keepdims=True)
 
     def image(self, metal: csr_array, theta: Floats, aside: float = 0.0) -> Floats:
         """Return what slices show (K, S, U) where `metal` is on the rays."""
@@ -404,11 +352,6 @@ class _SliceProblem:
                 moved[2 * len(self.start) : 2 * len(self.start) + 2] += [end, roll]
                 rolled.append(moved)
         return min(rolled, key=self.first_misfit)
-
-    @cached_property
-    def first_scale(self) -> Floats:
-        """Deviations of what slices show before the model's error is known (K, S, U)."""
-        return np.hypot(FIRST_NOISE, FIRST_ERROR * (self.shown - self.level))
 
     def scale(self, image: Floats) -> Floats:
         """Return the deviations of what slices show (K, S, U) that residuals of `image` show."""

@@ -110,12 +110,11 @@ class RodModel:
         in_slice, normal, spline = self._squares
         transform = lru_cache(maxsize=4)(self._transform)
         along, across = self._axes
-        shape = (len(along), len(across), len(across))
 
         @lru_cache(maxsize=8)
         def blur(roll: float, cotangent: float, spread: PointSpread) -> Singles:
             passed = spread.pass_in_slices(in_slice) * spread.pass_across(normal) * spline
-            return irfftn(transform(roll, cotangent) * passed, shape)
+            return irfftn(transform(roll, cotangent) * passed, (len(along), len(across), len(across)))
 
         return blur
 
@@ -135,9 +134,7 @@ SPREAD = slice(7, 10)
 # How far the fit reaches back from the bevel's heel, mm.
 REACH_BEFORE_MM = 3.0  # mm
 CORE_REACH_MM = 0.9  # radius from which on voxels count less, mm: streaks
-START_OFFSETS_MM = np.arange(
-    -0.8, 0.9, 0.4
-)  # around the first guess, at which the side of the bevel is tried
+START_OFFSETS_MM = np.arange(-0.8, 0.9, 0.4)  # around the first guess, at which the bevel's side is tried
 ROUGH_STEPS = 8  # of a first fit
 STEPS = 30  # of a last fit
 DERIVATIVE_STEP = np.array(1e-3)  # relative step of the derivatives
@@ -153,16 +150,7 @@ HELD = [U, V, HEIGHT, COT, *range(7, 10), STREAK]  # parameters of which somethi
 # Deviations of the stated angle from which on the image contradicts it: right ones at most 1.0, bevels of 20
 # and 60 degrees for 30 have 3.0.
 MAX_BEVEL_PULL_SD = 2.5
-
-
-@dataclass(frozen=True)
-class AxisVoxels:
-    """Voxels near the axis: position along, `s` (N,), across, `u`, `v` (N,), mm; their `values` (N,), HU."""
-
-    s: Floats
-    u: Floats
-    v: Floats
-    values: Floats
+MIN_BEVEL_PROBABILITY = 0.95  # probability from which on the side of the bevel is stated
 
 
 def side_probability(roll_sd: float) -> float:
@@ -186,21 +174,20 @@ class TipProblem:
         guess: float,
         spread: PointSpread | None,
     ) -> None:
-        heel = bevel_length(needle)
-        near = select_axis_voxels(volume, axis, guess - heel - REACH_BEFORE_MM, guess + MM.BEYOND_END)
-        every = int(np.ceil(len(near.s) / MAX_FITTED_VOXELS))
-        self.near = AxisVoxels(*(x[::every] for x in (near.s, near.u, near.v, near.values)))
-        self.volume, self.axis, self.guess, self.radius = volume, axis, guess, needle.diameter_mm / 2
-        self.rolled = needle.bevel_deg < MAX_BEVEL_DEG
+        heel, radius = bevel_length(needle), needle.diameter_mm / 2
+        places, values = list_axis_voxels(volume, axis, guess - heel - REACH_BEFORE_MM, guess + MM.BEYOND_END)
+        every = int(np.ceil(len(values) / MAX_FITTED_VOXELS))
+        self.places, self.values = places[:, ::every], values[::every]
+        self.volume, self.guess, self.rolled = volume, guess, needle.bevel_deg < MAX_BEVEL_DEG
         frame, normal = axis_frames(axis, np.array([guess])), volume.grid.normal
         # the tip may be found 4 mm from where it is looked for
         back, ahead = heel + REACH_BEFORE_MM + MM.BEYOND_END, 2 * MM.BEYOND_END
         slices = (float(frame.tangents[0] @ normal), float(frame.u[0] @ normal), float(frame.v[0] @ normal))
-        self.rod = RodModel(needle.diameter_mm / 2, back, ahead, MM.PATCH + 0.5, slices)
-        top = float(near.values.max())  # where several voxels share it the scanner's numbers end
-        self.ceiling = top if np.count_nonzero(near.values == top) > 3 else volume.resampled_top or np.inf
-        self.level = float(np.median(near.values[np.hypot(near.u, near.v) > 0.8 * MM.PATCH]))
-        self.swing = np.clip((self.near.s - axis.length) / max(guess - axis.length, 0.25), 0, None)
+        self.rod = RodModel(radius, back, ahead, MM.PATCH + 0.5, slices)
+        top = float(values.max())  # where several voxels share it the scanner's numbers end
+        self.ceiling = top if np.count_nonzero(values == top) > 3 else volume.resampled_top or np.inf
+        self.level = float(np.median(values[np.hypot(*places[1:]) > 0.8 * MM.PATCH]))
+        self.swing = np.clip((self.places[0] - axis.length) / max(guess - axis.length, 0.25), 0, None)
         swing_sd = float(np.hypot(MM.SWING_SD, axis_sd(axis, np.array([axis.length]))[0]))
         # the longer the rays within one slice that run along its end, where it lies flattest, the less of the
         # image is the bevel's
@@ -212,36 +199,35 @@ class TipProblem:
         known = spread or expected_spread(volume.grid.slice_distance)
         # means and deviations of the parameters `HELD`
         self.means = np.array([0.0, 0.0, np.log(HU.NEEDLE), cot, *known.parameters, 0.0])
-        sds = (swing_sd, swing_sd, HEIGHT_SD, cot_sd, *known.sds, HU.STREAK_SD)
-        self.sds = np.array(sds)
-        low, high = LOWER_BOUNDS.copy(), UPPER_BOUNDS.copy()
+        self.sds = np.array([swing_sd, swing_sd, HEIGHT_SD, cot_sd, *known.sds, HU.STREAK_SD])
         # beyond what is known before artefacts would be taken for the needle's image
-        low[HELD] = np.maximum(low[HELD], self.means - SD.DISAGREEMENT * self.sds)
-        high[HELD] = np.minimum(high[HELD], self.means + SD.DISAGREEMENT * self.sds)
-        self.bounds = low, high
-        core = np.sqrt(1 + (np.hypot(self.near.u, self.near.v) / CORE_REACH_MM) ** 4)
-        metal = np.clip(self.near.values - self.level, 0, None)
-        beyond, noise = near.values[near.s > guess + 0.5 * MM.BEYOND_END], 50.0
+        self.low, self.high = LOWER_BOUNDS.copy(), UPPER_BOUNDS.copy()
+        self.low[HELD] = np.maximum(self.low[HELD], self.means - SD.DISAGREEMENT * self.sds)
+        self.high[HELD] = np.minimum(self.high[HELD], self.means + SD.DISAGREEMENT * self.sds)
+        away = np.hypot(*self.places[1:])
+        self.inner = away < 2 * radius
+        beyond, noise = values[places[0] > guess + 0.5 * MM.BEYOND_END], 50.0
         if beyond.size >= 20:
             noise = max(10.0, 1.48 * float(np.median(np.abs(beyond - np.median(beyond)))))
-        self.sigma = core * np.hypot(noise, PART.SIGNAL_ERROR * metal)
+        error = PART.SIGNAL_ERROR * np.clip(self.values - self.level, 0, None)
+        self.sigma = np.sqrt(1 + (away / CORE_REACH_MM) ** 4) * np.hypot(noise, error)
 
-    def show(self, theta: Floats, s: Floats, u: Floats, v: Floats) -> Floats:
-        """Return what the scanner shows (N,), HU, at places from the tip."""
-        spread = read_spread(theta[SPREAD])
+    def show(self, theta: Floats) -> Floats:
+        """Return what the scanner shows in the voxels (N,), HU."""
+        s, u, v = self.places
+        s, u, v = s - theta[TIP], u - theta[U] * self.swing, v - theta[V] * self.swing
         streak = np.exp(-np.maximum(s, 0) / MM.STREAK_LENGTH - (u**2 + v**2) / (2 * MM.STREAK_RADIUS**2))
+        spread = read_spread(theta[SPREAD])
         image = self.rod.image(float(theta[ROLL]), float(theta[COT]), spread, np.stack([s, u, v]))
         shown = theta[LEVEL] + np.exp(theta[HEIGHT]) * image + theta[STREAK] * streak
         return np.clip(shown, HU.FLOOR, self.ceiling)
 
     def residuals(self, theta: Floats) -> Floats:
         """Return voxels and what is known, both in their deviations."""
-        near = self.near
-        u, v = near.u - theta[U] * self.swing, near.v - theta[V] * self.swing
-        left = (self.show(theta, near.s - theta[TIP], u, v) - near.values) / self.sigma
+        left = (self.show(theta) - self.values) / self.sigma
         return np.append(left, (theta[HELD] - self.means) / self.sds)
 
-    def search(self) -> OptimizeResult:
+    def search(self) -> Floats:
         """Return a few steps of the least squares from the best of several ends and sides of the bevel."""
         first = np.zeros(11)
         first[TIP], first[LEVEL] = self.guess, self.level
@@ -254,41 +240,24 @@ class TipProblem:
         starts = [
             first + shift * unit[TIP] + roll * unit[ROLL] for roll in rolls for shift in START_OFFSETS_MM
         ]
-        return self._minimize(min(starts, key=misfit), ROUGH_STEPS)
+        return np.asarray(self.minimize(min(starts, key=misfit), ROUGH_STEPS).x, float)
 
     def fit(self, start: Floats) -> OptimizeResult:
         """Return the least squares near `start` (11,), with the deviations that it leaves.
 
         Voxels in one blur count as one.
         """
-        left = 1.48 * float(np.median(np.abs(self.residuals(start)[: len(self.near.s)])))
+        left = 1.48 * float(np.median(np.abs(self.residuals(start)[: len(self.values)])))
         blurs = 8 * float(np.exp(2 * start[BLUR] + start[SLICE])) / float(np.prod(self.volume.spacing))
         self.sigma = self.sigma * max(1.0, left) * np.sqrt(max(1.0, blurs))
-        return self._minimize(start, STEPS)
+        return self.minimize(start, STEPS)
 
-    def free_bevel(self, best: OptimizeResult) -> tuple[OptimizeResult, float]:
-        """Return the fit, and, degrees, the angle of the bevel where the image contradicts the stated one.
-
-        There it is fitted freely, and the fit kept if the image is clearly nearer; else the angle is nan.
-        """
-        known = HELD.index(COT)
-        if abs(best.x[COT] - self.means[known]) <= MAX_BEVEL_PULL_SD * self.sds[known]:
-            return best, np.nan
-        stated, self.sds[known] = self.sds[known], np.inf
-        self.bounds[0][COT], self.bounds[1][COT] = LOWER_BOUNDS[COT], UPPER_BOUNDS[COT]
-        starts = (best.x, best.x + np.pi * np.eye(11)[ROLL])
-        free = min((self._minimize(start, STEPS) for start in starts), key=lambda fitted: fitted.cost)
-        if self.misfit(free.x) < PART.BEVEL_MISFIT * self.misfit(best.x):
-            contradicted = abs(free.x[COT] - self.means[known]) > MAX_BEVEL_PULL_SD * stated
-            return free, float(np.degrees(np.arctan2(1.0, free.x[COT]))) if contradicted else np.nan
-        self.sds[known] = stated
-        return best, np.nan
-
-    def _minimize(self, start: Floats, steps: int) -> OptimizeResult:
+    def minimize(self, start: Floats, steps: int) -> OptimizeResult:
+        """Return the least squares from `start` (11,) on."""
         return least_squares(
             self.residuals,
-            np.clip(start, self.bounds[0] + 1e-6, self.bounds[1] - 1e-6),
-            bounds=self.bounds,
+            np.clip(start, self.low + 1e-6, self.high - 1e-6),
+            bounds=(self.low, self.high),
             loss="soft_l1",
             f_scale=SD.DISAGREEMENT,
             x_scale=PARAMETER_SCALES,
@@ -301,15 +270,15 @@ class TipProblem:
 
     def misfit(self, theta: Floats) -> float:
         """Return how far the image around the end is from the model, in parts of its brightness."""
-        near = self.near
-        u, v = near.u - theta[U] * self.swing, near.v - theta[V] * self.swing
-        shown, inner = self.show(theta, near.s - theta[TIP], u, v), np.hypot(u, v) < 2 * self.radius
-        left, over = (shown - near.values)[inner], (shown - theta[LEVEL])[inner]
-        return float(np.linalg.norm(left) / np.linalg.norm(over))
+        shown = self.show(theta)[self.inner]
+        return float(np.linalg.norm(shown - self.values[self.inner]) / np.linalg.norm(shown - theta[LEVEL]))
 
 
-def select_axis_voxels(volume: Volume, axis: AxisSpline, start: float, stop: float) -> AxisVoxels:
-    """Return the voxels within `MM.PATCH` of the axis between `start` and `stop` (mm along it)."""
+def list_axis_voxels(volume: Volume, axis: AxisSpline, start: float, stop: float) -> tuple[Floats, Floats]:
+    """Return the voxels within `MM.PATCH` of the axis between `start` and `stop` (mm along it).
+
+    Their places (3, N), along and across, u and v, mm, and their values (N,), HU.
+    """
     fine = np.arange(start - 1, stop + 1, 0.1)
     where = axis_frames(axis, fine)
     ijk, values = list_voxels_near(volume, where.origins, MM.PATCH)
@@ -317,15 +286,12 @@ def select_axis_voxels(volume: Volume, axis: AxisSpline, start: float, stop: flo
     distance, nearest = cKDTree(where.origins).query(points, distance_upper_bound=MM.PATCH + 0.1)
     close = np.isfinite(distance)
     at = np.asarray(nearest)[close]
-    d = points[close] - where.origins[at]
-    along = np.einsum("ni,ni->n", d, where.tangents[at])
-    s = fine[at] + along
-    u, v = np.einsum("ni,ni->n", d, where.u[at]), np.einsum("ni,ni->n", d, where.v[at])
-    inside = (s >= start) & (s <= stop) & (np.abs(along) < 0.2)
-    return AxisVoxels(s[inside], u[inside], v[inside], values[close][inside])
-
-
-MIN_BEVEL_PROBABILITY = 0.95  # probability from which on the side of the bevel is stated
+    ways = np.stack([where.tangents[at], where.u[at], where.v[at]])
+    places = np.einsum("dni,ni->dn", ways, points[close] - where.origins[at])
+    near = np.abs(places[0]) < 0.2
+    places[0] += fine[at]
+    near &= (places[0] >= start) & (places[0] <= stop)
+    return places[:, near], values[close][near]
 
 
 @dataclass(frozen=True)
@@ -347,7 +313,7 @@ def search_tip(
     volume: Volume, axis: AxisSpline, needle: ScannedNeedleRecord, guess: float, spread: PointSpread | None
 ) -> Floats:
     """Return about where the tip lies, and how the scan shows it: parameters (11,) to begin a fit with."""
-    return np.asarray(TipProblem(volume, axis, needle, guess, spread).search().x, float)
+    return TipProblem(volume, axis, needle, guess, spread).search()
 
 
 def fit_tip(
@@ -357,25 +323,36 @@ def fit_tip(
 
     The tip is where the axis ends that reaches as far as the bevel's point does. The rod is moved along the
     axis, rolled about it, and swung across it from the last cross-section on; the bevel's angle is the
-    recipe's within its deviation.
+    recipe's within its deviation, unless the image contradicts it.
 
     `spread` is the scanner's, as balls in the same volume show it.
     """
     problem = TipProblem(volume, axis, needle, float(start[TIP]), spread)
-    best, bevel_deg = problem.free_bevel(problem.fit(start))
+    best, bevel_deg = problem.fit(start), np.nan
+    known = HELD.index(COT)
+    if abs(best.x[COT] - problem.means[known]) > MAX_BEVEL_PULL_SD * problem.sds[known]:
+        # what is stated of the bevel may be wrong: the image alone shows it, if it is then clearly nearer
+        problem.sds[known], problem.low[COT], problem.high[COT] = np.inf, LOWER_BOUNDS[COT], UPPER_BOUNDS[COT]
+        free = problem.minimize(best.x, STEPS)
+        if problem.misfit(free.x) < PART.BEVEL_MISFIT * problem.misfit(best.x):
+            best, bevel_deg = free, float(np.degrees(np.arctan2(1.0, free.x[COT])))
     normal = best.jac.T @ best.jac
     variance = np.diag(np.linalg.inv(normal + 1e-9 * np.diag(np.maximum(np.diag(normal), 1e-9))))
-    at = float(best.x[TIP])
+    at, roll = float(best.x[TIP]), best.x[ROLL]
     there = axis_frames(axis, np.array([at]))
     spacing = float(np.linalg.norm(volume.direction.T @ there.tangents[0] * volume.spacing))
-    along = float(np.linalg.norm([np.sqrt(variance[TIP]), MM.TIP_SD, PART.TIP_SD * spacing]))
     heel = float(axis_sd(axis, np.array([axis.length]))[0])  # from where the rod swings
-    across = float(np.linalg.norm([np.sqrt(variance[[U, V]].mean()), heel, MM.TIP_ACROSS_SD]))
-    u, v, roll = there.u[0], there.v[0], best.x[ROLL]
+    across = np.linalg.norm([np.sqrt(variance[[U, V]].mean()), heel, MM.TIP_ACROSS_SD])
+    along = np.linalg.norm([np.sqrt(variance[TIP]), MM.TIP_SD, PART.TIP_SD * spacing])
     roll_sd = float(np.hypot(ROLL_FACTOR * np.sqrt(variance[ROLL]), ROLL_SD))
     probability = side_probability(roll_sd) if problem.rolled else np.nan
     sided = probability >= MIN_BEVEL_PROBABILITY
-    bevel = np.cos(roll) * u + np.sin(roll) * v if sided else np.full(3, np.nan)
-    point = there.origins[0] + best.x[U] * u + best.x[V] * v
-    sd = np.array([along, across])
-    return TipFit(at, point, sd, bevel, float(probability), problem.misfit(best.x), bevel_deg)
+    return TipFit(
+        at=at,
+        point=there.origins[0] + best.x[U] * there.u[0] + best.x[V] * there.v[0],
+        sd=np.array([along, across]),
+        bevel=np.cos(roll) * there.u[0] + np.sin(roll) * there.v[0] if sided else np.full(3, np.nan),
+        bevel_probability=float(probability),
+        misfit=problem.misfit(best.x),
+        bevel_deg=bevel_deg,
+    )
