@@ -15,7 +15,7 @@ import pytest
 from made_again import read_files
 from test_cli import run
 
-from needlefit.errors import ConfigError
+from needlefit.errors import ConfigError, UnfinishedWorkError
 from needlefit.project import cluster, tasks
 from needlefit.project.cluster import connect_cluster, require_secured
 from needlefit.project.locate import shipped_folder
@@ -106,8 +106,10 @@ def test_a_stop_and_an_error_end_the_processes(processes):
     assert list(pool.run(wait_for_stop, [60.0, 60.0], lambda: time.monotonic() > begun + 0.5)) == []
     with pytest.raises(ConfigError, match="of task 1"):
         list(pool.run(fail, [1, 1]))
-    with pytest.raises(ConfigError, match="ended from outside"):
+    with pytest.raises(UnfinishedWorkError):  # what other processes have kept stays
         list(pool.run(os._exit, [1, 1]))
+    asked = iter([False])  # after the first question a signal came, to all of them
+    assert list(pool.run(os._exit, [1, 1], lambda: next(asked, True))) == []
     assert run_in_order(square, [1.0, 2.0, 3.0], pool) == [1.0, 4.0, 9.0]
     assert time.monotonic() < begun + 60
 

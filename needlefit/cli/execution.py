@@ -341,7 +341,11 @@ def show_next_steps(dataset: "Dataset", folder: Path, scene: str) -> None:
     predict = shlex.join(("needlefit", "predict", run, "--scene", f"{path}/{scene}"))
     if not is_study:
         count = len(dataset.insertions)
-        held_out = "one needle" if count == 1 else "one run into each specimen"
+        held_out = (
+            "one needle"
+            if count == 1
+            else "one run into each specimen, and runs are predicted from others into the same"
+        )
         screen.print_note(f"{held_out}: nothing is held out, no verdict is possible")
     screen.print_note(f"stiffness and bevel: {shlex.join(('needlefit', 'tune', run))}")
     if is_study:

@@ -26,7 +26,7 @@ from multiprocessing.synchronize import Event
 from queue import Empty, SimpleQueue
 from typing import Any, Protocol, TypeVar
 
-from needlefit.errors import ConfigError
+from needlefit.errors import UnfinishedWorkError
 from needlefit.project.processes import count_cores, end_with, limit_to_one_thread
 from needlefit.project.progress import Stop, never_stop
 
@@ -55,8 +55,8 @@ class TaskPool(Protocol):
 
         `work` is a function of a module: it, the items and what it returns travel between processes. Where it
         raises, nothing more is begun. Once `stop` is true, no further item is begun; a task that asks
-        `stop_requested` ends early and has no result. ConfigError if the system ended a process, as it does
-        when memory runs out.
+        `stop_requested` ends early and has no result. UnfinishedWorkError if the system ended a process, as
+        it does when memory runs out.
         """
         ...
 
@@ -96,7 +96,9 @@ class LocalPool:
                     if whole:
                         yield n, result
             except BrokenProcessPool:
-                raise ConfigError(
+                if ask_to_stop():  # a signal to all of them, as of `timeout` or a batch system
+                    return
+                raise UnfinishedWorkError(
                     "one of the processes was ended from outside, or could not begin",
                     expected="processes that nobody ends, and memory for as many as --jobs states",
                     fix="run it again, with fewer --jobs if memory was short",

@@ -85,7 +85,7 @@ _OF_DATASETS = (
 #: kinds of warnings that are no doubt: a text that reports print, and the choice of a point of a distribution
 _NO_DOUBTS = ("placeholder", "predictive_median")
 #: kinds of warnings that explain others, the most urgent first; and those that explain least
-_FIRST_DOUBTS, _LAST_DOUBTS = (*CONTRADICTIONS, "needle_outlier"), ("assumed",)
+_FIRST_DOUBTS, ASSUMED = (*CONTRADICTIONS, "needle_outlier"), "assumed"
 
 
 def list_doubts(warnings: Iterable[ResultWarning]) -> list[ResultWarning]:
@@ -97,7 +97,7 @@ def list_doubts(warnings: Iterable[ResultWarning]) -> list[ResultWarning]:
     for warning in warnings:
         first.setdefault(warning.kind, warning)
     doubts = [warning for kind, warning in first.items() if kind not in _NO_DOUBTS]
-    return sorted(doubts, key=lambda doubt: (doubt.kind in _LAST_DOUBTS, doubt.kind not in _FIRST_DOUBTS))
+    return sorted(doubts, key=lambda doubt: (doubt.kind == ASSUMED, doubt.kind not in _FIRST_DOUBTS))
 
 
 def list_contradictions(warnings: Iterable[ResultWarning], left_out: Collection[str] = ()) -> list[str]:

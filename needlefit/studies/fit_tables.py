@@ -382,6 +382,7 @@ def list_wide(run: Run) -> list[str]:
 
 
 MIN_GAIN = 2.0  #: how many times smaller a factor must be by a stated direction to be named
+MAX_GAINED_FACTOR = 100.0  #: greatest factor (by stated directions) that is named: a greater one is of no use
 
 
 def list_gains_of_direction(run: Run) -> list[tuple[str, str, str]]:
@@ -392,7 +393,7 @@ def list_gains_of_direction(run: Run) -> list[tuple[str, str, str]]:
     fitted, gains = list_fitted(run.frames["parameters"]), list[tuple[str, str, str]]()
     for name, factor in run.knows(FitMetadata).with_direction.items():
         now = _find_factor(fitted[name])
-        if now > MIN_GAIN * factor:
+        if now > MIN_GAIN * factor and factor <= MAX_GAINED_FACTOR:
             before, after = (
                 format_plain(round_significant(factor_of_interval, END_DIGITS))
                 for factor_of_interval in (now, factor)

@@ -27,7 +27,7 @@ from needlefit.inference.baselines import BASELINES
 from needlefit.metrics import METRICS
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.run_metadata import FitMetadata
-from needlefit.studies.advice import list_contradictions, list_doubts
+from needlefit.studies.advice import ASSUMED, list_contradictions, list_doubts
 from needlefit.studies.answer import Check, Finding, Status, is_printed_as_one
 from needlefit.studies.coverage import (
     MAX_AIMING_WIDTH_MM,
@@ -453,9 +453,10 @@ def _count_beyond(predictive: pd.DataFrame) -> int:
 
 
 def check_data(run: Run) -> Finding:
-    """Return whether any warning casts doubt on the data or on a parameter."""
+    """Return whether no warning casts doubt on data or result; None if the only one is of assumed values."""
     named = [doubt.kind for doubt in list_doubts(run.warnings)]
-    return Finding(Check.DATA, not named, len(named), 0, ", ".join(named))
+    passed = None if set(named) == {ASSUMED} else not named
+    return Finding(Check.DATA, passed, len(named), 0, ", ".join(named))
 
 
 def limit_status(run: Run, status: Status) -> Status:
