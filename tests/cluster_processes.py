@@ -6,13 +6,12 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 
 @contextmanager
-def start_process(*words: str) -> "Iterator[subprocess.Popen[bytes]]":
+def start_process(*words):
     """Start a module as a program; end it, with what it started, after the block."""
     paths = [str(Path(__file__).parent.parent), os.environ.get("PYTHONPATH", "")]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
@@ -29,7 +28,7 @@ def start_process(*words: str) -> "Iterator[subprocess.Popen[bytes]]":
 
 
 @contextmanager
-def start_scheduler(folder: Path) -> "Iterator[tuple[str, subprocess.Popen[bytes]]]":
+def start_scheduler(folder):
     """Start a scheduler; its address and its process."""
     file = folder / "scheduler.json"
     words = ("--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(file))
@@ -42,14 +41,14 @@ def start_scheduler(folder: Path) -> "Iterator[tuple[str, subprocess.Popen[bytes
         yield address, one
 
 
-def _read_address(file: Path) -> str:
+def _read_address(file):
     try:
         return str(json.loads(file.read_text(encoding="utf-8"))["address"])
     except (OSError, ValueError):  # not written yet, or not to its end
         return ""
 
 
-def start_worker(address: str) -> "AbstractContextManager[subprocess.Popen[bytes]]":
+def start_worker(address):
     """Start a worker of one thread, with the process that starts it again when it is killed."""
     words = (address, "--nthreads", "1", "--no-dashboard", "--nanny", "--memory-limit", "0")
     return start_process("distributed.cli.dask_worker", *words)

@@ -9,20 +9,20 @@ from needlefit.errors import ConfigError
 from needlefit.project.tasks import stop_requested
 
 
-def square(number: float, offset: float = 0.0) -> float:
+def square(number, offset=0.0):
     return number**2 + offset
 
 
-def fail(number: int) -> None:
+def fail(number):
     raise ConfigError(f"of task {number}", where="here")
 
 
-def nap(seconds: float) -> float:
+def nap(seconds):
     time.sleep(seconds)
     return seconds
 
 
-def kill_once(number: int, folder: str) -> int:
+def kill_once(number, folder):
     """Return the number; the first task of all kills its worker."""
     try:
         (Path(folder) / "killed").touch(exist_ok=False)
@@ -32,7 +32,7 @@ def kill_once(number: int, folder: str) -> int:
     raise AssertionError
 
 
-def calculate(seconds: float) -> float:
+def calculate(seconds):
     """Use the processor for so long, by its own clock; return the time."""
     end = time.process_time() + seconds
     while time.process_time() < end:
@@ -40,7 +40,7 @@ def calculate(seconds: float) -> float:
     return seconds
 
 
-def wait_for_stop(seconds: float) -> None:
+def wait_for_stop(seconds):
     end = time.monotonic() + seconds
     while time.monotonic() < end and not stop_requested():
         time.sleep(0.01)

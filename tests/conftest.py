@@ -26,7 +26,7 @@ from hypothesis import settings  # noqa: E402
 
 pytest.register_assert_rewrite("made_again")
 
-from world import World, open_world  # noqa: E402
+from world import open_world  # noqa: E402
 
 TWIN = Path(__file__).parents[1] / "data" / "twin"
 
@@ -40,7 +40,7 @@ LOCALE = locale.setlocale(locale.LC_CTYPE)
 
 
 @pytest.fixture(autouse=True)
-def keep_locale() -> None:
+def keep_locale():
     """Begin with the locale of the process: what a test loads may have set another one."""
     locale.setlocale(locale.LC_CTYPE, LOCALE)
 
@@ -49,13 +49,13 @@ SWEEP_PARTS = 16
 """A session without `-m` runs one part of the tests that are marked `sweep`; `-m sweep` runs them all."""
 
 
-def pytest_addoption(parser: pytest.Parser) -> None:
+def pytest_addoption(parser):
     about = f"the part of the sweeps to run, from 0 to {SWEEP_PARTS - 1} (default: by the commit)"
     parser.addoption("--sweep-part", type=int, help=about)
 
 
 @cache
-def find_sweep_part() -> int:
+def find_sweep_part():
     """Return the part that the hash of the commit chooses; 0 where there is none."""
     try:
         words = ("git", "-C", str(Path(__file__).parent), "rev-parse", "HEAD")
@@ -65,11 +65,11 @@ def find_sweep_part() -> int:
     return int(commit, 16) % SWEEP_PARTS
 
 
-def _is_asked_for(config: pytest.Config, mark: str) -> bool:
+def _is_asked_for(config, mark):
     return mark in config.option.markexpr or any("::" in one for one in config.args)
 
 
-def _choose_sweep_part(config: pytest.Config) -> int | None:
+def _choose_sweep_part(config):
     """Return the part of the sweeps that is run; None for all of them."""
     if _is_asked_for(config, "sweep"):
         return None
@@ -77,7 +77,7 @@ def _choose_sweep_part(config: pytest.Config) -> int | None:
     return find_sweep_part() if given is None else given % SWEEP_PARTS
 
 
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(config, items):
     """Keep every sixteenth of the tests in sweeps, so each long one has its share, and none on demand."""
     if not _is_asked_for(config, "on_demand"):
         on_demand = [one for one in items if one.get_closest_marker("on_demand")]
@@ -91,21 +91,21 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         items[:] = [one for one in items if one not in left_out]
 
 
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+def pytest_terminal_summary(terminalreporter, config):
     part = _choose_sweep_part(config)
     if part is not None:
         how = f"--sweep-part {part} repeats this one, -m sweep runs all"
         terminalreporter.write_line(f"sweeps: part {part} of {SWEEP_PARTS} ({how})")
 
 
-def pytest_collection_finish() -> None:
+def pytest_collection_finish():
     """Keep modules and tests, which stay to the end, out of every later search for garbage."""
     gc.collect()
     gc.freeze()
     gc.set_threshold(10_000, 20, 20)
 
 
-def _require_registered_columns() -> None:
+def _require_registered_columns():
     """Let every table that a test writes fail that has a column which stands in no registry."""
     from needlefit.reporting import table_files
     from needlefit.reporting.columns import find_column
@@ -124,7 +124,7 @@ def _require_registered_columns() -> None:
 _require_registered_columns()
 
 
-def _read_twin_once() -> None:
+def _read_twin_once():
     """Read the shipped dataset once a process: a hundred runs begin with it, and no test changes it."""
     from needlefit.datasets import read as reading
     from needlefit.datasets.sources import find_dataset_file
@@ -146,20 +146,20 @@ _read_twin_once()
 
 
 @pytest.fixture(scope="session")
-def world(tmp_path_factory: pytest.TempPathFactory) -> World:
+def world(tmp_path_factory):
     """The tiny world: a project, and one finished run of every kind of study."""
     return open_world(tmp_path_factory)
 
 
 @pytest.fixture
-def few_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+def few_draws(monkeypatch):
     from light_runs import predict_by_few_draws
 
     predict_by_few_draws(monkeypatch)
 
 
 @pytest.fixture
-def blank_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+def blank_figures(monkeypatch):
     from light_runs import draw_blank
 
     draw_blank(monkeypatch)

@@ -4,28 +4,25 @@ from ctypes import byref, c_int64, c_void_p
 
 import numpy as np
 
-from needlefit.arrays import Floats
 from needlefit.mechanics import native
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
-from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.packing import count_planes
 from needlefit.mechanics.plan import check_reach
 from needlefit.mechanics.shape import NeedleShape, compute_scales
 from needlefit.mechanics.simulate import STATUS_NAMES, pack_equilibrium, require_depth
-from needlefit.mechanics.tissue import Tissue
 
 
-def _at(array: np.ndarray) -> c_void_p:
+def _at(array):
     return c_void_p(array.ctypes.data)
 
 
 def equilibrium(
-    needle: Needle,
-    tissue: Tissue,
-    constraints: Floats,
-    controls: Controls = Controls(),
-    rules: ModelOptions = ModelOptions(),
-) -> NeedleShape:
+    needle,
+    tissue,
+    constraints,
+    controls=Controls(),
+    rules=ModelOptions(),
+):
     """Return the needle's equilibrium against given constraint points, without an insertion before it.
 
     `constraints` (M + 1, 3) are depth (from 0, increasing, the last under the tip), y and z of the points,
@@ -48,12 +45,12 @@ def equilibrium(
 
 
 def find_equilibrium(
-    problem: native.KernelProblem,
-    depths: Floats,
-    y: Floats,
-    state: Floats | None = None,
-    target: Floats | None = None,
-) -> tuple[Floats, Floats, int, int]:
+    problem,
+    depths,
+    y,
+    state=None,
+    target=None,
+):
     """Solve for one equilibrium; return x (N,), deflections and slopes (N, 2 P), status and passes.
 
     `depths` (M + 1,) and `y` (M + 1, P) are the constraint points, mm, or `target` (Q, P) the cut at each

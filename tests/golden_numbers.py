@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import is_dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
@@ -19,7 +18,7 @@ MAX_NUMBERS = 24
 """Of a longer array every so many-th number, and its mean and deviation, are kept."""
 
 
-def flatten(value: Any, name: str = "") -> dict[str, list[float]]:
+def flatten(value, name=""):
     """Return the numbers of nested records, mappings, sequences and arrays by their path, without texts."""
     value = vars(value) if is_dataclass(value) else value
     if isinstance(value, Mapping):
@@ -35,14 +34,12 @@ def flatten(value: Any, name: str = "") -> dict[str, list[float]]:
     return {name: [*summary, *numbers[::step].tolist()]}
 
 
-def is_nested(value: Any) -> bool:
+def is_nested(value):
     """Return whether a value holds others, or nothing."""
     return is_dataclass(value) or isinstance(value, Mapping | Sequence | np.ndarray | None)
 
 
-def assert_golden(
-    name: str, value: Any, rtol: float = 1e-5, wide: Mapping[str, float] = MappingProxyType({})
-) -> None:
+def assert_golden(name, value, rtol=1e-5, wide=MappingProxyType({})):
     """Compare the numbers of a result with those in `tests/golden/NAME.json`.
 
     `wide`: absolute tolerances of numbers that differ between processors, by the end of their path.

@@ -1,15 +1,14 @@
 """Insertions for the tests of inference: simulated with the model itself, so their truth is known."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Self
 
 import numpy as np
 import pytest
 from problem_cases import make_problem as build_problem
 
-from needlefit import Needle, Problem
+from needlefit import Needle
 from needlefit.datasets.insertion import Dataset, Insertion, Noise
 from needlefit.geometry.frames import Frame
 from needlefit.inference.forward_model import predict
@@ -19,8 +18,7 @@ from needlefit.inference.parameter_names import is_shape_parameter
 from needlefit.inference.parameters import Parameters, without_bevel_spread
 from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.schemas.medium import MediumRecord
-from needlefit.schemas.recipe import LikelihoodRecord, RecipeRecord, WeightsRecord
-from needlefit.studies.job import Job
+from needlefit.schemas.recipe import RecipeRecord, WeightsRecord
 
 NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
 NOISE = Noise(registration_mean=0.19, point_sd=0.05, correlated_sd=0.1, correlation_length=5.0)
@@ -28,7 +26,7 @@ TRUTH = {"mu1_pa": 3e5, "alpha1": 1.0, "mu2_pa": 2e7, "alpha2": -1.0, "bevel_mm"
 MU, BEVEL = [1e3, 1e9], [1e-3, 0.5]
 
 
-def medium(layers: int = 2, **changed: dict[str, object]) -> MediumRecord:
+def medium(layers=2, **changed):
     """Two layers, mu and b free, alpha fixed at the truth; `changed` replaces single parameters."""
     free = {f"mu{k}_pa": {"bounds": MU} for k in range(1, layers + 1)}
     fixed = {f"alpha{k}": {"fixed": TRUTH.get(f"alpha{k}", 1.0)} for k in range(1, layers + 1)}
@@ -37,12 +35,12 @@ def medium(layers: int = 2, **changed: dict[str, object]) -> MediumRecord:
 
 
 def insertion(
-    depth: float,
-    boundaries: Sequence[float] = (),
-    sequence: Sequence[int] = (1,),
-    side: int = 1,
-    angle_sd: float = 0.004,
-) -> Insertion:
+    depth,
+    boundaries=(),
+    sequence=(1,),
+    side=1,
+    angle_sd=0.004,
+):
     """Conditions of an insertion not yet measured."""
     return Insertion(
         id=f"at{depth:g}", medium="test", specimen=f"at{depth:g}", needle=NEEDLE, layers=len(sequence),
@@ -54,30 +52,30 @@ def insertion(
 
 
 def measure(
-    values: dict[str, float],
-    record: MediumRecord,
-    planned: Insertion,
-    points: int = 101,
-    error: Callable[[np.ndarray], np.ndarray] | None = None,
-) -> Insertion:
+    values,
+    record,
+    planned,
+    points=101,
+    error=None,
+):
     """The insertion with the model's own shape as its measured centreline."""
     planar = sample_inserted_points(predict(values, record, planned), points)[:, :2]
     return planned.with_points(planar if error is None else error(planar))
 
 
-def from_first_point(one: Insertion) -> Insertion:
+def from_first_point(one):
     """The insertion as it is known where its entry is its first point, which has moved with the needle."""
     moved = one.with_points(one.points - [0.0, *one.points[0, 1:]])
     return replace(moved, pose_source="first_point")
 
 
-def dataset(insertions: Sequence[Insertion], noise: Noise = NOISE, pose: str = "known", drop: float = 0.0):
+def dataset(insertions, noise=NOISE, pose="known", drop=0.0):
     return Dataset(
         "cases", "cases", "synthetic", tuple(insertions), ("test",), noise, pose, drop, Path(), "0"
     )  # fmt: skip
 
 
-def two_layers(record: MediumRecord | None = None, count: int = 3, **options: object) -> Problem:
+def two_layers(record=None, count=3, **options):
     """A problem whose objective is 0 at TRUTH, but for rounding."""
     record = medium() if record is None else record
     made = [
@@ -87,20 +85,18 @@ def two_layers(record: MediumRecord | None = None, count: int = 3, **options: ob
     return problem(record, made)
 
 
-def problem(
-    record: MediumRecord, made: Sequence[Insertion], how: LikelihoodRecord | None = None, **options: object
-) -> Problem:
+def problem(record, made, how=None, **options):
     how = PLAIN_LIKELIHOOD if how is None else how
     return build_problem(dataset(made, **options), made, record, WeightsRecord(), how)
 
 
-def recipe(**changed: object) -> RecipeRecord:
+def recipe(**changed):
     return RecipeRecord.model_validate(
         {"schema": 1, "minimize": "metric", "starts": 4, "evaluations": 200} | changed
     )
 
 
-def squares_recipe(**changed: object) -> RecipeRecord:
+def squares_recipe(**changed):
     """The same budget, spent on the posterior."""
     return recipe(**{"minimize": "posterior", **changed})
 
@@ -123,7 +119,7 @@ def difference_jacobian(residuals, theta, steps):
     return np.stack(columns, axis=1) if columns else np.empty((len(centre), 0))
 
 
-def assert_one_density(p: Problem, theta: np.ndarray, rtol: float = 1e-5, shape_step: float = 3.0) -> None:
+def assert_one_density(p, theta, rtol=1e-5, shape_step=3.0):
     """Values, residuals and their Jacobian are of one density, and exact.
 
     Differences are of fourth order; of shape parameters, on which needles hardly depend, over `shape_step`.
@@ -153,7 +149,7 @@ class NothingHeld:
     parameters = Parameters((), {}, {}, {})
 
     @property
-    def searched(self) -> Self:
+    def searched(self):
         return self
 
 
@@ -166,22 +162,22 @@ class Analytic(NothingHeld):
     upper: np.ndarray
 
     @property
-    def names(self) -> tuple[str, ...]:
+    def names(self):
         return tuple(f"x{k}" for k in range(len(self.lower)))
 
-    def objective(self, theta: np.ndarray) -> float:
+    def objective(self, theta):
         return self.function(theta)
 
-    def objective_gradient(self, theta: np.ndarray) -> tuple[float, np.ndarray]:
+    def objective_gradient(self, theta):
         moves = 1e-6 * np.eye(len(theta))
         slopes = [(self.function(theta + m) - self.function(theta - m)) / 2e-6 for m in moves]
         return self.function(theta), np.array(slopes)
 
-    def distances(self, theta: np.ndarray) -> WeightedDistances:
+    def distances(self, theta):
         value, slope = self.objective_gradient(theta)
         return WeightedDistances(np.ones(1), np.array([[value, 0.0]]), np.array([[slope, 0.0 * slope]]))
 
-    def values(self, theta: np.ndarray) -> dict[str, float]:
+    def values(self, theta):
         return {name: float(x) for name, x in zip(self.names, theta, strict=True)}
 
 
@@ -195,28 +191,28 @@ class Squares(NothingHeld):
     constant: float = 7.0
     plain: "Squares | None" = None
 
-    def compute_misfits(self, theta: np.ndarray) -> np.ndarray:
+    def compute_misfits(self, theta):
         return self.residuals(theta)
 
-    def residuals(self, theta: np.ndarray) -> np.ndarray:
+    def residuals(self, theta):
         return self.slopes(theta)[0]
 
-    def jacobian(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def jacobian(self, theta):
         return self.slopes(theta)
 
-    def log_posterior(self, theta: np.ndarray) -> float:
+    def log_posterior(self, theta):
         inside = np.all((theta >= self.lower) & (theta <= self.upper))
         return self.constant - 0.5 * float(np.sum(self.residuals(theta) ** 2)) if inside else -np.inf
 
-    def values(self, theta: np.ndarray) -> dict[str, float]:
+    def values(self, theta):
         return {f"x{k}": float(x) for k, x in enumerate(theta)}
 
 
-def box(function: Callable[[np.ndarray], float], dimensions: int = 2, half: float = 2.0) -> Analytic:
+def box(function, dimensions=2, half=2.0):
     return Analytic(function, np.full(dimensions, -half), np.full(dimensions, half))
 
 
-def with_one_bevel(job: Job) -> Job:
+def with_one_bevel(job):
     """Return the job with a bevel offset that is the same in all insertions."""
     likelihood = job.recipe.likelihood.model_copy(update={"bevel_spread": 0.0})
     recipe = job.recipe.model_copy(update={"likelihood": likelihood})

@@ -2,7 +2,6 @@
 
 from functools import partial
 
-import pytest
 from matplotlib.figure import Figure
 
 from needlefit.inference import curve_bands
@@ -13,18 +12,18 @@ from needlefit.studies import fold_draws
 DRAWS, CURVES = 50, 100
 
 
-def predict_by_few_draws(patch: pytest.MonkeyPatch) -> None:
+def predict_by_few_draws(patch):
     patch.setattr(fold_draws, "PREDICTION_DRAWS", DRAWS)
     patch.setattr(curve_bands, "DRAWN_CURVES", CURVES)
 
 
-def do_not_escalate(patch: pytest.MonkeyPatch) -> None:
+def do_not_escalate(patch):
     """Leave draws that are not certified as they are: no more of them, and no sampler."""
     patch.setattr(fold_draws, "sample_about_fit", partial(sample_about_fit, efforts=(EFFORT,)))
     patch.setattr(fold_draws, "sample_posterior", lambda *_: None)
 
 
-def draw_blank(patch: pytest.MonkeyPatch) -> None:
+def draw_blank(patch):
     """Let every figure be saved empty; the table lies beside it as always.
 
     Saving is what takes the time. `style.draw` is left as it is: a module that is first loaded while it is

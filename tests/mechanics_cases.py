@@ -2,27 +2,14 @@
 
 import math
 from dataclasses import fields, replace
-from typing import Any
 
 import numpy as np
 import pytest
 import reference_solver
 from numpy.testing import assert_allclose
 
-from needlefit import (
-    Batch,
-    Bevel,
-    Controls,
-    Guide,
-    Jacobian,
-    ModelOptions,
-    Needle,
-    NeedleShape,
-    Step,
-    Tissue,
-    TrackedTip,
-)
-from needlefit.mechanics.laws import LAWS, TissueLaw
+from needlefit import Batch, Bevel, Controls, Guide, ModelOptions, Needle, Step, Tissue, TrackedTip
+from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.plan import Lattice
 
 Random = np.random.Generator
@@ -32,18 +19,18 @@ NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
 RULES = ("decided", "variant", "path_angle")
 
 
-def list_seeds(count: int, each: int = 4) -> list[Any]:
+def list_seeds(count, each=4):
     """Return seeds of random cases: some for each session, the others as a sweep."""
     return [*range(each), *(pytest.param(seed, marks=pytest.mark.sweep) for seed in range(each, count))]
 
 
-def assert_same_bits(found: Any, expected: Any, but: tuple[str, ...] = ()) -> None:
+def assert_same_bits(found, expected, but=()):
     """Compare two shapes, Jacobians, or batches of them, `but` some fields."""
     for name in {field.name for field in fields(found)} - set(but):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), err_msg=name)
 
 
-def pick(batch: Batch, i: int) -> tuple[Needle, Tissue, tuple[Step, ...], ModelOptions]:
+def pick(batch, i):
     """Return set i of a batch as the arguments of `simulate_steps`."""
     needle, steps = batch.vary_inputs(i)
     if batch.roll is not None:
@@ -58,7 +45,7 @@ def pick(batch: Batch, i: int) -> tuple[Needle, Tissue, tuple[Step, ...], ModelO
     return needle, replace(tissue, mu=mu, shape=shape), steps, batch.rules
 
 
-def assert_close(found: NeedleShape, expected: NeedleShape, atol: float = 1e-7) -> None:
+def assert_close(found, expected, atol=1e-7):
     assert found.converged and expected.converged
     assert_allclose(found.x, expected.x, atol=1e-9)
     for name in ("u", "slope", "w", "slope_z", "constraints"):
@@ -69,14 +56,14 @@ def assert_close(found: NeedleShape, expected: NeedleShape, atol: float = 1e-7) 
 
 
 def assert_derivatives(
-    found: Jacobian,
-    needle: Needle,
-    tissue: Tissue,
-    steps: tuple[Step, ...],
-    rules: ModelOptions,
-    lattice: Lattice | None = None,
-    rtol: float = 1e-7,
-) -> None:
+    found,
+    needle,
+    tissue,
+    steps,
+    rules,
+    lattice=None,
+    rtol=1e-7,
+):
     """Compare a Jacobian with complex steps; by shape parameters of laws, some in tables, to 1e-5."""
     for p, name in enumerate(found.names):
         nodes, u, slope, points = reference_solver.differentiate(needle, tissue, steps, rules, name, lattice)
@@ -90,7 +77,7 @@ def assert_derivatives(
             assert_allclose(part[..., p], exact, rtol=0, atol=tolerance * size, err_msg=name)
 
 
-def vary(rng: Random, rules: ModelOptions, kind: str) -> ModelOptions:
+def vary(rng, rules, kind):
     """Return rules of one of the kinds `RULES`."""
     if kind != "variant":
         return rules if kind == "decided" else replace(rules, advance="path_angle")
@@ -102,14 +89,14 @@ def vary(rng: Random, rules: ModelOptions, kind: str) -> ModelOptions:
     )
 
 
-def adapt(steps: tuple[Step, ...], rules: ModelOptions) -> tuple[Step, ...]:
+def adapt(steps, rules):
     """Return the steps with the bevel that the rules know: an offset, or an angle, of the same number."""
     if not rules.path_angle:
         return steps
     return tuple(replace(s, bevel=Bevel(0.0, s.bevel.side, s.bevel.offset)) for s in steps)
 
 
-def random_case(rng: Random, kind: str = "decided", count: int = 5, deepest: float = 11.0) -> tuple:
+def random_case(rng, kind="decided", count=5, deepest=11.0):
     """Return needle, tissue, `count` steps and one more, rules of a kind and, if it is decided, a lattice."""
     rules = vary(rng, random_rules(rng), kind)
     needle, tissue = random_needle(rng, rules), random_tissue(rng, rules, rng.choice([0.0, 0.3]))
@@ -118,12 +105,12 @@ def random_case(rng: Random, kind: str = "decided", count: int = 5, deepest: flo
     return needle, tissue, steps, rules, first and Lattice(first, rules.spacing)
 
 
-def random_rules(rng: Random) -> ModelOptions:
+def random_rules(rng):
     spacing = float(rng.choice([0.5, 1.0, 2.0]))
     return ModelOptions(spacing, max(spacing / int(rng.choice([1, 2, 4])), 0.25))
 
 
-def random_rigidity(rng: Random, rules: ModelOptions, size: int | None = None) -> float | np.ndarray:
+def random_rigidity(rng, rules, size=None):
     """Return EI: up to ten times that of 18 gauge steel.
 
     Short elements of a stiff needle in soft tissue are lost in rounding: 2e-7 mm where all three come
@@ -132,21 +119,21 @@ def random_rigidity(rng: Random, rules: ModelOptions, size: int | None = None) -
     return 10 ** rng.uniform(3, 5 if rules.element >= 1 else 4.1, size)
 
 
-def random_mu(rng: Random, rules: ModelOptions, size: int | tuple[int, ...]) -> np.ndarray:
+def random_mu(rng, rules, size):
     return 10 ** rng.uniform(-3 if rules.element >= 0.5 else -1, 2, size)
 
 
-def random_needle(rng: Random, rules: ModelOptions) -> Needle:
+def random_needle(rng, rules):
     return Needle(rng.uniform(90, 200), random_rigidity(rng, rules))
 
 
-def draw_shape(law: TissueLaw, rng: Random, size: tuple[int, ...]) -> np.ndarray:
+def draw_shape(law, rng, size):
     """Return random shape parameters: an array of `size` for each of the law's."""
     drawn = [rng.uniform(*parameter.tested, size) for parameter in law.parameters]
     return np.array(drawn).reshape(len(law.parameters), *size)
 
 
-def random_tissue(rng: Random, rules: ModelOptions, friction: float = 0.0) -> Tissue:
+def random_tissue(rng, rules, friction=0.0):
     """Return 1 to 4 layers, thin and thick, soft and stiff."""
     layers = int(rng.integers(1, 5))
     law = LAWS[str(rng.choice(LAWS.names()))]
@@ -161,22 +148,22 @@ def random_tissue(rng: Random, rules: ModelOptions, friction: float = 0.0) -> Ti
     )
 
 
-def random_bevel(rng: Random) -> Bevel:
+def random_bevel(rng):
     return Bevel(rng.uniform(0, 0.3), int(rng.choice([-1, 1])))
 
 
-def random_depth(rng: Random, deepest: float = 22.0) -> float:
+def random_depth(rng, deepest=22.0):
     """Return any depth, a whole number, or one whose cell has only just begun."""
     whole = int(rng.integers(1, int(deepest)))
     return float(rng.choice([rng.uniform(0.2, deepest), whole, whole + 1e-4]))
 
 
-def random_guide(rng: Random, x: float) -> Guide:
+def random_guide(rng, x):
     slope = None if rng.random() < 0.5 else rng.uniform(-0.01, 0.01)
     return Guide(x, rng.uniform(-0.2, 0.2), slope, in_tissue=x >= 0)
 
 
-def random_controls(rng: Random, within: bool = True) -> Controls:
+def random_controls(rng, within=True):
     """Return a base, up to two guides before the tissue and two in it, and now and then a tracked tip."""
     before = [-5.3, -17.9][: int(rng.integers(0, 3))]
     inside = list(rng.choice([0.4, 3.0, 7.77, 12.25], 2, replace=False))[: int(rng.integers(0, 3))]
@@ -191,7 +178,7 @@ def random_controls(rng: Random, within: bool = True) -> Controls:
     )
 
 
-def random_steps(rng: Random, count: int, within: bool = True, deepest: float = 22.0) -> tuple[Step, ...]:
+def random_steps(rng, count, within=True, deepest=22.0):
     """Return steps in any order of depths, 0 among them; the last one stands in the tissue."""
     steps = []
     bevel, controls = random_bevel(rng), random_controls(rng, within)
@@ -207,9 +194,7 @@ def random_steps(rng: Random, count: int, within: bool = True, deepest: float = 
     return (*steps, Step(random_depth(rng, deepest), bevel, controls))
 
 
-def random_batch(
-    rng: Random, sets: int, within: bool = False, friction: float = 0.0, kind: str = "decided"
-) -> Batch:
+def random_batch(rng, sets, within=False, friction=0.0, kind="decided"):
     """Return many parameter sets over broad priors; `within`: with guides in the tissue and tracked tips."""
     rules = random_rules(rng)
     needle, tissue = random_needle(rng, rules), random_tissue(rng, rules, friction)

@@ -1,11 +1,9 @@
 """A small dataset for tests: simulated with the model itself, free of noise, its truth known exactly."""
 
-from pathlib import Path
-
 import numpy as np
 
 from needlefit import Bevel, Needle, Tissue, simulate
-from needlefit.datasets.columns import InsertionRow, PoseSource
+from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.write import write_dataset
 from needlefit.geometry.frames import make_entry_frame
 from needlefit.geometry.surfaces import make_sheet
@@ -19,7 +17,7 @@ DEPTHS = (24.0, 30.5, 36.25, 41.0)
 NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
 
 
-def record(origin: str = "synthetic") -> DatasetRecord:
+def record(origin="synthetic"):
     return DatasetRecord.model_validate(
         {
             "schema": 1,
@@ -37,7 +35,7 @@ def record(origin: str = "synthetic") -> DatasetRecord:
     )
 
 
-def build(folder: Path, depths: tuple[float, ...] = DEPTHS, pose_source: PoseSource = "stage") -> Path:
+def build(folder, depths=DEPTHS, pose_source="stage"):
     """Write the dataset; the interface is flat and normal to the needles, so its depth is exact in C."""
     rows, curves = [], {}
     tissue = Tissue(mu=np.array(MU), alpha=np.array([1.0, -1.0]), boundaries=np.array([INTERFACE]))

@@ -5,7 +5,7 @@ lie at the constraint points.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,7 +34,7 @@ class Medium:
     boundaries: Sequence[float] = ()
     alpha: float = 1.0
 
-    def stiffness(self, x: Floats, gap: Floats) -> Floats:
+    def stiffness(self, x, gap):
         """Return k, MPa, at depths x where the needle has left its cut by `gap`."""
         stretch = 1.0 - np.abs(gap) / THICKNESS
         mu = np.array(self.moduli)[np.searchsorted(self.boundaries, x)]
@@ -50,7 +50,7 @@ class Inserted:
     slope: Floats
     tips: Floats  # (D + 1,), mm
 
-    def interpolate(self, x: Floats, order: int) -> Floats:
+    def interpolate(self, x, order):
         """Return displacement (order 0), slope (1) or curvature (2) at beam coordinates."""
         at = np.clip(np.searchsorted(self.x, x, side="right") - 1, 0, len(self.x) - 2)
         span = self.x[at + 1] - self.x[at]
@@ -58,7 +58,7 @@ class Inserted:
         parts = np.stack([self.u[at], self.slope[at], self.u[at + 1], self.slope[at + 1]])
         return np.sum(rows * parts, axis=0)
 
-    def place(self, s: Floats) -> Floats:
+    def place(self, s):
         """Return the points (N, 2), mm, of the needle in its plane at arc lengths s from the entry."""
         fine = np.arange(self.x[0], self.x[-1] + PATH_STEP / 2, PATH_STEP)
         angle = self.interpolate(fine, 1)
@@ -69,7 +69,7 @@ class Inserted:
         return np.column_stack([np.interp(s, fine, one) for one in path])
 
 
-def hermite(t: Floats, span: Floats, order: int) -> Floats:
+def hermite(t, span, order):
     """Return the cubic shape functions (4, N) at t in 0 to 1, or their derivatives by x."""
     one = np.ones_like(t)
     rows = (
@@ -81,13 +81,13 @@ def hermite(t: Floats, span: Floats, order: int) -> Floats:
 
 
 def insert(
-    rod: Rod,
-    medium: Medium,
-    offset: float,
-    depth: int,
-    side: Callable[[float], float] = lambda _: 1.0,
-    guide: tuple[float, Callable[[float], float]] | None = None,
-) -> Inserted:
+    rod,
+    medium,
+    offset,
+    depth,
+    side=lambda _: 1.0,
+    guide=None,
+):
     """Return a needle that was pushed in to a depth, mm.
 
     `offset`: b, mm. `side`: of the bevel, or its part in this plane, on the way to a depth. `guide`: a
@@ -111,9 +111,7 @@ def insert(
     return Inserted(found.x, found.u, found.slope, np.array(tips))
 
 
-def _balance(
-    rod: Rod, medium: Medium, cut: Floats, depth: int, clamp: tuple[float, float] | None
-) -> Inserted:
+def _balance(rod, medium, cut, depth, clamp):
     """Return the needle at rest with its tip at a depth, held at its base and by a guide."""
     held = [] if clamp is None else [clamp[0]]
     x = np.array([depth - rod.length, *held, *range(depth + 1)], dtype=float)

@@ -4,10 +4,8 @@ import base64
 import json
 import re
 import zlib
-from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import needlefit
 from needlefit.reporting.needle_page import compress
@@ -18,13 +16,13 @@ ALL_STATES = "[Number(proof.dataset.count), Number(proof.dataset.largest)]"
 PATIENCE_MS, PAUSE_MS = 60_000, 100
 
 
-def read_page_data(text: str) -> dict[str, Any]:
+def read_page_data(text):
     """Return the data in the text of a file, each shared list in its places."""
     (packed,) = re.findall(r'id="data">([^<]*)</script>', text)
     data = json.loads(zlib.decompress(base64.b64decode(packed), -15))
     lists = data.pop("lists")
 
-    def resolve(value: Any) -> Any:
+    def resolve(value):
         if isinstance(value, dict):
             return lists[value["$"]] if "$" in value else {key: resolve(one) for key, one in value.items()}
         return [resolve(one) for one in value] if isinstance(value, list) else value
@@ -32,7 +30,7 @@ def read_page_data(text: str) -> dict[str, Any]:
     return dict(resolve(data))
 
 
-def change_page_data(text: str, change: Callable[[Any], None]) -> str:
+def change_page_data(text, change):
     """Return the text of a file after a change of its data."""
     (packed,) = re.findall(r'id="data">([^<]*)</script>', text)
     data = json.loads(zlib.decompress(base64.b64decode(packed), -15))
@@ -41,7 +39,7 @@ def change_page_data(text: str, change: Callable[[Any], None]) -> str:
 
 
 @contextmanager
-def open_offline(chromium, path: Path, address: str = "", **settings) -> Iterator[Any]:
+def open_offline(chromium, path, address="", **settings):
     """Yield a page without a network that has computed all it holds; a fault or a request fails the test."""
     begun = {"viewport": {"width": 1280, "height": 800}, "reduced_motion": "reduce", "offline": True}
     context = chromium.new_context(**(begun | settings))

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -11,21 +10,20 @@ from needlefit.geometry.curves import COMPARISON_POINTS, compare_curves
 from needlefit.inference.compared_points import align, align_points
 from needlefit.inference.curve_bands import find_bands
 from needlefit.mechanics.batch import compute_batch_positions, simulate_batches
-from needlefit.mechanics.shape import NeedleShape, compute_positions, list_planes, map_beam_points
+from needlefit.mechanics.shape import compute_positions, list_planes, map_beam_points
 from needlefit.mechanics.torsion import find_roll
 from needlefit.metrics import compute_metrics
-from needlefit.planning.steered_needle import SteeredNeedle, guide_number
+from needlefit.planning.steered_needle import guide_number
 from needlefit.planning.steering import StartedInsertion
 from needlefit.reporting.needle_page import SHOWN_METRICS, choose_evenly, encode_layers, encode_strength
 from needlefit.studies.needle_placement import BAND_PROBABILITY, NEEDLE_POINTS
-from needlefit.viewer.overlays import MAX_BAND_DRAWS, MeasuredOverlay
+from needlefit.viewer.overlays import MAX_BAND_DRAWS
 from needlefit.viewer.page_needle import LENGTH_DIGITS
-from needlefit.viewer.viewed_scene import ViewedScene
 
 POINTS_BEFORE_TISSUE = 25  # points of the needle drawn before the tissue
 
 
-def compute_live_errors(measured: MeasuredOverlay, shape: NeedleShape) -> dict[str, Any] | None:
+def compute_live_errors(measured, shape):
     """Return the errors, mm, of a needle as deep as the measured one, or of the length that both share.
 
     None where they are undefined.
@@ -51,7 +49,7 @@ def compute_live_errors(measured: MeasuredOverlay, shape: NeedleShape) -> dict[s
     return {**values, "upto_mm": upto, "whole": whole, "floor_mm": measured.floor}
 
 
-def encode_state(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str, Any]:
+def encode_state(viewed_scene, steering):
     """Return all that changes from step to step; rotations u' in rad."""
     now, scene, measured = steering.now, steering.scene, viewed_scene.measured
     shape, step, controls = now.shape, now.step, now.step.controls
@@ -113,7 +111,7 @@ class NeedleBand:
     failed: int  #: draws whose needle was not found; they are left out
 
 
-def compute_band(insertion: StartedInsertion) -> NeedleBand | None:
+def compute_band(insertion):
     """Return the band of a needle where it stands: it holds 95 % of the needles of posterior draws.
 
     Every draw replaces moduli and shape parameters of all layers and the strength of the bevel of all steps;
@@ -137,7 +135,7 @@ def compute_band(insertion: StartedInsertion) -> NeedleBand | None:
     return NeedleBand(np.median(found[:, :, 0], axis=0), low, high, len(shapes) - len(found))
 
 
-def continue_insertion(viewed_scene: ViewedScene, steering: SteeredNeedle) -> StartedInsertion:
+def continue_insertion(viewed_scene, steering):
     """Return the insertion of a steered needle of a scene from where it stands."""
     rules = replace(steering.scene.rules, first_cell=steering.first_cell)
     tissue, path = steering.now.tissue, steering.input_path()

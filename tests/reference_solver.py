@@ -11,17 +11,13 @@ functions.
 
 # ruff: noqa: N803, N806  EI, K, N: the symbols of the equations
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
-from needlefit.arrays import Bools, Floats
-from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
+from needlefit.mechanics.control import Controls, ModelOptions, Step
 from needlefit.mechanics.laws import LAWS
-from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.plan import Lattice, TipStop, make_lattice, make_moves, make_stops
+from needlefit.mechanics.plan import make_lattice, make_moves, make_stops
 from needlefit.mechanics.shape import NeedleShape, compute_scales
-from needlefit.mechanics.tissue import Tissue
 from needlefit.mechanics.torsion import turn_tip
 
 H = 1e-30
@@ -32,7 +28,7 @@ GUIDE_PARTS = ("x", "y", "slope", "z", "slope_z")
 class Inputs:
     """The numbers of a case; complex ones if one of them, `name`, has a step."""
 
-    def __init__(self, needle: Needle, tissue: Tissue, steps: Sequence[Step], name: str = "") -> None:
+    def __init__(self, needle, tissue, steps, name=""):
         dtype = complex if name else float
         for kind in ("mu", "shape", "friction", "boundaries", "thickness"):
             setattr(self, kind, getattr(tissue, kind).astype(dtype))
@@ -57,37 +53,37 @@ class Inputs:
 
 
 def simulate(
-    needle: Needle,
-    tissue: Tissue,
-    bevel: Bevel,
-    depth: float,
-    controls: Controls = Controls(),
-    rules: ModelOptions = ModelOptions(),
-) -> NeedleShape:
+    needle,
+    tissue,
+    bevel,
+    depth,
+    controls=Controls(),
+    rules=ModelOptions(),
+):
     """Insert the needle under constant inputs (section 4); arguments as in `mechanics.simulate.simulate`."""
     return simulate_steps(needle, tissue, (Step(depth, bevel, controls),), rules)
 
 
 def simulate_steps(
-    needle: Needle,
-    tissue: Tissue,
-    steps: Sequence[Step],
-    rules: ModelOptions = ModelOptions(),
-    lattice: Lattice | None = None,
-) -> NeedleShape:
+    needle,
+    tissue,
+    steps,
+    rules=ModelOptions(),
+    lattice=None,
+):
     """Bring the tip from stop to stop (section 4); arguments as in `mechanics.simulate.simulate_steps`."""
     steps = turn_tip(needle, tissue, steps)
     return advance(Inputs(needle, tissue, steps), needle, tissue, steps, rules, lattice)
 
 
 def differentiate(
-    needle: Needle,
-    tissue: Tissue,
-    steps: Sequence[Step],
-    rules: ModelOptions,
-    name: str,
-    lattice: Lattice | None = None,
-) -> tuple[Floats, ...]:
+    needle,
+    tissue,
+    steps,
+    rules,
+    name,
+    lattice=None,
+):
     """Return the derivatives of nodes, deflection, slope and constraint points by one parameter.
 
     All but those of the nodes have a leading axis of two, y and z.
@@ -99,20 +95,20 @@ def differentiate(
 
 
 def advance(
-    inputs: Inputs,
-    needle: Needle,
-    tissue: Tissue,
-    steps: Sequence[Step],
-    rules: ModelOptions,
-    lattice: Lattice | None,
-) -> NeedleShape:
+    inputs,
+    needle,
+    tissue,
+    steps,
+    rules,
+    lattice,
+):
     """Return the shape at the last stop, its numbers complex where those of the inputs are."""
     lattice = lattice or make_lattice(steps, rules)
     C_int = rules.spacing
     still = np.zeros(2, inputs.mu.dtype)
     c = {0: still}  # y and z of the constraint points, by their number
-    rays: dict[int, tuple[float, Floats, Floats]] = {}  # where each ray begins: x, (y, z) and slopes
-    track: dict[int, tuple[Floats, Floats]] = {}
+    rays = {}  # where each ray begins: x, (y, z) and slopes
+    track = {}
     x_tip, u_tip, slope_tip, c_tip = 0.0, still, still, still
     iterations = 0
     for stop in make_stops(make_moves(steps, needle.length), lattice):
@@ -154,9 +150,7 @@ def advance(
     return NeedleShape(nodes, y, slope_y, z, slope_z, points, tips, "converged", iterations, scales)
 
 
-def mesh(
-    stop: TipStop, controls: Controls, lattice: Lattice, L: float, h: float
-) -> tuple[Floats, Floats, Bools]:
+def mesh(stop, controls, lattice, L, h):
     """Return the nodes of one stop and the prescribed deflections and slopes (sections 3 and 4).
 
     Base and guides; the entry; every h, fixed in the tissue; the tip. Very short elements ruin the
@@ -180,7 +174,7 @@ def mesh(
     u[0, 0] = controls.base_y + controls.stage_slope * tip, controls.base_z + controls.stage_slope_z * tip
     u[0, 1] = controls.base_slope, controls.base_slope_z
     prescribed[0] = True
-    held: list[tuple[int, Guide | TrackedTip]] = [(nodes.index(g.x), g) for g in (*controls.before, *within)]
+    held = [(nodes.index(g.x), g) for g in (*controls.before, *within)]
     if controls.tip is not None:
         held.append((len(nodes) - 1, controls.tip))
     for node, one in held:
@@ -189,9 +183,7 @@ def mesh(
     return np.array(nodes), u.reshape(-1, 2), prescribed.ravel()
 
 
-def add_steps(
-    inputs: Inputs, stop: TipStop, controls: Controls, nodes: Floats, u: Floats, prescribed: Bools
-) -> tuple[Floats, Floats]:
+def add_steps(inputs, stop, controls, nodes, u, prescribed):
     """Return nodes and prescribed values of a mesh with what the inputs add to base and guides."""
     x, dtype = nodes, inputs.mu.dtype
     nodes, u, held = nodes.astype(dtype), u.astype(dtype).reshape(-1, 2, 2), prescribed.reshape(-1, 2)
@@ -206,9 +198,7 @@ def add_steps(
     return nodes, u.reshape(-1, 2)
 
 
-def equilibrium(
-    inputs: Inputs, nodes: Floats, constraints: Floats, u: Floats, prescribed: Bools, rules: ModelOptions
-) -> tuple[Floats, int]:
+def equilibrium(inputs, nodes, constraints, u, prescribed, rules):
     """Find u with int EI u'' v'' + sum_i int k_i(lambda) e g v = 0 for all v, by Newton's method (section 3).
 
     `u` (2 N, 2) is a guess of deflections and slopes of every node, true where they are `prescribed` (2 N,).
@@ -266,7 +256,7 @@ def equilibrium(
     raise ArithmeticError(f"no equilibrium after {rules.max_iterations} iterations")
 
 
-def compute_positions(shape: NeedleShape, s: Floats) -> Floats:
+def compute_positions(shape, s):
     """Return the points (K, 3) at beam coordinates: integrals from the base (section 5) of
     (cos th, u' sin th / th, w' sin th / th) with th^2 = u'^2 + w'^2.
 
@@ -286,7 +276,7 @@ def compute_positions(shape: NeedleShape, s: Floats) -> Floats:
     return reached[np.searchsorted(edges, s)]
 
 
-def bending_stiffness(nodes: Floats, EI: float) -> Floats:
+def bending_stiffness(nodes, EI):
     """Return the bending stiffness int EI N_i'' N_j'' dx, (2 N, 2 N), of two-node cubic elements."""
     K = np.zeros((2 * len(nodes), 2 * len(nodes)), nodes.dtype)
     for a, h in enumerate(np.diff(nodes)):
@@ -301,15 +291,15 @@ def bending_stiffness(nodes: Floats, EI: float) -> Floats:
     return K
 
 
-def change_depths(x_c: Floats, rules: ModelOptions) -> Floats:
+def change_depths(x_c, rules):
     """Return the depths where the next constraint point takes over (section 3); of a linear cut also those of
     the points, where it bends.
     """
-    where: Floats = (1 - rules.switch) * x_c[:-1] + rules.switch * x_c[1:]
+    where = (1 - rules.switch) * x_c[:-1] + rules.switch * x_c[1:]
     return np.sort(np.concatenate((where, x_c))) if rules.path_angle else where
 
 
-def cut(rules: ModelOptions, x: Floats, change: Floats, constraints: Floats) -> Floats:
+def cut(rules, x, change, constraints):
     """Return c(x), (Q, 2): of the nearest constraint point (section 3), or linear between (section 4)."""
     if not rules.path_angle:
         return constraints[np.searchsorted(change, x.real), 1:]
@@ -319,7 +309,7 @@ def cut(rules: ModelOptions, x: Floats, change: Floats, constraints: Floats) -> 
     return constraints[cell, 1:] + (x - x_c[cell])[:, None] * slope[cell]
 
 
-def quadrature(nodes: Floats, change: Floats, boundaries: Floats) -> tuple[Floats, Floats]:
+def quadrature(nodes, change, boundaries):
     """Return two Gauss points and weights on each interval free of nodes, boundaries and changes of
     constraint (section 3).
     """
@@ -333,7 +323,7 @@ def quadrature(nodes: Floats, change: Floats, boundaries: Floats) -> tuple[Float
     return points.ravel(), np.repeat(half, 2)
 
 
-def shape_functions(nodes: Floats, x: Floats) -> tuple[Floats, Floats]:
+def shape_functions(nodes, x):
     """Return the cubic Hermite functions of all nodes, and their slopes, at points x: (Q, 2 N) each."""
     N = np.zeros((len(x), 2 * len(nodes)), nodes.dtype)
     dN = np.zeros_like(N)

@@ -1,24 +1,18 @@
 """What is refused: the error of a call."""
 
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any, TypeVar
-
 import pytest
 
 from needlefit.errors import DataError
 
-E = TypeVar("E", bound=Exception)
 
-
-def refusal(kind: type[E], words: str, call: Callable[..., Any], *given: Any, **more: Any) -> E:
+def refusal(kind, words, call, *given, **more):
     """Return the error of a kind that a call ends with, whose text matches `words`."""
     with pytest.raises(kind, match=words or None) as caught:
         call(*given, **more)
     return caught.value
 
 
-def refused_file(read: Callable[..., Any], path: Path, *given: Any, **more: Any) -> DataError:
+def refused_file(read, path, *given, **more):
     """Return the error of a file that cannot be read: it names the file and says what is to be done."""
     error = refusal(DataError, "", read, path, *given, **more)
     assert error.what and error.where.startswith(str(path)) and error.expected and error.fix

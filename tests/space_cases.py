@@ -2,24 +2,20 @@
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-from mechanics_cases import Random, random_case
+from mechanics_cases import random_case
 
-from needlefit.mechanics.control import BASE_INPUTS, Controls, Guide, Step, TrackedTip
-from needlefit.mechanics.shape import NeedleShape
+from needlefit.mechanics.control import BASE_INPUTS, Controls, Step
 
 
-def random_spatial_case(
-    rng: Random, kind: str = "decided", count: int = 5, deepest: float = 11.0
-) -> tuple[Any, ...]:
+def random_spatial_case(rng, kind="decided", count=5, deepest=11.0):
     """Return a case of `random_case` whose bevels roll, and whose base, guides and tip stand anywhere."""
     needle, tissue, steps, rules, lattice = random_case(rng, kind, count, deepest)
     return needle, tissue, leave_plane(rng, steps), rules, lattice
 
 
-def leave_plane(rng: Random, steps: tuple[Step, ...], unit_deg: float = 0.01) -> tuple[Step, ...]:
+def leave_plane(rng, steps, unit_deg=0.01):
     """Return steps whose bevels roll by multiples of `unit_deg`, and whose other inputs leave z = 0."""
     bevels = {
         one: replace(one, roll_deg=unit_deg * round(rng.uniform(-200, 200) / unit_deg))
@@ -29,8 +25,8 @@ def leave_plane(rng: Random, steps: tuple[Step, ...], unit_deg: float = 0.01) ->
     return tuple(Step(s.depth, bevels[s.bevel], held[s.controls]) for s in steps)
 
 
-def _move_out(rng: Random, controls: Controls) -> Controls:
-    def move(one: Any) -> Any:
+def _move_out(rng, controls):
+    def move(one):
         return replace(one, z=rng.uniform(-0.2, 0.2), slope_z=rng.uniform(-0.01, 0.01))
 
     return replace(
@@ -43,17 +39,17 @@ def _move_out(rng: Random, controls: Controls) -> Controls:
     )
 
 
-def turn(y: Any, z: Any, degrees: float) -> tuple[Any, Any]:
+def turn(y, z, degrees):
     """Return components along y and z of a vector that is turned about x."""
     cos, sin = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
     return cos * y - sin * z, sin * y + cos * z
 
 
-def turn_step(step: Step, degrees: float) -> Step:
+def turn_step(step, degrees):
     """Return a step with all of its inputs turned about x."""
     given = step.controls
 
-    def move(one: Guide | TrackedTip) -> Any:
+    def move(one):
         (y, z), slopes = turn(one.y, one.z, degrees), turn(one.slope or 0.0, one.slope_z, degrees)
         return replace(one, y=y, z=z, slope=None if one.slope is None else slopes[0], slope_z=slopes[1])
 
@@ -68,7 +64,7 @@ def turn_step(step: Step, degrees: float) -> Step:
     return Step(step.depth, bevel, controls)
 
 
-def list_planes(shape: NeedleShape) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def list_planes(shape):
     """Return what a shape has along y and along z, by name."""
     return {
         "u": (shape.u, shape.w),
@@ -78,7 +74,7 @@ def list_planes(shape: NeedleShape) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     }
 
 
-def assert_turned(found: NeedleShape, expected: NeedleShape, degrees: float, atol: float) -> None:
+def assert_turned(found, expected, degrees, atol):
     """Compare a needle with another one that is turned about x."""
     assert found.converged and expected.converged
     planes = list_planes(expected)

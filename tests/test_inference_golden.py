@@ -55,7 +55,7 @@ def test_baselines():
     assert_golden("baselines", found)
 
 
-DENSITIES: dict[str, tuple[dict, dict, dict]] = {  # by changes of the data set, its noise and the likelihood
+DENSITIES = {  # by changes of the data set, its noise and the likelihood
     "sections": ({}, {}, {}),
     "points": ({}, {}, {"measurement": "points", "noise_scale": 1.7}),
     "independent": ({}, {}, {"noise": "independent", "depths": "fixed"}),

@@ -207,7 +207,7 @@ BY_THREADS = [
 
 @pytest.mark.parametrize(("build", "search"), BY_THREADS)
 def test_threads_do_not_change_a_fit_and_its_progress_grows_to_the_whole(build, search):
-    done: list[float] = []
+    done = []
     whole = minimize(build(), search, rng(), Callbacks(step=lambda part, of: done.append(part / of)))
     assert done == sorted(done) and done[0] > 0 and done[-1] == 1
     assert minimize(build(), search, rng(), Callbacks(jobs=3)) == whole

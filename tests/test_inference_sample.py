@@ -77,7 +77,7 @@ def test_failed_evaluations_have_no_density_and_are_counted():
 
 def test_a_stopped_run_has_the_draws_that_it_made():
     steps = 11
-    asked: list[int] = []  # it is asked once before the first step
+    asked = []  # it is asked once before the first step
     stop = Callbacks(stop=lambda: asked.append(0) or len(asked) > steps)
     got, whole = draw(GAUSSIAN, BEGIN, stop, **SHORT), draw(GAUSSIAN, BEGIN, **SHORT)
     assert got.interrupted and np.array_equal(got.draws, whole.draws[:, :steps])

@@ -19,7 +19,7 @@ class Recorded:
     """Squares of thetas, and how many were asked for at once."""
 
     def __init__(self):
-        self.sizes: list[int] = []
+        self.sizes = []
 
     def square(self, thetas, jobs):
         self.sizes.append(len(thetas))

@@ -1,7 +1,6 @@
 """A scene in the world: poses seen from C, steps that carry on, and the paper's Fig. 1."""
 
 import math
-from typing import Any
 
 from pytest import approx
 
@@ -10,7 +9,7 @@ from needlefit.mechanics.scene import Scene, simulate_scene
 from needlefit.project.toml import check
 from needlefit.schemas.scene import SceneRecord
 
-TABLES: dict[str, Any] = {
+TABLES = {
     "schema": 1,
     "needle": {"length_mm": 100, "flexural_rigidity_nmm2": 1e4},
     "bevel": {"offset_mm": 0.1},

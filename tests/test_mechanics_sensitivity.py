@@ -133,7 +133,7 @@ def test_every_set_is_what_a_single_one_gives(seed):
             np.testing.assert_array_equal(points[i], compute_positions(shape, s))
 
 
-def test_sets_with_different_boundaries_are_not_differentiated() -> None:
+def test_sets_with_different_boundaries_are_not_differentiated():
     boundaries = np.array([[5.3], [5.3], [np.nan]])
     shapes, jacobians = linearize_batch(make_batch(3, boundaries=boundaries))
     for found, expected in zip((shapes, jacobians), linearize_batch(make_batch(3)), strict=True):

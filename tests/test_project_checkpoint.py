@@ -33,7 +33,7 @@ def kept(folder):
 
 
 def resumed(folder):
-    lines: list[str] = []
+    lines = []
     rows = open_checkpoint(folder, True, {"n": 1}, lines.append).rows("fold/fit")
     return [row["index"] for row in rows], lines
 
@@ -54,7 +54,7 @@ def test_a_row_is_whole_or_none(tmp_path):
 def test_a_checkpoint_with_a_damaged_stamp_is_begun_afresh(tmp_path, stamp, resume):
     file = kept(tmp_path / "c")
     (tmp_path / "c" / MANIFEST).write_bytes(stamp)
-    lines: list[str] = []
+    lines = []
     checkpoint = open_checkpoint(tmp_path / "c", resume, {"n": 1}, lines.append)
     assert checkpoint.rows("fold/fit") == [] and len(lines) == 1
     assert not file.exists()
@@ -103,7 +103,7 @@ def test_one_process_at_a_time(tmp_path):
         for resume in (True, False):
             with pytest.raises(ConfigError, match="another run"):
                 open_checkpoint(tmp_path / "c", resume, {"n": 1})
-        lines: list[str] = []
+        lines = []
         remove_checkpoint(tmp_path / "c", lines.append)
         assert len(lines) == 1 and (tmp_path / "c" / MANIFEST).read_bytes() == before
         os.kill(process.pid, signal.SIGKILL)
@@ -114,7 +114,7 @@ def test_one_process_at_a_time(tmp_path):
 def test_a_checkpoint_that_ended_before_its_manifest_is_begun_again(tmp_path):
     (tmp_path / "lock").touch()
     require_own_checkpoint(tmp_path)
-    lines: list[str] = []
+    lines = []
     open_checkpoint(tmp_path, True, {"n": 1}, lines.append)
     assert lines == [] and json.loads((tmp_path / MANIFEST).read_text())["holds"] == "checkpoint"
 

@@ -8,7 +8,6 @@ command line read the same runs.
 import io
 import json
 import shutil
-from collections.abc import Mapping
 from contextlib import chdir, contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -49,7 +48,7 @@ def _validate(name, *codes):
     return Command(("validate", name), name, codes or SHORT)
 
 
-COMMANDS: Mapping[str, Command] = MappingProxyType(
+COMMANDS = MappingProxyType(
     {
         "cross_validation": _validate("held_out", 0),
         "fit": Command(("tune", "gel"), "gel", (0, 5)),

@@ -21,7 +21,7 @@ class Workers:
 
     def __init__(self):
         self.folder = Path(tempfile.mkdtemp(prefix="needlefit-fuzz-"))
-        self._pool: ProcessPoolExecutor | None = None
+        self._pool = None
 
     def __enter__(self):
         return self

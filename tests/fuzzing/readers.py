@@ -31,7 +31,7 @@ class Reader:
     packed: bool = False
 
 
-_INPUTS: dict[str, tuple[Seed, ...]] = {}
+_INPUTS = {}
 
 
 def inputs(name, stored):
@@ -94,7 +94,7 @@ def _import(path):
 
 
 def _mesh(path):
-    found: list = []
+    found = []
     source = _late("imaging.scans.LayerSource")(path)
     surface = _late("imaging.layers.read_mesh")(source, 2, found)
     if found:
@@ -125,7 +125,7 @@ def _configs(record, folder, name):
 READ_VOLUME = partial(_call, "imaging.volume_files.read_volume")
 READ_LABELS = partial(_call, "imaging.segmentations.read_labels")
 
-READERS: dict[str, Reader] = {
+READERS = {
     "scene": Reader(_scene, partial(project_files, "configs/scenes/*.toml", "scene.toml")),
     "study": Reader(_study, partial(project_files, "studies/*.toml", "study.toml")),
     "fit": _configs("study.FitRecord", "fits", "fit"),

@@ -5,15 +5,11 @@ SciPy. Errors are the largest at and between nodes. `tests/test_mechanics_verifi
 `benchmarks/verification.py` prints what is found.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from needlefit.arrays import Floats, Ints
-from needlefit.mechanics.laws import LAWS, Numbers
+from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.tissue import Tissue
 
 NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
@@ -21,18 +17,18 @@ STEP = 1e-30  #: of complex steps: nothing is subtracted, so that the derivative
 
 
 def make_tissue(
-    mu: Sequence[float],
-    alpha: Sequence[float],
-    boundaries: Sequence[float] = (),
-    thickness: float = 40.0,
-    friction: float = 0.0,
-    law: str = "ogden",
-) -> Tissue:
+    mu,
+    alpha,
+    boundaries=(),
+    thickness=40.0,
+    friction=0.0,
+    law="ogden",
+):
     """Return a tissue from plain numbers, thickness (mm) and friction the same in all layers."""
     return Tissue(np.array(mu), np.array(alpha), np.array(boundaries), thickness, friction, law)
 
 
-def react(tissue: Tissue, layer: Ints, e: Numbers, slope: Numbers) -> Numbers:
+def react(tissue, layer, e, slope):
     """Return the reaction k(lambda) e g, N/mm, at deflections `e` (mm); real or complex."""
     # not abs(e): of a complex number it is real, and the complex step would be lost
     stretch = 1 - np.where(e.real < 0, -e, e) / tissue.thickness[layer]
@@ -40,12 +36,12 @@ def react(tissue: Tissue, layer: Ints, e: Numbers, slope: Numbers) -> Numbers:
     return k * e * (1 - tissue.friction[layer] * slope**2 / (1 + slope**2))
 
 
-def sample_between(edges: Floats) -> Floats:
+def sample_between(edges):
     """Return eight positions inside each interval between increasing edges."""
     return (edges[:-1, None] + np.diff(edges)[:, None] * (np.arange(8) + 0.5) / 8).ravel()
 
 
-def interpolate(shape: NeedleShape, x: Floats) -> Floats:
+def interpolate(shape, x):
     """Return the deflection, mm, at depths x, by the cubics that the nodes define."""
     assert shape.converged
     return CubicHermiteSpline(shape.x, shape.u, shape.slope)(x)

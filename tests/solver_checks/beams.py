@@ -15,17 +15,14 @@ of a constant matrix from one interface to the next. The base is clamped and dis
 """
 
 # ruff: noqa: N806  L, A: the symbols of the equations
-from collections.abc import Callable
 from functools import partial
 
 import numpy as np
 from equilibrium import equilibrium
 from scipy.linalg import expm
 
-from needlefit.arrays import Floats
 from needlefit.mechanics.control import Controls, Guide, TrackedTip
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.shape import NeedleShape
 from solver_checks import NEEDLE, interpolate, make_tissue, sample_between
 
 EI, L = NEEDLE.flexural_rigidity, NEEDLE.length
@@ -35,31 +32,31 @@ FAR = 1e9  # mm: the reaction varies by 1e-9 of itself while the needle bends
 FREE_MM, DEPTH_MM = 20.0, 40.0  # before and in the foundation
 
 
-def _find_error(shape: NeedleShape, exact: Callable[[Floats], Floats], start: float) -> float:
+def _find_error(shape, exact, start):
     """Return the largest error of the deflection from `start` on, mm."""
     x = np.union1d(shape.x, sample_between(shape.x))
     x = x[x >= start]
     return float(np.max(np.abs(interpolate(shape, x) - exact(x))))
 
 
-def measure_loaded(prop: float | None = None, controls: Controls = Controls()) -> float:
+def measure_loaded(prop=None, controls=Controls()):
     """Return the largest error over the largest deflection; `prop` is its distance from the base, mm."""
     # linear law: the force is 3 mu e, and e is FAR almost everywhere
     tissue = make_tissue([LOAD / FAR / 3], [1.0], thickness=1e3 * FAR, law="linear")
     depths = np.arange(LOADED_MM + 0.5)
     points = np.column_stack((depths, np.full(len(depths), FAR), np.zeros(len(depths))))
 
-    def bend(s: Floats) -> Floats:
+    def bend(s):
         a = L - LOADED_MM
         before = s**2 * (6 * (L**2 - a**2) - 4 * s * (L - a))
         beyond = s**2 * (6 * L**2 - 4 * s * L + s**2) - a**3 * (4 * s - a)
         return LOAD / (24 * EI) * np.where(s < a, before, beyond)
 
-    def push(s: Floats, p: float) -> Floats:
+    def push(s, p):
         near, far = np.minimum(s, p), np.maximum(s, p)
         return near**2 * (3 * far - near) / (6 * EI)
 
-    def exact(x: Floats) -> Floats:
+    def exact(x):
         s = x + L - LOADED_MM
         if prop is None:
             return bend(s)
@@ -70,7 +67,7 @@ def measure_loaded(prop: float | None = None, controls: Controls = Controls()) -
     return _find_error(shape, exact, LOADED_MM - L) / float(np.max(np.abs(exact(shape.x))))
 
 
-def measure_foundation(k: tuple[float, ...], interfaces: tuple[float, ...] = ()) -> float:
+def measure_foundation(k, interfaces=()):
     """Return the largest error of the deflection, mm, in layers of moduli `k` (MPa)."""
     edges = np.array([-FREE_MM, 0.0, *interfaces, DEPTH_MM])
     A = [np.diag([1.0, 1.0, 1.0], 1) for _ in edges[1:]]
@@ -82,7 +79,7 @@ def measure_foundation(k: tuple[float, ...], interfaces: tuple[float, ...] = ())
     # u = 1 and u' = 0 at the base, u'' = u''' = 0 at the tip
     moment, shear = np.linalg.solve(to_edge[-1][2:, 2:], -to_edge[-1][2:, 0])
 
-    def exact(x: Floats) -> Floats:
+    def exact(x):
         piece = np.clip(np.searchsorted(edges, x) - 1, 0, len(A) - 1)
         states = (expm(A[i] * (at - edges[i])) @ to_edge[i] for i, at in zip(piece, x, strict=True))
         return np.array([state[0] @ [1.0, 0.0, moment, shear] for state in states])
@@ -90,7 +87,7 @@ def measure_foundation(k: tuple[float, ...], interfaces: tuple[float, ...] = ())
     return _measure_inserted(k, interfaces, DEPTH_MM, Controls(base_y=1.0), exact)
 
 
-def measure_clamped_entry(k: float, depth: float) -> float:
+def measure_clamped_entry(k, depth):
     """Return the largest error, mm, of a needle that a guide clamps at the entry: Hetenyi's formula."""
     beta = (k / (4 * EI)) ** 0.25
     held = Controls(guides=(Guide(0.0, 1.0, 0.0, in_tissue=True),))
@@ -100,12 +97,12 @@ def measure_clamped_entry(k: float, depth: float) -> float:
 
 
 def _measure_inserted(
-    k: tuple[float, ...],
-    interfaces: tuple[float, ...],
-    depth: float,
-    controls: Controls,
-    exact: Callable[[Floats], Floats],
-) -> float:
+    k,
+    interfaces,
+    depth,
+    controls,
+    exact,
+):
     tissue = make_tissue([one / 3 for one in k], [1.0] * len(k), interfaces, law="linear")
     depths = np.arange(depth + 0.5)
     points = np.outer(depths, [1.0, 0.0, 0.0])

@@ -15,7 +15,7 @@ from equilibrium import equilibrium, find_equilibrium
 from numpy.polynomial import Polynomial
 from scipy.interpolate import CubicHermiteSpline
 
-from needlefit.arrays import Floats, Ints
+from needlefit.arrays import Floats
 from needlefit.mechanics import native
 from needlefit.mechanics.control import Controls, ModelOptions
 from needlefit.mechanics.needle import Needle
@@ -34,17 +34,17 @@ class ClampedNeedle:
     constraints: Floats  #: (M + 1, 3) depth, y and z = 0 of the constraint points, mm
 
     @cached_property
-    def nodes(self) -> Floats:
+    def nodes(self):
         """(N,) from base to tip, mm."""
         return equilibrium(self.needle, self.tissue, self.constraints, rules=self.rules).x
 
-    def list_points(self) -> Floats:
+    def list_points(self):
         """Return the quadrature points (Q,), mm."""
         depths = self.constraints[:, 0].copy()
         problem = pack_equilibrium(self.needle, self.tissue, depths, Controls(), self.rules)
         return native.list_quadrature(problem, self.nodes[1:].copy(), depths)[0]
 
-    def solve(self, guess: Floats, target: Floats) -> Floats:
+    def solve(self, guess, target):
         """Return the state (N, 2) that Newton's method reaches from a guess.
 
         `target` (Q,) is the y of the cut at each quadrature point, in place of the constraint points'.
@@ -67,7 +67,7 @@ CURVATURE = 6e-4  # 1/mm: deflections of about 1 mm
 BOUNDARY_MM = 17.37  # no mesh has a node there
 
 
-def choose_deflection(x: Floats, order: int, boundaries: Floats) -> Floats:
+def choose_deflection(x, order, boundaries):
     """Return the derivative of the given order of the chosen deflection at x, mm."""
     xi = Polynomial([0.0, 1.0 / DEPTH_MM])
     ending = (1 - xi) ** 2  # neither moment nor shear at the tip
@@ -84,7 +84,7 @@ def choose_deflection(x: Floats, order: int, boundaries: Floats) -> Floats:
     return u
 
 
-def find_compression(tissue: Tissue, layer: Ints, force: Floats, slope: Floats) -> Floats:
+def find_compression(tissue, layer, force, slope):
     """Return the deflection e (mm) at which the reaction is `force` (N/mm), by bisection."""
     low = np.zeros_like(force)
     high = tissue.thickness[layer] * (1 - 1e-12)  # at the full thickness the Ogden law is infinite
@@ -95,7 +95,7 @@ def find_compression(tissue: Tissue, layer: Ints, force: Floats, slope: Floats) 
     return np.copysign(0.5 * (low + high), force)
 
 
-def measure_orders(tissue: Tissue, first_cell: float = 1.0) -> tuple[float, float, float, float]:
+def measure_orders(tissue, first_cell=1.0):
     """Return the observed orders of deflection and slope, between nodes and at the nodes.
 
     `first_cell` is in elements. Orders are over the three smallest meshes: on coarser ones terms of higher

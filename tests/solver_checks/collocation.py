@@ -11,17 +11,15 @@ import numpy as np
 from equilibrium import equilibrium
 from scipy.integrate import solve_bvp
 
-from needlefit.arrays import Floats
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.simulate import simulate_steps
-from needlefit.mechanics.tissue import Tissue
 from solver_checks import NEEDLE, STEP, interpolate, make_tissue, react
 
 UNIT = 10.0  # mm: derivatives of order n are kept in mm per (10 mm)^n, to be alike in size
 AT = np.linspace(0.0, 1.0, 9)
 
 
-def collocate(tissue: Tissue, constraints: Floats, controls: Controls) -> tuple[Floats, Floats]:
+def collocate(tissue, constraints, controls):
     """Return depths x (K,) in the tissue and deflections (K,), mm, of the paper's needle in equilibrium.
 
     `constraints` (M + 1, 3) are depth, y and z of the constraint points, mm, the last under the tip.
@@ -39,16 +37,16 @@ def collocate(tissue: Tissue, constraints: Floats, controls: Controls) -> tuple[
     stretch = np.repeat(length / UNIT, 4)[:, None]  # (4 P, 1)
     factor = np.where(inserted, UNIT**4 / NEEDLE.flexural_rigidity, 0.0)[:, None]
 
-    def find_parts(v: Floats) -> tuple[Floats, Floats]:
+    def find_parts(v):
         w = v.reshape(count, 4, -1)
         return np.where(inserted[:, None], w[:, 0] - cut, 0.0), w[:, 1] / UNIT
 
-    def derive(x: Floats, v: Floats) -> Floats:
+    def derive(x, v):
         fourth = -factor * react(tissue, layer, *find_parts(v))
         w = np.concatenate((v.reshape(count, 4, -1)[:, 1:], fourth[:, None]), axis=1)
         return stretch * w.reshape(v.shape)
 
-    def linearize(x: Floats, v: Floats) -> Floats:
+    def linearize(x, v):
         J = np.zeros((4 * count, 4 * count, v.shape[1]))
         rows = 4 * np.arange(count)
         # v = (u, u', u'', u''') of each piece, four rows: the first three rows are v_n' = v_(n + 1)
@@ -80,10 +78,10 @@ def collocate(tissue: Tissue, constraints: Floats, controls: Controls) -> tuple[
     return x[inserted].ravel(), u[inserted].ravel()
 
 
-def _list_conditions(edges: Floats, controls: Controls) -> tuple[Floats, Floats, Floats]:
+def _list_conditions(edges, controls):
     """Return A, B (4 P, 4 P) and d (4 P,) of the boundary conditions A v(0) + B v(1) = d."""
     size = 4 * (len(edges) - 1)
-    rows: list[tuple[float, dict[int, float], dict[int, float]]] = [
+    rows = [
         (controls.base_y + controls.stage_slope * edges[-1], {0: 1.0}, {}),
         (controls.base_slope * UNIT, {1: 1.0}, {}),
     ]
@@ -107,7 +105,7 @@ def _list_conditions(edges: Floats, controls: Controls) -> tuple[Floats, Floats,
     return A, B, np.array([value for value, *_ in rows])
 
 
-def measure_difference(tissue: Tissue, steps: tuple[Step, ...]) -> tuple[float, float]:
+def measure_difference(tissue, steps):
     """Return the differences of deflection, mm, after an insertion: on elements of 0.25 mm, and of 1 mm."""
     constraints, controls = simulate_steps(NEEDLE, tissue, steps).constraints, steps[-1].controls
     x, u = collocate(tissue, constraints, controls)
