@@ -100,10 +100,6 @@ def test_a_freed_alpha_is_drawn_and_predicted_with(world, monkeypatch, tmp_path)
     assert set(drawn["alpha2"]) == {-1.0} and set(drawn["mu2_pa"]) == {1.5e7}
     # a bound says nothing of an alpha that may have any value within its bounds
     assert not [one for one in found.warnings if "alpha1" in one.what]
-    found.save(tmp_path / "run")
-    assert pd.read_csv(tmp_path / "run/draws.csv")["alpha1"].nunique() > 10
-    predicted = needlefit.predict(found, "ahead")
-    assert predicted.kind == "prediction" and len(predicted.frames["forecast"]) > 10
     with pytest.raises(ConfigError, match="mu1"):
         needlefit.fit(found, free=["mu1"])  # is free there
 

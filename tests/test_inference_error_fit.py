@@ -9,7 +9,6 @@ from inference_cases import NOISE, TRUTH, dataset, insertion, measure, medium, p
 from numpy.random import default_rng
 from problem_cases import make_problem
 from pytest import approx
-from scipy.optimize import minimize
 
 from needlefit.datasets.insertion import Noise
 from needlefit.datasets.read import read
@@ -186,22 +185,3 @@ def test_valleys_are_followed_to_the_bound():
     least, tolerance = np.array([6.90775528, 15.5795441, -2.78893071]), 0.06482
     found = find_error_ranges(p, least, tolerance, np.empty((0, 3)), 1, never_stop)
     assert [(one.low, one.high) for one in found[:2]] == list(zip(p.lower[:2], p.upper[:2], strict=True))
-
-
-def test_the_ranges_are_joint_along_the_ridge_of_modulus_and_bevel():
-    p, tolerance = two_layers(), 0.05
-    theta = np.array(p.parameters.theta(TRUTH))
-    found = {one.name: one for one in find_error_ranges(p, theta, tolerance, theta[None], 1, never_stop)}
-    for k, name in enumerate(p.names):
-        for end in (found[name].low, found[name].high):
-            held = [n for n in range(len(theta)) if n != k]
-
-            def errors(rest, end=end, k=k, held=held):
-                at = np.empty(len(theta))
-                at[k], at[held] = end, rest
-                return p.objective(at)
-
-            alone = errors(theta[held])
-            best = minimize(errors, theta[held], method="Nelder-Mead", options={"maxfev": 400}).fun
-            bound = end in (p.lower[k], p.upper[k])
-            assert best <= 1.05 * tolerance and (bound or alone > 2 * tolerance)

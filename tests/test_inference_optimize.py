@@ -1,5 +1,4 @@
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,7 +18,7 @@ from needlefit.inference.fit import (
     read_fit,
 )
 from needlefit.inference.metric_objective import WeightedDistances
-from needlefit.inference.optimize import minimize, select_leaders, starting_points
+from needlefit.inference.optimize import minimize, starting_points
 from needlefit.project.checkpoint import open_checkpoint
 from needlefit.project.progress import never_stop
 
@@ -187,14 +186,6 @@ def test_starts_far_behind_the_best_are_not_continued():
     assert len(left) >= 2 and {start.stopped for start in fit.starts} == {"tolerance", "behind"}
     assert {round(start.objective + 7.0, 6) for start in left} == {50.0}
     assert all(start.theta[0] == approx(-1.5, abs=1e-4) for start in left)
-
-    known = ObjectiveFunction(np.zeros(1), np.ones(1), lambda theta: 0.0)
-    three = [Start(k, (0.0,), (0.0,), [-16.0, 0.0, 0.1][k], 1, 0, "tolerance") for k in range(3)]
-    assert select_leaders(known, three) == {0, 1, 2}
-    # eight residuals, each of which counts as 1 at least: 4 * 8 / 2 = 16 above the best; then 4 * 32 / 2
-    for size, chosen in ((0.5, {0, 1}), (2.0, {0, 1, 2})):
-        misfits = np.full(8, size)
-        assert select_leaders(replace(known, misfits=lambda theta, found=misfits: found), three) == chosen
 
 
 BY_THREADS = [

@@ -56,15 +56,6 @@ def test_a_solve_that_fails_makes_the_objective_infinite():
     assert np.isnan(hopeless.jacobian(theta)[0]).all()
 
 
-def test_the_guide_distance_can_be_fitted_and_a_guide_out_of_reach_is_a_failed_solve():
-    record = medium(1, guide_distance_mm={"bounds": [2.0, 140.0]}, mu1_pa={"fixed": 3e5})
-    truth = {**TRUTH, "guide_distance_mm": 15.0}
-    p = problem(record, [measure(truth, record, insertion(d)) for d in (30.0, 55.0)])
-    fit = minimize(p, recipe(starts=6), rng())
-    assert fit.failures > 0  # 55 mm + 95 mm or more leave nothing of 150 mm
-    assert fit.values["guide_distance_mm"] == approx(15.0, rel=0.05)
-
-
 def test_needles_that_differ_are_fitted_together():
     record, thin = medium(1), Needle(NEEDLE.length, NEEDLE.flexural_rigidity / 10)
     planned = [insertion(depth) for depth in (30.0, 36.0, 42.0, 48.0)]

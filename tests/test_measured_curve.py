@@ -106,15 +106,3 @@ def test_repeated_points_and_few_points_have_places_and_motions_change_nothing()
     few = measure_curve(points[:3], 0.1)
     assert_allclose(few.s, arc_length(points[:3]))
     assert few.length_sd == pytest.approx(0.1 * np.sqrt(2)) and few.noise_sd == 0.0
-
-
-def test_residuals_lie_across_the_curve_and_show_a_point_that_is_off():
-    s = np.linspace(0, LENGTH, 36)
-    points = arc_points(s, 0.4) + 0.05 * default_rng(3).normal(size=(36, 3))
-    points[20] += [0.0, 0.0, 2.0]
-    curve = measure_curve(points)
-    assert np.argmax(np.linalg.norm(curve.residuals, axis=1)) == 20
-    assert curve.residuals[20, 2] > 1.0
-    tangents = np.gradient(curve.smoothed, axis=0)
-    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
-    assert np.abs(np.sum(curve.residuals * tangents, axis=1)).max() < 0.05

@@ -20,10 +20,9 @@ def entry(held=0):
 
 ENTRY, FIRST = entry(), (0.5, 1, True, 0, True, 0, 0)
 TURNED = ((1.8, 0, 0), (2.5, 1, 0))  # inside a cell
-ON_RAY, MOVED = (0.9, 2, False, 1, False, 0, 0), (0.9, 2, False, 1, False, 0, 1)
+MOVED = (0.9, 2, False, 1, False, 0, 1)
 
 CASES = {
-    "before first contact there is one stop, at the entry": (((0.0, 0, 0),), [ENTRY]),
     "moved inputs before first contact bring the free tip elsewhere": (
         ((0.0, 0, 0), (0.5, 0, 1)),
         [ENTRY, entry(1), (0.5, 1, True, 0, True, 0, 1)],
@@ -39,10 +38,6 @@ CASES = {
             (0.5, 1, True, 0, False, 0, 0), (1.5, 2, True, 1, True, 0, 0), (1.6, 3, False, 2, True, 0, 0),
         ],
     ),
-    "depths nearer than a millionth of a micrometre are the same": (
-        ((0.5 + 1e-10, 0, 0), (0.5, 0, 0), (1.5 - 1e-10, 0, 0)),
-        [ENTRY, FIRST, (1.5, 2, True, 1, True, 0, 0)],
-    ),
     "a bevel turned inside a cell opens a ray there": (
         ((0.9, 0, 0), (0.9, 1, 0), (1.5, 1, 0)),
         [ENTRY, FIRST, (0.9, 2, False, 1, True, 0, 0), (1.5, 2, True, 2, True, 1, 0)],
@@ -56,14 +51,6 @@ CASES = {
         ((0.9, 0, 0), (1.5, 0, 1)),
         [MOVED, (1.5, 2, True, 2, True, 0, 1)],
     ),
-    "moved at a constraint point": (
-        ((0.5, 0, 0), (1.5, 0, 1)),
-        [(0.5, 1, True, 0, False, 0, 1), (1.5, 2, True, 1, True, 0, 1)],
-    ),
-    "inputs moved and moved back open a ray all the same": (
-        ((0.9, 0, 0), (0.9, 0, 1), (0.9, 0, 0), (1.5, 0, 0)),
-        [MOVED, ON_RAY, (1.5, 2, True, 2, True, 0, 0)],
-    ),
     "retraction inside a cell stays on its ray": (
         ((2.5, 0, 0), (1.7, 0, 0), (2.1, 0, 0), (2.5, 0, 0)),
         [(1.7, 3, False, 2, False, 0, 0), (2.1, 3, False, 2, False, 0, 0), (2.5, 3, True, 2, False, 0, 0)],
@@ -74,16 +61,9 @@ CASES = {
     ),
     # back to 1.6 mm, before the turn at 1.8 mm, the cell's first ray leads, cut by the first bevel
     "a ray begun inside a cell": (TURNED, [(2.5, 3, True, 3, True, 1, 0)]),
-    "is kept down to where it began": ((*TURNED, (2.0, 1, 0)), [(2.0, 3, False, 3, False, 1, 0)]),
-    "and left there": ((*TURNED, (1.8, 1, 0)), [(1.8, 3, False, 2, False, 0, 0)]),
     "re-insertion under another bevel opens a ray where it begins": (
         ((2.5, 0, 0), (1.7, 1, 0), (2.5, 1, 0)),
         [(1.7, 3, False, 2, False, 0, 0), (2.5, 3, True, 3, True, 1, 0)],
-    ),
-    # they hold the needle already as it comes back: no further stop before it goes on
-    "so do other inputs": (
-        ((2.5, 0, 0), (1.7, 0, 1), (2.5, 0, 1)),
-        [(1.7, 3, False, 2, False, 0, 1), (2.5, 3, True, 3, True, 0, 1)],
     ),
     "all the way out there is no ray": (
         ((1.5, 0, 0), (0.0, 0, 0), (0.5, 1, 0)),

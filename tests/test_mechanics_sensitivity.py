@@ -17,24 +17,13 @@ from mechanics_cases import (
 from numpy.random import default_rng
 from refusals import refusal
 
-from needlefit import (
-    Bevel,
-    Controls,
-    Guide,
-    ModelOptions,
-    Step,
-    Tissue,
-    compute_positions,
-    simulate,
-    simulate_steps,
-)
+from needlefit import Bevel, Controls, Guide, ModelOptions, Step, Tissue, compute_positions, simulate_steps
 from needlefit.errors import ModelError
 from needlefit.mechanics.batch import (
     DERIVATIVE_KINDS,
     Batch,
     compute_batch_positions,
     differentiate_batch_positions,
-    linearize,
     linearize_batches,
     linearize_steps,
     simulate_batches,
@@ -81,22 +70,6 @@ def test_the_tips_derivatives_on_the_way_are_those_of_an_insertion_that_stops_th
         _, stopped = linearize_steps(NEEDLE, PHANTOM, some, lattice=lattice, wrt=kinds)
         tip = whole.tip_track[:, int(depth)]
         np.testing.assert_allclose(tip, stopped.u[:, -1], rtol=1e-10, atol=1e-13)
-
-
-@pytest.mark.parametrize("boundary", [6.5, 7.0])
-def test_on_a_change_of_constraint_or_a_node_the_derivative_is_that_of_going_deeper(boundary):
-    rules, step = ModelOptions(tolerance=1e-11), 1e-5
-
-    def deflection(at):
-        tissue = Tissue(mu=[0.3, 20.0], alpha=[1.0, 1.0], boundaries=[at])
-        return simulate(NEEDLE, tissue, Bevel(0.1), 12.0, rules=rules).u
-
-    tissue = Tissue(mu=[0.3, 20.0], alpha=[1.0, 1.0], boundaries=[boundary])
-    _, found = linearize(NEEDLE, tissue, Bevel(0.1), 12.0, rules=rules, wrt=("boundaries",))
-    ahead = (4 * deflection(boundary + step) - 3 * deflection(boundary) - deflection(boundary + 2 * step)) / (
-        2 * step
-    )
-    np.testing.assert_allclose(found.u[0, :, 0], ahead, rtol=0, atol=1e-4 * np.abs(ahead).max())
 
 
 # ---- many sets at once
