@@ -234,7 +234,7 @@ def test_a_bevel_that_is_not_understood_or_missing_is_stated_by_needle_or_cell(t
     plan, _ = planned([file], bevel_side__words='{"A" = "1", "B" = "-1"}', **answers)
     assert [row.side for row in plan.rows] == [1, -1, 1]
     plan, made = planned([file], bevel_side="unten", **answers)
-    assert [row.side for row in plan.rows] == [-1] * 3 and made["bevel_side"] == ("180 deg", "stated")
+    assert [row.side for row in plan.rows] == [-1] * 3 and made["bevel_side"] == ("unten", "stated")
     file = write_long(tmp_path, NEEDLES, head=["Schliff"], cells=[["1"], [""], ["-1"]])
     assert "n2" in refusal(DataError, "--set bevel_side", planned, [file], **answers).what
     plan, _ = planned([file], bevel_side="-1", **answers)
@@ -387,7 +387,6 @@ def test_a_log_of_tip_poses_is_a_track_and_not_the_shape_of_one_needle(tmp_path)
         bevel="0,1,0",
         medium="gel",
         missing='["MISSING"]',
-        if_missing="leave_out",
     )
     dataset = read(out)
     (track,) = dataset.insertions
@@ -416,7 +415,7 @@ def test_the_bevel_of_logs_is_across_the_needle_and_asked_for_where_tips_bend_to
         refusal(DataError, "--set bevel", planned, [tmp_path])
         return
     _, made = planned([tmp_path])
-    assert made["bevel_side"] == ("1", "assumed") and "if_missing" in made
+    assert made["bevel_side"] == ("1", "assumed") and "missing" in made
     for points in points_of([tmp_path], holds="tracks"):
         assert np.ptp(points.values[:, 0]) == pytest.approx(depths[-1] ** 2 / 520, abs=0.4)
 

@@ -190,7 +190,7 @@ def test_tips_beside_shapes_are_needles_of_one_dataset(tmp_path):
         assert table[["depth_mm", "tip_y_mm", "tip_z_mm"]].to_numpy().tolist() == [[50, 2, 0.5], [60, -3, 0]]
     assert "n4, n5" in refusal(DataError, "--set pose", prepare, [one], unit="mm").what
     cut = write_rows(tmp_path / "f.csv", [*rows, ["n6", "", "", ""], ["n6", 50, 2, 0], ["n6", "", 1, 0]])
-    refusal(DataError, "n6 has one point", prepare, [cut], tables__1__if_missing="leave_out", **stated)
+    refusal(DataError, "n6 has one point", prepare, [cut], **stated)
     far = write_rows(tmp_path / "e.csv", [*long_rows(), *tips])  # n3 begins 6 mm from the origin
     refusal(DataError, "--set entry_point", prepare, [far], **stated)
     alone = write_rows(tmp_path / "d.csv", [rows[0], *tips])
@@ -210,8 +210,7 @@ def test_points_that_were_not_measured_are_left_out_as_the_mapping_states(tmp_pa
     file = write_rows(tmp_path / "a.csv", rows)
     prepared = prepare([file])
     assert [len(one.line) for one in prepared.content.curves] == [15, 15, 16]
-    assert "if_missing" in prepared.mapping.assumed and len(prepared.content.left_out) == 2
-    assert refusal(DataError, "", prepare, [file], if_missing="stop").where.endswith("a.csv:6")
+    assert "missing" in prepared.mapping.assumed and len(prepared.content.left_out) == 2
 
 
 def test_a_cell_that_is_no_number_stops_at_its_place(tmp_path):

@@ -151,7 +151,7 @@ def import_data(
         screen.show_frame(needles, "Needles")
         screen.show_frame(tabulate_columns(prepared.columns), "Columns")
         screen.show_frame(tabulate_values(prepared), "Values of all needles")
-        screen.print_text(join_unused(prepared.unused, prepared.content.left_out))
+        screen.print_text(join_unused(prepared.unused))
     screen.print_warnings(invocation, dataset.warnings)
     path = format_path(out)
     look = f"look at {out / PICTURE_FILE}, " if (out / PICTURE_FILE).is_file() else ""

@@ -131,10 +131,10 @@ def _show_value(key: str, text: str) -> str:
     return f"{text} {VALUES[key].unit}".strip() if text[-1:].isdecimal() and key in VALUES else text
 
 
-def join_unused(unused: Sequence[tuple[str, str]], left_out: Sequence[str] = ()) -> str:
+def join_unused(unused: Sequence[tuple[str, str]]) -> str:
     """Return what files hold beside what is read, in one sentence; empty if nothing.
 
-    `unused`: what, and where it stands. `left_out`: points without a measured coordinate, counted.
+    `unused`: what, and where it stands.
     """
     by_place, by_names = dict[str, list[str]](), dict[str, list[str]]()
     for part, where in unused:
@@ -142,7 +142,6 @@ def join_unused(unused: Sequence[tuple[str, str]], left_out: Sequence[str] = ())
     for where, names in by_place.items():
         by_names.setdefault(join_names(names, MAX_LISTED_UNUSED), []).append(where)
     parts = [f"{names} ({join_names(places, 1)})" for names, places in by_names.items()]
-    parts += [f"points without a measured coordinate: {text}" for text in left_out]
     return f"Not used: {'; '.join(parts)}." if parts else ""
 
 

@@ -88,9 +88,8 @@ class TableRecord(Record):
     fill_down: tuple[ColumnName, ...] = ()
     """Columns whose blank cells mean the cell above."""
     missing: tuple[str, ...] = ()
-    """Texts of cells that were not measured."""
-    if_missing: Literal["leave_out", "stop"] = "stop"
-    """What happens at such a coordinate: the point is left out, or the import stops."""
+    """Further texts of cells that were not measured, beside blanks, nan, NA, -999 and the like. A point
+    without a coordinate is left out."""
     columns: dict[str, MeaningRecord] = {}
     """Its column by each meaning: `x`, `y`, `depth`, `needle`, ... (docs/import.md lists them)."""
     unused: tuple[ColumnName, ...] = ()

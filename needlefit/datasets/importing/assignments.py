@@ -5,7 +5,6 @@ from typing import Any
 
 from needlefit.datasets.importing.meanings import MEANINGS, VALUES
 from needlefit.datasets.importing.stated import name_set
-from needlefit.datasets.importing.synonyms import translate_side
 from needlefit.errors import ConfigError
 from needlefit.project.locate import sort_by_similarity
 from needlefit.project.toml import override
@@ -32,7 +31,7 @@ class Assignments:
         for key, text in pairs:
             head, _, part = key.partition(".")
             if key in VALUES:
-                self.values[key] = translate_side(text, "") if key == "bevel_side" else text
+                self.values[key] = text
             elif key in ("unit", "origin"):
                 setattr(self, key, text)
             elif key == "surfaces":

@@ -7,6 +7,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import permutations
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,10 @@ from needlefit.datasets.formats import FORMATS
 from needlefit.datasets.formats.markups import MARKUPS, is_plane
 from needlefit.datasets.importing.assignments import Assignments
 from needlefit.datasets.importing.draft import Draft
-from needlefit.datasets.importing.draft_table import COORDINATES, TableDraft
+from needlefit.datasets.importing.draft_table import TableDraft
 from needlefit.datasets.importing.examples import EXAMPLE_SHEET
 from needlefit.datasets.importing.layout import propose_layout, sniff_text
-from needlefit.datasets.importing.meanings import ROWS, VALUES
+from needlefit.datasets.importing.meanings import COORDINATES, MEANINGS, VALUES
 from needlefit.datasets.importing.read import MAX_CURVES
 from needlefit.datasets.importing.stated import name_set
 from needlefit.datasets.importing.synonyms import find_meaning, split_unit
@@ -85,7 +86,7 @@ def draft_mapping(paths: Sequence[Path], stated: Assignments) -> tuple[Draft, li
         tables = "; ".join(f"{part}: {why}" for part, why in draft.unused if part.startswith("table"))
         has_depth = any("depth" in table["columns"] for table in draft.tables)
         for key in ("deflection",) if has_depth else "xy":
-            draft.ask("column", str(paths[0]), key=key, text=f"{ROWS[key].text} ({tables or paths[0]})")
+            draft.ask("column", str(paths[0]), key=key, text=f"{MEANINGS[key].text} ({tables or paths[0]})")
     return draft, files
 
 
@@ -143,25 +144,29 @@ def _ask_sources(draft: Draft) -> None:
     """
     if any("specimen.column" in keys for asked in draft.opens for keys in asked.choices.values()):
         return
-    numbers = {
-        (file, table.get("sheet", "")): n
+    entries = {
+        (file, table.get("sheet", "")): (n, table["holds"])
         for n, table in enumerate(draft.tables, 1)
         for file in table["files"]
     }
-    holds = {place: draft.tables[n - 1]["holds"] for place, n in numbers.items()}
     places = [
         place
-        for place, names in draft.needles.items()
-        for other, others in draft.needles.items()
-        if other != place and holds[other] == holds[place] and names & others
+        for place, other in permutations(draft.needles, 2)
+        if entries[place][1] == entries[other][1] and draft.needles[place] & draft.needles[other]
     ]
     if not places:
         return
     source = "sheet" if len({file for file, _ in places}) == 1 else "file"
     names = [*dict.fromkeys(sheet if source == "sheet" else file for file, sheet in places)]
     listed = f"{source.capitalize()}s {join_names(names, 4)}"
-    number = str(numbers[places[-1]])
-    draft.ask("source", places[0][0], source=source, places=listed, last=names[-1], number=number)
+    draft.ask(
+        "source",
+        places[0][0],
+        source=source,
+        places=listed,
+        last=names[-1],
+        number=str(entries[places[-1]][0]),
+    )
 
 
 # ---- sheets and grids

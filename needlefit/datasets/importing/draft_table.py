@@ -5,13 +5,12 @@ import re
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from itertools import count, pairwise, permutations
+from itertools import count, pairwise
 from typing import Any, NamedTuple
 
 from needlefit.datasets.importing.assignments import Assignments
 from needlefit.datasets.importing.draft import Draft
-from needlefit.datasets.importing.layout import MISSING
-from needlefit.datasets.importing.meanings import ATTRIBUTES, MEANINGS, SENSOR, VECTORS
+from needlefit.datasets.importing.meanings import ATTRIBUTES, COORDINATES, MEANINGS, POINTS, SENSOR, VECTORS
 from needlefit.datasets.importing.stated import name_set
 from needlefit.datasets.importing.synonyms import (
     INDEX,
@@ -29,12 +28,9 @@ from needlefit.datasets.point_labels import divide_labels
 from needlefit.datasets.points import MIN_POINTS
 from needlefit.project.units import UNITS_GPA
 
-CODES = ("-999", "-999.0", "-9999", "-9999.0", "-99", "999", "9999")  # numbers that stand for no measurement
 NO_POINTS = (*VECTORS, "target", "guide", "quaternion")  # columns x, y, z that are no points of a needle
-COORDINATES = ("x", "y", "z", "depth", "deflection", "deflection_z", "guide")
 OF_LAYERS = {"boundaries", "layers", "thickness"}  # meanings of columns that state something of layers
 SEVERAL = (*VECTORS, "boundaries", "thickness", "guide", "needle")  # meanings that may have several columns
-POINTS = ("shapes", "tips", "tracks")  # rows that hold points
 EXCLUDED = "excluded"  # the word of rows that are left out
 MIN_NEEDLE_GPA = 1.0  # smallest modulus (GPa) that can only be that of a needle
 MAX_FLAGS = 4  # largest number of values of a column that may mark rows to be left out
@@ -199,12 +195,9 @@ class TableDraft:
         repeated = [column for column in candidates if len({*column.texts}) < len(column.texts)]
         chosen = [*(repeated or candidates)[:1]]
         for column in (*repeated[1:], *known.get("specimen", [])[:1]):
-            divided, names = (
-                len({tuple(row[column.place] for column in columns) for row in rows})
-                for columns in (chosen, [*chosen, column])
-            )
-            if divided < names <= len(rows) / 2:
-                chosen.append(column)
+            counts = [len({tuple(row[one.place] for one in (*chosen, *more)) for row in rows})
+                      for more in ((), (column,))]  # fmt: skip
+            chosen += [column] if counts[0] < counts[1] <= len(rows) / 2 else []
         if len(chosen) > 1:
             self.draft.assumed["needle"] = f"{_list_names(chosen)}: together they name the needles"
         return chosen
@@ -222,14 +215,6 @@ class TableDraft:
             if axis and group not in NO_POINTS:
                 turn = next(k for k in count() if axis not in groups.get((k, group), ()))
                 groups.setdefault((turn, group), {})[axis] = column
-        has_along = "x" in self.taken or any(column.header.meaning == "depth" for column in self.all)
-        for axes in groups.values() if not has_along else ():
-            if axes.keys() == {"y", "z"}:  # x is that of them which spans more
-                across, along = sorted(axes.values(), key=lambda column: _span(column.numbers))
-                axes |= {"x": along, "y": across}
-                del axes["z"]
-                reason = f"column {along.name}: it spans more, and no column is called x"
-                self.draft.assumed["x"] = reason
         with_x = [axes for axes in groups.values() if "x" in axes]
         lacking = [axes for axes in groups.values() if "x" not in axes]
         if len(with_x) == 1 and all("y" in axes for axes in lacking):
@@ -307,22 +292,17 @@ class TableDraft:
             if "depth" in taken:
                 taken["turn_depth"] = taken.pop("depth")
             return [{}], "turns"
-        unknown = [str(column.name) for column in self._list_unknown()]
-        if "depth" in taken and "needle" not in taken and len(unknown) > 1:
-            names, columns = f"`{'`, `'.join(unknown)}`", "|".join(unknown)
-            self.draft.ask(
-                "deflections", self.where, names=names, columns=columns, unused=json.dumps(unknown)
-            )
+        if "depth" in taken and "needle" not in taken and len(unknown := self._list_unknown()) > 1:
+            self._ask_column("deflection", unknown)
         return [], ""
 
     def _find_deflections(self, entries: Sequence[Records], holds: str) -> tuple[list[Records], str]:
         """Return the columns of deflections at depths: tracks where depths increase; ask which one counts."""
         columns = self.taken["deflection"]
-        others = [column.name for column in self._list_free() if column.header.meaning == "deflection"]
-        names = [columns[0].name, *others, *(entry["y"]["column"] for entry in entries)]
-        if len(names) > 1 and "deflection" not in self.stated.columns:
-            answers = {str(name): {"deflection.column": str(name)} for name in names}
-            self.draft.ask("deflection", self.where, answers)
+        others = [column for column in self._list_free() if column.header.meaning == "deflection"]
+        others += [self.all[place] for entry in entries if (place := self.table.find(entry["y"]["column"]))]
+        if others and "deflection" not in self.stated.columns:
+            self._ask_column("deflection", (*columns[:1], *others))
         increase = self._increases(self.taken["depth"])
         if increase and not holds:
             self._assume_tracks("the depths of each needle increase")
@@ -340,21 +320,18 @@ class TableDraft:
 
     def _ask_curvatures(self, is_stated: bool) -> bool:
         """Whether rows hold curvatures, as headers or the unit of their numbers state; ask which is which."""
-        inverse = [str(column.name) for column in self._list_free() if column.header.unit.startswith("1/")]
+        inverse = [column for column in self._list_free() if column.header.unit.startswith("1/")]
         if not (inverse or self.taken.keys() & {*SENSOR[1:3]} or is_stated):
             return False
-        place = "sensor_from_base" if "sensor_from_base" in self.taken else "sensor"
-        lacking = [key for key in (place, *SENSOR[1:3]) if key not in self.taken]
-        if {*SENSOR[1:3]} <= {*lacking} and len(inverse) > 1:
-            answers = {
-                f"{up}, {right}": {"curvature_y.column": up, "curvature_z.column": right}
-                for up, right in permutations(inverse, 2)
-            }
-            self.draft.ask("curvatures", self.where, answers, names=", ".join(inverse))
-            lacking = [key for key in lacking if key == place]
-        for key in lacking:
-            self.draft.ask("column", self.where, key=key, text=MEANINGS[key].text)
+        for key in ("sensor_from_base" if "sensor_from_base" in self.taken else "sensor", *SENSOR[1:3]):
+            if key not in self.taken:
+                self._ask_column(key, inverse if key in SENSOR[1:3] else ())
         return True
+
+    def _ask_column(self, meaning: str, columns: Iterable[Column] = ()) -> None:
+        """Ask which column has a meaning, perhaps one of some."""
+        answers = {str(column.name): {f"{meaning}.column": str(column.name)} for column in columns}
+        self.draft.ask("column", self.where, answers, key=meaning, text=MEANINGS[meaning].text)
 
     def _find_kind(self, groups: Mapping[str, Axes]) -> str:
         """Return whether points are of shapes, of tips, or of a tip on its way; what may be both is asked."""
@@ -468,16 +445,12 @@ class TableDraft:
         texts = [row[column.place] for row in self.table.rows]
         named = [n for n, text in enumerate(texts) if text]
         are_first = all(b - a > 1 for a, b in pairwise([*named, len(texts)]))
-        is_repeated = len({*texts}) <= len(named)
-        if named[:1] != [0] or all(texts) or not (are_first or is_repeated):
+        if all(texts) or named[0] or not (are_first or len({*texts}) <= len(named)):
             return
         self.keys["fill_down"] = [column.name]
         self.draft.assumed["fill_down"] = f"{column.name}: a blank cell is the one above"
-        rows = [[*row] for row in self.table.rows]
-        for above, row in pairwise(rows):
-            row[column.place] = row[column.place] or above[column.place]
-        self.table = replace(self.table, rows=rows)
-        self.taken["needle"] = [column._replace(texts=[row[column.place] for row in rows])]
+        self.table = self.table.fill_down([column.name])
+        self.taken["needle"] = [column._replace(texts=[row[column.place] for row in self.table.rows])]
 
     def _name_unused(self) -> None:
         """Name columns that nothing uses; numbers under an unknown header are assumed to mean nothing.
@@ -541,10 +514,7 @@ class TableDraft:
                 self.draft.assumed[EXCLUDED] = f"{', '.join(statistics)}: no needles"
             place = (self.table.path.name, self.keys.get("sheet", ""))
             self.draft.needles.setdefault(place, set()).update(names)
-        entry = {**self.keys, "columns": records}
-        if holds in POINTS:
-            self._find_missing(entry)
-        self.draft.add(entry, self.table.path)
+        self.draft.add({**self.keys, "columns": records}, self.table.path)
 
     def _complete(self, meaning: str, record: dict[str, Any]) -> None:
         """Add a unit that the header does not state, and words for the sides of bevels."""
@@ -567,12 +537,7 @@ class TableDraft:
                 self.draft.assumed[f"{meaning}.unit"] = f"{self.table.unit or 'mm'}: {reason}"
         if meaning != "bevel_side":
             return
-        unit = record.get("unit", "")
-        words = {text: side for text in texts if (side := translate_side(text, unit)) != text}
-        if words := words | record.get("words", {}):
-            record["words"] = words
-        if unit == "clock":
-            unit = record.pop("unit")
+        unit, words = record.get("unit", ""), record.get("words", {})
         unclear = [text for text in texts if text not in words and not is_side(text, unit)]
         if not unclear or "bevel_side" in self.draft.values:
             return
@@ -592,22 +557,6 @@ class TableDraft:
         names = record.get("column", [])
         places = map(self.table.find, names if isinstance(names, list) else [names])
         return [self.all[n] for n in places if n is not None]
-
-    def _find_missing(self, entry: dict[str, Any]) -> None:
-        """Propose which texts of coordinates mean that nothing was measured."""
-        places, readings = (
-            [column for key in keys for column in self._find_columns(entry["columns"].get(key, {}))]
-            for keys in ("xyz", ("depth", "deflection"))
-        )
-        texts = {text for column in (*places, *readings) for text in column.texts}
-        words = sorted(text for text in texts if text.lower() in MISSING or text in CODES)
-        cells = [[row[column.place] for column in places] for row in self.table.rows]
-        partly = entry.get("layout") != "wide" and any(any(row) and not all(row) for row in cells)
-        if words or partly:
-            entry.setdefault("missing", words)
-            entry.setdefault("if_missing", "leave_out")
-            shown = ", ".join([*words, *(["blank"] if partly else [])])
-            self.draft.assumed["if_missing"] = f"leave_out: points with {shown} were not measured"
 
 
 def _spell(meaning: str, columns: Sequence[Column]) -> dict[str, Any]:

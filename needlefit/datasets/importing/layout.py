@@ -10,6 +10,7 @@ from needlefit.datasets.importing.meanings import MEANINGS
 from needlefit.datasets.importing.synonyms import find_meaning, read_header
 from needlefit.datasets.importing.tables import (
     MAX_TABLE_BYTES,
+    MISSING,
     Grid,
     decode,
     is_comment,
@@ -21,7 +22,6 @@ from needlefit.errors import DataError
 from needlefit.project.input_files import read_bytes
 from needlefit.project.units import UNITS_MM
 
-MISSING = ("nan", "na", "n/a", "-", "--", "null", "none", "missing", "#n/a", "#div/0!", "inf", "-inf", "+inf")
 MAX_HEADER_ROWS = 6  # largest number of rows of headers
 SAMPLE_ROWS = 300  # number of rows by which separator and decimal sign are found
 _SEPARATORS = (";", "\t", ",", " ")  # in the order in which equally good ones are taken

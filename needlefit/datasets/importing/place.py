@@ -1,6 +1,5 @@
 """Place imported needles: entry, direction, layers and bevel, as the mapping or an answer states them."""
 
-import math
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -16,7 +15,7 @@ from needlefit.datasets.columns import DEFAULT_ROLL_SD_DEG, InsertionRow, PoseSo
 from needlefit.datasets.first_study import FirstChoices, free_guide_distance
 from needlefit.datasets.importing.curve_answers import CurveAnswers
 from needlefit.datasets.importing.curves import ImportContent, ImportedCurve
-from needlefit.datasets.importing.directions import MIN_SAME_SIDE, format_direction, to_sides
+from needlefit.datasets.importing.directions import MIN_SAME_SIDE, BendsOfSides, format_direction, to_sides
 from needlefit.datasets.importing.stated import Settler, Stated, name_set
 from needlefit.datasets.importing.synonyms import find_meaning, read_quantity
 from needlefit.datasets.importing.tips import add_tips, make_tips, split_tips
@@ -35,7 +34,7 @@ from needlefit.datasets.points import MIN_POINTS
 from needlefit.errors import DataError
 from needlefit.geometry.common_direction import fit_direction
 from needlefit.geometry.crossings import find_crossings, find_surface_hits
-from needlefit.geometry.frames import normalize, to_unit
+from needlefit.geometry.frames import normalize
 from needlefit.geometry.measured_curve import measure_curve
 from needlefit.geometry.shaft import ShaftAxis, fit_shaft_axis
 from needlefit.geometry.surfaces import Surface
@@ -87,20 +86,20 @@ class Planner(CurveAnswers):
 
         DataError if a question has no clear answer, or what is stated contradicts the files.
         """
-        tracks = self.part([curve for curve in self.curves if curve.holds == "tracks"])
-        shapes = self.part([curve for curve in self.curves if curve.holds == "shapes"])
-        tips = self.part([curve for curve in self.curves if curve.holds not in ("shapes", "tracks")])
+        shapes, tips, tracks = (
+            self.part([curve for curve in self.curves if curve.holds in kinds])
+            for kinds in (("shapes",), ("tips", "curvatures"), ("tracks",))
+        )
         require_order(shapes.curves)
         self.part([*shapes.curves, *tips.curves]).refuse_moved_guide(is_alone=not tracks.curves)
         split_tips(tips, shapes.curves)
-        is_alone = not (shapes.curves or tips.curves)
-        runs = make_tracks(tracks, is_alone) if tracks.curves else []
+        runs = make_tracks(tracks, not (shapes.curves or tips.curves)) if tracks.curves else []
         self.curves[:] = (*shapes.curves, *tips.curves, *tracks.curves)
         self.settle_curvature_sd()
         own_sds = self.numbers("point_sd", is_above=True)
         first, last = len(shapes.curves), len(shapes.curves) + len(tips.curves)
         poses, entries = list[Stated](), list[Floats | None]()
-        if shapes.curves:
+        if first:
             without = join_names([curve.name for curve in tips.curves], 5)
             if without:
                 self.settler.note("without a shape", without)
@@ -109,18 +108,17 @@ class Planner(CurveAnswers):
             placed = [curve.name for curve in tips.curves if len(curve.line) and not curve.is_deflection]
             entries = shapes.settle_entry_points(poses, join_names(placed, 5))
         beside = make_tips(tips, min(own_sds[first:last])) if tips.curves else []
-        depths, further = self.settle_layers(), [*beside, *runs]
-        needles = self.settle_needles(
-            [*(curve.length for curve in shapes.curves), *(row.depth for row in further)]
-        )
+        depths = self.settle_layers()
+        lengths = [*(curve.length for curve in shapes.curves), *(row.depth for row in (*beside, *runs))]
+        needles = self.settle_needles(lengths)
         rows = shapes.make_rows(poses, entries, min(own_sds[:first]), depths, needles) if first else []
         rows += set_layers(beside, depths[first:last])
         if any(depths[:last]) or self.surfaces:
             errors = self.part(self.curves[:last]).numbers("boundary_sd")
             rows = [replace(row, boundary_sd=error) for row, error in zip(rows, errors, strict=True)]
-        sd = min(own_sds)
-        pairs = zip((*rows, *runs), own_sds, strict=True)
-        rows = [replace(row, point_sd=None if own_sd == sd else own_sd) for row, own_sd in pairs]
+        sd, rows = min(own_sds), [*rows, *runs]
+        for n, own_sd in enumerate(own_sds):
+            rows[n] = replace(rows[n], point_sd=None if own_sd == sd else own_sd)
         rows = self.add_names(rows, depths, is_track=bool(runs))
         rows, parameters = self.settle_guide_distance(rows, needles, is_track=bool(runs))
         if any(curve.is_deflection for curve in self.curves) and "deflection" not in self.settler.assumed:
@@ -159,20 +157,18 @@ class Planner(CurveAnswers):
         for row, boundaries in zip(rows, depths, strict=True):
             by_medium.setdefault(row.medium, set()).add(boundaries)
         media = {medium: (*of_all,)[0] if len(of_all) == 1 else () for medium, of_all in by_medium.items()}
-        kinds = [needle for n, needle in enumerate(needles) if needle not in needles[:n]]
-        names = [f"needle{kinds.index(needle) + 1}" if len(kinds) > 1 else "" for needle in needles]
+        kinds = [*dict.fromkeys(needles)]
+        named = {f"needle{n}": needle for n, needle in enumerate(kinds, 1)} if len(kinds) > 1 else {}
+        names = {needle: name for name, needle in named.items()}
         placed = tuple(
             replace(
                 row,
-                needle=name,
+                needle=names.get(needle, ""),
                 boundaries=None if boundaries == media[row.medium] else boundaries,
                 curvature=count_from_tip(curve, row.curvature, needle.length_mm),
             )
-            for row, boundaries, name, needle, curve in zip(
-                rows, depths, names, needles, self.curves, strict=True
-            )
+            for row, boundaries, needle, curve in zip(rows, depths, needles, self.curves, strict=True)
         )
-        named = dict(zip(names, needles, strict=True)) if len(kinds) > 1 else {}
         return ImportPlan(placed, pose, tuple(self.surfaces), media, kinds[0], sd, named)
 
     def refuse_moved_guide(self, is_alone: bool) -> None:
@@ -435,22 +431,16 @@ class Planner(CurveAnswers):
         if not angles or any(curve.line[:, 2].any() for curve in self.curves):
             return
         ((plane, _),) = Counter(angle % 180.0 for angle in angles).most_common(1)
-        pairs = zip(self.curves, angles, strict=True)
-        hidden = [
-            curve for curve, angle in pairs if abs(math.sin(math.radians(angle - plane))) > MAX_HIDDEN_PART
-        ]
-        if hidden:
+        across = np.abs(np.sin(np.radians(np.array(angles) - plane)))
+        if hidden := [self.curves[n] for n in np.flatnonzero(across > MAX_HIDDEN_PART)]:
             names = join_names([curve.name for curve in hidden], 5)
-            raise (
-                hidden[0]
-                .stated["bevel_side"]
-                .error(
-                    "bevel_side",
-                    f"{plane:g} or {plane + 180.0:g} deg, as of the others: only x and y were measured, and "
-                    f"{names} bends along z",
-                    "state z, or leave its rows out",
-                )
+            expected = (
+                f"{plane:g} or {plane + 180.0:g} deg, as of the others: only x and y were measured, and "
             )
+            expected += f"{names} bends along z"
+            places = " and ".join(curve.points.where() for curve in hidden)
+            fix = f"state z, or leave out the rows from {places} on"
+            raise hidden[0].stated["bevel_side"].error("bevel_side", expected, fix)
 
     def settle_bevel(
         self, bends: Floats, along: Floats, angles: Sequence[float] | None
@@ -459,18 +449,15 @@ class Planner(CurveAnswers):
 
         `bends` (N, 3): from the directions `along` (N, 3), mm. Their mean is all that is read of the shapes.
         """
-        sides, turns = to_sides(angles or [0.0] * len(bends))
-        turned = Rotation.from_rotvec(np.array(turns)[:, None] * along)
+        sides = BendsOfSides(bends, along, angles)
         guess, reason, fix, where = "bend", "every needle is taken to bend toward its bevel", "", ""
         is_turned = any(curve.turns or curve.sensors or curve.tips for curve in self.curves)
-        if differ := is_turned or len({*sides}) > 1 or len({*turns}) > 1 or min(sides) < 0:
-            toward = find_bends_of_sides(bends, along, sides, turned)
-            units = toward / np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), SAME_POINT_MM)
-            mean = to_unit(toward.sum(axis=0))  # of straight needles it is 0
-            guess = format_direction(mean)
+        faced = [angle % 360.0 for angle in angles or [0.0]]
+        if differ := is_turned or len({*faced}) > 1 or max(faced) >= 180.0:
+            guess = format_direction(sides.mean)
             reason = "the mean direction in which needles bend from their sides"
-            if np.linalg.norm(units.mean(axis=0)) <= MIN_SAME_SIDE:
-                off = np.flatnonzero(units @ mean < np.cos(np.radians(MAX_HEADING_DEG)))
+            if not sides.agree:
+                off = np.flatnonzero(sides.units @ sides.mean < np.cos(np.radians(MAX_HEADING_DEG)))
                 names = join_names([self.curves[n].name for n in off], 5) or "some needles"
                 fix = f"look at the bevel side of {names} in its source; if it is right: "
                 fix += name_set("bevel", guess)
@@ -478,12 +465,12 @@ class Planner(CurveAnswers):
                 where = cells[0].where if cells else ""
                 guess, reason = "", f"the bevel side of {names} and that of the others contradict each other"
         answer = self.settle("bevel", guess, reason, fix=fix, where=where)
-        if answer.text == "bend":
-            if differ:
-                raise answer.error("bevel", "X,Y,Z: bevels differ, or turn")
-            return [None] * len(bends)
-        self.settle_sides(is_needed=True)
-        return list(turned.apply(answer.to_vector("bevel")))
+        if answer.text != "bend":
+            self.settle_sides(is_needed=True)
+            return [*sides.turned.apply(answer.to_vector("bevel"))]
+        if differ:
+            raise answer.error("bevel", "X,Y,Z: bevels differ, or turn")
+        return [None] * len(bends)
 
     def compare_sides(self, angles: Sequence[float] | None) -> Sequence[Floats | None]:
         """Return the direction that side 1 of each free shape faces in the frame of the points, if stated.
@@ -492,21 +479,16 @@ class Planner(CurveAnswers):
         several planes, as needles do that were not measured in one frame.
         """
         fitted = fit_direction([curve.line for curve in self.curves])
-        bevels: list[Floats | None] = [None for _ in self.curves]
-        if angles is None:
-            self.settler.note("bevel", "a free shape bends toward its bevel")
-            return bevels
-        note = "stated sides are not compared with the bends: no one direction fits the needles"
-        if fitted is not None:
-            along = np.tile(fitted.vector, (len(self.curves), 1))
-            sides, turns = to_sides(angles)
-            turned = Rotation.from_rotvec(np.array(turns)[:, None] * along)
+        bevels: Sequence[Floats | None] = [None] * len(self.curves)
+        note = "a free shape bends toward its bevel"
+        if angles is not None:
+            note = "stated sides are not compared with the bends: no one direction fits the needles"
+        if angles is not None and fitted is not None:
             chords = np.array([curve.line[-1] - curve.line[0] for curve in self.curves])
-            toward = find_bends_of_sides(chords, along, sides, turned)
-            mean = to_unit(toward.sum(axis=0))
-            if np.abs(toward @ mean).sum() > MIN_SAME_SIDE * np.linalg.norm(toward, axis=1).sum():
+            sides = BendsOfSides(chords, np.tile(fitted.vector, (len(chords), 1)), angles)
+            if np.abs(sides.toward @ sides.mean).sum() > MIN_SAME_SIDE * sides.sizes.sum():
                 note = f"stated sides are compared with the bends from {format_direction(fitted.vector)}"
-                bevels = [*turned.apply(mean)]
+                bevels = [*sides.turned.apply(sides.mean)]
         self.settler.note("bevel", note)
         return bevels
 
@@ -605,13 +587,6 @@ class Planner(CurveAnswers):
         return [
             replace(row, guide_distance=distance) for row, distance in zip(rows, distances, strict=True)
         ], {}
-
-
-def find_bends_of_sides(bends: Floats, along: Floats, sides: Sequence[int], turned: Rotation) -> Floats:
-    """Return how far bevels of side 1 would have bent (N, 3) across the directions `along` (N, 3), mm."""
-    across = bends - np.sum(bends * along, axis=1)[:, None] * along
-    bent: Floats = np.array(sides)[:, None] * turned.inv().apply(across)
-    return bent
 
 
 # ---- needles, points and shafts

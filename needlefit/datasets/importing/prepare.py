@@ -11,9 +11,8 @@ from needlefit.datasets.importing.assignments import Assignments
 from needlefit.datasets.importing.curves import ImportContent
 from needlefit.datasets.importing.draft import Draft
 from needlefit.datasets.importing.draft_files import draft_mapping
-from needlefit.datasets.importing.draft_table import COORDINATES, POINTS
 from needlefit.datasets.importing.examples import find_examples
-from needlefit.datasets.importing.meanings import MEANINGS
+from needlefit.datasets.importing.meanings import COORDINATES, MEANINGS, POINTS, VALUES
 from needlefit.datasets.importing.place import ImportPlan, Planner
 from needlefit.datasets.importing.read import MappedTable, list_tables, read_curves, read_mapped
 from needlefit.datasets.importing.stated import Question, Settler, UnansweredError, name_set
@@ -106,6 +105,10 @@ def _prepare(
             "as the workbook states it, yet no needle is one of its examples; origin=measured if measured"
         )
         assumed["origin"] = f"example: {reason}"
+    if content.left_out:
+        assumed["missing"] = (
+            f"points without a measured coordinate are left out: {'; '.join(content.left_out)}"
+        )
     settler = Settler(values, assumed, is_complete=mapping is not None)
     columns = [*_describe_columns(record, files)]
     plan = Planner(content, settler).make_plan()
@@ -119,19 +122,8 @@ def _prepare(
 def _load(mapping: Path, assignments: Sequence[tuple[str, str]]) -> MappingRecord:
     """Return the mapping of a file, with the values that are stated."""
     record = load(mapping, MappingRecord)
-    if not assignments:
-        return record
     keys = record.model_dump(mode="json", exclude_defaults=True, by_alias=True)
-    stated = Assignments(assignments)
-    pairs = [*((f"values.{key}", text) for key, text in stated.values.items()), *stated.numbered]
-    if stated.origin:
-        pairs.append(("origin", stated.origin))
-    if stated.columns or stated.table or stated.unit:
-        raise ConfigError(
-            "beside a mapping columns are stated by the number of their table",
-            expected=f'tables.1.columns.y.column = "HEADER", or an edit of {mapping}',
-            fix="--set tables.1.columns.MEANING.column=HEADER",
-        )
+    pairs = [(f"values.{key}" if key in VALUES else key, text) for key, text in assignments]
     return check(override(keys, pairs, str(mapping)), MappingRecord, mapping)
 
 

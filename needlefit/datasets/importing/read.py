@@ -16,10 +16,12 @@ from needlefit.datasets.faults import as_error
 from needlefit.datasets.formats import find_format
 from needlefit.datasets.formats.markups import read_plane
 from needlefit.datasets.importing.curves import ImportContent, ImportedCurve, TipReading
-from needlefit.datasets.importing.meanings import ATTRIBUTES, MEANINGS, SENSOR, VECTORS
+from needlefit.datasets.importing.meanings import ATTRIBUTES, COORDINATES, MEANINGS, POINTS, SENSOR, VECTORS
 from needlefit.datasets.importing.stated import Stated, name_set
 from needlefit.datasets.importing.synonyms import find_meaning, read_quantity
 from needlefit.datasets.importing.tables import (
+    CODES,
+    MISSING,
     SHEET_SUFFIXES,
     TEXT_SUFFIXES,
     Table,
@@ -103,9 +105,12 @@ class MappedTable:
         cells = defaultdict[str, list[list[str]]](lambda: [[] for _ in self.table.rows])
         for meaning, record in self.record.columns.items():
             columns, value = self.list_columns(meaning), names.get(record.source, str(record.value))
+            is_place = meaning in COORDINATES and self.record.holds in POINTS
             cells[meaning] = [
                 [
-                    "" if text in self.record.missing else record.words.get(text, text)
+                    ""
+                    if text in self.record.missing or (is_place and _is_missing(text))
+                    else record.words.get(text, text)
                     for text in [row[m] for m in columns] or [value]
                 ]
                 for row in self.table.rows
@@ -145,7 +150,7 @@ class MappedTable:
             fix = "write one number in each cell"
             if not any(map(str.isdigit, text)):
                 missing = self.name_edit("missing", f'["{text[:20]}"]')
-                fix += f"; or, if it was not measured: {missing} {self.name_edit('if_missing', 'leave_out')}"
+                fix += f"; or, if it was not measured: {missing}"
             raise DataError(
                 f"{meaning} is {text[:40]!r}",
                 expected=f"a number with the decimal sign {self.table.decimal!r}",
@@ -157,6 +162,11 @@ class MappedTable:
     def read_numbers(self, meaning: str, rows: Iterable[int], k: int = 0) -> Floats:
         """Return the cells of rows, those of the column `k`, in mm or 1/mm."""
         return np.array([self.read_number(meaning, n, k) for n in rows], dtype=np.float64)
+
+
+def _is_missing(text: str) -> bool:
+    """Whether a cell states that a coordinate was not measured."""
+    return text in CODES or text.lower() in MISSING
 
 
 def read_mapped(mapping: MappingRecord, paths: Sequence[Path], where: str) -> ImportContent:
@@ -191,7 +201,7 @@ def read_mapped(mapping: MappingRecord, paths: Sequence[Path], where: str) -> Im
 
 def read_curves(tables: Sequence[MappedTable], left_out: list[str]) -> list[ImportedCurve]:
     """Return the needles of tables of points; `left_out` gets the counts of points without a coordinate."""
-    of_points = [mapped for mapped in tables if mapped.record.holds in ("shapes", "tips", "tracks")]
+    of_points = [mapped for mapped in tables if mapped.record.holds in POINTS]
     curves = _join_observations([curve for mapped in of_points for curve in _read_points(mapped, left_out)])
     _name_curves(curves)
     return curves
@@ -340,15 +350,8 @@ def _list_measured(
             raw = [mapped.table.rows[n][places[k]] for places in columns if k < len(places)]
             if all(k < len(texts) and texts[k] for texts in cells):
                 measured.append((n, [mapped.read_number(axis, n, k) for axis in axes]))
-            elif any(raw):
-                if mapped.record.if_missing == "stop":
-                    raise DataError(
-                        f"a coordinate was not measured: {', '.join(raw)}",
-                        expected=f"{', '.join(axes)} of each point",
-                        fix=f"{mapped.name_edit('if_missing', 'leave_out')}, or correct the row",
-                        where=mapped.table.places[n],
-                    )
-                missing += 1
+            else:
+                missing += any(raw)
     return measured, missing
 
 

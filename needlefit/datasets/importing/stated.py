@@ -10,7 +10,7 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.importing.meanings import VALUES
-from needlefit.datasets.importing.synonyms import read_quantity
+from needlefit.datasets.importing.synonyms import read_quantity, translate_side
 from needlefit.datasets.points import MAX_COORDINATE
 from needlefit.errors import DataError
 from needlefit.project.units import UNITS_GPA, UNITS_MM, UNITS_PER_MM
@@ -93,7 +93,7 @@ class Stated:
 
         1 is 0 degrees, -1 is 180. DataError if the cell is not understood.
         """
-        value, own_unit = read_quantity(self.text) or (float("nan"), "")
+        value, own_unit = read_quantity(translate_side(self.text, self.unit)) or (float("nan"), "")
         unit = own_unit or self.unit
         if value in (1.0, -1.0) and not unit:
             return 90.0 - 90.0 * value

@@ -151,8 +151,8 @@ def translate_side(text: str, unit: str) -> str:
 
 
 def is_side(text: str, unit: str) -> bool:
-    """Whether a text states a side of a bevel by itself: 1 or -1, or degrees."""
-    value, unit_of_text = read_quantity(text) or (0.0, "")
+    """Whether a text states a side of a bevel: 1 or -1, degrees, a clock position, or a word for one."""
+    value, unit_of_text = read_quantity(translate_side(text, unit)) or (0.0, "")
     return (unit_of_text or unit) == "deg" or (value in (1.0, -1.0) and not unit_of_text)
 
 

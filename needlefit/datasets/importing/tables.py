@@ -5,7 +5,7 @@ import csv
 import io
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import date, time, timedelta
 from functools import partial
 from itertools import pairwise, zip_longest
@@ -15,7 +15,7 @@ from typing import Any
 from needlefit.datasets.formats import find_format
 from needlefit.datasets.formats.csv import check_extent
 from needlefit.datasets.importing.meanings import ATTRIBUTES, MEANINGS
-from needlefit.datasets.importing.synonyms import find_meaning, is_side, read_header, translate_side
+from needlefit.datasets.importing.synonyms import find_meaning, is_side, read_header
 from needlefit.datasets.points import MAX_COORDINATE, Points
 from needlefit.errors import DataError
 from needlefit.geometry.frames import PatientSystem
@@ -30,6 +30,8 @@ MAX_TABLE_BYTES = 16 * 2**20  # largest text table (bytes)
 MAX_TABLE_CELLS = 1_000_000  # largest table (cells, empty ones included)
 MAX_SHEET_BYTES = 64 * 2**20  # largest workbook (bytes)
 MAX_CELL_CHARS = 500  # longest text of a cell (characters): longer text is no header and no number
+MISSING = ("nan", "na", "n/a", "-", "--", "null", "none", "missing", "#n/a", "#div/0!", "inf", "-inf", "+inf")
+CODES = ("-999", "-999.0", "-9999", "-9999.0", "-99", "999", "9999")  # numbers that stand for no measurement
 UNIT_FIELDS = ("unit", "units")  # names of columns and of fields beside a curve, in lower case
 EXPORT_FIX = "export the points as CSV, one a row, with columns needle, x, y, z and the unit in the headers"
 EXPORT_FIXES = {
@@ -102,6 +104,14 @@ class Table:
                 return matches[0]
         return None
 
+    def fill_down(self, names: Sequence[ColumnName]) -> "Table":
+        """Return the table in which a blank cell of some columns is the one above."""
+        rows = [[*row] for row in self.rows]
+        for column in [place for name in names if (place := self.find(name)) is not None]:
+            for above, row in pairwise(rows):
+                row[column] = row[column] or above[column]
+        return replace(self, rows=rows)
+
     def number(self, text: str) -> float | None:
         """Return the number in a cell; None where there is none."""
         return parse_number(text, self.decimal, self.thousands)
@@ -130,7 +140,7 @@ def lay_out(grid: Grid, record: TableRecord) -> Table:
     grid = grid.transpose() if record.transposed else grid
     body = [*_list_body(grid, record)]
     if record.layout == "pairs":
-        return _lay_out_pairs(grid, record, [n for n, _ in body])
+        return _lay_out_pairs(grid, record, [grid.rows[n] for n, _ in body])
     heads = _read_heads(grid, record)
     headers = [" ".join(filter(None, texts)) for texts in zip_longest(*heads, fillvalue="")]
     width, is_blank = len(headers), record.separator == " "
@@ -162,11 +172,7 @@ def lay_out(grid: Grid, record: TableRecord) -> Table:
         record.thousands,
         first_headers=tuple(map(tuple, heads)),
     )
-    for name in record.fill_down:
-        if (column := table.find(name)) is not None:
-            for above, row in pairwise(rows):
-                row[column] = row[column] or above[column]
-    return table
+    return table.fill_down(record.fill_down)
 
 
 def _read_heads(grid: Grid, record: TableRecord) -> list[list[str]]:
@@ -267,7 +273,7 @@ def read_remark(row: Sequence[str], comment: str, head: Sequence[str]) -> dict[s
         if meaning not in REMARKED or meaning in in_head:
             continue
         if meaning == "bevel_side":
-            stated |= {name: value} if is_side(translate_side(value, ""), "") else {}
+            stated |= {name: value} if is_side(value, "") else {}
         elif not MEANINGS[meaning].unit or find_meaning("value", value) or meaning == "diameter":
             stated[name] = value
         elif quantity := _NUMBERS.match(value):
@@ -291,21 +297,13 @@ def _read_phrases(text: str) -> Iterator[tuple[str, str]]:
             yield next(known, name), f"{number} {unit}"
 
 
-def _lay_out_pairs(grid: Grid, record: TableRecord, body: Sequence[int]) -> Table:
+def _lay_out_pairs(grid: Grid, record: TableRecord, rows: Sequence[Sequence[str]]) -> Table:
     """Return the one row of a table whose rows are a name, a value and perhaps a unit."""
-    named = [(n, (*grid.rows[n], "", "", "")[:3]) for n in body]
-    named = [(n, cells) for n, cells in named if cells[0] and cells[1]]
-    return Table(
-        grid.path,
-        grid.sheet,
-        tuple(f"{name} [{unit}]" if unit else name for _, (name, _, unit) in named),
-        [[value for _, (_, value, _) in named]],
-        [grid.where(named[0][0]) if named else str(grid.path)],
-        [1],
-        record.decimal,
-        record.thousands,
-        first_headers=(tuple(name for _, (name, *_) in named),),
-    )
+    pairs = [pair for row in rows if all((pair := (*row, "", "", "")[:3])[:2])]
+    names, cells = tuple(name for name, *_ in pairs), [value for _, value, _ in pairs]
+    headers = tuple(f"{name} [{unit}]" if unit else name for name, _, unit in pairs)
+    signs, where = (record.decimal, record.thousands), str(grid.path)
+    return Table(grid.path, grid.sheet, headers, [cells], [where], [1], *signs, first_headers=(names,))
 
 
 # ---- read files

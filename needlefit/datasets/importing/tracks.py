@@ -10,7 +10,7 @@ from needlefit.arrays import Floats
 from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.importing.curve_answers import CurveAnswers
 from needlefit.datasets.importing.curves import ImportedCurve
-from needlefit.datasets.importing.directions import MIN_SAME_SIDE, format_direction, snap_to_axis, to_sides
+from needlefit.datasets.importing.directions import BendsOfSides, format_direction, snap_to_axis, to_sides
 from needlefit.datasets.importing.stated import name_set
 from needlefit.datasets.importing.synonyms import read_header
 from needlefit.datasets.insertion import GUIDE_STILL_MM
@@ -40,33 +40,29 @@ def make_tracks(asked: CurveAnswers, is_alone: bool = True) -> list[InsertionRow
     if not all(len(curve.depths) for curve in curves):
         measure_depths(asked)
     sides, rolls = settle_rolls(asked)
-    bends, rows = list[Floats](), list[InsertionRow]()
-    for curve, side, roll in zip(curves, sides, rolls, strict=True):
-        depth = curve.depths
-        if len(depth) > 2:
-            bend, slope, _ = np.polyfit(depth - depth[0], curve.line, 2)
-            if np.linalg.norm(slope) > MIN_TRACK_SLOPE:  # else the coordinates are across the needle
-                along = snap_to_axis(normalize(slope))  # at the entry
-                bend -= (bend @ along) * along
-            bends.append(side * np.ptp(depth) ** 2 * bend)
-        turns = ((0.0, roll),) if roll else ()
-        row = InsertionRow(curve.name, "", 1, float(depth[-1]), side=side, turns=turns, hole=curve.hole)
-        rows.append(row)
+    rows = [
+        InsertionRow(
+            curve.name,
+            "",
+            1,
+            float(curve.depths[-1]),
+            side=side,
+            turns=((0.0, roll),) if roll else (),
+            hole=curve.hole,
+        )
+        for curve, side, roll in zip(curves, sides, rolls, strict=True)
+    ]
     bevel = np.array([0.0, 1.0, 0.0])
     if not all(curve.is_deflection for curve in curves):
+        bends = find_bends(curves, sides)
         guess, reason = "bend", "the mean direction in which the tips bend from their sides"
-        fitted = fit_direction([curve.line for curve in curves])
-        if fitted is not None and _agree(from_common := list_bends_from(fitted.vector, curves, sides)):
-            bends = from_common  # parabolas of short runs show less
-        if not _agree(bends):
+        if not bends.agree:
             guess, reason = "", "tips bend to several sides, which a column `bevel side` should state"
         if guess and not is_alone:
             asked.settler.note("bevel of tracks", reason)
         else:
             guess = asked.settle("bevel", guess, reason).text
-        bevel = normalize(
-            np.sum(bends, axis=0) if guess == "bend" else asked.settle("bevel").to_vector("bevel")
-        )
+        bevel = bends.mean if guess == "bend" else normalize(asked.settle("bevel").to_vector("bevel"))
     across = np.cross(sum(curve.line[-1] - curve.line[0] for curve in curves), bevel)
     across = across / (np.linalg.norm(across) or 1.0)  # 0 of deflections
     planes = np.column_stack([bevel, across, np.zeros(3)])
@@ -77,16 +73,21 @@ def make_tracks(asked: CurveAnswers, is_alone: bool = True) -> list[InsertionRow
     return rows
 
 
-def list_bends_from(direction: Floats, curves: Sequence[ImportedCurve], sides: Sequence[int]) -> list[Floats]:
-    """Return how far each run goes toward its bevel, off a direction (3,), by a line through its readings."""
-    ways = [np.ptp(curve.depths) * np.polyfit(curve.depths, curve.line, 1)[0] for curve in curves]
-    return [side * (way - (way @ direction) * direction) for way, side in zip(ways, sides, strict=True)]
-
-
-def _agree(bends: Sequence[Floats]) -> bool:
-    """Whether bends (3,) have one direction."""
-    units = [normalize(bend) for bend in bends if bend.any()]
-    return bool(units) and float(np.linalg.norm(np.mean(units, axis=0))) > MIN_SAME_SIDE
+def find_bends(curves: Sequence[ImportedCurve], sides: Sequence[int]) -> BendsOfSides:
+    """Return how far runs bend from the direction that fits all of them, else from those of their entries."""
+    fitted = fit_direction([curve.line for curve in curves])
+    bends, along, angles = list[Floats](), list[Floats](), list[float]()
+    for curve, side in zip(curves, sides, strict=True):
+        depths = curve.depths - curve.depths[0]
+        if fitted is None and len(depths) < len("abc"):  # of a parabola
+            continue
+        *curved, slope, _ = np.polyfit(depths, curve.line, 2 if fitted is None else 1)
+        bends.append(float(np.ptp(depths)) ** 2 * curved[0] if fitted is None else np.ptp(depths) * slope)
+        is_in_space = np.linalg.norm(slope) > MIN_TRACK_SLOPE  # else the coordinates are across the needle
+        start = snap_to_axis(normalize(slope)) if is_in_space else np.zeros(3)
+        along.append(start if fitted is None else fitted.vector)
+        angles.append(90.0 - 90.0 * side)
+    return BendsOfSides(np.array(bends).reshape(-1, 3), np.array(along).reshape(-1, 3), angles)
 
 
 def project_guide(curve: ImportedCurve, guide: Floats, planes: Floats) -> Floats:

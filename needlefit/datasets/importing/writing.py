@@ -1,8 +1,7 @@
 """Write an import as a dataset; its faults are those of the imported files."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -30,13 +29,6 @@ TEXTS = ("title", "source", "license")  # values of a mapping that are keys of a
 _NOTE = (
     f"# Made by `needlefit import`; {MAPPING_FILE} states how the files were read, and what was assumed.\n"
 )
-
-
-class _Place(NamedTuple):
-    """Where in the imported files a written row comes from."""
-
-    where: str
-    subject: str = ""  # what a fault of the row begins with
 
 
 def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, mapping: MappingRecord) -> Dataset:
@@ -89,11 +81,10 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, mapping: 
     record = check_record(draft | {"media": media}, DatasetRecord, str(first))
     file = write_dataset(folder, record, rows, curves, surfaces, checksums=False)
     file.write_bytes((_NOTE + file.read_text(encoding="utf-8")).encode("utf-8"))
-    places = _list_places(content.curves)
     write_mapping(folder / MAPPING_FILE, mapping)
     inspection = inspect(file)
     if inspection.dataset is None:
-        raise as_error([_trace_fault(fault, places, folder) for fault in inspection.faults], first)
+        raise as_error([_trace_fault(fault, content.curves, folder) for fault in inspection.faults], first)
     return inspection.dataset
 
 
@@ -105,32 +96,29 @@ def write_mapping(file: Path, mapping: MappingRecord) -> None:
     file.write_bytes(dumps(keys, arrays=("tables",)).encode("utf-8"))
 
 
-def _list_places(curves: Sequence[ImportedCurve]) -> dict[str, list[_Place]]:
-    """Return what each row of the tables that are written was made of, by the names of their files."""
-    places: dict[str, list[_Place]] = {}
-    for curve in curves:
-        points = [curve.points.where(n) for n in range(len(curve.points.values))]
-        places[f"centerlines/{curve.name}.csv"] = [_Place(where, f"curve {curve.name} ") for where in points]
-        sensors = [f"curvature {n} of needle {curve.name}" for n, _ in enumerate(curve.sensors, 1)]
-        turns = [cell.where.partition(", column")[0] for _, cell in curve.turns]
-        for name, row_places in (
-            ("insertions.csv", [_Place(curve.points.where(), f"curve {curve.name}: ")]),
-            (TRACKS_FILE, [*map(_Place, points)]),
-            (TURNS_FILE, [*map(_Place, turns)]),
-            (CURVATURE_FILE, [*map(_Place, sensors)]),
-        ):
-            places.setdefault(name, []).extend(row_places)
-    return places
-
-
-def _trace_fault(fault: Fault, places: Mapping[str, Sequence[_Place]], folder: Path) -> Fault:
-    """Return a fault of the dataset in `folder` as one of the imported files, with a fix that works there."""
+def _trace_fault(fault: Fault, curves: Sequence[ImportedCurve], folder: Path) -> Fault:
+    """Return a fault of the dataset in `folder` as one of the imported files: where a row comes from."""
     name, _, line = Path(fault.where).as_posix().removeprefix(f"{folder.as_posix()}/").rpartition(":")
+    points = {
+        curve.name: [(curve.points.where(n), f"curve {curve.name} ") for n in range(len(curve.line))]
+        for curve in curves
+    }
+    places = {f"centerlines/{needle}.csv": of_points for needle, of_points in points.items()} | {
+        "insertions.csv": [
+            (curve.points.where(), f"curve {curve.name}: ") for curve in curves if curve.holds != "tracks"
+        ],
+        TRACKS_FILE: [place for curve in curves if curve.holds == "tracks" for place in points[curve.name]],
+        TURNS_FILE: [(cell.where.partition(", column")[0], "") for one in curves for _, cell in one.turns],
+        CURVATURE_FILE: [
+            (f"curvature {n} of needle {curve.name}", "")
+            for curve in curves
+            for n, _ in enumerate(curve.sensors, 1)
+        ],
+    }
     if name not in places or not line.isdecimal():
         return fault.at(fault.where.replace(f"{folder}/", ""))
-    place = places[name][int(line) - 2]  # below one header line
-    problem = f"{place.subject}{fault.what.removeprefix(place.subject)}"
-    return fault.replace(what=problem, where=place.where)
+    where, subject = places[name][int(line) - 2]  # below one header line
+    return fault.replace(what=f"{subject}{fault.what.removeprefix(subject)}", where=where)
 
 
 def _write_tracks(
