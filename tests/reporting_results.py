@@ -237,7 +237,7 @@ def metadata(name, record):
         insertions={},
         new_bevel_sd={},
         search_faults={},
-        validity=tabulate_validity([]),
+        validity=tabulate_validity([], []),
     )
 
 

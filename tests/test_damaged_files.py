@@ -113,7 +113,7 @@ def test_a_run_file_of_other_types_names_the_file(tmp_path):
     for values in [
         [],
         {"name": 1},
-        {"name": "a", "study": ["plan"]},
+        {"name": "a", "dataset": ["gel"]},
         {"name": "a", "versions": {"k" * 300: 1}},
     ]:
         (tmp_path / "run.json").write_text(json.dumps(values))

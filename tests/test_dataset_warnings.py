@@ -19,7 +19,7 @@ from needlefit.project.locate import find_file
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml import load
 from needlefit.schemas.study import FitRecord
-from needlefit.studies.job import Settings
+from needlefit.studies.job import Inputs, Settings
 from needlefit.studies.load import load_study, print_notes
 
 NOISE = {"registration_mean_mm": 0.1, "point_sd_mm": 0.02}
@@ -91,8 +91,8 @@ def test_no_shipped_dataset_gives_a_warning_and_a_study_names_those_of_units_and
     turned = replace(
         dataset, warnings=(ResultWarning("bevel_side", "all turned"), ResultWarning("noise", "x"))
     )
-    settings = Settings(file=file, note=notes.append)
-    print_notes(load_study("phantom1", load(file, FitRecord), settings, turned), settings)
+    settings = Settings(file=file, note=notes.append, inputs=Inputs(dataset=turned))
+    print_notes(load_study("phantom1", load(file, FitRecord), settings), settings)
     assert notes == ["warning: all turned (needlefit explain bevel-side)"]
 
 

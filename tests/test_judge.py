@@ -12,9 +12,9 @@ from pytest import approx
 from reporting_results import stereo, study, with_predictions
 
 from needlefit.project.result_warnings import ResultWarning, to_stored_rows
-from needlefit.studies.answer import Check
-from needlefit.studies.check_words import lay_out_checks
+from needlefit.studies.answer import Check, Outcome
 from needlefit.studies.coverage import tabulate_coverage
+from needlefit.studies.first_page import lay_out_checks
 from needlefit.studies.fit_tables import lay_out_matrix
 from needlefit.studies.judge import (
     REFERENCES,
@@ -28,8 +28,7 @@ from needlefit.studies.judge import (
     judge_fits,
     list_checks,
 )
-from needlefit.studies.outcome import Outcome
-from needlefit.studies.scored_groups import orient_pits, pool_insertions
+from needlefit.studies.scored_groups import orient_pits
 
 PROJECT = Path(__file__).parent.parent
 
@@ -231,7 +230,7 @@ def test_title_status_check_table_and_advice_follow_from_one_outcome():
     openings, advised = dict[str, str](), dict[str, set[str]]()
     for seed in (*range(26), 33, 46, 57):  # the last ones are "as close"
         results = make_scores(seed)
-        outcome = judge(results, pool_insertions(results)).outcome
+        outcome = judge(results).outcome
         status, passed, findings = FOLLOWS[outcome]
         page = results.first_page
         verdict = page.verdict
@@ -383,8 +382,7 @@ def test_several_fits_generalise_only_where_they_beat_every_curve():
     outcomes = []
     for changed in ({}, {"constant_curvature": (0.1, 0.0)}, {"straight": (0.01, 0.0), "fitted": (2.0, 0.01)}):
         one = with_tip_errors(results, **{**near, **others, **changed})
-        group = pool_insertions(one)
-        outcomes.append((judge(one, group).outcome, find(one, Check.CURVES).passed))
+        outcomes.append((judge(one).outcome, find(one, Check.CURVES).passed))
     assert outcomes == [("generalises", True), ("not shown", None), ("does not generalise", False)]
 
 
@@ -417,7 +415,8 @@ def test_tracks_are_judged_by_their_readings():
 
 def test_a_fit_is_compared_with_the_references_on_its_own_needles():
     results = with_tip_errors(study(1), **{**CURVES, "fitted": (0.1, 0.0), "straight": (0.05, 0.0)})
-    found = {one.check: one for one in list_checks(results, "tune")}[Check.CURVES]
+    fit = results.with_frames(errors=results.frames["errors"].query("role == 'tune'"))
+    found = find(fit, Check.CURVES)
     assert (found.passed, found.needles, found.closer, found.threshold) == (None, 9, 0, approx(0.05))
 
 
@@ -425,7 +424,7 @@ def test_leaving_one_out_of_one_specimen_is_compared_and_not_tested():
     results = stereo()
     errors = results.frames["errors"].assign(specimen="gel-1")
     one = with_tip_errors(results.with_frames(errors=errors), **{**CURVES, "fitted": (0.1, 0.0)})
-    judged = judge(one, pool_insertions(one))
+    judged = judge(one)
     assert (judged.outcome, judged.trials, judged.specimens) == ("closer than both", 1, 1)
     assert judged.compared.needles == 3
 
@@ -436,7 +435,7 @@ def test_differences_are_tested_from_three_trials_on():
     third = errors["specimen"].unique()[2]
     outcomes = []
     for one in (results, results.with_frames(errors=errors[errors["specimen"] != third])):
-        judged = judge(one, pool_insertions(one))
+        judged = judge(one)
         outcomes.append((judged.trials, judged.outcome, judged.compared is None))
     assert outcomes == [(3, "generalises", True), (2, "closer than both", False)]
 
@@ -447,7 +446,7 @@ def test_data_that_contradict_themselves_forbid_every_word():
         good = with_tip_errors(study(4), **{**CURVES, "fitted": (fitted, 0.0), "straight": (1.0, 0.0)})
         for kind, outcome in kinds.items():
             warned = good.with_metadata(warnings=to_stored_rows([ResultWarning(kind, "")]))
-            assert judge(warned, pool_insertions(warned)).outcome == (outcome or word)
+            assert judge(warned).outcome == (outcome or word)
             assert warned.verdicts[0].status == ("warn" if outcome else good.verdicts[0].status)
 
 
@@ -456,7 +455,7 @@ def test_a_verdict_is_withheld_only_if_it_turns_without_the_odd_needles(turns):
     good = with_tip_errors(study(4), **{**CURVES, "fitted": (0.1, 0.0), "straight": (1.0, 0.0)})
     effect = {"insertions": ["n5"], "outcome": "as close", "turns": turns, "values": {"mu1_pa": [2e5, 4e5]}}
     run = good.with_metadata(effect=effect)
-    assert judge(run, pool_insertions(run)).outcome == ("undecided" if turns else "closer than both")
+    assert judge(run).outcome == ("undecided" if turns else "closer than both")
     found = {one.check: one for one in run.first_page.checks}[Check.SAME]
     assert (found.passed, found.left_out, found.outcome) == (not turns, "n5", "as close")
     printed = [row for row in lay_out_checks(run.first_page.checks).rows if "n5" in str(row)]

@@ -13,7 +13,7 @@ from needlefit.reporting import text as text_of_package
 from needlefit.reporting.document import Document, compile_html, compile_pdf
 from needlefit.reporting.table import Table, TableColumn, TableLayout
 from needlefit.reporting.text import KindText
-from needlefit.studies import advice, check_words, fit_tables, fit_warnings
+from needlefit.studies import advice, first_page, fit_tables, fit_warnings
 from needlefit.studies.fit_figures import draw_overlays
 from needlefit.studies.kinds import identification, prediction
 from needlefit.studies.kinds.reconstruction import report as reconstruction
@@ -51,7 +51,7 @@ class Outline(HTMLParser):
 def page(tmp_path_factory):
     one = study(5)
     path = tmp_path_factory.mktemp("page") / "overlays.pdf"
-    drawn = {"overlays": draw_overlays(one, "validate").save(path, one.origin)}
+    drawn = {"overlays": draw_overlays(one).save(path, one.origin)}
     return compile_html(compose_run_report(one, drawn)), one
 
 
@@ -125,13 +125,8 @@ Plain [link](https://example.org) and `code`.
 
 {{ name }}
 {% endblock %}
-{% block errors_found %}{{ choose("small", "large", "limit", limit=1) }}{% endblock %}
-{% block small %}small{% endblock %}
-{% block large %}large{% endblock %}
-{% block limit %} beside {{ limit }}{% endblock %}
 """
 TEMPLATES = Path(text_of_package.__file__).parent
-RULES = {"small": lambda v: v.error_mm < v.limit, "large": lambda v: v.error_mm >= v.limit}
 HOSTILE = "# *a* [b](c) `d`\n\n- #let x = 1 {{ 1 }} [[table:errors]] <b>"
 
 
@@ -143,7 +138,7 @@ def text(tmp_path_factory):
     (folder / "trial.md.j2").write_text(TEXT, encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(folder.parent)
-        yield KindText("trial", "text_of_plugin", RULES)
+        yield KindText("trial", "text_of_plugin")
 
 
 def compose(text, name="gel"):
@@ -161,14 +156,9 @@ def test_a_value_is_printed_literally_wherever_it_stands(text):
     assert compile_pdf(page).startswith(b"%PDF")
 
 
-def test_a_block_is_chosen_by_its_rule(text):
-    for error, words in ((0.5, "small beside 1"), (1.0, "large beside 1")):
-        assert text.sentence("errors_found", {"name": "gel", "error_mm": error}) == words
-
-
 TEXTS = [
     fit_tables.TEXT,
-    check_words.CHECKS,
+    first_page.CHECKS,
     advice.TEXT,
     fit_warnings.TEXT,
     identification.TEXT,
@@ -178,10 +168,6 @@ TEXTS = [
 
 
 @pytest.mark.parametrize("text", TEXTS, ids=lambda one: one.name)
-def test_a_template_compares_no_numbers_and_every_rule_is_of_a_block_that_it_chooses(text):
+def test_a_template_compares_no_numbers(text):
     source = (TEMPLATES / f"{text.name}.md.j2").read_text(encoding="utf-8")
     assert not re.search(r"{%-? *(el)?if[^%]*(<|>| [-+*/] )", source)
-    chosen = {name for one in re.findall(r"choose\(([^)]*)", source) for name in re.findall(r'"(\w+)"', one)}
-    blocks = set(re.findall(r"{% block (\w+) %}", source))
-    assert chosen <= blocks
-    assert set(text.rules) <= chosen

@@ -20,7 +20,7 @@ from needlefit.studies.fit_tables import (
     list_undetermined,
 )
 from needlefit.studies.identification import FROM_PRIOR
-from needlefit.studies.scored_groups import aggregate, compare_methods, list_groups, tabulate_validation
+from needlefit.studies.scored_groups import aggregate, compare_methods, list_groups, tabulate_errors
 
 BY = ("role", "method", "boundaries")
 
@@ -68,7 +68,7 @@ def test_an_insertion_without_an_answer_is_counted_and_in_no_mean():
 
 
 def test_a_deflection_under_the_floor_is_flagged_and_the_rest_is_given_without_it():
-    table = tabulate_validation(two_needles((1.0, 3.0), (2.0, 0.05)))
+    table = tabulate_errors("validation", two_needles((1.0, 3.0), (2.0, 0.05)))
     assert set(table["edp_flagged"]) == {1}
     assert by_metric(table, "unflagged")["edp_percent"] == 50.0
     assert by_metric(table)["edp_percent"] == approx((50 + 6000) / 2)
@@ -79,7 +79,7 @@ def test_baselines_are_compared_on_the_same_insertions():
     method = one.frames["errors"].assign(method="constant_curvature", te_mm=[0.5, 2.0])
     alone = one.frames["errors"].iloc[:1].assign(method="straight", te_mm=9.0)
     both = one.with_frames(errors=pd.concat([one.frames["errors"], method, alone]))
-    table = {row["method"]: row for row in to_records(compare_methods(both, "validate"))}
+    table = {row["method"]: row for row in to_records(compare_methods(both))}
     assert table["constant_curvature"]["difference_mm"] == approx((-0.5 - 1.0) / 2)
     assert table["constant_curvature"]["difference_se_mm"] == approx(0.25)
     assert table["constant_curvature"]["better"] == 0
@@ -90,12 +90,15 @@ def test_baselines_are_compared_on_the_same_insertions():
 def test_the_validation_table_has_every_cell_of_the_paper():
     published = paper.read_published_table("validation")
     runs = [study(n) for n in range(1, 6)]
-    table, groups = tabulate_validation(*runs), [group for run in runs for group in list_groups(run)]
+    table, groups = (
+        tabulate_errors("validation", *runs),
+        [group for run in runs for group in list_groups(run)],
+    )
     assert table.drop_duplicates(["study", "medium", "layers", "method", "boundaries", "metric"]).equals(
         table
     )
     for group, row in zip(groups, to_records(published), strict=True):
-        head = [group.head.study, group.head.medium, group.head.layers]
+        head = [group.study, group.medium, group.layers]
         assert head == [row[name] for name in ("study", "validate_medium", "validate_layers")]
         metrics = list(published.columns[3:])
         assert [group.get(name, "paper") for name in metrics] == [row[name] for name in metrics]

@@ -9,8 +9,8 @@ from test_cli import run
 from needlefit.project.locate import shipped_folder
 from needlefit.project.toml import load
 from needlefit.project.toml_reference import describe_files, list_files
-from needlefit.studies.check_words import lay_out_checks
 from needlefit.studies.explanations import find_topics
+from needlefit.studies.first_page import lay_out_checks
 from needlefit.studies.kind import list_records
 
 EXAMPLES = sorted((shipped_folder() / "docs" / "examples").glob("*.toml"))

@@ -28,8 +28,8 @@ from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.kinds.cross_validation.frames import FRAMES
 from needlefit.studies.kinds.cross_validation.run import Settings, run
-from needlefit.studies.score import Row, Scorer, curve_predictor, make_predictors, model_predictor
-from needlefit.studies.validity import ValidityCounts, list_outside, tabulate_validity
+from needlefit.studies.score import Scorer, curve_predictor, make_predictors, model_predictor
+from needlefit.studies.validity import list_outside, tabulate_validity
 
 MEDIUM = (PROJECT / "configs/media/gel.toml").read_text()
 RECIPE = """schema = 1
@@ -142,12 +142,12 @@ def test_scored_simulations_are_counted_and_named():
     one = insertion(41.0, (25.0,), (1, 2))
     data = dataset([one])
     scorer = Scorer(data, "listed", {one.id: {"te_mm": 0.25}})
-    scored = list[Row]()
+    scored = []
     for method, values in (("fitted", TRUTH), ("fitted", STEEP), ("hand_tuned", STEEP)):
         place = {"fold": "all", "role": "tune", "method": method}
         scored += scorer.score(place, one, model_predictor(values, medium())).validity
     assert predict(STEEP, medium(), one).converged
-    validity = tabulate_validity([ValidityCounts(scored=tuple(scored))])
+    validity = tabulate_validity([], scored)
     table = validity.model_dump(mode="json")
     assert table["scored"] == {"simulations": 3, "outside": 2}
     assert table["fitted_outside"] == 1

@@ -290,8 +290,7 @@ def show_run(invocation: Invocation, run: "Run", folder: Path, named: bool = Fal
     `named`: before the answer stands the name of the run.
     """
     from needlefit.reporting.table import drop_repeated
-    from needlefit.studies.check_words import lay_out_checks, summarize_checks
-    from needlefit.studies.first_page import METHOD
+    from needlefit.studies.first_page import METHOD, lay_out_checks, summarize_checks
     from needlefit.studies.kind import find_kind
 
     page, head = run.first_page, f"{run.name}: " if named else ""

@@ -3,7 +3,7 @@
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, TypeGuard
 
 from needlefit.inference.parameter_names import is_logarithmic
 from needlefit.mechanics.laws import list_shape_parameters
@@ -24,7 +24,6 @@ def format_number(value: float | None) -> str:
     """Return three significant digits in a form that Python reads back: 0.0847, 2.13e5."""
     if not is_known(value):
         return ""
-    assert value is not None
     mantissa, _, exponent = f"{value:.2e}".partition("e")
     power = int(exponent)
     if -3 <= power < 4:
@@ -52,7 +51,6 @@ def format_quantity_range(parameter: str, low: float | None, high: float | None)
     """Return "124 to 289 kPa", or one value with its unit where both ends are printed alike."""
     if not (is_known(low) and is_known(high)):
         return ""
-    assert low is not None and high is not None
     scale, unit = choose_unit(parameter, high)
     texts = [format_plain(value / scale) for value in (low, high)]
     return f"{' to '.join(dict.fromkeys(texts))} {unit}".strip()
@@ -68,14 +66,10 @@ def choose_unit(parameter: str, value: float) -> tuple[float, str]:
 def format_plain(value: float) -> str:
     """Return three significant digits without an exponent where that is readable."""
     text = format_number(value)
-    return (
-        (f"{float(text):.0f}" if abs(value) < 1e6 else typeset(text))
-        if "e" in text and abs(value) > 1
-        else typeset(text)
-    )
+    return f"{float(text):.0f}" if "e" in text and 1 < abs(value) < 1e6 else typeset(text)
 
 
-def is_known(value: float | None) -> bool:
+def is_known(value: float | None) -> TypeGuard[float]:
     return value is not None and math.isfinite(value)
 
 
@@ -106,7 +100,6 @@ def format_percent(value: float | None) -> str:
     """Return a percentage with three significant digits, as in the paper: 4.77, 10.3, 254."""
     if not is_known(value):
         return MISSING
-    assert value is not None
     digits = 2 if abs(value) < 9.995 else 1 if abs(value) < 99.95 else 0
     return f"{value:z.{digits}f}"
 
@@ -168,7 +161,7 @@ def choose_printed_unit(parameter: str, values: Iterable[float | None]) -> tuple
 
     Of a parameter that is no stress the second is 1.
     """
-    sizes = [float(value) for value in values if value is not None and math.isfinite(value)]
+    sizes = [*filter(is_known, values)]
     if not sizes or not parameter.endswith("_pa"):
         return format_symbol(parameter), 1.0
     scale, unit = choose_unit(parameter, max(sizes))
@@ -193,13 +186,10 @@ def interval_width(name: str, low: float, high: float) -> float:
     return math.log(high / low) if is_logarithmic(name) else high - low
 
 
-def format_interval(row: Mapping[str, Any], unit: float = 1.0) -> str:
+def typeset_interval(row: Mapping[str, Any], unit: float = 1.0) -> str:
     """Return the printed interval of a row, moduli in `unit` Pa; empty where there is none."""
-    low, high = row.get("interval_low"), row.get("interval_high")
-    if not (is_known(low) and is_known(high)):
-        return ""
-    assert low is not None and high is not None
-    return f"{format_number(low / unit)} to {format_number(high / unit)}"
+    ends = [*filter(is_known, (row.get("interval_low"), row.get("interval_high")))]
+    return " to ".join(typeset(format_number(end / unit)) for end in ends) if len(ends) == 2 else ""
 
 
 def choose_interval_unit(row: Mapping[str, Any], *values: float | None) -> tuple[str, float]:
@@ -207,11 +197,6 @@ def choose_interval_unit(row: Mapping[str, Any], *values: float | None) -> tuple
     return choose_printed_unit(
         str(row["parameter"]), [*values, row.get("interval_low"), row.get("interval_high")]
     )
-
-
-def typeset_interval(row: Mapping[str, Any], unit: float = 1.0) -> str:
-    """Return `format_interval` as it is printed in books."""
-    return " to ".join(map(typeset, format_interval(row, unit).split(" to ")))
 
 
 def round_significant(value: float, digits: int) -> float:

@@ -27,12 +27,6 @@ class RunTable(_StoredTable):
     name: str = ""
     versions: dict[str, str] = {}
     dataset: dict[str, Any] | None = None
-    study: dict[str, Any] | None = None
-    medium: dict[str, Any] | None = None
-    recipe: dict[str, Any] | None = None
-    folds: list[dict[str, Any]] = []
-    faults: list[str] = []
-    warnings: list[dict[str, str]] = []
 
 
 class TimingTable(_StoredTable):

@@ -12,17 +12,7 @@ from needlefit.project.result_warnings import ResultWarning
 from needlefit.reporting.text import KindText
 from needlefit.studies.answer import RESULTS, Advice, Check, Finding
 
-#: names of a specimen that was not fitted
-NEW_SPECIMENS = ("others", "training only")
-
-TEXT = KindText(
-    "advice",
-    rules={
-        **dict.fromkeys(("narrowed", "if_right"), lambda values: values.gain is not None),
-        "new_specimen": lambda values: values.specimen in NEW_SPECIMENS,
-        "fitted_specimen": lambda values: values.specimen not in NEW_SPECIMENS,
-    },
-)
+TEXT = KindText("advice")
 
 COMMANDS: Mapping[str, str] = {
     # of every run

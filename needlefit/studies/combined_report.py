@@ -15,7 +15,7 @@ from needlefit.studies import fit_tables
 from needlefit.studies.explorer import collect_explorers
 from needlefit.studies.report import compose_warnings, state_blocks, write_report
 from needlefit.studies.run import Run
-from needlefit.studies.scored_groups import tabulate_tuning, tabulate_validation
+from needlefit.studies.scored_groups import tabulate_errors
 
 TEXT = KindText("combined")
 
@@ -30,12 +30,10 @@ def write_combined(runs: Sequence[Run], folder: Path) -> list[Path]:
     """
     studies = [run for run in runs if run.kind == "cross_validation"]
     tunings = [run for run in runs if run.kind == "fit"] or studies
-    frames = {"validation": tabulate_validation(*studies), "tuning": tabulate_tuning(*tunings)}
-    layouts = [
-        fit_tables.lay_out_matrix(studies),
-        fit_tables.lay_out_validation(*studies),
-        fit_tables.lay_out_tuning(*tunings),
-    ]
+    tabulated = {"validation": studies, "tuning": tunings}
+    frames = {name: tabulate_errors(name, *some) for name, some in tabulated.items()}
+    layouts = [fit_tables.lay_out_errors(name, *some) for name, some in tabulated.items()]
+    layouts.insert(0, fit_tables.lay_out_matrix(studies))
     origin_mark = ORIGIN_MARKS[combine_origins(run.origin for run in studies)]
     with replace_folder(folder) as new:
         for name, frame in frames.items():

@@ -120,7 +120,7 @@ def collect_explorer(run: Run, data: PageData | None = None) -> PageData | None:
     if run.kind not in FIT_KINDS:
         return None
     frames = FitFrames.of(run)
-    scored = frames.select_errors(frames.role, method="fitted")
+    scored = frames.select_errors(method="fitted")
     metadata = run.knows(FitMetadata)
     stored = metadata.insertions
     rows = [row for row in to_records(scored) if row["converged"] and row["insertion"] in stored]

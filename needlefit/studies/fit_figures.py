@@ -34,15 +34,15 @@ _OVERLAY_POINT_STEP = 5  # of the points compared, one in so many is drawn
 
 
 def collect_curves(
-    run: Run, role: str, shown: Iterable[str], step: int = 1, *, from_above: bool = False
+    run: Run, shown: Iterable[str], step: int = 1, *, from_above: bool = False
 ) -> pd.DataFrame:
-    """Return one row per drawn point of a role's insertions; y is toward the bevel, mm, `from_above` it is z.
+    """Return one row per drawn point of the scored insertions: y toward the bevel, mm, or z.
 
-    `curve` is a method of `shown`, "measured" (of the points, one in `every`), or the level of a band, which
+    `curve` is a method of `shown`, "measured" (of the points, one in `step`), or the level of a band, which
     held-out insertions have: `low_mm`, `high_mm` are its ends.
     """
     frames = FitFrames.of(run)
-    shapes, bands = frames.select_curves(role), frames.bands
+    shapes, bands = frames.select_curves(), frames.bands
     shapes = shapes[shapes["method"].isin(list(shown))]
     if from_above:
         along_z = {f"{name}_y_mm": shapes[f"{name}_z_mm"] for name in ("measured", "simulated")}
@@ -55,7 +55,7 @@ def collect_curves(
     bands = _align_bands(bands, dots)
     dots = dots[dots["j"] % step == 0].set_axis([c.replace("measured_", "") for c in shapes.columns], axis=1)
     parts = [simulated.assign(curve=simulated["method"]), dots.assign(curve="measured")]
-    for level in BAND_WHITE if role == "validate" else ():
+    for level in BAND_WHITE if frames.role == "validate" else ():
         number = level.removesuffix(" %")
         ends = {f"low_{number}_mm": "low_mm", f"high_{number}_mm": "high_mm"}
         parts.append(bands.rename(columns=ends).assign(curve=level))
@@ -92,31 +92,31 @@ def _title_panels(errors: pd.DataFrame) -> dict[InsertionKey, str]:
     return titles
 
 
-def draw_first_page(run: Run, role: str) -> Drawing:
+def draw_first_page(run: Run) -> Drawing:
     """Return the figure of the first page: the smallest, middle and largest tip error, and all tip errors."""
     frames = FitFrames.of(run)
     method = frames.method
-    fitted = frames.select_errors(role, method=method)
-    curves = collect_curves(run, role, (method,), _OVERLAY_POINT_STEP)
+    fitted = frames.select_errors(method=method)
+    curves = collect_curves(run, (method,), _OVERLAY_POINT_STEP)
     is_drawn = fitted["converged"].astype(bool) & fitted["insertion"].isin(curves["insertion"])
     ranked = fitted[is_drawn].sort_values(scores.TE, kind="stable")
     chosen = ranked.iloc[list(dict.fromkeys([0, (len(ranked) - 1) // 2, len(ranked) - 1]))]
     curves = curves.merge(chosen[INSERTION_KEYS], on=INSERTION_KEYS)
-    frame = pd.concat([curves, pd.DataFrame(_list_tip_errors(run, role))], ignore_index=True)
+    frame = pd.concat([curves, pd.DataFrame(_list_tip_errors(run))], ignore_index=True)
     options = {"heads": _title_panels(chosen), "method": method}
     return Drawing("first_page", frame, options)
 
 
-def _list_tip_errors(run: Run, role: str) -> Iterator[Row]:
+def _list_tip_errors(run: Run) -> Iterator[Row]:
     """Yield the tip errors of our method, the compared curve, the paper's parameters; the paper's means."""
-    group, frames = scores.pool_insertions(run, role), FitFrames.of(run)
+    group, frames = scores.pool_insertions(run), FitFrames.of(run)
     assert group is not None
-    judged, method = judge(run, group), frames.method
-    names = {method: "our prediction" if role == "validate" else "our fit"}
+    judged, method = judge(run), frames.method
+    names = {method: "our prediction" if frames.role == "validate" else "our fit"}
     curve = "" if judged is None else judged.curve
     names |= {name: labels.method_name(name) for name in (curve, "hand_tuned") if name}
     for key, name in names.items():
-        rows = frames.select_errors(role, method=key, converged=True)
+        rows = frames.select_errors(method=key, converged=True)
         for row in to_records(rows[["fold", "insertion", scores.TE]]):
             yield {**row, "curve": TIP_ERROR, "method": key, "name": name}
     for scored in scores.list_groups(run):
@@ -131,15 +131,15 @@ def _list_tip_errors(run: Run, role: str) -> Iterator[Row]:
         yield {"curve": TIP_ERROR, "method": "noise", "name": "noise", scores.TE: floor}
 
 
-def draw_overlays(run: Run, role: str, *, from_above: bool = False) -> Drawing:
+def draw_overlays(run: Run, *, from_above: bool = False) -> Drawing:
     """Return all insertions, seen from the side or from above."""
     frames = FitFrames.of(run)
     ours = frames.method
-    errors, drawn = frames.select_errors(role, method=ours), frames.select_curves(role)["insertion"]
+    errors, drawn = frames.select_errors(method=ours), frames.select_curves()["insertion"]
     titles = _title_panels(errors[errors["insertion"].isin(drawn)])
     names = {method: labels.method_name(method) for method in (ours, "hand_tuned")}
     step = _OVERLAY_POINT_STEP if len(titles) <= MAX_LARGE_PANELS else 2 * _OVERLAY_POINT_STEP
-    curves = collect_curves(run, role, names, step, from_above=from_above)
+    curves = collect_curves(run, names, step, from_above=from_above)
     options: dict[str, object] = {"heads": titles, "names": names}
     options |= {"height": "deflection out\nof the plane (mm)"} if from_above else {}
     return Drawing("insertions", curves, options)

@@ -66,13 +66,13 @@ class FitFrames:
         """The rows of the parameters that the fit estimated, of all folds."""
         return select_rows(self.parameters, method="fitted", status="free")
 
-    def select_errors(self, role: str, **place: object) -> pd.DataFrame:
-        """Return errors on the insertions of a role, with layers where they were measured."""
-        return select_rows(self.errors, role=role, boundaries="measured", **place)
+    def select_errors(self, **place: object) -> pd.DataFrame:
+        """Return errors with layers where they were measured, of the role that is scored unless stated."""
+        return select_rows(self.errors, **{"role": self.role, "boundaries": "measured", **place})
 
-    def select_curves(self, role: str, **place: object) -> pd.DataFrame:
-        """Return points of whole needles of a role, with layers where they were measured; none of tips."""
-        shapes = select_rows(self.shapes, role=role, boundaries="measured", **place)
+    def select_curves(self, **place: object) -> pd.DataFrame:
+        """Return points of whole needles, none of tips, as of `select_errors`."""
+        shapes = select_rows(self.shapes, **{"role": self.role, "boundaries": "measured", **place})
         return shapes[shapes.groupby("insertion")["j"].transform("max") > 1]
 
 

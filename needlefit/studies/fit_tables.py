@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -38,8 +38,7 @@ from needlefit.schemas.run_metadata import FitMetadata, RigidityMetadata
 from needlefit.studies import scored_groups as scores
 from needlefit.studies.coverage import COVERAGE_COLUMNS, tabulate_coverage
 from needlefit.studies.fit_frames import NEW_SPECIMEN, TUNED_SPECIMENS, FitFrames
-from needlefit.studies.identification import FROM_PRIOR, ParameterRow
-from needlefit.studies.identification_tables import describe_prior
+from needlefit.studies.identification import FROM_PRIOR, ParameterRow, describe_prior
 from needlefit.studies.judge import MAX_NOISE_RATIO, REFERENCES, judge
 from needlefit.studies.run import Run
 
@@ -71,24 +70,15 @@ def _list_kinds(*methods: str) -> list[_RowKind]:
     return [_RowKind(method_name(method), method) for method in methods]
 
 
-def lay_out_validation(*runs: Run) -> TableLayout:
-    """Return the errors by held-out group: ours, noise floor, paper."""
+def lay_out_errors(name: str, *runs: Run) -> TableLayout:
+    """Return the errors by group (ours, noise floor, paper): "validation" held out, "tuning" in-sample."""
     heads = ("study", "medium", "layers", "insertions")[len(runs) == 1 :]
-    blocks = [
-        (group, (*_list_kinds(FitFrames.of(run).method, "fitted_metric", "b_alone"), _FLOOR, _PAPER))
-        for run in runs
-        for group in scores.list_groups(run)
-    ]
-    return _lay_out_groups("validation", blocks, heads, medians=_count_medians(runs))
-
-
-def lay_out_tuning(*runs: Run) -> TableLayout:
-    """Return the in-sample errors by medium and number of layers."""
-    groups = [group for run in runs for group in scores.list_groups(run, scores.BY_LAYERS)]
-    heads = ("study", "medium", "layers", "insertions")[len(runs) == 1 :]
-    return _lay_out_groups(
-        "tuning", [(group, (*_list_kinds("fitted"), _FLOOR, _PAPER)) for group in groups], heads
-    )
+    blocks = []
+    for run in runs:
+        ours = ("fitted",) if name == "tuning" else (FitFrames.of(run).method, "fitted_metric", "b_alone")
+        kinds = (*_list_kinds(*ours), _FLOOR, _PAPER)
+        blocks += [(group, kinds) for group in scores.list_groups(run, name)]
+    return _lay_out_groups(name, blocks, heads, medians=_count_medians(runs))
 
 
 def lay_out_summary(run: Run) -> TableLayout:
@@ -99,14 +89,12 @@ def lay_out_summary(run: Run) -> TableLayout:
     own needles.
     """
     frames, fitted_to = FitFrames.of(run), str(run.record.medium)
-    groups = scores.list_groups(run) or scores.list_groups(run, scores.BY_LAYERS)
-    group = groups[0] if len(groups) == 1 else scores.pool_insertions(run, frames.role)
+    groups = scores.list_groups(run) or scores.list_groups(run, "tuning")
+    group = groups[0] if len(groups) == 1 else scores.pool_insertions(run)
     if group is None:
         return Table("summary", [], ("row",)).lay_out()
-    of_other = (
-        "" if {group.head.medium for group in groups} == {fitted_to} else f" for {medium_name(fitted_to)}"
-    )
-    curves, judged = [*REFERENCES], judge(run, group)
+    of_other = "" if {group.medium for group in groups} == {fitted_to} else f" for {medium_name(fitted_to)}"
+    curves, judged = [*REFERENCES], judge(run)
     if judged and judged.curve and judged.curve not in curves:
         curves.append(judged.curve)
     kinds = (
@@ -115,8 +103,8 @@ def lay_out_summary(run: Run) -> TableLayout:
         _RowKind("paper's result, on its own needles", column="paper"),
     )
     table = _lay_out_groups("summary", [(group, kinds)], (), short=True, medians=_count_medians([run]))
-    count, (first, *others) = group.head.insertions, table.columns
-    which = "held-out" if group.head.role == "validate" else "fitted"
+    count, (first, *others) = group.insertions, table.columns
+    which = "held-out" if frames.role == "validate" else "fitted"
     words = f"Mean over {count} {which} insertion{'s' * (count != 1)}"
     return replace(table, columns=(replace(first, label=words), *others))
 
@@ -173,10 +161,10 @@ def _list_scores(group: scores.ScoredGroup, kinds: Sequence[_RowKind]) -> Iterat
 def _describe_score(group: scores.ScoredGroup, kind: _RowKind, metric: Metric) -> Row:
     where = {"column": kind.column, "method": kind.method, "boundaries": kind.boundaries}
     value = group.get(metric.name, **where)
-    fine = group.head.comparison == "aligned" or (value or 1) < 0.1  # as in the verdict
+    fine = group.comparison == "aligned" or (value or 1) < 0.1  # as in the verdict
     digits = 3 if fine and kind.column != "paper" else 2
     spread = next((other for other in list_metrics() if other.spread_of == metric.name), None)
-    flagged = metric.relative and group.head.edp_flagged and kind.column != "paper" and value is not None
+    flagged = metric.relative and group.edp_flagged and kind.column != "paper" and value is not None
     is_value = kind.column == "value"
     return {
         **{"row": kind.name, "metric": metric.name, "value": value, "mark": "†" if flagged else ""},
@@ -187,49 +175,33 @@ def _describe_score(group: scores.ScoredGroup, kind: _RowKind, metric: Metric) -
 
 
 def _head(group: scores.ScoredGroup) -> Row:
-    about = {"layers": str(group.head.layers or "all")}
-    if group.head.medium is None:  # all insertions together
+    about = {"layers": str(group.layers or "all")}
+    if group.medium is None:  # all insertions together
         about = {"medium": "all", "layers": ""}
-    return {**vars(group.head), **about, "unflagged_edp": group.get("edp_percent", "unflagged")}
+    return {**vars(group), **about, "unflagged_edp": group.get("edp_percent", "unflagged")}
 
 
 def lay_out_matrix(runs: Sequence[Run]) -> TableLayout:
     """Return one row per study: its verdict, and the tip errors that this states."""
-    rows: list[Row] = []
+    rows, stated = list[Row](), ("insertions", "te_mm", "baseline_te_mm", "paper_te_mm")
     for run in runs:
-        verdict, held = run.first_page.verdict, FitFrames.of(run).select_errors("validate")
-        media = list(dict.fromkeys(held["medium"]))
+        verdict = run.first_page.verdict
+        media = FitFrames.of(run).select_errors(role="validate")["medium"].unique()
         rows.append(
             {
                 "study": scores.study_label(run),
                 "medium": media[0] if len(media) == 1 else "several",
-                "insertions": verdict.numbers.get("insertions"),
-                "te_mm": verdict.numbers.get(scores.TE),
-                "noise_of_te": verdict.numbers.get(f"floor_{scores.TE}"),
-                "baseline_te_mm": verdict.numbers.get("baseline_te_mm"),
-                "paper_te_mm": verdict.numbers.get("paper_te_mm"),
+                **{name: verdict.numbers.get(name) for name in stated},
+                "noise_of_te": verdict.numbers.get("floor_te_mm"),
                 "verdict": verdict.word or "not scored",
             }
         )
-    columns = (
-        *("study", "medium", "insertions", "te_mm", "noise_of_te", "baseline_te_mm", "paper_te_mm"),
-        "verdict",
-    )
-    table = Table("matrix", rows, columns)
-    return _lay_out(table, drop_empty=True, max_ratio=MAX_NOISE_RATIO)
+    columns = ("study", "medium", *stated[:2], "noise_of_te", *stated[2:], "verdict")
+    return _lay_out(Table("matrix", rows, columns), drop_empty=True, max_ratio=MAX_NOISE_RATIO)
 
 
 #: by recipe that of the same fit whose specimens are of one batch
 BATCH_RECIPES = {"default": "one_batch"}
-
-
-class SpecimenSpread(NamedTuple):
-    """One standard deviation between specimens, as factors, and the number of those that it is known from."""
-
-    mu: float
-    b: float
-    specimens: int
-    batch_recipe: str  #: that of the same fit whose specimens are of one batch; "" if there is none
 
 
 def lay_out_coverage(run: Run) -> TableLayout:
@@ -244,11 +216,11 @@ def lay_out_coverage(run: Run) -> TableLayout:
         for (medium, layers, treatment), group in predicted.groupby(keys, sort=False)
     ]
     other = select_rows(predicted, specimen_treatment="others")
-    spread = None
-    if len(other):
-        mu, b = (math.exp(other[f"between_sd_ln_{name}"].mean()) for name in ("mu", "b"))
-        count, recipe = int(other["other_specimens"].min()), BATCH_RECIPES.get(run.record.recipe, "")
-        spread = SpecimenSpread(mu, b, count, recipe)
+    spread = Row()
+    if len(other):  # one standard deviation between specimens, as factors, and of how many it is known
+        spread = {name: math.exp(other[f"between_sd_ln_{name}"].mean()) for name in ("mu", "b")}
+        spread["specimens"] = int(other["other_specimens"].min())
+        spread["batch_recipe"] = BATCH_RECIPES.get(run.record.recipe, "")
     sources = [str(source) for source in pd.unique(predicted["draw_source"])]
     columns = (column for column in COVERAGE_COLUMNS if frames.curved or not column.startswith("shape_"))
     table = Table("coverage", rows, (*keys, *columns))
@@ -256,10 +228,10 @@ def lay_out_coverage(run: Run) -> TableLayout:
     return _lay_out(table, sources=sources, spread=spread, readings=read, curved=frames.curved)
 
 
-def lay_out_baselines(run: Run, role: str) -> TableLayout:
+def lay_out_baselines(run: Run) -> TableLayout:
     """Return every method's errors and its paired difference from ours on the same insertions."""
-    digits = 3 if (FitFrames.of(run).errors["comparison"] == "aligned").any() else 2
-    compared = scores.compare_methods(run, role)
+    frames, compared = FitFrames.of(run), scores.compare_methods(run)
+    digits = 3 if (frames.errors["comparison"] == "aligned").any() else 2
     rows = [
         {
             **{**row, DIGITS: digits, "method": method_name(row["method"], run.origin)},
@@ -273,14 +245,13 @@ def lay_out_baselines(run: Run, role: str) -> TableLayout:
         if metric.name in compared and compared[metric.name].notna().any()
     ]
     columns = ("method", "insertions", *errors, *(("te_difference",) * (scores.TE in errors)), "better_of")
-    return _lay_out(Table("baselines", rows, columns, strong="first"), role=role)
+    return _lay_out(Table("baselines", rows, columns, strong="first"), role=frames.role)
 
 
-def lay_out_insertions(run: Run, role: str) -> TableLayout:
+def lay_out_insertions(run: Run) -> TableLayout:
     """Return our errors on single insertions: of held-out ones those of our predictions."""
     frames = FitFrames.of(run)
-    method = frames.method if role == "validate" else "fitted"
-    chosen = frames.select_errors(role, method=method)
+    chosen = frames.select_errors(method=frames.method)
     # a metric that was added since the run has no column
     candidates = [metric for metric in list_metrics() if not metric.spread_of and metric.name in chosen]
     metrics = [metric for metric in candidates if chosen[metric.name].notna().any()]
@@ -301,7 +272,7 @@ def lay_out_insertions(run: Run, role: str) -> TableLayout:
         }
         for row in to_records(chosen)
     ]
-    return _lay_out(Table("insertions", rows, columns), method=method)
+    return _lay_out(Table("insertions", rows, columns), method=frames.method)
 
 
 # ---- parameters: posterior and error-minimising fit, beside the paper's
@@ -394,11 +365,7 @@ def list_gains_of_direction(run: Run) -> list[tuple[str, str, str]]:
     for name, factor in run.knows(FitMetadata).with_direction.items():
         now = _find_factor(fitted[name])
         if now > MIN_GAIN * factor and factor <= MAX_GAINED_FACTOR:
-            before, after = (
-                format_plain(round_significant(factor_of_interval, END_DIGITS))
-                for factor_of_interval in (now, factor)
-            )
-            gains.append((format_bare_symbol(name), before, after))
+            gains.append((format_bare_symbol(name), _format_end(now), _format_end(factor)))
     return gains
 
 
@@ -407,7 +374,7 @@ def describe_largest_factor(run: Run) -> str:
     fitted = list_fitted(run.frames["parameters"])
     factors = [_find_factor(rows) for name, rows in fitted.items() if is_logarithmic(name)]
     known_factors = [*filter(is_known, factors)]
-    return format_plain(round_significant(max(known_factors), END_DIGITS)) if known_factors else ""
+    return _format_end(max(known_factors)) if known_factors else ""
 
 
 def _find_factor(rows: Sequence[ParameterRow]) -> float:
@@ -424,10 +391,7 @@ def lay_out_estimates(
     `parameters`: the frame of a fit, or what a prediction has of it. Moduli are in proportion to `rigidity`.
     """
     fitted = list_fitted(parameters)
-    bevel = next(
-        (format_bare_symbol(parameter) for parameter in BEVEL_PARAMETERS if parameter in fitted),
-        "",
-    )
+    bevel = next((format_bare_symbol(name) for name in BEVEL_PARAMETERS if name in fitted), "")
     rows = [
         {
             **dict(zip(("parameter", "posterior"), _describe_estimate(name, some)[::2], strict=True)),
@@ -442,14 +406,13 @@ def lay_out_estimates(
 def _describe_limit(name: str, rows: Sequence[ParameterRow], bevel: str) -> str:
     """Return to what factor a parameter is known, and what limits it, in the fold that knows it least."""
     intervals, word = [row.interval for row in rows], find_least_determined(row.determined for row in rows)
-    lows, highs = zip(*intervals, strict=True)
-    if not all(map(is_known, (*lows, *highs))):
+    if not all(is_known(end) for ends in intervals for end in ends):
         return "interval not known"
     if any(at_bound for _, at_bound in _find_outermost(rows, intervals)):
         return "not determined: a bound limits it"
     limit = "its interval"
     if is_logarithmic(name):
-        limit = f"to a factor of {format_plain(round_significant(_find_factor(rows), END_DIGITS))}"
+        limit = f"to a factor of {_format_end(_find_factor(rows))}"
     conditions = {row.condition.removeprefix("determined ") for row in rows if row.determined == word}
     limits = sorted(filter(None, conditions))
     if word == "only together" and not limits:
@@ -461,9 +424,8 @@ def _describe_limit(name: str, rows: Sequence[ParameterRow], bevel: str) -> str:
 def _join_range(values: Sequence[float], unit: float) -> str:
     """Return "0.196", or "0.19 to 0.21" for several values."""
     scaled = [value / unit for value in values if is_known(value)]
-    return (
-        " to ".join(dict.fromkeys(format_plain(end) for end in (min(scaled), max(scaled)))) if scaled else ""
-    )
+    ends = (min(scaled), max(scaled)) if scaled else ()
+    return " to ".join(dict.fromkeys(map(format_plain, ends)))
 
 
 def _format_estimate(rows: Sequence[ParameterRow], values: Sequence[float], unit: float) -> str:
@@ -498,7 +460,7 @@ def _format_near(name: str, value: float, unit: float, digits: int = END_DIGITS)
     """Return a value in the unit of its row; with its own unit where people read it in another one."""
     scale, own_unit = choose_unit(name, value)
     near = scale == unit or not name.endswith("_pa")
-    text = format_plain(round_significant(value / (unit if near else scale), digits))
+    text = _format_end(value, unit if near else scale, digits)
     return text if near else f"{text} {own_unit}"
 
 
@@ -512,8 +474,8 @@ def _find_outermost(
         yield end, any(math.isclose(end, limit, rel_tol=1e-6) for limit in limits if is_known(limit))
 
 
-def _format_end(end: float, unit: float) -> str:
-    return format_plain(round_significant(end / unit, END_DIGITS))
+def _format_end(end: float, unit: float = 1.0, digits: int = END_DIGITS) -> str:
+    return format_plain(round_significant(end / unit, digits))
 
 
 #: what the intervals of parameters are from, by `draw_source`, but for a sampled posterior
@@ -592,24 +554,18 @@ def tabulate_percentiles(run: Run) -> pd.DataFrame:
     `acceptance` is the fold's. `converged` is false where the criteria, which concern more than the
     parameters, are not met: percentiles are then not final.
     """
-    names, percentile_rows = [f"p{percentile:g}" for percentile in PERCENTILES], list[Row]()
+    names = [f"p{percentile:g}" for percentile in PERCENTILES]
+    columns, rows = ("fold", "parameter", *names, *CHAIN_COLUMNS, "converged", "origin"), []
     for fold, posterior in run.posteriors.items():
-        about: Row = {
-            "acceptance": float(np.mean(posterior.acceptance_fraction)),
-            "converged": not posterior.faults,
-        }
-        about |= {"fold": fold, "origin": run.origin}
-        for number, (name, values) in enumerate(posterior.percentiles().items()):
-            of_chain = {
-                "r_hat": float(posterior.r_hat[number]),
-                "ess": float(posterior.ess[number]),
-                "autocorrelation_time": float(posterior.autocorrelation_time[number]),
-            }
-            percentile_rows.append(
-                {"parameter": name, **dict(zip(names, values, strict=True)), **about, **of_chain}
-            )
-    columns = ("fold", "parameter", *names, *CHAIN_COLUMNS, "converged", "origin")
-    return pd.DataFrame(percentile_rows, columns=columns)
+        # the last one is of the density
+        chains = zip(posterior.r_hat, posterior.ess, posterior.autocorrelation_time, strict=False)
+        of_run = np.mean(posterior.acceptance_fraction), not posterior.faults, run.origin
+        percentiles = posterior.percentiles().items()
+        rows += [
+            (fold, name, *values, *chain, *of_run)
+            for (name, values), chain in zip(percentiles, chains, strict=False)
+        ]
+    return pd.DataFrame(rows, columns=columns)
 
 
 def lay_out_chains(run: Run) -> TableLayout:

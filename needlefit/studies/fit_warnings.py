@@ -40,17 +40,7 @@ from needlefit.studies.validity import list_outside
 if TYPE_CHECKING:
     from needlefit.studies.job import Job
 
-TEXT = KindText(
-    "warnings",
-    rules={
-        "of_assumed": lambda v: v.is_assumed,
-        "of_many": lambda v: v.many,
-        "of_fits": lambda v: v.total > 1,
-        "mode_at_bound": lambda v: v.at_bound,
-        "or_else": lambda v: v.at_bound and v.mode_fault == "outside",
-        "mode_outside": lambda v: v.mode_fault == "outside",
-    },
-)
+TEXT = KindText("warnings")
 
 
 def add_warnings(run: Run, job: "Job") -> Run:
@@ -168,7 +158,7 @@ def _find_wrong_noise(run: Run, too_large: bool) -> Iterator[Row]:
     errors would be half-normal, e = f sqrt(pi / 2) |z|, and the sum of 2/pi (e / f)^2 over n insertions
     chi-square with n degrees of freedom. Noise of the points varies less, so that the test is conservative.
     """
-    errors = FitFrames.of(run).select_errors("tune", method="fitted")
+    errors = FitFrames.of(run).select_errors(role="tune", method="fitted")
     errors = errors[errors["floor_ipe_mean_mm"] > 0]
     squares = (errors["ipe_mean_mm"] / errors["floor_ipe_mean_mm"]) ** 2
     means = errors.assign(square=squares).groupby(["medium", "insertion"])["square"].mean()

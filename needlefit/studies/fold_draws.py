@@ -11,7 +11,7 @@ from needlefit.datasets.folds import Fold, divide_insertions
 from needlefit.datasets.insertion import Insertion
 from needlefit.errors import ConfigError
 from needlefit.inference import specimens
-from needlefit.inference.fit import Callbacks, Fit
+from needlefit.inference.fit import Callbacks, Fit, keep_fit, read_fit
 from needlefit.inference.held_parameters import PriorShift, draw_held, measure_shifts
 from needlefit.inference.identifiability.precision import add_estimated_noise
 from needlefit.inference.identifiability.profile import minimize_squares
@@ -29,12 +29,13 @@ from needlefit.inference.sampling.importance import (
 from needlefit.inference.sampling.log_density import LogDensityFunction
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.inference.sampling.sample import sample, sample_density
+from needlefit.project.checkpoint import Checkpoint
 from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import run_parts
 from needlefit.project.toml import describe_key
+from needlefit.reporting.table_files import Row
 from needlefit.studies.fit_frames import NEW_SPECIMEN
 from needlefit.studies.job import Job, Settings
-from needlefit.studies.score import Row
 
 #: Of the table "draws": draws of each fold's parameters, with Pareto's k where by importance. `specimen` is
 #: "(tuned)" (of several that differ, their mean), one of several that differ, or "(new)"; then a column per
@@ -50,13 +51,28 @@ SHIFT_DRAWS = 5  #: parameter sets at which it is looked how far those that are 
 SPECIMEN_EFFORTS = (Effort(draws=500, min_ess=1000.0), LARGER_EFFORT)
 
 
-def find_fit(job: Job, problem: Problem, key: tuple[str, ...], settings: Settings) -> Fit:
-    """Fit the free parameters of a problem by the recipe of the job; `key` keys the random streams.
+def search_fit(
+    job: Job,
+    fold: Fold,
+    search: str,
+    settings: Settings,
+    checkpoint: Checkpoint,
+    step: Callable[[int, int], None] = lambda done, total: None,
+) -> Fit:
+    """Return the fit of one search of a fold, which is kept once it has ended.
 
     Raises FitError if the search finds no point that can be solved.
     """
-    callbacks = Callbacks(stop=settings.stop, jobs=settings.jobs)
-    return minimize(problem, job.recipe, random_stream(job.recipe.seed, job.name, *key, "starts"), callbacks)
+    key = "/".join([fold.name, search, *job.parameters.held, *["again"] * (job.response_at is not None)])
+    if kept := read_fit(checkpoint, key):
+        return kept
+    step(0, 1)
+    rng = random_stream(job.recipe.seed, fold.name, search, "starts")
+    callbacks = Callbacks(settings.stop, step, settings.jobs)
+    fit = minimize(job.problem(fold, search), job.recipe_of(search), rng, callbacks)
+    if not fit.interrupted:
+        keep_fit(checkpoint, key, fit)
+    return fit
 
 
 def sample_posterior(
@@ -295,7 +311,8 @@ class Specimens:
             if draws.certified:
                 mode = job.parameters.extend(minimum.theta)
                 return replace(resample_draws(draws, PREDICTION_DRAWS, rng), mode=mode)
-        fit = find_fit(job, problem, key, Settings())
+        rng = random_stream(job.recipe.seed, job.name, *key, "starts")
+        fit = minimize(problem, job.recipe, rng)
         rng, mode = random_stream(job.recipe.seed, job.name, *key, "weighed"), np.array(fit.theta)
         draws = sample_about_fit(problem, fit, rng)
         if draws.certified:

@@ -20,13 +20,19 @@ from needlefit.inference.identifiability.identify import (
     is_determined_by_profile,
 )
 from needlefit.inference.identifiability.profile import DEVIANCE_95, LikelihoodProfile
-from needlefit.inference.parameter_names import to_coordinate, to_value
+from needlefit.inference.parameter_names import is_logarithmic, to_coordinate, to_value
 from needlefit.inference.parameters import Parameters
 from needlefit.inference.predict import Draws, estimate_end_errors
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.posterior import Posterior
-from needlefit.reporting.number_format import interval_width
-from needlefit.reporting.table_files import Row
+from needlefit.reporting.number_format import (
+    choose_interval_unit,
+    choose_printed_unit,
+    interval_width,
+    typeset_interval,
+)
+from needlefit.reporting.table import Table, TableLayout
+from needlefit.reporting.table_files import Row, to_records
 
 #: Of the table "identification": per fold and free parameter the information (`sd`), the profile likelihood
 #: (the 95 % interval, how its ends came about, how far the deviance rises at most), and posterior SD over
@@ -214,7 +220,7 @@ class ParameterInterval:
     high: float
     source: str
     median: float = math.nan
-    errors: tuple[float, float] = (math.nan, math.nan)  #: Monte Carlo standard errors of the ends
+    errors: Sequence[float] = (math.nan, math.nan)  #: Monte Carlo standard errors of the ends
 
     def is_narrow(self, name: str) -> bool:
         """Return whether it is no wider than a Gaussian one of the largest SD of a determined parameter."""
@@ -223,8 +229,7 @@ class ParameterInterval:
     def scale(self, factor: float) -> "ParameterInterval":
         """Return the interval of a parameter that is exactly so many times as large."""
         low, high, median = (factor * value for value in (self.low, self.high, self.median))
-        at_low, at_high = (factor * error for error in self.errors)
-        return replace(self, low=low, high=high, median=median, errors=(at_low, at_high))
+        return replace(self, low=low, high=high, median=median, errors=[factor * e for e in self.errors])
 
     def allow_for(self, sd: float, row: ParameterRow) -> "ParameterInterval":
         """Return the interval as wide as with an independent error of this SD (of ln for moduli and lengths).
@@ -257,29 +262,20 @@ def intervals_of_draws(
 
     Draws that are not certified have none.
     """
-    intervals, errors = dict[str, tuple[float, ...]](), dict[str, tuple[float, float]]()
-    source = "" if draws is None else draws.source
+    drawn, source, kinds = dict[str, tuple[Floats, float]](), "", {"free", "tied"}
     if draws is not None and draws.certified is not None:
-        sets = [parameters.values(theta) for theta in draws.thetas]
-        for name in (name for name in sets[0] if parameters.status[name] in ("free", "tied")):
-            values = np.array([values_of_draw[name] for values_of_draw in sets])
-            intervals[name] = tuple(np.percentile(values, _PERCENTILES).tolist())
-            errors[name] = _estimate_errors(values, len(values))
+        table, source = pd.DataFrame([parameters.values(theta) for theta in draws.thetas]), draws.source
+        drawn = {str(name): (values.to_numpy(), len(table)) for name, values in table.items()}
     if posterior is not None and not posterior.faults:
-        intervals, source = posterior.percentiles(_PERCENTILES), "posterior"
-        intervals = {name: ends for name, ends in intervals.items() if parameters.status[name] == "free"}
-        drawn = dict(zip(posterior.names, posterior.draws.reshape(-1, len(posterior.names)).T, strict=True))
-        ess = dict(zip(posterior.names, posterior.ess.tolist(), strict=False))
-        errors = {name: _estimate_errors(drawn[name], ess[name]) for name in intervals}
-    return {
-        name: ParameterInterval(low, high, source, median, errors[name])
-        for name, (low, median, high) in intervals.items()
-    }
-
-
-def _estimate_errors(draws: Floats, independent: float) -> tuple[float, float]:
-    low, high = estimate_end_errors(draws, _LEVEL, independent).tolist()
-    return low, high
+        columns, source, kinds = posterior.draws.reshape(-1, len(posterior.names)).T, "posterior", {"free"}
+        drawn = dict(zip(posterior.names, zip(columns, posterior.ess, strict=False), strict=True))
+    intervals = {}
+    for name, (values, independent) in drawn.items():
+        if parameters.status[name] in kinds:
+            low, median, high = np.percentile(values, _PERCENTILES).tolist()
+            errors = estimate_end_errors(values, _LEVEL, independent).tolist()
+            intervals[name] = ParameterInterval(low, high, source, median, errors)
+    return intervals
 
 
 def add_intervals(
@@ -310,11 +306,9 @@ def add_intervals(
             if intervals is None and (of_source := sampled.get(source, profiles.get(source))):
                 intervals = of_source.scale(factor)
         if intervals is not None:
-            intervals, (at_low, at_high) = (
-                intervals.allow_for(model_error.get(source, 0.0), row),
-                intervals.errors,
-            )
+            intervals = intervals.allow_for(model_error.get(source, 0.0), row)
             row = row._replace(**intervals.columns(), median=intervals.median)
+            at_low, at_high = intervals.errors
             row = row._replace(interval_low_error=at_low, interval_high_error=at_high)
         if row.determined == "yes" and not (intervals and intervals.is_narrow(name)):
             row = row._replace(
@@ -327,3 +321,49 @@ def add_intervals(
             judged[name] = {**judged[name], **ends, "determined": row.determined}
         rows.append(row)
     return rows, list(judged.values())
+
+
+# ---- the table of what is identifiable, of a fit and of a design
+
+_INTERVAL_NOTE = (
+    "The 95 % interval is that of the posterior draws if they are certified, else that of the profile "
+    "likelihood, open at a bound. All other values are in identify.csv."
+)
+
+
+def lay_out_identification(identification: pd.DataFrame, expected: bool = False) -> TableLayout:
+    """Return one row per parameter."""
+    several = identification["fold"].nunique() > 1
+    rows = [
+        {**row, **_format_cells(row, expected), "fold": row["fold"] if several else ""}
+        for row in to_records(identification)
+    ]
+    columns_shown = ("sd", "profile_low", "profile_high", "sd_ratio") if expected else ("interval_95",)
+    columns = ("fold", "parameter", "determined", *columns_shown, "note")
+    caption = f"Identifiability of each parameter from the {'design' if expected else 'data'}."
+    notes = () if expected else (_INTERVAL_NOTE,)  # what a design has stands in the text of its report
+    table = Table("identification", rows, columns, groups=("fold",), caption=caption, notes=notes)
+    return table.lay_out(drop_empty=True)
+
+
+def _format_cells(row: Row, expected: bool) -> Row:
+    name = str(row["parameter"])
+    closed = {side: row[side] for side in ("low", "high") if row[f"end_{side}"] in ("closed", "prior")}
+    if expected:
+        label, unit = choose_printed_unit(name, [row["value"], *closed.values()])
+    else:
+        label, unit = choose_interval_unit(row, row["value"])
+    return {
+        **{side: closed[side] / unit if side in closed else "open" for side in ("low", "high")},
+        "sd": None if row["sd"] is None else directions.format_sd(row["sd"], is_logarithmic(name)),
+        "parameter": label,
+        "interval_95": typeset_interval(row, unit),
+        **({} if row["tip_shift_mm"] is None else {"note": describe_prior(row["tip_shift_mm"])}),
+    }
+
+
+def describe_prior(tip_shift_mm: float | None) -> str:
+    """Return in words that a parameter is known by its prior alone, which moves a tip by so much at most."""
+    if tip_shift_mm is None:
+        return "the prior"
+    return f"the prior: moves tips by at most {max(1, math.ceil(1000 * tip_shift_mm)) / 1000:g} mm"

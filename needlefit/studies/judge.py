@@ -28,7 +28,7 @@ from needlefit.metrics import METRICS
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.run_metadata import FitMetadata
 from needlefit.studies.advice import ASSUMED, list_contradictions, list_doubts
-from needlefit.studies.answer import Check, Finding, Status, is_printed_as_one
+from needlefit.studies.answer import Check, Finding, Outcome, Status, is_printed_as_one
 from needlefit.studies.coverage import (
     MAX_AIMING_WIDTH_MM,
     count_covered,
@@ -37,10 +37,9 @@ from needlefit.studies.coverage import (
     median_width,
 )
 from needlefit.studies.fit_frames import PREDICTION_METHOD, FitFrames
-from needlefit.studies.outcome import Outcome
 from needlefit.studies.prediction_scores import PREDICTED
 from needlefit.studies.run import Run, value_of_run
-from needlefit.studies.scored_groups import TE, ScoredGroup, pool_insertions, select_group
+from needlefit.studies.scored_groups import TE, ScoredGroup, pool_insertions
 
 REFERENCES = ("straight", "constant_curvature")  #: the curves that one fit is compared with
 #: independent trials from which on differences are tested
@@ -141,14 +140,13 @@ class Judgement:
 
 
 @value_of_run
-def judge(run: Run, group: ScoredGroup) -> Judgement | None:
-    """Judge the predictions of a group of insertions; None if no simulation of it converged."""
-    frames = FitFrames.of(run)
-    method, score = frames.method, group.score
-    error = group.get(score, method=method)
-    if error is None:
+def judge(run: Run) -> Judgement | None:
+    """Judge the predictions of all insertions that are scored; None if no simulation of them converged."""
+    frames, group = FitFrames.of(run), pool_insertions(run)
+    method = frames.method
+    if group is None or (error := group.get(group.score, method=method)) is None:
         return None
-    errors = select_group(frames.select_errors(group.head.role), group)
+    errors, score = frames.select_errors(), group.score
     trials = len(set(join_trials(errors)))
     ratio, specimens = group.over_floor(score, method=method), errors["specimen"].nunique()
     if trials < MIN_TRIALS:
@@ -201,10 +199,7 @@ def compare_with_references(
     margin = margin or (noise if score != TE else None) or None
 
     def find_outcome(some: "pd.Index[Any]") -> Outcome:
-        ours, others = (
-            errors_by_method[method].loc[some],
-            [errors_by_method[name].loc[some] for name in references],
-        )
+        ours, *others = (errors_by_method[name].loc[some] for name in (method, *references))
         error, least = ours[score].mean(), margin or 0.0
         gaps = np.array([other[score].mean() - error for other in others])
         z, exact_z = np.array([compare_predictions(ours, other) for other in others]).T
@@ -223,12 +218,8 @@ def compare_with_references(
     nearest = min(means, key=lambda name: means[name])
     holes = [compared.get_level_values(name) for name in ("specimen", "hole")]
     needles = pd.Series(zip(*holes, strict=True), compared)
-    gaps = (
-        (errors_by_method[nearest][score] - errors_by_method[method][score])
-        .loc[compared]
-        .groupby(needles)
-        .mean()
-    )
+    gaps = (errors_by_method[nearest][score] - errors_by_method[method][score]).loc[compared]
+    gaps = gaps.groupby(needles).mean()
     outcome, hangs_on = find_outcome(compared), list[str]()
     for needle in needles.unique():
         rows = compared[needles == needle]
@@ -341,40 +332,27 @@ def find_closest_curve(group: ScoredGroup) -> str | None:
 
 
 @value_of_run
-def list_checks(run: Run, role: str = "validate") -> tuple[Finding, ...]:
+def list_checks(run: Run) -> tuple[Finding, ...]:
     """Return the checks of all insertions that are scored together; of a fit of those fitted to."""
-    group, findings = pool_insertions(run, role), list[Finding]()
-    judged = None if group is None else judge(run, group)
-    if role == "tune":
+    group, findings, frames = pool_insertions(run), list[Finding](), FitFrames.of(run)
+    judged = judge(run)
+    if frames.role == "tune":
         findings.append(Finding(Check.HELD_OUT, None))
     if judged is not None:
         findings += (check_curves(judged), check_noise(judged), *check_needles(run, judged))
-    predictive = FitFrames.of(run).predictive
-    if len(predictive) and role == "validate":
-        held_out, score = (group.head.insertions, group.score) if group else (0, TE)
-        findings += check_intervals(predictive, run.metadata.recipe, held_out, score)
+    if len(frames.predictive) and frames.role == "validate":
+        held_out, score = (group.insertions, group.score) if group else (0, TE)
+        findings += check_intervals(frames.predictive, run.metadata.recipe, held_out, score)
     return (*findings, check_data(run))
 
 
 def check_curves(judged: Judgement) -> Finding:
     """Return whether the model is closer than the curves that it was compared with."""
-    finding = Finding(
-        Check.CURVES,
-        judged.outcome.passed,
-        judged.error,
-        judged.curve_error,
-        judged.curve,
-        judged.trials,
-        score=judged.score,
-    )
+    values = (judged.error, judged.curve_error, judged.curve, judged.trials)
+    finding = Finding(Check.CURVES, judged.outcome.passed, *values, score=judged.score)
     if (comparison := judged.compared) is None:
         return finding
-    return replace(
-        finding,
-        margin_mm=comparison.margin,
-        needles=comparison.needles,
-        closer=comparison.closer,
-    )
+    return replace(finding, margin_mm=comparison.margin, needles=comparison.needles, closer=comparison.closer)
 
 
 def check_needles(run: Run, judged: Judgement) -> Iterator[Finding]:
@@ -410,38 +388,24 @@ def check_intervals(
     covered_by = PREDICTED[score].covered
     predictive = predictive.dropna(subset=f"{covered_by}_in_95")
     missing = max(0, held_out - len(predictive))
+
+    def check(which: Check, level: float, beyond: int | None = None) -> Finding:
+        """Return how many insertions lie in what holds them with a probability of `level`."""
+        share = count_covered(predictive, f"{covered_by}_in_{100 * level:.0f}")
+        covered: bool | None = share.low <= level <= share.high
+        if share.groups == 1:
+            covered = False if which is Check.INTERVALS and share.hits == 0 else None
+        finding = Finding(which, covered, share.hits, level * share.trials, score=score, beyond=beyond)
+        return replace(finding, trials=share.groups, tips=share.trials, missing=missing)
+
+    yield check(Check.INTERVALS, 0.95)
     if covered_by != "tip":  # of readings no width is asked for
-        for check, level in ((Check.INTERVALS, 0.95), (Check.COVERAGE_50, 0.5)):
-            yield _check_coverage(predictive, check, level, score, missing)
-        return
-    yield _check_coverage(predictive, Check.INTERVALS, 0.95, score, missing)
-    if predictive.empty:
-        return
-    width, deflection = median_width(predictive), float(measure_tips(predictive, "measured").median())
-    limit = MAX_AIMING_WIDTH_MM if recipe is None else recipe.aiming_width_mm
-    yield Finding(Check.WIDTH, width <= limit, width, limit, deflection_mm=deflection)
-    middle = _check_coverage(predictive, Check.COVERAGE_50, 0.5, score, missing)
-    yield replace(middle, beyond=_count_beyond(predictive))
-
-
-def _check_coverage(
-    predictive: pd.DataFrame, check: Check, level: float, score: str, missing: int
-) -> Finding:
-    """Return how many insertions lie in what holds them with a probability of `level`."""
-    share = count_covered(predictive, f"{PREDICTED[score].covered}_in_{100 * level:.0f}")
-    covered: bool | None = share.low <= level <= share.high
-    if share.groups == 1:
-        covered = False if check is Check.INTERVALS and share.hits == 0 else None
-    return Finding(
-        check,
-        covered,
-        share.hits,
-        level * share.trials,
-        trials=share.groups,
-        tips=share.trials,
-        missing=missing,
-        score=score,
-    )
+        yield check(Check.COVERAGE_50, 0.5)
+    elif len(predictive):
+        width, deflection = median_width(predictive), float(measure_tips(predictive, "measured").median())
+        limit = MAX_AIMING_WIDTH_MM if recipe is None else recipe.aiming_width_mm
+        yield Finding(Check.WIDTH, width <= limit, width, limit, deflection_mm=deflection)
+        yield check(Check.COVERAGE_50, 0.5, _count_beyond(predictive))
 
 
 def _count_beyond(predictive: pd.DataFrame) -> int:

@@ -3,8 +3,6 @@
 from collections.abc import Iterator
 from contextlib import nullcontext
 from dataclasses import replace
-from pathlib import Path
-from typing import NamedTuple
 
 from needlefit.datasets.compared import describe_compared, find_left_planes, set_compared
 from needlefit.datasets.folds import make_folds, warn_shared_specimens
@@ -21,7 +19,6 @@ from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml import add_file_context, add_key_context, find_named, load
 from needlefit.project.unit_warnings import medium_warnings
 from needlefit.schemas.limits import MAX_EVALUATION_ELEMENT_SOLVES
-from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.job import Job, Settings, metric_recipe
@@ -32,50 +29,34 @@ DATA_WARNINGS = ("units", "bevel_side", "axis_unit", "data_changed")
 _GUIDE_PARAMETER = "guide_distance_mm"
 
 
-class StudyInputs(NamedTuple):
-    """What a study names, as it was read; `medium_file` is None where the medium was given in memory."""
-
-    dataset: Dataset
-    medium: MediumRecord
-    medium_file: Path | None
-    recipe: RecipeRecord
-    published: dict[str, float] | None  #: parameters of the paper
-
-
-def read_inputs(
-    record: FitRecord | StudyRecord, settings: Settings, dataset: Dataset | None = None
-) -> StudyInputs:
-    """Read all files that a study names, but for what is given in memory."""
-    given = settings.inputs
-    dataset = dataset or given.dataset or read(find_named("dataset", record.dataset))
-    recipe = given.recipe or load(find_named("recipe", record.recipe), RecipeRecord)
+def choose_recipe(record: FitRecord, settings: Settings, dataset: Dataset) -> RecipeRecord:
+    """Return the recipe of a study, as the settings and the noise of the data change it."""
+    recipe = settings.inputs.recipe or load(find_named("recipe", record.recipe), RecipeRecord)
     if recipe.sample.sampler not in SAMPLERS:
         raise SAMPLERS.unknown_name_error(recipe.sample.sampler, key="sample.sampler")
     if settings.seed is not None:
         recipe = recipe.model_copy(update={"seed": settings.seed})
     if recipe.minimize == "posterior" and not dataset.noise_is_stated:
         recipe = metric_recipe(recipe)  # without noise a posterior has no width, and no peak
-    with add_key_context("paper_parameters"):
-        published = None if record.paper_parameters is None else read_hand_tuned(record.paper_parameters)
-    medium, medium_file = (given.medium, None) if given.medium else load_changed_medium(record)
-    return StudyInputs(dataset, medium, medium_file, recipe, published)
+    return recipe
 
 
-def load_study(
-    name: str, record: FitRecord | StudyRecord, settings: Settings, dataset: Dataset | None = None
-) -> Job:
-    """Load and check all that a study or fit names; `dataset`, if given, replaces its own.
+def load_study(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Job:
+    """Load and check all that a study or fit names, but for what is given in memory.
 
     Raises ConfigError or DataError if anything it names is missing or wrong, the folds cannot be made, or an
     insertion cannot be fitted as the study states.
     """
-    measured, medium, medium_file, recipe, published = read_inputs(record, settings, dataset)
+    given, published = settings.inputs, record.paper_parameters
+    measured = given.dataset or read(find_named("dataset", record.dataset))
+    recipe = choose_recipe(record, settings, measured)
+    medium, medium_file = (given.medium, None) if given.medium else load_changed_medium(record)
     with nullcontext() if medium_file is None else add_file_context(medium_file):
         stated = search_freed(Parameters.from_record(medium), medium, record.free)
     hand_tuned = None
     if published is not None:
         with add_key_context("paper_parameters"):
-            hand_tuned = complete_published(str(record.paper_parameters), published, stated, record.medium)
+            hand_tuned = complete_published(published, read_hand_tuned(published), stated, record.medium)
     is_posterior = recipe.minimize == "posterior"
     parameters = with_hyperparameters(stated, recipe.likelihood) if is_posterior else without_prior(stated)
 

@@ -21,7 +21,7 @@ from needlefit.inference.predict import (
     quantile,
 )
 from needlefit.metrics import CURVATURE_RMS, OVER_NOISE, TE, TRACK_RMS
-from needlefit.studies.score import Row
+from needlefit.reporting.table_files import Row
 
 #: of the table "bands": where each insertion held out was predicted to be measured, at its measured x: the
 #: median, and the ends of simultaneous bands

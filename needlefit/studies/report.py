@@ -24,9 +24,8 @@ from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import to_records, to_tidy, write_csv, write_json
 from needlefit.reporting.text import KindText
 from needlefit.studies.answer import Status, Verdict, tabulate_checks
-from needlefit.studies.check_words import lay_out_checks, list_failed
 from needlefit.studies.explorer import collect_explorer
-from needlefit.studies.first_page import METHOD, WHAT_TO_DO, FirstPage
+from needlefit.studies.first_page import METHOD, WHAT_TO_DO, FirstPage, lay_out_checks, list_failed
 from needlefit.studies.kind import find_kind
 from needlefit.studies.result_sources import read_sources, store_sources
 from needlefit.studies.run import Run, mark_faults

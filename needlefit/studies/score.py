@@ -4,13 +4,13 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, Insertion, InsertionPose, find_pose
-from needlefit.datasets.noise import NoiseFloor, TipErrors, state_tip_errors
+from needlefit.datasets.noise import NoiseFloor, state_tip_errors
 from needlefit.datasets.select import count_layers, name_holes, select_same_needle
 from needlefit.geometry.curves import ComparedCurves
 from needlefit.inference.baseline_fit import FittedBaseline, fit_baselines
@@ -29,12 +29,11 @@ from needlefit.inference.problem import Problem
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.metrics import TE, compute_metrics, list_metrics
+from needlefit.reporting.table_files import Row
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.study import LayerCountRule
 from needlefit.studies.fit_frames import MODEL_METHODS
 from needlefit.studies.job import Job
-
-Row = dict[str, Any]
 
 SCORE_KEYS = ("fold", "role", "insertion", "method", "boundaries")
 #: of the table "shapes": the curves that "errors" compares, j = 0 the entry (or the first scored point)
@@ -117,66 +116,20 @@ COMPARISONS: Mapping[InsertionPose, str] = {
 }
 
 
-class Compared(NamedTuple):
-    """An insertion, its curve beside that of a method, and the noise floor of its TE, mm."""
-
-    insertion: Insertion
-    curves: ComparedCurves
-    floor: float
-    tip_errors: TipErrors
-
-    def deflect(self, points: Floats) -> float:
-        """Return the deflection of the tip toward the bevel, mm; NaN where no place was measured."""
-        if self.curves.quantity != "places":
-            return math.nan
-        return self.insertion.side * float(points[-1, 1] - points[0, 1])
-
-    def miss_tip(self, axis: int) -> float:
-        """Return the simulated tip minus the measured one along x, y or z, mm; 0 where it is not compared."""
-        if self.curves.quantity != "places":
-            return math.nan
-        off = self.curves.simulated[-1] - self.curves.measured[-1]
-        return float(off[axis]) if axis < len(off) else 0.0
-
-
-class ErrorColumn(NamedTuple):
-    """A column of the table "errors" that is known of compared curves."""
-
-    compute: Callable[[Compared], float]
-    otherwise: float  #: where the solve failed
-    #: whether a stored run without the column is read, as if its solves had failed
-    is_optional: bool = True
-
-
 #: Of the table "errors": a row per fold, role ("tune", "validate"), insertion, method and boundaries
 #: ("measured", as in the paper, or "planned"), with a column per metric and its noise floor. Our "prediction"
 #: never uses measured layers. These columns are of the insertion; `layers` is by the study's rule.
 #: `comparison` is "world", "shifted" across where the direction of the entry alone is known, or "aligned"
 #: for shapes known only up to a rigid motion.
-INSERTION_COLUMNS: Mapping[str, Callable[["Scorer", Insertion], Any]] = {
-    "medium": lambda scorer, insertion: insertion.medium,
-    "hole": lambda scorer, insertion: scorer.holes.get(insertion.id, insertion.id),
-    "specimen": lambda scorer, insertion: insertion.specimen,
-    "layers": lambda scorer, insertion: count_layers(insertion, scorer.layer_count_rule),
-    "depth_mm": lambda scorer, insertion: insertion.depth,
-    "comparison": lambda scorer, insertion: COMPARISONS[find_pose(scorer.dataset.pose, insertion)],
-    "compared": lambda scorer, insertion: scorer.dataset.compared,
+INSERTION_COLUMNS = ("medium", "hole", "specimen", "layers", "depth_mm", "comparison", "compared")
+#: columns that are known of compared curves, and what stands there where the solve failed
+FAILED: Row = {
+    **dict.fromkeys(("deflection_mm", "predicted_deflection_mm"), math.nan),
+    **dict.fromkeys(("tip_error_x_mm", "tip_error_y_mm", "tip_error_z_mm"), math.nan),
+    **dict.fromkeys(("tip_across_sd_mm", "tip_registered_sd_mm"), math.nan),
+    **{"edp_flagged": False, "converged": False},
 }
-CURVE_COLUMNS: Mapping[str, ErrorColumn] = {
-    "deflection_mm": ErrorColumn(lambda compared: compared.deflect(compared.curves.measured), math.nan),
-    "predicted_deflection_mm": ErrorColumn(
-        lambda compared: compared.deflect(compared.curves.simulated), math.nan
-    ),
-    "tip_error_x_mm": ErrorColumn(lambda compared: compared.miss_tip(0), math.nan),
-    "tip_error_y_mm": ErrorColumn(lambda compared: compared.miss_tip(1), math.nan),
-    "tip_error_z_mm": ErrorColumn(lambda compared: compared.miss_tip(2), math.nan),
-    "tip_across_sd_mm": ErrorColumn(lambda compared: compared.tip_errors.whole, math.nan),
-    "tip_registered_sd_mm": ErrorColumn(lambda compared: compared.tip_errors.registered, math.nan),
-    # a deflection below the noise floor; never where no floor is stated (NaN)
-    "edp_flagged": ErrorColumn(lambda compared: bool(compared.curves.deflection < compared.floor), False),
-    "converged": ErrorColumn(lambda compared: True, False, is_optional=False),
-}
-ERROR_COLUMNS = (*SCORE_KEYS, *INSERTION_COLUMNS, *CURVE_COLUMNS)
+ERROR_COLUMNS = (*SCORE_KEYS, *INSERTION_COLUMNS, *FAILED)
 
 
 class Scores(NamedTuple):
@@ -204,7 +157,7 @@ class Scorer:
             goals = list_comparisons(self.dataset, insertion)
             if curve is None:
                 row |= {metric.name: math.inf for metric in list_metrics(*(goal.quantity for goal in goals))}
-                errors.append(row | {name: column.otherwise for name, column in CURVE_COLUMNS.items()})
+                errors.append(row | FAILED)
                 continue
             if isinstance(curve, SimulatedCurve):
                 validity.append({**where, "faults": list(curve.shape.validity.faults)})
@@ -214,24 +167,34 @@ class Scorer:
 
     def describe(self, where: Row, insertion: Insertion, floors: NoiseFloor) -> Row:
         """Return the row of an insertion and a method before its errors."""
-        row = where | {name: find(self, insertion) for name, find in INSERTION_COLUMNS.items()}
+        about = (
+            *(insertion.medium, self.holes.get(insertion.id, insertion.id), insertion.specimen),
+            *(count_layers(insertion, self.layer_count_rule), insertion.depth),
+            *(COMPARISONS[find_pose(self.dataset.pose, insertion)], self.dataset.compared),
+        )
+        row = where | dict(zip(INSERTION_COLUMNS, about, strict=True))
         row |= {f"floor_{name}": value for name, value in floors.items()}
-        return row | {
-            metric.name: math.nan for metric in list_metrics("places")
-        }  # where no place was measured
+        return row | {metric.name: math.nan for metric in list_metrics("places")}  # where none was measured
 
     def compute_errors(self, insertion: Insertion, curves: Sequence[ComparedCurves]) -> Row:
         """Return the errors of compared curves of an insertion, and the columns that are known of them."""
-        row = dict[str, Any]()
+        row = Row()
         for curve in curves:  # the errors of a tip that was measured by itself replace those of a shape's
             row |= {name: error for name, error in compute_metrics(curve).items() if not math.isnan(error)}
-        # the deflection is that of a tip, where one is known
+        # the deflection, toward the bevel, is that of a tip, where one is known
         tip = next((curve for curve in reversed(curves) if curve.quantity == "places"), curves[0])
-        floor = self.floors[insertion.id].get(TE.name, math.nan)
+        deflections, off = np.full(2, math.nan), np.full(3, math.nan)
+        if tip.quantity == "places":  # along z a tip that is compared in a plane misses by 0
+            heights = np.array([points[:, 1] for points in (tip.measured, tip.simulated)])
+            deflections = insertion.side * (heights[:, -1] - heights[:, 0])
+            off = np.append(tip.simulated[-1] - tip.measured[-1], 0.0)[:3]
         parts = list_scored(self.dataset, insertion)
         measured = next((part for part in reversed(parts) if part.kind.has_tip), parts[0])
-        compared = Compared(insertion, tip, floor, state_tip_errors(measured.dataset, measured.insertion))
-        return row | {name: column.compute(compared) for name, column in CURVE_COLUMNS.items()}
+        sds = state_tip_errors(measured.dataset, measured.insertion)
+        # a deflection below the noise floor; never where no floor is stated (NaN)
+        flagged = tip.deflection < self.floors[insertion.id].get(TE.name, math.nan)
+        values = (*deflections.tolist(), *off.tolist(), *sds, bool(flagged), True)
+        return row | dict(zip(FAILED, values, strict=True))
 
     @cached_property
     def holes(self) -> Mapping[str, str]:

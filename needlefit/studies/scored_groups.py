@@ -1,7 +1,7 @@
 """Our errors beside the paper's, one row per group, method and metric: the CSV files, and what is printed."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import groupby
 from typing import Any
@@ -74,8 +74,8 @@ def count_directions(run: Run) -> int:
 
 
 @value_of_run
-def compare_methods(run: Run, role: str) -> pd.DataFrame:
-    """Compare the errors of every method with ours on the same insertions and folds of a role.
+def compare_methods(run: Run) -> pd.DataFrame:
+    """Compare the errors of every method with ours on the same insertions and folds of the scored role.
 
     Ours are those of the prediction where there is one; those of the fit are then in no row.
 
@@ -90,7 +90,7 @@ def compare_methods(run: Run, role: str) -> pd.DataFrame:
         positive: the method is worse), `difference_se_mm` (its standard error) and `better` (insertions on
         which ours is smaller).
     """
-    errors = FitFrames.of(run).select_errors(role)
+    errors = FitFrames.of(run).select_errors()
     names = [metric.name for metric in known_metrics(errors.columns) if metric.headline]
     score = find_score(errors)
     values = errors.reindex(columns=names).astype(float)
@@ -149,14 +149,15 @@ _DESCRIPTION_COLUMNS = ("layer_count_rule", "comparison", "compared", "origin")
 COLUMNS = (*_GROUP_COLUMNS, *_SCORE_COLUMNS, *_DESCRIPTION_COLUMNS)  #: columns of both tables
 #: the metric of verdicts, of warnings about them, and of every comparison of methods in words
 TE = "te_mm"
-#: values of `grouping`: insertions held out, or fitted to, by medium and number of layers
-HELD_OUT, BY_LAYERS = "held_out", "layers"
+#: by table the value of its column `grouping`: insertions held out, or fitted to, by medium and layers
+GROUPINGS = {"validation": "held_out", "tuning": "layers"}
 
 
-@dataclass(frozen=True)
-class GroupHead:
-    """What all rows of a group have in common, and the counts of the fit with measured boundaries."""
+@dataclass(frozen=True, eq=False)
+class ScoredGroup:
+    """All methods and metrics of one group, and its counts of the fit with measured boundaries."""
 
+    rows: Mapping[tuple[str, str, str], Row]  #: by method, boundaries and metric
     grouping: str
     medium: str | None  #: None: all insertions of a role together, as for `layers`
     layers: int | None
@@ -165,19 +166,6 @@ class GroupHead:
     not_converged: int
     comparison: str
     study: str | int | None = None
-
-    @property
-    def role(self) -> str:
-        """The role of the insertions: "validate" if they are held out, else "tune"."""
-        return "validate" if self.grouping == HELD_OUT else "tune"
-
-
-@dataclass(frozen=True, eq=False)
-class ScoredGroup:
-    """The rows of one group: all methods and metrics."""
-
-    head: GroupHead
-    rows: Mapping[tuple[str, str, str], Row]  #: by method, boundaries and metric
 
     @cached_property
     def score(self) -> str:
@@ -198,23 +186,17 @@ class ScoredGroup:
         return None if error is None or not floor else error / floor
 
 
-def tabulate_validation(*runs: Run) -> pd.DataFrame:
-    """Return the errors on held-out insertions: one row per study, group, method, boundaries and metric.
+def tabulate_errors(table: str, *runs: Run) -> pd.DataFrame:
+    """Return the errors on insertions: one row per study, group, method, boundaries and metric.
 
-    `value` is the mean over insertions of each one's own error, as in the paper, `floor` what perfect
-    parameters would still show, `paper` the paper's cell of the group, of its own needles, blank where it has
-    none. With `boundaries` "planned" layers are those that the predicted needle crosses, because the measured
-    crossings of a held-out insertion leak its outcome.
+    `table`: "validation" of those held out, "tuning" of those fitted to. `value` is the mean over insertions
+    of each one's own error, as in the paper, `floor` what perfect parameters would still show, `paper` the
+    paper's cell of the group, of its own needles, blank where it has none. With `boundaries` "planned" layers
+    are those that the predicted needle crosses, because the measured crossings of a held-out insertion leak
+    its outcome. Counts stay whole numbers where some are missing.
     """
-    return _tabulate_groups(runs, HELD_OUT)
-
-
-def tabulate_tuning(*runs: Run) -> pd.DataFrame:
-    """Return the in-sample errors of every fit by medium and number of layers, beside the paper's.
-
-    Columns as in `tabulate_validation`.
-    """
-    return _tabulate_groups(runs, BY_LAYERS)
+    rows = [row for run in runs for row in _list_group_rows(run, table)]
+    return pd.DataFrame(rows, columns=list(COLUMNS)).astype({"layers": "Int64", "paper_insertions": "Int64"})
 
 
 def _make_group(rows: Iterable[Row], **head: Any) -> ScoredGroup | None:  # noqa: ANN401 - any of its values
@@ -223,17 +205,14 @@ def _make_group(rows: Iterable[Row], **head: Any) -> ScoredGroup | None:  # noqa
     fitted = next((row for key, row in by_place.items() if key[:2] == ("fitted", "measured")), None)
     if fitted is None:
         return None
-    values = {**fitted, **head}
-    return ScoredGroup(
-        GroupHead(**{field.name: values[field.name] for field in fields(GroupHead) if field.name in values}),
-        by_place,
-    )
+    values = {"rows": by_place, **fitted, **head}
+    return ScoredGroup(**{key: values[key] for key in ScoredGroup.__dataclass_fields__ if key in values})
 
 
 @value_of_run
-def list_groups(run: Run, grouping: str = HELD_OUT) -> list[ScoredGroup]:
-    """Return the groups of a run: held out, or by layers, in the order of their first insertions."""
-    rows = groupby(_list_group_rows(run, grouping), key=lambda row: [row[name] for name in _GROUP_COLUMNS])
+def list_groups(run: Run, table: str = "validation") -> list[ScoredGroup]:
+    """Return the groups of a table of errors, in the order of their first insertions."""
+    rows = groupby(_list_group_rows(run, table), key=lambda row: [row[name] for name in _GROUP_COLUMNS])
     return [group for _, some in rows if (group := _make_group(some)) is not None]
 
 
@@ -243,38 +222,26 @@ def study_label(run: Run) -> str | int:
     return run.name if number is None else int(number)
 
 
-def select_group(frame: pd.DataFrame, group: ScoredGroup) -> pd.DataFrame:
-    """Return the rows of a frame of a group: of its medium and number of layers, where it has them."""
-    head = group.head
-    return frame if head.medium is None else select_rows(frame, medium=head.medium, layers=head.layers)
-
-
 @value_of_run
-def pool_insertions(run: Run, role: str = "validate") -> ScoredGroup | None:
-    """Return all insertions of a role as one group; None without a fit to them."""
+def pool_insertions(run: Run) -> ScoredGroup | None:
+    """Return all insertions of the scored role as one group; None without a fit to them."""
+    role = FitFrames.of(run).role
     here = select_rows(run.frames["errors"], role=role)
     rows = [{**row, "paper": None} for row in to_records(aggregate(here, ("method", "boundaries")))]
-    comparison = next(iter(here["comparison"]), None)
-    grouping = HELD_OUT if role == "validate" else BY_LAYERS
-    return _make_group(rows, grouping=grouping, medium=None, layers=None, comparison=comparison)
-
-
-def _tabulate_groups(runs: Iterable[Run], grouping: str) -> pd.DataFrame:
-    """Return the rows as a frame in which counts stay whole numbers where some are missing."""
-    rows = [row for run in runs for row in _list_group_rows(run, grouping)]
-    return pd.DataFrame(rows, columns=list(COLUMNS)).astype({"layers": "Int64", "paper_insertions": "Int64"})
+    about = {"medium": None, "layers": None, "comparison": next(iter(here["comparison"]), None)}
+    return _make_group(rows, grouping=GROUPINGS["validation" if role == "validate" else "tuning"], **about)
 
 
 @value_of_run
-def _list_group_rows(run: Run, grouping: str) -> list[Row]:
-    errors = select_rows(run.frames["errors"], role="validate" if grouping == HELD_OUT else "tune")
-    table, all_rows = aggregate(errors, ("medium", "layers", "method", "boundaries")), list[Row]()
-    for _, group in table.groupby(["medium", "layers"], sort=False):
+def _list_group_rows(run: Run, table: str) -> list[Row]:
+    errors = select_rows(run.frames["errors"], role="validate" if table == "validation" else "tune")
+    means, all_rows = aggregate(errors, ("medium", "layers", "method", "boundaries")), list[Row]()
+    for _, group in means.groupby(["medium", "layers"], sort=False):
         rows = to_records(group)
         medium, layers = rows[0]["medium"], rows[0]["layers"]
         if not any((row["method"], row["boundaries"]) == ("fitted", "measured") for row in rows):
             continue
-        about = {"study": study_label(run), "grouping": grouping, "medium": medium, "layers": layers}
+        about = {"study": study_label(run), "grouping": GROUPINGS[table], "medium": medium, "layers": layers}
         printed, insertions = _find_paper_row(about)
         printed = {} if count_directions(run) > 1 else printed  # the paper compares needles in their planes
         beside = {
@@ -291,7 +258,7 @@ def _list_group_rows(run: Run, grouping: str) -> list[Row]:
 def _find_paper_row(group: Row) -> tuple[Row, int | None]:
     """Return the paper's row of a group, empty where it has none, and its number of insertions."""
     medium, layers = group["medium"], group["layers"]
-    if group["grouping"] == HELD_OUT:
+    if group["grouping"] == GROUPINGS["validation"]:
         match = {"study": group["study"], "validate_medium": medium, "validate_layers": layers}
         printed, design = (paper.select_rows(name, **match) for name in ("validation", "study_design"))
         return next(iter(printed), {}), design[0]["validate_insertions"] if design else None

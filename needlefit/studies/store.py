@@ -9,7 +9,7 @@ import json
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -26,7 +26,6 @@ from needlefit.project.input_files import (
     open_regular,
     parse_json,
     read_json,
-    unreadable_error,
 )
 from needlefit.project.json_values import to_json_values
 from needlefit.schemas.result_files import RunTable, StoredRunTable, TimingTable
@@ -35,6 +34,7 @@ from needlefit.studies.kind import KINDS, find_kind
 from needlefit.studies.run import Frames, Run
 
 RESULTS_FILE, RUN_FILE = "results.json.gz", "run.json"
+Form = TypeVar("Form", bound=BaseModel)
 DATA_FOLDER = "dataset"  #: of a copy of the data that were fitted to
 
 FORMAT_VERSION = 10  #: of the file of results
@@ -106,13 +106,12 @@ def restore_run(folder: Path) -> Run:
                     where=folder,
                 )
             frames[name] = frame.assign(**{column: optional[column] for column in lacking})
-        require_schema(table["run"], kind.metadata, str(folder / RESULTS_FILE))
         names = table["posteriors"]
         files = posterior_file_names(len(names))
         return Run(
             record=kind.record.model_validate(table["record"]),
             frames=frames,
-            metadata=kind.metadata.model_validate(table["run"]),
+            metadata=require_schema(table["run"], kind.metadata, str(folder / RESULTS_FILE)),
             timing=read_timing(folder),
             posteriors={name: load(folder / file) for name, file in zip(names, files, strict=True)},
             faults=tuple(faults),
@@ -150,10 +149,10 @@ def read_timing(folder: Path) -> dict[str, Any]:
     return dict(table)
 
 
-def require_schema(table: object, form: type[BaseModel], where: str) -> None:
-    """Raise DataError, with the first key at fault, if a table read from a file has not its declared form."""
+def require_schema(table: object, form: type[Form], where: str) -> Form:
+    """Return a table read from a file in its declared form; DataError names the first key at fault."""
     try:
-        form.model_validate(table)
+        return form.model_validate(table)
     except ValidationError as error:
         fault = error.errors(include_url=False, include_input=False, include_context=False)[0]
         key = ".".join(f"{part!s:.40}" for part in fault["loc"][:6])
@@ -189,14 +188,15 @@ def unpack(folder: Path) -> dict[str, Any]:
             expected=f"{RESULTS_FILE}, which needlefit writes into each run",
             fix="name the folder of a run",
         )
-    data = _unzip(path)
     try:
-        table = parse_json(data.decode("utf-8"), str(path))
-    except UnicodeDecodeError:
-        raise damage_error(path, "it is not UTF-8") from None
-    if not isinstance(table, dict):
-        raise damage_error(path, "it holds no table")
-    if table.get("format") != FORMAT_VERSION:
+        with open_regular(path, MAX_TEXT_BYTES) as file, gzip.GzipFile(fileobj=file) as unzipped:
+            text = unzipped.read(MAX_UNPACKED_BYTES + 1).decode("utf-8")
+    except (EOFError, OSError, UnicodeDecodeError, zlib.error):
+        raise damage_error(path, "it is no complete gzip file of text") from None
+    if len(text) > MAX_UNPACKED_BYTES:
+        raise damage_error(path, f"it unpacks to more than {MAX_UNPACKED_BYTES / 2**20:.0f} MiB")
+    table = parse_json(text, str(path))
+    if not isinstance(table, dict) or table.get("format") != FORMAT_VERSION:
         raise DataError(
             "is of a format that this version cannot read",
             where=path,
@@ -204,21 +204,6 @@ def unpack(folder: Path) -> dict[str, Any]:
             fix="read it with the version that wrote it, or run it again",
         )
     return table
-
-
-def _unzip(path: Path) -> bytes:
-    """Return the bytes in a gzip file, unpacked up to `MAX_UNPACKED_BYTES`."""
-    with open_regular(path, MAX_TEXT_BYTES) as file:
-        try:
-            with gzip.GzipFile(fileobj=file) as unzipped:
-                data = unzipped.read(MAX_UNPACKED_BYTES + 1)
-        except (gzip.BadGzipFile, EOFError, zlib.error):
-            raise damage_error(path, "it is no complete gzip file") from None
-        except OSError as fault:
-            raise unreadable_error(fault, DataError, str(path)) from None
-    if len(data) > MAX_UNPACKED_BYTES:
-        raise damage_error(path, f"it unpacks to more than {MAX_UNPACKED_BYTES / 2**20:.0f} MiB")
-    return data
 
 
 def damage_error(path: Path, why: str) -> DataError:

@@ -3,6 +3,7 @@
 import os
 import shlex
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -199,26 +200,25 @@ def load_target(target: str) -> Target:
     return Target(f"{path.stem}-tune", record.tuning(), Inputs(), path)
 
 
-def target_name(record: TargetRecord, settings: Settings) -> str:
-    """Return the name of the results of the fit that a record names."""
-    given = settings.inputs.target
-    return load_target(record.target).name if given is None else given[0]
-
-
 def is_study(target: str) -> bool:
     """Return whether what was fitted is named by a study, which also holds insertions out."""
     return not is_file(Path(target) / RUN_FILE) and find_study_or_fit(target.partition(":")[0])[0] == "study"
 
 
-def prepare_target(record: TargetRecord, name: str, settings: Settings) -> Job:
-    """Return the work of the fit that a record names; `name` keys its random numbers."""
-    if settings.inputs.target is not None:
-        return _prepare_noted(name, settings.inputs.target[1], settings)
-    loaded = load_target(record.target)
-    if loaded.run is not None:
-        settings = replace(settings, inputs=loaded.inputs)
-    with add_file_context(loaded.file):
-        return _prepare_noted(name, loaded.record, settings)
+def prepare_target(record: TargetRecord, settings: Settings, ending: str = "") -> Job:
+    """Return the work of the fit that a record names; its name, which keys random numbers, has this `ending`.
+
+    It takes the place of "-tune".
+    """
+    fit = settings.inputs.target
+    where: AbstractContextManager[None] = nullcontext()
+    if fit is None:
+        loaded = load_target(record.target)
+        fit, where = (loaded.name, loaded.record), add_file_context(loaded.file)
+        settings = settings if loaded.run is None else replace(settings, inputs=loaded.inputs)
+    name, fit_record = fit
+    with where:
+        return _prepare_noted(name.removesuffix("-tune") + ending if ending else name, fit_record, settings)
 
 
 def prepare_with_held_out(record: TargetRecord, name: str, settings: Settings) -> Job:
@@ -229,7 +229,7 @@ def prepare_with_held_out(record: TargetRecord, name: str, settings: Settings) -
         if isinstance(study, StudyRecord):
             with add_file_context(path):
                 return _prepare_noted(name, study, replace(settings, file=path))
-    return prepare_target(record, name, settings)
+    return prepare_target(record, settings)
 
 
 def _prepare_noted(name: str, record: FitRecord, settings: Settings) -> Job:

@@ -1,10 +1,9 @@
 """How many simulations of a run were outside what the model assumes."""
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
 
 from needlefit.mechanics.shape import LIMITS
+from needlefit.reporting.table_files import Row
 from needlefit.schemas.run_metadata import CountMetadata, ValidityMetadata
 
 #: methods whose invalid predictions give a warning; those of a published set are counted only
@@ -17,32 +16,22 @@ MOSTLY_OUTSIDE = 0.5  #: share of draws outside above which they determine no pa
 _PREDICTED = "predictions of held-out insertions"
 
 
-NO_SIMULATIONS = CountMetadata()
+def tabulate_validity(
+    folds: Sequence[Mapping[str, CountMetadata]], scored: Sequence[Row]
+) -> ValidityMetadata:
+    """Return the counts of all folds.
 
-
-@dataclass(frozen=True)
-class ValidityCounts:
-    """The simulations of one fold, and how many of them are outside the model's assumptions."""
-
-    #: ends of all starts of all searches: one is outside if any of its insertions is
-    starts: CountMetadata = NO_SIMULATIONS
-    #: of the posterior, sampled or by importance about the fit; counted likewise
-    draws: CountMetadata = NO_SIMULATIONS
-    #: needles predicted of held-out insertions, one for each draw
-    predicted: CountMetadata = NO_SIMULATIONS
-    #: fold, role, method, insertion and boundaries of every scored simulation, with `faults` (empty: inside)
-    scored: tuple[dict[str, Any], ...] = ()
-
-
-def tabulate_validity(folds: Sequence[ValidityCounts]) -> ValidityMetadata:
-    """Return the counts of all folds."""
-    scored = [row for fold in folds for row in fold.scored]
+    folds
+        By kind the simulations of each: "starts", the ends of all starts of all searches, of which one is
+        outside if any of its insertions is; "draws" of the posterior, counted likewise; "predicted", needles
+        of held-out insertions, one for each draw.
+    scored
+        Fold, role, method, insertion and boundaries of every scored simulation, with its `faults`.
+    """
     beyond = [row for row in scored if row["faults"]]
     return ValidityMetadata(
         scored=CountMetadata(simulations=len(scored), outside=len(beyond)),
-        starts=add_counts(fold.starts for fold in folds),
-        draws=add_counts(fold.draws for fold in folds),
-        predicted=add_counts(fold.predicted for fold in folds),
+        **{kind: add_counts(counts[kind] for counts in folds) for kind in ("starts", "draws", "predicted")},
         limits={name: limit for name, limit, _ in LIMITS},
         fitted_outside=sum(row["method"] in FITTED_METHODS for row in beyond),
         scored_outside=beyond[:MAX_LISTED_ROWS],
@@ -51,10 +40,9 @@ def tabulate_validity(folds: Sequence[ValidityCounts]) -> ValidityMetadata:
 
 def add_counts(counts: Iterable[CountMetadata]) -> CountMetadata:
     """Return the sum of some counts."""
-    listed = list(counts)
-    return CountMetadata(
-        simulations=sum(entry.simulations for entry in listed), outside=sum(entry.outside for entry in listed)
-    )
+    pairs = [(count.simulations, count.outside) for count in counts]
+    simulations, outside = (sum(numbers) for numbers in zip((0, 0), *pairs, strict=True))
+    return CountMetadata(simulations=simulations, outside=outside)
 
 
 def list_outside(validity: ValidityMetadata) -> list[str]:

@@ -1,6 +1,56 @@
 """Figures as forms over tidy frames (`forms`), drawn in the same way on every machine (`style`)."""
 
-from needlefit.reporting.figures.drawing import Drawing
-from needlefit.reporting.figures.looks import Look, Panel
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
+from typing import Any
 
-__all__ = ["Drawing", "Look", "Panel"]
+import pandas as pd
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A figure of a report: a form and its frame."""
+
+    # The name of a function of `forms` or `fit_forms`, or of a module beside them that has a function `draw`,
+    # as observations have: frame and options -> figure
+    form: str
+    frame: pd.DataFrame  # all that is drawn; it is saved as CSV beside the figure
+    options: Mapping[str, Any] = field(default_factory=dict)  # keyword arguments of the form
+    # Frame -> the frame that the form draws, where that needs columns which are not saved
+    prepare: Callable[[pd.DataFrame], pd.DataFrame] = lambda frame: frame
+
+    def save(self, path: Path, origin: str) -> Path:
+        """Draw the figure to `path` (PDF), its frame with the origin as CSV; return the path."""
+        # late: matplotlib takes its time to load, a quarter of it for texts of help that nobody reads here
+        import matplotlib.artist
+
+        matplotlib.artist.kwdoc = lambda artist: ""
+        from needlefit.reporting.figures import fit_forms, forms
+        from needlefit.reporting.figures.style import plot
+
+        here = vars(forms) | vars(fit_forms)
+        paint = here.get(self.form) or import_module(f"{__package__}.{self.form}").draw
+        frame = self.frame.assign(origin=origin)
+        return plot(path, frame, lambda frame: paint(self.prepare(frame), **self.options))
+
+
+@dataclass(frozen=True)
+class Look:
+    """How a series is drawn and named in the legend."""
+
+    label: str
+    colour: str
+    width: float = 1.1  # of lines, points
+    white: float = 0.75  # share of white in the colour of bands
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A panel of `curves`: the label of its y axis, and columns as a line, and as the ends of a band."""
+
+    label: str
+    line: str
+    low: str
+    high: str

@@ -4,11 +4,8 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from needlefit.inference.identifiability.directions import NORMAL_95_HALF_WIDTH_SD
-from needlefit.reporting.figures.style import TEXT_WIDTH_IN, draw_grid
+from needlefit.reporting.figures.style import draw_grid, make_panels
 from needlefit.reporting.labels import INK, SERIES_COLOURS
-
-MAX_ACROSS = 4  # panels in a row
-PANEL_HEIGHT_IN = 1.5  # inches
 
 
 def draw(sensors: pd.DataFrame) -> Figure:
@@ -18,12 +15,7 @@ def draw(sensors: pd.DataFrame) -> Figure:
     the standard deviation of a predicted reading.
     """
     groups = list(sensors.groupby(["insertion", "direction"], sort=False))
-    across = min(MAX_ACROSS, len(groups))
-    down = -(-len(groups) // across)
-    figure = Figure(figsize=(TEXT_WIDTH_IN, PANEL_HEIGHT_IN * down))
-    panels = figure.subplots(down, across, sharex=True, sharey=True, squeeze=False)
-    for axes in panels.flat[len(groups) :]:
-        axes.set_axis_off()
+    figure, panels = make_panels(len(groups), 1.5)
     for axes, ((insertion, direction), some) in zip(panels.flat, groups, strict=False):
         rows = some.sort_values("s_mm")
         s, middle, half = rows["s_mm"], rows["predicted"], NORMAL_95_HALF_WIDTH_SD * rows["sd"]

@@ -7,7 +7,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from needlefit.reporting.figures.looks import Look, Panel
+from needlefit.reporting.figures import Look, Panel
 from needlefit.reporting.figures.style import GAP_IN, TEXT_WIDTH_IN, add_legend, draw_grid, set_margins
 from needlefit.reporting.labels import INK, SERIES_COLOURS
 

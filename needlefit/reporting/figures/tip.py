@@ -3,11 +3,8 @@
 import pandas as pd
 from matplotlib.figure import Figure
 
-from needlefit.reporting.figures.style import TEXT_WIDTH_IN, draw_grid
+from needlefit.reporting.figures.style import draw_grid, make_panels
 from needlefit.reporting.labels import INK, SERIES_COLOURS, medium_name
-
-MAX_ACROSS = 4  # panels in a row
-PANEL_HEIGHT_IN = 1.9  # inches
 
 
 def draw(tips: pd.DataFrame) -> Figure:
@@ -17,12 +14,7 @@ def draw(tips: pd.DataFrame) -> Figure:
     last two are empty where nothing certified was predicted.
     """
     groups = list(tips.groupby("medium", sort=False))
-    across = min(MAX_ACROSS, len(groups))
-    down = -(-len(groups) // across)
-    figure = Figure(figsize=(TEXT_WIDTH_IN, PANEL_HEIGHT_IN * down))
-    panels = figure.subplots(down, across, sharex=True, sharey=True, squeeze=False)
-    for axes in panels.flat[len(groups) :]:
-        axes.set_axis_off()
+    figure, panels = make_panels(len(groups), 1.9)
     for axes, (medium, rows) in zip(panels.flat, groups, strict=False):
         depth = rows["depth_mm"]
         axes.vlines(depth, rows["low_mm"], rows["high_mm"], color=SERIES_COLOURS[0], alpha=0.4, lw=3)

@@ -24,8 +24,7 @@ A kind hands over numbers; `<kind>.md.j2` beside this module (of a plug-in: in i
     {{ figure("errors") }}
     {% endblock %}
 
-A template asks only whether a value is there (`{% if floors %}`), and computes nothing. `choose("a", "b")`
-prints those of these blocks whose rules (`KindText.rules`) hold.
+A template asks only which values there are (`{% if floors %}`), and computes nothing.
 Markdown is limited to headings (`##`, `###`), paragraphs, bullets, links, emphasis and code. A paragraph that
 is emphasised as a whole is set in small type. `table`, `figure` and `block` refer by name to what the kind
 hands over; what it did not make is left out. Values are data: their ASCII punctuation signs are escaped. A
@@ -38,11 +37,10 @@ number that is not whole needs a filter: all formats of `columns.FORMATS` (`mm`,
 """
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from numbers import Integral
-from types import SimpleNamespace
 from typing import Any
 
 import jinja2
@@ -85,18 +83,6 @@ def escape_markdown(value: object) -> Markup:
     return Markup(_PUNCTUATION.sub(r"\\\1", _SPACE.sub(" ", str(value))))  # noqa: S704 - Markdown, escaped
 
 
-@jinja2.pass_context
-def choose_blocks(context: jinja2.runtime.Context, *names: str, **local: object) -> Markup:
-    """Return those of some blocks whose rules hold for the values of the text, of which `local` replace some.
-
-    A block without a rule always stands.
-    """
-    within = context.derived(local)
-    values, rules = SimpleNamespace(**within.get_all()), context["rules"]
-    standing = (name for name in names if name not in rules or rules[name](values))
-    return Markup("".join(text for name in standing for text in context.blocks[name][0](within)))  # noqa: S704 - Markdown
-
-
 @cache
 def _environment(package: str) -> jinja2.Environment:
     """Return Jinja2 for the texts of a package, which may import ours; automatic escapes are Markdown's."""
@@ -112,7 +98,6 @@ def _environment(package: str) -> jinja2.Environment:
     )
     for kind in ("table", "figure", "block"):  # their names are those of files
         environment.globals[kind] = lambda name, kind=kind: Markup(f"[[{kind}:{name}]]")  # noqa: S704
-    environment.globals["choose"] = choose_blocks
     environment.filters |= {
         **FORMATS,
         "quantity": lambda value, parameter: format_quantity(parameter, value),
@@ -133,8 +118,6 @@ class KindText:
 
     name: str  # of the file, without `.md.j2`
     package: str = __name__  # that holds the file; a plug-in names its own
-    # By block: values of the text -> whether `choose` prints it
-    rules: Mapping[str, Callable[[Any], object]] = field(default_factory=dict, repr=False)
 
     @cached_property
     def _template(self) -> jinja2.Template:
@@ -148,7 +131,7 @@ class KindText:
 
         jinja2.UndefinedError if it names a value that there is not.
         """
-        context = self._template.new_context({**values, "rules": self.rules})
+        context = self._template.new_context({**values})
         blocks, context.blocks = context.blocks, {name: [lambda _: iter(())] for name in context.blocks}
         for _ in self._template.root_render_func(context):
             pass  # defines the macros, and writes no block

@@ -28,15 +28,15 @@ from needlefit.studies.identification import (
     IDENTIFICATION_COLUMNS,
     PROFILE_COLUMNS,
     identify_parameters,
+    lay_out_identification,
     list_held,
 )
-from needlefit.studies.identification_tables import lay_out_identification
 from needlefit.studies.job import Settings
 from needlefit.studies.kind import StudyKind
 from needlefit.studies.report import StudyReport
 from needlefit.studies.run import Run
 from needlefit.studies.simulated_data import choose_reference_values, simulate_design
-from needlefit.studies.study_files import begin_run, prepare_target, target_name
+from needlefit.studies.study_files import begin_run, prepare_target
 
 
 class IdentificationRecord(TargetRecord):
@@ -62,9 +62,9 @@ def run(name: str, record: IdentificationRecord, settings: Settings) -> Run:
     Raises ConfigError or DataError if anything the record names is missing or wrong, or no noise is stated.
     FitError if the planned insertions have no solution there.
     """
-    target = target_name(record, settings).removesuffix("-tune")
-    job = prepare_target(record, f"{target}-design", settings)
-    about = begin_run(name, record, job, f"Identification: {job.record.title or target}")
+    job = prepare_target(record, settings, "-design")
+    title = job.record.title or job.name.removesuffix("-design")
+    about = begin_run(name, record, job, f"Identification: {title}")
     fold = job.folds[0]
     if not job.parameters.searched.free:
         raise ConfigError(
@@ -115,7 +115,7 @@ def run(name: str, record: IdentificationRecord, settings: Settings) -> Run:
 
 # ---- the report
 
-TEXT = KindText("identification", rules={"sd_now": lambda v: v.best})
+TEXT = KindText("identification")
 
 
 def describe_identification(run: Run) -> dict[str, Any]:

@@ -13,7 +13,7 @@ import json
 import math
 import re
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -30,13 +30,10 @@ from needlefit.errors import ConfigError, ModelError
 from needlefit.inference.compared_points import draw_rolls, turn_about_x
 from needlefit.inference.curve_bands import find_bands
 from needlefit.inference.draw_simulation import draw_entry_errors, simulate_scene_draws, vary_bevels
-from needlefit.inference.fit import Callbacks, keep_fit, read_fit
 from needlefit.inference.forward_model import make_options
 from needlefit.inference.identifiability.profile import minimize_squares
-from needlefit.inference.optimize import minimize
 from needlefit.inference.point_prediction import PointPrediction, choose_point
 from needlefit.inference.predict import INTERVAL_PROBABILITIES, Draws, estimate_end_errors, thin_posterior
-from needlefit.inference.sampling.posterior import Posterior
 from needlefit.mechanics.scene import Scene
 from needlefit.project.checkpoint import NO_CHECKPOINT, Checkpoint, open_checkpoint
 from needlefit.project.progress import no_note
@@ -48,14 +45,14 @@ from needlefit.reporting.figures import Drawing, Look, Panel
 from needlefit.reporting.labels import METHOD_COLOURS
 from needlefit.reporting.number_format import format_to_error, is_known
 from needlefit.reporting.table import Table
-from needlefit.reporting.table_files import to_records
+from needlefit.reporting.table_files import Row, to_records
 from needlefit.reporting.text import KindText
 from needlefit.schemas.analyses import TargetRecord
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.run_metadata import PredictionMetadata
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord
-from needlefit.studies.advice import NEW_SPECIMENS, advise
+from needlefit.studies.advice import advise
 from needlefit.studies.answer import Advice, RunFault, Verdict, find_fault_kind
 from needlefit.studies.coverage import MAX_AIMING_WIDTH_MM
 from needlefit.studies.explorer import choose_drawn
@@ -68,6 +65,7 @@ from needlefit.studies.fold_draws import (
     choose_specimen,
     draw_fold_parameters,
     measure_prior,
+    search_fit,
 )
 from needlefit.studies.identification import ParameterRow, intervals_of_draws
 from needlefit.studies.identity import describe_change, identify
@@ -75,15 +73,8 @@ from needlefit.studies.job import Inputs, Job, Settings
 from needlefit.studies.kind import StudyKind, find_kind
 from needlefit.studies.report import StudyReport, recall
 from needlefit.studies.run import Run
-from needlefit.studies.score import Row
 from needlefit.studies.store import posterior_file_names, restore_run
-from needlefit.studies.study_files import (
-    begin_run,
-    is_study,
-    prepare_target,
-    prepare_with_held_out,
-    target_name,
-)
+from needlefit.studies.study_files import begin_run, is_study, prepare_target, prepare_with_held_out
 
 
 class PredictionRecord(TargetRecord):
@@ -352,32 +343,20 @@ def draw_parameters(
 
     None after a stop.
     """
-    if settings.inputs.posterior is not None:
-        return _thin_with_mode(job, settings.inputs.posterior)
-    if run is not None:
-        return _thin_with_mode(job, run.posterior)
+    posterior = settings.inputs.posterior if run is None else run.posterior
     (fold,) = job.folds
-    fit = read_fit(checkpoint, "fitted")
-    if fit is None:
-        rng = random_stream(job.recipe.seed, fold.name, "fitted", "starts")
-        callbacks = Callbacks(settings.stop, jobs=settings.jobs)
-        fit = minimize(job.problem(fold), job.recipe, rng, callbacks)
-        if fit.interrupted:
-            return None
-        keep_fit(checkpoint, "fitted", fit)
+    if posterior is not None:  # whose mode is the minimum to which its best draw leads
+        best = dict(zip(posterior.names, posterior.best.tolist(), strict=True))
+        begin = job.parameters.restrict(job.parameters.theta(best))
+        mode = job.parameters.extend(minimize_squares(job.problem(fold).searched, begin).theta)
+        return replace(thin_posterior(posterior, job.parameters, PREDICTION_DRAWS), mode=mode)
+    fit = search_fit(job, fold, "fitted", settings, checkpoint)
+    if fit.interrupted:
+        return None
     draws = draw_fold_parameters(job, fold, fit, settings).draws
     # without a search that has converged nothing is certified
     judged = replace(draws, faults=(fit.fault, *draws.faults)) if fit.fault else draws
     return None if settings.stop() else judged
-
-
-def _thin_with_mode(job: Job, posterior: Posterior) -> Draws:
-    """Return draws of a sampled posterior, and its mode: the minimum to which its best draw leads."""
-    problem = job.problem(job.folds[0]).searched
-    best = dict(zip(posterior.names, posterior.best.tolist(), strict=True))
-    begin = job.parameters.restrict(job.parameters.theta(best))
-    mode = job.parameters.extend(minimize_squares(problem, begin).theta)
-    return replace(thin_posterior(posterior, job.parameters, PREDICTION_DRAWS), mode=mode)
 
 
 # ---- results of the same fit
@@ -442,7 +421,7 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
     Raises ConfigError or DataError if anything the record names is missing or wrong, or its posterior is of
     something else. ModelError if no draw can be solved.
     """
-    job = prepare_target(record, target_name(record, settings), settings)
+    job = prepare_target(record, settings)
     scene = make_scene(record.scene, record.scene_name, job.medium)
     scene_name = record.scene_name.rpartition("/")[2]
     title = record.scene.title or scene_name
@@ -517,41 +496,14 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
 
 # ---- the report
 
-#: which sentences are printed, by what was found
-RULES: Mapping[str, Callable[[Any], object]] = {
-    "without_spread": lambda v: v.specimen == "training only",
-    "new_specimen": lambda v: v.specimen == "others",
-    "fitted_specimen": lambda v: v.specimen == "same",
-    "named_specimen": lambda v: v.specimen not in ("training only", "others", "same"),
-    "assumed_new": lambda v: v.specimen in NEW_SPECIMENS,
-    "assumed_fitted": lambda v: v.specimen not in NEW_SPECIMENS,
-    "fit_judged": lambda v: v.fit_verdict,
-    "fit_changed": lambda v: v.fit_changed and not v.fit_verdict,
-    "fit_unvalidated": lambda v: not (v.fit_changed or v.fit_verdict),
-    **dict.fromkeys(("unreliable", "unreliable_needle", "faults", "needle_alone"), lambda v: v.faults),
-    **dict.fromkeys(("predicted", "bands"), lambda v: not v.faults),
-    "predicted_z": lambda v: not v.faults and hasattr(v, "needle_z_predicted_mm"),
-    "roll": lambda v: hasattr(v, "needle_z_predicted_mm"),
-    "sampled": lambda v: v.draw_source == "posterior",
-    "weighted": lambda v: v.draw_source != "posterior",
-    "failed_draws": lambda v: v.failed_solves,
-    **dict.fromkeys(("by_median", "median_drawn", "median_reported"), lambda v: v.mode_fault != "none"),
-    **dict.fromkeys(("needle_drawn", "mode_reported"), lambda v: v.mode_fault == "none"),
-}
-TEXT = KindText("prediction", rules=RULES)
+TEXT = KindText("prediction")
 
 
 def describe_prediction(run: Run) -> dict[str, Any]:
     """Return what the text prints."""
-    stated, study = run.knows(PredictionMetadata), run.record
+    study = run.record
     return {
-        "draws": stated.draws,
-        "draw_source": stated.draw_source,
-        "failed_solves": stated.failed_solves,
-        "specimen": stated.specimen,
-        "fit_verdict": stated.fit_verdict,
-        "fit_changed": stated.fit_changed,
-        "mode_fault": stated.mode_fault,
+        **vars(run.knows(PredictionMetadata)),
         **find_tip(run),
         "title": study.scene.title or study.scene_name,
         "scene": study.scene_name,

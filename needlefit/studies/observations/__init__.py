@@ -15,12 +15,12 @@ from needlefit.inference.point_prediction import PointPrediction
 from needlefit.inference.predict import Draws
 from needlefit.registry import Registry
 from needlefit.reporting.figures import Drawing
+from needlefit.reporting.table_files import Row
 from needlefit.schemas.run_metadata import CountMetadata
 from needlefit.studies.coverage import AFTER_ONE_COLUMN, WIDTH_ERROR_COLUMN
 from needlefit.studies.fold_draws import Specimens
 from needlefit.studies.job import Job
 from needlefit.studies.run import Run
-from needlefit.studies.score import Row
 
 #: Of the table "predictive": the distribution of every insertion held out, and how the measurement fell in
 #: it. `tip_pit` is the probability predicted of a tip up to the measured one, `shape_pit` that of the

@@ -45,6 +45,7 @@ from needlefit.inference.problem import Problem
 from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import run_parts
 from needlefit.reporting.figures import Drawing
+from needlefit.reporting.table_files import Row
 from needlefit.schemas.recipe import LikelihoodRecord
 from needlefit.schemas.run_metadata import CountMetadata
 from needlefit.studies import fit_figures
@@ -72,7 +73,7 @@ from needlefit.studies.prediction_scores import (
     tabulate_sensors,
 )
 from needlefit.studies.run import Run
-from needlefit.studies.score import Row, predict_needle
+from needlefit.studies.score import predict_needle
 
 #: columns that predictions of curvatures, or in space, have besides
 FURTHER_COLUMNS = (CURVATURE_CRPS, *SPATIAL_COLUMNS)
@@ -372,11 +373,11 @@ def _measurement_covariance(observation: Observation, factor: float) -> Floats:
 
 def draw_needles(run: Run, role: str) -> dict[str, Drawing]:
     """Return the insertions with the smallest, middle and largest tip error, and all of them."""
-    if FitFrames.of(run).select_curves(role, method="fitted").empty:
+    if FitFrames.of(run).select_curves(role=role, method="fitted").empty:
         return {}
     names = ("overlays", "overlays_above")[: scores.count_directions(run)]
-    overlays = {name: fit_figures.draw_overlays(run, role, from_above=name != names[0]) for name in names}
-    return {"insertions": fit_figures.draw_first_page(run, role), **overlays}
+    overlays = {name: fit_figures.draw_overlays(run, from_above=name != names[0]) for name in names}
+    return {"insertions": fit_figures.draw_first_page(run), **overlays}
 
 
 POINTS = StudiedObservation("points", draw_needles, predict_needles)

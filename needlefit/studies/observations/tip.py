@@ -16,7 +16,7 @@ def draw_tips(run: Run, role: str) -> dict[str, Drawing]:
     places = frames.shapes.groupby("insertion")["j"].max()
     stored = run.knows(FitMetadata).insertions
     names = [*places.index[places == 1], *(name for name, row in stored.items() if "tip" in row.observations)]
-    errors = frames.select_errors(role, method=frames.method)
+    errors = frames.select_errors(role=role, method=frames.method)
     errors = errors[errors["insertion"].isin(names)]  # of which there are entry and tip, or a tip by itself
     if errors.empty:
         return {}

@@ -33,6 +33,7 @@ from needlefit.inference.track_predictions import (
 from needlefit.metrics import TRACK_RMS
 from needlefit.project.random_streams import random_stream
 from needlefit.reporting.figures import Drawing
+from needlefit.reporting.table_files import Row
 from needlefit.schemas.recipe import TrackErrorsRecord
 from needlefit.schemas.run_metadata import CountMetadata
 from needlefit.schemas.study import StudyRecord
@@ -48,7 +49,7 @@ from needlefit.studies.observations import (
 )
 from needlefit.studies.prediction_scores import list_band_ends, score_shape, score_tip
 from needlefit.studies.run import Run
-from needlefit.studies.score import Row, Scorer, make_scorer
+from needlefit.studies.score import Scorer, make_scorer
 
 NAME = "tip_track"
 MIN_SCORED_READINGS = 2  #: fewest readings of a predicted track that are scored

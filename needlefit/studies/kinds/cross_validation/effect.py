@@ -7,18 +7,13 @@ import numpy as np
 
 from needlefit.datasets.folds import Fold
 from needlefit.inference.parameter_names import BEVEL_PARAMETERS
-from needlefit.project.progress import no_note
 from needlefit.schemas.run_metadata import EffectMetadata, FitMetadata
 from needlefit.studies.advice import CONTRADICTIONS
-from needlefit.studies.fit_frames import FitFrames
+from needlefit.studies.answer import Outcome
 from needlefit.studies.job import Job
 from needlefit.studies.judge import judge
-from needlefit.studies.kinds.cross_validation.fold import FoldResult, FoldServices
-from needlefit.studies.kinds.cross_validation.progress import StudyProgress
-from needlefit.studies.kinds.cross_validation.side_by_side import run_folds
-from needlefit.studies.outcome import Outcome
+from needlefit.studies.kinds.cross_validation.fold import FoldResult
 from needlefit.studies.run import Run
-from needlefit.studies.scored_groups import pool_insertions
 
 
 def list_doubtful(run: Run, job: Job) -> list[str]:
@@ -44,13 +39,6 @@ def leave_out(job: Job, names: Sequence[str]) -> Job:
     return replace(job, folds=tuple(folds))
 
 
-def repeat_folds(job: Job, services: FoldServices) -> list[FoldResult]:
-    """Return the results of a study without its doubtful needles; nothing is printed of them."""
-    settings = replace(services.settings, first=no_note, sample=False)
-    services = replace(services, settings=settings, progress=StudyProgress(job, settings.progress))
-    return run_folds(job, services)
-
-
 def measure_effect(
     run: Run,
     without: Run,
@@ -73,6 +61,5 @@ def measure_effect(
 
 def _find_outcome(run: Run) -> Outcome:
     """Return the outcome whatever the warnings are: those about a needle stay without it."""
-    group = pool_insertions(run, FitFrames.of(run).role)
-    judged = None if group is None else judge(run.with_metadata(warnings=[]), group)
+    judged = judge(run.with_metadata(warnings=[]))
     return Outcome.UNDECIDED if judged is None else judged.outcome

@@ -24,12 +24,12 @@ from needlefit.studies.run import Run
 def judge_errors(run: Run, values: Mapping[str, Any]) -> FirstPage:
     """Return the first page: the verdict is on the errors of tips, or of what was read."""
     role = FitFrames.of(run).role
-    checks, group = list_checks(run, role), scores.pool_insertions(run, role)
-    judged = None if group is None else judge(run, group)
+    checks, group = list_checks(run), scores.pool_insertions(run)
+    judged = None if group is None else judge(run)
     if group is None or judged is None:
         return FirstPage(Verdict(TEXT.sentence("nothing_scored", values), "fail"), checks=checks)
     undetermined, score = fit_tables.list_undetermined(run), judged.score
-    words = {**values, "judged": judged, "insertions": group.head.insertions, "undetermined": undetermined}
+    words = {**values, "judged": judged, "insertions": group.insertions, "undetermined": undetermined}
     words |= {"gains": fit_tables.list_gains_of_direction(run), "direction_sd": DIRECTION_SD_DEG}
     wide = fit_tables.list_wide(run)
     numbers: dict[str, float | str | None] = {
@@ -40,7 +40,7 @@ def judge_errors(run: Run, values: Mapping[str, Any]) -> FirstPage:
         "baseline": judged.curve or None,
         f"baseline_{score}": judged.curve_error,
         "trials": judged.trials,
-        "insertions": group.head.insertions,
+        "insertions": group.insertions,
     }
     if role == "tune":
         words["verdict"], status = _open_fit(run, undetermined, wide)
@@ -106,7 +106,7 @@ def find_advice(
 
 def _open_fit(run: Run, undetermined: Sequence[str], wide: Sequence[str]) -> tuple[str, Status]:
     """Return the block with which the verdict on a fit begins, and its status."""
-    checks = {check.check: check for check in list_checks(run, "tune")}
+    checks = {check.check: check for check in list_checks(run)}
     if Check.CURVES in checks and checks[Check.CURVES].passed is False:
         return "fit_fails", "fail"
     if "parameter_at_bound" in checks[Check.DATA].named.split(", "):

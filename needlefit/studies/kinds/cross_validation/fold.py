@@ -18,7 +18,7 @@ from needlefit.datasets.insertion import Insertion
 from needlefit.geometry.curves import select_compared
 from needlefit.inference.compared_points import Curve
 from needlefit.inference.error_fit import ErrorMinimisingFit, examine_errors
-from needlefit.inference.fit import MET_BY_PROFILE, Callbacks, Fit, Start, keep_fit, read_fit
+from needlefit.inference.fit import MET_BY_PROFILE, Callbacks, Fit, Start
 from needlefit.inference.held_parameters import PriorShift
 from needlefit.inference.identifiability.identify import (
     LOG_POSTERIOR_TOLERANCE,
@@ -28,7 +28,6 @@ from needlefit.inference.identifiability.identify import (
 )
 from needlefit.inference.identifiability.stated_depths import examine_depths
 from needlefit.inference.likelihood.observations.curvature import append_sensors
-from needlefit.inference.optimize import minimize
 from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem, find_outside_validity
 from needlefit.inference.sampling.posterior import Posterior
@@ -38,11 +37,12 @@ from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import compute_beside, stop_requested
 from needlefit.reporting.needles_in_scan import NeedleInScan
 from needlefit.reporting.number_format import format_bare_symbol, format_quantity
+from needlefit.reporting.table_files import Row
 from needlefit.schemas.run_metadata import CountMetadata, DepthMetadata
 from needlefit.studies.answer import RunFault, find_fault_kind
 from needlefit.studies.fit_frames import PREDICTION_METHOD, TUNED_SPECIMENS
 from needlefit.studies.fit_warnings import describe_point
-from needlefit.studies.fold_draws import Specimens, draw_fold_parameters, measure_prior
+from needlefit.studies.fold_draws import Specimens, draw_fold_parameters, measure_prior, search_fit
 from needlefit.studies.identification import (
     IDENTIFICATION_COLUMNS,
     ParameterRow,
@@ -65,8 +65,8 @@ from needlefit.studies.kinds.cross_validation.rows import (
 from needlefit.studies.needle_placement import place_needles
 from needlefit.studies.observations import HeldOutPrediction, find_studied, predict_held_out
 from needlefit.studies.prediction_scores import tabulate_sensors
-from needlefit.studies.score import Row, Scores, make_predictors, make_scorer, predict_needle
-from needlefit.studies.validity import MOSTLY_OUTSIDE, NO_SIMULATIONS, ValidityCounts, add_counts
+from needlefit.studies.score import Scores, make_predictors, make_scorer, predict_needle
+from needlefit.studies.validity import MOSTLY_OUTSIDE, add_counts
 
 FitRows = dict[str, Sequence[Any]]  #: rows by the name of the table that they belong to
 
@@ -83,22 +83,23 @@ class FoldServices:
     process: int = field(default_factory=os.getpid)
 
     def here(self, job: Job) -> "FoldServices":
-        """Return these; in a copy of their process, which nobody watches, those with that one's stop."""
-        if os.getpid() == self.process:
-            return self
-        settings = replace(self.settings, progress=no_progress, stop=stop_requested)
+        """Return these, or those of a copy of their process."""
+        return self if os.getpid() == self.process else self.copy(job)
+
+    def copy(self, job: Job, **changed: Any) -> "FoldServices":  # noqa: ANN401 - of `Settings`
+        """Return those of a copy of this process, which nobody watches, with that one's stop."""
+        settings = replace(self.settings, progress=no_progress, stop=stop_requested, **changed)
         return replace(self, settings=settings, progress=StudyProgress(job, no_progress))
 
 
 @dataclass(frozen=True)
 class FoldResult:
-    """What one fold gave: the rows of each table of `Run.frames`, and what the run as a whole states."""
+    """What one fold gave: rows of the tables of `Run.frames` and of lists of its metadata; what it states."""
 
     rows: FitRows
     needles: tuple[NeedleInScan, ...]
-    depths: tuple[DepthMetadata, ...]  #: what leans on stated depths of boundaries; of the first fold
     mode: tuple[float, ...] | None  #: theta of the fit, if it maximises the posterior
-    validity: ValidityCounts
+    counts: Mapping[str, CountMetadata]  #: of simulations, as of `tabulate_validity`
     search_faults: tuple[str, ...]
     faults: tuple[RunFault, ...]  #: of draws that are not certified
     posterior: Posterior | None  #: if it was asked for
@@ -152,6 +153,8 @@ def run_fold(job: Job, fold: Fold, services: FoldServices) -> FoldResult:
         "draws": list(_list_draws(job, fold, drawn)) if drawn else [],
         "errors": [*(row for part in scored for row in part.errors), *_join_rows(predicted, "errors")],
         "shapes": [row for part in scored for row in part.shapes],
+        "validity": [row for part in scored for row in part.validity],
+        "stated_depths": _examine_depths(job, fold, fitted) if fitted else [],
         "starts": list(_list_starts(job, fold, fits.fits)),
         "medians": list(_list_medians(job, fold, predicted)),
         "curvature": _join_rows(predicted, "curvature") or list(_list_sensors(job, fold, fitted)),
@@ -159,14 +162,12 @@ def run_fold(job: Job, fold: Fold, services: FoldServices) -> FoldResult:
     return FoldResult(
         rows=rows,
         needles=tuple(_place_needles(job, fold, fitted, drawn, services.settings.jobs)) if fitted else (),
-        depths=tuple(_examine_depths(job, fold, fitted)) if fitted else (),
         mode=fitted.theta if fitted and fitted.minimized == "posterior" else None,
-        validity=ValidityCounts(
-            starts=_count_starts(job, fold, fits.fits),
-            draws=drawn.count if drawn else NO_SIMULATIONS,
-            predicted=add_counts(part.simulations for part in predicted),
-            scored=tuple(row for part in scored for row in part.validity),
-        ),
+        counts={
+            "starts": _count_starts(job, fold, fits.fits),
+            "draws": drawn.count if drawn else CountMetadata(),
+            "predicted": add_counts(part.simulations for part in predicted),
+        },
         search_faults=tuple(_find_search_faults(fits)),
         faults=tuple(_find_draw_faults(drawn)) if drawn else (),
         posterior=drawn.posterior if drawn else None,
@@ -243,23 +244,9 @@ def search_fits(job: Job, fold: Fold, searches: Iterable[str], services: FoldSer
     for search in searches:
         if services.settings.stop():
             break
-        fits[search] = _search(job, fold, search, services)
+        step = services.progress.phase(fold, SEARCH_PHASES[search])
+        fits[search] = search_fit(job, fold, search, services.settings, services.checkpoint, step)
     return fits
-
-
-def _search(job: Job, fold: Fold, search: str, services: FoldServices) -> Fit:
-    """Return the fit of one search, which is kept once it has ended."""
-    key = "/".join([fold.name, search, *job.parameters.held, *["again"] * (job.response_at is not None)])
-    if kept := read_fit(services.checkpoint, key):
-        return kept
-    settings, step = services.settings, services.progress.phase(fold, SEARCH_PHASES[search])
-    step(0)
-    rng = random_stream(job.recipe.seed, fold.name, search, "starts")
-    callbacks = Callbacks(settings.stop, step, settings.jobs)
-    fit = minimize(job.problem(fold, search), job.recipe_of(search), rng, callbacks)
-    if not fit.interrupted:
-        keep_fit(services.checkpoint, key, fit)
-    return fit
 
 
 def _note_fit(job: Job, fits: Mapping[str, Fit], services: FoldServices) -> None:
@@ -453,9 +440,7 @@ def _describe_fit(job: Job, fold: Fold, fit: Fit, fits: FoldFits, drawn: FoldDra
         verdict = replace(verdict, notes=notes) if invalid else verdict
     judged, points = list[Row](), list[Row]()
     if fits.profiles is not None:
-        identified = identify_parameters(
-            problem.searched, fits.profiles, verdict.sds, verdict, verdict.loosened
-        )
+        identified = identify_parameters(problem.searched, fits.profiles, verdict.sds, verdict)
         judged = [{**place, **row} for row in identified.rows]
         points = [{**place, **row} for row in identified.points]
         verdict = reconcile_verdict(verdict, identified.by_profile)

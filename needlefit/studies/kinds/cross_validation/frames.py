@@ -11,7 +11,7 @@ from needlefit.studies.kinds.cross_validation.rows import DIRECTION_COLUMNS, ERR
 from needlefit.studies.observations import PREDICTIVE_COLUMNS
 from needlefit.studies.observations.tip_track import READING_COLUMNS
 from needlefit.studies.prediction_scores import BAND_COLUMNS, SENSOR_COLUMNS
-from needlefit.studies.score import CURVE_COLUMNS, ERROR_COLUMNS, SHAPE_COLUMNS
+from needlefit.studies.score import ERROR_COLUMNS, FAILED, SHAPE_COLUMNS
 
 FRAMES: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -33,6 +33,6 @@ FRAMES: Mapping[str, tuple[str, ...]] = MappingProxyType(
     }
 )
 OPTIONAL: Mapping[str, Mapping[str, float]] = {
-    "errors": {name: column.otherwise for name, column in CURVE_COLUMNS.items() if column.is_optional},
+    "errors": {name: value for name, value in FAILED.items() if name != "converged"},
     "parameters": dict.fromkeys(("interval_low_error", "interval_high_error"), math.nan),
 }

@@ -4,7 +4,7 @@ Tables are those of `studies/fit_tables.py`, figures of `studies/fit_figures.py`
 `reporting/text/cross_validation.md.j2`.
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import pandas as pd
 
@@ -12,7 +12,7 @@ from needlefit.metrics import list_metrics
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.number_format import format_metric
 from needlefit.reporting.table import TableLayout
-from needlefit.reporting.table_files import select_rows, to_records, to_tidy
+from needlefit.reporting.table_files import Row, select_rows, to_records, to_tidy
 from needlefit.schemas.run_metadata import FitMetadata
 from needlefit.studies import fit_figures, fit_tables
 from needlefit.studies import scored_groups as scores
@@ -20,7 +20,7 @@ from needlefit.studies.advice import name_doubt
 from needlefit.studies.first_page import FirstPage
 from needlefit.studies.fit_frames import FitFrames
 from needlefit.studies.fit_tables import TEXT
-from needlefit.studies.identification_tables import lay_out_identification
+from needlefit.studies.identification import lay_out_identification
 from needlefit.studies.judge import find_contradictions
 from needlefit.studies.kinds.cross_validation.first_page import judge_errors
 from needlefit.studies.kinds.cross_validation.frames import FRAMES, OPTIONAL
@@ -40,7 +40,7 @@ def collect_values(run: Run) -> dict[str, Any]:
     frames, stated = FitFrames.of(run), run.knows(FitMetadata)
     role, folds, starts, errors = frames.role, stated.folds, frames.starts, frames.errors
     counts = sorted(len(fold.tune) for fold in folds)
-    group = scores.pool_insertions(run, role)
+    group = scores.pool_insertions(run)
     floors = {metric: group.get(metric.name, "floor") for metric in list_metrics() if group is not None}
     return {
         "run": run,
@@ -84,28 +84,18 @@ def collect_values(run: Run) -> dict[str, Any]:
     }
 
 
-class Computation(NamedTuple):
-    """By what parameters were found: searches of nlopt, and draws of the posterior."""
-
-    starts: int
-    source: str  #: of the draws; "" without any
-    sampler: str
-    walkers: int | None
-    draws: int | None  #: independent ones
-
-
-def describe_computation(run: Run) -> Computation:
-    """Return by what the parameters were found: searches of nlopt, and draws of the posterior."""
+def describe_computation(run: Run) -> Row:
+    """Return by what the parameters were found: searches of nlopt, and independent draws of the posterior."""
     frames, recipe = FitFrames.of(run), run.knows(FitMetadata).recipe
     draws = frames.draws
     source = "" if draws.empty else str(draws["draw_source"].iloc[0])
-    return Computation(
-        int((frames.starts["fit"] == "fitted").sum()),
-        source,
-        recipe.sample.sampler,
-        recipe.sample.walkers if source == "posterior" else None,
-        None if draws.empty else round(draws["ess"].min()),
-    )
+    return {
+        "starts": int((frames.starts["fit"] == "fitted").sum()),
+        "source": source,
+        "sampler": recipe.sample.sampler,
+        "walkers": recipe.sample.walkers if source == "posterior" else None,
+        "draws": None if draws.empty else round(draws["ess"].min()),
+    }
 
 
 # ---- tables and figures
@@ -116,18 +106,18 @@ def lay_out_tables(run: Run) -> list[TableLayout]:
     """Return every table of a report, each once."""
     frames = FitFrames.of(run)
     # the parameters of which more is to say than their interval
-    identified, role = frames.identification, frames.role
+    identified = frames.identification
     explained = identified[(identified["note"] != "") | identified["tip_shift_mm"].notna()]
     tables = [
         fit_tables.lay_out_summary(run),
-        fit_tables.lay_out_validation(run),
+        fit_tables.lay_out_errors("validation", run),
         *([fit_tables.lay_out_coverage(run)] if len(frames.predictive) else []),
-        fit_tables.lay_out_baselines(run, role),
-        fit_tables.lay_out_insertions(run, role),
+        fit_tables.lay_out_baselines(run),
+        fit_tables.lay_out_insertions(run),
         fit_tables.lay_out_parameters(run),
         *([lay_out_identification(explained)] if len(explained) else []),
         fit_tables.lay_out_chains(run),
-        fit_tables.lay_out_tuning(run),
+        fit_tables.lay_out_errors("tuning", run),
     ]
     return [table for table in tables if table.rows]
 
@@ -148,30 +138,25 @@ def list_figures(run: Run) -> dict[str, Drawing]:
 # ---- files
 
 
-def list_files(run: Run) -> dict[str, pd.DataFrame | str]:
+def list_files(run: Run) -> dict[str, pd.DataFrame]:
     """Return the tables that are written as CSV, by name."""
-    written: dict[str, pd.DataFrame] = {
-        "validation": scores.tabulate_validation(run),
-        "tuning": scores.tabulate_tuning(run),
+    written = {
+        **{name: scores.tabulate_errors(name, run) for name in scores.GROUPINGS},
         "parameters": run.frames["parameters"].assign(origin=run.origin),
         "identify": run.frames["identification"],
         "posterior": fit_tables.tabulate_percentiles(run),
     }
     names = ("predictive", "readings", "curvature", "error_fit", "population", "draws")
     written |= {name: run.frames[name] for name in names}
-    files: dict[str, pd.DataFrame | str] = {
-        name: run.frames[name] for name in ("errors", "shapes", "starts", "directions")
-    }
+    files = {name: run.frames[name] for name in ("errors", "shapes", "starts", "directions")}
     return files | {name: frame for name, frame in written.items() if len(frame)}
 
 
 def fit_to_json(run: Run) -> dict[str, Any]:
     """Return the tables that are written as CSV, but for points and draws."""
-    frames = {
-        name: frame for name, frame in list_files(run).items() if name not in ("shapes", "draws", "readings")
-    }
+    left_out = ("shapes", "draws", "readings")
     return {
-        name: to_records(to_tidy(frame)) for name, frame in frames.items() if isinstance(frame, pd.DataFrame)
+        name: to_records(to_tidy(frame)) for name, frame in list_files(run).items() if name not in left_out
     }
 
 

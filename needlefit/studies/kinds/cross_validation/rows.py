@@ -21,9 +21,9 @@ from needlefit.inference.identifiability.identify import (
 )
 from needlefit.inference.parameter_names import HYPERPARAMETERS, to_value
 from needlefit.inference.problem import Problem
+from needlefit.reporting.table_files import Row
 from needlefit.studies.identification import FROM_PRIOR, ParameterRow
 from needlefit.studies.job import Job
-from needlefit.studies.score import Row
 
 #: Of the table "starts": every start of every search, then a column per parameter. `objective` is what was
 #: `minimized`: the negative log "posterior", or mm of the "metric"; `excess` is how far it is above the best

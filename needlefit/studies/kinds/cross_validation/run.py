@@ -5,43 +5,32 @@ A fit is a study of one fold, which scores only its own insertions. The report j
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TypedDict
+from dataclasses import dataclass, replace
+from typing import Any
 
 import pandas as pd
 
 from needlefit.grouping import group_values
+from needlefit.inference.doubts import Doubts
 from needlefit.inference.identifiability.known_direction import predict_factors
 from needlefit.project.checkpoint import open_checkpoint
 from needlefit.project.locate import read_toml
 from needlefit.project.processes import one_thread
+from needlefit.project.progress import no_note
+from needlefit.project.tasks import LocalPool, can_fork
 from needlefit.reporting.needles_in_scan import tabulate_needles_in_scan
 from needlefit.reporting.table_files import select_rows
-from needlefit.schemas.run_metadata import (
-    CommonDoubtMetadata,
-    DepthMetadata,
-    FitMetadata,
-    InsertionMetadata,
-    JobMetadata,
-    MedianMetadata,
-    NeedleDoubtMetadata,
-    ValidityMetadata,
-)
+from needlefit.schemas.run_metadata import FitMetadata, JobMetadata
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.answer import FaultKind, RunFault
 from needlefit.studies.explorer import describe_insertions
 from needlefit.studies.fit_warnings import add_warnings
 from needlefit.studies.insertion_draws import find_fold_bevel_sd
 from needlefit.studies.job import Job, Settings
-from needlefit.studies.kinds.cross_validation.effect import (
-    leave_out,
-    list_doubtful,
-    measure_effect,
-    repeat_folds,
-)
-from needlefit.studies.kinds.cross_validation.fold import FoldResult, FoldServices
+from needlefit.studies.kinds.cross_validation.effect import leave_out, list_doubtful, measure_effect
+from needlefit.studies.kinds.cross_validation.fold import FoldResult, FoldServices, run_fold
 from needlefit.studies.kinds.cross_validation.frames import FRAMES
 from needlefit.studies.kinds.cross_validation.progress import StudyProgress
-from needlefit.studies.kinds.cross_validation.side_by_side import run_folds
 from needlefit.studies.load import load_study, print_notes
 from needlefit.studies.mixed_errors import add_errors_over_noise
 from needlefit.studies.odd_needles import find_odd_needles, join_folds
@@ -73,28 +62,55 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
     if not (doubtful := list_doubtful(concluded, job)):
         return concluded
     others = leave_out(job, doubtful)
-    repeated = repeat_folds(others, services)
+    # nothing is printed of the same folds without these needles
+    quiet = replace(settings, first=no_note, sample=False)
+    progress = StudyProgress(others, settings.progress)
+    repeated = run_folds(others, replace(services, settings=quiet, progress=progress))
     if not repeated or repeated[0].mode is None or repeated[-1].interrupted:
         return concluded
     effect = measure_effect(concluded, conclude_run(others, work, repeated), doubtful, job, results, repeated)
     return concluded.with_metadata(effect=effect)
 
 
-class FitConclusions(TypedDict, total=False):
-    """What a run knows of its fits besides their tables: keys of `FitMetadata`."""
+def run_folds(job: Job, services: FoldServices) -> list[FoldResult]:
+    """Return the results of the folds, in their order and the same for any number of jobs.
 
-    layers: dict[str, list[tuple[int, float]]]
-    insertions: dict[str, InsertionMetadata]
-    new_bevel_sd: dict[str, float]
-    search_faults: dict[str, list[str]]
-    validity: ValidityMetadata
-    truth: dict[str, float]
-    stated_depths: list[DepthMetadata]
-    odd_needles: list[NeedleDoubtMetadata]
-    deviating: tuple[int, int]
-    common_doubt: CommonDoubtMetadata
-    medians: list[MedianMetadata]
-    with_direction: dict[str, float]
+    Where the run is stopped, the last one is interrupted.
+    """
+    settings = services.settings
+    processes = min(settings.jobs, len(job.folds)) if can_fork() else 1
+    results_by_number = dict[int, FoldResult]()
+    if processes > 1:
+        copied = services.copy(job, jobs=settings.jobs // processes, first=no_note, note=no_note)
+        work = _FoldRunner(job, replace(copied, checkpoint=replace(copied.checkpoint, note=no_note)))
+        for number, (result, noted) in LocalPool(processes).run(work, range(len(job.folds)), settings.stop):
+            results_by_number[number] = result
+            for line in noted:
+                services.checkpoint.note(line)
+            services.progress.finish(job.folds[number], "errors")
+    results: list[FoldResult] = []
+    for number, fold in enumerate(job.folds):  # those that were stopped are interrupted here too
+        results.append(
+            results_by_number[number] if number in results_by_number else run_fold(job, fold, services)
+        )
+        if results[-1].interrupted:
+            break
+    return results
+
+
+@dataclass(frozen=True)
+class _FoldRunner:
+    """Runs one fold after another in a copy of the process, by their numbers."""
+
+    job: Job
+    services: FoldServices
+
+    def __call__(self, number: int) -> tuple[FoldResult, list[str]]:
+        """Return the result of a fold, and the notes about its checkpoint."""
+        noted = list[str]()
+        checkpoint = replace(self.services.checkpoint, note=noted.append)
+        services = replace(self.services, checkpoint=checkpoint)
+        return run_fold(self.job, self.job.folds[number], services), noted
 
 
 def conclude_run(job: Job, work: JobMetadata, results: Sequence[FoldResult]) -> Run:
@@ -102,49 +118,39 @@ def conclude_run(job: Job, work: JobMetadata, results: Sequence[FoldResult]) -> 
 
     `work` is what `describe_configuration` returns.
     """
-    names = [fold.name for fold in job.folds]
-    posteriors = {
-        name: result.posterior
-        for name, result in zip(names, results, strict=False)
-        if result.posterior is not None
-    }
-    search_faults = {
-        name: list(result.search_faults)
-        for name, result in zip(names, results, strict=False)
-        if result.search_faults
-    }
+    of_folds = {fold.name: result for fold, result in zip(job.folds, results, strict=False)}
+    posteriors = {name: result.posterior for name, result in of_folds.items() if result.posterior is not None}
+    search_faults = {name: list(result.search_faults) for name, result in of_folds.items()}
+    search_faults = {name: faults for name, faults in search_faults.items() if faults}
     needles = {needle.insertion: needle for result in results for needle in result.needles}
     frames = {name: _make_frame(job, name, results) for name in FRAMES if name != "needles"}
     frames = add_errors_over_noise(frames)
     frames["needles"] = tabulate_needles_in_scan(needles.values())
     unconverged = [fault for posterior in posteriors.values() for fault in posterior.faults]
-    faults = find_faults(frames["errors"], search_faults, unconverged)
-    concluded: FitConclusions = {
-        "layers": {
+    mode, interrupted, factors = results[0].mode, results[-1].interrupted, dict[str, float]()
+    doubts = Doubts() if mode is None or interrupted else find_odd_needles(job, mode)
+    if mode is not None and job.dataset.pose == "free" and job.dataset.noise_is_stated:
+        factors = predict_factors(join_folds(job), mode)
+    where_known = {  # left out where there is nothing to say
+        "truth": _find_truth(job),
+        "odd_needles": list(doubts.odd),
+        "deviating": doubts.deviating,
+        "common_doubt": doubts.common,
+        "with_direction": factors,
+        **{name: _join_rows(results, name) for name in ("stated_depths", "medians")},
+    }
+    metadata = work.extend(
+        FitMetadata,
+        layers={
             insertion.id: list(zip(insertion.sequence, (0.0, *insertion.boundaries.tolist()), strict=True))
             for insertion in job.insertions
         },
-        "insertions": describe_insertions(job),
-        "new_bevel_sd": {fold.name: find_fold_bevel_sd(job, fold) for fold in job.folds},
-        "search_faults": search_faults,
-        "validity": tabulate_validity([result.validity for result in results]),
-    }
-    if truth := _find_truth(job):
-        concluded["truth"] = truth
-    if depths := [row for result in results for row in result.depths]:
-        concluded["stated_depths"] = depths
-    if (mode := results[0].mode) is not None and not results[-1].interrupted:
-        doubts = find_odd_needles(job, mode)
-        if doubts.odd:
-            concluded["odd_needles"] = list(doubts.odd)
-        if doubts.deviating:
-            concluded["deviating"] = doubts.deviating
-        if doubts.common:
-            concluded["common_doubt"] = doubts.common
-    if mode is not None and job.dataset.pose == "free" and job.dataset.noise_is_stated:
-        concluded["with_direction"] = predict_factors(join_folds(job), mode)
-    if medians := [row for result in results for row in result.rows.get("medians", ())]:
-        concluded["medians"] = medians
+        insertions=describe_insertions(job),
+        new_bevel_sd={fold.name: find_fold_bevel_sd(job, fold) for fold in job.folds},
+        search_faults=search_faults,
+        validity=tabulate_validity([result.counts for result in results], _join_rows(results, "validity")),
+        **{name: value for name, value in where_known.items() if value},
+    )
     run = Run(
         kind="cross_validation" if isinstance(job.record, StudyRecord) else "fit",
         name=job.name,
@@ -153,18 +159,25 @@ def conclude_run(job: Job, work: JobMetadata, results: Sequence[FoldResult]) -> 
         dataset_title=job.dataset.title or job.dataset.name,
         frames=frames,
         posteriors=posteriors,
-        metadata=work.extend(FitMetadata, **concluded),
+        metadata=metadata,
         timing={"dataset": str(job.dataset.path)},
-        interrupted=results[-1].interrupted,
-        faults=(*faults, *(fault for result in results for fault in result.faults)),
+        interrupted=interrupted,
+        faults=(
+            *find_faults(frames["errors"], search_faults, unconverged),
+            *(fault for result in results for fault in result.faults),
+        ),
         data=job.dataset.files,
     )
     return add_warnings(run, job)
 
 
+def _join_rows(results: Sequence[FoldResult], name: str) -> list[Any]:
+    return [row for result in results for row in result.rows.get(name, ())]
+
+
 def _make_frame(job: Job, name: str, results: Sequence[FoldResult]) -> pd.DataFrame:
     """Return one table of all folds; without rows it still has its columns."""
-    rows = [row for result in results for row in result.rows.get(name, ())]
+    rows = _join_rows(results, name)
     values = job.parameters.names if name in ("starts", "profiles", "draws") else ()
     return pd.DataFrame(rows) if rows else pd.DataFrame(columns=[*FRAMES[name], *values])
 

@@ -22,13 +22,12 @@ from needlefit.project.folders import replace_folder
 from needlefit.project.progress import Progress
 from needlefit.project.result_warnings import ResultWarning, to_stored_rows
 from needlefit.reporting.columns import find_column
-from needlefit.reporting.figures import Drawing
-from needlefit.reporting.figures.looks import Panel
+from needlefit.reporting.figures import Drawing, Panel
 from needlefit.reporting.labels import PAPER_COLOUR, rgb
 from needlefit.reporting.scan_pages import write_quality, write_refusal_page
 from needlefit.reporting.slicer import POINT_SIZE_MM, write_scan
 from needlefit.reporting.table import Table, TableLayout
-from needlefit.reporting.table_files import Row, to_records, write_csv
+from needlefit.reporting.table_files import Row, select_rows, to_records, write_csv
 from needlefit.reporting.text import KindText
 from needlefit.schemas.origin import combine_origins
 from needlefit.schemas.reconstruction import ReconstructionRecord
@@ -57,14 +56,7 @@ _FACT_COLUMNS = (
     *("entry_shift_sd_mm", "entry_angle_sd_deg", "markers_from", "markers_paired", "markers_known"),
     *("fre_mm", "expected_fre_mm", "target_error_entry_mm", "target_error_tip_mm"),
 )
-TEXT = KindText(
-    "reconstruction",
-    rules={
-        "poor_lengths": lambda v: v.poor,
-        "more_poor": lambda v: len(v.poor) > v.named,
-        "world_unknown": lambda v: v.unregistered,
-    },
-)
+TEXT = KindText("reconstruction")
 # Of a scan that is registered.
 _REGISTERED_COLUMNS = (
     *("markers_from", "markers_found", "markers_known", "markers_paired", "fre_mm", "expected_fre_mm"),
@@ -78,7 +70,6 @@ _CROSSING_COLUMNS = ("id", "number", "out_of", "into", "depth_mm", "depth_sd_mm"
 _PASSED_COLUMNS = ("id", "number", "part", "material", "begin_mm", "end_mm", "level_hu")
 _DEFLECTION_COLUMNS = ("id", "x_mm", "y_mm", "low_mm", "high_mm")
 MAX_DRAWN_POINTS = 60  # of a needle in the figure
-_REFUSED_COLUMNS = ("id", "scan", "note")
 
 
 def run(name: str, record: ReconstructionBatchRecord, settings: Settings) -> Run:
@@ -126,17 +117,14 @@ def tabulate_markers(reconstructions: Sequence[Reconstruction]) -> pd.DataFrame:
 
     Residuals are known minus registered place, in the axes of the world.
     """
-    rows = [
-        (
-            *(one.scan.id, detected, stated, *one.markers.centers[detected], one.markers.sd[detected]),
-            *(*residual, np.linalg.norm(residual)),
-        )
-        for one in reconstructions
-        if one.markers is not None and one.registration is not None
-        for (detected, stated), residual in zip(
-            one.registration.pairs, one.registration.residuals, strict=True
-        )
-    ]
+    rows = []
+    for reconstruction in reconstructions:
+        fit, markers = reconstruction.registration, reconstruction.markers
+        if fit is None or markers is None:
+            continue
+        for (detected, stated), residual in zip(fit.pairs, fit.residuals, strict=True):
+            place = (reconstruction.scan.id, detected, stated, *markers.centers[detected])
+            rows.append((*place, markers.sd[detected], *residual, np.linalg.norm(residual)))
     return pd.DataFrame(rows, columns=list(_MARKER_COLUMNS))
 
 
@@ -179,16 +167,16 @@ def describe_scan(reconstruction: Reconstruction) -> Row:
     """Return the row of a scan; without markers what is known by them is None."""
     scan, fit, markers = reconstruction.scan, reconstruction.registration, reconstruction.markers
     pose, needle, off = reconstruction.pose, reconstruction.needle_axis, reconstruction.local[:, 2]
-    registered: tuple[Any, ...] = (None,) * len(_REGISTERED_COLUMNS)
+    registered = dict.fromkeys(_REGISTERED_COLUMNS)
     if markers is not None and fit is not None:
         counts = (len(markers.centers), fit.known, len(fit.pairs))
         errors = (fit.fre, fit.expected_fre, fit.p_value, *reconstruction.target_error)
-        registered = (markers.source, *counts, *errors)
+        registered = dict(zip(registered, (markers.source, *counts, *errors), strict=True))
     return {
         **{name: getattr(scan, name) for name in ("id", "origin", "medium", "specimen")},
         "scan": scan.volume.name,
         **dict(zip(("voxel_i_mm", "voxel_j_mm", "voxel_k_mm"), reconstruction.spacing, strict=True)),
-        **dict(zip(_REGISTERED_COLUMNS, registered, strict=True)),
+        **registered,
         "entry_pose_from": pose.source,
         "entry_along_sd_mm": pose.along_sd,
         "entry_shift_sd_mm": pose.shift_sd,
@@ -220,13 +208,11 @@ def tabulate_failures(failures: Sequence[ReconstructionFailure]) -> pd.DataFrame
     """Return the table of refused scans: why, and what would fix it."""
     rows = []
     for failure in failures:
-        stated = {name: getattr(failure.error, name) for name in ("where", "expected", "fix")}
-        parts = [
-            f"refused: {failure.error.what}",
-            *(f"{name}: {text}" for name, text in stated.items() if text),
-        ]
-        rows.append((failure.scan.id, failure.scan.volume.name, ". ".join(parts)))
-    return pd.DataFrame(rows, columns=list(_REFUSED_COLUMNS))
+        parts = {"refused": failure.error.what}
+        parts |= {name: getattr(failure.error, name) for name in ("where", "expected", "fix")}
+        words = ". ".join(f"{name}: {text}" for name, text in parts.items() if text)
+        rows.append({"id": failure.scan.id, "scan": failure.scan.volume.name, "note": words})
+    return pd.DataFrame(rows)
 
 
 # ---- the report
@@ -259,7 +245,7 @@ def lay_out_reconstructions(run: Run) -> TableLayout:
     rows = []
     for row in to_records(run.frames["reconstruction"]):
         crossings, remarks = (
-            frame[frame["id"] == row["id"]] for frame in (run.frames["crossings"], run.frames["remarks"])
+            select_rows(run.frames[name], id=row["id"]) for name in ("crossings", "remarks")
         )
         depths = (f"{row['depth_mm']:.2f} ± {row['depth_sd_mm']:.2f}" for row in to_records(crossings))
         about = {"scan": row["id"], "remark_count": len(remarks) or ""}
