@@ -14,7 +14,7 @@ from needlefit.inference.forward_model import predict
 from needlefit.inference.held_parameters import central_range, draw_held, log_prior_integral, measure_shifts
 from needlefit.inference.identifiability.identify import identify
 from needlefit.inference.identifiability.precision import posterior_sds
-from needlefit.inference.likelihood.observations import SimulatedCurve, make_observation
+from needlefit.inference.likelihood.observations import make_observation
 from needlefit.inference.optimize import minimize
 from needlefit.inference.parameter_changes import change_parameters, name_layers, search_freed
 from needlefit.inference.parameters import Parameters
@@ -81,28 +81,6 @@ def test_each_of_three_parameters_has_its_own_shift():
         ends = [values | {name: end} for end in (1.0, *central_range(known.parameters, name))]
         tips = [sample_inserted_points(predict(end, record, one), 2)[-1] for end in ends]
         assert shift.tip_mm == approx(max(np.linalg.norm(tips[1:] - tips[0], axis=1)), rel=1e-3)
-
-
-def test_the_shift_of_curvatures_is_in_standard_deviations_of_the_sensors(held):
-    """Points are compared where there are points, whatever sensors the needle has, too."""
-    one, sd, step = held.insertions[1], 1e-6, 2.0
-    places = np.array([10.0, 25.0, 40.0])
-    sensors = np.column_stack([places, np.zeros((3, 2)), np.full(3, sd)])
-    at = (one.depth - places[:, None] + step * np.array([-1, 0, 1])).ravel()
-    kappa = []
-    for alpha in (1.0, *central_range(held.parameters, "alpha1")):
-        values = TRUTH | {"alpha1": alpha, "alpha2": -alpha}
-        y = SimulatedCurve(predict(values, held.medium, one), one)(at)[:, 1]
-        kappa.append(y.reshape(-1, 3) @ [1.0, -2.0, 1.0] / step**2)
-    theta = held.parameters.theta(TRUTH)[None]
-
-    def find(*made):
-        (found,) = measure_shifts(problem(held.medium, made, noise=NOISE), theta).values()
-        return found.in_noise
-
-    expected = np.max(np.abs(np.subtract(kappa[1:], kappa[0]))) / sd
-    assert find(replace(one, curvature=sensors, observation="curvature")) == approx(expected, rel=0.02)
-    assert find(replace(one, curvature=sensors)) == find(one) < 0.1 < expected
 
 
 def test_the_draws_of_what_is_held_are_those_of_its_prior(held):

@@ -16,14 +16,7 @@ from needlefit.datasets.insertion import Noise
 from needlefit.datasets.read import read
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.marginal import linearize_residuals, log_marginals
-from needlefit.inference.likelihood.nodes import (
-    DEPTH_STEPS_SD,
-    ErrorAxis,
-    Nodes,
-    group_nodes,
-    make_group,
-    make_nodes,
-)
+from needlefit.inference.likelihood.nodes import DEPTH_STEPS_SD, group_nodes, make_group, make_nodes
 from needlefit.inference.likelihood.observation import whiten_residuals
 from needlefit.inference.likelihood.observations import make_observation
 from needlefit.mechanics.shape import compute_positions
@@ -33,7 +26,6 @@ from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import LikelihoodRecord
 
 LINE = np.linspace(0.0, 40.0, 41)
-LAYERED = replace(insertion(40.0, (12.0, 20.0), (1, 2, 1)), boundary_sd=0.15, depth_sd=0.1)
 
 
 def white_of(curve, axes=3):
@@ -42,30 +34,11 @@ def white_of(curve, axes=3):
     return np.array([curve(t) for t in points])
 
 
-def one(white, made, scale=1.0, spread=0.0):
-    return log_marginals([white[None]], make_group(made), np.array([scale]), np.array([spread]))[0]
-
-
 def residuals_of(whites, group, at):
     """Residuals (R + D,) and log det, for residuals that depend on no parameter."""
     by = [np.zeros((*white.shape, 1)) for white in whites]
     found = linearize_residuals(whites, by, group, at, np.zeros(1))
     return found[0][0], found[1][0]
-
-
-def test_nothing_uncertain_is_the_density_as_measured_and_a_failed_node_fails_it():
-    certain = replace(LAYERED, boundary_sd=0.0, depth_sd=0.0)
-    for made in (make_nodes(certain, LINE, "linear"), make_nodes(LAYERED, LINE, "fixed")):
-        assert made.axes == () and len(made.insertions) == 1
-        white = np.arange(5.0)[None]
-        assert one(white, made, 2.0) == approx(-0.5 * 30 / 4 - 5 * math.log(2))
-        found = residuals_of([white[None]], make_group(made), (np.array([2.0]), np.zeros(1)))
-        assert found[0] == approx(white[0] / 2)
-    linear = np.array([[1, 0, 0], [0, -0.5, 0.5]])
-    made = Nodes((LAYERED,) * 3, np.zeros((3, 1)), (ErrorAxis(),), linear, np.zeros((0, 3)), bevel=False)
-    white = np.ones((3, 4))
-    white[2] = np.nan
-    assert math.isnan(one(white, made))
 
 
 def layered(depths, noise_scale=1.0, pose="known"):

@@ -4,16 +4,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from mechanics_cases import (
-    NEEDLE,
-    RULES,
-    assert_close,
-    assert_same_bits,
-    list_seeds,
-    pick,
-    random_batch,
-    random_steps,
-)
+from mechanics_cases import NEEDLE, assert_close, assert_same_bits, pick, random_steps
 from numpy.random import default_rng
 
 from needlefit import Bevel, Controls, Guide, ModelOptions, Step, Tissue, TrackedTip, simulate_steps
@@ -46,25 +37,6 @@ def broad(sets, seed=0, steps=THERE_AND_BACK, tissue=TISSUE):
     rng = default_rng(seed)
     mu, alpha = 10 ** rng.uniform(-3, 2, (sets, 2)), rng.uniform(-10, 10, (sets, 2))
     return Batch(NEEDLE, tissue, steps, mu=mu, shape=alpha[:, None], offset=rng.uniform(0, 0.2, sets))
-
-
-def some(batch, sets):
-    given = {name: getattr(batch, name) for name in ("mu", "shape", "offset", "base_y", "guide_x")}
-    return replace(batch, **{name: v[sets] for name, v in given.items() if v is not None})
-
-
-@pytest.mark.parametrize("kind", RULES)
-@pytest.mark.parametrize("within", [False, True])
-@pytest.mark.parametrize("seed", list_seeds(30, 8))
-def test_every_set_is_what_newtons_method_gives(seed, within, kind):
-    """Also with guides in the tissue, tracked tips and friction."""
-    batch = random_batch(default_rng(seed), 6, within, float(seed % 2), kind)
-    shapes, exact = one(batch), replace(batch, rules=replace(batch.rules, tolerance=1e-11))
-    for i in range(len(batch)):
-        alone = simulate_steps(*pick(batch, i))
-        assert_same_bits(shapes[i], alone)
-        if alone.converged:
-            assert_close(shapes[i], simulate_steps(*pick(exact, i)))
 
 
 THIN = Tissue(mu=[5.0], alpha=[8.0], thickness=[2.0])
@@ -101,7 +73,7 @@ def test_what_is_hard_to_solve_is_what_newtons_method_gives(batch):
 @pytest.mark.parametrize("tissue", [TISSUE, RUBBING])
 def test_neighbours_and_spare_lanes_change_no_bit(sets, controls, tissue):
     batch = broad(64, steps=(*THERE_AND_BACK, replace(TURN, depth=19.2, controls=controls)), tissue=tissue)
-    assert_same_bits(one(some(batch, np.arange(sets))), part(one(batch), np.arange(sets)))
+    assert_same_bits(one(batch.take(slice(0, sets))), part(one(batch), np.arange(sets)))
 
 
 def part(shapes, sets):

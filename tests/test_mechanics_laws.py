@@ -38,7 +38,7 @@ def test_tables_of_gent_end_before_its_limit():
 
 # ---- every law with all its shape parameters
 
-STEPS = (Step(11.0, Bevel(0.1), Controls(0.5)), Step(17.3, Bevel(0.1, -1), Controls(0.5)))
+STEPS = (Step(8.0, Bevel(0.1), Controls(0.5)), Step(11.3, Bevel(0.1, -1), Controls(0.5)))
 LAYERS = 2
 
 
@@ -58,9 +58,8 @@ def make_tissue(law, seed):
     return Tissue([0.4, 2.0], dict(zip(LAWS[law].shape_names, shape, strict=True)), [7.3], 5.0, 0.2, law)
 
 
-@pytest.mark.parametrize("seed", [3, 4])
-def test_derivatives_equal_complex_steps(law, seed):
-    tissue, rules = make_tissue(law, seed), ModelOptions(tolerance=1e-10)
+def test_derivatives_equal_complex_steps(law):
+    tissue, rules = make_tissue(law, 3), ModelOptions(tolerance=1e-10)
     _, found = linearize_steps(NEEDLE, tissue, STEPS, rules, wrt=("mu", "shape"))
     expected = [f"{name}{layer}" for name in LAWS[law].shape_names for layer in range(1, LAYERS + 1)]
     assert found.names == ("mu1", "mu2", *expected)

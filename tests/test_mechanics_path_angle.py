@@ -1,23 +1,19 @@
 """The advance by the path angle: its rule, in a session and in media; it converges."""
 
-import math
-
 import numpy as np
 import pytest
+from inference_cases import insertion, medium
 from mechanics_cases import NEEDLE
 from numpy.testing import assert_allclose
 from solver_checks.refinement import ADVANCED, ANGLE, measure_spacing
 
 from needlefit import Bevel, ModelOptions, Tissue, simulate
-from needlefit.datasets.read import read
 from needlefit.errors import ConfigError
 from needlefit.inference.forward_model import PreparedModel
 from needlefit.inference.parameters import Parameters
 from needlefit.mechanics.scene import Scene, simulate_scene
 from needlefit.planning.insertion_scene import make_scene_record
-from needlefit.project.locate import find_file
-from needlefit.project.toml import load
-from needlefit.schemas.medium import MediumRecord, ParameterRecord
+from needlefit.schemas.medium import ParameterRecord
 
 RULES = ModelOptions(advance="path_angle")
 
@@ -40,46 +36,35 @@ def test_deep_in_uniform_tissue_the_needle_is_an_arc():
 # ---- of media, scenes and the page ----
 
 
-@pytest.fixture(scope="module")
-def medium():
-    """Phantom 2 with an angle in the place of b: bounds of the same order, (turn of a cell) / (1 mm)."""
-    tangent = load(find_file("medium", "phantom2"), MediumRecord)
-    parameters = {name: one for name, one in tangent.parameters.items() if name != "bevel_mm"}
-    parameters["cut_angle_deg"] = ParameterRecord(bounds=(math.degrees(1e-3), math.degrees(0.5)))
-    return tangent.model_copy(update={"advance": "path_angle", "parameters": parameters})
+def use_path_angle(**stated):
+    """Return a tissue model of two layers with an angle in the place of b."""
+    parameters = {name: one for name, one in medium().parameters.items() if name != "bevel_mm"}
+    parameters["cut_angle_deg"] = ParameterRecord.model_validate(stated)
+    return medium().model_copy(update={"advance": "path_angle", "parameters": parameters})
 
 
 @pytest.mark.parametrize("stated", [{"bounds": (1.0, 89.0)}, {"fixed": 45.0}])
-def test_angles_that_are_never_simulated_are_refused(medium, stated):
-    angle = ParameterRecord.model_validate(stated)
+def test_angles_that_are_never_simulated_are_refused(stated):
     with pytest.raises(ConfigError) as refused:
-        Parameters.from_record(
-            medium.model_copy(update={"parameters": {**medium.parameters, "cut_angle_deg": angle}})
-        )
+        Parameters.from_record(use_path_angle(**stated))
     assert refused.value.key == "parameters.cut_angle_deg"
 
 
-def test_gradient_and_batch_of_a_fitted_model(medium):
-    twin = read(find_file("dataset", "twin"))
-    insertion = next(one for one in twin.insertions if len(one.sequence) == 2)
-    parameters = Parameters.from_record(medium)
-    theta = 0.5 * (parameters.lower + parameters.upper)
-    s = np.linspace(1.0, insertion.depth, 7)
-
-    model = PreparedModel(medium, [insertion])
+def test_gradient_and_batch_of_a_fitted_model():
+    record, one = use_path_angle(bounds=(0.06, 28.0)), insertion(31.3, (12.0,), (1, 2))
+    parameters, model = Parameters.from_record(record), PreparedModel(record, [one])
+    theta, s = 0.5 * (parameters.lower + parameters.upper), np.linspace(1.0, one.depth, 7)
 
     def predict(theta):
         ((points, moves),) = model.differentiate([parameters.values(theta)], parameters, [s])
         return points[0], moves[0]
 
     _, moves = predict(theta)
-    for p in range(len(theta)):
-        step = np.zeros(len(theta))
-        step[p] = 1e-5
+    for p, step in enumerate(1e-5 * np.eye(len(theta))):
         slope = (predict(theta + step)[0] - predict(theta - step)[0]) / 2e-5
         assert_allclose(moves[:, :, p], slope, atol=1e-6 + 1e-5 * np.abs(slope).max())
     values = parameters.values(theta)
     (shapes,) = model.simulate([values, values])
-    scene = Scene.from_record(make_scene_record(values, medium, twin.name, insertion))
+    scene = Scene.from_record(make_scene_record(values, record, "cases", one))
     assert scene.rules.path_angle
     assert_allclose(simulate_scene(scene)[-1].u, shapes.u[1], atol=1e-6)

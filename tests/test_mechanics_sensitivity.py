@@ -46,7 +46,7 @@ def check(needle, tissue, steps, rules, lattice=None):
 def test_jacobian_equals_complex_steps(seed, kind):
     """Guides before and in the tissue, a tracked tip, retraction, re-insertion, changes of base and bevel."""
     rng = default_rng(seed)
-    needle, tissue, steps, rules, lattice = random_case(rng, kind, 3, 14.0)
+    needle, tissue, steps, rules, lattice = random_case(rng, kind, 3, 9.0)
     # in soft tissue rounding alone moves the derivative by more than 1e-7 of itself on a fine mesh
     rules = replace(rules, tolerance=SHARP, element=max(rules.element, 0.5))
     tissue = replace(tissue, mu=np.maximum(tissue.mu, 0.03 if kind != "path_angle" else 0.1))
@@ -93,7 +93,8 @@ def make_batch(sets, steps=STEPS, tissue=RUBBING, **more):
 @pytest.mark.parametrize("seed", list_seeds(40, 12))
 def test_every_set_is_what_a_single_one_gives(seed):
     rng = default_rng(seed)
-    batch = random_batch(rng, int(rng.integers(1, 12)), within=True, friction=float(rng.integers(0, 2)))
+    friction, kind = float(rng.integers(0, 2)), RULES[seed % 3]
+    batch = random_batch(rng, int(rng.integers(1, 12)), bool(seed % 4), friction, kind)
     shapes, jacobians = linearize_batch(batch)
     s = np.linspace(shapes.x[0, 0] + 1.0, shapes.x[0, -1], 9)
     s = s[s >= shapes.x[:, 0].max()]
