@@ -362,8 +362,8 @@ def test_rows_of_means_are_no_needles_and_headers_may_stand_in_the_first_column(
 def test_columns_beside_a_depth_and_tables_of_layers_are_asked_about(tmp_path):
     rows = [["depth [mm]", "A", "B"], *([x, 1e-3 * x**2, -1e-3 * x**2] for x in range(5, 45, 5))]
     file = write_rows(tmp_path / "a.csv", rows)
-    fix = refusal(DataError, "`A`, `B`", prepare, [file]).fix
-    assert "--set 'deflection.column=A|B' --set guide=none" in fix
+    fix = refusal(DataError, "deflection", prepare, [file]).fix
+    assert "--set deflection.column=A, or" in fix and "--set 'deflection.column=A|B'" in fix
     curves, _ = curves_of([file], deflection__column="A|B")
     assert [one.line[-1].tolist() for one in curves.values()] == [[40, 1.6, 0], [40, -1.6, 0]]
     for head, rows in (("thickness", [[1, 20], [2, 15]]), ("boundary [cm]", [[1, 2], [2, 3.5]])):
@@ -480,16 +480,19 @@ def write_plane(path, head, cells=lambda k: (), columns=lambda s, y: (s, y)):
 )
 def test_two_coordinates_are_along_and_across_the_needle(tmp_path, head, columns):
     file = write_plane(tmp_path / "a.csv", head, columns=columns)
-    curves, draft = curves_of([file])
+    stated = {}
+    if "x" not in head:
+        assert "--set x.column=z --set y.column=y" in refusal(DataError, "", curves_of, [file]).fix
+        stated = {"x__column": head[1], "y__column": head[2]}
+    curves, _ = curves_of([file], **stated)
     np.testing.assert_allclose(curves["n2"].line[-1], [40.0, 1.28, 0.0])
-    assert ("x" in draft.assumed) == ("x" not in head)
 
 
 def test_a_column_that_is_stated_for_one_coordinate_is_no_other(tmp_path):
     file = write_plane(tmp_path / "a.csv", ["needle", "z", "y"])
-    curves, draft = curves_of([file], tables__1__columns__depth__column="z", tables__1__holds="shapes")
+    curves, draft = curves_of([file], depth__column="z", holds="shapes")
     np.testing.assert_allclose(curves["n2"].line[-1], [40.0, 1.28, 0.0])
-    assert draft.tables[0]["columns"].keys() == {"needle", "depth", "y"} and "holds" not in draft.assumed
+    assert draft.tables[0]["columns"].keys() == {"needle", "x", "y"} and "holds" not in draft.assumed
 
 
 def test_a_stated_column_that_is_not_there_is_refused_with_the_nearest_header(tmp_path):

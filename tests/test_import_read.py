@@ -304,9 +304,6 @@ def test_examples_of_the_workbook_are_never_measured(tmp_path):
     unsure, sure = (prepare([file], origin=origin).mapping for origin in ("example", "measured"))
     assert (unsure.origin, sure.origin) == ("example", "measured")
     assert "origin" in unsure.assumed and "origin" not in sure.assumed
-    answers = {"origin": "measured"}
-    asked = prepare_import([file], [("origin", "example")], None, lambda key, *_: answers.get(key, ""))
-    assert asked.mapping.origin == "measured" and "origin" not in asked.mapping.assumed
 
 
 def test_a_unit_may_stand_in_the_name_of_a_value(tmp_path):

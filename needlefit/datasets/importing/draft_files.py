@@ -18,7 +18,7 @@ from needlefit.datasets.importing.draft import Draft
 from needlefit.datasets.importing.draft_table import TableDraft
 from needlefit.datasets.importing.examples import EXAMPLE_SHEET
 from needlefit.datasets.importing.layout import propose_layout, sniff_text
-from needlefit.datasets.importing.meanings import COORDINATES, MEANINGS, VALUES
+from needlefit.datasets.importing.meanings import MEANINGS, VALUES
 from needlefit.datasets.importing.read import MAX_CURVES
 from needlefit.datasets.importing.stated import name_set
 from needlefit.datasets.importing.synonyms import find_meaning, split_unit
@@ -79,7 +79,8 @@ def draft_mapping(paths: Sequence[Path], stated: Assignments) -> tuple[Draft, li
                 fix=name_set(f"{meaning}.column", sort_by_similarity(parts["column"], draft.headers)[0]),
             )
     for key, text in stated.numbered:
-        _change_table(draft, key, text)
+        (draft.tables,) = override({"tables": draft.tables}, [(key, text)], "--set").values()
+        draft.assumed.pop(key.split(".")[2], None)
     if "specimen" not in {*stated.columns, *draft.values}:
         _ask_sources(draft)
     if not draft.opens and all(table["holds"] in ("facts", "turns") for table in draft.tables):
@@ -97,18 +98,6 @@ def _ask_markups(file: str, table: Table, draft: Draft, stated: Assignments) -> 
         if count < MIN_POINTS and file.endswith(MARKUPS.suffixes) and (key, "shapes") not in stated.numbered:
             answers = {"needle": {key: "shapes"}, "boundary": {"surfaces": file}}
             draft.ask("markups", file, answers, name=name, count=str(count))
-
-
-def _change_table(draft: Draft, key: str, text: str) -> None:
-    """State a key of one table; a coordinate takes the place of what its column meant."""
-    (draft.tables,) = override({"tables": draft.tables}, [(key, text)], "--set").values()
-    _, number, part, *meanings = [*key.split("."), ""]
-    draft.assumed.pop(part, None)
-    if part == "columns" and meanings[0] in COORDINATES:
-        columns = draft.tables[int(number) - 1]["columns"]
-        for meaning in {*COORDINATES} & columns.keys() - {meanings[0]}:
-            if columns[meaning].get("column") == columns[meanings[0]].get("column"):
-                del columns[meaning]
 
 
 def _list_files(paths: Iterable[Path], draft: Draft) -> Iterator[Path]:

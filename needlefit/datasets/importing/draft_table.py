@@ -5,7 +5,7 @@ import re
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from itertools import count, pairwise
+from itertools import count, pairwise, permutations
 from typing import Any, NamedTuple
 
 from needlefit.datasets.importing.assignments import Assignments
@@ -216,6 +216,13 @@ class TableDraft:
                 turn = next(k for k in count() if axis not in groups.get((k, group), ()))
                 groups.setdefault((turn, group), {})[axis] = column
         with_x = [axes for axes in groups.values() if "x" in axes]
+        if not with_x and not {"x", "depth"} & {*self.taken, *(one.header.meaning for one in self.all)}:
+            pairs = [pair for axes in groups.values() for pair in permutations(axes.values(), 2)]
+            answers = {
+                str(along.name): {"x.column": str(along.name), "y.column": str(across.name)}
+                for along, across in pairs
+            }
+            self.draft.ask("column", self.where, answers, key="x", text=MEANINGS["x"].text) if pairs else None
         lacking = [axes for axes in groups.values() if "x" not in axes]
         if len(with_x) == 1 and all("y" in axes for axes in lacking):
             for axes in lacking:
@@ -293,7 +300,7 @@ class TableDraft:
                 taken["turn_depth"] = taken.pop("depth")
             return [{}], "turns"
         if "depth" in taken and "needle" not in taken and len(unknown := self._list_unknown()) > 1:
-            self._ask_column("deflection", unknown)
+            self._ask_column("deflection", unknown, "|".join(str(column.name) for column in unknown))
         return [], ""
 
     def _find_deflections(self, entries: Sequence[Records], holds: str) -> tuple[list[Records], str]:
@@ -328,9 +335,10 @@ class TableDraft:
                 self._ask_column(key, inverse if key in SENSOR[1:3] else ())
         return True
 
-    def _ask_column(self, meaning: str, columns: Iterable[Column] = ()) -> None:
+    def _ask_column(self, meaning: str, columns: Sequence[Column] = (), *further: str) -> None:
         """Ask which column has a meaning, perhaps one of some."""
-        answers = {str(column.name): {f"{meaning}.column": str(column.name)} for column in columns}
+        names = [*(str(column.name) for column in columns), *further]
+        answers = {name: {f"{meaning}.column": name} for name in names}
         self.draft.ask("column", self.where, answers, key=meaning, text=MEANINGS[meaning].text)
 
     def _find_kind(self, groups: Mapping[str, Axes]) -> str:
