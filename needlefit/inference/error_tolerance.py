@@ -24,7 +24,7 @@ from needlefit.inference.likelihood.observations import ScoredObservation
 from needlefit.inference.metric_objective import WeightedDistances, weigh_stations
 from needlefit.inference.parameters import Parameters, Values
 from needlefit.inference.problem import MetricGoal, Problem
-from needlefit.inference.slsqp import run_slsqp
+from needlefit.inference.slsqp import run_slsqp_once
 from needlefit.project.progress import never_stop
 
 REPLICATES = 200  #: of each bootstrap
@@ -90,7 +90,7 @@ def _find_excess(distances: WeightedDistances, lower: Floats, upper: Floats) -> 
 
     function = ObjectiveFunction(lower, upper, lambda step: distances.move(step).total, gradient)
     recorder = EvaluationRecorder(function, REPLICATE_EVALUATIONS, never_stop)
-    run_slsqp(recorder, np.zeros(len(lower)), REPLICATE_ACCURACY)
+    run_slsqp_once(recorder, REPLICATE_ACCURACY, np.zeros(len(lower)))  # convex: one search finds the least
     return distances.total - recorder.objective
 
 

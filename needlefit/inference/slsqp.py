@@ -33,16 +33,17 @@ def run_slsqp(recorder: EvaluationRecorder, start: Floats, tolerance: float) -> 
         with suppress(SearchEnded):
             recorder.value(start)
         return recorder.reason or "tolerance"
-    reason = _run_once(recorder, tolerance, start)
+    reason = run_slsqp_once(recorder, tolerance, start)
     while not recorder.reason and recorder.theta is not None:
         before = recorder.objective
-        reason = _run_once(recorder, tolerance, recorder.theta)
+        reason = run_slsqp_once(recorder, tolerance, recorder.theta)
         if before - recorder.objective <= MIN_RELATIVE_GAIN * abs(before):
             break
     return reason
 
 
-def _run_once(recorder: EvaluationRecorder, tolerance: float, start: Floats) -> str:
+def run_slsqp_once(recorder: EvaluationRecorder, tolerance: float, start: Floats) -> str:
+    """Search as `run_slsqp`, without a new beginning."""
     lower, span = recorder.objective_function.lower, recorder.objective_function.span
     optimizer = nlopt.opt(nlopt.LD_SLSQP, len(start))
     # The first step along the slope is to be `FIRST_GRADIENT_STEP` long. A method that knows no curvature at

@@ -17,12 +17,12 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import reduce
-from typing import Any
 
 import numpy as np
 import pandas as pd
 import scipy
 
+from needlefit.arrays import Bools
 from needlefit.inference.baselines import BASELINES
 from needlefit.metrics import METRICS
 from needlefit.schemas.recipe import RecipeRecord
@@ -197,9 +197,10 @@ def compare_with_references(
     if compared.empty:
         return Comparison(Outcome.UNDECIDED)
     margin = margin or (noise if score != TE else None) or None
+    tables = {name: errors_by_method[name].loc[compared] for name in (method, *references)}
 
-    def find_outcome(some: "pd.Index[Any]") -> Outcome:
-        ours, *others = (errors_by_method[name].loc[some] for name in (method, *references))
+    def find_outcome(kept: Bools) -> Outcome:
+        ours, *others = (table[kept] for table in tables.values())
         error, least = ours[score].mean(), margin or 0.0
         gaps = np.array([other[score].mean() - error for other in others])
         z, exact_z = np.array([compare_predictions(ours, other) for other in others]).T
@@ -214,19 +215,17 @@ def compare_with_references(
         is_distinguished = (np.abs(z) > CLOSER_Z) | (exact_z > CLOSER_Z + POWER_Z)
         return Outcome.AS_CLOSE if is_distinguished.all() else Outcome.BEND_TOO_LITTLE
 
-    means = {name: float(errors_by_method[name].loc[compared, score].mean()) for name in references}
+    means = {name: float(tables[name][score].mean()) for name in references}
     nearest = min(means, key=lambda name: means[name])
     holes = [compared.get_level_values(name) for name in ("specimen", "hole")]
     needles = pd.Series(zip(*holes, strict=True), compared)
-    gaps = (errors_by_method[nearest][score] - errors_by_method[method][score]).loc[compared]
-    gaps = gaps.groupby(needles).mean()
-    outcome, hangs_on = find_outcome(compared), list[str]()
+    gaps = (tables[nearest][score] - tables[method][score]).groupby(needles).mean()
+    outcome, hangs_on = find_outcome(np.ones(len(compared), dtype=bool)), list[str]()
     for needle in needles.unique():
-        rows = compared[needles == needle]
-        left = compared.difference(rows, sort=False)
-        if len(left) and find_outcome(left).passed != outcome.passed:
-            *_, hole, insertion = rows[0]
-            hangs_on.append(str(insertion if len(rows) == 1 else hole))
+        kept = (needles != needle).to_numpy()
+        if kept.any() and find_outcome(kept).passed != outcome.passed:
+            *_, hole, insertion = compared[~kept][0]
+            hangs_on.append(str(insertion if sum(~kept) == 1 else hole))
     if outcome is Outcome.CLOSER and hangs_on:
         outcome = Outcome.CLOSER_BY_ONE_NEEDLE
     closer = int((gaps > 0).sum())
@@ -263,9 +262,10 @@ def compare_predictions(ours: pd.DataFrame, other: pd.DataFrame) -> tuple[float,
     sds = (ours[name].to_numpy(dtype=np.float64) for name in (TIP_SD, TIP_REGISTERED_SD))
     whole, registered = (sd[:, None] for sd in sds)
     apart = others - off
-    common = pd.DataFrame(registered * apart).groupby(ours.index.get_level_values("specimen")).sum()
+    specimens = ours.index.get_level_values("specimen")
+    common = [np.sum((registered * apart)[specimens == name], axis=0) for name in specimens.unique()]
     alone = np.sum((whole**2 - registered**2) * apart**2)
-    sd = 2 * math.sqrt(alone + max(np.sum((registered * apart) ** 2), np.sum(common.to_numpy() ** 2)))
+    sd = 2 * math.sqrt(alone + max(np.sum((registered * apart) ** 2), np.sum(np.square(common))))
     if sd == 0:  # no noise is stated, or both are the same
         return (math.nan, math.nan) if not whole.all() else (0.0, 0.0)
     return float(np.sum(others**2 - off**2) / sd), float(np.sum(apart**2) / sd)

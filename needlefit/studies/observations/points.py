@@ -248,7 +248,7 @@ class _Predictor:
             return predict_needle(problem.values(theta), job.medium, insertion)
 
         def predict(theta: Floats) -> Floats:
-            curve = simulate(theta)
+            curve = needle if theta is mode else simulate(theta)
             return np.full_like(drawn[0, :, across], np.nan) if curve is None else curve(s)[:, across]
 
         if (needle := simulate(mode)) is None:
