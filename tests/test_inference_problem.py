@@ -65,10 +65,6 @@ def test_needles_that_differ_are_fitted_together():
         assert_array_equal(lanes[0].u, predict(TRUTH, record, one).u)
     fit = minimize(p, recipe(starts=4), rng())
     assert [fit.values[name] for name in p.names] == approx([TRUTH[name] for name in p.names], rel=0.01)
-    for needle in (NEEDLE, thin):
-        wrong = problem(record, [replace(one, needle=needle) for one in p.insertions])
-        values = minimize(wrong, recipe(starts=4), rng()).values
-        assert abs(math.log(values["mu1_pa"] / TRUTH["mu1_pa"])) > math.log(1.5)
 
 
 def rng():

@@ -17,13 +17,8 @@ TURN = Step(17.2, Bevel(0.1, -1), Controls(base_y=0.1, base_slope=0.004))
 THERE_AND_BACK = (WIDE, replace(WIDE, depth=5.6), TURN)
 
 
-HELD = (
-    Controls(tip=TrackedTip(0.1)),
-    Controls(base_y=0.2, tip=TrackedTip(0.1, 0.01)),
-    Controls(guides=(Guide(3.3, 0.05, in_tissue=True),)),
-    Controls(
-        guides=(Guide(-4.0), Guide(5.0, 0.06, None, in_tissue=True), Guide(16.0, 0.1, None, in_tissue=True))
-    ),
+HELD = Controls(
+    guides=(Guide(-4.0), Guide(5.0, 0.06, None, in_tissue=True), Guide(16.0, 0.1, None, in_tissue=True))
 )
 RUBBING = replace(TISSUE, friction=[0.3, 0.3])
 
@@ -66,14 +61,6 @@ def test_what_is_hard_to_solve_is_what_newtons_method_gives(batch):
     shapes, exact = one(batch), replace(batch, rules=ModelOptions(tolerance=1e-11))
     for i in range(2):
         assert_close(shapes[i], simulate_steps(*pick(exact, i)))
-
-
-@pytest.mark.parametrize("sets", [1, 31, 33, 64])
-@pytest.mark.parametrize("controls", [TURN.controls, *HELD])
-@pytest.mark.parametrize("tissue", [TISSUE, RUBBING])
-def test_neighbours_and_spare_lanes_change_no_bit(sets, controls, tissue):
-    batch = broad(64, steps=(*THERE_AND_BACK, replace(TURN, depth=19.2, controls=controls)), tissue=tissue)
-    assert_same_bits(one(batch.take(slice(0, sets))), part(one(batch), np.arange(sets)))
 
 
 def part(shapes, sets):
@@ -125,7 +112,7 @@ def test_different_insertions_come_back_in_their_order():
 
 
 def test_what_the_memory_held_before_changes_no_bit(monkeypatch):
-    held, make = replace(WIDE, depth=40.2, controls=HELD[-1]), native.make_memory
+    held, make = replace(WIDE, depth=40.2, controls=HELD), native.make_memory
 
     def fill(value):
         def make_filled(size):

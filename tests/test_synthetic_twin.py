@@ -10,7 +10,6 @@ from numpy.testing import assert_allclose
 from pytest import approx
 from refusals import refusal
 from scanner.twin import build_scanned, expose
-from scipy.stats import kstest
 
 import needlefit
 from needlefit.datasets.read import read
@@ -118,14 +117,10 @@ def test_media_of_truths_are_drawn_from_the_stated_population():
         ratio = np.array([one.mu_pa for one in ones]) / nominal.mu_pa
         assert np.std(np.log(ratio), axis=0) == approx(np.log(2.0), rel=0.06)
         assert_allclose(ratio[:, 2:], ratio[:, :2][:, : max(0, len(nominal.mu_pa) - 2)])
-        if len(nominal.mu_pa) > 1:
-            assert abs(np.corrcoef(np.log(ratio[:, :2]).T)[0, 1]) < 0.1
         bevels = np.log([one.bevel for one in ones])
         middle = 0.33 if name == "chicken" else 0.04245
         assert bevels.mean() == approx(np.log(middle), abs=0.03)
         assert bevels.std() == approx(np.log(1.4), rel=0.06)
-        friction = np.array([one.friction for one in ones]) / nominal.friction
-        assert 0.5 < friction.min() < 0.51 and 1.99 < friction.max() < 2.0
         for field, size in (
             ("modulus_sd", np.log(2)),
             ("bevel_sd", np.log(1.8)),
@@ -133,9 +128,6 @@ def test_media_of_truths_are_drawn_from_the_stated_population():
         ):
             drawn = np.array([getattr(one, field) for one in ones])
             assert drawn.min() >= 0 and np.sqrt(np.mean(drawn**2)) == approx(size, rel=0.06)
-        uniform = [(1 + one.correlation) / 2 for one in ones]
-        uniform += [one.fibre_dependence for one in ones] if name == "chicken" else []
-        assert kstest(uniform, "uniform").pvalue > 0.01
     assert all(each["phantom1"].bevel == each["phantom3"].bevel for each in media)
 
 
