@@ -10,7 +10,6 @@ from inference_cases import problem as make_problem
 
 from needlefit.datasets.insertion import Noise
 from needlefit.inference.doubts import find_doubts
-from needlefit.inference.identifiability.stated_depths import examine_depths
 from needlefit.inference.linear_needles import fit_quickly
 
 DEPTHS = np.linspace(35.0, 65.0, 7)
@@ -141,11 +140,11 @@ def test_a_boundary_that_is_stated_in_centimetres_is_found_if_the_noise_is_known
     made = [replace(one, boundaries=np.array([2.0])) for one in measure_needles(7)]
     problem = make(made)
     theta = fit_quickly(problem)
-    (one,) = examine_depths(problem, theta)
-    assert (one.depth_mm, one.shift_mm, one.describes) == (2.0, pytest.approx(18.0), True)
+    common = find_doubts(problem, theta).common
+    assert (common.cause, common.where, common.stated) == ("boundary", "1", 2.0)
+    assert common.size == pytest.approx(18.0, abs=1.0)
     likelihood = problem.likelihood.model_copy(update={"noise_scale": "estimated"})
-    (one,) = examine_depths(replace(problem, likelihood=likelihood), theta)
-    assert one.shift_mm == 0
+    assert find_doubts(replace(problem, likelihood=likelihood), theta).common is None
 
 
 def test_three_needles_needles_off_their_plane_and_needles_without_stated_noise_are_not_judged():

@@ -67,18 +67,6 @@ def find_side_warnings(
 # ---- insertions
 
 
-def _find_copy_warnings(listed: Sequence[ListedInsertion]) -> Iterator[ResultWarning]:
-    """Yield a warning for each insertion that has all points of an earlier one, or whose points that has."""
-    places = (entry.insertion.centerline / SAME_POINT_MM for entry in listed)
-    points = [set(map(tuple, place.round().tolist())) for place in places]
-    for n, later in enumerate(listed):
-        same = (m for m in range(n) if points[m] <= points[n] or points[n] <= points[m])
-        if (m := next(same, None)) is not None:
-            names = (later.insertion.id, listed[m].insertion.id)
-            what, fix = f"{' and '.join(names)} have the same points", "check whether one was exported twice"
-            yield ResultWarning("copy", what, later.where, fix, names)
-
-
 def _find_repeated_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
     """Yield a warning for each two needles that are most likely one, measured twice.
 
@@ -112,31 +100,32 @@ def _weigh_repeated(earlier: ListedInsertion, later: ListedInsertion, sd: float)
     return float(squares / 2 + np.linalg.slogdet(of_two)[1])  # of two axes
 
 
-def _find_pasted_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
-    """Yield a warning for each two needles with the same coordinate across, though not the same points.
+def _find_copy_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
+    """Yield a warning for each two needles with the same points, or the same coordinate across.
 
     Errors alone make rounded coordinates differ: they are equal with a probability of at most the step over
     2 sqrt(pi) SD.
     """
-    values = [one.points.values for one in listed]
+    values = [entry.points.values for entry in listed]
     step = max(find_rounding(values), SAME_POINT_MM)
-    chance = step / (2 * math.sqrt(math.pi) * noise.point_sd) if noise.point_sd else 1.0
+    chance = min(1.0, step / (2 * math.sqrt(math.pi) * noise.point_sd)) if noise.point_sd else 1.0
     counts = np.array([len(points) for points in values])
     padded = np.full((len(values), max(counts), 3), np.nan)
     for points, row in zip(values, padded, strict=True):
         row[: len(points)] = points
-    for n, later in enumerate(listed if chance < 1 else ()):
+    for n, later in enumerate(listed):
         entry = later.insertion.frame.rotation[:, 0]
         same = np.sum(np.abs(padded[:n] - padded[n]) < SAME_POINT_MM, axis=1)  # (n, 3)
         common = np.minimum(counts[:n], counts[n])[:, None]
         # along the needles all may be sampled alike, and what does not vary is no measurement
         is_measured = (np.abs(entry) < AXIS_COSINE) & (np.ptp(values[n], axis=0) > 0)
         is_pasted = is_measured & (same > common / 2) & (bdtrc(same - 1, common, chance) < MAX_PASTED_CHANCE)
-        for m in np.flatnonzero(is_pasted.any(axis=1) & ~(same == common).all(axis=1)).tolist():
-            axis = int(np.argmax(is_pasted[m]))
+        is_pasted |= (same == common).all(axis=1, keepdims=True)
+        for m in np.flatnonzero(is_pasted.any(axis=1)).tolist():
+            axes = " and ".join(np.array(list("xyz"))[is_pasted[m]])
             names = (later.insertion.id, listed[m].insertion.id)
-            what = f"{' and '.join(names)} have the same {'xyz'[axis]} at {same[m, axis]} points"
-            fix = "look whether it was pasted from one into the other"
+            what = f"{' and '.join(names)} have the same {axes} at {same[m, is_pasted[m]].min()} points"
+            fix = "look whether one was exported twice, or pasted into the other"
             yield ResultWarning("copy", what, later.where, fix, names)
 
 
@@ -218,8 +207,7 @@ def _find_shape_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Ite
     yield from _find_order_warnings(listed)
     yield from find_interpolated_warnings(listed)
     if _is_finer_than_noise(listed, noise):
-        yield from _find_copy_warnings(listed)
-        yield from _find_pasted_warnings(listed, noise)
+        yield from _find_copy_warnings(listed, noise)
         yield from _find_constant_warnings(listed)
 
 

@@ -12,36 +12,30 @@ from typing import NamedTuple
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.datasets.compared import MIN_LOG_ODDS, SIGNIFICANT_SD, leaves_plane
-from needlefit.datasets.insertion import Insertion
+from needlefit.datasets.compared import leaves_plane
 from needlefit.datasets.outlying_points import MAX_OUTLYING_PART, OUTLIER_SD
+from needlefit.inference.common_doubts import change_all, find_common
 from needlefit.inference.hypotheses import (
     ASIDE,
     HYPOTHESES,
-    IN_PLANE,
-    LOG_FITTED,
     PREDICTED_SD,
+    Change,
     Deviation,
+    Explanation,
     explain,
+    list_changes,
 )
-from needlefit.inference.identifiability.precision import prior_information
 from needlefit.inference.linear_needles import (
     MIN_NEEDLES,
-    Block,
     Prediction,
     linearize_needle,
     measure_deviation,
     predict_from,
     refit,
-    weigh,
-    weigh_all,
+    widen_all,
 )
 from needlefit.inference.problem import Problem
 from needlefit.schemas.run_metadata import CommonDoubtMetadata, NeedleDoubtMetadata
-
-#: what may have happened to all needles alike, in the world's frame: keys of `HYPOTHESES` with a size
-COMMON = ("turned", "shifted")
-COMMON_STEPS = 2  #: in which their size is found, a fit each
 
 
 class Doubts(NamedTuple):
@@ -81,11 +75,11 @@ def find_doubts(problem: Problem, theta: Floats) -> Doubts:
         rest = [k for k in range(count) if k not in odd]
         theta = refit(problem, [insertions[k] for k in rest], theta) if odd else theta
         blocks = [linearize_needle(problem, insertion, theta) for insertion in insertions]
-        if not all(np.isfinite(block.residuals).all() for block in blocks):  # a solve failed
+        if not all(math.isfinite(block.square) for block in blocks):  # a solve failed
             return Doubts()
-        counts, weighed = [len(block.residuals) for block in blocks], weigh_all(problem, blocks)
+        counts, widened = [block.residual_count for block in blocks], widen_all(problem, blocks)
         predictions = [
-            predict_from(problem, [j for j in rest if j != k], weighed, theta) for k in range(count)
+            predict_from(problem, [j for j in rest if j != k], widened, theta) for k in range(count)
         ]
         sds = [measure_deviation(block, theta, predictions[k]).sds for k, block in enumerate(blocks)]
         oddest = sorted(rest, key=lambda k: -sds[k]) if len(odd) + 1 <= MAX_OUTLYING_PART * count else []
@@ -93,10 +87,10 @@ def find_doubts(problem: Problem, theta: Floats) -> Doubts:
             break
         odd.append(worst)
     all_but_odd = replace(problem, insertions=tuple(insertions[k] for k in rest))
-    if (common := _find_common(all_but_odd, [blocks[k] for k in rest], theta)) is not None:
-        axis = ASIDE if common.aside else IN_PLANE
-        changed = _change_all(problem, common.cause, axis, common.size)
-        return find_doubts(changed, refit(changed, changed.insertions, theta))._replace(common=common)
+    if (found := find_common(all_but_odd, theta)) is not None:
+        changed = change_all(problem, found.change, found.size or 0.0)
+        again = find_doubts(changed, refit(changed, changed.insertions, theta))
+        return again._replace(common=_describe_common(found))
     # in the stated errors alone, whatever the misfit of the others is
     pairs = zip(blocks, predictions, strict=True)
     stated = (
@@ -114,12 +108,19 @@ def _describe(
 ) -> NeedleDoubtMetadata:
     """Return what is known of an odd needle, given what the others predict."""
 
-    def measure(insertion: Insertion, reaches_tip: bool) -> Deviation:
-        return measure_deviation(linearize_needle(problem, insertion, theta, reaches_tip), theta, predicted)
+    def measure(change: Change, size: float) -> Deviation:
+        row = HYPOTHESES[change.cause]
+        block = linearize_needle(problem, change.apply(left_out, size), theta, row.reaches_tip)
+        left = measure_deviation(block, theta, predicted)
+        volume = row.log_volume(size, len(left_out.points))
+        return left._replace(log_density=left.log_density + volume)
 
     left_out = problem.insertions[number]
     others = [other for other in problem.insertions if other is not left_out]
-    cause, axis, size, where = explain(left_out, others, measure, problem.dataset.directions)
+    as_measured = measure_deviation(linearize_needle(problem, left_out, theta), theta, predicted)
+    # it may have happened to any of them
+    nothing = as_measured.log_density + math.log(len(problem.insertions))
+    found = explain(list_changes(left_out, others, problem.dataset.directions), measure, nothing)
     within_bounds = np.clip(predicted.theta, problem.lower, problem.upper)
     ((simulated, measured),) = replace(problem, insertions=(left_out,)).points(within_bounds)
     points = np.column_stack(
@@ -129,75 +130,25 @@ def _describe(
         insertion=left_out.id,
         place=left_out.where.rpartition("/")[2],
         sds=sds,
-        cause=cause,
-        aside=axis == ASIDE,
-        size=size,
-        where=where,
+        cause=found.change.cause if found else "",
+        aside=found is not None and found.change.axis == ASIDE,
+        size=found.size if found else None,
+        where=found.change.where if found else "",
         points=points.round(3).tolist(),
     )
 
 
-def _find_common(problem: Problem, blocks: Sequence[Block], theta: Floats) -> CommonDoubtMetadata | None:
-    """Return what may have happened to all needles alike, if that makes them far more probable.
-
-    Of bevels that all face one way an error of the model looks like a turn or a shift in their plane. Shapes
-    of unknown pose are aligned: a turn or shift of all changes nothing.
-    """
-    if problem.dataset.pose == "free":
-        return None
-    places = range(len(blocks))
-    before = predict_from(problem, places, weigh_all(problem, blocks), theta)
-    is_one_sided = len({insertion.side for insertion in problem.insertions}) == 1
-    axes = [IN_PLANE] * (not is_one_sided) + [ASIDE] * (problem.dataset.directions == 2)
-    possible = [(cause, axis) for cause in COMMON for axis in axes]
-    rows = []
-    for cause, axis in possible:
-        size, sd = _estimate_common(problem, blocks, theta, before.spread, cause, axis)
-        if abs(size) < SIGNIFICANT_SD * sd:
-            continue
-        changed_theta = theta
-        for _ in range(COMMON_STEPS):
-            changed = _change_all(problem, cause, axis, size)
-            changed_theta = refit(changed, changed.insertions, changed_theta)
-            moved = [linearize_needle(changed, insertion, changed_theta) for insertion in changed.insertions]
-            if not all(np.isfinite(block.residuals).all() for block in moved):
-                break
-            after = predict_from(changed, places, weigh_all(changed, moved), changed_theta)
-            odds = (after.log_density - before.log_density) / max(1.0, after.chi_square)
-            rows.append((odds, CommonDoubtMetadata(cause=cause, aside=axis == ASIDE, size=size, sd=sd)))
-            step, sd = _estimate_common(changed, moved, changed_theta, after.spread, cause, axis)
-            size += step
-    if not rows:
-        return None
-    best, common = max(rows, key=lambda row: row[0])
-    next_best = max((odds for odds, estimate in rows if estimate.cause != common.cause), default=0.0)
-    by_chance = max(next_best, LOG_FITTED + math.log(len(possible)))
-    return common if best - by_chance >= MIN_LOG_ODDS else None
-
-
-def _change_all(problem: Problem, cause: str, axis: int, size: float) -> Problem:
-    """Return the problem with all needles as they may have been."""
-    change = HYPOTHESES[cause].change
-    changed = tuple(change(insertion, size, axis, None) for insertion in problem.insertions)
-    return replace(problem, insertions=changed)
-
-
-def _estimate_common(
-    problem: Problem, blocks: Sequence[Block], theta: Floats, spread: Floats, cause: str, axis: int
-) -> tuple[float, float]:
-    """Return the size by which all needles were changed alike, linear about `theta`, and its SD.
-
-    Infinite is the SD where nothing that was measured changes, as curvatures under a turn.
-    """
-    free = len(theta)
-    precision = np.zeros((free + 1, free + 1))
-    precision[:free, :free] = prior_information(problem)
-    pull = np.zeros(free + 1)
-    for insertion, block in zip(_change_all(problem, cause, axis, 1.0).insertions, blocks, strict=True):
-        by_size = linearize_needle(problem, insertion, theta).residuals - block.residuals
-        both = weigh(Block(block.residuals, np.column_stack([block.slope, by_size])), np.append(spread, 0.0))
-        precision, pull = precision + both.information, pull + both.pull
-    if precision[-1, -1] == 0:
-        return 0.0, math.inf
-    covariance = np.linalg.inv(precision)
-    return float(-covariance[-1] @ pull), math.sqrt(covariance[-1, -1])
+def _describe_common(found: Explanation) -> CommonDoubtMetadata:
+    """Return what is known of what happened to all needles alike."""
+    change, stated = found.change, None
+    if change.cause == "boundary":
+        number, deepest = change.choice
+        stated = float(deepest.boundaries[number])
+    return CommonDoubtMetadata(
+        cause=change.cause,
+        aside=change.axis == ASIDE,
+        where=change.where,
+        size=found.size or 0.0,
+        sd=found.sd,
+        stated=stated,
+    )

@@ -1,16 +1,16 @@
-"""What may have happened to a needle: a table of hypotheses, of which the one that explains it is found.
+"""What may have happened to a needle, or to all alike: a table of hypotheses, of which the best is found.
 
-Each says how the insertion may have been, by a small change with at most two numbers: a size that is fitted,
+Each says how an insertion may have been, by a small change with at most two numbers: a size that is fitted,
 and a choice, such as another needle; and along which axis. A further hypothesis is one row.
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from needlefit.datasets.compared import MIN_LOG_ODDS
 from needlefit.datasets.insertion import Insertion
@@ -21,20 +21,18 @@ from needlefit.inference.likelihood.nodes import enforce_order
 PREDICTED_SD = 2.0
 #: what a number costs, Occam's factor: one that is fitted is known to about 1 % of its range
 LOG_FITTED = math.log(100.0)
-SIZE_TOLERANCE = 1e-4  #: of a fitted number, as part of its range
-GRID_SIZES = 7  #: numbers of a hypothesis from which its search begins
+START_SIZES = 7  #: from which the search of a size begins, over its range
+SEARCH_STEPS = 5  #: from there, by parabolas
+SIZE_TOLERANCE = 1e-3  #: of a size, as part of its range
 IN_PLANE, ASIDE = 1, 2  #: axes of a needle's frame across it: in the plane of its bevel, and out of it
 
 
 class Deviation(NamedTuple):
-    """How far a needle lies from its prediction, in SDs, and the log density of what was measured."""
+    """How far needles lie from their prediction, in SDs, and the log density of what was measured."""
 
     sds: float
     log_density: float
-
-
-#: an insertion as it may have been, and whether its points reach the tip -> its deviation
-Measure = Callable[[Insertion, bool], Deviation]
+    misfit: float = 1.0  #: mean squared residual, by which differences of log densities are divided
 
 
 class Hypothesis(NamedTuple):
@@ -49,13 +47,33 @@ class Hypothesis(NamedTuple):
     reaches_tip: bool = True  #: whether the points do
 
 
-class Explanation(NamedTuple):
-    """What may have happened to a needle."""
+class Change(NamedTuple):
+    """A hypothesis with its axis and choice."""
 
-    cause: str = ""  #: a key of `HYPOTHESES`; "" where none explains the needle
+    cause: str  #: a key of `HYPOTHESES`
     axis: int = IN_PLANE
-    size: float | None = None  #: ln of a factor, mm or degrees
     where: str = ""  #: what was chosen: the number of a point or boundary, or another needle
+    choice: Any = None
+    starts: Collection[float] = (0.0,)  #: sizes from which the search begins
+    units: Collection[float] = ()  #: sizes that cost the choice among them alone
+    cost: float = 0.0  #: of its numbers, as log odds
+
+    def apply(self, insertion: Insertion, size: float) -> Insertion:
+        """Return the insertion as it may have been."""
+        return HYPOTHESES[self.cause].change(insertion, size, self.axis, self.choice)
+
+    def compute_odds(self, size: float, left: Deviation) -> float:
+        """Return log odds that count the numbers that were fitted."""
+        cost = math.log(len(self.units)) if size in self.units else self.cost
+        return left.log_density / left.misfit - cost
+
+
+class Explanation(NamedTuple):
+    """What may have happened to a needle, or to all."""
+
+    change: Change
+    size: float | None  #: ln of a factor, mm or degrees
+    sd: float
 
 
 def _turn(insertion: Insertion, degrees: float, axis: int, _: None) -> Insertion:
@@ -77,13 +95,21 @@ def _find_step(insertion: Insertion, _: Sequence[Insertion], axis: int) -> dict[
     return {str(first + 1): first}
 
 
-def _list_boundaries(insertion: Insertion, *_: object) -> dict[str, int]:
-    return {str(k + 1): k for k in range(len(insertion.boundaries))}
+def list_boundaries(
+    insertion: Insertion, others: Sequence[Insertion], _: int = IN_PLANE
+) -> dict[str, tuple[int, Insertion]]:
+    """Return by its number each boundary that any needle reached, from 0, and one that reached all."""
+    deepest = max((insertion, *others), key=lambda one: len(one.boundaries))
+    return {str(k + 1): (k, deepest) for k in range(len(deepest.boundaries))}
 
 
-def _move_boundary(insertion: Insertion, size: float, _: int, number: int) -> Insertion:
-    moved = insertion.boundaries + size * (np.arange(len(insertion.boundaries)) == number)
-    return replace(insertion, boundaries=enforce_order(moved))
+def _move_boundary(insertion: Insertion, size: float, _: int, choice: tuple[int, Insertion]) -> Insertion:
+    """Return an insertion with a boundary moved, also if it did not reach it."""
+    number, deepest = choice
+    count = max(len(insertion.boundaries), number + 1)
+    boundaries = np.append(insertion.boundaries, deepest.boundaries[len(insertion.boundaries) : count])
+    moved = enforce_order(boundaries + size * (np.arange(count) == number))
+    return replace(insertion, boundaries=moved, sequence=deepest.sequence[: count + 1])
 
 
 def _list_deeper(insertion: Insertion, others: Sequence[Insertion], _: int) -> dict[str, Insertion]:
@@ -112,62 +138,63 @@ HYPOTHESES: Mapping[str, Hypothesis] = {
     "turned": Hypothesis(_turn, (-15.0, 15.0), (IN_PLANE, ASIDE)),
     "shifted": Hypothesis(_shift, (-20.0, 20.0), (IN_PLANE, ASIDE)),
     "stepped": Hypothesis(_shift, (-20.0, 20.0), (IN_PLANE, ASIDE), _find_step),
-    "boundary": Hypothesis(_move_boundary, (-30.0, 30.0), list_choices=_list_boundaries),
+    "boundary": Hypothesis(_move_boundary, (-30.0, 30.0), list_choices=list_boundaries),
     "cut_short": Hypothesis(lambda insertion, *_: insertion, reaches_tip=False),
     "of_another": Hypothesis(_take_points, list_choices=_list_deeper, reaches_tip=False),
 }
 
 
+def list_changes(insertion: Insertion, others: Sequence[Insertion], directions: int) -> Iterator[Change]:
+    """Yield what may have happened to a needle alone."""
+    for cause, row in HYPOTHESES.items():
+        starts = (0.0,) if row.sizes is None else tuple(np.linspace(*row.sizes, START_SIZES).tolist())
+        for axis in (axis for axis in row.axes if axis <= directions):
+            choices = row.list_choices(insertion, others, axis)
+            for where, choice in choices.items():
+                is_fitted = row.sizes is not None or where != ""
+                cost = LOG_FITTED + math.log(len(choices)) if is_fitted else 0.0
+                yield Change(cause, axis, where, choice, starts, (), cost)
+
+
 def explain(
-    insertion: Insertion, others: Sequence[Insertion], measure: Measure, directions: int
-) -> Explanation:
-    """Return the hypothesis that explains a needle alone, and better than any other; else an empty one.
+    changes: Iterable[Change], measure: Callable[[Change, float], Deviation], nothing: float
+) -> Explanation | None:
+    """Return what explains the needles alone, and better than anything else.
 
-    One of them is that nothing happened to it, as it did to any of the others before.
+    `nothing`: log odds that nothing happened, which is one of the hypotheses.
     """
-    as_measured = measure(insertion, True)
-    nothing = (as_measured.log_density + math.log(1 + len(others)), as_measured.sds, Explanation())
-    rows = [nothing, *_list_explanations(insertion, others, measure, directions)]
-    (best, sds, explanation), *rest = sorted(rows, key=lambda row: -row[0])
-    next_best = next(odds for odds, _, other in rest if other.cause != explanation.cause)
-    return explanation if sds <= PREDICTED_SD and best - next_best >= MIN_LOG_ODDS else Explanation()
+    rows: list[tuple[float, float, Explanation | None]] = [(nothing, math.inf, None)]
+    for change in changes:
+        deviations, sd = _search(partial(measure, change), change.starts)
+        odds = {size: change.compute_odds(size, left) for size, left in deviations.items()}
+        size = max(odds, key=lambda size: odds[size])
+        fitted = Explanation(change, size if len(deviations) > 1 else None, sd)
+        rows.append((odds[size], deviations[size].sds, fitted))
+    best, sds, found = max(rows, key=lambda row: row[0])
+    if found is None or sds > PREDICTED_SD:
+        return None
+    cause = found.change.cause
+    next_best = max(odds for odds, _, other in rows if other is None or other.change.cause != cause)
+    return found if best - next_best >= MIN_LOG_ODDS else None
 
 
-def _list_explanations(
-    insertion: Insertion, others: Sequence[Insertion], measure: Measure, directions: int
-) -> Iterator[tuple[float, float, Explanation]]:
-    """Yield of each hypothesis its log odds, the deviation that is left, and what it says."""
-    places = (
-        (cause, row, axis) for cause, row in HYPOTHESES.items() for axis in row.axes if axis <= directions
-    )
-    for cause, row, axis in places:
-        choices = row.list_choices(insertion, others, axis)
-        for where, choice in choices.items():
-            size, odds, sds = _fit(row, insertion, axis, choice, measure)
-            if size is not None or where:
-                odds -= LOG_FITTED + math.log(len(choices))
-            yield odds, sds, Explanation(cause, axis, size, where)
-
-
-def _fit(
-    row: Hypothesis, insertion: Insertion, axis: int, choice: object, measure: Measure
-) -> tuple[float | None, float, float]:
-    """Return the size that is most probable, its log odds, and the deviation that is left."""
-
-    def weigh(size: float) -> tuple[float, float]:
-        left = measure(row.change(insertion, size, axis, choice), row.reaches_tip)
-        return left.log_density + row.log_volume(size, len(insertion.points)), left.sds
-
-    if row.sizes is None:
-        return None, *weigh(0.0)
-    size = _search(lambda size: -weigh(size)[0], row.sizes)
-    odds, sds = weigh(size)
-    return size, odds, sds
-
-
-def _search(cost: Callable[[float], float], sizes: tuple[float, float]) -> float:
-    """Return the size of least cost."""
-    grid = np.linspace(*sizes, GRID_SIZES)
-    lowest = int(np.clip(np.argmin([cost(size) for size in grid]), 1, len(grid) - 2))
-    bounds, near = (float(grid[lowest - 1]), float(grid[lowest + 1])), SIZE_TOLERANCE * (sizes[1] - sizes[0])
-    return float(minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": near}).x)
+def _search(
+    measure: Callable[[float], Deviation], starts: Collection[float]
+) -> tuple[dict[float, Deviation], float]:
+    """Return deviations by size, also near the likeliest, and the SD of that: of the last parabola."""
+    found = {size: measure(size) for size in sorted(starts, key=abs)}
+    sd = math.inf
+    for _ in range(SEARCH_STEPS if len(found) > 2 else 0):
+        sizes = sorted(found)
+        values = [found[size].log_density for size in sizes]
+        peak = int(np.clip(np.argmax(values), 1, len(sizes) - 2))
+        three = np.array(sizes[peak - 1 : peak + 2])
+        square, slope, _ = np.polyfit(three, values[peak - 1 : peak + 2], 2)
+        if not square < 0:
+            break
+        sd, vertex = float(1 / math.sqrt(-2 * square)), float(-slope / (2 * square))
+        is_near = np.min(np.abs(three - vertex)) < SIZE_TOLERANCE * (sizes[-1] - sizes[0])
+        if not three[0] < vertex < three[-1] or is_near:
+            break
+        found[vertex] = measure(vertex)
+    return found, sd

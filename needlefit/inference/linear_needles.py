@@ -34,11 +34,31 @@ QUICK_EVALUATIONS = 60  #: of each search
 
 
 class Block(NamedTuple):
-    """Residuals (R,) of one needle at some theta, of unit variance, and their derivatives (R, P)."""
+    """The squared residuals of one needle, as a quadratic of theta about a fit.
 
-    residuals: Floats
-    slope: Floats
-    log_norm: float = 0.0  #: of their Gaussian in what was measured
+    They are `square` + 2 `pull` t + t' `information` t at a distance t (P,) from it.
+    """
+
+    square: float
+    pull: Floats  #: (P,)
+    information: Floats  #: (P, P)
+    residual_count: int
+    log_norm: float  #: of their Gaussian in what was measured
+
+    def measure(self, step: Floats) -> float:
+        """Return the squared residuals at a distance (P,) from the fit."""
+        return float(self.square + 2 * self.pull @ step + step @ self.information @ step)
+
+    def widen(self, covariance: Floats) -> "Block":
+        """Return the block of a needle whose theta differs besides by this covariance (P, P)."""
+        growth = np.eye(len(self.pull)) + covariance @ self.information
+        inverse = np.asarray(np.linalg.inv(growth), dtype=np.float64)
+        return self._replace(
+            square=float(self.square - self.pull @ inverse @ covariance @ self.pull),
+            pull=inverse.T @ self.pull,
+            information=inverse.T @ self.information,
+            log_norm=self.log_norm - 0.5 * float(np.linalg.slogdet(growth)[1]),
+        )
 
 
 class Prediction(NamedTuple):
@@ -46,14 +66,13 @@ class Prediction(NamedTuple):
 
     theta: Floats
     covariance: Floats
-    spread: Floats  #: (P,) their likeliest SDs between needles
     scale: float  #: of their squared misfits
     log_density: float  #: of these needles and the prior, their differences integrated out
     chi_square: float  #: mean of their squared residuals
 
-    def describes(self, residuals: int) -> bool:
+    def describes(self, residuals: int, sds: float = MAX_CHI_SQUARE_SD) -> bool:
         """Whether these needles lie as far from the fit as errors do, by so many residuals."""
-        return self.chi_square <= 1 + MAX_CHI_SQUARE_SD * math.sqrt(2 / residuals)
+        return self.chi_square <= 1 + sds * math.sqrt(2 / residuals)
 
 
 def fit_quickly(problem: Problem) -> Floats:
@@ -77,7 +96,7 @@ def refit(problem: Problem, some: Sequence[Insertion], theta: Floats) -> Floats:
 def linearize_needle(
     problem: Problem, insertion: Insertion, theta: Floats, reaches_tip: bool = True
 ) -> Block:
-    """Return the residuals of one needle by itself, without the prior's.
+    """Return the residuals of one needle by itself about `theta` (P,), without the prior's.
 
     Points that do not reach the tip lie at their own distances from the entry.
     """
@@ -92,81 +111,55 @@ def linearize_needle(
         density = replace(density, observations=tuple(cut))
     ((residuals, slope),) = density.jacobians([problem.values(theta)])
     count = sum(density.residual_counts)
-    return Block(
-        residuals[:count], slope[:count], sum(observation.log_norm for observation in density.observations)
-    )
-
-
-def _list_spreads(problem: Problem) -> Floats:
-    """Return the SD (P,) of each parameter between needles, over that of the moduli."""
-    return np.array([BEVEL_PART if name in BEVEL_PARAMETERS else 1.0 for name in problem.names])
-
-
-class Weighed(NamedTuple):
-    """A block with the differences between needles in its covariance (R, R)."""
-
-    block: Block
-    covariance: Floats
-    information: Floats  #: (P, P)
-    pull: Floats  #: (P,)
-
-
-def weigh(block: Block, spread: Floats) -> Weighed:
-    """Return a block with differences between needles, of these SDs (P,)."""
-    loaded = block.slope * spread
-    covariance = np.eye(len(loaded)) + loaded @ loaded.T
-    solved = np.linalg.solve(covariance, np.column_stack([block.slope, block.residuals]))
-    both = block.slope.T @ solved
-    return Weighed(block, covariance, both[:, :-1], both[:, -1])
+    residuals, slope = residuals[:count], slope[:count]
+    log_norm = sum(observation.log_norm for observation in density.observations)
+    return Block(float(residuals @ residuals), slope.T @ residuals, slope.T @ slope, count, log_norm)
 
 
 #: by the SDs (P,) between needles, all blocks
-WeighedBlocks = Sequence[tuple[Floats, Sequence[Weighed]]]
+WidenedBlocks = Sequence[tuple[Floats, Sequence[Block]]]
 
 
-def weigh_all(problem: Problem, blocks: Sequence[Block]) -> WeighedBlocks:
-    spreads = [size * _list_spreads(problem) for size in SPREADS]
-    return [(spread, [weigh(block, spread) for block in blocks]) for spread in spreads]
+def widen_all(problem: Problem, blocks: Sequence[Block]) -> WidenedBlocks:
+    """Return all blocks with differences between needles, by the SDs (P,) of these."""
+    parts = np.array([BEVEL_PART if name in BEVEL_PARAMETERS else 1.0 for name in problem.names])
+    spreads = [size * parts for size in SPREADS]
+    return [(spread, [block.widen(np.diag(spread**2)) for block in blocks]) for spread in spreads]
 
 
 def predict_from(
-    problem: Problem, places: Sequence[int], weighed: WeighedBlocks, theta: Floats
+    problem: Problem, places: Sequence[int], widened: WidenedBlocks, theta: Floats
 ) -> Prediction:
     """Return what some needles predict of another, linear about `theta`, with their likeliest spread."""
     best: tuple[float, Prediction] | None = None
     (prior,) = problem.parameters.prior.log_density([problem.values(theta)])
-    for spread, weighed_blocks in weighed:
-        some = [weighed_blocks[k] for k in places]
-        precision = prior_information(problem) + sum(weighed_block.information for weighed_block in some)
-        step = -np.linalg.solve(precision, sum(weighed_block.pull for weighed_block in some))
+    for spread, blocks in widened:
+        some = [blocks[k] for k in places]
+        precision = prior_information(problem) + sum(block.information for block in some)
         covariance = np.asarray(np.linalg.inv(precision), dtype=np.float64)
-        density, squares = prior, []
-        for weighed_block in some:
-            off = weighed_block.block.residuals + weighed_block.block.slope @ step
-            squares.append(float(off @ np.linalg.solve(weighed_block.covariance, off)))
-            density -= 0.5 * (squares[-1] + np.linalg.slogdet(weighed_block.covariance)[1])
+        step = -covariance @ sum(block.pull for block in some)
+        squares = np.array([block.measure(step) for block in some])
+        counts = np.array([block.residual_count for block in some])
+        density = prior + sum(block.log_norm for block in some) - 0.5 * float(squares.sum())
         evidence = float(density - 0.5 * np.linalg.slogdet(precision)[1])  # all parameters integrated out
         if best is None or evidence > best[0]:
-            counts = np.array([len(weighed_block.block.residuals) for weighed_block in some])
             scale = max(1.0, float(np.quantile(squares / counts, QUANTILE)))
-            chi_square = sum(squares) / int(counts.sum())
-            covariance = covariance + np.diag(spread**2)
-            prediction = Prediction(theta + step, covariance, spread, scale, float(density), chi_square)
-            best = evidence, prediction
+            chi_square = float(squares.sum() / counts.sum())
+            among = covariance + np.diag(spread**2)
+            best = evidence, Prediction(theta + step, among, scale, float(density), chi_square)
     assert best is not None
     return best[1]
 
 
 def measure_deviation(block: Block, theta: Floats, predicted: Prediction) -> Deviation:
-    """Return how far a needle lies from what is predicted, given its residuals at `theta` (P,).
+    """Return how far a needle lies from what is predicted, given its block about `theta` (P,).
 
     The squared distance is chi-square; its cube root is nearly normal (E. B. Wilson, M. M. Hilferty, Proc.
     Natl. Acad. Sci. 17 (1931) 684).
     """
-    off = block.residuals + block.slope @ (predicted.theta - theta)
-    covariance = np.eye(len(off)) + block.slope @ predicted.covariance @ block.slope.T
-    covariance *= predicted.scale
-    square, count = float(off @ np.linalg.solve(covariance, off)), len(off)
-    shape = 2 / (9 * count)
+    step, count = predicted.theta - theta, block.residual_count
+    moved = block._replace(square=block.measure(step), pull=block.pull + block.information @ step)
+    widened = moved.widen(predicted.covariance)
+    square, shape = widened.square / predicted.scale, 2 / (9 * count)
     sds = ((square / count) ** (1 / 3) - (1 - shape)) / math.sqrt(shape)
-    return Deviation(sds, block.log_norm - 0.5 * (square + float(np.linalg.slogdet(covariance)[1])))
+    return Deviation(sds, widened.log_norm - 0.5 * (square + count * math.log(predicted.scale)))

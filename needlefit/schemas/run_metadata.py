@@ -129,14 +129,13 @@ class ValidityMetadata(_Metadata):
 class DepthMetadata(_Metadata):
     """Whether the data would show a boundary at another depth than stated, and which modulus leans on it."""
 
+    model_config = ConfigDict(extra="ignore")  # earlier versions had more
+
     boundary: int
-    depth_mm: float | None = None  #: as stated; None of earlier versions
     sd_mm: float  #: to which the data know a shift of it
-    shift_mm: float  #: that they suggest
     stated_sd_mm: float
     parameter: str
     factor_per_mm: float  #: of this parameter
-    describes: bool = True  #: whether the model describes the needles with the boundary there, and far better
 
 
 class NeedleDoubtMetadata(_Metadata):
@@ -158,8 +157,10 @@ class CommonDoubtMetadata(_Metadata):
 
     cause: str  #: a key of `HYPOTHESES` in `inference/hypotheses.py`
     aside: bool = False  #: whether out of the plane of their bevels
-    size: float  #: mm or degrees, toward +y or +z of their frames
+    where: str = ""  #: the number of the boundary
+    size: float  #: mm or degrees, toward +y or +z of their frames, or deeper
     sd: float  #: of it
+    stated: float | None = None  #: depth of the boundary, mm
 
 
 class EffectMetadata(_Metadata):

@@ -17,13 +17,9 @@ from needlefit.inference.identifiability.directions import (
     UNINFORMED_SD_RATIO,
     find_bound_side,
 )
-from needlefit.inference.parameter_names import (
-    BEVEL_PARAMETERS,
-    BEVEL_SPREAD,
-    HYPERPARAMETERS,
-    is_shape_parameter,
-)
+from needlefit.inference.parameter_names import BEVEL_SPREAD, HYPERPARAMETERS, is_shape_parameter
 from needlefit.inference.parameters import Parameters
+from needlefit.inference.plausible import compute_cut_angle, list_implausible
 from needlefit.inference.point_prediction import PointPrediction
 from needlefit.mechanics.published import read_cut_angles, read_moduli
 from needlefit.project.result_warnings import ResultWarning, to_stored_rows
@@ -31,7 +27,7 @@ from needlefit.project.unit_warnings import MU_PA
 from needlefit.reporting.number_format import format_quantity
 from needlefit.reporting.table_files import Row, select_rows, to_records
 from needlefit.reporting.text import KindText
-from needlefit.schemas.run_metadata import DepthMetadata, FitMetadata
+from needlefit.schemas.run_metadata import FitMetadata
 from needlefit.studies.fit_frames import FitFrames
 from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import find_bevel_sides
@@ -145,9 +141,6 @@ def _find_medians(run: Run) -> Iterator[Row]:
 
 #: factor between in-sample errors and their noise floor, either way, below which no warning is given
 FAR_FROM_FLOOR = 2.0
-#: least shift of a boundary that is named: beside one a needle bends over (EI / mu)^(1/4), 6 to 15 mm, and an
-#: error of the model looks like a shift by a part of it
-MIN_SHIFT_MM = 5.0
 CHANCE = 1e-3  #: probability of such a factor by chance, below which it is one
 
 
@@ -192,32 +185,25 @@ def _find_shared_residual(run: Run) -> Iterator[Row]:
             return
 
 
-def _find_shifted_boundaries(run: Run) -> Iterator[Row]:
-    """Yield the boundaries at stated depths that the data put elsewhere, beyond their errors."""
-    yield from _describe_shifted_boundaries(run.knows(FitMetadata).stated_depths)
-
-
-def _describe_shifted_boundaries(depths: Iterable[DepthMetadata]) -> Iterator[Row]:
-    for depth in depths:
-        if depth.describes and abs(depth.shift_mm) >= MIN_SHIFT_MM:
-            yield {**vars(depth), "sd": math.hypot(depth.sd_mm, depth.stated_sd_mm)}
-
-
-def _find_odd_needles(run: Run) -> Iterator[Row]:
-    """Yield the needles that the others do not predict."""
+def _read_doubts(run: Run) -> Doubts:
     metadata = run.knows(FitMetadata)
-    yield from _describe_doubts(Doubts(metadata.odd_needles, metadata.deviating, metadata.common_doubt))
+    return Doubts(metadata.odd_needles, metadata.deviating, metadata.common_doubt)
 
 
-def warn_of_doubts(doubts: Doubts, depths: Iterable[DepthMetadata]) -> list[ResultWarning]:
+def warn_of_doubts(doubts: Doubts) -> list[ResultWarning]:
     """Return the warnings about needles that the others do not predict, and about stated boundaries."""
-    warnings = [write_warning("needle_outlier", values) for values in _describe_doubts(doubts)]
-    shifted = _describe_shifted_boundaries(depths)
-    return warnings + [write_warning("boundary_shift", values) for values in shifted]
+    rules = {"needle_outlier": _describe_doubts, "boundary_shift": _describe_shifted_boundary}
+    return [write_warning(kind, values) for kind, describe in rules.items() for values in describe(doubts)]
+
+
+def _describe_shifted_boundary(doubts: Doubts) -> Iterator[Row]:
+    """Yield the boundary that all needles put elsewhere."""
+    if doubts.common is not None and doubts.common.cause == "boundary":
+        yield vars(doubts.common)
 
 
 def _describe_doubts(doubts: Doubts) -> Iterator[Row]:
-    if doubts.common is not None:
+    if doubts.common is not None and doubts.common.cause != "boundary":
         yield {**vars(doubts.common), "text": "all_needles"}
     for needle in doubts.odd:
         size = (
@@ -232,30 +218,24 @@ def _describe_doubts(doubts: Doubts) -> Iterator[Row]:
         yield {"text": "needles_deviate", "count": doubts.deviating[0], "total": doubts.deviating[1]}
 
 
-#: below the smallest published angle of a cut by which no bevel is found: those of stiff designs in
-#: benchmarks/mistakes.py lie 2 times below
-MIN_CUT_FACTOR = 5.0
-
-
 def _find_implausible(run: Run) -> Iterator[Row]:
     """Yield the moduli that no tissue has; where all are plausible, a bevel that cuts at no published angle.
 
     Needles that follow the path of their tips are fitted by both. They are sound: no quick check names them.
     """
-    fits, is_soft = FitFrames.of(run).free_parameters, True
+    fits = FitFrames.of(run).free_parameters
     medians = {str(name): float(values.median()) for name, values in fits.groupby("parameter")["value"]}
-    for name, value in medians.items():
-        if name.startswith("mu") and not MU_PA[0] <= value <= MU_PA[1]:
+    spacing, is_soft = run.knows(FitMetadata).medium.constraint_spacing_mm, True
+    for name in list_implausible(medians, spacing):
+        value = medians[name]
+        if name.startswith("mu"):
             ends = {modulus.name: modulus.shear_pa[value > MU_PA[1]] for modulus in read_moduli().values()}
             nearest = (max if value > MU_PA[1] else min)(ends, key=lambda name: ends[name])
-            about = {"published": ends[nearest], "published_of": nearest, "text": "modulus"}
             factor, is_soft = max(value / ends[nearest], ends[nearest] / value), False
+            about = {"published": ends[nearest], "published_of": nearest, "text": "modulus"}
             yield {"parameter": name, "value": value, "factor": factor, **about}
-    for name in medians.keys() & set(BEVEL_PARAMETERS) if is_soft else ():
-        value, cut = medians[name], read_cut_angles()
-        spacing = run.knows(FitMetadata).medium.constraint_spacing_mm
-        angle = value if name == "cut_angle_deg" else math.degrees(math.atan(value / spacing))
-        if not cut.low / MIN_CUT_FACTOR <= angle <= cut.high:
+        elif is_soft:
+            cut, angle = read_cut_angles(), compute_cut_angle(name, value, spacing)
             about = {"angle": angle, "low": cut.low, "high": cut.high, "text": "bevel"}
             yield {"parameter": name, "value": value, **about}
 
@@ -291,7 +271,7 @@ RULES: Mapping[str, Callable[[Run], Iterable[Row]]] = {
     "noise_too_large": partial(_find_wrong_noise, too_large=True),
     "noise_too_small": partial(_find_wrong_noise, too_large=False),
     "shared_residual": _find_shared_residual,
-    "boundary_shift": _find_shifted_boundaries,
-    "needle_outlier": _find_odd_needles,
+    "boundary_shift": lambda run: _describe_shifted_boundary(_read_doubts(run)),
+    "needle_outlier": lambda run: _describe_doubts(_read_doubts(run)),
     "units": _find_implausible,
 }

@@ -8,13 +8,12 @@ import pandas as pd
 
 from needlefit.datasets.folds import Fold
 from needlefit.inference.doubts import Doubts, find_doubts
-from needlefit.inference.identifiability.stated_depths import examine_depths
 from needlefit.inference.linear_needles import fit_quickly
 from needlefit.inference.problem import Problem
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.figures.columns import HEIGHT_COLUMNS, INSERTION_KEYS
 from needlefit.reporting.table_files import Row
-from needlefit.schemas.run_metadata import DepthMetadata, NeedleDoubtMetadata
+from needlefit.schemas.run_metadata import NeedleDoubtMetadata
 from needlefit.studies.job import Job
 
 
@@ -26,21 +25,15 @@ def find_odd_needles(job: Job, mode: Sequence[float]) -> Doubts:
     return find_doubts(_leave_out_contradictory(job), np.array(mode))
 
 
-def check_quickly(job: Job) -> tuple[Doubts, list[DepthMetadata]]:
-    """Return the odd needles of a study by a quick fit, and what it knows of stated boundaries without them.
+def check_quickly(job: Job) -> Doubts:
+    """Return what a quick fit doubts of a study's data.
 
     None without stated noise, or where the study does not fit by it.
     """
     if not (job.dataset.noise_is_stated and job.recipe.minimize == "posterior"):
-        return Doubts(), []
+        return Doubts()
     problem = _leave_out_contradictory(job)
-    theta = fit_quickly(problem)
-    doubts = find_doubts(problem, theta)
-    if doubts.deviating is not None or doubts.common is not None:
-        return doubts, []
-    odd = {needle.insertion for needle in doubts.odd}
-    others = tuple(insertion for insertion in problem.insertions if insertion.id not in odd)
-    return doubts, examine_depths(replace(problem, insertions=others), theta)
+    return find_doubts(problem, fit_quickly(problem))
 
 
 def _leave_out_contradictory(job: Job) -> Problem:

@@ -121,8 +121,8 @@ def check_study_file(kind: Literal["study", "fit"], path: Path) -> StudyCheck:
         job = load_study(path.stem, record, Settings(file=path))
     folds = tuple((len(fold.tune), len(fold.validate)) for fold in job.folds)
     named = "cross-validation" if isinstance(record, StudyRecord) else "fit"
-    doubts, depths = check_quickly(job)
-    warnings = (*job.warnings, *warn_of_doubts(doubts, depths))
+    doubts = check_quickly(job)
+    warnings = (*job.warnings, *warn_of_doubts(doubts))
     return StudyCheck(named, folds, warnings, job.dataset.origin, doubts.odd)
 
 

@@ -1,0 +1,111 @@
+"""What may have happened to all needles alike: they are turned, or shifted, or a boundary lies elsewhere.
+
+A boundary that lies elsewhere changes the model: all needles are fitted again, and it is named only where
+errors alone are left, of parameters that a soft tissue and a bevel have. Where the law of the tissue is
+another, stiff layers and flat cuts may describe the needles.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from needlefit.arrays import Floats
+from needlefit.datasets.compared import SIGNIFICANT_SD
+from needlefit.inference.hypotheses import (
+    ASIDE,
+    IN_PLANE,
+    LOG_FITTED,
+    PREDICTED_SD,
+    START_SIZES,
+    Change,
+    Deviation,
+    Explanation,
+    explain,
+    list_boundaries,
+)
+from needlefit.inference.linear_needles import Prediction, linearize_needle, predict_from, refit, widen_all
+from needlefit.inference.plausible import list_implausible
+from needlefit.inference.problem import Problem
+from needlefit.project.unit_warnings import LENGTH_UNITS
+
+#: what else may have happened, in the world's frame: keys of `HYPOTHESES`, and sizes about 0, mm or degrees
+POSES = {"turned": 2.0, "shifted": 2.0}
+#: least shift of a boundary that is named: beside one a needle bends over (EI / mu)^(1/4), 6 to 15 mm, and an
+#: error of the model looks like a shift by a part of it
+MIN_SHIFT_MM = 5.0
+
+
+def change_all(problem: Problem, change: Change, size: float) -> Problem:
+    """Return the problem with all needles as they may have been."""
+    return replace(problem, insertions=tuple(change.apply(one, size) for one in problem.insertions))
+
+
+def find_common(problem: Problem, theta: Floats) -> Explanation | None:
+    """Return what may have happened to all needles alike, if that makes them far more probable.
+
+    `theta` (P,): the fit to them.
+    """
+    fits = {"": {0.0: theta}}  # by boundary and shift
+    count = sum(problem.density.residual_counts)
+
+    def predict(change: Change | None, size: float) -> tuple[Prediction, bool]:
+        """Return what all needles predict, and whether errors alone are left of a plausible fit."""
+        changed, fitted = problem if change is None else change_all(problem, change, size), theta
+        if change is not None and change.cause == "boundary":
+            known = fits.setdefault(change.where, {0.0: theta})
+            nearest = min(known, key=lambda other: abs(other - size))
+            fitted = known[size] = refit(changed, changed.insertions, known[nearest])
+        blocks = [linearize_needle(changed, insertion, fitted) for insertion in changed.insertions]
+        prediction = predict_from(changed, range(len(blocks)), widen_all(changed, blocks), fitted)
+        spacing = problem.medium.constraint_spacing_mm
+        is_plausible = not list_implausible(problem.values(fitted), spacing)
+        return prediction, is_plausible and prediction.describes(count, PREDICTED_SD)
+
+    before, _ = predict(None, 0.0)
+
+    def measure(change: Change, size: float) -> Deviation:
+        after, is_right = predict(change, size)
+        sds = 0.0 if is_right or change.cause in POSES else math.inf
+        return Deviation(sds, after.log_density - before.log_density, max(1.0, after.chi_square))
+
+    found = explain([*_list_poses(problem), *list_boundary_shifts(problem)], measure, 0.0)
+    if found is None or found.size is None:
+        return None
+    least = max(MIN_SHIFT_MM, *(SIGNIFICANT_SD * insertion.boundary_sd for insertion in problem.insertions))
+    return found if found.change.cause in POSES or abs(found.size) >= least else None
+
+
+def _list_poses(problem: Problem) -> Iterator[Change]:
+    """Yield turns and shifts of all needles.
+
+    Of bevels that all face one way an error of the model looks like one in their plane. Shapes of unknown
+    pose are aligned: a turn or shift of all changes nothing.
+    """
+    is_one_sided = len({insertion.side for insertion in problem.insertions}) == 1
+    axes = [IN_PLANE] * (not is_one_sided) + [ASIDE] * (problem.dataset.directions == 2)
+    for cause, size in POSES.items() if problem.dataset.pose != "free" else ():
+        yield from (Change(cause, axis, starts=(-size, 0.0, size), cost=LOG_FITTED) for axis in axes)
+
+
+def list_boundary_shifts(problem: Problem) -> Iterator[Change]:
+    """Yield for each boundary that it lies elsewhere, between its neighbours, in all needles.
+
+    None where depths are crossings of surfaces; with noise that is estimated any boundary describes needles.
+    """
+    first, *others = insertions = problem.insertions
+    if problem.likelihood.noise_scale == "estimated" or any(insertion.surfaces for insertion in insertions):
+        return
+    boundaries = list_boundaries(first, others)
+    for where, (number, deepest) in boundaries.items():
+        ends = np.array([0.0, *deepest.boundaries, max(insertion.depth for insertion in insertions)])
+        low, stated, high = ends[number : number + 3]
+        # in a larger unit, or as a thickness
+        depths = [factor * stated for factor in LENGTH_UNITS.values()] + [sum(ends[: number + 2])]
+        units = {float(depth - stated) for depth in depths if stated < depth < high}
+        evenly = np.linspace(low, high, START_SIZES)[1:-1] - stated
+        cost = LOG_FITTED + math.log(len(boundaries))
+        yield Change(
+            "boundary", IN_PLANE, where, (number, deepest), {0.0, *units, *evenly.tolist()}, units, cost
+        )
