@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import pytest
 from problem_cases import make_problem as build_problem
+from pytest import approx
 
 from needlefit import Needle
 from needlefit.datasets.insertion import Dataset, Insertion, Noise
@@ -126,13 +126,13 @@ def assert_one_density(p, theta, rtol=1e-5, shape_step=3.0):
     """
     residuals, exact = p.jacobian(theta)
     gradient = -(residuals @ exact)
-    assert p.log_posteriors(theta[None])[0] == pytest.approx(p.log_posterior(theta), rel=1e-6)
+    assert p.log_posteriors(theta[None])[0] == approx(p.log_posterior(theta), rel=1e-6)
     for along in np.eye(len(theta)):
         ends = [p.log_posterior(theta + h * along) for h in (-2e-3, -1e-3, 1e-3, 2e-3)]
         slope = (8 * (ends[2] - ends[1]) - (ends[3] - ends[0])) / 12e-3
-        assert gradient @ along == pytest.approx(slope, rel=rtol, abs=rtol * np.linalg.norm(gradient))
+        assert gradient @ along == approx(slope, rel=rtol, abs=rtol * np.linalg.norm(gradient))
     constants = [p.log_posterior(t) + 0.5 * np.sum(p.jacobian(t)[0] ** 2) for t in (theta, theta - 0.1)]
-    assert constants[0] == pytest.approx(constants[1], rel=1e-9, abs=1e-6)
+    assert constants[0] == approx(constants[1], rel=1e-9, abs=1e-6)
     shape = np.array([is_shape_parameter(name) for name in p.names])
     steps = np.where(shape, shape_step, 2e-3)
     half, whole = (

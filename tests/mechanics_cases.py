@@ -6,7 +6,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 import reference_solver
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 from needlefit import Batch, Bevel, Controls, Guide, ModelOptions, Needle, Step, Tissue, TrackedTip
 from needlefit.mechanics.laws import LAWS
@@ -27,7 +27,7 @@ def list_seeds(count, each=4):
 def assert_same_bits(found, expected, but=()):
     """Compare two shapes, Jacobians, or batches of them, `but` some fields."""
     for name in {field.name for field in fields(found)} - set(but):
-        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), err_msg=name)
+        assert_array_equal(getattr(found, name), getattr(expected, name), err_msg=name)
 
 
 def pick(batch, i):
@@ -51,7 +51,7 @@ def assert_close(found, expected, atol=1e-7):
     for name in ("u", "slope", "w", "slope_z", "constraints"):
         assert_allclose(getattr(found, name), getattr(expected, name), atol=atol, err_msg=name)
     track = np.isnan(expected.tip_track)  # a retraction may have left a point without its tip
-    np.testing.assert_array_equal(np.isnan(found.tip_track), track)
+    assert_array_equal(np.isnan(found.tip_track), track)
     assert_allclose(found.tip_track[~track], expected.tip_track[~track], atol=atol)
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from inference_cases import NothingHeld
+from numpy.random import default_rng
 
 from needlefit.inference.sampling.importance import Effort, sample_by_importance
 from needlefit.inference.sampling.log_density import (
@@ -70,7 +71,7 @@ def weighted(known, modes=None, effort=EFFORT, seed=1, uniform=None):
     evaluator, bounds = Evaluator(known, 1), (known.lower, known.upper)
     about = [approximate_by_information(difference_information(evaluator, end), end, *bounds) for end in ends]
     marked = None if uniform is None else np.asarray(uniform)
-    return sample_by_importance(evaluator, about, bounds, np.random.default_rng(seed), (effort,), marked)
+    return sample_by_importance(evaluator, about, bounds, default_rng(seed), (effort,), marked)
 
 
 def draw(
@@ -81,7 +82,7 @@ def draw(
     **changed,
 ):
     settings = SampleRecord.model_validate(changed)
-    found = sample(known, begin, settings, np.random.default_rng(seed), callbacks)
+    found = sample(known, begin, settings, default_rng(seed), callbacks)
     assert found is not None
     return found
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 from mechanics_cases import random_case
+from numpy.testing import assert_allclose
 
 from needlefit.mechanics.control import BASE_INPUTS, Controls, Step
 
@@ -80,5 +81,5 @@ def assert_turned(found, expected, degrees, atol):
     planes = list_planes(expected)
     for name, (y, z) in list_planes(found).items():
         wanted = turn(*planes[name], degrees)
-        np.testing.assert_allclose(y, wanted[0], rtol=0, atol=atol, err_msg=name)
-        np.testing.assert_allclose(z, wanted[1], rtol=0, atol=atol, err_msg=name)
+        assert_allclose(y, wanted[0], rtol=0, atol=atol, err_msg=name)
+        assert_allclose(z, wanted[1], rtol=0, atol=atol, err_msg=name)

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from docs_scripts import load_script
+from pytest import approx
 
 import needlefit
 from needlefit import api
@@ -94,7 +95,7 @@ def test_a_freed_alpha_is_drawn_and_predicted_with(world, monkeypatch, tmp_path)
     parameters = found.metadata.medium.parameters
     assert parameters["alpha1"].bounds == (-7.0, 9.0) and parameters["mu2_pa"].fixed == 1.5e7
     row = found.frames["identification"].set_index("parameter").loc["alpha1"]
-    assert row["fisher_sd"] == pytest.approx(row["prior_sd"], rel=1e-3) and row["prior_sd"] == 2.0
+    assert row["fisher_sd"] == approx(row["prior_sd"], rel=1e-3) and row["prior_sd"] == 2.0
     drawn = found.frames["draws"]
     assert drawn["alpha1"].between(-7, 9).all() and drawn["alpha1"].std() > 1.5
     assert set(drawn["alpha2"]) == {-1.0} and set(drawn["mu2_pa"]) == {1.5e7}
@@ -184,7 +185,7 @@ def test_models_are_compared_by_what_they_predict_of_insertions_left_out(sampled
         api.estimate_evidence("twin", "chicken", tune={"insertions": some}, recipe=recipe)
         for some in (names, names[1:])
     )
-    assert found["elpd"].iloc[0] == pytest.approx(whole["log_evidence"] - rest["log_evidence"], abs=0.2)
+    assert found["elpd"].iloc[0] == approx(whole["log_evidence"] - rest["log_evidence"], abs=0.2)
     for wrong in (sampled, replace(run, posteriors={})):
         with pytest.raises(ConfigError):
             needlefit.estimate_elpd(wrong)
@@ -219,7 +220,7 @@ def test_errors_of_a_study_are_those_of_validate_and_change_with_the_tissue_mode
     stiffer = api.load_medium("gel") | {"constraint_spacing_mm": 2.0}
     changed = api.score_study("held_out", medium=stiffer).set_index(keys)["te_mm"].sort_index()
     fitted = ("validate", "needle-3", "fitted")
-    assert changed.loc[fitted] != pytest.approx(scored.loc[fitted, "te_mm"], rel=1e-3)
+    assert changed.loc[fitted] != approx(scored.loc[fitted, "te_mm"], rel=1e-3)
     with pytest.raises(ConfigError):
         api.score_study("design")
     with pytest.raises(ConfigError):

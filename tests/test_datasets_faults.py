@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from numpy.random import default_rng
 from refusals import refusal
 from test_datasets import CURVE, block, without_checksums
 
@@ -223,7 +224,7 @@ def test_what_is_no_fault_and_many_bad_cells(folder):
     assert check(folder) == []
     row(layers="3")(folder)
     assert check(folder) == []
-    points(CURVE + np.random.default_rng(5).normal(size=CURVE.shape) * 0.05)(folder)
+    points(CURVE + default_rng(5).normal(size=CURVE.shape) * 0.05)(folder)
     assert check(folder) == []
     points(CURVE * [1, np.nan, 1])(folder)
     faults = check(folder)
@@ -240,7 +241,7 @@ ACROSS = CURVE * [1, -1, -1] @ np.array([[0, 1, 0], [1, 0, 0], [0, 0, 1.0]])
     [
         (SWAPPED, 53, "out of order"),
         (FOLDED, 62, "out of order"),
-        (CURVE[np.random.default_rng(0).permutation(101)], None, "out of order"),
+        (CURVE[default_rng(0).permutation(101)], None, "out of order"),
         (CURVE[[*range(50), 49, *range(50, 101)]], 52, "repeats the point before"),
         (CURVE[::-1], 2, "from tip to entry"),
         (CURVE / 1000, 2, "looks like metres"),

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from pytest import approx
 from refusals import refusal
 from test_datasets import block, without_checksums
 from test_datasets_faults import add_columns, cell
@@ -62,9 +63,9 @@ def test_runs_count_from_first_contact_and_an_invalid_reading_leaves_one_out(tmp
     dataset = read(written(tmp_path, runs))
     assert [one.id for one in dataset.insertions] == ["rest", "moved"]
     rest, moved = dataset.insertions
-    assert moved.guide.depths == pytest.approx(DEPTH) and moved.guide.y == pytest.approx(GUIDE)
+    assert moved.guide.depths == approx(DEPTH) and moved.guide.y == approx(GUIDE)
     assert (rest.guided, moved.guided, moved.side, moved.sequence) == (False, True, 1, (1,))
-    assert moved.points == pytest.approx(runs[1].points, abs=1e-5) and moved.headings == ()
+    assert moved.points == approx(runs[1].points, abs=1e-5) and moved.headings == ()
     assert (moved.observation, moved.directions) == ("tip_track", 1)
     assert check(tmp_path) == [] and dataset.noise.point_sd == 0.02
     folder = written(tmp_path, runs)

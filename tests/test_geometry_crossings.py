@@ -134,34 +134,12 @@ def test_the_largest_piece_of_a_mesh_is_closed_and_solids_are_alike_in_another_p
 
 # ---- mesh files that are damaged, claim more than they hold, or name other files
 
-CORNERS = "0 0 0\n1 0 0\n0 1 0\n"
-EDGES = "element edge 1\nproperty int vertex1\nproperty int vertex2\n"
-OBJ = "".join(f"v {line}\n" for line in CORNERS.splitlines())
-FLOATS = struct.pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0)
-
-
-def ply(body=CORNERS + "3 0 1 2\n", vertices=3, faces=1, form="ascii", more="", count="uchar"):
-    head = (
-        f"ply\nformat {form} 1.0\n{more}element vertex {vertices}\nproperty float x\nproperty float y\n"
-        f"property float z\nelement face {faces}\nproperty list {count} int vertex_indices\nend_header\n"
-    )
-    return head.encode() + (body if isinstance(body, bytes) else body.encode())
-
-
-def binary(index, **fields):
-    return ply(FLOATS + b"\3" + struct.pack("<3i", 0, 1, index), form="binary_little_endian", **fields)
-
-
-REFUSED = [
-    ("beyond.obj", f"{OBJ}f 4000000000 1 2\n"),
-    ("beyond.ply", binary(20_000)),
-    ("vertices.ply", ply(vertices=4_000_000_000)),
-    ("edges.ply", ply(more=EDGES)),
+REFUSED = [  # of other damage see `test_fuzz`
+    ("beyond.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 4000000000 1 2\n"),
     ("archive.ply", b"PK\3\4" + bytes(100)),
     ("text.stl", b"root:x:0:0\n"),
     ("words.stl", b"solid x\nendsolid x\n"),
     ("count.stl", bytes(80) + struct.pack("<I", 5) + bytes(50), "134", "334"),
-    ("corner.obj", f"{OBJ}f 1/1 2/7 9/2\n"),
 ]
 
 

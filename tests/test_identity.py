@@ -25,7 +25,7 @@ from needlefit.studies.identity import JUDGING, RESOLVED, describe_change, ident
 from needlefit.studies.job import Settings
 from needlefit.studies.load import load_study
 from needlefit.studies.provenance import describe_configuration
-from needlefit.studies.store import pack, restore_run, store_run, unpack
+from needlefit.studies.store import pack, unpack
 from needlefit.studies.study_files import load_study_file
 
 IDS = [f"phantom2-{n:02}" for n in (1, 2, 4, 7, 8, 9)]
@@ -322,16 +322,3 @@ def test_a_posterior_of_another_fit_is_not_used(validated, capsys):
     found = json.loads(result.read_text())
     assert found["draw_source"] == "importance" and found["fit_verdict"] is None
     assert "needlefit tune gel" in capsys.readouterr().err
-
-
-def test_diff_names_what_changed(validated, capsys):
-    before = restore_run(validated / "reports/held_out")
-    edit(validated / "configs/recipes/tiny.toml", "", {"starts": 3})
-    job = load(validated / "studies", "held_out")
-    other = before.with_metadata(identity=identify(job))
-    shutil.copytree(validated / "reports/held_out", validated / "reports/other")
-    store_run(other, validated / "reports/other")
-    write_manifest(validated / "reports/other")
-    assert run("diff", "reports/held_out", "reports/other", "--json") == 0
-    (row,) = json.loads(capsys.readouterr().out)
-    assert (row["column"], row["row"]) == ("identity", "recipe")

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from inference_cases import TRUTH, insertion, measure, medium, problem
+from numpy.random import default_rng
 
 from needlefit.inference.identifiability.profile import minimize_squares
 from needlefit.inference.sampling import interpolated_density
@@ -34,7 +35,7 @@ def layered():
 @pytest.mark.parametrize("bound", [0.02, 0.0])
 def test_interpolated_densities_err_less_than_the_bound(layered, bound, monkeypatch):
     mode = minimize_squares(layered, layered.parameters.theta(TRUTH))
-    draws = sample_about_modes(layered, [mode], np.random.default_rng(1), efforts=(Effort(),))
+    draws = sample_about_modes(layered, [mode], default_rng(1), efforts=(Effort(),))
     thetas, counted = draws.thetas[:600], list[int]()
     monkeypatch.setattr(interpolated_density, "MAX_RMS_ERROR", bound)
     monkeypatch.setattr(
@@ -73,7 +74,7 @@ def test_what_is_left_out_is_predicted_by_the_density_of_all_over_that_of_the_re
 
 def test_values_left_out_of_a_known_mean_have_their_known_density():
     """n values with SD 1 about a mean with a flat prior: n - 1 predict one with variance 1 + 1 / (n - 1)."""
-    rng = np.random.default_rng(5)
+    rng = default_rng(5)
     values = rng.normal(size=10)
     means = rng.normal(values.mean(), 10**-0.5, size=4000)
     elpd, k = leave_out_parts(-0.5 * (values - means[:, None]) ** 2 - 0.5 * np.log(2 * np.pi))

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from inference_cases import TRUTH, insertion, measure, medium, problem, two_layers
+from numpy.random import default_rng
 from pytest import approx
 
 from needlefit.datasets.insertion import Noise
@@ -178,7 +179,7 @@ def test_draws_that_are_wider_than_the_information_decide_what_is_determined():
     p = two_layers()
     fit = fit_at(p, TRUTH)
     local = identify(p, fit)
-    k, rng = p.names.index("bevel_mm"), np.random.default_rng(1)
+    k, rng = p.names.index("bevel_mm"), default_rng(1)
     covariance = np.diag(np.square([local.sds[name] for name in p.names]))
     covariance[k, k] = 0.35**2
     found = identify(p, fit, rng.multivariate_normal(np.array(fit.theta), covariance, 4000))
@@ -207,7 +208,7 @@ def predict_data(thetas, by_depth):
 
 @pytest.mark.parametrize("by_depth", [np.zeros(3), np.array([0.5, -1.0, 2.0])])
 def test_nested_gain_and_deviations_are_those_of_the_linear_gaussian_case(by_depth):
-    rng = np.random.default_rng(1)
+    rng = default_rng(1)
     thetas = rng.multivariate_normal([0.0, 0.0], COVARIANCE, size=1200)
     found = design_gain.nested_gain(predict_data(thetas, by_depth), np.arange(400), thetas, rng)
     noise = np.eye(3) + np.outer(by_depth, by_depth)  # the depth, integrated over

@@ -4,6 +4,7 @@ import dynesty
 import numpy as np
 import pytest
 from inference_cases import TRUTH, insertion, measure, medium, problem
+from numpy.random import default_rng
 from pytest import approx
 from sampling_cases import Known, draw, flat, gaussian, standard_errors, weighted
 from scipy.stats import truncnorm
@@ -54,10 +55,10 @@ def test_another_sampler_finds_the_same_posterior_of_a_needle():
         lambda cube: needle.lower + cube * width,
         2,
         nlive=150,
-        rstate=np.random.default_rng(5),
+        rstate=default_rng(5),
     )
     nested.run_nested(print_progress=False, dlogz=0.1)
-    theirs = nested.results.samples_equal(rstate=np.random.default_rng(6))
+    theirs = nested.results.samples_equal(rstate=default_rng(6))
     mine = np.log(flat(ours))
     assert mine.mean(axis=0) == approx(theirs.mean(axis=0), abs=0.15 * mine.std(axis=0).max())
     assert mine.std(axis=0) == approx(theirs.std(axis=0), rel=0.15)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from mechanics_cases import NEEDLE, assert_derivatives, draw_shape
+from numpy.random import default_rng
 from plugin_cases import install, plugin_folder
 from pytest import approx
 
@@ -54,7 +55,7 @@ def law(request, tmp_path, monkeypatch):
 
 def make_tissue(law, seed):
     """Thin layers, which the base compresses by a tenth: every shape parameter moves the needle."""
-    shape = [np.random.default_rng(seed).uniform(*one.usual, LAYERS) for one in LAWS[law].parameters]
+    shape = [default_rng(seed).uniform(*one.usual, LAYERS) for one in LAWS[law].parameters]
     return Tissue([0.4, 2.0], dict(zip(LAWS[law].shape_names, shape, strict=True)), [7.3], 5.0, 0.2, law)
 
 
@@ -83,7 +84,7 @@ STRESSES = {
 @pytest.mark.parametrize("law", STRESSES)
 def test_k_is_the_derivative_of_the_stress(law):
     """The kernel's k is compared with that of the law where the reference solver is compared with it."""
-    shapes = draw_shape(LAWS[law], np.random.default_rng(1), (12, 1))
+    shapes = draw_shape(LAWS[law], default_rng(1), (12, 1))
     stretch = 1 - np.linspace(0.0, 0.15, 50)  # above the limit of every Gent law that is drawn
     stress = STRESSES[law](stretch + 1j * H, *shapes)
     np.testing.assert_allclose(LAWS[law].k(stretch, *shapes), stress.imag / H, rtol=1e-9)

@@ -69,18 +69,10 @@ def test_shortening_and_the_miss_of_the_entry_have_their_closed_forms():
     slope = 0.25
     found = beam([0, 40, 100], [0, 10, 25], [slope] * 3).validity
     assert found.shortening_per_layer == approx(100 * (1 - np.cos(slope)) / 10)
-    shape = simulate(NEEDLE, TISSUE, Bevel(0.1), 55.0)
-    lag = shape.depth - compute_positions(shape, shape.x[-1:])[0, 0]
-    base = shape.x[0] - compute_positions(shape, shape.x[:1])[0, 0]
-    assert shape.validity.shortening_per_layer * 12.0 == approx(lag - base, rel=2e-2)
     # A tilted needle misses all that holds it by the integral of u' - sin u'.
     assert found.miss_mm == 0
     found = beam([-60, -30, 0, 40], [-15, -7.5, 0, 10], [slope] * 4).validity
     assert found.miss_mm == approx(60 * (slope - np.sin(slope)))
-    shape = simulate(NEEDLE, TISSUE, Bevel(0.1), 55.0, Controls(base_y=10.0, base_slope=-0.1))
-    entry = compute_positions(shape, np.zeros(1))[0, 1]
-    assert shape.validity.miss_mm == approx(abs(entry - shape.u[shape.x == 0.0][0]), rel=1e-2)
-    assert 0.02 < shape.validity.miss_mm < MAX_MISS_MM
     steep = simulate(NEEDLE, TISSUE, Bevel(0.1), 25.0, Controls(base_y=25.0, base_slope=-0.3))
     assert steep.validity.miss_mm > MAX_MISS_MM and "miss" in " ".join(steep.validity.faults)
 

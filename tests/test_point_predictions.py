@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 
 from needlefit import api, minimize
 from needlefit.inference.compared_points import align_points
@@ -29,7 +30,7 @@ SCENE = {"schema": 2, "title": "planned", "depth_mm": 60.0, "bevel": {"offset_mm
 
 def load_needles(seed, pose):
     """Return the job of four needles by chance that are fitted, and two that are held out."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     mu, b = 10 ** rng.uniform(4.3, 5.4), 10 ** rng.uniform(-1.7, -0.6)
     insertions = [
         {"depth_mm": float(depth), "side": 1, "base_moved_mm": 0.0} for depth in rng.uniform(40, 70, 6)
@@ -52,7 +53,7 @@ def load_needles(seed, pose):
 
 
 def draw(job, seed):
-    fit = minimize(job.problem(job.folds[0]), job.recipe, np.random.default_rng(seed))
+    fit = minimize(job.problem(job.folds[0]), job.recipe, default_rng(seed))
     return Specimens(job, job.folds[0], draw_fold_parameters(job, job.folds[0], fit, Settings()).draws)
 
 

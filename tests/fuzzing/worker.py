@@ -20,6 +20,7 @@ from typing import Literal
 import numpy as np
 
 CASE, PRINTED = "case", "printed"
+WHO = resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN
 
 MAX_SECONDS, MAX_MIB = 10.0, 1024.0
 """What reading one file may take: processor time, and memory beyond what the process had before."""
@@ -109,7 +110,7 @@ def _read(verdict, path, printed):
     from needlefit.errors import NeedlefitError
 
     os.ftruncate(1, 0)
-    began, before = _seconds(), _reset_memory()
+    began, before = _seconds(), _peak_memory()
     try:
         READERS[verdict.reader].read(path)
     except NeedlefitError as error:
@@ -117,7 +118,7 @@ def _read(verdict, path, printed):
     except BaseException as error:  # a reader that raises SystemExit or KeyboardInterrupt is wrong as well
         what = f"{type(error).__name__} at {_place(error)}: {error}"[:400]
         verdict = replace(verdict, outcome="violation", detail=what)
-    verdict = replace(verdict, seconds=_seconds() - began, mib=_memory() - before)
+    verdict = replace(verdict, seconds=_seconds() - began, mib=_peak_memory() - before)
     sys.stdout.flush()
     sys.stderr.flush()
     wrong = _find_wrong(verdict, printed.read_bytes().decode("utf-8", "replace"))
@@ -147,28 +148,10 @@ def _place(error):
 
 
 def _seconds():
-    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    used = [resource.getrusage(who) for who in WHO]
     return sum(one.ru_utime + one.ru_stime for one in used)
 
 
-def _reset_memory():
-    """Set the peak of resident memory to what is held now; return it, MiB."""
-    try:
-        Path("/proc/self/clear_refs").write_text("5")
-    except OSError:  # no Linux: the peak of the whole process counts
-        return 0.0
-    return _own_peak()
-
-
-def _memory():
-    """Return the peak of resident memory since, or of the largest process waited for so far, MiB."""
-    children = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
-    return max(_own_peak(), children)
-
-
-def _own_peak():
-    try:
-        status = Path("/proc/self/status").read_text()
-    except OSError:
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    return int(re.search(r"VmHWM:\s+(\d+)", status)[1]) / 1024
+def _peak_memory():
+    """Return the peak of resident memory of this process, or of the largest waited for so far, MiB."""
+    return max(resource.getrusage(who).ru_maxrss for who in WHO) / 1024
