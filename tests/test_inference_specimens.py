@@ -145,7 +145,7 @@ def walk(log_density, names, begin):
     return sample_density(log_density, names, begin, settings, default_rng(2), Callbacks())
 
 
-@pytest.mark.parametrize("gap", [0.05, 0.4, 2.0])
+@pytest.mark.parametrize("gap", [0.05, 2.0])
 def test_two_specimens_tell_of_the_spread_of_b_what_their_difference_does(gap):
     """Of mu nothing is known: the marginal of tau_b is an integral."""
     covariance = np.diag([0.5, 1e-4])

@@ -28,7 +28,7 @@ from needlefit.mechanics.batch import (
     linearize_steps,
     simulate_batches,
 )
-from needlefit.mechanics.plan import Lattice, make_lattice
+from needlefit.mechanics.plan import make_lattice
 
 PHANTOM = Tissue(mu=[0.2, 33, 0.2, 33], alpha=[1, -1, 1, -1], boundaries=[20, 28, 45])
 SHARP = 1e-9  # mm; Newton's tolerance where a derivative is held to 1e-7 of itself
@@ -56,20 +56,6 @@ def test_jacobian_equals_complex_steps(seed, kind):
     if tissue.layers > 1 and np.min(np.abs(tissue.boundaries[:, None] - changes)) < 1e-3:
         pytest.skip("a boundary near a change of constraint has two derivatives")
     check(needle, tissue, steps, rules, lattice)
-
-
-def test_the_tips_derivatives_on_the_way_are_those_of_an_insertion_that_stops_there():
-    """A guide moves on the way; within each step and at the end the tip's derivatives are known otherwise."""
-    moves = zip((10.0, 20.0, 30.0), (0.0, 1.5, -1.0), strict=True)
-    steps = [Step(depth, Bevel(0.05), Controls(guides=(Guide(-20.0, y),))) for depth, y in moves]
-    lattice, kinds = Lattice(1.0, 1.0), ("mu", "shape", "offset", "guides")
-    shape, whole = linearize_steps(NEEDLE, PHANTOM, steps, lattice=lattice, wrt=kinds)
-    assert whole.tip_track.shape == (2, len(shape.tip_track), len(whole.names))
-    for n, depth in ((0, 7.0), (1, 11.0), (1, 19.0), (2, 25.0), (2, 30.0)):
-        some = [*steps[:n], replace(steps[n], depth=depth)]
-        _, stopped = linearize_steps(NEEDLE, PHANTOM, some, lattice=lattice, wrt=kinds)
-        tip = whole.tip_track[:, int(depth)]
-        np.testing.assert_allclose(tip, stopped.u[:, -1], rtol=1e-10, atol=1e-13)
 
 
 # ---- many sets at once

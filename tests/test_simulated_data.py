@@ -121,15 +121,6 @@ def test_readings_of_tips_err_by_a_slope_that_a_session_shares_and_by_their_own(
     assert np.std(np.diff(turned[..., 1:])) == approx(np.sqrt(2) * 0.03, rel=0.1)
 
 
-def test_the_true_value_of_a_tied_modulus_is_that_of_its_own_layers():
-    problem = api.make_problem("study1")
-    mu = 1e6 * draw_specimen(7, "phantom2", "phantom2").mu
-    assert find_true_value(problem, "mu1_pa", 7) == approx(mu[0])
-    assert find_true_value(problem, "mu4_pa", 7) == approx(mu[3])
-    assert find_true_value(problem, "bevel_mm", 7) == approx(0.103)
-    assert np.isnan(find_true_value(problem, "bevel_spread", 7))
-
-
 def test_the_true_bevel_offset_of_a_drawn_truth_is_the_mean_of_the_insertions_fitted_to():
     problem = api.make_problem("study1")
     specimen = draw_specimen(9, "phantom2", "phantom2", POPULATION)
