@@ -325,10 +325,7 @@ def add_intervals(
 
 # ---- the table of what is identifiable, of a fit and of a design
 
-_INTERVAL_NOTE = (
-    "The 95 % interval is that of the posterior draws if they are certified, else that of the profile "
-    "likelihood, open at a bound. All other values are in identify.csv."
-)
+_INTERVAL_NOTE = "“open”: a bound ends the profile likelihood. All other values are in identify.csv."
 
 
 def lay_out_identification(identification: pd.DataFrame, expected: bool = False) -> TableLayout:
