@@ -47,7 +47,9 @@ def test_a_positive_parameter_has_a_gamma_or_half_normal_prior(stated, distribut
     prior, values = parameters.prior, np.array([0.003, 0.1, 0.2, 0.5])
     density = prior.log_density([{"bevel_mm": value} for value in values])
     expected = distribution.logpdf(values) + np.log(values)
+    alone = prior.log_marginals(("mu1_pa", "bevel_mm"), np.column_stack([0 * values, np.log(values)]))
     assert np.diff(density) == approx(np.diff(expected), rel=1e-9)
+    assert np.diff(alone) == approx(np.diff(expected), rel=1e-9)
     for value in (0.02, 0.1 + 1e-7, 0.3):
         above, below = prior.residuals([{"bevel_mm": value * f} for f in (1 + 1e-6, 1 - 1e-6)])
         slope = prior.slopes(("bevel_mm",), {"bevel_mm": value})[:, 0]

@@ -13,6 +13,7 @@ from scipy.stats import multivariate_normal, norm, truncnorm
 from needlefit.inference.fit import Callbacks
 from needlefit.inference.forward_model import predict
 from needlefit.inference.parameters import Parameters
+from needlefit.inference.prior import Prior
 from needlefit.inference.sampling.sample import sample_density
 from needlefit.inference.specimens import (
     Population,
@@ -28,7 +29,6 @@ from needlefit.schemas.recipe import BetweenSpecimensRecord, SampleRecord
 
 RIDGE = np.array([[0.05, -0.024], [-0.024, 0.0144]])
 BOUNDS = np.array([4.0, -7.0]), np.array([18.0, -0.5])
-NOTHING_STATED = np.zeros(2), np.full(2, np.inf)
 MEAN = np.array([10.0, -1.6])
 SDS = math.log(2.0), math.log(1.8)
 
@@ -119,7 +119,7 @@ def test_a_tip_is_differentiated_with_all_that_is_tied():
 def test_density_is_that_of_gaussian_estimates_whose_covariances_add(rho):
     """One kernel a specimen: estimates are N(m, S + T)."""
     estimates = [np.array([10.2, -1.7]), np.array([9.7, -1.5])]
-    one = Population(tuple(Specimen(at[None], RIDGE) for at in estimates), BOUNDS, MODEL, NOTHING_STATED)
+    one = Population(tuple(Specimen(at[None], RIDGE) for at in estimates), BOUNDS, MODEL, Prior())
     spread = np.array([math.log(0.3), math.log(0.1), math.atanh(rho)])
     between = np.array([[0.09, rho * 0.03], [rho * 0.03, 0.01]])
     expected = sum(multivariate_normal.logpdf(at, MEAN, RIDGE + between) for at in estimates)

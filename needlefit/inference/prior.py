@@ -104,6 +104,20 @@ class Prior:
         peak = sum(np.sum(row.residuals(row.mode) ** 2) for row in self.gamma)
         return 0.5 * (peak - np.sum(self.residuals(sets) ** 2, axis=1))
 
+    def log_marginals(self, names: Sequence[str], thetas: Floats) -> Floats:
+        """Return the sum (W,) of the logarithms of what is stated of each of `names` alone, at thetas (W, Q).
+
+        Not normalised; 0 where nothing is stated.
+        """
+        rows, total = {row.name: row for row in self.gamma}, np.zeros(len(thetas))
+        for name, places in zip(names, thetas.T, strict=True):
+            if name in rows:
+                total -= 0.5 * np.sum(rows[name].residuals(np.exp(places)) ** 2, axis=0)
+            elif name in self.marginals:
+                peak, sd = self.marginals[name]
+                total -= 0.5 * ((places - peak) / sd) ** 2
+        return total
+
     @cached_property
     def _weights(self) -> Floats:
         return np.array(self.whitening).reshape(len(self.whitening), len(self.names))

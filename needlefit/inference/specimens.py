@@ -31,6 +31,7 @@ from needlefit.inference.forward_model import PreparedModel
 from needlefit.inference.parameter_names import BEVEL_PARAMETERS, dimension
 from needlefit.inference.parameters import Parameters
 from needlefit.inference.predict import Source
+from needlefit.inference.prior import Prior
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.importance import Effort, WeightedDraws, resample, sample_by_importance
 from needlefit.inference.sampling.log_density import (
@@ -244,8 +245,7 @@ class Population:
     specimens: tuple[Specimen, ...]
     bounds: tuple[Floats, Floats]  #: (Q,), (Q,) of m
     model: SpreadModel
-    #: what is stated of m: means and standard deviations (Q,), (Q,), infinite where nothing is
-    stated: tuple[Floats, Floats]
+    prior: Prior  #: what is stated of m
 
     @property
     def lower(self) -> Floats:
@@ -277,8 +277,7 @@ class Population:
 
     def log_stated(self, points: Floats) -> Floats:
         """Return the log density (W,) of what is stated of m, at (W, Q), but for a constant."""
-        means, sds = self.stated
-        return -0.5 * np.sum(((points - means) / sds) ** 2, axis=1)
+        return self.prior.log_marginals(self.model.names, points)
 
     def posterior(self, rng: np.random.Generator) -> WeightedDraws:
         """Return weighted draws of m and the hyperparameters of T: (N, Q + S)."""
@@ -349,9 +348,8 @@ def make_population(parameters: Parameters, model: SpreadModel, posteriors: Sequ
     What is stated of a parameter counts once, of m.
     """
     columns = [parameters.free.index(name) for name in model.names]
-    marginals = [parameters.prior.marginals.get(name, (0.0, math.inf)) for name in model.names]
-    stated = np.array(marginals).T[0], np.array(marginals).T[1]
-    population = Population((), (parameters.lower[columns], parameters.upper[columns]), model, stated)
+    bounds = parameters.lower[columns], parameters.upper[columns]
+    population = Population((), bounds, model, parameters.prior)
     specimens = []
     for thetas in posteriors:
         counted = population.log_stated(thetas[:, columns])
