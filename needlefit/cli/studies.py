@@ -47,7 +47,7 @@ def tune(
     """Fit the parameters of a TARGET (mu, alpha, b).
 
     Prints each parameter with its 95 % interval, and which ones the data do not determine. The posterior is
-    sampled by importance sampling and, of one specimen, then by MCMC (emcee).
+    sampled by importance sampling, then by MCMC.
 
     With --design no measured shape is used: shapes are simulated with the paper's parameters or the middle of
     the bounds. Fisher information, profile likelihoods and posterior SD / prior SD go to OUT/TARGET-design/.

@@ -181,21 +181,29 @@ def encode_step(step: Step) -> dict[str, Any]:
     }
 
 
+def encode_terms(tissue: Tissue) -> dict[str, Any] | None:
+    """Return coefficients and exponents of a law where its shape parameters are 0, and their derivatives.
+
+    None of a law that the page cannot compute to the same bits: one that is no sum of powers, or has a
+    coefficient or exponent of several parameters.
+    """
+    law = LAWS[tissue.law]
+    if not isinstance(law, PowerLaw):
+        return None
+    zero, slopes = (np.concatenate(parts, axis=-1) for parts in (law.terms_at_zero, law.term_slopes))
+    if (np.count_nonzero(slopes, axis=0) > 1).any():
+        return None
+    return {"at_zero": zero.tolist(), "slopes": slopes.tolist(), "layers": tissue.layers}
+
+
 def encode_model(scene: Scene, first_cell: float, changes: Sequence[Any]) -> dict[str, Any]:
     """Return what a page needs to simulate a scene; `model` is that of `native/needle.js`.
 
-    Of a law that is a sum of powers, `terms` are its coefficients and exponents where all shape parameters
-    are 0, and their derivatives. Else they are None, and the page knows the laws that are in `tables` alone,
-    pairs of shape parameters and law.
+    Where `terms` are None the page knows the laws that are in `tables` alone, pairs of shape parameters and
+    law.
     """
-    tissue, rules, law = scene.tissue, scene.rules, LAWS[scene.tissue.law]
+    tissue, rules = scene.tissue, scene.rules
     sizes, layers = pack_layers(tissue, 1, {})
-    terms = None
-    if isinstance(law, PowerLaw):
-        zero, slopes = (np.concatenate(parts, axis=-1) for parts in (law.terms_at_zero, law.term_slopes))
-        # With one parameter in each coefficient and exponent, the page finds the same bits.
-        if (np.count_nonzero(slopes, axis=0) <= 1).all():
-            terms = {"at_zero": zero.tolist(), "slopes": slopes.tolist(), "layers": tissue.layers}
     return {
         "model": {
             "spatial": count_planes(scene.tip_steps) == 2, "length": scene.needle.length,
@@ -207,7 +215,7 @@ def encode_model(scene: Scene, first_cell: float, changes: Sequence[Any]) -> dic
             "tolerance": rules.tolerance, "maxIterations": rules.max_iterations,
             "shape": tissue.shape.tolist(),
         },
-        "law": {"terms": terms, "tables": []},
+        "law": {"terms": encode_terms(tissue), "tables": []},
         "steps": [encode_step(step) for step in scene.steps],
         "changes": changes,
         "rules": describe_input_rules(tissue.law),

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from needlefit.mechanics.laws import LAWS, PowerLaw
+from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.simulate import find_last_shape
 from needlefit.mechanics.tissue import Tissue
 from needlefit.planning.recording import RecordedStep, Recording, format_head
@@ -101,7 +101,7 @@ def encode_measured(measured: MeasuredOverlay) -> dict[str, Any]:
 def encode_tables(tissue: Tissue, steps: Sequence[RecordedStep]) -> list[Any]:
     """Return shape parameters and law for all that occur in steps; none where the page computes the law."""
     names = LAWS[tissue.law].shape_names
-    if isinstance(LAWS[tissue.law], PowerLaw):
+    if needle_page.encode_terms(tissue) is not None:
         return []
     after, tables = {0: tissue.shape}, dict[str, Any]()
     for number, step in enumerate(steps, start=1):
