@@ -35,7 +35,7 @@ TERMINAL = SimpleNamespace(explain=False, noted=(), warned=False, json=False)
 KINDS = ("point_outlier", "noise_too_large", "validity", "predictive_median", "placeholder")
 
 
-def make_finding(seed: int) -> Run:
+def make_finding(seed):
     """Return a study of one fit or of several, with errors, intervals, warnings and faults by chance."""
     rng = np.random.default_rng(seed)
     results = study(int(rng.integers(1, 6))) if seed % 2 else stereo()
@@ -50,11 +50,11 @@ def make_finding(seed: int) -> Run:
     return replace(results, faults=faults, interrupted=bool(rng.random() < 0.1))
 
 
-def read(block) -> str:
+def read(block):
     return block["text"] if isinstance(block["text"], str) else "".join(run["text"] for run in block["text"])
 
 
-def check_agreement(results: Run):
+def check_agreement(results):
     """Check that title, table, checks and advice of a first page agree, and return the page."""
     page = results.first_page
     verdict, checks = page.verdict, {one.check: one.passed for one in page.checks}
@@ -91,7 +91,7 @@ def test_title_table_checks_and_advice_agree(seed, tmp_path, capsys):
     assert printed.index(page.advice.words) < printed.index(page.method)
 
 
-def restore_shipped(number: int) -> Run:
+def restore_shipped(number):
     """Return a shipped study by its stored tables of errors and parameters, without intervals of its tips."""
     folder = PROJECT / f"reports/reference/study{number}"
     stated = json.loads((folder / "run.json").read_text("utf-8"))

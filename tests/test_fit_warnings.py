@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from inference_cases import TRUTH, two_layers
+from pytest import approx
 from reporting_results import study
 from test_cli import run
 from test_datasets import CURVE, record, row
@@ -35,10 +36,9 @@ from needlefit.studies.identification import (
     intervals_of_draws,
 )
 from needlefit.studies.load import DATA_WARNINGS
-from needlefit.studies.run import Run
 
 
-def warn(key: str, results: Run):
+def warn(key, results):
     """Return the warnings about a run whose kinds begin with these letters."""
     return [one for one in list_warnings(results) if one.kind.startswith(key)]
 
@@ -46,7 +46,7 @@ def warn(key: str, results: Run):
 BOUNDS = {"mu1_pa": (1e3, 1e9), "bevel_mm": (1e-3, 0.5)}
 
 
-def fitted(values: dict[str, float], folds_: int = 1) -> Run:
+def fitted(values, folds_=1):
     """Return results whose fit ended at `values` in the last of so many folds, else in the middle."""
     results = study(1)
     first = results.frames["parameters"].query("method == 'fitted'").iloc[0].to_dict()
@@ -75,7 +75,7 @@ def test_a_parameter_at_its_bound_is_named(values, names):
     assert all(f"fitted {name} lies" in one.what for name, one in zip(names, found, strict=True))
 
 
-def scored(role: str, errors: dict[str, list[float]], floor: float = 0.01) -> Run:
+def scored(role, errors, floor=0.01):
     """Return results whose methods have these mean in-plane and tip errors, mm, insertion by insertion."""
     results = study(1)
     first = results.frames["errors"].iloc[0].to_dict() | {"role": role, "boundaries": "measured"}
@@ -170,7 +170,7 @@ def test_specimens_on_both_sides_are_named_unless_the_study_leaves_specimens_out
     rows.append(row("d", "gel", layers=1, specimen="z"))
     dataset = read(write_dataset(tmp_path, tables, rows, curves, {}))
 
-    def shared(**keys: object) -> list[str]:
+    def shared(**keys):
         table = {"schema": 1, "dataset": "d", "medium": "m", **keys}
         return [
             one.what
@@ -226,7 +226,7 @@ def test_tune_prints_its_warnings_and_writes_the_result_all_the_same(flipped, ca
     assert err.count("data/insertions.csv:2") == 2
 
 
-def _kinds_in_sources() -> set[str]:
+def _kinds_in_sources():
     """Return the kinds of all warnings that the package makes."""
     package = Path(needlefit.__file__).parent
     calls = [
@@ -268,7 +268,7 @@ def test_certified_draws_give_the_interval_and_others_none():
     thetas = theta + np.linspace(-0.1, 0.1, 201)[:, None]
     drawn = Draws(thetas, "importance")
     found = intervals_of_draws(parameters, drawn, None)["mu1_pa"]
-    assert (found.low, found.high) == pytest.approx((3e5 * math.exp(-0.095), 3e5 * math.exp(0.095)))
+    assert (found.low, found.high) == approx((3e5 * math.exp(-0.095), 3e5 * math.exp(0.095)))
     assert found.source == "importance"
     faulty = Draws(thetas, "importance", ("k",))
     assert intervals_of_draws(parameters, faulty, None) == {}
@@ -279,7 +279,7 @@ def test_a_wide_interval_of_draws_takes_back_the_verdict_of_information_and_prof
     (row,), (judged,) = add_intervals([parameter_row()], [PROFILE], sampled, {}, {"mu1_pa": True}, {})
     assert row.determined == judged["determined"] == "only together"
     for one in (row._asdict(), judged):
-        assert (one["interval_low"], one["interval_high"]) == pytest.approx((1e4, 1e7))
+        assert (one["interval_low"], one["interval_high"]) == approx((1e4, 1e7))
         assert one["draw_source"] == "posterior"
 
 
@@ -289,5 +289,5 @@ def test_an_interval_allows_for_a_model_error_about_its_median_and_within_the_bo
     row = parameter_row(bound_high=4e5)
     found = {"mu1_pa": ParameterInterval(low, high, "posterior", 2e5)}
     (row,), _ = add_intervals([row], [], found, {}, {}, {"mu1_pa": 0.4})  # 0.3 and 0.4 together: 0.5
-    assert row.interval == (pytest.approx(2e5 * math.exp(-1.96 * 0.5)), 4e5)
+    assert row.interval == (approx(2e5 * math.exp(-1.96 * 0.5)), 4e5)
     assert row.determined == "no"

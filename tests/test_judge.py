@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import scipy.stats
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pytest import approx
 from reporting_results import stereo, study, with_predictions
@@ -90,7 +91,7 @@ def test_two_known_predictions_are_compared_in_deviations_of_their_difference():
 @pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
 def test_noise_alone_makes_a_prediction_closer_in_five_percent(share):
     """Two predictions are as far from true tips; the registration is shared in part, which is not known."""
-    rng, sd, false = np.random.default_rng(3), 0.2, np.zeros(2)
+    rng, sd, false = default_rng(3), 0.2, np.zeros(2)
     for _ in range(200):
         off = rng.normal(0, 0.3, (2, 6))
         off *= 0.3 / np.sqrt(np.mean(off**2, axis=1, keepdims=True))
@@ -200,7 +201,7 @@ NOISE_MM = 0.22  #: noise floor of the tip errors of made-up studies
 
 def make_scores(seed):
     """Return a study with tip errors by chance: borderline, of few needles, NaN, noise not stated."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     results = study(4)
     errors = results.frames["errors"].copy()
     held = errors["role"] == "validate"

@@ -13,6 +13,7 @@ from labs import BLOCK, LABS, ROD, TRUTH
 from light_runs import draw_blank
 from numpy.random import default_rng
 from own_model import Medium, Rod, insert
+from pytest import approx
 from reporting_results import skip_figures
 from test_cli import run
 
@@ -28,8 +29,8 @@ def test_the_own_model_is_that_of_the_kernel():
     medium = Medium([0.15, 0.04], [20.0], alpha=3.0)
     needle, tissue = Needle(150.0, Rod().rigidity), Tissue([0.15, 0.04], alpha=3.0, boundaries=[20.0])
     own, shape = insert(Rod(), medium, 0.15, 70), simulate(needle, tissue, Bevel(offset=0.15), 70.0)
-    assert own.tips[-1] == pytest.approx(shape.tip_track[-1, 0], abs=1e-6)
-    assert own.place(np.array([70.0]))[0] == pytest.approx([69.979, 1.972], abs=2e-3)
+    assert own.tips[-1] == approx(shape.tip_track[-1, 0], abs=1e-6)
+    assert own.place(np.array([70.0]))[0] == approx([69.979, 1.972], abs=2e-3)
 
 
 @pytest.mark.parametrize(("sides", "most_deg"), [((1, -1), 0.25), ((1,), 4.0)])
@@ -121,7 +122,7 @@ def test_a_fit_of_free_shapes_knows_what_their_direction_would_determine(quick, 
     predicted = json.loads(Path("reports/free_study-tune/run.json").read_text())["with_direction"]
     assert predicted.keys() == TRUTH.keys()
     for name, factor in factors["lab"].items():
-        assert predicted[name] == pytest.approx(factor, rel=0.5) and factors["free"][name] > 2 * factor
+        assert predicted[name] == approx(factor, rel=0.5) and factors["free"][name] > 2 * factor
     assert "would be known to a factor of" in " ".join(capsys.readouterr().out.split())
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from page_files import ALL_STATES, change_page_data, open_offline, read_page_data
+from pytest import approx
 from test_page import NO_BROWSER, chromium  # noqa: F401 - a fixture
 from test_viewer_placement import fitted
 
@@ -52,11 +53,11 @@ def page(result, tmp_path_factory):
 
 
 @pytest.mark.skipif(not (ROOT / "node_modules/.bin/tsc").exists(), reason="`npm ci` has installed no tsc")
-def test_the_bundle_is_that_of_the_modules_and_their_types_agree() -> None:
+def test_the_bundle_is_that_of_the_modules_and_their_types_agree():
     subprocess.run(["npm", "run", "--silent", "check"], cwd=ROOT, check=True, timeout=300)
 
 
-def test_the_page_holds_every_scored_insertion(page, result) -> None:
+def test_the_page_holds_every_scored_insertion(page, result):
     text = page.read_text("utf-8")
     needles, errors = read_page_data(text)["needles"], result.frames["errors"]
     scored = errors.query("role == 'validate' and boundaries == 'measured' and method == 'fitted'")
@@ -79,7 +80,7 @@ def test_the_page_holds_every_scored_insertion(page, result) -> None:
     assert not re.search(r"(src|href)=\"https?:", re.sub(r"<script.*?</script>", "", text, flags=re.DOTALL))
 
 
-def test_of_a_predicted_tip_the_tip_is_drawn_and_its_error_is_that_of_the_verdict(result) -> None:
+def test_of_a_predicted_tip_the_tip_is_drawn_and_its_error_is_that_of_the_verdict(result):
     shapes, errors = result.frames["shapes"], result.frames["errors"].query("method == 'prediction'")
     tips = result.with_frames(shapes=shapes[shapes["j"] < TIP_POINTS])
     for row in errors.to_dict("records"):
@@ -87,7 +88,7 @@ def test_of_a_predicted_tip_the_tip_is_drawn_and_its_error_is_that_of_the_verdic
         assert len(found["x"]) == len(found["y"]) == 1 and found["errors"]["te_mm"] == row["te_mm"]
 
 
-def test_each_insertion_of_the_page_has_its_needle(result) -> None:
+def test_each_insertion_of_the_page_has_its_needle(result):
     known = result.metadata
     thin = NeedleMetadata(length=140.0, flexural_rigidity=2e3, outer_diameter=0.7)
     needles = {"18G": known.dataset.needle, "22G": thin}
@@ -113,11 +114,11 @@ def test_each_insertion_of_the_page_has_its_needle(result) -> None:
 
 
 @NO_BROWSER
-def test_predictions_and_reports_of_runs_have_their_needles(world, result, chromium, tmp_path) -> None:  # noqa: F811
+def test_predictions_and_reports_of_runs_have_their_needles(world, result, chromium, tmp_path):  # noqa: F811
     predicted = world.restore("prediction")
     (needle,) = collect_explorer(predicted).needles
     forecast = predicted.frames["forecast"]
-    assert needle["tip"] == pytest.approx(forecast["needle_predicted_mm"].iloc[-1], abs=1e-3)
+    assert needle["tip"] == approx(forecast["needle_predicted_mm"].iloc[-1], abs=1e-3)
     assert needle["scene"]["depth_mm"] == forecast["s_mm"].iloc[-1]
     assert needle["scene"]["draws"]["sets"] == len(next(iter(predicted.metadata.drawn.values())))
     several = collect_explorers([result, predicted])
@@ -133,7 +134,7 @@ def test_predictions_and_reports_of_runs_have_their_needles(world, result, chrom
 
 @pytest.mark.sweep
 @NO_BROWSER
-def test_the_needles_of_a_report_are_computed_again(page, result, chromium) -> None:  # noqa: F811
+def test_the_needles_of_a_report_are_computed_again(page, result, chromium):  # noqa: F811
     errors = result.frames["errors"].query("boundaries == 'measured' and method == 'fitted'")
     scored = errors.query("role == 'validate'").to_dict("records")
     with open_offline(chromium, page) as window:
@@ -143,7 +144,7 @@ def test_the_needles_of_a_report_are_computed_again(page, result, chromium) -> N
             window.wait_for_timeout(300)
             found = window.evaluate("needlefit.state.errors")
             for name in needle_page.SHOWN_METRICS:
-                assert found[name] == pytest.approx(row[name], rel=1e-9)
+                assert found[name] == approx(row[name], rel=1e-9)
         for _ in range(100):
             if band := window.evaluate("needlefit.band"):
                 break
@@ -170,7 +171,7 @@ def test_the_needles_of_a_report_are_computed_again(page, result, chromium) -> N
         *[("known", "space"), ("direction", "space")],
     ],
 )
-def test_a_report_of_every_pose_computes_its_needles(pose, compared, chromium, tmp_path, monkeypatch) -> None:  # noqa: F811
+def test_a_report_of_every_pose_computes_its_needles(pose, compared, chromium, tmp_path, monkeypatch):  # noqa: F811
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "report.html"
     results = fitted(tmp_path, pose, compared)
@@ -185,7 +186,7 @@ def test_a_report_of_every_pose_computes_its_needles(pose, compared, chromium, t
         errors = errors.query("role == 'validate' and method == 'fitted' and boundaries == 'measured'")
         row = errors.set_index("insertion").loc[window.evaluate("needlefit.scene.measured.id")]
         found = [window.evaluate(f"needlefit.state.errors.{name}") for name in names]
-        assert found == pytest.approx(row[names].tolist())
+        assert found == approx(row[names].tolist())
         assert "good" in window.get_attribute("#proof", "class")
         assert window.is_visible("#above") == (compared == "space")
 
@@ -193,8 +194,8 @@ def test_a_report_of_every_pose_computes_its_needles(pose, compared, chromium, t
 @pytest.mark.sweep
 @NO_BROWSER
 @pytest.mark.parametrize("kind", ["place", "error"])
-def test_a_stored_number_that_was_changed_fails_the_self_check(page, chromium, tmp_path, kind) -> None:  # noqa: F811
-    def change(data) -> None:
+def test_a_stored_number_that_was_changed_fails_the_self_check(page, chromium, tmp_path, kind):  # noqa: F811
+    def change(data):
         needle = data["needles"][0]
         values, key = {
             "place": (needle["scene"]["measured"]["stored"]["y"], 50),
@@ -205,14 +206,14 @@ def test_a_stored_number_that_was_changed_fails_the_self_check(page, chromium, t
     copy = tmp_path / "copy.html"
     copy.write_text(change_page_data(page.read_text("utf-8"), change), "utf-8")
     with open_offline(chromium, copy) as window:
-        assert window.evaluate(ALL_STATES)[1] == pytest.approx(0.001)
+        assert window.evaluate(ALL_STATES)[1] == approx(0.001)
         assert "bad" in window.get_attribute("#proof", "class") and window.is_visible("#proof")
 
 
 @pytest.mark.sweep
 @NO_BROWSER
 @pytest.mark.parametrize("size", [(1440, 900), (390, 844)])
-def test_the_page_is_accessible(page, chromium, size) -> None:  # noqa: F811
+def test_the_page_is_accessible(page, chromium, size):  # noqa: F811
     from axe_playwright_python.sync_playwright import Axe
 
     width, height = size
@@ -234,7 +235,7 @@ CUT = """(tables) => [...document.querySelectorAll(tables)].filter((one) =>
 
 
 @NO_BROWSER
-def test_no_table_of_page_one_is_wider_than_its_column(page, chromium) -> None:  # noqa: F811
+def test_no_table_of_page_one_is_wider_than_its_column(page, chromium):  # noqa: F811
     with open_offline(chromium, page) as window:
         assert window.locator(PAGE_ONE).count() >= 2
         for width in WIDTHS:

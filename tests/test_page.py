@@ -14,8 +14,10 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from page_files import ALL_STATES, PAGE, open_offline
 from PIL import Image
+from pytest import approx
 
 from needlefit.mechanics.shape import list_planes
 from needlefit.planning.recording import read_recording, replay
@@ -48,18 +50,18 @@ def chromium():
 
 
 @pytest.fixture(scope="module")
-def subject(tmp_path_factory) -> Path:
+def subject(tmp_path_factory):
     return write(tmp_path_factory.mktemp("view"), SUBJECT)
 
 
-def write(folder: Path, name: str) -> Path:
+def write(folder, name):
     path = folder / "page.html"
     path.write_text(compose_page(open_target(name)), "utf-8")
     return path
 
 
 @contextmanager
-def opened(chromium, path: Path, **settings):
+def opened(chromium, path, **settings):
     """Yield a page with all of its parts unfolded and all layers of the picture on."""
     with open_offline(chromium, path, **settings) as page:
         page.evaluate("for (const one of document.querySelectorAll('details')) one.open = true")
@@ -75,12 +77,12 @@ def page(subject, chromium):
         yield window
 
 
-def get(page, expression: str):
+def get(page, expression):
     """Return the value of a JavaScript expression of the page."""
     return page.evaluate(f"((n) => ((s) => ({expression}))(n.state))(window.needlefit)")
 
 
-def until(page, true: str, seconds: float = PATIENCE):
+def until(page, true, seconds=PATIENCE):
     """Wait until an expression holds, and return the state."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
@@ -90,12 +92,12 @@ def until(page, true: str, seconds: float = PATIENCE):
     raise AssertionError(f"never: {true}; {get(page, 's')}")
 
 
-def enter(field, text: str) -> None:
+def enter(field, text):
     field.fill(text)
     field.press("Enter")
 
 
-def find_violations(page) -> list:
+def find_violations(page):
     """Return what axe finds on the page."""
     package = pytest.importorskip("axe_playwright_python")
     page.evaluate((Path(package.__file__).parent / "axe.min.js").read_text("utf-8"))
@@ -106,11 +108,11 @@ def find_violations(page) -> list:
 DEPTH, MU = "#insertion-fields .number >> nth=0", "#tissue-fields .number >> nth=1"
 
 
-def test_the_errors_are_those_of_the_study_at_the_measured_depth(page) -> None:
+def test_the_errors_are_those_of_the_study_at_the_measured_depth(page):
     state, measured = get(page, "s"), get(page, "n.scene.measured")
     assert state["errors"]["whole"] and state["depth_mm"] == measured["depth_mm"]
     tip = np.array([state["tip"]["x"] - measured["x"][-1], state["tip"]["y"] - measured["y"][-1]])
-    assert state["errors"]["te_mm"] == pytest.approx(np.linalg.norm(tip), abs=1e-3)
+    assert state["errors"]["te_mm"] == approx(np.linalg.norm(tip), abs=1e-3)
     enter(page.locator(MU), "700")
     after = until(page, "Math.abs(s.layers[0].mu_pa - 7e5) < 1")
     assert abs(after["errors"]["te_mm"] - state["errors"]["te_mm"]) > 0.01
@@ -118,11 +120,11 @@ def test_the_errors_are_those_of_the_study_at_the_measured_depth(page) -> None:
     assert "-5 kPa" in page.inner_text("#refusal")
     page.focus("#picture")
     assert get(page, "s.layers[0].mu_pa") == after["layers"][0]["mu_pa"]
-    assert float(page.input_value(MU)) == pytest.approx(700)
+    assert float(page.input_value(MU)) == approx(700)
 
 
 @sweep
-def test_keys_and_buttons_have_their_effects_and_are_undone(page) -> None:
+def test_keys_and_buttons_have_their_effects_and_are_undone(page):
     begun = get(page, "s")
     page.focus("#picture")
     for key, true in (
@@ -142,7 +144,7 @@ def test_keys_and_buttons_have_their_effects_and_are_undone(page) -> None:
     assert {**again, "step": 0} == {**begun, "step": 0}
 
 
-def test_the_picture_is_shifted_zoomed_and_goes_back(page) -> None:
+def test_the_picture_is_shifted_zoomed_and_goes_back(page):
     """By drag, by wheel once it has the focus, by a double click; the inset lies in the window."""
     box, before = page.locator("#picture").bounding_box(), get(page, "n.view.scale")
     page.mouse.move(box["x"] + 300, box["y"] + 120)
@@ -166,7 +168,7 @@ def test_the_picture_is_shifted_zoomed_and_goes_back(page) -> None:
         assert top >= window["top"] and top + height <= window["top"] + window["height"]
 
 
-def test_a_guide_is_moved(chromium, tmp_path) -> None:
+def test_a_guide_is_moved(chromium, tmp_path):
     record = load(Path("configs/scenes/phantom2.toml"), SceneRecord)
     guide = GuideRecord(x_mm=-25.0, y_mm=0.0, name="template")
     viewed = open_target("phantom2", first="scene")
@@ -192,7 +194,7 @@ DROP = """([name, text]) => {
 }"""
 
 
-def test_a_drive_is_saved_replayed_reloaded_and_dropped_to_the_same_bits(page) -> None:
+def test_a_drive_is_saved_replayed_reloaded_and_dropped_to_the_same_bits(page):
     page.focus("#picture")
     for key in ("ArrowUp", "f", "ArrowLeft", "ArrowLeft", "r", "ArrowRight"):
         page.keyboard.press(key)
@@ -208,7 +210,7 @@ def test_a_drive_is_saved_replayed_reloaded_and_dropped_to_the_same_bits(page) -
     *_, last = replayed = list(replay(recording))
     assert [one.tip_offset_mm for one in replayed] == [0.0] * len(replayed)
     shape = last.state.shape
-    assert state["tip"]["z"] == pytest.approx(shape.tip_z)
+    assert state["tip"]["z"] == approx(shape.tip_z)
     u, slope = list_planes(shape)
     arrays = (shape.x, u, slope, shape.constraints[:, : 1 + len(u)])
     expected = [np.ascontiguousarray(one).tobytes().hex() for one in arrays]
@@ -229,9 +231,9 @@ def test_a_drive_is_saved_replayed_reloaded_and_dropped_to_the_same_bits(page) -
 
 
 @sweep
-def test_a_thousand_random_actions_are_without_a_fault(subject, chromium) -> None:
+def test_a_thousand_random_actions_are_without_a_fault(subject, chromium):
     """`open_offline` fails at an error of the page; the needle is always one that can be read."""
-    rng = np.random.default_rng(1)
+    rng = default_rng(1)
     keys = [
         *"frk123+-",
         "ArrowLeft",
@@ -267,7 +269,7 @@ SCENES = sorted(path.stem for path in Path("configs/scenes").glob("*.toml"))
 @pytest.mark.parametrize(
     "name", ["figure1", *(pytest.param(one, marks=sweep) for one in SCENES if one != "figure1")]
 )
-def test_every_shipped_scene_opens(chromium, tmp_path, name: str) -> None:
+def test_every_shipped_scene_opens(chromium, tmp_path, name):
     with opened(chromium, write(tmp_path, name)) as page:
         assert page.evaluate(ALL_STATES) == [1, 0]
         assert page.inner_text("#refusal") == "" and get(page, "s.depth_mm === n.scene.depth_mm")
@@ -275,7 +277,7 @@ def test_every_shipped_scene_opens(chromium, tmp_path, name: str) -> None:
 
 @sweep
 @pytest.mark.parametrize("kind", ["cross_validation", "fit"])
-def test_every_kind_of_run_opens(chromium, tmp_path, world, kind: str, monkeypatch) -> None:
+def test_every_kind_of_run_opens(chromium, tmp_path, world, kind, monkeypatch):
     monkeypatch.chdir(world.folder)
     with opened(chromium, write(tmp_path, str(world.find(kind)))) as page:
         assert page.evaluate(ALL_STATES) == [1, 0] and page.inner_text("#refusal") == ""
@@ -291,7 +293,7 @@ SMALL = """[...document.querySelectorAll("button, input, select")].filter((one) 
 
 
 @pytest.mark.parametrize("size", [pytest.param(one, marks=sweep) if one[0] != 390 else one for one in SIZES])
-def test_nothing_is_cut_off_or_covered_at_any_size(subject, chromium, size) -> None:
+def test_nothing_is_cut_off_or_covered_at_any_size(subject, chromium, size):
     """Labels lie apart and in the window; the needle uses its height; nothing runs off the page."""
     viewport = dict(zip(("width", "height"), size, strict=True))
     with opened(chromium, subject, viewport=viewport, has_touch=size[0] < 400) as page:
@@ -315,10 +317,10 @@ def test_nothing_is_cut_off_or_covered_at_any_size(subject, chromium, size) -> N
         assert page.evaluate(OVERFLOWS) == [] and page.evaluate(SMALL) == []
 
 
-def contrast(one: str, other: str) -> float:
+def contrast(one, other):
     """Return the contrast (WCAG) of two colours, `#rrggbb`."""
 
-    def luminance(colour: str) -> float:
+    def luminance(colour):
         parts = np.array([int(part, 16) for part in re.findall(r"[\da-f]{2}", colour[:7])]) / 255
         linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
         return float(linear @ [0.2126, 0.7152, 0.0722])
@@ -328,7 +330,7 @@ def contrast(one: str, other: str) -> float:
 
 
 @pytest.mark.parametrize("scheme", [0, 1])
-def test_bands_and_gaps_stand_out_in_both_colour_schemes(scheme: int) -> None:
+def test_bands_and_gaps_stand_out_in_both_colour_schemes(scheme):
     """Contrast of at least 3 to 1 (WCAG AA) of what is drawn on each layer; that of texts is axe's."""
     style = (PAGE / "style.css").read_text("utf-8")
     pairs = re.findall(r"--(\w+): light-dark\((#\w+), (#\w+)\)", style)
@@ -342,7 +344,7 @@ def test_bands_and_gaps_stand_out_in_both_colour_schemes(scheme: int) -> None:
 
 
 @pytest.mark.parametrize("scheme", ["light", pytest.param("dark", marks=sweep)])
-def test_axe_finds_no_violation(subject, chromium, scheme: str) -> None:
+def test_axe_finds_no_violation(subject, chromium, scheme):
     with opened(chromium, subject, color_scheme=scheme, bypass_csp=True) as page:
         assert find_violations(page) == []
 
@@ -351,7 +353,7 @@ SVG = "{http://www.w3.org/2000/svg}"
 LIGHT = dict(re.findall(r"--(\w+): light-dark\((#\w+)", (PAGE / "style.css").read_text("utf-8")))
 
 
-def save_figure(page, width: str, form: str) -> bytes:
+def save_figure(page, width, form):
     page.select_option("#figure-width", width)
     page.select_option("#figure-format", form)
     with page.expect_download() as download:
@@ -359,13 +361,13 @@ def save_figure(page, width: str, form: str) -> bytes:
     return Path(download.value.path()).read_bytes()
 
 
-def read_lines(drawing, colour: str) -> list[np.ndarray]:
+def read_lines(drawing, colour):
     """Return the lines of a colour, px, that are part of the picture."""
     paths = [one.get("d") for one in drawing.iter(f"{SVG}path") if one.get("stroke") == colour]
     return [np.array(re.findall(r"[ML]([-\d.]+),([-\d.]+)", one), dtype=float) for one in paths]
 
 
-def find_curve(page, drawing, colour: str, curve: str) -> None:
+def find_curve(page, drawing, colour, curve):
     """A curve of the page lies in the file between the same limits, point by point."""
     view, box = get(page, "n.view"), get(page, "n.view.box")
     frame = drawing.find(f"{SVG}clipPath/{SVG}path").get("d")
@@ -383,9 +385,9 @@ def find_curve(page, drawing, colour: str, curve: str) -> None:
 
 
 @sweep
-def test_saved_figures_of_twenty_random_paths_are_the_picture(subject, chromium) -> None:
+def test_saved_figures_of_twenty_random_paths_are_the_picture(subject, chromium):
     """Same limits, exaggeration, pin and layers as shown, in light colours; text as text."""
-    rng = np.random.default_rng(20)
+    rng = default_rng(20)
     with opened(chromium, subject, color_scheme="dark") as page:
         for n in range(20):
             for _ in range(int(rng.integers(1, 6))):
@@ -418,5 +420,5 @@ def test_saved_figures_of_twenty_random_paths_are_the_picture(subject, chromium)
             times = get(page, "n.view.magnified")
             assert times == 1 or any(f"drawn {times:g}×" in text for text in texts)
         with Image.open(io.BytesIO(save_figure(page, "84", "png"))) as picture:
-            assert picture.width == pytest.approx(84 / 25.4 * 300, abs=1)
+            assert picture.width == approx(84 / 25.4 * 300, abs=1)
             assert min(picture.convert("RGB").getpixel((2, picture.height - 2))) > 240  # on light paper

@@ -4,10 +4,10 @@ import json
 import shutil
 import subprocess
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from page_files import PAGE
 from page_state import compute_band, continue_insertion, encode_state
 
@@ -15,7 +15,6 @@ from needlefit.errors import ModelError
 from needlefit.inference.forward_model import ParameterDraws
 from needlefit.mechanics import native
 from needlefit.mechanics.laws import LAWS
-from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import list_planes
 from needlefit.mechanics.simulate import compute_lateral_load
 from needlefit.planning.steered_needle import Change, SteeredNeedle, make_steered_scene
@@ -61,7 +60,7 @@ console.log(JSON.stringify({found, band: computeBand(session, draws, steps)}))
 """
 
 
-def run_node(scene: dict[str, Any], orders: list[dict[str, Any]], draws: Any = None) -> dict[str, Any]:
+def run_node(scene, orders, draws=None):
     program = PROGRAM.replace("KERNEL", repr((native.FOLDER / "needle.js").as_uri()))
     program = program.replace("PAGE", repr((PAGE / "model").as_uri() + "/"))
     program = program.replace("WASM", repr(str(native.FOLDER / "kernel.wasm")))
@@ -72,7 +71,7 @@ def run_node(scene: dict[str, Any], orders: list[dict[str, Any]], draws: Any = N
     return dict(json.loads(done.stdout))
 
 
-def view_scene(law: str, rules: dict[str, Any], bevel: dict[str, Any], shape: list[dict[str, float]]):
+def view_scene(law, rules, bevel, shape):
     layers = [
         {"top_mm": 18.3 * n, "mu_pa": 2e5 * (1 + n), "thickness_mm": 30.0, "shape": one}
         for n, one in enumerate(shape)
@@ -103,15 +102,15 @@ SCENES = {
 SHAPE_VALUES = {"alpha": (0.0, 3.0), "beta": (-3.0, 0.0), "share": (0.0, 1.0)}
 
 
-def random_orders(rng: np.random.Generator, scene: Scene, count: int) -> list[dict[str, Any]]:
+def random_orders(rng, scene, count):
     angle, layers = scene.rules.path_angle, scene.tissue.layers
     strength = "cut_angle" if angle else "offset"
     here = "cut_angle_deg" if angle else "bevel_offset_mm"
-    orders: list[dict[str, Any]] = []
+    orders = []
     depth, kept = 0.0, [0]
     for n in range(count):
         layer = int(rng.integers(1, layers + 1))
-        options: list[list[list[Any]]] = [
+        options = [
             [["depth_mm", None, max(0.0, depth + rng.uniform(0.0, 6.0))]],
             [["depth_mm", None, max(0.0, depth + rng.uniform(-6.0, 2.0))]],
             [["bevel_side", None, float(rng.choice([-1, 1]))]],
@@ -148,7 +147,7 @@ def random_orders(rng: np.random.Generator, scene: Scene, count: int) -> list[di
 
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("name", list(SCENES))
-def test_the_page_simulates_the_bytes_of_the_program(name: str, seed: int) -> None:
+def test_the_page_simulates_the_bytes_of_the_program(name, seed):
     """All inputs, parameters, refusals, returns; what is shown, the path that leads there, all bands."""
     viewed, rng = SCENES[name](), np.random.default_rng(seed)
     scene = make_steered_scene(viewed.record, name)
@@ -181,7 +180,7 @@ def test_the_page_simulates_the_bytes_of_the_program(name: str, seed: int) -> No
         assert_same(found["state"], encode_state(viewed, steering), 2e-4)
         s = shape.depth * np.array([0.0, 0.4, 1.0])
         load = compute_lateral_load(shape, steering.now.tissue, s, scene.rules)[: len(u)]
-        np.testing.assert_allclose(found["load"], load.ravel(), rtol=1e-9, atol=1e-12)
+        assert_allclose(found["load"], load.ravel(), rtol=1e-9, atol=1e-12)
         expected = shape.validity
         assert found["validity"] == pytest.approx(
             {key: float(getattr(expected, key)) for key in found["validity"]}, rel=1e-9, abs=1e-12
@@ -195,13 +194,11 @@ def test_the_page_simulates_the_bytes_of_the_program(name: str, seed: int) -> No
     band = compute_band(continue_insertion(replace(viewed, spread=draws), steering))
     if band is not None:
         for key in ("x", "low", "high"):
-            np.testing.assert_allclose(
-                done["band"][key], getattr(band, key), atol=1e-7
-            )  # each step ends within 1e-7 mm
+            assert_allclose(done["band"][key], getattr(band, key), atol=1e-7)  # each step ends within 1e-7 mm
         assert done["band"]["failed"] == band.failed
 
 
-def assert_same(found: Any, expected: Any, atol: float) -> None:
+def assert_same(found, expected, atol):
     """Numbers that the page shows may differ in their rounding alone."""
     if isinstance(expected, dict):
         for key, value in expected.items():

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pytest import approx
 from test_cli import run
 from test_datasets_markups import markup, point, save
 
@@ -21,19 +22,19 @@ from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.planning.goals import Goal, compute_clearances, cut_plane, find_hits, read_goal_points
 from needlefit.planning.recording import Recording, read_recording, replay
-from needlefit.planning.steering import PlanLimits, StartedInsertion, SteeringPlan, plan_steering
+from needlefit.planning.steering import PlanLimits, plan_steering
 from needlefit.schemas.planning import ObstacleRecord
 from needlefit.viewer import opening
 from needlefit.viewer.opening import open_target
 
 
 @cache
-def insertion() -> StartedInsertion:
+def insertion():
     """Return a needle of phantom 2 at first contact."""
     return open_target("phantom2").begin_insertion()
 
 
-def uncertain(count: int = 96) -> StartedInsertion:
+def uncertain(count=96):
     """Return it with draws of its parameters: b to 20 %, moduli to a factor of 1.5."""
     rng, exact = np.random.default_rng(4), insertion().exact
     mu = exact.mu * np.exp(np.log(1.5) * rng.standard_normal((count, exact.mu.shape[1])))
@@ -41,7 +42,7 @@ def uncertain(count: int = 96) -> StartedInsertion:
     return replace(insertion(), draws=ParameterDraws(mu, np.repeat(exact.shape, count, 0), bevel))
 
 
-def plan(target, radius=1.0, circles=(), start=None, **limits) -> SteeringPlan:
+def plan(target, radius=1.0, circles=(), start=None, **limits):
     """Return the plan past circles (x, y, radius), from first contact unless a start is given."""
     obstacles = tuple(
         ObstacleRecord(name=f"o{n}", centre_mm=(x, y), radius_mm=size)
@@ -51,13 +52,13 @@ def plan(target, radius=1.0, circles=(), start=None, **limits) -> SteeringPlan:
     return plan_steering(start or insertion(), goal, PlanLimits(**limits), threads=1)
 
 
-def tip_of(*steps: Step) -> np.ndarray:
+def tip_of(*steps):
     one = insertion()
     shape = simulate_steps(one.needle, one.tissue, steps, one.rules)
     return compute_positions(shape, np.array([shape.depth]))[0, :2]
 
 
-def test_where_the_needle_goes_by_itself_nothing_is_moved() -> None:
+def test_where_the_needle_goes_by_itself_nothing_is_moved():
     x, y = tip_of(replace(insertion().now, depth=40.0))
     found = plan((x, y))
     assert found.nominal_miss < 0.02 and found.turns == ()
@@ -66,17 +67,17 @@ def test_where_the_needle_goes_by_itself_nothing_is_moved() -> None:
     assert other.turns == (0.0,) and other.nominal_miss < 0.02  # the bevel alone
 
 
-def test_a_plan_is_the_needle_that_its_steps_simulate() -> None:
+def test_a_plan_is_the_needle_that_its_steps_simulate():
     found = plan((42.0, -1.5))
     tip = tip_of(*found.steps)
-    assert tip == pytest.approx(found.nominal[-1], abs=1e-6)
-    assert np.linalg.norm(tip - (42.0, -1.5)) == pytest.approx(found.nominal_miss, abs=1e-6)
+    assert tip == approx(found.nominal[-1], abs=1e-6)
+    assert np.linalg.norm(tip - (42.0, -1.5)) == approx(found.nominal_miss, abs=1e-6)
     assert found.nominal_miss < 0.05
     assert found.steps[0].controls == insertion().now.controls  # the entry is where the needle lies
     assert abs(found.steps[-1].controls.base_y) > 0.1
 
 
-def test_an_obstacle_on_the_way_is_passed_by() -> None:
+def test_an_obstacle_on_the_way_is_passed_by():
     x, y = plan((45.0, 2.0)).nominal[20]
     found = plan((45.0, 2.0), circles=[(x, y, 0.5)], entry_mm=5)
     assert compute_clearances(found.nominal[None], found.goal.obstacles[0])[0] > 0.1
@@ -86,7 +87,7 @@ def test_an_obstacle_on_the_way_is_passed_by() -> None:
     assert passed.hits and passed.nominal_miss < 0.1
 
 
-def test_the_probability_is_that_of_draws_that_the_plan_was_not_sought_with() -> None:
+def test_the_probability_is_that_of_draws_that_the_plan_was_not_sought_with():
     one = uncertain()
     found, tests = plan((40.0, 1.0), 0.1, start=one), one.samples[1]
     assert len(found.needles) == len(tests) == 64
@@ -99,13 +100,13 @@ def test_the_probability_is_that_of_draws_that_the_plan_was_not_sought_with() ->
 
 
 @pytest.mark.sweep
-def test_turning_the_bevel_lowers_the_risk_of_an_uncertain_bevel() -> None:
+def test_turning_the_bevel_lowers_the_risk_of_an_uncertain_bevel():
     straight, turned = (plan((45.0, 0.0), 0.5, start=uncertain(), turns=n) for n in (0, 2))
     assert turned.turns and turned.probability > straight.probability + 0.1
 
 
 @pytest.mark.sweep
-def test_a_plan_goes_on_from_where_the_needle_stands() -> None:
+def test_a_plan_goes_on_from_where_the_needle_stands():
     view = open_target("phantom2")
     session = begin_session(Scene.from_record(view.record), view.first_cell)
     session.step(insert=15.3)
@@ -115,17 +116,17 @@ def test_a_plan_goes_on_from_where_the_needle_stands() -> None:
     for step in found.steps:
         session.go(step)
     end = compute_positions(session.now.shape, np.array([session.depth]))[0, :2]
-    assert end == pytest.approx(found.nominal[-1], abs=1e-5)
+    assert end == approx(found.nominal[-1], abs=1e-5)
 
 
-def test_within_the_radius_the_miss_is_least_and_a_limit_that_binds_is_named() -> None:
+def test_within_the_radius_the_miss_is_least_and_a_limit_that_binds_is_named():
     free = plan((45.0, 1.0), 2.0)
     assert free.hits and free.nominal_miss < 0.3 and free.at_limit == ()
     bound = plan((45.0, 4.0), 5.0, base_mm=2, base_angle_deg=0)
     assert bound.hits and "base" in bound.at_limit
 
 
-def test_a_plan_that_fails_prints_no_steps_and_how_near_it_comes(tmp_path, capsys) -> None:
+def test_a_plan_that_fails_prints_no_steps_and_how_near_it_comes(tmp_path, capsys):
     words = ("plan", "phantom2", "--target", "45,9", "--radius", "0.5", "--base", "2", "--turns", "0")
     words += ("--out", str(tmp_path))
     path = tmp_path / "plan.csv"
@@ -140,59 +141,59 @@ def test_a_plan_that_fails_prints_no_steps_and_how_near_it_comes(tmp_path, capsy
 
 
 @pytest.mark.parametrize("x", [10.0, 300.0])
-def test_a_target_behind_the_tip_or_out_of_reach_is_refused(x) -> None:
+def test_a_target_behind_the_tip_or_out_of_reach_is_refused(x):
     with pytest.raises(ModelError):
         plan((x, 0.0), start=replace(insertion(), path=(replace(insertion().now, depth=20.0),)))
 
 
-def sphere(name, centre) -> ObstacleRecord:
+def sphere(name, centre):
     return ObstacleRecord(name=name, centre_mm=centre, radius_mm=1.0)
 
 
-def test_the_plane_of_the_needle_contains_a_target_in_space() -> None:
+def test_the_plane_of_the_needle_contains_a_target_in_space():
     balls = (sphere("cut", (20.0, 1.0, 1.0)), sphere("beside", (20.0, -2.0, 2.0)))
     found = cut_plane(Goal((45.0, 3.0, 3.0), 1.5, balls))
-    assert found.roll_deg == pytest.approx(45.0) and found.beside == ("beside",)
-    assert found.goal.target == pytest.approx((45.0, np.hypot(3, 3)))
+    assert found.roll_deg == approx(45.0) and found.beside == ("beside",)
+    assert found.goal.target == approx((45.0, np.hypot(3, 3)))
     (circle,) = found.goal.obstacles
-    assert circle.centre_mm == pytest.approx((20.0, np.sqrt(2))) and circle.radius_mm == pytest.approx(1.0)
+    assert circle.centre_mm == approx((20.0, np.sqrt(2))) and circle.radius_mm == approx(1.0)
     assert cut_plane(Goal((45.0, -3.0, 0.0))).goal.target == (45.0, -3.0)
     other = cut_plane(Goal((45.0, -2.0, 1.0)))
-    assert other.goal.target == pytest.approx((45.0, -np.sqrt(5)))
-    assert other.roll_deg == pytest.approx(-np.degrees(np.arctan(0.5)))
-    assert cut_plane(Goal((45.0, 0.0, -2.0))).goal.target == pytest.approx((45.0, 2.0))
+    assert other.goal.target == approx((45.0, -np.sqrt(5)))
+    assert other.roll_deg == approx(-np.degrees(np.arctan(0.5)))
+    assert cut_plane(Goal((45.0, 0.0, -2.0))).goal.target == approx((45.0, 2.0))
 
 
 @pytest.mark.parametrize("angle", [30.0, 110.0, -75.0])
-def test_a_target_off_the_plane_is_reached_by_the_roll_alone(angle) -> None:
+def test_a_target_off_the_plane_is_reached_by_the_roll_alone(angle):
     """The needle that goes there by itself, rolled: the plan finds its roll, and moves nothing else."""
     x, y = tip_of(replace(insertion().now, depth=40.0))
     turned = np.radians(angle)
     target = (x, y * np.cos(turned), y * np.sin(turned))
     found = plan(target, base_mm=0.0, base_angle_deg=0.0, turns=0)
     assert found.nominal_miss < 0.02 and found.nominal.shape[1] == 3
-    assert math.remainder(found.steps[0].bevel.roll_deg - angle, 360) == pytest.approx(0, abs=1)
+    assert math.remainder(found.steps[0].bevel.roll_deg - angle, 360) == approx(0, abs=1)
     one = insertion()
     shape = simulate_steps(one.needle, one.tissue, found.steps, one.rules)
-    assert compute_positions(shape, np.array([shape.depth]))[0] == pytest.approx(found.nominal[-1], abs=1e-6)
+    assert compute_positions(shape, np.array([shape.depth]))[0] == approx(found.nominal[-1], abs=1e-6)
 
 
-def test_base_and_turns_help_the_roll_and_draws_spread_in_both_directions() -> None:
+def test_base_and_turns_help_the_roll_and_draws_spread_in_both_directions():
     found = plan((45.0, 3.0, -1.5), 1.0, start=uncertain())
     misses = found.describe_misses()
     assert found.hits and misses["nominal_miss_mm"] < 0.3
-    assert np.array(misses["tip_sd_mm"]) == pytest.approx(found.needles[:, -1, 1:].std(axis=0))
+    assert np.array(misses["tip_sd_mm"]) == approx(found.needles[:, -1, 1:].std(axis=0))
     assert min(misses["tip_sd_mm"]) > 0.01
 
 
-def test_points_of_slicer_are_targets_and_obstacles_in_the_constraint_frame(tmp_path) -> None:
+def test_points_of_slicer_are_targets_and_obstacles_in_the_constraint_frame(tmp_path):
     placement = Placement(Frame(np.array([10.0, 0.0, 0.0]), np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])))
     listed = [point(1, [10, 45, 0], label="Target 1"), point(2, [9, 20, 0.5], label="vessel")]
     path = save(tmp_path / "a.mrk.json", markup(points=listed))
     target, balls = read_goal_points(path, placement, 2.5)
-    assert target == pytest.approx((45.0, 0.0, 0.0))
+    assert target == approx((45.0, 0.0, 0.0))
     assert balls[0].name == "vessel" and balls[0].radius_mm == 2.5
-    assert balls[0].centre_mm == pytest.approx((20.0, 1.0, 0.5))
+    assert balls[0].centre_mm == approx((20.0, 1.0, 0.5))
     alone, none = read_goal_points(save(tmp_path / "b.mrk.json", markup(points=[listed[1]])), placement, 1.0)
     assert alone is not None and none == ()
     twice = save(tmp_path / "c.mrk.json", markup(points=[listed[0], listed[0] | {"id": "9"}]))
@@ -200,22 +201,22 @@ def test_points_of_slicer_are_targets_and_obstacles_in_the_constraint_frame(tmp_
         read_goal_points(twice, placement, 1.0)
 
 
-def test_the_command_prints_a_plan_and_writes_it_as_a_recording(tmp_path, capsys) -> None:
+def test_the_command_prints_a_plan_and_writes_it_as_a_recording(tmp_path, capsys):
     path = tmp_path / "plan.csv"
     words = ("phantom2", "--target", "45,2", "--obstacle", "25,0.4,0.8", "--entry-shift", "5", "--json")
     assert run("plan", *words, "--write-recording", str(path), "--out", str(tmp_path)) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["reached"] and found["nominal_miss_mm"] < 0.2 and found["draws"] == 0
-    assert found["steps"][-1]["depth_mm"] == pytest.approx(45.0, abs=1.0)
+    assert found["steps"][-1]["depth_mm"] == approx(45.0, abs=1.0)
     *_, last = replay(read_recording(path))
     assert last.tip_offset_mm == 0
     assert last.state.step.depth == found["steps"][-1]["depth_mm"]
     entry = read_recording(path).head.scene.entry
-    assert entry.y_mm == pytest.approx(found["entry_mm"]) and abs(entry.y_mm) <= 5
+    assert entry.y_mm == approx(found["entry_mm"]) and abs(entry.y_mm) <= 5
 
 
 @pytest.mark.parametrize(("by", "same"), [(0.0, True), (1e-9, True), (1e-3, False)])
-def test_a_recording_is_compared_with_its_scene_by_what_both_mean(by, same) -> None:
+def test_a_recording_is_compared_with_its_scene_by_what_both_mean(by, same):
     shown = opening.open_target("twin/phantom2-05")
     bevel = shown.record.bevel.model_copy(update={"offset_mm": shown.record.bevel.offset_mm + by})
     record = shown.record.model_copy(update={"bevel": bevel})
@@ -232,7 +233,7 @@ def test_a_recording_is_compared_with_its_scene_by_what_both_mean(by, same) -> N
 )
 def test_a_plan_to_a_depth_or_along_z_that_was_not_fitted_says_so(
     fitted, directions, target, count, monkeypatch, capsys, tmp_path
-) -> None:
+):
     shown = replace(opening.open_target("phantom2"), fitted_depths=fitted, fitted_directions=directions)
     monkeypatch.setattr(opening, "open_target", lambda *_, **__: shown)
     words = ("plan", "phantom2", "--target", target, "--turns", "0", "--json", "--out", str(tmp_path))
@@ -242,7 +243,7 @@ def test_a_plan_to_a_depth_or_along_z_that_was_not_fitted_says_so(
 
 
 @pytest.mark.sweep
-def test_the_bevel_of_a_path_angle_scene_is_planned_too() -> None:
+def test_the_bevel_of_a_path_angle_scene_is_planned_too():
     rules = replace(insertion().rules, advance="path_angle")
     start = Step(0.0, Bevel(cut_angle=0.05), insertion().now.controls)
     assert plan((40.0, -1.0), start=replace(insertion(), rules=rules, path=(start,))).nominal_miss < 0.1
@@ -252,24 +253,22 @@ def test_the_bevel_of_a_path_angle_scene_is_planned_too() -> None:
 def test_clearance_is_the_distance_from_the_rim(centre, clearance):
     line = np.array([[[0.0, 0.0], [10.0, 0.0]]])
     obstacle = ObstacleRecord(name="a", centre_mm=centre, radius_mm=1)
-    assert compute_clearances(line, obstacle) == pytest.approx(clearance)
+    assert compute_clearances(line, obstacle) == approx(clearance)
 
 
-def test_a_target_that_the_roll_does_not_reach_is_reached_by_bevel_and_base_rolled_together(
-    capsys, tmp_path
-) -> None:
+def test_a_target_that_the_roll_does_not_reach_is_reached_by_bevel_and_base_rolled_together(capsys, tmp_path):
     words = ("plan", "phantom2", "--target", "40,1,4", "--radius", "0.5", "--obstacle", "20,3,0,1", "--json")
     assert run(*words, "--out", str(tmp_path)) == 0
     found = json.loads(capsys.readouterr().out)
-    assert found["reached"] and found["roll_deg"] == pytest.approx(np.degrees(np.arctan(4)))
-    assert found["target_mm"] == pytest.approx([40, np.hypot(1, 4)]) and "tip_sd_mm" not in found
+    assert found["reached"] and found["roll_deg"] == approx(np.degrees(np.arctan(4)))
+    assert found["target_mm"] == approx([40, np.hypot(1, 4)]) and "tip_sd_mm" not in found
     assert found["obstacles_beside_the_plane"] == ["obstacle 1"]
 
 
 @pytest.mark.parametrize(("target", "roll"), [("40,-3", 90), ("40,1,4", -30)])
 def test_a_plan_from_first_contact_does_not_depend_on_the_roll_that_a_scene_states(
     target, roll, tmp_path, capsys
-) -> None:
+):
     text = (Path(__file__).parents[1] / "configs/scenes/phantom2.toml").read_text()
     steps = "\n[[steps]]\ndepth_mm = 20.0\n[[steps]]\ndepth_mm = 38.06\nroll_deg = 45.0\n"
     changed = text.replace("side = 1", f"roll_deg = {roll}").replace("depth_mm = 38.06", "", 1)
@@ -295,14 +294,14 @@ def test_a_plan_from_first_contact_does_not_depend_on_the_roll_that_a_scene_stat
     assert [found[0][key] for key in keys] == [found[1][key] for key in keys] and found[0]["reached"]
 
 
-def test_a_goal_of_the_plane_becomes_one_in_space() -> None:
+def test_a_goal_of_the_plane_becomes_one_in_space():
     goal = Goal((45.0, 3.0, 1.0), 1.5, (sphere("a", (20.0, 1.0, 0.5)),))
     assert goal.directions == 2 and goal.to_space() == goal
     lifted = cut_plane(replace(goal, target=(45.0, 3.0, 0.0))).goal.to_space()
     assert lifted.target == (45.0, 3.0, 0.0) and lifted.obstacles[0].centre_mm == (20.0, 1.0, 0.0)
 
 
-def test_a_plan_in_space_is_written_as_a_recording(tmp_path, capsys) -> None:
+def test_a_plan_in_space_is_written_as_a_recording(tmp_path, capsys):
     path = tmp_path / "plan.csv"
     words = ("phantom2", "--target", "40,-1,1.5", "--json", "--write-recording", str(path))
     assert run("plan", *words) == 0
@@ -313,10 +312,10 @@ def test_a_plan_in_space_is_written_as_a_recording(tmp_path, capsys) -> None:
     *_, last = replay(read_recording(path))
     assert last.tip_offset_mm == 0
     tip = compute_positions(last.state.shape, np.array([last.state.shape.depth]))[0]
-    assert np.linalg.norm(tip - found["target_mm"]) == pytest.approx(found["nominal_miss_mm"], abs=1e-6)
+    assert np.linalg.norm(tip - found["target_mm"]) == approx(found["nominal_miss_mm"], abs=1e-6)
 
 
-def test_an_uncertain_gain_of_the_base_spreads_the_misses(tmp_path, capsys) -> None:
+def test_an_uncertain_gain_of_the_base_spreads_the_misses(tmp_path, capsys):
     words = ("--target", "45,2", "--radius", "0.5", "--turns", "0", "--json", "--out", str(tmp_path))
     most = []
     for gain_sd in ("0", "0.25"):

@@ -42,7 +42,7 @@ def test_letters_that_no_font_has_are_written_as_their_numbers(tmp_path, monkeyp
 @pytest.fixture
 def painted(monkeypatch):
     """Figures by the name of their file, as they are painted; their files are left empty."""
-    found: dict[str, Figure] = {}
+    found = {}
 
     def keep(path, paint):
         path.touch()

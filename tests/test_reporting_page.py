@@ -25,7 +25,7 @@ class Outline(HTMLParser):
 
     VOID = ("meta", "img", "link", "br", "hr")
 
-    def __init__(self, page: bytes) -> None:
+    def __init__(self, page):
         super().__init__()
         self.open, self.tags, self.words = [], [], []
         self.feed(page.decode())

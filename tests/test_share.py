@@ -22,21 +22,21 @@ RECORDING = Path(__file__).parent.parent / "docs/figures/steering.csv"
 pytestmark = pytest.mark.skipif(not kernel_exists(), reason="a system compiler has built no WebAssembly")
 
 
-def compose(path: Path) -> str:
+def compose(path):
     """Return the page of a recording."""
     recording = read_recording(path)
     return compose_page(open_recording(recording), recording)
 
 
 @pytest.fixture(scope="module")
-def shared(tmp_path_factory) -> Path:
+def shared(tmp_path_factory):
     path = tmp_path_factory.mktemp("share") / "steering.html"
     path.write_text(compose(RECORDING), "utf-8")
     return path
 
 
 @pytest.fixture(scope="module")
-def tabulated(tmp_path_factory) -> Path:
+def tabulated(tmp_path_factory):
     """A recording under a law that is a table, whose parameters change, of a scene with a hostile title."""
     folder = tmp_path_factory.mktemp("gent")
     scene = (Path(__file__).parent.parent / "configs/scenes/phantom2.toml").read_text("utf-8")
@@ -62,7 +62,7 @@ def tabulated(tmp_path_factory) -> Path:
     return folder / "gent.csv"
 
 
-def test_the_file_holds_the_recording_and_no_address(shared) -> None:
+def test_the_file_holds_the_recording_and_no_address(shared):
     text = shared.read_text("utf-8")
     (needle,) = read_page_data(text)["needles"]
     recording = read_recording(RECORDING)
@@ -71,7 +71,7 @@ def test_the_file_holds_the_recording_and_no_address(shared) -> None:
     assert not re.search(r"https?:(?!//www.w3.org/2000/svg)", text.replace("\\\n", ""))
 
 
-def test_laws_that_are_tables_come_along(tabulated) -> None:
+def test_laws_that_are_tables_come_along(tabulated):
     text = compose(tabulated)
     (needle,) = read_page_data(text)["needles"]
     assert "<img" not in text and needle["scene"]["title"] == HOSTILE
@@ -82,7 +82,7 @@ def test_laws_that_are_tables_come_along(tabulated) -> None:
 
 @pytest.mark.sweep
 @NO_BROWSER
-def test_it_computes_every_recorded_state_and_can_be_steered(shared, chromium) -> None:  # noqa: F811
+def test_it_computes_every_recorded_state_and_can_be_steered(shared, chromium):  # noqa: F811
     states = list(replay(read_recording(RECORDING)))
     with open_offline(chromium, shared) as page:
         largest = max(one.tip_offset_mm for one in states)  # of this very replay
@@ -111,7 +111,7 @@ def test_it_computes_every_recorded_state_and_can_be_steered(shared, chromium) -
 
 @pytest.mark.sweep
 @NO_BROWSER
-def test_a_needle_in_the_address_is_shown_and_written_again(shared, chromium) -> None:  # noqa: F811
+def test_a_needle_in_the_address_is_shown_and_written_again(shared, chromium):  # noqa: F811
     with open_offline(chromium, shared, address="depth=50&b=0.12&roll=180&turn=20,30&mu2=300") as page:
         state = page.evaluate("needlefit.state")
         assert [state["depth_mm"], state["bevel"]] == [50, {"side": -1, "roll_deg": 180, "offset_mm": 0.12}]
@@ -166,7 +166,7 @@ def test_a_needle_in_the_address_is_shown_and_written_again(shared, chromium) ->
 
 
 @NO_BROWSER
-def test_the_printed_file_has_the_values_of_its_inputs(shared, chromium) -> None:  # noqa: F811
+def test_the_printed_file_has_the_values_of_its_inputs(shared, chromium):  # noqa: F811
     with open_offline(chromium, shared) as page:
         page.emulate_media(media="print")
         fields = page.locator(".field")
@@ -177,7 +177,7 @@ def test_the_printed_file_has_the_values_of_its_inputs(shared, chromium) -> None
 @pytest.mark.sweep
 @NO_BROWSER
 @pytest.mark.parametrize("size", [(1440, 900), (390, 844)])
-def test_a_law_that_is_a_table_is_computed_again_by_an_accessible_page(tabulated, chromium, size) -> None:  # noqa: F811
+def test_a_law_that_is_a_table_is_computed_again_by_an_accessible_page(tabulated, chromium, size):  # noqa: F811
     from axe_playwright_python.sync_playwright import Axe
 
     path = tabulated.with_suffix(".html")
@@ -192,7 +192,7 @@ def test_a_law_that_is_a_table_is_computed_again_by_an_accessible_page(tabulated
 
 
 @NO_BROWSER
-def test_the_depth_is_dragged_along_the_page_of_a_plan(chromium, tmp_path, capsys) -> None:  # noqa: F811
+def test_the_depth_is_dragged_along_the_page_of_a_plan(chromium, tmp_path, capsys):  # noqa: F811
     words = ("phantom2", "--target", "45,2", "--obstacle", "25,0.4,0.8", "--turns", "1", "--json")
     assert run("plan", *words, "--out", str(tmp_path)) == 0
     plan = json.loads(capsys.readouterr().out)

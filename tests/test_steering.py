@@ -8,12 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from pytest import approx
 from refusals import refusal
 
 import needlefit
 from needlefit.errors import ModelError
 from needlefit.inference.forward_model import ParameterDraws
-from needlefit.mechanics.control import Guide, Step, TrackedTip
+from needlefit.mechanics.control import Guide, TrackedTip
 from needlefit.planning.draw_weights import WeightedDraws
 from needlefit.planning.steering import PlanLimits
 from needlefit.studies.steering import Steering
@@ -30,8 +32,8 @@ SCENE = {
 }
 
 
-def medium(mu_factor: float = 1.8, b_factor: float = 1.4) -> dict:
-    def prior(median: float, factor: float) -> dict:
+def medium(mu_factor=1.8, b_factor=1.4):
+    def prior(median, factor):
         return {"bounds": [median / 1e3, median * 1e3], "prior": {"median": median, "factor": factor}}
 
     moduli = {"mu1_pa": prior(5e3, mu_factor), "mu2_pa": prior(2e4, mu_factor)}
@@ -42,11 +44,11 @@ def medium(mu_factor: float = 1.8, b_factor: float = 1.4) -> dict:
 EXACT = medium(1 + 1e-9, 1 + 1e-9)
 
 
-def steer(known=None, **options) -> Steering:
+def steer(known=None, **options):
     return Steering(known or medium(), SCENE, **{"draws": 200, **options})
 
 
-def change(step: Step, depth: float | None = None, **base: float) -> Step:
+def change(step, depth=None, **base):
     return replace(
         step, depth=step.depth if depth is None else depth, controls=replace(step.controls, **base)
     )
@@ -55,8 +57,8 @@ def change(step: Step, depth: float | None = None, **base: float) -> Step:
 class Robot:
     """A true needle, of other parameters than expected, that follows a part of each command."""
 
-    def __init__(self, seed: int) -> None:
-        rng = np.random.default_rng(seed)
+    def __init__(self, seed):
+        rng = default_rng(seed)
         scene, steering = needlefit.open_scene(SCENE), steer()
         mu = scene.tissue.mu * np.exp(np.log(1.8) * rng.standard_normal(2))
         self.offset, self.gain = 0.1 * np.exp(np.log(1.4) * rng.standard_normal()), 1 + 0.25 * rng.normal()
@@ -64,7 +66,7 @@ class Robot:
             scene.needle, replace(scene.tissue, mu=mu), replace(steering.now.bevel, offset=self.offset)
         )
 
-    def go(self, step: Step) -> np.ndarray:
+    def go(self, step):
         moved = {name: self.gain * getattr(step.controls, name) for name in ("base_y", "base_slope")}
         bevel = replace(step.bevel, offset=self.offset)
         self.session.go(replace(step, bevel=bevel, controls=replace(step.controls, **moved)))
@@ -72,13 +74,13 @@ class Robot:
 
 
 @pytest.mark.parametrize("depth", [47.3, 60.0])
-def test_the_jacobian_is_that_of_the_last_inputs_by_differences_of_the_simulator(depth: float) -> None:
+def test_the_jacobian_is_that_of_the_last_inputs_by_differences_of_the_simulator(depth):
     steering = steer(EXACT, draws=1, gain_sd=0.0)
     steering.advance([change(steering.now, 20.0), change(steering.now, 47.3, base_y=0.8)])
     (drawn, _), path = steering.draws, (change(steering.now, 20.0, base_y=0.0), steering.now)
     rules = replace(steering.rules, tolerance=1e-10)
 
-    def tip(deeper: float = 0.0, roll: float = 0.0, base_y: float = 0.0, base_slope: float = 0.0):
+    def tip(deeper=0.0, roll=0.0, base_y=0.0, base_slope=0.0):
         now = replace(steering.now, bevel=replace(steering.now.bevel, roll_deg=np.degrees(roll)))
         last = change(now, depth + deeper, base_y=0.8 + base_y, base_slope=base_slope)
         (shapes,) = needlefit.simulate_batches(
@@ -90,12 +92,12 @@ def test_the_jacobian_is_that_of_the_last_inputs_by_differences_of_the_simulator
     ways = ({"base_y": step}, {"base_slope": step}, {"roll": step})
     differences = [(tip(**way) - tip(**{k: -v for k, v in way.items()})) / (2 * step) for way in ways]
     found = steering.jacobian(depth)
-    assert found[:, :3] == pytest.approx(np.stack(differences, axis=1), abs=2e-6)
-    assert found[:, 3] == pytest.approx((tip(1e-3) - tip()) / 1e-3, abs=1e-5)
-    assert found[0, 3] == pytest.approx(1.0, abs=0.01)
+    assert found[:, :3] == approx(np.stack(differences, axis=1), abs=2e-6)
+    assert found[:, 3] == approx((tip(1e-3) - tip()) / 1e-3, abs=1e-5)
+    assert found[0, 3] == approx(1.0, abs=0.01)
 
 
-def test_weights_are_the_normal_distribution_where_the_tip_is_linear() -> None:
+def test_weights_are_the_normal_distribution_where_the_tip_is_linear():
     """Of a slope alone: y = y0 + slope x, so precisions add; few draws are left, and new ones are made."""
     steering, prior_sd, sd, truth = steer(EXACT, draws=1000, gain_sd=0.0, slope_sd=0.05), 0.05, 0.1, -0.03
     expected, precision, moment, rounds = steering.predict(80.0).mean[0], prior_sd**-2, 0.0, 0
@@ -108,31 +110,31 @@ def test_weights_are_the_normal_distribution_where_the_tip_is_linear() -> None:
     draws, weights = steering.draws
     mean = weights @ draws.slope
     assert rounds > 0 and steering.effective > 200
-    assert mean == pytest.approx(moment / precision, abs=3 * precision**-0.5 / np.sqrt(steering.effective))
-    assert np.sqrt(weights @ (draws.slope - mean) ** 2) == pytest.approx(precision**-0.5, rel=0.1)
+    assert mean == approx(moment / precision, abs=3 * precision**-0.5 / np.sqrt(steering.effective))
+    assert np.sqrt(weights @ (draws.slope - mean) ** 2) == approx(precision**-0.5, rel=0.1)
     assert abs(expected - steering.predict(80.0).mean[0]) > 1.0
 
 
-def test_sigma_points_have_the_mean_and_the_covariance_of_the_weighted_draws() -> None:
-    rng = np.random.default_rng(1)
+def test_sigma_points_have_the_mean_and_the_covariance_of_the_weighted_draws():
+    rng = default_rng(1)
     known = ParameterDraws(np.exp(rng.normal(size=(60, 2))), np.ones((60, 1, 2)), np.exp(rng.normal(size=60)))
     draws = WeightedDraws.begin(known, 60, 0.25, 0.0, rng)
     draws = replace(draws, log_weights=rng.normal(size=60))
 
-    def list_logarithms(some: ParameterDraws) -> np.ndarray:
+    def list_logarithms(some):
         return np.column_stack([np.log(some.mu), np.log(some.bevel), some.gain])
 
     every, points = (list_logarithms(one) for one in (draws.to_parameters(), draws.list_sigma_points()))
     assert len(points) == 8
-    assert points.mean(axis=0) == pytest.approx(draws.weights @ every)
-    assert np.cov(points, rowvar=False, bias=True) == pytest.approx(
+    assert points.mean(axis=0) == approx(draws.weights @ every)
+    assert np.cov(points, rowvar=False, bias=True) == approx(
         np.cov(every, rowvar=False, aweights=draws.weights, ddof=0)
     )
     exact = steer(EXACT, draws=1, gain_sd=0.0)
-    assert exact._draws.list_sigma_points().bevel == pytest.approx([0.1])
+    assert exact._draws.list_sigma_points().bevel == approx([0.1])
 
 
-def test_every_kind_of_measurement_is_expected_where_the_needle_is() -> None:
+def test_every_kind_of_measurement_is_expected_where_the_needle_is():
     """Of exact draws: each value is off by what was added to it, in standard deviations."""
     steering, from_tip = steer(EXACT, draws=1, gain_sd=0.0), np.array([10.0, 25.0, 40.0])
     path = change(steering.now, 30.0), change(steering.now, 60.0, base_y=1.0)
@@ -147,14 +149,14 @@ def test_every_kind_of_measurement_is_expected_where_the_needle_is() -> None:
         ("curvatures", curvatures, 1e-3),
     ):
         found = steering.measure(**{kind: np.add(values, (0.0, 0.2))}, sd=0.1)
-        assert found.surprise == pytest.approx(2.0, abs=tolerance), kind
+        assert found.surprise == approx(2.0, abs=tolerance), kind
 
 
-def test_with_feedback_the_needle_comes_nearer_and_the_predicted_miss_holds() -> None:
+def test_with_feedback_the_needle_comes_nearer_and_the_predicted_miss_holds():
     misses, covered = {"open": [], "closed": []}, 0
     for seed in range(6):
         for mode, found in misses.items():
-            rng, robot, steering = np.random.default_rng(seed), Robot(seed), steer(seed=seed)
+            rng, robot, steering = default_rng(seed), Robot(seed), steer(seed=seed)
             plan = steering.plan(TARGET)
             for stop in (*range(10, 80, 10), plan.steps[-1].depth):
                 for step in plan.cut_at(float(stop)):
@@ -171,7 +173,7 @@ def test_with_feedback_the_needle_comes_nearer_and_the_predicted_miss_holds() ->
     assert covered >= 5
 
 
-def test_a_target_out_of_reach_is_said_with_how_near_the_needle_comes() -> None:
+def test_a_target_out_of_reach_is_said_with_how_near_the_needle_comes():
     steering = steer()
     steering.advance(change(steering.now, 60.0))
     found = steering.plan((75.0, 12.0), limits=PlanLimits(turns=0))
@@ -180,7 +182,7 @@ def test_a_target_out_of_reach_is_said_with_how_near_the_needle_comes() -> None:
     refusal(ModelError, "target lies at a depth of 50.0 mm", steering.plan, (50.0, 0.0))
 
 
-def test_an_error_changes_nothing() -> None:
+def test_an_error_changes_nothing():
     steering = steer(draws=50)
     steering.advance(change(steering.now, 30.0))
     y = float(steering.predict().mean[0])
@@ -205,7 +207,7 @@ def test_an_error_changes_nothing() -> None:
         assert np.array_equal(steering.draws[1], weights)
 
 
-def test_the_loop_of_the_guide_prints_what_it_shows() -> None:
+def test_the_loop_of_the_guide_prints_what_it_shows():
     guide = (Path(__file__).parents[1] / "docs/guides/steering.md").read_text(encoding="utf-8")
     ((code, shown),) = re.findall(r"```python\n(.*?)```\s*```text\n(.*?)```", guide, re.DOTALL)
     with contextlib.redirect_stdout(io.StringIO()) as printed:
@@ -213,15 +215,15 @@ def test_the_loop_of_the_guide_prints_what_it_shows() -> None:
     assert printed.getvalue() == shown
 
 
-def test_tissue_that_follows_the_base_bends_the_needle_less_and_moves_it() -> None:
+def test_tissue_that_follows_the_base_bends_the_needle_less_and_moves_it():
     steering = steer(EXACT, draws=1, gain_sd=0.0)
     (drawn, _), start = steering.draws, steering.now
 
-    def find_tip(draws: ParameterDraws, base_y: float) -> np.ndarray:
+    def find_tip(draws, base_y):
         path = (change(start, 20.0), change(start, 60.0, base_y=base_y))
         batch = draws.make_batch(steering.needle, steering.tissue, path, steering.rules)
         (shapes,) = needlefit.simulate_batches([batch], 1)
         return draws.find_points(shapes, np.array([60.0]), path)[0, 0]
 
     followed = find_tip(replace(drawn, carried=np.array([0.3])), 2.0)
-    assert followed == pytest.approx(np.add(find_tip(drawn, 0.7 * 2.0), (0.0, 0.3 * 2.0, 0.0)), abs=1e-12)
+    assert followed == approx(np.add(find_tip(drawn, 0.7 * 2.0), (0.0, 0.3 * 2.0, 0.0)), abs=1e-12)

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from light_runs import do_not_escalate
+from numpy.random import default_rng
 from pytest import approx
 
 import needlefit
@@ -230,7 +231,7 @@ def test_of_several_specimens_a_name_is_needed(job, monkeypatch):
     one, two = job.folds[0].tune
     tune = (one, replace(two, specimen="other"))
     apart = replace(sure(job), folds=(replace(job.folds[0], tune=tune),))
-    noise, sds = np.random.default_rng(3).standard_normal((1000, len(theta(job)))), theta(job) * 0 + 0.01
+    noise, sds = default_rng(3).standard_normal((1000, len(theta(job)))), theta(job) * 0 + 0.01
     sds[job.parameters.free.index("bevel_mm")] = 0.03
     noise[0] = 0.0  # the mode
     drawn = {
@@ -294,7 +295,7 @@ def test_a_whole_curve_leaves_its_band_at_the_nominal_rate(length):
 
     The drawn band holds a curve where its PIT value says so.
     """
-    rng, s = np.random.default_rng(3), np.arange(30.0)
+    rng, s = default_rng(3), np.arange(30.0)
     covariance = 0.04 * np.exp(-np.abs(s[:, None] - s) / length) + 1e-9 * np.eye(30)
     root = np.linalg.cholesky(covariance)
     means = 0.1 * rng.normal(size=(100, 1)) * s

@@ -12,6 +12,7 @@ import pytest
 from inference_cases import NEEDLE, TRUTH, dataset, insertion, medium, problem, two_layers
 from light_runs import predict_by_few_draws
 from numpy.testing import assert_allclose
+from pytest import approx
 from scipy.optimize import brentq
 from world import PROJECT
 
@@ -66,8 +67,8 @@ def clean(tmp_path_factory):
         )
 
 
-EVENTS: list[tuple[str, int, int]] = []  #: what the run above reports
-FIRST: list[str] = []
+EVENTS = []  #: what the run above reports
+FIRST = []
 
 
 def study(**changes):
@@ -90,8 +91,8 @@ def fitted(results):
 
 def test_truth_is_recovered_and_scored_with_no_error(clean):
     results = clean
-    assert fitted(results)["mu1_pa"] == pytest.approx(needles.MU[0] * 1e6, rel=0.05)
-    assert fitted(results)["bevel_mm"] == pytest.approx(needles.BEVEL, rel=0.01)
+    assert fitted(results)["mu1_pa"] == approx(needles.MU[0] * 1e6, rel=0.05)
+    assert fitted(results)["bevel_mm"] == approx(needles.BEVEL, rel=0.01)
     errors = results.frames["errors"][results.frames["errors"]["method"] == "fitted"]
     assert set(errors["role"]) == {"tune", "validate"}
     assert errors["te_mm"].max() < 0.01
@@ -345,7 +346,7 @@ def test_a_tie_shares_its_sources_verdict_times_its_factor(project):
     mu1, mu2 = rows.loc["mu1_pa"], rows.loc["mu2_pa"]
     assert mu2["status"] == "tied" and mu2["note"].startswith("tied: 50 * mu1_pa")
     for column in ("value", "low", "high", "interval_low", "interval_high"):
-        assert mu2[column] == pytest.approx(50 * mu1[column])
+        assert mu2[column] == approx(50 * mu1[column])
     assert (mu1["determined"], mu2["determined"]) == ("only together", "only together")  # a factor above 2
     assert math.isnan(mu2["sd"]) and mu1["sd"] > 0
     assert [mu1["bound_low"], mu1["bound_high"]] == [3e4, 3e6] and math.isnan(mu2["bound_low"])

@@ -3,7 +3,6 @@
 import contextlib
 import dataclasses
 import json
-from pathlib import Path
 
 import needles
 import numpy as np
@@ -11,6 +10,7 @@ import pytest
 from inference_cases import dataset, insertion, medium
 from light_runs import predict_by_few_draws
 from made_again import store
+from pytest import approx
 
 from needlefit.errors import ConfigError, DataError
 from needlefit.inference.forward_model import make_simulation_inputs
@@ -18,7 +18,6 @@ from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.planning.insertion_scene import make_scene_record
 from needlefit.project.locate import find_file
-from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.fit_frames import select_draws
@@ -43,7 +42,7 @@ FIT = GEL.replace('{ tie = "50 * mu1_pa" }', "{ fixed = 2e7 }").replace(
 RECIPE = "schema = 1\nstarts = 2\nevaluations = 100\ntolerance = 1e-6\n"
 
 
-def run_study(folder: Path, recipe: str, compared: str | None = None):
+def run_study(folder, recipe, compared=None):
     """Run and store a study of the needles of a project, fitted to one piece; return what it found."""
     for name, text in (("media/gel", GEL), ("media/fit", FIT), ("recipes/short", recipe)):
         path = folder / "configs" / f"{name}.toml"
@@ -57,7 +56,7 @@ def run_study(folder: Path, recipe: str, compared: str | None = None):
     return results
 
 
-def put(results, folder: Path) -> str:
+def put(results, folder):
     folder.mkdir(parents=True, exist_ok=True)
     store(results, folder)
     (folder / "run.json").write_text(json.dumps(results.run_json))
@@ -65,7 +64,7 @@ def put(results, folder: Path) -> str:
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def made(tmp_path_factory):
     """A project with a dataset, a medium of its name, and a run of a study."""
     folder = tmp_path_factory.mktemp("project")
     needles.build(folder / "data" / "needles")
@@ -76,12 +75,12 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def project(made: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def project(made, monkeypatch):
     monkeypatch.chdir(made)
     return made
 
 
-def rules(**changes: float) -> MediumRecord:
+def rules(**changes):
     return medium().model_copy(update=changes)
 
 
@@ -125,7 +124,7 @@ def test_draws_beside_a_scene_are_checked(tmp_path):
     head = "mu1_pa,mu2_pa,mu3_pa,mu4_pa,bevel_mm,alpha1\n"
     beside.write_text(f"{head}2e5,3e5,4e5,5e5,0.1,3\n3e5,1e5,1e5,1e5,0.2,2\n")
     spread = open_target(str(path)).spread
-    assert spread.mu[0].tolist() == pytest.approx([0.2, 0.3, 0.4, 0.5])
+    assert spread.mu[0].tolist() == approx([0.2, 0.3, 0.4, 0.5])
     assert spread.bevel.tolist() == [0.1, 0.2] and spread.shape[:, 0, 0].tolist() == [3.0, 2.0]
     for damaged in ("mu1_pa\n2e5\n", head, f"{head}-1,3e5,4e5,5e5,0.1,3\n", f"{head}2e5,3e5,4e5,5e5,,3\n"):
         beside.write_text(damaged)
@@ -136,9 +135,9 @@ def test_draws_beside_a_scene_are_checked(tmp_path):
 def test_without_a_fit_the_medium_s_middle_is_where_tuning_by_hand_begins(project):
     viewed_scene = open_target("needles")
     first, second = viewed_scene.record.layers
-    assert first.mu_pa == pytest.approx(3e5) and second.mu_pa == pytest.approx(1.5e7)  # the tie holds
-    assert second.alpha == pytest.approx(-1.0)  # the prior's peak, not the middle of the bounds
-    assert viewed_scene.record.bevel.offset_mm == pytest.approx(0.05)
+    assert first.mu_pa == approx(3e5) and second.mu_pa == approx(1.5e7)  # the tie holds
+    assert second.alpha == approx(-1.0)  # the prior's peak, not the middle of the bounds
+    assert viewed_scene.record.bevel.offset_mm == approx(0.05)
     assert "medium gel" in viewed_scene.note
 
 
@@ -156,7 +155,7 @@ def test_a_run_shows_its_fit_starting_with_a_held_out_insertion(project):
     assert np.array_equal(plain.mu[:, 0], draws["mu1_pa"] * 1e-6)
     deviations = (plain.bevel / draws["bevel_mm"] - 1) / draws["bevel_spread"]
     # b is the mean of two bevels
-    assert abs(deviations.mean()) < 0.3 and deviations.std() == pytest.approx(np.sqrt(1.5), abs=0.2)
+    assert abs(deviations.mean()) < 0.3 and deviations.std() == approx(np.sqrt(1.5), abs=0.2)
 
 
 def test_the_band_of_a_new_specimen_is_as_wide_as_the_run_predicted_it(project):

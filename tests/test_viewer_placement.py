@@ -1,7 +1,5 @@
 """Where a steered needle lies in space: where the files of a run have it, and its log says so alone."""
 
-from pathlib import Path
-
 import needles
 import numpy as np
 import pytest
@@ -23,7 +21,7 @@ TURNED = "lps_to_world = [[0, -1, 0, 10], [1, 0, 0, 20], [0, 0, 1, 30]]"
 """A quarter turn about z: of LPS (x, y, z), the world is (10 - y, 20 + x, 30 + z)."""
 
 
-def fitted(folder: Path, pose: str, compared: str | None = None):
+def fitted(folder, pose, compared=None):
     """Fit needles whose scan is turned in the world; return what the run found."""
     source = "first_point" if pose == "direction" else "stage"
     file = needles.build(folder / "data" / "needles", pose_source=source)
@@ -36,7 +34,7 @@ def fitted(folder: Path, pose: str, compared: str | None = None):
     return run_study(folder, QUICK, compared)
 
 
-def steered(path: Path) -> None:
+def steered(path):
     """Record how the needle of the run is inserted to its measured depth."""
     viewed_scene = open_target(f"reports/small/{ID}")
     steering = SteeredNeedle(Scene.from_record(viewed_scene.record), viewed_scene.first_cell)
@@ -48,7 +46,7 @@ def steered(path: Path) -> None:
 
 @pytest.mark.usefixtures("few_draws")
 @pytest.mark.parametrize("pose", ["known", "direction", "free"])
-def test_a_steered_needle_lies_where_the_files_of_a_run_have_it(pose, tmp_path, monkeypatch) -> None:
+def test_a_steered_needle_lies_where_the_files_of_a_run_have_it(pose, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     results = fitted(tmp_path, pose)
     compared = {"known": "world", "direction": "shifted", "free": "aligned"}[pose]

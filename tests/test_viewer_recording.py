@@ -22,7 +22,7 @@ from needlefit.schemas.scene import SceneRecord
 PLAIN = load(find_file("scene", "study2"), SceneRecord)
 
 
-def read(step) -> tuple[Change, ...]:
+def read(step):
     """Return changes from rows of name, item (where there is one) and value."""
     return tuple(Change(name, *(rest if len(rest) == 2 else (None, *rest))) for name, *rest in step)
 
@@ -46,11 +46,11 @@ WANDERING = [
 ]
 
 
-def nodes_y(shape) -> np.ndarray:
+def nodes_y(shape):
     return compute_positions(shape, shape.x)[:, 1]
 
 
-def recorded(path, changes=WANDERING) -> SteeredNeedle:
+def recorded(path, changes=WANDERING):
     """Write a recording of changes; return the needle, with the y of its nodes after each step as `found`."""
     steering = SteeredNeedle(Scene.from_record(PLAIN), 1.0)
     steps = []
@@ -65,7 +65,7 @@ def recorded(path, changes=WANDERING) -> SteeredNeedle:
     return steering
 
 
-def test_a_replay_finds_the_same_bits_after_every_step(tmp_path) -> None:
+def test_a_replay_finds_the_same_bits_after_every_step(tmp_path):
     path = tmp_path / "log.csv"
     found = recorded(path).found
     again = list(replay(read_recording(path)))
@@ -77,7 +77,7 @@ def test_a_replay_finds_the_same_bits_after_every_step(tmp_path) -> None:
 
 
 @pytest.mark.parametrize("cut", [1, 20, 45])
-def test_a_recording_cut_off_in_its_last_step_has_all_before(tmp_path, cut: int) -> None:
+def test_a_recording_cut_off_in_its_last_step_has_all_before(tmp_path, cut):
     """Killed while it wrote: the step of two rows at the end is there whole, or not at all."""
     path = tmp_path / "log.csv"
     recorded(path, [*WANDERING, [("depth_mm", 9.0), ("bevel_side", -1.0)]])
@@ -104,7 +104,7 @@ def test_a_recording_cut_off_in_its_last_step_has_all_before(tmp_path, cut: int)
         ("3,0.7500,bevel_side,,-1.0", "3,0.7500,return_to,,2.0", "step 3 "),
     ],
 )
-def test_a_faulty_recording_is_refused_with_its_place(tmp_path, old, new, fault) -> None:
+def test_a_faulty_recording_is_refused_with_its_place(tmp_path, old, new, fault):
     path = tmp_path / "log.csv"
     recorded(path)
     text = path.read_text()
