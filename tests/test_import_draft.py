@@ -371,7 +371,7 @@ def test_columns_beside_a_depth_and_tables_of_layers_are_asked_about(tmp_path):
         assert planned(paths)[0].boundaries_mm == {"medium1": (20.0, 35.0)}
         assert planned(paths, unused='["l.csv"]')[0].boundaries_mm == {"medium1": ()}
     paths = [write_long(tmp_path, NEEDLES), write_rows(tmp_path / "l.csv", [["layer", "name"], [1, "gel"]])]
-    assert """--set 'unused=["l.csv"]'""" in refusal(DataError, "layer, name", prepare, paths).fix
+    assert "--set boundaries" in refusal(DataError, "layer, name", prepare, paths).fix
     assert planned(paths, boundaries="20")[0].boundaries_mm == {"medium1": (20.0,)}
 
 

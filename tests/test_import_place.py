@@ -902,7 +902,7 @@ def test_curvatures_may_stand_on_a_sheet_for_each_needle_without_an_sd(tmp_path)
     assert planned([file], curvature_sd="2e-5 1/mm")[0].rows[0].curvature[0, 3] == pytest.approx(2e-5)
     sheets["needle 2"][3][2:] = ["a (1/m)", "b (m^-1)"]
     file = write_sheets(tmp_path / "other.xlsx", **sheets)
-    assert "curvature_y.column=" in refusal(DataError, "curvatures", planned, [file]).fix
+    assert "curvature_y.column=" in refusal(DataError, "curvature_z", planned, [file]).fix
 
 
 @pytest.mark.parametrize("kind", ["Fiducial", "Plane"])
@@ -923,3 +923,37 @@ def test_points_and_planes_of_slicer_are_boundaries(tmp_path, kind):
     assert data.insertions[0].boundaries == pytest.approx([20.0], abs=0.1)
     write_markups(tmp_path / "layer.mrk.json", "layer", points[0] + np.outer(np.arange(5.0), [0, 1, 0]))
     refusal(DataError, "no plane", planned, [tmp_path], **stated | {"surfaces": "layer.mrk.json"})
+
+
+def test_tips_at_a_tracker_are_read_across_the_insertion_and_rolled_from_the_stated_up(tmp_path):
+    """Four runs off all axes, whose bevels face 12, 3, 6 and 9 o'clock; and one of 4 readings."""
+    frame = np.linalg.qr(np.array([[0.7, 0.2, -0.6], [0.1, 0.9, 0.3], [0.0, 0.0, 1.0]]).T)[0] * [-1, -1, 1]
+    along, up = frame.T[:2]
+    right, rows = np.cross(along, up), []
+    for name, clock, toward in zip("abcd", (12, 3, 6, 9), (up, right, -up, -right), strict=True):
+        tips = [x * along + 4e-4 * x**2 * toward for x in np.arange(0.0, 61.0, 5.0)]
+        rows += [(name, clock, 0.5 * n, *tip) for n, tip in enumerate(tips)]
+    rows += [("e", 12, n, *(n * along)) for n in range(4)]
+    write_table(file := tmp_path / "a.csv", "run,bevel clock,time,tip x,tip y,tip z", rows)
+    stated = {"holds": "tracks", "unit": "mm", "point_sd": "0.1", "pose": ",".join(map(str, along))}
+    assert "--set bevel=" in refusal(DataError, "several ways", planned, [file], **stated).fix
+    stated["bevel"] = ",".join(map(str, up + 0.3 * along))
+    fault = refusal(DataError, "4 readings", write_placed, tmp_path / "x", [file], **stated)
+    assert "--set leave_out=e" in fault.fix
+    runs = read(write_placed(tmp_path / "out", [file], leave_out="e", specimen="one", **stated)).insertions
+    assert [[turn for _, turn in run.turns] for run in runs] == [[], [90.0], [180.0], [270.0]]
+    ends = [run.points[-1, 1:] for run in runs]
+    np.testing.assert_allclose(ends, 1.44 * np.array([[1, 0], [0, 1], [-1, 0], [0, -1]]), atol=1e-3)
+    along_needle = stated | {"bevel": stated["pose"]}
+    refusal(DataError, "60 degrees", planned, [file], **along_needle)
+
+
+def test_a_needle_that_is_a_tenth_as_long_or_has_a_gauge_in_its_name_is_asked_about(tmp_path):
+    file = write_long(tmp_path, [*NEEDLES, needle(1, 16) / 10.0])
+    assert "leave_out=n4" in refusal(DataError, "n4 is 5.", planned, [file]).fix
+    assert len(planned([file], leave_out="n4")[0].rows) == 3
+    assert len(planned([file], lengths="differ")[0].rows) == 4
+    file = write_long(tmp_path, [NEEDLES[0] / 10.0], head=["depth [mm]"], cells=[["60"]])
+    assert "--set unit=cm" in refusal(DataError, "depth", planned, [file], entry_point="first").fix
+    file.write_text(write_long(tmp_path, NEEDLES).read_text().replace("n1,", "22G x 150 mm,"))
+    assert "--set diameter=22G" in refusal(DataError, "22G", planned, [file]).fix

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from needlefit.arrays import Floats
 from needlefit.datasets.importing.stated import Stated
@@ -60,6 +61,13 @@ class ImportedCurve:
             return 0.0
         start = 0.0 if self.is_deflection or self.holds == "tips" else self.line[0]
         return float(np.linalg.norm(self.line - start, axis=1).max())
+
+    def read_curvature(self, turn: float) -> Floats | None:
+        """Return `sensors` (n, 4) with curvatures toward the bevel, turned from up by rad, and across."""
+        if not self.sensors:
+            return None
+        read = np.array(self.sensors)
+        return np.column_stack([Rotation.from_rotvec([-turn, 0.0, 0.0]).apply(read[:, :3]), read[:, 3]])
 
     @property
     def depth(self) -> float:

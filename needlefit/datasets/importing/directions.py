@@ -49,6 +49,7 @@ class BendsOfSides:
         self.toward: Floats = np.array(sides)[:, None] * self.turned.inv().apply(across)
         self.sizes = np.linalg.norm(self.toward, axis=1)
         self.units = self.toward / np.maximum(self.sizes, SAME_POINT_MM)[:, None]
+        self.direction = to_unit(along.sum(axis=0))
         self.mean = to_unit(self.toward.sum(axis=0))  # of straight needles it is 0
 
     @property

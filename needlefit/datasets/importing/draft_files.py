@@ -84,7 +84,9 @@ def draft_mapping(paths: Sequence[Path], stated: Assignments) -> tuple[Draft, li
     if "specimen" not in {*stated.columns, *draft.values}:
         _ask_sources(draft)
     if not draft.opens and all(table["holds"] in ("facts", "turns") for table in draft.tables):
-        tables = "; ".join(f"{part}: {why}" for part, why in draft.unused if part.startswith("table"))
+        tables = "; ".join(
+            f"{part}: {why}" for part, why in draft.unused if part.startswith(("table", "folder"))
+        )
         has_depth = any("depth" in table["columns"] for table in draft.tables)
         for key in ("deflection",) if has_depth else "xy":
             draft.ask("column", str(paths[0]), key=key, text=f"{MEANINGS[key].text} ({tables or paths[0]})")

@@ -332,7 +332,7 @@ class TableDraft:
             return False
         for key in ("sensor_from_base" if "sensor_from_base" in self.taken else "sensor", *SENSOR[1:3]):
             if key not in self.taken:
-                self._ask_column(key, inverse if key in SENSOR[1:3] else ())
+                self._ask_column(key, inverse if key in SENSOR[1:3] else self._list_unknown())
         return True
 
     def _ask_column(self, meaning: str, columns: Sequence[Column] = (), *further: str) -> None:

@@ -45,6 +45,8 @@ OF_ALL = (  #: of these not
     "guide",
     "depth_zero",
     "registration_depth",
+    "leave_out",
+    "lengths",
     "title",
     "source",
     "license",

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import DEFAULT_ROLL_SD_DEG, InsertionRow, PoseSource
@@ -40,6 +39,7 @@ from needlefit.geometry.shaft import ShaftAxis, fit_shaft_axis
 from needlefit.geometry.surfaces import Surface
 from needlefit.project.locate import join_names
 from needlefit.project.unit_warnings import GAUGES_MM
+from needlefit.project.units import UNITS_MM
 from needlefit.schemas.reconstruction import ReconstructionEntryRecord
 from needlefit.schemas.scene import NeedleRecord
 
@@ -318,11 +318,13 @@ class Planner(CurveAnswers):
                     where=curve.points.where(),
                 )
             if abs(depth - length) > limit:
-                raise stated[curve.name].error(
-                    "depth",
-                    f"within {limit:.1f} mm the length of {curve.name}, which is {curve.length:.1f} mm",
-                    "correct the depth, or the order of the points; or cut off a shaft by entry_point",
-                )
+                fix = "correct the depth, or the order of the points; or cut off a shaft by entry_point"
+                units = [unit for unit, mm in UNITS_MM.items() if abs(length * mm - depth) < limit]
+                if units:
+                    state = f"state {name_set('unit', units[0])} of all, or correct its file"
+                    fix = f"its coordinates look like {units[0]}: {state}"
+                expected = f"within {limit:.1f} mm the length of {curve.name}, which is {curve.length:.1f} mm"
+                raise stated[curve.name].error("depth", expected, fix)
         return entries
 
     def make_rows(
@@ -389,8 +391,6 @@ class Planner(CurveAnswers):
             crossed = (
                 find_crossings(curve.points.curve.smoothed, self.surfaces).sequence if self.surfaces else ()
             )
-            sensors = np.array(curve.sensors).reshape(-1, 4)
-            read = Rotation.from_rotvec([-zeros[n], 0.0, 0.0]).apply(sensors[:, :3])
             run = float((curve.line[-1] - first[n]) @ ways[n])
             rows[n] = replace(
                 rows[n],
@@ -402,7 +402,7 @@ class Planner(CurveAnswers):
                 pose_shift_sd=shifts[n],
                 pose_angle_sd=sds[n],
                 turns=tuple((depth, np.radians(cell.to_angle()) - zeros[n]) for depth, cell in curve.turns),
-                curvature=np.column_stack([read, sensors[:, 3]]) if curve.sensors else None,
+                curvature=curve.read_curvature(zeros[n]),
             )
         return add_tips(self, rows, zeros, point_sd)
 

@@ -18,6 +18,7 @@ from needlefit.datasets.importing.read import MappedTable, list_tables, read_cur
 from needlefit.datasets.importing.stated import Question, Settler, UnansweredError, name_set
 from needlefit.datasets.importing.synonyms import list_bare_numbers
 from needlefit.errors import ConfigError, DataError
+from needlefit.project.locate import join_names
 from needlefit.project.toml import check, load, override
 from needlefit.project.units import UNITS_MM
 from needlefit.schemas.mapping import MappingRecord
@@ -25,6 +26,8 @@ from needlefit.schemas.mapping import MappingRecord
 STATED_MM = (1.0, 2000.0)  # least and greatest length (mm) of the longest needle by a stated unit
 # of a remark: `0,085 mm/px`
 _SCALE = re.compile(r"(\d+(?:[.,]\d+)?) *([mcu]?m) *(?:/|per|pro|par) *(?:px|pixel)")
+_GAUGE = re.compile(r"(?<![^\W_])(1\d|2\d|3[0-4]) ?G(?![^\W_])")  # of a name or a line: `22G x 150 mm`
+MAX_LENGTH_RATIO = 8.0  # of the longest needle and the shortest: of cm among mm it is near 10
 DRAFT = "the draft of the mapping"  #: its place in messages
 DECISIVE = ("needle", "diameter", "modulus", "depth_zero", "bevel_side")  # assumptions that are listed first
 MAX_SHOWN_CELLS = 4  # number of cells of a row on the screen
@@ -96,8 +99,13 @@ def _prepare(
     else:
         record, unused, where = _load(mapping, assignments), [], str(mapping)
         files = [*_list_named(paths)]
-    content = read_mapped(record, files, where)
-    _require_lengths(content)
+    try:
+        content = read_mapped(record, files, where)
+    except DataError as error:
+        folders = [what for what, _ in unused if what.startswith("folder")]
+        fix = f"{error.fix}; or name {join_names(folders, 3)}, too: it was not searched"
+        raise (error.replace(fix=fix) if folders else error) from None
+    _require_lengths(content, record)
     examples = find_examples(content.curves)
     values, assumed = dict(record.values), dict(record.assumed)
     if not examples and record.origin == "example":
@@ -139,6 +147,13 @@ def complete_draft(paths: Sequence[Path], assignments: Sequence[tuple[str, str]]
         _settle_unit(draft, files)
     if not draft.opens:
         _doubt_units(draft, files)
+    texts = " ".join([*(text for text, _ in draft.unused), *set().union(*draft.needles.values())])
+    gauges = {f"{number}G" for number in _GAUGE.findall(texts.replace("_", " "))}
+    if gauges and not any(
+        "diameter" in named for named in (draft.values, *(t["columns"] for t in draft.tables))
+    ):
+        answers = {gauge: {"diameter": gauge} for gauge in sorted(gauges)}
+        draft.ask("diameter", files[0].name, answers, gauge=", ".join(answers))
     if draft.opens:
         raise draft.to_error()
     return draft, files
@@ -196,8 +211,8 @@ def _doubt_units(draft: Draft, files: Sequence[Path]) -> None:
                 draft.ask("length", mapped.table.path.name, answers, key=meaning, shown=shown)
 
 
-def _require_lengths(content: ImportContent) -> None:
-    """DataError if no needle has a length that is possible."""
+def _require_lengths(content: ImportContent, record: MappingRecord) -> None:
+    """DataError if no needle has a length that is possible; ask where one is in another unit, perhaps."""
     longest, (low, high) = max(curve.reach for curve in content.curves), STATED_MM
     if longest and not low <= longest <= high:
         raise DataError(
@@ -208,6 +223,20 @@ def _require_lengths(content: ImportContent) -> None:
             ),
             where=content.curves[0].points.where(),
         )
+    shapes = [one for one in content.curves if one.holds == "shapes" and "depth" not in one.stated]
+    short = min(shapes, key=lambda curve: curve.reach, default=None)
+    if short is None or "lengths" in record.values or longest < MAX_LENGTH_RATIO * short.reach:
+        return
+    answers = {"differ": {"lengths": "differ"}, f"without {short.name}": {"leave_out": short.name}}
+    problem = f"{short.name} is {short.reach:.3g} mm long, the longest needle {longest:.3g} mm"
+    raise UnansweredError(
+        problem,
+        question=Question("", f"{problem}. Is this right?", answers, short.points.where()),
+        expected="lengths in one unit",
+        fix=f"correct the unit in its file; or, if it is right, {name_set('lengths', 'differ')}; or leave it "
+        f"out: {name_set('leave_out', short.name)}",
+        where=short.points.where(),
+    )
 
 
 # ---- the screen

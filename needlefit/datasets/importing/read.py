@@ -182,6 +182,16 @@ def read_mapped(mapping: MappingRecord, paths: Sequence[Path], where: str) -> Im
     for mapped in tables:
         if mapped.record.holds in ("curvatures", "turns", "facts"):
             _add_rows(mapped, content.curves)
+    unwanted = {name.strip() for name in mapping.values.get("leave_out", "").split(",")} - {""}
+    known = {name for curve in content.curves for name in (curve.name, curve.given)}
+    if missing := unwanted - known:
+        raise DataError(
+            f"no needle is called {join_names(sorted(missing), MAX_LISTED_NAMES)}, to be left out",
+            expected=join_names(sorted(known), MAX_LISTED_NAMES),
+            fix=f"correct {name_set('leave_out')}",
+            where=where,
+        )
+    content.curves[:] = [curve for curve in content.curves if not unwanted & {curve.name, curve.given}]
     if not content.curves:
         raise DataError(
             "holds no needle",
@@ -351,7 +361,7 @@ def _list_measured(
             if all(k < len(texts) and texts[k] for texts in cells):
                 measured.append((n, [mapped.read_number(axis, n, k) for axis in axes]))
             else:
-                missing += any(raw)
+                missing += any(raw) or mapped.record.holds == "tracks"
     return measured, missing
 
 

@@ -47,13 +47,6 @@ def make_tips(asked: CurveAnswers, point_sd: float) -> list[InsertionRow]:
     is_placed = any(len(curve.line) and not curve.is_deflection for curve in curves)
     frames = place_tips(asked) if is_placed else [IDENTITY_FRAME for _ in curves]
     sides, turns = to_sides(asked.settle_sides(is_needed=True) or [])
-    if any(turns) and any(curve.sensors for curve in curves):
-        raise DataError(
-            "bevels are at right angles beside curvatures",
-            expected="sides 1 and -1",
-            fix="import the needles of each plane",
-            where=curves[0].points.where(),
-        )
     tips = [
         TipReading(curve.line[0, 1:] if len(curve.line) else np.zeros(2), None, curve.points.where())
         for curve in curves
@@ -81,7 +74,7 @@ def make_tips(asked: CurveAnswers, point_sd: float) -> list[InsertionRow]:
             hole=curve.hole,
             tip_y=across[n, 0] if is_tip else None,
             tip_z=across[n, 1] if is_tip and in_space else None,
-            curvature=np.array(curve.sensors).reshape(-1, 4) if curve.sensors else None,
+            curvature=curve.read_curvature(turns[n]),
             observation="" if is_tip else "curvature",
         )
         rows.append(row)

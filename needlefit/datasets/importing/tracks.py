@@ -16,7 +16,7 @@ from needlefit.datasets.importing.synonyms import read_header
 from needlefit.datasets.insertion import GUIDE_STILL_MM
 from needlefit.errors import DataError
 from needlefit.geometry.common_direction import fit_direction
-from needlefit.geometry.frames import normalize
+from needlefit.geometry.frames import normalize, to_unit
 from needlefit.project.locate import join_names
 
 if TYPE_CHECKING:
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 PLACING_PART = 1 / 3  # fraction of the shallowest run whose readings place a run in the tracker's frame
 MIN_GUIDE_PART = 0.5  # smallest fraction of a guide's motion that is used, where some axes are not stated
+MIN_BEVEL_DEG = 60.0  # smallest angle (degrees) from the insertion to the direction that bevels face
 MIN_TRACK_SLOPE = 0.7  # smallest movement (mm per mm of depth) of a tip whose coordinates are all in space
 
 
@@ -63,9 +64,16 @@ def make_tracks(asked: CurveAnswers, is_alone: bool = True) -> list[InsertionRow
         else:
             guess = asked.settle("bevel", guess, reason).text
         bevel = bends.mean if guess == "bend" else normalize(asked.settle("bevel").to_vector("bevel"))
+        stated = asked.stated("pose") if is_alone else None
+        is_posed = stated is not None and stated.text not in ("free", "shaft")
+        along = normalize(asked.settle("pose").to_vector("pose")) if is_posed else bends.direction
+        sideways = bevel - (bevel @ along) * along
+        if np.linalg.norm(sideways) < np.sin(np.radians(MIN_BEVEL_DEG)):
+            needed = f"at least {MIN_BEVEL_DEG:g} degrees off the insertion, {format_direction(along)}"
+            raise asked.settle("bevel").error("bevel", needed)
+        bevel = normalize(sideways)
     across = np.cross(sum(curve.line[-1] - curve.line[0] for curve in curves), bevel)
-    across = across / (np.linalg.norm(across) or 1.0)  # 0 of deflections
-    planes = np.column_stack([bevel, across, np.zeros(3)])
+    planes = np.column_stack([bevel, to_unit(across), np.zeros(3)])  # of deflections 0
     for curve in curves:
         curve.points = replace(curve.points, values=curve.line @ planes)
         if curve.guide is not None:
@@ -79,7 +87,7 @@ def find_bends(curves: Sequence[ImportedCurve], sides: Sequence[int]) -> BendsOf
     bends, along, angles = list[Floats](), list[Floats](), list[float]()
     for curve, side in zip(curves, sides, strict=True):
         depths = curve.depths - curve.depths[0]
-        if fitted is None and len(depths) < len("abc"):  # of a parabola
+        if len(depths) < (3 if fitted is None else 2):  # of a parabola, or a line
             continue
         *curved, slope, _ = np.polyfit(depths, curve.line, 2 if fitted is None else 1)
         bends.append(float(np.ptp(depths)) ** 2 * curved[0] if fitted is None else np.ptp(depths) * slope)
@@ -119,16 +127,22 @@ def settle_rolls(asked: CurveAnswers) -> tuple[list[int], list[float]]:
     DataError if bevels face other ways than up and down, and nothing states where up is.
     """
     curves, (sides, rolls) = asked.curves, to_sides(asked.settle_sides(is_needed=True) or [])
-    if any(curve.turns or curve.sensors for curve in curves) or (
-        len({*rolls}) > 1 and not all(curve.is_deflection for curve in curves)
-    ):
+    if turned := [curve for curve in curves if curve.turns or curve.sensors]:
         raise DataError(
-            "bevels are at right angles, turned, or beside curvatures",
-            expected="sides 1 and -1, without shapes",
-            fix="state deflections up and to the right; or import the runs of each plane",
-            where=curves[0].points.where(),
+            f"run {turned[0].name} has turns of its bevel, or curvatures, beside its readings",
+            expected="readings alone, of a bevel that is not turned",
+            fix="import its readings without the other tables",
+            where=turned[0].points.where(),
         )
-    if not all(curve.is_deflection for curve in curves):
+    up = asked.stated("bevel")
+    if not all(curve.is_deflection for curve in curves) and (up is None or up.text == "bend"):
+        if len({*rolls}) > 1:
+            raise DataError(
+                "bevels face several ways, and nothing states where up is in the frame of the tips",
+                expected="sides 1 and -1; or the direction of 0 degrees (12 o'clock)",
+                fix=f"state {name_set('bevel', 'X,Y,Z')}",
+                where=curves[0].points.where(),
+            )
         return sides, [0.0] * len(rolls)  # of one plane, in which they bend
     if any(rolls) and not any(curve.line[:, 2].any() for curve in curves):
         asked.settler.assumed["deflection"] = (

@@ -11,6 +11,7 @@ from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.importing.curves import ImportContent, ImportedCurve
 from needlefit.datasets.importing.place import ImportPlan
 from needlefit.datasets.importing.read import make_unique
+from needlefit.datasets.importing.stated import name_set
 from needlefit.datasets.insertion import Dataset
 from needlefit.datasets.read import inspect
 from needlefit.datasets.record_warnings import MAPPING_FILE, PLACEHOLDER
@@ -100,25 +101,34 @@ def _trace_fault(fault: Fault, curves: Sequence[ImportedCurve], folder: Path) ->
     """Return a fault of the dataset in `folder` as one of the imported files: where a row comes from."""
     name, _, line = Path(fault.where).as_posix().removeprefix(f"{folder.as_posix()}/").rpartition(":")
     points = {
-        curve.name: [(curve.points.where(n), f"curve {curve.name} ") for n in range(len(curve.line))]
+        curve.name: [
+            (curve.points.where(n), f"curve {curve.name} ", curve.name) for n in range(len(curve.line))
+        ]
         for curve in curves
     }
     places = {f"centerlines/{needle}.csv": of_points for needle, of_points in points.items()} | {
         "insertions.csv": [
-            (curve.points.where(), f"curve {curve.name}: ") for curve in curves if curve.holds != "tracks"
+            (curve.points.where(), f"curve {curve.name}: ", curve.name)
+            for curve in curves
+            if curve.holds != "tracks"
         ],
         TRACKS_FILE: [place for curve in curves if curve.holds == "tracks" for place in points[curve.name]],
-        TURNS_FILE: [(cell.where.partition(", column")[0], "") for one in curves for _, cell in one.turns],
+        TURNS_FILE: [
+            (cell.where.partition(", column")[0], "", curve.name)
+            for curve in curves
+            for _, cell in curve.turns
+        ],
         CURVATURE_FILE: [
-            (f"curvature {n} of needle {curve.name}", "")
+            (f"curvature {n} of needle {curve.name}", "", curve.name)
             for curve in curves
             for n, _ in enumerate(curve.sensors, 1)
         ],
     }
     if name not in places or not line.isdecimal():
         return fault.at(fault.where.replace(f"{folder}/", ""))
-    where, subject = places[name][int(line) - 2]  # below one header line
-    return fault.replace(what=f"{subject}{fault.what.removeprefix(subject)}", where=where)
+    where, subject, needle = places[name][int(line) - 2]  # below one header line
+    fix = f"{fault.fix}; or leave it out: {name_set('leave_out', needle)}"
+    return fault.replace(what=f"{subject}{fault.what.removeprefix(subject)}", where=where, fix=fix)
 
 
 def _write_tracks(
