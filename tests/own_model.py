@@ -10,6 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import cumulative_trapezoid
+from scipy.interpolate import CubicHermiteSpline
 
 Floats = NDArray[np.float64]
 SPACING = 1.0  # mm, C_int
@@ -52,32 +54,15 @@ class Inserted:
 
     def interpolate(self, x, order):
         """Return displacement (order 0), slope (1) or curvature (2) at beam coordinates."""
-        at = np.clip(np.searchsorted(self.x, x, side="right") - 1, 0, len(self.x) - 2)
-        span = self.x[at + 1] - self.x[at]
-        rows = hermite((x - self.x[at]) / span, span, order)
-        parts = np.stack([self.u[at], self.slope[at], self.u[at + 1], self.slope[at + 1]])
-        return np.sum(rows * parts, axis=0)
+        return CubicHermiteSpline(self.x, self.u, self.slope)(x, order)
 
     def place(self, s):
         """Return the points (N, 2), mm, of the needle in its plane at arc lengths s from the entry."""
         fine = np.arange(self.x[0], self.x[-1] + PATH_STEP / 2, PATH_STEP)
         angle = self.interpolate(fine, 1)
-        path = [
-            start + np.concatenate([[0.0], np.cumsum((rate[1:] + rate[:-1]) / 2) * PATH_STEP])
-            for start, rate in ((self.x[0], np.cos(angle)), (self.u[0], np.sin(angle)))
-        ]
+        parts = (self.x[0], np.cos(angle)), (self.u[0], np.sin(angle))
+        path = [start + cumulative_trapezoid(rate, dx=PATH_STEP, initial=0) for start, rate in parts]
         return np.column_stack([np.interp(s, fine, one) for one in path])
-
-
-def hermite(t, span, order):
-    """Return the cubic shape functions (4, N) at t in 0 to 1, or their derivatives by x."""
-    one = np.ones_like(t)
-    rows = (
-        (1 - 3 * t**2 + 2 * t**3, span * (t - 2 * t**2 + t**3), 3 * t**2 - 2 * t**3, span * (t**3 - t**2)),
-        ((6 * t**2 - 6 * t) / span, 1 - 4 * t + 3 * t**2, (6 * t - 6 * t**2) / span, 3 * t**2 - 2 * t),
-        ((12 * t - 6) / span**2, (6 * t - 4) / span, (6 - 12 * t) / span**2, (6 * t - 2) / span),
-    )  # fmt: skip
-    return np.stack([row * one for row in rows[order]])
 
 
 def insert(
@@ -130,7 +115,8 @@ def _balance(rod, medium, cut, depth, clamp):
     at = np.concatenate([middle + half * node for node, _ in GAUSS])
     weight = np.concatenate([half * one for _, one in GAUSS])
     element = np.minimum(np.floor(at).astype(int), depth - 1)
-    rows = hermite(at - element, np.ones(len(at)), 0).T  # (Q, 4)
+    t = at - element
+    rows = np.stack([1 - 3 * t**2 + 2 * t**3, t - 2 * t**2 + t**3, 3 * t**2 - 2 * t**3, t**3 - t**2], axis=1)
     places = 2 * (len(held) + 1 + element)[:, None] + np.arange(4)  # (Q, 4) of the values that they belong to
     target = cut[np.minimum(np.floor(at + 0.5).astype(int), depth)]
     fixed = {0: 0.0, 1: 0.0} if clamp is None else {0: clamp[1], 1: 0.0, 2: clamp[1], 3: 0.0}

@@ -175,7 +175,8 @@ EDITS = {
     ("s", "shapes/dataset.toml"): (
         *({"root": "../other"}, {"needle.length_mm": 151.0}, {"insertions.file": "other.csv"}),
         {"needles.thin": THIN, "insertions.constants": {"needle": "thin"}},
-        *({"insertions.columns": {"pose_shift_sd_mm": "other"}}, {"insertions.constants": {"hole": "one"}}),
+        *({"insertions.columns": {name: "other"}} for name in ("pose_shift_sd_mm", "scan_x_mm")),
+        {"insertions.constants": {"hole": "one"}},
         *({"insertions.turns": "turns.csv"}, {"insertions.curvature": "curvature.csv"}),
         {"centerlines.pattern": "other_centerlines/{id}.csv"},
         {"measurement.sections": "other_sections/{id}.toml"},
