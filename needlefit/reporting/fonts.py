@@ -21,7 +21,7 @@ def find_lacking(text: str) -> frozenset[str]:
     """Return the letters of a text that the fonts that ship lack."""
     letters = {
         letter
-        for letter in text
+        for letter in set(text)
         if letter >= _FIRST_LACKING and unicodedata.category(letter)[0] in _CATEGORIES
     }
     bundled = _read_letters(_bundled_folder() / f"{FAMILY.replace(' ', '')}.ttf") if letters else ()

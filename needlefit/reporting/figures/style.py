@@ -140,6 +140,8 @@ def _paint_bytes(
         with warnings.catch_warnings():  # painters may lay out names before their letters have a font
             warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
             figure = paint()
+            if style and not find_lacking((drawing := save_figure(figure, suffix, description)).decode()):
+                return drawing
         choose_fonts(figure)
         return save_figure(figure, suffix, description)
 
