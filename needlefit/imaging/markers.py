@@ -4,7 +4,7 @@ A ball that hangs together with its neighbour at one level stands alone at a hig
 shows at a low one.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -57,8 +57,6 @@ def _voxel_count(volume: Volume, diameter: float) -> float:
     return max(4.0, np.pi / 6 * diameter**3 / float(np.prod(volume.spacing)))
 
 
-FitSphere = Callable[[Volume, Blob, float], SphereFit]
-
 # A ball's misfit may be so many deviations of the noise around it, besides `markers.max_misfit`.
 MAX_MISFIT_NOISE = 1.5
 
@@ -67,7 +65,6 @@ def find_markers(
     volume: Volume,
     recipe: ReconstructionRecord,
     exclude: Ints | None = None,
-    fit: FitSphere = fit_sphere,
     bright: BrightVoxels | None = None,
 ) -> MarkerResult:
     """Return the balls of `recipe.markers.diameter_mm` in a scan: as many as there are, be it none.
@@ -76,7 +73,6 @@ def find_markers(
     volume cuts: its centre would be pulled aside.
 
     `exclude`: (N, 3); voxels i, j, k of the needle, never a marker.
-    `fit`: `fit_sphere`, or what keeps its results.
     `bright`: the bright voxels, where they were listed already.
 
     DataError if nothing in the volume is bright enough.
@@ -115,7 +111,7 @@ def find_markers(
         if _is_near(middle, tried, diameter / 2):
             continue
         tried.append(middle)
-        ball = fit(volume, blob, diameter / 2)
+        ball = fit_sphere(volume, blob, diameter / 2)
         # what the recipe allows, and what the noise around the ball leaves
         limit = float(np.hypot(rules.max_misfit, MAX_MISFIT_NOISE * ball.noise))
         if fault := _find_fault(volume, ball, middle, limit):
@@ -192,7 +188,6 @@ def refine_fiducials(
                 "take the fiducials of this scan; check that the file states its coordinate "
                 "system (RAS or LPS)"
             ),
-            where="fiducials",
         )
     centers, sd = given.copy(), np.full(len(given), rules.fiducial_sd_mm)
     reach = rules.diameter_mm / 2 + SD.OUTLIER * rules.fiducial_sd_mm

@@ -7,14 +7,14 @@ be right, and list warnings for the user.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 
-from needlefit.arrays import Floats, Ints
+from needlefit.arrays import Floats
 from needlefit.datasets.columns import BEVEL_FIX
 from needlefit.datasets.layers import MAX_START_DISTANCE_MM
 from needlefit.errors import DataError, NeedlefitError, located
@@ -73,7 +73,6 @@ from needlefit.imaging.registration import (
     register,
 )
 from needlefit.imaging.scans import Corrections, Scan
-from needlefit.imaging.spheres import Blob, SphereFit, fit_sphere
 from needlefit.imaging.volume import (
     Volume,
     VoxelGrid,
@@ -362,7 +361,6 @@ class VolumeSearch:
 
     def __init__(self, volume: Volume, recipe: ReconstructionRecord) -> None:
         self.volume, self.recipe = turn_slices(volume), recipe
-        self._balls: dict[tuple[float, float, bytes], SphereFit] = {}
 
     @cached_property
     def tubes(self) -> list[Component]:
@@ -375,16 +373,6 @@ class VolumeSearch:
         return list_bright_voxels(
             self.volume, median_tissue_hu(self.volume) + PART.THRESHOLDS[-1] * HU.CLIPPED
         )
-
-    def find_markers(self, needle: Ints | None) -> MarkerResult:
-        """Return the balls beside the needle (N, 3); DataError if nothing is bright enough."""
-        return find_markers(self.volume, self.recipe, needle, self._fit_sphere, self.bright)
-
-    def _fit_sphere(self, volume: Volume, blob: Blob, radius: float) -> SphereFit:
-        key = blob.level, radius, blob.voxels.tobytes()
-        if key not in self._balls:
-            self._balls[key] = fit_sphere(volume, blob, radius)
-        return self._balls[key]
 
 
 def estimate_first_contact(
@@ -603,16 +591,13 @@ def examine(
         if placed is None and scan.fiducials is not None:
             placed, where = read_markers(scan.fiducials), str(scan.fiducials)
         if placed is not None:
-            try:
-                balls = search.find_markers(voxels)
-            except DataError:  # landmarks, not metal
-                balls = MarkerResult(np.empty((0, 3)), np.empty(0), "volume")
-            try:
+            balls = MarkerResult(np.empty((0, 3)), np.empty(0), "volume")
+            with suppress(DataError):  # landmarks, not metal
+                balls = find_markers(volume, recipe, voxels, search.bright)
+            with located(where):
                 found.markers = refine_fiducials(placed, volume, recipe, balls)
-            except DataError as error:
-                raise error.at(where) from None
         elif scan.markers is not None:
-            found.markers = search.find_markers(voxels)
+            found.markers = find_markers(volume, recipe, voxels, search.bright)
     with found.step("axis and tip"):
         if selection is not None:
             spread = None if found.markers is None else found.markers.spread

@@ -251,5 +251,4 @@ def check_axis_signs(given: Floats, detected: Floats, sd: float) -> None:
             f"the volume, with the signs of x and y changed {turned:.1f} mm",
             expected="the coordinate system that the file states, turned to LPS at the reader",
             fix="state the coordinate system of the file (RAS or LPS)",
-            where="markers given in the frame of the scan",
         )

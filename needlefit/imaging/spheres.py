@@ -31,8 +31,7 @@ from needlefit.imaging.volume import Volume, list_voxels_near, to_patient
 
 TABLE_STEP_MM = 0.1  # spacing of the table, mm; cubic splines join it
 FREQUENCY_STEP_PER_MM = 0.25  # spacing of the angular frequencies, 1/mm: images of a ball repeat every 25 mm
-MAX_FREQUENCY_SD = 4.5  # angular frequencies end at so many over the narrowest blur, 1/mm
-MAX_PASSED_SD = 6.5  # in the slices, those beyond so many over the blur are left out: 1e-9 of them passes
+MAX_FREQUENCY_SD = 4.5  # angular frequencies beyond so many over a blur are left out: 4e-5 of them passes
 
 
 def _list_frequencies() -> tuple[Floats, Floats]:
@@ -47,7 +46,7 @@ def make_table(reach: float, radius: float, spread: PointSpread) -> Floats:
     """Return the image (G, G) of a ball of `radius` out to `reach`, mm, as splines."""
     across, along = _list_frequencies()
     # a wide blur lets only the lowest frequencies pass
-    across = across[: np.searchsorted(across, MAX_PASSED_SD / spread.blur)]
+    across = across[: np.searchsorted(across, MAX_FREQUENCY_SD / spread.blur)]
     x = radius * np.hypot(across[:, None], along)
     rings = across.copy()
     rings[0] *= 11 / 12  # the end term of Euler and Maclaurin: the integrand begins with a slope

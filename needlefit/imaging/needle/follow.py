@@ -29,8 +29,7 @@ from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.imaging.volume_files import read_volume
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
-MASK_PIECE_MM = 4.0  # mm, length along a mask of which one point is taken
-TUBE_PIECE_MM = 2.0  # mm, the same along what a threshold shows
+PIECE_MM = 2.0  # mm, length along a mask, or what a threshold shows, of which one point is taken
 MIN_POINTS = 3  # fewer do not show which way a needle bends
 STEP_MM = 1.0  # distance of the places at which the needle is looked for, mm
 
@@ -52,7 +51,7 @@ def read_mask_points(volume: Volume, path: Path) -> Floats:
                 fix="segment the needle in this scan, and save the segmentation as NRRD or NIfTI",
             )
         center, axes = principal_axes(marked)
-        piece = np.floor((marked - center) @ axes[0] / MASK_PIECE_MM).astype(np.int64)
+        piece = np.floor((marked - center) @ axes[0] / PIECE_MM).astype(np.int64)
         piece -= piece.min()
         count = np.bincount(piece)
         sums = np.stack([np.bincount(piece, axis) for axis in marked.T], axis=1)
@@ -83,7 +82,7 @@ def follow_tube(volume: Volume, tube: Component, recipe: ReconstructionRecord) -
     bright -= bright.min() - 1.0
     center, axes = principal_axes(points)
     along = (points - center) @ axes[0]
-    piece = np.floor((along - along.min()) / TUBE_PIECE_MM).astype(int)
+    piece = np.floor((along - along.min()) / PIECE_MM).astype(int)
     mass = np.bincount(piece, bright)
     moments = np.stack([np.bincount(piece, bright * axis) for axis in points.T], axis=1)
     return _follow(volume, moments[mass > 0] / mass[mass > 0, None], recipe)

@@ -4,11 +4,14 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from scipy.sparse import csr_array
 
-from needlefit.arrays import Floats, Ints
+from needlefit.arrays import Floats
 from needlefit.imaging.point_spread import PointSpread
+
+Singles = NDArray[np.float32]
 
 COLUMN_MM = 0.75  # mm, pieces of the rod along it
 CELL_MM = 0.25  # mm, cells of the detector
@@ -33,7 +36,6 @@ class Rod:
     heights: Floats  # (K,); of the slices, mm
     stations: Floats  # (S,); where slices are sampled: along the needle
     side: Floats  # (S, U); and across it
-    sway: Floats  # (C,); largest distance across that is projected, mm
     _back_projections: dict[float, csr_array] = field(default_factory=dict, compare=False)
 
     @cached_property
@@ -64,14 +66,6 @@ class Rod:
         """Cells on either side of the middle."""
         reach = max(np.abs(self.columns).max(), np.abs(self.stations).max(), np.abs(self.side).max())
         return int(np.hypot(reach, np.abs(self.side).max()) / CELL_MM) + 8
-
-    @cached_property
-    def seen(self) -> Ints:
-        """First cells (V,) of the part of each view that metal may cover, and how many (V,)."""
-        angles, _ = self.views
-        away = np.outer(np.abs(np.sin(angles)), np.abs(self.columns)) + np.outer(np.cos(angles), self.sway)
-        reach = np.minimum(np.ceil(away.max(axis=1) / CELL_MM).astype(np.int64) + 8, self.half)
-        return np.stack([self.half - reach, 2 * reach])
 
     @cached_property
     def _ramp(self) -> tuple[Floats, Floats]:
@@ -106,8 +100,8 @@ class Rod:
 
     def lengths(
         self, across: Floats, along: Floats, end: float, roll: float, hub: tuple[float, float] | None = None
-    ) -> csr_array:
-        """Return the metal of a rod (P, N) in every plane, on the rays of all views' parts, mm.
+    ) -> Singles:
+        """Return the metal of a rod (P, V, N) in every plane, on the cells of all views, mm.
 
         `across`, `along`: (C,); where the axis lies. `end`: where the bevel's point is; `roll`: its side,
         from the direction across. `hub`: of a hub that ends there its beginning, and its radius, mm.
@@ -131,34 +125,24 @@ class Rod:
         width = 2 * chord * part * slant
         place = across[c] + np.sign(np.cos(roll)) * chord * (1 - part) * slant
         # every piece is a parallelogram, whose image is a trapezoid; in single precision it is twice as fast
-        low, count = self.seen
-        sine, cosine = np.sin(self.views[0]), np.cos(self.views[0])
-        turned = np.stack([sine, cosine, self.half - low]).astype(np.float32)
-        pieced = np.stack([width, place, drift[c], self.columns[c]])[..., None].astype(np.float32)
-        wide, middle = pieced[2] * turned[1] - turned[0], pieced[1] * turned[1] - pieced[3] * turned[0]
-        long = np.maximum(pieced[0] * np.abs(turned[1]) / CELL_MM, 0.5)
-        wide = np.maximum(np.abs(wide) * COLUMN_MM / CELL_MM, 0.5)
-        middle = middle / CELL_MM + turned[2]
-        height, outer = pieced[0] * COLUMN_MM / CELL_MM / (long * wide), (long + wide) / 2
+        angles, count = self.views[0], 2 * self.half
+        sine, cosine = np.sin(angles).astype(np.float32), np.cos(angles).astype(np.float32)
+        pieces = np.stack([width, place, drift[c], self.columns[c]])[..., None].astype(np.float32)
+        middle = (pieces[1] * cosine - pieces[3] * sine) / CELL_MM + self.half
+        long = np.maximum(pieces[0] * np.abs(cosine) / CELL_MM, 0.5)
+        wide = np.maximum(np.abs(pieces[2] * cosine - sine) * COLUMN_MM / CELL_MM, 0.5)
+        height, outer = pieces[0] * COLUMN_MM / CELL_MM / (long * wide), (long + wide) / 2
         first = np.ceil(middle - outer)
         covered = np.arange(int(2 * outer.max(initial=0)) + 1)[:, None, None]  # cells, from the first on
         away = np.abs(first - middle + covered.astype(np.float32))
         parts = height * np.clip(outer - away, 0, np.minimum(long, wide))
-        # of each plane and view the cells from the first to the last that a piece covers are stored
-        met, starts, pieces = np.unique(plane, return_index=True, return_counts=True)
-        first = np.clip(first, 0, count - len(covered)).astype(np.int64)
-        begin = np.minimum.reduceat(first, starts)
-        stored = np.maximum.reduceat(first, starts) + len(covered) - begin
-        place_of = np.cumsum(stored).reshape(stored.shape) - stored - begin
-        cells = np.repeat(place_of, pieces, axis=0) + first + covered
-        values = np.bincount(cells.ravel(), parts.ravel(), minlength=int(stored.sum()))
-        shift = (place_of - (np.cumsum(count) - count)).ravel()
-        columns = np.arange(len(values)) - np.repeat(shift, stored.ravel())
-        ends = np.zeros(len(self.planes) + 1, dtype=np.int64)
-        ends[met + 1] = stored.sum(axis=1)
-        return csr_array((values.astype(np.float32), columns, np.cumsum(ends)), (len(ends) - 1, count.sum()))
+        cells = np.clip(first, 0, count - len(covered)).astype(np.int64) + covered
+        cells += (plane[:, None] * len(angles) + np.arange(len(angles))) * count
+        shape = len(self.planes), len(angles), count
+        metal = np.bincount(cells.ravel(), parts.ravel(), minlength=int(np.prod(shape)))
+        return metal.reshape(shape).astype(np.float32)
 
-    def show(self, metal: csr_array, scan: Floats, aside: float = 0.0) -> Floats:
+    def show(self, metal: Singles, scan: Floats, aside: float = 0.0) -> Floats:
         """Return the slices (K, S, U), water 1, over their surroundings, where `metal` is on their rays.
 
         `scan`: (11,); see `slice_fit`.
@@ -171,25 +155,16 @@ class Rod:
         for k, row in enumerate(mix):
             row[k * self.in_slice : k * self.in_slice + len(profile)] = profile / profile.sum()
         # an attenuation that is gamma distributed over the spectrum: the beam hardens
-        passed = np.log1p(metal.data * np.float32(attenuation * variance / linear)) * np.float32(1 / variance)
-        in_planes = csr_array((-np.expm1(-passed), metal.indices, metal.indptr), shape=metal.shape)
-        stopped = np.ascontiguousarray((in_planes.T @ mix.T).T)
-        rows = np.flatnonzero(stopped.any(axis=1))
-        stopped = stopped[rows]
+        met = metal.any(axis=(1, 2))
+        passed = np.log1p(metal[met] * np.float32(attenuation * variance / linear)) * np.float32(1 / variance)
+        stopped = mix[:, met] @ -np.expm1(-passed.reshape(len(passed), -1))
         # a cell's aperture; views begin and end without metal
         stopped[:, 1:-1] = stopped[:, 1:-1] / 2 + (stopped[:, 2:] + stopped[:, :-2]) / 4
-        seen = -np.log1p(stopped * np.float32(-1 / (1 + scatter)))
-        low, count = self.seen
-        logs = np.zeros((len(rows), len(low), 2 * self.half), dtype=np.float32)
-        for view, part in enumerate(np.split(seen, np.cumsum(count)[:-1], axis=1)):
-            logs[:, view, low[view] : low[view] + count[view]] = part
+        logs = -np.log1p(stopped * np.float32(-1 / (1 + scatter))).reshape(len(mix), *metal.shape[1:])
         frequencies, ramp = self._ramp
         window = (ramp * spread.pass_in_slices((2 * np.pi * frequencies) ** 2)).astype(np.float32)
-        _, weights = self.views
         length = 2 * (len(frequencies) - 1)
-        filtered = irfft(rfft(logs, length) * window, length)[..., : 2 * self.half]
-        filtered = filtered * (weights * linear / WATER_PER_MM).astype(np.float32)[:, None]
-        image = np.zeros((len(self.heights), *self.side.shape))
-        sums = self.back_projection(aside) @ filtered.reshape(len(rows), -1).T
-        image[rows] = sums.T.reshape(len(rows), *self.side.shape)
-        return image
+        filtered = irfft(rfft(logs, length) * window, length)[..., : metal.shape[2]]
+        filtered = filtered * (self.views[1] * linear / WATER_PER_MM).astype(np.float32)[:, None]
+        image = self.back_projection(aside) @ filtered.reshape(len(mix), -1).T
+        return np.asarray(image.T.reshape(len(mix), *self.side.shape), float)

@@ -8,9 +8,8 @@ scan show of them and by what metal and scanners can have. So is the dark streak
 leave beyond its end.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +19,7 @@ from scipy.optimize import OptimizeResult, least_squares
 from scipy.spatial import cKDTree
 from scipy.special import erf
 
-from needlefit.arrays import Floats, Ints
+from needlefit.arrays import Floats
 from needlefit.imaging.constants import HU, MM, PART, SD
 from needlefit.imaging.needle.axis_spline import AxisSpline, axis_frames, axis_sd
 from needlefit.imaging.point_spread import (
@@ -40,89 +39,58 @@ GRID_STEP_MM = 0.25  # spacing of the points on which the rod is modelled, mm
 FIBRES = 6  # fibres along the needle into which a grid's step is parted, in each direction across
 
 
-@dataclass(frozen=True)
 class RodModel:
     """Images of a rod of `radius`, from `back` behind to `ahead` of its tip and out to `aside`, mm.
 
     `normal` (3,) is the slices' normal along s, u and v.
     """
 
-    radius: float
-    back: float
-    ahead: float
-    aside: float
-    normal: tuple[float, float, float]
-
-    @cached_property
-    def _axes(self) -> tuple[Floats, Floats]:
-        """Points along s, and along u and v: the transform repeats, and the blur must not reach round."""
-        count = next_fast_len(int((self.back + self.ahead + 2 * MM.BLUR_REACH) / GRID_STEP_MM) + 1, real=True)
-        half = next_fast_len(int(2 * (self.aside + MM.BLUR_REACH) / GRID_STEP_MM) + 1, real=True)
-        along: Floats = -self.back - MM.BLUR_REACH + np.arange(count, dtype=np.float64) * GRID_STEP_MM
-        across: Floats = (np.arange(half, dtype=np.float64) - half // 2) * GRID_STEP_MM
-        return along, across
-
-    @cached_property
-    def _squares(self) -> tuple[Singles, Singles, Singles]:
-        """Squared angular frequencies in the slices, those across, 1/mm, and the filter of cubic splines."""
-        along, across = self._axes
-        turns = [2 * np.pi * np.fft.fftfreq(len(a), GRID_STEP_MM) for a in (along, across)]
-        last = 2 * np.pi * np.fft.rfftfreq(len(across), GRID_STEP_MM)
-        k = np.meshgrid(turns[0], turns[1], last, indexing="ij", sparse=True)
-        normal = sum(a * n for a, n in zip(k, self.normal, strict=True))
-        total = sum(a**2 for a in k)
-        spline = 1.0
-        for a in k:
-            spline = spline * 3 / (2 + np.cos(a * GRID_STEP_MM))
-        return (
-            np.asarray(total - normal**2, dtype=np.float32),
-            np.asarray(normal, dtype=np.float32),
-            np.asarray(spline, dtype=np.float32),
+    def __init__(self, radius: float, back: float, ahead: float, aside: float, normal: Floats) -> None:
+        self.radius = radius
+        # points along s, and along u and v: the transform repeats, and the blur must not reach round
+        count = next_fast_len(int((back + ahead + 2 * MM.BLUR_REACH) / GRID_STEP_MM) + 1, real=True)
+        half = next_fast_len(int(2 * (aside + MM.BLUR_REACH) / GRID_STEP_MM) + 1, real=True)
+        self.along: Floats = -back - MM.BLUR_REACH + np.arange(count, dtype=np.float64) * GRID_STEP_MM
+        self.across: Floats = (np.arange(half, dtype=np.float64) - half // 2) * GRID_STEP_MM
+        self.shape = count, half, half
+        # angular frequencies across the slices, squared ones in them, 1/mm, and the filter of cubic splines
+        turns = [2 * np.pi * np.fft.fftfreq(n, GRID_STEP_MM) for n in (count, half)]
+        turns.append(2 * np.pi * np.fft.rfftfreq(half, GRID_STEP_MM))
+        k = np.meshgrid(*turns, indexing="ij", sparse=True)
+        k_normal = sum(a * n for a, n in zip(k, normal, strict=True))
+        filters = [3 / (2 + np.cos(a * GRID_STEP_MM)) for a in k]
+        parts = k_normal, sum(a**2 for a in k) - k_normal**2, filters[0] * filters[1] * filters[2]
+        self.normal, self.in_slice, self.spline = (np.asarray(part, np.float32) for part in parts)
+        # points across with metal (2, C), fibres around each (2, C, F), and the metal's part of these
+        fine = ((np.arange(FIBRES) + 0.5) / FIBRES - 0.5) * GRID_STEP_MM
+        part = np.stack(np.meshgrid(fine, fine, indexing="ij")).reshape(2, -1)
+        self.rows, self.columns = np.nonzero(
+            np.hypot(self.across[:, None], self.across) < radius + GRID_STEP_MM
         )
+        self.fibres = self.across[np.stack([self.rows, self.columns])][..., None] + part[:, None]
+        self.weights = np.clip((radius - np.hypot(*self.fibres)) / (GRID_STEP_MM / FIBRES) + 0.5, 0, 1)
+        # of a step's derivatives most are of one rod
+        self.transform = lru_cache(maxsize=4)(self._transform)
+        self.blur = lru_cache(maxsize=8)(self._blur)
 
     def _transform(self, roll: float, cotangent: float) -> NDArray[np.complex64]:
         """Return the Fourier transform of the rod, its bevel's point at the angle `roll` from u."""
-        along, across = self._axes
-        (rows, columns), fibres, weights = self._fibres
-        u, v = fibres
-        cut = (self.radius - (u * np.cos(roll) + v * np.sin(roll))) * cotangent
-        ends = np.clip((-cut[None] - along[:, None, None]) / GRID_STEP_MM + 0.5, 0, 1)
-        solid = np.zeros((len(along), len(across), len(across)), dtype=np.float32)
-        solid[:, rows, columns] = np.mean(ends * weights, axis=2)
-        solid[along < along[0] + MM.BLUR_REACH / 2] = 0
+        cut = (self.radius - np.array([np.cos(roll), np.sin(roll)]) @ self.fibres.swapaxes(0, 1)) * cotangent
+        ends = np.clip((-cut - self.along[:, None, None]) / GRID_STEP_MM + 0.5, 0, 1)
+        solid = np.zeros(self.shape, dtype=np.float32)
+        solid[:, self.rows, self.columns] = np.mean(ends * self.weights, axis=2)
+        solid[self.along < self.along[0] + MM.BLUR_REACH / 2] = 0
         return rfftn(solid)
 
-    @cached_property
-    def _fibres(self) -> tuple[tuple[Ints, Ints], Floats, Floats]:
-        """Points across (C,) with metal, u and v (2, C, F) of the fibres around each, and their part."""
-        _, across = self._axes
-        fine = (np.arange(FIBRES) + 0.5) / FIBRES - 0.5
-        part = np.stack(np.meshgrid(fine, fine, indexing="ij")).reshape(2, -1) * GRID_STEP_MM
-        near = np.hypot(across[:, None], across) < self.radius + GRID_STEP_MM
-        rows, columns = np.nonzero(near)
-        fibres = np.stack([across[rows], across[columns]])[..., None] + part[:, None]
-        inside = (self.radius - np.hypot(*fibres)) / (GRID_STEP_MM / FIBRES) + 0.5
-        return (rows, columns), fibres, np.clip(inside, 0, 1)
-
-    @cached_property
-    def _splines(self) -> Callable[[float, float, PointSpread], Singles]:
-        """Spline coefficients of the blurred rod of height 1; of a step's derivatives most are of one rod."""
-        in_slice, normal, spline = self._squares
-        transform = lru_cache(maxsize=4)(self._transform)
-        along, across = self._axes
-
-        @lru_cache(maxsize=8)
-        def blur(roll: float, cotangent: float, spread: PointSpread) -> Singles:
-            passed = spread.pass_in_slices(in_slice) * spread.pass_across(normal) * spline
-            return irfftn(transform(roll, cotangent) * passed, (len(along), len(across), len(across)))
-
-        return blur
+    def _blur(self, roll: float, cotangent: float, spread: PointSpread) -> Singles:
+        """Return spline coefficients of the blurred rod of height 1."""
+        passed = spread.pass_in_slices(self.in_slice) * spread.pass_across(self.normal) * self.spline
+        return irfftn(self.transform(roll, cotangent) * passed, self.shape)
 
     def image(self, roll: float, cotangent: float, spread: PointSpread, places: Floats) -> Floats:
         """Return the image (N,) of a rod of height 1 at places s, u, v (3, N) from its tip."""
-        along, across = self._axes
-        at = (places - np.array([along[0], across[0], across[0]])[:, None]) / GRID_STEP_MM
-        splines = self._splines(roll, cotangent, spread)
+        first = np.array([self.along[0], self.across[0], self.across[0]])
+        splines, at = self.blur(roll, cotangent, spread), (places - first[:, None]) / GRID_STEP_MM
         return np.asarray(map_coordinates(splines, at, order=3, mode="nearest", prefilter=False), float)
 
 
@@ -182,7 +150,7 @@ class TipProblem:
         frame, normal = axis_frames(axis, np.array([guess])), volume.grid.normal
         # the tip may be found 4 mm from where it is looked for
         back, ahead = heel + REACH_BEFORE_MM + MM.BEYOND_END, 2 * MM.BEYOND_END
-        slices = (float(frame.tangents[0] @ normal), float(frame.u[0] @ normal), float(frame.v[0] @ normal))
+        slices = np.stack([frame.tangents[0], frame.u[0], frame.v[0]]) @ normal
         self.rod = RodModel(radius, back, ahead, MM.PATCH + 0.5, slices)
         top = float(values.max())  # where several voxels share it the scanner's numbers end
         self.ceiling = top if np.count_nonzero(values == top) > 3 else volume.resampled_top or np.inf
@@ -205,20 +173,23 @@ class TipProblem:
         self.low[HELD] = np.maximum(self.low[HELD], self.means - SD.DISAGREEMENT * self.sds)
         self.high[HELD] = np.minimum(self.high[HELD], self.means + SD.DISAGREEMENT * self.sds)
         away = np.hypot(*self.places[1:])
-        self.inner = away < 2 * radius
         beyond, noise = values[places[0] > guess + 0.5 * MM.BEYOND_END], 50.0
         if beyond.size >= 20:
             noise = max(10.0, 1.48 * float(np.median(np.abs(beyond - np.median(beyond)))))
         error = PART.SIGNAL_ERROR * np.clip(self.values - self.level, 0, None)
         self.sigma = np.sqrt(1 + (away / CORE_REACH_MM) ** 4) * np.hypot(noise, error)
 
+    def place(self, theta: Floats) -> Floats:
+        """Return where the voxels lie from the tip (3, N): along the axis, and across it, mm."""
+        s, u, v = self.places
+        return np.stack([s - theta[TIP], u - theta[U] * self.swing, v - theta[V] * self.swing])
+
     def show(self, theta: Floats) -> Floats:
         """Return what the scanner shows in the voxels (N,), HU."""
-        s, u, v = self.places
-        s, u, v = s - theta[TIP], u - theta[U] * self.swing, v - theta[V] * self.swing
+        places, spread = self.place(theta), read_spread(theta[SPREAD])
+        s, u, v = places
         streak = np.exp(-np.maximum(s, 0) / MM.STREAK_LENGTH - (u**2 + v**2) / (2 * MM.STREAK_RADIUS**2))
-        spread = read_spread(theta[SPREAD])
-        image = self.rod.image(float(theta[ROLL]), float(theta[COT]), spread, np.stack([s, u, v]))
+        image = self.rod.image(float(theta[ROLL]), float(theta[COT]), spread, places)
         shown = theta[LEVEL] + np.exp(theta[HEIGHT]) * image + theta[STREAK] * streak
         return np.clip(shown, HU.FLOOR, self.ceiling)
 
@@ -270,8 +241,9 @@ class TipProblem:
 
     def misfit(self, theta: Floats) -> float:
         """Return how far the image around the end is from the model, in parts of its brightness."""
-        shown = self.show(theta)[self.inner]
-        return float(np.linalg.norm(shown - self.values[self.inner]) / np.linalg.norm(shown - theta[LEVEL]))
+        inner = np.hypot(*self.place(theta)[1:]) < 2 * self.rod.radius
+        shown = self.show(theta)[inner]
+        return float(np.linalg.norm(shown - self.values[inner]) / np.linalg.norm(shown - theta[LEVEL]))
 
 
 def list_axis_voxels(volume: Volume, axis: AxisSpline, start: float, stop: float) -> tuple[Floats, Floats]:
