@@ -74,15 +74,11 @@ def test_results_that_cannot_be_read_are_refused(content, tmp_path):
     ("key", "value"),
     [
         ("format", 99),
-        ("kind", "nonsense"),
         ("name", "../elsewhere"),
-        ("record", {"schema": 1}),
         ("frames.errors.types.te_mm", "U999999999"),
         ("frames.errors.columns.te_mm", [1.0]),
-        ("run.folds", ["all"]),
         ("run.planes", "two"),
         ("run.nonsense", 1),
-        ("posteriors", ["all"]),
     ],
 )
 def test_values_that_were_never_written_are_refused(key, value, content, tmp_path):
@@ -110,12 +106,7 @@ def test_a_run_without_a_column_is_read_or_refused_by_name(content, tmp_path):
 
 
 def test_a_run_file_of_other_types_names_the_file(tmp_path):
-    for values in [
-        [],
-        {"name": 1},
-        {"name": "a", "dataset": ["gel"]},
-        {"name": "a", "versions": {"k" * 300: 1}},
-    ]:
+    for values in ({"name": 1}, {"name": "a", "versions": {"k" * 300: 1}}):
         (tmp_path / "run.json").write_text(json.dumps(values))
         caught = refusal(DataError, "", read_run, tmp_path)
         assert "run.json" in caught.where and len(str(caught)) < 1000

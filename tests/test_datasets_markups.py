@@ -161,9 +161,6 @@ def test_what_is_written_is_read_back(tmp_path, points, label):
     assert_allclose(first.points, array, rtol=0, atol=1e-9)
     np.testing.assert_array_equal(second.points, array)
     assert (first.labels, first.name, first.kind, first.system) == (labels, "fit", "Curve", "LPS")
-    before = path.read_bytes()
-    write_mrk_json(path, [(one, CurveStyle((0.0, 0.5, 1.0))) for one in (first, second)])
-    assert path.read_bytes() == before
 
 
 def dataset(folder, pattern, **frame):

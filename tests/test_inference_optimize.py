@@ -190,7 +190,6 @@ def test_starts_far_behind_the_best_are_not_continued():
 
 BY_THREADS = [
     (lambda: box(rosenbrock), recipe()),
-    (lambda: box(half), recipe(evaluations=60)),
     (lambda: squares(valley), squares_recipe(starts=6)),
     (led, squares_recipe(starts=8)),
 ]

@@ -14,6 +14,7 @@ from numpy.random import default_rng
 from pytest import approx
 from refusals import refusal
 from sampling_cases import Known, draw, flat, gaussian, weighted
+from scipy.signal import lfilter
 
 from needlefit.errors import DataError
 from needlefit.inference.fit import Callbacks
@@ -112,11 +113,8 @@ except Exception as error:
 
 def autoregressive(memory, steps=4000, walkers=16, seed=1):
     """Return series (N, W) of unit variance whose autocorrelation is memory^t."""
-    noise = default_rng(seed).normal(size=(steps, walkers))
-    series = noise.copy()
-    for t in range(1, steps):
-        series[t] = memory * series[t - 1] + math.sqrt(1 - memory**2) * noise[t]
-    return series
+    noise = default_rng(seed).normal(size=(steps + 200, walkers))
+    return lfilter([math.sqrt(1 - memory**2)], [1, -memory], noise, axis=0)[200:]
 
 
 @pytest.mark.parametrize("memory", [0.0, 0.5, 0.9])

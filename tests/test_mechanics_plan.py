@@ -55,10 +55,6 @@ CASES = {
         ((2.5, 0, 0), (1.7, 0, 0), (2.1, 0, 0), (2.5, 0, 0)),
         [(1.7, 3, False, 2, False, 0, 0), (2.1, 3, False, 2, False, 0, 0), (2.5, 3, True, 2, False, 0, 0)],
     ),
-    "retraction to a constraint point stays on the ray that led there": (
-        ((2.5, 0, 0), (1.5, 0, 0), (2.5, 0, 0)),
-        [(1.5, 2, True, 1, False, 0, 0), (2.5, 3, True, 2, True, 0, 0)],
-    ),
     # back to 1.6 mm, before the turn at 1.8 mm, the cell's first ray leads, cut by the first bevel
     "a ray begun inside a cell": (TURNED, [(2.5, 3, True, 3, True, 1, 0)]),
     "re-insertion under another bevel opens a ray where it begins": (

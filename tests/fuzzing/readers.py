@@ -118,19 +118,12 @@ def _checkpoint(folder):
 # ---- texts
 
 
-def _configs(record, folder, name):
-    return Reader(partial(_load, record), partial(project_files, f"configs/{folder}/*.toml", f"{name}.toml"))
-
-
 READ_VOLUME = partial(_call, "imaging.volume_files.read_volume")
 READ_LABELS = partial(_call, "imaging.segmentations.read_labels")
 
 READERS = {
     "scene": Reader(_scene, partial(project_files, "configs/scenes/*.toml", "scene.toml")),
     "study": Reader(_study, partial(project_files, "studies/*.toml", "study.toml")),
-    "fit": _configs("study.FitRecord", "fits", "fit"),
-    "recipe": _configs("recipe.RecipeRecord", "recipes", "recipe"),
-    "reconstruction": _configs("reconstruction.ReconstructionRecord", "reconstruction", "reconstruction"),
     "medium": Reader(_medium, partial(project_files, "configs/media/*.toml", "medium.toml")),
     "dataset": Reader(_dataset, seeds.datasets, 40),
     "markers": Reader(partial(_call, "imaging.markers.read_markers"), seeds.markers),
