@@ -7,7 +7,7 @@ import numpy as np
 from needlefit.inference.sampling.importance import Effort
 from needlefit.schemas.study import FitRecord
 from needlefit.studies import candidates
-from needlefit.studies.candidates import CANDIDATE_COLUMNS, list_insertion_candidates, rank_candidates
+from needlefit.studies.candidates import list_insertion_candidates, rank_candidates
 from needlefit.studies.job import Settings
 from needlefit.studies.load import load_study
 from needlefit.studies.simulated_data import choose_reference_values, simulate_design
@@ -39,7 +39,6 @@ def test_a_deep_insertion_adds_more_than_a_shallow_one(monkeypatch):
     values, _ = choose_reference_values(job)
     problem = simulate_design(job.problem(job.folds[0]), values)
     found = rank_candidates(job, job.folds[0], problem, problem.parameters.theta(values), Settings())
-    assert tuple(found.columns) == CANDIDATE_COLUMNS
     assert found["nats"].is_monotonic_decreasing and np.isfinite(found["nats"]).all()
     rows = found.set_index("insertion")
     deep, shallow = rows.loc["chicken-06"], rows.loc["chicken-04"]

@@ -34,11 +34,8 @@ SCANNER = ("psf_mm", "noise_hu", "bloom", "streaks", "cupping_hu")
 @pytest.fixture(scope="module")
 def rebuilt(tmp_path_factory):
     """Insertions of the shipped twin, made again from the seed, through their scans."""
-    folder, steps = tmp_path_factory.mktemp("rebuilt"), []
-    plan = select_designs(FEW)
-    build_scanned(folder, TWIN_SEED, plan, LocalPool(2), progress=lambda *step: steps.append(step))
-    assert steps[0] == ("reconstructing", 0, len(FEW))
-    assert steps[-1] == (f"reconstructed {FEW[-1]}", len(FEW), len(FEW))
+    folder = tmp_path_factory.mktemp("rebuilt")
+    build_scanned(folder, TWIN_SEED, select_designs(FEW), LocalPool(2))
     return folder
 
 
