@@ -5,7 +5,7 @@ SimpleITK would make up where a NIfTI file stands that does not say it, and refu
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -71,10 +71,10 @@ def read_image(arrays: Arrays, path: str, stored: int, labels: bool = False) -> 
 def _open_nifti(file: Path) -> Image:
     image = nibabel.load(file)
     assert isinstance(image, nibabel.Nifti1Image), "it is no NIfTI file"  # NIfTI-2 is one, too
-    header, kind, shape = image.header, image.get_data_dtype(), list(image.shape)
+    header, kind, shape = image.header, image.get_data_dtype(), image.shape
     while len(shape) > 3 and shape[-1] == 1:
-        shape.pop()
-    _check_voxels(shape, 1 if kind.kind in "iuf" else 2)
+        shape = shape[:-1]
+    _check_voxels(shape, kind.kind in "iuf")
     if not any(int(header[code]) for code in ("qform_code", "sform_code")):
         raise DataError(
             "does not state where it stands in the patient: qform_code and sform_code are 0",
@@ -99,10 +99,10 @@ def _open_itk(file: Path) -> Image:
     reader.SetImageIO(IMAGE_IOS[file.suffix.lower()])
     reader.SetFileName(str(file))
     reader.ReadImageInformation()
-    bits = re.search(r"(\d+)-bit", sitk.GetPixelIDValueAsString(reader.GetPixelID()))
-    is_complex = reader.GetPixelID() in (sitk.sitkComplexFloat32, sitk.sitkComplexFloat64)
-    _check_voxels(list(reader.GetSize()), 2 if is_complex or bits is None else reader.GetNumberOfComponents())
-    assert bits is not None
+    kind = re.fullmatch(
+        r"(\d+)-bit .*", sitk.GetPixelIDValueAsString(reader.GetPixelID())
+    )  # none of a vector
+    _check_voxels(reader.GetSize(), kind is not None)
     texts = {key: reader.GetMetaData(key) for key in reader.GetMetaDataKeys()}
     space = texts.get("NRRD_space", "")  # where there is none SimpleITK makes up the patient's left
     # MetaImage is LPS by its definition
@@ -124,13 +124,13 @@ def _open_itk(file: Path) -> Image:
         return sitk.GetArrayViewFromImage(image).astype(np.float32)
 
     segments = {key: text for key, text in texts.items() if key.startswith("Segment")}
-    return read, grid, int(bits[1]) // 8, segments
+    return read, grid, int(kind[1]) // 8 if kind else 0, segments
 
 
-def _check_voxels(shape: list[int], parts: int) -> None:
-    if len(shape) != 3 or parts != 1:
-        size = " x ".join(map(str, shape))
-        raise ValueError(f"it is no single volume, but {size} voxels of {parts} number(s)")
+def _check_voxels(shape: Sequence[int], are_numbers: bool) -> None:
+    if len(shape) != 3 or not are_numbers:
+        of = "one number" if are_numbers else "several numbers"
+        raise ValueError(f"it is no single volume, but {' x '.join(map(str, shape))} voxels of {of}")
 
 
 def _last_line(error: Exception) -> str:

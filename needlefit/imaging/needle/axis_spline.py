@@ -125,22 +125,21 @@ def axis_sd(axis: AxisSpline, s: Floats) -> Floats:
 
 def axis_frames(axis: AxisSpline, s: Floats) -> AxisFrames:
     """Return the frames (S,) at `s` (S,), mm; u stays as close as possible to one direction."""
-    tangents = axis.spline.derivative()(s)
-    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
-    ends = axis.spline(np.array([0.0, axis.length]))
-    reference = make_normal((ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0]))
-    u = reference - (tangents @ reference)[:, None] * tangents
-    u /= np.linalg.norm(u, axis=1, keepdims=True)
-    return AxisFrames(axis.spline(s), tangents, u, np.cross(tangents, u))
+    first, last = axis.spline(np.array([0.0, axis.length]))
+    return _make_frames(axis.spline(s), axis.spline.derivative()(s), last - first)
 
 
 def frames_along(points: Floats) -> AxisFrames:
     """Return the frames at points (S, 3) along a needle, mm."""
-    tangents = np.gradient(points, axis=0)
-    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
-    u = np.cross(tangents, make_normal(tangents[len(tangents) // 2]))
+    return _make_frames(points, np.gradient(points, axis=0), points[-1] - points[0])
+
+
+def _make_frames(origins: Floats, ways: Floats, chord: Floats) -> AxisFrames:
+    tangents = ways / np.linalg.norm(ways, axis=1, keepdims=True)
+    reference = make_normal(chord / np.linalg.norm(chord))
+    u = reference - (tangents @ reference)[:, None] * tangents
     u /= np.linalg.norm(u, axis=1, keepdims=True)
-    return AxisFrames(points, tangents, u, np.cross(tangents, u))
+    return AxisFrames(origins, tangents, u, np.cross(tangents, u))
 
 
 PLANE_SPACING_MM = 0.3  # spacing of the points in a plane, mm

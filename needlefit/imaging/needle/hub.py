@@ -5,9 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.geometry.curves import make_normal
 from needlefit.imaging.constants import HU, MM, PART
-from needlefit.imaging.needle.axis_spline import ROUNDS, AxisFrames, disc_points, sample_planes
+from needlefit.imaging.needle.axis_spline import ROUNDS, disc_points, frames_along, sample_planes
 from needlefit.imaging.volume import Volume
 
 
@@ -27,10 +26,8 @@ def find_hub(volume: Volume, points: Floats, diameter: float) -> Hub | None:
         lever = points[np.argmin(np.abs(np.linalg.norm(points - middle, axis=1) - MM.HUB_LEVER))]
         way = (middle - lever) / np.linalg.norm(middle - lever)
         start = middle + way * ((points[0] - middle) @ way)
-        u = make_normal(way)
-        v = np.cross(way, u)
-        tiled = (np.tile(one, (len(s), 1)) for one in (way, u, v))
-        values = sample_planes(volume, AxisFrames(start + s[:, None] * way, *tiled), plane)
+        where = frames_along(start + s[:, None] * way)
+        values = sample_planes(volume, where, plane)
         bright = np.nan_to_num(values, nan=-np.inf) > HU.HUB
         radius = side * np.sqrt(bright.mean(axis=1))
         wide = np.append(radius > PART.HUB_RADIUS * diameter, False)
@@ -41,7 +38,7 @@ def find_hub(volume: Volume, points: Floats, diameter: float) -> Hub | None:
             return None
         part = slice(first, first + int(MM.HUB_LENGTH / MM.STATION))
         aside = np.mean([plane[one].mean(axis=0) for one in bright[part]], axis=0)
-        middle = start + np.mean(s[part]) * way + aside[0] * u + aside[1] * v
+        middle = start + np.mean(s[part]) * way + aside[0] * where.u[0] + aside[1] * where.v[0]
     size = float(np.median(radius[first : first + 3]))
     cut = last < len(s) and bool(np.isnan(values[last]).any())
     if np.hypot(*aside) > size or size > MM.HUB_RADIUS or not (cut or length > 2 * size):
