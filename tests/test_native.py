@@ -134,34 +134,28 @@ NUMBERS = [np.nan, np.inf, -np.inf, 0.0, -0.0, -1.0, 1e-320, 1e-9, 0.3, 0.5, 1.0
 
 def damage(rng, numbers, arrays):
     """Change one thing of a problem."""
-    kind, name = rng.integers(6), str(rng.choice(sorted(arrays)))
+
+    def change(value, values):
+        return rng.choice(values) if rng.random() < 0.6 else value + rng.integers(-2, 3)
+
+    if rng.random() < 0.3:
+        name = str(rng.choice(sorted(numbers)))
+        kind, values = (int, COUNTS) if name in native._SIZES else (float, NUMBERS)
+        numbers[name] = kind(change(numbers[name], values))
+        return
+    name = str(rng.choice(sorted(arrays)))
     array = arrays[name].copy()
-    if kind == 0:
-        size = str(rng.choice(native._SIZES))
-        numbers[size] = (
-            int(rng.choice(COUNTS)) if rng.random() < 0.7 else numbers[size] + int(rng.integers(-2, 3))
-        )
-    elif kind == 1:
-        number = str(rng.choice(native._NUMBERS))
-        numbers[number] = float(rng.choice(NUMBERS)) * (1.0 if rng.random() < 0.7 else numbers[number])
-    elif kind == 2:
-        other = np.zeros(array.shape, "f4") if array.dtype.fields is None else array["tip"]
-        wrong = [
-            array[:-1],
-            np.concatenate((array, array)),
-            array[..., None],
-            array[::-1],
-            other,
-            np.zeros(0),
-        ]
-        arrays[name] = wrong[rng.integers(len(wrong))]
-    elif kind == 3:
+    kind = rng.random()
+    if kind < 0.2:
         del arrays[name]
+    elif kind < 0.5:
+        other = np.zeros(array.shape, "f4")
+        wrong = [array[:-1], np.tile(array, 2), array[..., None], array[::-1], other, np.zeros(0)]
+        arrays[name] = wrong[rng.integers(len(wrong))]
     elif array.size:
         field = array[str(rng.choice(array.dtype.names))] if array.dtype.names else array
-        values = NUMBERS if field.dtype == np.float64 else COUNTS
         at = tuple(rng.integers(field.shape))
-        field[at] = rng.choice(values) if rng.random() < 0.6 else field[at] + rng.integers(-2, 3)
+        field[at] = change(field[at], NUMBERS if field.dtype == np.float64 else COUNTS)
         arrays[name] = array
 
 
