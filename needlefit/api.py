@@ -489,7 +489,7 @@ def score_study(
         for role, insertions in (("tune", fold.tune), ("validate", fold.validate)):
             for insertion, (method, curves) in product(insertions, methods.items()):
                 place = {"fold": fold.name, "role": role, "method": method}
-                rows += scorer.score(place, replace(insertion, surfaces=()), curves).errors
+                rows += scorer.score(place, replace(insertion, surfaces=()), curves)["errors"]
     return pd.DataFrame(rows).drop(columns=["boundaries", "comparison"])
 
 

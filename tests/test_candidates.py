@@ -6,9 +6,9 @@ import numpy as np
 
 from needlefit.inference.sampling.importance import Effort
 from needlefit.schemas.study import FitRecord
-from needlefit.studies import candidates
-from needlefit.studies.candidates import list_insertion_candidates, rank_candidates
 from needlefit.studies.job import Settings
+from needlefit.studies.kinds import identification
+from needlefit.studies.kinds.identification import list_insertion_candidates, rank_candidates
 from needlefit.studies.load import load_study
 from needlefit.studies.simulated_data import choose_reference_values, simulate_design
 
@@ -25,14 +25,14 @@ def test_candidates_are_the_other_insertions_into_the_medium_and_a_repeat(monkey
     assert len(others) == 10 and {one.medium for _, one in others} == {"chicken"}
     depths = [one.depth for _, one in others]
     assert depths == sorted(depths)
-    monkeypatch.setattr(candidates, "MAX_CANDIDATES", 3)
+    monkeypatch.setattr(identification, "MAX_CANDIDATES", 3)
     fewer = [one.depth for role, one in list_insertion_candidates(job, job.folds[0]) if role == "candidate"]
     assert len(fewer) == 3 and (fewer[0], fewer[-1]) == (depths[0], depths[-1])
 
 
 def test_a_deep_insertion_adds_more_than_a_shallow_one(monkeypatch):
-    monkeypatch.setattr(candidates, "OUTER_DRAWS", 40)
-    monkeypatch.setattr(candidates, "EFFORT", Effort(draws=100, min_ess=150.0))
+    monkeypatch.setattr(identification, "OUTER_DRAWS", 40)
+    monkeypatch.setattr(identification, "EFFORT", Effort(draws=100, min_ess=150.0))
     job = prepare_chicken("chicken-01")
     few = tuple(one for one in job.dataset.insertions if one.id in ("chicken-01", "chicken-04", "chicken-06"))
     job = replace(job, dataset=replace(job.dataset, insertions=few))

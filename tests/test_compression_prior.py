@@ -15,9 +15,9 @@ from needlefit.project.locate import find_file, shipped_folder
 from needlefit.project.toml import load
 from needlefit.schemas.medium import MaterialRecord
 from needlefit.schemas.study import FitRecord
+from needlefit.studies.identity import describe_configuration
 from needlefit.studies.job import Settings
 from needlefit.studies.load import load_study
-from needlefit.studies.provenance import describe_configuration
 
 SCRIPT = shipped_folder() / "studies" / "compression_prior.py"
 FUNCTIONS = runpy.run_path(str(SCRIPT))

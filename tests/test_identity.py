@@ -21,10 +21,9 @@ from needlefit.project.toml import dumps
 from needlefit.schemas import dataset as dataset_schemas
 from needlefit.schemas import medium, recipe, study
 from needlefit.schemas.deciding import UNDECIDING, select_deciding
-from needlefit.studies.identity import JUDGING, RESOLVED, describe_change, identify
+from needlefit.studies.identity import JUDGING, RESOLVED, describe_change, describe_configuration, identify
 from needlefit.studies.job import Settings
 from needlefit.studies.load import load_study
-from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.store import pack, unpack
 from needlefit.studies.study_files import load_study_file
 

@@ -20,9 +20,11 @@ from needlefit.inference.optimize import minimize
 from needlefit.inference.predict import Draws
 from needlefit.project.random_streams import random_stream
 from needlefit.reporting.slicer import write_needles
+from needlefit.schemas.run_metadata import CountMetadata
 from needlefit.studies.kinds.cross_validation.run import Settings, run
 from needlefit.studies.load import load_study
 from needlefit.studies.needle_placement import place_needles
+from needlefit.studies.observations import HeldOutPrediction
 
 __all__ = ["project"]  # a fixture
 
@@ -83,11 +85,11 @@ def test_the_band_of_a_held_out_needle_is_the_predicted_one(fitted):
     x = np.linspace(0.0, insertion.points[-1, 0], 5)
     y = np.interp(x, *insertion.points.T[:2])
     rows = [
-        {"fold": fold.name, "insertion": "needle-3", "x_mm": at, "measured_mm": height + 7.0,
+        {"x_mm": at, "measured_mm": height + 7.0,
          "low_95_mm": height + 6.0, "median_mm": height + 7.5, "high_95_mm": height + 9.0}
         for at, height in zip(x, y, strict=True)
     ]  # fmt: skip
-    placed = place(fitted, None, rows)
+    placed = place(fitted, None, [HeldOutPrediction("needle-3", {"bands": rows}, CountMetadata())])
     band = placed["needle-3"].band
     assert band.source == "predicted"
     assert_allclose(band.high - band.low, np.tile([0.0, 3.0, 0.0], (5, 1)), atol=1e-9)

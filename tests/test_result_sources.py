@@ -10,7 +10,7 @@ from needlefit.cli import execution
 from needlefit.errors import ConfigError
 from needlefit.project.locate import shipped_folder
 from needlefit.studies.report import rebuild
-from needlefit.studies.result_sources import name_source, read_sources, require_same_sources
+from needlefit.studies.store import name_source, read_sources, require_same_sources
 
 OPTIONS = ("--quiet", "--jobs", 1)
 

@@ -22,6 +22,7 @@ from needlefit.project.toml import load
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.fold_draws import Specimens, choose_specimen
+from needlefit.studies.identity import describe_configuration
 from needlefit.studies.job import Inputs, Settings
 from needlefit.studies.kind import find_kind
 from needlefit.studies.kinds import prediction
@@ -34,7 +35,6 @@ from needlefit.studies.kinds.prediction import (
     tabulate_forecast,
 )
 from needlefit.studies.load import load_study
-from needlefit.studies.provenance import describe_configuration
 
 SCENE = needlefit.open_scene("study2")
 

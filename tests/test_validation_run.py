@@ -146,7 +146,7 @@ def test_scored_simulations_are_counted_and_named():
     scored = []
     for method, values in (("fitted", TRUTH), ("fitted", STEEP), ("hand_tuned", STEEP)):
         place = {"fold": "all", "role": "tune", "method": method}
-        scored += scorer.score(place, one, model_predictor(values, medium())).validity
+        scored += scorer.score(place, one, model_predictor(values, medium()))["validity"]
     assert predict(STEEP, medium(), one).converged
     validity = tabulate_validity([], scored)
     table = validity.model_dump(mode="json")
@@ -224,10 +224,10 @@ def along_x(scored):
 @pytest.mark.parametrize(("bend", "flagged"), [(0.1, True), (0.24, True), (0.26, False), (3.0, False)])
 @pytest.mark.parametrize("side", [1, -1])
 def test_a_deflection_under_the_floor_of_the_tip_is_flagged(bend, flagged, side):
-    (row,) = scorer().score({}, straight(bend, side), curve_predictor(along_x)).errors
+    (row,) = scorer().score({}, straight(bend, side), curve_predictor(along_x))["errors"]
     assert row["edp_flagged"] is flagged
     unknown = scorer(dict.fromkeys(FLOOR, math.nan))
-    (row,) = unknown.score({}, straight(bend, side), curve_predictor(along_x)).errors
+    (row,) = unknown.score({}, straight(bend, side), curve_predictor(along_x))["errors"]
     assert row["edp_flagged"] is False
 
 
@@ -246,10 +246,11 @@ def test_each_needle_has_baseline_curves_of_its_own():
 
 
 def test_a_failed_solve_is_infinitely_wrong_and_not_drawn():
-    (row,), points, _ = scorer().score({}, straight(1.0), lambda scored: {"measured": None})
+    scored = scorer().score({}, straight(1.0), lambda scored: {"measured": None})
+    (row,) = scored["errors"]
     assert row["ipe_mean_mm"] == row["te_mm"] == row["edp_percent"] == math.inf
     assert math.isnan(row["predicted_deflection_mm"])
-    assert row["converged"] is False and points == []
+    assert row["converged"] is False and scored["shapes"] == []
 
 
 # ---- whole runs

@@ -53,7 +53,7 @@ class Execution:
 
         ConfigError also if it would replace the result of others.
         """
-        from needlefit.studies.result_sources import require_same_sources
+        from needlefit.studies.store import require_same_sources
 
         self.prepare([name])
         require_same_sources(self.folder(name), sources, record)
@@ -87,7 +87,7 @@ class Execution:
         """
         from needlefit.studies.job import Inputs, Settings
         from needlefit.studies.kind import kind_of
-        from needlefit.studies.result_sources import store_sources
+        from needlefit.studies.store import store_sources
 
         asked = self.invocation
         with show_progress(asked.quiet) as report:

@@ -109,7 +109,7 @@ def reconstruct(
         from needlefit.schemas.names import require_file_name
         from needlefit.schemas.reconstruction import ReconstructionRecord
         from needlefit.studies.kinds.reconstruction.report import write_reconstruction, write_refused
-        from needlefit.studies.result_sources import name_source, require_same_sources
+        from needlefit.studies.store import name_source, require_same_sources
 
         moved = corrections or []
         files = ScanFiles(

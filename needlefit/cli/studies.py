@@ -130,7 +130,7 @@ def validate(
         from needlefit.project.locate import EVERY_STUDY, PAPER_FITS, find_file, find_studies
         from needlefit.project.toml import add_file_context, load
         from needlefit.schemas.study import FitRecord
-        from needlefit.studies.result_sources import name_source
+        from needlefit.studies.store import name_source
         from needlefit.studies.study_files import load_study_file
 
         combined = [study] if study == EVERY_STUDY else []
@@ -229,8 +229,7 @@ def predict(
         from needlefit.project.toml import add_file_context
         from needlefit.schemas.names import require_file_name
         from needlefit.studies.kinds.prediction import POSTERIOR_FILE, describe_like_deepest, make_scene
-        from needlefit.studies.result_sources import name_source
-        from needlefit.studies.store import RESULTS_FILE, restore_run
+        from needlefit.studies.store import RESULTS_FILE, name_source, restore_run
         from needlefit.studies.study_files import load_target
 
         fit = load_target(target)

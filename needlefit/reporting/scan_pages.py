@@ -26,7 +26,7 @@ from needlefit.reporting.figures.scan_views import (
     join_needle,
     show_slab,
 )
-from needlefit.reporting.figures.style import add_panel_mm, draw, draw_grid, make_figure_mm, spread_labels
+from needlefit.reporting.figures.style import MM_PER_INCH, draw, draw_grid, set_margins, spread_labels
 from needlefit.reporting.labels import GREY, INK, medium_name
 from needlefit.schemas.origin import ORIGIN_MARKS
 
@@ -162,7 +162,6 @@ def _paint_panels(
     `curve`: (N, 3); what the images follow, in their frame, mm.
     `overlay`: draws over an image, of this vertical range.
     """
-    figure = make_figure_mm(NEEDLE_SECTION_WIDTH_MM, NEEDLE_SECTION_HEIGHT_MM)
     width = NEEDLE_SECTION_WIDTH_MM - _LEFT_MM - _RIGHT_MM
     left, right = views[0].extent[:2]
     scale = width / (right - left)  # mm on paper per mm
@@ -170,10 +169,14 @@ def _paint_panels(
         _TOP_MM + _BOTTOM_MM + len(plots) * _PLOT_HEIGHT_MM + _PANEL_GAP_MM * (len(views) + len(plots) - 1)
     )
     spans = choose_spans(views, curve, (NEEDLE_SECTION_HEIGHT_MM - taken) / scale)
-    panels, top = list[Axes](), NEEDLE_SECTION_HEIGHT_MM - _TOP_MM
-    for height in (*(scale * (high - low) for low, high in spans), *len(plots) * [_PLOT_HEIGHT_MM]):
-        panels.append(add_panel_mm(figure, (_LEFT_MM, top - height, width, height)))
-        top -= height + _PANEL_GAP_MM
+    heights = [*(scale * (high - low) for low, high in spans), *len(plots) * [_PLOT_HEIGHT_MM]]
+    figure = Figure(figsize=(NEEDLE_SECTION_WIDTH_MM / MM_PER_INCH, NEEDLE_SECTION_HEIGHT_MM / MM_PER_INCH))
+    panels = figure.subplots(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
+    below = NEEDLE_SECTION_HEIGHT_MM - _TOP_MM - sum(heights) - _PANEL_GAP_MM * (len(heights) - 1)
+    edges = {"left": _LEFT_MM, "top": _TOP_MM, "right": _RIGHT_MM, "bottom": below}
+    gap = _PANEL_GAP_MM / MM_PER_INCH
+    inches = {edge: margin / MM_PER_INCH for edge, margin in edges.items()}
+    set_margins(figure, gaps=(gap, gap), **inches)
     for axes, view, span in zip(panels, views, spans, strict=False):
         show_slab(axes, view, views, span)
         overlay(axes, view, span)

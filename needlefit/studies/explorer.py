@@ -41,7 +41,7 @@ from needlefit.reporting.needle_page import (
 )
 from needlefit.reporting.table_files import Row, select_rows, to_records
 from needlefit.schemas.medium import MediumRecord
-from needlefit.schemas.run_metadata import DatasetMetadata, FitMetadata, InsertionMetadata, PredictionMetadata
+from needlefit.schemas.run_metadata import FitMetadata, InsertionMetadata, PredictionMetadata
 from needlefit.studies.fit_frames import FIT_KINDS, NEW_SPECIMEN, PREDICTION_METHOD, FitFrames
 from needlefit.studies.insertion_draws import draw_insertion
 from needlefit.studies.run import Run
@@ -57,19 +57,16 @@ MAX_TABLE_DRAWS = 40
 
 def _read_inputs(metadata: FitMetadata, name: str) -> InsertionInputs:
     """Return what the simulation of an insertion needs, as a run stored it; none under a guide is stored."""
-    layers, stored = metadata.layers[name], metadata.insertions[name]
+    layers, stored, dataset = metadata.layers[name], metadata.insertions[name], metadata.dataset
+    needle = dataset.needle or (dataset.needles or {})[stored.needle]  # of all insertions, or its own
     return InsertionInputs(
-        needle=_read_needle(metadata.dataset, stored.needle),
+        needle=Needle(
+            needle.length, needle.flexural_rigidity, outer_diameter=needle.outer_diameter, name=stored.needle
+        ),
         sequence=tuple(layer for layer, _ in layers),
         boundaries=np.array([top for _, top in layers[1:]]),
         **stored.model_dump(exclude={"needle", "compared", "specimen", "observations"}),
     )
-
-
-def _read_needle(dataset: DatasetMetadata, name: str) -> Needle:
-    """Return the needle of all insertions or, where they differ, the one of this name."""
-    stated = dataset.needle or (dataset.needles or {})[name]
-    return Needle(stated.length, stated.flexural_rigidity, outer_diameter=stated.outer_diameter, name=name)
 
 
 def describe_insertions(job: "Job") -> dict[str, InsertionMetadata]:

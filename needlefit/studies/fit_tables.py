@@ -59,7 +59,6 @@ class _RowKind:
 
     name: str
     method: str = "fitted"
-    boundaries: str = "measured"
     column: str = "value"
 
 
@@ -124,9 +123,11 @@ def _lay_out_groups(
     rows, by_tips = list[Row](), all(group.score == scores.TE for group, _ in blocks)
     for number, (group, kinds) in enumerate(blocks):
         noise = group.get(scores.TE, "floor")
-        for row in _list_scores(group, kinds):
-            beside = noise if row["row"] == kinds[0].name else None
-            rows.append({**_head(group), **row, "number": number, "noise_of_te": beside})
+        for kind in kinds:
+            described = [_describe_score(group, kind, metric) for metric in list_metrics()]
+            about = {**_head(group), "number": number, "noise_of_te": noise if kind is kinds[0] else None}
+            if any(row["value"] is not None for row in described):
+                rows += [about | row for row in described]
     shown = {row["metric"] for row in rows if row["value"] is not None and not math.isnan(row["value"])}
     metrics = [metric for metric in list_metrics() if metric.name in shown and not metric.spread_of]
     if short:
@@ -150,16 +151,8 @@ def _count_medians(runs: Sequence[Run]) -> int:
     return sum(len(run.knows(FitMetadata).medians) for run in runs)
 
 
-def _list_scores(group: scores.ScoredGroup, kinds: Sequence[_RowKind]) -> Iterator[Row]:
-    """Yield a row per kind and metric, of kinds that have any value."""
-    for kind in kinds:
-        described = [_describe_score(group, kind, metric) for metric in list_metrics()]
-        if any(row["value"] is not None for row in described):
-            yield from described
-
-
 def _describe_score(group: scores.ScoredGroup, kind: _RowKind, metric: Metric) -> Row:
-    where = {"column": kind.column, "method": kind.method, "boundaries": kind.boundaries}
+    where = {"column": kind.column, "method": kind.method}
     value = group.get(metric.name, **where)
     fine = group.comparison == "aligned" or (value or 1) < 0.1  # as in the verdict
     digits = 3 if fine and kind.column != "paper" else 2
@@ -482,24 +475,18 @@ def _format_end(end: float, unit: float = 1.0, digits: int = END_DIGITS) -> str:
 SOURCES = {"importance": "importance sampling", "profile": "profile likelihood"}
 
 
-def name_sources(run: Run) -> list[str]:
-    """Return what the intervals of parameters are from."""
-    used = set(FitFrames.of(run).parameters["draw_source"])
-    sampler = {"posterior": run.knows(FitMetadata).recipe.sample.sampler}
-    return [words for source, words in (sampler | SOURCES).items() if source in used]
-
-
 def lay_out_parameters(run: Run) -> TableLayout:
     """Return posterior and error-minimising fit beside the paper's parameters, of several folds their range.
 
     Parameters with the same cells have one row.
     """
-    frames, truth = FitFrames.of(run), run.knows(FitMetadata).truth
+    frames, stated = FitFrames.of(run), run.knows(FitMetadata)
+    sampler, used = {"posterior": stated.recipe.sample.sampler}, {*frames.parameters["draw_source"]}
     merged: dict[tuple[object, ...], Row] = {}
     for name, members in frames.parameters.groupby("parameter", sort=False):
         if "fitted" not in set(members["method"]):
             continue
-        row = _describe_parameter(str(name), members, truth.get(str(name)))
+        row = _describe_parameter(str(name), members, stated.truth.get(str(name)))
         label = row.pop("parameter")
         merged.setdefault(tuple(row.values()), {**row, "names": []})["names"].append(label)
     rows = [{**row, "parameter": ", ".join(row["names"])} for row in merged.values()]
@@ -514,11 +501,11 @@ def lay_out_parameters(run: Run) -> TableLayout:
         "metric": any(row["error_minimising"] for row in rows),
         "curved": frames.curved,
         "truth": any(row["true_value"] for row in rows),
-        "sources": name_sources(run),
+        "sources": [words for source, words in (sampler | SOURCES).items() if source in used],
         "of_mean": bool(set(frames.draws["specimen"]) - {TUNED_SPECIMENS, NEW_SPECIMEN}),
         "leaning": [
             stated_depth
-            for stated_depth in run.knows(FitMetadata).stated_depths
+            for stated_depth in stated.stated_depths
             if stated_depth.sd_mm > stated_depth.stated_sd_mm
         ],
     }

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -22,7 +22,7 @@ from needlefit.inference.parameters import Parameters
 from needlefit.inference.plausible import compute_cut_angle, list_implausible
 from needlefit.inference.point_prediction import PointPrediction
 from needlefit.mechanics.published import read_cut_angles, read_moduli
-from needlefit.project.result_warnings import ResultWarning, to_stored_rows
+from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.unit_warnings import MU_PA
 from needlefit.reporting.number_format import format_quantity
 from needlefit.reporting.table_files import Row, select_rows, to_records
@@ -33,16 +33,7 @@ from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import find_bevel_sides
 from needlefit.studies.validity import list_outside
 
-if TYPE_CHECKING:
-    from needlefit.studies.job import Job
-
 TEXT = KindText("warnings")
-
-
-def add_warnings(run: Run, job: "Job") -> Run:
-    """Return results whose `run` also has the warnings about data, study, fit and predictions."""
-    warnings = [*run.warnings, *job.warnings, *list_warnings(run)]
-    return run.with_metadata(warnings=to_stored_rows(warnings))
 
 
 def list_warnings(run: Run) -> list[ResultWarning]:
@@ -206,14 +197,10 @@ def _describe_doubts(doubts: Doubts) -> Iterator[Row]:
     if doubts.common is not None and doubts.common.cause != "boundary":
         yield {**vars(doubts.common), "text": "all_needles"}
     for needle in doubts.odd:
-        size = (
-            None
-            if needle.size is None
-            else math.exp(needle.size)
-            if needle.cause == "scaled"
-            else abs(needle.size)
-        )
-        yield {**vars(needle), "size": size, "larger": needle.size is not None and needle.size > 0}
+        size, larger = needle.size, needle.size is not None and needle.size > 0
+        if size is not None:
+            size = math.exp(size) if needle.cause == "scaled" else abs(size)
+        yield {**vars(needle), "size": size, "larger": larger}
     if doubts.deviating is not None:
         yield {"text": "needles_deviate", "count": doubts.deviating[0], "total": doubts.deviating[1]}
 

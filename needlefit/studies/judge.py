@@ -339,7 +339,9 @@ def list_checks(run: Run) -> tuple[Finding, ...]:
     if frames.role == "tune":
         findings.append(Finding(Check.HELD_OUT, None))
     if judged is not None:
-        findings += (check_curves(judged), check_noise(judged), *check_needles(run, judged))
+        ratio = judged.noise_ratio
+        noise = Finding(Check.NOISE, judged.within_noise, ratio, MAX_NOISE_RATIO, score=judged.score)
+        findings += (check_curves(judged), noise, *check_needles(run, judged))
     if len(frames.predictive) and frames.role == "validate":
         held_out, score = (group.insertions, group.score) if group else (0, TE)
         findings += check_intervals(frames.predictive, run.metadata.recipe, held_out, score)
@@ -368,11 +370,6 @@ def check_needles(run: Run, judged: Judgement) -> Iterator[Finding]:
         left_out = ", ".join(effect.insertions)
         finding = replace(finding, left_out=left_out, outcome=effect.outcome, values=effect.values)
     yield finding
-
-
-def check_noise(judged: Judgement) -> Finding:
-    """Return whether the error is at most twice that of the measurement noise."""
-    return Finding(Check.NOISE, judged.within_noise, judged.noise_ratio, MAX_NOISE_RATIO, score=judged.score)
 
 
 def check_intervals(

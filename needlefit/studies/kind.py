@@ -94,7 +94,15 @@ class StudyKind:
         finally:
             if settings.checkpoint is not None and not complete:
                 release_checkpoint(settings.checkpoint)
-        timing = {"seconds": time.time() - begin, "jobs": settings.jobs, **describe_surroundings(begin)}
+        timing = {
+            "seconds": time.time() - begin,
+            "jobs": settings.jobs,
+            # what does not change a result; the date is UTC
+            "command": shlex.join(sys.argv),
+            "folder": str(Path.cwd()),
+            "platform": platform.platform(),
+            "started": datetime.fromtimestamp(begin, UTC).isoformat(timespec="seconds"),
+        }
         state: dict[str, Any] = {"interrupted": run.interrupted, "faults": list(map(str, run.faults))}
         if revision := find_source_revision():
             state["source_revision"] = revision
@@ -108,16 +116,6 @@ class StudyKind:
     def make_record(self, **options: object) -> FileRecord:
         """Return the study file that the options of a command stand for."""
         return self.record.model_validate({"schema": self.record.SCHEMA, "kind": self.name, **options})
-
-
-def describe_surroundings(begin: float) -> dict[str, str]:
-    """Return what does not change a result: the command line and its folder, the platform, the date (UTC)."""
-    return {
-        "command": shlex.join(sys.argv),
-        "folder": str(Path.cwd()),
-        "platform": platform.platform(),
-        "started": datetime.fromtimestamp(begin, UTC).isoformat(timespec="seconds"),
-    }
 
 
 #: all kinds by name: the files and folders of `kinds/`, and those of plugins

@@ -5,18 +5,18 @@ That of a needle that was fitted to holds 95 % of the needles of certified draws
 the noise of the measured points nor what the model misses is in it.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from types import MappingProxyType
-from typing import Any
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
+import pandas as pd
 
 from needlefit.arrays import Floats
 from needlefit.datasets.folds import Fold
 from needlefit.datasets.insertion import Dataset, Insertion, find_pose
 from needlefit.geometry.frames import Placement
-from needlefit.grouping import group_values
-from needlefit.inference.compared_points import Curve, align
+from needlefit.inference.compared_points import align
 from needlefit.inference.curve_bands import find_bands
 from needlefit.inference.fit import Fit
 from needlefit.inference.forward_model import PreparedModel, predict
@@ -25,10 +25,40 @@ from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem
 from needlefit.mechanics.batch import compute_batch_positions
 from needlefit.mechanics.needle import DEFAULT_DIAMETER_MM
-from needlefit.reporting.needles_in_scan import Band, NeedleInScan
+from needlefit.studies.observations import HeldOutPrediction
 
 NEEDLE_POINTS = 51  # points of a fitted needle and of its band
 BAND_PROBABILITY = 0.95
+
+
+#: Of the table "needles": every insertion held out, or, of a single fold, any, point by point in its scan.
+NEEDLE_COLUMNS = (
+    *("fold", "role", "insertion", "diameter_mm", "band_source"),
+    *("curve", "j", "x_mm", "y_mm", "z_mm"),
+)
+
+
+@dataclass(frozen=True)
+class Band:
+    """The simultaneous 95 % band across a needle, in its bending plane; (K, 3) each, LPS, mm."""
+
+    low: Floats
+    middle: Floats
+    high: Floats
+    source: Literal["predicted", "posterior"]  #: of a held-out needle what was predicted to be measured
+
+
+@dataclass(frozen=True)
+class NeedleInScan:
+    """One insertion in the patient coordinates of its scan, LPS, mm."""
+
+    insertion: str
+    fold: str
+    role: str  # "validate" where the fit never saw it, else "tune"
+    measured: Floats  # (N, 3); the centreline, entry first
+    diameter: float  # of the needle as it is drawn
+    fitted: Floats | None = None  # (K, 3); in the bending plane; None where the solve failed
+    band: Band | None = None  # None where no draws are certified, or none of them has a solution
 
 
 def place_needles(
@@ -36,27 +66,31 @@ def place_needles(
     fold: Fold,
     fit: Fit,
     draws: Draws | None = None,
-    predicted: Sequence[Mapping[str, Any]] = (),
+    predicted: Iterable[HeldOutPrediction] = (),
     jobs: int = 1,
     *,
     fitted: bool = True,
-    curves: Mapping[str, Curve] = MappingProxyType({}),
 ) -> Iterator[NeedleInScan]:
     """Yield every insertion that a fold holds out, before them, if wanted, those that were `fitted` to.
 
-    `predicted` are the rows of the table "bands", `curves` the predicted needles by insertion; without one it
-    is that of the fit. Tip tracks were never in a scan: of them there is none.
+    Where no needle is `predicted` it is that of the fit. Tip tracks were never in a scan: of them there is
+    none.
     """
-    bands = group_values((row["insertion"], row) for row in predicted if row["fold"] == fold.name)
+    dataset, by_id = problem.dataset, {prediction.insertion: prediction for prediction in predicted}
     for role, insertions in (("tune", fold.tune if fitted else ()), ("validate", fold.validate)):
         for insertion in (insertion for insertion in insertions if not insertion.in_tracker_frame):
             placement, band = Placement(insertion.frame, insertion.patient), None
-            curve = curves.get(insertion.id) if role == "validate" else None
-            points = _place_needle(problem, insertion, curve or _simulate_fit(problem, insertion, fit))
-            if role == "validate":
-                band = _place_predicted_band(insertion, placement, bands.get(insertion.id, ()))
-            elif points is not None and draws is not None and draws.certified is not None:
-                band = _place_band_of_draws(problem, insertion, placement, points[:, 0], draws.thetas, jobs)
+            prediction = by_id.get(insertion.id) if role == "validate" else None
+            curve = prediction.curve if prediction else None
+            if curve is None:
+                shape = predict(fit.values, problem.medium, insertion)
+                curve = SimulatedCurve(shape, insertion) if shape.converged else None
+            s = select_points(dataset.pose, dataset.drop_proximal, insertion, NEEDLE_POINTS).s
+            points = None if curve is None else place_points(dataset, insertion, s, curve(s))
+            if prediction is not None:
+                band = _place_predicted_band(insertion, placement, prediction.rows.get("bands", ()))
+            elif role == "tune" and points is not None and draws is not None and draws.certified is not None:
+                band = _place_band_of_draws(problem, insertion, s, points[:, 0], draws.thetas, jobs)
             yield NeedleInScan(
                 insertion.id,
                 fold.name,
@@ -66,24 +100,6 @@ def place_needles(
                 fitted=None if points is None else placement.to_patient(points),
                 band=band,
             )
-
-
-def _simulate_fit(problem: Problem, insertion: Insertion, fit: Fit) -> Curve | None:
-    """Return the needle of a fit; None without a solution."""
-    shape = predict(fit.values, problem.medium, insertion)
-    return SimulatedCurve(shape, insertion) if shape.converged else None
-
-
-def _place_needle(problem: Problem, insertion: Insertion, curve: Curve | None) -> Floats | None:
-    """Return a needle (K, 3) in C, as `place_points`; None without one."""
-    s = _choose_places(problem, insertion)
-    return None if curve is None else place_points(problem.dataset, insertion, s, curve(s))
-
-
-def _choose_places(problem: Problem, insertion: Insertion) -> Floats:
-    """Return the beam coordinates (K,), mm, at which a needle is drawn."""
-    dataset = problem.dataset
-    return select_points(dataset.pose, dataset.drop_proximal, insertion, NEEDLE_POINTS).s
 
 
 def place_points(dataset: Dataset, insertion: Insertion, s: Floats, points: Floats) -> Floats:
@@ -126,12 +142,12 @@ def _place_predicted_band(
 
 
 def _place_band_of_draws(
-    problem: Problem, insertion: Insertion, placement: Placement, x: Floats, thetas: Floats, jobs: int
+    problem: Problem, insertion: Insertion, s: Floats, x: Floats, thetas: Floats, jobs: int
 ) -> Band | None:
-    """Return the band over the needles of draws, at the fitted needle's x (K,); None where none is solved."""
+    """Return the band over the needles of draws, at the fitted one's x (K,); None where none is solved."""
     sets = [problem.parameters.values(theta) for theta in thetas]
     (shapes,) = PreparedModel(problem.medium, [insertion]).simulate(sets, jobs)
-    s = _choose_places(problem, insertion)
+    placement = Placement(insertion.frame, insertion.patient)
     needles = compute_batch_positions(shapes, s)[shapes.converged]  # (B, K, 3)
     if not len(needles):
         return None
@@ -142,3 +158,20 @@ def _place_band_of_draws(
         placement.to_patient(np.column_stack([x, y, across])) for y in (below, bands.median, above)
     )
     return Band(low, middle, high, "posterior")
+
+
+def tabulate_needles_in_scan(needles: Iterable[NeedleInScan]) -> pd.DataFrame:
+    """Return needles point by point: columns `NEEDLE_COLUMNS`."""
+    rows = []
+    for needle in needles:
+        band = needle.band
+        about = (needle.fold, needle.role, needle.insertion, needle.diameter, band.source if band else "")
+        curves = {"measured": needle.measured}
+        curves |= {} if needle.fitted is None else {"fitted": needle.fitted}
+        curves |= {} if band is None else {"low": band.low, "middle": band.middle, "high": band.high}
+        rows += [
+            (*about, curve, j, *point)
+            for curve, points in curves.items()
+            for j, point in enumerate(points.tolist())
+        ]
+    return pd.DataFrame(rows, columns=list(NEEDLE_COLUMNS))

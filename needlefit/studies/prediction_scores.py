@@ -78,14 +78,6 @@ def tabulate_sensors(insertion: Insertion, about: Floats) -> Iterator[Row]:
             }
 
 
-def _find_intervals(mixture: PredictiveMixture) -> tuple[Floats, dict[float, Floats]]:
-    """Return the median (K,), and by level the ends (2, K) of the intervals: one search finds them all."""
-    ends = [(1 + side * level) / 2 for level in INTERVAL_PROBABILITIES for side in (-1, 1)]
-    median, *ends_found = quantile(mixture, (0.5, *ends))
-    pairs = np.array(ends_found).reshape(len(INTERVAL_PROBABILITIES), 2, -1)
-    return median, dict(zip(INTERVAL_PROBABILITIES, pairs, strict=True))
-
-
 #: a column that predictions of curvatures alone have besides, the mean score of their readings
 CURVATURE_CRPS = "curvature_crps_1_per_m"
 SHAPE_CRPS = "shape_crps_mm"
@@ -174,11 +166,12 @@ def score_tip(mixture: PredictiveMixture, measured: Floats) -> Row:
     """Return what became of the prediction of the last of some points (K,): the tip."""
     tip = PredictiveMixture(mixture.means[:, -1:], mixture.sd[-1:])
     tip_place = float(measured[-1])
-    median, intervals = _find_intervals(tip)
-    row: Row = {"tip_measured_mm": tip_place, "tip_median_mm": float(median[0])}
+    ends = [(1 + side * level) / 2 for level in INTERVAL_PROBABILITIES for side in (-1, 1)]
+    median, *found = quantile(tip, (0.5, *ends))[:, 0].tolist()  # one search finds them all
+    row: Row = {"tip_measured_mm": tip_place, "tip_median_mm": median}
     row |= {name: score(tip, tip_place).item() for name, score in (("tip_pit", cdf), ("tip_crps_mm", crps))}
-    for level, ends in intervals.items():
-        name, (low, high) = f"{100 * level:.0f}", ends[:, 0].tolist()
+    for level, low, high in zip(INTERVAL_PROBABILITIES, found[::2], found[1::2], strict=True):
+        name = f"{100 * level:.0f}"
         row |= {f"tip_{name}_low_mm": low, f"tip_{name}_high_mm": high}
         row |= {f"tip_in_{name}": low <= tip_place <= high}
     # width, and what lies outside at 2 / (1 - level) of it: T. Gneiting, A. E. Raftery, JASA 102 (2007) 359

@@ -27,9 +27,8 @@ from needlefit.studies.answer import Status, Verdict, tabulate_checks
 from needlefit.studies.explorer import collect_explorer
 from needlefit.studies.first_page import METHOD, WHAT_TO_DO, FirstPage, lay_out_checks, list_failed
 from needlefit.studies.kind import find_kind
-from needlefit.studies.result_sources import read_sources, store_sources
 from needlefit.studies.run import Run, mark_faults
-from needlefit.studies.store import restore_run, store_run
+from needlefit.studies.store import read_sources, restore_run, store_run, store_sources
 
 
 def run_to_json(run: Run) -> dict[str, Any]:

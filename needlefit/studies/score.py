@@ -4,7 +4,6 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import NamedTuple
 
 import numpy as np
 
@@ -132,14 +131,6 @@ FAILED: Row = {
 ERROR_COLUMNS = (*SCORE_KEYS, *INSERTION_COLUMNS, *FAILED)
 
 
-class Scores(NamedTuple):
-    """The rows of the tables "errors" and "shapes", and the validity of every simulation that was scored."""
-
-    errors: list[Row]
-    shapes: list[Row]
-    validity: list[Row]
-
-
 @dataclass(frozen=True)
 class Scorer:
     """What scoring needs besides method and insertion."""
@@ -148,8 +139,11 @@ class Scorer:
     layer_count_rule: LayerCountRule  #: which count holds for an insertion that ends at a boundary
     floors: Mapping[str, NoiseFloor]  #: the noise floor of every insertion, by id
 
-    def score(self, place: Row, insertion: Insertion, method: Predictor) -> Scores:
-        """Return the scores of a method on an insertion; `place` has fold, role and method."""
+    def score(self, place: Row, insertion: Insertion, method: Predictor) -> dict[str, list[Row]]:
+        """Return the scores of a method on an insertion; `place` has fold, role and method.
+
+        They are rows of the tables "errors" and "shapes", and the "validity" of every simulation.
+        """
         errors, shapes, validity = list[Row](), list[Row](), list[Row]()
         for boundaries, curve in method(insertion).items():
             where = {**place, "insertion": insertion.id, "boundaries": boundaries}
@@ -163,7 +157,7 @@ class Scorer:
                 validity.append({**where, "faults": list(curve.shape.validity.faults)})
             errors.append(row | self.compute_errors(insertion, [goal.compare(curve) for goal in goals]))
             shapes += _shape_rows(where, goals, curve)
-        return Scores(errors, shapes, validity)
+        return {"errors": errors, "shapes": shapes, "validity": validity}
 
     def describe(self, where: Row, insertion: Insertion, floors: NoiseFloor) -> Row:
         """Return the row of an insertion and a method before its errors."""

@@ -58,16 +58,6 @@ def aggregate(errors: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=[*by, *AGGREGATE_COLUMNS])
 
 
-def find_score(errors: pd.DataFrame) -> str:
-    """Return the metric of verdicts on some errors: the first that is known of any."""
-    scores = (
-        metric.name
-        for metric in verdict_metrics()
-        if metric.name in errors and errors[metric.name].notna().any()
-    )
-    return next(scores, TE)
-
-
 def count_directions(run: Run) -> int:
     """Return how many deflections of a point were compared: along y, and z."""
     return DIRECTIONS[run.knows(JobMetadata).compared]
@@ -92,7 +82,7 @@ def compare_methods(run: Run) -> pd.DataFrame:
     """
     errors = FitFrames.of(run).select_errors()
     names = [metric.name for metric in known_metrics(errors.columns) if metric.headline]
-    score = find_score(errors)
+    score = group.score if (group := pool_insertions(run)) else TE
     values = errors.reindex(columns=names).astype(float)
     keys = [errors["method"], errors["fold"], list(group_rows(errors))]
     means = values.where(np.isfinite(values)).groupby(keys, sort=False).mean()

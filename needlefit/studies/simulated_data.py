@@ -160,20 +160,17 @@ def find_true_value(problem: Problem, name: str, seed: int, drawn: bool = False)
     specimens = [draw_specimen(seed, insertion.medium, insertion.specimen, population) for insertion in tuned]
     if name == "bevel_mm":
         pairs = zip(specimens, tuned, strict=True)
-        offsets = [
-            bevel_offset(specimen, insertion, draw_deviations(seed, insertion))
-            for specimen, insertion in pairs
-        ]
+        offsets = [bevel_offset(specimen, one, draw_deviations(seed, one)) for specimen, one in pairs]
         return float(np.exp(np.mean(np.log(offsets))))
     same = [name, *(tied for tied, (_, source) in problem.parameters.ties.items() if source == name)]
     quantity = dimension(name)
     if quantity == "modulus":
-        offsets = _list_true(same, "mu", [specimen.mu for specimen in specimens])
-        return float(1e6 * np.exp(np.mean(np.log(offsets)))) if offsets else math.nan
-    if quantity == "alpha" and population is None:
-        offsets = _list_true(same, "alpha", [specimen.alpha for specimen in specimens])
-        return float(np.mean(offsets)) if offsets else math.nan
-    return math.nan
+        moduli = _list_true(same, "mu", [specimen.mu for specimen in specimens])
+        return float(1e6 * np.exp(np.mean(np.log(moduli)))) if moduli else math.nan
+    alphas = (
+        _list_true(same, "alpha", [specimen.alpha for specimen in specimens]) if quantity == "alpha" else []
+    )
+    return float(np.mean(alphas)) if alphas and population is None else math.nan
 
 
 def _list_true(names: Sequence[str], prefix: str, specimens: Sequence[Floats]) -> list[float]:

@@ -6,8 +6,9 @@ What is read must agree with the manifest of the folder (`project.folders`).
 
 import gzip
 import json
+import os
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -16,7 +17,7 @@ import pandas as pd
 from pydantic import BaseModel, ValidationError
 
 from needlefit.datasets.sources import DATASET_FILE, DatasetFiles
-from needlefit.errors import DataError
+from needlefit.errors import ConfigError, DataError
 from needlefit.inference.sampling.posterior import load, save
 from needlefit.project.folders import TIMING_FILE, require_unchanged
 from needlefit.project.input_files import (
@@ -28,7 +29,11 @@ from needlefit.project.input_files import (
     read_json,
 )
 from needlefit.project.json_values import to_json_values
+from needlefit.project.locate import file_label, find_file, read_toml
+from needlefit.project.toml import add_key_context
+from needlefit.schemas.base import FileRecord
 from needlefit.schemas.result_files import RunTable, StoredRunTable, TimingTable
+from needlefit.schemas.study import FitRecord
 from needlefit.studies.answer import FaultKind, RunFault
 from needlefit.studies.kind import KINDS, find_kind
 from needlefit.studies.run import Frames, Run
@@ -236,3 +241,72 @@ def to_json_value(value: object) -> object:
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     raise TypeError(f"{type(value).__name__} cannot be stored")
+
+
+# --- of which files a result is made: that of another study or dataset is not replaced
+#
+# Two studies may have one name, and results of one name lie in one folder. `timing.json` names the files:
+# shipped ones by their names, others by their paths from the folder of the result, so that a project can be
+# moved.
+
+SOURCES_KEY = "sources"  #: of `timing.json`
+
+
+def name_source(file: Path) -> str:
+    """Return the name of a shipped file, the absolute path of another one."""
+    label = file_label(file)
+    return str(file.resolve()) if label == str(file) else label
+
+
+def store_sources(sources: Sequence[str], folder: Path) -> dict[str, list[str]]:
+    """Return the entry of `timing.json` for a result in `folder` that is made of these files."""
+    return {SOURCES_KEY: [_relate(source, folder) for source in sources]}
+
+
+def read_sources(timing: Mapping[str, Any], folder: Path) -> list[str]:
+    """Return the files of which the result in `folder` was made; none of earlier versions."""
+    return [
+        str((folder / source).resolve()) if source.startswith(".") else source
+        for source in timing.get(SOURCES_KEY, ())
+    ]
+
+
+def require_same_sources(folder: Path, sources: Sequence[str], record: FileRecord | None = None) -> None:
+    """Raise ConfigError if a folder holds the result of other files, or of another dataset than a fit names.
+
+    Results of earlier versions name no files.
+    """
+    if not is_file(folder / RUN_FILE):
+        return
+    try:
+        run, timing = read_run(folder), read_timing(folder)
+    except DataError:  # a damaged one is no result to be lost
+        return
+    for before, after in zip(read_sources(timing, folder), sources, strict=False):
+        if before != after:
+            raise _other_result_error(folder, before, after)
+    if isinstance(record, FitRecord) and (dataset := run.get("dataset")):
+        with add_key_context("dataset"):
+            before, after = dataset["name"], read_toml(find_file("dataset", record.dataset)).get("name", "")
+        if before != after:
+            raise _other_result_error(folder, f"the dataset {before}", f"the dataset {after}")
+
+
+def _relate(source: str, folder: Path) -> str:
+    """Return a path as it is from a folder, beginning with a dot; a name as it is."""
+    if not Path(source).is_absolute():
+        return source
+    try:
+        related = Path(os.path.relpath(source, folder.resolve())).as_posix()
+    except ValueError:  # on another drive
+        return source
+    return related if related.startswith(".") else f"./{related}"
+
+
+def _other_result_error(folder: Path, before: str, after: str) -> ConfigError:
+    return ConfigError(
+        f"holds another result, of {before}",
+        where=folder,
+        expected=f"a new folder, or the result of {after}",
+        fix="choose another folder with --out, or move that result away",
+    )

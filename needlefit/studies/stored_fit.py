@@ -68,7 +68,8 @@ def read_data(run: Run, where: str) -> Dataset:
     A copy that differs from those files has a warning. Raises DataError if there is neither; it names
     `where`, the run.
     """
-    before = _find_earlier_file(run)
+    before = Path(run.timing.get("folder", ""), run.timing.get("dataset", ""))
+    before = before if before.suffix == ".toml" else before / "dataset.toml"
     if run.data is not None and is_file(run.data.file):
         dataset = read(run.data.file, root=run.data.root)
         if has_data(run.metadata, dataset):
@@ -95,12 +96,6 @@ def read_data(run: Run, where: str) -> Dataset:
         expected=f"the folder of the dataset where it was: {was}, or where it was looked for: {looked}",
         fix=f"copy the dataset to one of these, or run {run.name} again: its folder then holds a copy",
     )
-
-
-def _find_earlier_file(run: Run) -> Path:
-    """Return the `dataset.toml` that a run was computed with, where it was."""
-    file = Path(run.timing.get("folder", ""), run.timing.get("dataset", ""))
-    return file if file.suffix == ".toml" else file / "dataset.toml"
 
 
 def _list_files(run: Run, before: Path) -> Iterator[Path]:

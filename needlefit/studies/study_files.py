@@ -23,15 +23,13 @@ from needlefit.schemas.origin import Origin
 from needlefit.schemas.run_metadata import AnalysisMetadata, NeedleDoubtMetadata
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.fit_warnings import warn_of_doubts
-from needlefit.studies.identity import identify
+from needlefit.studies.identity import describe_configuration, identify
 from needlefit.studies.job import Inputs, Job, Settings
 from needlefit.studies.kind import find_kind
 from needlefit.studies.load import load_study, print_notes
 from needlefit.studies.odd_needles import check_quickly
-from needlefit.studies.provenance import describe_configuration
-from needlefit.studies.result_sources import name_source, read_sources
 from needlefit.studies.run import Run
-from needlefit.studies.store import RUN_FILE, restore_run
+from needlefit.studies.store import RUN_FILE, name_source, read_sources, restore_run
 from needlefit.studies.stored_fit import reopen_fit
 
 PATH_KEYS = frozenset(["dataset", "medium", "recipe", "priors", "target", "fits", "studies"])

@@ -262,24 +262,7 @@ def draw_grid(axes: Axes, axis: str) -> None:
     axes.grid(axis="y" if axis == "y" else "x", color=GREY, alpha=0.25, linewidth=0.4)
 
 
-_MM_PER_INCH = 25.4
-
-
-def make_figure_mm(width: float, height: float) -> Figure:
-    """Return an empty figure of a size in mm."""
-    figure = Figure(figsize=(width / _MM_PER_INCH, height / _MM_PER_INCH))
-    # Panels are placed in mm: a layout engine would move them.
-    figure.set_layout_engine("none")
-    return figure
-
-
-def add_panel_mm(figure: Figure, place: tuple[float, float, float, float]) -> Axes:
-    """Add axes at (left, bottom, width, height), mm; return them."""
-    width, height = figure.get_size_inches() * _MM_PER_INCH
-    left, bottom, wide, high = place
-    return figure.add_axes((left / width, bottom / height, wide / width, high / height))
-
-
+MM_PER_INCH = 25.4
 Floats = NDArray[np.float64]
 
 LETTER_WIDTH_MM = 1.3  # mm on paper, of a letter of 7 points

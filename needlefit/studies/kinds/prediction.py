@@ -506,7 +506,6 @@ def describe_prediction(run: Run) -> dict[str, Any]:
         **vars(run.knows(PredictionMetadata)),
         **find_tip(run),
         "title": study.scene.title or study.scene_name,
-        "scene": study.scene_name,
         "target": study.target,
         "faults": ", ".join(dict.fromkeys(fault.kind for fault in run.faults)),
     }

@@ -35,7 +35,6 @@ from needlefit.project.checkpoint import Checkpoint
 from needlefit.project.progress import no_progress
 from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import compute_beside, stop_requested
-from needlefit.reporting.needles_in_scan import NeedleInScan
 from needlefit.reporting.number_format import format_bare_symbol, format_quantity
 from needlefit.reporting.table_files import Row
 from needlefit.schemas.run_metadata import CountMetadata, DepthMetadata
@@ -62,13 +61,15 @@ from needlefit.studies.kinds.cross_validation.rows import (
     list_published,
     make_start_row,
 )
-from needlefit.studies.needle_placement import place_needles
+from needlefit.studies.needle_placement import NeedleInScan, place_needles
 from needlefit.studies.observations import HeldOutPrediction, find_studied, predict_held_out
 from needlefit.studies.prediction_scores import tabulate_sensors
-from needlefit.studies.score import Scores, make_predictors, make_scorer, predict_needle
+from needlefit.studies.score import make_predictors, make_scorer, predict_needle
 from needlefit.studies.validity import MOSTLY_OUTSIDE, add_counts
 
 FitRows = dict[str, Sequence[Any]]  #: rows by the name of the table that they belong to
+#: tables of what is scored and predicted, and the validity of the simulations
+SCORED_TABLES = ("errors", "shapes", "validity", "predictive", "bands", "readings", "curvature")
 
 
 @dataclass(frozen=True)
@@ -141,8 +142,8 @@ def run_fold(job: Job, fold: Fold, services: FoldServices) -> FoldResult:
     usable = {name: fit for name, fit in fits.fits.items() if math.isfinite(fit.objective)}
     fitted = usable.get("fitted")
     rows: FitRows = {} if fitted is None else _describe_fit(job, fold, fitted, fits, drawn)
-    scored = list(_score(job, fold, usable, drawn))
-    rows |= {name: _join_rows(predicted, name) for name in ("predictive", "bands", "readings")}
+    parts = [*_score(job, fold, usable, drawn), *(prediction.rows for prediction in predicted)]
+    rows |= {name: join_rows(parts, name) for name in SCORED_TABLES}
     rows |= {
         "parameters": [
             *rows.get("parameters", ()),
@@ -151,17 +152,20 @@ def run_fold(job: Job, fold: Fold, services: FoldServices) -> FoldResult:
         ],
         "error_fit": [] if least is None else [describe_error_fit(fold, least)],
         "draws": list(_list_draws(job, fold, drawn)) if drawn else [],
-        "errors": [*(row for part in scored for row in part.errors), *_join_rows(predicted, "errors")],
-        "shapes": [row for part in scored for row in part.shapes],
-        "validity": [row for part in scored for row in part.validity],
         "stated_depths": _examine_depths(job, fold, fitted) if fitted else [],
         "starts": list(_list_starts(job, fold, fits.fits)),
         "medians": list(_list_medians(job, fold, predicted)),
-        "curvature": _join_rows(predicted, "curvature") or list(_list_sensors(job, fold, fitted)),
+        "curvature": rows["curvature"] or list(_list_sensors(job, fold, fitted)),
     }
+    needles: Iterable[NeedleInScan] = ()
+    if fitted is not None:
+        problem, jobs = job.problem(fold), services.settings.jobs
+        shown = None if drawn is None else drawn.shown
+        several = len(job.folds) > 1  # of which only what they hold out is placed
+        needles = place_needles(problem, fold, fitted, shown, predicted, jobs, fitted=not several)
     return FoldResult(
         rows=rows,
-        needles=tuple(_place_needles(job, fold, fitted, drawn, services.settings.jobs)) if fitted else (),
+        needles=tuple(needles),
         mode=fitted.theta if fitted and fitted.minimized == "posterior" else None,
         counts={
             "starts": _count_starts(job, fold, fits.fits),
@@ -175,8 +179,9 @@ def run_fold(job: Job, fold: Fold, services: FoldServices) -> FoldResult:
     )
 
 
-def _join_rows(predicted: Iterable[HeldOutPrediction], table: str) -> list[Row]:
-    return [row for prediction in predicted for row in prediction.rows.get(table, ())]
+def join_rows(parts: Iterable[Mapping[str, Sequence[Row]]], table: str) -> list[Row]:
+    """Return the rows of a table, or of a list of metadata, from all parts that have any."""
+    return [row for part in parts for row in part.get(table, ())]
 
 
 def _list_medians(job: Job, fold: Fold, predicted: Iterable[HeldOutPrediction]) -> Iterator[Row]:
@@ -403,20 +408,6 @@ def _examine_depths(job: Job, fold: Fold, fit: Fit) -> list[DepthMetadata]:
     return examine_depths(job.problem(fold), np.array(fit.theta))
 
 
-def _place_needles(
-    job: Job, fold: Fold, fit: Fit, drawn: FoldDrawn | None, jobs: int
-) -> Iterator[NeedleInScan]:
-    """Yield the needles that a fold holds out in their scans, of a single fold also those fitted to."""
-    predicted = drawn.predicted if drawn else ()
-    bands = _join_rows(predicted, "bands")
-    curves = {
-        prediction.insertion: prediction.curve for prediction in predicted if prediction.curve is not None
-    }
-    shown = drawn.shown if drawn else None
-    problem, fitted = job.problem(fold), len(job.folds) == 1
-    return place_needles(problem, fold, fit, shown, bands, jobs, fitted=fitted, curves=curves)
-
-
 def _describe_fit(job: Job, fold: Fold, fit: Fit, fits: FoldFits, drawn: FoldDrawn | None) -> FitRows:
     """Return the fitted parameters of a fold and what the data determine.
 
@@ -470,7 +461,9 @@ def _take(row: ParameterRow, identification: Row) -> ParameterRow:
 # ---- scores
 
 
-def _score(job: Job, fold: Fold, fits: Mapping[str, Fit], drawn: FoldDrawn | None) -> Iterator[Scores]:
+def _score(
+    job: Job, fold: Fold, fits: Mapping[str, Fit], drawn: FoldDrawn | None
+) -> Iterator[Mapping[str, Sequence[Row]]]:
     """Yield the scores of every method on every insertion, then of our predictions."""
     scorer, problem = make_scorer(job), job.problem(fold)
     held = [insertion for insertion in fold.validate if not find_studied(insertion).has_errors]

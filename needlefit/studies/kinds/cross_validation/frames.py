@@ -4,10 +4,10 @@ import math
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from needlefit.reporting.needles_in_scan import NEEDLE_COLUMNS
 from needlefit.studies.fold_draws import DRAW_COLUMNS, POPULATION_COLUMNS
 from needlefit.studies.identification import IDENTIFICATION_COLUMNS, PROFILE_COLUMNS, ParameterRow
 from needlefit.studies.kinds.cross_validation.rows import DIRECTION_COLUMNS, ERROR_FIT_COLUMNS, START_COLUMNS
+from needlefit.studies.needle_placement import NEEDLE_COLUMNS
 from needlefit.studies.observations import PREDICTIVE_COLUMNS
 from needlefit.studies.observations.tip_track import READING_COLUMNS
 from needlefit.studies.prediction_scores import BAND_COLUMNS, SENSOR_COLUMNS

@@ -6,7 +6,6 @@ A fit is a study of one fold, which scores only its own insertions. The report j
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import pandas as pd
 
@@ -17,24 +16,31 @@ from needlefit.project.checkpoint import open_checkpoint
 from needlefit.project.locate import read_toml
 from needlefit.project.processes import one_thread
 from needlefit.project.progress import no_note
+from needlefit.project.result_warnings import to_stored_rows
 from needlefit.project.tasks import LocalPool, can_fork
-from needlefit.reporting.needles_in_scan import tabulate_needles_in_scan
 from needlefit.reporting.table_files import select_rows
 from needlefit.schemas.run_metadata import FitMetadata, JobMetadata
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.answer import FaultKind, RunFault
 from needlefit.studies.explorer import describe_insertions
-from needlefit.studies.fit_warnings import add_warnings
+from needlefit.studies.fit_warnings import list_warnings
+from needlefit.studies.identity import describe_configuration
 from needlefit.studies.insertion_draws import find_fold_bevel_sd
 from needlefit.studies.job import Job, Settings
 from needlefit.studies.kinds.cross_validation.effect import leave_out, list_doubtful, measure_effect
-from needlefit.studies.kinds.cross_validation.fold import FoldResult, FoldServices, run_fold
+from needlefit.studies.kinds.cross_validation.fold import (
+    FitRows,
+    FoldResult,
+    FoldServices,
+    join_rows,
+    run_fold,
+)
 from needlefit.studies.kinds.cross_validation.frames import FRAMES
 from needlefit.studies.kinds.cross_validation.progress import StudyProgress
 from needlefit.studies.load import load_study, print_notes
 from needlefit.studies.mixed_errors import add_errors_over_noise
+from needlefit.studies.needle_placement import tabulate_needles_in_scan
 from needlefit.studies.odd_needles import find_odd_needles, join_folds
-from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.run import Run
 from needlefit.studies.simulated_data import find_true_value
 from needlefit.studies.validity import tabulate_validity
@@ -118,12 +124,13 @@ def conclude_run(job: Job, work: JobMetadata, results: Sequence[FoldResult]) -> 
 
     `work` is what `describe_configuration` returns.
     """
+    rows = [result.rows for result in results]
     of_folds = {fold.name: result for fold, result in zip(job.folds, results, strict=False)}
     posteriors = {name: result.posterior for name, result in of_folds.items() if result.posterior is not None}
     search_faults = {name: list(result.search_faults) for name, result in of_folds.items()}
     search_faults = {name: faults for name, faults in search_faults.items() if faults}
     needles = {needle.insertion: needle for result in results for needle in result.needles}
-    frames = {name: _make_frame(job, name, results) for name in FRAMES if name != "needles"}
+    frames = {name: _make_frame(job, name, rows) for name in FRAMES if name != "needles"}
     frames = add_errors_over_noise(frames)
     frames["needles"] = tabulate_needles_in_scan(needles.values())
     unconverged = [fault for posterior in posteriors.values() for fault in posterior.faults]
@@ -137,7 +144,7 @@ def conclude_run(job: Job, work: JobMetadata, results: Sequence[FoldResult]) -> 
         "deviating": doubts.deviating,
         "common_doubt": doubts.common,
         "with_direction": factors,
-        **{name: _join_rows(results, name) for name in ("stated_depths", "medians")},
+        **{name: join_rows(rows, name) for name in ("stated_depths", "medians")},
     }
     metadata = work.extend(
         FitMetadata,
@@ -148,7 +155,7 @@ def conclude_run(job: Job, work: JobMetadata, results: Sequence[FoldResult]) -> 
         insertions=describe_insertions(job),
         new_bevel_sd={fold.name: find_fold_bevel_sd(job, fold) for fold in job.folds},
         search_faults=search_faults,
-        validity=tabulate_validity([result.counts for result in results], _join_rows(results, "validity")),
+        validity=tabulate_validity([result.counts for result in results], join_rows(rows, "validity")),
         **{name: value for name, value in where_known.items() if value},
     )
     run = Run(
@@ -168,16 +175,12 @@ def conclude_run(job: Job, work: JobMetadata, results: Sequence[FoldResult]) -> 
         ),
         data=job.dataset.files,
     )
-    return add_warnings(run, job)
+    return run.with_metadata(warnings=to_stored_rows([*job.warnings, *list_warnings(run)]))
 
 
-def _join_rows(results: Sequence[FoldResult], name: str) -> list[Any]:
-    return [row for result in results for row in result.rows.get(name, ())]
-
-
-def _make_frame(job: Job, name: str, results: Sequence[FoldResult]) -> pd.DataFrame:
+def _make_frame(job: Job, name: str, parts: Sequence[FitRows]) -> pd.DataFrame:
     """Return one table of all folds; without rows it still has its columns."""
-    rows = _join_rows(results, name)
+    rows = join_rows(parts, name)
     values = job.parameters.names if name in ("starts", "profiles", "draws") else ()
     return pd.DataFrame(rows) if rows else pd.DataFrame(columns=[*FRAMES[name], *values])
 

@@ -34,12 +34,12 @@ from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.schemas.run_metadata import RunMetadata
 from needlefit.studies.advice import advise
 from needlefit.studies.first_page import FirstPage
+from needlefit.studies.identity import package_versions
 from needlefit.studies.job import Settings
 from needlefit.studies.kinds.reconstruction import KIND, ReconstructionBatchRecord
-from needlefit.studies.provenance import package_versions
 from needlefit.studies.report import StudyReport, begin_first_page, write_files
-from needlefit.studies.result_sources import store_sources
 from needlefit.studies.run import Run
+from needlefit.studies.store import store_sources
 
 SCANS_FILE = "scans.csv"
 TIP_COLUMNS = ("tip_x_mm", "tip_y_mm", "tip_z_mm", "tip_along_sd_mm", "tip_across_sd_mm")
