@@ -1,6 +1,6 @@
 """Needles that the others do not predict: found before a fit by a quick one, or by the fit itself; drawn."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +12,6 @@ from needlefit.inference.linear_needles import fit_quickly
 from needlefit.inference.problem import Problem
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.figures.columns import HEIGHT_COLUMNS, INSERTION_KEYS
-from needlefit.reporting.table_files import Row
 from needlefit.schemas.run_metadata import NeedleDoubtMetadata
 from needlefit.studies.job import Job
 
@@ -59,11 +58,14 @@ def draw_odd_needles(odd: Sequence[NeedleDoubtMetadata]) -> Drawing:
     """Return each of the needles beside what the others predict."""
     heads = {("all", needle.insertion): f"{needle.sds:.2g} SD" for needle in odd}
     columns = [*INSERTION_KEYS, "curve", "x_mm", *HEIGHT_COLUMNS]
-    rows = pd.DataFrame([row for needle in odd for row in _list_points(needle)], columns=columns)
-    return Drawing("insertions", rows, {"heads": heads, "names": {"fitted": "predicted from the others"}})
-
-
-def _list_points(needle: NeedleDoubtMetadata) -> Iterator[Row]:
-    for x, measured, predicted in needle.points:
-        for curve, y in (("measured", measured), ("fitted", predicted)):
-            yield {"fold": "all", "insertion": needle.insertion, "curve": curve, "x_mm": x, "y_mm": y}
+    rows = [
+        {"fold": "all", "insertion": needle.insertion, "curve": curve, "x_mm": x, "y_mm": y}
+        for needle in odd
+        for x, *heights in needle.points
+        for curve, y in zip(("measured", "fitted"), heights, strict=True)
+    ]
+    return Drawing(
+        "insertions",
+        pd.DataFrame(rows, columns=columns),
+        {"heads": heads, "names": {"fitted": "predicted from the others"}},
+    )

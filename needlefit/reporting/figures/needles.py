@@ -17,7 +17,7 @@ from matplotlib.patches import Patch
 from scipy.interpolate import BSpline
 
 from needlefit.arrays import Floats
-from needlefit.mechanics.control import Bevel, Controls, Step
+from needlefit.mechanics.control import Controls, Step
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import NeedleState
 from needlefit.mechanics.shape import NeedleShape, compute_positions, map_beam_points
@@ -175,20 +175,9 @@ def _replace_minus(text: str) -> str:
     return text.replace("-", "−")
 
 
-def _format_tip(shape: NeedleShape) -> str:
-    """Return where the tip lies across x: along y, and along z where the needle leaves the plane z = 0."""
-    along_y = f"{shape.tip_lateral:+z.2f} mm"
-    return f"y {along_y}, z {shape.tip_z:+z.2f} mm" if shape.leaves_plane else along_y
-
-
 def _format_signed(value: float) -> str:
     text = _replace_minus(f"{value:+z.2f}".rstrip("0").rstrip("."))
     return "0" if text in ("+0", "−0") else text
-
-
-def _describe_strength(bevel: Bevel) -> str:
-    """Return how strongly a bevel turns the cut: its offset b, or the angle of its cut."""
-    return f"θ {math.degrees(bevel.cut_angle):.3g}°" if bevel.cut_angle else f"b {bevel.offset:.3g} mm"
 
 
 def describe_inputs(step: Step) -> list[str]:
@@ -219,12 +208,16 @@ def describe_state(
         return _replace_minus(f"{name} {newton:+z.3f} N")
 
     position = [f"{step.depth:.4g} mm deep", *describe_inputs(step)]
-    position.append(_describe_strength(step.bevel))
+    bevel = step.bevel  # how strongly it turns the cut: its offset b, or the angle of its cut
+    angle, offset = f"θ {math.degrees(bevel.cut_angle):.3g}°", f"b {bevel.offset:.3g} mm"
+    position.append(angle if bevel.cut_angle else offset)
     supports = [f"{force('base', loads.base.force)}, {_replace_minus(f'{loads.base.moment:+z.2f}')} N mm"]
     for n, (guide, held) in enumerate(zip(step.controls.guides, loads.guides, strict=True), start=1):
         supports.append(force(guide.name or f"guide {n}", held.force))
     lines = [line for part in (position, supports) for line in textwrap.wrap(_SEPARATOR.join(part), letters)]
-    tip = [_replace_minus(f"tip {_format_tip(state.shape)}")]
+    along_y = f"{state.shape.tip_lateral:+z.2f} mm"  # and along z, of a needle that leaves the plane z = 0
+    across = f"y {along_y}, z {state.shape.tip_z:+z.2f} mm" if state.shape.leaves_plane else along_y
+    tip = [_replace_minus(f"tip {across}")]
     return lines, tip if tip_force is None else [*tip, force("tip force", tip_force)]
 
 

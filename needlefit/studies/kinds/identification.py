@@ -220,16 +220,6 @@ def rank_candidates(
     return frame.sort_values("nats", ascending=False, kind="stable", ignore_index=True)
 
 
-def lay_out_candidates(candidates: pd.DataFrame) -> list[Table]:
-    """Return the table of the candidates that have a solution; none after a stop."""
-    rows = [
-        {**row, "layers_passed": row["layers"], "repeated": row["role"] == "repeat"}
-        for row in to_records(candidates[candidates["nats"].notna()])
-    ]
-    columns = ("insertion", "layers_passed", "depth_mm", "deflection_mm", "gain", "worst_known_sd")
-    return [Table("candidates", rows, columns, strong="repeated")] if rows else []
-
-
 # ---- the report
 
 TEXT = KindText("identification")
@@ -265,9 +255,17 @@ def judge_design(run: Run) -> FirstPage:
 
 
 def lay_out_design(run: Run) -> list[Table | TableLayout]:
-    """Return the parameters, and the candidates for a further insertion."""
-    parameters = lay_out_identification(run.frames["identify"], expected=True)
-    return [parameters, *lay_out_candidates(run.frames["candidates"])]
+    """Return the parameters, and the candidates for a further insertion that have a solution."""
+    parameters, candidates = (
+        lay_out_identification(run.frames["identify"], expected=True),
+        run.frames["candidates"],
+    )
+    rows = [
+        {**row, "layers_passed": row["layers"], "repeated": row["role"] == "repeat"}
+        for row in to_records(candidates[candidates["nats"].notna()])
+    ]
+    columns = ("insertion", "layers_passed", "depth_mm", "deflection_mm", "gain", "worst_known_sd")
+    return [parameters, *([Table("candidates", rows, columns, strong="repeated")] if rows else [])]
 
 
 REPORT = StudyReport(

@@ -37,7 +37,7 @@ from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import compute_beside, stop_requested
 from needlefit.reporting.number_format import format_bare_symbol, format_quantity
 from needlefit.reporting.table_files import Row
-from needlefit.schemas.run_metadata import CountMetadata, DepthMetadata
+from needlefit.schemas.run_metadata import CountMetadata
 from needlefit.studies.answer import RunFault, find_fault_kind
 from needlefit.studies.fit_frames import PREDICTION_METHOD, TUNED_SPECIMENS
 from needlefit.studies.fit_warnings import describe_point
@@ -140,7 +140,9 @@ def run_fold(job: Job, fold: Fold, services: FoldServices) -> FoldResult:
     drawn, least = fits.drawn, fits.error_fit
     predicted = drawn.predicted if drawn else ()
     usable = {name: fit for name, fit in fits.fits.items() if math.isfinite(fit.objective)}
-    fitted = usable.get("fitted")
+    fitted, problem = usable.get("fitted"), job.problem(fold)
+    # what leans on stated depths; without stated noise that cannot be known
+    first = fold is job.folds[0] and fitted is not None and fitted.minimized == "posterior"
     rows: FitRows = {} if fitted is None else _describe_fit(job, fold, fitted, fits, drawn)
     parts = [*_score(job, fold, usable, drawn), *(prediction.rows for prediction in predicted)]
     rows |= {name: join_rows(parts, name) for name in SCORED_TABLES}
@@ -152,15 +154,22 @@ def run_fold(job: Job, fold: Fold, services: FoldServices) -> FoldResult:
         ],
         "error_fit": [] if least is None else [describe_error_fit(fold, least)],
         "draws": list(_list_draws(job, fold, drawn)) if drawn else [],
-        "stated_depths": _examine_depths(job, fold, fitted) if fitted else [],
-        "starts": list(_list_starts(job, fold, fits.fits)),
-        "medians": list(_list_medians(job, fold, predicted)),
+        "stated_depths": examine_depths(problem, np.array(fitted.theta)) if fitted and first else [],
+        "starts": [
+            {"fold": fold.name, "fit": name, **make_start_row(job.problem(fold, name), start, fit)}
+            for name, fit in fits.fits.items()
+            for start in fit.starts
+        ],
+        "medians": [  # insertions whose prediction is the predictive median
+            {"fold": fold.name, "insertion": each.insertion, **describe_point(each.point, job.parameters)}
+            for each in predicted
+            if each.point is not None and each.point.is_median
+        ],
         "curvature": rows["curvature"] or list(_list_sensors(job, fold, fitted)),
     }
     needles: Iterable[NeedleInScan] = ()
     if fitted is not None:
-        problem, jobs = job.problem(fold), services.settings.jobs
-        shown = None if drawn is None else drawn.shown
+        shown, jobs = None if drawn is None else drawn.shown, services.settings.jobs
         several = len(job.folds) > 1  # of which only what they hold out is placed
         needles = place_needles(problem, fold, fitted, shown, predicted, jobs, fitted=not several)
     return FoldResult(
@@ -182,14 +191,6 @@ def run_fold(job: Job, fold: Fold, services: FoldServices) -> FoldResult:
 def join_rows(parts: Iterable[Mapping[str, Sequence[Row]]], table: str) -> list[Row]:
     """Return the rows of a table, or of a list of metadata, from all parts that have any."""
     return [row for part in parts for row in part.get(table, ())]
-
-
-def _list_medians(job: Job, fold: Fold, predicted: Iterable[HeldOutPrediction]) -> Iterator[Row]:
-    """Yield the insertions whose prediction is the predictive median."""
-    for prediction in predicted:
-        if prediction.point is not None and prediction.point.is_median:
-            place = {"fold": fold.name, "insertion": prediction.insertion}
-            yield place | describe_point(prediction.point, job.parameters)
 
 
 def _list_sensors(job: Job, fold: Fold, fit: Fit | None) -> Iterator[Row]:
@@ -374,13 +375,6 @@ def _find_draw_faults(drawn: FoldDrawn) -> Iterator[RunFault]:
 # ---- rows of the tables
 
 
-def _list_starts(job: Job, fold: Fold, fits: Mapping[str, Fit]) -> Iterator[Row]:
-    """Yield the starts of all searches."""
-    for name, fit in fits.items():
-        problem, place = job.problem(fold, name), {"fold": fold.name, "fit": name}
-        yield from ({**place, **make_start_row(problem, start, fit)} for start in fit.starts)
-
-
 def _count_starts(job: Job, fold: Fold, fits: Mapping[str, Fit]) -> CountMetadata:
     """Return the ends of all starts, and how many of them are outside what the model assumes."""
     counts = []
@@ -399,13 +393,6 @@ def _list_draws(job: Job, fold: Fold, drawn: FoldDrawn) -> Iterator[Row]:
     for specimen, thetas in thetas_by_specimen.items():
         where = {"fold": fold.name, **draws.describe(), "specimen": specimen}
         yield from ({**where, **job.parameters.values(theta)} for theta in thetas)
-
-
-def _examine_depths(job: Job, fold: Fold, fit: Fit) -> list[DepthMetadata]:
-    """Return what leans on stated depths, by the first fold; without stated noise that cannot be known."""
-    if fit.minimized != "posterior" or fold is not job.folds[0]:
-        return []
-    return examine_depths(job.problem(fold), np.array(fit.theta))
 
 
 def _describe_fit(job: Job, fold: Fold, fit: Fit, fits: FoldFits, drawn: FoldDrawn | None) -> FitRows:

@@ -256,13 +256,12 @@ def lay_out_reconstructions(run: Run) -> TableLayout:
     return TEXT.lay_out(table, describe_batch(run), drop_empty=True)
 
 
-def _lay_out_refused(run: Run) -> list[TableLayout]:
-    """Return the scans that were refused, if any were."""
-    refused = run.frames.get("refused")
-    if refused is None:
-        return []
-    rows = [{**row, "scan": row["id"]} for row in to_records(refused)]
-    return [TEXT.lay_out(Table("refused", rows, ("scan", "note")), {}, drop_empty=True)]
+def lay_out_batch(run: Run) -> list[TableLayout]:
+    """Return the main results of each scan, and the scans that were refused, if any were."""
+    refused = to_records(run.frames.get("refused", pd.DataFrame()))
+    table = Table("refused", [{**row, "scan": row["id"]} for row in refused], ("scan", "note"))
+    further = [TEXT.lay_out(table, {}, drop_empty=True)] if refused else []
+    return [lay_out_reconstructions(run), *further]
 
 
 def describe_scans(run: Run) -> FirstPage:
@@ -286,7 +285,7 @@ def draw_batch(run: Run) -> dict[str, Drawing]:
 REPORT = StudyReport(
     TEXT,
     describe_batch,
-    lambda run: [lay_out_reconstructions(run), *_lay_out_refused(run)],
+    lay_out_batch,
     draw_batch,
     first_page=describe_scans,
     keeps_files=True,
