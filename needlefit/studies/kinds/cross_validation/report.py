@@ -4,7 +4,7 @@ Tables are those of `studies/fit_tables.py`, figures of `studies/fit_figures.py`
 `reporting/text/cross_validation.md.j2`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import pandas as pd
@@ -20,7 +20,7 @@ from needlefit.schemas.run_metadata import FitMetadata
 from needlefit.studies import fit_figures, fit_tables
 from needlefit.studies import scored_groups as scores
 from needlefit.studies.advice import advise, classify_doubt, find_failures, list_doubts, name_doubt
-from needlefit.studies.answer import Advice, Check, Finding, Status, Verdict
+from needlefit.studies.answer import Advice, Check, Status, Verdict
 from needlefit.studies.coverage import AFTER_ONE_COLUMN
 from needlefit.studies.first_page import FirstPage
 from needlefit.studies.fit_frames import FitFrames
@@ -108,7 +108,6 @@ def judge_errors(run: Run) -> FirstPage:
     undetermined, score = fit_tables.list_undetermined(run), judged.score
     words = {**values, "judged": judged, "insertions": group.insertions, "undetermined": undetermined}
     words |= {"gains": fit_tables.list_gains_of_direction(run), "direction_sd": DIRECTION_SD_DEG}
-    wide = fit_tables.list_wide(run)
     numbers: dict[str, float | str | None] = {
         "outcome": judged.outcome,
         score: judged.error,
@@ -120,7 +119,7 @@ def judge_errors(run: Run) -> FirstPage:
         "insertions": group.insertions,
     }
     if role == "tune":
-        words["verdict"], status = _open_fit(run, undetermined, wide)
+        words["verdict"], status = _open_fit(run, undetermined)
         words["factor"] = fit_tables.describe_largest_factor(run)
         status = "warn" if judged.turned_by else limit_status(run, status)
         numbers["not_determined"] = ", ".join(undetermined)
@@ -138,25 +137,15 @@ def judge_errors(run: Run) -> FirstPage:
         TEXT.sentence("about", words),
         [*tables, fit_tables.lay_out_estimates(run.frames["parameters"], values["rigidity"])],
         checks=checks,
-        advice=find_advice(run, judged, checks, wide, values["media"]),
+        advice=find_advice(run, judged),
         method=TEXT.sentence("method", words),
     )
 
 
-def find_advice(
-    run: Run,
-    judged: Judgement,
-    checks: Sequence[Finding],
-    wide: Sequence[str],
-    media: Mapping[str, Sequence[str]],
-) -> Advice | None:
-    """Return what to do: it follows from faults, the judgement, checks and `wide` intervals of parameters.
-
-    `media`: by role, into which insertions went.
-    """
-    frames = FitFrames.of(run)
-    role = frames.role
-    by_check = {check.check: check for check in checks}
+def find_advice(run: Run, judged: Judgement) -> Advice | None:
+    """Return what to do: it follows from faults, the judgement, checks and wide intervals of parameters."""
+    frames, media = FitFrames.of(run), collect_values(run)["media"]
+    role, by_check = frames.role, {check.check: check for check in list_checks(run)}
     other = [name for name in media["validate"] if name not in media["tune"]]
     gain = frames.predictive[AFTER_ONE_COLUMN].astype(float).median()
     width = by_check.get(Check.WIDTH)
@@ -167,7 +156,7 @@ def find_advice(
     if run.faults or run.interrupted:
         advice.append("not_converged")
     advice += map(classify_doubt, doubts)
-    if role == "tune" and wide:
+    if role == "tune" and fit_tables.list_wide(run):
         advice.append("parameters_undetermined")
     values = {
         "dataset": str(run.record.dataset),
@@ -181,7 +170,7 @@ def find_advice(
     return advise(advice, values, run.name)
 
 
-def _open_fit(run: Run, undetermined: Sequence[str], wide: Sequence[str]) -> tuple[str, Status]:
+def _open_fit(run: Run, undetermined: Sequence[str]) -> tuple[str, Status]:
     """Return the block with which the verdict on a fit begins, and its status."""
     checks = {check.check: check for check in list_checks(run)}
     if Check.CURVES in checks and checks[Check.CURVES].passed is False:
@@ -190,7 +179,9 @@ def _open_fit(run: Run, undetermined: Sequence[str], wide: Sequence[str]) -> tup
         return "fit_at_bound", "warn"
     if not run.reliable:
         return "fit_unreliable", "warn"
-    return "fit_undetermined" if undetermined else "fit_done", "warn" if undetermined or wide else "pass"
+    if undetermined:
+        return "fit_undetermined", "warn"
+    return "fit_done", "warn" if fit_tables.list_wide(run) else "pass"
 
 
 # ---- tables and figures
