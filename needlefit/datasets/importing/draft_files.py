@@ -3,9 +3,8 @@
 It reads no needle: a person sees what is proposed, and `read` goes by that.
 """
 
-import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import permutations
 from pathlib import Path
@@ -27,9 +26,7 @@ from needlefit.datasets.importing.tables import (
     TEXT_SUFFIXES,
     Grid,
     Table,
-    is_comment,
     lay_out,
-    read_remark,
     read_sheets,
     read_structured,
 )
@@ -175,28 +172,22 @@ def _draft_workbook(path: Path, draft: Draft, stated: Assignments) -> None:
         keys: dict[str, Any] = {"files": [path.name], "sheet": grid.sheet}
         if (grid in examples) == (are_filled or not examples):
             draft.unused.append((f"sheet {grid.sheet}", path.name))
-        elif grid.sheet.lower().removeprefix(EXAMPLE_SHEET).strip() == SETUP_SHEET:
-            keys |= {"layout": "pairs", "holds": "facts", "of": "all"}
-            _draft_values(grid, keys, draft, stated)
-        elif (names := [_find_value(row[0]) for row in grid.rows if any(row)]) and _are_pairs(grid, names):
-            keys |= {"layout": "pairs", "holds": "facts", "of": "all"}
-            keys["header_rows"] = [] if names[0] else [1]
+        elif _states_values(grid):
+            first = next((row[0] for row in grid.rows if any(row)), "")
+            is_head = find_meaning("column", split_unit(first)[0]) not in VALUES
+            keys |= {"layout": "pairs", "holds": "facts", "of": "all", "header_rows": [1] if is_head else []}
             _draft_values(grid, keys, draft, stated)
         else:
             _draft_grid(grid, keys, draft, stated)
 
 
-def _find_value(name: str) -> str:
-    """Return what a name means that a value of all needles has; "" if none."""
-    meaning = find_meaning("column", split_unit(name)[0])
-    return meaning if meaning in VALUES else ""
-
-
-def _are_pairs(grid: Grid, names: Sequence[str]) -> bool:
-    """Whether a sheet has a name and a value in each row, of which several are known."""
-    return (
-        max(sum(map(bool, row)) for row in grid.rows) == len(("name", "value")) and sum(map(bool, names)) > 1
-    )
+def _states_values(grid: Grid) -> bool:
+    """Whether a sheet has a name and a value of all needles in each row, as `setup` of the workbook has."""
+    if grid.sheet.lower().removeprefix(EXAMPLE_SHEET).strip() == SETUP_SHEET:
+        return True
+    names = [find_meaning("column", split_unit(row[0])[0]) for row in grid.rows if any(row)]
+    is_narrow = max((sum(map(bool, row)) for row in grid.rows), default=0) == len(("name", "value"))
+    return is_narrow and sum(name in VALUES for name in names) > 1
 
 
 def _draft_values(grid: Grid, keys: dict[str, Any], draft: Draft, stated: Assignments) -> None:
@@ -228,21 +219,5 @@ def _draft_grid(grid: Grid, keys: dict[str, Any], draft: Draft, stated: Assignme
     keys = propose_layout(grid, keys, stated.table)
     unit = keys.pop("unit")
     table = lay_out(grid, check({"holds": "facts"} | keys, TableRecord, grid.path))
-    draft.unused += [(f"line `{line}`"[:200], grid.path.name) for line in _list_unread(grid, keys)]
+    draft.unused += [(f"line `{line}`"[:200], grid.path.name) for line in table.unread]
     TableDraft(replace(table, unit=unit), keys, draft, stated).propose()
-
-
-def _list_unread(grid: Grid, keys: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the lines of remarks, and those above the headers, that state nothing of the needles."""
-    heads, comment = keys["header_rows"], keys.get("comment", "")
-    if keys["transposed"] or not heads:
-        return
-    for number, row in enumerate(grid.rows, start=1):
-        if number in heads or not any(row):
-            continue
-        is_remark = is_comment(row, comment)
-        line = " ".join(filter(None, row)).lstrip(f"{comment} ")
-        found = read_remark(row, comment, grid.rows[heads[-1] - 1]) if is_remark else {}
-        is_read = found and (re.search("[:=]", line) or len(found) > len(re.findall("[,;] ", line)))
-        if not is_read and (is_remark or (number < heads[0] and not keys["blocks"])):
-            yield line

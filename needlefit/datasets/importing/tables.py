@@ -87,6 +87,7 @@ class Table:
     system: PatientSystem | None = None  # of the scan, which the format states
     unit: str = ""  # of lengths without one of their own, which the file states
     first_headers: tuple[tuple[str, ...], ...] = ()  # texts of the rows of headers
+    unread: Sequence[str] = ()  # remarks, and lines above the headers, that state nothing of the needles
 
     @property
     def where(self) -> str:
@@ -138,7 +139,8 @@ def lay_out(grid: Grid, record: TableRecord) -> Table:
     DataError if a row of headers is not there, or a row has more cells than the headers.
     """
     grid = grid.transpose() if record.transposed else grid
-    body = [*_list_body(grid, record)]
+    unread = list[str]()
+    body = [*_list_body(grid, record, unread)]
     if record.layout == "pairs":
         return _lay_out_pairs(grid, record, [grid.rows[n] for n, _ in body])
     heads = _read_heads(grid, record)
@@ -171,6 +173,7 @@ def lay_out(grid: Grid, record: TableRecord) -> Table:
         record.decimal,
         record.thousands,
         first_headers=tuple(map(tuple, heads)),
+        unread=unread if record.header_rows and not record.transposed else (),
     )
     return table.fill_down(record.fill_down)
 
@@ -207,12 +210,13 @@ REMARKED = ("needle", *ATTRIBUTES)  #: what a remark may state
 OWN_PAIRS = ("needle", "depth", "bevel_side", "medium", "specimen")  #: they end with their block
 
 
-def _list_body(grid: Grid, record: TableRecord) -> Iterator[tuple[int, dict[str, str]]]:
+def _list_body(grid: Grid, record: TableRecord, unread: list[str]) -> Iterator[tuple[int, dict[str, str]]]:
     """Yield the rows below the headers, each with the pairs of names and values above its block.
 
-    What all needles share holds until it is stated again. Remarks state what no column does.
+    What all needles share holds until it is stated again. Remarks state what no column does; `unread` gets
+    the lines that state nothing.
     """
-    last = max(record.header_rows, default=0)
+    first, last = min(record.header_rows, default=0), max(record.header_rows, default=0)
     heads = [*grid.rows[last - 1]] if 0 < last <= len(grid.rows) else []
     repeated = {n for n, row in enumerate(grid.rows) if record.blocks and [*row] == heads}
     own = [record.columns[meaning].columns for meaning in OWN_PAIRS if meaning in record.columns]
@@ -222,11 +226,16 @@ def _list_body(grid: Grid, record: TableRecord) -> Iterator[tuple[int, dict[str,
         block += n in repeated
         if n in repeated or n + 1 in (*record.header_rows, *record.skip_rows) or not any(row):
             continue
-        if is_remark := is_comment(row, record.comment):
+        is_remark = is_comment(row, record.comment)
+        if is_remark:
             found = read_remark(row, record.comment, heads)
         else:
             pair = read_pair(row) if record.blocks else None
             found = dict([pair]) if pair else {}
+        if is_remark or (n + 1 < first and not record.blocks):
+            line = " ".join(filter(None, row)).lstrip(f"{record.comment} ")
+            is_read = found and (re.search("[:=]", line) or len(found) > len(re.findall("[,;] ", line)))
+            unread += [] if is_read else [line]
         if found:
             stated = stated if is_above else {key: text for key, text in stated.items() if key not in ends}
             stated, is_above = stated | found, True
