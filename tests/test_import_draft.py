@@ -18,6 +18,7 @@ from needlefit.datasets.importing.stated import Stated
 from needlefit.datasets.importing.synonyms import read_header, translate_side
 from needlefit.datasets.importing.tables import parse_number
 from needlefit.errors import ConfigError, DataError
+from needlefit.project.locate import read_toml
 from needlefit.project.unit_warnings import GAUGES_MM
 
 CASES = Path(__file__).with_name("imports")
@@ -177,54 +178,9 @@ def test_what_only_a_person_knows_is_asked_and_the_printed_fix_reads_the_file(na
     assert prepared.content.curves and not {key for key, _ in stated} & prepared.mapping.assumed.keys()
 
 
-@pytest.mark.parametrize(
-    ("names", "stated", "depths"),
-    [
-        (["posearray.csv"], {"layout": "wide", "unit": "m"}, [30, 40, 50, 60, 70, 80, 90]),
-        ([f"photo_{n}.csv" for n in (1, 2, 3)], {"unit": "0.0704 mm"}, [45, 55, 65]),
-        (["catheters.txt"], {"entry": "last"}, range(45, 105, 10)),
-        (["bevel_side_and_angle.csv"], {}, range(45, 105, 10)),
-        (["bevel_angle.csv"], {"bevel_side": "1"}, range(45, 105, 10)),
-        (["known_columns.csv"], {}, range(45, 105, 10)),
-        (["gauge_22.csv"], {}, [40, 50, 60, 70, 80, 90]),
-        (["shapes.jsonl"], {}, range(45, 105, 10)),
-        (["needles_v73.mat"], {}, range(45, 105, 10)),
-        (["labels.mrk.json"], {}, [40, 50, 60]),
-        (["d10_missing.csv"], {}, [35, 42, 50, 58, 66, 74]),
-        (["d12_tissueE.csv"], {"modulus": "steel"}, [35, 42, 50, 58, 66, 74]),
-        (["d11_sigma.csv"], {}, [35, 42, 50, 58, 66, 74]),
-        (["d03_comsol.txt"], {}, [66]),
-        (["n36_unit_column.csv"], {}, range(35, 75, 5)),
-        (["n18_boundary_by_specimen.xlsx"], {}, range(35, 75, 5)),
-        (["e1_n20_one_deeper.csv"], {}, [50] * 5 + [60]),
-        (["one.csv"], {}, [74]),
-        (["m1.csv"], {"deflection__column": "lateral [mm]"}, [40, 50, 60]),
-        (["d24_tips_clock.csv"], {}, range(60, 140, 10)),
-        (["fbg_in.csv"], {"pose": "1,0,0"}, range(35, 75, 5)),
-        (["d21_trackmate.csv"], {"holds": "tracks"}, [60, 60, 60]),
-        (["camera_tips.csv"], {"medium__column": "phantom"}, [70] * 6),
-    ],
-)
-def test_needles_are_read_as_deep_as_they_were(names, stated, depths):
-    plan, _ = planned([CASES / name for name in names], **stated)
-    assert [row.depth for row in plan.rows] == pytest.approx([*depths], abs=0.5)
-
-
 def test_known_answers_of_single_files():
-    plan, _ = planned([CASES / "known_columns.csv"])
-    assert plan.boundaries_mm == {"pork": (20.0,)}
-    assert (plan.needle.length_mm, plan.needle.youngs_modulus_gpa) == (200.0, 60.0)
-    assert planned([CASES / "gauge_22.csv"])[0].needle.outer_diameter_mm == GAUGES_MM[22]
-    assert [row.side for row in planned([CASES / "bevel_side_and_angle.csv"])[0].rows] == [1, -1] * 3
     plan, made = planned([CASES / "matrices.csv"], holds="tracks")
     assert made["pose"] == ("1,0,0", "assumed") and plan.rows[0].entry is None
-    plan, _ = planned([CASES / "n18_boundary_by_specimen.xlsx"])
-    assert plan.boundaries_mm == {"medium1": (22.0,)} and {row.layers for row in plan.rows} == {2}
-    plan, _ = planned([CASES / "n29_entry_tip.csv"], pose="1,0,0", bevel="0,1,0")
-    assert (plan.rows[1].depth, plan.rows[1].tip_y) == pytest.approx((39.98, -2.41))
-    plan, _ = planned([CASES / "m1.csv"], deflection__column="lateral [mm]")
-    assert [row.tip_y for row in plan.rows] == [2.1, -3.0, 4.1]
-    plan, _ = planned([CASES / "m3.csv"], deflection__column="lateral [mm]")
     content = prepare([CASES / "m3.csv"], deflection__column="lateral [mm]").content
     np.testing.assert_allclose(content.curves[0].line[:4, 0], [0.5, 0.1, 0.15, 0.2])
     sds = prepare([CASES / "d07_mean_sd.csv"], point_sd__column="SD [mm]", point_sd__divide_by_root="n")
@@ -233,6 +189,51 @@ def test_known_answers_of_single_files():
     toward = [(row.bevel * row.side).round(6).tolist() for row in clock[:4]]
     assert toward == [[0, 1, 0], [0, 0, 1], [0, -1, 0], [0, 0, -1]]
     assert [row.tip_y * row.side for row in clock[:4]] == pytest.approx([0.56, 0.68, 0.84, 0.90])
+
+
+# ---- a table of tables
+
+TABLES = read_toml(CASES / "tables.toml")["case"]
+
+
+@pytest.mark.parametrize("case", TABLES, ids=[f"{n}" for n, _ in enumerate(TABLES)])
+def test_tables_are_read_as_they_are_meant(tmp_path, case):
+    cells = case.get("cells", [[]] * 3)
+    if "plane" in case:
+        paths = [write_plane(tmp_path / "a.csv", case["plane"], lambda k: cells[k - 1])]
+    elif "long" in case:
+        paths = [write_long(tmp_path, NEEDLES, "a.csv", case["long"], cells)]
+    elif "text" in case:
+        (tmp_path / "a.csv").write_text(case["text"])
+        paths = [tmp_path / "a.csv"]
+    else:
+        paths = [CASES / name for name in case["files"]]
+    stated = [*case.get("state", {}).items()]
+    if "fix" in case:
+        error = refusal(DataError, "", prepare_import, paths, stated)
+        assert case["fix"] in error.fix and case.get("what", "") in error.what
+        assert error.where.endswith(case.get("where", ""))
+        return
+    prepared = prepare_import(paths, stated)
+    plan, assumed = prepared.plan, prepared.mapping.assumed.keys()
+    for name, right in case.get("rows", {}).items():
+        found = [getattr(row, name) for row in plan.rows]
+        if isinstance(right[0], str):
+            assert found == right
+        else:
+            np.testing.assert_allclose(np.array(found), right, atol=0.5 if name == "depth" else 1e-3)
+    for name, right in case.get("first", {}).items():
+        assert getattr(plan.rows[0], name) == pytest.approx(right)
+    for name, right in case.get("needle", {}).items():
+        assert getattr(plan.needle, name) == pytest.approx(right) and not plan.needles
+    if "moduli" in case:
+        needles = [plan.needles.get(row.needle, plan.needle) for row in plan.rows]
+        assert [one.youngs_modulus_gpa for one in needles] == case["moduli"]
+    if "boundaries" in case:
+        assert plan.boundaries_mm == {name: tuple(depths) for name, depths in case["boundaries"].items()}
+    assert {*case.get("assumed", ())} <= assumed and not {*case.get("stated", ())} & assumed
+    assert {*case.get("noted", ())} <= {what for what, _ in prepared.notes}
+    assert "unused" not in case or {what for what, _ in prepared.unused} == {*case["unused"]}
 
 
 # ---- words and layouts that labs use in two ways
@@ -343,16 +344,7 @@ def test_a_needle_that_bends_along_what_was_not_measured_is_refused(tmp_path, po
     refusal(DataError, "n3", write, [12, 6, 3], 0)
 
 
-def test_rows_of_means_are_no_needles_and_headers_may_stand_in_the_first_column(tmp_path):
-    rows = [
-        ["needle", "depth", "deflection"],
-        ["a", 40, 2.5],
-        ["b", 60, 5.5],
-        ["mean", 50, 4],
-        ["SD", 14, 2.1],
-    ]
-    prepared = prepare([write_rows(tmp_path / "a.csv", rows)])
-    assert [row.depth for row in prepared.plan.rows] == [40, 60] and "excluded" in prepared.mapping.assumed
+def test_headers_may_stand_in_the_first_column(tmp_path):
     rows = [[f"{axis} [mm]", *NEEDLES[0][:, n]] for n, axis in enumerate("xyz")]
     curves, draft = curves_of([write_rows(tmp_path / "b.csv", rows)])
     assert draft.tables[0]["transposed"]
@@ -413,15 +405,6 @@ def test_a_unit_is_assumed_where_needles_then_have_a_needles_length(tmp_path):
     whole = [[n, *np.round(point)] for n, *point in rows[1:]]
     write_rows(file, [rows[0], *whole])
     assert "--set unit=" in refusal(DataError, "whole", planned, [file]).fix
-
-
-def test_numbers_under_an_unknown_header_are_named(tmp_path):
-    file = write_long(tmp_path, NEEDLES, head=["dicke", "wer"], cells=[["0.7", "me"]] * 3)
-    prepared = prepare([file])
-    assert "unused.dicke" in prepared.mapping.assumed and prepared.mapping.tables[0].unused == ("dicke",)
-    assert {what for what, _ in prepared.unused} == {"column dicke", "column wer"}
-    assert planned([file], diameter__column="dicke")[0].needle.outer_diameter_mm == 0.7
-    assert "unused.dicke" not in prepare([file], unused='["dicke"]').mapping.assumed
 
 
 def test_a_stated_column_is_used(tmp_path):
@@ -501,40 +484,6 @@ def test_a_stated_column_that_is_not_there_is_refused_with_the_nearest_header(tm
     assert shlex.split(error.fix) == ["--set", "bevel_side.column=Schliffrichtg"]
 
 
-def test_a_column_of_two_words_is_asked_about_while_no_bevel_side_is_stated(tmp_path):
-    file = write_plane(
-        tmp_path / "a.csv",
-        ["needle", "Kerbe", "depth", "deflection"],
-        lambda k: ["oben" if k > 1 else "unten"],
-    )
-    assert "bevel_side.column=Kerbe" in refusal(DataError, "Kerbe", prepare, [file], unit="mm").fix
-    sides = [row.side for row in prepare([file], unit="mm", bevel_side__column="Kerbe").plan.rows]
-    assert sides == [-1, 1, 1]
-    for stated in ({"bevel_side": "1"}, {"unused": '["Kerbe"]'}):
-        assert [row.side for row in prepare([file], unit="mm", **stated).plan.rows] == [1, 1, 1]
-    file.write_text(file.read_text().replace("oben", "A").replace("unten", "B"))
-    assert ("column Kerbe", "a.csv") in prepare([file], unit="mm").unused
-
-
-@pytest.mark.parametrize(
-    ("words", "stated", "found"),
-    [
-        (("Stahl", "NiTi", "steel"), {}, ([200.0, 60.0, 200.0], {"medium1"})),
-        (("gel", "gel", "liver"), {}, ([200.0] * 3, {"gel", "liver"})),
-        (("gel", "steel", "gel"), {"medium__column": "Material"}, ([200.0] * 3, {"gel", "steel"})),
-        (("gel", "steel", "gel"), {}, None),
-    ],
-)
-def test_a_material_of_needles_is_their_modulus(tmp_path, words, stated, found):
-    file = write_plane(tmp_path / "a.csv", ["needle", "Material", "x", "y"], lambda k: [words[k - 1]])
-    if found is None:
-        assert "modulus.column=Material" in refusal(DataError, "Material", prepare, [file], unit="mm").fix
-        return
-    plan = prepare([file], unit="mm", **stated).plan
-    moduli = [plan.needles.get(row.needle, plan.needle).youngs_modulus_gpa for row in plan.rows]
-    assert (moduli, {row.medium for row in plan.rows}) == found
-
-
 def test_a_number_of_a_sheet_needs_no_decimal_comma(tmp_path):
     rows = [["n", x if k else f"{x:.1f}".replace(".", ","), f"{0.001 * x * x:.4f}".replace(".", ",")]
             for k, x in enumerate(np.arange(0.0, 60.0, 7.5))]  # fmt: skip
@@ -584,13 +533,6 @@ def test_an_answer_or_a_change_that_is_refused_is_asked_for_again(tmp_path):
 def test_a_key_that_is_not_known_is_refused_with_the_nearest_one(tmp_path):
     file = write_rows(tmp_path / "a.csv", [["x", "y"], *NEEDLES[0][:, :2]])
     assert "--set modulus=80" in refusal(ConfigError, "modulis", prepare, [file], modulis="80").fix
-
-
-def test_a_boundary_without_a_unit_is_an_assumption(tmp_path):
-    file = write_long(tmp_path, NEEDLES, head=["boundary"], cells=[["2.5"]] * 3)
-    assert "boundaries.unit" in prepare([file]).mapping.assumed
-    plan, _ = planned([file], boundaries__unit="cm")
-    assert plan.boundaries_mm["medium1"] == (25.0,)
 
 
 @pytest.mark.parametrize(("unit", "asked"), [("m", ()), ("", ("diameter.unit=m", "needle_length.unit=m"))])

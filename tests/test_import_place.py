@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import trimesh
 from import_cases import (
-    curves_of,
     needle,
     placed,
     planned,
@@ -197,55 +196,6 @@ def test_a_stated_depth_must_be_the_length_of_its_curve(tmp_path):
     assert refusal(DataError, "'80'", planned, [file]).where.endswith("points.csv:2, column 2")
 
 
-def test_a_stated_direction_leaves_the_entry_and_its_errors_to_be_decided(tmp_path):
-    file = write_long(tmp_path, NEEDLES)
-    plan, made = planned([file], pose="1,0,0", point_sd="0.03")
-    assert made["entry_point"] == ("first", "assumed") and made["pose_shift_sd"] == ("0.03", "assumed")
-    assert made["pose_angle_sd"] == ("0.5", "assumed")
-    row = plan.rows[1]
-    np.testing.assert_allclose(row.entry, NEEDLES[1][0], atol=1e-6)
-    assert (row.pose_shift_sd, np.degrees(row.pose_angle_sd)) == (0.03, pytest.approx(0.5))
-    # the first point has moved with the needle
-    assert row.pose_source == "first_point" and made["shift across"][1] == "files"
-    answers = {"entry_point": "0,0,0", "pose_shift_sd": "0", "pose_angle_sd": "0,2"}
-    plan, made = planned([file], pose="2,0,0", **answers)
-    row = plan.rows[1]
-    np.testing.assert_array_equal(row.entry, np.zeros(3))
-    assert row.pose_source == "stage" and "shift across" not in made
-    assert (row.pose_shift_sd, np.degrees(row.pose_angle_sd)) == (0.0, pytest.approx(0.2))
-    assert {made[name][1] for name in ("entry_point", "pose_shift_sd", "pose_angle_sd")} == {"stated"}
-
-
-def test_boundaries_are_stated_as_depths(tmp_path):
-    file = write_long(tmp_path, NEEDLES)
-    plan, _ = planned([file], pose="1,0,0", boundaries="15,5;52,0", boundary_sd="0.3")
-    assert plan.boundaries_mm == {"medium1": (15.5, 52.0)}
-    assert [row.layers for row in plan.rows] == [3, 3, 2]
-    assert {row.boundary_sd for row in plan.rows} == {0.3}
-    assert planned([file], boundaries="15,52")[1]["boundary_sd"] == ("0.5", "assumed")
-    assert planned([file])[1]["boundaries"] == ("none", "assumed")
-
-
-def test_a_bevel_that_is_not_understood_or_missing_is_stated_by_needle_or_cell(tmp_path):
-    answers = {"pose": "1,0,0", "bevel": "0,1,0"}
-    file = write_long(tmp_path, NEEDLES, head=["Schliff"], cells=[["A"], ["B"], ["A"]])
-    fix = refusal(DataError, "`A`, `B`", planned, [file], **answers).fix
-    assert """--set 'bevel_side.words={"A" = "1", "B" = "-1"}'""" in fix
-    plan, _ = planned([file], bevel_side__words='{"A" = "1", "B" = "-1"}', **answers)
-    assert [row.side for row in plan.rows] == [1, -1, 1]
-    plan, made = planned([file], bevel_side="unten", **answers)
-    assert [row.side for row in plan.rows] == [-1] * 3 and made["bevel_side"] == ("unten", "stated")
-    file = write_long(tmp_path, NEEDLES, head=["Schliff"], cells=[["1"], [""], ["-1"]])
-    assert "n2" in refusal(DataError, "--set bevel_side", planned, [file], **answers).what
-    plan, _ = planned([file], bevel_side="-1", **answers)
-    assert [row.side for row in plan.rows] == [1, -1, -1]
-    file = write_long(tmp_path, NEEDLES, head=["Schliff"], cells=[["1"], ["-1"], ["1"]])
-    assert "n2" in refusal(DataError, "--set bevel", planned, [file], pose="1,0,0").what
-    file = write_long(tmp_path, NEEDLES)
-    assert planned([file], **answers)[1]["bevel_side"] == ("1", "assumed")
-    assert planned([file])[0].rows[0].bevel is None
-
-
 @pytest.mark.parametrize(
     ("stated", "bent", "named"),
     [("+-+-+", "+-+-+", ()), ("+-+-+", "+---+", ("n3",)), ("+-+-+", "+-0-+", ()), ("     ", "+---+", ())],
@@ -266,14 +216,6 @@ def test_a_needle_that_bends_against_its_stated_side_is_named_whether_its_pose_i
         folder = write_placed(tmp_path / f"{n}", [file], point_sd="0.05", **pose)
         found = [one.insertions for one in inspect(folder).warnings if one.kind == "bevel_side"]
         assert found == ([named] if named else [])
-
-
-def test_a_clock_position_is_a_side_or_another_plane():
-    answers = {"pose": "1,0,0", "bevel": "0,1,0"}
-    plan, _ = planned([CASES / "clock.csv"], **answers)
-    bevels = {row.id: (row.bevel * row.side).round(6).tolist() for row in plan.rows}
-    assert bevels == {"a": [0, 1, 0], "b": [0, -1, 0], "c": [0, 0, 1]}
-    refusal(DataError, "--set bevel", planned, [CASES / "clock.csv"], pose="1,0,0")  # c bends as a does
 
 
 def import_turned(folder, turns=TURNS, **answers):
@@ -436,54 +378,6 @@ def test_a_table_of_depth_and_deflection_is_a_track(tmp_path, names):
         np.testing.assert_allclose(one.points[:, 1], k * 1e-3 * depths**2, atol=1e-4)
 
 
-@pytest.mark.parametrize(
-    ("options", "reason"),
-    [
-        *(
-            ({"pose": "1,2"}, "--set pose"),
-            ({"entry": "middle"}, "--set entry"),
-            ({"modulus": "wood"}, "modulus="),
-        ),
-        *(({"diameter": "99G"}, "diameter="), ({"inner_diameter": "2"}, "inner_diameter=")),
-        *(({"boundaries": "30,15"}, "--set boundaries"), ({"boundaries": "deep"}, "--set boundaries")),
-        ({"point_sd": "1 deg"}, "--set point_sd"),
-        ({"pose": "1,0,0", "pose_angle_sd": "-1"}, "pose_angle_sd="),
-        ({"pose": "1,0,0", "entry_point": "last"}, "--set entry_point"),
-    ],
-)
-def test_options_that_mean_nothing_are_refused(tmp_path, options, reason):
-    error = refusal(DataError, "", lambda: planned([write_long(tmp_path, NEEDLES)], **options))
-    assert reason in error.fix
-
-
-@pytest.mark.parametrize(
-    ("head", "cell", "what", "value"),
-    [
-        ("gauge", "22G", "outer_diameter_mm", GAUGES_MM[22]),
-        ("Außendurchmesser [mm]", "0.7", "outer_diameter_mm", 0.7),
-        ("calibre", "22", "outer_diameter_mm", GAUGES_MM[22]),
-        ("diámetro (mm)", "0.7", "outer_diameter_mm", 0.7),
-        ("直径 (mm)", "0.7", "outer_diameter_mm", 0.7),
-        ("inner diameter [mm]", "0.3", "inner_diameter_mm", 0.3),
-        ("Nadellänge [cm]", "20", "length_mm", 200.0),
-        ("longueur d'aiguille (mm)", "200", "length_mm", 200.0),
-        ("modulus (GPa)", "60", "youngs_modulus_gpa", 60.0),
-        ("E-Modul [MPa]", "60000", "youngs_modulus_gpa", 60.0),
-        ("needle material", "nitinol", "youngs_modulus_gpa", 60.0),
-        ("弹性模量 (GPa)", "60", "youngs_modulus_gpa", 60.0),
-    ],
-)
-def test_a_needle_is_stated_in_a_column(tmp_path, head, cell, what, value):
-    plan, _ = planned([write_long(tmp_path, NEEDLES, head=[head], cells=[[cell]] * 3)])
-    assert getattr(plan.needle, what) == pytest.approx(value) and not plan.needles
-
-
-def test_a_needle_is_longer_than_it_was_inserted(tmp_path):
-    file = write_long(tmp_path, NEEDLES, head=["needle_length"], cells=[["150"], ["50"], ["150"]])
-    error = refusal(DataError, "needle_length", planned, [file])
-    assert error.where.endswith(f"{file.name}:18, column 2") and "n2" in error.expected
-
-
 def test_needles_that_differ_are_each_their_own(tmp_path):
     cells = [["22G", "", "60"], ["18G", "", "60"], ["22G", "", "60"]]
     file = write_long(tmp_path, NEEDLES, head=["gauge", "bore (mm)", "modulus (GPa)"], cells=cells)
@@ -526,13 +420,6 @@ def test_a_boundary_may_differ_from_needle_to_needle(tmp_path, by):
     np.testing.assert_allclose(found, [[float(one), *second] for one in depths], atol=0.01)
 
 
-def test_boundaries_that_are_those_of_each_medium_are_stated_once(tmp_path):
-    cells = [["gel", "18"], ["fat", "20"], ["gel", "18"]]
-    _, plan, _ = placed([write_long(tmp_path, NEEDLES, head=["medium", "boundary"], cells=cells)])
-    assert plan.boundaries_mm == {"gel": (18.0,), "fat": (20.0,)}
-    assert {row.boundaries for row in plan.rows} == {None}
-
-
 @pytest.mark.parametrize(
     ("depths", "media"),
     [(("20", "21"), ["medium1"]), (("20", "15;35"), ["A", "B"]), (("20", "3.2"), None)],
@@ -547,14 +434,6 @@ def test_boundaries_that_differ_between_specimens_are_of_media_or_asked_about(tm
         media = ["gel"]
     stated = {"medium": "gel"} if media == ["gel"] else {}
     assert [*planned([file], **stated)[0].boundaries_mm] == media
-
-
-def test_an_entry_and_a_direction_may_be_columns_of_each_needle(tmp_path):
-    head = [f"{what} {axis}" for what in ("entry", "direction") for axis in "xyz"]
-    cells = [["0", f"{3 * n}", "0", "1", "0", f"{0.01 * n}"] for n in range(3)]
-    plan, _ = planned([write_long(tmp_path, NEEDLES, head=head, cells=cells)], bevel="0,1,0")
-    assert [row.entry.tolist() for row in plan.rows] == [[0.0, 3.0 * n, 0.0] for n in range(3)]
-    assert plan.rows[2].direction[2] == pytest.approx(0.02, abs=1e-5)
 
 
 def test_a_column_of_deviations_is_that_of_each_point(tmp_path):
@@ -610,36 +489,6 @@ def test_one_of_two_tools_may_be_the_guide(tmp_path, guide):
         write_placed(tmp_path / "runs", [file], **answers, guide=guide)
         (run,) = read(tmp_path / "runs").insertions
         np.testing.assert_allclose(run.guide.y, 0.1 * np.arange(16), atol=1e-4)
-
-
-@pytest.mark.parametrize(
-    ("head", "rows", "holes", "ends"),
-    [
-        # one depth of each needle; several of each; without names; along y and z; toward the bevel; in %
-        ("needle,depth,deflection", ["a,40,2.5", "b,60,5"], ["a", "b"], [(2.5, None), (5, None)]),
-        ("needle,depth,deflection", ["a,40,2.5", "a,60,5"], ["a", "a"], [(2.5, None), (5, None)]),
-        ("Tiefe [cm],Auslenkung [cm]", ["4,.2", "4,.3", "6,.5"], [""] * 3, [(2, None), (3, None), (5, None)]),
-        ("needle,depth,tip y,tip z", ["a,40,2.5,1", "b,60,5,-1"], ["a", "b"], [(2.5, 1), (5, -1)]),
-        ("needle,depth,deflection,side", ["a,40,2.5,1", "b,60,5,-1"], ["a", "b"], [(2.5, None), (-5, None)]),
-        ("needle,depth_mm,tip_mm", ["a,40,2.5", "b,60,5.0"], ["a", "b"], [(2.5, None), (5, None)]),
-        (
-            "needle,depth,deflection (% of depth)",
-            ["a,40,5.5", "b,60,5.5"],
-            ["a", "b"],
-            [(2.2, None), (3.3, None)],
-        ),
-        ("needle,depth [cm],y [%],z [%]", ["a,4,2.5,1", "b,6,5,-1"], ["a", "b"], [(1, 0.4), (3, -0.6)]),
-    ],
-)
-def test_a_table_of_depths_and_deflections_is_of_tips(tmp_path, head, rows, holes, ends):
-    (tmp_path / "a.csv").write_text("\n".join([head, *rows]) + "\n")
-    plan, _ = planned([tmp_path / "a.csv"], point_sd="0.2")
-    assert [row.hole for row in plan.rows] == holes
-    found = [(row.tip_y, row.tip_z) for row in plan.rows]
-    assert np.array(found, dtype=float) == pytest.approx(np.array(ends, dtype=float), nan_ok=True)
-    write_placed(tmp_path / "tips", [tmp_path / "a.csv"], point_sd="0.2")
-    data = read(tmp_path / "tips")
-    assert {one.observation for one in data.insertions} == {"tip"} and data.noise.point_sd == 0.2
 
 
 def test_sensors_may_be_placed_from_the_base(tmp_path):
@@ -782,29 +631,6 @@ def write_table(path, head, rows):
     path.write_text("\n".join([head, *(",".join(map(str, row)) for row in rows)]) + "\n")
 
 
-def test_a_guide_that_moved_beside_tips_or_shapes_is_no_reading(tmp_path):
-    file, rows = tmp_path / "a.csv", [("a", 40, 1.2, 0), ("b", 60, 2.4, 3)]
-    write_table(file, "needle,depth,deflection,guide_mm", rows)
-    error = refusal(DataError, "guide moved", planned, [file], point_sd="0.1")
-    assert error.where == f"{file}:2" and "holds=tracks" in error.fix
-    plan, made = planned([file], point_sd="0.1", guide="none")
-    assert len(plan.rows) == 2 and made["guide"][0] == "none"
-    write_table(file, "needle,depth,deflection,guide_mm", [(*row[:3], 2) for row in rows])
-    assert len(planned([file], point_sd="0.1")[0].rows) == 2  # at rest
-
-
-def test_deflections_toward_bevels_at_clock_positions(tmp_path):
-    """One deflection of each is toward the bevel if none is negative; else where up is must be stated."""
-    file, head = tmp_path / "a.csv", "needle,depth,deflection,bevel clock"
-    write_table(file, head, [("a", 40, 1.2, 3), ("b", 60, 2.4, 12), ("c", 70, 3.1, 9)])
-    plan, made = planned([file], point_sd="0.1")
-    assert [row.tip_y for row in plan.rows] == pytest.approx([1.2, 2.4, 3.1])
-    bevels = [row.bevel.round(9).tolist() for row in plan.rows]
-    assert bevels == [[0, 0, 1], [0, 1, 0], [0, 0, -1]] and made["deflection"][1] == "assumed"
-    write_table(file, head, [("a", 40, 1.2, 3), ("b", 60, -2.4, 12)])
-    assert "deflection_z.column" in refusal(DataError, "several ways", planned, [file], point_sd="0.1").fix
-
-
 def test_tracks_with_bevels_at_clock_positions_are_rolled(tmp_path):
     rows = [(n, d, 0.001 * d**2, 0.0, clock) for n, clock in (("a", 3), ("b", 12)) for d in range(0, 61, 10)]
     file = tmp_path / "a.csv"
@@ -840,13 +666,6 @@ def test_a_column_called_depth_counts_from_the_tissue_and_a_travel_from_the_firs
         assert run.depth == first + 70.0
 
 
-def test_readings_before_the_tissue_are_no_depths(tmp_path):
-    rows = [["run", "depth", "deflection"], *([1, x, 1e-3 * x**2] for x in range(-5, 60, 8))]
-    file = write_rows(tmp_path / "a.csv", rows)
-    assert planned([file])[1]["depth_zero"] == ("first_reading", "assumed")
-    refusal(DataError, "depth_zero", planned, [file], depth_zero="tissue")
-
-
 def test_an_import_replaces_an_earlier_one_and_nothing_else(tmp_path):
     file, out = write_long(tmp_path, NEEDLES), tmp_path / "gel"
     for medium in ("agar", "gelatine"):
@@ -866,12 +685,6 @@ def test_depths_of_points_count_from_the_entry_unless_the_first_point_is_stated_
     assert depths == pytest.approx([60.0, 50.0], abs=0.1)
     fault = refusal(DataError, "begin at a depth of 10.0 mm", planned, [file], pose="1,0,0", **stated)
     assert fault.where.endswith("a.csv:2")
-
-
-def test_a_material_beside_a_modulus_is_asked_for(tmp_path):
-    rows = [(n, "steel", 30, x, y) for n, x, y in bend(a=60)[-1:]]
-    write_table(file := tmp_path / "a.csv", "needle,material,modulus [kPa],depth [mm],deflection [mm]", rows)
-    refusal(DataError, "--set modulus.column=material", curves_of, [file])
 
 
 @pytest.mark.parametrize(("head", "axes"), [("guide z", ""), ("guide y", "z"), ("guide [mm]", "z")])
