@@ -211,20 +211,20 @@ def test_noise_floors_of_a_shift_and_of_an_angle(tmp_path):
         dataset = read(block(tmp_path))
         insertion = dataset.insertions[0]
         insertion = dataclasses.replace(insertion, points=insertion.points + np.array([begins, 0.0, 0.0]))
-        floor = estimate_noise_floor(dataset, insertion, default_rng(1), draws=3000)
+        floor = estimate_noise_floor(dataset, insertion, default_rng(1), draws=1500)
         assert floor["te_mm"] == approx(0.19 * expected, rel=0.03)
         assert floor["ipe_mean_mm"] == approx(0.19 * expected, rel=0.03)
     # A turn of standard deviation q leaves q L sqrt(2 / pi) at the tip on average, half of it overall.
     turned = row("a", "given", layers=2, pose_angle_sd=0.01)
     dataset = read(write_dataset(tmp_path, record(noise={}), [turned], {"a": CURVE}, SURFACES))
-    floor = estimate_noise_floor(dataset, dataset.insertions[0], default_rng(1), draws=3000)
+    floor = estimate_noise_floor(dataset, dataset.insertions[0], default_rng(1), draws=1500)
     assert floor["te_mm"] == approx(0.01 * 50 * math.sqrt(2 / math.pi), rel=0.05)
     assert floor["ipe_mean_mm"] == approx(floor["te_mm"] / 2, rel=0.01)
     # Where the entry is the first point a shift is taken off: half of the turn's error at the tip is left.
     turned = dataclasses.replace(turned, pose_source="first_point", pose_shift_sd=0.4)
     dataset = read(write_dataset(tmp_path, record(noise={}), [turned], {"a": CURVE}, SURFACES))
     assert dataset.insertions[0].pose_source == "first_point"
-    shifted = estimate_noise_floor(dataset, dataset.insertions[0], default_rng(1), draws=3000)
+    shifted = estimate_noise_floor(dataset, dataset.insertions[0], default_rng(1), draws=1500)
     assert shifted["te_mm"] == approx(floor["te_mm"] / 2, rel=0.03)
     dataset = read(block(tmp_path, noise={}))
     assert math.isnan(estimate_noise_floor(dataset, dataset.insertions[0], default_rng(1))["te_mm"])

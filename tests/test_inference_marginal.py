@@ -170,10 +170,10 @@ def whiten(known, one, s):
 
 @cache
 def brute_force(name):
-    """The mean likelihood over 1024 draws of the boundaries and the insertion depth from their prior."""
+    """The mean likelihood over 512 draws of the boundaries and the insertion depth from their prior."""
     one = shipped(name)
     known = make_observation(twin(), one)
-    draws = ndtri(qmc.Sobol(len(one.boundaries) + 1, seed=5).random(1024))
+    draws = ndtri(qmc.Sobol(len(one.boundaries) + 1, seed=5).random(512))
     squares = []
     for draw in draws:
         deep, wrong = DEPTH_SD * draw[-1], one.boundary_sd * draw[:-1]

@@ -40,12 +40,11 @@ def test_the_shipped_sample_is_a_rebuild(tmp_path):
             assert (SHIPPED / name).read_bytes() == (tmp_path / name).read_bytes()
 
 
-def test_a_series_has_the_voxels_of_the_file_and_the_same_bytes_again(tmp_path):
-    for name in ("a", "b"):
-        twin.render_insertion(tmp_path / name, twin.SAMPLE_INSERTION, TWIN_SEED, dicom=True)
-    a, b = (files(tmp_path / name / "volumes") for name in ("a", "b"))
-    assert len(a) > 100 and [one.read_bytes() for one in a] == [one.read_bytes() for one in b]
-    series, file = read_volume(a[0].parent), read_volume(SHIPPED / "volumes" / "sample.nrrd")
+def test_a_series_has_the_voxels_of_the_file(tmp_path):
+    twin.render_insertion(tmp_path, twin.SAMPLE_INSERTION, TWIN_SEED, dicom=True)
+    slices = files(tmp_path / "volumes")
+    assert len(slices) > 100
+    series, file = read_volume(slices[0].parent), read_volume(SHIPPED / "volumes" / "sample.nrrd")
     for name in ("origin", "spacing", "direction"):
         assert_allclose(getattr(series, name), getattr(file, name), atol=1e-5)
     assert np.abs(series.values - file.values).max() <= 1
