@@ -113,20 +113,24 @@ def _find_copy_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iter
     padded = np.full((len(values), max(counts), 3), np.nan)
     for points, row in zip(values, padded, strict=True):
         row[: len(points)] = points
+    places = [set(map(tuple, (points / SAME_POINT_MM).round().tolist())) for points in values]
     for n, later in enumerate(listed):
         entry = later.insertion.frame.rotation[:, 0]
         same = np.sum(np.abs(padded[:n] - padded[n]) < SAME_POINT_MM, axis=1)  # (n, 3)
         common = np.minimum(counts[:n], counts[n])[:, None]
         # along the needles all may be sampled alike, and what does not vary is no measurement
         is_measured = (np.abs(entry) < AXIS_COSINE) & (np.ptp(values[n], axis=0) > 0)
-        is_pasted = is_measured & (same > common / 2) & (bdtrc(same - 1, common, chance) < MAX_PASTED_CHANCE)
-        is_pasted |= (same == common).all(axis=1, keepdims=True)
-        for m in np.flatnonzero(is_pasted.any(axis=1)).tolist():
-            axes = " and ".join(np.array(list("xyz"))[is_pasted[m]])
-            names = (later.insertion.id, listed[m].insertion.id)
-            what = f"{' and '.join(names)} have the same {axes} at {same[m, is_pasted[m]].min()} points"
-            fix = "look whether one was exported twice, or pasted into the other"
-            yield ResultWarning("copy", what, later.where, fix, names)
+        is_same = is_measured & (same > common / 2) & (bdtrc(same - 1, common, chance) < MAX_PASTED_CHANCE)
+        for m, axes in enumerate(is_same):
+            if is_copy := places[m] <= places[n] or places[n] <= places[m]:
+                axes[:] = True
+            if axes.any():
+                names = (later.insertion.id, listed[m].insertion.id)
+                count = len(places[m] & places[n]) if is_copy else same[m, axes].min()
+                named = " and ".join(np.array(list("xyz"))[axes])
+                what = f"{' and '.join(names)} have the same {named} at {count} points"
+                fix = "look whether one was exported twice, or pasted into the other"
+                yield ResultWarning("copy", what, later.where, fix, names)
 
 
 def _find_order_warnings(listed: Sequence[ListedInsertion]) -> Iterator[ResultWarning]:

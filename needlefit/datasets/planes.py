@@ -21,6 +21,8 @@ from needlefit.geometry.frames import normalize
 from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import ResultWarning
 
+MIN_TWIST = 0.05  #: of tips out of the planes of their curves, as part of the deflection, rms
+
 
 def measure_out_of_plane(dataset: Dataset) -> list[tuple[str, float, float]]:
     """Return how far each needle is from where its bevel leads it: mm, standard deviations; worst first.
@@ -64,9 +66,16 @@ def _find_across(insertion: Insertion, depths: Sequence[float]) -> Floats:
 
 
 def find_plane_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
-    """Yield a warning that names the insertions that are not where their bevels lead them, and what would."""
+    """Yield a warning that names the insertions that are not where their bevels lead them, and what would.
+
+    Without any it names those whose tips are far out of the planes nearest to their own curves.
+    """
     aside = _find_aside([entry for entry in listed if entry.insertion.is_posed], noise)
     if not aside:
+        if twisted := _find_twisted([entry.insertion for entry in listed], noise):
+            problem = f"{join_names(twisted, MAX_NAMED_INSERTIONS)} bend in no plane"
+            fix = "check whether the needle turned on its way, and state its turns by `insertions.turns`"
+            yield ResultWarning("bevel_plane", problem, where=listed[0].where, fix=fix)
         return
     most = max(measure_aside(entry.insertion) for entry in aside)
     problem = (
@@ -138,3 +147,16 @@ def _name_bevel(aside: Sequence[Insertion]) -> str:
     mean = ", ".join(f"{x:z.2f}" for x in normalize(np.mean(directions, axis=0)).round(2))
     fix = "check the bevel direction, the turns and the frame; tips lie toward rolls of "
     return f"{fix}{join_names(rolls, MAX_NAMED_INSERTIONS)} degrees, on the mean toward {mean}"
+
+
+def _find_twisted(insertions: Sequence[Insertion], noise: Noise) -> list[str]:
+    """Return the needles without turns that bend in no plane; none unless they do so together (rms)."""
+    unturned, twists = [insertion for insertion in insertions if not insertion.turns], dict[str, float]()
+    for insertion in unturned:  # how far the tip is out of the plane nearest to the whole curve, mm
+        points = insertion.centerline - insertion.centerline.mean(axis=0)
+        twists[insertion.id] = abs(float(points[-1] @ np.linalg.svd(points, full_matrices=False)[2][2]))
+    errors = SIGNIFICANT_SD * math.hypot(noise.point_sd, noise.correlated_sd)
+    away, bend = math.hypot(*twists.values()), math.hypot(*(insertion.deflection for insertion in unturned))
+    if not errors or away <= max(errors * math.sqrt(len(unturned)), MIN_TWIST * bend):
+        return []
+    return [name for name, twist in twists.items() if twist > errors]

@@ -47,46 +47,44 @@ def find_common(problem: Problem, theta: Floats) -> Explanation | None:
 
     `theta` (P,): the fit to them.
     """
-    fits = {"": {0.0: theta}}  # by boundary and shift
+    fits: dict[tuple[str, int, str], dict[float, Floats]] = {}  # by hypothesis and size
     count = sum(problem.density.residual_counts)
 
-    def predict(change: Change | None, size: float) -> tuple[Prediction, bool]:
-        """Return what all needles predict, and whether errors alone are left of a plausible fit."""
-        changed, fitted = problem if change is None else change_all(problem, change, size), theta
-        if change is not None and change.cause == "boundary":
-            known = fits.setdefault(change.where, {0.0: theta})
-            nearest = min(known, key=lambda other: abs(other - size))
-            fitted = known[size] = refit(changed, changed.insertions, known[nearest])
+    def predict(changed: Problem, fitted: Floats) -> Prediction:
         blocks = [linearize_needle(changed, insertion, fitted) for insertion in changed.insertions]
-        prediction = predict_from(changed, range(len(blocks)), widen_all(changed, blocks), fitted)
-        spacing = problem.medium.constraint_spacing_mm
-        is_plausible = not list_implausible(problem.values(fitted), spacing)
-        return prediction, is_plausible and prediction.describes(count, PREDICTED_SD)
+        return predict_from(changed, range(len(blocks)), widen_all(changed, blocks), fitted)
 
-    before, _ = predict(None, 0.0)
+    before = predict(problem, theta)
 
     def measure(change: Change, size: float) -> Deviation:
-        after, is_right = predict(change, size)
-        sds = 0.0 if is_right or change.cause in POSES else math.inf
-        return Deviation(sds, after.log_density - before.log_density, max(1.0, after.chi_square))
+        known = fits.setdefault((change.cause, change.axis, change.where), {0.0: theta})
+        changed = change_all(problem, change, size)
+        fitted = known[min(known, key=lambda other: abs(other - size))]
+        after = predict(changed, fitted)
+        changes_model = change.cause not in POSES
+        if changes_model or after.log_density - before.log_density > LOG_FITTED:  # else what is linear does
+            fitted = known[size] = refit(changed, changed.insertions, fitted)
+            after = predict(changed, fitted)
+        is_plausible = not list_implausible(problem.values(fitted), problem.medium.constraint_spacing_mm)
+        is_right = not changes_model or (is_plausible and after.describes(count, PREDICTED_SD))
+        gain = after.log_density - before.log_density
+        return Deviation(0.0 if is_right else math.inf, gain, max(1.0, after.chi_square))
 
-    found = explain([*_list_poses(problem), *list_boundary_shifts(problem)], measure, 0.0)
+    # of bevels that all face one way an error of the model looks like any change in their plane
+    is_one_sided = len({insertion.side for insertion in problem.insertions}) == 1
+    in_plane = () if is_one_sided else (*_list_poses(problem, IN_PLANE), *list_boundary_shifts(problem))
+    aside = _list_poses(problem, ASIDE) if problem.dataset.directions == 2 else ()
+    found = explain([*in_plane, *aside], measure, 0.0)
     if found is None or found.size is None:
         return None
     least = max(MIN_SHIFT_MM, *(SIGNIFICANT_SD * insertion.boundary_sd for insertion in problem.insertions))
     return found if found.change.cause in POSES or abs(found.size) >= least else None
 
 
-def _list_poses(problem: Problem) -> Iterator[Change]:
-    """Yield turns and shifts of all needles.
-
-    Of bevels that all face one way an error of the model looks like one in their plane. Shapes of unknown
-    pose are aligned: a turn or shift of all changes nothing.
-    """
-    is_one_sided = len({insertion.side for insertion in problem.insertions}) == 1
-    axes = [IN_PLANE] * (not is_one_sided) + [ASIDE] * (problem.dataset.directions == 2)
+def _list_poses(problem: Problem, axis: int) -> Iterator[Change]:
+    """Yield turns and shifts of all needles; shapes of unknown pose are aligned: they change nothing."""
     for cause, size in POSES.items() if problem.dataset.pose != "free" else ():
-        yield from (Change(cause, axis, starts=(-size, 0.0, size), cost=LOG_FITTED) for axis in axes)
+        yield Change(cause, axis, starts=(-size, 0.0, size), cost=LOG_FITTED)
 
 
 def list_boundary_shifts(problem: Problem) -> Iterator[Change]:

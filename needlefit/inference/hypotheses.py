@@ -168,8 +168,9 @@ def explain(
         deviations, sd = _search(partial(measure, change), change.starts)
         odds = {size: change.compute_odds(size, left) for size, left in deviations.items()}
         size = max(odds, key=lambda size: odds[size])
-        fitted = Explanation(change, size if len(deviations) > 1 else None, sd)
-        rows.append((odds[size], deviations[size].sds, fitted))
+        if math.isfinite(deviations[size].sds):  # else it is no fit that can be
+            fitted = Explanation(change, size if len(deviations) > 1 else None, sd)
+            rows.append((odds[size], deviations[size].sds, fitted))
     best, sds, found = max(rows, key=lambda row: row[0])
     if found is None or sds > PREDICTED_SD:
         return None
