@@ -38,7 +38,7 @@ TIP_SD, APART_MM = 0.2, 0.3  #: mm; of the tip that is measured beside a shape, 
 
 def read_sensors(depth: float, beyond: float = 0.0, seed: int | None = None) -> Insertion:
     """An insertion of the truth of which sensors, to `beyond` mm before the entry, read the curvature."""
-    one = replace(insertion(depth, angle_sd=0.0), observation="curvature", id=f"at{depth:g}")
+    one = replace(insertion(depth, angle_sd=0.0), observation="curvature", own_errors=True, id=f"at{depth:g}")
     places = np.arange(8.0, depth + beyond - 2.0, 12.0)
     still = np.column_stack([places, np.zeros((len(places), 2)), np.full(len(places), SD)])
     one = replace(one, curvature=still)

@@ -184,6 +184,8 @@ class Insertion(InsertionInputs):
         simulation: "points", "tip_track", or one of a plugin.
     observation_values : mapping of str to float
         What the observation of a plugin has besides `points`: the numbers of the columns `observation_NAME`.
+    own_errors : bool
+        Whether each reading of its observation states its own error.
     directions : int
         2 where the z of `points` was measured, 1 where they are known along y alone.
     headings : tuple of (N,) arrays
@@ -225,6 +227,7 @@ class Insertion(InsertionInputs):
     tip: Floats | None = None
     observation: str = "points"
     observation_values: Mapping[str, float] = field(default_factory=dict)
+    own_errors: bool = False
     directions: int = 2
     headings: tuple[Floats, ...] = ()
     setup: str = ""
@@ -237,7 +240,7 @@ class Insertion(InsertionInputs):
     @property
     def states_errors(self) -> bool:
         """Whether the errors of what was measured stand with it, whatever noise its dataset states."""
-        return self.sd is not None or self.point_sd is not None or self.observation == "curvature"
+        return self.sd is not None or self.point_sd is not None or self.own_errors
 
     @property
     def observations(self) -> tuple[str, ...]:

@@ -11,6 +11,7 @@ from needlefit.arrays import Floats
 from needlefit.datasets.columns import InsertionRow, describe_column
 from needlefit.datasets.faults import Fault
 from needlefit.datasets.insertion import Insertion
+from needlefit.datasets.observations import HELD
 from needlefit.datasets.points import MIN_POINTS, Points
 from needlefit.errors import DataError
 from needlefit.geometry.crossings import find_crossings
@@ -202,16 +203,16 @@ def reduce_insertion(
             "turns": tuple((depth, math.degrees(roll - contact)) for depth, roll in row.turns),
             "curvature": _turn_curvature(row),
             "observation": row.observation or "points",
-            "directions": 1 if row.observation == "tip" and row.tip_z is None else 2,
             "tip": _select_tip(row),
             "curves": {"space": (local, points.curve.to_local(frame))},
         }
+        | (HELD[row.observation].attributes(row) if row.observation in HELD else {})
     )
 
 
 def _select_tip(row: InsertionRow) -> Floats | None:
     """Return the tip (3,) beside a shape, as `Insertion.tip`; None where there is none."""
-    if row.tip_y is None or row.observation == "tip":
+    if row.tip_y is None:
         return None
     return np.array([row.tip_y, *(np.nan if one is None else one for one in (row.tip_z, row.tip_sd))])
 

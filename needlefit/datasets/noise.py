@@ -8,7 +8,7 @@ import numpy as np
 
 from needlefit.arrays import Floats, pad_axis
 from needlefit.datasets.insertion import Dataset, Insertion, InsertionPose, Noise, find_free_reach, find_pose
-from needlefit.geometry.curves import COMPARISON_POINTS, TIP_POINTS, Quantity, compare_curves
+from needlefit.geometry.curves import COMPARISON_POINTS, Quantity, compare_curves
 from needlefit.geometry.frames import align_lateral, align_rigid
 from needlefit.metrics import METRICS, list_metrics
 
@@ -25,12 +25,15 @@ def estimate_noise_floor(
     rng: np.random.Generator,
     draws: int = 200,
     quantities: Sequence[Quantity] = ("places",),
+    *,
+    at_depths: bool = False,
 ) -> NoiseFloor:
     """Return the errors of the measured curve against itself, measured again with the stated noise.
 
     The errors are those of `draw_measurement_errors`, by the metrics of some quantities. Curves are compared
-    as in a study: at equal fractions of arc length, shifted across where the direction alone is known, or,
-    for free shapes, by arc length from the tip after alignment. Uncertain layer depths are not in it.
+    as in a study: `at_depths` of their own, or at equal fractions of arc length, shifted across where the
+    direction alone is known, or, for free shapes, by arc length from the tip after alignment. Uncertain layer
+    depths are not in it.
     """
     metrics = [metric for metric in list_metrics(*quantities) if metric.has_floor]
     displaced = draw_measurement_errors(dataset, insertion, rng, draws, insertion.directions)
@@ -40,13 +43,12 @@ def estimate_noise_floor(
     again = whole + pad_axis(displaced, 3)
     pose = find_pose(dataset.pose, insertion)
     free = find_free_reach(dataset.drop_proximal, insertion) if pose == "free" else None
-    is_tip = pose == "tracker" or len(whole) == TIP_POINTS
-    if is_tip:
-        again[..., 0] = whole[:, 0]  # depths are known
+    if at_depths:
+        again[..., 0] = whole[:, 0]
     if pose == "tracker":
         again = align_lateral(again, whole)  # the best shifts and slopes are taken off
     pairs = [(curve, whole) for curve in again]
-    if not is_tip:
+    if not at_depths:
         along = insertion.measure_arc("plane")
         pairs = list(map(_prepare_comparison(whole, along, pose, free), again))
     curves, floor = [compare_curves(*pair, dataset.compared) for pair in pairs], dict[str, float]()

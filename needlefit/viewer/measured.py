@@ -5,12 +5,11 @@ from dataclasses import dataclass, replace
 
 from needlefit.datasets.compared import set_compared
 from needlefit.datasets.insertion import Dataset, Insertion, find_pose
-from needlefit.datasets.noise import estimate_noise_floor
 from needlefit.datasets.read import read_shapes, require_shapes
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Placement, move_frame
 from needlefit.inference.forward_model import select_layer_draws
-from needlefit.inference.likelihood.observations import select_points
+from needlefit.inference.likelihood.observations import estimate_floor, select_points
 from needlefit.inference.parameters import Parameters
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import find_last_shape
@@ -100,7 +99,7 @@ def _show_insertion(
     record = make_scene_record(shown.values, shown.medium, dataset.name, insertion, title)
     scene = make_steered_scene(record, f"{name}/{insertion.id}")
     shape = find_last_shape(scene.needle, scene.tissue, scene.steps, scene.rules)
-    floor = estimate_noise_floor(dataset, insertion, random_stream(seed, "noise floor", insertion.id))
+    floor = estimate_floor(dataset, insertion, random_stream(seed, "noise floor", insertion.id))
     # As in a run's files for 3D Slicer: where shapes are known only up to a motion, the needle is laid on the
     # measured one, and what is steered from then on lies in the frame in which it came to lie.
     frame, placed = insertion.frame, insertion.is_posed or shape.converged

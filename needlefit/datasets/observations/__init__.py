@@ -6,6 +6,7 @@ Each file has the name of its observation in `inference/likelihood/observations/
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -30,6 +31,8 @@ class HeldObservation:
     is_stated: Callable[[InsertionRow], bool] = lambda row: False
     #: row -> places (N, 3) in C, mm, that stand for a shape
     place: Callable[[InsertionRow], Floats] | None = None
+    #: row -> attributes of an insertion of which nothing else was measured
+    attributes: Callable[[InsertionRow], dict[str, Any]] = lambda row: {}
 
 
 HELD = Registry(HeldObservation, __name__, "observation of a dataset")

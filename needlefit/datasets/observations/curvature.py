@@ -29,4 +29,5 @@ CURVATURE = HeldObservation(
     "curvatures (where no shape was measured, their integrals are shown)",
     lambda row: row.observation == "curvature",
     integrate_curvature,
+    lambda row: {"own_errors": True},
 )

@@ -13,5 +13,9 @@ def place_tip(row: InsertionRow) -> Floats:
 
 
 TIP = HeldObservation(
-    "tip", "tips, across the line of insertion", lambda row: row.tip_y is not None, place_tip
+    "tip",
+    "tips, across the line of insertion",
+    lambda row: row.tip_y is not None,
+    place_tip,
+    lambda row: {"tip": None, "directions": 1 if row.tip_z is None else 2},
 )

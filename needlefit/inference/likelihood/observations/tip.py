@@ -10,6 +10,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from needlefit.datasets.insertion import Dataset, Insertion, Pose, find_pose
+from needlefit.datasets.noise import NoiseFloor, estimate_noise_floor
 from needlefit.inference.compared_points import ComparedPoints
 from needlefit.inference.likelihood.observation import (
     Observation,
@@ -48,6 +49,10 @@ class _Tip(ObservationType):
         )
         noise = replace(dataset.noise, correlated_sd=0.0)
         return super().take_alone(replace(dataset, noise=noise), alone)
+
+    def estimate_floor(self, dataset: Dataset, insertion: Insertion, rng: np.random.Generator) -> NoiseFloor:
+        """Return the mean errors of a tip at its depth that is measured again."""
+        return estimate_noise_floor(dataset, insertion, rng, at_depths=True)
 
     def select_points(
         self, pose: Pose, drop: float, insertion: Insertion, stations: int, compared: Compared

@@ -77,7 +77,9 @@ class _TipTrack(ObservationType):
 
     def estimate_floor(self, dataset: Dataset, insertion: Insertion, rng: np.random.Generator) -> NoiseFloor:
         """Return the mean errors of a track that is read again, after the best shift and slope."""
-        return estimate_noise_floor(dataset, insertion, rng, quantities=("places", "readings"))
+        return estimate_noise_floor(
+            dataset, insertion, rng, quantities=("places", "readings"), at_depths=True
+        )
 
     def read_points(self, shape: NeedleShape, s: Floats) -> Floats:
         """Return depths and tips (K, 3) at depths `s` (K,), mm."""
