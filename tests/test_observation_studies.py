@@ -19,7 +19,7 @@ from needlefit.geometry.curves import compare_curves
 from needlefit.inference.error_tolerance import estimate_tolerance
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.observations import SimulatedCurve, estimate_floor, list_comparisons
-from needlefit.inference.likelihood.observations.curvature import append_sensors, integrate_sensors
+from needlefit.inference.likelihood.observations.curvature import integrate_sensors, surround_sensors
 from needlefit.metrics import compute_metrics
 from needlefit.project.checkpoint import open_checkpoint
 from needlefit.reporting.document import compile_html
@@ -43,7 +43,7 @@ def read_sensors(depth: float, beyond: float = 0.0, seed: int | None = None) -> 
     still = np.column_stack([places, np.zeros((len(places), 2)), np.full(len(places), SD)])
     one = replace(one, curvature=still)
     curve = SimulatedCurve(predict(TRUTH, ONE_LAYER, one), one)
-    kappa = np.diff(curve(append_sensors(one, np.empty(0)))[:, 1].reshape(-1, 3), n=2)[:, 0]
+    kappa = np.diff(curve(surround_sensors(one))[:, 1].reshape(-1, 3), n=2)[:, 0]
     if seed is not None:
         kappa = kappa + SD * np.random.default_rng(seed).normal(size=len(kappa))
     still[:, 1] = kappa

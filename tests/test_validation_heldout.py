@@ -19,7 +19,7 @@ from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.nodes import shift_depths
 from needlefit.inference.likelihood.observation import pose_sds
 from needlefit.inference.likelihood.observations import make_observation, read_points
-from needlefit.inference.likelihood.observations.curvature import append_sensors
+from needlefit.inference.likelihood.observations.curvature import surround_sensors
 from needlefit.inference.optimize import minimize
 from needlefit.inference.parameters import with_bevel_spread, without_prior
 from needlefit.inference.planned_layers import with_planned_layers
@@ -108,7 +108,7 @@ def test_with_exact_parameters_and_depths_pose_and_point_errors_remain(job, know
 def test_readings_of_curvature_are_predicted_with_the_error_of_their_sensor(job, known):
     insertion, sd = exact(job.folds[0].validate[0]), np.array([1e-4, 2e-4])
     insertion = replace(insertion, curvature=np.column_stack([[5.0, 20.0], np.zeros((2, 2)), sd]))
-    values, about = job.parameters.values(known.thetas[0]), append_sensors(insertion, np.empty(0))
+    values, about = job.parameters.values(known.thetas[0]), surround_sensors(insertion)
     args = job.medium, insertion, about, np.zeros(5), 0.0
     kappa = np.diff(predict_alone(values, *args)[:, 1].reshape(2, 3), n=2)[:, 0]
     insertion.curvature[:, 1] = kappa + sd * (1.9, -2.0)

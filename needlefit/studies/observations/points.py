@@ -38,7 +38,7 @@ from needlefit.inference.likelihood.observations import (
     make_observation,
     measures_tip,
 )
-from needlefit.inference.likelihood.observations.curvature import append_sensors
+from needlefit.inference.likelihood.observations.curvature import surround_sensors
 from needlefit.inference.point_prediction import PointPrediction, choose_point
 from needlefit.inference.predict import Draws, PredictiveMixture, crps, find_geometric_median, rms_noise_scale
 from needlefit.inference.problem import Problem
@@ -318,9 +318,8 @@ class _PredictedReadings:
 
 def _list_stations(insertion: Insertion, whole: Observation, tip: Observation | None) -> list[Floats]:
     """Return where needles are read: for the whole, about each sensor, and at a tip measured by itself."""
-    nothing = np.empty(0)
-    ends = nothing if tip is None or tip is whole else tip.nodes.s[0]
-    return [whole.nodes.s[0], append_sensors(insertion, nothing), ends]
+    ends = np.empty(0) if tip is None or tip is whole else tip.nodes.s[0]
+    return [whole.nodes.s[0], surround_sensors(insertion), ends]
 
 
 def _choose_representatives(job: Job, insertions: Iterable[Insertion]) -> frozenset[str]:

@@ -112,7 +112,9 @@ def predict_tracks(
     What was fitted along y alone is compared along y; where all runs were tracked along z, too, their
     readings there are predicted as in space.
     """
-    job, fold = specimens.job, _take_tracks(specimens.fold, tracks)
+    job = specimens.job
+    tuned = tuple(insertion for insertion in specimens.fold.tune if insertion.observation == NAME)
+    fold = replace(specimens.fold, tune=tuned, validate=tuple(tracks))
     predictions = _predict_runs(specimens, job, fold)
     further = [] if (whole := _restore_directions(job, fold)) is None else _predict_runs(specimens, *whole)
     for n, prediction in enumerate(predictions):
@@ -120,15 +122,6 @@ def predict_tracks(
         rows = {**prediction.rows, "readings": [*prediction.rows["readings"], *along_z]}
         yield replace(prediction, rows=rows)
         step(n + 1, len(predictions))
-
-
-def _take_tracks(fold: Fold, tracks: Sequence[Insertion]) -> Fold:
-    """Return the fold of its tracks alone."""
-    return replace(
-        fold,
-        tune=tuple(insertion for insertion in fold.tune if insertion.observation == NAME),
-        validate=tuple(tracks),
-    )
 
 
 def _restore_directions(job: Job, fold: Fold) -> tuple[Job, Fold] | None:
@@ -269,11 +262,10 @@ def _score_run(scorer: Scorer, place: Row, run: Insertion, placed: int, predicte
 
     The noise floor is what a run with the right parameters misses them by: `sd` (B, n - placed), mm.
     """
-    directions = scorer.dataset.directions
-    depths, *across = run.points.T
-    measured = np.column_stack([depths, *(coordinate - coordinate[0] for coordinate in across[:directions])])
+    directions, first = scorer.dataset.directions, run.points[0] * [0.0, 1.0, 1.0]
+    measured = (run.points - first)[:, : 1 + directions]
     ours = measured.copy()
-    ours[placed:, 1:] = (predicted.reshape(directions, -1) - run.points[0, 1 : 1 + directions, None]).T
+    ours[placed:, 1:] = predicted.reshape(directions, -1).T - first[1 : 1 + directions]
     floor = {TRACK_RMS.name: float(np.sqrt(np.mean(sd**2) * directions))}
     curves = compare_curves(ours[placed:], measured[placed:], scorer.dataset.compared, "readings")
     row = scorer.describe({**place, "boundaries": "measured"}, run, floor)

@@ -28,11 +28,10 @@ SECOND_DIFFERENCE = np.array([[1.0, -2.0, 1.0]]) / SENSOR_STEP_MM**2
 FLOOR_DRAWS = 200  #: of readings, of whose errors the noise floor is the mean
 
 
-def append_sensors(insertion: Insertion, s: Floats) -> Floats:
-    """Return beam coordinates `s` (K,), mm, and behind them three about each sensor of curvature."""
-    if insertion.curvature is None:
-        return s
-    return np.concatenate([s, surround(insertion.depth - insertion.curvature[:, 0])])
+def surround_sensors(insertion: Insertion) -> Floats:
+    """Return the beam coordinates (3 n,), mm, about the n sensors of an insertion; none without any."""
+    places = np.empty(0) if insertion.curvature is None else insertion.depth - insertion.curvature[:, 0]
+    return surround(places)
 
 
 def surround(places: Floats) -> Floats:
@@ -61,7 +60,7 @@ def compare_sensors(pose: Pose, insertion: Insertion, compared: Compared) -> tup
     """Return what a curve is compared with: the readings of the sensors, and the tip to which they lead."""
     require_curvature(insertion)
     assert insertion.curvature is not None
-    s, known_pose = append_sensors(insertion, np.empty(0)), find_pose(pose, insertion)
+    s, known_pose = surround_sensors(insertion), find_pose(pose, insertion)
     second = np.kron(np.eye(len(insertion.curvature)), SECOND_DIFFERENCE)
     return tuple(
         ComparedPoints(
@@ -153,7 +152,7 @@ class _Curvature(ObservationType):
         require_curvature(insertion)
         assert insertion.curvature is not None
         (_, *kappa, sd), count, step = insertion.curvature.T, errors.dataset.directions, SENSOR_STEP_MM
-        sensors, s = len(sd), append_sensors(insertion, np.empty(0))
+        sensors, s = len(sd), surround_sensors(insertion)
         shape = np.kron(np.ones(sensors), 0.5 * step**2 * np.array([1.0, 0.0, 1.0]))
         measured = np.column_stack([s, *(shape * np.repeat(part, 3) for part in kappa[:count])])
         # an error of the roll turns all curvatures alike
@@ -173,7 +172,7 @@ class _Curvature(ObservationType):
         assert insertion.curvature is not None
         s, *_, sd = insertion.curvature.T
         (roll,) = insertion.roll_sd * needle.draw(1)
-        points = turn_about_x(needle.read(append_sensors(insertion, np.empty(0))), float(roll))
+        points = turn_about_x(needle.read(surround_sensors(insertion)), float(roll))
         kappa = np.diff(points[:, 1:].reshape(-1, 3, 2), n=2, axis=1)[:, 0] / SENSOR_STEP_MM**2
         read = np.column_stack([s, kappa + sd[:, None] * needle.draw(*kappa.shape), sd])
         if insertion.observation == self.name:  # its points are what the sensors lead to

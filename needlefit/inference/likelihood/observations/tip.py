@@ -18,8 +18,6 @@ from needlefit.inference.likelihood.observation import (
     complete_observation,
     list_pose_modes,
     points_covariance,
-    pose_modes,
-    pose_sds,
     split_pose_modes,
     whiten,
 )
@@ -83,12 +81,13 @@ class _Tip(ObservationType):
     def measure(self, dataset: Dataset, insertion: Insertion, needle: TrueNeedle) -> Insertion:
         """Return the insertion with the tip of a simulated needle at its depth."""
         data, alone = self.take_alone(dataset, insertion)
-        noise, s = data.noise.of(alone), np.array([insertion.depth])
-        ((_, *across),) = needle.read(s)
-        modes = pose_modes(np.array([[s[0], *across]]), 2 * np.array([across]) / s)  # (2, 6)
-        sd = math.sqrt(points_covariance(s, noise, None if alone.sd is None else alone.sd[-1:])[0, 0])
-        moved = modes @ (pose_sds(alone, noise, 2) * needle.draw(6))
-        y, z = across + moved + needle.scale * sd * needle.draw(2)
+        ((_, *across),) = needle.read(np.array([insertion.depth]))
+        if needle.rng is not None:
+            exact = alone.with_points(np.array([np.zeros(3), [insertion.depth, *across]]))
+            errors = StatedErrors(replace(data, compared="space"), data.noise.of(alone))
+            known = self.observe(replace(exact, directions=2), errors)
+            across += needle.draw_errors(known.covariance(needle.scale))
+        y, z = across
         if insertion.tip is None:
             return insertion.with_points(np.array([np.zeros(3), [insertion.depth, y, z]]))
         return replace(insertion, tip=np.array([y, z + 0.0 * insertion.tip[1], insertion.tip[2]]))

@@ -27,7 +27,7 @@ from needlefit.inference.identifiability.identify import (
     profile_parameters,
 )
 from needlefit.inference.identifiability.stated_depths import examine_depths
-from needlefit.inference.likelihood.observations.curvature import append_sensors
+from needlefit.inference.likelihood.observations.curvature import surround_sensors
 from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem, find_outside_validity
 from needlefit.inference.sampling.posterior import Posterior
@@ -198,7 +198,7 @@ def _list_sensors(job: Job, fold: Fold, fit: Fit | None) -> Iterator[Row]:
     if fit is None or fold.validate:
         return
     for insertion in fold.tune:
-        curve, s = predict_needle(fit.values, job.medium, insertion), append_sensors(insertion, np.empty(0))
+        curve, s = predict_needle(fit.values, job.medium, insertion), surround_sensors(insertion)
         if curve is not None and len(s):
             about, where = curve(s)[None], {"fold": fold.name, "insertion": insertion.id}
             rows = tabulate_sensors(insertion, select_compared(about, job.dataset.compared))
