@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from inference_cases import TRUTH, dataset, insertion, medium, problem
 from page_files import ALL_STATES, open_offline
@@ -156,7 +157,7 @@ def test_curvatures_alone_are_no_places_that_the_page_compares(study: Path) -> N
 
 @pytest.fixture(scope="module")
 def mixed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Shapes and tips with an SD of 0.05 mm, and two needles with sensors, of one truth; m2 has both."""
+    """Shapes and tips with an SD of 0.05 mm, and needles with sensors, of one truth; m0 and m2 have two."""
     folder, rng = tmp_path_factory.mktemp("mixed"), np.random.default_rng(4)
     (folder / "centerlines").mkdir()
     rows = ["id,depth_mm,bevel_side,tip_y_mm,tip_sd_mm,observation"]
@@ -174,7 +175,7 @@ def mixed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rows += [f"{one.id},{one.depth:g},1,,,curvature" for one in made]
     toml = DATASET.replace("[insertions]", "[noise]\npoint_sd_mm = 0.05\n\n[insertions]")
     toml = toml.replace("[media.gel]", '[centerlines]\npattern = "centerlines/{id}.csv"\n\n[media.gel]')
-    return write_study(folder, toml, rows, made)
+    return write_study(folder, toml, rows, [*made, replace(read_sensors(55.0, seed=9), id="m0")])
 
 
 def test_a_fit_to_curvatures_finds_the_truth_and_is_judged_by_their_errors(study: Path) -> None:
@@ -314,12 +315,12 @@ def test_a_mixture_is_fitted_and_scored_by_what_each_needle_holds(validated: nf.
         assert len(some) == 7 and inside.mean() >= 6 / 7
     errors = run.frames["errors"].query("method == 'prediction'").set_index("insertion")
     known = errors[["ipe_mean_mm", "te_mm", "curvature_rms_1_per_m"]].notna()
-    assert known.loc["m0"].tolist() == [True, True, False]
+    assert known.loc["m0"].tolist() == [True, True, True]
     assert known.loc["m1"].tolist() == [False, True, False]
     assert known.loc["at65"].tolist() == [False, False, True]
     assert errors["curvature_rms_1_per_m"].dropna().max() < 2e3 * SD
     tips, sensors = (errors[one] / errors[f"floor_{one}"] for one in ("te_mm", "curvature_rms_1_per_m"))
     over = errors["error_over_noise"]
-    assert over.to_numpy() == pytest.approx(tips.fillna(sensors).to_numpy())
+    assert over.to_numpy() == pytest.approx(pd.concat([tips, sensors], axis=1).mean(axis=1).to_numpy())
     assert run.first_page.verdict.numbers["error_over_noise"] == pytest.approx(over.mean())
     assert len(run.frames["predictive"]) == 7 and (run.frames["predictive"]["crps_over_noise"] < 2.0).all()

@@ -1,14 +1,16 @@
 """Errors in units of the noise, of insertions that were measured by different things.
 
-A verdict on needles of which some have shapes, some tips, tracks or curvatures is on what each of them holds:
-the error by the metric of its verdict, divided by its noise floor.
+A verdict on needles of which some have shapes, some tips, tracks or curvatures, or on needles with several of
+these, is on what each of them holds: the mean of its errors by the metrics of verdicts, each divided by its
+noise floor.
 """
 
 from collections.abc import Mapping
 
+import numpy as np
 import pandas as pd
 
-from needlefit.metrics import OVER_NOISE, verdict_metrics
+from needlefit.metrics import OVER_NOISE, TE, TRACK_RMS, verdict_metrics
 from needlefit.studies.prediction_scores import CRPS_OVER_NOISE, PREDICTED
 
 
@@ -20,19 +22,21 @@ def add_errors_over_noise(frames: Mapping[str, pd.DataFrame]) -> dict[str, pd.Da
         for metric in verdict_metrics()
         if metric.name in errors and f"floor_{metric.name}" in errors
     ]
-    is_known = errors[metrics].notna()
-    metric = is_known.idxmax(axis=1).where(is_known.any(axis=1)) if len(errors) else pd.Series(dtype=object)
-    mixed = metric.groupby(errors["role"]).transform("nunique") > 1
+    held = errors[metrics].notna()
+    if {TRACK_RMS.name, TE.name} <= {*metrics}:
+        held[TE.name] &= ~held[TRACK_RMS.name]  # the tip of a track is one of its readings
+    kinds = (held @ 2 ** np.arange(len(metrics))).groupby(errors["role"]).transform("nunique")
+    mixed = (kinds > 1) | (held.sum(axis=1) > 1)
     if not mixed.any():
         return {**frames}
-    over = pd.Series(float("nan"), errors.index)
-    crps = pd.Series(float("nan"), predictive.index)
-    for name in metrics:
-        rows = errors[mixed & (metric == name)]
-        over[rows.index] = rows[name] / rows[f"floor_{name}"]
-        floors = rows[rows["role"] == "validate"].groupby("insertion")[f"floor_{name}"].first()
-        floor = predictive["insertion"].map(floors)
-        if (column := PREDICTED[name].crps) in predictive:
-            crps = crps.fillna(predictive[column] / floor)
+    floors = errors[[f"floor_{name}" for name in metrics]].set_axis(metrics, axis=1)
+    over = (errors[metrics] / floors).where(held).mean(axis=1).where(mixed)
+    tested = floors.where(held)[mixed & (errors["role"] == "validate")].groupby(errors["insertion"]).first()
+    parts = [
+        predictive[column] / predictive["insertion"].map(tested[name])
+        for name in metrics
+        if (column := PREDICTED[name].crps) in predictive
+    ]
+    crps = pd.concat(parts, axis=1).mean(axis=1) if parts else float("nan")
     errors = errors.assign(**{OVER_NOISE.name: over, f"floor_{OVER_NOISE.name}": over.notna().astype(float)})
     return {**frames, "errors": errors, "predictive": predictive.assign(**{CRPS_OVER_NOISE: crps})}

@@ -122,61 +122,48 @@ def parse_tracks(
     ids, media, needles = values.pop("id"), values.pop("medium"), make_needles(record)
     for id_ in dict.fromkeys(ids.tolist()):
         rows = np.flatnonzero(ids == id_)
-        columns_of_track = {name: column[rows] for name, column in values.items()}
-        bad = np.flatnonzero(columns_of_track["valid"] == 0)
+        run, medium = {name: column[rows] for name, column in values.items()}, str(media[rows[0]])
+        bad = np.flatnonzero(run["valid"] == 0)
         if len(bad):
             remarks.append(
                 f"Run {id_} is left out: {len(bad)} of its {len(rows)} readings are marked invalid, "
-                f"from {columns_of_track['depth_mm'][bad[0]]:.0f} mm on."
+                f"from {run['depth_mm'][bad[0]]:.0f} mm on."
             )
             continue
-        faults = list(
-            _find_run_faults(
-                id_, str(media[rows[0]]), columns_of_track, [table.where(int(n)) for n in rows], record
-            )
-        )
+        faults = list(_find_run_faults(id_, medium, run, [table.where(int(n)) for n in rows], record))
         all_faults += faults
         if faults:
             continue
-        medium, depth = (
-            record.media[media[rows[0]]],
-            columns_of_track["depth_mm"] - _find_zero(columns_of_track["depth_mm"], record),
-        )
-        tips = [
-            columns_of_track[name]
-            for name in ("tip_mm", "tip_z_mm")
-            if not np.isnan(columns_of_track[name]).any()
-        ]
-        guides, turned_to = (
-            [columns_of_track[name] for name in names[: len(tips)]]
+        described, depth = record.media[medium], run["depth_mm"] - _find_zero(run["depth_mm"], record)
+        tips = [run[name] for name in ("tip_mm", "tip_z_mm") if not np.isnan(run[name]).any()]
+        guides, headings = (
+            [run[name] for name in names[: len(tips)]]
             for names in (("guide_mm", "guide_z_mm"), ("heading_deg", "heading_z_deg"))
         )
         before = count_before(depth)
-        starts, roll = np.pad(depth, (before, 0)), columns_of_track["bevel_roll_deg"][1 - before :]
+        starts, roll = np.pad(depth, (before, 0)), run["bevel_roll_deg"][1 - before :]
         turned = np.flatnonzero(np.diff(roll, prepend=0.0))  # a roll is that on the way to a reading
         track = make_track(
             id_,
-            str(media[rows[0]]),
-            medium.specimen or str(media[rows[0]]),
-            needles[str(columns_of_track[NEEDLE_COLUMN][0])],
-            int(columns_of_track["bevel_side"][0]),
+            medium,
+            described.specimen or medium,
+            needles[str(run[NEEDLE_COLUMN][0])],
+            int(run["bevel_side"][0]),
             TipReadings(
-                depth=depth,
-                tip=np.column_stack(tips),
-                guide=np.column_stack([guide - guide[0] for guide in guides]),
-                headings=tuple(np.radians(heading) for heading in turned_to if not np.isnan(heading).any()),
+                depth,
+                np.column_stack(tips),
+                np.column_stack([guide - guide[0] for guide in guides]),
+                tuple(np.radians(heading) for heading in headings if not np.isnan(heading).any()),
             ),
-            (np.array(medium.boundaries_mm or ()), medium.sequence),
+            (np.array(described.boundaries_mm or ()), described.sequence),
             tuple((float(starts[n]), float(roll[n])) for n in turned),
         )
-        setup, hole = (str(columns_of_track[name][0]) for name in NAME_COLUMNS[1:])
-        sd = float(columns_of_track[POINT_SD_COLUMN][0])
-        if np.isnan(sd):
-            del columns_of_track[POINT_SD_COLUMN]  # digests are those of tables without the column
-        else:
-            track = replace(track, point_sd=sd)
-        digest = digest_track(str(media[rows[0]]), columns_of_track, record)
-        yield replace(track, setup=setup, hole=hole, digest=digest)
+        setup, hole = (str(run[name][0]) for name in NAME_COLUMNS[1:])
+        sd = None if np.isnan(run[POINT_SD_COLUMN][0]) else float(run[POINT_SD_COLUMN][0])
+        if sd is None:
+            del run[POINT_SD_COLUMN]  # digests are those of tables without the column
+        digest = digest_track(medium, run, record)
+        yield replace(track, setup=setup, hole=hole, point_sd=sd, digest=digest)
 
 
 def _find_zero(depths: Floats, record: DatasetRecord) -> float:
