@@ -10,18 +10,11 @@ from numpy.testing import assert_allclose
 from pytest import approx
 from space_cases import random_spatial_case
 
-from needlefit import Bevel, Controls, Guide, ModelOptions, Needle, Step, Tissue
+from needlefit import Batch, Bevel, Controls, Guide, ModelOptions, Needle, Step, Tissue, simulate_batches
 from needlefit.mechanics.simulate import compute_lateral_load, compute_loads, simulate, simulate_steps
 
-
-def phantom(boundaries=(20.0, 28.0, 45.0)):
-    return Tissue(mu=[0.2, 33, 0.2, 33], alpha=[1, -1, 1, -1], boundaries=np.array(boundaries))
-
-
-def tip(depth, boundaries=(20.0, 28.0, 45.0), element=1.0):
-    return simulate(
-        NEEDLE, phantom(boundaries), Bevel(0.085), depth, rules=ModelOptions(element=element)
-    ).tip_lateral
+DEPTH, BEVEL = 55.0, Bevel(0.085)
+PHANTOM = Tissue(mu=[0.2, 33, 0.2, 33], alpha=[1, -1, 1, -1], boundaries=[20, 28, 45])
 
 
 @pytest.mark.parametrize("draw", [random_case, random_spatial_case])
@@ -50,9 +43,30 @@ def test_tip_is_continuous_in_depth(depth):
 
     What is left of a jump is the discretisation error of the mesh that changes there.
     """
+
+    def tip(at):
+        return simulate(NEEDLE, PHANTOM, BEVEL, at).tip_lateral
+
     near = [abs(tip(depth + d) - tip(depth - d)) for d in (1e-3, 1e-5)]
     assert near[0] < 8.0 * 2e-3
     assert near[1] < 2e-4
+
+
+# ---- numbers of the kernel that no comparison of shapes determines
+
+
+def test_too_few_iterations_are_reported():
+    rules = ModelOptions(tolerance=1e-14, max_iterations=1)
+    assert simulate(NEEDLE, PHANTOM, BEVEL, 10.0, rules=rules).status == "not converged"
+
+
+@pytest.mark.parametrize(("tolerance", "most"), [(1e-7, 1.3), (1e-9, 1.65)])
+def test_a_step_takes_little_more_than_one_pass(tolerance, most):
+    """A guess that is worse, or tangents that are kept wrongly, cost passes and leave the shape as it is."""
+    rules, steps = ModelOptions(tolerance=tolerance), (Step(DEPTH, BEVEL),)
+    (shapes,) = simulate_batches([Batch(NEEDLE, PHANTOM, steps, rules, offset=np.linspace(0.06, 0.11, 16))])
+    for one in (simulate_steps(NEEDLE, PHANTOM, steps, rules), shapes):
+        assert np.all(one.converged) and 1.0 <= np.mean(one.iterations) / DEPTH <= most
 
 
 # ---- friction: a shaft that slides askew is held back less, by the factor 1 - gamma sin^2 of its angle

@@ -56,12 +56,14 @@ def test_all_inputs_turned_about_x_give_the_needle_turned(roll, draw, kind):
 
 
 @pytest.mark.parametrize("kind", RULES)
-@pytest.mark.parametrize("seed", list_seeds(8))
-def test_kernel_equals_reference(seed, kind):
+@pytest.mark.parametrize("draw", [random_spatial_case, random_case])
+@pytest.mark.parametrize("seed", list_seeds(20, 7))
+def test_kernel_equals_reference(seed, draw, kind):
+    """One step, or many: inputs and bevel change on the way in, and out, and in again, on any grid."""
     rng = default_rng(seed)
-    case = random_spatial_case(rng, kind, 5, 11.0) if seed % 2 else random_spatial_case(rng, kind, 0, 22.0)
+    case = draw(rng, kind, 5, 11.0) if seed % 2 else draw(rng, kind, 0, 22.0)
     found, expected = simulate_steps(*case), reference_solver.simulate_steps(*case)
-    assert found.leaves_plane
+    assert found.leaves_plane == (draw is random_spatial_case)
     assert_close(found, expected)
     s = np.union1d(found.x, rng.uniform(found.x[0], found.depth, 20))
     points = compute_positions(found, s)
