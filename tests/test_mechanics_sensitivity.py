@@ -16,6 +16,7 @@ from mechanics_cases import (
 )
 from numpy.random import default_rng
 from refusals import refusal
+from space_cases import random_spatial_case
 
 from needlefit import Bevel, Controls, Guide, ModelOptions, Step, Tissue, compute_positions, simulate_steps
 from needlefit.errors import ModelError
@@ -28,25 +29,23 @@ from needlefit.mechanics.batch import (
     linearize_steps,
     simulate_batches,
 )
+from needlefit.mechanics.packing import INPUTS_ALONG_Z
 from needlefit.mechanics.plan import make_lattice
 
 PHANTOM = Tissue(mu=[0.2, 33, 0.2, 33], alpha=[1, -1, 1, -1], boundaries=[20, 28, 45])
 SHARP = 1e-9  # mm; Newton's tolerance where a derivative is held to 1e-7 of itself
 
 
-def check(needle, tissue, steps, rules, lattice=None):
-    shape, found = linearize_steps(needle, tissue, steps, rules, lattice, wrt=DERIVATIVE_KINDS)
-    assert shape.converged
-    # where the cut is linear, complex places of its corners are known less well
-    assert_derivatives(found, needle, tissue, steps, rules, lattice, 1e-6 if rules.path_angle else 1e-7)
-
-
 @pytest.mark.parametrize("kind", RULES)
-@pytest.mark.parametrize("seed", list_seeds(12))
-def test_jacobian_equals_complex_steps(seed, kind):
-    """Guides before and in the tissue, a tracked tip, retraction, re-insertion, changes of base and bevel."""
+@pytest.mark.parametrize("draw", [random_case, random_spatial_case])
+@pytest.mark.parametrize("seed", list_seeds(9, 3))
+def test_jacobian_equals_complex_steps(seed, draw, kind):
+    """Guides before and in the tissue, a tracked tip, retraction, re-insertion, changes of base and bevel.
+
+    Also by what moves a planar needle out of its plane.
+    """
     rng = default_rng(seed)
-    needle, tissue, steps, rules, lattice = random_case(rng, kind, 3, 9.0)
+    needle, tissue, steps, rules, lattice = draw(rng, kind, 3, 9.0)
     # in soft tissue rounding alone moves the derivative by more than 1e-7 of itself on a fine mesh
     rules = replace(rules, tolerance=SHARP, element=max(rules.element, 0.5))
     tissue = replace(tissue, mu=np.maximum(tissue.mu, 0.03 if kind != "path_angle" else 0.1))
@@ -55,7 +54,11 @@ def test_jacobian_equals_complex_steps(seed, kind):
     changes = (1 - rules.switch) * changes[:-1] + rules.switch * changes[1:]
     if tissue.layers > 1 and np.min(np.abs(tissue.boundaries[:, None] - changes)) < 1e-3:
         pytest.skip("a boundary near a change of constraint has two derivatives")
-    check(needle, tissue, steps, rules, lattice)
+    kinds = (*DERIVATIVE_KINDS, *INPUTS_ALONG_Z)
+    shape, found = linearize_steps(needle, tissue, steps, rules, lattice, wrt=kinds)
+    assert shape.converged and {"roll", "base_z"} <= set(found.names)
+    # where the cut is linear, complex places of its corners are known less well
+    assert_derivatives(found, needle, tissue, steps, rules, lattice, 1e-6 if rules.path_angle else 1e-7)
 
 
 # ---- many sets at once

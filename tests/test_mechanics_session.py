@@ -18,6 +18,7 @@ from mechanics_cases import (
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from pytest import approx
+from space_cases import random_spatial_case
 
 from needlefit import Bevel, Guide, Session, Tissue, TrackedTip, simulate_steps
 
@@ -31,10 +32,11 @@ def session(first_cell=1.0, **given):
 
 
 @pytest.mark.parametrize("kind", ["decided", "path_angle"])
-@pytest.mark.parametrize("seed", list_seeds(30, 10))
-def test_a_session_gives_the_bits_of_the_whole_insertion(seed, kind):
+@pytest.mark.parametrize("draw", [random_case, random_spatial_case])
+@pytest.mark.parametrize("seed", list_seeds(20, 6))
+def test_a_session_gives_the_bits_of_the_whole_insertion(seed, draw, kind):
     """After every step: bevels, base, guides, tracked tip and depth change as they like."""
-    needle, tissue, steps, rules, lattice = random_case(default_rng(seed), kind, deepest=22.0)
+    needle, tissue, steps, rules, lattice = draw(default_rng(seed), kind, deepest=22.0)
     under_way = Session(needle, tissue, steps[0].bevel, lattice.first_cell, steps[0].controls, rules)
     for n, step in enumerate(steps, start=1):
         expected = simulate_steps(needle, tissue, steps[:n], rules, lattice)

@@ -6,16 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import reference_solver
-from mechanics_cases import (
-    NEEDLE,
-    RULES,
-    assert_close,
-    assert_derivatives,
-    assert_same_bits,
-    list_seeds,
-    pick,
-    random_case,
-)
+from mechanics_cases import NEEDLE, RULES, assert_close, assert_same_bits, list_seeds, pick, random_case
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pytest import approx
@@ -25,7 +16,6 @@ from space_cases import assert_turned, random_spatial_case, turn, turn_step
 from needlefit import Bevel, Controls, ModelOptions, Session, Step, Tissue
 from needlefit.errors import ModelError
 from needlefit.mechanics.batch import (
-    DERIVATIVE_KINDS,
     Batch,
     compute_batch_positions,
     differentiate_batch_positions,
@@ -33,8 +23,7 @@ from needlefit.mechanics.batch import (
     linearize_steps,
     simulate_batches,
 )
-from needlefit.mechanics.packing import INPUTS_ALONG_Z
-from needlefit.mechanics.plan import Lattice, make_lattice
+from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.shape import LIMITS, compute_positions
 from needlefit.mechanics.simulate import compute_loads, simulate_steps
 from needlefit.mechanics.torsion import compute_roll_lag, find_roll, turn_tip
@@ -75,20 +64,6 @@ def test_kernel_equals_reference(seed, draw, kind):
 # ---- derivatives, sets side by side, sessions
 
 
-@pytest.mark.parametrize("kind", RULES)
-@pytest.mark.parametrize("seed", list_seeds(4, 1))
-def test_derivatives_are_those_of_complex_steps(seed, kind):
-    """Of needles in space, and by what moves a planar one out of its plane."""
-    draw = random_spatial_case if seed % 2 else random_case
-    needle, tissue, steps, rules, lattice = draw(default_rng(seed), kind, 3, 9.0)
-    rules = replace(rules, tolerance=FINE)
-    unused = "offset" if kind == "path_angle" else "cut_angle"
-    wrt = [one for one in (*DERIVATIVE_KINDS, *INPUTS_ALONG_Z) if one != unused]
-    shape, found = linearize_steps(needle, tissue, steps, rules, lattice, wrt=wrt)
-    assert shape.converged and {"roll", "base_z"} <= set(found.names)
-    assert_derivatives(found, needle, tissue, steps, rules, lattice)
-
-
 def random_spatial_batch(rng, kind):
     """Return sets of a needle in space: with guides in the tissue or friction now and then, as lanes have."""
     needle, tissue, steps, rules, _ = random_spatial_case(rng, kind, int(rng.integers(0, 3)), 11.0)
@@ -115,20 +90,6 @@ def test_a_set_is_the_same_alone_and_in_lanes(seed, kind):
         shape, jacobian = linearize_steps(*pick(batch, i), wrt=wrt)
         assert_same_bits(fine[i], shape)
         assert_same_bits(jacobians[i], jacobian)
-
-
-@pytest.mark.parametrize("kind", RULES)
-@pytest.mark.parametrize("seed", range(4))
-def test_a_session_finds_the_bits_of_simulate_steps(seed, kind):
-    needle, tissue, steps, rules, lattice = random_spatial_case(default_rng(seed), kind)
-    lattice = lattice or make_lattice(steps, rules)
-    session = Session(needle, tissue, steps[0].bevel, lattice.first_cell, steps[0].controls, rules)
-    for step in steps:
-        shape = session.go(step)
-    expected = simulate_steps(needle, tissue, steps, rules, lattice)
-    assert_same_bits(shape, expected, but=("iterations",))
-    again = session.copy()
-    assert_same_bits(again.step(1.0), session.step(1.0))
 
 
 def test_a_twisted_session_follows_the_hub_as_the_steps_do():
