@@ -102,7 +102,7 @@ FAULTY = [  # what a file holds, and what is said of it
     ([markup(points=[point(1, [1, 2, 3], positionStatus="there")])], "key `controlPoints.1.positionStatus`"),
     *(
         ([markup(points=[(0, 0, 0), point(2, position)])], "list 1, key `controlPoints.2.position`")
-        for position in ([1, float("nan"), 3], [1, 2], [1, 2, 3, 4], ["1", 2, 3], [1, 2, True], [1, 2, 10**400])
+        for position in ([1, float("nan"), 3], [1, 2], [1, 2, 3, 4], "123", [1, 2, True], [1, 2, 10**400])
     ),
 ]  # fmt: skip
 
