@@ -5,7 +5,6 @@ It reads no needle: a person sees what is proposed, and `read` goes by that.
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
 from itertools import permutations
 from pathlib import Path
 from typing import Any
@@ -217,7 +216,6 @@ def _draft_grid(grid: Grid, keys: dict[str, Any], draft: Draft, stated: Assignme
         draft.unused.append((f"sheet {grid.sheet}" if grid.sheet else f"file {grid.path.name}", "empty"))
         return
     keys = propose_layout(grid, keys, stated.table)
-    unit = keys.pop("unit")
     table = lay_out(grid, check({"holds": "facts"} | keys, TableRecord, grid.path))
     draft.unused += [(f"line `{line}`"[:200], grid.path.name) for line in table.unread]
-    TableDraft(replace(table, unit=unit), keys, draft, stated).propose()
+    TableDraft(table, keys, draft, stated).propose()

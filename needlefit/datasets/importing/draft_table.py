@@ -22,7 +22,7 @@ from needlefit.datasets.importing.synonyms import (
     read_header,
     translate_side,
 )
-from needlefit.datasets.importing.tables import BLOCK, UNIT_FIELDS, Table
+from needlefit.datasets.importing.tables import BLOCK, Table
 from needlefit.datasets.observations.tip_track import MIN_READINGS
 from needlefit.datasets.point_labels import divide_labels
 from needlefit.datasets.points import MIN_POINTS
@@ -50,12 +50,12 @@ class Column(NamedTuple):
     @property
     def is_unit(self) -> bool:
         """Whether it states the unit of each row."""
-        return self.header.text.casefold() in UNIT_FIELDS
+        return self.header.meaning == "unit"
 
     @property
     def is_known(self) -> bool:
         """Whether its header means something, though perhaps nothing that is imported."""
-        return self.is_unit or bool(self.header.meaning or self.header.axis)
+        return bool(self.header.meaning or self.header.axis)
 
 
 Axes = dict[str, Column]

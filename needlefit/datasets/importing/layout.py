@@ -20,7 +20,6 @@ from needlefit.datasets.importing.tables import (
 )
 from needlefit.errors import DataError
 from needlefit.project.input_files import read_bytes
-from needlefit.project.units import UNITS_MM
 
 MAX_HEADER_ROWS = 6  # largest number of rows of headers
 SAMPLE_ROWS = 300  # number of rows by which separator and decimal sign are found
@@ -104,7 +103,7 @@ def _is_number(cell: str, decimal: str) -> bool:
 
 
 def propose_layout(grid: Grid, keys: dict[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return keys of a table with those of its rows; beside them `unit`, that of lengths in remarks."""
+    """Return keys of a table with those of its rows."""
     keys = {**keys, **given}
     if "decimal" not in keys:  # texts in a sheet
         keys["decimal"] = max(".,", key=lambda sign: _score_numbers(grid.rows, sign))
@@ -117,7 +116,7 @@ def propose_layout(grid: Grid, keys: dict[str, Any], given: Mapping[str, Any]) -
     if "header_rows" not in keys:
         keys["header_rows"] = _find_header_rows(grid.rows, decimal, comment)
     keys.setdefault("blocks", _has_blocks(grid.rows, keys["header_rows"], comment))
-    return keys | {"unit": _find_stated_unit(grid.rows, comment)}
+    return keys
 
 
 def _is_transposed(rows: Rows, decimal: str) -> bool:
@@ -200,14 +199,3 @@ def _has_blocks(rows: Rows, numbers: Sequence[int], comment: str) -> bool:
         or any(read_header(name).meaning in MEANINGS for name, _ in pairs)
         or any(find_meaning("column", value.split(" ")[0]) == "needle" for _, value in pairs)
     )
-
-
-def _find_stated_unit(rows: Rows, comment: str) -> str:
-    """Return the unit of lengths that a line of remarks states, as `% Length unit: m`."""
-    remarks = [
-        read_pair([" ".join(row).lstrip(comment)])
-        for row in rows
-        if comment and row and row[0].startswith(comment)
-    ]
-    units = [find_meaning("unit", pair[1]) for pair in remarks if pair and pair[0].lower().endswith("unit")]
-    return next((unit for unit in units if unit in UNITS_MM), "")

@@ -206,7 +206,7 @@ def is_comment(row: Sequence[str], comment: str) -> bool:
 
 
 BLOCK = "block"  #: header of the numbers of blocks, where there are several
-REMARKED = ("needle", *ATTRIBUTES)  #: what a remark may state
+REMARKED = ("needle", "unit", *ATTRIBUTES)  #: what a remark may state
 OWN_PAIRS = ("needle", "depth", "bevel_side", "medium", "specimen")  #: they end with their block
 
 
@@ -281,7 +281,9 @@ def read_remark(row: Sequence[str], comment: str, head: Sequence[str]) -> dict[s
         meaning = read_header(name).meaning
         if meaning not in REMARKED or meaning in in_head:
             continue
-        if meaning == "bevel_side":
+        if meaning == "unit":
+            stated |= {name: value} if find_meaning("unit", value) in UNITS_MM else {}
+        elif meaning == "bevel_side":
             stated |= {name: value} if is_side(value, "") else {}
         elif not MEANINGS[meaning].unit or find_meaning("value", value) or meaning == "diameter":
             stated[name] = value
