@@ -200,7 +200,12 @@ TABLES = read_toml(CASES / "tables.toml")["case"]
 def test_tables_are_read_as_they_are_meant(tmp_path, case):
     cells = case.get("cells", [[]] * 3)
     if "plane" in case:
-        paths = [write_plane(tmp_path / "a.csv", case["plane"], lambda k: cells[k - 1])]
+        start = case.get("offset", 0)
+        file = write_plane(
+            tmp_path / "a.csv", case["plane"], lambda k: cells[k - 1], lambda s, y: (s + start, y)
+        )
+        file.write_text("\n".join([*case.get("above", ()), file.read_text()]), encoding="utf-8")
+        paths = [file]
     elif "long" in case:
         paths = [write_long(tmp_path, NEEDLES, "a.csv", case["long"], cells)]
     elif "text" in case:
@@ -292,40 +297,6 @@ def test_needles_of_the_same_names_are_of_several_sheets_or_specimens(tmp_path):
     prepared = prepare([write_rows(tmp_path / "b.csv", both)])
     assert [one.name for one in prepared.content.curves] == [f"n{n}-{b}" for b in "AB" for n in range(3)]
     assert "needle" in prepared.mapping.assumed
-
-
-@pytest.mark.parametrize(
-    ("remark", "boundaries", "line"),
-    [
-        ("# Schichtgrenze: 25 mm unter der Oberfläche", (25.0,), None),
-        ("# layer thickness: 15, 35 mm", (15.0, 50.0), None),
-        ("# Scale: 0.085 mm/px", (), "Scale: 0.085 mm/px"),
-        ("# x: along the needle", (), "x: along the needle"),
-        ("# boundary: of the layers", (), "boundary: of the layers"),
-        ("# Nadel 20G, Länge 190 mm", (), None),
-        ("# Nadel 20G, Länge 190 mm, x nach rechts", (), "Nadel 20G, Länge 190 mm, x nach rechts"),
-    ],
-)
-def test_remarks_state_values_or_are_named(tmp_path, remark, boundaries, line):
-    (file := tmp_path / "n.csv").write_text(
-        "\n".join(
-            [remark, "# bevel: down", "needle;x (mm);y (mm)", *(f"n1;{k};{k * k / 900}" for k in range(40))]
-        )
-    )
-    plan, _ = planned([file], pose="1,0,0", bevel="0,-1,0")
-    assert (plan.boundaries_mm["medium1"], plan.rows[0].side) == (boundaries, -1)
-    unused = [what for what, _ in prepare([file], pose="1,0,0", bevel="0,-1,0").unused]
-    assert unused == ([f"line `{line}`"] if line else [])
-    if "20G" in remark:
-        assert (plan.needle.length_mm, plan.needle.outer_diameter_mm) == (190.0, GAUGES_MM[20])
-
-
-def test_the_scale_of_pixels_is_one_key_of_all_axes_which_a_remark_may_state(tmp_path):
-    rows = ["# Scale: 0.085 mm/px", "needle,x [px],y [px]", *(f"n1,{20 * k},{k * k}.5" for k in range(20))]
-    (file := tmp_path / "n.csv").write_text("\n".join(rows))
-    (stated,) = re.findall(r"'(unit)=(.*?)'", refusal(DataError, "", planned, [file]).fix)
-    points = prepare([file], **dict([stated])).content.curves[0].line
-    assert points[-1, :2] == pytest.approx((380 * 0.085, 361.5 * 0.085))
 
 
 @pytest.mark.parametrize("pose", ["1,0,0", "free"])
@@ -491,21 +462,6 @@ def test_a_number_of_a_sheet_needs_no_decimal_comma(tmp_path):
     curves, _ = curves_of([book])
     np.testing.assert_allclose(curves["n"].line[:, 0], np.arange(0.0, 60.0, 7.5))
     np.testing.assert_allclose(curves["n"].line[-1, 1], 0.001 * 52.5**2, atol=1e-4)
-
-
-def test_a_line_of_text_above_the_headers_is_no_header(tmp_path):
-    file = write_plane(tmp_path / "a.csv", ["Nadel", "Tiefe [cm]", "Auslenkung [cm]"])
-    file.write_text("Messung vom 12.3.; Gel\n" + file.read_text().replace(",", ";"))
-    (table,) = draft_of(file).tables
-    assert {key: column["column"] for key, column in table["columns"].items()} == {
-        "needle": "Nadel", "depth": "Tiefe [cm]", "deflection": "Auslenkung [cm]"
-    }  # fmt: skip
-
-
-def test_depths_without_deflections_ask_for_them(tmp_path):
-    file = write_plane(tmp_path / "a.csv", ["run", "depth", "pixel row"])
-    file.write_text(file.read_text().replace("pixel row", "tip name"))
-    assert "--set deflection.column" in refusal(DataError, "deflection", prepare, [file]).fix
 
 
 def test_what_decides_a_fit_is_the_first_assumption(tmp_path):

@@ -643,29 +643,6 @@ def test_tracks_with_bevels_at_clock_positions_are_rolled(tmp_path):
     assert "advance" not in (out / "tissue.toml").read_text()  # no bevel turned on the way
 
 
-@pytest.mark.parametrize(
-    ("header", "stated", "first"),
-    [
-        ("depth", {}, 10.0),
-        ("depth", {"depth_zero": "first_reading"}, 0.0),
-        ("travel", {"depth__column": "travel"}, 0.0),
-        ("travel", {"depth__column": "travel", "depth_zero": "tissue"}, 10.0),
-    ],
-)
-def test_a_column_called_depth_counts_from_the_tissue_and_a_travel_from_the_first_reading(
-    tmp_path, header, stated, first
-):
-    rows = [[k, x, 1e-3 * x**2] for k in range(2) for x in range(10, 90, 10)]
-    file = write_rows(tmp_path / "a.csv", [["run", f"{header} (mm)", "deflection (mm)"], *rows])
-    stated = {key: value + " (mm)" if key == "depth__column" else value for key, value in stated.items()}
-    prepared = prepare([file], **stated)
-    assert ("depth_zero" in prepared.mapping.assumed) == ("depth_zero" not in stated)
-    dataset = write_import(tmp_path / "t", prepared)
-    for run in dataset.insertions:
-        np.testing.assert_allclose(run.points[:, 0], first + np.arange(0.0, 80.0, 10.0))
-        assert run.depth == first + 70.0
-
-
 def test_an_import_replaces_an_earlier_one_and_nothing_else(tmp_path):
     file, out = write_long(tmp_path, NEEDLES), tmp_path / "gel"
     for medium in ("agar", "gelatine"):

@@ -227,13 +227,15 @@ def _list_body(grid: Grid, record: TableRecord, unread: list[str]) -> Iterator[t
         if n in repeated or n + 1 in (*record.header_rows, *record.skip_rows) or not any(row):
             continue
         is_remark = is_comment(row, record.comment)
+        sign = " " if record.separator in ("", " ", "\t") else f"{record.separator} "
+        line = sign.join(filter(None, row)).lstrip(f"{record.comment} ")
         if is_remark:
-            found = read_remark(row, record.comment, heads)
+            found = read_remark(line, heads)
         else:
-            pair = read_pair(row) if record.blocks else None
+            is_full = n >= last and sum(map(bool, row)) == len(heads) > len(("name", "value"))
+            pair = read_pair(row) if record.blocks and not is_full else None
             found = dict([pair]) if pair else {}
         if is_remark or (n + 1 < first and not record.blocks):
-            line = " ".join(filter(None, row)).lstrip(f"{record.comment} ")
             is_read = found and (re.search("[:=]", line) or len(found) > len(re.findall("[,;] ", line)))
             unread += [] if is_read else [line]
         if found:
@@ -267,13 +269,12 @@ _NUMBERS = re.compile(r"(-?\d(?:[\d.,; ]*\d)?) *([^\W\d]*)")  # `15, 35 mm`
 _PHRASE = re.compile(r"(\D*?) *(\d+(?:[.,]\d+)?) *([^\W\d]+)")  # `needle length 150 mm`
 
 
-def read_remark(row: Sequence[str], comment: str, head: Sequence[str]) -> dict[str, str]:
+def read_remark(text: str, head: Sequence[str]) -> dict[str, str]:
     """Return the values that a line of remarks states of the needles of a table, by their names.
 
     `# depth: 40 mm`, `# medium: gel`, `# needle 18G, length 150 mm`. Nothing of any other line, and of what a
     column of the `head` states.
     """
-    text = " ".join(filter(None, row)).lstrip(f"{comment} ")
     name, value = read_pair([text]) or ("", "")
     pairs = [(name, value)] if value and name != "title" else [*_read_phrases(text)]
     in_head, stated = {read_header(cell).meaning for cell in head}, dict[str, str]()
