@@ -22,13 +22,13 @@ def write_csv(frame: pd.DataFrame, path: Path) -> None:
     """Write a table as CSV, tidy, to eight significant digits."""
     tidy = to_tidy(frame)
     # pandas formats number by number, five times as slow
-    texts = {str(name): _format_floats(column) for name, column in tidy.items() if column.dtype == np.float64}
+    texts = {
+        str(name): ["" if math.isnan(value) else f"{value:.8g}" for value in column.tolist()]
+        for name, column in tidy.items()
+        if column.dtype == np.float64
+    }
     tidy = tidy.assign(**texts)
     tidy.to_csv(path, index=False, float_format="%.8g", lineterminator="\n", encoding="utf-8")
-
-
-def _format_floats(column: pd.Series) -> list[str]:
-    return ["" if math.isnan(value) else f"{value:.8g}" for value in column.tolist()]
 
 
 def write_json(path: Path, value: Mapping[str, Any]) -> None:

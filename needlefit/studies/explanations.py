@@ -7,7 +7,7 @@ from functools import cache
 from needlefit.datasets.input_tables import read_input_columns
 from needlefit.grouping import group_values
 from needlefit.project.help_pages import Topic, read_sections, read_terms
-from needlefit.project.toml_reference import KeyDescription, TableDescription, describe_files, list_files
+from needlefit.project.toml_reference import KeyDescription, describe_files, list_files
 from needlefit.reporting.columns import find_column, list_columns
 from needlefit.studies.kind import list_records
 
@@ -60,18 +60,16 @@ def _describe_input_columns() -> Iterator[Topic]:
 
 def _describe_files() -> Iterator[Topic]:
     for file, tables in describe_files(list_files(list_records())):
-        paragraphs = [line for table in tables for line in _list_keys(table)]
+        paragraphs = []
+        for table in tables:
+            paragraphs.append(f"{table.title}. {table.summary}")
+            paragraphs += [f"- {key.key} ({key.value}): {key.meaning}" for key in table.keys]
         yield Topic(file.name, f"Keys of the file: {file.title}", tuple(paragraphs), file.title)
     for name, columns in group_values(
         (input_column.table, input_column) for input_column in read_input_columns()
     ).items():
         lines = (f"- {column.column}: {column.meaning}" for column in columns)
         yield Topic(name, f"Columns of {name}", tuple(lines))
-
-
-def _list_keys(table: TableDescription) -> Iterator[str]:
-    yield f"{table.title}. {table.summary}"
-    yield from (f"- {key.key} ({key.value}): {key.meaning}" for key in table.keys)
 
 
 def _describe_keys() -> Iterator[Topic]:

@@ -308,11 +308,9 @@ def compare_with_curves(errors: pd.DataFrame, method: str, error: str = TE) -> p
         index=["fold", "specimen", "hole", "insertion"], columns="method", values=scores
     )
     curves = [name for name in BASELINES.names() if (error, name) in table]
-    gaps = {score: -table[score][curves].fillna(table[error][curves]) for score in scores}
-    gaps_of_scores = pd.concat(
-        {score: gaps[score].add(table[score][method], axis=0) for score in scores}, axis=1
-    )
-    trials = gaps_of_scores.groupby(join_trials(table.index.to_frame(index=False))).mean()
+    others = {score: -table[score][curves].fillna(table[error][curves]) for score in scores}
+    gaps = {score: others[score].add(table[score][method], axis=0) for score in scores}
+    trials = pd.concat(gaps, axis=1).groupby(join_trials(table.index.to_frame(index=False))).mean()
     count, mean = trials.count(), trials.mean()
     with np.errstate(divide="ignore", invalid="ignore"):  # equal differences have no scatter
         t = np.where(trials.std() > 0, mean * np.sqrt(count) / trials.std(), np.copysign(np.inf, mean))
@@ -345,7 +343,10 @@ def list_checks(run: Run) -> tuple[Finding, ...]:
     if len(frames.predictive) and frames.role == "validate":
         held_out, score = (group.insertions, group.score) if group else (0, TE)
         findings += check_intervals(frames.predictive, run.metadata.recipe, held_out, score)
-    return (*findings, check_data(run))
+    # whether no warning casts doubt on data or result; None if the only one is of assumed values
+    named = [doubt.kind for doubt in list_doubts(run.warnings)]
+    passed = None if set(named) == {ASSUMED} else not named
+    return (*findings, Finding(Check.DATA, passed, len(named), 0, ", ".join(named)))
 
 
 def check_curves(judged: Judgement) -> Finding:
@@ -411,13 +412,6 @@ def _count_beyond(predictive: pd.DataFrame) -> int:
         return int((measure_tips(predictive, "measured") > measure_tips(predictive, "median")).sum())
     measured, median = predictive["tip_measured_mm"], predictive["tip_median_mm"]
     return int(((measured - median) * np.sign(median) > 0).sum())
-
-
-def check_data(run: Run) -> Finding:
-    """Return whether no warning casts doubt on data or result; None if the only one is of assumed values."""
-    named = [doubt.kind for doubt in list_doubts(run.warnings)]
-    passed = None if set(named) == {ASSUMED} else not named
-    return Finding(Check.DATA, passed, len(named), 0, ", ".join(named))
 
 
 def limit_status(run: Run, status: Status) -> Status:

@@ -111,7 +111,7 @@ def restore_run(folder: Path) -> Run:
                     where=folder,
                 )
             frames[name] = frame.assign(**{column: optional[column] for column in lacking})
-        names = table["posteriors"]
+        names, copy = table["posteriors"], folder / DATA_FOLDER
         files = posterior_file_names(len(names))
         return Run(
             record=kind.record.model_validate(table["record"]),
@@ -120,14 +120,9 @@ def restore_run(folder: Path) -> Run:
             timing=read_timing(folder),
             posteriors={name: load(folder / file) for name, file in zip(names, files, strict=True)},
             faults=tuple(faults),
-            data=_find_data(folder / DATA_FOLDER),
+            data=DatasetFiles.of_copy(copy) if is_file(copy / DATASET_FILE) else None,
             **about,
         )
-
-
-def _find_data(folder: Path) -> DatasetFiles | None:
-    """Return the copy of a run's data, if it has one."""
-    return DatasetFiles.of_copy(folder) if is_file(folder / DATASET_FILE) else None
 
 
 def read_run(folder: Path) -> dict[str, Any]:

@@ -102,11 +102,6 @@ def _find_guides(step: Step, above: bool = False) -> Floats:
     return np.reshape(np.array(places, dtype=np.float64), (-1, 2))
 
 
-def list_views(shapes: Sequence[NeedleShape]) -> tuple[bool, ...]:
-    """Return which views show some needles, the side or from above (True): both if one leaves its plane."""
-    return (False, True) if any(shape.leaves_plane for shape in shapes) else (False,)
-
-
 def _draw_layers(axes: Axes, scene: Scene, scale: float | None) -> None:
     """Shade the layers, the darker the stiffer; with a `scale` (inches per mm) label them."""
     stiffness = np.log10(scene.tissue.mu)
@@ -161,11 +156,6 @@ def _draw_legend(
         handletextpad=0.4 if more else 0.2, handlelength=1.6 if more else None, alignment="left",
         title=title, title_fontsize=8,
     )  # fmt: skip
-
-
-def _name_supports(steps: Sequence[Step]) -> dict[str, str]:
-    guided = any(step.controls.guides for step in steps)
-    return {"base": "base"} | ({"guide": "guide or template"} if guided else {})
 
 
 # ---- what stands above a panel
@@ -256,7 +246,7 @@ class StateFigure:
         states: Sequence[NeedleState],
         tip_force: float | None = None,
     ) -> None:
-        from_above = len(list_views([state.shape for state in states])) > 1
+        from_above = any(state.shape.leaves_plane for state in states)
         self._scene, self._tip_force = scene, tip_force
         loads = [self._compute_loads(state) for state in states]
         x, y, factor = self._choose_view(states)
@@ -273,7 +263,9 @@ class StateFigure:
         ]
         self._lines = max(2, *map(len, texts))
         more_handles = self._list_handles()
-        supports = _name_supports([state.step for state in states])
+        supports = {"base": "base"}
+        if any(state.step.controls.guides for state in states):
+            supports["guide"] = "guide or template"
         columns = max(int(width / _LEGEND_COLUMN_WIDTH_IN), 2)
         legend_lines = math.ceil((len(supports) + 2 + len(more_handles)) / columns)
         times = "" if factor == 1 else f", drawn {factor:g}× as large as x"
