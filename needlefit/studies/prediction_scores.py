@@ -167,10 +167,10 @@ def score_tip(mixture: PredictiveMixture, measured: Floats) -> Row:
     tip = PredictiveMixture(mixture.means[:, -1:], mixture.sd[-1:])
     tip_place = float(measured[-1])
     ends = [(1 + side * level) / 2 for level in INTERVAL_PROBABILITIES for side in (-1, 1)]
-    median, *found = quantile(tip, (0.5, *ends))[:, 0].tolist()  # one search finds them all
+    median, *quantiles = quantile(tip, (0.5, *ends))[:, 0].tolist()  # one search finds them all
     row: Row = {"tip_measured_mm": tip_place, "tip_median_mm": median}
     row |= {name: score(tip, tip_place).item() for name, score in (("tip_pit", cdf), ("tip_crps_mm", crps))}
-    for level, low, high in zip(INTERVAL_PROBABILITIES, found[::2], found[1::2], strict=True):
+    for level, low, high in zip(INTERVAL_PROBABILITIES, quantiles[::2], quantiles[1::2], strict=True):
         name = f"{100 * level:.0f}"
         row |= {f"tip_{name}_low_mm": low, f"tip_{name}_high_mm": high}
         row |= {f"tip_in_{name}": low <= tip_place <= high}

@@ -160,7 +160,9 @@ def find_true_value(problem: Problem, name: str, seed: int, drawn: bool = False)
     specimens = [draw_specimen(seed, insertion.medium, insertion.specimen, population) for insertion in tuned]
     if name == "bevel_mm":
         pairs = zip(specimens, tuned, strict=True)
-        offsets = [bevel_offset(specimen, one, draw_deviations(seed, one)) for specimen, one in pairs]
+        offsets = [
+            bevel_offset(specimen, design, draw_deviations(seed, design)) for specimen, design in pairs
+        ]
         return float(np.exp(np.mean(np.log(offsets))))
     same = [name, *(tied for tied, (_, source) in problem.parameters.ties.items() if source == name)]
     quantity = dimension(name)

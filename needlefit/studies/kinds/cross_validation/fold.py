@@ -161,9 +161,13 @@ def run_fold(job: Job, fold: Fold, services: FoldServices) -> FoldResult:
             for start in fit.starts
         ],
         "medians": [  # insertions whose prediction is the predictive median
-            {"fold": fold.name, "insertion": each.insertion, **describe_point(each.point, job.parameters)}
-            for each in predicted
-            if each.point is not None and each.point.is_median
+            {
+                "fold": fold.name,
+                "insertion": prediction.insertion,
+                **describe_point(prediction.point, job.parameters),
+            }
+            for prediction in predicted
+            if prediction.point is not None and prediction.point.is_median
         ],
         "curvature": rows["curvature"] or list(_list_sensors(job, fold, fitted)),
     }
