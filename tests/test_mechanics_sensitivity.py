@@ -16,7 +16,7 @@ from mechanics_cases import (
 )
 from numpy.random import default_rng
 from refusals import refusal
-from space_cases import random_spatial_case
+from space_cases import leave_plane, random_spatial_case
 
 from needlefit import Bevel, Controls, Guide, ModelOptions, Step, Tissue, compute_positions, simulate_steps
 from needlefit.errors import ModelError
@@ -79,17 +79,21 @@ def make_batch(sets, steps=STEPS, tissue=RUBBING, **more):
     return Batch(NEEDLE, tissue, steps, mu=mu, shape=alpha[:, None], offset=rng.uniform(0, 0.2, sets), **more)
 
 
-@pytest.mark.parametrize("seed", list_seeds(40, 12))
-def test_every_set_is_what_a_single_one_gives(seed):
+@pytest.mark.parametrize("is_spatial", [False, True])
+@pytest.mark.parametrize("seed", list_seeds(30, 9))
+def test_every_set_is_what_a_single_one_gives(seed, is_spatial):
     rng = default_rng(seed)
     friction, kind = float(rng.integers(0, 2)), RULES[seed % 3]
     batch = random_batch(rng, int(rng.integers(1, 12)), bool(seed % 4), friction, kind)
-    shapes, jacobians = linearize_batch(batch)
+    if is_spatial:
+        batch = replace(batch, steps=leave_plane(rng, batch.steps))
+    wrt = (*DERIVATIVE_KINDS, *INPUTS_ALONG_Z) if is_spatial else DERIVATIVE_KINDS
+    ((shapes, jacobians),) = linearize_batches([batch], wrt)
     s = np.linspace(shapes.x[0, 0] + 1.0, shapes.x[0, -1], 9)
     s = s[s >= shapes.x[:, 0].max()]
     points = compute_batch_positions(shapes, s)
     for i in range(len(batch)):
-        shape, jacobian = linearize_steps(*pick(batch, i), wrt=DERIVATIVE_KINDS)
+        shape, jacobian = linearize_steps(*pick(batch, i), wrt=wrt)
         assert_same_bits(shapes[i], shape)
         assert_same_bits(jacobians[i], jacobian)
         if shape.converged:

@@ -15,14 +15,7 @@ from space_cases import assert_turned, random_spatial_case, turn, turn_step
 
 from needlefit import Bevel, Controls, ModelOptions, Session, Step, Tissue
 from needlefit.errors import ModelError
-from needlefit.mechanics.batch import (
-    Batch,
-    compute_batch_positions,
-    differentiate_batch_positions,
-    linearize_batches,
-    linearize_steps,
-    simulate_batches,
-)
+from needlefit.mechanics.batch import Batch, linearize_batches
 from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.shape import LIMITS, compute_positions
 from needlefit.mechanics.simulate import compute_loads, simulate_steps
@@ -62,34 +55,6 @@ def test_kernel_equals_reference(seed, draw, kind):
 
 
 # ---- derivatives, sets side by side, sessions
-
-
-def random_spatial_batch(rng, kind):
-    """Return sets of a needle in space: with guides in the tissue or friction now and then, as lanes have."""
-    needle, tissue, steps, rules, _ = random_spatial_case(rng, kind, int(rng.integers(0, 3)), 11.0)
-    strength = "cut_angle" if rules.path_angle else "offset"
-    values = {strength: rng.uniform(0, 0.2, 11), "base_y": rng.uniform(-0.3, 0.3, 11)}
-    return Batch(needle, tissue, steps, rules, mu=tissue.mu * rng.uniform(0.5, 2.0, (11, 1)), **values)
-
-
-@pytest.mark.parametrize("kind", RULES)
-@pytest.mark.parametrize("seed", range(3))
-def test_a_set_is_the_same_alone_and_in_lanes(seed, kind):
-    batch = random_spatial_batch(default_rng(seed), kind)
-    (shapes,) = simulate_batches([batch], 2)
-    wrt = ("mu", "roll", "base_z", "cut_angle" if kind == "path_angle" else "offset", "guides")
-    ((fine, jacobians),) = linearize_batches([batch], wrt)
-    s = np.array([-5.0, 0.0, 0.1])
-    by = differentiate_batch_positions(fine, jacobians, s)
-    assert by.shape == (11, 3, 3, len(jacobians.names))
-    points = compute_batch_positions(shapes, s)
-    for i in (0, 3, 10):
-        alone = simulate_steps(*pick(batch, i))
-        assert_same_bits(shapes[i], alone)
-        np.testing.assert_array_equal(points[i], compute_positions(alone, s))
-        shape, jacobian = linearize_steps(*pick(batch, i), wrt=wrt)
-        assert_same_bits(fine[i], shape)
-        assert_same_bits(jacobians[i], jacobian)
 
 
 def test_a_twisted_session_follows_the_hub_as_the_steps_do():
