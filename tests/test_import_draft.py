@@ -357,27 +357,6 @@ def test_thousands_and_exponents_of_other_programs(tmp_path, separator, make):
 # ---- what is assumed, and not used
 
 
-def test_a_unit_is_assumed_where_needles_then_have_a_needles_length(tmp_path):
-    rows = [["needle", "x", "y", "z"], *([n, *point] for n, one in enumerate(NEEDLES) for point in one)]
-    file = write_rows(tmp_path / "a.csv", rows)
-    plan, made = planned([file])
-    assert made["unit"][1] == "assumed" and plan.rows[0].depth == pytest.approx(60.02, abs=0.1)
-    for head, unit, factor in (("x [cm]", "cm", 10.0), ("x [inch]", "in", 25.4)):
-        write_rows(file, [["needle", *(head.replace("x", axis) for axis in "xyz")], *rows[1:]])
-        prepared = prepare([file])
-        assert prepared.mapping.tables[0].columns["x"].unit == unit
-        assert prepared.plan.rows[0].depth == pytest.approx(60.02 * factor, abs=0.1 * factor)
-    write_rows(file, [["needle", "x [m]", "y [m]", "z [m]"], *rows[1:]])
-    assert "--set unit=mm" in refusal(DataError, "", planned, [file]).fix
-    assert planned([file], unit="mm")[0].rows[0].depth == pytest.approx(60.02, abs=0.1)
-    small = [[n, *(np.array(point) / 10)] for n, *point in rows[1:]]
-    write_rows(file, [rows[0], *small])
-    assert "--set unit=" in refusal(DataError, "", planned, [file]).fix
-    whole = [[n, *np.round(point)] for n, *point in rows[1:]]
-    write_rows(file, [rows[0], *whole])
-    assert "--set unit=" in refusal(DataError, "whole", planned, [file]).fix
-
-
 def test_a_stated_column_is_used(tmp_path):
     rows = [f"{n};{i};{x};{y};{z}" for n, one in enumerate(NEEDLES) for i, (x, y, z) in enumerate(one)]
     (tmp_path / "a.csv").write_text("\n".join(["Serie;t;x;y;z", *rows]))

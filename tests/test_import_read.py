@@ -213,15 +213,6 @@ def test_points_that_were_not_measured_are_left_out_as_the_mapping_states(tmp_pa
     assert "missing" in prepared.mapping.assumed and len(prepared.content.left_out) == 2
 
 
-def test_a_cell_that_is_no_number_stops_at_its_place(tmp_path):
-    rows = long_rows()
-    rows[5][2] = "?"
-    error = refusal(DataError, "'?'", prepare, [write_rows(tmp_path / "a.csv", rows)])
-    assert error.where.endswith("a.csv:6, column 3") and "--set tables.1.missing=" in error.fix.replace(
-        "'", ""
-    )
-
-
 # ---- tables joined on needle or specimen
 
 

@@ -524,20 +524,16 @@ class Planner(CurveAnswers):
         by_specimen: dict[str, set[tuple[float, ...]]] = {specimen: set() for specimen in specimens}
         for specimen, boundaries in zip(specimens, depths, strict=True):
             by_specimen[specimen].add(boundaries)
-        layers = {specimen: next(iter(found)) for specimen, found in by_specimen.items() if len(found) == 1}
-        if len(layers) < len(by_specimen) or min(map(specimens.count, layers)) < 2:
+        layers = [next(iter(of_all)) for of_all in by_specimen.values() if len(of_all) == 1]
+        if len(layers) < len(by_specimen) or min(map(specimens.count, by_specimen)) < 2:
             return
-        listed = join_names(
-            [
-                f"{name}: {'; '.join(f'{depth:g}' for depth in found) or 'none'}"
-                for name, found in layers.items()
-            ],
-            4,
-        )
+        pairs = zip(by_specimen, layers, strict=True)
+        texts = [f"{name}: {'; '.join(f'{depth:g}' for depth in own) or 'none'}" for name, own in pairs]
+        listed = join_names(texts, 4)
         reason = f"boundaries of specimens differ ({listed})"
-        if len({*map(len, layers.values())}) > 1:
+        if len({*map(len, layers)}) > 1:
             self.settle("medium", "specimen", reason)
-        elif any(max(each) > MAX_CAST_RATIO * min(each) for each in zip(*layers.values(), strict=True)):
+        elif any(max(cast) > MAX_CAST_RATIO * min(cast) for cast in zip(*layers, strict=True)):
             fix = f"if these are right, and all of the same tissues: {name_set('medium', 'gel')}; if each "
             self.settle("medium", "", reason, fix=f"{fix}has its own: {name_set('medium', 'specimen')}")
 
