@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
 
-from needlefit.arrays import Floats, Ints
+from needlefit.arrays import Bools, Floats, Ints
 from needlefit.datasets.insertion import GUIDE_STILL_MM, Insertion, InsertionInputs
 from needlefit.errors import ConfigError, DataError
 from needlefit.inference.likelihood.observations import OBSERVATIONS
@@ -195,6 +195,16 @@ class PreparedModel:
         read_values = self._read(sets, s, lambda batches: simulate_batches(batches, jobs), read)
         return (points for (points,) in read_values)
 
+    def find_outside_validity(self, sets: Sequence[Mapping[str, float]]) -> Iterator[Bools]:
+        """Return, one by one, which needles (B,) of each insertion are outside the model's validity."""
+
+        def read(simulation: _Simulation, shapes: NeedleShapes, places: Floats, rows: slice) -> tuple[Bools]:
+            return (shapes.converged & ~shapes.validity.ok,)
+
+        nowhere = [np.empty(0)] * len(self._places)
+        found = self._read(sets, nowhere, lambda batches: simulate_batches(batches, 1), read)
+        return (outside for (outside,) in found)
+
     def differentiate(
         self, sets: Sequence[Mapping[str, float]], parameters: Parameters, s: Sequence[Floats], jobs: int = 1
     ) -> Iterator[tuple[Floats, Floats]]:
@@ -247,8 +257,8 @@ class PreparedModel:
         sets: Sequence[Mapping[str, float]],
         s: Sequence[Floats],
         run: Callable[[list[Batch]], tuple[_Known, ...]],
-        read: "Callable[[_Simulation, _Known, Floats, slice], tuple[Floats, ...]]",
-    ) -> Iterator[tuple[Floats, ...]]:
+        read: "Callable[[_Simulation, _Known, Floats, slice], tuple[np.ndarray, ...]]",
+    ) -> Iterator[tuple[np.ndarray, ...]]:
         """Yield what `read` gives of every insertion, (B, ...) each, from what `run` gives of its needles.
 
         Equal ones are read once. `read` is given some of the needles of a simulation at a time.
@@ -257,10 +267,10 @@ class PreparedModel:
         wanted: dict[_Simulation, dict[bytes, Floats]] = {simulation: {} for simulation in self._simulations}
         for (insertion, place), places in zip(keys, s, strict=True):
             wanted[insertion][place] = places
-        left, kept = Counter(keys), dict[tuple[_Simulation, bytes], tuple[Floats, ...]]()
+        left, kept = Counter(keys), dict[tuple[_Simulation, bytes], tuple[np.ndarray, ...]]()
         count = len(sets)
 
-        def read_places(number: int, solved: _Known, rows: slice) -> tuple[Floats, ...]:
+        def read_places(number: int, solved: _Known, rows: slice) -> tuple[np.ndarray, ...]:
             simulation = self._simulations[number]
             return tuple(
                 part

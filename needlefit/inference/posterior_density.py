@@ -189,25 +189,37 @@ class PosteriorDensity:
             by_member |= dict(zip(members, np.split(part, ends, axis=1), strict=True))
         return [by_member[k] for k in sorted(by_member)]
 
-    @cached_property
+    @property
     def _nodes(self) -> "_ModelledNodes":
-        return self._model_nodes(tuple(observation.nodes for observation in self.observations))
+        return self._model_nodes(None)
+
+    @property
+    def _first_nodes(self) -> "_ModelledNodes":
+        return self._model_nodes(1)
 
     @cached_property
-    def _first_nodes(self) -> "_ModelledNodes":
-        return self._model_nodes(
-            tuple(
-                replace(
-                    observation.nodes, insertions=observation.nodes.insertions[:1], s=observation.nodes.s[:1]
-                )
-                for observation in self.observations
-            )
-        )
+    def _models(self) -> dict[int | None, "_ModelledNodes"]:
+        return {}
 
-    def _model_nodes(self, nodes: tuple[Nodes, ...]) -> "_ModelledNodes":
-        insertions = [insertion for some in nodes for insertion in some.insertions]
-        model = PreparedModel(self.medium, insertions)
-        return _ModelledNodes(nodes, model, group_nodes(nodes, self.centred_bevels))
+    def _model_nodes(self, count: int | None) -> "_ModelledNodes":
+        """Return so many nodes of each insertion, or all, and their model: made once."""
+        if count not in self._models:
+            all_nodes = (observation.nodes for observation in self.observations)
+            nodes = tuple(
+                replace(some, insertions=some.insertions[:count], s=some.s[:count]) for some in all_nodes
+            )
+            insertions = [insertion for some in nodes for insertion in some.insertions]
+            model = PreparedModel(self.medium, insertions)
+            self._models[count] = _ModelledNodes(nodes, model, group_nodes(nodes, self.centred_bevels))
+        return self._models[count]
+
+    def with_parameters(
+        self, parameters: Parameters, node_slopes: tuple[Floats, ...] = ()
+    ) -> "PosteriorDensity":
+        """Return the density of other parameters, which shares the models of the nodes."""
+        other = replace(self, parameters=parameters, node_slopes=node_slopes)
+        other.__dict__["_models"] = self._models
+        return other
 
     @property
     def _rows(self) -> int:
@@ -248,7 +260,7 @@ class PosteriorDensity:
         their derivatives differ from those of the needle as measured by as much as here.
         """
         slopes = (by[0] - by[0, :1] for _, by in self._differentiate([values], 1))
-        return replace(self, node_slopes=tuple(slopes))
+        return self.with_parameters(self.parameters, tuple(slopes))
 
     def _differentiate(
         self, sets: Sequence[Values], jobs: int, points: NodePoints | None = None

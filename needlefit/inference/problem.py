@@ -226,7 +226,16 @@ class Problem:
 
     def with_parameters(self, parameters: Parameters) -> "Problem":
         """Return the same problem searched over other parameters, e.g. the bevel alone."""
-        return replace(self, parameters=parameters)
+        other = replace(self, parameters=parameters)
+        guided = any(insertion.guided for insertion in self.insertions)  # their response is by parameters
+        if not guided and (BEVEL_SPREAD in parameters.names) == (BEVEL_SPREAD in self.parameters.names):
+            other.__dict__["_like"] = self._like
+        return other
+
+    @cached_property
+    def _like(self) -> "Problem":
+        """The problem whose density differs in its parameters alone: itself, or what it was made of."""
+        return self
 
     @cached_property
     def searched(self) -> "Problem":
@@ -254,6 +263,8 @@ class Problem:
     @cached_property
     def density(self) -> PosteriorDensity:
         """The posterior density of all values; computed once."""
+        if self._like is not self:
+            return self._like.density.with_parameters(self.parameters)
         likelihood, bevels = self.likelihood, list_bevels(self.dataset, self.insertions)
         # of one centred bevel no deviation is left
         one_bevel = self.bevels_differ and self.centred_bevels and len(set(bevels)) == 1
@@ -350,7 +361,6 @@ def find_outside_validity(problem: Problem, thetas: Sequence[Theta] | Floats) ->
     if not len(thetas):
         return is_outside
     sets = [problem.values(theta) for theta in thetas]
-    model = PreparedModel(problem.medium, problem.insertions)
-    for shapes in model.simulate(sets):
-        is_outside |= shapes.converged & ~shapes.validity.ok
+    for outside in PreparedModel(problem.medium, problem.insertions).find_outside_validity(sets):
+        is_outside |= outside
     return is_outside
