@@ -102,6 +102,7 @@ SPREAD = slice(7, 10)
 # How far the fit reaches back from the bevel's heel, mm.
 REACH_BEFORE_MM = 3.0  # mm
 CORE_REACH_MM = 0.9  # radius from which on voxels count less, mm: streaks
+START_OFFSETS_MM = np.arange(-0.8, 0.9, 0.4)  # around the first guess, at which the bevel's side is tried
 ROUGH_STEPS = 8  # of a first fit
 STEPS = 30  # of a last fit
 DERIVATIVE_STEP = np.array(1e-3)  # relative step of the derivatives
@@ -198,7 +199,7 @@ class TipProblem:
         return np.append(left, (theta[HELD] - self.means) / self.sds)
 
     def search(self) -> Floats:
-        """Return a few steps of the least squares from the best of several sides of the bevel."""
+        """Return a few steps of the least squares from the best of several ends and sides of the bevel."""
         first = np.zeros(11)
         first[TIP], first[LEVEL] = self.guess, self.level
         first[HELD] = self.means
@@ -206,8 +207,10 @@ class TipProblem:
         def misfit(start: Floats) -> float:
             return float(np.sum(np.minimum(np.abs(self.residuals(start)), 20)))
 
-        rolls = np.arange(6 if self.rolled else 1) * np.pi / 3
-        starts = first + np.outer(rolls, np.eye(11)[ROLL])
+        unit, rolls = np.eye(11), np.arange(6 if self.rolled else 1) * np.pi / 3
+        starts = [
+            first + shift * unit[TIP] + roll * unit[ROLL] for roll in rolls for shift in START_OFFSETS_MM
+        ]
         return np.asarray(self.minimize(min(starts, key=misfit), ROUGH_STEPS).x, float)
 
     def fit(self, start: Floats) -> OptimizeResult:
