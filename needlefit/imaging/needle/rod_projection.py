@@ -4,14 +4,11 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from scipy.sparse import csr_array
 
 from needlefit.arrays import Floats
 from needlefit.imaging.point_spread import PointSpread
-
-Singles = NDArray[np.float32]
 
 COLUMN_MM = 0.75  # mm, pieces of the rod along it
 CELL_MM = 0.25  # mm, cells of the detector
@@ -100,8 +97,8 @@ class Rod:
 
     def lengths(
         self, across: Floats, along: Floats, end: float, roll: float, hub: tuple[float, float] | None = None
-    ) -> Singles:
-        """Return the metal of a rod (P, V, N) in every plane, on the cells of all views, mm.
+    ) -> csr_array:
+        """Return the metal of a rod (P, V N) in every plane, on the cells of all views, mm.
 
         `across`, `along`: (C,); where the axis lies. `end`: where the bevel's point is; `roll`: its side,
         from the direction across. `hub`: of a hub that ends there its beginning, and its radius, mm.
@@ -139,12 +136,14 @@ class Rod:
         cells = np.clip(first, 0, count - len(covered)).astype(np.int64) + covered
         met, row = np.unique(plane, return_inverse=True)  # most planes show no metal
         cells += (row[:, None] * len(angles) + np.arange(len(angles))) * count
-        metal = np.zeros((len(self.planes), len(angles), count), dtype=np.float32)
-        stored = np.bincount(cells.ravel(), parts.ravel(), minlength=len(met) * metal[0].size)
-        metal[met] = stored.reshape(len(met), *metal.shape[1:])
-        return metal
+        shape = len(self.planes), len(angles) * count
+        stored = np.bincount(cells.ravel(), parts.ravel(), minlength=len(met) * shape[1])
+        lit = np.flatnonzero(stored)
+        row, cell = np.divmod(lit, shape[1])
+        ends = np.searchsorted(met[row], np.arange(shape[0] + 1))
+        return csr_array((stored[lit].astype(np.float32), cell, ends), shape)
 
-    def show(self, metal: Singles, scan: Floats, aside: float = 0.0) -> Floats:
+    def show(self, metal: csr_array, scan: Floats, aside: float = 0.0) -> Floats:
         """Return the slices (K, S, U), water 1, over their surroundings, where `metal` is on their rays.
 
         `scan`: (11,); see `slice_fit`.
@@ -157,20 +156,21 @@ class Rod:
         for k, row in enumerate(mix):
             row[k * self.in_slice : k * self.in_slice + len(profile)] = profile / profile.sum()
         # an attenuation that is gamma distributed over the spectrum: the beam hardens
-        met = metal[:, 0].any(axis=1)  # every view sees all metal
-        in_planes, rows = metal[met], mix[:, met].any(axis=1)
-        rays = in_planes > 0
-        passed = np.log1p(in_planes[rays] * np.float32(attenuation * variance / linear))
-        in_planes[rays] = -np.expm1(passed * np.float32(-1 / variance))
-        # BLAS takes 5 times as long where rows are so few
-        stopped = np.einsum("kp,pn->kn", mix[np.ix_(rows, met)], in_planes.reshape(len(in_planes), -1))
+        passed = np.log1p(metal.data * np.float32(attenuation * variance / linear))
+        in_planes = csr_array(metal)
+        in_planes.data = -np.expm1(passed * np.float32(-1 / variance))
+        stopped = np.ascontiguousarray((in_planes.T @ mix.T).T)
+        rows = stopped.any(axis=1)
+        stopped = stopped[rows]
         # a cell's aperture; views begin and end without metal
         stopped[:, 1:-1] = stopped[:, 1:-1] / 2 + (stopped[:, 2:] + stopped[:, :-2]) / 4
-        logs = -np.log1p(stopped * np.float32(-1 / (1 + scatter))).reshape(-1, *metal.shape[1:])
+        logs = -np.log1p(stopped * np.float32(-1 / (1 + scatter))).reshape(
+            len(stopped), len(self.views[0]), -1
+        )
         frequencies, ramp = self._ramp
         window = (ramp * spread.pass_in_slices((2 * np.pi * frequencies) ** 2)).astype(np.float32)
         length = 2 * (len(frequencies) - 1)
-        filtered = irfft(rfft(logs, length) * window, length)[..., : metal.shape[2]]
+        filtered = irfft(rfft(logs, length) * window, length)[..., : 2 * self.half]
         filtered = filtered * (self.views[1] * linear / WATER_PER_MM).astype(np.float32)[:, None]
         image = np.zeros((len(mix), *self.side.shape))
         shown = self.back_projection(aside) @ filtered.reshape(len(filtered), -1).T

@@ -17,6 +17,7 @@ import numpy as np
 from scipy.interpolate import BSpline
 from scipy.ndimage import map_coordinates
 from scipy.optimize import OptimizeResult, least_squares
+from scipy.sparse import csr_array
 
 from needlefit.arrays import Bools, Floats
 from needlefit.geometry.curves import arc_length
@@ -24,7 +25,7 @@ from needlefit.geometry.smoothing_spline import DEGREE, make_knots
 from needlefit.imaging.constants import MM, PART
 from needlefit.imaging.needle.axis_spline import AxisSpline, axis_sd, correlation_factor, fit_axis
 from needlefit.imaging.needle.hub import Hub, find_hub
-from needlefit.imaging.needle.rod_projection import COLUMN_MM, SENSITIVITY_AT, Rod, Singles
+from needlefit.imaging.needle.rod_projection import COLUMN_MM, SENSITIVITY_AT, Rod
 from needlefit.imaging.needle.tip import MAX_BEVEL_DEG, MIN_BEVEL_PROBABILITY, TipFit, side_probability
 from needlefit.imaging.point_spread import PointSpread, expected_spread
 from needlefit.imaging.volume import Volume, to_index
@@ -232,14 +233,14 @@ class _SliceProblem:
             known += [(row @ across - place[1]) / sds[0], (row @ along - place[2]) / sds[1]]
         return np.concatenate(known)
 
-    def project(self, theta: Floats) -> Singles:
+    def project(self, theta: Floats) -> csr_array:
         """Return the metal on the rays."""
         across, along, (end, roll), _ = self.split(theta)
         course = self.to_columns @ across, self.to_columns @ along
         needle = self.rod.lengths(*course, self.end + float(end), float(roll))
         return needle if self.hub is None else needle + self.held
 
-    def image(self, metal: Singles, theta: Floats, aside: float = 0.0) -> Floats:
+    def image(self, metal: csr_array, theta: Floats, aside: float = 0.0) -> Floats:
         """Return what slices show (K, S, U) where `metal` is on the rays."""
         over = self.rod.show(metal, self.split(theta)[-1], aside)
         over = over - over[..., self.rim].mean(axis=-1, keepdims=True)
