@@ -105,7 +105,7 @@ def matlab():
 
     x = np.arange(0.0, 60.0, 3.0)
     curve = np.column_stack([x, 0 * x, 4e-4 * x * x])
-    nested = {"curve": curve, "s": {"a": curve, "name": "needle"}, "side": [1.0, -1.0], "unit": "mm"}
+    nested = {"curve": curve, "s": {"a": curve, "name": "needle"}, "unit": "mm"}
 
     def five_of(path, compressed):
         savemat(path, nested, do_compression=compressed)
