@@ -30,7 +30,9 @@ def predict_before_data(
 
     `scene`: what messages call it, and its keys, of which the user `changed` some.
     """
+    from needlefit.mechanics.published import read_moduli
     from needlefit.planning.prior_forecast import describe_published, forecast_by_prior, list_published
+    from needlefit.project.locate import is_path, list_names, unknown_name_error
     from needlefit.project.toml import find_named, load
     from needlefit.schemas.medium import MediumRecord
     from needlefit.studies.kinds.prediction import make_scene
@@ -38,8 +40,10 @@ def predict_before_data(
     name, planned = scene
     if published := list_published(medium):
         model = describe_published(published, len(planned.layers), planned.rules.advance)
-    else:
+    elif is_path(medium) or medium in (known := list_names("medium")):
         model = load(find_named("medium", medium), MediumRecord)
+    else:
+        raise unknown_name_error("medium", medium, [*known, *read_moduli()])
     target = None if aim is None else read_numbers(aim, (2, 3), "--aim", "X,Y or X,Y,Z")
     shift, angle = map(abs, read_numbers(pose_sds, (2, 2), "--pose-sd", "SHIFT,DEGREES"))
     planned_scene = make_scene(planned, name, model, changed)
