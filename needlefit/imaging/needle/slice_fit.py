@@ -211,11 +211,11 @@ class _SliceProblem:
             across, along = (np.interp(columns, [back[0], front[0]], [back[n], front[n]]) for n in (1, 2))
             behind = float(back[0]), hub.radius
             self.held = self.rod.lengths(across, along, float(front[0]), 0.0, behind)
-        known = spread or expected_spread(thick)
-        profile = np.log(known.weigh_planes(SENSITIVITY_AT[1:] * thick))
+        expected = spread or expected_spread(thick)
+        profile = np.log(expected.weigh_planes(SENSITIVITY_AT[1:] * thick))
         # what is known of the parameters of the scan (11,), and its deviations
-        self.means = np.concatenate([BEAM_MEANS, known.parameters[:2], profile])
-        self.sds = np.concatenate([BEAM_SDS, known.sds[:2], PROFILE_SDS])
+        self.means = np.concatenate([BEAM_MEANS, expected.parameters[:2], profile])
+        self.sds = np.concatenate([BEAM_SDS, expected.sds[:2], PROFILE_SDS])
 
     def split(self, theta: Floats) -> list[Floats]:
         """Return the parameters of each kind."""

@@ -164,10 +164,10 @@ class TipProblem:
         ray = min(2 * MM.HIDDEN, (needle.diameter_mm + volume.grid.slice_distance) / steep)
         cot = heel / needle.diameter_mm
         cot_sd = np.deg2rad(needle.bevel_sd_deg) * (1 + cot**2) / np.hypot(1.0, ray / MM.BEVEL_RAY)
-        known = spread or expected_spread(volume.grid.slice_distance)
+        expected = spread or expected_spread(volume.grid.slice_distance)
         # means and deviations of the parameters `HELD`
-        self.means = np.array([0.0, 0.0, np.log(HU.NEEDLE), cot, *known.parameters, 0.0])
-        self.sds = np.array([swing_sd, swing_sd, HEIGHT_SD, cot_sd, *known.sds, HU.STREAK_SD])
+        self.means = np.array([0.0, 0.0, np.log(HU.NEEDLE), cot, *expected.parameters, 0.0])
+        self.sds = np.array([swing_sd, swing_sd, HEIGHT_SD, cot_sd, *expected.sds, HU.STREAK_SD])
         # beyond what is known before artefacts would be taken for the needle's image
         self.low, self.high = LOWER_BOUNDS.copy(), UPPER_BOUNDS.copy()
         self.low[HELD] = np.maximum(self.low[HELD], self.means - SD.DISAGREEMENT * self.sds)
@@ -301,10 +301,14 @@ def fit_tip(
     """
     problem = TipProblem(volume, axis, needle, float(start[TIP]), spread)
     best, bevel_deg = problem.fit(start), np.nan
-    known = HELD.index(COT)
-    if abs(best.x[COT] - problem.means[known]) > MAX_BEVEL_PULL_SD * problem.sds[known]:
+    column = HELD.index(COT)
+    if abs(best.x[COT] - problem.means[column]) > MAX_BEVEL_PULL_SD * problem.sds[column]:
         # what is stated of the bevel may be wrong: the image alone shows it, if it is then clearly nearer
-        problem.sds[known], problem.low[COT], problem.high[COT] = np.inf, LOWER_BOUNDS[COT], UPPER_BOUNDS[COT]
+        problem.sds[column], problem.low[COT], problem.high[COT] = (
+            np.inf,
+            LOWER_BOUNDS[COT],
+            UPPER_BOUNDS[COT],
+        )
         free = problem.minimize(best.x, STEPS)
         if problem.misfit(free.x) < PART.BEVEL_MISFIT * problem.misfit(best.x):
             best, bevel_deg = free, float(np.degrees(np.arctan2(1.0, free.x[COT])))
