@@ -735,6 +735,8 @@ def _check_types(**options: object) -> None:
             not isinstance(value, kind) or (kind is Sequence and isinstance(value, str))
         ):
             raise ConfigError(f"`{name}` is {value!r:.60}", expected=expected)
+    if isinstance(jobs := options.get("jobs"), int) and jobs < 1:
+        raise ConfigError(f"`jobs` is {jobs}", expected="1 or more")
 
 
 def _open_fit(target: Name | Dataset | Run, medium: Medium | None, stored: bool = True) -> _Study:

@@ -225,11 +225,16 @@ def unknown_name_error(kind: str, name: str, names: list[str], otherwise: str = 
     alike = [
         candidate for candidate in (*paths[-1:], *nearest[:1]) if _compare_stems(name, candidate) >= LIKE
     ]
-    problem = f"there is no {kind} called `{name}`"
+    problem = f"there is no {kind} {'at' if is_path(name) else 'called'} `{name}`"
     if alike:
         problem += f"; did you mean `{max(alike, key=lambda path: _compare_stems(name, path))}`?"
     listed = join_names(nearest, MAX_NEAR_NAMES) or "(none found)"
-    return ConfigError(problem, expected=f"one of {listed}", fix=f"use one of these names{otherwise}")
+    fix = (
+        "correct the path, or use one of these names"
+        if is_path(name)
+        else f"use one of these names{otherwise}"
+    )
+    return ConfigError(problem, expected=f"one of {listed}", fix=fix)
 
 
 MAX_NEAR_NAMES = 8  #: of what is known

@@ -83,7 +83,9 @@ def read_given(kind: FileKind, value: str | Path | F | Mapping[str, Any], record
 
 
 def spell_name(name: str | Path) -> str:
-    """Return a name or path as text; a Path is never taken for a bare name."""
+    """Return a name or path as text; a Path is never taken for a bare name. ConfigError if it is neither."""
+    if not isinstance(name, str | Path):
+        raise ConfigError(f"is a {type(name).__name__}", expected="a name or a path", where="the argument")
     text = str(name)
     return f"./{text}" if isinstance(name, Path) and not is_path(text) else text
 
