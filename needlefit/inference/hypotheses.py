@@ -106,10 +106,11 @@ def list_boundaries(
 def _move_boundary(insertion: Insertion, size: float, _: int, choice: tuple[int, Insertion]) -> Insertion:
     """Return an insertion with a boundary moved, also if it did not reach it."""
     number, deepest = choice
-    count = max(len(insertion.boundaries), number + 1)
-    boundaries = np.append(insertion.boundaries, deepest.boundaries[len(insertion.boundaries) : count])
-    moved = enforce_order(boundaries + size * (np.arange(count) == number))
-    return replace(insertion, boundaries=moved, sequence=deepest.sequence[: count + 1])
+    own = insertion.boundaries
+    boundaries = np.append(own, deepest.boundaries[len(own) : number + 1])
+    moved = enforce_order(boundaries + size * (np.arange(len(boundaries)) == number))
+    sequence = (*insertion.sequence, *deepest.sequence[len(own) + 1 : len(moved) + 1])
+    return replace(insertion, boundaries=moved, sequence=sequence)
 
 
 def _list_deeper(insertion: Insertion, others: Sequence[Insertion], _: int) -> dict[str, Insertion]:
