@@ -5,8 +5,8 @@
 Each run left out is registered by its readings down to a depth, and its end is predicted from there: the
 study is made again with each such depth. Beside the model: the deflection of the last reading kept, the line
 through the last four, and the curves of the study. Printed are mean absolute errors of the end, mm, how many
-ends lie in the 95 % band of all readings ahead, and its median width there, as a table in Markdown. The
-figure has the error of each end with its band.
+ends along y lie in the 95 % interval, and its median width, as a table in Markdown. The figure has the error
+of each end, along y with its interval.
 """
 
 import argparse
@@ -57,7 +57,12 @@ def main() -> None:
         readings = run.frames["readings"].sort_values("depth_mm")
         registered = readings[~readings["scored"]].groupby(["direction", "run", "method"])["depth_mm"].max()
         last = readings.groupby(["direction", "run", "method"]).last()
-        frames.append(last.assign(registered_mm=registered, part=depth).reset_index())
+        last = last.assign(registered_mm=registered, part=depth).reset_index()
+        interval = run.frames["predictive"].set_index("insertion")[["tip_95_low_mm", "tip_95_high_mm"]]
+        along_y = last["direction"].eq("y") & last["method"].eq("prediction")
+        for name, ends in zip(("low_95_mm", "high_95_mm"), interval, strict=True):
+            last[name] = last["run"].map(interval[ends]).where(along_y)
+        frames.append(last)
     ends, readings = pd.concat(frames), readings.query("method == 'prediction'")
     errors = (ends["predicted_mm"] - ends["measured_mm"]).abs()
     errors = errors.groupby([*(ends[key] for key in KEYS), ends["method"]]).first().unstack()
