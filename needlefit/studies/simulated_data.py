@@ -224,14 +224,11 @@ def simulate_from_prior(problem: Problem, rng: np.random.Generator) -> tuple[Flo
             continue
         true = {NOISE_SCALE: problem.density.scale, **values}
         shared = draw_bevels(dataset, design.insertions, rng) if problem.bevels_differ else {}
-        plain = StatedErrors(dataset, dataset.noise, problem.likelihood, respond=problem.respond)
+        errors = StatedErrors(dataset, dataset.noise, problem.likelihood, respond=problem.respond)
         made = [
-            simulate_measurement(
-                dataset, insertion, true, problem.medium, rng, shared,
-                replace(plain, noise=dataset.noise.of(insertion)),
-            )
+            simulate_measurement(dataset, insertion, true, problem.medium, rng, shared, errors)
             for insertion in design.insertions
-        ]  # fmt: skip
+        ]
         complete = tuple(simulated for simulated in made if simulated is not None)
         if len(complete) < len(made):
             continue

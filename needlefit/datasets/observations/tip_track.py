@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from needlefit.arrays import Floats, pad_axis
@@ -103,13 +102,11 @@ def _parse_track_columns(
         )
     if note_missing_columns(table, REQUIRED_TRACK_COLUMNS, faults) or len(faults) > before:
         return None
-    values = {name: parse_numbers(table, name, faults) for name in REQUIRED_TRACK_COLUMNS[2:]}
-    optional = OPTIONAL_TRACK_COLUMNS.items()
-    values |= {name: parse_numbers(table, name, faults, default) for name, default in optional}
-    texts = {name: table.cells[name].to_numpy(dtype=str) for name in ("id", "medium")}
-    unnamed = pd.Series(np.full(len(table.lines), ""))
-    for name in NAME_COLUMNS:
-        texts[name] = table.cells.get(name, unnamed).to_numpy(dtype=str)
+    defaults = dict.fromkeys(REQUIRED_TRACK_COLUMNS[2:]) | OPTIONAL_TRACK_COLUMNS
+    values = {name: parse_numbers(table, name, faults, default) for name, default in defaults.items()}
+    names = (*REQUIRED_TRACK_COLUMNS[:2], *NAME_COLUMNS)
+    cells = table.cells.reindex(columns=names, fill_value="")
+    texts = {name: cells[name].to_numpy(dtype=str) for name in names}
     return texts | values if len(faults) == before else None
 
 

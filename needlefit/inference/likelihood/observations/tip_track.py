@@ -111,8 +111,8 @@ class _TipTrack(ObservationType):
         )
         slopes = (tips - before).T / HEADING_STEP_MM
         if needle.rng is not None:
-            errors = needle.errors or StatedErrors(dataset, dataset.noise.of(insertion))
-            read = self.observe(insertion, errors)
+            errors = needle.errors or StatedErrors(dataset, dataset.noise)
+            read = self.observe(insertion, replace(errors, noise=dataset.noise.of(insertion)))
             off = needle.draw_errors(needle.scale**2 * read.point_covariance)
             along = read.nodes.axes[len(read.nodes.axes) - read.pose_spread.shape[1] :]
             off += read.pose_spread @ needle.draw_along(along)
