@@ -140,8 +140,11 @@ def _paint_bytes(
         with warnings.catch_warnings():  # painters may lay out names before their letters have a font
             warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
             figure = paint()
-            if style and not find_lacking((drawing := save_figure(figure, suffix, description)).decode()):
-                return drawing
+            # letters stand in an SVG whose text is text: no part of its figure has to be asked
+            if style and suffix == ".svg":
+                drawing = save_figure(figure, suffix, description)
+                if not find_lacking(drawing.decode()):
+                    return drawing
         choose_fonts(figure)
         return save_figure(figure, suffix, description)
 
