@@ -40,10 +40,10 @@ def predict_before_data(
     name, planned = scene
     if published := list_published(medium):
         model = describe_published(published, len(planned.layers), planned.rules.advance)
-    elif is_path(medium) or medium in (known := list_names("medium")):
+    elif is_path(medium) or medium in (media := list_names("medium")):
         model = load(find_named("medium", medium), MediumRecord)
     else:
-        raise unknown_name_error("medium", medium, [*known, *read_moduli()])
+        raise unknown_name_error("medium", medium, [*media, *read_moduli()])
     target = None if aim is None else read_numbers(aim, (2, 3), "--aim", "X,Y or X,Y,Z")
     shift, angle = map(abs, read_numbers(pose_sds, (2, 2), "--pose-sd", "SHIFT,DEGREES"))
     planned_scene = make_scene(planned, name, model, changed)
