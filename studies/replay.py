@@ -2,15 +2,13 @@
 
     python studies/replay.py [--study guided_tip]
 
-Each run left out is registered by its readings down to a depth, and its end is predicted from there: the
-study is made again with each such depth. Beside the model: the deflection of the last reading kept, the line
-through the last four, and the curves of the study. Printed are mean absolute errors of the end, mm, how many
-ends along y lie in the 95 % interval, and its median width, as a table in Markdown. The figure has the error
-of each end, along y with its interval.
+Each run left out is registered by its readings down to a depth, and its end is predicted from there. Beside
+the model: the deflection of the last reading kept, the line through the last four, and the curves of the
+study. Printed are mean absolute errors of the end, mm, how many ends lie in the 95 % interval, and its median
+width, as a table in Markdown. The figure has the error of each end with its interval.
 """
 
 import argparse
-import tomllib
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -20,7 +18,6 @@ import pandas as pd
 import needlefit
 
 LAST = 4  #: readings whose line is extended
-DEPTHS = (21.0, 40.0, 59.0, 79.0)  #: down to which readings register a run, mm
 OUT = Path("reports")
 KEYS = ["direction", "part", "run"]
 
@@ -51,19 +48,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--study", default="guided_tip")
     study = parser.parse_args().study
-    record, frames = tomllib.loads(Path(__file__).with_name(f"{study}.toml").read_text(encoding="utf-8")), []
-    for depth in DEPTHS:
-        run = needlefit.validate(record | {"registration_depth_mm": depth}, name=study)
-        readings = run.frames["readings"].sort_values("depth_mm")
-        registered = readings[~readings["scored"]].groupby(["direction", "run", "method"])["depth_mm"].max()
-        last = readings.groupby(["direction", "run", "method"]).last()
-        last = last.assign(registered_mm=registered, part=depth).reset_index()
-        interval = run.frames["predictive"].set_index("insertion")[["tip_95_low_mm", "tip_95_high_mm"]]
-        along_y = last["direction"].eq("y") & last["method"].eq("prediction")
-        for name, ends in zip(("low_95_mm", "high_95_mm"), interval, strict=True):
-            last[name] = last["run"].map(interval[ends]).where(along_y)
-        frames.append(last)
-    ends, readings = pd.concat(frames), readings.query("method == 'prediction'")
+    run = needlefit.validate(study)
+    ends = run.frames["ends"]
+    # runs are predicted again after each quarter of their readings, at about the same depths
+    ends["part"] = ends.groupby(["direction", "run", "method"])["registered_mm"].rank()
+    readings = run.frames["readings"].query("method == 'prediction'").sort_values("depth_mm")
     errors = (ends["predicted_mm"] - ends["measured_mm"]).abs()
     errors = errors.groupby([*(ends[key] for key in KEYS), ends["method"]]).first().unstack()
     of_runs = dict(iter(readings.groupby(["direction", "run"])))

@@ -168,6 +168,12 @@ def test_steered_runs_are_left_out_in_folds(project):
     assert held.set_index("insertion")["fold"].to_dict() == {"moved0": "gel-1", "moved2": "gel-2"}
     (fold, _) = json.loads((project / "reports/mine/run.json").read_text())["folds"]
     assert set(fold["tune"]) == {"rest0", "rest1", "rest2", "rest3", "moved2"}
+    ends = pd.read_csv(project / "reports/mine/ends.csv").query("level == 0.95 and method == 'prediction'")
+    assert set(ends.groupby("run").size()) == {4}  # after each quarter of the readings ahead
+    first, *_, last = (part for _, part in ends.groupby("registered_mm"))
+    assert np.all(first["measured_mm"].between(first["low_mm"], first["high_mm"]))
+    wide, narrow = (part["high_mm"].sub(part["low_mm"]).mean() for part in (first, last))
+    assert narrow < 0.7 * wide
 
 
 def test_a_study_with_nothing_to_predict_is_refused_before_anything_runs(project, capsys):

@@ -59,6 +59,12 @@ READING_COLUMNS = (
     *("fold", "run", "medium", "direction", "method", "depth_mm", "guide_mm", "scored", "measured_mm"),
     *("predicted_mm", "low_50_mm", "high_50_mm", "low_95_mm", "high_95_mm"),
 )
+# a row per run, direction, method and depth down to which its readings register it; `depth_mm` is its end
+END_COLUMNS = (
+    *("fold", "run", "medium", "direction", "method", "registered_mm", "depth_mm", "measured_mm"),
+    *("predicted_mm", "low_95_mm", "high_95_mm"),
+)
+END_PARTS = 4  #: an end is predicted again after each of so many parts of the readings ahead
 
 
 def check_tracks(job: Job) -> None:
@@ -118,8 +124,9 @@ def predict_tracks(
     predictions = _predict_runs(specimens, job, fold)
     further = [] if (whole := _restore_directions(job, fold)) is None else _predict_runs(specimens, *whole)
     for n, prediction in enumerate(predictions):
-        along_z = [row for row in further[n].rows["readings"] if row["direction"] == "z"] if further else []
-        rows = {**prediction.rows, "readings": [*prediction.rows["readings"], *along_z]}
+        rows = dict(prediction.rows)
+        for table in ("readings", "ends") if further else ():
+            rows[table] = [*rows[table], *(row for row in further[n].rows[table] if row["direction"] == "z")]
         yield replace(prediction, rows=rows)
         step(n + 1, len(predictions))
 
@@ -146,6 +153,7 @@ def _predict_runs(specimens: Specimens, job: Job, fold: Fold) -> list[HeldOutPre
     scorer, predictions = make_scorer(job), list[HeldOutPrediction]()
     # how a moved guide leads a needle is known from runs with one, or as well as the recipe states
     led = any(insertion.guided for insertion in fold.tune) or job.recipe.likelihood.tip_tracks.gain_sd > 0
+    ends = [] if draws.faults else _predict_ends(job, fold, simulated, placed, rng)
     for n, (run, drawn) in enumerate(zip(fold.validate, ahead, strict=True)):
         errors, readings = list[Row](), list[Row]()
         certain = drawn if not draws.faults and (led or not run.guided) else None
@@ -155,12 +163,49 @@ def _predict_runs(specimens: Specimens, job: Job, fold: Fold) -> list[HeldOutPre
             if method != "fitted":
                 shown = certain if method == PREDICTION_METHOD else None
                 readings += _list_readings(fold, run, method, placed[n], predicted[n], shown)
-        rows = {"errors": errors, "readings": readings}
+        rows = {"errors": errors, "readings": readings, "ends": ends[n] if certain is not None else []}
         if certain is not None:
             rows["predictive"] = [_describe_run(specimens, job, run, placed[n], certain, draws)]
         count = CountMetadata(simulations=len(drawn.values), outside=0)
         predictions.append(HeldOutPrediction(run.id, rows, count, chosen))
     return predictions
+
+
+def _predict_ends(
+    job: Job,
+    fold: Fold,
+    simulated: tuple[Floats, list[Observation], list[Observation], list[Floats]],
+    placed: Sequence[int],
+    rng: np.random.Generator,
+) -> list[list[Row]]:
+    """Return the rows of "ends" of every run, predicted again as its readings come."""
+    rows: list[list[Row]] = [[] for _ in fold.validate]
+    for part in range(END_PARTS):
+        counts = [
+            count + part * (len(run.points) - count) // END_PARTS
+            for run, count in zip(fold.validate, placed, strict=True)
+        ]
+        ahead = predict_runs(*simulated, counts, rng)
+        curves = _predict_by_curves(job, fold, counts)
+        for n, (run, count) in enumerate(zip(fold.validate, counts, strict=True)):
+            left = len(run.points) - count
+            for number in range(job.dataset.directions):
+                last, first = (number + 1) * left - 1, run.points[0, 1 + number]
+                about: Row = {
+                    **dict.fromkeys(END_COLUMNS, math.nan),
+                    **{"fold": fold.name, "run": run.id, "medium": run.medium, "direction": "yz"[number]},
+                    **{"registered_mm": float(run.points[count - 1, 0]), "depth_mm": run.depth},
+                    "measured_mm": float(run.points[-1, 1 + number] - first),
+                }
+                low, middle, high = np.quantile(
+                    ahead[n].values[:, last] - first, [0.025, 0.5, 0.975]
+                ).tolist()
+                ends = {"predicted_mm": middle, "low_95_mm": low, "high_95_mm": high}
+                rows[n].append({**about, "method": PREDICTION_METHOD, **ends})
+                for name, predicted in curves.items():
+                    end = {"predicted_mm": float(predicted[n][last] - first)}
+                    rows[n].append({**about, "method": name, **end})
+    return rows
 
 
 def _predict_by_curves(job: Job, fold: Fold, placed: Sequence[int]) -> dict[str, list[Floats]]:

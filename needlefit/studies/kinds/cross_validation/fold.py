@@ -69,7 +69,7 @@ from needlefit.studies.validity import MOSTLY_OUTSIDE, add_counts
 
 FitRows = dict[str, Sequence[Any]]  #: rows by the name of the table that they belong to
 #: tables of what is scored and predicted, and the validity of the simulations
-SCORED_TABLES = ("errors", "shapes", "validity", "predictive", "bands", "readings", "curvature")
+SCORED_TABLES = ("errors", "shapes", "validity", "predictive", "bands", "readings", "ends", "curvature")
 
 
 @dataclass(frozen=True)

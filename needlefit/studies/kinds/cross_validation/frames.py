@@ -9,7 +9,7 @@ from needlefit.studies.identification import IDENTIFICATION_COLUMNS, PROFILE_COL
 from needlefit.studies.kinds.cross_validation.rows import DIRECTION_COLUMNS, ERROR_FIT_COLUMNS, START_COLUMNS
 from needlefit.studies.needle_placement import NEEDLE_COLUMNS
 from needlefit.studies.observations import PREDICTIVE_COLUMNS
-from needlefit.studies.observations.tip_track import READING_COLUMNS
+from needlefit.studies.observations.tip_track import END_COLUMNS, READING_COLUMNS
 from needlefit.studies.prediction_scores import BAND_COLUMNS, SENSOR_COLUMNS
 from needlefit.studies.score import ERROR_COLUMNS, FAILED, SHAPE_COLUMNS
 
@@ -27,6 +27,7 @@ FRAMES: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "bands": BAND_COLUMNS,
         "curvature": SENSOR_COLUMNS,
         "readings": READING_COLUMNS,
+        "ends": END_COLUMNS,
         "draws": DRAW_COLUMNS,
         "population": POPULATION_COLUMNS,
         "needles": NEEDLE_COLUMNS,

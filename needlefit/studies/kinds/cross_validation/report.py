@@ -232,7 +232,7 @@ def list_files(run: Run) -> dict[str, pd.DataFrame]:
         "identify": run.frames["identification"],
         "posterior": fit_tables.tabulate_percentiles(run),
     }
-    names = ("predictive", "readings", "curvature", "error_fit", "population", "draws")
+    names = ("predictive", "readings", "ends", "curvature", "error_fit", "population", "draws")
     written |= {name: run.frames[name] for name in names}
     files = {name: run.frames[name] for name in ("errors", "shapes", "starts", "directions")}
     return files | {name: frame for name, frame in written.items() if len(frame)}
@@ -240,7 +240,7 @@ def list_files(run: Run) -> dict[str, pd.DataFrame]:
 
 def fit_to_json(run: Run) -> dict[str, Any]:
     """Return the tables that are written as CSV, but for points and draws."""
-    left_out = ("shapes", "draws", "readings")
+    left_out = ("shapes", "draws", "readings", "ends")
     return {
         name: to_records(to_tidy(frame)) for name, frame in list_files(run).items() if name not in left_out
     }
