@@ -63,8 +63,8 @@ def assemble_dataset(
     media would have one name.
     """
     media: dict[str, list[Reconstruction]] = {}
-    for one in reconstructions:
-        media.setdefault(one.scan.medium, []).append(one)
+    for needle in reconstructions:
+        media.setdefault(needle.scan.medium, []).append(needle)
     records: dict[str, DatasetMediumRecord] = {}
     surfaces: dict[str, Surface] = {}
     for name, group in media.items():
@@ -80,33 +80,35 @@ def assemble_dataset(
         surfaces |= files
     rows = [
         InsertionRow(
-            id=one.scan.id,
-            medium=one.scan.medium,
-            specimen=one.scan.specimen,
-            layers=len(one.layers.sequence) if one.scan.layers is None else one.scan.layers,
-            layers_alternative=one.scan.layers_alternative,
-            depth=one.depth,
-            side=one.scan.side,
-            entry=one.pose.origin,
-            direction=one.pose.direction,
-            bevel=one.scan.bevel,
-            pose_source=one.pose.source,
-            pose_shift_sd=one.pose.shift_sd,
-            pose_angle_sd=one.pose.angle_sd,
-            boundary_sd=float(np.sqrt(np.mean(one.layers.sd**2))) if len(one.layers.sd) else 0.0,
-            depth_sd=one.depth_sd,
-            guide_distance=one.scan.guide_distance or None,
-            patient=one.patient,
+            id=needle.scan.id,
+            medium=needle.scan.medium,
+            specimen=needle.scan.specimen,
+            layers=len(needle.layers.sequence) if needle.scan.layers is None else needle.scan.layers,
+            layers_alternative=needle.scan.layers_alternative,
+            depth=needle.depth,
+            side=needle.scan.side,
+            entry=needle.pose.origin,
+            direction=needle.pose.direction,
+            bevel=needle.scan.bevel,
+            pose_source=needle.pose.source,
+            pose_shift_sd=needle.pose.shift_sd,
+            pose_angle_sd=needle.pose.angle_sd,
+            boundary_sd=float(np.sqrt(np.mean(needle.layers.sd**2))) if len(needle.layers.sd) else 0.0,
+            depth_sd=needle.depth_sd,
+            guide_distance=needle.scan.guide_distance or None,
+            patient=needle.patient,
         )
-        for one in reconstructions
+        for needle in reconstructions
     ]
     return write_dataset(
         folder,
         _dataset_record(reconstructions, recipe, description, records),
         rows,
-        {one.scan.id: np.column_stack([one.points, one.sd]) for one in reconstructions},
+        {needle.scan.id: np.column_stack([needle.points, needle.sd]) for needle in reconstructions},
         surfaces,
-        sections={one.scan.id: one.sections for one in reconstructions if one.sections is not None},
+        sections={
+            needle.scan.id: needle.sections for needle in reconstructions if needle.sections is not None
+        },
     )
 
 
@@ -117,19 +119,19 @@ def _dataset_record(
     media: dict[str, DatasetMediumRecord],
 ) -> DatasetRecord:
     needle = recipe.needle
-    drawn = all(one.sections is not None for one in reconstructions)
-    sd = float(np.sqrt(np.mean(np.concatenate([one.sd for one in reconstructions]) ** 2)))
-    registered = float(np.mean([one.target_error.mean() for one in reconstructions]))
+    drawn = all(scanned.sections is not None for scanned in reconstructions)
+    sd = float(np.sqrt(np.mean(np.concatenate([scanned.sd for scanned in reconstructions]) ** 2)))
+    registered = float(np.mean([scanned.target_error.mean() for scanned in reconstructions]))
     confirmed = {
-        f"entry of {one.scan.id}": f"{one.depth:.2f} mm deep; {one.confirmed}"
-        for one in reconstructions
-        if one.confirmed
+        f"entry of {scanned.scan.id}": f"{scanned.depth:.2f} mm deep; {scanned.confirmed}"
+        for scanned in reconstructions
+        if scanned.confirmed
     }
     return DatasetRecord(
         schema_=1,
         name=description.name,
         title=description.title or description.name,
-        origin=combine_origins(one.scan.origin for one in reconstructions),
+        origin=combine_origins(scanned.scan.origin for scanned in reconstructions),
         license=description.license,
         source=description.source,
         truth_seed=description.truth_seed,
