@@ -1,6 +1,6 @@
 """How often do fits of each kind of measurement find mu and b of needles of another program?
 
-    python benchmarks/labs.py [--sets 20] [--kinds shapes,tips] [--recipe quick]
+    python benchmarks/labs.py [--sets 20] [--seed 100] [--kinds shapes,tips] [--recipe quick]
 
 Each set is a plain file of `tests/labs.py`, whose needles follow `tests/own_model.py`. It is imported with
 --yes, and tuned by the command that the import prints. A row for each kind: sets, 95 % intervals that contain
@@ -47,13 +47,14 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--sets", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=100, help="of the first set")
     parser.add_argument("--kinds", default=",".join(LABS))
     parser.add_argument("--recipe", default="default")
     asked = parser.parse_args()
     print("kind      sets  " + "  ".join(f"{name} in, ratio" for name in TRUTH))
     for kind in asked.kinds.split(","):
         found = []
-        for seed in range(100, 100 + asked.sets):
+        for seed in range(asked.seed, asked.seed + asked.sets):
             with TemporaryDirectory() as folder:
                 found.append(fit_lab(LABS[kind], seed, asked.recipe, Path(folder)))
         cells = []
