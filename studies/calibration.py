@@ -38,7 +38,7 @@ def evaluate(problem: needlefit.Problem, thetas: np.ndarray) -> dict[str, np.nda
     """Return what is ranked (N,) of thetas (N, P), by name."""
     deepest = replace(problem, insertions=(max(problem.insertions, key=lambda one: one.depth),))
     tips = np.array([deepest.points(theta)[0][0][-1, 1] for theta in thetas])
-    prior = [problem.parameters.prior.log_density(problem.values(theta)) for theta in thetas]
+    prior = problem.parameters.prior.log_density([problem.values(theta) for theta in thetas])
     found = dict(zip(problem.names, thetas.T, strict=True))
     return found | {"tip": tips, "log likelihood": problem.log_posteriors(thetas) - prior}
 
