@@ -728,7 +728,7 @@ def write_prior(
 
 
 def _check_types(**options: object) -> None:
-    """Raise ConfigError if an option is of a wrong type; None is one that was not given."""
+    """Raise ConfigError if an option has a wrong type, or `jobs` is below 1. None: it was not given."""
     for name, value in options.items():
         kind, expected = _OPTION_TYPES[name]
         if value is not None and (

@@ -135,13 +135,12 @@ def draw(path: Path, paint: Callable[[], Figure], description: str = "") -> Path
 def _paint_bytes(
     paint: Callable[[], Figure], suffix: str, description: str = "", text_as_text: bool = False
 ) -> bytes:
-    style = {"svg.fonttype": "none"} if text_as_text or description else {}
+    style = {"svg.fonttype": "none"} if suffix == ".svg" and (text_as_text or description) else {}
     with matplotlib.style.context(["default", {**RC_PARAMS, **style}]):
         with warnings.catch_warnings():  # painters may lay out names before their letters have a font
             warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
             figure = paint()
-            # letters stand in an SVG whose text is text: no part of its figure has to be asked
-            if style and suffix == ".svg":
+            if style:  # its letters stand in the drawing: no part of the figure has to be asked
                 drawing = save_figure(figure, suffix, description)
                 if not find_lacking(drawing.decode()):
                     return drawing
