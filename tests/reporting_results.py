@@ -19,6 +19,7 @@ from needlefit.studies.kinds.cross_validation import report
 from needlefit.studies.kinds.cross_validation.frames import FRAMES
 from needlefit.studies.kinds.cross_validation.run import find_faults
 from needlefit.studies.run import Run
+from needlefit.studies.score import FAILED
 from needlefit.studies.validity import tabulate_validity
 
 DEFLECTION = {("phantom2", 4): 4.3, ("phantom2", 3): 3.4, ("phantom2", 2): 0.9, ("phantom2", 1): 0.4}
@@ -167,7 +168,7 @@ def frames(errors, shapes, params, begun, insertions):
     sds = [0.008, 0.17, 0.91]
     empty = {name: pd.DataFrame(columns=list(columns)) for name, columns in FRAMES.items()}
     return empty | {
-        "errors": pd.DataFrame(errors),
+        "errors": pd.DataFrame([FAILED | row for row in errors]),
         "shapes": pd.concat(shapes, ignore_index=True),
         "starts": pd.DataFrame(begun, columns=begun[0].keys()),
         "parameters": pd.DataFrame(params),

@@ -39,8 +39,7 @@ T = TypeVar("T")
 
 MAX_CHECKPOINT_BYTES = 2**31  # size of a file of rows
 DIGEST_KEY = "sha256"  # of a row: the digest of the rest of it
-# HDF5 is of earlier versions
-_OWN_FILE = re.compile(rf"{LOCK_NAME}|{re.escape(MANIFEST)}|[0-9a-f]{{16}}\.(jsonl|h5(\.part)?)")
+_OWN_FILE = re.compile(rf"{LOCK_NAME}|{re.escape(MANIFEST)}|[0-9a-f]{{16}}\.jsonl")
 
 _held: "dict[Path, BaseFileLock]" = {}
 """Locks of this process: a complete run has its lock until its results stand."""

@@ -129,8 +129,6 @@ class ValidityMetadata(_Metadata):
 class DepthMetadata(_Metadata):
     """Whether the data would show a boundary at another depth than stated, and which modulus leans on it."""
 
-    model_config = ConfigDict(extra="ignore")  # earlier versions had more
-
     boundary: int
     sd_mm: float  #: to which the data know a shift of it
     stated_sd_mm: float
@@ -191,7 +189,7 @@ class RunMetadata(_Metadata):
     name: str
     versions: dict[str, str] = {}  #: of Python, needlefit and the packages that decide the result
     study: Table = {}  #: the study file
-    identity: FitIdentity | None = None  #: None of earlier versions, and of what fits nothing
+    identity: FitIdentity | None = None  #: None of what fits nothing
     dataset: DatasetMetadata | None = None
     medium: MediumRecord | None = None
     recipe: RecipeRecord | None = None

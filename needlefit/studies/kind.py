@@ -55,11 +55,6 @@ class StudyKind:
         return next((part.FRAMES for part in parts if hasattr(part, "FRAMES")), {})
 
     @property
-    def optional_columns(self) -> Mapping[str, Mapping[str, float]]:
-        """By frame the columns that a stored run may lack, and what then stands in their cells."""
-        return getattr(self._import("report"), "OPTIONAL", {})
-
-    @property
     def report(self) -> "StudyReport":
         """How its results are reported."""
         report: StudyReport = self._import("report").REPORT

@@ -100,17 +100,13 @@ def restore_run(folder: Path) -> Run:
         frames: Frames = {name: _unpack_frame(frame) for name, frame in table["frames"].items()}
         for name, wanted in kind.frames.items():
             frame = frames.setdefault(name, pd.DataFrame(columns=list(wanted)))  # one of a later version
-            optional = kind.optional_columns.get(name, {})
-            lacking = [column for column in wanted if column not in frame]
-            if refused := [column for column in lacking if column not in optional]:
-                columns = ", ".join(refused)
+            if lacking := [column for column in wanted if column not in frame]:
                 raise DataError(
-                    f"run `{table['name']}` lacks the column {columns} in its table {name}",
+                    f"run `{table['name']}` lacks the column {', '.join(lacking)} in its table {name}",
                     expected="a run of this version",
                     fix="run it again, or read it with the version that wrote it",
                     where=folder,
                 )
-            frames[name] = frame.assign(**{column: optional[column] for column in lacking})
         names, copy = table["posteriors"], folder / DATA_FOLDER
         files = posterior_file_names(len(names))
         return Run(

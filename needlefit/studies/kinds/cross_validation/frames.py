@@ -1,6 +1,5 @@
 """The tables of a fit or cross-validation: each has at least the columns that its maker declares."""
 
-import math
 from collections.abc import Mapping
 from types import MappingProxyType
 
@@ -11,7 +10,7 @@ from needlefit.studies.needle_placement import NEEDLE_COLUMNS
 from needlefit.studies.observations import PREDICTIVE_COLUMNS
 from needlefit.studies.observations.tip_track import END_COLUMNS, READING_COLUMNS
 from needlefit.studies.prediction_scores import BAND_COLUMNS, SENSOR_COLUMNS
-from needlefit.studies.score import ERROR_COLUMNS, FAILED, SHAPE_COLUMNS
+from needlefit.studies.score import ERROR_COLUMNS, SHAPE_COLUMNS
 
 FRAMES: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -33,7 +32,3 @@ FRAMES: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "needles": NEEDLE_COLUMNS,
     }
 )
-OPTIONAL: Mapping[str, Mapping[str, float]] = {
-    "errors": {name: value for name, value in FAILED.items() if name != "converged"},
-    "parameters": dict.fromkeys(("interval_low_error", "interval_high_error"), math.nan),
-}

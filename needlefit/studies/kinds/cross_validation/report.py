@@ -27,14 +27,14 @@ from needlefit.studies.fit_frames import FitFrames
 from needlefit.studies.fit_tables import TEXT
 from needlefit.studies.identification import lay_out_identification
 from needlefit.studies.judge import Judgement, find_contradictions, judge, limit_status, list_checks
-from needlefit.studies.kinds.cross_validation.frames import FRAMES, OPTIONAL
+from needlefit.studies.kinds.cross_validation.frames import FRAMES
 from needlefit.studies.observations import draw_observations
 from needlefit.studies.odd_needles import draw_odd_needles
 from needlefit.studies.prediction_scores import PREDICTED
 from needlefit.studies.report import StudyReport, list_data_notes
 from needlefit.studies.run import Run, value_of_run
 
-__all__ = ["FRAMES", "OPTIONAL", "REPORT"]
+__all__ = ["FRAMES", "REPORT"]
 
 # ---- what the text prints
 
