@@ -3,11 +3,13 @@
 import base64
 import json
 import re
+import subprocess
 import zlib
 from contextlib import contextmanager
 from pathlib import Path
 
 import needlefit
+from needlefit.mechanics import native
 from needlefit.reporting.needle_page import compress
 
 PAGE = Path(needlefit.__file__).parent / "viewer" / "page"
@@ -36,6 +38,29 @@ def change_page_data(text, change):
     data = json.loads(zlib.decompress(base64.b64decode(packed), -15))
     change(data)
     return text.replace(packed, compress(json.dumps(data).encode()))
+
+
+def run_node(program, job):
+    """Return what a program, which finds the kernel and the modules of the page, prints of a job in JSON."""
+    for name, value in {
+        "KERNEL": (native.FOLDER / "needle.js").as_uri(),
+        "PAGE": PAGE.as_uri() + "/",
+        "WASM": str(native.FOLDER / "kernel.wasm"),
+    }.items():
+        program = program.replace(name, repr(value))
+    command = ["node", "--no-wasm-tier-up", "--input-type=module", "-e", program]
+    text = json.dumps(job, allow_nan=False)
+    done = subprocess.run(command, input=text, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+def require_accessible(page):
+    """Fail with what axe finds wrong on a page."""
+    from axe_playwright_python.sync_playwright import Axe
+
+    found = Axe().run(page)
+    assert found.violations_count == 0, found.generate_report()
 
 
 @contextmanager

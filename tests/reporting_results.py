@@ -137,8 +137,7 @@ def parameters(layers, fold, undetermined, methods):
             scale = value if kind == "mu" else 1.0
             row |= {key: KINDS[kind][key] * scale if free else NO for key in ("low", "high")}
             row |= {"interval_low": value / 1.2 if free else NO, "interval_high": value * 1.2 if free else NO}
-            row |= {"median": value if free else NO, "tip_shift_mm": NO}
-            row |= {"interval_low_error": NO, "interval_high_error": NO}
+            row["median"] = value if free else NO
             row |= {"draw_source": "importance" if free else ""}
             row |= {"determined": ("yes" if known else "no") if free else "", "condition": ""}
             rows.append(row | {"note": note})
@@ -171,7 +170,7 @@ def frames(errors, shapes, params, begun, insertions):
         "errors": pd.DataFrame([FAILED | row for row in errors]),
         "shapes": pd.concat(shapes, ignore_index=True),
         "starts": pd.DataFrame(begun, columns=begun[0].keys()),
-        "parameters": pd.DataFrame(params),
+        "parameters": pd.DataFrame(params).reindex(columns=list(FRAMES["parameters"])),
         "directions": pd.DataFrame({"fold": 1, "parameters": 2, "sd": sds, "sd_ratio": 0.1, "note": words}),
     }
 
@@ -293,14 +292,7 @@ def with_predictions(results, levels=(0.1, 0.4, 0.7, 0.97)):
         row |= {"hole": one["hole"]}
         tip, half = float(one["deflection_mm"]), 0.3
         row |= {"tip_measured_mm": tip, "tip_median_mm": tip, "tip_crps_mm": 0.1, "shape_crps_mm": 0.1}
-        row |= {
-            "specimen_treatment": "same",
-            "between_sd_ln_mu": np.nan,
-            "between_sd_ln_b": np.nan,
-            "between_correlation": np.nan,
-        }
-        row |= {"other_specimens": np.nan, "tip_95_width_after_one_mm": np.nan, "tip_interval_score_mm": 0.6}
-        row["tip_95_width_error_mm"] = 0.02
+        row |= {"specimen_treatment": "same", "tip_interval_score_mm": 0.6, "tip_95_width_error_mm": 0.02}
         for what in ("tip", "shape", "points"):
             row |= {f"{what}_pit": level, f"{what}_in_50": 0.25 <= level <= 0.75}
             row |= {f"{what}_in_95": 0.025 <= level <= 0.975}
@@ -315,7 +307,7 @@ def with_predictions(results, levels=(0.1, 0.4, 0.7, 0.97)):
         band = {"fold": one["fold"], "insertion": one["insertion"], "x_mm": along["measured_x_mm"]}
         band |= {"measured_mm": y, "median_mm": y, "low_50_mm": y - 0.1, "high_50_mm": y + 0.1}
         bands.append(pd.DataFrame(band | {"low_95_mm": y - half, "high_95_mm": y + half}))
-    predictive = pd.DataFrame(rows)[list(FRAMES["predictive"])]
+    predictive = pd.DataFrame(rows).reindex(columns=list(FRAMES["predictive"]))
     return results.with_frames(predictive=predictive, bands=pd.concat(bands, ignore_index=True))
 
 

@@ -1,13 +1,10 @@
-"""Random insertions whose needle leaves its plane, and the same insertions turned about x."""
+"""Random insertions whose needle leaves its plane."""
 
-import math
 from dataclasses import replace
 
-import numpy as np
 from mechanics_cases import random_case
-from numpy.testing import assert_allclose
 
-from needlefit.mechanics.control import BASE_INPUTS, Controls, Step
+from needlefit.mechanics.control import Step
 
 
 def random_spatial_case(rng, kind="decided", count=5, deepest=11.0):
@@ -38,48 +35,3 @@ def _move_out(rng, controls):
         base_slope_z=rng.uniform(-0.005, 0.005),
         stage_slope_z=rng.uniform(-0.01, 0.01),
     )
-
-
-def turn(y, z, degrees):
-    """Return components along y and z of a vector that is turned about x."""
-    cos, sin = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
-    return cos * y - sin * z, sin * y + cos * z
-
-
-def turn_step(step, degrees):
-    """Return a step with all of its inputs turned about x."""
-    given = step.controls
-
-    def move(one):
-        (y, z), slopes = turn(one.y, one.z, degrees), turn(one.slope or 0.0, one.slope_z, degrees)
-        return replace(one, y=y, z=z, slope=None if one.slope is None else slopes[0], slope_z=slopes[1])
-
-    base = [getattr(given, name) for name in BASE_INPUTS]
-    turned = np.ravel([turn(y, z, degrees) for y, z in zip(base[:3], base[3:], strict=True)], order="F")
-    controls = Controls(
-        guides=tuple(move(guide) for guide in given.guides),  # type: ignore[misc]
-        tip=given.tip and move(given.tip),
-        **dict(zip(BASE_INPUTS, turned.tolist(), strict=True)),
-    )
-    bevel = replace(step.bevel, roll_deg=step.bevel.roll_deg + degrees)
-    return Step(step.depth, bevel, controls)
-
-
-def list_planes(shape):
-    """Return what a shape has along y and along z, by name."""
-    return {
-        "u": (shape.u, shape.w),
-        "slope": (shape.slope, shape.slope_z),
-        "constraints": (shape.constraints[:, 1], shape.constraints[:, 2]),
-        "track": (shape.tip_track[:, :2], shape.tip_track[:, 2:]),
-    }
-
-
-def assert_turned(found, expected, degrees, atol):
-    """Compare a needle with another one that is turned about x."""
-    assert found.converged and expected.converged
-    planes = list_planes(expected)
-    for name, (y, z) in list_planes(found).items():
-        wanted = turn(*planes[name], degrees)
-        assert_allclose(y, wanted[0], rtol=0, atol=atol, err_msg=name)
-        assert_allclose(z, wanted[1], rtol=0, atol=atol, err_msg=name)

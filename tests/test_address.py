@@ -1,14 +1,10 @@
 """The address of a needle and its recording, run in Node.js: either leads to the same bits, or is refused."""
 
-import json
-import subprocess
-
 import numpy as np
 import pytest
-from page_files import PAGE
+from page_files import run_node
 from test_page_model import SCENES, pytestmark  # noqa: F401 - a mark of this module, too
 
-from needlefit.mechanics import native
 from needlefit.mechanics.shape import list_planes
 from needlefit.planning.recording import begin_replay, format_head, read_recording, replay
 from needlefit.planning.steered_needle import SteeredNeedle, make_steered_scene
@@ -51,17 +47,6 @@ WRONG = (
 )  # fmt: skip
 
 
-def run(job):
-    program = PROGRAM.replace("KERNEL", repr((native.FOLDER / "needle.js").as_uri()))
-    program = program.replace("PAGE", repr(PAGE.as_uri() + "/")).replace(
-        "WASM", repr(str(native.FOLDER / "kernel.wasm"))
-    )
-    command = ["node", "--no-wasm-tier-up", "--input-type=module", "-e", program]
-    done = subprocess.run(command, input=json.dumps(job), capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
-
-
 def draw_path(rng, layers, strength, kind):
     """Return changes of a hand: those that an address carries, or with base, guides, tip and b on the way."""
     depth, path = 0.0, []
@@ -99,7 +84,8 @@ def test_random_paths_reopen_to_the_bit_or_are_refused(name, kind, tmp_path):
     rng = np.random.default_rng(79)
     paths = [draw_path(rng, scene.tissue.layers, strength, kind) for _ in range(20)]
     encoded = encode_scene(viewed, SteeredNeedle(scene, viewed.first_cell))
-    done = run({"scene": encoded, "head": format_head(viewed.make_head()), "paths": paths, "wrong": WRONG})
+    job = {"scene": encoded, "head": format_head(viewed.make_head()), "paths": paths, "wrong": WRONG}
+    done = run_node(PROGRAM, job)
     linked = 0
     for number, found in enumerate(done["found"]):
         if found["written"]:

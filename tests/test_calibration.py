@@ -22,13 +22,13 @@ import calibration  # noqa: E402
 LEVELS = [0.5, 0.8, 0.9, 0.95]
 
 
-def summarize(rows: pd.DataFrame) -> pd.DataFrame:
+def summarize(rows):
     figure, ax = plt.subplots()
     plt.close(figure)
     return calibration.summarize(rows.assign(study="study"), ax)
 
 
-def place_all(pits: dict[str, np.ndarray]) -> pd.DataFrame:
+def place_all(pits):
     """Rows of truths (N,) or, of several rows each, (N, K)."""
     rows = [
         calibration.place(name, float(pit)) | {"seed": seed}
@@ -79,7 +79,7 @@ def test_the_rows_of_the_documents_pass_from_the_prior_and_cover_tips_of_other_t
     assert tips.groupby("study")["in_95"].mean().between(0.91, 1.0).all()
 
 
-def rank_small(count: int, monkeypatch) -> pd.DataFrame:
+def rank_small(count, monkeypatch):
     monkeypatch.setattr(api, "make_problem", lambda _: small_problem())
     rows = [calibration.rank_truth("small", seed) for seed in range(count)]
     return pd.DataFrame([one | {"seed": seed} for seed, each in enumerate(rows) for one in each])

@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -59,7 +58,7 @@ guide_distance_mm = 20
 
 
 @pytest.fixture
-def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def project(tmp_path, monkeypatch):
     rest = [measured(track(f"rest{n}", 0 * GUIDE), n, 0.03 + 0.004 * n, n) for n in range(4)]
     moved = [measured(track(f"moved{n}", GUIDE * (1 - n)), -n, 0.034 + 0.004 * n, 9 + n) for n in (0, 2)]
     written(tmp_path / "data/mine", [*rest, *moved])

@@ -12,7 +12,7 @@ from problem_cases import ALONG_X
 from test_page import NO_BROWSER, chromium  # noqa: F401 - a fixture
 
 import needlefit as nf
-from needlefit.datasets.insertion import Insertion, Noise
+from needlefit.datasets.insertion import Noise
 from needlefit.datasets.read import check, read
 from needlefit.datasets.select import find_repeats
 from needlefit.errors import DataError, UnfinishedWorkError
@@ -37,7 +37,7 @@ ONE_LAYER = medium(1)
 TIP_SD, APART_MM = 0.2, 0.3  #: mm; of the tip that is measured beside a shape, and from its end
 
 
-def read_sensors(depth: float, beyond: float = 0.0, seed: int | None = None) -> Insertion:
+def read_sensors(depth, beyond=0.0, seed=None):
     """An insertion of the truth of which sensors, to `beyond` mm before the entry, read the curvature."""
     one = replace(insertion(depth, angle_sd=0.0), observation="curvature", own_errors=True, id=f"at{depth:g}")
     places = np.arange(8.0, depth + beyond - 2.0, 12.0)
@@ -51,7 +51,7 @@ def read_sensors(depth: float, beyond: float = 0.0, seed: int | None = None) -> 
     return replace(one, curvature=still)
 
 
-def test_readings_lead_from_the_clamped_end_to_the_tip() -> None:
+def test_readings_lead_from_the_clamped_end_to_the_tip():
     """Of curvatures that fall linearly to 0 at the tip, a cantilever's, it is kappa L^2 / 3 off."""
     one, s = insertion(60.0), np.array([40.0, 0.0, -40.0])
     read = np.column_stack([60.0 - s, 1e-4 * (60.0 - s), 0 * s, np.full(3, SD)])
@@ -62,7 +62,7 @@ def test_readings_lead_from_the_clamped_end_to_the_tip() -> None:
     assert integrate_sensors(guided) @ read[:, 1] == pytest.approx(1e-4 * 80.0**3 / 3, rel=1e-3)
 
 
-def test_a_needle_is_scored_by_its_readings_and_by_the_tip_from_the_base() -> None:
+def test_a_needle_is_scored_by_its_readings_and_by_the_tip_from_the_base():
     """A reading that is 0.3 /m too large: RMS 0.3 / sqrt(n), and so much more of the tip."""
     exact, data = read_sensors(60.0, 40.0), dataset([], Noise())
     curve = SimulatedCurve(predict(TRUTH, ONE_LAYER, exact), exact)
@@ -78,14 +78,14 @@ def test_a_needle_is_scored_by_its_readings_and_by_the_tip_from_the_base() -> No
     assert [goal.quantity for goal in list_comparisons(data, inside)] == ["curvatures"]
 
 
-def test_the_floor_of_readings_is_that_of_their_errors() -> None:
+def test_the_floor_of_readings_is_that_of_their_errors():
     one = read_sensors(60.0)
     floor = estimate_floor(dataset([], Noise()), one, np.random.default_rng(1))
     assert floor["curvature_rms_1_per_m"] == pytest.approx(1e3 * SD, rel=0.1)
     assert np.isnan(floor["te_mm"]) and "te_integrated_mm" not in floor
 
 
-def test_metrics_of_places_are_not_of_curvatures() -> None:
+def test_metrics_of_places_are_not_of_curvatures():
     readings = np.array([[10.0, 1.0, 0.0], [20.0, 2.0, 0.0]])
     off = compare_curves(readings + np.array([0.0, 0.5, 0.0]), readings, "plane", "curvatures")
     assert compute_metrics(off) == {"curvature_rms_1_per_m": pytest.approx(0.5)}
@@ -130,7 +130,7 @@ bevel_mm = { bounds = [1e-3, 0.5] }
 """
 
 
-def write_study(folder: Path, toml: str, rows: list[str], made: list[Insertion]) -> Path:
+def write_study(folder, toml, rows, made):
     """Write a dataset with the rows of a table, the sensors of insertions, and a study of it."""
     lines = ["id,s_mm,kappa_y_1_per_mm,kappa_z_1_per_mm,sd_1_per_mm"]
     for one in made:
@@ -144,19 +144,19 @@ def write_study(folder: Path, toml: str, rows: list[str], made: list[Insertion])
 
 
 @pytest.fixture(scope="module")
-def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def study(tmp_path_factory):
     made = [read_sensors(depth, seed=n) for n, depth in enumerate(np.linspace(60.0, 95.0, 5))]
     rows = ["id,depth_mm,bevel_side", *(f"{one.id},{one.depth:g},1" for one in made)]
     return write_study(tmp_path_factory.mktemp("fibres"), DATASET, rows, made)
 
 
-def test_curvatures_alone_are_no_places_that_the_page_compares(study: Path) -> None:
+def test_curvatures_alone_are_no_places_that_the_page_compares(study):
     viewed = open_target(str(study.parent))
     assert viewed.is_measured and viewed.measured is None
 
 
 @pytest.fixture(scope="module")
-def mixed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def mixed(tmp_path_factory):
     """Shapes and tips with an SD of 0.05 mm, and needles with sensors, of one truth; m0 and m2 have two."""
     folder, rng = tmp_path_factory.mktemp("mixed"), np.random.default_rng(4)
     (folder / "centerlines").mkdir()
@@ -178,7 +178,7 @@ def mixed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_study(folder, toml, rows, [*made, replace(read_sensors(55.0, seed=9), id="m0")])
 
 
-def test_a_fit_to_curvatures_finds_the_truth_and_is_judged_by_their_errors(study: Path) -> None:
+def test_a_fit_to_curvatures_finds_the_truth_and_is_judged_by_their_errors(study):
     run = nf.fit(study)
     rows = run.frames["parameters"].set_index("parameter").query("method == 'fitted'")
     for name in ("mu1_pa", "bevel_mm"):
@@ -190,7 +190,7 @@ def test_a_fit_to_curvatures_finds_the_truth_and_is_judged_by_their_errors(study
     assert len(run.frames["curvature"]["insertion"].unique()) == 5
 
 
-def test_what_a_narrow_prior_states_of_a_parameter_is_from_the_prior(study: Path) -> None:
+def test_what_a_narrow_prior_states_of_a_parameter_is_from_the_prior(study):
     """Of mu1 one needle leaves a factor of 3 or more; a prior of 5 % about the truth is not narrowed."""
     prior = {"median": TRUTH["mu1_pa"], "factor": 1.05}
     stated = {"mu1_pa": {"bounds": [1e3, 1e9], "prior": prior}}
@@ -204,7 +204,7 @@ def test_what_a_narrow_prior_states_of_a_parameter_is_from_the_prior(study: Path
     assert limits["stated"] == ("from the prior", "no", "") and "from the prior" not in limits[""]
 
 
-def test_held_out_needles_are_predicted_by_their_readings(study: Path) -> None:
+def test_held_out_needles_are_predicted_by_their_readings(study):
     run = nf.validate(study)
     predicted = run.frames["predictive"]
     assert len(predicted) == 5 and predicted["tip_in_95"].isna().all()
@@ -215,7 +215,7 @@ def test_held_out_needles_are_predicted_by_their_readings(study: Path) -> None:
     assert (intervals.tips, intervals.score) == (5, "curvature_rms_1_per_m")
 
 
-def test_a_tip_beside_a_shape_is_scored_and_drawn_by_itself(mixed: Path, validated: nf.Run) -> None:
+def test_a_tip_beside_a_shape_is_scored_and_drawn_by_itself(mixed, validated):
     """Its errors are TE and EDP, by its own SD; those of the shape are of the whole curve."""
     one = next(one for one in read(mixed.parent).insertions if one.id == "m2")
     assert one.tip is not None
@@ -233,7 +233,7 @@ def test_a_tip_beside_a_shape_is_scored_and_drawn_by_itself(mixed: Path, validat
     assert {*shown["tips"].frame["insertion"]} == {"m1", "m2", "m3"} and "overlays" in shown
 
 
-def test_the_error_minimising_fit_counts_the_tip_beside_a_shape(mixed: Path) -> None:
+def test_the_error_minimising_fit_counts_the_tip_beside_a_shape(mixed):
     """Its objective, mm, is of the errors by which an insertion is scored."""
     data = read(mixed.parent)
     of_shape = next(one for one in data.insertions if one.id == "m2")
@@ -251,12 +251,12 @@ def test_the_error_minimising_fit_counts_the_tip_beside_a_shape(mixed: Path) -> 
     assert tolerance.by_noise > 0.0
 
 
-def test_a_run_that_ends_by_an_error_does_not_block_the_next_one(tmp_path: Path) -> None:
+def test_a_run_that_ends_by_an_error_does_not_block_the_next_one(tmp_path):
     """Finished work is kept where a run was interrupted, not where the same run would fail again."""
     kind, folder = find_kind("fit"), tmp_path / "a.partial"
     for error, left in ((DataError("wrong"), False), (UnfinishedWorkError("a full disk"), True)):
 
-        def fail(name: str, record: object, settings: Settings, error: Exception = error) -> None:
+        def fail(name, record, settings, error=error):
             open_checkpoint(folder, False, {"n": 1}).keep_row("fit", {"theta": 1.0})
             raise error
 
@@ -267,7 +267,7 @@ def test_a_run_that_ends_by_an_error_does_not_block_the_next_one(tmp_path: Path)
         assert folder.exists() is left
 
 
-def test_a_dataset_mixes_shapes_tips_and_curvatures(mixed: Path) -> None:
+def test_a_dataset_mixes_shapes_tips_and_curvatures(mixed):
     data = read(mixed.parent)
     assert not find_repeats(data)  # one entry of all rows is no hole
     kinds = ["points", "tip", "points", "tip", "points", "curvature", "curvature"]
@@ -279,13 +279,13 @@ def test_a_dataset_mixes_shapes_tips_and_curvatures(mixed: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def validated(mixed: Path) -> nf.Run:
+def validated(mixed):
     return nf.validate(mixed)
 
 
 @NO_BROWSER
 @pytest.mark.skipif(not kernel_exists(), reason="a system compiler has built no WebAssembly")
-def test_the_page_of_a_mixture_shows_of_a_tip_the_tip_alone(validated, chromium, tmp_path) -> None:  # noqa: F811
+def test_the_page_of_a_mixture_shows_of_a_tip_the_tip_alone(validated, chromium, tmp_path):  # noqa: F811
     data = collect_explorer(validated)
     shown = {needle["scene"]["measured"]["id"]: needle["scene"]["measured"] for needle in data.needles}
     assert {name: len(measured["x"]) for name, measured in shown.items()} == {
@@ -306,7 +306,7 @@ def test_the_page_of_a_mixture_shows_of_a_tip_the_tip_alone(validated, chromium,
             assert window.evaluate("needlefit.state.errors.te_mm") == pytest.approx(error)
 
 
-def test_a_mixture_is_fitted_and_scored_by_what_each_needle_holds(validated: nf.Run) -> None:
+def test_a_mixture_is_fitted_and_scored_by_what_each_needle_holds(validated):
     run = validated
     rows = run.frames["parameters"].query("method == 'fitted'")
     for name in ("mu1_pa", "bevel_mm"):

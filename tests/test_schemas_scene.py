@@ -65,25 +65,23 @@ def test_unset_values_of_a_step_carry_over():
     ]
     controls = {"base_y_mm": 1, "stage_angle_deg": 4}
     record = check(BARE | {"guides": [RING], "controls": controls, "steps": steps}, SceneRecord, "a.toml")
-    whole = resolve_steps(record)
-    assert [(step.depth_mm, step.key) for step in whole] == [
-        (depth, f"steps.{n}.depth_mm") for n, depth in enumerate((10, 20, 5, 5, 6, 6), start=1)
+    fields = ("base_y_mm", "base_slope_deg", "tip_y_mm", "tip_slope_deg", "stage_angle_deg")
+    found = []
+    for step in resolve_steps(record):
+        ((key, ring),) = step.guides
+        held = [getattr(step.controls, name) for name in fields]
+        found.append(
+            (step.depth_mm, step.bevel.offset_mm, step.bevel.side, *held, key, ring.y_mm, ring.engaged)
+        )
+    moved = "steps.2.guides.ring"
+    assert found == [
+        (10, 0.1, 1, 1, 0, None, None, 4, "guides.1", 0, True),
+        (20, 0.1, -1, 2, 0, None, None, 4, moved, 0.5, True),
+        (5, 0.3, -1, 2, 0, 0.1, 3, 4, moved, 0.5, True),
+        (5, 0.3, -1, 2, -1, 0.2, None, 4, moved, 0.5, True),
+        (6, 0.3, -1, 2, -1, 0.2, None, 4, "steps.5.guides.ring", 0.5, False),
+        (6, 0.3, -1, 2, -1, None, None, 4, "steps.5.guides.ring", 0.5, False),
     ]
-    assert [(step.bevel.offset_mm, step.bevel.side) for step in whole] == [
-        (0.1, 1), (0.1, -1), (0.3, -1), (0.3, -1), (0.3, -1), (0.3, -1),
-    ]  # fmt: skip
-    assert [step.controls.base_y_mm for step in whole] == [1, 2, 2, 2, 2, 2]
-    assert [step.controls.base_slope_deg for step in whole] == [0, 0, 0, -1, -1, -1]
-    assert [(step.controls.tip_y_mm, step.controls.tip_slope_deg) for step in whole] == [
-        (None, None), (None, None), (0.1, 3), (0.2, None), (0.2, None), (None, None),
-    ]  # fmt: skip
-    assert all(step.controls.stage_angle_deg == 4 for step in whole)
-    rings = [step.guides[0] for step in whole]
-    assert [(key, ring.y_mm, ring.engaged) for key, ring in rings] == [
-        ("guides.1", 0, True), ("steps.2.guides.ring", 0.5, True), ("steps.2.guides.ring", 0.5, True),
-        ("steps.2.guides.ring", 0.5, True), ("steps.5.guides.ring", 0.5, False),
-        ("steps.5.guides.ring", 0.5, False),
-    ]  # fmt: skip
 
 
 def test_a_side_and_a_roll_take_each_other_s_place():

@@ -1,7 +1,6 @@
 """Tips alone, and curvatures alone: read, imported, and fitted to known truths."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +9,7 @@ from inference_cases import TRUTH, assert_one_density, dataset, insertion, measu
 from problem_cases import ALONG_X, make_problem
 from refusals import refusal
 
-from needlefit.datasets.insertion import Insertion, Noise
+from needlefit.datasets.insertion import Noise
 from needlefit.datasets.read import check, read
 from needlefit.errors import DataError
 from needlefit.geometry.curves import compare_curves
@@ -23,7 +22,6 @@ from needlefit.inference.likelihood.observations import (
     read_points,
     select_points,
 )
-from needlefit.inference.problem import Problem
 from needlefit.metrics import compute_metrics
 from needlefit.schemas.recipe import WeightsRecord
 from needlefit.studies.simulated_data import simulate_measurement
@@ -33,7 +31,7 @@ THETA = np.log([TRUTH["mu1_pa"], TRUTH["bevel_mm"]])
 NOISE = Noise(point_sd=0.05)
 
 
-def tip(depth: float, side: int = 1, error: float = 0.0) -> Insertion:
+def tip(depth, side=1, error=0.0):
     """An insertion of which the tip was measured, at the truth and an error, mm."""
     planned = insertion(depth, side=side, angle_sd=0.0)
     planned = replace(planned, id=f"at{depth:g}{side:+d}", observation="tip", directions=1)
@@ -41,23 +39,23 @@ def tip(depth: float, side: int = 1, error: float = 0.0) -> Insertion:
     return planned.with_points(np.array([[0.0, 0.0], [depth, end]]))
 
 
-def tips(seed: int) -> list[Insertion]:
+def tips(seed):
     errors = iter(NOISE.point_sd * np.random.default_rng(seed).normal(size=40))
     return [tip(depth, side, next(errors)) for depth in np.arange(20.0, 100.0, 5.0) for side in (1, -1)]
 
 
-def problem(made: list[Insertion]) -> Problem:
+def problem(made):
     return make_problem(dataset(made, NOISE), made, ONE_LAYER, WeightsRecord())
 
 
-def test_density_and_objective_of_tips_have_exact_derivatives() -> None:
+def test_density_and_objective_of_tips_have_exact_derivatives():
     asked, at = problem(tips(1)[::8]), THETA + np.array([0.2, -0.1])
     assert_one_density(asked, at, rtol=5e-4)
     ends = [(asked.objective(at + d) - asked.objective(at - d)) / 2e-4 for d in 1e-4 * np.eye(2)]
     assert asked.objective_gradient(at)[1] == pytest.approx(ends, rel=1e-3)
 
 
-def test_the_density_is_that_of_a_normal_deviation_across() -> None:
+def test_the_density_is_that_of_a_normal_deviation_across():
     """Of one tip: (y_sim - y) / sd, with a shift and a turn of the pose in its variance."""
     one = replace(tip(60.0, error=0.07), pose_shift_sd=0.1, pose_angle_sd=0.002)
     known = make_observation(dataset([one], NOISE), one)
@@ -68,7 +66,7 @@ def test_the_density_is_that_of_a_normal_deviation_across() -> None:
 
 
 @pytest.mark.parametrize("compared", ["plane", "space"])
-def test_a_tip_beside_a_shape_is_one_residual_more(compared: str) -> None:
+def test_a_tip_beside_a_shape_is_one_residual_more(compared):
     """It errs by its own deviation; along z, where it was not measured, it counts for nothing."""
     shape = replace(measure(TRUTH, ONE_LAYER, insertion(60.0, angle_sd=0.0)), roll_sd=0.0)
     beside = replace(shape, tip=np.array([shape.points[-1, 1] + 0.07, np.nan, 0.02]))
@@ -83,7 +81,7 @@ def test_a_tip_beside_a_shape_is_one_residual_more(compared: str) -> None:
 
 
 @pytest.mark.parametrize("compared", ["plane", "space"])
-def test_all_that_an_insertion_holds_is_simulated_with_its_errors(compared: str) -> None:
+def test_all_that_an_insertion_holds_is_simulated_with_its_errors(compared):
     """The squares of whitened residuals at the truth are chi-squared: their number is the mean."""
     shape = measure(TRUTH, ONE_LAYER, insertion(60.0), points=21)
     sensors = np.column_stack([[10.0, 40.0], np.zeros((2, 2)), [5e-5, 1e-4]])
@@ -104,14 +102,14 @@ def test_all_that_an_insertion_holds_is_simulated_with_its_errors(compared: str)
         assert np.mean(squares) == pytest.approx(1.0, abs=4 * np.sqrt(2 / len(misfits) / 100))
 
 
-def test_a_tip_alone_is_compared_beside_cross_sections_of_the_scan() -> None:
+def test_a_tip_alone_is_compared_beside_cross_sections_of_the_scan():
     data = read(TWIN / "dataset.toml")
     one = next(one for one in data.insertions if one.sections is not None)
     assert len(make_observation(data, one).covariance()) > 1
     assert make_observation(data, replace(one, observation="tip")).covariance().shape == (1, 1)
 
 
-def test_a_tip_has_an_error_across_and_no_error_along_the_needle() -> None:
+def test_a_tip_has_an_error_across_and_no_error_along_the_needle():
     one = tip(60.0, error=0.3)
     curve = SimulatedCurve(predict(TRUTH, ONE_LAYER, one), one)
     found = compute_metrics(compare_curves(*align_points(select_points("known", 0.0, one), curve)))
@@ -143,14 +141,14 @@ file = "insertions.csv"
 )
 
 
-def written(folder: Path, rows: str, toml: str = TOML) -> Path:
+def written(folder, rows, toml=TOML):
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "insertions.csv").write_text(rows)
     (folder / "dataset.toml").write_text(toml)
     return folder
 
 
-def test_a_table_of_depths_and_deflections_is_a_dataset(tmp_path: Path) -> None:
+def test_a_table_of_depths_and_deflections_is_a_dataset(tmp_path):
     rows = (
         "id,hole,depth_mm,bevel_side,tip_y_mm,point_sd_mm\na,h,40,1,2.5,\nb,h,60,1,5.5,0.2\nc,k,60,-1,-5.0,\n"
     )
@@ -174,12 +172,12 @@ def test_a_table_of_depths_and_deflections_is_a_dataset(tmp_path: Path) -> None:
         ("id,depth_mm,tip_y_mm,point_sd_mm\na,40,1,-1\n", "point_sd_mm is negative"),
     ],
 )
-def test_what_is_wrong_with_a_tip_is_named(tmp_path: Path, rows: str, expected: str) -> None:
+def test_what_is_wrong_with_a_tip_is_named(tmp_path, rows, expected):
     (fault, *_) = check(written(tmp_path, rows))
     assert expected in fault.what and fault.where.endswith("insertions.csv:2")
 
 
-def test_tips_need_the_place_of_first_contact(tmp_path: Path) -> None:
+def test_tips_need_the_place_of_first_contact(tmp_path):
     rows = "id,depth_mm,tip_y_mm\na,40,2\n"
     refusal(DataError, "first_point", read, written(tmp_path, rows, TOML.replace("stage", "first_point")))
     free = TOML.replace("[insertions]\n", '[frame]\npose = "free"\n[insertions]\n')

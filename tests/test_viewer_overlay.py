@@ -1,32 +1,22 @@
-"""What lies over the needle, against what is known of it: errors and bands."""
+"""The errors of a needle on the page, against closed forms."""
 
 import dataclasses
-import json
 import math
 import shutil
-import subprocess
 
 import numpy as np
-import pandas as pd
 import pytest
 from inference_cases import TRUTH, dataset, insertion, measure, medium
 from numpy.testing import assert_allclose
-from page_files import PAGE
-from page_state import compute_band
+from page_files import run_node
 from pytest import approx
 
 from needlefit.geometry.curves import arc_length, compare_curves
 from needlefit.geometry.frames import align_rigid
 from needlefit.inference.compared_points import align_points
-from needlefit.inference.forward_model import predict, select_layer_draws
+from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.observations import select_points
-from needlefit.mechanics.control import Guide
-from needlefit.mechanics.scene import Scene
-from needlefit.mechanics.session import Session
 from needlefit.mechanics.shape import NeedleShape, compute_positions
-from needlefit.mechanics.tissue import Tissue
-from needlefit.planning.insertion_scene import make_scene_record
-from needlefit.planning.steering import StartedInsertion
 from needlefit.viewer.overlays import make_measured_overlay
 from needlefit.viewer.page_needle import encode_measured
 
@@ -56,7 +46,7 @@ def of(one, pose="known", floor=0.2, shape=None, drop=0.0):
 
 ERRORS = """
 import {readFileSync} from 'node:fs'
-const {computeErrors} = await import(MODULE)
+const {computeErrors} = await import(PAGE + 'model/errors.js')
 const {measured, depths} = JSON.parse(readFileSync(0, 'utf8'))
 const positions = (s) => s.flatMap((one) => [one, 0])
 const straight = (depth) => ({shape: {x: [depth - 150, depth], depth, planes: 1}, positions})
@@ -66,13 +56,9 @@ console.log(JSON.stringify(depths.map((depth) => computeErrors(straight(depth), 
 
 def page_errors(overlay, *depths):
     """The errors, on the page, of straight needles of some depths."""
-    program = ERRORS.replace("MODULE", repr((PAGE / "model" / "errors.js").as_uri()))
-    job = {"measured": {"depth_mm": overlay.depth, **encode_measured(overlay)}, "depths": depths}
-    done = subprocess.run(
-        ["node", "--input-type=module", "-e", program], input=json.dumps(job), capture_output=True, text=True
+    return run_node(
+        ERRORS, {"measured": {"depth_mm": overlay.depth, **encode_measured(overlay)}, "depths": depths}
     )
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
 
 
 needs_node = pytest.mark.skipif(shutil.which("node") is None, reason="no Node.js")
@@ -125,49 +111,3 @@ def test_a_needle_whose_entry_is_its_first_point_is_compared_after_a_shift_acros
     goal = select_points("known", 0.0, one)
     expected = compare_curves(*align_points(goal, lambda s: compute_positions(flat, s)))
     assert expected.tip_error == approx(found["te_mm"])
-
-
-SCENE = Scene.from_record(make_scene_record(TRUTH, medium(), dataset([PLAN]).name, PLAN))
-
-
-def spread(count=60):
-    rng = np.random.default_rng(3)
-    factors = np.exp(0.2 * rng.normal(size=(count, 3)))
-    names = ["mu1_pa", "mu2_pa", "bevel_mm"]
-    draws = {name: TRUTH[name] * factors[:, n] for n, name in enumerate(names)}
-    alphas = {f"alpha{n}": rng.uniform(-30.0, 30.0, count) for n in (1, 2)}  # so far that they tell
-    return select_layer_draws(pd.DataFrame(draws | alphas), (1, 2), "ogden")
-
-
-def led():
-    """A needle as a hand leads it: the bevel flips, the base moves, a guide is set."""
-    first = SCENE.steps[0]
-    session = Session(SCENE.needle, SCENE.tissue, first.bevel, 0.7, rules=SCENE.rules)
-    session.step(15.0)
-    session.step(10.0, bevel=dataclasses.replace(first.bevel, side=-1, offset=0.02))
-    session.step(-3.0, base=(0.8, 0.01))
-    session.step(5.0, guides=(Guide(-20.0, 0.3, 0.0),))
-    return session
-
-
-def band(draws, path, first_cell=1.0):
-    rules = dataclasses.replace(SCENE.rules, first_cell=first_cell)
-    return compute_band(StartedInsertion(SCENE.needle, SCENE.tissue, rules, path, draws))
-
-
-def test_the_band_covers_the_needles_of_all_draws_under_the_same_inputs():
-    session, drawn = led(), spread()
-    found = band(drawn, session.input_path(), 0.7)
-    s = np.linspace(0.0, session.depth, len(found.x))
-    heights, x = [], []
-    for mu, shape, offset in zip(drawn.mu, drawn.shape, drawn.bevel, strict=True):
-        tissue = Tissue(mu, shape, SCENE.tissue.boundaries, SCENE.tissue.thickness)
-        points = compute_positions(session.simulate_again(tissue, offset).now.shape, s)
-        x.append(points[:, 0])
-        heights.append(points[:, 1])
-    low, high = np.percentile(heights, (2.5, 97.5), axis=0)
-    assert (found.low <= low + 1e-6).all() and (found.high >= high - 1e-6).all()
-    inside = (found.low - 1e-6 <= heights) & (heights <= found.high + 1e-6)
-    assert inside.all(axis=1).sum() == 58  # of 60 whole needles; the pointwise band holds fewer
-    assert_allclose(found.x, np.median(x, axis=0), atol=1e-6)
-    assert found.failed == 0 and np.all(np.diff(found.high - found.low)[-10:] > 0)  # widest at the tip

@@ -7,12 +7,10 @@ import numpy as np
 from inference_cases import medium
 from problem_cases import make_problem
 
-from needlefit import Needle, Problem
-from needlefit.datasets.insertion import Dataset, Insertion, Noise
+from needlefit import Needle
+from needlefit.datasets.insertion import Dataset, Noise
 from needlefit.datasets.observations.tip_track import TipReadings, make_track
 from needlefit.inference.forward_model import PreparedModel
-from needlefit.schemas.compared import Compared
-from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import WeightsRecord
 
 NEEDLE = Needle(200.0, 2.5e4)
@@ -63,13 +61,13 @@ valid = "ok"
 
 
 def track(
-    name: str,
-    guide: np.ndarray,
-    depth: np.ndarray = DEPTH,
-    side: int = 1,
-    guide_z: np.ndarray | None = None,
-    roll: float = 0.0,
-) -> Insertion:
+    name,
+    guide,
+    depth=DEPTH,
+    side=1,
+    guide_z=None,
+    roll=0.0,
+):
     """A run not yet measured: its tip is 0; with `guide_z` it is in space, its bevel rolled, degrees."""
     guides = np.column_stack([guide] if guide_z is None else [guide, guide_z])
     readings = TipReadings(depth, np.zeros((len(depth), guides.shape[1])), guides)
@@ -77,54 +75,54 @@ def track(
     return make_track(name, "gel", "gel", NEEDLE, side, readings, (np.empty(0), (1,)), turns)
 
 
-def with_tip(one: Insertion, tip: np.ndarray, tip_z: np.ndarray | None = None) -> Insertion:
+def with_tip(one, tip, tip_z=None):
     """The run with these readings of its tip."""
     z = one.points[:, 2] if tip_z is None else tip_z
     return replace(one, points=np.column_stack([one.points[:, 0], tip, z]))
 
 
-def simulate_tips(tracks: list[Insertion]) -> tuple[np.ndarray, ...]:
+def simulate_tips(tracks):
     """The tips (1, n) of every run at the truth."""
     return simulate_deflections(tracks, [one.points[:, 0] for one in tracks])
 
 
-def simulate_deflections(tracks: list[Insertion], at: list[np.ndarray]) -> tuple[np.ndarray, ...]:
+def simulate_deflections(tracks, at):
     """The tips (1, K) of every run at its depths `at` (K,), at the truth."""
     points = PreparedModel(MEDIUM, tracks).read_points([TRUTH], at)
     return tuple(one[..., 1] for one in points)
 
 
-def simulate_in_space(one: Insertion) -> np.ndarray:
+def simulate_in_space(one):
     """The tips (n, 2) along y and z of a run at the truth."""
     ((points,),) = PreparedModel(MEDIUM, [one]).read_points([TRUTH], [one.points[:, 0]])
     return np.asarray(points[:, 1:])
 
 
-def measured_in_space(one: Insertion, seed: int, slopes: tuple[float, float] = (0.0, 0.0)) -> Insertion:
+def measured_in_space(one, seed, slopes=(0.0, 0.0)):
     """The same of a run in space, in a frame with these slopes along y and z."""
     noise = NOISE.point_sd * np.random.default_rng(seed).normal(size=(len(one.points), 2))
     return with_tip(one, *(simulate_in_space(one) + noise + np.outer(one.points[:, 0], slopes) + 3.0).T)
 
 
-def measured(one: Insertion, shift: float = 0.0, slope: float = 0.0, seed: int | None = None) -> Insertion:
+def measured(one, shift=0.0, slope=0.0, seed=None):
     """The run as the model has it at the truth, in such a frame, with noise if seeded."""
     (tip,) = simulate_tips([one])
     noise = 0.0 if seed is None else NOISE.point_sd * np.random.default_rng(seed).normal(size=len(one.points))
     return with_tip(one, tip[0] + shift + slope * one.points[:, 0] + noise)
 
 
-def dataset(tracks: list[Insertion], compared: Compared = "plane") -> Dataset:
+def dataset(tracks, compared="plane"):
     found = Dataset(
         "cases", "cases", "synthetic", tuple(tracks), ("gel",), NOISE, "tracker", 0.0, Path(), "0"
     )
     return replace(found, compared=compared)
 
 
-def problem(tracks: list[Insertion], medium: MediumRecord = MEDIUM, compared: Compared = "plane") -> Problem:
+def problem(tracks, medium=MEDIUM, compared="plane"):
     return make_problem(dataset(tracks, compared), tracks, medium, WeightsRecord())
 
 
-def written(folder: Path, tracks: list[Insertion], toml: str = TOML) -> Path:
+def written(folder, tracks, toml=TOML):
     """A folder with the runs as somebody's table, depths beginning anywhere."""
     rows, in_space = [], all(one.directions == 2 for one in tracks)
     for one in tracks:
