@@ -176,10 +176,11 @@ def test_a_blunt_needle_has_no_side_and_the_shipped_recipe_states_the_defaults()
 SLICES_MM = 1.5
 
 
-def in_slices(tilt_mm, start_mm, overlap=1.0):
+def in_slices(tilt_mm, start_mm, overlap=1.0, hu=9000, power=1.3):
     """A straight needle along the rows of a volume, and its true axis; slices are `overlap` times as thick.
 
     Its middle lies `start_mm` off a slice's; it climbs by `tilt_mm` over its length. No tissue is modelled.
+    A slice shows `hu` times a `power` of the part of its thickness that is metal.
     """
     spacing = np.array([0.5, 0.5, SLICES_MM])
     size = (130, 40, 15)
@@ -191,7 +192,7 @@ def in_slices(tilt_mm, start_mm, overlap=1.0):
         z = np.arange(size[2])[:, None, None] * SLICES_MM + fine * overlap * SLICES_MM - height
         away = np.hypot(y[:, None] - 10.0, z)
         values += np.clip((0.635 - away) / 0.5 + 0.5, 0, 1) * np.clip((55.0 - x) / 0.5 + 0.5, 0, 1) / 20
-    values = 9000 * gaussian_filter(values**1.3, (0, 0.8, 0.8))
+    values = hu * gaussian_filter(values**power, (0, 0.8, 0.8))
     values += np.random.default_rng(3).normal(0, 30.0, values.shape)
     values = np.clip(values, -1024, 3071).astype(np.float32)
     return Volume(values, np.zeros(3), spacing, np.eye(3)), truth
@@ -210,3 +211,13 @@ def test_a_needle_near_thick_slices_does_not_follow_their_staircase(tilt, overla
     hidden = line.sections.shared_along
     assert np.linalg.norm(hidden) == pytest.approx(abs(hidden @ [0, 0, 1])) and 0 < abs(hidden[2]) < 0.5
     assert np.isnan([*line.bevel, line.bevel_probability]).all()  # blunt
+
+
+@pytest.mark.parametrize(("tilt", "hu", "power"), [(6.0, 3000, 1.0), (6.0, 2500, 0.6), (8.0, 2500, 1.0)])
+def test_a_rod_that_stops_few_rays_is_traced_by_its_sections(tilt, hu, power):
+    """Fitted as one that stops them it was up to 6 mm off."""
+    volume, truth = in_slices(tilt, 0.4, 1.0, hu, power)
+    line = found(volume, cases.recipe(needle={"bevel_deg": 90}, centerline={"entry_direction": [1, 0, 0]}))
+    s = np.linspace(0, 1, 500)[:, None]
+    assert cases.off(line.points[:-1], truth[0] + s * (truth[1] - truth[0])).mean() < 0.12
+    assert np.linalg.norm(line.tip - truth[1]) < 0.5

@@ -149,7 +149,10 @@ def _extend(volume: Volume, places: Floats, level: float, recipe: Reconstruction
         here = start + way * (STEP_MM + faint)
         shifts, amplitude = _look_across(volume, np.stack([here - way, here, here + way]), recipe)
         beside = float(np.linalg.norm(shifts[1]))
-        if amplitude[1] > min(PART.FAINT * level, HU.METAL_CONTRAST) and beside < recipe.needle.diameter_mm:
+        if (
+            amplitude[1] > min(PART.FAINT * level, HU.METAL_CONTRAST / 2)
+            and beside < recipe.needle.diameter_mm
+        ):
             known.append(here + shifts[1])
             yield known[-1]
             faint = 0.0

@@ -22,7 +22,7 @@ from scipy.sparse import csr_array
 from needlefit.arrays import Bools, Floats
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.smoothing_spline import DEGREE, make_knots
-from needlefit.imaging.constants import MM, PART
+from needlefit.imaging.constants import MM, PART, SD
 from needlefit.imaging.needle.axis_spline import AxisSpline, axis_sd, correlation_factor, fit_axis
 from needlefit.imaging.needle.hub import Hub, find_hub
 from needlefit.imaging.needle.rod_projection import COLUMN_MM, SENSITIVITY_AT, Rod
@@ -73,7 +73,8 @@ def place_in_slices(
 ) -> tuple[AxisSpline, TipFit] | None:
     """Return axis and tip as thick slices show them as a whole; `tip`: about where it is, mm along `axis`.
 
-    None where the needle crosses many slices between two knots, or too little of it shows.
+    None where the needle crosses many slices between two knots, too little of it shows, or the slices are not
+    explained, as those of a rod that stops few rays: its sections then are as bright as it is.
     """
     needle = recipe.needle
     thick, normal = volume.grid.slice_distance, volume.grid.normal
@@ -98,7 +99,10 @@ def place_in_slices(
         if np.count_nonzero(problem.seen.any(axis=0)) < 2 * len(problem.start):
             return None
         theta, covariance, error = problem.solve()
-        across, along, (end, roll), _ = problem.split(theta)
+        across, along, (end, roll), scan = problem.split(theta)
+        starved = scan[0] > problem.means[0] - SD.DISAGREEMENT * problem.sds[0]
+        if error > (PART.SLICE_MISFIT if starved else PART.END_MISFIT):
+            return None
         if np.abs(problem.at @ (across - problem.start[:, 0])).max() < LINE_STEP_MM:
             break
         # the needle lies where its surroundings were looked for: sample the slices around it
@@ -108,7 +112,7 @@ def place_in_slices(
     variances = np.stack([covariance[:count, :count], covariance[count : 2 * count, count : 2 * count]])
     end_sd, roll_sd = np.sqrt(np.diag(covariance)[2 * count : 2 * count + 2])
     crossed = float(np.ptp(problem.at @ along)) / thick
-    missed = thick * float(np.hypot(max(0.0, error - PART.SLICE_MISFIT), MIRROR_SD * max(0.0, 1 - crossed)))
+    missed = thick * MIRROR_SD * max(0.0, 1 - crossed)
     # where the axis lies at the sections of the one that was traced, and at its end: a curve that passes
     # sections beyond it, or others twice, and comes back would be too long
     places = (axis.points - origin) @ frame[0]

@@ -110,7 +110,7 @@ MAX_BEVEL_DEG = 85.0  # a bevel steeper than this has no side
 ROLL_FACTOR = 3.0  # of the roll's deviation: artefacts near the tip
 ROLL_SD = 0.15  # of the roll, rad, that no residual shows
 HEIGHT_SD = 0.7  # deviation of the logarithm of the metal's brightness
-LOWER_BOUNDS = np.array([*4 * [-np.inf], np.log(4e3), -1100, 0, *LOWEST, -3000])
+LOWER_BOUNDS = np.array([*5 * [-np.inf], -1100, 0, *LOWEST, -3000])
 UPPER_BOUNDS = np.array([*4 * [np.inf], np.log(5e4), 1000, 6, *HIGHEST, 3000])
 # Bounds and typical changes of the parameters. No metal of needles exceeds 50 000 HU.
 PARAMETER_SCALES = np.array([0.2, 0.3, 0.1, 0.1, 0.1, 50, 0.3, 0.1, 0.3, 0.2, 100])
@@ -170,6 +170,7 @@ class TipProblem:
         self.sds = np.array([swing_sd, swing_sd, HEIGHT_SD, cot_sd, *expected.sds, HU.STREAK_SD])
         # beyond what is known before artefacts would be taken for the needle's image
         self.low, self.high = LOWER_BOUNDS.copy(), UPPER_BOUNDS.copy()
+        self.low[TIP], self.high[TIP] = guess - MM.BEYOND_END, guess + MM.BEYOND_END
         self.low[HELD] = np.maximum(self.low[HELD], self.means - SD.DISAGREEMENT * self.sds)
         self.high[HELD] = np.minimum(self.high[HELD], self.means + SD.DISAGREEMENT * self.sds)
         away = np.hypot(*self.places[1:])
