@@ -87,6 +87,13 @@ AREAS = {
     "specimens": Area(
         ("inference/specimens.py",), ("inference_specimens", "validation_heldout", "validation_forecast")
     ),
+    "predictions": Area(
+        ("inference/predict.py", "inference/point_prediction.py", "inference/track_predictions.py"),
+        (
+            *("inference_predict", "point_predictions", "inference_tracks", "inference_space"),
+            *("validation_heldout", "prior_forecast"),
+        ),
+    ),
     "bands": Area(
         ("inference/curve_bands.py", "inference/ecdf_band.py"),
         ("validation_forecast", "ecdf_band"),

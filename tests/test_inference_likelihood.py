@@ -20,6 +20,7 @@ from refusals import refusal
 from needlefit.datasets.insertion import Noise
 from needlefit.errors import DataError
 from needlefit.inference.forward_model import predict
+from needlefit.inference.likelihood.observation import Discrepancy
 from needlefit.inference.likelihood.observations import make_observation
 from needlefit.mechanics.shape import compute_positions
 from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
@@ -38,6 +39,17 @@ def test_independent_noise_has_the_deviations_of_all_errors():
     sd = np.sqrt(0.05**2 + 0.1**2 + shift**2 + (0.01 * STRAIGHT[:, 0]) ** 2)
     assert known.whitening == approx(np.diag(1 / sd))
     refusal(DataError, "point_sd_mm", lambda: make_observation(dataset([], Noise()), straight()))
+
+
+def test_a_model_error_fades_along_the_needle():
+    noise, measured = Noise(point_sd=0.05), straight()
+    plain, found = (
+        make_observation(dataset([], noise), measured, model_error=one)
+        for one in (None, Discrepancy(0.3, 8.0))
+    )
+    apart = np.subtract.outer(plain.nodes.s[0], plain.nodes.s[0])
+    added = found.point_covariance - plain.point_covariance
+    assert added == approx(0.09 * np.exp(-(apart**2) / 128))
 
 
 @pytest.mark.parametrize(("compared", "count"), [("plane", 1), ("space", 2)])

@@ -16,7 +16,13 @@ from needlefit.datasets.insertion import Noise
 from needlefit.datasets.read import read
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.marginal import linearize_residuals, log_marginals
-from needlefit.inference.likelihood.nodes import DEPTH_STEPS_SD, group_nodes, make_group, make_nodes
+from needlefit.inference.likelihood.nodes import (
+    DEPTH_STEPS_SD,
+    draw_boundary_errors,
+    group_nodes,
+    make_group,
+    make_nodes,
+)
 from needlefit.inference.likelihood.observation import whiten_residuals
 from needlefit.inference.likelihood.observations import make_observation
 from needlefit.mechanics.shape import compute_positions
@@ -180,6 +186,15 @@ def brute_force(name):
         moved = replace(one, depth=one.depth + deep, boundaries=one.boundaries + deep + wrong)
         squares.append(np.sum(whiten(known, moved, known.nodes.s[0] + deep) ** 2))
     return float(logsumexp(-0.5 * np.array(squares)) - np.log(len(draws)))
+
+
+def test_errors_of_a_boundary_are_shared_in_part_by_insertions_of_a_specimen():
+    planned, rng = replace(FLAT, boundary_sd=0.5, boundary_shared_sd=0.3), np.random.default_rng(1)
+    drawn = []
+    for _ in range(4000):
+        shared = {}
+        drawn.append([draw_boundary_errors(planned, shared, rng)[0] for _ in range(2)])
+    assert np.cov(np.transpose(drawn)) == approx(np.array([[0.25, 0.09], [0.09, 0.25]]), abs=0.02)
 
 
 def marginal(name, depths):

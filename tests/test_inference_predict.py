@@ -1,6 +1,7 @@
 """What a prediction takes from the medium's record, the needle's and the scene's: every number arrives."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +16,18 @@ from needlefit.inference.compared_points import align_points
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.observations import select_points
 from needlefit.inference.parameters import make_tissue
-from needlefit.inference.predict import PredictiveMixture, cdf, crps, interval, quantile, wilson_interval
+from needlefit.inference.predict import (
+    Draws,
+    PredictiveMixture,
+    cdf,
+    crps,
+    estimate_end_errors,
+    estimate_proportion,
+    interval,
+    quantile,
+    rms_noise_scale,
+    wilson_interval,
+)
 from needlefit.mechanics.packing import MAX_TOLERANCE_MM
 from needlefit.schemas.scene import NeedleRecord
 
@@ -115,6 +127,24 @@ def test_a_curve_lies_closest_to_the_shape_and_to_the_tip_beside_it():
     assert found.coefficients == approx([expected], rel=1e-3)
 
 
-def test_the_interval_of_a_share_is_wilson_s():
+def test_the_interval_of_a_share_is_wilson_s_by_as_many_trials_as_groups():
     """Of 10 trials 8: 0.490 to 0.943 (E. B. Wilson, 1927)."""
     assert wilson_interval(0.8, 10) == approx((0.4902, 0.9433), abs=1e-4)
+    found = estimate_proportion([True, True, False, True], "aabb")
+    assert (found.hits, found.trials, found.groups, found.rate) == (3, 4, 2, 0.75)
+    assert (found.low, found.high) == wilson_interval(0.75, 2)
+
+
+def test_the_end_of_an_interval_of_even_draws_errs_by_the_error_of_its_probability():
+    draws = np.linspace(0.0, 1.0, 10_001)[:, None]
+    for independent, count in ((None, 10_001), (2000.0, 2000)):
+        expected = [[np.sqrt(0.025 * 0.975 / count)]] * 2
+        assert estimate_end_errors(draws, 0.95, independent) == approx(np.array(expected), rel=1e-3)
+
+
+def test_a_drawn_scale_of_the_noise_counts_by_its_mean_square():
+    known = SimpleNamespace(free=("noise_scale",), values=lambda theta: {"noise_scale": theta[0]})
+    draws = Draws(np.array([[1.0], [3.0]]), "importance")
+    assert rms_noise_scale(draws, known, "estimated") == approx(np.sqrt(5))
+    stated = SimpleNamespace(free=())
+    assert [rms_noise_scale(draws, stated, one) for one in (1.7, "estimated")] == [1.7, 1.0]

@@ -8,6 +8,7 @@ from inference_cases import assert_one_density
 from numpy.random import default_rng
 from refusals import refusal
 from scipy.linalg import block_diag
+from scipy.special import ndtr
 from track_cases import (
     DEPTH,
     GUIDE,
@@ -311,6 +312,22 @@ def test_a_line_takes_its_slope_from_runs_alike():
             assert np.diff(found) == pytest.approx(slope * np.diff(DEPTH[1:]), abs=1e-6)
 
 
+@pytest.mark.parametrize("count", [3, 5])
+def test_a_line_weighs_its_first_readings_against_the_slopes_of_other_runs(count):
+    """The slope has their mean and scatter, by Student's t, or of fewer than four runs what is stated."""
+    rng, slope_sd, first = default_rng(1), 0.05, 4
+    tips = [0.02 * n * DEPTH + 0.3 * rng.normal(size=len(DEPTH)) for n in range(count + 1)]
+    seen = [make_observation(dataset([]), with_tip(track("run", REST), tip)) for tip in tips]
+    lines = [np.polyfit(DEPTH, tip, 1, full=True) for tip in tips[:-1]]
+    slopes, noise = [one[0][0] for one in lines], sum(one[1][0] for one in lines) / count / (len(DEPTH) - 2)
+    variance = slope_sd**2 if count < 4 else np.var(slopes, ddof=1) * (count - 1) / (count - 3)
+    x, y = DEPTH[:first] - DEPTH[:first].mean(), tips[-1][:first]
+    share = 1 / (1 + noise / (x @ x) / (variance * (1 + 1 / count)))
+    slope = share * (x @ y) / (x @ x) + (1 - share) * np.mean(slopes)
+    found = track_predictions.predict_by_curve(BASELINES["straight"], seen[:-1], seen[-1], first, slope_sd)
+    assert found == pytest.approx(y.mean() + slope * (DEPTH[first:] - DEPTH[:first].mean()), rel=1e-3)
+
+
 def test_each_predicted_run_has_a_bevel_of_its_own(monkeypatch, runs):
     """Deflections of small needles are proportional to b, so that they spread as ln b does."""
     one = problem(runs[:1])
@@ -332,22 +349,36 @@ def test_each_predicted_run_has_a_bevel_of_its_own(monkeypatch, runs):
 
 
 def test_intervals_of_further_runs_cover_in_groups_with_errors():
+    """Of 150 replicates the level of the last reading is uniform; draws have the stated moments."""
     rng, likelihood = default_rng(3), PLAIN_LIKELIHOOD.model_copy(update={"tip_tracks": ERRORS})
     plain = [track(f"run{n}", guide) for n, guide in enumerate((GUIDE, -GUIDE))] * 2
     plain = [*plain, plain[0]]
     asked = replace(problem(plain[:2]), likelihood=likelihood)
     data = replace(dataset([]), noise=replace(SESSION_NOISE, heading_sd=0.0))
-    errors = StatedErrors(data, data.noise, likelihood, respond=asked.respond)
-    curves = [np.tile(tip, (300, 1, 1)) for tip in simulate_tips(plain)]
+    known = {run.id: asked.respond(run, DEPTH) for run in plain}  # whatever its readings are
+
+    def respond(run, _):
+        return known[run.id]
+
+    errors = StatedErrors(data, data.noise, likelihood, respond=respond)
+    curves = [tip[None] for tip in simulate_tips(plain)]
+
+    def forecast(sets, draw=None):
+        many = [np.repeat(curve, sets, axis=0) for curve in curves]
+        (found,) = track_predictions.predict_runs(np.ones(sets), seen[:-1], seen[-1:], many, [4], draw)
+        return found
+
     levels = []
     for _ in range(150):
-        shared = dict[object, float]()
+        shared = {}
         every = [simulate_measurement(data, run, TRUTH, MEDIUM, rng, shared, errors) for run in plain]
-        seen = [make_observation(data, run, likelihood=likelihood, respond=asked.respond) for run in every]
-        (found,) = track_predictions.predict_runs(np.ones(300), seen[:-1], seen[-1:], curves, [4], rng)
-        levels.append(np.mean(found.values[:, -1] < every[-1].points[-1, 1]))
+        seen = [make_observation(data, run, likelihood=likelihood, respond=respond) for run in every]
+        found = forecast(1)
+        levels.append(ndtr((every[-1].points[-1, 1] - found.values[0, -1]) / found.sd[0, -1]))
     outside = np.abs(np.array(levels) - 0.5)
     for level in (0.5, 0.95):
-        assert np.mean(outside < level / 2) == pytest.approx(
-            level, abs=3 * np.sqrt(level * (1 - level) / 150)
-        )
+        spread = 3 * np.sqrt(level * (1 - level) / 150)
+        assert np.mean(outside < level / 2) == pytest.approx(level, abs=spread)
+    drawn = forecast(2000, rng).values
+    assert drawn.mean(axis=0) == pytest.approx(found.values[0], abs=4 * found.sd.max() / 2000**0.5)
+    assert drawn.std(axis=0) == pytest.approx(found.sd[0], rel=0.08)

@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
-from inference_cases import insertion, medium
+from inference_cases import assert_one_density, insertion, measure, medium, problem
 from mechanics_cases import NEEDLE
 from numpy.testing import assert_allclose
 from solver_checks.refinement import ADVANCED, ANGLE, measure_spacing
 
 from needlefit import Bevel, ModelOptions, Tissue, simulate
 from needlefit.errors import ConfigError
-from needlefit.inference.forward_model import PreparedModel
+from needlefit.inference.forward_model import predict
 from needlefit.inference.parameters import Parameters
 from needlefit.mechanics.scene import Scene, simulate_scene
 from needlefit.planning.insertion_scene import make_scene_record
@@ -50,21 +50,11 @@ def test_angles_that_are_never_simulated_are_refused(stated):
     assert refused.value.key == "parameters.cut_angle_deg"
 
 
-def test_gradient_and_batch_of_a_fitted_model():
-    record, one = use_path_angle(bounds=(0.06, 28.0)), insertion(31.3, (12.0,), (1, 2))
-    parameters, model = Parameters.from_record(record), PreparedModel(record, [one])
-    theta, s = 0.5 * (parameters.lower + parameters.upper), np.linspace(1.0, one.depth, 7)
-
-    def predict(theta):
-        ((points, moves),) = model.differentiate([parameters.values(theta)], parameters, [s])
-        return points[0], moves[0]
-
-    _, moves = predict(theta)
-    for p, step in enumerate(1e-5 * np.eye(len(theta))):
-        slope = (predict(theta + step)[0] - predict(theta - step)[0]) / 2e-5
-        assert_allclose(moves[:, :, p], slope, atol=1e-6 + 1e-5 * np.abs(slope).max())
-    values = parameters.values(theta)
-    (shapes,) = model.simulate([values, values])
-    scene = Scene.from_record(make_scene_record(values, record, "cases", one))
+def test_density_and_scene_of_a_fitted_model():
+    record, planned = use_path_angle(bounds=(0.06, 28.0)), insertion(31.3, (12.0,), (1, 2))
+    values = {"mu1_pa": 2e5, "mu2_pa": 2e6, "alpha1": 1.0, "alpha2": -1.0, "cut_angle_deg": 3.0}
+    fitted = problem(record, [measure(values, record, planned)])
+    assert_one_density(fitted, fitted.parameters.theta(values) + 0.1, rtol=1e-4)
+    scene = Scene.from_record(make_scene_record(values, record, "cases", planned))
     assert scene.rules.path_angle
-    assert_allclose(simulate_scene(scene)[-1].u, shapes.u[1], atol=1e-6)
+    assert_allclose(simulate_scene(scene)[-1].u, predict(values, record, planned).u, atol=1e-6)
