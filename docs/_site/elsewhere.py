@@ -16,7 +16,6 @@ PAGES = {
     "../studies": "reference/shipped.md",
     "figures/steering.csv": "figures/steering.html",
     "notebooks/1_fit_your_csv.ipynb": "reference/notebooks.md",
-    "notebooks/3_simulate.ipynb": "reference/notebooks.md",
 }
 
 
