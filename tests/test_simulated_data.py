@@ -10,6 +10,7 @@ from numpy.random import default_rng
 from pytest import approx
 from track_cases import DEPTH, GUIDE, MEDIUM, TRUTH, track
 from track_cases import dataset as tracks
+from track_cases import problem as track_problem
 
 from needlefit import (
     Bevel,
@@ -100,25 +101,22 @@ def test_data_without_noise_are_refused():
         simulate_from_prior(silent, default_rng(1))
 
 
-def test_readings_of_tips_err_by_a_slope_that_a_session_shares_and_by_their_own():
-    """Slopes of a session of 0.2 rad (docs/inference.md), of runs 0.02 rad about them, readings of 0.1 mm."""
-    noise = Noise(point_sd=0.1, slope_sd=0.02, heading_sd=0.03)
-    runs = [replace(track(name, 0.0 * GUIDE), headings=(0.0 * DEPTH,)) for name in "ab"]
-    data, rng = tracks(runs), default_rng(4)
-
-    def read(noise):
-        errors, shared = replace(data, noise=noise), dict[object, float]()
-        pair = [simulate_measurement(errors, run, TRUTH, MEDIUM, rng, shared) for run in runs]
-        return np.array([[one.points[:, 1], np.tan(one.headings[0])] for one in pair])
-
-    (exact, slopes), _ = read(Noise(point_sd=1e-9))
-    assert exact[-1] > 0.1 and slopes[-1] == approx((exact[-1] - exact[-2]) / 5.0, rel=0.1)
-    tips, turned = np.moveaxis([read(noise) - (exact, slopes) for _ in range(400)], 2, 0)
-    by_slope = (tips[..., -1] - tips[..., 0]) / DEPTH[-1]
-    assert np.std(by_slope) == approx(0.2, rel=0.1)
-    assert np.std(by_slope[:, 1] - by_slope[:, 0]) == approx(np.sqrt(2) * 0.02, rel=0.1)
-    assert np.std(np.diff(tips, n=2)) == approx(np.sqrt(6) * 0.1, rel=0.1)
-    assert np.std(np.diff(turned[..., 1:])) == approx(np.sqrt(2) * 0.03, rel=0.1)
+def test_readings_of_tips_err_as_the_likelihood_of_their_session_states():
+    """The squares of residuals at the truth, marginal over what runs share, are chi-squared."""
+    runs = [
+        replace(track(name, GUIDE * sign), headings=(0.0 * DEPTH,)) for name, sign in (("a", 0.0), ("b", 1.0))
+    ]
+    noise, rng, squares = Noise(point_sd=0.1, slope_sd=0.02, heading_sd=0.03), default_rng(4), []
+    data = replace(tracks(runs), noise=noise)
+    for _ in range(200):
+        shared = {}
+        seen = [simulate_measurement(data, run, TRUTH, MEDIUM, rng, shared) for run in runs]
+        asked = replace(track_problem(seen), dataset=data)
+        misfits = asked.compute_misfits(asked.parameters.theta(TRUTH))
+        squares.append(misfits @ misfits)
+    rows = sum(known.rows for known in asked.density.observations)
+    assert rows == 2 * (2 * len(DEPTH) - 2)  # tips and headings but the first, less a shift of each run
+    assert np.mean(squares) == approx(rows, abs=4 * np.sqrt(2 * rows / 200))
 
 
 def test_the_true_bevel_offset_of_a_drawn_truth_is_the_mean_of_the_insertions_fitted_to():
