@@ -716,15 +716,20 @@ def test_points_and_planes_of_slicer_are_boundaries(tmp_path, kind):
 
 
 def test_tips_at_a_tracker_are_read_across_the_insertion_and_rolled_from_the_stated_up(tmp_path):
-    """Four runs off all axes, whose bevels face 12, 3, 6 and 9 o'clock; and one of 4 readings."""
+    """Four runs off all axes, whose bevels face 12, 3, 6 and 9 o'clock; and one of 4 readings.
+
+    Of each a reading is lost, and one is 0.05 mm less deep than that before, by noise.
+    """
     frame = np.linalg.qr(np.array([[0.7, 0.2, -0.6], [0.1, 0.9, 0.3], [0.0, 0.0, 1.0]]).T)[0] * [-1, -1, 1]
     along, up = frame.T[:2]
     right, rows = np.cross(along, up), []
     for name, clock, toward in zip("abcd", (12, 3, 6, 9), (up, right, -up, -right), strict=True):
-        tips = [x * along + 4e-4 * x**2 * toward for x in np.arange(0.0, 61.0, 5.0)]
-        rows += [(name, clock, 0.5 * n, *tip) for n, tip in enumerate(tips)]
-    rows += [("e", 12, n, *(n * along)) for n in range(4)]
-    write_table(file := tmp_path / "a.csv", "run,bevel clock,time,tip x,tip y,tip z", rows)
+        depths = np.insert(np.arange(0.0, 61.0, 5.0), 5, 19.95)
+        tips = [x * along + 4e-4 * x**2 * toward for x in depths]
+        rows += [(name, clock, 0.5 * n, *tip, "OK") for n, tip in enumerate(tips)]
+        rows.append((name, clock, 9.0, 0, 0, 0, "MISSING"))
+    rows += [("e", 12, n, *(n * along), "OK") for n in range(4)]
+    write_table(file := tmp_path / "a.csv", "run,bevel clock,time,tip x,tip y,tip z,status", rows)
     stated = {"holds": "tracks", "unit": "mm", "point_sd": "0.1", "pose": ",".join(map(str, along))}
     assert "--set bevel=" in refusal(DataError, "several ways", planned, [file], **stated).fix
     stated["bevel"] = ",".join(map(str, up + 0.3 * along))
@@ -732,6 +737,8 @@ def test_tips_at_a_tracker_are_read_across_the_insertion_and_rolled_from_the_sta
     assert "--set leave_out=e" in fault.fix
     runs = read(write_placed(tmp_path / "out", [file], leave_out="e", specimen="one", **stated)).insertions
     assert [[turn for _, turn in run.turns] for run in runs] == [[], [90.0], [180.0], [270.0]]
+    assert [len(run.points) for run in runs] == [13] * 4
+    assert [run.deflection for run in runs] == pytest.approx([1.44] * 4, abs=1e-3)
     ends = [run.points[-1, 1:] for run in runs]
     np.testing.assert_allclose(ends, 1.44 * np.array([[1, 0], [0, 1], [-1, 0], [0, -1]]), atol=1e-3)
     along_needle = stated | {"bevel": stated["pose"]}
@@ -744,6 +751,7 @@ def test_a_needle_that_is_a_tenth_as_long_or_has_a_gauge_in_its_name_is_asked_ab
     assert len(planned([file], leave_out="n4")[0].rows) == 3
     assert len(planned([file], lengths="differ")[0].rows) == 4
     file = write_long(tmp_path, [NEEDLES[0] / 10.0], head=["depth [mm]"], cells=[["60"]])
-    assert "--set unit=cm" in refusal(DataError, "depth", planned, [file], entry_point="first").fix
+    fix = refusal(DataError, "depth", planned, [file], entry_point="first").fix
+    assert "--set x.unit=cm --set y.unit=cm --set z.unit=cm" in fix
     file.write_text(write_long(tmp_path, NEEDLES).read_text().replace("n1,", "22G x 150 mm,"))
     assert "--set diameter=22G" in refusal(DataError, "22G", planned, [file]).fix

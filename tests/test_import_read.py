@@ -228,6 +228,26 @@ def test_every_needle_is_found_in_a_table_that_is_joined(tmp_path):
     refusal(DataError, "'61'", prepare, [tmp_path])
 
 
+def test_files_name_their_needles_and_a_table_may_leave_out_a_word_of_the_names(tmp_path):
+    for n, curve in enumerate(NEEDLES):
+        rows = [["x [mm]", "y [mm]", "z [mm]"], *curve.tolist()]
+        write_sheets(tmp_path / f"needle_A{n}.xlsx", Sheet1=rows, Sheet2=[])
+    assert [*curves_of([tmp_path])[0]] == ["needle_A0", "needle_A1", "needle_A2"]
+    for names in ("A0 A1 A2", "needle_A0 A1 A2"):
+        rows = [
+            ("needle", "bevel side (clock)"),
+            *zip(names.split(), ("12 o'clock", "6 o'clock", "6 o'clock"), strict=True),
+        ]
+        facts = write_rows(tmp_path / "facts.csv", rows)
+        curves, _ = curves_of([tmp_path])
+        assert [curve.stated["bevel_side"].to_angle() for curve in curves.values()] == [0, 180, 180]
+    write_rows(facts, [("needle", "depth [mm]"), ("A0", 60), ("A1", 55), ("B2", 50)])
+    assert "B2" in refusal(DataError, "B2", curves_of, [tmp_path]).what
+    write_rows(facts, [("who", "colour"), ("A0", "red"), ("A1", "red")])
+    refused = refusal(DataError, "facts.csv", curves_of, [*sorted(tmp_path.iterdir())])
+    assert """--set 'unused=["facts.csv"]'""" in refused.fix and len(curves_of([tmp_path])[0]) == 3
+
+
 def test_facts_of_a_specimen_are_those_of_its_needles(tmp_path):
     write_long(tmp_path, NEEDLES, head=["specimen"], cells=[["A"], ["B"], ["A"]])
     (tmp_path / "blocks.csv").write_text("specimen,boundary [mm]\nA,18\nB,20\n")

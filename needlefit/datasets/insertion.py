@@ -292,8 +292,10 @@ class Insertion(InsertionInputs):
 
     @property
     def deflection(self) -> float:
-        """Measured tip deflection y_K - y_1 in C, positive toward the bevel, mm."""
-        return float(self.side * (self.points[-1, 1] - self.points[0, 1]))
+        """Measured deflection of the tip in C, positive toward the bevel as the insertion begins, mm."""
+        roll = math.radians(self.turns[0][1]) if self.turns and self.turns[0][0] == 0 else 0.0
+        _, y, z = self.points[-1] - self.points[0]
+        return float(self.side * (y * math.cos(roll) + z * math.sin(roll)))
 
 
 @dataclass(frozen=True)

@@ -136,13 +136,19 @@ def join_unused(unused: Sequence[tuple[str, str]]) -> str:
 
     `unused`: what, and where it stands.
     """
-    by_place, by_names = dict[str, list[str]](), dict[str, list[str]]()
+    places, parts = dict[str, list[str]](), dict[tuple[str, ...], list[str]]()
     for part, where in unused:
-        by_place.setdefault(where, []).append(part)
-    for where, names in by_place.items():
-        by_names.setdefault(join_names(names, MAX_LISTED_UNUSED), []).append(where)
-    parts = [f"{names} ({join_names(places, 1)})" for names, places in by_names.items()]
-    return f"Not used: {'; '.join(parts)}." if parts else ""
+        places.setdefault(part, []).append(where)
+    lines = [part for part in places if part.startswith("line")]
+    shown = [*(part for part in places if part not in lines), *lines[:MAX_LISTED_UNUSED]]
+    for part in shown:
+        parts.setdefault(tuple(places[part]), []).append(part)
+    texts = [
+        f"{join_names(names, MAX_LISTED_UNUSED)} ({join_names(files, 1)})" for files, names in parts.items()
+    ]
+    more = len(lines[MAX_LISTED_UNUSED:])
+    texts += [f"{more} more line{'s' * (more > 1)}"] if more else []
+    return f"Not used: {'; '.join(texts)}." if texts else ""
 
 
 # ---- the picture

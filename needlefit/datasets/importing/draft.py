@@ -21,6 +21,7 @@ class Draft:
     assumed: dict[str, str] = field(default_factory=dict)
     opens: list[Question] = field(default_factory=list)
     unused: list[tuple[str, str]] = field(default_factory=list)  # what, and where it stands
+    ignored: dict[str, str] = field(default_factory=dict)  # why nothing is read of a file, or of its sheets
     origin: str = "measured"
     headers: list[str] = field(default_factory=list)  # of all tables
     columns_read: set[str] = field(default_factory=set)  # meanings whose stated columns are there

@@ -86,6 +86,10 @@ def draft_mapping(paths: Sequence[Path], stated: Assignments) -> tuple[Draft, li
         has_depth = any("depth" in table["columns"] for table in draft.tables)
         for key in ("deflection",) if has_depth else "xy":
             draft.ask("column", str(paths[0]), key=key, text=f"{MEANINGS[key].text} ({tables or paths[0]})")
+    read = {name for table in draft.tables for name in table["files"]}
+    for path in paths if not draft.opens else ():
+        if path.name in draft.ignored.keys() - read:
+            draft.ask("ignored", path.name, name=path.name, why=draft.ignored[path.name])
     return draft, files
 
 

@@ -26,6 +26,7 @@ from needlefit.datasets.importing.tables import BLOCK, Table
 from needlefit.datasets.observations.tip_track import MIN_READINGS
 from needlefit.datasets.point_labels import divide_labels
 from needlefit.datasets.points import MIN_POINTS
+from needlefit.project.locate import join_names
 from needlefit.project.units import UNITS_GPA
 
 NO_POINTS = (*VECTORS, "target", "guide", "quaternion")  # columns x, y, z that are no points of a needle
@@ -67,8 +68,8 @@ class TableDraft:
 
     def __init__(self, table: Table, keys: dict[str, Any], draft: Draft, stated: Assignments) -> None:
         self.table, self.keys, self.draft, self.stated = table, keys | stated.table, draft, stated
-        self.name = table.name if "sheet" in keys else table.path.name
-        self.where = table.path.name + (f", sheet {table.name}" if "sheet" in keys else "")
+        self.name = table.sheet or table.path.name
+        self.where = table.path.name + (f", sheet {table.sheet}" if table.sheet else "")
         parts = [
             [head[n] for head in table.first_headers if n < len(head)] for n in range(len(table.headers))
         ]
@@ -80,6 +81,7 @@ class TableDraft:
             names = (text for text in (*parts[n][:1], table.headers[n]) if text and table.find(text) == n)
             self.all.append(Column(n, next(names, n + 1), header, texts, numbers))
         self.taken = dict[str, list[Column]]()  # columns by meaning
+        self.excluded = list[str]()  # values of a column of flags that mark rows to be left out
         self.used = set[int]()  # places of columns that mean something, or are asked about
 
     def propose(self) -> None:
@@ -101,12 +103,16 @@ class TableDraft:
             headers = ", ".join(filter(None, self.table.headers))[:200]
             problem = f"no column is known to hold coordinates: {headers or 'no headers'}"
             self.draft.unused.append((f"table {self.where}", problem))
-            if "boundaries" not in self.draft.values and OF_LAYERS & {one.header.meaning for one in self.all}:
+            if not OF_LAYERS & {one.header.meaning for one in self.all}:
+                self.draft.ignored[self.table.path.name] = problem
+            elif "boundaries" not in self.draft.values:
                 self.draft.ask("table", self.where, name=self.name, headers=headers)
             return
         self.keys["holds"] = holds
         self._name_unused()
         shared = {meaning: _spell(meaning, columns) for meaning, columns in self.taken.items()}
+        if self.excluded:
+            shared[EXCLUDED]["words"] = dict.fromkeys(self.excluded, EXCLUDED)
         for entry in entries or [{}]:
             self._add(shared | entry | shared)  # the needle is shown first
 
@@ -266,6 +272,14 @@ class TableDraft:
     def _ask_excluded(self, column: Column) -> None:
         """Ask which value marks rows that are left out, if there are several."""
         values = sorted({row[column.place] for row in self.table.rows})
+        flags = {value: find_meaning("flag", value) for value in values}
+        if all(flags.values()) and EXCLUDED in flags.values():
+            self._take(EXCLUDED, [column])
+            self.excluded = [value for value in values if flags[value] == EXCLUDED]
+            self.draft.assumed[EXCLUDED] = (
+                f"rows whose {column.name} is {join_names(self.excluded, MAX_FLAGS)}"
+            )
+            return
         if 1 < len(values) <= MAX_FLAGS:
             key, name = f"{EXCLUDED}.words", {f"{EXCLUDED}.column": str(column.name)}
             answers = {value or "blank": name | {key: _to_toml({value: EXCLUDED})} for value in values}

@@ -321,7 +321,10 @@ class Planner(CurveAnswers):
                 fix = "correct the depth, or the order of the points; or cut off a shaft by entry_point"
                 units = [unit for unit, mm in UNITS_MM.items() if abs(length * mm - depth) < limit]
                 if units:
-                    state = f"state {name_set('unit', units[0])} of all, or correct its file"
+                    edits = " ".join(name_set(f"{axis}.unit", units[0]) for axis in "xyz")
+                    # one needle among others in mm is no matter of all columns
+                    is_one = any(abs(depths.get(one.name, 0.0) - one.length) <= limit for one in self.curves)
+                    state = "correct them" if is_one or curve.is_deflection else f"state {edits}"
                     fix = f"its coordinates look like {units[0]}: {state}"
                 expected = f"within {limit:.1f} mm the length of {curve.name}, which is {curve.length:.1f} mm"
                 raise stated[curve.name].error("depth", expected, fix)

@@ -1,11 +1,13 @@
 """Read the needles in files as a mapping states them: nothing is guessed."""
 
+import json
 import re
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import cached_property
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -77,7 +79,9 @@ class MappedTable:
         record = self.record.columns.get(meaning)
         if record is None or not record.column:
             return self.table.places[n]
-        return f"{self.table.places[n]}, column {self.find(meaning, record.columns[0]) + 1}"
+        column, place = self.find(meaning, record.columns[0]) + 1, self.table.places[n]
+        is_above = column > len(self.table.headers) - len(self.table.remarked)
+        return f"{self.table.where}, above its rows" if is_above else f"{place}, column {column}"
 
     def find(self, meaning: str, name: str | int) -> int:
         """Return the column with a header or number; DataError with the nearest name if there is none."""
@@ -101,7 +105,7 @@ class MappedTable:
     @cached_property
     def cells(self) -> Mapping[str, list[list[str]]]:
         """The texts of each meaning in each row, one of each column; empty where it was not measured."""
-        names = {"file": self.table.path.name.partition(".")[0], "sheet": self.table.name}
+        names = {"file": self.table.path.name.partition(".")[0], "sheet": self.table.sheet}
         cells = defaultdict[str, list[list[str]]](lambda: [[] for _ in self.table.rows])
         for meaning, record in self.record.columns.items():
             columns, value = self.list_columns(meaning), names.get(record.source, str(record.value))
@@ -503,6 +507,10 @@ def _add_rows(mapped: MappedTable, curves: list[ImportedCurve]) -> None:
     pairs = {
         name: [curve for curve, key in zip(curves, keys, strict=True) if _is_same(name, key)] for name in rows
     }
+    paired_ids = {id(curve) for paired in pairs.values() for curve in paired}
+    free = {key: curve for curve, key in zip(curves, keys, strict=True) if id(curve) not in paired_ids}
+    strangers = [name for name, paired in pairs.items() if not paired]
+    pairs |= {name: [free[key]] for name, key in _match_endings(strangers, free).items()}
     _require_found(mapped, pairs, curves, keys)
     for name, numbers in rows.items():
         for curve in pairs[name]:
@@ -516,6 +524,25 @@ def _add_rows(mapped: MappedTable, curves: list[ImportedCurve]) -> None:
             if by_specimen:
                 facts.pop("specimen", None)
             _add_facts(curve, facts)
+
+
+_WORD = re.compile(r"[^\W\d_]{3,}|.*[-_ .]")  # before the name of a needle: `needle_`, `needle`
+
+
+def _match_endings(names: Collection[str], keys: Collection[str]) -> dict[str, str]:
+    """Return the key of each name, if all names differ from keys by one word before them: `needle_A1`, `A1`.
+
+    The word stands in all names, or in all keys.
+    """
+    for name, key in product(names, keys):
+        longer, shorter = sorted((name, key), key=len, reverse=True)
+        word = longer.removesuffix(shorter)
+        found = {
+            one: other for one, other in product(names, keys) if {word + one, word + other} & {one, other}
+        }
+        if _WORD.fullmatch(word) and len(found) == len(names) == len({*found.values()}):
+            return found
+    return {}
 
 
 def _add_facts(curve: ImportedCurve, facts: Mapping[str, Stated]) -> None:
@@ -650,12 +677,16 @@ def _require_found(
     about = {curve.name for paired in pairs.values() for curve in paired}
     without = [curve.name for curve in curves if curve.name not in about]
     kind, problem = mapped.record.of, f"no row is about {join_names(without, MAX_LISTED_NAMES)}"
+    called = dict(zip((curve.name for curve in curves), keys, strict=True))
+    # those first that no row is about
+    named = [called[name] for name in sorted(called, key=about.__contains__)]
+    unused = json.dumps([mapped.table.sheet or mapped.table.path.name])
     if strangers or (without and mapped.record.holds == "facts"):
         if strangers:
             problem = f"no {kind} is called {join_names(strangers, MAX_LISTED_NAMES)}"
         raise DataError(
             problem,
-            expected=f"a row for each {kind}: {join_names([*dict.fromkeys(keys)], MAX_LISTED_NAMES)}",
-            fix=f"write the same names in both tables; or leave tables.{mapped.number} out of the mapping",
+            expected=f"a row for each {kind}: {join_names(named, MAX_LISTED_NAMES)}",
+            fix=f"write the same names in both tables; or leave this one out: {name_set('unused', unused)}",
             where=mapped.table.where,
         )

@@ -56,8 +56,14 @@ class Grid:
     path: Path
     rows: Sequence[Sequence[str]]  # blank rows are among them; rows may differ in length
     sheet: str = ""  # empty for a text file
+    is_only_sheet: bool = False  # all other sheets of its workbook are empty
     lines: Sequence[int] = ()  # of the file, on which a row begins; empty: row n is line n
     is_transposed: bool = False  # its rows are columns of the file
+
+    @property
+    def name(self) -> str:
+        """What a needle without a name is called: the sheet if it is one of several, else the file."""
+        return self.path.name.partition(".")[0] if self.is_only_sheet or not self.sheet else self.sheet
 
     def where(self, row: int) -> str:
         """Return the place of a row, counted from 0."""
@@ -69,7 +75,7 @@ class Grid:
     def transpose(self) -> "Grid":
         """Return the grid whose rows are the columns of this one."""
         rows = [[*row] for row in zip_longest(*self.rows, fillvalue="")]
-        return Grid(self.path, rows, self.sheet, is_transposed=True)
+        return Grid(self.path, rows, self.sheet, self.is_only_sheet, is_transposed=True)
 
 
 @dataclass(frozen=True)
@@ -77,7 +83,7 @@ class Table:
     """Columns of cells below their headers."""
 
     path: Path
-    name: str  # of the sheet, or of the file
+    name: str  # of a needle that no cell names
     headers: tuple[str, ...]
     rows: Sequence[Sequence[str]]  # as wide as the headers
     places: Sequence[str]  # of each row
@@ -87,13 +93,14 @@ class Table:
     system: PatientSystem | None = None  # of the scan, which the format states
     unit: str = ""  # of lengths without one of their own, which the file states
     first_headers: tuple[tuple[str, ...], ...] = ()  # texts of the rows of headers
+    sheet: str = ""  # empty for a file that is no workbook
+    remarked: tuple[str, ...] = ()  # last headers: of values that stand above the rows, in no column
     unread: Sequence[str] = ()  # remarks, and lines above the headers, that state nothing of the needles
 
     @property
     def where(self) -> str:
         """Its file, and of a workbook its sheet."""
-        is_workbook = self.path.suffix.lower() in SHEET_SUFFIXES
-        return f"{self.path}, sheet {self.name}" if is_workbook else str(self.path)
+        return f"{self.path}, sheet {self.sheet}" if self.sheet else str(self.path)
 
     def find(self, name: ColumnName) -> int | None:
         """Return the column with a header or number; None if there is none, or several."""
@@ -165,7 +172,7 @@ def lay_out(grid: Grid, record: TableRecord) -> Table:
         rows.append([*cells[:width], *blanks, *(pairs.get(name, "") for name in names)])
     table = Table(
         grid.path,
-        grid.sheet or grid.path.name.partition(".")[0],
+        grid.name,
         (*(headers or [""] * width), *names),
         rows,
         [grid.where(n) for n, _ in body],
@@ -173,6 +180,8 @@ def lay_out(grid: Grid, record: TableRecord) -> Table:
         record.decimal,
         record.thousands,
         first_headers=tuple(map(tuple, heads)),
+        sheet=grid.sheet,
+        remarked=tuple(names),
         unread=unread if record.header_rows and not record.transposed else (),
     )
     return table.fill_down(record.fill_down)
@@ -315,7 +324,9 @@ def _lay_out_pairs(grid: Grid, record: TableRecord, rows: Sequence[Sequence[str]
     names, cells = tuple(name for name, *_ in pairs), [value for _, value, _ in pairs]
     headers = tuple(f"{name} [{unit}]" if unit else name for name, _, unit in pairs)
     signs, where = (record.decimal, record.thousands), str(grid.path)
-    return Table(grid.path, grid.sheet, headers, [cells], [where], [1], *signs, first_headers=(names,))
+    return Table(
+        grid.path, grid.name, headers, [cells], [where], [1], *signs, first_headers=(names,), sheet=grid.sheet
+    )
 
 
 # ---- read files
@@ -392,7 +403,11 @@ def read_sheets(path: Path) -> tuple[Grid, ...]:
         size = file.seek(0, io.SEEK_END)
     reader, seconds = f"{__name__}:read_workbook", size / BYTES_PER_SECOND
     sheets, _ = read_in_process(reader, path, {"path": str(path)}, READER_BYTES, seconds)
-    return tuple(Grid(path, [[*map(_to_text, row)] for row in rows], name) for name, rows in sheets)
+    is_only_sheet = sum(any(map(any, rows)) for _, rows in sheets) == 1
+    return tuple(
+        Grid(path, [[*map(_to_text, row)] for row in rows], name, is_only_sheet=is_only_sheet)
+        for name, rows in sheets
+    )
 
 
 def read_workbook(_arrays: Arrays, path: str) -> list[tuple[str, list[list[str | float]]]]:

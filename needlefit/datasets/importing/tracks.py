@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 PLACING_PART = 1 / 3  # fraction of the shallowest run whose readings place a run in the tracker's frame
 MIN_GUIDE_PART = 0.5  # smallest fraction of a guide's motion that is used, where some axes are not stated
 MIN_BEVEL_DEG = 60.0  # smallest angle (degrees) from the insertion to the direction that bevels face
+#: largest step back of a tip, in its SD, that is noise: 5 SD of the difference of two readings
+MAX_BACKWARD_SDS = 5 * np.sqrt(2)
 MIN_TRACK_SLOPE = 0.7  # smallest movement (mm per mm of depth) of a tip whose coordinates are all in space
 
 
@@ -228,11 +230,16 @@ def measure_depths(asked: CurveAnswers) -> None:
     axis, entry = normalize(pose.to_vector("pose")), None
     if asked.stated("entry_point") is not None:
         entry = asked.settle("entry_point").to_entry()
-    for curve in asked.curves:
+    for curve, sd in zip(asked.curves, asked.numbers("point_sd", is_above=True), strict=True):
         if len(curve.depths):
             continue  # its file states them
         depth = (curve.line - (curve.line[0] if entry is None else entry)) @ axis
-        kept = np.flatnonzero(depth >= 0)
+        deepest, is_kept = np.maximum.accumulate(depth), depth >= 0
+        if np.any(np.diff(depth) <= 0) and np.all(deepest - depth <= MAX_BACKWARD_SDS * sd):
+            is_kept &= np.diff(deepest, prepend=-np.inf) > 0
+            count = f"{np.sum(~is_kept)} of {len(depth)} readings"
+            asked.settler.note(curve.name, f"{count} are left out: by noise less deep than one before")
+        kept = np.flatnonzero(is_kept)
         curve.points, curve.depths = curve.points.part(kept), depth[kept]
         curve.guide = None if curve.guide is None else curve.guide[kept]
     start = "the first reading" if entry is None else "the entry point"
