@@ -14,6 +14,7 @@ from needlefit import Needle, compute_positions
 from needlefit.cli.options import scene_record
 from needlefit.errors import ConfigError
 from needlefit.inference.curve_bands import predict_bands
+from needlefit.inference.identifiability.precision import find_model_error
 from needlefit.inference.predict import Draws
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.project.locate import find_file
@@ -267,6 +268,20 @@ def test_the_mode_of_a_sampled_posterior_is_the_minimum_near_its_best_draw(job):
     assert sampled.best == approx(draws[0, heights[0].argmax()])
     slopes = [problem.log_posterior(found.mode + step * np.eye(len(names))[0]) for step in (-1e-2, 0.0, 1e-2)]
     assert max(slopes) == slopes[1] > heights.max()
+
+
+def test_the_intervals_of_a_prediction_allow_for_an_error_of_the_model_as_those_of_a_fit(job):
+    thetas = theta(job) + 0.05 * default_rng(5).standard_normal((400, len(job.parameters.free)))
+    rows = prediction.list_parameters(job, about(thetas), job.parameters.values(theta(job)), None)
+    problem = job.problem(job.folds[0]).searched
+    added = find_model_error(problem, problem.parameters.theta(job.parameters.values(theta(job))))
+    for name in ("mu1_pa", "bevel_mm"):
+        row = rows.set_index("parameter").loc[name]
+        drawn = thetas[:, job.parameters.free.index(name)]
+        half_width = np.ptp(np.percentile(drawn, [2.5, 97.5])) / 2
+        expected = math.hypot(half_width, 1.96 * added[name])
+        assert math.log(row["interval_high"] / row["interval_low"]) / 2 == approx(expected, rel=0.01)
+    assert added["bevel_mm"] > 0.05
 
 
 @pytest.mark.usefixtures("few_draws")

@@ -81,11 +81,14 @@ def format_mm(value: float | None, digits: int = 2) -> str:
 def format_to_error(value: float, error: float | None) -> str:
     """Return a number in the digits that its standard error supports, two decimals at most.
 
-    The error is two units of the last digit at most. Without an error it has two significant digits.
+    The error is two units of the last digit at most. Without an error it has two significant digits. Its
+    minus is a true one.
     """
     if error is None or not error > 0:
-        return f"{value:.2g}"
-    return f"{value:z.{min(2, max(0, math.floor(-math.log10(error / 2))))}f}"
+        text = f"{value:.2g}"
+    else:
+        text = f"{value:z.{min(2, max(0, math.floor(-math.log10(error / 2))))}f}"
+    return text.replace("-", "−")
 
 
 def format_signed_mm(value: float | None, digits: int = 2) -> str:

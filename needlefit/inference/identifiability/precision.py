@@ -239,6 +239,13 @@ def find_tie_conditions(
     return tie_conditions
 
 
+def find_model_error(problem: Problem, theta: Floats) -> dict[str, float]:
+    """Return the standard deviation that a model error adds to each free parameter, by its name."""
+    noisy = add_estimated_noise(problem, theta)
+    added = add_model_error(noisy, theta, linearize(noisy, theta))
+    return dict(zip(problem.names, np.sqrt(np.diag(added)).tolist(), strict=True))
+
+
 def add_model_error(problem: Problem, theta: Floats, linearized: Linearized) -> Floats:
     """Return the covariance (P, P) that a model error adds to that of theta, by the information there."""
     allowing = replace(problem, model_error=estimate_model_error(problem, linearized))

@@ -31,6 +31,7 @@ from needlefit.inference.compared_points import draw_rolls, turn_about_x
 from needlefit.inference.curve_bands import find_bands
 from needlefit.inference.draw_simulation import draw_entry_errors, simulate_scene_draws, vary_bevels
 from needlefit.inference.forward_model import make_options
+from needlefit.inference.identifiability.precision import find_model_error
 from needlefit.inference.identifiability.profile import minimize_squares
 from needlefit.inference.point_prediction import PointPrediction, choose_point
 from needlefit.inference.predict import INTERVAL_PROBABILITIES, Draws, estimate_end_errors, thin_posterior
@@ -67,7 +68,7 @@ from needlefit.studies.fold_draws import (
     measure_prior,
     search_fit,
 )
-from needlefit.studies.identification import ParameterRow, intervals_of_draws
+from needlefit.studies.identification import ParameterRow, add_intervals, intervals_of_draws
 from needlefit.studies.identity import describe_change, identify
 from needlefit.studies.job import Inputs, Job, Settings
 from needlefit.studies.kind import StudyKind, find_kind
@@ -402,13 +403,17 @@ def list_parameters(job: Job, draws: Draws, mode: Mapping[str, float], judged: R
     """Return the parameters and their 95 % intervals: of an earlier result of this fit, else of the draws."""
     if judged is not None and judged.frames["parameters"]["fold"].nunique() == 1:
         return judged.frames["parameters"][list(ParameterRow._fields)]
-    intervals, fold = intervals_of_draws(job.parameters, draws, None), job.folds[0].name
+    parameters, (fold,) = job.parameters, job.folds
     rows = [
-        ParameterRow(fold, "fitted", name, value, job.parameters.status[name])._replace(
-            **(interval.columns() | {"median": interval.median} if (interval := intervals.get(name)) else {})
+        ParameterRow(
+            fold.name, "fitted", name, value, parameters.status[name], *parameters.bounds.get(name, ())
         )
         for name, value in mode.items()
     ]
+    problem = job.problem(fold).searched
+    model_error = find_model_error(problem, problem.parameters.theta(mode))
+    intervals = intervals_of_draws(parameters, draws, None)
+    rows, _ = add_intervals(rows, [], intervals, parameters.ties, {}, model_error)
     return pd.DataFrame(rows, columns=list(ParameterRow._fields))
 
 
@@ -504,11 +509,19 @@ def describe_prediction(run: Run) -> dict[str, Any]:
     study = run.record
     return {
         **vars(run.knows(PredictionMetadata)),
-        **find_tip(run),
+        **(tip := find_tip(run)),
+        "side": _name_side(study.scene, tip["needle_predicted_mm"]),
         "title": study.scene.title or study.scene_name,
         "target": study.target,
         "faults": ", ".join(dict.fromkeys(fault.kind for fault in run.faults)),
     }
+
+
+def _name_side(scene: SceneRecord, y: float) -> str:
+    """Return to which side of the bevel a tip deflects; "" of a bevel that is rolled or turned."""
+    if scene.bevel.roll_deg or any(step.side or step.roll_deg is not None for step in scene.steps):
+        return ""
+    return "toward the bevel" if scene.bevel.side * y > 0 else "away from the bevel"
 
 
 def find_tip(run: Run) -> Row:
@@ -583,7 +596,7 @@ def _round_ends(row: Row) -> Row:
         if (error := f"needle_{axis}95_{end}_error_mm") in row
         and is_known(row[name := f"needle_{axis}{level}_{end}_mm"])
     }
-    return row | {name: format_to_error(row[name], error).replace("-", "−") for name, error in ends.items()}
+    return row | {name: format_to_error(row[name], error) for name, error in ends.items()}
 
 
 def draw_prediction(run: Run) -> dict[str, Drawing]:
