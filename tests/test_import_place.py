@@ -755,3 +755,13 @@ def test_a_needle_that_is_a_tenth_as_long_or_has_a_gauge_in_its_name_is_asked_ab
     assert "--set x.unit=cm --set y.unit=cm --set z.unit=cm" in fix
     file.write_text(write_long(tmp_path, NEEDLES).read_text().replace("n1,", "22G x 150 mm,"))
     assert "--set diameter=22G" in refusal(DataError, "22G", planned, [file]).fix
+
+
+def test_readings_of_a_needle_at_one_depth_are_one_tip(tmp_path):
+    rows = [("a", 20, 0.9), ("a", 20, 1.1), ("a", 40, 4.0), ("b", 20, 1.2), ("b", 20, 1.2), ("b", 20, 0.9)]
+    write_table(file := tmp_path / "a.csv", "needle,depth [mm],deflection [mm]", rows)
+    data = read(write_placed(tmp_path / "out", [file], holds="tips", point_sd="0.12"))
+    tips = [(tip.id, tip.hole, tip.depth, tip.points[-1, 1]) for tip in data.insertions]
+    assert tips == [("a-1", "a", 20.0, 1.0), ("a-2", "a", 40.0, 4.0), ("b", "b", 20.0, 1.1)]
+    sds = [data.noise.of(tip).point_sd for tip in data.insertions]
+    np.testing.assert_allclose(sds, 0.12 / np.sqrt([2, 1, 3]), rtol=1e-3)

@@ -143,8 +143,8 @@ def import_data(
         holes = Counter(insertion.hole or insertion.id for insertion in dataset.insertions)
         if len(holes) < count:  # several depths of one needle
             sizes = {*holes.values()}
-            readings = f"{count} readings" if len(sizes) > 1 else f"{sizes.pop()} readings each"
-            imported = f"{len(holes)} needle{'s' * (len(holes) > 1)}, {readings}, imported; "
+            depths = f"{count} depths" if len(sizes) > 1 else f"{sizes.pop()} depths each"
+            imported = f"{len(holes)} needle{'s' * (len(holes) > 1)}, {depths}, imported; "
         imported += f"{assumed} value{'s are assumptions' if assumed != 1 else ' is an assumption'}"
         marked = f"{mark}. " if (mark := ORIGIN_MARKS[dataset.origin]) else ""
         screen.print_line(f"{marked}{out}: {imported}\n")

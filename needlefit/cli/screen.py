@@ -169,8 +169,11 @@ def _show(grid: _Grid) -> None:
             count = next((n for n in counts if measure(grid.keep(n)).minimum <= console.width), 1)
             grid, left = grid.keep(count), grid.columns[count:]
     fitting = (n for n in range(1, MAX_HEAD_LINES) if measure(grid, n).maximum <= console.width)
+    table = _tabulate(grid, next(fitting, MAX_HEAD_LINES))
+    if Measurement.get(console, unlimited, table).minimum < console.width - len(grid.columns):
+        table.padding = (0, 1, 0, 0)  # heads of several words stand side by side
     with console.capture() as printed:
-        console.print(_tabulate(grid, next(fitting, MAX_HEAD_LINES)))
+        console.print(table)
     for line in printed.get().replace(_RICH_NO_BREAK, " ").splitlines():
         print(line.rstrip())
     if left:

@@ -12,29 +12,61 @@ from needlefit.datasets.importing.curve_answers import CurveAnswers
 from needlefit.datasets.importing.curves import ImportedCurve, TipReading
 from needlefit.datasets.importing.directions import format_direction, to_sides
 from needlefit.datasets.importing.stated import Stated, name_set
+from needlefit.datasets.points import Points
 from needlefit.errors import DataError
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame, make_entry_frame
+from needlefit.grouping import group_values
 
 
 def split_tips(asked: CurveAnswers, shapes: Sequence[ImportedCurve]) -> None:
-    """Make an insertion of each depth of a tip; those of a needle that is named are of one hole, its own."""
-    taken, insertions = {curve.name for curve in shapes}, list[ImportedCurve]()
-    for curve in asked.curves:
-        count = len(curve.line)
-        for n in range(max(count, 1)):
-            points, stated = curve.points.part(np.arange(n, min(n + 1, count))), dict(curve.stated)
+    """Make an insertion of each depth of a tip; those of a needle that is named are of one hole, its own.
+
+    Deflections of a needle that were read at one depth are joined.
+    """
+    stops_by_needle = [_list_stops(curve) for curve in asked.curves]
+    counts = [len(rows) for stops in stops_by_needle for rows in stops]
+    are_joined, taken = max(counts, default=0) > 1, {curve.name for curve in shapes}
+    sds = asked.numbers("point_sd", is_above=True) if are_joined else [0.0] * len(asked.curves)
+    insertions = list[ImportedCurve]()
+    for curve, stops, sd in zip(asked.curves, stops_by_needle, sds, strict=True):
+        for number, rows in enumerate(stops, 1):
+            points, stated = _read_stop(curve, rows, sd), dict(curve.stated)
             if points.sd is not None and len(points.sd):
-                stated["point_sd"] = Stated(f"{points.sd[0]:g}", "mm", points.where())
-            name = curve.name if count <= 1 else f"{curve.name}-{n + 1}"
+                stated["point_sd"] = Stated(f"{points.sd[0]:.6g}", "mm", points.where())
+            name = curve.name if len(stops) == 1 else f"{curve.name}-{number}"
             while name in taken:
                 name += "-2"
             taken.add(name)
             hole = curve.name if curve.is_named else ""
             points = replace(points, sd=None)
             insertions.append(replace(curve, name=name, points=points, stated=stated, hole=hole))
+    if are_joined:
+        asked.settler.note("tips", f"{sum(counts)} readings; those of a needle at one depth are joined")
     if len(insertions) > len(asked.curves) and any(curve.hole for curve in insertions):
         asked.settler.note("hole", "readings of one needle are of one hole")
     asked.curves[:] = insertions
+
+
+def _list_stops(curve: ImportedCurve) -> list[list[int]]:
+    """Return the rows of each depth of a tip; of curvatures alone one depth without any."""
+    # places in space err along the needle, too: none has the depth of another
+    keys = curve.line[:, 0].tolist() if curve.is_deflection else [*range(len(curve.line))]
+    return [*group_values((key, n) for n, key in enumerate(keys)).values()] or [[]]
+
+
+def _read_stop(curve: ImportedCurve, rows: Sequence[int], point_sd: float) -> Points:
+    """Return the tip at one depth, of several readings their mean.
+
+    `point_sd`, mm: of one that states none.
+    """
+    points = curve.points.part(np.array(rows[:1], dtype=np.int64))
+    if len(rows) < 2:
+        return points
+    sds = [None] * len(rows) if curve.points.sd is None else curve.points.sd[[*rows]].tolist()
+    readings = [TipReading(curve.line[n, 1:], sd, "") for n, sd in zip(rows, sds, strict=True)]
+    mean = join_readings(readings, point_sd)
+    values = np.array([[curve.line[rows[0], 0], *mean.deflection]])
+    return replace(points, values=values, sd=np.array([mean.sd]))
 
 
 def make_tips(asked: CurveAnswers, point_sd: float) -> list[InsertionRow]:
