@@ -30,7 +30,7 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
-from needlefit.datasets.first_study import write_first_run
+from needlefit.datasets.first_study import write_first_runs
 from needlefit.datasets.importing.prepare import prepare_import
 from needlefit.datasets.importing.writing import write_plan
 from needlefit.errors import NeedlefitError
@@ -429,7 +429,7 @@ def inspect_needles(needles, fits=True):
         try:
             prepared = prepare_import(files, stated, None, None, None)
             dataset = write_plan(made, prepared.content, prepared.plan, prepared.mapping)
-            write_first_run(made, dataset, prepared.plan.choices)
+            write_first_runs(made, dataset, prepared.plan.choices)
             found, doubts = doubt(made) if fits else ((), ())
         except NeedlefitError as error:
             return Judgement(refusal=str(error))
@@ -439,16 +439,18 @@ def inspect_needles(needles, fits=True):
 
 
 def doubt(folder):
-    """Return the warnings of a quick fit, and the needles that it names with their causes.
+    """Return the warnings of a quick fit of each medium, and the needles that it names with their causes.
 
     That no needle is described by the model is no word about the data.
     """
-    (file,) = folder.glob("*_study.toml")
-    with contextlib.chdir(file.parent):
-        job = load_study(file.stem, load(file, StudyRecord), Settings(file=file))
-    doubts = check_quickly(job)
-    about_all = doubts._replace(odd=(), deviating=None)
-    return warn_of_doubts(about_all), [(one.insertion, one.cause) for one in doubts.odd]
+    found, named = [], []
+    for file in sorted(folder.glob("*_study.toml")):
+        with contextlib.chdir(file.parent):
+            job = load_study(file.stem, load(file, StudyRecord), Settings(file=file))
+        doubts = check_quickly(job)
+        found += warn_of_doubts(doubts._replace(odd=(), deviating=None))
+        named += [(one.insertion, one.cause) for one in doubts.odd]
+    return found, named
 
 
 def judge_mistake(kind, seed, n, fits):

@@ -248,6 +248,18 @@ def test_files_name_their_needles_and_a_table_may_leave_out_a_word_of_the_names(
     assert """--set 'unused=["facts.csv"]'""" in refused.fix and len(curves_of([tmp_path])[0]) == 3
 
 
+def test_each_of_several_media_has_a_study_of_its_own(tmp_path):
+    cells = [("soft gel", 20), ("soft gel", 20), ("hard", "none")]
+    file = write_long(tmp_path, NEEDLES, head=("medium", "boundaries [mm]"), cells=cells)
+    folder = write_placed(tmp_path / "a", [file], pose="1,0,0", bevel="0,1,0", point_sd="0.1")
+    studies = {path.name: read_toml(path) for path in folder.glob("a_*.toml")}
+    chosen = {name: (study["tune"]["medium"], study["medium"]) for name, study in studies.items()}
+    soft, hard = ("soft gel", "./tissue_soft_gel.toml"), ("hard", "./tissue_hard.toml")
+    assert chosen == {"a_soft_gel_study.toml": soft, "a_hard_fit.toml": hard}
+    layers = [read_toml(folder / f"tissue_{name}.toml")["layers"] for name in ("soft_gel", "hard")]
+    assert layers == [2, 1] and (folder / "scene_hard.toml").is_file()
+
+
 def test_facts_of_a_specimen_are_those_of_its_needles(tmp_path):
     write_long(tmp_path, NEEDLES, head=["specimen"], cells=[["A"], ["B"], ["A"]])
     (tmp_path / "blocks.csv").write_text("specimen,boundary [mm]\nA,18\nB,20\n")

@@ -105,7 +105,6 @@ def import_data(
     it asks for what is open and shows the mapping, to be changed or taken; --yes takes what is proposed. OUT
     also gets a picture, a first study and a scene. The default is ./FILE-dataset.
     """
-    from needlefit.datasets.first_study import SCENE_FILE
     from needlefit.datasets.importing.prepare import prepare_import
     from needlefit.project.folders import require_new, require_no_inputs_within, require_replaceable
     from needlefit.reporting.dataset_import import (
@@ -156,7 +155,7 @@ def import_data(
     path = format_path(out)
     look = f"look at {out / PICTURE_FILE}, " if (out / PICTURE_FILE).is_file() else ""
     screen.print_note(f"{look}then: {shlex.join(('needlefit', 'check', path))}")
-    show_next_steps(dataset, out, SCENE_FILE)
+    show_next_steps(dataset, out)
 
 
 def _review(prepared: "PreparedImport", problem: str) -> str:

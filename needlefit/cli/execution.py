@@ -330,26 +330,26 @@ def show_advice(advice: "Advice", results: Path) -> None:
         screen.print_line(f"  {advice.format_command(results)}")
 
 
-def show_next_steps(dataset: "Dataset", folder: Path, scene: str) -> None:
-    """Print the commands that follow on a new dataset in `folder` with a first study or fit."""
-    from needlefit.datasets.first_study import name_first_run
+def show_next_steps(dataset: "Dataset", folder: Path) -> None:
+    """Print the commands that follow on a new dataset in `folder` with first studies or fits."""
+    from needlefit.datasets.first_study import list_first_runs
 
     path = format_path(folder)
-    name, is_study = name_first_run(dataset)
-    run = f"{path}/{name}"
-    predict = shlex.join(("needlefit", "predict", run, "--scene", f"{path}/{scene}"))
-    if not is_study:
-        count = len(dataset.insertions)
-        held_out = (
-            "one needle"
-            if count == 1
-            else "one run into each specimen, and runs are predicted from others into the same"
-        )
-        screen.print_note(f"{held_out}: nothing is held out, no verdict is possible")
-    screen.print_note(f"stiffness and bevel: {shlex.join(('needlefit', 'tune', run))}")
-    if is_study:
-        screen.print_note(f"a first study: {shlex.join(('needlefit', 'validate', run))}")
-    screen.print_note(f"then a prediction: {predict}")
+    for first_run in list_first_runs(dataset):
+        run, scene = f"{path}/{first_run.file}", f"{path}/{first_run.scene_file}"
+        of_medium = f" of {first_run.medium}" if first_run.medium else ""
+        if not first_run.is_study:
+            held_out = (
+                f"one needle{of_medium}"
+                if len(first_run.insertions) == 1
+                else "one run into each specimen, and runs are predicted from others into the same"
+            )
+            screen.print_note(f"{held_out}: nothing is held out, no verdict is possible")
+        screen.print_note(f"stiffness and bevel{of_medium}: {shlex.join(('needlefit', 'tune', run))}")
+        if first_run.is_study:
+            screen.print_note(f"a first study{of_medium}: {shlex.join(('needlefit', 'validate', run))}")
+        predict = shlex.join(("needlefit", "predict", run, "--scene", scene))
+        screen.print_note(f"then a prediction{of_medium}: {predict}")
 
 
 def show_runs(execution: Execution, runs: "Sequence[Run]", more: dict[str, object] | None = None) -> None:

@@ -173,8 +173,7 @@ def reconstruct(
     print_warnings(invocation, warnings)
     _show(out, written, failed, warnings if invocation.json else None)
     if inspected and inspected.dataset and not invocation.json:
-        deepest = max(inspected.dataset.insertions, key=lambda insertion: insertion.depth)
-        show_next_steps(inspected.dataset, out, f"scenes/{deepest.id}.toml")
+        show_next_steps(inspected.dataset, out)
     if failed:
         raise typer.Exit(DataError.exit_code)
 

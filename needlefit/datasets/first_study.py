@@ -6,8 +6,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from needlefit.datasets.columns import make_id
 from needlefit.datasets.insertion import Dataset, Insertion, InsertionInputs
 from needlefit.datasets.read import load_record
+from needlefit.grouping import group_values
 from needlefit.mechanics.laws.ogden import OGDEN
 from needlefit.mechanics.needle import Needle
 from needlefit.project.toml import check, dumps
@@ -15,8 +17,6 @@ from needlefit.schemas.medium import BEVEL_BOUNDS, MediumRecord
 from needlefit.schemas.scene import Advance, SceneRecord, StepRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
 
-TISSUE_FILE = "tissue.toml"
-SCENE_FILE = "scene.toml"
 MODULUS_BOUNDS_PA = [1e3, 1e9]  # Pa, of a first fit: beyond all soft tissues and gels
 # Of a guide before the tissue whose distance is fitted, mm: its least distance, prior median and factor.
 MIN_GUIDE_MM, GUIDE_MEDIAN_MM, GUIDE_FACTOR = 2.0, 25.0, 2.0
@@ -30,16 +30,45 @@ SCENE_BEVELS: Mapping[Advance, Mapping[str, float]] = {
 """Its bevel, by the rule of advance."""
 
 
-def name_first_run(dataset: Dataset) -> tuple[str, bool]:
-    """Return the file of a dataset's first study, or of its fit, and whether it is a study.
+@dataclass(frozen=True)
+class FirstRun:
+    """A first study, or a fit where nothing can be held out, of the insertions into one medium."""
 
-    The folder of its results has the same name. Nothing can be held out of one insertion, nor of one tip
-    track of a specimen: tracks are predicted within a specimen.
+    insertions: tuple[Insertion, ...]
+    is_study: bool
+    medium: str  #: empty where there is one medium alone
+    file: str  #: of the study or fit; the folder of its results has the same name
+    tissue_file: str
+    scene_file: str
+
+    @property
+    def deepest(self) -> Insertion:
+        """The deepest insertion, of which the scene is."""
+        return max(self.insertions, key=lambda insertion: insertion.depth)
+
+
+def list_first_runs(dataset: Dataset) -> list[FirstRun]:
+    """Return a first study or fit of each medium, as a tissue model describes one.
+
+    Nothing can be held out of one insertion, nor of one tip track of a specimen: tracks are predicted within
+    a specimen, and have one study.
     """
-    insertions = dataset.insertions
-    counts = Counter(insertion.specimen for insertion in insertions if insertion.in_tracker_frame)
-    is_study = len(insertions) > 1 and min(counts.values(), default=2) > 1
-    return f"{dataset.name}_{'study' if is_study else 'fit'}.toml", is_study
+    are_tracks = any(insertion.in_tracker_frame for insertion in dataset.insertions)
+    media = group_values(
+        ("" if are_tracks else insertion.medium, insertion) for insertion in dataset.insertions
+    )
+    first_runs = []
+    for medium, insertions in media.items():
+        part = f"_{make_id(medium, 'medium')}" if len(media) > 1 else ""
+        counts = Counter(insertion.specimen for insertion in insertions if insertion.in_tracker_frame)
+        is_study = len(insertions) > 1 and min(counts.values(), default=2) > 1
+        names = (
+            f"{dataset.name}{part}_{'study' if is_study else 'fit'}.toml",
+            f"tissue{part}.toml",
+            f"scene{part}.toml",
+        )
+        first_runs.append(FirstRun(tuple(insertions), is_study, medium if part else "", *names))
+    return first_runs
 
 
 @dataclass(frozen=True)
@@ -122,21 +151,36 @@ def free_guide_distance(free_mm: float) -> dict[str, Any]:
     return {"bounds": [MIN_GUIDE_MM, upper], "prior": prior}
 
 
-def write_first_run(folder: Path, dataset: Dataset, choices: FirstChoices | None = None) -> None:
-    """Write a study, or a fit where nothing can be held out, and its `tissue.toml` into `folder`.
-
-    The study leaves out one specimen at a time, or, of a single specimen and of tip tracks, one insertion.
-    The tissue model has as many layers as the deepest insertion meets; of the exponents alpha it states the
-    usual prior, as shapes hardly depend on them.
-    """
+def write_first_runs(folder: Path, dataset: Dataset, choices: FirstChoices | None = None) -> None:
+    """Write the first studies or fits, each with its tissue model and a scene, into `folder`."""
     choices = choices or FirstChoices()
-    layers = max(max(insertion.sequence) for insertion in dataset.insertions)
+    for first_run in list_first_runs(dataset):
+        files = (
+            (first_run.tissue_file, _describe_tissue(dataset, first_run, choices), MediumRecord),
+            (
+                first_run.file,
+                _describe_run(dataset, first_run, choices),
+                StudyRecord if first_run.is_study else FitRecord,
+            ),
+        )
+        for file, tables, record in files:
+            check(tables, record, file)
+            (folder / file).write_bytes(dumps(tables).encode())
+        write_scene(folder / first_run.scene_file, dataset, first_run.deepest)
+
+
+def _describe_tissue(dataset: Dataset, first_run: FirstRun, choices: FirstChoices) -> dict[str, object]:
+    """Return a tissue model with as many layers as an insertion meets at most.
+
+    Of the exponents alpha it states the usual prior, as shapes hardly depend on them.
+    """
+    layers = max(max(insertion.sequence) for insertion in first_run.insertions)
     numbers = range(1, layers + 1)
     advance = _choose_advance(dataset)
     bevel = "cut_angle_deg" if advance == "path_angle" else "bevel_mm"
-    tissue: dict[str, object] = {
+    return {
         "schema": 1,
-        "title": f"Tissue of {dataset.name}",
+        "title": f"Tissue of {dataset.name}{': ' * bool(first_run.medium)}{first_run.medium}",
         "layers": layers,
         **({"advance": advance} if advance == "path_angle" else {}),
         "parameters": {
@@ -146,29 +190,33 @@ def write_first_run(folder: Path, dataset: Dataset, choices: FirstChoices | None
             **choices.parameters,
         },
     }
-    name, is_study = name_first_run(dataset)
+
+
+def _describe_run(dataset: Dataset, first_run: FirstRun, choices: FirstChoices) -> dict[str, object]:
+    """Return a study that leaves out one specimen at a time, or, of a single specimen and of tip tracks, one
+    insertion; a fit where nothing can be held out.
+    """
+    insertions, medium = first_run.insertions, first_run.medium
+    about = f"{dataset.name}{', ' * bool(medium)}{medium}"
     run: dict[str, object] = {
         "schema": 2,
-        "title": f"{dataset.name}: a fit",
+        "title": f"{about}: a fit",
         "dataset": ".",  # paths are relative to the study
-        "medium": f"./{TISSUE_FILE}",
+        "medium": f"./{first_run.tissue_file}",
         "recipe": "default",
     }
-    several = len({insertion.specimen for insertion in dataset.insertions}) > 1 and not any(
-        insertion.in_tracker_frame for insertion in dataset.insertions
+    several = len({insertion.specimen for insertion in insertions}) > 1 and not any(
+        insertion.in_tracker_frame for insertion in insertions
     )
     unit = "specimen" if several else "insertion"
     where = "those into a new specimen" if several else "another one into the same specimen"
-    if is_study:
+    if first_run.is_study:
         run |= {
-            "title": f"{dataset.name}: leave one {unit} out",
+            "title": f"{about}: leave one {unit} out",
             "question": f"Does a model fitted to all other insertions predict {where}?",
             "leave_out": unit,
             **choices.study,
         }
     if not several:
         run["same_specimen"] = True
-    files = (TISSUE_FILE, tissue, MediumRecord), (name, run, StudyRecord if is_study else FitRecord)
-    for file, tables, record in files:
-        check(tables, record, file)
-        (folder / file).write_bytes(dumps(tables).encode())
+    return run | ({"tune": {"medium": medium}} if medium else {})

@@ -13,7 +13,7 @@ from matplotlib.tri import Triangulation
 
 from needlefit.arrays import Floats
 from needlefit.datasets.bend_sides import BendSide, find_bend_sides
-from needlefit.datasets.first_study import SCENE_FILE, write_first_run, write_scene
+from needlefit.datasets.first_study import write_first_runs
 from needlefit.datasets.importing.meanings import VALUES
 from needlefit.datasets.importing.place import ImportPlan
 from needlefit.datasets.importing.prepare import PreparedImport
@@ -29,7 +29,15 @@ from needlefit.schemas.origin import ORIGIN_MARKS
 
 PICTURE_FILE = "import.png"
 WRITTEN = (  # names of the files of an import
-    *("dataset.toml", MAPPING_FILE, PICTURE_FILE, SCENE_FILE, "tissue.toml", "*_study.toml", "*_fit.toml"),
+    *(
+        "dataset.toml",
+        MAPPING_FILE,
+        PICTURE_FILE,
+        "scene*.toml",
+        "tissue*.toml",
+        "*_study.toml",
+        "*_fit.toml",
+    ),
     *("insertions.csv", TRACKS_FILE, TURNS_FILE, CURVATURE_FILE, "centerlines/*.csv", "layers/*.stl"),
 )
 
@@ -53,10 +61,7 @@ def write_import(folder: Path, prepared: PreparedImport, overwrite: bool = False
     with replace_folder(folder, is_result=False, find=find_not_imported if overwrite else None) as fresh:
         plan = prepared.plan
         dataset = write_plan(fresh, prepared.content, plan, prepared.mapping)
-        write_first_run(fresh, dataset, plan.choices)
-        write_scene(
-            fresh / SCENE_FILE, dataset, max(dataset.insertions, key=lambda insertion: insertion.depth)
-        )
+        write_first_runs(fresh, dataset, plan.choices)
         if not all(insertion.in_tracker_frame for insertion in dataset.insertions):
             draw(fresh / PICTURE_FILE, lambda: paint_import(dataset, plan))
     warnings = [

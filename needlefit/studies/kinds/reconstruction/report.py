@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from needlefit.datasets.first_study import write_first_run, write_scene
+from needlefit.datasets.first_study import write_first_runs, write_scene
 from needlefit.datasets.formats.markups import CurveStyle, Markups, write_mrk_json
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError
@@ -336,7 +336,7 @@ def write_reconstruction(
         )
         assert isinstance(record, ReconstructionBatchRecord)
         dataset = read(fresh)
-        write_first_run(fresh, dataset)
+        write_first_runs(fresh, dataset)
         (fresh / "scenes").mkdir()
         for insertion in dataset.insertions:
             write_scene(fresh / "scenes" / f"{insertion.id}.toml", dataset, insertion)
