@@ -6,7 +6,7 @@ another, stiff layers and flat cuts may describe the needles.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,9 +15,9 @@ from needlefit.arrays import Floats
 from needlefit.datasets.compared import SIGNIFICANT_SD
 from needlefit.inference.hypotheses import (
     ASIDE,
+    HYPOTHESES,
     IN_PLANE,
     LOG_FITTED,
-    PREDICTED_SD,
     START_SIZES,
     Change,
     Deviation,
@@ -25,13 +25,11 @@ from needlefit.inference.hypotheses import (
     explain,
     list_boundaries,
 )
-from needlefit.inference.linear_needles import Prediction, linearize_needle, predict_from, refit, widen_all
+from needlefit.inference.linear_needles import Prediction, linearize_needles, predict_from, refit
 from needlefit.inference.plausible import list_implausible
 from needlefit.inference.problem import Problem
 from needlefit.project.unit_warnings import LENGTH_UNITS
 
-#: what else may have happened, in the world's frame: keys of `HYPOTHESES`, and sizes about 0, mm or degrees
-POSES = {"turned": 2.0, "shifted": 2.0}
 #: least shift of a boundary that is named: beside one a needle bends over (EI / mu)^(1/4), 6 to 15 mm, and an
 #: error of the model looks like a shift by a part of it
 MIN_SHIFT_MM = 5.0
@@ -51,40 +49,44 @@ def find_common(problem: Problem, theta: Floats) -> Explanation | None:
     count = sum(problem.density.residual_counts)
 
     def predict(changed: Problem, fitted: Floats) -> Prediction:
-        blocks = [linearize_needle(changed, insertion, fitted) for insertion in changed.insertions]
-        return predict_from(changed, range(len(blocks)), widen_all(changed, blocks), fitted)
+        uses = np.ones((1, len(changed.insertions)), dtype=bool)
+        return predict_from(changed, linearize_needles(changed, changed.insertions, fitted), uses, fitted)[0]
 
     before = predict(problem, theta)
 
-    def measure(change: Change, size: float) -> Deviation:
+    def measure_one(change: Change, size: float) -> Deviation:
         known = fits.setdefault((change.cause, change.axis, change.where), {0.0: theta})
         changed = change_all(problem, change, size)
         fitted = known[min(known, key=lambda other: abs(other - size))]
         after = predict(changed, fitted)
-        changes_model = change.cause not in POSES
+        changes_model = change.row.changes_model
         if changes_model or after.log_density - before.log_density > LOG_FITTED:  # else what is linear does
             fitted = known[size] = refit(changed, changed.insertions, fitted)
             after = predict(changed, fitted)
         is_plausible = not list_implausible(problem.values(fitted), problem.medium.constraint_spacing_mm)
-        is_right = not changes_model or (is_plausible and after.describes(count, PREDICTED_SD))
+        is_right = not changes_model or (is_plausible and after.describes(count))
         gain = after.log_density - before.log_density
         return Deviation(0.0 if is_right else math.inf, gain, max(1.0, after.chi_square))
+
+    def measure(change: Change, sizes: Sequence[float]) -> list[Deviation]:
+        return [measure_one(change, size) for size in sizes]
 
     # of bevels that all face one way an error of the model looks like any change in their plane
     is_one_sided = len({insertion.side for insertion in problem.insertions}) == 1
     in_plane = () if is_one_sided else (*_list_poses(problem, IN_PLANE), *list_boundary_shifts(problem))
     aside = _list_poses(problem, ASIDE) if problem.dataset.directions == 2 else ()
     found = explain([*in_plane, *aside], measure, 0.0)
-    if found is None or found.size is None:
+    if found is None or found.size is None or not found.is_clear:
         return None
     least = max(MIN_SHIFT_MM, *(SIGNIFICANT_SD * insertion.boundary_sd for insertion in problem.insertions))
-    return found if found.change.cause in POSES or abs(found.size) >= least else None
+    return found if not found.change.row.changes_model or abs(found.size) >= least else None
 
 
 def _list_poses(problem: Problem, axis: int) -> Iterator[Change]:
     """Yield turns and shifts of all needles; shapes of unknown pose are aligned: they change nothing."""
-    for cause, size in POSES.items() if problem.dataset.pose != "free" else ():
-        yield Change(cause, axis, starts=(-size, 0.0, size), cost=LOG_FITTED)
+    for cause, row in HYPOTHESES.items() if problem.dataset.pose != "free" else ():
+        if (size := row.common_size) is not None:
+            yield Change(cause, axis, starts=(-size, 0.0, size), cost=LOG_FITTED)
 
 
 def list_boundary_shifts(problem: Problem) -> Iterator[Change]:

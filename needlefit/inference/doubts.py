@@ -17,8 +17,7 @@ from needlefit.datasets.outlying_points import MAX_OUTLYING_PART, OUTLIER_SD
 from needlefit.inference.common_doubts import change_all, find_common
 from needlefit.inference.hypotheses import (
     ASIDE,
-    HYPOTHESES,
-    PREDICTED_SD,
+    HAPPENED_LOG_ODDS,
     Change,
     Deviation,
     Explanation,
@@ -28,14 +27,15 @@ from needlefit.inference.hypotheses import (
 from needlefit.inference.linear_needles import (
     MIN_NEEDLES,
     Prediction,
-    linearize_needle,
-    measure_deviation,
+    linearize_needles,
+    measure_deviations,
     predict_from,
     refit,
-    widen_all,
 )
 from needlefit.inference.problem import Problem
 from needlefit.schemas.run_metadata import CommonDoubtMetadata, NeedleDoubtMetadata
+
+ASKED_NEEDLES = 2  #: the farthest, of which it is asked at a time what may have happened to them
 
 
 class Doubts(NamedTuple):
@@ -47,11 +47,12 @@ class Doubts(NamedTuple):
     common: CommonDoubtMetadata | None = None  #: what may have happened to all needles alike
 
 
-def find_doubts(problem: Problem, theta: Floats) -> Doubts:
+def find_doubts(problem: Problem, theta: Floats, common: CommonDoubtMetadata | None = None) -> Doubts:
     """Return the needles that a fit to the others does not predict.
 
-    `theta` (P,): the fit to all. None of too few needles, without stated noise, of needles that leave the
-    plane in which they are compared, or where a needle is not solved: these are not judged.
+    `theta` (P,): the fit to all; `common`: what happened to all, which is undone; None: that is sought. None
+    of too few needles, without stated noise, of needles that leave the plane in which they are compared, or
+    where a needle is not solved: these are not judged.
     """
     insertions, count, dataset = problem.insertions, len(problem.insertions), problem.dataset
     if count < MIN_NEEDLES or not dataset.noise_is_stated:
@@ -60,67 +61,72 @@ def find_doubts(problem: Problem, theta: Floats) -> Doubts:
         return Doubts()
     odd = list[int]()
 
-    def describe(k: int) -> NeedleDoubtMetadata:
+    def describe(k: int) -> NeedleDoubtMetadata | None:
         return _describe(problem, k, theta, predictions[k], sds[k])
-
-    def is_odd(k: int) -> bool:
-        """Whether a needle is too far from its prediction, or explained by what may have happened to it.
-
-        Of the latter is asked where errors alone keep the others from their fit.
-        """
-        is_asked = sds[k] > PREDICTED_SD and predictions[k].describes(sum(counts) - counts[k])
-        return sds[k] >= OUTLIER_SD or (is_asked and describe(k).cause != "")
 
     while True:
         rest = [k for k in range(count) if k not in odd]
         theta = refit(problem, [insertions[k] for k in rest], theta) if odd else theta
-        blocks = [linearize_needle(problem, insertion, theta) for insertion in insertions]
-        if not all(math.isfinite(block.square) for block in blocks):  # a solve failed
+        blocks = linearize_needles(problem, insertions, theta)
+        if not np.isfinite(blocks.squares).all():  # a solve failed
             return Doubts()
-        counts, widened = [block.residual_count for block in blocks], widen_all(problem, blocks)
-        predictions = [
-            predict_from(problem, [j for j in rest if j != k], widened, theta) for k in range(count)
-        ]
-        sds = [measure_deviation(block, theta, predictions[k]).sds for k, block in enumerate(blocks)]
-        oddest = sorted(rest, key=lambda k: -sds[k]) if len(odd) + 1 <= MAX_OUTLYING_PART * count else []
-        if (worst := next(filter(is_odd, oddest), None)) is None:
+        uses = np.isin(np.arange(count), rest) & ~np.eye(count, dtype=bool)
+        predictions = predict_from(problem, blocks, uses, theta)
+        pairs = [(blocks.select(k), predicted) for k, predicted in enumerate(predictions)]
+        sds = [measure_deviations(block, theta, predicted)[0].sds for block, predicted in pairs]
+        oddest = sorted(rest, key=lambda k: -sds[k])[:ASKED_NEEDLES]
+        worst = next(filter(describe, oddest), None) if len(odd) + 1 <= MAX_OUTLYING_PART * count else None
+        if worst is None:
             break
         odd.append(worst)
     all_but_odd = replace(problem, insertions=tuple(insertions[k] for k in rest))
-    if (found := find_common(all_but_odd, theta)) is not None:
+    if common is None and (found := find_common(all_but_odd, theta)) is not None:
         changed = change_all(problem, found.change, found.size or 0.0)
-        again = find_doubts(changed, refit(changed, changed.insertions, theta))
-        return again._replace(common=_describe_common(found))
+        return find_doubts(changed, refit(changed, changed.insertions, theta), _describe_common(found))
     # in the stated errors alone, whatever the misfit of the others is
-    pairs = zip(blocks, predictions, strict=True)
     stated = (
-        measure_deviation(block, theta, prediction._replace(scale=1.0)).sds for block, prediction in pairs
+        measure_deviations(block, theta, predicted._replace(scale=1.0))[0].sds for block, predicted in pairs
     )
     deviating = sum(sds >= OUTLIER_SD for sds in stated)
     if deviating > MAX_OUTLYING_PART * count:
-        return Doubts(deviating=(deviating, count))
+        return Doubts(deviating=(deviating, count), common=common)
     needles = map(describe, sorted(odd, key=lambda k: -sds[k]))
-    return Doubts([needle for needle in needles if needle.sds >= OUTLIER_SD or needle.cause])
+    return Doubts([needle for needle in needles if needle is not None], common=common)
 
 
 def _describe(
     problem: Problem, number: int, theta: Floats, predicted: Prediction, sds: float
-) -> NeedleDoubtMetadata:
-    """Return what is known of an odd needle, given what the others predict."""
+) -> NeedleDoubtMetadata | None:
+    """Return what is known of a needle, given what the others predict; None if it is not odd.
 
-    def measure(change: Change, size: float) -> Deviation:
-        row = HYPOTHESES[change.cause]
-        block = linearize_needle(problem, change.apply(left_out, size), theta, row.reaches_tip)
-        left = measure_deviation(block, theta, predicted)
-        volume = row.log_volume(size, len(left_out.points))
-        return left._replace(log_density=left.log_density + volume)
+    It is if it lies too far from its prediction, or if something is far more probable than nothing. Of the
+    latter is asked where errors alone keep the others from their fit.
+    """
+    is_near = sds < OUTLIER_SD
+    if is_near and not predicted.describes(sum(problem.density.residual_counts)):
+        return None
+
+    def measure(change: Change, sizes: Sequence[float]) -> list[Deviation]:
+        changed = [change.apply(left_out, size) for size in sizes]
+        blocks = linearize_needles(problem, changed, theta, reaches_tip=change.row.reaches_tip)
+        return [
+            left._replace(log_density=left.log_density + change.row.log_volume(size, len(left_out.points)))
+            for left, size in zip(measure_deviations(blocks, theta, predicted), sizes, strict=True)
+        ]
 
     left_out = problem.insertions[number]
     others = [other for other in problem.insertions if other is not left_out]
-    as_measured = measure_deviation(linearize_needle(problem, left_out, theta), theta, predicted)
+    (as_measured,) = measure_deviations(linearize_needles(problem, [left_out], theta), theta, predicted)
     # it may have happened to any of them
     nothing = as_measured.log_density + math.log(len(problem.insertions))
-    found = explain(list_changes(left_out, others, problem.dataset.directions), measure, nothing)
+    changes = list_changes(left_out, others, problem.dataset.directions)
+    if is_near:  # the densities of two models differ by errors of the linear ones
+        changes = (change for change in changes if not change.row.changes_model)
+    found = explain(changes, measure, nothing)
+    log_odds = found.log_odds if found else 0.0
+    if is_near and log_odds < HAPPENED_LOG_ODDS:
+        return None
+    cause = found.change if found and found.is_clear else None
     within_bounds = np.clip(predicted.theta, problem.lower, problem.upper)
     ((simulated, measured),) = replace(problem, insertions=(left_out,)).points(within_bounds)
     points = np.column_stack(
@@ -130,10 +136,11 @@ def _describe(
         insertion=left_out.id,
         place=left_out.where.rpartition("/")[2],
         sds=sds,
-        cause=found.change.cause if found else "",
-        aside=found is not None and found.change.axis == ASIDE,
-        size=found.size if found else None,
-        where=found.change.where if found else "",
+        log_odds=log_odds,
+        cause=cause.cause if cause else "",
+        aside=cause is not None and cause.axis == ASIDE,
+        size=found.size if found and cause else None,
+        where=cause.where if cause else "",
         points=points.round(3).tolist(),
     )
 
@@ -141,7 +148,7 @@ def _describe(
 def _describe_common(found: Explanation) -> CommonDoubtMetadata:
     """Return what is known of what happened to all needles alike."""
     change, stated = found.change, None
-    if change.cause == "boundary":
+    if change.row.changes_model:
         number, deepest = change.choice
         stated = float(deepest.boundaries[number])
     return CommonDoubtMetadata(

@@ -7,14 +7,14 @@ medium differ besides by nature: by as much as makes all most probable.
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Bools, Floats
 from needlefit.datasets.insertion import Insertion
 from needlefit.inference.fit import EvaluationRecorder
-from needlefit.inference.hypotheses import Deviation
+from needlefit.inference.hypotheses import PREDICTED_SD, Deviation
 from needlefit.inference.identifiability.precision import prior_information
 from needlefit.inference.least_squares import run_least_squares
 from needlefit.inference.optimize import starting_points
@@ -25,39 +25,43 @@ from needlefit.project.progress import never_stop
 MIN_NEEDLES = 4  #: from so many on one is predicted from the others; parameters take up what fewer show
 #: SDs of the moduli between needles, of ln; specimens of one medium differ by up to 40 %
 SPREADS = (0.03, 0.1, 0.2, 0.4)
-BEVEL_PART = 1 / 3  #: of this SD that the bevel has: all needles have the same
+BEVEL_PART = 1 / 4  #: of this SD that the bevel has: all needles have the same
 QUANTILE = 0.75  #: of the misfits of the others, that is the scale
-#: of chi-square by chance, beyond 1, up to which needles lie as near to a fit as errors let them
-MAX_CHI_SQUARE_SD = 0.5
 QUICK_STARTS = 3  #: beside the middle of the prior, of a quick fit
 QUICK_EVALUATIONS = 60  #: of each search
 
 
-class Block(NamedTuple):
-    """The squared residuals of one needle, as a quadratic of theta about a fit.
+class Blocks(NamedTuple):
+    """The squared residuals of needles, each as a quadratic of theta about a fit.
 
-    They are `square` + 2 `pull` t + t' `information` t at a distance t (P,) from it.
+    They are square + 2 pull t + t' information t at a distance t (P,) from it.
     """
 
-    square: float
-    pull: Floats  #: (P,)
-    information: Floats  #: (P, P)
-    residual_count: int
-    log_norm: float  #: of their Gaussian in what was measured
+    squares: Floats  #: (N,)
+    pulls: Floats  #: (N, P)
+    informations: Floats  #: (N, P, P)
+    residual_counts: Floats  #: (N,)
+    log_norms: Floats  #: (N,); of their Gaussians in what was measured
 
-    def measure(self, step: Floats) -> float:
-        """Return the squared residuals at a distance (P,) from the fit."""
-        return float(self.square + 2 * self.pull @ step + step @ self.information @ step)
+    def select(self, number: int) -> Self:
+        """Return the block of one needle."""
+        return type(self)(*(values[number : number + 1] for values in self))
 
-    def widen(self, covariance: Floats) -> "Block":
-        """Return the block of a needle whose theta differs besides by this covariance (P, P)."""
-        growth = np.eye(len(self.pull)) + covariance @ self.information
-        inverse = np.asarray(np.linalg.inv(growth), dtype=np.float64)
+    def measure(self, steps: Floats) -> Floats:
+        """Return the squared residuals (K, N) at distances (K, P) from the fit."""
+        bent = np.einsum("kp,npq,kq->kn", steps, self.informations, steps, optimize=True)
+        return self.squares + 2 * steps @ self.pulls.T + bent
+
+    def widen(self, covariance: Floats) -> Self:
+        """Return the blocks of needles whose theta differs besides by this covariance (P, P)."""
+        growth = np.eye(len(covariance)) + covariance @ self.informations
+        inverse = np.linalg.inv(growth)
+        moved = np.einsum("npq,np->nq", inverse, self.pulls)
         return self._replace(
-            square=float(self.square - self.pull @ inverse @ covariance @ self.pull),
-            pull=inverse.T @ self.pull,
-            information=inverse.T @ self.information,
-            log_norm=self.log_norm - 0.5 * float(np.linalg.slogdet(growth)[1]),
+            squares=self.squares - np.sum(moved @ covariance * self.pulls, axis=1),
+            pulls=moved,
+            informations=np.swapaxes(inverse, 1, 2) @ self.informations,
+            log_norms=self.log_norms - 0.5 * np.linalg.slogdet(growth)[1],
         )
 
 
@@ -70,9 +74,9 @@ class Prediction(NamedTuple):
     log_density: float  #: of these needles and the prior, their differences integrated out
     chi_square: float  #: mean of their squared residuals
 
-    def describes(self, residuals: int, sds: float = MAX_CHI_SQUARE_SD) -> bool:
+    def describes(self, residuals: float) -> bool:
         """Whether these needles lie as far from the fit as errors do, by so many residuals."""
-        return self.chi_square <= 1 + sds * math.sqrt(2 / residuals)
+        return self.chi_square <= 1 + PREDICTED_SD * math.sqrt(2 / residuals)
 
 
 def fit_quickly(problem: Problem) -> Floats:
@@ -93,73 +97,71 @@ def refit(problem: Problem, some: Sequence[Insertion], theta: Floats) -> Floats:
     return theta if recorder.theta is None else recorder.theta
 
 
-def linearize_needle(
-    problem: Problem, insertion: Insertion, theta: Floats, reaches_tip: bool = True
-) -> Block:
-    """Return the residuals of one needle by itself about `theta` (P,), without the prior's.
+def linearize_needles(
+    problem: Problem, insertions: Sequence[Insertion], theta: Floats, *, reaches_tip: bool = True
+) -> Blocks:
+    """Return the residuals of needles, each by itself, about `theta` (P,), without the prior's.
 
-    Points that do not reach the tip lie at their own distances from the entry.
+    They share neither layers nor bevels. Points that do not reach the tip lie at their own distances from
+    the entry.
     """
-    alone = replace(problem, insertions=(insertion,))
-    density = alone.density
+    apart = tuple(replace(insertion, specimen=str(n)) for n, insertion in enumerate(insertions))
+    likelihood = problem.likelihood.model_copy(update={"bevel_spread": 0.0})
+    density = replace(problem, insertions=apart, likelihood=likelihood).density
     if not reaches_tip:
-        part = min(1.0, insertion.measure_arc(problem.dataset.compared)[-1] / insertion.depth)
-        cut = [
-            replace(observation, nodes=replace(observation.nodes, s=part * observation.nodes.s))
-            for observation in density.observations
-        ]
+        cut = []
+        for insertion, observation in zip(insertions, density.observations, strict=True):
+            part = min(1.0, insertion.measure_arc(problem.dataset.compared)[-1] / insertion.depth)
+            nodes = replace(observation.nodes, s=part * observation.nodes.s)
+            cut.append(replace(observation, nodes=nodes))
         density = replace(density, observations=tuple(cut))
-    ((residuals, slope),) = density.jacobians([problem.values(theta)])
-    count = sum(density.residual_counts)
-    residuals, slope = residuals[:count], slope[:count]
-    log_norm = sum(observation.log_norm for observation in density.observations)
-    return Block(float(residuals @ residuals), slope.T @ residuals, slope.T @ slope, count, log_norm)
+    ((residuals, slopes),) = density.jacobians([problem.values(theta)])
+    ends = np.cumsum(density.residual_counts)
+    pairs = zip(np.split(residuals, ends)[:-1], np.split(slopes, ends)[:-1], strict=True)
+    squares, pulls, informations = zip(
+        *((some @ some, slope.T @ some, slope.T @ slope) for some, slope in pairs), strict=True
+    )
+    log_norms = [observation.log_norm for observation in density.observations]
+    counts = np.array(density.residual_counts, dtype=np.float64)
+    return Blocks(np.array(squares), np.array(pulls), np.array(informations), counts, np.array(log_norms))
 
 
-#: by the SDs (P,) between needles, all blocks
-WidenedBlocks = Sequence[tuple[Floats, Sequence[Block]]]
+def predict_from(problem: Problem, blocks: Blocks, uses: Bools, theta: Floats) -> list[Prediction]:
+    """Return what some needles predict of another, linear about `theta`, with their likeliest spread.
 
-
-def widen_all(problem: Problem, blocks: Sequence[Block]) -> WidenedBlocks:
-    """Return all blocks with differences between needles, by the SDs (P,) of these."""
+    By row of `uses` (K, N): from which of them.
+    """
+    (of_prior,) = problem.parameters.prior.log_density([problem.values(theta)])
     parts = np.array([BEVEL_PART if name in BEVEL_PARAMETERS else 1.0 for name in problem.names])
-    spreads = [size * parts for size in SPREADS]
-    return [(spread, [block.widen(np.diag(spread**2)) for block in blocks]) for spread in spreads]
+    evidences, predictions = [], []
+    for size in SPREADS:
+        among = np.diag((size * parts) ** 2)
+        wide = blocks.widen(among)
+        precisions = prior_information(problem) + np.tensordot(uses, wide.informations, 1)
+        covariances = np.linalg.inv(precisions)
+        steps = -np.einsum("kpq,kq->kp", covariances, uses @ wide.pulls)
+        squares = np.where(uses, wide.measure(steps), np.nan)
+        sums = np.nansum(squares, axis=1)
+        densities = of_prior + uses @ wide.log_norms - 0.5 * sums
+        evidences.append(densities - 0.5 * np.linalg.slogdet(precisions)[1])  # all parameters integrated out
+        scales = np.maximum(1.0, np.nanquantile(squares / wide.residual_counts, QUANTILE, axis=1))
+        chi_squares = sums / (uses @ wide.residual_counts)
+        rows = zip(theta + steps, covariances + among, scales, densities, chi_squares, strict=True)
+        predictions.append([Prediction(*row) for row in rows])
+    return [predictions[best][k] for k, best in enumerate(np.argmax(evidences, axis=0))]
 
 
-def predict_from(
-    problem: Problem, places: Sequence[int], widened: WidenedBlocks, theta: Floats
-) -> Prediction:
-    """Return what some needles predict of another, linear about `theta`, with their likeliest spread."""
-    best: tuple[float, Prediction] | None = None
-    (prior,) = problem.parameters.prior.log_density([problem.values(theta)])
-    for spread, blocks in widened:
-        some = [blocks[k] for k in places]
-        precision = prior_information(problem) + sum(block.information for block in some)
-        covariance = np.asarray(np.linalg.inv(precision), dtype=np.float64)
-        step = -covariance @ sum(block.pull for block in some)
-        squares = np.array([block.measure(step) for block in some])
-        counts = np.array([block.residual_count for block in some])
-        density = prior + sum(block.log_norm for block in some) - 0.5 * float(squares.sum())
-        evidence = float(density - 0.5 * np.linalg.slogdet(precision)[1])  # all parameters integrated out
-        if best is None or evidence > best[0]:
-            scale = max(1.0, float(np.quantile(squares / counts, QUANTILE)))
-            chi_square = float(squares.sum() / counts.sum())
-            among = covariance + np.diag(spread**2)
-            best = evidence, Prediction(theta + step, among, scale, float(density), chi_square)
-    assert best is not None
-    return best[1]
-
-
-def measure_deviation(block: Block, theta: Floats, predicted: Prediction) -> Deviation:
-    """Return how far a needle lies from what is predicted, given its block about `theta` (P,).
+def measure_deviations(blocks: Blocks, theta: Floats, predicted: Prediction) -> list[Deviation]:
+    """Return how far needles lie from what is predicted of one, given their blocks about `theta` (P,).
 
     The squared distance is chi-square; its cube root is nearly normal (E. B. Wilson, M. M. Hilferty, Proc.
     Natl. Acad. Sci. 17 (1931) 684).
     """
-    step, count = predicted.theta - theta, block.residual_count
-    moved = block._replace(square=block.measure(step), pull=block.pull + block.information @ step)
+    step, counts = predicted.theta - theta, blocks.residual_counts
+    (squares,) = blocks.measure(step[None])
+    moved = blocks._replace(squares=squares, pulls=blocks.pulls + blocks.informations @ step)
     widened = moved.widen(predicted.covariance)
-    square, shape = widened.square / predicted.scale, 2 / (9 * count)
-    sds = ((square / count) ** (1 / 3) - (1 - shape)) / math.sqrt(shape)
-    return Deviation(sds, widened.log_norm - 0.5 * (square + count * math.log(predicted.scale)))
+    squares, shapes = widened.squares / predicted.scale, 2 / (9 * counts)
+    sds = ((squares / counts) ** (1 / 3) - (1 - shapes)) / np.sqrt(shapes)
+    densities = widened.log_norms - 0.5 * (squares + counts * math.log(predicted.scale))
+    return [Deviation(*pair) for pair in zip(sds.tolist(), densities.tolist(), strict=True)]

@@ -142,6 +142,7 @@ class NeedleDoubtMetadata(_Metadata):
     insertion: str
     place: str = ""  #: file and line of its row
     sds: float  #: its distance from the prediction, in standard deviations
+    log_odds: float = 0.0  #: that something happened to it, of a table of hypotheses
     cause: str  #: a key of `HYPOTHESES` in `inference/hypotheses.py`; empty where none explains it
     aside: bool = False  #: whether out of the plane of its bevel
     size: float | None = None  #: the number that was fitted: ln of a factor, mm or degrees

@@ -189,12 +189,12 @@ def warn_of_doubts(doubts: Doubts) -> list[ResultWarning]:
 
 def _describe_shifted_boundary(doubts: Doubts) -> Iterator[Row]:
     """Yield the boundary that all needles put elsewhere."""
-    if doubts.common is not None and doubts.common.cause == "boundary":
+    if doubts.common is not None and doubts.common.stated is not None:
         yield vars(doubts.common)
 
 
 def _describe_doubts(doubts: Doubts) -> Iterator[Row]:
-    if doubts.common is not None and doubts.common.cause != "boundary":
+    if doubts.common is not None and doubts.common.stated is None:
         yield {**vars(doubts.common), "text": "all_needles"}
     for needle in doubts.odd:
         size, larger = needle.size, needle.size is not None and needle.size > 0
