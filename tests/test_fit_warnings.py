@@ -123,7 +123,7 @@ def test_a_residual_that_all_insertions_share_is_named(signs, count):
 
 def test_a_needle_that_the_others_do_not_predict_is_named_with_what_may_have_happened_to_it():
     row = {"insertion": "n5", "place": "insertions.csv:6", "sds": 6.3}
-    for cause, size, printed in (("scaled", math.log(0.5), "0.5"), ("turned", -3.0, "3"), ("", None, "n5")):
+    for cause, size, printed in (("scaled", 0.5, "0.5"), ("turned", -3.0, "3"), ("", None, "n5")):
         odd = study(1).with_metadata(odd_needles=[row | {"cause": cause, "size": size}])
         (one,) = warn("needle_outlier", odd)
         assert all(part in one.what for part in ("n5", printed, "6.3"))

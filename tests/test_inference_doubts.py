@@ -53,8 +53,8 @@ def test_sound_needles_are_not_accused(spread):
     ("by", "cause", "size"),
     [
         (lambda points: points * [1, -1, 1], "mirrored", None),
-        (lambda points: points * [1, 0.3, 1], "scaled", math.log(0.3)),
-        (lambda points: points * [1, 2.0, 1], "scaled", math.log(2.0)),
+        (lambda points: points * [1, 0.3, 1], "scaled", 0.3),
+        (lambda points: points * [1, 2.0, 1], "scaled", 2.0),
         (lambda points: points + np.outer(points[:, 0], [0, math.tan(math.radians(3)), 0]), "turned", 3.0),
         (lambda points: points + np.array([0, 2.0, 0]), "shifted", 2.0),
     ],

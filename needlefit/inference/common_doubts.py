@@ -76,7 +76,7 @@ def find_common(problem: Problem, theta: Floats) -> Explanation | None:
     in_plane = () if is_one_sided else (*_list_poses(problem, IN_PLANE), *list_boundary_shifts(problem))
     aside = _list_poses(problem, ASIDE) if problem.dataset.directions == 2 else ()
     found = explain([*in_plane, *aside], measure, 0.0)
-    if found is None or found.size is None or not found.is_clear:
+    if found is None or not found.is_clear:
         return None
     least = max(MIN_SHIFT_MM, *(SIGNIFICANT_SD * insertion.boundary_sd for insertion in problem.insertions))
     return found if not found.change.row.changes_model or abs(found.size) >= least else None

@@ -81,7 +81,7 @@ def find_doubts(problem: Problem, theta: Floats, common: CommonDoubtMetadata | N
         odd.append(worst)
     all_but_odd = replace(problem, insertions=tuple(insertions[k] for k in rest))
     if common is None and (found := find_common(all_but_odd, theta)) is not None:
-        changed = change_all(problem, found.change, found.size or 0.0)
+        changed = change_all(problem, found.change, found.size)
         return find_doubts(changed, refit(changed, changed.insertions, theta), _describe_common(found))
     # in the stated errors alone, whatever the misfit of the others is
     stated = (
@@ -139,7 +139,7 @@ def _describe(
         log_odds=log_odds,
         cause=cause.cause if cause else "",
         aside=cause is not None and cause.axis == ASIDE,
-        size=found.size if found and cause else None,
+        size=cause.row.report(found.size) if found and cause and cause.row.sizes else None,
         where=cause.where if cause else "",
         points=points.round(3).tolist(),
     )
@@ -155,7 +155,7 @@ def _describe_common(found: Explanation) -> CommonDoubtMetadata:
         cause=change.cause,
         aside=change.axis == ASIDE,
         where=change.where,
-        size=found.size or 0.0,
+        size=found.size,
         sd=found.sd,
         stated=stated,
     )

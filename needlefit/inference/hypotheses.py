@@ -49,6 +49,7 @@ class Hypothesis(NamedTuple):
     log_volume: Callable[[float, int], float] = lambda size, count: 0.0  #: by which the data's volume grows
     reaches_tip: bool = True  #: whether the points do
     changes_model: bool = False  #: whether another needle is simulated
+    report: Callable[[float], float] = float  #: the size -> the number that is reported
     #: up to which all needles alike may be changed so, in the world's frame, mm or degrees
     common_size: float | None = None
 
@@ -83,10 +84,11 @@ class Explanation(NamedTuple):
     """What may have happened to a needle, or to all."""
 
     change: Change
-    size: float | None  #: ln of a factor, mm or degrees
-    sd: float
+    size: float  #: ln of a factor, mm or degrees; 0 where none is fitted
+    sd: float  #: of the size
+    sds: float  #: how far the needle then lies from its prediction, in SDs
     log_odds: float  #: that something happened
-    is_clear: bool  #: whether nothing else explains what was measured nearly as well
+    is_clear: bool = False  #: whether nothing else explains what was measured nearly as well
 
 
 def _turn(insertion: Insertion, degrees: float, axis: int, _: None) -> Insertion:
@@ -147,6 +149,7 @@ HYPOTHESES: Mapping[str, Hypothesis] = {
     "scaled": Hypothesis(
         lambda insertion, size, *_: insertion.map_points(lambda points: points / [1, math.exp(size), 1]),
         (math.log(0.05), math.log(20.0)),
+        report=math.exp,
         log_volume=lambda size, count: -count * size,
     ),
     "turned": Hypothesis(_turn, (-15.0, 15.0), (IN_PLANE, ASIDE), common_size=2.0),
@@ -179,19 +182,18 @@ def explain(
 
     `nothing`: log odds that nothing happened, which is one of the hypotheses.
     """
-    rows = list[tuple[float, float, Change, float | None, float]]()
+    rows = list[Explanation]()
     for change in changes:
         deviations, sd = _search(partial(measure, change), change.starts)
         odds = {size: change.compute_odds(size, left) - nothing for size, left in deviations.items()}
         size = max(odds, key=lambda size: odds[size])
-        if math.isfinite(sds := deviations[size].sds):  # else it is no fit that can be
-            rows.append((odds[size], sds, change, size if len(deviations) > 1 else None, sd))
-    if not rows:
+        rows.append(Explanation(change, size, sd, deviations[size].sds, odds[size]))
+    rows = [row for row in rows if math.isfinite(row.sds)]  # else it is no fit that can be
+    best = max(rows, key=lambda row: row.log_odds, default=None)
+    if best is None or best.sds > PREDICTED_SD:
         return None
-    log_odds, sds, change, size, sd = max(rows, key=lambda row: row[0])
-    other = max((row[0] for row in rows if row[2].cause != change.cause), default=0.0)
-    is_clear = log_odds - max(0.0, other) >= MIN_LOG_ODDS
-    return Explanation(change, size, sd, log_odds, is_clear) if sds <= PREDICTED_SD else None
+    other = max((row.log_odds for row in rows if row.change.cause != best.change.cause), default=0.0)
+    return best._replace(is_clear=best.log_odds - max(0.0, other) >= MIN_LOG_ODDS)
 
 
 def _search(

@@ -145,7 +145,7 @@ class NeedleDoubtMetadata(_Metadata):
     log_odds: float = 0.0  #: that something happened to it, of a table of hypotheses
     cause: str  #: a key of `HYPOTHESES` in `inference/hypotheses.py`; empty where none explains it
     aside: bool = False  #: whether out of the plane of its bevel
-    size: float | None = None  #: the number that was fitted: ln of a factor, mm or degrees
+    size: float | None = None  #: the number that was fitted: a factor, mm or degrees
     where: str = ""  #: the number of the point or boundary, or the other needle, by this cause
     #: along the entry, and deflections toward the bevel as measured and as the others predict them, mm
     points: list[tuple[float, float, float]] = []

@@ -197,10 +197,7 @@ def _describe_doubts(doubts: Doubts) -> Iterator[Row]:
     if doubts.common is not None and doubts.common.stated is None:
         yield {**vars(doubts.common), "text": "all_needles"}
     for needle in doubts.odd:
-        size, larger = needle.size, needle.size is not None and needle.size > 0
-        if size is not None:
-            size = math.exp(size) if needle.cause == "scaled" else abs(size)
-        yield {**vars(needle), "size": size, "larger": larger}
+        yield {**vars(needle), "larger": needle.size is not None and needle.size > 0}
     if doubts.deviating is not None:
         yield {"text": "needles_deviate", "count": doubts.deviating[0], "total": doubts.deviating[1]}
 
