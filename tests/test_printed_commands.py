@@ -124,10 +124,12 @@ def test_the_commands_that_explain_prints_run(capsys):
 def test_every_finding_has_a_sentence_and_a_placeholder_is_no_doubt():
     for finding in COMMANDS:
         assert TEXT.sentence(finding, VALUES), finding
-    kinds = ("placeholder", "validity", "copy", "shared_residual", "copy")
+    kinds = ("placeholder", "assumed", "validity", "copy", "shared_residual", "copy")
     doubts = list_doubts(ResultWarning(kind, "what") for kind in kinds)
-    assert [one.kind for one in doubts] == ["copy", "validity", "shared_residual"]
-    assert list(map(classify_doubt, doubts)) == ["dataset_doubtful", "", "result_doubtful"]
+    assert [one.kind for one in doubts] == ["copy", "validity", "shared_residual", "assumed"]
+    found = ["dataset_doubtful", "", "result_doubtful", "values_assumed"]
+    assert list(map(classify_doubt, doubts)) == found
+    assert advise([*found[3:], "beyond_noise"], VALUES).finding == "beyond_noise"
 
 
 PASSED = {one: Finding(one, True, named="straight") for one in Check}

@@ -30,6 +30,7 @@ COMMANDS: Mapping[str, str] = {
     "intervals_miss": "explain coverage",
     "intervals_wide": "tune {run} --design",
     "beyond_noise": "explain within-noise",
+    "values_assumed": "check {dataset}",
     "parameters_undetermined": "tune {run} --design",
     "predictable": "predict {run}",
     # of predictions
@@ -102,8 +103,8 @@ def list_contradictions(warnings: Iterable[ResultWarning], left_out: Collection[
 
 def classify_doubt(doubt: ResultWarning) -> str:
     """Return what a doubt found; "" of the model's limits, which no command removes."""
-    if doubt.kind == "validity":
-        return ""
+    if doubt.kind in (ASSUMED, "validity"):
+        return "values_assumed" if doubt.kind == ASSUMED else ""
     return "dataset_doubtful" if doubt.kind in _OF_DATASETS else "result_doubtful"
 
 
