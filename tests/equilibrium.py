@@ -55,25 +55,16 @@ def find_equilibrium(
 
     `depths` (M + 1,) and `y` (M + 1, P) are the constraint points, mm, or `target` (Q, P) the cut at each
     quadrature point, in P planes. `state` (N, 2 P) is a guess; by default straight.
-
-    Raises TypeError if an array is none that the kernel can read, or depths do not increase.
     """
     library, room = native.load_library(), problem.room
     found, x, ended = np.zeros((room, 2 * problem.planes)), np.empty(room), np.zeros(2, np.int64)
     if state is not None:
-        if len(state) > room:
-            raise TypeError(f"{len(state)} nodes; there is room for {room}")
         found[: len(state)] = state
-    native.check_array("depths", depths, float, (len(depths),))
-    native.check_array("y", y, float, (len(depths), problem.planes))
-    if target is not None:
-        native.check_array("target", target, float, (-1, problem.planes))
     memory = native.make_memory(native.measure_memory(problem, 1))
     targets = (c_int64(0), None) if target is None else (c_int64(len(target)), _at(target))
     count = library.nf_equilibrium(
         byref(problem), c_int64(len(depths) - 1), _at(depths), _at(y), *targets, _at(found), _at(memory),
         _at(x), _at(ended),
     )  # fmt: skip
-    if count < 0:
-        native.check_fault(native.BAD_POINTS)
+    assert count >= 0
     return x[:count].copy(), found[:count].copy(), int(ended[0]), int(ended[1])

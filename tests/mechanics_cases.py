@@ -12,7 +12,6 @@ from needlefit import Batch, Bevel, Controls, Guide, ModelOptions, Needle, Step,
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.plan import Lattice
 
-Random = np.random.Generator
 NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
 
 #: the decided rules; any constraint point, advance and first cell; and the advance by the path angle

@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from needlefit.mechanics.control import Controls, ModelOptions, Step
+from needlefit.mechanics.control import ModelOptions
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.plan import make_lattice, make_moves, make_stops
 from needlefit.mechanics.shape import NeedleShape, compute_scales
@@ -50,18 +50,6 @@ class Inputs:
             rows[kind][number - 1] += H * 1j
         elif name:
             setattr(self, kind, getattr(self, kind) + H * 1j)
-
-
-def simulate(
-    needle,
-    tissue,
-    bevel,
-    depth,
-    controls=Controls(),
-    rules=ModelOptions(),
-):
-    """Insert the needle under constant inputs (section 4); arguments as in `mechanics.simulate.simulate`."""
-    return simulate_steps(needle, tissue, (Step(depth, bevel, controls),), rules)
 
 
 def simulate_steps(

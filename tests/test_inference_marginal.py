@@ -15,7 +15,7 @@ from scipy.stats import multivariate_normal, qmc
 from needlefit.datasets.insertion import Noise
 from needlefit.datasets.read import read
 from needlefit.inference.forward_model import predict
-from needlefit.inference.likelihood.marginal import linearize_residuals, log_marginals
+from needlefit.inference.likelihood.marginal import linearize_residuals, log_marginals, solve_shared
 from needlefit.inference.likelihood.nodes import (
     DEPTH_STEPS_SD,
     draw_boundary_errors,
@@ -137,6 +137,18 @@ def test_bevels_that_are_shared_or_sum_to_zero_have_the_density_of_their_covaria
     exact = multivariate_normal(cov=covariance).logpdf(parts[0].ravel())
     assert got - 9 * math.log(2 * math.pi) == approx(exact, abs=1e-9)
     assert by_residuals == approx(got, abs=1e-9)
+
+
+def test_what_insertions_share_has_the_posterior_of_the_joint_gaussian():
+    made, whites, parts = linear_case(7)
+    ((members, group), _) = group_nodes(made)
+    assert members == (0, 1)
+    covariance = exact_covariance(parts, 1.3)[:12, :12]
+    columns = 0.1 / 0.15 * np.concatenate(parts[1][:2])
+    weights = np.linalg.solve(covariance, columns).T
+    mean, left = solve_shared([white[None] for white in whites[:2]], group, *AT)
+    assert mean[0] == approx(-weights @ parts[0][:2].ravel())
+    assert left[0] == approx(np.eye(2) - weights @ columns)
 
 
 @pytest.mark.parametrize("noise_scale", [1.0, "estimated"])

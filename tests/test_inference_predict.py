@@ -73,9 +73,12 @@ def test_equal_draws_are_one_gaussian_and_a_point_scores_its_absolute_error():
     # of a standard Gaussian at its mean: (sqrt(2) - 1) / sqrt(pi)
     assert crps(one(0.0, 1.0), [0.0]) == approx((np.sqrt(2) - 1) / np.sqrt(np.pi))
     assert crps(one(1.0, 0.0), [3.5]) == approx(2.5)
-    spread = PredictiveMixture(np.array([[0.0], [1.0], [2.0], [3.0]]), np.zeros(1))
+    around = 2 * ndtr(1.0) - 1 + (2 * np.exp(-0.5) / np.sqrt(2) - 1) / np.sqrt(np.pi)
+    assert crps(one(0.0, 1.0), [1.0]) == approx(around)
+    spread = PredictiveMixture(np.array([[3.0, 0.0], [0.0, 1.0], [2.0, 2.0], [1.0, 3.0]]), np.zeros(2))
     # sum over i of |y - x_i| / n - sum over pairs of |x_i - x_j| / (2 n^2)
-    assert crps(spread, [1.0]) == approx((1 + 0 + 1 + 2) / 4 - (2 * (3 * 1 + 2 * 2 + 1 * 3)) / (2 * 16))
+    expected = (1 + 0 + 1 + 2) / 4 - (2 * (3 * 1 + 2 * 2 + 1 * 3)) / (2 * 16)
+    assert crps(spread, [1.0, 1.0]) == approx([expected] * 2)
     both = PredictiveMixture(np.column_stack([np.zeros(3), np.full(3, 5.0)]), np.array([1.0, 2.0]))
     assert quantile(both, 0.5) == approx([0.0, 5.0], abs=1e-9)
     assert crps(both, [0.0, 5.0]) == approx((np.sqrt(2) - 1) / np.sqrt(np.pi) * np.array([1.0, 2.0]))
@@ -146,5 +149,7 @@ def test_a_drawn_scale_of_the_noise_counts_by_its_mean_square():
     known = SimpleNamespace(free=("noise_scale",), values=lambda theta: {"noise_scale": theta[0]})
     draws = Draws(np.array([[1.0], [3.0]]), "importance")
     assert rms_noise_scale(draws, known, "estimated") == approx(np.sqrt(5))
+    found = [one.describe()["certified"] for one in (draws, replace(draws, faults=("k",)))]
+    assert found == [True, False]
     stated = SimpleNamespace(free=())
     assert [rms_noise_scale(draws, stated, one) for one in (1.7, "estimated")] == [1.7, 1.0]

@@ -312,19 +312,27 @@ def test_a_line_takes_its_slope_from_runs_alike():
             assert np.diff(found) == pytest.approx(slope * np.diff(DEPTH[1:]), abs=1e-6)
 
 
-@pytest.mark.parametrize("count", [3, 5])
-def test_a_line_weighs_its_first_readings_against_the_slopes_of_other_runs(count):
-    """The slope has their mean and scatter, by Student's t, or of fewer than four runs what is stated."""
-    rng, slope_sd, first = default_rng(1), 0.05, 4
+@pytest.mark.parametrize(
+    ("name", "guided"),
+    [("straight", [0] * 3), ("straight", [0] * 5), ("steered_line", [0, 1, 0, 1, 0, 1])],
+)
+def test_a_line_weighs_its_first_readings_against_the_slopes_of_other_runs(name, guided):
+    """The slope has the mean and scatter of runs alike, by Student's t, or of few runs what is stated."""
+    rng, slope_sd, first, count = default_rng(1), 0.05, 4, len(guided)
     tips = [0.02 * n * DEPTH + 0.3 * rng.normal(size=len(DEPTH)) for n in range(count + 1)]
-    seen = [make_observation(dataset([]), with_tip(track("run", REST), tip)) for tip in tips]
+    runs = [track("run", GUIDE * one) for one in (*guided, 0)]
+    seen = [make_observation(dataset([]), with_tip(*pair)) for pair in zip(runs, tips, strict=True)]
     lines = [np.polyfit(DEPTH, tip, 1, full=True) for tip in tips[:-1]]
-    slopes, noise = [one[0][0] for one in lines], sum(one[1][0] for one in lines) / count / (len(DEPTH) - 2)
-    variance = slope_sd**2 if count < 4 else np.var(slopes, ddof=1) * (count - 1) / (count - 3)
+    noise = sum(one[1][0] for one in lines) / count / (len(DEPTH) - 2)
+    kinds = [
+        [line[0][0] for line, one in zip(lines, guided, strict=True) if one == kind] for kind in {*guided}
+    ]
+    squares = sum(len(slopes) * np.var(slopes) for slopes in kinds)
+    variance = slope_sd**2 if count < 4 else squares / (count - len(kinds) - 2)
     x, y = DEPTH[:first] - DEPTH[:first].mean(), tips[-1][:first]
-    share = 1 / (1 + noise / (x @ x) / (variance * (1 + 1 / count)))
-    slope = share * (x @ y) / (x @ x) + (1 - share) * np.mean(slopes)
-    found = track_predictions.predict_by_curve(BASELINES["straight"], seen[:-1], seen[-1], first, slope_sd)
+    share = 1 / (1 + noise / (x @ x) / (variance * (1 + 1 / len(kinds[0]))))
+    slope = share * (x @ y) / (x @ x) + (1 - share) * np.mean(kinds[0])
+    found = track_predictions.predict_by_curve(BASELINES[name], seen[:-1], seen[-1], first, slope_sd)
     assert found == pytest.approx(y.mean() + slope * (DEPTH[first:] - DEPTH[:first].mean()), rel=1e-3)
 
 

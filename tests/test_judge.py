@@ -1,7 +1,6 @@
 """The judge: checks and verdicts of one fit, and of several by paired differences."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -27,8 +26,6 @@ from needlefit.studies.judge import (
     list_checks,
 )
 from needlefit.studies.scored_groups import orient_pits
-
-PROJECT = Path(__file__).parent.parent
 
 
 def needles(**te_mm):

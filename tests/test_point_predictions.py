@@ -99,6 +99,7 @@ LINE = SimpleNamespace(
         ((0.5, 0.5), PointPrediction()),
         ((0.5, 1.0), PointPrediction()),  # at its bound it moves nothing
         ((1.0, 0.5), PointPrediction("at_bound", {"mu1_pa": "upper"})),
+        ((0.0, 0.5), PointPrediction("at_bound", {"mu1_pa": "lower"})),
         ((0.985, 0.5), PointPrediction("outside")),  # above 97.5 % of the draws
         ((0.97, 0.5), PointPrediction()),
     ],
