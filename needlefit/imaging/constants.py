@@ -11,89 +11,72 @@ class HU:
 
     AIR = -1000.0  # by the definition of HU
     AIR_RANGE = (-1100.0, -900.0)  # of calibrated scanners; cone beams leave it
-    DARKEST = -2000.0  # below it values fill what lies outside a scanner's field
     GAP = -250.0  # fat has -120 and is brighter; air that blur fills half is darker
     LIGHT = -600.0  # foam and lung are brighter, air is darker
     # Fat to connective tissue (Schneider 2000, doi:10.1088/0031-9155/45/2/314), near metal darker
     SOFT_TISSUE = (-150.0, 100.0)
     GUIDE_STEP = 50.0  # change behind a guide as bright as tissue; layers of gels differ by less
-    STEP = 20.0  # least change inside soft material [R]
+    STEP = 20.0  # least change inside soft material, and of air in a narrow gap from its level [R]
     EDGE = 300.0  # least rise from air to tissue [R]
-    AIR_SD = 30.0  # of air in a narrow gap [R]
-    LEAST_NOISE = 2.0  # of a median around the needle [R]
     METAL = 1000.0  # bone of a hand is darker, metal and glass are brighter
     METAL_CONTRAST = 500.0  # by which metal stands out from tissue, at least
     HUB = 1500.0  # of a metal hub, least [S]
-    FLOOR = -1024.0  # where scanners' numbers begin
-    CLIPPED = 3071.0  # the largest number of 12 bits
-    TOP_12_BITS = (2900.0, 3100.0)  # where a scan's largest value may be that number
+    CLIPPED = 3071.0  # the largest number of 12 bits; streaks beyond a tip are less bright or dark
     NEEDLE = 20_000.0  # titanium has 8 000, steel 30 000, hardened 15 000
-    STREAK_SD = 2000.0  # of a streak beyond the tip [R]
 
 
 class MM:
     """Lengths, mm."""
 
     STATION = 0.5  # between cross-sections: a voxel of a cone beam
-    PATCH = 2.4  # radius of what is looked at around the needle: its blur ends there
+    PATCH = 2.4  # radius of what is looked at around the needle: its blur ends there, and segments spare it
     KNOT = 7.5  # of the axis: needles in gels bend over longer lengths [R]
-    CORE = 0.45  # radius within which the needle itself is read
     RING = (3.5, 6.0)  # of the surroundings: beyond bloom, within the nearest marker as a rule
     LIGHT = 5.0  # least length of foam or lung
-    BLUR_REACH = 2.0  # where blur shows, four deviations of a wide one; shorter runs of material are blur
-    GAP = 1.0  # least length of air between two soft runs
-    NARROW_GAP = 4.0  # in a narrower one blur hides the level of the air [R]
-    EDGE_REACH = 8.0  # to either side of an edge over which it is fitted
+    # Where blur shows, four deviations of a wide one: shorter runs of material are blur, air in gaps of twice
+    # that has no level, and a streak beyond the tip fades; edges are fitted over four times that
+    BLUR_REACH = 2.0
+    BLUR_CORE = (
+        1.0  # within which voxels show the same thing: air between soft runs is longer, shafts leave it
+    )
     EDGE_BLUR = 3.0  # within which the blur of an edge shows: thinner guides show no step
     EDGE_SD = 0.02  # of an edge that no scatter shows: a kernel's sides are not alike [G]
-    STEP_MARGIN = 1.5  # from air or metal, within which its blur shows
     SHAFT = 10.0  # least length of shaft outside the tissue through which an axis is drawn
-    SHAFT_CLEARANCE = 1.0  # from the entry, where the surface still shows in the shaft
-    SURFACE_REACH = 80.0  # along the entry axis to the tissue's surface
-    GUIDE_SD = 0.05  # of a guide's stated thickness, and of a face behind one, which its streaks reach [G]
+    REACH = 80.0  # along the needle to the tissue's surface, or to a hub
+    # Of what a scanner shows of an end, which the model does not: of a tip, across it, and of a guide's faces
+    MODEL_SD = 0.05  # [R] [G]
     # Of a face that streaks of metal, or a film of air behind it, may hide, and of a thin guide's end [G]
     HIDDEN_FACE_SD = 0.2
-    MATCH = 1.5  # within which a place, or a thickness, is the one that is stated, or seen otherwise
+    # Within which a place, or a thickness, is the one that is stated, or seen otherwise; so near to air or
+    # metal their blur shows
+    MATCH = 1.5
     STEP_MATCH = 0.6  # of a guide's end from a change of brightness
     BEVEL_MARGIN = 1.2  # by which a needle may look shorter at its end
     FACE = 3.0  # an end this near to the volume's face has left it
-    PLACED_TIP = 0.7  # of a placed tip from the needle's surface: the axis is wrong beyond
-    AXIS_SD = 0.005  # that no scatter along the needle shows: the voxel grid, rays [R]
-    BEYOND_END = 4.0  # beyond a needle's end, where it and its surroundings are looked at
-    NEEDLE_LENGTH = 20.0  # least length of a needle in the scan
-    PICK = 5.0  # of a point stated on the needle from it
+    GRID_SD = 0.005  # of an axis or a ball, that no scatter shows: the voxel grid, rays [R]
+    # Beyond a needle's end, where it is looked for: in slices with 4 mm one of 9 tips moved by 0.17 mm [S]
+    BEYOND_END = 5.0
+    # Least length of a needle in the scan; so far from a hub it shows the hub's direction, and so much of one
+    # that leaves the volume is beyond its face
+    NEEDLE_LENGTH = 20.0
     FAINT = 3.0  # over which a needle may be faint
-    FOLLOW_END = 12.0  # by whose line the next place is predicted
-    HUB_REACH = 60.0  # before the needle, where a hub is looked for
     HUB_RADIUS = 5.0  # largest
     HUB_LENGTH = 4.0  # least; so much of it shows its axis
-    HUB_HIDDEN = 20.0  # of a hub that leaves the volume, beyond its face
-    HUB_LEVER = 25.0  # from a hub to the place that shows its direction
     THICK_SLICE = 0.6 + 1e-9  # thinner slices show the needle in several at once
     FLAT_SLICE = 0.5 - 1e-9  # of slices, where voxels are longer than wide
-    RIM = 1.7  # from the needle, where its surroundings begin
-    DARK = 6.0  # of a needle that rays hide, at most
-    BEYOND_TIP = 5.0  # beyond the end that is fitted in slices: with 4 mm one of 9 tips moved by 0.17 mm [S]
+    RIM = 1.9  # from the needle, where its surroundings begin
+    DARK = 6.0  # of a needle that rays darken, at most; longer rays show themselves rather than the bevel [R]
     END_MOMENT = 5.0  # lever of the shear force at the end: the tip itself carries no moment
     BEVEL_POINT = 0.04  # of a bevel's point that is too thin to show: mean of 24 volumes [S]
-    HUB_SHADOW = 10.0  # of the axis that a hub hides [S]
-    STREAK_LENGTH = 2.0  # over which a streak beyond the tip fades [R]
-    STREAK_RADIUS = 0.8  # its deviation across [R]
-    HIDDEN = 15.0  # of a needle that rays hide: at its end, or between two pieces [R]
-    BEVEL_RAY = 6.0  # from which on its image shows the rays rather than the bevel [R]
-    TIP_SD = 0.04  # along, that no voxel shows: a scanner's edge is not the model's [R]
+    HIDDEN = 15.0  # of a needle that rays hide: at its end, behind a hub, or between two pieces [R]
     SWING_SD = 0.1  # by which a needle leaves its shaft's course within its bevel
-    TIP_ACROSS_SD = 0.05  # across, that no residual shows [R]
     BLUR = 0.45  # of scanners, in the slices [R]
     BLURS = (0.15, 1.2)  # range of it
     SLICE_BLURS = (0.1, 2.0)  # the same across slices, and along a needle
     LEAST_SLICE_BLUR = 0.2  # of scanners, across slices
-    BALL_BLUR = 1.0  # beyond which voxels are unrelated, and other bright things do not show
-    BALL_SD = 0.003  # that no scatter shows [R]
-    BALL_EXTENT = 0.25  # by which blur makes it longer in the slices than across
+    STREAK_RADIUS = 0.8  # deviation of a streak across [R]
     TIP_DOUBT = 0.3  # deviation of the tip along, or along the slices' normal, that is spoken of
     DEPTH_SD = 2.0  # of the inserted length, beyond which a scan is refused
-    TUNNEL = 2.0  # radius of a tunnel that a segmentation leaves around a needle
 
 
 class PART:
@@ -108,9 +91,7 @@ class PART:
     CLEAR_WIDTH = 1.5  # of two widths that are not of one thing
     THRESHOLDS = (0.4, 0.25, 0.15)  # of the way from tissue to metal
     FAINT = 0.3  # of a needle's brightness: fainter sections show none
-    IN_VOLUME = 0.7  # of a cross-section
-    RING_IN_VOLUME = 0.3  # of a ring
-    FOLLOWED = 0.5  # of the way between points on which a needle shows
+    SHOWN = 0.5  # of a cross-section in the volume, and of the way between points on which a needle shows
     CLEAR_SOFT = 2.0  # of soft lengths at both ends, of which the longer is the tip's
     CHORD_COSINE = 0.5  # of the axis to its chord: steered needles bend by 90 degrees in all
     REFUSED_MISFIT = 0.3  # of an end's image: needles alone have 0.13, with a ball at the end 0.33
@@ -129,15 +110,16 @@ class PART:
     # Of a fitted bevel over that of the stated one: wrong ones 0.85 at most, right ones 0.99 at least
     BEVEL_MISFIT = 0.9
     BALL_MISFIT_SD = 0.35  # of its blur, per misfit [R]
-    BALL_SLICE_SD = 0.02  # of the squared distance of slices over a ball's radius [R]
+    # Of the distance of slices, for a needle in them; of its square over the radius, for a ball [R] [S]
+    SLICE_SD = 0.02
     BALL_DIAMETERS = (0.65, 1.45)  # of a ball of as many voxels over that sought [R]
-    BALL_ELONGATION = 1.7  # longest over shortest extent of what may be a ball
+    BALL_ELONGATION = 2.0  # longest over shortest extent of what may be a ball
     PAIRED = 0.6  # of the smaller set of markers: few among many are part of something else
-    TOLERANCE = 1e-4  # of a fit's cost and parameters, at which it ends: an end moves by less than 0.01 mm
+    TOLERANCE = 1e-3  # of a fit's cost and parameters, at which it ends: an end moves by less than 0.01 mm
 
 
 class SD:
     """Numbers of standard deviations."""
 
-    OUTLIER = 2.0  # beyond which a residual counts less, and a click is not on its marker
+    OUTLIER = 1.5  # beyond which a residual counts less, and a click is not on its marker
     DISAGREEMENT = 3.0  # beyond which two statements of one quantity disagree

@@ -67,7 +67,7 @@ def pose_from_stage(stage: StagePose, registration: Registration | None, patient
 
 def usable_length(shaft: OutsideShaft) -> float:
     """Return the usable length of the shaft, mm."""
-    use = shaft.s[shaft.s < -MM.SHAFT_CLEARANCE]
+    use = shaft.s[shaft.s < -MM.BLUR_CORE]
     return float(np.ptp(use)) if len(use) else 0.0
 
 
@@ -77,7 +77,7 @@ def pose_from_shaft(shaft: OutsideShaft, along_sd: float) -> EntryPose:
 
     DataError if too little of the shaft shows.
     """
-    use = shaft.s < -MM.SHAFT_CLEARANCE
+    use = shaft.s < -MM.BLUR_CORE
     if usable_length(shaft) < MM.SHAFT:
         raise DataError(
             f"{usable_length(shaft):.1f} mm of the shaft show outside the tissue, too few to draw its axis",
@@ -124,12 +124,12 @@ def move_to_surface(pose: EntryPose, surfaces: tuple[Surface, ...]) -> EntryPose
 
     Of several such places the one nearest to the origin counts; where there is none, the origin stays.
     """
-    ends = pose.origin + np.outer([-MM.SURFACE_REACH, MM.SURFACE_REACH], pose.direction)
+    ends = pose.origin + np.outer([-MM.REACH, MM.REACH], pose.direction)
     hits = [find_surface_hits(ends, surface) for surface in surfaces if surface.into == 1]
     arcs = np.concatenate(hits) if hits else np.empty(0)
     if not len(arcs):
         return pose
-    nearest = float(arcs[np.argmin(np.abs(arcs - MM.SURFACE_REACH))])
+    nearest = float(arcs[np.argmin(np.abs(arcs - MM.REACH))])
     return replace(pose, origin=ends[0] + nearest * pose.direction)
 
 
@@ -288,7 +288,7 @@ def _choose_face(faces: Sequence[EntryCandidate], soft: Sequence[MaterialRun]) -
 def _pass_guide(face: EntryCandidate, thickness: float, distance: float) -> EntryCandidate:
     """Return the place behind a guide that begins at `face`."""
     end = face.at + thickness
-    return EntryCandidate(end + distance, float(np.hypot(face.sd, MM.GUIDE_SD)), (face.at, end))
+    return EntryCandidate(end + distance, float(np.hypot(face.sd, MM.MODEL_SD)), (face.at, end))
 
 
 def _doubt_guide_end(
@@ -305,7 +305,7 @@ def _doubt_guide_end(
         if end - MM.STEP_MATCH <= run.end <= entry.at + MM.STEP_MATCH:
             if abs(after.level - run.level) < HU.GUIDE_STEP and is_soft_tissue(behind[0].level):
                 return None
-            near = np.abs(profile.s - run.end) < MM.STEP_MARGIN
+            near = np.abs(profile.s - run.end) < MM.MATCH
             film = np.nanmin(profile.around[near]) < min(run.level, after.level) - HU.GUIDE_STEP
             return float(np.hypot(run.end - end, MM.HIDDEN_FACE_SD * film))
     # of a thin guide blur leaves no step
@@ -339,7 +339,7 @@ def _list_behind_guide(
         if not solid:
             continue
         length = solid[0].end - solid[-1].begin
-        sd = float(np.hypot(sd, MM.GUIDE_SD))
+        sd = float(np.hypot(sd, MM.MODEL_SD))
         passed = EntryCandidate(at, sd, (solid[-1].begin, solid[0].end))
         # the blur of metal, whose brightness is cut, moves both faces outwards
         metal = any(run.kind == "metal" for run in solid)

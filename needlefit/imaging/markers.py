@@ -47,7 +47,7 @@ def find_blobs(
             # 1/12 is the variance within a voxel: a single layer of voxels still has a thickness
             moments = steps @ (np.cov(voxels.T, bias=True) + np.eye(3) / 12) @ steps.T
             extents = np.sqrt(np.linalg.eigvalsh(moments))
-            if extents[-1] <= PART.BALL_ELONGATION * extents[0] + MM.BALL_EXTENT:
+            if extents[-1] <= PART.BALL_ELONGATION * extents[0]:
                 found.append(Blob(voxels, level, own))
     return sorted(found, key=lambda blob: abs(np.log(blob.diameter / diameter)))
 
@@ -55,10 +55,6 @@ def find_blobs(
 def _voxel_count(volume: Volume, diameter: float) -> float:
     """Return how many voxels a ball has."""
     return max(4.0, np.pi / 6 * diameter**3 / float(np.prod(volume.spacing)))
-
-
-# A ball's misfit may be so many deviations of the noise around it, besides `markers.max_misfit`.
-MAX_MISFIT_NOISE = 1.5
 
 
 def find_markers(
@@ -113,7 +109,7 @@ def find_markers(
         tried.append(middle)
         ball = fit_sphere(volume, blob, diameter / 2)
         # what the recipe allows, and what the noise around the ball leaves
-        limit = float(np.hypot(rules.max_misfit, MAX_MISFIT_NOISE * ball.noise))
+        limit = float(np.hypot(rules.max_misfit, SD.OUTLIER * ball.noise))
         if fault := _find_fault(volume, ball, middle, limit):
             place = ", ".join(f"{x:.0f}" for x in middle)
             words = f"{blob.diameter:.1f} mm wide with its blur at L, P, S = {place}: {fault}"

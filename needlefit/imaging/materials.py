@@ -13,7 +13,13 @@ from scipy.special import ndtr
 
 from needlefit.arrays import Floats, Ints
 from needlefit.imaging.constants import HU, MM, PART, SD
-from needlefit.imaging.needle.axis_spline import correlation_factor, disc_points, frames_along, sample_planes
+from needlefit.imaging.needle.axis_spline import (
+    PLANE_SPACING_MM,
+    correlation_factor,
+    disc_points,
+    frames_along,
+    sample_planes,
+)
 from needlefit.imaging.reconstruction import IntensityProfile, MaterialKind, MaterialRun
 from needlefit.imaging.volume import Volume
 
@@ -33,11 +39,11 @@ def sample_profile(volume: Volume, points: ArrayLike, s: ArrayLike) -> Intensity
     """
     where = frames_along(np.asarray(points, dtype=np.float64))
     ring = sample_planes(volume, where, RING)
-    metal = _row_medians(ring, PART.RING_IN_VOLUME)
+    metal = _row_medians(ring, PART.SHOWN)
     ring = np.where(ring < HU.METAL, ring, np.nan)
     ring = np.where(np.isfinite(ring[:, ::-1]), ring, np.nan)  # the same disc, turned round
-    core = sample_planes(volume, where, disc_points(MM.CORE))
-    around = np.where(metal > HU.METAL, metal, _row_medians(ring, PART.RING_IN_VOLUME))
+    core = sample_planes(volume, where, disc_points(PLANE_SPACING_MM))
+    around = np.where(metal > HU.METAL, metal, _row_medians(ring, PART.SHOWN))
     return IntensityProfile(np.asarray(s, dtype=np.float64), _row_medians(core, 1.0), around)
 
 
@@ -48,9 +54,6 @@ def _row_medians(values: Floats, least: float) -> Floats:
     if enough.any():
         middle[enough] = np.nanmedian(values[enough], axis=1)
     return middle
-
-
-EDGE_SCALES = (0.2, 0.3, 50.0, 50.0, 10.0)  # typical changes of the parameters of an edge
 
 
 def find_runs(profile: IntensityProfile, least: float = MM.BLUR_REACH) -> tuple[MaterialRun, ...]:
@@ -94,7 +97,7 @@ def _absorb_short_runs(kinds: Ints, step: float, shortest: float) -> Ints:
     while True:
         begins = np.concatenate([[0], np.flatnonzero(np.diff(kinds)) + 1])
         lengths, least = np.diff(begins, append=len(kinds)), np.full(len(begins), shortest)
-        least[1:-1][kinds[begins[1:-1]] == 0] = MM.GAP
+        least[1:-1][kinds[begins[1:-1]] == 0] = MM.BLUR_CORE
         # to the nearest station: those of a curve are not exactly as far apart as stated
         short = np.flatnonzero(lengths < np.rint(least / step))
         if not len(short) or len(begins) == 1:
@@ -124,11 +127,12 @@ def _fit_edge(
     """
     s, values = _known_stations(profile)
     gap, guess = runs[target - 1], runs[target].begin
-    narrow = target > 1 and gap.length < MM.NARROW_GAP
+    narrow = target > 1 and gap.length < 2 * MM.BLUR_REACH
     clear = min(MM.EDGE_BLUR, gap.length / 2) if target > 1 else 0.0
-    before = max(guess - MM.EDGE_REACH, gap.begin + clear)
+    reach = 4 * MM.BLUR_REACH
+    before = max(guess - reach, gap.begin + clear)
     ends = [run.end for run in runs[target:-1]][:1] + [at for at in find_steps(profile) if at > guess]
-    after = max(guess + MM.EDGE_BLUR, min([guess + MM.EDGE_REACH, *(at - MM.STEP_MARGIN for at in ends)]))
+    after = max(guess + MM.EDGE_BLUR, min([guess + reach, *(at - MM.MATCH for at in ends)]))
     near = (s >= before) & (s <= after)
     s, values = s[near], values[near]
     air, soft = values[s < guess], values[s >= guess]
@@ -142,10 +146,10 @@ def _fit_edge(
         return low + (high - low + slope * np.clip(s - at, 0, None)) * ndtr((s - at) / width)
 
     first = np.array([guess, MM.BLUR, low, high, 0.0])
-    margin = np.array([MM.EDGE_BLUR, np.inf, HU.AIR_SD if narrow else np.inf, np.inf, np.inf])
+    margin = np.array([MM.EDGE_BLUR, np.inf, HU.STEP if narrow else np.inf, np.inf, np.inf])
     bounds = first - margin, first + margin
     bounds[0][1], bounds[1][1] = MM.SLICE_BLURS[0], MM.SLICE_BLURS[1]
-    noise = max(HU.LEAST_NOISE, 1.05 * float(np.median(np.abs(np.diff(values)))))
+    noise = max(1.0, 1.05 * float(np.median(np.abs(np.diff(values)))))  # HU are whole numbers
     best, covariance = curve_fit(
         show,
         s,
@@ -155,7 +159,7 @@ def _fit_edge(
         bounds=bounds,
         loss="soft_l1",
         f_scale=SD.OUTLIER,
-        x_scale=np.array(EDGE_SCALES),
+        x_scale="jac",
         ftol=1e-6,
         xtol=1e-6,
     )
@@ -178,8 +182,8 @@ def find_steps(profile: IntensityProfile) -> list[float]:
     s, values = _known_stations(profile)
     runs, found = find_runs(profile), list[float]()
     for n, run in enumerate(runs):
-        low = run.begin + MM.STEP_MARGIN * (n > 0)
-        high = run.end - MM.STEP_MARGIN * (n < len(runs) - 1)
+        low = run.begin + MM.MATCH * (n > 0)
+        high = run.end - MM.MATCH * (n < len(runs) - 1)
         inside = (s >= low) & (s <= high)
         if run.kind == "soft" and inside.sum() > 2 * MIN_STEP_STATIONS:
             found += _find_steps_within(s[inside], values[inside])

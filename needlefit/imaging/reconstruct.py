@@ -225,8 +225,8 @@ def refuse_tunnels(surfaces: Sequence[Surface], needle: Floats) -> None:
     DataError if a surface, the tissue's own or another, runs around the needle.
     """
     # no ball of that radius is passed through so long
-    lengths = [(surface.name, measure_enclosed_length(needle, surface, MM.TUNNEL)) for surface in surfaces]
-    around = [f"{name} (along {length:.0f} mm)" for name, length in lengths if length >= 2 * MM.TUNNEL]
+    lengths = [(surface.name, measure_enclosed_length(needle, surface, MM.PATCH)) for surface in surfaces]
+    around = [f"{name} (along {length:.0f} mm)" for name, length in lengths if length >= 2 * MM.PATCH]
     if around:
         raise DataError(
             f"the layers run around the needle, so that it does not cross them: {', '.join(around)}",
@@ -248,7 +248,7 @@ def check_layers(
     """
     course = points
     if len(layers.boundaries):  # deeper ones may lie ahead
-        course = np.vstack([points, points[-1] + MM.SURFACE_REACH * normalize(points[-1] - points[-2])])
+        course = np.vstack([points, points[-1] + MM.REACH * normalize(points[-1] - points[-2])])
     beyond = [surface for surface in layers.surfaces if surface.into > 1]
     missed = [one for one in beyond if not len(find_surface_hits(course, one))]
     if missed:

@@ -27,7 +27,7 @@ from needlefit.imaging.point_spread import (
     expected_spread,
     read_spread,
 )
-from needlefit.imaging.volume import Volume, list_voxels_near, to_patient
+from needlefit.imaging.volume import Volume, find_cuts, list_voxels_near, to_patient
 
 TABLE_STEP_MM = 0.1  # spacing of the table, mm; cubic splines join it
 FREQUENCY_STEP_PER_MM = 0.25  # spacing of the angular frequencies, 1/mm: images of a ball repeat every 25 mm
@@ -130,7 +130,6 @@ _RANGES = (
 LOWER_BOUNDS, UPPER_BOUNDS, PARAMETER_SCALES = np.array(list(zip(*_RANGES, strict=True)))
 PRIOR_COLUMNS = [HEIGHT, *range(4, 7)]
 HEIGHT_SD = 1.0  # deviation of the logarithm of HU: metal and glass lie between 2 000 and 50 000
-FORMAL_SD_FACTOR = 0.9  # times the formal deviation
 
 
 @dataclass(frozen=True)
@@ -158,13 +157,13 @@ def fit_sphere(volume: Volume, blob: Blob, radius: float) -> SphereFit:
     misfit = float(np.sqrt(np.mean(left**2))) / height
     # thick slices average rays before the logarithm
     systematic = np.hypot(
-        PART.BALL_SLICE_SD * near.spacing[2] ** 2 / radius, PART.BALL_MISFIT_SD * misfit * spread.blur
+        PART.SLICE_SD * near.spacing[2] ** 2 / radius, PART.BALL_MISFIT_SD * misfit * spread.blur
     )
-    formal = FORMAL_SD_FACTOR * float(np.sqrt(np.trace(covariance[CENTER, CENTER]) / 3))
+    formal = float(np.sqrt(np.trace(covariance[CENTER, CENTER]) / 3))
     return SphereFit(
         center=to_patient(volume, blob.voxels.mean(axis=0)[None])[0] + near.axes @ theta[CENTER],
         radius=radius,
-        sd=float(np.linalg.norm([formal, systematic, MM.BALL_SD])),
+        sd=float(np.linalg.norm([formal, systematic, MM.GRID_SD])),
         spread=spread,
         misfit=misfit,
         noise=_spread(residuals[~inside] if np.count_nonzero(~inside) > 20 else residuals) / height,
@@ -182,7 +181,7 @@ def _fit_model(near: SphereVoxels, first: Floats) -> tuple[Floats, Floats, Float
     )
     best = _minimize(near, first, noise)
     noise = max(1.0, noise * _spread(best.fun[:count]))
-    alike = max(1.0, MM.BALL_BLUR**3 / float(np.prod(near.spacing)))
+    alike = max(1.0, MM.BLUR_CORE**3 / float(np.prod(near.spacing)))
     best = _minimize(near, best.x, noise * np.sqrt(alike))
     normal = best.jac.T @ best.jac
     return best.x, noise * np.sqrt(alike) * best.fun[:count], np.linalg.pinv(normal, hermitian=True)
@@ -197,19 +196,16 @@ def select_voxels(volume: Volume, blob: Blob, radius: float) -> SphereVoxels:
     """Return the voxels around a blob, without those near other bright things."""
     axes = np.column_stack([volume.direction[:, :2], volume.grid.normal])
     spacing = np.array([*volume.spacing[:2], volume.grid.slice_distance])
-    reach = radius + MM.STEP_MARGIN * max(1.0, float(spacing.max()))
+    reach = radius + MM.MATCH * max(1.0, float(spacing.max()))
     middle = to_patient(volume, blob.voxels.mean(axis=0)[None])
     ijk, values = list_voxels_near(volume, middle, reach)
     places = (to_patient(volume, ijk) - middle) @ axes
     own = np.isin(*(np.ravel_multi_index(tuple(part.T), volume.grid.size) for part in (ijk, blob.voxels)))
     others, use = (values > blob.level) & ~own, np.linalg.norm(places, axis=1) <= reach
     if others.any():
-        use &= cKDTree(places[others]).query(places)[0] > MM.BALL_BLUR
-    top, bottom = float(values.max()), float(values.min())
-    ceiling = top if np.count_nonzero(values == top) > 3 else np.inf
-    floor = bottom if np.count_nonzero(values == bottom) > 3 else -np.inf
+        use &= cKDTree(places[others]).query(places)[0] > MM.BLUR_CORE
     every = int(np.ceil(np.count_nonzero(use) / MAX_FITTED_VOXELS))
-    return SphereVoxels(places[use][::every], values[use][::every], radius, spacing, axes, floor, ceiling)
+    return SphereVoxels(places[use][::every], values[use][::every], radius, spacing, axes, *find_cuts(values))
 
 
 def _guess_parameters(near: SphereVoxels) -> Floats:

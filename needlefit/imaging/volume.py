@@ -225,7 +225,7 @@ class Volume:
         Interpolated values end nowhere in particular: without this the metal seems less bright, and longer.
         """
         top = float(self.values.max())
-        if not HU.TOP_12_BITS[0] <= top <= HU.TOP_12_BITS[1]:
+        if not BRIGHTEST_FRACTION <= top / HU.CLIPPED <= 1 / BRIGHTEST_FRACTION:
             return None
         bright = np.concatenate([plane[plane > BRIGHTEST_FRACTION * top] for plane in self.values])
         shared = np.count_nonzero(bright == top)
@@ -265,6 +265,13 @@ def list_voxels_near(volume: Volume, points: ArrayLike, reach: float) -> tuple[I
     return ijk, volume.values[tuple(ijk.T[::-1])].astype(np.float64)
 
 
+def find_cuts(values: Floats) -> tuple[float, float]:
+    """Return the least and the largest of values (N,), HU, where a scanner cuts them there; else infinite."""
+    low, high = float(values.min()), float(values.max())
+    cut = [np.count_nonzero(values == end) > MAX_EQUAL for end in (low, high)]
+    return low if cut[0] else -np.inf, high if cut[1] else np.inf
+
+
 def find_outside(volume: Volume, points: ArrayLike) -> NDArray[np.int64]:
     """Return which of some LPS points (N, 3), mm, lie more than a voxel outside the volume."""
     index, last = to_index(volume, points), np.array(volume.grid.size) - 1
@@ -274,6 +281,7 @@ def find_outside(volume: Volume, points: ArrayLike) -> NDArray[np.int64]:
 # Metal that is cut at it has it in nearly all of its brightest voxels: of those above a part of the top, at
 # least `MIN_BRIGHTEST`, fewer than `MAX_SHARED_FRACTION` have it in a scan that was resampled.
 BRIGHTEST_FRACTION = 0.97  # of the top, from which voxels count as brightest
+MAX_EQUAL = 3  # voxels around a thing that have its largest value by chance
 MIN_BRIGHTEST = 20  # voxels
 MAX_SHARED_FRACTION = 0.85  # of the brightest voxels
 
@@ -288,7 +296,7 @@ def doubt_air(volume: Volume) -> Iterator[str]:
     the scanner's field, or is where values were cut.
     """
     some = volume.values[::3, ::3, ::3]
-    dark = some[(some > max(HU.DARKEST, float(some.min()))) & (some < HU.GAP)]
+    dark = some[(some > float(some.min())) & (some < HU.GAP)]
     level = float(np.median(dark)) if dark.size > MIN_AIR_FRACTION * some.size else HU.AIR
     if not HU.AIR_RANGE[0] <= level <= HU.AIR_RANGE[1]:
         yield (

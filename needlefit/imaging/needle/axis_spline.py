@@ -9,9 +9,9 @@ from scipy.ndimage import map_coordinates
 from needlefit.arrays import Floats
 from needlefit.geometry.curves import make_normal
 from needlefit.geometry.smoothing_spline import DEGREE, design_matrix, free_end_basis, make_knots
+from needlefit.imaging.constants import MM, SD
 from needlefit.imaging.volume import Volume, to_index
 
-AXIS_HUBER_SD = 1.5  # residuals beyond so many deviations count less
 MAX_POINT_WEIGHT = 30.0  # a point counts at most for so many cross-sections
 ROUNDS = 3  # of moving sections to the middle, each on the axis before; reweighting takes one more
 
@@ -73,7 +73,7 @@ def fit_axis(s: Floats, points: Floats, weights: Floats, knot: float, tip: float
         residuals = points - matrix @ coefficients
         size = np.sqrt(weights) * np.linalg.norm(residuals, axis=1)
         scale = max(float(np.median(size)) / 1.18, 1e-9)  # of a two-dimensional Gaussian
-        robust = np.minimum(1.0, AXIS_HUBER_SD * 1.4 / np.maximum(size / scale, 1e-9))
+        robust = np.minimum(1.0, SD.OUTLIER * 1.4 / np.maximum(size / scale, 1e-9))
     freedom = max(1.0, len(s) - matrix.shape[1])
     variance = float(np.sum(w[:, None] * residuals**2) / (2 * freedom))  # two directions are free
     variance *= correlation_factor(residuals, matrix.shape[1])
@@ -175,7 +175,7 @@ def find_centroids(values: Floats, plane: Floats, reach: float) -> tuple[Floats,
     Centroids of what outshines the rim, within `reach` of the middle. `values` (S, P) at `plane` (P, 2).
     """
     radius = np.hypot(*plane.T)
-    rim = np.nanmedian(values[:, radius > 0.8 * radius.max()], axis=1)
+    rim = np.nanmedian(values[:, radius > MM.RIM], axis=1)
     over = np.where((radius <= reach) & np.isfinite(values), values - rim[:, None], 0.0)
     over = np.clip(over - 0.3 * over.max(axis=1, keepdims=True), 0, None)
     mass = np.maximum(over.sum(axis=1), 1e-9)

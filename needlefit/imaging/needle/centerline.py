@@ -103,8 +103,7 @@ def trace_needle(
         if (placed := place_in_slices(volume, axis, recipe, _project_tip(axis, tip)[0], spread)) is not None:
             axis = placed[0]
         place, beside = _project_tip(axis, tip)
-        limit = MM.PLACED_TIP + recipe.needle.diameter_mm / 2
-        if beside > limit:
+        if beside > MM.MATCH:
             raise DataError(
                 f"the tip that was placed lies {beside:.1f} mm beside the needle",
                 expected="a point on the needle, LPS, mm",
@@ -117,7 +116,7 @@ def trace_needle(
         end = TipFit(place, point, sd, unknown, float("nan"))
     # through the tip, so that the end is interpolated: what its deviation adds for the model's error is none
     # of its place beside the last cross-sections
-    axis = extend_axis(axis, end.at, end.point, MM.AXIS_SD, MM.KNOT)
+    axis = extend_axis(axis, end.at, end.point, MM.GRID_SD, MM.KNOT)
     return _sample_centerline(volume, axis, end, recipe)
 
 
@@ -164,7 +163,7 @@ def refine_axis(
     for round_ in range(ROUNDS):
         s = np.arange(0.0, stop, MM.STATION)
         values = sample_planes(volume, axis_frames(axis, s), plane)
-        valid = np.isfinite(values).mean(axis=1) >= PART.IN_VOLUME
+        valid = np.isfinite(values).mean(axis=1) >= PART.SHOWN
         where = axis_frames(axis, s[valid])
         across, amplitude = find_centroids(values[valid], plane, recipe.needle.diameter_mm)
         good = np.linalg.norm(across, axis=1) < recipe.needle.diameter_mm / (1 if round_ == 0 else 2)
@@ -265,7 +264,7 @@ def _sample_centerline(
     swung = end.sd[1] * np.clip((s - end.at + heel) / heel, 0, 1)  # the rod alone holds the axis there
     # what neighbours share of a needle near thick slices is in the spline's own deviation already
     hidden = 0.0 if axis.slice_sds is None else float(np.sqrt(np.mean(axis.slice_sds[1] ** 2) / 2))
-    sd = np.hypot(np.maximum(axis_sd(axis, s), swung), MM.AXIS_SD)
+    sd = np.hypot(np.maximum(axis_sd(axis, s), swung), MM.GRID_SD)
     points, tip_sd = axis.spline(s), np.array([end.sd[0], sd[-1]])
     drawn = SplineSections(
         q=axis.s,
@@ -274,7 +273,7 @@ def _sample_centerline(
         weights=axis.final_weights,
         knots=axis.spline.t,
         sigma=float(np.sqrt(axis.variance)),
-        shared_sd=MM.AXIS_SD,
+        shared_sd=MM.GRID_SD,
         shared_along=np.sqrt(2) * hidden * volume.grid.normal,  # `hidden` is that in any one direction
     )
     return Centerline(

@@ -29,9 +29,10 @@ from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.imaging.volume_files import read_volume
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
-PIECE_MM = 2.0  # mm, length along a mask, or what a threshold shows, of which one point is taken
 MIN_POINTS = 3  # fewer do not show which way a needle bends
-STEP_MM = 1.0  # distance of the places at which the needle is looked for, mm
+# Distance of the places at which the needle is looked for, mm; of a mask, or of what a threshold shows, one
+# point is taken over twice that.
+STEP_MM = 1.0
 
 
 def read_mask_points(volume: Volume, path: Path) -> Floats:
@@ -51,7 +52,7 @@ def read_mask_points(volume: Volume, path: Path) -> Floats:
                 fix="segment the needle in this scan, and save the segmentation as NRRD or NIfTI",
             )
         center, axes = principal_axes(marked)
-        piece = np.floor((marked - center) @ axes[0] / PIECE_MM).astype(np.int64)
+        piece = np.floor((marked - center) @ axes[0] / (2 * STEP_MM)).astype(np.int64)
         piece -= piece.min()
         count = np.bincount(piece)
         sums = np.stack([np.bincount(piece, axis) for axis in marked.T], axis=1)
@@ -82,7 +83,7 @@ def follow_tube(volume: Volume, tube: Component, recipe: ReconstructionRecord) -
     bright -= bright.min() - 1.0
     center, axes = principal_axes(points)
     along = (points - center) @ axes[0]
-    piece = np.floor((along - along.min()) / PIECE_MM).astype(int)
+    piece = np.floor((along - along.min()) / (2 * STEP_MM)).astype(int)
     mass = np.bincount(piece, bright)
     moments = np.stack([np.bincount(piece, bright * axis) for axis in points.T], axis=1)
     return _follow(volume, moments[mass > 0] / mass[mass > 0, None], recipe)
@@ -97,7 +98,7 @@ def _follow(volume: Volume, points: Floats, recipe: ReconstructionRecord) -> Axi
         shown = amplitude > PART.FAINT * np.median(amplitude)
         places = places + np.where(shown[:, None], shifts, 0.0)
     level = float(np.median(amplitude))
-    if level < HU.METAL_CONTRAST / 2 or shown.mean() < PART.FOLLOWED:
+    if level < HU.METAL_CONTRAST / 2 or shown.mean() < PART.SHOWN:
         raise DataError(
             f"between points on it the scan shows no needle: what lies there is {level:.0f} HU brighter than "
             f"its surroundings, and faint on {100 * (1 - shown.mean()):.0f} %",
@@ -140,9 +141,9 @@ def _look_across(volume: Volume, places: Floats, recipe: ReconstructionRecord) -
 
 def _extend(volume: Volume, places: Floats, level: float, recipe: ReconstructionRecord) -> Iterator[Floats]:
     """Yield the places of the needle beyond the last of `places` (N, 3), until it is faint or ends."""
-    known, faint = list(places[-round(MM.FOLLOW_END / STEP_MM) :]), 0.0
+    known, faint = list(places[-round(2 * MM.KNOT / STEP_MM) :]), 0.0
     while faint <= MM.FAINT:
-        recent = np.array(known[-round(MM.FOLLOW_END / STEP_MM) :])
+        recent = np.array(known[-round(2 * MM.KNOT / STEP_MM) :])
         way = np.linalg.svd(recent - recent.mean(axis=0), full_matrices=False)[2][0]
         way *= np.sign(way @ (recent[-1] - recent[0]))
         start = recent.mean(axis=0) + way * ((recent[-1] - recent.mean(axis=0)) @ way)

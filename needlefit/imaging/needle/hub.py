@@ -21,9 +21,9 @@ class Hub:
 def find_hub(volume: Volume, points: Floats, diameter: float) -> Hub | None:
     """Return the hub before the first of some points (N, 3) on a needle, LPS, mm; None if there is none."""
     middle, side = points[0], MM.HUB_RADIUS + MM.BLUR_REACH
-    plane, s = disc_points(side), np.arange(0.0, MM.HUB_REACH, MM.STATION)
+    plane, s = disc_points(side), np.arange(0.0, MM.REACH, MM.STATION)
     for _ in range(ROUNDS):
-        lever = points[np.argmin(np.abs(np.linalg.norm(points - middle, axis=1) - MM.HUB_LEVER))]
+        lever = points[np.argmin(np.abs(np.linalg.norm(points - middle, axis=1) - MM.NEEDLE_LENGTH))]
         way = (middle - lever) / np.linalg.norm(middle - lever)
         start = middle + way * ((points[0] - middle) @ way)
         where = frames_along(start + s[:, None] * way)
@@ -43,5 +43,5 @@ def find_hub(volume: Volume, points: Floats, diameter: float) -> Hub | None:
     cut = last < len(s) and bool(np.isnan(values[last]).any())
     if np.hypot(*aside) > size or size > MM.HUB_RADIUS or not (cut or length > 2 * size):
         return None
-    behind = length - MM.HUB_LENGTH / 2 + (MM.HUB_HIDDEN if cut else 0.0)
+    behind = length - MM.HUB_LENGTH / 2 + (MM.NEEDLE_LENGTH if cut else 0.0)
     return Hub(np.stack([middle + behind * way, middle - MM.HUB_LENGTH / 2 * way]), size)

@@ -10,6 +10,7 @@ from scipy.ndimage import distance_transform_edt, find_objects, label
 from scipy.spatial import cKDTree
 
 from needlefit.arrays import Floats, Ints
+from needlefit.datasets.layers import MAX_START_DISTANCE_MM
 from needlefit.errors import DataError
 from needlefit.imaging.bright_voxels import BrightVoxels, list_bright_voxels
 from needlefit.imaging.constants import HU, MM, PART
@@ -58,7 +59,6 @@ def _distance(mask: NDArray[np.bool_], spacing: Floats) -> NDArray[np.float32]:
 
 
 MIN_COMPONENT_VOXELS = 8  # smaller components are noise
-MIN_DISTINCT_CHECK = 100  # points of a component of which three must differ along it to fit a parabola
 
 
 @dataclass(frozen=True)
@@ -196,8 +196,7 @@ def is_tube(part: Component, recipe: ReconstructionRecord, share: float = 1.0) -
 
 def fit_parabola(along: Floats, across: Floats) -> Floats:
     """Return the coefficients (3, d) of the least-squares parabola across(along), highest power first."""
-    some = np.round(along[:MIN_DISTINCT_CHECK], 6)
-    return np.polyfit(along, across, min(2, len(np.unique(some)) - 1))
+    return np.polyfit(along, across, min(2, len(np.unique(along.round(6))) - 1))
 
 
 def principal_axes(points: Floats) -> tuple[Floats, Floats]:
@@ -270,11 +269,11 @@ def select_needle(
     else:
         distances = [float(cKDTree(to_patient(volume, part.voxels)).query(point)[0]) for part in tubes]
         nearest = int(np.argmin(distances))
-        if distances[nearest] > MM.PICK:
+        if distances[nearest] > MAX_START_DISTANCE_MM:
             listed = "; ".join(describe_tube(volume, part) for part in tubes)
             raise DataError(
                 f"no tube passes the stated point of the needle; there is {listed}",
-                expected=f"a tube within {MM.PICK:g} mm of it",
+                expected=f"a tube within {MAX_START_DISTANCE_MM:g} mm of it",
                 fix="correct the point (LPS of the scan, mm), or leave the three cells empty",
                 where="needle_x_mm, needle_y_mm, needle_z_mm",
             )

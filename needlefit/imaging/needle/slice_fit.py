@@ -24,23 +24,27 @@ from needlefit.geometry.curves import arc_length
 from needlefit.geometry.smoothing_spline import DEGREE, make_knots
 from needlefit.imaging.constants import MM, PART, SD
 from needlefit.imaging.needle.axis_spline import AxisSpline, axis_sd, correlation_factor, fit_axis
+from needlefit.imaging.needle.follow import STEP_MM
 from needlefit.imaging.needle.hub import Hub, find_hub
 from needlefit.imaging.needle.rod_projection import COLUMN_MM, SENSITIVITY_AT, Rod
-from needlefit.imaging.needle.tip import MAX_BEVEL_DEG, MIN_BEVEL_PROBABILITY, TipFit, side_probability
+from needlefit.imaging.needle.tip import (
+    MAX_BEVEL_DEG,
+    MIN_BEVEL_PROBABILITY,
+    ROLL_FACTOR,
+    TipFit,
+    side_probability,
+)
 from needlefit.imaging.point_spread import PointSpread, expected_spread
 from needlefit.imaging.volume import Volume, to_index
 from needlefit.schemas.reconstruction import ReconstructionRecord, ScannedNeedleRecord
 
+MAX_FITS = 2  # where one ends far from the lines across the needle, they are laid anew
 MAX_CROSSED = 2.0  # a spline averages over the slices if more are crossed between two of its knots
 LINE_STEP_MM = 0.4  # mm, between samples across the needle
-LINE_STATION_MM = 1.0  # mm, between lines along the needle
-# Where a fit ends farther than that from the middle of these lines, they are laid anew.
-MAX_FITS = 2  # fits
 REACH_SLICES = 1.5  # distance, in slices beyond the radius, out to which slices are looked at
 KNOT_FACTOR = 1.6  # distance of the knots over that of the axis
 # A needle between supports is a beam: the third derivative of its axis is the shear force over its stiffness.
-SHEAR_SD_N = 8.0  # N, deviation of the shear force
-STEEL_MPA = 200e3  # MPa, Young's modulus
+SHEAR_SD_MM2 = 4e-5  # mm2, deviation of the shear force over Young's modulus: 8 N in steel
 # What the beam does: logarithms of the attenuation, 1/mm, of its relative variance over the spectrum, of the
 # scatter in parts of the open beam, and of a factor by which the slices are more linear than a scanner's.
 # Means and deviations. Then follow the blur's logarithm and the boost, and logarithms of the sensitivity of
@@ -53,16 +57,13 @@ START_STEPS = (0.5, 0.25, 0.12)  # of shift, tilt and bow along the normal, slic
 START_ENDS_MM = (-1.0, -0.5, 0.0, 0.5, 1.0)  # ends that are tried, from the one stated, mm
 ROBUST_SD = (20.0, 4.0)  # residuals beyond so many deviations count less, in the first fit and later
 STEPS = 8  # of each fit
-FIT_TOLERANCE = 1e-3  # of a fit's cost and parameters, at which it ends
 STEP = 0.05  # of the derivatives
 # The model's error, in water and in parts of the image, before it is known; samples that count as one.
 FIRST_NOISE = 0.15  # of water
 FIRST_ERROR = 0.25  # of the image
 CORRELATED = 10.0  # samples
-ROLL_FACTOR = 1.5  # of the roll's deviation
 # What no residual shows, slices: of the axis; and where the needle does not cross a slice, as its mirror
 # image looks the same, at its end twice. Set on volumes of `benchmarks/real_scanners.py --seeds 2000:2013`.
-SLICE_SD = 0.02  # slices
 MIRROR_SD = 0.2  # slices
 HUB_WEIGHT = 5.0  # of a hub's middle in a first axis
 HUB_SDS = np.array([0.1, 0.3])  # deviations of a needle from its hub's middle, mm, and slices
@@ -84,7 +85,7 @@ def place_in_slices(
     shown = thick <= (MM.FLAT_SLICE if flat else MM.THICK_SLICE)
     if shown or steepness * MM.KNOT / thick >= MAX_CROSSED:
         return None
-    points = axis.spline(np.append(np.arange(0.0, tip, LINE_STATION_MM), tip))
+    points = axis.spline(np.append(np.arange(0.0, tip, STEP_MM), tip))
     way = points[-1] - points[0] - (points[-1] - points[0]) @ normal * normal
     way /= np.linalg.norm(way)
     frame = np.stack([way, np.cross(normal, way), normal])
@@ -101,7 +102,7 @@ def place_in_slices(
         theta, covariance, error = problem.solve()
         across, along, (end, roll), scan = problem.split(theta)
         starved = scan[0] > problem.means[0] - SD.DISAGREEMENT * problem.sds[0]
-        if error > (PART.SLICE_MISFIT if starved else PART.END_MISFIT):
+        if hub is None and error > (PART.SLICE_MISFIT if starved else PART.END_MISFIT):
             return None
         if np.abs(problem.at @ (across - problem.start[:, 0])).max() < LINE_STEP_MM:
             break
@@ -112,7 +113,7 @@ def place_in_slices(
     variances = np.stack([covariance[:count, :count], covariance[count : 2 * count, count : 2 * count]])
     end_sd, roll_sd = np.sqrt(np.diag(covariance)[2 * count : 2 * count + 2])
     crossed = float(np.ptp(problem.at @ along)) / thick
-    missed = thick * MIRROR_SD * max(0.0, 1 - crossed)
+    missed = thick * float(np.hypot(max(0.0, error - PART.SLICE_MISFIT), MIRROR_SD * max(0.0, 1 - crossed)))
     # where the axis lies at the sections of the one that was traced, and at its end: a curve that passes
     # sections beyond it, or others twice, and comes back would be too long
     places = (axis.points - origin) @ frame[0]
@@ -124,12 +125,12 @@ def place_in_slices(
     s = arc_length(points)
     # the tip's stands for that of the last section
     sds = np.delete(np.sqrt(np.einsum("nc,kcd,nd->kn", basis, variances, basis)), -2, axis=1)
-    sds = np.hypot(sds, np.hypot(SLICE_SD * thick, missed))
+    sds = np.hypot(sds, np.hypot(PART.SLICE_SD * thick, missed))
     placed = fit_axis(s[:-1], points[:-1], axis.weights[traced], MM.KNOT, s[-1])
     # its points are the fit's and do not scatter: its deviation in the slices is the fit's, too
     wider = np.mean(sds[0] ** 2) / np.mean(axis_sd(placed, s[:-1]) ** 2)
     placed = replace(placed, variance=placed.variance * wider, slice_sds=sds)
-    unseen = np.hypot(MM.TIP_SD, PART.TIP_SD * float(volume.spacing[0]))
+    unseen = np.hypot(MM.MODEL_SD, PART.TIP_SD * float(volume.spacing[0]))
     sd = np.hypot([np.hypot(end_sd, 2 * missed), np.linalg.norm(sds[:, -1]) / np.sqrt(2)], unseen)
     probability = side_probability(ROLL_FACTOR * float(roll_sd)) if rolled else np.nan
     sided = probability >= MIN_BEVEL_PROBABILITY
@@ -164,13 +165,13 @@ class _SliceProblem:
         thick, radius = volume.grid.slice_distance, needle.diameter_mm / 2
         knots = make_knots(x[0], x[-1], KNOT_FACTOR * MM.KNOT)
         self.basis = basis = BSpline(knots, np.eye(len(knots) - DEGREE - 1), DEGREE)
-        stations = np.arange(x[0], x[-1] + MM.BEYOND_TIP, LINE_STATION_MM)
+        stations = np.arange(x[0], x[-1] + MM.BEYOND_END, STEP_MM)
         self.at = _extend(basis, stations)  # (S, C) from coefficients to the axis at stations
         # where the axis follows a staircase from slice to slice, or rays that pull it aside, polynomials do
         # not
         places, weights = np.column_stack([x, y, z]), np.ones(len(x))
         if hub is not None:  # its shadow pulls the axis aside where it begins
-            places = np.vstack([places[x > x[0] + MM.HUB_SHADOW], hub.ends[1:]])
+            places = np.vstack([places[x > x[0] + MM.HIDDEN], hub.ends[1:]])
             weights = np.append(np.ones(len(places) - 1), HUB_WEIGHT)
         fit = np.polynomial.Polynomial.fit
         course = [fit(places[:, 0], places[:, n], degree, w=weights)(x) for n, degree in ((1, 3), (2, 2))]
@@ -197,11 +198,11 @@ class _SliceProblem:
         self.level = self.shown[..., self.rim].mean(axis=-1, keepdims=True)  # (K, S, 1); their brightness
         # deviations of what slices show before the model's error is known (K, S, U)
         self.first_scale = np.hypot(FIRST_NOISE, FIRST_ERROR * (self.shown - self.level))
-        unique, stiffness = np.unique(knots), STEEL_MPA * np.pi * needle.diameter_mm**4 / 64
+        unique, moment = np.unique(knots), np.pi * needle.diameter_mm**4 / 64
         shear = basis.derivative(3)((unique[1:] + unique[:-1]) / 2)
         bent = np.vstack([shear, basis.derivative(2)(unique[-1:]) / MM.END_MOMENT])
-        self.bent = bent * stiffness / SHEAR_SD_N  # (J, C) from coefficients to shear forces, in deviations
-        columns = np.arange(x[-1] + MM.BEYOND_TIP, x[-1] - needle.length_mm, -COLUMN_MM)
+        self.bent = bent * moment / SHEAR_SD_MM2  # (J, C) from coefficients to shear forces, in deviations
+        columns = np.arange(x[-1] + MM.BEYOND_END, x[-1] - needle.length_mm, -COLUMN_MM)
         self.to_columns = _extend(basis, columns)  # (columns, C)
         # a blunt end is a bevel of one piece of the rod, too, whose middle is where it ends
         true = np.tan(np.radians(needle.bevel_deg))
@@ -301,9 +302,9 @@ class _SliceProblem:
             loss=loss,  # type: ignore[arg-type]  # the stubs describe another function
             f_scale=robust / np.sqrt(CORRELATED),
             x_scale="jac",
-            ftol=FIT_TOLERANCE,
-            xtol=FIT_TOLERANCE,
-            gtol=FIT_TOLERANCE,
+            ftol=PART.TOLERANCE,
+            xtol=PART.TOLERANCE,
+            gtol=PART.TOLERANCE,
             max_nfev=STEPS,
         )
 

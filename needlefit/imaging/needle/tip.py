@@ -22,6 +22,7 @@ from scipy.special import erf
 from needlefit.arrays import Floats
 from needlefit.imaging.constants import HU, MM, PART, SD
 from needlefit.imaging.needle.axis_spline import AxisSpline, axis_frames, axis_sd
+from needlefit.imaging.needle.rod_projection import CELL_MM
 from needlefit.imaging.point_spread import (
     HIGHEST,
     LOWEST,
@@ -30,12 +31,12 @@ from needlefit.imaging.point_spread import (
     expected_spread,
     read_spread,
 )
-from needlefit.imaging.volume import Volume, list_voxels_near, to_patient
+from needlefit.imaging.volume import Volume, find_cuts, list_voxels_near, to_patient
 from needlefit.schemas.reconstruction import ScannedNeedleRecord
 
 Singles = NDArray[np.float32]
 
-GRID_STEP_MM = 0.25  # spacing of the points on which the rod is modelled, mm
+GRID_STEP_MM = CELL_MM  # spacing of the points on which the rod is modelled, mm
 FIBRES = 6  # fibres along the needle into which a grid's step is parted, in each direction across
 
 
@@ -101,8 +102,7 @@ TIP, ROLL, U, V, HEIGHT, LEVEL, COT, BLUR, _, SLICE, STREAK = range(11)
 SPREAD = slice(7, 10)
 # How far the fit reaches back from the bevel's heel, mm.
 REACH_BEFORE_MM = 3.0  # mm
-CORE_REACH_MM = 0.9  # radius from which on voxels count less, mm: streaks
-START_OFFSETS_MM = np.arange(-0.8, 0.9, 0.4)  # around the first guess, at which the bevel's side is tried
+START_ENDS_MM = np.arange(-0.8, 0.9, 0.4)  # around the first guess, at which the bevel's side is tried
 ROUGH_STEPS = 8  # of a first fit
 STEPS = 30  # of a last fit
 DERIVATIVE_STEP = np.array(1e-3)  # relative step of the derivatives
@@ -110,8 +110,8 @@ MAX_BEVEL_DEG = 85.0  # a bevel steeper than this has no side
 ROLL_FACTOR = 3.0  # of the roll's deviation: artefacts near the tip
 ROLL_SD = 0.15  # of the roll, rad, that no residual shows
 HEIGHT_SD = 0.7  # deviation of the logarithm of the metal's brightness
-LOWER_BOUNDS = np.array([*5 * [-np.inf], -1100, 0, *LOWEST, -3000])
-UPPER_BOUNDS = np.array([*4 * [np.inf], np.log(5e4), 1000, 6, *HIGHEST, 3000])
+LOWER_BOUNDS = np.array([*5 * [-np.inf], -1100, 0, *LOWEST, -HU.CLIPPED])
+UPPER_BOUNDS = np.array([*4 * [np.inf], np.log(5e4), 1000, 6, *HIGHEST, HU.CLIPPED])
 # Bounds and typical changes of the parameters. No metal of needles exceeds 50 000 HU.
 PARAMETER_SCALES = np.array([0.2, 0.3, 0.1, 0.1, 0.1, 50, 0.3, 0.1, 0.3, 0.2, 100])
 HELD = [U, V, HEIGHT, COT, *range(7, 10), STREAK]  # parameters of which something is known before
@@ -152,9 +152,9 @@ class TipProblem:
         back, ahead = heel + REACH_BEFORE_MM + MM.BEYOND_END, 2 * MM.BEYOND_END
         slices = np.stack([frame.tangents[0], frame.u[0], frame.v[0]]) @ normal
         self.rod = RodModel(radius, back, ahead, MM.PATCH + 0.5, slices)
-        top = float(values.max())  # where several voxels share it the scanner's numbers end
-        self.ceiling = top if np.count_nonzero(values == top) > 3 else volume.resampled_top or np.inf
-        self.level = float(np.median(values[np.hypot(*places[1:]) > 0.8 * MM.PATCH]))
+        self.floor, top = find_cuts(values)
+        self.ceiling = top if np.isfinite(top) else volume.resampled_top or np.inf
+        self.level = float(np.median(values[np.hypot(*places[1:]) > MM.RIM]))
         self.swing = np.clip((self.places[0] - axis.length) / max(guess - axis.length, 0.25), 0, None)
         swing_sd = float(np.hypot(MM.SWING_SD, axis_sd(axis, np.array([axis.length]))[0]))
         # the longer the rays within one slice that run along its end, where it lies flattest, the less of the
@@ -163,11 +163,11 @@ class TipProblem:
         steep = max(float(np.abs(end.tangents @ normal).min()), 1e-6)
         ray = min(2 * MM.HIDDEN, (needle.diameter_mm + volume.grid.slice_distance) / steep)
         cot = heel / needle.diameter_mm
-        cot_sd = np.deg2rad(needle.bevel_sd_deg) * (1 + cot**2) / np.hypot(1.0, ray / MM.BEVEL_RAY)
+        cot_sd = np.deg2rad(needle.bevel_sd_deg) * (1 + cot**2) / np.hypot(1.0, ray / MM.DARK)
         expected = spread or expected_spread(volume.grid.slice_distance)
         # means and deviations of the parameters `HELD`
         self.means = np.array([0.0, 0.0, np.log(HU.NEEDLE), cot, *expected.parameters, 0.0])
-        self.sds = np.array([swing_sd, swing_sd, HEIGHT_SD, cot_sd, *expected.sds, HU.STREAK_SD])
+        self.sds = np.array([swing_sd, swing_sd, HEIGHT_SD, cot_sd, *expected.sds, HU.METAL])
         # beyond what is known before artefacts would be taken for the needle's image
         self.low, self.high = LOWER_BOUNDS.copy(), UPPER_BOUNDS.copy()
         self.low[TIP], self.high[TIP] = guess - MM.BEYOND_END, guess + MM.BEYOND_END
@@ -178,7 +178,7 @@ class TipProblem:
         if beyond.size >= 20:
             noise = max(10.0, 1.48 * float(np.median(np.abs(beyond - np.median(beyond)))))
         error = PART.SIGNAL_ERROR * np.clip(self.values - self.level, 0, None)
-        self.sigma = np.sqrt(1 + (away / CORE_REACH_MM) ** 4) * np.hypot(noise, error)
+        self.sigma = np.sqrt(1 + (away / (2 * MM.BLUR)) ** 4) * np.hypot(noise, error)
 
     def place(self, theta: Floats) -> Floats:
         """Return where the voxels lie from the tip (3, N): along the axis, and across it, mm."""
@@ -189,10 +189,10 @@ class TipProblem:
         """Return what the scanner shows in the voxels (N,), HU."""
         places, spread = self.place(theta), read_spread(theta[SPREAD])
         s, u, v = places
-        streak = np.exp(-np.maximum(s, 0) / MM.STREAK_LENGTH - (u**2 + v**2) / (2 * MM.STREAK_RADIUS**2))
+        streak = np.exp(-np.maximum(s, 0) / MM.BLUR_REACH - (u**2 + v**2) / (2 * MM.STREAK_RADIUS**2))
         image = self.rod.image(float(theta[ROLL]), float(theta[COT]), spread, places)
         shown = theta[LEVEL] + np.exp(theta[HEIGHT]) * image + theta[STREAK] * streak
-        return np.clip(shown, HU.FLOOR, self.ceiling)
+        return np.clip(shown, self.floor, self.ceiling)
 
     def residuals(self, theta: Floats) -> Floats:
         """Return voxels and what is known, both in their deviations."""
@@ -209,9 +209,7 @@ class TipProblem:
             return float(np.sum(np.minimum(np.abs(self.residuals(start)), 20)))
 
         unit, rolls = np.eye(11), np.arange(6 if self.rolled else 1) * np.pi / 3
-        starts = [
-            first + shift * unit[TIP] + roll * unit[ROLL] for roll in rolls for shift in START_OFFSETS_MM
-        ]
+        starts = [first + shift * unit[TIP] + roll * unit[ROLL] for roll in rolls for shift in START_ENDS_MM]
         return np.asarray(self.minimize(min(starts, key=misfit), ROUGH_STEPS).x, float)
 
     def fit(self, start: Floats) -> OptimizeResult:
@@ -319,8 +317,8 @@ def fit_tip(
     there = axis_frames(axis, np.array([at]))
     spacing = float(np.linalg.norm(volume.direction.T @ there.tangents[0] * volume.spacing))
     heel = float(axis_sd(axis, np.array([axis.length]))[0])  # from where the rod swings
-    across = np.linalg.norm([np.sqrt(variance[[U, V]].mean()), heel, MM.TIP_ACROSS_SD])
-    along = np.linalg.norm([np.sqrt(variance[TIP]), MM.TIP_SD, PART.TIP_SD * spacing])
+    across = np.linalg.norm([np.sqrt(variance[[U, V]].mean()), heel, MM.MODEL_SD])
+    along = np.linalg.norm([np.sqrt(variance[TIP]), MM.MODEL_SD, PART.TIP_SD * spacing])
     roll_sd = float(np.hypot(ROLL_FACTOR * np.sqrt(variance[ROLL]), ROLL_SD))
     probability = side_probability(roll_sd) if problem.rolled else np.nan
     sided = probability >= MIN_BEVEL_PROBABILITY
