@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Floats, pad_axis
 from needlefit.inference.forward_model import PreparedModel
 from needlefit.inference.likelihood.marginal import (
     count_residuals,
@@ -42,8 +42,9 @@ class PosteriorDensity:
     scale: float = 1.0
     #: whether b is the mean of the insertions' own, from which their deviations sum to zero
     centred_bevels: bool = False
-    #: of each insertion (m + c, R, P), how derivatives at its nodes differ from those as measured: see `near`
-    node_slopes: tuple[Floats, ...] = ()
+    #: of each insertion how residuals at its m nodes differ from those as measured, where these alone are
+    #: simulated (see `near`): at a theta of 0 (m, R), and the derivatives (m, R, P) of that
+    moved: tuple[tuple[Floats, Floats], ...] = ()
 
     def log_densities(self, sets: Sequence[Values], jobs: int = 1) -> Floats:
         """Return the log of likelihood and stated prior (B,) of sets of values; NaN where a solve fails."""
@@ -145,7 +146,11 @@ class PosteriorDensity:
         self, sets: Sequence[Values], jobs: int, points: NodePoints | None
     ) -> list[tuple[Floats, Floats]]:
         """Return the `jacobians` of sets whose needles are held at once."""
-        pairs, scales = self._differentiate(sets, jobs, points), self._scales(sets)
+        pairs, scales = list[tuple[Floats, Floats]](), self._scales(sets)
+        bare = self._differentiate(sets, jobs, points)
+        for observation, (residuals, by_theta) in zip(self.observations, bare, strict=True):
+            all_white = append_pose_curves(observation, residuals)
+            pairs.append((all_white, pad_axis(by_theta, all_white.shape[1], axis=1)))
         log_det, by_det = np.zeros(len(sets)), np.zeros((len(sets), len(self.parameters.free)))
         parts, slopes = [], []
         for members, group in self._nodes.groups:
@@ -214,10 +219,10 @@ class PosteriorDensity:
         return self._models[count]
 
     def with_parameters(
-        self, parameters: Parameters, node_slopes: tuple[Floats, ...] = ()
+        self, parameters: Parameters, moved: tuple[tuple[Floats, Floats], ...] = ()
     ) -> "PosteriorDensity":
         """Return the density of other parameters, which shares the models of the nodes."""
-        other = replace(self, parameters=parameters, node_slopes=node_slopes)
+        other = replace(self, parameters=parameters, moved=moved)
         other.__dict__["_models"] = self._models
         return other
 
@@ -256,33 +261,34 @@ class PosteriorDensity:
     def near(self, values: Values) -> "PosteriorDensity":
         """Return the same density with `jacobians` that are exact at these values, approximate elsewhere.
 
-        Residuals stay exact. Needles with moved depths or bevels are differentiated here alone: elsewhere
-        their derivatives differ from those of the needle as measured by as much as here.
+        Needles with moved depths or bevels are simulated here alone. Elsewhere their residuals differ from
+        those of the needle as measured by as much as here, and by what that changes to first order.
         """
-        slopes = (by[0] - by[0, :1] for _, by in self._differentiate([values], 1))
-        return self.with_parameters(self.parameters, tuple(slopes))
+        theta, moved = self.parameters.theta(values), []
+        for white, by in self._differentiate([values], 1):
+            slopes = by[0] - by[0, :1]
+            moved.append((white[0] - white[0, :1] - slopes @ theta, slopes))
+        return self.with_parameters(self.parameters, tuple(moved))
 
     def _differentiate(
         self, sets: Sequence[Values], jobs: int, points: NodePoints | None = None
-    ) -> list[tuple[Floats, Floats]]:
-        """Return of each insertion `whitened_residuals`, and the derivatives (B, m + c, R, P) by theta."""
-        derivatives, nodes = [], self._first_nodes if self.node_slopes else self._nodes
+    ) -> Iterator[tuple[Floats, Floats]]:
+        """Yield of each insertion the whitened residuals (B, m, R) at its nodes, and the derivatives
+        (B, m, R, P) by theta.
+        """
+        nodes = self._first_nodes if self.moved else self._nodes
         pairs = iter(points or nodes.model.differentiate(sets, self.parameters, nodes.places, jobs))
-        exact = iter(self.whitened_residuals(sets, jobs)) if self.node_slopes else None
+        thetas = list(map(self.parameters.theta, sets))
         for k, (observation, some) in enumerate(zip(self.observations, nodes.nodes, strict=True)):
             places, slopes = zip(*(next(pairs) for _ in some.s), strict=True)
             stacked, by = np.stack(places, axis=1), np.stack(slopes, axis=1)
-            white = (
-                next(exact)
-                if exact
-                else append_pose_curves(observation, whiten_residuals(observation, stacked))
-            )
-            by_white, moved = np.zeros((*white.shape, by.shape[-1])), len(observation.nodes.s)
-            by_white[:, :moved] = whiten_derivatives(observation, stacked, by)  # of one node, or of all
-            if exact:
-                by_white[:, :moved] += self.node_slopes[k][:moved]
-            derivatives.append((white, by_white))
-        return derivatives
+            white, by = whiten_residuals(observation, stacked), whiten_derivatives(observation, stacked, by)
+            if self.moved:
+                apart, by_apart = self.moved[k]
+                # a product for each set: one of all rounds a set by where it stands
+                white = white + apart + np.stack([by_apart @ theta for theta in thetas])
+                by = by + by_apart
+            yield white, by
 
 
 @dataclass(frozen=True)
