@@ -29,12 +29,12 @@ def measure_needles(seed: int, spread: float = 0.0):
     return made
 
 
-def make(made):
-    return replace(make_problem(medium(), made), dataset=dataset(made, Noise(point_sd=POINT_SD)))
+def make(made, point_sd=POINT_SD):
+    return replace(make_problem(medium(), made), dataset=dataset(made, Noise(point_sd=point_sd)))
 
 
-def doubt(made):
-    problem = make(made)
+def doubt(made, point_sd=POINT_SD):
+    problem = make(made, point_sd)
     return find_doubts(problem, problem.parameters.theta(TRUTH)).odd
 
 
@@ -47,6 +47,13 @@ def change(made, number, by):
 @pytest.mark.parametrize("spread", [0.0, 0.15])
 def test_sound_needles_are_not_accused(spread):
     assert [one for seed in range(4) for one in doubt(measure_needles(seed, spread))] == []
+    assert list(doubt(measure_needles(4, spread), 10 * POINT_SD)) == []
+
+
+def test_a_needle_nearer_than_five_standard_deviations_is_named_if_a_change_is_far_more_probable():
+    (one,) = doubt(change(measure_needles(1, 0.15), 3, lambda points: points * [1, 1.3, 1]))
+    assert (one.insertion, one.cause, one.sds < 5) == ("n3", "scaled", True)
+    assert one.size == pytest.approx(1.3, rel=0.1) and one.log_odds > math.log(1000)
 
 
 @pytest.mark.parametrize(

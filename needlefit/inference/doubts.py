@@ -18,6 +18,7 @@ from needlefit.inference.common_doubts import change_all, find_common
 from needlefit.inference.hypotheses import (
     ASIDE,
     HAPPENED_LOG_ODDS,
+    PREDICTED_SD,
     Change,
     Deviation,
     Explanation,
@@ -99,18 +100,19 @@ def _describe(
 ) -> NeedleDoubtMetadata | None:
     """Return what is known of a needle, given what the others predict; None if it is not odd.
 
-    It is if it lies too far from its prediction, or if something is far more probable than nothing. Of the
-    latter is asked where errors alone keep the others from their fit.
+    It is if it lies too far from its prediction, or farther than most and something is far more probable than
+    nothing. Of the latter is asked where errors alone keep the others from their fit.
     """
     is_near = sds < OUTLIER_SD
-    if is_near and not predicted.describes(sum(problem.density.residual_counts)):
+    if is_near and not (sds > PREDICTED_SD and predicted.describes(sum(problem.density.residual_counts))):
         return None
 
     def measure(change: Change, sizes: Sequence[float]) -> list[Deviation]:
         changed = [change.apply(left_out, size) for size in sizes]
         blocks = linearize_needles(problem, changed, theta, reaches_tip=change.row.reaches_tip)
+        count = blocks.residual_counts[0] / problem.dataset.directions
         return [
-            left._replace(log_density=left.log_density + change.row.log_volume(size, len(left_out.points)))
+            left._replace(log_density=left.log_density + change.row.log_volume(size, count))
             for left, size in zip(measure_deviations(blocks, theta, predicted), sizes, strict=True)
         ]
 

@@ -46,7 +46,8 @@ class Hypothesis(NamedTuple):
     axes: tuple[int, ...] = (IN_PLANE,)  #: along which it may be; one out of the plane is seen in space alone
     #: the insertion, all others, the axis -> by its name what may be chosen
     list_choices: Callable[[Insertion, Sequence[Insertion], int], Mapping[str, Any]] = lambda *_: {"": None}
-    log_volume: Callable[[float, int], float] = lambda size, count: 0.0  #: by which the data's volume grows
+    #: by which the volume of what was measured grows, by the size and the number of residuals
+    log_volume: Callable[[float, float], float] = lambda size, count: 0.0
     reaches_tip: bool = True  #: whether the points do
     changes_model: bool = False  #: whether another needle is simulated
     report: Callable[[float], float] = float  #: the size -> the number that is reported
