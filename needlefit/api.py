@@ -932,7 +932,7 @@ def _require_unchanged(dataset: Dataset) -> Dataset:
         raise ConfigError(
             "the dataset is not what its files hold",
             where=dataset.path,
-            expected="a dataset as `load_dataset` returns it: a run records the digest of its files",
+            expected="a dataset as `load_dataset` returns it",
             fix="select insertions with `tune`; write changed data to a folder of their own",
         )
     return dataset

@@ -87,7 +87,7 @@ def _load(name: str, version: str) -> Plugin:
         spec = importlib.util.find_spec(name.partition(".")[0])
         places = [] if spec is None else spec.submodule_search_locations or [spec.origin or ""]
         if not places or any(_is_untrusted(Path(place).resolve().parent) for place in places):
-            expected = "an installed module; none in the working folder or in a folder of data is used"
+            expected = "an installed module"
             fix = "install it with pip, or put a folder other than the working folder on PYTHONPATH"
             raise ConfigError(f"there is no installed plugin module `{name}`", expected=expected, fix=fix)
         module = import_module(name)

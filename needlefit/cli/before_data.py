@@ -60,7 +60,7 @@ def predict_before_data(
             f"{source.name}: {source.quantity} {source.low:g} to {source.high:g} kPa ({source.source})."
         )
     if published:
-        screen.print_text("A fitted μ may differ: it belongs to the model, not to the material alone.")
+        screen.print_text("A fitted μ may differ: it is no material constant.")
 
 
 def _summarize(forecast: "PriorForecast", radius: float) -> dict[str, object]:

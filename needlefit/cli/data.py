@@ -89,11 +89,9 @@ def import_data(
             "--set",
         ),
     ] = None,
-    yes: Annotated[
-        bool, option("Ask nothing: take what is proposed, and stop where nothing is.", None, "--yes")
-    ] = False,
+    yes: Annotated[bool, option("Ask nothing: take what is proposed, or stop.", None, "--yes")] = False,
     overwrite: Annotated[
-        bool, option("Replace OUT, if it holds nothing but an earlier import.", None, "--overwrite")
+        bool, option("Replace OUT, if it is an earlier import.", None, "--overwrite")
     ] = False,
     strict: options.Strict = False,
     json: options.Json = False,

@@ -114,15 +114,14 @@ def _to_user_error(error: BaseException, invocation: Invocation) -> BaseExceptio
         advice = _SPACE_ADVICE.get(error.errno or 0, "")
         return ConfigError(
             f"cannot be read or written: {error.strerror or error}",
-            expected="a place that exists, with space left, that you may read and write",
+            expected="a place that you may read and write",
             fix=f"{advice or 'check the path and its permissions'}, or choose another folder",
             where=error.filename or (invocation.out if advice else ""),
         )
     if isinstance(error, MemoryError):
         return ConfigError(
             "there is not enough memory for this",
-            expected="inputs and results that fit into the memory of this machine",
-            fix="use fewer --jobs, smaller or fewer inputs, or a machine with more memory",
+            fix="use fewer --jobs, or smaller inputs",
         )
     extra = _EXTRAS.get((getattr(error, "name", None) or "").partition(".")[0])
     if isinstance(error, ModuleNotFoundError) and extra:

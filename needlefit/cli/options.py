@@ -55,7 +55,7 @@ Quiet = Annotated[bool, _flag("No progress on stderr.", "--quiet", "-q")]
 Reference = Annotated[
     bool,
     _flag(
-        "Also write the tables to OUT/reference/STUDY/, to keep under version control.",
+        "Also write the tables to OUT/reference/STUDY/.",
         "--reference",
     ),
 ]
@@ -106,8 +106,8 @@ Recording = Annotated[
 Specimen = Annotated[
     str | None,
     option(
-        "Specimen of a prediction: new; same: as fitted; or, of several that differ, its NAME (default: "
-        "that of the insertion; of a planned one what the study states, else new).",
+        "Specimen of a prediction: new, same (as fitted), or of several its NAME (default: that of the "
+        "insertion; of a planned one what the study states, else new).",
         "new|same|NAME",
     ),
 ]
@@ -117,8 +117,8 @@ Depth = Annotated[
 Changes = Annotated[
     list[str] | None,
     option(
-        "Change a key of the scene, e.g. bevel.offset_mm=0.1; layers, guides and steps are numbered from 1: "
-        "layers.1.mu_pa=3e5 is the first layer's. KEY= removes the key. May be repeated.",
+        "Change a key of the scene: bevel.offset_mm=0.1, layers.1.mu_pa=3e5 (numbered from 1). KEY= "
+        "removes the key. May be repeated.",
         "KEY=VALUE",
         "--set",
     ),

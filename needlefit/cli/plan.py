@@ -26,8 +26,7 @@ def plan(
         str,
         argument(
             "SCENE | RUN[/ID] | DATASET/ID",
-            "The needle to steer: a scene, a run's fitted insertion with its posterior draws, or a measured "
-            "insertion.",
+            "The needle to steer: a scene, a run's fitted insertion, or a measured one.",
         ),
     ],
     target: Annotated[
@@ -57,7 +56,7 @@ def plan(
     gain_sd: Annotated[
         float,
         option(
-            "Of a run: SD of the part of each move of the base that reaches the needle; 1 is expected.",
+            "Of a run: SD of the part of each move of the base that reaches the needle.",
             "SD",
             min=0.0,
             max=1.0,
@@ -273,7 +272,7 @@ def _describe_failure(planned: "SteeringPlan", summary: dict[str, Any]) -> str:
     """Return how near the best plan comes, and what keeps it from the target."""
     near = summary["median_mm"]
     if near is None:
-        return "on every way the needle leaves the limits within which the model is valid"
+        return "on every way the needle leaves the model's limits"
     why = [f"the needle touches {name}" for name, share in planned.touched.items() if share]
     why += [f"the {control} is at its limit" for control in planned.at_limit]
     within = f", {planned.goal.radius:g} mm are allowed" if near > planned.goal.radius else ""

@@ -78,7 +78,9 @@ def reconstruct(
     ] = None,
     confirm: Annotated[
         str | None,
-        option("Number of the right answer, where a refusal asks for the entry: entry=1.", "entry=NUMBER"),
+        option(
+            "Number of the right answer, after a refusal that asks for the entry: entry=1.", "entry=NUMBER"
+        ),
     ] = None,
     title: Annotated[str, option("Title of the dataset.")] = "",
     jobs: options.Jobs = None,
@@ -188,9 +190,7 @@ def _scans(scans: list[Path], files: ScanFiles) -> "tuple[Scan, ...]":
     if not any(path.suffix.lower() == ".csv" for path in scans):
         return make_scans(scans, files)
     if len(scans) > 1 or files != NO_FILES:
-        raise typer.BadParameter(
-            "a table of scans stands alone: markers, fiducials, layers, masks, series, media are its columns"
-        )
+        raise typer.BadParameter("a table of scans stands alone: markers, layers, ... are its columns")
     return read_scans(scans[0])
 
 

@@ -20,7 +20,7 @@ def report(
     out: options.Out = None,
     paper: Annotated[
         Path | None,
-        option("Also write figures 3.5 and 7.16 in wide, and the LaTeX files, to a new folder.", "DIR"),
+        option("Also write figures 3.5 and 7.16 in wide, and LaTeX tables, to a new folder.", "DIR"),
     ] = None,
     explain: options.Explain = False,
     strict: options.Strict = False,
@@ -57,7 +57,7 @@ def diff(
     run_a: Annotated[str, argument("RUN_A", "What RUN_B is compared with.")],
     run_b: Annotated[
         str,
-        argument("RUN_B", "A folder of results, or its bare name in reports/."),
+        argument("RUN_B", "Another one."),
     ],
     csv: Annotated[Path | None, option("Write all rows of the printed table.", "FILE")] = None,
     json: options.Json = False,

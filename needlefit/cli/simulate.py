@@ -41,8 +41,8 @@ def simulate(
     slicer: Annotated[
         Path | None,
         option(
-            "Write the needle for 3D Slicer, a curve for every step: .mrk.json. Scene coordinates are taken "
-            "as LPS, in the plane z = 0; a recording of a measured insertion lies in its scan; mm.",
+            "Write the needle for 3D Slicer, a curve for every step: .mrk.json (LPS; a recording of a "
+            "measured insertion: in its scan).",
             "FILE",
         ),
     ] = None,

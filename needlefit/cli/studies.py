@@ -30,7 +30,7 @@ def tune(
     ] = False,
     no_sample: Annotated[
         bool,
-        option("Intervals by importance sampling alone, without MCMC and posterior.nc.", None, "--no-sample"),
+        option("Intervals by importance sampling alone, without MCMC.", None, "--no-sample"),
     ] = False,
     free: options.Free = None,
     fix: options.Fix = None,
@@ -174,8 +174,8 @@ def predict(
     medium: Annotated[
         str | None,
         option(
-            "Before any data: a tissue model, from whose priors is drawn, or media of the published moduli, "
-            "one for all layers or one for each: gelatine,liver.",
+            "Before any data: a tissue model, or published media, one for all layers or one for each: "
+            "gelatine,liver.",
             "FILE|NAMES",
         ),
     ] = None,

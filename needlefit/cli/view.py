@@ -17,8 +17,7 @@ def view(
         str | None,
         argument(
             "SCENE | RUN[/ID] | DATASET/ID",
-            "What to steer: a scene, a run's fitted insertion with its predictive band, or a measured "
-            "insertion.",
+            "What to steer: a scene, a run's fitted insertion, or a measured one.",
         ),
     ] = None,
     recording: options.Recording = None,

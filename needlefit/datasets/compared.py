@@ -116,9 +116,7 @@ def set_compared(
 def describe_compared(dataset: Dataset) -> str:
     """Return where needles are compared and why, where that was not stated; empty without any doubt."""
     if dataset.compared == "space":
-        return (
-            'needles are fitted in space, since some leave their planes (`compared = "plane"`: in one plane)'
-        )
+        return 'needles are fitted in space, since some leave their planes (else: `compared = "plane"`)'
     if dataset.pose == "known" and "bevel_plane" in {warning.kind for warning in dataset.warnings}:
         return (
             "needles are fitted in one plane: errors explain what is out of it "
@@ -148,7 +146,7 @@ def find_left_planes(
             kind="bevel_plane",
             what=problem,
             where=where,
-            fix='leave `compared` out, or write "space": needles are then simulated and compared in space',
+            fix='leave `compared` out, or write "space"',
         )
 
 

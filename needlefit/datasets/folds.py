@@ -84,7 +84,7 @@ def _require_no_copies(fold: Fold) -> Fold:
         first, other = copies
         raise ConfigError(
             f"{first.id} is held out, and is a copy of {other.id}, which is fitted to",
-            expected="an insertion of its own: errors on a copy are those of the fit",
+            expected="an insertion of its own",
             fix=f"remove {first.id} from the dataset, or restore its own file",
             key="validate",
         )
@@ -103,8 +103,8 @@ def warn_shared_specimens(name: str, folds: Iterable[Fold], where: str = "") -> 
     if not shared:
         return []
     named = join_names(list(shared), MAX_NAMED_SPECIMENS)
-    problem = f"insertions into a specimen are fitted to and held out ({named}): errors in new specimens may "
-    fix = "hold out whole specimens, or write same_specimen = true in the study if it is meant"
+    problem = f"insertions into a specimen are fitted to and held out ({named}): errors in new ones may "
+    fix = "hold out whole specimens, or write same_specimen = true"
     return [ResultWarning("same_specimen", f"{problem}be larger", where or f"study {name}", fix)]
 
 
@@ -119,10 +119,10 @@ def leave_out(insertions: tuple[Insertion, ...], kind: str) -> tuple[Fold, ...]:
         raise ConfigError(
             f"there is only one {kind}: none can be left out",
             expected=f"insertions into two {kind}s or more" if within else f"two {kind}s or more",
-            fix='write leave_out = "insertion" and same_specimen = true to predict insertions into this '
-            "specimen, or add insertions into another one"
+            fix='write leave_out = "insertion" and same_specimen = true, or add insertions into '
+            "another specimen"
             if within
-            else "select more insertions; of one `needlefit tune` gives the parameters, and no verdict",
+            else "select more insertions, or `needlefit tune`",
             key="leave_out",
         )
     return tuple(

@@ -328,7 +328,7 @@ def _find_row_faults(row: InsertionRow, where: str, record: DatasetRecord) -> It
     if row.boundary_shared_sd is not None and row.boundary_shared_sd > row.boundary_sd:
         yield DataError(
             f"{SHARED_COLUMN} is {row.boundary_shared_sd:g}, more than boundary_sd_mm, {row.boundary_sd:g}",
-            expected="the part of boundary_sd_mm that all insertions into the specimen share",
+            expected="a part of boundary_sd_mm",
             fix="correct one of them, or leave the cell empty",
             where=where,
         )
@@ -398,7 +398,7 @@ def _find_pose_faults(row: InsertionRow, where: str, record: DatasetRecord) -> I
     if row.patient is not None and np.isnan(row.patient.origin).any():
         yield DataError(
             f"{SCAN_COLUMNS[0]} ... {SCAN_COLUMNS[-1]} are filled in part",
-            expected="six numbers, or six empty cells: as [frame] lps_to_world states",
+            expected="six numbers, or six empty cells",
             fix="fill all six, or none",
             where=where,
         )
@@ -408,7 +408,7 @@ def _find_pose_faults(row: InsertionRow, where: str, record: DatasetRecord) -> I
         yield DataError(
             f"pose_source is {row.pose_source!r}",
             expected=f"one of {', '.join(STATED_POSE_SOURCES)}",
-            fix='state where the entry pose comes from; where there is none, frame.pose is "free"',
+            fix='correct it; without an entry pose: frame.pose = "free"',
             where=where,
         )
     length = float(np.linalg.norm(row.direction))
@@ -430,9 +430,7 @@ def _find_duplicates(table: CsvTable) -> Iterator[Fault]:
             yield DataError(
                 f"id {name!r} stands on line {first[name.casefold()]} already",
                 expected="a different id for every insertion",
-                fix=(
-                    "rename one of the two, and its centreline with it, or remove the row that is there twice"
-                ),
+                fix="rename one, and its centreline with it, or remove it",
                 where=table.where(n),
             )
         first.setdefault(name.casefold(), int(table.lines[n]))

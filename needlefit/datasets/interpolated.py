@@ -84,7 +84,7 @@ def find_interpolated_warnings(listed: Sequence[ListedInsertion]) -> Iterator[Re
         yield ResultWarning(
             kind="interpolated",
             what=(
-                "points are interpolated between fewer measured ones; in fits they count as so many: "
+                "points are interpolated between fewer measured ones: "
                 f"{join_names(counts, MAX_NAMED_INSERTIONS)}"
             ),
             where=interpolated[0].points.where(),

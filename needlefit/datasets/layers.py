@@ -32,7 +32,7 @@ MIN_SURFACE_MM = 1.0  # mm, less than this
 MAX_SURFACE_MM = 2000.0  # mm, or more than this
 RESTORE_FIX = "check its name, or restore it"
 EXPORT_FIX = "export the surface again as triangles, e.g. as STL"
-MISSED_FIX = "export surfaces and centrelines in mm and in one frame: 3D Slicer asks, LPS or RAS"
+MISSED_FIX = "export surfaces and centrelines in mm and in one frame (LPS or RAS)"
 
 
 @dataclass(frozen=True)
@@ -313,7 +313,7 @@ def find_stray_fault(points: Points) -> Fault | None:
     return DataError(
         f"lies far from all other points{_describe_more(len(stray))}",
         expected="points along the needle",
-        fix="look at its row in the source; remove it where it was not measured",
+        fix="compare it with its source, or remove it",
         where=points.where(int(stray[0])),
     )
 
@@ -323,7 +323,7 @@ def make_order_fault(points: Points, back: np.ndarray) -> Fault:
     return DataError(
         f"has points out of order: from here they go back{_describe_more(len(back))}",
         expected="points in order from the entry to the tip",
-        fix="sort the points along the needle, and remove branches and loops",
+        fix="sort the points, and remove branches and loops",
         where=points.where(int(back[0])),
     )
 
@@ -369,7 +369,7 @@ def _find_entry_faults(points: Points, entry: Floats, direction: Floats) -> Iter
         elif (first - entry) @ direction > AHEAD_COSINE * off:
             how, fix = (
                 ", along the entry direction",
-                "look at where the entry is, and whether first points are missing",
+                "check the entry, and whether first points are missing",
             )
         yield DataError(
             f"begins {off:.2f} mm from the entry pose{how}",
@@ -384,7 +384,7 @@ def _find_entry_faults(points: Points, entry: Floats, direction: Floats) -> Iter
         yield DataError(
             f"runs {np.degrees(np.arccos(np.clip(cosine, -1, 1))):.0f} degrees off the entry direction",
             expected=f"at most {MAX_HEADING_DEG:g} degrees",
-            fix="point entry_dx, _dy, _dz into the tissue, in the frame of the centreline (LPS, RAS?)",
+            fix="point entry_dx, _dy, _dz into the tissue, in the centreline's frame (LPS, RAS?)",
             where=points.where(),
         )
 
@@ -412,7 +412,7 @@ def find_length_faults(listed: Sequence[ListedInsertion], pose: str, depth_colum
             yield DataError(
                 f"is {length:.2f} mm long, but `{depth_column}` is {depth:.2f}",
                 expected=f"the inserted length, within {limit:.1f} mm",
-                fix="check the depth, and whether the points go from the entry to the tip",
+                fix="check the depth, and the order of the points",
                 where=entry.points.where(),
             )
 
@@ -426,7 +426,7 @@ def find_media_faults(record: DatasetRecord, file: Path) -> Iterator[Fault]:
             listed = ", ".join(map(str, sorted(numbers)))
             yield DataError(
                 f"no surface of medium {name} leads into layer {skipped[0]}; they lead into {listed}",
-                expected="layers numbered without a gap: 1, where needles begin, then 2, 3, ...",
+                expected="layers numbered 1, 2, 3, ... without a gap",
                 fix="correct `into`, or add the surface that is missing",
                 where=locate_key(file, f"media.{name}.surfaces"),
             )
@@ -483,7 +483,7 @@ def _find_count_fault(entry: ListedInsertion) -> Iterator[Fault]:
     yield DataError(
         f"{insertion.id} meets {met} layer{'' if met == 1 else 's'} ({order}; "
         f"boundaries at {depths} mm), but {listed}",
-        expected="as many in `layers`, or in `layers_alternative` where the tip lies at a boundary",
+        expected="as many in `layers` or `layers_alternative`",
         fix=fix,
         where=entry.where,
     )

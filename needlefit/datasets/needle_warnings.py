@@ -59,7 +59,7 @@ def find_side_warnings(
             kind="bevel_side",
             what=f"bent away from the bevel side: {names} ({len(away)} of {clear} that bend clearly)",
             where=f"{away[0][1]}",
-            fix=f"look at the bevel side of each in its source; correct `{column}`, or the bevel direction",
+            fix=f"correct `{column}`, or the bevel direction, by the source",
             insertions=tuple(one.id for one, _ in away),
         )
 
@@ -141,8 +141,8 @@ def _find_order_warnings(listed: Sequence[ListedInsertion]) -> Iterator[ResultWa
     along = (ends[:, 1] - ends[:, 0]).sum(axis=0)
     first, last = np.ptp(ends @ along, axis=0) / (np.linalg.norm(along) or 1.0)
     if first > MAX_START_DISTANCE_MM and last < LENGTH_TOLERANCE_MM:
-        what = "curves seem to run from the tip to the entry: they end in a plane across them"
-        fix = "check the order of the points; at an import `--set entry=last` states this one"
+        what = "curves seem to run from the tip to the entry"
+        fix = "check the order of the points; at an import: `--set entry=last`"
         yield ResultWarning("reversed", what, where=listed[0].where, fix=fix)
 
 
@@ -173,7 +173,7 @@ def _find_entry_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Ite
     if found:
         names = join_names([name for name, _ in found], MAX_NAMED_INSERTIONS)
         what = f"needles begin off their stated entries (along, toward the bevel, out of plane): {names}"
-        fix = "check how their entries and first points were measured, in which frame, and pose_shift_sd_mm"
+        fix = "check their entries and first points, the frame, and pose_shift_sd_mm"
         yield ResultWarning("entry_offset", what, where=found[0][1], fix=fix)
 
 

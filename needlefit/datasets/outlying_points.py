@@ -87,5 +87,5 @@ def _describe(entry: ListedInsertion, point: OutlyingPoint) -> ResultWarning:
     away = f"{point.off[axis]:+.2g} mm along {'xyz'[axis]} ({point.sds:.0f} SD)"
     place = {0: "the first point", len(entry.insertion.points) - 1: "the tip"}.get(n, f"point {n + 1}")
     problem = f"{place} of {name} is off the curve of its neighbours by {away}"
-    fix = "compare this row with its source, as the image or the protocol"
+    fix = "compare this row with its source"
     return ResultWarning("point_outlier", problem, where=entry.points.where(n), fix=fix)

@@ -74,7 +74,7 @@ def find_plane_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iter
     if not aside:
         if twisted := _find_twisted([entry.insertion for entry in listed], noise):
             problem = f"{join_names(twisted, MAX_NAMED_INSERTIONS)} bend in no plane"
-            fix = "check whether the needle turned on its way, and state its turns by `insertions.turns`"
+            fix = "if the needle turned on its way, state its turns by `insertions.turns`"
             yield ResultWarning("bevel_plane", problem, where=listed[0].where, fix=fix)
         return
     most = max(measure_aside(entry.insertion) for entry in aside)
@@ -138,7 +138,7 @@ def _name_bevel(aside: Sequence[Insertion]) -> str:
         insertion.turns and measure_aside(insertion, -1.0) < measure_aside(insertion) / 2
         for insertion in aside
     ):
-        return "check the sign of `bevel_roll_deg` in the table of turns: it is right-handed about x"
+        return "check the sign of `bevel_roll_deg` of the turns: right-handed about x"
     rolls, directions = [], []
     for insertion in aside:
         (last,) = insertion.side * _find_across(insertion, [insertion.depth])

@@ -71,7 +71,7 @@ def find_record_warnings(
                 f"{join_names(examples, len(examples))}"
             ),
             where=where("import.examples"),
-            fix="delete their rows in the imported file, and import it again",
+            fix="delete their rows, and import again",
         )
     if assumed:
         listed = "; ".join(f"{key} ({why})" for key, why in assumed.items())
@@ -79,7 +79,7 @@ def find_record_warnings(
             kind="assumed",
             what=f"the import assumed {listed}",
             where=MAPPING_FILE,
-            fix="correct what is wrong, or import again with --set; then remove its line from [assumed]",
+            fix="correct it, or import again with --set; then remove its line from [assumed]",
         )
     noise = record.noise
     larger = "point" if noise.point_sd_mm >= noise.correlated_sd_mm else "correlated"
@@ -128,9 +128,9 @@ def _find_spelling_warnings(listed: Sequence[ListedInsertion]) -> Iterator[Resul
         for one, other in find_spellings(sorted(places)):
             yield ResultWarning(
                 kind="spelling",
-                what=f"{one!r} and {other!r} count as two, and may be one {what} in two spellings",
+                what=f"{one!r} and {other!r} may be one {what} in two spellings",
                 where=places[other],
-                fix="look at both rows; if they mean one, write one name",
+                fix="if they mean one, write one name",
             )
 
 
@@ -191,9 +191,7 @@ def _find_surface_warnings(name: str, group: Sequence[Insertion], where: str) ->
             kind="surfaces",
             what=f"needles into {name} meet its layers in the order {' > '.join(map(str, max(orders)))}",
             where=where,
-            fix=(
-                "number `into` (at an import: name the files) in the order in which needles meet the surfaces"
-            ),
+            fix="number `into` (at an import: name the files) in the order of the surfaces",
         )
 
 
@@ -234,9 +232,7 @@ def find_noise_warnings(
     if not noise.stated and not all(one.states_errors for one in insertions):
         yield ResultWarning(
             kind="no_noise",
-            what=(
-                "no noise of the points is stated, so fits have neither noise floor nor predictive intervals"
-            ),
+            what="no noise of the points is stated: there is no noise floor and no predictive interval",
             where=where("noise.point_sd_mm"),
             fix="write `noise.point_sd_mm`, the standard deviation of a point per axis",
         )
@@ -245,7 +241,7 @@ def find_noise_warnings(
             kind="noise",
             what=f"the noise of the points, {sd:g} mm, hides deflections of {largest:.3g} mm at most",
             where=where(_name_larger_sd(noise)),
-            fix="check its unit, mm; such data determine nothing",
+            fix="check its unit, mm",
         )
     else:
         is_smoothed = record.measurement is not None and record.measurement.operator != "none"

@@ -61,7 +61,7 @@ def find_sections(
         return None, [
             DataError(
                 "the sections do not determine the spline",
-                expected="a section of positive weight in every interval of knots_mm that q_mm reaches",
+                expected="a section of positive weight between all knots",
                 fix="leave out knots without sections",
                 where=locate_key(path, "weights"),
             )
@@ -81,8 +81,8 @@ def find_sections(
     if not off <= most:
         return None, [
             DataError(
-                f"the spline through the sections ends {off:.3g} mm from the end of the centreline",
-                expected=f"the centreline's own sections, in world coordinates: within {most:.2g} mm there",
+                f"the spline through the sections ends {off:.3g} mm from the centreline's end",
+                expected=f"at most {most:.2g} mm",
                 fix="correct points_mm, or store the centreline that was drawn through them",
                 where=path,
             )
@@ -118,7 +118,7 @@ def find_operator_faults(
         yield DataError(
             f"{key} is {stated.width_mm:g}: too wide for the {length:.3g} mm compared of {name}",
             expected=f"at most a quarter of that, {most:g}",
-            fix="write the standard deviation of the Gaussian, or leave out insertions that are too short",
+            fix="correct it, or leave out insertions that are too short",
             where=locate_key(file, key),
         )
 

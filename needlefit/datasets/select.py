@@ -43,7 +43,7 @@ def select_insertions(
         )
         raise ConfigError(
             f"no insertion of dataset {dataset.name} has {given}",
-            expected=f"a selection that leaves some of its {len(insertions)} insertions",
+            expected=f"some of its {len(insertions)} insertions",
             fix="widen or correct the selection",
             key=key,
         )

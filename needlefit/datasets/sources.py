@@ -29,7 +29,7 @@ def find_folder(record: SourceRecord, path: Path) -> Path:
     if "$" in os.path.expandvars(record.root):
         raise DataError(
             f"root is {record.root}, and that environment variable is not set",
-            expected="the variable, naming the folder that holds the dataset folders",
+            expected="the folder of the dataset folders",
             fix=record.how_to_get or "set it and run again",
             where=path,
         )

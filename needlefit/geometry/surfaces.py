@@ -40,8 +40,8 @@ READ_SUFFIXES = (".stl", ".ply", ".obj")
 HEADER_BYTES = 4096  # bytes at the beginning of a mesh in which its coordinate system is looked for
 _MESH_FIX = "export the surface again, as binary STL"
 _CLOUD_FIX = (
-    "points of a needle: save them as CSV with columns x, y, z, entry first; "
-    "points of a surface: make triangles of them (in MeshLab or Slicer)"
+    "save points of a needle as CSV with columns x, y, z, entry first; "
+    "make triangles of points of a surface (MeshLab, Slicer)"
 )
 _SPACE_PATTERN = re.compile(rb"SPACE=(LPS|RAS)")
 

@@ -81,7 +81,7 @@ class Fit:
         if not self.starts or any(start.stopped in CONVERGED_REASONS for start in self.starts):
             return ""
         reasons = ", ".join(sorted({start.stopped for start in self.starts} - {BEHIND, MET_BY_PROFILE}))
-        fix = "check bevel sides, units, layers and poses of the data (needlefit explain not-converged)"
+        fix = "needlefit explain not-converged"
         if any(start.stopped == "budget" for start in self.starts):
             fix = "raise `evaluations` in the recipe"
         return f"no start of the search ended at a minimum ({reasons}); {fix}"

@@ -302,7 +302,7 @@ def _select_fit(problem: Problem, minimized: ObjectiveName, starts: tuple[Start,
     if not interrupted and (best is None or not math.isfinite(best.objective)):
         raise FitError(
             f"none of {evaluations} evaluations from {len(starts)} starts could be solved",
-            fix="narrow the bounds of the medium, or check depths and layers of the insertions",
+            fix="narrow the bounds, or check depths and layers",
         )
     theta = tuple(design[0].tolist()) if best is None else best.theta
     return Fit(

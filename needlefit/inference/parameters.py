@@ -105,7 +105,7 @@ def _tie_error(name: str, tie: str, fault: str) -> ConfigError:
     return ConfigError(
         f"the tie `{tie}` {fault}",
         key=f"parameters.{name}.tie",
-        expected='another parameter of the same kind, with a factor if wanted: "mu1_pa" or "10 * mu1_pa"',
+        expected='a parameter of the same kind, as "mu1_pa" or "10 * mu1_pa"',
         fix="correct the tie, or give the parameter bounds",
     )
 
@@ -378,9 +378,9 @@ def find_tie_spread(name: str, parameter: ParameterRecord) -> float:
         return MATERIAL_SPREAD if one_material else 1.0
     if is_shape_parameter(name) and parameter.spread > 1:
         raise ConfigError(
-            f"the tie of {name} has a spread: a spread is a factor, which a shape parameter cannot have",
-            expected="1: a shape parameter is tied exactly, or free with a prior",
-            fix="leave out `spread`, or give the parameter bounds and a prior in place of the tie",
+            f"the tie of the shape parameter {name} has a spread",
+            expected="1",
+            fix="leave out `spread`, or give bounds and a prior in place of the tie",
             key=f"parameters.{name}.spread",
         )
     return parameter.spread
@@ -409,7 +409,7 @@ def make_tissue(
     if beyond:
         raise ConfigError(
             f"an insertion meets layer {beyond[0]}, the medium `{medium.title}` has {medium.layers}",
-            fix="use the configuration of the medium that the needle went into",
+            fix="use the medium that the needle went into",
         )
     return Tissue(
         # Pa to MPa = N / mm^2

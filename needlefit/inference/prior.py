@@ -205,7 +205,7 @@ def make_prior(table: Mapping[str, ParameterRecord], ties: Sequence[SoftTie] = (
         if bounds is not None and not bounds[0] <= _peak(stated_prior) <= bounds[1]:
             raise refused(
                 f"peaks at {_peak(stated_prior):g}, outside the bounds {bounds[0]:g} to {bounds[1]:g}",
-                fix="widen the bounds, or look whether prior and bounds mean the same unit",
+                fix="widen the bounds, or correct the unit of one",
             )
         if stated_prior.correlation and (
             dimension(name) != "modulus" or stated_prior.factor is None or alpha_of(name) not in stated

@@ -268,8 +268,8 @@ class ModelOptions:
         if 0 < min(self.element, self.spacing) < MIN_ELEMENT_MM:
             raise ModelError(
                 f"elements of {min(self.element, self.spacing):g} mm",
-                expected=f"{MIN_ELEMENT_MM:g} mm or more: rounding grows as they shrink",
-                fix="1 mm elements leave less than 0.001 mm at the tip",
+                expected=f"{MIN_ELEMENT_MM:g} mm or more",
+                fix="1 mm is enough",
             )
         if self.spacing > MAX_CONSTRAINT_SPACING_MM:
             raise ModelError(
@@ -282,7 +282,7 @@ class ModelOptions:
             raise ModelError(
                 f"element size {self.element} mm does not divide the constraint spacing {self.spacing} mm",
                 expected="element_mm = constraint_spacing_mm / 1, 2, 3, ... (to three digits)",
-                fix="leave element_mm out of the scene: it then follows the spacing",
+                fix="leave element_mm out",
             )
         object.__setattr__(self, "element", self.spacing / round(ratio))  # 0.333 means a third
 

@@ -73,10 +73,10 @@ _DERIVATIVES = {"law_by", "turn_by", "column_of", "guide_columns"}
 FAULTS = (
     "",
     "a size is not positive, or too large",
-    "mesh or layers: sizes not above 0, too many nodes, elements that do not divide a cell",
-    "a stop lies outside of the depths, rays, bevels or inputs",
-    "the guides of an input are more than there is room for",
-    "a column of a derivative lies outside of the Jacobian",
+    "a size of mesh or layers is wrong",
+    "a stop lies outside of the inputs",
+    "an input has too many guides",
+    "a derivative lies outside of the Jacobian",
     "the arrays for shapes are too small",
     "points or nodes do not increase, or lie too deep",
 )  #: by the numbers that the kernel returns: `Fault` of `native/checks.hpp`
@@ -148,7 +148,7 @@ class KernelProblem(ctypes.Structure):
             or any(arrays[f"{name}_first"][-1] != len(arrays[name]) for name in ("before", "within"))
             or (problem.columns and len(arrays["guide_columns"]) != guides)
         ):
-            raise TypeError("stops, guides or their columns are not as many as the problem states")
+            raise TypeError("stops or guides are not as many as stated")
         limits = (c_int64 * 3)()
         check_fault(load_library().nf_check(byref(problem), limits))
         problem.room, problem.max_points, problem.max_quadrature = limits
@@ -438,7 +438,7 @@ class SessionMemory:
         """
         if problem is not self._fits:
             if problem.sets != 1 or self._measure(problem) != self._sizes:
-                raise TypeError("the problem has other sizes than the one that the session began with")
+                raise TypeError("the problem has other sizes than the session")
             self._fits, self._problem = problem, byref(problem)
         fixed, now, after, scratch = self._at
         done = self._done

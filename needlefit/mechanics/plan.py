@@ -39,7 +39,7 @@ def check_size(depths: tuple[float, ...], rules: ModelOptions) -> None:
         raise ModelError(
             f"{deepest:g} mm of depth are {deepest / rules.element:.0f} elements of {rules.element:g} mm",
             expected=f"at most {MAX_ELEMENTS} elements",
-            fix="insert less deep, or take a larger constraint spacing and longer elements",
+            fix="insert less deep, or take longer elements",
         )
     solves = count_element_solves(depths, rules.spacing, rules.element)
     if solves > 1.01 * MAX_ELEMENT_SOLVES:  # the deepest insertion is allowed, whatever its first cell

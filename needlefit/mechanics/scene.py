@@ -56,7 +56,7 @@ class Entry:
                 f"an axis at {math.degrees(angle):g} degrees in the world lies "
                 f"{math.degrees(abs(turn)):g} degrees off the insertion axis",
                 expected=f"less than 45 degrees off the entry's {math.degrees(self.angle):g} degrees",
-                fix="give the direction in which the needle slides, not the one across it",
+                fix="give the direction in which the needle slides",
             )
         return math.tan(turn)
 

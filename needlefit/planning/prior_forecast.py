@@ -106,7 +106,6 @@ def forecast_by_prior(
     if not len(tips):
         raise ModelError(
             "no draw of the parameters can be solved for this scene",
-            expected="an insertion that the model can follow",
             fix="lessen its depth, or narrow the priors of the tissue model",
         )
     pose = random_stream(seed, "pose before data").standard_normal((2, DRAWS, 2))[:, simulated.solved]

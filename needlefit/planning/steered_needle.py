@@ -31,7 +31,7 @@ def make_steered_scene(record: SceneRecord, where: str) -> Scene:
     if scene.tissue.torsional_friction or any(step.controls.act_along_z for step in scene.steps):
         raise ConfigError(
             "its tip lags behind the hub, or its base, guides or tip have inputs along z",
-            expected="a needle that the roll of the bevel alone leads out of the plane z = 0",
+            expected="a needle that its bevel alone leads out of the plane",
             fix="`needlefit simulate` computes it",
             where=where,
         )
@@ -291,7 +291,7 @@ class SteeredNeedle:
 
 def _require_found(is_found: bool, problem: str, fix: str) -> None:
     if not is_found:
-        raise ModelError(problem, expected="a load that tissue and needle can bear", fix=fix)
+        raise ModelError(problem, fix=fix)
 
 
 def _with_parameters(tissue: Tissue, parameters: Sequence[Change]) -> Tissue:

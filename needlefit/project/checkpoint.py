@@ -157,9 +157,8 @@ def _prepare(folder: Path, work: str, resume: bool, note: Note) -> None:
         return
     if present == work and any(path.name not in (LOCK_NAME, MANIFEST) for path in folder.iterdir()):
         raise UnfinishedWorkError(
-            "holds the unfinished work of an earlier run, which was interrupted or killed",
-            expected="--resume (in Python: resume=True), which goes on with it",
-            fix="to start afresh instead, remove this folder",
+            "holds the unfinished work of an earlier run",
+            fix="go on with --resume (in Python: resume=True), or remove this folder",
             where=folder,
         )
     if present is None and {*list_all_files(folder)} > {LOCK_NAME}:

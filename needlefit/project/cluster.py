@@ -119,7 +119,7 @@ def _result_of(future: "Future[Result]") -> Result:
 def _lost_scheduler() -> ConfigError:
     return ConfigError(
         "the scheduler of the cluster was lost",
-        expected="a scheduler that runs until the work is done",
+        expected="a running scheduler",
         fix="start it again, then go on with --resume: finished tasks are kept",
     )
 
@@ -141,9 +141,7 @@ def connect_cluster(scheduler: str, insecure: bool = False, note: Note = no_note
         except (OSError, TimeoutError, ValueError, TypeError) as error:
             raise ConfigError(
                 f"no scheduler answers: {error}",
-                expected=(
-                    "a running Dask scheduler and, for tls://, the certificates in Dask's configuration"
-                ),
+                expected="a running Dask scheduler; for tls://, certificates in Dask's configuration",
                 fix="start one with `dask scheduler`; see docs/developers/scale.md",
                 where=f"--scheduler {scheduler}",
             ) from None
@@ -161,9 +159,9 @@ def require_secured(scheduler: str, insecure: bool = False) -> None:
     host = scheduler.partition("://")[2].rpartition(":")[0]
     if not (scheduler.startswith("tls://") or insecure or host in _THIS_MACHINE):
         raise ConfigError(
-            "is not encrypted: whoever can reach it could run code on its workers and read the data",
-            expected="tls://HOST:PORT with certificates, or tcp:// and an address of this machine",
-            fix="use tls://; on a network that nobody else can reach, --insecure accepts tcp://",
+            "is not encrypted: whoever can reach it could run code on its workers",
+            expected="tls://HOST:PORT with certificates, or an address of this machine",
+            fix="use tls://, or --insecure on a network that nobody else can reach",
             where=f"--scheduler {scheduler}",
         )
 
@@ -179,8 +177,8 @@ def _run_task(work: Callable[[Item], Result], item: Item, code: dict[str, str]) 
     if other:
         raise ConfigError(
             f"a worker has {', '.join(other)}",
-            expected="the same versions as on the machine that sends the work",
-            fix="install the same versions on all workers",
+            expected="the versions of this machine",
+            fix="install them on all workers",
             where=f"worker {platform.node()}",
         )
     with _ONE_AT_A_TIME:

@@ -175,10 +175,7 @@ def require_unchanged(folder: Path) -> None:
         raise DataError(
             f"does not agree with its manifest: {join_names(changes, MAX_LISTED_FILES)}",
             expected=f"files with the digests that {MANIFEST} lists",
-            fix=(
-                "take the files from a copy, or run it again; tables, figures and pages may "
-                "be removed: `needlefit report` makes them again"
-            ),
+            fix="run it again; tables, figures and pages may be removed: `needlefit report` makes them again",
             where=folder,
         )
 
@@ -215,7 +212,7 @@ def require_replaceable(folder: Path, find: Callable[[Path], list[str]] | None =
         if Path.cwd().is_relative_to(place) and not _is_empty(place):
             raise ConfigError(
                 "is not replaced: it is the working folder, or holds it",
-                expected="a folder of results in which you do not stand",
+                expected="another folder",
                 fix="run the command from another folder, or choose another folder with --out",
                 where=folder,
             )
@@ -272,7 +269,7 @@ def take_lock(folder: Path) -> "BaseFileLock":
     except Timeout:
         raise ConfigError(
             "another run of needlefit is writing there",
-            expected="one run at a time for each folder of results",
+            expected="one run at a time",
             fix="wait until it has ended, or choose another folder with --out",
             where=folder,
         ) from None

@@ -99,7 +99,7 @@ def parse_json(text: str, where: str) -> Any:  # noqa: ANN401 - whatever the tex
         raise DataError(
             f"is not valid JSON: {fault}",
             expected="JSON",
-            fix="restore the file, or save it again from the program that made it",
+            fix="restore the file, or save it again",
             where=where,
         ) from None
 
@@ -172,7 +172,7 @@ def convert_stored_errors(where: Path | str) -> Iterator[None]:
         raise DataError(
             f"holds values that needlefit cannot use ({type(fault).__name__})",
             expected="files as needlefit wrote them",
-            fix="run it again, or take them from a copy",
+            fix="run it again",
             where=where,
         ) from fault
 
@@ -252,6 +252,6 @@ def _too_large(size: int, max_bytes: int, error: FileErrorType, where: str) -> D
     return error(
         f"is too large: {size / 2**20:.0f} MiB",
         expected=f"at most {max_bytes / 2**20:.0f} MiB",
-        fix="check that it is the file that you meant, or divide it",
+        fix="check the file, or divide it",
         where=where,
     )

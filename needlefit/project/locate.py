@@ -133,7 +133,7 @@ def _find_studies(kind: str, name: str, names: list[str]) -> list[tuple[SourceKi
     sources, path = _find_sources(name, ("study", "fit")), _look_up("dataset", name)
     if path is not None and (not sources or sources[0][0] == "dataset"):
         studies = [str(study) for study in sorted(path.parent.glob("*_study.toml"))]
-        fix = f"name {' or '.join(studies)}" if studies else "write a study of it, as docs/studies.md shows"
+        fix = f"name {' or '.join(studies)}" if studies else "write a study of it (needlefit explain study)"
         raise ConfigError("is a dataset", expected=f"a {kind}", fix=fix, where=name)
     if not sources:
         raise unknown_name_error(kind, name, names)

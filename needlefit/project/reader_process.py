@@ -128,7 +128,7 @@ def write_answer(request: Mapping[str, Any], answers: IO[bytes]) -> None:
         parts = {"what": f"cannot be read ({type(error).__name__})"}
         if isinstance(error, MemoryError) or getattr(error, "errno", 0) == errno.ENOMEM:
             parts["what"] = f"its reader needs more memory than {request['memory'] / 2**30:.3g} GiB"
-            parts["fix"] = f"if you trust the file and have the memory, set {MEMORY_VARIABLE} to more GiB"
+            parts["fix"] = f"if you trust the file, set {MEMORY_VARIABLE} to more GiB"
         answer = {"error": parts}
     answers.write(json.dumps(answer).encode("ascii") + b"\n")
     for array in arrays.values() if "value" in answer else ():

@@ -100,7 +100,7 @@ class LocalPool:
                     return
                 raise UnfinishedWorkError(
                     "one of the processes was ended from outside, or could not begin",
-                    expected="processes that nobody ends, and memory for as many as --jobs states",
+                    expected="memory for as many as --jobs states",
                     fix="run it again, with fewer --jobs if memory was short",
                 ) from None
             finally:  # where a task failed, or nobody wants more, the others end early

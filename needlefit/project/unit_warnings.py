@@ -96,14 +96,14 @@ def extrapolation_warnings(
     if z_unfitted:
         yield ResultWarning(
             kind="extrapolation",
-            what="z is predicted, but the needles were fitted in one plane: no error along z was compared",
+            what="z is predicted, but the needles were fitted in one plane",
             fix='write `compared = "space"` in the study or fit',
         )
     if fitted and not _is_within(depth, (FITTED_RANGE[0] * min(fitted), FITTED_RANGE[1] * max(fitted))):
         yield ResultWarning(
             kind="extrapolation",
             what=f"{depth:.4g} mm is no depth that was fitted, {min(fitted):.3g} to {max(fitted):.3g} mm",
-            fix="check its unit, mm; that the model may not hold there is not included",
+            fix="check its unit, mm; intervals contain no model error",
         )
 
 

@@ -131,7 +131,7 @@ def list_columns() -> dict[str, Column]:
         form = {"%": "relative", "mm": LENGTH_ERROR_FORMAT}.get(metric.unit, "number")
         columns[metric.name] = Column(metric.name, metric.unit, form, metric.label, metric.explanation)
         if metric.has_floor:
-            floor = f"Noise floor of {metric.name}: the error that perfect parameters would still show."
+            floor = f"Noise floor of {metric.name}: the error of perfect parameters."
             columns[f"floor_{metric.name}"] = Column(
                 f"floor_{metric.name}", metric.unit, form, f"{metric.label} floor", floor
             )

@@ -90,7 +90,7 @@ def read_kernel() -> str:
     if not kernel_exists():
         raise ConfigError(
             "this installation has no kernel in WebAssembly",
-            expected="a file kernel.wasm beside the compiled kernel",
+            expected="a file kernel.wasm",
             fix="install needlefit from a wheel, or with the package ziglang: pip install ziglang",
         )
     return compress((native.FOLDER / "kernel.wasm").read_bytes())

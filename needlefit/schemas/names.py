@@ -12,7 +12,7 @@ FORMULA_STARTS = frozenset("=+-@")  #: what begins a formula in a spreadsheet
 
 MAX_NAME_BYTES = 200  #: A file system takes 255 bytes, and what is written of a name has endings
 
-EXPECTED_NAME = "a name that does not begin with =, +, - or @, and has no control or formatting characters"
+EXPECTED_NAME = "a name without control characters that does not begin with =, +, - or @"
 EXPECTED_FILE_NAME = f"{EXPECTED_NAME}, no / or \\: it names files"
 
 _INVISIBLE = ("Cc", "Cf", "Cs", "Zl", "Zp")

@@ -14,10 +14,8 @@ ORIGIN_MARKS: Mapping[Origin, str] = MappingProxyType(
 ORIGIN_NOTES: Mapping[Origin, str] = MappingProxyType(
     {
         "measured": "",
-        "example": "Example data: simulated needles of the workbook. They show what needlefit does, and are "
-        "no evidence for the model.",
-        "synthetic": "Synthetic data: they show that the program is consistent, and are no evidence for the "
-        "model.",
+        "example": "Example data: simulated needles of the workbook, no evidence for the model.",
+        "synthetic": "Synthetic data, no evidence for the model.",
     }
 )
 

@@ -22,6 +22,7 @@ from needlefit.schemas.limits import (
 GUIDE_NAME_PATTERN = r"^[A-Za-z][A-Za-z0-9_-]*$"
 
 
+_TWO_BEVELS = "side and roll_deg both state where the bevel faces: give one of the two"
 CUT_ANGLE_LIMIT_DEG = 45.0  #: angles of the cut to the needle's tangent are below it
 
 
@@ -120,9 +121,9 @@ class StepRecord(TrackedTipRecord):
     @model_validator(mode="after")
     def _one_of_two(self) -> Self:
         if self.tip_free and self.tip_y_mm is not None:
-            raise ValueError("tip_free = true contradicts tip_y_mm: give one of the two")
+            raise ValueError("tip_free = true contradicts tip_y_mm")
         if self.side is not None and self.roll_deg is not None:
-            raise ValueError("side and roll_deg both state where the bevel faces: give one of the two")
+            raise ValueError(_TWO_BEVELS)
         return self
 
 
@@ -204,7 +205,7 @@ class BevelRecord(Record):
     @model_validator(mode="after")
     def _one_roll(self) -> Self:
         if self.roll_deg is not None and self.side != 1:
-            raise ValueError("side and roll_deg both state where the bevel faces: give one of the two")
+            raise ValueError(_TWO_BEVELS)
         return self
 
 
@@ -320,8 +321,7 @@ class SceneRecord(FileRecord):
             raise ValueError(f"layers must lie one below the other: top_mm must increase, got {tops}")
         if self.steps and self.depth_mm is not None:
             raise ValueError(
-                f"key `depth_mm` stands beside steps, each of which has its own: delete it, or set "
-                f"steps.{len(self.steps)}.depth_mm"
+                f"key `depth_mm` stands beside steps: delete it, or set steps.{len(self.steps)}.depth_mm"
             )
         if not self.steps and self.depth_mm is None:
             raise ValueError("key `depth_mm` is missing: give it, or [[steps]] with a depth_mm each")

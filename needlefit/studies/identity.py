@@ -105,7 +105,7 @@ def list_judging_plugins() -> list[tuple[Any, str]]:
 def describe_change(before: FitIdentity | None, after: FitIdentity | None) -> str:
     """Return what changed of a fit or study between two results of it; "" where they are of the same."""
     if before is None or after is None:
-        return "unknown, as an earlier version did not record its inputs"
+        return "unknown: its inputs were not recorded"
     if before.sha256 == after.sha256:
         return ""
     old, new, parts = before.insertions, after.insertions, before.parts | after.parts

@@ -115,7 +115,7 @@ def _check_layers(job: Job) -> None:
             raise ConfigError(
                 f"medium {job.record.medium} has {count}, insertion {insertion.id} meets "
                 f"layer {max(insertion.sequence)}",
-                fix="name the medium that the needle went into, or select other insertions",
+                fix="name its medium, or select other insertions",
                 key="medium",
             )
 

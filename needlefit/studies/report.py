@@ -262,7 +262,7 @@ def state_blocks(page: FirstPage) -> list[Block]:
     """Return what must be read before any number: not measured, interrupted."""
     blocks = [document.origin(page.origin_note)] if page.origin_note else []
     if page.interrupted:
-        part = "Some of the work was left undone; what is here is part."
+        part = "Some of the work was left undone."
         blocks.append(document.warning(f"INTERRUPTED. {part}"))
     return blocks
 

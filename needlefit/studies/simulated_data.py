@@ -236,7 +236,7 @@ def simulate_from_prior(problem: Problem, rng: np.random.Generator) -> tuple[Flo
         if np.isfinite(simulated.log_posterior(theta)):
             return theta, simulated
     raise FitError(
-        f"of {MAX_PRIOR_DRAWS} parameter sets drawn from the prior the design has a solution for none",
+        f"of {MAX_PRIOR_DRAWS} sets drawn from the prior the design has a solution for none",
         fix="narrow the bounds of the medium",
     )
 

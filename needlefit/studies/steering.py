@@ -202,7 +202,7 @@ class Steering:
             if step.controls.tip is not None or len(step.controls.guides) != len(self.now.controls.guides):
                 raise ModelError(
                     "the step holds the needle by other guides, or by its tip",
-                    expected="base and guides of the scene; `measure` takes what a tracker sees",
+                    expected="base and guides of the scene",
                 )
             shape = session.go(step)
             if not shape.converged:
@@ -360,7 +360,7 @@ class Steering:
             wrong = table[np.argmin(inside), 0]
             raise ModelError(
                 f"the {kind} has a value at {wrong:.1f} mm, the needle is {depth:.1f} mm deep",
-                expected="places on this needle, in the constraint frame",
+                expected="places on this needle",
                 fix="advance to the depth that was measured, or correct the registration",
             )
         return _Reading(kind, path, places, values, sd)

@@ -156,7 +156,7 @@ def require_schema(table: object, form: type[Form], where: str) -> Form:
             f"is damaged: {fault['msg'][:200]}",
             where=f"{where}, key `{key}`" if key else where,
             expected="what needlefit wrote there",
-            fix="run it again, or take the file from a copy",
+            fix="run it again",
         ) from None
 
 
@@ -208,7 +208,7 @@ def damage_error(path: Path, why: str) -> DataError:
         f"is damaged: {why}",
         where=path,
         expected="the file as needlefit wrote it",
-        fix="run it again, or take the file from a copy",
+        fix="run it again",
     )
 
 

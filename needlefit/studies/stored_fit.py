@@ -42,7 +42,7 @@ def reopen_fit(run: Run, where: str) -> StoredFit:
         raise ConfigError(
             f"is of kind {run.kind}, no fit",
             where=where,
-            expected="a run of `needlefit tune`, or of `needlefit validate` that fits and predicts",
+            expected="a run of `needlefit tune` or `needlefit validate`",
         )
     stated = run.metadata
     inputs = Inputs(dataset=read_data(run, where), medium=stated.medium, recipe=stated.recipe)
@@ -93,8 +93,8 @@ def read_data(run: Run, where: str) -> Dataset:
     raise DataError(
         f"its dataset, {name}, is not found, and the run holds no copy of it",
         where=where,
-        expected=f"the folder of the dataset where it was: {was}, or where it was looked for: {looked}",
-        fix=f"copy the dataset to one of these, or run {run.name} again: its folder then holds a copy",
+        expected=f"its folder at {was}, or at {looked}",
+        fix=f"copy the dataset to one of these, or run {run.name} again",
     )
 
 
@@ -117,7 +117,7 @@ def _warn_changed(dataset: Dataset, run: Run, before: Path) -> Dataset:
     now = inspect(before).dataset if is_file(before) else None
     if now is not None and has_data(run.metadata, now):
         return dataset  # a comment was changed, or another insertion
-    problem = f"the dataset has changed since {run.name} was computed, which uses its copy of it"
-    fix = f"run {run.name} again to use the data as they are now"
+    problem = f"the dataset has changed since {run.name}, which uses its own copy"
+    fix = f"run {run.name} again to use the new data"
     warning = ResultWarning("data_changed", problem, str(before), fix)
     return replace(dataset, warnings=(*dataset.warnings, warning))

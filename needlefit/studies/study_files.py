@@ -191,7 +191,7 @@ def load_target(target: str) -> Target:
         return Target(path.stem, record, Inputs(), path)
     if not isinstance(record, StudyRecord):
         raise ConfigError(
-            "is a study that does more than tune, and is not tuned by itself",
+            "is a study that is not tuned by itself",
             where=path,
             fix=f"use: {shlex.join(('needlefit', 'validate', target))}",
         )

@@ -138,9 +138,9 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
     kind = unpack(view_target.path).get("kind")
     if kind not in FIT_KINDS:
         raise DataError(
-            f"is a run of another kind ({kind}): it has no fitted needle to show",
+            f"is a run of another kind ({kind})",
             expected="a run of tune or validate that fits the shapes of needles",
-            fix="name such a run, or a scene or an insertion of a dataset",
+            fix="name such a run, a scene or an insertion of a dataset",
             where=view_target.path,
         )
     run = restore_run(view_target.path)
@@ -155,7 +155,7 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
     rows = select_rows(run.frames["parameters"], fold=fold.name, method=SHOWN_METHOD)
     if rows.empty:
         raise DataError(
-            "its fit found no parameters with which every needle can be solved",
+            "its fit did not end",
             expected="a run whose fit ended",
             fix="look at its report, or run it again",
             where=view_target.path,

@@ -110,7 +110,7 @@ def open_recording(recording: Recording) -> ViewedScene:
     try:
         target = open_target(head.target, first="scene")  # a run's insertions have names of their own
     except NeedlefitError as error:
-        return replace(alone, note=f"{note} What was shown beside it is not found: {error.what}.")
+        return replace(alone, note=f"{note} Not found beside it: {error.what}.")
     if target.record.title != head.scene.title:  # a title of its own changes no needle
         record = target.record.model_copy(update={"title": head.scene.title})
         target = replace(target, record=record, title=title)

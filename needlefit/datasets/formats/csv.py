@@ -73,7 +73,7 @@ def read_table(path: Path) -> CsvTable:
             raise DataError(
                 f"has {len(row)} cells under {len(header)} columns",
                 expected=f"{len(header)} cells, decimal points (not decimal commas)",
-                fix="remove the cells that are too many, or put text that holds a comma in quotes",
+                fix="remove cells, or put text with a comma in quotes",
                 where=f"{path}:{line}",
             )
     width = len(header)
@@ -202,7 +202,7 @@ def check_extent(rows: int, columns: int, where: str, most: int = MAX_CELLS) -> 
         raise DataError(
             f"is too large: {rows} rows of {columns} columns",
             expected=f"at most {MAX_COLUMNS} columns, and {most:,} cells",
-            fix="check that it is the file that you meant, or divide it",
+            fix="check the file, or divide it",
             where=where,
         )
 

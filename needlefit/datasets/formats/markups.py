@@ -72,7 +72,7 @@ class Markups:
         raise DataError(
             f"`{self.name}` is a {self.kind}, which is no centreline",
             expected="an open curve (Curve), or points (Fiducial) from the entry to the tip",
-            fix="draw the needle in Slicer as an open curve, and save that",
+            fix="draw the needle as an open curve",
             where=self.path,
         )
 
@@ -203,7 +203,7 @@ def _parse_markups(path: Path, table: Mapping[str, Any], number: int) -> Markups
         raise DataError(
             problem,
             expected="a list with points",
-            fix="place its points in Slicer and save it again, or take another file",
+            fix="place its points in Slicer and save it again",
             where=path,
         )
     labels, notes = (tuple(str(point.get(key) or "") for point in placed) for key in ("label", "description"))

@@ -56,7 +56,7 @@ def find_faults(row: InsertionRow, where: str, pose: Pose) -> Iterator[Fault]:
     if pose != "known":
         yield DataError(
             f"no shape alone was measured of {row.id}, and its pose is not known",
-            expected='frame.pose = "known": a tip is a deflection from the line of insertion',
+            expected='frame.pose = "known"',
             fix="add its centreline, or state poses",
             where=where,
         )
@@ -64,7 +64,7 @@ def find_faults(row: InsertionRow, where: str, pose: Pose) -> Iterator[Fault]:
     if row.pose_source == "first_point" and row.observation != "points":
         yield DataError(
             "pose_source is 'first_point', and no shape was measured",
-            expected="stage, shaft or fitted: the place of first contact is known",
+            expected="stage, shaft or fitted",
             fix=f"state where the tip first touched the tissue: {', '.join(POSE_COLUMNS[:3])}",
             where=where,
         )

@@ -204,7 +204,7 @@ def _find_run_faults(
     if len(depth) < MIN_READINGS:
         yield DataError(
             f"run {id_} has {len(depth)} reading{'s' if len(depth) > 1 else ''}",
-            expected=f"at least {MIN_READINGS}: a shift and a slope are the tracker's",
+            expected=f"at least {MIN_READINGS}",
             fix="add the others, or leave the run out",
             where=first,
         )

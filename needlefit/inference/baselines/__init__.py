@@ -113,7 +113,7 @@ QUADRATIC_CURVATURE = Baseline(
 STEERED_LINE = Baseline(
     "steered_line",
     "straight line, slope of runs alike",
-    "a straight line with the slope of the other runs under a guide that moved, or rested, alike",
+    "a straight line with the slope of the other runs with such a guide",
     "#4d4d4d",
     curve=make_curvature_curve,
     track_basis=lambda track: np.empty((len(track.points), 0)),

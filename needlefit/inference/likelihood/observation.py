@@ -271,7 +271,7 @@ def no_errors_error(dataset: Dataset, insertion: Insertion) -> DataError:
         f"the noise stated by `{dataset.name}` leaves the points of `{insertion.id}` without errors",
         where=locate_key(dataset.path, "noise.point_sd_mm"),
         expected="noise.point_sd_mm above 0",
-        fix="write how well a point is known, per axis; `needlefit check` names such datasets",
+        fix="write how well a point is known, per axis",
     )
 
 

@@ -155,7 +155,7 @@ def load(path: Path) -> Posterior:
         raise DataError(
             f"is not a posterior of needlefit, or a damaged one: {error}",
             expected="the file as `needlefit tune` wrote it",
-            fix="tune again, or take the file from a copy",
+            fix="tune again",
             where=path,
         ) from error
 

@@ -199,7 +199,7 @@ def _require_fitted_rules(record: SceneRecord, where: str, medium: MediumRecord)
             raise ConfigError(
                 f"`{key}` is {json.dumps(value)}, but the parameters were fitted with {json.dumps(fitted)}",
                 where=where,
-                expected=f"{json.dumps(fitted)}: fitted parameters hold for this value alone",
+                expected=f"{json.dumps(fitted)}",
                 fix=f"leave `{key}` out, or fit a tissue model with {json.dumps(value)}",
             )
 
@@ -282,7 +282,6 @@ def forecast(scene: Scene, specimens: Specimens, into: Insertion | None) -> Fore
         raise ModelError(
             f"{len(points)} of {len(thetas)} draws of the parameters can be solved for this scene, and "
             f"{'not ' * bool(len(points))}their mode",
-            expected="an insertion that the model can follow",
             fix="look at `needlefit simulate` of the scene; lessen its depth or its deflection",
         )
     outside = int(np.sum(~drawn.valid[drawn.solved]))
@@ -320,7 +319,7 @@ def require_fitted_kind(scene: Scene, job: Job) -> None:
     if scene.tissue.layers > job.medium.layers:
         raise ConfigError(
             f"the scene has {scene.tissue.layers} layers, the fitted medium {job.medium.layers}",
-            expected="at most as many: layer n of the scene is layer n of the medium",
+            expected="at most as many",
             fix="name a scene of the fitted medium, or fit a medium with more layers",
         )
     ours = scene.needle.flexural_rigidity
@@ -329,7 +328,7 @@ def require_fitted_kind(scene: Scene, job: Job) -> None:
         stated = " or ".join(f"{rigidity:.4g}" for rigidity in fitted)
         raise ConfigError(
             f"the scene's needle has a flexural rigidity of {ours:.4g} N mm^2, the fitted one {stated}",
-            expected="a needle that the parameters were fitted with: mu and b depend on it",
+            expected="the needle that the parameters were fitted with",
             fix="correct [needle] of the scene",
         )
 
@@ -454,7 +453,7 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
     if forecasted.outside:
         share = f"{forecasted.outside} of {len(forecasted.across)} predicted needles"
         problem = f"{share} are outside what the model assumes (slopes, shortening, compression)"
-        fix = "read the bands with care; `needlefit simulate` of the scene names what is exceeded"
+        fix = "`needlefit simulate` of the scene names what is exceeded"
         warned.append(ResultWarning("validity", problem, fix=fix))
     depths = [insertion.depth for insertion in job.folds[0].tune]
     z_unfitted = forecasted.across.shape[2] > job.dataset.directions

@@ -116,7 +116,7 @@ class ObservationType:
         raise DataError(
             f"the observation `{self.name}` has no numbers besides, and {insertion.id} has some",
             expected=f"no columns {OBSERVATION_PREFIX}{', '.join(insertion.observation_values)}",
-            fix=f"remove the columns, or name their observation in the column {OBSERVATION_COLUMN}",
+            fix=f"remove the columns, or name their {OBSERVATION_COLUMN}",
         )
 
 
