@@ -792,8 +792,7 @@ def _require_fit(record: FileRecord) -> FitRecord:
     if isinstance(record, FitRecord):
         return record
     raise ConfigError(
-        "only a study that fits and scores takes another dataset, tissue model or recipe",
-        expected="a study file without `kind`",
+        "only a study without `kind` takes another dataset, tissue model or recipe",
     )
 
 

@@ -83,7 +83,7 @@ def test_ties_follow_chains_multiply_factors_and_may_have_a_spread():
         ({"mu1_pa": {"tie": "mu9_pa"}}, "tied to `mu9_pa`, which is no parameter"),
         ({"mu1_pa": {"tie": "mu2_pa"}, "mu2_pa": {"tie": "mu1_pa", "spread": 1}}, "circle"),
         ({"mu1_pa": {"tie": "alpha1"}}, "different quantities"),
-        ({"alpha2": {"tie": "alpha1", "spread": 1.2}}, "factor"),
+        ({"alpha2": {"tie": "alpha1", "spread": 1.2}}, "spread"),
         ({"mu1_pa": {"tie": "-2 * mu2_pa"}}, "stay positive"),
         ({"mu1_pa": {"tie": "mu2_pa + 1"}}, "cannot be read"),
         ({"mu1_pa": {"bounds": [0, 1]}}, "not above 0"),

@@ -81,10 +81,7 @@ NUMBER_COLUMNS: dict[str, tuple[str, float | None]] = {
 STATED_POSE_SOURCES: tuple[PoseSource, ...] = get_args(PoseSource)[:-2]
 
 MAX_ID_CHARS = 100
-EXPECTED_ID = (
-    f"at most {MAX_ID_CHARS} letters of any script, digits, `.`, `_`, `-`, a letter or digit first: it "
-    "names a file"
-)
+EXPECTED_ID = f"at most {MAX_ID_CHARS} letters of any script, digits, `.`, `_`, `-`, a letter or digit first"
 _ID_CATEGORIES = "LMN"  # of Unicode: letters, marks that are part of them, digits
 
 

@@ -79,9 +79,8 @@ def find_plane_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iter
         return
     most = max(measure_aside(entry.insertion) for entry in aside)
     problem = (
-        f"needles are up to {most:.1f} mm from where their bevels lead them, which errors of points, pose "
+        f"needles are up to {most:.1f} mm from where their bevels lead them, by more than their errors: "
     )
-    problem += "and rolls do not explain: "
     fix = f'{_name_bevel([entry.insertion for entry in aside])}; `compared = "space"` in the study or fit '
     yield ResultWarning(
         "bevel_plane",

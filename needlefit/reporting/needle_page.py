@@ -91,7 +91,7 @@ def read_kernel() -> str:
         raise ConfigError(
             "this installation has no kernel in WebAssembly",
             expected="a file kernel.wasm",
-            fix="install needlefit from a wheel, or with the package ziglang: pip install ziglang",
+            fix="pip install ziglang, then needlefit again",
         )
     return compress((native.FOLDER / "kernel.wasm").read_bytes())
 

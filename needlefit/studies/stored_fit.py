@@ -91,7 +91,7 @@ def read_data(run: Run, where: str) -> Dataset:
     was = str(before.parent) if before.is_absolute() else f"{before.parent}, below the folder of that command"
     looked = Path.cwd() / (name if is_path(name) else f"data/{name}")
     raise DataError(
-        f"its dataset, {name}, is not found, and the run holds no copy of it",
+        f"its dataset, {name}, is not found, nor a copy of it in the run",
         where=where,
         expected=f"its folder at {was}, or at {looked}",
         fix=f"copy the dataset to one of these, or run {run.name} again",

@@ -138,7 +138,7 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
     kind = unpack(view_target.path).get("kind")
     if kind not in FIT_KINDS:
         raise DataError(
-            f"is a run of another kind ({kind})",
+            f"is a run of kind {kind}, without a fitted needle",
             expected="a run of tune or validate that fits the shapes of needles",
             fix="name such a run, a scene or an insertion of a dataset",
             where=view_target.path,

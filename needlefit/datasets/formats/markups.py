@@ -92,10 +92,7 @@ def read_markups(path: Path, with_planes: bool = False) -> tuple[Markups, ...]:
         raise DataError(
             "has no `markups`",
             expected='{"@schema": ..., "markups": [{"type": "Curve", ...}]}',
-            fix=(
-                f"{SAVE_AGAIN_FIX}; points of other programs: an object for each needle a "
-                "line, in a .jsonl file"
-            ),
+            fix=f"{SAVE_AGAIN_FIX}; points of other programs: a .jsonl file",
             where=path,
         )
     schema = str(whole.get("@schema", SCHEMA))
