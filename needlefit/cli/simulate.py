@@ -104,7 +104,7 @@ def simulate(
         steps = len(done.scene.steps)
         failed = f"step {len(done.shapes)} of {steps}" if steps > 1 else "the solution"
         screen.print_note(
-            f"needlefit: {failed} did not converge ({summary['status']}); the printed values are no result"
+            f"needlefit: {failed} did not converge ({summary['status']}); the values are no result"
         )
         raise typer.Exit(exit_codes.NOT_CONVERGED)
 

@@ -91,7 +91,7 @@ class Guide:
             raise ModelError(
                 f"guide stands at x = {self.x} mm",
                 expected="x < 0 before the tissue, x >= 0 with in_tissue",
-                fix="move it before the entry, or state that it stands in the tissue",
+                fix="move it before the entry, or state in_tissue",
             )
 
 

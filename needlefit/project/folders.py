@@ -79,7 +79,7 @@ def require_no_inputs_within(folder: Path, inputs: Iterable[Path]) -> None:
         if Path(os.path.realpath(path)).is_relative_to(place):
             raise ConfigError(
                 f"holds an input of this run: {path}",
-                expected="a folder of results that is not read",
+                expected="a folder that is not read",
                 fix="choose another folder with --out",
                 where=folder,
             )
@@ -213,7 +213,7 @@ def require_replaceable(folder: Path, find: Callable[[Path], list[str]] | None =
             raise ConfigError(
                 "is not replaced: it is the working folder, or holds it",
                 expected="another folder",
-                fix="run the command from another folder, or choose another folder with --out",
+                fix="go to another folder, or choose one with --out",
                 where=folder,
             )
 
