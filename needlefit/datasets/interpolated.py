@@ -20,9 +20,6 @@ from needlefit.datasets.scatter import MIN_AXIS_POINTS, SCATTER_RATIOS
 from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import ResultWarning
 
-#: points of a curve whose scatter is compared with that of all: it is then known to a quarter
-COMPARED_POINTS = 12
-
 
 def count_independent(points: Floats, sd: float) -> int:
     """Return how many points of a curve (N, 3) have errors of their own, of SD `sd` (mm) across it.
@@ -33,7 +30,8 @@ def count_independent(points: Floats, sd: float) -> int:
     count, scatter = len(points), _measure_scatter(points)
     if count < MIN_AXIS_POINTS or scatter >= SCATTER_RATIOS[0] * sd:
         return count
-    if scatter >= 0.5 * _measure_scatter(points[:: -(count // COMPARED_POINTS)]):
+    few = points[:: -(count // (2 * MIN_CURVE_POINTS))]  # whose scatter is known to a quarter
+    if scatter >= 0.5 * _measure_scatter(few):
         return count
     thinned = (points[::-1][::step] for step in range(2, _find_largest_step(count)))  # with the tip
     enough = (len(few) for few in thinned if _measure_scatter(few) >= math.sqrt(0.5) * sd)

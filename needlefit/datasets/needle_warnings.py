@@ -42,26 +42,16 @@ def find_side_warnings(
     sides = find_bend_sides([one for one, _ in listed], noise)
     clear = sum(side != "unknown" for side in sides)
     away = [(one, where) for (one, where), side in zip(listed, sides, strict=True) if side == "away"]
-    if len(away) == clear > 1:
-        yield ResultWarning(
-            kind="bevel_side",
-            what=f"all {clear} insertions that bend clearly bend away from their bevel side",
-            where=f"{away[0][1]}",
-            fix=(
-                f"check whether the convention of `{column}` is flipped: a needle of side 1 "
-                "bends along the bevel direction"
-            ),
-        )
+    if not away:
         return
-    if away:
-        names = join_names([one.id for one, _ in away], MAX_NAMED_INSERTIONS)
-        yield ResultWarning(
-            kind="bevel_side",
-            what=f"bent away from the bevel side: {names} ({len(away)} of {clear} that bend clearly)",
-            where=f"{away[0][1]}",
-            fix=f"correct `{column}`, or the bevel direction, by the source",
-            insertions=tuple(one.id for one, _ in away),
-        )
+    names = tuple(one.id for one, _ in away)
+    what = f"bent away from the bevel side: {join_names(names, MAX_NAMED_INSERTIONS)}"
+    what += f" ({len(away)} of {clear} that bend clearly)"
+    fix = f"correct `{column}`, or the bevel direction, by the source"
+    if len(away) == clear > 1:
+        what, names = f"all {clear} insertions that bend clearly bend away from their bevel side", ()
+        fix = f"check whether `{column}` is flipped: a needle of side 1 bends along the bevel direction"
+    yield ResultWarning("bevel_side", what, f"{away[0][1]}", fix, names)
 
 
 # ---- insertions
