@@ -1,19 +1,32 @@
 """Settle what is asked of every imported curve: an answer of each, and the sides of their bevels."""
 
 from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from types import MappingProxyType
 
+import numpy as np
+
+from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.importing.curves import ImportedCurve
 from needlefit.datasets.importing.stated import Settler, Stated, name_set
+from needlefit.datasets.insertion import Pose
+from needlefit.datasets.layers import select_layers
+from needlefit.geometry.surfaces import Surface
 from needlefit.project.locate import join_names
+from needlefit.schemas.scene import NeedleRecord
 
 
 class CurveAnswers:
-    """The curves of an import, and what holds of each."""
+    """Some curves of an import, and what holds of each; the `others` of the import stand beside them."""
 
-    def __init__(self, curves: list[ImportedCurve], settler: Settler) -> None:
-        self.curves, self.settler, self.settle = curves, settler, settler.settle
-        counts = Counter(key for curve in curves for key in curve.stated)
-        self.partly_stated = {key for key in counts if counts[key] < len(curves)}
+    def __init__(
+        self, curves: list[ImportedCurve], settler: Settler, others: Sequence[ImportedCurve] = ()
+    ) -> None:
+        self.curves, self.others, self.settler, self.settle = curves, others, settler, settler.settle
+        of_all = [*curves, *others]
+        counts = Counter(key for curve in of_all for key in curve.stated)
+        self.partly_stated = {key for key in counts if counts[key] < len(of_all)}
 
     def each(
         self, key: str, usual: str | None = None, reason: str = "", is_sure: bool = False
@@ -57,3 +70,62 @@ class CurveAnswers:
         if not (is_needed or self.is_stated("bevel_side")):
             return None
         return [cell.to_angle() for cell in self.each("bevel_side", "1", "not stated")]
+
+
+class Placer(CurveAnswers):
+    """Places the needles of one kind; `surfaces` part the layers of all of them."""
+
+    #: usual answers, with their reasons, of keys that are usual otherwise without such needles
+    usual: Mapping[str, tuple[str | None, str]] = MappingProxyType({})
+    pose: Pose = "known"
+    slope_sd_deg = 0.0  #: of the directions of runs in the frame of a tracker
+
+    def __init__(
+        self,
+        curves: list[ImportedCurve],
+        settler: Settler,
+        others: Sequence[ImportedCurve],
+        surfaces: list[Surface],
+    ) -> None:
+        super().__init__(curves, settler, others)
+        self.surfaces = surfaces
+
+    def settle_places(self) -> None:
+        """Settle entries and inserted lengths; `curves` may become others."""
+        raise NotImplementedError
+
+    def make_rows(
+        self, point_sd: float, depths: Sequence[tuple[float, ...]], needles: Sequence[NeedleRecord]
+    ) -> list[InsertionRow]:
+        """Return the rows, without medium and specimen.
+
+        `point_sd`, mm: the least one; `depths` of boundaries along each needle, mm.
+        """
+        raise NotImplementedError
+
+    def choose_study(self, point_sd: float) -> Mapping[str, float | str]:
+        """Return keys of a first study."""
+        return {}
+
+    def meet_layers(
+        self,
+        rows: Sequence[InsertionRow],
+        depths: Sequence[tuple[float, ...]],
+        runs: Sequence[float] = (),
+    ) -> list[InsertionRow]:
+        """Return rows with the numbers of layers that they meet, by the depths of boundaries.
+
+        `runs`, mm: how far they go along their directions; without them their inserted lengths.
+        """
+        is_layered = any(depths) or bool(self.surfaces)
+        sds = self.numbers("boundary_sd") if is_layered else [row.boundary_sd for row in rows]
+        runs = runs or [row.depth for row in rows]
+        return [
+            replace(row, layers=len(select_layers(np.array(boundaries), run)[1]), boundary_sd=sd)
+            for row, boundaries, run, sd in zip(rows, depths, runs, sds, strict=True)
+        ]
+
+    def note_deflections(self, zero: str = "from the line of insertion") -> None:
+        """Note which deflections are positive, and from where they count, unless it is assumed."""
+        if "deflection" not in self.settler.assumed and any(curve.is_deflection for curve in self.curves):
+            self.settler.note("deflection", f"positive where a bevel of side 1 bends; {zero}")

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from needlefit.arrays import Floats
 from needlefit.datasets.importing.stated import Stated
 from needlefit.datasets.points import Points
+from needlefit.errors import DataError
 from needlefit.geometry.surfaces import Surface
 from needlefit.schemas.mapping import Holds
 
@@ -44,6 +45,18 @@ class ImportedCurve:
     are_sensors_from_base: bool = False  # places of sensors are counted from the needle's base, not its tip
     before: float = 0.0  # mm; inserted length before the first point, of points with stated depths
 
+    def state(self, facts: Mapping[str, Stated]) -> None:
+        """Add what is stated of the needle; DataError if something else was stated before."""
+        for meaning, fact in facts.items():
+            other = self.stated.setdefault(meaning, fact)
+            if other.text != fact.text:
+                raise DataError(
+                    f"{meaning} of {self.name} is {fact.text[:60]!r}, in {other.where} {other.text[:60]!r}",
+                    expected="one value",
+                    fix="correct one of the two",
+                    where=fact.where,
+                )
+
     @property
     def line(self) -> Floats:
         """The points (N, 3)."""
@@ -59,19 +72,27 @@ class ImportedCurve:
         """The greatest distance of a point from the first one, about the length; 0 without points."""
         if not len(self.line):
             return 0.0
-        start = 0.0 if self.is_deflection or self.holds == "tips" else self.line[0]
+        start = 0.0 if self.is_deflection or len(self.line) == 1 else self.line[0]
         return float(np.linalg.norm(self.line - start, axis=1).max())
 
-    def read_curvature(self, turn: float) -> Floats | None:
-        """Return `sensors` (n, 4) with curvatures toward the bevel, turned from up by rad, and across."""
+    def read_curvature(self, turn: float, length: float) -> Floats | None:
+        """Return `sensors` (n, 4), from the tip, with curvatures toward the bevel and across.
+
+        `turn`, rad: of the bevel from up; `length`, mm: of the needle.
+        """
         if not self.sensors:
             return None
         read = np.array(self.sensors)
-        return np.column_stack([Rotation.from_rotvec([-turn, 0.0, 0.0]).apply(read[:, :3]), read[:, 3]])
+        turned = Rotation.from_rotvec([-turn, 0.0, 0.0]).apply(read[:, :3])
+        if self.are_sensors_from_base:
+            turned[:, 0] = length - turned[:, 0]
+        return np.column_stack([turned, read[:, 3]])
 
     @property
     def depth(self) -> float:
-        """The stated depth, else the length from the entry; mm."""
+        """The inserted length, mm: of the last reading, as stated, or from the entry."""
+        if len(self.depths):
+            return float(self.depths[-1])
         return (
             self.stated["depth"].to_number("depth") if "depth" in self.stated else self.before + self.length
         )

@@ -15,6 +15,7 @@ from needlefit.datasets.importing.assignments import Assignments
 from needlefit.datasets.importing.draft import Draft
 from needlefit.datasets.importing.draft_table import TableDraft
 from needlefit.datasets.importing.examples import EXAMPLE_SHEET
+from needlefit.datasets.importing.kinds import KINDS
 from needlefit.datasets.importing.layout import propose_layout, sniff_text
 from needlefit.datasets.importing.meanings import MEANINGS, VALUES
 from needlefit.datasets.importing.read import MAX_CURVES
@@ -79,7 +80,7 @@ def draft_mapping(paths: Sequence[Path], stated: Assignments) -> tuple[Draft, li
         draft.assumed.pop(key.split(".")[2], None)
     if "specimen" not in {*stated.columns, *draft.values}:
         _ask_sources(draft)
-    if not draft.opens and all(table["holds"] in ("facts", "turns") for table in draft.tables):
+    if not draft.opens and not any(KINDS[table["holds"]].placer for table in draft.tables):
         tables = "; ".join(
             f"{part}: {why}" for part, why in draft.unused if part.startswith(("table", "folder"))
         )

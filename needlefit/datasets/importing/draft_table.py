@@ -5,15 +5,15 @@ import re
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from itertools import count, pairwise, permutations
 from typing import Any, NamedTuple
 
 from needlefit.datasets.importing.assignments import Assignments
 from needlefit.datasets.importing.draft import Draft
-from needlefit.datasets.importing.meanings import ATTRIBUTES, COORDINATES, MEANINGS, POINTS, SENSOR, VECTORS
-from needlefit.datasets.importing.stated import name_set
+from needlefit.datasets.importing.kinds import list_kinds
+from needlefit.datasets.importing.meanings import ATTRIBUTES, COORDINATES, MEANINGS, VECTORS
 from needlefit.datasets.importing.synonyms import (
-    INDEX,
     Header,
     find_meaning,
     is_side,
@@ -24,8 +24,6 @@ from needlefit.datasets.importing.synonyms import (
 )
 from needlefit.datasets.importing.tables import BLOCK, Table
 from needlefit.datasets.observations.tip_track import MIN_READINGS
-from needlefit.datasets.point_labels import divide_labels
-from needlefit.datasets.points import MIN_POINTS
 from needlefit.project.locate import join_names
 from needlefit.project.units import UNITS_GPA
 
@@ -35,7 +33,6 @@ SEVERAL = (*VECTORS, "boundaries", "thickness", "guide", "needle")  # meanings t
 EXCLUDED = "excluded"  # the word of rows that are left out
 MIN_NEEDLE_GPA = 1.0  # smallest modulus (GPa) that can only be that of a needle
 MAX_FLAGS = 4  # largest number of values of a column that may mark rows to be left out
-MIN_TRACK_SIGNS = 2  # of depths that differ, times that differ and a column of a tip: so many make a track
 _QUANTITY = re.compile(r"\D{0,3}[-+]?\d+([.,]\d+)?\s*\S{0,4}")  # a number with a unit: 22G, 0,7 mm
 
 
@@ -90,16 +87,17 @@ class TableDraft:
             self.draft.unused.append((f"table {self.where}", "as stated"))
             return
         self._take_stated()
-        groups = self._group_axes()
+        self.groups = self._group_axes()
         self._take_known()
         if (block := self.table.find(BLOCK)) is not None:
             self._take("needle", [self.all[block]])
-        if self.taken.keys() & {*SENSOR[1:3]} and "point_sd" in self.taken:
-            self.taken.setdefault("curvature_sd", self.taken.pop("point_sd"))
-        if "fill_down" not in self.keys and (groups or self.taken.keys() & {"y", "deflection"}):
+        if "fill_down" not in self.keys and (self.groups or self.taken.keys() & {"y", "deflection"}):
             self._fill_down()
-        entries, holds = self._find_rows(groups)
-        if not entries and not (holds := self._find_facts()):
+        stated = self.keys.get("holds", "")
+        for kind in sorted(list_kinds(), key=lambda kind: kind.name != stated):
+            if entries := kind.propose(self, kind.name == stated):
+                break
+        else:
             headers = ", ".join(filter(None, self.table.headers))[:200]
             problem = f"no column is known to hold coordinates: {headers or 'no headers'}"
             self.draft.unused.append((f"table {self.where}", problem))
@@ -108,17 +106,17 @@ class TableDraft:
             elif "boundaries" not in self.draft.values:
                 self.draft.ask("table", self.where, name=self.name, headers=headers)
             return
-        self.keys["holds"] = holds
+        self.kind, self.keys["holds"] = kind, kind.name
         self._name_unused()
-        shared = {meaning: _spell(meaning, columns) for meaning, columns in self.taken.items()}
+        shared = {meaning: spell(meaning, columns) for meaning, columns in self.taken.items()}
         if self.excluded:
             shared[EXCLUDED]["words"] = dict.fromkeys(self.excluded, EXCLUDED)
-        for entry in entries or [{}]:
+        for entry in entries:
             self._add(shared | entry | shared)  # the needle is shown first
 
     # ---- columns
 
-    def _list_free(self) -> list[Column]:
+    def list_free(self) -> list[Column]:
         """Return the columns with cells that mean nothing yet, and are not stated to mean nothing."""
         unused = self.keys.get("unused", ())
         return [
@@ -150,7 +148,7 @@ class TableDraft:
     def _take_known(self) -> None:
         """Take the columns whose headers are known; ask where one may mean two things."""
         blocked = self.taken.keys() | ({"deflection", "deflection_z"} if "y" in self.taken else set())
-        known, free = defaultdict[str, list[Column]](list), self._list_free()
+        known, free = defaultdict[str, list[Column]](list), self.list_free()
         meanings = {column.place: self._list_meanings(column) for column in free}
         for column in free:
             if len(meanings[column.place]) == 1:
@@ -163,7 +161,7 @@ class TableDraft:
             known["deflection"] = [one for one in known["tip"] if len(one.numbers) == len(one.texts)]
         for key in [key for key, some in known.items() if key not in MEANINGS or key in blocked or not some]:
             del known[key]
-        if "guide" in known:
+        if "guide" in known and self.draft.values.get("guide") != "none":
             self.draft.assumed["guide"] = (
                 f"{_list_names(known['guide'])}: by its header; guide=none if it is no guide"
             )
@@ -192,7 +190,7 @@ class TableDraft:
             if meaning == "modulus" and any(0 < value * factor < MIN_NEEDLE_GPA for value in column.numbers):
                 return ["modulus", ""]
         if meaning == "guide" and "depth" not in headers:  # of the stage
-            return ["depth" if self._increases([column]) else meaning]
+            return ["depth" if self.increases([column]) else meaning]
         return meaning.split("|")
 
     def _choose_names(self, known: Mapping[str, Sequence[Column]]) -> list[Column]:
@@ -216,7 +214,7 @@ class TableDraft:
         if self.taken.keys() & {"y", "deflection"}:
             return {}
         groups: dict[tuple[int, str], Axes] = {}
-        for column in self._list_free():
+        for column in self.list_free():
             axis, group = column.header.axis, column.header.group
             if axis and group not in NO_POINTS:
                 turn = next(k for k in count() if axis not in groups.get((k, group), ()))
@@ -287,105 +285,71 @@ class TableDraft:
 
     # ---- rows
 
-    def _find_rows(self, groups: Mapping[str, Axes]) -> tuple[list[Records], str]:
-        """Return the columns of each needle, or of all needles, and what rows are; nothing of facts."""
-        taken, holds = self.taken, self.keys.get("holds", "")
+    @cached_property
+    def points(self) -> list[Records]:
+        """The columns of the points of each needle, or of all needles; none where rows hold no points."""
         entries = list[Records]()
-        for name, axes in groups.items() if holds != "curvatures" else ():
-            records = {axis: _spell(axis, [column]) for axis, column in axes.items()}
+        for name, axes in self.groups.items():
+            records = {axis: spell(axis, [column]) for axis, column in axes.items()}
             for axis in records.keys() & self.signs.keys():
                 records[axis]["sign"] = self.signs[axis]
-            if "needle" not in taken and len(groups) > 1:
+            if "needle" not in self.taken and len(self.groups) > 1:
                 records["needle"] = {"value": name}
             entries.append(records)
             self.used |= {column.place for column in axes.values()}
         has_x = "deflection" not in self.stated.columns and any("x" in entry for entry in entries)
-        if taken.keys() >= {"deflection", "depth"} and not has_x and holds != "curvatures":
-            return self._find_deflections(entries, holds)
-        if taken.keys() >= {"x", "y"}:
-            entries = [{}]
-        if entries:
-            holds = holds or self._find_kind(groups)
-            return self._divide_groups(entries, groups, holds), holds
-        if self._ask_curvatures(is_stated=holds == "curvatures"):
-            return [{}], "curvatures"
-        if "turn_depth" in taken or {"depth_mm", "bevel_roll_deg"} <= {*self.table.headers}:
-            if "depth" in taken:
-                taken["turn_depth"] = taken.pop("depth")
-            return [{}], "turns"
-        if "depth" in taken and "needle" not in taken and len(unknown := self._list_unknown()) > 1:
-            self._ask_column("deflection", unknown, "|".join(str(column.name) for column in unknown))
-        return [], ""
+        self.are_deflections = self.taken.keys() >= {"deflection", "depth"} and not has_x
+        if self.are_deflections:
+            return self._list_deflections(entries)
+        return [{}] if self.taken.keys() >= {"x", "y"} else entries
 
-    def _find_deflections(self, entries: Sequence[Records], holds: str) -> tuple[list[Records], str]:
-        """Return the columns of deflections at depths: tracks where depths increase; ask which one counts."""
+    def _list_deflections(self, entries: Sequence[Records]) -> list[Records]:
+        """Return the columns of deflections at depths: one of all, or one of each needle; ask which."""
         columns = self.taken["deflection"]
-        others = [column for column in self._list_free() if column.header.meaning == "deflection"]
+        others = [column for column in self.list_free() if column.header.meaning == "deflection"]
         others += [self.all[place] for entry in entries if (place := self.table.find(entry["y"]["column"]))]
         if others and "deflection" not in self.stated.columns:
-            self._ask_column("deflection", (*columns[:1], *others))
-        increase = self._increases(self.taken["depth"])
-        if increase and not holds:
-            self._assume_tracks("the depths of each needle increase")
-        holds = holds or ("tracks" if increase else "tips")
+            self.ask_column("deflection", (*columns[:1], *others))
         if len(columns) == 1:
-            return [{}], holds
+            return [{}]
         del self.taken["deflection"]  # each is of a needle
         return [
-            {"deflection": _spell("deflection", [column]), "needle": {"value": str(column.name)}}
+            {"deflection": spell("deflection", [column]), "needle": {"value": str(column.name)}}
             for column in columns
-        ], holds
+        ]
 
-    def _assume_tracks(self, reason: str) -> None:
-        self.draft.assumed["holds"] = f"tracks: {reason}; points: {name_set('holds', 'shapes')}"
-
-    def _ask_curvatures(self, is_stated: bool) -> bool:
-        """Whether rows hold curvatures, as headers or the unit of their numbers state; ask which is which."""
-        inverse = [column for column in self._list_free() if column.header.unit.startswith("1/")]
-        if not (inverse or self.taken.keys() & {*SENSOR[1:3]} or is_stated):
-            return False
-        for key in ("sensor_from_base" if "sensor_from_base" in self.taken else "sensor", *SENSOR[1:3]):
-            if key not in self.taken:
-                self._ask_column(key, inverse if key in SENSOR[1:3] else self._list_unknown())
-        return True
-
-    def _ask_column(self, meaning: str, columns: Sequence[Column] = (), *further: str) -> None:
+    def ask_column(self, meaning: str, columns: Sequence[Column] = (), *further: str) -> None:
         """Ask which column has a meaning, perhaps one of some."""
         names = [*(str(column.name) for column in columns), *further]
         answers = {name: {f"{meaning}.column": name} for name in names}
         self.draft.ask("column", self.where, answers, key=meaning, text=MEANINGS[meaning].text)
 
-    def _find_kind(self, groups: Mapping[str, Axes]) -> str:
-        """Return whether points are of shapes, of tips, or of a tip on its way; what may be both is asked."""
-        names, is_alone = self._list_names(), len(groups) < 2
-        columns = [column for axes in groups.values() for column in axes.values()]
-        if is_alone and names and len({*names}) == len(names):  # a name for each row
-            is_few = len(names) < MIN_POINTS
-            has_x = "x" in self.taken or any(column.header.axis == "x" for column in columns)
-            if ("depth" in self.taken and not has_x) or is_few:
-                return "tips"
-            if not divide_labels(names):
-                if self.taken.keys() & {"depth", "entry_point", "bevel_side"}:
-                    return "tips"
-                self.draft.ask("labels", self.where)
-                return "shapes"
-        depths, times = (
-            any(len({*values}) > 1 for values in self._list_by_needle(self.taken.get(key, [])))
+    @cached_property
+    def changing(self) -> set[str]:
+        """What changes from row to row of a needle, as of a tip on its way: `depth`, `time`."""
+        changing = {
+            key
             for key in ("depth", "time")
-        )
-        times |= any("quaternion" in (one.header.meaning, one.header.group) for one in self.all)
-        is_tip = any(column.header.beside in ("tip", "deflection") for column in columns)
-        if is_alone and sum((is_tip, depths, times)) >= MIN_TRACK_SIGNS:
-            self._assume_tracks(f"each row has a {'depth' if depths else 'time'} of its own")
-            return "tracks"
-        if (times and not self._is_array(groups)) or (is_alone and depths):
-            self.draft.ask("readings", self.where)
-        return "shapes"
+            if any(len({*values}) > 1 for values in self._list_by_needle(self.taken.get(key, [])))
+        }
+        is_turned = any("quaternion" in (one.header.meaning, one.header.group) for one in self.all)
+        return changing | ({"time"} if is_turned else set())
 
-    def _list_names(self) -> Sequence[str]:
-        """Return the names in the one column of needles; none of several columns."""
+    @property
+    def names(self) -> Sequence[str]:
+        """The names in the one column of needles; none of several columns."""
         columns = self.taken.get("needle", [])
         return columns[0].texts if len(columns) == 1 else []
+
+    @property
+    def names_rows(self) -> bool:
+        """Whether each row of the points of one needle has a name of its own."""
+        return len(self.groups) < 2 and bool(self.names) and len({*self.names}) == len(self.names)
+
+    @property
+    def axis_columns(self) -> list[Column]:
+        """The columns of coordinates."""
+        return [column for axes in self.groups.values() for column in axes.values()]
 
     def _list_by_needle(self, columns: Sequence[Column]) -> list[list[float]]:
         """Return the numbers in columns of each needle."""
@@ -397,62 +361,12 @@ class TableDraft:
                     numbers[tuple(row[name.place] for name in names)].append(value)
         return [*numbers.values()]
 
-    def _increases(self, columns: Sequence[Column]) -> bool:
+    def increases(self, columns: Sequence[Column]) -> bool:
         """Whether the numbers of each needle increase from row to row."""
         runs = self._list_by_needle(columns)
         return bool(runs) and all(
             len(numbers) >= MIN_READINGS and all(a < b for a, b in pairwise(numbers)) for numbers in runs
         )
-
-    def _is_array(self, groups: Mapping[str, Axes]) -> bool:
-        """Whether the places below a row of headers are numbered, and each row may be a needle."""
-        if len(groups) < MIN_POINTS or self.keys.get("layout") == "long":
-            return False
-        first = min(next(iter(groups.values())).values())
-        is_numbered = INDEX.search(first.header.text) is not None
-        is_numbered |= any(column.header.meaning in ("time", "needle") for column in self.all)
-        return is_numbered and len({re.sub(r"\d+", "#", name) for name in groups}) == 1
-
-    def _divide_groups(self, entries: list[Records], groups: Mapping[str, Axes], holds: str) -> list[Records]:
-        """Return the columns of each needle: groups are needles, or points of a row, or one is asked for."""
-        is_several, first = len(entries) > 1 and holds == "shapes", entries[0]
-        if is_several and self._is_array(groups):
-            if self.keys.get("layout") != "wide":
-                self.draft.ask("layout", self.where, count=str(len(groups)))
-                return entries
-            return [
-                {
-                    axis: first[axis]
-                    | {"column": [entry[axis]["column"] for entry in entries if axis in entry]}
-                    for axis in "xyz"
-                    if axis in first
-                }
-            ]
-        is_version = any(find_meaning("version", name.split(" ")[0]) for name in groups)
-        if is_several and ("needle" in self.taken or is_version):
-            answers = {
-                str(next(iter(entry.values()))["column"]): {
-                    f"{axis}.column": entry[axis]["column"] for axis in entry if axis in "xyz"
-                }
-                for entry in entries
-            }
-            self.draft.ask("points", self.where, answers, names=" and ".join(f"`{name}`" for name in answers))
-        if holds == "shapes" and "x" not in first.keys() | self.taken.keys() and "depth" in self.taken:
-            self.taken["x"] = self.taken.pop("depth")  # points at depths
-        return entries
-
-    def _find_facts(self) -> str:
-        """Return `facts` if a table without points states some, and propose of what; else nothing."""
-        stated = self.taken.keys() & {*ATTRIBUTES}
-        if "needle" in self.taken and stated:
-            self.keys["of"] = "needle"
-        elif "specimen" in self.taken and len(stated) > 1:
-            self.keys["of"] = "specimen"
-        elif stated and (len(self.table.rows) == 1 or stated <= OF_LAYERS):  # or a row for each layer
-            self.keys["of"] = "all"
-        else:
-            return ""
-        return "facts"
 
     # ---- cells
 
@@ -461,7 +375,7 @@ class TableDraft:
 
         Names then stand in the first row of each block of points, or come again; else they name single rows.
         """
-        if not self._list_names():
+        if not self.names:
             return
         (column,) = self.taken["needle"]
         texts = [row[column.place] for row in self.table.rows]
@@ -479,7 +393,7 @@ class TableDraft:
 
         Of a column of two directions under an unknown header a person is asked.
         """
-        for column in self._list_free():
+        for column in self.list_free():
             texts = {*column.texts}
             if (
                 len(texts) == 2
@@ -492,43 +406,33 @@ class TableDraft:
             for column in self.all
             if column.place not in self.used and column.texts and not column.is_unit
         ]
-        names = [column.name for column in self._list_unknown()]
+        names = [column.name for column in self.list_unknown()]
         for unknown in names:
             self.draft.assumed[f"unused.{unknown}"] = "not used: numbers under a header that is not known"
         if unused := [*self.keys.get("unused", []), *names]:
             self.keys["unused"] = unused
 
-    def _list_unknown(self) -> list[Column]:
+    def list_unknown(self) -> list[Column]:
         """Return the columns of numbers that nothing uses, under headers that are not known."""
         return [
             column
-            for column in self._list_free()
+            for column in self.list_free()
             if not column.is_known and all(map(_QUANTITY.fullmatch, column.texts))
             if column.header.text or [*column.numbers] != [*range(1, len(column.texts) + 1)]
         ]
 
     def _add(self, records: Records) -> None:
         """Add an entry, with units, words, labels of points, and what was not measured."""
-        holds, names = self.keys["holds"], self._list_names()
+        has_points, names = self.kind.has_points, self.names
         records = {meaning: dict(record) for meaning, record in records.items()}
         for meaning, parts in self.stated.columns.items():
             beside = {key: part for key, part in parts.items() if key != "column"}
-            if meaning in records or (beside.keys() & {"source", "value"} and holds in POINTS):
+            if meaning in records or (beside.keys() & {"source", "value"} and has_points):
                 records[meaning] = records.get(meaning, {}) | beside
         for meaning, record in records.items():
             self._complete(meaning, record)
-        guide = records.get("guide", {"axes": ""})
-        is_guide = holds == "tracks" and self.draft.values.get("guide") != "none"
-        if is_guide and "deflection" not in records and "axes" not in guide:
-            self.draft.ask("guide", self.where, name=str(guide["column"]))
-        if holds == "tips" and "needle" not in records:
-            self.draft.assumed["needle"] = f"{len(self.table.rows)} needles, one a row: no column names them"
-        if holds == "shapes" and len(names) > MIN_POINTS and len({*names}) == len(names):
-            if divide_labels(names):
-                records["needle"]["pattern"] = r"(.+?)[-_ .]?\d+"
-            else:
-                del records["needle"]  # a name of its own for each point is a label
-        elif holds in POINTS and names:
+        self.kind.complete(self, records)
+        if has_points and names and "pattern" not in records.get("needle", {"pattern": ""}):
             statistics = sorted({name for name in names if find_meaning("statistic", name)})
             if statistics and EXCLUDED not in records:  # rows in place of a needle
                 words = dict.fromkeys(statistics, EXCLUDED)
@@ -547,7 +451,7 @@ class TableDraft:
             record["unit"] = self.stated.unit  # also beside a header that states another one
         elif MEANINGS[meaning].unit in ("mm", "1/mm") and not record.keys() & {"unit", "unit_column"}:
             units = [column.name for column in self.all if column.is_unit and column.texts]
-            is_point = meaning in COORDINATES and self.keys["holds"] in POINTS
+            is_point = meaning in COORDINATES and self.kind.has_points
             if units:
                 record["unit_column"] = units[0]
             elif self.table.unit and is_free:
@@ -581,7 +485,7 @@ class TableDraft:
         return [self.all[n] for n in places if n is not None]
 
 
-def _spell(meaning: str, columns: Sequence[Column]) -> dict[str, Any]:
+def spell(meaning: str, columns: Sequence[Column]) -> dict[str, Any]:
     """Return how a mapping names columns, and the unit of the first."""
     names, unit = [column.name for column in columns], columns[0].header.unit
     if meaning.startswith("curvature") and unit and not unit.startswith("1/"):

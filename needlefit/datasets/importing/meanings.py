@@ -54,6 +54,4 @@ OF_ALL = (  #: of these not
 #: what is stated of a needle
 ATTRIBUTES = ("depth", "thickness", *(key for key in VALUES if key not in OF_ALL))
 COORDINATES = ("x", "y", "z", "depth", "deflection", "deflection_z", "guide")  #: in the unit of points
-POINTS = ("shapes", "tips", "tracks")  #: rows that hold points
 VECTORS = ("entry_point", "pose")  #: columns x, y, z that state something of each needle
-SENSOR = ("sensor", "curvature_y", "curvature_z", "curvature_sd")  #: what a row of curvatures states

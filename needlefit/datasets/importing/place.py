@@ -1,59 +1,29 @@
 """Place imported needles: entry, direction, layers and bevel, as the mapping or an answer states them."""
 
 import re
-from collections import Counter
 from collections.abc import Mapping, Sequence
-from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from needlefit.arrays import Floats
-from needlefit.datasets.columns import DEFAULT_ROLL_SD_DEG, InsertionRow, PoseSource
+from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.first_study import FirstChoices, free_guide_distance
-from needlefit.datasets.importing.curve_answers import CurveAnswers
-from needlefit.datasets.importing.curves import ImportContent, ImportedCurve
-from needlefit.datasets.importing.directions import MIN_SAME_SIDE, BendsOfSides, format_direction, to_sides
+from needlefit.datasets.importing.curve_answers import CurveAnswers, Placer
+from needlefit.datasets.importing.curves import ImportContent
+from needlefit.datasets.importing.kinds import KINDS, list_kinds
 from needlefit.datasets.importing.stated import Settler, Stated, name_set
 from needlefit.datasets.importing.synonyms import find_meaning, read_quantity
-from needlefit.datasets.importing.tips import add_tips, make_tips, split_tips
-from needlefit.datasets.importing.tracks import choose_track_study, is_guided, make_tracks
-from needlefit.datasets.insertion import GUIDE_STILL_MM
-from needlefit.datasets.layers import (
-    MAX_HEADING_DEG,
-    SAME_POINT_MM,
-    find_backward_points,
-    find_length_tolerance,
-    find_stray_fault,
-    make_order_fault,
-    select_layers,
-)
-from needlefit.datasets.points import MIN_POINTS
+from needlefit.datasets.insertion import GUIDE_STILL_MM, Pose
 from needlefit.errors import DataError
-from needlefit.geometry.common_direction import fit_direction
-from needlefit.geometry.crossings import find_crossings, find_surface_hits
-from needlefit.geometry.frames import normalize
-from needlefit.geometry.measured_curve import measure_curve
-from needlefit.geometry.shaft import ShaftAxis, fit_shaft_axis
 from needlefit.geometry.surfaces import Surface
 from needlefit.project.locate import join_names
 from needlefit.project.unit_warnings import GAUGES_MM
-from needlefit.project.units import UNITS_MM
-from needlefit.schemas.reconstruction import ReconstructionEntryRecord
 from needlefit.schemas.scene import NeedleRecord
 
-MIN_SHAFT_MM = 10.0  # shortest length (mm) before the entry from which the direction of a needle is taken
-MIN_SHAFT_POINTS = 3  # smallest number of points before the entry from which a direction is taken
-MIN_CUT_MM = 1.0  # shortest length (mm) before the stated entry that is cut off
-MAX_HIDDEN_PART = 0.71  # largest sine of the angle from a bevel to the only plane that was measured
-STEP_MM = 0.01  # distance (mm) between the places along a needle at which the entry is looked for
 MIN_NEEDLE_MM = 150.0  # smallest length (mm) that is assumed of a needle
 BEYOND_DEPTH_MM = 50.0  # length (mm) by which the assumed needle is longer than the greatest depth
 MAX_CAST_RATIO = 1.25  # of the depths of one boundary in specimens that were made alike
-# Tracks are predicted within a specimen.
-TRACK_SPECIMEN = ("specimen1", "all runs into one; specimen=each if every run had a specimen of its own")
-OTHER_END = {"first": "last", "last": "first"}  # of the answers at which end of its points a needle enters
 
 
 @dataclass(frozen=True)
@@ -61,7 +31,7 @@ class ImportPlan:
     """What an import writes of its curves: a row for each, those of tip tracks last."""
 
     rows: tuple[InsertionRow, ...]
-    pose: str  # of shapes: "known" or "free"
+    pose: Pose  # of shapes
     surfaces: tuple[Surface, ...]  # between the layers
     # By medium: depths of the boundaries between its layers, mm, where there are no surfaces.
     boundaries_mm: Mapping[str, tuple[float, ...]]
@@ -78,55 +48,42 @@ class Planner(CurveAnswers):
 
     def __init__(self, content: ImportContent, settler: Settler) -> None:
         super().__init__(content.curves, settler)
-        self.surfaces = [*content.surfaces]
-        self.entry = "first"  # the end of the curves that is the entry
+        self.surfaces, self.placers = [*content.surfaces], list[Placer]()
+        self.usual = dict[str, tuple[str | None, str]]()
+        for kind in reversed(list_kinds()):
+            own = [curve for curve in content.curves if curve.holds == kind.name]
+            others = [curve for curve in content.curves if curve.holds != kind.name]
+            if own and kind.placer is not None:
+                self.placers.append(kind.placer(own, settler, others, self.surfaces))
 
     def make_plan(self) -> ImportPlan:
         """Return the plan, question by question.
 
         DataError if a question has no clear answer, or what is stated contradicts the files.
         """
-        shapes, tips, tracks = (
-            self.part([curve for curve in self.curves if curve.holds in kinds])
-            for kinds in (("shapes",), ("tips", "curvatures"), ("tracks",))
-        )
-        require_order(shapes.curves)
-        self.part([*shapes.curves, *tips.curves]).refuse_moved_guide(is_alone=not tracks.curves)
-        split_tips(tips, shapes.curves)
-        runs = make_tracks(tracks, not (shapes.curves or tips.curves)) if tracks.curves else []
-        self.curves[:] = (*shapes.curves, *tips.curves, *tracks.curves)
+        self.refuse_moved_guide()
+        for placer in self.placers:
+            placer.settle_places()
+            self.usual |= placer.usual
+        self.curves[:] = [curve for placer in self.placers for curve in placer.curves]
         self.settle_curvature_sd()
         own_sds = self.numbers("point_sd", is_above=True)
-        first, last = len(shapes.curves), len(shapes.curves) + len(tips.curves)
-        poses, entries = list[Stated](), list[Floats | None]()
-        if first:
-            without = join_names([curve.name for curve in tips.curves], 5)
-            if without:
-                self.settler.note("without a shape", without)
-            shapes.settle_entry()
-            poses = shapes.settle_pose(without)
-            placed = [curve.name for curve in tips.curves if len(curve.line) and not curve.is_deflection]
-            entries = shapes.settle_entry_points(poses, join_names(placed, 5))
-        beside = make_tips(tips, min(own_sds[first:last])) if tips.curves else []
         depths = self.settle_layers()
-        lengths = [*(curve.length for curve in shapes.curves), *(row.depth for row in (*beside, *runs))]
-        needles = self.settle_needles(lengths)
-        rows = shapes.make_rows(poses, entries, min(own_sds[:first]), depths, needles) if first else []
-        rows += set_layers(beside, depths[first:last])
-        if any(depths[:last]) or self.surfaces:
-            errors = self.part(self.curves[:last]).numbers("boundary_sd")
-            rows = [replace(row, boundary_sd=error) for row, error in zip(rows, errors, strict=True)]
-        sd, rows = min(own_sds), [*rows, *runs]
-        for n, own_sd in enumerate(own_sds):
-            rows[n] = replace(rows[n], point_sd=None if own_sd == sd else own_sd)
-        rows = self.add_names(rows, depths, is_track=bool(runs))
-        rows, parameters = self.settle_guide_distance(rows, needles, is_track=bool(runs))
-        if any(curve.is_deflection for curve in self.curves) and "deflection" not in self.settler.assumed:
-            zero = "shift and slope of each run are fitted" if runs else "from the line of insertion"
-            self.settler.note("deflection", f"positive where a bevel of side 1 bends; {zero}")
-        pose = "free" if poses and poses[0].text == "free" else "known"
-        plan = replace(self.assemble(rows, pose, sd, depths, needles), choices=FirstChoices({}, parameters))
-        return choose_track_study(tracks, plan) if runs else plan
+        needles = self.settle_needles()
+        rows = list[InsertionRow]()
+        for placer in self.placers:
+            own = slice(len(rows), len(rows) + len(placer.curves))
+            rows += placer.make_rows(min(own_sds[own]), depths[own], needles[own])
+        sd = min(own_sds)
+        rows = [
+            replace(row, point_sd=None if own == sd else own) for row, own in zip(rows, own_sds, strict=True)
+        ]
+        rows = self.add_names(rows, depths)
+        rows, parameters = self.settle_guide_distance(rows, needles)
+        choices = FirstChoices({}, parameters)
+        for placer in self.placers:
+            choices = replace(choices, study={**choices.study, **placer.choose_study(sd)})
+        return self.assemble(rows, sd, depths, needles, choices)
 
     def settle_curvature_sd(self) -> None:
         """Give curvatures the standard deviation that is stated of all; without a cell, the usual one."""
@@ -138,19 +95,13 @@ class Planner(CurveAnswers):
             for sensor in lacking:
                 sensor[3] = sd
 
-    def part(self, curves: list[ImportedCurve]) -> "Planner":
-        """Return the planner of some curves, with the same answers and surfaces."""
-        part = copy(self)
-        part.curves = curves
-        return part
-
     def assemble(
         self,
         rows: Sequence[InsertionRow],
-        pose: str,
         sd: float,
         depths: Sequence[tuple[float, ...]],
         needles: Sequence[NeedleRecord],
+        choices: FirstChoices,
     ) -> ImportPlan:
         """Return the plan: what all needles share is stated once, what differs with each."""
         by_medium = dict[str, set[tuple[float, ...]]]()
@@ -165,22 +116,24 @@ class Planner(CurveAnswers):
                 row,
                 needle=names.get(needle, ""),
                 boundaries=None if boundaries == media[row.medium] else boundaries,
-                curvature=count_from_tip(curve, row.curvature, needle.length_mm),
             )
-            for row, boundaries, needle, curve in zip(rows, depths, needles, self.curves, strict=True)
+            for row, boundaries, needle in zip(rows, depths, needles, strict=True)
         )
-        return ImportPlan(placed, pose, tuple(self.surfaces), media, kinds[0], sd, named)
+        pose: Pose = "free" if any(placer.pose == "free" for placer in self.placers) else "known"
+        slope_sd = max(placer.slope_sd_deg for placer in self.placers)
+        return ImportPlan(
+            placed, pose, tuple(self.surfaces), media, kinds[0], sd, named, (), choices, slope_sd
+        )
 
-    def refuse_moved_guide(self, is_alone: bool) -> None:
-        """DataError if a guide moved beside shapes or tips: only readings on the way have its places.
-
-        `is_alone`: there are no such readings.
-        """
+    def refuse_moved_guide(self) -> None:
+        """DataError if a guide moved beside shapes or tips: only readings on the way have its places."""
         stated = self.stated("guide")
-        guided = [curve for curve in self.curves if curve.guide is not None]
+        guided = [
+            curve
+            for curve in self.curves
+            if curve.guide is not None and not KINDS[curve.holds].in_tracker_frame
+        ]
         if not guided or (stated is not None and stated.text == "none"):
-            if is_alone:
-                self.settler.assumed.pop("guide", None)
             return
         places = np.concatenate([curve.guide for curve in guided if curve.guide is not None])
         if np.ptp(np.nan_to_num(places), axis=0).max() >= GUIDE_STILL_MM:
@@ -191,223 +144,6 @@ class Planner(CurveAnswers):
                 fix=f"if rows are such readings: {tracks}; if the column is no guide: {none}",
                 where=guided[0].points.where(),
             )
-
-    def settle_entry(self) -> None:
-        """Put the entry first."""
-        chords = np.array([curve.line[-1] - curve.line[0] for curve in self.curves])
-        against = [self.curves[n] for n in np.flatnonzero(chords @ chords.sum(axis=0) < 0)]
-        reason, fix = "the order of the file", ""
-        if against:
-            reason = f"{join_names([curve.name for curve in against], 5)} runs against the others"
-            fix = f"{advise_order(against)}; or, if needles enter from two sides, state "
-            fix += f"{name_set('entry', 'first')}, and {name_set('pose', 'free')}"
-        self.entry = self.settle("entry", "" if against else "first", reason, ("first", "last"), fix).text
-        for curve in self.curves if self.entry == "last" else ():
-            curve.points = curve.points.part(np.arange(len(curve.line))[::-1])
-
-    # ---- entry and pose
-
-    def settle_pose(self, without: str) -> list[Stated]:
-        """Return for each needle `free`, `shaft` or a direction; the hint is the one that fits them all.
-
-        `without`: names of the other needles, which have no shape and need a direction.
-        """
-        chords = np.array([curve.line[-1] - curve.line[0] for curve in self.curves])
-        chord = chords.sum(axis=0)
-        along, how = format_direction(normalize(chord)) if chord.any() else "X,Y,Z", "as the needles run"
-        if (fitted := fit_direction([curve.line for curve in self.curves])) is not None:
-            along = format_direction(fitted.vector)
-            how = f"which fits all needles; pose_angle_sd={fitted.sd_deg:.2g} deg"
-        reason = f"{without} without a shape; " if without else ""
-        reason += f"pose={along} ({how}) if a stage pushed all needles in one direction"
-        is_posed = bool(without or self.surfaces) or any(
-            curve.turns or curve.sensors or curve.tips for curve in self.curves
-        )
-        poses = self.each("pose", usual="" if is_posed else "free", reason=reason)
-        kinds = {pose.text if pose.text in ("free", "shaft") else "direction" for pose in poses}
-        if len(kinds) > 1:
-            raise poses[0].error("pose", "directions of all needles, or shaft or free of all")
-        if kinds == {"free"} and is_posed:
-            raise poses[0].error("pose", f"{along} or shaft, of surfaces, turns, curvatures and tips")
-        if kinds != {"direction"}:
-            return poses
-        runs = chords / np.maximum(np.linalg.norm(chords, axis=1, keepdims=True), SAME_POINT_MM)
-        cosines = [
-            float(normalize(pose.to_vector("pose")) @ run) for pose, run in zip(poses, runs, strict=True)
-        ]
-        off = [n for n, cosine in enumerate(cosines) if cosine < np.cos(np.radians(MAX_HEADING_DEG))]
-        if off:
-            curves, angle = [self.curves[n] for n in off], np.degrees(np.arccos(cosines[off[0]]))
-            fix, end = f"state {name_set('pose', along)}", name_set("entry", OTHER_END[self.entry])
-            fix += f"; or, if the files begin at the tips, {end}"
-            raise poses[off[0]].error(
-                "pose",
-                f"at most {MAX_HEADING_DEG:g} degrees off the needles, {along}; "
-                f"{join_names([curve.name for curve in curves], 5)} runs {angle:.0f} degrees off it",
-                advise_order(curves) if 2 * len(off) < len(poses) else fix,
-            )
-        return poses
-
-    def settle_entry_points(self, poses: Sequence[Stated], without: str) -> list[Floats | None]:
-        """Return where each tip first touched the tissue, None: at the first point; cut the curves there.
-
-        `without`: names of needles of which the place of the tip alone is known: they have no first point.
-        """
-        stated = {curve.name: curve.stated["depth"] for curve in self.curves if "depth" in curve.stated}
-        depths = {name: depth.to_number("depth") for name, depth in stated.items()}
-        surfaces = {surface.name: surface for surface in self.surfaces}
-        guess, reason = "first", "the first point of each needle, with its error"
-        if poses[0].text == "shaft" or surfaces:
-            guess, reason = "", "nothing states where the tissue begins"
-        elif without:
-            start = max(float(np.linalg.norm(curve.line[0])) for curve in self.curves)
-            guess = "0,0,0" if start <= MIN_CUT_MM else ""
-            reason = (
-                f"the shapes begin up to {start:.2g} mm from the origin; of {without} the tip is known alone"
-            )
-        for curve in self.curves:
-            depth = depths.get(curve.name, np.inf)
-            if curve.length - depth > find_length_tolerance(depth):
-                guess = "depth" if poses[0].text == "shaft" else ""
-                place = f"its depth {depth:g} mm in {stated[curve.name].where}"
-                reason = f"{curve.name} is {curve.length:.1f} mm long, and {place}"
-                break
-        is_first = (of_all := self.stated("entry_point")) is not None and of_all.text == "first"
-        answers = self.each("entry_point", usual=guess, reason=reason, is_sure=guess == "depth")
-        entries, cut, missed = list[Floats | None](), list[float](), list[str]()
-        for curve, answer in zip(self.curves, answers, strict=True):
-            is_place = answer.text not in ("first", "depth", *surfaces)
-            entries.append(entry := answer.to_entry() if is_place else None)
-            arc = 0.0
-            if answer.text in surfaces:
-                hits = find_surface_hits(curve.points.curve.smoothed, surfaces[answer.text])
-                arc = min(hits, default=0.0)
-                missed += [] if len(hits) else [curve.name]
-            elif answer.text == "depth":
-                if curve.name not in depths:
-                    raise answer.error("entry_point", f"X,Y,Z, or a depth of {curve.name}, too")
-                arc = curve.length - depths[curve.name]
-            elif entry is not None:
-                along = np.arange(0.0, curve.length, STEP_MM)
-                gaps = np.linalg.norm(curve.points.curve.interpolate(along) - entry, axis=1)
-                arc = float(along[np.argmin(gaps)])
-            if arc > MIN_CUT_MM:
-                cut_shaft(curve, arc, OTHER_END[self.entry])
-                cut.append(arc)
-        used = {answer.text: answer for answer in answers if answer.text in surfaces}
-        if used and (missed or not cut):
-            names = f" ({missed[0]} does not)" if missed else ""
-            raise next(iter(used.values())).error(
-                "entry_point", f"a surface without a hole, that needles cross on their way in{names}"
-            )
-        if cut:
-            self.settler.note("shaft", f"{min(cut):.1f} to {max(cut):.1f} mm before the entry point cut off")
-        self.surfaces[:] = [surface for surface in self.surfaces if surface.name not in used]
-        for curve, pose, entry in zip(self.curves, poses, entries, strict=True):
-            if curve.is_deflection and not is_first:  # depths count from the first point where it is stated
-                curve.before = max(0.0, float(curve.line[0, 0] - (0.0 if entry is None else entry[0])))
-            length = curve.before + curve.length
-            depth = depths.get(curve.name, length)
-            limit = find_length_tolerance(depth)
-            if curve.before > limit and pose.text != "free":
-                raise DataError(
-                    f"the points of {curve.name} begin at a depth of {curve.before:.1f} mm",
-                    expected="points from the entry on, where the depth is 0",
-                    fix=f"add them; or, if the first point is the entry: {name_set('entry_point', 'first')}; "
-                    f"or fit the shapes alone: {name_set('pose', 'free')}",
-                    where=curve.points.where(),
-                )
-            if abs(depth - length) > limit:
-                fix = "correct the depth, or the order of the points; or cut off a shaft by entry_point"
-                units = [unit for unit, mm in UNITS_MM.items() if abs(length * mm - depth) < limit]
-                if units:
-                    edits = " ".join(name_set(f"{axis}.unit", units[0]) for axis in "xyz")
-                    # one needle among others in mm is no matter of all columns
-                    is_one = any(abs(depths.get(one.name, 0.0) - one.length) <= limit for one in self.curves)
-                    state = "correct them" if is_one or curve.is_deflection else f"state {edits}"
-                    fix = f"its coordinates look like {units[0]}: {state}"
-                expected = f"within {limit:.1f} mm the length of {curve.name}, which is {curve.length:.1f} mm"
-                raise stated[curve.name].error("depth", expected, fix)
-        return entries
-
-    def make_rows(
-        self,
-        poses: Sequence[Stated],
-        entries: Sequence[Floats | None],
-        point_sd: float,
-        depths: Sequence[tuple[float, ...]],
-        needles: Sequence[NeedleRecord],
-    ) -> list[InsertionRow]:
-        """Return the rows with entry poses and bevels, without medium and specimen.
-
-        Of `depths` and `needles` those of the shapes are the first.
-        """
-        curves, settler, angles = self.curves, self.settler, self.settle_sides()
-        self.require_seen(angles or [])
-        sides, zeros = to_sides(angles or [0.0] * len(curves))
-        rows, is_own = list[InsertionRow](), any("entry_point" in curve.stated for curve in curves)
-        for curve, side, entry in zip(curves, sides, entries, strict=True):
-            # a stated length is believed
-            sd = 0.0 if "depth" in curve.stated else measure_curve(curve.line, point_sd).length_sd
-            # one entry that is stated of all is the origin of their coordinates, and no hole
-            hole = curve.hole or ("" if is_own or entry is None else curve.name)
-            rows.append(InsertionRow(curve.name, "", 1, curve.depth, side=side, depth_sd=sd, hole=hole))
-        if poses[0].text == "free":
-            bevels = self.compare_sides(angles)
-            rows = [replace(row, bevel=bevel) for row, bevel in zip(rows, bevels, strict=True)]
-            return set_layers(rows, depths[: len(rows)])
-        if any(entry is None for entry in entries):
-            settler.note(
-                "shift across", "fitted: the first point, taken as the entry, has moved with the needle"
-            )
-        shifts = self.numbers("pose_shift_sd", usual=f"{point_sd:g}", reason="that of a point")
-        if poses[0].text == "shaft":
-            axes = [
-                fit_shaft(curve, needle, point_sd, poses[0])
-                for curve, needle in zip(curves, needles, strict=False)
-            ]
-            ways, sds = np.array([axis.direction for axis in axes]), [axis.angle_sd for axis in axes]
-            reason = f"of each shaft, which the tissue has bent: at most {np.degrees(max(sds)):.2g} degrees"
-            answers = self.each("pose_angle_sd", usual="shaft", reason=reason, is_sure=True)
-        else:
-            ways = np.array([normalize(pose.to_vector("pose")) for pose in poses])
-            answers = self.each("pose_angle_sd")
-        if answers[0].text != "shaft":
-            sds = [float(np.radians(answer.to_number("pose_angle_sd", "deg"))) for answer in answers]
-        first = [
-            curve.line[0] if entry is None else entry for curve, entry in zip(curves, entries, strict=True)
-        ]
-        until = [min([curve.length, *(depth for depth, _ in curve.turns)]) for curve in curves]
-        before = [curve.points.curve.interpolate([arc])[0] for curve, arc in zip(curves, until, strict=True)]
-        bevels = self.settle_bevel(np.array(before) - first, ways, angles)
-        beside: dict[str, list[Sequence[object]]] = {
-            "turns": [curve.turns for curve in curves],
-            "curvatures": [curve.sensors for curve in curves],
-        }
-        for label, stated in beside.items():
-            counts = [f"{len(own)} of {curve.name}" for curve, own in zip(curves, stated, strict=True) if own]
-            if counts:
-                settler.note(label, join_names(counts, 8))
-                reason = "degrees, set by hand: bevel_roll_sd_deg of insertions.csv"
-                settler.assumed["bevel_roll_sd"] = f"{DEFAULT_ROLL_SD_DEG:g} {reason}"
-        for n, curve in enumerate(curves):
-            crossed = (
-                find_crossings(curve.points.curve.smoothed, self.surfaces).sequence if self.surfaces else ()
-            )
-            run = float((curve.line[-1] - first[n]) @ ways[n])
-            rows[n] = replace(
-                rows[n],
-                layers=len(crossed or select_layers(np.array(depths[n]), run)[1]),
-                entry=first[n],
-                direction=ways[n],
-                bevel=bevels[n],
-                pose_source=name_pose_source(poses[n], entries[n]),
-                pose_shift_sd=shifts[n],
-                pose_angle_sd=sds[n],
-                turns=tuple((depth, np.radians(cell.to_angle()) - zeros[n]) for depth, cell in curve.turns),
-                curvature=curve.read_curvature(zeros[n]),
-            )
-        return add_tips(self, rows, zeros, point_sd)
 
     # ---- layers
 
@@ -424,85 +160,14 @@ class Planner(CurveAnswers):
             return [() for _ in self.curves]
         return [() if answer.text == "none" else answer.to_boundaries() for answer in self.each("boundaries")]
 
-    # ---- bevel
-
-    def require_seen(self, angles: Sequence[float]) -> None:
-        """DataError if bevels lead needles across the plane in which alone their points were measured.
-
-        It is that of most bevels, which face one way or the other in it.
-        """
-        if not angles or any(curve.line[:, 2].any() for curve in self.curves):
-            return
-        ((plane, _),) = Counter(angle % 180.0 for angle in angles).most_common(1)
-        across = np.abs(np.sin(np.radians(np.array(angles) - plane)))
-        if hidden := [self.curves[n] for n in np.flatnonzero(across > MAX_HIDDEN_PART)]:
-            names = join_names([curve.name for curve in hidden], 5)
-            expected = (
-                f"{plane:g} or {plane + 180.0:g} deg, as of the others: only x and y were measured, and "
-            )
-            expected += f"{names} bends along z"
-            places = " and ".join(curve.points.where() for curve in hidden)
-            fix = f"state z, or leave out the rows from {places} on"
-            raise hidden[0].stated["bevel_side"].error("bevel_side", expected, fix)
-
-    def settle_bevel(
-        self, bends: Floats, along: Floats, angles: Sequence[float] | None
-    ) -> Sequence[Floats | None]:
-        """Return the direction toward which side 1 of each needle deflects; None: it bends toward its bevel.
-
-        `bends` (N, 3): from the directions `along` (N, 3), mm. Their mean is all that is read of the shapes.
-        """
-        sides = BendsOfSides(bends, along, angles)
-        guess, reason, fix, where = "bend", "every needle is taken to bend toward its bevel", "", ""
-        is_turned = any(curve.turns or curve.sensors or curve.tips for curve in self.curves)
-        faced = [angle % 360.0 for angle in angles or [0.0]]
-        if differ := is_turned or len({*faced}) > 1 or max(faced) >= 180.0:
-            guess = format_direction(sides.mean)
-            reason = "the mean direction in which needles bend from their sides"
-            if not sides.agree:
-                off = np.flatnonzero(sides.units @ sides.mean < np.cos(np.radians(MAX_HEADING_DEG)))
-                names = join_names([self.curves[n].name for n in off], 5) or "some needles"
-                fix = f"look at the bevel side of {names} in its source; if it is right: "
-                fix += name_set("bevel", guess)
-                cells = [cell for n in off if (cell := self.curves[n].stated.get("bevel_side"))]
-                where = cells[0].where if cells else ""
-                guess, reason = "", f"the bevel side of {names} and that of the others contradict each other"
-        answer = self.settle("bevel", guess, reason, fix=fix, where=where)
-        if answer.text != "bend":
-            self.settle_sides(is_needed=True)
-            return [*sides.turned.apply(answer.to_vector("bevel"))]
-        if differ:
-            raise answer.error("bevel", "X,Y,Z: bevels differ, or turn")
-        return [None] * len(bends)
-
-    def compare_sides(self, angles: Sequence[float] | None) -> Sequence[Floats | None]:
-        """Return the direction that side 1 of each free shape faces in the frame of the points, if stated.
-
-        It is their mean bend from the one direction that fits all needles; None where they bend from it in
-        several planes, as needles do that were not measured in one frame.
-        """
-        fitted = fit_direction([curve.line for curve in self.curves])
-        bevels: Sequence[Floats | None] = [None] * len(self.curves)
-        note = "a free shape bends toward its bevel"
-        if angles is not None:
-            note = "stated sides are not compared with the bends: no one direction fits the needles"
-        if angles is not None and fitted is not None:
-            chords = np.array([curve.line[-1] - curve.line[0] for curve in self.curves])
-            sides = BendsOfSides(chords, np.tile(fitted.vector, (len(chords), 1)), angles)
-            if np.abs(sides.toward @ sides.mean).sum() > MIN_SAME_SIDE * sides.sizes.sum():
-                note = f"stated sides are compared with the bends from {format_direction(fitted.vector)}"
-                bevels = [*sides.turned.apply(sides.mean)]
-        self.settler.note("bevel", note)
-        return bevels
-
     # ---- names and needle
 
     def add_names(
-        self, rows: Sequence[InsertionRow], depths: Sequence[tuple[float, ...]], is_track: bool
+        self, rows: Sequence[InsertionRow], depths: Sequence[tuple[float, ...]]
     ) -> list[InsertionRow]:
         """Return the rows with medium and specimen; a medium of tracks is in one specimen, by its name."""
         names = [curve.hole or curve.name for curve in self.curves]
-        cells = self.each("specimen", *(TRACK_SPECIMEN if is_track else (None, "")))
+        cells = self.each("specimen", *self.usual.get("specimen", ()))
         specimens = [
             re.sub(r'[,"]', " ", name if cell.text == "each" else cell.text)
             for cell, name in zip(cells, names, strict=True)
@@ -513,7 +178,7 @@ class Planner(CurveAnswers):
             specimen if cell.text == "specimen" else re.sub(r'[,"]', " ", cell.text)
             for cell, specimen in zip(self.each("medium"), specimens, strict=True)
         ]
-        if is_track and len({*specimens}) > 1:
+        if "specimen" in self.usual and len({*specimens}) > 1:
             pairs = zip(media, specimens, strict=True)
             media = [medium if medium == specimen else f"{medium} {specimen}" for medium, specimen in pairs]
         named = zip(rows, media, specimens, strict=True)
@@ -540,11 +205,9 @@ class Planner(CurveAnswers):
             fix = f"if these are right, and all of the same tissues: {name_set('medium', 'gel')}; if each "
             self.settle("medium", "", reason, fix=f"{fix}has its own: {name_set('medium', 'specimen')}")
 
-    def settle_needles(self, depths: Sequence[float]) -> list[NeedleRecord]:
-        """Return the needle of each insertion, whose `depths` are in mm.
-
-        DataError if a needle is not longer than it was inserted.
-        """
+    def settle_needles(self) -> list[NeedleRecord]:
+        """Return the needle of each insertion; DataError if one is not longer than it was inserted."""
+        depths = [curve.depth for curve in self.curves]
         least = f"{max(MIN_NEEDLE_MM, float(np.ceil(max(depths) + BEYOND_DEPTH_MM))):g}"
         answers = (self.each("needle_length", usual=least), self.each("diameter"),
                    self.each("inner_diameter"), self.each("modulus"))  # fmt: skip
@@ -555,23 +218,20 @@ class Planner(CurveAnswers):
         return needles
 
     def settle_guide_distance(
-        self, rows: list[InsertionRow], needles: Sequence[NeedleRecord], is_track: bool
+        self, rows: list[InsertionRow], needles: Sequence[NeedleRecord]
     ) -> tuple[list[InsertionRow], dict[str, dict[str, Any]]]:
         """Return the rows with the guides that hold their needles, and the parameter of one that is fitted.
 
         Without a guide the base alone holds a needle. Of tracks it is asked, as a guide may have led them.
         """
-        if not is_track and not self.is_stated("guide_distance"):
+        if "guide_distance" not in self.usual and not self.is_stated("guide_distance"):
             return rows, {}
-        is_moved = any(is_guided(curve) for curve in self.curves)
-        usual, reason = (
-            ("free", "the guide moved, and its distance is not stated") if is_moved else (None, "")
-        )
+        usual, reason = self.usual.get("guide_distance", (None, ""))
         answers = self.each("guide_distance", usual, reason)
         texts = {answer.text for answer in answers}
-        if "none" in texts and is_moved:
+        if "none" in texts and usual == "free":
             raise answers[0].error("guide_distance", "mm, or `free`: the guide moved")
-        if texts == {"free"} or (is_track and texts != {"none"}):
+        if texts == {"free"} or ("guide_distance" in self.usual and texts != {"none"}):
             if len(texts) > 1:
                 raise answers[0].error("guide_distance", "one value of all")
             free = min(needle.length_mm - row.depth for needle, row in zip(needles, rows, strict=True))
@@ -586,27 +246,6 @@ class Planner(CurveAnswers):
         return [
             replace(row, guide_distance=distance) for row, distance in zip(rows, distances, strict=True)
         ], {}
-
-
-# ---- needles, points and shafts
-
-
-def require_order(curves: Sequence[ImportedCurve]) -> None:
-    """DataError of points that lie far from all others of a curve, or go back along it."""
-    for curve in curves:
-        fault = find_stray_fault(curve.points)
-        if fault is None and len(back := find_backward_points(curve.line)):
-            fault = make_order_fault(curve.points, back)
-            names = name_set("needle.column", "HEADER")
-            fault = fault.replace(fix=f"{fault.fix}; or, if they are of several needles, {names}")
-        if fault is not None:
-            raise fault.replace(what=f"curve {curve.name} {fault.what}")
-
-
-def advise_order(curves: Sequence[ImportedCurve]) -> str:
-    """Return the fix of curves whose points go from the tip to the entry."""
-    ends = [f"{curve.points.where()} to {curve.points.where(-1)}" for curve in curves]
-    return f"reverse these points if they go from the tip to the entry: {join_names(ends, 5)}"
 
 
 def read_needle(length: Stated, outer: Stated, inner: Stated, modulus: Stated) -> NeedleRecord:
@@ -628,60 +267,3 @@ def read_needle(length: Stated, outer: Stated, inner: Stated, modulus: Stated) -
         inner_diameter_mm=bore,
         youngs_modulus_gpa=modulus.to_number("modulus", "GPa", is_above=True),
     )
-
-
-def count_from_tip(curve: ImportedCurve, curvature: Floats | None, length: float) -> Floats | None:
-    """Return curvatures (n, 4) with the places of their sensors from the tip of a needle of a length, mm."""
-    if curvature is None or not curve.are_sensors_from_base:
-        return curvature
-    return np.column_stack([length - curvature[:, 0], curvature[:, 1:]])
-
-
-def set_layers(rows: Sequence[InsertionRow], depths: Sequence[tuple[float, ...]]) -> list[InsertionRow]:
-    """Return rows with the numbers of layers that they meet along their depths, by those of boundaries."""
-    return [
-        replace(row, layers=len(select_layers(np.array(boundaries), row.depth)[1]))
-        for row, boundaries in zip(rows, depths, strict=True)
-    ]
-
-
-def cut_shaft(curve: ImportedCurve, arc: float, other_end: str) -> None:
-    """Cut a curve at this length from its first point, mm, and keep the points before as its shaft.
-
-    `other_end`: the answer by which curves would begin there.
-    """
-    points, along = curve.points, curve.points.curve.s
-    after = np.flatnonzero(along > arc + 10 * SAME_POINT_MM)
-    if len(after) < MIN_POINTS - 1:
-        raise DataError(
-            f"curve {curve.name!r} has only {len(after)} points behind its entry",
-            expected="points from the entry to the tip",
-            fix=f"state another entry_point, or {name_set('entry', other_end)} and the pose that follows",
-            where=points.where(),
-        )
-    entry = [np.interp(arc, along, axis) for axis in points.values.T]
-    values = np.vstack([entry, points.values[after]])
-    curve.shaft = np.vstack([points.values[along < arc], values[:1]])
-    curve.points = replace(points.part(np.concatenate([after[:1], after])), values=values)
-
-
-def name_pose_source(pose: Stated, entry: Floats | None) -> PoseSource:
-    """Return where a pose comes from, whose entry is stated, or the first point of the needle."""
-    if entry is None:
-        return "first_point"
-    return "shaft" if pose.text == "shaft" else "stage"
-
-
-def fit_shaft(curve: ImportedCurve, needle: NeedleRecord, point_sd: float, pose: Stated) -> ShaftAxis:
-    """Return the axis of a curve's shaft, which the needle's base holds."""
-    along = measure_curve(curve.shaft, point_sd).s
-    if len(along) < MIN_SHAFT_POINTS or along[-1] < MIN_SHAFT_MM:
-        raise pose.error("pose", f"{MIN_SHAFT_POINTS} points over {MIN_SHAFT_MM:g} mm before each entry")
-    rules = ReconstructionEntryRecord()
-    s, noise, turn_sd = (
-        along - along[-1],
-        point_sd**2 * np.eye(len(along)),
-        np.radians(rules.entry_tilt_sd_deg),
-    )
-    free = max(needle.length_mm - curve.length, -s[0])
-    return fit_shaft_axis(curve.shaft, s, noise, free, rules.entry_shift_sd_mm, float(turn_sd))

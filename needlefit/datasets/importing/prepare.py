@@ -12,9 +12,11 @@ from needlefit.datasets.importing.curves import ImportContent
 from needlefit.datasets.importing.draft import Draft
 from needlefit.datasets.importing.draft_files import draft_mapping
 from needlefit.datasets.importing.examples import find_examples
-from needlefit.datasets.importing.meanings import COORDINATES, MEANINGS, POINTS, VALUES
+from needlefit.datasets.importing.kinds import KINDS
+from needlefit.datasets.importing.mapped_table import MappedTable, list_tables
+from needlefit.datasets.importing.meanings import COORDINATES, MEANINGS, VALUES
 from needlefit.datasets.importing.place import ImportPlan, Planner
-from needlefit.datasets.importing.read import MappedTable, list_tables, read_curves, read_mapped
+from needlefit.datasets.importing.read import read_curves, read_mapped
 from needlefit.datasets.importing.stated import Question, Settler, UnansweredError, name_set
 from needlefit.datasets.importing.synonyms import list_bare_numbers
 from needlefit.errors import ConfigError, DataError
@@ -168,7 +170,7 @@ def _settle_unit(draft: Draft, files: Sequence[Path]) -> None:
         column
         for table in draft.tables
         for meaning, column in table["columns"].items()
-        if meaning in COORDINATES and "unit_column" not in column and table["holds"] in POINTS
+        if meaning in COORDINATES and "unit_column" not in column and KINDS[table["holds"]].has_points
         if column.get("unit", "px") == "px"
     ]
     if not lacking:
@@ -223,7 +225,7 @@ def _require_lengths(content: ImportContent, record: MappingRecord) -> None:
             ),
             where=content.curves[0].points.where(),
         )
-    shapes = [one for one in content.curves if one.holds == "shapes" and "depth" not in one.stated]
+    shapes = [one for one in content.curves if KINDS[one.holds].is_line and "depth" not in one.stated]
     short = min(shapes, key=lambda curve: curve.reach, default=None)
     if short is None or "lengths" in record.values or longest < MAX_LENGTH_RATIO * short.reach:
         return
@@ -248,7 +250,8 @@ def _describe_columns(record: MappingRecord, files: Sequence[Path]) -> Iterator[
         sheet = mapped.record.sheet.replace("*", "")
         for meaning, column in mapped.record.columns.items():
             unit = column.unit or MEANINGS[meaning].unit
-            key = "unit" if meaning in COORDINATES and mapped.record.holds in POINTS else f"{meaning}.unit"
+            is_point = meaning in COORDINATES and KINDS[mapped.record.holds].has_points
+            key = "unit" if is_point else f"{meaning}.unit"
             unit += ", assumed" if unit and key in record.assumed else ""
             yield {
                 "table": f"{mapped.table.path.name} {sheet}".strip(),

@@ -4,9 +4,7 @@ import json
 import re
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from fnmatch import fnmatchcase
-from functools import cached_property
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
@@ -17,20 +15,10 @@ from needlefit.datasets.columns import make_id
 from needlefit.datasets.faults import as_error
 from needlefit.datasets.formats import find_format
 from needlefit.datasets.formats.markups import read_plane
-from needlefit.datasets.importing.curves import ImportContent, ImportedCurve, TipReading
-from needlefit.datasets.importing.meanings import ATTRIBUTES, COORDINATES, MEANINGS, POINTS, SENSOR, VECTORS
-from needlefit.datasets.importing.stated import Stated, name_set
-from needlefit.datasets.importing.synonyms import find_meaning, read_quantity
-from needlefit.datasets.importing.tables import (
-    CODES,
-    MISSING,
-    SHEET_SUFFIXES,
-    TEXT_SUFFIXES,
-    Table,
-    lay_out,
-    read_grids,
-    read_structured,
-)
+from needlefit.datasets.importing.curves import ImportContent, ImportedCurve
+from needlefit.datasets.importing.kinds import KINDS, list_kinds
+from needlefit.datasets.importing.mapped_table import MAX_LISTED_NAMES, MappedTable, list_tables
+from needlefit.datasets.importing.stated import name_set
 from needlefit.datasets.layers import find_hole, find_length_tolerance, find_surface_faults
 from needlefit.datasets.points import Points
 from needlefit.errors import DataError
@@ -44,133 +32,13 @@ from needlefit.geometry.surfaces import (
     transform_surface,
 )
 from needlefit.project.folders import sha256
-from needlefit.project.locate import join_names, sort_by_similarity
-from needlefit.project.units import UNITS_MM, UNITS_PER_MM
-from needlefit.schemas.mapping import MappingRecord, TableRecord
+from needlefit.project.locate import join_names
+from needlefit.schemas.mapping import MappingRecord
 
 MAX_CURVES = 2000  # largest number of needles, and of files: more is a wrong folder
 MAX_NAME_CHARS = 60  # longest name of a needle (characters)
-MAX_LISTED_NAMES = 4  # largest number of names in a message
-ACROSS = ("deflection", "deflection_z", "y", "z")  #: meanings whose numbers may be percents of the depth
 PLANE_SIZE_MM = 400.0  # edge of the sheet (mm) that stands for a plane
 MIN_PLANE_PART = 0.05  # smallest extent of its points across the longest one, as a fraction of that
-FACTORS = UNITS_MM | UNITS_PER_MM
-
-
-@dataclass(frozen=True)
-class MappedTable:
-    """A table, the entry of the mapping that reads it, and the number of that entry."""
-
-    table: Table
-    record: TableRecord
-    number: int  # from 1
-
-    def name_edit(self, key: str, value: str = "HEADER") -> str:
-        """Return the option that states a key of this table, as `columns.x.unit`."""
-        return name_set(f"tables.{self.number}.{key}", value)
-
-    @property
-    def kept_rows(self) -> list[int]:
-        """The rows that are not marked as excluded."""
-        return [n for n, cells in enumerate(self.cells["excluded"]) if "excluded" not in cells]
-
-    def where(self, n: int, meaning: str) -> str:
-        """Return the place of the cell of a meaning in a row."""
-        record = self.record.columns.get(meaning)
-        if record is None or not record.column:
-            return self.table.places[n]
-        column, place = self.find(meaning, record.columns[0]) + 1, self.table.places[n]
-        is_above = column > len(self.table.headers) - len(self.table.remarked)
-        return f"{self.table.where}, above its rows" if is_above else f"{place}, column {column}"
-
-    def find(self, meaning: str, name: str | int) -> int:
-        """Return the column with a header or number; DataError with the nearest name if there is none."""
-        column = self.table.find(name)
-        if column is not None:
-            return column
-        headers = [text for text in self.table.headers if text]
-        near = sort_by_similarity(str(name), headers)
-        raise DataError(
-            f"has no one column {name!r}, of which {meaning} is read",
-            expected=f"one of {', '.join(headers)}, or a number from 1 to {len(self.table.headers)}",
-            fix=self.name_edit(f"columns.{meaning}.column", near[0] if near else "1"),
-            where=self.table.where,
-        )
-
-    def list_columns(self, meaning: str) -> list[int]:
-        """Return the columns of a meaning; none where a value or a name stands in their place."""
-        record = self.record.columns[meaning]
-        return [self.find(meaning, name) for name in record.columns] if record.column else []
-
-    @cached_property
-    def cells(self) -> Mapping[str, list[list[str]]]:
-        """The texts of each meaning in each row, one of each column; empty where it was not measured."""
-        names = {"file": self.table.path.name.partition(".")[0], "sheet": self.table.sheet}
-        cells = defaultdict[str, list[list[str]]](lambda: [[] for _ in self.table.rows])
-        for meaning, record in self.record.columns.items():
-            columns, value = self.list_columns(meaning), names.get(record.source, str(record.value))
-            is_place = meaning in COORDINATES and self.record.holds in POINTS
-            cells[meaning] = [
-                [
-                    ""
-                    if text in self.record.missing or (is_place and _is_missing(text))
-                    else record.words.get(text, text)
-                    for text in [row[m] for m in columns] or [value]
-                ]
-                for row in self.table.rows
-            ]
-        return cells
-
-    def read_unit(self, meaning: str, n: int) -> str:
-        """Return the unit of a row, or of all; empty: that of the meaning."""
-        record = self.record.columns[meaning]
-        if record.unit_column is None:
-            return record.unit
-        text = self.table.rows[n][self.find(meaning, record.unit_column)]
-        return find_meaning("unit", text) or text
-
-    def read_factor(self, meaning: str, n: int) -> float:
-        """Return by what numbers are multiplied to be in mm or 1/mm."""
-        usual = MEANINGS[meaning].unit
-        unit = self.read_unit(meaning, n) or usual
-        if unit == "%" and meaning in ACROSS and self.cells["depth"][n]:  # of the depth of the row
-            return self.read_number("depth", n) / 100 * self.record.columns[meaning].sign
-        quantity = (1.0, unit) if unit in FACTORS else read_quantity(unit)
-        number, plain = quantity or (1.0, unit)  # `0.07 mm` of a pixel
-        if plain not in FACTORS or plain.startswith("1/") != usual.startswith("1/"):
-            known_units = ", ".join(UNITS_PER_MM if usual.startswith("1/") else UNITS_MM)
-            raise DataError(
-                f"the unit of {meaning} is {unit!r}",
-                expected=f"{known_units}, or the length of a step: 0.07 mm",
-                fix=self.name_edit(f"columns.{meaning}.unit", usual),
-                where=self.where(n, meaning),
-            )
-        return number * FACTORS[plain] * self.record.columns[meaning].sign
-
-    def read_number(self, meaning: str, n: int, k: int = 0) -> float:
-        """Return a cell of a row, that of the column `k`, in mm or 1/mm; DataError if it is no number."""
-        text = self.cells[meaning][n][k]
-        if (value := self.table.number(text)) is None:
-            fix = "write one number in each cell"
-            if not any(map(str.isdigit, text)):
-                missing = self.name_edit("missing", f'["{text[:20]}"]')
-                fix += f"; or, if it was not measured: {missing}"
-            raise DataError(
-                f"{meaning} is {text[:40]!r}",
-                expected=f"a number with the decimal sign {self.table.decimal!r}",
-                fix=fix,
-                where=self.where(n, meaning),
-            )
-        return value * self.read_factor(meaning, n)
-
-    def read_numbers(self, meaning: str, rows: Iterable[int], k: int = 0) -> Floats:
-        """Return the cells of rows, those of the column `k`, in mm or 1/mm."""
-        return np.array([self.read_number(meaning, n, k) for n in rows], dtype=np.float64)
-
-
-def _is_missing(text: str) -> bool:
-    """Whether a cell states that a coordinate was not measured."""
-    return text in CODES or text.lower() in MISSING
 
 
 def read_mapped(mapping: MappingRecord, paths: Sequence[Path], where: str) -> ImportContent:
@@ -184,7 +52,7 @@ def read_mapped(mapping: MappingRecord, paths: Sequence[Path], where: str) -> Im
     left_out = list[str]()
     content.curves[:] = read_curves(tables, left_out)
     for mapped in tables:
-        if mapped.record.holds in ("curvatures", "turns", "facts"):
+        if not KINDS[mapped.record.holds].has_points:
             _add_rows(mapped, content.curves)
     unwanted = {name.strip() for name in mapping.values.get("leave_out", "").split(",")} - {""}
     known = {name for curve in content.curves for name in (curve.name, curve.given)}
@@ -199,7 +67,7 @@ def read_mapped(mapping: MappingRecord, paths: Sequence[Path], where: str) -> Im
     if not content.curves:
         raise DataError(
             "holds no needle",
-            expected='a table with holds = "shapes", "tips", "tracks" or "curvatures"',
+            expected=f"one of {', '.join(kind.name for kind in list_kinds() if kind.placer)}",
             fix="correct the mapping",
             where=where,
         )
@@ -215,48 +83,10 @@ def read_mapped(mapping: MappingRecord, paths: Sequence[Path], where: str) -> Im
 
 def read_curves(tables: Sequence[MappedTable], left_out: list[str]) -> list[ImportedCurve]:
     """Return the needles of tables of points; `left_out` gets the counts of points without a coordinate."""
-    of_points = [mapped for mapped in tables if mapped.record.holds in POINTS]
+    of_points = [mapped for mapped in tables if KINDS[mapped.record.holds].has_points]
     curves = _join_observations([curve for mapped in of_points for curve in _read_points(mapped, left_out)])
     _name_curves(curves)
     return curves
-
-
-def list_tables(mapping: MappingRecord, paths: Sequence[Path], where: str) -> Iterator[MappedTable]:
-    """Yield each table that the mapping reads; DataError if one of its files or sheets is not there."""
-    names = [path.name for path in paths]
-    for number, record in enumerate(mapping.tables, 1):
-        matching = [
-            path for path in paths if any(fnmatchcase(path.name, pattern) for pattern in record.files)
-        ]
-        if not matching:
-            near = sort_by_similarity(record.files[0], names)
-            raise DataError(
-                f"tables.{number} reads {join_names(record.files, 3)}, and no file has this name",
-                expected=join_names(names, MAX_LISTED_NAMES),
-                fix=name_set(f"tables.{number}.files", f'["{near[0] if near else "*"}"]'),
-                where=where,
-            )
-        count = 0
-        for path in matching:
-            for table in _read_tables(path, record):
-                count += 1
-                yield MappedTable(table, record, number)
-        if not count:
-            raise DataError(
-                f"has no sheet {record.sheet!r}",
-                expected="a sheet of this name",
-                fix=name_set(f"tables.{number}.sheet", "*"),
-                where=f"{matching[0]}",
-            )
-
-
-def _read_tables(path: Path, record: TableRecord) -> list[Table]:
-    if path.suffix.lower() not in (*TEXT_SUFFIXES, *SHEET_SUFFIXES):
-        return [read_structured(path)[0]]
-    grids = [
-        grid for grid in read_grids(path, record) if not grid.sheet or fnmatchcase(grid.sheet, record.sheet)
-    ]
-    return [lay_out(grid, record) for grid in grids]
 
 
 def _read_surfaces(mapping: MappingRecord, paths: Sequence[Path]) -> list[Surface]:
@@ -321,35 +151,15 @@ def _read_points(mapped: MappedTable, left_out: list[str]) -> Iterator[ImportedC
         )
     axes = [axis for axis in axes if axis in columns]
     rows = defaultdict[tuple[str, int], list[int]](list)
-    names, is_wide = _read_names(mapped), mapped.record.layout == "wide"
+    names, is_wide = mapped.names, mapped.record.layout == "wide"
     for n in mapped.kept_rows:
         rows[names[n], n * is_wide].append(n)
     for (name, _), numbers in rows.items():
         points, missing = _list_measured(mapped, numbers, axes)
         if missing:
             left_out.append(f"{missing} of {name or mapped.table.name}")
-        is_point = len(points) == 1 and mapped.record.holds == "shapes"
-        if is_point and (
-            len(numbers) > 1 or len(rows) == len(mapped.kept_rows)
-        ):  # cut short; or no shape at all
-            raise DataError(
-                f"{name or mapped.table.name} has one point: it is a tip, and no shape",
-                expected="the points of each needle from the entry to the tip",
-                fix=f"complete its points; or, of a table of tips: {mapped.name_edit('holds', 'tips')}",
-                where=mapped.table.places[points[0][0]],
-            )
         if points:
-            curve = _make_curve(mapped, name, points, axes, is_deflection)
-            yield replace(curve, holds="tips") if is_point else curve  # a tip beside shapes
-
-
-def _read_names(mapped: MappedTable) -> list[str]:
-    """Return the name of the needle of each row, as its cells are written."""
-    record = mapped.record.columns.get("needle")
-    names = ["-".join(filter(None, cells)) for cells in mapped.cells["needle"]]
-    if record is None or not record.pattern:
-        return names
-    return [match[1] if (match := re.fullmatch(record.pattern, name)) else name for name in names]
+            yield _make_curve(mapped, name, points, axes, is_deflection)
 
 
 def _list_measured(
@@ -365,7 +175,7 @@ def _list_measured(
             if all(k < len(texts) and texts[k] for texts in cells):
                 measured.append((n, [mapped.read_number(axis, n, k) for axis in axes]))
             else:
-                missing += any(raw) or mapped.record.holds == "tracks"
+                missing += any(raw)
     return measured, missing
 
 
@@ -376,16 +186,15 @@ def _make_curve(
     axes: Sequence[str],
     is_deflection: bool,
 ) -> ImportedCurve:
-    rows, columns = [row for row, _ in points], mapped.record.columns
+    rows = [row for row, _ in points]
     values = np.zeros((len(rows), 3))
     places = [axes.index(axis) if is_deflection else "xyz".index(axis) for axis in axes]
     values[:, places] = [numbers for _, numbers in points]
     lines = mapped.table.lines
-    stated = read_facts(mapped, rows)
-    is_track = mapped.record.holds == "tracks" and "depth" in columns
-    if is_track or is_deflection:
+    stated = mapped.read_facts(rows)
+    if is_deflection:
         stated.pop("depth", None)
-    return ImportedCurve(
+    curve = ImportedCurve(
         name or mapped.table.name,
         Points(
             mapped.table.path,
@@ -395,12 +204,12 @@ def _make_curve(
         ),
         mapped.record.holds,
         stated,
-        mapped.read_numbers("depth", rows if is_track else ()),
-        str(columns["depth"].columns[0]) if is_track else "",
-        is_deflection,
-        _read_guide(mapped, rows),
+        is_deflection=is_deflection,
+        guide=_read_guide(mapped, rows),
         is_named=bool(name),
     )
+    KINDS[mapped.record.holds].read(mapped, curve, rows)
+    return curve
 
 
 def _read_sds(mapped: MappedTable, rows: Sequence[int]) -> Floats | None:
@@ -429,61 +238,24 @@ def _read_guide(mapped: MappedTable, rows: Sequence[int]) -> Floats | None:
     return places
 
 
-# ---- facts
-
-
-def read_facts(mapped: MappedTable, rows: Sequence[int]) -> dict[str, Stated]:
-    """Return what columns state once of the needle, the specimen or all in some rows.
-
-    DataError if two cells of one column contradict each other.
-    """
-    stated: dict[str, Stated] = {}
-    for meaning in filter(mapped.record.columns.__contains__, ATTRIBUTES):
-        sign = ", " if meaning in VECTORS else "; "
-        cells = mapped.cells[meaning]
-        texts = {n: sign.join(filter(None, cells[n])) for n in rows if any(cells[n])}
-        differ = len({*texts.values()}) > 1
-        is_of_readings = differ and meaning in ("depth", "point_sd")
-        if not texts or is_of_readings or mapped.record.columns[meaning].divide_by_root is not None:
-            continue
-        first, text = next(iter(texts.items()))
-        if differ and meaning in ("boundaries", "thickness") and mapped.record.of == "all":
-            text = "; ".join(texts.values())  # a row for each layer
-        elif differ:
-            other = next(n for n in texts if texts[n] != text)
-            needles = mapped.name_edit("columns.needle.column")
-            raise DataError(
-                f"{meaning} is {text[:40]!r} and {texts[other][:40]!r}",
-                expected="one value",
-                fix=f"correct the cell; or, if another column names needles: {needles}",
-                where=mapped.where(other, meaning),
-            )
-        value = mapped.table.number(text)
-        if value is not None and meaning not in ("medium", "specimen", "bevel_side"):
-            text = f"{value:.10g}"  # with a decimal point
-        stated[meaning] = Stated(text, mapped.read_unit(meaning, first), mapped.where(first, meaning))
-    if "thickness" in stated:
-        stated["boundaries"] = stated.pop("thickness").add_up()
-    return stated
-
-
 def _add_rows(mapped: MappedTable, curves: list[ImportedCurve]) -> None:
     """Add to needles what the rows of a table state of them: facts, turns or curvatures."""
     record, table = mapped.record, mapped.table
+    kind = KINDS[record.holds]
     if record.of == "all":
         for curve in curves:
-            _add_facts(curve, read_facts(mapped, range(len(table.rows))))
+            curve.state(mapped.read_facts(range(len(table.rows))))
         return
     by_specimen = record.of == "specimen"
-    names = ["".join(cells) for cells in mapped.cells["specimen"]] if by_specimen else _read_names(mapped)
-    if record.holds == "curvatures":
+    names = ["".join(cells) for cells in mapped.cells["specimen"]] if by_specimen else mapped.names
+    if kind.placer is not None:
         if "needle" not in record.columns:
             names = [table.name for _ in names]
         taken = {curve.name for curve in curves}
         for name in dict.fromkeys(filter(None, names)):
             if not any(_is_same(name, other) for other in taken):
                 points = Points(table.path, np.empty((0, 3)))
-                curves.append(ImportedCurve(_make_name(name, taken), points, "curvatures"))
+                curves.append(ImportedCurve(_make_name(name, taken), points, record.holds))
                 taken.add(curves[-1].name)
     rows = defaultdict[str, list[int]](list)
     for n in mapped.kept_rows:
@@ -514,16 +286,7 @@ def _add_rows(mapped: MappedTable, curves: list[ImportedCurve]) -> None:
     _require_found(mapped, pairs, curves, keys)
     for name, numbers in rows.items():
         for curve in pairs[name]:
-            if record.holds == "turns":
-                curve.turns += [_read_turn(mapped, n) for n in numbers]
-                continue
-            if record.holds == "curvatures":
-                curve.sensors += [_read_sensor(mapped, n) for n in numbers]
-                curve.are_sensors_from_base |= "sensor_from_base" in record.columns
-            facts = read_facts(mapped, numbers)
-            if by_specimen:
-                facts.pop("specimen", None)
-            _add_facts(curve, facts)
+            kind.read(mapped, curve, numbers)
 
 
 _WORD = re.compile(r"[^\W\d_]{3,}|.*[-_ .]")  # before the name of a needle: `needle_`, `needle`
@@ -545,47 +308,6 @@ def _match_endings(names: Collection[str], keys: Collection[str]) -> dict[str, s
     return {}
 
 
-def _add_facts(curve: ImportedCurve, facts: Mapping[str, Stated]) -> None:
-    """Add facts to a needle; DataError if it has others."""
-    for meaning, fact in facts.items():
-        earlier = curve.stated.setdefault(meaning, fact)
-        if earlier.text != fact.text:
-            raise DataError(
-                f"{meaning} of {curve.name} is {fact.text[:60]!r}, in {earlier.where} {earlier.text[:60]!r}",
-                expected="one value",
-                fix="correct one of the two",
-                where=fact.where,
-            )
-
-
-def _read_turn(mapped: MappedTable, n: int) -> tuple[float, Stated]:
-    text = "".join(mapped.cells["bevel_side"][n])
-    if not text:
-        raise DataError(
-            "nothing states where the bevel faces from this depth on",
-            expected="bevel_side of each turn, as 90 deg",
-            fix=f"fill in the cell; or {mapped.name_edit('columns.bevel_side.column')}",
-            where=mapped.table.places[n],
-        )
-    cell = Stated(text, mapped.read_unit("bevel_side", n), mapped.where(n, "bevel_side"))
-    return mapped.read_number("turn_depth", n), cell
-
-
-def _read_sensor(mapped: MappedTable, n: int) -> Floats:
-    """Return the place of a sensor, mm, its curvatures and their SD, 1/mm; NaN: no cell states the SD."""
-    columns = mapped.record.columns
-    meanings = ("sensor" if "sensor" in columns else "sensor_from_base", *SENSOR[1:3])
-    if lacking := [meaning for meaning in meanings if meaning not in columns]:
-        raise DataError(
-            f"of curvatures nothing states {', '.join(lacking)}",
-            expected="the place of each sensor and its two curvatures",
-            fix=" ".join(mapped.name_edit(f"columns.{meaning}.column") for meaning in lacking),
-            where=mapped.table.places[n],
-        )
-    sd = mapped.read_number("curvature_sd", n) if "curvature_sd" in columns else np.nan
-    return np.array([*(mapped.read_number(meaning, n) for meaning in meanings), sd])
-
-
 # ---- names
 
 
@@ -594,25 +316,17 @@ def _join_observations(curves: Sequence[ImportedCurve]) -> list[ImportedCurve]:
 
     Tips stand beside the shape, a track is a further measurement of the same hole.
     """
-    shapes = {curve.name: curve for curve in curves if curve.holds == "shapes" and curve.is_named}
+    shapes = {curve.name: curve for curve in curves if KINDS[curve.holds].is_line and curve.is_named}
     kept = list[ImportedCurve]()
     for curve in curves:
         shape, depths = shapes.get(curve.name), curve.line[:, 0] if curve.is_deflection else curve.depths
-        if shape is None or curve.holds == "shapes" or not len(depths):
-            kept.append(curve)
-            continue
-        at_end = np.abs(shape.depth - depths) <= find_length_tolerance(float(depths[-1]))
-        is_same = at_end[-1]
-        if curve.holds == "tips":
-            is_same = at_end.any()
-            for n in np.flatnonzero(at_end):
-                sd = None if curve.points.sd is None else float(curve.points.sd[n])
-                if "point_sd" in curve.stated:
-                    sd = curve.stated["point_sd"].to_number("point_sd", is_above=True)
-                shape.tips.append(TipReading(curve.line[n, 1:], sd, curve.points.where(int(n))))
-            curve = replace(curve, points=curve.points.part(np.flatnonzero(~at_end)))
-        if is_same:
-            shape.hole = curve.hole = curve.name
+        if shape is not None and shape is not curve and len(depths):
+            at_end = np.abs(shape.depth - depths) <= find_length_tolerance(float(depths[-1]))
+            beside = KINDS[curve.holds].stand_beside
+            if at_end.any() if beside is not None else at_end[-1]:
+                shape.hole = curve.hole = curve.name
+            if beside is not None:
+                curve = beside(shape, curve, at_end)
         if len(curve.line):
             kept.append(curve)
     return kept
@@ -681,7 +395,7 @@ def _require_found(
     # those first that no row is about
     named = [called[name] for name in sorted(called, key=about.__contains__)]
     unused = json.dumps([mapped.table.sheet or mapped.table.path.name])
-    if strangers or (without and mapped.record.holds == "facts"):
+    if strangers or (without and KINDS[mapped.record.holds].is_of_each):
         if strangers:
             problem = f"no {kind} is called {join_names(strangers, MAX_LISTED_NAMES)}"
         raise DataError(

@@ -2,13 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import InsertionRow
-from needlefit.datasets.importing.curve_answers import CurveAnswers
+from needlefit.datasets.importing.curve_answers import CurveAnswers, Placer
 from needlefit.datasets.importing.curves import ImportedCurve, TipReading
 from needlefit.datasets.importing.directions import format_direction, to_sides
 from needlefit.datasets.importing.stated import Stated, name_set
@@ -16,22 +17,95 @@ from needlefit.datasets.points import Points
 from needlefit.errors import DataError
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame, make_entry_frame
 from needlefit.grouping import group_values
+from needlefit.schemas.scene import NeedleRecord
 
 
-def split_tips(asked: CurveAnswers, shapes: Sequence[ImportedCurve]) -> None:
+class TipPlacer(Placer):
+    """Places insertions by the line of insertion: along x, toward y, where nothing places the tips."""
+
+    def settle_places(self) -> None:
+        """Make an insertion of each depth, and turn places of tips into deflections."""
+        split_tips(self)
+        are_deflections = all(curve.is_deflection for curve in self.curves)
+        self.frames = [IDENTITY_FRAME for _ in self.curves] if are_deflections else place_tips(self)
+        for curve in self.curves:
+            curve.depths = curve.line[:, 0]
+
+    def describe(self, sides: Sequence[int], turns: Sequence[float]) -> list[dict[str, Any]]:
+        """Return the cells of what was measured, toward bevels and across."""
+        tips = [TipReading(curve.line[0, 1:], None, curve.points.where()) for curve in self.curves]
+        across = turn_deflections(self, tips, sides, turns).tolist()
+        in_space = any(tip.deflection[1] for tip in tips)
+        self.note_deflections()
+        return [{"tip_y": y, "tip_z": z if in_space else None} for y, z in across]
+
+    def make_rows(
+        self, point_sd: float, depths: Sequence[tuple[float, ...]], needles: Sequence[NeedleRecord]
+    ) -> list[InsertionRow]:
+        """Return the insertions, each with its depth and what was measured."""
+        sides, turns = to_sides(self.settle_sides(is_needed=True) or [])
+        cells = self.describe(sides, turns)
+        shifts = self.numbers("pose_shift_sd", usual=f"{point_sd:g}", reason="that of a point")
+        angle_sds = np.radians(self.numbers("pose_angle_sd", "deg")).tolist()
+        rows = list[InsertionRow]()
+        for n, curve in enumerate(self.curves):
+            frame = self.frames[n]
+            toward = Rotation.from_rotvec([turns[n], 0.0, 0.0]).apply([0.0, 1.0, 0.0])
+            row = InsertionRow(
+                curve.name,
+                "",
+                1,
+                curve.depth,
+                side=sides[n],
+                entry=frame.origin,
+                direction=frame.rotation[:, 0],
+                bevel=frame.rotation @ toward,
+                pose_source="stage",
+                pose_shift_sd=shifts[n],
+                pose_angle_sd=angle_sds[n],
+                hole=curve.hole,
+                curvature=curve.read_curvature(turns[n], needles[n].length_mm),
+                **cells[n],
+            )
+            rows.append(row)
+        return self.meet_layers(rows, depths)
+
+
+class CurvaturePlacer(TipPlacer):
+    """Places insertions of which curvatures alone were measured."""
+
+    def settle_places(self) -> None:
+        """Require the inserted length of each."""
+        self.frames = [IDENTITY_FRAME for _ in self.curves]
+        for curve in self.curves:
+            curve.hole = curve.name if curve.is_named else ""
+            if "depth" not in curve.stated:
+                raise DataError(
+                    f"the inserted length of needle {curve.name} is not stated",
+                    expected="a column `depth` in a table with a row for each needle",
+                    fix="name a table with the columns needle and depth, or the reconstructed shapes, too",
+                    where=curve.points.path,
+                )
+
+    def describe(self, sides: Sequence[int], turns: Sequence[float]) -> list[dict[str, Any]]:
+        """Return what a row of curvatures states."""
+        return [{"observation": "curvature"} for _ in turns]
+
+
+def split_tips(asked: CurveAnswers) -> None:
     """Make an insertion of each depth of a tip; those of a needle that is named are of one hole, its own.
 
     Deflections of a needle that were read at one depth are joined.
     """
     stops_by_needle = [_list_stops(curve) for curve in asked.curves]
     counts = [len(rows) for stops in stops_by_needle for rows in stops]
-    are_joined, taken = max(counts, default=0) > 1, {curve.name for curve in shapes}
+    are_joined, taken = max(counts) > 1, {curve.name for curve in asked.others}
     sds = asked.numbers("point_sd", is_above=True) if are_joined else [0.0] * len(asked.curves)
     insertions = list[ImportedCurve]()
     for curve, stops, sd in zip(asked.curves, stops_by_needle, sds, strict=True):
         for number, rows in enumerate(stops, 1):
             points, stated = _read_stop(curve, rows, sd), dict(curve.stated)
-            if points.sd is not None and len(points.sd):
+            if points.sd is not None:
                 stated["point_sd"] = Stated(f"{points.sd[0]:.6g}", "mm", points.where())
             name = curve.name if len(stops) == 1 else f"{curve.name}-{number}"
             while name in taken:
@@ -48,10 +122,10 @@ def split_tips(asked: CurveAnswers, shapes: Sequence[ImportedCurve]) -> None:
 
 
 def _list_stops(curve: ImportedCurve) -> list[list[int]]:
-    """Return the rows of each depth of a tip; of curvatures alone one depth without any."""
+    """Return the rows of each depth of a tip."""
     # places in space err along the needle, too: none has the depth of another
     keys = curve.line[:, 0].tolist() if curve.is_deflection else [*range(len(curve.line))]
-    return [*group_values((key, n) for n, key in enumerate(keys)).values()] or [[]]
+    return [*group_values((key, n) for n, key in enumerate(keys)).values()]
 
 
 def _read_stop(curve: ImportedCurve, rows: Sequence[int], point_sd: float) -> Points:
@@ -67,50 +141,6 @@ def _read_stop(curve: ImportedCurve, rows: Sequence[int], point_sd: float) -> Po
     mean = join_readings(readings, point_sd)
     values = np.array([[curve.line[rows[0], 0], *mean.deflection]])
     return replace(points, values=values, sd=np.array([mean.sd]))
-
-
-def make_tips(asked: CurveAnswers, point_sd: float) -> list[InsertionRow]:
-    """Return the insertions, each with its depth and the deflections of its tip toward its bevel and across.
-
-    Deflections are from the line of insertion: along x, toward y. Places of tips are turned into deflections
-    by entry point and direction. `point_sd`, mm: the usual one of their entries.
-    """
-    curves = asked.curves
-    is_placed = any(len(curve.line) and not curve.is_deflection for curve in curves)
-    frames = place_tips(asked) if is_placed else [IDENTITY_FRAME for _ in curves]
-    sides, turns = to_sides(asked.settle_sides(is_needed=True) or [])
-    tips = [
-        TipReading(curve.line[0, 1:] if len(curve.line) else np.zeros(2), None, curve.points.where())
-        for curve in curves
-    ]
-    across = turn_deflections(asked, tips, sides, turns)
-    in_space = any(tip.deflection[1] for tip in tips)
-    shifts = asked.numbers("pose_shift_sd", usual=f"{point_sd:g}", reason="that of a point")
-    angle_sds = np.radians(asked.numbers("pose_angle_sd", "deg"))
-    rows = []
-    for n, curve in enumerate(curves):
-        is_tip, frame = len(curve.line) > 0, frames[n]
-        toward = Rotation.from_rotvec([turns[n], 0.0, 0.0]).apply([0.0, 1.0, 0.0])
-        row = InsertionRow(
-            curve.name,
-            "",
-            1,
-            find_depth(curve),
-            side=sides[n],
-            entry=frame.origin,
-            direction=frame.rotation[:, 0],
-            bevel=frame.rotation @ toward,
-            pose_source="stage",
-            pose_shift_sd=shifts[n],
-            pose_angle_sd=float(angle_sds[n]),
-            hole=curve.hole,
-            tip_y=across[n, 0] if is_tip else None,
-            tip_z=across[n, 1] if is_tip and in_space else None,
-            curvature=curve.read_curvature(turns[n]),
-            observation="" if is_tip else "curvature",
-        )
-        rows.append(row)
-    return rows
 
 
 def turn_deflections(
@@ -171,7 +201,6 @@ def add_tips(
 
 def place_tips(asked: CurveAnswers) -> list[Frame]:
     """Turn places of tips into depths and deflections; return the frame of each."""
-    chords = [curve.line[0] for curve in asked.curves if len(curve.line)]
     reason = "tips alone tell nothing of the direction in which needles were inserted"
     poses = asked.each("pose", usual="", reason=reason)
     guess, reason = "", "the direction that is up (0 degrees, 12 o'clock) of tips in space"
@@ -180,7 +209,7 @@ def place_tips(asked: CurveAnswers) -> list[Frame]:
         up = np.cross(normal, poses[0].to_vector("pose"))
         guess, reason = format_direction(up / (np.linalg.norm(up) or 1.0)), "across the needle, in the plane"
     ups = asked.settle("bevel", guess, reason)
-    entries = asked.each("entry_point", usual="0,0,0" if chords else "", reason="the origin")
+    entries = asked.each("entry_point", usual="0,0,0", reason="the origin")
     frames = []
     for curve, pose, entry in zip(asked.curves, poses, entries, strict=True):
         frame = make_entry_frame(entry.to_entry(), pose.to_vector("pose"), ups.to_vector("bevel"))
@@ -188,17 +217,3 @@ def place_tips(asked: CurveAnswers) -> list[Frame]:
         curve.is_deflection = True
         frames.append(frame)
     return frames
-
-
-def find_depth(curve: ImportedCurve) -> float:
-    """Return the inserted length, mm: the depth of a tip, or what is stated beside curvatures."""
-    if len(curve.line):
-        return float(curve.line[0, 0])
-    if "depth" not in curve.stated:
-        raise DataError(
-            f"the inserted length of needle {curve.name} is not stated",
-            expected="a column `depth` in a table with a row for each needle",
-            fix="name a table with the columns needle and depth, or the reconstructed shapes, too",
-            where=curve.points.path,
-        )
-    return curve.stated["depth"].to_number("depth")

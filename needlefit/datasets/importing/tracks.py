@@ -1,14 +1,13 @@
 """Make tip tracks of imported curves: settle depths, the guide and the bevel."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import InsertionRow
-from needlefit.datasets.importing.curve_answers import CurveAnswers
+from needlefit.datasets.importing.curve_answers import CurveAnswers, Placer
 from needlefit.datasets.importing.curves import ImportedCurve
 from needlefit.datasets.importing.directions import BendsOfSides, format_direction, snap_to_axis, to_sides
 from needlefit.datasets.importing.stated import name_set
@@ -18,10 +17,11 @@ from needlefit.errors import DataError
 from needlefit.geometry.common_direction import fit_direction
 from needlefit.geometry.frames import normalize, to_unit
 from needlefit.project.locate import join_names
+from needlefit.schemas.scene import NeedleRecord
 
-if TYPE_CHECKING:
-    from needlefit.datasets.importing.place import ImportPlan
-
+# Tracks are predicted within a specimen.
+TRACK_SPECIMEN = ("specimen1", "all runs into one; specimen=each if every run had a specimen of its own")
+MARGIN_FOR = "the error of a reading"
 PLACING_PART = 1 / 3  # fraction of the shallowest run whose readings place a run in the tracker's frame
 MIN_GUIDE_PART = 0.5  # smallest fraction of a guide's motion that is used, where some axes are not stated
 MIN_BEVEL_DEG = 60.0  # smallest angle (degrees) from the insertion to the direction that bevels face
@@ -30,57 +30,89 @@ MAX_BACKWARD_SDS = 5 * np.sqrt(2)
 MIN_TRACK_SLOPE = 0.7  # smallest movement (mm per mm of depth) of a tip whose coordinates are all in space
 
 
-def make_tracks(asked: CurveAnswers, is_alone: bool = True) -> list[InsertionRow]:
-    """Return the runs; their points are then the deflections along y and z at their depths.
+class TrackPlacer(Placer):
+    """Places runs in the frame of their tracker: points become deflections along y and z at their depths."""
 
-    Not `is_alone`: `bevel` is of shapes, in whose frame no tracker reads.
-    """
-    settle_guide(asked)
-    curves = asked.curves
-    for curve in curves:
-        curve.depths = curve.line[:, 0] if curve.is_deflection else curve.depths
-    settle_depth_zero(asked)
-    if not all(len(curve.depths) for curve in curves):
-        measure_depths(asked)
-    sides, rolls = settle_rolls(asked)
-    rows = [
-        InsertionRow(
-            curve.name,
-            "",
-            1,
-            float(curve.depths[-1]),
-            side=side,
-            turns=((0.0, roll),) if roll else (),
-            hole=curve.hole,
-        )
-        for curve, side, roll in zip(curves, sides, rolls, strict=True)
-    ]
-    bevel = np.array([0.0, 1.0, 0.0])
-    if not all(curve.is_deflection for curve in curves):
-        bends = find_bends(curves, sides)
+    def settle_places(self) -> None:
+        """Settle guide, depths and bevels."""
+        settle_guide(self)
+        curves = self.curves
+        for curve in curves:
+            curve.depths = curve.line[:, 0] if curve.is_deflection else curve.depths
+        settle_depth_zero(self)
+        if not all(len(curve.depths) for curve in curves):
+            measure_depths(self)
+        self.sides, self.rolls = settle_rolls(self)
+        self.note_deflections("shift and slope of each run are fitted")
+        bevel = self.settle_bevel()
+        across = np.cross(sum(curve.line[-1] - curve.line[0] for curve in curves), bevel)
+        planes = np.column_stack([bevel, to_unit(across), np.zeros(3)])  # of deflections 0
+        for curve in curves:
+            curve.points = replace(curve.points, values=curve.line @ planes)
+            if curve.guide is not None:
+                curve.guide = project_guide(curve, curve.guide, planes)
+        usual, reason = None, ""
+        if any(map(is_guided, curves)):
+            usual, reason = "free", "the guide moved, and its distance is not stated"
+        self.usual = {"specimen": TRACK_SPECIMEN, "guide_distance": (usual, reason)}
+
+    def settle_bevel(self) -> Floats:
+        """Return the direction that bevels of side 1 face, across the insertion.
+
+        Beside other needles `bevel` is theirs, in whose frame no tracker reads.
+        """
+        curves, is_alone = self.curves, not self.others
+        bevel = np.array([0.0, 1.0, 0.0])
+        if all(curve.is_deflection for curve in curves):
+            return bevel
+        bends = find_bends(curves, self.sides)
         guess, reason = "bend", "the mean direction in which the tips bend from their sides"
         if not bends.agree:
             guess, reason = "", "tips bend to several sides, which a column `bevel side` should state"
         if guess and not is_alone:
-            asked.settler.note("bevel of tracks", reason)
+            self.settler.note("bevel of tracks", reason)
         else:
-            guess = asked.settle("bevel", guess, reason).text
-        bevel = bends.mean if guess == "bend" else normalize(asked.settle("bevel").to_vector("bevel"))
-        stated = asked.stated("pose") if is_alone else None
+            guess = self.settle("bevel", guess, reason).text
+        bevel = bends.mean if guess == "bend" else normalize(self.settle("bevel").to_vector("bevel"))
+        stated = self.stated("pose") if is_alone else None
         is_posed = stated is not None and stated.text not in ("free", "shaft")
-        along = normalize(asked.settle("pose").to_vector("pose")) if is_posed else bends.direction
+        along = normalize(self.settle("pose").to_vector("pose")) if is_posed else bends.direction
         sideways = bevel - (bevel @ along) * along
         if np.linalg.norm(sideways) < np.sin(np.radians(MIN_BEVEL_DEG)):
             needed = f"at least {MIN_BEVEL_DEG:g} degrees off the insertion, {format_direction(along)}"
-            raise asked.settle("bevel").error("bevel", needed)
-        bevel = normalize(sideways)
-    across = np.cross(sum(curve.line[-1] - curve.line[0] for curve in curves), bevel)
-    planes = np.column_stack([bevel, to_unit(across), np.zeros(3)])  # of deflections 0
-    for curve in curves:
-        curve.points = replace(curve.points, values=curve.line @ planes)
-        if curve.guide is not None:
-            curve.guide = project_guide(curve, curve.guide, planes)
-    return rows
+            raise self.settle("bevel").error("bevel", needed)
+        return normalize(sideways)
+
+    def make_rows(
+        self, point_sd: float, depths: Sequence[tuple[float, ...]], needles: Sequence[NeedleRecord]
+    ) -> list[InsertionRow]:
+        """Return the runs."""
+        return [
+            InsertionRow(
+                curve.name,
+                "",
+                1,
+                curve.depth,
+                side=side,
+                turns=((0.0, roll),) if roll else (),
+                hole=curve.hole,
+            )
+            for curve, side, roll in zip(self.curves, self.sides, self.rolls, strict=True)
+        ]
+
+    def choose_study(self, point_sd: float) -> Mapping[str, float | str]:
+        """Return which readings place a predicted run, and which difference of errors does not matter.
+
+        Errors of other kinds beside them are compared in noise.
+        """
+        ends = [curve.depths[[0, -1]] for curve in self.curves]
+        usual = f"{min(float(first + PLACING_PART * (last - first)) for first, last in ends):.3g}"
+        reason = "a third of the shallowest run; deeper ones are scored"
+        depth = self.settle("registration_depth", usual, reason)
+        number = depth.to_number("registration_depth", is_above=True)
+        self.slope_sd_deg = max(self.numbers("pose_angle_sd", "deg", is_above=True))
+        study: dict[str, float | str] = {"registration_depth_mm": number}
+        return study if self.others else study | {"margin_mm": point_sd, "margin_for": MARGIN_FOR}
 
 
 def find_bends(curves: Sequence[ImportedCurve], sides: Sequence[int]) -> BendsOfSides:
@@ -171,7 +203,6 @@ def settle_guide(asked: CurveAnswers) -> None:
     if stated is not None and stated.text == "none":
         for curve in curves:
             curve.guide = None
-        asked.settler.assumed.pop("guide", None)
         return
     if any(curve.guide is not None for curve in curves) or (not beside and stated is None):
         return
@@ -249,21 +280,3 @@ def measure_depths(asked: CurveAnswers) -> None:
 def is_guided(curve: ImportedCurve) -> bool:
     """Return whether the guide moved across the needle during a run."""
     return curve.guide is not None and bool(np.ptp(curve.guide[:, :2], axis=0).max() >= GUIDE_STILL_MM)
-
-
-def choose_track_study(asked: CurveAnswers, plan: "ImportPlan") -> "ImportPlan":
-    """Return a plan with what a study of tracks needs beside them.
-
-    That is how much the directions of runs differ, which readings place a predicted run, and which
-    difference of errors does not matter where one fit is compared.
-    """
-    ends = [curve.depths[[0, -1]] for curve in asked.curves]
-    usual = f"{min(float(first + PLACING_PART * (last - first)) for first, last in ends):.3g}"
-    depth = asked.settle("registration_depth", usual, "a third of the shallowest run; deeper ones are scored")
-    study: dict[str, float | str] = {
-        "registration_depth_mm": depth.to_number("registration_depth", is_above=True)
-    }
-    if len(plan.rows) == len(asked.curves):  # errors of other kinds beside them are compared in noise
-        study |= {"margin_mm": plan.point_sd_mm, "margin_for": "the error of a reading"}
-    slope_sd = max(asked.numbers("pose_angle_sd", "deg", is_above=True))
-    return replace(plan, choices=replace(plan.choices, study=study), slope_sd_deg=slope_sd)

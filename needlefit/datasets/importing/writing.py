@@ -9,6 +9,7 @@ import pandas as pd
 from needlefit.datasets.columns import HOLE_COLUMN, NEEDLE_COLUMN, POINT_SD_COLUMN, InsertionRow, make_id
 from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.importing.curves import ImportContent, ImportedCurve
+from needlefit.datasets.importing.kinds import KINDS
 from needlefit.datasets.importing.place import ImportPlan
 from needlefit.datasets.importing.read import make_unique
 from needlefit.datasets.importing.stated import name_set
@@ -58,8 +59,8 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, mapping: 
     if plan.needles:
         draft["needles"] = {name: needle.model_dump() for name, needle in plan.needles.items()}
     pairs = list(zip(plan.rows, content.curves, strict=True))
-    rows = [row for row, curve in pairs if curve.holds != "tracks"]
-    tracks = [(row, curve) for row, curve in pairs if curve.holds == "tracks"]
+    rows = [row for row, curve in pairs if not KINDS[curve.holds].in_tracker_frame]
+    tracks = pairs[len(rows) :]
     stems = dict[str, Surface]()
     for surface in plan.surfaces:
         stems[make_unique(make_id(surface.name, "surface"), stems)] = surface
@@ -69,7 +70,7 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, mapping: 
         medium: {"surfaces": parts} if parts else {"boundaries_mm": [*depths]}
         for medium, depths in plan.boundaries_mm.items()
     }
-    curves = {curve.name: curve.points.to_columns() for curve in content.curves if curve.holds == "shapes"}
+    curves = {curve.name: curve.points.to_columns() for curve in content.curves if KINDS[curve.holds].is_line}
     if rows:
         beside = {"turns": TURNS_FILE} if any(row.turns for row in rows) else {}
         if any(row.curvature is not None for row in rows):
@@ -110,9 +111,11 @@ def _trace_fault(fault: Fault, curves: Sequence[ImportedCurve], folder: Path) ->
         "insertions.csv": [
             (curve.points.where(), f"curve {curve.name}: ", curve.name)
             for curve in curves
-            if curve.holds != "tracks"
+            if not KINDS[curve.holds].in_tracker_frame
         ],
-        TRACKS_FILE: [place for curve in curves if curve.holds == "tracks" for place in points[curve.name]],
+        TRACKS_FILE: [
+            place for curve in curves if KINDS[curve.holds].in_tracker_frame for place in points[curve.name]
+        ],
         TURNS_FILE: [
             (cell.where.partition(", column")[0], "", curve.name)
             for curve in curves

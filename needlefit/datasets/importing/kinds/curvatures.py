@@ -1,0 +1,52 @@
+"""Curvatures: a row for each sensor in a needle."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from needlefit.datasets.importing.curves import ImportedCurve
+from needlefit.datasets.importing.draft_table import Records, TableDraft
+from needlefit.datasets.importing.kinds import RowKind
+from needlefit.datasets.importing.kinds.facts import read_stated
+from needlefit.datasets.importing.mapped_table import MappedTable
+from needlefit.datasets.importing.tips import CurvaturePlacer
+from needlefit.errors import DataError
+
+AXES = ("curvature_y", "curvature_z")
+
+
+def propose_curvatures(draft: TableDraft, is_stated: bool) -> list[Records]:
+    """Return no columns but those of all, where headers or units are of curvatures; ask which is which."""
+    taken = draft.taken
+    if taken.keys() & {*AXES} and "point_sd" in taken:
+        taken.setdefault("curvature_sd", taken.pop("point_sd"))
+    if not is_stated and draft.points:
+        return []
+    inverse = [column for column in draft.list_free() if column.header.unit.startswith("1/")]
+    if not (inverse or taken.keys() & {*AXES} or is_stated):
+        return []
+    for key in ("sensor_from_base" if "sensor_from_base" in taken else "sensor", *AXES):
+        if key not in taken:
+            draft.ask_column(key, inverse if key in AXES else draft.list_unknown())
+    return [{}]
+
+
+def read_curvatures(mapped: MappedTable, curve: ImportedCurve, rows: Sequence[int]) -> None:
+    """Add sensors: place, mm, curvatures and SD, 1/mm (NaN: no cell states it); and facts beside them."""
+    columns = mapped.record.columns
+    meanings = ("sensor" if "sensor" in columns else "sensor_from_base", *AXES)
+    if lacking := [meaning for meaning in meanings if meaning not in columns]:
+        raise DataError(
+            f"of curvatures nothing states {', '.join(lacking)}",
+            expected="the place of each sensor and its two curvatures",
+            fix=" ".join(mapped.name_edit(f"columns.{meaning}.column") for meaning in lacking),
+            where=mapped.table.places[rows[0]],
+        )
+    for n in rows:
+        sd = mapped.read_number("curvature_sd", n) if "curvature_sd" in columns else np.nan
+        curve.sensors.append(np.array([*(mapped.read_number(meaning, n) for meaning in meanings), sd]))
+    curve.are_sensors_from_base |= "sensor_from_base" in columns
+    read_stated(mapped, curve, rows)
+
+
+CURVATURES = RowKind("curvatures", propose_curvatures, read_curvatures, 5, placer=CurvaturePlacer)

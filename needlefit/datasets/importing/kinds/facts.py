@@ -1,0 +1,34 @@
+"""Facts: what a row states of a needle, of a specimen, or of all."""
+
+from collections.abc import Sequence
+
+from needlefit.datasets.importing.curves import ImportedCurve
+from needlefit.datasets.importing.draft_table import OF_LAYERS, Records, TableDraft
+from needlefit.datasets.importing.kinds import RowKind
+from needlefit.datasets.importing.mapped_table import MappedTable
+from needlefit.datasets.importing.meanings import ATTRIBUTES
+
+
+def propose_facts(draft: TableDraft, is_stated: bool) -> list[Records]:
+    """Return no columns but those of all, where a table without points states something of needles."""
+    stated, keys = draft.taken.keys() & {*ATTRIBUTES}, draft.keys
+    if "needle" in draft.taken and stated:
+        keys["of"] = "needle"
+    elif "specimen" in draft.taken and len(stated) > 1:
+        keys["of"] = "specimen"
+    elif stated and (len(draft.table.rows) == 1 or stated <= OF_LAYERS):  # or a row for each layer
+        keys["of"] = "all"
+    else:
+        return []
+    return [{}]
+
+
+def read_stated(mapped: MappedTable, curve: ImportedCurve, rows: Sequence[int]) -> None:
+    """Add facts to a needle; of a specimen, by which it was found, the others."""
+    facts = mapped.read_facts(rows)
+    if mapped.record.of == "specimen":
+        facts.pop("specimen", None)
+    curve.state(facts)
+
+
+FACTS = RowKind("facts", propose_facts, read_stated, 1, is_of_each=True)

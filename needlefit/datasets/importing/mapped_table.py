@@ -1,0 +1,232 @@
+"""A table of a lab with the entry of the mapping that reads it: its cells by their meanings."""
+
+import re
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from needlefit.arrays import Floats
+from needlefit.datasets.importing.kinds import KINDS
+from needlefit.datasets.importing.meanings import ATTRIBUTES, COORDINATES, MEANINGS, VECTORS
+from needlefit.datasets.importing.stated import Stated, name_set
+from needlefit.datasets.importing.synonyms import find_meaning, read_quantity
+from needlefit.datasets.importing.tables import (
+    CODES,
+    MISSING,
+    SHEET_SUFFIXES,
+    TEXT_SUFFIXES,
+    Table,
+    lay_out,
+    read_grids,
+    read_structured,
+)
+from needlefit.errors import DataError
+from needlefit.project.locate import join_names, sort_by_similarity
+from needlefit.project.units import UNITS_MM, UNITS_PER_MM
+from needlefit.schemas.mapping import MappingRecord, TableRecord
+
+MAX_LISTED_NAMES = 4  # largest number of names in a message
+ACROSS = ("deflection", "deflection_z", "y", "z")  #: meanings whose numbers may be percents of the depth
+FACTORS = UNITS_MM | UNITS_PER_MM
+
+
+@dataclass(frozen=True)
+class MappedTable:
+    """A table, the entry of the mapping that reads it, and the number of that entry."""
+
+    table: Table
+    record: TableRecord
+    number: int  # from 1
+
+    def name_edit(self, key: str, value: str = "HEADER") -> str:
+        """Return the option that states a key of this table, as `columns.x.unit`."""
+        return name_set(f"tables.{self.number}.{key}", value)
+
+    @property
+    def kept_rows(self) -> list[int]:
+        """The rows that are not marked as excluded."""
+        return [n for n, cells in enumerate(self.cells["excluded"]) if "excluded" not in cells]
+
+    @cached_property
+    def names(self) -> list[str]:
+        """The name of the needle of each row, as its cells are written."""
+        record = self.record.columns.get("needle")
+        names = ["-".join(filter(None, cells)) for cells in self.cells["needle"]]
+        if record is None or not record.pattern:
+            return names
+        return [match[1] if (match := re.fullmatch(record.pattern, name)) else name for name in names]
+
+    def where(self, n: int, meaning: str) -> str:
+        """Return the place of the cell of a meaning in a row."""
+        record = self.record.columns.get(meaning)
+        if record is None or not record.column:
+            return self.table.places[n]
+        column, place = self.find(meaning, record.columns[0]) + 1, self.table.places[n]
+        is_above = column > len(self.table.headers) - len(self.table.remarked)
+        return f"{self.table.where}, above its rows" if is_above else f"{place}, column {column}"
+
+    def find(self, meaning: str, name: str | int) -> int:
+        """Return the column with a header or number; DataError with the nearest name if there is none."""
+        column = self.table.find(name)
+        if column is not None:
+            return column
+        headers = [text for text in self.table.headers if text]
+        near = sort_by_similarity(str(name), headers)
+        raise DataError(
+            f"has no one column {name!r}, of which {meaning} is read",
+            expected=f"one of {', '.join(headers)}, or a number from 1 to {len(self.table.headers)}",
+            fix=self.name_edit(f"columns.{meaning}.column", near[0] if near else "1"),
+            where=self.table.where,
+        )
+
+    def list_columns(self, meaning: str) -> list[int]:
+        """Return the columns of a meaning; none where a value or a name stands in their place."""
+        record = self.record.columns[meaning]
+        return [self.find(meaning, name) for name in record.columns] if record.column else []
+
+    @cached_property
+    def cells(self) -> Mapping[str, list[list[str]]]:
+        """The texts of each meaning in each row, one of each column; empty where it was not measured."""
+        names = {"file": self.table.path.name.partition(".")[0], "sheet": self.table.sheet}
+        cells = defaultdict[str, list[list[str]]](lambda: [[] for _ in self.table.rows])
+        for meaning, record in self.record.columns.items():
+            columns, value = self.list_columns(meaning), names.get(record.source, str(record.value))
+            is_place = meaning in COORDINATES and KINDS[self.record.holds].has_points
+            cells[meaning] = [
+                [
+                    ""
+                    if text in self.record.missing or (is_place and _is_missing(text))
+                    else record.words.get(text, text)
+                    for text in [row[m] for m in columns] or [value]
+                ]
+                for row in self.table.rows
+            ]
+        return cells
+
+    def read_unit(self, meaning: str, n: int) -> str:
+        """Return the unit of a row, or of all; empty: that of the meaning."""
+        record = self.record.columns[meaning]
+        if record.unit_column is None:
+            return record.unit
+        text = self.table.rows[n][self.find(meaning, record.unit_column)]
+        return find_meaning("unit", text) or text
+
+    def read_factor(self, meaning: str, n: int) -> float:
+        """Return by what numbers are multiplied to be in mm or 1/mm."""
+        usual = MEANINGS[meaning].unit
+        unit = self.read_unit(meaning, n) or usual
+        if unit == "%" and meaning in ACROSS and self.cells["depth"][n]:  # of the depth of the row
+            return self.read_number("depth", n) / 100 * self.record.columns[meaning].sign
+        quantity = (1.0, unit) if unit in FACTORS else read_quantity(unit)
+        number, plain = quantity or (1.0, unit)  # `0.07 mm` of a pixel
+        if plain not in FACTORS or plain.startswith("1/") != usual.startswith("1/"):
+            known_units = ", ".join(UNITS_PER_MM if usual.startswith("1/") else UNITS_MM)
+            raise DataError(
+                f"the unit of {meaning} is {unit!r}",
+                expected=f"{known_units}, or the length of a step: 0.07 mm",
+                fix=self.name_edit(f"columns.{meaning}.unit", usual),
+                where=self.where(n, meaning),
+            )
+        return number * FACTORS[plain] * self.record.columns[meaning].sign
+
+    def read_number(self, meaning: str, n: int, k: int = 0) -> float:
+        """Return a cell of a row, that of the column `k`, in mm or 1/mm; DataError if it is no number."""
+        text = self.cells[meaning][n][k]
+        if (value := self.table.number(text)) is None:
+            fix = "write one number in each cell"
+            if not any(map(str.isdigit, text)):
+                missing = self.name_edit("missing", f'["{text[:20]}"]')
+                fix += f"; or, if it was not measured: {missing}"
+            raise DataError(
+                f"{meaning} is {text[:40]!r}",
+                expected=f"a number with the decimal sign {self.table.decimal!r}",
+                fix=fix,
+                where=self.where(n, meaning),
+            )
+        return value * self.read_factor(meaning, n)
+
+    def read_numbers(self, meaning: str, rows: Iterable[int], k: int = 0) -> Floats:
+        """Return the cells of rows, those of the column `k`, in mm or 1/mm."""
+        return np.array([self.read_number(meaning, n, k) for n in rows], dtype=np.float64)
+
+    def read_facts(self, rows: Sequence[int]) -> dict[str, Stated]:
+        """Return what columns state once of the needle, the specimen or all in some rows.
+
+        DataError if two cells of one column contradict each other.
+        """
+        stated: dict[str, Stated] = {}
+        for meaning in filter(self.record.columns.__contains__, ATTRIBUTES):
+            sign = ", " if meaning in VECTORS else "; "
+            cells = self.cells[meaning]
+            texts = {n: sign.join(filter(None, cells[n])) for n in rows if any(cells[n])}
+            differ = len({*texts.values()}) > 1
+            is_of_readings = differ and meaning in ("depth", "point_sd")
+            if not texts or is_of_readings or self.record.columns[meaning].divide_by_root is not None:
+                continue
+            first, text = next(iter(texts.items()))
+            if differ and meaning in ("boundaries", "thickness") and self.record.of == "all":
+                text = "; ".join(texts.values())  # a row for each layer
+            elif differ:
+                other = next(n for n in texts if texts[n] != text)
+                needles = self.name_edit("columns.needle.column")
+                raise DataError(
+                    f"{meaning} is {text[:40]!r} and {texts[other][:40]!r}",
+                    expected="one value",
+                    fix=f"correct the cell; or, if another column names needles: {needles}",
+                    where=self.where(other, meaning),
+                )
+            value = self.table.number(text)
+            if value is not None and meaning not in ("medium", "specimen", "bevel_side"):
+                text = f"{value:.10g}"  # with a decimal point
+            stated[meaning] = Stated(text, self.read_unit(meaning, first), self.where(first, meaning))
+        if "thickness" in stated:
+            stated["boundaries"] = stated.pop("thickness").add_up()
+        return stated
+
+
+def _is_missing(text: str) -> bool:
+    """Whether a cell states that a coordinate was not measured."""
+    return text in CODES or text.lower() in MISSING
+
+
+def list_tables(mapping: MappingRecord, paths: Sequence[Path], where: str) -> Iterator[MappedTable]:
+    """Yield each table that the mapping reads; DataError if one of its files or sheets is not there."""
+    names = [path.name for path in paths]
+    for number, record in enumerate(mapping.tables, 1):
+        matching = [
+            path for path in paths if any(fnmatchcase(path.name, pattern) for pattern in record.files)
+        ]
+        if not matching:
+            near = sort_by_similarity(record.files[0], names)
+            raise DataError(
+                f"tables.{number} reads {join_names(record.files, 3)}, and no file has this name",
+                expected=join_names(names, MAX_LISTED_NAMES),
+                fix=name_set(f"tables.{number}.files", f'["{near[0] if near else "*"}"]'),
+                where=where,
+            )
+        count = 0
+        for path in matching:
+            for table in _read_tables(path, record):
+                count += 1
+                yield MappedTable(table, record, number)
+        if not count:
+            raise DataError(
+                f"has no sheet {record.sheet!r}",
+                expected="a sheet of this name",
+                fix=name_set(f"tables.{number}.sheet", "*"),
+                where=f"{matching[0]}",
+            )
+
+
+def _read_tables(path: Path, record: TableRecord) -> list[Table]:
+    if path.suffix.lower() not in (*TEXT_SUFFIXES, *SHEET_SUFFIXES):
+        return [read_structured(path)[0]]
+    grids = [
+        grid for grid in read_grids(path, record) if not grid.sheet or fnmatchcase(grid.sheet, record.sheet)
+    ]
+    return [lay_out(grid, record) for grid in grids]
