@@ -27,8 +27,6 @@ class RowKind:
     name: str  #: `holds` of a mapping
     #: table, whether a person states the kind -> columns of each needle, or of all; none of other kinds
     propose: "Callable[[TableDraft, bool], list[Records]]"
-    #: table, needle, its rows: adds to the needle what they state
-    read: "Callable[[MappedTable, ImportedCurve, Sequence[int]], None]"
     rank: int  #: the greatest is looked for first
     has_points: bool = False  #: rows are places, in the unit of coordinates
     #: places its needles; None: rows alone make no needle
@@ -38,6 +36,8 @@ class RowKind:
     is_of_each: bool = False  #: each needle needs a row
     #: shape, needle of the same name, which of its readings are at the end of the shape (N,) -> the others
     stand_beside: Callable[[ImportedCurve, ImportedCurve, NDArray[np.bool_]], ImportedCurve] | None = None
+    #: table, needle, its rows: adds to the needle what they state beside points
+    read: "Callable[[MappedTable, ImportedCurve, Sequence[int]], None]" = lambda mapped, curve, rows: None
     #: table, columns of a needle: completes them, or asks
     complete: "Callable[[TableDraft, Records], None]" = lambda draft, records: None
 

@@ -49,4 +49,4 @@ def read_curvatures(mapped: MappedTable, curve: ImportedCurve, rows: Sequence[in
     read_stated(mapped, curve, rows)
 
 
-CURVATURES = RowKind("curvatures", propose_curvatures, read_curvatures, 5, placer=CurvaturePlacer)
+CURVATURES = RowKind("curvatures", propose_curvatures, 5, placer=CurvaturePlacer, read=read_curvatures)

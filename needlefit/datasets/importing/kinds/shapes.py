@@ -89,10 +89,10 @@ def read_shape(mapped: MappedTable, curve: ImportedCurve, rows: Sequence[int]) -
 SHAPES = RowKind(
     "shapes",
     propose_shapes,
-    read_shape,
     3,
     has_points=True,
     placer=ShapePlacer,
     is_line=True,
     complete=complete_shapes,
+    read=read_shape,
 )

@@ -1,6 +1,5 @@
 """Tips alone: a row for each depth of a needle, with the place of its tip or the deflection."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +8,6 @@ from numpy.typing import NDArray
 from needlefit.datasets.importing.curves import ImportedCurve, TipReading
 from needlefit.datasets.importing.draft_table import Records, TableDraft
 from needlefit.datasets.importing.kinds import RowKind
-from needlefit.datasets.importing.mapped_table import MappedTable
 from needlefit.datasets.importing.tips import TipPlacer
 from needlefit.datasets.point_labels import divide_labels
 from needlefit.datasets.points import MIN_POINTS
@@ -40,10 +38,6 @@ def complete_tips(draft: TableDraft, records: Records) -> None:
         draft.draft.assumed["needle"] = f"{len(draft.table.rows)} needles, one a row: no column names them"
 
 
-def read_tip(mapped: MappedTable, curve: ImportedCurve, rows: Sequence[int]) -> None:
-    """Add nothing: the points are the readings."""
-
-
 def join_tips(shape: ImportedCurve, curve: ImportedCurve, at_end: NDArray[np.bool_]) -> ImportedCurve:
     """Add readings of a tip to the shape at whose end they are; return the others."""
     for n in np.flatnonzero(at_end):
@@ -57,7 +51,6 @@ def join_tips(shape: ImportedCurve, curve: ImportedCurve, at_end: NDArray[np.boo
 TIPS = RowKind(
     "tips",
     propose_tips,
-    read_tip,
     4,
     has_points=True,
     placer=TipPlacer,

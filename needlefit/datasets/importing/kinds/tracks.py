@@ -47,10 +47,10 @@ def read_readings(mapped: MappedTable, curve: ImportedCurve, rows: Sequence[int]
 TRACKS = RowKind(
     "tracks",
     propose_tracks,
-    read_readings,
     6,
     has_points=True,
     placer=TrackPlacer,
     in_tracker_frame=True,
     complete=complete_tracks,
+    read=read_readings,
 )

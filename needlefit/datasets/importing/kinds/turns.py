@@ -36,4 +36,4 @@ def read_turns(mapped: MappedTable, curve: ImportedCurve, rows: Sequence[int]) -
         curve.turns.append((mapped.read_number("turn_depth", n), cell))
 
 
-TURNS = RowKind("turns", propose_turns, read_turns, 2)
+TURNS = RowKind("turns", propose_turns, 2, read=read_turns)
