@@ -86,7 +86,12 @@ def draft_mapping(paths: Sequence[Path], stated: Assignments) -> tuple[Draft, li
         )
         has_depth = any("depth" in table["columns"] for table in draft.tables)
         for key in ("deflection",) if has_depth else "xy":
-            draft.ask("column", str(paths[0]), key=key, text=f"{MEANINGS[key].text} ({tables or paths[0]})")
+            answers = {
+                name: {f"{key}.column": name}
+                for name in (part.removeprefix("column ") for part, _ in draft.unused if "column " in part)
+            }
+            text = f"{MEANINGS[key].text} ({tables or paths[0]})"
+            draft.ask("column", str(paths[0]), answers, key=key, text=text)
     read = {name for table in draft.tables for name in table["files"]}
     for path in paths if not draft.opens else ():
         if path.name in draft.ignored.keys() - read:

@@ -197,7 +197,7 @@ def _make_curve(
     curve = ImportedCurve(
         name or mapped.table.name,
         Points(
-            mapped.table.path,
+            Path(mapped.table.where),
             values,
             None if lines is None else np.array([lines[n] for n in rows], dtype=np.int64),
             _read_sds(mapped, rows),

@@ -26,7 +26,7 @@ from needlefit.datasets.points import MIN_POINTS
 from needlefit.errors import DataError
 from needlefit.geometry.common_direction import fit_direction
 from needlefit.geometry.crossings import find_crossings, find_surface_hits
-from needlefit.geometry.frames import normalize
+from needlefit.geometry.frames import normalize, to_unit
 from needlefit.geometry.measured_curve import measure_curve
 from needlefit.geometry.shaft import ShaftAxis, fit_shaft_axis
 from needlefit.project.locate import join_names
@@ -40,6 +40,9 @@ MIN_CUT_MM = 1.0  # shortest length (mm) before the stated entry that is cut off
 MAX_HIDDEN_PART = 0.71  # largest sine of the angle from a bevel to the only plane that was measured
 STEP_MM = 0.01  # distance (mm) between the places along a needle at which the entry is looked for
 OTHER_END = {"first": "last", "last": "first"}  # of the answers at which end of its points a needle enters
+
+
+SWAPPED = "their columns may be swapped"
 
 
 class ShapePlacer(Placer):
@@ -103,13 +106,17 @@ class ShapePlacer(Placer):
         off = [n for n, cosine in enumerate(cosines) if cosine < np.cos(np.radians(MAX_HEADING_DEG))]
         if off:
             curves, angle = [self.curves[n] for n in off], np.degrees(np.arccos(cosines[off[0]]))
-            fix, end = f"state {name_set('pose', along)}", name_set("entry", OTHER_END[self.entry])
-            fix += f"; or, if the files begin at the tips, {end}"
+            is_back, fix = angle > 180.0 - MAX_HEADING_DEG, f"state {name_set('pose', along)}"
+            if is_back:
+                end = name_set("entry", OTHER_END[self.entry])
+                fix += f"; or, if the files begin at the tips, {end}"
+            if 2 * len(off) < len(poses):
+                fix = advise_order(curves) if is_back else f"look at {list_places(curves)}: {SWAPPED}"
             raise poses[off[0]].error(
                 "pose",
                 f"at most {MAX_HEADING_DEG:g} degrees off the needles, {along}; "
                 f"{join_names([curve.name for curve in curves], 5)} runs {angle:.0f} degrees off it",
-                advise_order(curves) if 2 * len(off) < len(poses) else fix,
+                fix,
             )
         return poses
 
@@ -306,10 +313,15 @@ class ShapePlacer(Placer):
             guess = format_direction(sides.mean)
             reason = "the mean direction in which needles bend from their sides"
             if not sides.agree:
-                off = np.flatnonzero(sides.units @ sides.mean < np.cos(np.radians(MAX_HEADING_DEG)))
+                largest = np.cos(np.radians(MAX_HEADING_DEG))
+                is_off = sides.units @ sides.mean < largest
+                off, rest = np.flatnonzero(is_off), to_unit(sides.toward[~is_off].sum(axis=0))
                 names = join_names([self.curves[n].name for n in off], 5) or "some needles"
-                fix = f"look at the bevel side of {names} in its source; if it is right: "
-                fix += name_set("bevel", guess)
+                fix = f"look at the bevel side of {names} in its source"
+                if any(abs(sides.units[n] @ rest) < largest for n in off):  # bent across, to no side
+                    fix = f"look at the points of {names}: {SWAPPED}"
+                guess = format_direction(rest if rest.any() else sides.mean)
+                fix += f"; if that is right: {name_set('bevel', guess)}"
                 cells = [cell for n in off if (cell := self.curves[n].stated.get("bevel_side"))]
                 where = cells[0].where if cells else ""
                 guess, reason = "", f"the bevel side of {names} and that of the others contradict each other"
@@ -359,8 +371,12 @@ def require_order(curves: Sequence[ImportedCurve]) -> None:
 
 def advise_order(curves: Sequence[ImportedCurve]) -> str:
     """Return the fix of curves whose points go from the tip to the entry."""
-    ends = [f"{curve.points.where()} to {curve.points.where(-1)}" for curve in curves]
-    return f"reverse these points if they go from the tip to the entry: {join_names(ends, 5)}"
+    return f"reverse these points if they go from the tip to the entry: {list_places(curves)}"
+
+
+def list_places(curves: Sequence[ImportedCurve]) -> str:
+    """Return where the points of curves stand."""
+    return join_names([f"{curve.points.where()} to {curve.points.where(-1)}" for curve in curves], 5)
 
 
 def cut_shaft(curve: ImportedCurve, arc: float, other_end: str) -> None:

@@ -215,7 +215,7 @@ def is_comment(row: Sequence[str], comment: str) -> bool:
 
 
 BLOCK = "block"  #: header of the numbers of blocks, where there are several
-REMARKED = ("needle", "unit", *ATTRIBUTES)  #: what a remark may state
+REMARKED = ("needle", "unit", "medium|specimen", *ATTRIBUTES)  #: what a remark may state
 OWN_PAIRS = ("needle", "depth", "bevel_side", "medium", "specimen")  #: they end with their block
 
 
@@ -295,7 +295,12 @@ def read_remark(text: str, head: Sequence[str]) -> dict[str, str]:
             stated |= {name: value} if find_meaning("unit", value) in UNITS_MM else {}
         elif meaning == "bevel_side":
             stated |= {name: value} if is_side(value, "") else {}
-        elif not MEANINGS[meaning].unit or find_meaning("value", value) or meaning == "diameter":
+        elif (
+            meaning not in MEANINGS
+            or not MEANINGS[meaning].unit
+            or find_meaning("value", value)
+            or meaning == "diameter"
+        ):
             stated[name] = value
         elif quantity := _NUMBERS.match(value):
             numbers, unit = re.sub("[,;]? +", "; ", quantity[1]), quantity[2]

@@ -122,9 +122,10 @@ def split_tips(asked: CurveAnswers) -> None:
 
 
 def _list_stops(curve: ImportedCurve) -> list[list[int]]:
-    """Return the rows of each depth of a tip."""
+    """Return the rows of each depth of a tip; of rows without a name each is a needle."""
     # places in space err along the needle, too: none has the depth of another
-    keys = curve.line[:, 0].tolist() if curve.is_deflection else [*range(len(curve.line))]
+    are_joined = curve.is_deflection and curve.is_named
+    keys = curve.line[:, 0].tolist() if are_joined else [*range(len(curve.line))]
     return [*group_values((key, n) for n, key in enumerate(keys)).values()]
 
 

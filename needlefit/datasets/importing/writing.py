@@ -130,7 +130,7 @@ def _trace_fault(fault: Fault, curves: Sequence[ImportedCurve], folder: Path) ->
     if name not in places or not line.isdecimal():
         return fault.at(fault.where.replace(f"{folder}/", ""))
     where, subject, needle = places[name][int(line) - 2]  # below one header line
-    fix = f"{fault.fix}; or leave it out: {name_set('leave_out', needle)}"
+    fix = f"{fault.fix.removesuffix(', or leave it out')}; or leave it out: {name_set('leave_out', needle)}"
     return fault.replace(what=f"{subject}{fault.what.removeprefix(subject)}", where=where, fix=fix)
 
 
