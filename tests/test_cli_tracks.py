@@ -7,18 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from test_cli import run
-from track_cases import (
-    DEPTH,
-    GUIDE,
-    GUIDE_Z,
-    NEEDLE,
-    NOISE,
-    TRUTH,
-    measured,
-    measured_in_space,
-    track,
-    written,
-)
+from track_cases import DEPTH, GUIDE, GUIDE_Z, NEEDLE, measured, measured_in_space, track, written
 from world import PROJECT
 
 from needlefit.mechanics.control import Bevel, Controls, Guide
@@ -130,19 +119,7 @@ def test_a_study_of_several_fits_is_named_with_the_fit(project, capsys):
 
 
 @pytest.mark.sweep
-def test_guided_runs_are_tuned_and_identified_like_shapes(project):
-    assert run("tune", "moved", "--jobs", "1", "-q") in (0, 5)
-    fitted = (
-        pd.read_csv(project / "reports/moved/parameters.csv")
-        .query("method == 'fitted'")
-        .set_index("parameter")
-    )
-    mu, guide = fitted.loc["mu1_pa"], fitted.loc["guide_distance_mm"]
-    assert abs(np.log(mu["value"] / TRUTH["mu1_pa"])) < 3 * mu["sd"] < 0.2
-    assert abs(np.log(guide["value"] / TRUTH["guide_distance_mm"])) < 3 * guide["sd"] < 0.2
-    errors = pd.read_csv(project / "reports/moved/errors.csv").set_index(["method", "insertion"])
-    assert errors.loc[("fitted", "moved0"), "ipe_mean_mm"] < 2 * NOISE.point_sd
-    assert errors.loc[("straight", "moved0"), "ipe_mean_mm"] > 0.2
+def test_guided_runs_are_identified_like_shapes(project):
     assert run("tune", "moved", "--design", "--jobs", "1", "-q") == 0
     before = pd.read_csv(project / "reports/moved-design/identify.csv").set_index("parameter")
     assert (before.loc["mu1_pa", "determined"], before.loc["bevel_mm", "determined"]) == ("yes", "no")

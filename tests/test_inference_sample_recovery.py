@@ -1,10 +1,7 @@
-"""Posteriors known in closed form come back within Monte Carlo error; another sampler agrees."""
+"""Posteriors known in closed form come back within Monte Carlo error."""
 
-import dynesty
 import numpy as np
 import pytest
-from inference_cases import TRUTH, insertion, measure, medium, problem
-from numpy.random import default_rng
 from pytest import approx
 from sampling_cases import Known, draw, flat, gaussian, standard_errors, weighted
 from scipy.stats import truncnorm
@@ -40,25 +37,3 @@ def test_a_gaussian_that_bounds_cut():
     assert x.std(axis=0) == approx(np.full(3, tail.std()), rel=0.05)
     levels = np.quantile(x, [0.05, 0.5, 0.95], axis=0).T
     assert levels == approx(np.tile(tail.ppf([0.05, 0.5, 0.95]), (3, 1)), abs=0.06)
-
-
-def test_another_sampler_finds_the_same_posterior_of_a_needle():
-    """Nested sampling shares neither moves nor convergence with ours."""
-    record = medium(1, mu1_pa={"bounds": [1e4, 1e7]}, bevel_mm={"bounds": [0.02, 0.3]})
-    made = [measure(TRUTH, record, insertion(depth)) for depth in (14.0, 18.0)]
-    needle = problem(record, made)
-    ours = draw(needle, weighted(needle, needle.parameters.theta(TRUTH)), independent_draws=2000)
-    assert ours.faults == ()
-    width = needle.upper - needle.lower
-    nested = dynesty.NestedSampler(
-        needle.log_posterior,
-        lambda cube: needle.lower + cube * width,
-        2,
-        nlive=150,
-        rstate=default_rng(5),
-    )
-    nested.run_nested(print_progress=False, dlogz=0.1)
-    theirs = nested.results.samples_equal(rstate=default_rng(6))
-    mine = np.log(flat(ours))
-    assert mine.mean(axis=0) == approx(theirs.mean(axis=0), abs=0.15 * mine.std(axis=0).max())
-    assert mine.std(axis=0) == approx(theirs.std(axis=0), rel=0.15)

@@ -308,23 +308,13 @@ def test_our_prediction_is_the_fit_through_the_layers_that_it_meets(several_fits
     assert_allclose(ours["te_mm"], planned["te_mm"].loc[ours.index])
 
 
-@pytest.mark.sweep
-def test_leaving_one_out_scores_each_insertion_once_by_a_fit_to_the_others(project):
-    (project / "configs" / "recipes" / "gel.toml").write_text(ONE_EVALUATION)
+def test_leaving_one_out_leaves_each_insertion_out_once(project):
     record = study(tune={}, validate=[], leave_out="insertion")
     found = make_folds(record, read(project / "data" / "needles" / "dataset.toml"))
     ids = [f"needle-{n}" for n in (1, 2, 3, 4)]
     assert [fold.name for fold in found] == [f"without {id_}" for id_ in ids]
     assert [[i.id for i in fold.validate] for fold in found] == [[id_] for id_ in ids]
     assert [[i.id for i in fold.tune] for fold in found] == [[i for i in ids if i != id_] for id_ in ids]
-    results = run("loo", record, Settings())
-    held_out = results.frames["errors"].query(
-        "role == 'validate' and method == 'fitted' and boundaries == 'measured'"
-    )
-    pairs = list(zip(held_out["fold"], held_out["insertion"], strict=True))
-    assert pairs == [(f"without {id_}", id_) for id_ in ids]
-    tuned = results.frames["errors"].query("role == 'tune' and method == 'straight'")
-    assert tuned.groupby("fold")["insertion"].nunique().tolist() == [3, 3, 3, 3]
 
 
 @pytest.mark.usefixtures("few_draws")
@@ -335,6 +325,8 @@ def test_folds_side_by_side_give_the_same_frames_and_stop_alike(project):
     for name, frame in one.frames.items():
         pd.testing.assert_frame_equal(frame, two.frames[name], check_exact=True)
     assert one.metadata == two.metadata and not two.interrupted
+    held_out = one.frames["errors"].query("role == 'validate' and method == 'straight'")
+    assert held_out["fold"].tolist() == [f"without {name}" for name in held_out["insertion"]]
     stopped = run("loo", record, Settings(jobs=2, stop=lambda: True))
     assert stopped.interrupted and stopped.frames["errors"]["fold"].nunique() <= 1
 
