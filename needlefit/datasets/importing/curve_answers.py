@@ -18,12 +18,20 @@ from needlefit.schemas.scene import NeedleRecord
 
 
 class CurveAnswers:
-    """Some curves of an import, and what holds of each; the `others` of the import stand beside them."""
+    """Some curves of an import, and what holds of each; the `others` of the import stand beside them.
+
+    `surfaces` part the layers of all.
+    """
 
     def __init__(
-        self, curves: list[ImportedCurve], settler: Settler, others: Sequence[ImportedCurve] = ()
+        self,
+        curves: list[ImportedCurve],
+        settler: Settler,
+        surfaces: list[Surface],
+        others: Sequence[ImportedCurve] = (),
     ) -> None:
-        self.curves, self.others, self.settler, self.settle = curves, others, settler, settler.settle
+        self.curves, self.others, self.surfaces = curves, others, surfaces
+        self.settler, self.settle = settler, settler.settle
         of_all = [*curves, *others]
         counts = Counter(key for curve in of_all for key in curve.stated)
         self.partly_stated = {key for key in counts if counts[key] < len(of_all)}
@@ -73,22 +81,12 @@ class CurveAnswers:
 
 
 class Placer(CurveAnswers):
-    """Places the needles of one kind; `surfaces` part the layers of all of them."""
+    """Places the needles of one kind."""
 
     #: usual answers, with their reasons, of keys that are usual otherwise without such needles
     usual: Mapping[str, tuple[str | None, str]] = MappingProxyType({})
     pose: Pose = "known"
     slope_sd_deg = 0.0  #: of the directions of runs in the frame of a tracker
-
-    def __init__(
-        self,
-        curves: list[ImportedCurve],
-        settler: Settler,
-        others: Sequence[ImportedCurve],
-        surfaces: list[Surface],
-    ) -> None:
-        super().__init__(curves, settler, others)
-        self.surfaces = surfaces
 
     def settle_places(self) -> None:
         """Settle entries and inserted lengths; `curves` may become others."""

@@ -47,14 +47,14 @@ class Planner(CurveAnswers):
     """Settles one question after the other: each may depend on what was settled before."""
 
     def __init__(self, content: ImportContent, settler: Settler) -> None:
-        super().__init__(content.curves, settler)
-        self.surfaces, self.placers = [*content.surfaces], list[Placer]()
+        super().__init__(content.curves, settler, [*content.surfaces])
+        self.placers = list[Placer]()
         self.usual = dict[str, tuple[str | None, str]]()
         for kind in reversed(list_kinds()):
             own = [curve for curve in content.curves if curve.holds == kind.name]
             others = [curve for curve in content.curves if curve.holds != kind.name]
             if own and kind.placer is not None:
-                self.placers.append(kind.placer(own, settler, others, self.surfaces))
+                self.placers.append(kind.placer(own, settler, self.surfaces, others))
 
     def make_plan(self) -> ImportPlan:
         """Return the plan, question by question.
@@ -83,27 +83,7 @@ class Planner(CurveAnswers):
         choices = FirstChoices({}, parameters)
         for placer in self.placers:
             choices = replace(choices, study={**choices.study, **placer.choose_study(sd)})
-        return self.assemble(rows, sd, depths, needles, choices)
-
-    def settle_curvature_sd(self) -> None:
-        """Give curvatures the standard deviation that is stated of all; without a cell, the usual one."""
-        sensors = [sensor for curve in self.curves for sensor in curve.sensors]
-        is_stated = self.stated("curvature_sd") is not None
-        lacking = [sensor for sensor in sensors if is_stated or np.isnan(sensor[3])]
-        if lacking:
-            sd = 1e-3 * self.settle("curvature_sd").to_number("curvature_sd", "1/m", is_above=True)
-            for sensor in lacking:
-                sensor[3] = sd
-
-    def assemble(
-        self,
-        rows: Sequence[InsertionRow],
-        sd: float,
-        depths: Sequence[tuple[float, ...]],
-        needles: Sequence[NeedleRecord],
-        choices: FirstChoices,
-    ) -> ImportPlan:
-        """Return the plan: what all needles share is stated once, what differs with each."""
+        # what all needles share is stated once, what differs with each
         by_medium = dict[str, set[tuple[float, ...]]]()
         for row, boundaries in zip(rows, depths, strict=True):
             by_medium.setdefault(row.medium, set()).add(boundaries)
@@ -124,6 +104,16 @@ class Planner(CurveAnswers):
         return ImportPlan(
             placed, pose, tuple(self.surfaces), media, kinds[0], sd, named, (), choices, slope_sd
         )
+
+    def settle_curvature_sd(self) -> None:
+        """Give curvatures the standard deviation that is stated of all; without a cell, the usual one."""
+        sensors = [sensor for curve in self.curves for sensor in curve.sensors]
+        is_stated = self.stated("curvature_sd") is not None
+        lacking = [sensor for sensor in sensors if is_stated or np.isnan(sensor[3])]
+        if lacking:
+            sd = 1e-3 * self.settle("curvature_sd").to_number("curvature_sd", "1/m", is_above=True)
+            for sensor in lacking:
+                sensor[3] = sd
 
     def refuse_moved_guide(self) -> None:
         """DataError if a guide moved beside shapes or tips: only readings on the way have its places."""

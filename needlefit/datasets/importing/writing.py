@@ -27,6 +27,7 @@ TRACKS_FILE = "tracks.csv"
 TURNS_FILE = "turns.csv"
 CURVATURE_FILE = "curvature.csv"
 TRACK_COLUMNS = ("depth_mm", "tip_mm", "tip_z_mm", "guide_mm", "guide_z_mm")
+OPTIONAL = (NEEDLE_COLUMN, HOLE_COLUMN, "bevel_roll_deg", POINT_SD_COLUMN, *TRACK_COLUMNS[2:])
 TEXTS = ("title", "source", "license")  # values of a mapping that are keys of a dataset
 _NOTE = (
     f"# Made by `needlefit import`; {MAPPING_FILE} states how the files were read, and what was assumed.\n"
@@ -155,12 +156,8 @@ def _write_tracks(
         tables.append(pd.DataFrame({**named, **dict(zip(TRACK_COLUMNS, numbers, strict=True))}))
     table = pd.concat(tables)
     source: dict[str, object] = {"file": TRACKS_FILE, "depth_zero": "tissue"}
-    left_out = [name for name in (NEEDLE_COLUMN, HOLE_COLUMN, "bevel_roll_deg") if not table[name].any()]
-    left_out += [] if table[POINT_SD_COLUMN].notna().any() else [POINT_SD_COLUMN]
-    if not table["tip_z_mm"].any():
-        left_out += ["tip_z_mm", "guide_z_mm"]
-    if all(curve.guide is None for _, curve in tracks):
-        left_out += ["guide_mm", "guide_z_mm"]
+    left_out = [name for name in OPTIONAL if table[name].isin([0, "", None, np.nan]).all()]
+    if "guide_mm" in left_out:
         source["constants"] = {"guide_mm": 0.0}  # at rest
     table = table.drop(columns=left_out)
     table.to_csv(folder / TRACKS_FILE, index=False, float_format="%.4f", lineterminator="\n")
