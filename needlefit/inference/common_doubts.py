@@ -58,8 +58,8 @@ def find_common(problem: Problem, theta: Floats) -> Explanation | None:
         known = fits.setdefault((change.cause, change.axis, change.where), {0.0: theta})
         changed = change_all(problem, change, size)
         fitted = known[min(known, key=lambda other: abs(other - size))]
-        after = predict(changed, fitted)
         changes_model = change.row.changes_model
+        after = before if changes_model else predict(changed, fitted)
         if changes_model or after.log_density - before.log_density > LOG_FITTED:  # else what is linear does
             fitted = known[size] = refit(changed, changed.insertions, fitted)
             after = predict(changed, fitted)

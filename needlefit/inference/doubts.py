@@ -49,12 +49,11 @@ class Doubts(NamedTuple):
     common: CommonDoubtMetadata | None = None  #: what may have happened to all needles alike
 
 
-def find_doubts(problem: Problem, theta: Floats, common: CommonDoubtMetadata | None = None) -> Doubts:
-    """Return the needles that a fit to the others does not predict.
+def find_doubts(problem: Problem, theta: Floats, *, seeks_common: bool = True) -> Doubts:
+    """Return the needles that a fit to the others does not predict, and what happened to all if it is sought.
 
-    `theta` (P,): the fit to all; `common`: what happened to all, which is undone; None: that is sought. None
-    of too few needles, without stated noise, of needles that leave the plane in which they are compared, or
-    where a needle is not solved: these are not judged.
+    `theta` (P,): the fit to all. None of too few needles, without stated noise, of needles that leave the
+    plane in which they are compared, or where a needle is not solved: these are not judged.
     """
     insertions, count, dataset = problem.insertions, len(problem.insertions), problem.dataset
     if count < MIN_NEEDLES or not dataset.noise_is_stated:
@@ -83,18 +82,19 @@ def find_doubts(problem: Problem, theta: Floats, common: CommonDoubtMetadata | N
         odd.append(worst)
     drawn = np.sort(np.random.default_rng(0).permutation(rest)[:COMMON_NEEDLES])
     some = replace(problem, insertions=tuple(insertions[k] for k in drawn))
-    if common is None and (found := find_common(some, theta)) is not None:
+    if seeks_common and (found := find_common(some, theta)) is not None:
         changed = change_all(problem, found.change, found.size)
-        return find_doubts(changed, refit(changed, changed.insertions, theta), _describe_common(found))
+        again = find_doubts(changed, refit(changed, changed.insertions, theta), seeks_common=False)
+        return again._replace(common=_describe_common(found))
     # in the stated errors alone, whatever the misfit of the others is
     stated = (
         measure_deviations(block, theta, predicted._replace(scale=1.0))[0].sds for block, predicted in pairs
     )
     deviating = sum(sds >= OUTLIER_SD for sds in stated)
     if deviating > MAX_OUTLYING_PART * count:
-        return Doubts(deviating=(deviating, count), common=common)
+        return Doubts(deviating=(deviating, count))
     needles = map(describe, sorted(odd, key=lambda k: -sds[k]))
-    return Doubts([needle for needle in needles if needle is not None], common=common)
+    return Doubts([needle for needle in needles if needle is not None])
 
 
 def _describe(
