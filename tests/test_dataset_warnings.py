@@ -115,6 +115,7 @@ def test_insertions_deflected_away_from_their_bevel_and_copies_are_named(tmp_pat
     [
         ("outer_diameter", "outer_diameter_mm = 0.00127", "1.27"),
         ("outer_diameter", "outer_diameter_mm = 0.05", "1.27"),
+        ("outer_diameter", "outer_diameter_mm = 0.635", "1.27"),
         ("outer_diameter", "outer_diameter_mm = 18", "mm"),
         ("youngs_modulus", "youngs_modulus_gpa = 0.08", "GPa"),
         ("outer_diameter", "flexural_rigidity_nmm2 = 0.0102", "10200"),

@@ -57,6 +57,8 @@ GAUGES_MM = {
     **{28: 0.362, 29: 0.337, 30: 0.312, 31: 0.261, 32: 0.235, 33: 0.210, 34: 0.184},
 }
 """Outer diameters of needles by their gauge."""
+ROUNDED_MM = 1.5e-3
+"""By less, twice a radius that was rounded differs from the diameter of its gauge."""
 
 FITTED_RANGE = (0.5, 1.2)  # times the least and the greatest fitted depth, within which predictions lie
 
@@ -135,6 +137,10 @@ def doubt_sizes(sizes: Mapping[str, float | None]) -> Iterator[Doubt]:
     if _is_within(outer, DIAMETER_MM):
         lengths = (LENGTH_TO_DIAMETER[0] * outer, LENGTH_TO_DIAMETER[1] * outer)
         yield from doubt_range(length, lengths, LENGTH_UNITS, length_key, "mm")
+    for gauge, diameter in GAUGES_MM.items():
+        if abs(2 * outer - diameter) < ROUNDED_MM:
+            problem = f"`{outer_key}` is {outer:g} mm, half of gauge {gauge}: this looks like a radius"
+            yield outer_key, problem, f"check it; the diameter of gauge {gauge} is {diameter:g} mm"
     if inner:
         bores = (min(MIN_INNER_DIAMETER_MM, outer), MAX_INNER_TO_OUTER * outer)
         yield from doubt_range(inner, bores, LENGTH_UNITS, inner_key, "mm")
