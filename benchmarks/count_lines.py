@@ -111,14 +111,16 @@ def count_string_words(text):
 
 
 def is_number(node):
-    """Return whether an expression is a number, or is calculated from numbers alone."""
+    """Return whether an expression is a number, or an array of them, or is calculated from such alone."""
     if isinstance(node, ast.Constant):
         return isinstance(node.value, int | float) and not isinstance(node.value, bool)
-    if isinstance(node, ast.UnaryOp):
-        return is_number(node.operand)
+    if isinstance(node, ast.UnaryOp | ast.Starred):
+        return is_number(node.operand if isinstance(node, ast.UnaryOp) else node.value)
     if isinstance(node, ast.BinOp):
         return is_number(node.left) and is_number(node.right)
-    return isinstance(node, ast.Tuple) and bool(node.elts) and all(map(is_number, node.elts))
+    if isinstance(node, ast.Call):  # of numpy
+        return bool(node.args) and all(map(is_number, node.args))
+    return isinstance(node, ast.Tuple | ast.List) and bool(node.elts) and all(map(is_number, node.elts))
 
 
 def count_constants(text):

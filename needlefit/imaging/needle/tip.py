@@ -6,6 +6,11 @@ it from the tip, u and v across.
 Blur, overshoot, the slices' blur and the metal's height are fitted with the tip, held by what balls in the
 scan show of them and by what metal and scanners can have. So is the dark streak that rays along the shaft
 leave beyond its end.
+
+What errs is the model, hardly the noise: of 21 volumes of two renderers errors along the needle were 9.5 times
+(root mean square) the scatter of four fits to the fitted image with the scan's noise, for which the needle took
+twice as long, and 6.8 times the deviation by the fit's Jacobian; with the model's two deviations beside that
+0.92 times.
 """
 
 from dataclasses import dataclass
