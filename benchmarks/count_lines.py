@@ -34,6 +34,8 @@ GOALS = {
     "names that say nothing": 250,
 }
 """Each count, at most; of `needlefit` and `tests` tokens."""
+ARRAYS = {"array", "arange", "linspace", "log", "radians"}
+"""Functions of numpy that numbers make numbers."""
 VAGUE_NAMES = {"one", "found", "own", "what", "at", "every", "each", "known"}
 OTHER_SOURCES = {
     "JavaScript": {".js", ".mjs"},
@@ -118,8 +120,8 @@ def is_number(node):
         return is_number(node.operand if isinstance(node, ast.UnaryOp) else node.value)
     if isinstance(node, ast.BinOp):
         return is_number(node.left) and is_number(node.right)
-    if isinstance(node, ast.Call):  # of numpy
-        return bool(node.args) and all(map(is_number, node.args))
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):  # of numpy
+        return node.func.attr in ARRAYS and all(map(is_number, node.args))
     return isinstance(node, ast.Tuple | ast.List) and bool(node.elts) and all(map(is_number, node.elts))
 
 

@@ -36,10 +36,11 @@ class MM:
     # Where blur shows, four deviations of a wide one: shorter runs of material are blur, air in gaps of twice
     # that has no level, and a streak beyond the tip fades; edges are fitted over four times that
     BLUR_REACH = 2.0
-    BLUR_CORE = (
-        1.0  # within which voxels show the same thing: air between soft runs is longer, shafts leave it
-    )
-    EDGE_BLUR = 3.0  # within which the blur of an edge shows: thinner guides show no step
+    # Within which voxels show one thing: air between soft runs is longer, and the shaft outside begins there
+    BLUR_CORE = 1.0
+    # Within which the blur of an edge shows: thinner guides show no step, a needle is faint, an end this near
+    # to the volume's face has left it, and so far behind its bevel its tip is fitted
+    EDGE_BLUR = 3.0
     EDGE_SD = 0.02  # of an edge that no scatter shows: a kernel's sides are not alike [G]
     SHAFT = 10.0  # least length of shaft outside the tissue through which an axis is drawn
     REACH = 80.0  # along the needle to the tissue's surface, or to a hub
@@ -52,14 +53,12 @@ class MM:
     MATCH = 1.5
     STEP_MATCH = 0.6  # of a guide's end from a change of brightness
     BEVEL_MARGIN = 1.2  # by which a needle may look shorter at its end
-    FACE = 3.0  # an end this near to the volume's face has left it
     GRID_SD = 0.005  # of an axis or a ball, that no scatter shows: the voxel grid, rays [R]
     # Beyond a needle's end, where it is looked for: in slices with 4 mm one of 9 tips moved by 0.17 mm [S]
     BEYOND_END = 5.0
     # Least length of a needle in the scan; so far from a hub it shows the hub's direction, and so much of one
     # that leaves the volume is beyond its face
     NEEDLE_LENGTH = 20.0
-    FAINT = 3.0  # over which a needle may be faint
     HUB_RADIUS = 5.0  # largest
     HUB_LENGTH = 4.0  # least; so much of it shows its axis
     THICK_SLICE = 0.6 + 1e-9  # thinner slices show the needle in several at once

@@ -11,6 +11,7 @@ from needlefit.arrays import Floats
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.smoothing_spline import SplineSections
 from needlefit.geometry.surfaces import Surface
+from needlefit.imaging.needle.axis_spline import PLANE_SPACING_MM
 from needlefit.imaging.needle.centerline import Centerline
 from needlefit.imaging.point_spread import PointSpread
 from needlefit.imaging.registration import Registration
@@ -155,7 +156,6 @@ class Reconstruction:
         return float(self.scan.side * (y[-1] - y[0]))
 
 
-PIXEL_MM = 0.3  # edge of a pixel, mm: finer than the voxels of a cone-beam scan
 # Places along the third axis over which a picture is averaged, mm: the slab holds the needle whole, and its
 # mean quiets the noise so that layers show.
 SLAB_OFFSETS_MM = np.arange(-1.2, 1.3, 0.4)
@@ -177,7 +177,7 @@ def render_views(volume: Volume, patient: Frame, frame: Frame, needle: ArrayLike
     first = max(-ENTRY_MARGIN_MM, float(local[0, 0]) - 2.0)
     right = _list_pixels(first, float(local[-1, 0]) + MARGIN_MM)
     shown = local[local[:, 0] >= -ENTRY_MARGIN_MM]
-    views, half = [], PIXEL_MM / 2
+    views, half = [], PLANE_SPACING_MM / 2
     for up, through in ((1, 2), (2, 1)):
         side = shown[:, up]
         rows = _list_pixels(float(side.min()) - MARGIN_MM, float(side.max()) + MARGIN_MM)
@@ -197,4 +197,6 @@ def render_views(volume: Volume, patient: Frame, frame: Frame, needle: ArrayLike
 
 def _list_pixels(low: float, high: float) -> Floats:
     """Return the centres of the pixels from `low` to about `high`, mm."""
-    return low + PIXEL_MM * (np.arange(max(1, round((high - low) / PIXEL_MM)), dtype=np.float64) + 0.5)
+    return low + PLANE_SPACING_MM * (
+        np.arange(max(1, round((high - low) / PLANE_SPACING_MM)), dtype=np.float64) + 0.5
+    )

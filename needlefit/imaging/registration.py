@@ -29,7 +29,6 @@ from needlefit.errors import DataError
 from needlefit.geometry.frames import AXIS_SIGNS, Frame
 from needlefit.imaging.constants import PART, SD
 
-MIN_MARKERS = 3  # markers that fix a rigid motion
 # Location named in errors of a single set.
 FOUND_SET = "markers found in the scan"
 KNOWN_SET = "known markers"
@@ -77,7 +76,7 @@ def register(
     """
     here, there = (np.asarray(given, dtype=np.float64).reshape(-1, 3) for given in (found, known))
     for points, name in ((here, FOUND_SET), (there, KNOWN_SET)):
-        if len(points) < MIN_MARKERS:
+        if len(points) < 3:
             raise DataError(
                 f"{len(points)} markers are too few",
                 expected="at least three markers that are not on a line",
@@ -120,7 +119,7 @@ def fit_pairings(found: Floats, known: Floats, variance: Floats) -> list[Registr
     """
     most = min(len(found), len(known))
     # three among many agree by chance, unless one of the sets has no more
-    least = max(MIN_MARKERS + 1, int(np.ceil(PART.PAIRED * most)))
+    least = max(4, int(np.ceil(PART.PAIRED * most)))
     changes = cdist(found, found)[:, None, :, None] - cdist(known, known)[:, None]
     for count in (most, *range(most - 1, least - 1, -1)):
         limit = float(chdtri(3 * count - 6, FALSE_ALARM_PROBABILITY))  # that a right pairing hardly exceeds

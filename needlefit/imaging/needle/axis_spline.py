@@ -13,6 +13,7 @@ from needlefit.imaging.constants import MM, SD
 from needlefit.imaging.volume import Volume, to_index
 
 MAX_POINT_WEIGHT = 30.0  # a point counts at most for so many cross-sections
+FEWEST = 8  # of cross-sections, or voxels, that make an axis; fewer are noise
 ROUNDS = 3  # of moving sections to the middle, each on the axis before; reweighting takes one more
 
 
@@ -142,7 +143,7 @@ def _make_frames(origins: Floats, ways: Floats, chord: Floats) -> AxisFrames:
     return AxisFrames(origins, tangents, u, np.cross(tangents, u))
 
 
-PLANE_SPACING_MM = 0.3  # spacing of the points in a plane, mm
+PLANE_SPACING_MM = 0.3  # of the points in a plane, also of pictures, mm: finer than a cone beam's voxels
 
 
 def disc_points(radius: float) -> Floats:

@@ -10,6 +10,7 @@ from needlefit.geometry.curves import arc_length
 from needlefit.geometry.smoothing_spline import SplineSections
 from needlefit.imaging.constants import HU, MM, PART
 from needlefit.imaging.needle.axis_spline import (
+    FEWEST,
     ROUNDS,
     AxisSpline,
     axis_frames,
@@ -28,8 +29,6 @@ from needlefit.imaging.needle.tip import TIP, TipFit, bevel_length, fit_tip, sea
 from needlefit.imaging.point_spread import PointSpread
 from needlefit.imaging.volume import Volume, to_index
 from needlefit.schemas.reconstruction import ReconstructionRecord
-
-MIN_SECTIONS = 8  # fewer do not make an axis
 
 
 @dataclass(frozen=True)
@@ -168,10 +167,10 @@ def refine_axis(
         across, amplitude = find_centroids(values[valid], plane, recipe.needle.diameter_mm)
         good = np.linalg.norm(across, axis=1) < recipe.needle.diameter_mm / (1 if round_ == 0 else 2)
         good &= amplitude > PART.FAINT * np.median(amplitude) if len(amplitude) else False
-        if good.sum() < MIN_SECTIONS:
+        if good.sum() < FEWEST:
             raise DataError(
                 f"the needle shows in {good.sum()} cross-sections only",
-                expected=f"{MIN_SECTIONS} or more",
+                expected=f"{FEWEST} or more",
                 fix="check the mask, or scan more of the needle",
             )
         points = (where.origins + across[:, :1] * where.u + across[:, 1:] * where.v)[good]
@@ -208,7 +207,7 @@ def orient_axis(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) 
     """Return the axis directed from base to tip; DataError if the direction cannot be determined."""
     ends = axis.spline(np.array([0.0, axis.length]))
     index, last = to_index(volume, ends), np.array(volume.values.shape[::-1]) - 1
-    cut = (np.minimum(index, last - index) * volume.spacing).min(axis=1) < MM.FACE
+    cut = (np.minimum(index, last - index) * volume.spacing).min(axis=1) < MM.EDGE_BLUR
     where = "; ".join(", ".join(f"{x:.0f}" for x in end) for end in ends)
     direction = recipe.centerline.entry_direction
     soft = _soft_lengths(volume, axis)

@@ -11,6 +11,7 @@ from needlefit.errors import DataError, located
 from needlefit.geometry.curves import arc_length
 from needlefit.imaging.constants import HU, MM, PART
 from needlefit.imaging.needle.axis_spline import (
+    FEWEST,
     ROUNDS,
     AxisSpline,
     disc_points,
@@ -19,12 +20,7 @@ from needlefit.imaging.needle.axis_spline import (
     frames_along,
     sample_planes,
 )
-from needlefit.imaging.needle.segmentation import (
-    MIN_COMPONENT_VOXELS,
-    Component,
-    measure_component,
-    principal_axes,
-)
+from needlefit.imaging.needle.segmentation import Component, measure_component, principal_axes
 from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.imaging.volume_files import read_volume
 from needlefit.schemas.reconstruction import ReconstructionRecord
@@ -45,7 +41,7 @@ def read_mask_points(volume: Volume, path: Path) -> Floats:
     mask = read_volume(path)
     with located(path):
         marked = to_patient(mask, np.argwhere(mask.values > 0)[:, ::-1])
-        if len(marked) < MIN_COMPONENT_VOXELS:
+        if len(marked) < FEWEST:
             raise DataError(
                 f"the mask marks {len(marked)} voxels",
                 expected="the needle's voxels above 0, all others 0",
@@ -142,7 +138,7 @@ def _look_across(volume: Volume, places: Floats, recipe: ReconstructionRecord) -
 def _extend(volume: Volume, places: Floats, level: float, recipe: ReconstructionRecord) -> Iterator[Floats]:
     """Yield the places of the needle beyond the last of `places` (N, 3), until it is faint or ends."""
     known, faint = list(places[-round(2 * MM.KNOT / STEP_MM) :]), 0.0
-    while faint <= MM.FAINT:
+    while faint <= MM.EDGE_BLUR:
         recent = np.array(known[-round(2 * MM.KNOT / STEP_MM) :])
         way = np.linalg.svd(recent - recent.mean(axis=0), full_matrices=False)[2][0]
         way *= np.sign(way @ (recent[-1] - recent[0]))

@@ -15,10 +15,9 @@ CELL_MM = 0.25  # mm, cells of the detector
 PLANE_MM = 0.17  # mm, distance of planes at most
 PLANE_STEP = 6  # planes of which a slice has a multiple
 # Distances from a slice's middle, in slices, between which the logarithm of its sensitivity is linear.
-SENSITIVITY_AT = np.arange(6) / 6
+SENSITIVITY_AT = np.arange(PLANE_STEP) / PLANE_STEP
 # Angle between views along the needle, and how much it grows with the angle to the needle, rad.
-VIEW_STEP = 0.013  # rad
-VIEW_GROWTH = 0.13  # rad per rad
+VIEW_STEP = 0.013  # rad; it grows by ten times that per rad
 WATER_PER_MM = 0.02  # attenuation of water, 1/mm
 
 
@@ -40,7 +39,7 @@ class Rod:
         """Angles of the rays to the needle (V,) and their weights; dense where rays run along it."""
         half = [0.0]
         while half[-1] < np.pi / 2:
-            half.append(half[-1] * (1 + VIEW_GROWTH) + VIEW_STEP)
+            half.append(half[-1] * (1 + 10 * VIEW_STEP) + VIEW_STEP)
         turned = np.array(half) * (np.pi / 2 / half[-1])
         angles = np.concatenate([-turned[:0:-1], turned])
         weights = np.gradient(angles)

@@ -14,7 +14,7 @@ from needlefit.datasets.layers import MAX_START_DISTANCE_MM
 from needlefit.errors import DataError
 from needlefit.imaging.bright_voxels import BrightVoxels, list_bright_voxels
 from needlefit.imaging.constants import HU, MM, PART
-from needlefit.imaging.needle.axis_spline import AxisSpline
+from needlefit.imaging.needle.axis_spline import FEWEST, AxisSpline
 from needlefit.imaging.volume import Volume, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
@@ -56,9 +56,6 @@ def _list_parts(mask: NDArray[np.bool_]) -> Iterator[Ints]:
 def _distance(mask: NDArray[np.bool_], spacing: Floats) -> NDArray[np.float32]:
     """Return the distance (mm) of every voxel of a mask to the nearest outside it."""
     return distance_transform_edt(mask, sampling=spacing).astype(np.float32)
-
-
-MIN_COMPONENT_VOXELS = 8  # smaller components are noise
 
 
 @dataclass(frozen=True)
@@ -135,7 +132,7 @@ def cut_components(
         if len(pieces) == 1 and len(pieces[0]) == len(part.voxels):
             found.append(part)
         else:
-            found += [measure_component(volume, one) for one in pieces if len(one) >= MIN_COMPONENT_VOXELS]
+            found += [measure_component(volume, one) for one in pieces if len(one) >= FEWEST]
     return found
 
 
@@ -148,7 +145,7 @@ def list_thresholds(volume: Volume, recipe: ReconstructionRecord) -> list[tuple[
     tissue = median_tissue_hu(volume)
     bright = np.concatenate([s[s > tissue + HU.METAL_CONTRAST] for s in volume.values])
     rod = np.pi / 4 * recipe.needle.diameter_mm**2 * MM.NEEDLE_LENGTH
-    wanted = max(MIN_COMPONENT_VOXELS, int(rod / float(np.prod(volume.spacing)) / 2))
+    wanted = max(FEWEST, int(rod / float(np.prod(volume.spacing)) / 2))
     if len(bright) < wanted:
         raise DataError(
             f"{len(bright)} voxels stand out from tissue ({tissue:.0f} HU) by {HU.METAL_CONTRAST:.0f} HU",
@@ -173,7 +170,7 @@ def find_components(
         bright = list_bright_voxels(volume, low)
     parts = [
         measure_component(volume, ijk)
-        for ijk in bright.list_parts(low, (MIN_COMPONENT_VOXELS, np.inf), corners=True)
+        for ijk in bright.list_parts(low, (FEWEST, np.inf), corners=True)
         if np.any(volume.values[tuple(ijk.T[::-1])] > high)
     ]
     if not parts:

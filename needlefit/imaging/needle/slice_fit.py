@@ -31,6 +31,7 @@ from needlefit.imaging.needle.tip import (
     MAX_BEVEL_DEG,
     MIN_BEVEL_PROBABILITY,
     ROLL_FACTOR,
+    ROUGH_STEPS,
     TipFit,
     side_probability,
 )
@@ -56,7 +57,6 @@ TIP_SDS = np.array([1.0, 10.0])  # of where the needle ends, mm, and of its beve
 START_STEPS = (0.5, 0.25, 0.12)  # of shift, tilt and bow along the normal, slices
 START_ENDS_MM = (-1.0, -0.5, 0.0, 0.5, 1.0)  # ends that are tried, from the one stated, mm
 ROBUST_SD = (20.0, 4.0)  # residuals beyond so many deviations count less, in the first fit and later
-STEPS = 8  # of each fit
 STEP = 0.05  # of the derivatives
 # The model's error, in water and in parts of the image, before it is known; samples that count as one.
 FIRST_NOISE = 0.15  # of water
@@ -305,7 +305,7 @@ class _SliceProblem:
             ftol=PART.TOLERANCE,
             xtol=PART.TOLERANCE,
             gtol=PART.TOLERANCE,
-            max_nfev=STEPS,
+            max_nfev=ROUGH_STEPS,
         )
 
     def solve(self) -> tuple[Floats, Floats, float]:

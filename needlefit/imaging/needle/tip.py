@@ -7,10 +7,9 @@ Blur, overshoot, the slices' blur and the metal's height are fitted with the tip
 scan show of them and by what metal and scanners can have. So is the dark streak that rays along the shaft
 leave beyond its end.
 
-What errs is the model, hardly the noise: of 21 volumes of two renderers errors along the needle were 9.5 times
-(root mean square) the scatter of four fits to the fitted image with the scan's noise, for which the needle took
-twice as long, and 6.8 times the deviation by the fit's Jacobian; with the model's two deviations beside that
-0.92 times.
+What errs is the model, hardly the noise. Of 21 volumes of two renderers errors along the needle over their
+deviations were (root mean square) 9.5 by the scatter of four fits to the fitted image with the scan's noise,
+which took as long as all else, 6.8 by the fit's Jacobian, and 0.92 with the model's two deviations in it.
 """
 
 from dataclasses import dataclass
@@ -105,10 +104,8 @@ class RodModel:
 # slices, mm, and between them the kernel's boost; the streak beyond the end, HU.
 TIP, ROLL, U, V, HEIGHT, LEVEL, COT, BLUR, _, SLICE, STREAK = range(11)
 SPREAD = slice(7, 10)
-# How far the fit reaches back from the bevel's heel, mm.
-REACH_BEFORE_MM = 3.0  # mm
 START_ENDS_MM = np.arange(-0.8, 0.9, 0.4)  # around the first guess, at which the bevel's side is tried
-ROUGH_STEPS = 8  # of a first fit
+ROUGH_STEPS = 8  # of a first fit, and of fits to slices
 STEPS = 30  # of a last fit
 DERIVATIVE_STEP = np.array(1e-3)  # relative step of the derivatives
 MAX_BEVEL_DEG = 85.0  # a bevel steeper than this has no side
@@ -148,13 +145,13 @@ class TipProblem:
         spread: PointSpread | None,
     ) -> None:
         heel, radius = bevel_length(needle), needle.diameter_mm / 2
-        places, values = list_axis_voxels(volume, axis, guess - heel - REACH_BEFORE_MM, guess + MM.BEYOND_END)
+        places, values = list_axis_voxels(volume, axis, guess - heel - MM.EDGE_BLUR, guess + MM.BEYOND_END)
         every = int(np.ceil(len(values) / MAX_FITTED_VOXELS))
         self.places, self.values = places[:, ::every], values[::every]
         self.volume, self.guess, self.rolled = volume, guess, needle.bevel_deg < MAX_BEVEL_DEG
         frame, normal = axis_frames(axis, np.array([guess])), volume.grid.normal
         # the tip may be found 4 mm from where it is looked for
-        back, ahead = heel + REACH_BEFORE_MM + MM.BEYOND_END, 2 * MM.BEYOND_END
+        back, ahead = heel + MM.EDGE_BLUR + MM.BEYOND_END, 2 * MM.BEYOND_END
         slices = np.stack([frame.tangents[0], frame.u[0], frame.v[0]]) @ normal
         self.rod = RodModel(radius, back, ahead, MM.PATCH + 0.5, slices)
         self.floor, top = find_cuts(values)
