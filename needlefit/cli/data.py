@@ -83,8 +83,7 @@ def import_data(
     set_: Annotated[
         list[str] | None,
         option(
-            "State a key of the mapping: pose=1,0,0; y.column=lateral; unit=cm. May be repeated "
-            "(needlefit explain mapping).",
+            "State a key of the mapping: pose=1,0,0; unit=cm. May be repeated (needlefit explain mapping).",
             "KEY=VALUE",
             "--set",
         ),

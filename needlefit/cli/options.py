@@ -60,11 +60,11 @@ Reference = Annotated[
     ),
 ]
 Resume = Annotated[bool, _flag("Continue an interrupted run.", "--resume")]
-Strict = Annotated[bool, _flag("Exit code 5 after a warning; results are written.", "--strict")]
+Strict = Annotated[bool, _flag("Exit code 5 after a warning.", "--strict")]
 Seed = Annotated[
     int | None,
     option(
-        "Seed of all randomness (default: that of the recipe).",
+        "Seed of random numbers (default: the recipe's).",
         "N",
         min=0,
         max=MAX_SEED,
@@ -73,7 +73,7 @@ Seed = Annotated[
 ]
 Jobs = Annotated[
     int | None,
-    option("Cores to use (default: all); they do not change the result.", "N", min=1, callback=_keep),
+    option("Cores to use (default: all).", "N", min=1, callback=_keep),
 ]
 Scheduler = Annotated[
     str | None,

@@ -60,7 +60,7 @@ def reconstruct(
     every: Annotated[
         bool,
         option(
-            "Every needle of a scan is an insertion: ID-1, ID-2, ... toward the patient's left.",
+            "Every needle of a scan is an insertion: ID-1, ID-2, ... to the left.",
             None,
             "--all",
         ),

@@ -360,7 +360,7 @@ def _find_depth_faults(row: InsertionRow, where: str, record: DatasetRecord) -> 
         yield DataError(
             f"{depth_mm} is {row.depth:g}",
             expected="an inserted length above 0",
-            fix="give the length from the entry to the tip, without a sign",
+            fix="give the length from the entry to the tip",
             where=where,
         )
     elif row.depth < MIN_DEPTH_MM:

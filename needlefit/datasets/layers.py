@@ -95,7 +95,7 @@ def make_file_fault(error: DataError, path: Path) -> Fault:
 def find_surface_faults(surface: Surface, path: Path) -> Iterator[Fault]:
     """Yield the reasons why the surface in a file cannot be a layer boundary; lengths in mm."""
     expected = {
-        "solid": "a closed surface in one piece, its triangles turned outward",
+        "solid": "a closed surface in one piece, triangles outward",
         "sheet": "one piece with one rim, larger than the tissue it parts",
     }[surface.kind]
     for mesh_fault in find_mesh_faults(surface):

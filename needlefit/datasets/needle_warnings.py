@@ -119,7 +119,7 @@ def _find_copy_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iter
                 count = len(places[m] & places[n]) if is_copy else same[m, axes].min()
                 named = " and ".join(np.array(list("xyz"))[axes])
                 what = f"{' and '.join(names)} have the same {named} at {count} points"
-                fix = "look whether one was exported twice, or pasted into the other"
+                fix = "look whether one was exported twice"
                 yield ResultWarning("copy", what, later.where, fix, names)
 
 
@@ -143,7 +143,7 @@ def _find_constant_warnings(listed: Sequence[ListedInsertion]) -> Iterator[Resul
         for axis in np.flatnonzero(varies & (np.ptp(one.points.values, axis=0) == 0)):
             value = one.points.values[0, axis]
             what = f"{one.insertion.id}: {'xyz'[axis]} is {value:g} at all points, and varies along others"
-            fix = "look at its column in the source, and export its points again"
+            fix = "export its points again"
             yield ResultWarning("axis_unit", what, one.points.where(), fix, (one.insertion.id,))
 
 

@@ -481,7 +481,7 @@ def check_values(name: str, parameter: ParameterRecord, law: str) -> None:
     if is_logarithmic(name) and low <= 0 and not symmetric:
         fault = (
             f"{name} may be {low:g}, which is not above 0",
-            "a positive number: it is searched in logarithms",
+            "a positive number",
             "raise the lower bound, or the fixed value",
         )
     elif any(not bounds[0] <= value <= bounds[1] for value in stated):

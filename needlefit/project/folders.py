@@ -205,7 +205,7 @@ def require_replaceable(folder: Path, find: Callable[[Path], list[str]] | None =
         if faults:
             raise ConfigError(
                 f"is not replaced: needlefit did not write all of it: {join_names(faults, MAX_LISTED_FILES)}",
-                expected=f"a new or empty folder, or one with only what its {MANIFEST} lists, unchanged",
+                expected=f"a new or empty folder, or one as its {MANIFEST} lists it",
                 fix="move those files away, or choose another folder with --out",
                 where=folder,
             )

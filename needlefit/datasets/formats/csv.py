@@ -139,7 +139,7 @@ def read_curve(table: CsvTable, names: Mapping[str, str], faults: list[Fault]) -
                 DataError(
                     f"{column} is {sd[row]:g}",
                     expected="a standard deviation, 0 or more, mm",
-                    fix="fix the cell, or leave the whole column out",
+                    fix="fix the cell, or leave the column out",
                     where=table.where(int(row)),
                 )
             )

@@ -320,7 +320,7 @@ def require_fitted_kind(scene: Scene, job: Job) -> None:
         raise ConfigError(
             f"the scene has {scene.tissue.layers} layers, the fitted medium {job.medium.layers}",
             expected="at most as many",
-            fix="name a scene of the fitted medium, or fit a medium with more layers",
+            fix="name a scene of the fitted medium",
         )
     ours = scene.needle.flexural_rigidity
     fitted = dict.fromkeys(insertion.needle.flexural_rigidity for insertion in job.insertions)
