@@ -144,6 +144,9 @@ def test_a_roll_that_errs_is_allowed_for(runs_in_space):
     """Of a run at rest, the tip along z is the tip along y times the roll."""
     (known,) = in_space(runs_in_space[2:3]).density.observations
     assert len(known.nodes.insertions) == 3
+    (wider,) = in_space(runs_in_space[2:3], TrackErrorsRecord(roll_sd_deg=10.0)).density.observations
+    for one, half in ((known, 0.5), (wider, 1.0)):  # half the difference of both ends, in SDs of 5 and 10
+        assert one.nodes.linear[1, :3].tolist() == [0.0, -half, half]
     ends = [simulate_in_space(one) for one in known.nodes.insertions]
     bent = simulate_in_space(runs_in_space[2])[-1, 0]
     assert ends[2][-1, 1] - ends[1][-1, 1] == pytest.approx(2 * np.sin(np.radians(5)) * bent, rel=1e-6)
