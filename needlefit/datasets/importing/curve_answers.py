@@ -62,13 +62,13 @@ class CurveAnswers:
         """Return the number of each needle, in a unit."""
         return [answer.to_number(key, unit, is_above) for answer in self.each(key, usual, reason)]
 
-    def stated(self, key: str) -> Stated | None:
-        """Return what the mapping states of all needles; None if nothing."""
-        return Stated(self.settler.values[key]) if key in self.settler.values else None
+    def stated(self, key: str) -> str:
+        """Return what the mapping states of all needles; empty if nothing."""
+        return self.settler.values.get(key, "")
 
     def is_stated(self, key: str) -> bool:
         """Return whether the mapping or the cells of a needle state a key."""
-        return self.stated(key) is not None or any(key in curve.stated for curve in self.curves)
+        return key in self.settler.values or any(key in curve.stated for curve in self.curves)
 
     def settle_sides(self, is_needed: bool = False) -> list[float] | None:
         """Return the direction that each bevel faces, degrees about the needle; None where nobody states it.

@@ -108,8 +108,7 @@ class Planner(CurveAnswers):
     def settle_curvature_sd(self) -> None:
         """Give curvatures the standard deviation that is stated of all; without a cell, the usual one."""
         sensors = [sensor for curve in self.curves for sensor in curve.sensors]
-        is_stated = self.stated("curvature_sd") is not None
-        lacking = [sensor for sensor in sensors if is_stated or np.isnan(sensor[3])]
+        lacking = [sensor for sensor in sensors if self.stated("curvature_sd") or np.isnan(sensor[3])]
         if lacking:
             sd = 1e-3 * self.settle("curvature_sd").to_number("curvature_sd", "1/m", is_above=True)
             for sensor in lacking:
@@ -117,13 +116,12 @@ class Planner(CurveAnswers):
 
     def refuse_moved_guide(self) -> None:
         """DataError if a guide moved beside shapes or tips: only readings on the way have its places."""
-        stated = self.stated("guide")
         guided = [
             curve
             for curve in self.curves
             if curve.guide is not None and not KINDS[curve.holds].in_tracker_frame
         ]
-        if not guided or (stated is not None and stated.text == "none"):
+        if not guided or self.stated("guide") == "none":
             return
         places = np.concatenate([curve.guide for curve in guided if curve.guide is not None])
         if np.ptp(np.nan_to_num(places), axis=0).max() >= GUIDE_STILL_MM:

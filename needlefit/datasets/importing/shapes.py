@@ -144,7 +144,7 @@ class ShapePlacer(Placer):
                 place = f"its depth {depth:g} mm in {stated[curve.name].where}"
                 reason = f"{curve.name} is {curve.length:.1f} mm long, and {place}"
                 break
-        is_first = (of_all := self.stated("entry_point")) is not None and of_all.text == "first"
+        is_first = self.stated("entry_point") == "first"
         answers = self.each("entry_point", usual=guess, reason=reason, is_sure=guess == "depth")
         entries, cut, missed = list[Floats | None](), list[float](), list[str]()
         for curve, answer in zip(self.curves, answers, strict=True):
@@ -206,7 +206,7 @@ class ShapePlacer(Placer):
         self, point_sd: float, depths: Sequence[tuple[float, ...]], needles: Sequence[NeedleRecord]
     ) -> list[InsertionRow]:
         """Return the rows with entry poses and bevels."""
-        curves, settler, angles = self.curves, self.settler, self.settle_sides()
+        curves, angles = self.curves, self.settle_sides()
         poses, entries = self.poses, self.entries
         self.note_deflections()
         self.require_seen(angles or [])
@@ -224,7 +224,7 @@ class ShapePlacer(Placer):
             self.pose = "free"
             return self.meet_layers(rows, depths)
         if any(entry is None for entry in entries):
-            settler.note(
+            self.settler.note(
                 "shift across", "fitted: the first point, taken as the entry, has moved with the needle"
             )
         shifts = self.numbers("pose_shift_sd", usual=f"{point_sd:g}", reason="that of a point")
@@ -247,18 +247,18 @@ class ShapePlacer(Placer):
         until = [min([curve.length, *(depth for depth, _ in curve.turns)]) for curve in curves]
         before = [curve.points.curve.interpolate([arc])[0] for curve, arc in zip(curves, until, strict=True)]
         bevels = self.settle_bevel(np.array(before) - first, ways, angles)
-        beside: dict[str, list[Sequence[object]]] = {
-            "turns": [curve.turns for curve in curves],
-            "curvatures": [curve.sensors for curve in curves],
-        }
-        for label, stated in beside.items():
-            counts = [f"{len(own)} of {curve.name}" for curve, own in zip(curves, stated, strict=True) if own]
-            if counts:
-                settler.note(label, join_names(counts, 8))
+        for label, counts in {
+            "turns": {curve.name: len(curve.turns) for curve in curves},
+            "curvatures": {curve.name: len(curve.sensors) for curve in curves},
+        }.items():
+            if any(counts.values()):
+                texts = [f"{count} of {name}" for name, count in counts.items() if count]
+                self.settler.note(label, join_names(texts, 8))
                 reason = "degrees, set by hand: bevel_roll_sd_deg of insertions.csv"
-                settler.assumed["bevel_roll_sd"] = f"{DEFAULT_ROLL_SD_DEG:g} {reason}"
+                self.settler.assumed["bevel_roll_sd"] = f"{DEFAULT_ROLL_SD_DEG:g} {reason}"
         chords = np.array([curve.line[-1] for curve in curves]) - first
         rows = self.meet_layers(rows, depths, np.sum(chords * ways, axis=1).tolist())
+        source: PoseSource = "shaft" if poses[0].text == "shaft" else "stage"
         for n, curve in enumerate(curves):
             crossed = (
                 find_crossings(curve.points.curve.smoothed, self.surfaces).sequence if self.surfaces else ()
@@ -269,7 +269,7 @@ class ShapePlacer(Placer):
                 entry=first[n],
                 direction=ways[n],
                 bevel=bevels[n],
-                pose_source=name_pose_source(poses[n], entries[n]),
+                pose_source="first_point" if entries[n] is None else source,
                 pose_shift_sd=shifts[n],
                 pose_angle_sd=sds[n],
                 turns=tuple((depth, np.radians(cell.to_angle()) - zeros[n]) for depth, cell in curve.turns),
@@ -397,13 +397,6 @@ def cut_shaft(curve: ImportedCurve, arc: float, other_end: str) -> None:
     values = np.vstack([entry, points.values[after]])
     curve.shaft = np.vstack([points.values[along < arc], values[:1]])
     curve.points = replace(points.part(np.concatenate([after[:1], after])), values=values)
-
-
-def name_pose_source(pose: Stated, entry: Floats | None) -> PoseSource:
-    """Return where a pose comes from, whose entry is stated, or the first point of the needle."""
-    if entry is None:
-        return "first_point"
-    return "shaft" if pose.text == "shaft" else "stage"
 
 
 def fit_shaft(curve: ImportedCurve, needle: NeedleRecord, point_sd: float, pose: Stated) -> ShaftAxis:

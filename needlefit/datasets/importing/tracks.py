@@ -74,8 +74,7 @@ class TrackPlacer(Placer):
         else:
             guess = self.settle("bevel", guess, reason).text
         bevel = bends.mean if guess == "bend" else normalize(self.settle("bevel").to_vector("bevel"))
-        stated = self.stated("pose") if is_alone else None
-        is_posed = stated is not None and stated.text not in ("free", "shaft")
+        is_posed = is_alone and self.stated("pose") not in ("", "free", "shaft")
         along = normalize(self.settle("pose").to_vector("pose")) if is_posed else bends.direction
         sideways = bevel - (bevel @ along) * along
         if np.linalg.norm(sideways) < np.sin(np.radians(MIN_BEVEL_DEG)):
@@ -168,8 +167,8 @@ def settle_rolls(asked: CurveAnswers) -> tuple[list[int], list[float]]:
             fix="import its readings without the other tables",
             where=turned[0].points.where(),
         )
-    up = asked.stated("bevel")
-    if not all(curve.is_deflection for curve in curves) and (up is None or up.text == "bend"):
+    are_deflections = all(curve.is_deflection for curve in curves)
+    if not are_deflections and asked.stated("bevel") in ("", "bend"):
         if len({*rolls}) > 1:
             raise DataError(
                 "bevels face several ways, and nothing states where up is in the frame of the tips",
@@ -200,16 +199,14 @@ def settle_guide(asked: CurveAnswers) -> None:
             if curve is not other and _is_beside(curve, other)
         }
     )
-    if stated is not None and stated.text == "none":
+    if stated == "none":
         for curve in curves:
             curve.guide = None
         return
-    if any(curve.guide is not None for curve in curves) or (not beside and stated is None):
+    if any(curve.guide is not None for curve in curves) or not (beside or stated):
         return
     names = join_names(beside or [curve.name for curve in curves], 5)
     answer = asked.settle("guide", "", f"{names} were tracked in the same rows")
-    if answer.text == "none":
-        return
     guides = [curve for curve in curves if f"-{curve.name}".endswith(f"-{answer.text}")]
     tips = [curve for curve in curves if curve not in guides]
     for guide in guides:
@@ -259,7 +256,7 @@ def measure_depths(asked: CurveAnswers) -> None:
     guess = format_direction(snap_to_axis(normalize(chord)))
     pose = asked.settle("pose", guess, "the direction in which the tips run")
     axis, entry = normalize(pose.to_vector("pose")), None
-    if asked.stated("entry_point") is not None:
+    if asked.stated("entry_point"):
         entry = asked.settle("entry_point").to_entry()
     for curve, sd in zip(asked.curves, asked.numbers("point_sd", is_above=True), strict=True):
         if len(curve.depths):

@@ -1,5 +1,6 @@
 """Write an import as a dataset; its faults are those of the imported files."""
 
+from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -102,32 +103,19 @@ def write_mapping(file: Path, mapping: MappingRecord) -> None:
 def _trace_fault(fault: Fault, curves: Sequence[ImportedCurve], folder: Path) -> Fault:
     """Return a fault of the dataset in `folder` as one of the imported files: where a row comes from."""
     name, _, line = Path(fault.where).as_posix().removeprefix(f"{folder.as_posix()}/").rpartition(":")
-    points = {
-        curve.name: [
-            (curve.points.where(n), f"curve {curve.name} ", curve.name) for n in range(len(curve.line))
+    places = defaultdict[str, list[tuple[str, str, str]]](list)  # of each row: place, subject, needle
+    for curve in curves:
+        in_tracker_frame, start = KINDS[curve.holds].in_tracker_frame, f"curve {curve.name}"
+        table = TRACKS_FILE if in_tracker_frame else f"centerlines/{curve.name}.csv"
+        places[table] += [(curve.points.where(n), f"{start} ", curve.name) for n in range(len(curve.line))]
+        if not in_tracker_frame:
+            places["insertions.csv"].append((curve.points.where(), f"{start}: ", curve.name))
+        places[TURNS_FILE] += [
+            (cell.where.partition(", column")[0], "", curve.name) for _, cell in curve.turns
         ]
-        for curve in curves
-    }
-    places = {f"centerlines/{needle}.csv": of_points for needle, of_points in points.items()} | {
-        "insertions.csv": [
-            (curve.points.where(), f"curve {curve.name}: ", curve.name)
-            for curve in curves
-            if not KINDS[curve.holds].in_tracker_frame
-        ],
-        TRACKS_FILE: [
-            place for curve in curves if KINDS[curve.holds].in_tracker_frame for place in points[curve.name]
-        ],
-        TURNS_FILE: [
-            (cell.where.partition(", column")[0], "", curve.name)
-            for curve in curves
-            for _, cell in curve.turns
-        ],
-        CURVATURE_FILE: [
-            (f"curvature {n} of needle {curve.name}", "", curve.name)
-            for curve in curves
-            for n, _ in enumerate(curve.sensors, 1)
-        ],
-    }
+        places[CURVATURE_FILE] += [
+            (f"curvature {n} of needle {curve.name}", "", curve.name) for n, _ in enumerate(curve.sensors, 1)
+        ]
     if name not in places or not line.isdecimal():
         return fault.at(fault.where.replace(f"{folder}/", ""))
     where, subject, needle = places[name][int(line) - 2]  # below one header line
