@@ -20,7 +20,7 @@ from refusals import refusal
 from needlefit.datasets.insertion import Noise
 from needlefit.errors import DataError
 from needlefit.inference.forward_model import predict
-from needlefit.inference.likelihood.observation import Discrepancy
+from needlefit.inference.likelihood.observation import Discrepancy, pose_modes
 from needlefit.inference.likelihood.observations import make_observation
 from needlefit.mechanics.shape import compute_positions
 from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
@@ -39,6 +39,11 @@ def test_independent_noise_has_the_deviations_of_all_errors():
     sd = np.sqrt(0.05**2 + 0.1**2 + shift**2 + (0.01 * STRAIGHT[:, 0]) ** 2)
     assert known.whitening == approx(np.diag(1 / sd))
     refusal(DataError, "point_sd_mm", lambda: make_observation(dataset([], Noise()), straight()))
+
+
+def test_two_points_have_the_slope_of_the_line_between_them():
+    along = pose_modes(np.array([[0.0, 0.0], [10.0, 1.0]]))[:, 2]  # by a shift along the needle
+    assert along == approx([-0.1, -0.1])
 
 
 def test_a_model_error_fades_along_the_needle():
