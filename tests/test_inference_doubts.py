@@ -51,9 +51,9 @@ def test_sound_needles_are_not_accused(spread):
 
 
 def test_a_needle_nearer_than_five_standard_deviations_is_named_if_a_change_is_far_more_probable():
-    (one,) = doubt(change(measure_needles(1, 0.15), 3, lambda points: points * [1, 1.3, 1]))
+    (one,) = doubt(change(measure_needles(1, 0.15), 3, lambda points: points * [1, 1.35, 1]))
     assert (one.insertion, one.cause, one.sds < 5) == ("n3", "scaled", True)
-    assert one.size == pytest.approx(1.3, rel=0.1) and one.log_odds > math.log(1000)
+    assert one.size == pytest.approx(1.35, rel=0.1) and one.log_odds > math.log(150)
 
 
 @pytest.mark.parametrize(

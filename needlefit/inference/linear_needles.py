@@ -1,7 +1,7 @@
 """Needles linearised each by itself about a fit, and what some of them predict of another.
 
 The prediction is the fit to the others, linear in the parameters, in the stated covariance. Needles of a
-medium differ besides by nature: by as much as makes all most probable.
+medium differ besides by nature, by a spread that they show themselves.
 """
 
 import math
@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import NamedTuple, Self
 
 import numpy as np
+from scipy.special import softmax
 
 from needlefit.arrays import Bools, Floats
 from needlefit.datasets.insertion import Insertion
@@ -127,13 +128,13 @@ def linearize_needles(
 
 
 def predict_from(problem: Problem, blocks: Blocks, uses: Bools, theta: Floats) -> list[Prediction]:
-    """Return what some needles predict of another, linear about `theta`, with their likeliest spread.
+    """Return what some needles predict of another, linear about `theta`, on the mean over their spread.
 
     By row of `uses` (K, N): from which of them.
     """
     (of_prior,) = problem.parameters.prior.log_density([problem.values(theta)])
     parts = np.array([BEVEL_PART if name in BEVEL_PARAMETERS else 1.0 for name in problem.names])
-    evidences, predictions = [], []
+    by_spread = []
     for size in SPREADS:
         among = np.diag((size * parts) ** 2)
         wide = blocks.widen(among)
@@ -143,12 +144,15 @@ def predict_from(problem: Problem, blocks: Blocks, uses: Bools, theta: Floats) -
         squares = np.where(uses, wide.measure(steps), np.nan)
         sums = np.nansum(squares, axis=1)
         densities = of_prior + uses @ wide.log_norms - 0.5 * sums
-        evidences.append(densities - 0.5 * np.linalg.slogdet(precisions)[1])  # all parameters integrated out
+        evidences = densities - 0.5 * np.linalg.slogdet(precisions)[1]  # all parameters integrated out
         scales = np.maximum(1.0, np.nanquantile(squares / wide.residual_counts, QUANTILE, axis=1))
         chi_squares = sums / (uses @ wide.residual_counts)
-        rows = zip(theta + steps, covariances + among, scales, densities, chi_squares, strict=True)
-        predictions.append([Prediction(*row) for row in rows])
-    return [predictions[best][k] for k, best in enumerate(np.argmax(evidences, axis=0))]
+        by_spread.append((evidences, theta + steps, covariances + among, scales, densities, chi_squares))
+    all_evidences, thetas, *others = map(np.array, zip(*by_spread, strict=True))
+    weights = softmax(all_evidences, axis=0)
+    mean, covariance, *rest = (np.einsum("sk,sk...->k...", weights, some) for some in (thetas, *others))
+    covariance = covariance + np.einsum("sk,skp,skq->kpq", weights, thetas - mean, thetas - mean)
+    return [Prediction(*row) for row in zip(mean, covariance, *rest, strict=True)]
 
 
 def measure_deviations(blocks: Blocks, theta: Floats, predicted: Prediction) -> list[Deviation]:
