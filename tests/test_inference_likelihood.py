@@ -21,7 +21,7 @@ from needlefit.datasets.insertion import Noise
 from needlefit.errors import DataError
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.observation import Discrepancy, pose_modes
-from needlefit.inference.likelihood.observations import make_observation
+from needlefit.inference.likelihood.observations import OBSERVATIONS, make_observation
 from needlefit.mechanics.shape import compute_positions
 from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
 
@@ -44,6 +44,11 @@ def test_independent_noise_has_the_deviations_of_all_errors():
 def test_two_points_have_the_slope_of_the_line_between_them():
     along = pose_modes(np.array([[0.0, 0.0], [10.0, 1.0]]))[:, 2]  # by a shift along the needle
     assert along == approx([-0.1, -0.1])
+
+
+def test_of_a_thinned_needle_every_so_many_points_up_to_the_tip_stay():
+    found = OBSERVATIONS["points"].thin(straight(), 11)
+    assert found.points[:, 0].tolist() == [*range(0, 41, 4)]
 
 
 def test_a_model_error_fades_along_the_needle():
