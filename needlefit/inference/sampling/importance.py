@@ -143,8 +143,10 @@ class StudentMixture:
         """Return squared distances (N, M) from the centres in units of the scales."""
         # inverses of small triangular factors, which all points share
         inverses = np.linalg.inv(self.factors)
-        white = inverses @ thetas.T - inverses @ self.centres[:, :, None]  # (M, P, N)
-        return np.einsum("mpn,mpn->nm", white, white)
+        white = inverses @ thetas.T  # (M, P, N)
+        white -= inverses @ self.centres[:, :, None]
+        white *= white  # in place: memory for another one takes most of the time
+        return white.sum(axis=1).T
 
     def _joint(self, thetas: Floats, squares: Floats) -> Floats:
         """Return log weight and density (N, M) of every component."""
