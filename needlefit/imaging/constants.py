@@ -17,9 +17,8 @@ class HU:
     SOFT_TISSUE = (-150.0, 100.0)
     GUIDE_STEP = 50.0  # change behind a guide as bright as tissue; layers of gels differ by less
     STEP = 20.0  # least change inside soft material, and of air in a narrow gap from its level [R]
-    EDGE = 300.0  # least rise from air to tissue [R]
     METAL = 1000.0  # bone of a hand is darker, metal and glass are brighter
-    METAL_CONTRAST = 500.0  # by which metal stands out from tissue, at least
+    METAL_CONTRAST = 500.0  # by which metal stands out from tissue, and tissue from air, at least
     HUB = 1500.0  # of a metal hub, least [S]
     CLIPPED = 3071.0  # the largest number of 12 bits; streaks beyond a tip are less bright or dark
     NEEDLE = 20_000.0  # titanium has 8 000, steel 30 000, hardened 15 000
@@ -51,7 +50,6 @@ class MM:
     # Within which a place, or a thickness, is the one that is stated, or seen otherwise; so near to air or
     # metal their blur shows
     MATCH = 1.5
-    STEP_MATCH = 0.6  # of a guide's end from a change of brightness
     BEVEL_MARGIN = 1.2  # by which a needle may look shorter at its end
     GRID_SD = 0.005  # of an axis or a ball, that no scatter shows: the voxel grid, rays [R]
     # Beyond a needle's end, where it is looked for: in slices with 4 mm one of 9 tips moved by 0.17 mm [S]

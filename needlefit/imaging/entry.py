@@ -302,7 +302,7 @@ def _doubt_guide_end(
     begin, end = entry.guide
     behind = [run for run in soft if run.end > begin]
     for run, after in pairwise(behind):
-        if end - MM.STEP_MATCH <= run.end <= entry.at + MM.STEP_MATCH:
+        if end - MM.MATCH <= run.end <= entry.at + MM.MATCH:
             if abs(after.level - run.level) < HU.GUIDE_STEP and is_soft_tissue(behind[0].level):
                 return None
             near = np.abs(profile.s - run.end) < MM.MATCH

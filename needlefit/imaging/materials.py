@@ -139,7 +139,7 @@ def _fit_edge(
     if not len(air) or len(soft) < MIN_STEP_STATIONS:
         return None
     low, high = HU.AIR if narrow else float(np.median(air)), float(np.median(soft))
-    if high - low < HU.EDGE:
+    if high - low < HU.METAL_CONTRAST:
         return None
 
     def show(s: Floats, at: float, width: float, low: float, high: float, slope: float) -> Floats:

@@ -312,7 +312,7 @@ def require_hounsfield(volume: Volume, where: str) -> None:
     HU have a fixed zero: what lies around any needle has values below it, be it air, or the noise of water.
     """
     low, high = float(volume.values.min()), float(volume.values.max())
-    if low >= 0 or high - low < HU.EDGE:
+    if low >= 0 or high - low < HU.METAL_CONTRAST:
         raise DataError(
             f"its values, {low:.4g} to {high:.4g}, are no Hounsfield units of a scan with a needle",
             expected="air near -1000, water near 0, metal above 1000",

@@ -130,8 +130,7 @@ def place_in_slices(
     # its points are the fit's and do not scatter: its deviation in the slices is the fit's, too
     wider = np.mean(sds[0] ** 2) / np.mean(axis_sd(placed, s[:-1]) ** 2)
     placed = replace(placed, variance=placed.variance * wider, slice_sds=sds)
-    unseen = np.hypot(MM.MODEL_SD, PART.TIP_SD * float(volume.spacing[0]))
-    sd = np.hypot([np.hypot(end_sd, 2 * missed), np.linalg.norm(sds[:, -1]) / np.sqrt(2)], unseen)
+    sd = np.hypot([np.hypot(end_sd, 2 * missed), np.linalg.norm(sds[:, -1]) / np.sqrt(2)], MM.MODEL_SD)
     probability = side_probability(ROLL_FACTOR * float(roll_sd)) if rolled else np.nan
     sided = probability >= MIN_BEVEL_PROBABILITY
     bevel = np.cos(roll) * frame[1] + np.sin(roll) * normal if sided else np.full(3, np.nan)
