@@ -65,6 +65,10 @@ class StudiedObservation:
     predict: Callable[[Specimens, Sequence[Insertion], bool, Step], Iterator[HeldOutPrediction]] | None = None
     #: whether its predictions have their own rows of the table "errors"
     has_errors: bool = False
+    #: job, insertion fitted to, the fit's needle -> rows of tables of a run, by their names
+    describe_fitted: Callable[[Job, Insertion, Curve], Mapping[str, Sequence[Row]]] = (
+        lambda job, insertion, curve: {}
+    )
     #: raises an error if insertions of a study cannot be fitted to, or predicted
     check: Callable[[Job], None] = lambda job: None
 

@@ -1,10 +1,15 @@
-"""Figure of curvatures: the readings of every needle."""
+"""Tables and figure of curvatures: the readings of every needle."""
 
-from needlefit.inference.likelihood.observations.curvature import require_curvature
+from needlefit.datasets.insertion import Insertion
+from needlefit.geometry.curves import select_compared
+from needlefit.inference.compared_points import Curve
+from needlefit.inference.likelihood.observations.curvature import require_curvature, surround_sensors
 from needlefit.reporting.figures import Drawing
+from needlefit.reporting.table_files import Row
 from needlefit.studies.fit_frames import FitFrames
 from needlefit.studies.job import Job
 from needlefit.studies.observations import StudiedObservation
+from needlefit.studies.prediction_scores import tabulate_sensors
 from needlefit.studies.run import Run
 
 
@@ -27,4 +32,12 @@ def check_sensors(job: Job) -> None:
             require_curvature(insertion)
 
 
-CURVATURE = StudiedObservation("curvature", draw_sensors, check=check_sensors)
+def describe_sensors(job: Job, insertion: Insertion, curve: Curve) -> dict[str, list[Row]]:
+    """Return the curvatures of a needle at its sensors, beside their readings."""
+    about = curve(surround_sensors(insertion))[None]
+    return {"curvature": [*tabulate_sensors(insertion, select_compared(about, job.dataset.compared))]}
+
+
+CURVATURE = StudiedObservation(
+    "curvature", draw_sensors, describe_fitted=describe_sensors, check=check_sensors
+)

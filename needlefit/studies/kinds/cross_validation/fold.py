@@ -15,7 +15,6 @@ import numpy as np
 
 from needlefit.datasets.folds import Fold
 from needlefit.datasets.insertion import Insertion
-from needlefit.geometry.curves import select_compared
 from needlefit.inference.compared_points import Curve
 from needlefit.inference.error_fit import ErrorMinimisingFit, examine_errors
 from needlefit.inference.fit import MET_BY_PROFILE, Callbacks, Fit, Start
@@ -27,7 +26,6 @@ from needlefit.inference.identifiability.identify import (
     profile_parameters,
 )
 from needlefit.inference.identifiability.stated_depths import examine_depths
-from needlefit.inference.likelihood.observations.curvature import surround_sensors
 from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem, find_outside_validity
 from needlefit.inference.sampling.posterior import Posterior
@@ -62,8 +60,7 @@ from needlefit.studies.kinds.cross_validation.rows import (
     make_start_row,
 )
 from needlefit.studies.needle_placement import NeedleInScan, place_needles
-from needlefit.studies.observations import HeldOutPrediction, find_studied, predict_held_out
-from needlefit.studies.prediction_scores import tabulate_sensors
+from needlefit.studies.observations import STUDIED, HeldOutPrediction, find_studied, predict_held_out
 from needlefit.studies.score import make_predictors, make_scorer, predict_needle
 from needlefit.studies.validity import MOSTLY_OUTSIDE, add_counts
 
@@ -145,6 +142,8 @@ def run_fold(job: Job, fold: Fold, services: FoldServices) -> FoldResult:
     first = fold is job.folds[0] and fitted is not None and fitted.minimized == "posterior"
     rows: FitRows = {} if fitted is None else _describe_fit(job, fold, fitted, fits, drawn)
     parts = [*_score(job, fold, usable, drawn), *(prediction.rows for prediction in predicted)]
+    if fitted is not None and not fold.validate:
+        parts += _describe_readings(job, fold, fitted)
     rows |= {name: join_rows(parts, name) for name in SCORED_TABLES}
     rows |= {
         "parameters": [
@@ -169,7 +168,6 @@ def run_fold(job: Job, fold: Fold, services: FoldServices) -> FoldResult:
             for prediction in predicted
             if prediction.point is not None and prediction.point.is_median
         ],
-        "curvature": rows["curvature"] or list(_list_sensors(job, fold, fitted)),
     }
     needles: Iterable[NeedleInScan] = ()
     if fitted is not None:
@@ -197,16 +195,15 @@ def join_rows(parts: Iterable[Mapping[str, Sequence[Row]]], table: str) -> list[
     return [row for part in parts for row in part.get(table, ())]
 
 
-def _list_sensors(job: Job, fold: Fold, fit: Fit | None) -> Iterator[Row]:
-    """Yield the readings of the sensors of insertions fitted to, where none is held out, beside the fit's."""
-    if fit is None or fold.validate:
-        return
+def _describe_readings(job: Job, fold: Fold, fit: Fit) -> Iterator[Mapping[str, Sequence[Row]]]:
+    """Yield rows about what was read of insertions fitted to beside the fit's needle."""
     for insertion in fold.tune:
-        curve, s = predict_needle(fit.values, job.medium, insertion), surround_sensors(insertion)
-        if curve is not None and len(s):
-            about, where = curve(s)[None], {"fold": fold.name, "insertion": insertion.id}
-            rows = tabulate_sensors(insertion, select_compared(about, job.dataset.compared))
-            yield from ({**where, **row} for row in rows)
+        curve = predict_needle(fit.values, job.medium, insertion)
+        where = {"fold": fold.name, "insertion": insertion.id}
+        for name in insertion.observations:
+            if curve is not None and name in STUDIED:
+                tables = STUDIED[name].describe_fitted(job, insertion, curve)
+                yield {table: [where | row for row in rows] for table, rows in tables.items()}
 
 
 # ---- fits and draws
