@@ -20,7 +20,9 @@ from needlefit.inference.parameter_names import HYPERPARAMETERS
 from needlefit.inference.problem import Problem
 
 FIRST_POINTS = 100  #: thetas at which all nodes are simulated first
-SIMULATED_POINTS = 300  #: thetas at which needles as measured are simulated first; of one needle all
+SIMULATED_POINTS = 300  #: thetas at which the needles as measured are simulated first
+#: depth of all insertions together up to which these always are: that costs less than to interpolate
+SHALLOW_MM = 40.0
 MAX_POINTS = 1000  #: between which is interpolated: the system of 3 000 takes half a second
 MAX_VALUES = 2**23  #: of all of them, and of the residuals as measured that are held at once
 THETAS_PER_CHECK = 32  #: of a call, one in so many is evaluated exactly too
@@ -61,7 +63,8 @@ class InterpolatedDensity:
             exact[:count] = True
             self._moves.add(thetas[:count, self._columns], moves)
         sets, columns = [self._problem.values(theta) for theta in thetas], thetas[:, self._columns]
-        simulated = len(self._nodes) == 1 or self._first.failed or self._first.count < SIMULATED_POINTS
+        depth = sum(insertion.depth for insertion in self._problem.insertions)
+        simulated = depth <= SHALLOW_MM or self._first.failed or self._first.count < SIMULATED_POINTS
         first = self._simulate(columns, sets) if simulated else self._first(columns)
         for _ in range(MAX_REFINEMENTS):
             rest = np.flatnonzero(~exact)
