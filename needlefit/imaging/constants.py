@@ -86,7 +86,8 @@ class PART:
     SECOND_NEEDLE = 0.6  # of the longest one's length and brightness
     DIVIDED_NEEDLE = 0.4  # the same, where all needles are wanted
     CLEAR_WIDTH = 1.5  # of two widths that are not of one thing
-    THRESHOLDS = (0.4, 0.25, 0.15)  # of the way from tissue to metal
+    # Of the way from tissue to metal; the last where a plate hangs together with the needle
+    THRESHOLDS = (0.4, 0.25, 0.15, 0.7)
     FAINT = 0.3  # of a needle's brightness: fainter sections show none
     SHOWN = 0.5  # of a cross-section in the volume, and of the way between points on which a needle shows
     CLEAR_SOFT = 2.0  # of soft lengths at both ends, of which the longer is the tip's

@@ -371,7 +371,7 @@ class VolumeSearch:
     def bright(self) -> BrightVoxels:
         """The bright voxels, in which needle and balls are looked for."""
         return list_bright_voxels(
-            self.volume, median_tissue_hu(self.volume) + PART.THRESHOLDS[-1] * HU.CLIPPED
+            self.volume, median_tissue_hu(self.volume) + min(PART.THRESHOLDS) * HU.CLIPPED
         )
 
 
