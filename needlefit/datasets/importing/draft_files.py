@@ -84,8 +84,9 @@ def draft_mapping(paths: Sequence[Path], stated: Assignments) -> tuple[Draft, li
         tables = "; ".join(
             f"{part}: {why}" for part, why in draft.unused if part.startswith(("table", "folder"))
         )
-        has_depth = any("depth" in table["columns"] for table in draft.tables)
-        for key in ("deflection",) if has_depth else "xy":
+        known = {*stated.columns}.union(*(table["columns"] for table in draft.tables))
+        of_tips = ("depth", "deflection")
+        for key in [key for key in of_tips if key not in known] if known & {*of_tips} else "xy":
             answers = {
                 name: {f"{key}.column": name}
                 for name in (part.removeprefix("column ") for part, _ in draft.unused if "column " in part)

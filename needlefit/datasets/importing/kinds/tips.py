@@ -17,11 +17,8 @@ def propose_tips(draft: TableDraft, is_stated: bool) -> list[Records]:
     """Return the columns of deflections at depths, or of places with a name for each row; ask for one."""
     taken, points = draft.taken, draft.points
     if not points:
-        unknown = draft.list_unknown()
-        is_tip = is_stated or "deflection" in taken
-        if unknown and (is_tip or ("depth" in taken and "needle" not in taken and len(unknown) > 1)):
-            for key in [key for key in ("depth", "deflection") if key not in taken]:
-                draft.ask_column(key, unknown, "|".join(str(column.name) for column in unknown))
+        if "depth" in taken and "needle" not in taken and len(unknown := draft.list_unknown()) > 1:
+            draft.ask_column("deflection", unknown, "|".join(str(column.name) for column in unknown))
         return []
     if is_stated or draft.are_deflections:
         return points
