@@ -71,6 +71,7 @@ def test_a_needle_is_scored_by_its_readings_and_by_the_tip_from_the_base():
     one = replace(exact, curvature=wrong)
     compared = [goal.compare(curve) for goal in list_comparisons(data, one)]
     assert [each.quantity for each in compared] == ["curvatures", "integrated"]
+    assert compared[1].simulated[0].tolist() == compared[1].measured[0].tolist()  # the entry
     found = {name: value for each in compared for name, value in compute_metrics(each).items()}
     assert found["curvature_rms_1_per_m"] == pytest.approx(0.3 / np.sqrt(len(wrong)), rel=1e-3)
     assert found["te_integrated_mm"] == pytest.approx(abs(3e-4 * integrate_sensors(one)[2]), rel=1e-3)
