@@ -74,8 +74,8 @@ def place_in_slices(
 ) -> tuple[AxisSpline, TipFit] | None:
     """Return axis and tip as thick slices show them as a whole; `tip`: about where it is, mm along `axis`.
 
-    None where the needle crosses many slices between two knots, too little of it shows, or the slices are not
-    explained, as those of a rod that stops few rays: its sections then are as bright as it is.
+    None where the needle crosses many slices between two knots, too little of it shows, or it stops few rays
+    and the slices are not explained: its sections then are as bright as it is.
     """
     needle = recipe.needle
     thick, normal = volume.grid.slice_distance, volume.grid.normal
@@ -101,8 +101,8 @@ def place_in_slices(
             return None
         theta, covariance, error = problem.solve()
         across, along, (end, roll), scan = problem.split(theta)
-        starved = scan[0] > problem.means[0] - SD.DISAGREEMENT * problem.sds[0]
-        if hub is None and error > (PART.SLICE_MISFIT if starved else PART.END_MISFIT):
+        transparent = scan[0] < problem.means[0] - SD.DISAGREEMENT * problem.sds[0]
+        if transparent and hub is None and error > PART.END_MISFIT:
             return None
         if np.abs(problem.at @ (across - problem.start[:, 0])).max() < LINE_STEP_MM:
             break
