@@ -47,8 +47,8 @@ def test_two_points_have_the_slope_of_the_line_between_them():
 
 
 def test_of_a_thinned_needle_every_so_many_points_up_to_the_tip_stay():
-    found = OBSERVATIONS["points"].thin(straight(), 11)
-    assert found.points[:, 0].tolist() == [*range(0, 41, 4)]
+    found = OBSERVATIONS["points"].thin(insertion(39.0).with_points(STRAIGHT[:40]), 10)
+    assert found.points[:, 0].tolist() == [*range(3, 40, 4)]
 
 
 def test_a_model_error_fades_along_the_needle():

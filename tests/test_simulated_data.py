@@ -67,6 +67,7 @@ def test_without_errors_a_measured_needle_is_the_likelihood_s_own(pose):
         sure = replace(one, pose_angle_sd=0.0)
         quiet = {**SEEN, "noise_scale": 1e-9}
         seen = simulate_measurement(still, sure, quiet, problem.medium, default_rng(2))
+        assert seen.measure_arc("plane") == approx(one.measure_arc("plane"), rel=1e-6)
         known = replace(problem, dataset=still, insertions=(seen,))
         residuals = known.compute_misfits(known.parameters.theta(SEEN))
         assert np.abs(residuals).max() < (1e-3 if pose == "known" else 0.05)
