@@ -92,7 +92,7 @@ class PART:
     SHOWN = 0.5  # of a cross-section in the volume, and of the way between points on which a needle shows
     CLEAR_SOFT = 2.0  # of soft lengths at both ends, of which the longer is the tip's
     CHORD_COSINE = 0.5  # of the axis to its chord: steered needles bend by 90 degrees in all
-    REFUSED_MISFIT = 0.3  # of an end's image: needles alone have 0.13, with a ball at the end 0.33
+    REFUSED_MISFIT = 0.32  # of an end's image: needles alone have 0.31 at most, with a ball at the end 0.33
     END_MISFIT = 0.14  # of an end's image, that is spoken of
     SLICE_MISFIT = 0.4  # of slices that are fitted as a whole [S]
     FLATNESS = 1.15  # voxels' length over width of a scanner's slices; those of cone beams are cubes
