@@ -171,3 +171,9 @@ TEXTS = [
 def test_a_template_compares_no_numbers(text):
     source = (TEMPLATES / f"{text.name}.md.j2").read_text(encoding="utf-8")
     assert not re.search(r"{%-? *(el)?if[^%]*(<|>| [-+*/] )", source)
+
+
+def test_every_figure_has_a_place_in_the_report():
+    text = (TEMPLATES / "cross_validation.md.j2").read_text(encoding="utf-8")
+    described, placed = (set(re.findall(f, text)) for f in (r"block figure_(\w+)", r'figure\("(\w+)"\)'))
+    assert described - placed == {"insertions"}  # of the first page
