@@ -83,4 +83,4 @@ def test_a_recording_opens_with_the_files_beside_it(tmp_path):
     changed = open_recording(read_recording(path))
     assert changed.measured is None and "has another scene" in changed.note
     path.write_text(path.read_text().replace('target = "twin/phantom2-05"', 'target = "gone"'))
-    assert "is not found" in open_recording(read_recording(path)).note
+    assert "`gone`" in open_recording(read_recording(path)).note

@@ -170,7 +170,7 @@ def _show(grid: _Grid) -> None:
             grid, left = grid.keep(count), grid.columns[count:]
     fitting = (n for n in range(1, MAX_HEAD_LINES) if measure(grid, n).maximum <= console.width)
     table = _tabulate(grid, next(fitting, MAX_HEAD_LINES))
-    if Measurement.get(console, unlimited, table).minimum < console.width - len(grid.columns):
+    if Measurement.get(console, unlimited, table).maximum <= console.width - len(grid.columns):
         table.padding = (0, 1, 0, 0)  # heads of several words stand side by side
     with console.capture() as printed:
         console.print(table)
