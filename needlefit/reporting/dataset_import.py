@@ -29,15 +29,8 @@ from needlefit.schemas.origin import ORIGIN_MARKS
 
 PICTURE_FILE = "import.png"
 WRITTEN = (  # names of the files of an import
-    *(
-        "dataset.toml",
-        MAPPING_FILE,
-        PICTURE_FILE,
-        "scene*.toml",
-        "tissue*.toml",
-        "*_study.toml",
-        "*_fit.toml",
-    ),
+    *("dataset.toml", MAPPING_FILE, PICTURE_FILE),
+    *("tissue*.toml", "*_study.toml", "*_fit.toml", "scene*.toml"),
     *("insertions.csv", TRACKS_FILE, TURNS_FILE, CURVATURE_FILE, "centerlines/*.csv", "layers/*.stl"),
 )
 

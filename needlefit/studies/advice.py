@@ -71,7 +71,7 @@ CONTRADICTIONS = ("axis_unit", "bevel_side", "copy", "examples", "reversed")
 _OF_DATASETS = (
     *CONTRADICTIONS,
     *("point_outlier", "entry_offset"),
-    *("assumed", "curvature", "interpolated", "no_noise", "noise", "spelling", "surfaces"),
+    *("curvature", "interpolated", "no_noise", "noise", "spelling", "surfaces"),
 )
 #: kinds of warnings that are no doubt: a text that reports print, and the choice of a point of a distribution
 _NO_DOUBTS = ("placeholder", "predictive_median")
@@ -103,8 +103,10 @@ def list_contradictions(warnings: Iterable[ResultWarning], left_out: Collection[
 
 def classify_doubt(doubt: ResultWarning) -> str:
     """Return what a doubt found; "" of the model's limits, which no command removes."""
-    if doubt.kind in (ASSUMED, "validity"):
-        return "values_assumed" if doubt.kind == ASSUMED else ""
+    if doubt.kind == "validity":
+        return ""
+    if doubt.kind == ASSUMED:
+        return "values_assumed"
     return "dataset_doubtful" if doubt.kind in _OF_DATASETS else "result_doubtful"
 
 

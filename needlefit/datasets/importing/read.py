@@ -5,7 +5,6 @@ import re
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -297,13 +296,13 @@ def _match_endings(names: Collection[str], keys: Collection[str]) -> dict[str, s
 
     The word stands in all names, or in all keys.
     """
-    for name, key in product(names, keys):
-        longer, shorter = sorted((name, key), key=len, reverse=True)
+    first = next(iter(names), "")
+    for key in keys:
+        longer, shorter = sorted((first, key), key=len, reverse=True)
         word = longer.removesuffix(shorter)
-        found = {
-            one: other for one, other in product(names, keys) if {word + one, word + other} & {one, other}
-        }
-        if _WORD.fullmatch(word) and len(found) == len(names) == len({*found.values()}):
+        found = {name: word + name if longer == key else name.removeprefix(word) for name in names}
+        others = {*found.values()}
+        if _WORD.fullmatch(word) and others <= {*keys} and len(others) == len(names):
             return found
     return {}
 

@@ -74,16 +74,17 @@ def complete_shapes(draft: TableDraft, records: Records) -> None:
 
 def read_shape(mapped: MappedTable, curve: ImportedCurve, rows: Sequence[int]) -> None:
     """Take one point beside shapes for a tip; DataError if it is a shape that was cut short, or none is."""
+    if len(rows) > 1:
+        return
     names = [mapped.names[n] for n in mapped.kept_rows]
-    if len(rows) == 1:
-        if names.count(mapped.names[rows[0]]) > 1 or len({*names}) == len(names):
-            raise DataError(
-                f"{curve.name} has one point: it is a tip, and no shape",
-                expected="the points of each needle from the entry to the tip",
-                fix=f"complete its points; or, of a table of tips: {mapped.name_edit('holds', 'tips')}",
-                where=mapped.table.places[rows[0]],
-            )
-        curve.holds = "tips"
+    if names.count(mapped.names[rows[0]]) > 1 or len({*names}) == len(names):
+        raise DataError(
+            f"{curve.name} has one point: it is a tip, and no shape",
+            expected="the points of each needle from the entry to the tip",
+            fix=f"complete its points; or, of a table of tips: {mapped.name_edit('holds', 'tips')}",
+            where=mapped.table.places[rows[0]],
+        )
+    curve.holds = "tips"
 
 
 SHAPES = RowKind(

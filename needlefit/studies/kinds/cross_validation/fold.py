@@ -357,7 +357,7 @@ def _find_search_faults(fits: FoldFits) -> Iterator[str]:
     if fit is not None and fit.fault:
         yield fit.fault
     if profiles is not None and profiles.gain > LOG_POSTERIOR_TOLERANCE:
-        yield (f"the profiles met a log posterior {profiles.gain:.3g} above that of the fit: raise `starts`")
+        yield f"the profiles met a log posterior {profiles.gain:.3g} above that of the fit: raise `starts`"
 
 
 def _find_draw_faults(drawn: FoldDrawn) -> Iterator[RunFault]:
