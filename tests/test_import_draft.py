@@ -11,8 +11,6 @@ import pytest
 from import_cases import curves_of, needle, placed, planned, prepare, write_long, write_rows, write_sheets
 from refusals import refusal
 
-from needlefit.datasets.importing.assignments import Assignments as StatedKeys
-from needlefit.datasets.importing.draft_files import draft_mapping
 from needlefit.datasets.importing.prepare import prepare_import
 from needlefit.datasets.importing.stated import Stated
 from needlefit.datasets.importing.synonyms import read_header, translate_side
@@ -23,11 +21,6 @@ from needlefit.project.unit_warnings import GAUGES_MM
 
 CASES = Path(__file__).with_name("imports")
 NEEDLES = [needle(n, 16) for n in range(3)]
-
-
-def draft_of(*paths, **stated):
-    pairs = [(key.replace("__", "."), value) for key, value in stated.items()]
-    return draft_mapping(paths, StatedKeys(pairs))[0]
 
 
 # ---- words, numbers

@@ -31,7 +31,6 @@ from needlefit.project.locate import read_toml
 from needlefit.studies.advice import CONTRADICTIONS
 
 NEEDLES = [needle(n, 16) for n in range(3)]
-CASES = Path(__file__).with_name("imports")
 
 
 def assert_read(paths, wanted=NEEDLES, names=None, **stated):
