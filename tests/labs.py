@@ -1,16 +1,15 @@
-"""Labs: plain files of simulated needles, with what each lab states, and the true parameters."""
+"""Labs: plain files of needles of `own_model`, with what each lab states, and the true parameters."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
+from own_model import Medium, Rod, insert
 
-from needlefit import Bevel, Guide, Needle, Session, Tissue, compute_positions, simulate
-
-ROD = Needle.from_tube(150.0, 0.7, 200e3)  # 22 gauge, solid, of steel
+OUTER_MM, LENGTH_MM = 0.7, 150.0  # 22 gauge, solid, of steel
+ROD = Rod(LENGTH_MM, np.pi / 64 * OUTER_MM**4 * 200e3)
 TRUTH = {"mu1_pa": 60e3, "bevel_mm": 0.12}
-BLOCK = Tissue([TRUTH["mu1_pa"] / 1e6], alpha=1.0)
+BLOCK = Medium([TRUTH["mu1_pa"] / 1e6])
 NEEDLE = ("needle_length=150", "diameter=0.7", "modulus=steel", "specimen=block")
 POSE_SD = ("pose_shift_sd=0.1", "pose_angle_sd=0.3")
 SHIFT_MM, TURN_RAD = 0.1, np.radians(0.3)  # the same as numbers
@@ -34,14 +33,9 @@ def _list_depths(count):
     return [round(one) for one in np.linspace(45, 85, count)]
 
 
-def push(depth, side=1):
-    """Return the shape of a needle at a depth, mm."""
-    return simulate(ROD, BLOCK, Bevel(TRUTH["bevel_mm"], side), depth)
-
-
-def place(needle, s):
-    """Return the points (N, 2), mm, of a needle in its plane at arc lengths from the entry."""
-    return compute_positions(needle, s)[:, :2]
+def _push(depth, side=1):
+    """Return a needle at a depth, mm."""
+    return insert(ROD, BLOCK, TRUTH["bevel_mm"], depth, lambda _: side)
 
 
 def _misplace(points, rng):
@@ -62,7 +56,7 @@ def write_shapes(path, rng, needles=8):
     rows = []
     for n, depth in enumerate(_list_depths(needles)):
         side = 1 if n % 2 else -1
-        points = _misplace(place(push(depth, side), np.linspace(0.0, depth, depth // 2 + 1)), rng)
+        points = _misplace(_push(depth, side).place(np.linspace(0.0, depth, depth // 2 + 1)), rng)
         points = np.column_stack([points, np.full(len(points), 10.0 * n)])
         points[:, 1:] += rng.normal(0.0, 0.1, (len(points), 2))
         rows += [(f"n{n + 1}", side, depth, *map(float, one)) for one in points]
@@ -74,7 +68,7 @@ def write_stops(path, rng, needles=8):
     rows = []
     for n in range(needles):
         side, depths = 1 if n % 2 else -1, np.arange(0, 81, 8)
-        tips = push(80, side).tip_track[depths, 0]
+        tips = side * insert(ROD, BLOCK, TRUTH["bevel_mm"], 80).tips[depths]
         tips = tips + rng.normal(0.0, 0.2) + depths * np.tan(rng.normal(0.0, np.radians(0.5)))
         tips += rng.normal(0.0, 0.05, len(tips))
         rows += [(f"n{n + 1}", side, d, float(tip)) for d, tip in zip(depths, tips, strict=True)]
@@ -87,11 +81,11 @@ def write_tracker(path, rng, needles=8):
     for n in range(needles):
         side, depths = 1 if n % 2 else -1, np.arange(0, 81, 4)
         size = 0.0 if n < needles // 2 else rng.uniform(2.0, 4.0) * (1 if n % 4 < 2 else -1)
-        held = size * np.sin(np.pi * np.maximum(depths - 8, 0) / 72)  # on the way to a reading
-        moves = ((Guide(-20.0, y),) for y in held[1:].tolist())
-        session = Session(ROD, BLOCK, Bevel(TRUTH["bevel_mm"], side), 1.0)
-        tips = [0.0, *(session.step(insert=4.0, guides=guides).u[-1] for guides in moves)]
-        tips = np.array(tips) + rng.normal(0.0, 0.3) + depths * np.tan(rng.normal(0.0, np.radians(0.5)))
+        move = lambda d, size=size: size * np.sin(np.pi * max(d - 8, 0) / 72)  # noqa: E731
+        held = [0.0, *(move(d) for d in depths[1:])]
+        step = lambda d, held=held: held[int(np.ceil(d / 4))]  # on the way to a reading  # noqa: E731
+        tips = insert(ROD, BLOCK, TRUTH["bevel_mm"], 80, lambda _, s=side: s, (20.0, step)).tips[depths]
+        tips = tips + rng.normal(0.0, 0.3) + depths * np.tan(rng.normal(0.0, np.radians(0.5)))
         tips += rng.normal(0.0, 0.05, len(tips))
         rows += [(f"r{n + 1}", side, k, d, float(tip), float(g))
                  for k, (d, tip, g) in enumerate(zip(depths, tips, held, strict=True))]  # fmt: skip
@@ -102,10 +96,8 @@ def write_fibres(path, rng, needles=8):
     """Fibres: curvatures at eight sensors of each needle."""
     rows = []
     for n, depth in enumerate(_list_depths(needles)):
-        needle, s = push(depth), np.arange(5.0, 45.0, 5.0)
-        bent = CubicHermiteSpline(needle.x, needle.u, needle.slope)(depth - s, 2) + rng.normal(
-            0.0, 5e-5, len(s)
-        )
+        needle, s = _push(depth), np.arange(5.0, 45.0, 5.0)
+        bent = needle.interpolate(depth - s, 2) + rng.normal(0.0, 5e-5, len(s))
         across = rng.normal(0.0, 5e-5, len(s))
         for at, y, z in zip(s, bent, across, strict=True):
             rows.append((f"n{n + 1}", depth, float(at), f"{y:.6f}", f"{z:.6f}", "0.00005"))
@@ -117,14 +109,14 @@ def write_tips(path, rng, needles=8):
     """Final tips: depth and deflection of insertions."""
     rows = []
     for n, depth in enumerate(_list_depths(needles)):
-        tip = _misplace(place(push(depth), np.array([float(depth)])), rng)[0]
+        tip = _misplace(_push(depth).place(np.array([float(depth)])), rng)[0]
         rows.append((f"n{n + 1}", depth, float(tip[1] + rng.normal(0.0, 0.1))))
     _save(path, "needle,depth [mm],deflection [mm]", rows)
 
 
 def write_one(path, rng, needles=1):
     """One needle: its points."""
-    points = _misplace(place(push(80), np.linspace(0.0, 80.0, 41)), rng)
+    points = _misplace(_push(80).place(np.linspace(0.0, 80.0, 41)), rng)
     points += rng.normal(0.0, 0.1, points.shape) * [0.0, 1.0]
     _save(path, "x [mm],y [mm]", [[*map(float, one)] for one in points])
 
@@ -138,7 +130,7 @@ def write_mixture(path, rng, needles=8):
     ends = []
     for n, depth in enumerate(_list_depths((needles + 1) // 2)):
         side = 1 if n % 2 else -1
-        tip = float(_misplace(place(push(depth, side), np.array([float(depth)])), rng)[0, 1])
+        tip = float(_misplace(_push(depth, side).place(np.array([float(depth)])), rng)[0, 1])
         ends += [(f"n{n + 1}", side, depth, tip + rng.normal(0.0, 0.1)) for _ in range(2)]
     _save(path.with_name("ends.csv"), "needle,bevel side,depth [mm],deflection [mm]", ends)
 
@@ -156,7 +148,7 @@ def write_shapes_with_tips(path, rng, needles=8):
     rows = []
     for n, depth in enumerate(_list_depths(needles)):
         side, s = 1 if n % 2 else -1, np.linspace(0.0, depth, depth // 2 + 1)
-        points = _misplace(place(push(depth, side), s[-1:] if n % 3 == 2 else s), rng)
+        points = _misplace(_push(depth, side).place(s[-1:] if n % 3 == 2 else s), rng)
         points[:, 1] += rng.normal(0.0, 0.1, len(points))
         rows += [(f"n{n + 1}", side, depth, *map(float, one)) for one in points]
     _save(path, "needle,bevel side,depth [mm],x [mm],y [mm]", rows)
