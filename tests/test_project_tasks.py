@@ -217,7 +217,8 @@ def test_scans_reconstructed_on_workers_are_those_of_this_machine(address, tmp_p
     for name in ("a.nrrd", "b.nrrd"):
         shutil.copyfile(scan, name)
     for out, where in (("here/scans", ()), ("there/scans", ("--scheduler", address))):
-        assert run("reconstruct", "a.nrrd", "b.nrrd", *where, "--out", out, "-q") == 0
+        volumes = (str(tmp_path / name) for name in ("a.nrrd", "b.nrrd"))  # workers start elsewhere
+        assert run("reconstruct", *volumes, *where, "--out", out, "-q") == 0
     assert read_files(Path("here/scans")) == read_files(Path("there/scans"))
 
 

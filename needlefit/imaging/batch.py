@@ -1,16 +1,13 @@
-"""Reconstruct many scans, in one process or several, or on machines that do not have their files.
+"""Reconstruct many scans, in one process or several.
 
 A scan that is refused does not stop the others; an error of the program does.
 """
 
-import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -25,65 +22,14 @@ from needlefit.imaging.needle.segmentation import list_needles
 from needlefit.imaging.reconstruct import STAGES, VolumeSearch, add_views, examine, picture_curve
 from needlefit.imaging.reconstruction import CurvePicture, Reconstruction
 from needlefit.imaging.scans import Scan
-from needlefit.imaging.volume import list_series_files, to_patient
+from needlefit.imaging.volume import to_patient
 from needlefit.imaging.volume_files import read_volume
 from needlefit.project.processes import one_thread
 from needlefit.project.progress import Progress, Stop, never_stop, no_progress
-from needlefit.project.tasks import THIS_PROCESS, TaskPool
+from needlefit.project.tasks import THIS_PROCESS, LocalPool, TaskPool
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
 T = TypeVar("T")
-
-
-SINGLE_FILE_SUFFIXES = (".nrrd", ".nii", ".nii.gz", ".mha", ".zip")  # endings of volumes that are one file
-
-
-@dataclass(frozen=True)
-class PackedScan:
-    """A scan, the folder that all of its files lie in, and their bytes by their paths in that folder."""
-
-    scan: Scan
-    root: Path
-    files: tuple[tuple[str, bytes], ...]
-
-
-class PackedScans(Sequence[PackedScan]):
-    """Scans that are packed one by one, when they are asked for: their volumes are large.
-
-    Files that are missing are left out.
-    """
-
-    def __init__(self, scans: Sequence[Scan]) -> None:
-        self._scans = scans
-
-    def __len__(self) -> int:
-        return len(self._scans)
-
-    def __getitem__(self, index: int) -> PackedScan:  # type: ignore[override]  # no slices
-        scan = _move(self._scans[index], Path.absolute)
-        files = sorted({path for path in list_scan_files(scan) if path.is_file()})
-        root = Path(os.path.commonpath([path.parent for path in (*scan.files, *files)]))
-        packed = tuple((str(path.relative_to(root)), path.read_bytes()) for path in files)
-        return PackedScan(scan, root, packed)
-
-
-def list_scan_files(scan: Scan) -> Iterator[Path]:
-    """Yield every file that a reconstruction may read.
-
-    One slice stands for its series, and a header for the file of its voxels: all files of the folder count,
-    and of those below.
-    """
-    yield from scan.files[1:]
-    alone = scan.volume.name.lower().endswith(SINGLE_FILE_SUFFIXES)
-    yield from [scan.volume] if alone else list_series_files(scan.volume)
-
-
-def _move(scan: Scan, moved: Callable[[Path], Path]) -> Scan:
-    """Return a scan whose files are elsewhere."""
-    surfaces = tuple(replace(source, path=moved(source.path)) for source in scan.surfaces)
-    files = {name: getattr(scan, name) for name in ("volume", "mask", "markers", "fiducials")}
-    elsewhere: dict[str, Any] = {name: path and moved(path) for name, path in files.items()}
-    return replace(scan, surfaces=surfaces, **elsewhere)
 
 
 VERSIONED_PACKAGES = ("numpy", "scipy", "SimpleITK", "pydicom", "scikit-image", "trimesh")
@@ -148,25 +94,18 @@ def reconstruct_all(
         batch.progress(stage, 100 * len(found) + 100 * done // total, 100 * len(scans))
 
     report("reconstructing")
-    items = PackedScans(scans) if batch.pool.remote else scans
     work = partial(reconstruct_needles, recipe=recipe, every=batch.every)
-    if batch.pool == THIS_PROCESS or (len(scans) == 1 and not batch.pool.remote):
+    if isinstance(batch.pool, LocalPool) and (batch.pool.size == 1 or len(scans) == 1):
         work = partial(work, progress=report)  # not from other processes
-    for n, results in batch.pool.run(work, items, batch.stop):
-        found[n] = tuple(_move_to(one, scans[n]) for one in results)  # those of a packed one have other paths
+    for n, results in batch.pool.run(work, scans, batch.stop):
+        found[n] = results
         report(scans[n].id)
     return tuple(found[n] for n in sorted(found))
 
 
-def _move_to(one: Result, scan: Scan) -> Result:
-    """Return a result of one needle of `scan` with the files of that scan."""
-    own = {name: getattr(one.scan, name) for name in ("id", "needle_at", "divided")}
-    return replace(one, scan=replace(scan, **own))
-
-
 @one_thread
 def reconstruct_needles(
-    scan: Scan | PackedScan,
+    scan: Scan,
     recipe: ReconstructionRecord,
     every: bool = False,
     progress: Progress = no_progress,
@@ -175,34 +114,19 @@ def reconstruct_needles(
 
     `progress` is called with the needle and the stage that begins, and the percent done, of 100 a needle.
     """
-    if isinstance(scan, Scan):
-        progress(f"{scan.id}: reading", 0, 100)
-        search = _try_step(scan, lambda: VolumeSearch(read_volume(scan.volume, scan.series), recipe))
-        if isinstance(search, ReconstructionFailure):
-            return (search,)
-        needles = divide_scan(search, scan) if every else (scan,)
-        found = []
-        for n, part in enumerate(needles):
+    progress(f"{scan.id}: reading", 0, 100)
+    search = _try_step(scan, lambda: VolumeSearch(read_volume(scan.volume, scan.series), recipe))
+    if isinstance(search, ReconstructionFailure):
+        return (search,)
+    needles = divide_scan(search, scan) if every else (scan,)
+    found = []
+    for n, part in enumerate(needles):
 
-            def report(stage: str, n: int = n, id_: str = part.id) -> None:
-                progress(f"{id_}: {stage}", 100 * n + STAGES[stage], 100 * len(needles))
+        def report(stage: str, n: int = n, id_: str = part.id) -> None:
+            progress(f"{id_}: {stage}", 100 * n + STAGES[stage], 100 * len(needles))
 
-            found.append(_try_step(part, partial(_reconstruct_needle, search, part, report)))
-        return tuple(found)
-    with TemporaryDirectory(prefix="needlefit-") as name:
-        folder = Path(name)
-        for path, data in scan.files:
-            (folder / path).parent.mkdir(parents=True, exist_ok=True)
-            (folder / path).write_bytes(data)
-        unpacked = _move(scan.scan, lambda path: folder / path.relative_to(scan.root))
-        packed = reconstruct_needles(unpacked, recipe, every)
-    ones: list[Result] = []
-    for one in packed:
-        if isinstance(one, ReconstructionFailure):  # it names the files that were packed
-            texts = {key: text.replace(name, str(scan.root)) for key, text in vars(one.error).items()}
-            one = replace(one, error=type(one.error)(**texts))
-        ones.append(one)
-    return tuple(ones)
+        found.append(_try_step(part, partial(_reconstruct_needle, search, part, report)))
+    return tuple(found)
 
 
 def _reconstruct_needle(search: VolumeSearch, scan: Scan, report: Callable[[str], None]) -> Result:

@@ -48,7 +48,6 @@ class ClusterPool:
 
     client: "Client"
     note: Note = no_note
-    remote: bool = True
 
     def run(
         self, work: Callable[[Item], Result], items: Sequence[Item], stop: Stop = never_stop

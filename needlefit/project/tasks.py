@@ -43,11 +43,6 @@ _ENDING_SIGNALS = (
 class TaskPool(Protocol):
     """Where tasks run."""
 
-    @property
-    def remote(self) -> bool:
-        """Whether tasks run where this machine's files are not."""
-        ...
-
     def run(
         self, work: Callable[[Item], Result], items: Sequence[Item], stop: Stop = never_stop
     ) -> Iterator[tuple[int, Result]]:
@@ -66,7 +61,6 @@ class LocalPool:
     """Processes of this machine, new ones for each run; with one task or `size` 1 this process does all."""
 
     size: int = 1
-    remote: bool = False
 
     def run(
         self, work: Callable[[Item], Result], items: Sequence[Item], stop: Stop = never_stop
