@@ -62,9 +62,10 @@ def assert_derivatives(
     rules,
     lattice=None,
     rtol=1e-7,
+    part=slice(None),
 ):
-    """Compare a Jacobian with complex steps; by shape parameters of laws, some in tables, to 1e-5."""
-    for p, name in enumerate(found.names):
+    """Compare a part of the columns of a Jacobian with complex steps; by shape parameters of laws to 1e-5."""
+    for p, name in list(enumerate(found.names))[part]:
         nodes, u, slope, points = reference_solver.differentiate(needle, tissue, steps, rules, name, lattice)
         tolerance = 1e-5 if name.rstrip("0123456789") in LAWS[tissue.law].shape_names else rtol
         largest = max(np.abs(u).max(), np.abs(points).max(), 1e-6)

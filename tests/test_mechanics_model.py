@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from equilibrium import equilibrium
 from mechanics_cases import NEEDLE, RULES, random_case
 from numpy.testing import assert_allclose
 from pytest import approx
@@ -37,21 +36,6 @@ def test_tissue_base_guides_and_tracked_tip_balance(seed, kind, draw):
             assert (np.sum(np.abs(parts)) > 0) == (force == "force" or shape.leaves_plane)
 
 
-@pytest.mark.parametrize("depth", [50.0, 50.5, 45.0, 28.0, 20.5, 49.75])
-def test_tip_is_continuous_in_depth(depth):
-    """At whole cells, where the entry loses its node, and where the tip enters a layer.
-
-    What is left of a jump is the discretisation error of the mesh that changes there.
-    """
-
-    def tip(at):
-        return simulate(NEEDLE, PHANTOM, BEVEL, at).tip_lateral
-
-    near = [abs(tip(depth + d) - tip(depth - d)) for d in (1e-3, 1e-5)]
-    assert near[0] < 8.0 * 2e-3
-    assert near[1] < 2e-4
-
-
 # ---- numbers of the kernel that no comparison of shapes determines
 
 
@@ -70,18 +54,6 @@ def test_a_step_takes_little_more_than_one_pass(tolerance, most):
 
 
 # ---- friction: a shaft that slides askew is held back less, by the factor 1 - gamma sin^2 of its angle
-
-
-@pytest.mark.parametrize(("gamma", "factor"), [(0.0, 1.0), (0.5, 0.9), (1.0, 0.8), (2.0, 0.6)])
-def test_a_tilted_cantilever_carries_the_load_less_friction(gamma, factor):
-    """At slope 1/2 sin^2 is 1/5; soft, very distant tissue pulls with a uniform load on the outer part."""
-    length, a, load, away = NEEDLE.length, 60.0, 1e-6, 1e8
-    tissue = Tissue(mu=[load / away / 3], alpha=[1.0], thickness=[1e9], friction=[gamma], law="linear")
-    points = np.column_stack((np.arange(91.0), np.full(91, away), np.zeros(91)))
-    whole = load * (3 * length**4 - 4 * length * a**3 + a**4) / (24 * NEEDLE.flexural_rigidity)
-    for slope in (0.5, -0.5):
-        shape = equilibrium(NEEDLE, tissue, points, Controls(base_slope=slope))
-        assert shape.u[-1] - slope * length == approx(factor * whole, rel=1e-3)
 
 
 # ---- what acts on the needle: closed forms

@@ -58,7 +58,8 @@ def test_jacobian_equals_complex_steps(seed, draw, kind):
     shape, found = linearize_steps(needle, tissue, steps, rules, lattice, wrt=kinds)
     assert shape.converged and {"roll", "base_z"} <= set(found.names)
     # where the cut is linear, complex places of its corners are known less well
-    assert_derivatives(found, needle, tissue, steps, rules, lattice, 1e-6 if rules.path_angle else 1e-7)
+    half = slice(seed % 2, None, 2)
+    assert_derivatives(found, needle, tissue, steps, rules, lattice, 1e-6 if rules.path_angle else 1e-7, half)
 
 
 # ---- many sets at once

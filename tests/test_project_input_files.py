@@ -15,7 +15,6 @@ from needlefit.errors import MAX_MESSAGE_CHARACTERS, ConfigError, DataError, pri
 from needlefit.project import locate
 from needlefit.project.input_files import parse_json, parse_toml, read_bytes, read_json, read_text
 from needlefit.project.toml import check, load
-from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
 
 
@@ -104,11 +103,6 @@ def test_a_wrong_union_value_is_one_fault(value, expected):
     assert expected in fault.expected and '"estimated"' in fault.expected
 
 
-def test_an_unknown_key_of_a_parameter_names_those_that_it_may_have():
-    fault = faults(MediumRecord, layers=3, parameters={"mu3_pa": {"as": "mu1"}})
-    assert "`parameters.mu3_pa.as`" in fault.what and "bounds, fixed, tie" in fault.expected
-
-
 def test_a_file_of_a_later_schema_is_refused_and_left_alone(tmp_path):
     file, text = tmp_path / "recipe.toml", f"schema = {RecipeRecord.SCHEMA + 1}\n"
     file.write_text(text)
@@ -159,12 +153,6 @@ def test_a_name_that_is_both_is_an_error(project):
     with pytest.raises(ConfigError, match="`gel`") as fault:
         locate.find_study_or_fit("gel")
     assert "studies/gel.toml" in fault.value.fix and "configs/fits/gel.toml" in fault.value.fix
-
-
-def test_a_folder_of_that_name_is_pointed_out(project):
-    (project / "needles").mkdir()
-    with pytest.raises(ConfigError, match=r"did you mean `\./needles`"):
-        locate.find_file("dataset", "needles")
 
 
 def test_a_dataset_may_be_named_by_its_folder(project):
