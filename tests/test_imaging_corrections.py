@@ -18,7 +18,7 @@ from test_cli_reconstruct import MARKERS, VOLUME
 
 from needlefit.errors import DataError
 from needlefit.imaging.batch import reconstruct_needles
-from needlefit.imaging.corrections import AXIS_POINTS, correct_scans, make_control_points, read_corrections
+from needlefit.imaging.corrections import correct_scans, make_control_points, read_corrections
 from needlefit.imaging.scans import Corrections, Scan, make_scans, read_scans
 from needlefit.project.locate import shipped_folder
 from needlefit.reporting.scan_pages import write_refusal_page
@@ -56,18 +56,6 @@ def shift(*labels, by=(0.5, 0, 0)):
     return edit
 
 
-def test_control_points_can_be_moved_and_say_where_they_were_found(file):
-    (one,) = json.loads(file.read_text())["markups"]
-    points = one["controlPoints"]
-    assert (one["name"], one["type"], one["coordinateSystem"]) == ("s1 corrections", "Fiducial", "LPS")
-    assert not one["locked"] and not any(point["locked"] for point in points)
-    labels = [point["label"] for point in points]
-    axis = [f"axis {n}" for n in range(1, AXIS_POINTS + 1)]
-    assert labels == [*axis, "tip", "entry", *(f"ball {n}" for n in range(1, 5))]
-    assert make_control_points("s1", None, None, np.empty((0, 3))) is None
-    assert not any(places is not None for places in vars(read_corrections(file)["s1"]).values())
-
-
 def test_what_was_moved_or_added_is_a_correction_and_nothing_else(file):
     found = read_corrections(change(file, shift("tip", by=(0, 0, -2))))["s1"]
     np.testing.assert_allclose(found.tip, NEEDLE[-1] - [0, 0, 2], atol=1e-3)
@@ -86,17 +74,6 @@ def test_what_was_moved_or_added_is_a_correction_and_nothing_else(file):
 
     found = read_corrections(change(file, add))["s1"]
     assert found.entry.tolist() == [1, 2, 3] and found.balls.shape == (5, 3)
-
-
-@pytest.mark.parametrize("removed", ["ball 1", "ball 4"])
-def test_a_ball_that_was_removed_is_a_correction(file, removed):
-    def remove(one, points):
-        one["controlPoints"] = [points[label] for label in points if label != removed]
-
-    found = read_corrections(change(file, remove))["s1"]
-    left = np.delete(BALLS, int(removed[-1]) - 1, axis=0)
-    np.testing.assert_allclose(found.balls, left, atol=1e-3)
-    assert found.axis is found.tip is found.entry is None
 
 
 def test_a_needle_whose_ends_lie_in_tissue_is_placed_as_its_refusal_offers(tmp_path):

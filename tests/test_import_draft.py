@@ -370,22 +370,6 @@ def test_columns_without_headers_are_asked_for(tmp_path):
     np.testing.assert_allclose(curves["a"].line, NEEDLES[0])
 
 
-def test_who_sees_the_draft_may_change_it(tmp_path):
-    file = write_long(tmp_path, NEEDLES, head=["Ort"], cells=[["A"], ["B"], ["A"]])
-    answers, seen = iter(["specimen.column = Ort", ""]), []
-
-    def review(prepared, problem):
-        seen.append(({row["meaning"] for row in prepared.columns}, {what for what, _ in prepared.unused}))
-        return next(answers)
-
-    prepared = prepare_import([file], review=review)
-    assert seen == [
-        ({"needle", "x", "y", "z"}, {"column Ort"}),
-        ({"needle", "x", "y", "z", "specimen"}, set()),
-    ]
-    assert [row.specimen for row in prepared.plan.rows] == ["A", "B", "A"]
-
-
 # ---- tables of a bench laboratory
 
 
@@ -414,19 +398,6 @@ def test_two_coordinates_are_along_and_across_the_needle(tmp_path, head, columns
     np.testing.assert_allclose(curves["n2"].line[-1], [40.0, 1.28, 0.0])
 
 
-def test_a_column_that_is_stated_for_one_coordinate_is_no_other(tmp_path):
-    file = write_plane(tmp_path / "a.csv", ["needle", "z", "y"])
-    curves, draft = curves_of([file], depth__column="z", holds="shapes")
-    np.testing.assert_allclose(curves["n2"].line[-1], [40.0, 1.28, 0.0])
-    assert draft.tables[0]["columns"].keys() == {"needle", "x", "y"} and "holds" not in draft.assumed
-
-
-def test_a_stated_column_that_is_not_there_is_refused_with_the_nearest_header(tmp_path):
-    file = write_plane(tmp_path / "a.csv", ["needle", "Schliffrichtg", "x", "y"], lambda k: ["1"])
-    error = refusal(DataError, "Schlifrichtg", prepare, [file], bevel_side__column="Schlifrichtg")
-    assert shlex.split(error.fix) == ["--set", "bevel_side.column=Schliffrichtg"]
-
-
 def test_a_number_of_a_sheet_needs_no_decimal_comma(tmp_path):
     rows = [["n", x if k else f"{x:.1f}".replace(".", ","), f"{0.001 * x * x:.4f}".replace(".", ",")]
             for k, x in enumerate(np.arange(0.0, 60.0, 7.5))]  # fmt: skip
@@ -434,14 +405,6 @@ def test_a_number_of_a_sheet_needs_no_decimal_comma(tmp_path):
     curves, _ = curves_of([book])
     np.testing.assert_allclose(curves["n"].line[:, 0], np.arange(0.0, 60.0, 7.5))
     np.testing.assert_allclose(curves["n"].line[-1, 1], 0.001 * 52.5**2, atol=1e-4)
-
-
-def test_what_decides_a_fit_is_the_first_assumption(tmp_path):
-    file = write_rows(
-        tmp_path / "a.csv", [["depth", "deflection"], *([x % 40, 0.1] for x in range(0, 80, 8))]
-    )
-    assumed = [*prepare([file], unit="mm").mapping.assumed]
-    assert assumed[:3] == ["needle", "diameter", "modulus"]
 
 
 def test_an_answer_or_a_change_that_is_refused_is_asked_for_again(tmp_path):
@@ -456,11 +419,6 @@ def test_an_answer_or_a_change_that_is_refused_is_asked_for_again(tmp_path):
     assert [bool(problem) for problem in refused] == [False, True, False, True, True, True, False]
     assert prepared.plan.needle.outer_diameter_mm == GAUGES_MM[20]
     assert "diameter" not in prepared.mapping.assumed and "modulus" in prepared.mapping.assumed
-
-
-def test_a_key_that_is_not_known_is_refused_with_the_nearest_one(tmp_path):
-    file = write_rows(tmp_path / "a.csv", [["x", "y"], *NEEDLES[0][:, :2]])
-    assert "--set modulus=80" in refusal(ConfigError, "modulis", prepare, [file], modulis="80").fix
 
 
 @pytest.mark.parametrize(("unit", "asked"), [("m", ()), ("", ("diameter.unit=m", "needle_length.unit=m"))])

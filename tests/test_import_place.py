@@ -4,18 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import trimesh
-from import_cases import (
-    needle,
-    placed,
-    planned,
-    prepare,
-    write_long,
-    write_markups,
-    write_placed,
-    write_rows,
-    write_sheets,
-)
+from import_cases import needle, placed, planned, prepare, write_long, write_markups, write_placed, write_rows
 from refusals import refusal
 
 from needlefit.api import score_study
@@ -27,9 +16,8 @@ from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.curves import integrate_curvature
 from needlefit.geometry.stray_points import find_stray_points
 from needlefit.geometry.surfaces import make_sheet, write_surface
-from needlefit.project.locate import read_toml
 from needlefit.project.toml import load
-from needlefit.project.unit_warnings import GAUGES_MM, doubt_layers
+from needlefit.project.unit_warnings import GAUGES_MM
 from needlefit.reporting.dataset_import import write_import
 from needlefit.schemas.scene import SceneRecord, resolve_steps
 
@@ -79,16 +67,6 @@ def test_the_entry_is_the_first_point_unless_another_is_stated(tmp_path):
     assert "--set entry=last" in refusal(DataError, "-0.999", planned, [file], pose="1,0,0").fix
 
 
-def test_a_direction_that_needles_do_not_run_along_is_refused_with_the_measured_one(tmp_path):
-    file = write_long(tmp_path, [one[:, [1, 2, 0]] * [1, 1, -1] for one in NEEDLES])
-    for wrong in ("0,0,1", "1,0,0", "1,1,-1"):
-        assert "0,0,-1" in refusal(DataError, "--set pose", planned, [file], pose=wrong).expected
-    assert planned([file], pose="0,0,-1")[0].pose == "known"
-    fix = refusal(DataError, "pose", planned, [file], pose="0,0,1").fix
-    assert "--set pose=0,0,-1" in fix and "--set entry=last" in fix
-    assert planned([file], pose="0,0,1", entry="last")[0].rows[0].direction[2] == 1.0
-
-
 def test_a_needle_is_cut_at_a_surface_and_its_shaft_gives_the_pose(tmp_path):
     write_surfaces(tmp_path, "1_skin", "上", "下")
     write_long(tmp_path, [with_shaft(one) for one in NEEDLES])
@@ -109,15 +87,6 @@ def test_a_needle_is_cut_at_a_surface_and_its_shaft_gives_the_pose(tmp_path):
     refusal(DataError, "--set pose", planned, [tmp_path], pose="free")
     written = write_placed(tmp_path / "gel", [tmp_path], **options)
     assert {one.name for one in (written / "layers").iterdir()} == {"上.stl", "下.stl"}
-
-
-def test_a_skin_whose_entry_face_is_missing_is_named(tmp_path):
-    write_long(tmp_path, NEEDLES)
-    box = trimesh.creation.box(bounds=[[0.0, -15.0, -15.0], [30.0, 15.0, 15.0]])  # needles leave it at 30 mm
-    box.update_faces(box.face_normals[:, 0] > -0.5)
-    box.export(tmp_path / "skin.stl")
-    fault = refusal(DataError, "", planned, [tmp_path], pose="1,0,0", entry_point="skin")
-    assert "skin.stl" in str(fault) and "hole" in str(fault)
 
 
 @pytest.mark.parametrize("by", ["entry_point", "depth", "label"])
@@ -158,31 +127,6 @@ def test_dense_and_noisy_points_are_as_long_as_their_needles(tmp_path, spacing, 
     cells = [[f"{depth:g}"] for depth in depths]
     plan, _ = planned([write_long(tmp_path, curves, head=["depth [mm]"], cells=cells)], **answers)
     assert [(row.depth, row.depth_sd) for row in plan.rows] == [(depth, 0.0) for depth in depths]
-
-
-def test_a_shaft_of_two_points_before_the_entry_gives_the_direction(tmp_path):
-    """Eight points a needle, 10 mm apart, 20 mm of them outside the tissue."""
-    x = np.arange(-20.0, 60.0, 10.0) - 2.0
-    curves = [np.column_stack([0.02 * x, x, s * 8e-4 * np.maximum(x, 0.0) ** 2]) for s in (1, -1)]
-    file = write_long(tmp_path, curves, head=["bevel"], cells=[["1"], ["-1"]])
-    plan, made = planned([file], pose="shaft", entry_point="0,0,0")
-    assert made["bevel"][1] == "assumed" and made["shaft"][0].startswith("22.0 to 22.0 mm")
-    for row in plan.rows:
-        np.testing.assert_allclose(
-            row.direction, np.array([0.02, 1.0, 0.0]) / np.hypot(1.0, 0.02), atol=0.003
-        )
-        assert row.depth == pytest.approx(48.0, abs=0.2)
-    _, made = planned([file])
-    assert made["pose"][0] == "free"
-    assert "pose=0.02,1,0 " in prepare([file]).mapping.assumed["pose"]
-
-
-def test_a_shaft_without_an_entry_a_depth_or_enough_points_is_refused(tmp_path):
-    file = write_long(tmp_path, [with_shaft(one) for one in NEEDLES])
-    refusal(DataError, "--set entry_point", planned, [file], pose="shaft")
-    refusal(DataError, "--set pose", planned, [file], pose="shaft", entry_point="-17,0,0")
-    refusal(DataError, "--set entry_point", planned, [file], pose="shaft", entry_point="depth")
-    refusal(DataError, "behind its entry", planned, [file], pose="shaft", entry_point="60,1,0")
 
 
 def test_a_stated_depth_must_be_the_length_of_its_curve(tmp_path):
@@ -294,15 +238,6 @@ def test_curvatures_of_the_wrong_sign_are_named_with_their_column(tmp_path, sign
     assert [next(axis for axis in "yz" if f"kappa_{axis}" in what) for what in found] == [*named]
 
 
-def test_needles_whose_turns_are_not_stated_are_said_to_leave_their_plane(tmp_path):
-    dataset = read(write_placed(tmp_path / "gel", [CASES / "two_plane.csv"], pose="1,0,0", bevel="0,1,0"))
-    away = {name: mm for name, mm, _ in measure_out_of_plane(dataset)}
-    assert [away[f"q{n}"] for n in range(1, 5)] == pytest.approx([1.5, 2.2, 2.7, 3.4], abs=0.1)
-    assert "bevel_plane" in {one.kind for one in inspect(tmp_path / "gel").warnings}
-    # a turn that is stated later is fitted as one that was imported
-    assert read_toml(tmp_path / "gel/tissue.toml")["advance"] == "path_angle"
-
-
 @pytest.mark.parametrize(("roll", "aside"), [(90, False), (45, False), (0, True), (180, True), (-90, True)])
 def test_needles_are_judged_beside_the_turns_that_are_stated(tmp_path, roll, aside):
     """They were turned by 90 degrees: in a table of turns, as without one, another turn is wrong."""
@@ -396,16 +331,10 @@ def test_needles_that_differ_are_each_their_own(tmp_path):
     assert planned([file], diameter="20G")[0].rows[1].needle == "needle2"
 
 
-@pytest.mark.parametrize("by", ["sheets", "columns", "two columns"])
+@pytest.mark.parametrize("by", ["columns", "two columns"])
 def test_a_boundary_may_differ_from_needle_to_needle(tmp_path, by):
     depths = ["18", "19", "18"]
-    if by == "sheets":
-        sheets = {
-            f"n{n}": [["boundaries (mm)", float(depth)], ["x", "y", "z"], *curve.tolist()]
-            for n, (depth, curve) in enumerate(zip(depths, NEEDLES, strict=True))
-        }
-        file = write_sheets(tmp_path / "a.xlsx", **sheets)
-    elif by == "columns":
+    if by == "columns":
         file = write_long(tmp_path, NEEDLES, head=["Grenztiefe"], cells=[[depth] for depth in depths])
     else:
         head, cells = ["boundary 1 [mm]", "boundary 2 [mm]"], [[depth, "40"] for depth in depths]
@@ -462,14 +391,6 @@ def test_poses_of_a_tip_without_depths_go_along_the_stage_axis(tmp_path):
     assert content.curves[0].depths[0] == pytest.approx(2.0)  # readings before it are left out
 
 
-def test_runs_of_other_needles_state_their_own(tmp_path):
-    rows = [["run", "depth", "deflection", "diameter (mm)"]]
-    rows += [[f"r{k}", x, 1e-3 * x**2, 0.5 + 0.1 * k] for k in range(2) for x in range(0, 60, 10)]
-    write_placed(tmp_path / "t", [write_rows(tmp_path / "a.csv", rows)], specimen="one")
-    found = [one.needle.outer_diameter for one in read(tmp_path / "t").insertions]
-    assert found == pytest.approx([0.5, 0.6])
-
-
 @pytest.mark.parametrize("guide", ["2", "none", "3"])
 def test_one_of_two_tools_may_be_the_guide(tmp_path, guide):
     head = ["Frame", "Time", *["Q0", "Qx", "Qy", "Qz", "Tx", "Ty", "Tz", "Error"] * 2]
@@ -505,34 +426,22 @@ def test_sensors_may_be_placed_from_the_base(tmp_path):
     np.testing.assert_allclose(plan.rows[0].curvature, wanted, atol=1e-12)
 
 
-@pytest.mark.parametrize("by", ["columns", "rows"])
-@pytest.mark.parametrize("guide", ["base", "none", None])
-def test_a_moving_base_is_the_guide_only_where_that_is_stated(tmp_path, by, guide):
+def test_a_moving_base_is_the_guide_only_where_that_is_stated(tmp_path):
+    lines = list(enumerate(NEEDLES[0].tolist()))
     rows = [["time", "tip x", "tip y", "tip z", "base x", "base y", "base z"]]
-    rows += [[n, x, y, z, -20.0, 0.1 * n, 5.0] for n, (x, y, z) in enumerate(NEEDLES[0])]
-    if by == "rows":
-        pairs = [
-            [(n, "tip", x, y, z), (n, "base", -20.0, 0.1 * n, 5.0)] for n, (x, y, z) in enumerate(NEEDLES[0])
-        ]
-        rows = [["time", "tool", "x", "y", "z"], *(row for pair in pairs for row in pair)]
-    file = write_rows(tmp_path / "log.csv", rows)
-    answers = {"holds": "tracks", "bevel": "0,1,0", "pose": "1,0,0"} | ({"guide": guide} if guide else {})
-    if by == "rows" and guide in (None, "none"):
-        return
-    content, _, made = placed([file], **answers)
-    if guide == "none":
-        assert content.curves[0].guide is None
-    else:
+    rows += [[n, *point, -20.0, 0.1 * n, 5.0] for n, point in lines]
+    columns = write_rows(tmp_path / "columns.csv", rows)
+    pairs = [[(n, "tip", *point), (n, "base", -20.0, 0.1 * n, 5.0)] for n, point in lines]
+    rows = [["time", "tool", "x", "y", "z"], *(row for pair in pairs for row in pair)]
+    answers = {"holds": "tracks", "bevel": "0,1,0", "pose": "1,0,0"}
+    for file, stated, status in (
+        (columns, {}, "assumed"),
+        (write_rows(tmp_path / "rows.csv", rows), {"guide": "base"}, "stated"),
+    ):
+        content, _, made = placed([file], **answers, **stated)
         np.testing.assert_allclose(content.curves[0].guide[:, 0], 0.1 * np.arange(16), atol=1e-9)
-    assert (made.get("guide", ("", ""))[1] == "assumed") == (by == "columns" and guide != "none")
-
-
-def test_needles_that_do_not_bend_need_a_stated_bevel_alone(tmp_path):
-    straight = [one * [1.0, 0.0, 0.0] for one in NEEDLES]
-    file = write_long(tmp_path, straight, head=["bevel"], cells=[["1"], ["-1"], ["1"]])
-    assert "--set bevel" in refusal(DataError, "bevel", planned, [file], pose="1,0,0").fix
-    _, plan, _ = placed([file], pose="1,0,0", bevel="0,1,0")
-    assert [row.side for row in plan.rows] == [1, -1, 1]
+        assert made["guide"][1] == status
+    assert placed([columns], **answers, guide="none")[0].curves[0].guide is None
 
 
 def test_tips_stand_beside_shapes(tmp_path):
@@ -590,23 +499,6 @@ def test_a_track_of_the_name_and_depth_of_a_shape_is_of_the_same_insertion(tmp_p
     assert others.count(first) == 1 and len({first, *others}) == 3
 
 
-def test_times_and_places_of_a_tip_beside_its_guide_are_tracks(tmp_path):
-    rows = [("r", 0.5 * n, 4 * n, 0.004 * n**2, 80, 0) for n in range(9)]
-    write_table(file := tmp_path / "a.csv", "run,time [s],tip x,tip y,guide x,guide y", rows)
-    (curve,) = placed([file])[0].curves
-    assert curve.holds == "tracks" and curve.depths == pytest.approx(np.arange(0, 33, 4), abs=0.2)
-
-
-def test_a_stated_depth_is_kept_where_that_of_another_run_is_measured(tmp_path):
-    lines = [(n, x, y, z) for n, (x, y, z) in enumerate(NEEDLES[0])]
-    write_rows(
-        tmp_path / "a.csv", [["time", "depth", "x", "y", "z"], *([n, 1 + x, x, y, z] for n, x, y, z in lines)]
-    )
-    write_rows(tmp_path / "b.csv", [["time", "x", "y", "z"], *lines])
-    content, _, _ = placed([tmp_path], holds="tracks", bevel="0,1,0")
-    assert [one.depths[0] for one in content.curves] == [1.0, 0.0]
-
-
 @pytest.mark.parametrize("step", [0.1, 0.5, 5.0])
 def test_noise_is_no_stray_point(step):
     random = np.random.default_rng(round(10 * step))
@@ -617,30 +509,8 @@ def test_noise_is_no_stray_point(step):
         assert not len(find_stray_points(cluster))
 
 
-@pytest.mark.parametrize(
-    ("value", "unit"),
-    [(999.0, ""), (200.0, ""), (20000.0, "micrometres"), (0.02, "metres")],
-)
-def test_a_unit_of_a_boundary_is_guessed_only_where_it_makes_a_likely_one(value, unit):
-    ((_, what, fix),) = doubt_layers((value,), 70.0, "boundaries_mm")
-    assert ("looks like" in what) == bool(unit) and unit in what
-    assert fix.startswith("write" if unit else "check it, in mm")
-
-
 def write_table(path, head, rows):
     path.write_text("\n".join([head, *(",".join(map(str, row)) for row in rows)]) + "\n")
-
-
-def test_tracks_with_bevels_at_clock_positions_are_rolled(tmp_path):
-    rows = [(n, d, 0.001 * d**2, 0.0, clock) for n, clock in (("a", 3), ("b", 12)) for d in range(0, 61, 10)]
-    file = tmp_path / "a.csv"
-    write_table(file, "needle,depth [mm],dx [mm],dy [mm],bevel clock", rows)
-    out = tmp_path / "out"
-    write_placed(out, [file], point_sd="0.1", specimen="block")
-    tracks = read(out).insertions
-    assert [one.turns for one in tracks] == [((0.0, 90.0),), ()]
-    assert all(one.side == 1 and one.directions == 2 for one in tracks)
-    assert "advance" not in (out / "tissue.toml").read_text()  # no bevel turned on the way
 
 
 def test_an_import_replaces_an_earlier_one_and_nothing_else(tmp_path):
@@ -673,26 +543,6 @@ def test_a_guide_is_placed_along_the_axis_of_its_column(tmp_path, head, axes):
         assert f"guide.axes={axes}" in refusal(DataError, "guide", planned, [file]).fix
     content, _, _ = placed([file], **({"guide__axes": axes} if axes else {}))
     np.testing.assert_allclose(content.curves[0].guide[[0, -1], 0], [0.0, 3.0], atol=1e-9)
-
-
-def test_curvatures_may_stand_on_a_sheet_for_each_needle_without_an_sd(tmp_path):
-    sheets = {
-        f"needle {n}": [
-            *[["Depth (mm)", 40 + 10 * n], ["Bevel", 1], []],
-            ["station", "distance from tip (mm)", "kappa_xy (1/m)", "kappa_xz (1/m)"],
-            *[[1, 5, 0.1 * n, 0.0], [2, 25, 0.2 * n, 0.1]],
-        ]
-        for n in (1, 2)
-    }
-    file = write_sheets(tmp_path / "bragg.xlsx", **sheets)
-    _, plan, made = placed([file])
-    assert [(row.id, row.depth) for row in plan.rows] == [("needle_1", 50.0), ("needle_2", 60.0)]
-    np.testing.assert_allclose(plan.rows[1].curvature, [[5, 2e-4, 0, 1e-4], [25, 4e-4, 1e-4, 1e-4]])
-    assert made["curvature_sd"] == ("0.1", "assumed")
-    assert planned([file], curvature_sd="2e-5 1/mm")[0].rows[0].curvature[0, 3] == pytest.approx(2e-5)
-    sheets["needle 2"][3][2:] = ["a (1/m)", "b (m^-1)"]
-    file = write_sheets(tmp_path / "other.xlsx", **sheets)
-    assert "curvature_y.column=" in refusal(DataError, "curvature_z", planned, [file]).fix
 
 
 @pytest.mark.parametrize("kind", ["Fiducial", "Plane"])

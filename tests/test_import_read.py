@@ -1,7 +1,6 @@
 """Files are read as a mapping states them: layouts, missing values, joined tables, contradictions."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -21,11 +20,10 @@ from import_cases import (
 from refusals import refusal
 from test_cli import run
 
-import needlefit.datasets.read as reading
 from needlefit.datasets.importing.examples import WORKBOOK_FILE
 from needlefit.datasets.importing.prepare import prepare_import
 from needlefit.datasets.importing.tables import read_sheets
-from needlefit.datasets.read import inspect, load_record, read
+from needlefit.datasets.read import inspect, read
 from needlefit.errors import ConfigError, DataError
 from needlefit.project.locate import read_toml
 from needlefit.studies.advice import CONTRADICTIONS
@@ -116,11 +114,6 @@ def test_tables_of_other_programs(tmp_path):
     body = "\n".join(" ".join(f"{value:.6f}" for value in point) for point in NEEDLES[0])
     (tmp_path / "s.txt").write_text(f"# x y z [mm]\n{body}")
     assert_read([tmp_path / "s.txt"], NEEDLES[:1])
-    um = [[name, *(f"{1000 * float(value):,.1f}" for value in point)] for name, *point in rows[1:]]
-    (tmp_path / "t.csv").write_text(
-        "\n".join(";".join(row) for row in [["needle", "x [um]", "y [um]", "z [um]"], *um])
-    )
-    assert assert_read([tmp_path / "t.csv"]).tables[0]["thousands"] == ","
     mixed = [[name, f"{float(x) / 10:.7f}", y, z] for name, x, y, z in rows[1:]]
     assert_read([write_rows(tmp_path / "c.csv", [["needle", "x [cm]", "y (down) [mm]", "z [mm]"], *mixed])])
 
@@ -386,22 +379,6 @@ def test_the_command_writes_a_dataset_that_check_passes(tmp_path, capsys):
     assert [path.read_bytes() for path in one] == [path.read_bytes() for path in other]
 
 
-def test_a_study_of_an_import_works_from_another_folder_and_moves_with_its_data(tmp_path, monkeypatch):
-    (tmp_path / "here").mkdir()
-    monkeypatch.chdir(tmp_path / "here")
-    write_long(Path(), NEEDLES)
-    words, records = ("--set", "pose=1,0,0", "--set", "bevel=0,1,0"), []
-    with monkeypatch.context() as counted:
-        counted.setattr(reading, "load_record", lambda file: records.append(file) or load_record(file))
-        assert run("import", "points.csv", "--out", "gel", *words) == 0
-    assert len(records) == 1  # it is read again, and checked, once
-    (tmp_path / "there").mkdir()
-    Path("gel").rename(tmp_path / "there" / "moved")
-    monkeypatch.chdir(tmp_path)
-    for study in ("there/moved/gel_study.toml", tmp_path / "there/moved/gel_study.toml"):
-        assert run("check", f"./{study}" if isinstance(study, str) else study) == 0
-
-
 @pytest.mark.parametrize("text", ["", "hello\n", "1,2,3\n", "x,y,z\n1,2,3\n4,a,6\n7,8,9\n1,2,3\n", "x,x,x\n"])
 def test_bad_input_ends_in_exit_code_3_and_writes_nothing(tmp_path, text, capsys):
     (tmp_path / "a.csv").write_text(text)
@@ -413,13 +390,3 @@ def test_bad_input_ends_in_exit_code_3_and_writes_nothing(tmp_path, text, capsys
     (tmp_path / "dataset.toml").touch()
     for path in (tmp_path, tmp_path / "dataset.toml"):
         assert str(tmp_path / "dataset.toml") in refusal(DataError, "", prepare, [path]).fix
-
-
-def test_the_workbook_states_every_value_that_can_be_stated():
-    stated = {
-        row[0].replace(" ", "_")
-        for one in read_sheets(WORKBOOK_FILE)
-        if one.sheet == "setup"
-        for row in one.rows[1:]
-    }
-    assert {"pose", "entry_point", "point_sd", "modulus"} <= stated
