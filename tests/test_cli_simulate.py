@@ -43,19 +43,6 @@ def test_json_has_the_documented_keys(capsys):
     assert step["tip_angle_deg"] == approx(math.degrees(step["tip_slope"]))
 
 
-def test_a_rolled_needle_has_along_z_what_it_had_along_y(capsys):
-    planar, rolled = (answer(capsys, "phantom1", *settings(f"bevel.roll_deg={roll}")) for roll in (180, 90))
-    assert (planar["roll_at_tip_deg"], rolled["roll_at_tip_deg"]) == (180, 90)
-    for y, z in (
-        ("tip_lateral_mm", "tip_z_mm"),
-        ("tip_slope", "tip_slope_z"),
-        ("tip_angle_deg", "tip_elevation_deg"),
-    ):
-        assert (rolled[y], rolled[z], planar[z]) == approx((0, -planar[y], 0), abs=1e-4)
-    x, y, _ = planar["tip_mm"]
-    assert rolled["tip_mm"] == approx([x, 0, -y], abs=1e-6)
-
-
 def test_files_of_a_needle_in_space_show_it_from_above_too(capsys, tmp_path):
     """A bevel rolled by 90 degrees: the columns of z are those of y of the needle that is not rolled."""
     tables, panels = {}, {}
@@ -96,18 +83,12 @@ DEEP = ["`steps.2.depth_mm`", "`steps.2.guides.template`", "150 mm", "135 mm", "
     [
         ("phantom1", "bevel.ofset_mm=0.1", ["`bevel.ofset_mm`", "`offset_mm`"]),  # the nearest
         ("chicken", "layers.0.mu_pa=3e5", ["numbered from 1"]),
-        ("phantom1", "layers.2.top_mm=50", ["top_mm must increase"]),
-        ("phantom1", "needle.youngs_modulus_gpa=nan", ["`needle.youngs_modulus_gpa`"]),
         ("phantom1", "depth_mm=150", ["a depth below 150 mm"]),
         ("phantom1", ("depth_mm=120", "controls.guide_distance_mm=40"), ["a depth below 110 mm"]),
         ("phantom2", "rules.element_mm=1e-6", ["`rules.element_mm`", "expected", "1e-06"]),
-        ("figure1", "guides.1.x_mm=5", ["key `guides.1`", "x = 5.0 mm"]),
         ("figure1", "steps.2.guides.template.x_mm=5", ["key `steps.2.guides.template`", "x = 5.0 mm"]),
-        ("figure1", "steps.3.guides.template.in_tissue=true", ["key `steps.3.guides.template`"]),
-        ("figure1", "guides.1.angle_deg=100", ["80 degrees"]),
         ("figure1", "controls.guide_distance_mm=15", ["`guides.1`", "guide_distance_mm`", "x = -15 mm"]),
         ("figure1", "steps.2.depth_mm=135", DEEP),
-        ("figure1", "guides.1.x_mm=-120", ["30 mm", "110 mm"]),
         ("figure1", "needle.length_mm=0.15", REACH),
         ("figure1", "depth_mm=30", ["steps.3.depth_mm"]),
         ("figure1", "guides.1.name=stencil", ["steps.2.guides.template"]),
@@ -140,10 +121,7 @@ def test_a_needle_without_an_answer_is_marked_and_the_exit_code_5(tmp_path, caps
     ("setting", "key", "fix"),
     [
         ("needle.youngs_modulus_gpa=1001", "`needle.youngs_modulus_gpa`", None),
-        ("layers.2.mu_pa=33", "`layers.2.mu_pa`", None),
-        ("bevel.offset_mm=2.1", "`bevel.offset_mm`", None),
         ("layers.1.alpha=0", "`layers.1.alpha`", None),
-        ("layers.1.alpha=-80", "`layers.1.alpha`", None),
         ("layers.1.mu_pa=220", "kPa", "220000"),
         ("layers.1.mu_pa=0.22", "MPa", "220000"),
         ("bevel.offset_mm=1e-4", "metres", "0.1"),

@@ -102,7 +102,7 @@ FAULTY = [  # what a file holds, and what is said of it
     ([markup(points=[point(1, [1, 2, 3], positionStatus="there")])], "key `controlPoints.1.positionStatus`"),
     *(
         ([markup(points=[(0, 0, 0), point(2, position)])], "list 1, key `controlPoints.2.position`")
-        for position in ([1, float("nan"), 3], [1, 2], [1, 2, 3, 4], "123", [1, 2, True], [1, 2, 10**400])
+        for position in ([1, float("nan"), 3], [1, 2], "123", [1, 2, 10**400])
     ),
 ]  # fmt: skip
 
@@ -132,13 +132,10 @@ def test_fcsv_of_every_version(tmp_path, version, system, sign):
     ("content", "words"),
     [
         ("# Markups fiducial file version = 4.11\n" + COLUMNS + BODY, "key `coordinateSystem`"),
-        (HEADER.format("4.4", "2") + COLUMNS + BODY, "key `coordinateSystem`"),
         (
             HEADER.format("4.11", "LPS") + "# columns = id,x,y,label\n" + BODY,
             "key `controlPoints.1.position`",
         ),
-        (HEADER.format("4.11", "LPS") + COLUMNS + BODY.replace("2", "nan"), "key `controlPoints.1.position`"),
-        (HEADER.format("5.2", "LPS") + COLUMNS, "is empty"),
         (HEADER.format("5.2", "LPS") + COLUMNS + BODY.rstrip() + ",0,0\n", "1 points"),
         ("\udcff\udcfe#", "text"),
     ],

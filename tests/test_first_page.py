@@ -147,14 +147,6 @@ def test_columns_are_those_of_the_environment(width, monkeypatch, capsys, tmp_pa
     assert width < 140 or max(map(len, lines)) > 100
 
 
-@pytest.mark.parametrize(("variable", "coloured"), [("FORCE_COLOR", True), ("NO_COLOR", False)])
-def test_a_terminal_shows_the_status_in_colour(variable, coloured, monkeypatch, capsys, tmp_path):
-    monkeypatch.setenv(variable, "1")
-    monkeypatch.setenv("TERM", "xterm-256color")
-    show_run(TERMINAL, study(1), tmp_path)
-    assert ("\x1b[1;3" in capsys.readouterr().out) is coloured
-
-
 def test_a_second_figure_stands_on_the_first_page_too(world, tmp_path):
     results = world.restore("cross_validation")
     drawn = find_kind(results.kind).report.draw(results, tmp_path)

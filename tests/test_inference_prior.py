@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from inference_cases import TRUTH, insertion, measure, medium, problem
+from inference_cases import medium
 from pytest import approx
 from refusals import refusal
 from scipy import stats
@@ -59,17 +59,6 @@ def test_a_positive_parameter_has_a_gamma_or_half_normal_prior(stated, distribut
     )
     assert stats.kstest(drawn, distribution.cdf).pvalue > 0.01
     assert np.log(drawn).std() == approx(prior.sd("bevel_mm"), rel=0.05)
-
-
-def test_the_log_posterior_is_the_likelihood_and_the_prior():
-    plain = medium(1, alpha1={"bounds": [-3, 9]})
-    made = [measure(TRUTH, plain, insertion(30.0))]
-    flat, stated = problem(plain, made), problem(medium(1, **BOUNDED), made)
-    thetas = np.array([flat.parameters.theta({**TRUTH, "alpha1": a}) for a in (3.0, 4.0)])
-    gained = stated.parameters.prior.log_density([stated.values(theta) for theta in thetas])
-    one_by_one = [stated.log_posterior(theta) - flat.log_posterior(theta) for theta in thetas]
-    assert one_by_one == approx(gained, abs=1e-9)
-    assert stated.log_posteriors(thetas) - flat.log_posteriors(thetas) == approx(gained)
 
 
 @pytest.mark.parametrize(

@@ -303,18 +303,6 @@ def test_later_readings_do_not_enter_the_prediction(runs):
     assert np.array_equal(one, two)
 
 
-def test_a_line_takes_its_slope_from_runs_alike():
-    """With one reading to place a run, its further ones have the slope of the others, or of those alike."""
-    frames = ((REST, 0.01), (REST, 0.02), (REST, 0.03), (GUIDE, 0.07), (GUIDE, 0.08), (GUIDE, 0.09))
-    tracks = [with_tip(track(f"run{n}", guide), one * DEPTH) for n, (guide, one) in enumerate(frames)]
-    seen = [make_observation(dataset([]), one) for one in tracks]
-    cases = [("straight", seen, (0.05, 0.05)), ("steered_line", seen, (0.02, 0.08))]
-    for name, known, slopes in (*cases, ("straight", seen[:3], (0.02, 0.02))):
-        for further, slope in zip((seen[0], seen[-1]), slopes, strict=True):
-            found = track_predictions.predict_by_curve(BASELINES[name], known, further, 1, 0.01)
-            assert np.diff(found) == pytest.approx(slope * np.diff(DEPTH[1:]), abs=1e-6)
-
-
 @pytest.mark.parametrize(
     ("name", "guided"),
     [("straight", [0] * 3), ("straight", [0] * 5), ("steered_line", [0, 1, 0, 1, 0, 1])],

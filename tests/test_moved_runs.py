@@ -68,12 +68,9 @@ def test_a_run_holds_the_files_of_its_data_with_their_digest(world):
 @pytest.mark.parametrize(
     "words",
     [
-        ("report", "../moved/held_out"),
         ("report", "../moved/gel", "--out", "again"),
-        ("diff", "../moved/gel", "../moved/gel"),
         ("predict", "../moved/gel", "--scene", "./ahead.toml", *OPTIONS),
         ("tune", "../moved/held_out", "--no-sample", *OPTIONS),
-        ("tune", "../moved/gel", "--design", *OPTIONS),
         ("plan", "../moved/gel/needle-1", "--target", "28,1", "--turns", 0),
     ],
 )

@@ -5,7 +5,6 @@ import subprocess
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import pytest
 from page_files import ALL_STATES, change_page_data, open_offline, read_page_data, require_accessible
@@ -130,35 +129,6 @@ def test_predictions_and_reports_of_runs_have_their_needles(world, result, chrom
     page.write_bytes(compile_html(compose_run_report(predicted, {})))
     with open_offline(chromium, page) as window:
         assert window.evaluate(ALL_STATES) == [1, 0]
-
-
-@pytest.mark.sweep
-@NO_BROWSER
-def test_the_needles_of_a_report_are_computed_again(page, result, chromium):  # noqa: F811
-    errors = result.frames["errors"].query("boundaries == 'measured' and method == 'fitted'")
-    scored = errors.query("role == 'validate'").to_dict("records")
-    with open_offline(chromium, page) as window:
-        assert window.evaluate(ALL_STATES) == [len(scored), 0]
-        for number, row in enumerate(scored):
-            window.select_option("#needle-choice", str(number))
-            window.wait_for_timeout(300)
-            found = window.evaluate("needlefit.state.errors")
-            for name in needle_page.SHOWN_METRICS:
-                assert found[name] == approx(row[name], rel=1e-9)
-        for _ in range(100):
-            if band := window.evaluate("needlefit.band"):
-                break
-            window.wait_for_timeout(100)
-        assert band["failed"] == 0 and np.all(np.array(band["low"]) <= band["high"])
-        tip = window.evaluate("needlefit.state.tip.lateral_mm")
-        fields = window.locator("#tissue-fields .slider")
-        fields.first.fill("900")  # b
-        assert abs(window.evaluate("needlefit.state.tip.lateral_mm")) > abs(tip)
-        window.click("#back")
-        window.wait_for_timeout(300)
-        assert window.evaluate("needlefit.state.tip.lateral_mm") == tip
-        assert HOSTILE in window.inner_text("#needle-choice") and window.locator("img[src=x]").count() == 0
-        assert window.get_attribute("[data-show=errors]", "aria-pressed") == "false"  # until asked for
 
 
 @pytest.mark.sweep

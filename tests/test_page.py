@@ -267,14 +267,6 @@ def test_every_shipped_scene_opens(chromium, tmp_path, name):
         assert page.inner_text("#refusal") == "" and get(page, "s.depth_mm === n.scene.depth_mm")
 
 
-@sweep
-@pytest.mark.parametrize("kind", ["cross_validation", "fit"])
-def test_every_kind_of_run_opens(chromium, tmp_path, world, kind, monkeypatch):
-    monkeypatch.chdir(world.folder)
-    with opened(chromium, write(tmp_path, str(world.find(kind)))) as page:
-        assert page.evaluate(ALL_STATES) == [1, 0] and page.inner_text("#refusal") == ""
-
-
 SIZES = [(1440, 900), (1280, 720), (390, 844), (320, 640)]
 OVERFLOWS = """[...document.querySelectorAll("button, label, dt, dd, p, h2, legend")].filter((one) =>
     one.checkVisibility() && !one.closest(".unseen") && one.scrollWidth > one.clientWidth + 1
@@ -307,32 +299,6 @@ def test_nothing_is_cut_off_or_covered_at_any_size(subject, chromium, size):
             until(page, f"{rises} > 0.25 * n.view.box.height")
         assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
         assert page.evaluate(OVERFLOWS) == [] and page.evaluate(SMALL) == []
-
-
-def contrast(one, other):
-    """Return the contrast (WCAG) of two colours, `#rrggbb`."""
-
-    def luminance(colour):
-        parts = np.array([int(part, 16) for part in re.findall(r"[\da-f]{2}", colour[:7])]) / 255
-        linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
-        return float(linear @ [0.2126, 0.7152, 0.0722])
-
-    low, high = sorted(map(luminance, (one, other)))
-    return (high + 0.05) / (low + 0.05)
-
-
-@pytest.mark.parametrize("scheme", [0, 1])
-def test_bands_and_gaps_stand_out_in_both_colour_schemes(scheme):
-    """Contrast of at least 3 to 1 (WCAG AA) of what is drawn on each layer; that of texts is axe's."""
-    style = (PAGE / "style.css").read_text("utf-8")
-    pairs = re.findall(r"--(\w+): light-dark\((#\w+), (#\w+)\)", style)
-    colours = {name: both[scheme] for name, *both in pairs}
-    for drawn in ("band", "gap", "plan", "bad", "pinned", "points", "path", "load", "needle"):
-        for behind in ("soft", "stiff"):
-            assert contrast(colours[drawn], colours[behind]) >= 3, (drawn, behind)
-    channels = {name: [int(part, 16) for part in re.findall("..", colours[name][1:7])] for name in colours}
-    assert np.ptp(channels["needle"]) < 20 and np.ptp(channels["band"]) > 100  # grey, and a colour
-    assert np.linalg.norm(np.subtract(channels["band"], channels["needle"])) > 60
 
 
 @pytest.mark.parametrize("scheme", ["light", pytest.param("dark", marks=sweep)])
@@ -377,40 +343,21 @@ def find_curve(page, drawing, colour, curve):
 
 
 @sweep
-def test_saved_figures_of_twenty_random_paths_are_the_picture(subject, chromium):
+def test_a_saved_figure_is_the_picture(subject, chromium):
     """Same limits, exaggeration, pin and layers as shown, in light colours; text as text."""
-    rng = default_rng(20)
     with opened(chromium, subject, color_scheme="dark") as page:
-        for n in range(20):
-            for _ in range(int(rng.integers(1, 6))):
-                page.focus("#picture")
-                page.keyboard.press(str(rng.choice([*"frk+", "ArrowLeft", "ArrowUp", "ArrowDown"])))
-            page.click(f"[data-fit={('whole', 'tissue')[n % 2]}]")
-            page.mouse.wheel(0, 40 * (n % 4 - 1))
-            if n % 3 == 0:
-                page.click("[data-show=measured]")
-                page.click("[data-show=points]")
-            page.wait_for_timeout(250)
-            width = ("84", "174")[n % 2]
-            drawing = ElementTree.fromstring(save_figure(page, width, "svg"))
-            assert drawing.get("width") == f"{width}mm"
-            find_curve(page, drawing, LIGHT["needle"], "s")
-            if get(page, "n.pinned"):
-                find_curve(page, drawing, LIGHT["pinned"], "n.pinned")
-            crosses = read_lines(drawing, LIGHT["points"])
-            assert bool(crosses) == get(page, "n.shown.points")
-            if crosses:
-                assert len(crosses[0]) == 4 * get(page, "s.constraints.x.length")
-            dashed = [one for one in drawing.iter(f"{SVG}path") if one.get("stroke-dasharray") == "7 4"]
-            shown = page.get_attribute("[data-show=measured]", "aria-pressed") == "true"
-            views = 2 if get(page, "s.z") else 1  # of a needle in space from above, too
-            assert [one.get("stroke") for one in dashed] == [LIGHT["measured"]] * shown * views
-            if shown:
-                find_curve(page, drawing, LIGHT["measured"], "n.scene.measured")
-            texts = {one.text for one in drawing.iter(f"{SVG}text")}
-            assert any(text.startswith("y (mm)") for text in texts)
-            times = get(page, "n.view.magnified")
-            assert times == 1 or any(f"drawn {times:g}×" in text for text in texts)
+        page.focus("#picture")
+        for key in ("r", "ArrowLeft", "k", "ArrowUp", "ArrowDown", "f"):
+            page.keyboard.press(key)
+        page.click("[data-fit=tissue]")
+        page.wait_for_timeout(250)
+        drawing = ElementTree.fromstring(save_figure(page, "84", "svg"))
+        assert drawing.get("width") == "84mm"
+        for name, curve in (("needle", "s"), ("pinned", "n.pinned"), ("measured", "n.scene.measured")):
+            find_curve(page, drawing, LIGHT[name], curve)
+        crosses = read_lines(drawing, LIGHT["points"])
+        assert len(crosses[0]) == 4 * get(page, "s.constraints.x.length")
+        assert any((one.text or "").startswith("y (mm)") for one in drawing.iter(f"{SVG}text"))
         with Image.open(io.BytesIO(save_figure(page, "84", "png"))) as picture:
             assert picture.width == approx(84 / 25.4 * 300, abs=1)
             assert min(picture.convert("RGB").getpixel((2, picture.height - 2))) > 240  # on light paper

@@ -13,10 +13,7 @@ from needlefit.reporting import text as text_of_package
 from needlefit.reporting.document import Document, compile_html, compile_pdf
 from needlefit.reporting.table import Table, TableColumn, TableLayout
 from needlefit.reporting.text import KindText
-from needlefit.studies import advice, first_page, fit_tables, fit_warnings
 from needlefit.studies.fit_figures import draw_overlays
-from needlefit.studies.kinds import identification, prediction
-from needlefit.studies.kinds.reconstruction import report as reconstruction
 from needlefit.studies.report import compose_run_report
 
 
@@ -154,23 +151,6 @@ def test_a_value_is_printed_literally_wherever_it_stands(text):
     page = Document("Title", "", False, tuple(blocks))
     assert b"<b>" not in compile_html(page).partition(b"<main>")[2].replace(b"<figcaption><b>", b"")
     assert compile_pdf(page).startswith(b"%PDF")
-
-
-TEXTS = [
-    fit_tables.TEXT,
-    first_page.CHECKS,
-    advice.TEXT,
-    fit_warnings.TEXT,
-    identification.TEXT,
-    prediction.TEXT,
-    reconstruction.TEXT,
-]
-
-
-@pytest.mark.parametrize("text", TEXTS, ids=lambda one: one.name)
-def test_a_template_compares_no_numbers(text):
-    source = (TEMPLATES / f"{text.name}.md.j2").read_text(encoding="utf-8")
-    assert not re.search(r"{%-? *(el)?if[^%]*(<|>| [-+*/] )", source)
 
 
 def test_every_figure_has_a_place_in_the_report():

@@ -11,7 +11,6 @@ from reporting_results import study
 from needlefit.datasets import paper
 from needlefit.reporting.latex import escape_latex, format_cell
 from needlefit.reporting.number_format import format_number, format_to_error
-from needlefit.reporting.table import Table, part, pivot
 from needlefit.reporting.table_files import to_records
 from needlefit.studies.fit_tables import (
     describe_largest_factor,
@@ -176,18 +175,6 @@ def test_a_value_that_is_read_in_another_unit_than_its_row_has_its_own():
     at_bound = frame.assign(value=frame["value"].mask(frame["method"] == "fitted_metric"))
     (cells,) = lay_out_parameters(results.with_frames(parameters=at_bound)).rows
     assert not any("100 MPa" in cell for cell in cells)
-
-
-def test_pivoted_rows_have_a_column_for_each_place():
-    names = ("study", "metric", "value", "over_floor")
-    values = (("a", "te_mm", 1.0, 2.0), ("a", "edp_percent", 30.0, 4.0), ("b", "te_mm", 2.0, None))
-    rows = pivot([dict(zip(names, one, strict=True)) for one in values], ["study"], ["metric"])
-    places = ("te_mm", "edp_percent")
-    columns = ("study", *(part(key, metric=name) for key in ("value", "over_floor") for name in places))
-    table = Table("t", rows, columns).lay_out()
-    assert table.rows == (("a", "1.00", "30.0", "2.0", "4.0"), ("b", "2.00", "–", "–", "–"))
-    heads = [(one.label, one.unit) for one in table.columns[1:]]
-    assert heads == [("TE", "mm"), ("EDP", "%"), ("TE", "÷ floor"), ("EDP", "÷ floor")]
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,6 @@ from test_cli import run
 
 from needlefit.cli import execution
 from needlefit.errors import ConfigError
-from needlefit.project.locate import shipped_folder
 from needlefit.studies.report import rebuild
 from needlefit.studies.store import name_source, read_sources, require_same_sources
 
@@ -94,15 +93,6 @@ def test_another_dataset_of_the_same_study_is_refused(project, capsys):
     study.write_text(study.read_text().replace('dataset = "others"', 'dataset = "needles"'))
     (project / "data/needles/insertions.csv").touch()  # the data themselves may change
     assert not is_refused("validate", "held_out")
-
-
-def test_the_reconstruction_of_other_scans_is_refused(world, tmp_path, monkeypatch, capsys):
-    folder = shutil.copytree(world.find("reconstruction"), tmp_path / "scanned")
-    shutil.copytree(shipped_folder() / "data/sample_scan", tmp_path / "other")
-    monkeypatch.chdir(tmp_path)
-    assert run("reconstruct", "other/scans.csv", "--out", "scanned") == 3
-    assert "sample_scan" in capsys.readouterr().err
-    require_same_sources(folder, ["sample_scan"])
 
 
 def test_a_result_made_again_elsewhere_keeps_its_sources_and_older_ones_have_none(project):

@@ -1,11 +1,9 @@
 """`needlefit diff`: two runs are joined on the columns that name a row."""
 
 import numpy as np
-import pandas as pd
 import pytest
 from made_again import store
 from reporting_results import study
-from test_cli import run
 
 from needlefit.errors import DataError
 from needlefit.project.folders import write_manifest
@@ -72,12 +70,3 @@ def test_rows_and_columns_of_one_run_only_are_listed(first, tmp_path):
 def test_runs_of_different_kinds_are_not_compared(first, tmp_path, world):
     with pytest.raises(DataError):
         compare_runs(first, world.find("identification"))
-
-
-def test_of_unlike_runs_the_screen_has_40_rows_and_a_file_all(first, tmp_path, capsys):
-    parts = {str(n): n for n in range(50)}
-    second = write(tmp_path / "b", errors=ERRORS.assign(**{f"extra_{name}": n for name, n in parts.items()}))
-    table = tmp_path / "differences.csv"
-    assert run("diff", str(first), str(second), "--csv", str(table)) == 0
-    printed = [line for line in capsys.readouterr().out.splitlines() if line.startswith("errors.csv")]
-    assert len(printed) == 40 and len(pd.read_csv(table)) == 50

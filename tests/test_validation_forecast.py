@@ -124,21 +124,6 @@ def test_an_impossible_prediction_is_refused(job):
         require_fitted_kind(replace(SCENE, tissue=deep), job)
 
 
-def test_another_needle_is_refused_before_the_fit(job, monkeypatch):
-    def fit(*_):
-        raise AssertionError("fitted")
-
-    monkeypatch.setattr(prediction, "prepare_target", lambda *_: job)
-    monkeypatch.setattr(prediction, "draw_parameters", fit)
-    scene = load(find_file("scene", "study2"), SceneRecord)
-    thin = scene.needle.model_copy(update={"outer_diameter_mm": 0.5, "inner_diameter_mm": 0.0})
-    record = find_kind("prediction").make_record(
-        target="phantom2", scene=scene.model_copy(update={"needle": thin})
-    )
-    with pytest.raises(ConfigError, match="flexural rigidity"):
-        find_kind("prediction").run("gel", record, Settings())
-
-
 def changed_scene(*assignments):
     return scene_record("study2", None, list(assignments))[1]
 
