@@ -393,3 +393,12 @@ def test_an_entry_of_one_point_in_an_array_of_structs_is_a_tip(tmp_path):
     curves, _ = curves_of([tmp_path / "needles.mat"], unit="mm")
     assert [curve.holds for curve in curves.values()] == ["shapes", "shapes", "tips"]
     np.testing.assert_allclose(curves["n2"].line, CURVES[2][-1:])
+
+
+def test_matlab_arrays_of_two_columns_are_curves_in_a_plane(tmp_path):
+    curve = np.column_stack([np.linspace(0.0, 40.0, 9), np.linspace(0.0, 2.0, 9) ** 2])
+    savemat(tmp_path / "a.mat", {"Versuch": [{"Nr": n, "Punkte": curve[: 9 - n]} for n in range(2)]})
+    curves, _ = find_format(tmp_path / "a.mat").read_curves(tmp_path / "a.mat")
+    first, second = curves.values()
+    np.testing.assert_allclose(first.values, np.column_stack([curve, np.zeros(9)]))
+    assert second.values.shape == (8, 3)

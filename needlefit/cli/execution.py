@@ -342,7 +342,7 @@ def show_next_steps(dataset: "Dataset", folder: Path) -> None:
             held_out = (
                 f"one needle{of_medium}"
                 if len(first_run.insertions) == 1
-                else "one run into each specimen, and runs are predicted from others into the same"
+                else "a specimen for each run (specimen=NAME if all went into one)"
             )
             screen.print_note(f"{held_out}: nothing is held out, no verdict is possible")
         screen.print_note(f"stiffness and bevel{of_medium}: {shlex.join(('needlefit', 'tune', run))}")

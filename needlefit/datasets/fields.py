@@ -42,12 +42,14 @@ class FieldReader:
     def __init__(self, noun: str) -> None:
         self.noun = noun
         self.unused: list[str] = []
+        self.axes = 3  # number of coordinates of a point in an array
         self.curve_fields: set[str] = set()  # names of fields that hold curves in an entry of a list
 
     def find_curves(self, name: str, value: object) -> list[FieldCurve]:
         """Return every array of shape (N, 3) or (3, N), N > 3, and every group of fields x, y and z.
 
-        Where a field holds curves in some entries of a list, three numbers in another entry are a tip: N = 1.
+        Where there is neither, arrays (N, 2) or (2, N) are curves in a plane, whose z is 0. Where a field
+        holds curves in some entries of a list, three numbers in another entry are a tip: N = 1.
         Names: `a`, `a_1` in a list, an array of structs or a stack (N, 3, K) or (K, N, 3), `a_b` in a struct;
         a struct with one such array gives it its name. x, y and z are vectors of one length, lists of such
         vectors, or matrices with a column for each curve; without z it is 0. Trailing rows of NaN are left
@@ -57,7 +59,11 @@ class FieldReader:
         are curves in a list beside them (rows of a matrix, too) each is stated of one. Vectors beside x, y
         and z of their length are `columns`.
         """
-        curves = [curve for entry in self._find(name, simplify(value)) for curve in entry]
+        plain, curves = simplify(value), list[FieldCurve]()
+        for self.axes in (3, 2):
+            if not curves:
+                self.unused.clear()
+                curves = [curve for entry in self._find(name, plain) for curve in entry]
         taken: dict[str, int] = {}
         for curve in curves:  # `a_1` may be the first entry of `a`, and a field
             taken[curve.name] = count = taken.get(curve.name, 0) + 1
@@ -71,12 +77,15 @@ class FieldReader:
         elif isinstance(value, list):
             structs = [part for part in value if isinstance(part, dict)]
             self.curve_fields |= {
-                key for struct in structs for key, part in struct.items() if len(to_curves(part)) == 1
+                key
+                for struct in structs
+                for key, part in struct.items()
+                if len(to_curves(part, self.axes)) == 1
             }
             parts = [self._find(_join(name, n), part) for n, part in enumerate(value, 1)]
             entries = [[curve for entry in part for curve in entry] for part in parts]
         else:
-            entries = self._name_curves(name, to_curves(value))
+            entries = self._name_curves(name, to_curves(value, self.axes))
         if any(entries):
             return entries
         self.unused[unused:] = [f"{self.noun} {name}"] if name else []  # one name for all that it holds
@@ -88,7 +97,7 @@ class FieldReader:
         arrays: dict[str, list[Floats]] = {}
         beside: dict[str, object] = {}  # what holds no curves
         for key, part in fields.items():
-            unused, curves = len(self.unused), [] if key in axes else to_curves(part)
+            unused, curves = len(self.unused), [] if key in axes else to_curves(part, self.axes)
             if not curves and key in self.curve_fields and _is_real(part) and part.size == 3:
                 curves = [part.astype(np.float64).reshape(1, 3)]
             is_nested = len(curves) > 1 or (isinstance(part, list | dict) and key not in axes)
@@ -210,19 +219,20 @@ def _flatten(key: str, part: object) -> dict[str, object]:
     return {path: value for struct in inner for path, value in struct.items()}
 
 
-def to_curves(value: object) -> list[Floats]:
+def to_curves(value: object, axes: int = 3) -> list[Floats]:
     """Return an array (N, 3) or (3, N), N > 3, as one curve (N, 3); (N, 3, K) and (K, N, 3) as K of them.
 
-    Nothing of anything else.
+    With `axes` 2 the same of arrays of 2 coordinates, whose z is 0. Nothing of anything else.
     """
     if not _is_real(value) or value.ndim not in (2, 3):
         return []
     stack = value[None] if value.ndim == 2 else value
-    if value.ndim == 3 and not value.shape[2] == 3 < value.shape[1]:
+    if value.ndim == 3 and not value.shape[2] == axes < value.shape[1]:
         stack = np.moveaxis(value, 2, 0)
-    if 3 not in stack.shape[1:] or max(stack.shape[1:]) <= 3:
+    if axes not in stack.shape[1:] or max(stack.shape[1:]) <= 3:
         return []
-    return [*np.ascontiguousarray(stack if stack.shape[2] == 3 else stack.swapaxes(1, 2), dtype=np.float64)]
+    points = stack if stack.shape[2] == axes else stack.swapaxes(1, 2)
+    return [*np.pad(points.astype(np.float64), ((0, 0), (0, 0), (0, 3 - axes)))]
 
 
 def to_text(value: object) -> str | None:

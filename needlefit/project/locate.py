@@ -204,7 +204,8 @@ def is_path(name: str) -> bool:
 
 def format_path(path: Path) -> str:
     """Return a path as a command takes it: for no name."""
-    return str(path) if path.is_absolute() or path == Path() else f"./{path}"
+    is_marked = path.is_absolute() or path == Path() or path.parts[0] == ".."
+    return str(path) if is_marked else f"./{path}"
 
 
 def _name(kind: FileKind, path: Path) -> str:

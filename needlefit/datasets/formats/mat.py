@@ -1,4 +1,4 @@
-"""Read MATLAB files: N x 3 arrays, also in structs and cells, and fields x, y and z.
+"""Read MATLAB files: N x 3 or N x 2 arrays, also in structs and cells, and fields x, y and z.
 
 scipy and h5py read them, in a child process: scipy crashes on some damaged files.
 """
@@ -20,9 +20,9 @@ SIGNATURE = b"\x89HDF\r\n\x1a\n"  # of HDF5, which MATLAB uses from version 7.3 
 SIGNATURE_OFFSETS = (0, 512, 1024, 2048)  # bytes; its possible places behind MATLAB's own header
 MAX_SHOWN_VARIABLES = 20  # number of variables that a message lists
 MAX_EXPANSION = 8  # memory that the content of a file may take, as a multiple of the file's size
-EXPECTED_ARRAYS = "N x 3 arrays of numbers, or fields x, y and z, entry first"
+EXPECTED_ARRAYS = "N x 3 or N x 2 arrays of numbers, or fields x, y and z, entry first"
 ARRAYS_FIX = (
-    "save the points of each needle as one N x 3 array (z = 0 in a plane); "
+    "save the points of each needle as one N x 3 or N x 2 array; "
     "of a table, save table2struct(T, 'ToScalar', true)"
 )
 

@@ -45,10 +45,11 @@ class Assignments:
                 self.table |= stated
             elif head in MEANINGS:
                 part = part or "column"
-                is_parsed = part in PARSED_PARTS
-                self.columns.setdefault(head, {})[part] = (
-                    override({}, [(part, text)], "--set")[part] if is_parsed else text
+                is_list = part == "column" and text.startswith("[")
+                value = (
+                    override({}, [(part, text)], "--set")[part] if is_list or part in PARSED_PARTS else text
                 )
+                self.columns.setdefault(head, {})[part] = "|".join(map(str, value)) if is_list else value
             else:
                 raise ConfigError(
                     f"--set {key}={text[:40]}: there is no key `{key}`",

@@ -20,7 +20,7 @@ from needlefit.datasets.importing.layout import propose_layout, sniff_text
 from needlefit.datasets.importing.meanings import MEANINGS, VALUES
 from needlefit.datasets.importing.read import MAX_CURVES
 from needlefit.datasets.importing.stated import name_set
-from needlefit.datasets.importing.synonyms import find_meaning, split_unit
+from needlefit.datasets.importing.synonyms import find_meaning, read_header, split_unit
 from needlefit.datasets.importing.tables import (
     SHEET_SUFFIXES,
     TEXT_SUFFIXES,
@@ -76,8 +76,12 @@ def draft_mapping(paths: Sequence[Path], stated: Assignments) -> tuple[Draft, li
                 fix=name_set(f"{meaning}.column", sort_by_similarity(parts["column"], draft.headers)[0]),
             )
     for key, text in stated.numbered:
-        (draft.tables,) = override({"tables": draft.tables}, [(key, text)], "--set").values()
-        draft.assumed.pop(key.split(".")[2], None)
+        pairs, (meaning, part) = [(key, text)], key.split(".")[-2:]
+        if part == "column" and (unit := read_header(text).unit):
+            pairs.insert(0, (f"{key.removesuffix(part)}unit", unit))
+        (draft.tables,) = override({"tables": draft.tables}, pairs, "--set").values()
+        for settled in (key.split(".")[2], meaning, f"unused.{text}"):
+            draft.assumed.pop(settled, None)
     if "specimen" not in {*stated.columns, *draft.values}:
         _ask_sources(draft)
     if not draft.opens and not any(KINDS[table["holds"]].placer for table in draft.tables):
@@ -87,9 +91,11 @@ def draft_mapping(paths: Sequence[Path], stated: Assignments) -> tuple[Draft, li
         known = {*stated.columns}.union(*(table["columns"] for table in draft.tables))
         of_tips = ("depth", "deflection")
         for key in [key for key in of_tips if key not in known] if known & {*of_tips} else "xy":
+            columns = [part.removeprefix("column ") for part, _ in draft.unused if "column " in part]
             answers = {
                 name: {f"{key}.column": name}
-                for name in (part.removeprefix("column ") for part, _ in draft.unused if "column " in part)
+                for name in columns
+                if f"unused.{name}" in draft.assumed  # of numbers
             }
             text = f"{MEANINGS[key].text} ({tables or paths[0]})"
             draft.ask("column", str(paths[0]), answers, key=key, text=text)

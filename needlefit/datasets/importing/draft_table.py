@@ -20,6 +20,7 @@ from needlefit.datasets.importing.synonyms import (
     list_bare_numbers,
     name_axes,
     read_header,
+    split_unit,
     translate_side,
 )
 from needlefit.datasets.importing.tables import BLOCK, Table
@@ -129,14 +130,20 @@ class TableDraft:
         """Take the columns that are stated; those of other tables are not here."""
         for meaning, parts in self.stated.columns.items():
             names = [name.strip() for name in parts.get("column", "").split("|") if name]
-            places = [self.table.find(name) for name in names]
-            for k, name in enumerate(names):
-                if places[k] is None and name.isdecimal():
-                    places[k] = self.table.find(int(name))
+            places = [self._find_stated(name) for name in names]
             if places and None not in places:
                 self._take(meaning, [self.all[n] for n in places if n is not None])
                 self.draft.columns_read.add(meaning)
         self.draft.headers += filter(None, self.table.headers)
+
+    def _find_stated(self, name: str) -> int | None:
+        """Return the column of a stated header, in another unit too, or number; None if there is no one."""
+        place = self.table.find(name)
+        if place is None and name.isdecimal():
+            return self.table.find(int(name))
+        plain = split_unit(name)[0].strip()
+        alike = [n for n, header in enumerate(self.table.headers) if split_unit(header)[0].strip() == plain]
+        return alike[0] if place is None and len(alike) == 1 else place
 
     def _take(self, meaning: str, columns: Sequence[Column]) -> None:
         """Let columns mean something, if nothing else does."""
@@ -148,11 +155,14 @@ class TableDraft:
     def _take_known(self) -> None:
         """Take the columns whose headers are known; ask where one may mean two things."""
         blocked = self.taken.keys() | ({"deflection", "deflection_z"} if "y" in self.taken else set())
+        blocked |= {"thickness"} if "boundaries" in self.taken else set()
         known, free = defaultdict[str, list[Column]](list), self.list_free()
         meanings = {column.place: self._list_meanings(column) for column in free}
         for column in free:
             if len(meanings[column.place]) == 1:
                 known[meanings[column.place][0]].append(column)
+        if "boundaries" in known:
+            known.pop("thickness", None)
         for meaning in (*VECTORS, "guide"):  # columns x, y and z of a place
             axes = {column.header.axis: column for column in free if column.header.group == meaning}
             if "y" in axes or (axes and meaning == "guide"):
@@ -447,7 +457,8 @@ class TableDraft:
         columns = self._find_columns(record)
         texts = dict.fromkeys(text for column in columns for text in column.texts)
         is_free = meaning in COORDINATES and self.table.system is None
-        if self.stated.unit and is_free:
+        is_step = any(map(str.isdigit, self.stated.unit))  # of a pixel: no unit of lengths in mm
+        if self.stated.unit and is_free and not (is_step and record.get("unit", "px") != "px"):
             record["unit"] = self.stated.unit  # also beside a header that states another one
         elif MEANINGS[meaning].unit in ("mm", "1/mm") and not record.keys() & {"unit", "unit_column"}:
             units = [column.name for column in self.all if column.is_unit and column.texts]

@@ -139,14 +139,18 @@ class Planner(CurveAnswers):
         """Return of each needle the depths of the boundaries of layers along it, mm.
 
         There are none where surfaces part the layers. Surfaces are numbered in the order in which their files
-        are named.
+        are named. The last thickness of layers ends below all needles: there is no boundary.
         """
         for n, surface in enumerate(self.surfaces):
             self.surfaces[n] = replace(surface, into=n + 2)
             self.settler.note(f"surface {surface.name}", f"{surface.kind}, into layer {n + 2}")
         if self.surfaces:
             return [() for _ in self.curves]
-        return [() if answer.text == "none" else answer.to_boundaries() for answer in self.each("boundaries")]
+        answers, deepest = self.each("boundaries"), max(curve.depth for curve in self.curves)
+        depths = [() if answer.text == "none" else answer.to_boundaries() for answer in answers]
+        if all(answer.are_sums and own[-1] >= deepest for answer, own in zip(answers, depths, strict=True)):
+            depths = [own[:-1] for own in depths]
+        return depths
 
     # ---- names and needle
 

@@ -23,6 +23,7 @@ class Stated:
     text: str
     unit: str = ""
     where: str = ""
+    are_sums: bool = False  # depths that were added up of thicknesses
 
     @property
     def shown(self) -> str:
@@ -71,7 +72,8 @@ class Stated:
     def add_up(self) -> "Stated":
         """Return depths of boundaries, mm, in place of the thicknesses of layers from the surface on."""
         depths = accumulate(self._list_lengths("thickness"))
-        return replace(self, text="; ".join(f"{depth:.10g}" for depth in depths), unit="mm")
+        text = "; ".join(f"{depth:.10g}" for depth in depths)
+        return replace(self, text=text, unit="mm", are_sums=True)
 
     def to_boundaries(self) -> tuple[float, ...]:
         """Return increasing depths, mm, in a text such as `15,30`; with decimal commas `15,5;30`."""

@@ -12,10 +12,13 @@ from needlefit.project.units import UNITS_MM
 
 FILE = Path(__file__).with_name("synonyms.csv")
 
+OF_LAYERS = ("boundaries", "thickness")  # meanings whose columns may be named by their layers
+NUMBERED = (*OF_LAYERS, "deflection")  # meanings whose columns may be numbered
 # What a word beside an axis may mean without being the name of a needle: `needle x`, `depth x`.
 _POINT_WORDS = ("needle", "tip", "depth", "deflection")
 _TRACKER_AXES = {"tx": "x", "ty": "y", "tz": "z"}  # as logs of trackers call them
 _WORD = re.compile(r"[a-z]+|\d+|[^\W\d_a-z]+", re.IGNORECASE)  # Latin and Chinese words part without a blank
+_UMLAUT = re.compile("([aou])e")
 _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])")
 INDEX = re.compile(r"\[(\d+)\]")  # of an element of an array: `poses[3]`
 _BRACKET = re.compile(r"\s*[\[(（【]\s*([^\[\]()（）【】]+?)\s*[\])）】]")
@@ -42,7 +45,7 @@ def _load() -> dict[tuple[str, str], tuple[str, str]]:
     with FILE.open(encoding="utf-8", newline="") as file:
         _, *rows = csv.reader(file)
     return {
-        (kind, "".join(_split(word))): (meaning, unit)
+        (kind, _make_key(_split(word))): (meaning, unit)
         for kind, meaning, unit, *languages in rows
         if kind != "axes"
         for words in languages
@@ -66,12 +69,26 @@ def _split(text: str) -> list[str]:
     return _WORD.findall("".join(letter for letter in plain if not unicodedata.combining(letter)).casefold())
 
 
+def _make_key(words: Sequence[str]) -> str:
+    """Return what words are looked up by: joined, `ae` as `a`, since names in programs have no umlauts."""
+    return _UMLAUT.sub(r"\1", "".join(words))
+
+
 def _look_up(kind: str, words: Sequence[str]) -> tuple[str, str]:
     synonyms = _load()
-    kept = [word for word in words if ("filler", word) not in synonyms]
+    kept = [word for word in words if ("filler", _make_key([word])) not in synonyms]
     if words and not kept and kind == "column":
         kept = ["point"]  # `No.`, `Nr` and `number` count the rows
-    return synonyms.get((kind, "".join(words))) or synonyms.get((kind, "".join(kept)), ("", ""))
+    return synonyms.get((kind, _make_key(words))) or synonyms.get((kind, _make_key(kept)), ("", ""))
+
+
+def _look_up_part(words: Sequence[str]) -> tuple[str, str]:
+    """Return what one column of several means: `layer 1 depth`, `deflection 2`, `skin thickness`."""
+    unnumbered = [word for word in words if not word.isdecimal()]
+    if len(words) - len(unnumbered) == 1 and (part := _look_up("column", unnumbered))[0] in NUMBERED:
+        return part
+    part = _look_up("column", words[-1:])
+    return part if part[0] in OF_LAYERS else ("", "")
 
 
 def find_meaning(kind: str, text: str) -> str:
@@ -105,9 +122,8 @@ def read_header(text: str) -> Header:
         plain, unit = text, ""
     words = _split(plain)
     meaning, usual = _look_up("column", words)
-    if not meaning and len(words) > 1 and words[-1].isdecimal():
-        numbered, usual = _look_up("column", words[:-1])  # `boundary 2` is one of several, `deflection 2` too
-        meaning = numbered if numbered in ("boundaries", "deflection", "thickness") else ""
+    if not meaning:
+        meaning, usual = _look_up_part(words)
     if meaning:  # lengths without a unit have that of the coordinates
         known_unit = unit if usual in UNITS_MM or find_meaning("unit", unit) else ""
         return Header(text, meaning, unit=known_unit or ("" if usual in UNITS_MM else usual))
@@ -117,7 +133,7 @@ def read_header(text: str) -> Header:
         return Header(text, "quaternion", unit=unit)  # `poses[3]/orientation/x`
     if len(axes) != 1:
         return Header(text, unit=unit)
-    rest = [word for word in words if word != axes[0] and ("filler", word) not in _load()]
+    rest = [word for word in words if word != axes[0] and not find_meaning("filler", word)]
     beside = _look_up("column", rest)[0] if rest else ""
     beside_axis = re.sub(
         rf"(?<![a-z]){axes[0]}(?![a-z])", " ", _CAMEL.sub(" ", plain), count=1, flags=re.IGNORECASE

@@ -216,6 +216,7 @@ def is_comment(row: Sequence[str], comment: str) -> bool:
 
 BLOCK = "block"  #: header of the numbers of blocks, where there are several
 REMARKED = ("needle", "unit", "medium|specimen", *ATTRIBUTES)  #: what a remark may state
+OF_TEXT = ("needle", "medium", "specimen", "medium|specimen")  #: whose values are any text
 OWN_PAIRS = ("needle", "depth", "bevel_side", "medium", "specimen")  #: they end with their block
 
 
@@ -239,14 +240,13 @@ def _list_body(grid: Grid, record: TableRecord, unread: list[str]) -> Iterator[t
         sign = " " if record.separator in ("", " ", "\t") else f"{record.separator} "
         line = sign.join(filter(None, row)).lstrip(f"{record.comment} ")
         if is_remark:
-            found = read_remark(line, heads)
+            found, rest = read_remark(line, heads)
         else:
             is_full = n >= last and sum(map(bool, row)) == len(heads) > len(("name", "value"))
             pair = read_pair(row) if record.blocks and not is_full else None
-            found = dict([pair]) if pair else {}
-        if is_remark or (n + 1 < first and not record.blocks):
-            is_read = found and (re.search("[:=]", line) or len(found) > len(re.findall("[,;] ", line)))
-            unread += [] if is_read else [line]
+            found, rest = dict([pair]) if pair else {}, line
+        if rest and (is_remark or (n + 1 < first and not record.blocks)):
+            unread.append(rest)
         if found:
             stated = stated if is_above else {key: text for key, text in stated.items() if key not in ends}
             stated, is_above = stated | found, True
@@ -273,54 +273,62 @@ def read_pair(row: Sequence[str]) -> tuple[str, str] | None:
 
 
 _NUMBERS = re.compile(r"(-?\d(?:[\d.,; ]*\d)?) *([^\W\d]*)")  # `15, 35 mm`
+_PHRASE = re.compile(r"([^\d:=：]*?) *([:=：]?) *(\d+(?:[.,]\d+)?) *([^\W\d]+)")  # `needle length 150 mm`
+_NEXT_PHRASE = re.compile(r"[,;，；] *(?=[^\W\d_])")  # before a word: numbers behind a comma are of a list
 
 
-_PHRASE = re.compile(r"(\D*?) *(\d+(?:[.,]\d+)?) *([^\W\d]+)")  # `needle length 150 mm`
+def read_remark(text: str, head: Sequence[str]) -> tuple[dict[str, str], str]:
+    """Return the values that a line of remarks states of the needles of a table, by name; and the rest.
 
-
-def read_remark(text: str, head: Sequence[str]) -> dict[str, str]:
-    """Return the values that a line of remarks states of the needles of a table, by their names.
-
-    `# depth: 40 mm`, `# medium: gel`, `# needle 18G, length 150 mm`. Nothing of any other line, and of what a
-    column of the `head` states.
+    `# depth: 40 mm`, `# medium: gel`, `# needle 18G, length 150 mm, bevel up`. What a column of the `head`
+    states is not read. The rest are the phrases that state nothing.
     """
-    name, value = read_pair([text]) or ("", "")
-    pairs = [(name, value)] if value and name != "title" else [*_read_phrases(text)]
     in_head, stated = {read_header(cell).meaning for cell in head}, dict[str, str]()
-    for name, value in pairs:
-        meaning = read_header(name).meaning
-        if meaning not in REMARKED or meaning in in_head:
-            continue
-        if meaning == "unit":
-            stated |= {name: value} if find_meaning("unit", value) in UNITS_MM else {}
-        elif meaning == "bevel_side":
-            stated |= {name: value} if is_side(value, "") else {}
-        elif (
-            meaning not in MEANINGS
-            or not MEANINGS[meaning].unit
-            or find_meaning("value", value)
-            or meaning == "diameter"
-        ):
-            stated[name] = value
-        elif quantity := _NUMBERS.match(value):
-            numbers, unit = re.sub("[,;]? +", "; ", quantity[1]), quantity[2]
-            stated[f"{name} [{unit}]" if find_meaning("unit", unit) else name] = numbers
-    return stated
+    rest, subject, text_name = list[str](), "", ""
+    for phrase in _NEXT_PHRASE.split(text):
+        name, value = _read_phrase(phrase, subject) or ("", "")
+        subject = subject or re.split(r"[\d:=：]", phrase)[0].strip()
+        if name and (meaning := read_header(name).meaning) not in in_head:
+            stated[name], text_name = value, name if meaning in OF_TEXT else ""
+        elif text_name and not re.search("[:=：]", phrase):
+            stated[text_name] += f", {phrase}"  # of `medium: gel, with fat`
+        else:
+            rest.append(phrase)
+    return stated, ", ".join(rest)
 
 
-def _read_phrases(text: str) -> Iterator[tuple[str, str]]:
-    """Yield names and quantities such as `needle 18G, length 150 mm`: a gauge, and the needle's length."""
-    subject = ""
-    for match in map(_PHRASE.fullmatch, re.split("[,;] ", text)):
-        if match is None:
-            continue
-        name, number, unit = match.groups()
-        subject = subject or name
-        if find_meaning("unit", unit) == "G":
-            yield "gauge", f"{number}G"
-        elif find_meaning("unit", unit) in UNITS_MM:
-            known = (words for words in (name, f"{subject} {name}") if read_header(words).meaning in REMARKED)
-            yield next(known, name), f"{number} {unit}"
+def _read_phrase(phrase: str, subject: str) -> tuple[str, str] | None:
+    """Return the name and the value in a phrase of a remark; `subject`: what the remark begins with.
+
+    `depth: 40 mm`, `18G`, `bevel up`; `length 150 mm` is that of the subject.
+    """
+    name, value = read_pair([phrase]) or ("", "")
+    if match := _PHRASE.fullmatch(phrase):
+        words, sign, number, text = match.groups()
+        unit = find_meaning("unit", text)
+        if unit == "G" and read_header(words).meaning in ("", "needle", "diameter"):
+            return "gauge", f"{number}G"
+        if not sign and unit in UNITS_MM:
+            names = (words, f"{subject} {words}")
+            name = next((known for known in names if read_header(known).meaning in REMARKED), "")
+            value = f"{number} {unit}"
+    elif name == "title":
+        name, _, value = phrase.rpartition(" ")
+        name = name if read_header(name).meaning == "bevel_side" else ""
+    meaning = read_header(name).meaning
+    if meaning not in REMARKED or not value:
+        return None
+    if meaning == "unit":
+        return (name, value) if find_meaning("unit", value) in UNITS_MM else None
+    if meaning == "bevel_side":
+        return (name, value) if is_side(value, "") else None
+    is_number = meaning in MEANINGS and MEANINGS[meaning].unit and meaning != "diameter"
+    if not is_number or find_meaning("value", value):
+        return name, value
+    if quantity := _NUMBERS.match(value):
+        numbers, unit = re.sub("[,;]? +", "; ", quantity[1]), quantity[2]
+        return (f"{name} [{unit}]" if find_meaning("unit", unit) else name), numbers
+    return None
 
 
 def _lay_out_pairs(grid: Grid, record: TableRecord, rows: Sequence[Sequence[str]]) -> Table:

@@ -150,7 +150,8 @@ def turn_deflections(
     """Return deflections (N, 2) of tips toward +y and +z of bevels, which are turned by `turns`, rad.
 
     Where bevels differ, and each tip has one deflection that is not negative, they are toward the bevels.
-    DataError if bevels face several ways, and nothing states the other deflection.
+    One deflection of bevels that face along one line is along that line. DataError if bevels face several
+    ways, and nothing states the other deflection.
     """
     up, right = np.array([tip.deflection for tip in tips]).T
     is_one = up.any() and not right.any()
@@ -159,6 +160,10 @@ def turn_deflections(
             "toward the bevel: no deflection is negative, though bevels differ"
         )
         return np.column_stack([np.array(sides) * up, right])
+    if is_one and any(turns) and len({*turns}) == 1:
+        degrees = np.degrees(turns[0])
+        asked.settler.assumed["deflection"] = f"positive toward {degrees:g} deg, as all bevels face this line"
+        return np.column_stack([up, right])
     if is_one and any(turns):
         raise DataError(
             "bevels face several ways, and one deflection of each tip is stated",
