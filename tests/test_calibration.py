@@ -59,15 +59,6 @@ def test_exact_posteriors_pass_and_narrow_ones_fail():
     assert passes.to_dict() == {"exact": True, "narrow": False, "wide": False}
 
 
-def test_rows_of_one_truth_count_as_one_trial():
-    """Copies of the same places change no count; half of each truth covered is half of the truths."""
-    alone = np.random.default_rng(1).random(60)
-    pits = {"a": alone, "b": np.column_stack([alone] * 7), "half": np.tile([0.5, 0.99], (60, 1))}
-    table = summarize(place_all(pits)).iloc[:, :4]
-    np.testing.assert_allclose(table.loc["a"], table.loc["b"])
-    assert table.loc["half"].tolist() == [30.0] * 4
-
-
 def test_the_rows_of_the_documents_pass_from_the_prior_and_cover_tips_of_other_truths():
     rows = pd.read_csv(ROOT / "docs/figures/calibration.csv")
     for study, some in rows.groupby("study"):

@@ -138,15 +138,6 @@ def test_the_first_page_of_a_study_has_its_parameters_and_at_most_25_lines(capsy
     assert len(table.rows) == len(names) and all(all(row) for row in table.rows)
 
 
-@pytest.mark.parametrize("width", [40, 72, 140])
-def test_columns_are_those_of_the_environment(width, monkeypatch, capsys, tmp_path):
-    monkeypatch.setenv("COLUMNS", str(width))
-    show_run(TERMINAL, study(1), tmp_path)
-    lines = [line for line in capsys.readouterr().out.splitlines() if str(tmp_path) not in line]
-    assert max(map(len, lines)) <= width
-    assert width < 140 or max(map(len, lines)) > 100
-
-
 def test_a_second_figure_stands_on_the_first_page_too(world, tmp_path):
     results = world.restore("cross_validation")
     drawn = find_kind(results.kind).report.draw(results, tmp_path)

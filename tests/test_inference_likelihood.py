@@ -20,7 +20,7 @@ from refusals import refusal
 from needlefit.datasets.insertion import Noise
 from needlefit.errors import DataError
 from needlefit.inference.forward_model import predict
-from needlefit.inference.likelihood.observation import Discrepancy, pose_modes
+from needlefit.inference.likelihood.observation import Discrepancy
 from needlefit.inference.likelihood.observations import OBSERVATIONS, make_observation
 from needlefit.mechanics.shape import compute_positions
 from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
@@ -39,11 +39,6 @@ def test_independent_noise_has_the_deviations_of_all_errors():
     sd = np.sqrt(0.05**2 + 0.1**2 + shift**2 + (0.01 * STRAIGHT[:, 0]) ** 2)
     assert known.whitening == approx(np.diag(1 / sd))
     refusal(DataError, "point_sd_mm", lambda: make_observation(dataset([], Noise()), straight()))
-
-
-def test_two_points_have_the_slope_of_the_line_between_them():
-    along = pose_modes(np.array([[0.0, 0.0], [10.0, 1.0]]))[:, 2]  # by a shift along the needle
-    assert along == approx([-0.1, -0.1])
 
 
 def test_of_a_thinned_needle_every_so_many_points_up_to_the_tip_stay():
@@ -86,15 +81,6 @@ def test_a_shift_across_costs_nothing_where_the_direction_alone_is_known(compare
     assert rise == approx((squares[1] - squares[0]) / 2, rel=1e-3) and rise > 1.0
     assert (known.rows, known.free.shape[1]) == (31 * count - count, count)
     assert_one_density(q, off)
-
-
-def test_densities_outside_the_bounds_are_zero():
-    record = medium(1)
-    p = problem(record, [measure(TRUTH, record, insertion(50.0))])
-    theta = p.parameters.theta(TRUTH)
-    assert math.isfinite(p.log_posterior(theta))
-    assert p.log_posterior(p.upper + 1e-9) == -math.inf
-    assert p.log_posterior(np.array([theta[0], np.nan])) == -math.inf
 
 
 # ---- exact derivatives of a problem, against central differences

@@ -14,7 +14,6 @@ from refusals import refusal
 from needlefit.datasets.read import check, read
 from needlefit.datasets.sections import format_sections
 from needlefit.errors import DataError
-from needlefit.geometry.curves import arc_length
 from needlefit.geometry.smoothing_spline import SplineSections, design_matrix, fit_matrices, make_knots
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.observation import whiten_deflections
@@ -151,13 +150,3 @@ def test_knots_closer_than_points_are_refused(tmp_path):
     file.write_text(text.replace("knot_spacing_mm = 2.0", "knot_spacing_mm = 8.0"))
     dataset = read(file)
     assert all(np.isfinite(make_observation(dataset, one).whitening).all() for one in dataset.insertions)
-
-
-def test_operators_that_the_data_exclude_are_refused(tmp_path):
-    file = with_measurement(tmp_path / "n", 'operator = "gaussian"\nwidth_mm = 40')
-    (fault,) = check(file)
-    assert f"{file}, key" in fault.where
-    most = fault.expected.split()[-1]
-    file.write_text(file.read_text().replace("width_mm = 40", f"width_mm = {most}"))
-    lengths = [np.ptp(arc_length(one.points[:, :2])) for one in read(file).insertions]
-    assert float(most) == pytest.approx(min(lengths) / 4, rel=0.05)

@@ -380,15 +380,6 @@ def test_a_fit_is_compared_with_the_references_on_its_own_needles():
     assert (found.passed, found.needles, found.closer, found.threshold) == (None, 9, 0, approx(0.05))
 
 
-def test_leaving_one_out_of_one_specimen_is_compared_and_not_tested():
-    results = stereo()
-    errors = results.frames["errors"].assign(specimen="gel-1")
-    one = with_tip_errors(results.with_frames(errors=errors), **{**CURVES, "fitted": (0.1, 0.0)})
-    judged = judge(one)
-    assert (judged.outcome, judged.trials, judged.specimens) == ("closer than both", 1, 1)
-    assert judged.compared.needles == 3
-
-
 def test_differences_are_tested_from_three_trials_on():
     results = with_tip_errors(stereo(), **{**CURVES, "fitted": (0.1, 0.0)})
     errors = results.frames["errors"]

@@ -219,10 +219,3 @@ def test_units_are_judged_whatever_is_called(values, named):
             warnings.simplefilter("always")
             call()
         assert {str(one.message).split("`")[1] for one in found} == ({named} if named else set())
-
-
-def test_sizes_of_a_tube_in_metres_are_named():
-    with pytest.warns(UserWarning, match="`outer_diameter`.*metres"):
-        Needle.from_tube(0.2, 0.00127, 60e3)
-    with pytest.warns(UserWarning, match="`length`.*metres"):
-        Needle.from_tube(0.2, 1.27, 60e3)

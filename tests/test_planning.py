@@ -78,23 +78,23 @@ def test_a_plan_is_the_needle_that_its_steps_simulate():
 
 
 def test_an_obstacle_on_the_way_is_passed_by():
-    x, y = plan((45.0, 2.0)).nominal[20]
-    found = plan((45.0, 2.0), circles=[(x, y, 0.5)], entry_mm=5)
+    x, y = plan((45.0, 2.0), turns=0).nominal[20]
+    found = plan((45.0, 2.0), circles=[(x, y, 0.5)], entry_mm=5, turns=1)
     assert compute_clearances(found.nominal[None], found.goal.obstacles[0])[0] > 0.1
     assert found.nominal_miss < 0.2 and found.touched == {"o0": 0.0}
     # one that is just passed does not keep the tip from the target
-    passed = plan((50.73, 0.17), 2.0, [(28.76, -0.45, 0.52)], base_mm=20)
+    passed = plan((50.73, 0.17), 2.0, [(28.76, -0.45, 0.52)], base_mm=20, turns=0)
     assert passed.hits and passed.nominal_miss < 0.1
 
 
 def test_the_probability_is_that_of_draws_that_the_plan_was_not_sought_with():
     one = uncertain()
-    found, tests = plan((40.0, 1.0), 0.1, start=one), one.samples[1]
+    found, tests = plan((40.0, 1.0), 0.25, start=one, turns=0), one.samples[1]
     assert len(found.needles) == len(tests) == 64
     (shapes,) = simulate_batches(one.make_batches(tests, [found.steps]), 1)
     depth = np.array([found.steps[-1].depth])
     tips = np.array([compute_positions(shapes[n], depth)[0, :2] for n in range(64)])
-    assert found.hits == np.sum(np.linalg.norm(tips - found.goal.target, axis=1) <= 0.1)
+    assert found.hits == np.sum(np.linalg.norm(tips - found.goal.target, axis=1) <= 0.25)
     assert found.hits == np.sum(find_hits(found.needles, found.goal))
     assert 0.1 < found.probability < 1 and found.low < found.probability < found.high
 
@@ -187,7 +187,7 @@ def test_a_target_off_the_plane_is_reached_by_the_roll_alone(angle):
 
 
 def test_base_and_turns_help_the_roll_and_draws_spread_in_both_directions():
-    found = plan((45.0, 3.0, -1.5), 1.0, start=uncertain())
+    found = plan((45.0, 3.0, -1.5), 1.0, start=uncertain(), turns=1)
     misses = found.describe_misses()
     assert found.hits and misses["nominal_miss_mm"] < 0.3
     assert np.array(misses["tip_sd_mm"]) == approx(found.needles[:, -1, 1:].std(axis=0))

@@ -20,8 +20,10 @@ from test_datasets import write_mine
 from needlefit import plugins
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError
+from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.observations import make_observation
 from needlefit.mechanics.laws import LAWS
+from needlefit.mechanics.shape import compute_positions
 from needlefit.metrics import Metric
 from needlefit.plugins import PLUGINS_VARIABLE, use_plugins
 from needlefit.registry import Registry
@@ -172,7 +174,6 @@ import numpy as np
 from needlefit.inference.likelihood.nodes import make_nodes
 from needlefit.inference.likelihood.observation import Observation, whiten
 from needlefit.inference.likelihood.observations import ObservationType
-from needlefit.metrics import Metric
 
 BASE_MM = 5.0
 
@@ -192,59 +193,26 @@ class Tilt(ObservationType):
 
 
 TILT = Tilt("tilt")
-TILT_ERROR = Metric(
-    "tilt_deg",
-    "Tilt error",
-    "deg",
-    "Difference of the directions of the tips, in degrees.",
-    compute=lambda curves: np.degrees(np.abs(np.diff((curves.simulated - curves.measured)[-2:, 1])[0])),
-)
 """
 
 
-def write_tilts(dataset, observation):
-    """Let insertions be measured by their tilts too, or by their points alone."""
+def test_an_observation_has_a_number_of_its_own(tmp_path, monkeypatch):
+    """A tilt beside the points, stated to 1e-4 rad, decides their density."""
+    dataset = write_mine(tmp_path / "mine")
     table = pd.read_csv(dataset.parent / "insertions.csv").filter(regex="^(?!observation)")
-    own = {"observation_tilt_rad": 0.05, "observation_tilt_sd_rad": 1e-4} if observation == "tilt" else {}
-    table.assign(observation=observation, **own).to_csv(dataset.parent / "insertions.csv", index=False)
-
-
-@pytest.fixture
-def tilted(tmp_path, monkeypatch):
-    """A project whose insertions have a number of their own beside the points, and its study."""
-    (tmp_path / "work/studies").mkdir(parents=True)
-    monkeypatch.chdir(tmp_path / "work")
-    dataset = write_mine(tmp_path / "work/data/mine")
-    write_tilts(dataset, "tilt")
-    for name, text in (("media/soft", MEDIUM), ("recipes/tiny", RECIPE)):
-        path = Path(f"configs/{name}.toml")
-        path.parent.mkdir(parents=True)
-        path.write_text(text.replace("logarithmic", "ogden"))
-    Path("studies/mine.toml").write_text(LAW_STUDY)
+    table = table.assign(observation="tilt", observation_tilt_rad=0.05, observation_tilt_sd_rad=1e-4)
+    table.to_csv(dataset.parent / "insertions.csv", index=False)
     with plugin_folder(install(tmp_path / "site", module="tilt", source=TILT), monkeypatch):
-        yield dataset
-
-
-def test_an_observation_has_a_number_of_its_own(tilted, monkeypatch, capsys):
-    """A tilt beside the points, stated to 1e-4 rad, is what the fit gives; points alone give another."""
-    data = read(tilted)
-    assert [one.observation_values for one in data.insertions] == [
-        {"tilt_rad": 0.05, "tilt_sd_rad": 1e-4}
-    ] * 2
-    skip_figures(monkeypatch)
-    predict_by_few_draws(monkeypatch)
-    tilts = {}
-    for observation in ("tilt", "points"):
-        write_tilts(tilted, observation)
-        assert run("validate", "mine", "-q") == 0
-        errors = pd.read_csv("reports/mine/errors.csv").query("role == 'tune' and method == 'fitted'")
-        assert errors["tilt_deg"].between(0.0, 20.0).all()
-        shapes = pd.read_csv("reports/mine/shapes.csv").query("role == 'tune' and method == 'fitted'")
-        x, y, _ = shapes[[f"simulated_{axis}_mm" for axis in "xyz"]].to_numpy().T
-        near = x > x[-1] - 5.0
-        tilts[observation] = np.polyfit(x[near], y[near], 1)[0]
-    assert tilts["tilt"] == pytest.approx(0.05, abs=2e-3)
-    assert abs(tilts["points"] - 0.05) > 0.005
+        data = read(dataset)
+        one = data.insertions[0]
+        assert one.observation_values == {"tilt_rad": 0.05, "tilt_sd_rad": 1e-4}
+        record = medium(len(one.sequence))
+        asked = make_problem(data, [one], record, WeightsRecord())
+        at = (asked.lower + asked.upper) / 2
+        shape = predict(asked.values(at), record, one)
+        ends = compute_positions(shape, one.depth - np.array([5.0, 0.0]))[:, 1]
+        misfits = asked.compute_misfits(at)
+        assert np.abs(misfits).max() == pytest.approx(abs(np.diff(ends)[0] / 5.0 - 0.05) / 1e-4, rel=1e-3)
 
 
 def test_the_name_of_a_metric_ends_in_its_unit():

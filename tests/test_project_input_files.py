@@ -1,7 +1,6 @@
 """Reading what may be no file, no text, endless, or nested without end; finding files and runs by name."""
 
 import os
-import re
 import socket
 import time
 import tomllib
@@ -14,7 +13,7 @@ from needlefit.cli.data import new_project
 from needlefit.errors import MAX_MESSAGE_CHARACTERS, ConfigError, DataError, printable
 from needlefit.project import locate
 from needlefit.project.input_files import parse_json, parse_toml, read_bytes, read_json, read_text
-from needlefit.project.toml import check, load
+from needlefit.project.toml import load
 from needlefit.schemas.recipe import RecipeRecord
 
 
@@ -88,19 +87,6 @@ def test_nesting_without_end_is_refused(levels):
 def test_numbers_of_many_digits(digits):
     refused(parse_toml, "a = " + "9" * digits, "f", error=ConfigError)
     refused(parse_json, "[" + "9" * digits + "]", "f")
-
-
-def faults(record=RecipeRecord, **table):
-    with pytest.raises(ConfigError) as caught:
-        check({"schema": 1, **table}, record, "recipe.toml")
-    return caught.value
-
-
-@pytest.mark.parametrize(("value", "expected"), [(0, "greater than 0"), ("estimate", "number")])
-def test_a_wrong_union_value_is_one_fault(value, expected):
-    fault = faults(likelihood={"noise_scale": value})
-    assert re.findall("`(.*?)`", fault.what) == ["likelihood.noise_scale"]
-    assert expected in fault.expected and '"estimated"' in fault.expected
 
 
 def test_a_file_of_a_later_schema_is_refused_and_left_alone(tmp_path):

@@ -25,12 +25,11 @@ from needlefit import (
 )
 from needlefit.datasets.insertion import Dataset, Noise
 from needlefit.datasets.read import read
-from needlefit.errors import ConfigError
 from needlefit.inference.forward_model import PreparedModel, predict
 from needlefit.inference.parameters import Parameters
 from needlefit.project.locate import find_file
 from needlefit.schemas.recipe import RecipeRecord
-from needlefit.studies.simulated_data import find_true_value, simulate_from_prior, simulate_measurement
+from needlefit.studies.simulated_data import find_true_value, simulate_measurement
 from needlefit.synthetic.build import build_dataset
 from needlefit.synthetic.design import (
     POPULATION,
@@ -93,13 +92,6 @@ def test_a_truth_from_the_prior_differs_by_seed_and_keeps_the_design():
         np.testing.assert_array_equal(ours.points, theirs.points)
         assert ours.depth == planned.depth and ours.pose_angle_sd == planned.pose_angle_sd
     assert first.insertions[0].deflection != second.insertions[0].deflection
-
-
-def test_data_without_noise_are_refused():
-    problem = small_problem()
-    silent = replace(problem, dataset=replace(problem.dataset, noise=Noise()))
-    with pytest.raises(ConfigError, match="no noise"):
-        simulate_from_prior(silent, default_rng(1))
 
 
 def test_readings_of_tips_err_as_the_likelihood_of_their_session_states():

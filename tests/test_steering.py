@@ -17,7 +17,6 @@ from needlefit.errors import ModelError
 from needlefit.inference.forward_model import ParameterDraws
 from needlefit.mechanics.control import Guide, TrackedTip
 from needlefit.planning.draw_weights import WeightedDraws
-from needlefit.planning.steering import PlanLimits
 from needlefit.studies.steering import Steering
 
 SCENE = {
@@ -130,15 +129,6 @@ def test_every_kind_of_measurement_is_expected_where_the_needle_is():
     ):
         found = steering.measure(**{kind: np.add(values, (0.0, 0.2))}, sd=0.1)
         assert found.surprise == approx(2.0, abs=tolerance), kind
-
-
-def test_a_target_out_of_reach_is_said_with_how_near_the_needle_comes():
-    steering = steer()
-    steering.advance(change(steering.now, 60.0))
-    found = steering.plan((75.0, 12.0), limits=PlanLimits(turns=0))
-    assert found.hits == 0 and found.probability == 0 and found.misses.min() > 5
-    assert steering.plan((75.0, steering.predict(75.0).mean[0])).probability > 0.5
-    refusal(ModelError, "target lies at a depth of 50.0 mm", steering.plan, (50.0, 0.0))
 
 
 def test_an_error_changes_nothing():

@@ -4,14 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import TWIN
 from inference_cases import TRUTH, assert_one_density, dataset, insertion, measure, medium
 from problem_cases import ALONG_X, make_problem
-from refusals import refusal
 
 from needlefit.datasets.insertion import Noise
 from needlefit.datasets.read import check, read
-from needlefit.errors import DataError
 from needlefit.geometry.curves import compare_curves
 from needlefit.inference.compared_points import align_points
 from needlefit.inference.forward_model import predict
@@ -102,13 +99,6 @@ def test_all_that_an_insertion_holds_is_simulated_with_its_errors(compared):
         assert np.mean(squares) == pytest.approx(1.0, abs=4 * np.sqrt(2 / len(misfits) / 100))
 
 
-def test_a_tip_alone_is_compared_beside_cross_sections_of_the_scan():
-    data = read(TWIN / "dataset.toml")
-    one = next(one for one in data.insertions if one.sections is not None)
-    assert len(make_observation(data, one).covariance()) > 1
-    assert make_observation(data, replace(one, observation="tip")).covariance().shape == (1, 1)
-
-
 def test_a_tip_has_an_error_across_and_no_error_along_the_needle():
     one = tip(60.0, error=0.3)
     curve = SimulatedCurve(predict(TRUTH, ONE_LAYER, one), one)
@@ -175,10 +165,3 @@ def test_a_table_of_depths_and_deflections_is_a_dataset(tmp_path):
 def test_what_is_wrong_with_a_tip_is_named(tmp_path, rows, expected):
     (fault, *_) = check(written(tmp_path, rows))
     assert expected in fault.what and fault.where.endswith("insertions.csv:2")
-
-
-def test_tips_need_the_place_of_first_contact(tmp_path):
-    rows = "id,depth_mm,tip_y_mm\na,40,2\n"
-    refusal(DataError, "first_point", read, written(tmp_path, rows, TOML.replace("stage", "first_point")))
-    free = TOML.replace("[insertions]\n", '[frame]\npose = "free"\n[insertions]\n')
-    assert check(written(tmp_path / "free", rows, free))
