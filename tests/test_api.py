@@ -15,7 +15,6 @@ from needlefit import api
 from needlefit.errors import ConfigError
 from needlefit.inference import held_parameters, optimize
 from needlefit.project.locate import find_file, shipped_folder
-from needlefit.schemas.study import StudyRecord
 from needlefit.studies import fold_draws
 from needlefit.studies.kinds import prediction
 
@@ -131,16 +130,6 @@ def test_alpha_is_freed_where_draws_alone_show_that_it_moves_points(dataset, mon
     assert freed.loc["alpha1", "status"] == "free" and math.isnan(freed.loc["alpha1", "tip_shift_mm"])
     numbers = ["value", "median", "sd", "interval_low", "interval_high"]
     pd.testing.assert_frame_equal(freed[numbers], asked[numbers])
-
-
-@pytest.mark.usefixtures("few_draws")
-def test_a_study_runs_by_name_record_and_table():
-    table = {"schema": 2, "recipe": "quick", "dataset": "twin", "medium": "chicken", "tune": TUNE}
-    table |= {"validate": [{"insertions": ["chicken-10"]}]}
-    found = needlefit.validate(table, name="small")
-    assert found.kind == "cross_validation" and set(found.frames["errors"]["role"]) == {"tune", "validate"}
-    again = needlefit.validate(StudyRecord.model_validate(table), name="small", jobs=1)
-    assert again.frames["errors"].equals(found.frames["errors"])
 
 
 @pytest.mark.parametrize(

@@ -134,8 +134,10 @@ def leave_run(folder):
     write_manifest(folder)
 
 
-@pytest.mark.parametrize(("command", "place"), REFUSED)
-@pytest.mark.parametrize("whose", ["the user's", "a result"])
+@pytest.mark.parametrize(
+    ("command", "place", "whose"),
+    [*((*one, "the user's") for one in REFUSED), *((*one, "a result") for one in REFUSED[::4])],
+)
 def test_folders_with_foreign_files_are_refused_before_the_run(command, place, whose, project, stubs, capsys):
     """The folder is the user's own, or one that needlefit wrote and the user added to."""
     folder = project / place

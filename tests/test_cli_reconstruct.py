@@ -31,10 +31,6 @@ SAMPLE = shipped_folder() / "data" / "sample_scan"
 VOLUME, MARKERS = SAMPLE / "volumes" / "sample.nrrd", SAMPLE / "markers" / "sample.csv"
 
 
-def warnings_of(folder) -> str:
-    return pd.read_csv(folder / "reconstruction.csv")["warnings"].iloc[0]
-
-
 FOUND: dict[tuple, object] = {}
 """What was found in a volume, by the function and the volume's content."""
 
@@ -230,15 +226,3 @@ def test_faulty_input_is_reported_with_a_fix_and_nothing_is_written(spoil, words
     pages = {name for name in after if name.startswith("out.refused/")}
     assert {name: after[name] for name in after.keys() - pages} == before
     assert "out.refused/refused.csv" in pages
-
-
-@pytest.mark.sweep
-@pytest.mark.usefixtures("searched_once")
-def test_the_pages_of_an_earlier_refusal_go_when_the_scan_is_written(tmp_path):
-    out, refused = tmp_path / "out", tmp_path / "out.refused"
-    assert run("reconstruct", table(tmp_path, entry_dx="-1.0"), "--out", out, "-q") == 3
-    assert (refused / "refused.csv").is_file() and not out.exists()
-    assert run("reconstruct", table(tmp_path), "--out", out, "-q") == 0
-    assert out.is_dir() and not refused.exists()
-    assert run("reconstruct", table(tmp_path, entry_y_mm="4.0"), "--out", tmp_path / "off", "-q") == 0
-    assert "outside the tissue" in warnings_of(tmp_path / "off")

@@ -13,7 +13,7 @@ import needlefit
 from needlefit.errors import DataError
 from needlefit.project.folders import write_manifest
 from needlefit.studies.report import rebuild
-from needlefit.studies.store import RESULTS_FILE, read_run, read_timing, restore_run, store_run
+from needlefit.studies.store import RESULTS_FILE, restore_run, store_run
 
 
 @pytest.fixture(scope="module")
@@ -98,12 +98,3 @@ def test_a_run_without_a_column_is_refused_by_its_name(content, tmp_path):
         del errors["types"][column], errors["columns"][column]
     fault = refusal(DataError, "", restore_run, stored(tmp_path, changed))
     assert all(name in fault.what for name in ("`study1`", "hole, converged", "errors")) and fault.fix
-
-
-def test_a_run_file_of_other_types_names_the_file(tmp_path):
-    for values in ({"name": 1}, {"name": "a", "versions": {"k" * 300: 1}}):
-        (tmp_path / "run.json").write_text(json.dumps(values))
-        caught = refusal(DataError, "", read_run, tmp_path)
-        assert "run.json" in caught.where and len(str(caught)) < 1000
-    (tmp_path / "timing.json").write_text('{"seconds": "long"}')
-    refusal(DataError, "", read_timing, tmp_path)

@@ -22,7 +22,6 @@ from needlefit.imaging.entry import (
     find_entry_arc_length,
     pose_from_shaft,
 )
-from needlefit.imaging.materials import find_steps, list_materials
 from needlefit.imaging.reconstruct import examine
 from needlefit.imaging.reconstruction import EntryPose, IntensityProfile
 from needlefit.imaging.scans import Corrections, LayerSource, Scan
@@ -233,16 +232,6 @@ def test_metal_on_the_tissue_is_passed_and_places_to_choose_from_are_numbered():
     assert "1: 40.0" in entry.doubt.what and "2: 52.0" in entry.doubt.what
 
 
-def test_what_the_needle_passes_is_listed():
-    shown = profile(*PLATE, *FACE, (13.0, 35.0, -5.0))
-    passed = list(list_materials(shown, TIP))
-    assert [run.kind for run in passed] == ["air", "soft", "air", "soft", "soft"]
-    assert_allclose([run.begin for run in passed[1:]], [-19.0, -11.0, 0.0, 13.0], atol=0.3)
-    assert_allclose([run.level for run in passed], [-1000, 110, -1000, 35, -5], atol=3)
-    assert passed[-1].end == TIP
-    assert_allclose(find_steps(shown), [13.0], atol=0.3)
-
-
 # ---- by the tissue's own surface, unless the scan itself shows another place
 
 FACE_MM = cases.ENTRY[2]
@@ -257,13 +246,6 @@ def scan(folder, mesh):
 
 def face(at):
     return make_sheet("own", (11.0, 11.0, at), (0, 0, 1), 20.0, into=1).to_trimesh()
-
-
-@pytest.mark.sweep
-def test_the_tissue_s_own_surface_sets_the_entry(tmp_path):
-    (one,) = reconstruct_needles(scan(tmp_path, face(FACE_MM + 2.0)), cases.RECIPE)
-    assert one.points[0, 2] == pytest.approx(FACE_MM + 2.0, abs=0.05)
-    assert any("own surface" in warning for warning in one.warnings)
 
 
 @pytest.mark.sweep

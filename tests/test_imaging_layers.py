@@ -247,12 +247,6 @@ def test_surfaces_are_compared_with_what_the_scan_shows_and_those_not_crossed_ar
     assert check(scan(), find_crossed_layers(NEEDLE, HOME, (at[0], ahead), EXACT), 11.5) == []
 
 
-def test_a_surface_that_is_listed_twice_is_refused(tmp_path):
-    mesh = save_mesh(tmp_path / "core.stl", CORE)
-    with pytest.raises(DataError, match="twice"):
-        read_layers(scan(mesh, LayerSource(mesh, "solid", 3)), HOME)
-
-
 def test_layers_counted_must_be_met_and_those_not_crossed_are_reported_with_the_gap():
     layers = find_crossed_layers(NEEDLE, HOME, (), EXACT)
     assert layers.sequence == (1,) and len(layers.boundaries) == 0 and layers.points.shape == (0, 3)

@@ -85,17 +85,6 @@ def refused(*arguments, **keywords):
     return str(error)
 
 
-@pytest.mark.parametrize(
-    ("found", "known", "sd", "word"),
-    [
-        (LAYOUT[:2], LAYOUT, 0.1, "2 markers"),
-        (LAYOUT, LAYOUT[:2], 0.1, "known markers: 2 markers"),
-    ],
-)
-def test_markers_that_cannot_be_registered_are_refused(found, known, sd, word):
-    assert word in refused(found, known, sd)
-
-
 def test_markers_on_a_line_are_refused_exactly_and_within_noise():
     line = np.outer(np.arange(4.0), [10.0, 20.0, 5.0])
     assert "line" in refused(line, line, 0.1)

@@ -96,19 +96,6 @@ def test_a_wrong_cell_is_named_with_its_line(folder, columns, cells, words):
     assert words in message and f"{folder / 'scans.csv'}:2: " in message, message
 
 
-def test_faults_of_a_table_are_named_with_line_and_column(folder):
-    message = refused(folder, "scan,marker,speciman", "one.nrrd,markers.csv,block")
-    assert all(f"`{name}`" in message for name in ("marker", "markers", "speciman", "specimen"))
-    assert f"{folder / 'scans.csv'}:1" in message
-    message = refused(folder, "id,medium", "a,gel", "b,gel")
-    assert "`scan`" in message and " faults" not in message
-    message = refused(folder, "id,scan", "one,two.nii.gz", ",one.nrrd")
-    path = folder / "scans.csv"
-    assert message.startswith(f"{path}:3: ") and " id one," in message and f"{path}:2 " in message
-    message = refused(folder, "scan,markers", "one.nrrd,markers.csv", "two.nii.gz,")
-    assert "scans.csv:3" in message and "one world" in message
-
-
 def test_options_of_volumes_named_one_by_one_are_checked(folder):
     (folder / "one.nii").touch()
     with pytest.raises(DataError, match=r" id one,.*one\.nrrd") as error:

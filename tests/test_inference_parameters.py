@@ -105,13 +105,6 @@ def test_missing_and_mistyped_parameters_are_named():
         Parameters.from_record(record.model_copy(update={"parameters": mistyped}))
 
 
-def test_a_shape_parameter_beyond_the_bounds_of_its_law_is_named():
-    table = {n: p for n, p in medium().parameters.items() if not n.startswith("alpha")}
-    changed = {"law": "gent", "parameters": table | {"jm1": ParameterRecord(fixed=-1.0)}}
-    error = refusal(ConfigError, "", lambda: Parameters.from_record(medium().model_copy(update=changed)))
-    assert error.key == "parameters.jm1"
-
-
 def test_draws_of_the_prior_are_flat_where_only_ties_are_stated():
     record = medium(
         3,

@@ -8,7 +8,6 @@ import re
 import shutil
 import time
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -21,9 +20,7 @@ from pytest import approx
 
 from needlefit.mechanics.shape import list_planes
 from needlefit.planning.recording import read_recording, replay
-from needlefit.project.toml import load
 from needlefit.reporting.needle_page import kernel_exists
-from needlefit.schemas.scene import GuideRecord, SceneRecord
 from needlefit.viewer.opening import open_target
 from needlefit.viewer.page_needle import compose_page
 
@@ -158,21 +155,6 @@ def test_the_picture_is_shifted_zoomed_and_goes_back(page):
         window = get(page, "n.view.box")
         assert left >= window["left"] and left + width <= window["left"] + window["width"]
         assert top >= window["top"] and top + height <= window["top"] + window["height"]
-
-
-def test_a_guide_is_moved(chromium, tmp_path):
-    record = load(Path("configs/scenes/phantom2.toml"), SceneRecord)
-    guide = GuideRecord(x_mm=-25.0, y_mm=0.0, name="template")
-    viewed = open_target("phantom2", first="scene")
-    path = tmp_path / "page.html"
-    path.write_text(
-        compose_page(replace(viewed, record=record.model_copy(update={"guides": (guide,)}))), "utf-8"
-    )
-    with opened(chromium, path) as page:
-        enter(page.locator("#guide-fields .number >> nth=0"), "-30")
-        until(page, "s.guides[0].x === -30")
-        enter(page.locator("#guide-fields .number >> nth=1"), "0.1")
-        until(page, "s.guides[0].y === 0.1")
 
 
 BYTES = """(({x, u, slope, constraints}) => {

@@ -150,31 +150,6 @@ def test_a_dataset_may_be_named_by_its_folder(project):
     assert all(map(locate.is_path, (".", "..", "mine.toml"))) and not locate.is_path("mine")
 
 
-def test_a_fit_is_no_study_and_the_command_for_it_is_named(project):
-    (project / "configs/fits/my gel.toml").write_text("schema = 1\n")
-    for name, written in (("gel", "gel"), ("my gel", "'my gel'"), ("./configs/fits/gel.toml",) * 2):
-        with pytest.raises(ConfigError, match="is a fit") as fault:
-            locate.find_studies(name)
-        assert fault.value.fix == f"use: needlefit tune {written}"
-
-
-@pytest.mark.parametrize(
-    ("name", "fix"),
-    [
-        ("d/insertions.csv", "check d/dataset.toml"),
-        ("d/centerlines/a.csv", "check d/dataset.toml"),
-        ("needles.csv", "import needles.csv"),
-    ],
-)
-def test_a_table_names_its_dataset_or_the_import(tmp_path, monkeypatch, name, fix):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "d/centerlines").mkdir(parents=True)
-    (tmp_path / "d/dataset.toml").touch()
-    with pytest.raises(ConfigError) as fault:
-        locate.find_dataset_or_study(name)
-    assert fault.value.fix == f"needlefit {fix}"
-
-
 @pytest.mark.parametrize("name", ["./study3", "Study3", "study3x", "studies/study3", "studies/study3.toml"])
 def test_a_name_that_is_nearly_right_is_proposed(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

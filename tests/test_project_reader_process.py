@@ -83,10 +83,6 @@ def test_another_exception_is_named_and_not_quoted():
     assert "ValueError" in what and "content" not in what
 
 
-def test_output_printed_by_a_library_is_ignored():
-    assert run("prints") == (None, {})
-
-
 def test_the_child_imports_nothing_from_the_working_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("numpy.py").write_text("raise RuntimeError")

@@ -128,15 +128,6 @@ def test_a_needle_in_the_address_is_shown_and_written_again(shared, chromium):  
 
 
 @NO_BROWSER
-def test_the_printed_file_has_the_values_of_its_inputs(shared, chromium):  # noqa: F811
-    with open_offline(chromium, shared) as page:
-        page.emulate_media(media="print")
-        fields = page.locator(".field")
-        assert fields.count() == fields.locator(".number:visible").count() == 16
-        assert page.locator(".slider:visible, button:visible").count() == 0
-
-
-@NO_BROWSER
 def test_the_depth_is_dragged_along_the_page_of_a_plan(chromium, tmp_path, capsys):  # noqa: F811
     words = ("phantom2", "--target", "45,2", "--obstacle", "25,0.4,0.8", "--turns", "1", "--json")
     assert run("plan", *words, "--out", str(tmp_path)) == 0
