@@ -72,7 +72,7 @@ def find_not_imported(folder: Path) -> list[str]:
 
 
 def tabulate_needles(dataset: Dataset) -> pd.DataFrame:
-    """Return one row for each insertion: points, depth, deflection, entry, layers, bevel against bend."""
+    """Return one row for each insertion: points or sensors, depth, deflection, entry, layers, bevel."""
     sides = find_bend_sides(dataset.insertions, dataset.noise)
     return pd.DataFrame([*map(_describe_needle, dataset.insertions, sides)])
 
@@ -82,9 +82,11 @@ def _describe_needle(insertion: Insertion, bend: BendSide) -> dict[str, object]:
     depths = ", ".join(f"{depth:.1f}" for depth in insertion.boundaries)
     side = _SIDES[bend] if insertion.is_posed or insertion.bevel is not None else "(free shape)"
     side = "(turned)" if insertion.turns else side
+    sensors = 0 if insertion.curvature is None else len(insertion.curvature)
+    counts = {"tip": 1 + sensors, "curvature": sensors}
     row: dict[str, object] = {
         "insertion": insertion.id,
-        "points": 1 if insertion.observation == "tip" else len(insertion.centerline),
+        "points": counts.get(insertion.observation, len(insertion.centerline)),
         "depth (mm)": round(insertion.depth, 2),
         "deflection (mm)": round(insertion.deflection, 2),
         "entry x, y, z (mm)": _format_point(entry),

@@ -22,7 +22,7 @@ from needlefit.datasets.importing.synonyms import list_bare_numbers
 from needlefit.errors import ConfigError, DataError
 from needlefit.project.locate import join_names
 from needlefit.project.toml import check, load, override
-from needlefit.project.units import UNITS_MM
+from needlefit.project.units import UNITS_MM, UNITS_PER_MM
 from needlefit.schemas.mapping import MappingRecord
 
 STATED_MM = (1.0, 2000.0)  # least and greatest length (mm) of the longest needle by a stated unit
@@ -199,18 +199,24 @@ def _settle_unit(draft: Draft, files: Sequence[Path]) -> None:
 
 
 def _doubt_units(draft: Draft, files: Sequence[Path]) -> None:
-    """Ask in what unit lengths are that state none, where no needle has them in the unit that is assumed."""
+    """Ask in what unit lengths are that state none, where no needle has them in the unit that is assumed.
+
+    Of curvatures, which are 0 in some places, the greatest is asked about.
+    """
     for mapped in list_tables(draft.to_record(DRAFT), files, DRAFT):
         for meaning, column in mapped.record.columns.items():
             if f"{meaning}.unit" not in draft.assumed or not (limits := MEANINGS[meaning].likely):
                 continue
             cells = {cell for cells in mapped.cells[meaning] for cell in cells}
-            numbers = [number for cell in cells for number in list_bare_numbers(cell) if number]
+            numbers = [abs(number) for cell in cells for number in list_bare_numbers(cell) if number]
+            factors = UNITS_MM
+            if MEANINGS[meaning].unit == "1/mm":
+                numbers, factors = sorted(numbers)[-1:], UNITS_PER_MM
             fits = {
                 unit: all(limits[0] <= number * factor <= limits[1] for number in numbers)
-                for unit, factor in UNITS_MM.items()
+                for unit, factor in factors.items()
             }
-            unit = column.unit or "mm"
+            unit = column.unit or MEANINGS[meaning].unit
             if numbers and not fits[unit]:
                 answers = {name: {f"{meaning}.unit": name} for name, is_likely in fits.items() if is_likely}
                 shown = f"{max(numbers):g} {unit}"
