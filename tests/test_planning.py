@@ -80,7 +80,8 @@ def test_a_plan_is_the_needle_that_its_steps_simulate():
 def test_an_obstacle_on_the_way_is_passed_by():
     x, y = plan((45.0, 2.0), turns=0).nominal[20]
     found = plan((45.0, 2.0), circles=[(x, y, 0.5)], entry_mm=5, turns=1)
-    assert compute_clearances(found.nominal[None], found.goal.obstacles[0])[0] > 0.1
+    assert compute_clearances(found.nominal[None], found.goal.obstacles[0], found.goal)[0] > 0.1
+    assert found.goal.needle_radius == approx(insertion().needle.outer_diameter / 2)
     assert found.nominal_miss < 0.2 and found.touched == {"o0": 0.0}
     # one that is just passed does not keep the tip from the target
     passed = plan((50.73, 0.17), 2.0, [(28.76, -0.45, 0.52)], base_mm=20, turns=0)
@@ -262,7 +263,16 @@ def test_the_bevel_of_a_path_angle_scene_is_planned_too():
 def test_clearance_is_the_distance_from_the_rim(centre, clearance):
     line = np.array([[[0.0, 0.0], [10.0, 0.0]]])
     obstacle = ObstacleRecord(name="a", centre_mm=centre, radius_mm=1)
-    assert compute_clearances(line, obstacle) == approx(clearance)
+    thin, thick = Goal((10.0, 0.0)), Goal((10.0, 0.0), needle_radius=0.6)
+    assert compute_clearances(line, obstacle, thin) == approx(clearance)
+    assert compute_clearances(line, obstacle, thick) == approx(clearance - 0.6)
+
+
+def test_a_thick_needle_touches_a_ball_beside_its_plane():
+    balls = (sphere("near", (20.0, 1.0, 1.2)), sphere("far", (20.0, 1.0, 2.0)))
+    found = cut_plane(Goal((45.0, 3.0, 0.0), 1.5, balls, needle_radius=0.6))
+    (circle,) = found.goal.obstacles
+    assert circle.radius_mm == approx(np.sqrt(1.6**2 - 1.2**2) - 0.6) and found.beside == ("far",)
 
 
 def test_a_plan_from_first_contact_does_not_depend_on_the_roll_that_a_scene_states(tmp_path, capsys):

@@ -5,7 +5,7 @@ Needles are arrays (B, K, 2) of B draws, in space (B, K, 3), entry to tip, mm, N
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
 
@@ -21,6 +21,7 @@ from needlefit.schemas.planning import ObstacleRecord
 PATH_POINTS = 41  #: points of a needle, entry to tip
 UNSOLVED_MISS_MM = 100.0  #: the miss that stands for a needle without a solution, mm
 OBSTACLE_PENALTY = 10.0  #: by how much a mm of an obstacle counts more than a mm beside the target
+MIN_CIRCLE_MM = 1e-3  #: least radius of a circle in the plane of the needle, mm
 TARGET_LABEL = "target"  #: beginning of the label of the target in a file of markups, in any case
 MAX_NAME_LENGTH = 40  #: characters of the name of an obstacle; of a longer label the first ones
 
@@ -37,6 +38,7 @@ class Goal:
     target: tuple[float, ...]  #: x and y, in space z too
     radius: float = math.inf
     obstacles: tuple[ObstacleRecord, ...] = ()
+    needle_radius: float = 0.0  #: mm; the needle touches an obstacle with its flank
 
     @property
     def directions(self) -> int:
@@ -49,16 +51,19 @@ class Goal:
             obstacle.model_copy(update={"centre_mm": (*obstacle.centre_mm, 0.0)[:3]})
             for obstacle in self.obstacles
         ]
-        return Goal((*self.target, 0.0)[:3], self.radius, tuple(spheres))
+        return replace(self, target=(*self.target, 0.0)[:3], obstacles=tuple(spheres))
 
 
-def compute_clearances(needles: Floats, obstacle: ObstacleRecord) -> Floats:
-    """Return the distance (B,), mm, of needles (B, K, D) from the rim of an obstacle; negative inside it."""
+def compute_clearances(needles: Floats, obstacle: ObstacleRecord, goal: Goal) -> Floats:
+    """Return the distance (B,), mm, from the flanks of needles (B, K, D) to the rim of an obstacle of a goal.
+
+    It is negative where a needle is inside.
+    """
     start, along = needles[:, :-1], np.diff(needles, axis=1)
     away = np.asarray(obstacle.centre_mm) - start
     part = np.clip(np.sum(away * along, axis=2) / np.maximum(np.sum(along**2, axis=2), 1e-30), 0.0, 1.0)
     nearest: Floats = np.linalg.norm(away - part[..., None] * along, axis=2).min(axis=1)
-    return nearest - obstacle.radius_mm
+    return nearest - obstacle.radius_mm - goal.needle_radius
 
 
 def compute_misses(needles: Floats, goal: Goal) -> Floats:
@@ -70,7 +75,7 @@ def find_hits(needles: Floats, goal: Goal) -> Bools:
     """Return which needles (B,) end within the radius of the target and touch no obstacle."""
     hits: Bools = compute_misses(needles, goal) <= goal.radius
     for obstacle in goal.obstacles:
-        hits &= compute_clearances(needles, obstacle) >= 0
+        hits &= compute_clearances(needles, obstacle, goal) >= 0
     return hits
 
 
@@ -79,7 +84,7 @@ def compute_residuals(needles: Floats, goal: Goal) -> Floats:
     solved = np.isfinite(needles[:, -1, 0])
     parts = [np.where(solved[:, None], needles[:, -1] - goal.target, UNSOLVED_MISS_MM)]
     for obstacle in goal.obstacles:
-        near = np.maximum(0.0, -compute_clearances(needles, obstacle))
+        near = np.maximum(0.0, -compute_clearances(needles, obstacle, goal))
         parts.append(OBSTACLE_PENALTY * np.where(solved, near, 0.0)[:, None])
     return np.hstack(parts).ravel() / math.sqrt(len(needles))
 
@@ -94,7 +99,10 @@ class PlaneGoal:
 
 
 def cut_plane(goal: Goal) -> PlaneGoal:
-    """Return the goal in the plane through x and the target of one in space; spheres are cut to circles."""
+    """Return the goal in the plane through x and the target of one in space; spheres are cut to circles.
+
+    A needle touches a circle where its flank touches the sphere.
+    """
     x, y, z = goal.target
     # the smaller of the two turns, at most 90 degrees: the bevel reaches both sides
     roll = math.atan(z / y) if y else math.copysign(math.pi / 2, z) if z else 0.0
@@ -103,13 +111,15 @@ def cut_plane(goal: Goal) -> PlaneGoal:
     for obstacle in goal.obstacles:
         along, left, up = obstacle.centre_mm[0], obstacle.centre_mm[1], obstacle.centre_mm[-1]
         off = up * cos - left * sin
-        if abs(off) >= obstacle.radius_mm:
+        reach = obstacle.radius_mm + goal.needle_radius
+        if abs(off) >= reach:
             beside.append(obstacle.name)
             continue
-        cut = math.sqrt(obstacle.radius_mm**2 - off**2)
+        cut = max(math.sqrt(reach**2 - off**2) - goal.needle_radius, MIN_CIRCLE_MM)
         centre = along, left * cos + up * sin
         circles.append(ObstacleRecord(name=obstacle.name, centre_mm=centre, radius_mm=cut))
-    flat = Goal((x, y * cos + z * sin if z else y), goal.radius, tuple(circles))
+    target = (x, y * cos + z * sin if z else y)
+    flat = replace(goal, target=target, obstacles=tuple(circles))
     return PlaneGoal(flat, math.degrees(roll), tuple(beside))
 
 

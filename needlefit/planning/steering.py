@@ -139,6 +139,10 @@ class StartedInsertion:
         before = self.now.controls.before
         return self.needle.length + (before[0].x if before else 0.0) - 1.0
 
+    def widen(self, goal: Goal) -> Goal:
+        """Return a goal whose obstacles this needle touches with its flank, where its diameter is known."""
+        return replace(goal, needle_radius=(self.needle.outer_diameter or 0.0) / 2)
+
     @cached_property
     def samples(self) -> tuple[ParameterDraws, ParameterDraws]:
         """The draws on which plans are sought, and those on which they are tested."""
@@ -243,6 +247,7 @@ def plan_steering(
     Raises ModelError if the target is not ahead of the tip, out of the needle's reach, or no needle is found
     on the way.
     """
+    goal = insertion.widen(goal)
     goal = goal.to_space() if any(step.acts_along_z for step in insertion.path) else goal
     search = _Search(insertion, goal, limits or PlanLimits(), threads, sought or insertion.samples[0])
     x, nearest = goal.target[0], insertion.now.depth + NEAREST_TARGET_MM
@@ -268,6 +273,7 @@ def plan_to_target(
     To a target outside of the plane z = 0 the bevel is rolled as the insertion begins, while the base moves
     along y; where that does not reach it, bevel and base are rolled together.
     """
+    goal = insertion.widen(goal)
     plane = cut_plane(goal)
     if not goal.target[2]:
         return plane, plan_steering(insertion, plane.goal, limits, threads)
@@ -466,7 +472,7 @@ class _Search:
         hits = int(np.sum(find_hits(needles, goal)))
         low, high = wilson_interval(hits / len(needles), len(needles))
         touched = {
-            obstacle.name: float(np.mean(compute_clearances(needles, obstacle) < 0))
+            obstacle.name: float(np.mean(compute_clearances(needles, obstacle, goal) < 0))
             for obstacle in goal.obstacles
         }
         turns = (now.depth,) * (way[0].bevel != now.bevel) + chosen.turns
@@ -600,7 +606,7 @@ def _smooth_risk(needles: Floats, goal: Goal, rules: _RiskRules) -> float:
     """Return the mean over draws of a smooth step from 1, far outside the target or in an obstacle, to 0."""
     misses = compute_misses(needles, goal)
     margins = np.array(
-        [goal.radius - misses, *(compute_clearances(needles, obstacle) for obstacle in goal.obstacles)]
+        [goal.radius - misses, *(compute_clearances(needles, obstacle, goal) for obstacle in goal.obstacles)]
     )
     margins = np.nan_to_num(margins, nan=-1e3)
     off = np.minimum(np.nan_to_num(misses, nan=np.inf) / goal.radius, 1.0)
