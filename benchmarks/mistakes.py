@@ -6,7 +6,8 @@ Each kind of mistake is made in fresh needles like those of the start page (two 
 specimens and errors drawn anew), which are imported as a table of points and one of needles. They are judged
 by the warnings of `check`, then by a quick fit to the others. A mistake is *refused* by an error, *named* by
 words with the needle, or the word for all needles alike, that it is made of, and *wrong* by any other words:
-also where a fit names another cause than those that are right.
+also where a fit names another cause than those that are right, or a boundary where none is. It is named
+*beside* where a fit names a sound needle besides.
 
 Sound needles are made of 21 designs, by the model of the package and by six other ones. A set of them is
 *accused* by any warning or doubt, and its verdict is *withheld* if the warning says that the data contradict
@@ -30,10 +31,12 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
+from needlefit.datasets.compared import SIGNIFICANT_SD
 from needlefit.datasets.first_study import write_first_runs
 from needlefit.datasets.importing.prepare import prepare_import
 from needlefit.datasets.importing.writing import write_plan
 from needlefit.errors import NeedlefitError
+from needlefit.inference.common_doubts import MIN_SHIFT_MM
 from needlefit.mechanics.control import Bevel
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import compute_positions
@@ -41,6 +44,7 @@ from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml import load
+from needlefit.schemas.run_metadata import CommonDoubtMetadata
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.advice import list_contradictions
 from needlefit.studies.fit_warnings import warn_of_doubts
@@ -336,7 +340,7 @@ KINDS = {
     "a depth in cm": Mistake("table", partial(rewrite, "depth", lambda depth: depth / 10)),
     "the depths of two needles exchanged": Mistake("table", partial(swap, "depth")),
     "the points of two needles exchanged": Mistake("table", partial(swap, "points")),
-    "a needle and its depth without the last 10 mm": Mistake("table", cut_short, causes=("cut_short",)),
+    "a needle and its depth without the last 10 mm": Mistake("table", cut_short),
     "a needle exported twice": Mistake("table", copy_needle),
     "a needle segmented twice": Mistake("table", segment_again, causes=("of",)),
     "y of another needle pasted": Mistake("table", paste_y, causes=("of",)),
@@ -402,20 +406,25 @@ class Judgement:
     refusal: str = ""
     warnings: tuple[ResultWarning, ...] = ()
     doubts: tuple[tuple[str, str], ...] = ()  # needles and causes
+    shifted: tuple[CommonDoubtMetadata, ...] = ()  # boundaries that all needles put elsewhere
 
     def list_words(self):
         """Return all messages."""
         doubts = [f"{name} ({cause or 'no cause'})" for name, cause in self.doubts]
         return [self.refusal] * bool(self.refusal) + [str(one) for one in self.warnings] + doubts
 
-    def judge(self, culprits, causes):
-        """Return "refused", "named", "wrong" or "silent"."""
+    def judge(self, culprits, causes, tops):
+        """Return an outcome. `tops`: the true depths of the boundaries, mm."""
         if self.refusal:
             return "refused"
         if any(cause and not cause.startswith(causes) for _, cause in self.doubts):
             return "wrong"
+        for boundary in self.shifted:
+            off = min(abs(boundary.stated + boundary.size - top) for top in tops)
+            if off > max(MIN_SHIFT_MM, SIGNIFICANT_SD * boundary.sd):
+                return "wrong"
         if any(culprit in words for culprit in culprits for words in self.list_words()):
-            return "named"
+            return "named" if all(name in culprits for name, _ in self.doubts) else "beside"
         return "wrong" if self.list_words() else "silent"
 
 
@@ -430,27 +439,29 @@ def inspect_needles(needles, fits=True):
             prepared = prepare_import(files, stated, None, None, None)
             dataset = write_plan(made, prepared.content, prepared.plan, prepared.mapping)
             write_first_runs(made, dataset, prepared.plan.choices)
-            found, doubts = doubt(made) if fits else ((), ())
+            found, doubts, shifted = doubt(made) if fits else ((), (), ())
         except NeedlefitError as error:
             return Judgement(refusal=str(error))
     found = (*dataset.warnings, *found)
     warnings = (replace(one, where="") for one in found if one.kind not in OF_IMPORT)
-    return Judgement("", tuple(warnings), tuple(doubts))
+    return Judgement("", tuple(warnings), tuple(doubts), tuple(shifted))
 
 
 def doubt(folder):
-    """Return the warnings of a quick fit of each medium, and the needles that it names with their causes.
+    """Return the warnings of a quick fit of each medium, and what it names.
 
-    That no needle is described by the model is no word about the data.
+    That is the needles with their causes, and boundaries that all put elsewhere. That no needle is
+    described by the model is no word about the data.
     """
-    found, named = [], []
+    found, named, shifted = [], [], []
     for file in sorted(folder.glob("*_study.toml")):
         with contextlib.chdir(file.parent):
             job = load_study(file.stem, load(file, StudyRecord), Settings(file=file))
         doubts = check_quickly(job)
         found += warn_of_doubts(doubts._replace(odd=(), deviating=None))
         named += [(one.insertion, one.cause) for one in doubts.odd]
-    return found, named
+        shifted += [one for one in (doubts.common,) if one is not None and one.stated is not None]
+    return found, named, shifted
 
 
 def judge_mistake(kind, seed, n, fits):
@@ -460,7 +471,7 @@ def judge_mistake(kind, seed, n, fits):
     needles = measure_needles(rng, mistake.design)
     culprits = mistake.make(needles, rng)
     found = inspect_needles(needles, fits)
-    return found.judge(culprits, mistake.causes), found.list_words()
+    return found.judge(culprits, mistake.causes, mistake.design.tops), found.list_words()
 
 
 def judge_sound(design, model, seed, n, fits):
@@ -480,7 +491,7 @@ def main():
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--no-fit", action="store_true", help="judge by what is known before a fit")
     options = parser.parse_args()
-    outcomes, fits, total = ("named", "refused", "wrong", "silent"), not options.no_fit, Counter()
+    outcomes, fits, total = ("named", "beside", "refused", "wrong", "silent"), not options.no_fit, Counter()
     with ProcessPoolExecutor(options.jobs) as pool:
         made = {
             kind: [pool.submit(judge_mistake, kind, options.seed, n, fits) for n in range(options.sets)]
@@ -500,7 +511,7 @@ def main():
             found = Counter(row.result()[0] for row in rows)
             print(f"{kind:48}" + "".join(f"{found[one] or '':>10}" for one in outcomes), flush=True)
             for outcome, words in (row.result() for row in rows):
-                if outcome == "wrong":
+                if outcome in ("beside", "wrong"):
                     print(*(f"    {one}" for one in words), sep="\n")
             total += found
         print(f"{'all mistakes':48}" + "".join(f"{total[one]:>10}" for one in outcomes))

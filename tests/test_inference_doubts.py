@@ -10,6 +10,7 @@ from inference_cases import problem as make_problem
 
 from needlefit.datasets.insertion import Noise
 from needlefit.inference.doubts import find_doubts
+from needlefit.inference.hypotheses import Change, Deviation, explain
 from needlefit.inference.linear_needles import fit_quickly
 
 DEPTHS = np.linspace(35.0, 65.0, 7)
@@ -88,11 +89,20 @@ def test_needles_whose_points_were_exchanged_are_named_with_each_other():
     assert found == {("n2", "of_another", "n5"), ("n5", "of_another", "n2")}
 
 
-def test_a_needle_whose_deepest_points_are_missing_and_one_with_another_boundary_are_named():
-    made = measure_needles(5)
-    made[6] = made[6].with_points(made[6].points[made[6].points[:, 0] < 50])
-    (one,) = doubt(made)
-    assert (one.insertion, one.cause) == ("n6", "cut_short")
+@pytest.mark.parametrize(
+    ("peak", "gain", "is_clear"), [(1.0, 9.5, False), (1.0, 10.0, True), (3.0, 100.0, False)]
+)
+def test_a_change_is_clear_if_it_is_150_times_as_probable_as_none_and_its_size_is_within_the_range(
+    peak, gain, is_clear
+):
+    def measure(change, sizes):
+        return [Deviation(0.0, gain * (1 - (size / peak - 1) ** 2)) for size in sizes]
+
+    found = explain([Change("shifted", starts=(-2.0, 0.0, 2.0), cost=math.log(100.0))], measure, 0.0)
+    assert found.is_clear == is_clear and found.size == pytest.approx(min(peak, 2.0))
+
+
+def test_a_needle_with_another_boundary_is_named():
     made = measure_needles(6)
     made[5] = replace(made[5], boundaries=made[5].boundaries + 12.0)
     (one,) = doubt(made)
@@ -122,6 +132,7 @@ def test_where_more_than_a_quarter_deviate_none_is_accused():
     [
         (lambda points: points + np.outer(points[:, 0], [0, math.tan(math.radians(2)), 0]), "turned", 2.0),
         (lambda points: points + np.array([0, 1.0, 0]), "shifted", 1.0),
+        (lambda points: points + np.array([0, 3.0, 0]), "shifted", 3.0),
     ],
 )
 def test_what_happened_to_all_needles_alike_is_named_with_its_size_and_none_is_accused(by, cause, size):

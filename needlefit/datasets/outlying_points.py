@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import ndtri
@@ -23,15 +22,6 @@ MIN_CURVE_POINTS = 6  #: of fewer points none has the four neighbours of a cubic
 MAX_OUTLYING_PART = 0.25
 
 
-@dataclass(frozen=True)
-class OutlyingPoint:
-    """A point that lies off the smooth curve through its neighbours."""
-
-    index: int  # of the point, from the entry
-    off: Floats  # (3,); from the curve, world, mm
-    sds: float  # its size in standard deviations
-
-
 def find_point_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> dict[str, list[ResultWarning]]:
     """Return the warnings about points off the curves of their needles, by insertion."""
     curves = [entry for entry in listed if len(entry.insertion.points) >= MIN_CURVE_POINTS]
@@ -40,12 +30,12 @@ def find_point_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> dict
     rounding = find_rounding([curve.points.values for curve in curves])
     pairs = [(curve, sd_of_points(curve.insertion, noise, rounding)) for curve in curves]
     larger = max(1.0, _measure_excess(pairs))
-    outlying = {entry.insertion.id: [*_find_in_curve(entry.insertion, larger * sd)] for entry, sd in pairs}
-    return {
-        curve.insertion.id: [_describe(curve, point) for point in outlying[curve.insertion.id]]
-        for curve in curves
-        if 0 < len(outlying[curve.insertion.id]) <= MAX_OUTLYING_PART * len(curve.insertion.points)
-    }
+    outlying = {}
+    for entry, sd in pairs:
+        warnings = [*_find_in_curve(entry, larger * sd)]
+        if 0 < len(warnings) <= MAX_OUTLYING_PART * len(sd):
+            outlying[entry.insertion.id] = warnings
+    return outlying
 
 
 def sd_of_points(insertion: Insertion, noise: Noise, rounding: float) -> Floats:
@@ -64,12 +54,12 @@ def _measure_excess(pairs: Sequence[tuple[ListedInsertion, Floats]]) -> float:
     return float(np.median(np.vstack(sizes)) / ndtri(0.75))
 
 
-def _find_in_curve(insertion: Insertion, sd: Floats) -> Iterator[OutlyingPoint]:
+def _find_in_curve(entry: ListedInsertion, sd: Floats) -> Iterator[ResultWarning]:
     """Yield the outlying points of one curve, the worst first: without each the next is sought.
 
     `sd` (N,): of the points, mm.
     """
-    kept, across = np.arange(len(sd)), insertion.frame.rotation[:, 1:]
+    insertion, kept = entry.insertion, np.arange(len(sd))
     while len(kept) >= MIN_CURVE_POINTS:
         x, *values = insertion.points[kept].T
         off, factor = leave_one_out(x, np.column_stack(values))
@@ -77,15 +67,20 @@ def _find_in_curve(insertion: Insertion, sd: Floats) -> Iterator[OutlyingPoint]:
         worst = int(np.argmax(sds))
         if sds[worst] <= OUTLIER_SD:
             return
-        yield OutlyingPoint(int(kept[worst]), across @ off[worst], float(sds[worst]))
+        yield _describe(entry, int(kept[worst]), off[worst], float(sds[worst]))
         kept = np.delete(kept, worst)
 
 
-def _describe(entry: ListedInsertion, point: OutlyingPoint) -> ResultWarning:
-    """Return a point as a warning that names its row, and the coordinate that is off most."""
-    n, name, axis = point.index, entry.insertion.id, int(np.argmax(np.abs(point.off)))
-    away = f"{point.off[axis]:+.2g} mm along {'xyz'[axis]} ({point.sds:.0f} SD)"
-    place = {0: "the first point", len(entry.insertion.points) - 1: "the tip"}.get(n, f"point {n + 1}")
-    problem = f"{place} of {name} is off the curve of its neighbours by {away}"
+def _describe(entry: ListedInsertion, index: int, off: Floats, sds: float) -> ResultWarning:
+    """Return a warning that names the row of a point, and the coordinate that is off most.
+
+    `index`: from the entry. `off` (2,): across the needle, from the curve of its neighbours, mm.
+    """
+    insertion = entry.insertion
+    away_mm = insertion.frame.rotation[:, 1:] @ off
+    axis = int(np.argmax(np.abs(away_mm)))
+    place = {0: "the first point", len(insertion.points) - 1: "the tip"}.get(index, f"point {index + 1}")
+    problem = f"{place} of {insertion.id} is off the curve of its neighbours by "
+    problem += f"{away_mm[axis]:+.2g} mm along {'xyz'[axis]} ({sds:.0f} SD)"
     fix = "compare this row with its source"
-    return ResultWarning("point_outlier", problem, where=entry.points.where(n), fix=fix)
+    return ResultWarning("point_outlier", problem, where=entry.points.where(index), fix=fix)

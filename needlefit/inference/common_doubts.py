@@ -101,8 +101,7 @@ def list_boundary_shifts(problem: Problem) -> Iterator[Change]:
     for where, (number, deepest) in boundaries.items():
         ends = np.array([0.0, *deepest.boundaries, max(insertion.depth for insertion in insertions)])
         low, stated, high = ends[number : number + 3]
-        # in a larger unit, or as a thickness
-        depths = [factor * stated for factor in LENGTH_UNITS.values()] + [sum(ends[: number + 2])]
+        depths = [factor * stated for factor in LENGTH_UNITS.values()]
         units = {float(depth - stated) for depth in depths if stated < depth < high}
         evenly = np.linspace(low, high, START_SIZES)[1:-1] - stated
         cost = LOG_FITTED + math.log(len(boundaries))

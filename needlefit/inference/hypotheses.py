@@ -89,7 +89,9 @@ class Explanation(NamedTuple):
     sd: float  #: of the size
     sds: float  #: how far the needle then lies from its prediction, in SDs
     log_odds: float  #: that something happened
-    is_clear: bool = False  #: whether nothing else explains what was measured nearly as well
+    #: whether that is far more probable than nothing, its size is known, and nothing else explains the
+    #: measured points nearly as well
+    is_clear: bool = False
 
 
 def _turn(insertion: Insertion, degrees: float, axis: int, _: None) -> Insertion:
@@ -153,11 +155,10 @@ HYPOTHESES: Mapping[str, Hypothesis] = {
         report=math.exp,
         log_volume=lambda size, count: -count * size,
     ),
-    "turned": Hypothesis(_turn, (-15.0, 15.0), (IN_PLANE, ASIDE), common_size=2.0),
-    "shifted": Hypothesis(_shift, (-20.0, 20.0), (IN_PLANE, ASIDE), common_size=2.0),
+    "turned": Hypothesis(_turn, (-15.0, 15.0), (IN_PLANE, ASIDE), common_size=5.0),
+    "shifted": Hypothesis(_shift, (-20.0, 20.0), (IN_PLANE, ASIDE), common_size=5.0),
     "stepped": Hypothesis(_shift, (-20.0, 20.0), (IN_PLANE, ASIDE), _find_step),
     "boundary": Hypothesis(_move_boundary, (-30.0, 30.0), list_choices=list_boundaries, changes_model=True),
-    "cut_short": Hypothesis(lambda insertion, *_: insertion, reaches_tip=False),
     "of_another": Hypothesis(_take_points, list_choices=_list_deeper, reaches_tip=False, changes_model=True),
 }
 
@@ -194,13 +195,18 @@ def explain(
     if best is None or best.sds > PREDICTED_SD:
         return None
     other = max((row.log_odds for row in rows if row.change.cause != best.change.cause), default=0.0)
-    return best._replace(is_clear=best.log_odds - max(0.0, other) >= MIN_LOG_ODDS)
+    is_sized = len(best.change.starts) == 1 or math.isfinite(best.sd)
+    is_clear = best.log_odds >= max(HAPPENED_LOG_ODDS, other + MIN_LOG_ODDS)
+    return best._replace(is_clear=is_sized and is_clear)
 
 
 def _search(
     measure: Callable[[Sequence[float]], Sequence[Deviation]], starts: Collection[float]
 ) -> tuple[dict[float, Deviation], float]:
-    """Return deviations by size, also near the likeliest, and the SD of that: of the last parabola."""
+    """Return deviations by size, also near the likeliest, and the SD of that: of the last parabola.
+
+    The SD is infinite where the likeliest size lies at an end of the range.
+    """
     begin = sorted(starts, key=abs)
     found = dict(zip(begin, measure(begin), strict=True))
     sd = math.inf
@@ -214,6 +220,8 @@ def _search(
             break
         sd, vertex = float(1 / math.sqrt(-2 * square)), float(-slope / (2 * square))
         is_near = np.min(np.abs(three - vertex)) < SIZE_TOLERANCE * (sizes[-1] - sizes[0])
+        if not sizes[0] < vertex < sizes[-1]:
+            sd = math.inf
         if not three[0] < vertex < three[-1] or is_near:
             break
         (found[vertex],) = measure([vertex])
