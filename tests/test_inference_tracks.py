@@ -196,7 +196,7 @@ def in_session(runs):
     return [replace(one, headings=(np.arctan(end),)) for one, end in zip(runs, ends, strict=True)]
 
 
-SESSION_NOISE = replace(NOISE, heading_sd=0.01, slope_sd=0.005)
+SESSION_NOISE = replace(NOISE, heading_sd=0.01, slope_sd=0.005, session_slope_sd=0.02)
 
 
 ERRORS = TrackErrorsRecord(
@@ -261,8 +261,8 @@ def test_a_session_is_one_gaussian_of_all_readings_and_headings(runs, errors):
     turns = np.radians(errors.slope_sd_deg) * np.concatenate([one[1] for one in columns])
     for shared in (steered * np.concatenate(carried), steered * turns, rest * turns):
         whole += np.outer(shared, shared)
-    for part in (1, 2):
-        shared = tip_track.SESSION_SD_RAD * np.concatenate([one[part] for one in columns])
+    for part, sd in ((1, SESSION_NOISE.session_slope_sd), (2, tip_track.HEADING_OFFSET_SD_RAD)):
+        shared = sd * np.concatenate([one[part] for one in columns])
         whole += np.outer(shared, shared)
     shifts, residual = block_diag(*[one[0][:, None] for one in columns]), np.concatenate(off)
     whitening, log_norm = whiten(whole, shifts)

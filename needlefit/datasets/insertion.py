@@ -44,11 +44,12 @@ class Noise:
     # correlated part
     correlated_sd: float = 0.0
     correlation_length: float = 5.0
-    # `heading_sd`, `slope_sd`: of tip tracks, rad: standard deviation of a heading, 0 where headings are not
-    # used; and of a run's slope in the tracker's frame about that of its session, 0 where every run has its
-    # own
+    # `heading_sd`, `slope_sd`, `session_slope_sd`: of tip tracks, rad: standard deviation of a heading, 0
+    # where headings are not used; of a run's slope in the tracker's frame about that of its session, 0 where
+    # every run has its own; and of the slope of a session, which its runs share
     heading_sd: float = 0.0
     slope_sd: float = 0.0
+    session_slope_sd: float = math.radians(11.459)
 
     def correlate(self, s: Floats) -> Floats:
         """Return the correlation (K, K) of the correlated part at arc lengths `s` (K,), mm."""

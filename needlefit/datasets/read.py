@@ -160,6 +160,7 @@ def make_noise(record: NoiseRecord) -> Noise:
         record.correlation_length_mm,
         math.radians(record.heading_sd_deg),
         math.radians(record.slope_sd_deg),
+        math.radians(record.session_slope_sd_deg),
     )
 
 

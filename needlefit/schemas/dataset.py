@@ -47,6 +47,9 @@ class NoiseRecord(Record):
     """Tip tracks: standard deviation of a heading; 0: headings are not used."""
     slope_sd_deg: float = Field(default=0.0, ge=0, le=45)
     """Tip tracks: spread of the slope of the tracker's frame between runs into one specimen, above 0."""
+    session_slope_sd_deg: float = Field(default=11.459, gt=0, le=45)
+    """Tip tracks: standard deviation of the slope that all runs into one specimen share, less where the
+    direction of insertion is known in the tracker's frame."""
     note: str = ""
     """Where the numbers come from."""
 

@@ -86,7 +86,8 @@ class Placer(CurveAnswers):
     #: usual answers, with their reasons, of keys that are usual otherwise without such needles
     usual: Mapping[str, tuple[str | None, str]] = MappingProxyType({})
     pose: Pose = "known"
-    slope_sd_deg = 0.0  #: of the directions of runs in the frame of a tracker
+    #: of the direction of each run in the frame of a tracker, and of what all share; None: not known
+    slope_sds_deg: tuple[float, float | None] = (0.0, None)
 
     def settle_places(self) -> None:
         """Settle entries and inserted lengths; `curves` may become others."""

@@ -40,7 +40,8 @@ class ImportPlan:
     needles: Mapping[str, NeedleRecord] = field(default_factory=dict)  # by the names in the rows
     examples: tuple[str, ...] = ()  # needles of the workbook that ships, where others are not
     choices: FirstChoices = field(default_factory=FirstChoices)  # of its first study
-    slope_sd_deg: float = 0.0  # of tip tracks: of the directions of runs
+    # of tip tracks, degrees: of the direction of each run, and of what all share
+    slope_sds_deg: tuple[float, float | None] = (0.0, None)
 
 
 class Planner(CurveAnswers):
@@ -100,9 +101,9 @@ class Planner(CurveAnswers):
             for row, boundaries, needle in zip(rows, depths, needles, strict=True)
         )
         pose: Pose = "free" if any(placer.pose == "free" for placer in self.placers) else "known"
-        slope_sd = max(placer.slope_sd_deg for placer in self.placers)
+        slope_sds = max(placer.slope_sds_deg for placer in self.placers)
         return ImportPlan(
-            placed, pose, tuple(self.surfaces), media, kinds[0], sd, named, (), choices, slope_sd
+            placed, pose, tuple(self.surfaces), media, kinds[0], sd, named, (), choices, slope_sds
         )
 
     def settle_curvature_sd(self) -> None:

@@ -56,6 +56,11 @@ class TrackPlacer(Placer):
             usual, reason = "free", "the guide moved, and its distance is not stated"
         self.usual = {"specimen": TRACK_SPECIMEN, "guide_distance": (usual, reason)}
 
+    @property
+    def is_posed(self) -> bool:
+        """Whether the direction of insertion is stated in the frame of the tracker."""
+        return not self.others and self.stated("pose") not in ("", "free", "shaft")
+
     def settle_bevel(self) -> Floats:
         """Return the direction that bevels of side 1 face, across the insertion.
 
@@ -74,8 +79,7 @@ class TrackPlacer(Placer):
         else:
             guess = self.settle("bevel", guess, reason).text
         bevel = bends.mean if guess == "bend" else normalize(self.settle("bevel").to_vector("bevel"))
-        is_posed = is_alone and self.stated("pose") not in ("", "free", "shaft")
-        along = normalize(self.settle("pose").to_vector("pose")) if is_posed else bends.direction
+        along = normalize(self.settle("pose").to_vector("pose")) if self.is_posed else bends.direction
         sideways = bevel - (bevel @ along) * along
         if np.linalg.norm(sideways) < np.sin(np.radians(MIN_BEVEL_DEG)):
             needed = f"at least {MIN_BEVEL_DEG:g} degrees off the insertion, {format_direction(along)}"
@@ -109,7 +113,8 @@ class TrackPlacer(Placer):
         reason = "a third of the shallowest run; deeper ones are scored"
         depth = self.settle("registration_depth", usual, reason)
         number = depth.to_number("registration_depth", is_above=True)
-        self.slope_sd_deg = max(self.numbers("pose_angle_sd", "deg", is_above=True))
+        slope_sd = max(self.numbers("pose_angle_sd", "deg", is_above=True))
+        self.slope_sds_deg = slope_sd, slope_sd if self.is_posed else None
         study: dict[str, float | str] = {"registration_depth_mm": number}
         return study if self.others else study | {"margin_mm": point_sd, "margin_for": MARGIN_FOR}
 

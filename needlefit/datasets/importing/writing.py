@@ -42,6 +42,7 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, mapping: 
     """
     first = content.curves[0].points.path
     imported = ImportRecord(files=dict(content.files), mapping=MAPPING_FILE, examples=plan.examples)
+    slope_sd, session_sd = plan.slope_sds_deg
     draft: dict[str, object] = {
         "schema": 1,
         "name": folder.name,
@@ -52,7 +53,8 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, mapping: 
         "needle": plan.needle.model_dump(),
         "noise": {
             "point_sd_mm": plan.point_sd_mm,
-            "slope_sd_deg": plan.slope_sd_deg,
+            "slope_sd_deg": slope_sd,
+            **({} if session_sd is None else {"session_slope_sd_deg": session_sd}),
             "note": f"see {MAPPING_FILE}",
         },
         "import": imported.model_dump(),

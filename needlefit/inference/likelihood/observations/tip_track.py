@@ -11,7 +11,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import Dataset, Insertion, Pose, find_pose
+from needlefit.datasets.insertion import Dataset, Insertion, Noise, Pose, find_pose
 from needlefit.datasets.noise import NoiseFloor, estimate_noise_floor
 from needlefit.geometry.frames import make_tracker_columns
 from needlefit.inference.compared_points import ComparedPoints, count_entry_side
@@ -32,8 +32,8 @@ from needlefit.schemas.recipe import TrackErrorsRecord
 
 #: length over which the direction of a simulated path is taken, mm: shorter than constraints are apart
 HEADING_STEP_MM = 0.25
-#: prior deviation of a session's slope and of its headings' offset, rad: registrations err by less
-SESSION_SD_RAD = 0.2
+#: prior deviation of the offset of a session's headings, rad: registrations err by less
+HEADING_OFFSET_SD_RAD = 0.2
 
 
 DEPTH_TOLERANCE_MM = 1e-9  #: mm; depths closer than this are one
@@ -158,9 +158,10 @@ class _TipTrack(ObservationType):
             cov = cov + operator @ added @ operator.T
             if likelihood.noise == "independent":
                 cov = np.diag(np.diag(cov))
-            run_axes = list_session_axes(insertion.specimen, noise.slope_sd, frame.shape[1] - 1, number)
+            run_axes = list_session_axes(insertion.specimen, noise, frame.shape[1] - 1, number)
             free = frame[:, : frame.shape[1] - len(run_axes)]
-            session = frame[:, free.shape[1] :] * [SESSION_SD_RAD / axis.shared for axis in run_axes]
+            slope_sd = math.hypot(noise.slope_sd, noise.session_slope_sd)
+            session = frame[:, free.shape[1] :] * [slope_sd, HEADING_OFFSET_SD_RAD][: len(run_axes)]
             if run_axes and further.slope_sd_deg:
                 run_axes = (*run_axes, make_group_slope(insertion, number))
                 session = np.column_stack([session, math.radians(further.slope_sd_deg) * frame[:, 1]])
@@ -233,17 +234,16 @@ def add_headings(track: Insertion) -> tuple[Floats, Floats]:
     return np.concatenate([track.points[:, :2], before]), np.block(rows)
 
 
-def list_session_axes(
-    specimen: str, slope_sd: float, parts: int, direction: int = 0
-) -> tuple[ErrorAxis, ...]:
+def list_session_axes(specimen: str, noise: Noise, parts: int, direction: int = 0) -> tuple[ErrorAxis, ...]:
     """Return the axes of what a session's runs share: slope, and the offset of headings if `parts` is 2.
 
     They are of a direction, y (0) or z (1). There are none where nothing is known of how much runs differ.
     """
-    if not slope_sd:
+    if not noise.slope_sd:
         return ()
-    whole = math.hypot(slope_sd, SESSION_SD_RAD)
-    slope = ErrorAxis(slope_sd / whole, SESSION_SD_RAD / whole, (specimen, FRAME, 2 * direction))
+    whole = math.hypot(noise.slope_sd, noise.session_slope_sd)
+    own, shared = noise.slope_sd / whole, noise.session_slope_sd / whole
+    slope = ErrorAxis(own, shared, (specimen, FRAME, 2 * direction))
     return (slope, ErrorAxis(0.0, 1.0, (specimen, FRAME, 2 * direction + 1)))[:parts]
 
 
