@@ -198,8 +198,7 @@ def choose_entry(
         return faces[0]
     metal = _list_behind_metal(profile, runs, guide_thickness, guide_distance or 0.0)
     soft = [run for run in list_materials(profile, tip) if run.kind == "soft"]
-    inside = _leave_guide(runs, soft, guide_thickness, guide_distance or 0.0)
-    if not faces and not metal and not inside:
+    if not faces and not metal:
         return None
     if guide_thickness is None:
         offered, doubt = _choose_face(faces, soft) if faces else (metal[-1], "the needle leaves metal")
@@ -211,7 +210,7 @@ def choose_entry(
         expected = "soft tissue ({:g} to {:g} HU) behind air".format(*HU.SOFT_TISSUE)
         fix = "state guide.thickness_mm in the recipe (mm; 0: there is no guide, and the first is the tissue)"
     else:
-        whole, cut = _list_behind_guide(runs, rises, guide_thickness)
+        whole = _list_behind_guide(runs, rises, guide_thickness)
         whole += [one for one in metal if one.guide and abs(np.diff(one.guide)[0] - guide_thickness) < 1e-9]
         flush = [  # what lies before metal is its blur, or a streak
             _pass_guide(face, guide_thickness, guide_distance or 0.0)
@@ -220,7 +219,7 @@ def choose_entry(
         ]
         ends = [(one, _doubt_guide_end(profile, one, soft)) for one in flush]
         ended = [replace(one, sd=float(np.hypot(one.sd, sd))) for one, sd in ends if sd is not None]
-        found = whole or ended or cut or inside
+        found = whole or ended
         if len(found) == 1:
             return found[0]
         offered = (found or (flush if len(faces) == 1 else faces) or metal or faces)[-1]
@@ -317,34 +316,16 @@ def _doubt_guide_end(
     return MM.HIDDEN_FACE_SD if abs(change) >= HU.GUIDE_STEP else None
 
 
-def _leave_guide(
-    runs: Sequence[MaterialRun], soft: Sequence[MaterialRun], thickness: float | None, distance: float
-) -> list[EntryCandidate]:
-    """Return the entry behind a guide on the tissue of which the scan shows the end alone, if it does."""
-    if not thickness or len(soft) < 2 or runs[0].kind != "soft" or soft[0].length > thickness:
-        return []
-    if is_soft_tissue(soft[0].level) or not is_soft_tissue(soft[1].level):
-        return []
-    return [EntryCandidate(soft[0].end + distance, MM.HIDDEN_FACE_SD, (soft[0].begin, soft[0].end))]
-
-
 def _list_behind_guide(
     runs: Sequence[MaterialRun], rises: Sequence[tuple[int, float, float]], thickness: float
-) -> tuple[list[EntryCandidate], list[EntryCandidate]]:
-    """Return the entries with a guide and air before them, and those with one that the scan cuts."""
-    whole, cut = list[EntryCandidate](), list[EntryCandidate]()
+) -> list[EntryCandidate]:
+    """Return the entries with a guide and air before them."""
+    entries = list[EntryCandidate]()
     for n, at, sd in rises:
-        before = runs[: n - 1]
-        solid = [*takewhile(lambda run: run.kind != "air", before[::-1])]
-        if not solid:
-            continue
-        length = solid[0].end - solid[-1].begin
-        sd = float(np.hypot(sd, MM.MODEL_SD))
-        passed = EntryCandidate(at, sd, (solid[-1].begin, solid[0].end))
+        solid = [*takewhile(lambda run: run.kind != "air", runs[n - 2 :: -1])] if n > 1 else []
         # the blur of metal, whose brightness is cut, moves both faces outwards
         metal = any(run.kind == "metal" for run in solid)
-        if -MM.MATCH <= length - thickness <= MM.MATCH * (1 + metal):
-            whole.append(passed)
-        elif len(solid) == len(before) == 1 and length < thickness:
-            cut.append(passed)
-    return whole, cut
+        if solid and -MM.MATCH <= solid[0].end - solid[-1].begin - thickness <= MM.MATCH * (1 + metal):
+            guide = solid[-1].begin, solid[0].end
+            entries.append(EntryCandidate(at, float(np.hypot(sd, MM.MODEL_SD)), guide))
+    return entries

@@ -130,14 +130,16 @@ class Rod:
         height, outer = pieces[0] * COLUMN_MM / CELL_MM / (long * wide), (long + wide) / 2
         first = np.ceil(middle - outer)
         covered = np.arange(int(2 * outer.max(initial=0)) + 1)[:, None, None]  # cells, from the first on
-        away = np.abs(first - middle + covered.astype(np.float32))
-        parts = height * np.clip(outer - away, 0, np.minimum(long, wide))
+        parts = first - middle + covered.astype(np.float32)
+        np.subtract(outer, np.abs(parts, out=parts), out=parts)  # in place: half the time is memory's
+        np.clip(parts, 0, np.minimum(long, wide), out=parts)
+        parts *= height
         cells = np.clip(first, 0, count - len(covered)).astype(np.int64) + covered
         met, row = np.unique(plane, return_inverse=True)  # most planes show no metal
         cells += (row[:, None] * len(angles) + np.arange(len(angles))) * count
         shape = len(self.planes), len(angles) * count
         stored = np.bincount(cells.ravel(), parts.ravel(), minlength=len(met) * shape[1])
-        lit = np.flatnonzero(stored)
+        lit = np.flatnonzero(stored > 0)  # of numbers it takes five times as long
         row, cell = np.divmod(lit, shape[1])
         ends = np.searchsorted(met[row], np.arange(shape[0] + 1))
         return csr_array((stored[lit].astype(np.float32), cell, ends), shape)

@@ -32,6 +32,7 @@ from needlefit.imaging.needle.tip import (
     MIN_BEVEL_PROBABILITY,
     ROLL_FACTOR,
     ROUGH_STEPS,
+    START_ENDS_MM,
     TipFit,
     side_probability,
 )
@@ -55,7 +56,6 @@ BEAM_SDS = np.array([0.25, 0.35, 0.6, 0.3])  # of the same
 PROFILE_SDS = (0.4, 0.4, 0.5, 1.0, 1.5)  # of the logarithms of the sensitivity
 TIP_SDS = np.array([1.0, 10.0])  # of where the needle ends, mm, and of its bevel's roll, rad, before
 START_STEPS = (0.5, 0.25, 0.12)  # of shift, tilt and bow along the normal, slices
-START_ENDS_MM = (-1.0, -0.5, 0.0, 0.5, 1.0)  # ends that are tried, from the one stated, mm
 ROBUST_SD = (20.0, 4.0)  # residuals beyond so many deviations count less, in the first fit and later
 STEP = 0.05  # of the derivatives
 # The model's error, in water and in parts of the image, before it is known; samples that count as one.
@@ -350,14 +350,12 @@ class _SliceProblem:
         return float(robust**2 * np.sum(np.log1p((left[0] / robust) ** 2)) + np.sum(left[1] ** 2))
 
     def turn(self, theta: Floats) -> Floats:
-        """Return the parameters with the best of several rolls of the bevel and ends."""
-        rolled = []
-        for end in START_ENDS_MM:
-            for roll in np.arange(6) * np.pi / 3:
-                moved = theta.copy()
-                moved[2 * len(self.start) : 2 * len(self.start) + 2] += [end, roll]
-                rolled.append(moved)
-        return min(rolled, key=self.first_misfit)
+        """Return the parameters with the best of several ends, and with it of several rolls of the bevel."""
+        rolls = np.arange(6) * np.pi / 3
+        for place, steps in enumerate((START_ENDS_MM, rolls), start=2 * len(self.start)):
+            moved = theta + np.outer(steps, np.eye(len(theta))[place])
+            theta = min(moved, key=self.first_misfit)
+        return theta
 
     def scale(self, image: Floats) -> Floats:
         """Return the deviations of what slices show (K, S, U) that residuals of `image` show."""
