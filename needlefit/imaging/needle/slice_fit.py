@@ -278,23 +278,27 @@ class _SliceProblem:
             cost = np.where(np.arange(len(squared)) < count, np.log1p(squared), squared)
             return np.stack([cost, less, np.where(less < 1, -(less**2), 0.0)])
 
+        evaluated: list[Floats] = []  # the last residuals: of where slopes are asked for
         fresh: list[Floats] = []
+
+        def residuals(there: Floats, scale: Floats) -> Floats:
+            evaluated[:] = [self.residuals(there, scale)]
+            return evaluated[0]
 
         # the slopes of a step serve the next one, corrected by what it showed
         def slopes(there: Floats, scale: Floats) -> Floats:
-            residuals = self.residuals(there, scale)
             if fresh:
                 before, left, jacobian = fresh
                 step = there - before
                 weight = step * np.sum(jacobian**2, axis=0)
-                missed = residuals - left - jacobian @ step
+                missed = evaluated[0] - left - jacobian @ step
                 fresh.clear()
                 return jacobian + np.outer(missed, weight / (weight @ step))
-            fresh[:] = there, residuals, self.slopes(there, scale)
+            fresh[:] = there, evaluated[0], self.slopes(there, scale)
             return fresh[-1]
 
         return least_squares(
-            self.residuals,
+            residuals,
             theta,
             jac=slopes,
             args=(scale,),
