@@ -32,7 +32,6 @@ from needlefit.imaging.needle.tip import (
     MIN_BEVEL_PROBABILITY,
     ROLL_FACTOR,
     ROUGH_STEPS,
-    START_ENDS_MM,
     TipFit,
     side_probability,
 )
@@ -56,6 +55,7 @@ BEAM_SDS = np.array([0.25, 0.35, 0.6, 0.3])  # of the same
 PROFILE_SDS = (0.4, 0.4, 0.5, 1.0, 1.5)  # of the logarithms of the sensitivity
 TIP_SDS = np.array([1.0, 10.0])  # of where the needle ends, mm, and of its bevel's roll, rad, before
 START_STEPS = (0.5, 0.25, 0.12)  # of shift, tilt and bow along the normal, slices
+START_ENDS_MM = np.arange(-1.0, 1.1, 0.5)  # ends that are tried, from the one stated, mm
 ROBUST_SD = (20.0, 4.0)  # residuals beyond so many deviations count less, in the first fit and later
 STEP = 0.05  # of the derivatives
 # The model's error, in water and in parts of the image, before it is known; samples that count as one.
