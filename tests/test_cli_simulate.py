@@ -162,14 +162,6 @@ def test_a_needle_outside_the_model_is_named(capsys):
     assert found["max_slope"] == found["validity"]["max_slope"] > 0.3
 
 
-def test_a_failure_names_its_step(capsys):
-    found = answer(capsys, "figure1", *settings("steps.2.offset_mm=60"), code=5)
-    assert [step["status"] for step in found["steps"]] == ["converged", "over-compressed", "not reached"]
-    assert (found["status"], found["depth_mm"], found["tip_lateral_mm"]) == ("over-compressed", 70, None)
-    assert found["steps"][2]["tip_mm"] is None
-    assert "step 2 of 3" in found["stderr"] and "over-compressed" in found["stderr"]
-
-
 # --- recordings ------------------------------
 
 

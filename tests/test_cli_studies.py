@@ -72,16 +72,6 @@ def test_validate_writes_prints_and_removes_the_checkpoint(stub, capsys):
     assert max(map(len, out.splitlines())) <= screen.SCREEN_COLUMNS
 
 
-@pytest.mark.parametrize("more", [(), ("--design",)])
-def test_what_cannot_be_freed_or_fixed_is_named_with_the_file(tmp_path, capsys, more):
-    file = tmp_path / "mine.toml"
-    for changes, name in (('free = ["alpha9"]', "alpha9"), ("fix = { noise_scale = 1.0 }", "noise_scale")):
-        file.write_text(f"{FIT}{changes}\n")
-        assert run("tune", str(file), *more, "--out", str(tmp_path)) == 3
-        err = capsys.readouterr().err
-        assert name in err and "mine.toml" in err
-
-
 def test_a_warning_names_its_page_and_with_strict_ends_in_exit_code_5(stub, capsys):
     warned = to_stored_rows([ResultWarning("parameter_at_bound", "mu1 lies at its bound")])
     stub(study(1).with_metadata(warnings=warned))

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from import_cases import curves_of, needle, placed, planned, prepare, write_long, write_rows, write_sheets
+from import_cases import curves_of, needle, planned, prepare, write_long, write_rows, write_sheets
 from refusals import refusal
 
 from needlefit.datasets.importing.prepare import prepare_import
@@ -363,13 +363,6 @@ def test_a_stated_column_is_used(tmp_path):
     refusal(ConfigError, "there is no key", prepare, [tmp_path / "a.csv"], height="2")
 
 
-def test_columns_without_headers_are_asked_for(tmp_path):
-    file = write_rows(tmp_path / "a.csv", NEEDLES[0].tolist())
-    assert "x.column" in refusal(DataError, "", planned, [file]).fix
-    curves, _ = curves_of([file], x__column="1", y__column="2", z__column="3")
-    np.testing.assert_allclose(curves["a"].line, NEEDLES[0])
-
-
 # ---- tables of a bench laboratory
 
 
@@ -439,30 +432,3 @@ def test_the_unit_that_a_file_states_is_that_of_its_lengths_and_a_length_of_no_n
     plan, made = planned([file], **stated)
     assert (plan.needle.length_mm, plan.needle.outer_diameter_mm) == pytest.approx((150.0, 1.27))
     assert ("diameter.unit" in made) == bool(unit)
-
-
-def test_a_sheet_of_tips_at_a_stage_holds_tracks_of_the_needles_of_another_sheet(tmp_path):
-    """Three needles along x, and readings of their tips in a frame that is turned by 90 degrees about z."""
-    lengths, sides = (50.0, 60.0, 70.0), (1, -1, 1)
-    arcs = [np.c_[x := np.linspace(0.0, size, 26), side * (6e-4 * x**2 + 0.01 * x), 0 * x]
-            for size, side in zip(lengths, sides, strict=True)]  # fmt: skip
-    points = [(f"n{n}", *point) for n, arc in enumerate(arcs) for point in arc.tolist()]
-    tips = [(f"n{n}", x, 5 - y, x, 0) for n, arc in enumerate(arcs) for x, y, _ in arc.tolist()]
-    file = write_sheets(
-        tmp_path / "lab.xlsx",
-        Needles=[
-            ("needle", "bevel"),
-            *((f"n{n}", ["left", "right"][side > 0]) for n, side in enumerate(sides)),
-        ],
-        CT=[("needle", "x [mm]", "y [mm]", "z [mm]"), *points],
-        EM=[("needle", "stage [mm]", "tip x [mm]", "tip y [mm]", "tip z [mm]"), *tips],
-        Info=[("Gauge", "20G"), ("Needle length (mm)", 200)],
-    )
-    content, plan, _ = placed([file], pose="+x")
-    assert [(curve.holds, curve.hole) for curve in content.curves] == [
-        (holds, f"n{n}") for holds in ("shapes", "tracks") for n in range(3)
-    ]
-    assert [row.side for row in plan.rows] == [*sides, *sides]
-    assert (plan.needle.length_mm, plan.needle.outer_diameter_mm) == (200.0, GAUGES_MM[20])
-    ends = [curve.line[-1, 0] - curve.line[0, 0] for curve in content.curves[3:]]
-    assert ends == pytest.approx([2.0, -2.76, 3.64], abs=0.01)  # along the bevel, which faces -x there

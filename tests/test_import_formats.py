@@ -177,13 +177,6 @@ def test_a_point_at_the_origin_is_no_padding(tmp_path):
     assert_same(content_of(tmp_path, c=padded(backward, 0.0, rows=16)), backward)
 
 
-def test_empty_entries_of_a_stack_are_left_out(tmp_path):
-    stack = padded([*CURVES, np.zeros((18, 3))], 0.0)
-    content = content_of(tmp_path, c=stack, side=[*SIDES, 0.0])
-    assert_same(content)
-    assert stated(content, "side") == ["1", "-1", "1", "-1"]
-
-
 # ---- x, y and z
 
 
@@ -252,11 +245,6 @@ def test_a_field_or_a_name_states_the_unit(tmp_path, variables):
     content = content_of(tmp_path, **variables)
     assert "cm" in content.units
     assert_same(content, factor=10.0)
-
-
-def test_two_units_of_one_curve_are_refused(tmp_path):
-    error = refusal(DataError, "cm", content_of, tmp_path, needles_cm=cells(CURVES), unit="mm")
-    assert error.where.endswith("a.mat") and "mm" in error.what
 
 
 # ---- JSON lines
@@ -347,15 +335,6 @@ def write_faulty(folder, paths, **stated):
     return refusal(
         DataError, "", write_plan, folder / "made", prepared.content, prepared.plan, prepared.mapping
     )
-
-
-@pytest.mark.parametrize("count", [2, 5, 6])
-def test_several_needles_in_one_curve_are_to_be_named(tmp_path, count):
-    """The curve may be about ten times as long as its span, and no other unit is taken for the cause."""
-    curves = [CURVES[0] + [0.0, 0.1 * n, 0.0] for n in range(count)]
-    (tmp_path / "c.csv").write_text("\n".join(["x,y,z", *(",".join(map(str, p)) for c in curves for p in c)]))
-    error = refusal(DataError, "out of order", prepare, [tmp_path / "c.csv"])
-    assert "--set needle.column=" in error.fix
 
 
 def test_faults_of_a_track_are_at_the_row_of_its_file(tmp_path):

@@ -190,22 +190,6 @@ def test_tables_of_turns_and_curvatures_belong_to_needles_of_their_names(tmp_pat
     assert plan.rows[0].turns[0][1] == pytest.approx(0.0) and plan.rows[0].bevel == pytest.approx([0, 0, 1])
 
 
-@pytest.mark.parametrize(
-    ("text", "place", "reason"),
-    [
-        ("id,depth_mm,bevel_roll_deg\nq1,30,\n", 2, "bevel_side"),
-        ("id,turn depth,roll\nq1,30,sideways\n", 0, "sideways"),
-        ("id,s_mm,kappa_y_1_per_mm,sd_1_per_mm\nq1,30,1e-3,1e-4\n", 0, "curvature_z.column"),
-        ("id,s_mm,kappa_y,kappa_z,sd\nq1,30,1e-3,much,1e-4\n", "2, column 4", "much"),
-        ("id,s_mm,kappa_y [1/ft],kappa_z,sd\nq1,30,1e-3,0,1e-4\n", "2, column 3", "ft"),
-    ],
-)
-def test_a_bad_row_of_turns_or_curvatures_stops_the_import_at_its_place(tmp_path, text, place, reason):
-    (tmp_path / "beside.csv").write_text(text)
-    error = refusal(DataError, reason, planned, [CASES / "two_plane.csv", tmp_path], **SHARP)
-    assert not place or error.where.endswith(f"beside.csv:{place}")
-
-
 def test_needles_that_were_turned_are_fitted_by_the_path_angle_and_missed_by_less_than_0_3_mm(tmp_path):
     """Two arcs of one curvature at right angles, of no model."""
     folder = import_turned(tmp_path, **SHARP)
@@ -295,22 +279,6 @@ def test_the_bevel_of_logs_is_across_the_needle_and_asked_for_where_tips_bend_to
     assert made["bevel_side"] == ("1", "assumed") and "missing" in made
     for points in points_of([tmp_path], holds="tracks"):
         assert np.ptp(points.values[:, 0]) == pytest.approx(depths[-1] ** 2 / 520, abs=0.4)
-
-
-@pytest.mark.parametrize(
-    "names", [("Insertion depth (mm)", "Tip deflection (mm)"), ("Stichtiefe", "Auslenkung")]
-)
-def test_a_table_of_depth_and_deflection_is_a_track(tmp_path, names):
-    depths = np.arange(0.0, 75.0, 15.0)
-    rows = [f"{name};{x};{k * 1e-3 * x**2:.4f}" for k, name in enumerate("pq", 1) for x in depths]
-    (tmp_path / "a.csv").write_text("\n".join([";".join(["run", *names]), *rows]))
-    assert {one.holds for one in placed([tmp_path])[0].curves} == {"tracks"}
-    assert write_placed(tmp_path / "t", [tmp_path], specimen="one")
-    tracks = read(tmp_path / "t").insertions
-    assert [(one.id, one.specimen) for one in tracks] == [("p", "one"), ("q", "one")]
-    for k, one in enumerate(tracks, 1):
-        np.testing.assert_allclose(one.points[:, 0], depths)
-        np.testing.assert_allclose(one.points[:, 1], k * 1e-3 * depths**2, atol=1e-4)
 
 
 def test_needles_that_differ_are_each_their_own(tmp_path):
@@ -442,20 +410,6 @@ def test_a_moving_base_is_the_guide_only_where_that_is_stated(tmp_path):
         np.testing.assert_allclose(content.curves[0].guide[:, 0], 0.1 * np.arange(16), atol=1e-9)
         assert made["guide"][1] == status
     assert placed([columns], **answers, guide="none")[0].curves[0].guide is None
-
-
-def test_tips_stand_beside_shapes(tmp_path):
-    """Of tips in a plane up is across the needle in it; what is assumed of them changes no stated side."""
-    shapes = [("a", -1, x, -6e-4 * x**2) for x in range(0, 61, 5)] + [("b", 1, 50, 1.4)]
-    write_table(file := tmp_path / "a.csv", "needle,bevel side,x [mm],y [mm]", shapes)
-    entered = {"pose": "1,0,0", "entry_point": "0,0,0", "point_sd": "0.1"}
-    plan, made = planned([file], **entered)
-    assert [row.tip_y for row in plan.rows] == [None, pytest.approx(1.4)] and made["bevel"][0] == "0,1,0"
-    assert [row.hole for row in plan.rows] == ["a", "b"]  # though one entry is stated of both
-    write_table(file, "needle,bevel side,x [mm],y [mm],z [mm]", [(*row, 9) for row in shapes[:-1]])
-    write_table(tips := tmp_path / "b.csv", "needle,depth [mm],deflection [mm]", [("b", 50, 1.4)])
-    plan, made = planned([file, tips], pose="1,0,0", bevel="0,1,0", point_sd="0.1")
-    assert [row.side for row in plan.rows] == [-1, 1] and made["entry_point"] == ("first", "assumed")
 
 
 ENTERED = {"pose": "1,0,0", "entry_point": "0,0,0", "bevel": "0,1,0", "specimen": "block"}

@@ -10,7 +10,6 @@ from import_cases import (
     needle,
     placed,
     prepare,
-    wide_rows,
     write_european_csv,
     write_long,
     write_placed,
@@ -47,19 +46,6 @@ def long_rows(head=("needle", "x", "y", "z"), number=str):
 # ---- layouts of tables
 
 
-def test_needles_side_by_side_below_two_rows_of_headers(tmp_path):
-    write_european_csv(tmp_path / "a.csv", NEEDLES)
-    names = [cell for n in range(1, 4) for cell in (f"Nadel {n}", None, None)]
-    rows = [[None if cell == "" else cell for cell in row] for row in wide_rows(NEEDLES, float)]
-    points = [["Nadelversuch"], names, ["x (mm)", "y (mm)", "z (mm)"] * 3, *rows]
-    write_sheets(tmp_path / "a.xlsx", Nadeln=points, Notizen=[["von", "mir"]])
-    for name in ("a.csv", "a.xlsx"):
-        assert_read([tmp_path / name], names=["Nadel_1", "Nadel_2", "Nadel_3"])
-    rows = [",".join(map(str, (*a, *b))) for a, b in zip(NEEDLES[0], NEEDLES[1], strict=True)]
-    (tmp_path / "b.csv").write_text("\n".join(["1,,,22,,", "x,y,z,x,y,z", *rows]))
-    assert_read([tmp_path / "b.csv"], NEEDLES[:2], ["1", "22"])
-
-
 @pytest.mark.parametrize("head", [["x", "y1", "y2", "y3"], ["x [mm]", "y n1 [mm]", "y n2 [mm]", "y n3 [mm]"]])
 def test_needles_may_share_a_column_x(tmp_path, head):
     ends = [16, 13, 10]
@@ -69,13 +55,6 @@ def test_needles_may_share_a_column_x(tmp_path, head):
     ]
     curves, _ = curves_of([write_rows(tmp_path / "a.csv", [head, *rows])])
     assert [len(one.line) for one in curves.values()] == ends
-
-
-@pytest.mark.parametrize("title", ["needle: n{}\nx y z\n", "x y z\n"])
-def test_needles_below_each_other(tmp_path, title):
-    parts = [title.format(n) + "\n".join(" ".join(map(str, p)) for p in one) for n, one in enumerate(NEEDLES)]
-    (tmp_path / "a.dat").write_text("\n\n".join(parts))
-    assert_read([tmp_path / "a.dat"], names=["n0", "n1", "n2"] if "needle" in title else None)
 
 
 @pytest.mark.parametrize("kind", ["message", "markers", "named"])

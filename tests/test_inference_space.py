@@ -30,9 +30,6 @@ from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.mechanics.torsion import compute_roll_lag
 from needlefit.planning.insertion_scene import make_scene_record
 from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
-from needlefit.schemas.study import FitRecord
-from needlefit.studies.job import Inputs, Settings
-from needlefit.studies.load import load_study
 from needlefit.studies.prediction_scores import score_tip_in_space
 from needlefit.studies.simulated_data import simulate_measurement
 
@@ -170,26 +167,6 @@ def test_the_data_decide_where_needles_are_compared():
         assert leaves_plane(replace(flat, curvature=sensors), noise) == leaves
     with pytest.raises(ConfigError):
         set_compared(replace(data, pose="free"), [flat], "space")
-
-
-def load_needles(*made, stated=None, **changes):
-    """Return the job of a fit to these needles."""
-    ids = [f"{one.id}{n}" for n, one in enumerate(made)]
-    named = [replace(one, id=name) for one, name in zip(made, ids, strict=True)]
-    inputs = Inputs(dataset=dataset(named), medium=medium().model_copy(update=changes))
-    table = {"schema": 2, "dataset": "x", "medium": "x", "compared": stated, "tune": {"insertions": ids}}
-    return load_study("x", FitRecord.model_validate(table), Settings(inputs=inputs))
-
-
-def test_a_fit_compares_needles_where_they_lie_or_as_is_stated():
-    flat, half, quarter = turned(turns=()), turned(35.0, ((18.0, 180.0),)), turned()
-    assert load_needles(flat, half, torsional_friction_n=0.1).dataset.compared == "space"
-    assert load_needles(flat, half).dataset.compared == "plane"
-    with pytest.raises(ConfigError, match="compared"):
-        load_needles(flat, half, stated="plane", torsional_friction_n=0.1)
-    for other, kinds in ((half, []), (quarter, ["bevel_plane"])):
-        job = load_needles(flat, other, stated="plane")
-        assert [one.kind for one in job.warnings] == kinds and job.dataset.compared == "plane"
 
 
 def test_a_medium_states_the_friction_by_which_the_tip_stays_behind_the_hub():

@@ -101,6 +101,7 @@ def test_a_lab_ends_in_an_answer(lab, quick, capsys):
     find_truth(lab)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("lab", LABS.values(), ids=LABS)
 def test_a_second_set_of_a_lab_finds_its_truth(lab, quick, capsys):
     command = next(one for one in import_lab(lab, 3, capsys) if one[0] == "tune")
@@ -124,12 +125,3 @@ def test_a_fit_of_free_shapes_knows_what_their_direction_would_determine(quick, 
     for name, factor in factors["lab"].items():
         assert predicted[name] == approx(factor, rel=0.5) and factors["free"][name] > 2 * factor
     assert "would be known to a factor of" in " ".join(capsys.readouterr().out.split())
-
-
-def test_runs_into_specimens_of_their_own_are_fitted_alone(quick, capsys):
-    lab = LABS["stops"]
-    stated = [one for one in lab.stated if not one.startswith("specimen")]
-    lab.write(Path("data.csv"), default_rng(1))
-    each = [word for one in (*stated, "specimen=each") for word in ("--set", one)]
-    assert run("import", "data.csv", "--out", "lab", "--yes", *each) == 0
-    assert "lab_fit.toml" in "".join(capsys.readouterr()) and not Path("lab/lab_study.toml").exists()

@@ -4,7 +4,6 @@ import json
 import shutil
 from types import SimpleNamespace
 
-import pandas as pd
 import pytest
 from light_runs import draw_blank
 from refusals import refusal
@@ -85,17 +84,6 @@ def test_a_moved_run_is_opened_with_its_measured_needle_and_draws(places):
     shutil.rmtree(places.project)
     shown = open_target("../moved/held_out/needle-2")
     assert shown.measured.id == "needle-2" and shown.spread is not None
-
-
-def test_a_moved_run_is_predicted_with_and_sampled_in_python(world, places):
-    shutil.rmtree(places.project)
-    kept = needlefit.load_run(places.moved / "held_out")
-    by_run = needlefit.predict(kept, places.here / "ahead.toml", jobs=1)
-    assert by_run.metadata.fit_verdict and str(places.moved.parent) not in by_run.metadata.model_dump_json()
-    before = world.restore("prediction").frames["forecast"].filter(like="_mm")
-    pd.testing.assert_frame_equal(by_run.frames["forecast"].filter(like="_mm"), before)
-    saved = needlefit.sample(kept, jobs=1).save(places.here / "sampled")
-    assert needlefit.load_run(saved).data.digest() == kept.data.digest()
 
 
 @pytest.mark.parametrize(

@@ -84,6 +84,7 @@ def run_all_printed(first, capsys):
     return list(done)[1:]
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("kind", list(KIND_COMMANDS))
 @pytest.mark.usefixtures("project")
 def test_the_commands_that_a_run_prints_run(kind, world, capsys):

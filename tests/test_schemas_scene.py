@@ -4,7 +4,6 @@ import csv
 
 import pytest
 
-from needlefit import open_scene
 from needlefit.errors import ConfigError
 from needlefit.project.locate import find_file, shipped_folder
 from needlefit.project.toml import check, load
@@ -123,16 +122,3 @@ def test_an_error_names_its_key(more, key):
     with pytest.raises(ConfigError) as fault:
         check({name: value for name, value in tables.items() if value is not None}, SceneRecord, "a.toml")
     assert f"`{key}`" in fault.value.what
-
-
-def test_a_scene_given_in_python_is_warned_of_as_one_in_a_file():
-    scene = {
-        "depth_mm": 0.06,
-        "needle": {"length_mm": 200, "flexural_rigidity_nmm2": 0.0255},
-        "bevel": {"offset_mm": 0.1},
-        "layers": [{"top_mm": 0, "mu_pa": 2e5, "alpha": 1}, {"top_mm": 0.02, "mu_pa": 1e5, "alpha": 1}],
-    }
-    with pytest.warns(UserWarning) as found:
-        open_scene(scene)
-    named = {str(one.message).split("`")[1] for one in found}
-    assert named == {"needle.flexural_rigidity_nmm2", "depth_mm"}

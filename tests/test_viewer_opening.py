@@ -184,13 +184,3 @@ def test_a_run_of_data_that_changed_or_of_another_kind_is_refused(project, tmp_p
     pack({"kind": "identification"}, tmp_path)
     with pytest.raises(DataError, match="fitted needle"):
         open_target(str(tmp_path))
-
-
-def test_a_run_without_draws_has_no_band_and_a_note(project, tmp_path):
-    results = restore_run(project / "reports/small")
-    put(results.with_frames(draws=results.frames["draws"].iloc[:0]), tmp_path)
-    viewed_scene = open_target(str(tmp_path))
-    assert viewed_scene.spread is None and "No band" in viewed_scene.note
-    put(results.with_frames(draws=results.frames["draws"].assign(certified=False)), tmp_path)
-    viewed_scene = open_target(str(tmp_path))
-    assert viewed_scene.spread is None and "certified" in viewed_scene.note
