@@ -8,13 +8,16 @@ import numpy as np
 import pandas as pd
 import pytest
 import scipy
+from pytest import approx
 from test_simulated_data import small_problem
 
 from needlefit import api
+from needlefit.synthetic.design import POPULATION, draw_deviations, draw_specimen, list_designs
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "studies"))
 import calibration  # noqa: E402
+import calibration_synthetic  # noqa: E402
 
 
 def summarize(rows):
@@ -66,3 +69,14 @@ def test_needles_of_the_model_itself_are_calibrated(monkeypatch):
     table = summarize(rank_small(25, monkeypatch))
     assert list(table.index) == ["mu1_pa", "bevel_mm", "tip", "log likelihood"]
     assert table["passes"].all()
+
+
+def test_the_true_bevel_offset_of_a_drawn_truth_is_the_mean_of_the_insertions_fitted_to():
+    problem = api.make_problem("study1")
+    specimen = draw_specimen(9, "phantom2", "phantom2", POPULATION)
+    planned = {one.id: one for one in list_designs()}
+    deviations = [draw_deviations(9, planned[one.id]).bevel for one in problem.insertions]
+    expected = specimen.bevel * np.exp(specimen.insertion_bevel_sd * np.mean(deviations))
+    truth = calibration_synthetic.find_truth("study1", 9)
+    assert truth["bevel_mm"] == approx(expected) and expected != approx(specimen.bevel, rel=1e-4)
+    assert truth["mu2_pa"] == approx(1e6 * specimen.mu[1]) and "alpha1" not in truth

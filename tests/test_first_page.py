@@ -95,8 +95,8 @@ def restore_shipped(number):
     """Return a shipped study by its stored tables of errors and parameters, without intervals of its tips."""
     folder = PROJECT / f"reports/reference/study{number}"
     stated = json.loads((folder / "run.json").read_text("utf-8"))
-    counts = {key: {} for key in ("scored", "starts", "draws", "predicted")}
-    stated |= {"validity": {**counts, "limits": {}, "fitted_outside": 0, "scored_outside": []}}
+    counts = {key: {} for key in ("draws", "predicted")}
+    stated |= {"validity": {**counts, "limits": {}, "fitted_outside": 0}}
     kind = stated.pop("kind")
     frames = {name: pd.DataFrame(columns=list(columns)) for name, columns in FRAMES.items()}
     for name in ("errors", "parameters"):

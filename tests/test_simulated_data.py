@@ -29,15 +29,9 @@ from needlefit.inference.forward_model import PreparedModel, predict
 from needlefit.inference.parameters import Parameters
 from needlefit.project.locate import find_file
 from needlefit.schemas.recipe import RecipeRecord
-from needlefit.studies.simulated_data import find_true_value, simulate_measurement
+from needlefit.studies.simulated_data import simulate_measurement
 from needlefit.synthetic.build import build_dataset
-from needlefit.synthetic.design import (
-    POPULATION,
-    draw_deviations,
-    draw_specimen,
-    list_designs,
-    select_designs,
-)
+from needlefit.synthetic.design import select_designs
 
 SEEN = {"mu1_pa": 3e5, "alpha1": 1.0, "bevel_mm": 0.08}
 
@@ -110,18 +104,6 @@ def test_readings_of_tips_err_as_the_likelihood_of_their_session_states():
     rows = sum(known.rows for known in asked.density.observations)
     assert rows == 2 * (2 * len(DEPTH) - 2)  # tips and headings but the first, less a shift of each run
     assert np.mean(squares) == approx(rows, abs=4 * np.sqrt(2 * rows / 200))
-
-
-def test_the_true_bevel_offset_of_a_drawn_truth_is_the_mean_of_the_insertions_fitted_to():
-    problem = api.make_problem("study1")
-    specimen = draw_specimen(9, "phantom2", "phantom2", POPULATION)
-    planned = {one.id: one for one in list_designs()}
-    deviations = [draw_deviations(9, planned[one.id]).bevel for one in problem.insertions]
-    expected = specimen.bevel * np.exp(specimen.insertion_bevel_sd * np.mean(deviations))
-    found = find_true_value(problem, "bevel_mm", 9, drawn=True)
-    assert found == approx(expected) and found != approx(specimen.bevel, rel=1e-4)
-    found = find_true_value(problem, "mu2_pa", 9, drawn=True)
-    assert found == approx(1e6 * specimen.mu[1])
 
 
 def test_a_twin_that_is_not_scanned_is_nearly_the_one_that_was(tmp_path):

@@ -6,25 +6,36 @@ from typing import Annotated, Any
 import typer
 
 from needlefit.cli import data, exit_codes, plan, reconstruct, results, simulate, studies, view
-from needlefit.cli.options import option
+from needlefit.cli.options import option, take_options
 
-COMMANDS: tuple[tuple[str, Callable[..., None], str], ...] = (
-    ("import", data.import_data, "curves.xlsx --out ./mydata"),
-    ("check", data.check, "./mydata"),
-    ("tune", studies.tune, "phantom1"),
-    ("validate", studies.validate, "study3"),
-    ("predict", studies.predict, "study3 --scene study3"),
-    ("simulate", simulate.simulate, "phantom1 --depth 60"),
-    ("view", view.view, "figure1"),
-    ("plan", plan.plan, "phantom2 --target 45,2 --obstacle 25,0.5,1"),
-    ("explain", results.explain, "coverage"),
-    ("report", results.report, "study3 --explain"),
-    ("diff", results.diff, "reports/study3 old/study3"),
-    ("reconstruct", reconstruct.reconstruct, "scans.csv --out data/mine"),
-    ("new project", data.new_project, "myproject"),
-    ("new workbook", data.new_workbook, "needles.xlsx"),
+_STUDY_OPTIONS = ("resume", "strict", "explain", "json", "quiet", "plugins")
+COMMANDS: tuple[tuple[str, Callable[..., None], str, tuple[str, ...]], ...] = (
+    ("import", data.import_data, "curves.xlsx --out ./mydata", ("strict", "json", "plugins")),
+    ("check", data.check, "./mydata", ("strict", "json", "plugins")),
+    ("tune", studies.tune, "phantom1", ("seed", "jobs", "out", *_STUDY_OPTIONS)),
+    ("validate", studies.validate, "study3", ("seed", "jobs", "out", "reference", *_STUDY_OPTIONS)),
+    ("predict", studies.predict, "study3 --scene study3", ("seed", "jobs", "out", *_STUDY_OPTIONS)),
+    ("simulate", simulate.simulate, "phantom1 --depth 60", ("strict", "json", "plugins")),
+    ("view", view.view, "figure1", ("out", "quiet", "plugins")),
+    (
+        "plan",
+        plan.plan,
+        "phantom2 --target 45,2 --obstacle 25,0.5,1",
+        ("out", "jobs", "json", "quiet", "plugins"),
+    ),
+    ("explain", results.explain, "coverage", ("json", "plugins")),
+    ("report", results.report, "study3 --explain", ("explain", "strict", "json", "quiet", "plugins")),
+    ("diff", results.diff, "reports/study3 old/study3", ("json", "plugins")),
+    (
+        "reconstruct",
+        reconstruct.reconstruct,
+        "scans.csv --out data/mine",
+        ("jobs", "scheduler", "insecure", "strict", "json", "quiet", "plugins"),
+    ),
+    ("new project", data.new_project, "myproject", ()),
+    ("new workbook", data.new_workbook, "needles.xlsx", ()),
 )
-"""Name, function and words of an example; those most used come first."""
+"""Name, function, words of an example, and further options; those most used come first."""
 
 _GROUPS = {
     "new": "Write files to edit: a project, or a workbook.",
@@ -44,10 +55,11 @@ def build() -> typer.Typer:
     app = typer.Typer(pretty_exceptions_enable=False, epilog=_EPILOG, **_STYLE)
     app.callback()(_needlefit)
     groups = {name: typer.Typer(name=name, help=text, **_STYLE) for name, text in _GROUPS.items()}
-    for name, function, example in COMMANDS:
+    for name, function, example, kept in COMMANDS:
         *group, word = name.split()
         holder = groups[group[0]] if group else app
-        holder.command(word, epilog=f"Example: needlefit {name} {example}".rstrip())(function)
+        epilog = f"Example: needlefit {name} {example}".rstrip()
+        holder.command(word, epilog=epilog)(take_options(function, kept))
     for subgroup in groups.values():
         app.add_typer(subgroup)
     return app

@@ -24,7 +24,6 @@ def predict_before_data(
     aim: str | None,
     radius: float,
     pose_sds: str,
-    seed: int,
 ) -> None:
     """Print where the tip of a scene will be by draws from the priors of a tissue model, or published moduli.
 
@@ -47,7 +46,9 @@ def predict_before_data(
     target = None if aim is None else read_numbers(aim, (2, 3), "--aim", "X,Y or X,Y,Z")
     shift, angle = map(abs, read_numbers(pose_sds, (2, 2), "--pose-sd", "SHIFT,DEGREES"))
     planned_scene = make_scene(planned, name, model, changed)
-    forecast = forecast_by_prior(planned_scene, model, radius, target, seed, (shift, angle))
+    forecast = forecast_by_prior(
+        planned_scene, model, radius, target, context.find_root().obj.seed or 1, (shift, angle)
+    )
     if context.find_root().obj.json:
         sources = [source._asdict() for source in published]
         screen.show_json(

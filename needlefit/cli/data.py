@@ -92,9 +92,6 @@ def import_data(
     overwrite: Annotated[
         bool, option("Replace OUT, if it is an earlier import.", None, "--overwrite")
     ] = False,
-    strict: options.Strict = False,
-    json: options.Json = False,
-    plugins: options.Plugins = None,
 ) -> None:
     """Make a dataset from files of other programs.
 
@@ -193,9 +190,6 @@ def check(
             "data/<name>/dataset.toml, studies/<name>.toml, configs/fits/<name>.toml, or a path.",
         ),
     ],
-    strict: options.Strict = False,
-    json: options.Json = False,
-    plugins: options.Plugins = None,
 ) -> None:
     """Check a dataset or study: list faults, fixes and warnings.
 

@@ -4,9 +4,11 @@ import hashlib
 import math
 import re
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import wraps
+from inspect import Parameter, signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 
@@ -27,7 +29,7 @@ def argument(metavar: str, text: str, **more: Any) -> Any:  # noqa: ANN401 - typ
     return typer.Argument(metavar=metavar, help=text, **more)
 
 
-# ---- options whose values the invocation keeps: commands have them as parameters, but read them from it
+# ---- options whose values the invocation keeps: commands read them from it
 
 
 def _keep(context: typer.Context, parameter: typer.CallbackParam, value: Any) -> Any:  # noqa: ANN401
@@ -45,52 +47,60 @@ def _use_plugins(modules: list[str] | None) -> list[str] | None:
 
 
 def _flag(text: str, *words: str) -> Any:  # noqa: ANN401 - typer's
-    return typer.Option(*words, help=text, callback=_keep)
+    return Annotated[bool, typer.Option(*words, help=text, callback=_keep)]
 
 
-Explain = Annotated[bool, _flag("All tables, with notes and diagnostics.", "--explain")]
-Insecure = Annotated[bool, _flag("Accept a scheduler on another machine without encryption.", "--insecure")]
-Json = Annotated[bool, _flag("Results as JSON on stdout.", "--json")]
-Quiet = Annotated[bool, _flag("No progress on stderr.", "--quiet", "-q")]
-Reference = Annotated[
-    bool,
-    _flag(
-        "Also write the tables to OUT/reference/STUDY/.",
-        "--reference",
-    ),
-]
-Resume = Annotated[bool, _flag("Continue an interrupted run.", "--resume")]
-Strict = Annotated[bool, _flag("Exit code 5 after a warning.", "--strict")]
-Seed = Annotated[
-    int | None,
-    option(
-        "Seed of random numbers (default: the recipe's).",
-        "N",
-        min=0,
-        max=MAX_SEED,
-        callback=_keep,
-    ),
-]
-Jobs = Annotated[
-    int | None,
-    option("Cores to use (default: all).", "N", min=1, callback=_keep),
-]
-Scheduler = Annotated[
-    str | None,
-    option(
-        "Run tasks on a Dask cluster: tls://HOST:PORT (docs/developers/scale.md).", "ADDRESS", callback=_keep
-    ),
-]
 Out = Annotated[Path | None, option("Folder to write to (default: as stated above).", "OUT", callback=_keep)]
-Plugins = Annotated[
-    list[str] | None,
-    option(
-        "Installed Python module with further tissue laws, file formats, ... May be repeated.",
-        "MODULE",
-        callback=_use_plugins,
-        is_eager=True,
-    ),
-]
+KEPT: Mapping[str, Any] = {
+    "seed": Annotated[
+        int | None,
+        option("Seed of random numbers (default: the recipe's).", "N", min=0, max=MAX_SEED, callback=_keep),
+    ],
+    "jobs": Annotated[int | None, option("Cores to use (default: all).", "N", min=1, callback=_keep)],
+    "scheduler": Annotated[
+        str | None,
+        option(
+            "Run tasks on a Dask cluster: tls://HOST:PORT (docs/developers/scale.md).",
+            "ADDRESS",
+            callback=_keep,
+        ),
+    ],
+    "insecure": _flag("Accept a scheduler on another machine without encryption.", "--insecure"),
+    "out": Out,
+    "reference": _flag("Also write the tables to OUT/reference/STUDY/.", "--reference"),
+    "resume": _flag("Continue an interrupted run.", "--resume"),
+    "strict": _flag("Exit code 5 after a warning.", "--strict"),
+    "explain": _flag("All tables, with notes and diagnostics.", "--explain"),
+    "json": _flag("Results as JSON on stdout.", "--json"),
+    "quiet": _flag("No progress on stderr.", "--quiet", "-q"),
+    "plugins": Annotated[
+        list[str] | None,
+        option(
+            "Installed Python module with further tissue laws, file formats, ... May be repeated.",
+            "MODULE",
+            callback=_use_plugins,
+            is_eager=True,
+        ),
+    ],
+}
+"""Options of many commands, by the names of their parameters."""
+
+
+def take_options(command: Callable[..., None], names: Sequence[str]) -> Callable[..., None]:
+    """Return a command that also takes options of `KEPT`, behind its own."""
+
+    @wraps(command)
+    def run(**given: Any) -> None:  # noqa: ANN401 - whatever typer parses
+        command(**{name: value for name, value in given.items() if name not in names})
+
+    own = signature(command, eval_str=True)
+    flags = {name: False if get_args(KEPT[name])[0] is bool else None for name in names}
+    further = [
+        Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=KEPT[name])
+        for name, default in flags.items()
+    ]
+    run.__signature__ = own.replace(parameters=[*own.parameters.values(), *further])  # type: ignore[attr-defined]
+    return run
 
 
 # ---- other parameters of several commands

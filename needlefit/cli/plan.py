@@ -66,11 +66,6 @@ def plan(
     write_recording: Annotated[
         Path | None, option("Write the plan as a recording for `view` and `simulate`: .csv.", "FILE")
     ] = None,
-    out: options.Out = None,
-    jobs: options.Jobs = None,
-    json: options.Json = False,
-    quiet: options.Quiet = False,
-    plugins: options.Plugins = None,
 ) -> None:
     """Plan how to steer a needle to a target: entry, base, turns of the bevel.
 

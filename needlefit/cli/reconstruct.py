@@ -83,13 +83,6 @@ def reconstruct(
         ),
     ] = None,
     title: Annotated[str, option("Title of the dataset.")] = "",
-    jobs: options.Jobs = None,
-    scheduler: options.Scheduler = None,
-    insecure: options.Insecure = False,
-    strict: options.Strict = False,
-    json: options.Json = False,
-    quiet: options.Quiet = False,
-    plugins: options.Plugins = None,
 ) -> None:
     """Reconstruct the needles in SCANs into a dataset.
 

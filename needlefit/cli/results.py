@@ -22,11 +22,6 @@ def report(
         Path | None,
         option("Also write figures 3.5 and 7.16 in wide, and LaTeX tables, to a new folder.", "DIR"),
     ] = None,
-    explain: options.Explain = False,
-    strict: options.Strict = False,
-    json: options.Json = False,
-    quiet: options.Quiet = False,
-    plugins: options.Plugins = None,
 ) -> None:
     """Write tables, figures and report of a RUN again, to its own folder or to OUT.
 
@@ -60,8 +55,6 @@ def diff(
         argument("RUN_B", "Another one."),
     ],
     csv: Annotated[Path | None, option("Write all rows of the printed table.", "FILE")] = None,
-    json: options.Json = False,
-    plugins: options.Plugins = None,
 ) -> None:
     """Compare two runs: inputs, states, every number.
 
@@ -104,8 +97,6 @@ def explain(
         list[str] | None,
         argument("NAME", "A word of a page (coverage), a column (te_mm), a file (study), a key (leave_out)."),
     ] = None,
-    json: options.Json = False,
-    plugins: options.Plugins = None,
 ) -> None:
     """Explain a word, a warning, a column, or a key of a file.
 

@@ -49,9 +49,6 @@ def simulate(
     html: Annotated[
         Path | None, option("With --recording: an HTML file that computes the needle offline.", "FILE")
     ] = None,
-    strict: options.Strict = False,
-    json: options.Json = False,
-    plugins: options.Plugins = None,
 ) -> None:
     """Simulate a SCENE, or replay a recording of one.
 

@@ -34,15 +34,6 @@ def tune(
     ] = False,
     free: options.Free = None,
     fix: options.Fix = None,
-    seed: options.Seed = None,
-    jobs: options.Jobs = None,
-    out: options.Out = None,
-    resume: options.Resume = False,
-    strict: options.Strict = False,
-    explain: options.Explain = False,
-    json: options.Json = False,
-    quiet: options.Quiet = False,
-    plugins: options.Plugins = None,
 ) -> None:
     """Fit the parameters of a TARGET (mu, alpha, b).
 
@@ -105,16 +96,6 @@ def validate(
             "study1 ... study5, all (those five), another, or a path.",
         ),
     ],
-    seed: options.Seed = None,
-    jobs: options.Jobs = None,
-    out: options.Out = None,
-    reference: options.Reference = False,
-    resume: options.Resume = False,
-    strict: options.Strict = False,
-    explain: options.Explain = False,
-    json: options.Json = False,
-    quiet: options.Quiet = False,
-    plugins: options.Plugins = None,
 ) -> None:
     """Run a STUDY, such as: fit some insertions, predict others.
 
@@ -193,15 +174,6 @@ def predict(
     specimen: options.Specimen = None,
     depth: options.Depth = None,
     set_: options.Changes = None,
-    seed: options.Seed = None,
-    jobs: options.Jobs = None,
-    out: options.Out = None,
-    resume: options.Resume = False,
-    strict: options.Strict = False,
-    explain: options.Explain = False,
-    json: options.Json = False,
-    quiet: options.Quiet = False,
-    plugins: options.Plugins = None,
 ) -> None:
     """Predict a planned insertion with what was fitted to a TARGET.
 
@@ -220,7 +192,7 @@ def predict(
             raise typer.BadParameter("give a TARGET, or --medium with --scene", param_hint="TARGET")
         keys = [key for key, value in map(split_pair, set_ or []) if value]
         named_scene = scene_record(scene, depth, set_ or [])
-        predict_before_data(context, named_scene, keys, medium, aim, radius, pose_sd, seed or 1)
+        predict_before_data(context, named_scene, keys, medium, aim, radius, pose_sd)
         return
     with begin(context) as execution:
         from needlefit.inference.parameter_changes import load_changed_medium

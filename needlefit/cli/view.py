@@ -25,9 +25,6 @@ def view(
     browser: Annotated[
         bool, option("Open the page, or only print its path.", None, "--browser/--no-browser")
     ] = True,
-    out: options.Out = None,
-    quiet: options.Quiet = False,
-    plugins: options.Plugins = None,
 ) -> None:
     """Write a page on which a needle is steered by hand, and open it.
 

@@ -117,13 +117,10 @@ class CountMetadata(_Metadata):
 class ValidityMetadata(_Metadata):
     """How many simulations of each kind were outside what the model assumes, and its limits."""
 
-    scored: CountMetadata
-    starts: CountMetadata
     draws: CountMetadata
     predicted: CountMetadata
     limits: dict[str, float]
     fitted_outside: int  #: scored simulations of the fits
-    scored_outside: list[Table]  #: some of these: fold, role, method, insertion, boundaries, faults
 
 
 class DepthMetadata(_Metadata):
@@ -236,7 +233,6 @@ class FitMetadata(JobMetadata):
     layers: dict[str, list[tuple[int, float]]]  #: by insertion those it meets, and where each begins, mm
     insertions: dict[str, InsertionMetadata]
     new_bevel_sd: dict[str, float]  #: by fold: by how many SDs the bevel of a further insertion deviates
-    truth: dict[str, float] = {}  #: the true parameters, of our synthetic data
     search_faults: dict[str, list[str]]  #: by fold: why the best point may not be the best
     stated_depths: list[DepthMetadata] = []
     odd_needles: list[NeedleDoubtMetadata] = []

@@ -25,11 +25,9 @@ from needlefit.reporting.number_format import (
     choose_unit,
     format_bare_symbol,
     format_metric,
-    format_number,
     format_plain,
     is_known,
     round_significant,
-    typeset,
 )
 from needlefit.reporting.table import Table, TableLayout, part, pivot
 from needlefit.reporting.table_files import Row, select_rows, to_records
@@ -274,7 +272,7 @@ AT_BOUND = "*"  #: marks the end of a range that is a bound
 END_DIGITS = 2  #: significant digits of the ends of an interval
 
 
-def _describe_parameter(name: str, rows: pd.DataFrame, truth: float | None) -> Row:
+def _describe_parameter(name: str, rows: pd.DataFrame) -> Row:
     """Return the cells of one parameter from its rows of every method, of several folds their range.
 
     The posterior's value stands with its 95 % interval, that of the least errors with its range.
@@ -295,7 +293,6 @@ def _describe_parameter(name: str, rows: pd.DataFrame, truth: float | None) -> R
         "posterior": estimate,
         "error_minimising": "" if fixed else _format_least_errors(name, errors, unit),
         "hand_tuned": _join_range([row.value for row in paper], unit),
-        "true_value": "" if truth is None else typeset(format_number(truth / unit)),
     }
 
 
@@ -486,11 +483,11 @@ def lay_out_parameters(run: Run) -> TableLayout:
     for name, members in frames.parameters.groupby("parameter", sort=False):
         if "fitted" not in set(members["method"]):
             continue
-        row = _describe_parameter(str(name), members, stated.truth.get(str(name)))
+        row = _describe_parameter(str(name), members)
         label = row.pop("parameter")
         merged.setdefault(tuple(row.values()), {**row, "names": []})["names"].append(label)
     rows = [{**row, "parameter": ", ".join(row["names"])} for row in merged.values()]
-    columns = ("parameter", "mode", "posterior", "error_minimising", "hand_tuned", "true_value")
+    columns = ("parameter", "mode", "posterior", "error_minimising", "hand_tuned")
     values = {
         "folds": int(frames.parameters["fold"].nunique()),
         "modes": any(row["mode"] for row in rows),
@@ -500,7 +497,6 @@ def lay_out_parameters(run: Run) -> TableLayout:
         "printed": any(row["hand_tuned"] for row in rows),
         "metric": any(row["error_minimising"] for row in rows),
         "curved": frames.curved,
-        "truth": any(row["true_value"] for row in rows),
         "sources": [words for source, words in (sampler | SOURCES).items() if source in used],
         "of_mean": bool(set(frames.draws["specimen"]) - {TUNED_SPECIMENS, NEW_SPECIMEN}),
         "leaning": [

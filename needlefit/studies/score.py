@@ -142,9 +142,9 @@ class Scorer:
     def score(self, place: Row, insertion: Insertion, method: Predictor) -> dict[str, list[Row]]:
         """Return the scores of a method on an insertion; `place` has fold, role and method.
 
-        They are rows of the tables "errors" and "shapes", and the "validity" of every simulation.
+        They are rows of the tables "errors" and "shapes", and what is "outside" what the model assumes.
         """
-        errors, shapes, validity = list[Row](), list[Row](), list[Row]()
+        errors, shapes, outside = list[Row](), list[Row](), list[Row]()
         for boundaries, curve in method(insertion).items():
             where = {**place, "insertion": insertion.id, "boundaries": boundaries}
             row = self.describe(where, insertion, self.floors[insertion.id])
@@ -153,11 +153,11 @@ class Scorer:
                 row |= {metric.name: math.inf for metric in list_metrics(*(goal.quantity for goal in goals))}
                 errors.append(row | FAILED)
                 continue
-            if isinstance(curve, SimulatedCurve):
-                validity.append({**where, "faults": list(curve.shape.validity.faults)})
+            if isinstance(curve, SimulatedCurve) and curve.shape.validity.faults:
+                outside.append(where)
             errors.append(row | self.compute_errors(insertion, [goal.compare(curve) for goal in goals]))
             shapes += _shape_rows(where, goals, curve)
-        return {"errors": errors, "shapes": shapes, "validity": validity}
+        return {"errors": errors, "shapes": shapes, "outside": outside}
 
     def describe(self, where: Row, insertion: Insertion, floors: NoiseFloor) -> Row:
         """Return the row of an insertion and a method before its errors."""

@@ -17,7 +17,7 @@ from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood import nodes
 from needlefit.inference.likelihood.observation import StatedErrors
 from needlefit.inference.likelihood.observations import OBSERVATIONS, TrueNeedle, measure
-from needlefit.inference.parameter_names import BEVEL_SPREAD, NOISE_SCALE, dimension, find_bevel_factors
+from needlefit.inference.parameter_names import BEVEL_SPREAD, NOISE_SCALE, find_bevel_factors
 from needlefit.inference.planned_layers import with_planned_layers
 from needlefit.inference.predict import draw_from_prior
 from needlefit.inference.problem import Problem
@@ -28,7 +28,6 @@ from needlefit.project.toml import locate_key
 from needlefit.schemas.analyses import SyntheticDataRecord, SyntheticInsertionRecord
 from needlefit.schemas.medium import MediumRecord
 from needlefit.studies.job import Job
-from needlefit.synthetic.design import POPULATION, bevel_offset, draw_deviations, draw_specimen, list_designs
 
 
 def simulate_measurement(
@@ -143,42 +142,6 @@ def _make_straight_insertion(
         depth_sd=record.depth_sd_mm,
         base_moved=stated.base_moved_mm,
     )
-
-
-def find_true_value(problem: Problem, name: str, seed: int, drawn: bool = False) -> float:
-    """Return the mean of a parameter over specimens, layers and bevels that a fit learns from.
-
-    The geometric mean, of exponents the arithmetic one. NaN for what the truth has not: hyperparameters, the
-    angle of a cut, needles of other data; and for exponents where media are `drawn` from the population,
-    which has none.
-    """
-    population = POPULATION if drawn else None
-    planned = {design.id: design for design in list_designs()}
-    if any(insertion.id not in planned for insertion in problem.insertions):
-        return math.nan
-    tuned = [planned[insertion.id] for insertion in problem.insertions]
-    specimens = [draw_specimen(seed, insertion.medium, insertion.specimen, population) for insertion in tuned]
-    if name == "bevel_mm":
-        pairs = zip(specimens, tuned, strict=True)
-        offsets = [
-            bevel_offset(specimen, design, draw_deviations(seed, design)) for specimen, design in pairs
-        ]
-        return float(np.exp(np.mean(np.log(offsets))))
-    same = [name, *(tied for tied, (_, source) in problem.parameters.ties.items() if source == name)]
-    quantity = dimension(name)
-    if quantity == "modulus":
-        moduli = _list_true(same, "mu", [specimen.mu for specimen in specimens])
-        return float(1e6 * np.exp(np.mean(np.log(moduli)))) if moduli else math.nan
-    alphas = (
-        _list_true(same, "alpha", [specimen.alpha for specimen in specimens]) if quantity == "alpha" else []
-    )
-    return float(np.mean(alphas)) if alphas and population is None else math.nan
-
-
-def _list_true(names: Sequence[str], prefix: str, specimens: Sequence[Floats]) -> list[float]:
-    """Return the true values of the layers that `names` name, of all specimens (layers,)."""
-    layers = [int(name.removeprefix(prefix).removesuffix("_pa")) - 1 for name in names]
-    return [float(specimen[layer]) for specimen in specimens for layer in layers if layer < len(specimen)]
 
 
 def simulate_design(problem: Problem, values: Mapping[str, float]) -> Problem | None:

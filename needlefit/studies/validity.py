@@ -6,9 +6,8 @@ from needlefit.mechanics.shape import LIMITS
 from needlefit.reporting.table_files import Row
 from needlefit.schemas.run_metadata import CountMetadata, ValidityMetadata
 
-#: methods whose invalid predictions give a warning; those of a published set are counted only
+#: methods whose invalid predictions give a warning
 FITTED_METHODS = ("fitted", "fitted_metric")
-MAX_LISTED_ROWS = 20  #: scored simulations outside that are listed; the others are counted
 #: share of draws, or of needles predicted by them, that may be outside without a warning: their tails are
 MAX_OUTSIDE_SHARE = 0.01
 MOSTLY_OUTSIDE = 0.5  #: share of draws outside above which they determine no parameter
@@ -17,24 +16,20 @@ _PREDICTED = "predictions of held-out insertions"
 
 
 def tabulate_validity(
-    folds: Sequence[Mapping[str, CountMetadata]], scored: Sequence[Row]
+    folds: Sequence[Mapping[str, CountMetadata]], outside: Sequence[Row]
 ) -> ValidityMetadata:
     """Return the counts of all folds.
 
     folds
-        By kind the simulations of each: "starts", the ends of all starts of all searches, of which one is
-        outside if any of its insertions is; "draws" of the posterior, counted likewise; "predicted", needles
-        of held-out insertions, one for each draw.
-    scored
-        Fold, role, method, insertion and boundaries of every scored simulation, with its `faults`.
+        By kind the simulations of each: "draws" of the posterior, of which one is outside if any of its
+        insertions is; "predicted", needles of held-out insertions, one for each draw.
+    outside
+        Each scored simulation that is outside, by its method.
     """
-    beyond = [row for row in scored if row["faults"]]
     return ValidityMetadata(
-        scored=CountMetadata(simulations=len(scored), outside=len(beyond)),
-        **{kind: add_counts(counts[kind] for counts in folds) for kind in ("starts", "draws", "predicted")},
+        **{kind: add_counts(counts[kind] for counts in folds) for kind in ("draws", "predicted")},
         limits={name: limit for name, limit, _ in LIMITS},
-        fitted_outside=sum(row["method"] in FITTED_METHODS for row in beyond),
-        scored_outside=beyond[:MAX_LISTED_ROWS],
+        fitted_outside=sum(row["method"] in FITTED_METHODS for row in outside),
     )
 
 

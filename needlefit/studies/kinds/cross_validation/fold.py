@@ -65,8 +65,8 @@ from needlefit.studies.score import make_predictors, make_scorer, predict_needle
 from needlefit.studies.validity import MOSTLY_OUTSIDE, add_counts
 
 FitRows = dict[str, Sequence[Any]]  #: rows by the name of the table that they belong to
-#: tables of what is scored and predicted, and the validity of the simulations
-SCORED_TABLES = ("errors", "shapes", "validity", "predictive", "bands", "readings", "ends", "curvature")
+#: tables of what is scored and predicted, and the simulations outside what the model assumes
+SCORED_TABLES = ("errors", "shapes", "outside", "predictive", "bands", "readings", "ends", "curvature")
 
 
 @dataclass(frozen=True)
@@ -179,7 +179,6 @@ def run_fold(job: Job, fold: Fold, services: FoldServices) -> FoldResult:
         needles=tuple(needles),
         mode=fitted.theta if fitted and fitted.minimized == "posterior" else None,
         counts={
-            "starts": _count_starts(job, fold, fits.fits),
             "draws": drawn.count if drawn else CountMetadata(),
             "predicted": add_counts(part.simulations for part in predicted),
         },
@@ -371,16 +370,6 @@ def _find_draw_faults(drawn: FoldDrawn) -> Iterator[RunFault]:
 
 
 # ---- rows of the tables
-
-
-def _count_starts(job: Job, fold: Fold, fits: Mapping[str, Fit]) -> CountMetadata:
-    """Return the ends of all starts, and how many of them are outside what the model assumes."""
-    counts = []
-    for name, fit in fits.items():
-        ends = [start.theta for start in fit.starts if math.isfinite(start.objective)]
-        outside = find_outside_validity(job.problem(fold, name), ends)
-        counts.append(CountMetadata(simulations=len(ends), outside=int(outside.sum())))
-    return add_counts(counts)
 
 
 def _list_draws(job: Job, fold: Fold, drawn: FoldDrawn) -> Iterator[Row]:

@@ -3,7 +3,6 @@
 A fit is a study of one fold, which scores only its own insertions. The report judges the run by its tables.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -13,7 +12,6 @@ from needlefit.grouping import group_values
 from needlefit.inference.doubts import Doubts
 from needlefit.inference.identifiability.known_direction import predict_factors
 from needlefit.project.checkpoint import open_checkpoint
-from needlefit.project.locate import read_toml
 from needlefit.project.processes import one_thread
 from needlefit.project.progress import no_note
 from needlefit.project.result_warnings import to_stored_rows
@@ -42,7 +40,6 @@ from needlefit.studies.mixed_errors import add_errors_over_noise
 from needlefit.studies.needle_placement import tabulate_needles_in_scan
 from needlefit.studies.odd_needles import find_odd_needles, join_folds
 from needlefit.studies.run import Run
-from needlefit.studies.simulated_data import find_true_value
 from needlefit.studies.validity import tabulate_validity
 
 __all__ = ["FRAMES", "Settings", "run"]
@@ -139,7 +136,6 @@ def conclude_run(job: Job, work: JobMetadata, results: Sequence[FoldResult]) -> 
     if mode is not None and job.dataset.pose == "free" and job.dataset.noise_is_stated:
         factors = predict_factors(join_folds(job), mode)
     where_known = {  # left out where there is nothing to say
-        "truth": _find_truth(job),
         "odd_needles": list(doubts.odd),
         "deviating": doubts.deviating,
         "common_doubt": doubts.common,
@@ -155,7 +151,7 @@ def conclude_run(job: Job, work: JobMetadata, results: Sequence[FoldResult]) -> 
         insertions=describe_insertions(job),
         new_bevel_sd={fold.name: find_fold_bevel_sd(job, fold) for fold in job.folds},
         search_faults=search_faults,
-        validity=tabulate_validity([result.counts for result in results], join_rows(rows, "validity")),
+        validity=tabulate_validity([result.counts for result in results], join_rows(rows, "outside")),
         **{name: value for name, value in where_known.items() if value},
     )
     run = Run(
@@ -183,21 +179,6 @@ def _make_frame(job: Job, name: str, parts: Sequence[FitRows]) -> pd.DataFrame:
     rows = join_rows(parts, name)
     values = job.parameters.names if name in ("starts", "profiles", "draws") else ()
     return pd.DataFrame(rows) if rows else pd.DataFrame(columns=[*FRAMES[name], *values])
-
-
-def _find_truth(job: Job) -> dict[str, float]:
-    """Return the true parameters, where the data are our synthetic ones; nothing that fits knows them."""
-    path = job.dataset.path / "dataset.toml" if job.dataset.path.is_dir() else job.dataset.path
-    if job.dataset.origin != "synthetic" or len(job.folds) > 1 or not path.is_file():
-        return {}
-    stated = read_toml(path)
-    seed, known = stated.get("truth_seed"), stated.get("truth", {})
-    if not isinstance(seed, int):
-        return {name: float(known[name]) for name in job.parameters.names if name in known}
-    problem = job.problem(job.folds[0])
-    drawn = bool(stated.get("truth_population"))
-    known = {name: find_true_value(problem, name, seed, drawn) for name in job.parameters.names}
-    return {name: value for name, value in known.items() if math.isfinite(value)}
 
 
 def find_faults(
