@@ -62,13 +62,10 @@ def clean(tmp_path_factory):
     """The study as it is, run once."""
     with pytest.MonkeyPatch.context() as here:
         here.chdir(made(tmp_path_factory.mktemp("clean")))
-        return run(
-            "clean", study(), Settings(progress=lambda *event: EVENTS.append(event), first=FIRST.append)
-        )
+        return run("clean", study(), Settings(progress=lambda *event: EVENTS.append(event)))
 
 
 EVENTS = []  #: what the run above reports
-FIRST = []
 
 
 def study(**changes):

@@ -33,7 +33,6 @@ from needlefit.project.checkpoint import Checkpoint
 from needlefit.project.progress import no_progress
 from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import compute_beside, stop_requested
-from needlefit.reporting.number_format import format_bare_symbol, format_quantity
 from needlefit.reporting.table_files import Row
 from needlefit.schemas.run_metadata import CountMetadata
 from needlefit.studies.answer import RunFault, find_fault_kind
@@ -220,7 +219,6 @@ def fit_fold(job: Job, fold: Fold, services: FoldServices) -> FoldFits:
     if first in fits and job.response_at is None and job.responds_to_moves(fold):
         return fit_fold(replace(job, response_at=fits[first].values), fold, services)
     job = job.holding(fits[first].held) if first in fits else job
-    _note_fit(job, fits, services)
     beside: list[Callable[[], bytes]] = [
         lambda: pickle.dumps(search_fits(job, fold, others, services.here(job))),
         lambda: pickle.dumps(_profile(job, fold, fits, services.here(job))),
@@ -253,18 +251,6 @@ def search_fits(job: Job, fold: Fold, searches: Iterable[str], services: FoldSer
         step = services.progress.phase(fold, SEARCH_PHASES[search])
         fits[search] = search_fit(job, fold, search, services.settings, services.checkpoint, step)
     return fits
-
-
-def _note_fit(job: Job, fits: Mapping[str, Fit], services: FoldServices) -> None:
-    """Print the best fit, before there are intervals."""
-    fit = fits.get("fitted")
-    if len(job.folds) > 1 or fit is None or fit.interrupted or not math.isfinite(fit.objective):
-        return
-    values = (
-        f"{format_bare_symbol(name)} {format_quantity(name, fit.values[name])}"
-        for name in job.parameters.searched.free
-    )
-    services.settings.first(f"{job.name}: best fit: {', '.join(values)}; intervals follow")
 
 
 def _profile(job: Job, fold: Fold, fits: Mapping[str, Fit], services: FoldServices) -> FitProfiles | None:
