@@ -52,9 +52,9 @@ def test_every_needle_is_in_the_world_of_its_dataset(fitted):
     }  # fmt: skip
     for n, (name, one) in enumerate(sorted(placed.items())):
         insertion = next(i for i in job.dataset.insertions if i.id == name)
-        assert_allclose(one.measured, insertion.centerline, atol=1e-9)
-        assert arc_length(one.fitted)[-1] == pytest.approx(needles.DEPTHS[n], rel=1e-3)
-        assert_allclose(one.fitted[-1], insertion.centerline[-1], atol=0.02)  # the truth is known
+        assert_allclose(one.curves["measured"], insertion.centerline, atol=1e-9)
+        assert arc_length(one.curves["fitted"])[-1] == pytest.approx(needles.DEPTHS[n], rel=1e-3)
+        assert_allclose(one.curves["fitted"][-1], insertion.centerline[-1], atol=0.02)  # the truth is known
         assert one.diameter == 1.27
 
 
@@ -68,15 +68,15 @@ def test_the_band_of_a_fitted_needle_is_that_of_the_needles_of_its_draws(fitted)
         thetas[:, at] += np.log(factors)
         return Draws(thetas, "importance")
 
-    band = place(fitted, draw(np.linspace(0.9, 1.1, 400)))["needle-1"].band
-    assert band.source == "posterior"
-    for height, b in ((band.low, 0.905), (band.middle, 1.0), (band.high, 1.095)):
-        single = place(fitted, draw([b, b]))["needle-1"].band
-        assert np.abs(single.high - single.low).max() < 1e-12
-        assert_allclose(height[-1], single.middle[-1], atol=2e-3)
-    assert_allclose(band.middle, place(fitted)["needle-1"].fitted, atol=2e-3)
+    band = place(fitted, draw(np.linspace(0.9, 1.1, 400)))["needle-1"]
+    assert band.band_source == "posterior"
+    for end, b in (("low", 0.905), ("middle", 1.0), ("high", 1.095)):
+        single = place(fitted, draw([b, b]))["needle-1"].curves
+        assert np.abs(single["high"] - single["low"]).max() < 1e-12
+        assert_allclose(band.curves[end][-1], single["middle"][-1], atol=2e-3)
+    assert_allclose(band.curves["middle"], place(fitted)["needle-1"].curves["fitted"], atol=2e-3)
     doubtful = dataclasses.replace(draw([1.0, 1.1]), faults=("not certified",))
-    assert place(fitted, doubtful)["needle-1"].band is None
+    assert place(fitted, doubtful)["needle-1"].band_source == ""
 
 
 def test_the_band_of_a_held_out_needle_is_the_predicted_one(fitted):
@@ -90,11 +90,11 @@ def test_the_band_of_a_held_out_needle_is_the_predicted_one(fitted):
         for at, height in zip(x, y, strict=True)
     ]  # fmt: skip
     placed = place(fitted, None, [HeldOutPrediction("needle-3", {"bands": rows}, CountMetadata())])
-    band = placed["needle-3"].band
-    assert band.source == "predicted"
-    assert_allclose(band.high - band.low, np.tile([0.0, 3.0, 0.0], (5, 1)), atol=1e-9)
-    assert_allclose(band.middle[-1], insertion.centerline[-1] + [0, 0.5, 0], atol=1e-6)
-    assert placed["needle-4"].band is None and placed["needle-1"].band is None
+    band = placed["needle-3"].curves
+    assert placed["needle-3"].band_source == "predicted"
+    assert_allclose(band["high"] - band["low"], np.tile([0.0, 3.0, 0.0], (5, 1)), atol=1e-9)
+    assert_allclose(band["middle"][-1], insertion.centerline[-1] + [0, 0.5, 0], atol=1e-6)
+    assert "low" not in placed["needle-4"].curves and "low" not in placed["needle-1"].curves
 
 
 @pytest.mark.sweep

@@ -7,7 +7,7 @@ the noise of the measured points nor what the model misses is in it.
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -29,6 +29,7 @@ from needlefit.studies.observations import HeldOutPrediction
 
 NEEDLE_POINTS = 51  # points of a fitted needle and of its band
 BAND_PROBABILITY = 0.95
+BAND_CURVES = ("low", "middle", "high")
 
 
 #: Of the table "needles": every insertion held out, or, of a single fold, any, point by point in its scan.
@@ -39,26 +40,17 @@ NEEDLE_COLUMNS = (
 
 
 @dataclass(frozen=True)
-class Band:
-    """The simultaneous 95 % band across a needle, in its bending plane; (K, 3) each, LPS, mm."""
-
-    low: Floats
-    middle: Floats
-    high: Floats
-    source: Literal["predicted", "posterior"]  #: of a held-out needle what was predicted to be measured
-
-
-@dataclass(frozen=True)
 class NeedleInScan:
     """One insertion in the patient coordinates of its scan, LPS, mm."""
 
     insertion: str
     fold: str
     role: str  # "validate" where the fit never saw it, else "tune"
-    measured: Floats  # (N, 3); the centreline, entry first
     diameter: float  # of the needle as it is drawn
-    fitted: Floats | None = None  # (K, 3); in the bending plane; None where the solve failed
-    band: Band | None = None  # None where no draws are certified, or none of them has a solution
+    band_source: str  # of a held-out needle "predicted", else "posterior"; "" without a band
+    # (K, 3) each: "measured" is the centreline, entry first; "fitted" where the solve succeeded; "low",
+    # "middle", "high" are the simultaneous 95 % band in the bending plane, of certified draws
+    curves: Mapping[str, Floats]
 
 
 def place_needles(
@@ -79,7 +71,7 @@ def place_needles(
     dataset, by_id = problem.dataset, {prediction.insertion: prediction for prediction in predicted}
     for role, insertions in (("tune", fold.tune if fitted else ()), ("validate", fold.validate)):
         for insertion in (insertion for insertion in insertions if not insertion.in_tracker_frame):
-            placement, band = Placement(insertion.frame, insertion.patient), None
+            placement, band = Placement(insertion.frame, insertion.patient), dict[str, Floats]()
             prediction = by_id.get(insertion.id) if role == "validate" else None
             curve = prediction.curve if prediction else None
             if curve is None:
@@ -91,14 +83,15 @@ def place_needles(
                 band = _place_predicted_band(insertion, placement, prediction.rows.get("bands", ()))
             elif role == "tune" and points is not None and draws is not None and draws.certified is not None:
                 band = _place_band_of_draws(problem, insertion, s, points[:, 0], draws.thetas, jobs)
+            source = "posterior" if prediction is None else "predicted"
+            fitted_curve = {} if points is None else {"fitted": placement.to_patient(points)}
             yield NeedleInScan(
                 insertion.id,
                 fold.name,
                 role,
-                measured=insertion.patient.to_local(insertion.centerline),
-                diameter=insertion.needle.outer_diameter or DEFAULT_DIAMETER_MM,
-                fitted=None if points is None else placement.to_patient(points),
-                band=band,
+                insertion.needle.outer_diameter or DEFAULT_DIAMETER_MM,
+                source if band else "",
+                {"measured": insertion.patient.to_local(insertion.centerline), **fitted_curve, **band},
             )
 
 
@@ -124,54 +117,49 @@ def place_points(dataset: Dataset, insertion: Insertion, s: Floats, points: Floa
 
 def _place_predicted_band(
     insertion: Insertion, placement: Placement, rows: Sequence[Mapping[str, Any]]
-) -> Band | None:
-    """Return the band of what was predicted to be measured; None without a prediction.
+) -> dict[str, Floats]:
+    """Return the band of what was predicted to be measured; empty without a prediction.
 
     Where only the shape is known, predictions stand in a frame of their own: the band keeps its distance from
     the measured needle.
     """
     if not rows:
-        return None
+        return {}
     x, measured, *heights = np.array(
         [[row[f"{name}_mm"] for name in ("x", "measured", "low_95", "median", "high_95")] for row in rows]
     ).T
     shift = np.interp(x, *insertion.points.T[:2]) - measured
     across = np.array([row.get("median_z_mm", 0.0) for row in rows])
-    low, middle, high = (placement.to_patient(np.column_stack([x, y + shift, across])) for y in heights)
-    return Band(low, middle, high, "predicted")
+    curves = (placement.to_patient(np.column_stack([x, y + shift, across])) for y in heights)
+    return dict(zip(BAND_CURVES, curves, strict=True))
 
 
 def _place_band_of_draws(
     problem: Problem, insertion: Insertion, s: Floats, x: Floats, thetas: Floats, jobs: int
-) -> Band | None:
-    """Return the band over the needles of draws, at the fitted one's x (K,); None where none is solved."""
+) -> dict[str, Floats]:
+    """Return the band over the needles of draws, at the fitted one's x (K,); empty where none is solved."""
     sets = [problem.parameters.values(theta) for theta in thetas]
     (shapes,) = PreparedModel(problem.medium, [insertion]).simulate(sets, jobs)
     placement = Placement(insertion.frame, insertion.patient)
     needles = compute_batch_positions(shapes, s)[shapes.converged]  # (B, K, 3)
     if not len(needles):
-        return None
+        return {}
     aligned = np.array([place_points(problem.dataset, insertion, s, needle) for needle in needles])
     across, bands = np.median(aligned[..., 2], axis=0), find_bands(aligned[..., 1])
     below, above = bands.ends(BAND_PROBABILITY)
-    low, middle, high = (
-        placement.to_patient(np.column_stack([x, y, across])) for y in (below, bands.median, above)
-    )
-    return Band(low, middle, high, "posterior")
+    heights = (below, bands.median, above)
+    curves = (placement.to_patient(np.column_stack([x, y, across])) for y in heights)
+    return dict(zip(BAND_CURVES, curves, strict=True))
 
 
 def tabulate_needles_in_scan(needles: Iterable[NeedleInScan]) -> pd.DataFrame:
     """Return needles point by point: columns `NEEDLE_COLUMNS`."""
     rows = []
     for needle in needles:
-        band = needle.band
-        about = (needle.fold, needle.role, needle.insertion, needle.diameter, band.source if band else "")
-        curves = {"measured": needle.measured}
-        curves |= {} if needle.fitted is None else {"fitted": needle.fitted}
-        curves |= {} if band is None else {"low": band.low, "middle": band.middle, "high": band.high}
+        about = (needle.fold, needle.role, needle.insertion, needle.diameter, needle.band_source)
         rows += [
             (*about, curve, j, *point)
-            for curve, points in curves.items()
+            for curve, points in needle.curves.items()
             for j, point in enumerate(points.tolist())
         ]
     return pd.DataFrame(rows, columns=list(NEEDLE_COLUMNS))
