@@ -26,7 +26,6 @@ DEFLECTION = {("phantom2", 4): 4.3, ("phantom2", 3): 3.4, ("phantom2", 2): 0.9, 
 MISS = {  # method -> error of the tip as a share of the deflection, plus a shift in mm
     "fitted": (0.04, 0.12),
     "hand_tuned": (0.25, 0.2),
-    "hand_tuned_b": (0.12, 0.15),
     "straight": (1.0, 0.05),
     "constant_curvature": (0.2, 0.1),
     "linear_curvature": (0.1, 0.1),
@@ -123,7 +122,7 @@ def parameters(layers, fold, undetermined, methods):
             kind = next(one for one in values if name.startswith(one))
             value = values[kind] if name not in ("mu2_pa", "mu4_pa") else 3.1e7 * (1 + 0.05 * fold)
             fixed = method == "fitted" and kind == "alpha" and layers == 1
-            free = (method == "fitted" or (method == "hand_tuned_b" and kind == "bevel")) and not fixed
+            free = method == "fitted" and not fixed
             tied = free and name in ("mu3_pa", "mu4_pa", "alpha3", "alpha4")
             status = "fixed" if fixed else "tied" if tied else "free" if free else "published"
             known = not fixed and not (free and (kind == "alpha" or (kind == "mu" and undetermined)))
@@ -191,13 +190,13 @@ def study(number, origin="synthetic"):
         insertions[-1]["converged"] = False
     errors, shapes = score_all(insertions, 1, tuple(MISS), "world")
     layers = 1 if number == 5 else 4
-    methods = ("fitted", "hand_tuned", "hand_tuned_b")
+    methods = ("fitted", "hand_tuned")
     question = "Does a model tuned on some insertions predict the others?"
     about = {"schema": 1, "title": f"Study {number}: a made-up run", "question": question, "dataset": "twin"}
     about |= {"medium": first["tune_medium"], "paper_study": number, "paper_parameters": f"study{number}"}
     record = StudyRecord.model_validate({**about, "validate": [{"medium": first["validate_medium"]}]})
     fitted = parameters(layers, 1, number != 1, methods)
-    begun = starts(rng, layers, 1, ("fitted", "hand_tuned_b"))
+    begun = starts(rng, layers, 1, ("fitted",))
     made = Run(
         kind="cross_validation",
         name=f"study{number}",

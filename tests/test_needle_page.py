@@ -16,8 +16,7 @@ from needlefit.geometry.curves import TIP_POINTS
 from needlefit.reporting import needle_page
 from needlefit.reporting.document import compile_html
 from needlefit.schemas.run_metadata import NeedleMetadata
-from needlefit.studies.combined_report import compose_overview
-from needlefit.studies.explorer import collect_explorer, collect_explorers, find_prediction
+from needlefit.studies.explorer import collect_explorer, find_prediction
 from needlefit.studies.report import compose_run_report
 
 pytestmark = pytest.mark.skipif(
@@ -120,12 +119,7 @@ def test_predictions_and_reports_of_runs_have_their_needles(world, result, chrom
     assert needle["tip"] == approx(forecast["needle_predicted_mm"].iloc[-1], abs=1e-3)
     assert needle["scene"]["depth_mm"] == forecast["s_mm"].iloc[-1]
     assert needle["scene"]["draws"]["sets"] == len(next(iter(predicted.metadata.drawn.values())))
-    several = collect_explorers([result, predicted])
-    names = [one["name"] for one in several.needles]
-    assert len(set(names)) == len(names) == len(collect_explorer(result).needles) + 1
     page = tmp_path / "report.html"
-    page.write_bytes(compile_html(compose_overview([result], [])))
-    assert len(read_page_data(page.read_text("utf-8"))["needles"]) == len(names) - 1
     page.write_bytes(compile_html(compose_run_report(predicted, {})))
     with open_offline(chromium, page) as window:
         assert window.evaluate(ALL_STATES) == [1, 0]

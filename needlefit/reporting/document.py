@@ -42,7 +42,6 @@ class Document:
     blocks: tuple[Block, ...]
     # The needles that the HTML page computes
     explorer: PageData | None = None
-    explorer_last: bool = False  # closed, after everything else; else it stands beside the first page
 
 
 def heading(words: str) -> Block:
@@ -254,7 +253,6 @@ def _render_html(template: str, document: Document) -> str:
         blocks=rest,
         sections=[block for block in blocks if block["kind"] == "heading"],
         page=_compose_page(document.explorer),
-        explorer_last=document.explorer_last,
         open_tables=OPEN_TABLES,
     )
 

@@ -15,7 +15,6 @@ METHOD_NAMES = {
     "fitted_metric": "error-minimising fit",
     "b_alone": "b alone, μ from the prior",
     "hand_tuned": "paper's parameters",
-    "hand_tuned_b": "paper's parameters, b re-fitted",
     "path_angle": "advance by the path angle",
 }
 METHOD_COLOURS = {  # Okabe and Ito's palette, distinguishable for colour-blind readers
@@ -24,7 +23,6 @@ METHOD_COLOURS = {  # Okabe and Ito's palette, distinguishable for colour-blind 
     "fitted_metric": "#0A2F4A",
     "b_alone": "#A65628",
     "hand_tuned": "#E69F00",
-    "hand_tuned_b": "#CC79A7",
 }
 """Colours of methods that are no baseline; `method_colour` knows those too."""
 SERIES_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9")

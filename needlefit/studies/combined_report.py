@@ -12,7 +12,6 @@ from needlefit.reporting.table_files import write_csv, write_json
 from needlefit.reporting.text import KindText
 from needlefit.schemas.origin import ORIGIN_MARKS, combine_origins
 from needlefit.studies import fit_tables
-from needlefit.studies.explorer import collect_explorers
 from needlefit.studies.report import compose_warnings, state_blocks, write_report
 from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import tabulate_errors
@@ -79,6 +78,4 @@ def compose_overview(runs: Sequence[Run], tables: Sequence[TableLayout]) -> Docu
         data,
         ORIGIN_MARKS[combine_origins(run.origin for run in studies)],
         (*(block for n, block in enumerate(states) if block not in states[:n]), *body),
-        collect_explorers(studies),
-        explorer_last=True,
     )

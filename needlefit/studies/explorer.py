@@ -90,22 +90,8 @@ def describe_insertions(job: "Job") -> dict[str, InsertionMetadata]:
     }
 
 
-def collect_explorers(runs: Sequence[Run]) -> PageData | None:
-    """Return the data of one page of several runs, its needles named by their runs; None without any."""
-    explorers: PageData | None = None
-    for run in runs:
-        before = len(explorers.needles) if explorers else 0
-        explorers = collect_explorer(run, explorers) or explorers
-        for needle in explorers.needles[before:] if explorers else ():
-            measured = needle["scene"]["measured"]
-            needle["name"] = f"{run.name}/{measured['id']}" if measured else run.name
-    return explorers
-
-
-def collect_explorer(run: Run, data: PageData | None = None) -> PageData | None:
+def collect_explorer(run: Run) -> PageData | None:
     """Return the data of the page of a fit, cross-validation or prediction; None where there is no needle.
-
-    Its needles are added to `data`, if given.
 
     Nothing can be computed in an installation without the kernel in WebAssembly, of tip tracks, and of runs
     of earlier versions, which did not store how each insertion was made.
@@ -113,7 +99,7 @@ def collect_explorer(run: Run, data: PageData | None = None) -> PageData | None:
     if not kernel_exists():
         return None
     if run.kind == "prediction":
-        return _collect_prediction(run, data)
+        return _collect_prediction(run)
     if run.kind not in FIT_KINDS:
         return None
     frames = FitFrames.of(run)
@@ -130,7 +116,7 @@ def collect_explorer(run: Run, data: PageData | None = None) -> PageData | None:
     rows = [row for row in rows if (row["fold"], row["role"], row["insertion"], "fitted") in curves]
     if not rows:  # of curvatures alone no place is known
         return None
-    data = data or PageData({"needlefit": metadata.versions["needlefit"], "title": run.title})
+    data = PageData({"needlefit": metadata.versions["needlefit"], "title": run.title})
     for row in rows:
         where = row["fold"], row["role"], row["insertion"]
         needle = _encode_needle(data, run, row, curves[*where, "fitted"])
@@ -149,7 +135,7 @@ def choose_drawn(sets: Sequence[Mapping[str, float]]) -> dict[str, list[float]]:
     return {name: [float(sets[n][name]) for n in choose_evenly(len(sets), MAX_DRAWS)] for name in sets[0]}
 
 
-def _collect_prediction(run: Run, data: PageData | None) -> PageData | None:
+def _collect_prediction(run: Run) -> PageData | None:
     """Return the data of the page of a predicted needle; None where its draws are not certified."""
     from needlefit.inference.forward_model import make_rules
     from needlefit.mechanics.simulate import find_last_shape
@@ -177,7 +163,7 @@ def _collect_prediction(run: Run, data: PageData | None) -> PageData | None:
         return None  # the page steers no such needle
     lattice = make_lattice(scene.steps, scene.rules)
     shape = find_last_shape(scene.needle, scene.tissue, scene.steps, scene.rules, lattice)
-    data = data or PageData({"needlefit": metadata.versions["needlefit"], "title": run.title})
+    data = PageData({"needlefit": metadata.versions["needlefit"], "title": run.title})
     table, layers = pd.DataFrame(metadata.drawn), range(1, scene.tissue.layers + 1)
     changes = list_scene_changes(scene.steps, guides)
     encoded = encode_scene(scene, lattice.first_cell, guides, changes, run.title, run.origin_mark)

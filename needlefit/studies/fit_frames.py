@@ -18,8 +18,8 @@ TUNED_SPECIMENS, NEW_SPECIMEN = "(tuned)", "(new)"
 #: our prediction: the needle of the posterior mode, through the layers that it meets itself, or the median
 PREDICTION_METHOD = "prediction"
 #: the methods that simulate a needle: both fits, b fitted alone with the others as they are before any data,
-#: the paper's parameters, and these with b fitted again
-MODEL_METHODS = ("fitted", "fitted_metric", "b_alone", "hand_tuned", "hand_tuned_b")
+#: and the paper's parameters
+MODEL_METHODS = ("fitted", "fitted_metric", "b_alone", "hand_tuned")
 
 
 @dataclass(frozen=True)

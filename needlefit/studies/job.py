@@ -103,7 +103,6 @@ class Job:
         """The searches of one fold; the first is the fit that everything else is about."""
         metric = self.recipe.metric and self.recipe.minimize == "posterior"
         metric = metric and all(map(measures_tip, self.insertions))
-        published = self.hand_tuned is not None and "bevel_mm" in self.parameters.free
         others = {*self.parameters.free} - {self.medium.bevel_parameter, *HYPERPARAMETERS}
         alone = isinstance(self.record, StudyRecord) and self.record.registration_depth_mm is None
         alone = alone and bool(others) and self.medium.bevel_parameter in self.parameters.free
@@ -111,7 +110,6 @@ class Job:
             "fitted",
             *(["fitted_metric"] * metric),
             *(["b_alone"] * alone),
-            *(["hand_tuned_b"] * published),
         )
 
     def recipe_of(self, search: str) -> RecipeRecord:
@@ -135,8 +133,8 @@ class Job:
     def problem(self, fold: Fold, search: str = "fitted") -> Problem:
         """Return the problem of one search of a fold: all parameters free, or the bevel alone.
 
-        The others are then the paper's, or as they are before any data: at the median of their prior. The
-        latest ones are kept, with what they have computed once.
+        The others are then as they are before any data: at the median of their prior. The latest ones are
+        kept, with what they have computed once.
         """
         if (fold, search) not in self._problems:
             while len(self._problems) >= MAX_KEPT_PROBLEMS:
@@ -154,10 +152,8 @@ class Job:
             likelihood=self.recipe.likelihood,
             response_at=self.response_at,
         )
-        if search in ("b_alone", "hand_tuned_b"):
+        if search == "b_alone":
             values = self.parameters.values(self.parameters.expected)
-            if search == "hand_tuned_b" and self.hand_tuned is not None:
-                values = dict(self.hand_tuned)
             one_bevel = without_bevel_spread(self.parameters)
             return everything.with_parameters(one_bevel.with_only((self.medium.bevel_parameter,), values))
         if self.recipe_of(search).minimize == "metric":

@@ -82,7 +82,7 @@ def curve_predictor(curve: Callable[[Insertion], Curve]) -> Predictor:
 def make_predictors(
     problem: Problem, fits: Mapping[str, Fit], hand_tuned: Mapping[str, float] | None
 ) -> dict[str, Predictor]:
-    """Return the fits, the paper's set, that set with b re-fitted, and the baseline curves."""
+    """Return the fits, the paper's set, and the baseline curves."""
     values = {name: fit.values for name, fit in fits.items()}
     if hand_tuned is not None:
         values["hand_tuned"] = hand_tuned

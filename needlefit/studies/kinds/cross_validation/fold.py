@@ -148,7 +148,7 @@ def run_fold(job: Job, fold: Fold, services: FoldServices) -> FoldResult:
         "parameters": [
             *rows.get("parameters", ()),
             *list_error_fit(job, fold, least),
-            *list_published(job, fold, usable.get("hand_tuned_b")),
+            *list_published(job, fold),
         ],
         "error_fit": [] if least is None else [describe_error_fit(fold, least)],
         "draws": list(_list_draws(job, fold, drawn)) if drawn else [],

@@ -11,7 +11,6 @@ SEARCH_PHASES = {
     "fitted": "search for the best fit",
     "fitted_metric": "search for the smallest errors",
     "b_alone": "search for b alone",
-    "hand_tuned_b": "search for b with the paper's moduli",
 }
 #: steps of progress: of a profile, of all posterior draws and of a prediction; a start of a search has 1
 PROFILE_STEPS, DRAW_STEPS, PREDICTION_STEPS = 4, 30, 4

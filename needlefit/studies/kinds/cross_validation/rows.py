@@ -13,12 +13,7 @@ from needlefit.inference.identifiability.directions import (
     find_bound_side,
     name_determined,
 )
-from needlefit.inference.identifiability.identify import (
-    Identifiability,
-    identify,
-    objective_excess,
-    within_tolerance,
-)
+from needlefit.inference.identifiability.identify import Identifiability, objective_excess, within_tolerance
 from needlefit.inference.parameter_names import HYPERPARAMETERS, to_value
 from needlefit.inference.problem import Problem
 from needlefit.reporting.table_files import Row
@@ -135,17 +130,7 @@ def list_directions(fold: Fold, fit: Fit, verdict: Identifiability) -> Iterator[
         yield {"fold": fold.name, **row}
 
 
-def list_published(job: Job, fold: Fold, retuned: Fit | None) -> Iterator[ParameterRow]:
-    """Yield the paper's set, and that set with the bevel alone fitted."""
-    if job.hand_tuned is None:
-        return
-    for name, value in job.hand_tuned.items():
+def list_published(job: Job, fold: Fold) -> Iterator[ParameterRow]:
+    """Yield the paper's set."""
+    for name, value in (job.hand_tuned or {}).items():
         yield ParameterRow(fold.name, "hand_tuned", name, value, "published")
-    if retuned is None:
-        return
-    determined = identify(job.problem(fold, "hand_tuned_b"), retuned).determined
-    for name, value in retuned.values.items():
-        row = ParameterRow(fold.name, "hand_tuned_b", name, value, "published")
-        if name == "bevel_mm":
-            row = row._replace(status="free", determined=name_determined(determined.get(name, False), False))
-        yield row
