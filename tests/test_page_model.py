@@ -15,9 +15,10 @@ from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.shape import list_planes
 from needlefit.mechanics.simulate import compute_lateral_load
 from needlefit.planning.steered_needle import Change, SteeredNeedle, make_steered_scene
+from needlefit.reporting.needle_page import encode_draws
 from needlefit.schemas.scene import SceneRecord
 from needlefit.viewer.opening import open_target
-from needlefit.viewer.page_needle import encode_draws, encode_scene
+from needlefit.viewer.page_needle import encode_scene
 from needlefit.viewer.viewed_scene import ViewedScene
 
 pytestmark = pytest.mark.skipif(

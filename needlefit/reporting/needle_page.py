@@ -11,11 +11,11 @@ import json
 import math
 import re
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib.resources import files
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -33,6 +33,9 @@ from needlefit.mechanics.tissue import Tissue
 from needlefit.metrics import list_metrics
 from needlefit.project.help_pages import read_terms
 from needlefit.project.json_values import to_json_values
+
+if TYPE_CHECKING:
+    from needlefit.inference.forward_model import ParameterDraws
 
 SCRIPT = "reporting/needle_page.js"  #: made of the page's modules by `npm run build`
 PAGE = "viewer/page/page.html"
@@ -139,6 +142,31 @@ def find_measured(count: int) -> slice:
     return slice(1 if count == TIP_POINTS else 0, None)
 
 
+def encode_measured(
+    name: str, points: Floats, s: Floats, depth: float, floor: float | None, target: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return a measured needle as the page draws and compares it.
+
+    `points` (N, 3), mm, lie at beam coordinates `s` (N,) of a needle of the `depth`; `target` has what a
+    study compares: `compared`, `pose`, `s` (K,) and `points` (K, 2 or 3).
+    """
+    drawn = find_measured(len(points))
+    return {
+        "id": name,
+        "depth_mm": depth,
+        "metrics": encode_metrics(len(points)),
+        "compared": target["compared"],
+        **_name_axes(points[drawn]),
+        "s": s[drawn].tolist(),
+        "floor_mm": floor,
+        "target": {"pose": target["pose"], "s": target["s"].tolist(), **_name_axes(target["points"])},
+    }
+
+
+def _name_axes(points: Floats) -> dict[str, list[float]]:
+    return dict(zip("xyz", points.T.tolist(), strict=False))
+
+
 def encode_layers(tissue: Tissue) -> dict[str, Any]:
     """Return moduli, Pa, and shape parameters of all layers."""
     names = ["mu_pa", *LAWS[tissue.law].shape_names]
@@ -156,6 +184,26 @@ def encode_strength(bevel: Bevel, rules: ModelOptions) -> dict[str, float]:
 def choose_evenly(count: int, most: int) -> Ints:
     """Return the numbers of at most `most` of `count` draws, evenly chosen."""
     return np.linspace(0, count - 1, min(most, count)).astype(np.intp)
+
+
+#: needles of a band, evenly chosen from all draws: it is computed again whenever the needle moves
+MAX_BAND_DRAWS = 100
+
+
+def encode_draws(draws: "ParameterDraws", law: str, data: PageData | None = None) -> dict[str, Any]:
+    """Return the draws of a band: mu and law of every layer, strength of the bevel, gain of the base.
+
+    Lists that needles of `data` may share are stored there.
+    """
+    store = data.share if data is not None else lambda numbers: numbers.ravel().tolist()
+    drawn = draws.only(choose_evenly(len(draws), MAX_BAND_DRAWS))
+    return {
+        "sets": len(drawn),
+        "mu": store(drawn.mu),
+        "law": store(encode_law(law, drawn.shape)),
+        "strength": store(drawn.bevel),
+        "gain": None if drawn.gain is None else drawn.gain.tolist(),
+    }
 
 
 def encode_law(law: str, shape: Floats) -> Floats:

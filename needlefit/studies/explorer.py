@@ -4,6 +4,7 @@ A run stores how each insertion was made, so that its report can be made again w
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,13 +14,11 @@ from needlefit.arrays import Floats
 from needlefit.datasets.insertion import InsertionInputs, InsertionPose, find_free_reach
 from needlefit.errors import ConfigError
 from needlefit.geometry.curves import TIP_POINTS
-from needlefit.mechanics.laws import LAWS, PowerLaw
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.packing import MAX_TOLERANCE_MM
 from needlefit.mechanics.plan import Lattice, make_lattice
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import compute_positions
-from needlefit.mechanics.tissue import Tissue
 from needlefit.metrics import list_metrics
 from needlefit.planning.insertion_scene import (
     find_layers,
@@ -31,16 +30,16 @@ from needlefit.planning.recording import format_head, make_head
 from needlefit.planning.steered_needle import list_scene_changes, make_steered_scene, name_guides
 from needlefit.reporting import labels
 from needlefit.reporting.needle_page import (
+    MAX_BAND_DRAWS,
     PageData,
     choose_evenly,
-    encode_law,
-    encode_metrics,
+    encode_draws,
+    encode_measured,
     encode_scene,
     find_measured,
     kernel_exists,
 )
 from needlefit.reporting.table_files import Row, select_rows, to_records
-from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.run_metadata import FitMetadata, InsertionMetadata, PredictionMetadata
 from needlefit.studies.fit_frames import FIT_KINDS, NEW_SPECIMEN, PREDICTION_METHOD, FitFrames
 from needlefit.studies.insertion_draws import draw_insertion
@@ -50,9 +49,6 @@ if TYPE_CHECKING:
     from needlefit.studies.job import Job
 
 # Modules that simulate are imported where they are used: other reports do not load them.
-MAX_DRAWS = 200  #: needles of a band, evenly chosen from all draws
-#: the same of a law that is a table whose parameters differ between draws: each draw has tables of its own
-MAX_TABLE_DRAWS = 40
 
 
 def _read_inputs(metadata: FitMetadata, name: str) -> InsertionInputs:
@@ -132,12 +128,14 @@ def collect_explorer(run: Run) -> PageData | None:
 
 def choose_drawn(sets: Sequence[Mapping[str, float]]) -> dict[str, list[float]]:
     """Return the parameters (Pa, mm) of some draws, evenly chosen, that the page of a prediction needs."""
-    return {name: [float(sets[n][name]) for n in choose_evenly(len(sets), MAX_DRAWS)] for name in sets[0]}
+    return {
+        name: [float(sets[n][name]) for n in choose_evenly(len(sets), MAX_BAND_DRAWS)] for name in sets[0]
+    }
 
 
 def _collect_prediction(run: Run) -> PageData | None:
     """Return the data of the page of a predicted needle; None where its draws are not certified."""
-    from needlefit.inference.forward_model import make_rules
+    from needlefit.inference.forward_model import make_rules, select_layer_draws
     from needlefit.mechanics.simulate import find_last_shape
 
     metadata = run.knows(PredictionMetadata)
@@ -164,10 +162,11 @@ def _collect_prediction(run: Run) -> PageData | None:
     lattice = make_lattice(scene.steps, scene.rules)
     shape = find_last_shape(scene.needle, scene.tissue, scene.steps, scene.rules, lattice)
     data = PageData({"needlefit": metadata.versions["needlefit"], "title": run.title})
-    table, layers = pd.DataFrame(metadata.drawn), range(1, scene.tissue.layers + 1)
+    layers = range(1, scene.tissue.layers + 1)
+    draws = select_layer_draws(pd.DataFrame(metadata.drawn), layers, medium.law)
     changes = list_scene_changes(scene.steps, guides)
     encoded = encode_scene(scene, lattice.first_cell, guides, changes, run.title, run.origin_mark)
-    encoded["draws"] = _encode_draws(data, table, medium, layers, 1.0, scene.tissue)
+    encoded["draws"] = encode_draws(draws, medium.law, data)
     head = format_head(make_head(run.name, lattice.first_cell, record))
     about = {"new_specimen": metadata.specimen == "others", "head": head, "tip": shape.tip_lateral}
     data.needles.append({"scene": encoded, **about})
@@ -191,6 +190,8 @@ def find_prediction(run: Run, fold: str, role: str, insertion: str) -> dict[str,
 
 def _encode_needle(data: PageData, run: Run, row: Row, curve: Floats) -> dict[str, Any]:
     """Return one needle with the fit's parameters: its scene, draws, and what the run stored of it."""
+    from needlefit.inference.forward_model import select_layer_draws
+
     metadata, name = run.knows(FitMetadata), row["insertion"]
     medium, stored, inputs = metadata.medium, metadata.insertions[name], _read_inputs(metadata, name)
     parameter_rows = select_rows(run.frames["parameters"], fold=row["fold"], method="fitted")
@@ -200,15 +201,16 @@ def _encode_needle(data: PageData, run: Run, row: Row, curve: Floats) -> dict[st
     dataset = metadata.dataset.name
     record = make_scene_record(values, medium, dataset, inputs, title, MAX_TOLERANCE_MM)
     scene, guides = name_guides(Scene.from_record(record, name))
-    lattice, tissue = make_lattice(scene.steps, scene.rules), scene.tissue
+    lattice = make_lattice(scene.steps, scene.rules)
     measured = _encode_measured(scene, lattice, stored, row, curve, metadata.compared)
     changes = list_scene_changes(scene.steps, guides)
     encoded = encode_scene(scene, lattice.first_cell, guides, changes, title, run.origin_mark)
     encoded["measured"] = measured
     drawn = draw_insertion(run, row["fold"], name, stored.specimen)
     if drawn.table is not None:
-        layers = [layer for _, layer in find_layers(inputs)]
-        encoded["draws"] = _encode_draws(data, drawn.table, medium, layers, stored.bevel_factor, tissue)
+        draws = select_layer_draws(drawn.table, [layer for _, layer in find_layers(inputs)], medium.law)
+        turned = replace(draws, bevel=stored.bevel_factor * draws.bevel)
+        encoded["draws"] = encode_draws(turned, medium.law, data)
     head = make_head(f"{run.name}/{name}", lattice.first_cell, record)
     return {"scene": encoded, "new_specimen": drawn.specimen == NEW_SPECIMEN, "head": format_head(head)}
 
@@ -237,44 +239,7 @@ def _encode_measured(
         tip = {"tip": dict(zip("xyz", end.T.tolist(), strict=True))}
     if pose != "known":  # laid on the needle of the fit
         shown = align(pose, shown, compute_positions(shape, s)[:, :2])
-    drawn = find_measured(len(curve))
-    (x, y, z), (drawn_x, drawn_y) = measured.T.tolist(), shown[drawn].T.tolist()
-    return {
-        "id": row["insertion"],
-        "depth_mm": stored.depth,
-        "metrics": encode_metrics(len(curve)),
-        "compared": compared,
-        "x": drawn_x,
-        "y": drawn_y,
-        "z": z[drawn],
-        "s": s[drawn].tolist(),
-        "floor_mm": row["floor_te_mm"],
-        "target": {"pose": pose, "s": s.tolist(), "x": x, "y": y, "z": z},
-        "stored": dict(zip("xyz", simulated.T.tolist(), strict=True)),
-        **tip,
-    }
-
-
-def _encode_draws(
-    data: PageData,
-    draws: pd.DataFrame,
-    medium: MediumRecord,
-    layers: Sequence[int],
-    factor: float,
-    tissue: Tissue,
-) -> dict[str, Any]:
-    """Return the draws of a band: of each, mu and law of every layer, and the strength of the bevel."""
-    from needlefit.inference.forward_model import stack_values
-
-    table = {str(name): column.to_numpy() for name, column in draws.items()}
-    values = stack_values(table, medium, layers, factor)
-    shape = values["shape"]
-    varying = not isinstance(LAWS[tissue.law], PowerLaw) and bool((shape != shape[:1]).any())
-    rows = choose_evenly(len(draws), MAX_TABLE_DRAWS if varying else MAX_DRAWS)
-    strength = values["cut_angle" if "cut_angle" in values else "offset"]
-    return {
-        "sets": len(rows),
-        "mu": data.share(values["mu"][rows]),
-        "law": data.share(encode_law(tissue.law, shape[rows])),
-        "strength": data.share(strength[rows]),
-    }
+    points = np.column_stack([shown, measured[:, 2]])
+    target = {"compared": compared, "pose": pose, "s": s, "points": measured}
+    encoded = encode_measured(row["insertion"], points, s, stored.depth, row["floor_te_mm"], target)
+    return encoded | {"stored": dict(zip("xyz", simulated.T.tolist(), strict=True)), **tip}

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from needlefit.inference.compared_points import ComparedPoints
 
 # What takes long to import, or only measured insertions need, is imported where it is used.
-#: needles of a band, evenly chosen from all draws: it is computed again whenever the needle moves
-MAX_BAND_DRAWS = 100
 
 
 @dataclass(frozen=True)

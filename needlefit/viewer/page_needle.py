@@ -9,11 +9,10 @@ from needlefit.mechanics.tissue import Tissue
 from needlefit.planning.recording import RecordedStep, Recording, format_head
 from needlefit.planning.steered_needle import SteeredNeedle, list_scene_changes, make_steered_scene
 from needlefit.reporting import needle_page
-from needlefit.viewer.overlays import MAX_BAND_DRAWS, MeasuredOverlay
+from needlefit.viewer.overlays import MeasuredOverlay
 from needlefit.viewer.viewed_scene import ViewedScene
 
 if TYPE_CHECKING:
-    from needlefit.inference.forward_model import ParameterDraws
     from needlefit.planning.steering import SteeringPlan
 
 LENGTH_DIGITS = 4  #: decimals of drawn lengths in mm
@@ -73,29 +72,16 @@ def encode_scene(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
     mark = viewed_scene.origin_mark
     return needle_page.encode_scene(scene, steering.first_cell, names, changes, viewed_scene.title, mark) | {
         "measured": viewed_scene.measured and encode_measured(viewed_scene.measured),
-        "draws": spread and encode_draws(spread, scene.tissue.law),
+        "draws": spread and needle_page.encode_draws(spread, scene.tissue.law),
     }
 
 
-def encode_measured(measured: MeasuredOverlay) -> dict[str, Any]:
+def encode_measured(shown: MeasuredOverlay) -> dict[str, Any]:
     """Return a measured needle as the page draws and compares it."""
-    target = measured.target
-    drawn = needle_page.find_measured(len(measured.points))
-    points, compared = (
-        dict(zip("xyz", points.T.tolist(), strict=True))
-        for points in (measured.points[drawn], target.measured)
-    )
-    return {
-        "id": measured.id,
-        "depth_mm": measured.depth,
-        "metrics": needle_page.encode_metrics(len(measured.points)),
-        "compared": target.compared,
-        **points,
-        "s": measured.s[drawn].tolist(),
-        "floor_mm": measured.floor,
-        "prediction": measured.prediction,
-        "target": {"pose": target.pose, "s": target.s.tolist(), **compared},
-    }
+    aim = shown.target
+    target = {"compared": aim.compared, "pose": aim.pose, "s": aim.s, "points": aim.measured}
+    encoded = needle_page.encode_measured(shown.id, shown.points, shown.s, shown.depth, shown.floor, target)
+    return encoded | {"prediction": shown.prediction}
 
 
 def encode_tables(tissue: Tissue, steps: Sequence[RecordedStep]) -> list[Any]:
@@ -117,15 +103,3 @@ def encode_tables(tissue: Tissue, steps: Sequence[RecordedStep]) -> list[Any]:
             law = needle_page.encode_law(tissue.law, shape).ravel().tolist()
             tables.setdefault(str(shape.tolist()), [shape.tolist(), law])
     return list(tables.values())
-
-
-def encode_draws(spread: "ParameterDraws", law: str) -> dict[str, Any]:
-    """Return the draws of a band: mu and law of every layer, strength of the bevel, gain of the base."""
-    drawn = spread.only(needle_page.choose_evenly(len(spread), MAX_BAND_DRAWS))
-    return {
-        "sets": len(drawn),
-        "mu": drawn.mu.ravel().tolist(),
-        "law": needle_page.encode_law(law, drawn.shape).ravel().tolist(),
-        "strength": drawn.bevel.tolist(),
-        "gain": None if drawn.gain is None else drawn.gain.tolist(),
-    }
