@@ -4,13 +4,13 @@ import platform
 import shlex
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from needlefit.errors import NeedlefitError, UnfinishedWorkError
 from needlefit.project.checkpoint import abandon_checkpoint, release_checkpoint
@@ -27,24 +27,15 @@ if TYPE_CHECKING:  # these import this module
     from needlefit.studies.run import Run
 
 
-class KindModule(Protocol):
-    """What the module of a kind, or the module `run` of its package, has."""
-
-    FRAMES: Mapping[str, Sequence[str]]  #: the columns that every frame of its runs has
-
-    #: run a study by its name, its file (of the type that the kind's `record` is) and settings
-    run: Callable[[str, Any, "Settings"], "Run"]
-
-
 @dataclass(frozen=True)
 class StudyKind:
     """One kind of study."""
 
     name: str  #: the value of `kind` in the study file
     record: type[FileRecord]  #: the keys of the study file
-    #: the module that is a `KindModule` and has a `StudyReport` named `REPORT`; or a package whose modules
-    #: `run` and `report` do (either one the columns). They are imported on first use: to report a run,
-    #: `report` alone
+    #: the module that has `run(name, record, settings)`, which returns a Run, a `StudyReport` named `REPORT`,
+    #: and `FRAMES`, the columns that every frame of its runs has; or a package whose modules `run` and
+    #: `report` do (either one the columns). They are imported on first use: to report a run, `report` alone
     package: str
     metadata: type[RunMetadata] = RunMetadata  #: what its runs know besides their frames
 
@@ -105,8 +96,8 @@ class StudyKind:
 
     def compute(self, name: str, record: FileRecord, settings: "Settings") -> "Run":
         """Run a study as a part of another one, which has the checkpoint and states the surroundings."""
-        module: KindModule = self._import("run")
-        return module.run(name, record, settings)
+        run: Run = self._import("run").run(name, record, settings)
+        return run
 
     def make_record(self, **options: object) -> FileRecord:
         """Return the study file that the options of a command stand for."""
