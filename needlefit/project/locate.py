@@ -220,12 +220,15 @@ def unknown_name_error(kind: str, name: str, names: list[str], otherwise: str = 
 
     `otherwise`: what may stand in place of a name; where that is a path, files and folders are looked at.
     """
-    nearest = sorted(_list_beside(name) if otherwise else [], key=partial(_compare_stems, name))[-1:]
-    nearest += (known_names := sort_by_similarity(Path(name).name.removesuffix(".toml"), names))[:1]
-    likeness, best = max(((_compare_stems(name, path), path) for path in nearest), default=(0.0, ""))
+    last = name.rstrip("/").rpartition("/")[2].removesuffix(".toml")
+    nearest = sort_by_similarity(last, names)
+    paths = sorted(_list_beside(name), key=lambda path: _compare_stems(name, path)) if otherwise else []
+    alike = [
+        candidate for candidate in (*paths[-1:], *nearest[:1]) if _compare_stems(name, candidate) >= LIKE
+    ]
     problem = f"there is no {kind} {'at' if is_path(name) else 'called'} `{name}`"
-    if likeness >= LIKE:
-        problem += f"; did you mean `{best}`?"
+    if alike:
+        problem += f"; did you mean `{max(alike, key=lambda path: _compare_stems(name, path))}`?"
     listed = join_names(nearest, MAX_NEAR_NAMES) or "(none found)"
     fix = (
         "correct the path, or use one of these names"

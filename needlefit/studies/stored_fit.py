@@ -7,7 +7,6 @@ earlier versions and of large data, the dataset is looked for where it was, then
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 from needlefit.datasets.insertion import Dataset
 from needlefit.datasets.read import inspect, read
@@ -23,16 +22,10 @@ from needlefit.studies.load import load_study
 from needlefit.studies.run import Run
 
 
-class StoredFit(NamedTuple):
-    """The fit of a run: the name of its results, the fit, and what stands for the files that it names."""
-
-    name: str
-    record: FitRecord
-    inputs: Inputs
-
-
-def reopen_fit(run: Run, where: str) -> StoredFit:
+def reopen_fit(run: Run, where: str) -> tuple[str, FitRecord, Inputs]:
     """Return the fit of a run, of a study that which it begins with; errors name the run by `where`.
+
+    These are the name of its results, the fit, and what stands for the files that it names.
 
     Raises ConfigError if the run is no fit, or this version makes another one of it. DataError as of
     `read_data`.
@@ -59,7 +52,7 @@ def reopen_fit(run: Run, where: str) -> StoredFit:
     if isinstance(record, StudyRecord):
         name, record = f"{name}-tune", record.tuning()
     posterior = run.posterior if one_fit else None
-    return StoredFit(name, record, replace(inputs, target=(name, record), posterior=posterior))
+    return name, record, replace(inputs, target=(name, record), posterior=posterior)
 
 
 def read_data(run: Run, where: str) -> Dataset:

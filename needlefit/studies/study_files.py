@@ -12,7 +12,7 @@ from needlefit.datasets.sources import DATASET_FILE
 from needlefit.errors import ConfigError
 from needlefit.project.input_files import is_file
 from needlefit.project.json_values import to_json_values
-from needlefit.project.locate import FileKind, find_file, find_study_or_fit, is_path, read_toml
+from needlefit.project.locate import find_study_or_fit, is_path, read_toml
 from needlefit.project.processes import one_thread
 from needlefit.project.result_warnings import ResultWarning, to_stored_rows
 from needlefit.project.toml import add_file_context, add_key_context, check
@@ -83,13 +83,6 @@ def _record_type(table: Mapping[str, Any]) -> type[FileRecord]:
     return find_kind(table["kind"]).record if "kind" in table else StudyRecord
 
 
-_NAMED_FILES: Mapping[str, FileKind] = {
-    **{"dataset": "dataset", "medium": "medium", "recipe": "recipe"},
-    **{"fits": "fit", "studies": "study"},
-}
-"""Keys of study files whose values name files of a kind, alone or in a list."""
-
-
 @dataclass(frozen=True)
 class StudyCheck:
     """A study without faults."""
@@ -107,14 +100,16 @@ def check_study_file(kind: Literal["study", "fit"], path: Path) -> StudyCheck:
     """Check a study or fit and everything that it names.
 
     Of a fit or a cross-validation all its data are read, and a quick fit judges its needles; of other kinds
-    the files named must exist.
+    there must be the fit that they are about.
 
     Raises ConfigError, DataError if anything in it is missing or wrong.
     """
     record: FileRecord = load_fit_file(path) if kind == "fit" else load_study_file(path)
     with add_file_context(path):
         if not isinstance(record, FitRecord):
-            _find_files(record.model_dump(mode="json", by_alias=True))
+            if isinstance(record, TargetRecord):
+                with add_key_context("target"):
+                    load_target(record.target)
             return StudyCheck(str(record.kind))  # type: ignore[attr-defined]  # of every other kind
         job = load_study(path.stem, record, Settings(file=path))
     folds = tuple((len(fold.tune), len(fold.validate)) for fold in job.folds)
@@ -122,22 +117,6 @@ def check_study_file(kind: Literal["study", "fit"], path: Path) -> StudyCheck:
     doubts = check_quickly(job)
     warnings = (*job.warnings, *warn_of_doubts(doubts))
     return StudyCheck(named, folds, warnings, job.dataset.origin, doubts.odd)
-
-
-def _find_files(table: Mapping[str, object]) -> None:
-    """Find all files that a table of a study names, and those of the tables within it."""
-    for key, value in table.items():
-        with add_key_context(key):
-            for name in (
-                name for name in (value if isinstance(value, list) else [value]) if isinstance(name, str)
-            ):
-                if key in _NAMED_FILES:
-                    find_file(_NAMED_FILES[key], name)
-                elif key == "target":
-                    load_target(name)
-        for inner in value if isinstance(value, list) else [value]:
-            if isinstance(inner, Mapping):
-                _find_files(inner)
 
 
 class Target(NamedTuple):
