@@ -1,7 +1,9 @@
-"""The recording of the start page as a page that computes: what `simulate --html` writes."""
+"""The recording of the start page as a page that computes: what `view --recording` writes."""
 
+import shutil
 import subprocess
 import sys
+from tempfile import TemporaryDirectory
 
 from sphinx.application import Sphinx
 
@@ -14,6 +16,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
 
 def _write(app: Sphinx) -> None:
     recording = app.srcdir / "figures/steering.csv"
-    replay = [sys.executable, "-m", "needlefit", "simulate", "--recording", str(recording)]
-    page = recording.with_suffix(".html")
-    subprocess.run([*replay, "--html", str(page)], check=True, stdout=subprocess.DEVNULL)
+    view = [sys.executable, "-m", "needlefit", "view", "--recording", str(recording), "--no-browser"]
+    with TemporaryDirectory() as folder:
+        written = subprocess.run([*view, "--out", folder], check=True, stdout=subprocess.PIPE, text=True)
+        shutil.move(written.stdout.strip(), recording.with_suffix(".html"))

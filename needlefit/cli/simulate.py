@@ -46,9 +46,6 @@ def simulate(
             "FILE",
         ),
     ] = None,
-    html: Annotated[
-        Path | None, option("With --recording: an HTML file that computes the needle offline.", "FILE")
-    ] = None,
 ) -> None:
     """Simulate a SCENE, or replay a recording of one.
 
@@ -56,13 +53,11 @@ def simulate(
 
     Deflection is the tip's y in the constraint frame (x along the entry, y to the left).
     """
-    files = {"--plot": plot, "--csv": csv, "--slicer": slicer, "--html": html}
+    files = {"--plot": plot, "--csv": csv, "--slicer": slicer}
     written = {option: path for option, path in files.items() if path is not None}
     if recording is None:
         if scene is None:
             raise typer.BadParameter("give a SCENE, or a recording with --recording", param_hint="SCENE")
-        if html is not None:
-            raise typer.BadParameter("is of a recording: it needs --recording", param_hint="--html")
         require_output_files(written, [find_file("scene", scene)])
         where, record = scene_record(scene, depth, set_ or [])
         done = _simulate_scene(scene, record, where)

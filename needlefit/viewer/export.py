@@ -1,4 +1,4 @@
-"""Write a needle, of a scene or at the end of a recording, as a table, curves, a figure, or a page."""
+"""Write a needle, of a scene or at the end of a recording, as a table, curves or a figure."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -65,14 +65,9 @@ def write_file(outcome: SimulationOutcome, option: str, path: Path) -> bool:
         from needlefit.reporting.shape_table import write_shape
 
         write_shape(scene, state, path, outcome.placement)
-    elif option == "plot":
+    else:
         from needlefit.reporting.figures.needles import draw_state
 
         force = find_tip_force(scene.needle, scene.tissue, outcome.path, outcome.first_cell, scene.rules)
         draw_state(outcome.title, scene, state, path, force)
-    elif outcome.recording is not None:  # the page that replays it and lets its reader steer on
-        from needlefit.viewer.opening import open_recording
-        from needlefit.viewer.page_needle import compose_page
-
-        path.write_text(compose_page(open_recording(outcome.recording), outcome.recording), "utf-8")
     return True
