@@ -253,12 +253,16 @@ def search_fits(job: Job, fold: Fold, searches: Iterable[str], services: FoldSer
     return fits
 
 
+def _find_fit(fits: Mapping[str, Fit], search: str = "fitted") -> Fit | None:
+    """Return the fit of a search that found a point that can be solved; None without one."""
+    fit = fits.get(search)
+    return fit if fit is not None and math.isfinite(fit.objective) else None
+
+
 def _profile(job: Job, fold: Fold, fits: Mapping[str, Fit], services: FoldServices) -> FitProfiles | None:
     """Return the profiles of the posterior about the fit; many folds are scored, not examined."""
-    fit = fits.get("fitted")
-    if len(job.folds) > 1 or fit is None or fit.interrupted or not math.isfinite(fit.objective):
-        return None
-    if fit.minimized != "posterior":  # no noise is stated: there is no posterior
+    fit = _find_fit(fits)
+    if len(job.folds) > 1 or fit is None or fit.interrupted or fit.minimized != "posterior":
         return None
     step, settings = services.progress.phase(fold, "profiles"), services.settings
     step(0)
@@ -283,11 +287,9 @@ def _draw(job: Job, fold: Fold, fits: Mapping[str, Fit], services: FoldServices)
 
     They are made by draws that are certified. None without a fit, and where a fit alone is interrupted.
     """
-    settings, fit = services.settings, fits.get("fitted")
-    if fit is None or not math.isfinite(fit.objective) or (settings.stop() and not fold.validate):
-        return None
-    if fit.minimized != "posterior":  # no noise is stated: there is no posterior
-        return None
+    settings, fit = services.settings, _find_fit(fits)
+    if fit is None or fit.minimized != "posterior" or (settings.stop() and not fold.validate):
+        return None  # where no noise is stated there is no posterior
     sampled, step = (services.progress.phase(fold, phase) for phase in ("posterior draws", "predictions"))
     sampled(0)
     made = draw_fold_parameters(job, fold, fit, settings, sampled)
@@ -312,8 +314,7 @@ def _measure_shifts(
     job: Job, fold: Fold, fits: Mapping[str, Fit], drawn: FoldDrawn | None
 ) -> dict[str, PriorShift]:
     """Return how far the prior of each parameter that is held moves the needles, at the fit and at draws."""
-    fit = fits.get("fitted")
-    if fit is None or not math.isfinite(fit.objective):
+    if (fit := _find_fit(fits)) is None:
         return {}
     thetas = np.array([fit.theta])
     return measure_prior(job, fold, thetas if drawn is None else np.concatenate([thetas, drawn.draws.thetas]))
@@ -323,8 +324,8 @@ def _minimise_errors(
     job: Job, fold: Fold, fits: Mapping[str, Fit], drawn: FoldDrawn | None, services: FoldServices
 ) -> ErrorMinimisingFit | None:
     """Return the ranges of the parameters about the fit that minimises the errors."""
-    fit = fits.get("fitted_metric")
-    if fit is None or fit.interrupted or not math.isfinite(fit.objective) or services.settings.stop():
+    fit = _find_fit(fits, "fitted_metric")
+    if fit is None or fit.interrupted or services.settings.stop():
         return None
     problem, settings = job.problem(fold, "fitted_metric"), services.settings
     draws = np.empty((0, len(problem.names)))
