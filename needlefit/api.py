@@ -190,6 +190,39 @@ def make_twin(folder: Name, seed: int, media: Sequence[str] = (), *, population:
     return read(build_dataset(Path(folder), seed, plan, population=POPULATION if population else None))
 
 
+def find_twin_truth(problem: Problem, seed: int) -> dict[str, float]:
+    """Return the true moduli (Pa) and b (mm) of the insertions of a problem in a dataset of `make_twin`.
+
+    They are geometric means over the specimens, layers and bevels that a fit learns from. What the truth has
+    not is left out: hyperparameters, and exponents.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of insertions of the synthetic dataset, such as `make_problem("study1")`.
+    seed : int
+        That of `make_twin(..., population=True)`.
+    """
+    from needlefit.synthetic.design import (
+        POPULATION,
+        bevel_offset,
+        draw_deviations,
+        draw_specimen,
+        list_designs,
+    )
+
+    planned = {design.id: design for design in list_designs()}
+    fitted = [planned[insertion.id] for insertion in problem.insertions]
+    specimens = [draw_specimen(seed, design.medium, design.specimen, POPULATION) for design in fitted]
+    pairs = zip(specimens, fitted, strict=True)
+    true = {"bevel_mm": [bevel_offset(made, design, draw_deviations(seed, design)) for made, design in pairs]}
+    for name in (name for name in problem.parameters.names if name.startswith("mu")):
+        tied = [other for other, (_, source) in problem.parameters.ties.items() if source == name]
+        layers = [int(other.removeprefix("mu").removesuffix("_pa")) - 1 for other in (name, *tied)]
+        true[name] = [1e6 * made.mu[n] for made in specimens for n in layers if n < len(made.mu)]
+    return {name: float(np.exp(np.mean(np.log(values)))) for name, values in true.items() if values}
+
+
 def simulate_twin_needle(name: str, from_tip: ArrayLike) -> Floats:
     """Return the points (N, 3) of a true needle of the shipped twin, world, mm: without any error.
 

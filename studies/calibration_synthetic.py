@@ -13,13 +13,11 @@ import argparse
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import numpy as np
 import pandas as pd
 from calibration import place, run_truths
 
 import needlefit
-from needlefit.api import make_problem, make_twin
-from needlefit.synthetic.design import POPULATION, bevel_offset, draw_deviations, draw_specimen, list_designs
+from needlefit.api import find_twin_truth, make_problem, make_twin
 
 MEDIA = {
     "study1": ["phantom2"],
@@ -29,26 +27,6 @@ MEDIA = {
     "study5": ["chicken"],
 }
 BANDS = {"shape": "simultaneous band", "points": "pointwise band"}
-
-
-def find_truth(study: str, seed: int) -> dict[str, float]:
-    """Return moduli (Pa) and b (mm): the geometric means over specimens, layers and bevels fitted to.
-
-    What the truth has not is left out: hyperparameters, and exponents, which the population has not.
-    """
-    problem, planned = make_problem(study), {design.id: design for design in list_designs()}
-    fitted = [planned[insertion.id] for insertion in problem.insertions]
-    specimens = [draw_specimen(seed, design.medium, design.specimen, POPULATION) for design in fitted]
-    pairs = zip(specimens, fitted, strict=True)
-    true = {
-        "bevel_mm": [bevel_offset(drawn, design, draw_deviations(seed, design)) for drawn, design in pairs]
-    }
-    for name in problem.parameters.names:
-        tied = [other for other, (_, source) in problem.parameters.ties.items() if source == name]
-        if name.startswith("mu"):
-            layers = [int(other.removeprefix("mu").removesuffix("_pa")) - 1 for other in (name, *tied)]
-            true[name] = [1e6 * drawn.mu[n] for drawn in specimens for n in layers if n < len(drawn.mu)]
-    return {name: float(np.exp(np.mean(np.log(values)))) for name, values in true.items() if values}
 
 
 def score_study(study: str, seed: int) -> list[dict]:
@@ -61,7 +39,7 @@ def score_study(study: str, seed: int) -> list[dict]:
         run = needlefit.validate(study, dataset=twin, recipe={"metric": False}, seed=seed)
     draws, predictive = run.frames["draws"].query("specimen == '(tuned)'"), run.frames["predictive"]
     fitted = run.frames["parameters"].query("method == 'fitted'").set_index("parameter")
-    known = fitted.assign(truth=pd.Series(find_truth(study, seed))).dropna(subset="truth")
+    known = fitted.assign(truth=pd.Series(find_twin_truth(make_problem(study), seed))).dropna(subset="truth")
     if not known["truth"].between(known["bound_low"], known["bound_high"]).all():
         return []
     rows = [place(name, (draws[name] < truth).mean()) for name, truth in known["truth"].items()]

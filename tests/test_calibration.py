@@ -17,7 +17,6 @@ from needlefit.synthetic.design import POPULATION, draw_deviations, draw_specime
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "studies"))
 import calibration  # noqa: E402
-import calibration_synthetic  # noqa: E402
 
 
 def summarize(rows):
@@ -77,6 +76,6 @@ def test_the_true_bevel_offset_of_a_drawn_truth_is_the_mean_of_the_insertions_fi
     planned = {one.id: one for one in list_designs()}
     deviations = [draw_deviations(9, planned[one.id]).bevel for one in problem.insertions]
     expected = specimen.bevel * np.exp(specimen.insertion_bevel_sd * np.mean(deviations))
-    truth = calibration_synthetic.find_truth("study1", 9)
+    truth = api.find_twin_truth(problem, 9)
     assert truth["bevel_mm"] == approx(expected) and expected != approx(specimen.bevel, rel=1e-4)
     assert truth["mu2_pa"] == approx(1e6 * specimen.mu[1]) and "alpha1" not in truth
