@@ -15,7 +15,6 @@ METHOD_NAMES = {
     "fitted_metric": "error-minimising fit",
     "b_alone": "b alone, μ from the prior",
     "hand_tuned": "paper's parameters",
-    "path_angle": "advance by the path angle",
 }
 METHOD_COLOURS = {  # Okabe and Ito's palette, distinguishable for colour-blind readers
     "fitted": "#0072B2",
@@ -30,7 +29,6 @@ SERIES_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E
 
 SPECIMEN_NAMES = {
     "others": "new specimen",
-    "one insertion": "new specimen, after one insertion",
     "same": "same specimen",
     "training only": "training only",
 }
