@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Floats, Ints
 from needlefit.datasets.importing.stated import Stated
 from needlefit.datasets.points import Points
 from needlefit.errors import DataError
@@ -56,6 +56,11 @@ class ImportedCurve:
                     fix="correct one of the two",
                     where=fact.where,
                 )
+
+    def keep(self, rows: Ints, depths: Floats) -> None:
+        """Leave out all readings but those of some rows (M,); `depths`: of all, mm."""
+        self.points, self.depths = self.points.part(rows), depths[rows]
+        self.guide = None if self.guide is None else self.guide[rows]
 
     @property
     def line(self) -> Floats:

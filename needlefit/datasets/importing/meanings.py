@@ -43,7 +43,6 @@ OF_ALL = (  #: of these not
     "bevel",
     "curvature_sd",
     "guide",
-    "depth_zero",
     "registration_depth",
     "leave_out",
     "lengths",

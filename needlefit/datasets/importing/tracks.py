@@ -233,12 +233,12 @@ def _is_beside(curve: ImportedCurve, other: ImportedCurve) -> bool:
 
 
 def settle_depth_zero(asked: CurveAnswers) -> None:
-    """Count the stated depths of readings from the surface of the tissue.
+    """Count the stated depths of readings from the surface of the tissue; those before contact are left out.
 
     DataError if depths that count from there, as stated, begin before it.
     """
-    curves = [curve for curve in asked.curves if len(curve.depths) and curve.depths[0]]
-    if not curves:
+    curves = [curve for curve in asked.curves if len(curve.depths)]
+    if not any(curve.depths[0] for curve in curves) and not asked.is_stated("depth_zero"):
         return
     first = min(curves, key=lambda curve: curve.depths[0])
     other = next((curve for curve in curves if read_header(curve.depth_column).meaning != "depth"), None)
@@ -247,12 +247,20 @@ def settle_depth_zero(asked: CurveAnswers) -> None:
         usual, reason = "first_reading", f"column {other.depth_column} is not called a depth"
     if first.depths[0] < 0:
         usual, reason = "first_reading", f"{first.name} begins at {first.depths[0]:g} mm"
-    answer = asked.settle("depth_zero", usual, reason, ("tissue", "first_reading"))
-    if answer.text == "first_reading":
-        for curve in curves:
-            curve.depths = curve.depths - curve.depths[0]
-    elif first.depths[0] < 0:
-        raise answer.error("depth_zero", f"first_reading: {first.name} begins at {first.depths[0]:g} mm")
+    for curve, answer in zip(asked.curves, asked.each("depth_zero", usual, reason), strict=True):
+        if not len(curve.depths):
+            continue
+        if answer.text == "tissue" and curve.depths[0] < 0:
+            raise answer.error("depth_zero", f"first_reading: {curve.name} begins at {curve.depths[0]:g} mm")
+        zeros = {"tissue": 0.0, "first_reading": float(curve.depths[0])}
+        zero = zeros[answer.text] if answer.text in zeros else answer.to_number("depth_zero")
+        kept = np.flatnonzero(curve.depths >= zero)
+        if not len(kept):
+            raise answer.error("depth_zero", f"at most the depth of its readings, {curve.depths[-1]:g} mm")
+        if len(kept) < len(curve.depths):
+            count = f"{len(curve.depths) - len(kept)} of {len(curve.depths)} readings"
+            asked.settler.note(curve.name, f"{count} are left out: before contact")
+        curve.keep(kept, curve.depths - zero)
 
 
 def measure_depths(asked: CurveAnswers) -> None:
@@ -273,8 +281,7 @@ def measure_depths(asked: CurveAnswers) -> None:
             count = f"{np.sum(~is_kept)} of {len(depth)} readings"
             asked.settler.note(curve.name, f"{count} are left out: by noise less deep than one before")
         kept = np.flatnonzero(is_kept)
-        curve.points, curve.depths = curve.points.part(kept), depth[kept]
-        curve.guide = None if curve.guide is None else curve.guide[kept]
+        curve.keep(kept, depth)
     start = "the first reading" if entry is None else "the entry point"
     asked.settler.assumed["depth"] = f"the path of the tip along {pose.text} from {start} on"
 
