@@ -150,6 +150,7 @@ class _Interpolation:
     def __init__(self) -> None:
         self._known: tuple[Floats, Floats] | None = None
         self._function: Callable[[Floats], Floats] | None = None
+        self._by_weights = False  #: whether the function gives the weights of the points, and no values
         self.count = 0  #: points that were added
         self.failed = False  #: whether there were points of other values
 
@@ -157,25 +158,34 @@ class _Interpolation:
         """Interpolate between these points (N, P) and values (N, F) too."""
         solved = np.isfinite(values).all(axis=1)
         most = count_points(points.shape[1], values.shape[1])
-        new = points[solved], values[solved]
-        both = zip(self._known, new, strict=True) if self._known else ((part,) for part in new)
-        places, those = (np.concatenate(parts)[-most:] for parts in both)
-        self._known, self._function = (places, those), None
+        new = points[solved][-most:], values[solved][-most:]
+        if self._known:
+            left_out = max(0, len(self._known[0]) + len(new[0]) - most)
+            places, those = (
+                np.concatenate([before[left_out:], after])
+                for before, after in zip(self._known, new, strict=True)
+            )
+            new = places, those
+        self._known, self._function = new, None
         self.count += int(solved.sum())
         self.failed |= not solved.all()
 
     def __call__(self, points: Floats) -> Floats:
         """Return the values (N, F) at points (N, P)."""
+        assert self._known is not None
+        places, values = self._known
         if self._function is None:
             from scipy.interpolate import RBFInterpolator  # late: it takes 0.3 s to load
 
-            assert self._known is not None
-            places, values = self._known
             # a quadratic has so many terms, and wants as many points again
             smooth = len(places) >= (places.shape[1] + 1) * (places.shape[1] + 2)
             kernel: Literal["quintic", "cubic"] = "quintic" if smooth else "cubic"
-            self._function = RBFInterpolator(places, values, kernel=kernel, degree=1 + smooth)
-        return np.asarray(self._function(points), dtype=np.float64)
+            # it keeps what it is given twice: of many values weights take less memory and time
+            self._by_weights = values.shape[1] > len(places)
+            given = np.eye(len(places)) if self._by_weights else values
+            self._function = RBFInterpolator(places, given, kernel=kernel, degree=1 + smooth)
+        interpolated = np.asarray(self._function(points), dtype=np.float64)
+        return interpolated @ values if self._by_weights else interpolated
 
 
 def find_rms(errors: Floats) -> float:
