@@ -233,19 +233,6 @@ def test_a_fault_of_a_study_is_named_with_its_line(tmp_path, changes, named, cap
     assert named in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("width", [24, 31, 40, 57])
-def test_no_number_is_broken_from_its_unit_on_a_screen(width, monkeypatch, capsys):
-    words = "its tip would narrow the 95 % interval from 13 to 3.6 mm, 0.51 ± 0.04 mm, if the model is right"
-    monkeypatch.setattr(screen, "SCREEN_COLUMNS", width)
-    screen.print_text(words)
-    lines = capsys.readouterr().out.splitlines()
-    assert " ".join(lines) == words and max(map(len, lines)) <= width
-    assert not [line for line in lines if re.search(r"[\d±]$", line) and not line.endswith("13")]
-    screen.show_display(TableLayout("a", "", (TableColumn("found", align="left"),), ((words,),)))
-    cells = [line.strip() for line in capsys.readouterr().out.splitlines()]
-    assert not [cell for cell in cells if cell.endswith(("95", "3.6", "±", "0.51", "0.04"))]
-
-
 @pytest.mark.parametrize("width", [30, 44, 60, 80, 120])
 def test_a_table_that_is_too_wide_breaks_no_word_and_loses_no_column_in_silence(width, monkeypatch, capsys):
     heads = (

@@ -85,14 +85,6 @@ def test_points_are_read_in_lps_and_millimetres_and_unset_ones_left_out(file):
     assert (found.labels, found.unset) == (("F-3",), ("F-1", "F-2", "F-4"))
 
 
-def test_every_kind_of_list_is_read(file):
-    kinds = ("Fiducial", "Curve", "ClosedCurve", "Line", "Angle")
-    lists = [markup(kind, name=kind.lower()) for kind in kinds]
-    found = read_markups(save(file, *lists, {"type": "Plane"}, {"type": "ROI"}, version=0))
-    assert [(one.kind, one.name) for one in found] == [(kind, kind.lower()) for kind in kinds]
-    assert "holds 5 lists" in refused(file) and "`angle`" in refused(file)
-
-
 UNSET = [point(1, ""), point(2, "")]
 FAULTY = [  # what a file holds, and what is said of it
     *(("[" * 100_000, "JSON"), ('{"nodes": []}', "has no `markups`"), ([markup("Plane")], "Plane")),

@@ -117,19 +117,6 @@ def test_each_run_has_its_needle(tmp_path, runs):
     assert "steps.csv:2: needle '25G' is unknown" in "\n".join(map(str, check(folder)))
 
 
-def test_each_run_has_its_setup(tmp_path, runs):
-    folder = written(tmp_path, runs)
-    add_columns("steps.csv", setup="")(folder)
-    before = [one.digest for one in read(folder).insertions]
-    for line in range(2, 15):
-        cell("steps.csv", line, setup="side")(folder)
-    rest, moved = read(folder).insertions
-    assert (rest.setup, moved.setup) == ("side", "")
-    assert (rest.digest == before[0], moved.digest == before[1]) == (False, True)
-    cell("steps.csv", 4, setup="")(folder)
-    refusal(DataError, "steps.csv:4: .*setup of run rest .*'side' to ''", read, folder)
-
-
 def test_selections_and_layers_of_tracks(tmp_path, runs):
     folder = written(tmp_path, runs, TOML + "layers = [1, 2]\n")
     assert "boundaries_mm" in str(check(folder)[0])

@@ -124,20 +124,6 @@ def test_title_table_checks_and_advice_of_shipped_studies_agree(number):
     assert page.advice.finding == findings.get(number, "result_doubtful")
 
 
-def test_the_first_page_of_a_study_has_its_parameters_and_at_most_25_lines(capsys, tmp_path):
-    results = with_predictions(study(1))
-    parameters = results.frames["parameters"]
-    held = parameters["parameter"].str.startswith("alpha")  # as in the shipped study
-    results = results.with_frames(parameters=parameters.assign(status=np.where(held, "prior", "free")))
-    show_run(TERMINAL, results, tmp_path / "run")
-    lines = capsys.readouterr().out.splitlines()
-    assert len(lines) <= 25
-    fitted = results.frames["parameters"].query("method == 'fitted' and status == 'free'")
-    names = [name for name in fitted["parameter"] if name.startswith("mu") or name == "bevel_mm"]
-    (table,) = (one for one in results.first_page.tables if one.name == "estimates")
-    assert len(table.rows) == len(names) and all(all(row) for row in table.rows)
-
-
 def test_a_second_figure_stands_on_the_first_page_too(world, tmp_path):
     results = world.restore("cross_validation")
     drawn = find_kind(results.kind).report.draw(results, tmp_path)

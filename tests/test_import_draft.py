@@ -391,15 +391,6 @@ def test_two_coordinates_are_along_and_across_the_needle(tmp_path, head, columns
     np.testing.assert_allclose(curves["n2"].line[-1], [40.0, 1.28, 0.0])
 
 
-def test_a_number_of_a_sheet_needs_no_decimal_comma(tmp_path):
-    rows = [["n", x if k else f"{x:.1f}".replace(".", ","), f"{0.001 * x * x:.4f}".replace(".", ",")]
-            for k, x in enumerate(np.arange(0.0, 60.0, 7.5))]  # fmt: skip
-    book = write_sheets(tmp_path / "a.xlsx", a=[["needle", "x [mm]", "y [mm]"], *rows])
-    curves, _ = curves_of([book])
-    np.testing.assert_allclose(curves["n"].line[:, 0], np.arange(0.0, 60.0, 7.5))
-    np.testing.assert_allclose(curves["n"].line[-1, 1], 0.001 * 52.5**2, atol=1e-4)
-
-
 def test_an_answer_or_a_change_that_is_refused_is_asked_for_again(tmp_path):
     replies, refused = iter(["perhaps", "1"]), []
     changes = iter(["y.colum=z", "y.column=nothing", "diameter=90G", "diameter=20G", ""])

@@ -1,7 +1,6 @@
 """Files: whole or not there, the same bytes every time, synthetic data called so."""
 
 import json
-import re
 import shutil
 import subprocess
 
@@ -9,7 +8,6 @@ import pandas as pd
 import pytest
 from reporting_results import study
 
-from needlefit.errors import ConfigError
 from needlefit.metrics import METRICS, Metric
 from needlefit.studies.kinds.cross_validation.frames import FRAMES
 from needlefit.studies.paper_folder import write_paper_folder
@@ -94,16 +92,3 @@ def test_the_latex_files_compile(written):
         text = f"{head}\n\\begin{{document}}\n{body}\n\\end{{document}}\n"
         (folder / "all.tex").write_text(text)
         subprocess.run(words, cwd=folder, check=True, stdout=subprocess.DEVNULL)
-
-
-@pytest.mark.sweep
-def test_a_paper_has_every_figure_in_both_widths_with_letters_of_8_points(written):
-    run, paper = written
-    names = {path.stem for path in run.glob("*.pdf")} - {"report"}
-    widths = {"single": 3.5, "double": 7.16}
-    assert {path.stem for path in paper.glob("*.pdf")} == {f"{n}-{word}" for n in names for word in widths}
-    for path in paper.glob("*.pdf"):
-        width = float(re.search(rb"/MediaBox *\[ *0 +0 +([\d.]+)", path.read_bytes())[1]) / 72
-        assert width == pytest.approx(widths[path.stem.rpartition("-")[2]], abs=0.01)
-    with pytest.raises(ConfigError, match="not empty"):
-        write_paper_folder(study(1), run, paper)

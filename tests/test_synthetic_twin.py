@@ -63,13 +63,6 @@ def test_the_shipped_twin_is_a_rebuild(rebuilt):
         assert file.read_bytes() == (TWIN / "layers" / file.name).read_bytes()
 
 
-@pytest.mark.sweep
-def test_an_insertion_does_not_depend_on_the_others_or_on_the_number_of_processes(rebuilt, tmp_path):
-    build_scanned(tmp_path, TWIN_SEED, select_designs(FEW[-1:]))
-    file = f"centerlines/{FEW[-1]}.csv"
-    assert (tmp_path / file).read_bytes() == (rebuilt / file).read_bytes()
-
-
 def test_every_insertion_is_simulated_to_the_digits_of_the_shipped_truth(truth):
     """Needle, layers, bevel, pose and scanner of all 47."""
     rows = {row["id"]: row for row in truth["insertions"]}

@@ -12,7 +12,6 @@ from needlefit.studies.run_differences import compare_runs
 
 RUN = study(1)
 ERRORS = RUN.frames["errors"]
-PARAMETERS = RUN.frames["parameters"]
 
 
 def write(folder, changed=RUN, **frames):
@@ -49,12 +48,6 @@ def test_of_a_column_the_greatest_change_is_given_whatever_the_order_of_rows(fir
     assert one["change"] == pytest.approx(0.1)
     assert one["after"] == pytest.approx(one["before"] - 0.1)
     assert str(ERRORS["insertion"].iloc[rows[1]]) in one["row"]
-
-
-def test_numbers_of_each_parameter_have_their_own_unit(first, tmp_path):
-    moved = PARAMETERS.assign(value=PARAMETERS["value"] * 1.1)
-    found = of_table(compare_runs(first, write(tmp_path / "b", parameters=moved)), "parameters")
-    assert len(found) == PARAMETERS.dropna(subset="value")["parameter"].nunique()
 
 
 def test_rows_and_columns_of_one_run_only_are_listed(first, tmp_path):

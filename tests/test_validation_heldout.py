@@ -203,27 +203,6 @@ def test_a_known_tip_takes_what_it_shares_with_another_from_its_width():
     assert width == approx(2 * 1.959964 * np.hypot(0.4, 0.9 / np.hypot(3, 0.3)), rel=0.03)
 
 
-@pytest.mark.sweep
-def test_one_insertion_narrows_the_interval_in_a_new_specimen(job, known):
-    held_out = job.folds[0].validate[:3]
-    fold = of(job, *(replace(one, specimen="another") for one in held_out))
-    few = replace(known, thetas=known.thetas[:300])
-    new = Specimens(job, fold, few)
-    rows = [one.rows["predictive"][0] for one in predict_held_out(new, bands=True)]
-    table = pd.DataFrame(rows)
-    (after,) = table["tip_95_width_after_one_mm"].dropna()
-    middle = sorted(held_out, key=lambda one: one.depth)[1]
-    row = table.set_index("insertion").loc[middle.id]
-    assert row["tip_95_width_after_one_mm"] == after
-    (exactly,) = list_rows(job, of(job, middle), sure(known))
-    assert exactly["tip_95_high_mm"] - exactly["tip_95_low_mm"] < after
-    assert after < 0.7 * (row["tip_95_high_mm"] - row["tip_95_low_mm"])
-    # no number of another insertion depends on it
-    plain = pd.DataFrame([one.rows["predictive"][0] for one in predict_held_out(new)])
-    others = [other[other["insertion"] != middle.id] for other in (plain, table)]
-    pd.testing.assert_frame_equal(*others)
-
-
 NAMES = ("A", "B", "C", "D", "E")
 FINE = Noise(0.0, 0.02, 0.0, 5.0)
 
