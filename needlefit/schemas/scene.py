@@ -215,7 +215,9 @@ class AdvanceRecord(Record):
     constraint_spacing_mm: float = Field(default=1.0, ge=MIN_ELEMENT_MM, le=MAX_CONSTRAINT_SPACING_MM)
     """Distance C_int between two constraint points along the needle."""
     constraint_switch: float = Field(default=0.5, ge=0, le=1)
-    """Part of a cell behind a boundary from which on its constraint point belongs to the next layer."""
+    """Part of the way between two constraint points from which on the tissue is held by the next one; 0.5:
+    by the nearest.
+    """
     tangent_part: float = Field(default=1.0, ge=0, le=1)
     """Weight of the needle's tangent in the direction of advance; 0 keeps the direction of the cut."""
     first_cell_mm: float | None = Field(default=None, gt=0)
