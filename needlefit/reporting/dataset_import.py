@@ -98,7 +98,7 @@ def _describe_needle(insertion: Insertion, bend: BendSide) -> dict[str, object]:
 
 
 def _format_point(point: Floats) -> str:
-    return ",\u00a0".join(f"{value:z.1f}" for value in point)
+    return ", ".join(f"{value:z.1f}" for value in point)
 
 
 def tabulate_columns(columns: Sequence[dict[str, str]]) -> pd.DataFrame:
