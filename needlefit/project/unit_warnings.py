@@ -102,9 +102,10 @@ def extrapolation_warnings(
             fix='write `compared = "space"` in the study or fit',
         )
     if fitted and not _is_within(depth, (FITTED_RANGE[0] * min(fitted), FITTED_RANGE[1] * max(fitted))):
+        ends = dict.fromkeys(f"{end:.3g}" for end in (min(fitted), max(fitted)))
         yield ResultWarning(
             kind="extrapolation",
-            what=f"{depth:.4g} mm is no depth that was fitted, {min(fitted):.3g} to {max(fitted):.3g} mm",
+            what=f"{depth:.4g} mm is no depth that was fitted, {' to '.join(ends)} mm",
             fix="check its unit, mm; intervals contain no model error",
         )
 

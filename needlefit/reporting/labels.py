@@ -1,5 +1,7 @@
 """Printed names and colours of methods, media and groups, and the captions of figures."""
 
+import re
+
 from needlefit.inference.baselines import BASELINES
 
 INK = "#1a1a1a"
@@ -42,9 +44,8 @@ def rgb(colour: str) -> tuple[float, float, float]:
 
 
 def medium_name(name: str) -> str:
-    """Return the printed name of a medium: `phantom2` becomes "phantom 2"."""
-    stem = name.rstrip("0123456789")
-    return f"{stem} {name[len(stem) :]}".strip().replace("_", " ")
+    """Return the printed name of a medium: of the paper's `phantom2` "phantom 2", of others their own."""
+    return re.sub(r"^phantom(?=\d$)", "phantom ", name)
 
 
 def group_name(medium: str, layers: int) -> str:

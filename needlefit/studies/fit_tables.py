@@ -376,7 +376,7 @@ def _find_factor(rows: Sequence[ParameterRow]) -> float:
 def lay_out_estimates(
     parameters: pd.DataFrame, rigidity: Mapping[str, RigidityMetadata] | None = None
 ) -> TableLayout:
-    """Return every parameter that was fitted with its 95 % interval and what limits it.
+    """Return every parameter that was fitted with its 95 % interval and what limits it, where it was judged.
 
     `parameters`: the frame of a fit, or what a prediction has of it. Moduli are in proportion to `rigidity`.
     """
@@ -390,7 +390,9 @@ def lay_out_estimates(
         for name, some in fitted.items()
     ]
     notes = (TEXT.sentence("rigidity", {"rigidity": rigidity}),) if rigidity else ()
-    return Table("estimates", rows, ("parameter", "posterior", "limited_by"), notes=notes).lay_out()
+    is_judged = (parameters["determined"] != "").any()
+    columns = ("parameter", "posterior", *(("limited_by",) * is_judged))
+    return Table("estimates", rows, columns, notes=notes).lay_out()
 
 
 def _describe_limit(name: str, rows: Sequence[ParameterRow], bevel: str) -> str:
