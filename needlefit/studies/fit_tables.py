@@ -389,10 +389,11 @@ def lay_out_estimates(
         }
         for name, some in fitted.items()
     ]
-    notes = (TEXT.sentence("rigidity", {"rigidity": rigidity}),) if rigidity else ()
+    notes = [TEXT.sentence("rigidity", {"rigidity": rigidity})] if rigidity else []
+    notes += [f"{AT_BOUND}: a bound."] if any(AT_BOUND in row["posterior"] for row in rows) else []
     is_judged = (parameters["determined"] != "").any()
     columns = ("parameter", "posterior", *(("limited_by",) * is_judged))
-    return Table("estimates", rows, columns, notes=notes).lay_out()
+    return Table("estimates", rows, columns, notes=tuple(notes)).lay_out()
 
 
 def _describe_limit(name: str, rows: Sequence[ParameterRow], bevel: str) -> str:

@@ -319,7 +319,7 @@ def add_intervals(
 
 # ---- the table of what is identifiable, of a fit and of a design
 
-_INTERVAL_NOTE = "“open”: a bound ends the profile likelihood. All other values are in identify.csv."
+_INTERVAL_NOTE = "All other values are in identify.csv."
 
 
 def lay_out_identification(identification: pd.DataFrame, expected: bool = False) -> TableLayout:
