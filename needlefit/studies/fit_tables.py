@@ -391,7 +391,7 @@ def lay_out_estimates(
     ]
     notes = [TEXT.sentence("rigidity", {"rigidity": rigidity})] if rigidity else []
     notes += [f"{AT_BOUND}: a bound."] if any(AT_BOUND in row["posterior"] for row in rows) else []
-    is_judged = (parameters["determined"] != "").any()
+    is_judged = bool((parameters["determined"] != "").any())
     columns = ("parameter", "posterior", *(("limited_by",) * is_judged))
     return Table("estimates", rows, columns, notes=tuple(notes)).lay_out()
 
