@@ -114,7 +114,7 @@ class Batch:
         warn_of_units(self.needle, self.tissue, self.steps, self.rules)
 
     def __len__(self) -> int:
-        return len(next(v for v in map(self.__dict__.get, VARYING_FIELDS) if v is not None))
+        return next(len(v) for name in VARYING_FIELDS if (v := self.__dict__[name]) is not None)
 
     @property
     def nodes(self) -> int:

@@ -185,10 +185,16 @@ def _find_addresses(arrays: Mapping[str, np.ndarray], sizes: Mapping[str, int]) 
 def check_array(name: str, array: np.ndarray, dtype: Any, shape: tuple[int, ...]) -> None:  # noqa: ANN401
     """Raise TypeError unless an array is one that the kernel can read; -1 in `shape`: any length."""
     fits = isinstance(array, np.ndarray) and array.dtype == dtype and array.flags.c_contiguous
-    fits = fits and len(array.shape) == len(shape)
-    if not (fits and all(n in (-1, m) for n, m in zip(shape, array.shape, strict=True))):
+    fits = fits and (array.shape == shape or _is_of_shape(array, shape))
+    if not fits:
         actual = (array.dtype, array.shape) if isinstance(array, np.ndarray) else type(array)
         raise TypeError(f"{name} is {actual}; the kernel reads a contiguous {np.dtype(dtype)} array {shape}")
+
+
+def _is_of_shape(array: np.ndarray, shape: tuple[int, ...]) -> bool:
+    if len(array.shape) != len(shape):
+        return False
+    return all(n in (-1, m) for n, m in zip(shape, array.shape, strict=True))
 
 
 def take_arrays(**given: tuple[Floats, tuple[int, ...]]) -> list[Floats]:
