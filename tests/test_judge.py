@@ -375,9 +375,11 @@ def test_tracks_are_judged_by_their_readings():
 
 def test_a_fit_is_compared_with_the_references_on_its_own_needles():
     results = with_tip_errors(study(1), **{**CURVES, "fitted": (0.1, 0.0), "straight": (0.05, 0.0)})
+    results = with_predictions(results)  # which are of others
     fit = results.with_frames(errors=results.frames["errors"].query("role == 'tune'"))
     found = find(fit, Check.CURVES)
     assert (found.passed, found.needles, found.closer, found.threshold) == (None, 9, 0, approx(0.05))
+    assert Check.INTERVALS not in {one.check for one in list_checks(fit)}
 
 
 def test_differences_are_tested_from_three_trials_on():
