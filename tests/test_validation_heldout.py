@@ -23,7 +23,7 @@ from needlefit.inference.likelihood.observations.curvature import surround_senso
 from needlefit.inference.optimize import minimize
 from needlefit.inference.parameters import with_bevel_spread, without_prior
 from needlefit.inference.planned_layers import with_planned_layers
-from needlefit.inference.predict import Draws
+from needlefit.inference.predict import Draws, PredictiveMixture
 from needlefit.project.locate import find_file
 from needlefit.project.toml import load
 from needlefit.schemas.recipe import LikelihoodRecord, RecipeRecord
@@ -34,6 +34,7 @@ from needlefit.studies.job import Job, Settings
 from needlefit.studies.kinds.cross_validation.frames import FRAMES
 from needlefit.studies.load import load_study
 from needlefit.studies.observations import predict_held_out
+from needlefit.studies.prediction_scores import find_end_error
 
 POINTS = LikelihoodRecord(depths="fixed", bevel_spread=0.0, measurement="points")
 
@@ -171,6 +172,12 @@ def test_entry_errors_are_few_and_have_their_deviation():
     errors = draw_entry_errors(0.4, 4000, default_rng(1))
     assert len(np.unique(errors)) == 8
     assert [errors.mean(), errors.std()] == approx([0.0, 0.4], abs=0.02)
+
+
+def test_few_draws_of_a_long_tail_do_not_give_the_end_of_an_interval():
+    draws = np.exp(0.8 * default_rng(2).standard_normal(125))
+    for means, least, most in ((draws, 0.1, 1.0), (np.linspace(-1, 1, 125), 0.0, 0.03)):
+        assert least < find_end_error(PredictiveMixture(means[:, None], np.array([0.02])), 1) < most
 
 
 def test_the_measured_shape_is_only_compared(job, known):

@@ -62,10 +62,13 @@ def clean(tmp_path_factory):
     """The study as it is, run once."""
     with pytest.MonkeyPatch.context() as here:
         here.chdir(made(tmp_path_factory.mktemp("clean")))
-        return run("clean", study(), Settings(progress=lambda *event: EVENTS.append(event)))
+        return run(
+            "clean", study(), Settings(progress=lambda *event: EVENTS.append(event), first=FIRST.append)
+        )
 
 
 EVENTS = []  #: what the run above reports
+FIRST = []
 
 
 def study(**changes):

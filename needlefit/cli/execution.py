@@ -14,7 +14,7 @@ from needlefit.cli.exit_codes import Invocation, catch_interrupts
 from needlefit.cli.progress import show_progress
 from needlefit.project.locate import format_path
 from needlefit.project.processes import count_cores
-from needlefit.project.progress import never_stop
+from needlefit.project.progress import never_stop, no_note
 
 if TYPE_CHECKING:
     from needlefit.datasets.insertion import Dataset
@@ -99,6 +99,7 @@ class Execution:
                 sample=sample,
                 progress=report,
                 stop=self.stop,
+                first=no_note if asked.quiet else print_remark,
                 note=self._print_note,
                 file=file,
                 inputs=self.inputs or Inputs(),

@@ -65,11 +65,12 @@ def _to_plain_value(value: object) -> object:
 # ---- tidy tables: computations keep wide rows, such as `tip_50_low_mm`; files say `quantity = tip`,
 # `level = 0.5`, `low_mm`
 
-_QUANTITIES = "tip|tip_z|shape|points|needle|needle_z|band|band_z|measured"
-_PREDICTED = "measured_mm|median_mm|predicted_mm|crps_mm|pit|error_mm"
+_QUANTITIES = "tip|tip_z|shape|points|end|track|needle|needle_z|band|band_z|measured"
+_PREDICTED = "measured_mm|median_mm|predicted_mm|crps_mm|interval_score_mm|pit|error_mm"
 
 _PATTERNS = {
     rf"(?P<quantity>{_QUANTITIES})_(?P<level>50|95)_(?P<name>low_mm|high_mm)": "{name}",
+    rf"(?P<quantity>{_QUANTITIES})_(?P<name>width)_(?P<level>50|95)_mm": "width_mm",
     rf"(?P<quantity>{_QUANTITIES})_in_(?P<level>50|95)": "covered",
     rf"(?P<quantity>{_QUANTITIES})_(?P<name>{_PREDICTED})": "{name}",
     r"(?P<name>low|high)_(?P<level>50|95)(?P<unit>_mm|)": "{name}{unit}",
@@ -78,7 +79,7 @@ _PATTERNS = {
 """By pattern of a wide name: the tidy one. Groups are index columns, but for `name` and `unit`."""
 
 _METRIC_VALUES = {"{metric}": "value", "floor_{metric}": "floor"}
-_PREDICTION_SCORE = re.compile(r"(tip|shape)_(crps_mm|in_50|in_95)")
+_PREDICTION_SCORE = re.compile(r"(tip|shape)_(crps_mm|interval_score_mm|in_50|in_95)")
 
 
 @dataclass(frozen=True)

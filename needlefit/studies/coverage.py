@@ -10,6 +10,8 @@ from needlefit.arrays import Floats
 from needlefit.inference.predict import Proportion, estimate_proportion
 from needlefit.reporting.table_files import Row
 
+#: Monte Carlo standard error of the width of the 95 % interval of a tip
+WIDTH_ERROR_COLUMN = "tip_95_width_error_mm"
 #: expected width of the 95 % interval of the tip after one measured insertion into the new specimen
 AFTER_ONE_COLUMN = "tip_95_width_after_one_mm"
 
@@ -59,7 +61,7 @@ def tip_error_of_medians(predictive: pd.DataFrame) -> float:
 
 COVERAGE_COLUMNS = (
     *("insertions", "tip_in_50", "tip_in_95", "tip_95_width_mm", "tip_median_error_mm"),
-    *("shape_in_50", "shape_in_95", "tip_crps_mm"),
+    *("shape_in_50", "shape_in_95", "tip_crps_mm", "tip_interval_score_mm"),
 )
 """Columns of how well needles were predicted."""
 
@@ -78,7 +80,7 @@ def tabulate_coverage(predictions: pd.DataFrame) -> Row:
         "insertions": len(predictions),
         "tip_95_width_mm": median_width(predictions),
         "tip_median_error_mm": tip_error_of_medians(predictions),
-        "tip_crps_mm": predictions["tip_crps_mm"].mean(),
+        **{name: predictions[name].mean() for name in ("tip_crps_mm", "tip_interval_score_mm")},
     }
 
 

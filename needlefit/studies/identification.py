@@ -22,7 +22,7 @@ from needlefit.inference.identifiability.identify import (
 from needlefit.inference.identifiability.profile import DEVIANCE_95, LikelihoodProfile
 from needlefit.inference.parameter_names import is_logarithmic, to_coordinate, to_value
 from needlefit.inference.parameters import Parameters
-from needlefit.inference.predict import Draws
+from needlefit.inference.predict import Draws, estimate_end_errors
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.reporting.number_format import (
@@ -54,10 +54,10 @@ class ParameterRow(NamedTuple):
     """A row of the table "parameters": the value of a parameter by one method, in one fold.
 
     `sd` is of ln for moduli and lengths, of the value for alpha; `low`, `high` is the range among starts
-    within tolerance of the best; `interval_low`, `interval_high` is the 95 % interval that is printed;
-    `draw_source` is what it is from, `median` that of the same draws. `status` is "prior" where the posterior
-    of a parameter is its prior, which moves a tip by `tip_shift_mm` at most. `determined` is "yes", "only
-    together" (with the others held it is), or "no".
+    within tolerance of the best; `interval_low`, `interval_high` is the 95 % interval that is printed, with
+    the Monte Carlo standard errors of its ends; `draw_source` is what it is from, `median` that of the same
+    draws. `status` is "prior" where the posterior of a parameter is its prior, which moves a tip by
+    `tip_shift_mm` at most. `determined` is "yes", "only together" (with the others held it is), or "no".
     """
 
     fold: str
@@ -69,6 +69,8 @@ class ParameterRow(NamedTuple):
     bound_high: float = math.nan
     interval_low: float = math.nan
     interval_high: float = math.nan
+    interval_low_error: float = math.nan
+    interval_high_error: float = math.nan
     draw_source: str = ""
     median: float = math.nan
     sd: float = math.nan
@@ -218,6 +220,7 @@ class ParameterInterval:
     high: float
     source: str
     median: float = math.nan
+    errors: Sequence[float] = (math.nan, math.nan)  #: Monte Carlo standard errors of the ends
 
     def is_narrow(self, name: str) -> bool:
         """Return whether it is no wider than a Gaussian one of the largest SD of a determined parameter."""
@@ -226,7 +229,7 @@ class ParameterInterval:
     def scale(self, factor: float) -> "ParameterInterval":
         """Return the interval of a parameter that is exactly so many times as large."""
         low, high, median = (factor * value for value in (self.low, self.high, self.median))
-        return replace(self, low=low, high=high, median=median)
+        return replace(self, low=low, high=high, median=median, errors=[factor * e for e in self.errors])
 
     def allow_for(self, sd: float, row: ParameterRow) -> "ParameterInterval":
         """Return the interval as wide as with an independent error of this SD (of ln for moduli and lengths).
@@ -249,7 +252,7 @@ class ParameterInterval:
         return {"interval_low": self.low, "interval_high": self.high, "draw_source": self.source}
 
 
-_PERCENTILES = (2.5, 50, 97.5)
+_LEVEL, _PERCENTILES = 0.95, (2.5, 50, 97.5)
 
 
 def intervals_of_draws(
@@ -259,18 +262,19 @@ def intervals_of_draws(
 
     Draws that are not certified have none.
     """
-    drawn, source, kinds = dict[str, Floats](), "", {"free", "tied"}
+    drawn, source, kinds = dict[str, tuple[Floats, float]](), "", {"free", "tied"}
     if draws is not None and draws.certified is not None:
         table, source = pd.DataFrame([parameters.values(theta) for theta in draws.thetas]), draws.source
-        drawn = {str(name): values.to_numpy() for name, values in table.items()}
+        drawn = {str(name): (values.to_numpy(), len(table)) for name, values in table.items()}
     if posterior is not None and not posterior.faults:
         columns, source, kinds = posterior.draws.reshape(-1, len(posterior.names)).T, "posterior", {"free"}
-        drawn = dict(zip(posterior.names, columns, strict=True))
+        drawn = dict(zip(posterior.names, zip(columns, posterior.ess, strict=False), strict=True))
     intervals = {}
-    for name, values in drawn.items():
+    for name, (values, independent) in drawn.items():
         if parameters.status[name] in kinds:
             low, median, high = np.percentile(values, _PERCENTILES).tolist()
-            intervals[name] = ParameterInterval(low, high, source, median)
+            errors = estimate_end_errors(values, _LEVEL, independent).tolist()
+            intervals[name] = ParameterInterval(low, high, source, median, errors)
     return intervals
 
 
@@ -304,6 +308,8 @@ def add_intervals(
         if intervals is not None:
             intervals = intervals.allow_for(model_error.get(source, 0.0), row)
             row = row._replace(**intervals.columns(), median=intervals.median)
+            at_low, at_high = intervals.errors
+            row = row._replace(interval_low_error=at_low, interval_high_error=at_high)
         if row.determined == "yes" and not (intervals and intervals.is_narrow(name)):
             row = row._replace(
                 determined=directions.name_determined(False, together.get(source, False)),

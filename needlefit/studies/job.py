@@ -52,6 +52,7 @@ class Settings:
     sample: bool = False  #: also sample the posterior
     progress: Progress = no_progress  #: called with a label, what is done, and of how much
     stop: Stop = never_stop  #: asked often; True ends the run early, marked `interrupted`
+    first: Note = no_note  #: given the first finding in one line, long before the run ends
     note: Note = no_note  #: given a line about what was damaged in the checkpoint
     file: Path | None = None  #: the study's, which warnings about it name
     inputs: Inputs = Inputs()  #: what is not read from files

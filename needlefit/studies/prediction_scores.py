@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from scipy.spatial.distance import pdist
 
 from needlefit.arrays import Floats
@@ -125,7 +126,30 @@ def score_tip_in_space(tips: Floats, centre: Floats, measured: Floats) -> Row:
         **{"tip_z_95_low_mm": low, "tip_z_95_high_mm": high, **ends},
         **{"tip_pit": pit, "tip_in_50": pit <= 0.5, "tip_in_95": pit <= 0.95},
         "tip_crps_mm": float(np.linalg.norm(tips - measured, axis=1).mean() - apart / 2),
+        "tip_interval_score_mm": math.nan,
     }
+
+
+def find_end_error(mixture: PredictiveMixture, count: int) -> float:
+    """Return the Monte Carlo error of the ends of the tip's widest interval, in parts of its width.
+
+    An end is the quantile of a probability p that draws give with a standard error e: it errs by half the
+    distance between the quantiles of p - e and p + e. Of two planes, with `count` points in each, the larger
+    error.
+    """
+    draws, level = len(mixture.means), max(INTERVAL_PROBABILITIES)
+    p, end_error = np.array([(1 - level) / 2, (1 + level) / 2]), 0.0
+    for tip in range(count - 1, mixture.means.shape[1], count):
+        tip_mixture = PredictiveMixture(mixture.means[:, [tip]], mixture.sd[[tip]])
+        if not tip_mixture.sd.all():
+            return math.inf
+        ends = quantile(tip_mixture, p)[:, 0]
+        error = scipy.special.ndtr((ends - tip_mixture.means) / tip_mixture.sd).std(axis=0) / math.sqrt(draws)
+        low, high = quantile(tip_mixture, np.clip([p - error, p + error], 0.5 / draws, 1 - 0.5 / draws))[
+            ..., 0
+        ]
+        end_error = max(end_error, float((high - low).max() / 2 / np.ptp(ends)))
+    return end_error
 
 
 def score_shape(mixture: PredictiveMixture, measured: Floats, shape_pit: float) -> Row:
@@ -150,4 +174,6 @@ def score_tip(mixture: PredictiveMixture, measured: Floats) -> Row:
         name = f"{100 * level:.0f}"
         row |= {f"tip_{name}_low_mm": low, f"tip_{name}_high_mm": high}
         row |= {f"tip_in_{name}": low <= tip_place <= high}
-    return row
+    # width, and what lies outside at 2 / (1 - level) of it: T. Gneiting, A. E. Raftery, JASA 102 (2007) 359
+    beyond = max(low - tip_place, tip_place - high, 0.0)
+    return row | {"tip_interval_score_mm": high - low + 2 / (1 - level) * beyond}

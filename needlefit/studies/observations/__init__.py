@@ -17,7 +17,7 @@ from needlefit.registry import Registry
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.table_files import Row
 from needlefit.schemas.run_metadata import CountMetadata
-from needlefit.studies.coverage import AFTER_ONE_COLUMN
+from needlefit.studies.coverage import AFTER_ONE_COLUMN, WIDTH_ERROR_COLUMN
 from needlefit.studies.fold_draws import Specimens
 from needlefit.studies.job import Job
 from needlefit.studies.run import Run
@@ -30,8 +30,8 @@ PREDICTIVE_COLUMNS = (
     *("between_sd_ln_mu", "between_sd_ln_b", "between_correlation", "other_specimens"),
     *(AFTER_ONE_COLUMN, "draw_source", "certified", "draws", "failed_solves", "tip_measured_mm"),
     *("tip_median_mm", "tip_50_low_mm", "tip_50_high_mm", "tip_95_low_mm", "tip_95_high_mm", "tip_pit"),
-    *("tip_in_50", "tip_in_95", "tip_crps_mm", "shape_pit", "shape_in_50"),
-    *("shape_in_95", "points_in_50", "points_in_95", "shape_crps_mm"),
+    *("tip_in_50", "tip_in_95", "tip_crps_mm", "tip_interval_score_mm", "shape_pit", "shape_in_50"),
+    *("shape_in_95", "points_in_50", "points_in_95", "shape_crps_mm", WIDTH_ERROR_COLUMN),
 )
 
 #: called with the number of predictions made, and of all

@@ -50,7 +50,7 @@ from needlefit.schemas.recipe import LikelihoodRecord
 from needlefit.schemas.run_metadata import CountMetadata
 from needlefit.studies import fit_figures
 from needlefit.studies import scored_groups as scores
-from needlefit.studies.coverage import AFTER_ONE_COLUMN, estimate_width_after_one
+from needlefit.studies.coverage import AFTER_ONE_COLUMN, WIDTH_ERROR_COLUMN, estimate_width_after_one
 from needlefit.studies.fit_frames import FitFrames
 from needlefit.studies.fold_draws import Specimens, describe_specimen
 from needlefit.studies.job import Job
@@ -65,6 +65,7 @@ from needlefit.studies.prediction_scores import (
     CURVATURE_CRPS,
     SHAPE_CRPS,
     SPATIAL_COLUMNS,
+    find_end_error,
     score_shape,
     score_tip,
     score_tip_in_space,
@@ -224,6 +225,9 @@ class _Predictor:
         """Return what became of the prediction of a tip, the last that is read along each direction."""
         directions, count = self.specimens.job.dataset.directions, len(end.measured)
         row = score_tip(end.mixture, end.measured)
+        width = row["tip_95_high_mm"] - row["tip_95_low_mm"]  # both of its ends err
+        end_error = find_end_error(end.mixture, count // directions)
+        row[WIDTH_ERROR_COLUMN] = math.sqrt(2) * end_error * width if math.isfinite(end_error) else math.nan
         if directions == 1:
             return row
         (centre,) = find_geometric_median(end.needles[:, -1:, 1:])

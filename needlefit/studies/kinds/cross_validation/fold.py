@@ -33,6 +33,7 @@ from needlefit.project.checkpoint import Checkpoint
 from needlefit.project.progress import no_progress
 from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import compute_beside, stop_requested
+from needlefit.reporting.number_format import format_bare_symbol, format_quantity
 from needlefit.reporting.table_files import Row
 from needlefit.schemas.run_metadata import CountMetadata
 from needlefit.studies.answer import RunFault, find_fault_kind
@@ -219,6 +220,7 @@ def fit_fold(job: Job, fold: Fold, services: FoldServices) -> FoldFits:
     if first in fits and job.response_at is None and job.responds_to_moves(fold):
         return fit_fold(replace(job, response_at=fits[first].values), fold, services)
     job = job.holding(fits[first].held) if first in fits else job
+    _note_fit(job, fits, services)
     beside: list[Callable[[], bytes]] = [
         lambda: pickle.dumps(search_fits(job, fold, others, services.here(job))),
         lambda: pickle.dumps(_profile(job, fold, fits, services.here(job))),
@@ -257,6 +259,18 @@ def _find_fit(fits: Mapping[str, Fit], search: str = "fitted") -> Fit | None:
     """Return the fit of a search that found a point that can be solved; None without one."""
     fit = fits.get(search)
     return fit if fit is not None and math.isfinite(fit.objective) else None
+
+
+def _note_fit(job: Job, fits: Mapping[str, Fit], services: FoldServices) -> None:
+    """Print the best fit, before there are intervals."""
+    fit = _find_fit(fits)
+    if len(job.folds) > 1 or fit is None or fit.interrupted:
+        return
+    values = (
+        f"{format_bare_symbol(name)} {format_quantity(name, fit.values[name])}"
+        for name in job.parameters.searched.free
+    )
+    services.settings.first(f"{job.name}: best fit: {', '.join(values)}; intervals follow")
 
 
 def _profile(job: Job, fold: Fold, fits: Mapping[str, Fit], services: FoldServices) -> FitProfiles | None:

@@ -65,9 +65,10 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
     if not (doubtful := list_doubtful(concluded, job)):
         return concluded
     others = leave_out(job, doubtful)
-    quick = replace(settings, sample=False)
+    # nothing is printed of the same folds without these needles
+    quiet = replace(settings, first=no_note, sample=False)
     progress = StudyProgress(others, settings.progress)
-    repeated = run_folds(others, replace(services, settings=quick, progress=progress))
+    repeated = run_folds(others, replace(services, settings=quiet, progress=progress))
     if not repeated or repeated[0].mode is None or repeated[-1].interrupted:
         return concluded
     effect = measure_effect(concluded, conclude_run(others, work, repeated), doubtful, job, results, repeated)
@@ -83,7 +84,7 @@ def run_folds(job: Job, services: FoldServices) -> list[FoldResult]:
     processes = min(settings.jobs, len(job.folds)) if can_fork() else 1
     results_by_number = dict[int, FoldResult]()
     if processes > 1:
-        copied = services.copy(job, jobs=settings.jobs // processes, note=no_note)
+        copied = services.copy(job, jobs=settings.jobs // processes, first=no_note, note=no_note)
         work = _FoldRunner(job, replace(copied, checkpoint=replace(copied.checkpoint, note=no_note)))
         for number, (result, noted) in LocalPool(processes).run(work, range(len(job.folds)), settings.stop):
             results_by_number[number] = result
