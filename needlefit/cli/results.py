@@ -58,13 +58,14 @@ def diff(
 ) -> None:
     """Compare two runs: inputs, states, every number.
 
-    Prints the greatest change of each column, and how many rows differ; of unlike runs the first 40 rows.
+    Prints the greatest change of each column, and how many rows differ; of different fits their verdicts.
     Runs with files that do not agree with their manifest are not compared.
     """
     from needlefit.project.folders import require_output_files
     from needlefit.project.locate import find_run
     from needlefit.reporting.table_files import to_records
     from needlefit.studies.run_differences import IDENTITY, RUN_JSON, compare_runs
+    from needlefit.studies.store import restore_run
 
     folders = find_run(run_a), find_run(run_b)
     if csv is not None:
@@ -81,8 +82,10 @@ def diff(
     keys = len(differences) - len(tables)
     for changed in changes:
         screen.print_text(f"The runs are of different fits; changed: {changed}.")
+        for folder in folders:
+            screen.print_text(f"{folder}: {restore_run(folder).first_page.answer}")
     screen.print_text(f"{tables['rows'].sum()} values of tables and {keys} keys of {RUN_JSON} differ.")
-    if len(differences):
+    if len(differences) and changes.empty:
         shown = differences.head(MAX_SHOWN_DIFFERENCES)
         screen.show_frame(shown, "\nThe greatest change of each column, from RUN_A to RUN_B")
         if more := len(differences) - len(shown):
