@@ -11,9 +11,9 @@ import pytest
 from import_cases import curves_of, needle, planned, prepare, write_long, write_rows, write_sheets
 from refusals import refusal
 
+from needlefit.datasets.importing.meanings import read_header, translate_side
 from needlefit.datasets.importing.prepare import prepare_import
 from needlefit.datasets.importing.stated import Stated
-from needlefit.datasets.importing.synonyms import read_header, translate_side
 from needlefit.datasets.importing.tables import parse_number
 from needlefit.errors import ConfigError, DataError
 from needlefit.project.locate import read_toml
@@ -399,7 +399,7 @@ def test_an_answer_or_a_change_that_is_refused_is_asked_for_again(tmp_path):
         prompt=lambda question, problem: refused.append(problem) or next(replies),
         review=lambda prepared, problem: refused.append(problem) or next(changes),
     )
-    assert {curve.holds for curve in prepared.content.curves} == {"shapes"} and not [*changes]
+    assert {curve.kind.name for curve in prepared.content.curves} == {"shapes"} and not [*changes]
     assert [bool(problem) for problem in refused] == [False, True, False, True, True, True, False]
     assert prepared.plan.needle.outer_diameter_mm == GAUGES_MM[20]
     assert "diameter" not in prepared.mapping.assumed and "modulus" in prepared.mapping.assumed

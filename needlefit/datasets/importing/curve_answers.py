@@ -1,4 +1,4 @@
-"""Settle what is asked of every imported curve: an answer of each, and the sides of their bevels."""
+"""Settle what is asked of every imported curve: an answer of each, the sides of their bevels, directions."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -6,15 +6,65 @@ from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from needlefit.arrays import Floats
 from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.importing.curves import ImportedCurve
 from needlefit.datasets.importing.stated import Settler, Stated, name_set
 from needlefit.datasets.insertion import Pose
-from needlefit.datasets.layers import select_layers
+from needlefit.datasets.layers import SAME_POINT_MM, select_layers
+from needlefit.geometry.frames import to_unit
 from needlefit.geometry.surfaces import Surface
 from needlefit.project.locate import join_names
-from needlefit.schemas.scene import NeedleRecord
+
+MIN_SAME_SIDE = 0.9  # smallest length of the mean of unit deflections that have one direction
+SAME_AXIS_DEG = 10.0  # largest angle (degrees) to a world axis at which that axis is proposed
+
+
+def to_sides(angles: Sequence[float]) -> tuple[list[int], list[float]]:
+    """Return the sides of bevels, and by how much each is turned about its needle, rad.
+
+    Bevels that differ by half turns are 1 and -1, all turned alike; others are sides 1, turned.
+    """
+    if len({angle % 180.0 for angle in angles}) == 1:
+        turn = float(np.radians(angles[0] % 180.0))
+        return [1 if angle % 360.0 < 180.0 else -1 for angle in angles], [turn for _ in angles]
+    return [1 for _ in angles], [float(np.radians(angle % 360.0)) for angle in angles]
+
+
+def snap_to_axis(direction: Floats) -> Floats:
+    """Return a unit direction, or the world axis that is near."""
+    axis, nearest = np.zeros(3), int(np.argmax(np.abs(direction)))
+    axis[nearest] = np.sign(direction[nearest])
+    return axis if axis @ direction >= np.cos(np.radians(SAME_AXIS_DEG)) else direction
+
+
+def format_direction(direction: Floats) -> str:
+    """Return a direction as options state it."""
+    return ",".join(f"{value:z.3g}" for value in direction.round(3))
+
+
+class BendsOfSides:
+    """How far bevels of side 1 would have bent across their directions, mm: `toward` (N, 3).
+
+    `bends` (N, 3): from the directions `along` (N, 3), mm. `angles`: that bevels face, degrees; None: all 0.
+    """
+
+    def __init__(self, bends: Floats, along: Floats, angles: Sequence[float] | None) -> None:
+        sides, turns = to_sides(angles or [0.0] * len(bends))
+        self.turned = Rotation.from_rotvec(np.array(turns)[:, None] * along)
+        across = bends - np.sum(bends * along, axis=1)[:, None] * along
+        self.toward: Floats = np.array(sides)[:, None] * self.turned.inv().apply(across)
+        self.sizes = np.linalg.norm(self.toward, axis=1)
+        self.units = self.toward / np.maximum(self.sizes, SAME_POINT_MM)[:, None]
+        self.direction = to_unit(along.sum(axis=0))
+        self.mean = to_unit(self.toward.sum(axis=0))  # of straight needles it is 0
+
+    @property
+    def agree(self) -> bool:
+        """Whether they have one direction."""
+        return bool(np.linalg.norm(self.units.sum(axis=0)) > MIN_SAME_SIDE * len(self.units))
 
 
 class CurveAnswers:
@@ -57,10 +107,10 @@ class CurveAnswers:
         return [cells.get(curve.name, rest) for curve in self.curves]
 
     def numbers(
-        self, key: str, unit: str = "mm", is_above: bool = False, usual: str | None = None, reason: str = ""
+        self, key: str, is_above: bool = False, usual: str | None = None, reason: str = ""
     ) -> list[float]:
-        """Return the number of each needle, in a unit."""
-        return [answer.to_number(key, unit, is_above) for answer in self.each(key, usual, reason)]
+        """Return the number of each needle, in the unit of the key."""
+        return [answer.to_number(key, is_above) for answer in self.each(key, usual, reason)]
 
     def stated(self, key: str) -> str:
         """Return what the mapping states of all needles; empty if nothing."""
@@ -93,35 +143,25 @@ class Placer(CurveAnswers):
         """Settle entries and inserted lengths; `curves` may become others."""
         raise NotImplementedError
 
-    def make_rows(
-        self, point_sd: float, depths: Sequence[tuple[float, ...]], needles: Sequence[NeedleRecord]
-    ) -> list[InsertionRow]:
-        """Return the rows, without medium and specimen.
-
-        `point_sd`, mm: the least one; `depths` of boundaries along each needle, mm.
-        """
+    def make_rows(self, point_sd: float) -> list[InsertionRow]:
+        """Return the rows, without medium, specimen, needle and guide; `point_sd`, mm: the least one."""
         raise NotImplementedError
 
     def choose_study(self, point_sd: float) -> Mapping[str, float | str]:
         """Return keys of a first study."""
         return {}
 
-    def meet_layers(
-        self,
-        rows: Sequence[InsertionRow],
-        depths: Sequence[tuple[float, ...]],
-        runs: Sequence[float] = (),
-    ) -> list[InsertionRow]:
+    def meet_layers(self, rows: Sequence[InsertionRow], runs: Sequence[float] = ()) -> list[InsertionRow]:
         """Return rows with the numbers of layers that they meet, by the depths of boundaries.
 
         `runs`, mm: how far they go along their directions; without them their inserted lengths.
         """
-        is_layered = any(depths) or bool(self.surfaces)
+        is_layered = bool(self.surfaces) or any(curve.boundaries for curve in self.curves)
         sds = self.numbers("boundary_sd") if is_layered else [row.boundary_sd for row in rows]
         runs = runs or [row.depth for row in rows]
         return [
-            replace(row, layers=len(select_layers(np.array(boundaries), run)[1]), boundary_sd=sd)
-            for row, boundaries, run, sd in zip(rows, depths, runs, sds, strict=True)
+            replace(row, layers=len(select_layers(np.array(curve.boundaries), run)[1]), boundary_sd=sd)
+            for row, curve, run, sd in zip(rows, self.curves, runs, sds, strict=True)
         ]
 
     def note_deflections(self, zero: str = "from the line of insertion") -> None:

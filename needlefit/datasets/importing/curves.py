@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -11,7 +12,10 @@ from needlefit.datasets.importing.stated import Stated
 from needlefit.datasets.points import Points
 from needlefit.errors import DataError
 from needlefit.geometry.surfaces import Surface
-from needlefit.schemas.mapping import Holds
+from needlefit.schemas.scene import NeedleRecord
+
+if TYPE_CHECKING:
+    from needlefit.datasets.importing.kinds import RowKind
 
 
 @dataclass(frozen=True)
@@ -29,7 +33,7 @@ class ImportedCurve:
 
     name: str
     points: Points  # of tips and tracks (depth, deflections) or places, a reading a row
-    holds: Holds = "shapes"
+    kind: "RowKind"
     stated: dict[str, Stated] = field(default_factory=dict)  # of `ATTRIBUTES`
     depths: Floats = field(default_factory=lambda: np.empty(0))  # (N,), mm; of readings, empty: not stated
     depth_column: str = ""  # the header of the depths of readings
@@ -44,6 +48,12 @@ class ImportedCurve:
     tips: list[TipReading] = field(default_factory=list)  # of its tip, measured beside the shape
     are_sensors_from_base: bool = False  # places of sensors are counted from the needle's base, not its tip
     before: float = 0.0  # mm; inserted length before the first point, of points with stated depths
+    # of planning: the place of its entry, mm (None: its first point), boundaries along it, mm, the standard
+    # deviation of a point, mm, and the needle
+    entry: Floats | None = None
+    boundaries: tuple[float, ...] = ()
+    point_sd: float = 0.0
+    needle: NeedleRecord = field(init=False)
 
     def state(self, facts: Mapping[str, Stated]) -> None:
         """Add what is stated of the needle; DataError if something else was stated before."""
@@ -68,6 +78,12 @@ class ImportedCurve:
         return self.points.values
 
     @property
+    def chord(self) -> Floats:
+        """The way from the first point to the last (3,), mm."""
+        chord: Floats = self.line[-1] - self.line[0]
+        return chord
+
+    @property
     def length(self) -> float:
         """The length of the curve smoothed to its noise."""
         return self.points.curve.length
@@ -80,17 +96,17 @@ class ImportedCurve:
         start = 0.0 if self.is_deflection or len(self.line) == 1 else self.line[0]
         return float(np.linalg.norm(self.line - start, axis=1).max())
 
-    def read_curvature(self, turn: float, length: float) -> Floats | None:
+    def read_curvature(self, turn: float) -> Floats | None:
         """Return `sensors` (n, 4), from the tip, with curvatures toward the bevel and across.
 
-        `turn`, rad: of the bevel from up; `length`, mm: of the needle.
+        `turn`, rad: of the bevel from up.
         """
         if not self.sensors:
             return None
         read = np.array(self.sensors)
         turned = Rotation.from_rotvec([-turn, 0.0, 0.0]).apply(read[:, :3])
         if self.are_sensors_from_base:
-            turned[:, 0] = length - turned[:, 0]
+            turned[:, 0] = self.needle.length_mm - turned[:, 0]
         return np.column_stack([turned, read[:, 3]])
 
     @property

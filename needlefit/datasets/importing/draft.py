@@ -1,34 +1,86 @@
-"""What is proposed of a mapping: its tables and values, what is assumed, open, or not used."""
+"""What is proposed of a mapping, and what a person states of it: tables, values, what is open."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
-from needlefit.datasets.importing.meanings import QUESTIONS
-from needlefit.datasets.importing.stated import Question, UnansweredError, name_set
-from needlefit.project.toml import check
-from needlefit.schemas.mapping import MappingRecord
+from needlefit.datasets.importing.meanings import MEANINGS, QUESTIONS, VALUES, Answers, Keys, Pairs
+from needlefit.datasets.importing.stated import Question, name_set
+from needlefit.errors import ConfigError
+from needlefit.project.locate import sort_by_similarity
+from needlefit.project.toml import check, override
+from needlefit.schemas.mapping import MappingRecord, TableRecord
+
+TABLE_KEYS = tuple(key for key in TableRecord.model_fields if key not in ("files", "columns"))
+KEYS = ("unit", "origin", "surfaces", *TABLE_KEYS, *MEANINGS)
+PARSED_PARTS = ("words", "sign")  # of a meaning; the others are texts
+
+
+class Assignments:
+    """The assignments by what they state: values of all needles, columns, keys of every table or of one.
+
+    ConfigError if a key is not known.
+    """
+
+    def __init__(self, pairs: Pairs = ()) -> None:
+        self.values = dict[str, str]()  # by meaning
+        self.columns = dict[str, Keys]()  # by meaning and part
+        self.table = Keys()  # keys of every table
+        self.numbered = list[tuple[str, str]]()  # `tables.2.sheet`
+        self.surfaces = list[str]()  # files of points that are planes between layers
+        self.unit = self.origin = ""
+        for key, text in pairs:
+            head, _, part = key.partition(".")
+            if key in VALUES:
+                self.values[key] = text
+            elif key in ("unit", "origin"):
+                setattr(self, key, text)
+            elif key == "surfaces":
+                self.surfaces += [name.strip() for name in text.split("|")]
+            elif head == "tables":
+                self.numbered.append((key, text))
+            elif key in TABLE_KEYS:
+                stated = override({}, [(key, text)], "--set")
+                if key == "unused":  # of several answers
+                    stated[key] = [*self.table.get(key, []), *stated[key]]
+                self.table |= stated
+            elif head in MEANINGS:
+                part = part or "column"
+                is_list = part == "column" and text.startswith("[")
+                value = (
+                    override({}, [(part, text)], "--set")[part] if is_list or part in PARSED_PARTS else text
+                )
+                self.columns.setdefault(head, {})[part] = "|".join(map(str, value)) if is_list else value
+            else:
+                raise ConfigError(
+                    f"--set {key}={text[:40]}: there is no key `{key}`",
+                    expected="a key of the mapping: needlefit explain mapping",
+                    fix=f"did you mean {name_set(sort_by_similarity(head, KEYS)[0], text)}",
+                )
 
 
 @dataclass
 class Draft:
     """A mapping that is proposed, and what of it is assumed, open, or not used."""
 
-    tables: list[dict[str, Any]] = field(default_factory=list)  # keys of `TableRecord`
+    stated: Assignments
+    values: dict[str, str]
+    origin: str
+    tables: list[Keys] = field(default_factory=list)  # keys of `TableRecord`
     surfaces: list[str] = field(default_factory=list)
-    values: dict[str, str] = field(default_factory=dict)
     assumed: dict[str, str] = field(default_factory=dict)
     opens: list[Question] = field(default_factory=list)
     unused: list[tuple[str, str]] = field(default_factory=list)  # what, and where it stands
     ignored: dict[str, str] = field(default_factory=dict)  # why nothing is read of a file, or of its sheets
-    origin: str = "measured"
     headers: list[str] = field(default_factory=list)  # of all tables
     columns_read: set[str] = field(default_factory=set)  # meanings whose stated columns are there
     needles: dict[tuple[str, str], set[str]] = field(default_factory=dict)  # names by file and sheet
 
     def ask(
-        self, question: str, where: str, choices: Mapping[str, Mapping[str, str]] | None = None, **parts: str
+        self,
+        question: str,
+        where: str,
+        choices: Answers | None = None,
+        **parts: str | int,
     ) -> None:
         """Ask a question of `QUESTIONS`, whose `parts` are filled in."""
         text, key, answers = QUESTIONS[question]
@@ -40,22 +92,7 @@ class Draft:
         if not any(replace(other, where=where) == asked for other in self.opens):  # of one sheet
             self.opens.append(asked)
 
-    def to_error(self) -> UnansweredError:
-        """Return the error of questions that nobody answers; its fix states what answers them."""
-        plain = " ".join(name_set(question.key) for question in self.opens if not question.choices)
-        fixes = [f"state {plain}"] if plain else []
-        for question in filter(lambda question: question.choices, self.opens):
-            options = (" ".join(map(name_set, keys, keys.values())) for keys in question.choices.values())
-            fixes.append(f"state {', or '.join(options)}")
-        return UnansweredError(
-            f"needs an answer. {' '.join(question.text for question in self.opens)}",
-            question=self.opens[0],
-            expected=f"an answer to {'each' if len(self.opens) > 1 else 'it'}",
-            fix="; ".join(fixes),
-            where=self.opens[0].where,
-        )
-
-    def add(self, entry: dict[str, Any], path: Path) -> None:
+    def add(self, entry: Keys, path: Path) -> None:
         """Add the entry of a table; files that are read alike have one."""
         same = next((table for table in self.tables if {**table, "files": 0} == {**entry, "files": 0}), None)
         if same is not None and path.name not in same["files"]:

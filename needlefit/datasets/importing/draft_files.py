@@ -7,20 +7,25 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import permutations
 from pathlib import Path
-from typing import Any
 
 from needlefit.datasets.formats import FORMATS
 from needlefit.datasets.formats.markups import MARKUPS, is_plane
-from needlefit.datasets.importing.assignments import Assignments
-from needlefit.datasets.importing.draft import Draft
+from needlefit.datasets.importing.draft import Assignments, Draft
 from needlefit.datasets.importing.draft_table import TableDraft
 from needlefit.datasets.importing.examples import EXAMPLE_SHEET
 from needlefit.datasets.importing.kinds import KINDS
 from needlefit.datasets.importing.layout import propose_layout, sniff_text
-from needlefit.datasets.importing.meanings import MEANINGS, VALUES
+from needlefit.datasets.importing.meanings import (
+    MEANINGS,
+    VALUES,
+    Keys,
+    Pairs,
+    find_meaning,
+    read_header,
+    split_unit,
+)
 from needlefit.datasets.importing.read import MAX_CURVES
 from needlefit.datasets.importing.stated import name_set
-from needlefit.datasets.importing.synonyms import find_meaning, read_header, split_unit
 from needlefit.datasets.importing.tables import (
     SHEET_SUFFIXES,
     TEXT_SUFFIXES,
@@ -42,12 +47,13 @@ SETUP_SHEET, GUIDE_SHEET = "setup", "read me"  # of the workbook to fill in
 MAPPING_TEXTS = ("title", "source", "license", "entry", "bevel", "guide")  # values that are no columns
 
 
-def draft_mapping(paths: Sequence[Path], stated: Assignments) -> tuple[Draft, list[Path]]:
+def draft_mapping(paths: Sequence[Path], pairs: Pairs) -> tuple[Draft, list[Path]]:
     """Return the proposed mapping of files and of the readable files of folders, and these files.
 
     DataError of a file that cannot be read, or holds a dataset already.
     """
-    draft = Draft(values=dict(stated.values), origin=stated.origin or "measured")
+    stated = Assignments(pairs)
+    draft = Draft(stated, dict(stated.values), stated.origin or "measured")
     files = [*_list_files(paths, draft)]
     if len(files) > MAX_CURVES:
         raise DataError(
@@ -60,14 +66,14 @@ def draft_mapping(paths: Sequence[Path], stated: Assignments) -> tuple[Draft, li
         if suffix in READ_SUFFIXES or path.name in stated.surfaces or is_plane(path):
             draft.surfaces.append(path.name)
         elif suffix in TEXT_SUFFIXES:
-            _draft_grid(*sniff_text(path, stated.table), draft, stated)
+            _draft_grid(*sniff_text(path, stated.table), draft)
         elif suffix in SHEET_SUFFIXES:
-            _draft_workbook(path, draft, stated)
+            _draft_workbook(path, draft)
         else:
             table, remarks = read_structured(path)
             draft.unused += [(remark, path.name) for remark in remarks]
-            TableDraft(table, {"files": [path.name]}, draft, stated).propose()
-            _ask_markups(path.name, table, draft, stated)
+            TableDraft(table, {"files": [path.name]}, draft).propose()
+            _ask_markups(path.name, table, draft)
     for meaning, parts in stated.columns.items():
         if "column" in parts and draft.headers and meaning not in draft.columns_read:
             raise DataError(
@@ -106,13 +112,17 @@ def draft_mapping(paths: Sequence[Path], stated: Assignments) -> tuple[Draft, li
     return draft, files
 
 
-def _ask_markups(file: str, table: Table, draft: Draft, stated: Assignments) -> None:
+def _ask_markups(file: str, table: Table, draft: Draft) -> None:
     """Ask about a curve of Slicer with few points: they may be of a boundary."""
     key = f"tables.{len(draft.tables)}.holds"
     for name, count in Counter(row[0] for row in table.rows).items():
-        if count < MIN_POINTS and file.endswith(MARKUPS.suffixes) and (key, "shapes") not in stated.numbered:
+        if (
+            count < MIN_POINTS
+            and file.endswith(MARKUPS.suffixes)
+            and (key, "shapes") not in draft.stated.numbered
+        ):
             answers = {"needle": {key: "shapes"}, "boundary": {"surfaces": file}}
-            draft.ask("markups", file, answers, name=name, count=str(count))
+            draft.ask("markups", file, answers, name=name, count=count)
 
 
 def _list_files(paths: Iterable[Path], draft: Draft) -> Iterator[Path]:
@@ -169,14 +179,14 @@ def _ask_sources(draft: Draft) -> None:
         source=source,
         places=listed,
         last=names[-1],
-        number=str(entries[places[-1]][0]),
+        number=entries[places[-1]][0],
     )
 
 
 # ---- sheets and grids
 
 
-def _draft_workbook(path: Path, draft: Draft, stated: Assignments) -> None:
+def _draft_workbook(path: Path, draft: Draft) -> None:
     """Propose the sheets of a workbook; those that begin with `example` where no other one is filled in."""
     sheets = [sheet for sheet in read_sheets(path) if sheet.sheet.lower() != GUIDE_SHEET]
     examples = [sheet for sheet in sheets if sheet.sheet.lower().startswith(EXAMPLE_SHEET)]
@@ -185,16 +195,16 @@ def _draft_workbook(path: Path, draft: Draft, stated: Assignments) -> None:
         for sheet in sheets
     )
     for grid in sheets:
-        keys: dict[str, Any] = {"files": [path.name], "sheet": grid.sheet}
+        keys: Keys = {"files": [path.name], "sheet": grid.sheet}
         if (grid in examples) == (are_filled or not examples):
             draft.unused.append((f"sheet {grid.sheet}", path.name))
         elif _states_values(grid):
             first = next((row[0] for row in grid.rows if any(row)), "")
             is_head = find_meaning("column", split_unit(first)[0]) not in VALUES
             keys |= {"layout": "pairs", "holds": "facts", "of": "all", "header_rows": [1] if is_head else []}
-            _draft_values(grid, keys, draft, stated)
+            _draft_values(grid, keys, draft)
         else:
-            _draft_grid(grid, keys, draft, stated)
+            _draft_grid(grid, keys, draft)
 
 
 def _states_values(grid: Grid) -> bool:
@@ -206,33 +216,33 @@ def _states_values(grid: Grid) -> bool:
     return is_narrow and sum(name in VALUES for name in names) > 1
 
 
-def _draft_values(grid: Grid, keys: dict[str, Any], draft: Draft, stated: Assignments) -> None:
+def _draft_values(grid: Grid, keys: Keys, draft: Draft) -> None:
     """Propose what a sheet of names and values states of all."""
     table = lay_out(grid, check(keys, TableRecord, grid.path))
-    columns = dict[str, dict[str, Any]]()
+    columns = dict[str, Keys]()
     texts = table.rows[0] if table.rows else ()
     for name, header, text in zip(table.first_headers[0], table.headers, texts, strict=False):
         plain, unit = split_unit(name)
         key = "_".join(plain.lower().replace("_", " ").split())
         key = key if key in VALUES or key == "origin" else find_meaning("column", plain)
         if key == "origin":
-            draft.origin = stated.origin or text
+            draft.origin = draft.stated.origin or text
         elif key in MAPPING_TEXTS:
             draft.values.setdefault(key, text)
         elif key not in VALUES:
             draft.unused.append((f"row {name} = {text}", f"{grid.path.name}, sheet {grid.sheet}"))
-        elif key not in stated.values:
+        elif key not in draft.stated.values:
             unit = unit or split_unit(header)[1]
             columns[key] = {"column": header} | ({"unit": unit} if unit else {})
     if columns:
         draft.add(keys | {"columns": columns}, grid.path)
 
 
-def _draft_grid(grid: Grid, keys: dict[str, Any], draft: Draft, stated: Assignments) -> None:
+def _draft_grid(grid: Grid, keys: Keys, draft: Draft) -> None:
     if not any(map(any, grid.rows)):
         draft.unused.append((f"sheet {grid.sheet}" if grid.sheet else f"file {grid.path.name}", "empty"))
         return
-    keys = propose_layout(grid, keys, stated.table)
+    keys = propose_layout(grid, keys | draft.stated.table)
     table = lay_out(grid, check({"holds": "facts"} | keys, TableRecord, grid.path))
     draft.unused += [(f"line `{line}`"[:200], grid.path.name) for line in table.unread]
-    TableDraft(table, keys, draft, stated).propose()
+    TableDraft(table, keys, draft).propose()

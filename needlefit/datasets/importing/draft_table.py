@@ -4,17 +4,20 @@ import json
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import count, pairwise, permutations
-from typing import Any, NamedTuple
 
-from needlefit.datasets.importing.assignments import Assignments
 from needlefit.datasets.importing.draft import Draft
 from needlefit.datasets.importing.kinds import list_kinds
-from needlefit.datasets.importing.meanings import ATTRIBUTES, COORDINATES, MEANINGS, VECTORS
-from needlefit.datasets.importing.synonyms import (
+from needlefit.datasets.importing.meanings import (
+    ATTRIBUTES,
+    COORDINATES,
+    MEANINGS,
+    VECTORS,
+    Answers,
     Header,
+    Keys,
     find_meaning,
     is_side,
     list_bare_numbers,
@@ -37,35 +40,25 @@ MAX_FLAGS = 4  # largest number of values of a column that may mark rows to be l
 _QUANTITY = re.compile(r"\D{0,3}[-+]?\d+([.,]\d+)?\s*\S{0,4}")  # a number with a unit: 22G, 0,7 mm
 
 
-class Column(NamedTuple):
-    """A column: its place, the name by which a mapping finds it, its header, and its cells."""
+@dataclass(frozen=True)
+class Column(Header):
+    """A column: its header, its place, the name by which a mapping finds it, and its cells."""
 
-    place: int
-    name: str | int
-    header: Header
-    texts: Sequence[str]  # of cells that are not blank
-    numbers: Sequence[float]  # of those that are numbers
-
-    @property
-    def is_unit(self) -> bool:
-        """Whether it states the unit of each row."""
-        return self.header.meaning == "unit"
-
-    @property
-    def is_known(self) -> bool:
-        """Whether its header means something, though perhaps nothing that is imported."""
-        return bool(self.header.meaning or self.header.axis)
+    place: int = 0
+    name: str | int = ""
+    texts: Sequence[str] = ()  # of cells that are not blank
+    numbers: Sequence[float] = ()  # of those that are numbers
 
 
-Axes = dict[str, Column]
-Records = dict[str, dict[str, Any]]  # keys of `MeaningRecord` by meaning
+Columns = dict[str, list[Column]]  # by meaning
+Records = dict[str, Keys]  # keys of `MeaningRecord` by meaning
 
 
 class TableDraft:
     """Adds the entries of one table to a draft, and asks what it leaves open."""
 
-    def __init__(self, table: Table, keys: dict[str, Any], draft: Draft, stated: Assignments) -> None:
-        self.table, self.keys, self.draft, self.stated = table, keys | stated.table, draft, stated
+    def __init__(self, table: Table, keys: Keys, draft: Draft) -> None:
+        self.table, self.keys, self.draft, self.stated = table, keys | draft.stated.table, draft, draft.stated
         self.name = table.sheet or table.path.name
         self.where = table.path.name + (f", sheet {table.sheet}" if table.sheet else "")
         parts = [
@@ -77,8 +70,10 @@ class TableDraft:
             texts = [row[n] for row in table.rows if row[n]]
             numbers = [value for text in texts if (value := table.number(text)) is not None]
             names = (text for text in (*parts[n][:1], table.headers[n]) if text and table.find(text) == n)
-            self.all.append(Column(n, next(names, n + 1), header, texts, numbers))
-        self.taken = dict[str, list[Column]]()  # columns by meaning
+            self.all.append(
+                Column(**vars(header), place=n, name=next(names, n + 1), texts=texts, numbers=numbers)
+            )
+        self.taken: Columns = {}
         self.excluded = list[str]()  # values of a column of flags that mark rows to be left out
         self.used = set[int]()  # places of columns that mean something, or are asked about
 
@@ -102,18 +97,15 @@ class TableDraft:
             headers = ", ".join(filter(None, self.table.headers))[:200]
             problem = f"no column is known to hold coordinates: {headers or 'no headers'}"
             self.draft.unused.append((f"table {self.where}", problem))
-            if not OF_LAYERS & {one.header.meaning for one in self.all}:
+            if not OF_LAYERS & {column.meaning for column in self.all}:
                 self.draft.ignored[self.table.path.name] = problem
             elif "boundaries" not in self.draft.values:
-                self.draft.ask("table", self.where, name=self.name, headers=headers)
+                self.ask("table", name=self.name, headers=headers)
             return
         self.kind, self.keys["holds"] = kind, kind.name
         self._name_unused()
-        shared = {meaning: spell(meaning, columns) for meaning, columns in self.taken.items()}
-        if self.excluded:
-            shared[EXCLUDED]["words"] = dict.fromkeys(self.excluded, EXCLUDED)
-        for entry in entries:
-            self._add(shared | entry | shared)  # the needle is shown first
+        for name, columns in entries.items():
+            self._add(name, self.taken | columns | self.taken)  # the needle is shown first
 
     # ---- columns
 
@@ -164,7 +156,7 @@ class TableDraft:
         if "boundaries" in known:
             known.pop("thickness", None)
         for meaning in (*VECTORS, "guide"):  # columns x, y and z of a place
-            axes = {column.header.axis: column for column in free if column.header.group == meaning}
+            axes = {column.axis: column for column in free if column.group == meaning}
             if "y" in axes or (axes and meaning == "guide"):
                 known[meaning] = [axes[axis] for axis in sorted(axes)]
         if "depth" in known and not (known.keys() | blocked) & {"y", "deflection"}:
@@ -179,9 +171,9 @@ class TableDraft:
             known["needle"] = self._choose_names(known)
         for column in free:
             self._ask_meaning(column, meanings[column.place], known)
-        trials = next((column for column in self.all if column.header.meaning == "trials"), None)
+        trials = next((column for column in self.all if column.meaning == "trials"), None)
         if trials and "point_sd" in known and any("mean" in text.casefold() for text in self.table.headers):
-            self._ask("point_sd", known.pop("point_sd")[0], count=str(trials.name))
+            self._ask_what("point_sd", known.pop("point_sd")[0], count=str(trials.name))
         if EXCLUDED in known:
             self._ask_excluded(known.pop(EXCLUDED)[0])
         for meaning, columns in known.items():
@@ -189,14 +181,14 @@ class TableDraft:
 
     def _list_meanings(self, column: Column) -> list[str]:
         """Return what a column may mean, by its header and cells; an empty text: nothing here."""
-        meaning, headers = column.header.meaning, [other.header.meaning for other in self.all]
+        meaning, headers = column.meaning, [other.meaning for other in self.all]
         if meaning in ("medium", "modulus"):
             are_needles = [find_meaning("value", text).endswith("GPa") for text in column.texts]
             if any(are_needles):
                 is_open = headers.count("modulus") > (meaning == "modulus")
                 is_open |= meaning == "medium" and not all(are_needles)
                 return ["modulus", "medium"] if is_open else ["modulus"]
-            factor = UNITS_GPA.get(column.header.unit, 1.0)
+            factor = UNITS_GPA.get(column.unit, 1.0)
             if meaning == "modulus" and any(0 < value * factor < MIN_NEEDLE_GPA for value in column.numbers):
                 return ["modulus", ""]
         if meaning == "guide" and "depth" not in headers:  # of the stage
@@ -216,32 +208,34 @@ class TableDraft:
             self.draft.assumed["needle"] = f"{_list_names(chosen)}: together they name the needles"
         return chosen
 
-    def _group_axes(self) -> dict[str, Axes]:
-        """Return the columns of the points of each needle by its name, and axis.
+    def _group_axes(self) -> dict[str, Columns]:
+        """Return the columns of the points of each needle by its name, "" of a single one, and axis.
 
         A letter that comes again begins another needle. One column x may be of several: `x, y1, y2`.
         """
         if self.taken.keys() & {"y", "deflection"}:
             return {}
-        groups: dict[tuple[int, str], Axes] = {}
+        groups: dict[tuple[int, str], Columns] = {}
         for column in self.list_free():
-            axis, group = column.header.axis, column.header.group
+            axis, group = column.axis, column.group
             if axis and group not in NO_POINTS:
                 turn = next(k for k in count() if axis not in groups.get((k, group), ()))
-                groups.setdefault((turn, group), {})[axis] = column
+                groups.setdefault((turn, group), {})[axis] = [column]
         with_x = [axes for axes in groups.values() if "x" in axes]
-        if not with_x and not {"x", "depth"} & {*self.taken, *(one.header.meaning for one in self.all)}:
+        if not with_x and not {"x", "depth"} & {*self.taken, *(one.meaning for one in self.all)}:
             pairs = [pair for axes in groups.values() for pair in permutations(axes.values(), 2)]
             answers = {
                 str(along.name): {"x.column": str(along.name), "y.column": str(across.name)}
-                for along, across in pairs
+                for (along,), (across,) in pairs
             }
-            self.draft.ask("column", self.where, answers, key="x", text=MEANINGS["x"].text) if pairs else None
+            self.ask("column", answers, key="x", text=MEANINGS["x"].text) if pairs else None
         lacking = [axes for axes in groups.values() if "x" not in axes]
         if len(with_x) == 1 and all("y" in axes for axes in lacking):
             for axes in lacking:
                 axes["x"] = with_x[0]["x"]
         named = [(name.strip(), axes) for (_, name), axes in groups.items() if "y" in axes]
+        if len(named) == 1:
+            return {"": named[0][1]}
         names = [name or f"{n}" for n, (name, _) in enumerate(named, 1)]
         return {
             name if names.count(name) == 1 else f"{name} {n}": axes
@@ -250,16 +244,20 @@ class TableDraft:
 
     # ---- what is asked
 
-    def _ask(
+    def ask(self, question: str, answers: Answers | None = None, **parts: str | int) -> None:
+        """Ask a question of `QUESTIONS` about this table."""
+        self.draft.ask(question, self.where, answers, **parts)
+
+    def _ask_what(
         self,
         question: str,
         column: Column,
-        answers: Mapping[str, Mapping[str, str]] | None = None,
+        answers: Answers | None = None,
         **parts: str,
     ) -> None:
         """Ask what a column is; until then it means nothing."""
         self.used.add(column.place)
-        self.draft.ask(question, self.where, answers, name=str(column.name), **parts)
+        self.ask(question, answers, name=column.name, **parts)
 
     def _ask_meaning(self, column: Column, meanings: Sequence[str], known: dict[str, list[Column]]) -> None:
         """Ask which of several meanings a column has, if the first is not stated."""
@@ -275,7 +273,7 @@ class TableDraft:
         }
         texts = [f"{meaning} ({MEANINGS[meaning].text})" if meaning else "not used" for meaning in meanings]
         cells = ", ".join(dict.fromkeys(column.texts))[:40]
-        self._ask("meaning", column, answers, cells=cells, meanings=" or ".join(texts))
+        self._ask_what("meaning", column, answers, cells=cells, meanings=" or ".join(texts))
 
     def _ask_excluded(self, column: Column) -> None:
         """Ask which value marks rows that are left out, if there are several."""
@@ -291,48 +289,37 @@ class TableDraft:
         if 1 < len(values) <= MAX_FLAGS:
             key, name = f"{EXCLUDED}.words", {f"{EXCLUDED}.column": str(column.name)}
             answers = {value or "blank": name | {key: _to_toml({value: EXCLUDED})} for value in values}
-            self._ask(EXCLUDED, column, answers | {"none": _leave(column.name)})
+            self._ask_what(EXCLUDED, column, answers | {"none": _leave(column.name)})
 
     # ---- rows
 
     @cached_property
-    def points(self) -> list[Records]:
-        """The columns of the points of each needle, or of all needles; none where rows hold no points."""
-        entries = list[Records]()
-        for name, axes in self.groups.items():
-            records = {axis: spell(axis, [column]) for axis, column in axes.items()}
-            for axis in records.keys() & self.signs.keys():
-                records[axis]["sign"] = self.signs[axis]
-            if "needle" not in self.taken and len(self.groups) > 1:
-                records["needle"] = {"value": name}
-            entries.append(records)
-            self.used |= {column.place for column in axes.values()}
-        has_x = "deflection" not in self.stated.columns and any("x" in entry for entry in entries)
-        self.are_deflections = self.taken.keys() >= {"deflection", "depth"} and not has_x
-        if self.are_deflections:
-            return self._list_deflections(entries)
-        return [{}] if self.taken.keys() >= {"x", "y"} else entries
+    def are_deflections(self) -> bool:
+        """Whether rows hold deflections at depths, not places."""
+        has_x = "deflection" not in self.stated.columns and any("x" in axes for axes in self.groups.values())
+        return self.taken.keys() >= {"deflection", "depth"} and not has_x
 
-    def _list_deflections(self, entries: Sequence[Records]) -> list[Records]:
-        """Return the columns of deflections at depths: one of all, or one of each needle; ask which."""
+    @cached_property
+    def points(self) -> dict[str, Columns]:
+        """The columns of the points by the name of their needle, "" of all; none where rows hold none."""
+        self.used |= {column.place for column in self.axis_columns}
+        if not self.are_deflections:
+            return {"": {}} if self.taken.keys() >= {"x", "y"} else self.groups
         columns = self.taken["deflection"]
-        others = [column for column in self.list_free() if column.header.meaning == "deflection"]
-        others += [self.all[place] for entry in entries if (place := self.table.find(entry["y"]["column"]))]
+        others = [column for column in self.list_free() if column.meaning == "deflection"]
+        others += [column for axes in self.groups.values() for column in axes["y"]]
         if others and "deflection" not in self.stated.columns:
             self.ask_column("deflection", (*columns[:1], *others))
         if len(columns) == 1:
-            return [{}]
+            return {"": {}}
         del self.taken["deflection"]  # each is of a needle
-        return [
-            {"deflection": spell("deflection", [column]), "needle": {"value": str(column.name)}}
-            for column in columns
-        ]
+        return {str(column.name): {"deflection": [column]} for column in columns}
 
     def ask_column(self, meaning: str, columns: Sequence[Column] = (), *further: str) -> None:
         """Ask which column has a meaning, perhaps one of some."""
         names = [*(str(column.name) for column in columns), *further]
         answers = {name: {f"{meaning}.column": name} for name in names}
-        self.draft.ask("column", self.where, answers, key=meaning, text=MEANINGS[meaning].text)
+        self.ask("column", answers, key=meaning, text=MEANINGS[meaning].text)
 
     @cached_property
     def changing(self) -> set[str]:
@@ -342,7 +329,7 @@ class TableDraft:
             for key in ("depth", "time")
             if any(len({*values}) > 1 for values in self._list_by_needle(self.taken.get(key, [])))
         }
-        is_turned = any("quaternion" in (one.header.meaning, one.header.group) for one in self.all)
+        is_turned = any("quaternion" in (one.meaning, one.group) for one in self.all)
         return changing | ({"time"} if is_turned else set())
 
     @property
@@ -359,11 +346,11 @@ class TableDraft:
     @property
     def axis_columns(self) -> list[Column]:
         """The columns of coordinates."""
-        return [column for axes in self.groups.values() for column in axes.values()]
+        return [column for axes in self.groups.values() for (column,) in axes.values()]
 
     def _list_by_needle(self, columns: Sequence[Column]) -> list[list[float]]:
         """Return the numbers in columns of each needle."""
-        names = self.taken.get("needle", [column for column in self.all if column.header.meaning == "needle"])
+        names = self.taken.get("needle", [column for column in self.all if column.meaning == "needle"])
         numbers = defaultdict[tuple[str, ...], list[float]](list)
         for row in self.table.rows:
             for column in columns:
@@ -396,7 +383,7 @@ class TableDraft:
         self.keys["fill_down"] = [column.name]
         self.draft.assumed["fill_down"] = f"{column.name}: a blank cell is the one above"
         self.table = self.table.fill_down([column.name])
-        self.taken["needle"] = [column._replace(texts=[row[column.place] for row in self.table.rows])]
+        self.taken["needle"] = [replace(column, texts=[row[column.place] for row in self.table.rows])]
 
     def _name_unused(self) -> None:
         """Name columns that nothing uses; numbers under an unknown header are assumed to mean nothing.
@@ -414,7 +401,7 @@ class TableDraft:
         self.draft.unused += [
             (f"column {column.name}", self.where)
             for column in self.all
-            if column.place not in self.used and column.texts and not column.is_unit
+            if column.place not in self.used and column.texts and column.meaning != "unit"
         ]
         names = [column.name for column in self.list_unknown()]
         for unknown in names:
@@ -428,19 +415,21 @@ class TableDraft:
             column
             for column in self.list_free()
             if not column.is_known and all(map(_QUANTITY.fullmatch, column.texts))
-            if column.header.text or [*column.numbers] != [*range(1, len(column.texts) + 1)]
+            if column.text or [*column.numbers] != [*range(1, len(column.texts) + 1)]
         ]
 
-    def _add(self, records: Records) -> None:
-        """Add an entry, with units, words, labels of points, and what was not measured."""
+    def _add(self, name: str, columns: Columns) -> None:
+        """Add an entry of a needle, or of all, with units, words, labels of points, and what is left out."""
         has_points, names = self.kind.has_points, self.names
-        records = {meaning: dict(record) for meaning, record in records.items()}
+        records = {meaning: self._spell(meaning, places) for meaning, places in columns.items()}
+        if name:
+            records.setdefault("needle", {"value": name})
         for meaning, parts in self.stated.columns.items():
             beside = {key: part for key, part in parts.items() if key != "column"}
             if meaning in records or (beside.keys() & {"source", "value"} and has_points):
                 records[meaning] = records.get(meaning, {}) | beside
         for meaning, record in records.items():
-            self._complete(meaning, record)
+            self._complete(meaning, record, columns.get(meaning, ()))
         self.kind.complete(self, records)
         if has_points and names and "pattern" not in records.get("needle", {"pattern": ""}):
             statistics = sorted({name for name in names if find_meaning("statistic", name)})
@@ -452,16 +441,15 @@ class TableDraft:
             self.draft.needles.setdefault(place, set()).update(names)
         self.draft.add({**self.keys, "columns": records}, self.table.path)
 
-    def _complete(self, meaning: str, record: dict[str, Any]) -> None:
+    def _complete(self, meaning: str, record: Keys, columns: Sequence[Column]) -> None:
         """Add a unit that the header does not state, and words for the sides of bevels."""
-        columns = self._find_columns(record)
         texts = dict.fromkeys(text for column in columns for text in column.texts)
         is_free = meaning in COORDINATES and self.table.system is None
         is_step = any(map(str.isdigit, self.stated.unit))  # of a pixel: no unit of lengths in mm
         if self.stated.unit and is_free and not (is_step and record.get("unit", "px") != "px"):
             record["unit"] = self.stated.unit  # also beside a header that states another one
         elif MEANINGS[meaning].unit in ("mm", "1/mm") and not record.keys() & {"unit", "unit_column"}:
-            units = [column.name for column in self.all if column.is_unit and column.texts]
+            units = [column.name for column in self.all if column.meaning == "unit" and column.texts]
             is_point = meaning in COORDINATES and self.kind.has_points
             if units:
                 record["unit_column"] = units[0]
@@ -487,23 +475,21 @@ class TableDraft:
             answer = " ".join(f"{text}={side}" for text, side in zip(unclear, sides, strict=True))
             answers[answer] = {"bevel_side.words": _to_toml(dict(zip(unclear, sides, strict=True)))}
         names = ", ".join(f"`{text}`" for text in unclear[:MAX_FLAGS])
-        self.draft.ask("bevel_side", self.where, answers, names=names, name=str(record.get("column")))
+        self.ask("bevel_side", answers, names=names, name=record.get("column", ""))
 
-    def _find_columns(self, record: Mapping[str, Any]) -> list[Column]:
-        """Return the columns that a record names."""
-        names = record.get("column", [])
-        places = map(self.table.find, names if isinstance(names, list) else [names])
-        return [self.all[n] for n in places if n is not None]
-
-
-def spell(meaning: str, columns: Sequence[Column]) -> dict[str, Any]:
-    """Return how a mapping names columns, and the unit of the first."""
-    names, unit = [column.name for column in columns], columns[0].header.unit
-    if meaning.startswith("curvature") and unit and not unit.startswith("1/"):
-        unit = f"1/{unit}"  # the header states that of its length
-    axes = "".join(column.header.axis for column in columns) if meaning == "guide" else ""
-    spelled = {"column": names[0] if len(names) == 1 else names, "unit": unit, "axes": axes}
-    return {key: value for key, value in spelled.items() if value}
+    def _spell(self, meaning: str, columns: Sequence[Column]) -> Keys:
+        """Return how a mapping names columns, and the unit of the first."""
+        names, unit = [column.name for column in columns], columns[0].unit
+        if meaning.startswith("curvature") and unit and not unit.startswith("1/"):
+            unit = f"1/{unit}"  # the header states that of its length
+        spelled = {
+            "column": names[0] if len(names) == 1 else names,
+            "unit": unit,
+            "axes": "".join(column.axis for column in columns) if meaning == "guide" else "",
+            "sign": 0 if meaning in self.taken else self.signs.get(meaning, 0),
+            "words": dict.fromkeys(self.excluded, EXCLUDED) if meaning == EXCLUDED else {},
+        }
+        return {key: value for key, value in spelled.items() if value}
 
 
 def _list_names(columns: Iterable[Column]) -> str:
@@ -518,7 +504,7 @@ def _leave(name: str | int) -> dict[str, str]:
 def _read_column(text: str, parts: Sequence[str]) -> Header:
     """Return what the texts above a column mean: all together, else one of them."""
     read_headers = [read_header(header) for header in dict.fromkeys((text, *parts)) if header]
-    best = next((header for header in read_headers if header.meaning or header.axis), Header(text))
+    best = next((header for header in read_headers if header.is_known), Header(text))
     unit = best.unit or next((header.unit for header in read_headers if header.unit), "")
     return replace(best, text=text, unit=unit)
 
@@ -526,7 +512,3 @@ def _read_column(text: str, parts: Sequence[str]) -> Header:
 def _to_toml(words: Mapping[str, str]) -> str:
     """Return an inline table of TOML, as `--set` takes it."""
     return f"{{{', '.join(f'{json.dumps(key)} = {json.dumps(value)}' for key, value in words.items())}}}"
-
-
-def _span(numbers: Sequence[float]) -> float:
-    return max(numbers, default=0) - min(numbers, default=0)

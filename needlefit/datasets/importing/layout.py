@@ -1,13 +1,11 @@
 """Propose how rows of a table are laid out: encoding, separator, decimal sign, headers, blocks."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
-from typing import Any
 
-from needlefit.datasets.importing.meanings import MEANINGS
-from needlefit.datasets.importing.synonyms import find_meaning, read_header
+from needlefit.datasets.importing.meanings import MEANINGS, Keys, find_meaning, read_header
 from needlefit.datasets.importing.tables import (
     MAX_TABLE_BYTES,
     MISSING,
@@ -33,7 +31,7 @@ _GROUPED = {
 Rows = Sequence[Sequence[str]]
 
 
-def sniff_text(path: Path, given: Mapping[str, Any]) -> tuple[Grid, dict[str, Any]]:
+def sniff_text(path: Path, given: Keys) -> tuple[Grid, Keys]:
     """Return the cells of a text file, and how they are separated; `given`: what is stated of it."""
     data = read_bytes(path, MAX_TABLE_BYTES)
     encoding = given.get("encoding", "")
@@ -102,9 +100,9 @@ def _is_number(cell: str, decimal: str) -> bool:
 # ---- rows
 
 
-def propose_layout(grid: Grid, keys: dict[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+def propose_layout(grid: Grid, stated: Keys) -> Keys:
     """Return keys of a table with those of its rows."""
-    keys = {**keys, **given}
+    keys = dict(stated)
     if "decimal" not in keys:  # texts in a sheet
         keys["decimal"] = max(".,", key=lambda sign: _score_numbers(grid.rows, sign))
     decimal, comment = keys["decimal"], keys.get("comment", "")
@@ -177,14 +175,14 @@ def _is_remark(row: Sequence[str], below: Sequence[str]) -> bool:
     """Whether a row is a line of text that the separator divided, above headers that are known without it."""
     filled, heads = [cell for cell in row if cell], [cell for cell in below if cell]
     is_from_left = [*row[: len(filled)]] == filled and len(filled) < len(heads)
-    are_unknown = not any(header.meaning or header.axis for header in map(read_header, filled))
+    are_unknown = not any(header.is_known for header in map(read_header, filled))
     return is_from_left and are_unknown and len({*heads}) == len(heads) and _is_head(below, "")
 
 
 def _is_head(row: Sequence[str], comment: str) -> bool:
     """Whether texts of a row are known headers, more than numbers."""
-    read_headers = [read_header(cell.lstrip(f"{comment} ")) for cell in row if cell]
-    return sum(bool(header.meaning or header.axis) for header in read_headers) > len(read_headers) / 2
+    are_known = [read_header(cell.lstrip(f"{comment} ")).is_known for cell in row if cell]
+    return sum(are_known) > len(are_known) / 2
 
 
 def _has_blocks(rows: Rows, numbers: Sequence[int], comment: str) -> bool:

@@ -11,10 +11,16 @@ from pathlib import Path
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.datasets.importing.kinds import KINDS
-from needlefit.datasets.importing.meanings import ATTRIBUTES, COORDINATES, MEANINGS, VECTORS
+from needlefit.datasets.importing.kinds import KINDS, RowKind
+from needlefit.datasets.importing.meanings import (
+    ATTRIBUTES,
+    COORDINATES,
+    MEANINGS,
+    VECTORS,
+    find_meaning,
+    read_quantity,
+)
 from needlefit.datasets.importing.stated import Stated, name_set
-from needlefit.datasets.importing.synonyms import find_meaning, read_quantity
 from needlefit.datasets.importing.tables import (
     CODES,
     MISSING,
@@ -42,6 +48,11 @@ class MappedTable:
     table: Table
     record: TableRecord
     number: int  # from 1
+
+    @property
+    def kind(self) -> RowKind:
+        """What its rows are."""
+        return KINDS[self.record.holds]
 
     def name_edit(self, key: str, value: str = "HEADER") -> str:
         """Return the option that states a key of this table, as `columns.x.unit`."""
@@ -96,7 +107,7 @@ class MappedTable:
         cells = defaultdict[str, list[list[str]]](lambda: [[] for _ in self.table.rows])
         for meaning, record in self.record.columns.items():
             columns, value = self.list_columns(meaning), names.get(record.source, str(record.value))
-            is_place = meaning in COORDINATES and KINDS[self.record.holds].has_points
+            is_place = meaning in COORDINATES and self.kind.has_points
             cells[meaning] = [
                 [
                     ""

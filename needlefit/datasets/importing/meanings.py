@@ -1,10 +1,23 @@
-"""What cells of a lab's tables may mean, and what is asked where words are ambiguous: `meanings.toml`."""
+"""What cells of a lab's tables may mean, by `meanings.toml`, and the words for it, by `synonyms.csv`."""
 
+import csv
+import re
 import tomllib
-from collections.abc import Mapping
+import unicodedata
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache, lru_cache
 from pathlib import Path
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+from needlefit.project.units import UNITS_MM
+
+Answers = Mapping[
+    str, Mapping[str, str]
+]  #: the keys that each answer of a question states, with their values
+Keys = dict[str, Any]  #: of a record of a mapping
+Pairs = Sequence[tuple[str, str]]  #: of texts
 
 
 class Meaning(NamedTuple):
@@ -27,7 +40,7 @@ class QuestionText(NamedTuple):
 
     text: str
     key: str = ""
-    answers: Mapping[str, Mapping[str, str]] = MappingProxyType({})  # none: the value of the key is asked for
+    answers: Answers = MappingProxyType({})  # none: the value of the key is asked for
 
 
 _FILE = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
@@ -54,3 +67,186 @@ OF_ALL = (  #: of these not
 ATTRIBUTES = ("depth", "thickness", *(key for key in VALUES if key not in OF_ALL))
 COORDINATES = ("x", "y", "z", "depth", "deflection", "deflection_z", "guide")  #: in the unit of points
 VECTORS = ("entry_point", "pose")  #: columns x, y, z that state something of each needle
+
+
+FILE = Path(__file__).with_name("synonyms.csv")
+
+OF_LAYERS = ("boundaries", "thickness")  # meanings whose columns may be named by their layers
+NUMBERED = (*OF_LAYERS, "deflection")  # meanings whose columns may be numbered
+# What a word beside an axis may mean without being the name of a needle: `needle x`, `depth x`.
+_POINT_WORDS = ("needle", "tip", "depth", "deflection")
+_TRACKER_AXES = {"tx": "x", "ty": "y", "tz": "z"}  # as logs of trackers call them
+_WORD = re.compile(r"[a-z]+|\d+|[^\W\d_a-z]+", re.IGNORECASE)  # Latin and Chinese words part without a blank
+_UMLAUT = re.compile("([aou])e")
+_CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])")
+INDEX = re.compile(r"\[(\d+)\]")  # of an element of an array: `poses[3]`
+_BRACKET = re.compile(r"\s*[\[(（【]\s*([^\[\]()（）【】]+?)\s*[\])）】]")
+_ENDING = re.compile(r"(?:\s*[/,]\s*|[_\s])([^\W\d_]+|[°%])$")
+_QUANTITY = re.compile(r"([-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:e[-+]?\d+)?)\s*(1/|)(\D*)", re.IGNORECASE)
+_INVERSE = re.compile(r"1\s*/\s*(\w+)|(\w+)\s*\^?[-−⁻][1¹]")  # of curvatures: 1/m, m^-1
+
+
+@dataclass(frozen=True)
+class Header:
+    """What a header states: a meaning, or an axis and a group (what stands beside the axis); and a unit."""
+
+    text: str
+    meaning: str = ""
+    axis: str = ""
+    group: str = ""
+    unit: str = ""
+    beside: str = ""  # what the words beside an axis mean: `tip x`
+
+    @property
+    def is_known(self) -> bool:
+        """Whether it means something, though perhaps nothing that is imported."""
+        return bool(self.meaning or self.axis)
+
+
+@cache
+def _load() -> dict[tuple[str, str], tuple[str, str]]:
+    """Return meaning and unit by kind and joined words."""
+    with FILE.open(encoding="utf-8", newline="") as file:
+        _, *rows = csv.reader(file)
+    return {
+        (kind, _make_key(_split(word))): (meaning, unit)
+        for kind, meaning, unit, *languages in rows
+        if kind != "axes"
+        for words in languages
+        for word in words.split(";")
+        if word
+    }
+
+
+@cache
+def _load_axes() -> tuple[tuple[str, str, tuple[str, ...]], ...]:
+    """Return the headers that are axes only together: their system, usual unit, and names of x, y and z."""
+    with FILE.open(encoding="utf-8", newline="") as file:
+        rows = [row for row in csv.reader(file) if row[0] == "axes"]
+    return tuple((system, unit, tuple(names.split(";"))) for _, system, unit, names, *_ in rows)
+
+
+def _split(text: str) -> list[str]:
+    """Return the words of a text, in small letters without accents."""
+    text = text.replace("°", " deg").replace("%", " percent ")
+    plain = unicodedata.normalize("NFKD", _CAMEL.sub(" ", text))
+    return _WORD.findall("".join(letter for letter in plain if not unicodedata.combining(letter)).casefold())
+
+
+def _make_key(words: Sequence[str]) -> str:
+    """Return what words are looked up by: joined, `ae` as `a`, since names in programs have no umlauts."""
+    return _UMLAUT.sub(r"\1", "".join(words))
+
+
+def _look_up(kind: str, words: Sequence[str]) -> tuple[str, str]:
+    synonyms = _load()
+    kept = [word for word in words if ("filler", _make_key([word])) not in synonyms]
+    if words and not kept and kind == "column":
+        kept = ["point"]  # `No.`, `Nr` and `number` count the rows
+    return synonyms.get((kind, _make_key(words))) or synonyms.get((kind, _make_key(kept)), ("", ""))
+
+
+def _look_up_part(words: Sequence[str]) -> tuple[str, str]:
+    """Return what one column of several means: `layer 1 depth`, `deflection 2`, `skin thickness`."""
+    unnumbered = [word for word in words if not word.isdecimal()]
+    if len(words) - len(unnumbered) == 1 and (part := _look_up("column", unnumbered))[0] in NUMBERED:
+        return part
+    part = _look_up("column", words[-1:])
+    return part if part[0] in OF_LAYERS else ("", "")
+
+
+def find_meaning(kind: str, text: str) -> str:
+    """Return what a text means among the entries of a kind; "" where the table does not know it."""
+    return _look_up(kind, _split(text))[0]
+
+
+def split_unit(text: str) -> tuple[str, str]:
+    """Return a header without its unit, and the unit: `x [mm]`, `x_mm`. One in brackets may be unknown."""
+    text = INDEX.sub(r" \1 ", text)
+    brackets, ending = [*_BRACKET.finditer(text)], _ENDING.search(text)
+    bracket = next(
+        (bracket for bracket in brackets if find_meaning("unit", bracket[1])), next(iter(brackets), None)
+    )
+    inside = bracket[1] if bracket is not None else ""
+    is_word = len(inside) > 1 and any(find_meaning(kind, inside) for kind in ("column", "filler"))
+    if bracket is not None and not is_word:
+        inverse = _INVERSE.fullmatch(inside)
+        unit = f"1/{inverse[1] or inverse[2]}" if inverse else find_meaning("unit", inside) or inside
+        return text[: bracket.start()] + text[bracket.end() :], unit
+    if ending is not None and (unit := find_meaning("unit", ending[1])):
+        return text[: ending.start()], unit
+    return text, ""
+
+
+@lru_cache(maxsize=4096)
+def read_header(text: str) -> Header:
+    """Return what a header states."""
+    plain, unit = split_unit(text)
+    if _BRACKET.search(text) is None and _look_up("column", _split(text))[0]:  # `needle gauge`: it is no unit
+        plain, unit = text, ""
+    words = _split(plain)
+    meaning, usual = _look_up("column", words)
+    if not meaning:
+        meaning, usual = _look_up_part(words)
+    if meaning:  # lengths without a unit have that of the coordinates
+        known_unit = unit if usual in UNITS_MM or find_meaning("unit", unit) else ""
+        return Header(text, meaning, unit=known_unit or ("" if usual in UNITS_MM else usual))
+    words = [_TRACKER_AXES.get(word, word) for word in words]
+    axes = [word for word in words if word in [*"xyz"]]
+    if any(_look_up("column", [word])[0] == "quaternion" for word in words):
+        return Header(text, "quaternion", unit=unit)  # `poses[3]/orientation/x`
+    if len(axes) != 1:
+        return Header(text, unit=unit)
+    rest = [word for word in words if word != axes[0] and not find_meaning("filler", word)]
+    beside = _look_up("column", rest)[0] if rest else ""
+    beside_axis = re.sub(
+        rf"(?<![a-z]){axes[0]}(?![a-z])", " ", _CAMEL.sub(" ", plain), count=1, flags=re.IGNORECASE
+    )
+    group = "" if beside in _POINT_WORDS or not rest else beside or beside_axis.strip(" _-.:#")
+    return Header(text, "", axes[0], group, unit, beside)
+
+
+def name_axes(headers: Sequence[Header]) -> tuple[list[Header], dict[str, int]]:
+    """Return headers some of which are axes only together, as `r, a, s`; and the signs of axes in LPS."""
+    words = ["".join(split_unit(header.text)[0].casefold().split()) for header in headers]
+    for system, usual, names in _load_axes():
+        if {*names} <= {*words}:
+            axes = dict(zip(names, "xyz", strict=False))
+            named = [
+                Header(header.text, "", axes[word], "", header.unit or usual) if word in axes else header
+                for header, word in zip(headers, words, strict=True)
+            ]
+            return named, {"x": -1, "y": -1} if system == "RAS" else {}
+    return [*headers], {}
+
+
+def translate_side(text: str, unit: str) -> str:
+    """Return where a bevel faces in degrees, of a word or a clock position; any other text as it is."""
+    text = {"+": "1", "-": "-1"}.get(text, text)
+    if (word := find_meaning("value", text)).endswith(" deg"):
+        return word
+    value, unit_of_text = read_quantity(text) or (0.0, "")
+    is_clock = (unit_of_text or unit) == "clock" and 0 < value <= 12
+    return f"{30 * (value % 12):g} deg" if is_clock else text
+
+
+def is_side(text: str, unit: str) -> bool:
+    """Whether a text states a side of a bevel: 1 or -1, degrees, a clock position, or a word for one."""
+    value, unit_of_text = read_quantity(translate_side(text, unit)) or (0.0, "")
+    return (unit_of_text or unit) == "deg" or (value in (1.0, -1.0) and not unit_of_text)
+
+
+def list_bare_numbers(text: str) -> list[float]:
+    """Return the numbers in a text such as `20; 35` that have no unit of their own."""
+    quantities = (read_quantity(part.strip()) for part in re.split(";|, ", text))
+    return [number for number, unit in filter(None, quantities) if not unit]
+
+
+def read_quantity(text: str) -> tuple[float, str] | None:
+    """Return the number and the unit of a text such as `38,5 mm`, the unit "" if there is none; else None."""
+    match = _QUANTITY.fullmatch(text.replace("\u2212", "-").strip())
+    if match is None:
+        return None
+    number, per, text = match.groups()
+    unit = find_meaning("unit", text)
+    return (float(number.replace(",", ".")), per + unit) if unit or not text.strip(" .") else None

@@ -11,12 +11,13 @@ from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.first_study import FirstChoices, free_guide_distance
 from needlefit.datasets.importing.curve_answers import CurveAnswers, Placer
 from needlefit.datasets.importing.curves import ImportContent
-from needlefit.datasets.importing.kinds import KINDS, list_kinds
+from needlefit.datasets.importing.kinds import list_kinds
+from needlefit.datasets.importing.meanings import find_meaning, read_quantity
 from needlefit.datasets.importing.stated import Settler, Stated, name_set
-from needlefit.datasets.importing.synonyms import find_meaning, read_quantity
 from needlefit.datasets.insertion import GUIDE_STILL_MM, Pose
 from needlefit.errors import DataError
 from needlefit.geometry.surfaces import Surface
+from needlefit.grouping import group_values
 from needlefit.project.locate import join_names
 from needlefit.project.unit_warnings import GAUGES_MM
 from needlefit.schemas.scene import NeedleRecord
@@ -52,8 +53,8 @@ class Planner(CurveAnswers):
         self.placers = list[Placer]()
         self.usual = dict[str, tuple[str | None, str]]()
         for kind in reversed(list_kinds()):
-            own = [curve for curve in content.curves if curve.holds == kind.name]
-            others = [curve for curve in content.curves if curve.holds != kind.name]
+            own = [curve for curve in content.curves if curve.kind is kind]
+            others = [curve for curve in content.curves if curve.kind is not kind]
             if own and kind.placer is not None:
                 self.placers.append(kind.placer(own, settler, self.surfaces, others))
 
@@ -68,42 +69,48 @@ class Planner(CurveAnswers):
             self.usual |= placer.usual
         self.curves[:] = [curve for placer in self.placers for curve in placer.curves]
         self.settle_curvature_sd()
-        own_sds = self.numbers("point_sd", is_above=True)
-        depths = self.settle_layers()
-        needles = self.settle_needles()
+        for curve, sd in zip(self.curves, self.numbers("point_sd", is_above=True), strict=True):
+            curve.point_sd = sd
+        self.settle_layers()
+        self.settle_needles()
         rows = list[InsertionRow]()
         for placer in self.placers:
-            own = slice(len(rows), len(rows) + len(placer.curves))
-            rows += placer.make_rows(min(own_sds[own]), depths[own], needles[own])
-        sd = min(own_sds)
-        rows = [
-            replace(row, point_sd=None if own == sd else own) for row, own in zip(rows, own_sds, strict=True)
-        ]
-        rows = self.add_names(rows, depths)
-        rows, parameters = self.settle_guide_distance(rows, needles)
-        choices = FirstChoices({}, parameters)
+            rows += placer.make_rows(min(curve.point_sd for curve in placer.curves))
+        media, specimens = self.settle_names()
+        distances, parameters = self.settle_guide_distances()
+        sd, study = min(curve.point_sd for curve in self.curves), dict[str, float | str]()
         for placer in self.placers:
-            choices = replace(choices, study={**choices.study, **placer.choose_study(sd)})
+            study |= placer.choose_study(sd)
         # what all needles share is stated once, what differs with each
-        by_medium = dict[str, set[tuple[float, ...]]]()
-        for row, boundaries in zip(rows, depths, strict=True):
-            by_medium.setdefault(row.medium, set()).add(boundaries)
-        media = {medium: (*of_all,)[0] if len(of_all) == 1 else () for medium, of_all in by_medium.items()}
-        kinds = [*dict.fromkeys(needles)]
-        named = {f"needle{n}": needle for n, needle in enumerate(kinds, 1)} if len(kinds) > 1 else {}
-        names = {needle: name for name, needle in named.items()}
+        needles = dict.fromkeys(curve.needle for curve in self.curves)
+        names = {needle: f"needle{n}" for n, needle in enumerate(needles, 1)} if len(needles) > 1 else {}
+        by_medium = group_values(zip(media, (curve.boundaries for curve in self.curves), strict=True))
+        shared = {medium: depths[0] if len({*depths}) == 1 else () for medium, depths in by_medium.items()}
         placed = tuple(
             replace(
                 row,
-                needle=names.get(needle, ""),
-                boundaries=None if boundaries == media[row.medium] else boundaries,
+                medium=medium,
+                specimen=specimen,
+                needle=names.get(curve.needle, ""),
+                guide_distance=distance,
+                point_sd=None if curve.point_sd == sd else curve.point_sd,
+                boundaries=None if curve.boundaries == shared[medium] else curve.boundaries,
             )
-            for row, boundaries, needle in zip(rows, depths, needles, strict=True)
+            for row, curve, medium, specimen, distance in zip(
+                rows, self.curves, media, specimens, distances, strict=True
+            )
         )
         pose: Pose = "free" if any(placer.pose == "free" for placer in self.placers) else "known"
-        slope_sds = max(placer.slope_sds_deg for placer in self.placers)
         return ImportPlan(
-            placed, pose, tuple(self.surfaces), media, kinds[0], sd, named, (), choices, slope_sds
+            placed,
+            pose,
+            tuple(self.surfaces),
+            shared,
+            next(iter(needles)),
+            sd,
+            {name: needle for needle, name in names.items()},
+            choices=FirstChoices(study, parameters),
+            slope_sds_deg=max(placer.slope_sds_deg for placer in self.placers),
         )
 
     def settle_curvature_sd(self) -> None:
@@ -111,16 +118,14 @@ class Planner(CurveAnswers):
         sensors = [sensor for curve in self.curves for sensor in curve.sensors]
         lacking = [sensor for sensor in sensors if self.stated("curvature_sd") or np.isnan(sensor[3])]
         if lacking:
-            sd = 1e-3 * self.settle("curvature_sd").to_number("curvature_sd", "1/m", is_above=True)
+            sd = 1e-3 * self.settle("curvature_sd").to_number("curvature_sd", is_above=True)
             for sensor in lacking:
                 sensor[3] = sd
 
     def refuse_moved_guide(self) -> None:
         """DataError if a guide moved beside shapes or tips: only readings on the way have its places."""
         guided = [
-            curve
-            for curve in self.curves
-            if curve.guide is not None and not KINDS[curve.holds].in_tracker_frame
+            curve for curve in self.curves if curve.guide is not None and not curve.kind.in_tracker_frame
         ]
         if not guided or self.stated("guide") == "none":
             return
@@ -136,37 +141,37 @@ class Planner(CurveAnswers):
 
     # ---- layers
 
-    def settle_layers(self) -> list[tuple[float, ...]]:
-        """Return of each needle the depths of the boundaries of layers along it, mm.
+    def settle_layers(self) -> None:
+        """Settle the depths of the boundaries of layers along each needle, where no surfaces part them.
 
-        There are none where surfaces part the layers. Surfaces are numbered in the order in which their files
-        are named. The last thickness of layers ends below all needles: there is no boundary.
+        Surfaces are numbered in the order in which their files are named. The last thickness of layers ends
+        below all needles: there is no boundary.
         """
         for n, surface in enumerate(self.surfaces):
             self.surfaces[n] = replace(surface, into=n + 2)
             self.settler.note(f"surface {surface.name}", f"{surface.kind}, into layer {n + 2}")
         if self.surfaces:
-            return [() for _ in self.curves]
+            return
         answers, deepest = self.each("boundaries"), max(curve.depth for curve in self.curves)
-        depths = [() if answer.text == "none" else answer.to_boundaries() for answer in answers]
-        if all(answer.are_sums and own[-1] >= deepest for answer, own in zip(answers, depths, strict=True)):
-            depths = [own[:-1] for own in depths]
-        return depths
+        for curve, answer in zip(self.curves, answers, strict=True):
+            curve.boundaries = () if answer.text == "none" else answer.to_boundaries()
+        are_sums = all(answer.are_sums for answer in answers)
+        if are_sums and all(curve.boundaries[-1] >= deepest for curve in self.curves):
+            for curve in self.curves:
+                curve.boundaries = curve.boundaries[:-1]
 
     # ---- names and needle
 
-    def add_names(
-        self, rows: Sequence[InsertionRow], depths: Sequence[tuple[float, ...]]
-    ) -> list[InsertionRow]:
-        """Return the rows with medium and specimen; a medium of tracks is in one specimen, by its name."""
-        names = [curve.hole or curve.name for curve in self.curves]
-        cells = self.each("specimen", *self.usual.get("specimen", ()))
+    def settle_names(self) -> tuple[list[str], list[str]]:
+        """Return medium and specimen of each needle; a medium of tracks is in one specimen, by its name."""
         specimens = [
-            re.sub(r'[,"]', " ", name if cell.text == "each" else cell.text)
-            for cell, name in zip(cells, names, strict=True)
+            re.sub(r'[,"]', " ", (curve.hole or curve.name) if cell.text == "each" else cell.text)
+            for curve, cell in zip(
+                self.curves, self.each("specimen", *self.usual.get("specimen", ())), strict=True
+            )
         ]
         if not self.is_stated("medium"):
-            self.settle_medium(specimens, depths)
+            self.settle_medium(specimens)
         media = [
             specimen if cell.text == "specimen" else re.sub(r'[,"]', " ", cell.text)
             for cell, specimen in zip(self.each("medium"), specimens, strict=True)
@@ -174,19 +179,16 @@ class Planner(CurveAnswers):
         if "specimen" in self.usual and len({*specimens}) > 1:
             pairs = zip(media, specimens, strict=True)
             media = [medium if medium == specimen else f"{medium} {specimen}" for medium, specimen in pairs]
-        named = zip(rows, media, specimens, strict=True)
-        return [replace(row, medium=medium, specimen=specimen) for row, medium, specimen in named]
+        return media, specimens
 
-    def settle_medium(self, specimens: Sequence[str], depths: Sequence[tuple[float, ...]]) -> None:
+    def settle_medium(self, specimens: Sequence[str]) -> None:
         """Propose a medium of each specimen, if their layers differ in number; ask if they differ in depth.
 
         Depths that differ from needle to needle, or by less than a cast, decide nothing.
         """
-        by_specimen: dict[str, set[tuple[float, ...]]] = {specimen: set() for specimen in specimens}
-        for specimen, boundaries in zip(specimens, depths, strict=True):
-            by_specimen[specimen].add(boundaries)
-        layers = [next(iter(of_all)) for of_all in by_specimen.values() if len(of_all) == 1]
-        if len(layers) < len(by_specimen) or min(map(specimens.count, by_specimen)) < 2:
+        by_specimen = group_values(zip(specimens, (curve.boundaries for curve in self.curves), strict=True))
+        layers = [depths[0] for depths in by_specimen.values() if len({*depths}) == 1 < len(depths)]
+        if len(layers) < len(by_specimen):
             return
         pairs = zip(by_specimen, layers, strict=True)
         texts = [f"{name}: {'; '.join(f'{depth:g}' for depth in own) or 'none'}" for name, own in pairs]
@@ -198,47 +200,43 @@ class Planner(CurveAnswers):
             fix = f"if these are right, and all of the same tissues: {name_set('medium', 'gel')}; if each "
             self.settle("medium", "", reason, fix=f"{fix}has its own: {name_set('medium', 'specimen')}")
 
-    def settle_needles(self) -> list[NeedleRecord]:
-        """Return the needle of each insertion; DataError if one is not longer than it was inserted."""
-        depths = [curve.depth for curve in self.curves]
-        least = f"{max(MIN_NEEDLE_MM, float(np.ceil(max(depths) + BEYOND_DEPTH_MM))):g}"
+    def settle_needles(self) -> None:
+        """Settle the needle of each insertion; DataError if one is not longer than it was inserted."""
+        deepest = max(curve.depth for curve in self.curves)
+        least = f"{max(MIN_NEEDLE_MM, float(np.ceil(deepest + BEYOND_DEPTH_MM))):g}"
         answers = (self.each("needle_length", usual=least), self.each("diameter"),
                    self.each("inner_diameter"), self.each("modulus"))  # fmt: skip
-        needles = [read_needle(*cells) for cells in zip(*answers, strict=True)]
-        for curve, needle, depth, length in zip(self.curves, needles, depths, answers[0], strict=True):
-            if needle.length_mm <= depth:
-                raise length.error("needle_length", f"more than the {depth:.4g} mm of {curve.name} in tissue")
-        return needles
+        for curve, *cells in zip(self.curves, *answers, strict=True):
+            curve.needle = read_needle(*cells)
+            if curve.needle.length_mm <= curve.depth:
+                expected = f"more than the {curve.depth:.4g} mm of {curve.name} in tissue"
+                raise cells[0].error("needle_length", expected)
 
-    def settle_guide_distance(
-        self, rows: list[InsertionRow], needles: Sequence[NeedleRecord]
-    ) -> tuple[list[InsertionRow], dict[str, dict[str, Any]]]:
-        """Return the rows with the guides that hold their needles, and the parameter of one that is fitted.
+    def settle_guide_distances(self) -> tuple[list[float | None], dict[str, dict[str, Any]]]:
+        """Return where guides hold needles, mm before the tissue, and the parameter of a fitted distance.
 
         Without a guide the base alone holds a needle. Of tracks it is asked, as a guide may have led them.
         """
-        if "guide_distance" not in self.usual and not self.is_stated("guide_distance"):
-            return rows, {}
+        distances, is_usual = list[float | None]([None] * len(self.curves)), "guide_distance" in self.usual
+        if not is_usual and not self.is_stated("guide_distance"):
+            return distances, {}
         usual, reason = self.usual.get("guide_distance", (None, ""))
         answers = self.each("guide_distance", usual, reason)
         texts = {answer.text for answer in answers}
         if "none" in texts and usual == "free":
             raise answers[0].error("guide_distance", "mm, or `free`: the guide moved")
-        if texts == {"free"} or ("guide_distance" in self.usual and texts != {"none"}):
+        if texts == {"free"} or (is_usual and texts != {"none"}):
             if len(texts) > 1:
                 raise answers[0].error("guide_distance", "one value of all")
-            free = min(needle.length_mm - row.depth for needle, row in zip(needles, rows, strict=True))
+            free = min(curve.needle.length_mm - curve.depth for curve in self.curves)
             parameter = free_guide_distance(free)
             if texts != {"free"}:
                 parameter = {"fixed": answers[0].to_number("guide_distance", is_above=True)}
-            return rows, {"guide_distance_mm": parameter}
-        distances = [
-            None if answer.text == "none" else answer.to_number("guide_distance", is_above=True)
-            for answer in answers
-        ]
-        return [
-            replace(row, guide_distance=distance) for row, distance in zip(rows, distances, strict=True)
-        ], {}
+            return distances, {"guide_distance_mm": parameter}
+        for n, answer in enumerate(answers):
+            if answer.text != "none":
+                distances[n] = answer.to_number("guide_distance", is_above=True)
+        return distances, {}
 
 
 def read_needle(length: Stated, outer: Stated, inner: Stated, modulus: Stated) -> NeedleRecord:
@@ -258,5 +256,5 @@ def read_needle(length: Stated, outer: Stated, inner: Stated, modulus: Stated) -
         length_mm=length.to_number("needle_length", is_above=True),
         outer_diameter_mm=diameter,
         inner_diameter_mm=bore,
-        youngs_modulus_gpa=modulus.to_number("modulus", "GPa", is_above=True),
+        youngs_modulus_gpa=modulus.to_number("modulus", is_above=True),
     )

@@ -2,23 +2,21 @@
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from needlefit.datasets.importing.assignments import Assignments
 from needlefit.datasets.importing.curves import ImportContent
 from needlefit.datasets.importing.draft import Draft
 from needlefit.datasets.importing.draft_files import draft_mapping
 from needlefit.datasets.importing.examples import find_examples
 from needlefit.datasets.importing.kinds import KINDS
 from needlefit.datasets.importing.mapped_table import MappedTable, list_tables
-from needlefit.datasets.importing.meanings import COORDINATES, MEANINGS, VALUES
+from needlefit.datasets.importing.meanings import COORDINATES, MEANINGS, VALUES, Pairs, list_bare_numbers
 from needlefit.datasets.importing.place import ImportPlan, Planner
 from needlefit.datasets.importing.read import read_curves, read_mapped
 from needlefit.datasets.importing.stated import Question, Settler, UnansweredError, name_set
-from needlefit.datasets.importing.synonyms import list_bare_numbers
 from needlefit.errors import ConfigError, DataError
 from needlefit.project.locate import join_names
 from needlefit.project.toml import check, load, override
@@ -47,9 +45,9 @@ class PreparedImport:
     mapping: MappingRecord
     content: ImportContent
     plan: ImportPlan
-    unused: Sequence[tuple[str, str]] = ()  # what the files hold beside it, and where
-    notes: Sequence[tuple[str, str]] = ()  # what was done with the curves
-    columns: Sequence[dict[str, str]] = field(default_factory=list)  # of the screen
+    unused: Pairs = ()  # what the files hold beside it, and where
+    notes: Pairs = ()  # what was done with the curves
+    columns: Sequence[dict[str, str]] = ()  # of the screen
 
 
 #: a question, and why the last answer was refused -> the answer
@@ -60,7 +58,7 @@ Review = Callable[[PreparedImport, str], str]
 
 def prepare_import(
     paths: Sequence[Path],
-    assignments: Sequence[tuple[str, str]] = (),
+    assignments: Pairs = (),
     mapping: Path | None = None,
     prompt: Prompt | None = None,
     review: Review | None = None,
@@ -96,9 +94,7 @@ def prepare_import(
             stated.append((key.strip(), value.strip()))
 
 
-def _prepare(
-    paths: Sequence[Path], assignments: Sequence[tuple[str, str]], mapping: Path | None
-) -> PreparedImport:
+def _prepare(paths: Sequence[Path], assignments: Pairs, mapping: Path | None) -> PreparedImport:
     if mapping is None:
         draft, files = complete_draft(paths, assignments)
         record, unused, where = draft.to_record(DRAFT), draft.unused, DRAFT
@@ -133,7 +129,7 @@ def _prepare(
     return PreparedImport(record, content, plan, unused, settler.notes, columns)
 
 
-def _load(mapping: Path, assignments: Sequence[tuple[str, str]]) -> MappingRecord:
+def _load(mapping: Path, assignments: Pairs) -> MappingRecord:
     """Return the mapping of a file, with the values that are stated."""
     record = load(mapping, MappingRecord)
     keys = record.model_dump(mode="json", exclude_defaults=True, by_alias=True)
@@ -146,9 +142,9 @@ def _list_named(paths: Sequence[Path]) -> Iterator[Path]:
         yield from sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else (path,)
 
 
-def complete_draft(paths: Sequence[Path], assignments: Sequence[tuple[str, str]]) -> tuple[Draft, list[Path]]:
+def complete_draft(paths: Sequence[Path], assignments: Pairs) -> tuple[Draft, list[Path]]:
     """Return a draft and its files; UnansweredError if it leaves something open."""
-    draft, files = draft_mapping(paths, Assignments(assignments))
+    draft, files = draft_mapping(paths, assignments)
     if not draft.opens:
         _settle_unit(draft, files)
     if not draft.opens:
@@ -161,7 +157,7 @@ def complete_draft(paths: Sequence[Path], assignments: Sequence[tuple[str, str]]
         answers = {gauge: {"diameter": gauge} for gauge in sorted(gauges)}
         draft.ask("diameter", files[0].name, answers, gauge=", ".join(answers))
     if draft.opens:
-        raise draft.to_error()
+        raise UnansweredError(*draft.opens)
     return draft, files
 
 
@@ -235,19 +231,18 @@ def _require_lengths(content: ImportContent, record: MappingRecord) -> None:
             ),
             where=content.curves[0].points.where(),
         )
-    shapes = [one for one in content.curves if KINDS[one.holds].is_line and "depth" not in one.stated]
+    shapes = [one for one in content.curves if one.kind.is_line and "depth" not in one.stated]
     short = min(shapes, key=lambda curve: curve.reach, default=None)
     if short is None or "lengths" in record.values or longest < MAX_LENGTH_RATIO * short.reach:
         return
     answers = {"differ": {"lengths": "differ"}, f"without {short.name}": {"leave_out": short.name}}
     problem = f"{short.name} is {short.reach:.3g} mm long, the longest needle {longest:.3g} mm"
     raise UnansweredError(
-        problem,
-        question=Question("", f"{problem}. Is this right?", answers, short.points.where()),
+        Question("", f"{problem}. Is this right?", answers, short.points.where()),
+        what=problem,
         expected="lengths in one unit",
         fix=f"correct the unit in its file; or, if it is right, {name_set('lengths', 'differ')}; or leave it "
         f"out: {name_set('leave_out', short.name)}",
-        where=short.points.where(),
     )
 
 
@@ -260,7 +255,7 @@ def _describe_columns(record: MappingRecord, files: Sequence[Path]) -> Iterator[
         sheet = mapped.record.sheet.replace("*", "")
         for meaning, column in mapped.record.columns.items():
             unit = column.unit or MEANINGS[meaning].unit
-            is_point = meaning in COORDINATES and KINDS[mapped.record.holds].has_points
+            is_point = meaning in COORDINATES and mapped.kind.has_points
             key = "unit" if is_point else f"{meaning}.unit"
             unit += ", assumed" if unit and key in record.assumed else ""
             yield {

@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +15,7 @@ from needlefit.datasets.faults import as_error
 from needlefit.datasets.formats import find_format
 from needlefit.datasets.formats.markups import read_plane
 from needlefit.datasets.importing.curves import ImportContent, ImportedCurve
-from needlefit.datasets.importing.kinds import KINDS, list_kinds
+from needlefit.datasets.importing.kinds import list_kinds
 from needlefit.datasets.importing.mapped_table import MAX_LISTED_NAMES, MappedTable, list_tables
 from needlefit.datasets.importing.stated import name_set
 from needlefit.datasets.layers import find_hole, find_length_tolerance, find_surface_faults
@@ -30,6 +30,7 @@ from needlefit.geometry.surfaces import (
     read_surface,
     transform_surface,
 )
+from needlefit.grouping import group_values
 from needlefit.project.folders import sha256
 from needlefit.project.locate import join_names
 from needlefit.schemas.mapping import MappingRecord
@@ -51,7 +52,7 @@ def read_mapped(mapping: MappingRecord, paths: Sequence[Path], where: str) -> Im
     left_out = list[str]()
     content.curves[:] = read_curves(tables, left_out)
     for mapped in tables:
-        if not KINDS[mapped.record.holds].has_points:
+        if not mapped.kind.has_points:
             _add_rows(mapped, content.curves)
     unwanted = {name.strip() for name in mapping.values.get("leave_out", "").split(",")} - {""}
     known = {name for curve in content.curves for name in (curve.name, curve.given)}
@@ -82,7 +83,7 @@ def read_mapped(mapping: MappingRecord, paths: Sequence[Path], where: str) -> Im
 
 def read_curves(tables: Sequence[MappedTable], left_out: list[str]) -> list[ImportedCurve]:
     """Return the needles of tables of points; `left_out` gets the counts of points without a coordinate."""
-    of_points = [mapped for mapped in tables if KINDS[mapped.record.holds].has_points]
+    of_points = [mapped for mapped in tables if mapped.kind.has_points]
     curves = _join_observations([curve for mapped in of_points for curve in _read_points(mapped, left_out)])
     _name_curves(curves)
     return curves
@@ -92,12 +93,11 @@ def _read_surfaces(mapping: MappingRecord, paths: Sequence[Path]) -> list[Surfac
     """Return the surfaces in their order; DataError of one that cannot part layers."""
     surfaces = list[Surface]()
     for name in mapping.surfaces:
-        path = next((path for path in paths if path.name == name), None)
-        form = None if path is None else find_format(path)
-        if path is not None and form is not None and form.name == "markups":
+        path = next((path for path in paths if path.name == name), Path())
+        if (form := find_format(path)) is not None and form.name == "markups":
             surfaces.append(_fit_plane(path))
             continue
-        if path is None or path.suffix.lower() not in READ_SUFFIXES:
+        if path.suffix.lower() not in READ_SUFFIXES:
             raise DataError(
                 f"there is no surface {name!r} among the files",
                 expected=f"a file of {', '.join(READ_SUFFIXES)}, or points or a plane of Slicer",
@@ -139,8 +139,8 @@ def _read_points(mapped: MappedTable, left_out: list[str]) -> Iterator[ImportedC
     """Yield the needles of a table of points, each with its points in their order."""
     columns = mapped.record.columns
     is_deflection = "deflection" in columns or "x" not in columns
-    axes: Sequence[str] = ("depth", "y", "z") if is_deflection else ("x", "y", "z")
-    axes = ("depth", "deflection", "deflection_z") if "deflection" in columns else axes
+    across = ("deflection", "deflection_z") if "deflection" in columns else ("y", "z")
+    axes = ["depth" if is_deflection else "x", *across]
     if lacking := [axis for axis in axes[:2] if axis not in columns]:
         raise DataError(
             f"nothing states {' and '.join(lacking)} of its points",
@@ -149,10 +149,8 @@ def _read_points(mapped: MappedTable, left_out: list[str]) -> Iterator[ImportedC
             where=mapped.table.where,
         )
     axes = [axis for axis in axes if axis in columns]
-    rows = defaultdict[tuple[str, int], list[int]](list)
     names, is_wide = mapped.names, mapped.record.layout == "wide"
-    for n in mapped.kept_rows:
-        rows[names[n], n * is_wide].append(n)
+    rows = group_values(((names[n], n * is_wide), n) for n in mapped.kept_rows)
     for (name, _), numbers in rows.items():
         points, missing = _list_measured(mapped, numbers, axes)
         if missing:
@@ -187,8 +185,7 @@ def _make_curve(
 ) -> ImportedCurve:
     rows = [row for row, _ in points]
     values = np.zeros((len(rows), 3))
-    places = [axes.index(axis) if is_deflection else "xyz".index(axis) for axis in axes]
-    values[:, places] = [numbers for _, numbers in points]
+    values[:, : len(axes)] = [numbers for _, numbers in points]
     lines = mapped.table.lines
     stated = mapped.read_facts(rows)
     if is_deflection:
@@ -198,16 +195,16 @@ def _make_curve(
         Points(
             Path(mapped.table.where),
             values,
-            None if lines is None else np.array([lines[n] for n in rows], dtype=np.int64),
+            np.array([lines[n] for n in rows], dtype=np.int64) if lines else None,
             _read_sds(mapped, rows),
         ),
-        mapped.record.holds,
+        mapped.kind,
         stated,
         is_deflection=is_deflection,
         guide=_read_guide(mapped, rows),
         is_named=bool(name),
     )
-    KINDS[mapped.record.holds].read(mapped, curve, rows)
+    mapped.kind.read(mapped, curve, rows)
     return curve
 
 
@@ -239,11 +236,11 @@ def _read_guide(mapped: MappedTable, rows: Sequence[int]) -> Floats | None:
 
 def _add_rows(mapped: MappedTable, curves: list[ImportedCurve]) -> None:
     """Add to needles what the rows of a table state of them: facts, turns or curvatures."""
-    record, table = mapped.record, mapped.table
-    kind = KINDS[record.holds]
+    record, table, kind = mapped.record, mapped.table, mapped.kind
     if record.of == "all":
+        facts = mapped.read_facts(range(len(table.rows)))
         for curve in curves:
-            curve.state(mapped.read_facts(range(len(table.rows))))
+            curve.state(facts)
         return
     by_specimen = record.of == "specimen"
     names = ["".join(cells) for cells in mapped.cells["specimen"]] if by_specimen else mapped.names
@@ -254,9 +251,8 @@ def _add_rows(mapped: MappedTable, curves: list[ImportedCurve]) -> None:
         for name in dict.fromkeys(filter(None, names)):
             if not any(_is_same(name, other) for other in taken):
                 points = Points(table.path, np.empty((0, 3)))
-                curves.append(ImportedCurve(_make_name(name, taken), points, record.holds))
+                curves.append(ImportedCurve(_make_name(name, taken), points, kind))
                 taken.add(curves[-1].name)
-    rows = defaultdict[str, list[int]](list)
     for n in mapped.kept_rows:
         if not names[n] and any(any(mapped.cells[meaning][n]) for meaning in record.columns):
             edit = mapped.name_edit("fill_down", '["HEADER"]')
@@ -266,26 +262,25 @@ def _add_rows(mapped: MappedTable, curves: list[ImportedCurve]) -> None:
                 fix=f"fill it in; or, if the cell above counts: {edit}",
                 where=table.places[n],
             )
-        rows[names[n]].append(n)
-    keys = [
-        curve.stated["specimen"].text
+    rows = group_values((names[n], n) for n in mapped.kept_rows)
+    called = {
+        curve.name: curve.stated["specimen"].text
         if by_specimen and "specimen" in curve.stated
         else curve.name
         if any(_is_same(name, curve.name) for name in rows)
         else curve.given or curve.name
         for curve in curves
-    ]
-    pairs = {
-        name: [curve for curve, key in zip(curves, keys, strict=True) if _is_same(name, key)] for name in rows
     }
-    paired_ids = {id(curve) for paired in pairs.values() for curve in paired}
-    free = {key: curve for curve, key in zip(curves, keys, strict=True) if id(curve) not in paired_ids}
-    strangers = [name for name, paired in pairs.items() if not paired]
-    pairs |= {name: [free[key]] for name, key in _match_endings(strangers, free).items()}
-    _require_found(mapped, pairs, curves, keys)
-    for name, numbers in rows.items():
-        for curve in pairs[name]:
-            kind.read(mapped, curve, numbers)
+    about = {name: {curve for curve, key in called.items() if _is_same(name, key)} for name in rows}
+    paired = set[str]().union(*about.values())
+    free = {key: curve for curve, key in called.items() if curve not in paired}
+    strangers = [name for name in rows if not about[name]]
+    about |= {name: {free[key]} for name, key in _match_endings(strangers, free).items()}
+    _require_found(mapped, about, called)
+    for curve in curves:
+        for name, numbers in rows.items():
+            if curve.name in about[name]:
+                kind.read(mapped, curve, numbers)
 
 
 _WORD = re.compile(r"[^\W\d_]{3,}|.*[-_ .]")  # before the name of a needle: `needle_`, `needle`
@@ -315,13 +310,13 @@ def _join_observations(curves: Sequence[ImportedCurve]) -> list[ImportedCurve]:
 
     Tips stand beside the shape, a track is a further measurement of the same hole.
     """
-    shapes = {curve.name: curve for curve in curves if KINDS[curve.holds].is_line and curve.is_named}
+    shapes = {curve.name: curve for curve in curves if curve.kind.is_line and curve.is_named}
     kept = list[ImportedCurve]()
     for curve in curves:
         shape, depths = shapes.get(curve.name), curve.line[:, 0] if curve.is_deflection else curve.depths
         if shape is not None and shape is not curve and len(depths):
             at_end = np.abs(shape.depth - depths) <= find_length_tolerance(float(depths[-1]))
-            beside = KINDS[curve.holds].stand_beside
+            beside = curve.kind.stand_beside
             if at_end.any() if beside is not None else at_end[-1]:
                 shape.hole = curve.hole = curve.name
             if beside is not None:
@@ -377,29 +372,25 @@ def _find_number(name: str) -> str:
 
 
 def _require_found(
-    mapped: MappedTable,
-    pairs: Mapping[str, Sequence[ImportedCurve]],
-    curves: Sequence[ImportedCurve],
-    keys: Sequence[str],
+    mapped: MappedTable, about: Mapping[str, Collection[str]], called: Mapping[str, str]
 ) -> None:
     """DataError if a row is about no needle, or a needle without a row lacks what the others have.
 
-    `pairs`: the needles of each name in the rows; `keys`: what each needle is called there.
+    `about`: the needles of each name in the rows; `called`: what each needle is called there.
     """
-    strangers = [name for name, about in pairs.items() if not about]
-    about = {curve.name for paired in pairs.values() for curve in paired}
-    without = [curve.name for curve in curves if curve.name not in about]
-    kind, problem = mapped.record.of, f"no row is about {join_names(without, MAX_LISTED_NAMES)}"
-    called = dict(zip((curve.name for curve in curves), keys, strict=True))
-    # those first that no row is about
-    named = [called[name] for name in sorted(called, key=about.__contains__)]
-    unused = json.dumps([mapped.table.sheet or mapped.table.path.name])
-    if strangers or (without and KINDS[mapped.record.holds].is_of_each):
-        if strangers:
-            problem = f"no {kind} is called {join_names(strangers, MAX_LISTED_NAMES)}"
+    strangers = [name for name, curves in about.items() if not curves]
+    paired = set[str]().union(*about.values())
+    without = [name for name in called if name not in paired]
+    problem = f"no row is about {join_names(without, MAX_LISTED_NAMES)}"
+    if strangers:
+        problem = f"no {mapped.record.of} is called {join_names(strangers, MAX_LISTED_NAMES)}"
+    if strangers or (without and mapped.kind.is_of_each):
+        # those first that no row is about
+        listed = [called[name] for name in sorted(called, key=paired.__contains__)]
+        unused = json.dumps([mapped.table.sheet or mapped.table.path.name])
         raise DataError(
             problem,
-            expected=f"a row for each {kind}: {join_names(named, MAX_LISTED_NAMES)}",
+            expected=f"a row for each {mapped.record.of}: {join_names(listed, MAX_LISTED_NAMES)}",
             fix=f"write the same names in both tables; or leave this one out: {name_set('unused', unused)}",
             where=mapped.table.where,
         )

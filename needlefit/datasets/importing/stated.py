@@ -2,15 +2,13 @@
 
 import re
 import shlex
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import accumulate, pairwise
 
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.datasets.importing.meanings import VALUES
-from needlefit.datasets.importing.synonyms import read_quantity, translate_side
+from needlefit.datasets.importing.meanings import VALUES, Answers, read_quantity, translate_side
 from needlefit.datasets.points import MAX_COORDINATE
 from needlefit.errors import DataError
 from needlefit.project.units import UNITS_GPA, UNITS_MM, UNITS_PER_MM
@@ -30,8 +28,9 @@ class Stated:
         """The text with the unit of its header, where it has none of its own."""
         return f"{self.text} {self.unit}".strip() if re.search(r"\d$", self.text) else self.text
 
-    def to_number(self, key: str, unit: str = "mm", is_above: bool = False) -> float:
-        """Return the number of at least 0, or above 0, in a unit; DataError if it is none."""
+    def to_number(self, key: str, is_above: bool = False) -> float:
+        """Return the number of at least 0, or above 0, in the unit of its key; DataError if it is none."""
+        unit = VALUES[key].unit if key in VALUES else "mm"
         value, own_unit = read_quantity(self.text) or (-1.0, "")
         own_unit = own_unit or self.unit or unit
         per_m = {name: 1e3 * factor for name, factor in UNITS_PER_MM.items()}
@@ -125,7 +124,7 @@ class Question:
 
     key: str  # that the answer states
     text: str
-    choices: Mapping[str, Mapping[str, str]] = field(default_factory=dict)  # by answer; none: any value
+    choices: Answers = field(default_factory=dict)  # by answer; none: any value
     where: str = ""
 
     def answer(self, text: str) -> list[tuple[str, str]]:
@@ -138,11 +137,25 @@ class Question:
 
 
 class UnansweredError(DataError):
-    """A question that nobody answers; the fix states what answers it."""
+    """Questions that nobody answers; the fix states what answers them.
 
-    def __init__(self, what: str, *, question: Question, **parts: str) -> None:
-        super().__init__(what, **parts)
-        self.question = question
+    `what`, `expected` and `fix`: of one that has words of its own.
+    """
+
+    def __init__(self, *questions: Question, what: str = "", expected: str = "", fix: str = "") -> None:
+        self.question = questions[0]
+        fixes = list[str]()
+        if plain := " ".join(name_set(question.key) for question in questions if not question.choices):
+            fixes.append(f"state {plain}")
+        for question in questions:
+            options = [" ".join(map(name_set, keys, keys.values())) for keys in question.choices.values()]
+            fixes += [f"state {', or '.join(options)}"] if options else []
+        super().__init__(
+            what or f"needs an answer. {' '.join(question.text for question in questions)}",
+            expected=expected or f"an answer to {'each' if len(questions) > 1 else 'it'}",
+            fix=fix or "; ".join(fixes),
+            where=questions[0].where,
+        )
 
 
 @dataclass
@@ -179,17 +192,11 @@ class Settler:
         reason = reason or meaning.reason
         if key not in self.values:
             if not usual or (self.is_complete and not is_sure):
-                ways = " or ".join(name_set(key, choice) for choice in choices or ("VALUE",))
                 problem = f"{key} is not stated{f': {reason}' if reason else ''}"
-                raise UnansweredError(
-                    problem,
-                    question=Question(
-                        key, f"{problem}. {meaning.text}", {n: {key: n} for n in choices}, where
-                    ),
-                    expected=f"one of {', '.join(choices)}" if choices else meaning.text,
-                    fix=fix or f"state {ways}",
-                    where=where,
-                )
+                answers = {choice: {key: choice} for choice in choices}
+                question = Question(key, f"{problem}. {meaning.text}", answers, where)
+                expected = f"one of {', '.join(choices)}" if choices else meaning.text
+                raise UnansweredError(question, what=problem, expected=expected, fix=fix)
             self.values[key] = usual
             if not is_sure:
                 self.assumed[key] = reason

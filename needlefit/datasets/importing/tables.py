@@ -14,8 +14,7 @@ from typing import Any
 
 from needlefit.datasets.formats import find_format
 from needlefit.datasets.formats.csv import check_extent
-from needlefit.datasets.importing.meanings import ATTRIBUTES, MEANINGS
-from needlefit.datasets.importing.synonyms import find_meaning, is_side, read_header
+from needlefit.datasets.importing.meanings import ATTRIBUTES, MEANINGS, find_meaning, is_side, read_header
 from needlefit.datasets.points import MAX_COORDINATE, Points
 from needlefit.errors import DataError
 from needlefit.geometry.frames import PatientSystem
@@ -65,11 +64,15 @@ class Grid:
         """What a needle without a name is called: the sheet if it is one of several, else the file."""
         return self.path.name.partition(".")[0] if self.is_only_sheet or not self.sheet else self.sheet
 
-    def where(self, row: int) -> str:
+    @property
+    def where(self) -> str:
+        """Its file, and of a workbook its sheet."""
+        return f"{self.path}, sheet {self.sheet}" if self.sheet else str(self.path)
+
+    def place(self, row: int) -> str:
         """Return the place of a row, counted from 0."""
         if self.sheet or self.is_transposed:
-            place = f"{self.path}, sheet {self.sheet}" if self.sheet else f"{self.path}"
-            return f"{place}, {'column' if self.is_transposed else 'row'} {row + 1}"
+            return f"{self.where}, {'column' if self.is_transposed else 'row'} {row + 1}"
         return f"{self.path}:{self.lines[row] if self.lines else row + 1}"
 
     def transpose(self) -> "Grid":
@@ -79,28 +82,18 @@ class Grid:
 
 
 @dataclass(frozen=True)
-class Table:
-    """Columns of cells below their headers."""
+class Table(Grid):
+    """Cells below their headers, of which each row has as many; without `lines` where the file has none."""
 
-    path: Path
-    name: str  # of a needle that no cell names
-    headers: tuple[str, ...]
-    rows: Sequence[Sequence[str]]  # as wide as the headers
-    places: Sequence[str]  # of each row
-    lines: Sequence[int] | None  # of each row; None where the file has none
+    headers: tuple[str, ...] = ()
+    places: Sequence[str] = ()  # of each row
     decimal: str = "."
     thousands: str = ""
     system: PatientSystem | None = None  # of the scan, which the format states
     unit: str = ""  # of lengths without one of their own, which the file states
     first_headers: tuple[tuple[str, ...], ...] = ()  # texts of the rows of headers
-    sheet: str = ""  # empty for a file that is no workbook
     remarked: tuple[str, ...] = ()  # last headers: of values that stand above the rows, in no column
     unread: Sequence[str] = ()  # remarks, and lines above the headers, that state nothing of the needles
-
-    @property
-    def where(self) -> str:
-        """Its file, and of a workbook its sheet."""
-        return f"{self.path}, sheet {self.sheet}" if self.sheet else str(self.path)
 
     def find(self, name: ColumnName) -> int | None:
         """Return the column with a header or number; None if there is none, or several."""
@@ -166,21 +159,21 @@ def lay_out(grid: Grid, record: TableRecord) -> Table:
                 f"has {len(cells)} cells under {width} headers",
                 expected="as many as the headers",
                 fix="correct separator, decimal or header_rows, or save the file with semicolons or tabs",
-                where=grid.where(n),
+                where=grid.place(n),
             )
         blanks = [""] * (width - len(cells))
         rows.append([*cells[:width], *blanks, *(pairs.get(name, "") for name in names)])
     table = Table(
         grid.path,
-        grid.name,
-        (*(headers or [""] * width), *names),
         rows,
-        [grid.where(n) for n, _ in body],
+        grid.sheet,
+        grid.is_only_sheet,
         [grid.lines[n] if grid.lines else n + 1 for n, _ in body],
-        record.decimal,
-        record.thousands,
+        headers=(*(headers or [""] * width), *names),
+        places=[grid.place(n) for n, _ in body],
+        decimal=record.decimal,
+        thousands=record.thousands,
         first_headers=tuple(map(tuple, heads)),
-        sheet=grid.sheet,
         remarked=tuple(names),
         unread=unread if record.header_rows and not record.transposed else (),
     )
@@ -336,9 +329,15 @@ def _lay_out_pairs(grid: Grid, record: TableRecord, rows: Sequence[Sequence[str]
     pairs = [pair for row in rows if all((pair := (*row, "", "", "")[:3])[:2])]
     names, cells = tuple(name for name, *_ in pairs), [value for _, value, _ in pairs]
     headers = tuple(f"{name} [{unit}]" if unit else name for name, _, unit in pairs)
-    signs, where = (record.decimal, record.thousands), str(grid.path)
     return Table(
-        grid.path, grid.name, headers, [cells], [where], [1], *signs, first_headers=(names,), sheet=grid.sheet
+        grid.path,
+        [cells],
+        grid.sheet,
+        headers=headers,
+        places=[grid.where],
+        decimal=record.decimal,
+        thousands=record.thousands,
+        first_headers=(names,),
     )
 
 
@@ -499,8 +498,8 @@ def read_structured(path: Path) -> tuple[Table, list[str]]:
             ]
             rows.append([named if of_rows is None else of_rows[n], *map(repr, place), *beside])
             places.append(points.where(n))
-    table = Table(path, path.name.partition(".")[0], headers, rows, places, None,
-                  system="LPS" if form.in_scan else None, unit=unit)  # fmt: skip
+    system: PatientSystem | None = "LPS" if form.in_scan else None
+    table = Table(path, rows, headers=headers, places=places, system=system, unit=unit)
     return table, [*remarks]
 
 

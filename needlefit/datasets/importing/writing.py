@@ -10,7 +10,6 @@ import pandas as pd
 from needlefit.datasets.columns import HOLE_COLUMN, NEEDLE_COLUMN, POINT_SD_COLUMN, InsertionRow, make_id
 from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.importing.curves import ImportContent, ImportedCurve
-from needlefit.datasets.importing.kinds import KINDS
 from needlefit.datasets.importing.place import ImportPlan
 from needlefit.datasets.importing.read import make_unique
 from needlefit.datasets.importing.stated import name_set
@@ -63,7 +62,7 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, mapping: 
     if plan.needles:
         draft["needles"] = {name: needle.model_dump() for name, needle in plan.needles.items()}
     pairs = list(zip(plan.rows, content.curves, strict=True))
-    rows = [row for row, curve in pairs if not KINDS[curve.holds].in_tracker_frame]
+    rows = [row for row, curve in pairs if not curve.kind.in_tracker_frame]
     tracks = pairs[len(rows) :]
     stems = dict[str, Surface]()
     for surface in plan.surfaces:
@@ -74,7 +73,7 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, mapping: 
         medium: {"surfaces": parts} if parts else {"boundaries_mm": [*depths]}
         for medium, depths in plan.boundaries_mm.items()
     }
-    curves = {curve.name: curve.points.to_columns() for curve in content.curves if KINDS[curve.holds].is_line}
+    curves = {curve.name: curve.points.to_columns() for curve in content.curves if curve.kind.is_line}
     if rows:
         beside = {"turns": TURNS_FILE} if any(row.turns for row in rows) else {}
         if any(row.curvature is not None for row in rows):
@@ -83,7 +82,7 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, mapping: 
     if curves:
         draft["centerlines"] = {"pattern": "centerlines/{id}.csv"}
     if tracks:
-        draft["tip_tracks"] = _write_tracks(folder, tracks, plan, media)
+        draft["tip_tracks"] = _write_tracks(folder, tracks, media)
     record = check_record(draft | {"media": media}, DatasetRecord, str(first))
     file = write_dataset(folder, record, rows, curves, surfaces, checksums=False)
     file.write_bytes((_NOTE + file.read_text(encoding="utf-8")).encode("utf-8"))
@@ -107,7 +106,7 @@ def _trace_fault(fault: Fault, curves: Sequence[ImportedCurve], folder: Path) ->
     name, _, line = Path(fault.where).as_posix().removeprefix(f"{folder.as_posix()}/").rpartition(":")
     places = defaultdict[str, list[tuple[str, str, str]]](list)  # of each row: place, subject, needle
     for curve in curves:
-        in_tracker_frame, start = KINDS[curve.holds].in_tracker_frame, f"curve {curve.name}"
+        in_tracker_frame, start = curve.kind.in_tracker_frame, f"curve {curve.name}"
         table = TRACKS_FILE if in_tracker_frame else f"centerlines/{curve.name}.csv"
         places[table] += [(curve.points.where(n), f"{start} ", curve.name) for n in range(len(curve.line))]
         if not in_tracker_frame:
@@ -128,22 +127,26 @@ def _trace_fault(fault: Fault, curves: Sequence[ImportedCurve], folder: Path) ->
 def _write_tracks(
     folder: Path,
     tracks: Sequence[tuple[InsertionRow, ImportedCurve]],
-    plan: ImportPlan,
     media: dict[str, dict[str, object]],
 ) -> dict[str, object]:
     """Write the table of tip tracks, and into `media` what they meet; return what the dataset states."""
     tables = list[pd.DataFrame]()
     for row, curve in tracks:
-        depths = plan.boundaries_mm[row.medium] if row.boundaries is None else row.boundaries
+        depths = curve.boundaries
         media[row.medium] |= {"layers": [*range(1, len(depths) + 2)], "boundaries_mm": [*depths]}
         media[row.medium]["specimen"] = row.specimen
-        named: dict[str, object] = {"id": row.id, "medium": row.medium}
-        named |= {NEEDLE_COLUMN: row.needle, HOLE_COLUMN: row.hole}
-        roll = float(np.degrees(row.turns[0][1])) if row.turns else 0.0
-        named |= {"bevel_side": row.side, "bevel_roll_deg": roll, POINT_SD_COLUMN: row.point_sd}
         guide = np.zeros_like(curve.line) if curve.guide is None else curve.guide
-        numbers = curve.depths, *curve.line.T[:2], *guide.T[:2]
-        tables.append(pd.DataFrame({**named, **dict(zip(TRACK_COLUMNS, numbers, strict=True))}))
+        cells = {
+            "id": row.id,
+            "medium": row.medium,
+            NEEDLE_COLUMN: row.needle,
+            HOLE_COLUMN: row.hole,
+            "bevel_side": row.side,
+            "bevel_roll_deg": np.degrees(row.turns[0][1]) if row.turns else 0.0,
+            POINT_SD_COLUMN: row.point_sd,
+        }
+        numbers = (curve.depths, *curve.line.T[:2], *guide.T[:2])
+        tables.append(pd.DataFrame({**cells, **dict(zip(TRACK_COLUMNS, numbers, strict=True))}))
     table = pd.concat(tables)
     source: dict[str, object] = {"file": TRACKS_FILE, "depth_zero": "tissue"}
     left_out = [name for name in OPTIONAL if table[name].isin([0, "", None, np.nan]).all()]

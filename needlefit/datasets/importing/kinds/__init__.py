@@ -16,7 +16,7 @@ from needlefit.registry import Registry
 
 if TYPE_CHECKING:
     from needlefit.datasets.importing.curve_answers import Placer
-    from needlefit.datasets.importing.draft_table import Records, TableDraft
+    from needlefit.datasets.importing.draft_table import Columns, Records, TableDraft
     from needlefit.datasets.importing.mapped_table import MappedTable
 
 
@@ -25,8 +25,8 @@ class RowKind:
     """One kind of rows."""
 
     name: str  #: `holds` of a mapping
-    #: table, whether a person states the kind -> columns of each needle, or of all; none of other kinds
-    propose: "Callable[[TableDraft, bool], list[Records]]"
+    #: table, whether a person states the kind -> columns by needle, "" of all; none of other kinds
+    propose: "Callable[[TableDraft, bool], dict[str, Columns]]"
     rank: int  #: the greatest is looked for first
     has_points: bool = False  #: rows are places, in the unit of coordinates
     #: places its needles; None: rows alone make no needle

@@ -5,30 +5,53 @@ from collections.abc import Sequence
 import numpy as np
 
 from needlefit.datasets.importing.curves import ImportedCurve
-from needlefit.datasets.importing.draft_table import Records, TableDraft
+from needlefit.datasets.importing.draft_table import Columns, Records, TableDraft
 from needlefit.datasets.importing.kinds import RowKind
 from needlefit.datasets.importing.kinds.facts import read_stated
+from needlefit.datasets.importing.kinds.tips import TipPlacer
 from needlefit.datasets.importing.mapped_table import MappedTable
-from needlefit.datasets.importing.tips import CurvaturePlacer
+from needlefit.datasets.importing.meanings import Keys
 from needlefit.errors import DataError
+from needlefit.geometry.frames import IDENTITY_FRAME
 
 AXES = ("curvature_y", "curvature_z")
 
 
-def propose_curvatures(draft: TableDraft, is_stated: bool) -> list[Records]:
+class CurvaturePlacer(TipPlacer):
+    """Places insertions of which curvatures alone were measured."""
+
+    def settle_places(self) -> None:
+        """Require the inserted length of each."""
+        self.frames = [IDENTITY_FRAME for _ in self.curves]
+        for curve in self.curves:
+            curve.hole = curve.name if curve.is_named else ""
+            if "depth" not in curve.stated:
+                raise DataError(
+                    f"the inserted length of needle {curve.name} is not stated",
+                    expected="a column `depth` in a table with a row for each needle",
+                    fix="name a table with the columns needle and depth, or the reconstructed shapes, too",
+                    where=curve.points.path,
+                )
+
+    def describe(self, sides: Sequence[int], turns: Sequence[float]) -> list[Keys]:
+        """Return what a row of curvatures states."""
+        return [{"observation": "curvature"} for _ in turns]
+
+
+def propose_curvatures(draft: TableDraft, is_stated: bool) -> dict[str, Columns]:
     """Return no columns but those of all, where headers or units are of curvatures; ask which is which."""
     taken = draft.taken
     if taken.keys() & {*AXES} and "point_sd" in taken:
         taken.setdefault("curvature_sd", taken.pop("point_sd"))
     if not is_stated and draft.points:
-        return []
-    inverse = [column for column in draft.list_free() if column.header.unit.startswith("1/")]
+        return {}
+    inverse = [column for column in draft.list_free() if column.unit.startswith("1/")]
     if not (inverse or taken.keys() & {*AXES} or is_stated):
-        return []
+        return {}
     for key in ("sensor_from_base" if "sensor_from_base" in taken else "sensor", *AXES):
         if key not in taken:
             draft.ask_column(key, inverse if key in AXES else draft.list_unknown())
-    return [{}]
+    return {"": {}}
 
 
 def complete_curvatures(draft: TableDraft, records: Records) -> None:

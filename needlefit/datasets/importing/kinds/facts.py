@@ -3,13 +3,13 @@
 from collections.abc import Sequence
 
 from needlefit.datasets.importing.curves import ImportedCurve
-from needlefit.datasets.importing.draft_table import OF_LAYERS, Records, TableDraft
+from needlefit.datasets.importing.draft_table import OF_LAYERS, Columns, TableDraft
 from needlefit.datasets.importing.kinds import RowKind
 from needlefit.datasets.importing.mapped_table import MappedTable
 from needlefit.datasets.importing.meanings import ATTRIBUTES
 
 
-def propose_facts(draft: TableDraft, is_stated: bool) -> list[Records]:
+def propose_facts(draft: TableDraft, is_stated: bool) -> dict[str, Columns]:
     """Return no columns but those of all, where a table without points states something of needles."""
     stated, keys = draft.taken.keys() & {*ATTRIBUTES}, draft.keys
     if "needle" in draft.taken and stated:
@@ -19,8 +19,8 @@ def propose_facts(draft: TableDraft, is_stated: bool) -> list[Records]:
     elif stated and (len(draft.table.rows) == 1 or stated <= OF_LAYERS):  # or a row for each layer
         keys["of"] = "all"
     else:
-        return []
-    return [{}]
+        return {}
+    return {"": {}}
 
 
 def read_stated(mapped: MappedTable, curve: ImportedCurve, rows: Sequence[int]) -> None:

@@ -1,20 +1,424 @@
 """Shapes: a row for each point of a needle, or all of its points in one row."""
 
 import re
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
+import numpy as np
+
+from needlefit.arrays import Floats
+from needlefit.datasets.columns import DEFAULT_ROLL_SD_DEG, InsertionRow, PoseSource
+from needlefit.datasets.importing.curve_answers import (
+    MIN_SAME_SIDE,
+    BendsOfSides,
+    Placer,
+    format_direction,
+    to_sides,
+)
 from needlefit.datasets.importing.curves import ImportedCurve
-from needlefit.datasets.importing.draft_table import Records, TableDraft
-from needlefit.datasets.importing.kinds import RowKind
+from needlefit.datasets.importing.draft_table import Columns, Records, TableDraft
+from needlefit.datasets.importing.kinds import KINDS, RowKind
+from needlefit.datasets.importing.kinds.tips import add_tips
 from needlefit.datasets.importing.mapped_table import MappedTable
-from needlefit.datasets.importing.shapes import ShapePlacer
-from needlefit.datasets.importing.synonyms import INDEX, find_meaning
+from needlefit.datasets.importing.meanings import INDEX, find_meaning
+from needlefit.datasets.importing.stated import Stated, name_set
+from needlefit.datasets.layers import (
+    MAX_HEADING_DEG,
+    SAME_POINT_MM,
+    find_backward_points,
+    find_length_tolerance,
+    find_stray_fault,
+    make_order_fault,
+)
 from needlefit.datasets.point_labels import divide_labels
 from needlefit.datasets.points import MIN_POINTS
 from needlefit.errors import DataError
+from needlefit.geometry.common_direction import fit_direction
+from needlefit.geometry.crossings import find_crossings, find_surface_hits
+from needlefit.geometry.frames import normalize, to_unit
+from needlefit.geometry.measured_curve import measure_curve
+from needlefit.geometry.shaft import ShaftAxis, fit_shaft_axis
+from needlefit.project.locate import join_names
+from needlefit.project.units import UNITS_MM
+from needlefit.schemas.reconstruction import ReconstructionEntryRecord
+
+MIN_SHAFT_MM = 10.0  # shortest length (mm) before the entry from which the direction of a needle is taken
+MIN_SHAFT_POINTS = 3  # smallest number of points before the entry from which a direction is taken
+MIN_CUT_MM = 1.0  # shortest length (mm) before the stated entry that is cut off
+MAX_HIDDEN_PART = 0.71  # largest sine of the angle from a bevel to the only plane that was measured
+STEP_MM = 0.01  # distance (mm) between the places along a needle at which the entry is looked for
+OTHER_END = {"first": "last", "last": "first"}  # of the answers at which end of its points a needle enters
 
 
-def propose_shapes(draft: TableDraft, is_stated: bool) -> list[Records]:
+SWAPPED = "their columns may be swapped"
+
+
+class ShapePlacer(Placer):
+    """Places shapes, question by question: each may depend on what was settled before."""
+
+    def settle_places(self) -> None:
+        """Settle at which end each needle enters, from which direction, and where; cut off its shaft."""
+        require_order(self.curves)
+        beside = [curve for curve in self.others if not curve.kind.in_tracker_frame]
+        without = list_names(beside)
+        if without:
+            self.settler.note("without a shape", without)
+        self.settle_entry()
+        self.poses = self.settle_pose(without)
+        placed = [curve.name for curve in beside if len(curve.line) and not curve.is_deflection]
+        self.settle_entry_points(self.poses, join_names(placed, 5))
+
+    def settle_entry(self) -> None:
+        """Put the entry first."""
+        chords = np.array([curve.chord for curve in self.curves])
+        against = [self.curves[n] for n in np.flatnonzero(chords @ chords.sum(axis=0) < 0)]
+        reason, fix = "the order of the file", ""
+        if against:
+            reason = f"{list_names(against)} runs against the others"
+            fix = f"{advise_order(against)}; or, if needles enter from two sides, state "
+            fix += f"{name_set('entry', 'first')}, and {name_set('pose', 'free')}"
+        self.entry = self.settle("entry", "" if against else "first", reason, ("first", "last"), fix).text
+        for curve in self.curves if self.entry == "last" else ():
+            curve.points = curve.points.part(np.arange(len(curve.line))[::-1])
+
+    # ---- entry and pose
+
+    def settle_pose(self, without: str) -> list[Stated]:
+        """Return for each needle `free`, `shaft` or a direction; the hint is the one that fits them all.
+
+        `without`: names of the other needles, which have no shape and need a direction.
+        """
+        chords = np.array([curve.chord for curve in self.curves])
+        chord = chords.sum(axis=0)
+        along, how = format_direction(normalize(chord)) if chord.any() else "X,Y,Z", "as the needles run"
+        if (fitted := fit_direction([curve.line for curve in self.curves])) is not None:
+            along = format_direction(fitted.vector)
+            how = f"which fits all needles; pose_angle_sd={fitted.sd_deg:.2g} deg"
+        reason = f"{without} without a shape; " if without else ""
+        reason += f"pose={along} ({how}) if a stage pushed all needles in one direction"
+        is_posed = bool(without or self.surfaces) or any(
+            curve.turns or curve.sensors or curve.tips for curve in self.curves
+        )
+        poses = self.each("pose", usual="" if is_posed else "free", reason=reason)
+        kinds = {pose.text if pose.text in ("free", "shaft") else "direction" for pose in poses}
+        if len(kinds) > 1:
+            raise poses[0].error("pose", "directions of all needles, or shaft or free of all")
+        if kinds == {"free"} and is_posed:
+            raise poses[0].error("pose", f"{along} or shaft, of surfaces, turns, curvatures and tips")
+        if kinds != {"direction"}:
+            return poses
+        runs = chords / np.maximum(np.linalg.norm(chords, axis=1, keepdims=True), SAME_POINT_MM)
+        cosines = [
+            float(normalize(pose.to_vector("pose")) @ run) for pose, run in zip(poses, runs, strict=True)
+        ]
+        off = [n for n, cosine in enumerate(cosines) if cosine < np.cos(np.radians(MAX_HEADING_DEG))]
+        if off:
+            curves, angle = [self.curves[n] for n in off], np.degrees(np.arccos(cosines[off[0]]))
+            is_back, fix = angle > 180.0 - MAX_HEADING_DEG, f"state {name_set('pose', along)}"
+            if is_back:
+                end = name_set("entry", OTHER_END[self.entry])
+                fix += f"; or, if the files begin at the tips, {end}"
+            if 2 * len(off) < len(poses):
+                fix = advise_order(curves) if is_back else f"look at {list_places(curves)}: {SWAPPED}"
+            raise poses[off[0]].error(
+                "pose",
+                f"at most {MAX_HEADING_DEG:g} degrees off the needles, {along}; "
+                f"{list_names(curves)} runs {angle:.0f} degrees off it",
+                fix,
+            )
+        return poses
+
+    def settle_entry_points(self, poses: Sequence[Stated], without: str) -> None:
+        """Settle where each tip first touched the tissue, and cut the curves there.
+
+        `without`: names of needles of which the place of the tip alone is known: they have no first point.
+        """
+        stated = {curve.name: curve.stated["depth"] for curve in self.curves if "depth" in curve.stated}
+        depths = {name: depth.to_number("depth") for name, depth in stated.items()}
+        surfaces = {surface.name: surface for surface in self.surfaces}
+        guess, reason = "first", "the first point of each needle, with its error"
+        if poses[0].text == "shaft" or surfaces:
+            guess, reason = "", "nothing states where the tissue begins"
+        elif without:
+            start = max(float(np.linalg.norm(curve.line[0])) for curve in self.curves)
+            guess = "0,0,0" if start <= MIN_CUT_MM else ""
+            reason = (
+                f"the shapes begin up to {start:.2g} mm from the origin; of {without} the tip is known alone"
+            )
+        for curve in self.curves:
+            depth = depths.get(curve.name, np.inf)
+            if curve.length - depth > find_length_tolerance(depth):
+                guess = "depth" if poses[0].text == "shaft" else ""
+                place = f"its depth {depth:g} mm in {stated[curve.name].where}"
+                reason = f"{curve.name} is {curve.length:.1f} mm long, and {place}"
+                break
+        is_first = self.stated("entry_point") == "first"
+        answers = self.each("entry_point", usual=guess, reason=reason, is_sure=guess == "depth")
+        cut, missed = list[float](), list[str]()
+        for curve, answer in zip(self.curves, answers, strict=True):
+            is_place = answer.text not in ("first", "depth", *surfaces)
+            curve.entry, arc = answer.to_entry() if is_place else None, 0.0
+            if answer.text in surfaces:
+                hits = find_surface_hits(curve.points.curve.smoothed, surfaces[answer.text])
+                arc = min(hits, default=0.0)
+                missed += [] if len(hits) else [curve.name]
+            elif answer.text == "depth":
+                if curve.name not in depths:
+                    raise answer.error("entry_point", f"X,Y,Z, or a depth of {curve.name}, too")
+                arc = curve.length - depths[curve.name]
+            elif curve.entry is not None:
+                along = np.arange(0.0, curve.length, STEP_MM)
+                gaps = np.linalg.norm(curve.points.curve.interpolate(along) - curve.entry, axis=1)
+                arc = float(along[np.argmin(gaps)])
+            if arc > MIN_CUT_MM:
+                cut_shaft(curve, arc, OTHER_END[self.entry])
+                cut.append(arc)
+        used = {answer.text: answer for answer in answers if answer.text in surfaces}
+        if used and (missed or not cut):
+            names = f" ({missed[0]} does not)" if missed else ""
+            raise next(iter(used.values())).error(
+                "entry_point", f"a surface without a hole, that needles cross on their way in{names}"
+            )
+        if cut:
+            self.settler.note("shaft", f"{min(cut):.1f} to {max(cut):.1f} mm before the entry point cut off")
+        self.surfaces[:] = [surface for surface in self.surfaces if surface.name not in used]
+        for curve, pose in zip(self.curves, poses, strict=True):
+            if curve.is_deflection and not is_first:  # depths count from the first point where it is stated
+                start = 0.0 if curve.entry is None else curve.entry[0]
+                curve.before = max(0.0, float(curve.line[0, 0] - start))
+            length = curve.before + curve.length
+            depth = depths.get(curve.name, length)
+            limit = find_length_tolerance(depth)
+            if curve.before > limit and pose.text != "free":
+                raise DataError(
+                    f"the points of {curve.name} begin at a depth of {curve.before:.1f} mm",
+                    expected="points from the entry on, where the depth is 0",
+                    fix=f"add them; or, if the first point is the entry: {name_set('entry_point', 'first')}; "
+                    f"or fit the shapes alone: {name_set('pose', 'free')}",
+                    where=curve.points.where(),
+                )
+            if abs(depth - length) > limit:
+                fix = "correct the depth, or the order of the points; or cut off a shaft by entry_point"
+                units = [unit for unit, mm in UNITS_MM.items() if abs(length * mm - depth) < limit]
+                if units:
+                    edits = " ".join(name_set(f"{axis}.unit", units[0]) for axis in "xyz")
+                    # one needle among others in mm is no matter of all columns
+                    is_one = any(abs(depths.get(one.name, 0.0) - one.length) <= limit for one in self.curves)
+                    state = "correct them" if is_one or curve.is_deflection else f"state {edits}"
+                    fix = f"its coordinates look like {units[0]}: {state}"
+                expected = f"within {limit:.1f} mm the length of {curve.name}, which is {curve.length:.1f} mm"
+                raise stated[curve.name].error("depth", expected, fix)
+
+    def make_rows(self, point_sd: float) -> list[InsertionRow]:
+        """Return the rows with entry poses and bevels."""
+        curves, angles, poses = self.curves, self.settle_sides(), self.poses
+        self.note_deflections()
+        self.require_seen(angles or [])
+        sides, zeros = to_sides(angles or [0.0] * len(curves))
+        rows, is_own = list[InsertionRow](), any("entry_point" in curve.stated for curve in curves)
+        for curve, side in zip(curves, sides, strict=True):
+            # a stated length is believed
+            sd = 0.0 if "depth" in curve.stated else measure_curve(curve.line, point_sd).length_sd
+            # one entry that is stated of all is the origin of their coordinates, and no hole
+            hole = curve.hole or ("" if is_own or curve.entry is None else curve.name)
+            rows.append(InsertionRow(curve.name, "", 1, curve.depth, side=side, depth_sd=sd, hole=hole))
+        if poses[0].text == "free":
+            bevels = self.compare_sides(angles)
+            rows = [replace(row, bevel=bevel) for row, bevel in zip(rows, bevels, strict=True)]
+            self.pose = "free"
+            return self.meet_layers(rows)
+        if any(curve.entry is None for curve in curves):
+            self.settler.note(
+                "shift across", "fitted: the first point, taken as the entry, has moved with the needle"
+            )
+        shifts = self.numbers("pose_shift_sd", usual=f"{point_sd:g}", reason="that of a point")
+        if poses[0].text == "shaft":
+            axes = [fit_shaft(curve, point_sd, poses[0]) for curve in curves]
+            ways, sds = np.array([axis.direction for axis in axes]), [axis.angle_sd for axis in axes]
+            reason = f"of each shaft, which the tissue has bent: at most {np.degrees(max(sds)):.2g} degrees"
+            answers = self.each("pose_angle_sd", usual="shaft", reason=reason, is_sure=True)
+        else:
+            ways = np.array([normalize(pose.to_vector("pose")) for pose in poses])
+            answers = self.each("pose_angle_sd")
+        if answers[0].text != "shaft":
+            sds = [float(np.radians(answer.to_number("pose_angle_sd"))) for answer in answers]
+        first = [curve.line[0] if curve.entry is None else curve.entry for curve in curves]
+        until = [min([curve.length, *(depth for depth, _ in curve.turns)]) for curve in curves]
+        before = [curve.points.curve.interpolate([arc])[0] for curve, arc in zip(curves, until, strict=True)]
+        bevels = self.settle_bevel(np.array(before) - first, ways, angles)
+        for label, texts in {
+            "turns": [f"{len(curve.turns)} of {curve.name}" for curve in curves if curve.turns],
+            "curvatures": [f"{len(curve.sensors)} of {curve.name}" for curve in curves if curve.sensors],
+        }.items():
+            if texts:
+                self.settler.note(label, join_names(texts, 8))
+                reason = "degrees, set by hand: bevel_roll_sd_deg of insertions.csv"
+                self.settler.assumed["bevel_roll_sd"] = f"{DEFAULT_ROLL_SD_DEG:g} {reason}"
+        chords = np.array([curve.line[-1] for curve in curves]) - first
+        rows = self.meet_layers(rows, np.sum(chords * ways, axis=1).tolist())
+        source: PoseSource = "shaft" if poses[0].text == "shaft" else "stage"
+        for n, curve in enumerate(curves):
+            crossed = (
+                find_crossings(curve.points.curve.smoothed, self.surfaces).sequence if self.surfaces else ()
+            )
+            rows[n] = replace(
+                rows[n],
+                layers=len(crossed) or rows[n].layers,
+                entry=first[n],
+                direction=ways[n],
+                bevel=bevels[n],
+                pose_source="first_point" if curve.entry is None else source,
+                pose_shift_sd=shifts[n],
+                pose_angle_sd=sds[n],
+                turns=tuple((depth, np.radians(cell.to_angle()) - zeros[n]) for depth, cell in curve.turns),
+                curvature=curve.read_curvature(zeros[n]),
+            )
+        return add_tips(self, rows, zeros, point_sd)
+
+    # ---- bevel
+
+    def require_seen(self, angles: Sequence[float]) -> None:
+        """DataError if bevels lead needles across the plane in which alone their points were measured.
+
+        It is that of most bevels, which face one way or the other in it.
+        """
+        if not angles or any(curve.line[:, 2].any() for curve in self.curves):
+            return
+        ((plane, _),) = Counter(angle % 180.0 for angle in angles).most_common(1)
+        across = np.abs(np.sin(np.radians(np.array(angles) - plane)))
+        if hidden := [self.curves[n] for n in np.flatnonzero(across > MAX_HIDDEN_PART)]:
+            names = list_names(hidden)
+            expected = (
+                f"{plane:g} or {plane + 180.0:g} deg, as of the others: only x and y were measured, and "
+            )
+            expected += f"{names} bends along z"
+            places = " and ".join(curve.points.where() for curve in hidden)
+            fix = f"state z, or leave out the rows from {places} on"
+            raise hidden[0].stated["bevel_side"].error("bevel_side", expected, fix)
+
+    def settle_bevel(
+        self, bends: Floats, along: Floats, angles: Sequence[float] | None
+    ) -> Sequence[Floats | None]:
+        """Return the direction toward which side 1 of each needle deflects; None: it bends toward its bevel.
+
+        `bends` (N, 3): from the directions `along` (N, 3), mm. Their mean is all that is read of the shapes.
+        """
+        sides = BendsOfSides(bends, along, angles)
+        guess, reason, fix, where = "bend", "every needle is taken to bend toward its bevel", "", ""
+        is_turned = any(curve.turns or curve.sensors or curve.tips for curve in self.curves)
+        faced = [angle % 360.0 for angle in angles or [0.0]]
+        if differ := is_turned or len({*faced}) > 1 or max(faced) >= 180.0:
+            guess = format_direction(sides.mean)
+            reason = "the mean direction in which needles bend from their sides"
+            if not sides.agree:
+                largest = np.cos(np.radians(MAX_HEADING_DEG))
+                is_off = sides.units @ sides.mean < largest
+                off, rest = np.flatnonzero(is_off), to_unit(sides.toward[~is_off].sum(axis=0))
+                names = list_names([self.curves[n] for n in off]) or "some needles"
+                fix = f"look at the bevel side of {names} in its source"
+                if any(abs(sides.units[n] @ rest) < largest for n in off):  # bent across, to no side
+                    fix = f"look at the points of {names}: {SWAPPED}"
+                guess = format_direction(rest if rest.any() else sides.mean)
+                fix += f"; if that is right: {name_set('bevel', guess)}"
+                cells = [cell for n in off if (cell := self.curves[n].stated.get("bevel_side"))]
+                where = cells[0].where if cells else ""
+                guess, reason = "", f"the bevel side of {names} and that of the others contradict each other"
+        answer = self.settle("bevel", guess, reason, fix=fix, where=where)
+        if answer.text != "bend":
+            self.settle_sides(is_needed=True)
+            return [*sides.turned.apply(answer.to_vector("bevel"))]
+        if differ:
+            raise answer.error("bevel", "X,Y,Z: bevels differ, or turn")
+        return [None] * len(bends)
+
+    def compare_sides(self, angles: Sequence[float] | None) -> Sequence[Floats | None]:
+        """Return the direction that side 1 of each free shape faces in the frame of the points, if stated.
+
+        It is their mean bend from the one direction that fits all needles; None where they bend from it in
+        several planes, as needles do that were not measured in one frame.
+        """
+        fitted = fit_direction([curve.line for curve in self.curves])
+        bevels: Sequence[Floats | None] = [None] * len(self.curves)
+        note = "a free shape bends toward its bevel"
+        if angles is not None:
+            note = "stated sides are not compared with the bends: no one direction fits the needles"
+        if angles is not None and fitted is not None:
+            chords = np.array([curve.chord for curve in self.curves])
+            sides = BendsOfSides(chords, np.tile(fitted.vector, (len(chords), 1)), angles)
+            if np.abs(sides.toward @ sides.mean).sum() > MIN_SAME_SIDE * sides.sizes.sum():
+                note = f"stated sides are compared with the bends from {format_direction(fitted.vector)}"
+                bevels = [*sides.turned.apply(sides.mean)]
+        self.settler.note("bevel", note)
+        return bevels
+
+
+# ---- points and shafts
+
+
+def require_order(curves: Sequence[ImportedCurve]) -> None:
+    """DataError of points that lie far from all others of a curve, or go back along it."""
+    for curve in curves:
+        fault = find_stray_fault(curve.points)
+        if fault is None and len(back := find_backward_points(curve.line)):
+            fault = make_order_fault(curve.points, back)
+            names = name_set("needle.column", "HEADER")
+            fault = fault.replace(fix=f"{fault.fix}; or, if they are of several needles, {names}")
+        if fault is not None:
+            raise fault.replace(what=f"curve {curve.name} {fault.what}")
+
+
+def advise_order(curves: Sequence[ImportedCurve]) -> str:
+    """Return the fix of curves whose points go from the tip to the entry."""
+    return f"reverse these points if they go from the tip to the entry: {list_places(curves)}"
+
+
+def list_names(curves: Iterable[ImportedCurve]) -> str:
+    """Return the names of curves, in a sentence; empty of none."""
+    return join_names([curve.name for curve in curves], 5)
+
+
+def list_places(curves: Sequence[ImportedCurve]) -> str:
+    """Return where the points of curves stand."""
+    return join_names([f"{curve.points.where()} to {curve.points.where(-1)}" for curve in curves], 5)
+
+
+def cut_shaft(curve: ImportedCurve, arc: float, other_end: str) -> None:
+    """Cut a curve at this length from its first point, mm, and keep the points before as its shaft.
+
+    `other_end`: the answer by which curves would begin there.
+    """
+    points, along = curve.points, curve.points.curve.s
+    after = np.flatnonzero(along > arc + 10 * SAME_POINT_MM)
+    if len(after) < MIN_POINTS - 1:
+        raise DataError(
+            f"curve {curve.name!r} has only {len(after)} points behind its entry",
+            expected="points from the entry to the tip",
+            fix=f"state another entry_point, or {name_set('entry', other_end)} and the pose that follows",
+            where=points.where(),
+        )
+    entry = [np.interp(arc, along, axis) for axis in points.values.T]
+    values = np.vstack([entry, points.values[after]])
+    curve.shaft = np.vstack([points.values[along < arc], values[:1]])
+    curve.points = replace(points.part(np.concatenate([after[:1], after])), values=values)
+
+
+def fit_shaft(curve: ImportedCurve, point_sd: float, pose: Stated) -> ShaftAxis:
+    """Return the axis of a curve's shaft, which the needle's base holds."""
+    along = measure_curve(curve.shaft, point_sd).s
+    if len(along) < MIN_SHAFT_POINTS or along[-1] < MIN_SHAFT_MM:
+        raise pose.error("pose", f"{MIN_SHAFT_POINTS} points over {MIN_SHAFT_MM:g} mm before each entry")
+    rules = ReconstructionEntryRecord()
+    s, noise, turn_sd = (
+        along - along[-1],
+        point_sd**2 * np.eye(len(along)),
+        np.radians(rules.entry_tilt_sd_deg),
+    )
+    free = max(curve.needle.length_mm - curve.length, -s[0])
+    return fit_shaft_axis(curve.shaft, s, noise, free, rules.entry_shift_sd_mm, float(turn_sd))
+
+
+def propose_shapes(draft: TableDraft, is_stated: bool) -> dict[str, Columns]:
     """Return the columns of points; ask where rows may be tips, readings, or needles."""
     points = draft.points
     if not points or draft.are_deflections:
@@ -22,31 +426,25 @@ def propose_shapes(draft: TableDraft, is_stated: bool) -> list[Records]:
     is_array, is_alone = _is_array(draft), len(draft.groups) < 2
     if not is_stated:
         if draft.names_rows and not divide_labels(draft.names):
-            draft.draft.ask("labels", draft.where)
+            draft.ask("labels")
         elif ("time" in draft.changing and not is_array) or ("depth" in draft.changing and is_alone):
-            draft.draft.ask("readings", draft.where)
-    first, is_several = points[0], len(points) > 1
-    if is_several and is_array:
+            draft.ask("readings")
+    first, *others = points.values()
+    if others and is_array:
         if draft.keys.get("layout") != "wide":
-            draft.draft.ask("layout", draft.where, count=str(len(points)))
+            draft.ask("layout", count=len(points))
             return points
-        return [
-            {
-                axis: first[axis] | {"column": [entry[axis]["column"] for entry in points if axis in entry]}
-                for axis in "xyz"
-                if axis in first
-            }
-        ]
+        places = [*points.values()]
+        return {"": {axis: [column for axes in places for column in axes.get(axis, ())] for axis in first}}
     is_version = any(find_meaning("version", name.split(" ")[0]) for name in draft.groups)
-    if is_several and ("needle" in draft.taken or is_version):
-        answers = {
-            str(next(iter(entry.values()))["column"]): {
-                f"{axis}.column": entry[axis]["column"] for axis in entry if axis in "xyz"
-            }
-            for entry in points
-        }
+    if others and ("needle" in draft.taken or is_version):
+        keys = (
+            {f"{axis}.column": str(column.name) for axis, (column,) in axes.items()}
+            for axes in points.values()
+        )
+        answers = {next(iter(names.values())): names for names in keys}
         names = " and ".join(f"`{name}`" for name in answers)
-        draft.draft.ask("points", draft.where, answers, names=names)
+        draft.ask("points", answers, names=names)
     if "x" not in first.keys() | draft.taken.keys() and "depth" in draft.taken:
         draft.taken["x"] = draft.taken.pop("depth")  # points at depths
     return points
@@ -56,9 +454,9 @@ def _is_array(draft: TableDraft) -> bool:
     """Whether the places below a row of headers are numbered, and each row may be a needle."""
     if len(draft.groups) < MIN_POINTS or draft.keys.get("layout") == "long":
         return False
-    first = min(next(iter(draft.groups.values())).values())
-    is_numbered = INDEX.search(first.header.text) is not None
-    is_numbered |= any(column.header.meaning in ("time", "needle") for column in draft.all)
+    first = min(column.place for column in draft.axis_columns)
+    is_numbered = INDEX.search(draft.all[first].text) is not None
+    is_numbered |= any(column.meaning in ("time", "needle") for column in draft.all)
     return is_numbered and len({re.sub(r"\d+", "#", name) for name in draft.groups}) == 1
 
 
@@ -84,7 +482,7 @@ def read_shape(mapped: MappedTable, curve: ImportedCurve, rows: Sequence[int]) -
             fix=f"complete its points; or, of a table of tips: {mapped.name_edit('holds', 'tips')}",
             where=mapped.table.places[rows[0]],
         )
-    curve.holds = "tips"
+    curve.kind = KINDS["tips"]
 
 
 SHAPES = RowKind(

@@ -1,31 +1,311 @@
 """Tip tracks: a row for each reading of a tip on its way, with its depth or place, and that of the guide."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
+import numpy as np
+
+from needlefit.arrays import Floats
+from needlefit.datasets.columns import InsertionRow
+from needlefit.datasets.importing.curve_answers import (
+    BendsOfSides,
+    CurveAnswers,
+    Placer,
+    format_direction,
+    snap_to_axis,
+    to_sides,
+)
 from needlefit.datasets.importing.curves import ImportedCurve
-from needlefit.datasets.importing.draft_table import Records, TableDraft
+from needlefit.datasets.importing.draft_table import Columns, Records, TableDraft
 from needlefit.datasets.importing.kinds import RowKind
 from needlefit.datasets.importing.mapped_table import MappedTable
+from needlefit.datasets.importing.meanings import read_header
 from needlefit.datasets.importing.stated import name_set
-from needlefit.datasets.importing.tracks import TrackPlacer
+from needlefit.datasets.insertion import GUIDE_STILL_MM
+from needlefit.errors import DataError
+from needlefit.geometry.common_direction import fit_direction
+from needlefit.geometry.frames import normalize, to_unit
+from needlefit.grouping import group_values
+from needlefit.project.locate import join_names
+
+# Tracks are predicted within a specimen.
+TRACK_SPECIMEN = ("specimen1", "all runs into one; specimen=each if every run had a specimen of its own")
+MARGIN_FOR = "the error of a reading"
+PLACING_PART = 1 / 3  # fraction of the shallowest run whose readings place a run in the tracker's frame
+MIN_GUIDE_PART = 0.5  # smallest fraction of a guide's motion that is used, where some axes are not stated
+MIN_BEVEL_DEG = 60.0  # smallest angle (degrees) from the insertion to the direction that bevels face
+#: largest step back of a tip, in its SD, that is noise: 5 SD of the difference of two readings
+MAX_BACKWARD_SDS = 5 * np.sqrt(2)
+MIN_TRACK_SLOPE = 0.7  # smallest movement (mm per mm of depth) of a tip whose coordinates are all in space
+
+
+class TrackPlacer(Placer):
+    """Places runs in the frame of their tracker: points become deflections along y and z at their depths."""
+
+    def settle_places(self) -> None:
+        """Settle guide, depths and bevels."""
+        settle_guide(self)
+        curves = self.curves
+        for curve in curves:
+            curve.depths = curve.line[:, 0] if curve.is_deflection else curve.depths
+        settle_depth_zero(self)
+        if not all(len(curve.depths) for curve in curves):
+            measure_depths(self)
+        self.sides, self.rolls = settle_rolls(self)
+        self.note_deflections("shift and slope of each run are fitted")
+        bevel = self.settle_bevel()
+        across = np.cross(sum(curve.chord for curve in curves), bevel)
+        planes = np.column_stack([bevel, to_unit(across), np.zeros(3)])  # of deflections 0
+        for curve in curves:
+            curve.points = replace(curve.points, values=curve.line @ planes)
+            if curve.guide is not None:
+                curve.guide = project_guide(curve, curve.guide, planes)
+        usual, reason = None, ""
+        if any(map(is_guided, curves)):
+            usual, reason = "free", "the guide moved, and its distance is not stated"
+        self.usual = {"specimen": TRACK_SPECIMEN, "guide_distance": (usual, reason)}
+
+    @property
+    def is_posed(self) -> bool:
+        """Whether the direction of insertion is stated in the frame of the tracker."""
+        return not self.others and self.stated("pose") not in ("", "free", "shaft")
+
+    def settle_bevel(self) -> Floats:
+        """Return the direction that bevels of side 1 face, across the insertion.
+
+        Beside other needles `bevel` is theirs, in whose frame no tracker reads.
+        """
+        curves, is_alone = self.curves, not self.others
+        bevel = np.array([0.0, 1.0, 0.0])
+        if all(curve.is_deflection for curve in curves):
+            return bevel
+        bends = find_bends(curves, self.sides)
+        guess, reason = "bend", "the mean direction in which the tips bend from their sides"
+        if not bends.agree:
+            guess, reason = "", "tips bend to several sides, which a column `bevel side` should state"
+        if guess and not is_alone:
+            self.settler.note("bevel of tracks", reason)
+        else:
+            guess = self.settle("bevel", guess, reason).text
+        bevel = bends.mean if guess == "bend" else normalize(self.settle("bevel").to_vector("bevel"))
+        along = normalize(self.settle("pose").to_vector("pose")) if self.is_posed else bends.direction
+        sideways = bevel - (bevel @ along) * along
+        if np.linalg.norm(sideways) < np.sin(np.radians(MIN_BEVEL_DEG)):
+            needed = f"at least {MIN_BEVEL_DEG:g} degrees off the insertion, {format_direction(along)}"
+            raise self.settle("bevel").error("bevel", needed)
+        return normalize(sideways)
+
+    def make_rows(self, point_sd: float) -> list[InsertionRow]:
+        """Return the runs."""
+        return [
+            InsertionRow(
+                curve.name,
+                "",
+                1,
+                curve.depth,
+                side=side,
+                turns=((0.0, roll),) if roll else (),
+                hole=curve.hole,
+            )
+            for curve, side, roll in zip(self.curves, self.sides, self.rolls, strict=True)
+        ]
+
+    def choose_study(self, point_sd: float) -> Mapping[str, float | str]:
+        """Return which readings place a predicted run, and which difference of errors does not matter.
+
+        Errors of other kinds beside them are compared in noise.
+        """
+        ends = [curve.depths[[0, -1]] for curve in self.curves]
+        usual = f"{min(float(first + PLACING_PART * (last - first)) for first, last in ends):.3g}"
+        reason = "a third of the shallowest run; deeper ones are scored"
+        depth = self.settle("registration_depth", usual, reason)
+        number = depth.to_number("registration_depth", is_above=True)
+        slope_sd = max(self.numbers("pose_angle_sd", is_above=True))
+        self.slope_sds_deg = slope_sd, slope_sd if self.is_posed else None
+        study: dict[str, float | str] = {"registration_depth_mm": number}
+        return study if self.others else study | {"margin_mm": point_sd, "margin_for": MARGIN_FOR}
+
+
+def find_bends(curves: Sequence[ImportedCurve], sides: Sequence[int]) -> BendsOfSides:
+    """Return how far runs bend from the direction that fits all of them, else from those of their entries."""
+    fitted = fit_direction([curve.line for curve in curves])
+    bends, along, angles = list[Floats](), list[Floats](), list[float]()
+    for curve, side in zip(curves, sides, strict=True):
+        depths = curve.depths - curve.depths[0]
+        if len(depths) < (3 if fitted is None else 2):  # of a parabola, or a line
+            continue
+        *curved, slope, _ = np.polyfit(depths, curve.line, 2 if fitted is None else 1)
+        bends.append(float(np.ptp(depths)) ** 2 * curved[0] if fitted is None else np.ptp(depths) * slope)
+        is_in_space = np.linalg.norm(slope) > MIN_TRACK_SLOPE  # else the coordinates are across the needle
+        start = snap_to_axis(normalize(slope)) if is_in_space else np.zeros(3)
+        along.append(start if fitted is None else fitted.vector)
+        angles.append(90.0 - 90.0 * side)
+    return BendsOfSides(np.array(bends).reshape(-1, 3), np.array(along).reshape(-1, 3), angles)
+
+
+def project_guide(curve: ImportedCurve, guide: Floats, planes: Floats) -> Floats:
+    """Return the places of a guide (N, 3) along the directions of deflections, from the first one on, mm.
+
+    DataError if some of its axes are not stated, and most of its motion along the others is lost.
+    """
+    moved = np.nan_to_num(guide - guide[0])
+    across = moved @ planes
+    size, kept = (float(np.linalg.norm(np.ptp(places, axis=0))) for places in (moved, across))
+    if np.isnan(guide).any() and size >= GUIDE_STILL_MM and kept < MIN_GUIDE_PART * size:
+        axes, bevel = "".join(np.array([*"xyz"])[~np.isnan(guide[0])]), "xyz"[np.argmax(np.abs(planes[:, 0]))]
+        raise DataError(
+            f"the guide of {curve.name} moves {size:.3g} mm along {axes}; {kept:.2g} mm of it are across the "
+            "needle, in the plane of its bevel",
+            expected="columns of the guide along x, y and z, or the axis along which its one column is",
+            fix=(
+                f"if its one column is along {bevel}: {name_set('guide.axes', bevel)}; if it is no guide: "
+                f"{name_set('guide', 'none')}"
+            ),
+            where=curve.points.where(),
+        )
+    return across
+
+
+def settle_rolls(asked: CurveAnswers) -> tuple[list[int], list[float]]:
+    """Return side and roll, rad, of the bevels; runs that were read along one direction have none.
+
+    DataError if bevels face other ways than up and down, and nothing states where up is.
+    """
+    curves, (sides, rolls) = asked.curves, to_sides(asked.settle_sides(is_needed=True) or [])
+    if turned := [curve for curve in curves if curve.turns or curve.sensors]:
+        raise DataError(
+            f"run {turned[0].name} has turns of its bevel, or curvatures, beside its readings",
+            expected="readings alone, of a bevel that is not turned",
+            fix="import its readings without the other tables",
+            where=turned[0].points.where(),
+        )
+    are_deflections = all(curve.is_deflection for curve in curves)
+    if not are_deflections and asked.stated("bevel") in ("", "bend"):
+        if len({*rolls}) > 1:
+            raise DataError(
+                "bevels face several ways, and nothing states where up is in the frame of the tips",
+                expected="sides 1 and -1; or the direction of 0 degrees (12 o'clock)",
+                fix=f"state {name_set('bevel', 'X,Y,Z')}",
+                where=curves[0].points.where(),
+            )
+        return sides, [0.0] * len(rolls)  # of one plane, in which they bend
+    if any(rolls) and not any(curve.line[:, 2].any() for curve in curves):
+        asked.settler.assumed["deflection"] = (
+            "toward the bevel of side 1: one deflection is stated of each tip"
+        )
+        rolls = [0.0] * len(rolls)
+    return sides, rolls
+
+
+def settle_guide(asked: CurveAnswers) -> None:
+    """Take another tool that was tracked beside each tip as the guide, if that is stated.
+
+    DataError if several tools of a file may be the tip, or no tool has the stated name.
+    """
+    curves, stated = asked.curves, asked.stated("guide")
+    rows = group_values(
+        ((curve.points.path, *curve.points.lines), curve.name)
+        for curve in curves
+        if curve.points.lines is not None
+    )
+    beside = sorted(name for tools in rows.values() if len(tools) > 1 for name in tools)
+    if stated == "none":
+        for curve in curves:
+            curve.guide = None
+        return
+    if any(curve.guide is not None for curve in curves) or not (beside or stated):
+        return
+    names = join_names(beside or [curve.name for curve in curves], 5)
+    answer = asked.settle("guide", "", f"{names} were tracked in the same rows")
+    guides = [curve for curve in curves if f"-{curve.name}".endswith(f"-{answer.text}")]
+    tips = [curve for curve in curves if curve not in guides]
+    for guide in guides:
+        paired = [
+            tip for tip in tips if tip.points.path == guide.points.path and len(tip.line) == len(guide.line)
+        ]
+        if len(paired) == 1:
+            paired[0].guide = guide.line
+    if sum(tip.guide is not None for tip in tips) != len(guides) or not guides:
+        raise answer.error("guide", f"none, or one of {names}, tracked beside one tip at the same times")
+    curves[:] = tips
+
+
+def settle_depth_zero(asked: CurveAnswers) -> None:
+    """Count the stated depths of readings from the surface of the tissue; those before contact are left out.
+
+    DataError if depths that count from there, as stated, begin before it.
+    """
+    curves = [curve for curve in asked.curves if len(curve.depths)]
+    if not any(curve.depths[0] for curve in curves) and not asked.is_stated("depth_zero"):
+        return
+    first = min(curves, key=lambda curve: curve.depths[0])
+    other = next((curve for curve in curves if read_header(curve.depth_column).meaning != "depth"), None)
+    usual, reason = "tissue", f"column {first.depth_column} is called a depth"
+    if other is not None:
+        usual, reason = "first_reading", f"column {other.depth_column} is not called a depth"
+    if first.depths[0] < 0:
+        usual, reason = "first_reading", f"{first.name} begins at {first.depths[0]:g} mm"
+    for curve, answer in zip(asked.curves, asked.each("depth_zero", usual, reason), strict=True):
+        if not len(curve.depths):
+            continue
+        if answer.text == "tissue" and curve.depths[0] < 0:
+            raise answer.error("depth_zero", f"first_reading: {curve.name} begins at {curve.depths[0]:g} mm")
+        zeros = {"tissue": 0.0, "first_reading": float(curve.depths[0])}
+        zero = zeros[answer.text] if answer.text in zeros else answer.to_number("depth_zero")
+        kept = np.flatnonzero(curve.depths >= zero)
+        if not len(kept):
+            raise answer.error("depth_zero", f"at most the depth of its readings, {curve.depths[-1]:g} mm")
+        if len(kept) < len(curve.depths):
+            count = f"{len(curve.depths) - len(kept)} of {len(curve.depths)} readings"
+            asked.settler.note(curve.name, f"{count} are left out: before contact")
+        curve.keep(kept, curve.depths - zero)
+
+
+def measure_depths(asked: CurveAnswers) -> None:
+    """Take the path of each tip along the stage axis as its depth, from the first reading or the entry on."""
+    chord = sum(curve.chord for curve in asked.curves)
+    guess = format_direction(snap_to_axis(normalize(chord)))
+    pose = asked.settle("pose", guess, "the direction in which the tips run")
+    axis, entry = normalize(pose.to_vector("pose")), None
+    if asked.stated("entry_point"):
+        entry = asked.settle("entry_point").to_entry()
+    for curve, sd in zip(asked.curves, asked.numbers("point_sd", is_above=True), strict=True):
+        if len(curve.depths):
+            continue  # its file states them
+        depth = (curve.line - (curve.line[0] if entry is None else entry)) @ axis
+        deepest, is_kept = np.maximum.accumulate(depth), depth >= 0
+        if np.any(np.diff(depth) <= 0) and np.all(deepest - depth <= MAX_BACKWARD_SDS * sd):
+            is_kept &= np.diff(deepest, prepend=-np.inf) > 0
+            count = f"{np.sum(~is_kept)} of {len(depth)} readings"
+            asked.settler.note(curve.name, f"{count} are left out: by noise less deep than one before")
+        kept = np.flatnonzero(is_kept)
+        curve.keep(kept, depth)
+    start = "the first reading" if entry is None else "the entry point"
+    asked.settler.assumed["depth"] = f"the path of the tip along {pose.text} from {start} on"
+
+
+def is_guided(curve: ImportedCurve) -> bool:
+    """Return whether the guide moved across the needle during a run."""
+    return curve.guide is not None and bool(np.ptp(curve.guide[:, :2], axis=0).max() >= GUIDE_STILL_MM)
+
 
 MIN_SIGNS = 2  # of depths that differ, times that differ and a column of a tip: so many make a track
 
 
-def propose_tracks(draft: TableDraft, is_stated: bool) -> list[Records]:
+def propose_tracks(draft: TableDraft, is_stated: bool) -> dict[str, Columns]:
     """Return the columns of readings: deflections at increasing depths, or places with signs of a track."""
     if is_stated or not (points := draft.points):
         return draft.points
     if draft.are_deflections:
         is_track, reason = draft.increases(draft.taken["depth"]), "the depths of each needle increase"
     else:
-        is_tip = any(column.header.beside in ("tip", "deflection") for column in draft.axis_columns)
+        is_tip = any(column.beside in ("tip", "deflection") for column in draft.axis_columns)
         is_alone = len(draft.groups) < 2 and not draft.names_rows
         is_track = is_alone and is_tip + len(draft.changing) >= MIN_SIGNS
         reason = f"each row has a {min(draft.changing, default='')} of its own"
     if is_track:
         draft.draft.assumed["holds"] = f"tracks: {reason}; points: {name_set('holds', 'shapes')}"
-    return points if is_track else []
+    return points if is_track else {}
 
 
 def complete_tracks(draft: TableDraft, records: Records) -> None:
@@ -33,7 +313,7 @@ def complete_tracks(draft: TableDraft, records: Records) -> None:
     guide = records.get("guide")
     is_open = guide is not None and "axes" not in guide and draft.draft.values.get("guide") != "none"
     if guide is not None and is_open and "deflection" not in records:
-        draft.draft.ask("guide", draft.where, name=str(guide["column"]))
+        draft.ask("guide", name=guide["column"])
 
 
 def read_readings(mapped: MappedTable, curve: ImportedCurve, rows: Sequence[int]) -> None:

@@ -3,22 +3,22 @@
 from collections.abc import Sequence
 
 from needlefit.datasets.importing.curves import ImportedCurve
-from needlefit.datasets.importing.draft_table import Records, TableDraft
+from needlefit.datasets.importing.draft_table import Columns, TableDraft
 from needlefit.datasets.importing.kinds import RowKind
 from needlefit.datasets.importing.mapped_table import MappedTable
 from needlefit.datasets.importing.stated import Stated
 from needlefit.errors import DataError
 
 
-def propose_turns(draft: TableDraft, is_stated: bool) -> list[Records]:
+def propose_turns(draft: TableDraft, is_stated: bool) -> dict[str, Columns]:
     """Return no columns but those of all, where a header states the depths of turns."""
     taken = draft.taken
     is_ours = {"depth_mm", "bevel_roll_deg"} <= {*draft.table.headers}
     if draft.points or not (is_stated or is_ours or "turn_depth" in taken):
-        return []
+        return {}
     if "depth" in taken:
         taken["turn_depth"] = taken.pop("depth")
-    return [{}]
+    return {"": {}}
 
 
 def read_turns(mapped: MappedTable, curve: ImportedCurve, rows: Sequence[int]) -> None:
