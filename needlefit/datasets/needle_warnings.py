@@ -72,7 +72,7 @@ def _find_repeated_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> 
     near = [pair for pair in pairs if _weigh_repeated(*pair, sd) >= limit]
     for earlier, later in near if len(near) <= MAX_OUTLYING_PART * len(listed) else ():
         names = (later.insertion.id, earlier.insertion.id)
-        what = f"{' and '.join(names)} lie closer together than errors let two needles lie"
+        what = f"{' and '.join(names)} lie closer together than two needles can"
         yield ResultWarning("copy", what, later.where, "check whether one was measured twice", names)
 
 
@@ -131,7 +131,7 @@ def _find_order_warnings(listed: Sequence[ListedInsertion]) -> Iterator[ResultWa
     along = (ends[:, 1] - ends[:, 0]).sum(axis=0)
     first, last = np.ptp(ends @ along, axis=0) / (np.linalg.norm(along) or 1.0)
     if first > MAX_START_DISTANCE_MM and last < LENGTH_TOLERANCE_MM:
-        what = "curves seem to run from the tip to the entry"
+        what = "curves seem to run from tip to entry"
         fix = "check the order of the points; at an import: `--set entry=last`"
         yield ResultWarning("reversed", what, where=listed[0].where, fix=fix)
 

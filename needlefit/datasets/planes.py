@@ -78,9 +78,7 @@ def find_plane_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iter
             yield ResultWarning("bevel_plane", problem, where=listed[0].where, fix=fix)
         return
     most = max(measure_aside(entry.insertion) for entry in aside)
-    problem = (
-        f"needles are up to {most:.1f} mm from where their bevels lead them, by more than their errors: "
-    )
+    problem = f"needles are up to {most:.1f} mm from where their bevels lead them, beyond their errors: "
     fix = f'{_name_bevel([entry.insertion for entry in aside])}; `compared = "space"` in the study or fit '
     yield ResultWarning(
         "bevel_plane",
