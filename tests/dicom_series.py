@@ -64,6 +64,21 @@ def save(folder: Path, slices, order=None):
     return folder
 
 
+def save_volume(folder: Path, volume):
+    """Write a volume of whole HU as a series."""
+    first, second = volume.direction[:, :2].T.tolist()
+    pages = []
+    for k, plane in enumerate(volume.values.astype(np.int16)):
+        corner = volume.origin + k * volume.spacing[2] * volume.direction[:, 2]
+        place = {
+            "ImagePositionPatient": [f"{x:.9g}" for x in corner],
+            "PixelSpacing": [f"{x:.9g}" for x in volume.spacing[[1, 0]]],
+        }
+        axes = [f"{x:.9f}" for x in (*first, *second)]
+        pages.append(a_slice(k, plane, ImageOrientationPatient=axes, **place))
+    return save(folder, pages)
+
+
 def series(**entries):
     return [a_slice(k, **entries) for k in range(COUNT)]
 

@@ -19,6 +19,7 @@ from needlefit.cli import main, screen
 from needlefit.cli.exit_codes import Invocation, report_error
 from needlefit.cli.options import name_changes
 from needlefit.errors import ConfigError, DataError, FitError, ModelError
+from needlefit.project.locate import find_file
 from needlefit.project.toml import dumps
 from needlefit.reporting.table import TableColumn, TableLayout
 
@@ -49,6 +50,14 @@ def list_loaded(*words, **options):
     command = [sys.executable, "-c", code, *words]
     done = subprocess.run(command, capture_output=True, text=True, check=True, **options)
     return set(json.loads(done.stdout.splitlines()[-1]))
+
+
+def test_a_fit_loads_no_statistics_of_scipy(tmp_path):
+    fit = find_file("fit", "chicken").read_text()
+    (tmp_path / "quick.toml").write_text(fit.replace('"default"', '"quick"'))
+    loaded = list_loaded("tune", "./quick.toml", "--no-sample", "--quiet", cwd=tmp_path)
+    assert "scipy.stats" not in loaded  # 0.4 s
+    assert {"matplotlib", "scipy.optimize"} <= loaded
 
 
 @pytest.mark.parametrize(

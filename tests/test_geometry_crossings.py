@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from pytest import approx
 from refusals import refused_file
@@ -21,6 +21,27 @@ seeds = st.integers(0, 2**32 - 1)
 
 def line(start, end, points=23):
     return np.linspace(np.asarray(start, float), np.asarray(end, float), points)
+
+
+@given(seeds, st.integers(2, 60))
+@settings(max_examples=200)
+def test_crossings_of_a_plane_match_the_formula(seed, points):
+    rng = np.random.default_rng(seed)
+    center, normal, start, direction = rng.normal(size=(4, 3)) * [[5], [1], [20], [1]]
+    direction /= np.linalg.norm(direction)
+    slope = normal @ direction / np.linalg.norm(normal)
+    assume(abs(slope) > 0.05)
+    depth = normal @ (center - start) / (normal @ direction)
+    assume(abs(depth) > 1e-3 and abs(depth - 50) > 1e-3)
+    met = find_crossings(
+        line(start, start + 50 * direction, points), [make_sheet("plane", center, normal, 5000, into=2)]
+    )
+    if 0 < depth < 50:
+        assert met.sequence == (1, 2)
+        assert met.arc == approx([depth], abs=1e-6)
+        np.testing.assert_allclose(met.points, [start + depth * direction], atol=1e-6)
+    else:
+        assert met.sequence == (1,) and met.points.shape == (0, 3)
 
 
 @given(st.floats(-9, 9), st.floats(-0.5, 0.5))

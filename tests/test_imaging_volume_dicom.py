@@ -5,7 +5,9 @@ from functools import partial
 
 import numpy as np
 import pytest
-from dicom_series import COLUMNS, COUNT, NUMBERS, ORIGIN, ROWS, STEP, a_slice, save, series
+from dicom_series import COLUMNS, COUNT, NUMBERS, ORIGIN, ROWS, STEP, a_slice, save, save_volume, series
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from pydicom.uid import (
     BasicTextSRStorage,
     HTJ2KLossless,
@@ -18,7 +20,7 @@ from refusals import refused_file
 from scipy.spatial.transform import Rotation
 
 from needlefit.errors import DataError
-from needlefit.imaging.volume import to_index, to_patient
+from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.imaging.volume_files import read_volume
 
 pytestmark = pytest.mark.usefixtures("read_here")
@@ -262,3 +264,28 @@ def test_headers_that_claim_huge_volumes_are_refused(tmp_path):
         data.Rows = data.Columns = 65535
     assert "crop" in refused(save(tmp_path / "packed", slices)).fix
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100e3  # kB
+
+
+def turned(seed, shape=(4, 5, 6), flip=False):
+    """Return a volume at a random pose."""
+    rng = np.random.default_rng(seed)
+    direction, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    direction *= np.linalg.det(direction) * (-1 if flip else 1)
+    values = np.round(rng.normal(size=shape) * 1000.0).astype(np.float32)
+    return Volume(values, rng.normal(size=3) * 100, rng.uniform(0.2, 2.0, 3), direction)
+
+
+@settings(max_examples=20)
+@given(seed=st.integers(0, 2**32 - 1), flip=st.booleans())
+def test_every_voxel_keeps_its_position(tmp_path_factory, seed, flip):
+    """A left-handed volume comes back right-handed: its slices are the same, in the other order."""
+    folder = tmp_path_factory.mktemp("scan") / "series"
+    volume = turned(seed, flip=flip)
+    save_volume(folder, volume)
+    again = read_volume(folder)
+    assert np.linalg.det(again.direction) == pytest.approx(1.0)
+    assert np.array_equal(again.values[::-1] if flip else again.values, volume.values)
+    here = np.argwhere(np.ones(volume.values.shape))[:, ::-1]
+    there = to_index(again, to_patient(volume, here))
+    assert again.values[tuple(np.rint(there[:, ::-1]).astype(int).T)] == pytest.approx(volume.values.ravel())
+    assert np.abs(to_patient(again, np.rint(there)) - to_patient(volume, here)).max() < 1e-5

@@ -164,6 +164,17 @@ def test_a_point_better_than_the_fit_is_reported_with_its_gain():
     assert abs(profile_parameters(p, fit_at(p, TRUTH)).gain) < 0.01
 
 
+def test_four_equal_insertions_halve_the_deviations():
+    # Fisher information of a design adds up over its insertions.
+    record = medium(1)
+
+    def predict_deviations(count):
+        p = problem(record, [measure(TRUTH, record, insertion(40.0)) for _ in range(count)])
+        return np.linalg.eigvalsh(design_gain.fisher_information(p, p.parameters.theta(TRUTH)))[-1] ** -0.5
+
+    assert predict_deviations(4) == approx(predict_deviations(1) / 2, rel=0.02)
+
+
 def test_draws_that_are_wider_than_the_information_decide_what_is_determined():
     p = two_layers()
     fit = fit_at(p, TRUTH)

@@ -1,11 +1,13 @@
 """The advance by the path angle: its rule, in a session and in media; it converges."""
 
+import numpy as np
 import pytest
 from inference_cases import assert_one_density, insertion, measure, medium, problem
+from mechanics_cases import NEEDLE
 from numpy.testing import assert_allclose
-from solver_checks.refinement import ADVANCED, measure_spacing
+from solver_checks.refinement import ADVANCED, ANGLE, measure_spacing
 
-from needlefit import ModelOptions
+from needlefit import Bevel, ModelOptions, Tissue, simulate
 from needlefit.errors import ConfigError
 from needlefit.inference.forward_model import predict
 from needlefit.inference.parameters import Parameters
@@ -21,6 +23,14 @@ def test_the_tip_converges_with_second_order(case):
     tissue, allowed = ADVANCED[case]
     order, error = measure_spacing(tissue)
     assert order == pytest.approx(2, abs=0.25) and error < allowed
+
+
+def test_deep_in_uniform_tissue_the_needle_is_an_arc():
+    """Its curvature is the angle over the length 1 / beta."""
+    shape = simulate(NEEDLE, Tissue([32.0], [1.0]), Bevel(cut_angle=ANGLE), 120.0, rules=RULES)
+    beta = (96.0 / 4 / NEEDLE.flexural_rigidity) ** 0.25
+    curvature = (np.diff(shape.slope) / np.diff(shape.x))[-60:-50]
+    assert_allclose(curvature, ANGLE * beta, rtol=0.01)
 
 
 # ---- of media, scenes and the page ----
