@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from needlefit.errors import DataError
@@ -75,10 +76,11 @@ def draw(
 
 def count_turns(layout: Floats) -> int:
     """Return how many turns map a layout onto itself so nearly that noise hides it; 1: none."""
-    count = len(layout)
-    given = layout, layout, np.full((count, count), SD**2)
-    pairings = list_pairings(*given, count, HIDDEN_CHI2)
-    return sum(align(*given, pairs).chi2 <= HIDDEN_CHI2 for pairs in pairings)
+    count, apart = len(layout), cdist(layout, layout)
+    near = (apart[:, None, :, None] - apart[:, None]) ** 2 <= 2 * SD**2 * HIDDEN_CHI2
+    variance = np.full((count, count), SD**2)
+    pairings = map(np.array, list_pairings(near, count))
+    return sum(align(layout, layout, variance, pairs).chi2 <= HIDDEN_CHI2 for pairs in pairings)
 
 
 def asymmetric(rng: np.random.Generator, left_out: list[int]) -> Floats:
