@@ -17,7 +17,7 @@ PLANE_STEP = 6  # planes of which a slice has a multiple
 # Distances from a slice's middle, in slices, between which the logarithm of its sensitivity is linear.
 SENSITIVITY_AT = np.arange(PLANE_STEP) / PLANE_STEP
 # Angle between views along the needle, and how much it grows with the angle to the needle, rad.
-VIEW_STEP = 0.018  # rad; it grows by ten times that per rad
+VIEW_STEP = 0.013  # rad; it grows by ten times that per rad
 WATER_PER_MM = 0.02  # attenuation of water, 1/mm
 
 
