@@ -89,12 +89,14 @@ NESTED_RANGES = (0.25, 1 / 3, 0.5, 2 / 3, 0.75)
 LIMIT_PART = 1e-3  #: a choice this near to the end of its range, as a part of it, is at its limit
 CERTAIN_RISK = 0.99  #: from this risk on a choice counts as one that misses the target in all draws
 
-DIFFERENCE_STEPS = np.array([0.05, 0.05, 0.05, 1e-3, 0.5])
-"""Of the differences: entry, depth and base (mm), slope of the base, roll (degrees)."""
+ENTRY, DEPTH, BASE_Y, BASE_SLOPE, ROLL = range(5)
+"""Places in the inputs of a choice: entry, depth, base (mm), slope of the base; in space roll (degrees)."""
+MOVED = [ENTRY, BASE_Y, BASE_SLOPE]  #: what `PlanLimits` limits
+DIFFERENCE_STEPS = np.array([0.05, 0.05, 0.05, 1e-3, 0.5])  #: of inputs, in their order
 
 MAX_ROLL_DEG = 360.0  #: a roll is sought up to so far from that toward y: it may go once around
 
-LIMITED = ("entry", "base", "base angle")  #: what `PlanLimits` limits, as `SteeringPlan.at_limit` names it
+LIMITED = ("entry", "base", "base angle")  #: names of `MOVED`, as `SteeringPlan.at_limit` has them
 
 
 @dataclass(frozen=True)
@@ -286,20 +288,20 @@ def plan_to_target(
 
 @dataclass(frozen=True)
 class _Choice:
-    """A side of the bevel, depths at which it turns over, and `at`: entry, depth, base y and base slope.
+    """A side of the bevel, depths at which it turns over (mm), and inputs (4,), in space (5,).
 
-    In space `at` ends with the roll of the bevel, degrees, in place of its side.
+    In space the roll of the bevel, the last input, stands in place of its side.
     """
 
     side: int
     turns: tuple[float, ...]
-    at: Floats
+    inputs: Floats
 
     def face(self, bevel: Bevel, turned: int) -> Bevel:
         """Return a bevel as it faces after so many turns."""
-        if len(self.at) == 4:
+        if len(self.inputs) == ROLL:
             return replace(bevel, side=self.side * (-1) ** turned)
-        roll_deg = math.remainder(float(self.at[4]) + 180.0 * turned, 360.0)
+        roll_deg = math.remainder(float(self.inputs[ROLL]) + 180.0 * turned, 360.0)
         return Bevel.turn(roll_deg, bevel.offset, bevel.cut_angle)
 
 
@@ -349,7 +351,7 @@ class _Search:
     def way(self, choice: _Choice) -> tuple[Step, ...]:
         """Return the steps of a choice; the base goes in equal steps to its end, none before contact."""
         now = self.insertion.now
-        _, depth, base_y, base_slope, *_ = choice.at.tolist()
+        _, depth, base_y, base_slope, *_ = choice.inputs.tolist()
         turned, steps = 0, list[Step]()
         controls = now.controls
         for end in (*sorted({*self.base_stations, *choice.turns}), depth):
@@ -372,7 +374,7 @@ class _Search:
         """Return the needles (B, K, D) of all draws under each choice, NaN where none is within validity."""
 
         def place(number: int, shapes: NeedleShapes, rows: slice) -> tuple[Floats]:
-            entry, depth, *_ = choices[number].at
+            entry, depth, *_ = choices[number].inputs
             drawn = draws.only(np.arange(len(draws))[rows])
             points = drawn.find_points(shapes, np.linspace(0.0, depth, PATH_POINTS), batches[number].steps)
             points = np.where(shapes.valid[:, None, None], points + np.array([0.0, entry, 0.0]), np.nan)
@@ -392,7 +394,7 @@ class _Search:
     def effort(self, choice: _Choice) -> Floats:
         """Return how far a choice moves entry, base and its slope, as parts of their ranges."""
         low, high = self.bounds
-        return ((choice.at - self.still) / (high - low))[[0, 2, 3]]
+        return ((choice.inputs - self.still) / (high - low))[MOVED]
 
     def residuals(self, choices: Sequence[_Choice]) -> list[Floats]:
         """Return the misses of each choice over the draws of the search, and how far it moves the base."""
@@ -422,7 +424,7 @@ class _Search:
         now, bevel = self.insertion.now, self.insertion.now.bevel
         begin = self.still.copy()
         if now.depth <= SAME_DEPTH_MM and self.limits.entry_mm:
-            begin[0] = np.clip(self.goal.target[1], self.bounds[0][0], self.bounds[1][0])
+            begin[ENTRY] = np.clip(self.goal.target[1], self.bounds[0][ENTRY], self.bounds[1][ENTRY])
         bends = self.insertion.rules.bevel_strength(bevel)[0] != 0 or self.insertion.draws is not None
         places = {count: self.rules.density * tried for count, tried in TURN_PLACES.items()}
         turns = [
@@ -433,8 +435,9 @@ class _Search:
         sides = (bevel.side, -bevel.side) if bends else (bevel.side,)
         if self.goal.directions > 1:  # toward the target, or away from it
             y, z = self.goal.target[1], self.goal.target[-1]
-            begin[4] = math.degrees(math.atan2(z, y - begin[0])) if bends else begin[4]
-            away = begin + np.array([0.0, 0.0, 0.0, 0.0, -math.copysign(180.0, begin[4])])
+            begin[ROLL] = math.degrees(math.atan2(z, y - begin[ENTRY])) if bends else begin[ROLL]
+            away = begin.copy()
+            away[ROLL] -= math.copysign(180.0, begin[ROLL])
             starts = (begin, away) if bends else (begin,)
             return [_Choice(1, turned, start) for turned, start in product(turns, starts)]
         return [_Choice(side, turned, begin) for turned, side in product(turns, sides)]
@@ -478,12 +481,14 @@ class _Search:
         turns = (now.depth,) * (way[0].bevel != now.bevel) + chosen.turns
         least, most = self.bounds
         near = LIMIT_PART * (most - least)
-        at_end = (np.abs(chosen.at - self.still) > near) & (
-            (chosen.at <= least + near) | (chosen.at >= most - near)
+        is_at_end = (np.abs(chosen.inputs - self.still) > near) & (
+            (chosen.inputs <= least + near) | (chosen.inputs >= most - near)
         )
-        at_limit = tuple(name for name, met in zip(LIMITED, at_end[[0, 2, 3]], strict=True) if met)
-        outcome = (needles, nominal[0], hits, low, high, touched, at_limit)
-        return SteeringPlan(float(chosen.at[0]), way, turns, goal, *outcome)
+        at_limit = tuple(name for name, met in zip(LIMITED, is_at_end[MOVED], strict=True) if met)
+        entry = float(chosen.inputs[ENTRY])
+        return SteeringPlan(
+            entry, way, turns, goal, needles, nominal[0], hits, low, high, touched, at_limit=at_limit
+        )
 
     def _find(self) -> _Choice:
         """Return the best choice of this range alone."""
@@ -510,10 +515,10 @@ class _Search:
 
     def _minimize(self, choice: _Choice) -> _Choice:
         """Return the choice of the least expected squared miss nearby."""
-        (low, high), steps = self.bounds, DIFFERENCE_STEPS[: len(choice.at)]
+        (low, high), steps = self.bounds, DIFFERENCE_STEPS[: len(choice.inputs)]
 
         def residuals(inputs: Floats, *moved: Floats) -> Floats:
-            return np.squeeze(self.residuals([replace(choice, at=place) for place in (inputs, *moved)]))
+            return np.squeeze(self.residuals([replace(choice, inputs=place) for place in (inputs, *moved)]))
 
         def slopes(inputs: Floats) -> Floats:
             moves = np.diag(np.where(inputs + steps > high, -steps, steps))
@@ -524,14 +529,14 @@ class _Search:
 
         solution = least_squares(
             residuals,
-            np.clip(choice.at, low + 1e-6, high - 1e-6),
+            np.clip(choice.inputs, low + 1e-6, high - 1e-6),
             slopes,
             bounds=(low, high),
             xtol=SEARCH_TOLERANCE,
             ftol=SEARCH_TOLERANCE,
             max_nfev=MAX_EVALUATIONS,
         )
-        return replace(choice, at=solution.x)
+        return replace(choice, inputs=solution.x)
 
     def _rank(self, choices: Sequence[_Choice]) -> list[_Choice]:
         """Return choices, that of least risk first."""
@@ -557,7 +562,7 @@ class _Search:
         weights = high - low  # of equal size within the bounds
         free = np.flatnonzero(weights > 1e-3)  # what is fixed has a margin
         moves, differed = np.diag(DIFFERENCE_STEPS[: len(weights)])[free], choices[:1] if alike else choices
-        shifted = [replace(choice, at=choice.at + move) for choice in differed for move in moves]
+        shifted = [replace(choice, inputs=choice.inputs + move) for choice in differed for move in moves]
         values, stepped = self.residuals([*choices, *shifted]), []
         for n, (choice, here) in enumerate(zip(choices, values[: len(choices)], strict=True)):
             if n < len(differed):
@@ -565,7 +570,7 @@ class _Search:
                 slopes = (np.array(moved) - here).T / DIFFERENCE_STEPS[free]
             step = np.zeros(len(weights))
             step[free] = np.linalg.lstsq(slopes * weights[free], -here, rcond=1e-6)[0] * weights[free]
-            stepped.append(replace(choice, at=np.clip(choice.at + step, low, high)))
+            stepped.append(replace(choice, inputs=np.clip(choice.inputs + step, low, high)))
         return stepped
 
     def _lower_risk(self, choice: _Choice) -> _Choice:
@@ -579,19 +584,20 @@ class _Search:
         size = 0.05 * (high - low)
 
         def risk(inputs: Floats) -> float:
-            return self.risks([replace(choice, at=np.clip(inputs, low, high))])[0]
+            return self.risks([replace(choice, inputs=np.clip(inputs, low, high))])[0]
 
-        simplex = np.vstack([choice.at, choice.at + np.diag(np.where(choice.at + size > high, -size, size))])
+        start = choice.inputs
+        simplex = np.vstack([start, start + np.diag(np.where(start + size > high, -size, size))])
         from scipy.optimize import minimize  # late: it takes 0.3 s to load
 
         solution = minimize(
             risk,
-            choice.at,
+            start,
             method="Nelder-Mead",
             options={"maxfev": self.rules.evaluations, "initial_simplex": simplex},
         )
         inputs = np.clip(solution.x, low, high)
-        return replace(choice, at=inputs) if solution.fun < risk(choice.at) - 1e-3 else choice
+        return replace(choice, inputs=inputs) if solution.fun < risk(start) - 1e-3 else choice
 
 
 def _spread(stations: Sequence[float], count: int) -> tuple[float, ...]:
