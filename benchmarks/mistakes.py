@@ -342,8 +342,8 @@ KINDS = {
     "the points of two needles exchanged": Mistake("table", partial(swap, "points")),
     "a needle and its depth without the last 10 mm": Mistake("table", cut_short),
     "a needle exported twice": Mistake("table", copy_needle),
-    "a needle segmented twice": Mistake("table", segment_again),
-    "y of another needle pasted": Mistake("table", paste_y),
+    "a needle segmented twice": Mistake("table", segment_again, causes=("of",)),
+    "y of another needle pasted": Mistake("table", paste_y, causes=("of",)),
     "a medium in two spellings": Mistake("table", partial(rewrite, "medium", lambda _: "gle"), "gle"),
     "a specimen in two spellings": Mistake(
         "table", partial(rewrite, "block", lambda _: "blokc n1"), "blokc", design=Design(is_one_block=True)),

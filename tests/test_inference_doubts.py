@@ -82,6 +82,13 @@ def test_a_step_is_named_with_the_point_where_it_is_and_its_size():
     assert one.size == pytest.approx(2.0, rel=0.1)
 
 
+def test_needles_whose_points_were_exchanged_are_named_with_each_other():
+    made = [*measure_needles(4), *(replace(one, id=f"m{one.id}") for one in measure_needles(5))]
+    made[2], made[5] = made[2].with_points(made[5].points), made[5].with_points(made[2].points)
+    found = {(one.insertion, one.cause, one.where) for one in doubt(made)}
+    assert found == {("n2", "of_another", "n5"), ("n5", "of_another", "n2")}
+
+
 @pytest.mark.parametrize(
     ("peak", "gain", "is_clear"), [(1.0, 9.5, False), (1.0, 10.0, True), (3.0, 100.0, False)]
 )

@@ -111,7 +111,7 @@ def _describe(
 
     def measure(change: Change, sizes: Sequence[float]) -> list[Deviation]:
         changed = [change.apply(left_out, size) for size in sizes]
-        blocks = linearize_needles(problem, changed, theta)
+        blocks = linearize_needles(problem, changed, theta, reaches_tip=change.row.reaches_tip)
         count = blocks.residual_counts[0] / problem.dataset.directions
         return [
             left._replace(log_density=left.log_density + change.row.log_volume(size, count))

@@ -1,7 +1,7 @@
 """What may have happened to a needle, or to all alike: a table of hypotheses, of which the best is found.
 
 Each says how an insertion may have been, by a small change with at most two numbers: a size that is fitted,
-and a choice, such as a point; and along which axis. A further hypothesis is one row.
+and a choice, such as another needle; and along which axis. A further hypothesis is one row.
 """
 
 import math
@@ -14,6 +14,7 @@ import numpy as np
 
 from needlefit.datasets.compared import MIN_LOG_ODDS
 from needlefit.datasets.insertion import Insertion
+from needlefit.datasets.layers import find_length_tolerance
 from needlefit.inference.likelihood.nodes import enforce_order
 
 #: log odds from which on something happened to a needle: 150 are very strong evidence (Kass and Raftery). Of
@@ -47,6 +48,7 @@ class Hypothesis(NamedTuple):
     list_choices: Callable[[Insertion, Sequence[Insertion], int], Mapping[str, Any]] = lambda *_: {"": None}
     #: by which the volume of what was measured grows, by the size and the number of residuals
     log_volume: Callable[[float, float], float] = lambda size, count: 0.0
+    reaches_tip: bool = True  #: whether the points do
     changes_model: bool = False  #: whether another needle is simulated
     report: Callable[[float], float] = float  #: the size -> the number that is reported
     #: up to which all needles alike may be changed so, in the world's frame, mm or degrees
@@ -58,7 +60,7 @@ class Change(NamedTuple):
 
     cause: str  #: a key of `HYPOTHESES`
     axis: int = IN_PLANE
-    where: str = ""  #: what was chosen: the number of a point or boundary
+    where: str = ""  #: what was chosen: the number of a point or boundary, or another needle
     choice: Any = None
     starts: Collection[float] = (0.0,)  #: sizes from which the search begins
     units: Collection[float] = ()  #: sizes that cost the choice among them alone
@@ -129,6 +131,18 @@ def _move_boundary(insertion: Insertion, size: float, _: int, choice: tuple[int,
     return replace(insertion, boundaries=moved, sequence=sequence)
 
 
+def _list_deeper(insertion: Insertion, others: Sequence[Insertion], _: int) -> dict[str, Insertion]:
+    """Return the needles that are as deep as the points of one are long, or deeper."""
+    length = insertion.measure_arc("plane")[-1]
+    return {other.id: other for other in others if other.depth + find_length_tolerance(other.depth) >= length}
+
+
+def _take_points(insertion: Insertion, _: float, __: int, other: Insertion) -> Insertion:
+    """Return another insertion with the points of one."""
+    pasted = replace(other, sd=insertion.sd).with_points(insertion.points)
+    return replace(pasted, sections=insertion.sections)
+
+
 #: by cause
 HYPOTHESES: Mapping[str, Hypothesis] = {
     "mirrored": Hypothesis(lambda insertion, *_: insertion.map_points(lambda points: points * [1, -1, 1])),
@@ -145,19 +159,20 @@ HYPOTHESES: Mapping[str, Hypothesis] = {
     "shifted": Hypothesis(_shift, (-20.0, 20.0), (IN_PLANE, ASIDE), common_size=5.0),
     "stepped": Hypothesis(_shift, (-20.0, 20.0), (IN_PLANE, ASIDE), _find_step),
     "boundary": Hypothesis(_move_boundary, (-30.0, 30.0), list_choices=list_boundaries, changes_model=True),
+    "of_another": Hypothesis(_take_points, list_choices=_list_deeper, reaches_tip=False, changes_model=True),
 }
 
 
 def list_changes(insertion: Insertion, others: Sequence[Insertion], directions: int) -> Iterator[Change]:
     """Yield what may have happened to a needle alone."""
     for cause, row in HYPOTHESES.items():
-        starts, cost = (0.0,), 0.0
-        if row.sizes is not None:
-            starts, cost = tuple(np.linspace(*row.sizes, START_SIZES).tolist()), LOG_FITTED
+        starts = (0.0,) if row.sizes is None else tuple(np.linspace(*row.sizes, START_SIZES).tolist())
         for axis in (axis for axis in row.axes if axis <= directions):
             choices = row.list_choices(insertion, others, axis)
             for where, choice in choices.items():
-                yield Change(cause, axis, where, choice, starts, (), cost + math.log(len(choices)))
+                is_fitted = row.sizes is not None or where != ""
+                cost = LOG_FITTED + math.log(len(choices)) if is_fitted else 0.0
+                yield Change(cause, axis, where, choice, starts, (), cost)
 
 
 def explain(

@@ -98,14 +98,24 @@ def refit(problem: Problem, some: Sequence[Insertion], theta: Floats) -> Floats:
     return theta if recorder.theta is None else recorder.theta
 
 
-def linearize_needles(problem: Problem, insertions: Sequence[Insertion], theta: Floats) -> Blocks:
+def linearize_needles(
+    problem: Problem, insertions: Sequence[Insertion], theta: Floats, *, reaches_tip: bool = True
+) -> Blocks:
     """Return the residuals of needles, each by itself, about `theta` (P,), without the prior's.
 
-    They share neither layers nor bevels.
+    They share neither layers nor bevels. Points that do not reach the tip lie at their own distances from
+    the entry.
     """
     apart = tuple(replace(insertion, specimen=str(n)) for n, insertion in enumerate(insertions))
     likelihood = problem.likelihood.model_copy(update={"bevel_spread": 0.0})
     density = replace(problem, insertions=apart, likelihood=likelihood).density
+    if not reaches_tip:
+        cut = []
+        for insertion, observation in zip(insertions, density.observations, strict=True):
+            part = min(1.0, insertion.measure_arc(problem.dataset.compared)[-1] / insertion.depth)
+            nodes = replace(observation.nodes, s=part * observation.nodes.s)
+            cut.append(replace(observation, nodes=nodes))
+        density = replace(density, observations=tuple(cut))
     ((residuals, slopes),) = density.jacobians([problem.values(theta)])
     ends = np.cumsum(density.residual_counts)
     pairs = zip(np.split(residuals, ends)[:-1], np.split(slopes, ends)[:-1], strict=True)

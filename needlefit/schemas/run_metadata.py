@@ -143,7 +143,7 @@ class NeedleDoubtMetadata(_Metadata):
     cause: str  #: a key of `HYPOTHESES` in `inference/hypotheses.py`; empty where none explains it
     aside: bool = False  #: whether out of the plane of its bevel
     size: float | None = None  #: the number that was fitted: a factor, mm or degrees
-    where: str = ""  #: the number of the point or boundary, by this cause
+    where: str = ""  #: the number of the point or boundary, or the other needle, by this cause
     #: along the entry, and deflections toward the bevel as measured and as the others predict them, mm
     points: list[tuple[float, float, float]] = []
 
