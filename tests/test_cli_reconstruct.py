@@ -90,7 +90,7 @@ def test_a_scan_alone_gives_its_tip_and_a_scene(tmp_path, monkeypatch, capsys):
     printed = capsys.readouterr().out
     row = pd.read_csv("sample-dataset/reconstruction.csv").iloc[0]
     (insertion,) = read_dataset(Path("sample-dataset")).insertions
-    tip = row[["tip_x_mm", "tip_y_mm", "tip_z_mm"]].to_numpy(dtype=float)
+    tip = row[["tip_l_mm", "tip_p_mm", "tip_s_mm"]].to_numpy(dtype=float)
     assert insertion.centerline[-1] == pytest.approx(tip, abs=1e-3)  # without markers the world is the scan
     assert all(f"{abs(one):.2f}" in printed for one in (*tip, row["depth_mm"], 1.27))
     assert np.isnan(row["markers_paired"])

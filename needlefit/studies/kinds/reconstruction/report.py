@@ -42,7 +42,7 @@ from needlefit.studies.run import Run
 from needlefit.studies.store import store_sources
 
 SCANS_FILE = "scans.csv"
-TIP_COLUMNS = ("tip_x_mm", "tip_y_mm", "tip_z_mm", "tip_along_sd_mm", "tip_across_sd_mm")
+TIP_COLUMNS = ("tip_l_mm", "tip_p_mm", "tip_s_mm", "tip_along_sd_mm", "tip_across_sd_mm")
 POOR_DEPTH_SD_MM = 0.5  # deviation of the inserted length, mm, that the first line names
 MAX_NAMED_SCANS = 5
 _COLUMNS = (
