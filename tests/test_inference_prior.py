@@ -32,6 +32,16 @@ def test_a_priors_density_is_gaussian_in_ln_mu_and_alpha():
     assert joint.sd("alpha1") == approx(0.5) and joint.sd("bevel_mm") == math.inf
 
 
+@pytest.mark.parametrize("count", [1, 2, 4, 7])
+def test_the_residuals_of_a_set_do_not_depend_on_those_beside_it(count):
+    """To the bit: searches that run side by side ask for as many at once as happen to wait."""
+    prior = Parameters.from_record(medium(1, **BOUNDED)).prior
+    rng = np.random.default_rng(3)
+    sets = [{"mu1_pa": 1e5 * math.exp(x), "alpha1": 3.0 + y} for x, y in rng.normal(size=(28, 2))]
+    parts = [prior.residuals(sets[n : n + count]) for n in range(0, len(sets), count)]
+    assert np.array_equal(np.concatenate(parts), prior.residuals(sets))
+
+
 @pytest.mark.parametrize(
     ("stated", "distribution"),
     [

@@ -96,7 +96,9 @@ class Prior:
         """Return the residuals (B, R + 2 G) of sets of values (Pa, mm)."""
         table = {name: np.array([values[name] for values in sets]) for name in self.stated_names}
         coordinates = [np.log(table[name]) if is_logarithmic(name) else table[name] for name in self.names]
-        linear = np.reshape(coordinates, (-1, len(sets))).T @ self._weights.T - np.array(self.centre)
+        # a product for each set: one of all rounds a set by how many stand beside it
+        products = [self._weights @ place for place in np.reshape(coordinates, (-1, len(sets))).T]
+        linear = np.reshape(products, (len(sets), len(self.whitening))) - np.array(self.centre)
         return np.vstack([linear.T, *(row.residuals(table[row.name]) for row in self.gamma)]).T
 
     def log_density(self, sets: Sequence[Mapping[str, float]]) -> Floats:
