@@ -20,7 +20,7 @@ from needlefit.geometry.surfaces import Surface
 from needlefit.mechanics.needle import Needle
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.schemas.compared import DIRECTIONS, Compared
-from needlefit.schemas.dataset import MeasurementRecord
+from needlefit.schemas.dataset import SESSION_SLOPE_SD_DEG, MeasurementRecord
 from needlefit.schemas.origin import Origin
 
 if TYPE_CHECKING:
@@ -49,7 +49,12 @@ class Noise:
     # every run has its own; and of the slope of a session, which its runs share
     heading_sd: float = 0.0
     slope_sd: float = 0.0
-    session_slope_sd: float = math.radians(11.459)
+    session_slope_sd: float = math.radians(SESSION_SLOPE_SD_DEG)
+
+    @property
+    def whole_slope_sd(self) -> float:
+        """Standard deviation of a run's slope in the tracker's frame, with that of its session, rad."""
+        return math.hypot(self.slope_sd, self.session_slope_sd)
 
     def correlate(self, s: Floats) -> Floats:
         """Return the correlation (K, K) of the correlated part at arc lengths `s` (K,), mm."""

@@ -29,6 +29,9 @@ class FrameRecord(Record):
     rows of four."""
 
 
+SESSION_SLOPE_SD_DEG = (
+    11.459  #: usual SD of the slope of a tracker's frame, 0.2 rad: registrations err by less
+)
 MIN_SD_MM = 1e-6  #: of a noise that is stated: covariances of less cannot be inverted
 
 
@@ -47,7 +50,7 @@ class NoiseRecord(Record):
     """Tip tracks: standard deviation of a heading; 0: headings are not used."""
     slope_sd_deg: float = Field(default=0.0, ge=0, le=45)
     """Tip tracks: spread of the slope of the tracker's frame between runs into one specimen, above 0."""
-    session_slope_sd_deg: float = Field(default=11.459, gt=0, le=45)
+    session_slope_sd_deg: float = Field(default=SESSION_SLOPE_SD_DEG, gt=0, le=45)
     """Tip tracks: standard deviation of the slope that all runs into one specimen share, less where the
     direction of insertion is known in the tracker's frame."""
     note: str = ""

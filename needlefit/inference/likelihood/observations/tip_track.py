@@ -160,8 +160,8 @@ class _TipTrack(ObservationType):
                 cov = np.diag(np.diag(cov))
             run_axes = list_session_axes(insertion.specimen, noise, frame.shape[1] - 1, number)
             free = frame[:, : frame.shape[1] - len(run_axes)]
-            slope_sd = math.hypot(noise.slope_sd, noise.session_slope_sd)
-            session = frame[:, free.shape[1] :] * [slope_sd, HEADING_OFFSET_SD_RAD][: len(run_axes)]
+            sds = [noise.whole_slope_sd, HEADING_OFFSET_SD_RAD]
+            session = frame[:, free.shape[1] :] * sds[: len(run_axes)]
             if run_axes and further.slope_sd_deg:
                 run_axes = (*run_axes, make_group_slope(insertion, number))
                 session = np.column_stack([session, math.radians(further.slope_sd_deg) * frame[:, 1]])
@@ -241,8 +241,7 @@ def list_session_axes(specimen: str, noise: Noise, parts: int, direction: int = 
     """
     if not noise.slope_sd:
         return ()
-    whole = math.hypot(noise.slope_sd, noise.session_slope_sd)
-    own, shared = noise.slope_sd / whole, noise.session_slope_sd / whole
+    own, shared = np.divide([noise.slope_sd, noise.session_slope_sd], noise.whole_slope_sd).tolist()
     slope = ErrorAxis(own, shared, (specimen, FRAME, 2 * direction))
     return (slope, ErrorAxis(0.0, 1.0, (specimen, FRAME, 2 * direction + 1)))[:parts]
 
