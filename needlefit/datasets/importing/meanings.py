@@ -71,8 +71,8 @@ VECTORS = ("entry_point", "pose")  #: columns x, y, z that state something of ea
 
 FILE = Path(__file__).with_name("synonyms.csv")
 
-OF_LAYERS = ("boundaries", "thickness")  # meanings whose columns may be named by their layers
-NUMBERED = (*OF_LAYERS, "deflection")  # meanings whose columns may be numbered
+NAMED_BY_LAYER = ("boundaries", "thickness")  # meanings whose columns may be named by their layers
+NUMBERED = (*NAMED_BY_LAYER, "deflection")  # meanings whose columns may be numbered
 # What a word beside an axis may mean without being the name of a needle: `needle x`, `depth x`.
 _POINT_WORDS = ("needle", "tip", "depth", "deflection")
 _TRACKER_AXES = {"tx": "x", "ty": "y", "tz": "z"}  # as logs of trackers call them
@@ -152,7 +152,7 @@ def _look_up_part(words: Sequence[str]) -> tuple[str, str]:
     if len(words) - len(unnumbered) == 1 and (part := _look_up("column", unnumbered))[0] in NUMBERED:
         return part
     part = _look_up("column", words[-1:])
-    return part if part[0] in OF_LAYERS else ("", "")
+    return part if part[0] in NAMED_BY_LAYER else ("", "")
 
 
 def find_meaning(kind: str, text: str) -> str:

@@ -236,7 +236,8 @@ def settle_depth_zero(asked: CurveAnswers) -> None:
     DataError if depths that count from there, as stated, begin before it.
     """
     curves = [curve for curve in asked.curves if len(curve.depths)]
-    if not any(curve.depths[0] for curve in curves) and not asked.is_stated("depth_zero"):
+    is_open = any(curve.depths[0] for curve in curves) or asked.is_stated("depth_zero")
+    if not (curves and is_open):
         return
     first = min(curves, key=lambda curve: curve.depths[0])
     other = next((curve for curve in curves if read_header(curve.depth_column).meaning != "depth"), None)
