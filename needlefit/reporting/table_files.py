@@ -69,7 +69,7 @@ _QUANTITIES = "tip|tip_z|shape|points|end|track|needle|needle_z|band|band_z|meas
 _PREDICTED = "measured_mm|median_mm|predicted_mm|crps_mm|interval_score_mm|pit|error_mm"
 
 _PATTERNS = {
-    rf"(?P<quantity>{_QUANTITIES})_(?P<level>50|95)_(?P<name>low_mm|high_mm)": "{name}",
+    rf"(?P<quantity>{_QUANTITIES})_(?P<level>50|95)_(?P<name>(low|high)(_error)?_mm)": "{name}",
     rf"(?P<quantity>{_QUANTITIES})_(?P<name>width)_(?P<level>50|95)_mm": "width_mm",
     rf"(?P<quantity>{_QUANTITIES})_in_(?P<level>50|95)": "covered",
     rf"(?P<quantity>{_QUANTITIES})_(?P<name>{_PREDICTED})": "{name}",

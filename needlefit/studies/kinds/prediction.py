@@ -233,14 +233,16 @@ def tabulate_forecast(forecast: Forecast) -> pd.DataFrame:
     bands = find_bands(forecast.across.transpose(0, 2, 1).reshape(count, -1))  # over y and z together
     for n, axis in enumerate(AXES[:directions]):
         columns[f"needle_{axis}predicted_mm"] = forecast.needle[:, 1 + n]
-        errors = estimate_end_errors(forecast.across[..., n], 0.95)
-        named = (f"needle_{axis}95_{end}_error_mm" for end in ("low", "high"))
-        columns |= dict(zip(named, errors, strict=True))
         for level in INTERVAL_PROBABILITIES:
             pointwise = np.quantile(forecast.across[..., n], [(1 - level) / 2, (1 + level) / 2], axis=0)
             whole = (end.reshape(directions, points)[n] for end in bands.ends(level))
-            for part, ends in (("needle", pointwise), ("band", whole)):
-                named = (f"{part}_{axis}{100 * level:.0f}_{end}_mm" for end in ("low", "high"))
+            errors = estimate_end_errors(forecast.across[..., n], level)
+            for part, unit, ends in (
+                ("needle", "mm", pointwise),
+                ("needle", "error_mm", errors),
+                ("band", "mm", whole),
+            ):
+                named = (f"{part}_{axis}{100 * level:.0f}_{end}_{unit}" for end in ("low", "high"))
                 columns |= dict(zip(named, ends, strict=True))
     return pd.DataFrame(columns)
 
@@ -585,17 +587,13 @@ def tabulate_prediction(run: Run) -> list[Table]:
 
 
 def _round_ends(row: Row) -> Row:
-    """Return a row whose ends of intervals are texts, rounded by their Monte Carlo errors.
-
-    Ends of 50 % intervals err less than those of 95 %, and are rounded alike.
-    """
-    ends = {
-        name: row[error]
-        for axis, level, end in itertools.product(AXES, ("50", "95"), ("low", "high"))
-        if (error := f"needle_{axis}95_{end}_error_mm") in row
-        and is_known(row[name := f"needle_{axis}{level}_{end}_mm"])
+    """Return a row whose ends of intervals are texts, rounded by their Monte Carlo errors."""
+    errors = {
+        name.removesuffix("_error_mm") + "_mm": error
+        for name, error in row.items()
+        if name.endswith("_error_mm") and is_known(error)
     }
-    return row | {name: format_to_error(row[name], error) for name, error in ends.items()}
+    return row | {name: format_to_error(row[name], error) for name, error in errors.items()}
 
 
 def draw_prediction(run: Run) -> dict[str, Drawing]:
