@@ -16,7 +16,7 @@ from needlefit.errors import ConfigError
 from needlefit.inference import held_parameters, optimize
 from needlefit.project.locate import find_file, shipped_folder
 from needlefit.studies import fold_draws
-from needlefit.studies.kinds import prediction
+from needlefit.studies.kinds.prediction import run as prediction
 
 TUNE = {"insertions": ["chicken-04"]}
 RECIPE = {"starts": 1, "metric": False, "likelihood": {"depths": "fixed"}}

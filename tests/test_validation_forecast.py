@@ -26,15 +26,11 @@ from needlefit.studies.fold_draws import Specimens, choose_specimen
 from needlefit.studies.identity import describe_configuration
 from needlefit.studies.job import Inputs, Settings
 from needlefit.studies.kind import find_kind
-from needlefit.studies.kinds import prediction
-from needlefit.studies.kinds.prediction import (
-    REPORT,
-    find_tip,
-    forecast,
-    make_scene,
-    require_fitted_kind,
-    tabulate_forecast,
-)
+from needlefit.studies.kinds.prediction import run as prediction
+from needlefit.studies.kinds.prediction.forecast import forecast, tabulate_forecast
+from needlefit.studies.kinds.prediction.report import REPORT, find_tip
+from needlefit.studies.kinds.prediction.run import draw_parameters, list_parameters
+from needlefit.studies.kinds.prediction.scene import make_scene, require_fitted_kind
 from needlefit.studies.load import load_study
 
 SCENE = needlefit.open_scene("study2")
@@ -256,7 +252,7 @@ def test_the_mode_of_a_sampled_posterior_is_the_minimum_near_its_best_draw(job):
     heights = np.array([[problem.log_posterior(theta(job, bevel_mm=b)) for b in (0.07, 0.08, 0.09)]])
     ones = np.ones(len(names) + 1)
     sampled = Posterior(names, draws, heights, ones[:1], ones, ones, wanted=1, burn_in=0, failures=0)
-    found = prediction.draw_parameters(job, None, Settings(inputs=Inputs(posterior=sampled)))
+    found = draw_parameters(job, None, Settings(inputs=Inputs(posterior=sampled)))
     assert sampled.best == approx(draws[0, heights[0].argmax()])
     slopes = [problem.log_posterior(found.mode + step * np.eye(len(names))[0]) for step in (-1e-2, 0.0, 1e-2)]
     assert max(slopes) == slopes[1] > heights.max()
@@ -264,7 +260,7 @@ def test_the_mode_of_a_sampled_posterior_is_the_minimum_near_its_best_draw(job):
 
 def test_the_intervals_of_a_prediction_allow_for_an_error_of_the_model_as_those_of_a_fit(job):
     thetas = theta(job) + 0.05 * default_rng(5).standard_normal((400, len(job.parameters.free)))
-    rows = prediction.list_parameters(job, about(thetas), job.parameters.values(theta(job)), None)
+    rows = list_parameters(job, about(thetas), job.parameters.values(theta(job)), None)
     problem = job.problem(job.folds[0]).searched
     added = find_model_error(problem, problem.parameters.theta(job.parameters.values(theta(job))))
     for name in ("mu1_pa", "bevel_mm"):

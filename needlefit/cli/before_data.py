@@ -34,7 +34,7 @@ def predict_before_data(
     from needlefit.project.locate import is_path, list_names, unknown_name_error
     from needlefit.project.toml import find_named, load
     from needlefit.schemas.medium import MediumRecord
-    from needlefit.studies.kinds.prediction import make_scene
+    from needlefit.studies.kinds.prediction.scene import make_scene
 
     name, planned = scene
     if published := list_published(medium):

@@ -200,7 +200,8 @@ def predict(
         from needlefit.project.locate import find_file
         from needlefit.project.toml import add_file_context
         from needlefit.schemas.names import require_file_name
-        from needlefit.studies.kinds.prediction import POSTERIOR_FILE, describe_like_deepest, make_scene
+        from needlefit.studies.kinds.prediction.run import POSTERIOR_FILE
+        from needlefit.studies.kinds.prediction.scene import describe_like_deepest, make_scene
         from needlefit.studies.store import RESULTS_FILE, name_source, restore_run
         from needlefit.studies.study_files import load_target
 
