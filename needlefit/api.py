@@ -56,11 +56,11 @@ from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord, SelectionRecord
 from needlefit.studies import simulated_data
-from needlefit.studies.job import Inputs, Job, Settings
+from needlefit.studies.job import Inputs, Job, Settings, run_study
 from needlefit.studies.judge import REFERENCES as REFERENCES
 from needlefit.studies.judge import compare_with_references as compare_with_references
 from needlefit.studies.judge import judge_fits as judge_fits
-from needlefit.studies.kind import find_kind, kind_of
+from needlefit.studies.kind import find_kind
 from needlefit.studies.load import load_study
 from needlefit.studies.run import Run
 from needlefit.studies.score import make_predictors, make_scorer
@@ -1004,7 +1004,7 @@ def _run(
             inputs=study.inputs,
         )
         with nullcontext() if study.file is None else add_file_context(study.file):
-            result = kind_of(record).run(name, record, settings)
+            result = run_study(name, record, settings)
     if checkpoint is not None and not result.interrupted:
         remove_checkpoint(checkpoint, warnings.warn)
     has_fit = result.kind == "fit" and "fitted" in set(result.frames["errors"]["method"])

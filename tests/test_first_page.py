@@ -24,9 +24,14 @@ from needlefit.schemas.study import StudyRecord
 from needlefit.studies.answer import Check, FaultKind, RunFault
 from needlefit.studies.combined_report import compose_overview
 from needlefit.studies.fit_tables import lay_out_matrix
-from needlefit.studies.kind import find_kind
 from needlefit.studies.kinds.cross_validation.frames import FRAMES
-from needlefit.studies.report import compose_first_page, compose_run_report, run_to_json, write_report
+from needlefit.studies.report import (
+    compose_first_page,
+    compose_run_report,
+    find_report,
+    run_to_json,
+    write_report,
+)
 from needlefit.studies.run import Run
 
 PROJECT = Path(__file__).parents[1]
@@ -126,7 +131,7 @@ def test_title_table_checks_and_advice_of_shipped_studies_agree(number):
 
 def test_a_second_figure_stands_on_the_first_page_too(world, tmp_path):
     results = world.restore("cross_validation")
-    drawn = find_kind(results.kind).report.draw(results, tmp_path)
+    drawn = find_report(results).draw(results, tmp_path)
     names = list(drawn)[:2]
     vars(results)["first_page"] = replace(results.first_page, figures=names)
     report = compose_run_report(results, drawn)
@@ -171,7 +176,7 @@ def test_every_artist_lies_inside_its_figure(kind, world, tmp_path, monkeypatch)
     """To 0.02 in: a letter may lean over its box."""
     results, figures, save = world.restore(kind), [], style.save_figure
     monkeypatch.setattr(style, "save_figure", lambda *one: (figures.append(one[0]), save(*one))[1])
-    drawn = find_kind(results.kind).report.draw(results, tmp_path)
+    drawn = find_report(results).draw(results, tmp_path)
     assert len(figures) == len(drawn)
     for name, figure in zip(drawn, figures, strict=True):
         box, (width, height) = figure.get_tightbbox(), figure.get_size_inches()

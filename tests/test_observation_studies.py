@@ -25,9 +25,9 @@ from needlefit.metrics import compute_metrics
 from needlefit.project.checkpoint import open_checkpoint
 from needlefit.reporting.document import compile_html
 from needlefit.reporting.needle_page import kernel_exists
+from needlefit.schemas.study import FitRecord
 from needlefit.studies.explorer import collect_explorer
-from needlefit.studies.job import Settings
-from needlefit.studies.kind import find_kind
+from needlefit.studies.job import Settings, run_study
 from needlefit.studies.observations import draw_observations
 from needlefit.studies.report import compose_run_report
 from needlefit.viewer.opening import open_target
@@ -254,7 +254,7 @@ def test_the_error_minimising_fit_counts_the_tip_beside_a_shape(mixed):
 
 def test_a_run_that_ends_by_an_error_does_not_block_the_next_one(tmp_path):
     """Finished work is kept where a run was interrupted, not where the same run would fail again."""
-    kind, folder = find_kind("fit"), tmp_path / "a.partial"
+    folder, record = tmp_path / "a.partial", FitRecord.model_construct()
     for error, left in ((DataError("wrong"), False), (UnfinishedWorkError("a full disk"), True)):
 
         def fail(name, record, settings, error=error):
@@ -262,9 +262,9 @@ def test_a_run_that_ends_by_an_error_does_not_block_the_next_one(tmp_path):
             raise error
 
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(type(kind), "compute", lambda self, *given: fail(*given))
+            patch.setattr("needlefit.studies.kinds.cross_validation.run.run", fail)
             with pytest.raises(type(error)):
-                kind.run("a", None, Settings(checkpoint=folder))
+                run_study("a", record, Settings(checkpoint=folder))
         assert folder.exists() is left
 
 

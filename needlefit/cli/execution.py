@@ -85,8 +85,7 @@ class Execution:
 
         `sample`: whether the posterior of a fit is sampled by MCMC. Warnings name the study's `file`.
         """
-        from needlefit.studies.job import Inputs, Settings
-        from needlefit.studies.kind import kind_of
+        from needlefit.studies.job import Inputs, Settings, run_study
         from needlefit.studies.store import store_sources
 
         asked = self.invocation
@@ -104,7 +103,7 @@ class Execution:
                 file=file,
                 inputs=self.inputs or Inputs(),
             )
-            run: Run = kind_of(record).run(name, record, settings)
+            run = run_study(name, record, settings)
         sources = store_sources(self.sources.get(name, ()), self.folder(name))
         return replace(run, timing={**run.timing, **sources})
 
@@ -291,7 +290,7 @@ def show_run(invocation: Invocation, run: "Run", folder: Path, named: bool = Fal
     """
     from needlefit.reporting.table import drop_repeated
     from needlefit.studies.first_page import METHOD, lay_out_checks, summarize_checks
-    from needlefit.studies.kind import find_kind
+    from needlefit.studies.report import find_report
 
     page, head = run.first_page, f"{run.name}: " if named else ""
     opening = len(head + page.answer) - len(page.verdict.sentence) - 1 + len(page.verdict.opening)
@@ -310,7 +309,7 @@ def show_run(invocation: Invocation, run: "Run", folder: Path, named: bool = Fal
         screen.print_text(f"{METHOD} {page.method}")
     if invocation.explain:
         shown = {table.name for table in page.tables}
-        further = [table for table in find_kind(run.kind).report.lay_out(run) if table.name not in shown]
+        further = [table for table in find_report(run).lay_out(run) if table.name not in shown]
         for table in drop_repeated([lay_out_checks(page.checks), *further]):
             screen.print_line()
             screen.show_display(table)

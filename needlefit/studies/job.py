@@ -1,7 +1,12 @@
 """What a study or fit works on, and how it is executed."""
 
+import platform
+import shlex
+import sys
+import time
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -9,18 +14,25 @@ from weakref import WeakKeyDictionary
 from needlefit.datasets.folds import Fold
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.noise import NoiseFloor
+from needlefit.errors import NeedlefitError, UnfinishedWorkError
 from needlefit.inference.likelihood.observations import estimate_floor, measures_tip
 from needlefit.inference.parameter_names import HYPERPARAMETERS
 from needlefit.inference.parameters import Parameters, without_bevel_spread, without_prior
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.posterior import Posterior
+from needlefit.project.checkpoint import abandon_checkpoint, release_checkpoint
+from needlefit.project.processes import one_thread
 from needlefit.project.progress import Note, Progress, Stop, never_stop, no_note, no_progress
 from needlefit.project.random_streams import random_stream
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.project.toml import locate_key
+from needlefit.project.source_revision import find_source_revision
+from needlefit.project.toml import add_study_context, locate_key
+from needlefit.schemas.base import FileRecord
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
+from needlefit.studies.kind import kind_of
+from needlefit.studies.run import Run
 
 MAX_KEPT_PROBLEMS = 4  #: as many as the searches of a fold
 #: noise floors of insertions that are in use, by what else they depend on
@@ -38,7 +50,7 @@ class Inputs:
     medium: MediumRecord | None = None
     recipe: RecipeRecord | None = None
     posterior: Posterior | None = None  #: that was sampled of the target
-    judged: Any = None  #: the `Run` of the target whose verdict a prediction repeats
+    judged: Run | None = None  #: of the target whose verdict a prediction repeats
 
 
 @dataclass(frozen=True)
@@ -165,3 +177,42 @@ class Job:
 def metric_recipe(recipe: RecipeRecord) -> RecipeRecord:
     """Return the recipe that minimises the metric objective instead of the posterior."""
     return recipe.model_copy(update={"minimize": "metric"})
+
+
+@one_thread
+def run_study(name: str, record: FileRecord, settings: Settings) -> Run:
+    """Run a study of the kind of its record.
+
+    The same record, data, seed and versions give the same frames for any number of jobs, and after an
+    interruption with `resume`. A run that is complete still has the lock of its checkpoint: the caller
+    writes the run, then removes or releases it.
+
+    Raises ConfigError or DataError if anything the record names is missing or wrong.
+    """
+    begin, complete = time.time(), False
+    try:
+        with add_study_context(name):
+            run: Run = kind_of(record).load("run").run(name, record, settings)
+        complete = not run.interrupted
+    except UnfinishedWorkError:
+        raise
+    except NeedlefitError:
+        if settings.checkpoint is not None:
+            abandon_checkpoint(settings.checkpoint, settings.note)
+        raise
+    finally:
+        if settings.checkpoint is not None and not complete:
+            release_checkpoint(settings.checkpoint)
+    timing = {
+        "seconds": time.time() - begin,
+        "jobs": settings.jobs,
+        # what does not change a result; the date is UTC
+        "command": shlex.join(sys.argv),
+        "folder": str(Path.cwd()),
+        "platform": platform.platform(),
+        "started": datetime.fromtimestamp(begin, UTC).isoformat(timespec="seconds"),
+    }
+    state: dict[str, Any] = {"interrupted": run.interrupted, "faults": list(map(str, run.faults))}
+    if revision := find_source_revision():
+        state["source_revision"] = revision
+    return replace(run.with_metadata(**state), timing=timing | run.timing)

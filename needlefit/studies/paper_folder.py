@@ -6,8 +6,7 @@ from pathlib import Path
 from needlefit.errors import ConfigError
 from needlefit.reporting.document import is_half_width
 from needlefit.reporting.figures.style import COLUMN_WIDTH_IN, TEXT_WIDTH_IN, fix_width
-from needlefit.studies.kind import find_kind
-from needlefit.studies.report import compose_run_report, label_figures
+from needlefit.studies.report import compose_run_report, find_report, label_figures
 from needlefit.studies.run import Run
 
 WIDTHS_IN = {"single": COLUMN_WIDTH_IN, "double": TEXT_WIDTH_IN}
@@ -29,7 +28,7 @@ def write_paper_folder(run: Run, run_folder: Path, folder: Path) -> list[Path]:
             shutil.copyfile(path, folder / path.name)
     for word, width in WIDTHS_IN.items():
         with fix_width(width):
-            drawn = find_kind(run.kind).report.draw(run, folder)
+            drawn = find_report(run).draw(run, folder)
         figures = {}
         for name, path in drawn.items():
             path.with_suffix(".csv").unlink(missing_ok=True)  # the run's folder has it

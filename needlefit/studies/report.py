@@ -42,7 +42,7 @@ def run_to_json(run: Run) -> dict[str, Any]:
         "faults": list(map(str, run.faults)),
         **run.first_page.to_json(),
         WARNINGS_KEY: to_rows(run.warnings),
-        **find_kind(run.kind).report.to_json(run),
+        **find_report(run).to_json(run),
     }
 
 
@@ -106,16 +106,22 @@ class StudyReport:
         )
 
 
+def find_report(run: Run) -> StudyReport:
+    """Return how the runs of a run's kind are reported."""
+    report: StudyReport = find_kind(run.kind).load("report").REPORT
+    return report
+
+
 def begin_first_page(run: Run, status: Status, **numbers: float | str | None) -> FirstPage:
     """Return the first page of a kind: the first sentence of its summary, and its first table."""
-    report = find_kind(run.kind).report
+    report = find_report(run)
     sentence = report.summarize(run)[0]
     return FirstPage(Verdict(sentence.rstrip("."), status, numbers), tables=report.lay_out(run)[:1])
 
 
 def recall(run: Run) -> str:
     """Return how a run's verdict opens, and the checks that failed: they stand before uses of its fit."""
-    page = find_kind(run.kind).report.first_page(run)
+    page = find_report(run).first_page(run)
     failed = list_failed(page.checks)
     words = f" Failed checks: {'; '.join(failed)}." if failed else ""
     return f"{run.name}: {mark_faults(run.faults)}{page.verdict.opening}.{words}"
@@ -149,7 +155,7 @@ def write_run(run: Run, folder: Path) -> Path:
     Raises ConfigError if `folder` holds anything that needlefit did not write, or that was changed since.
     """
     with threadpool_limits(1, user_api="blas"), replace_folder(folder) as new:
-        for name in listed_files(folder) if find_kind(run.kind).report.keeps_files else ():
+        for name in listed_files(folder) if find_report(run).keeps_files else ():
             (new / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(folder / name, new / name)
         write_files(run, new)
@@ -173,12 +179,12 @@ def rebuild(stored: Path, folder: Path) -> Run:
 
 def list_run_files(run: Run) -> dict[str, pd.DataFrame | str]:
     """Return the checks and the files of a result, as `StudyReport.files`."""
-    return {"checks": tabulate_checks(run.first_page.checks), **find_kind(run.kind).report.files(run)}
+    return {"checks": tabulate_checks(run.first_page.checks), **find_report(run).files(run)}
 
 
 def write_files(run: Run, folder: Path) -> None:
     """Write the files of a result, as `write_run`, into a folder that takes the place of another."""
-    page = find_kind(run.kind).report
+    page = find_report(run)
     figures = page.draw(run, folder)
     for name, file in list_run_files(run).items():
         if isinstance(file, str):
@@ -216,7 +222,7 @@ def write_report(report: Document, folder: Path) -> None:
 
 def compose_run_report(run: Run, figures: Mapping[str, Path]) -> Document:
     """Return the report: the first page, then everything else once."""
-    report, page = find_kind(run.kind).report, run.first_page
+    report, page = find_report(run), run.first_page
     shown, values = {table.name for table in page.tables}, report.values(run)
     tables = [table for table in report.lay_out(run) if table.name not in shown]
     pictures = {

@@ -157,7 +157,7 @@ class Run:
         A run that was interrupted, or that has faults, passes nowhere; the headlines of its faults come
         first. Those of a preliminary recipe are marked.
         """
-        page = find_kind(self.kind).report.first_page(self)
+        page: FirstPage = find_kind(self.kind).load("report").REPORT.first_page(self)
         return replace(
             page,
             verdict=_mark(self, page.verdict),
@@ -184,10 +184,11 @@ class Run:
         ConfigError
             If `folder` holds anything that needlefit did not write, or that was changed since.
         """
-        return find_kind(self.kind).report.write(self, Path(folder))
+        written: Path = find_kind(self.kind).load("report").REPORT.write(self, Path(folder))
+        return written
 
     def _repr_html_(self) -> str:
-        return find_kind(self.kind).report.format_notebook_html(self)
+        return str(find_kind(self.kind).load("report").REPORT.format_notebook_html(self))
 
 
 def value_of_run(

@@ -32,11 +32,10 @@ from needlefit.studies.fold_draws import (
 from needlefit.studies.identification import ParameterRow, add_intervals, intervals_of_draws
 from needlefit.studies.identity import describe_change, identify
 from needlefit.studies.job import Inputs, Job, Settings
-from needlefit.studies.kind import find_kind
 from needlefit.studies.kinds.prediction import PredictionRecord
 from needlefit.studies.kinds.prediction.forecast import forecast, tabulate_forecast
 from needlefit.studies.kinds.prediction.scene import make_scene, require_fitted_kind
-from needlefit.studies.report import recall
+from needlefit.studies.report import find_report, recall
 from needlefit.studies.run import Run
 from needlefit.studies.store import posterior_file_names, restore_run
 from needlefit.studies.study_files import begin_run, is_study, prepare_target, prepare_with_held_out
@@ -220,7 +219,7 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
 
 def _recall_advice(judged: Run) -> dict[str, Any] | None:
     """Return what a fit needs before its predictions are used; None if it may be used."""
-    advice = find_kind(judged.kind).report.first_page(judged).advice
+    advice = find_report(judged).first_page(judged).advice
     if advice is None or advice.finding in MAY_BE_USED:
         advice = advise(["fit_untested"], {}) if judged.kind == "fit" else None
     return None if advice is None else asdict(advice)
