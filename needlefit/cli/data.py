@@ -199,7 +199,9 @@ def check(
     a fault; with --strict, 5: there is a warning.
     """
     from needlefit.project.locate import find_dataset_or_study
+    from needlefit.project.processes import leave_out_help_texts
 
+    leave_out_help_texts()
     kind, path = find_dataset_or_study(name)
     invocation = context.find_root().obj
     if kind == "dataset":

@@ -13,7 +13,7 @@ from needlefit.cli import exit_codes, screen
 from needlefit.cli.exit_codes import Invocation, catch_interrupts
 from needlefit.cli.progress import show_progress
 from needlefit.project.locate import format_path
-from needlefit.project.processes import count_cores
+from needlefit.project.processes import count_cores, leave_out_help_texts
 from needlefit.project.progress import never_stop, no_note
 
 if TYPE_CHECKING:
@@ -160,6 +160,7 @@ def begin(context: typer.Context) -> Iterator[Execution]:
     invocation = context.find_root().obj
     invocation.resumes = "resume" in context.params
     with catch_interrupts(invocation) as stop:
+        leave_out_help_texts()
         yield Execution(invocation, stop)
 
 
