@@ -9,6 +9,7 @@ import pytest
 import trimesh
 from test_datasets import CURVE, X, record, row
 
+from needlefit.datasets.bend_sides import measure_bends
 from needlefit.datasets.planes import measure_out_of_plane
 from needlefit.datasets.read import check, inspect, read
 from needlefit.datasets.scatter import measure_scatter
@@ -18,6 +19,7 @@ from needlefit.geometry.surfaces import Surface, make_sheet
 from needlefit.project.locate import find_file
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml import load
+from needlefit.reporting.dataset_import import explain_unclear
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.job import Inputs, Settings
 from needlefit.studies.load import load_study, print_notes
@@ -94,6 +96,15 @@ def test_no_shipped_dataset_gives_a_warning_and_a_study_names_those_of_units_and
     settings = Settings(file=file, note=notes.append, inputs=Inputs(dataset=turned))
     print_notes(load_study("phantom1", load(file, FitRecord), settings), settings)
     assert notes == ["warning: all turned (needlefit explain bevel-side)"]
+
+
+def test_what_a_bend_that_is_not_clear_was_compared_with_is_stated(tmp_path):
+    assert explain_unclear(read(gel(tmp_path / "clear"))) == ""
+    dataset = read(write_rows(tmp_path / "straight", into_gel(), curves={"a": CURVE * [1, 0.01, 1]}))
+    (bend,) = measure_bends(dataset.insertions, dataset.noise)
+    assert not (bend.is_toward or bend.is_away) and 0.05 < bend.limit_mm < 0.5
+    text = explain_unclear(dataset)
+    assert f"{bend.limit_mm:.2g} mm" in text and "--set bevel_side=-1" in text
 
 
 def test_insertions_deflected_away_from_their_bevel_and_copies_are_named(tmp_path):

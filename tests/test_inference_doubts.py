@@ -10,7 +10,7 @@ from inference_cases import problem as make_problem
 
 from needlefit.datasets.insertion import Noise
 from needlefit.inference.doubts import find_doubts
-from needlefit.inference.hypotheses import Change, Deviation, explain
+from needlefit.inference.hypotheses import Change, Deviation, explain, search_sizes
 from needlefit.inference.linear_needles import fit_quickly
 
 DEPTHS = np.linspace(35.0, 65.0, 7)
@@ -95,10 +95,11 @@ def test_needles_whose_points_were_exchanged_are_named_with_each_other():
 def test_a_change_is_clear_if_it_is_150_times_as_probable_as_none_and_its_size_is_within_the_range(
     peak, gain, is_clear
 ):
-    def measure(change, sizes):
+    def measure(sizes):
         return [Deviation(0.0, gain * (1 - (size / peak - 1) ** 2)) for size in sizes]
 
-    found = explain([Change("shifted", starts=(-2.0, 0.0, 2.0), cost=math.log(100.0))], measure, 0.0)
+    change = Change("shifted", starts=(-2.0, 0.0, 2.0), cost=math.log(100.0))
+    found = explain([change], lambda change: search_sizes(measure, change.starts), 0.0)
     assert found.is_clear == is_clear and found.size == pytest.approx(min(peak, 2.0))
 
 
@@ -143,7 +144,8 @@ def test_what_happened_to_all_needles_alike_is_named_with_its_size_and_none_is_a
     assert list(found.odd) == [] and found.deviating is None and found.common is not None
     assert found.common.cause == cause and found.common.size == pytest.approx(size, abs=3 * found.common.sd)
     made[2] = made[2].with_points(made[2].points * [1, -1, 1])
-    assert find_doubts(make(made), problem.parameters.theta(TRUTH)).common.cause == cause
+    beside = find_doubts(make(made), problem.parameters.theta(TRUTH)).common
+    assert beside.cause == cause and beside.size == pytest.approx(size, abs=3 * beside.sd)
 
 
 def test_bevels_that_all_face_one_way_do_not_tell_a_turn_of_all_from_an_error_of_the_model():

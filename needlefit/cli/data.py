@@ -103,6 +103,7 @@ def import_data(
     from needlefit.project.folders import require_new, require_no_inputs_within, require_replaceable
     from needlefit.reporting.dataset_import import (
         PICTURE_FILE,
+        explain_unclear,
         find_not_imported,
         join_unused,
         tabulate_columns,
@@ -142,6 +143,8 @@ def import_data(
         marked = f"{mark}. " if (mark := ORIGIN_MARKS[dataset.origin]) else ""
         screen.print_line(f"{marked}{out}: {imported}\n")
         screen.show_frame(needles, "Needles")
+        if unclear := explain_unclear(dataset):
+            screen.print_text(unclear)
         screen.show_frame(tabulate_columns(prepared.columns), "Columns")
         screen.show_frame(tabulate_values(prepared), "Values of all needles")
         screen.print_text(join_unused(prepared.unused))

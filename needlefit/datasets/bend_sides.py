@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import Literal
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,19 +11,34 @@ from needlefit.datasets.compared import MIN_BEND_SLOPE, SIGNIFICANT_SD, compute_
 from needlefit.datasets.insertion import Insertion, Noise
 from needlefit.geometry.common_direction import fit_direction
 
-BendSide = Literal["toward", "away", "unknown"]
+
+class Bend(NamedTuple):
+    """How far a needle bends toward the side of its bevel; NaN where that is not known."""
+
+    toward_mm: float = math.nan
+    limit_mm: float = math.nan  #: beyond which it is no error, either way
+
+    @property
+    def is_toward(self) -> bool:
+        """Whether it bends toward its bevel clearly."""
+        return self.toward_mm > self.limit_mm
+
+    @property
+    def is_away(self) -> bool:
+        """Whether it bends away from its bevel clearly."""
+        return -self.toward_mm > self.limit_mm
 
 
-def find_bend_sides(insertions: Sequence[Insertion], noise: Noise) -> list[BendSide]:
-    """Return to which side of its bevel each insertion bends.
+def measure_bends(insertions: Sequence[Insertion], noise: Noise) -> list[Bend]:
+    """Return how far each insertion bends toward the side of its bevel.
 
     Of free shapes the deflection from the direction that fits all of them shows it.
     """
-    sides = [find_bend_side(insertion, noise) for insertion in insertions]
+    bends = [_measure_bend(insertion, noise) for insertion in insertions]
     facing = {n: bevel for n, one in enumerate(insertions) if (bevel := _find_facing(one)) is not None}
     fitted = fit_direction([insertions[n].centerline for n in facing])
     if fitted is None:
-        return sides
+        return bends
     for n, bevel in facing.items():
         one = insertions[n]
         chord = one.centerline[-1] - one.centerline[0]
@@ -32,9 +47,8 @@ def find_bend_sides(insertions: Sequence[Insertion], noise: Noise) -> list[BendS
         turn = math.radians(math.hypot(fitted.sd_deg, fitted.scatter_deg))
         point_sd = math.sqrt(2) * math.hypot(noise.of(one).point_sd, noise.correlated_sd)
         limit = max(MIN_BEND_SLOPE * length, SIGNIFICANT_SD * math.hypot(point_sd, length * turn))
-        if abs(deflection) > limit:
-            sides[n] = "toward" if deflection > 0 else "away"
-    return sides
+        bends[n] = Bend(deflection, limit)
+    return bends
 
 
 def _find_facing(insertion: Insertion) -> Floats | None:
@@ -44,8 +58,8 @@ def _find_facing(insertion: Insertion) -> Floats | None:
     return None if insertion.bevel is None or insertion.in_tracker_frame else insertion.side * insertion.bevel
 
 
-def find_bend_side(insertion: Insertion, noise: Noise) -> BendSide:
-    """Return to which side of its bevel an insertion or a run of a tip track bends.
+def _measure_bend(insertion: Insertion, noise: Noise) -> Bend:
+    """Return how far an insertion or a run of a tip track bends toward the side of its bevel.
 
     Both the tip's deflection from the entry line and the curve's own bend, which no error of the entry pose
     changes, must show it. Of a run the bend alone counts: its readings are known up to a shift and a slope. A
@@ -54,11 +68,11 @@ def find_bend_side(insertion: Insertion, noise: Noise) -> BendSide:
     """
     guide = insertion.guide
     if guide.moved if guide else not insertion.is_posed or insertion.base_moved:
-        return "unknown"
+        return Bend()
     if insertion.turns:
-        return "unknown"
+        return Bend()
     x, y = insertion.points[:, 0], insertion.side * insertion.points[:, 1]
-    least, measures = MIN_BEND_SLOPE * insertion.depth, []
+    least, measures = MIN_BEND_SLOPE * insertion.depth, list[Bend]()
     if len(x) > 2:  # more than a tip
         parabola = np.polyfit(x - x[0], y, 2)
         bend = float(parabola[0] * (x[-1] - x[0]) ** 2)  # the deflection from its first tangent
@@ -66,10 +80,10 @@ def find_bend_side(insertion: Insertion, noise: Noise) -> BendSide:
         noise_sd = SIGNIFICANT_SD * float(
             np.hypot(scatter, np.hypot(noise.of(insertion).point_sd, noise.correlated_sd))
         )
-        measures.append((bend, max(least if guide else 0.5 * least, noise_sd)))
+        measures.append(Bend(bend, max(least if guide else 0.5 * least, noise_sd)))
     if guide is None:
         limit = max(least, SIGNIFICANT_SD * compute_deflection_sd(insertion, noise))
-        measures.append((insertion.deflection, limit))
-    if all(value > limit for value, limit in measures):
-        return "toward"
-    return "away" if all(value < -limit for value, limit in measures) else "unknown"
+        measures.append(Bend(insertion.deflection, limit))
+    least_clear = min(measures, key=lambda one: abs(one.toward_mm) / one.limit_mm)
+    contradict = {one.is_toward for one in measures} == {one.is_away for one in measures} == {True, False}
+    return Bend() if contradict else least_clear

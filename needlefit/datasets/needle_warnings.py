@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from scipy.special import bdtrc
 
-from needlefit.datasets.bend_sides import find_bend_sides
+from needlefit.datasets.bend_sides import measure_bends
 from needlefit.datasets.compared import MAX_NAMED_INSERTIONS, MIN_BEND_SLOPE, MIN_LOG_ODDS, compute_entry_sd
 from needlefit.datasets.insertion import Insertion, Noise
 from needlefit.datasets.interpolated import find_interpolated_warnings
@@ -39,9 +39,9 @@ def find_side_warnings(
     listed: Sequence[tuple[Insertion, str]], noise: Noise, column: str
 ) -> Iterator[ResultWarning]:
     """Yield a warning that names the insertions, with their places, that bend away from their bevels."""
-    sides = find_bend_sides([one for one, _ in listed], noise)
-    clear = sum(side != "unknown" for side in sides)
-    away = [(one, where) for (one, where), side in zip(listed, sides, strict=True) if side == "away"]
+    bends = measure_bends([one for one, _ in listed], noise)
+    away = [(one, where) for (one, where), bend in zip(listed, bends, strict=True) if bend.is_away]
+    clear = len(away) + sum(bend.is_toward for bend in bends)
     if not away:
         return
     names = tuple(one.id for one, _ in away)

@@ -8,6 +8,7 @@ another, stiff layers and flat cuts may describe the needles.
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -18,14 +19,16 @@ from needlefit.inference.hypotheses import (
     HYPOTHESES,
     IN_PLANE,
     LOG_FITTED,
+    SEARCH_STEPS,
     START_SIZES,
     Change,
     Deviation,
     Explanation,
     explain,
     list_boundaries,
+    search_sizes,
 )
-from needlefit.inference.linear_needles import Prediction, linearize_needles, predict_from, refit
+from needlefit.inference.linear_needles import Prediction, fit_quickly, linearize_needles, predict_from, refit
 from needlefit.inference.plausible import list_implausible
 from needlefit.inference.problem import Problem
 from needlefit.project.unit_warnings import LENGTH_UNITS
@@ -45,7 +48,6 @@ def find_common(problem: Problem, theta: Floats) -> Explanation | None:
 
     `theta` (P,): the fit to them.
     """
-    fits: dict[tuple[str, int, str], dict[float, Floats]] = {}  # by hypothesis and size
     count = sum(problem.density.residual_counts)
 
     def predict(changed: Problem, fitted: Floats) -> Prediction:
@@ -54,28 +56,47 @@ def find_common(problem: Problem, theta: Floats) -> Explanation | None:
 
     before = predict(problem, theta)
 
-    def measure_one(change: Change, size: float) -> Deviation:
-        known = fits.setdefault((change.cause, change.axis, change.where), {0.0: theta})
-        changed = change_all(problem, change, size)
-        fitted = known[min(known, key=lambda other: abs(other - size))]
-        changes_model = change.row.changes_model
-        after = before if changes_model else predict(changed, fitted)
-        if changes_model or after.log_density - before.log_density > LOG_FITTED:  # else what is linear does
-            fitted = known[size] = refit(changed, changed.insertions, fitted)
-            after = predict(changed, fitted)
-        is_plausible = not list_implausible(problem.values(fitted), problem.medium.constraint_spacing_mm)
-        is_right = not changes_model or (is_plausible and after.describes(count))
+    def deviate(after: Prediction, is_right: bool = True) -> Deviation:
         gain = after.log_density - before.log_density
         return Deviation(0.0 if is_right else math.inf, gain, max(1.0, after.chi_square))
 
-    def measure(change: Change, sizes: Sequence[float]) -> list[Deviation]:
-        return [measure_one(change, size) for size in sizes]
+    def search_pose(change: Change) -> tuple[dict[float, Deviation], float]:
+        """Search the size and the other parameters in turn: about a fit needles are linear in both."""
+        fitted, size = theta, 0.0
+        for _ in range(SEARCH_STEPS):
+            found, sd = search_sizes(partial(measure_linear, change, fitted), change.starts)
+            likeliest = max(found, key=lambda near: found[near].log_density)
+            if found[likeliest].log_density <= LOG_FITTED or abs(likeliest - size) < sd / 2:
+                break
+            size = likeliest
+            # that to needles as measured may have ended far away
+            fitted = fit_quickly(change_all(problem, change, size), fitted)
+        return found, sd
+
+    def measure_linear(change: Change, fitted: Floats, sizes: Sequence[float]) -> list[Deviation]:
+        return [deviate(predict(change_all(problem, change, size), fitted)) for size in sizes]
+
+    def search_boundary(change: Change) -> tuple[dict[float, Deviation], float]:
+        fits = {0.0: theta}  # by size
+
+        def measure_one(size: float) -> Deviation:
+            changed = change_all(problem, change, size)
+            near = fits[min(fits, key=lambda other: abs(other - size))]
+            fitted = fits[size] = refit(changed, changed.insertions, near)
+            after = predict(changed, fitted)
+            is_implausible = list_implausible(problem.values(fitted), problem.medium.constraint_spacing_mm)
+            return deviate(after, not is_implausible and after.describes(count))
+
+        return search_sizes(lambda sizes: [measure_one(size) for size in sizes], change.starts)
+
+    def search(change: Change) -> tuple[dict[float, Deviation], float]:
+        return search_boundary(change) if change.row.changes_model else search_pose(change)
 
     # of bevels that all face one way an error of the model looks like any change in their plane
     is_one_sided = len({insertion.side for insertion in problem.insertions}) == 1
     in_plane = () if is_one_sided else (*_list_poses(problem, IN_PLANE), *list_boundary_shifts(problem))
     aside = _list_poses(problem, ASIDE) if problem.dataset.directions == 2 else ()
-    found = explain([*in_plane, *aside], measure, 0.0)
+    found = explain([*in_plane, *aside], search, 0.0)
     if found is None or not found.is_clear:
         return None
     least = max(MIN_SHIFT_MM, *(SIGNIFICANT_SD * insertion.boundary_sd for insertion in problem.insertions))

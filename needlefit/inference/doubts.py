@@ -7,6 +7,7 @@ happened to a needle is found in `hypotheses.py`; all alike may be turned or shi
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +25,7 @@ from needlefit.inference.hypotheses import (
     Explanation,
     explain,
     list_changes,
+    search_sizes,
 )
 from needlefit.inference.linear_needles import (
     MIN_NEEDLES,
@@ -80,12 +82,8 @@ def find_doubts(problem: Problem, theta: Floats, *, seeks_common: bool = True) -
         if worst is None:
             break
         odd.append(worst)
-    drawn = np.sort(np.random.default_rng(0).permutation(rest)[:COMMON_NEEDLES])
-    some = replace(problem, insertions=tuple(insertions[k] for k in drawn))
-    if seeks_common and (found := find_common(some, theta)) is not None:
-        changed = change_all(problem, found.change, found.size)
-        again = find_doubts(changed, refit(changed, changed.insertions, theta), seeks_common=False)
-        return again._replace(common=_describe_common(found))
+    if seeks_common and (shared := _find_shared(problem, theta, {insertions[k].id for k in odd})) is not None:
+        return shared
     # in the stated errors alone, whatever the misfit of the others is
     stated = (
         measure_deviations(block, theta, predicted._replace(scale=1.0))[0].sds for block, predicted in pairs
@@ -95,6 +93,27 @@ def find_doubts(problem: Problem, theta: Floats, *, seeks_common: bool = True) -
         return Doubts(deviating=(deviating, count))
     needles = map(describe, sorted(odd, key=lambda k: -sds[k]))
     return Doubts([needle for needle in needles if needle is not None])
+
+
+def _find_shared(problem: Problem, theta: Floats, odd: set[str]) -> Doubts | None:
+    """Return what happened to all needles alike, and which are odd besides; None if nothing did.
+
+    `odd`: needles that do not count. One that is found with the others as they were bent their size, too.
+    """
+    doubts = None
+    while True:
+        sound = [insertion for insertion in problem.insertions if insertion.id not in odd]
+        drawn = np.sort(np.random.default_rng(0).permutation(len(sound))[:COMMON_NEEDLES])
+        found = find_common(replace(problem, insertions=tuple(sound[k] for k in drawn)), theta)
+        if found is None:
+            return doubts
+        changed = change_all(problem, found.change, found.size)
+        again = find_doubts(changed, refit(changed, changed.insertions, theta), seeks_common=False)
+        doubts = again._replace(common=_describe_common(found))
+        names = {needle.insertion for needle in again.odd}
+        if names <= odd:
+            return doubts
+        odd = odd | names
 
 
 def _describe(
@@ -126,7 +145,7 @@ def _describe(
     changes = list_changes(left_out, others, problem.dataset.directions)
     if is_near:  # the densities of two models differ by errors of the linear ones
         changes = (change for change in changes if not change.row.changes_model)
-    found = explain(changes, measure, nothing)
+    found = explain(changes, lambda change: search_sizes(partial(measure, change), change.starts), nothing)
     log_odds = found.log_odds if found else 0.0
     if is_near and log_odds < HAPPENED_LOG_ODDS:
         return None

@@ -7,7 +7,6 @@ and a choice, such as another needle; and along which axis. A further hypothesis
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -79,6 +78,10 @@ class Change(NamedTuple):
         """Return log odds that count the numbers that were fitted."""
         cost = math.log(len(self.units)) if size in self.units else self.cost
         return left.log_density / left.misfit - cost
+
+
+#: a change -> deviations of needles changed so, by size, and the SD of the likeliest size
+Search = Callable[[Change], tuple[dict[float, Deviation], float]]
 
 
 class Explanation(NamedTuple):
@@ -175,20 +178,17 @@ def list_changes(insertion: Insertion, others: Sequence[Insertion], directions: 
                 yield Change(cause, axis, where, choice, starts, (), cost)
 
 
-def explain(
-    changes: Iterable[Change],
-    measure: Callable[[Change, Sequence[float]], Sequence[Deviation]],
-    nothing: float,
-) -> Explanation | None:
+def explain(changes: Iterable[Change], search: Search, nothing: float) -> Explanation | None:
     """Return what explains the needles best, if they then lie as predicted.
 
     `nothing`: log odds that nothing happened, which is one of the hypotheses.
     """
     rows = list[Explanation]()
     for change in changes:
-        deviations, sd = _search(partial(measure, change), change.starts)
+        deviations, sd = search(change)
         odds = {size: change.compute_odds(size, left) - nothing for size, left in deviations.items()}
         size = max(odds, key=lambda size: odds[size])
+        sd *= math.sqrt(deviations[size].misfit)
         rows.append(Explanation(change, size, sd, deviations[size].sds, odds[size]))
     rows = [row for row in rows if math.isfinite(row.sds)]  # else it is no fit that can be
     best = max(rows, key=lambda row: row.log_odds, default=None)
@@ -200,7 +200,7 @@ def explain(
     return best._replace(is_clear=is_sized and is_clear)
 
 
-def _search(
+def search_sizes(
     measure: Callable[[Sequence[float]], Sequence[Deviation]], starts: Collection[float]
 ) -> tuple[dict[float, Deviation], float]:
     """Return deviations by size, also near the likeliest, and the SD of that: of the last parabola.

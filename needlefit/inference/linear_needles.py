@@ -80,11 +80,12 @@ class Prediction(NamedTuple):
         return self.chi_square <= 1 + PREDICTED_SD * math.sqrt(2 / residuals)
 
 
-def fit_quickly(problem: Problem) -> Floats:
-    """Return a fit (P,) to all needles: the best of a few searches with depths as stated."""
+def fit_quickly(problem: Problem, *near: Floats) -> Floats:
+    """Return a fit (P,) to all needles with depths as stated: the best of some searches, also from `near`."""
     rng = np.random.default_rng(0)
-    starts = starting_points(problem.lower, problem.upper, QUICK_STARTS, rng)
-    ends = [refit(problem, problem.insertions, start) for start in (problem.parameters.expected, *starts)]
+    drawn = starting_points(problem.lower, problem.upper, QUICK_STARTS, rng)
+    starts = (*near, problem.parameters.expected, *drawn)
+    ends = [refit(problem, problem.insertions, start) for start in starts]
     easier = problem.plain or problem
     return min(ends, key=lambda theta: -easier.log_posterior(theta))
 

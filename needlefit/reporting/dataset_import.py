@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 
 from needlefit.arrays import Floats
-from needlefit.datasets.bend_sides import BendSide, find_bend_sides
+from needlefit.datasets.bend_sides import Bend, measure_bends
 from needlefit.datasets.first_study import write_first_runs
 from needlefit.datasets.importing.meanings import VALUES
 from needlefit.datasets.importing.place import ImportPlan
@@ -41,7 +41,6 @@ MAX_DRAWN_TRIANGLES = 20_000
 MAX_LISTED_UNUSED = 6  # columns or rows of one file that a line lists
 
 _SURFACE_COLOURS = ("#c8b88a", "#a9b7c6", "#c9a3a3", "#a8bfa3")
-_SIDES = {"toward": "toward", "away": "AWAY", "unknown": "not clear"}
 
 
 def write_import(folder: Path, prepared: PreparedImport, overwrite: bool = False) -> Dataset:
@@ -73,14 +72,29 @@ def find_not_imported(folder: Path) -> list[str]:
 
 def tabulate_needles(dataset: Dataset) -> pd.DataFrame:
     """Return one row for each insertion: points or sensors, depth, deflection, entry, layers, bevel."""
-    sides = find_bend_sides(dataset.insertions, dataset.noise)
-    return pd.DataFrame([*map(_describe_needle, dataset.insertions, sides)])
+    bends = measure_bends(dataset.insertions, dataset.noise)
+    return pd.DataFrame([*map(_describe_needle, dataset.insertions, bends)])
 
 
-def _describe_needle(insertion: Insertion, bend: BendSide) -> dict[str, object]:
+def explain_unclear(dataset: Dataset) -> str:
+    """Return what bends that are not clear were compared with, and how to state a side; "" without any."""
+    beside = [insertion for insertion in dataset.insertions if not insertion.in_tracker_frame]
+    bends = measure_bends(beside, dataset.noise)
+    limits = [f"{bend.limit_mm:.2g}" for bend in bends if abs(bend.toward_mm) <= bend.limit_mm]
+    if not limits:
+        return ""
+    ends = " to ".join(dict.fromkeys([min(limits, key=float), max(limits, key=float)]))
+    return (
+        f"Not clear: bends that errors explain, of at most {ends} mm. "
+        "Such sides are not checked; --set bevel_side=-1 states the other."
+    )
+
+
+def _describe_needle(insertion: Insertion, bend: Bend) -> dict[str, object]:
     entry, tip = insertion.centerline[0], insertion.centerline[-1]
     depths = ", ".join(f"{depth:.1f}" for depth in insertion.boundaries)
-    side = _SIDES[bend] if insertion.is_posed or insertion.bevel is not None else "(free shape)"
+    side = "toward" if bend.is_toward else "AWAY" if bend.is_away else "not clear"
+    side = side if insertion.is_posed or insertion.bevel is not None else "(free shape)"
     side = "(turned)" if insertion.turns else side
     sensors = 0 if insertion.curvature is None else len(insertion.curvature)
     counts = {"tip": 1 + sensors, "curvature": sensors}
@@ -199,9 +213,9 @@ def _draw_shapes(axes: Axes, dataset: Dataset, side: str) -> None:
     """Draw every needle in its own frame, deflection exaggerated, with the layers' boundaries."""
     ones = dataset.insertions
     axes.axhline(0.0, color=GREY, lw=0.6)
-    for insertion, bend in zip(ones, find_bend_sides(ones, dataset.noise), strict=True):
+    for insertion, bend in zip(ones, measure_bends(ones, dataset.noise), strict=True):
         x, y, _ = insertion.points.T
-        axes.plot(x, y, color=AWAY_COLOUR if bend == "away" else INK, lw=0.9)
+        axes.plot(x, y, color=AWAY_COLOUR if bend.is_away else INK, lw=0.9)
         axes.plot(insertion.boundaries, np.interp(insertion.boundaries, x, y), "|", color=INK, ms=6)
     if len(ones) <= MAX_LABELLED_NEEDLES:
         _label_tips(axes, ones)
