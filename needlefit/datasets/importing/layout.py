@@ -1,6 +1,7 @@
 """Propose how rows of a table are laid out: encoding, separator, decimal sign, headers, blocks."""
 
 import re
+import statistics
 from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
@@ -21,6 +22,7 @@ from needlefit.project.input_files import read_bytes
 
 MAX_HEADER_ROWS = 6  # largest number of rows of headers
 SAMPLE_ROWS = 300  # number of rows by which separator and decimal sign are found
+SCORE_OF_NUMBER = 5  # of a number, or of a known header in each row below it; a cell costs 2
 _SEPARATORS = (";", "\t", ",", " ")  # in the order in which equally good ones are taken
 # Numbers in which a sign parts thousands, by their decimal sign: what is no other number.
 _GROUPED = {
@@ -74,14 +76,19 @@ def _find_encoding(data: bytes) -> str:
 
 
 def _score(lines: Sequence[str], path: Path, separator: str, decimal: str) -> int:
-    """Return how well a separator and a decimal sign explain lines: numbers in rows, less other cells."""
+    """Return how well a separator and a decimal sign explain lines.
+
+    It counts numbers in rows, less other cells, and known headers above rows of as many cells.
+    """
     try:
         # line by line: quotes that are not closed are refused once the separator is known
         rows = [row for line in lines for row in split_text(line, path, separator).rows]
     except DataError:
         return -1
-    heads = [sum(bool(read_header(cell).meaning) for cell in row) for row in rows[:6]]
-    return _score_numbers(rows, decimal) + max([count for count in heads if count > 1], default=0)
+    width = statistics.mode(map(len, rows)) if rows else 0
+    heads = [sum(bool(read_header(cell).meaning) for cell in row) for row in rows[:6] if len(row) == width]
+    count = max(heads, default=0)
+    return _score_numbers(rows, decimal) + (SCORE_OF_NUMBER * count * len(rows) if count > 1 else 0)
 
 
 def _score_numbers(rows: Rows, decimal: str) -> int:
@@ -89,7 +96,7 @@ def _score_numbers(rows: Rows, decimal: str) -> int:
     for row in rows[-SAMPLE_ROWS:]:  # a header may be long, the numbers stand at the end
         cells = [cell for cell in row if cell and cell.lower() not in MISSING]
         numbers = sum(_is_number(cell, decimal) for cell in cells)
-        total += 5 * numbers - 2 * len(cells) if numbers > 1 else 0
+        total += SCORE_OF_NUMBER * numbers - 2 * len(cells) if numbers > 1 else 0
     return total
 
 
