@@ -134,16 +134,16 @@ def own_surface(profile):
     [
         (
             lambda: replace(small(), registration=replace(small().registration, p_value=1e-4)),
-            "miss their places",
+            "registration error",
         ),
         (lambda: changed_pose(angle_sd=0.2), "bending plane"),
         (
             lambda: replace(changed_pose(), profile=replace(small().profile, s=small().profile.s + 4.0)),
-            r"begins [34]\.\d\d \+- .* mm after the stage's entry",
+            r"begins [34]\.\d\d ± .* mm after the stage's entry",
         ),
         (
             lambda: own_surface(replace(small().profile, s=small().profile.s - 2.0)),
-            r"begins [12]\.\d\d \+- .* mm before its own surface",
+            r"begins [12]\.\d\d ± .* mm before its own surface",
         ),
     ],
 )

@@ -210,7 +210,7 @@ def test_a_needle_near_thick_slices_does_not_follow_their_staircase(tilt, overla
     assert 0 < line.normal_sd < 0.5
     hidden = line.sections.shared_along
     assert np.linalg.norm(hidden) == pytest.approx(abs(hidden @ [0, 0, 1])) and 0 < abs(hidden[2]) < 0.5
-    assert np.isnan([*line.bevel, line.bevel_probability]).all()  # blunt
+    assert np.isnan([*line.bevel, line.roll_sd]).all()  # blunt
 
 
 @pytest.mark.parametrize(("tilt", "hu", "power"), [(6.0, 2500, 0.6), (8.0, 2500, 1.0), (8.0, 3000, 1.0)])

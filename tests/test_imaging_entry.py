@@ -62,8 +62,8 @@ def test_an_unbent_shaft_is_its_own_axis_and_the_final_tangent_is_not():
     chord = bent.points[-1] - bent.points[0]
     along_chord = bent.points[-1] + 53.0 * chord / np.linalg.norm(chord)
     assert np.linalg.norm(along_chord - [53.0, 0, 0]) > 2 * np.linalg.norm(tip - [53.0, 0, 0])
-    with pytest.raises(DataError, match=r"\b7\.\d mm .*shaft") as error:
-        pose_from_shaft(shaft([0.0, 0, 0], axis([1.0, 0, 0]), shown=9.0), along_sd=0.0)
+    with pytest.raises(DataError, match=r"\b4\.\d mm .*shaft") as error:
+        pose_from_shaft(shaft([0.0, 0, 0], axis([1.0, 0, 0]), shown=6.0), along_sd=0.0)
     assert "state the stage" in error.value.fix
 
 
@@ -226,6 +226,17 @@ def test_metal_on_the_tissue_is_passed_and_places_to_choose_from_are_numbered():
     entry = choose(profile((-12.0, -1000.0, 75.0), (0.0, 75.0, 35.0)), thickness=12.0)
     assert_allclose([one.at for one in entry.answers], [0.0, -12.0], atol=0.1)
     assert "1: 40.0" in entry.doubt.what and "2: 52.0" in entry.doubt.what
+
+
+@pytest.mark.parametrize("top", [3071.0, 12_000.0])
+@pytest.mark.parametrize("gap", [0.0, 6.0])
+def test_metal_is_passed_by_the_middle_of_its_brightest_part_though_streaks_go_on_beyond_it(top, gap):
+    away = np.maximum(np.abs(S + gap + 3.0) - 3.0, 0.0)  # from its faces, 6 mm apart
+    tissue = 900.0 * (S >= 0.0) if gap else 0.0  # in the streaks air behind metal is but a dip
+    around = np.minimum(12_000.0 * np.exp(-away) + np.where(S < 0, -200.0, 35.0) + tissue, top)
+    entry = choose(IntensityProfile(S, np.where(S <= TIP, 3000.0, 35.0), around), thickness=6.0)
+    assert entry.doubt is None
+    assert_allclose((entry.at, *entry.guide), (0.0, -6.0 - gap, -gap), atol=0.3)
 
 
 # ---- by the tissue's own surface, unless the scan itself shows another place

@@ -210,10 +210,10 @@ def _show(
             screen.show_display(table, notes=False)
         for remark in REPORT.summarize(run)[1:]:
             screen.print_text(remark)
-        if (advice := run.first_page.advice) is not None:
-            show_advice(advice, out.parent)
         pictures = join_names([str(path) for path in sorted(out.glob("quality/*.pdf"))], 2)
         screen.print_written(out, f" (pictures: {pictures})")
+        if (advice := run.first_page.advice) is not None:
+            show_advice(advice, out.parent)
 
 
 def _print_failures(

@@ -41,7 +41,7 @@ class MM:
     # to the volume's face has left it, and so far behind its bevel its tip is fitted
     EDGE_BLUR = 3.0
     EDGE_SD = 0.02  # of an edge that no scatter shows: a kernel's sides are not alike [G]
-    SHAFT = 10.0  # least length of shaft outside the tissue through which an axis is drawn
+    SHAFT = 5.0  # least length of shaft outside the tissue through which an axis is drawn
     REACH = 80.0  # along the needle to the tissue's surface, or to a hub
     # Of what a scanner shows of an end, which the model does not: of a tip, across it, and of a guide's faces
     MODEL_SD = 0.05  # [R] [G]
@@ -88,6 +88,7 @@ class PART:
     CLEAR_WIDTH = 1.5  # of two widths that are not of one thing
     # Of the way from tissue to metal; the last where a plate hangs together with the needle
     THRESHOLDS = (0.4, 0.25, 0.15, 0.7)
+    BRIGHTEST = 0.97  # of the brightest of something, beyond which all is as bright
     FAINT = 0.3  # of a needle's brightness: fainter sections show none
     SHOWN = 0.5  # of a cross-section in the volume, and of the way between points on which a needle shows
     CLEAR_SOFT = 2.0  # of soft lengths at both ends, of which the longer is the tip's

@@ -20,11 +20,12 @@ from needlefit.geometry.crossings import find_surface_hits
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.shaft import fit_shaft_axis
 from needlefit.geometry.surfaces import Surface
-from needlefit.imaging.constants import HU, MM
+from needlefit.imaging.constants import HU, MM, PART
 from needlefit.imaging.materials import find_rises, find_runs, list_materials
 from needlefit.imaging.reconstruction import EntryPose, IntensityProfile, MaterialRun
 from needlefit.imaging.registration import Registration, target_covariance
 from needlefit.imaging.scans import StagePose
+from needlefit.imaging.volume import find_cuts
 
 # Deviations from which on the stage's axis and the shaft's are not one needle's.
 MAX_AXIS_DISAGREEMENT_SD = 10.0
@@ -102,8 +103,8 @@ def compare_poses(stage: EntryPose, shaft: EntryPose) -> tuple[float, str]:
     offset_sd = float(np.hypot(stage.shift_sd, shaft.shift_sd))
     turn_sd = float(np.hypot(stage.angle_sd, shaft.angle_sd))
     sentence = (
-        f"the shaft outside the tissue stands {offset:.2f} +- {offset_sd:.2f} mm beside the stage's axis and "
-        f"is turned by {np.degrees(turn):.2f} +- {np.degrees(turn_sd):.2f} degrees against it"
+        f"the shaft outside the tissue stands {offset:.2f} ± {offset_sd:.2f} mm beside the stage's axis and "
+        f"is turned by {np.degrees(turn):.2f} ± {np.degrees(turn_sd):.2f} degrees against it"
     )
     worst = max(offset / offset_sd, turn / turn_sd)
     if worst > MAX_AXIS_DISAGREEMENT_SD:
@@ -251,26 +252,42 @@ def choose_entry(
 def _list_behind_metal(
     profile: IntensityProfile, runs: Sequence[MaterialRun], thickness: float | None, distance: float
 ) -> list[EntryCandidate]:
-    """Return the entries right behind metal; one of about the stated thickness has it exactly.
+    """Return the entries behind metal; one of about the stated thickness has it exactly.
 
-    Its faces are where the brightness is half way; blur moves both outwards alike: their middle is right.
+    Streaks go on beyond its faces, and blur moves both outwards alike: the middle of its brighter part is
+    right. In the streaks air behind it is a dip, at whose end the tissue begins.
     """
     known = np.isfinite(profile.around)
     s, values, found = profile.s[known], profile.around[known], list[EntryCandidate]()
-    for n, (run, behind) in enumerate(pairwise(runs)):
+    for run, behind in pairwise(runs):
         if (run.kind, behind.kind) != ("metal", "soft"):
             continue
-        before = runs[n - 1] if n else behind  # the volume may begin in it
-        inside = (s >= run.begin - MM.BLUR_REACH) & (s <= run.end)
-        begin, end = (
-            s[inside & (values > (run.level + beside.level) / 2)][side]
-            for side, beside in ((0, before), (-1, behind))
-        )
-        if thickness is not None and abs(end - begin - thickness) <= MM.MATCH:
+        bright = np.where((s >= run.begin - MM.BLUR_REACH) & (s <= run.end), values, -np.inf)
+        cut = find_cuts(values[np.isfinite(bright)])[1] < np.inf  # then blur widens it more
+        level = (PART.BRIGHTEST if cut else PART.SHOWN) * bright.max()
+        first, *_, last = np.flatnonzero(bright >= level)
+        begin, end = (_cross(s, values, level, int(n)) for n in (first, last + 1))
+        stated = end - begin if thickness is None else thickness
+        beyond, shown = (some[(s > end) & (s <= behind.end)] for some in (s, values))
+        risen = np.flatnonzero(shown - np.minimum.accumulate(shown) >= HU.METAL_CONTRAST)[:1]
+        if -MM.MATCH <= end - begin - stated <= max(MM.MATCH * (1 + cut), stated * len(risen)):
             middle = (begin + end) / 2
-            begin, end = middle - thickness / 2, middle + thickness / 2
-        found.append(EntryCandidate(float(end) + distance, MM.HIDDEN_FACE_SD, (float(begin), float(end))))
+            begin, end = middle - stated / 2, middle + stated / 2
+        entry = end + distance  # where it lies on the tissue
+        for n in risen:
+            low = int(np.argmin(shown[: n + 1]))
+            middle = (shown[low] + shown[n:].max()) / 2
+            entry = _cross(beyond, shown, middle, low + int(np.argmax(shown[low:] >= middle)))
+        found.append(EntryCandidate(entry, MM.HIDDEN_FACE_SD, (begin, end)))
     return found
+
+
+def _cross(s: Floats, values: Floats, level: float, n: int) -> float:
+    """Return where values (N,) at `s` (N,) pass a level before station `n`, mm; the end where it has none."""
+    if not 0 < n < len(s):
+        return float(s[min(n, len(s) - 1)])
+    part = (level - values[n - 1]) / (values[n] - values[n - 1])
+    return float(s[n - 1] + part * (s[n] - s[n - 1]))
 
 
 def _choose_face(faces: Sequence[EntryCandidate], soft: Sequence[MaterialRun]) -> tuple[EntryCandidate, str]:

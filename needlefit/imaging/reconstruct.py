@@ -99,9 +99,9 @@ def collect_warnings(one: Reconstruction, earlier: Sequence[str] = ()) -> tuple[
     if one.depth_sd > MM.DEPTH_SD:
         tip, entry = float(one.needle_axis.tip_sd[0]), one.pose.along_sd
         raise DataError(
-            f"the inserted length is known to +- {one.depth_sd:.2g} mm only (tip "
+            f"the inserted length is known to ± {one.depth_sd:.2g} mm only (tip "
             f"{tip:.2g}, entry {entry:.2g})",
-            expected=f"+- {MM.DEPTH_SD:g} mm or less",
+            expected=f"± {MM.DEPTH_SD:g} mm or less",
             fix=(
                 "state the stage or the tissue's own surface (into = 1) if the entry is not "
                 "known; if the tip is not, scan it away from other metal, or with thinner "
@@ -120,13 +120,13 @@ def collect_warnings(one: Reconstruction, earlier: Sequence[str] = ()) -> tuple[
 def list_tip_warnings(one: Reconstruction) -> list[str]:
     """Return what a person should know of the needle's end."""
     needle, notes = one.needle_axis, []
-    sd = f"+- {float(needle.tip_sd[0]):.2f} mm"
+    sd = f"± {float(needle.tip_sd[0]):.2f} mm"
     if needle.tip_sd[0] > MM.TIP_DOUBT:
         notes.append(f"the tip is known to {sd} only along the needle")
     if needle.normal_sd > MM.TIP_DOUBT:
         notes.append(
             "the slices do not show well where along their normal the needle lies: tip "
-            f"+- {needle.normal_sd:.2f} mm; scan it across the slices, or with thinner ones"
+            f"± {needle.normal_sd:.2f} mm; scan it across the slices, or with thinner ones"
         )
     if needle.misfit > (PART.SLICE_MISFIT if needle.normal_sd else PART.END_MISFIT):
         notes.append(
@@ -157,13 +157,13 @@ def _entry_warnings(one: Reconstruction) -> Iterator[str]:
     known, at_tip = one.registration, float(np.hypot(one.pose.shift_sd, one.pose.angle_sd * one.depth))
     if known is not None and known.p_value <= MIN_P_VALUE:
         yield (
-            f"the markers miss their places by {known.fre:.2f} mm, {known.expected_fre:.2f} were expected "
+            f"the fiducial registration error is {known.fre:.2f} mm, {known.expected_fre:.2f} was expected "
             f"(probability {known.p_value:.1g}): the stated deviations are too small, or a marker has moved"
         )
     if one.pose.source == "shaft":
         yield (
-            f"the entry axis is drawn through the shaft outside the tissue: +- {at_tip:.2f} mm at the tip's "
-            "depth; the stage's axis is more accurate, where it is known"
+            f"the entry pose is that of the shaft outside the tissue: ± {at_tip:.2f} mm at the tip's depth; "
+            "the stage's pose is more accurate, where it is known"
         )
     elif one.shaft is not None:
         worst, sentence = compare_poses(one.pose, one.shaft)
@@ -184,7 +184,7 @@ def _entry_warnings(one: Reconstruction) -> Iterator[str]:
     rises = sorted(find_rises(one.profile), key=lambda rise: abs(rise[1])) if source else []
     for _, off, edge_sd in rises[:1]:
         sd, side = float(np.hypot(edge_sd, one.pose.along_sd)), "after" if off > 0 else "before"
-        what = f"in the scan the tissue begins {abs(off):.2f} +- {sd:.2f} mm {side} {source}"
+        what = f"in the scan the tissue begins {abs(off):.2f} ± {sd:.2f} mm {side} {source}"
         if not staged and abs(off) > MAX_START_DISTANCE_MM + SD.DISAGREEMENT * sd:
             raise DataError(
                 what,
@@ -204,7 +204,7 @@ def _plane_warnings(one: Reconstruction) -> Iterator[str]:
     error = float(np.hypot(one.sd[-1], np.hypot(one.pose.shift_sd, one.pose.angle_sd * one.depth)))
     if one.scan.bevel is None and np.degrees(error) > MAX_PLANE_SD_DEG * abs(deflection):
         yield (
-            f"the tip lies {abs(deflection):.2f} +- {error:.2f} mm beside the entry axis: so straight, "
+            f"the tip lies {abs(deflection):.2f} ± {error:.2f} mm beside the entry axis: so straight, "
             "it determines no bending plane, and its deflection is biased upward; state the bevel's direction"
         )
     visible_bevel = one.patient.rotation @ one.needle_axis.bevel

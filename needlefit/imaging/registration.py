@@ -93,7 +93,7 @@ def register(
     if turn > MAX_TURN_SD_RAD:
         raise DataError(
             f"{len(best.pairs)} markers lie on a line, or their deviation of {sd:.3g} mm is large against "
-            f"their layout: the turn about it is known to +- {np.degrees(min(turn, np.pi)):.0f} degrees only",
+            f"their layout: the turn about it is known to ± {np.degrees(min(turn, np.pi)):.0f} degrees only",
             expected="three or more markers, one of them well beside the line through the others",
             fix="use markers off that line, or correct reference_sd_mm and fiducial_sd_mm of the recipe (mm, "
             "per direction)",

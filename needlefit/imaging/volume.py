@@ -225,9 +225,9 @@ class Volume:
         Interpolated values end nowhere in particular: without this the metal seems less bright, and longer.
         """
         top = float(self.values.max())
-        if not BRIGHTEST_FRACTION <= top / HU.CLIPPED <= 1 / BRIGHTEST_FRACTION:
+        if not PART.BRIGHTEST <= top / HU.CLIPPED <= 1 / PART.BRIGHTEST:
             return None
-        bright = np.concatenate([plane[plane > BRIGHTEST_FRACTION * top] for plane in self.values])
+        bright = np.concatenate([plane[plane > PART.BRIGHTEST * top] for plane in self.values])
         shared = np.count_nonzero(bright == top)
         return top if len(bright) >= MIN_BRIGHTEST and shared < MAX_SHARED_FRACTION * len(bright) else None
 
@@ -280,7 +280,6 @@ def find_outside(volume: Volume, points: ArrayLike) -> NDArray[np.int64]:
 
 # Metal that is cut at it has it in nearly all of its brightest voxels: of those above a part of the top, at
 # least `MIN_BRIGHTEST`, fewer than `MAX_SHARED_FRACTION` have it in a scan that was resampled.
-BRIGHTEST_FRACTION = 0.97  # of the top, from which voxels count as brightest
 MAX_EQUAL = 3  # voxels around a thing that have its largest value by chance
 MIN_BRIGHTEST = 20  # voxels
 MAX_SHARED_FRACTION = 0.85  # of the brightest voxels

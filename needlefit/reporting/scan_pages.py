@@ -82,7 +82,7 @@ def _write_page(
         "origin_mark": ORIGIN_MARKS[scan.origin],
         "version": document.find_version(),
         "facts": facts,
-        "warnings": [warning.replace("+-", "±") for warning in warnings],
+        "warnings": warnings,
         "caption": caption,
     }
     with tempfile.TemporaryDirectory(prefix="needlefit-") as name:

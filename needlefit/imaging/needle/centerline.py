@@ -47,8 +47,7 @@ class Centerline:
     bevel: Floats
     # Cross-sections and spline, LPS, arc lengths from the first point; None where no scan was traced.
     sections: SplineSections | None = None
-    # That the side seen is right, within 90 degrees; nan for a blunt needle.
-    bevel_probability: float = np.nan
+    roll_sd: float = np.nan  # deviation of the side seen, about the needle, rad; nan for a blunt needle
     misfit: float = 0.0  # how far the image of the end is from the model, in parts of its brightness
     bevel_deg: float = np.nan  # angle of the bevel that the image shows, where it contradicts the stated one
     # Deviation of the tip along the slices' normal, mm, of a needle near thick slices; otherwise 0.
@@ -166,7 +165,8 @@ def refine_axis(
         where = axis_frames(axis, s[valid])
         across, amplitude = find_centroids(values[valid], plane, recipe.needle.diameter_mm)
         good = np.linalg.norm(across, axis=1) < recipe.needle.diameter_mm / (1 if round_ == 0 else 2)
-        good &= amplitude > PART.FAINT * np.median(amplitude) if len(amplitude) else False
+        level = np.median(amplitude) if len(amplitude) else np.inf
+        good &= amplitude > min(PART.FAINT * level, HU.METAL_CONTRAST / 2)
         if good.sum() < FEWEST:
             raise DataError(
                 f"the needle shows in {good.sum()} cross-sections only",
@@ -282,7 +282,7 @@ def _sample_centerline(
         tip_sd,
         end.bevel,
         drawn,
-        end.bevel_probability,
+        end.roll_sd,
         end.misfit,
         end.bevel_deg,
         0.0 if axis.slice_sds is None else float(axis.slice_sds[1, -1]),

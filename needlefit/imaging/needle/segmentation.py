@@ -14,7 +14,7 @@ from needlefit.datasets.layers import MAX_START_DISTANCE_MM
 from needlefit.errors import DataError
 from needlefit.imaging.bright_voxels import BrightVoxels, list_bright_voxels
 from needlefit.imaging.constants import HU, MM, PART
-from needlefit.imaging.needle.axis_spline import FEWEST, AxisSpline
+from needlefit.imaging.needle.axis_spline import FEWEST, ROUNDS, AxisSpline
 from needlefit.imaging.volume import Volume, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
@@ -67,6 +67,7 @@ class Component:
     width: float  # diameter of a rod of this length and as many voxels, mm
     bend: float  # root mean square distance from the parabola that fits best, mm
     on_face: float  # part of the voxels that lie on the volume's faces
+    beside: Floats  # (N, 2); of the voxels beside that parabola, mm
 
 
 def find_tubes(
@@ -132,8 +133,20 @@ def cut_components(
         if len(pieces) == 1 and len(pieces[0]) == len(part.voxels):
             found.append(part)
         else:
-            found += [measure_component(volume, one) for one in pieces if len(one) >= FEWEST]
+            found += [_trim_piece(volume, one, recipe) for one in pieces if len(one) >= FEWEST]
     return found
+
+
+def _trim_piece(volume: Volume, voxels: Ints, recipe: ReconstructionRecord) -> Component:
+    """Return a piece (N, 3), i, j, k, without the rim that a wide part has left around the needle's curve."""
+    part = measure_component(volume, voxels)
+    for _ in range(ROUNDS):
+        reach = max(PART.WIDENING * recipe.needle.diameter_mm / 2, part.bend)
+        near = np.linalg.norm(part.beside, axis=1) <= reach
+        if near.all() or np.count_nonzero(near) < FEWEST:
+            break
+        part = measure_component(volume, part.voxels[near])
+    return part
 
 
 def list_thresholds(volume: Volume, recipe: ReconstructionRecord) -> list[tuple[float, float]]:
@@ -216,7 +229,7 @@ def measure_component(volume: Volume, voxels: Ints) -> Component:
     width = float(np.sqrt(4 * len(voxels) * voxel / (np.pi * length)))
     last = np.array(volume.values.shape[::-1]) - 1
     on_face = float(np.mean(np.any((voxels == 0) | (voxels == last), axis=1)))
-    return Component(voxels, length, width, bend, on_face)
+    return Component(voxels, length, width, bend, on_face, off)
 
 
 def median_tissue_hu(volume: Volume) -> float:

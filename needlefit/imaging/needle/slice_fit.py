@@ -27,14 +27,7 @@ from needlefit.imaging.needle.axis_spline import AxisSpline, axis_sd, correlatio
 from needlefit.imaging.needle.follow import STEP_MM
 from needlefit.imaging.needle.hub import Hub, find_hub
 from needlefit.imaging.needle.rod_projection import COLUMN_MM, SENSITIVITY_AT, Rod
-from needlefit.imaging.needle.tip import (
-    MAX_BEVEL_DEG,
-    MIN_BEVEL_PROBABILITY,
-    ROLL_FACTOR,
-    ROUGH_STEPS,
-    TipFit,
-    side_probability,
-)
+from needlefit.imaging.needle.tip import MAX_BEVEL_DEG, ROLL_FACTOR, ROUGH_STEPS, TipFit, point_bevel
 from needlefit.imaging.point_spread import PointSpread, expected_spread
 from needlefit.imaging.volume import Volume, to_index
 from needlefit.schemas.reconstruction import ReconstructionRecord, ScannedNeedleRecord
@@ -131,10 +124,9 @@ def place_in_slices(
     wider = np.mean(sds[0] ** 2) / np.mean(axis_sd(placed, s[:-1]) ** 2)
     placed = replace(placed, variance=placed.variance * wider, slice_sds=sds)
     sd = np.hypot([np.hypot(end_sd, 2 * missed), np.linalg.norm(sds[:, -1]) / np.sqrt(2)], MM.MODEL_SD)
-    probability = side_probability(ROLL_FACTOR * float(roll_sd)) if rolled else np.nan
-    sided = probability >= MIN_BEVEL_PROBABILITY
-    bevel = np.cos(roll) * frame[1] + np.sin(roll) * normal if sided else np.full(3, np.nan)
-    return placed, TipFit(float(s[-1]), points[-1], sd, bevel, probability, error)
+    roll_sd = ROLL_FACTOR * float(roll_sd) if rolled else np.nan
+    bevel = point_bevel(frame[1], normal, float(roll), roll_sd)
+    return placed, TipFit(float(s[-1]), points[-1], sd, bevel, roll_sd, error)
 
 
 def _extend(spline: BSpline, x: Floats) -> Floats:

@@ -128,6 +128,12 @@ def side_probability(roll_sd: float) -> float:
     return float(erf(np.pi / 2 / np.sqrt(2) / roll_sd))
 
 
+def point_bevel(u: Floats, v: Floats, roll: float, roll_sd: float) -> Floats:
+    """Return the direction (3,) of the bevel's point, rolled from `u` to `v`; nan if its side is unsure."""
+    sided = side_probability(roll_sd) >= MIN_BEVEL_PROBABILITY
+    return np.cos(roll) * u + np.sin(roll) * v if sided else np.full(3, np.nan)
+
+
 def bevel_length(needle: ScannedNeedleRecord) -> float:
     """Return the length of the bevel: how far behind the point the tip is cut, mm."""
     return needle.diameter_mm / float(np.tan(np.deg2rad(needle.bevel_deg)))
@@ -274,10 +280,10 @@ class TipFit:
     at: float  # along the spine, mm
     point: Floats  # (3,); in the patient, mm; beside the spine, if the rod swung
     sd: Floats  # (2,); deviations along the needle, and across it in either direction, mm
-    # (3,); unit vector across the needle to the side of the bevel's point; nan for a blunt end, or if its
-    # probability is below `MIN_BEVEL_PROBABILITY`.
+    # (3,); unit vector across the needle to the side of the bevel's point; nan for a blunt end, or if the
+    # probability of that side is below `MIN_BEVEL_PROBABILITY`.
     bevel: Floats
-    bevel_probability: float  # that the likeliest side is right, within 90 degrees; nan for a blunt end
+    roll_sd: float  # deviation of the bevel's roll, rad; nan for a blunt end
     misfit: float = 0.0  # how far the image is from the model, in parts of its brightness
     bevel_deg: float = np.nan  # angle of the bevel as the image shows it, where it contradicts the stated one
 
@@ -322,14 +328,13 @@ def fit_tip(
     across = np.linalg.norm([np.sqrt(variance[[U, V]].mean()), heel, MM.MODEL_SD])
     along = np.linalg.norm([np.sqrt(variance[TIP]), MM.MODEL_SD, PART.TIP_SD * spacing])
     roll_sd = float(np.hypot(ROLL_FACTOR * np.sqrt(variance[ROLL]), ROLL_SD))
-    probability = side_probability(roll_sd) if problem.rolled else np.nan
-    sided = probability >= MIN_BEVEL_PROBABILITY
+    roll_sd = roll_sd if problem.rolled else np.nan
     return TipFit(
         at=at,
         point=there.origins[0] + best.x[U] * there.u[0] + best.x[V] * there.v[0],
         sd=np.array([along, across]),
-        bevel=np.cos(roll) * there.u[0] + np.sin(roll) * there.v[0] if sided else np.full(3, np.nan),
-        bevel_probability=float(probability),
+        bevel=point_bevel(there.u[0], there.v[0], float(roll), roll_sd),
+        roll_sd=roll_sd,
         misfit=problem.misfit(best.x),
         bevel_deg=bevel_deg,
     )

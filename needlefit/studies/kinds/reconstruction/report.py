@@ -1,5 +1,6 @@
 """The report of a batch of reconstructed scans, written into the folder of their dataset."""
 
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -8,6 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from needlefit.datasets.columns import BEVEL_COLUMNS
 from needlefit.datasets.first_study import write_first_runs, write_scene
 from needlefit.datasets.formats.markups import CurveStyle, Markups, write_mrk_json
 from needlefit.datasets.read import read
@@ -19,6 +21,7 @@ from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scans import write_scan_table
 from needlefit.inference.identifiability.directions import NORMAL_95_HALF_WIDTH_SD
 from needlefit.project.folders import replace_folder
+from needlefit.project.help_pages import read_terms
 from needlefit.project.progress import Progress
 from needlefit.project.result_warnings import ResultWarning, to_stored_rows
 from needlefit.reporting.columns import find_column
@@ -188,7 +191,8 @@ def describe_scan(reconstruction: Reconstruction) -> Row:
         "depth_sd_mm": reconstruction.depth_sd,
         "deflection_mm": reconstruction.deflection,
         **dict(zip(TIP_COLUMNS, (*needle.tip, *needle.tip_sd), strict=True)),
-        "bevel_probability": needle.bevel_probability,
+        **dict(zip(BEVEL_COLUMNS, reconstruction.patient.rotation @ needle.bevel, strict=True)),
+        "bevel_sd_deg": np.degrees(needle.roll_sd),
         "centerline_sd_rms_mm": np.sqrt(np.mean(reconstruction.sd**2)),
         "layers": " ".join(map(str, reconstruction.layers.sequence)),
         "warnings": "; ".join(reconstruction.warnings),
@@ -221,6 +225,7 @@ def tabulate_failures(failures: Sequence[ReconstructionFailure]) -> pd.DataFrame
 def describe_batch(run: Run) -> dict[str, Any]:
     """Return what the text prints."""
     rows, remarks = to_records(run.frames["reconstruction"]), to_records(run.frames["remarks"])
+    sided = [row for row in rows if row.get("bevel_x") is not None]  # earlier results have none
     passed = {row["id"]: list[dict[str, Any]]() for row in rows[:MAX_NAMED_SCANS]}
     for part in to_records(run.frames.get("passed", pd.DataFrame())):  # earlier results have none
         if part["id"] in passed:
@@ -229,15 +234,22 @@ def describe_batch(run: Run) -> dict[str, Any]:
     assert isinstance(run.record, ReconstructionBatchRecord)
     return {
         "unregistered": [row for row in rows if row["markers_known"] is None],
+        "sided": sided[:MAX_NAMED_SCANS],
         "needle": run.record.recipe.needle,
         "scans": len(rows),
         "passed": {name: parts for name, parts in passed.items() if parts},
         "remarked": len({row["id"] for row in remarks}),
-        "remarks": remarks,
+        "remarks": [{**row, "term": find_term(row["note"])} for row in remarks],
         "poor": [row for row in poor if row["sd_mm"] > POOR_DEPTH_SD_MM],
         "named": MAX_NAMED_SCANS,
         "origin_mark": run.origin_mark,
     }
+
+
+def find_term(note: str) -> str:
+    """Return the longest term of the glossary in a warning, as `needlefit explain` takes it, or ""."""
+    terms = (topic.key for topic in read_terms() if re.search(rf"\b{re.escape(topic.key)}\b", note))
+    return max(terms, key=len, default="").replace(" ", "-")
 
 
 def lay_out_reconstructions(run: Run) -> TableLayout:
