@@ -178,7 +178,7 @@ def test_tables_of_turns_and_curvatures_belong_to_needles_of_their_names(tmp_pat
     plan, made = planned(paths, pose="1,0,0")
     toward = [float(text) for text in made["bevel"][0].split(",")]  # as they bend before they are turned
     assert made["bevel"][1] == "assumed" and toward == pytest.approx([0, 1, 0], abs=0.03)
-    assert made["turns"][1] == made["curvatures"][1] == "files"
+    assert made["turns, curvatures"][1] == "files"
     assert made["bevel_roll_sd"][1] == "assumed"
     assert [np.degrees(row.turns).tolist()[0][1] for row in plan.rows] == pytest.approx([90.0] * 4)
     assert plan.rows[2].turns[0][0] == 40.0 and plan.rows[1].curvature is None
@@ -556,7 +556,7 @@ def test_a_needle_that_is_a_tenth_as_long_or_has_a_gauge_in_its_name_is_asked_ab
     assert len(planned([file], lengths="differ")[0].rows) == 4
     file = write_long(tmp_path, [NEEDLES[0] / 10.0], head=["depth [mm]"], cells=[["60"]])
     fix = refusal(DataError, "depth", planned, [file], entry_point="first").fix
-    assert "--set x.unit=cm --set y.unit=cm --set z.unit=cm" in fix
+    assert "--set unit=cm" in fix
     file.write_text(write_long(tmp_path, NEEDLES).read_text().replace("n1,", "22G x 150 mm,"))
     assert "--set diameter=22G" in refusal(DataError, "22G", planned, [file]).fix
 

@@ -1,15 +1,13 @@
 """Settle what is asked of every imported curve: an answer of each, the sides of their bevels, directions."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from needlefit.arrays import Floats
-from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.importing.curves import ImportedCurve
 from needlefit.datasets.importing.stated import Settler, Stated, name_set
 from needlefit.datasets.insertion import Pose
@@ -21,16 +19,8 @@ from needlefit.project.locate import join_names
 MIN_SAME_SIDE = 0.9  # smallest length of the mean of unit deflections that have one direction
 SAME_AXIS_DEG = 10.0  # largest angle (degrees) to a world axis at which that axis is proposed
 
-
-def to_sides(angles: Sequence[float]) -> tuple[list[int], list[float]]:
-    """Return the sides of bevels, and by how much each is turned about its needle, rad.
-
-    Bevels that differ by half turns are 1 and -1, all turned alike; others are sides 1, turned.
-    """
-    if len({angle % 180.0 for angle in angles}) == 1:
-        turn = float(np.radians(angles[0] % 180.0))
-        return [1 if angle % 360.0 < 180.0 else -1 for angle in angles], [turn for _ in angles]
-    return [1 for _ in angles], [float(np.radians(angle % 360.0)) for angle in angles]
+Answers = dict[ImportedCurve, Stated]  # of each needle
+Numbers = dict[ImportedCurve, float]
 
 
 def snap_to_axis(direction: Floats) -> Floats:
@@ -45,17 +35,23 @@ def format_direction(direction: Floats) -> str:
     return ",".join(f"{value:z.3g}" for value in direction.round(3))
 
 
+def list_names(curves: Iterable[ImportedCurve]) -> str:
+    """Return the names of curves, in a sentence; empty of none."""
+    return join_names([curve.name for curve in curves], 5)
+
+
 class BendsOfSides:
     """How far bevels of side 1 would have bent across their directions, mm: `toward` (N, 3).
 
-    `bends` (N, 3): from the directions `along` (N, 3), mm. `angles`: that bevels face, degrees; None: all 0.
+    `bends` (N, 3): of curves, from the directions `along` (N, 3), mm.
     """
 
-    def __init__(self, bends: Floats, along: Floats, angles: Sequence[float] | None) -> None:
-        sides, turns = to_sides(angles or [0.0] * len(bends))
-        self.turned = Rotation.from_rotvec(np.array(turns)[:, None] * along)
+    def __init__(self, curves: Sequence[ImportedCurve], bends: Floats, along: Floats) -> None:
+        turns = np.array([curve.turn for curve in curves])
+        self.turned = Rotation.from_rotvec(turns[:, None] * along)
         across = bends - np.sum(bends * along, axis=1)[:, None] * along
-        self.toward: Floats = np.array(sides)[:, None] * self.turned.inv().apply(across)
+        sides = np.array([curve.side for curve in curves])
+        self.toward: Floats = sides[:, None] * self.turned.inv().apply(across)
         self.sizes = np.linalg.norm(self.toward, axis=1)
         self.units = self.toward / np.maximum(self.sizes, SAME_POINT_MM)[:, None]
         self.direction = to_unit(along.sum(axis=0))
@@ -86,31 +82,30 @@ class CurveAnswers:
         counts = Counter(key for curve in of_all for key in curve.stated)
         self.partly_stated = {key for key in counts if counts[key] < len(of_all)}
 
-    def each(
-        self, key: str, usual: str | None = None, reason: str = "", is_sure: bool = False
-    ) -> list[Stated]:
+    def each(self, key: str, usual: str | None = None, reason: str = "", is_sure: bool = False) -> Answers:
         """Return what holds of each needle: its own cell, else the value of all.
 
         A value that is stated beside cells of all needles of the import takes their place. DataError if
         nothing states it of some needles.
         """
-        cells = {curve.name: curve.stated[key] for curve in self.curves if key in curve.stated}
-        missing = [curve.name for curve in self.curves if curve.name not in cells]
+        cells = {curve: curve.stated[key] for curve in self.curves if key in curve.stated}
+        missing = [curve for curve in self.curves if curve not in cells]
         is_stated = key in self.settler.values and key not in self.partly_stated
         if not cells or (is_stated and not missing):
-            return [self.settle(key, usual, reason, is_sure=is_sure)] * len(self.curves)
-        rest = next(iter(cells.values()))
-        if missing:
-            reason = f"stated of {join_names([*cells], 5)}, not of {join_names(missing, 5)}"
-            fix = f"fill in their cells, or state {name_set(key)} of all that are blank"
-            rest = self.settle(key, "", reason, fix=fix, where=rest.where)
-        return [cells.get(curve.name, rest) for curve in self.curves]
+            return dict.fromkeys(self.curves, self.settle(key, usual, reason, is_sure=is_sure))
+        if not missing:
+            return cells
+        reason = f"stated of {list_names(cells)}, not of {list_names(missing)}"
+        fix = f"fill in their cells, or state {name_set(key)} of all that are blank"
+        rest = self.settle(key, "", reason, fix=fix, where=next(iter(cells.values())).where)
+        return {curve: cells.get(curve, rest) for curve in self.curves}
 
     def numbers(
         self, key: str, is_above: bool = False, usual: str | None = None, reason: str = ""
-    ) -> list[float]:
+    ) -> Numbers:
         """Return the number of each needle, in the unit of the key."""
-        return [answer.to_number(key, is_above) for answer in self.each(key, usual, reason)]
+        answers = self.each(key, usual, reason)
+        return {curve: answer.to_number(key, is_above) for curve, answer in answers.items()}
 
     def stated(self, key: str) -> str:
         """Return what the mapping states of all needles; empty if nothing."""
@@ -120,14 +115,21 @@ class CurveAnswers:
         """Return whether the mapping or the cells of a needle state a key."""
         return key in self.settler.values or any(key in curve.stated for curve in self.curves)
 
-    def settle_sides(self, is_needed: bool = False) -> list[float] | None:
+    def settle_sides(self, is_needed: bool = False) -> Numbers | None:
         """Return the direction that each bevel faces, degrees about the needle; None where nobody states it.
 
+        Bevels that differ by half turns are of sides 1 and -1, all turned alike; others are of side 1.
         DataError if a cell is not understood. `is_needed`: what nobody states is assumed.
         """
         if not (is_needed or self.is_stated("bevel_side")):
             return None
-        return [cell.to_angle() for cell in self.each("bevel_side", "1", "not stated")]
+        answers = self.each("bevel_side", "1", "not stated")
+        angles = {curve: answer.to_angle() for curve, answer in answers.items()}
+        period = 180.0 if len({angle % 180.0 for angle in angles.values()}) == 1 else 360.0
+        for curve, angle in angles.items():
+            curve.turn = float(np.radians(angle % period))
+            curve.side = 1 if angle % 360.0 < period else -1
+        return angles
 
 
 class Placer(CurveAnswers):
@@ -143,26 +145,25 @@ class Placer(CurveAnswers):
         """Settle entries and inserted lengths; `curves` may become others."""
         raise NotImplementedError
 
-    def make_rows(self, point_sd: float) -> list[InsertionRow]:
-        """Return the rows, without medium, specimen, needle and guide; `point_sd`, mm: the least one."""
+    def fill_rows(self, point_sd: float) -> None:
+        """Fill in the rows, but medium, specimen, needle and guide; `point_sd`, mm: the least one."""
         raise NotImplementedError
 
     def choose_study(self, point_sd: float) -> Mapping[str, float | str]:
         """Return keys of a first study."""
         return {}
 
-    def meet_layers(self, rows: Sequence[InsertionRow], runs: Sequence[float] = ()) -> list[InsertionRow]:
-        """Return rows with the numbers of layers that they meet, by the depths of boundaries.
+    def meet_layers(self, runs: Numbers | None = None) -> None:
+        """Fill in the numbers of layers that needles meet, by the depths of boundaries.
 
         `runs`, mm: how far they go along their directions; without them their inserted lengths.
         """
         is_layered = bool(self.surfaces) or any(curve.boundaries for curve in self.curves)
-        sds = self.numbers("boundary_sd") if is_layered else [row.boundary_sd for row in rows]
-        runs = runs or [row.depth for row in rows]
-        return [
-            replace(row, layers=len(select_layers(np.array(curve.boundaries), run)[1]), boundary_sd=sd)
-            for row, curve, run, sd in zip(rows, self.curves, runs, sds, strict=True)
-        ]
+        sds = self.numbers("boundary_sd") if is_layered else {}
+        for curve in self.curves:
+            reach = runs[curve] if runs else curve.depth
+            _, layers = select_layers(np.array(curve.boundaries), reach)
+            curve.fill(layers=len(layers), boundary_sd=sds.get(curve, 0.0))
 
     def note_deflections(self, zero: str = "from the line of insertion") -> None:
         """Note which deflections are positive, and from where they count, unless it is assumed."""

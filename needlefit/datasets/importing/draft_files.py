@@ -220,9 +220,9 @@ def _draft_values(grid: Grid, keys: Keys, draft: Draft) -> None:
     """Propose what a sheet of names and values states of all."""
     table = lay_out(grid, check(keys, TableRecord, grid.path))
     columns = dict[str, Keys]()
-    texts = table.rows[0] if table.rows else ()
-    for name, header, text in zip(table.first_headers[0], table.headers, texts, strict=False):
-        plain, unit = split_unit(name)
+    for header, text in zip(table.headers, table.rows[0], strict=True):
+        named, unit = split_unit(header)
+        plain, _ = split_unit(named)
         key = "_".join(plain.lower().replace("_", " ").split())
         key = key if key in VALUES or key == "origin" else find_meaning("column", plain)
         if key == "origin":
@@ -230,9 +230,8 @@ def _draft_values(grid: Grid, keys: Keys, draft: Draft) -> None:
         elif key in MAPPING_TEXTS:
             draft.values.setdefault(key, text)
         elif key not in VALUES:
-            draft.unused.append((f"row {name} = {text}", f"{grid.path.name}, sheet {grid.sheet}"))
+            draft.unused.append((f"row {header} = {text}", f"{grid.path.name}, sheet {grid.sheet}"))
         elif key not in draft.stated.values:
-            unit = unit or split_unit(header)[1]
             columns[key] = {"column": header} | ({"unit": unit} if unit else {})
     if columns:
         draft.add(keys | {"columns": columns}, grid.path)

@@ -1,7 +1,6 @@
 """Propose what the columns of one table mean, and what its rows are; what is not sure is a question."""
 
 import json
-import re
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -29,15 +28,12 @@ from needlefit.datasets.importing.meanings import (
 from needlefit.datasets.importing.tables import BLOCK, Table
 from needlefit.datasets.observations.tip_track import MIN_READINGS
 from needlefit.project.locate import join_names
-from needlefit.project.units import UNITS_GPA
 
 NO_POINTS = (*VECTORS, "target", "guide", "quaternion")  # columns x, y, z that are no points of a needle
 OF_LAYERS = {"boundaries", "layers", "thickness"}  # meanings of columns that state something of layers
 SEVERAL = (*VECTORS, "boundaries", "thickness", "guide", "needle")  # meanings that may have several columns
 EXCLUDED = "excluded"  # the word of rows that are left out
-MIN_NEEDLE_GPA = 1.0  # smallest modulus (GPa) that can only be that of a needle
 MAX_FLAGS = 4  # largest number of values of a column that may mark rows to be left out
-_QUANTITY = re.compile(r"\D{0,3}[-+]?\d+([.,]\d+)?\s*\S{0,4}")  # a number with a unit: 22G, 0,7 mm
 
 
 @dataclass(frozen=True)
@@ -173,7 +169,8 @@ class TableDraft:
             self._ask_meaning(column, meanings[column.place], known)
         trials = next((column for column in self.all if column.meaning == "trials"), None)
         if trials and "point_sd" in known and any("mean" in text.casefold() for text in self.table.headers):
-            self._ask_what("point_sd", known.pop("point_sd")[0], count=str(trials.name))
+            (column,) = known.pop("point_sd")[:1]
+            self.ask("point_sd", column=column, count=str(trials.name))
         if EXCLUDED in known:
             self._ask_excluded(known.pop(EXCLUDED)[0])
         for meaning, columns in known.items():
@@ -181,18 +178,13 @@ class TableDraft:
 
     def _list_meanings(self, column: Column) -> list[str]:
         """Return what a column may mean, by its header and cells; an empty text: nothing here."""
-        meaning, headers = column.meaning, [other.meaning for other in self.all]
-        if meaning in ("medium", "modulus"):
-            are_needles = [find_meaning("value", text).endswith("GPa") for text in column.texts]
-            if any(are_needles):
-                is_open = headers.count("modulus") > (meaning == "modulus")
-                is_open |= meaning == "medium" and not all(are_needles)
-                return ["modulus", "medium"] if is_open else ["modulus"]
-            factor = UNITS_GPA.get(column.unit, 1.0)
-            if meaning == "modulus" and any(0 < value * factor < MIN_NEEDLE_GPA for value in column.numbers):
-                return ["modulus", ""]
-        if meaning == "guide" and "depth" not in headers:  # of the stage
-            return ["depth" if self.increases([column]) else meaning]
+        meaning, headers = column.meaning, {other.meaning for other in self.all}
+        are_needles = [find_meaning("value", text).endswith("GPa") for text in column.texts]
+        if meaning == "medium" and any(are_needles):
+            is_clear = all(are_needles) and "modulus" not in headers
+            return ["modulus"] if is_clear else ["medium", "modulus"]
+        if meaning == "guide" and "depth" not in headers and self.increases([column]):  # of the stage
+            return ["depth"]
         return meaning.split("|")
 
     def _choose_names(self, known: Mapping[str, Sequence[Column]]) -> list[Column]:
@@ -244,28 +236,19 @@ class TableDraft:
 
     # ---- what is asked
 
-    def ask(self, question: str, answers: Answers | None = None, **parts: str | int) -> None:
-        """Ask a question of `QUESTIONS` about this table."""
-        self.draft.ask(question, self.where, answers, **parts)
-
-    def _ask_what(
-        self,
-        question: str,
-        column: Column,
-        answers: Answers | None = None,
-        **parts: str,
+    def ask(
+        self, question: str, answers: Answers | None = None, column: Column | None = None, **parts: str | int
     ) -> None:
-        """Ask what a column is; until then it means nothing."""
-        self.used.add(column.place)
-        self.ask(question, answers, name=column.name, **parts)
+        """Ask a question of `QUESTIONS` about this table, or a column, which means nothing until then."""
+        if column is not None:
+            self.used.add(column.place)
+            parts["name"] = column.name
+        self.draft.ask(question, self.where, answers, **parts)
 
     def _ask_meaning(self, column: Column, meanings: Sequence[str], known: dict[str, list[Column]]) -> None:
         """Ask which of several meanings a column has, if the first is not stated."""
         stated = known.keys() | self.taken.keys() | self.draft.values.keys()
         if len(meanings) < 2 or meanings[0] in stated:
-            return
-        if "specimen" in meanings and ("specimen" in stated or len({*column.texts}) == 1):
-            known[meanings[0]] = [column]
             return
         answers = {
             meaning or "nothing": {f"{meaning}.column": str(column.name)} if meaning else _leave(column.name)
@@ -273,7 +256,7 @@ class TableDraft:
         }
         texts = [f"{meaning} ({MEANINGS[meaning].text})" if meaning else "not used" for meaning in meanings]
         cells = ", ".join(dict.fromkeys(column.texts))[:40]
-        self._ask_what("meaning", column, answers, cells=cells, meanings=" or ".join(texts))
+        self.ask("meaning", answers, column, cells=cells, meanings=" or ".join(texts))
 
     def _ask_excluded(self, column: Column) -> None:
         """Ask which value marks rows that are left out, if there are several."""
@@ -289,7 +272,7 @@ class TableDraft:
         if 1 < len(values) <= MAX_FLAGS:
             key, name = f"{EXCLUDED}.words", {f"{EXCLUDED}.column": str(column.name)}
             answers = {value or "blank": name | {key: _to_toml({value: EXCLUDED})} for value in values}
-            self._ask_what(EXCLUDED, column, answers | {"none": _leave(column.name)})
+            self.ask(EXCLUDED, answers | {"none": _leave(column.name)}, column)
 
     # ---- rows
 
@@ -414,7 +397,7 @@ class TableDraft:
         return [
             column
             for column in self.list_free()
-            if not column.is_known and all(map(_QUANTITY.fullmatch, column.texts))
+            if not column.is_known and len(column.numbers) == len(column.texts)
             if column.text or [*column.numbers] != [*range(1, len(column.texts) + 1)]
         ]
 
@@ -444,38 +427,34 @@ class TableDraft:
     def _complete(self, meaning: str, record: Keys, columns: Sequence[Column]) -> None:
         """Add a unit that the header does not state, and words for the sides of bevels."""
         texts = dict.fromkeys(text for column in columns for text in column.texts)
-        is_free = meaning in COORDINATES and self.table.system is None
-        is_step = any(map(str.isdigit, self.stated.unit))  # of a pixel: no unit of lengths in mm
-        if self.stated.unit and is_free and not (is_step and record.get("unit", "px") != "px"):
-            record["unit"] = self.stated.unit  # also beside a header that states another one
+        unit, is_free = self.stated.unit, meaning in COORDINATES and self.table.system is None
+        is_step = any(map(str.isdigit, unit))  # of a pixel: no unit of lengths in mm
+        if unit and is_free and not (is_step and record.get("unit", "px") != "px"):
+            record["unit"] = unit  # also beside a header that states another one
         elif MEANINGS[meaning].unit in ("mm", "1/mm") and not record.keys() & {"unit", "unit_column"}:
+            unit, is_point = self.table.unit, meaning in COORDINATES and self.kind.has_points
+            is_bare = meaning in ATTRIBUTES and not is_point and any(map(list_bare_numbers, texts))
             units = [column.name for column in self.all if column.meaning == "unit" and column.texts]
-            is_point = meaning in COORDINATES and self.kind.has_points
             if units:
                 record["unit_column"] = units[0]
-            elif self.table.unit and is_free:
-                record["unit"] = self.table.unit
-            elif meaning in ATTRIBUTES and not is_point and any(map(list_bare_numbers, texts)):
-                reason = f"{_list_names(columns)} states no unit"
-                if self.table.unit:
-                    record["unit"], reason = self.table.unit, f"{reason}, its file does"
-                self.draft.assumed[f"{meaning}.unit"] = f"{self.table.unit or 'mm'}: {reason}"
-        if meaning != "bevel_side":
-            return
+            elif unit and (is_free or is_bare):
+                record["unit"] = unit
+            if is_bare and not units:
+                self.draft.assumed[f"{meaning}.unit"] = (
+                    f"{unit or 'mm'}: {_list_names(columns)} states no unit"
+                )
         unit, words = record.get("unit", ""), record.get("words", {})
         unclear = [text for text in texts if text not in words and not is_side(text, unit)]
-        if not unclear or "bevel_side" in self.draft.values:
-            return
-        several = len(unclear) == 2
-        orders = [("1", "-1"), ("-1", "1")] if several else [("-1",) * len(unclear), ("1",) * len(unclear)]
-        answers = dict[str, dict[str, str]]()
-        if all(self.table.number(text) is not None for text in unclear):
-            answers["degrees"] = {"bevel_side.unit": "deg"}
-        for sides in orders:
-            answer = " ".join(f"{text}={side}" for text, side in zip(unclear, sides, strict=True))
-            answers[answer] = {"bevel_side.words": _to_toml(dict(zip(unclear, sides, strict=True)))}
-        names = ", ".join(f"`{text}`" for text in unclear[:MAX_FLAGS])
-        self.ask("bevel_side", answers, names=names, name=record.get("column", ""))
+        if meaning == "bevel_side" and unclear and meaning not in self.draft.values:
+            answers = dict[str, dict[str, str]]()
+            if all(self.table.number(text) is not None for text in unclear):
+                answers["degrees"] = {"bevel_side.unit": "deg"}
+            for sides in permutations(("1", "-1")):
+                sided = dict(zip(unclear, sides, strict=False))
+                answer = " ".join(f"{text}={side}" for text, side in sided.items())
+                answers[answer] = {"bevel_side.words": _to_toml(sided)}
+            names = ", ".join(f"`{text}`" for text in unclear[:MAX_FLAGS])
+            self.ask("bevel_side", answers, names=names, name=record.get("column", ""))
 
     def _spell(self, meaning: str, columns: Sequence[Column]) -> Keys:
         """Return how a mapping names columns, and the unit of the first."""

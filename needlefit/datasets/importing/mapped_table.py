@@ -18,6 +18,7 @@ from needlefit.datasets.importing.meanings import (
     MEANINGS,
     VECTORS,
     find_meaning,
+    list_factors,
     read_quantity,
 )
 from needlefit.datasets.importing.stated import Stated, name_set
@@ -33,12 +34,10 @@ from needlefit.datasets.importing.tables import (
 )
 from needlefit.errors import DataError
 from needlefit.project.locate import join_names, sort_by_similarity
-from needlefit.project.units import UNITS_MM, UNITS_PER_MM
 from needlefit.schemas.mapping import MappingRecord, TableRecord
 
 MAX_LISTED_NAMES = 4  # largest number of names in a message
 ACROSS = ("deflection", "deflection_z", "y", "z")  #: meanings whose numbers may be percents of the depth
-FACTORS = UNITS_MM | UNITS_PER_MM
 
 
 @dataclass(frozen=True)
@@ -79,7 +78,8 @@ class MappedTable:
             return self.table.places[n]
         column, place = self.find(meaning, record.columns[0]) + 1, self.table.places[n]
         is_above = column > len(self.table.headers) - len(self.table.remarked)
-        return f"{self.table.where}, above its rows" if is_above else f"{place}, column {column}"
+        above = f"{self.table.where}, `{self.table.headers[column - 1]}`"
+        return above if is_above else f"{place}, column {column}"
 
     def find(self, meaning: str, name: str | int) -> int:
         """Return the column with a header or number; DataError with the nearest name if there is none."""
@@ -94,6 +94,16 @@ class MappedTable:
             fix=self.name_edit(f"columns.{meaning}.column", near[0] if near else "1"),
             where=self.table.where,
         )
+
+    def require(self, *meanings: str) -> None:
+        """DataError if the mapping does not state where some meanings stand."""
+        if lacking := [meaning for meaning in meanings if meaning not in self.record.columns]:
+            raise DataError(
+                f"nothing states {' and '.join(lacking)} of its {self.record.holds}",
+                expected=f"columns of {', '.join(meanings)}",
+                fix=" ".join(self.name_edit(f"columns.{meaning}.column") for meaning in lacking),
+                where=self.table.where,
+            )
 
     def list_columns(self, meaning: str) -> list[int]:
         """Return the columns of a meaning; none where a value or a name stands in their place."""
@@ -133,17 +143,17 @@ class MappedTable:
         unit = self.read_unit(meaning, n) or usual
         if unit == "%" and meaning in ACROSS and self.cells["depth"][n]:  # of the depth of the row
             return self.read_number("depth", n) / 100 * self.record.columns[meaning].sign
-        quantity = (1.0, unit) if unit in FACTORS else read_quantity(unit)
+        factors = list_factors(usual)
+        quantity = (1.0, unit) if unit in factors else read_quantity(unit)
         number, plain = quantity or (1.0, unit)  # `0.07 mm` of a pixel
-        if plain not in FACTORS or plain.startswith("1/") != usual.startswith("1/"):
-            known_units = ", ".join(UNITS_PER_MM if usual.startswith("1/") else UNITS_MM)
+        if plain not in factors:
             raise DataError(
                 f"the unit of {meaning} is {unit!r}",
-                expected=f"{known_units}, or the length of a step: 0.07 mm",
+                expected=f"{', '.join(factors)}, or the length of a step: 0.07 mm",
                 fix=self.name_edit(f"columns.{meaning}.unit", usual),
                 where=self.where(n, meaning),
             )
-        return number * FACTORS[plain] * self.record.columns[meaning].sign
+        return number * factors[plain] * self.record.columns[meaning].sign
 
     def read_number(self, meaning: str, n: int, k: int = 0) -> float:
         """Return a cell of a row, that of the column `k`, in mm or 1/mm; DataError if it is no number."""

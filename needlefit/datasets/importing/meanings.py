@@ -11,7 +11,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from needlefit.project.units import UNITS_MM
+from needlefit.project.units import UNITS_GPA, UNITS_MM, UNITS_PER_MM
 
 Answers = Mapping[
     str, Mapping[str, str]
@@ -70,6 +70,9 @@ VECTORS = ("entry_point", "pose")  #: columns x, y, z that state something of ea
 
 
 FILE = Path(__file__).with_name("synonyms.csv")
+
+_PER_M = {unit: 1e3 * factor for unit, factor in UNITS_PER_MM.items()}
+_FACTORS = {"mm": UNITS_MM, "1/mm": UNITS_PER_MM, "1/m": _PER_M, "GPa": UNITS_GPA}
 
 NAMED_BY_LAYER = ("boundaries", "thickness")  # meanings whose columns may be named by their layers
 NUMBERED = (*NAMED_BY_LAYER, "deflection")  # meanings whose columns may be numbered
@@ -234,6 +237,11 @@ def is_side(text: str, unit: str) -> bool:
     """Whether a text states a side of a bevel: 1 or -1, degrees, a clock position, or a word for one."""
     value, unit_of_text = read_quantity(translate_side(text, unit)) or (0.0, "")
     return (unit_of_text or unit) == "deg" or (value in (1.0, -1.0) and not unit_of_text)
+
+
+def list_factors(unit: str) -> Mapping[str, float]:
+    """Return by what numbers in each unit are multiplied, to be in a unit."""
+    return _FACTORS.get(unit, {unit: 1.0})
 
 
 def list_bare_numbers(text: str) -> list[float]:

@@ -1,7 +1,7 @@
 """Place imported needles: entry, direction, layers and bevel, as the mapping or an answer states them."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -22,6 +22,7 @@ from needlefit.project.locate import join_names
 from needlefit.project.unit_warnings import GAUGES_MM
 from needlefit.schemas.scene import NeedleRecord
 
+MIN_NEEDLE_GPA = 1.0  # smallest modulus (GPa) that can be that of a needle
 MIN_NEEDLE_MM = 150.0  # smallest length (mm) that is assumed of a needle
 BEYOND_DEPTH_MM = 50.0  # length (mm) by which the assumed needle is longer than the greatest depth
 MAX_CAST_RATIO = 1.25  # of the depths of one boundary in specimens that were made alike
@@ -69,40 +70,32 @@ class Planner(CurveAnswers):
             self.usual |= placer.usual
         self.curves[:] = [curve for placer in self.placers for curve in placer.curves]
         self.settle_curvature_sd()
-        for curve, sd in zip(self.curves, self.numbers("point_sd", is_above=True), strict=True):
+        for curve, sd in self.numbers("point_sd", is_above=True).items():
             curve.point_sd = sd
+            curve.row = InsertionRow(curve.name, "", 1, curve.depth, hole=curve.hole)
         self.settle_layers()
         self.settle_needles()
-        rows = list[InsertionRow]()
         for placer in self.placers:
-            rows += placer.make_rows(min(curve.point_sd for curve in placer.curves))
-        media, specimens = self.settle_names()
-        distances, parameters = self.settle_guide_distances()
+            placer.fill_rows(min(curve.point_sd for curve in placer.curves))
+        self.settle_names()
+        parameters = self.settle_guide_distances()
         sd, study = min(curve.point_sd for curve in self.curves), dict[str, float | str]()
         for placer in self.placers:
             study |= placer.choose_study(sd)
         # what all needles share is stated once, what differs with each
         needles = dict.fromkeys(curve.needle for curve in self.curves)
         names = {needle: f"needle{n}" for n, needle in enumerate(needles, 1)} if len(needles) > 1 else {}
-        by_medium = group_values(zip(media, (curve.boundaries for curve in self.curves), strict=True))
+        by_medium = group_values((curve.row.medium, curve.boundaries) for curve in self.curves)
         shared = {medium: depths[0] if len({*depths}) == 1 else () for medium, depths in by_medium.items()}
-        placed = tuple(
-            replace(
-                row,
-                medium=medium,
-                specimen=specimen,
+        for curve in self.curves:
+            curve.fill(
                 needle=names.get(curve.needle, ""),
-                guide_distance=distance,
                 point_sd=None if curve.point_sd == sd else curve.point_sd,
-                boundaries=None if curve.boundaries == shared[medium] else curve.boundaries,
+                boundaries=None if curve.boundaries == shared[curve.row.medium] else curve.boundaries,
             )
-            for row, curve, medium, specimen, distance in zip(
-                rows, self.curves, media, specimens, distances, strict=True
-            )
-        )
         pose: Pose = "free" if any(placer.pose == "free" for placer in self.placers) else "known"
         return ImportPlan(
-            placed,
+            tuple(curve.row for curve in self.curves),
             pose,
             tuple(self.surfaces),
             shared,
@@ -153,50 +146,49 @@ class Planner(CurveAnswers):
         if self.surfaces:
             return
         answers, deepest = self.each("boundaries"), max(curve.depth for curve in self.curves)
-        for curve, answer in zip(self.curves, answers, strict=True):
+        for curve, answer in answers.items():
             curve.boundaries = () if answer.text == "none" else answer.to_boundaries()
-        are_sums = all(answer.are_sums for answer in answers)
+        are_sums = all(answer.are_sums for answer in answers.values())
         if are_sums and all(curve.boundaries[-1] >= deepest for curve in self.curves):
             for curve in self.curves:
                 curve.boundaries = curve.boundaries[:-1]
 
     # ---- names and needle
 
-    def settle_names(self) -> tuple[list[str], list[str]]:
-        """Return medium and specimen of each needle; a medium of tracks is in one specimen, by its name."""
-        specimens = [
-            re.sub(r'[,"]', " ", (curve.hole or curve.name) if cell.text == "each" else cell.text)
-            for curve, cell in zip(
-                self.curves, self.each("specimen", *self.usual.get("specimen", ())), strict=True
-            )
-        ]
+    def settle_names(self) -> None:
+        """Settle medium and specimen of each needle; a medium of tracks is in one specimen, by its name."""
+        for curve, cell in self.each("specimen", *self.usual.get("specimen", ())).items():
+            text = (curve.hole or curve.name) if cell.text == "each" else cell.text
+            curve.fill(specimen=re.sub(r'[,"]', " ", text))
         if not self.is_stated("medium"):
-            self.settle_medium(specimens)
-        media = [
-            specimen if cell.text == "specimen" else re.sub(r'[,"]', " ", cell.text)
-            for cell, specimen in zip(self.each("medium"), specimens, strict=True)
-        ]
-        if "specimen" in self.usual and len({*specimens}) > 1:
-            pairs = zip(media, specimens, strict=True)
-            media = [medium if medium == specimen else f"{medium} {specimen}" for medium, specimen in pairs]
-        return media, specimens
+            self.settle_medium()
+        count = len({curve.row.specimen for curve in self.curves})
+        for curve, cell in self.each("medium").items():
+            specimen = curve.row.specimen
+            medium = specimen if cell.text == "specimen" else re.sub(r'[,"]', " ", cell.text)
+            is_split = "specimen" in self.usual and count > 1 and medium != specimen
+            curve.fill(medium=f"{medium} {specimen}" if is_split else medium)
 
-    def settle_medium(self, specimens: Sequence[str]) -> None:
+    def settle_medium(self) -> None:
         """Propose a medium of each specimen, if their layers differ in number; ask if they differ in depth.
 
         Depths that differ from needle to needle, or by less than a cast, decide nothing.
         """
-        by_specimen = group_values(zip(specimens, (curve.boundaries for curve in self.curves), strict=True))
-        layers = [depths[0] for depths in by_specimen.values() if len({*depths}) == 1 < len(depths)]
-        if len(layers) < len(by_specimen):
-            return
-        pairs = zip(by_specimen, layers, strict=True)
-        texts = [f"{name}: {'; '.join(f'{depth:g}' for depth in own) or 'none'}" for name, own in pairs]
-        listed = join_names(texts, 4)
-        reason = f"boundaries of specimens differ ({listed})"
-        if len({*map(len, layers)}) > 1:
+        layers = dict[str, tuple[float, ...]]()
+        for name, depths in group_values(
+            (curve.row.specimen, curve.boundaries) for curve in self.curves
+        ).items():
+            if len(depths) < 2 or len({*depths}) > 1:
+                return
+            layers[name] = depths[0]
+        texts = [
+            f"{name}: {'; '.join(f'{depth:g}' for depth in depths) or 'none'}"
+            for name, depths in layers.items()
+        ]
+        reason = f"boundaries of specimens differ ({join_names(texts, 4)})"
+        if len({*map(len, layers.values())}) > 1:
             self.settle("medium", "specimen", reason)
-        elif any(max(cast) > MAX_CAST_RATIO * min(cast) for cast in zip(*layers, strict=True)):
+        elif any(max(cast) > MAX_CAST_RATIO * min(cast) for cast in zip(*layers.values(), strict=True)):
             fix = f"if these are right, and all of the same tissues: {name_set('medium', 'gel')}; if each "
             self.settle("medium", "", reason, fix=f"{fix}has its own: {name_set('medium', 'specimen')}")
 
@@ -204,39 +196,41 @@ class Planner(CurveAnswers):
         """Settle the needle of each insertion; DataError if one is not longer than it was inserted."""
         deepest = max(curve.depth for curve in self.curves)
         least = f"{max(MIN_NEEDLE_MM, float(np.ceil(deepest + BEYOND_DEPTH_MM))):g}"
-        answers = (self.each("needle_length", usual=least), self.each("diameter"),
-                   self.each("inner_diameter"), self.each("modulus"))  # fmt: skip
-        for curve, *cells in zip(self.curves, *answers, strict=True):
+        keys = ("needle_length", "diameter", "inner_diameter", "modulus")
+        answers = [self.each(key, least if key == "needle_length" else None) for key in keys]
+        for curve in self.curves:
+            cells = [answer[curve] for answer in answers]
             curve.needle = read_needle(*cells)
             if curve.needle.length_mm <= curve.depth:
                 expected = f"more than the {curve.depth:.4g} mm of {curve.name} in tissue"
                 raise cells[0].error("needle_length", expected)
 
-    def settle_guide_distances(self) -> tuple[list[float | None], dict[str, dict[str, Any]]]:
-        """Return where guides hold needles, mm before the tissue, and the parameter of a fitted distance.
+    def settle_guide_distances(self) -> dict[str, dict[str, Any]]:
+        """Fill in where guides hold needles, mm before the tissue; return the parameter of a fitted distance.
 
         Without a guide the base alone holds a needle. Of tracks it is asked, as a guide may have led them.
         """
-        distances, is_usual = list[float | None]([None] * len(self.curves)), "guide_distance" in self.usual
+        is_usual = "guide_distance" in self.usual
         if not is_usual and not self.is_stated("guide_distance"):
-            return distances, {}
+            return {}
         usual, reason = self.usual.get("guide_distance", (None, ""))
         answers = self.each("guide_distance", usual, reason)
-        texts = {answer.text for answer in answers}
+        first, texts = answers[self.curves[0]], {answer.text for answer in answers.values()}
         if "none" in texts and usual == "free":
-            raise answers[0].error("guide_distance", "mm, or `free`: the guide moved")
+            raise first.error("guide_distance", "mm, or `free`: the guide moved")
         if texts == {"free"} or (is_usual and texts != {"none"}):
             if len(texts) > 1:
-                raise answers[0].error("guide_distance", "one value of all")
-            free = min(curve.needle.length_mm - curve.depth for curve in self.curves)
-            parameter = free_guide_distance(free)
-            if texts != {"free"}:
-                parameter = {"fixed": answers[0].to_number("guide_distance", is_above=True)}
-            return distances, {"guide_distance_mm": parameter}
-        for n, answer in enumerate(answers):
+                raise first.error("guide_distance", "one value of all")
+            parameter = (
+                {"fixed": first.to_number("guide_distance", is_above=True)}
+                if first.text != "free"
+                else (free_guide_distance(min(curve.needle.length_mm - curve.depth for curve in self.curves)))
+            )
+            return {"guide_distance_mm": parameter}
+        for curve, answer in answers.items():
             if answer.text != "none":
-                distances[n] = answer.to_number("guide_distance", is_above=True)
-        return distances, {}
+                curve.fill(guide_distance=answer.to_number("guide_distance", is_above=True))
+        return {}
 
 
 def read_needle(length: Stated, outer: Stated, inner: Stated, modulus: Stated) -> NeedleRecord:
@@ -252,6 +246,9 @@ def read_needle(length: Stated, outer: Stated, inner: Stated, modulus: Stated) -
         raise inner.error("inner_diameter", f"less than {diameter:g} mm")
     material = find_meaning("value", modulus.text)
     modulus = replace(modulus, text=material) if material.endswith("GPa") else modulus
+    if modulus.to_number("modulus") < MIN_NEEDLE_GPA:
+        needed = f"{MIN_NEEDLE_GPA:g} GPa or more, of the needle: that of the tissue is fitted"
+        raise modulus.error("modulus", needed, f"state {name_set('modulus', 'steel')}, or its own")
     return NeedleRecord(
         length_mm=length.to_number("needle_length", is_above=True),
         outer_diameter_mm=diameter,

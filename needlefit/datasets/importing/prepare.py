@@ -13,14 +13,20 @@ from needlefit.datasets.importing.draft_files import draft_mapping
 from needlefit.datasets.importing.examples import find_examples
 from needlefit.datasets.importing.kinds import KINDS
 from needlefit.datasets.importing.mapped_table import MappedTable, list_tables
-from needlefit.datasets.importing.meanings import COORDINATES, MEANINGS, VALUES, Pairs, list_bare_numbers
+from needlefit.datasets.importing.meanings import (
+    COORDINATES,
+    MEANINGS,
+    VALUES,
+    Pairs,
+    list_bare_numbers,
+    list_factors,
+)
 from needlefit.datasets.importing.place import ImportPlan, Planner
 from needlefit.datasets.importing.read import read_curves, read_mapped
 from needlefit.datasets.importing.stated import Question, Settler, UnansweredError, name_set
 from needlefit.errors import ConfigError, DataError
 from needlefit.project.locate import join_names
 from needlefit.project.toml import check, load, override
-from needlefit.project.units import UNITS_MM, UNITS_PER_MM
 from needlefit.schemas.mapping import MappingRecord
 
 STATED_MM = (1.0, 2000.0)  # least and greatest length (mm) of the longest needle by a stated unit
@@ -111,14 +117,10 @@ def _prepare(paths: Sequence[Path], assignments: Pairs, mapping: Path | None) ->
     examples = find_examples(content.curves)
     values, assumed = dict(record.values), dict(record.assumed)
     if not examples and record.origin == "example":
-        reason = (
-            "as the workbook states it, yet no needle is one of its examples; origin=measured if measured"
-        )
-        assumed["origin"] = f"example: {reason}"
+        assumed["origin"] = "example: as the workbook states it; origin=measured if measured"
     if content.left_out:
-        assumed["missing"] = (
-            f"points without a measured coordinate are left out: {'; '.join(content.left_out)}"
-        )
+        left_out = "; ".join(content.left_out)
+        assumed["missing"] = f"points without a measured coordinate are left out: {left_out}"
     settler = Settler(values, assumed, is_complete=mapping is not None)
     columns = [*_describe_columns(record, files)]
     plan = Planner(content, settler).make_plan()
@@ -146,9 +148,7 @@ def complete_draft(paths: Sequence[Path], assignments: Pairs) -> tuple[Draft, li
     """Return a draft and its files; UnansweredError if it leaves something open."""
     draft, files = draft_mapping(paths, assignments)
     if not draft.opens:
-        _settle_unit(draft, files)
-    if not draft.opens:
-        _doubt_units(draft, files)
+        _settle_units(draft, files)
     texts = " ".join([*(text for text, _ in draft.unused), *set().union(*draft.needles.values())])
     gauges = {f"{number}G" for number in _GAUGE.findall(texts.replace("_", " "))}
     if gauges and not any(
@@ -164,8 +164,12 @@ def complete_draft(paths: Sequence[Path], assignments: Pairs) -> tuple[Draft, li
 # ---- units
 
 
-def _settle_unit(draft: Draft, files: Sequence[Path]) -> None:
-    """Assume mm of coordinates without a unit where needles then have the length of one; else ask."""
+def _settle_units(draft: Draft, files: Sequence[Path]) -> None:
+    """Assume mm of lengths that state no unit where needles have such lengths; else ask for the unit.
+
+    Of coordinates it is that of the longest needle; of curvatures, which are 0 in some places, the greatest.
+    """
+    tables, file = [*list_tables(draft.to_record(DRAFT), files, DRAFT)], files[0].name
     lacking = [
         column
         for table in draft.tables
@@ -173,50 +177,47 @@ def _settle_unit(draft: Draft, files: Sequence[Path]) -> None:
         if meaning in COORDINATES and "unit_column" not in column and KINDS[table["holds"]].has_points
         if column.get("unit", "px") == "px"
     ]
-    if not lacking:
-        return
-    (low, high), file = MEANINGS["x"].likely, files[0].name
     if any("unit" in column for column in lacking):
         scales = [scale for line, _ in draft.unused for form in _SCALES if (scale := form.search(line))]
         steps = {f"{scale[1].replace(',', '.')} {scale[2]}" for scale in scales}
         draft.ask("unit", file, {step: {"unit": step} for step in steps}, reason="A header states pixels")
         return
-    curves = read_curves([*list_tables(draft.to_record(DRAFT), files, DRAFT)], [])
-    longest = max((curve.reach for curve in curves), default=0.0)
-    if all((curve.line == np.round(curve.line)).all() for curve in curves):
-        draft.ask("unit", file, reason="All coordinates are whole numbers, as of pixels")
-    elif low <= longest <= high:
-        for column in lacking:
-            column["unit"] = "mm"
-        draft.assumed["unit"] = f"mm: the longest needle is then {longest:.3g} mm long"
-    else:
-        likely = {name: {"unit": name} for name, mm in UNITS_MM.items() if low <= mm * longest <= high}
-        draft.ask("unit", file, likely, reason=f"In mm the longest needle is {longest:,.3g} mm long")
-
-
-def _doubt_units(draft: Draft, files: Sequence[Path]) -> None:
-    """Ask in what unit lengths are that state none, where no needle has them in the unit that is assumed.
-
-    Of curvatures, which are 0 in some places, the greatest is asked about.
-    """
-    for mapped in list_tables(draft.to_record(DRAFT), files, DRAFT):
+    if lacking:
+        curves = read_curves(tables, [])
+        longest = max((curve.reach for curve in curves), default=0.0)
+        if all((curve.line == np.round(curve.line)).all() for curve in curves):
+            draft.ask("unit", file, reason="All coordinates are whole numbers, as of pixels")
+        elif "mm" in (units := _list_likely("x", [longest])):
+            for column in lacking:
+                column["unit"] = "mm"
+            draft.assumed["unit"] = f"mm: the longest needle is then {longest:.3g} mm long"
+        else:
+            likely = {unit: {"unit": unit} for unit in units}
+            draft.ask("unit", file, likely, reason=f"In mm the longest needle is {longest:,.3g} mm long")
+    for mapped in tables:
         for meaning, column in mapped.record.columns.items():
-            if f"{meaning}.unit" not in draft.assumed or not (limits := MEANINGS[meaning].likely):
+            usual = MEANINGS[meaning].unit
+            if f"{meaning}.unit" not in draft.assumed or not MEANINGS[meaning].likely:
                 continue
-            cells = {cell for cells in mapped.cells[meaning] for cell in cells}
-            numbers = [abs(number) for cell in cells for number in list_bare_numbers(cell) if number]
-            factors = UNITS_MM
-            if MEANINGS[meaning].unit == "1/mm":
-                numbers, factors = sorted(numbers)[-1:], UNITS_PER_MM
-            fits = {
-                unit: all(limits[0] <= number * factor <= limits[1] for number in numbers)
-                for unit, factor in factors.items()
-            }
-            unit = column.unit or MEANINGS[meaning].unit
-            if numbers and not fits[unit]:
-                answers = {name: {f"{meaning}.unit": name} for name, is_likely in fits.items() if is_likely}
-                shown = f"{max(numbers):g} {unit}"
+            texts = {cell for cells in mapped.cells[meaning] for cell in cells}
+            numbers = sorted(abs(number) for text in texts for number in list_bare_numbers(text) if number)
+            units, unit = (
+                _list_likely(meaning, numbers[-1:] if usual == "1/mm" else numbers),
+                column.unit or usual,
+            )
+            if numbers and unit not in units:
+                answers = {name: {f"{meaning}.unit": name} for name in units}
+                shown = f"{numbers[-1]:g} {unit}"
                 draft.ask("length", mapped.table.path.name, answers, key=meaning, shown=shown)
+
+
+def _list_likely(meaning: str, numbers: Sequence[float]) -> list[str]:
+    """Return the units in which all numbers are likely."""
+    low, high = MEANINGS[meaning].likely
+    units = list_factors(MEANINGS[meaning].unit)
+    return [
+        unit for unit, factor in units.items() if all(low <= number * factor <= high for number in numbers)
+    ]
 
 
 def _require_lengths(content: ImportContent, record: MappingRecord) -> None:
@@ -272,11 +273,11 @@ def _list_first(mapped: MappedTable, meaning: str) -> Sequence[str]:
     is_length = MEANINGS[meaning].unit == "mm" and meaning not in ("diameter", "entry_point")
     values = list[str]()
     for n, cells in enumerate(mapped.cells[meaning]):
-        numbers = [mapped.table.number(cell) if is_length else None for cell in cells[:MAX_SHOWN_CELLS]]
-        value = "; ".join(
-            cell if number is None else f"{number * mapped.read_factor(meaning, n):.4g} mm"
-            for cell, number in zip(cells, numbers, strict=False)
-        )
+        texts = [*cells[:MAX_SHOWN_CELLS]]
+        for k, cell in enumerate(texts) if is_length else ():
+            if mapped.table.number(cell) is not None:
+                texts[k] = f"{mapped.read_number(meaning, n, k):.4g} mm"
+        value = "; ".join(texts)
         if any(cells) and (is_length or value not in values):
             values.append(value)
         if len(values) == MAX_FIRST_VALUES:

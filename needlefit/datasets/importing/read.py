@@ -3,7 +3,7 @@
 import json
 import re
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -141,13 +141,7 @@ def _read_points(mapped: MappedTable, left_out: list[str]) -> Iterator[ImportedC
     is_deflection = "deflection" in columns or "x" not in columns
     across = ("deflection", "deflection_z") if "deflection" in columns else ("y", "z")
     axes = ["depth" if is_deflection else "x", *across]
-    if lacking := [axis for axis in axes[:2] if axis not in columns]:
-        raise DataError(
-            f"nothing states {' and '.join(lacking)} of its points",
-            expected="x and y; or depth and deflection",
-            fix=" ".join(mapped.name_edit(f"columns.{axis}.column") for axis in lacking),
-            where=mapped.table.where,
-        )
+    mapped.require(*axes[:2])
     axes = [axis for axis in axes if axis in columns]
     names, is_wide = mapped.names, mapped.record.layout == "wide"
     rows = group_values(((names[n], n * is_wide), n) for n in mapped.kept_rows)
@@ -248,61 +242,77 @@ def _add_rows(mapped: MappedTable, curves: list[ImportedCurve]) -> None:
         if "needle" not in record.columns:
             names = [table.name for _ in names]
         taken = {curve.name for curve in curves}
-        for name in dict.fromkeys(filter(None, names)):
-            if not any(_is_same(name, other) for other in taken):
-                points = Points(table.path, np.empty((0, 3)))
-                curves.append(ImportedCurve(_make_name(name, taken), points, kind))
-                taken.add(curves[-1].name)
-    for n in mapped.kept_rows:
-        if not names[n] and any(any(mapped.cells[meaning][n]) for meaning in record.columns):
-            edit = mapped.name_edit("fill_down", '["HEADER"]')
-            raise DataError(
-                f"names no {record.of}",
-                expected="a name in each row",
-                fix=f"fill it in; or, if the cell above counts: {edit}",
-                where=table.places[n],
-            )
-    rows = group_values((names[n], n) for n in mapped.kept_rows)
+        paired = pair_names(names, taken)
+        for name in dict.fromkeys(name for name in names if name and name not in paired):
+            points = Points(table.path, np.empty((0, 3)))
+            curves.append(ImportedCurve(_make_name(name, taken), points, kind))
+            taken.add(curves[-1].name)
+    filled = [n for n in mapped.kept_rows if any(any(mapped.cells[key][n]) for key in record.columns)]
+    rows = group_values((names[n], n) for n in filled)
+    if blank := rows.get(""):
+        edit = mapped.name_edit("fill_down", '["HEADER"]')
+        raise DataError(
+            f"names no {record.of}",
+            expected="a name in each row",
+            fix=f"fill it in; or, if the cell above counts: {edit}",
+            where=table.places[blank[0]],
+        )
+    keys = {_make_key(name) for name in rows}
     called = {
-        curve.name: curve.stated["specimen"].text
+        curve: curve.stated["specimen"].text
         if by_specimen and "specimen" in curve.stated
         else curve.name
-        if any(_is_same(name, curve.name) for name in rows)
+        if _make_key(curve.name) in keys
         else curve.given or curve.name
         for curve in curves
     }
-    about = {name: {curve for curve, key in called.items() if _is_same(name, key)} for name in rows}
-    paired = set[str]().union(*about.values())
-    free = {key: curve for curve, key in called.items() if curve not in paired}
-    strangers = [name for name in rows if not about[name]]
-    about |= {name: {free[key]} for name, key in _match_endings(strangers, free).items()}
-    _require_found(mapped, about, called)
-    for curve in curves:
-        for name, numbers in rows.items():
-            if curve.name in about[name]:
-                kind.read(mapped, curve, numbers)
+    pairs = pair_names(rows, called.values())
+    strangers = [name for name in rows if name not in pairs]
+    without = [*dict.fromkeys(name for name in called.values() if name not in pairs.values())]
+    if strangers or (without and kind.is_of_each):
+        problem = f"no row is about {join_names(without, MAX_LISTED_NAMES)}"
+        if strangers:
+            problem = f"no {record.of} is called {join_names(strangers, MAX_LISTED_NAMES)}"
+        listed = join_names([*without, *pairs.values()], MAX_LISTED_NAMES)
+        unused = name_set("unused", json.dumps([table.sheet or table.path.name]))
+        raise DataError(
+            problem,
+            expected=f"a row for each {record.of}: {listed}",
+            fix=f"write the same names in both tables; or leave this one out: {unused}",
+            where=table.where,
+        )
+    for name, numbers in rows.items():
+        for curve in [curve for curve in curves if called[curve] == pairs[name]]:
+            kind.read(mapped, curve, numbers)
+
+
+# ---- names
 
 
 _WORD = re.compile(r"[^\W\d_]{3,}|.*[-_ .]")  # before the name of a needle: `needle_`, `needle`
 
 
-def _match_endings(names: Collection[str], keys: Collection[str]) -> dict[str, str]:
-    """Return the key of each name, if all names differ from keys by one word before them: `needle_A1`, `A1`.
+def pair_names(names: Iterable[str], others: Iterable[str]) -> dict[str, str]:
+    """Return the other of each name: with the same id but for zeros, else with a word before one of the two.
 
-    The word stands in all names, or in all keys.
+    `1` and `01`, `3` and `needle_03`, `A1` and `needle A1`; only where one other is left that it may be.
     """
-    first = next(iter(names), "")
-    for key in keys:
-        longer, shorter = sorted((first, key), key=len, reverse=True)
-        word = longer.removesuffix(shorter)
-        found = {name: word + name if longer == key else name.removeprefix(word) for name in names}
-        others = {*found.values()}
-        if _WORD.fullmatch(word) and others <= {*keys} and len(others) == len(names):
-            return found
-    return {}
+    keys = {_make_key(other): other for other in others}
+    pairs = {name: keys[key] for name in names if (key := _make_key(name)) in keys}
+    free = [other for other in keys.values() if other not in pairs.values()]
+    left = [name for name in dict.fromkeys(names) if name and name not in pairs]
+    likely = {name: [other for other in free if _lacks_word(name, other)] for name in left}
+    counts = Counter(other for others in likely.values() for other in others)
+    pairs |= {name: found[0] for name, found in likely.items() if [counts[other] for other in found] == [1]}
+    return pairs
 
 
-# ---- names
+def _lacks_word(name: str, other: str) -> bool:
+    """Whether one of two names is the other behind a word, or a number at its end."""
+    shorter, longer = sorted(map(_make_key, (name, other)), key=len)
+    word = longer.removesuffix(shorter)
+    is_number = shorter.isdecimal() and not word[-1:].isdecimal()
+    return word != longer and (is_number or _WORD.fullmatch(word) is not None)
 
 
 def _join_observations(curves: Sequence[ImportedCurve]) -> list[ImportedCurve]:
@@ -353,44 +363,7 @@ def make_unique(name: str, taken: Iterable[str]) -> str:
     return unique
 
 
-def _is_same(name: str, other: str) -> bool:
-    """Whether two names have the same id, or number (`1`, `1.0`, `01`): 3 is `needle_03`, too."""
-    is_number = name.isdecimal() and _find_number(name) == _find_number(other)
-    return is_number or _make_key(name) == _make_key(other)
-
-
 def _make_key(name: str) -> str:
     """Return a name without zeros that change no number: 1 for `1.0` and `01`, n1 for `n01`; not 1.10."""
     whole = re.sub(r"^(\d+)\.0+$", r"\1", make_id(name, name)[:MAX_NAME_CHARS].lower())
     return re.sub(r"(?<![\d.])0+(?=\d)", "", whole)
-
-
-def _find_number(name: str) -> str:
-    """Return the number at the end of a name: 3 for `needle_03`."""
-    match = re.search(r"0*(\d+)$", name)
-    return match[1] if match else name
-
-
-def _require_found(
-    mapped: MappedTable, about: Mapping[str, Collection[str]], called: Mapping[str, str]
-) -> None:
-    """DataError if a row is about no needle, or a needle without a row lacks what the others have.
-
-    `about`: the needles of each name in the rows; `called`: what each needle is called there.
-    """
-    strangers = [name for name, curves in about.items() if not curves]
-    paired = set[str]().union(*about.values())
-    without = [name for name in called if name not in paired]
-    problem = f"no row is about {join_names(without, MAX_LISTED_NAMES)}"
-    if strangers:
-        problem = f"no {mapped.record.of} is called {join_names(strangers, MAX_LISTED_NAMES)}"
-    if strangers or (without and mapped.kind.is_of_each):
-        # those first that no row is about
-        listed = [called[name] for name in sorted(called, key=paired.__contains__)]
-        unused = json.dumps([mapped.table.sheet or mapped.table.path.name])
-        raise DataError(
-            problem,
-            expected=f"a row for each {mapped.record.of}: {join_names(listed, MAX_LISTED_NAMES)}",
-            fix=f"write the same names in both tables; or leave this one out: {name_set('unused', unused)}",
-            where=mapped.table.where,
-        )

@@ -8,10 +8,10 @@ from itertools import accumulate, pairwise
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.datasets.importing.meanings import VALUES, Answers, read_quantity, translate_side
+from needlefit.datasets.importing.meanings import VALUES, Answers, list_factors, read_quantity, translate_side
 from needlefit.datasets.points import MAX_COORDINATE
 from needlefit.errors import DataError
-from needlefit.project.units import UNITS_GPA, UNITS_MM, UNITS_PER_MM
+from needlefit.project.units import UNITS_MM
 
 
 @dataclass(frozen=True)
@@ -23,18 +23,12 @@ class Stated:
     where: str = ""
     are_sums: bool = False  # depths that were added up of thicknesses
 
-    @property
-    def shown(self) -> str:
-        """The text with the unit of its header, where it has none of its own."""
-        return f"{self.text} {self.unit}".strip() if re.search(r"\d$", self.text) else self.text
-
     def to_number(self, key: str, is_above: bool = False) -> float:
         """Return the number of at least 0, or above 0, in the unit of its key; DataError if it is none."""
         unit = VALUES[key].unit if key in VALUES else "mm"
         value, own_unit = read_quantity(self.text) or (-1.0, "")
         own_unit = own_unit or self.unit or unit
-        per_m = {name: 1e3 * factor for name, factor in UNITS_PER_MM.items()}
-        factors = {"mm": UNITS_MM, "GPa": UNITS_GPA, "1/m": per_m}.get(unit, {unit: 1.0})
+        factors = list_factors(unit)
         factor = factors.get(own_unit, 0.0)
         if not 0 <= value * factor <= MAX_COORDINATE or not factor or (is_above and not value):
             expected = (

@@ -14,7 +14,13 @@ from typing import Any
 
 from needlefit.datasets.formats import find_format
 from needlefit.datasets.formats.csv import check_extent
-from needlefit.datasets.importing.meanings import ATTRIBUTES, MEANINGS, find_meaning, is_side, read_header
+from needlefit.datasets.importing.meanings import (
+    ATTRIBUTES,
+    find_meaning,
+    is_side,
+    read_header,
+    read_quantity,
+)
 from needlefit.datasets.points import MAX_COORDINATE, Points
 from needlefit.errors import DataError
 from needlefit.geometry.frames import PatientSystem
@@ -141,20 +147,17 @@ def lay_out(grid: Grid, record: TableRecord) -> Table:
     grid = grid.transpose() if record.transposed else grid
     unread = list[str]()
     body = [*_list_body(grid, record, unread)]
-    if record.layout == "pairs":
-        return _lay_out_pairs(grid, record, [grid.rows[n] for n, _ in body])
-    heads = _read_heads(grid, record)
+    heads = [] if record.layout == "pairs" else _read_heads(grid, record)
     headers = [" ".join(filter(None, texts)) for texts in zip_longest(*heads, fillvalue="")]
     width, is_blank = len(headers), record.separator == " "
-    if headers and is_blank and body and all(len(grid.rows[n]) == width + 1 for n, _ in body):
+    if headers and is_blank and body and all(len(cells) == width + 1 for _, cells, _ in body):
         headers, heads = ["", *headers], [["", *head] for head in heads]  # names of rows, as R writes them
-    width = len(headers) or max((len(grid.rows[n]) for n, _ in body), default=0)
-    names = dict.fromkeys(name for _, pairs in body for name in pairs)
+    width = len(headers) or max((len(cells) for _, cells, _ in body), default=0)
+    names = dict.fromkeys(name for *_, pairs in body for name in pairs)
     rows = list[list[str]]()
-    for n, pairs in body:
-        cells = grid.rows[n]
+    for n, cells, pairs in body:
         is_longer = record.separator == "," and any(cells[width:])
-        if record.header_rows and (is_longer or (is_blank and len(cells) != width)):
+        if heads and (is_longer or (is_blank and len(cells) != width)):
             raise DataError(
                 f"has {len(cells)} cells under {width} headers",
                 expected="as many as the headers",
@@ -168,14 +171,14 @@ def lay_out(grid: Grid, record: TableRecord) -> Table:
         rows,
         grid.sheet,
         grid.is_only_sheet,
-        [grid.lines[n] if grid.lines else n + 1 for n, _ in body],
+        [grid.lines[n] if grid.lines else n + 1 for n, *_ in body],
         headers=(*(headers or [""] * width), *names),
-        places=[grid.place(n) for n, _ in body],
+        places=[grid.place(n) for n, *_ in body],
         decimal=record.decimal,
         thousands=record.thousands,
         first_headers=tuple(map(tuple, heads)),
         remarked=tuple(names),
-        unread=unread if record.header_rows and not record.transposed else (),
+        unread=unread if heads and not record.transposed else (),
     )
     return table.fill_down(record.fill_down)
 
@@ -213,17 +216,23 @@ OF_TEXT = ("needle", "medium", "specimen", "medium|specimen")  #: whose values a
 OWN_PAIRS = ("needle", "depth", "bevel_side", "medium", "specimen")  #: they end with their block
 
 
-def _list_body(grid: Grid, record: TableRecord, unread: list[str]) -> Iterator[tuple[int, dict[str, str]]]:
-    """Yield the rows below the headers, each with the pairs of names and values above its block.
+def _list_body(
+    grid: Grid, record: TableRecord, unread: list[str]
+) -> Iterator[tuple[int, Sequence[str], dict[str, str]]]:
+    """Yield number and cells of the rows below the headers, and the pairs of names and values above each.
 
     What all needles share holds until it is stated again. Remarks state what no column does; `unread` gets
-    the lines that state nothing.
+    the lines that state nothing. Of a table of pairs the one row has no cells.
     """
     first, last = min(record.header_rows, default=0), max(record.header_rows, default=0)
     heads = [*grid.rows[last - 1]] if 0 < last <= len(grid.rows) else []
+    if record.layout == "pairs":
+        triples = [(*row, "", "", "")[:3] for row in grid.rows[last:]]
+        pairs = {f"{name} [{unit}]" if unit else name: text for name, text, unit in triples if name and text}
+        yield 0, (), pairs
+        return
     repeated = {n for n, row in enumerate(grid.rows) if record.blocks and [*row] == heads}
-    own = [record.columns[meaning].columns for meaning in OWN_PAIRS if meaning in record.columns]
-    ends = {name for names in own for name in names}
+    ends = {name for key in OWN_PAIRS if key in record.columns for name in record.columns[key].columns}
     stated, is_above, block = dict[str, str](), True, 0
     for n, row in enumerate(grid.rows):
         block += n in repeated
@@ -233,18 +242,18 @@ def _list_body(grid: Grid, record: TableRecord, unread: list[str]) -> Iterator[t
         sign = " " if record.separator in ("", " ", "\t") else f"{record.separator} "
         line = sign.join(filter(None, row)).lstrip(f"{record.comment} ")
         if is_remark:
-            found, rest = read_remark(line, heads)
+            pairs_of_row, rest = read_remark(line, heads)
         else:
             is_full = n >= last and sum(map(bool, row)) == len(heads) > len(("name", "value"))
             pair = read_pair(row) if record.blocks and not is_full else None
-            found, rest = dict([pair]) if pair else {}, line
+            pairs_of_row, rest = dict([pair]) if pair else {}, line
         if rest and (is_remark or (n + 1 < first and not record.blocks)):
             unread.append(rest)
-        if found:
+        if pairs_of_row:
             stated = stated if is_above else {key: text for key, text in stated.items() if key not in ends}
-            stated, is_above = stated | found, True
+            stated, is_above = stated | pairs_of_row, True
         elif n >= last and not is_remark:
-            yield n, stated | ({BLOCK: str(block)} if len(repeated) > 1 else {})
+            yield n, row, stated | ({BLOCK: str(block)} if len(repeated) > 1 else {})
             is_above = False
 
 
@@ -257,7 +266,7 @@ def read_pair(row: Sequence[str]) -> tuple[str, str] | None:
     if not filled or parse_number(filled[0]) is not None or parse_number(filled[0], ",") is not None:
         return None
     if len(filled) == 1:
-        name, sign, value = re.match(r"([^:=：]*)([:=：]?)(.*)", filled[0], re.DOTALL).groups()  # type: ignore[union-attr]
+        name, sign, value = re.split("([:=：]|$)", filled[0], maxsplit=1)
         return (name.strip(), value.strip()) if sign else ("title", filled[0])
     name, *values = filled
     if len(values) == 2 and parse_number(values[1]) is None:
@@ -266,7 +275,6 @@ def read_pair(row: Sequence[str]) -> tuple[str, str] | None:
 
 
 _NUMBERS = re.compile(r"(-?\d(?:[\d.,; ]*\d)?) *([^\W\d]*)")  # `15, 35 mm`
-_PHRASE = re.compile(r"([^\d:=：]*?) *([:=：]?) *(\d+(?:[.,]\d+)?) *([^\W\d]+)")  # `needle length 150 mm`
 _NEXT_PHRASE = re.compile(r"[,;，；] *(?=[^\W\d_])")  # before a word: numbers behind a comma are of a list
 
 
@@ -279,9 +287,9 @@ def read_remark(text: str, head: Sequence[str]) -> tuple[dict[str, str], str]:
     in_head, stated = {read_header(cell).meaning for cell in head}, dict[str, str]()
     rest, subject, text_name = list[str](), "", ""
     for phrase in _NEXT_PHRASE.split(text):
-        name, value = _read_phrase(phrase, subject) or ("", "")
+        name, value = _read_phrase(phrase, subject)
         subject = subject or re.split(r"[\d:=：]", phrase)[0].strip()
-        if name and (meaning := read_header(name).meaning) not in in_head:
+        if value and (meaning := read_header(name).meaning) not in in_head:
             stated[name], text_name = value, name if meaning in OF_TEXT else ""
         elif text_name and not re.search("[:=：]", phrase):
             stated[text_name] += f", {phrase}"  # of `medium: gel, with fat`
@@ -290,55 +298,31 @@ def read_remark(text: str, head: Sequence[str]) -> tuple[dict[str, str], str]:
     return stated, ", ".join(rest)
 
 
-def _read_phrase(phrase: str, subject: str) -> tuple[str, str] | None:
-    """Return the name and the value in a phrase of a remark; `subject`: what the remark begins with.
+def _read_phrase(phrase: str, subject: str) -> tuple[str, str]:
+    """Return the name and the value in a phrase of a remark, empty if it states nothing.
 
-    `depth: 40 mm`, `18G`, `bevel up`; `length 150 mm` is that of the subject.
+    `depth: 40 mm`, `18G`, `bevel up`; `length 150 mm` is that of the `subject`, with which the remark begins.
     """
-    name, value = read_pair([phrase]) or ("", "")
-    if match := _PHRASE.fullmatch(phrase):
-        words, sign, number, text = match.groups()
-        unit = find_meaning("unit", text)
-        if unit == "G" and read_header(words).meaning in ("", "needle", "diameter"):
-            return "gauge", f"{number}G"
-        if not sign and unit in UNITS_MM:
-            names = (words, f"{subject} {words}")
-            name = next((known for known in names if read_header(known).meaning in REMARKED), "")
-            value = f"{number} {unit}"
-    elif name == "title":
-        name, _, value = phrase.rpartition(" ")
-        name = name if read_header(name).meaning == "bevel_side" else ""
-    meaning = read_header(name).meaning
-    if meaning not in REMARKED or not value:
-        return None
-    if meaning == "unit":
-        return (name, value) if find_meaning("unit", value) in UNITS_MM else None
+    name, sign, value = (part.strip() for part in re.split("([:=：]|$)", phrase, maxsplit=1))
+    if not sign:
+        name, value = re.fullmatch(r"(.*?) *(\d.*|\S*)", phrase, re.DOTALL).groups()  # type: ignore[union-attr]
+    unit = (read_quantity(value) or (0, ""))[1]
+    if unit == "G" and read_header(name).meaning in ("", "needle", "diameter"):
+        return "gauge", value
+    names = [text for text in (name, f"{subject} {name}") if read_header(text).meaning in REMARKED]
+    meaning = read_header(name := names[0]).meaning if names else ""
     if meaning == "bevel_side":
-        return (name, value) if is_side(value, "") else None
-    is_number = meaning in MEANINGS and MEANINGS[meaning].unit and meaning != "diameter"
-    if not is_number or find_meaning("value", value):
-        return name, value
-    if quantity := _NUMBERS.match(value):
-        numbers, unit = re.sub("[,;]? +", "; ", quantity[1]), quantity[2]
-        return (f"{name} [{unit}]" if find_meaning("unit", unit) else name), numbers
-    return None
-
-
-def _lay_out_pairs(grid: Grid, record: TableRecord, rows: Sequence[Sequence[str]]) -> Table:
-    """Return the one row of a table whose rows are a name, a value and perhaps a unit."""
-    pairs = [pair for row in rows if all((pair := (*row, "", "", "")[:3])[:2])]
-    names, cells = tuple(name for name, *_ in pairs), [value for _, value, _ in pairs]
-    headers = tuple(f"{name} [{unit}]" if unit else name for name, _, unit in pairs)
-    return Table(
-        grid.path,
-        [cells],
-        grid.sheet,
-        headers=headers,
-        places=[grid.where],
-        decimal=record.decimal,
-        thousands=record.thousands,
-        first_headers=(names,),
-    )
+        return (name, value) if is_side(value, "") else ("", "")
+    if meaning == "unit":
+        return (name, value) if find_meaning("unit", value) in UNITS_MM else ("", "")
+    if not meaning or not (sign or unit in UNITS_MM):
+        return "", ""
+    is_text = meaning in OF_TEXT or meaning == "diameter" or find_meaning("value", value)
+    quantity = _NUMBERS.match(value)
+    if is_text or quantity is None:
+        return (name, value) if is_text else ("", "")
+    header = f"{name} [{quantity[2]}]" if find_meaning("unit", quantity[2]) else name
+    return header, re.sub("[,;]? +", "; ", quantity[1])
 
 
 # ---- read files
@@ -475,8 +459,6 @@ def read_structured(path: Path) -> tuple[Table, list[str]]:
             where=path,
         )
     curves, remarks = form.read_curves(path)
-    keys = [key for points in curves.values() for key in (*points.stated, *points.columns)]
-    fields = [key for key in dict.fromkeys(keys) if key.lower() not in UNIT_FIELDS and not _is_name(key)]
     units = {_read_unit(points) or ("mm" if form.in_scan else "") for points in curves.values()}
     if len(units) > 1 or any(", " in unit for unit in units):
         raise DataError(
@@ -486,18 +468,22 @@ def read_structured(path: Path) -> tuple[Table, list[str]]:
             where=path,
         )
     (unit,) = units
-    headers = ("needle", *(f"{axis} [{unit}]" if unit else axis for axis in "xyz"), *fields)
+    keys = dict.fromkeys(key for points in curves.values() for key in (*points.stated, *points.columns))
+    fields = [key for key in keys if key.lower() not in UNIT_FIELDS and not _is_name(key)]
     rows, places = list[list[str]](), list[str]()
     for name, points in curves.items():
-        named = next((text for key, text in points.stated.items() if _is_name(key) and text), name)
-        of_rows = next((texts for key, texts in points.columns.items() if _is_name(key)), None)
+        count = len(points.values)
+        beside: dict[str, Sequence[str]] = {
+            key: [text] * count for key, text in points.stated.items() if text
+        }
+        beside |= points.columns
+        names = next((beside[key] for key in reversed(beside) if _is_name(key)), [name] * count)
         for n, place in enumerate(points.values.tolist()):
-            beside = [
-                points.columns[key][n] if key in points.columns else points.stated.get(key, "")
-                for key in fields
-            ]
-            rows.append([named if of_rows is None else of_rows[n], *map(repr, place), *beside])
+            rows.append(
+                [names[n], *map(repr, place), *(beside[key][n] if key in beside else "" for key in fields)]
+            )
             places.append(points.where(n))
+    headers = ("needle", *(f"{axis} [{unit}]" if unit else axis for axis in "xyz"), *fields)
     system: PatientSystem | None = "LPS" if form.in_scan else None
     table = Table(path, rows, headers=headers, places=places, system=system, unit=unit)
     return table, [*remarks]

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from needlefit.datasets.columns import HOLE_COLUMN, NEEDLE_COLUMN, POINT_SD_COLUMN, InsertionRow, make_id
+from needlefit.datasets.columns import HOLE_COLUMN, NEEDLE_COLUMN, POINT_SD_COLUMN, make_id
 from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.importing.curves import ImportContent, ImportedCurve
 from needlefit.datasets.importing.place import ImportPlan
@@ -61,13 +61,12 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, mapping: 
     }
     if plan.needles:
         draft["needles"] = {name: needle.model_dump() for name, needle in plan.needles.items()}
-    pairs = list(zip(plan.rows, content.curves, strict=True))
-    rows = [row for row, curve in pairs if not curve.kind.in_tracker_frame]
-    tracks = pairs[len(rows) :]
-    stems = dict[str, Surface]()
+    rows = [curve.row for curve in content.curves if not curve.kind.in_tracker_frame]
+    tracks = [curve for curve in content.curves if curve.kind.in_tracker_frame]
+    surfaces = dict[str, Surface]()
     for surface in plan.surfaces:
-        stems[make_unique(make_id(surface.name, "surface"), stems)] = surface
-    surfaces = {f"layers/{stem}.stl": surface for stem, surface in stems.items()}
+        surfaces[make_unique(f"layers/{make_id(surface.name, 'surface')}", surfaces)] = surface
+    surfaces = {f"{name}.stl": surface for name, surface in surfaces.items()}
     parts = [{"file": name, "kind": surface.kind, "into": surface.into} for name, surface in surfaces.items()]
     media: dict[str, dict[str, object]] = {
         medium: {"surfaces": parts} if parts else {"boundaries_mm": [*depths]}
@@ -111,12 +110,9 @@ def _trace_fault(fault: Fault, curves: Sequence[ImportedCurve], folder: Path) ->
         places[table] += [(curve.points.where(n), f"{start} ", curve.name) for n in range(len(curve.line))]
         if not in_tracker_frame:
             places["insertions.csv"].append((curve.points.where(), f"{start}: ", curve.name))
-        places[TURNS_FILE] += [
-            (cell.where.partition(", column")[0], "", curve.name) for _, cell in curve.turns
-        ]
-        places[CURVATURE_FILE] += [
-            (f"curvature {n} of needle {curve.name}", "", curve.name) for n, _ in enumerate(curve.sensors, 1)
-        ]
+        places[TURNS_FILE] += [(cell.where, "", curve.name) for _, cell in curve.turns]
+        sensors = [f"curvature {n} of needle {curve.name}" for n, _ in enumerate(curve.sensors, 1)]
+        places[CURVATURE_FILE] += [(sensor, "", curve.name) for sensor in sensors]
     if name not in places or not line.isdecimal():
         return fault.at(fault.where.replace(f"{folder}/", ""))
     where, subject, needle = places[name][int(line) - 2]  # below one header line
@@ -125,16 +121,14 @@ def _trace_fault(fault: Fault, curves: Sequence[ImportedCurve], folder: Path) ->
 
 
 def _write_tracks(
-    folder: Path,
-    tracks: Sequence[tuple[InsertionRow, ImportedCurve]],
-    media: dict[str, dict[str, object]],
+    folder: Path, tracks: Sequence[ImportedCurve], media: dict[str, dict[str, object]]
 ) -> dict[str, object]:
     """Write the table of tip tracks, and into `media` what they meet; return what the dataset states."""
     tables = list[pd.DataFrame]()
-    for row, curve in tracks:
-        depths = curve.boundaries
-        media[row.medium] |= {"layers": [*range(1, len(depths) + 2)], "boundaries_mm": [*depths]}
-        media[row.medium]["specimen"] = row.specimen
+    for curve in tracks:
+        row, depths = curve.row, curve.boundaries
+        layers = [*range(1, len(depths) + 2)]
+        media[row.medium] |= {"layers": layers, "boundaries_mm": [*depths], "specimen": row.specimen}
         guide = np.zeros_like(curve.line) if curve.guide is None else curve.guide
         cells = {
             "id": row.id,
@@ -142,11 +136,13 @@ def _write_tracks(
             NEEDLE_COLUMN: row.needle,
             HOLE_COLUMN: row.hole,
             "bevel_side": row.side,
-            "bevel_roll_deg": np.degrees(row.turns[0][1]) if row.turns else 0.0,
+            "bevel_roll_deg": np.degrees(curve.turn),
             POINT_SD_COLUMN: row.point_sd,
         }
-        numbers = (curve.depths, *curve.line.T[:2], *guide.T[:2])
-        tables.append(pd.DataFrame({**cells, **dict(zip(TRACK_COLUMNS, numbers, strict=True))}))
+        numbers = np.column_stack([curve.depths, curve.line[:, :2], guide[:, :2]])
+        tables.append(
+            pd.DataFrame(numbers, columns=[*TRACK_COLUMNS]).assign(**cells)[[*cells, *TRACK_COLUMNS]]
+        )
     table = pd.concat(tables)
     source: dict[str, object] = {"file": TRACKS_FILE, "depth_zero": "tissue"}
     left_out = [name for name in OPTIONAL if table[name].isin([0, "", None, np.nan]).all()]

@@ -10,9 +10,7 @@ from needlefit.datasets.importing.kinds import RowKind
 from needlefit.datasets.importing.kinds.facts import read_stated
 from needlefit.datasets.importing.kinds.tips import TipPlacer
 from needlefit.datasets.importing.mapped_table import MappedTable
-from needlefit.datasets.importing.meanings import Keys
 from needlefit.errors import DataError
-from needlefit.geometry.frames import IDENTITY_FRAME
 
 AXES = ("curvature_y", "curvature_z")
 
@@ -22,7 +20,6 @@ class CurvaturePlacer(TipPlacer):
 
     def settle_places(self) -> None:
         """Require the inserted length of each."""
-        self.frames = [IDENTITY_FRAME for _ in self.curves]
         for curve in self.curves:
             curve.hole = curve.name if curve.is_named else ""
             if "depth" not in curve.stated:
@@ -33,9 +30,10 @@ class CurvaturePlacer(TipPlacer):
                     where=curve.points.path,
                 )
 
-    def describe(self, sides: Sequence[int], turns: Sequence[float]) -> list[Keys]:
-        """Return what a row of curvatures states."""
-        return [{"observation": "curvature"} for _ in turns]
+    def fill_tips(self, point_sd: float) -> None:
+        """Fill in that curvatures alone were measured."""
+        for curve in self.curves:
+            curve.fill(observation="curvature")
 
 
 def propose_curvatures(draft: TableDraft, is_stated: bool) -> dict[str, Columns]:
@@ -68,13 +66,7 @@ def read_curvatures(mapped: MappedTable, curve: ImportedCurve, rows: Sequence[in
     """Add sensors: place, mm, curvatures and SD, 1/mm (NaN: no cell states it); and facts beside them."""
     columns = mapped.record.columns
     meanings = ("sensor" if "sensor" in columns else "sensor_from_base", *AXES)
-    if lacking := [meaning for meaning in meanings if meaning not in columns]:
-        raise DataError(
-            f"of curvatures nothing states {', '.join(lacking)}",
-            expected="the place of each sensor and its two curvatures",
-            fix=" ".join(mapped.name_edit(f"columns.{meaning}.column") for meaning in lacking),
-            where=mapped.table.places[rows[0]],
-        )
+    mapped.require(*meanings)
     for n in rows:
         sd = mapped.read_number("curvature_sd", n) if "curvature_sd" in columns else np.nan
         curve.sensors.append(np.array([*(mapped.read_number(meaning, n) for meaning in meanings), sd]))

@@ -2,19 +2,20 @@
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from needlefit.arrays import Floats
-from needlefit.datasets.columns import DEFAULT_ROLL_SD_DEG, InsertionRow, PoseSource
+from needlefit.datasets.columns import DEFAULT_ROLL_SD_DEG
 from needlefit.datasets.importing.curve_answers import (
     MIN_SAME_SIDE,
+    Answers,
     BendsOfSides,
+    Numbers,
     Placer,
     format_direction,
-    to_sides,
+    list_names,
 )
 from needlefit.datasets.importing.curves import ImportedCurve
 from needlefit.datasets.importing.draft_table import Columns, Records, TableDraft
@@ -27,7 +28,6 @@ from needlefit.datasets.layers import (
     MAX_HEADING_DEG,
     SAME_POINT_MM,
     find_backward_points,
-    find_length_tolerance,
     find_stray_fault,
     make_order_fault,
 )
@@ -66,8 +66,9 @@ class ShapePlacer(Placer):
             self.settler.note("without a shape", without)
         self.settle_entry()
         self.poses = self.settle_pose(without)
-        placed = [curve.name for curve in beside if len(curve.line) and not curve.is_deflection]
-        self.settle_entry_points(self.poses, join_names(placed, 5))
+        placed = [curve for curve in beside if len(curve.line) and not curve.is_deflection]
+        self.settle_entry_points(list_names(placed))
+        self.require_depths()
 
     def settle_entry(self) -> None:
         """Put the entry first."""
@@ -84,61 +85,59 @@ class ShapePlacer(Placer):
 
     # ---- entry and pose
 
-    def settle_pose(self, without: str) -> list[Stated]:
+    def settle_pose(self, without: str) -> Answers:
         """Return for each needle `free`, `shaft` or a direction; the hint is the one that fits them all.
 
         `without`: names of the other needles, which have no shape and need a direction.
         """
-        chords = np.array([curve.chord for curve in self.curves])
-        chord = chords.sum(axis=0)
+        chord = np.sum([curve.chord for curve in self.curves], axis=0)
         along, how = format_direction(normalize(chord)) if chord.any() else "X,Y,Z", "as the needles run"
         if (fitted := fit_direction([curve.line for curve in self.curves])) is not None:
             along = format_direction(fitted.vector)
             how = f"which fits all needles; pose_angle_sd={fitted.sd_deg:.2g} deg"
         reason = f"{without} without a shape; " if without else ""
         reason += f"pose={along} ({how}) if a stage pushed all needles in one direction"
-        is_posed = bool(without or self.surfaces) or any(
-            curve.turns or curve.sensors or curve.tips for curve in self.curves
-        )
+        is_posed = bool(without or self.surfaces) or any(curve.is_turned for curve in self.curves)
         poses = self.each("pose", usual="" if is_posed else "free", reason=reason)
-        kinds = {pose.text if pose.text in ("free", "shaft") else "direction" for pose in poses}
-        if len(kinds) > 1:
-            raise poses[0].error("pose", "directions of all needles, or shaft or free of all")
-        if kinds == {"free"} and is_posed:
-            raise poses[0].error("pose", f"{along} or shaft, of surfaces, turns, curvatures and tips")
-        if kinds != {"direction"}:
+        self.pose_kind, *others = {
+            pose.text if pose.text in ("free", "shaft") else "direction" for pose in poses.values()
+        }
+        first = poses[self.curves[0]]
+        if others:
+            raise first.error("pose", "directions of all needles, or shaft or free of all")
+        if self.pose_kind == "free" and is_posed:
+            raise first.error("pose", f"{along} or shaft, of surfaces, turns, curvatures and tips")
+        if self.pose_kind != "direction":
             return poses
-        runs = chords / np.maximum(np.linalg.norm(chords, axis=1, keepdims=True), SAME_POINT_MM)
-        cosines = [
-            float(normalize(pose.to_vector("pose")) @ run) for pose, run in zip(poses, runs, strict=True)
-        ]
-        off = [n for n, cosine in enumerate(cosines) if cosine < np.cos(np.radians(MAX_HEADING_DEG))]
+        angles = {
+            curve: float(np.degrees(np.arccos(normalize(pose.to_vector("pose")) @ to_unit(curve.chord))))
+            for curve, pose in poses.items()
+        }
+        off = [curve for curve, angle in angles.items() if angle > MAX_HEADING_DEG]
         if off:
-            curves, angle = [self.curves[n] for n in off], np.degrees(np.arccos(cosines[off[0]]))
-            is_back, fix = angle > 180.0 - MAX_HEADING_DEG, f"state {name_set('pose', along)}"
+            is_back = angles[off[0]] > 180.0 - MAX_HEADING_DEG
+            fix = f"state {name_set('pose', along)}"
             if is_back:
                 end = name_set("entry", OTHER_END[self.entry])
                 fix += f"; or, if the files begin at the tips, {end}"
             if 2 * len(off) < len(poses):
-                fix = advise_order(curves) if is_back else f"look at {list_places(curves)}: {SWAPPED}"
+                fix = advise_order(off) if is_back else f"look at {list_places(off)}: {SWAPPED}"
             raise poses[off[0]].error(
                 "pose",
                 f"at most {MAX_HEADING_DEG:g} degrees off the needles, {along}; "
-                f"{list_names(curves)} runs {angle:.0f} degrees off it",
+                f"{list_names(off)} runs {angles[off[0]]:.0f} degrees off it",
                 fix,
             )
         return poses
 
-    def settle_entry_points(self, poses: Sequence[Stated], without: str) -> None:
+    def settle_entry_points(self, without: str) -> None:
         """Settle where each tip first touched the tissue, and cut the curves there.
 
         `without`: names of needles of which the place of the tip alone is known: they have no first point.
         """
-        stated = {curve.name: curve.stated["depth"] for curve in self.curves if "depth" in curve.stated}
-        depths = {name: depth.to_number("depth") for name, depth in stated.items()}
-        surfaces = {surface.name: surface for surface in self.surfaces}
+        surfaces, is_shaft = {surface.name for surface in self.surfaces}, self.pose_kind == "shaft"
         guess, reason = "first", "the first point of each needle, with its error"
-        if poses[0].text == "shaft" or surfaces:
+        if is_shaft or surfaces:
             guess, reason = "", "nothing states where the tissue begins"
         elif without:
             start = max(float(np.linalg.norm(curve.line[0])) for curve in self.curves)
@@ -146,51 +145,51 @@ class ShapePlacer(Placer):
             reason = (
                 f"the shapes begin up to {start:.2g} mm from the origin; of {without} the tip is known alone"
             )
-        for curve in self.curves:
-            depth = depths.get(curve.name, np.inf)
-            if curve.length - depth > find_length_tolerance(depth):
-                guess = "depth" if poses[0].text == "shaft" else ""
-                place = f"its depth {depth:g} mm in {stated[curve.name].where}"
-                reason = f"{curve.name} is {curve.length:.1f} mm long, and {place}"
-                break
-        is_first = self.stated("entry_point") == "first"
+        long = (curve for curve in self.curves if curve.length - curve.depth > curve.depth_tolerance)
+        if (curve := next(long, None)) is not None:
+            guess = "depth" if is_shaft else ""
+            place = f"its depth {curve.depth:g} mm in {curve.stated['depth'].where}"
+            reason = f"{curve.name} is {curve.length:.1f} mm long, and {place}"
+        self.is_first = self.stated("entry_point") == "first"
         answers = self.each("entry_point", usual=guess, reason=reason, is_sure=guess == "depth")
-        cut, missed = list[float](), list[str]()
-        for curve, answer in zip(self.curves, answers, strict=True):
-            is_place = answer.text not in ("first", "depth", *surfaces)
-            curve.entry, arc = answer.to_entry() if is_place else None, 0.0
-            if answer.text in surfaces:
-                hits = find_surface_hits(curve.points.curve.smoothed, surfaces[answer.text])
-                arc = min(hits, default=0.0)
-                missed += [] if len(hits) else [curve.name]
-            elif answer.text == "depth":
-                if curve.name not in depths:
-                    raise answer.error("entry_point", f"X,Y,Z, or a depth of {curve.name}, too")
-                arc = curve.length - depths[curve.name]
-            elif curve.entry is not None:
-                along = np.arange(0.0, curve.length, STEP_MM)
-                gaps = np.linalg.norm(curve.points.curve.interpolate(along) - curve.entry, axis=1)
-                arc = float(along[np.argmin(gaps)])
-            if arc > MIN_CUT_MM:
-                cut_shaft(curve, arc, OTHER_END[self.entry])
-                cut.append(arc)
-        used = {answer.text: answer for answer in answers if answer.text in surfaces}
-        if used and (missed or not cut):
-            names = f" ({missed[0]} does not)" if missed else ""
-            raise next(iter(used.values())).error(
-                "entry_point", f"a surface without a hole, that needles cross on their way in{names}"
-            )
+        arcs = {curve: self.find_entry(curve, answer) for curve, answer in answers.items()}
+        cut = {curve: arc for curve, arc in arcs.items() if arc > MIN_CUT_MM}
+        for curve, arc in cut.items():
+            cut_shaft(curve, arc, OTHER_END[self.entry])
         if cut:
-            self.settler.note("shaft", f"{min(cut):.1f} to {max(cut):.1f} mm before the entry point cut off")
-        self.surfaces[:] = [surface for surface in self.surfaces if surface.name not in used]
-        for curve, pose in zip(self.curves, poses, strict=True):
-            if curve.is_deflection and not is_first:  # depths count from the first point where it is stated
+            least, most = min(cut.values()), max(cut.values())
+            self.settler.note("shaft", f"{least:.1f} to {most:.1f} mm before the entry point cut off")
+        skins = surfaces & {answer.text for answer in answers.values()}
+        self.surfaces[:] = [surface for surface in self.surfaces if surface.name not in skins]
+
+    def find_entry(self, curve: ImportedCurve, answer: Stated) -> float:
+        """Return how far behind its first point a needle enters the tissue, mm, and keep a stated place."""
+        surface = next((surface for surface in self.surfaces if surface.name == answer.text), None)
+        if surface is not None:
+            hits = find_surface_hits(curve.points.curve.smoothed, surface)
+            if not len(hits):
+                needed = "a surface without a hole, that needles cross on their way in"
+                raise answer.error("entry_point", f"{needed} ({curve.name} does not)")
+            return min(hits)
+        if answer.text == "depth":
+            if "depth" not in curve.stated:
+                raise answer.error("entry_point", f"X,Y,Z, or a depth of {curve.name}, too")
+            return curve.length - curve.depth
+        if answer.text == "first":
+            return 0.0
+        curve.entry, along = answer.to_entry(), np.arange(0.0, curve.length, STEP_MM)
+        gaps = np.linalg.norm(curve.points.curve.interpolate(along) - curve.entry, axis=1)
+        return float(along[np.argmin(gaps)])
+
+    def require_depths(self) -> None:
+        """DataError if the points of a needle do not begin at its entry, or are not as long as it is deep."""
+        for curve in self.curves:
+            if curve.is_deflection and not self.is_first:
+                # depths count from the first point where it is stated
                 start = 0.0 if curve.entry is None else curve.entry[0]
                 curve.before = max(0.0, float(curve.line[0, 0] - start))
-            length = curve.before + curve.length
-            depth = depths.get(curve.name, length)
-            limit = find_length_tolerance(depth)
-            if curve.before > limit and pose.text != "free":
+            length, limit = curve.before + curve.length, curve.depth_tolerance
+            if curve.before > limit and self.pose_kind != "free":
                 raise DataError(
                     f"the points of {curve.name} begin at a depth of {curve.before:.1f} mm",
                     expected="points from the entry on, where the depth is 0",
@@ -198,159 +197,154 @@ class ShapePlacer(Placer):
                     f"or fit the shapes alone: {name_set('pose', 'free')}",
                     where=curve.points.where(),
                 )
-            if abs(depth - length) > limit:
+            if abs(curve.depth - length) > limit:
                 fix = "correct the depth, or the order of the points; or cut off a shaft by entry_point"
-                units = [unit for unit, mm in UNITS_MM.items() if abs(length * mm - depth) < limit]
+                units = [unit for unit, mm in UNITS_MM.items() if abs(length * mm - curve.depth) < limit]
                 if units:
-                    edits = " ".join(name_set(f"{axis}.unit", units[0]) for axis in "xyz")
-                    # one needle among others in mm is no matter of all columns
-                    is_one = any(abs(depths.get(one.name, 0.0) - one.length) <= limit for one in self.curves)
-                    state = "correct them" if is_one or curve.is_deflection else f"state {edits}"
-                    fix = f"its coordinates look like {units[0]}: {state}"
-                expected = f"within {limit:.1f} mm the length of {curve.name}, which is {curve.length:.1f} mm"
-                raise stated[curve.name].error("depth", expected, fix)
+                    fix = (
+                        f"its coordinates look like {units[0]}: correct them, or {name_set('unit', units[0])}"
+                    )
+                expected = f"within {limit:.1f} mm the length of {curve.name}, which is {length:.1f} mm"
+                raise curve.stated["depth"].error("depth", expected, fix)
 
-    def make_rows(self, point_sd: float) -> list[InsertionRow]:
-        """Return the rows with entry poses and bevels."""
-        curves, angles, poses = self.curves, self.settle_sides(), self.poses
+    def fill_rows(self, point_sd: float) -> None:
+        """Fill in entry poses and bevels."""
+        curves, angles = self.curves, self.settle_sides()
         self.note_deflections()
-        self.require_seen(angles or [])
-        sides, zeros = to_sides(angles or [0.0] * len(curves))
-        rows, is_own = list[InsertionRow](), any("entry_point" in curve.stated for curve in curves)
-        for curve, side in zip(curves, sides, strict=True):
-            # a stated length is believed
-            sd = 0.0 if "depth" in curve.stated else measure_curve(curve.line, point_sd).length_sd
-            # one entry that is stated of all is the origin of their coordinates, and no hole
-            hole = curve.hole or ("" if is_own or curve.entry is None else curve.name)
-            rows.append(InsertionRow(curve.name, "", 1, curve.depth, side=side, depth_sd=sd, hole=hole))
-        if poses[0].text == "free":
-            bevels = self.compare_sides(angles)
-            rows = [replace(row, bevel=bevel) for row, bevel in zip(rows, bevels, strict=True)]
+        self.require_seen(angles or {})
+        is_own = any("entry_point" in curve.stated for curve in curves)
+        for curve in curves:
+            curve.fill(
+                side=curve.side,
+                # a stated length is believed
+                depth_sd=0.0 if "depth" in curve.stated else measure_curve(curve.line, point_sd).length_sd,
+                # one entry that is stated of all is the origin of their coordinates, and no hole
+                hole=curve.hole or ("" if is_own or curve.entry is None else curve.name),
+            )
+        if self.pose_kind == "free":
             self.pose = "free"
-            return self.meet_layers(rows)
+            self.compare_sides(angles)
+            self.meet_layers()
+            return
         if any(curve.entry is None for curve in curves):
             self.settler.note(
                 "shift across", "fitted: the first point, taken as the entry, has moved with the needle"
             )
         shifts = self.numbers("pose_shift_sd", usual=f"{point_sd:g}", reason="that of a point")
-        if poses[0].text == "shaft":
-            axes = [fit_shaft(curve, point_sd, poses[0]) for curve in curves]
-            ways, sds = np.array([axis.direction for axis in axes]), [axis.angle_sd for axis in axes]
-            reason = f"of each shaft, which the tissue has bent: at most {np.degrees(max(sds)):.2g} degrees"
-            answers = self.each("pose_angle_sd", usual="shaft", reason=reason, is_sure=True)
-        else:
-            ways = np.array([normalize(pose.to_vector("pose")) for pose in poses])
-            answers = self.each("pose_angle_sd")
-        if answers[0].text != "shaft":
-            sds = [float(np.radians(answer.to_number("pose_angle_sd"))) for answer in answers]
-        first = [curve.line[0] if curve.entry is None else curve.entry for curve in curves]
-        until = [min([curve.length, *(depth for depth, _ in curve.turns)]) for curve in curves]
-        before = [curve.points.curve.interpolate([arc])[0] for curve, arc in zip(curves, until, strict=True)]
-        bevels = self.settle_bevel(np.array(before) - first, ways, angles)
-        for label, texts in {
-            "turns": [f"{len(curve.turns)} of {curve.name}" for curve in curves if curve.turns],
-            "curvatures": [f"{len(curve.sensors)} of {curve.name}" for curve in curves if curve.sensors],
-        }.items():
-            if texts:
-                self.settler.note(label, join_names(texts, 8))
-                reason = "degrees, set by hand: bevel_roll_sd_deg of insertions.csv"
-                self.settler.assumed["bevel_roll_sd"] = f"{DEFAULT_ROLL_SD_DEG:g} {reason}"
-        chords = np.array([curve.line[-1] for curve in curves]) - first
-        rows = self.meet_layers(rows, np.sum(chords * ways, axis=1).tolist())
-        source: PoseSource = "shaft" if poses[0].text == "shaft" else "stage"
-        for n, curve in enumerate(curves):
-            crossed = (
-                find_crossings(curve.points.curve.smoothed, self.surfaces).sequence if self.surfaces else ()
-            )
-            rows[n] = replace(
-                rows[n],
-                layers=len(crossed) or rows[n].layers,
-                entry=first[n],
-                direction=ways[n],
-                bevel=bevels[n],
+        axes, usual, reason, source = dict[ImportedCurve, ShaftAxis](), None, "", "stage"
+        if self.pose_kind == "shaft":
+            axes = {curve: fit_shaft(curve, point_sd, pose) for curve, pose in self.poses.items()}
+            worst = np.degrees(max(axis.angle_sd for axis in axes.values()))
+            reason = f"of each shaft, which the tissue has bent: at most {worst:.2g} degrees"
+            usual = source = "shaft"
+        angle_sds = self.each("pose_angle_sd", usual, reason, is_sure=bool(axes))
+        for curve, answer in angle_sds.items():
+            is_shaft = curve in axes and answer.text == "shaft"
+            stated_sd = 0.0 if is_shaft else float(np.radians(answer.to_number("pose_angle_sd")))
+            pose = self.poses[curve]
+            curve.fill(
+                entry=curve.start,
+                direction=axes[curve].direction if axes else normalize(pose.to_vector("pose")),
                 pose_source="first_point" if curve.entry is None else source,
-                pose_shift_sd=shifts[n],
-                pose_angle_sd=sds[n],
-                turns=tuple((depth, np.radians(cell.to_angle()) - zeros[n]) for depth, cell in curve.turns),
-                curvature=curve.read_curvature(zeros[n]),
+                pose_shift_sd=shifts[curve],
+                pose_angle_sd=axes[curve].angle_sd if is_shaft else stated_sd,
+                turns=tuple((depth, np.radians(cell.to_angle()) - curve.turn) for depth, cell in curve.turns),
+                curvature=curve.read_curvature(),
             )
-        return add_tips(self, rows, zeros, point_sd)
+        self.settle_bevel(angles)
+        counts = {curve.name: len(curve.turns) + len(curve.sensors) for curve in curves}
+        if texts := [f"{count} of {name}" for name, count in counts.items() if count]:
+            self.settler.note("turns, curvatures", join_names(texts, 8))
+            reason = "degrees, set by hand: bevel_roll_sd_deg of insertions.csv"
+            self.settler.assumed["bevel_roll_sd"] = f"{DEFAULT_ROLL_SD_DEG:g} {reason}"
+        self.meet_layers({curve: float((curve.line[-1] - curve.start) @ curve.direction) for curve in curves})
+        for curve in curves if self.surfaces else ():
+            crossed = find_crossings(curve.points.curve.smoothed, self.surfaces).sequence
+            curve.fill(layers=len(crossed) or curve.row.layers)
+        add_tips(self, point_sd)
 
     # ---- bevel
 
-    def require_seen(self, angles: Sequence[float]) -> None:
+    def require_seen(self, angles: Numbers) -> None:
         """DataError if bevels lead needles across the plane in which alone their points were measured.
 
         It is that of most bevels, which face one way or the other in it.
         """
         if not angles or any(curve.line[:, 2].any() for curve in self.curves):
             return
-        ((plane, _),) = Counter(angle % 180.0 for angle in angles).most_common(1)
-        across = np.abs(np.sin(np.radians(np.array(angles) - plane)))
-        if hidden := [self.curves[n] for n in np.flatnonzero(across > MAX_HIDDEN_PART)]:
-            names = list_names(hidden)
-            expected = (
-                f"{plane:g} or {plane + 180.0:g} deg, as of the others: only x and y were measured, and "
-            )
-            expected += f"{names} bends along z"
+        ((plane, _),) = Counter(angle % 180.0 for angle in angles.values()).most_common(1)
+        hidden = [
+            curve
+            for curve, angle in angles.items()
+            if abs(np.sin(np.radians(angle - plane))) > MAX_HIDDEN_PART
+        ]
+        if hidden:
             places = " and ".join(curve.points.where() for curve in hidden)
-            fix = f"state z, or leave out the rows from {places} on"
-            raise hidden[0].stated["bevel_side"].error("bevel_side", expected, fix)
+            raise (
+                hidden[0]
+                .stated["bevel_side"]
+                .error(
+                    "bevel_side",
+                    f"{plane:g} or {plane + 180.0:g} deg, as of the others: only x and y were measured, and "
+                    f"{list_names(hidden)} bends along z",
+                    f"state z, or leave out the rows from {places} on",
+                )
+            )
 
-    def settle_bevel(
-        self, bends: Floats, along: Floats, angles: Sequence[float] | None
-    ) -> Sequence[Floats | None]:
-        """Return the direction toward which side 1 of each needle deflects; None: it bends toward its bevel.
+    def settle_bevel(self, angles: Numbers | None) -> None:
+        """Fill in toward which direction side 1 of each needle deflects; None: it bends toward its bevel.
 
-        `bends` (N, 3): from the directions `along` (N, 3), mm. Their mean is all that is read of the shapes.
+        The mean of the bends, until the first turns, is all that is read of the shapes.
         """
-        sides = BendsOfSides(bends, along, angles)
+        curves, along = self.curves, np.array([curve.direction for curve in self.curves])
+        until = [min([curve.length, *(depth for depth, _ in curve.turns)]) for curve in curves]
+        before = [curve.points.curve.interpolate([arc])[0] for curve, arc in zip(curves, until, strict=True)]
+        sides = BendsOfSides(curves, np.array(before) - [curve.start for curve in curves], along)
         guess, reason, fix, where = "bend", "every needle is taken to bend toward its bevel", "", ""
-        is_turned = any(curve.turns or curve.sensors or curve.tips for curve in self.curves)
-        faced = [angle % 360.0 for angle in angles or [0.0]]
-        if differ := is_turned or len({*faced}) > 1 or max(faced) >= 180.0:
+        faced = {angle % 360.0 for angle in (angles or {}).values()} or {0.0}
+        if differ := any(curve.is_turned for curve in curves) or len(faced) > 1 or max(faced) >= 180.0:
             guess = format_direction(sides.mean)
             reason = "the mean direction in which needles bend from their sides"
             if not sides.agree:
                 largest = np.cos(np.radians(MAX_HEADING_DEG))
                 is_off = sides.units @ sides.mean < largest
                 off, rest = np.flatnonzero(is_off), to_unit(sides.toward[~is_off].sum(axis=0))
-                names = list_names([self.curves[n] for n in off]) or "some needles"
+                names = list_names([curves[n] for n in off]) or "some needles"
                 fix = f"look at the bevel side of {names} in its source"
                 if any(abs(sides.units[n] @ rest) < largest for n in off):  # bent across, to no side
                     fix = f"look at the points of {names}: {SWAPPED}"
                 guess = format_direction(rest if rest.any() else sides.mean)
                 fix += f"; if that is right: {name_set('bevel', guess)}"
-                cells = [cell for n in off if (cell := self.curves[n].stated.get("bevel_side"))]
+                cells = [cell for n in off if (cell := curves[n].stated.get("bevel_side"))]
                 where = cells[0].where if cells else ""
                 guess, reason = "", f"the bevel side of {names} and that of the others contradict each other"
         answer = self.settle("bevel", guess, reason, fix=fix, where=where)
-        if answer.text != "bend":
-            self.settle_sides(is_needed=True)
-            return [*sides.turned.apply(answer.to_vector("bevel"))]
-        if differ:
-            raise answer.error("bevel", "X,Y,Z: bevels differ, or turn")
-        return [None] * len(bends)
+        if answer.text == "bend":
+            if differ:
+                raise answer.error("bevel", "X,Y,Z: bevels differ, or turn")
+            return
+        self.settle_sides(is_needed=True)
+        for curve, bevel in zip(curves, sides.turned.apply(answer.to_vector("bevel")), strict=True):
+            curve.fill(bevel=bevel)
 
-    def compare_sides(self, angles: Sequence[float] | None) -> Sequence[Floats | None]:
-        """Return the direction that side 1 of each free shape faces in the frame of the points, if stated.
+    def compare_sides(self, angles: Numbers | None) -> None:
+        """Fill in the direction that side 1 of each free shape faces in the frame of the points, if stated.
 
         It is their mean bend from the one direction that fits all needles; None where they bend from it in
         several planes, as needles do that were not measured in one frame.
         """
         fitted = fit_direction([curve.line for curve in self.curves])
-        bevels: Sequence[Floats | None] = [None] * len(self.curves)
         note = "a free shape bends toward its bevel"
         if angles is not None:
             note = "stated sides are not compared with the bends: no one direction fits the needles"
         if angles is not None and fitted is not None:
             chords = np.array([curve.chord for curve in self.curves])
-            sides = BendsOfSides(chords, np.tile(fitted.vector, (len(chords), 1)), angles)
+            sides = BendsOfSides(self.curves, chords, np.tile(fitted.vector, (len(chords), 1)))
             if np.abs(sides.toward @ sides.mean).sum() > MIN_SAME_SIDE * sides.sizes.sum():
                 note = f"stated sides are compared with the bends from {format_direction(fitted.vector)}"
-                bevels = [*sides.turned.apply(sides.mean)]
+                for curve, bevel in zip(self.curves, sides.turned.apply(sides.mean), strict=True):
+                    curve.fill(bevel=bevel)
         self.settler.note("bevel", note)
-        return bevels
 
 
 # ---- points and shafts
@@ -371,11 +365,6 @@ def require_order(curves: Sequence[ImportedCurve]) -> None:
 def advise_order(curves: Sequence[ImportedCurve]) -> str:
     """Return the fix of curves whose points go from the tip to the entry."""
     return f"reverse these points if they go from the tip to the entry: {list_places(curves)}"
-
-
-def list_names(curves: Iterable[ImportedCurve]) -> str:
-    """Return the names of curves, in a sentence; empty of none."""
-    return join_names([curve.name for curve in curves], 5)
 
 
 def list_places(curves: Sequence[ImportedCurve]) -> str:

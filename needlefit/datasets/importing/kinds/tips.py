@@ -7,18 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from needlefit.arrays import Floats
-from needlefit.datasets.columns import InsertionRow
-from needlefit.datasets.importing.curve_answers import CurveAnswers, Placer, format_direction, to_sides
+from needlefit.datasets.importing.curve_answers import CurveAnswers, Placer, format_direction
 from needlefit.datasets.importing.curves import ImportedCurve, TipReading
 from needlefit.datasets.importing.draft_table import Columns, Records, TableDraft
 from needlefit.datasets.importing.kinds import RowKind
-from needlefit.datasets.importing.meanings import Keys
 from needlefit.datasets.importing.stated import Stated, name_set
 from needlefit.datasets.point_labels import divide_labels
-from needlefit.datasets.points import MIN_POINTS, Points
+from needlefit.datasets.points import MIN_POINTS
 from needlefit.errors import DataError
-from needlefit.geometry.frames import IDENTITY_FRAME, Frame, make_entry_frame
+from needlefit.geometry.frames import make_entry_frame
 from needlefit.grouping import group_values
 
 
@@ -28,71 +25,68 @@ class TipPlacer(Placer):
     def settle_places(self) -> None:
         """Make an insertion of each depth, and turn places of tips into deflections."""
         split_tips(self)
-        are_deflections = all(curve.is_deflection for curve in self.curves)
-        self.frames = [IDENTITY_FRAME for _ in self.curves] if are_deflections else place_tips(self)
+        if not all(curve.is_deflection for curve in self.curves):
+            place_tips(self)
         for curve in self.curves:
             curve.depths = curve.line[:, 0]
 
-    def describe(self, sides: Sequence[int], turns: Sequence[float]) -> list[Keys]:
-        """Return the cells of what was measured, toward bevels and across."""
-        tips = [TipReading(curve.line[0, 1:], None, curve.points.where()) for curve in self.curves]
-        across = turn_deflections(self, tips, sides, turns).tolist()
-        in_space = any(tip.deflection[1] for tip in tips)
+    def fill_tips(self, point_sd: float) -> None:
+        """Fill in what was measured, toward bevels and across."""
+        for curve in self.curves:
+            curve.tips = [TipReading(curve.line[0, 1:], None, curve.points.where())]
+        add_tips(self, point_sd)
         self.note_deflections()
-        return [{"tip_y": y, "tip_z": z if in_space else None} for y, z in across]
 
-    def make_rows(self, point_sd: float) -> list[InsertionRow]:
-        """Return the insertions, each with its depth and what was measured."""
-        sides, turns = to_sides(self.settle_sides(is_needed=True) or [])
-        cells = self.describe(sides, turns)
+    def fill_rows(self, point_sd: float) -> None:
+        """Fill in depth, pose and what was measured."""
+        self.settle_sides(is_needed=True)
+        self.fill_tips(point_sd)
         shifts = self.numbers("pose_shift_sd", usual=f"{point_sd:g}", reason="that of a point")
-        angle_sds = np.radians(self.numbers("pose_angle_sd")).tolist()
-        rows = list[InsertionRow]()
-        for n, curve in enumerate(self.curves):
-            frame = self.frames[n]
-            toward = Rotation.from_rotvec([turns[n], 0.0, 0.0]).apply([0.0, 1.0, 0.0])
-            row = InsertionRow(
-                curve.name,
-                "",
-                1,
-                curve.depth,
-                side=sides[n],
-                entry=frame.origin,
-                direction=frame.rotation[:, 0],
-                bevel=frame.rotation @ toward,
+        angle_sds = self.numbers("pose_angle_sd")
+        for curve in self.curves:
+            turned = Rotation.from_rotvec([curve.turn, 0.0, 0.0])
+            curve.fill(
+                side=curve.side,
+                entry=curve.frame.origin,
+                direction=curve.frame.rotation[:, 0],
+                bevel=curve.frame.rotation @ turned.apply([0.0, 1.0, 0.0]),
                 pose_source="stage",
-                pose_shift_sd=shifts[n],
-                pose_angle_sd=angle_sds[n],
-                hole=curve.hole,
-                curvature=curve.read_curvature(turns[n]),
-                **cells[n],
+                pose_shift_sd=shifts[curve],
+                pose_angle_sd=float(np.radians(angle_sds[curve])),
+                curvature=curve.read_curvature(),
             )
-            rows.append(row)
-        return self.meet_layers(rows)
+        self.meet_layers()
 
 
 def split_tips(asked: CurveAnswers) -> None:
     """Make an insertion of each depth of a tip; those of a needle that is named are of one hole, its own.
 
-    Deflections of a needle that were read at one depth are joined.
+    Deflections of a needle that were read at one depth are joined; of rows without a name each is a needle.
     """
-    stops_by_needle = [_list_stops(curve) for curve in asked.curves]
-    counts = [len(rows) for stops in stops_by_needle for rows in stops]
-    are_joined, taken = max(counts) > 1, {curve.name for curve in asked.others}
-    sds = asked.numbers("point_sd", is_above=True) if are_joined else [0.0] * len(asked.curves)
-    insertions = list[ImportedCurve]()
-    for curve, stops, sd in zip(asked.curves, stops_by_needle, sds, strict=True):
-        for number, rows in enumerate(stops, 1):
-            points, stated = _read_stop(curve, rows, sd), dict(curve.stated)
-            if points.sd is not None:
-                stated["point_sd"] = Stated(f"{points.sd[0]:.6g}", "mm", points.where())
-            name = curve.name if len(stops) == 1 else f"{curve.name}-{number}"
+    stops = {curve: _list_stops(curve) for curve in asked.curves}
+    counts = [len(rows) for of_needle in stops.values() for rows in of_needle]
+    taken, insertions = {curve.name for curve in asked.others}, list[ImportedCurve]()
+    are_joined = max(counts) > 1
+    sds = asked.numbers("point_sd", is_above=True) if are_joined else {}
+    for curve, of_needle in stops.items():
+        for number, rows in enumerate(of_needle, 1):
+            name = curve.name if len(of_needle) == 1 else f"{curve.name}-{number}"
             while name in taken:
                 name += "-2"
             taken.add(name)
-            hole = curve.name if curve.is_named else ""
-            points = replace(points, sd=None)
-            insertions.append(replace(curve, name=name, points=points, stated=stated, hole=hole))
+            tip = join_readings([curve.read_tip(n) for n in rows], sds.get(curve, 0.0))
+            points = curve.points.part(np.array(rows[:1], dtype=np.int64))
+            values = np.array([[points.values[0, 0], *tip.deflection]])
+            insertion = replace(
+                curve,
+                name=name,
+                points=replace(points, values=values, sd=None),
+                stated={**curve.stated},
+                hole=curve.name if curve.is_named else "",
+            )
+            if tip.sd is not None:
+                insertion.stated["point_sd"] = Stated(f"{tip.sd:.6g}", "mm", tip.where)
+            insertions.append(insertion)
     if are_joined:
         asked.settler.note("tips", f"{sum(counts)} readings; those of a needle at one depth are joined")
     if len(insertions) > len(asked.curves) and any(curve.hole for curve in insertions):
@@ -101,57 +95,11 @@ def split_tips(asked: CurveAnswers) -> None:
 
 
 def _list_stops(curve: ImportedCurve) -> list[list[int]]:
-    """Return the rows of each depth of a tip; of rows without a name each is a needle."""
+    """Return the rows of each depth of a tip."""
     # places in space err along the needle, too: none has the depth of another
     are_joined = curve.is_deflection and curve.is_named
     keys = curve.line[:, 0].tolist() if are_joined else [*range(len(curve.line))]
     return [*group_values((key, n) for n, key in enumerate(keys)).values()]
-
-
-def _read_stop(curve: ImportedCurve, rows: Sequence[int], point_sd: float) -> Points:
-    """Return the tip at one depth, of several readings their mean.
-
-    `point_sd`, mm: of one that states none.
-    """
-    points = curve.points.part(np.array(rows[:1], dtype=np.int64))
-    if len(rows) < 2:
-        return points
-    sds = [None] * len(rows) if curve.points.sd is None else curve.points.sd[[*rows]].tolist()
-    readings = [TipReading(curve.line[n, 1:], sd, "") for n, sd in zip(rows, sds, strict=True)]
-    mean = join_readings(readings, point_sd)
-    values = np.array([[curve.line[rows[0], 0], *mean.deflection]])
-    return replace(points, values=values, sd=np.array([mean.sd]))
-
-
-def turn_deflections(
-    asked: CurveAnswers, tips: Sequence[TipReading], sides: Sequence[int], turns: Sequence[float]
-) -> Floats:
-    """Return deflections (N, 2) of tips toward +y and +z of bevels, which are turned by `turns`, rad.
-
-    Where bevels differ, and each tip has one deflection that is not negative, they are toward the bevels.
-    One deflection of bevels that face along one line is along that line. DataError if bevels face several
-    ways, and nothing states the other deflection.
-    """
-    up, right = np.array([tip.deflection for tip in tips]).T
-    is_one = up.any() and not right.any()
-    if is_one and (up >= 0).all() and (len({*sides}) > 1 or any(turns)):
-        asked.settler.assumed["deflection"] = (
-            "toward the bevel: no deflection is negative, though bevels differ"
-        )
-        return np.column_stack([np.array(sides) * up, right])
-    if is_one and any(turns) and len({*turns}) == 1:
-        degrees = np.degrees(turns[0])
-        asked.settler.assumed["deflection"] = f"positive toward {degrees:g} deg, as all bevels face this line"
-        return np.column_stack([up, right])
-    if is_one and any(turns):
-        raise DataError(
-            "bevels face several ways, and one deflection of each tip is stated",
-            expected="two, up and to the right; or all of them toward the bevel, none negative",
-            fix=f"{name_set('deflection_z.column', 'HEADER')}; or correct the signs",
-            where=tips[0].where,
-        )
-    cosines, sines = np.cos(turns), np.sin(turns)
-    return np.column_stack([cosines * up + sines * right, cosines * right - sines * up])
 
 
 def join_readings(tips: Sequence[TipReading], point_sd: float) -> TipReading:
@@ -167,41 +115,54 @@ def join_readings(tips: Sequence[TipReading], point_sd: float) -> TipReading:
     return TipReading(mean, float(weights.sum() ** -0.5), first.where)
 
 
-def add_tips(
-    asked: CurveAnswers, rows: Sequence[InsertionRow], turns: Sequence[float], point_sd: float
-) -> list[InsertionRow]:
-    """Return rows with the deflections of tips that were measured beside their shapes.
+def add_tips(asked: CurveAnswers, point_sd: float) -> None:
+    """Fill in the deflections of tips toward +y and +z of their bevels.
 
-    `turns`: of their bevels, rad.
+    Where bevels differ, and each tip has one deflection that is not negative, they are toward the bevels.
+    One deflection of bevels that face along one line is along that line. `point_sd`, mm: of a reading that
+    states none. DataError if bevels face several ways, and nothing states the other deflection.
     """
-    beside = [n for n, curve in enumerate(asked.curves) if curve.tips]
-    tips, added = [join_readings(asked.curves[n].tips, point_sd) for n in beside], [*rows]
-    if not tips:
-        return added
-    across = turn_deflections(asked, tips, [rows[n].side for n in beside], [turns[n] for n in beside])
-    for n, tip, (y, z) in zip(beside, tips, across.tolist(), strict=True):
-        added[n] = replace(rows[n], tip_y=y, tip_z=z if tip.deflection[1] else None, tip_sd=tip.sd)
-    return added
+    curves = [curve for curve in asked.curves if curve.tips]
+    if not curves:
+        return
+    tips = [join_readings(curve.tips, point_sd) for curve in curves]
+    sides = np.array([curve.side for curve in curves])
+    turns = np.array([curve.turn for curve in curves])
+    up, right = np.array([tip.deflection for tip in tips]).T
+    in_space, key = bool(right.any()), "deflection"
+    if in_space or not (up.any() and (turns.any() or (len({*sides}) > 1 and (up >= 0).all()))):
+        cosines, sines = np.cos(turns), np.sin(turns)
+        up, right = cosines * up + sines * right, cosines * right - sines * up
+    elif (up >= 0).all():
+        up = sides * up
+        asked.settler.assumed[key] = "toward the bevel: no deflection is negative, though bevels differ"
+    elif len({*turns}) == 1:
+        degrees = np.degrees(turns[0])
+        asked.settler.assumed[key] = f"positive toward {degrees:g} deg, as all bevels face this line"
+    else:
+        raise DataError(
+            "bevels face several ways, and one deflection of each tip is stated",
+            expected="two, up and to the right; or all of them toward the bevel, none negative",
+            fix=f"{name_set('deflection_z.column', 'HEADER')}; or correct the signs",
+            where=tips[0].where,
+        )
+    for curve, tip, y, z in zip(curves, tips, up.tolist(), right.tolist(), strict=True):
+        curve.fill(tip_y=y, tip_z=z if in_space else None, tip_sd=tip.sd)
 
 
-def place_tips(asked: CurveAnswers) -> list[Frame]:
-    """Turn places of tips into depths and deflections; return the frame of each."""
+def place_tips(asked: CurveAnswers) -> None:
+    """Turn places of tips into depths and deflections, each in the frame of its insertion."""
     reason = "tips alone tell nothing of the direction in which needles were inserted"
     poses = asked.each("pose", usual="", reason=reason)
     guess, reason = "", "the direction that is up (0 degrees, 12 o'clock) of tips in space"
-    normal = np.array([0.0, 0.0, 1.0])
     if not any(curve.line[:, 2].any() for curve in asked.curves):
-        up = np.cross(normal, poses[0].to_vector("pose"))
+        up = np.cross([0.0, 0.0, 1.0], poses[asked.curves[0]].to_vector("pose"))
         guess, reason = format_direction(up / (np.linalg.norm(up) or 1.0)), "across the needle, in the plane"
-    ups = asked.settle("bevel", guess, reason)
-    entries = asked.each("entry_point", usual="0,0,0", reason="the origin")
-    frames = []
-    for curve, pose, entry in zip(asked.curves, poses, entries, strict=True):
-        frame = make_entry_frame(entry.to_entry(), pose.to_vector("pose"), ups.to_vector("bevel"))
-        curve.points = replace(curve.points, values=frame.to_local(curve.line))
+    up = asked.settle("bevel", guess, reason).to_vector("bevel")
+    for curve, entry in asked.each("entry_point", usual="0,0,0", reason="the origin").items():
+        curve.frame = make_entry_frame(entry.to_entry(), poses[curve].to_vector("pose"), up)
+        curve.points = replace(curve.points, values=curve.frame.to_local(curve.line))
         curve.is_deflection = True
-        frames.append(frame)
-    return frames
 
 
 def propose_tips(draft: TableDraft, is_stated: bool) -> dict[str, Columns]:
@@ -229,11 +190,7 @@ def complete_tips(draft: TableDraft, records: Records) -> None:
 
 def join_tips(shape: ImportedCurve, curve: ImportedCurve, at_end: NDArray[np.bool_]) -> ImportedCurve:
     """Add readings of a tip to the shape at whose end they are; return the others."""
-    for n in np.flatnonzero(at_end):
-        sd = None if curve.points.sd is None else float(curve.points.sd[n])
-        if "point_sd" in curve.stated:
-            sd = curve.stated["point_sd"].to_number("point_sd", is_above=True)
-        shape.tips.append(TipReading(curve.line[n, 1:], sd, curve.points.where(int(n))))
+    shape.tips += [curve.read_tip(int(n)) for n in np.flatnonzero(at_end)]
     return replace(curve, points=curve.points.part(np.flatnonzero(~at_end)))
 
 

@@ -6,14 +6,12 @@ from dataclasses import replace
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.importing.curve_answers import (
     BendsOfSides,
     CurveAnswers,
     Placer,
     format_direction,
     snap_to_axis,
-    to_sides,
 )
 from needlefit.datasets.importing.curves import ImportedCurve
 from needlefit.datasets.importing.draft_table import Columns, Records, TableDraft
@@ -51,10 +49,10 @@ class TrackPlacer(Placer):
         settle_depth_zero(self)
         if not all(len(curve.depths) for curve in curves):
             measure_depths(self)
-        self.sides, self.rolls = settle_rolls(self)
+        settle_rolls(self)
         self.note_deflections("shift and slope of each run are fitted")
         bevel = self.settle_bevel()
-        across = np.cross(sum(curve.chord for curve in curves), bevel)
+        across = np.cross(np.sum([curve.chord for curve in curves], axis=0), bevel)
         planes = np.column_stack([bevel, to_unit(across), np.zeros(3)])  # of deflections 0
         for curve in curves:
             curve.points = replace(curve.points, values=curve.line @ planes)
@@ -79,7 +77,7 @@ class TrackPlacer(Placer):
         bevel = np.array([0.0, 1.0, 0.0])
         if all(curve.is_deflection for curve in curves):
             return bevel
-        bends = find_bends(curves, self.sides)
+        bends = find_bends(curves)
         guess, reason = "bend", "the mean direction in which the tips bend from their sides"
         if not bends.agree:
             guess, reason = "", "tips bend to several sides, which a column `bevel side` should state"
@@ -95,20 +93,10 @@ class TrackPlacer(Placer):
             raise self.settle("bevel").error("bevel", needed)
         return normalize(sideways)
 
-    def make_rows(self, point_sd: float) -> list[InsertionRow]:
-        """Return the runs."""
-        return [
-            InsertionRow(
-                curve.name,
-                "",
-                1,
-                curve.depth,
-                side=side,
-                turns=((0.0, roll),) if roll else (),
-                hole=curve.hole,
-            )
-            for curve, side, roll in zip(self.curves, self.sides, self.rolls, strict=True)
-        ]
+    def fill_rows(self, point_sd: float) -> None:
+        """Fill in the sides of the bevels, and by how much they are turned."""
+        for curve in self.curves:
+            curve.fill(side=curve.side, turns=((0.0, curve.turn),) if curve.turn else ())
 
     def choose_study(self, point_sd: float) -> Mapping[str, float | str]:
         """Return which readings place a predicted run, and which difference of errors does not matter.
@@ -120,27 +108,26 @@ class TrackPlacer(Placer):
         reason = "a third of the shallowest run; deeper ones are scored"
         depth = self.settle("registration_depth", usual, reason)
         number = depth.to_number("registration_depth", is_above=True)
-        slope_sd = max(self.numbers("pose_angle_sd", is_above=True))
+        slope_sd = max(self.numbers("pose_angle_sd", is_above=True).values())
         self.slope_sds_deg = slope_sd, slope_sd if self.is_posed else None
         study: dict[str, float | str] = {"registration_depth_mm": number}
         return study if self.others else study | {"margin_mm": point_sd, "margin_for": MARGIN_FOR}
 
 
-def find_bends(curves: Sequence[ImportedCurve], sides: Sequence[int]) -> BendsOfSides:
+def find_bends(curves: Sequence[ImportedCurve]) -> BendsOfSides:
     """Return how far runs bend from the direction that fits all of them, else from those of their entries."""
     fitted = fit_direction([curve.line for curve in curves])
-    bends, along, angles = list[Floats](), list[Floats](), list[float]()
-    for curve, side in zip(curves, sides, strict=True):
-        depths = curve.depths - curve.depths[0]
-        if len(depths) < (3 if fitted is None else 2):  # of a parabola, or a line
-            continue
-        *curved, slope, _ = np.polyfit(depths, curve.line, 2 if fitted is None else 1)
-        bends.append(float(np.ptp(depths)) ** 2 * curved[0] if fitted is None else np.ptp(depths) * slope)
-        is_in_space = np.linalg.norm(slope) > MIN_TRACK_SLOPE  # else the coordinates are across the needle
-        start = snap_to_axis(normalize(slope)) if is_in_space else np.zeros(3)
-        along.append(start if fitted is None else fitted.vector)
-        angles.append(90.0 - 90.0 * side)
-    return BendsOfSides(np.array(bends).reshape(-1, 3), np.array(along).reshape(-1, 3), angles)
+    degree = 2 if fitted is None else 1  # of a parabola, or a line
+    runs = [curve for curve in curves if len(curve.depths) > degree]
+    bends, along = np.zeros((len(runs), 3)), np.zeros((len(runs), 3))
+    for n, curve in enumerate(runs):
+        *_, slope, _ = terms = np.polyfit(curve.depths - curve.depths[0], curve.line, degree)
+        bends[n] = np.ptp(curve.depths) ** degree * terms[0]
+        if fitted is not None:
+            along[n] = fitted.vector
+        elif np.linalg.norm(slope) > MIN_TRACK_SLOPE:  # else the coordinates are across the needle
+            along[n] = snap_to_axis(normalize(slope))
+    return BendsOfSides(runs, bends, along)
 
 
 def project_guide(curve: ImportedCurve, guide: Floats, planes: Floats) -> Floats:
@@ -166,12 +153,13 @@ def project_guide(curve: ImportedCurve, guide: Floats, planes: Floats) -> Floats
     return across
 
 
-def settle_rolls(asked: CurveAnswers) -> tuple[list[int], list[float]]:
-    """Return side and roll, rad, of the bevels; runs that were read along one direction have none.
+def settle_rolls(asked: CurveAnswers) -> None:
+    """Settle sides and turns of the bevels; runs that were read along one direction are not turned.
 
     DataError if bevels face other ways than up and down, and nothing states where up is.
     """
-    curves, (sides, rolls) = asked.curves, to_sides(asked.settle_sides(is_needed=True) or [])
+    curves = asked.curves
+    asked.settle_sides(is_needed=True)
     if turned := [curve for curve in curves if curve.turns or curve.sensors]:
         raise DataError(
             f"run {turned[0].name} has turns of its bevel, or curvatures, beside its readings",
@@ -179,22 +167,21 @@ def settle_rolls(asked: CurveAnswers) -> tuple[list[int], list[float]]:
             fix="import its readings without the other tables",
             where=turned[0].points.where(),
         )
-    are_deflections = all(curve.is_deflection for curve in curves)
-    if not are_deflections and asked.stated("bevel") in ("", "bend"):
-        if len({*rolls}) > 1:
-            raise DataError(
-                "bevels face several ways, and nothing states where up is in the frame of the tips",
-                expected="sides 1 and -1; or the direction of 0 degrees (12 o'clock)",
-                fix=f"state {name_set('bevel', 'X,Y,Z')}",
-                where=curves[0].points.where(),
-            )
-        return sides, [0.0] * len(rolls)  # of one plane, in which they bend
-    if any(rolls) and not any(curve.line[:, 2].any() for curve in curves):
+    in_space = not all(curve.is_deflection for curve in curves) and asked.stated("bevel") in ("", "bend")
+    if in_space and len({curve.turn for curve in curves}) > 1:
+        raise DataError(
+            "bevels face several ways, and nothing states where up is in the frame of the tips",
+            expected="sides 1 and -1; or the direction of 0 degrees (12 o'clock)",
+            fix=f"state {name_set('bevel', 'X,Y,Z')}",
+            where=curves[0].points.where(),
+        )
+    is_flat = any(curve.turn for curve in curves) and not any(curve.line[:, 2].any() for curve in curves)
+    if is_flat and not in_space:
         asked.settler.assumed["deflection"] = (
             "toward the bevel of side 1: one deflection is stated of each tip"
         )
-        rolls = [0.0] * len(rolls)
-    return sides, rolls
+    for curve in curves if in_space or is_flat else ():
+        curve.turn = 0.0  # of one plane, in which they bend
 
 
 def settle_guide(asked: CurveAnswers) -> None:
@@ -246,7 +233,7 @@ def settle_depth_zero(asked: CurveAnswers) -> None:
         usual, reason = "first_reading", f"column {other.depth_column} is not called a depth"
     if first.depths[0] < 0:
         usual, reason = "first_reading", f"{first.name} begins at {first.depths[0]:g} mm"
-    for curve, answer in zip(asked.curves, asked.each("depth_zero", usual, reason), strict=True):
+    for curve, answer in asked.each("depth_zero", usual, reason).items():
         if not len(curve.depths):
             continue
         if answer.text == "tissue" and curve.depths[0] < 0:
@@ -264,13 +251,13 @@ def settle_depth_zero(asked: CurveAnswers) -> None:
 
 def measure_depths(asked: CurveAnswers) -> None:
     """Take the path of each tip along the stage axis as its depth, from the first reading or the entry on."""
-    chord = sum(curve.chord for curve in asked.curves)
+    chord = np.sum([curve.chord for curve in asked.curves], axis=0)
     guess = format_direction(snap_to_axis(normalize(chord)))
     pose = asked.settle("pose", guess, "the direction in which the tips run")
     axis, entry = normalize(pose.to_vector("pose")), None
     if asked.stated("entry_point"):
         entry = asked.settle("entry_point").to_entry()
-    for curve, sd in zip(asked.curves, asked.numbers("point_sd", is_above=True), strict=True):
+    for curve, sd in asked.numbers("point_sd", is_above=True).items():
         if len(curve.depths):
             continue  # its file states them
         depth = (curve.line - (curve.line[0] if entry is None else entry)) @ axis

@@ -7,7 +7,6 @@ from needlefit.datasets.importing.draft_table import Columns, TableDraft
 from needlefit.datasets.importing.kinds import RowKind
 from needlefit.datasets.importing.mapped_table import MappedTable
 from needlefit.datasets.importing.stated import Stated
-from needlefit.errors import DataError
 
 
 def propose_turns(draft: TableDraft, is_stated: bool) -> dict[str, Columns]:
@@ -23,16 +22,10 @@ def propose_turns(draft: TableDraft, is_stated: bool) -> dict[str, Columns]:
 
 def read_turns(mapped: MappedTable, curve: ImportedCurve, rows: Sequence[int]) -> None:
     """Add the depths of turns, mm, and where the bevel faces then."""
+    mapped.require("turn_depth", "bevel_side")
     for n in rows:
-        text = "".join(mapped.cells["bevel_side"][n])
-        if not text:
-            raise DataError(
-                "nothing states where the bevel faces from this depth on",
-                expected="bevel_side of each turn, as 90 deg",
-                fix=f"fill in the cell; or {mapped.name_edit('columns.bevel_side.column')}",
-                where=mapped.table.places[n],
-            )
-        cell = Stated(text, mapped.read_unit("bevel_side", n), mapped.where(n, "bevel_side"))
+        text, unit = "".join(mapped.cells["bevel_side"][n]), mapped.read_unit("bevel_side", n)
+        cell = Stated(text, unit, mapped.where(n, "bevel_side"))
         curve.turns.append((mapped.read_number("turn_depth", n), cell))
 
 
