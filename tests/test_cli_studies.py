@@ -10,7 +10,6 @@ from reporting_results import study
 from test_cli import run
 
 from needlefit.cli import screen
-from needlefit.project import locate
 from needlefit.project.checkpoint import open_checkpoint
 from needlefit.project.result_warnings import ResultWarning, to_stored_rows
 from needlefit.schemas.study import FitRecord, StudyRecord
@@ -19,8 +18,6 @@ from needlefit.studies.kinds.cross_validation.run import find_faults
 
 STUDY = 'schema = 1\ntitle = "Mine"\ndataset = "twin"\nmedium = "phantom2"\nvalidate = [{}]\n'
 FIT = 'schema = 1\ndataset = "twin"\nmedium = "phantom2"\n'
-with (locate.shipped_folder() / "data/paper/validation.csv").open(encoding="utf-8") as _file:
-    METRICS = _file.readline().strip().split(",")[3:]
 
 
 class Stub:
@@ -67,9 +64,7 @@ def test_validate_writes_prints_and_removes_the_checkpoint(stub, capsys):
     assert (settings.seed, settings.jobs, settings.resume, settings.sample) == (7, 2, False, False)
     assert made.written[0][1] == Path("reports/mine")
     assert not Path("reports/mine.partial").exists()
-    out = capsys.readouterr().out
-    assert "SYNTHETIC data" in out and "μ₁" in out
-    assert max(map(len, out.splitlines())) <= screen.SCREEN_COLUMNS
+    assert max(map(len, capsys.readouterr().out.splitlines())) <= screen.SCREEN_COLUMNS
 
 
 def test_a_warning_names_its_page_and_with_strict_ends_in_exit_code_5(stub, capsys):
@@ -78,22 +73,7 @@ def test_a_warning_names_its_page_and_with_strict_ends_in_exit_code_5(stub, caps
     assert run("validate", "mine") == 0
     assert "needlefit explain parameter-at-bound" in capsys.readouterr().err
     assert run("validate", "mine", "--out", "again", "--strict", "--json") == 5
-    found = json.loads(capsys.readouterr().out)
-    assert [one["kind"] for one in found["warnings"]] == ["parameter_at_bound"]
-    assert {one["status"] for one in found["verdicts"]} <= {"pass", "warn", "fail"}
-
-
-def test_validate_json_has_every_error_beside_the_paper_s(stub, capsys):
-    stub(study(1))
-    Path("studies/mine.toml").write_text(STUDY.replace("validate", "paper_study = 1\nvalidate"))
-    assert run("validate", "mine", "--json") == 0
-    rows = json.loads(capsys.readouterr().out)["validation"]
-    ours = [row for row in rows if (row["method"], row["boundaries"]) == ("fitted", "measured")]
-    three_layers = {row["metric"]: row for row in ours if row["layers"] == 3}
-    assert three_layers.keys() >= {*METRICS}
-    head = three_layers["te_mm"]
-    assert [head[name] for name in ("study", "medium", "layers", "origin")] == [1, "phantom2", 3, "synthetic"]
-    assert (head["paper"], three_layers["edp_percent"]["paper"]) == (0.14, 5.56)
+    assert [one["kind"] for one in json.loads(capsys.readouterr().out)["warnings"]] == ["parameter_at_bound"]
 
 
 def test_validate_reference_writes_evidence(stub):
@@ -107,10 +87,9 @@ def test_validate_reference_writes_evidence(stub):
     assert "validity" not in json.loads(Path("new/reference/mine/run.json").read_text())
 
 
-def test_simulations_that_fail_are_marked_by_the_exit_code(stub, capsys):
+def test_simulations_that_fail_are_marked_by_the_exit_code(stub):
     made = stub(study(3))
     assert run("validate", "mine") == 5 and made.written
-    assert "did not converge" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -144,8 +123,7 @@ def test_unfinished_work_of_a_killed_run_is_kept_and_the_next_start_prints_how_t
         open_checkpoint(settings.checkpoint, settings.resume, {"n": 1})
         return made.run(name, record, settings)
 
-    monkeypatch = pytest.MonkeyPatch()
-    with monkeypatch.context() as here:
+    with pytest.MonkeyPatch.context() as here:
         here.setattr("needlefit.studies.kinds.cross_validation.run.run", run_with_checkpoint)
         open_checkpoint(Path("reports/gel.partial"), False, {"n": 1}).keep_row("a", {"b": 0})
         assert run("tune", "gel") == 3
@@ -162,9 +140,7 @@ def test_tune_of_a_study_tunes_only(stub, capsys):
     assert (name, type(record), settings.sample) == ("mine-tune", FitRecord, True)
     assert record.medium == "phantom2"
     assert made.written[0][1] == Path("mine out/mine-tune")
-    out = capsys.readouterr().out
-    assert " reports/" not in out and "mine out/mine-tune/" in out
-    assert "μ₁ · b^1.9" in " ".join(out.split())
+    assert "mine out/mine-tune/" in capsys.readouterr().out
 
 
 def test_tune_searches_and_fixes_parameters_by_name_and_its_folder_has_these_names(stub, capsys):

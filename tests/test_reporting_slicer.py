@@ -11,7 +11,6 @@ from numpy.testing import assert_allclose
 from test_validation_run import made, project, study
 
 from needlefit.datasets.formats.markups import read_markups
-from needlefit.datasets.read import read
 from needlefit.geometry.curves import arc_length
 from needlefit.imaging.segmentations import read_labels
 from needlefit.imaging.volume import to_patient
@@ -119,28 +118,6 @@ def test_the_files_of_a_run_lie_in_the_scan(project, tmp_path):
     for curve, name in ((measured, "measured"), (predicted, "fitted")):
         there = third.loc[third["curve"] == name, ["x_mm", "y_mm", "z_mm"]].to_numpy()
         assert_allclose(curve.points, (there - [10, 20, 30]) * [-1, -1, 1], atol=1e-9)
-
-
-@pytest.mark.sweep
-def test_free_shapes_lie_on_the_measured_ones(project):
-    """Known up to a rigid motion, the fit is laid on the needle where that stands, wherever it does."""
-    file = project / "data" / "needles" / "dataset.toml"
-    text = file.read_text().replace('pose = "known"', 'pose = "free"')
-    i, j = text.index("[media"), text.index("[checksums]")
-    file.write_text(text[:i] + f"[media.gel]\nboundaries_mm = [{needles.INTERFACE}]\n")
-    assert j > i and read(file).pose == "free"
-    recipe = project / "configs" / "recipes" / "gel.toml"
-    enough = (
-        recipe.read_text()
-        .replace("walkers = 8", "walkers = 16")
-        .replace("densities = 240", "densities = 16000")
-    )
-    recipe.write_text(enough)  # without certified draws there is no band
-    for _, rows in run("needles", study(), Settings()).frames["needles"].groupby("insertion"):
-        curves = {name: points.to_numpy() for name, points in rows.groupby("curve")[["x_mm", "y_mm", "z_mm"]]}
-        gaps = np.linalg.norm(curves["fitted"][:, None] - curves["measured"][None], axis=2).min(axis=1)
-        assert gaps.max() < 0.1
-        assert len(curves["middle"])
 
 
 FILES = Path(slicerio.__file__).parent / "data"

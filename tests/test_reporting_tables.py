@@ -141,12 +141,6 @@ def test_of_several_folds_values_and_intervals_are_enveloped():
     (cells,) = lay_out_parameters(results.with_frames(parameters=frame)).rows
     (estimate,) = lay_out_estimates(frame).rows
     assert cells[2] == estimate[1] == "0.1 to 0.2 (0.08 to 0.25)"
-    assert "product" in estimate[2]
-    known, loose = ([{**row, **one, "determined": word}] for word in ("yes", "no"))
-    limits = [lay_out_estimates(pd.DataFrame(rows)).rows[0][2] for rows in (known, loose)]
-    assert "1.5" in limits[0] and "bound" not in limits[1]
-    at_bound = [{**row, **one, "determined": "no", "bound_high": 0.12}]
-    assert "bound" in lay_out_estimates(pd.DataFrame(at_bound)).rows[0][2]
 
 
 def test_what_reaches_a_bound_or_follows_its_prior_is_not_determined():

@@ -17,8 +17,6 @@ from scipy.optimize import brentq
 from world import PROJECT
 
 from needlefit import Needle
-from needlefit.datasets.folds import make_folds
-from needlefit.datasets.read import read
 from needlefit.datasets.select import select_same_needle
 from needlefit.errors import ConfigError
 from needlefit.geometry.curves import integrate_curvature
@@ -27,7 +25,6 @@ from needlefit.inference.forward_model import predict
 from needlefit.inference.problem import find_outside_validity
 from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.schemas.study import StudyRecord
-from needlefit.studies.kinds.cross_validation.frames import FRAMES
 from needlefit.studies.kinds.cross_validation.run import Settings, run
 from needlefit.studies.score import Scorer, curve_predictor, make_predictors, model_predictor
 from needlefit.studies.validity import list_outside, tabulate_validity
@@ -78,10 +75,6 @@ def study(**changes):
             "tune": {"specimens": ["piece1"]}, "validate": [{"specimens": ["piece2"]}],
         } | changes
     )  # fmt: skip
-
-
-def frames(results):
-    return {name: results.frames[name] for name in FRAMES}
 
 
 def fitted(results):
@@ -293,15 +286,6 @@ def test_our_prediction_is_the_fit_through_the_layers_that_it_meets(several_fits
     ours, fit = (errors[errors["method"] == name] for name in ("prediction", "fitted"))
     planned = fit[fit["boundaries"] == ("planned" if (fit["boundaries"] == "planned").any() else "measured")]
     assert_allclose(ours["te_mm"], planned["te_mm"].loc[ours.index])
-
-
-def test_leaving_one_out_leaves_each_insertion_out_once(project):
-    record = study(tune={}, validate=[], leave_out="insertion")
-    found = make_folds(record, read(project / "data" / "needles" / "dataset.toml"))
-    ids = [f"needle-{n}" for n in (1, 2, 3, 4)]
-    assert [fold.name for fold in found] == [f"without {id_}" for id_ in ids]
-    assert [[i.id for i in fold.validate] for fold in found] == [[id_] for id_ in ids]
-    assert [[i.id for i in fold.tune] for fold in found] == [[i for i in ids if i != id_] for id_ in ids]
 
 
 @pytest.mark.usefixtures("few_draws")
