@@ -67,10 +67,5 @@ def raises_another(arrays):
     raise ValueError("content of the file")
 
 
-def prints(arrays):
-    os.write(1, b"noise of a library" * 1000)
-    os.write(2, b"noise of a library" * 1000)
-
-
 def environment(arrays):
     return [str(Path.cwd()), dict(os.environ), sys.path]

@@ -124,23 +124,13 @@ def test_what_is_changed_of_a_prediction_names_its_folder():
     ],
 )
 def test_an_error_has_its_exit_code_and_what_where_expected_and_fix(error, code, capsys):
-    if isinstance(error, type):
-        error = error("the depth is negative", where="a.toml", expected="a depth above 0", fix="change it")
-        lines = ("a.toml: the depth is negative", "  expected: a depth above 0", "  fix: change it")
+    is_own = isinstance(error, type)
+    if is_own:
+        error = error("negative", where="a.toml", expected="a depth above 0", fix="change it")
     assert report_error(error, Invocation(())) == code
     err = capsys.readouterr().err
-    if code == 1:
-        assert err.startswith("needlefit: ") and err.count("\n") == 1
-        assert "ZeroDivisionError: division by zero" in err and "-v" in err
-    elif isinstance(error, PermissionError):
-        assert (
-            err.startswith("needlefit: /locked/run.json: ")
-            and "Permission denied\n" in err
-            and "fix: " in err
-        )
-    elif hasattr(error, "what"):
-        assert err == "needlefit: " + "\n".join(lines) + "\n"
-    assert code == 1 or "unexpected" not in err
+    assert not is_own or err == "needlefit: a.toml: negative\n  expected: a depth above 0\n  fix: change it\n"
+    assert ("unexpected" in err) == (code == 1)
 
 
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="no folder that nobody may write to")
@@ -244,17 +234,8 @@ def test_a_fault_of_a_study_is_named_with_its_line(tmp_path, changes, named, cap
 
 @pytest.mark.parametrize("width", [30, 44, 60, 80, 120])
 def test_a_table_that_is_too_wide_breaks_no_word_and_loses_no_column_in_silence(width, monkeypatch, capsys):
-    heads = (
-        "Tissue",
-        "Layers",
-        "Specimen",
-        "Depth mm",
-        "Deflection mm",
-        "Median mm",
-        "IPE mm",
-        "TE mm",
-        "EDP %",
-    )
+    heads = ("Tissue", "Layers", "Specimen", "Depth mm", "Deflection mm", "Median mm", "IPE mm")
+    heads += ("TE mm", "EDP %")
     columns = tuple(
         TableColumn(head, align="left" if n in (0, 2) else "right") for n, head in enumerate(heads)
     )

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from pytest import approx
 from refusals import refused_file
@@ -24,7 +24,6 @@ def line(start, end, points=23):
 
 
 @given(seeds, st.integers(2, 60))
-@settings(max_examples=200)
 def test_crossings_of_a_plane_match_the_formula(seed, points):
     rng = np.random.default_rng(seed)
     center, normal, start, direction = rng.normal(size=(4, 3)) * [[5], [1], [20], [1]]

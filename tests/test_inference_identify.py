@@ -1,5 +1,4 @@
 import math
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -52,9 +51,7 @@ def test_the_ridge_of_mu_and_b_is_found_and_named():
     verdict = identify(p, fit_at(p, TRUTH))
     assert not verdict.determined["mu1_pa"]
     best, worst = verdict.directions
-    assert worst.sd > 5 * best.sd
-    assert re.search(r"mu1\S* \* b\b.* %", best.words)
-    assert best.words in verdict.notes["mu1_pa"]
+    assert worst.sd > 5 * best.sd and best.words in verdict.notes["mu1_pa"]
     # moving along the ridge keeps the shape, moving across does not
     theta, step = np.array(p.parameters.theta(TRUTH)), 0.2
     along, across = (p.objective(theta + step * np.array(d.weights)) for d in (worst, best))
@@ -69,7 +66,6 @@ def test_equally_good_starts_that_disagree_leave_nothing_determined():
     assert worse.spread_high == agreed.spread_high
     assert split.spread_low["mu2_pa"] == approx(2e7) and split.spread_high["mu2_pa"] == approx(1e9)
     assert agreed.determined["mu2_pa"] and not split.determined["mu2_pa"]
-    assert "disagree" in split.notes["mu2_pa"]
 
 
 @pytest.mark.parametrize(("name", "value", "bound"), [("mu1_pa", 1e9, "upper"), ("bevel_mm", 1e-3, "lower")])
@@ -77,7 +73,6 @@ def test_a_parameter_at_its_bound_is_flagged(name, value, bound):
     p = two_layers()
     verdict = identify(p, fit_at(p, {**TRUTH, name: value}))
     assert verdict.at_bound[name] == bound and not verdict.determined[name]
-    assert f"{bound} bound" in verdict.notes[name]
 
 
 def test_residuals_stand_for_the_noise_or_widen_the_deviations():
@@ -147,9 +142,8 @@ def test_ties_are_loosened_and_what_only_a_tie_determines_is_not_determined():
     verdict = identify(p, fit_at(p, VALUES))
     assert verdict.sds["mu1_pa"] == approx(math.log(1.15), rel=0.05)  # from the third layer
     assert verdict.conditions["mu1_pa"] == STATED_TIES and not verdict.determined["mu1_pa"]
-    assert STATED_TIES in verdict.notes["mu1_pa"]
     # what a model error alone forbids is no matter of the tie
-    assert STATED_TIES not in verdict.notes["mu3_pa"] and verdict.determined["bevel_mm"]
+    assert verdict.conditions["mu3_pa"] != STATED_TIES and verdict.determined["bevel_mm"]
 
 
 # ---- words of profiles, designs, and what one more insertion tells

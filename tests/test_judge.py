@@ -13,7 +13,6 @@ from reporting_results import stereo, study, with_predictions
 from needlefit.project.result_warnings import ResultWarning, to_stored_rows
 from needlefit.studies.answer import Check, Outcome
 from needlefit.studies.coverage import tabulate_coverage
-from needlefit.studies.first_page import lay_out_checks
 from needlefit.studies.judge import (
     Comparison,
     Judgement,
@@ -184,15 +183,12 @@ VERDICTS = [
 ]
 
 
-def test_status_check_and_advice_follow_from_one_outcome_that_opens_the_title():
-    openings = {}
+def test_status_check_and_advice_follow_from_one_outcome():
     for errors, outcome, status, is_closer, advice in VERDICTS:
         results = with_line(*errors)
         (verdict,) = results.verdicts
         found = verdict.numbers["outcome"], verdict.status, find(results, Check.CURVES).passed
         assert (*found, results.first_page.advice.finding) == (outcome, status, is_closer, advice), errors
-        openings[outcome] = verdict.sentence.partition(":")[0]
-    assert len({*openings.values()}) == len(openings) == 6
     numbers = with_line(0.1, 0.5).verdicts[0].numbers
     assert [numbers[name] for name in ("te_mm", "te_over_floor", "baseline_te_mm")] == approx(
         [0.1, 0.1 / 0.22, 0.5]
@@ -411,9 +407,7 @@ def test_a_verdict_is_withheld_only_if_it_turns_without_the_odd_needles(turns):
     assert judge(run).outcome == ("undecided" if turns else "closer than both")
     found = {one.check: one for one in run.first_page.checks}[Check.SAME]
     assert (found.passed, found.left_out, found.outcome) == (not turns, "n5", "as close")
-    printed = [row for row in lay_out_checks(run.first_page.checks).rows if "n5" in str(row)]
-    assert len(printed) == 1 and all(part in str(printed) for part in ("as close", "200 kPa", "400 kPa"))
-    assert ("n5" in run.verdicts[0].sentence) == turns
+
     copied = run.with_metadata(warnings=to_stored_rows([ResultWarning("copy", "", insertions=("n5",))]))
     assert copied.verdicts[0].numbers["outcome"] == ("undecided" if turns else "closer than both")
     both = run.with_metadata(warnings=to_stored_rows([ResultWarning("copy", "", insertions=("n5", "n6"))]))

@@ -130,21 +130,9 @@ def test_within_the_radius_the_miss_is_least_and_a_limit_that_binds_is_named():
 
 
 def test_a_plan_that_fails_has_no_steps_and_how_near_it_comes(tmp_path, capsys):
-    words = (
-        "plan",
-        "phantom2",
-        "--target",
-        "45,9",
-        "--radius",
-        "0.5",
-        "--base",
-        "2",
-        "--turns",
-        "0",
-        "--json",
-    )
+    words = ("plan", "phantom2", "--target", "45,9", "--radius", 0.5, "--base", 2, "--turns", 0, "--json")
     path = tmp_path / "plan.csv"
-    assert run(*words, "--json", "--write-recording", str(path), "--out", str(tmp_path)) == 5
+    assert run(*words, "--write-recording", path, "--out", tmp_path) == 5
     found = json.loads(capsys.readouterr().out)
     assert found["page"] is None and not (tmp_path / "plan").exists() and not path.exists()
     assert not found["reached"] and found["steps"] == [] and found["at_limit"] == ["base", "base angle"]
