@@ -18,7 +18,7 @@ from needlefit.inference.parameter_names import is_shape_parameter
 from needlefit.inference.parameters import Parameters, without_bevel_spread
 from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.schemas.medium import MediumRecord
-from needlefit.schemas.recipe import RecipeRecord, WeightsRecord
+from needlefit.schemas.recipe import RecipeRecord
 
 NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
 NOISE = Noise(registration_mean=0.19, point_sd=0.05, correlated_sd=0.1, correlation_length=5.0)
@@ -87,7 +87,7 @@ def two_layers(record=None, count=3, **options):
 
 def problem(record, made, how=None, **options):
     how = PLAIN_LIKELIHOOD if how is None else how
-    return build_problem(dataset(made, **options), made, record, WeightsRecord(), how)
+    return build_problem(dataset(made, **options), made, record, how)
 
 
 def recipe(**changed):

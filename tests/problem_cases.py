@@ -3,6 +3,7 @@
 from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD
 from needlefit.inference.parameters import Parameters, with_hyperparameters
 from needlefit.inference.problem import Problem
+from needlefit.schemas.recipe import WeightsRecord
 
 #: of a dataset: what its insertions have in common, along x into one layer
 ALONG_X = """[insertions.constants]
@@ -30,9 +31,11 @@ def make_problem(
     dataset,
     insertions,
     medium,
-    weights,
     likelihood=PLAIN_LIKELIHOOD,
+    weights=None,
 ):
     """Return the problem of fitting `medium` to `insertions`; what the medium frees is searched."""
     parameters = with_hyperparameters(Parameters.from_record(medium), likelihood)
-    return Problem(dataset, tuple(insertions), medium, parameters, weights, likelihood=likelihood)
+    return Problem(
+        dataset, tuple(insertions), medium, parameters, weights or WeightsRecord(), likelihood=likelihood
+    )

@@ -14,7 +14,7 @@ from needlefit.mechanics.packing import MAX_TOLERANCE_MM
 from needlefit.project.locate import find_file
 from needlefit.project.toml import load
 from needlefit.schemas.medium import MediumRecord
-from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
+from needlefit.schemas.recipe import LikelihoodRecord
 
 MEDIUM = load(find_file("medium", "phantom2"), MediumRecord)
 VALUES = {"mu1_pa": 2.18e5, "mu2_pa": 4.07e7, "mu3_pa": 2.55e5, "mu4_pa": 3.4e7, "bevel_mm": 0.103}
@@ -183,7 +183,7 @@ def test_the_document_gives_the_posterior_density(twin, pose, measurement, scale
     dataset = replace(twin, pose=pose)
     insertions = [one for one in twin.insertions if one.id in CHOSEN]
     record = LikelihoodRecord(measurement=measurement, noise_scale=scale)
-    problem = make_problem(dataset, insertions, MEDIUM, WeightsRecord(), record).searched
+    problem = make_problem(dataset, insertions, MEDIUM, record).searched
     values = VALUES | {"bevel_spread": TAU}
     theta = np.log([values[name] for name in problem.parameters.free])
     sections = pose == "known" and measurement == "stored"

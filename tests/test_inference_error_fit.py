@@ -18,7 +18,6 @@ from needlefit.inference.error_fit import examine_errors, find_error_ranges
 from needlefit.inference.error_tolerance import estimate_tolerance
 from needlefit.inference.fit import Fit
 from needlefit.inference.forward_model import predict
-from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD
 from needlefit.inference.parameters import without_prior
 from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.project.locate import find_file
@@ -56,7 +55,7 @@ def bevel_alone(made, noise, compared="plane"):
     """A problem of the tip errors alone, in which b alone is free."""
     record = medium(mu1_pa={"fixed": TRUTH["mu1_pa"]}, mu2_pa={"fixed": TRUTH["mu2_pa"]})
     data = replace(dataset(made, noise=noise), compared=compared)
-    return make_problem(data, made, record, TIP_ALONE, PLAIN_LIKELIHOOD)
+    return make_problem(data, made, record, weights=TIP_ALONE)
 
 
 def one_needle(**changed):
@@ -164,7 +163,7 @@ def test_steps_that_lead_out_of_the_limit_turn_back():
     """
     data = read(find_file("dataset", "thin_gel"))
     record = load(find_file("medium", "thin_gel"), MediumRecord)
-    p = make_problem(data, data.insertions, record, WeightsRecord()).holding(())
+    p = make_problem(data, data.insertions, record).holding(())
     least = p.parameters.theta({"mu1_pa": 5764.51, "alpha1": 3.08068, "bevel_mm": 0.0320374})
     nothing = np.empty((0, len(least)))
     found = find_error_ranges(p, least, 0.0262705, nothing, 1, never_stop)
@@ -180,7 +179,7 @@ def test_valleys_are_followed_to_the_bound():
     data = read(find_file("dataset", "twin"))
     made = tuple(one for one in data.insertions if one.medium == "phantom3")
     record = load(find_file("medium", "phantom3"), MediumRecord)
-    p = make_problem(data, made, record, WeightsRecord())
+    p = make_problem(data, made, record)
     p = p.with_parameters(without_prior(p.parameters))
     least, tolerance = np.array([6.90775528, 15.5795441, -2.78893071]), 0.06482
     found = find_error_ranges(p, least, tolerance, np.empty((0, 3)), 1, never_stop)

@@ -10,7 +10,7 @@ from problem_cases import make_problem
 from needlefit.datasets.read import read
 from needlefit.project.locate import find_file
 from needlefit.schemas.dataset import MeasurementRecord
-from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
+from needlefit.schemas.recipe import LikelihoodRecord
 
 DENSITIES = {  # by changes of the data set, its noise and the likelihood
     "sections": ({}, {}, {}),
@@ -31,13 +31,13 @@ DENSITIES = {  # by changes of the data set, its noise and the likelihood
 
 
 def test_densities_of_shipped_insertions():
-    twin, weights = read(find_file("dataset", "twin")), WeightsRecord()
+    twin = read(find_file("dataset", "twin"))
     chosen = [one for one in twin.insertions if one.id in document.CHOSEN]
     found = {}
     for name, (changes, noise, how) in DENSITIES.items():
         dataset = replace(twin, noise=replace(twin.noise, **noise), **changes)
         plain = [replace(one, sections=None) for one in chosen] if "measurement" in changes else chosen
-        one = make_problem(dataset, plain, document.MEDIUM, weights, LikelihoodRecord(**how)).searched
+        one = make_problem(dataset, plain, document.MEDIUM, LikelihoodRecord(**how)).searched
         values = document.VALUES | {"bevel_spread": 0.07, "noise_scale": 1.3}
         theta = np.log([values[key] for key in one.parameters.free])
         residuals, jacobian = one.jacobian(theta)

@@ -24,7 +24,7 @@ from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.project.locate import find_file
 from needlefit.project.toml import load
 from needlefit.schemas.medium import MediumRecord
-from needlefit.schemas.recipe import SampleRecord, WeightsRecord
+from needlefit.schemas.recipe import SampleRecord
 
 ALPHA = {"bounds": [-7, 9], "prior": {"mean": 1.0, "sd": 2.0}}
 RECIPE = squares_recipe(starts=2)
@@ -140,7 +140,7 @@ def test_a_thin_gel_that_is_compressed_determines_alpha():
         read(find_file("dataset", "thin_gel")),
         load(find_file("medium", "thin_gel"), MediumRecord),
     )
-    known = make_problem(dataset, dataset.insertions, record, WeightsRecord())
+    known = make_problem(dataset, dataset.insertions, record)
     assert known.parameters.held == ("alpha1",)
     first = minimize(known, RECIPE, default_rng(1))
     assert first.held == ()

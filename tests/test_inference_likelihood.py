@@ -23,7 +23,7 @@ from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.observation import Discrepancy
 from needlefit.inference.likelihood.observations import OBSERVATIONS, make_observation
 from needlefit.mechanics.shape import compute_positions
-from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
+from needlefit.schemas.recipe import LikelihoodRecord
 
 STRAIGHT = np.column_stack([np.linspace(0, 40, 41), np.zeros(41)])
 
@@ -64,7 +64,7 @@ def test_a_shift_across_costs_nothing_where_the_direction_alone_is_known(compare
     made = from_first_point(measure(TRUTH, record, insertion(50.0), 31))
     shifted = made.with_points(made.points + np.array([0.0, 0.3, (count - 1) * 0.2]))
     p, q = (
-        make_problem(replace(dataset([one]), compared=compared), [one], record, WeightsRecord(), how)
+        make_problem(replace(dataset([one]), compared=compared), [one], record, how)
         for one in (made, shifted)
     )
     theta = p.parameters.theta(TRUTH)

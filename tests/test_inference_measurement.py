@@ -20,7 +20,7 @@ from needlefit.inference.likelihood.observation import whiten_deflections
 from needlefit.inference.likelihood.observations import make_observation, read_points
 from needlefit.inference.likelihood.observations.sections import SHARED_ERROR_LENGTH_MM, select_sections
 from needlefit.schemas.dataset import MeasurementRecord
-from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
+from needlefit.schemas.recipe import LikelihoodRecord
 
 TRUE, MEDIUM = TRUTH | {"bevel_mm": needles.BEVEL}, medium()
 KNOT, SIGMA = 15.0, 0.02
@@ -68,7 +68,7 @@ def test_smoothing_moves_points_but_not_residuals_and_the_gradient_is_exact(scan
     points = make_observation(scanned, one, likelihood=LikelihoodRecord(measurement="points"))
     exact = read_points(one, shape, points.nodes.s[0])[:, 1]
     assert np.abs(exact - points.measured[:, 1]).max() > 0.002  # what the spline rounds, mm
-    problem = make_problem(scanned, scanned.insertions[:2], MEDIUM, WeightsRecord())
+    problem = make_problem(scanned, scanned.insertions[:2], MEDIUM)
     theta = problem.parameters.theta(TRUE) + 0.05
     assert_one_density(problem, theta, rtol=1e-4)
 

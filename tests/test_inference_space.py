@@ -29,7 +29,7 @@ from needlefit.inference.predict import find_geometric_median
 from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.mechanics.torsion import compute_roll_lag
 from needlefit.planning.insertion_scene import make_scene_record
-from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
+from needlefit.schemas.recipe import LikelihoodRecord
 from needlefit.studies.prediction_scores import score_tip_in_space
 from needlefit.studies.simulated_data import simulate_measurement
 
@@ -50,7 +50,7 @@ def turned(depth=40.0, turns=((18.0, 90.0),), **changes):
 
 def in_space(made, how=FREE, compared="space"):
     data = replace(dataset(made), compared=compared)
-    return make_problem(data, made, medium(), WeightsRecord(), how)
+    return make_problem(data, made, medium(), how)
 
 
 def test_values_gradients_and_residuals_in_space_are_of_one_density():
@@ -181,7 +181,7 @@ def test_a_medium_states_the_friction_by_which_the_tip_stays_behind_the_hub():
     points = sample_inserted_points(shape, 101)
     made = [planned.with_points(points)]
     data = replace(dataset(made), compared="space")
-    p = make_problem(data, made, known, WeightsRecord(), FREE)
+    p = make_problem(data, made, known, FREE)
     assert p.objective(p.parameters.theta(TRUTH)) < 1e-4
     assert_one_density(p, p.parameters.theta({**TRUTH, "mu1_pa": 5e5, "bevel_mm": 0.1}))
     scene = make_scene_record(TRUTH, known, data.name, made[0])

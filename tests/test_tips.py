@@ -20,7 +20,6 @@ from needlefit.inference.likelihood.observations import (
     select_points,
 )
 from needlefit.metrics import compute_metrics
-from needlefit.schemas.recipe import WeightsRecord
 from needlefit.studies.simulated_data import simulate_measurement
 
 ONE_LAYER = medium(1)
@@ -42,7 +41,7 @@ def tips(seed):
 
 
 def problem(made):
-    return make_problem(dataset(made, NOISE), made, ONE_LAYER, WeightsRecord())
+    return make_problem(dataset(made, NOISE), made, ONE_LAYER)
 
 
 def test_density_and_objective_of_tips_have_exact_derivatives():
@@ -93,7 +92,7 @@ def test_all_that_an_insertion_holds_is_simulated_with_its_errors(compared):
         )
         for _ in range(100):
             seen = simulate_measurement(data, planned, TRUTH, ONE_LAYER, rng)
-            asked = make_problem(data, [seen], ONE_LAYER, WeightsRecord())
+            asked = make_problem(data, [seen], ONE_LAYER)
             misfits = asked.compute_misfits(THETA)
             squares.append(misfits @ misfits / len(misfits))
         assert np.mean(squares) == pytest.approx(1.0, abs=4 * np.sqrt(2 / len(misfits) / 100))

@@ -11,7 +11,6 @@ from needlefit import Needle
 from needlefit.datasets.insertion import Dataset, Noise
 from needlefit.datasets.observations.tip_track import TipReadings, make_track
 from needlefit.inference.forward_model import PreparedModel
-from needlefit.schemas.recipe import WeightsRecord
 
 NEEDLE = Needle(200.0, 2.5e4)
 NOISE = Noise(point_sd=0.02)
@@ -119,7 +118,7 @@ def dataset(tracks, compared="plane"):
 
 
 def problem(tracks, medium=MEDIUM, compared="plane"):
-    return make_problem(dataset(tracks, compared), tracks, medium, WeightsRecord())
+    return make_problem(dataset(tracks, compared), tracks, medium)
 
 
 def written(folder, tracks, toml=TOML):
