@@ -8,8 +8,7 @@ from typing import NamedTuple
 
 import pytest
 import typer
-from light_runs import draw_blank
-from reporting_results import skip_figures, study
+from reporting_results import print_nothing, study
 from test_cli import run
 from test_datasets import write_mine
 from test_viewer_recording import recorded
@@ -119,10 +118,7 @@ def project(tmp_path, monkeypatch):
 @pytest.fixture
 def stubs(monkeypatch):
     monkeypatch.setattr("needlefit.studies.kinds.cross_validation.run.run", Stub.run)
-    skip_figures(monkeypatch)  # seconds, and other tests' business
-    draw_blank(monkeypatch)
-    for name in ("compile_pdf", "compile_html"):
-        monkeypatch.setattr(f"needlefit.reporting.document.{name}", lambda _: b"a page")
+    print_nothing(monkeypatch)  # seconds, and other tests' business
 
 
 def leave_run(folder):

@@ -11,6 +11,7 @@ import trimesh
 from light_runs import draw_blank, predict_by_few_draws
 from test_cli import run
 from test_datasets import without_checksums
+from world import copy_project
 
 from needlefit.datasets.digests import _READ
 from needlefit.errors import ConfigError
@@ -275,12 +276,8 @@ def test_an_interrupted_run_goes_on_with_the_same_identity_alone(project, tmp_pa
 @pytest.fixture
 def validated(world, tmp_path, monkeypatch):
     """A copy of the project with a study that was validated, and a fit."""
-    folder = tmp_path / "project"
-    for kind in ("cross_validation", "fit"):  # before figures are blank: other tests read these runs
-        result = world.find(kind)
-        shutil.copytree(result, folder / "reports" / result.name)
-    for part in ("configs", "data", "studies"):
-        shutil.copytree(world.folder / part, folder / part)
+    # before figures are blank: other tests read these runs
+    folder = copy_project(world, tmp_path / "project", "cross_validation", "fit")
     monkeypatch.chdir(folder)
     draw_blank(monkeypatch)
     predict_by_few_draws(monkeypatch)

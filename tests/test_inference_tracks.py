@@ -348,7 +348,7 @@ def test_each_predicted_run_has_a_bevel_of_its_own(monkeypatch, runs):
 
 
 def test_intervals_of_further_runs_cover_in_groups_with_errors():
-    """Of 150 replicates the level of the last reading is uniform; draws have the stated moments."""
+    """The level of the last reading is uniform over replicates; draws have the stated moments."""
     rng, likelihood = default_rng(3), PLAIN_LIKELIHOOD.model_copy(update={"tip_tracks": ERRORS})
     plain = [track(f"run{n}", guide) for n, guide in enumerate((GUIDE, -GUIDE))] * 2
     plain = [*plain, plain[0]]
@@ -367,8 +367,8 @@ def test_intervals_of_further_runs_cover_in_groups_with_errors():
         (found,) = track_predictions.predict_runs(np.ones(sets), seen[:-1], seen[-1:], many, [4], draw)
         return found
 
-    levels = []
-    for _ in range(150):
+    levels, count = [], 100
+    for _ in range(count):
         shared = {}
         every = [simulate_measurement(data, run, TRUTH, MEDIUM, rng, shared, errors) for run in plain]
         seen = [make_observation(data, run, likelihood=likelihood, respond=respond) for run in every]
@@ -376,7 +376,7 @@ def test_intervals_of_further_runs_cover_in_groups_with_errors():
         levels.append(ndtr((every[-1].points[-1, 1] - found.values[0, -1]) / found.sd[0, -1]))
     outside = np.abs(np.array(levels) - 0.5)
     for level in (0.5, 0.95):
-        spread = 3 * np.sqrt(level * (1 - level) / 150)
+        spread = 3 * np.sqrt(level * (1 - level) / count)
         assert np.mean(outside < level / 2) == pytest.approx(level, abs=spread)
     drawn = forecast(2000, rng).values
     assert drawn.mean(axis=0) == pytest.approx(found.values[0], abs=4 * found.sd.max() / 2000**0.5)

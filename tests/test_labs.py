@@ -10,11 +10,10 @@ import numpy as np
 import pandas as pd
 import pytest
 from labs import BLOCK, LABS, ROD, TRUTH
-from light_runs import draw_blank
 from numpy.random import default_rng
 from own_model import Medium, Rod, insert
 from pytest import approx
-from reporting_results import skip_figures
+from reporting_results import print_nothing
 from test_cli import run
 
 from needlefit import Bevel, Needle, Tissue, simulate
@@ -55,10 +54,7 @@ def quick(tmp_path, monkeypatch):
     recipes = tmp_path / "configs/recipes"
     recipes.mkdir(parents=True)
     shutil.copyfile(shipped_folder() / "configs/recipes/quick.toml", recipes / "default.toml")
-    for name in ("compile_pdf", "compile_html"):
-        monkeypatch.setattr(f"needlefit.reporting.document.{name}", lambda _: b"a page")
-    skip_figures(monkeypatch)
-    draw_blank(monkeypatch)
+    print_nothing(monkeypatch)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -85,7 +81,16 @@ def find_truth(lab):
         assert low < TRUTH[name] < high, (name, low, high)
 
 
-@pytest.mark.parametrize("lab", LABS.values(), ids=LABS)
+OFTEN = ("shapes", "tracker", "one", "ct and camera")  #: of every session; the others are swept
+
+
+@pytest.mark.parametrize(
+    "lab",
+    [
+        pytest.param(lab, marks=() if name in OFTEN else pytest.mark.sweep, id=name)
+        for name, lab in LABS.items()
+    ],
+)
 def test_a_lab_ends_in_an_answer(lab, quick, capsys):
     commands = import_lab(lab, 1, capsys, needles=3)
     tested = [] if lab.name == "one" else ["validate"]

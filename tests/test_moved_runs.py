@@ -8,6 +8,7 @@ import pytest
 from light_runs import draw_blank
 from refusals import refusal
 from test_cli import run
+from world import copy_project
 
 import needlefit
 from needlefit.datasets.sources import DatasetFiles
@@ -31,8 +32,7 @@ def places(world, tmp_path, monkeypatch):
         shutil.copytree(folder, found.moved / folder.name)
         timing = found.moved / folder.name / "timing.json"  # where the copy of the project is
         timing.write_text(timing.read_text().replace(str(world.folder), str(found.project)))
-    for part in ("configs", "data", "studies"):
-        shutil.copytree(world.folder / part, found.project / part)
+    copy_project(world, found.project)
     found.here.mkdir()
     shutil.copy(world.folder / "configs/scenes/ahead.toml", found.here)
     monkeypatch.chdir(found.here)
@@ -69,7 +69,7 @@ def test_a_run_holds_the_files_of_its_data_with_their_digest(world):
     [
         ("report", "../moved/gel", "--out", "again"),
         ("predict", "../moved/gel", "--scene", "./ahead.toml", *OPTIONS),
-        ("tune", "../moved/held_out", "--no-sample", *OPTIONS),
+        pytest.param(("tune", "../moved/held_out", "--no-sample", *OPTIONS), marks=pytest.mark.sweep),
         ("plan", "../moved/gel/needle-1", "--target", "28,1", "--turns", 0),
     ],
 )

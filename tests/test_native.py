@@ -190,7 +190,7 @@ def run_fuzz(seed):
     return True
 
 
-@pytest.mark.parametrize("part", range(8))
+@pytest.mark.parametrize("part", range(3))
 def test_damaged_problems_are_errors(part):
     accepted = [run_fuzz(seed) for seed in range(100 * part, 100 * part + 100)]
     assert 10 < sum(accepted) < 90

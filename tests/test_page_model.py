@@ -132,7 +132,7 @@ def random_orders(rng, scene, count):
     return orders
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.sweep)])
 @pytest.mark.parametrize("name", list(SCENES))
 def test_the_page_simulates_the_bytes_of_the_program(name, seed):
     """All inputs, parameters, refusals, returns; what is shown, the path that leads there, all bands."""

@@ -27,7 +27,6 @@ from needlefit.mechanics.shape import compute_positions
 from needlefit.metrics import Metric
 from needlefit.plugins import PLUGINS_VARIABLE, use_plugins
 from needlefit.registry import Registry
-from needlefit.schemas.recipe import WeightsRecord
 
 
 @pytest.fixture
@@ -96,7 +95,7 @@ bevel_spread = 0.0
 """
 
 
-@pytest.fixture(params=["entry point", "option"])
+@pytest.fixture(params=["entry point", pytest.param("option", marks=pytest.mark.sweep)])
 def law_site(request, tmp_path, monkeypatch):
     by_entry_point = request.param == "entry point"
     folder = install(tmp_path / "site", entry_point=by_entry_point)
@@ -160,7 +159,7 @@ def test_an_observation_is_one_file_of_a_plugin(tmp_path, plugin, monkeypatch):
     moved = one.with_points(one.points + np.outer(~seen, [0.0, 0.3, 0.0]))
     densities = []
     for insertion in (one, moved, replace(moved, observation="points")):
-        asked = make_problem(data, [insertion], medium(layers), WeightsRecord())
+        asked = make_problem(data, [insertion], medium(layers))
         densities.append(asked.log_posterior((asked.lower + asked.upper) / 2))
     assert densities[1] == pytest.approx(densities[0], rel=1e-2)
     assert densities[2] < densities[0] - 1.0
@@ -207,7 +206,7 @@ def test_an_observation_has_a_number_of_its_own(tmp_path, monkeypatch):
         one = data.insertions[0]
         assert one.observation_values == {"tilt_rad": 0.05, "tilt_sd_rad": 1e-4}
         record = medium(len(one.sequence))
-        asked = make_problem(data, [one], record, WeightsRecord())
+        asked = make_problem(data, [one], record)
         at = (asked.lower + asked.upper) / 2
         shape = predict(asked.values(at), record, one)
         ends = compute_positions(shape, one.depth - np.array([5.0, 0.0]))[:, 1]

@@ -117,11 +117,6 @@ def test_a_stop_and_an_error_end_the_processes(processes):
 # --- work beside this process ---------------------------------------------------------------------------
 
 
-@pytest.fixture
-def copied(monkeypatch):
-    monkeypatch.setattr(tasks, "can_fork", lambda: sys.platform == "linux")
-
-
 def compute(work):
     with compute_beside(work) as end:
         return end()
@@ -135,12 +130,12 @@ def run_in_order(work, items, pool):
     return [result for _, result in sorted(pool.run(work, items))]
 
 
-def test_results_come_in_order(copied):
+def test_results_come_in_order():
     found = compute([lambda n=n: tell_process(n) for n in range(40)])
     assert [int(one.split()[0]) for one in found] == list(range(40))
 
 
-def test_what_a_copy_cannot_do_is_done_here_and_errors_are_raised(copied):
+def test_what_a_copy_cannot_do_is_done_here_and_errors_are_raised():
     here = os.getpid()
 
     def fail_in_copy():
@@ -211,6 +206,7 @@ def test_a_worker_that_dies_costs_its_task_alone(address, tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["killed"]
 
 
+@pytest.mark.sweep
 def test_scans_reconstructed_on_workers_are_those_of_this_machine(address, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     scan = shipped_folder() / "data/sample_scan/volumes/sample.nrrd"

@@ -5,6 +5,7 @@ import shutil
 
 import pytest
 from test_cli import run
+from world import copy_project
 
 from needlefit.cli import execution
 from needlefit.errors import ConfigError
@@ -21,18 +22,14 @@ class StopError(Exception):
 @pytest.fixture
 def project(world, tmp_path, monkeypatch):
     """A copy of the project with the results of a fit, a study and a prediction."""
-    for kind in ("fit", "cross_validation", "prediction"):
-        folder = world.find(kind)
-        shutil.copytree(folder, tmp_path / "project/reports" / folder.name)
-    for part in ("configs", "data", "studies"):
-        shutil.copytree(world.folder / part, tmp_path / "project" / part)
-    monkeypatch.chdir(tmp_path / "project")
+    folder = copy_project(world, tmp_path / "project", "fit", "cross_validation", "prediction")
+    monkeypatch.chdir(folder)
 
     def stop(*_, **__):
         raise StopError
 
     monkeypatch.setattr(execution.Execution, "run", stop)
-    return tmp_path / "project"
+    return folder
 
 
 def is_refused(*words):

@@ -85,6 +85,16 @@ def build_project(folder):
     track_cases.written(folder / "data/tips", [*rest, moved])
 
 
+def copy_project(world, folder, *kinds):
+    """Copy the project, and the finished runs of some kinds, into a folder; return it."""
+    for kind in kinds:
+        result = world.find(kind)
+        shutil.copytree(result, folder / "reports" / result.name)
+    for part in ("configs", "data", "studies"):
+        shutil.copytree(world.folder / part, folder / part)
+    return folder
+
+
 @dataclass(frozen=True)
 class World:
     """The project and its runs, for all processes of a session."""
