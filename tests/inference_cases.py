@@ -127,6 +127,14 @@ def assert_one_density(p, theta, rtol=1e-5, shape_step=3.0):
     assert np.all(off < np.where(shape, max(1e-3, rtol), rtol)), dict(zip(p.names, off, strict=True))
 
 
+def assert_objective_slope(p, theta, step=1e-5, rtol=1e-5, atol=1e-6):
+    """The objective's gradient is that of central differences."""
+    value, slope = p.objective_gradient(theta)
+    assert value == approx(p.objective(theta), rel=1e-8)
+    ends = [(p.objective(theta + m) - p.objective(theta - m)) / 2 / step for m in step * np.eye(len(theta))]
+    assert slope == approx(ends, rel=rtol, abs=atol)
+
+
 class NothingHeld:
     """What stands for a problem of which no parameter is held at the centre of its prior."""
 

@@ -1,5 +1,7 @@
 """A small dataset for tests: simulated with the model itself, free of noise, its truth known exactly."""
 
+import tomllib
+
 import numpy as np
 
 from needlefit import Bevel, Needle, Tissue, simulate
@@ -17,22 +19,19 @@ DEPTHS = (24.0, 30.5, 36.25, 41.0)
 NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
 
 
-def record(origin="synthetic"):
-    return DatasetRecord.model_validate(
-        {
-            "schema": 1,
-            "name": "needles",
-            "title": "Needles of the tests",
-            "origin": origin,
-            "license": "MIT",
-            "source": "made by a test",
-            "needle": {"length_mm": 150, "outer_diameter_mm": 1.27, "youngs_modulus_gpa": 80},
-            "noise": {"registration_mean_mm": 0.19, "point_sd_mm": 0.05},
-            "insertions": {"file": "insertions.csv"},
-            "centerlines": {"pattern": "centerlines/{id}.csv"},
-            "media": {"gel": {"surfaces": [{"file": "layers/gel.stl", "kind": "sheet", "into": 2}]}},
-        }
-    )
+TABLES = """
+schema = 1
+name = "needles"
+title = "Needles of the tests"
+origin = "synthetic"
+license = "MIT"
+source = "made by a test"
+needle = { length_mm = 150, outer_diameter_mm = 1.27, youngs_modulus_gpa = 80 }
+noise = { registration_mean_mm = 0.19, point_sd_mm = 0.05 }
+insertions.file = "insertions.csv"
+centerlines.pattern = "centerlines/{id}.csv"
+media.gel.surfaces = [{ file = "layers/gel.stl", kind = "sheet", into = 2 }]
+"""
 
 
 def build(folder, depths=DEPTHS, pose_source="stage"):
@@ -51,4 +50,5 @@ def build(folder, depths=DEPTHS, pose_source="stage"):
             )
         )  # fmt: skip
     plane = make_sheet("gel", [INTERFACE, 0, 0], [1, 0, 0], 200.0, 2)
-    return write_dataset(folder, record(), rows, curves, {"layers/gel.stl": plane})
+    record = DatasetRecord.model_validate(tomllib.loads(TABLES))
+    return write_dataset(folder, record, rows, curves, {"layers/gel.stl": plane})

@@ -103,45 +103,35 @@ def score_all(insertions, fold, methods, comparison):
     return errors, shapes
 
 
-NO = np.nan
-KINDS = pd.DataFrame(
-    {
-        "mu": [1e3, 1e8, 0.72, 1 / 30, 30],
-        "alpha": [-3.0, 5.0, 40.0, -2.4, 4.6],
-        "bevel": [0.005, 0.5, 0.09, 0.079, 0.092],
-    },
-    index=["bound_low", "bound_high", "sd", "low", "high"],
-)
-"""What a fit leaves of each kind of parameter; `low` and `high` of mu are factors of its value."""
+#: of each kind of parameter: bounds and standard deviation, and what the error-minimising fit leaves
+KINDS = {
+    "mu": {"bound_low": 1e3, "bound_high": 1e8, "sd": 0.72, "low": 8e3, "high": 8e6},
+    "alpha": {"bound_low": -3.0, "bound_high": 5.0, "sd": 40.0, "low": -2.4, "high": 4.6},
+    "bevel": {"bound_low": 0.005, "bound_high": 0.5, "sd": 0.09, "low": 0.079, "high": 0.092},
+}
 
 
 def parameters(layers, fold, undetermined, methods):
-    names = [n for i in range(1, layers + 1) for n in (f"mu{i}_pa", f"alpha{i}")] + ["bevel_mm"]
-    values = {"mu": 2.13e5 * (1 + 0.05 * fold), "alpha": 1.0, "bevel": 0.0847}
+    """Return rows of the fit, whose exponent is fixed in one layer, and of the paper's set."""
+    names = [n for i in range(1, layers + 1) for n in (f"mu{i}_pa", f"alpha{i}")]
+    values = dict.fromkeys(names, 1.0) | {"bevel_mm": 0.0847}
+    values |= {f"mu{i}_pa": (2.13e5 if i % 2 else 3.1e7) * (1 + 0.05 * fold) for i in range(1, layers + 1)}
     rows = []
     for method in methods:
-        for name in names:
-            kind = next(one for one in values if name.startswith(one))
-            value = values[kind] if name not in ("mu2_pa", "mu4_pa") else 3.1e7 * (1 + 0.05 * fold)
-            fixed = method == "fitted" and kind == "alpha" and layers == 1
-            free = method == "fitted" and not fixed
-            tied = free and name in ("mu3_pa", "mu4_pa", "alpha3", "alpha4")
-            status = "fixed" if fixed else "tied" if tied else "free" if free else "published"
-            known = not fixed and not (free and (kind == "alpha" or (kind == "mu" and undetermined)))
-            note = f"= mu{int(name[2]) - 2}_pa" if tied and kind == "mu" else ""
-            note = "fixed" if fixed else note if known else "shapes do not show it"
-            row = {"fold": fold, "method": method, "parameter": name, "status": status}
-            row["value"] = value * (1.0 if method == "fitted" or kind == "alpha" else 0.94)
-            row |= {
-                key: KINDS[kind][key] if status == "free" else NO for key in ("bound_low", "bound_high", "sd")
-            }
-            scale = value if kind == "mu" else 1.0
-            row |= {key: KINDS[kind][key] * scale if free else NO for key in ("low", "high")}
-            row |= {"interval_low": value / 1.2 if free else NO, "interval_high": value * 1.2 if free else NO}
-            row["median"] = value if free else NO
-            row |= {"draw_source": "importance" if free else ""}
-            row |= {"determined": ("yes" if known else "no") if free else "", "condition": ""}
-            rows.append(row | {"note": note})
+        for name, value in values.items():
+            kind = next(one for one in KINDS if name.startswith(one))
+            row = {"fold": fold, "method": method, "parameter": name, "value": value, "status": "published"}
+            row |= {"draw_source": "", "determined": "", "condition": "", "note": ""}
+            if method == "fitted" and kind == "alpha" and layers == 1:
+                row |= {"status": "fixed", "note": "fixed"}
+            elif method == "fitted":
+                known = kind == "bevel" or (kind == "mu" and not undetermined)
+                row |= {"status": "free", **KINDS[kind], "median": value, "draw_source": "importance"}
+                row |= {"interval_low": value / 1.2, "interval_high": value * 1.2}
+                row |= {"determined": "yes" if known else "no", "note": "" if known else "not shown"}
+                if name in ("mu3_pa", "mu4_pa", "alpha3", "alpha4"):
+                    row |= {"status": "tied"} | dict.fromkeys(("bound_low", "bound_high", "sd"), np.nan)
+            rows.append(row)
     return rows
 
 

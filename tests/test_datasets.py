@@ -2,12 +2,13 @@
 
 import dataclasses
 import math
+import tomllib
 
 import numpy as np
 import pytest
 from made_again import read_files
 from numpy.random import default_rng
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
 from refusals import refusal
 
@@ -24,29 +25,32 @@ from needlefit.mechanics.needle import Needle
 from needlefit.schemas.dataset import DatasetRecord
 from needlefit.schemas.study import SelectionRecord
 
+BLOCK = """
+schema = 1
+name = "block"
+origin = "synthetic"
+license = "CC0-1.0"
+source = "made up for the tests"
+needle = { length_mm = 150.0, outer_diameter_mm = 1.27, youngs_modulus_gpa = 80.0 }
+insertions.file = "insertions.csv"
+centerlines.pattern = "centerlines/{id}.csv"
+noise.registration_mean_mm = 0.19
+media.given.boundaries_mm = [20.0, 50.5, 70.0]
+
+[[media.block.surfaces]]
+file = "layers/sheet.stl"
+kind = "sheet"
+into = 2
+
+[[media.block.surfaces]]
+file = "layers/core.stl"
+kind = "solid"
+into = 3
+"""
+
 
 def record(**changes):
-    tables = {
-        "schema": 1,
-        "name": "block",
-        "origin": "synthetic",
-        "license": "CC0-1.0",
-        "source": "made up for the tests",
-        "needle": {"length_mm": 150.0, "outer_diameter_mm": 1.27, "youngs_modulus_gpa": 80.0},
-        "insertions": {"file": "insertions.csv"},
-        "centerlines": {"pattern": "centerlines/{id}.csv"},
-        "noise": {"registration_mean_mm": 0.19},
-        "media": {
-            "block": {
-                "surfaces": [
-                    {"file": "layers/sheet.stl", "kind": "sheet", "into": 2},
-                    {"file": "layers/core.stl", "kind": "solid", "into": 3},
-                ]
-            },
-            "given": {"boundaries_mm": [20.0, 50.5, 70.0]},
-        },
-    }
-    return DatasetRecord.model_validate(tables | changes)
+    return DatasetRecord.model_validate(tomllib.loads(BLOCK) | changes)
 
 
 SURFACES = {
@@ -175,7 +179,7 @@ def test_the_same_data_gives_the_same_digest_and_additions_of_spreadsheets_are_i
         lines = [", ".join(f'"{cell}"' for cell in line.split(",")) for line in lines]
         path.write_bytes(("\ufeff" + "\r\n\r\n".join(lines) + "\r\n").encode())
     without_checksums(file)
-    np.testing.assert_array_equal(read(file).insertions[0].points, before.insertions[0].points)
+    assert_array_equal(read(file).insertions[0].points, before.insertions[0].points)
 
 
 def without_checksums(file):

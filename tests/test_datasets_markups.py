@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from refusals import refusal, refused_file
 from test_datasets import CURVE, SURFACES, record, row
 
@@ -148,7 +148,7 @@ def test_what_is_written_is_read_back(tmp_path, points, label):
     write_mrk_json(path, [(one, CurveStyle((0.0, 0.5, 1.0))) for one in lists])
     first, second = read_markups(path)
     assert_allclose(first.points, array, rtol=0, atol=1e-9)
-    np.testing.assert_array_equal(second.points, array)
+    assert_array_equal(second.points, array)
     assert (first.labels, first.name, first.kind, first.system) == (labels, "fit", "Curve", "LPS")
 
 

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.random import default_rng
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
 from refusals import refusal
 from scipy.spatial.transform import Rotation
@@ -62,7 +62,7 @@ def test_entry_frames_arc_lengths_and_straight_curves_by_hand():
     assert_allclose(interpolate_at_arc(corner, [-1, 2.5, 8, 12]), [[0, 0], [1.5, 2], [3, 7], [3, 10]])
     toward = find_bending_direction([[0, 0, 0], [0, 0, 5.0], [0, 0, 9.0]], (0, 0, 1))
     assert toward @ [0, 0, 1] == 0
-    np.testing.assert_array_equal(toward, make_normal((0, 0, 1)))
+    assert_array_equal(toward, make_normal((0, 0, 1)))
 
 
 def test_directions_without_a_plane_are_refused():

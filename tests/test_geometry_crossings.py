@@ -9,6 +9,7 @@ import pytest
 import trimesh
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
 from refusals import refused_file
 
@@ -38,7 +39,7 @@ def test_crossings_of_a_plane_match_the_formula(seed, points):
     if 0 < depth < 50:
         assert met.sequence == (1, 2)
         assert met.arc == approx([depth], abs=1e-6)
-        np.testing.assert_allclose(met.points, [start + depth * direction], atol=1e-6)
+        assert_allclose(met.points, [start + depth * direction], atol=1e-6)
     else:
         assert met.sequence == (1,) and met.points.shape == (0, 3)
 
@@ -90,18 +91,20 @@ def test_faults_of_surfaces():
         [TOP.to_trimesh(), make_sheet("far", (0, 0, 9), (0, 0, 1), 10, 2).to_trimesh()]
     )
     unbounded = np.array([[0, 0, 0], [1, 0, 0], [0, np.inf, 0]])
-    for surface, words in [
-        (replace(core, faces=core.faces[1:]), "does not close"),
-        (replace(core, kind="sheet"), "closed"),
-        (replace(core, faces=core.faces[:, ::-1]), "inside out"),
-        (replace(TOP, vertices=grid.vertices, faces=grid.faces[holed]), "1 hole"),
-        (replace(TOP, faces=np.array([[0, 1, 2], [0, 3, 2]])), "opposite"),
-        (replace(TOP, vertices=two.vertices, faces=two.faces), "2 pieces"),
-        (replace(core, faces=core.faces[:0]), "no triangles"),
-        (replace(TOP, vertices=unbounded, faces=np.array([[0, 1, 2]])), "not finite"),
-    ]:
-        faults = find_mesh_faults(surface)
-        assert len(faults) == 1 and words in faults[0], (words, faults)
+    found = [
+        find_mesh_faults(surface)
+        for surface in (
+            replace(core, faces=core.faces[1:]),
+            replace(core, kind="sheet"),
+            replace(core, faces=core.faces[:, ::-1]),
+            replace(TOP, vertices=grid.vertices, faces=grid.faces[holed]),
+            replace(TOP, faces=np.array([[0, 1, 2], [0, 3, 2]])),
+            replace(TOP, vertices=two.vertices, faces=two.faces),
+            replace(core, faces=core.faces[:0]),
+            replace(TOP, vertices=unbounded, faces=np.array([[0, 1, 2]])),
+        )
+    ]
+    assert [len(faults) for faults in found] == [1] * 8 and len({faults[0] for faults in found}) == 8
 
 
 def test_places_inside_a_solid_are_told_where_rays_meet_its_edges():
@@ -110,7 +113,7 @@ def test_places_inside_a_solid_are_told_where_rays_meet_its_edges():
     cube = Surface("cube", np.array(box.vertices), np.array(box.faces), "solid", 2)
     places = np.stack(np.meshgrid(*[np.arange(-6.0, 7.0)] * 3), axis=-1).reshape(-1, 3)
     reach = np.abs(places).max(axis=1)
-    np.testing.assert_array_equal(cube.contains(places[reach != 4]), reach[reach != 4] < 4)
+    assert_array_equal(cube.contains(places[reach != 4]), reach[reach != 4] < 4)
 
 
 def test_the_largest_piece_of_a_mesh_is_closed_and_solids_are_alike_in_another_process():

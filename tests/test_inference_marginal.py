@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from inference_cases import TRUTH, assert_one_density, insertion, measure, medium, problem
+from numpy.random import default_rng
 from pytest import approx
 from scipy.special import logsumexp, ndtri
 from scipy.stats import multivariate_normal, qmc
@@ -79,7 +80,7 @@ FLAT = replace(insertion(40.0, (12.0, 20.0), (1, 2, 3)), boundary_sd=0.15)
 
 def linear_case(seed, rows=6):
     """Three insertions, two of one specimen: nodes, residuals at them, and what makes their covariance."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     insertions = [replace(FLAT, id=name, specimen=name[0]) for name in ("a1", "a2", "b1")]
     made = tuple(make_nodes(one, LINE, "linear", bevel=True, constants=1) for one in insertions)
     first, slopes = rng.normal(size=(3, rows)), 0.4 * rng.normal(size=(3, rows, 2))
@@ -202,7 +203,7 @@ def brute_force(name):
 
 
 def test_errors_of_a_boundary_are_shared_in_part_by_insertions_of_a_specimen():
-    planned, rng = replace(FLAT, boundary_sd=0.5, boundary_shared_sd=0.3), np.random.default_rng(1)
+    planned, rng = replace(FLAT, boundary_sd=0.5, boundary_shared_sd=0.3), default_rng(1)
     drawn = []
     for _ in range(4000):
         shared = {}

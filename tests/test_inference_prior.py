@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from inference_cases import medium
+from numpy.random import default_rng
 from pytest import approx
 from refusals import refusal
 from scipy import stats
@@ -36,7 +37,7 @@ def test_a_priors_density_is_gaussian_in_ln_mu_and_alpha():
 def test_the_residuals_of_a_set_do_not_depend_on_those_beside_it(count):
     """To the bit: searches that run side by side ask for as many at once as happen to wait."""
     prior = Parameters.from_record(medium(1, **BOUNDED)).prior
-    rng = np.random.default_rng(3)
+    rng = default_rng(3)
     sets = [{"mu1_pa": 1e5 * math.exp(x), "alpha1": 3.0 + y} for x, y in rng.normal(size=(28, 2))]
     parts = [prior.residuals(sets[n : n + count]) for n in range(0, len(sets), count)]
     assert np.array_equal(np.concatenate(parts), prior.residuals(sets))
@@ -64,9 +65,7 @@ def test_a_positive_parameter_has_a_gamma_or_half_normal_prior(stated, distribut
         above, below = prior.residuals([{"bevel_mm": value * f} for f in (1 + 1e-6, 1 - 1e-6)])
         slope = prior.slopes(("bevel_mm",), {"bevel_mm": value})[:, 0]
         assert slope == approx((above - below) / 2e-6, rel=1e-4)
-    drawn = np.exp(
-        draw_from_prior(parameters, 4000, np.random.default_rng(1))[:, parameters.free.index("bevel_mm")]
-    )
+    drawn = np.exp(draw_from_prior(parameters, 4000, default_rng(1))[:, parameters.free.index("bevel_mm")])
     assert stats.kstest(drawn, distribution.cdf).pvalue > 0.01
     assert np.log(drawn).std() == approx(prior.sd("bevel_mm"), rel=0.05)
 

@@ -6,6 +6,7 @@ import pytest
 from inference_cases import (
     NEEDLE,
     TRUTH,
+    assert_objective_slope,
     from_first_point,
     insertion,
     measure,
@@ -148,11 +149,7 @@ def test_the_gradient_is_that_of_differences(pose):
         p = replace(p, insertions=tuple(map(from_first_point, p.insertions)))
     p = replace(p, dataset=replace(p.dataset, pose="free" if pose == "free" else "known"))
     theta = p.parameters.theta({**TRUTH, "mu1_pa": 5e5, "bevel_mm": 0.1, "guide_distance_mm": 20.0})
-    value, slope = p.objective_gradient(theta)
-    moves = 1e-5 * np.eye(len(theta))
-    differences = [(p.objective(theta + m) - p.objective(theta - m)) / 2e-5 for m in moves]
-    assert value == approx(p.objective(theta), rel=1e-8)
-    assert slope == approx(differences, rel=1e-5, abs=1e-6)
+    assert_objective_slope(p, theta)
 
 
 @pytest.mark.parametrize("nodes_at_once", [batch.NODES_AT_ONCE, 100])

@@ -4,8 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from inference_cases import assert_one_density
+from inference_cases import assert_objective_slope, assert_one_density
 from numpy.random import default_rng
+from numpy.testing import assert_allclose
+from pytest import approx
 from refusals import refusal
 from scipy.linalg import block_diag
 from scipy.special import ndtr
@@ -64,12 +66,12 @@ def runs():
 
 def test_a_run_that_is_first_read_in_the_tissue_has_the_tips_of_one_read_from_contact_on(tmp_path):
     (whole,), (part,) = (simulate_tips([track("run", GUIDE[n:], DEPTH[n:])]) for n in (0, 1))
-    np.testing.assert_allclose(part[0], whole[0, 1:], atol=1e-9)
+    assert_allclose(part[0], whole[0, 1:], atol=1e-9)
     in_tissue = TOML.replace('"steps.csv"', '"steps.csv"\ndepth_zero = "tissue"')
     for toml, first in ((TOML, 0.0), (in_tissue, 0.7)):
         (run,) = read(written(tmp_path, [track("run", GUIDE)], toml)).insertions
-        np.testing.assert_allclose(run.points[:, 0], DEPTH + first)
-        np.testing.assert_allclose(run.guide.y[-len(GUIDE) :], GUIDE)
+        assert_allclose(run.points[:, 0], DEPTH + first)
+        assert_allclose(run.guide.y[-len(GUIDE) :], GUIDE)
         assert run.guide.depths[0] == run.guide.y[0] == 0.0
 
 
@@ -85,7 +87,7 @@ def test_a_track_is_where_a_stepwise_insertion_has_its_tip(beyond):
         bevel = Bevel(0.03, roll_deg=90.0 * (depth[n - 1] >= turned))
         guide = Guide(-20.0, float(GUIDE[n]), z=float(GUIDE_Z[n]))
         shape = session.step(insert=float(more), guides=(guide,), bevel=bevel)
-        assert found[n] == pytest.approx([shape.u[-1], shape.w[-1]], abs=0.002)
+        assert found[n] == approx([shape.u[-1], shape.w[-1]], abs=0.002)
 
 
 @pytest.fixture(scope="module")
@@ -132,12 +134,10 @@ def test_a_needle_turned_as_a_whole_has_the_same_density(runs_in_space):
         for one in runs_in_space
     ]
     here, there = in_space(runs_in_space), in_space(turned)
-    assert there.log_posterior(THETA) == pytest.approx(here.log_posterior(THETA), abs=1e-6)
-    assert there.objective(THETA) == pytest.approx(here.objective(THETA), abs=1e-8)
+    assert there.log_posterior(THETA) == approx(here.log_posterior(THETA), abs=1e-6)
+    assert there.objective(THETA) == approx(here.objective(THETA), abs=1e-8)
     assert_one_density(there, THETA + np.array([0.3, -0.2, 0.1]), rtol=5e-4)
-    at = THETA + 0.2
-    ends = [(there.objective(at + d) - there.objective(at - d)) / 2e-3 for d in 1e-3 * np.eye(3)]
-    assert there.objective_gradient(at)[1] == pytest.approx(ends, rel=1e-4, abs=1e-5)
+    assert_objective_slope(there, THETA + 0.2, 1e-3, 1e-4, 1e-5)
 
 
 def test_a_roll_that_errs_is_allowed_for(runs_in_space):
@@ -149,7 +149,7 @@ def test_a_roll_that_errs_is_allowed_for(runs_in_space):
         assert one.nodes.linear[1, :3].tolist() == [0.0, -half, half]
     ends = [simulate_in_space(one) for one in known.nodes.insertions]
     bent = simulate_in_space(runs_in_space[2])[-1, 0]
-    assert ends[2][-1, 1] - ends[1][-1, 1] == pytest.approx(2 * np.sin(np.radians(5)) * bent, rel=1e-6)
+    assert ends[2][-1, 1] - ends[1][-1, 1] == approx(2 * np.sin(np.radians(5)) * bent, rel=1e-6)
 
 
 def test_runs_under_a_resting_guide_are_one_insertion():
@@ -162,7 +162,7 @@ def test_runs_under_a_resting_guide_are_one_insertion():
     together = simulate_tips(tracks)
     alone = [simulate_tips([one])[0] for one in tracks]
     for one, other in zip(together, alone, strict=True):
-        assert one == pytest.approx(other, abs=1e-9)
+        assert one == approx(other, abs=1e-9)
     with pytest.raises(DataError, match=r"run run .* 0\.5 mm"):
         share_simulations([track("run", GUIDE, 0.1 * DEPTH)], 1.0)
     table = {k: v for k, v in MEDIUM.model_dump()["parameters"].items() if k != "guide_distance_mm"}
@@ -174,17 +174,15 @@ def test_runs_under_a_resting_guide_are_one_insertion():
 def test_shift_and_slope_of_the_frame_change_nothing(runs):
     turned = [with_tip(one, one.points[:, 1] - 40.0 + 0.1 * one.points[:, 0]) for one in runs]
     here, there = problem(runs), problem(turned)
-    assert there.log_posterior(THETA) == pytest.approx(here.log_posterior(THETA), abs=1e-6)
-    assert there.jacobian(THETA)[0] == pytest.approx(here.jacobian(THETA)[0], abs=1e-8)
+    assert there.log_posterior(THETA) == approx(here.log_posterior(THETA), abs=1e-6)
+    assert there.jacobian(THETA)[0] == approx(here.jacobian(THETA)[0], abs=1e-8)
     here, there = (
         problem(runs),
         problem([with_tip(one, one.points[:, 1] + 5.0 - 0.1 * one.points[:, 0]) for one in runs]),
     )
     at = THETA + 0.2
-    value, slope = here.objective_gradient(at)
-    assert there.objective(at) == pytest.approx(value, abs=1e-9) and here.objective(at) == value
-    ends = [(here.objective(at + d) - here.objective(at - d)) / 2e-3 for d in 1e-3 * np.eye(3)]
-    assert slope == pytest.approx(ends, rel=1e-4, abs=1e-5)
+    assert there.objective(at) == approx(here.objective(at), abs=1e-9)
+    assert_objective_slope(here, at, 1e-3, 1e-4, 1e-5)
     # noise of 0.02 mm, from which each run's best shift and slope are taken
     every = [compare_curves(*pair) for pair in here.points(THETA)]
     assert all(0.005 < one.distances.mean() < 0.03 for one in every)
@@ -267,7 +265,7 @@ def test_a_session_is_one_gaussian_of_all_readings_and_headings(runs, errors):
     shifts, residual = block_diag(*[one[0][:, None] for one in columns]), np.concatenate(off)
     whitening, log_norm = whiten(whole, shifts)
     expected = log_norm - 0.5 * np.sum((whitening @ residual) ** 2)
-    assert asked.log_posterior(THETA) == pytest.approx(expected, rel=1e-7)
+    assert asked.log_posterior(THETA) == approx(expected, rel=1e-7)
 
 
 @pytest.mark.parametrize("errors", [None, TrackErrorsRecord(), ERRORS])
@@ -324,7 +322,7 @@ def test_a_line_weighs_its_first_readings_against_the_slopes_of_other_runs(name,
     share = 1 / (1 + noise / (x @ x) / (variance * (1 + 1 / len(kinds[0]))))
     slope = share * (x @ y) / (x @ x) + (1 - share) * np.mean(kinds[0])
     found = track_predictions.predict_by_curve(BASELINES[name], seen[:-1], seen[-1], first, slope_sd)
-    assert found == pytest.approx(y.mean() + slope * (DEPTH[first:] - DEPTH[:first].mean()), rel=1e-3)
+    assert found == approx(y.mean() + slope * (DEPTH[first:] - DEPTH[:first].mean()), rel=1e-3)
 
 
 def test_each_predicted_run_has_a_bevel_of_its_own(monkeypatch, runs):
@@ -341,10 +339,10 @@ def test_each_predicted_run_has_a_bevel_of_its_own(monkeypatch, runs):
     (bent,) = simulate_deflections([runs[2]], [DEPTH])
     assert np.ptp(tuned, axis=0).max() < 1e-9
     ends = [curves[:, 0, -1] for curves in held]
-    assert np.std(ends[1] / bent[0, -1]) == pytest.approx(0.1, rel=0.15)
+    assert np.std(ends[1] / bent[0, -1]) == approx(0.1, rel=0.15)
     assert abs(np.corrcoef(ends)[0, 1]) < 0.2
     *_, (_, one, other) = simulate_runs(job.problem(fold), fold, thetas[:1], 1)
-    assert one.shape == other.shape and other[0, 0, -1] == pytest.approx(bent[0, -1])
+    assert one.shape == other.shape and other[0, 0, -1] == approx(bent[0, -1])
 
 
 def test_intervals_of_further_runs_cover_in_groups_with_errors():
@@ -377,7 +375,7 @@ def test_intervals_of_further_runs_cover_in_groups_with_errors():
     outside = np.abs(np.array(levels) - 0.5)
     for level in (0.5, 0.95):
         spread = 3 * np.sqrt(level * (1 - level) / count)
-        assert np.mean(outside < level / 2) == pytest.approx(level, abs=spread)
+        assert np.mean(outside < level / 2) == approx(level, abs=spread)
     drawn = forecast(2000, rng).values
-    assert drawn.mean(axis=0) == pytest.approx(found.values[0], abs=4 * found.sd.max() / 2000**0.5)
-    assert drawn.std(axis=0) == pytest.approx(found.sd[0], rel=0.08)
+    assert drawn.mean(axis=0) == approx(found.values[0], abs=4 * found.sd.max() / 2000**0.5)
+    assert drawn.std(axis=0) == approx(found.sd[0], rel=0.08)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from numpy.random import default_rng
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from needlefit.geometry.curves import arc_length, integrate_curvature
@@ -97,7 +97,7 @@ def test_repeated_points_and_few_points_have_places_and_motions_change_nothing()
     points = points + 0.1 * default_rng(5).normal(size=points.shape)
     whole = measure_curve(points)
     twice = measure_curve(np.repeat(points, 2, axis=0))
-    np.testing.assert_array_equal(twice.s, np.repeat(whole.s, 2))
+    assert_array_equal(twice.s, np.repeat(whole.s, 2))
     assert twice.length_sd == whole.length_sd
     moved = Rotation.from_rotvec([0.3, -1.0, 0.7]).apply(3.0 * points) + np.array([50.0, -20.0, 7.0])
     assert_allclose(measure_curve(moved).s, 3 * whole.s, rtol=1e-6)

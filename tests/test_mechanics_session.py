@@ -16,7 +16,7 @@ from mechanics_cases import (
     random_tissue,
 )
 from numpy.random import default_rng
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
 from space_cases import random_spatial_case
 
@@ -96,7 +96,7 @@ def test_a_failed_step_changes_nothing(step):
 
 def assert_near(found, expected):
     for name in ("x", "u", "slope", "constraints"):
-        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=1e-6, err_msg=name)
+        assert_allclose(getattr(found, name), getattr(expected, name), atol=1e-6, err_msg=name)
 
 
 def wandered(seed):

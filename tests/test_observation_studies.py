@@ -7,8 +7,10 @@ import numpy as np
 import pandas as pd
 import pytest
 from inference_cases import TRUTH, dataset, insertion, medium, problem
+from numpy.random import default_rng
 from page_files import ALL_STATES, open_offline
 from problem_cases import ALONG_X
+from pytest import approx
 from test_page import NO_BROWSER, chromium  # noqa: F401 - a fixture
 
 import needlefit as nf
@@ -46,7 +48,7 @@ def read_sensors(depth, beyond=0.0, seed=None):
     curve = SimulatedCurve(predict(TRUTH, ONE_LAYER, one), one)
     kappa = np.diff(curve(surround_sensors(one))[:, 1].reshape(-1, 3), n=2)[:, 0]
     if seed is not None:
-        kappa = kappa + SD * np.random.default_rng(seed).normal(size=len(kappa))
+        kappa = kappa + SD * default_rng(seed).normal(size=len(kappa))
     still[:, 1] = kappa
     return replace(one, curvature=still)
 
@@ -57,9 +59,9 @@ def test_readings_lead_from_the_clamped_end_to_the_tip():
     read = np.column_stack([60.0 - s, 1e-4 * (60.0 - s), 0 * s, np.full(3, SD)])
     length = one.needle.length
     found = integrate_sensors(replace(one, curvature=read)) @ read[:, 1]
-    assert found == pytest.approx(1e-4 * length**3 / 3, rel=1e-3)
+    assert found == approx(1e-4 * length**3 / 3, rel=1e-3)
     guided = replace(one, curvature=read, guide_distance=20.0)
-    assert integrate_sensors(guided) @ read[:, 1] == pytest.approx(1e-4 * 80.0**3 / 3, rel=1e-3)
+    assert integrate_sensors(guided) @ read[:, 1] == approx(1e-4 * 80.0**3 / 3, rel=1e-3)
 
 
 def test_a_needle_is_scored_by_its_readings_and_by_the_tip_from_the_base():
@@ -73,23 +75,23 @@ def test_a_needle_is_scored_by_its_readings_and_by_the_tip_from_the_base():
     assert [each.quantity for each in compared] == ["curvatures", "integrated"]
     assert compared[1].simulated[0].tolist() == compared[1].measured[0].tolist()  # the entry
     found = {name: value for each in compared for name, value in compute_metrics(each).items()}
-    assert found["curvature_rms_1_per_m"] == pytest.approx(0.3 / np.sqrt(len(wrong)), rel=1e-3)
-    assert found["te_integrated_mm"] == pytest.approx(abs(3e-4 * integrate_sensors(one)[2]), rel=1e-3)
+    assert found["curvature_rms_1_per_m"] == approx(0.3 / np.sqrt(len(wrong)), rel=1e-3)
+    assert found["te_integrated_mm"] == approx(abs(3e-4 * integrate_sensors(one)[2]), rel=1e-3)
     inside = read_sensors(60.0)
     assert [goal.quantity for goal in list_comparisons(data, inside)] == ["curvatures"]
 
 
 def test_the_floor_of_readings_is_that_of_their_errors():
     one = read_sensors(60.0)
-    floor = estimate_floor(dataset([], Noise()), one, np.random.default_rng(1))
-    assert floor["curvature_rms_1_per_m"] == pytest.approx(1e3 * SD, rel=0.1)
+    floor = estimate_floor(dataset([], Noise()), one, default_rng(1))
+    assert floor["curvature_rms_1_per_m"] == approx(1e3 * SD, rel=0.1)
     assert np.isnan(floor["te_mm"]) and "te_integrated_mm" not in floor
 
 
 def test_metrics_of_places_are_not_of_curvatures():
     readings = np.array([[10.0, 1.0, 0.0], [20.0, 2.0, 0.0]])
     off = compare_curves(readings + np.array([0.0, 0.5, 0.0]), readings, "plane", "curvatures")
-    assert compute_metrics(off) == {"curvature_rms_1_per_m": pytest.approx(0.5)}
+    assert compute_metrics(off) == {"curvature_rms_1_per_m": approx(0.5)}
 
 
 DATASET = (
@@ -159,7 +161,7 @@ def test_curvatures_alone_are_no_places_that_the_page_compares(study):
 @pytest.fixture(scope="module")
 def mixed(tmp_path_factory):
     """Shapes and tips with an SD of 0.05 mm, and needles with sensors, of one truth; m0 and m2 have two."""
-    folder, rng = tmp_path_factory.mktemp("mixed"), np.random.default_rng(4)
+    folder, rng = tmp_path_factory.mktemp("mixed"), default_rng(4)
     (folder / "centerlines").mkdir()
     rows = ["id,depth_mm,bevel_side,tip_y_mm,tip_sd_mm,observation"]
     for n, depth in enumerate(np.linspace(55.0, 95.0, 5)):
@@ -186,7 +188,7 @@ def test_a_fit_to_curvatures_finds_the_truth_and_is_judged_by_their_errors(study
         assert rows.loc[name, "interval_low"] < TRUTH[name] < rows.loc[name, "interval_high"]
     verdict = run.first_page.verdict
     error, nearest = (verdict.numbers[f"{head}curvature_rms_1_per_m"] for head in ("", "baseline_"))
-    assert error == pytest.approx(1e3 * SD, rel=0.3) and nearest > 2 * error
+    assert error == approx(1e3 * SD, rel=0.3) and nearest > 2 * error
     assert "te_mm" not in verdict.numbers and verdict.status != "fail"
     assert len(run.frames["curvature"]["insertion"].unique()) == 5
 
@@ -222,14 +224,14 @@ def test_a_tip_beside_a_shape_is_scored_and_drawn_by_itself(mixed, validated):
     assert one.tip is not None
     errors = validated.frames["errors"].query("method == 'prediction'").set_index("insertion")
     row, end = errors.loc["m2"], one.tip[0]
-    assert row["te_mm"] == pytest.approx(abs(row["predicted_deflection_mm"] - end)) and row["te_mm"] > 0.1
-    assert row["deflection_mm"] == end == pytest.approx(one.points[-1, 1] + APART_MM, abs=1e-6)
+    assert row["te_mm"] == approx(abs(row["predicted_deflection_mm"] - end)) and row["te_mm"] > 0.1
+    assert row["deflection_mm"] == end == approx(one.points[-1, 1] + APART_MM, abs=1e-6)
     sd = np.linalg.norm([TIP_SD, 0.1, np.radians(0.2) * one.depth])  # with those of the pose
-    assert row["floor_te_mm"] == pytest.approx(sd * np.sqrt(2 / np.pi), rel=0.15)
+    assert row["floor_te_mm"] == approx(sd * np.sqrt(2 / np.pi), rel=0.15)
     predicted = validated.frames["predictive"].set_index("insertion").loc["m2"]
     assert predicted["tip_measured_mm"] == end
     width = predicted["tip_95_high_mm"] - predicted["tip_95_low_mm"]
-    assert width == pytest.approx(2 * 1.96 * sd, rel=0.15)
+    assert width == approx(2 * 1.96 * sd, rel=0.15)
     shown = draw_observations(validated, "validate")
     assert {*shown["tips"].frame["insertion"]} == {"m1", "m2", "m3"} and "overlays" in shown
 
@@ -243,9 +245,9 @@ def test_the_error_minimising_fit_counts_the_tip_beside_a_shape(mixed):
     compared = [compute_metrics(goal.compare(curve)) for goal in list_comparisons(data, of_shape)]
     errors = {name: value for each in compared for name, value in each.items() if not np.isnan(value)}
     wanted = errors["ipe_mean_mm"] + errors["te_mm"] + 0.1 * errors["edp_percent"] / 100
-    assert p.objective(p.parameters.theta(TRUTH)) == pytest.approx(wanted, rel=0.01)
+    assert p.objective(p.parameters.theta(TRUTH)) == approx(wanted, rel=0.01)
     assert errors["te_mm"] > 0.5 * APART_MM
-    tolerance = estimate_tolerance(p, p.parameters, p.parameters.theta(TRUTH), np.random.default_rng(1))
+    tolerance = estimate_tolerance(p, p.parameters, p.parameters.theta(TRUTH), default_rng(1))
     assert tolerance.by_noise > 0.0
 
 
@@ -312,6 +314,6 @@ def test_a_mixture_is_fitted_and_scored_by_what_each_needle_holds(validated):
     assert errors["curvature_rms_1_per_m"].dropna().max() < 2e3 * SD
     tips, sensors = (errors[one] / errors[f"floor_{one}"] for one in ("te_mm", "curvature_rms_1_per_m"))
     over = errors["error_over_noise"]
-    assert over.to_numpy() == pytest.approx(pd.concat([tips, sensors], axis=1).mean(axis=1).to_numpy())
-    assert run.first_page.verdict.numbers["error_over_noise"] == pytest.approx(over.mean())
+    assert over.to_numpy() == approx(pd.concat([tips, sensors], axis=1).mean(axis=1).to_numpy())
+    assert run.first_page.verdict.numbers["error_over_noise"] == approx(over.mean())
     assert len(run.frames["predictive"]) == 7 and (run.frames["predictive"]["crps_over_noise"] < 2.0).all()

@@ -12,6 +12,7 @@ from inference_cases import medium
 from light_runs import predict_by_few_draws
 from plugin_cases import EXAMPLE, VERSION, install, plugin_folder
 from problem_cases import make_problem
+from pytest import approx
 from reporting_results import skip_figures
 from sampling_cases import Known, draw, flat, gaussian, weighted
 from test_cli import run
@@ -39,7 +40,7 @@ def test_a_sampler_draws_from_a_density_of_known_moments(plugin):
     known = Known(gaussian(np.array([[1.0, 0.6], [0.6, 1.0]])))
     posterior = draw(known, weighted(known), sampler="random_walk", independent_draws=1000)
     assert posterior.sampler == "random_walk" and not posterior.faults
-    assert np.cov(flat(posterior).T) == pytest.approx(np.array([[1.0, 0.6], [0.6, 1.0]]), abs=0.15)
+    assert np.cov(flat(posterior).T) == approx(np.array([[1.0, 0.6], [0.6, 1.0]]), abs=0.15)
 
 
 @pytest.mark.sweep
@@ -161,7 +162,7 @@ def test_an_observation_is_one_file_of_a_plugin(tmp_path, plugin, monkeypatch):
     for insertion in (one, moved, replace(moved, observation="points")):
         asked = make_problem(data, [insertion], medium(layers))
         densities.append(asked.log_posterior((asked.lower + asked.upper) / 2))
-    assert densities[1] == pytest.approx(densities[0], rel=1e-2)
+    assert densities[1] == approx(densities[0], rel=1e-2)
     assert densities[2] < densities[0] - 1.0
 
 
@@ -211,7 +212,7 @@ def test_an_observation_has_a_number_of_its_own(tmp_path, monkeypatch):
         shape = predict(asked.values(at), record, one)
         ends = compute_positions(shape, one.depth - np.array([5.0, 0.0]))[:, 1]
         misfits = asked.compute_misfits(at)
-        assert np.abs(misfits).max() == pytest.approx(abs(np.diff(ends)[0] / 5.0 - 0.05) / 1e-4, rel=1e-3)
+        assert np.abs(misfits).max() == approx(abs(np.diff(ends)[0] / 5.0 - 0.05) / 1e-4, rel=1e-3)
 
 
 def test_the_name_of_a_metric_ends_in_its_unit():

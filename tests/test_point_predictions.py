@@ -25,17 +25,15 @@ NEEDLE = {"length_mm": 150.0, "outer_diameter_mm": 1.27, "youngs_modulus_gpa": 2
 #: bounds as `needlefit import` writes them
 BOUNDS = {"mu1_pa": {"bounds": [1e3, 1e9]}, "bevel_mm": {"bounds": [1e-3, 1.0]}}
 MEDIUM = {"schema": 1, "title": "gel", "layers": 1, "parameters": BOUNDS | {"alpha1": {"fixed": 1.0}}}
-LAYER = {"name": "gel", "top_mm": 0.0, "mu_pa": 2e5, "alpha": 1.0}
-SCENE = {"schema": 2, "title": "planned", "depth_mm": 60.0, "bevel": {"offset_mm": 0.1}, "needle": NEEDLE}
+SCENE = {"schema": 2, "depth_mm": 60.0, "bevel": {"offset_mm": 0.1}, "needle": NEEDLE}
+SCENE |= {"layers": [{"top_mm": 0.0, "mu_pa": 2e5, "alpha": 1.0}]}
 
 
 def load_needles(seed, pose):
     """Return the job of four needles by chance that are fitted, and two that are held out."""
     rng = default_rng(seed)
     mu, b = 10 ** rng.uniform(4.3, 5.4), 10 ** rng.uniform(-1.7, -0.6)
-    insertions = [
-        {"depth_mm": float(depth), "side": 1, "base_moved_mm": 0.0} for depth in rng.uniform(40, 70, 6)
-    ]
+    insertions = [{"depth_mm": float(depth)} for depth in rng.uniform(40, 70, 6)]
     data = {
         "title": "needles",
         "values": {"mu1_pa": float(mu), "alpha1": 1.0, "bevel_mm": float(b)},
@@ -46,7 +44,7 @@ def load_needles(seed, pose):
     dataset = replace(api.simulate_dataset(data, MEDIUM, seed), pose=pose)
     ids = [one.id for one in dataset.insertions]
     folds = {"tune": {"insertions": ids[:4]}, "validate": [{"insertions": ids[4:]}]}
-    names = {"title": "needles", "question": "?", "dataset": "needles", "medium": "gel", "recipe": "quick"}
+    names = {"dataset": "needles", "medium": "gel", "recipe": "quick"}
     inputs = Inputs(dataset=dataset, medium=MediumRecord.model_validate(MEDIUM))
     return load_study(
         "needles", StudyRecord.model_validate({"schema": 2, **names, **folds}), Settings(inputs=inputs)
@@ -64,7 +62,7 @@ def draw(job, seed):
 def test_a_predicted_needle_lies_in_its_interval(seed, pose):
     job = load_needles(seed, pose)
     known = draw(job, seed)
-    planned = make_scene(SceneRecord.model_validate({**SCENE, "layers": [LAYER]}), "scene", job.medium)
+    planned = make_scene(SceneRecord.model_validate(SCENE), "scene", job.medium)
     for into in (None, job.folds[0].tune[0]):
         found = forecast(planned, known, into)
         table = tabulate_forecast(found)
@@ -82,7 +80,7 @@ def test_free_shapes_leave_b_at_a_bound_and_are_predicted_by_the_median():
     """The mode's tip lies 4 mm outside: `test_a_predicted_needle...` would fail by it."""
     job = load_needles(7, "free")
     known = draw(job, 7)
-    planned = make_scene(SceneRecord.model_validate({**SCENE, "layers": [LAYER]}), "scene", job.medium)
+    planned = make_scene(SceneRecord.model_validate(SCENE), "scene", job.medium)
     found = forecast(planned, known, None)
     assert found.point.mode_fault == "at_bound" and "bevel_mm" in found.point.at_bound
     assert found.needle[:, 1] == pytest.approx(np.median(found.across[..., 0], axis=0))

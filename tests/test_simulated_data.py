@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from inference_cases import NEEDLE, insertion, measure, medium
 from numpy.random import default_rng
+from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
 from track_cases import DEPTH, GUIDE, MEDIUM, TRUTH, track
 from track_cases import dataset as tracks
@@ -83,7 +84,7 @@ def test_a_truth_from_the_prior_differs_by_seed_and_keeps_the_design():
     assert one.tolist() == again.tolist() != other.tolist()
     assert np.all((problem.lower <= one) & (one <= problem.upper))
     for ours, theirs, planned in zip(first.insertions, same.insertions, problem.insertions, strict=True):
-        np.testing.assert_array_equal(ours.points, theirs.points)
+        assert_array_equal(ours.points, theirs.points)
         assert ours.depth == planned.depth and ours.pose_angle_sd == planned.pose_angle_sd
     assert first.insertions[0].deflection != second.insertions[0].deflection
 
@@ -116,7 +117,7 @@ def test_a_twin_that_is_not_scanned_is_nearly_the_one_that_was(tmp_path):
         assert one.sequence == other.sequence and one.side == other.side
         assert one.depth == approx(other.depth, abs=0.2)
         assert one.deflection == approx(other.deflection, abs=0.3)
-        np.testing.assert_allclose(one.boundaries, other.boundaries, atol=0.05)
+        assert_allclose(one.boundaries, other.boundaries, atol=0.05)
         assert one.pose_shift_sd == approx(other.pose_shift_sd, rel=0.01)
     assert "Nothing was scanned" in read(tmp_path).notes[0]
 

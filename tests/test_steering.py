@@ -21,12 +21,9 @@ from needlefit.studies.steering import Steering
 
 SCENE = {
     "depth_mm": 80.0,
-    "needle": {"name": "18 gauge", "length_mm": 150.0, "outer_diameter_mm": 1.27, "youngs_modulus_gpa": 80.0},
-    "bevel": {"offset_mm": 0.1, "side": 1},
-    "layers": [
-        {"name": "soft", "top_mm": 0.0, "mu_pa": 5e3, "alpha": 1.0},
-        {"name": "firm", "top_mm": 25.0, "mu_pa": 2e4, "alpha": 1.0},
-    ],
+    "needle": {"length_mm": 150.0, "outer_diameter_mm": 1.27, "youngs_modulus_gpa": 80.0},
+    "bevel": {"offset_mm": 0.1},
+    "layers": [{"top_mm": top, "mu_pa": mu, "alpha": 1.0} for top, mu in ((0.0, 5e3), (25.0, 2e4))],
 }
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from light_runs import do_not_escalate
 from numpy.random import default_rng
+from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
 
 import needlefit
@@ -83,7 +84,7 @@ def test_one_draw_is_the_scene_with_its_parameters(job):
 
 
 def test_ends_of_each_interval_err_as_quantiles_of_normal_draws(job):
-    across = np.random.default_rng(1).standard_normal((4000, 101, 1))
+    across = default_rng(1).standard_normal((4000, 101, 1))
     medians = tabulate_forecast(replace(planned(sure(job), [theta(job)] * 3), across=across)).median()
     assert medians["needle_50_high_error_mm"] == approx(0.0215, rel=0.1)
     assert medians["needle_95_low_error_mm"] == approx(0.0422, rel=0.1)
@@ -101,7 +102,7 @@ def test_a_turned_needle_is_predicted_in_space_and_its_roll_errs_as_the_dataset_
     tissue = replace(SCENE.tissue, mu=np.array([0.2, 30.0, 0.2, 30.0]), alpha=np.array([1.0, -1, 1, -1]))
     shape = needlefit.simulate_steps(SCENE.needle, tissue, scene.steps, SCENE.rules)
     expected = compute_positions(shape, found.s)
-    np.testing.assert_allclose(found.across[0], expected[:, 1:], atol=1e-6)
+    assert_allclose(found.across[0], expected[:, 1:], atol=1e-6)
     assert abs(expected[-1, 2]) > 0.5
     tips = planned(known, [theta(job)] * 400, scene).across[:, -1]
     assert np.linalg.norm(tips, axis=1) == approx(np.linalg.norm(expected[-1, 1:]), abs=1e-6)
@@ -309,4 +310,4 @@ def test_a_whole_curve_leaves_its_band_at_the_nominal_rate(length):
         assert np.mean(levels <= level) == approx(level, abs=4 * np.sqrt(level * (1 - level) / 300))
         low, high = bands.ends(level)
         inside = np.all((low <= observed) & (observed <= high), axis=1)
-        np.testing.assert_array_equal(inside, levels <= level)
+        assert_array_equal(inside, levels <= level)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 from inference_cases import medium
+from numpy.random import default_rng
 from problem_cases import make_problem
 
 from needlefit import Needle
@@ -99,14 +100,14 @@ def simulate_in_space(one):
 
 def measured_in_space(one, seed, slopes=(0.0, 0.0)):
     """The same of a run in space, in a frame with these slopes along y and z."""
-    noise = NOISE.point_sd * np.random.default_rng(seed).normal(size=(len(one.points), 2))
+    noise = NOISE.point_sd * default_rng(seed).normal(size=(len(one.points), 2))
     return with_tip(one, *(simulate_in_space(one) + noise + np.outer(one.points[:, 0], slopes) + 3.0).T)
 
 
 def measured(one, shift=0.0, slope=0.0, seed=None):
     """The run as the model has it at the truth, in such a frame, with noise if seeded."""
     (tip,) = simulate_tips([one])
-    noise = 0.0 if seed is None else NOISE.point_sd * np.random.default_rng(seed).normal(size=len(one.points))
+    noise = 0.0 if seed is None else NOISE.point_sd * default_rng(seed).normal(size=len(one.points))
     return with_tip(one, tip[0] + shift + slope * one.points[:, 0] + noise)
 
 
