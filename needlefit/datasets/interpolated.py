@@ -14,7 +14,7 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.datasets.compared import MAX_NAMED_INSERTIONS
 from needlefit.datasets.insertion import Noise
-from needlefit.datasets.layers import ListedInsertion
+from needlefit.datasets.layers import Checked, ListedInsertion
 from needlefit.datasets.outlying_points import MIN_CURVE_POINTS
 from needlefit.datasets.scatter import MIN_AXIS_POINTS, SCATTER_RATIOS
 from needlefit.project.locate import join_names
@@ -73,9 +73,9 @@ def mark_interpolated(listed: Sequence[ListedInsertion], noise: Noise) -> list[L
     ]
 
 
-def find_interpolated_warnings(listed: Sequence[ListedInsertion]) -> Iterator[ResultWarning]:
+def find_interpolated_warnings(checked: Checked) -> Iterator[ResultWarning]:
     """Yield a warning that names the curves whose points are not independent, and how many count."""
-    interpolated = [entry for entry in listed if entry.insertion.independent]
+    interpolated = [entry for entry in checked.curves if entry.insertion.independent]
     if interpolated:
         curves = [entry.insertion for entry in interpolated]
         counts = [f"{curve.id} ({curve.independent} of {len(curve.points)})" for curve in curves]

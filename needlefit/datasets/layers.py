@@ -1,16 +1,17 @@
 """Find the layers of each insertion and reduce it to its plane; faults of curves, surfaces and layers."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import InsertionRow, describe_column
 from needlefit.datasets.faults import Fault
-from needlefit.datasets.insertion import Insertion
+from needlefit.datasets.insertion import Insertion, Noise
 from needlefit.datasets.observations import HELD
 from needlefit.datasets.points import MIN_POINTS, Points
 from needlefit.errors import DataError
@@ -24,7 +25,7 @@ from needlefit.geometry.surfaces import Surface, find_mesh_faults, read_surface
 from needlefit.mechanics.needle import Needle
 from needlefit.project.input_files import is_file
 from needlefit.project.toml import locate_key
-from needlefit.project.unit_warnings import LENGTH_UNITS
+from needlefit.project.unit_warnings import LENGTH_UNITS, FormatPlace
 from needlefit.schemas.dataset import DatasetRecord, SurfaceRecord
 
 # A surface was written in another unit whose greatest extent is
@@ -401,6 +402,26 @@ class ListedInsertion:
     where: str
     points: Points
     is_curve: bool = True
+
+
+class Checked(NamedTuple):
+    """A dataset without faults, which checks look through for what contradicts it."""
+
+    record: DatasetRecord
+    listed: Sequence[ListedInsertion]
+    noise: Noise
+    where: FormatPlace  #: the key of a value -> file and key
+    assumed: Container[str] = ()  #: keys of what the import assumed
+
+    @property
+    def insertions(self) -> list[Insertion]:
+        """What is listed, as insertions."""
+        return [entry.insertion for entry in self.listed]
+
+    @property
+    def curves(self) -> list[ListedInsertion]:
+        """Those of which a shape was measured."""
+        return [entry for entry in self.listed if entry.is_curve]
 
 
 def find_length_faults(listed: Sequence[ListedInsertion], pose: str, depth_column: str) -> Iterator[Fault]:

@@ -1,9 +1,7 @@
 """Warn about needles that can be fitted all the same: bevel sides, copies, order, entries."""
 
 import math
-from collections.abc import Container, Iterator, Sequence
-from itertools import chain
-from pathlib import Path
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.special import bdtrc
@@ -11,22 +9,18 @@ from scipy.special import bdtrc
 from needlefit.datasets.bend_sides import measure_bends
 from needlefit.datasets.compared import MAX_NAMED_INSERTIONS, MIN_BEND_SLOPE, MIN_LOG_ODDS, compute_entry_sd
 from needlefit.datasets.insertion import Insertion, Noise
-from needlefit.datasets.interpolated import find_interpolated_warnings
 from needlefit.datasets.layers import (
     LENGTH_TOLERANCE_MM,
     MAX_START_DISTANCE_MM,
     SAME_POINT_MM,
+    Checked,
     ListedInsertion,
 )
-from needlefit.datasets.outlying_points import MAX_OUTLYING_PART, OUTLIER_SD, find_point_warnings
-from needlefit.datasets.planes import find_curvature_warnings, find_plane_warnings
+from needlefit.datasets.outlying_points import MAX_OUTLYING_PART, OUTLIER_SD
 from needlefit.datasets.points import find_rounding
-from needlefit.datasets.record_warnings import find_noise_warnings, find_stated_warnings
-from needlefit.datasets.scatter import AXIS_COSINE, find_axis_warnings, measure_scatter
+from needlefit.datasets.scatter import AXIS_COSINE, measure_scatter
 from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.project.unit_warnings import format_place
-from needlefit.schemas.dataset import DatasetRecord
 
 #: of a coordinate that two needles share by errors alone, for so many pairs as a thousand datasets have
 MAX_PASTED_CHANCE = 1e-9
@@ -57,12 +51,17 @@ def find_side_warnings(
 # ---- insertions
 
 
-def _find_repeated_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
+def find_repeated_warnings(checked: Checked) -> Iterator[ResultWarning]:
     """Yield a warning for each two needles that are most likely one, measured twice.
 
     Two needles differ by the errors of points and poses of both; one needle by errors of points, which it has
-    in part in common. None where many are so near: then the stated errors are too large.
+    in part in common. None where many are so near: then the stated errors are too large; nor where the errors
+    of the poses were assumed: a precise stage may put two needles in one place.
     """
+    listed, noise = checked.curves, checked.noise
+    is_assumed = any(key in checked.assumed for key in ("pose_shift_sd", "pose_angle_sd"))
+    if is_assumed or not _is_finer_than_noise(checked):
+        return
     scatters = [scatter for entry in listed if (scatter := measure_scatter(entry.insertion)) > 0]
     sd = min(noise.point_sd, math.hypot(*scatters) / math.sqrt(max(1, len(scatters))))
     ends = np.array([entry.points.values[-1] for entry in listed])
@@ -90,12 +89,15 @@ def _weigh_repeated(earlier: ListedInsertion, later: ListedInsertion, sd: float)
     return float(squares / 2 + np.linalg.slogdet(of_two)[1])  # of two axes
 
 
-def _find_copy_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
+def find_copy_warnings(checked: Checked) -> Iterator[ResultWarning]:
     """Yield a warning for each two needles with the same points, or the same coordinate across.
 
     Errors alone make rounded coordinates differ: they are equal with a probability of at most the step over
     2 sqrt(pi) SD.
     """
+    if not _is_finer_than_noise(checked):
+        return
+    listed, noise = checked.curves, checked.noise
     values = [entry.points.values for entry in listed]
     step = max(find_rounding(values), SAME_POINT_MM)
     chance = min(1.0, step / (2 * math.sqrt(math.pi) * noise.point_sd)) if noise.point_sd else 1.0
@@ -123,11 +125,12 @@ def _find_copy_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iter
                 yield ResultWarning("copy", what, later.where, fix, names)
 
 
-def _find_order_warnings(listed: Sequence[ListedInsertion]) -> Iterator[ResultWarning]:
+def find_order_warnings(checked: Checked) -> Iterator[ResultWarning]:
     """Yield a warning if the last points lie in one plane across the needles, and the first ones do not."""
+    listed = checked.curves
     if len(listed) < 3:
         return
-    ends = np.array([one.insertion.centerline[[0, -1]] for one in listed])
+    ends = np.array([entry.insertion.centerline[[0, -1]] for entry in listed])
     along = (ends[:, 1] - ends[:, 0]).sum(axis=0)
     first, last = np.ptp(ends @ along, axis=0) / (np.linalg.norm(along) or 1.0)
     if first > MAX_START_DISTANCE_MM and last < LENGTH_TOLERANCE_MM:
@@ -136,8 +139,11 @@ def _find_order_warnings(listed: Sequence[ListedInsertion]) -> Iterator[ResultWa
         yield ResultWarning("reversed", what, where=listed[0].where, fix=fix)
 
 
-def _find_constant_warnings(listed: Sequence[ListedInsertion]) -> Iterator[ResultWarning]:
+def find_constant_warnings(checked: Checked) -> Iterator[ResultWarning]:
     """Yield a warning for each needle with one value in a coordinate that varies along most others."""
+    if not _is_finer_than_noise(checked):
+        return
+    listed = checked.curves
     varies = np.mean([np.ptp(one.points.values, axis=0) > 0 for one in listed], axis=0) > 0.5  # (3,)
     for one in listed:
         for axis in np.flatnonzero(varies & (np.ptp(one.points.values, axis=0) == 0)):
@@ -147,19 +153,19 @@ def _find_constant_warnings(listed: Sequence[ListedInsertion]) -> Iterator[Resul
             yield ResultWarning("axis_unit", what, one.points.where(), fix, (one.insertion.id,))
 
 
-def _find_entry_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
+def find_entry_warnings(checked: Checked) -> Iterator[ResultWarning]:
     """Yield a warning that names the insertions that begin off their stated entries.
 
     Soft tissue gives way at the entry by nearly as much as a needle bends.
     """
     found = []
-    for one in (each for each in listed if each.insertion.is_posed):
-        insertion = one.insertion
+    for entry in (curve for curve in checked.curves if curve.insertion.is_posed):
+        insertion = entry.insertion
         off, slope = insertion.points[0], MIN_BEND_SLOPE * insertion.depth
         give = np.array([LENGTH_TOLERANCE_MM, slope + np.ptp(insertion.points[:, 1]), slope])
-        if np.any(np.abs(off) > OUTLIER_SD * compute_entry_sd(insertion, noise) + give):
+        if np.any(np.abs(off) > OUTLIER_SD * compute_entry_sd(insertion, checked.noise) + give):
             by = ", ".join(f"{x:z.1f}" for x in off)
-            found.append((f"{insertion.id} by {by} mm", one.points.where()))
+            found.append((f"{insertion.id} by {by} mm", entry.points.where()))
     if found:
         names = join_names([name for name, _ in found], MAX_NAMED_INSERTIONS)
         what = f"needles begin off their stated entries (along, toward the bevel, out of plane): {names}"
@@ -167,45 +173,15 @@ def _find_entry_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Ite
         yield ResultWarning("entry_offset", what, where=found[0][1], fix=fix)
 
 
-def find_insertion_warnings(
-    record: DatasetRecord,
-    listed: Sequence[ListedInsertion],
-    noise: Noise,
-    file: Path,
-    assumed: Container[str],
-) -> Iterator[ResultWarning]:
-    """Yield the warnings about insertions that have no fault; `assumed`: what their import assumed."""
-    where = format_place(file)
-    yield from find_stated_warnings(record, listed, where)
-    outlying = find_point_warnings([entry for entry in listed if entry.is_curve], noise)
-    yield from chain.from_iterable(outlying.values())
-    # what is wrong with a point is no finding about its needle; where all have some, the noise is wrong
-    sound = [entry for entry in listed if entry.insertion.id not in outlying] or listed
-    column = record.insertions.columns.get("bevel_side", "bevel_side")
-    yield from find_side_warnings([(entry.insertion, entry.where) for entry in sound], noise, column)
-    curves = [entry for entry in sound if entry.is_curve]
-    yield from _find_shape_warnings(curves, noise)
-    # a stage whose errors were assumed may put two needles in one place
-    is_pose_stated = not any(key in assumed for key in ("pose_shift_sd", "pose_angle_sd"))
-    if is_pose_stated and _is_finer_than_noise(curves, noise):
-        yield from _find_repeated_warnings(curves, noise)
-    yield from find_noise_warnings(record, sound, noise, where)
+def find_bevel_warnings(checked: Checked) -> Iterator[ResultWarning]:
+    """Yield a warning that names the insertions of a table that bend away from their bevels."""
+    column = checked.record.insertions.columns.get("bevel_side", "bevel_side")
+    pairs = [(entry.insertion, entry.where) for entry in checked.listed]
+    yield from find_side_warnings(pairs, checked.noise, column)
 
 
-def _find_shape_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
-    """Yield the warnings about whole curves."""
-    yield from find_axis_warnings(listed, noise)
-    yield from _find_entry_warnings(listed, noise)
-    yield from find_plane_warnings(listed, noise)
-    yield from find_curvature_warnings(listed, noise)
-    yield from _find_order_warnings(listed)
-    yield from find_interpolated_warnings(listed)
-    if _is_finer_than_noise(listed, noise):
-        yield from _find_copy_warnings(listed, noise)
-        yield from _find_constant_warnings(listed)
-
-
-def _is_finer_than_noise(listed: Sequence[ListedInsertion], noise: Noise) -> bool:
+def _is_finer_than_noise(checked: Checked) -> bool:
     """Whether points are rounded by less than their noise: else those of two needles may well be equal."""
-    values = [one.points.values for one in listed]
-    return bool(values) and find_rounding(values) <= max(noise.point_sd, noise.correlated_sd)
+    values = [curve.points.values for curve in checked.curves]
+    rounding = find_rounding(values) if values else math.inf
+    return rounding <= max(checked.noise.point_sd, checked.noise.correlated_sd)

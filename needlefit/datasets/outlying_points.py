@@ -8,7 +8,7 @@ from scipy.special import ndtri
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion, Noise
-from needlefit.datasets.layers import ListedInsertion
+from needlefit.datasets.layers import Checked, ListedInsertion
 from needlefit.datasets.points import find_rounding
 from needlefit.geometry.neighbours import leave_one_out
 from needlefit.project.result_warnings import ResultWarning
@@ -22,13 +22,13 @@ MIN_CURVE_POINTS = 6  #: of fewer points none has the four neighbours of a cubic
 MAX_OUTLYING_PART = 0.25
 
 
-def find_point_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> dict[str, list[ResultWarning]]:
+def find_point_warnings(checked: Checked) -> dict[str, list[ResultWarning]]:
     """Return the warnings about points off the curves of their needles, by insertion."""
-    curves = [entry for entry in listed if len(entry.insertion.points) >= MIN_CURVE_POINTS]
+    curves = [entry for entry in checked.curves if len(entry.insertion.points) >= MIN_CURVE_POINTS]
     if not curves:
         return {}
     rounding = find_rounding([curve.points.values for curve in curves])
-    pairs = [(curve, sd_of_points(curve.insertion, noise, rounding)) for curve in curves]
+    pairs = [(curve, sd_of_points(curve.insertion, checked.noise, rounding)) for curve in curves]
     larger = max(1.0, _measure_excess(pairs))
     outlying = {}
     for entry, sd in pairs:

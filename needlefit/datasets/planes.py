@@ -16,7 +16,7 @@ from needlefit.datasets.compared import (
     compute_plane_sd,
 )
 from needlefit.datasets.insertion import Dataset, Insertion, Noise
-from needlefit.datasets.layers import ListedInsertion
+from needlefit.datasets.layers import Checked, ListedInsertion
 from needlefit.geometry.frames import normalize
 from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import ResultWarning
@@ -65,11 +65,12 @@ def _find_across(insertion: Insertion, depths: Sequence[float]) -> Floats:
     return np.column_stack([np.interp(depths, along, coordinates) for coordinates in insertion.points.T[1:]])
 
 
-def find_plane_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
+def find_plane_warnings(checked: Checked) -> Iterator[ResultWarning]:
     """Yield a warning that names the insertions that are not where their bevels lead them, and what would.
 
     Without any it names those whose tips are far out of the planes nearest to their own curves.
     """
+    listed, noise = checked.curves, checked.noise
     aside = _find_aside([entry for entry in listed if entry.insertion.is_posed], noise)
     if not aside:
         if twisted := _find_twisted([entry.insertion for entry in listed], noise):
@@ -88,9 +89,9 @@ def find_plane_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iter
     )
 
 
-def find_curvature_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
+def find_curvature_warnings(checked: Checked) -> Iterator[ResultWarning]:
     """Yield a warning that names the insertions whose stated curvatures bend them away from their tips."""
-    against: dict[str, list[str]] = {}
+    listed, noise, against = checked.curves, checked.noise, dict[str, list[str]]()
     for insertion in (entry.insertion for entry in listed):
         if insertion.curvature is None:
             continue

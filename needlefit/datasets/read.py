@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from needlefit.datasets.checks import check_insertions
 from needlefit.datasets.columns import BEVEL_FIX, InsertionRow
 from needlefit.datasets.digests import digest_insertion
 from needlefit.datasets.faults import Fault, as_error
@@ -20,6 +21,7 @@ from needlefit.datasets.insertion import DEFAULT_MEASUREMENT, Dataset, Insertion
 from needlefit.datasets.insertion_table import add_curvature, add_turns, parse_rows
 from needlefit.datasets.interpolated import mark_interpolated
 from needlefit.datasets.layers import (
+    Checked,
     ListedInsertion,
     SharedSurfaces,
     find_curve_faults,
@@ -30,7 +32,7 @@ from needlefit.datasets.layers import (
     read_shared_surfaces,
     reduce_insertion,
 )
-from needlefit.datasets.needle_warnings import find_insertion_warnings, find_side_warnings
+from needlefit.datasets.needle_warnings import find_side_warnings
 from needlefit.datasets.needles import describe_rigidity, find_needle_faults, make_needles
 from needlefit.datasets.observations import expects_shape, find_faults, name_observation, place_points
 from needlefit.datasets.observations.tip_track import parse_tracks
@@ -207,7 +209,8 @@ def _read_shapes(reading: _Reading) -> tuple[list[Insertion], set[Path], dict[st
         listed = mark_interpolated(listed, make_noise(record.noise))
     insertions = [entry.insertion for entry in listed]
     noise = make_noise(record.noise)
-    reading.warnings += find_insertion_warnings(record, listed, noise, file, reading.assumed)
+    checked = Checked(record, listed, noise, format_place(file), reading.assumed)
+    reading.warnings += check_insertions(checked)
     lines, listed_tables = record.centerlines, record.insertions
     pattern, long = (None, None) if lines is None else (lines.pattern, lines.file)
     named = (listed_tables.file, listed_tables.turns, listed_tables.curvature, long)

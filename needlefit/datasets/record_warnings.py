@@ -7,7 +7,7 @@ import numpy as np
 
 from needlefit.datasets.columns import BOUNDARIES_COLUMN, NUMBER_COLUMNS, ROLL_COLUMNS
 from needlefit.datasets.insertion import Insertion, Noise
-from needlefit.datasets.layers import MISSED_FIX, ListedInsertion, name_small_unit
+from needlefit.datasets.layers import MISSED_FIX, Checked, name_small_unit
 from needlefit.datasets.scatter import SD_MM, find_scatter_warnings
 from needlefit.datasets.spellings import find_spellings
 from needlefit.project.locate import join_names
@@ -17,6 +17,7 @@ from needlefit.project.unit_warnings import (
     ANGLE_SD_DEG,
     ANGLE_UNITS,
     LENGTH_UNITS,
+    Doubt,
     FormatPlace,
     doubt_layers,
     doubt_range,
@@ -99,39 +100,22 @@ def find_record_warnings(
         yield from warn(doubt_range(noise.correlation_length_mm, longest, LENGTH_UNITS, key, "mm"), where)
 
 
-def find_stated_warnings(
-    record: DatasetRecord, listed: Sequence[ListedInsertion], where: FormatPlace
-) -> Iterator[ResultWarning]:
-    """Yield the warnings about what the rows of insertions, and their media, state."""
-    yield from _find_spelling_warnings(listed)
-    insertions = [entry.insertion for entry in listed]
-    yield from find_boundary_warnings(record, insertions, where)
-    yield from _find_own_boundary_warnings(record, listed)
-    deepest = max(insertions, key=lambda insertion: insertion.depth, default=None)
-    if deepest is not None and (unit := name_small_unit(deepest)):
-        yield ResultWarning(
-            kind="units",
-            what=f"the deepest insertion is {deepest.depth:.3g} mm deep: this looks like {unit}",
-            where=f"{listed[0].where}",
-            fix=f"check the unit of all lengths; they are read in mm ({unit} times {LENGTH_UNITS[unit]:g})",
-        )
-    for name in dict.fromkeys(insertion.medium for insertion in insertions if insertion.surfaces):
-        group = [insertion for insertion in insertions if insertion.medium == name]
-        yield from _find_surface_warnings(name, group, where(f"media.{name}.surfaces"))
-    yield from _find_number_warnings(record, listed, where)
-
-
-def _find_spelling_warnings(listed: Sequence[ListedInsertion]) -> Iterator[ResultWarning]:
+def find_spelling_warnings(checked: Checked) -> Iterator[ResultWarning]:
     """Yield a warning for each two media, and specimens, that are most likely one."""
-    for what in ("medium", "specimen"):
-        places = {getattr(one.insertion, what): one.where for one in reversed(listed)}
-        for one, other in find_spellings(sorted(places)):
-            yield ResultWarning(
-                kind="spelling",
-                what=f"{one!r} and {other!r} may be one {what} in two spellings",
-                where=places[other],
-                fix="if they mean one, write one name",
-            )
+    for key in ("medium", "specimen"):
+        places = {getattr(entry.insertion, key): entry.where for entry in reversed(checked.listed)}
+        for name, other in find_spellings(sorted(places)):
+            problem = f"{name!r} and {other!r} may be one {key} in two spellings"
+            yield ResultWarning("spelling", problem, places[other], "if they mean one, write one name")
+
+
+def find_depth_warnings(checked: Checked) -> Iterator[ResultWarning]:
+    """Yield a warning if the deepest insertion is so shallow that depths are likely in another unit."""
+    deepest = max(checked.insertions, key=lambda insertion: insertion.depth, default=None)
+    if deepest is not None and (unit := name_small_unit(deepest)):
+        problem = f"the deepest insertion is {deepest.depth:.3g} mm deep: this looks like {unit}"
+        fix = f"check the unit of all lengths; they are read in mm ({unit} times {LENGTH_UNITS[unit]:g})"
+        yield ResultWarning("units", problem, checked.listed[0].where, fix)
 
 
 def find_boundary_warnings(
@@ -139,32 +123,40 @@ def find_boundary_warnings(
 ) -> Iterator[ResultWarning]:
     """Yield a warning for each medium with boundaries at depths that no tissue has."""
     for name, medium in record.media.items():
-        depths = [one.depth for one in insertions if one.medium == name]
+        depths = [insertion.depth for insertion in insertions if insertion.medium == name]
         if medium.boundaries_mm and depths:
             key = f"media.{name}.boundaries_mm"
             yield from warn(doubt_layers(medium.boundaries_mm, max(depths), key), where)
 
 
-def _find_own_boundary_warnings(
-    record: DatasetRecord, listed: Sequence[ListedInsertion]
-) -> Iterator[ResultWarning]:
-    """Yield a warning for each medium with insertions whose own boundaries lie at depths that none has."""
+def find_own_boundary_warnings(checked: Checked) -> Iterator[ResultWarning]:
+    """Yield the same of boundaries of media, and of those that rows of insertions state."""
+    record = checked.record
+    yield from find_boundary_warnings(record, checked.insertions, checked.where)
     column = record.insertions.columns.get(BOUNDARIES_COLUMN, BOUNDARIES_COLUMN)
     for name in record.media:
-        group = [one for one in listed if one.insertion.medium == name]
-        deepest = max((one.insertion.depth for one in group), default=0.0)
-        found = [
-            (doubts, one.where)
-            for one in group
-            if (doubts := list(doubt_layers(one.row.boundaries or (), deepest, column)))
-        ]
-        for _, what, fix in found[0][0] if found else ():
-            yield ResultWarning(
-                kind="units",
-                what=f"{what} ({len(found)} of {len(group)} rows of {name})",
-                where=f"{found[0][1]}",
-                fix=fix,
-            )
+        group = [entry for entry in checked.listed if entry.insertion.medium == name]
+        deepest = max((entry.insertion.depth for entry in group), default=0.0)
+        doubts = [[*doubt_layers(entry.row.boundaries or (), deepest, column)] for entry in group]
+        yield from _warn_of_rows(doubts, [entry.where for entry in group], f" of {name}")
+
+
+def _warn_of_rows(
+    doubts: Sequence[Sequence[Doubt]], places: Sequence[str], whose: str = ""
+) -> Iterator[ResultWarning]:
+    """Yield the doubts about the first row that has any, with how many rows have."""
+    doubtful = [number for number, row_doubts in enumerate(doubts) if row_doubts]
+    for _, problem, fix in doubts[doubtful[0]] if doubtful else ():
+        counted = f"{problem} ({len(doubtful)} of {len(places)} rows{whose})"
+        yield ResultWarning("units", counted, places[doubtful[0]], fix)
+
+
+def find_surface_warnings(checked: Checked) -> Iterator[ResultWarning]:
+    """Yield the warnings about insertions that miss surfaces, or meet them in another order."""
+    insertions = checked.insertions
+    for name in dict.fromkeys(insertion.medium for insertion in insertions if insertion.surfaces):
+        group = [insertion for insertion in insertions if insertion.medium == name]
+        yield from _find_surface_warnings(name, group, checked.where(f"media.{name}.surfaces"))
 
 
 def _find_surface_warnings(name: str, group: Sequence[Insertion], where: str) -> Iterator[ResultWarning]:
@@ -195,57 +187,39 @@ def _find_surface_warnings(name: str, group: Sequence[Insertion], where: str) ->
         )
 
 
-def _find_number_warnings(
-    record: DatasetRecord, listed: Sequence[ListedInsertion], where: FormatPlace
-) -> Iterator[ResultWarning]:
+def find_number_warnings(checked: Checked) -> Iterator[ResultWarning]:
     """Yield a warning for each column of deviations of the table that holds values hard to believe."""
-    source = record.insertions
-    for name, (least, most) in {
+    source, listed = checked.record.insertions, checked.listed
+    for name, plausible in {
         "pose_shift_sd_mm": SD_MM,
         "pose_angle_sd_deg": ANGLE_SD_DEG,
         ROLL_COLUMNS[1]: (0.0, MAX_ROLL_SD_DEG),
     }.items():
-        values = np.array([getattr(one.insertion, NUMBER_COLUMNS[name][0]) for one in listed])
-        values = np.degrees(values) if name.endswith("_deg") else values
-        bad = np.flatnonzero((values > 0) & ((values < least) | (values > most)))
-        if len(bad):
-            constant = name in source.constants and name not in source.columns
-            place = where(f"insertions.constants.{name}") if constant else listed[bad[0]].where
-            yield ResultWarning(
-                kind="units",
-                what=(
-                    f"`{source.columns.get(name, name)}` is {values[bad[0]]:g}, not "
-                    f"{least:g} to {most:g} ({len(bad)} of {len(listed)} rows)"
-                ),
-                where=place,
-                fix="check its unit",
-            )
+        values = np.array([getattr(insertion, NUMBER_COLUMNS[name][0]) for insertion in checked.insertions])
+        values = np.degrees(values) if (unit := name.rpartition("_")[2]) == "deg" else values
+        header = source.columns.get(name, name)
+        doubts = [[*doubt_range(value, plausible, {}, header, unit)] if value else [] for value in values]
+        is_constant = name in source.constants and name not in source.columns
+        constant = [checked.where(f"insertions.constants.{name}")] * len(listed)
+        yield from _warn_of_rows(doubts, constant if is_constant else [entry.where for entry in listed])
 
 
-def find_noise_warnings(
-    record: DatasetRecord, listed: Sequence[ListedInsertion], noise: Noise, where: FormatPlace
-) -> Iterator[ResultWarning]:
+def find_noise_warnings(checked: Checked) -> Iterator[ResultWarning]:
     """Yield the warnings that follow from stated errors and insertions together."""
-    insertions = [one.insertion for one in listed]
-    largest = max((abs(one.deflection) for one in insertions), default=0.0)
+    record, _, noise, where, _ = checked
+    insertions = checked.insertions
+    largest = max((abs(insertion.deflection) for insertion in insertions), default=0.0)
     sd = float(np.hypot(noise.point_sd, noise.correlated_sd))
-    if not noise.stated and not all(one.states_errors for one in insertions):
-        yield ResultWarning(
-            kind="no_noise",
-            what="no noise of the points is stated: there is no noise floor and no predictive interval",
-            where=where("noise.point_sd_mm"),
-            fix="write `noise.point_sd_mm`, the standard deviation of a point per axis",
-        )
+    if not noise.stated and not all(insertion.states_errors for insertion in insertions):
+        problem = "no noise of the points is stated: there is no noise floor and no predictive interval"
+        fix = "write `noise.point_sd_mm`, the standard deviation of a point per axis"
+        yield ResultWarning("no_noise", problem, where("noise.point_sd_mm"), fix)
     if sd > MAX_NOISE_PART * largest:
-        yield ResultWarning(
-            kind="noise",
-            what=f"the noise of the points, {sd:g} mm, hides deflections of {largest:.3g} mm at most",
-            where=where(_name_larger_sd(noise)),
-            fix="check its unit, mm",
-        )
+        problem = f"the noise of the points, {sd:g} mm, hides deflections of {largest:.3g} mm at most"
+        yield ResultWarning("noise", problem, where(_name_larger_sd(noise)), "check its unit, mm")
     else:
         is_smoothed = record.measurement is not None and record.measurement.operator != "none"
-        curves = [one.insertion for one in listed if one.is_curve and not one.insertion.independent]
+        curves = [curve.insertion for curve in checked.curves if not curve.insertion.independent]
         yield from find_scatter_warnings(curves, noise, where(_name_larger_sd(noise)), is_smoothed)
 
 

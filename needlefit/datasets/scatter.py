@@ -8,7 +8,7 @@ from scipy.special import ndtri
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion, Noise
-from needlefit.datasets.layers import SAME_POINT_MM, ListedInsertion
+from needlefit.datasets.layers import SAME_POINT_MM, Checked, ListedInsertion
 from needlefit.datasets.outlying_points import MIN_CURVE_POINTS
 from needlefit.datasets.points import find_rounding
 from needlefit.geometry.neighbours import leave_one_out
@@ -62,9 +62,9 @@ def find_scatter_warnings(
         yield ResultWarning("noise", problem, where=place, fix=fix)
 
 
-def find_axis_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
+def find_axis_warnings(checked: Checked) -> Iterator[ResultWarning]:
     """Yield a warning if points scatter along one axis as in another unit, and along others as stated."""
-    stated = math.hypot(noise.point_sd, noise.correlated_sd)
+    listed, stated = checked.curves, math.hypot(checked.noise.point_sd, checked.noise.correlated_sd)
     if not listed or stated == 0:
         return
     rounding = find_rounding([entry.points.values for entry in listed])
