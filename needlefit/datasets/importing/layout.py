@@ -137,7 +137,8 @@ def _is_transposed(rows: Rows, decimal: str) -> bool:
 def _find_header_rows(rows: Rows, decimal: str, comment: str) -> list[int]:
     """Return the numbers of the rows of headers: the texts right above the first long run of numbers."""
     numeric = [
-        sum(_is_number(cell, decimal) for cell in row) > (len(row) > 2) and not _is_head(row, comment)
+        sum(_is_number(cell, decimal) or cell.lower() in MISSING for cell in row) > (len(row) > 2)
+        and not _is_head(row, comment)
         for row in rows
     ]
     runs = [
