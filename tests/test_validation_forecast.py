@@ -183,6 +183,16 @@ def test_a_prediction_follows_a_target_without_spread_between_specimens(job, mon
     assert widths[2] > 2 * widths[0] and widths[0] == widths[1]
 
 
+def test_the_parameters_of_a_prediction_are_those_of_the_mean_of_specimens(job, monkeypatch):
+    """As a fit states them: draws of all insertions together are of no specimen."""
+    mean = theta(job, bevel_mm=0.05)
+    monkeypatch.setattr(
+        Specimens, "replace_mean", lambda _, draws: replace(draws, thetas=np.tile(mean, (9, 1)))
+    )
+    rows = predict_with(job, monkeypatch, [theta(job)] * 5).frames["parameters"].set_index("parameter")
+    assert rows.loc["bevel_mm", "median"] == approx(0.05)
+
+
 @pytest.mark.parametrize(("depth", "count"), [(1.1, 0), (1.5, 1), (0.3, 1)])
 def test_a_depth_that_was_not_fitted_is_named(job, monkeypatch, depth, count):
     """`depth`: over that of an insertion that was fitted."""

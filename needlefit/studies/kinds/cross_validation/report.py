@@ -77,7 +77,7 @@ def collect_values(run: Run) -> dict[str, Any]:
         "agreeing": int(starts["within_tolerance"].astype(bool).sum()),
         "evaluations": int(starts["evaluations"].sum()),
         "failed": int(starts["failed_solves"].sum()),
-        "computation": {  # searches of nlopt, and independent draws of the posterior
+        "computation": {  # searches of the mode, and independent draws of the posterior
             "starts": int((starts["fit"] == "fitted").sum()),
             "source": source,
             "sampler": sampling.sampler,

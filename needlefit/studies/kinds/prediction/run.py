@@ -172,8 +172,7 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
     if forecasted.outside:
         share = f"{forecasted.outside} of {len(forecasted.across)} predicted needles"
         problem = f"{share} are outside what the model assumes (slopes, shortening, compression)"
-        fix = "`needlefit simulate` of the scene names what is exceeded"
-        warned.append(ResultWarning("validity", problem, fix=fix))
+        warned.append(ResultWarning("validity", problem, fix="read its intervals with care"))
     depths = [insertion.depth for insertion in job.folds[0].tune]
     z_unfitted = forecasted.across.shape[2] > job.dataset.directions
     warned += extrapolation_warnings(scene.depth, depths, z_unfitted=z_unfitted)
@@ -189,7 +188,9 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
         record=stored.model_copy(update=named),
         frames={
             "forecast": needle,
-            "parameters": list_parameters(job, fitted, forecasted.mode, sampled or judged),
+            "parameters": list_parameters(
+                job, specimens.replace_mean(fitted), forecasted.mode, sampled or judged
+            ),
         },
         metadata=about.metadata.extend(
             PredictionMetadata,
