@@ -17,6 +17,7 @@ from numpy.random import default_rng
 from problem_cases import ALONG_X, make_problem
 from pytest import approx
 
+from needlefit.datasets.folds import is_copy
 from needlefit.datasets.insertion import Noise
 from needlefit.datasets.read import check, read
 from needlefit.geometry.curves import compare_curves
@@ -48,6 +49,13 @@ def tip(depth, side=1, error=0.0):
 def tips(seed):
     errors = iter(NOISE.point_sd * default_rng(seed).normal(size=40))
     return [tip(depth, side, next(errors)) for depth in np.arange(20.0, 100.0, 5.0) for side in (1, -1)]
+
+
+def test_equal_readings_of_two_tips_are_no_copies_and_equal_shapes_are():
+    first, other = (replace(tip(40.0), id=name) for name in "ab")
+    assert not is_copy(first, other)
+    shape = insertion(40.0).with_points(np.array([[0.0, 0.0], [20.0, 0.3], [40.0, 1.0]]))
+    assert is_copy(shape, replace(shape, id="b"))
 
 
 def problem(made):

@@ -79,7 +79,7 @@ def _divide(number: int, stated: FoldsRecord, record: StudyRecord, dataset: Data
 
 def _require_no_copies(fold: Fold) -> Fold:
     """Return a fold; ConfigError if it holds out a copy of an insertion fitted to: it tests nothing."""
-    pairs = ((first, other) for first in fold.validate for other in fold.tune if _is_copy(first, other))
+    pairs = ((first, other) for first in fold.validate for other in fold.tune if is_copy(first, other))
     if copies := next(pairs, None):
         first, other = copies
         raise ConfigError(
@@ -145,7 +145,7 @@ def divide_insertions(insertions: tuple[Insertion, ...], kind: str) -> dict[str,
     }
 
 
-def _is_copy(one: Insertion, other: Insertion) -> bool:
-    """Whether two insertions have the same centreline, point by point."""
+def is_copy(one: Insertion, other: Insertion) -> bool:
+    """Whether two insertions have the same shape, point by point; rounded tips may agree by chance."""
     a, b = one.centerline, other.centerline
-    return a.shape == b.shape and bool(np.abs(a - b).max() <= SAME_POINT_MM)
+    return a.shape == b.shape and len(a) > 2 and bool(np.abs(a - b).max() <= SAME_POINT_MM)
