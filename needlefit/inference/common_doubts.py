@@ -30,6 +30,7 @@ from needlefit.inference.hypotheses import (
 )
 from needlefit.inference.linear_needles import Prediction, fit_quickly, linearize_needles, predict_from, refit
 from needlefit.inference.plausible import list_implausible
+from needlefit.inference.posterior_density import KnownPoints
 from needlefit.inference.problem import Problem
 from needlefit.project.unit_warnings import LENGTH_UNITS
 
@@ -50,11 +51,14 @@ def find_common(problem: Problem, theta: Floats) -> Explanation | None:
     """
     count = sum(problem.density.residual_counts)
 
-    def predict(changed: Problem, fitted: Floats) -> Prediction:
-        uses = np.ones((1, len(changed.insertions)), dtype=bool)
-        return predict_from(changed, linearize_needles(changed, changed.insertions, fitted), uses, fitted)[0]
+    simulated = KnownPoints()  # of these needles: turns and shifts change what was measured alone
 
-    before = predict(problem, theta)
+    def predict(changed: Problem, fitted: Floats, known: KnownPoints | None = None) -> Prediction:
+        uses = np.ones((1, len(changed.insertions)), dtype=bool)
+        blocks = linearize_needles(changed, changed.insertions, fitted, known=known)
+        return predict_from(changed, blocks, uses, fitted)[0]
+
+    before = predict(problem, theta, simulated)
 
     def deviate(after: Prediction, is_right: bool = True) -> Deviation:
         gain = after.log_density - before.log_density
@@ -74,7 +78,7 @@ def find_common(problem: Problem, theta: Floats) -> Explanation | None:
         return found, sd
 
     def measure_linear(change: Change, fitted: Floats, sizes: Sequence[float]) -> list[Deviation]:
-        return [deviate(predict(change_all(problem, change, size), fitted)) for size in sizes]
+        return [deviate(predict(change_all(problem, change, size), fitted, simulated)) for size in sizes]
 
     def search_boundary(change: Change) -> tuple[dict[float, Deviation], float]:
         fits = {0.0: theta}  # by size

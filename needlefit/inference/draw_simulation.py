@@ -105,7 +105,7 @@ def simulate_draws(
         stations, still = np.linspace(0.0, insertion.depth, PATH_POINTS), np.zeros_like(deep)
         depths, sequence = find_path_layers(np.outer(stations, (1.0, 0.0, 0.0)), insertion)
         met = [(every, np.tile(depths, (len(sets), 1)), sequence)]
-        straight = _simulate(sets, medium, insertion, stations, met, still, np.zeros_like(wrong), jobs)
+        straight = _simulate(sets, medium, insertion, stations, met, still, np.zeros_like(wrong), jobs, False)
         met = _find_met_layers(straight.points, insertion, wrong, medium.layers)
     return _simulate(sets, medium, insertion, s, met, deep, wrong, jobs)
 
@@ -119,6 +119,7 @@ def _simulate(
     deep: Floats,
     wrong: Floats,
     jobs: int,
+    judged: bool = True,
 ) -> DrawnNeedles:
     parts = []
     for rows, boundaries, sequence in met:
@@ -132,19 +133,21 @@ def _simulate(
             planned = replace(insertion, depth=depth, sequence=sequence, boundaries=moved[0])
             batch = make_batch([sets[n] for n in some.tolist()], medium, planned, moved)
             parts.append((some, batch, s + error))
-    return _read_needles(len(sets), len(s), parts, jobs)
+    return _read_needles(len(sets), len(s), parts, jobs, judged)
 
 
 def _read_needles(
-    count: int, width: int, parts: Sequence[tuple[Ints, Batch, Floats]], jobs: int
+    count: int, width: int, parts: Sequence[tuple[Ints, Batch, Floats]], jobs: int, judged: bool = True
 ) -> DrawnNeedles:
     """Return the needles of so many draws at so many places.
 
-    `parts`: some of the draws, their batch, and the places (K,) along it.
+    `parts`: some of the draws, their batch, and the places (K,) along it. Unless `judged`, every solution
+    counts as valid.
     """
 
     def read(number: int, shapes: NeedleShapes, rows: slice) -> tuple[Floats, Bools]:
-        return compute_batch_positions(shapes, parts[number][2]), shapes.valid
+        valid = shapes.valid if judged else shapes.converged
+        return compute_batch_positions(shapes, parts[number][2]), valid
 
     curves = read_batches([batch for _, batch, _ in parts], lambda some: simulate_batches(some, jobs), read)
     points, valid = np.full((count, width, 3), np.nan), np.zeros(count, dtype=np.bool_)

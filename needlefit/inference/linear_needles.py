@@ -20,6 +20,7 @@ from needlefit.inference.identifiability.precision import prior_information
 from needlefit.inference.least_squares import run_least_squares
 from needlefit.inference.optimize import starting_points
 from needlefit.inference.parameter_names import BEVEL_PARAMETERS
+from needlefit.inference.posterior_density import KnownPoints
 from needlefit.inference.problem import APPROACH_TOLERANCE, Problem, make_posterior_objective
 from needlefit.project.progress import never_stop
 
@@ -100,12 +101,17 @@ def refit(problem: Problem, some: Sequence[Insertion], theta: Floats) -> Floats:
 
 
 def linearize_needles(
-    problem: Problem, insertions: Sequence[Insertion], theta: Floats, *, reaches_tip: bool = True
+    problem: Problem,
+    insertions: Sequence[Insertion],
+    theta: Floats,
+    *,
+    reaches_tip: bool = True,
+    known: KnownPoints | None = None,
 ) -> Blocks:
     """Return the residuals of needles, each by itself, about `theta` (P,), without the prior's.
 
     They share neither layers nor bevels. Points that do not reach the tip lie at their own distances from
-    the entry.
+    the entry. `known`: as of `PosteriorDensity.differentiate_points`.
     """
     apart = tuple(replace(insertion, specimen=str(n)) for n, insertion in enumerate(insertions))
     likelihood = problem.likelihood.model_copy(update={"bevel_spread": 0.0})
@@ -117,7 +123,9 @@ def linearize_needles(
             nodes = replace(observation.nodes, s=part * observation.nodes.s)
             cut.append(replace(observation, nodes=nodes))
         density = replace(density, observations=tuple(cut))
-    ((residuals, slopes),) = density.jacobians([problem.values(theta)])
+    values = problem.values(theta)
+    points = density.differentiate_points(values, known)
+    ((residuals, slopes),) = density.jacobians([values], points=points)
     ends = np.cumsum(density.residual_counts)
     pairs = zip(np.split(residuals, ends)[:-1], np.split(slopes, ends)[:-1], strict=True)
     squares, pulls, informations = zip(

@@ -27,6 +27,7 @@ from needlefit.schemas.medium import MediumRecord
 
 #: of each node of all insertions its points (B, K, 2), in space (B, K, 3), and their derivatives (..., P)
 NodePoints = list[tuple[Floats, Floats]]
+KnownPoints = dict[tuple[object, ...], NodePoints]  #: by the values, and where the points were read
 NEEDLES_AT_ONCE = 100_000  #: needles whose residuals are held at once
 DERIVATIVES_AT_ONCE = 40_000  #: the same with derivatives
 
@@ -138,9 +139,16 @@ class PosteriorDensity:
         parts = (sets[some] for some in self.split(len(sets), DERIVATIVES_AT_ONCE))
         return [pair for part in parts for pair in self._linearize(part, jobs, points)]
 
-    def differentiate_points(self, values: Values) -> NodePoints:
-        """Return the points of all nodes of one set, and their derivatives."""
-        return list(self._nodes.model.differentiate([values], self.parameters, self._nodes.places))
+    def differentiate_points(self, values: Values, known: KnownPoints | None = None) -> NodePoints:
+        """Return the points of all nodes of one set, and their derivatives.
+
+        `known`: those of the same needles, to which these are added.
+        """
+        nodes, known = self._nodes, {} if known is None else known
+        key = (*values.items(), *(s.tobytes() for s in nodes.places))
+        if key not in known:
+            known[key] = list(nodes.model.differentiate([values], self.parameters, nodes.places))
+        return known[key]
 
     def _linearize(
         self, sets: Sequence[Values], jobs: int, points: NodePoints | None
