@@ -323,7 +323,8 @@ def _doubt_guide_end(
                 return None
             near = np.abs(profile.s - run.end) < MM.MATCH
             film = np.nanmin(profile.around[near]) < min(run.level, after.level) - HU.GUIDE_STEP
-            return float(np.hypot(run.end - end, MM.HIDDEN_FACE_SD * film))
+            # both ends err: each by half of what they differ
+            return float(np.hypot((run.end - end) / 2, MM.HIDDEN_FACE_SD * film))
     # of a thin guide blur leaves no step
     inside = (profile.s > begin + MM.EDGE_BLUR / 4) & (profile.s < end)
     beyond = (profile.s > end + MM.EDGE_BLUR / 4) & (profile.s < end + MM.EDGE_BLUR)
