@@ -24,7 +24,7 @@ def run(self, name, record, sample, file):
 shown = []
 Execution.run = run
 Execution.write = lambda self, run: Path(f"{run.name}.txt").write_text(run.name)
-execution._show_study = lambda given, run, count: shown.append(run.name)
+execution.show_run = lambda asked, run, folder, named: shown.append(run.name)
 asked = Invocation((), jobs=int(sys.argv[1]), quiet=True)
 todo = [StudyTask(name, SimpleNamespace(), Path(f"{name}.toml")) for name in sys.argv[3:]]
 try:

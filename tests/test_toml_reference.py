@@ -38,6 +38,6 @@ def test_explain_knows_every_word_of_page_one(kind, world):
 
 
 def test_every_key_of_a_file_is_explained():
-    files = describe_files(list_files(list_records()))
+    files = describe_files(list_records())
     keys = {key.key for _, tables in files for table in tables for key in table.keys}
     assert len(keys) > 150 and not [key for key in keys if not find_topics(key)]

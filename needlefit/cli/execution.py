@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from needlefit.datasets.insertion import Dataset
     from needlefit.project.tasks import TaskPool
     from needlefit.schemas.base import FileRecord
-    from needlefit.schemas.study import FitRecord, StudyRecord
+    from needlefit.schemas.study import FitRecord
     from needlefit.studies.answer import Advice
     from needlefit.studies.job import Inputs
     from needlefit.studies.run import Run
@@ -212,7 +212,7 @@ class StudyRunner:
         from needlefit.studies.job import Inputs
 
         noted, record, inputs = list[str](), work.record, self.execution.inputs
-        if isinstance(record, FitRecord | StudyRecord):
+        if isinstance(record, FitRecord):
             inputs = Inputs(dataset=self.datasets[find_dataset_path(record)])
         asked = replace(self.execution.invocation, noted=noted)
         execution = replace(self.execution, invocation=asked, inputs=inputs)
@@ -225,7 +225,7 @@ class StudyRunner:
         return run, noted
 
 
-def find_dataset_path(record: "FitRecord | StudyRecord") -> Path:
+def find_dataset_path(record: "FitRecord") -> Path:
     """Return the file or folder of the dataset that a study or fit names."""
     from needlefit.project.toml import find_named
 
@@ -240,11 +240,11 @@ def run_studies(execution: Execution, todo: Sequence[StudyTask]) -> "list[Run]":
     from needlefit.datasets.read import read
     from needlefit.project.tasks import LocalPool, can_fork, stop_requested
     from needlefit.project.toml import add_file_context
-    from needlefit.schemas.study import FitRecord, StudyRecord
+    from needlefit.schemas.study import FitRecord
 
     datasets: dict[Path, Dataset] = {}
     for work in todo:
-        if isinstance(work.record, FitRecord | StudyRecord):
+        if isinstance(work.record, FitRecord):
             with add_file_context(work.file):
                 path = find_dataset_path(work.record)
                 datasets[path] = datasets.get(path) or read(path)
@@ -264,20 +264,12 @@ def run_studies(execution: Execution, todo: Sequence[StudyTask]) -> "list[Run]":
         finished[number] = run
         while len(done) in finished:  # in their order
             done.append(finished[len(done)])
-            _show_study(execution, done[-1], len(todo))
+            show_run(asked, done[-1], execution.folder(done[-1].name), named=len(todo) > 1)
+            if len(todo) > 1 and not asked.json:
+                screen.print_line()
     if len(done) < len(todo):
         raise execution.interrupted()
     return done
-
-
-def _show_study(execution: Execution, run: "Run", count: int) -> None:
-    """Print one of so many studies, as JSON its warnings alone."""
-    if execution.invocation.json:
-        show_warnings(execution.invocation, run)
-        return
-    show_run(execution.invocation, run, execution.folder(run.name), count > 1)
-    if count > 1:
-        screen.print_line()
 
 
 #: how a terminal shows the beginning of an answer, by its status
@@ -287,8 +279,11 @@ STATUS_STYLES = {"none": "bold", "pass": "bold green", "warn": "bold yellow", "f
 def show_run(invocation: Invocation, run: "Run", folder: Path, named: bool = False) -> None:
     """Print the first page of a study, the answer first, the method last; with `--explain` all tables.
 
-    `named`: before the answer stands the name of the run.
+    `named`: before the answer stands the name of the run. With `--json` its warnings are printed alone.
     """
+    if invocation.json:
+        show_warnings(invocation, run)
+        return
     from needlefit.reporting.table import drop_repeated
     from needlefit.studies.first_page import METHOD, lay_out_checks, summarize_checks
     from needlefit.studies.report import find_report
@@ -357,10 +352,7 @@ def show_runs(execution: Execution, runs: "Sequence[Run]", more: dict[str, objec
     if execution.invocation.json:
         show_json_of(runs, more)
     for run in runs:
-        if execution.invocation.json:
-            show_warnings(execution.invocation, run)
-        else:
-            show_run(execution.invocation, run, execution.folder(run.name), named=len(runs) > 1)
+        show_run(execution.invocation, run, execution.folder(run.name), named=len(runs) > 1)
 
 
 def show_json_of(runs: "Sequence[Run]", more: dict[str, object] | None = None) -> None:

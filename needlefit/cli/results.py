@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from needlefit.cli import options, screen
-from needlefit.cli.execution import show_json_of, show_run, show_warnings
+from needlefit.cli.execution import show_json_of, show_run
 from needlefit.cli.options import argument, option
 
 MAX_SHOWN_DIFFERENCES = 40  #: rows of the table of differences on the screen
@@ -37,9 +37,7 @@ def report(
     done = rebuild(folder, written)
     if invocation.json:
         show_json_of([done])
-        show_warnings(invocation, done)
-    else:
-        show_run(invocation, done, written)
+    show_run(invocation, done, written)
     if paper is not None:
         from needlefit.studies.paper_folder import write_paper_folder
 

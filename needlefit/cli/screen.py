@@ -8,9 +8,9 @@ import shutil
 import sys
 import textwrap
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from needlefit.cli.exit_codes import Invocation
 from needlefit.errors import without_controls
@@ -20,7 +20,7 @@ from needlefit.project.result_warnings import ResultWarning, condense_open_point
 if TYPE_CHECKING:
     from rich.table import Table as RichTable
 
-    from needlefit.reporting.table import TableLayout
+    from needlefit.reporting.table import TableColumn, TableLayout
 
 
 def print_line(text: str = "") -> None:
@@ -93,11 +93,17 @@ def show_json(value: object) -> None:
 
 def show_frame(frame: Any, title: str) -> None:  # noqa: ANN401  a pandas.DataFrame, not imported here
     """Print a DataFrame under a title; missing values are empty."""
+    from needlefit.reporting.table import TableColumn, TableLayout
+
     rows = [[_cell(value) for value in row] for row in frame.itertuples(index=False)]
-    right = [all(is_number or not text for text, is_number in column) for column in zip(*rows, strict=True)]
-    columns = [(str(name), at_right) for name, at_right in zip(frame.columns, right, strict=True)]
+    columns = [
+        TableColumn(
+            str(name), align="right" if all(is_number or not text for text, is_number in cells) else "left"
+        )
+        for name, cells in zip(frame.columns, zip(*rows, strict=True), strict=True)
+    ]
     print_line(title)
-    _show(_Grid(columns, [[text for text, _ in row] for row in rows]))
+    _show(TableLayout("", "", tuple(columns), tuple(tuple(text for text, _ in row) for row in rows)))
     print_line()
 
 
@@ -107,13 +113,9 @@ MAX_HEAD_LINES = 8  #: of the head of a column
 
 def show_display(table: "TableLayout", notes: bool = True) -> None:
     """Print a table that is ready to be set: its caption, its cells, its notes if wanted."""
-    columns = [
-        (" ".join(filter(None, (column.label, column.unit))), column.align == "right")
-        for column in table.columns
-    ]
     if table.caption:
         print_text(table.caption)
-    _show(_Grid(columns, table.rows, table.breaks, table.strong))
+    _show(table)
     for line in table.notes if notes else ():
         print_text(line)
 
@@ -121,30 +123,28 @@ def show_display(table: "TableLayout", notes: bool = True) -> None:
 _RICH_NO_BREAK = "\ue000"  #: stands for a no-break space in rich, which breaks lines there
 
 
-@dataclass(frozen=True)
-class _Grid:
-    """Cells under heads, each head with whether its column stands at the right."""
-
-    columns: Sequence[tuple[str, bool]]
-    rows: Sequence[Sequence[str]]
-    breaks: Sequence[int] = ()  # rows before which a rule stands
-    strong: Sequence[int] = ()  # rows in bold
-
-    def turn(self) -> "_Grid":
-        """Return the grid with rows as columns, whose heads are the cells of the first column."""
-        (head, _), *others = self.columns
-        first, *cells = zip(*self.rows, strict=True)
-        columns = [(head, False), *((name, True) for name in first)]
-        labels = (" ".join(label.split()) for label, _ in others)
-        return _Grid(columns, [(label, *row) for label, row in zip(labels, cells, strict=True)])
-
-    def keep(self, count: int) -> "_Grid":
-        """Return the grid with its first columns alone."""
-        return replace(self, columns=self.columns[:count], rows=[row[:count] for row in self.rows])
+def _join_head(column: "TableColumn") -> str:
+    """Return the head of a column, on one line unless it has several."""
+    return " ".join(filter(None, (column.label, column.unit)))
 
 
-def _show(grid: _Grid) -> None:
-    """Print a grid within the width of the screen, without breaking a word.
+def _turn(table: "TableLayout") -> "TableLayout":
+    """Return a table with rows as columns, whose heads are the cells of the first column."""
+    from needlefit.reporting.table import TableColumn
+
+    (head, *others), (first, *cells) = table.columns, zip(*table.rows, strict=True)
+    columns = (replace(head, align="left"), *map(TableColumn, first))
+    labels = (" ".join(_join_head(column).split()) for column in others)
+    rows = tuple((label, *row) for label, row in zip(labels, cells, strict=True))
+    return replace(table, columns=columns, rows=rows, breaks=(), strong=())
+
+
+def _keep_columns(table: "TableLayout", count: int) -> "TableLayout":
+    return replace(table, columns=table.columns[:count], rows=tuple(row[:count] for row in table.rows))
+
+
+def _show(table: "TableLayout") -> None:
+    """Print a table within the width of the screen, without breaking a word.
 
     A table whose numbers and longest words need more than a terminal has is turned; where that is too wide
     as well, its last columns are left out and named. In a pipe it is printed as wide as it is.
@@ -155,33 +155,33 @@ def _show(grid: _Grid) -> None:
     console, is_fixed = Console(width=find_width()), sys.stdout.isatty() or "COLUMNS" in os.environ
     unlimited = console.options.update(max_width=MAX_MEASURED_COLUMNS)  # else it is the console's width
 
-    def measure(grid: _Grid, head_lines: int = MAX_HEAD_LINES) -> Measurement:
-        return Measurement.get(console, unlimited, _tabulate(grid, head_lines))
+    def measure(table: "TableLayout", head_lines: int = MAX_HEAD_LINES) -> Measurement:
+        return Measurement.get(console, unlimited, _tabulate(table, head_lines))
 
-    left: Sequence[tuple[str, bool]] = ()
+    left: Sequence[TableColumn] = ()
     if not is_fixed:
-        console.width = max(SCREEN_COLUMNS, measure(grid).minimum)
-    elif measure(grid).minimum > console.width:
-        if grid.rows and measure(turned := grid.turn()).minimum <= console.width:
-            grid = turned
+        console.width = max(SCREEN_COLUMNS, measure(table).minimum)
+    elif measure(table).minimum > console.width:
+        if table.rows and measure(turned := _turn(table)).minimum <= console.width:
+            table = turned
         else:
-            counts = range(len(grid.columns), 1, -1)
-            count = next((n for n in counts if measure(grid.keep(n)).minimum <= console.width), 1)
-            grid, left = grid.keep(count), grid.columns[count:]
-    fitting = (n for n in range(1, MAX_HEAD_LINES) if measure(grid, n).maximum <= console.width)
-    table = _tabulate(grid, next(fitting, MAX_HEAD_LINES))
-    if Measurement.get(console, unlimited, table).maximum <= console.width - len(grid.columns):
-        table.padding = (0, 1, 0, 0)  # heads of several words stand side by side
+            counts = range(len(table.columns), 1, -1)
+            count = next((n for n in counts if measure(_keep_columns(table, n)).minimum <= console.width), 1)
+            table, left = _keep_columns(table, count), table.columns[count:]
+    fitting = (n for n in range(1, MAX_HEAD_LINES) if measure(table, n).maximum <= console.width)
+    printed_table = _tabulate(table, next(fitting, MAX_HEAD_LINES))
+    if Measurement.get(console, unlimited, printed_table).maximum <= console.width - len(table.columns):
+        printed_table.padding = (0, 1, 0, 0)  # heads of several words stand side by side
     with console.capture() as printed:
-        console.print(table)
+        console.print(printed_table)
     for line in printed.get().replace(_RICH_NO_BREAK, " ").splitlines():
         print(line.rstrip())
     if left:
-        heads = ", ".join(" ".join(head.split()) for head, _ in left)
+        heads = ", ".join(" ".join(_join_head(column).split()) for column in left)
         print_text(f"Not shown, as the terminal is too narrow: {heads}")
 
 
-def _tabulate(grid: _Grid, head_lines: int) -> "RichTable":
+def _tabulate(layout: "TableLayout", head_lines: int) -> "RichTable":
     """Return the table that rich prints: words are wrapped, not numbers; heads in so many lines at most."""
     from rich import box
     from rich.align import Align
@@ -195,19 +195,18 @@ def _tabulate(grid: _Grid, head_lines: int) -> "RichTable":
 
     padding = (0, 1 if head_lines == 1 else 0, 0, 0)
     table = RichTable(box=box.SIMPLE_HEAD, padding=padding, pad_edge=False, show_edge=False)
-    for number, (head, is_right) in enumerate(grid.columns):
-        text = bind(head.strip(" \n"))
-        if is_right and head_lines > 1:
+    for number, column in enumerate(layout.columns):
+        text, side = bind(_join_head(column).strip(" \n")), column.align
+        if side == "right" and head_lines > 1:
             # no narrower than its longest word, or its widest cell
-            width = max(map(len, (*re.split("[ \n]+", text), *(row[number] for row in grid.rows))))
+            width = max(map(len, (*re.split("[ \n]+", text), *(row[number] for row in layout.rows))))
             folds = (_fold(text, wide) for wide in range(width, len(text) + 1))
             text = next((fold for fold in folds if fold.count("\n") < head_lines), text)
-        side: Literal["left", "right"] = "right" if is_right else "left"
         heading = Align(Text(text, justify=side), side, vertical="bottom")
-        table.add_column(heading, justify=side, no_wrap=is_right, overflow="fold")
-    for number, row in enumerate(grid.rows, start=1):
-        style = "bold" if number - 1 in grid.strong else None
-        table.add_row(*(Text(bind(cell)) for cell in row), style=style, end_section=number in grid.breaks)
+        table.add_column(heading, justify=side, no_wrap=side == "right", overflow="fold")
+    for number, row in enumerate(layout.rows, start=1):
+        style = "bold" if number - 1 in layout.strong else None
+        table.add_row(*(Text(bind(cell)) for cell in row), style=style, end_section=number in layout.breaks)
     return table
 
 

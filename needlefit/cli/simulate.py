@@ -53,6 +53,10 @@ def simulate(
 
     Deflection is the tip's y in the constraint frame (x along the entry, y to the left).
     """
+    from needlefit.mechanics.scene import Scene, simulate_scene
+    from needlefit.project.unit_warnings import scene_warnings
+    from needlefit.viewer.export import SimulationOutcome, write_file
+
     files = {"--plot": plot, "--csv": csv, "--slicer": slicer}
     written = {option: path for option, path in files.items() if path is not None}
     if recording is None:
@@ -60,7 +64,10 @@ def simulate(
             raise typer.BadParameter("give a SCENE, or a recording with --recording", param_hint="SCENE")
         require_output_files(written, [find_file("scene", scene)])
         where, record = scene_record(scene, depth, set_ or [])
-        done = _simulate_scene(scene, record, where)
+        model = Scene.from_record(record, where)
+        shapes = simulate_scene(model)
+        title, first_cell = record.title or scene, model.lattice.first_cell
+        done = SimulationOutcome(title, model, shapes, model.steps, first_cell)
     else:
         if scene is not None or depth is not None or set_:
             raise typer.BadParameter(
@@ -69,8 +76,6 @@ def simulate(
             )
         done, record = _replay_recording(recording, written)
         where = str(recording)
-    from needlefit.project.unit_warnings import scene_warnings
-    from needlefit.viewer.export import write_file
 
     # before anything is printed: a name may be none of a picture
     saved = [path for option, path in written.items() if write_file(done, option.removeprefix("--"), path)]
@@ -99,16 +104,6 @@ def simulate(
             f"needlefit: {failed} did not converge ({summary['status']}); the values are no result"
         )
         raise typer.Exit(exit_codes.NOT_CONVERGED)
-
-
-def _simulate_scene(name: str, record: "SceneRecord", where: str) -> "SimulationOutcome":
-    """Carry out a scene's steps; `where` is named in errors."""
-    from needlefit.mechanics.scene import Scene, simulate_scene
-    from needlefit.viewer.export import SimulationOutcome
-
-    scene = Scene.from_record(record, where)
-    shapes = simulate_scene(scene)
-    return SimulationOutcome(record.title or name, scene, shapes, scene.steps, scene.lattice.first_cell)
 
 
 def _replay_recording(path: Path, outputs: Mapping[str, Path]) -> "tuple[SimulationOutcome, SceneRecord]":

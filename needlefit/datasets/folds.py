@@ -33,7 +33,7 @@ class Fold:
         return replace(self, tune=tune, validate=validate)
 
 
-def make_folds(record: FitRecord | StudyRecord, dataset: Dataset) -> tuple[Fold, ...]:
+def make_folds(record: FitRecord, dataset: Dataset) -> tuple[Fold, ...]:
     """Return the folds of a study, or the single fold of a fit, which scores nothing.
 
     Raises ConfigError if a selection matches nothing, an insertion or a copy of it stands on both sides, or

@@ -216,18 +216,17 @@ def renamed_keys(names: Mapping[str, str]) -> Iterator[None]:
 
 
 @contextmanager
-def add_study_context(study: str, key: str = "") -> Iterator[None]:
-    """Give every ConfigError raised inside, if it names no place, this study and the key of its file."""
+def add_study_context(study: str) -> Iterator[None]:
+    """Give every ConfigError raised inside, if it names no place, this study."""
     try:
         yield
     except ConfigError as error:
         if error.where:
             raise
-        error.key = error.key or key
         raise error.at(describe_key(study, error.key)) from None
 
 
-def describe_key(study: str, key: str = "") -> str:
+def describe_key(study: str, key: str) -> str:
     """Return the name of a study file's key for messages."""
     return f"study {study}, key `{key}`" if key else f"study {study}"
 

@@ -4,7 +4,7 @@ import ast
 import inspect
 import textwrap
 import types
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
@@ -76,11 +76,13 @@ class TableDescription:
     keys: tuple[KeyDescription, ...]
 
 
-def describe_files(files: Iterable[FileKind]) -> list[tuple[FileKind, list[TableDescription]]]:
-    """Return the tables of several files; what an earlier one describes is not described again."""
+def describe_files(
+    studies: Mapping[str, type[FileRecord]],
+) -> list[tuple[FileKind, list[TableDescription]]]:
+    """Return the tables of all files of `list_files`; what one describes is not described again."""
     described = dict[type[BaseModel], str]()
     described_files = []
-    for file in files:
+    for file in list_files(studies):
         described[file.record] = file.title
         described_files.append((file, list(_describe_record(file.record, "", file.title, described))))
     return described_files

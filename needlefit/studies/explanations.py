@@ -7,7 +7,7 @@ from functools import cache
 from needlefit.datasets.input_tables import read_input_columns
 from needlefit.grouping import group_values
 from needlefit.project.help_pages import Topic, read_sections, read_terms
-from needlefit.project.toml_reference import KeyDescription, describe_files, list_files
+from needlefit.project.toml_reference import KeyDescription, describe_files
 from needlefit.reporting.columns import find_column, list_columns
 from needlefit.studies.kind import list_records
 
@@ -59,7 +59,7 @@ def _describe_input_columns() -> Iterator[Topic]:
 
 
 def _describe_files() -> Iterator[Topic]:
-    for file, tables in describe_files(list_files(list_records())):
+    for file, tables in describe_files(list_records()):
         paragraphs = []
         for table in tables:
             paragraphs.append(f"{table.title}. {table.summary}")
@@ -73,7 +73,7 @@ def _describe_files() -> Iterator[Topic]:
 
 
 def _describe_keys() -> Iterator[Topic]:
-    described = describe_files(list_files(list_records()))
+    described = describe_files(list_records())
     pairs = (
         (key.key, (table.title, key)) for _, tables in described for table in tables for key in table.keys
     )

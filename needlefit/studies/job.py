@@ -78,7 +78,7 @@ class Job:
     """
 
     name: str
-    record: FitRecord | StudyRecord
+    record: FitRecord
     dataset: Dataset
     medium: MediumRecord
     parameters: Parameters

@@ -41,7 +41,7 @@ def choose_recipe(record: FitRecord, settings: Settings, dataset: Dataset) -> Re
     return recipe
 
 
-def load_study(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Job:
+def load_study(name: str, record: FitRecord, settings: Settings) -> Job:
     """Load and check all that a study or fit names, but for what is given in memory.
 
     Raises ConfigError or DataError if anything it names is missing or wrong, the folds cannot be made, or an

@@ -46,7 +46,7 @@ __all__ = ["FRAMES", "Settings", "run"]
 
 
 @one_thread
-def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
+def run(name: str, record: FitRecord, settings: Settings) -> Run:
     """Run a study, or a fit, which is a study that scores only its own insertions.
 
     The same record, data, seed and versions give the same frames for any number of jobs, and after an
