@@ -22,7 +22,7 @@ from needlefit.project.toml import load
 from needlefit.reporting.dataset_import import explain_unclear
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.job import Inputs, Settings
-from needlefit.studies.load import load_study, print_notes
+from needlefit.studies.load import load_study
 
 NOISE = {"registration_mean_mm": 0.1, "point_sd_mm": 0.02}
 UP = np.array([0.0, 1.0, 0.0])
@@ -94,7 +94,7 @@ def test_no_shipped_dataset_gives_a_warning_and_a_study_names_those_of_units_and
         dataset, warnings=(ResultWarning("bevel_side", "all turned"), ResultWarning("noise", "x"))
     )
     settings = Settings(file=file, note=notes.append, inputs=Inputs(dataset=turned))
-    print_notes(load_study("phantom1", load(file, FitRecord), settings), settings)
+    load_study("phantom1", load(file, FitRecord), settings)
     assert notes == ["warning: all turned (needlefit explain bevel-side)"]
 
 

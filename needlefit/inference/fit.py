@@ -16,7 +16,7 @@ from needlefit.arrays import Floats
 from needlefit.errors import ModelError
 from needlefit.inference.metric_objective import WeightedDistances
 from needlefit.project.checkpoint import Checkpoint
-from needlefit.project.progress import never_stop
+from needlefit.project.progress import Step, never_stop, no_step
 from needlefit.schemas.recipe import ObjectiveName
 
 INTERRUPTED = "interrupted"
@@ -103,7 +103,7 @@ class Callbacks:
 
     stop: Callable[[], bool] = never_stop  #: asked before every evaluation or step, from any thread
     #: called with how much of a sampler's chain, or of a search, is done, and of how much
-    step: Callable[[int, int], None] = lambda done, total: None
+    step: Step = no_step
     jobs: int = 1  #: threads; the result does not depend on their number
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 Progress = Callable[[str, int, int], None]  # called with what is done, how much of it, of how much
+Step = Callable[[int, int], None]  # called with how much is done, of how much
 Stop = Callable[[], bool]
 
 Note = Callable[[str], None]
@@ -10,6 +11,10 @@ Note = Callable[[str], None]
 
 
 def no_progress(_what: str, _done: int, _of: int) -> None:
+    """Tell nobody."""
+
+
+def no_step(_done: int, _of: int) -> None:
     """Tell nobody."""
 
 

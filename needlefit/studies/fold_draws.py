@@ -1,6 +1,5 @@
 """Draw the parameters of a fold: in the specimens that were tuned on, and in a further one."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
@@ -30,6 +29,7 @@ from needlefit.inference.sampling.log_density import LogDensityFunction
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.inference.sampling.sample import sample, sample_density
 from needlefit.project.checkpoint import Checkpoint
+from needlefit.project.progress import Step, no_step
 from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import run_parts
 from needlefit.project.toml import describe_key
@@ -57,7 +57,7 @@ def search_fit(
     search: str,
     settings: Settings,
     checkpoint: Checkpoint,
-    step: Callable[[int, int], None] = lambda done, total: None,
+    step: Step = no_step,
 ) -> Fit:
     """Return the fit of one search of a fold, which is kept once it has ended.
 
@@ -82,7 +82,7 @@ def sample_posterior(
     begin: WeightedDraws,
     key: tuple[str, ...],
     settings: Settings,
-    step: Callable[[int, int], None] = lambda done, total: None,
+    step: Step = no_step,
 ) -> Posterior | None:
     """Return the posterior by MCMC, from weighted draws about a fit; None after a stop before there is any.
 
@@ -108,7 +108,7 @@ def draw_fold_parameters(
     fold: Fold,
     fit: Fit,
     settings: Settings,
-    step: Callable[[int, int], None] = lambda done, total: None,
+    step: Step = no_step,
 ) -> FoldDraws:
     """Draw parameters of a fold by importance sampling about its fit.
 

@@ -19,7 +19,7 @@ from needlefit.inference.identifiability.identify import (
     Identifiability,
     is_determined_by_profile,
 )
-from needlefit.inference.identifiability.profile import DEVIANCE_95, LikelihoodProfile
+from needlefit.inference.identifiability.profile import DEVIANCE_95
 from needlefit.inference.parameter_names import is_logarithmic, to_coordinate, to_value
 from needlefit.inference.parameters import Parameters
 from needlefit.inference.predict import Draws, estimate_end_errors
@@ -131,9 +131,42 @@ def identify_parameters(
             condition = verdict.conditions.get(parameter.name, "")
         is_known = is_determined and not condition and by_profile[parameter.name]
         word = directions.name_determined(is_known, held.get(parameter.name, False))
-        ends = float(problem.lower[k]), float(problem.upper[k])
-        rows.append(_parameter_row(parameter, ends, prior_sd, sd) | {"determined": word, "note": condition})
-        points += _profile_rows(problem.parameters, parameter)
+        name = parameter.name
+        low, high = (to_value(name, end) for end in (parameter.low, parameter.high))
+        rows.append(
+            {
+                "parameter": name,
+                "value": to_value(name, parameter.best),
+                "prior_sd": prior_sd,
+                "sd": sd,
+                "fisher_sd": parameter.sd,
+                "sd_ratio": sd / prior_sd,
+                "low": low,
+                "high": high,
+                "end_low": parameter.ends[0],
+                "end_high": parameter.ends[1],
+                **ParameterInterval(low, high, "profile").columns(),
+                "bound_low": to_value(name, float(problem.lower[k])),
+                "bound_high": to_value(name, float(problem.upper[k])),
+                "rise": parameter.rise,
+                "tip_shift_mm": math.nan,
+                "determined": word,
+                "note": condition,
+            }
+        )
+        points += [  # with where all other parameters went
+            {
+                "parameter": name,
+                "value": to_value(name, float(coordinate)),
+                "deviance": float(deviance),
+                "slope": float(slope),
+                "threshold": DEVIANCE_95,
+                **{n: to_value(n, float(other)) for n, other in zip(problem.names, theta, strict=True)},
+            }
+            for coordinate, deviance, slope, theta in zip(
+                parameter.at, parameter.deviance, parameter.slope, parameter.thetas, strict=True
+            )
+        ]
     return IdentificationRows(by_profile, tuple(rows), tuple(points))
 
 
@@ -165,48 +198,6 @@ def reconcile_verdict(verdict: Identifiability, by_profile: Mapping[str, bool]) 
     determined = {n: is_found and n not in denied for n, is_found in verdict.determined.items()}
     notes = {**verdict.notes, **dict.fromkeys(denied, "not determined: its profile is open or wide")}
     return replace(verdict, determined=determined, notes=notes)
-
-
-def _parameter_row(
-    profile: LikelihoodProfile, bounds: tuple[float, float], prior_sd: float, sd: float
-) -> Row:
-    """Return what is known of a parameter; `bounds` are those of its coordinate of theta."""
-    low, high = (to_value(profile.name, end) for end in (profile.low, profile.high))
-    return {
-        "parameter": profile.name,
-        "value": to_value(profile.name, profile.best),
-        "prior_sd": prior_sd,
-        "sd": sd,
-        "fisher_sd": profile.sd,
-        "sd_ratio": sd / prior_sd,
-        "low": low,
-        "high": high,
-        "end_low": profile.ends[0],
-        "end_high": profile.ends[1],
-        **ParameterInterval(low, high, "profile").columns(),
-        "bound_low": to_value(profile.name, bounds[0]),
-        "bound_high": to_value(profile.name, bounds[1]),
-        "rise": profile.rise,
-        "tip_shift_mm": math.nan,
-    }
-
-
-def _profile_rows(parameters: Parameters, profile: LikelihoodProfile) -> list[Row]:
-    """Return the computed points of one profile, with where all other parameters went."""
-    return [
-        {
-            "parameter": profile.name,
-            "value": to_value(profile.name, float(profile.at[k])),
-            "deviance": float(profile.deviance[k]),
-            "slope": float(profile.slope[k]),
-            "threshold": DEVIANCE_95,
-            **{
-                n: to_value(n, float(coordinate))
-                for n, coordinate in zip(parameters.free, profile.thetas[k], strict=True)
-            },
-        }
-        for k in range(len(profile.at))
-    ]
 
 
 # ---- intervals

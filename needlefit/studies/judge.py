@@ -39,7 +39,7 @@ from needlefit.studies.coverage import (
 from needlefit.studies.fit_frames import PREDICTION_METHOD, FitFrames
 from needlefit.studies.prediction_scores import PREDICTED
 from needlefit.studies.run import Run, value_of_run
-from needlefit.studies.scored_groups import TE, ScoredGroup, pool_insertions
+from needlefit.studies.scored_groups import TE, pool_insertions
 
 REFERENCES = ("straight", "constant_curvature")  #: the curves that one fit is compared with
 #: independent trials from which on differences are tested
@@ -159,8 +159,13 @@ def judge(run: Run) -> Judgement | None:
             scores = frames.predictive[["fold", "insertion", PREDICTED[score].crps]]
             errors = errors.merge(scores.assign(method=method), "left", ["fold", "insertion", "method"])
         comparison, outcome = None, judge_fits(errors, method, score)
-        curve = find_closest_curve(group) or ""
-        nearest = group.get(score, method=curve)
+        curve_errors = {
+            name: curve_error
+            for name in BASELINES.names()
+            if (curve_error := group.get(score, method=name)) is not None
+        }
+        curve = min(curve_errors, key=lambda name: curve_errors[name], default="")
+        nearest = curve_errors.get(curve)
     effect = run.knows(FitMetadata).effect
     turned_by = tuple(effect.insertions) if effect and effect.turns else ()
     if find_contradictions(run) or turned_by:
@@ -319,13 +324,6 @@ def compare_with_curves(errors: pd.DataFrame, method: str, error: str = TE) -> p
     return pd.DataFrame(about)[count > 1].rename_axis(["score", "curve"]).reset_index()
 
 
-def find_closest_curve(group: ScoredGroup) -> str | None:
-    """Return the curve without mechanics with the smallest error."""
-    errors = {name: group.get(group.score, method=name) for name in BASELINES.names()}
-    errors_of_curves = {name: error for name, error in errors.items() if error is not None}
-    return min(errors_of_curves, key=lambda name: errors_of_curves[name], default=None)
-
-
 # ---- checks
 
 
@@ -412,11 +410,6 @@ def _count_beyond(predictive: pd.DataFrame) -> int:
         return int((measure_tips(predictive, "measured") > measure_tips(predictive, "median")).sum())
     measured, median = predictive["tip_measured_mm"], predictive["tip_median_mm"]
     return int(((measured - median) * np.sign(median) > 0).sum())
-
-
-def limit_status(run: Run, status: Status) -> Status:
-    """Return the status of a verdict; of data that contradict themselves nothing is shown, good or bad."""
-    return "warn" if find_contradictions(run) else status
 
 
 def find_contradictions(run: Run) -> list[str]:

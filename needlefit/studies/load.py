@@ -75,7 +75,13 @@ def load_study(name: str, record: FitRecord, settings: Settings) -> Job:
     _check_layers(job)
     check_reach(job)
     _check_size(job)
-    return replace(job, warnings=tuple(_find_warnings(job)))
+    job = replace(job, warnings=tuple(_find_warnings(job)))
+    if record.compared is None and (note := describe_compared(dataset)):
+        settings.note(note)
+    for warning in dict.fromkeys(job.warnings):  # what a user wants to know before the work, which takes long
+        if warning.kind in DATA_WARNINGS:
+            settings.note(f"warning: {warning} ({warning.help_command})")
+    return job
 
 
 def _find_warnings(job: Job) -> Iterator[ResultWarning]:
@@ -93,15 +99,6 @@ def _find_warnings(job: Job) -> Iterator[ResultWarning]:
             key_name for key_name in ("leave_out", "folds", "validate") if getattr(record, key_name, True)
         )
         yield from warn_shared_specimens(job.name, job.folds, job.place(key))
-
-
-def print_notes(job: Job, settings: Settings) -> None:
-    """Print what a user wants to know of the data before the work, which takes long."""
-    if job.record.compared is None and (note := describe_compared(job.dataset)):
-        settings.note(note)
-    for warning in dict.fromkeys(job.warnings):
-        if warning.kind in DATA_WARNINGS:
-            settings.note(f"warning: {warning} ({warning.help_command})")
 
 
 # ---- what is refused before the work

@@ -71,7 +71,7 @@ def place_needles(
     dataset, by_id = problem.dataset, {prediction.insertion: prediction for prediction in predicted}
     for role, insertions in (("tune", fold.tune if fitted else ()), ("validate", fold.validate)):
         for insertion in (insertion for insertion in insertions if not insertion.in_tracker_frame):
-            placement, band = Placement(insertion.frame, insertion.patient), dict[str, Floats]()
+            placement, band = Placement(insertion.frame, insertion.patient), list[Floats]()
             prediction = by_id.get(insertion.id) if role == "validate" else None
             curve = prediction.curve if prediction else None
             if curve is None:
@@ -80,9 +80,9 @@ def place_needles(
             s = select_points(dataset.pose, dataset.drop_proximal, insertion, NEEDLE_POINTS).s
             points = None if curve is None else place_points(dataset, insertion, s, curve(s))
             if prediction is not None:
-                band = _place_predicted_band(insertion, placement, prediction.rows.get("bands", ()))
+                band = _find_predicted_band(insertion, prediction.rows.get("bands", ()))
             elif role == "tune" and points is not None and draws is not None and draws.certified is not None:
-                band = _place_band_of_draws(problem, insertion, s, points[:, 0], draws.thetas, jobs)
+                band = _find_band_of_draws(problem, insertion, s, points[:, 0], draws.thetas, jobs)
             source = "posterior" if prediction is None else "predicted"
             fitted_curve = {} if points is None else {"fitted": placement.to_patient(points)}
             yield NeedleInScan(
@@ -91,7 +91,11 @@ def place_needles(
                 role,
                 insertion.needle.outer_diameter or DEFAULT_DIAMETER_MM,
                 source if band else "",
-                {"measured": insertion.patient.to_local(insertion.centerline), **fitted_curve, **band},
+                {
+                    "measured": insertion.patient.to_local(insertion.centerline),
+                    **fitted_curve,
+                    **dict(zip(BAND_CURVES, map(placement.to_patient, band), strict=False)),
+                },
             )
 
 
@@ -115,41 +119,35 @@ def place_points(dataset: Dataset, insertion: Insertion, s: Floats, points: Floa
     return placed
 
 
-def _place_predicted_band(
-    insertion: Insertion, placement: Placement, rows: Sequence[Mapping[str, Any]]
-) -> dict[str, Floats]:
-    """Return the band of what was predicted to be measured; empty without a prediction.
+def _find_predicted_band(insertion: Insertion, rows: Sequence[Mapping[str, Any]]) -> list[Floats]:
+    """Return the band of what was predicted to be measured, in C; empty without a prediction.
 
     Where only the shape is known, predictions stand in a frame of their own: the band keeps its distance from
     the measured needle.
     """
     if not rows:
-        return {}
+        return []
     x, measured, *heights = np.array(
         [[row[f"{name}_mm"] for name in ("x", "measured", "low_95", "median", "high_95")] for row in rows]
     ).T
     shift = np.interp(x, *insertion.points.T[:2]) - measured
     across = np.array([row.get("median_z_mm", 0.0) for row in rows])
-    curves = (placement.to_patient(np.column_stack([x, y + shift, across])) for y in heights)
-    return dict(zip(BAND_CURVES, curves, strict=True))
+    return [np.column_stack([x, y + shift, across]) for y in heights]
 
 
-def _place_band_of_draws(
+def _find_band_of_draws(
     problem: Problem, insertion: Insertion, s: Floats, x: Floats, thetas: Floats, jobs: int
-) -> dict[str, Floats]:
-    """Return the band over the needles of draws, at the fitted one's x (K,); empty where none is solved."""
+) -> list[Floats]:
+    """Return the band over the needles of draws, in C, at the fitted one's x (K,); empty without any."""
     sets = [problem.parameters.values(theta) for theta in thetas]
     (shapes,) = PreparedModel(problem.medium, [insertion]).simulate(sets, jobs)
-    placement = Placement(insertion.frame, insertion.patient)
     needles = compute_batch_positions(shapes, s)[shapes.converged]  # (B, K, 3)
     if not len(needles):
-        return {}
+        return []
     aligned = np.array([place_points(problem.dataset, insertion, s, needle) for needle in needles])
     across, bands = np.median(aligned[..., 2], axis=0), find_bands(aligned[..., 1])
     below, above = bands.ends(BAND_PROBABILITY)
-    heights = (below, bands.median, above)
-    curves = (placement.to_patient(np.column_stack([x, y, across])) for y in heights)
-    return dict(zip(BAND_CURVES, curves, strict=True))
+    return [np.column_stack([x, y, across]) for y in (below, bands.median, above)]
 
 
 def tabulate_needles_in_scan(needles: Iterable[NeedleInScan]) -> pd.DataFrame:

@@ -36,7 +36,7 @@ def write_paper_folder(run: Run, run_folder: Path, folder: Path) -> list[Path]:
         report = compose_run_report(run, figures)
         blocks = [block for block in report.blocks if block["kind"] == "figure"]
         kept = [block for block in blocks if is_half_width(block["path"]) == (word == "single")]
-        label_figures({str(n): block["path"] for n, block in enumerate(kept)}, run.origin_mark)
+        label_figures([block["path"] for block in kept], run.origin_mark)
         for path in set(figures.values()) - {block["path"] for block in kept}:
             path.unlink()
     return sorted(folder.iterdir())

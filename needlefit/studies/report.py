@@ -201,15 +201,15 @@ def write_files(run: Run, folder: Path) -> None:
     store_run(run, folder)
     report = compose_run_report(run, figures)
     write_report(report, folder)
-    label_figures(figures, run.origin_mark)
+    label_figures(figures.values(), run.origin_mark)
     write_json(folder / "run.json", run.run_json)
     write_json(folder / "timing.json", run.timing)
 
 
-def label_figures(figures: Mapping[str, Path], origin_mark: str) -> None:
+def label_figures(figures: Iterable[Path], origin_mark: str) -> None:
     """Write the mark of data that were not measured above figures that stand alone; a report has it once."""
     if origin_mark:
-        for path in figures.values():
+        for path in figures:
             path.write_bytes(document.label_figure(path, origin_mark))
 
 
@@ -285,7 +285,8 @@ def _run_blocks(run: Run) -> list[Block]:
         return []
     caption = f"Settings of {run.name}. The file run.json holds all of them."
     table = Table("run", rows, ("setting", "setting_value"), caption=caption).lay_out()
-    return [*([document.text(run.note)] if run.note else []), document.table(table)]
+    note = getattr(run.record, "note", "")
+    return [*([document.text(note)] if note else []), document.table(table)]
 
 
 def list_data_notes(run: Run) -> list[str]:

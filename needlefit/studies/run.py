@@ -120,16 +120,6 @@ class Run:
         return str(getattr(self.record, "title", "") or self.name)
 
     @property
-    def question(self) -> str:
-        """What the study asks."""
-        return str(getattr(self.record, "question", ""))
-
-    @property
-    def note(self) -> str:
-        """What a reader of the study must know."""
-        return str(getattr(self.record, "note", ""))
-
-    @property
     def origin_mark(self) -> str:
         """What stands beside every result that is not of measured data."""
         return ORIGIN_MARKS[self.origin]
@@ -163,7 +153,7 @@ class Run:
             verdict=_mark(self, page.verdict),
             about=page.about or ". ".join(dict.fromkeys((self.name, self.dataset_title))),
             title=self.title,
-            question=self.question,
+            question=str(getattr(self.record, "question", "")),
             origin_mark=self.origin_mark,
             origin_note=ORIGIN_NOTES[self.origin],
             interrupted=self.interrupted,

@@ -25,7 +25,7 @@ from needlefit.mechanics.needle import Needle
 from needlefit.project.json_values import digest_values
 from needlefit.project.random_streams import random_stream
 from needlefit.project.toml import locate_key
-from needlefit.schemas.analyses import SyntheticDataRecord, SyntheticInsertionRecord
+from needlefit.schemas.analyses import SyntheticDataRecord
 from needlefit.schemas.medium import MediumRecord
 from needlefit.studies.job import Job
 
@@ -101,7 +101,29 @@ def simulate_dataset(name: str, record: SyntheticDataRecord, medium: MediumRecor
     )
     measurements = []
     for number, stated in enumerate(record.insertions, start=1):
-        straight = _make_straight_insertion(number, stated, record)
+        x = np.linspace(0.0, stated.depth_mm, math.ceil(stated.depth_mm / POINT_SPACING_MM) + 1)
+        points, insertion_id = np.column_stack([x, np.zeros((len(x), 2))]), f"made-{number:02d}"
+        straight = Insertion(
+            id=insertion_id,
+            medium=DATASET_MEDIUM,
+            specimen=insertion_id,
+            needle=Needle.from_record(record.needle),
+            layers=1,
+            layers_alternative=1,
+            depth=stated.depth_mm,
+            side=stated.side,
+            frame=Frame(np.zeros(3), np.eye(3)),
+            pose_source="stage",
+            pose_shift_sd=0.0,
+            pose_angle_sd=math.radians(record.pose_angle_sd_deg),
+            centerline=points,
+            points=points,
+            boundaries=np.empty(0),
+            sequence=(1,),
+            boundary_sd=0.0,
+            depth_sd=record.depth_sd_mm,
+            base_moved=stated.base_moved_mm,
+        )
         rng = random_stream(seed, name, "made", straight.id)
         measured = simulate_measurement(dataset, straight, record.values, medium, rng)
         if measured is None:
@@ -113,35 +135,6 @@ def simulate_dataset(name: str, record: SyntheticDataRecord, medium: MediumRecor
             )
         measurements.append(measured)
     return replace(dataset, insertions=tuple(measurements))
-
-
-def _make_straight_insertion(
-    number: int, stated: SyntheticInsertionRecord, record: SyntheticDataRecord
-) -> Insertion:
-    """Return one insertion as it is planned: straight along x."""
-    x = np.linspace(0.0, stated.depth_mm, math.ceil(stated.depth_mm / POINT_SPACING_MM) + 1)
-    straight = np.column_stack([x, np.zeros((len(x), 2))])
-    return Insertion(
-        id=f"made-{number:02d}",
-        medium=DATASET_MEDIUM,
-        specimen=f"made-{number:02d}",
-        needle=Needle.from_record(record.needle),
-        layers=1,
-        layers_alternative=1,
-        depth=stated.depth_mm,
-        side=stated.side,
-        frame=Frame(np.zeros(3), np.eye(3)),
-        pose_source="stage",
-        pose_shift_sd=0.0,
-        pose_angle_sd=math.radians(record.pose_angle_sd_deg),
-        centerline=straight,
-        points=straight,
-        boundaries=np.empty(0),
-        sequence=(1,),
-        boundary_sd=0.0,
-        depth_sd=record.depth_sd_mm,
-        base_moved=stated.base_moved_mm,
-    )
 
 
 def simulate_design(problem: Problem, values: Mapping[str, float]) -> Problem | None:

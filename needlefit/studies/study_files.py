@@ -26,7 +26,7 @@ from needlefit.studies.fit_warnings import warn_of_doubts
 from needlefit.studies.identity import describe_configuration, identify
 from needlefit.studies.job import Inputs, Job, Settings
 from needlefit.studies.kind import find_kind
-from needlefit.studies.load import load_study, print_notes
+from needlefit.studies.load import load_study
 from needlefit.studies.odd_needles import check_quickly
 from needlefit.studies.run import Run
 from needlefit.studies.store import RUN_FILE, name_source, read_sources, restore_run
@@ -195,7 +195,7 @@ def prepare_target(record: TargetRecord, settings: Settings, ending: str = "") -
         settings = settings if loaded.run is None else replace(settings, inputs=loaded.inputs)
     name, fit_record = fit
     with where:
-        return _prepare_noted(name.removesuffix("-tune") + ending if ending else name, fit_record, settings)
+        return load_study(name.removesuffix("-tune") + ending if ending else name, fit_record, settings)
 
 
 def prepare_with_held_out(record: TargetRecord, name: str, settings: Settings) -> Job:
@@ -205,15 +205,8 @@ def prepare_with_held_out(record: TargetRecord, name: str, settings: Settings) -
         study = load_study_file(path)
         if isinstance(study, StudyRecord):
             with add_file_context(path):
-                return _prepare_noted(name, study, replace(settings, file=path))
+                return load_study(name, study, replace(settings, file=path))
     return prepare_target(record, settings)
-
-
-def _prepare_noted(name: str, record: FitRecord, settings: Settings) -> Job:
-    """Return the job of a fit or study; what a user wants to know before the work is printed."""
-    job = load_study(name, record, settings)
-    print_notes(job, settings)
-    return job
 
 
 def begin_run(name: str, record: TargetRecord, job: Job, title: str) -> Run:

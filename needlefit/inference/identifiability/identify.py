@@ -5,7 +5,7 @@ likelihoods are not: what a profile leaves open is not determined.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -44,7 +44,7 @@ from needlefit.inference.identifiability.profile import (
 )
 from needlefit.inference.parameter_names import is_logarithmic
 from needlefit.inference.problem import Problem
-from needlefit.project.progress import Stop, never_stop
+from needlefit.project.progress import Step, Stop, never_stop, no_step
 
 #: largest range among equal starts, in these standard deviations, of a parameter called determined
 MAX_RANGE_SD = 4.0
@@ -186,7 +186,7 @@ def profile_parameters(
     fit: Fit,
     jobs: int = 1,
     stop: Stop = never_stop,
-    step: Callable[[int, int], None] = lambda done, total: None,
+    step: Step = no_step,
 ) -> FitProfiles:
     """Compute the profiles about a fit; the result does not depend on the number of threads.
 

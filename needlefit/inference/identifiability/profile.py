@@ -10,7 +10,7 @@ point), with one parameter held if wanted.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -23,7 +23,7 @@ from needlefit.arrays import Bools, Floats
 from needlefit.inference.fit import EVALUATION_ERRORS, FIRST_RADIUS
 from needlefit.inference.problem import Problem
 from needlefit.inference.side_by_side import run_side_by_side
-from needlefit.project.progress import Stop, never_stop
+from needlefit.project.progress import Step, Stop, never_stop, no_step
 from needlefit.project.tasks import TaskStop
 
 #: a minimum is reached where a further step would lessen the sum of squares by less than this
@@ -150,7 +150,7 @@ def trace_profiles(
     stop: Stop = never_stop,
     scale: float = 1.0,
     steps: ProfileSteps = INTERVAL_STEPS,
-    step: Callable[[int, int], None] = lambda done, total: None,
+    step: Step = no_step,
 ) -> dict[int, ProfilePath]:
     """Trace parameters to both sides of the optimum, or of a better one that is found on the way.
 

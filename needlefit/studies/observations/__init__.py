@@ -13,6 +13,7 @@ from needlefit.grouping import group_values
 from needlefit.inference.compared_points import Curve
 from needlefit.inference.point_prediction import PointPrediction
 from needlefit.inference.predict import Draws
+from needlefit.project.progress import Step, no_step
 from needlefit.registry import Registry
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.table_files import Row
@@ -33,9 +34,6 @@ PREDICTIVE_COLUMNS = (
     *("tip_in_50", "tip_in_95", "tip_crps_mm", "tip_interval_score_mm", "shape_pit", "shape_in_50"),
     *("shape_in_95", "points_in_50", "points_in_95", "shape_crps_mm", WIDTH_ERROR_COLUMN),
 )
-
-#: called with the number of predictions made, and of all
-Step = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
@@ -89,7 +87,7 @@ def draw_observations(run: Run, role: str) -> dict[str, Drawing]:
 
 
 def predict_held_out(
-    specimens: Specimens, *, bands: bool = False, step: Step = lambda done, total: None
+    specimens: Specimens, *, bands: bool = False, step: Step = no_step
 ) -> Iterator[HeldOutPrediction]:
     """Yield the predictions of the insertions that a fold holds out, kind by kind; see the file of each."""
     held = specimens.fold.validate

@@ -40,8 +40,9 @@ from needlefit.inference.likelihood.observations import (
 )
 from needlefit.inference.likelihood.observations.curvature import surround_sensors
 from needlefit.inference.point_prediction import PointPrediction, choose_point
-from needlefit.inference.predict import Draws, PredictiveMixture, crps, find_geometric_median, rms_noise_scale
+from needlefit.inference.predict import PredictiveMixture, crps, find_geometric_median, rms_noise_scale
 from needlefit.inference.problem import Problem
+from needlefit.project.progress import Step
 from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import run_parts
 from needlefit.reporting.figures import Drawing
@@ -57,7 +58,6 @@ from needlefit.studies.job import Job
 from needlefit.studies.observations import (
     PREDICTIVE_COLUMNS,
     HeldOutPrediction,
-    Step,
     StudiedObservation,
     describe_held_out,
 )
@@ -125,13 +125,54 @@ class _Predictor:
 
     def predict(self, insertion: Insertion) -> HeldOutPrediction | None:
         """Return the prediction of an insertion; None where too few draws have a solution."""
-        specimens, job = self.specimens, self.specimens.job
+        specimens, job, fold = self.specimens, self.specimens.job, self.specimens.fold
         draws = specimens.draws_in(insertion)
         observation, tip = self._observe(insertion)
+        # where needles are read: for the whole, about each sensor, and at a tip measured by itself
+        ends = np.empty(0) if tip is None or tip is observation else tip.nodes.s[0]
+        stations = [observation.nodes.s[0], surround_sensors(insertion), ends]
         sets = [job.parameters.values(theta) for theta in draws.thetas]
-        stations = np.concatenate(_list_stations(insertion, observation, tip))
-        needles = self._simulate(insertion, stations, *self._vary(insertion, sets))
-        return self._predict(insertion, observation, tip, draws, needles)
+        drawn_needles = self._simulate(insertion, np.concatenate(stations), *self._vary(insertion, sets))
+        rng = random_stream(job.recipe.seed, job.name, fold.name, "scored", insertion.id)
+        tuned = any(insertion.specimen == fitted.specimen for fitted in fold.tune)
+        differing = specimens if specimens.differs(insertion) else None
+        about = describe_specimen(differing, "same" if tuned else "training only")
+        solved = drawn_needles.solved
+        if np.sum(solved) < MIN_SOLVED_DRAWS:
+            return None
+        drawn, directions = drawn_needles.points[solved], job.dataset.directions
+        drawn = turn_about_x(drawn, draw_rolls(insertion.roll_sd, directions, len(drawn), rng))
+        parts = np.cumsum([len(s) for s in stations])[:-1]
+        needles, about_sensors, tips = np.split(select_compared(drawn, job.dataset.compared), parts, axis=1)
+        factor = rms_noise_scale(draws, job.parameters, job.recipe.likelihood.noise_scale)
+        whole = _PredictedReadings.of(observation, needles, factor)
+        bands = predict_bands(whole.mixture.means, whole.covariance, rng)
+        row = {
+            **describe_held_out(specimens, insertion, draws, int(np.sum(~solved))),
+            AFTER_ONE_COLUMN: math.nan,
+            **about,
+            **score_shape(whole.mixture, whole.measured, bands.pit(whole.measured)),
+        }
+        crps_column = SHAPE_CRPS if OBSERVATIONS[insertion.observation].has_tip else CURVATURE_CRPS
+        row[crps_column] = float(crps(whole.mixture, whole.measured).mean())
+        if tip is not None:
+            end = whole if tip is observation else _PredictedReadings.of(tip, tips, factor)
+            row |= self._score_tip(end, rng)
+            if insertion.id in self.representatives:
+                some = [values for values, is_solved in zip(sets, solved, strict=True) if is_solved]
+                row[AFTER_ONE_COLUMN] = self._estimate_after_one(insertion, tip, some, end.mixture)
+        columns = (*PREDICTIVE_COLUMNS, *(name for name in FURTHER_COLUMNS if name in row))
+        band, where = tuple[Row, ...](), {"fold": fold.name, "insertion": insertion.id}
+        sensors = tuple({**where, **sensor} for sensor in tabulate_sensors(insertion, about_sensors))
+        if self.bands and crps_column == SHAPE_CRPS:
+            points = tabulate_band(whole.mixture, bands, observation.measured)
+            band = tuple({**where, **point} for point in points)
+        row = {name: row.get(name) for name in columns}
+        count = CountMetadata(simulations=len(drawn), outside=int(np.sum(~drawn_needles.valid[solved])))
+        s = observation.nodes.s[0]
+        chosen = self._choose_needle(insertion, s, drawn[:, : len(s)]) if self.bands else ()
+        rows = {"predictive": (row,), "bands": band, "curvature": sensors}
+        return HeldOutPrediction(insertion.id, rows, count, *chosen)
 
     def _observe(self, insertion: Insertion) -> tuple[Observation, Observation | None]:
         """Return the observation that is predicted as a whole, and that of the tip, where it was measured.
@@ -169,57 +210,6 @@ class _Predictor:
                 specimens.problem_of(insertion), sets, repeat, deviations, self.jobs
             )
         return scale_bevels(sets, deviations), rng
-
-    def _predict(
-        self,
-        insertion: Insertion,
-        observation: Observation,
-        tip: Observation | None,
-        draws: Draws,
-        drawn_needles: DrawnNeedles,
-    ) -> HeldOutPrediction | None:
-        """Return the prediction by draws and their needles, whose last place is the tip."""
-        specimens, job, fold = self.specimens, self.specimens.job, self.specimens.fold
-        rng = random_stream(job.recipe.seed, job.name, fold.name, "scored", insertion.id)
-        tuned = any(insertion.specimen == fitted.specimen for fitted in fold.tune)
-        differing = specimens if specimens.differs(insertion) else None
-        about = describe_specimen(differing, "same" if tuned else "training only")
-        solved = drawn_needles.solved
-        if np.sum(solved) < MIN_SOLVED_DRAWS:
-            return None
-        drawn, directions = drawn_needles.points[solved], job.dataset.directions
-        drawn = turn_about_x(drawn, draw_rolls(insertion.roll_sd, directions, len(drawn), rng))
-        parts = np.cumsum([len(s) for s in _list_stations(insertion, observation, tip)])[:-1]
-        needles, about_sensors, tips = np.split(select_compared(drawn, job.dataset.compared), parts, axis=1)
-        factor = rms_noise_scale(draws, job.parameters, job.recipe.likelihood.noise_scale)
-        whole = _PredictedReadings.of(observation, needles, factor)
-        bands = predict_bands(whole.mixture.means, whole.covariance, rng)
-        row = {
-            **describe_held_out(specimens, insertion, draws, int(np.sum(~solved))),
-            AFTER_ONE_COLUMN: math.nan,
-            **about,
-            **score_shape(whole.mixture, whole.measured, bands.pit(whole.measured)),
-        }
-        crps_column = SHAPE_CRPS if OBSERVATIONS[insertion.observation].has_tip else CURVATURE_CRPS
-        row[crps_column] = float(crps(whole.mixture, whole.measured).mean())
-        if tip is not None:
-            end = whole if tip is observation else _PredictedReadings.of(tip, tips, factor)
-            row |= self._score_tip(end, rng)
-            if insertion.id in self.representatives:
-                some = [job.parameters.values(theta) for theta in draws.thetas[solved]]
-                row[AFTER_ONE_COLUMN] = self._estimate_after_one(insertion, tip, some, end.mixture)
-        columns = (*PREDICTIVE_COLUMNS, *(name for name in FURTHER_COLUMNS if name in row))
-        band, where = tuple[Row, ...](), {"fold": fold.name, "insertion": insertion.id}
-        sensors = tuple({**where, **sensor} for sensor in tabulate_sensors(insertion, about_sensors))
-        if self.bands and crps_column == SHAPE_CRPS:
-            points = tabulate_band(whole.mixture, bands, observation.measured)
-            band = tuple({**where, **point} for point in points)
-        row = {name: row.get(name) for name in columns}
-        count = CountMetadata(simulations=len(drawn), outside=int(np.sum(~drawn_needles.valid[solved])))
-        s = observation.nodes.s[0]
-        chosen = self._choose_needle(insertion, s, drawn[:, : len(s)]) if self.bands else ()
-        rows = {"predictive": (row,), "bands": band, "curvature": sensors}
-        return HeldOutPrediction(insertion.id, rows, count, *chosen)
 
     def _score_tip(self, end: "_PredictedReadings", rng: np.random.Generator) -> Row:
         """Return what became of the prediction of a tip, the last that is read along each direction."""
@@ -309,17 +299,18 @@ class _PredictedReadings:
 
     @classmethod
     def of(cls, observation: Observation, needles: Floats, factor: float) -> Self:
-        """Return what an observation reads of needles (B, K, 2 or 3); `factor` multiplies its noise."""
+        """Return what an observation reads of needles (B, K, 2 or 3); `factor` multiplies its noise.
+
+        A needle that is laid on the measured one takes from the errors what its motion can.
+        """
         aligned, measured = align(observation.pose, needles, observation.measured), observation.measured
-        covariance = _measurement_covariance(observation, factor)
+        covariance = observation.covariance(factor)
+        if observation.pose != "known":
+            moved_by: Floats = np.linalg.qr(observation.free)[0]  # (K, f): across, turn
+            left = np.eye(len(moved_by)) - moved_by @ moved_by.T
+            covariance = left @ covariance @ left
         mixture = PredictiveMixture(observation.read(aligned), np.sqrt(np.diag(covariance)))
         return cls(aligned, observation.read(measured), covariance, mixture)
-
-
-def _list_stations(insertion: Insertion, whole: Observation, tip: Observation | None) -> list[Floats]:
-    """Return where needles are read: for the whole, about each sensor, and at a tip measured by itself."""
-    ends = np.empty(0) if tip is None or tip is whole else tip.nodes.s[0]
-    return [whole.nodes.s[0], surround_sensors(insertion), ends]
 
 
 def _choose_representatives(job: Job, insertions: Iterable[Insertion]) -> frozenset[str]:
@@ -354,20 +345,6 @@ def _condition_bevels(
     mean, sd = problem.density.estimate_bevel(sets, repeat, jobs)
     # with a set that has no solution nothing is predicted
     return np.nan_to_num(mean + sd * deviations)
-
-
-def _measurement_covariance(observation: Observation, factor: float) -> Floats:
-    """Return the covariance of the measured deflections about a given needle: of points, and of a known pose.
-
-    A needle that is laid on the measured one takes from these errors what its motion can.
-    """
-    covariance = observation.covariance(factor)
-    if observation.pose == "known":
-        return covariance
-    moved_by: Floats = np.linalg.qr(observation.free)[0]  # (K, f): across, turn
-    left = np.eye(len(moved_by)) - moved_by @ moved_by.T
-    aligned: Floats = left @ covariance @ left
-    return aligned
 
 
 def draw_needles(run: Run, role: str) -> dict[str, Drawing]:

@@ -31,6 +31,7 @@ from needlefit.inference.track_predictions import (
     predict_runs,
 )
 from needlefit.metrics import TRACK_RMS
+from needlefit.project.progress import Step
 from needlefit.project.random_streams import random_stream
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.table_files import Row
@@ -43,7 +44,6 @@ from needlefit.studies.job import Job
 from needlefit.studies.observations import (
     PREDICTIVE_COLUMNS,
     HeldOutPrediction,
-    Step,
     StudiedObservation,
     describe_held_out,
 )

@@ -26,7 +26,7 @@ from needlefit.studies.first_page import FirstPage
 from needlefit.studies.fit_frames import FitFrames
 from needlefit.studies.fit_tables import TEXT
 from needlefit.studies.identification import lay_out_identification
-from needlefit.studies.judge import Judgement, find_contradictions, judge, limit_status, list_checks
+from needlefit.studies.judge import Judgement, find_contradictions, judge, list_checks
 from needlefit.studies.kinds.cross_validation.frames import FRAMES
 from needlefit.studies.observations import draw_observations
 from needlefit.studies.odd_needles import draw_odd_needles
@@ -121,7 +121,7 @@ def judge_errors(run: Run) -> FirstPage:
     if role == "tune":
         words["verdict"], status = _open_fit(run, undetermined)
         words["factor"] = fit_tables.describe_largest_factor(run)
-        status = "warn" if judged.turned_by else limit_status(run, status)
+        status = "warn" if judged.turned_by or find_contradictions(run) else status
         numbers["not_determined"] = ", ".join(undetermined)
         sentence, tables = TEXT.sentence("fitted", words), list[TableLayout]()
     else:

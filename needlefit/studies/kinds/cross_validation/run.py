@@ -35,7 +35,7 @@ from needlefit.studies.kinds.cross_validation.fold import (
 )
 from needlefit.studies.kinds.cross_validation.frames import FRAMES
 from needlefit.studies.kinds.cross_validation.progress import StudyProgress
-from needlefit.studies.load import load_study, print_notes
+from needlefit.studies.load import load_study
 from needlefit.studies.mixed_errors import add_errors_over_noise
 from needlefit.studies.needle_placement import tabulate_needles_in_scan
 from needlefit.studies.odd_needles import find_odd_needles, join_folds
@@ -56,7 +56,6 @@ def run(name: str, record: FitRecord, settings: Settings) -> Run:
     finds no point that can be solved.
     """
     job = load_study(name, record, settings)
-    print_notes(job, settings)
     work = describe_configuration(job)
     checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work.work, settings.note)
     services = FoldServices(settings, checkpoint, StudyProgress(job, settings.progress))
