@@ -18,7 +18,7 @@ from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.run_metadata import DatasetMetadata, FitMetadata
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.kinds.cross_validation import report
-from needlefit.studies.kinds.cross_validation.frames import FRAMES
+from needlefit.studies.kinds.cross_validation.rows import FRAMES
 from needlefit.studies.kinds.cross_validation.run import find_faults
 from needlefit.studies.run import Run
 from needlefit.studies.score import FAILED

@@ -24,7 +24,7 @@ from needlefit.schemas.study import StudyRecord
 from needlefit.studies.answer import Check, FaultKind, RunFault
 from needlefit.studies.combined_report import compose_overview
 from needlefit.studies.fit_tables import lay_out_matrix
-from needlefit.studies.kinds.cross_validation.frames import FRAMES
+from needlefit.studies.kinds.cross_validation.rows import FRAMES
 from needlefit.studies.report import (
     compose_first_page,
     compose_run_report,

@@ -9,7 +9,7 @@ import pytest
 from reporting_results import study
 
 from needlefit.metrics import METRICS, Metric
-from needlefit.studies.kinds.cross_validation.frames import FRAMES
+from needlefit.studies.kinds.cross_validation.rows import FRAMES
 from needlefit.studies.paper_folder import write_paper_folder
 from needlefit.studies.report import rebuild, write_run
 

@@ -31,7 +31,7 @@ from needlefit.schemas.study import StudyRecord
 from needlefit.studies.coverage import estimate_width_after_one
 from needlefit.studies.fold_draws import Specimens, draw_fold_parameters
 from needlefit.studies.job import Job, Settings
-from needlefit.studies.kinds.cross_validation.frames import FRAMES
+from needlefit.studies.kinds.cross_validation.rows import FRAMES
 from needlefit.studies.load import load_study
 from needlefit.studies.observations import predict_held_out
 from needlefit.studies.prediction_scores import find_end_error

@@ -20,7 +20,7 @@ from needlefit.planning.insertion_scene import make_scene_record
 from needlefit.project.locate import find_file
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import StudyRecord
-from needlefit.studies.fit_frames import select_draws
+from needlefit.studies.fit_frames import TUNED_SPECIMENS
 from needlefit.studies.job import Settings
 from needlefit.studies.kinds.cross_validation.run import run
 from needlefit.studies.store import pack, restore_run
@@ -150,7 +150,8 @@ def test_a_run_shows_its_fit_starting_with_a_held_out_insertion(project):
     rows = results.frames["parameters"].query("method == 'fitted'").set_index("parameter")["value"]
     assert viewed_scene.record.bevel.offset_mm == rows["bevel_mm"]
     assert [layer.mu_pa for layer in viewed_scene.record.layers] == [rows["mu1_pa"], rows["mu2_pa"]]
-    draws = select_draws(results.frames["draws"])
+    draws = results.frames["draws"]
+    draws = draws[(draws["fold"] == draws["fold"].iloc[0]) & (draws["specimen"] == TUNED_SPECIMENS)]
     plain = open_target("small", specimen="same").spread
     assert np.array_equal(plain.mu[:, 0], draws["mu1_pa"] * 1e-6)
     deviations = (plain.bevel / draws["bevel_mm"] - 1) / draws["bevel_spread"]

@@ -5,13 +5,13 @@ A run stores how each insertion was made, so that its report can be made again w
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import InsertionInputs, InsertionPose, find_free_reach
+from needlefit.datasets.insertion import InsertionInputs, InsertionPose
 from needlefit.errors import ConfigError
 from needlefit.geometry.curves import TIP_POINTS
 from needlefit.mechanics.needle import Needle
@@ -45,9 +45,6 @@ from needlefit.studies.fit_frames import FIT_KINDS, NEW_SPECIMEN, PREDICTION_MET
 from needlefit.studies.insertion_draws import draw_insertion
 from needlefit.studies.run import Run
 
-if TYPE_CHECKING:
-    from needlefit.studies.job import Job
-
 # Modules that simulate are imported where they are used: other reports do not load them.
 
 
@@ -63,27 +60,6 @@ def _read_inputs(metadata: FitMetadata, name: str) -> InsertionInputs:
         boundaries=np.array([top for _, top in layers[1:]]),
         **stored.model_dump(exclude={"needle", "compared", "specimen", "observations"}),
     )
-
-
-def describe_insertions(job: "Job") -> dict[str, InsertionMetadata]:
-    """Return what a fit knows of every insertion, besides its layers; under a moved guide nothing."""
-    drop = job.dataset.drop_proximal if job.dataset.pose == "free" else None
-    return {
-        insertion.id: InsertionMetadata(
-            depth=insertion.depth,
-            side=insertion.side,
-            bevel_factor=insertion.bevel_factor,
-            guide_distance=insertion.guide_distance,
-            base_moved=insertion.base_moved,
-            compared=None if drop is None else find_free_reach(drop, insertion),
-            specimen=insertion.specimen,
-            **({"turns": insertion.turns} if insertion.turns else {}),
-            **({"needle": insertion.needle.name} if len(job.dataset.needles) > 1 else {}),
-            **({"observations": insertion.observations} if len(insertion.observations) > 1 else {}),
-        )
-        for insertion in job.insertions
-        if insertion.guide is None
-    }
 
 
 def collect_explorer(run: Run) -> PageData | None:

@@ -76,15 +76,6 @@ class FitFrames:
         return shapes[shapes.groupby("insertion")["j"].transform("max") > 1]
 
 
-def select_draws(
-    draws: pd.DataFrame, fold: str | None = None, specimen: str = TUNED_SPECIMENS
-) -> pd.DataFrame:
-    """Return the draws of one fold, by default the first, in one specimen, by default those tuned on."""
-    if draws.empty:
-        return draws
-    return select_rows(draws, fold=draws["fold"].iloc[0] if fold is None else fold, specimen=specimen)
-
-
 def list_methods() -> tuple[str, ...]:
     """Return the names of all methods in the order of tables: models, then baselines."""
     fitted, *others = MODEL_METHODS

@@ -1,7 +1,7 @@
 """Draws of a run's parameters for one further insertion: in which specimen it is, and with which bevel."""
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import pandas as pd
 
@@ -9,13 +9,10 @@ from needlefit.inference.parameter_names import BEVEL_SPREAD, find_bevel_factors
 from needlefit.inference.parameters import Parameters
 from needlefit.project.locate import unknown_name_error
 from needlefit.project.random_streams import random_stream
+from needlefit.reporting.table_files import select_rows
 from needlefit.schemas.run_metadata import FitMetadata
-from needlefit.studies.fit_frames import NEW_SPECIMEN, TUNED_SPECIMENS, select_draws
+from needlefit.studies.fit_frames import NEW_SPECIMEN, TUNED_SPECIMENS
 from needlefit.studies.run import Run
-
-if TYPE_CHECKING:
-    from needlefit.datasets.folds import Fold
-    from needlefit.studies.job import Job
 
 
 class InsertionDraws(NamedTuple):
@@ -42,7 +39,7 @@ def draw_insertion(
     (tune,) = (one.tune for one in stated.folds if one.name == fold)
     specimens = dict(zip(*(run.frames["errors"][key] for key in ("insertion", "specimen")), strict=True))
     drawn = _choose_specimen(run, specimen, {specimens[one] for one in tune if one in specimens}, chosen)
-    draws = select_draws(run.frames["draws"], fold, drawn)
+    draws = select_rows(run.frames["draws"], fold=fold, specimen=drawn)
     if draws.empty or not draws["certified"].all():
         return InsertionDraws(drawn, None)
     sd = find_bevel_sd(drawn == NEW_SPECIMEN) if find_bevel_sd else stated.new_bevel_sd[fold]
@@ -65,14 +62,3 @@ def _choose_specimen(run: Run, specimen: str, tuned: set[str], chosen: str) -> s
     if chosen == "new" or (differ and (chosen == "planned" or specimen not in tuned)):
         return NEW_SPECIMEN if chosen != "same" else TUNED_SPECIMENS
     return specimen if specimen in names else TUNED_SPECIMENS
-
-
-def find_fold_bevel_sd(job: "Job", fold: "Fold") -> float:
-    """Return by how many SDs the bevel of a further insertion deviates, see `find_new_bevel_sd`."""
-    from needlefit.inference.problem import find_new_bevel_sd
-
-    tuned = {insertion.specimen for insertion in fold.tune}
-    new = job.record.specimens == "others" and any(
-        insertion.specimen not in tuned for insertion in fold.validate
-    )
-    return find_new_bevel_sd(job.dataset, fold.tune, new_specimen=new and len(tuned) > 1)

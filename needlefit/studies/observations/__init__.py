@@ -36,6 +36,9 @@ PREDICTIVE_COLUMNS = (
 )
 
 
+Tables = Mapping[str, Sequence[Row]]  #: rows of the tables of a run, by their names
+
+
 @dataclass(frozen=True)
 class HeldOutPrediction:
     """The prediction of one insertion: its rows of the tables of a run, by their names.
@@ -46,7 +49,7 @@ class HeldOutPrediction:
     """
 
     insertion: str
-    rows: Mapping[str, Sequence[Row]]
+    rows: Tables
     simulations: CountMetadata
     point: PointPrediction | None = None
     curve: Curve | None = None
@@ -64,9 +67,7 @@ class StudiedObservation:
     #: whether its predictions have their own rows of the table "errors"
     has_errors: bool = False
     #: job, insertion fitted to, the fit's needle -> rows of tables of a run, by their names
-    describe_fitted: Callable[[Job, Insertion, Curve], Mapping[str, Sequence[Row]]] = (
-        lambda job, insertion, curve: {}
-    )
+    describe_fitted: Callable[[Job, Insertion, Curve], Tables] = lambda job, insertion, curve: {}
     #: raises an error if insertions of a study cannot be fitted to, or predicted
     check: Callable[[Job], None] = lambda job: None
 

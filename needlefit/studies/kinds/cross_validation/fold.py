@@ -60,7 +60,7 @@ from needlefit.studies.kinds.cross_validation.rows import (
     make_start_row,
 )
 from needlefit.studies.needle_placement import NeedleInScan, place_needles
-from needlefit.studies.observations import STUDIED, HeldOutPrediction, find_studied, predict_held_out
+from needlefit.studies.observations import STUDIED, HeldOutPrediction, Tables, find_studied, predict_held_out
 from needlefit.studies.score import make_predictors, make_scorer, predict_needle
 from needlefit.studies.validity import MOSTLY_OUTSIDE, add_counts
 
@@ -189,12 +189,12 @@ def run_fold(job: Job, fold: Fold, services: FoldServices) -> FoldResult:
     )
 
 
-def join_rows(parts: Iterable[Mapping[str, Sequence[Row]]], table: str) -> list[Row]:
+def join_rows(parts: Iterable[Tables], table: str) -> list[Row]:
     """Return the rows of a table, or of a list of metadata, from all parts that have any."""
     return [row for part in parts for row in part.get(table, ())]
 
 
-def _describe_readings(job: Job, fold: Fold, fit: Fit) -> Iterator[Mapping[str, Sequence[Row]]]:
+def _describe_readings(job: Job, fold: Fold, fit: Fit) -> Iterator[Tables]:
     """Yield rows about what was read of insertions fitted to beside the fit's needle."""
     for insertion in fold.tune:
         curve = predict_needle(fit.values, job.medium, insertion)
@@ -236,7 +236,10 @@ def fit_fold(job: Job, fold: Fold, services: FoldServices) -> FoldFits:
         profiles = _profile(job, fold, fits, services)
     drawn = drawn or _draw(job, fold, fits, services)
     interrupted = interrupted or stop()
-    shifts = _measure_shifts(job, fold, fits, drawn)
+    shifts: Mapping[str, PriorShift] = {}
+    if (fit := _find_fit(fits)) is not None:  # at the fit and at draws
+        thetas = [np.array([fit.theta]), *([drawn.draws.thetas] if drawn else [])]
+        shifts = measure_prior(job, fold, np.concatenate(thetas))
     hidden = [name for name, shift in shifts.items() if shift.is_hidden]
     if len(hidden) < len(shifts) and not interrupted:  # one moves needles of draws, not of the fit
         return fit_fold(job.holding(hidden), fold, services)
@@ -324,16 +327,6 @@ def _draw(job: Job, fold: Fold, fits: Mapping[str, Fit], services: FoldServices)
     )
 
 
-def _measure_shifts(
-    job: Job, fold: Fold, fits: Mapping[str, Fit], drawn: FoldDrawn | None
-) -> dict[str, PriorShift]:
-    """Return how far the prior of each parameter that is held moves the needles, at the fit and at draws."""
-    if (fit := _find_fit(fits)) is None:
-        return {}
-    thetas = np.array([fit.theta])
-    return measure_prior(job, fold, thetas if drawn is None else np.concatenate([thetas, drawn.draws.thetas]))
-
-
 def _minimise_errors(
     job: Job, fold: Fold, fits: Mapping[str, Fit], drawn: FoldDrawn | None, services: FoldServices
 ) -> ErrorMinimisingFit | None:
@@ -411,14 +404,19 @@ def _describe_fit(job: Job, fold: Fold, fit: Fit, fits: FoldFits, drawn: FoldDra
         points = [{**place, **row} for row in identified.points]
         verdict = reconcile_verdict(verdict, identified.by_profile)
     held = {row["parameter"]: row for row in list_held(job.parameters, fits.shifts)}
-    fitted = [_take(row, held.get(row.parameter, {})) for row in list_fitted(job, fold, fit, verdict)]
+    fitted = list[ParameterRow]()
+    for row in list_fitted(job, fold, fit, verdict):
+        by_prior = held.get(row.parameter, {}).items()
+        fitted.append(row._replace(**{key: value for key, value in by_prior if key in row._fields}))
     sampled = intervals_of_draws(job.parameters, draws, posterior)
     fitted, judged = add_intervals(
         fitted, judged, sampled, job.parameters.ties, verdict.together, verdict.model_error
     )
     if fits.profiles is not None:
-        for row in held.values():
-            judged.append(place | {key: row[key] for key in IDENTIFICATION_COLUMNS if key in row})
+        columns = IDENTIFICATION_COLUMNS
+        judged += [
+            place | {key: of_prior[key] for key in columns if key in of_prior} for of_prior in held.values()
+        ]
     return {
         "parameters": fitted,
         "directions": directions,
@@ -428,17 +426,10 @@ def _describe_fit(job: Job, fold: Fold, fit: Fit, fits: FoldFits, drawn: FoldDra
     }
 
 
-def _take(row: ParameterRow, identification: Row) -> ParameterRow:
-    """Return a row with those of its values that are known otherwise."""
-    return row._replace(**{key: value for key, value in identification.items() if key in row._fields})
-
-
 # ---- scores
 
 
-def _score(
-    job: Job, fold: Fold, fits: Mapping[str, Fit], drawn: FoldDrawn | None
-) -> Iterator[Mapping[str, Sequence[Row]]]:
+def _score(job: Job, fold: Fold, fits: Mapping[str, Fit], drawn: FoldDrawn | None) -> Iterator[Tables]:
     """Yield the scores of every method on every insertion, then of our predictions."""
     scorer, problem = make_scorer(job), job.problem(fold)
     held = [insertion for insertion in fold.validate if not find_studied(insertion).has_errors]

@@ -27,7 +27,7 @@ from needlefit.studies.fit_frames import FitFrames
 from needlefit.studies.fit_tables import TEXT
 from needlefit.studies.identification import lay_out_identification
 from needlefit.studies.judge import Judgement, find_contradictions, judge, list_checks
-from needlefit.studies.kinds.cross_validation.frames import FRAMES
+from needlefit.studies.kinds.cross_validation.rows import FRAMES
 from needlefit.studies.observations import draw_observations
 from needlefit.studies.odd_needles import draw_odd_needles
 from needlefit.studies.prediction_scores import PREDICTED

@@ -1,7 +1,8 @@
-"""Rows of the tables of a fit: its starts and its parameters."""
+"""The tables of a fit or cross-validation, and rows of them: its starts and its parameters."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from types import MappingProxyType
 
 import numpy as np
 
@@ -17,8 +18,14 @@ from needlefit.inference.identifiability.identify import Identifiability, object
 from needlefit.inference.parameter_names import HYPERPARAMETERS, to_value
 from needlefit.inference.problem import Problem
 from needlefit.reporting.table_files import Row
-from needlefit.studies.identification import FROM_PRIOR, ParameterRow
+from needlefit.studies.fold_draws import DRAW_COLUMNS, POPULATION_COLUMNS
+from needlefit.studies.identification import FROM_PRIOR, IDENTIFICATION_COLUMNS, PROFILE_COLUMNS, ParameterRow
 from needlefit.studies.job import Job
+from needlefit.studies.needle_placement import NEEDLE_COLUMNS
+from needlefit.studies.observations import PREDICTIVE_COLUMNS
+from needlefit.studies.observations.tip_track import END_COLUMNS, READING_COLUMNS
+from needlefit.studies.prediction_scores import BAND_COLUMNS, SENSOR_COLUMNS
+from needlefit.studies.score import ERROR_COLUMNS, SHAPE_COLUMNS
 
 #: Of the table "starts": every start of every search, then a column per parameter. `objective` is what was
 #: `minimized`: the negative log "posterior", or mm of the "metric"; `excess` is how far it is above the best
@@ -36,6 +43,28 @@ ERROR_FIT_COLUMNS = (
 )
 #: of the table "directions": combinations of parameters, and the SD to which each is known
 DIRECTION_COLUMNS = ("fold", "parameters", "sd", "sd_ratio", "note")
+
+#: the columns that each table has at least
+FRAMES: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "errors": ERROR_COLUMNS,
+        "shapes": SHAPE_COLUMNS,
+        "starts": START_COLUMNS,
+        "parameters": ParameterRow._fields,
+        "error_fit": ERROR_FIT_COLUMNS,
+        "directions": DIRECTION_COLUMNS,
+        "identification": IDENTIFICATION_COLUMNS,
+        "profiles": PROFILE_COLUMNS,
+        "predictive": PREDICTIVE_COLUMNS,
+        "bands": BAND_COLUMNS,
+        "curvature": SENSOR_COLUMNS,
+        "readings": READING_COLUMNS,
+        "ends": END_COLUMNS,
+        "draws": DRAW_COLUMNS,
+        "population": POPULATION_COLUMNS,
+        "needles": NEEDLE_COLUMNS,
+    }
+)
 
 
 def make_start_row(problem: Problem, start: Start, fit: Fit) -> Row:

@@ -4,28 +4,33 @@ A fit is a study of one fold, which scores only its own insertions. The report j
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 
+import numpy as np
 import pandas as pd
 
+from needlefit.datasets.folds import Fold
+from needlefit.datasets.insertion import find_free_reach
 from needlefit.grouping import group_values
 from needlefit.inference.doubts import Doubts
 from needlefit.inference.identifiability.known_direction import predict_factors
+from needlefit.inference.parameter_names import BEVEL_PARAMETERS
+from needlefit.inference.problem import find_new_bevel_sd
 from needlefit.project.checkpoint import open_checkpoint
 from needlefit.project.processes import one_thread
 from needlefit.project.progress import no_note
 from needlefit.project.result_warnings import to_stored_rows
 from needlefit.project.tasks import LocalPool, can_fork
 from needlefit.reporting.table_files import select_rows
-from needlefit.schemas.run_metadata import FitMetadata, JobMetadata
+from needlefit.schemas.run_metadata import EffectMetadata, FitMetadata, InsertionMetadata, JobMetadata
 from needlefit.schemas.study import FitRecord, StudyRecord
-from needlefit.studies.answer import FaultKind, RunFault
-from needlefit.studies.explorer import describe_insertions
+from needlefit.studies.advice import CONTRADICTIONS
+from needlefit.studies.answer import FaultKind, Outcome, RunFault
 from needlefit.studies.fit_warnings import list_warnings
 from needlefit.studies.identity import describe_configuration
-from needlefit.studies.insertion_draws import find_fold_bevel_sd
 from needlefit.studies.job import Job, Settings
-from needlefit.studies.kinds.cross_validation.effect import leave_out, list_doubtful, measure_effect
+from needlefit.studies.judge import judge
 from needlefit.studies.kinds.cross_validation.fold import (
     FitRows,
     FoldResult,
@@ -33,8 +38,8 @@ from needlefit.studies.kinds.cross_validation.fold import (
     join_rows,
     run_fold,
 )
-from needlefit.studies.kinds.cross_validation.frames import FRAMES
 from needlefit.studies.kinds.cross_validation.progress import StudyProgress
+from needlefit.studies.kinds.cross_validation.rows import FRAMES
 from needlefit.studies.load import load_study
 from needlefit.studies.mixed_errors import add_errors_over_noise
 from needlefit.studies.needle_placement import tabulate_needles_in_scan
@@ -84,7 +89,8 @@ def run_folds(job: Job, services: FoldServices) -> list[FoldResult]:
     results_by_number = dict[int, FoldResult]()
     if processes > 1:
         copied = services.copy(job, jobs=settings.jobs // processes, first=no_note, note=no_note)
-        work = _FoldRunner(job, replace(copied, checkpoint=replace(copied.checkpoint, note=no_note)))
+        copied = replace(copied, checkpoint=replace(copied.checkpoint, note=no_note))
+        work = partial(_run_in_copy, job, copied)
         for number, (result, noted) in LocalPool(processes).run(work, range(len(job.folds)), settings.stop):
             results_by_number[number] = result
             for line in noted:
@@ -100,19 +106,11 @@ def run_folds(job: Job, services: FoldServices) -> list[FoldResult]:
     return results
 
 
-@dataclass(frozen=True)
-class _FoldRunner:
-    """Runs one fold after another in a copy of the process, by their numbers."""
-
-    job: Job
-    services: FoldServices
-
-    def __call__(self, number: int) -> tuple[FoldResult, list[str]]:
-        """Return the result of a fold, and the notes about its checkpoint."""
-        noted = list[str]()
-        checkpoint = replace(self.services.checkpoint, note=noted.append)
-        services = replace(self.services, checkpoint=checkpoint)
-        return run_fold(self.job, self.job.folds[number], services), noted
+def _run_in_copy(job: Job, services: FoldServices, number: int) -> tuple[FoldResult, list[str]]:
+    """Return the result of a fold by its number, and the notes about its checkpoint."""
+    noted = list[str]()
+    checkpoint = replace(services.checkpoint, note=noted.append)
+    return run_fold(job, job.folds[number], replace(services, checkpoint=checkpoint)), noted
 
 
 def conclude_run(job: Job, work: JobMetadata, results: Sequence[FoldResult]) -> Run:
@@ -148,7 +146,7 @@ def conclude_run(job: Job, work: JobMetadata, results: Sequence[FoldResult]) -> 
             for insertion in job.insertions
         },
         insertions=describe_insertions(job),
-        new_bevel_sd={fold.name: find_fold_bevel_sd(job, fold) for fold in job.folds},
+        new_bevel_sd={fold.name: _find_bevel_sd(job, fold) for fold in job.folds},
         search_faults=search_faults,
         validity=tabulate_validity([result.counts for result in results], join_rows(rows, "outside")),
         **{name: value for name, value in where_known.items() if value},
@@ -193,3 +191,81 @@ def find_faults(
     ]
     faults += [f"the posterior has not converged: {why}" for why in not_converged]
     return tuple(RunFault(FaultKind.NOT_CONVERGED, fault) for fault in faults)
+
+
+def describe_insertions(job: Job) -> dict[str, InsertionMetadata]:
+    """Return what a fit knows of every insertion, besides its layers; under a moved guide nothing."""
+    drop = job.dataset.drop_proximal if job.dataset.pose == "free" else None
+    return {
+        insertion.id: InsertionMetadata(
+            depth=insertion.depth,
+            side=insertion.side,
+            bevel_factor=insertion.bevel_factor,
+            guide_distance=insertion.guide_distance,
+            base_moved=insertion.base_moved,
+            compared=None if drop is None else find_free_reach(drop, insertion),
+            specimen=insertion.specimen,
+            **({"turns": insertion.turns} if insertion.turns else {}),
+            **({"needle": insertion.needle.name} if len(job.dataset.needles) > 1 else {}),
+            **({"observations": insertion.observations} if len(insertion.observations) > 1 else {}),
+        )
+        for insertion in job.insertions
+        if insertion.guide is None
+    }
+
+
+def _find_bevel_sd(job: Job, fold: Fold) -> float:
+    """Return by how many SDs the bevel of a further insertion deviates, see `find_new_bevel_sd`."""
+    tuned = {insertion.specimen for insertion in fold.tune}
+    new = job.record.specimens == "others" and any(
+        insertion.specimen not in tuned for insertion in fold.validate
+    )
+    return find_new_bevel_sd(job.dataset, fold.tune, new_specimen=new and len(tuned) > 1)
+
+
+# ---- what a study finds without the needles that are in doubt
+
+
+def list_doubtful(run: Run, job: Job) -> list[str]:
+    """Return the needles that contradict their own statements, and those that the others do not predict."""
+    named = [
+        name for warning in run.warnings if warning.kind in CONTRADICTIONS for name in warning.insertions
+    ]
+    named += [odd_needle.insertion for odd_needle in run.knows(FitMetadata).odd_needles]
+    present = {insertion.id for insertion in job.insertions}
+    return [name for name in dict.fromkeys(named) if name in present]
+
+
+def leave_out(job: Job, names: Sequence[str]) -> Job:
+    """Return the work of a study without some needles; folds that are left with nothing to predict go."""
+    folds = []
+    for fold in job.folds:
+        tune, held_out = (
+            tuple(insertion for insertion in part if insertion.id not in names)
+            for part in (fold.tune, fold.validate)
+        )
+        if tune and (held_out or not fold.validate):
+            folds.append(Fold(f"{fold.name} without {', '.join(names)}", tune, held_out))
+    return replace(job, folds=tuple(folds))
+
+
+def measure_effect(
+    run: Run,
+    without: Run,
+    left_out: Sequence[str],
+    job: Job,
+    results: Sequence[FoldResult],
+    repeated: Sequence[FoldResult],
+) -> EffectMetadata:
+    """Return what the needles left out change: the outcome, and the parameters of the first fit."""
+    # whatever the warnings are: those about a needle stay without it
+    judged = [judge(compared_run.with_metadata(warnings=[])) for compared_run in (run, without)]
+    outcomes = [Outcome.UNDECIDED if judgement is None else judgement.outcome for judgement in judged]
+    values = [job.parameters.values(np.array(fold_results[0].mode)) for fold_results in (results, repeated)]
+    names = [name for name in job.parameters.free if name.startswith("mu") or name in BEVEL_PARAMETERS]
+    return EffectMetadata(
+        insertions=list(left_out),
+        outcome=outcomes[1],
+        turns=outcomes[0].passed != outcomes[1].passed,
+        values={name: tuple(value[name] for value in values) for name in names},
+    )
