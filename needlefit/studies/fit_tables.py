@@ -1,9 +1,8 @@
 """The tables of fits and cross-validations, of one run or of several; captions stand in the text."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -138,7 +137,7 @@ def _lay_out_groups(
     columns = (*heads, "row", *(part("metric_value", metric=metric.name) for metric in metrics), *last)
     lines = pivot(rows, ["number", "row"], ["metric"])
     table = Table(name, lines, columns, groups=("number",), heads=len(heads), strong="groups")
-    heads_of_groups = [SimpleNamespace(**_head(group)) for group, _ in blocks]
+    heads_of_groups = [_head(group) for group, _ in blocks]
     names = {row["row"] for row in rows}
     about = {"groups": heads_of_groups, "curved": IPE.name in shown, "medians": medians}
     return _lay_out(table, short, rows=names, **about)
@@ -281,7 +280,7 @@ def _describe_parameter(name: str, rows: pd.DataFrame) -> Row:
     ours, errors, paper = (methods.get(method, []) for method in ("fitted", "fitted_metric", "hand_tuned"))
     statuses = {row.status for row in ours}
     fixed = not statuses & {"free", "tied"}  # in no fold it was searched
-    label, unit, estimate = _describe_estimate(name, ours)
+    label, unit, estimate = FittedParameter(name, ours).describe()
     if statuses == {"fixed"}:
         estimate = f"{estimate}, fixed"
     elif "prior" in statuses:
@@ -296,25 +295,78 @@ def _describe_parameter(name: str, rows: pd.DataFrame) -> Row:
     }
 
 
-def _describe_estimate(name: str, rows: Sequence[ParameterRow]) -> tuple[str, float, str]:
-    """Return the symbol with its unit, this unit in Pa, and "0.196 (0.12 to 0.28)".
+@dataclass(frozen=True)
+class FittedParameter:
+    """What every fold has of a fitted parameter."""
 
-    The estimate is the median of the draws, without any the fit's value.
-    """
-    ends = [end for row in rows for end in row.interval]
-    label, unit = choose_printed_unit(name, ends if any(map(is_known, ends)) else [rows[0].value])
-    estimates = [row.median if is_known(row.median) else row.value for row in rows]
-    return label, unit, _format_estimate(rows, estimates, unit)
+    name: str
+    rows: Sequence[ParameterRow]
+
+    @property
+    def symbol(self) -> str:
+        return format_bare_symbol(self.name)
+
+    @property
+    def has_intervals(self) -> bool:
+        """Whether every fold has an interval."""
+        return bool(self.rows) and all(is_known(end) for row in self.rows for end in row.interval)
+
+    @property
+    def ends(self) -> list[tuple[float, bool]]:
+        """The outermost ends of its intervals, each with whether it is a bound."""
+        return _find_outermost(self.rows, [row.interval for row in self.rows])
+
+    @property
+    def is_at_bound(self) -> bool:
+        return any(at_bound for _, at_bound in self.ends)
+
+    @property
+    def factor(self) -> float:
+        """The factor between its outermost ends; NaN if one is not known."""
+        (low, _), (high, _) = self.ends
+        return high / low if self.has_intervals else math.nan
+
+    def describe(self) -> tuple[str, float, str]:
+        """Return the symbol with its unit, this unit in Pa, and "0.196 (0.12 to 0.28)".
+
+        The estimate is the median of the draws, without any the fit's value.
+        """
+        ends = [end for row in self.rows for end in row.interval]
+        some = ends if any(map(is_known, ends)) else [self.rows[0].value]
+        label, unit = choose_printed_unit(self.name, some)
+        medians = [row.median if is_known(row.median) else row.value for row in self.rows]
+        estimate = _join_range(medians, unit)
+        if self.has_intervals:
+            texts = (f"{_format_end(end, unit)}{AT_BOUND if at_bound else ''}" for end, at_bound in self.ends)
+            estimate += f" ({' to '.join(texts)})"
+        return label, unit, estimate
+
+    def describe_limit(self, bevel: str) -> str:
+        """Return to what factor it is known, and what limits it, in the fold that knows it least."""
+        if not self.has_intervals:
+            return "interval not known"
+        if self.is_at_bound:
+            return "not determined: a bound limits it"
+        limit, word = "its interval", find_least_determined(row.determined for row in self.rows)
+        if is_logarithmic(self.name):
+            limit = f"to a factor of {_format_end(self.factor)}"
+        conditions = {
+            row.condition.removeprefix("determined ") for row in self.rows if row.determined == word
+        }
+        limits = sorted(filter(None, conditions))
+        if word == "only together" and not limits:
+            limits.append(f"better as a product with {'others' if bevel in ('', self.symbol) else bevel}")
+        return ", ".join((limit, *limits[:1]))
 
 
-def list_fitted(parameters: pd.DataFrame) -> dict[str, list[ParameterRow]]:
-    """Return the rows of every parameter that was fitted, by its name; those of a spread are left out."""
+def list_fitted(parameters: pd.DataFrame) -> list[FittedParameter]:
+    """Return every parameter that was fitted; those of a spread are left out."""
     rows = ParameterRow.read(select_rows(parameters, method="fitted"))
-    return group_values(
-        (row.parameter, row)
-        for row in rows
-        if row.status in ("free", "tied") and row.parameter not in HYPERPARAMETERS
-    )
+    searched = [
+        row for row in rows if row.status in ("free", "tied") and row.parameter not in HYPERPARAMETERS
+    ]
+    grouped = group_values((row.parameter, row) for row in searched)
+    return [FittedParameter(name, some) for name, some in grouped.items()]
 
 
 def list_undetermined(run: Run) -> list[str]:
@@ -323,22 +375,19 @@ def list_undetermined(run: Run) -> list[str]:
     Shape parameters are left out: shapes hardly depend on them.
     """
     return [
-        format_bare_symbol(name)
-        for name, rows in list_fitted(run.frames["parameters"]).items()
-        if is_logarithmic(name)
-        and (
-            any(row.condition == FROM_PRIOR for row in rows)
-            or any(at_bound for _, at_bound in _find_outermost(rows, [row.interval for row in rows]))
-        )
+        fitted.symbol
+        for fitted in list_fitted(run.frames["parameters"])
+        if is_logarithmic(fitted.name)
+        and (fitted.is_at_bound or any(row.condition == FROM_PRIOR for row in fitted.rows))
     ]
 
 
 def list_wide(run: Run) -> list[str]:
     """Return the symbols of the fitted parameters that are not known to a factor of 2 in every fold."""
     return [
-        format_bare_symbol(name)
-        for name, rows in list_fitted(run.frames["parameters"]).items()
-        if find_least_determined(row.determined for row in rows) != "yes"
+        fitted.symbol
+        for fitted in list_fitted(run.frames["parameters"])
+        if find_least_determined(row.determined for row in fitted.rows) != "yes"
     ]
 
 
@@ -351,26 +400,20 @@ def list_gains_of_direction(run: Run) -> list[tuple[str, str, str]]:
 
     They are those of shapes of unknown pose, to whose directions of insertion a fit would know them.
     """
-    fitted, gains = list_fitted(run.frames["parameters"]), list[tuple[str, str, str]]()
-    for name, factor in run.knows(FitMetadata).with_direction.items():
-        now = _find_factor(fitted[name])
-        if now > MIN_GAIN * factor and factor <= MAX_GAINED_FACTOR:
-            gains.append((format_bare_symbol(name), _format_end(now), _format_end(factor)))
-    return gains
+    factors = run.knows(FitMetadata).with_direction
+    fitted = {parameter.name: parameter for parameter in list_fitted(run.frames["parameters"])}
+    return [
+        (fitted[name].symbol, _format_end(fitted[name].factor), _format_end(factor))
+        for name, factor in factors.items()
+        if fitted[name].factor > MIN_GAIN * factor and factor <= MAX_GAINED_FACTOR
+    ]
 
 
 def describe_largest_factor(run: Run) -> str:
     """Return the largest factor between the ends of intervals of moduli and lengths; empty if unknown."""
     fitted = list_fitted(run.frames["parameters"])
-    factors = [_find_factor(rows) for name, rows in fitted.items() if is_logarithmic(name)]
-    known_factors = [*filter(is_known, factors)]
-    return _format_end(max(known_factors)) if known_factors else ""
-
-
-def _find_factor(rows: Sequence[ParameterRow]) -> float:
-    """Return the factor between the outermost ends of intervals; NaN if one is not known."""
-    lows, highs = zip(*(row.interval for row in rows), strict=True)
-    return max(highs) / min(lows) if all(map(is_known, (*lows, *highs))) else math.nan
+    factors = [some.factor for some in fitted if is_logarithmic(some.name) and some.has_intervals]
+    return _format_end(max(factors)) if factors else ""
 
 
 def lay_out_estimates(
@@ -381,14 +424,12 @@ def lay_out_estimates(
     `parameters`: the frame of a fit, or what a prediction has of it. Moduli are in proportion to `rigidity`.
     """
     fitted = list_fitted(parameters)
-    bevel = next((format_bare_symbol(name) for name in BEVEL_PARAMETERS if name in fitted), "")
-    rows = [
-        {
-            **dict(zip(("parameter", "posterior"), _describe_estimate(name, some)[::2], strict=True)),
-            "limited_by": _describe_limit(name, some, bevel),
-        }
-        for name, some in fitted.items()
-    ]
+    bevel = next((parameter.symbol for parameter in fitted if parameter.name in BEVEL_PARAMETERS), "")
+    rows = list[Row]()
+    for parameter in fitted:
+        label, _, estimate = parameter.describe()
+        limit = parameter.describe_limit(bevel)
+        rows.append({"parameter": label, "posterior": estimate, "limited_by": limit})
     notes = [TEXT.sentence("rigidity", {"rigidity": rigidity})] if rigidity else []
     notes += [f"{AT_BOUND}: a bound."] if any(AT_BOUND in row["posterior"] for row in rows) else []
     is_judged = bool((parameters["determined"] != "").any())
@@ -396,39 +437,11 @@ def lay_out_estimates(
     return Table("estimates", rows, columns, notes=tuple(notes)).lay_out()
 
 
-def _describe_limit(name: str, rows: Sequence[ParameterRow], bevel: str) -> str:
-    """Return to what factor a parameter is known, and what limits it, in the fold that knows it least."""
-    intervals, word = [row.interval for row in rows], find_least_determined(row.determined for row in rows)
-    if not all(is_known(end) for ends in intervals for end in ends):
-        return "interval not known"
-    if any(at_bound for _, at_bound in _find_outermost(rows, intervals)):
-        return "not determined: a bound limits it"
-    limit = "its interval"
-    if is_logarithmic(name):
-        limit = f"to a factor of {_format_end(_find_factor(rows))}"
-    conditions = {row.condition.removeprefix("determined ") for row in rows if row.determined == word}
-    limits = sorted(filter(None, conditions))
-    if word == "only together" and not limits:
-        alone = bevel in ("", format_bare_symbol(name))
-        limits.append(f"better as a product with {'others' if alone else bevel}")
-    return ", ".join((limit, *limits[:1]))
-
-
 def _join_range(values: Sequence[float], unit: float) -> str:
     """Return "0.196", or "0.19 to 0.21" for several values."""
     scaled = [value / unit for value in values if is_known(value)]
     ends = (min(scaled), max(scaled)) if scaled else ()
     return " to ".join(dict.fromkeys(map(format_plain, ends)))
-
-
-def _format_estimate(rows: Sequence[ParameterRow], values: Sequence[float], unit: float) -> str:
-    """Return "0.196 (0.12 to 0.28)"; of several folds with the outermost ends, of none ""."""
-    estimate, intervals = _join_range(values, unit), [row.interval for row in rows]
-    if not rows or not all(is_known(end) for ends in intervals for end in ends):
-        return estimate
-    ends = _find_outermost(rows, intervals)
-    texts = (f"{_format_end(end, unit)}{AT_BOUND if at_bound else ''}" for end, at_bound in ends)
-    return f"{estimate} ({' to '.join(texts)})"
 
 
 def _format_least_errors(name: str, rows: Sequence[ParameterRow], unit: float) -> str:
@@ -459,12 +472,13 @@ def _format_near(name: str, value: float, unit: float, digits: int = END_DIGITS)
 
 def _find_outermost(
     rows: Sequence[ParameterRow], ranges: Sequence[tuple[float, float]]
-) -> Iterator[tuple[float, bool]]:
-    """Yield the least low end and the greatest high end of ranges, each with whether it is a bound."""
-    bounds = ([row.bound_low for row in rows], [row.bound_high for row in rows])
-    for ends, limits, choose in zip(zip(*ranges, strict=True), bounds, (min, max), strict=True):
-        end = choose(ends)
-        yield end, any(math.isclose(end, limit, rel_tol=1e-6) for limit in limits if is_known(limit))
+) -> list[tuple[float, bool]]:
+    """Return the least low end and the greatest high end of ranges, each with whether it is a bound."""
+    (low, high), bounds = zip(*ranges, strict=True), [(row.bound_low, row.bound_high) for row in rows]
+    return [
+        (end, any(math.isclose(end, bound[side], rel_tol=1e-6) for bound in bounds))
+        for side, end in enumerate((min(low), max(high)))
+    ]
 
 
 def _format_end(end: float, unit: float = 1.0, digits: int = END_DIGITS) -> str:
