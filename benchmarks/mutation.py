@@ -99,7 +99,7 @@ AREAS = {
         ("validation_forecast", "ecdf_band"),
     ),
     "coverage": Area(
-        ("studies/coverage.py", "studies/prediction_scores.py", "studies/scored_groups.py"),
+        ("studies/prediction_scores.py", "studies/scored_groups.py"),
         ("validation_heldout", "inference_space", "judge", "reporting_tables"),
     ),
     "planes": Area(

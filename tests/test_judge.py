@@ -12,7 +12,7 @@ from reporting_results import stereo, study, with_predictions
 
 from needlefit.project.result_warnings import ResultWarning, to_stored_rows
 from needlefit.studies.answer import Check, Outcome
-from needlefit.studies.coverage import tabulate_coverage
+from needlefit.studies.first_page import lay_out_checks
 from needlefit.studies.judge import (
     Comparison,
     Judgement,
@@ -24,6 +24,7 @@ from needlefit.studies.judge import (
     judge_fits,
     list_checks,
 )
+from needlefit.studies.prediction_scores import tabulate_coverage
 from needlefit.studies.scored_groups import orient_pits
 
 

@@ -28,13 +28,12 @@ from needlefit.project.locate import find_file
 from needlefit.project.toml import load
 from needlefit.schemas.recipe import LikelihoodRecord, RecipeRecord
 from needlefit.schemas.study import StudyRecord
-from needlefit.studies.coverage import estimate_width_after_one
 from needlefit.studies.fold_draws import Specimens, draw_fold_parameters
 from needlefit.studies.job import Job, Settings
 from needlefit.studies.kinds.cross_validation.rows import FRAMES
 from needlefit.studies.load import load_study
 from needlefit.studies.observations import predict_held_out
-from needlefit.studies.prediction_scores import find_end_error
+from needlefit.studies.prediction_scores import estimate_width_after_one, find_end_error
 
 POINTS = LikelihoodRecord(depths="fixed", bevel_spread=0.0, measurement="points")
 

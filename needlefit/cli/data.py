@@ -105,10 +105,7 @@ def import_data(
         PICTURE_FILE,
         explain_unclear,
         find_not_imported,
-        join_unused,
-        tabulate_columns,
         tabulate_needles,
-        tabulate_values,
         write_import,
     )
     from needlefit.schemas.names import require_file_name
@@ -145,9 +142,7 @@ def import_data(
         screen.show_frame(needles, "Needles")
         if unclear := explain_unclear(dataset):
             screen.print_text(unclear)
-        screen.show_frame(tabulate_columns(prepared.columns), "Columns")
-        screen.show_frame(tabulate_values(prepared), "Values of all needles")
-        screen.print_text(join_unused(prepared.unused))
+        _show_mapping(prepared)
     screen.print_warnings(invocation, dataset.warnings)
     path = format_path(out)
     look = f"look at {out / PICTURE_FILE}, " if (out / PICTURE_FILE).is_file() else ""
@@ -155,15 +150,19 @@ def import_data(
     show_next_steps(dataset, out)
 
 
-def _review(prepared: "PreparedImport", problem: str) -> str:
-    """Show what each column means and what is assumed; return a change, or an empty text."""
+def _show_mapping(prepared: "PreparedImport") -> None:
     from needlefit.reporting.dataset_import import join_unused, tabulate_columns, tabulate_values
 
-    if problem:
-        screen.print_note(problem)
     screen.show_frame(tabulate_columns(prepared.columns), "Columns")
     screen.show_frame(tabulate_values(prepared), "Values of all needles")
     screen.print_text(join_unused(prepared.unused))
+
+
+def _review(prepared: "PreparedImport", problem: str) -> str:
+    """Show what each column means and what is assumed; return a change, or an empty text."""
+    if problem:
+        screen.print_note(problem)
+    _show_mapping(prepared)
     answer: str = typer.prompt(
         "Enter if this is right; else KEY=VALUE, as unit=cm, pose=1,0,0 or y.column=HEADER",
         default="",

@@ -18,8 +18,23 @@ def list_topics() -> Mapping[str, tuple[Topic, ...]]:
     return {
         "Warnings and checks": tuple(read_sections().values()),
         "Terms": tuple(read_terms()),
-        "Columns of tables": tuple(_describe_columns()),
-        "Columns of tables that you write": tuple(_describe_input_columns()),
+        "Columns of tables": tuple(
+            Topic(
+                column.key,
+                f"{column.label} ({column.unit})" if column.unit else column.label,
+                (column.explanation,),
+                column.label,
+            )
+            for column in list_columns().values()
+        ),
+        "Columns of tables that you write": tuple(
+            Topic(
+                column.column,
+                f"{column.column}, of {column.table}",
+                (column.meaning, *([f"Empty: {column.default}."] if column.default else [])),
+            )
+            for column in read_input_columns()
+        ),
         "Files that you write": tuple(_describe_files()),
         "Keys of files": tuple(_describe_keys()),
     }
@@ -40,22 +55,6 @@ def _fold(name: str) -> str:
     """Return a name without what words are joined by, and without the number of a percentage or a layer."""
     plain = re.sub(r"\d+ ?% ?|[₀-₉]", "", name)
     return re.sub("[-_ \u00a0]+", " ", plain).strip(" .?:").casefold()
-
-
-def _describe_columns() -> Iterator[Topic]:
-    for column in list_columns().values():
-        title = f"{column.label} ({column.unit})" if column.unit else column.label
-        yield Topic(column.key, title, (column.explanation,), column.label)
-
-
-def _describe_input_columns() -> Iterator[Topic]:
-    for input_column in read_input_columns():
-        empty = f"Empty: {input_column.default}." if input_column.default else ""
-        yield Topic(
-            input_column.column,
-            f"{input_column.column}, of {input_column.table}",
-            tuple(filter(None, (input_column.meaning, empty))),
-        )
 
 
 def _describe_files() -> Iterator[Topic]:

@@ -20,9 +20,9 @@ from needlefit.reporting.figures.columns import (
 from needlefit.reporting.number_format import format_mm
 from needlefit.reporting.table_files import Row, select_rows, to_records
 from needlefit.studies import scored_groups as scores
-from needlefit.studies.coverage import join_trials
 from needlefit.studies.fit_frames import FitFrames
 from needlefit.studies.judge import judge
+from needlefit.studies.prediction_scores import join_trials
 from needlefit.studies.run import Run
 
 # ---- insertions

@@ -1,12 +1,16 @@
 """What a study or fit works on, and how it is executed."""
 
+import json
 import platform
 import shlex
+import subprocess
 import sys
 import time
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from functools import cache
+from importlib.metadata import distribution
 from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -25,7 +29,6 @@ from needlefit.project.processes import one_thread
 from needlefit.project.progress import Note, Progress, Stop, never_stop, no_note, no_progress
 from needlefit.project.random_streams import random_stream
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.project.source_revision import find_source_revision
 from needlefit.project.toml import add_study_context, locate_key
 from needlefit.schemas.base import FileRecord
 from needlefit.schemas.medium import MediumRecord
@@ -216,3 +219,25 @@ def run_study(name: str, record: FileRecord, settings: Settings) -> Run:
     if revision := find_source_revision():
         state["source_revision"] = revision
     return replace(run.with_metadata(**state), timing=timing | run.timing)
+
+
+GIT_SECONDS = 5.0  # longest time that git is waited for
+
+
+@cache
+def find_source_revision() -> str:
+    """Return the commit that needlefit was installed from or that is checked out; empty if neither is known.
+
+    "-dirty" is appended where files of the checkout were changed since.
+    """
+    origin = json.loads(distribution("needlefit").read_text("direct_url.json") or "{}")
+    installed = origin.get("vcs_info", {}).get("commit_id", "")
+    checkout = Path(__file__).parents[2]
+    if installed or not (checkout / ".git").exists():
+        return str(installed)
+    command = ("git", "-C", str(checkout), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*")
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=GIT_SECONDS, check=False)
+    except (OSError, subprocess.TimeoutExpired):  # no git, or a checkout on a slow disk
+        return ""
+    return done.stdout.strip()

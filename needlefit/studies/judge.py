@@ -29,15 +29,15 @@ from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.run_metadata import FitMetadata
 from needlefit.studies.advice import ASSUMED, list_contradictions, list_doubts
 from needlefit.studies.answer import Check, Finding, Outcome, Status, is_printed_as_one
-from needlefit.studies.coverage import (
+from needlefit.studies.fit_frames import PREDICTION_METHOD, FitFrames
+from needlefit.studies.prediction_scores import (
     MAX_AIMING_WIDTH_MM,
+    PREDICTED,
     count_covered,
     join_trials,
     measure_tips,
     median_width,
 )
-from needlefit.studies.fit_frames import PREDICTION_METHOD, FitFrames
-from needlefit.studies.prediction_scores import PREDICTED
 from needlefit.studies.run import Run, value_of_run
 from needlefit.studies.scored_groups import TE, pool_insertions
 

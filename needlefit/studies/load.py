@@ -72,9 +72,7 @@ def load_study(name: str, record: FitRecord, settings: Settings) -> Job:
     )
     for studied in STUDIED.values():
         studied.check(job)
-    _check_layers(job)
-    check_reach(job)
-    _check_size(job)
+    _require_feasible(job)
     job = replace(job, warnings=tuple(_find_warnings(job)))
     if record.compared is None and (note := describe_compared(dataset)):
         settings.note(note)
@@ -101,11 +99,9 @@ def _find_warnings(job: Job) -> Iterator[ResultWarning]:
         yield from warn_shared_specimens(job.name, job.folds, job.place(key))
 
 
-# ---- what is refused before the work
-
-
-def _check_layers(job: Job) -> None:
-    """Refuse a medium with fewer layers than an insertion meets."""
+def _require_feasible(job: Job) -> None:
+    """Refuse, before hours of work, insertions that medium or needle have no place for, or too many."""
+    rules, total = mesh(job.medium), 0.0
     count = f"{job.medium.layers} layer{'s' if job.medium.layers > 1 else ''}"
     for insertion in job.insertions:
         if max(insertion.sequence) > job.medium.layers:
@@ -115,13 +111,8 @@ def _check_layers(job: Job) -> None:
                 fix="name its medium, or select other insertions",
                 key="medium",
             )
-
-
-def check_reach(job: Job) -> None:
-    """Refuse, before hours of work, a needle too short for the deepest insertion and the farthest guide."""
-    for insertion in job.insertions:
         stated = job.parameters.fixed.get(_GUIDE_PARAMETER, insertion.guide_distance or 0.0)
-        _, guide = job.parameters.bounds.get(_GUIDE_PARAMETER, (0.0, stated))
+        _, guide = job.parameters.bounds.get(_GUIDE_PARAMETER, (0.0, stated))  # the farthest one
         length = insertion.needle.length
         if insertion.depth + guide >= length:
             raise ConfigError(
@@ -131,12 +122,6 @@ def check_reach(job: Job) -> None:
                 expected=f"below {length - insertion.depth:g} mm",
                 fix="lessen the guide's distance or its upper bound",
             )
-
-
-def _check_size(job: Job) -> None:
-    """Refuse, before hours of work, insertions of which a single evaluation would take a minute."""
-    rules, total = mesh(job.medium), 0.0
-    for insertion in job.insertions:
         try:
             check_size((insertion.depth,), rules)
         except ModelError as error:
@@ -148,7 +133,7 @@ def _check_size(job: Job) -> None:
             ) from None
         conditions = 1 + 2 * len(insertion.sequence) if job.recipe.likelihood.depths != "fixed" else 1
         total += conditions * count_element_solves((insertion.depth,), rules.spacing, rules.element)
-    if total > MAX_EVALUATION_ELEMENT_SOLVES:
+    if total > MAX_EVALUATION_ELEMENT_SOLVES:  # a single evaluation would take a minute
         raise ConfigError(
             f"{len(job.insertions)} insertions are {total:.3g} elements to be solved for in one evaluation",
             where=job.place_in_medium("constraint_spacing_mm"),

@@ -87,23 +87,18 @@ def make_predictors(
     if hand_tuned is not None:
         values["hand_tuned"] = hand_tuned
     models = {name: model_predictor(values[name], problem.medium) for name in MODEL_METHODS if name in values}
-    return {**models, **_fit_curves(problem)}
-
-
-def _fit_curves(problem: Problem) -> dict[str, Predictor]:
-    """Return the baseline curves. Each is fitted for every needle by itself, as needles bend differently."""
 
     @cache
     def fit(needle: Needle) -> Mapping[str, FittedBaseline]:
+        """Return the curves of a needle by themselves, as needles bend differently."""
         return fit_baselines(problem.dataset, select_same_needle(problem.insertions, needle))
 
-    def make(name: str) -> Predictor:
+    def predict_by(name: str) -> Predictor:
         return curve_predictor(lambda insertion: fit(insertion.needle)[name].curve(insertion))
 
     curved = all(OBSERVATIONS[insertion.observation].is_curve for insertion in problem.insertions)
-    return {
-        baseline.name: make(baseline.name) for baseline in list_baselines() if curved or not baseline.of_curve
-    }
+    baselines = [baseline.name for baseline in list_baselines() if curved or not baseline.of_curve]
+    return models | {name: predict_by(name) for name in baselines}
 
 
 #: how curves are compared, by what is known of their poses

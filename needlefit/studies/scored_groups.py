@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -185,7 +184,8 @@ def tabulate_errors(table: str, *runs: Run) -> pd.DataFrame:
     are those that the predicted needle crosses, because the measured crossings of a held-out insertion leak
     its outcome. Counts stay whole numbers where some are missing.
     """
-    rows = [row for run in runs for row in _list_group_rows(run, table)]
+    groups = [group for run in runs for group in list_groups(run, table)]
+    rows = [row for group in groups for row in group.rows.values()]
     return pd.DataFrame(rows, columns=list(COLUMNS)).astype({"layers": "Int64", "paper_insertions": "Int64"})
 
 
@@ -201,9 +201,24 @@ def _make_group(rows: Iterable[Row], **head: Any) -> ScoredGroup | None:  # noqa
 
 @value_of_run
 def list_groups(run: Run, table: str = "validation") -> list[ScoredGroup]:
-    """Return the groups of a table of errors, in the order of their first insertions."""
-    rows = groupby(_list_group_rows(run, table), key=lambda row: [row[name] for name in _GROUP_COLUMNS])
-    return [group for _, some in rows if (group := _make_group(some)) is not None]
+    """Return the groups of a table of errors, by medium and layers; their first insertions order them."""
+    errors = select_rows(run.frames["errors"], role="validate" if table == "validation" else "tune")
+    means, groups = aggregate(errors, ("medium", "layers", "method", "boundaries")), list[ScoredGroup]()
+    for (medium, layers), some in means.groupby(["medium", "layers"], sort=False):
+        rows = to_records(some)
+        about = {"study": study_label(run), "grouping": GROUPINGS[table], "medium": medium, "layers": layers}
+        printed, insertions = _find_paper_row(about)
+        printed = {} if count_directions(run) > 1 else printed  # the paper compares needles in their planes
+        beside = {
+            "paper_insertions": insertions,
+            "layer_count_rule": run.record.layer_count_rule,
+            "origin": run.origin,
+            "comparison": str(errors["comparison"].iloc[0]),
+            "compared": run.knows(JobMetadata).compared,
+        }
+        group = _make_group({**about, **row, "paper": printed.get(row["metric"]), **beside} for row in rows)
+        groups += [group] if group is not None else []
+    return groups
 
 
 def study_label(run: Run) -> str | int:
@@ -220,29 +235,6 @@ def pool_insertions(run: Run) -> ScoredGroup | None:
     rows = [{**row, "paper": None} for row in to_records(aggregate(here, ("method", "boundaries")))]
     about = {"medium": None, "layers": None, "comparison": next(iter(here["comparison"]), None)}
     return _make_group(rows, grouping=GROUPINGS["validation" if role == "validate" else "tuning"], **about)
-
-
-@value_of_run
-def _list_group_rows(run: Run, table: str) -> list[Row]:
-    errors = select_rows(run.frames["errors"], role="validate" if table == "validation" else "tune")
-    means, all_rows = aggregate(errors, ("medium", "layers", "method", "boundaries")), list[Row]()
-    for _, group in means.groupby(["medium", "layers"], sort=False):
-        rows = to_records(group)
-        medium, layers = rows[0]["medium"], rows[0]["layers"]
-        if not any((row["method"], row["boundaries"]) == ("fitted", "measured") for row in rows):
-            continue
-        about = {"study": study_label(run), "grouping": GROUPINGS[table], "medium": medium, "layers": layers}
-        printed, insertions = _find_paper_row(about)
-        printed = {} if count_directions(run) > 1 else printed  # the paper compares needles in their planes
-        beside = {
-            "paper_insertions": insertions,
-            "layer_count_rule": run.record.layer_count_rule,
-            "origin": run.origin,
-            "comparison": str(errors["comparison"].iloc[0]),
-            "compared": run.knows(JobMetadata).compared,
-        }
-        all_rows += [{**about, **row, "paper": printed.get(row["metric"]), **beside} for row in rows]
-    return all_rows
 
 
 def _find_paper_row(group: Row) -> tuple[Row, int | None]:

@@ -18,9 +18,9 @@ from needlefit.registry import Registry
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.table_files import Row
 from needlefit.schemas.run_metadata import CountMetadata
-from needlefit.studies.coverage import AFTER_ONE_COLUMN, WIDTH_ERROR_COLUMN
 from needlefit.studies.fold_draws import Specimens
 from needlefit.studies.job import Job
+from needlefit.studies.prediction_scores import AFTER_ONE_COLUMN, WIDTH_ERROR_COLUMN
 from needlefit.studies.run import Run
 
 #: Of the table "predictive": the distribution of every insertion held out, and how the measurement fell in

@@ -51,7 +51,6 @@ from needlefit.schemas.recipe import LikelihoodRecord
 from needlefit.schemas.run_metadata import CountMetadata
 from needlefit.studies import fit_figures
 from needlefit.studies import scored_groups as scores
-from needlefit.studies.coverage import AFTER_ONE_COLUMN, WIDTH_ERROR_COLUMN, estimate_width_after_one
 from needlefit.studies.fit_frames import FitFrames
 from needlefit.studies.fold_draws import Specimens, describe_specimen
 from needlefit.studies.job import Job
@@ -62,9 +61,12 @@ from needlefit.studies.observations import (
     describe_held_out,
 )
 from needlefit.studies.prediction_scores import (
+    AFTER_ONE_COLUMN,
     CURVATURE_CRPS,
     SHAPE_CRPS,
     SPATIAL_COLUMNS,
+    WIDTH_ERROR_COLUMN,
+    estimate_width_after_one,
     find_end_error,
     score_shape,
     score_tip,

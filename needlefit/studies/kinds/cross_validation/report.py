@@ -21,7 +21,6 @@ from needlefit.studies import fit_figures, fit_tables
 from needlefit.studies import scored_groups as scores
 from needlefit.studies.advice import advise, classify_doubt, find_failures, list_doubts, name_doubt
 from needlefit.studies.answer import Advice, Check, Status, Verdict
-from needlefit.studies.coverage import AFTER_ONE_COLUMN
 from needlefit.studies.first_page import FirstPage
 from needlefit.studies.fit_frames import FitFrames
 from needlefit.studies.fit_tables import TEXT
@@ -30,7 +29,7 @@ from needlefit.studies.judge import Judgement, find_contradictions, judge, list_
 from needlefit.studies.kinds.cross_validation.rows import FRAMES
 from needlefit.studies.observations import draw_observations
 from needlefit.studies.odd_needles import draw_odd_needles
-from needlefit.studies.prediction_scores import PREDICTED
+from needlefit.studies.prediction_scores import AFTER_ONE_COLUMN, PREDICTED
 from needlefit.studies.report import StudyReport, list_data_notes
 from needlefit.studies.run import Run, value_of_run
 

@@ -41,9 +41,9 @@ from needlefit.studies.kinds.cross_validation.fold import (
 from needlefit.studies.kinds.cross_validation.progress import StudyProgress
 from needlefit.studies.kinds.cross_validation.rows import FRAMES
 from needlefit.studies.load import load_study
-from needlefit.studies.mixed_errors import add_errors_over_noise
 from needlefit.studies.needle_placement import tabulate_needles_in_scan
 from needlefit.studies.odd_needles import find_odd_needles, join_folds
+from needlefit.studies.prediction_scores import add_errors_over_noise
 from needlefit.studies.run import Run
 from needlefit.studies.validity import tabulate_validity
 

@@ -17,10 +17,10 @@ from needlefit.schemas.run_metadata import PredictionMetadata
 from needlefit.schemas.scene import SceneRecord
 from needlefit.studies.advice import advise
 from needlefit.studies.answer import Advice, Verdict
-from needlefit.studies.coverage import MAX_AIMING_WIDTH_MM
 from needlefit.studies.first_page import FirstPage
 from needlefit.studies.fit_tables import lay_out_estimates
 from needlefit.studies.kinds.prediction.forecast import AXES
+from needlefit.studies.prediction_scores import MAX_AIMING_WIDTH_MM
 from needlefit.studies.report import StudyReport
 from needlefit.studies.run import Run
 
