@@ -4,6 +4,7 @@ import shlex
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -198,31 +199,28 @@ def require_no_faults(faults: Iterable[str]) -> None:
         raise typer.Exit(exit_codes.NOT_CONVERGED)
 
 
-@dataclass(frozen=True)
-class StudyRunner:
-    """Runs and writes one study after another; it travels with the `datasets` to copies of this process."""
+def _run_study(
+    execution: Execution, datasets: "Mapping[Path, Dataset]", work: StudyTask
+) -> "tuple[Run, list[str]]":
+    """Run and write a study; it may do so in a copy of this process. An interrupted one is not written.
 
-    execution: Execution
-    datasets: "Mapping[Path, Dataset]"  #: by the files or folders that studies name
+    `datasets`: by the files or folders that studies name. Also returns the notes that were printed.
+    """
+    from needlefit.project.toml import add_file_context
+    from needlefit.schemas.study import FitRecord, StudyRecord
+    from needlefit.studies.job import Inputs
 
-    def __call__(self, work: StudyTask) -> "tuple[Run, list[str]]":
-        """Return the run, and the notes that were printed; an interrupted one is not written."""
-        from needlefit.project.toml import add_file_context
-        from needlefit.schemas.study import FitRecord, StudyRecord
-        from needlefit.studies.job import Inputs
-
-        noted, record, inputs = list[str](), work.record, self.execution.inputs
-        if isinstance(record, FitRecord):
-            inputs = Inputs(dataset=self.datasets[find_dataset_path(record)])
-        asked = replace(self.execution.invocation, noted=noted)
-        execution = replace(self.execution, invocation=asked, inputs=inputs)
-        # a fit by itself is sampled as by `tune`; folds of studies are not
-        sample = not isinstance(record, StudyRecord)
-        with add_file_context(work.file):
-            run = execution.run(work.name, record, sample, work.file)
-            if not run.interrupted:
-                execution.write(run)
-        return run, noted
+    noted, record, inputs = list[str](), work.record, execution.inputs
+    if isinstance(record, FitRecord):
+        inputs = Inputs(dataset=datasets[find_dataset_path(record)])
+    execution = replace(execution, invocation=replace(execution.invocation, noted=noted), inputs=inputs)
+    # a fit by itself is sampled as by `tune`; folds of studies are not
+    sample = not isinstance(record, StudyRecord)
+    with add_file_context(work.file):
+        run = execution.run(work.name, record, sample, work.file)
+        if not run.interrupted:
+            execution.write(run)
+    return run, noted
 
 
 def find_dataset_path(record: "FitRecord") -> Path:
@@ -251,11 +249,12 @@ def run_studies(execution: Execution, todo: Sequence[StudyTask]) -> "list[Run]":
     asked = execution.invocation
     jobs = asked.jobs or count_cores()
     processes = min(jobs, len(todo)) if can_fork() else 1
-    runner = StudyRunner(execution, datasets)
+    running = execution
     if processes > 1:
         print_remark(f"{len(todo)} runs in {processes} processes")
         alone = replace(asked, jobs=jobs // processes, quiet=True)
-        runner = replace(runner, execution=replace(execution, invocation=alone, stop=stop_requested))
+        running = replace(execution, invocation=alone, stop=stop_requested)
+    runner = partial(_run_study, running, datasets)
     finished, done = dict[int, "Run"](), list["Run"]()
     for number, (run, noted) in LocalPool(processes).run(runner, todo, execution.stop):
         if run.interrupted:

@@ -15,7 +15,7 @@ from needlefit.inference.parameters import (
 )
 from needlefit.mechanics.laws import LAWS
 from needlefit.project.json_values import to_json_values
-from needlefit.project.toml import add_file_context, add_key_context, check, find_named, load, renamed_keys
+from needlefit.project.toml import add_file_context, add_key_context, check, find_named, load
 from needlefit.schemas.medium import (
     MAX_CUT_ANGLE_DEG,
     MIN_CUT_ANGLE_DEG,
@@ -121,8 +121,11 @@ def change_parameters(medium: MediumRecord, free: Sequence[str], fix: Mapping[st
         changed[name] = _make_free(stated, name, medium.law)
     for name, value in fix.items():
         changed[name] = ParameterRecord(fixed=value)
-        with renamed_keys({"parameters": "fix"}):
+        try:
             check_values(name, changed[name], medium.law)
+        except ConfigError as error:  # which names the key of a tissue model
+            error.key = error.key.replace("parameters", "fix", 1)
+            raise
     return medium.model_copy(update={"parameters": medium.parameters | changed})
 
 

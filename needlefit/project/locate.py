@@ -222,13 +222,11 @@ def unknown_name_error(kind: str, name: str, names: list[str], otherwise: str = 
     """
     last = name.rstrip("/").rpartition("/")[2].removesuffix(".toml")
     nearest = sort_by_similarity(last, names)
-    paths = sorted(_list_beside(name), key=lambda path: _compare_stems(name, path)) if otherwise else []
-    alike = [
-        candidate for candidate in (*paths[-1:], *nearest[:1]) if _compare_stems(name, candidate) >= LIKE
-    ]
+    candidates = [*(_list_beside(name) if otherwise else ()), *nearest[:1]]
+    best = max(candidates, key=lambda path: _compare_stems(name, path), default="")
     problem = f"there is no {kind} {'at' if is_path(name) else 'called'} `{name}`"
-    if alike:
-        problem += f"; did you mean `{max(alike, key=lambda path: _compare_stems(name, path))}`?"
+    if best and _compare_stems(name, best) >= LIKE:
+        problem += f"; did you mean `{best}`?"
     listed = join_names(nearest, MAX_NEAR_NAMES) or "(none found)"
     fix = (
         "correct the path, or use one of these names"

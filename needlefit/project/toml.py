@@ -204,18 +204,6 @@ def find_named(key: FileKind, name: str) -> Path:
 
 
 @contextmanager
-def renamed_keys(names: Mapping[str, str]) -> Iterator[None]:
-    """Have every ConfigError from within that names no place name its key as the file read calls it."""
-    try:
-        yield
-    except ConfigError as error:
-        first, dot, rest = error.key.partition(".")
-        if not error.where and first in names:
-            error.key = f"{names[first]}{dot}{rest}"
-        raise
-
-
-@contextmanager
 def add_study_context(study: str) -> Iterator[None]:
     """Give every ConfigError raised inside, if it names no place, this study."""
     try:

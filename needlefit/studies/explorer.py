@@ -135,18 +135,24 @@ def _collect_prediction(run: Run) -> PageData | None:
         scene, guides = name_guides(make_steered_scene(record, run.record.scene_name))
     except ConfigError:
         return None  # the page steers no such needle
-    lattice = make_lattice(scene.steps, scene.rules)
+    encoded, lattice = _encode_scene(run, scene, guides, run.title)
     shape = find_last_shape(scene.needle, scene.tissue, scene.steps, scene.rules, lattice)
     data = PageData({"needlefit": metadata.versions["needlefit"], "title": run.title})
     layers = range(1, scene.tissue.layers + 1)
     draws = select_layer_draws(pd.DataFrame(metadata.drawn), layers, medium.law)
-    changes = list_scene_changes(scene.steps, guides)
-    encoded = encode_scene(scene, lattice.first_cell, guides, changes, run.title, run.origin_mark)
     encoded["draws"] = encode_draws(draws, medium.law, data)
     head = format_head(make_head(run.name, lattice.first_cell, record))
     about = {"new_specimen": metadata.specimen == "others", "head": head, "tip": shape.tip_lateral}
     data.needles.append({"scene": encoded, **about})
     return data
+
+
+def _encode_scene(
+    run: Run, scene: Scene, guides: Sequence[str], title: str
+) -> tuple[dict[str, Any], Lattice]:
+    """Return a scene with the changes of its steps as the page has it, and its lattice."""
+    lattice, changes = make_lattice(scene.steps, scene.rules), list_scene_changes(scene.steps, guides)
+    return encode_scene(scene, lattice.first_cell, guides, changes, title, run.origin_mark), lattice
 
 
 def find_prediction(run: Run, fold: str, role: str, insertion: str) -> dict[str, Any] | None:
@@ -177,11 +183,8 @@ def _encode_needle(data: PageData, run: Run, row: Row, curve: Floats) -> dict[st
     dataset = metadata.dataset.name
     record = make_scene_record(values, medium, dataset, inputs, title, MAX_TOLERANCE_MM)
     scene, guides = name_guides(Scene.from_record(record, name))
-    lattice = make_lattice(scene.steps, scene.rules)
-    measured = _encode_measured(scene, lattice, stored, row, curve, metadata.compared)
-    changes = list_scene_changes(scene.steps, guides)
-    encoded = encode_scene(scene, lattice.first_cell, guides, changes, title, run.origin_mark)
-    encoded["measured"] = measured
+    encoded, lattice = _encode_scene(run, scene, guides, title)
+    encoded["measured"] = _encode_measured(scene, lattice, stored, row, curve, metadata.compared)
     drawn = draw_insertion(run, row["fold"], name, stored.specimen)
     if drawn.table is not None:
         draws = select_layer_draws(drawn.table, [layer for _, layer in find_layers(inputs)], medium.law)

@@ -37,13 +37,6 @@ from needlefit.reporting.table_files import Row
 from needlefit.studies.fit_frames import NEW_SPECIMEN
 from needlefit.studies.job import Job, Settings
 
-#: Of the table "draws": draws of each fold's parameters, with Pareto's k where by importance. `specimen` is
-#: "(tuned)" (of several that differ, their mean), one of several that differ, or "(new)"; then a column per
-#: parameter.
-DRAW_COLUMNS = ("fold", "specimen", "draw_source", "pareto_k", "ess", "certified")
-#: Of the table "population": how much parameters differ between the specimens that were fitted, by the
-#: logarithm: SD, and correlation of mu with the bevel parameter. Empty where one set is for all.
-POPULATION_COLUMNS = ("fold", "parameter", "between_sd", "between_correlation", "other_specimens")
 PREDICTION_DRAWS = 1000  #: parameter sets of which a needle is predicted
 FIGURE_DRAWS = 400  #: parameter sets that a figure of the posterior shows
 SHIFT_DRAWS = 5  #: parameter sets at which it is looked how far those that are held move the needles

@@ -29,17 +29,6 @@ from needlefit.inference.predict import (
 from needlefit.metrics import CURVATURE_RMS, OVER_NOISE, TE, TRACK_RMS, verdict_metrics
 from needlefit.reporting.table_files import Row
 
-#: of the table "bands": where each insertion held out was predicted to be measured, at its measured x: the
-#: median, and the ends of simultaneous bands
-BAND_COLUMNS = (
-    *("fold", "insertion", "x_mm", "measured_mm", "median_mm"),
-    *("low_50_mm", "high_50_mm", "low_95_mm", "high_95_mm"),
-)
-#: of the table "curvature": the reading of every sensor along y, in space along z, as measured and predicted
-SENSOR_COLUMNS = (
-    *("fold", "insertion", "s_mm", "direction", "kappa_1_per_mm"),
-    *("kappa_predicted_1_per_mm", "kappa_sd_1_per_mm", "kappa_in_95"),
-)
 BAND_POINTS = 41  #: points of a band that are kept, of up to some 200
 
 

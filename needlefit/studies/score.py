@@ -35,11 +35,6 @@ from needlefit.studies.fit_frames import MODEL_METHODS
 from needlefit.studies.job import Job
 
 SCORE_KEYS = ("fold", "role", "insertion", "method", "boundaries")
-#: of the table "shapes": the curves that "errors" compares, j = 0 the entry (or the first scored point)
-SHAPE_COLUMNS = (
-    *(*SCORE_KEYS, "j", "measured_x_mm", "measured_y_mm", "measured_z_mm"),
-    *("simulated_x_mm", "simulated_y_mm", "simulated_z_mm"),
-)
 
 #: an insertion -> a curve by kind of boundaries ("measured", "planned"); None where the solve failed
 Predictor = Callable[[Insertion], Mapping[str, Curve | None]]

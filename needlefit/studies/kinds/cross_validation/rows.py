@@ -18,50 +18,62 @@ from needlefit.inference.identifiability.identify import Identifiability, object
 from needlefit.inference.parameter_names import HYPERPARAMETERS, to_value
 from needlefit.inference.problem import Problem
 from needlefit.reporting.table_files import Row
-from needlefit.studies.fold_draws import DRAW_COLUMNS, POPULATION_COLUMNS
 from needlefit.studies.identification import FROM_PRIOR, IDENTIFICATION_COLUMNS, PROFILE_COLUMNS, ParameterRow
 from needlefit.studies.job import Job
 from needlefit.studies.needle_placement import NEEDLE_COLUMNS
 from needlefit.studies.observations import PREDICTIVE_COLUMNS
 from needlefit.studies.observations.tip_track import END_COLUMNS, READING_COLUMNS
-from needlefit.studies.prediction_scores import BAND_COLUMNS, SENSOR_COLUMNS
-from needlefit.studies.score import ERROR_COLUMNS, SHAPE_COLUMNS
-
-#: Of the table "starts": every start of every search, then a column per parameter. `objective` is what was
-#: `minimized`: the negative log "posterior", or mm of the "metric"; `excess` is how far it is above the best
-#: of its search, in units of the tolerance (0.1; 1 % or 0.002 mm); `joined` is the start that it met and went
-#: on with.
-START_COLUMNS = (
-    *("fold", "fit", "start", "minimized", "objective", "excess", "within_tolerance"),
-    *("evaluations", "gradients", "failed_solves", "stopped", "joined"),
-)
-#: Of the table "error_fit": per fold the objective of the error-minimising fit, at the reported point, at the
-#: least one, and the tolerance within which it is not significantly larger, with its two estimates.
-ERROR_FIT_COLUMNS = (
-    *("fold", "objective_mm", "tolerance_mm"),
-    *("tolerance_by_noise_mm", "tolerance_by_insertions_mm", "evaluations"),
-)
-#: of the table "directions": combinations of parameters, and the SD to which each is known
-DIRECTION_COLUMNS = ("fold", "parameters", "sd", "sd_ratio", "note")
+from needlefit.studies.score import ERROR_COLUMNS, SCORE_KEYS
 
 #: the columns that each table has at least
 FRAMES: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "errors": ERROR_COLUMNS,
-        "shapes": SHAPE_COLUMNS,
-        "starts": START_COLUMNS,
+        # the curves that "errors" compares, j = 0 the entry (or the first scored point)
+        "shapes": (
+            *(*SCORE_KEYS, "j", "measured_x_mm", "measured_y_mm", "measured_z_mm"),
+            *("simulated_x_mm", "simulated_y_mm", "simulated_z_mm"),
+        ),
+        # every start of every search, then a column per parameter. `objective` is what was `minimized`: the
+        # negative log "posterior", or mm of the "metric"; `excess` is how far it is above the best of its
+        # search, in units of the tolerance (0.1; 1 % or 0.002 mm); `joined` is the start that it met and
+        # went on with.
+        "starts": (
+            *("fold", "fit", "start", "minimized", "objective", "excess", "within_tolerance"),
+            *("evaluations", "gradients", "failed_solves", "stopped", "joined"),
+        ),
         "parameters": ParameterRow._fields,
-        "error_fit": ERROR_FIT_COLUMNS,
-        "directions": DIRECTION_COLUMNS,
+        # per fold the objective of the error-minimising fit, at the reported point, at the least one, and
+        # the tolerance within which it is not significantly larger, with its two estimates.
+        "error_fit": (
+            *("fold", "objective_mm", "tolerance_mm"),
+            *("tolerance_by_noise_mm", "tolerance_by_insertions_mm", "evaluations"),
+        ),
+        # combinations of parameters, and the SD to which each is known
+        "directions": ("fold", "parameters", "sd", "sd_ratio", "note"),
         "identification": IDENTIFICATION_COLUMNS,
         "profiles": PROFILE_COLUMNS,
         "predictive": PREDICTIVE_COLUMNS,
-        "bands": BAND_COLUMNS,
-        "curvature": SENSOR_COLUMNS,
+        # where each insertion held out was predicted to be measured, at its measured x: the median, and the
+        # ends of simultaneous bands
+        "bands": (
+            *("fold", "insertion", "x_mm", "measured_mm", "median_mm"),
+            *("low_50_mm", "high_50_mm", "low_95_mm", "high_95_mm"),
+        ),
+        # the reading of every sensor along y, in space along z, as measured and predicted
+        "curvature": (
+            *("fold", "insertion", "s_mm", "direction", "kappa_1_per_mm"),
+            *("kappa_predicted_1_per_mm", "kappa_sd_1_per_mm", "kappa_in_95"),
+        ),
         "readings": READING_COLUMNS,
         "ends": END_COLUMNS,
-        "draws": DRAW_COLUMNS,
-        "population": POPULATION_COLUMNS,
+        # draws of each fold's parameters, with Pareto's k where by importance. `specimen` is "(tuned)" (of
+        # several that differ, their mean), one of several that differ, or "(new)"; then a column per
+        # parameter.
+        "draws": ("fold", "specimen", "draw_source", "pareto_k", "ess", "certified"),
+        # how much parameters differ between the specimens that were fitted, by the logarithm: SD, and
+        # correlation of mu with the bevel parameter. Empty where one set is for all.
+        "population": ("fold", "parameter", "between_sd", "between_correlation", "other_specimens"),
         "needles": NEEDLE_COLUMNS,
     }
 )
