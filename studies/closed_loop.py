@@ -83,7 +83,7 @@ def steer(seed: int, control: str, truth: str) -> dict:
             places = np.zeros(1) if control == "tip" else np.linspace(0.0, depth, 8, endpoint=False)
             points = needlefit.compute_positions(robot.needle.now.shape, depth - places)[:, :2]
             points += SD_MM * rng.standard_normal((len(places), 1)) * (0, 1)
-            steering.measure(sd=SD_MM, **{control: points[0] if control == "tip" else points})
+            steering.measure(points[0] if control == "tip" else points, control, sd=SD_MM)
         if control in ("again", "tip", "shape", "true") and 0 < depth < TARGET[0] - 5:
             plans[round(depth)] = steering.plan(TARGET)
         seen = np.add(tip, (0, SD_MM * (depth > 0) * rng.standard_normal(), 0))

@@ -12,7 +12,6 @@ from reporting_results import stereo, study, with_predictions
 
 from needlefit.project.result_warnings import ResultWarning, to_stored_rows
 from needlefit.studies.answer import Check, Outcome
-from needlefit.studies.first_page import lay_out_checks
 from needlefit.studies.judge import (
     Comparison,
     Judgement,

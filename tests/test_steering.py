@@ -124,7 +124,7 @@ def test_every_kind_of_measurement_is_expected_where_the_needle_is():
         ("shape", points, 0.02),
         ("curvatures", curvatures, 1e-3),
     ):
-        found = steering.measure(**{kind: np.add(values, (0.0, 0.2))}, sd=0.1)
+        found = steering.measure(np.add(values, (0.0, 0.2)), kind, sd=0.1)
         assert found.surprise == approx(2.0, abs=tolerance), kind
 
 
@@ -136,19 +136,19 @@ def test_an_error_changes_nothing():
     now, before, weights = steering.now, steering.predict(60.0).mean, steering.draws[1]
     guided = replace(now.controls, guides=(Guide(-20.0),))
     held = replace(now.controls, tip=TrackedTip(0.0))
-    for call in (
-        lambda: steering.measure((55.0, y), sd=0.3),
-        lambda: steering.measure(shape=[(10.0, 0.0), (31.0, y)], sd=0.1),
-        lambda: steering.measure(shape=[(10.0, np.nan)], sd=0.1),
-        lambda: steering.measure((30.0, y), shape=[(10.0, 0.0)], sd=0.1),
-        lambda: steering.measure((30.0, y), sd=0.0),
-        lambda: steering.advance(replace(now, bevel=replace(now.bevel, offset=0.3))),
-        lambda: steering.advance(replace(now, controls=guided)),
-        lambda: steering.advance(replace(now, controls=held)),
-        lambda: steering.advance([change(now, 50.0), change(now, 160.0)]),
-        lambda: steering.predict(20.0),
-    ):
-        refusal(ModelError, "", call)
+    for words, call in {
+        "is 30.0 mm deep": lambda: steering.measure((55.0, y), sd=0.3),
+        "at 31.0 mm": lambda: steering.measure([(10.0, 0.0), (31.0, y)], "shape", sd=0.1),
+        "of shape": lambda: steering.measure([(10.0, np.nan)], "shape", sd=0.1),
+        "SD of 0": lambda: steering.measure((30.0, y), sd=0.0),
+        "'curve' with": lambda: steering.measure([(10.0, 0.0)], "curve", sd=0.1),
+        "another strength": lambda: steering.advance(replace(now, bevel=replace(now.bevel, offset=0.3))),
+        "other guides": lambda: steering.advance(replace(now, controls=guided)),
+        "by its tip": lambda: steering.advance(replace(now, controls=held)),
+        "cannot be inserted": lambda: steering.advance([change(now, 50.0), change(now, 160.0)]),
+        "a depth of 20 mm": lambda: steering.predict(20.0),
+    }.items():
+        refusal(ModelError, words, call)
         assert steering.now == now and np.array_equal(steering.predict(60.0).mean, before)
         assert np.array_equal(steering.draws[1], weights)
 

@@ -25,7 +25,6 @@ from needlefit.inference.forward_model import predict
 from needlefit.inference.problem import find_outside_validity
 from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.schemas.study import StudyRecord
-from needlefit.studies.kinds.cross_validation.rows import FRAMES
 from needlefit.studies.kinds.cross_validation.run import Settings, run
 from needlefit.studies.score import Scorer, curve_predictor, make_predictors, model_predictor
 from needlefit.studies.validity import list_outside, tabulate_validity

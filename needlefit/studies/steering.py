@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 import pandas as pd
@@ -212,36 +212,26 @@ class Steering:
         self._session = session
         return self.now
 
-    def measure(
-        self,
-        tip: ArrayLike | None = None,
-        *,
-        shape: ArrayLike | None = None,
-        curvatures: ArrayLike | None = None,
-        sd: float,
-    ) -> Learned:
-        """Weight the draws by a measurement of the needle as it stands: one of the three.
+    def measure(self, measured: ArrayLike, kind: Kind = "tip", *, sd: float) -> Learned:
+        """Weight the draws by a measurement of the needle as it stands.
 
-        Raises ModelError, and nothing has changed, if it is not one measurement of finite numbers, or lies
-        beyond the present depth: of another needle, or in another frame.
+        Raises ModelError, and nothing has changed, if it holds other than finite numbers, or lies beyond the
+        present depth: of another needle, or in another frame.
 
         Parameters
         ----------
-        tip : (2,) or (3,)
-            x, y and z of the tip, mm; x is checked alone.
-        shape : (K, 2) or (K, 3)
-            x, y and z of points of the needle, mm.
-        curvatures : (K, 2) or (K, 3)
-            Distance from the tip along the needle, mm, then curvature toward y and z, 1/m.
+        measured : (2,), (3,), (K, 2) or (K, 3)
+            Of a "tip" its x, y and z, mm; x is checked alone. Of a "shape" x, y and z of points, mm. Of
+            "curvatures" the distance from the tip along the needle, mm, then those toward y and z, 1/m.
+        kind : "tip", "shape" or "curvatures"
+            What was measured.
         sd : float
             Of each value, mm or 1/m, independent of the others.
         """
-        given: dict[Kind, ArrayLike | None] = {"tip": tip, "shape": shape, "curvatures": curvatures}
-        some = {kind: value for kind, value in given.items() if value is not None}
-        if len(some) != 1 or not sd > 0:
-            raise ModelError(f"{len(some)} measurements with SD {sd}", expected="one, and an SD above 0")
-        ((kind, value),) = some.items()
-        reading = self._read(kind, np.atleast_2d(np.asarray(value, dtype=np.float64)), sd)
+        if kind not in get_args(Kind) or not sd > 0:
+            wanted = f"one of {', '.join(get_args(Kind))}, and an SD above 0"
+            raise ModelError(f"{kind!r} with an SD of {sd}", expected=wanted)
+        reading = self._read(kind, np.atleast_2d(np.asarray(measured, dtype=np.float64)), sd)
         expected = self._expect(reading, self._draws)
         off = reading.values - expected
         log = _log_likelihood(off, sd)
