@@ -77,8 +77,9 @@ def test_a_needle_is_scored_by_its_readings_and_by_the_tip_from_the_base():
     found = {name: value for each in compared for name, value in compute_metrics(each).items()}
     assert found["curvature_rms_1_per_m"] == approx(0.3 / np.sqrt(len(wrong)), rel=1e-3)
     assert found["te_integrated_mm"] == approx(abs(3e-4 * integrate_sensors(one)[2]), rel=1e-3)
-    inside = read_sensors(60.0)
-    assert [goal.quantity for goal in list_comparisons(data, inside)] == ["curvatures"]
+    inside, few = read_sensors(60.0), replace(one, curvature=one.curvature[-3:])  # few: over 24 mm
+    for needle in (inside, few):
+        assert [goal.quantity for goal in list_comparisons(data, needle)] == ["curvatures"]
 
 
 def test_the_floor_of_readings_is_that_of_their_errors():

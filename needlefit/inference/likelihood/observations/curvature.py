@@ -43,14 +43,17 @@ def combine_readings(pose: Pose, insertion: Insertion) -> Mapping[Quantity, tupl
     """Return what readings are compared by: the x (K,), mm, and the combinations (K, n) of n curvatures.
 
     They are themselves in 1/m, and, where a sensor lies before the entry and the pose is known, entry and
-    tip, mm, to which they lead from the base, or from a guide: see `integrate_sensors`.
+    tip, mm, to which they lead from the base, or from a guide: see `integrate_sensors`. The base, or guide,
+    is no farther from the first sensor than that is from the last: beyond, readings would hardly tell.
     """
     assert insertion.curvature is not None
     from_tip = insertion.curvature[:, 0]
     combined: dict[Quantity, tuple[Floats, Floats]] = {
         "curvatures": (insertion.depth - from_tip, 1e3 * np.eye(len(from_tip)))
     }
-    if find_pose(pose, insertion) == "known" and max(from_tip) > insertion.depth:
+    unmeasured = insertion.depth - max(from_tip) - find_clamp(insertion)
+    is_within = unmeasured <= np.ptp(from_tip) and max(from_tip) > insertion.depth
+    if is_within and find_pose(pose, insertion) == "known":
         weights = integrate_sensors(insertion)
         combined["integrated"] = np.array([0.0, insertion.depth]), np.vstack([0 * weights, weights])
     return combined
@@ -75,14 +78,19 @@ def compare_sensors(pose: Pose, insertion: Insertion, compared: Compared) -> tup
     )
 
 
+def find_clamp(insertion: Insertion) -> float:
+    """Return the beam coordinate, mm, of the clamped end: the base, or a guide."""
+    distance = insertion.guide_distance
+    return insertion.depth - insertion.needle.length if distance is None else -distance
+
+
 def integrate_sensors(insertion: Insertion) -> Floats:
     """Return the weights (n,), mm^2, by which curvatures lead from the clamped end to the tip's deflection.
 
     Curvature is 0 at the tip, linear between sensors, and goes on before the first, where the needle is free.
     """
     assert insertion.curvature is not None
-    clamp = insertion.depth - insertion.needle.length
-    clamp = clamp if insertion.guide_distance is None else -insertion.guide_distance
+    clamp = find_clamp(insertion)
     order = np.argsort(-insertion.curvature[:, 0])
     places = np.append(insertion.depth - insertion.curvature[order, 0], insertion.depth)
     s = np.linspace(clamp, insertion.depth, INTEGRATION_POINTS)
