@@ -28,23 +28,11 @@ def transcripts():
     return load_script(DOCS / "transcripts.py")
 
 
-def anchors(page):
-    """The places of a page that links may name: headings, and labels before them."""
-    text = page.read_text("utf-8")
-    headings = (
-        re.sub(r"\[([^]]*)\]\([^)]*\)|[`*]", r"\1", one) for one in re.findall("^#+ (.*)$", text, re.M)
-    )
-    plain = {re.sub(r"\s", "-", re.sub(r"[^\w\s-]", "", one.strip().lower())) for one in headings}
-    return plain | set(re.findall(r"^\((.+)\)=$", text, re.M))
-
-
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_links_lead_somewhere(page):
-    links = [link for link in re.findall(r"\]\(([^)\s]+)[^)]*\)", page.read_text("utf-8")) if ":" not in link]
-    for path, _, place in (link.partition("#") for link in links):
-        there = (page.parent / path).resolve() if path else page
-        assert there.exists(), path
-        assert not place or there.suffix != ".md" or place in anchors(there), f"{path}#{place}"
+    """The places within pages, which `sphinx-build -n` follows, are left out."""
+    links = re.findall(r"\]\(([^)\s#]+)[^)]*\)", page.read_text("utf-8"))
+    assert [link for link in links if ":" not in link and not (page.parent / link).exists()] == []
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)

@@ -29,27 +29,41 @@ from needlefit.studies.store import pack, unpack
 from needlefit.studies.study_files import load_study_file
 
 IDS = [f"phantom2-{n:02}" for n in (1, 2, 4, 7, 8, 9)]
-STUDY = {
-    "schema": 2,
-    "dataset": "./shapes",
-    "medium": "./gel.toml",
-    "recipe": "./recipe.toml",
-    "margin_mm": 0.5,
-    "margin_for": "a test",
-    "tune": {"insertions": IDS[:4]},
-    "validate": [{"insertions": IDS[4:5]}],
-}
-TRACKS = {
-    "schema": 2,
-    "dataset": "./tips",
-    "medium": "./track_gel.toml",
-    "recipe": "./recipe.toml",
-    "registration_depth_mm": 15.0,
-    "folds": [{"name": "gel", "tune": {"guided": False}, "validate": {"guided": True}}],
-}
-LAYER = {"mu1_pa": {"bounds": [1e3, 1e7]}, "alpha1": {"fixed": 1.0}, "bevel_mm": {"bounds": [1e-4, 0.3]}}
-RECIPE = {"schema": 2, "likelihood": {}, "sample": {"walkers": 12}}
-PRIOR = {"schema": 1, "alpha": {"mean": 1.0, "sd": 0.1}, "mu_pa": {"median": 3e5, "factor": 1.5}}
+STUDY = f"""
+schema = 2
+dataset = "./shapes"
+medium = "./gel.toml"
+recipe = "./recipe.toml"
+margin_mm = 0.5
+margin_for = "a test"
+tune.insertions = {IDS[:4]}
+validate = [{{ insertions = {IDS[4:5]} }}]
+"""
+TRACKS = """
+schema = 2
+dataset = "./tips"
+medium = "./track_gel.toml"
+recipe = "./recipe.toml"
+registration_depth_mm = 15.0
+folds = [{ name = "gel", tune = { guided = false }, validate = { guided = true } }]
+"""
+TRACK_GEL = """
+schema = 1
+layers = 1
+parameters.mu1_pa.bounds = [1e3, 1e7]
+parameters.alpha1.fixed = 1.0
+parameters.bevel_mm.bounds = [1e-4, 0.3]
+"""
+RECIPE = """
+schema = 2
+likelihood = {}
+sample.walkers = 12
+"""
+PRIOR = """
+schema = 1
+alpha = { mean = 1.0, sd = 0.1 }
+mu_pa = { median = 3e5, factor = 1.5 }
+"""
 
 
 def write_shapes(folder):
@@ -99,19 +113,11 @@ def project(tmp_path_factory):
     text = "\n".join([f"{head},other", *rows]) + "\n"
     (tips / "steps.csv").write_text(text)
     (tips / "other.csv").write_text(text.replace("rest0", "first"))
-    gel = tomllib.loads((shipped_folder() / "configs/media/phantom2.toml").read_text())
-    files = {
-        "s": STUDY,
-        "tracks": TRACKS,
-        "gel": gel,
-        "other_gel": gel | {"thickness_mm": 30.0},
-        "track_gel": {"schema": 1, "layers": 1, "parameters": LAYER},
-        "recipe": RECIPE,
-        "other_recipe": RECIPE | {"starts": 3},
-        "prior": PRIOR,
-    }
-    for name, table in files.items():
-        (folder / f"{name}.toml").write_text(dumps(table))
+    gel = (shipped_folder() / "configs/media/phantom2.toml").read_text()
+    files = {"s": STUDY, "tracks": TRACKS, "gel": gel, "other_gel": f"thickness_mm = 30.0\n{gel}"}
+    files |= {"track_gel": TRACK_GEL, "recipe": RECIPE, "other_recipe": f"starts = 3\n{RECIPE}"}
+    for name, text in {**files, "prior": PRIOR}.items():
+        (folder / f"{name}.toml").write_text(text)
     return folder
 
 

@@ -13,8 +13,9 @@ import pytest
 from numpy.random import default_rng
 from pytest import approx
 from refusals import refusal
-from sampling_cases import Known, draw, flat, gaussian, weighted
+from sampling_cases import Known, draw, flat, gaussian, standard_errors, weighted
 from scipy.signal import lfilter
+from scipy.stats import truncnorm
 
 from needlefit.errors import DataError
 from needlefit.inference.fit import Callbacks
@@ -44,7 +45,20 @@ def test_a_run_ends_once_it_has_the_draws_that_were_asked_for():
     shorter = draw(GAUSSIAN, BEGIN, independent_draws=2000, densities=(steps - 10) * walkers)
     assert shorter.faults and np.array_equal(shorter.draws, got.draws[:, :-10])
     assert got.log_posterior.ravel() == approx(GAUSSIAN.log_density(flat(got)), abs=1e-12)
+    assert np.all(np.abs(flat(got).mean(axis=0) - MEAN) < 4 * standard_errors(got))
+    assert np.cov(flat(got).T) == approx(COV, rel=0.12)
     assert got.percentiles()["x0"] == approx(np.quantile(flat(got)[:, 0], [0.025, 0.16, 0.5, 0.84, 0.975]))
+
+
+@pytest.mark.sweep
+def test_a_gaussian_that_bounds_cut():
+    """Its peak lies in a corner outside; of each coordinate a tail that falls from the bound is left."""
+    known = Known(gaussian(np.eye(3), 1.5), 3, half=1.0)
+    got = draw(known, weighted(known, np.ones(3)), independent_draws=4000, densities=200_000)
+    x, tail = flat(got), truncnorm(-2.5, -0.5, loc=1.5)
+    assert got.faults == () and np.all(np.abs(x) <= 1)
+    assert np.all(np.abs(x.mean(axis=0) - tail.mean()) < 4 * standard_errors(got))
+    assert x.std(axis=0) == approx(np.full(3, tail.std()), rel=0.05)
 
 
 def test_a_budget_that_is_spent_marks_the_draws():

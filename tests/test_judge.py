@@ -200,16 +200,6 @@ def test_status_check_and_advice_follow_from_one_outcome():
     assert replace(with_line(0.1, 0.5), interrupted=True).verdicts[0].status == "warn"
 
 
-def test_our_prediction_is_judged_where_there_is_one():
-    results = with_line(0.1, 9.0)
-    errors = results.frames["errors"]
-    held = errors[(errors["method"] == "fitted") & (errors["boundaries"] == "measured")]
-    ours = held[held["role"] == "validate"].assign(method="prediction", te_mm=0.7)
-    both = results.with_frames(errors=pd.concat([errors, ours]))
-    assert both.verdicts[0].numbers["te_mm"] == approx(0.7)
-    assert [one.status for one in (results.verdicts[0], both.verdicts[0])] == ["pass", "warn"]
-
-
 def find(results, check):
     return next(one for one in list_checks(results) if one.check is check)
 

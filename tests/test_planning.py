@@ -103,12 +103,6 @@ def test_the_probability_is_that_of_draws_that_the_plan_was_not_sought_with():
 
 
 @pytest.mark.sweep
-def test_turning_the_bevel_lowers_the_risk_of_an_uncertain_bevel():
-    straight, turned = (plan((45.0, 0.0), 0.5, start=uncertain(), turns=n) for n in (0, 2))
-    assert turned.turns and turned.probability > straight.probability + 0.1
-
-
-@pytest.mark.sweep
 def test_a_plan_goes_on_from_where_the_needle_stands():
     view = open_target("phantom2")
     session = begin_session(Scene.from_record(view.record), view.first_cell)
@@ -289,7 +283,7 @@ def test_a_goal_of_the_plane_becomes_one_in_space():
 def test_an_uncertain_gain_of_the_base_spreads_the_misses(tmp_path, capsys):
     words = ("--target", "45,2", "--radius", "0.5", "--turns", "0", "--json", "--out", str(tmp_path))
     most = []
-    for gain_sd in ("0", "0.25"):
+    for gain_sd in (0, 0.25):
         assert run("plan", "phantom2_fitted", *words, "--gain-sd", gain_sd) == 0
         most.append(json.loads(capsys.readouterr().out)["miss_95_mm"])
     assert most[1] > 1.5 * most[0]

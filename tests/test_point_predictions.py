@@ -1,5 +1,6 @@
 """The reported point of a predictive distribution, the mode's or the median, lies in its interval."""
 
+import tomllib
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -21,12 +22,22 @@ from needlefit.studies.kinds.prediction.scene import make_scene
 from needlefit.studies.load import load_study
 from needlefit.studies.observations import predict_held_out
 
-NEEDLE = {"length_mm": 150.0, "outer_diameter_mm": 1.27, "youngs_modulus_gpa": 200.0}
 #: bounds as `needlefit import` writes them
-BOUNDS = {"mu1_pa": {"bounds": [1e3, 1e9]}, "bevel_mm": {"bounds": [1e-3, 1.0]}}
-MEDIUM = {"schema": 1, "title": "gel", "layers": 1, "parameters": BOUNDS | {"alpha1": {"fixed": 1.0}}}
-SCENE = {"schema": 2, "depth_mm": 60.0, "bevel": {"offset_mm": 0.1}, "needle": NEEDLE}
-SCENE |= {"layers": [{"top_mm": 0.0, "mu_pa": 2e5, "alpha": 1.0}]}
+MEDIUM = tomllib.loads("""
+schema = 1
+title = "gel"
+layers = 1
+parameters.mu1_pa.bounds = [1e3, 1e9]
+parameters.alpha1.fixed = 1.0
+parameters.bevel_mm.bounds = [1e-3, 1.0]
+""")
+SCENE = tomllib.loads("""
+schema = 2
+depth_mm = 60.0
+bevel.offset_mm = 0.1
+needle = { length_mm = 150.0, outer_diameter_mm = 1.27, youngs_modulus_gpa = 200.0 }
+layers = [{ top_mm = 0.0, mu_pa = 2e5, alpha = 1.0 }]
+""")
 
 
 def load_needles(seed, pose):
@@ -37,7 +48,7 @@ def load_needles(seed, pose):
     data = {
         "title": "needles",
         "values": {"mu1_pa": float(mu), "alpha1": 1.0, "bevel_mm": float(b)},
-        "needle": NEEDLE,
+        "needle": SCENE["needle"],
         "noise": {"point_sd_mm": float(rng.uniform(0.03, 0.2))},
         "insertions": insertions,
     }

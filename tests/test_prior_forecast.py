@@ -60,9 +60,7 @@ def test_the_command_predicts_before_data(capsys):
     words = ("predict", "--scene", "phantom1", "--medium", "gelatine", "--aim", "52,0.4", "--json")
     assert run(*words) == 0
     found = json.loads(capsys.readouterr().out)
-    assert found["target_mm"] == [52.0, 0.4, 0.0] and 0.0 < found["hits"] <= 1.0
-    assert found["tip_y_mm"]["low"] < found["tip_y_mm"]["median"] < found["tip_y_mm"]["high"]
+    assert found["target_mm"] == [52.0, 0.4, 0.0] and found["sources"][0]["name"] == "gelatine"
     assert 0.8 < sum(one["share"] for one in found["parameters"]) < 1.1
-    assert found["sources"][0]["name"] == "gelatine"
     assert run("predict", "--scene", "phantom1") == 2
     assert run("predict", "--scene", "phantom1", "--medium", "nowhere") == 3

@@ -1,6 +1,7 @@
 """Scenes: the shipped ones hold the paper's parameter sets; what a scene's file may say."""
 
 import csv
+import tomllib
 
 import pytest
 
@@ -53,17 +54,22 @@ BARE = {
 RING = {"name": "ring", "x_mm": -9, "y_mm": 0}
 
 
+STEPS = """
+guides = [{ name = "ring", x_mm = -9, y_mm = 0 }]
+controls = { base_y_mm = 1, stage_angle_deg = 4 }
+steps = [
+    { depth_mm = 10 },
+    { depth_mm = 20, side = -1, base_y_mm = 2, guides.ring.y_mm = 0.5 },
+    { depth_mm = 5, offset_mm = 0.3, tip_y_mm = 0.1, tip_slope_deg = 3 },
+    { depth_mm = 5, tip_y_mm = 0.2, base_slope_deg = -1 },
+    { depth_mm = 6, guides.ring.engaged = false },
+    { depth_mm = 6, tip_free = true },
+]
+"""
+
+
 def test_unset_values_of_a_step_carry_over():
-    steps = [
-        {"depth_mm": 10},
-        {"depth_mm": 20, "side": -1, "base_y_mm": 2, "guides": {"ring": {"y_mm": 0.5}}},
-        {"depth_mm": 5, "offset_mm": 0.3, "tip_y_mm": 0.1, "tip_slope_deg": 3},
-        {"depth_mm": 5, "tip_y_mm": 0.2, "base_slope_deg": -1},
-        {"depth_mm": 6, "guides": {"ring": {"engaged": False}}},
-        {"depth_mm": 6, "tip_free": True},
-    ]
-    controls = {"base_y_mm": 1, "stage_angle_deg": 4}
-    record = check(BARE | {"guides": [RING], "controls": controls, "steps": steps}, SceneRecord, "a.toml")
+    record = check(BARE | tomllib.loads(STEPS), SceneRecord, "a.toml")
     fields = ("base_y_mm", "base_slope_deg", "tip_y_mm", "tip_slope_deg", "stage_angle_deg")
     found = []
     for step in resolve_steps(record):

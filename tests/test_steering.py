@@ -3,6 +3,7 @@
 import contextlib
 import io
 import re
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,12 +20,12 @@ from needlefit.mechanics.control import Guide, TrackedTip
 from needlefit.planning.draw_weights import WeightedDraws
 from needlefit.studies.steering import Steering
 
-SCENE = {
-    "depth_mm": 80.0,
-    "needle": {"length_mm": 150.0, "outer_diameter_mm": 1.27, "youngs_modulus_gpa": 80.0},
-    "bevel": {"offset_mm": 0.1},
-    "layers": [{"top_mm": top, "mu_pa": mu, "alpha": 1.0} for top, mu in ((0.0, 5e3), (25.0, 2e4))],
-}
+SCENE = tomllib.loads("""
+depth_mm = 80.0
+needle = { length_mm = 150.0, outer_diameter_mm = 1.27, youngs_modulus_gpa = 80.0 }
+bevel.offset_mm = 0.1
+layers = [{ top_mm = 0.0, mu_pa = 5e3, alpha = 1.0 }, { top_mm = 25.0, mu_pa = 2e4, alpha = 1.0 }]
+""")
 
 
 def medium(mu_factor=1.8, b_factor=1.4):
