@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 from docs_scripts import load_script
 from pytest import approx
+from refusals import refusal
 
 import needlefit
 from needlefit import api
@@ -101,8 +102,7 @@ def test_a_freed_alpha_is_drawn_and_predicted_with(world, monkeypatch, tmp_path)
     assert set(drawn["alpha2"]) == {-1.0} and set(drawn["mu2_pa"]) == {1.5e7}
     # a bound says nothing of an alpha that may have any value within its bounds
     assert not [one for one in found.warnings if "alpha1" in one.what]
-    with pytest.raises(ConfigError, match="mu1"):
-        needlefit.fit(found, free=["mu1"])  # is free there
+    refusal(ConfigError, "mu1", needlefit.fit, found, free=["mu1"])  # is free there
 
 
 @pytest.mark.usefixtures("few_draws")
@@ -150,8 +150,7 @@ def test_alpha_is_freed_where_draws_alone_show_that_it_moves_points(dataset, mon
     ],
 )
 def test_wrong_input_is_a_config_error(call):
-    with pytest.raises(ConfigError):
-        call()
+    refusal(ConfigError, "", call)
 
 
 def test_the_public_names_alone_are_listed():
@@ -173,8 +172,7 @@ def test_models_are_compared_by_what_they_predict_of_insertions_left_out(sampled
     )
     assert found["elpd"].iloc[0] == approx(whole - rest, abs=0.2)
     for wrong in (sampled, replace(run, posteriors={})):
-        with pytest.raises(ConfigError):
-            needlefit.estimate_elpd(wrong)
+        refusal(ConfigError, "", needlefit.estimate_elpd, wrong)
 
 
 def test_of_several_media_the_one_with_the_name_of_the_tissue_model_is_fitted(dataset):
@@ -182,16 +180,30 @@ def test_of_several_media_the_one_with_the_name_of_the_tissue_model_is_fitted(da
     assert fitted.record.tune.medium == "phantom1" and "phantom1" in fitted.record.note
     other = api._open_fit("twin", "gel_wax", stored=False).record
     assert other.tune.medium is None and not other.note
-    with pytest.raises(ConfigError, match=r"1 layer, insertion .* meets layer"):
-        needlefit.fit("twin", "chicken", tune={"medium": "phantom2"}, recipe=RECIPE)
+    refusal(
+        ConfigError,
+        r"1 layer, insertion .* meets layer",
+        needlefit.fit,
+        "twin",
+        "chicken",
+        tune={"medium": "phantom2"},
+        recipe=RECIPE,
+    )
 
 
 def test_a_changed_dataset_is_refused(dataset):
     one, *others = dataset.insertions
     moved = replace(dataset, insertions=(one.with_points(one.points + 1.0), *others))
     for changed in (moved, replace(dataset, insertions=(one,))):
-        with pytest.raises(ConfigError, match="not what its files hold"):
-            needlefit.fit(changed, "chicken", tune=TUNE, recipe=RECIPE)
+        refusal(
+            ConfigError,
+            "not what its files hold",
+            needlefit.fit,
+            changed,
+            "chicken",
+            tune=TUNE,
+            recipe=RECIPE,
+        )
 
 
 def test_errors_of_a_study_are_those_of_validate_and_change_with_the_tissue_model(world, monkeypatch):
@@ -206,10 +218,8 @@ def test_errors_of_a_study_are_those_of_validate_and_change_with_the_tissue_mode
     changed = api.score_study("held_out", medium=stiffer).set_index(keys)["te_mm"].sort_index()
     fitted = ("validate", "needle-3", "fitted")
     assert changed.loc[fitted] != approx(scored.loc[fitted, "te_mm"], rel=1e-3)
-    with pytest.raises(ConfigError):
-        api.score_study("design")
-    with pytest.raises(ConfigError):
-        needlefit.validate("plan", medium=stiffer)
+    refusal(ConfigError, "", api.score_study, "design")
+    refusal(ConfigError, "", needlefit.validate, "plan", medium=stiffer)
 
 
 SIMULATED = """
@@ -227,5 +237,4 @@ def test_a_simulated_dataset_has_its_insertions_and_no_files():
     assert [insertion.depth for insertion in one.insertions] == [30.0, 40.0] and one.origin == "synthetic"
     assert np.array_equal(one.insertions[1].points, same.insertions[1].points)
     assert not np.array_equal(one.insertions[1].points, other.insertions[1].points)
-    with pytest.raises(ConfigError):
-        api.simulate_dataset(table | {"noise": {"point_sd": 1.0}}, "thin_gel", 1)
+    refusal(ConfigError, "", api.simulate_dataset, table | {"noise": {"point_sd": 1.0}}, "thin_gel", 1)

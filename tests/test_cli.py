@@ -27,9 +27,10 @@ FULL = Path("/dev/full")
 posix = pytest.mark.skipif(os.name != "posix", reason="redirections of a POSIX shell")
 
 
-def run(*words):
+def run(line, *words):
+    """Return the exit code of a command as it is typed, and of further words as they are."""
     with pytest.raises(SystemExit) as leaving:
-        main([str(word) for word in words])
+        main([*shlex.split(line), *map(str, words)])
     return int(leaving.value.code or 0)
 
 
@@ -78,23 +79,23 @@ def test_a_command_imports_what_it_uses(words, libraries):
 
 
 @pytest.mark.parametrize(
-    ("words", "code", "expected"),
+    ("line", "code", "expected"),
     [
-        (("nothing",), 2, "Usage: needlefit"),
-        (("tune", "study2", "--sample"), 2, "--sample"),
-        (("simulate",), 2, "Usage: needlefit"),
-        (("simulate", "phantom1", "--depth", "deep"), 2, "Usage: needlefit"),
-        (("--h\u202eut",), 2, r"\\u202e"),
-        (("report", "--o\u202eut"), 2, r"\\u202e"),
-        (("simulate", "x", "y\x1b[2J"), 2, r"\\x1b"),
-        (("simulate", "phantm1"), 3, r"phantm1[\s\S]*expected: .*\bphantom1\b"),  # the nearest name
-        (("predict", "./nix", "--scene", "study2"), 3, "no study or fit .*nix"),
-        (("simulate", "phantom9"), 3, "^(?![\\s\\S]*Traceback)"),
-        (("-v", "simulate", "phantom9"), 3, "Traceback"),
+        ("nothing", 2, "Usage: needlefit"),
+        ("tune study2 --sample", 2, "--sample"),
+        ("simulate", 2, "Usage: needlefit"),
+        ("simulate phantom1 --depth deep", 2, "Usage: needlefit"),
+        ("--h\u202eut", 2, r"\\u202e"),
+        ("report --o\u202eut", 2, r"\\u202e"),
+        ("simulate x y\x1b[2J", 2, r"\\x1b"),
+        ("simulate phantm1", 3, r"phantm1[\s\S]*expected: .*\bphantom1\b"),  # the nearest name
+        ("predict ./nix --scene study2", 3, "no study or fit .*nix"),
+        ("simulate phantom9", 3, "^(?![\\s\\S]*Traceback)"),
+        ("-v simulate phantom9", 3, "Traceback"),
     ],
 )
-def test_a_wrong_command_line_has_its_exit_code(words, code, expected, capsys):
-    assert run(*words) == code
+def test_a_wrong_command_line_has_its_exit_code(line, code, expected, capsys):
+    assert run(line) == code
     captured = capsys.readouterr()
     assert captured.out == "" and re.search(expected, captured.err)
     assert captured.err.replace("\n", "").isprintable()
@@ -228,7 +229,7 @@ def test_a_fault_of_a_study_is_named_with_its_file(tmp_path, changes, capsys):
     if isinstance(changes, dict):
         changes = dumps({key: value for key, value in (STUDY | changes).items() if value is not None})
     (tmp_path / "mine.toml").write_text(changes)
-    assert run("check", str(tmp_path / "mine.toml")) == 3
+    assert run("check", tmp_path / "mine.toml") == 3
     assert "mine.toml" in capsys.readouterr().err
 
 

@@ -28,7 +28,7 @@ def designed(tmp_path_factory):
     """The folder of a run from the design alone, and what it printed."""
     with pytest.MonkeyPatch.context() as here, redirect_stdout(StringIO()) as printed:
         here.chdir(tmp_path_factory.mktemp("designed"))
-        assert run("tune", "study2", "--design", "--jobs", "1", "-q", "--explain") == 0
+        assert run("tune study2 --design --jobs 1 -q --explain") == 0
         return Path.cwd() / "reports" / "study2-design", printed.getvalue()
 
 
@@ -60,13 +60,13 @@ def test_the_design_part_uses_no_measured_shape(monkeypatch, designed, folder):
         return replace(found, insertions=tuple(moved))
 
     monkeypatch.setattr(load, "read", bent)
-    assert run("tune", "study2", "--design", "-q") == 0
+    assert run("tune study2 --design -q") == 0
     tables = [pd.read_csv(path / "identify.csv") for path in (folder, designed[0])]
     pd.testing.assert_frame_equal(*tables, rtol=0.05)
 
 
 def test_view_writes_a_page_and_prints_its_path(tmp_path, capsys):
-    assert run("view", "study2", "--no-browser", "--out", str(tmp_path)) == 0
+    assert run("view study2 --no-browser --out", tmp_path) == 0
     (printed,) = capsys.readouterr().out.splitlines()
     page = tmp_path / "view" / "study2.html"
     assert Path(printed) == page

@@ -1,7 +1,6 @@
 """Every command, with files of the user at every place that it writes: all of them are there afterwards."""
 
 import dataclasses
-import shlex
 import shutil
 from pathlib import Path
 from typing import NamedTuple
@@ -35,10 +34,6 @@ class Case(NamedTuple):
     line: str
     folders: str = ""
     code: int = 0
-
-    @property
-    def words(self):
-        return shlex.split(self.line)
 
     @property
     def places(self):
@@ -137,7 +132,7 @@ def leave_run(folder):
 def test_folders_with_foreign_files_are_refused_before_the_run(command, place, whose, project, stubs, capsys):
     """The folder is the user's own, or one that needlefit wrote and the user added to."""
     folder = project / place
-    if "./out/run" in CASES[command].words:
+    if "./out/run" in CASES[command].line:
         leave_run(project / "out/run")
     plant(folder)
     if whose == "a result":
@@ -147,7 +142,7 @@ def test_folders_with_foreign_files_are_refused_before_the_run(command, place, w
         write_manifest(folder)
         plant(folder)
     before = everything(project)
-    assert run(*CASES[command].words) == 3
+    assert run(CASES[command].line) == 3
     assert everything(project) == before
     printed = capsys.readouterr().err
     assert any(name in printed for name in FOREIGN) or "exists already" in printed
@@ -169,13 +164,13 @@ def beside(project):
 @pytest.mark.parametrize("command", CASES)
 def test_other_files_in_the_folder_stay(command, project):
     case, planted = CASES[command], beside(project)
-    if "./out/run" in case.words:
+    if "./out/run" in case.line:
         leave_run(project / "out/run")
     log = (project / "log.csv").read_bytes()
     codes = {case.code, 5} if command == "tune" else {case.code}  # a quick search may not converge
     # the second time what it wrote is replaced
     for _ in range(1 if command.startswith(("new", "import")) else 2):
-        assert run(*case.words) in codes
+        assert run(case.line) in codes
     for place in case.places:
         assert (
             any((project / place).iterdir())
@@ -196,7 +191,7 @@ def test_a_file_added_during_the_run_stays(place, project, stubs, monkeypatch, c
 
     monkeypatch.setattr("needlefit.studies.kinds.cross_validation.run.run", run_and_plant)
     partial = place.endswith(".partial")
-    assert run(*CASES["tune"].words) == (0 if partial else 3)
+    assert run(CASES["tune"].line) == (0 if partial else 3)
     assert all((project / place / name).is_file() for name in FOREIGN)
     assert "notes.md" in capsys.readouterr().err
     assert (project / "out/held_out-tune/run.json").is_file() == partial
@@ -224,7 +219,7 @@ def test_a_scene_is_not_replaced_by_what_is_written_of_it(option, how, own, monk
         out.hardlink_to(own)
     else:
         out = own if how == "same" else Path("mine.toml")
-    assert run("simulate", str(own), option, str(out)) == 3
+    assert run("simulate", own, option, out) == 3
     assert own.read_bytes() == before
 
 
@@ -236,17 +231,17 @@ def test_a_recording_and_the_dataset_that_it_is_of_are_not_replaced(tmp_path, mo
     write_mine(tmp_path / "data")
     for path in (log, tmp_path / "data/insertions.csv", tmp_path / "data/centerlines/example1.csv"):
         before = path.read_bytes()
-        assert run("simulate", "--recording", "log.csv", "--csv", str(path)) == 3
+        assert run("simulate --recording log.csv --csv", path) == 3
         assert path.read_bytes() == before
-    assert run("simulate", "--recording", "log.csv", "--csv", "data/new.csv") == 0
+    assert run("simulate --recording log.csv --csv data/new.csv") == 0
 
 
 def test_colliding_outputs_are_refused_and_an_old_one_is_replaced(own, tmp_path):
     out = str(tmp_path / "out.svg")
-    assert run("simulate", str(own), "--plot", out, "--csv", out) == 3
-    assert run("simulate", str(own), "--plot", str(tmp_path)) == 3
+    assert run("simulate", own, "--plot", out, "--csv", out) == 3
+    assert run("simulate", own, "--plot", tmp_path) == 3
     for _ in range(2):
-        assert run("simulate", str(own), "--csv", str(tmp_path / "out.csv")) == 0
+        assert run("simulate", own, "--csv", tmp_path / "out.csv") == 0
     require_output_files({"--csv": Path("/dev/null")}, [own])
 
 
@@ -256,6 +251,6 @@ def test_a_dataset_does_not_overwrite_its_scans(tmp_path, capsys):
         shutil.copytree(shipped_folder() / "data/sample_scan", fresh, dirs_exist_ok=True)
         (fresh / "needlefit.json").unlink(missing_ok=True)
     before = {path: path.stat().st_mtime_ns for path in (tmp_path / "ct").rglob("*")}
-    assert run("reconstruct", str(tmp_path / "ct/scans.csv"), "--out", str(tmp_path / "ct"), "-q") == 3
+    assert run("reconstruct", tmp_path / "ct/scans.csv", "--out", tmp_path / "ct", "-q") == 3
     assert "scans.csv" in capsys.readouterr().err
     assert {path: path.stat().st_mtime_ns for path in (tmp_path / "ct").rglob("*")} == before

@@ -58,7 +58,7 @@ def stub(tmp_path, monkeypatch):
 
 def test_validate_writes_prints_and_removes_the_checkpoint(stub, capsys):
     made = stub(study(1))
-    assert run("validate", "mine", "--seed", "7", "--jobs", "2") == 0
+    assert run("validate mine --seed 7 --jobs 2") == 0
     ((name, record, settings),) = made.asked
     assert (name, type(record)) == ("mine", StudyRecord)
     assert (settings.seed, settings.jobs, settings.resume, settings.sample) == (7, 2, False, False)
@@ -70,17 +70,17 @@ def test_validate_writes_prints_and_removes_the_checkpoint(stub, capsys):
 def test_a_warning_names_its_page_and_with_strict_ends_in_exit_code_5(stub, capsys):
     warned = to_stored_rows([ResultWarning("parameter_at_bound", "mu1 lies at its bound")])
     stub(study(1).with_metadata(warnings=warned))
-    assert run("validate", "mine") == 0
+    assert run("validate mine") == 0
     assert "needlefit explain parameter-at-bound" in capsys.readouterr().err
-    assert run("validate", "mine", "--out", "again", "--strict", "--json") == 5
+    assert run("validate mine --out again --strict --json") == 5
     assert [one["kind"] for one in json.loads(capsys.readouterr().out)["warnings"]] == ["parameter_at_bound"]
 
 
 def test_validate_reference_writes_evidence(stub):
     made = stub(study(1))
-    assert run("validate", "mine", "-q") == 0
+    assert run("validate mine -q") == 0
     assert not Path("reports/reference").exists()
-    assert run("validate", "mine", "--reference", "--out", "new", "-q") == 0
+    assert run("validate mine --reference --out new -q") == 0
     assert made.written[1][1] == Path("new/mine")
     evidence = pd.read_csv("new/reference/mine/validation.csv")
     assert all(f"{value:.5g}" == f"{value:.9g}" for value in evidence["value"])
@@ -89,31 +89,26 @@ def test_validate_reference_writes_evidence(stub):
 
 def test_simulations_that_fail_are_marked_by_the_exit_code(stub):
     made = stub(study(3))
-    assert run("validate", "mine") == 5 and made.written
+    assert run("validate mine") == 5 and made.written
 
 
 @pytest.mark.parametrize(
-    ("words", "found", "written"),
+    ("line", "found", "written"),
     [
-        (("validate", "mine", "--seed", "7"), True, 0),
-        (("tune", "gel"), True, 1),  # the best so far, marked
-        (("tune", "gel"), False, 0),  # an earlier result stays
+        ("validate mine --seed 7", True, 0),
+        ("tune gel", True, 1),  # the best so far, marked
+        ("tune gel", False, 0),  # an earlier result stays
     ],
 )
-def test_an_interrupted_run_keeps_its_checkpoint_and_prints_how_to_resume(
-    words, found, written, stub, capsys
-):
+def test_an_interrupted_run_keeps_its_checkpoint_and_prints_how_to_resume(line, found, written, stub, capsys):
     results = study(1)
     if not found:
         results = results.with_frames(errors=results.frames["errors"].query("method != 'fitted'"))
     made = stub(dataclasses.replace(results, interrupted=True))
-    assert run(*words) == 130
+    assert run(line) == 130
     assert [results.interrupted for results, _ in made.written] == [True] * written
-    assert Path(f"reports/{words[1]}.partial").is_dir()
-    captured = capsys.readouterr()
-    assert f"{' '.join(words)} --resume\n" in captured.err and ("INTERRUPTED" in captured.out) == bool(
-        written
-    )
+    assert len([*Path("reports").glob("*.partial")]) == 1
+    assert f"{line} --resume\n" in capsys.readouterr().err
 
 
 def test_unfinished_work_of_a_killed_run_is_kept_and_the_next_start_prints_how_to_go_on(stub, capsys):
@@ -126,16 +121,16 @@ def test_unfinished_work_of_a_killed_run_is_kept_and_the_next_start_prints_how_t
     with pytest.MonkeyPatch.context() as here:
         here.setattr("needlefit.studies.kinds.cross_validation.run.run", run_with_checkpoint)
         open_checkpoint(Path("reports/gel.partial"), False, {"n": 1}).keep_row("a", {"b": 0})
-        assert run("tune", "gel") == 3
+        assert run("tune gel") == 3
         assert "needlefit tune gel --resume\n" in capsys.readouterr().err
         assert made.written == [] and list(Path("reports/gel.partial").glob("*.jsonl"))
-        assert run("tune", "gel", "--resume") == 0
+        assert run("tune gel --resume") == 0
     assert made.written and not Path("reports/gel.partial").exists()
 
 
 def test_tune_of_a_study_tunes_only(stub, capsys):
     made = stub(study(1))
-    assert run("tune", "mine", "--out", "mine out", "--explain") == 0
+    assert run("tune mine --out", "mine out", "--explain") == 0
     ((name, record, settings),) = made.asked
     assert (name, type(record), settings.sample) == ("mine-tune", FitRecord, True)
     assert record.medium == "phantom2"
@@ -145,9 +140,9 @@ def test_tune_of_a_study_tunes_only(stub, capsys):
 
 def test_tune_searches_and_fixes_parameters_by_name_and_its_folder_has_these_names(stub, capsys):
     made = stub(study(1))
-    assert run("tune", "gel", "--free", "alpha", "--fix", "b=0.05", "--fix", "mu1=2e5") == 0
+    assert run("tune gel --free alpha --fix b=0.05 --fix mu1=2e5") == 0
     ((name, record, _),) = made.asked
     assert name == "gel-free=alpha-b=0.05-mu1=200000"
     assert record.free == ("alpha",) and record.fix == {"bevel_mm": 0.05, "mu1_pa": 2e5}
-    assert run("tune", "gel", "--fix", "b=thick") == 2 and "b=thick" in capsys.readouterr().err
-    assert run("tune", "gel", "--free", "alpha1", "--fix", "alpha1=1") == 3
+    assert run("tune gel --fix b=thick") == 2 and "b=thick" in capsys.readouterr().err
+    assert run("tune gel --free alpha1 --fix alpha1=1") == 3

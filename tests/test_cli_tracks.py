@@ -75,7 +75,7 @@ def test_runs_tracked_in_space_are_predicted_along_both(project, compared):
     written(project / "data/mine", every)
     text = STUDY.replace('"track_gel"', f'"track_gel"\ncompared = "{compared}"')
     (project / "studies/mine.toml").write_text(text)
-    assert run("validate", "mine", "--jobs", "1", "-q") in (0, 5)
+    assert run("validate mine --jobs 1 -q") in (0, 5)
     found = pd.read_csv(project / "reports/mine/readings.csv").query("scored and level == 0.95")
     count = found.groupby(["run", "direction", "method"]).size()
     assert set(found["direction"]) == {"y", "z"} and len(count) == 2 * 2 * 4
@@ -97,7 +97,7 @@ def test_runs_tracked_in_space_are_predicted_along_both(project, compared):
 def test_a_study_that_cannot_predict_is_refused(project, capsys, file, old, new, key):
     text = (project / file).read_text()
     (project / file).write_text(text.replace(old, new))
-    assert run("validate", "mine", "-q") == 3
+    assert run("validate mine -q") == 3
     assert key in capsys.readouterr().err
 
 
@@ -109,20 +109,20 @@ def test_a_study_of_several_fits_is_named_with_the_fit(project, capsys):
         err = capsys.readouterr().err
         assert "mine:gel" in err and "mine:again" in err
     assert load_target("mine:again")[0] == "mine-again-tune"
-    assert run("tune", "moved:gel", "-q") == 3  # a fit of its own has no fits
-    assert run("check", "mine") == 0
+    assert run("tune moved:gel -q") == 3  # a fit of its own has no fits
+    assert run("check mine") == 0
 
 
 @pytest.mark.sweep
 def test_guided_runs_are_identified_like_shapes(project):
-    assert run("tune", "moved", "--design", "--jobs", "1", "-q") == 0
+    assert run("tune moved --design --jobs 1 -q") == 0
     before = pd.read_csv(project / "reports/moved-design/identify.csv").set_index("parameter")
     assert (before.loc["mu1_pa", "determined"], before.loc["bevel_mm", "determined"]) == ("yes", "no")
 
 
 @pytest.mark.usefixtures("few_draws")
 def test_a_planned_needle_is_predicted_from_runs(project):
-    assert run("predict", "mine", "--scene", "plan", "--jobs", "1", "-q") in (0, 5)  # of a short recipe
+    assert run("predict mine --scene plan --jobs 1 -q") in (0, 5)  # of a short recipe
     forecast = pd.read_csv(project / "reports/predict-mine-gel-plan/forecast.csv").query("level == 0.95")
     gel = Tissue(np.array([0.03]), np.array([1.0]), np.empty(0), np.array([40.0]))
     truth = simulate(NEEDLE, gel, Bevel(0.03), 50.0, Controls(guides=(Guide(-20.0),))).tip_lateral
@@ -133,7 +133,7 @@ def test_a_planned_needle_is_predicted_from_runs(project):
 def test_steered_runs_are_left_out_in_folds(project):
     folds = STUDY.replace("tune = { guided = false }", "tune = {}\nparts = 2")
     (project / "studies/mine.toml").write_text(folds)
-    assert run("validate", "mine", "--jobs", "1", "-q") in (0, 5)
+    assert run("validate mine --jobs 1 -q") in (0, 5)
     errors = pd.read_csv(project / "reports/mine/errors.csv")
     held = errors[errors["method"] == "steered_line"]
     assert held.set_index("insertion")["fold"].to_dict() == {"moved0": "gel-1", "moved2": "gel-2"}
@@ -151,6 +151,6 @@ def test_a_study_with_nothing_to_predict_is_refused_before_anything_runs(project
     (project / "studies/mine.toml").write_text(
         STUDY.replace("registration_depth_mm = 15", "registration_depth_mm = 200")
     )
-    assert run("validate", "mine", "-q") == 3
+    assert run("validate mine -q") == 3
     assert "registration_depth_mm" in capsys.readouterr().err
     assert not (project / "reports/mine.partial").exists()

@@ -1,6 +1,5 @@
 """The example at the end of each command's help runs."""
 
-import shlex
 import shutil
 
 import openpyxl
@@ -22,23 +21,23 @@ SLOW = {"plan", "predict", "reconstruct", "tune", "validate"}
 
 
 def list_examples():
-    """Yield the words of every command's example, by the command."""
+    """Yield every command and its example."""
     for name, command in typer.main.get_command(build()).commands.items():
         inside = getattr(command, "commands", {"": command})
         for word, one in inside.items():
             _, _, example = one.epilog.partition("Example: needlefit ")
-            yield f"{name} {word}".strip(), shlex.split(example)
+            yield f"{name} {word}".strip(), example
 
 
 @pytest.mark.parametrize(
-    ("command", "words"),
+    ("command", "line"),
     [
-        pytest.param(command, words, marks=[pytest.mark.sweep] if command in SLOW else [], id=command)
-        for command, words in list_examples()
+        pytest.param(command, line, marks=[pytest.mark.sweep] if command in SLOW else [], id=command)
+        for command, line in list_examples()
     ],
 )
 @pytest.mark.usefixtures("stubs")
-def test_the_example_of_a_command_runs(command, words, tmp_path, monkeypatch, capsys):
+def test_the_example_of_a_command_runs(command, line, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     book = openpyxl.Workbook()
     for row in [("x_mm", "y_mm", "z_mm"), *((x, 4e-4 * x**2, 0) for x in range(40))]:
@@ -49,5 +48,5 @@ def test_the_example_of_a_command_runs(command, words, tmp_path, monkeypatch, ca
     leave_run(tmp_path / "old/study3")
     if command == "check":
         write_mine(tmp_path / "mydata")
-    assert words[: len(command.split())] == command.split()
-    assert run(*words, *LESS.get(command, ())) == 0, capsys.readouterr().err
+    assert line.startswith(command)
+    assert run(line, *LESS.get(command, ())) == 0, capsys.readouterr().err

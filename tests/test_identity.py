@@ -292,8 +292,7 @@ def validated(world, tmp_path, monkeypatch):
 
 def predict():
     """Predict with the study; return what its result knows of the verdict."""
-    words = ("predict", "./studies/held_out.toml", "--scene", "ahead", "--quiet", "--jobs", 1)
-    assert run(*words) in (0, 5)
+    assert run("predict ./studies/held_out.toml --scene ahead --quiet --jobs 1") in (0, 5)
     return json.loads(Path("reports/predict-held_out-ahead/run.json").read_text())
 
 
@@ -310,18 +309,18 @@ def test_a_result_of_an_earlier_version_is_reported_and_its_verdict_is_not_repea
     found = predict()
     assert found["fit_verdict"] is None and "not recorded" in found["fit_changed"]
     assert "needlefit validate ./studies/held_out.toml" in capsys.readouterr().err
-    assert run("report", "reports/held_out", "--quiet") == 0
-    assert run("diff", "reports/held_out", "reports/held_out") == 0
+    assert run("report reports/held_out --quiet") == 0
+    assert run("diff reports/held_out reports/held_out") == 0
 
 
 def test_a_posterior_of_another_fit_is_not_used(validated, capsys):
-    words = ("predict", "gel", "--scene", "ahead", "--quiet", "--jobs", 1)
+    line = "predict gel --scene ahead --quiet --jobs 1"
     result = Path("reports/predict-gel-ahead/run.json")
-    assert run(*words) in (0, 5)
+    assert run(line) in (0, 5)
     assert json.loads(result.read_text())["draw_source"] == "posterior"
     edit(validated / "configs/recipes/tiny.toml", "", {"starts": 3})
     capsys.readouterr()
-    assert run(*words) in (0, 5)
+    assert run(line) in (0, 5)
     found = json.loads(result.read_text())
     assert found["draw_source"] == "importance" and found["fit_verdict"] is None
     assert "needlefit tune gel" in capsys.readouterr().err

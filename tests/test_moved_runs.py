@@ -19,7 +19,7 @@ from needlefit.studies.stored_fit import read_data
 from needlefit.studies.study_files import load_target
 from needlefit.viewer.opening import open_target
 
-OPTIONS = ("--quiet", "--jobs", 1)
+OPTIONS = "--quiet --jobs 1"
 
 
 @pytest.fixture
@@ -65,17 +65,17 @@ def test_a_run_holds_the_files_of_its_data_with_their_digest(world):
 
 
 @pytest.mark.parametrize(
-    "words",
+    "line",
     [
-        ("report", "../moved/gel", "--out", "again"),
-        ("predict", "../moved/gel", "--scene", "./ahead.toml", *OPTIONS),
-        pytest.param(("tune", "../moved/held_out", "--no-sample", *OPTIONS), marks=pytest.mark.sweep),
-        ("plan", "../moved/gel/needle-1", "--target", "28,1", "--turns", 0),
+        "report ../moved/gel --out again",
+        f"predict ../moved/gel --scene ./ahead.toml {OPTIONS}",
+        pytest.param(f"tune ../moved/held_out --no-sample {OPTIONS}", marks=pytest.mark.sweep),
+        "plan ../moved/gel/needle-1 --target 28,1 --turns 0",
     ],
 )
-def test_every_command_takes_a_run_that_was_moved_alone(words, places, capsys):
+def test_every_command_takes_a_run_that_was_moved_alone(line, places, capsys):
     shutil.rmtree(places.project)
-    assert run(*words) in (0, 5)
+    assert run(line) in (0, 5)
     out = capsys.readouterr().out
     assert out and "plan reports/" not in out  # the run is not there
 
@@ -102,7 +102,7 @@ def test_a_dataset_that_is_missing_is_named_with_both_folders(places, use):
     fault = refusal(DataError, "needles", lambda: use(folder))
     assert str(places.project / "data/needles") in fault.expected
     assert str(places.here / "data/needles") in fault.expected
-    assert run("report", "../moved/gel") == 0  # which needs no data
+    assert run("report ../moved/gel") == 0  # which needs no data
 
 
 def test_a_missing_dataset_is_found_where_the_message_looked_for_it(places):
@@ -126,7 +126,7 @@ def test_data_that_changed_since_are_named_and_the_copy_is_used(places, capsys):
     dataset = load_target("../moved/gel").inputs.dataset
     (warning,) = [one for one in dataset.warnings if one.kind == "data_changed"]
     assert warning.where == str(file)
-    assert run("predict", "../moved/gel", "--scene", "./ahead.toml", *OPTIONS) in (0, 5)
+    assert run(f"predict ../moved/gel --scene ./ahead.toml {OPTIONS}") in (0, 5)
     printed = capsys.readouterr().err
     assert printed.count("explain data-changed") == 1 and f"{file}: " in printed
     assert [one for one in open_target("../moved/gel").warnings if one.kind == "data_changed"] == [warning]

@@ -28,6 +28,11 @@ from needlefit.viewer import opening
 from needlefit.viewer.opening import open_target
 
 
+def run_plan(line, folder):
+    """Return the exit code of a plan as it is typed; its result is printed as JSON."""
+    return run(f"plan {line} --json", "--out", folder)
+
+
 @cache
 def insertion():
     """Return a needle of phantom 2 at first contact."""
@@ -117,16 +122,16 @@ def test_a_plan_goes_on_from_where_the_needle_stands():
 
 
 def test_within_the_radius_the_miss_is_least_and_a_limit_that_binds_is_named():
-    free = plan((45.0, 1.0), 2.0)
+    free = plan((45.0, 1.0), 2.0, turns=0)
     assert free.hits and free.nominal_miss < 0.3 and free.at_limit == ()
-    bound = plan((45.0, 4.0), 5.0, base_mm=2, base_angle_deg=0)
+    bound = plan((45.0, 4.0), 5.0, base_mm=2, base_angle_deg=0, turns=0)
     assert bound.hits and "base" in bound.at_limit
 
 
 def test_a_plan_that_fails_has_no_steps_and_how_near_it_comes(tmp_path, capsys):
-    words = ("plan", "phantom2", "--target", "45,9", "--radius", 0.5, "--base", 2, "--turns", 0, "--json")
     path = tmp_path / "plan.csv"
-    assert run(*words, "--write-recording", path, "--out", tmp_path) == 5
+    line = f"phantom2 --target 45,9 --radius 0.5 --base 2 --turns 0 --write-recording {path}"
+    assert run_plan(line, tmp_path) == 5
     found = json.loads(capsys.readouterr().out)
     assert found["page"] is None and not (tmp_path / "plan").exists() and not path.exists()
     assert not found["reached"] and found["steps"] == [] and found["at_limit"] == ["base", "base angle"]
@@ -172,7 +177,7 @@ def test_a_target_off_the_plane_is_reached_by_the_roll_alone(angle):
 
 
 def test_base_and_turns_help_the_roll_and_draws_spread_in_both_directions():
-    found = plan((45.0, 3.0, -1.5), 1.0, start=uncertain(), turns=1)
+    found = plan((45.0, 3.0, -1.5), 1.0, start=uncertain(48), turns=1)
     misses = found.describe_misses()
     assert found.hits and misses["nominal_miss_mm"] < 0.3
     assert np.array(misses["tip_sd_mm"]) == approx(found.needles[:, -1, 1:].std(axis=0))
@@ -196,8 +201,8 @@ def test_points_of_slicer_are_targets_and_obstacles_in_the_constraint_frame(tmp_
 
 def test_the_command_prints_a_plan_and_writes_it_as_a_recording(tmp_path, capsys):
     path = tmp_path / "plan.csv"
-    words = ("phantom2", "--target", "45,2", "--obstacle", "25,0.4,0.8", "--entry-shift", "5", "--json")
-    assert run("plan", *words, "--write-recording", str(path), "--out", str(tmp_path)) == 0
+    line = f"phantom2 --target 45,2 --obstacle 25,0.4,0.8 --entry-shift 5 --write-recording {path}"
+    assert run_plan(line, tmp_path) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["reached"] and found["nominal_miss_mm"] < 0.2 and found["draws"] == 0
     assert found["steps"][-1]["depth_mm"] == approx(45.0, abs=1.0)
@@ -230,8 +235,7 @@ def test_a_plan_to_a_depth_or_along_z_that_was_not_fitted_says_so(
 ):
     shown = replace(opening.open_target("phantom2"), fitted_depths=fitted, fitted_directions=directions)
     monkeypatch.setattr(opening, "open_target", lambda *_, **__: shown)
-    words = ("plan", "phantom2", "--target", target, "--turns", "0", "--json", "--out", str(tmp_path))
-    assert run(*words) == 0
+    assert run_plan(f"phantom2 --target {target} --turns 0", tmp_path) == 0
     kinds = [one["kind"] for one in json.loads(capsys.readouterr().out)["warnings"]]
     assert kinds == ["extrapolation"] * count
 
@@ -264,10 +268,9 @@ def test_a_plan_from_first_contact_does_not_depend_on_the_roll_that_a_scene_stat
     steps = "\n[[steps]]\ndepth_mm = 20.0\n[[steps]]\ndepth_mm = 38.06\nroll_deg = 45.0\n"
     changed = text.replace("side = 1", "roll_deg = -30").replace("depth_mm = 38.06", "", 1)
     (tmp_path / "rolled.toml").write_text(changed + steps)
-    words = ("--target", "40,1,4", "--radius", "0.5", "--turns", "0", "--json", "--out", str(tmp_path))
     found = []
     for name in ("phantom2", str(tmp_path / "rolled.toml")):
-        assert run("plan", name, *words) == 0
+        assert run_plan(f"{name} --target 40,1,4 --radius 0.5 --turns 0", tmp_path) == 0
         found.append(json.loads(capsys.readouterr().out))
     keys = ("reached", "steps", "turns_mm", "roll_deg", "nominal_miss_mm")
     assert [found[0][key] for key in keys] == [found[1][key] for key in keys] and found[0]["reached"]
@@ -281,10 +284,9 @@ def test_a_goal_of_the_plane_becomes_one_in_space():
 
 
 def test_an_uncertain_gain_of_the_base_spreads_the_misses(tmp_path, capsys):
-    words = ("--target", "45,2", "--radius", "0.5", "--turns", "0", "--json", "--out", str(tmp_path))
-    most = []
+    line, most = "--target 45,2 --radius 0.5 --turns 0 --gain-sd", []
     for gain_sd in (0, 0.25):
-        assert run("plan", "phantom2_fitted", *words, "--gain-sd", gain_sd) == 0
+        assert run_plan(f"phantom2_fitted {line} {gain_sd}", tmp_path) == 0
         most.append(json.loads(capsys.readouterr().out)["miss_95_mm"])
     assert most[1] > 1.5 * most[0]
-    assert run("plan", "phantom2", *words, "--gain-sd", "0.25") == 3  # of exact parameters
+    assert run_plan(f"phantom2 {line} 0.25", tmp_path) == 3  # of exact parameters

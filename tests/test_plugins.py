@@ -13,6 +13,7 @@ from light_runs import predict_by_few_draws
 from plugin_cases import EXAMPLE, VERSION, install, plugin_folder
 from problem_cases import make_problem
 from pytest import approx
+from refusals import refusal
 from reporting_results import skip_figures
 from sampling_cases import Known, draw, flat, gaussian, weighted
 from test_cli import run
@@ -48,14 +49,14 @@ def test_a_kind_of_study_is_run_reported_and_compared(tmp_path, plugin, monkeypa
     monkeypatch.chdir(tmp_path)
     Path("studies").mkdir()
     Path("studies/deep.toml").write_text('schema = 2\nkind = "depth_study"\ndataset = "twin"\n')
-    assert run("validate", "deep", "--json", "-q") == 0
+    assert run("validate deep --json -q") == 0
     printed = json.loads(capsys.readouterr().out)
     assert (printed["kind"], printed["origin"]) == ("depth_study", "synthetic")
     assert sum(row["insertions"] for row in printed["depths"]) == 47
-    assert run("report", "deep", "--out", "reports/again", "-q") == 0
+    assert run("report deep --out reports/again -q") == 0
     for name in ("depths.csv", "depths.tex", "report.html", "report.pdf", "results.json.gz"):
         assert Path("reports/again", name).read_bytes() == Path("reports/deep", name).read_bytes()
-    assert run("diff", "deep", "again") == 0
+    assert run("diff deep again") == 0
 
 
 MEDIUM = """schema = 1
@@ -126,9 +127,9 @@ def test_a_study_with_everything_of_a_plugin(law_site, law_project, monkeypatch,
     _, options = law_site
     skip_figures(monkeypatch)
     predict_by_few_draws(monkeypatch)
-    assert run("check", "mine", *options) == 0
+    assert run("check mine", *options) == 0
     capsys.readouterr()
-    assert run("validate", "mine", "--json", "-q", *options) == 0
+    assert run("validate mine --json -q", *options) == 0
     assert json.loads(capsys.readouterr().out)
     stored = json.loads((law_project / "reports/mine/run.json").read_text())
     version = stored["versions"][EXAMPLE]
@@ -141,7 +142,7 @@ def test_a_study_with_everything_of_a_plugin(law_site, law_project, monkeypatch,
         rows = pd.read_csv(f"reports/mine/{name}.csv").query("metric == 'end_error_mm'")
         assert {"fitted", "straight", "parabola"} <= set(rows["method"])
         assert rows[["value", "floor"]].gt(0).all(axis=None) and rows["paper"].isna().all()
-    assert run("report", "mine", *options) == 0
+    assert run("report mine", *options) == 0
     assert {"logarithmic", "ogden"} < {*LAWS.names()}
 
 
@@ -216,8 +217,7 @@ def test_an_observation_has_a_number_of_its_own(tmp_path, monkeypatch):
 
 
 def test_the_name_of_a_metric_ends_in_its_unit():
-    with pytest.raises(ConfigError, match="tip_mm"):
-        Metric("tip_mm", "", "deg", "", compute=lambda curves: 0.0)
+    refusal(ConfigError, "tip_mm", Metric, "tip_mm", "", "deg", "", compute=lambda curves: 0.0)
 
 
 @dataclass(frozen=True)
@@ -254,10 +254,9 @@ def fruits(tmp_path, monkeypatch):
 def test_a_name_that_exists_is_refused(fruits, tmp_path, name):
     for module in ("basket", "crate"):
         install(tmp_path / "site", module=module, source=f"{FRUIT}ONE = Fruit('{name}')\n")
-    with pytest.raises(ConfigError) as refused:
-        fruits.names()
-    assert ("orchard.apple" if name == "apple" else "basket") in refused.value.what
-    assert ("basket" if name == "apple" else "crate") in refused.value.what
+    refused = refusal(ConfigError, "", fruits.names)
+    assert ("orchard.apple" if name == "apple" else "basket") in refused.what
+    assert ("basket" if name == "apple" else "crate") in refused.what
 
 
 @pytest.mark.parametrize("place", ["work", "work/data/twin", "elsewhere/needles"])
@@ -280,7 +279,6 @@ def test_no_plugin_is_found_in_the_working_folder_or_among_data(
         assert fruits.names() == ("apple", "pear")
     else:
         use_plugins(["planted"])
-        with pytest.raises(ConfigError, match="planted"):
-            fruits.names()
+        refusal(ConfigError, "planted", fruits.names)
     assert not marker.exists()
     assert "" in sys.path

@@ -21,18 +21,10 @@ from needlefit.studies.kinds.cross_validation import run as cross_validation
 
 PRINTED = re.compile(r"(?:cd [^\n&]+ && )?needlefit (?!warning|unexpected)[a-z]+ [^`;()\n]*[^`;()\n.: ]")
 RUN_AS_PRINTED = (0, 5)  # done, or too short to converge in every respect
-START = {
-    "start": ("new", "workbook", "my needles.xlsx"),
-    "project": ("new", "project", "my project"),
-    "check": ("check", "held_out"),
-    "check a fit": ("check", "gel"),
-    "a table": ("check", "data/needles/insertions.csv"),
-    "a table alone": ("check", "points.csv"),
-    "a fit": ("validate", "gel"),
-    "a study": ("tune", "design"),
-}
+BOOK = "new workbook 'my needles.xlsx'"
+SHORT = (BOOK, "check held_out", "check data/needles/insertions.csv")
+LONG = ("new project 'my project'", "check gel", "check points.csv", "validate gel", "tune design")
 """Command lines that print others."""
-LONG = ("project", "check a fit", "a table alone", "a fit", "a study")
 VALUES = {
     "specimen": "others",
     **{"dataset": "needles", "doubt": "copy", "doubt_title": "two insertions are the same"},
@@ -66,14 +58,14 @@ def run_all_printed(first, capsys):
 
     Each runs in the folder in which it was printed.
     """
-    todo, done = deque([(shlex.join(("needlefit", *first)), Path.cwd())]), {}
+    todo, done = deque([(f"needlefit {first}", Path.cwd())]), {}
     while todo:
         line, folder = todo.popleft()
         *moves, command = map(shlex.split, line.split(" && "))
         for _, place in moves:
             folder = folder / place
         with chdir(folder):
-            done[line] = run(*command[1:])
+            done[line] = run(shlex.join(command[1:]))
         printed = "".join(capsys.readouterr())
         assert len(done) == 1 or done[line] in RUN_AS_PRINTED, f"{line}\n{printed}"
         known = {*done, *(one for one, _ in todo)}
@@ -85,25 +77,22 @@ def run_all_printed(first, capsys):
 @pytest.mark.parametrize("kind", list(KIND_COMMANDS))
 @pytest.mark.usefixtures("project")
 def test_the_commands_that_a_run_prints_run(kind, world, capsys):
-    found = run_all_printed(("report", f"reports/{KIND_COMMANDS[kind].folder}"), capsys)
+    found = run_all_printed(f"report reports/{KIND_COMMANDS[kind].folder}", capsys)
     advice = world.restore(kind).first_page.advice
     assert advice is None or not advice.command or advice.format_command(Path("reports")) in found
 
 
 @pytest.mark.usefixtures("project")
-@pytest.mark.parametrize(
-    "start",
-    [pytest.param(name, marks=pytest.mark.sweep if name in LONG else ()) for name in START],
-)
+@pytest.mark.parametrize("start", [*SHORT, *(pytest.param(line, marks=pytest.mark.sweep) for line in LONG)])
 def test_the_commands_that_a_command_prints_run(start, world, monkeypatch, capsys):
-    if start == "start":  # eight fits: another run stands for them
+    if start == BOOK:  # eight fits: another run stands for them
         found = world.restore("cross_validation")
 
         def rename(name, *_):
             return replace(found.with_metadata(name=name), name=name)
 
         monkeypatch.setattr(cross_validation, "run", rename)
-    assert run_all_printed(START[start], capsys)
+    assert run_all_printed(start, capsys)
 
 
 @pytest.mark.sweep
@@ -111,7 +100,7 @@ def test_the_commands_that_a_command_prints_run(start, world, monkeypatch, capsy
 @pytest.mark.usefixtures("project")
 def test_every_command_of_the_table_of_advice_runs(finding, capsys):
     command = advise([finding], VALUES, "scanned" if "scan" in finding else "held_out").format_command()
-    assert run(*shlex.split(command)[1:]) in RUN_AS_PRINTED, capsys.readouterr().err
+    assert run(command.removeprefix("needlefit ")) in RUN_AS_PRINTED, capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("project")
@@ -120,7 +109,7 @@ def test_the_commands_that_explain_prints_run(capsys):
     named = re.findall(r"`(needlefit [^`]* [^`]*)`", printed)
     assert len(named) >= 2
     for command in named:
-        assert run(*shlex.split(command)[1:]) in RUN_AS_PRINTED, capsys.readouterr().err
+        assert run(command.removeprefix("needlefit ")) in RUN_AS_PRINTED, capsys.readouterr().err
 
 
 def test_a_placeholder_is_no_doubt():

@@ -57,10 +57,9 @@ def test_errors_of_the_entry_pose_move_the_tip():
 
 
 def test_the_command_predicts_before_data(capsys):
-    words = ("predict", "--scene", "phantom1", "--medium", "gelatine", "--aim", "52,0.4", "--json")
-    assert run(*words) == 0
+    assert run("predict --scene phantom1 --medium gelatine --aim 52,0.4 --json") == 0
     found = json.loads(capsys.readouterr().out)
     assert found["target_mm"] == [52.0, 0.4, 0.0] and found["sources"][0]["name"] == "gelatine"
     assert 0.8 < sum(one["share"] for one in found["parameters"]) < 1.1
-    assert run("predict", "--scene", "phantom1") == 2
-    assert run("predict", "--scene", "phantom1", "--medium", "nowhere") == 3
+    assert run("predict --scene phantom1") == 2
+    assert run("predict --scene phantom1 --medium nowhere") == 3

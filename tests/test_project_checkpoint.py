@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from made_again import read_files
+from refusals import refusal
 
 from needlefit.errors import ConfigError, DataError
 from needlefit.project.checkpoint import open_checkpoint, remove_checkpoint, require_own_checkpoint
@@ -62,8 +63,7 @@ def test_a_checkpoint_with_a_damaged_stamp_is_begun_afresh(tmp_path, stamp, resu
 
 def test_a_checkpoint_of_other_work_is_refused_and_without_resume_emptied(tmp_path):
     kept(tmp_path / "c")
-    with pytest.raises(ConfigError, match="other work"):
-        open_checkpoint(tmp_path / "c", True, {"n": 2})
+    refusal(ConfigError, "other work", open_checkpoint, tmp_path / "c", True, {"n": 2})
     assert open_checkpoint(tmp_path / "c", False, {"n": 2}).rows("fold/fit") == []
 
 
@@ -74,8 +74,7 @@ def test_foreign_files_are_kept_when_a_run_begins_and_ends(tmp_path, name):
     (folder / name).parent.mkdir(exist_ok=True)
     (folder / name).write_text("mine")
     for resume in (True, False):
-        with pytest.raises(ConfigError, match=Path(name).name):
-            open_checkpoint(folder, resume, {"n": 1})
+        refusal(ConfigError, Path(name).name, open_checkpoint, folder, resume, {"n": 1})
     remove_checkpoint(folder, lines.append)
     assert (folder / name).read_text() == "mine" and name in lines[0]
     (folder / name).unlink()
@@ -101,8 +100,7 @@ def test_one_process_at_a_time(tmp_path):
         assert process.stdout.readline() == b"holds\n"
         before = (tmp_path / "c" / MANIFEST).read_bytes()
         for resume in (True, False):
-            with pytest.raises(ConfigError, match="another run"):
-                open_checkpoint(tmp_path / "c", resume, {"n": 1})
+            refusal(ConfigError, "another run", open_checkpoint, tmp_path / "c", resume, {"n": 1})
         lines = []
         remove_checkpoint(tmp_path / "c", lines.append)
         assert len(lines) == 1 and (tmp_path / "c" / MANIFEST).read_bytes() == before
@@ -147,14 +145,12 @@ def test_what_does_not_agree_with_the_manifest_is_named(tmp_path):
     require_unchanged(folder)
     (folder / "part" / "a.csv").write_text("two")
     assert [*find_changes(folder)] == ["part/a.csv"]
-    with pytest.raises(DataError, match=r"part/a\.csv"):
-        require_unchanged(folder)
+    refusal(DataError, r"part/a\.csv", require_unchanged, folder)
     (folder / "part" / "a.csv").unlink()
     require_unchanged(folder)  # a report makes it again
     for text in (b"{", None):
         (folder / MANIFEST).unlink() if text is None else (folder / MANIFEST).write_bytes(text)
-        with pytest.raises(DataError, match=MANIFEST):
-            require_unchanged(folder)
+        refusal(DataError, MANIFEST, require_unchanged, folder)
 
 
 def test_an_unchanged_result_is_replaced_and_has_the_same_manifest(tmp_path):
@@ -182,9 +178,8 @@ def test_added_or_changed_files_are_kept_and_named(file, tmp_path):
     (folder / file).parent.mkdir(exist_ok=True)
     (folder / file).write_text("mine")
     before = read_files(tmp_path)
-    with pytest.raises(ConfigError) as error:
-        write(folder, "two")
-    assert file in str(error.value) and "--out" in error.value.fix
+    error = refusal(ConfigError, "", write, folder, "two")
+    assert file in str(error) and "--out" in error.fix
     assert read_files(tmp_path) == before
 
 
@@ -195,13 +190,11 @@ def test_links_are_kept_and_not_followed(tmp_path):
     write(folder)
     shutil.rmtree(folder / "part")
     (folder / "part").symlink_to(mine)
-    with pytest.raises(ConfigError, match="part"):
-        write(folder, "two")
+    refusal(ConfigError, "part", write, folder, "two")
     (folder / "part").unlink()
     (folder / "part").mkdir()
     (folder / "part" / "a.csv").symlink_to(mine / "a.csv")
-    with pytest.raises(ConfigError, match=r"part/a\.csv"):
-        write(folder, "two")
+    refusal(ConfigError, r"part/a\.csv", write, folder, "two")
     assert (mine / "a.csv").read_text() == "mine"
 
 
@@ -325,8 +318,7 @@ def test_leftovers_of_a_killed_process_are_removed_and_a_running_one_is_not_dist
     place, mine = tmp_path / "out", tmp_path / ".out.abcdefgh"
     (mine / "notes").mkdir(parents=True)
     process = writing(place, verb)
-    with pytest.raises(ConfigError, match="another run"):
-        write_empty(place, verb)
+    refusal(ConfigError, "another run", write_empty, place, verb)
     end(process, signal.SIGKILL)
     assert len(list(tmp_path.glob(".out.needlefit"))) == 1
     write_empty(place, verb)

@@ -8,6 +8,7 @@ from contextlib import chdir
 from pathlib import Path
 
 import pytest
+from refusals import refusal
 
 from needlefit.cli.data import new_project
 from needlefit.errors import MAX_MESSAGE_CHARACTERS, ConfigError, DataError, printable
@@ -18,11 +19,10 @@ from needlefit.schemas.recipe import RecipeRecord
 
 
 def refused(read, *arguments, error=DataError):
-    with pytest.raises(error) as found:
-        read(*arguments)
-    assert found.value.what and found.value.where and found.value.fix
-    assert len(str(found.value)) < 2000
-    return found.value
+    found = refusal(error, "", read, *arguments)
+    assert found.what and found.where and found.fix
+    assert len(str(found)) < 2000
+    return found
 
 
 @pytest.fixture
@@ -48,8 +48,7 @@ def test_impossible_names_are_refused(tmp_path, name):
     error = refused(read_bytes, tmp_path / name)
     assert "\0" not in str(error) and "\x1b" not in str(error)
     for find in (locate.find_view_target, locate.find_study_or_fit, locate.find_run):
-        with pytest.raises(ConfigError):
-            find(f"./{name}")
+        refusal(ConfigError, "", find, f"./{name}")
 
 
 def test_a_file_larger_than_the_limit_is_refused(tmp_path):
@@ -92,9 +91,8 @@ def test_numbers_of_many_digits(digits):
 def test_a_file_of_a_later_schema_is_refused_and_left_alone(tmp_path):
     file, text = tmp_path / "recipe.toml", f"schema = {RecipeRecord.SCHEMA + 1}\n"
     file.write_text(text)
-    with pytest.raises(ConfigError) as fault:
-        load(file, RecipeRecord)
-    assert fault.value.where == str(file) and "`schema`" in fault.value.what and file.read_text() == text
+    fault = refusal(ConfigError, "", load, file, RecipeRecord)
+    assert fault.where == str(file) and "`schema`" in fault.what and file.read_text() == text
     for schema in range(1, RecipeRecord.SCHEMA + 1):
         file.write_text(f"schema = {schema}\n")
         load(file, RecipeRecord)
@@ -136,15 +134,13 @@ def test_the_working_folder_comes_first(project):
 
 def test_a_name_that_is_both_is_an_error(project):
     (project / "studies/gel.toml").write_text(STUDY)
-    with pytest.raises(ConfigError, match="`gel`") as fault:
-        locate.find_study_or_fit("gel")
-    assert "studies/gel.toml" in fault.value.fix and "configs/fits/gel.toml" in fault.value.fix
+    fault = refusal(ConfigError, "`gel`", locate.find_study_or_fit, "gel")
+    assert "studies/gel.toml" in fault.fix and "configs/fits/gel.toml" in fault.fix
 
 
 def test_a_dataset_may_be_named_by_its_folder(project):
     (project / "gel").mkdir()
-    with pytest.raises(ConfigError, match=r"no dataset"):
-        locate.find_file("dataset", "./gel")
+    refusal(ConfigError, r"no dataset", locate.find_file, "dataset", "./gel")
     (project / "gel/dataset.toml").write_text("")
     assert locate.find_file("dataset", "./gel") == Path("gel/dataset.toml")
     assert all(map(locate.is_path, (".", "..", "mine.toml"))) and not locate.is_path("mine")
@@ -154,9 +150,8 @@ def test_a_dataset_may_be_named_by_its_folder(project):
 def test_a_name_that_is_nearly_right_is_proposed(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for find in (locate.find_studies, locate.find_study_or_fit, locate.find_view_target):
-        with pytest.raises(ConfigError, match="did you mean `study3`") as fault:
-            find(name)
-        assert fault.value.expected.startswith("one of study3, ")
+        fault = refusal(ConfigError, "did you mean `study3`", find, name)
+        assert fault.expected.startswith("one of study3, ")
 
 
 def test_a_file_nearby_is_proposed(tmp_path, monkeypatch):
@@ -165,8 +160,7 @@ def test_a_file_nearby_is_proposed(tmp_path, monkeypatch):
     Path("gel/gel_study.toml").touch()
     for find in (locate.find_studies, locate.find_study_or_fit):
         for name in ("gel_study", "./gel/gel_studi.toml"):
-            with pytest.raises(ConfigError, match=r"did you mean `\./gel/gel_study\.toml`"):
-                find(name)
+            refusal(ConfigError, r"did you mean `\./gel/gel_study\.toml`", find, name)
 
 
 @pytest.fixture
@@ -209,11 +203,9 @@ def test_a_name_of_a_scene_and_a_run_is_the_run_unless_the_scene_is_wanted(name,
 def test_an_insertion_of_a_run_is_found_and_several_runs_are_listed(runs):
     target = locate.find_view_target("./reports/a/needle-1")
     assert (target.path, target.insertion) == (Path("reports/a"), "needle-1")
-    with pytest.raises(ConfigError) as fault:
-        locate.find_run("more")
-    assert "more/one" in fault.value.expected and "more/two" in fault.value.expected
-    with pytest.raises(ConfigError, match="`c`"):
-        locate.find_run("c")
+    fault = refusal(ConfigError, "", locate.find_run, "more")
+    assert "more/one" in fault.expected and "more/two" in fault.expected
+    refusal(ConfigError, "`c`", locate.find_run, "c")
 
 
 def test_init_copies_once_into_a_folder_of_its_own_and_never_overwrites(tmp_path, monkeypatch):
@@ -224,8 +216,7 @@ def test_init_copies_once_into_a_folder_of_its_own_and_never_overwrites(tmp_path
     (tmp_path / "notes").mkdir()
     (tmp_path / "notes/thesis.docx").touch()
     for folder in (Path("/"), *(tmp_path / name for name in (".", "notes", "notes/thesis.docx", "mine"))):
-        with pytest.raises(ConfigError):
-            new_project(folder)
+        refusal(ConfigError, "", new_project, folder)
     assert [path.name for path in (tmp_path / "notes").iterdir()] == ["thesis.docx"]
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refusal
 
 from needlefit.errors import ConfigError, DataError
 from needlefit.project import reader_process
@@ -72,9 +73,8 @@ def test_memory_is_limited_beyond_what_was_granted():
 
 
 def test_errors_of_the_reader_are_its_own():
-    with pytest.raises(DataError) as found:
-        run("raises_data_error")
-    error = found.value
+    found = refusal(DataError, "", run, "raises_data_error")
+    error = found
     assert (error.what, error.where, error.expected, error.fix) == ("what", "where", "expected", "fix")
 
 
@@ -126,7 +126,6 @@ def test_the_user_states_the_memory_of_one_file(monkeypatch, text, size):
 @pytest.mark.parametrize("text", ["much", "-1", "nan", "inf", "0", "9" * 5000])
 def test_an_invalid_memory_limit_is_refused(monkeypatch, text):
     monkeypatch.setenv(MEMORY_VARIABLE, text)
-    with pytest.raises(ConfigError) as found:
-        stated_memory_bytes()
-    assert found.value.where == MEMORY_VARIABLE and len(found.value.what) < 100
+    found = refusal(ConfigError, "", stated_memory_bytes)
+    assert found.where == MEMORY_VARIABLE and len(found.what) < 100
     assert os.environ[MEMORY_VARIABLE] == text

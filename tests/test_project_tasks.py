@@ -13,6 +13,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 from made_again import read_files
+from refusals import refusal
 from test_cli import run
 
 from needlefit.errors import ConfigError, UnfinishedWorkError
@@ -264,10 +265,9 @@ def test_a_lost_scheduler_is_an_error_that_names_resume(tmp_path, seconds, runni
             assert next(results)[1] == seconds
         killer = threading.Timer(running, os.killpg, (server.pid, signal.SIGKILL))
         killer.start()
-        with pytest.raises(ConfigError) as caught:
-            list(results)
+        caught = refusal(ConfigError, "", list, results)
         killer.join()
-    assert "--resume" in caught.value.fix
+    assert "--resume" in caught.fix
 
 
 @pytest.mark.sweep
@@ -282,9 +282,8 @@ def test_an_address_is_secured(address, secured):
     if secured:
         require_secured(address)
     else:
-        with pytest.raises(ConfigError) as caught:
-            require_secured(address)
-        assert caught.value.where == f"--scheduler {address}"
+        caught = refusal(ConfigError, "", require_secured, address)
+        assert caught.where == f"--scheduler {address}"
     if address.startswith("tcp://"):
         require_secured(address, insecure=True)
 

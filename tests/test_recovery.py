@@ -1,5 +1,6 @@
 """Fits to synthetic data beside the true parameters: what a fit calls determined must hold."""
 
+import tomllib
 from pathlib import Path
 
 import pandas as pd
@@ -8,30 +9,12 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 REFERENCE = ROOT / "reports" / "reference"
 #: parameters that the shipped synthetic data were made with, Pa and mm: geometric means over specimens
-TRUTH = {
-    "phantom1": {
-        "mu1_pa": 0.2054e6,
-        "mu2_pa": 26.94e6,
-        "mu3_pa": 1.851e6,
-        "mu4_pa": 31.17e6,
-        "bevel_mm": 0.03,
-    },
-    "phantom2": {
-        "mu1_pa": 0.1956e6,
-        "mu2_pa": 40.01e6,
-        "mu3_pa": 0.2011e6,
-        "mu4_pa": 33.49e6,
-        "bevel_mm": 0.103,
-    },
-    "phantom3": {
-        "mu1_pa": 0.1775e6,
-        "mu2_pa": 33.85e6,
-        "mu3_pa": 0.2001e6,
-        "mu4_pa": 39.17e6,
-        "bevel_mm": 0.03,
-    },
-    "chicken": {"mu1_pa": 810.7, "bevel_mm": 0.2012},
-}
+TRUTH = tomllib.loads("""
+phantom1 = { mu1_pa = 0.2054e6, mu2_pa = 26.94e6, mu3_pa = 1.851e6, mu4_pa = 31.17e6, bevel_mm = 0.03 }
+phantom2 = { mu1_pa = 0.1956e6, mu2_pa = 40.01e6, mu3_pa = 0.2011e6, mu4_pa = 33.49e6, bevel_mm = 0.103 }
+phantom3 = { mu1_pa = 0.1775e6, mu2_pa = 33.85e6, mu3_pa = 0.2001e6, mu4_pa = 39.17e6, bevel_mm = 0.03 }
+chicken = { mu1_pa = 810.7, bevel_mm = 0.2012 }
+""")
 for own in TRUTH.values():
     own |= {f"alpha{n}": 1.0 if n % 2 else -1.0 for n in range(1, 5) if f"mu{n}_pa" in own}
 MAX_MISSED_SHARE = 0.1  #: of the parameters called determined: twice what 95 % intervals miss

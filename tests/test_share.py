@@ -106,8 +106,7 @@ def test_a_needle_in_the_address_is_shown_and_written_again(shared, chromium):  
 
 @NO_BROWSER
 def test_the_depth_is_dragged_along_the_page_of_a_plan(chromium, tmp_path, capsys):  # noqa: F811
-    words = ("phantom2", "--target", "45,2", "--obstacle", "25,0.4,0.8", "--turns", "1", "--json")
-    assert run("plan", *words, "--out", str(tmp_path)) == 0
+    assert run("plan phantom2 --target 45,2 --obstacle 25,0.4,0.8 --turns 1 --json --out", tmp_path) == 0
     plan = json.loads(capsys.readouterr().out)
     with open_offline(chromium, Path(plan["page"])) as page:
         count, largest = page.evaluate(ALL_STATES)
