@@ -82,6 +82,12 @@ def block(folder, **changes):
     return write_dataset(folder, record(**changes), rows, dict.fromkeys("abc", CURVE), SURFACES)
 
 
+def reread(folder, *rows, curve=CURVE, surfaces=SURFACES, **changes):
+    """Write insertions of one curve as a dataset, and read it."""
+    curves = dict.fromkeys((one.id for one in rows), curve)
+    return read(write_dataset(folder, record(**changes), rows, curves, surfaces))
+
+
 def write_mine(folder):
     """Write two needles, `example1` and `example2`, through one boundary; return the file."""
     tables = record(name="mine", media={"medium1": {"boundaries_mm": [20.0]}}, noise={"point_sd_mm": 0.1})
@@ -116,27 +122,22 @@ def test_a_written_dataset_is_read_back(tmp_path):
 
 def test_what_an_insertion_has_for_itself_is_written_and_read(tmp_path):
     twisted = CURVE + np.column_stack([0 * X, 0 * X, 0.3 * np.sin(X / 8)])
-    bevel = np.array([0, 1.0, 0])
-    file = write_dataset(tmp_path, record(), [row("a", bevel=bevel)], {"a": twisted}, SURFACES)
-    a = read(file).insertions[0]
+    (a,) = reread(tmp_path, row("a", bevel=np.array([0, 1.0, 0])), curve=twisted).insertions
     assert_allclose(a.points[:, 2], 0.3 * np.sin(X / 8), atol=1e-4)
     # Moving needle and pose together changes nothing in C.
     c, s = math.cos(0.4), math.sin(0.4)
     turn = np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
     shift = np.array([3.0, -5.0, 12.0])
     moved = row("a", "given", layers=2, entry=shift, direction=turn[:, 0])
-    file = write_dataset(tmp_path, record(), [moved], {"a": CURVE @ turn.T + shift}, SURFACES)
-    assert_allclose(read(file).insertions[0].points[:, :2], CURVE[:, :2], atol=2e-4)
-    rows = [row("a", base_moved=-12.5, hole="first", observation_values={"force_n": -2e-6}), row("b")]
-    a, b = read(write_dataset(tmp_path, record(), rows, dict.fromkeys("ab", CURVE), SURFACES)).insertions
+    (a,) = reread(tmp_path, moved, curve=CURVE @ turn.T + shift).insertions
+    assert_allclose(a.points[:, :2], CURVE[:, :2], atol=2e-4)
+    stated = row("a", base_moved=-12.5, hole="first", observation_values={"force_n": -2e-6})
+    a, b = reread(tmp_path, stated, row("b")).insertions
     assert (a.base_moved, b.base_moved) == (-12.5, 0.0)
     assert (a.hole, b.hole) == ("first", "") and a.observation_values == {"force_n": -2e-6}
     # A third of a turn about (1, 1, 1) takes x to y, y to z, z to x.
     turned = Frame(np.array([-0.5, 0, 0]), np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]))
-    file = write_dataset(
-        tmp_path, record(), [row("a", "given", layers=2, patient=turned)], {"a": CURVE}, SURFACES
-    )
-    found = read(file).insertions[0].patient
+    found = reread(tmp_path, row("a", "given", layers=2, patient=turned)).insertions[0].patient
     assert_allclose(found.to_world(np.eye(3)) - found.origin, np.eye(3)[[1, 2, 0]], atol=1e-8)
 
 
@@ -154,8 +155,7 @@ def test_each_insertion_has_its_needle_and_its_boundaries(tmp_path):
         f"layers/{n}.stl": make_sheet(str(n), (x, 0, 0), (1, 0, 0), 120, into=n)
         for n, x in ((2, 18.0), (3, 36.25))
     }
-    tables = record(media=media, needles={"22G": thin})
-    dataset = read(write_dataset(tmp_path, tables, rows, dict.fromkeys("abcd", CURVE), surfaces))
+    dataset = reread(tmp_path, *rows, surfaces=surfaces, media=media, needles={"22G": thin})
     a, b, c, d = dataset.insertions
     assert a.boundaries == approx(b.boundaries, abs=1e-4) and a.sequence == b.sequence == (1, 2, 3)
     assert (c.sequence, c.boundaries.tolist()) == ((1,), [])
@@ -218,13 +218,13 @@ def test_noise_floors_of_a_shift_and_of_an_angle(tmp_path):
         assert floor["ipe_mean_mm"] == approx(0.19 * expected, rel=0.03)
     # A turn of standard deviation q leaves q L sqrt(2 / pi) at the tip on average, half of it overall.
     turned = row("a", "given", layers=2, pose_angle_sd=0.01)
-    dataset = read(write_dataset(tmp_path, record(noise={}), [turned], {"a": CURVE}, SURFACES))
+    dataset = reread(tmp_path, turned, noise={})
     floor = estimate_noise_floor(dataset, dataset.insertions[0], default_rng(1), draws=1500)
     assert floor["te_mm"] == approx(0.01 * 50 * math.sqrt(2 / math.pi), rel=0.05)
     assert floor["ipe_mean_mm"] == approx(floor["te_mm"] / 2, rel=0.01)
     # Where the entry is the first point a shift is taken off: half of the turn's error at the tip is left.
     turned = dataclasses.replace(turned, pose_source="first_point", pose_shift_sd=0.4)
-    dataset = read(write_dataset(tmp_path, record(noise={}), [turned], {"a": CURVE}, SURFACES))
+    dataset = reread(tmp_path, turned, noise={})
     assert dataset.insertions[0].pose_source == "first_point"
     shifted = estimate_noise_floor(dataset, dataset.insertions[0], default_rng(1), draws=1500)
     assert shifted["te_mm"] == approx(floor["te_mm"] / 2, rel=0.03)

@@ -9,10 +9,11 @@ import pytest
 from page_files import ALL_STATES, open_offline, read_page_data
 from test_cli import run
 from test_page import NO_BROWSER, chromium  # noqa: F401 - a fixture
+from test_viewer_recording import read
 
 from needlefit.mechanics.scene import Scene
 from needlefit.planning.recording import RecordedStep, Recording, read_recording, write_recording
-from needlefit.planning.steered_needle import Change, SteeredNeedle
+from needlefit.planning.steered_needle import SteeredNeedle
 from needlefit.reporting.needle_page import kernel_exists
 from needlefit.viewer.opening import open_recording, open_target
 from needlefit.viewer.page_needle import compose_page
@@ -48,16 +49,9 @@ def tabulated(tmp_path_factory):
     shown = open_target(str(folder / "gent.toml"))
     needle = SteeredNeedle(Scene.from_record(shown.record), shown.first_cell)
     steps = []
-    inputs = (
-        ("depth_mm", None, 30.0),
-        ("jm", 1, 2.0),
-        ("jm", 2, 0.9),
-        ("jm", 1, 5.0),
-        ("depth_mm", None, 50.0),
-    )
-    for number, change in enumerate((Change(*one) for one in inputs), start=1):
-        tip = needle.apply([change]).shape.tip_lateral
-        steps.append(RecordedStep(number, 0.1 * number, (change,), tip))
+    for changes in read("1,depth_mm,,30\n2,jm,1,2\n3,jm,2,0.9\n4,jm,1,5\n5,depth_mm,,50"):
+        tip, number = needle.apply(changes).shape.tip_lateral, len(steps) + 1
+        steps.append(RecordedStep(number, 0.1 * number, changes, tip))
     write_recording(Recording(shown.make_head(), tuple(steps)), folder / "gent.csv")
     return folder / "gent.csv"
 

@@ -1,5 +1,8 @@
 """A needle in somebody's hand, its recording, and the recording carried out again."""
 
+import csv
+from collections import defaultdict
+
 import numpy as np
 import pytest
 
@@ -22,28 +25,41 @@ from needlefit.schemas.scene import SceneRecord
 PLAIN = load(find_file("scene", "study2"), SceneRecord)
 
 
-def read(step):
-    """Return changes from rows of name, item (where there is one) and value."""
-    return tuple(Change(name, *(rest if len(rest) == 2 else (None, *rest))) for name, *rest in step)
+def read(text):
+    """Return the changes of each step from rows of step, name, item and value, as a recording has them."""
+    steps = defaultdict(list)
+    for step, name, item, value in csv.reader(text.split()):
+        steps[step].append(Change(name, int(item) if item else None, float(value)))
+    return [tuple(changes) for changes in steps.values()]
 
 
-WANDERING = [
-    [("depth_mm", 12.34567)],
-    [("base_y_mm", 0.1), ("base_slope", -0.01)],
-    [("bevel_side", -1.0), ("depth_mm", 20.0)],
-    [("guide_x_mm", 1, -30.0), ("guide_y_mm", 1, 0.2)],
-    [("guide_slope", 1, 0.02), ("depth_mm", 25.1)],
-    [("mu_pa", 1, 1e5), ("alpha", 2, 3.0)],
-    [("return_to", 2.0)],
-    [("bevel_offset_mm", 0.03), ("depth_mm", 30.0)],
-    [("guide_x_mm", 2, 8.0), ("guide_y_mm", 2, 0.1), ("guide_turns_freely", 2, 1.0)],
-    [("offset_throughout_mm", 0.05)],
-    [("tip_held", 1.0)],
-    [("tip_y_mm", 0.5)],
-    [("depth_mm", 18.0), ("tip_held", 0.0), ("guide_engaged", 2, 0.0)],
-    [("return_to", 0.0)],
-    [("depth_mm", 5.0)],
-]
+WANDERING = read("""
+1,depth_mm,,12.34567
+2,base_y_mm,,0.1
+2,base_slope,,-0.01
+3,bevel_side,,-1
+3,depth_mm,,20
+4,guide_x_mm,1,-30
+4,guide_y_mm,1,0.2
+5,guide_slope,1,0.02
+5,depth_mm,,25.1
+6,mu_pa,1,1e5
+6,alpha,2,3
+7,return_to,,2
+8,bevel_offset_mm,,0.03
+8,depth_mm,,30
+9,guide_x_mm,2,8
+9,guide_y_mm,2,0.1
+9,guide_turns_freely,2,1
+10,offset_throughout_mm,,0.05
+11,tip_held,,1
+12,tip_y_mm,,0.5
+13,depth_mm,,18
+13,tip_held,,0
+13,guide_engaged,2,0
+14,return_to,,0
+15,depth_mm,,5
+""")
 
 
 def nodes_y(shape):
@@ -56,10 +72,10 @@ def recorded(path, changes=WANDERING):
     steps = []
     steering.found = [nodes_y(steering.now.shape)]
     for n, step in enumerate(changes, start=1):
-        steering.apply(read(step))
+        steering.apply(step)
         if n == 2:
             steering.keep()
-        steps.append(RecordedStep(n, 0.25 * n, read(step), steering.now.shape.tip_lateral))
+        steps.append(RecordedStep(n, 0.25 * n, step, steering.now.shape.tip_lateral))
         steering.found.append(nodes_y(steering.now.shape))
     write_recording(Recording(make_head("study2", 1.0, PLAIN), tuple(steps)), path)
     return steering
@@ -80,7 +96,7 @@ def test_a_replay_finds_the_same_bits_after_every_step(tmp_path):
 def test_a_recording_cut_off_in_its_last_step_has_all_before(tmp_path, cut):
     """Killed while it wrote: the step of two rows at the end is there whole, or not at all."""
     path = tmp_path / "log.csv"
-    recorded(path, [*WANDERING, [("depth_mm", 9.0), ("bevel_side", -1.0)]])
+    recorded(path, [*WANDERING, *read("16,depth_mm,,9\n16,bevel_side,,-1")])
     path.write_bytes(path.read_bytes()[:-cut])
     assert [step.number for step in read_recording(path).steps] == list(range(1, len(WANDERING) + 1))
 
